@@ -1,0 +1,32 @@
+"""Compiled kernels: one decorator for the serial and one for the parallel case.
+
+Both release the GIL and cache their machine code. The threading layer is OpenMP: beside another
+library's TBB the default falls back to a layer that aborts the process when two Python threads enter
+parallel kernels at once. Parallel kernels write each output element from exactly one iteration and never
+reduce a float over iterations, so results do not depend on the number of threads.
+
+``kernel.py_func`` of a decorated function is its plain Python twin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numba
+
+numba.config.THREADING_LAYER = "omp"
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def kernel(function: F) -> F:
+    """Compile ``function`` for one thread; IEEE semantics, no fast-math."""
+    compiled: F = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    return compiled
+
+
+def parallel_kernel(function: F) -> F:
+    """Compile ``function`` with ``numba.prange`` loops shared over the cores."""
+    compiled: F = numba.njit(cache=True, nogil=True, parallel=True, error_model="numpy")(function)
+    return compiled

@@ -1,0 +1,206 @@
+"""The parameters of every stage. This file is the only source of a default, a unit, a bound or a help text.
+
+Sigmas are one standard deviation. Defaults are a VLP-16 with an RTK receiver and a tactical-grade attitude source.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ladar_volume.model.parameter import param, read_section, unknown_section, write_section
+
+
+@dataclass(frozen=True)
+class CalibrationParameters:
+    """Where the sensors sit: the LiDAR equation's constants."""
+
+    boresight_roll_rad: float = param(0.0, "Nominal boresight roll of R_body_laser = Rz(yaw) Ry(pitch) Rx(roll).", low=-360, high=360)
+    boresight_pitch_rad: float = param(0.0, "Nominal boresight pitch.", low=-360, high=360)
+    boresight_yaw_rad: float = param(0.0, "Nominal boresight yaw.", low=-360, high=360)
+    boresight_correction_rad: tuple[float, ...] = param(
+        (0.0, 0.0, 0.0), "Small body-side rotation vector applied to the nominal boresight.", low=-10, high=10, vector=3
+    )
+    lever_laser_m: tuple[float, ...] = param((0.0, 0.0, 0.0), "Laser origin in the body frame, b.", unit="m", low=-50, high=50, vector=3)
+    lever_antenna_m: tuple[float, ...] = param((0.0, 0.0, 0.0), "Antenna phase centre in the body frame, a.", unit="m", low=-50, high=50, vector=3)
+    clock_offset_s: float = param(0.0, "dt: navigation time minus LiDAR time, t_nav = t_lidar + dt.", unit="s", low=-1e5, high=1e5)
+
+
+@dataclass(frozen=True)
+class BudgetParameters:
+    """The error budget: what is not known of sensor, navigation and calibration."""
+
+    range_noise_m: float = param(0.010, "Range noise of one return.", unit="m", low=0, high=1)
+    azimuth_noise_rad: float = param(math.radians(0.01), "Azimuth noise of one return.", low=0, high=5)
+    vertical_noise_rad: float = param(math.radians(0.01), "Vertical angle noise of one return.", low=0, high=5)
+    beam_divergence_rad: float = param(
+        0.0015, "Full beam divergence; a quarter of it acts as angular noise, so range noise grows with incidence.", low=0, high=5
+    )
+    beam_range_sigma_m: float = param(0.004, "Range offset of each beam, constant per beam (rho_k).", unit="m", low=0, high=1)
+    beam_vertical_sigma_rad: float = param(math.radians(0.01), "Vertical angle offset of each beam, constant (eps_k).", low=0, high=5)
+    range_bias_sigma_m: float = param(0.003, "Range bias common to all beams (rho_0).", unit="m", low=0, high=1)
+    position_sigma_m: tuple[float, ...] = param(
+        (0.014, 0.014, 0.021), "Antenna position east, north, up: stands in where the receiver gives no covariance.", unit="m", low=0, high=100, vector=3
+    )
+    attitude_sigma_rad: tuple[float, ...] = param(
+        (math.radians(0.02), math.radians(0.02), math.radians(0.05)),
+        "Roll, pitch, heading: stands in where the IMU gives no covariance.", low=0, high=90, vector=3,
+    )  # fmt: skip
+    position_bias_fraction: float = param(0.2, "Share of the position variance that is constant over the survey.", low=0, high=1)
+    position_white_fraction: float = param(0.1, "Share of the position variance that is white per fix; the rest is Gauss-Markov.", low=0, high=1)
+    attitude_bias_fraction: float = param(0.1, "Share of the attitude variance that is constant over the survey.", low=0, high=1)
+    attitude_white_fraction: float = param(0.1, "Share of the attitude variance that is white per sample; the rest is Gauss-Markov.", low=0, high=1)
+    tau_position_s: float = param(300.0, "Correlation time of the position's Gauss-Markov part.", unit="s", low=0.1, high=1e6)
+    tau_attitude_s: float = param(20.0, "Correlation time of the attitude's Gauss-Markov part.", unit="s", low=0.1, high=1e6)
+    boresight_sigma_rad: tuple[float, ...] = param(
+        (math.radians(0.02), math.radians(0.02), math.radians(0.04)), "Boresight, body rotation vector.", low=0, high=10, vector=3
+    )
+    lever_laser_sigma_m: tuple[float, ...] = param((0.002, 0.002, 0.003), "Laser lever arm.", unit="m", low=0, high=10, vector=3)
+    lever_antenna_sigma_m: tuple[float, ...] = param((0.002, 0.002, 0.003), "Antenna lever arm.", unit="m", low=0, high=10, vector=3)
+    clock_sigma_s: float = param(0.0002, "Clock offset.", unit="s", low=0, high=100)
+
+
+@dataclass(frozen=True)
+class GeoreferenceParameters:
+    """Trajectory and the selection of returns."""
+
+    pose_source: str = param("gnss_imu", "Where poses come from.", choices=("gnss_imu", "odometry"))
+    position_interpolation: str = param("linear", "Antenna position between fixes.", choices=("linear", "hermite"))
+    max_position_gap_s: float = param(0.6, "Largest interval between fixes that is bridged; returns in a longer one are lost.", unit="s", low=0.001, high=60)
+    max_attitude_gap_s: float = param(0.15, "Largest interval between attitudes that is bridged.", unit="s", low=0.001, high=60)
+    unknown_covariance: str = param("refuse", "Fix or attitude without covariance: refuse it, or take the budget's sigma.", choices=("refuse", "budget"))
+    stamp_refers_to: str = param("first", "What the stamp marks where `t` offsets count from the sweep's start.", choices=("first", "last"))
+    untimed_clouds: str = param("refuse", "Cloud without per-point time: refuse it, or give every return the stamp.", choices=("refuse", "stamp"))
+    range_min_m: float = param(0.5, "Nearest range kept.", unit="m", low=0, high=1000)
+    range_max_m: float = param(120.0, "Farthest range kept.", unit="m", low=0.1, high=10000)
+    vehicle_box_m: tuple[float, ...] = param(
+        (), "Own-vehicle mask in the body frame: xmin, ymin, zmin, xmax, ymax, zmax; empty for none.", unit="m", vector=0
+    )
+    region_m: tuple[float, ...] = param((), "Region of interest in the map frame, as vehicle_box_m; empty for all.", unit="m", vector=0)
+    intensity_min: float = param(0.0, "Lowest intensity kept.", low=0)
+    intensity_max: float = param(math.inf, "Highest intensity kept.", low=0)
+    beams: int = param(16, "Number of beams of the scanner.", low=1, high=128)
+    datum_latitude_deg: float = param(math.nan, "Latitude of the datum; NaN for the first fix.", unit="deg", low=-90, high=90)
+    datum_longitude_deg: float = param(math.nan, "Longitude of the datum.", unit="deg", low=-180, high=180)
+    datum_height_m: float = param(math.nan, "Ellipsoidal height of the datum.", unit="m", low=-1000, high=10000)
+    max_pending_s: float = param(5.0, "How long returns wait for the trajectory before they are lost.", unit="s", low=0.1, high=600)
+    covariance_output: str = param("independent", "What the covariance fields of points_mapped hold.", choices=("independent", "total"))
+
+
+@dataclass(frozen=True)
+class FilterParameters:
+    """Robust moving least squares (seed 002 chapter 4)."""
+
+    radius_m: float = param(0.5, "Range r: patches are r apart and are fitted over 2r.", unit="m", low=0.001, high=100)
+    degree: int = param(2, "Polynomial degree of a patch.", low=1, high=2)
+    start: str = param("lmeds", "How the starting model is sampled.", choices=("lmeds", "ransac"))
+    trials: int = param(40, "Random samples per patch.", low=1, high=10000)
+    sample_size: int = param(0, "Points per random sample; 0 for the fewest a start plane needs plus one (four).", low=0, high=1000)
+    ransac_threshold_m: float = param(0.02, "Residual threshold of the weighted RANSAC start.", unit="m", low=1e-6, high=10)
+    outlier_sigmas: float = param(3.5, "Inlier threshold in robust sigma; below 3 the printed variance would be too small.", low=3, high=20)
+    outlier_floor_m: float = param(0.0, "The inlier threshold is never below this.", unit="m", low=0, high=10)
+    min_points: int = param(12, "Fewest inliers of a patch.", low=4, high=100000)
+    refit_iterations: int = param(30, "Most refits towards the fixed point.", low=1, high=1000)
+    cap_per_voxel: int = param(32, "Most raw points kept per voxel of edge r (those with the lowest hashes).", low=1, high=100000)
+    sampling_m: float = param(0.0, "Spacing of the filtered points; 0 for r / 2.", unit="m", low=0, high=100)
+    nav_bin_s: float = param(1.0, "Length of a navigation time bin of the mean sensitivities.", unit="s", low=0.01, high=60)
+    seed: int = param(1, "Seed of the random samples; each patch derives its own from it and its key.", low=0, high=2**31 - 1)
+
+
+@dataclass(frozen=True)
+class GroundParameters:
+    """The ground fitted to the surroundings (seed 002 chapter 6)."""
+
+    trials: int = param(1000, "RANSAC trials (thesis: 1000).", low=1, high=1000000)
+    threshold_m: float = param(0.0, "Inlier threshold; 0 for three robust sigma of the residuals.", unit="m", low=0, high=10)
+    max_tilt_rad: float = param(math.radians(30.0), "Largest tilt of the ground from the horizontal.", low=0, high=89)
+    degree: int = param(1, "Degree of the ground polynomial: 0 level, 1 plane, 2 quadric.", low=0, high=2)
+    seed: int = param(1, "Seed of the random samples.", low=0, high=2**31 - 1)
+
+
+@dataclass(frozen=True)
+class VolumeParameters:
+    """Surface, base and volume."""
+
+    base: str = param("ground", "What the volume stands on: ground of the same survey, a level, or a given plane.", choices=("ground", "level", "plane"))
+    level_m: float = param(0.0, "Height of the level in the map frame.", unit="m", low=-10000, high=10000)
+    plane: tuple[float, ...] = param((0.0, 0.0, 0.0), "The given plane z = c0 + c1 x + c2 y in the map frame.", low=-1e5, high=1e5, vector=3)
+    outline: str = param("auto", "Where the volume counts: the main body above the base, everything, or a polygon.", choices=("auto", "all", "polygon"))
+    polygon_m: tuple[float, ...] = param((), "Outline x1, y1, x2, y2, ... in the map frame.", unit="m", vector=0)
+    object_height_m: float = param(0.15, "Auto outline: least height above the base that belongs to the body.", unit="m", low=0.001, high=100)
+    outline_margin_m: float = param(1.0, "Auto outline: margin around the body, so that the toe is inside.", unit="m", low=0, high=100)
+    ground_ring_m: float = param(10.0, "Ground is fitted to points within this distance outside the outline; 0 for all.", unit="m", low=0, high=10000)
+    relevant: str = param("edge", "Which triangles count (seed 000 section 3.1).", choices=("all", "corners", "edge", "circumcircle"))
+    max_edge_m: float = param(3.0, "Longest edge of a relevant triangle.", unit="m", low=0.001, high=10000)
+    max_circumdiameter_m: float = param(3.0, "Largest circumcircle diameter of a relevant triangle.", unit="m", low=0.001, high=10000)
+    confidence: float = param(0.95, "Confidence of the printed interval.", low=0.5, high=0.9999)
+    tolerance: float = param(0.05, "Wanted sigma / V, for diagnostics.", low=1e-6, high=1)
+
+
+@dataclass(frozen=True)
+class NodeParameters:
+    """What the nodes need beside their stage."""
+
+    update_period_s: float = param(1.0, "How often filter and volume are brought up to date.", unit="s", low=0.05, high=60)
+    input_reliability: str = param("best_effort", "Reliability of the sensor subscriptions.", choices=("best_effort", "reliable"))
+    input_depth: int = param(50, "History depth of the sensor subscriptions.", low=1, high=10000)
+    diagnostics_period_s: float = param(1.0, "How often /diagnostics is published.", unit="s", low=0.1, high=60)
+    autostart: bool = param(True, "Configure and activate at start.")
+    tin_colour: str = param("height", "Colour of the published TIN.", choices=("height", "sigma"))
+    output_folder: str = param("out", "Where ~/save writes.")
+
+
+@dataclass(frozen=True)
+class LoggerParameters:
+    """The MCAP log."""
+
+    path: str = param("ladar_volume.mcap", "File to write; split files get a running number.")
+    topics: tuple[str, ...] = param(("*",), "Topics to log, with shell wildcards; '*' for all of this graph.", vector=0)
+    chunk_s: float = param(1.0, "Longest time before a chunk is written.", unit="s", low=0.05, high=60)
+    chunk_bytes: int = param(4_000_000, "Largest chunk.", unit="B", low=1000, high=2**31 - 1)
+    compression: str = param("zstd", "Chunk compression.", choices=("zstd", "lz4", "none"))
+    split_bytes: int = param(0, "Start a new file beyond this size; 0 for never.", unit="B", low=0)
+
+
+SECTIONS: dict[str, type] = {
+    "calibration": CalibrationParameters,
+    "budget": BudgetParameters,
+    "georeference": GeoreferenceParameters,
+    "filter": FilterParameters,
+    "ground": GroundParameters,
+    "volume": VolumeParameters,
+    "node": NodeParameters,
+    "logger": LoggerParameters,
+}
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """All stages. ``read`` and ``write`` are inverse to each other."""
+
+    calibration: CalibrationParameters = field(default_factory=CalibrationParameters)
+    budget: BudgetParameters = field(default_factory=BudgetParameters)
+    georeference: GeoreferenceParameters = field(default_factory=GeoreferenceParameters)
+    filter: FilterParameters = field(default_factory=FilterParameters)
+    ground: GroundParameters = field(default_factory=GroundParameters)
+    volume: VolumeParameters = field(default_factory=VolumeParameters)
+    node: NodeParameters = field(default_factory=NodeParameters)
+    logger: LoggerParameters = field(default_factory=LoggerParameters)
+
+    @classmethod
+    def read(cls, mapping: Mapping[str, Mapping[str, Any]], start: Parameters | None = None) -> Parameters:
+        """From ``{section: {key: value}}`` on top of ``start``; raises a ConfigurationError naming key, value and range."""
+        base = start if start is not None else cls()
+        changes = {}
+        for section, values in mapping.items():
+            if section not in SECTIONS:
+                raise unknown_section(str(section), list(SECTIONS))
+            changes[section] = read_section(SECTIONS[section], section, values or {}, getattr(base, section))
+        return dataclasses.replace(base, **changes)
+
+    def write(self) -> dict[str, dict[str, Any]]:
+        """As ``{section: {key: value}}`` with outside keys and units."""
+        return {section: write_section(getattr(self, section)) for section in SECTIONS}

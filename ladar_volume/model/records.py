@@ -1,0 +1,296 @@
+"""The records that flow from stage to stage. A point and all that is known of it travel in one record,
+cut by one mask (:func:`select`); there are no parallel arrays across an interface.
+
+Frames in names: ``r_map`` is a position in the map frame (local ENU at the datum), ``q_map_body`` rotates body (FLU)
+into map. Quaternions xyzw. Times are int64 nanoseconds. Symmetric 3x3 covariances are packed
+``(xx, xy, xz, yy, yz, zz)``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+F64 = npt.NDArray[np.float64]
+F32 = npt.NDArray[np.float32]
+I64 = npt.NDArray[np.int64]
+I32 = npt.NDArray[np.int32]
+U16 = npt.NDArray[np.uint16]
+Bool = npt.NDArray[np.bool_]
+
+#: Columns of every calibration sensitivity: per-beam columns follow (rho_k for all beams, then eps_k).
+CAL_COLUMNS = (
+    "range_bias",
+    "boresight_x", "boresight_y", "boresight_z",
+    "lever_laser_x", "lever_laser_y", "lever_laser_z",
+    "lever_antenna_x", "lever_antenna_y", "lever_antenna_z",
+    "clock",
+)  # fmt: skip
+#: Columns of every navigation sensitivity: antenna position (map), attitude (body rotation vector).
+NAV_COLUMNS = ("east", "north", "up", "attitude_x", "attitude_y", "attitude_z")
+
+R = TypeVar("R")
+
+
+def select(record: R, mask: Any) -> R:
+    """The rows of a record chosen by one mask or index array: every row-wise array is cut alike."""
+    changes: dict[str, Any] = {}
+    for f in dataclasses.fields(record):  # type: ignore[arg-type]
+        value = getattr(record, f.name)
+        if isinstance(value, np.ndarray):
+            changes[f.name] = value[mask]
+    return dataclasses.replace(record, **changes)  # type: ignore[type-var]
+
+
+def concatenate(records: list[R]) -> R:
+    """One record with the rows of all; fields that are not arrays are taken from the first."""
+    first = records[0]
+    changes: dict[str, Any] = {}
+    for f in dataclasses.fields(first):  # type: ignore[arg-type]
+        if isinstance(getattr(first, f.name), np.ndarray):
+            changes[f.name] = np.concatenate([getattr(r, f.name) for r in records])
+    return dataclasses.replace(first, **changes)  # type: ignore[type-var]
+
+
+@dataclass(frozen=True)
+class Datum:
+    """Origin of the map frame: geodetic latitude and longitude (deg), ellipsoidal height (m), WGS 84."""
+
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float
+
+
+@dataclass(frozen=True)
+class Returns:
+    """One cloud in the laser frame.
+
+    t_ns : (n,) int64, ns, time of each return · r_laser : (n, 3) float64, m · ring : (n,) uint16, beam 0..15
+    intensity : (n,) float32
+    """
+
+    t_ns: I64
+    r_laser: F64
+    ring: U16
+    intensity: F32
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+
+@dataclass(frozen=True)
+class Fix:
+    """One GNSS fix. ``C_enu`` (3, 3) m² is None where the receiver did not say. ``status`` as NavSatStatus."""
+
+    t_ns: int
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float
+    C_enu: F64 | None
+    status: int = 0
+
+
+@dataclass(frozen=True)
+class ImuSample:
+    """One attitude. ``q_map_body`` (4,) xyzw; ``omega_body`` (3,) rad/s; ``C_axes`` (3, 3) rad² about the map's fixed
+    axes as in sensor_msgs/Imu, None where the sensor did not say."""
+
+    t_ns: int
+    q_map_body: F64
+    omega_body: F64
+    C_axes: F64 | None
+
+
+@dataclass(frozen=True)
+class OdometrySample:
+    """One pose of the odometry source: position (m) in its world frame, attitude, twist in the body frame.
+    ``C_pose`` (6, 6): position, then rotation about fixed axes; None where unknown."""
+
+    t_ns: int
+    p_map_body: F64
+    q_map_body: F64
+    v_body: F64
+    omega_body: F64
+    C_pose: F64 | None
+
+
+@dataclass(frozen=True)
+class PlatformStates:
+    """Poses along the path, strictly increasing in time; what `platform` publishes and the filter interpolates.
+
+    t_ns : (n,) int64 · p_map_body : (n, 3) m, IMU origin · q_map_body : (n, 4) xyzw · v_body : (n, 3) m/s, velocity of
+    the IMU origin in the body frame · omega_body : (n, 3) rad/s · C_nav : (n, 6, 6), antenna position (map, m²) and attitude
+    (body rotation vector, rad²): the navigation's total covariance, before its split into bias, Markov and white parts ·
+    segment : (n,) int64, changes where a gap in the trajectory forbids interpolation.
+    """
+
+    t_ns: I64
+    p_map_body: F64
+    q_map_body: F64
+    v_body: F64
+    omega_body: F64
+    C_nav: F64
+    segment: I64
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+
+@dataclass(frozen=True)
+class MappedPoints:
+    """Georeferenced returns.
+
+    t_ns : (n,) int64 · r_map : (n, 3) float64, m · C_ind : (n, 6) float32, m², the independent part only (see
+    UNCERTAINTY: shared errors never enter here) · ring : (n,) uint16 · intensity : (n,) float32
+    """
+
+    t_ns: I64
+    r_map: F64
+    C_ind: F32
+    ring: U16
+    intensity: F32
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+
+@dataclass(frozen=True)
+class FilteredPoints:
+    """Surface points projected onto their patch.
+
+    r_map : (n, 3) m · normal : (n, 3) unit, towards the sensor · variance : (n,) m², independent noise along the normal ·
+    C_tangent : (n, 6) float32 m², independent noise in the tangent plane · t_ns : (n,) mean time of the returns ·
+    patch : (n,) int64 key of the patch · local : (n, 2) m, tangent coordinates (u, v) in the patch frame
+    """
+
+    r_map: F64
+    normal: F64
+    variance: F64
+    C_tangent: F32
+    t_ns: I64
+    patch: I64
+    local: F64
+
+    def __len__(self) -> int:
+        return len(self.patch)
+
+
+@dataclass(frozen=True)
+class Patches:
+    """Local least-squares surfaces, one per voxel, sorted by key; ragged parts in CSR form.
+
+    Height over the tangent plane: ``w(u, v) = x(u, v) @ beta`` with ``x = (1, u, v)`` or ``(1, u, v, u², uv, v²)``; a point is
+    ``centre + u tangent + v (normal x tangent) + w normal``.
+
+    key : (m,) int64, unique and stable · centre, normal, tangent : (m, 3) · beta : (m, p) · sigma : (m,) m, robust residual
+    scale · used : (m,) int32 inliers in the fit · t_ns : (m,) mean time ·
+    cross_start : (m + 1,), cross_key : (k,) keys of neighbours with key >= own key (own block first), cross : (k, p, p) m² the
+    covariance blocks ``C_ab`` of UNCERTAINTY step 3 · M_cal : (m, p, c) mean sensitivities of beta to the calibration columns ·
+    nav_start : (m + 1,), nav_bin : (l,) int64 ``floor(t / nav_bin)``, M_nav : (l, p, 6) the same per navigation time bin
+    """
+
+    key: I64
+    centre: F64
+    normal: F64
+    tangent: F64
+    beta: F64
+    sigma: F64
+    used: I32
+    t_ns: I64
+    cross_start: I64
+    cross_key: I64
+    cross: F64
+    M_cal: F64
+    nav_start: I64
+    nav_bin: I64
+    M_nav: F64
+
+    def __len__(self) -> int:
+        return len(self.key)
+
+
+@dataclass(frozen=True)
+class FilterUpdate:
+    """What changed in the filtered surface: every patch in ``removed`` or in ``patches.key`` is to be forgotten with its
+    points, then the new ones added. The union of all updates equals one update from the whole input."""
+
+    t_ns: int
+    removed: I64
+    points: FilteredPoints
+    patches: Patches
+    complete: bool = False
+
+
+@dataclass(frozen=True)
+class Tin:
+    """A triangulated surface over the map's horizontal plane.
+
+    vertices : (n, 3) m · triangles : (m, 3) int32, counter-clockwise from above · relevant : (m,) bool · source : (n,) int64, index of
+    each vertex in the points it was built from · neighbours : (m, 3) int32, triangle across the edge opposite each vertex, −1 at
+    the hull
+    """
+
+    vertices: F64
+    triangles: I32
+    neighbours: I32
+    relevant: Bool
+    source: I64
+    duplicates: int = 0
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A base surface ``z = x(dx, dy) @ beta`` about ``origin_xy``: degree 0 (level), 1 (plane) or 2.
+
+    origin_xy : (2,) m · beta : (p,) with x = (1, dx, dy[, dx², dx dy, dy²]) · C_beta : (p, p) independent part ·
+    support : (k,) int64 indices of the points that define it (empty for a design surface)
+    """
+
+    origin_xy: F64
+    beta: F64
+    C_beta: F64
+    support: I64
+    rms_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class Volume:
+    """A volume with its budget. Net = cut − fill inside the outline. ``budget_m6`` adds up to ``sigma_m3 ** 2``."""
+
+    volume_m3: float
+    sigma_m3: float
+    confidence: float
+    coverage_factor: float
+    cut_m3: float
+    fill_m3: float
+    area_m2: float
+    base: str
+    base_same_survey: bool
+    centroid_map: tuple[float, float, float]
+    budget_m6: dict[str, float]
+    sigma_tau_range_m3: tuple[float, float]
+    sigma_naive_m3: float
+    outline: F64
+    vertices: int
+    triangles: int
+    t_ns: int
+
+    @property
+    def interval_m3(self) -> tuple[float, float]:
+        """The coverage interval ``V ± k sigma``."""
+        half = self.coverage_factor * self.sigma_m3
+        return self.volume_m3 - half, self.volume_m3 + half
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What one estimation gives: the volume, the surface, its base, and per-vertex standard deviations of height."""
+
+    volume: Volume
+    tin: Tin
+    base: Plane
+    sigma_z: F64
