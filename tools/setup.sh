@@ -1,0 +1,50 @@
+#!/usr/bin/env bash
+# Set up .venv with everything the package needs, system libraries included. Safe to run again.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+python="${PYTHON:-python3}"
+
+missing_system() {
+    # Open3D and the OpenMP layer of numba load these; a minimal image lacks them
+    local need=()
+    ldconfig -p | grep -q 'libusb-1\.0\.so\.0' || need+=(libusb-1.0-0)
+    ldconfig -p | grep -q 'libGL\.so\.1' || need+=(libgl1)
+    ldconfig -p | grep -q 'libgomp\.so\.1' || need+=(libgomp1)
+    "$python" -c 'import ensurepip, venv' 2>/dev/null || need+=(python3-venv)
+    echo "${need[@]}"
+}
+
+install_system() {
+    local sudo=""
+    if [ "$(id -u)" -ne 0 ]; then
+        if command -v sudo >/dev/null && sudo -n true 2>/dev/null; then sudo="sudo"; else return 1; fi
+    fi
+    command -v apt-get >/dev/null || return 1
+    export DEBIAN_FRONTEND=noninteractive
+    $sudo apt-get install -y -q "$@" || { $sudo apt-get update -q && $sudo apt-get install -y -q "$@"; }
+}
+
+read -r -a need <<<"$(missing_system)"
+if [ "${#need[@]}" -gt 0 ]; then
+    echo "Installing system libraries: ${need[*]}"
+    if ! install_system "${need[@]}"; then
+        echo "Missing system libraries. Install them and run this again:" >&2
+        echo "    sudo apt-get install ${need[*]}" >&2
+        exit 1
+    fi
+fi
+
+"$python" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' || {
+    echo "Python 3.11 or 3.12 is needed (PYTHON=python3.12 make run chooses one)" >&2
+    exit 1
+}
+[ -x .venv/bin/python ] || "$python" -m venv .venv
+want="$(cat requirements.txt requirements-dev.txt | sha256sum)"
+if [ "$(cat .venv/requirements.sha256 2>/dev/null || true)" != "$want" ]; then
+    echo "Installing Python packages into .venv (a few minutes the first time)"
+    .venv/bin/python -m pip install -q --disable-pip-version-check -r requirements-dev.txt
+    echo "$want" >.venv/requirements.sha256
+fi
+.venv/bin/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation .
+rm -rf build ladar_volume.egg-info
+touch .venv/ready
