@@ -103,8 +103,9 @@ _TABLE_BORESIGHT = (10 * ARCSECOND, 10 * ARCSECOND, 30 * ARCSECOND)
 #: Position sigma of one axis that gives 0.05 m in space with sigma_Z = 1.5 sigma_X; the document divides by 3.5 instead of sqrt(4.25).
 _QUADRATURE = 0.05 / math.sqrt(4.25)
 
-#: Published budgets. ``table1_low`` and ``table1_high``: the ends of seed 004 Table 1 (after May & Toth 2007). ``survey``: the instrument of
-#: seed 004 section 5.1 as printed; ``survey_corrected``: the same with the position sigma in quadrature. ``thesis``: seed 002 chapter 8.
+#: Published budgets. ``table1_low`` and ``table1_high``: the ends of seed 004 Table 1 (after May & Toth 2007).
+#: ``survey``: the instrument of seed 004 section 5.1 as printed; ``survey_corrected``: the same with the position sigma in quadrature.
+#: ``thesis``: seed 002 chapter 8.
 PRESETS: dict[str, BudgetParameters] = {
     "table1_low": _published(
         (0.05, 0.05, 0.075), (10 * ARCSECOND, 10 * ARCSECOND, 20 * ARCSECOND), _TABLE_BORESIGHT, 0.01, math.radians(0.0007)

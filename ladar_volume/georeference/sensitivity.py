@@ -1,7 +1,7 @@
 """How one mapped point moves with every error source: the Jacobians of UNCERTAINTY's list, and the point covariance.
 
-With ``v = B r_laser`` and body-side perturbations: position I, attitude ``-R [v + b - a]x``, boresight ``-R [v]x``, b ``R``, a ``-R``, range ``R B u``,
-angles through r_laser, clock ``antenna velocity + R (omega x (v + b - a))``. Every array is stacked over points.
+With ``v = B r_laser`` and body-side perturbations: position I, attitude ``-R [v + b - a]x``, boresight ``-R [v]x``, b ``R``, a ``-R``,
+range ``R B u``, angles through r_laser, clock ``antenna velocity + R (omega x (v + b - a))``. Every array is stacked over points.
 """
 
 from __future__ import annotations
@@ -9,10 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from ladar_volume.georeference.lidar import Mounting, angle_derivatives, mounting
 from ladar_volume.model.parameters import CalibrationParameters
-from ladar_volume.model.records import CAL_COLUMNS, F64, I64, Bool, MappedPoints, PlatformStates
+from ladar_volume.model.records import CAL_COLUMNS, F64, I64, Bool, MappedPoints, PlatformStates, select
 from ladar_volume.model.se3 import matrix_from_quaternion, skew, slerp
 
 
@@ -21,8 +22,8 @@ class PointGeometry:
     """What the Jacobians need, per point.
 
     covered : (n,) bool, whether two platform states of one segment enclose the point; the other rows hold NaN ·
-    R_map_body : (n, 3, 3) · v_body : (n, 3) m, ``B r_laser``, laser to target in the body frame · velocity_map : (n, 3) m/s, velocity of the
-    antenna · omega_body : (n, 3) rad/s · state : (n,) int64, index of the platform state before the point · fraction : (n,) share
+    R_map_body : (n, 3, 3) · v_body : (n, 3) m, ``B r_laser``, laser to target in the body frame · velocity_map : (n, 3) m/s, velocity of
+    the antenna · omega_body : (n, 3) rad/s · state : (n,) int64, index of the platform state before the point · fraction : (n,) share
     of the way to the next · mount : the LiDAR equation's constants
     """
 
@@ -121,7 +122,7 @@ def beam_jacobian(geometry: PointGeometry) -> F64:
     return measurement_jacobian(geometry)[:, :, [0, 2]]
 
 
-def full_calibration_jacobian(geometry: PointGeometry, ring: np.typing.NDArray[np.uint16], beams: int) -> F64:
+def full_calibration_jacobian(geometry: PointGeometry, ring: npt.NDArray[np.uint16], beams: int) -> F64:
     """All calibration columns, beams included, in the order of ``budget.calibration_columns``: (n, 3, 11 + 2 beams)."""
     shared, own = len(CAL_COLUMNS), beam_jacobian(geometry)
     rows, k = np.arange(len(geometry)), ring.astype(np.int64)
@@ -145,7 +146,7 @@ def pack(C: F64) -> F64:
     return C[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
 
 
-def unpack(packed: np.typing.ArrayLike) -> F64:
+def unpack(packed: npt.ArrayLike) -> F64:
     """(n, 6) -> symmetric (n, 3, 3) float64; the inverse of :func:`pack`."""
     c = np.asarray(packed, dtype=np.float64)
     return c[..., [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
@@ -158,7 +159,7 @@ def independent_covariance(geometry: PointGeometry, sigmas: F64) -> F64:
     return out
 
 
-def point_covariance(geometry: PointGeometry, ring: np.typing.NDArray[np.uint16], C_ind: F64, C_nav: F64, C_cal: F64, chunk: int = 4096) -> F64:
+def point_covariance(geometry: PointGeometry, ring: npt.NDArray[np.uint16], C_ind: F64, C_nav: F64, C_cal: F64, chunk: int = 4096) -> F64:
     """C_point (n, 3, 3) m²: one point, all sources, ``C_ind + J_nav C_nav J_navᵀ + J_cal C_cal J_calᵀ``.
 
     C_ind (n, 3, 3), C_nav (n, 6, 6), C_cal (c, c) with c = 11 + 2 beams. For one point only: points share the last two terms.
@@ -174,6 +175,4 @@ def point_covariance(geometry: PointGeometry, ring: np.typing.NDArray[np.uint16]
 
 
 def _rows(g: PointGeometry, part: slice) -> PointGeometry:
-    return PointGeometry(
-        g.covered[part], g.R_map_body[part], g.v_body[part], g.velocity_map[part], g.omega_body[part], g.state[part], g.fraction[part], g.mount
-    )
+    return select(g, part)

@@ -1,0 +1,258 @@
+"""The streaming stage: fixes, attitudes and returns in, mapped points and platform states out.
+
+Nothing here raises on bad data: a sample or return that cannot be used is counted in :attr:`Georeferencer.losses`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from ladar_volume.georeference.admission import JUMP_S, TimeOrder, fix_covariance, imu_attitude, odometry_pose
+from ladar_volume.georeference.budget import independent_sigmas
+from ladar_volume.georeference.geodesy import LocalFrame
+from ladar_volume.georeference.lidar import mounting
+from ladar_volume.georeference.mapping import IN_VEHICLE, MAPPED, NO_POSE, OUTSIDE_REGION, map_returns, region_box, vehicle_box
+from ladar_volume.georeference.trajectory import Trajectory
+from ladar_volume.model import records as rec
+from ladar_volume.model.errors import InputError, ParameterValueError
+from ladar_volume.model.losses import Losses
+from ladar_volume.model.parameters import GeoreferenceParameters, Parameters
+from ladar_volume.model.records import I64, Datum, Fix, ImuSample, MappedPoints, OdometrySample, PlatformStates, Returns
+from ladar_volume.model.se3 import quaternion_from_matrix
+
+#: The waiting clock advances with the clouds' own time, but by no more than this per cloud, so one corrupt stamp expires nothing.
+_LARGEST_STEP_NS = 1_000_000_000
+
+S = TypeVar("S")
+
+
+@dataclass(frozen=True)
+class _Waiting:
+    returns: Returns  # times already in navigation time
+    first_ns: int
+    last_ns: int
+    arrived_ns: int  # on the waiting clock
+
+
+class Georeferencer:
+    """Turns returns into mapped points as soon as the trajectory covers them.
+
+    What comes out does not depend on how the topics are interleaved, as long as each is in order and none lags the clouds by more than
+    ``max_pending_s``. ``MappedPoints.t_ns`` is navigation time, ``t_lidar + clock_offset_s``.
+
+    Raises :class:`ParameterValueError` for a half-given datum or a malformed box.
+    """
+
+    def __init__(self, parameters: Parameters) -> None:
+        self._p = parameters.georeference
+        self._budget = parameters.budget
+        self.losses = Losses()
+        self.mount = mounting(parameters.calibration, self._p.pose_source)
+        self._sigmas = independent_sigmas(parameters.budget)
+        self._vehicle = vehicle_box(_box("vehicle_box_m", self._p.vehicle_box_m))
+        self._region = region_box(_box("region_m", self._p.region_m))
+        self._trajectory = Trajectory(self._p, self.mount.lever_antenna)
+        jump = max(JUMP_S, 2 * self._p.max_position_gap_s, 2 * self._p.max_attitude_gap_s)
+        self._fixes: TimeOrder[Fix] = TimeOrder("fix", jump)
+        self._imus: TimeOrder[ImuSample] = TimeOrder("imu", jump)
+        self._odometry: TimeOrder[OdometrySample] = TimeOrder("odometry", jump)
+        datum = _datum(self._p)
+        self._frame = LocalFrame(datum) if datum is not None else None
+        self._waiting: deque[_Waiting] = deque()
+        self._waiting_clock_ns = 0
+        self._newest_cloud_ns: int | None = None
+        self._points: list[MappedPoints] = []
+        self._states: list[PlatformStates] = []
+
+    @property
+    def datum(self) -> Datum | None:
+        """Origin of the map frame: from the parameters, else the first usable fix; None until then."""
+        return self._frame.datum if self._frame is not None else None
+
+    @property
+    def pending(self) -> int:
+        """Returns that wait for the trajectory."""
+        return sum(len(w.returns) for w in self._waiting)
+
+    def add_fix(self, fix: Fix) -> None:
+        """One GNSS fix. Refusals: fix_no_fix, fix_nan, fix_out_of_range, fix_unknown_covariance, fix_bad_covariance, fix_duplicate,
+        fix_time_backwards, fix_time_jump; fix_unused where odometry is the pose source."""
+        if self._p.pose_source != "gnss_imu":
+            return self.losses.add("fix_unused")
+        try:
+            fix_covariance(fix, self._budget, self._p.unknown_covariance)
+        except InputError as error:
+            return self.losses.add(error.reason)
+        for good in self._in_order(self._fixes, fix.t_ns, fix):
+            self._add_position(good)
+        self._advance()
+        return None
+
+    def _add_position(self, fix: Fix) -> None:
+        C = fix_covariance(fix, self._budget, self._p.unknown_covariance)
+        if self._frame is None:
+            self._frame = LocalFrame(Datum(fix.latitude_deg, fix.longitude_deg, fix.height_m))
+        turn = self._frame.convergence(fix.latitude_deg, fix.longitude_deg)
+        p_map = self._frame.to_map(fix.latitude_deg, fix.longitude_deg, fix.height_m)
+        self._trajectory.add_position(fix.t_ns, p_map, turn @ C @ turn.T, quaternion_from_matrix(turn))
+
+    def add_imu(self, imu: ImuSample) -> None:
+        """One attitude. Refusals: imu_no_orientation, imu_nan, imu_not_unit, imu_unknown_covariance, imu_bad_covariance,
+        imu_duplicate, imu_time_backwards, imu_time_jump; imu_unused where odometry is the pose source."""
+        if self._p.pose_source != "gnss_imu":
+            return self.losses.add("imu_unused")
+        try:
+            imu_attitude(imu, self._budget, self._p.unknown_covariance)
+        except InputError as error:
+            return self.losses.add(error.reason)
+        for good in self._in_order(self._imus, imu.t_ns, imu):
+            q, C = imu_attitude(good, self._budget, self._p.unknown_covariance)
+            self._trajectory.add_attitude(good.t_ns, q, good.omega_body, C)
+        self._advance()
+        return None
+
+    def add_odometry(self, sample: OdometrySample) -> None:
+        """One pose: its own point takes the antenna's place and a = 0. Refusals as for the IMU, with ``odometry_``."""
+        if self._p.pose_source != "odometry":
+            return self.losses.add("odometry_unused")
+        try:
+            odometry_pose(sample, self._budget, self._p.unknown_covariance)
+        except InputError as error:
+            return self.losses.add(error.reason)
+        for good in self._in_order(self._odometry, sample.t_ns, sample):
+            q, C = odometry_pose(good, self._budget, self._p.unknown_covariance)
+            self._trajectory.add_position(good.t_ns, good.p_map_body, C[:3, :3])
+            self._trajectory.add_attitude(good.t_ns, q, good.omega_body, C[3:, 3:], C[:3, 3:])
+        self._advance()
+        return None
+
+    def _in_order(self, order: TimeOrder[S], t_ns: int, sample: S) -> list[S]:
+        accepted, refused = order.push(int(t_ns), sample)
+        for reason in refused:
+            self.losses.add(reason)
+        return accepted
+
+    def add_returns(self, returns: Returns) -> None:
+        """One cloud, laser frame and LiDAR time. Returns are refused as point_nan, point_range, point_intensity, point_ring; the rest
+        waits for the trajectory."""
+        shapes = (np.shape(returns.r_laser), np.shape(returns.ring), np.shape(returns.intensity))
+        n = len(returns)
+        if shapes != ((n, 3), (n,), (n,)):
+            return self.losses.add("cloud_malformed")
+        kept = self._gate(returns)
+        if len(kept):
+            first, last = int(kept.t_ns.min()), int(kept.t_ns.max())
+            self._tick(last)
+            self._waiting.append(_Waiting(kept, first, last, self._waiting_clock_ns))
+        self._advance()
+        return None
+
+    def _gate(self, returns: Returns) -> Returns:
+        p = self._p
+        # squares: three multiplications per return instead of a root
+        range2 = np.einsum("ij,ij->i", returns.r_laser, returns.r_laser)
+        nan = ~np.isfinite(range2)
+        # written so that a cloud without intensity (NaN) passes
+        bad = {
+            "point_nan": nan,
+            "point_range": ~nan & ((range2 < p.range_min_m**2) | (range2 > p.range_max_m**2) | (range2 == 0.0)),
+            "point_intensity": (returns.intensity < p.intensity_min) | (returns.intensity > p.intensity_max),
+            "point_ring": returns.ring >= p.beams,
+        }
+        dropped = np.zeros(len(returns), bool)
+        for reason, mask in bad.items():
+            self.losses.add(reason, int(np.count_nonzero(mask & ~dropped)))
+            dropped |= mask
+        kept = rec.select(returns, ~dropped) if dropped.any() else returns
+        return Returns(kept.t_ns + self.mount.clock_ns, kept.r_laser, kept.ring, kept.intensity)
+
+    def _tick(self, cloud_ns: int) -> None:
+        if self._newest_cloud_ns is not None:
+            self._waiting_clock_ns += min(max(cloud_ns - self._newest_cloud_ns, 0), _LARGEST_STEP_NS)
+        self._newest_cloud_ns = cloud_ns
+
+    def _advance(self) -> None:
+        """Map every cloud at the head of the queue whose fate is known."""
+        while self._waiting:
+            head = self._waiting[0]
+            decided, begin = self._trajectory.decided_ns, self._trajectory.begin_ns
+            known = (decided is not None and head.last_ns <= decided) or (begin is not None and head.last_ns < begin)
+            expired = self._waiting_clock_ns - head.arrived_ns > self._p.max_pending_s * 1e9
+            if not known and not expired:
+                return
+            self._decide()
+            self._waiting.popleft()
+            self._map(head, decided)
+
+    def _decide(self) -> None:
+        states = self._trajectory.decide()
+        if states is not None:
+            self._states.append(states)
+
+    def _map(self, cloud: _Waiting, decided_ns: int | None) -> None:
+        returns = cloud.returns
+        path = self._trajectory.window(cloud.first_ns, cloud.last_ns)
+        mapped = map_returns(returns.t_ns, returns.r_laser, path, self.mount, self._sigmas, self._vehicle, self._region)
+        status = mapped.status
+        self._count_uncovered(returns.t_ns[status == NO_POSE], decided_ns)
+        self.losses.add("point_vehicle", int(np.count_nonzero(status == IN_VEHICLE)))
+        self.losses.add("point_region", int(np.count_nonzero(status == OUTSIDE_REGION)))
+        points = MappedPoints(returns.t_ns, mapped.r_map, mapped.C_ind, returns.ring, returns.intensity)
+        good: npt.NDArray[np.bool_] = status == MAPPED
+        if not good.all():
+            points = rec.select(points, good)
+        if len(points):
+            self._points.append(points)
+
+    def _count_uncovered(self, t_ns: I64, decided_ns: int | None) -> None:
+        if len(t_ns) == 0:
+            return
+        begin = self._trajectory.begin_ns
+        before = t_ns < begin if begin is not None else np.zeros(len(t_ns), bool)
+        after = ~before & (t_ns > decided_ns if decided_ns is not None else True)
+        self.losses.add("point_before_trajectory", int(np.count_nonzero(before)))
+        self.losses.add("point_pose_timeout", int(np.count_nonzero(after)))
+        self.losses.add("point_pose_gap", int(np.count_nonzero(~before & ~after)))
+
+    def take_points(self) -> list[MappedPoints]:
+        """The clouds decided since the last call, in order of arrival; a cloud of which nothing is left gives no record."""
+        out, self._points = self._points, []
+        return out
+
+    def take_platform(self) -> PlatformStates | None:
+        """The platform states since the last call, or None."""
+        self._decide()
+        out, self._states = self._states, []
+        return rec.concatenate(out) if out else None
+
+    def finish(self) -> None:
+        """End of data: clouds that still wait are lost as point_trajectory_end; nothing is extrapolated."""
+        for reason in self._fixes.finish() + self._imus.finish() + self._odometry.finish():
+            self.losses.add(reason)
+        self.losses.add("point_trajectory_end", self.pending)
+        self._waiting.clear()
+
+
+def _datum(p: GeoreferenceParameters) -> Datum | None:
+    values = (p.datum_latitude_deg, p.datum_longitude_deg, p.datum_height_m)
+    given = [not math.isnan(v) for v in values]
+    if not any(given):
+        return None
+    if not all(given):
+        raise ParameterValueError("georeference.datum_*: latitude, longitude and height must be given together", value=values)
+    return Datum(*values)
+
+
+def _box(key: str, values: tuple[float, ...]) -> tuple[float, ...]:
+    if values and (len(values) != 6 or any(not values[i] < values[i + 3] for i in range(3))):
+        raise ParameterValueError(
+            f"georeference.{key}: {list(values)} is not xmin, ymin, zmin, xmax, ymax, zmax with each minimum below its maximum",
+            value=values,
+        )
+    return values

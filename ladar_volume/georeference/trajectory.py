@@ -1,0 +1,215 @@
+"""The platform's path: antenna positions and attitudes as knots in time, interpolated, never extrapolated.
+
+An attitude knot becomes a *state* once the positions around it are known. A return is covered between two states of one segment;
+a segment ends where positions or attitudes are further apart than allowed. Every decision waits for the knots it needs, so it
+does not depend on the order in which topics arrive.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ladar_volume.georeference.knots import Knots
+from ladar_volume.model.parameters import GeoreferenceParameters
+from ladar_volume.model.records import F64, I64, PlatformStates
+from ladar_volume.model.se3 import matrix_from_quaternion, multiply_quaternions
+
+#: Knots kept per topic (at 200 Hz eleven minutes): bounds memory, and how far a topic may run ahead of the clouds.
+KNOT_LIMIT = 131_072
+_IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class PathWindow:
+    """The knots around one cloud, as the mapping kernel takes them.
+
+    state_t : (k,) ns, state_q : (k, 4) map from body, state_segment : (k,) with −1 for no state · position_t : (m,) ns, position : (m, 3) m
+    and tangent : (m, 3) m/s of the antenna · hermite : cubic instead of linear positions
+    """
+
+    state_t: I64
+    state_q: F64
+    state_segment: I64
+    position_t: I64
+    position: F64
+    tangent: F64
+    hermite: bool
+
+
+def tangents(t_ns: I64, p: F64, gap_id: I64) -> F64:
+    """Catmull-Rom tangents (n, 3) m/s for uneven knots: the slope at the middle of the parabola through three knots.
+
+    At the ends of the data and of a segment, the slope of the one chord there is.
+    """
+    n = len(t_ns)
+    if n < 2:
+        return np.zeros((n, 3))
+    h = np.diff(t_ns)[:, None] * 1e-9
+    chord = np.diff(p, axis=0) / h
+    joined = (np.diff(gap_id) == 0)[:, None]
+    out = np.zeros((n, 3))
+    out[:-1] = np.where(joined, chord, 0.0)
+    out[1:] = np.where(joined, chord, out[1:])
+    inner = joined[:-1] & joined[1:]
+    parabola = (chord[:-1] * h[1:] + chord[1:] * h[:-1]) / (h[:-1] + h[1:])
+    out[1:-1] = np.where(inner, parabola, out[1:-1])
+    return out
+
+
+def interpolate_position(window: PathWindow, t_ns: I64, j: I64) -> tuple[F64, F64]:
+    """Antenna position (n, 3) m and velocity (n, 3) m/s at times inside ``[position_t[j], position_t[j + 1]]``."""
+    t0, t1 = window.position_t[j], window.position_t[j + 1]
+    h = (t1 - t0)[:, None] * 1e-9
+    f = ((t_ns - t0) / (t1 - t0))[:, None]
+    p0, p1 = window.position[j], window.position[j + 1]
+    if not window.hermite:
+        return p0 + f * (p1 - p0), (p1 - p0) / h
+    m0, m1 = window.tangent[j] * h, window.tangent[j + 1] * h
+    f2, f3 = f * f, f * f * f
+    p = p0 + (3 * f2 - 2 * f3) * (p1 - p0) + (f3 - 2 * f2 + f) * m0 + (f3 - f2) * m1
+    v = ((6 * f - 6 * f2) * (p1 - p0) + (3 * f2 - 4 * f + 1) * m0 + (3 * f2 - 2 * f) * m1) / h
+    return p, v
+
+
+class Trajectory:
+    """Streaming knots. Times must be strictly increasing per topic (see ``admission.TimeOrder``)."""
+
+    def __init__(self, parameters: GeoreferenceParameters, lever_antenna: F64) -> None:
+        self._position_gap_ns = round(parameters.max_position_gap_s * 1e9)
+        self._attitude_gap_ns = round(parameters.max_attitude_gap_s * 1e9)
+        self._hermite = parameters.position_interpolation == "hermite"
+        self._lever_antenna = lever_antenna
+        # tag of a position: how many gaps lie before it; tag of an attitude: its segment, −1 until it is a state
+        self._position = Knots(KNOT_LIMIT, p=(3,), C=(3, 3), convergence=(4,))
+        self._attitude = Knots(KNOT_LIMIT, q=(4,), q_map=(4,), omega=(3,), C=(3, 3), cross=(3, 3))
+        self._decided = 0
+        self._segment = -1
+        self._previous: tuple[int, int] | None = None  # time and gap tag of the attitude before, if it is a state
+        self._first_state_ns: int | None = None
+
+    def add_position(self, t_ns: int, p_map: F64, C_map: F64, convergence: F64 = _IDENTITY) -> None:
+        """One antenna position: p_map (3,) m, C_map (3, 3) m²; ``convergence`` (4,) turns the local east, north, up into the map's."""
+        gaps = 0
+        if len(self._position):
+            gap = t_ns - int(self._position.t_ns[-1]) > self._position_gap_ns
+            gaps = int(self._position.tag[-1]) + int(gap)
+        self._position.append(t_ns, gaps, p=p_map, C=C_map, convergence=convergence)
+
+    def add_attitude(self, t_ns: int, q_local_body: F64, omega_body: F64, C_body: F64, cross: F64 | None = None) -> None:
+        """One attitude: quaternion (4,) to the local east, north, up, rate (3,) rad/s, body rotation vector covariance (3, 3) rad²,
+        and its covariance with the position (3, 3) where the pose comes as one."""
+        forgotten = self._attitude.append(
+            t_ns, -1, q=q_local_body, q_map=q_local_body, omega=omega_body, C=C_body, cross=np.zeros((3, 3)) if cross is None else cross
+        )
+        self._decided -= min(forgotten, self._decided)
+
+    @property
+    def begin_ns(self) -> int | None:
+        """Nothing before this time will ever be covered; None while it is not known."""
+        firsts = [int(knots.t_ns[0]) for knots in (self._position, self._attitude) if len(knots)]
+        if self._first_state_ns is not None:
+            firsts.append(self._first_state_ns)
+        return max(firsts, default=None)
+
+    @property
+    def decided_ns(self) -> int | None:
+        """Up to this time it is known what is covered (the newest attitude with positions around it); None at the start."""
+        count = self._decidable()
+        return int(self._attitude.t_ns[count - 1]) if count else None
+
+    def _decidable(self) -> int:
+        need = 2 if self._hermite else 1
+        if len(self._position) < need:
+            return 0
+        # strictly before: the interval after the attitude must be known, a Hermite tangent needs one knot more
+        return int(np.searchsorted(self._attitude.t_ns, self._position.t_ns[-need], side="left"))
+
+    def decide(self) -> PlatformStates | None:
+        """Turn attitudes into states as far as the positions allow; returns the new states."""
+        lo, hi = self._decided, self._decidable()
+        if hi <= lo:
+            return None
+        self._decided = hi
+        t = self._attitude.t_ns[lo:hi]
+        pos_t, gap_id = self._position.t_ns, self._position.tag
+        j = np.searchsorted(pos_t, t, side="right") - 1
+        at = np.maximum(j, 0)
+        right = (j >= 0) & (gap_id[at] == gap_id[at + 1])
+        # exactly at the last knot before a gap: the interval on the left serves
+        left = ~right & (j >= 1) & (pos_t[at] == t) & (gap_id[np.maximum(j - 1, 0)] == gap_id[at])
+        valid = right | left
+        self._attitude.tag[lo:hi] = self._segments(t, valid, gap_id[at])
+        turn = self._position["convergence"][at]
+        turned = (turn[:, :3] != 0).any(axis=1)
+        q = self._attitude["q"][lo:hi].copy()
+        q[turned] = multiply_quaternions(turn[turned], q[turned])
+        self._attitude["q_map"][lo:hi] = q
+        rows = np.flatnonzero(valid)
+        if len(rows) == 0:
+            return None
+        if self._first_state_ns is None:
+            self._first_state_ns = int(t[rows[0]])
+        return self._states(lo + rows, np.where(right, at, at - 1)[rows])
+
+    def _segments(self, t: I64, valid: npt.NDArray[np.bool_], gap_id: I64) -> I64:
+        out = np.full(len(t), -1, np.int64)
+        for i in range(len(t)):
+            if not valid[i]:
+                self._previous = None
+                continue
+            before = self._previous
+            if before is None or t[i] - before[0] > self._attitude_gap_ns or gap_id[i] != before[1]:
+                self._segment += 1
+            out[i] = self._segment
+            self._previous = (int(t[i]), int(gap_id[i]))
+        return out
+
+    def _states(self, k: I64, j: I64) -> PlatformStates:
+        """States at attitudes ``k`` whose positions lie in the intervals after knots ``j``."""
+        first = max(int(j[0]) - 1, 0)
+        window = self._position_window(first, int(j[-1]) + 3)
+        t = self._attitude.t_ns[k]
+        p_antenna, v_map = interpolate_position(window, t, j - first)
+        q, omega = self._attitude["q_map"][k], self._attitude["omega"][k]
+        R = matrix_from_quaternion(q)
+        f = ((t - self._position.t_ns[j]) / (self._position.t_ns[j + 1] - self._position.t_ns[j]))[:, None, None]
+        C = np.zeros((len(k), 6, 6))
+        C[:, :3, :3] = (1.0 - f) * self._position["C"][j] + f * self._position["C"][j + 1]
+        C[:, 3:, 3:] = self._attitude["C"][k]
+        C[:, :3, 3:] = self._attitude["cross"][k]
+        C[:, 3:, :3] = np.swapaxes(C[:, :3, 3:], 1, 2)
+        return PlatformStates(
+            t_ns=t.copy(),
+            p_map_body=p_antenna - np.einsum("nij,j->ni", R, self._lever_antenna),
+            q_map_body=q,
+            v_body=np.einsum("nji,nj->ni", R, v_map) - np.cross(omega, self._lever_antenna),
+            omega_body=omega,
+            C_nav=C,
+            segment=self._attitude.tag[k],
+        )
+
+    def _position_window(self, lo: int, hi: int) -> PathWindow:
+        part = slice(lo, hi)
+        t, p = self._position.t_ns[part], self._position["p"][part]
+        m = tangents(t, p, self._position.tag[part]) if self._hermite else np.zeros_like(p)
+        empty = np.zeros(0, np.int64)
+        return PathWindow(empty, np.zeros((0, 4)), empty, t, p, m, self._hermite)
+
+    def window(self, first_ns: int, last_ns: int) -> PathWindow:
+        """The decided knots that cover times from ``first_ns`` to ``last_ns``, with one to spare on either side."""
+        decided = self._attitude.t_ns[: self._decided]
+        k0 = max(int(np.searchsorted(decided, first_ns, side="right")) - 1, 0)
+        k1 = min(int(np.searchsorted(decided, last_ns, side="left")) + 1, self._decided)
+        part = slice(k0, max(k1, k0))
+        state_t = decided[part]
+        lo = hi = 0
+        if len(state_t):
+            lo = max(int(np.searchsorted(self._position.t_ns, state_t[0], side="right")) - 2, 0)
+            hi = int(np.searchsorted(self._position.t_ns, state_t[-1], side="right")) + 2
+        path = self._position_window(lo, hi)
+        return PathWindow(
+            state_t, self._attitude["q_map"][part], self._attitude.tag[part], path.position_t, path.position, path.tangent, self._hermite
+        )
