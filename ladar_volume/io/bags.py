@@ -1,0 +1,183 @@
+"""Recordings: rosbag2 (MCAP, sqlite3, split), ROS 1 bags and bare MCAP files in; rosbag2 MCAP out."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.rosbag1 import ReaderError as Ros1Error
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2 import ReaderError as Ros2Error
+from rosbags.typesys import Stores, get_typestore
+
+from ladar_volume.model.errors import BagError, OutputError
+
+#: What the pipeline listens to: role → (message type, usual topic).
+ROLES: dict[str, tuple[str, str]] = {
+    "cloud": ("sensor_msgs/msg/PointCloud2", "velodyne_points"),
+    "fix": ("sensor_msgs/msg/NavSatFix", "gnss/fix"),
+    "imu": ("sensor_msgs/msg/Imu", "imu/data"),
+    "odometry": ("nav_msgs/msg/Odometry", "odometry"),
+}
+TYPESTORE = get_typestore(Stores.ROS2_JAZZY)
+
+
+@dataclass(frozen=True)
+class Raw:
+    """One recorded message: receive time (ns), topic without leading slash, type, serialised bytes."""
+
+    t_ns: int
+    topic: str
+    kind: str
+    data: bytes
+
+
+class BagReader:
+    """A recording, opened on construction; use as a context manager.
+
+    Raises :class:`BagError` with reason bag_missing, bag_format, bag_empty or bag_truncated.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        if not self.path.exists():
+            raise BagError(f"{self.path}: no such recording", reason="bag_missing", value=str(path))
+        try:
+            self._reader = AnyReader([self._target()], default_typestore=TYPESTORE)
+            self._reader.open()
+        except (AnyReaderError, Ros1Error, Ros2Error) as error:
+            raise BagError(f"{self.path}: not a readable recording: {error}", reason="bag_format", value=str(path)) from error
+        except Exception as error:  # a damaged file fails anywhere inside the parsers
+            raise BagError(f"{self.path}: damaged or not a recording: {error!r}", reason="bag_format", value=str(path)) from error
+        if self._reader.message_count == 0:
+            self.close()
+            raise BagError(f"{self.path}: the recording holds no message", reason="bag_empty", value=str(path))
+
+    def _target(self) -> Path:
+        if self.path.is_dir() and not (self.path / "metadata.yaml").exists():
+            files = sorted(p for p in self.path.iterdir() if p.suffix in (".mcap", ".db3", ".bag"))
+            if len(files) != 1:
+                raise BagError(f"{self.path}: a folder without metadata.yaml", reason="bag_format", value=str(self.path))
+            return files[0]
+        return self.path
+
+    def __enter__(self) -> BagReader:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the files."""
+        self._reader.close()
+
+    @property
+    def start_ns(self) -> int:
+        """Receive time of the first message."""
+        return int(self._reader.start_time)
+
+    @property
+    def duration_s(self) -> float:
+        """From first to last message."""
+        return float(self._reader.duration) * 1e-9
+
+    def topics(self) -> dict[str, tuple[str, int]]:
+        """Topic (without leading slash) → type and number of messages."""
+        found: dict[str, tuple[str, int]] = {}
+        for c in self._reader.connections:
+            name = c.topic.lstrip("/")
+            found[name] = (c.msgtype, found.get(name, ("", 0))[1] + c.msgcount)
+        return dict(sorted(found.items()))
+
+    def roles(self, wanted: Mapping[str, str] | None = None) -> dict[str, str]:
+        """Role → topic: as ``wanted``, else the usual name, else the only topic of the type.
+
+        Raises BagError (bag_topic) where a wanted topic is absent or has another type.
+        """
+        topics, found = self.topics(), {}
+        for role, (kind, usual) in ROLES.items():
+            candidates = [t for t, (k, _) in topics.items() if k == kind]
+            name = (wanted or {}).get(role, "").lstrip("/")
+            if name and name not in candidates:
+                raise BagError(f"{self.path}: no topic {name!r} of type {kind}", reason="bag_topic", value=name)
+            chosen = name or (usual if usual in candidates else candidates[0] if len(candidates) == 1 else "")
+            if chosen:
+                found[role] = chosen
+        return found
+
+    def require(self, roles: Mapping[str, str], pose_source: str) -> None:
+        """Check that the topics a volume needs are there; raises BagError (bag_topic) naming what is missing."""
+        needed = ("cloud", "fix", "imu") if pose_source == "gnss_imu" else ("cloud", "odometry")
+        missing = [f"{role} ({ROLES[role][0]})" for role in needed if role not in roles]
+        if missing:
+            raise BagError(
+                f"{self.path}: no topic for {', '.join(missing)}; the recording has {', '.join(self.topics())}",
+                reason="bag_topic", value=missing,
+            )  # fmt: skip
+
+    def raw(self, topics: set[str] | None = None) -> Iterator[Raw]:
+        """Messages in receive order. Raises BagError (bag_truncated) where the file breaks off."""
+        connections = [c for c in self._reader.connections if topics is None or c.topic.lstrip("/") in topics]
+        if not connections:
+            return
+        try:
+            for connection, t_ns, data in self._reader.messages(connections=connections):
+                yield Raw(t_ns, connection.topic.lstrip("/"), connection.msgtype, data)
+        except Exception as error:  # as above: any parser error means the file is damaged from here on
+            raise BagError(f"{self.path}: the recording breaks off: {error!r}", reason="bag_truncated", value=str(self.path)) from error
+
+    def message(self, raw: Raw) -> Any:
+        """Deserialise. Raises BagError (bag_message) for bytes that are not such a message."""
+        try:
+            return self._reader.deserialize(raw.data, raw.kind)
+        except Exception as error:  # a damaged message can fail anywhere in the deserialiser
+            raise BagError(f"{raw.topic}: undecodable {raw.kind}: {error!r}", reason="bag_message", value=raw.topic) from error
+
+    def digest(self) -> str:
+        """sha256 over the recording's data files in name order."""
+        target = self._target()
+        files = [target] if target.is_file() else sorted(p for p in target.iterdir() if p.suffix in (".mcap", ".db3", ".bag"))
+        sha = hashlib.sha256()
+        for file in files:
+            with file.open("rb") as stream:
+                while block := stream.read(1 << 20):
+                    sha.update(block)
+        return sha.hexdigest()
+
+
+class BagWriter:
+    """A new rosbag2 MCAP recording. Raises OutputError where it cannot be written."""
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        if self.path.exists():
+            raise OutputError(f"{self.path} exists already", reason="output_exists", value=str(path))
+        try:
+            self._writer = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
+            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+            self._writer.open()
+        except OSError as error:
+            raise OutputError(f"{self.path}: cannot be written: {error}", value=str(path)) from error
+        self._connections: dict[str, Any] = {}
+
+    def __enter__(self) -> BagWriter:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._writer.close()
+
+    def write(self, topic: str, message: Any, t_ns: int) -> None:
+        """Serialise and append one message; the type is the message's own."""
+        kind = str(message.__msgtype__)
+        self.write_raw(topic, kind, bytes(TYPESTORE.serialize_cdr(message, kind)), t_ns)
+
+    def write_raw(self, topic: str, kind: str, data: bytes, t_ns: int) -> None:
+        """Append serialised bytes."""
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add_connection("/" + topic.lstrip("/"), kind, typestore=TYPESTORE)
+        self._writer.write(self._connections[topic], t_ns, data)

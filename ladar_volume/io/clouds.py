@@ -1,0 +1,85 @@
+"""LiDAR clouds: PointCloud2 → :class:`Returns` with a time for every return."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ladar_volume.io.tables import decode
+from ladar_volume.model.errors import CloudError
+from ladar_volume.model.losses import Losses
+from ladar_volume.model.parameters import GeoreferenceParameters
+from ladar_volume.model.records import I64, Returns, select
+
+#: Absolute `timestamp` values above this are nanoseconds, below it seconds (1e12 s is 30,000 years ahead).
+NANOSECONDS_ABOVE = 1e12
+
+
+def stamp_ns(message: Any) -> int:
+    """Header stamp in int64 nanoseconds."""
+    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
+
+
+def returns_from_cloud(message: Any, parameters: GeoreferenceParameters, losses: Losses) -> Returns:
+    """Decode a Velodyne (`time`), Ouster-style (`t`) or absolute (`timestamp`) cloud, organised or not.
+
+    A row with a NaN coordinate is dropped with all its columns and counted (point_nan), as is one with a time that is
+    not finite (point_time). A missing `ring` reads as 0, a missing `intensity` as 0.
+
+    Raises
+    ------
+    CloudError : layout reasons of :func:`ladar_volume.io.tables.decode`; cloud_no_xyz, cloud_no_time, cloud_all_nan.
+    """
+    columns = decode(message)
+    missing = [axis for axis in "xyz" if axis not in columns]
+    if missing or any(columns[axis].ndim != 1 for axis in "xyz"):
+        raise CloudError(f"cloud without scalar field {', '.join(missing) or 'x, y, z'}", reason="cloud_no_xyz", value=missing)
+    n = len(columns["x"])
+    r_laser = np.empty((n, 3))
+    for i, axis in enumerate("xyz"):
+        r_laser[:, i] = columns[axis]
+    t_ns, timed = _times(columns, stamp_ns(message), n, parameters)
+    finite = np.isfinite(r_laser).all(axis=1)
+    ring = columns.get("ring", np.zeros(n, np.uint16)).astype(np.uint16, copy=False)
+    intensity = columns.get("intensity", np.zeros(n, np.float32)).astype(np.float32, copy=False)
+    returns = Returns(t_ns, r_laser, ring, intensity)
+    keep = finite & timed
+    if keep.all():
+        return returns
+    losses.add("point_nan", int(n - finite.sum()))
+    losses.add("point_time", int((finite & ~timed).sum()))
+    if not keep.any():
+        raise CloudError(f"none of {n} points is finite", reason="cloud_all_nan", value=n)
+    return select(returns, keep)
+
+
+def _times(
+    columns: dict[str, npt.NDArray[Any]], stamp: int, n: int, parameters: GeoreferenceParameters
+) -> tuple[I64, npt.NDArray[np.bool_]]:
+    """Time of each return (ns) and whether it is finite; the offset's sign is taken as it comes."""
+    name = next((c for c in ("time", "t", "timestamp", "time_stamp") if c in columns), None)
+    if name is None:
+        if parameters.untimed_clouds == "stamp":
+            return np.full(n, stamp, np.int64), np.ones(n, np.bool_)
+        raise CloudError(
+            "cloud without per-point time (time, t or timestamp); georeference.untimed_clouds: stamp accepts it",
+            reason="cloud_no_time",
+        )
+    values = columns[name]
+    ok = np.isfinite(values) if values.dtype.kind == "f" else np.ones(n, np.bool_)
+    clean = values if ok.all() else np.where(ok, values, 0)
+    if name.startswith("time") and name != "time":
+        scale = 1.0 if float(np.max(np.abs(clean))) > NANOSECONDS_ABOVE else 1e9
+        if clean.dtype.kind in "iu":
+            return clean.astype(np.int64) * int(scale), ok
+        whole = np.floor(clean)  # splitting keeps the nanoseconds that a product of 1e18 would round away
+        return whole.astype(np.int64) * int(scale) + np.rint((clean - whole) * scale).astype(np.int64), ok
+    if clean.dtype.kind == "f":
+        offset = np.rint(clean.astype(np.float64) * 1e9).astype(np.int64)
+    else:
+        offset = clean.astype(np.int64)  # Ouster: nanoseconds
+    if name == "t" and parameters.stamp_refers_to == "last":
+        offset = offset - offset.max()
+    return stamp + offset, ok

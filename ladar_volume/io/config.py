@@ -1,0 +1,122 @@
+"""Configuration files: strict YAML in the ROS layout, and the generated default file and parameter page.
+
+``/**: ros__parameters: section: key: value`` is read alike by ``--params-file`` and by this package, which unlike
+rclpy refuses keys that nobody declares. Precedence: default < file < command line.
+``python -m ladar_volume.io.config`` regenerates config/default.yaml and docs/parameters.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ladar_volume.model.errors import ConfigurationError
+from ladar_volume.model.parameter import ParameterSpec, specs
+from ladar_volume.model.parameters import SECTIONS, Parameters
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """A safe loader that refuses a key given twice."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        seen = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=deep)
+            if key in seen:
+                raise ConfigurationError(f"line {key_node.start_mark.line + 1}: key {key!r} is given twice", value=key)
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+def read_config(path: str | Path | None, overrides: Sequence[str] = ()) -> Parameters:
+    """Parameters from defaults, then the file, then ``section.key=value`` overrides.
+
+    Raises ConfigurationError (or a leaf of it) naming file, key, value, range and the nearest known key.
+    """
+    parameters = Parameters()
+    if path is not None:
+        try:
+            parameters = Parameters.read(_mapping(Path(path)), parameters)
+        except ConfigurationError as error:
+            raise type(error)(f"{path}: {error}", value=error.value) from error
+    for text in overrides:
+        parameters = Parameters.read(_override(text), parameters)
+    return parameters
+
+
+def _mapping(path: Path) -> dict[str, Any]:
+    try:
+        document = yaml.load(path.read_text(encoding="utf-8"), Loader=_StrictLoader)
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"cannot be read: {error}") from error
+    except yaml.YAMLError as error:
+        raise ConfigurationError(f"not valid YAML: {error}") from error
+    if document is None:
+        return {}
+    layout = "expected '/**:' with 'ros__parameters:' below it"
+    if not isinstance(document, dict) or set(document) != {"/**"}:
+        raise ConfigurationError(layout, value=document)
+    inner = document["/**"]
+    if not isinstance(inner, dict) or set(inner) != {"ros__parameters"}:
+        raise ConfigurationError(layout, value=inner)
+    sections = inner["ros__parameters"] or {}
+    if not isinstance(sections, dict):
+        raise ConfigurationError(layout, value=sections)
+    for section, values in sections.items():
+        if values is not None and not isinstance(values, dict):
+            raise ConfigurationError(f"section {section!r} must hold keys, not {values!r}", value=values)
+    return sections
+
+
+def _override(text: str) -> dict[str, dict[str, Any]]:
+    name, equals, value = text.partition("=")
+    section, dot, key = name.strip().partition(".")
+    if not equals or not dot:
+        raise ConfigurationError(f"{text!r} is not section.key=value", value=text)
+    return {section: {key: yaml.safe_load(value)}}
+
+
+def dump_config(parameters: Parameters) -> str:
+    """The whole configuration as YAML text, every key with unit, range and help as a comment."""
+    lines = ["# Every parameter with its default. Keys carry their unit; angles are degrees.", "/**:", "  ros__parameters:"]
+    for section, values in parameters.write().items():
+        lines.append(f"    {section}:")
+        for spec in specs(SECTIONS[section]):
+            lines.append(f"      # {spec.help} [{_bounds(spec)}]")
+            lines.append(f"      {spec.key}: {_yaml(values[spec.key])}")
+    return "\n".join(lines) + "\n"
+
+
+def _yaml(value: Any) -> str:
+    text = yaml.safe_dump(value, default_flow_style=True, width=10000).strip()
+    return text.removesuffix("...").strip()
+
+
+def _bounds(spec: ParameterSpec) -> str:
+    unit = f" {spec.unit}" if spec.unit else ""
+    return f"{spec.range_text}{unit}"
+
+
+def parameters_markdown() -> str:
+    """The parameter page of the documentation."""
+    lines = ["# Parameters", "", "Generated from `ladar_volume/model/parameters.py` by `make docs`.", ""]
+    for section, cls in SECTIONS.items():
+        lines += [f"## {section}", "", (cls.__doc__ or "").strip(), "", "| key | default | range | meaning |", "|---|---|---|---|"]
+        values = Parameters().write()[section]
+        lines += [f"| `{s.key}` | `{_yaml(values[s.key])}` | {_bounds(s)} | {s.help} |" for s in specs(cls)]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Write config/default.yaml and docs/parameters.md into the source tree."""
+    root = Path(__file__).resolve().parents[2]
+    (root / "config" / "default.yaml").write_text(dump_config(Parameters()), encoding="utf-8")
+    (root / "docs" / "parameters.md").write_text(parameters_markdown(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
