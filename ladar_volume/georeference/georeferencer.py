@@ -6,7 +6,6 @@ Nothing here raises on bad data: a sample or return that cannot be used is count
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -23,7 +22,7 @@ from ladar_volume.model import records as rec
 from ladar_volume.model.errors import InputError, ParameterValueError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import GeoreferenceParameters, Parameters
-from ladar_volume.model.records import I64, Datum, Fix, ImuSample, MappedPoints, OdometrySample, PlatformStates, Returns
+from ladar_volume.model.records import F64, I64, Datum, Fix, ImuSample, MappedPoints, OdometrySample, PlatformStates, Returns
 from ladar_volume.model.se3 import quaternion_from_matrix
 
 #: The waiting clock advances with the clouds' own time, but by no more than this per cloud, so one corrupt stamp expires nothing.
@@ -59,12 +58,12 @@ class Georeferencer:
         self._region = region_box(_box("region_m", self._p.region_m))
         self._trajectory = Trajectory(self._p, self.mount.lever_antenna)
         jump = max(JUMP_S, 2 * self._p.max_position_gap_s, 2 * self._p.max_attitude_gap_s)
-        self._fixes: TimeOrder[Fix] = TimeOrder("fix", jump)
-        self._imus: TimeOrder[ImuSample] = TimeOrder("imu", jump)
-        self._odometry: TimeOrder[OdometrySample] = TimeOrder("odometry", jump)
+        self._fixes: TimeOrder[tuple[Fix, F64]] = TimeOrder("fix", jump)
+        self._imus: TimeOrder[tuple[ImuSample, F64, F64]] = TimeOrder("imu", jump)
+        self._odometry: TimeOrder[tuple[OdometrySample, F64, F64]] = TimeOrder("odometry", jump)
         datum = _datum(self._p)
         self._frame = LocalFrame(datum) if datum is not None else None
-        self._waiting: deque[_Waiting] = deque()
+        self._waiting: list[_Waiting] = []
         self._waiting_clock_ns = 0
         self._newest_cloud_ns: int | None = None
         self._points: list[MappedPoints] = []
@@ -86,21 +85,19 @@ class Georeferencer:
         if self._p.pose_source != "gnss_imu":
             return self.losses.add("fix_unused")
         try:
-            fix_covariance(fix, self._budget, self._p.unknown_covariance)
+            C = fix_covariance(fix, self._budget, self._p.unknown_covariance)
         except InputError as error:
             return self.losses.add(error.reason)
-        for good in self._in_order(self._fixes, fix.t_ns, fix):
-            self._add_position(good)
-        self._advance()
-        return None
+        for good, C_enu in self._in_order(self._fixes, fix.t_ns, (fix, C)):
+            self._add_position(good, C_enu)
+        return self._advance()
 
-    def _add_position(self, fix: Fix) -> None:
-        C = fix_covariance(fix, self._budget, self._p.unknown_covariance)
+    def _add_position(self, fix: Fix, C_enu: F64) -> None:
         if self._frame is None:
             self._frame = LocalFrame(Datum(fix.latitude_deg, fix.longitude_deg, fix.height_m))
         turn = self._frame.convergence(fix.latitude_deg, fix.longitude_deg)
         p_map = self._frame.to_map(fix.latitude_deg, fix.longitude_deg, fix.height_m)
-        self._trajectory.add_position(fix.t_ns, p_map, turn @ C @ turn.T, quaternion_from_matrix(turn))
+        self._trajectory.add_position(fix.t_ns, p_map, turn @ C_enu @ turn.T, quaternion_from_matrix(turn))
 
     def add_imu(self, imu: ImuSample) -> None:
         """One attitude. Refusals: imu_no_orientation, imu_nan, imu_not_unit, imu_unknown_covariance, imu_bad_covariance,
@@ -108,29 +105,25 @@ class Georeferencer:
         if self._p.pose_source != "gnss_imu":
             return self.losses.add("imu_unused")
         try:
-            imu_attitude(imu, self._budget, self._p.unknown_covariance)
+            q, C = imu_attitude(imu, self._budget, self._p.unknown_covariance)
         except InputError as error:
             return self.losses.add(error.reason)
-        for good in self._in_order(self._imus, imu.t_ns, imu):
-            q, C = imu_attitude(good, self._budget, self._p.unknown_covariance)
-            self._trajectory.add_attitude(good.t_ns, q, good.omega_body, C)
-        self._advance()
-        return None
+        for good, q_good, C_good in self._in_order(self._imus, imu.t_ns, (imu, q, C)):
+            self._trajectory.add_attitude(good.t_ns, q_good, good.omega_body, C_good)
+        return self._advance()
 
     def add_odometry(self, sample: OdometrySample) -> None:
         """One pose: its own point takes the antenna's place and a = 0. Refusals as for the IMU, with ``odometry_``."""
         if self._p.pose_source != "odometry":
             return self.losses.add("odometry_unused")
         try:
-            odometry_pose(sample, self._budget, self._p.unknown_covariance)
+            q, C = odometry_pose(sample, self._budget, self._p.unknown_covariance)
         except InputError as error:
             return self.losses.add(error.reason)
-        for good in self._in_order(self._odometry, sample.t_ns, sample):
-            q, C = odometry_pose(good, self._budget, self._p.unknown_covariance)
-            self._trajectory.add_position(good.t_ns, good.p_map_body, C[:3, :3])
-            self._trajectory.add_attitude(good.t_ns, q, good.omega_body, C[3:, 3:], C[:3, 3:])
-        self._advance()
-        return None
+        for good, q_good, C_good in self._in_order(self._odometry, sample.t_ns, (sample, q, C)):
+            self._trajectory.add_position(good.t_ns, good.p_map_body, C_good[:3, :3])
+            self._trajectory.add_attitude(good.t_ns, q_good, good.omega_body, C_good[3:, 3:], C_good[:3, 3:])
+        return self._advance()
 
     def _in_order(self, order: TimeOrder[S], t_ns: int, sample: S) -> list[S]:
         accepted, refused = order.push(int(t_ns), sample)
@@ -150,8 +143,7 @@ class Georeferencer:
             first, last = int(kept.t_ns.min()), int(kept.t_ns.max())
             self._tick(last)
             self._waiting.append(_Waiting(kept, first, last, self._waiting_clock_ns))
-        self._advance()
-        return None
+        return self._advance()
 
     def _gate(self, returns: Returns) -> Returns:
         p = self._p
@@ -178,17 +170,24 @@ class Georeferencer:
         self._newest_cloud_ns = cloud_ns
 
     def _advance(self) -> None:
-        """Map every cloud at the head of the queue whose fate is known."""
-        while self._waiting:
-            head = self._waiting[0]
-            decided, begin = self._trajectory.decided_ns, self._trajectory.begin_ns
-            known = (decided is not None and head.last_ns <= decided) or (begin is not None and head.last_ns < begin)
-            expired = self._waiting_clock_ns - head.arrived_ns > self._p.max_pending_s * 1e9
-            if not known and not expired:
-                return
-            self._decide()
-            self._waiting.popleft()
-            self._map(head, decided)
+        """Map every cloud whose fate is known. One with a corrupt stamp waits for its time without holding up the others."""
+        if not self._waiting:
+            return
+        decided, begin = self._trajectory.decided_ns, self._trajectory.begin_ns
+        oldest_ns = self._waiting_clock_ns - self._p.max_pending_s * 1e9
+        ready = [
+            (decided is not None and w.last_ns <= decided) or (begin is not None and w.last_ns < begin) or w.arrived_ns < oldest_ns
+            for w in self._waiting
+        ]
+        if not any(ready):
+            return
+        self._decide()
+        waiting, self._waiting = self._waiting, []
+        for cloud, now in zip(waiting, ready, strict=True):
+            if now:
+                self._map(cloud, decided)
+            else:
+                self._waiting.append(cloud)
 
     def _decide(self) -> None:
         states = self._trajectory.decide()
@@ -221,7 +220,7 @@ class Georeferencer:
         self.losses.add("point_pose_gap", int(np.count_nonzero(~before & ~after)))
 
     def take_points(self) -> list[MappedPoints]:
-        """The clouds decided since the last call, in order of arrival; a cloud of which nothing is left gives no record."""
+        """The clouds decided since the last call, in order of time; a cloud of which nothing is left gives no record."""
         out, self._points = self._points, []
         return out
 

@@ -137,7 +137,7 @@ class Trajectory:
         pos_t, gap_id = self._position.t_ns, self._position.tag
         j = np.searchsorted(pos_t, t, side="right") - 1
         at = np.maximum(j, 0)
-        right = (j >= 0) & (gap_id[at] == gap_id[at + 1])
+        right = (j >= 0) & (gap_id[at] == gap_id[np.minimum(at + 1, len(pos_t) - 1)])
         # exactly at the last knot before a gap: the interval on the left serves
         left = ~right & (j >= 1) & (pos_t[at] == t) & (gap_id[np.maximum(j - 1, 0)] == gap_id[at])
         valid = right | left
