@@ -75,7 +75,8 @@ def imu_attitude(imu: ImuSample, budget: BudgetParameters, policy: str) -> tuple
     if np.isnan(imu.q_map_body).all():
         raise AttitudeError("the IMU gives no orientation (orientation_covariance[0] = -1)", reason="imu_no_orientation")
     q = _unit_quaternion(imu.q_map_body, "imu")
-    if np.shape(imu.omega_body) != (3,) or not np.isfinite(imu.omega_body).all():
+    # a wholly missing rate is taken from the attitudes around
+    if np.shape(imu.omega_body) != (3,) or not (np.isfinite(imu.omega_body).all() or np.isnan(imu.omega_body).all()):
         raise AttitudeError("the angular velocity is not finite", reason="imu_nan", value=imu.omega_body)
     C = _covariance(imu.C_axes, 3, AttitudeError, "imu")
     if C is None:

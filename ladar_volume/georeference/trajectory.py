@@ -74,6 +74,23 @@ def interpolate_position(window: PathWindow, t_ns: I64, j: I64) -> tuple[F64, F6
     return p, v
 
 
+def rates_from_attitudes(t_ns: I64, q: F64, max_gap_ns: int) -> F64:
+    """Body rates (n, 3) rad/s from attitudes (n, 4): mean of the turns to both neighbours, or of the one within the gap limit; else NaN."""
+    out = np.full((len(t_ns), 3), np.nan)
+    if len(t_ns) < 2:
+        return out
+    turn = multiply_quaternions(q[:-1] * np.array([-1.0, -1.0, -1.0, 1.0]), q[1:])
+    turn = np.where(turn[:, 3:] < 0, -turn, turn)
+    sine = np.linalg.norm(turn[:, :3], axis=1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, turn[:, 3:])
+    seconds = np.diff(t_ns)[:, None] * 1e-9
+    rate = np.where(sine > 0, turn[:, :3] * (angle / np.where(sine > 0, sine, 1.0)), 0.0) / seconds
+    rate[np.diff(t_ns) > max_gap_ns] = np.nan
+    before, after = np.vstack([out[:1], rate]), np.vstack([rate, out[:1]])
+    result: F64 = np.where(np.isnan(before), after, np.where(np.isnan(after), before, 0.5 * (before + after)))
+    return result
+
+
 class Trajectory:
     """Streaming knots. Times must be strictly increasing per topic (see ``admission.TimeOrder``)."""
 
@@ -99,8 +116,8 @@ class Trajectory:
         self._position.append(t_ns, gaps, p=p_map, C=C_map, convergence=convergence)
 
     def add_attitude(self, t_ns: int, q_local_body: F64, omega_body: F64, C_body: F64, cross: F64 | None = None) -> None:
-        """One attitude: quaternion (4,) to the local east, north, up, rate (3,) rad/s, body rotation vector covariance (3, 3) rad²,
-        and its covariance with the position (3, 3) where the pose comes as one."""
+        """One attitude: quaternion (4,) to the local east, north, up, rate (3,) rad/s (NaN: from the attitudes
+        around), body rotation vector covariance (3, 3) rad², and its covariance with the position (3, 3) where the pose comes as one."""
         forgotten = self._attitude.append(
             t_ns, -1, q=q_local_body, q_map=q_local_body, omega=omega_body, C=C_body, cross=np.zeros((3, 3)) if cross is None else cross
         )
@@ -125,7 +142,10 @@ class Trajectory:
         if len(self._position) < need:
             return 0
         # strictly before: the interval after the attitude must be known, a Hermite tangent needs one knot more
-        return int(np.searchsorted(self._attitude.t_ns, self._position.t_ns[-need], side="left"))
+        count = int(np.searchsorted(self._attitude.t_ns, self._position.t_ns[-need], side="left"))
+        if count and count == len(self._attitude) and np.isnan(self._attitude["omega"][count - 1, 0]):
+            return count - 1  # its rate needs the next attitude
+        return count
 
     def decide(self) -> PlatformStates | None:
         """Turn attitudes into states as far as the positions allow; returns the new states."""
@@ -140,7 +160,7 @@ class Trajectory:
         right = (j >= 0) & (gap_id[at] == gap_id[np.minimum(at + 1, len(pos_t) - 1)])
         # exactly at the last knot before a gap: the interval on the left serves
         left = ~right & (j >= 1) & (pos_t[at] == t) & (gap_id[np.maximum(j - 1, 0)] == gap_id[at])
-        valid = right | left
+        valid = (right | left) & self._fill_rates(lo, hi)
         self._attitude.tag[lo:hi] = self._segments(t, valid, gap_id[at])
         turn = self._position["convergence"][at]
         turned = (turn[:, :3] != 0).any(axis=1)
@@ -153,6 +173,17 @@ class Trajectory:
         if self._first_state_ns is None:
             self._first_state_ns = int(t[rows[0]])
         return self._states(lo + rows, np.where(right, at, at - 1)[rows])
+
+    def _fill_rates(self, lo: int, hi: int) -> npt.NDArray[np.bool_]:
+        omega = self._attitude["omega"]
+        missing = np.isnan(omega[lo:hi, 0])
+        if missing.any():
+            first = max(lo - 1, 0)
+            around = slice(first, hi + 1)
+            rates = rates_from_attitudes(self._attitude.t_ns[around], self._attitude["q"][around], self._attitude_gap_ns)
+            omega[lo:hi][missing] = rates[lo - first : hi - first][missing]
+        known: npt.NDArray[np.bool_] = np.isfinite(omega[lo:hi, 0])
+        return known
 
     def _segments(self, t: I64, valid: npt.NDArray[np.bool_], gap_id: I64) -> I64:
         out = np.full(len(t), -1, np.int64)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ladar_volume.georeference import sensitivity
+from ladar_volume.georeference import sensitivity, trajectory
 from ladar_volume.georeference.admission import TimeOrder
 from ladar_volume.georeference.geodesy import LocalFrame
 from ladar_volume.georeference.georeferencer import Georeferencer
@@ -117,6 +117,29 @@ def test_points_and_states_are_the_closed_form(interpolation):
     R = _rotation(s).as_matrix()
     C_axes = np.tile(np.diag([1e-7, 1e-7, 4e-7]), (len(s), 1, 1))
     np.testing.assert_allclose(R @ states.C_nav[:, 3:, 3:] @ np.swapaxes(R, 1, 2), C_axes, atol=1e-20)
+
+
+@pytest.mark.parametrize("order", ["time", "attitudes_first", "attitudes_last"])
+def test_missing_rates_come_from_the_attitudes(order):
+    fixes, imus, clouds = _survey()
+    imus = [m for m in imus if not T0 + 300_000_000 < m.t_ns < T0 + 500_000_000]
+    imus = [dataclasses.replace(m, omega_body=np.full(3, np.nan)) for m in imus]
+    events = {"time": _by_time(fixes, imus, clouds), "attitudes_first": imus + clouds + fixes, "attitudes_last": fixes + clouds + imus}[order]
+    stage, points, states = _run(_parameters(), events)
+    assert set(stage.losses.as_dict()) == {"point_pose_gap"}
+    np.testing.assert_allclose(states.omega_body, np.tile(RATE, (len(states), 1)), atol=1e-7)
+    reference = _run(_parameters(), _by_time(fixes, imus, clouds))
+    _assert_same(points, reference[1])
+    _assert_same([states], [reference[2]])
+
+
+def test_an_attitude_alone_has_no_rate():
+    t = np.array([0, 10, 20, 1000, 2000]) * 10**6
+    q = Rotation.from_rotvec(np.multiply.outer(t * 1e-9, RATE)).as_quat()
+    rates = trajectory.rates_from_attitudes(t, q, 100 * 10**6)
+    np.testing.assert_allclose(rates[:3], np.tile(RATE, (3, 1)), rtol=1e-9)
+    assert np.isnan(rates[3:]).all() and np.isnan(trajectory.rates_from_attitudes(t[:1], q[:1], 1)).all()
+    assert not trajectory.rates_from_attitudes(t[:2], q[[0, 0]], 10**9).any()
 
 
 def test_attitude_is_turned_from_the_local_vertical_into_the_map():
