@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from ladar_volume.georeference.budget import calibration_covariance
 from ladar_volume.georeference.lidar import Mounting, angle_derivatives, mounting
-from ladar_volume.model.parameters import CalibrationParameters
-from ladar_volume.model.records import CAL_COLUMNS, F64, I64, Bool, MappedPoints, PlatformStates, select
+from ladar_volume.model.parameters import CalibrationParameters, Parameters
+from ladar_volume.model.records import CAL_COLUMNS, F32, F64, I64, Bool, MappedPoints, PlatformStates, select
 from ladar_volume.model.se3 import matrix_from_quaternion, skew, slerp
 
 
@@ -169,10 +170,21 @@ def point_covariance(geometry: PointGeometry, ring: npt.NDArray[np.uint16], C_in
     out: F64 = C_ind + J_nav @ C_nav @ np.swapaxes(J_nav, 1, 2)
     for start in range(0, len(geometry), chunk):  # the full Jacobian takes a kilobyte per point
         part = slice(start, start + chunk)
-        J = full_calibration_jacobian(_rows(geometry, part), ring[part], beams)
+        J = full_calibration_jacobian(select(geometry, part), ring[part], beams)
         out[part] += J @ C_cal @ np.swapaxes(J, 1, 2)
     return out
 
 
-def _rows(g: PointGeometry, part: slice) -> PointGeometry:
-    return select(g, part)
+def total_covariance(points: MappedPoints, states: PlatformStates, parameters: Parameters) -> F32:
+    """C_point packed (n, 6) float32 m² of mapped points, for consumers that look at one point at a time; NaN where no states enclose it.
+
+    ``states`` must reach from before the first to after the last point. Never feed this to the filter as C_ind: neighbouring points share
+    most of it.
+    """
+    p = parameters.georeference
+    geometry = point_geometry(points, states, mounting(parameters.calibration, p.pose_source))
+    if not geometry.covered.any():
+        return np.full((len(points), 6), np.nan, np.float32)
+    C_cal = calibration_covariance(parameters.budget, p.beams, p.pose_source)
+    C = point_covariance(geometry, points.ring, unpack(points.C_ind), navigation_covariance_at(geometry, states), C_cal)
+    return pack(C).astype(np.float32)

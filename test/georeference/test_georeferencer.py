@@ -124,7 +124,9 @@ def test_missing_rates_come_from_the_attitudes(order):
     fixes, imus, clouds = _survey()
     imus = [m for m in imus if not T0 + 300_000_000 < m.t_ns < T0 + 500_000_000]
     imus = [dataclasses.replace(m, omega_body=np.full(3, np.nan)) for m in imus]
-    events = {"time": _by_time(fixes, imus, clouds), "attitudes_first": imus + clouds + fixes, "attitudes_last": fixes + clouds + imus}[order]
+    events = {
+        "time": _by_time(fixes, imus, clouds), "attitudes_first": imus + clouds + fixes, "attitudes_last": fixes + clouds + imus,
+    }[order]  # fmt: skip
     stage, points, states = _run(_parameters(), events)
     assert set(stage.losses.as_dict()) == {"point_pose_gap"}
     np.testing.assert_allclose(states.omega_body, np.tile(RATE, (len(states), 1)), atol=1e-7)
@@ -465,3 +467,17 @@ def test_records_are_the_contract():
     assert points[0].C_ind.dtype == np.float32 and points[0].r_map.dtype == np.float64 and points[0].t_ns.dtype == np.int64
     assert points[0].ring.dtype == np.uint16 and points[0].intensity.dtype == np.float32
     assert states.t_ns.dtype == np.int64 and states.segment.dtype == np.int64 and states.C_nav.shape == (len(states), 6, 6)
+
+
+def test_total_covariance_adds_the_shared_errors_to_the_independent_ones():
+    fixes, imus, clouds = _survey()
+    parameters = _parameters()
+    _, points, states = _run(parameters, fixes + imus + clouds)
+    cloud = points[3]
+    total = sensitivity.unpack(sensitivity.total_covariance(cloud, states, parameters))
+    shared = total - sensitivity.unpack(cloud.C_ind)
+    assert (np.linalg.eigvalsh(shared)[:, 0] > 0).all()
+    # the position error enters every point in full
+    assert (shared[:, 0, 0] > 1e-4).all() and (shared[:, 2, 2] > 4e-4).all()
+    far = dataclasses.replace(cloud, t_ns=cloud.t_ns + 3600 * 10**9)
+    assert np.isnan(sensitivity.total_covariance(far, states, parameters)).all()
