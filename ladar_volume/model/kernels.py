@@ -15,18 +15,20 @@ from typing import Any, TypeVar
 
 import numba
 
-numba.config.THREADING_LAYER = "omp"
+numba.config.THREADING_LAYER = "omp"  # type: ignore[attr-defined]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 
 def kernel(function: F) -> F:
     """Compile ``function`` for one thread; IEEE semantics, no fast-math."""
-    compiled: F = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
-    return compiled
+    compiled: Any = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    result: F = compiled
+    return result
 
 
 def parallel_kernel(function: F) -> F:
     """Compile ``function`` with ``numba.prange`` loops shared over the cores."""
-    compiled: F = numba.njit(cache=True, nogil=True, parallel=True, error_model="numpy")(function)
-    return compiled
+    compiled: Any = numba.njit(cache=True, nogil=True, parallel=True, error_model="numpy")(function)
+    result: F = compiled
+    return result

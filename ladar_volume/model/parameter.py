@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 from ladar_volume.model.errors import ParameterValueError, UnknownParameterError
 
 P = TypeVar("P")
+N = TypeVar("N", int, float)
 Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
 
 
@@ -117,7 +118,7 @@ def _scalar(section: str, spec: ParameterSpec, value: Any) -> bool | int | float
     raise ParameterValueError(f"{where}: {value!r} is not a {expected} (allowed: {spec.range_text})", value=value)
 
 
-def _bounded(where: str, spec: ParameterSpec, value: Any) -> Any:
+def _bounded(where: str, spec: ParameterSpec, value: N) -> N:
     too_low = spec.low is not None and value < spec.low
     too_high = spec.high is not None and value > spec.high
     if too_low or too_high:
