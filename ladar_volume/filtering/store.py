@@ -1,0 +1,185 @@
+"""Raw points in voxels of edge r, capped by an order-independent rule: the lowest hashes stay.
+
+Which points a voxel holds depends only on the set of points offered, never on their order or batching, so streaming
+equals batch and memory follows the mapped area (seed 002 section 4.3 reduces by rounding; a hash keeps a fair sample).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ladar_volume.model.kernels import kernel
+from ladar_volume.model.records import F32, F64, I32, I64, U16
+
+#: Bits and offset of one axis in a packed voxel key; 2**20 voxels to either side of the map's origin.
+BITS = 21
+HALF = 1 << (BITS - 1)
+#: Columns of the geometry kept per point: attitude xyzw, v_body = B r_laser, antenna velocity (map), body rates.
+AUX = 13
+EMPTY = np.int64(-1)
+
+
+def pack_key(ijk: I64) -> I64:
+    """Voxel indices (..., 3) → key (...,)."""
+    s = ijk + HALF
+    key: I64 = (s[..., 0] << (2 * BITS)) | (s[..., 1] << BITS) | s[..., 2]
+    return key
+
+
+def unpack_key(key: I64) -> I64:
+    """Key (...,) → voxel indices (..., 3)."""
+    mask = (1 << BITS) - 1
+    return np.stack([(key >> (2 * BITS)) - HALF, ((key >> BITS) & mask) - HALF, (key & mask) - HALF], axis=-1)
+
+
+@kernel
+def _mix(x: Any) -> Any:
+    # splitmix64's finaliser: every input bit reaches every output bit
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return x ^ (x >> np.uint64(31))
+
+
+@kernel
+def find_voxel(table: Any, keys: Any, key: Any) -> Any:
+    """Index of a voxel in the open-addressing table, −1 where it is not there."""
+    mask = np.uint64(len(table) - 1)
+    at = _mix(np.uint64(key)) & mask
+    while table[at] >= 0:
+        if keys[table[at]] == key:
+            return table[at]
+        at = (at + np.uint64(1)) & mask
+    return -1
+
+
+@kernel
+def _place(table: Any, keys: Any, index: Any) -> None:
+    mask = np.uint64(len(table) - 1)
+    at = _mix(np.uint64(keys[index])) & mask
+    while table[at] >= 0:
+        at = (at + np.uint64(1)) & mask
+    table[at] = index
+
+
+@kernel
+def _rebuild(table: Any, keys: Any, used: Any) -> None:
+    table[:] = -1
+    for i in range(used):
+        _place(table, keys, i)
+
+
+@kernel
+def _insert(
+    t_ns: Any, ring: Any, r: Any, edge: Any, cap: Any, table: Any, keys: Any, count: Any, worst: Any, hashes: Any, changed: Any,
+    used: Any, start: Any, slot_of: Any,
+) -> Any:  # fmt: skip
+    """Offer points from ``start`` on; returns (next point, voxels used). Stops early where the voxel arrays are full."""
+    for i in range(start, len(t_ns)):
+        ix = np.int64(np.floor(r[i, 0] / edge))
+        iy = np.int64(np.floor(r[i, 1] / edge))
+        iz = np.int64(np.floor(r[i, 2] / edge))
+        key = ((ix + HALF) << (2 * BITS)) | ((iy + HALF) << BITS) | (iz + HALF)
+        # the position (to the micrometre) tells apart the two returns of one firing
+        place = np.uint64(np.int64(r[i, 0] * 1e6)) ^ _mix(np.uint64(np.int64(r[i, 1] * 1e6)))
+        h = _mix(np.uint64(t_ns[i]) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(ring[i]) + place)
+        v = find_voxel(table, keys, key)
+        if v < 0:
+            if used == len(keys):
+                return i, used
+            v = used
+            keys[v] = key
+            used += 1
+            _place(table, keys, v)
+        base = v * cap
+        if count[v] < cap:
+            k = count[v]
+            count[v] += 1
+            hashes[base + k] = h
+            if k == 0 or h > hashes[base + worst[v]]:
+                worst[v] = k
+        elif h < hashes[base + worst[v]]:
+            k = worst[v]
+            hashes[base + k] = h
+            w = 0
+            for q in range(1, cap):
+                if hashes[base + q] > hashes[base + w]:
+                    w = q
+            worst[v] = w
+        else:
+            continue
+        changed[v] = True
+        slot_of[i] = base + k
+    return len(t_ns), used
+
+
+class VoxelStore:
+    """Points by voxel. Slot ``v * cap + k`` holds the k-th point of voxel v; order within a voxel means nothing.
+
+    keys : (used,) int64 · count : (used,) int32 · hashes, t_ns, ring, r, C, aux : per slot
+    """
+
+    def __init__(self, edge_m: float, cap: int, voxels: int = 1024) -> None:
+        self.edge_m, self.cap, self.used = edge_m, cap, 0
+        self.keys: I64 = np.zeros(voxels, np.int64)
+        self.count: I32 = np.zeros(voxels, np.int32)
+        self.worst: I32 = np.zeros(voxels, np.int32)
+        self.changed: npt.NDArray[np.bool_] = np.zeros(voxels, np.bool_)
+        self.table: I32 = np.full(4 * voxels, -1, np.int32)
+        slots = voxels * cap
+        self.hashes: npt.NDArray[np.uint64] = np.zeros(slots, np.uint64)
+        self.t_ns: I64 = np.zeros(slots, np.int64)
+        self.ring: U16 = np.zeros(slots, np.uint16)
+        self.r: F64 = np.zeros((slots, 3))
+        self.C: F32 = np.zeros((slots, 6), np.float32)
+        self.aux: F32 = np.zeros((slots, AUX), np.float32)
+        self.offered = 0
+
+    @property
+    def kept(self) -> int:
+        """Points held."""
+        return int(self.count[: self.used].sum())
+
+    def insert(self, t_ns: I64, ring: U16, r: F64, C: F32) -> tuple[I64, I64]:
+        """Offer points; returns (slots, rows): where each point that stays went and its row, later rows winning a slot.
+
+        The caller fills ``aux`` for these slots.
+        """
+        slot_of = np.full(len(t_ns), -1, np.int64)
+        start = 0
+        while True:
+            start, self.used = _insert(
+                t_ns, ring, r, self.edge_m, self.cap, self.table, self.keys, self.count, self.worst, self.hashes, self.changed,
+                self.used, start, slot_of,
+            )  # fmt: skip
+            if start == len(t_ns):
+                break
+            self._grow()
+        self.offered += len(t_ns)
+        rows = np.flatnonzero(slot_of >= 0)
+        slots = slot_of[rows]
+        self.t_ns[slots], self.ring[slots], self.r[slots], self.C[slots] = t_ns[rows], ring[rows], r[rows], C[rows]
+        return slots, rows
+
+    def _grow(self) -> None:
+        voxels = 2 * len(self.keys)
+        for name in ("keys", "count", "worst", "changed"):
+            setattr(self, name, _resized(getattr(self, name), voxels))
+        for name in ("hashes", "t_ns", "ring", "r", "C", "aux"):
+            setattr(self, name, _resized(getattr(self, name), voxels * self.cap))
+        self.table = np.full(4 * voxels, -1, np.int32)
+        _rebuild(self.table, self.keys, self.used)
+
+    def take_changed(self) -> I64:
+        """Voxel indices changed since the last call."""
+        changed = np.flatnonzero(self.changed[: self.used])
+        self.changed[:] = False
+        return changed
+
+
+def _resized(old: Any, rows: int) -> Any:
+    new = np.zeros((rows, *old.shape[1:]), old.dtype)
+    new[: len(old)] = old
+    return new
