@@ -1,0 +1,26 @@
+"""Errors in time: a survey-constant part, a Gauss-Markov part and a white part of one total variance."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+F64 = npt.NDArray[np.float64]
+
+
+def error_series(t_s: F64, sigma: F64, bias_share: float, white_share: float, tau_s: float, rng: np.random.Generator) -> F64:
+    """Errors (n, k) at increasing times with total sigmas (k,); the shares are of the variance, the rest is Gauss-Markov."""
+    n, k = len(t_s), len(sigma)
+    markov_share = max(0.0, 1.0 - bias_share - white_share)
+    bias = rng.normal(size=k) * np.sqrt(bias_share)
+    white = rng.normal(size=(n, k)) * np.sqrt(white_share)
+    steps = rng.normal(size=(n, k))
+    keep = np.exp(-np.diff(t_s, prepend=t_s[:1]) / tau_s)
+    markov = np.empty((n, k))
+    state = steps[0]
+    markov[0] = state
+    for i in range(1, n):
+        state = keep[i] * state + np.sqrt(1.0 - keep[i] ** 2) * steps[i]
+        markov[i] = state
+    total: F64 = (bias + white + markov * np.sqrt(markov_share)) * sigma
+    return total
