@@ -1,0 +1,28 @@
+"""From the derivative of a result by a fitted ground to its gradient by the ground points (UNCERTAINTY step 2)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ladar_volume.ground.polynomial import base_gradient, base_height, degree_of, design_gradient, solve
+from ladar_volume.model.records import F64, Plane
+
+
+def ground_gradient(points: F64, plane: Plane, by_beta: F64) -> F64:
+    """Gradients (s, k, 3) of k results by the points ``plane.support`` (s,), inliers held fixed.
+
+    points : (n, 3) m that ``support`` indexes · by_beta : (p, k) derivatives of the results by beta. The vertical part is ``dV/dbeta H``, the horizontal one
+    ``−slope`` times it plus the term in which the design moves under the residual: with it a common shift or yaw cancels exactly.
+    """
+    p = points[plane.support]
+    if len(p) == 0:
+        return np.zeros((0, by_beta.shape[1], 3))
+    xy = p[:, :2]
+    _, H, N = solve(p, plane.origin_xy, degree_of(plane))
+    residual = p[:, 2] - base_height(plane, xy)
+    vertical = H.T @ by_beta
+    moved = np.einsum("sap,pk->ska", design_gradient(xy, plane.origin_xy, degree_of(plane)), N @ by_beta)
+    out = np.empty((len(p), by_beta.shape[1], 3))
+    out[..., 2] = vertical
+    out[..., :2] = -vertical[..., None] * base_gradient(plane, xy)[:, None] + moved * residual[:, None, None]
+    return out

@@ -1,0 +1,55 @@
+"""What ties a solid to its points: the gradients of volume and base, the ground's roughness under it, and the name of the base."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ladar_volume.ground.adjoint import ground_gradient
+from ladar_volume.ground.polynomial import base_height
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import F64, Plane, Tin
+from ladar_volume.volume.budget import GroundField
+from ladar_volume.volume.prismoids import Prismoids
+from ladar_volume.volume.roughness import estimate_roughness
+
+
+def base_name(parameters: Parameters) -> str:
+    """The base in words, for every printed result."""
+    v, degree = parameters.volume, parameters.ground.degree
+    if v.base == "level":
+        return f"level {v.level_m:.3f} m"
+    if v.base == "plane":
+        return "given plane z = {:.6g} + {:.6g} x + {:.6g} y".format(*v.plane)
+    return f"ground of the same survey ({('level', 'plane', 'quadric')[degree]})"
+
+
+def result_gradients(tin: Tin, base: Plane, solid: Prismoids, points: int) -> F64:
+    """Gradients (points, k, 3) by the points the TIN was built from: the net volume and, where the base was fitted, each of its coefficients.
+
+    The volume's gradient holds both ways in: through the surface, and through the points that define the base (UNCERTAINTY step 2).
+    """
+    fitted = len(base.support) > 0
+    results = 1 + (len(base.beta) if fitted else 0)
+    out = np.zeros((points, results, 3))
+    out[tin.source, 0] = solid.gradient_net
+    if fitted:
+        by_beta = np.concatenate([solid.base_net[:, None], np.eye(len(base.beta))], axis=1)
+        out[tin.source[base.support]] += ground_gradient(tin.vertices, base, by_beta)
+    return out
+
+
+def ground_field(tin: Tin, base: Plane, solid: Prismoids, inside_m2: F64, height_variance: F64) -> GroundField | None:
+    """How the deviation of the ground from the fitted base enters the volume; None above a design surface.
+
+    It enters with the area (inside_m2 (m,), at triangle centroids) inside the outline, and with the fit's weights at the ground points. height_variance (n,) m²: independent
+    noise of the vertices, which is not roughness.
+    """
+    if len(base.support) == 0:
+        return None
+    ground = tin.vertices[base.support]
+    residual = ground[:, 2] - base_height(base, ground[:, :2])
+    rough = estimate_roughness(ground[:, :2], residual, height_variance[base.support], len(base.beta))
+    fit = ground_gradient(tin.vertices, base, solid.base_net[:, None])[:, 0, 2]
+    rows = np.flatnonzero(inside_m2 > 0)
+    middle = tin.vertices[tin.triangles[rows], :2].mean(axis=1)
+    return GroundField(np.concatenate([middle, ground[:, :2]]), np.concatenate([inside_m2[rows], fit]), rough)

@@ -1,0 +1,148 @@
+"""The volume stage: keeps the current filtered surface and estimates base, outline, volume and its budget."""
+
+from __future__ import annotations
+
+import dataclasses
+from statistics import NormalDist
+
+import numpy as np
+
+from ladar_volume.ground.polynomial import design_surface
+from ladar_volume.ground.robust import fit_ground, refine
+from ladar_volume.model.errors import SurfaceError, VolumeError
+from ladar_volume.model.losses import Losses
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import F64, Estimate, FilteredPoints, FilterUpdate, Patches, Plane, PlatformStates, Tin, Volume
+from ladar_volume.surface.relevant import with_relevant
+from ladar_volume.surface.tin import build_tin, footprint_areas
+from ladar_volume.volume.assembly import base_name, ground_field, result_gradients
+from ladar_volume.volume.budget import Sources, vertical_sigma
+from ladar_volume.volume.centroid import centroid
+from ladar_volume.volume.navigation import NavigationBins
+from ladar_volume.volume.outline import boundary_loop, main_body, surroundings, widened
+from ladar_volume.volume.patch_store import PatchStore
+from ladar_volume.volume.polygon import areas_inside, check_polygon, clipped_prismoids
+from ladar_volume.volume.prismoids import prismoids
+
+#: Base and outline settle in two or three rounds; a surface that does not settle keeps the last.
+MAX_ROUNDS = 10
+
+
+class VolumeEstimator:
+    """From filtered points and patches to a volume with its budget.
+
+    Feed :meth:`add_platform` and :meth:`add` in the order they come; :meth:`estimate` depends only on their union. No raw point is held: memory
+    follows the surface.
+    """
+
+    def __init__(self, parameters: Parameters) -> None:
+        self.parameters = parameters
+        self.losses = Losses()
+        self._navigation = NavigationBins(parameters.filter.nav_bin_s)
+        self._store = PatchStore()
+        self._tin: Tin | None = None
+        self._t_ns = 0
+
+    def add_platform(self, states: PlatformStates) -> None:
+        """New platform states; only the mean covariance per time bin is kept."""
+        self._navigation.add(states)
+
+    def add(self, update: FilterUpdate) -> None:
+        """What changed in the filtered surface."""
+        self._store.replace(update)
+        self.losses.merge(self._store.losses)
+        self._store.losses = Losses()
+        self._tin = None
+        self._t_ns = max(self._t_ns, update.t_ns)
+
+    def estimate(self) -> Estimate:
+        """The volume from everything so far.
+
+        ``sigma_z`` of the estimate is the total standard deviation (m) of each vertex's height, all sources. Raises :class:`SurfaceError` where the
+        points do not span a surface, :class:`GroundError` where no base can be fitted, :class:`VolumeError` where nothing lies inside the outline or
+        the platform's covariance is not yet known for all of the surface.
+        """
+        points, patches = self._store.points, self._store.patches
+        if points is None or patches is None or len(points) < 3:
+            raise SurfaceError("no surface yet: fewer than three filtered points", reason="surface_too_few_points", value=0 if points is None else len(points))
+        tin = self._surface(points)
+        height_variance = points.variance[tin.source] / np.maximum(points.normal[tin.source, 2] ** 2, 1e-4)
+        base, inside = self._base_and_outline(tin, height_variance)
+        return self._result(tin, base, inside, points, patches, height_variance)
+
+    def _surface(self, points: FilteredPoints) -> Tin:
+        if self._tin is None:
+            v = self.parameters.volume
+            self._tin = with_relevant(build_tin(points.r_map), v.relevant, v.max_edge_m, v.max_circumdiameter_m)
+        return self._tin
+
+    def _base_and_outline(self, tin: Tin, height_variance: F64) -> tuple[Plane, F64]:
+        """The base, and the area (m,) m² of each triangle inside the outline."""
+        p = self.parameters.volume
+        if p.base == "level":
+            base = design_surface([p.level_m])
+        elif p.base == "plane":
+            base = design_surface(p.plane)
+        else:
+            used = np.unique(tin.triangles[tin.relevant]).astype(np.int64)
+            base = fit_ground(tin.vertices, height_variance, self.parameters.ground, p.object_height_m / 2, select=used)
+        inside = self._inside(tin, base)
+        if p.base != "ground" or p.outline == "all":
+            return base, inside
+        for _ in range(MAX_ROUNDS):
+            ring = surroundings(tin, inside > 0, p.ground_ring_m)
+            refined = refine(tin.vertices[ring], height_variance[ring], base, self.parameters.ground, p.object_height_m)
+            base = dataclasses.replace(refined, support=ring[refined.support])
+            before, inside = inside, self._inside(tin, base)
+            if np.array_equal(before, inside):
+                break
+        return base, inside
+
+    def _inside(self, tin: Tin, base: Plane) -> F64:
+        p = self.parameters.volume
+        if p.outline == "polygon":
+            inside = areas_inside(tin, self._polygon())
+            if not inside.any():
+                raise VolumeError("no part of the surface lies inside the outline", reason="volume_no_triangle")
+            return inside
+        mask = tin.relevant if p.outline == "all" else widened(tin, main_body(tin, base, p.object_height_m), p.outline_margin_m)
+        return np.where(mask, footprint_areas(tin.vertices, tin.triangles), 0.0)
+
+    def _polygon(self) -> F64:
+        flat = np.asarray(self.parameters.volume.polygon_m, dtype=np.float64)
+        if len(flat) % 2:
+            raise VolumeError("polygon_m holds x, y pairs; its length is odd", reason="volume_polygon", value=len(flat))
+        return check_polygon(flat.reshape(-1, 2))
+
+    def _result(self, tin: Tin, base: Plane, inside: F64, points: FilteredPoints, patches: Patches, height_variance: F64) -> Estimate:
+        p, mask = self.parameters, inside > 0
+        if p.volume.outline == "polygon":
+            outline = self._polygon()
+            solid = clipped_prismoids(tin, base, outline, mask)
+        else:
+            outline = boundary_loop(tin, mask)
+            solid = prismoids(tin, base, mask)
+        sources = Sources(points, patches, self._navigation, p)
+        budget = sources.budget(result_gradients(tin, base, solid, len(points)), ground_field(tin, base, solid, inside, height_variance))
+        if len(base.support):
+            base = dataclasses.replace(base, C_beta=budget.C_results[1:, 1:])
+        volume = Volume(
+            volume_m3=solid.net_m3,
+            sigma_m3=budget.sigma,
+            confidence=p.volume.confidence,
+            coverage_factor=NormalDist().inv_cdf(0.5 + p.volume.confidence / 2),
+            cut_m3=solid.cut_m3,
+            fill_m3=solid.fill_m3,
+            area_m2=solid.area_m2,
+            base=base_name(p),
+            base_same_survey=p.volume.base == "ground",
+            centroid_map=centroid(tin, base, inside),
+            budget_m6=budget.lines,
+            sigma_tau_range_m3=budget.sigma_tau_range,
+            sigma_naive_m3=budget.sigma_naive,
+            outline=outline,
+            vertices=len(np.unique(tin.triangles[mask])),
+            triangles=int(np.count_nonzero(mask)),
+            t_ns=self._t_ns,
+        )
+        return Estimate(volume, tin, base, vertical_sigma(sources, points)[tin.source])

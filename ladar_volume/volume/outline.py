@@ -1,0 +1,100 @@
+"""Where the volume counts: the main body above a base, widened so that its toe is inside, as a set of whole triangles."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from ladar_volume.ground.polynomial import base_height
+from ladar_volume.model.errors import VolumeError
+from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
+from ladar_volume.surface.tin import footprint_areas, vertex_mask
+
+
+def components(tin: Tin, mask: Bool) -> I32:
+    """Number (m,) of the edge-connected component of each triangle in ``mask``; -1 elsewhere."""
+    t, k = np.nonzero((tin.neighbours >= 0) & mask[:, None])
+    o = tin.neighbours[t, k]
+    both = mask[o]
+    m = len(tin.triangles)
+    graph = coo_matrix((np.ones(int(both.sum()), np.int8), (t[both], o[both])), shape=(m, m))
+    label = connected_components(graph, directed=False)[1].astype(np.int32)
+    return np.where(mask, label, -1).astype(np.int32)
+
+
+def main_body(tin: Tin, base: Plane, object_height_m: float) -> Bool:
+    """Triangles (m,) of the largest body: connected relevant triangles whose three vertices rise more than ``object_height_m`` above the base;
+    the largest by volume. Raises :class:`VolumeError` where nothing rises that high."""
+    height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
+    rising = tin.relevant & (height[tin.triangles] > object_height_m).all(axis=1)
+    if not rising.any():
+        raise VolumeError(f"nothing rises more than {object_height_m:g} m above the base", reason="volume_no_body", value=object_height_m)
+    label = components(tin, rising)
+    volume = footprint_areas(tin.vertices, tin.triangles) * height[tin.triangles].mean(axis=1)
+    chosen = np.flatnonzero(rising)
+    total = np.bincount(label[chosen], volume[chosen])
+    body: Bool = label == int(np.argmax(total))
+    return body
+
+
+def distance_to(tin: Tin, mask: Bool) -> F64:
+    """Horizontal distance (n,) m of every vertex to the nearest vertex of the triangles in ``mask``."""
+    inside = vertex_mask(tin, mask)
+    out: F64 = cKDTree(tin.vertices[inside, :2]).query(tin.vertices[:, :2])[0]
+    return out
+
+
+def widened(tin: Tin, body: Bool, margin_m: float) -> Bool:
+    """The body, the relevant triangles with a vertex within ``margin_m`` of it, and the holes these enclose."""
+    near = distance_to(tin, body) <= margin_m
+    grown = tin.relevant & (body | near[tin.triangles].any(axis=1))
+    return fill_holes(tin, grown)
+
+
+def fill_holes(tin: Tin, mask: Bool) -> Bool:
+    """``mask`` with the relevant triangles added that it encloses: those cut off from the hull and from irrelevant triangles."""
+    rest = ~mask
+    if not rest.any():
+        return mask
+    label = components(tin, rest)
+    open_triangle = rest & ((tin.neighbours < 0).any(axis=1) | ~tin.relevant)
+    enclosed = rest & ~np.isin(label, label[open_triangle])
+    out: Bool = mask | enclosed
+    return out
+
+
+def surroundings(tin: Tin, outline: Bool, ring_m: float) -> I64:
+    """Vertices (k,) of relevant triangles outside the outline, within ``ring_m`` of it (0: all)."""
+    outside = vertex_mask(tin, tin.relevant) & ~vertex_mask(tin, outline)
+    if ring_m > 0:
+        outside &= distance_to(tin, outline) <= ring_m
+    return np.flatnonzero(outside).astype(np.int64)
+
+
+def boundary_loop(tin: Tin, mask: Bool) -> F64:
+    """The boundary ring (k, 2) m of the triangles in ``mask`` with the largest area, counter-clockwise, not repeated at its end."""
+    beyond = np.where(tin.neighbours >= 0, mask[tin.neighbours], False)
+    t, k = np.nonzero(mask[:, None] & ~beyond)
+    a, b = tin.triangles[t, (k + 1) % 3], tin.triangles[t, (k + 2) % 3]
+    follow: dict[int, list[int]] = {}
+    for i, j in zip(a.tolist(), b.tolist(), strict=True):
+        follow.setdefault(i, []).append(j)
+    best, best_area = np.zeros((0, 2)), 0.0
+    while follow:
+        first = next(iter(follow))
+        ring, v = [first], follow[first].pop()
+        while v != first:
+            ring.append(v)
+            if not follow[ring[-2]]:
+                del follow[ring[-2]]
+            v = follow[v].pop()
+        if not follow[ring[-1]]:
+            del follow[ring[-1]]
+        xy = tin.vertices[ring, :2]
+        d = xy - xy[0]
+        area = 0.5 * float((d[:-1, 0] * d[1:, 1] - d[1:, 0] * d[:-1, 1]).sum())
+        if area > best_area:
+            best, best_area = xy, area
+    return best

@@ -1,0 +1,157 @@
+"""Volumes within a polygon that is fixed in the map: triangles are clipped exactly.
+
+The polygon, convex or not, is clipped by each triangle's three half planes and by the side of the base (Sutherland & Hodgman 1974; the window is
+convex, and the bridges it leaves in a non-convex polygon enclose no area). Volume and gradient need only the integrals of the three
+barycentric coordinates over what is left: ``V = Σ h_i ∫λ_i`` and ``g_i = ∫λ_i (−grad s, 1)``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ladar_volume.ground.polynomial import base_gradient, base_height, degree_of, design
+from ladar_volume.model.errors import VolumeError
+from ladar_volume.model.kernels import kernel
+from ladar_volume.model.records import F64, Bool, Plane, Tin
+from ladar_volume.volume.prismoids import Prismoids, gather
+
+
+def check_polygon(polygon: F64) -> F64:
+    """The polygon (k, 2) counter-clockwise. Raises :class:`VolumeError` for fewer than three corners, no area, or crossing edges."""
+    p = np.asarray(polygon, dtype=np.float64)
+    if p.ndim != 2 or p.shape[1] != 2 or len(p) < 3 or not np.isfinite(p).all():
+        raise VolumeError(f"an outline needs at least three finite corners x, y; got an array {p.shape}", reason="volume_polygon", value=p)
+    if np.array_equal(p[0], p[-1]):
+        return check_polygon(p[:-1])
+    d, e = p - p[0], np.roll(p, -1, axis=0) - p
+    area = 0.5 * float((d[:, 0] * np.roll(d[:, 1], -1) - np.roll(d[:, 0], -1) * d[:, 1]).sum())
+    if area == 0.0:
+        raise VolumeError("the outline has no area", reason="volume_polygon", value=p)
+    for i in range(len(p)):
+        for j in range(i + 2, len(p) - (i == 0)):
+            sides = [
+                e[a, 0] * (q[1] - p[a, 1]) - e[a, 1] * (q[0] - p[a, 0])
+                for a, b in ((i, j), (j, i))
+                for q in (p[b], p[(b + 1) % len(p)])
+            ]  # fmt: skip
+            if sides[0] * sides[1] < 0 and sides[2] * sides[3] < 0:
+                raise VolumeError(f"edges {i} and {j} of the outline cross", reason="volume_polygon", value=p)
+    return p if area > 0 else p[::-1].copy()
+
+
+@kernel
+def clip(source: F64, n: int, a: float, bx: float, by: float, target: F64) -> int:
+    """The part of a ring (n, 2) where ``a + bx x + by y >= 0`` into ``target``; returns its length."""
+    m = 0
+    for i in range(n):
+        j = (i + 1) % n
+        fi = a + bx * source[i, 0] + by * source[i, 1]
+        fj = a + bx * source[j, 0] + by * source[j, 1]
+        if fi >= 0.0:
+            target[m] = source[i]
+            m += 1
+        if (fi > 0.0 and fj < 0.0) or (fi < 0.0 and fj > 0.0):
+            s = fi / (fi - fj)
+            target[m, 0] = source[i, 0] + s * (source[j, 0] - source[i, 0])
+            target[m, 1] = source[i, 1] + s * (source[j, 1] - source[i, 1])
+            m += 1
+    return m
+
+
+@kernel
+def moments(ring: F64, n: int) -> tuple[float, float, float]:
+    """Area, ∫x and ∫y over a ring (n, 2), by the shoelace formula."""
+    s = sx = sy = 0.0
+    for i in range(n):
+        j = (i + 1) % n
+        c = ring[i, 0] * ring[j, 1] - ring[j, 0] * ring[i, 1]
+        s += c
+        sx += c * (ring[i, 0] + ring[j, 0])
+        sy += c * (ring[i, 1] + ring[j, 1])
+    return s / 2.0, sx / 6.0, sy / 6.0
+
+
+@kernel
+def clipped_weights(corners: F64, heights: F64, polygon: F64) -> F64:
+    """Integrals of the barycentric coordinates over each triangle inside the polygon: above and below the base.
+
+    corners : (m, 3, 2) counter-clockwise · heights : (m, 3) above the base · polygon : (k, 2). Returns (m, 2, 3) m².
+    """
+    out = np.zeros((len(corners), 2, 3))
+    size = 8 * len(polygon) + 64
+    one, two, three = np.empty((size, 2)), np.empty((size, 2)), np.empty((size, 2))
+    line = np.empty((3, 3))
+    for t in range(len(corners)):
+        p = corners[t]
+        area2 = (p[1, 0] - p[0, 0]) * (p[2, 1] - p[0, 1]) - (p[1, 1] - p[0, 1]) * (p[2, 0] - p[0, 0])
+        for i in range(3):  # barycentric coordinates as linear functions about corner 0
+            j, k = (i + 1) % 3, (i + 2) % 3
+            line[i, 1], line[i, 2] = (p[j, 1] - p[k, 1]) / area2, (p[k, 0] - p[j, 0]) / area2
+            line[i, 0] = 1.0 if i == 0 else 0.0
+        for i in range(len(polygon)):
+            one[i, 0], one[i, 1] = polygon[i, 0] - p[0, 0], polygon[i, 1] - p[0, 1]
+        n = clip(one, len(polygon), line[0, 0], line[0, 1], line[0, 2], two)
+        n = clip(two, n, line[1, 0], line[1, 1], line[1, 2], one)
+        n = clip(one, n, line[2, 0], line[2, 1], line[2, 2], two)
+        for side in range(2):
+            sign = 1.0 - 2.0 * side
+            h = sign * heights[t]
+            a = h[0] * line[0, 0] + h[1] * line[1, 0] + h[2] * line[2, 0]
+            bx = h[0] * line[0, 1] + h[1] * line[1, 1] + h[2] * line[2, 1]
+            by = h[0] * line[0, 2] + h[1] * line[1, 2] + h[2] * line[2, 2]
+            m = clip(two, n, a, bx, by, three)
+            s, sx, sy = moments(three, m)
+            for i in range(3):
+                out[t, side, i] = line[i, 0] * s + line[i, 1] * sx + line[i, 2] * sy
+    return out
+
+
+def clipped_prismoids(tin: Tin, base: Plane, polygon: F64, mask: Bool | None = None) -> Prismoids:
+    """Volumes of the triangles in ``mask`` (default: the relevant ones) above ``base`` within a polygon (k, 2) of the map.
+
+    As :func:`prismoids.prismoids`, with the outline fixed in the map. Raises :class:`VolumeError` where no surface lies inside.
+    """
+    ring = check_polygon(polygon)
+    chosen = tin.relevant if mask is None else mask
+    triangles = tin.triangles[chosen]
+    v, xy = tin.vertices, tin.vertices[:, :2]
+    height = v[:, 2] - base_height(base, xy)
+    slope_base = base_gradient(base, xy)
+    X = design(xy, base.origin_xy, degree_of(base))
+    corners, h = np.ascontiguousarray(xy[triangles]), np.ascontiguousarray(height[triangles])
+    weights = clipped_weights(corners, h, np.ascontiguousarray(ring))
+    # where the surface is exactly at the base both sides hold it: the area is taken from the signed parts once
+    flat = (h == 0).all(axis=1)
+    weights[flat, 1] = 0.0
+    area = float(weights.sum())
+    if area <= 0.0:
+        raise VolumeError("no part of the surface lies inside the outline", reason="volume_no_triangle")
+    slope_h = height_slopes(corners, h)
+    parts = []
+    for side, sign in ((0, 1.0), (1, -1.0)):
+        w = sign * weights[:, side]
+        corner = np.empty((len(triangles), 3, 3))
+        corner[..., :2] = -w[..., None] * slope_h[:, None]
+        corner[..., 2] = w
+        gradient = gather(corner, triangles, len(v))
+        gradient[:, :2] -= gradient[:, 2:] * slope_base
+        parts.append((float((w * h).sum()), gradient, -(X.T @ gradient[:, 2])))
+    (cut, g_cut, b_cut), (fill, g_fill, b_fill) = parts
+    return Prismoids(cut, fill, area, g_cut, g_fill, b_cut, b_fill)
+
+
+def areas_inside(tin: Tin, polygon: F64) -> F64:
+    """Area (m,) m² of each relevant triangle within a counter-clockwise polygon (k, 2); 0 for the others."""
+    corners = np.ascontiguousarray(tin.vertices[tin.triangles[tin.relevant], :2])
+    out = np.zeros(len(tin.triangles))
+    out[tin.relevant] = np.maximum(clipped_weights(corners, np.ones((len(corners), 3)), np.ascontiguousarray(polygon))[:, 0].sum(axis=1), 0.0)
+    return out
+
+
+def height_slopes(corners: F64, h: F64) -> F64:
+    """Slopes (m, 2) of the linear functions with values h (m, 3) at corners (m, 3, 2)."""
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    p, q = h[:, 1] - h[:, 0], h[:, 2] - h[:, 0]
+    det = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    out: F64 = np.stack([(p * b[:, 1] - q * a[:, 1]) / det, (q * a[:, 0] - p * b[:, 0]) / det], axis=1)
+    return out

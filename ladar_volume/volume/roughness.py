@@ -1,0 +1,96 @@
+"""The ground is not the polynomial fitted to it: roughness as a source of its own.
+
+Residuals of the ground points beyond their noise are a random field with variance s² and correlation ``exp(−d / L)``. The field acts
+twice: through the fit, and under the body, where the ground is not seen. Both are one linear functional of the field, ``Σ w e``,
+with the outline's area as weight inside and the fit's weights outside; its variance ``s² Σ_ij w_i w_j exp(−d_ij / L)`` is summed on a grid by FFT.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ladar_volume.model.records import F64
+
+#: Points used for the autocorrelation, taken at equal index steps: two million pairs.
+MAX_POINTS = 1500
+MAX_CELLS = 400
+
+
+@dataclass(frozen=True)
+class Roughness:
+    """variance_m2 : s², m² · length_m : correlation length L, m · spacing_m : mean distance of the points it was estimated from"""
+
+    variance_m2: float
+    length_m: float
+    spacing_m: float
+
+
+def mean_spacing(xy: F64) -> float:
+    """Side (m) of the square that one of the points (n, 2) occupies on average: of the occupied cells of a coarse grid."""
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    side = max(float((high - low).max()) / 40.0, 1e-9)
+    cells = np.floor((xy - low) / side).astype(np.int64)
+    occupied = len(np.unique(cells[:, 0] * 64 + cells[:, 1]))
+    return math.sqrt(occupied * side * side / len(xy))
+
+
+def estimate_roughness(xy: F64, residual: F64, noise_variance: F64, parameters: int) -> Roughness:
+    """s² and L from ground residuals (n,) m at xy (n, 2) m with known independent noise variances (n,) m².
+
+    s² is the mean square residual, corrected for the fitted parameters, minus the mean noise, never below zero; L is the distance at which the
+    empirical autocorrelation falls to 1/e, at least half the spacing.
+    """
+    n = len(residual)
+    spacing = mean_spacing(xy)
+    if n <= parameters:
+        return Roughness(0.0, spacing / 2, spacing)
+    s2 = max(0.0, float(residual @ residual) / (n - parameters) - float(noise_variance.mean()))
+    if s2 == 0.0:
+        return Roughness(0.0, spacing / 2, spacing)
+    step = max(1, math.ceil(n / MAX_POINTS))
+    p, e = xy[::step], residual[::step]
+    extent = float(np.linalg.norm(xy.max(axis=0) - xy.min(axis=0)))
+    edges = np.geomspace(max(spacing, extent / 1000), max(extent / 2, 2 * spacing), 25)
+    products, counts = np.zeros(len(edges) + 1), np.zeros(len(edges) + 1)
+    for start in range(0, len(p), 256):  # blocks keep the distance table small
+        d = np.sqrt(((p[start : start + 256, None] - p[None]) ** 2).sum(axis=2))
+        i, j = np.nonzero(np.arange(start, start + len(d))[:, None] < np.arange(len(p))[None])
+        k = np.digitize(d[i, j], edges)
+        products += np.bincount(k, e[start + i] * e[j], len(edges) + 1)
+        counts += np.bincount(k, minlength=len(edges) + 1)
+    lag = np.concatenate([[edges[0] / 2], np.sqrt(edges[:-1] * edges[1:])])
+    ok = counts[:-1] >= 30
+    return Roughness(s2, max(spacing / 2, fall_length(lag[ok], products[:-1][ok] / counts[:-1][ok] / s2)), spacing)
+
+
+def fall_length(lag: F64, rho: F64) -> float:
+    """Distance at which a correlation, sampled at ascending lags, first falls to 1/e; linear between samples, starting at 1 for lag 0."""
+    d, r = np.concatenate([[0.0], lag]), np.concatenate([[1.0], np.minimum(rho, 1.0)])
+    below = np.flatnonzero(r < math.exp(-1.0))
+    if len(below) == 0:
+        return float(d[-1])
+    k = int(below[0])
+    return float(d[k - 1] + (d[k] - d[k - 1]) * (r[k - 1] - math.exp(-1.0)) / (r[k - 1] - r[k]))
+
+
+def field_variance(xy: F64, weight: F64, rough: Roughness) -> float:
+    """Variance of ``Σ w e`` for weights (n,) at xy (n, 2) m: unit² of w times m²."""
+    if rough.variance_m2 == 0.0 or len(xy) == 0:
+        return 0.0
+    low = xy.min(axis=0)
+    extent = float((xy.max(axis=0) - low).max())
+    h = max(rough.spacing_m, extent / MAX_CELLS, 1e-9)
+    cell = np.floor((xy - low) / h).astype(np.int64)
+    shape = cell.max(axis=0) + 1
+    grid = np.bincount(cell[:, 0] * shape[1] + cell[:, 1], weight, int(shape[0] * shape[1])).reshape(shape)
+    size = [int(2 ** math.ceil(math.log2(2 * s))) for s in shape]
+    dx, dy = (np.minimum(np.arange(s), s - np.arange(s)) * h for s in size)
+    kernel = np.exp(-np.hypot(dx[:, None], dy[None]) / rough.length_m)
+    # two points of one cell are 0.52 h apart on average; for L below h the cell's mean correlation is its integral over its area
+    kernel[0, 0] = min(math.exp(-0.5214 * h / rough.length_m), 2 * math.pi * (rough.length_m / h) ** 2)
+    spectrum = np.fft.rfft2(grid, s=size)
+    smooth = np.fft.irfft2(spectrum * np.fft.rfft2(kernel), s=size)[: shape[0], : shape[1]]
+    return rough.variance_m2 * max(0.0, float((grid * smooth).sum()))
