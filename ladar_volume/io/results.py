@@ -1,0 +1,100 @@
+"""Results as files: result.json, mesh.ply and the table a person reads."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ladar_volume.model.errors import OutputError
+from ladar_volume.model.losses import Losses
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import Datum, Estimate, Tin, Volume
+from ladar_volume.version import version
+
+
+def volume_dict(volume: Volume) -> dict[str, Any]:
+    """A volume as plain values."""
+    low, high = volume.interval_m3
+    return {
+        "volume_m3": volume.volume_m3, "sigma_m3": volume.sigma_m3, "interval_m3": [low, high], "confidence": volume.confidence,
+        "coverage_factor": volume.coverage_factor, "cut_m3": volume.cut_m3, "fill_m3": volume.fill_m3, "area_m2": volume.area_m2,
+        "base": volume.base, "base_same_survey": volume.base_same_survey, "centroid_map_m": list(volume.centroid_map),
+        "budget_m6": dict(sorted(volume.budget_m6.items(), key=lambda item: -item[1])),
+        "sigma_tau_range_m3": list(volume.sigma_tau_range_m3), "sigma_naive_m3": volume.sigma_naive_m3,
+        "vertices": volume.vertices, "triangles": volume.triangles, "t_ns": volume.t_ns,
+    }  # fmt: skip
+
+
+def result_dict(
+    estimate: Estimate, parameters: Parameters, losses: Losses, datum: Datum | None, points: Mapping[str, int], source: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The whole result: volume, budget, losses, effective parameters, version and where it came from."""
+    return {
+        **volume_dict(estimate.volume),
+        "losses": losses.as_dict(),
+        "points": dict(points),
+        "datum": None if datum is None else dataclasses.asdict(datum),
+        "input": dict(source),
+        "version": version(),
+        "parameters": parameters.write(),
+    }
+
+
+def json_text(values: Mapping[str, Any]) -> str:
+    """Strict JSON: what is not a finite number is null."""
+    return json.dumps(_finite(values), indent=1, allow_nan=False) + "\n"
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(k): _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def output_folder(path: str | Path) -> Path:
+    """Create the folder. Raises OutputError where that cannot be done."""
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / ".writable"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written: {error}", value=str(path)) from error
+    return folder
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file whole. Raises OutputError."""
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error}", value=str(path)) from error
+
+
+def write_ply(path: Path, tin: Tin, sigma_z: Any) -> None:
+    """The relevant triangles as binary PLY, double coordinates, with the sigma of each vertex's height (m)."""
+    triangles = tin.triangles[tin.relevant]
+    used, inverse = np.unique(triangles, return_inverse=True)
+    vertex = np.empty(len(used), [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("sigma_z", "<f4")])
+    vertex["x"], vertex["y"], vertex["z"] = tin.vertices[used].T
+    vertex["sigma_z"] = np.asarray(sigma_z)[used]
+    face = np.empty(len(triangles), [("n", "u1"), ("v", "<i4", 3)])
+    face["n"], face["v"] = 3, inverse.reshape(-1, 3)
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertex)}\nproperty double x\nproperty double y\nproperty double z\n"
+        f"property float sigma_z\nelement face {len(face)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    try:
+        path.write_bytes(header.encode() + vertex.tobytes() + face.tobytes())
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error}", value=str(path)) from error

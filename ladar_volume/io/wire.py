@@ -1,0 +1,165 @@
+"""Records on the wire: bit-lossless tables, so that nodes over DDS and offline replay give equal volumes.
+
+Positions travel as float64, times as the header stamp plus uint32 nanoseconds (`t`), keys as two uint32, everything
+else in the record's own type. ``patches`` is a long table: one row per block, told apart by `kind`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ladar_volume.model.errors import CloudError
+from ladar_volume.model.records import F64, I64, Estimate, FilteredPoints, FilterUpdate, MappedPoints, Patches, Volume
+
+Columns = dict[str, npt.NDArray[Any]]
+HEAD, CROSS, CALIBRATION, NAVIGATION, REMOVED, END = range(6)
+#: Columns of M_cal that share one row of the long table.
+CAL_GROUP = 6
+
+
+def _need(columns: Mapping[str, Any], *names: str) -> None:
+    missing = [n for n in names if n not in columns]
+    if missing:
+        raise CloudError(f"table without column {', '.join(missing)}", reason="cloud_fields", value=missing)
+
+
+def _split(key: I64) -> Columns:
+    unsigned = key.astype(np.uint64)
+    return {"key_high": (unsigned >> np.uint64(32)).astype(np.uint32), "key_low": (unsigned & np.uint64(0xFFFFFFFF)).astype(np.uint32)}
+
+
+def _joined(high: Any, low: Any) -> I64:
+    key: I64 = ((high.astype(np.uint64) << np.uint64(32)) | low.astype(np.uint64)).astype(np.int64)
+    return key
+
+
+def mapped_columns(points: MappedPoints) -> tuple[int, Columns]:
+    """``points_mapped``: header stamp (ns, the earliest return) and columns x y z intensity ring t and six of C_ind."""
+    stamp = int(points.t_ns.min())
+    offset = points.t_ns - stamp
+    if int(offset.max()) > 0xFFFFFFFF:
+        raise CloudError("a cloud longer than 4.29 s cannot be sent", reason="cloud_too_long", value=int(offset.max()))
+    columns: Columns = {axis: points.r_map[:, i] for i, axis in enumerate("xyz")}
+    columns |= {"intensity": points.intensity, "ring": points.ring, "t": offset.astype(np.uint32)}
+    columns |= {f"c{name}": points.C_ind[:, i] for i, name in enumerate(("xx", "xy", "xz", "yy", "yz", "zz"))}
+    return stamp, columns
+
+
+def mapped_points(stamp_ns: int, columns: Mapping[str, Any]) -> MappedPoints:
+    """The inverse of :func:`mapped_columns`. Raises CloudError where a column is missing."""
+    names = [f"c{n}" for n in ("xx", "xy", "xz", "yy", "yz", "zz")]
+    _need(columns, "x", "y", "z", "intensity", "ring", "t", *names)
+    r = np.column_stack([columns[a] for a in "xyz"]).astype(np.float64)
+    C = np.column_stack([columns[n] for n in names]).astype(np.float32)
+    return MappedPoints(stamp_ns + columns["t"].astype(np.int64), r, C, columns["ring"].astype(np.uint16), columns["intensity"].astype(np.float32))
+
+
+def filtered_columns(points: FilteredPoints) -> Columns:
+    """``points_filtered``: x y z, normal, variance along it, tangential covariance, time, patch and place on it."""
+    columns: Columns = {axis: points.r_map[:, i] for i, axis in enumerate("xyz")}
+    columns |= {f"normal_{axis}": points.normal[:, i] for i, axis in enumerate("xyz")}
+    columns |= {"variance": points.variance, "tangential": points.C_tangent, "u": points.local[:, 0], "v": points.local[:, 1]}
+    time = points.t_ns.astype(np.uint64)
+    columns |= {"time_high": (time >> np.uint64(32)).astype(np.uint32), "time_low": (time & np.uint64(0xFFFFFFFF)).astype(np.uint32)}
+    return columns | {f"patch_{n[4:]}": v for n, v in _split(points.patch).items()}
+
+
+def filtered_points(columns: Mapping[str, Any]) -> FilteredPoints:
+    """The inverse of :func:`filtered_columns`."""
+    _need(columns, "x", "normal_x", "variance", "tangential", "u", "v", "time_high", "time_low", "patch_high", "patch_low")
+    return FilteredPoints(
+        np.column_stack([columns[a] for a in "xyz"]), np.column_stack([columns[f"normal_{a}"] for a in "xyz"]), columns["variance"],
+        columns["tangential"], _joined(columns["time_high"], columns["time_low"]), _joined(columns["patch_high"], columns["patch_low"]),
+        np.column_stack([columns["u"], columns["v"]]),
+    )  # fmt: skip
+
+
+def patch_columns(update: FilterUpdate) -> Columns:
+    """``patches``: the long table. Row kinds: 0 head, 1 cross block (`other` its key), 2 calibration columns from `index` on,
+    3 navigation bin `other`, 4 removed patch, 5 end marker (index 1: the last update of the data)."""
+    a = update.patches
+    m, p = a.beta.shape
+    width = max(p * p, p * CAL_GROUP, 15 + p)
+    head = np.zeros((m, width))
+    head[:, 0:3], head[:, 3:6], head[:, 6:9] = a.centre, a.normal, a.tangent
+    head[:, 9], head[:, 10], head[:, 11], head[:, 12] = a.sigma, a.used, a.t_ns // 1_000_000_000, a.t_ns % 1_000_000_000
+    head[:, 13], head[:, 14], head[:, 15 : 15 + p] = a.M_cal.shape[2], p, a.beta
+    groups = -(-a.M_cal.shape[2] // CAL_GROUP)
+    cal = np.zeros((m, p, groups * CAL_GROUP))
+    cal[:, :, : a.M_cal.shape[2]] = a.M_cal
+    cal_rows = cal.reshape(m, p, groups, CAL_GROUP).transpose(0, 2, 1, 3).reshape(m * groups, p * CAL_GROUP)
+    parts = [
+        _rows(HEAD, a.key, a.key, 0, head, width),
+        _rows(CROSS, np.repeat(a.key, np.diff(a.cross_start)), a.cross_key, 0, a.cross.reshape(-1, p * p), width),
+        _rows(CALIBRATION, np.repeat(a.key, groups), np.repeat(a.key, groups), np.tile(np.arange(groups), m), cal_rows, width),
+        _rows(NAVIGATION, np.repeat(a.key, np.diff(a.nav_start)), a.nav_bin, 0, a.M_nav.reshape(-1, p * 6), width),
+        _rows(REMOVED, update.removed, update.removed, 0, np.zeros((len(update.removed), 1)), width),
+        _rows(END, np.zeros(1, np.int64), np.array([update.t_ns]), int(update.complete), np.zeros((1, 1)), width),
+    ]
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _rows(kind: int, key: I64, other: I64, index: Any, values: F64, width: int) -> Columns:
+    n = len(key)
+    padded = np.zeros((n, width))
+    padded[:, : values.shape[1]] = values
+    other_split = _split(other)
+    return {
+        "kind": np.full(n, kind, np.uint8), **_split(key), "other_high": other_split["key_high"], "other_low": other_split["key_low"],
+        "index": np.broadcast_to(np.asarray(index, np.uint16), (n,)).copy(), "values": padded,
+    }  # fmt: skip
+
+
+def filter_update(points: FilteredPoints, columns: Mapping[str, Any]) -> FilterUpdate:
+    """The update from its two tables. Raises CloudError where they do not fit."""
+    _need(columns, "kind", "key_high", "key_low", "other_high", "other_low", "index", "values")
+    kind, values = columns["kind"], columns["values"]
+    key, other = _joined(columns["key_high"], columns["key_low"]), _joined(columns["other_high"], columns["other_low"])
+    if not len(kind) or kind[-1] != END:
+        raise CloudError("patch table without its end marker", reason="cloud_short", value=len(kind))
+    head = values[kind == HEAD]
+    m = len(head)
+    p = int(head[0, 14]) if m else 6 if values.shape[1] >= 36 else 3
+    columns_cal = int(head[0, 13]) if m else 0
+    keys = key[kind == HEAD]
+    groups = -(-columns_cal // CAL_GROUP)
+    cal = values[kind == CALIBRATION][:, : p * CAL_GROUP].reshape(m, groups, p, CAL_GROUP).transpose(0, 2, 1, 3)
+    patches = Patches(
+        keys, head[:, 0:3].copy(), head[:, 3:6].copy(), head[:, 6:9].copy(), head[:, 15 : 15 + p].copy(), head[:, 9].copy(),
+        head[:, 10].astype(np.int32), head[:, 11].astype(np.int64) * 1_000_000_000 + head[:, 12].astype(np.int64),
+        _starts(keys, key[kind == CROSS]), other[kind == CROSS], values[kind == CROSS][:, : p * p].reshape(-1, p, p).copy(),
+        np.ascontiguousarray(cal.reshape(m, p, groups * CAL_GROUP)[:, :, :columns_cal]),
+        _starts(keys, key[kind == NAVIGATION]), other[kind == NAVIGATION],
+        values[kind == NAVIGATION][:, : p * 6].reshape(-1, p, 6).copy(),
+    )  # fmt: skip
+    return FilterUpdate(int(other[-1]), key[kind == REMOVED], points, patches, bool(columns["index"][-1]))
+
+
+def _starts(keys: I64, rows: I64) -> I64:
+    """CSR starts of rows that come grouped in the order of sorted ``keys``."""
+    return np.concatenate([np.searchsorted(rows, keys), [len(rows)]]).astype(np.int64)
+
+
+def volume_columns(volumes: list[Volume]) -> Columns:
+    """``volumes``: one row per body with centroid, volume, variance, cut, fill, area and one ``var_<source>`` per source."""
+    centroid = np.array([v.centroid_map for v in volumes], dtype=np.float64)
+    columns: Columns = {axis: centroid[:, i] for i, axis in enumerate("xyz")}
+    columns |= {
+        "volume": np.array([v.volume_m3 for v in volumes]), "variance": np.array([v.sigma_m3**2 for v in volumes]),
+        "cut": np.array([v.cut_m3 for v in volumes]), "fill": np.array([v.fill_m3 for v in volumes]),
+        "area": np.array([v.area_m2 for v in volumes]),
+    }  # fmt: skip
+    for source in sorted({s for v in volumes for s in v.budget_m6}):
+        columns[f"var_{source}"] = np.array([v.budget_m6.get(source, 0.0) for v in volumes])
+    return columns
+
+
+def tin_triangles(estimate: Estimate) -> F64:
+    """Corners of the relevant triangles in order, (3 m, 3), for a TRIANGLE_LIST."""
+    tin = estimate.tin
+    corners: F64 = tin.vertices[tin.triangles[tin.relevant].ravel()]
+    return corners
