@@ -11,8 +11,9 @@ from ladar_volume.model.records import F64, Plane
 def ground_gradient(points: F64, plane: Plane, by_beta: F64) -> F64:
     """Gradients (s, k, 3) of k results by the points ``plane.support`` (s,), inliers held fixed.
 
-    points : (n, 3) m that ``support`` indexes · by_beta : (p, k) derivatives of the results by beta. The vertical part is ``dV/dbeta H``, the horizontal one
-    ``−slope`` times it plus the term in which the design moves under the residual: with it a common shift or yaw cancels exactly.
+    points : (n, 3) m that ``support`` indexes · by_beta : (p, k) derivatives of the results by beta. The vertical part is
+    ``dV/dbeta H``, the horizontal one ``−slope`` times it plus the term in which the design moves under the residual: with it a
+    common shift or yaw cancels exactly.
     """
     p = points[plane.support]
     if len(p) == 0:

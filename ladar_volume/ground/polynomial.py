@@ -63,12 +63,15 @@ def design_surface(beta: Sequence[float], origin_xy: tuple[float, float] = (0.0,
 def solve(points: F64, origin_xy: F64, degree: int) -> tuple[F64, F64, F64]:
     """Least-squares coefficients of points (n, 3) with vertical residuals.
 
-    Returns beta (p,), ``H = (XᵀX)⁻¹Xᵀ`` (p, n), and ``(XᵀX)⁻¹`` (p, p). Raises :class:`GroundError` where the points do not fix the surface.
+    Returns beta (p,), ``H = (XᵀX)⁻¹Xᵀ`` (p, n), and ``(XᵀX)⁻¹`` (p, p). Raises :class:`GroundError` where the points do not fix
+    the surface.
     """
     X = design(points[:, :2], origin_xy, degree)
     scale = np.sqrt((X * X).sum(axis=0))
     if len(points) < X.shape[1] or (scale == 0).any():
-        raise GroundError(f"{len(points)} points do not define a ground of degree {degree}", reason="ground_too_few_points", value=len(points))
+        raise GroundError(
+            f"{len(points)} points do not define a ground of degree {degree}", reason="ground_too_few_points", value=len(points)
+        )
     Q, R = np.linalg.qr(X / scale)
     diagonal = np.abs(np.diag(R))
     if diagonal.min() < 1e-9 * diagonal.max():

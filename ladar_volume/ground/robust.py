@@ -1,6 +1,7 @@
 """Ground by random sampling with a gravity prior, then least squares on the inliers, iterated to a fixed point.
 
-Sources: seed 002 chapter 6 (RANSAC ground); UNCERTAINTY steps 2 and 3 (constant term, threshold of at least three robust sigma, fixed point).
+Sources: seed 002 chapter 6 (RANSAC ground); UNCERTAINTY steps 2 and 3 (constant term, threshold of at least three robust sigma,
+fixed point).
 """
 
 from __future__ import annotations
@@ -50,7 +51,8 @@ def best_plane(points: F64, origin_xy: F64, threshold_m: float, parameters: Grou
     """The candidate (3,) with the highest score: points within the threshold minus ``below_weight`` times the points further below."""
     scored = points[:: max(1, len(points) // SCORED_POINTS)]
     X = design(scored[:, :2], origin_xy, 1)
-    best, best_score = None, -math.inf
+    best: F64 | None = None
+    best_score = -math.inf
     candidates = sample_planes(points, origin_xy, parameters)
     for start in range(0, len(candidates), 64):
         part = candidates[start : start + 64]
@@ -61,7 +63,8 @@ def best_plane(points: F64, origin_xy: F64, threshold_m: float, parameters: Grou
             best, best_score = part[k], float(score[k])
     if best is None:
         raise GroundError(
-            f"no plane through three points is within {math.degrees(parameters.max_tilt_rad):g} degrees of the horizontal", reason="ground_tilt"
+            f"no plane through three points is within {math.degrees(parameters.max_tilt_rad):g} degrees of the horizontal",
+            reason="ground_tilt",
         )
     return best
 
@@ -69,9 +72,9 @@ def best_plane(points: F64, origin_xy: F64, threshold_m: float, parameters: Grou
 def refine(points: F64, variance: F64, start: Plane, parameters: GroundParameters, reach_m: float = math.inf) -> Plane:
     """Least squares on the inliers of a starting surface, iterated until the inliers no longer change.
 
-    points : (n, 3) m · variance : (n,) m², independent vertical noise, for C_beta · reach_m : inliers of the first fit lie within it. The threshold is
-    ``parameters.threshold_m``, or 3.5 robust sigma of the inliers where that is 0. ``support`` indexes ``points``. Raises
-    :class:`GroundError` where too few points are left or the surface tilts beyond max_tilt.
+    points : (n, 3) m · variance : (n,) m², independent vertical noise, for C_beta · reach_m : inliers of the first fit lie
+    within it. The threshold is ``parameters.threshold_m``, or 3.5 robust sigma of the inliers where that is 0. ``support``
+    indexes ``points``. Raises :class:`GroundError` where too few points are left or the surface tilts beyond max_tilt.
     """
     threshold = parameters.threshold_m
     origin, degree = start.origin_xy, parameters.degree
@@ -101,7 +104,9 @@ def check_tilt(plane: Plane, parameters: GroundParameters) -> None:
     tilt = math.atan(float(np.linalg.norm(base_gradient(plane, plane.origin_xy[None])[0])))
     if tilt > parameters.max_tilt_rad + 1e-9:
         raise GroundError(
-            f"the ground tilts by {math.degrees(tilt):.2f} degrees, more than {math.degrees(parameters.max_tilt_rad):g}", reason="ground_tilt", value=tilt
+            f"the ground tilts by {math.degrees(tilt):.2f} degrees, more than {math.degrees(parameters.max_tilt_rad):g}",
+            reason="ground_tilt",
+            value=tilt,
         )
 
 
@@ -110,16 +115,20 @@ def fit_ground(
 ) -> Plane:
     """The ground below and around a body.
 
-    points : (n, 3) m, map frame · variance : (n,) m², independent vertical noise · coarse_m : threshold of the random search where
-    ``parameters.threshold_m`` is 0 · below_weight : how much a point below a candidate counts against it; with 1 the lowest large surface wins over a
-    larger flat top · select : indices of the points to use. ``support`` indexes ``points``. Degree 2 starts from a plane.
-    Raises :class:`GroundError` for too few or degenerate points and for a tilt beyond max_tilt.
+    points : (n, 3) m, map frame · variance : (n,) m², independent vertical noise · coarse_m : threshold of the random search
+    where ``parameters.threshold_m`` is 0 · below_weight : how much a point below a candidate counts against it; with 1 the
+    lowest large surface wins over a larger flat top · select : indices of the points to use. ``support`` indexes ``points``.
+    Degree 2 starts from a plane. Raises :class:`GroundError` for too few or degenerate points and for a tilt beyond max_tilt.
     """
     chosen = np.arange(len(points), dtype=np.int64) if select is None else np.asarray(select, dtype=np.int64)
     p = points[chosen]
     needed = COEFFICIENTS[parameters.degree]
     if len(p) < needed:
-        raise GroundError(f"a ground of degree {parameters.degree} needs {needed} points, there are {len(p)}", reason="ground_too_few_points", value=len(p))
+        raise GroundError(
+            f"a ground of degree {parameters.degree} needs {needed} points, there are {len(p)}",
+            reason="ground_too_few_points",
+            value=len(p),
+        )
     if not (np.isfinite(p).all() and np.isfinite(variance[chosen]).all()):
         raise GroundError("a ground point with a coordinate or variance that is not finite", reason="ground_not_finite")
     origin = np.round(p[:, :2].mean(axis=0))

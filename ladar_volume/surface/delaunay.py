@@ -17,7 +17,13 @@ from ladar_volume.surface.predicates import incircle, orientation, workspace
 
 INSIDE, OUTSIDE = -1, -2
 #: Words of the codes of :func:`check_kernel`.
-FAULTS = ("", "a neighbour does not point back", "a triangle is not counter-clockwise", "a vertex lies inside a circumcircle", "the hull is not convex")
+FAULTS = (
+    "",
+    "a neighbour does not point back",
+    "a triangle is not counter-clockwise",
+    "a vertex lies inside a circumcircle",
+    "the hull is not convex",
+)
 
 
 @kernel
@@ -78,7 +84,7 @@ def split_triangle(tri: I64, nb: I64, t: int, p: int, size: int) -> None:
 @kernel
 def split_edge(tri: I64, nb: I64, t: int, k: int, p: int, size: int) -> int:
     """Replace the two triangles at edge k of t by the four around p: t, the neighbour, size, size + 1. Returns the neighbour."""
-    o = nb[t, k]
+    o = int(nb[t, k])
     j = 0
     while nb[o, j] != t:
         j += 1
@@ -192,7 +198,8 @@ def check_kernel(xy: F64, tri: I64, nb: I64, w: F64) -> int:
 def fault(xy: F64, triangles: I32, neighbours: I32) -> str:
     """What is wrong with a triangulation of points xy (n, 2), in words; empty where it is a valid Delaunay triangulation.
 
-    Checks that neighbours are mutual, triangles counter-clockwise, circumcircles empty, every vertex used, Euler's formula, and the hull convex.
+    Checks that neighbours are mutual, triangles counter-clockwise, circumcircles empty, every vertex used, Euler's formula, and
+    the hull convex.
     """
     code = int(check_kernel(np.ascontiguousarray(xy), triangles.astype(np.int64), neighbours.astype(np.int64), workspace()))
     if code:

@@ -148,7 +148,7 @@ def orientation(ax: float, ay: float, bx: float, by: float, cx: float, cy: float
     n2 = expansion_difference(bx, cx, w[6])
     n3 = expansion_difference(by, cy, w[7])
     n = minor_exact(n0, w[4], n1, w[5], n2, w[6], n3, w[7], w[8], w)
-    return w[8, n - 1] if n else 0.0
+    return float(w[8, n - 1]) if n else 0.0
 
 
 @kernel
@@ -171,7 +171,7 @@ def incircle_exact(p: F64, w: F64) -> float:
         for m in range(ns):
             w[9, m] = w[10, m]
         n = ns
-    return w[9, n - 1] if n else 0.0
+    return float(w[9, n - 1]) if n else 0.0
 
 
 @kernel
@@ -187,7 +187,7 @@ def incircle(xy: F64, a: int, b: int, c: int, d: int, w: F64) -> float:
     det = al * (bc - cb) + bl * (ca - ac) + cl * (ab - ba)
     size = (abs(bc) + abs(cb)) * al + (abs(ca) + abs(ac)) * bl + (abs(ab) + abs(ba)) * cl
     if abs(det) > INCIRCLE_BOUND * size:
-        return det
+        return float(det)
     p = np.empty((4, 2))
     for k in range(2):
         p[0, k], p[1, k], p[2, k], p[3, k] = xy[a, k], xy[b, k], xy[c, k], xy[d, k]

@@ -29,8 +29,9 @@ def relevant_triangles(
 ) -> Bool:
     """Mask (m,) by one of the four options of seed 000 section 3.1.
 
-    ``all``: every triangle · ``corners``: those that meet no artificial vertex (indices ``artificial``) · ``edge``: of these, those without an edge
-    longer than ``max_edge_m`` · ``circumcircle``: of these, those whose circumcircle is no wider than ``max_circumdiameter_m``. Horizontal measures.
+    ``all``: every triangle · ``corners``: those that meet no artificial vertex (indices ``artificial``) · ``edge``: of these,
+    those without an edge longer than ``max_edge_m`` · ``circumcircle``: of these, those whose circumcircle is no wider than
+    ``max_circumdiameter_m``. Horizontal measures.
     """
     if option not in ("all", "corners", "edge", "circumcircle"):
         raise SurfaceError(f"unknown choice of relevant triangles {option!r}", reason="surface_relevant", value=option)

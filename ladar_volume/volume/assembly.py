@@ -24,7 +24,8 @@ def base_name(parameters: Parameters) -> str:
 
 
 def result_gradients(tin: Tin, base: Plane, solid: Prismoids, points: int) -> F64:
-    """Gradients (points, k, 3) by the points the TIN was built from: the net volume and, where the base was fitted, each of its coefficients.
+    """Gradients (points, k, 3) by the points the TIN was built from: the net volume and, where the base was fitted, each of its
+    coefficients.
 
     The volume's gradient holds both ways in: through the surface, and through the points that define the base (UNCERTAINTY step 2).
     """
@@ -41,8 +42,8 @@ def result_gradients(tin: Tin, base: Plane, solid: Prismoids, points: int) -> F6
 def ground_field(tin: Tin, base: Plane, solid: Prismoids, inside_m2: F64, height_variance: F64) -> GroundField | None:
     """How the deviation of the ground from the fitted base enters the volume; None above a design surface.
 
-    It enters with the area (inside_m2 (m,), at triangle centroids) inside the outline, and with the fit's weights at the ground points. height_variance (n,) m²: independent
-    noise of the vertices, which is not roughness.
+    It enters with the area (inside_m2 (m,), at triangle centroids) inside the outline, and with the fit's weights at the ground
+    points. height_variance (n,) m²: independent noise of the vertices, which is not roughness.
     """
     if len(base.support) == 0:
         return None

@@ -36,8 +36,8 @@ class GroundField:
 
 @dataclass(frozen=True)
 class Budget:
-    """lines : m⁶ by source, all uncorrelated · C_results : (k, k) independent-noise covariance of all results · sigma_tau_range : m³, with all
-    correlation times divided by 3 and multiplied by 3 · sigma_naive : m³, as if every point erred alone"""
+    """lines : m⁶ by source, all uncorrelated · C_results : (k, k) independent-noise covariance of all results · sigma_tau_range
+    : m³, with all correlation times divided by 3 and multiplied by 3 · sigma_naive : m³, as if every point erred alone"""
 
     lines: dict[str, float]
     C_results: F64

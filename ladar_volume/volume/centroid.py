@@ -11,8 +11,8 @@ from ladar_volume.model.records import F64, Plane, Tin
 def centroid(tin: Tin, base: Plane, inside_m2: F64) -> tuple[float, float, float]:
     """Centroid (x, y, z) m of the material above the base, map frame.
 
-    inside_m2 : (m,) area of each triangle inside the outline. Triangles whose mean height is not above the base do not count; exact where the outline is made
-    of whole triangles that lie above the base. Without any, the mean of the triangles.
+    inside_m2 : (m,) area of each triangle inside the outline. Triangles whose mean height is not above the base do not count;
+    exact where the outline is made of whole triangles that lie above the base. Without any, the mean of the triangles.
     """
     rows = np.flatnonzero(inside_m2 > 0)
     corner = tin.vertices[tin.triangles[rows]]

@@ -31,8 +31,8 @@ MAX_ROUNDS = 10
 class VolumeEstimator:
     """From filtered points and patches to a volume with its budget.
 
-    Feed :meth:`add_platform` and :meth:`add` in the order they come; :meth:`estimate` depends only on their union. No raw point is held: memory
-    follows the surface.
+    Feed :meth:`add_platform` and :meth:`add` in the order they come; :meth:`estimate` depends only on their union. No raw point
+    is held: memory follows the surface.
     """
 
     def __init__(self, parameters: Parameters) -> None:
@@ -58,13 +58,18 @@ class VolumeEstimator:
     def estimate(self) -> Estimate:
         """The volume from everything so far.
 
-        ``sigma_z`` of the estimate is the total standard deviation (m) of each vertex's height, all sources. Raises :class:`SurfaceError` where the
-        points do not span a surface, :class:`GroundError` where no base can be fitted, :class:`VolumeError` where nothing lies inside the outline or
-        the platform's covariance is not yet known for all of the surface.
+        ``sigma_z`` of the estimate is the total standard deviation (m) of each vertex's height, all sources. Raises
+        :class:`SurfaceError` where the points do not span a surface, :class:`GroundError` where no base can be fitted,
+        :class:`VolumeError` where nothing lies inside the outline or the platform's covariance is not yet known for all of the
+        surface.
         """
         points, patches = self._store.points, self._store.patches
         if points is None or patches is None or len(points) < 3:
-            raise SurfaceError("no surface yet: fewer than three filtered points", reason="surface_too_few_points", value=0 if points is None else len(points))
+            raise SurfaceError(
+                "no surface yet: fewer than three filtered points",
+                reason="surface_too_few_points",
+                value=0 if points is None else len(points),
+            )
         tin = self._surface(points)
         height_variance = points.variance[tin.source] / np.maximum(points.normal[tin.source, 2] ** 2, 1e-4)
         base, inside = self._base_and_outline(tin, height_variance)

@@ -1,9 +1,9 @@
 """How navigation errors, correlated in time, add up over a survey (UNCERTAINTY step 4).
 
-Per time bin e a result has a sensitivity J_e to position and attitude. Each variance is split into a part constant over the survey, a
-Gauss-Markov part and a white part. With ``y_e = C_e^{1/2} J_eᵀ`` (symmetric root, so covariances may change in time) the parts are ``|Σ y_e|²``,
-``Σ_ef y_e·y_f exp(−|t_e − t_f| / tau)`` and ``Σ |y_e|² / n_e``. Position and attitude have different correlation times, so their
-cross covariance, where a pose source gives one, is left out.
+Per time bin e a result has a sensitivity J_e to position and attitude. Each variance is split into a part constant over the
+survey, a Gauss-Markov part and a white part. With ``y_e = C_e^{1/2} J_eᵀ`` (symmetric root, so covariances may change in time)
+the parts are ``|Σ y_e|²``, ``Σ_ef y_e·y_f exp(−|t_e − t_f| / tau)`` and ``Σ |y_e|² / n_e``. Position and attitude have
+different correlation times, so their cross covariance, where a pose source gives one, is left out.
 """
 
 from __future__ import annotations
@@ -77,8 +77,8 @@ def markov_sum(t: F64, y: F64, tau: float) -> float:
 class NavigationLoads:
     """Sensitivities of one result per time bin.
 
-    t_s : (k,) ascending, s · position, attitude : (k, 3), ``C^{1/2} J`` in the result's unit · fixes, samples : (k,) numbers of independent white
-    errors per bin
+    t_s : (k,) ascending, s · position, attitude : (k, 3), ``C^{1/2} J`` in the result's unit · fixes, samples : (k,) numbers of
+    independent white errors per bin
     """
 
     t_s: F64
@@ -91,8 +91,9 @@ class NavigationLoads:
 def navigation_loads(J: F64, bins: I64, known: NavigationBins, max_fix_gap_s: float) -> NavigationLoads:
     """Loads of sensitivities J (k, 6) at ascending bins (k,).
 
-    The rate of the fixes is not known here, but no interval longer than ``max_fix_gap_s`` is bridged, so a bin holds at least that many fixes: the
-    white part of the position is divided by this least number, that of the attitude by the number of states in the bin.
+    The rate of the fixes is not known here, but no interval longer than ``max_fix_gap_s`` is bridged, so a bin holds at least
+    that many fixes: the white part of the position is divided by this least number, that of the attitude by the number of
+    states in the bin.
     """
     C, count = known.mean(bins)
     position = np.einsum("kij,kj->ki", matrix_root(C[:, :3, :3]), J[:, :3])
@@ -106,7 +107,9 @@ def navigation_loads(J: F64, bins: I64, known: NavigationBins, max_fix_gap_s: fl
 def part_variance(t_s: F64, y: F64, independent: F64, bias: float, white: float, tau_s: float) -> float:
     """Variance of one group (position or attitude) from its loads y (k, 3): bias, Gauss-Markov and white parts."""
     if bias + white > 1.0:
-        raise VolumeError(f"bias and white fractions add up to {bias + white:g}, more than 1", reason="volume_fractions", value=bias + white)
+        raise VolumeError(
+            f"bias and white fractions add up to {bias + white:g}, more than 1", reason="volume_fractions", value=bias + white
+        )
     total = y.sum(axis=0)
     constant = bias * float(total @ total)
     markov = (1.0 - bias - white) * float(markov_sum(t_s, np.ascontiguousarray(y), tau_s))

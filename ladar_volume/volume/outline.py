@@ -25,8 +25,8 @@ def components(tin: Tin, mask: Bool) -> I32:
 
 
 def main_body(tin: Tin, base: Plane, object_height_m: float) -> Bool:
-    """Triangles (m,) of the largest body: connected relevant triangles whose three vertices rise more than ``object_height_m`` above the base;
-    the largest by volume. Raises :class:`VolumeError` where nothing rises that high."""
+    """Triangles (m,) of the largest body: connected relevant triangles whose three vertices rise more than ``object_height_m``
+    above the base; the largest by volume. Raises :class:`VolumeError` where nothing rises that high."""
     height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
     rising = tin.relevant & (height[tin.triangles] > object_height_m).all(axis=1)
     if not rising.any():
@@ -42,8 +42,8 @@ def main_body(tin: Tin, base: Plane, object_height_m: float) -> Bool:
 def distance_to(tin: Tin, mask: Bool) -> F64:
     """Horizontal distance (n,) m of every vertex to the nearest vertex of the triangles in ``mask``."""
     inside = vertex_mask(tin, mask)
-    out: F64 = cKDTree(tin.vertices[inside, :2]).query(tin.vertices[:, :2])[0]
-    return out
+    distance, _ = cKDTree(tin.vertices[inside, :2]).query(tin.vertices[:, :2])
+    return np.asarray(distance, dtype=np.float64)
 
 
 def widened(tin: Tin, body: Bool, margin_m: float) -> Bool:

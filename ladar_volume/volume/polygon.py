@@ -1,8 +1,8 @@
 """Volumes within a polygon that is fixed in the map: triangles are clipped exactly.
 
-The polygon, convex or not, is clipped by each triangle's three half planes and by the side of the base (Sutherland & Hodgman 1974; the window is
-convex, and the bridges it leaves in a non-convex polygon enclose no area). Volume and gradient need only the integrals of the three
-barycentric coordinates over what is left: ``V = Σ h_i ∫λ_i`` and ``g_i = ∫λ_i (−grad s, 1)``.
+The polygon, convex or not, is clipped by each triangle's three half planes and by the side of the base (Sutherland & Hodgman
+1974; the window is convex, and the bridges it leaves in a non-convex polygon enclose no area). Volume and gradient need only
+the integrals of the three barycentric coordinates over what is left: ``V = Σ h_i ∫λ_i`` and ``g_i = ∫λ_i (−grad s, 1)``.
 """
 
 from __future__ import annotations
@@ -144,7 +144,9 @@ def areas_inside(tin: Tin, polygon: F64) -> F64:
     """Area (m,) m² of each relevant triangle within a counter-clockwise polygon (k, 2); 0 for the others."""
     corners = np.ascontiguousarray(tin.vertices[tin.triangles[tin.relevant], :2])
     out = np.zeros(len(tin.triangles))
-    out[tin.relevant] = np.maximum(clipped_weights(corners, np.ones((len(corners), 3)), np.ascontiguousarray(polygon))[:, 0].sum(axis=1), 0.0)
+    out[tin.relevant] = np.maximum(
+        clipped_weights(corners, np.ones((len(corners), 3)), np.ascontiguousarray(polygon))[:, 0].sum(axis=1), 0.0
+    )
     return out
 
 

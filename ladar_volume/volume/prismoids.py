@@ -13,7 +13,7 @@ import numpy as np
 
 from ladar_volume.ground.polynomial import base_gradient, base_height, degree_of, design
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.model.records import F64, Bool, Plane, Tin
+from ladar_volume.model.records import F64, I32, Bool, Plane, Tin
 from ladar_volume.surface.tin import footprint_areas
 
 
@@ -72,7 +72,7 @@ def positive_part(h: F64) -> tuple[F64, F64]:
     return mean, slope
 
 
-def area_gradient(vertices: F64, triangles: F64) -> F64:
+def area_gradient(vertices: F64, triangles: I32) -> F64:
     """Derivatives (m, 3, 2) m of the footprint areas by x and y of each corner."""
     p = vertices[triangles, :2]
     edge = p[:, [1, 2, 0]] - p[:, [2, 0, 1]]
@@ -109,7 +109,7 @@ def prismoids(tin: Tin, base: Plane, mask: Bool | None = None) -> Prismoids:
     return Prismoids(cut, fill, float(area.sum()), g_cut, g_fill, b_cut, b_fill)
 
 
-def gather(corner: F64, triangles: F64, n: int) -> F64:
+def gather(corner: F64, triangles: I32, n: int) -> F64:
     """Sum per-corner rows (m, 3, k) at their vertices: (n, k); the order of the sum is that of the triangles."""
     index = triangles.ravel()
     rows = corner.reshape(len(index), -1)

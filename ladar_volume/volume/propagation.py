@@ -12,7 +12,7 @@ import numpy as np
 
 from ladar_volume.georeference.budget import calibration_columns
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.model.records import F64, I64, FilteredPoints, Patches
+from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, Patches
 
 #: Lines of the budget from the calibration, in order.
 CALIBRATION_GROUPS = ("range_bias", "beam_range", "beam_vertical", "boresight", "lever_laser", "lever_antenna", "clock")
@@ -22,8 +22,9 @@ CALIBRATION_GROUPS = ("range_bias", "beam_range", "beam_vertical", "boresight", 
 class SurfaceGeometry:
     """What every result on one filtered surface shares.
 
-    row : (n,) index of each point's patch · X : (n, p) design rows · weight : (k,) 1 for a patch's own block, 2 for a cross block · left, right : (k,)
-    patches of the stored blocks · missing : cross blocks whose neighbour is not in the store (they count as zero)
+    row : (n,) index of each point's patch · X : (n, p) design rows · weight : (k,) 1 for a patch's own block, 2 for a cross
+    block · left, right : (k,) patches of the stored blocks · missing : cross blocks whose neighbour is not in the store (they
+    count as zero)
     """
 
     row: I64
@@ -67,7 +68,8 @@ def patch_loads(gradient: F64, patches: Patches, geometry: SurfaceGeometry) -> F
 
 def independent_covariance(q: F64, patches: Patches, geometry: SurfaceGeometry) -> F64:
     """Covariance (k, k) of k results from the independent noise of the returns: ``Σ_ab q_aᵀ C_ab q_b`` over all pairs of patches."""
-    active = np.flatnonzero((geometry.weight > 0) & q.any(axis=(1, 2))[geometry.left] & q.any(axis=(1, 2))[geometry.right])
+    loaded: Bool = np.any(q.reshape(len(q), -1) != 0, axis=1)
+    active = np.flatnonzero((geometry.weight > 0) & loaded[geometry.left] & loaded[geometry.right])
     left, right = q[geometry.left[active]], q[geometry.right[active]]
     half = np.einsum("npa,npq,nqb,n->ab", left, patches.cross[active], right, geometry.weight[active], optimize=True)
     out: F64 = 0.5 * (half + half.T)  # the transposed pairs
@@ -76,7 +78,8 @@ def independent_covariance(q: F64, patches: Patches, geometry: SurfaceGeometry) 
 
 def unpack(packed: F64) -> F64:
     """Packed symmetric (n, 6) -> (n, 3, 3)."""
-    return packed[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+    out: F64 = packed[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+    return out
 
 
 def tangential_variance(gradient: F64, points: FilteredPoints) -> float:
@@ -116,7 +119,8 @@ def calibration_sensitivity(q: F64, patches: Patches) -> F64:
 def navigation_sensitivity(q: F64, patches: Patches) -> tuple[F64, I64]:
     """Sensitivities ``J_e = Σ_patches qᵀ M_nav[e]`` (b, 6) and their ascending bins (b,) of loads q (m, p)."""
     owner = np.repeat(np.arange(len(patches)), np.diff(patches.nav_start))
-    used = np.flatnonzero(q.any(axis=1)[owner])
+    loaded: Bool = np.any(q != 0, axis=1)
+    used = np.flatnonzero(loaded[owner])
     rows = np.einsum("lp,lpc->lc", q[owner[used]], patches.M_nav[used])
     bins, index = np.unique(patches.nav_bin[used], return_inverse=True)
     return np.stack([np.bincount(index.ravel(), rows[:, c], len(bins)) for c in range(6)], axis=1), bins

@@ -1,8 +1,9 @@
 """The ground is not the polynomial fitted to it: roughness as a source of its own.
 
-Residuals of the ground points beyond their noise are a random field with variance s² and correlation ``exp(−d / L)``. The field acts
-twice: through the fit, and under the body, where the ground is not seen. Both are one linear functional of the field, ``Σ w e``,
-with the outline's area as weight inside and the fit's weights outside; its variance ``s² Σ_ij w_i w_j exp(−d_ij / L)`` is summed on a grid by FFT.
+Residuals of the ground points beyond their noise are a random field with variance s² and correlation ``exp(−d / L)``. The field
+acts twice: through the fit, and under the body, where the ground is not seen. Both are one linear functional of the field, ``Σ
+w e``, with the outline's area as weight inside and the fit's weights outside; its variance ``s² Σ_ij w_i w_j exp(−d_ij / L)``
+is summed on a grid by FFT.
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ def mean_spacing(xy: F64) -> float:
 def estimate_roughness(xy: F64, residual: F64, noise_variance: F64, parameters: int) -> Roughness:
     """s² and L from ground residuals (n,) m at xy (n, 2) m with known independent noise variances (n,) m².
 
-    s² is the mean square residual, corrected for the fitted parameters, minus the mean noise, never below zero; L is the distance at which the
-    empirical autocorrelation falls to 1/e, at least half the spacing.
+    s² is the mean square residual, corrected for the fitted parameters, minus the mean noise, never below zero; L is the
+    distance at which the empirical autocorrelation falls to 1/e, at least half the spacing.
     """
     n = len(residual)
     spacing = mean_spacing(xy)

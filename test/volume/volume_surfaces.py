@@ -14,7 +14,6 @@ T0 = 1_700_000_000 * BIN_NS
 
 def normal_frame(normal):
     """A tangent and the binormal ``normal x tangent`` of unit normals (m, 3)."""
-    tangent = np.cross(normal, [0.0, 1.0, 0.0]) * -1.0
     tangent = np.stack([normal[:, 2], np.zeros(len(normal)), -normal[:, 0]], axis=1)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     return tangent, np.cross(normal, tangent)
@@ -31,9 +30,11 @@ def surface_update(
     speed: float = 1.0,
     perturb: float = 0.0,
 ) -> FilterUpdate:
-    """Grid of points over a square of half side ``half``, in square patches of ``per_patch`` points a side; degree-1 patches, own blocks only.
+    """Grid of points over a square of half side ``half``, in square patches of ``per_patch`` points a side; degree-1 patches,
+    own blocks only.
 
-    Sensitivities are those of a sensor without rotation that flies along x at ``speed`` and looks at every patch from straight above at height ``sensor[2]``.
+    Sensitivities are those of a sensor without rotation that flies along x at ``speed`` and looks at every patch from straight
+    above at height ``sensor[2]``.
     """
     rng = np.random.default_rng(seed)
     side = spacing * per_patch
@@ -41,7 +42,7 @@ def surface_update(
     centres = (np.arange(count) + 0.5) * side - half
     cx, cy = (a.ravel() for a in np.meshgrid(centres, centres, indexing="ij"))
     eps = 1e-4
-    slope = np.stack([(height(cx + eps, cy) - height(cx - eps, cy)) / (2 * eps), (height(cx, cy + eps) - height(cx, cy - eps)) / (2 * eps)], axis=1)
+    slope = np.stack([height(cx + eps, cy) - height(cx - eps, cy), height(cx, cy + eps) - height(cx, cy - eps)], axis=1) / (2 * eps)
     normal = np.concatenate([-slope, np.ones((len(cx), 1))], axis=1)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     tangent, binormal = normal_frame(normal)
@@ -72,8 +73,8 @@ def surface_update(
     M_nav[:, 0, :3], M_nav[:, 0, 3:] = normal, np.cross(ray, normal)
     bins = T0 // BIN_NS + np.floor((cx + half) / speed).astype(np.int64)
     patches = Patches(
-        key, centre, normal, tangent, np.zeros((m, 3)), np.full(m, noise), np.full(m, 9, np.int32), bins * BIN_NS, np.arange(m + 1), key.copy(), C, M_cal,
-        np.arange(m + 1), bins, M_nav,
+        key, centre, normal, tangent, np.zeros((m, 3)), np.full(m, noise), np.full(m, 9, np.int32), bins * BIN_NS,
+        np.arange(m + 1), key.copy(), C, M_cal, np.arange(m + 1), bins, M_nav,
     )  # fmt: skip
     points = FilteredPoints(r, normal[patch], variance, np.zeros((len(r), 6), np.float32), bins[patch] * BIN_NS, key[patch], local)
     return FilterUpdate(T0 + 100 * BIN_NS, np.zeros(0, np.int64), points, patches)
