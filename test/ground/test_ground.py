@@ -1,0 +1,167 @@
+"""Ground surfaces: closed forms, robustness, covariance, refusals."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from ladar_volume.ground.adjoint import ground_gradient
+from ladar_volume.ground.polynomial import base_gradient, base_height, design, design_gradient, design_surface, solve
+from ladar_volume.ground.robust import fit_ground, robust_sigma
+from ladar_volume.model.errors import GroundError
+from ladar_volume.model.parameters import GroundParameters
+from ladar_volume.model.records import Plane
+
+COEFFICIENTS = {0: [2.0], 1: [2.0, 0.03, -0.05], 2: [2.0, 0.03, -0.05, 0.001, -0.002, 0.0005]}
+
+
+def ground(n=400, degree=1, noise=0.0, seed=0, half=20.0):
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(-half, half, (n, 2))
+    return np.c_[xy, base_height(design_surface(COEFFICIENTS[degree]), xy) + noise * rng.standard_normal(n)]
+
+
+def fit(points, degree=1, **kwargs):
+    return fit_ground(points, np.full(len(points), 1e-4), GroundParameters(degree=degree, trials=300, **kwargs))
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2])
+def test_exact_ground_is_recovered(degree):
+    points = ground(degree=degree)
+    plane = fit(points, degree)
+    xy = np.random.default_rng(1).uniform(-30, 30, (50, 2))
+    assert base_height(plane, xy) == pytest.approx(base_height(design_surface(COEFFICIENTS[degree]), xy), abs=1e-10)
+    assert len(plane.support) == 400 and plane.rms_m < 1e-12
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2])
+def test_a_pile_and_outliers_do_not_move_it(degree):
+    points = ground(1500, degree, noise=0.01)
+    r = np.hypot(points[:, 0], points[:, 1])
+    points[:, 2] += np.maximum(0.0, 5.0 * (1 - r / 14.0))
+    points[::50, 2] -= 7.0
+    plane = fit(points, degree)
+    clean = np.flatnonzero((r > 14.0) & (np.arange(1500) % 50 != 0))
+    assert len(np.intersect1d(plane.support, clean)) > 0.97 * len(clean)
+    sigma = np.sqrt(np.diag(design(points[:, :2], plane.origin_xy, degree) @ plane.C_beta @ design(points[:, :2], plane.origin_xy, degree).T))
+    error = base_height(plane, points[:, :2]) - base_height(design_surface(COEFFICIENTS[degree]), points[:, :2])
+    assert np.sqrt(np.mean(error**2)) < 3 * np.sqrt(np.mean(sigma**2))
+
+
+def test_a_flat_top_larger_than_the_ground_does_not_win():
+    points = ground(1000, noise=0.005)
+    top = np.hypot(points[:, 0], points[:, 1]) < 16.5
+    assert top.mean() > 0.52
+    points[top, 2] += 2.0
+    assert abs(base_height(fit(points), np.zeros((1, 2)))[0] - 2.0) < 0.01
+
+
+def test_covariance_is_that_of_the_sampled_coefficients():
+    fits = []
+    xy = ground(300, seed=9)
+    for seed in range(400):
+        p = xy.copy()
+        p[:, 2] += 0.01 * np.random.default_rng(seed).standard_normal(300)
+        origin = np.zeros(2)
+        beta, H, N = solve(p, origin, 1)
+        fits.append(beta)
+    C = 1e-4 * H @ H.T
+    assert np.allclose(C, 1e-4 * N, rtol=1e-10)
+    ratio = np.linalg.solve(C, np.cov(np.array(fits).T))
+    # 400 samples: the standard error of a variance is 7 %
+    assert np.linalg.eigvals(ratio).real == pytest.approx(np.ones(3), abs=0.28)
+
+
+def test_threshold_loses_next_to_nothing_of_gaussian_noise():
+    plane = fit(ground(5000, noise=0.02))
+    assert len(plane.support) > 0.995 * 5000
+    assert plane.rms_m == pytest.approx(0.02, rel=0.03)
+
+
+def test_same_input_same_bits_and_shift_equivariance():
+    points = ground(300, noise=0.01)
+    a, b = fit(points), fit(points)
+    assert a.beta.tobytes() == b.beta.tobytes() and np.array_equal(a.support, b.support)
+    moved = fit(points + [1000.0, -2000.0, 300.0])
+    xy = points[:, :2]
+    assert base_height(moved, xy + [1000.0, -2000.0]) - 300.0 == pytest.approx(base_height(a, xy), abs=1e-8)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2])
+def test_gradients_of_the_surface_and_of_the_design(degree):
+    plane = design_surface(COEFFICIENTS[degree], (3.0, -2.0))
+    xy, h = np.random.default_rng(2).uniform(-5, 5, (20, 2)), 1e-5
+    for axis in range(2):
+        step = np.eye(2)[axis] * h
+        numeric = (base_height(plane, xy + step) - base_height(plane, xy - step)) / (2 * h)
+        assert base_gradient(plane, xy)[:, axis] == pytest.approx(numeric, abs=1e-9)
+        numeric = (design(xy + step, plane.origin_xy, degree) - design(xy - step, plane.origin_xy, degree)) / (2 * h)
+        assert np.allclose(design_gradient(xy, plane.origin_xy, degree)[:, axis], numeric, atol=1e-8)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2])
+def test_adjoint_equals_central_differences(degree):
+    points = ground(30, degree, noise=0.2)
+    by_beta = np.random.default_rng(3).standard_normal((len(COEFFICIENTS[degree]), 2))
+    origin = np.array([1.0, 2.0])
+    beta, _, _ = solve(points, origin, degree)
+    plane = Plane(origin, beta, np.zeros((len(beta), len(beta))), np.arange(30))
+    got = ground_gradient(points, plane, by_beta)
+    h = 1e-5
+    for i in (0, 7, 29):
+        for axis in range(3):
+            up, down = points.copy(), points.copy()
+            up[i, axis] += h
+            down[i, axis] -= h
+            numeric = (solve(up, origin, degree)[0] - solve(down, origin, degree)[0]) @ by_beta / (2 * h)
+            assert got[i, :, axis] == pytest.approx(numeric, rel=1e-6, abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    "points,degree,reason",
+    [
+        (np.zeros((0, 3)), 1, "ground_too_few_points"),
+        (np.zeros((2, 3)), 1, "ground_too_few_points"),
+        (np.arange(30.0).reshape(10, 3) * [1, 1, 0], 1, "ground_tilt"),
+        (np.zeros((10, 3)), 1, "ground_tilt"),
+        (np.r_[ground(10), [[0, 0, np.nan]]], 1, "ground_not_finite"),
+    ],
+)
+def test_refusals(points, degree, reason):
+    with pytest.raises(GroundError) as caught:
+        fit(points, degree)
+    assert caught.value.reason == reason
+
+
+def test_a_conic_does_not_define_a_quadric():
+    a = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    with pytest.raises(GroundError) as caught:
+        solve(np.c_[np.cos(a), np.sin(a), np.zeros(40)], np.zeros(2), 2)
+    assert caught.value.reason == "ground_degenerate"
+
+
+def test_gravity_prior():
+    points = ground(200, noise=0.001)
+    wall = np.c_[np.full(600, 5.0), np.random.default_rng(4).uniform(0, 20, (600, 2))]
+    wall[:, 0] += 1e-3 * np.random.default_rng(5).standard_normal(600)
+    plane = fit(np.r_[points, wall])
+    assert np.allclose(plane.beta[1:], COEFFICIENTS[1][1:], atol=1e-3)
+    steep = points.copy()
+    steep[:, 2] = points[:, 0]
+    assert fit(steep, max_tilt_rad=math.radians(50)).beta[1] == pytest.approx(1.0)
+    with pytest.raises(GroundError) as caught:
+        fit(steep)
+    assert caught.value.reason == "ground_tilt"
+
+
+def test_fixed_threshold_and_bad_coefficients():
+    points = ground(200, noise=0.0)
+    points[:20, 2] += 0.05
+    assert len(fit(points, threshold_m=0.02).support) == 180
+    assert robust_sigma(np.zeros(0)) == 0.0
+    with pytest.raises(GroundError):
+        design_surface([1.0, 2.0])
+    assert dataclasses.replace(design_surface([1.0])).support.size == 0
