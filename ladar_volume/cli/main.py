@@ -1,0 +1,91 @@
+"""``ladar_volume <verb>``. An error is one line on standard error and exit code 2."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from ladar_volume.model.errors import LadarVolumeError
+from ladar_volume.version import version
+
+#: Verbs in modules of their own, loaded only when asked for: name → module with add_parser(subparsers).
+MODULES = {
+    "replay": "ladar_volume.cli.replay", "simulate": "ladar_volume.cli.simulate", "up": "ladar_volume.cli.up",
+    "play": "ladar_volume.cli.play",
+}  # fmt: skip
+
+
+def _info(arguments: argparse.Namespace) -> int:
+    from ladar_volume.io.bags import BagReader
+
+    with BagReader(arguments.bag) as bag:
+        topics = {name: {"type": kind, "messages": count} for name, (kind, count) in bag.topics().items()}
+        facts = {"path": str(arguments.bag), "duration_s": bag.duration_s, "start_ns": bag.start_ns, "topics": topics, "roles": bag.roles()}
+    if arguments.json:
+        print(json.dumps(facts, indent=1))
+        return 0
+    table = Table("topic", "type", "messages", "used as", title=f"{arguments.bag}: {facts['duration_s']:.1f} s", title_justify="left")
+    used = {topic: role for role, topic in facts["roles"].items()}
+    for name, topic in topics.items():
+        table.add_row(name, str(topic["type"]), f"{topic['messages']:,}", used.get(name, ""))
+    Console().print(table)
+    return 0
+
+
+def _check_config(arguments: argparse.Namespace) -> int:
+    from ladar_volume.io.config import dump_config, read_config
+
+    parameters = read_config(arguments.file, arguments.set)
+    if arguments.show:
+        print(dump_config(parameters), end="")
+    else:
+        print(f"{arguments.file}: good")
+    return 0
+
+
+def _parser(wanted: str | None) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="ladar_volume", description="Volumes measured by LiDAR, with error bars one can trust.")
+    parser.add_argument("--version", action="version", version=f"ladar_volume {version()}")
+    verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
+    for name, module in MODULES.items():
+        if wanted in (name, None):
+            importlib.import_module(module).add_parser(verbs)
+        else:
+            verbs.add_parser(name, add_help=False)
+    info = verbs.add_parser("info", help="what a recording holds")
+    info.add_argument("bag", type=Path)
+    info.add_argument("--json", action="store_true")
+    info.set_defaults(run=_info)
+    check = verbs.add_parser("check-config", help="check a parameter file")
+    check.add_argument("file", type=Path)
+    check.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE")
+    check.add_argument("--show", action="store_true", help="print the whole effective configuration")
+    check.set_defaults(run=_check_config)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one verb; returns the exit code."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    verb = next((w for w in words if not w.startswith("-")), None)
+    arguments: Any = _parser(verb).parse_args(words)
+    try:
+        return int(arguments.run(arguments))
+    except LadarVolumeError as error:
+        print(f"ladar_volume: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("ladar_volume: interrupted", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

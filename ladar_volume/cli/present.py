@@ -1,0 +1,35 @@
+"""What a person sees of a result: the volume with its interval, the budget, and what was lost."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+
+def show_result(console: Console, result: Mapping[str, Any]) -> None:
+    """Print a result dictionary as tables."""
+    low, high = result["interval_m3"]
+    share = 100.0 * result["sigma_m3"] / abs(result["volume_m3"]) if result["volume_m3"] else float("inf")
+    head = Table(show_header=False, box=None, pad_edge=False)
+    head.add_row("volume", f"[bold]{result['volume_m3']:.3f} ± {result['sigma_m3']:.3f} m³[/bold] (1 sigma, {share:.2f} %)")
+    head.add_row(f"{100 * result['confidence']:.0f} % interval", f"{low:.3f} to {high:.3f} m³ (k = {result['coverage_factor']:.2f})")
+    head.add_row("above", f"{result['base']}{' (same survey)' if result['base_same_survey'] else ''}")
+    head.add_row("cut, fill", f"{result['cut_m3']:.3f} m³, {result['fill_m3']:.3f} m³ over {result['area_m2']:.1f} m²")
+    tau = result["sigma_tau_range_m3"]
+    head.add_row("sigma if tau is off", f"{tau[0]:.3f} to {tau[1]:.3f} m³ (a third to three times the correlation times)")
+    head.add_row("naive sigma", f"{result['sigma_naive_m3']:.3f} m³ (all points independent: not to be used)")
+    console.print(head)
+    total = sum(result["budget_m6"].values()) or 1.0
+    budget = Table("source", "sigma / m³", "share of variance", title="Where the uncertainty comes from", title_justify="left")
+    for source, variance in result["budget_m6"].items():
+        if variance > 1e-4 * total:
+            budget.add_row(source.replace("_", " "), f"{max(variance, 0.0) ** 0.5:.4f}", f"{100 * variance / total:.1f} %")
+    console.print(budget)
+    if result["losses"]:
+        lost = Table("not used", "count", title="Losses", title_justify="left")
+        for reason, count in result["losses"].items():
+            lost.add_row(reason.replace("_", " "), f"{count:,}")
+        console.print(lost)

@@ -1,0 +1,220 @@
+"""``ladar_volume replay``: a recording through the engine, offline."""
+
+from __future__ import annotations
+
+import argparse
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import Progress
+
+from ladar_volume.cli.present import show_result
+from ladar_volume.engine import Engine
+from ladar_volume.io import results, wire
+from ladar_volume.io.bags import TYPESTORE, BagReader, Raw
+from ladar_volume.io.clouds import returns_from_cloud
+from ladar_volume.io.config import read_config
+from ladar_volume.io.log import McapLog
+from ladar_volume.io.messages import fix_from_message, imu_from_message, odometry_from_message
+from ladar_volume.io.tables import NUMBERS, encode
+from ladar_volume.model.errors import BagError, InputError
+from ladar_volume.model.losses import Losses
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import Estimate
+
+
+@dataclass
+class Replay:
+    """A recording and what it is replayed with."""
+
+    bag: BagReader
+    parameters: Parameters
+    topics: dict[str, str]
+    start_s: float = 0.0
+    duration_s: float = float("inf")
+
+    def __post_init__(self) -> None:
+        self.bag.require(self.topics, self.parameters.georeference.pose_source)
+        self.engine = Engine(self.parameters)
+        self.losses = Losses()
+        self.returns = 0
+
+    def run(self, progress: Callable[[float], None] = lambda share: None) -> Estimate:
+        """Feed every message, finish, and estimate. A bad message is counted and left out; the good data around it is kept."""
+        add: dict[str, Callable[[Any], None]] = {
+            "fix": self.engine.add_fix, "imu": self.engine.add_imu, "odometry": self.engine.add_odometry, "cloud": self._add_returns,
+        }  # fmt: skip
+        for share, role, record in _ahead(self._records()):
+            if role:
+                add[role](record)
+            if role in ("", "cloud"):
+                self.engine.step()
+                progress(share)
+        return self.engine.finish()
+
+    def _add_returns(self, returns: Any) -> None:
+        self.returns += len(returns)
+        self.engine.add_returns(returns)
+
+    def _records(self) -> Iterator[tuple[float, str, Any]]:
+        roles = {topic: role for role, topic in self.topics.items()}
+        decode: dict[str, Callable[[Any], Any]] = {
+            "fix": fix_from_message, "imu": imu_from_message, "odometry": odometry_from_message,
+            "cloud": lambda message: returns_from_cloud(message, self.parameters.georeference, self.losses),
+        }  # fmt: skip
+        first = self.bag.start_ns + int(self.start_s * 1e9)
+        span = min(self.duration_s, self.bag.duration_s - self.start_s)
+        last = first + int(span * 1e9)
+        try:
+            for raw in self.bag.raw(set(roles)):
+                if not first <= raw.t_ns <= last:
+                    continue
+                role = roles[raw.topic]
+                try:
+                    yield (raw.t_ns - first) * 1e-9 / max(span, 1e-9), role, decode[role](self._message(raw))
+                except (InputError, BagError) as error:
+                    if error.reason == "bag_truncated":
+                        raise
+                    self.losses.add(f"{role}_{error.reason}" if not error.reason.startswith(role) else error.reason)
+        except BagError as error:
+            if error.reason != "bag_truncated":
+                raise
+            self.losses.add("bag_truncated")  # what came before the break is good data
+
+    def _message(self, raw: Raw) -> Any:
+        return self.bag.message(raw)
+
+    def result(self, estimate: Estimate) -> dict[str, Any]:
+        """The result as plain values."""
+        losses = Losses(self.losses.as_dict())
+        losses.merge(self.engine.losses)
+        points = {"returns": self.returns, "mapped": self.engine.points_mapped, **self.engine.filter.stats}
+        source = {"path": self.bag.path.name, "sha256": self.bag.digest(), "duration_s": self.bag.duration_s, "topics": self.topics}
+        return results.result_dict(estimate, self.parameters, losses, self.engine.datum, points, source)
+
+
+def _ahead(items: Iterator[tuple[float, str, Any]], depth: int = 64) -> Iterator[tuple[float, str, Any]]:
+    """Run an iterator in a thread, so that decoding and computing use both cores; errors arrive in order."""
+    buffer: queue.Queue[Any] = queue.Queue(depth)
+    stop = threading.Event()
+
+    def pump() -> None:
+        try:
+            for item in items:
+                while not stop.is_set():
+                    try:
+                        buffer.put(item, timeout=0.2)
+                        break
+                    except queue.Full:
+                        continue
+                if stop.is_set():
+                    return
+            buffer.put(None)
+        except BaseException as error:  # handed to the consumer, which raises it
+            buffer.put(error)
+
+    thread = threading.Thread(target=pump, daemon=True)
+    thread.start()
+    try:
+        while (item := buffer.get()) is not None:
+            if isinstance(item, BaseException):
+                raise item
+            yield item
+    finally:
+        stop.set()
+
+
+def add_parser(subparsers: Any) -> None:
+    """Declare the verb."""
+    parser = subparsers.add_parser("replay", help="volume of a recorded survey, offline")
+    parser.add_argument("bag", type=Path, help="rosbag2 folder, .mcap, or ROS 1 .bag")
+    add_common(parser)
+    parser.add_argument("--start", type=float, default=0.0, help="seconds into the recording")
+    parser.add_argument("--duration", type=float, default=float("inf"), help="seconds")
+    parser.add_argument("--no-figure", action="store_true", help="skip the picture")
+    parser.set_defaults(run=run)
+
+
+def add_common(parser: argparse.ArgumentParser) -> None:
+    """Options that replay and the nodes share."""
+    parser.add_argument("--config", type=Path, help="parameter file; default: config.yaml in the recording's folder, if any")
+    parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="override one parameter")
+    parser.add_argument("--topic", action="append", default=[], metavar="ROLE=TOPIC", help="cloud, fix, imu or odometry topic")
+    parser.add_argument("-o", "--output", type=Path, default=Path("out"), help="folder for result.json, result.mcap, mesh.ply, figure.png")
+    parser.add_argument("--json", action="store_true", help="print result.json to standard output")
+
+
+def config_for(bag: Path, config: Path | None) -> Path | None:
+    """The given file, else the one in the recording's folder."""
+    beside = bag / "config.yaml"
+    return config if config is not None else beside if beside.is_file() else None
+
+
+def topics_from(words: list[str]) -> dict[str, str]:
+    """``role=topic`` words as a dictionary."""
+    return dict(word.split("=", 1) for word in words if "=" in word)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Replay, print, write the output folder."""
+    console = Console(stderr=arguments.json)
+    parameters = read_config(config_for(arguments.bag, arguments.config), arguments.set)
+    folder = results.output_folder(arguments.output)
+    with BagReader(arguments.bag) as bag:
+        replay = Replay(bag, parameters, bag.roles(topics_from(arguments.topic)), arguments.start, arguments.duration)
+        began = time.perf_counter()
+        with Progress(console=console, transient=True) as bar:
+            task = bar.add_task(f"replaying {arguments.bag.name}", total=1.0)
+            estimate = replay.run(lambda share: bar.update(task, completed=share))
+        seconds = time.perf_counter() - began
+        result = replay.result(estimate)
+    write_outputs(folder, estimate, result, arguments.bag.name, figure=not arguments.no_figure)
+    if arguments.json:
+        print(results.json_text(result), end="")
+    else:
+        show_result(console, result)
+        console.print(f"{min(arguments.duration, result['input']['duration_s']) / seconds:.1f} x real time; written to {folder}/")
+    return 0
+
+
+def write_outputs(folder: Path, estimate: Estimate, result: dict[str, Any], title: str, figure: bool = True) -> None:
+    """result.json, mesh.ply, result.mcap and, where wanted, figure.png."""
+    results.write_text(folder / "result.json", results.json_text(result))
+    results.write_ply(folder / "mesh.ply", estimate.tin, estimate.sigma_z)
+    write_mcap(folder / "result.mcap", estimate, result)
+    if figure:
+        from ladar_volume.report.figure import save  # matplotlib takes a second to load
+
+        save(estimate, title, folder / "figure.png")
+
+
+def write_mcap(path: Path, estimate: Estimate, result: dict[str, Any]) -> None:
+    """The volume table, the TIN's vertices and the parameters as MCAP."""
+    types = TYPESTORE.types
+    t_ns = estimate.volume.t_ns
+    stamp = types["builtin_interfaces/msg/Time"](sec=t_ns // 1_000_000_000, nanosec=t_ns % 1_000_000_000)
+    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="map")
+    vertices = estimate.tin.vertices
+    tables = {
+        "volumes": wire.volume_columns([estimate.volume]),
+        "tin_vertices": {"x": vertices[:, 0], "y": vertices[:, 1], "z": vertices[:, 2], "sigma_z": estimate.sigma_z},
+    }
+    path.unlink(missing_ok=True)
+    with McapLog(Parameters().logger, path) as log:
+        log.metadata("ladar_volume", {"result": results.json_text(result)})
+        for topic, columns in tables.items():
+            table = encode(columns)
+            fields = [
+                types["sensor_msgs/msg/PointField"](name=c.name, offset=c.offset, datatype=NUMBERS[c.code], count=c.count)
+                for c in table.columns
+            ]  # fmt: skip
+            log.write_message(topic, types["sensor_msgs/msg/PointCloud2"](
+                header=header, height=1, width=table.rows, fields=fields, is_bigendian=False, point_step=table.row_bytes,
+                row_step=table.row_bytes * table.rows, data=table.data, is_dense=True,
+            ), t_ns)  # fmt: skip
