@@ -1,0 +1,198 @@
+"""Prismoids: the printed example, closed forms, invariances, gradients against central differences, clipping."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from ladar_volume.ground.polynomial import base_height, design_surface
+from ladar_volume.model.errors import VolumeError
+from ladar_volume.model.records import Plane, Tin
+from ladar_volume.surface.tin import build_tin
+from ladar_volume.volume.centroid import centroid
+from ladar_volume.volume.polygon import areas_inside, check_polygon, clip, clipped_prismoids, clipped_weights, moments
+from ladar_volume.volume.prismoids import positive_part, prismoids
+
+
+def level(z):
+    return design_surface([float(z)])
+
+
+def roof():
+    vertices = np.array([(0, 0, 0), (4, 0, 1), (4, 3, 2), (0, 3, -1), (2, 1.5, 3)], float)
+    triangles = np.array([(0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)], np.int32)
+    return Tin(vertices, triangles, np.full((4, 3), -1, np.int32), np.ones(4, bool), np.arange(5))
+
+
+def random_tin(n=40, seed=0, half=3.0):
+    rng = np.random.default_rng(seed)
+    corners = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
+    xy = np.r_[rng.uniform(-half, half, (n, 2)), corners]
+    return build_tin(np.c_[xy, rng.uniform(-1, 2, len(xy))])
+
+
+BASES = {
+    "level": level(0.4),
+    "plane": design_surface([0.3, 0.2, -0.1], (0.5, 0.25)),
+    "quadric": design_surface([0.3, 0.2, -0.1, 0.05, -0.03, 0.02], (0.5, 0.25)),
+}
+STAR = np.array([[2.5, 0.1], [0.6, 0.5], [0.2, 2.7], [-0.5, 0.4], [-2.6, -0.2], [-0.4, -0.6], [0.1, -2.4], [0.7, -0.5]])
+
+
+@pytest.mark.parametrize("z,cut,fill", [(0, 49 / 3, 1 / 3), (1, 20 / 3, 8 / 3), (2, 1, 9), (2.5, 0.125, 14.125), (5, 0, 44), (-2, 40, 0)])
+def test_roof(z, cut, fill):
+    p = prismoids(roof(), level(z))
+    assert p.cut_m3 == pytest.approx(cut, abs=1e-12) and p.fill_m3 == pytest.approx(fill, abs=1e-12)
+    assert p.area_m2 == pytest.approx(12.0)
+
+
+def test_two_levels_differ_by_the_slab():
+    tin = random_tin()
+    a, b = prismoids(tin, level(0.2)), prismoids(tin, level(0.9))
+    assert a.net_m3 - b.net_m3 == pytest.approx(a.area_m2 * 0.7, rel=1e-12)
+
+
+def test_cut_minus_fill_is_the_signed_volume_and_parts_add():
+    tin = random_tin(seed=1)
+    whole = prismoids(tin, BASES["plane"])
+    h = tin.vertices[:, 2] - base_height(BASES["plane"], tin.vertices[:, :2])
+    xy = tin.vertices[tin.triangles, :2]
+    area = 0.5 * np.abs(np.linalg.det(xy[:, 1:] - xy[:, :1]))
+    assert whole.net_m3 == pytest.approx(float(area @ h[tin.triangles].mean(axis=1)), rel=1e-12)
+    part = np.random.default_rng(2).random(len(tin.triangles)) < 0.4
+    one, two = prismoids(tin, BASES["plane"], part), prismoids(tin, BASES["plane"], ~part)
+    for name in ("cut_m3", "fill_m3", "area_m2"):
+        assert getattr(one, name) + getattr(two, name) == pytest.approx(getattr(whole, name), rel=1e-12)
+    assert np.allclose(one.gradient_cut + two.gradient_cut, whole.gradient_cut, atol=1e-12)
+
+
+def test_positive_part_against_subdivision():
+    rng = np.random.default_rng(3)
+    h = np.r_[rng.uniform(-1, 1, (50, 3)), [[0, 0, 0], [0, 1, 2], [0, -1, 2], [0, 0, 1], [0, -1, -1], [1, 1, -1e-14]]]
+    k = 200
+    i, j = np.meshgrid(np.arange(k), np.arange(k), indexing="ij")
+    up, down = (i + j) < k, (i + j) < k - 1
+    a = np.r_[(i[up] + 1 / 3) / k, (i[down] + 2 / 3) / k]
+    b = np.r_[(j[up] + 1 / 3) / k, (j[down] + 2 / 3) / k]
+    weights = np.stack([1 - a - b, a, b])
+    mean = np.maximum(h @ weights, 0).mean(axis=1)
+    # the midpoint rule misses at most the cells that the zero line cuts
+    assert positive_part(h)[0] == pytest.approx(mean, abs=3 / k**2)
+
+
+@pytest.mark.parametrize("base", list(BASES))
+@pytest.mark.parametrize("outline", ["whole", "star"])
+def test_gradients_against_central_differences(base, outline):
+    tin, plane = random_tin(seed=4), BASES[base]
+
+    def run(vertices, surface=plane):
+        t = dataclasses.replace(tin, vertices=vertices)
+        return prismoids(t, surface) if outline == "whole" else clipped_prismoids(t, surface, STAR)
+
+    p, h = run(tin.vertices), 1e-6
+    for i in range(0, len(tin.vertices), 3):
+        for axis in range(3):
+            step = np.zeros_like(tin.vertices)
+            step[i, axis] = h
+            a, b = run(tin.vertices + step), run(tin.vertices - step)
+            assert p.gradient_cut[i, axis] == pytest.approx((a.cut_m3 - b.cut_m3) / (2 * h), abs=2e-7)
+            assert p.gradient_fill[i, axis] == pytest.approx((a.fill_m3 - b.fill_m3) / (2 * h), abs=2e-7)
+    for k in range(len(plane.beta)):
+        step = np.eye(len(plane.beta))[k] * h
+        a, b = (run(tin.vertices, dataclasses.replace(plane, beta=plane.beta + s * step)) for s in (1, -1))
+        assert p.base_cut[k] == pytest.approx((a.cut_m3 - b.cut_m3) / (2 * h), abs=2e-6)
+        assert p.base_fill[k] == pytest.approx((a.fill_m3 - b.fill_m3) / (2 * h), abs=2e-6)
+
+
+def test_vertical_gradient_is_a_third_of_the_incident_footprint():
+    tin = random_tin(seed=5)
+    p = prismoids(tin, level(-50))
+    assert p.gradient_net[:, 2].sum() == pytest.approx(36.0, rel=1e-12)
+    one = 7
+    incident = np.flatnonzero((tin.triangles == one).any(axis=1))
+    mask = np.zeros(len(tin.triangles), bool)
+    mask[incident] = True
+    assert p.gradient_net[one, 2] == pytest.approx(prismoids(tin, level(-50), mask).area_m2 / 3, rel=1e-12)
+
+
+def test_a_polygon_around_everything_is_the_whole():
+    tin, square = random_tin(seed=6), np.array([[-9.0, -9], [9, -9], [9, 9], [-9, 9]])
+    for base in BASES.values():
+        a, b = prismoids(tin, base), clipped_prismoids(tin, base, square)
+        assert (a.cut_m3, a.fill_m3, a.area_m2) == pytest.approx((b.cut_m3, b.fill_m3, b.area_m2), rel=1e-12)
+        assert np.allclose(a.base_net, b.base_net, rtol=1e-11)
+        inner = ~np.isin(np.arange(len(tin.vertices)), tin.triangles[(tin.neighbours < 0).any(axis=1)])
+        # at the hull the footprint moves with the vertices in one case and not in the other
+        assert np.allclose(a.gradient_net[inner], b.gradient_net[inner], atol=1e-11)
+
+
+def test_polygons_add_and_orientation_does_not_matter():
+    tin = random_tin(seed=7)
+    whole = clipped_prismoids(tin, BASES["plane"], STAR)
+    gate = [[3.0, 0.1]]
+    # clockwise around the square, in through the gate, counter-clockwise around the star: everything but the star, negative
+    rest_ring = np.r_[[[3.0, 3.0]], gate, STAR, STAR[:1], gate, [[3.0, -3], [-3, -3], [-3, 3]]]
+    corners = np.ascontiguousarray(tin.vertices[tin.triangles, :2])
+    rest = clipped_weights(corners, np.ones((len(corners), 3)), rest_ring)[:, 0].sum()
+    assert -rest + whole.area_m2 == pytest.approx(36.0, rel=1e-12)
+    back = clipped_prismoids(tin, BASES["plane"], STAR[::-1])
+    assert back.cut_m3 == pytest.approx(whole.cut_m3, rel=1e-12)
+    assert areas_inside(tin, STAR).sum() == pytest.approx(whole.area_m2, rel=1e-12)
+    left, right = STAR[[2, 3, 4, 5, 6]], STAR[[6, 7, 0, 1, 2]]
+    sides = [clipped_prismoids(tin, BASES["plane"], s) for s in (left, right)]
+    assert sides[0].cut_m3 + sides[1].cut_m3 == pytest.approx(whole.cut_m3, rel=1e-12)
+
+
+def test_compiled_clipping_equals_its_plain_twin():
+    tin = random_tin(n=6, seed=8)
+    corners, h = np.ascontiguousarray(tin.vertices[tin.triangles, :2]), np.ascontiguousarray(tin.vertices[tin.triangles, 2])
+    assert np.array_equal(clipped_weights(corners, h, STAR), clipped_weights.py_func(corners, h, STAR))
+    a, b = np.zeros((30, 2)), np.zeros((30, 2))
+    n = clip(STAR, 8, 0.1, 1.0, -0.3, a)
+    assert n == clip.py_func(STAR, 8, 0.1, 1.0, -0.3, b) and np.array_equal(a, b)
+    assert moments(a, n) == moments.py_func(a, n)
+
+
+@pytest.mark.parametrize(
+    "polygon",
+    [np.zeros((0, 2)), [[0, 0], [1, 1]], [[0, 0], [1, 1], [2, 2]], [[0, 0], [2, 2], [2, 0], [0, 2.5]], [[0, 0], [1, np.nan], [1, 1]], [0, 1, 2]],
+)  # fmt: skip
+def test_bad_polygons(polygon):
+    with pytest.raises(VolumeError) as caught:
+        check_polygon(polygon)
+    assert caught.value.reason == "volume_polygon"
+
+
+def test_nothing_inside():
+    tin = random_tin(seed=9)
+    with pytest.raises(VolumeError):
+        prismoids(tin, level(0), np.zeros(len(tin.triangles), bool))
+    with pytest.raises(VolumeError):
+        clipped_prismoids(tin, level(0), STAR + 100.0)
+    assert clipped_prismoids(random_tin(), level(0), np.r_[STAR, STAR[:1]]).area_m2 > 0
+
+
+def test_rigid_motion_and_scale():
+    tin, plane = random_tin(seed=10), BASES["plane"]
+    v = prismoids(tin, plane).net_m3
+    c, s = math.cos(0.7), math.sin(0.7)
+    R = np.array([[c, -s], [s, c]])
+    turned = dataclasses.replace(tin, vertices=np.c_[tin.vertices[:, :2] @ R.T + [100, -50], tin.vertices[:, 2] + 7])
+    beta = np.r_[plane.beta[0] + 7, R @ plane.beta[1:]]
+    base = Plane(R @ plane.origin_xy + [100, -50], beta, np.zeros((3, 3)), np.zeros(0, np.int64))
+    assert prismoids(turned, base).net_m3 == pytest.approx(v, rel=1e-9)
+    scaled = dataclasses.replace(tin, vertices=3 * tin.vertices)
+    assert prismoids(scaled, Plane(3 * plane.origin_xy, plane.beta * [3, 1, 1], np.zeros((3, 3)), plane.support)).net_m3 == pytest.approx(27 * v)
+
+
+def test_centroid_of_a_pyramid_and_of_a_prism():
+    v = np.array([[-1, -1, 5.0], [1, -1, 5], [1, 1, 5], [-1, 1, 5], [0.0, 0, 8]])
+    tin = build_tin(v)
+    inside = np.full(4, 1.0)
+    assert centroid(tin, level(5), inside) == pytest.approx((0, 0, 5 + 3 / 4))
+    flat = build_tin(v[:4] * [1, 1, 2])
+    assert centroid(flat, level(4), np.full(2, 2.0)) == pytest.approx((0, 0, 7.0))
+    assert centroid(flat, level(40), np.full(2, 2.0)) == pytest.approx((0, 0, 10.0))
