@@ -53,4 +53,5 @@ def ground_field(tin: Tin, base: Plane, solid: Prismoids, inside_m2: F64, height
     fit = ground_gradient(tin.vertices, base, solid.base_net[:, None])[:, 0, 2]
     rows = np.flatnonzero(inside_m2 > 0)
     middle = tin.vertices[tin.triangles[rows], :2].mean(axis=1)
-    return GroundField(np.concatenate([middle, ground[:, :2]]), np.concatenate([inside_m2[rows], fit]), rough)
+    point = np.arange(len(rows) + len(ground)) >= len(rows)
+    return GroundField(np.concatenate([middle, ground[:, :2]]), np.concatenate([inside_m2[rows], fit]), point, rough)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ladar_volume.georeference.budget import calibration_covariance
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, FilteredPoints, Patches
+from ladar_volume.model.records import F64, Bool, FilteredPoints, Patches
 from ladar_volume.volume.navigation import NavigationBins, matrix_root, navigation_loads, navigation_variance
 from ladar_volume.volume.propagation import (
     SurfaceGeometry,
@@ -27,10 +27,12 @@ from ladar_volume.volume.roughness import Roughness, field_variance
 
 @dataclass(frozen=True)
 class GroundField:
-    """Weights (n,) m² at xy (n, 2) m with which the ground's deviation from the base enters the volume."""
+    """Weights (n,) m² at xy (n, 2) m with which the ground's deviation from the base enters the volume; point : (n,) whether at a point or
+    spread over a triangle."""
 
     xy: F64
     weight: F64
+    point: Bool
     rough: Roughness
 
 
@@ -71,7 +73,7 @@ class Sources:
             "noise_tangential": tangential_variance(gradient[:, 0], self.points),
             **calibration_variance(calibration_sensitivity(first, self.patches), self.C_cal),
             **navigation_variance(loads, self.parameters.budget),
-            "base_surface": 0.0 if field is None else field_variance(field.xy, field.weight, field.rough),
+            "base_surface": 0.0 if field is None else field_variance(field.xy, field.weight, field.point, field.rough),
         }
         rest = sum(lines.values()) - lines["position"] - lines["attitude"]
         low, high = (math.sqrt(rest + sum(navigation_variance(loads, self.parameters.budget, f).values())) for f in (1.0 / 3.0, 3.0))

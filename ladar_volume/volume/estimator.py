@@ -43,6 +43,11 @@ class VolumeEstimator:
         self._tin: Tin | None = None
         self._t_ns = 0
 
+    def set_parameters(self, parameters: Parameters) -> None:
+        """Another base, outline or ground for the next estimate; the surface stays."""
+        self.parameters = parameters
+        self._tin = None
+
     def add_platform(self, states: PlatformStates) -> None:
         """New platform states; only the mean covariance per time bin is kept."""
         self._navigation.add(states)

@@ -95,18 +95,19 @@ def prismoids(tin: Tin, base: Plane, mask: Bool | None = None) -> Prismoids:
     X = design(xy, base.origin_xy, degree_of(base))
     area = footprint_areas(v, triangles)
     dA = area_gradient(v, triangles)
+    h = height[triangles]
     parts = []
-    for sign in (1.0, -1.0):
-        mean, slope = positive_part(sign * height[triangles])
-        by_height = sign * slope * area[:, None]
+    for mean, slope in (positive_part(h), (h.sum(axis=1) / 3.0, np.full(h.shape, 1.0 / 3.0))):
         corner = np.empty((len(triangles), 3, 3))
         corner[..., :2] = mean[:, None, None] * dA
-        corner[..., 2] = by_height
+        corner[..., 2] = slope * area[:, None]
         gradient = gather(corner, triangles, len(v))
         gradient[:, :2] -= gradient[:, 2:] * slope_base
-        parts.append((float(area @ mean), gradient, -(X.T @ gradient[:, 2])))
-    (cut, g_cut, b_cut), (fill, g_fill, b_fill) = parts
-    return Prismoids(cut, fill, float(area.sum()), g_cut, g_fill, b_cut, b_fill)
+        parts.append((gradient, -(X.T @ gradient[:, 2])))
+    (g_cut, b_cut), (g_net, b_net) = parts
+    cut, fill = float(area @ positive_part(h)[0]), float(area @ positive_part(-h)[0])
+    # fill = cut − net: at a height of exactly zero, where neither has a derivative, the net volume keeps its own
+    return Prismoids(cut, fill, float(area.sum()), g_cut, g_cut - g_net, b_cut, b_cut - b_net)
 
 
 def gather(corner: F64, triangles: I32, n: int) -> F64:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.model.records import F64
+from ladar_volume.model.records import F64, Bool
 
 #: Points used for the autocorrelation, taken at equal index steps: two million pairs.
 MAX_POINTS = 1500
@@ -77,8 +77,11 @@ def fall_length(lag: F64, rho: F64) -> float:
     return float(d[k - 1] + (d[k] - d[k - 1]) * (r[k - 1] - math.exp(-1.0)) / (r[k - 1] - r[k]))
 
 
-def field_variance(xy: F64, weight: F64, rough: Roughness) -> float:
-    """Variance of ``Σ w e`` for weights (n,) at xy (n, 2) m: unit² of w times m²."""
+def field_variance(xy: F64, weight: F64, point: Bool, rough: Roughness) -> float:
+    """Variance of ``Σ w e`` for weights (n,) at xy (n, 2) m: unit² of w times m².
+
+    point : (n,) whether a weight acts at a point; the others are spread over their surroundings, about one spacing wide.
+    """
     if rough.variance_m2 == 0.0 or len(xy) == 0:
         return 0.0
     low = xy.min(axis=0)
@@ -94,4 +97,6 @@ def field_variance(xy: F64, weight: F64, rough: Roughness) -> float:
     kernel[0, 0] = min(math.exp(-0.5214 * h / rough.length_m), 2 * math.pi * (rough.length_m / h) ** 2)
     spectrum = np.fft.rfft2(grid, s=size)
     smooth = np.fft.irfft2(spectrum * np.fft.rfft2(kernel), s=size)[: shape[0], : shape[1]]
-    return rough.variance_m2 * max(0.0, float((grid * smooth).sum()))
+    # a point is fully correlated with itself, not as two points of one cell are
+    alone = (1.0 - kernel[0, 0]) * float((weight[point] ** 2).sum())
+    return rough.variance_m2 * max(0.0, float((grid * smooth).sum()) + float(alone))

@@ -46,7 +46,9 @@ def test_a_pile_and_outliers_do_not_move_it(degree):
     plane = fit(points, degree)
     clean = np.flatnonzero((r > 14.0) & (np.arange(1500) % 50 != 0))
     assert len(np.intersect1d(plane.support, clean)) > 0.97 * len(clean)
-    sigma = np.sqrt(np.diag(design(points[:, :2], plane.origin_xy, degree) @ plane.C_beta @ design(points[:, :2], plane.origin_xy, degree).T))
+    sigma = np.sqrt(
+        np.diag(design(points[:, :2], plane.origin_xy, degree) @ plane.C_beta @ design(points[:, :2], plane.origin_xy, degree).T)
+    )
     error = base_height(plane, points[:, :2]) - base_height(design_surface(COEFFICIENTS[degree]), points[:, :2])
     assert np.sqrt(np.mean(error**2)) < 3 * np.sqrt(np.mean(sigma**2))
 
@@ -85,9 +87,9 @@ def test_same_input_same_bits_and_shift_equivariance():
     points = ground(300, noise=0.01)
     a, b = fit(points), fit(points)
     assert a.beta.tobytes() == b.beta.tobytes() and np.array_equal(a.support, b.support)
-    moved = fit(points + [1000.0, -2000.0, 300.0])
+    moved = fit(points + np.array([1000.0, -2000.0, 300.0]))
     xy = points[:, :2]
-    assert base_height(moved, xy + [1000.0, -2000.0]) - 300.0 == pytest.approx(base_height(a, xy), abs=1e-8)
+    assert base_height(moved, xy + np.array([1000.0, -2000.0])) - 300.0 == pytest.approx(base_height(a, xy), abs=1e-8)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2])

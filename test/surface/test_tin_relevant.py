@@ -26,7 +26,9 @@ def test_areas_add_up_to_the_hull_and_are_counter_clockwise():
     assert vertex_mask(tin, tin.relevant).all()
 
 
-@pytest.mark.parametrize("points", [np.zeros((5, 3)), np.zeros((0, 3)), np.zeros((4, 2)), np.full((4, 3), np.nan), np.arange(12.0).reshape(4, 3)])
+@pytest.mark.parametrize(
+    "points", [np.zeros((5, 3)), np.zeros((0, 3)), np.zeros((4, 2)), np.full((4, 3), np.nan), np.arange(12.0).reshape(4, 3)]
+)
 def test_refusals(points):
     with pytest.raises(SurfaceError):
         build_tin(points)

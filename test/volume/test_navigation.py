@@ -60,11 +60,16 @@ def test_variance_against_a_dense_matrix_with_changing_covariance():
     known = NavigationBins(1.0)
     known.add(states)
     J = np.random.default_rng(2).standard_normal((4, 6)) * [1, 1, 1, 30, 30, 30]
-    budget = BudgetParameters(position_bias_fraction=0.3, position_white_fraction=0.2, attitude_bias_fraction=0.1, attitude_white_fraction=0.4)
+    budget = BudgetParameters(
+        position_bias_fraction=0.3, position_white_fraction=0.2, attitude_bias_fraction=0.1, attitude_white_fraction=0.4
+    )
     got = navigation_variance(navigation_loads(J, bins, known, 0.5), budget)
     index = states.t_ns // BIN_NS
     C = np.array([states.C_nav[index == b].mean(axis=0) for b in bins])
-    for name, block, tau, bias, white, n in (("position", slice(0, 3), 300.0, 0.3, 0.2, 2.0), ("attitude", slice(3, 6), 20.0, 0.1, 0.4, 10.0)):
+    for name, block, tau, bias, white, n in (
+        ("position", slice(0, 3), 300.0, 0.3, 0.2, 2.0),
+        ("attitude", slice(3, 6), 20.0, 0.1, 0.4, 10.0),
+    ):
         value = 0.0
         for e in range(4):
             for f in range(4):

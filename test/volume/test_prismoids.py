@@ -107,6 +107,13 @@ def test_gradients_against_central_differences(base, outline):
         assert p.base_fill[k] == pytest.approx((a.fill_m3 - b.fill_m3) / (2 * h), abs=2e-6)
 
 
+def test_net_gradient_survives_heights_of_exactly_zero():
+    tin = build_tin(np.array([[0, 0, 1.0], [1, 0, 1], [1, 1, 1], [0, 1, 1], [2, 0, 1.5]]))
+    for run in (prismoids, lambda t, b: clipped_prismoids(t, b, np.array([[-1.0, -1], [3, -1], [3, 3], [-1, 3]]))):
+        p = run(tin, level(1))
+        assert p.fill_m3 == 0.0 and p.base_net[0] == pytest.approx(-p.area_m2, rel=1e-12)
+
+
 def test_vertical_gradient_is_a_third_of_the_incident_footprint():
     tin = random_tin(seed=5)
     p = prismoids(tin, level(-50))
@@ -158,7 +165,8 @@ def test_compiled_clipping_equals_its_plain_twin():
 
 @pytest.mark.parametrize(
     "polygon",
-    [np.zeros((0, 2)), [[0, 0], [1, 1]], [[0, 0], [1, 1], [2, 2]], [[0, 0], [2, 2], [2, 0], [0, 2.5]], [[0, 0], [1, np.nan], [1, 1]], [0, 1, 2]],
+    [np.zeros((0, 2)), [[0, 0], [1, 1]], [[0, 0], [1, 1], [2, 2]], [[0, 0], [2, 2], [2, 0], [0, 2.5]],
+     [[0, 0], [1, np.nan], [1, 1]], [0, 1, 2]],
 )  # fmt: skip
 def test_bad_polygons(polygon):
     with pytest.raises(VolumeError) as caught:
@@ -185,7 +193,9 @@ def test_rigid_motion_and_scale():
     base = Plane(R @ plane.origin_xy + [100, -50], beta, np.zeros((3, 3)), np.zeros(0, np.int64))
     assert prismoids(turned, base).net_m3 == pytest.approx(v, rel=1e-9)
     scaled = dataclasses.replace(tin, vertices=3 * tin.vertices)
-    assert prismoids(scaled, Plane(3 * plane.origin_xy, plane.beta * [3, 1, 1], np.zeros((3, 3)), plane.support)).net_m3 == pytest.approx(27 * v)
+    assert prismoids(scaled, Plane(3 * plane.origin_xy, plane.beta * [3, 1, 1], np.zeros((3, 3)), plane.support)).net_m3 == pytest.approx(
+        27 * v
+    )
 
 
 def test_centroid_of_a_pyramid_and_of_a_prism():

@@ -52,8 +52,8 @@ def random_surface(p=3, m=9, n=40, seed=0):
     nav_count = rng.integers(1, 4, m)
     nav_bin = np.concatenate([np.sort(rng.choice(6, c, replace=False)) for c in nav_count]).astype(np.int64)
     patches = Patches(
-        key, rng.standard_normal((m, 3)), normal, np.zeros((m, 3)), np.zeros((m, p)), np.ones(m), np.full(m, 9, np.int32), np.zeros(m, np.int64),
-        np.array(start), np.array(cross_key), np.array(cross), rng.standard_normal((m, p, COLUMNS)),
+        key, rng.standard_normal((m, 3)), normal, np.zeros((m, 3)), np.zeros((m, p)), np.ones(m), np.full(m, 9, np.int32),
+        np.zeros(m, np.int64), np.array(start), np.array(cross_key), np.array(cross), rng.standard_normal((m, p, COLUMNS)),
         np.concatenate([[0], np.cumsum(nav_count)]), nav_bin, rng.standard_normal((len(nav_bin), p, 6)),
     )  # fmt: skip
     row = np.sort(rng.integers(0, m, n))
@@ -97,7 +97,9 @@ def test_every_part_equals_the_dense_oracle(p, seed):
             M[owner[entry]] += patches.M_nav[entry]
         assert value == pytest.approx(g[0] @ B @ M.reshape(-1, 6), rel=1e-9, abs=1e-12)
     t = points.C_tangent.astype(float)[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
-    assert tangential_variance(gradient[:, 0], points) == pytest.approx(sum(g @ C @ g for g, C in zip(gradient[:, 0], t, strict=True)), rel=1e-10)
+    assert tangential_variance(gradient[:, 0], points) == pytest.approx(
+        sum(g @ C @ g for g, C in zip(gradient[:, 0], t, strict=True)), rel=1e-10
+    )
 
 
 def test_cross_blocks_matter_and_missing_neighbours_are_counted():

@@ -1,0 +1,118 @@
+"""Roughness of the ground as a field, and the outline of a body."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from ladar_volume.ground.polynomial import design_surface
+from ladar_volume.model.errors import VolumeError
+from ladar_volume.surface.tin import build_tin
+from ladar_volume.volume.outline import boundary_loop, components, fill_holes, main_body, surroundings, widened
+from ladar_volume.volume.roughness import Roughness, estimate_roughness, fall_length, field_variance, mean_spacing
+
+
+def grid(n=30, step=1.0):
+    return np.stack(np.meshgrid(np.arange(n), np.arange(n), indexing="ij"), axis=-1).reshape(-1, 2) * step
+
+
+@pytest.mark.parametrize("length", [0.6, 2.0, 8.0, 100.0])
+def test_field_variance_equals_the_dense_sum(length):
+    xy = grid(25) + np.random.default_rng(0).uniform(-0.3, 0.3, (625, 2))
+    weight = 1.0 + 0.05 * xy[:, 0] - 0.02 * xy[:, 1]
+    d = np.linalg.norm(xy[:, None] - xy[None], axis=2)
+    dense = 0.04 * float(weight @ np.exp(-d / length) @ weight)
+    assert field_variance(xy, weight, np.ones(625, bool), Roughness(0.04, length, 1.0)) == pytest.approx(dense, rel=0.05)
+
+
+def test_a_constant_deviation_cancels_between_inside_and_outside():
+    xy = grid(30)
+    inside = np.hypot(*(xy - 14.5).T) < 6
+    weight = np.where(inside, 1.0, -inside.sum() / (~inside).sum())
+    rough = Roughness(1.0, 1e6, 1.0)
+    spread = np.zeros(900, bool)
+    assert field_variance(xy, weight, spread, rough) < 1e-3 * field_variance(xy, inside.astype(float), spread, rough)
+    assert field_variance(xy, weight, spread, Roughness(0.0, 1.0, 1.0)) == 0.0
+    area = inside.sum()
+    small = field_variance(xy[inside], np.ones(area), spread[:area], Roughness(1.0, 0.5, 1.0))
+    # a field much finer than the body: A 2 pi L^2
+    assert small == pytest.approx(area * 2 * math.pi * 0.5**2, rel=0.25)
+
+
+@pytest.mark.parametrize("length", [1.5, 3.0])
+def test_roughness_of_a_simulated_field(length):
+    xy = grid(40)
+    d = np.linalg.norm(xy[:, None] - xy[None], axis=2)
+    root = np.linalg.cholesky(np.exp(-d / length) + 1e-9 * np.eye(len(xy)))
+    rng = np.random.default_rng(1)
+    found = []
+    for _ in range(4):
+        e = 0.05 * root @ rng.standard_normal(len(xy)) + 0.01 * rng.standard_normal(len(xy))
+        found.append(estimate_roughness(xy, e - e.mean(), np.full(len(xy), 1e-4), 1))
+    assert np.mean([f.variance_m2 for f in found]) == pytest.approx(0.0025, rel=0.15)
+    assert np.mean([f.length_m for f in found]) == pytest.approx(length, rel=0.3)
+
+
+def test_noise_alone_is_no_roughness():
+    e = 0.01 * np.random.default_rng(2).standard_normal(1600)
+    found = estimate_roughness(grid(40), e, np.full(1600, 1.2e-4), 3)
+    assert found.variance_m2 == 0.0
+    assert estimate_roughness(grid(2), np.zeros(4), np.zeros(4), 6).variance_m2 == 0.0
+    assert mean_spacing(grid(40, 0.3)) == pytest.approx(0.3, rel=0.05)
+
+
+def test_fall_length():
+    lag = np.linspace(0.1, 10, 200)
+    assert fall_length(lag, np.exp(-lag / 2.5)) == pytest.approx(2.5, rel=1e-3)
+    assert fall_length(lag, np.ones(200)) == 10.0
+    assert fall_length(lag, np.zeros(200)) == pytest.approx(0.1 * (1 - math.exp(-1)))
+
+
+def stepped(n=21):
+    xy = grid(n)
+    z = np.where(np.abs(xy - 10).max(axis=1) <= 3, 1.0, 0.0)
+    return build_tin(np.c_[xy, z])
+
+
+def test_body_margin_and_surroundings():
+    tin = stepped()
+    body = main_body(tin, design_surface([0.0]), 0.5)
+    area = 0.5 * body.sum()
+    assert area == 36.0
+    assert 0.5 * widened(tin, body, 0.0).sum() == pytest.approx(64.0, abs=4)
+    wide = widened(tin, body, 2.0)
+    loop = boundary_loop(tin, wide)
+    x, y = loop.T
+    assert 0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) == pytest.approx(0.5 * wide.sum())
+    ring = surroundings(tin, wide, 1.5)
+    far = np.abs(tin.vertices[ring, :2] - 10).max(axis=1)
+    assert far.min() >= 5.0 and far.max() <= 8.0
+    assert len(surroundings(tin, wide, 0.0)) > len(ring)
+    with pytest.raises(VolumeError):
+        main_body(tin, design_surface([5.0]), 0.5)
+
+
+def test_the_larger_of_two_bodies_is_chosen_by_volume():
+    xy = grid(21)
+    z = np.where(np.abs(xy - 5).max(axis=1) <= 3, 0.3, 0.0) + np.where(np.abs(xy - 15).max(axis=1) <= 2, 5.0, 0.0)
+    tin = build_tin(np.c_[xy, z])
+    body = main_body(tin, design_surface([0.0]), 0.2)
+    assert tin.vertices[tin.triangles[body], :2].min() >= 13
+    both = main_body(tin, design_surface([-1.0]), 0.2)
+    assert both.all()
+
+
+def test_enclosed_holes_are_filled_but_shadows_are_not():
+    tin = stepped()
+    middle = tin.vertices[tin.triangles, :2].mean(axis=1) - 10
+    distance = np.abs(middle).max(axis=1)
+    donut = (distance < 6) & (distance > 2)
+    assert np.array_equal(fill_holes(tin, donut), distance < 6)
+    shadow = dataclasses.replace(tin, relevant=distance > 1)
+    assert np.array_equal(fill_holes(shadow, donut), donut)
+    assert fill_holes(tin, np.ones(len(donut), bool)).all()
+    label = components(tin, donut | (distance < 1))
+    assert len(np.unique(label[label >= 0])) == 2
