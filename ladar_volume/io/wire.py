@@ -1,11 +1,12 @@
-"""Records on the wire: bit-lossless tables, so that nodes over DDS and offline replay give equal volumes.
+"""Records on the wire: tables that keep every bit a volume depends on, so that nodes over DDS and offline replay agree.
 
-Positions travel as float64, times as the header stamp plus uint32 nanoseconds (`t`), keys as two uint32, everything
-else in the record's own type. ``patches`` is a long table: one row per block, told apart by `kind`.
+Positions travel as float64, times as the header stamp plus uint32 nanoseconds (`t`), keys as two uint32. ``patches`` is a
+long table, one row per block, told apart by `kind`; its values are float32: only sigma depends on them, to 1e-7.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ladar_volume.model.errors import CloudError
-from ladar_volume.model.records import F64, I64, Estimate, FilteredPoints, FilterUpdate, MappedPoints, Patches, Volume
+from ladar_volume.model.records import F64, I64, Estimate, FilteredPoints, FilterUpdate, MappedPoints, Patches, Volume, select
 
 Columns = dict[str, npt.NDArray[Any]]
 HEAD, CROSS, CALIBRATION, NAVIGATION, REMOVED, END = range(6)
@@ -79,21 +80,20 @@ def filtered_points(columns: Mapping[str, Any]) -> FilteredPoints:
 
 
 def patch_columns(update: FilterUpdate) -> Columns:
-    """``patches``: the long table. Row kinds: 0 head, 1 cross block (`other` its key), 2 calibration columns from `index` on,
+    """``patches``: the long table. Row kinds: 0 head (`other` its time), 1 cross block (`other` its key), 2 calibration columns from `index` on,
     3 navigation bin `other`, 4 removed patch, 5 end marker (index 1: the last update of the data)."""
     a = update.patches
     m, p = a.beta.shape
-    width = max(p * p, p * CAL_GROUP, 15 + p)
+    width = max(p * p, p * CAL_GROUP, 14 + p)
     head = np.zeros((m, width))
     head[:, 0:3], head[:, 3:6], head[:, 6:9] = a.centre, a.normal, a.tangent
-    head[:, 9], head[:, 10], head[:, 11], head[:, 12] = a.sigma, a.used, a.t_ns // 1_000_000_000, a.t_ns % 1_000_000_000
-    head[:, 13], head[:, 14], head[:, 15 : 15 + p] = a.M_cal.shape[2], p, a.beta
+    head[:, 9], head[:, 10], head[:, 11], head[:, 12], head[:, 13 : 13 + p] = a.sigma, a.used, a.M_cal.shape[2], p, a.beta
     groups = -(-a.M_cal.shape[2] // CAL_GROUP)
     cal = np.zeros((m, p, groups * CAL_GROUP))
     cal[:, :, : a.M_cal.shape[2]] = a.M_cal
     cal_rows = cal.reshape(m, p, groups, CAL_GROUP).transpose(0, 2, 1, 3).reshape(m * groups, p * CAL_GROUP)
     parts = [
-        _rows(HEAD, a.key, a.key, 0, head, width),
+        _rows(HEAD, a.key, a.t_ns, 0, head, width),
         _rows(CROSS, np.repeat(a.key, np.diff(a.cross_start)), a.cross_key, 0, a.cross.reshape(-1, p * p), width),
         _rows(CALIBRATION, np.repeat(a.key, groups), np.repeat(a.key, groups), np.tile(np.arange(groups), m), cal_rows, width),
         _rows(NAVIGATION, np.repeat(a.key, np.diff(a.nav_start)), a.nav_bin, 0, a.M_nav.reshape(-1, p * 6), width),
@@ -103,9 +103,34 @@ def patch_columns(update: FilterUpdate) -> Columns:
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
+def update_parts(update: FilterUpdate, patches: int = 400) -> list[FilterUpdate]:
+    """A large update as several messages' worth; only the last is marked complete, all of them together are the update."""
+    m = len(update.patches)
+    bounds = [*range(0, m, patches), m] if m else [0, 0]
+    parts = []
+    for first, last in zip(bounds[:-1], bounds[1:], strict=True):
+        a = update.patches
+        c0, c1, n0, n1 = a.cross_start[first], a.cross_start[last], a.nav_start[first], a.nav_start[last]
+        rows = {f.name: getattr(a, f.name)[first:last] for f in dataclasses.fields(a)}
+        rows |= {"cross_start": a.cross_start[first : last + 1] - c0, "cross_key": a.cross_key[c0:c1], "cross": a.cross[c0:c1]}
+        rows |= {"nav_start": a.nav_start[first : last + 1] - n0, "nav_bin": a.nav_bin[n0:n1], "M_nav": a.M_nav[n0:n1]}
+        mine = np.isin(update.points.patch, rows["key"])
+        removed = update.removed if first == 0 else update.removed[:0]
+        parts.append(FilterUpdate(update.t_ns, removed, select(update.points, mine), Patches(**rows), last == m))
+    return parts
+
+
+def no_filtered_points() -> FilteredPoints:
+    """A record of no points."""
+    return FilteredPoints(
+        np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 6), np.float32), np.zeros(0, np.int64), np.zeros(0, np.int64),
+        np.zeros((0, 2)),
+    )  # fmt: skip
+
+
 def _rows(kind: int, key: I64, other: I64, index: Any, values: F64, width: int) -> Columns:
     n = len(key)
-    padded = np.zeros((n, width))
+    padded = np.zeros((n, width), np.float32)
     padded[:, : values.shape[1]] = values
     other_split = _split(other)
     return {
@@ -117,20 +142,20 @@ def _rows(kind: int, key: I64, other: I64, index: Any, values: F64, width: int) 
 def filter_update(points: FilteredPoints, columns: Mapping[str, Any]) -> FilterUpdate:
     """The update from its two tables. Raises CloudError where they do not fit."""
     _need(columns, "kind", "key_high", "key_low", "other_high", "other_low", "index", "values")
-    kind, values = columns["kind"], columns["values"]
+    kind, values = columns["kind"], columns["values"].astype(np.float64)
     key, other = _joined(columns["key_high"], columns["key_low"]), _joined(columns["other_high"], columns["other_low"])
     if not len(kind) or kind[-1] != END:
         raise CloudError("patch table without its end marker", reason="cloud_short", value=len(kind))
     head = values[kind == HEAD]
     m = len(head)
-    p = int(head[0, 14]) if m else 6 if values.shape[1] >= 36 else 3
-    columns_cal = int(head[0, 13]) if m else 0
+    p = int(head[0, 12]) if m else 6 if values.shape[1] >= 36 else 3
+    columns_cal = int(head[0, 11]) if m else 0
     keys = key[kind == HEAD]
     groups = -(-columns_cal // CAL_GROUP)
     cal = values[kind == CALIBRATION][:, : p * CAL_GROUP].reshape(m, groups, p, CAL_GROUP).transpose(0, 2, 1, 3)
     patches = Patches(
-        keys, head[:, 0:3].copy(), head[:, 3:6].copy(), head[:, 6:9].copy(), head[:, 15 : 15 + p].copy(), head[:, 9].copy(),
-        head[:, 10].astype(np.int32), head[:, 11].astype(np.int64) * 1_000_000_000 + head[:, 12].astype(np.int64),
+        keys, head[:, 0:3].copy(), head[:, 3:6].copy(), head[:, 6:9].copy(), head[:, 13 : 13 + p].copy(), head[:, 9].copy(),
+        head[:, 10].astype(np.int32), other[kind == HEAD],
         _starts(keys, key[kind == CROSS]), other[kind == CROSS], values[kind == CROSS][:, : p * p].reshape(-1, p, p).copy(),
         np.ascontiguousarray(cal.reshape(m, p, groups * CAL_GROUP)[:, :, :columns_cal]),
         _starts(keys, key[kind == NAVIGATION]), other[kind == NAVIGATION],

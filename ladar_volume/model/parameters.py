@@ -106,7 +106,7 @@ class FilterParameters:
     refit_iterations: int = param(30, "Most refits towards the fixed point.", low=1, high=1000)
     cap_per_voxel: int = param(32, "Most raw points kept per voxel of edge r (those with the lowest hashes).", low=1, high=100000)
     sampling_m: float = param(0.0, "Spacing of the filtered points; 0 for r / 2.", unit="m", low=0, high=100)
-    nav_bin_s: float = param(1.0, "Length of a navigation time bin of the mean sensitivities.", unit="s", low=0.01, high=60)
+    nav_bin_s: float = param(2.0, "Length of a navigation time bin of the mean sensitivities.", unit="s", low=0.01, high=60)
     seed: int = param(1, "Seed of the random samples; each patch derives its own from it and its key.", low=0, high=2**31 - 1)
 
 

@@ -1,0 +1,74 @@
+"""``ladar_volume up``: the nodes, live or over a recording."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import Progress
+
+from ladar_volume.cli.present import show_result
+from ladar_volume.cli.replay import add_common, config_for, topics_from
+from ladar_volume.io import results
+from ladar_volume.io.bags import BagReader
+from ladar_volume.io.config import dump_config, read_config
+
+
+def add_parser(subparsers: Any) -> None:
+    """Declare the verb."""
+    parser = subparsers.add_parser("up", help="run the nodes; with --play over a recording")
+    parser.add_argument("--play", type=Path, metavar="BAG", help="recording to play through the nodes; without it they run until stopped")
+    parser.add_argument("--rate", type=float, default=1.0, help="times real time")
+    parser.add_argument("--separate", action="store_true", help="every node in a process of its own")
+    parser.add_argument("--log", type=Path, help="MCAP file to log all topics to")
+    add_common(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Start the graph; play, wait, print and save, or run until interrupted."""
+    if arguments.play is not None:
+        # a recording's graph is this computer's own affair
+        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 90 + 10))
+    overrides = list(arguments.set)
+    if arguments.play is not None:
+        overrides = ["node.input_reliability=reliable", "node.input_depth=2000", *overrides]
+    config = config_for(arguments.play, arguments.config) if arguments.play is not None else arguments.config
+    parameters = read_config(config, overrides)
+    folder = results.output_folder(arguments.output)
+    console = Console(stderr=arguments.json)
+    from ladar_volume.nodes.graph import Graph  # the only way to ROS from here, paid for only by this verb
+
+    with tempfile.TemporaryDirectory() as scratch:
+        effective = Path(scratch) / "parameters.yaml"
+        effective.write_text(dump_config(parameters), encoding="utf-8")
+        graph = Graph(effective, arguments.separate, arguments.log)
+        try:
+            graph.wait_ready()
+            if arguments.play is None:
+                console.print("the nodes run; Ctrl-C stops them")
+                while True:
+                    time.sleep(1.0)
+            with BagReader(arguments.play) as bag, Progress(console=console, transient=True) as bar:
+                topics = bag.roles(topics_from(arguments.topic))
+                bag.require(topics, parameters.georeference.pose_source)
+                task = bar.add_task(f"playing {arguments.play.name} at {arguments.rate:g}x through the nodes", total=1.0)
+                graph.play(bag, topics, arguments.rate, lambda share: bar.update(task, completed=share))
+                result = graph.watcher.answer()
+                result["input"] = {"path": arguments.play.name, "sha256": bag.digest(), "duration_s": bag.duration_s, "topics": topics}
+            result["losses"] = graph.losses()
+        finally:
+            graph.close()
+    results.write_text(folder / "result.json", results.json_text(result))
+    if arguments.json:
+        print(results.json_text(result), end="")
+    else:
+        show_result(console, result)
+        console.print(f"written to {folder}/")
+    return 0

@@ -1,0 +1,132 @@
+"""Records ↔ ROS messages. Large arrays go in as one block of bytes, never element by element."""
+
+from __future__ import annotations
+
+import array
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import NavSatFix, PointCloud2, PointField
+from shape_msgs.msg import Mesh, MeshTriangle
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker
+
+from ladar_volume.io.clouds import stamp_ns
+from ladar_volume.io.tables import NUMBERS, encode
+from ladar_volume.io.wire import Columns
+from ladar_volume.model.records import Datum, Estimate, PlatformStates
+from ladar_volume.model.se3 import matrix_from_quaternion, quaternion_from_matrix
+
+
+def header(t_ns: int, frame: str = "map") -> Header:
+    """A header at an int64 nanosecond time."""
+    return Header(stamp=Time(sec=t_ns // 1_000_000_000, nanosec=t_ns % 1_000_000_000), frame_id=frame)
+
+
+def table_message(columns: Columns, t_ns: int, frame: str = "map") -> PointCloud2:
+    """A table as PointCloud2."""
+    table = encode(columns)
+    message = PointCloud2(header=header(t_ns, frame), height=1, width=table.rows, is_bigendian=False, is_dense=True)
+    message.fields = [PointField(name=c.name, offset=c.offset, datatype=NUMBERS[c.code], count=c.count) for c in table.columns]
+    message.point_step, message.row_step = table.row_bytes, table.row_bytes * table.rows
+    data = array.array("B")
+    data.frombytes(table.data.tobytes())
+    message.data = data
+    return message
+
+
+def datum_message(datum: Datum, t_ns: int) -> NavSatFix:
+    """The datum as NavSatFix."""
+    return NavSatFix(header=header(t_ns), latitude=datum.latitude_deg, longitude=datum.longitude_deg, altitude=datum.height_m)
+
+
+def platform_messages(states: PlatformStates, last_segment: int | None) -> list[Odometry]:
+    """One Odometry per state: pose of the IMU origin, twist in the body frame, pose covariance about fixed axes (its position
+    block is the antenna's). The first state after a gap has −1 in twist.covariance[0]: nothing ties it to the one before."""
+    R = matrix_from_quaternion(states.q_map_body)
+    T = np.zeros((len(states), 6, 6))
+    T[:, :3, :3], T[:, 3:, 3:] = np.eye(3), R
+    covariance = T @ states.C_nav @ T.transpose(0, 2, 1)
+    messages = []
+    for i in range(len(states)):
+        m = Odometry(header=header(int(states.t_ns[i])), child_frame_id="base_link")
+        p, q, v, w = m.pose.pose.position, m.pose.pose.orientation, m.twist.twist.linear, m.twist.twist.angular
+        p.x, p.y, p.z = states.p_map_body[i].tolist()
+        q.x, q.y, q.z, q.w = states.q_map_body[i].tolist()
+        v.x, v.y, v.z = states.v_body[i].tolist()
+        w.x, w.y, w.z = states.omega_body[i].tolist()
+        m.pose.covariance = covariance[i].ravel()
+        if last_segment is None or int(states.segment[i]) != last_segment:
+            m.twist.covariance[0] = -1.0
+        last_segment = int(states.segment[i])
+        messages.append(m)
+    return messages
+
+
+def platform_state(messages: list[Any], segment: int) -> tuple[PlatformStates, int]:
+    """The inverse of :func:`platform_messages`; returns the states and the last segment number."""
+    n = len(messages)
+    segments = np.empty(n, np.int64)
+    p, q, v, w, C = np.empty((n, 3)), np.empty((n, 4)), np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 6, 6))
+    for i, m in enumerate(messages):
+        if m.twist.covariance[0] == -1.0:
+            segment += 1
+        segments[i] = segment
+        a, b, c, d = m.pose.pose.position, m.pose.pose.orientation, m.twist.twist.linear, m.twist.twist.angular
+        p[i], q[i], v[i], w[i] = (a.x, a.y, a.z), (b.x, b.y, b.z, b.w), (c.x, c.y, c.z), (d.x, d.y, d.z)
+        C[i] = np.asarray(m.pose.covariance).reshape(6, 6)
+    T = np.zeros((n, 6, 6))
+    T[:, :3, :3], T[:, 3:, 3:] = np.eye(3), matrix_from_quaternion(q).transpose(0, 2, 1)
+    t_ns = np.array([stamp_ns(m) for m in messages], np.int64)
+    return PlatformStates(t_ns, p, q, v, w, T @ C @ T.transpose(0, 2, 1), segments), segment
+
+
+def tin_marker(estimate: Estimate, by: str) -> Marker:
+    """The relevant triangles as a TRIANGLE_LIST coloured by height or by sigma."""
+    tin = estimate.tin
+    corners = tin.triangles[tin.relevant].ravel()
+    value = tin.vertices[:, 2] if by == "height" else estimate.sigma_z
+    low, high = float(np.min(value)), float(np.max(value))
+    share = (value - low) / max(high - low, 1e-12)
+    marker = Marker(header=header(estimate.volume.t_ns), ns="tin", type=Marker.TRIANGLE_LIST, action=Marker.ADD)
+    marker.scale.x = marker.scale.y = marker.scale.z = 1.0
+    marker.pose.orientation.w = 1.0
+    # one object per vertex, shared by its triangles: a sixth of the objects
+    points = [Point(x=a, y=b, z=c) for a, b, c in tin.vertices.tolist()]
+    colours = [ColorRGBA(r=s, g=0.6 * (1.0 - abs(2.0 * s - 1.0)) + 0.3, b=1.0 - s, a=1.0) for s in share.tolist()]
+    marker.points = [points[i] for i in corners]
+    marker.colors = [colours[i] for i in corners]
+    return marker
+
+
+def mesh_message(estimate: Estimate) -> Mesh:
+    """The relevant triangles as shape_msgs/Mesh."""
+    tin = estimate.tin
+    mesh = Mesh(vertices=[Point(x=a, y=b, z=c) for a, b, c in tin.vertices.tolist()])
+    mesh.triangles = [MeshTriangle(vertex_indices=np.array(t, np.uint32)) for t in tin.triangles[tin.relevant].tolist()]
+    return mesh
+
+
+def ground_message(estimate: Estimate) -> PoseWithCovarianceStamped:
+    """The base as a pose whose z axis is its normal, with the covariance of height and tilt."""
+    base = estimate.base
+    message = PoseWithCovarianceStamped(header=header(estimate.volume.t_ns))
+    slope = base.beta[1:3] if len(base.beta) >= 3 else np.zeros(2)
+    z = np.array([-slope[0], -slope[1], 1.0])
+    z /= np.linalg.norm(z)
+    x = np.array([1.0, 0.0, slope[0]])
+    x /= np.linalg.norm(x)
+    q = quaternion_from_matrix(np.column_stack([x, np.cross(z, x), z]))
+    pose = message.pose.pose
+    pose.position.x, pose.position.y, pose.position.z = float(base.origin_xy[0]), float(base.origin_xy[1]), float(base.beta[0])
+    pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = q.tolist()
+    covariance = np.zeros((6, 6))
+    if len(base.beta) >= 3 and base.C_beta.shape[0] >= 3:
+        # height, rotation about x (slope in y), rotation about y (minus slope in x)
+        J = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
+        covariance[2:5, 2:5] = J @ base.C_beta[:3, :3] @ J.T
+    message.pose.covariance = covariance.ravel()
+    return message

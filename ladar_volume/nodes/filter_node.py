@@ -1,0 +1,100 @@
+"""filter_node: mapped points and platform states in; filtered points and patches out."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import PointCloud2
+
+from ladar_volume.filtering.filter import SurfaceFilter
+from ladar_volume.io.clouds import stamp_ns
+from ladar_volume.io.tables import decode
+from ladar_volume.io.wire import filtered_columns, mapped_points, patch_columns, update_parts
+from ladar_volume.nodes.base import STREAM, StageNode, spin
+from ladar_volume.nodes.convert import platform_state, table_message
+
+
+class FilterNode(StageNode):
+    """Wraps one SurfaceFilter; brings its surface up to date every ``node.update_period_s``."""
+
+    sections = ("calibration", "georeference", "filter", "node")
+    runtime_sections = ("node",)
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("filter_node", **options)
+
+    def build(self) -> None:
+        """Stage, topics."""
+        self.stage = SurfaceFilter(self.parameters)
+        self._segment = 0
+        self._states: list[Odometry] = []
+        self._fresh = False
+        self._updated = time.monotonic()
+        self.counts = {"updates": 0, "parts": 0, "points": 0, "states": 0}
+        self._last_update_s = 0.0
+        self._points = self.create_publisher(PointCloud2, "points_filtered", STREAM)
+        self._patches = self.create_publisher(PointCloud2, "patches", STREAM)
+        self.listen("points", PointCloud2, "points_mapped", STREAM)
+        self.listen("platform", Odometry, "platform", STREAM)
+
+    def work(self, kind: str, item: Any) -> None:
+        """Hand points and states to the stage."""
+        if kind == "reset":
+            self.stage = SurfaceFilter(self.parameters)
+            return
+        if kind == "platform":
+            self._states.append(item)  # handed over in blocks: one small array operation per state would cost more
+            if len(self._states) >= 10:
+                self._hand_over()
+            return
+        self._hand_over()
+        points = mapped_points(stamp_ns(item), decode(item))
+        self.stage.add(points)
+        self.counts["points"] += len(points)
+        self._fresh = True
+
+    def _hand_over(self) -> None:
+        if self._states:
+            states, self._segment = platform_state(self._states, self._segment)
+            self.counts["states"] += len(self._states)
+            self._states = []
+            self.stage.add_platform(states)
+            self._fresh = True
+
+    def idle(self) -> None:
+        """Publish an update when its time has come and something is new."""
+        if not self._fresh or time.monotonic() - self._updated < self.parameters.node.update_period_s:
+            return
+        began = time.monotonic()
+        self._hand_over()
+        self._fresh = False
+        update = self.stage.update()
+        if update is not None:
+            for number, part in enumerate(update_parts(update)):
+                # the stamp pairs the two tables; a nanosecond per part keeps it unique
+                self._patches.publish(table_message(patch_columns(part), update.t_ns + number))
+                self._points.publish(table_message(filtered_columns(part.points), update.t_ns + number))
+                self.counts["parts"] += 1
+            self.counts["updates"] += 1
+        self._updated = time.monotonic()
+        self._last_update_s = self._updated - began
+
+    def status(self) -> dict[str, Any]:
+        """Size of the surface, what was sent, and whether something waits for the next update."""
+        return {
+            **self.stage.stats, **{f"count_{k}": v for k, v in self.counts.items()}, "pending_update": int(self._fresh or bool(self._states)),
+            "last_update_s": f"{self._last_update_s:.2f}",
+        }  # fmt: skip
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the node alone."""
+    return spin([FilterNode], argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,197 @@
+"""The whole graph: nodes composed in one process or each in its own, watched until everything has drained."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import MultiThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+from ladar_volume.io.bags import BagReader
+from ladar_volume.model.errors import LadarVolumeError, VolumeError
+from ladar_volume.nodes.base import StageNode
+from ladar_volume.nodes.filter_node import FilterNode
+from ladar_volume.nodes.georeference_node import GeoreferenceNode
+from ladar_volume.nodes.logger_node import LoggerNode
+from ladar_volume.nodes.player import Player
+from ladar_volume.nodes.volume_node import VolumeNode
+
+FACTORIES: dict[str, Callable[..., StageNode]] = {
+    "georeference_node": GeoreferenceNode, "filter_node": FilterNode, "volume_node": VolumeNode, "logger_node": LoggerNode,
+}  # fmt: skip
+#: The graph has drained when its counters have agreed and stood still this long.
+STILL_S = 1.5
+
+
+class Watcher(Node):
+    """Reads the diagnostics and asks volume_node for its answer."""
+
+    def __init__(self) -> None:
+        super().__init__("watcher")
+        self.lines: dict[str, dict[str, str]] = {}
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._take, 50)
+        self._compute = self.create_client(Trigger, "volume_node/compute")
+
+    def _take(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            self.lines[status.name] = {v.key: v.value for v in status.values}
+
+    def number(self, node: str, key: str) -> int:
+        """A counter of a node's last diagnostics, −1 where it is not there."""
+        try:
+            return int(self.lines.get(node, {}).get(key, "-1"))
+        except ValueError:
+            return -1
+
+    def counters(self) -> tuple[int, ...]:
+        """Everything that moves while data is on its way."""
+        n = self.number
+        return (
+            n("georeference_node", "received_cloud"), n("georeference_node", "received_imu"), n("georeference_node", "queue"),
+            n("georeference_node", "sent_points"), n("georeference_node", "sent_states"), n("filter_node", "count_points"),
+            n("filter_node", "count_states"), n("filter_node", "pending_update"), n("filter_node", "queue"),
+            n("filter_node", "count_parts"), n("volume_node", "count_parts"), n("volume_node", "pending_estimate"), n("volume_node", "queue"),
+        )  # fmt: skip
+
+    def drained(self) -> bool:
+        """Whether every node has handed on all it got."""
+        n = self.number
+        idle = all(n(node, "queue") == 0 for node in ("georeference_node", "filter_node", "volume_node"))
+        done = n("filter_node", "pending_update") == 0 and n("volume_node", "pending_estimate") == 0
+        passed = n("filter_node", "count_points") == n("georeference_node", "sent_points")
+        return idle and done and passed and n("volume_node", "count_parts") == n("filter_node", "count_parts")
+
+    def answer(self, timeout_s: float = 60.0) -> dict[str, Any]:
+        """volume_node's ``~/compute`` as a dictionary. Raises VolumeError where there is no volume or no answer."""
+        if not self._compute.wait_for_service(timeout_sec=10.0):
+            raise VolumeError("volume_node does not answer", reason="volume_no_node")
+        future = self._compute.call_async(Trigger.Request())
+        deadline = time.monotonic() + timeout_s
+        while not future.done() and time.monotonic() < deadline:
+            time.sleep(0.02)
+        if not future.done():
+            raise VolumeError("volume_node gave no answer in time", reason="volume_no_node")
+        result: dict[str, Any] = json.loads(future.result().message)
+        if not future.result().success:
+            raise VolumeError(result["error"], reason=result["reason"])
+        return result
+
+
+class Graph:
+    """Starts the nodes, plays a recording if asked, waits, answers, stops what it started."""
+
+    def __init__(self, config: Path, separate: bool, log: Path | None) -> None:
+        self._nodes: list[Node] = []
+        self._processes: list[subprocess.Popen[bytes]] = []
+        names = [n for n in FACTORIES if n != "logger_node" or log is not None]
+        rclpy.init(args=[])
+        self._executor = MultiThreadedExecutor(num_threads=4)
+        self.watcher = Watcher()
+        self._add(self.watcher)
+        for name in names:
+            settings = {"config_file": str(config)} | ({"logger.path": str(log)} if name == "logger_node" else {})
+            if separate:
+                words = [w for key, value in settings.items() for w in ("-p", f"{key}:={value}")]
+                command = [sys.executable, "-m", f"ladar_volume.nodes.{name}", "--ros-args", *words]
+                self._processes.append(subprocess.Popen(command, env=os.environ))
+            else:
+                node = FACTORIES[name](parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()])
+                node.autostart()
+                self._add(node)
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread.start()
+
+    def _add(self, node: Node) -> None:
+        self._nodes.append(node)
+        self._executor.add_node(node)
+
+    def _spin(self) -> None:
+        try:
+            self._executor.spin()
+        except rclpy.executors.ExternalShutdownException:
+            return
+
+    def wait_ready(self, timeout_s: float = 60.0) -> None:
+        """Until every node reports. Raises VolumeError where one does not."""
+        deadline = time.monotonic() + timeout_s
+        wanted = {"georeference_node", "filter_node", "volume_node"}
+        while not wanted <= set(self.watcher.lines):
+            dead = [p.args for p in self._processes if p.poll() not in (None, 0)]
+            if dead or time.monotonic() > deadline:
+                raise VolumeError(f"nodes did not start: {sorted(wanted - set(self.watcher.lines))}", reason="volume_no_node")
+            time.sleep(0.05)
+
+    def play(self, bag: BagReader, topics: dict[str, str], rate: float, progress: Callable[[float], None]) -> Player:
+        """Play to the end and wait until the graph has drained."""
+        player = Player(bag, topics, rate)
+        self._add(player)
+        deadline = time.monotonic() + 30.0
+        while not player.ready():
+            if time.monotonic() > deadline:
+                raise VolumeError("nobody listens to the recording's topics", reason="volume_no_node")
+            time.sleep(0.05)
+        thread = threading.Thread(target=player.run, daemon=True)
+        thread.start()
+        try:
+            while not player.done.wait(0.1):
+                progress(player.share)
+            self._wait_drained(player)
+        finally:
+            player.stop.set()
+            thread.join(timeout=5.0)
+        return player
+
+    def _wait_drained(self, player: Player, timeout_s: float = 120.0) -> None:
+        # losses make the counters disagree for good: then standing still for long enough must do
+        seen, since, deadline = self.watcher.counters(), time.monotonic(), time.monotonic() + timeout_s
+        while time.monotonic() < deadline:
+            time.sleep(0.1)
+            now = self.watcher.counters()
+            if now != seen:
+                seen, since = now, time.monotonic()
+            still = time.monotonic() - since
+            arrived = self.watcher.number("georeference_node", "received_cloud") == player.sent.get("cloud", 0)
+            if (self.watcher.drained() and arrived and still > STILL_S) or still > 8 * STILL_S:
+                return
+
+    def close(self) -> None:
+        """Stop the nodes and processes this graph started."""
+        for process in self._processes:
+            process.terminate()
+        for process in self._processes:
+            try:
+                process.wait(timeout=30.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+        for node in self._nodes:
+            if isinstance(node, StageNode):
+                node.stop()
+        self._executor.shutdown(timeout_sec=2.0)
+        self._thread.join(timeout=2.0)
+        for node in self._nodes:
+            node.destroy_node()
+        rclpy.try_shutdown()
+
+    def losses(self) -> dict[str, int]:
+        """All losses of all nodes, as their diagnostics name them."""
+        total: dict[str, int] = {}
+        for lines in self.watcher.lines.values():
+            for key, value in lines.items():
+                if key.startswith("lost_"):
+                    total[key[5:]] = total.get(key[5:], 0) + int(value)
+        return dict(sorted(total.items()))
+
+
+__all__ = ["Graph", "LadarVolumeError", "Watcher"]

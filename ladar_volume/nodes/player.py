@@ -1,0 +1,89 @@
+"""player: a recording onto the topics of the graph, raw, at a chosen rate; /clock beside it."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import rclpy
+from builtin_interfaces.msg import Time
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+
+from ladar_volume.io.bags import ROLES, BagReader
+from ladar_volume.model.errors import LadarVolumeError
+from ladar_volume.nodes.logger_node import message_class
+
+RELIABLE = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.RELIABLE)
+
+
+class Player(Node):
+    """Plays the topics a volume needs under their usual names."""
+
+    def __init__(self, bag: BagReader, topics: dict[str, str], rate: float, **options: Any) -> None:
+        super().__init__("player", **options)
+        self._bag, self._topics, self._rate = bag, topics, rate
+        self._clock_out = self.create_publisher(Clock, "/clock", 10)
+        self._out = {
+            topic: self.create_publisher(message_class(ROLES[role][0]), ROLES[role][1], RELIABLE) for role, topic in topics.items()
+        }  # fmt: skip
+        self.sent: dict[str, int] = dict.fromkeys(topics, 0)
+        self.share = 0.0
+        self.done = threading.Event()
+        self.stop = threading.Event()
+
+    def ready(self) -> bool:
+        """Whether somebody listens to every topic that is played."""
+        needed = [t for role, t in self._topics.items() if role in ("cloud", "fix", "imu")]
+        return all(self._out[t].get_subscription_count() > 0 for t in needed)
+
+    def run(self) -> None:
+        """Play to the end; for a thread of its own."""
+        began, first = time.monotonic(), self._bag.start_ns
+        roles = {topic: role for role, topic in self._topics.items()}
+        try:
+            for raw in self._bag.raw(set(self._out)):
+                if self.stop.is_set():
+                    break
+                wait = (raw.t_ns - first) * 1e-9 / self._rate - (time.monotonic() - began)
+                if wait > 0:
+                    time.sleep(wait)
+                self._out[raw.topic].publish(bytes(raw.data))
+                self.sent[roles[raw.topic]] += 1
+                if roles[raw.topic] == "cloud":
+                    self._clock_out.publish(Clock(clock=Time(sec=raw.t_ns // 1_000_000_000, nanosec=raw.t_ns % 1_000_000_000)))
+                    self.share = (raw.t_ns - first) * 1e-9 / max(self._bag.duration_s, 1e-9)
+        except LadarVolumeError as error:
+            self.get_logger().error(str(error))
+        self.done.set()
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """``player BAG [RATE]``: play a recording for nodes that already run."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    if not words or words[0].startswith("-"):
+        print("usage: player BAG [RATE]", file=sys.stderr)  # noqa: T201
+        return 2
+    rclpy.init()
+    try:
+        with BagReader(words[0]) as bag:
+            player = Player(bag, bag.roles(), float(words[1]) if len(words) > 1 else 1.0)
+            deadline = time.monotonic() + 10.0
+            while not player.ready() and time.monotonic() < deadline:
+                rclpy.spin_once(player, timeout_sec=0.1)
+            player.run()
+            player.destroy_node()
+    except (LadarVolumeError, KeyboardInterrupt) as error:
+        print(f"ladar_volume: {error}", file=sys.stderr)  # noqa: T201
+        return 2
+    finally:
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

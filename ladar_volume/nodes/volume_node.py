@@ -1,0 +1,204 @@
+"""volume_node: filtered points and patches in; TIN, mesh, ground and volumes out. It never holds a raw point."""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import NavSatFix, PointCloud2
+from shape_msgs.msg import Mesh
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import Marker
+
+from ladar_volume.io import results
+from ladar_volume.io.clouds import stamp_ns
+from ladar_volume.io.tables import decode
+from ladar_volume.io.wire import filter_update, filtered_points, no_filtered_points, volume_columns
+from ladar_volume.model.errors import LadarVolumeError, VolumeError
+from ladar_volume.model.records import Datum, Estimate
+from ladar_volume.nodes.base import LATCHED, STREAM, StageNode, spin
+from ladar_volume.nodes.convert import ground_message, mesh_message, platform_state, table_message, tin_marker
+from ladar_volume.volume.estimator import VolumeEstimator
+
+
+class VolumeNode(StageNode):
+    """Wraps one VolumeEstimator; estimates after every complete update of the surface."""
+
+    sections = ("budget", "georeference", "filter", "ground", "volume", "node")
+    runtime_sections = ("node", "ground", "volume")
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("volume_node", **options)
+
+    def build(self) -> None:
+        """Stage, topics, services."""
+        self.stage = VolumeEstimator(self.parameters)
+        self._lock = threading.Lock()
+        self._half: dict[int, dict[str, Any]] = {}
+        self._states: list[Odometry] = []
+        self._segment = 0
+        self._due = False
+        self._estimate: Estimate | None = None
+        self._why_not = "no surface yet"
+        self._datum: Datum | None = None
+        self._epoch = 0
+        self.counts = {"parts": 0, "estimates": 0}
+        self._tin = self.create_publisher(Marker, "tin", LATCHED)
+        self._mesh = self.create_publisher(Mesh, "mesh", LATCHED)
+        self._ground = self.create_publisher(PoseWithCovarianceStamped, "ground_plane", LATCHED)
+        self._grounds = self.create_publisher(PointCloud2, "grounds", LATCHED)
+        self._volumes = self.create_publisher(PointCloud2, "volumes", LATCHED)
+        self._volume = self.create_publisher(Float64, "volume", 10)
+        self._sigma = self.create_publisher(Float64, "volume_sigma", 10)
+        self.listen("points", PointCloud2, "points_filtered", STREAM)
+        self.listen("patches", PointCloud2, "patches", STREAM)
+        self.listen("platform", Odometry, "platform", STREAM)
+        self.listen("datum", NavSatFix, "datum", LATCHED)
+        self._filter_reset = self.create_client(Trigger, "filter_node/reset")
+        for name, action in (
+            ("compute", self._answer), ("set_base", self._answer), ("save", self._save), ("start_epoch", self._start_epoch),
+        ):  # fmt: skip
+            self.create_service(Trigger, f"~/{name}", self._service(action), callback_group=self._group)
+
+    def changed(self) -> None:
+        """New base, outline or ground: the next estimate uses it."""
+        if hasattr(self, "stage"):
+            self.offer("parameters", self.parameters)
+
+    def work(self, kind: str, item: Any) -> None:
+        """Pair the two tables of an update by their stamp, and hand updates and states to the stage."""
+        with self._lock:
+            self._work(kind, item)
+
+    def _work(self, kind: str, item: Any) -> None:
+        if kind == "reset":
+            self.stage, self._half, self._estimate = VolumeEstimator(self.parameters), {}, None
+        elif kind == "parameters":
+            self.stage.set_parameters(item)
+            self._due = True
+        elif kind == "datum":
+            self._datum = Datum(item.latitude, item.longitude, item.altitude)
+        elif kind == "platform":
+            self._states.append(item)
+        else:
+            self._pair(kind, item)
+
+    def _pair(self, kind: str, item: Any) -> None:
+        key = stamp_ns(item)
+        pair = self._half.setdefault(key, {})
+        pair[kind] = item
+        if len(pair) < 2:
+            while len(self._half) > 1000:  # a half whose other half was lost
+                self._half.pop(next(iter(self._half)))
+                self.losses.add("message_unpaired_update")
+            return
+        del self._half[key]
+        points = filtered_points(decode(pair["points"])) if pair["points"].width else no_filtered_points()
+        update = filter_update(points, decode(pair["patches"]))
+        self._hand_over()
+        self.stage.add(update)
+        self.counts["parts"] += 1
+        self._due = self._due or update.complete
+
+    def _hand_over(self) -> None:
+        if self._states:
+            states, self._segment = platform_state(self._states, self._segment)
+            self._states = []
+            self.stage.add_platform(states)
+
+    def idle(self) -> None:
+        """Estimate when an update is complete and nothing more waits: a late estimator skips, it does not fall behind."""
+        if self._due and self._queue.empty():
+            with self._lock:
+                self._compute()
+
+    def _compute(self) -> Estimate:
+        self._hand_over()
+        self._due = False
+        try:
+            self._estimate = self.stage.estimate()
+        except LadarVolumeError as error:
+            self._why_not = str(error)
+            raise
+        self.counts["estimates"] += 1
+        self._publish(self._estimate)
+        return self._estimate
+
+    def _publish(self, estimate: Estimate) -> None:
+        v = estimate.volume
+        self._volumes.publish(table_message(volume_columns([v]), v.t_ns))
+        self._volume.publish(Float64(data=v.volume_m3))
+        self._sigma.publish(Float64(data=v.sigma_m3))
+        self._ground.publish(ground_message(estimate))
+        if self._tin.get_subscription_count():
+            self._tin.publish(tin_marker(estimate, self.parameters.node.tin_colour))
+        if self._mesh.get_subscription_count():
+            self._mesh.publish(mesh_message(estimate))
+
+    def _result(self) -> dict[str, Any]:
+        estimate = self._compute()
+        return results.result_dict(estimate, self.parameters, self.all_losses(), self._datum, {}, {"node": self.get_name()})
+
+    def _service(self, action: Any) -> Any:
+        def call(request: Any, response: Any) -> Any:
+            try:
+                with self._lock:
+                    response.message = json.dumps(results.finite(action()))
+                response.success = True
+            except LadarVolumeError as error:
+                response.success, response.message = False, json.dumps({"error": str(error), "reason": error.reason})
+            return response
+
+        return call
+
+    def _answer(self) -> dict[str, Any]:
+        return self._result()
+
+    def _save(self) -> dict[str, Any]:
+        result = self._result()
+        assert self._estimate is not None
+        folder = results.output_folder(self.parameters.node.output_folder)
+        results.write_text(folder / "result.json", results.json_text(result))
+        results.write_ply(folder / "mesh.ply", self._estimate.tin, self._estimate.sigma_z)
+        return {"folder": str(folder), "volume_m3": result["volume_m3"], "sigma_m3": result["sigma_m3"]}
+
+    def _start_epoch(self) -> dict[str, Any]:
+        if self._estimate is None:
+            raise VolumeError(f"nothing to keep as an epoch: {self._why_not}", reason="volume_no_estimate")
+        folder = results.output_folder(f"{self.parameters.node.output_folder}/epoch_{self._epoch}")
+        result = self._result()
+        results.write_text(folder / "result.json", results.json_text(result))
+        results.write_ply(folder / "mesh.ply", self._estimate.tin, self._estimate.sigma_z)
+        self._epoch += 1
+        if self._filter_reset.service_is_ready():
+            self._filter_reset.call_async(Trigger.Request())
+        self.stage, self._half, self._estimate = VolumeEstimator(self.parameters), {}, None
+        return {"kept": str(folder), "epoch": self._epoch, "volume_m3": result["volume_m3"]}
+
+    def status(self) -> dict[str, Any]:
+        """The present estimate against the wanted tolerance."""
+        lines: dict[str, Any] = {f"count_{k}": v for k, v in self.counts.items()} | {"pending_estimate": int(self._due)}
+        if self._estimate is None:
+            return lines | {"estimate": self._why_not}
+        v = self._estimate.volume
+        share = v.sigma_m3 / abs(v.volume_m3) if v.volume_m3 else float("inf")
+        return lines | {
+            "volume_m3": f"{v.volume_m3:.4f}", "sigma_m3": f"{v.sigma_m3:.4f}", "sigma_share": f"{share:.4f}",
+            "tolerance": self.parameters.volume.tolerance, "within_tolerance": share <= self.parameters.volume.tolerance,
+            "coverage_m2": f"{v.area_m2:.1f}", "data_time_ns": v.t_ns,
+        }  # fmt: skip
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the node alone."""
+    return spin([VolumeNode], argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
