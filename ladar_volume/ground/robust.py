@@ -21,7 +21,7 @@ MAD_TO_SIGMA = 1.4826
 THRESHOLD_SIGMAS = 3.5
 MAX_REFITS = 50
 #: RANSAC scores on at most this many points: a subset taken at equal index steps is as good for a start.
-SCORED_POINTS = 4000
+SCORED_POINTS = 2000
 
 
 def robust_sigma(residuals: F64) -> float:
