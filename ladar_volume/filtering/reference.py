@@ -1,0 +1,50 @@
+"""Plain numpy twins of the compiled fit: the same quantities for given inliers, written for reading, not for speed.
+
+Tests compare the kernels with them; nothing else uses them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ladar_volume.georeference.sensitivity import full_calibration_jacobian, navigation_jacobian, point_geometry, unpack
+from ladar_volume.model.parameters import CalibrationParameters
+from ladar_volume.model.records import F64, I64, MappedPoints, PlatformStates
+
+
+def design(r_map: F64, centre: F64, normal: F64, tangent: F64, degree: int) -> tuple[F64, F64]:
+    """Rows ``x(u, v)`` (n, 3 or 6) and heights w (n,) m of points (n, 3) in a patch's frame (see ``records.Patches``)."""
+    u, v, w = ((r_map - centre) @ axis for axis in (tangent, np.cross(normal, tangent), normal))
+    columns = [np.ones_like(u), u, v]
+    if degree == 2:
+        columns += [u * u, u * v, v * v]
+    return np.stack(columns, axis=-1), w
+
+
+def least_squares(X: F64, w: F64) -> tuple[F64, F64]:
+    """``beta`` (p,) and ``(XᵀX)⁻¹`` (p, p) by QR."""
+    Q, R = np.linalg.qr(X)
+    back = np.linalg.inv(R)
+    return back @ (Q.T @ w), back @ back.T
+
+
+def shared_covariance(X_a: F64, X_b: F64, normal_a: F64, normal_b: F64, ids_a: I64, ids_b: I64, C_ind: F64) -> F64:
+    """``C_ab`` (p, p) m² of two patches with inliers ``ids`` into C_ind (n, 6) packed m² (UNCERTAINTY step 3)."""
+    _, at_a, at_b = np.intersect1d(ids_a, ids_b, return_indices=True)
+    variance = np.einsum("i,nij,j->n", normal_a, unpack(C_ind[ids_a[at_a]]), normal_b)
+    left, right = np.linalg.pinv(X_a)[:, at_a], np.linalg.pinv(X_b)[:, at_b]
+    out: F64 = (left * variance) @ right.T
+    return out
+
+
+def mean_sensitivities(
+    X: F64, normal: F64, points: MappedPoints, states: PlatformStates, calibration: CalibrationParameters, beams: int, bin_ns: int
+) -> tuple[F64, I64, F64]:
+    """``M_cal`` (p, 11 + 2 beams), time bins (l,) and ``M_nav`` (l, p, 6) of one patch with inliers ``points`` (UNCERTAINTY step 4)."""
+    geometry = point_geometry(points, states, calibration)
+    weights = np.linalg.pinv(X)
+    cal = np.einsum("i,nic->nc", normal, full_calibration_jacobian(geometry, points.ring, beams))
+    nav = np.einsum("i,nic->nc", normal, navigation_jacobian(geometry))
+    at = points.t_ns // bin_ns
+    bins = np.unique(at)
+    return weights @ cal, bins, np.stack([weights[:, at == b] @ nav[at == b] for b in bins])

@@ -1,0 +1,145 @@
+"""The surface is a function of the set of points: not of their order, batching, updates or the number of threads."""
+
+import numba
+import numpy as np
+
+from ladar_volume.filtering.filter import SurfaceFilter
+from ladar_volume.filtering.store import VoxelStore, pack_key, unpack_key
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import select
+
+PARAMETERS = Parameters.read({"filter": {"radius_m": 0.5, "cap_per_voxel": 12}})
+
+
+def surface(update):
+    """One update as {patch: bytes of everything}."""
+    out = {}
+    p, q = update.patches, update.points
+    for j, key in enumerate(p.key):
+        rows = [getattr(p, name)[j].tobytes() for name in ("centre", "normal", "tangent", "beta", "sigma", "used", "t_ns", "M_cal")]
+        cross, nav = slice(p.cross_start[j], p.cross_start[j + 1]), slice(p.nav_start[j], p.nav_start[j + 1])
+        own = q.patch == key
+        rows += [p.cross_key[cross].tobytes(), p.cross[cross].tobytes(), p.nav_bin[nav].tobytes(), p.M_nav[nav].tobytes()]
+        rows += [getattr(q, name)[own].tobytes() for name in ("r_map", "normal", "variance", "C_tangent", "t_ns", "local")]
+        out[int(key)] = tuple(rows)
+    return out
+
+
+def follow(world, update):
+    """Apply one update the way a consumer does."""
+    if update is None:
+        return
+    for key in update.removed:
+        assert int(key) in world
+        del world[int(key)]
+    world.update(surface(update))
+
+
+def scene_points(scene, n=6000):
+    rng = np.random.default_rng(3)
+    r = np.column_stack([scene.sheet(n, half=4.0), 0.02 * rng.normal(size=n)])
+    r[:, 2] += np.where(r[:, 0] > 1, 0.3 * (r[:, 0] - 1), 0)
+    r[: n // 10, 2] += rng.uniform(0, 3, n // 10)
+    return scene.mapped(r)
+
+
+def run(scene, points, order, batches, updates):
+    f = SurfaceFilter(PARAMETERS)
+    world = {}
+    parts = np.array_split(order, batches)
+    states = scene.platform()
+    if not updates:
+        f.add_platform(states)
+    for i, part in enumerate(parts):
+        if updates:
+            f.add_platform(select(states, slice(i * len(states) // batches, (i + 1) * len(states) // batches)))
+        f.add(select(points, part))
+        if updates:
+            follow(world, f.update())
+    follow(world, f.finish())
+    return f, world
+
+
+def test_streaming_equals_batch_to_the_bit(scene):
+    points = scene_points(scene)
+    straight = np.arange(len(points))
+    whole, expected = run(scene, points, straight, 1, False)
+    assert len(expected) > 200
+    for order, batches, updates in (
+        (straight, 13, True),
+        (np.random.default_rng(4).permutation(straight), 7, False),
+        (np.random.default_rng(5).permutation(straight), 9, True),
+    ):
+        f, world = run(scene, points, order, batches, updates)
+        assert world == expected
+        assert f.losses.as_dict() == whole.losses.as_dict()
+        assert f.stats == whole.stats
+
+
+def test_a_patch_that_loses_its_ground_is_removed(scene):
+    # more points can turn a patch of the upper sheet into outliers of the lower one: consumers are told
+    rng = np.random.default_rng(6)
+    low = np.column_stack([scene.sheet(3000, seed=8), np.full(3000, 0.40) + 0.002 * rng.normal(size=3000)])
+    high = np.column_stack([scene.sheet(160, seed=9), np.full(160, 0.62) + 0.002 * rng.normal(size=160)])
+    points = scene.mapped(np.concatenate([high, low]))
+    f = SurfaceFilter(Parameters.read({"filter": {"radius_m": 0.5, "cap_per_voxel": 100}}))
+    f.add_platform(scene.platform())
+    world = {}
+    f.add(select(points, slice(0, 160)))
+    first = f.update()
+    follow(world, first)
+    f.add(select(points, slice(160, None)))
+    second = f.finish()
+    assert len(second.removed) > 0 and np.isin(second.removed, first.patches.key).all()
+    follow(world, second)
+    again = SurfaceFilter(Parameters.read({"filter": {"radius_m": 0.5, "cap_per_voxel": 100}}))
+    again.add_platform(scene.platform())
+    again.add(points)
+    assert world == surface(again.finish())
+
+
+def test_one_thread_equals_many(scene):
+    points = scene_points(scene, 3000)
+    order, threads = np.arange(len(points)), numba.get_num_threads()
+    _, many = run(scene, points, order, 1, False)
+    try:
+        numba.set_num_threads(1)
+        _, one = run(scene, points, order, 1, False)
+    finally:
+        numba.set_num_threads(threads)
+    assert one == many and len(one) > 50
+
+
+def test_cap_keeps_the_same_points_in_any_order(scene):
+    points = scene_points(scene)
+    kept = []
+    for seed in range(4):
+        store = VoxelStore(0.5, 8, voxels=4)
+        order = np.random.default_rng(seed).permutation(len(points))
+        for part in np.array_split(order, 3 * seed + 1):
+            p = select(points, part)
+            store.insert(p.t_ns, p.ring, p.r_map, p.C_ind)
+        held = (np.arange(store.used * 8) % 8) < np.repeat(store.count[: store.used], 8)
+        kept.append({row.tobytes() for row in np.column_stack([store.t_ns[: len(held)][held], store.r[: len(held)][held]])})
+        assert store.kept == len(kept[-1]) and store.count.max() == 8 and store.offered == len(points)
+    assert kept[0] == kept[1] == kept[2] == kept[3]
+
+
+def test_cap_is_a_fair_sample_of_the_voxel():
+    rng = np.random.default_rng(1)
+    n = 40_000
+    r = rng.uniform(0, 0.5, (n, 3)) + np.repeat(np.arange(10), n // 10)[:, None] * np.array([0.5, 0, 0])
+    store = VoxelStore(0.5, 400)
+    store.insert(np.arange(n), np.zeros(n, np.uint16), r, np.zeros((n, 6), np.float32))
+    mean = np.stack([store.r[v * 400 : (v + 1) * 400].mean(axis=0) - 0.5 * unpack_key(store.keys[v]) for v in range(10)])
+    # sd of a mean of 400 uniforms over 0.5 m is 7.2 mm
+    assert np.abs(mean - 0.25).max() < 4 * 0.5 / np.sqrt(12 * 400)
+    times = np.stack([store.t_ns[v * 400 : (v + 1) * 400].mean() - v * 4000 for v in range(10)])
+    assert np.abs(times - 2000).max() < 4 * 4000 / np.sqrt(12 * 400)
+
+
+def test_keys_round_trip_and_sort_by_axis():
+    ijk = np.array([[0, 0, 0], [-1, 5, 7], [1000, -1000, 3], [-(2**20), 2**20 - 1, 0]])
+    key = pack_key(ijk)
+    assert np.array_equal(unpack_key(key), ijk) and (key >= 0).all()
+    assert pack_key(np.array([1, 0, 0])) > pack_key(np.array([0, 5, 5])) > pack_key(np.array([0, 4, 9]))

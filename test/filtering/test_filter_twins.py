@@ -1,0 +1,152 @@
+"""The kernels against their plain numpy twins, and the sensitivities against the Jacobians of the georeference."""
+
+import numpy as np
+import pytest
+
+from ladar_volume.filtering import reference
+from ladar_volume.filtering.filter import SurfaceFilter
+from ladar_volume.filtering.fit import OK
+from ladar_volume.filtering.linear import invert, select_kth
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import MappedPoints
+
+
+@pytest.fixture(params=[1, 2])
+def fitted(scene, request):
+    """A filter with everything switched on, its update and, per patch key, the inlier slots."""
+    rng = np.random.default_rng(2)
+    n = 900
+    r = np.column_stack([scene.sheet(n, half=1.2), 0.01 * rng.normal(size=n)])
+    r[:, 2] += 0.2 * r[:, 0] + 0.05 * r[:, 1] ** 2
+    r[:60, 2] += 0.4
+    points = scene.mapped(r)
+    A = rng.normal(size=(n, 3, 3)) * 0.01
+    C = A @ A.transpose(0, 2, 1) + 1e-6 * np.eye(3)
+    points.C_ind[:] = C[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+    f = SurfaceFilter(Parameters.read({
+        "filter": {"radius_m": 0.5, "degree": request.param, "nav_bin_s": 2.0},
+        "calibration": {"boresight_pitch_deg": 25.0, "lever_laser_m": [0.1, -0.2, 0.3], "lever_antenna_m": [-0.3, 0.1, 0.8]},
+    }))  # fmt: skip
+    states = scene.platform()
+    f.add_platform(states)
+    f.add(points)
+    update = f.finish()
+    fits = f._fit(f._around(np.arange(f._store.used), 0))
+    slots = {
+        int(f._store.keys[v]): np.sort(fits.members[fits.start[a] : fits.start[a] + fits.used[a]])
+        for a, v in enumerate(fits.voxels)
+        if fits.status[a] == OK
+    }
+    return f, update, slots, states, request.param
+
+
+def rows(f, update, slots, j, degree):
+    p = update.patches
+    return reference.design(f._store.r[slots[int(p.key[j])]], p.centre[j], p.normal[j], p.tangent[j], degree)
+
+
+def test_refit_is_least_squares_on_the_inliers(fitted):
+    f, update, slots, _, degree = fitted
+    p = update.patches
+    assert len(p) > 15 and list(slots) == list(p.key)
+    for j in range(len(p)):
+        X, w = rows(f, update, slots, j, degree)
+        beta, _ = reference.least_squares(X, w)
+        assert p.used[j] == len(w)
+        assert np.abs(beta - p.beta[j]).max() < 1e-8
+        if np.count_nonzero(p.beta[j]) == X.shape[1]:
+            residual = w - X @ beta
+            assert p.sigma[j] == pytest.approx(np.sqrt(residual @ residual / (len(w) - X.shape[1])), rel=1e-6)
+            assert np.abs(residual).max() <= 3.5 * p.sigma[j] * (1 + 1e-6)  # a fixed point
+        assert p.normal[j] @ p.tangent[j] == pytest.approx(0, abs=1e-12)
+
+
+def test_points_left_out_are_beyond_threshold_or_ball(fitted):
+    f, update, slots, _, degree = fitted
+    p, held = update.patches, np.flatnonzero(f._store.t_ns > 0)
+    for j in range(len(p)):
+        out = np.setdiff1d(held, slots[int(p.key[j])])
+        X, w = reference.design(f._store.r[out], p.centre[j], p.normal[j], p.tangent[j], degree)
+        far = np.linalg.norm(f._store.r[out] - p.centre[j], axis=1) > 1.0
+        assert (far | (np.abs(w - X @ p.beta[j]) > 3.5 * p.sigma[j] * (1 - 1e-9))).all()
+
+
+def test_cross_blocks_of_every_pair_that_shares_points(fitted):
+    f, update, slots, _, degree = fitted
+    p = update.patches
+    at = {int(k): i for i, k in enumerate(p.key)}
+    seen = 0
+    for a in range(len(p)):
+        stored = {int(k): p.cross[i] for i, k in enumerate(p.cross_key[p.cross_start[a] : p.cross_start[a + 1]], p.cross_start[a])}
+        assert p.cross_key[p.cross_start[a]] == p.key[a]
+        sharing = {k for k in at if k >= p.key[a] and np.intersect1d(slots[int(p.key[a])], slots[k]).size}
+        assert set(stored) == sharing
+        X_a, _ = rows(f, update, slots, a, degree)
+        for key, block in stored.items():
+            b = at[key]
+            X_b, _ = rows(f, update, slots, b, degree)
+            C = reference.shared_covariance(X_a, X_b, p.normal[a], p.normal[b], slots[int(p.key[a])], slots[key], f._store.C)
+            scale = np.sqrt(np.outer(np.diag(p.cross[p.cross_start[a]]), np.diag(p.cross[p.cross_start[b]])))
+            assert (np.abs(C - block) <= 1e-6 * scale).all()
+            seen += a != b
+    assert seen > 30
+
+
+def test_sensitivities_are_those_of_the_lidar_equation(fitted):
+    f, update, slots, states, degree = fitted
+    p, s = update.patches, f._store
+    for j in range(0, len(p), 3):
+        inliers = slots[int(p.key[j])]
+        points = MappedPoints(s.t_ns[inliers], s.r[inliers], s.C[inliers], s.ring[inliers], np.zeros(len(inliers), np.float32))
+        X, _ = rows(f, update, slots, j, degree)
+        calibration = Parameters.read({
+            "calibration": {"boresight_pitch_deg": 25.0, "lever_laser_m": [0.1, -0.2, 0.3], "lever_antenna_m": [-0.3, 0.1, 0.8]}
+        }).calibration  # fmt: skip
+        M_cal, bins, M_nav = reference.mean_sensitivities(X, p.normal[j], points, states, calibration, f.beams, 2_000_000_000)
+        nav = slice(p.nav_start[j], p.nav_start[j + 1])
+        assert np.array_equal(bins, p.nav_bin[nav])
+        # the filter keeps the geometry in float32
+        scale = np.abs(np.linalg.pinv(X)).sum(axis=1)[:, None] * 20.0
+        assert (np.abs(M_cal - p.M_cal[j]) < 1e-6 * scale).all()
+        assert (np.abs(M_nav - p.M_nav[nav]) < 1e-6 * scale).all()
+
+
+def test_common_shift_moves_only_the_constant_term(fitted):
+    _, update, _, _, _ = fitted
+    p = update.patches
+    for j in range(len(p)):
+        total = p.M_nav[p.nav_start[j] : p.nav_start[j + 1], :, :3].sum(axis=0)
+        assert total[0] == pytest.approx(p.normal[j], abs=1e-9)
+        assert np.abs(total[1:]).max() < 1e-8
+
+
+def test_points_lie_on_their_patch_with_its_variance(fitted):
+    _, update, _, _, degree = fitted
+    p, q = update.patches, update.points
+    j = np.searchsorted(p.key, q.patch)
+    assert np.array_equal(p.key[j], q.patch)
+    for i in range(len(q)):
+        X, w = reference.design(q.r_map[i : i + 1], p.centre[j[i]], p.normal[j[i]], p.tangent[j[i]], degree)
+        assert w[0] == pytest.approx(X[0] @ p.beta[j[i]], abs=1e-10)
+        cosine = q.normal[i] @ p.normal[j[i]]
+        C = p.cross[p.cross_start[j[i]]]
+        assert q.variance[i] == pytest.approx(X[0] @ C @ X[0] * cosine**2, rel=1e-8)
+
+
+def test_small_algebra_against_numpy():
+    rng = np.random.default_rng(9)
+    for p in (3, 6):
+        A = rng.normal(size=(20, p))
+        N = A.T @ A
+        padded, inverse = np.zeros((6, 6)), np.zeros((6, 6))
+        padded[:p, :p] = N
+        assert invert(padded, p, inverse)
+        assert np.allclose(inverse[:p, :p], np.linalg.inv(N), rtol=1e-9)
+        padded[:p, 1] = padded[:p, 0]
+        padded[1, :p] = padded[0, :p]
+        padded[1, 1] = padded[0, 0]
+        assert not invert(padded, p, inverse)
+    for n in (1, 2, 7, 50):
+        a = rng.integers(0, 9, n).astype(float)
+        for k in range(n):
+            assert select_kth(a.copy(), n, k) == np.sort(a)[k]
