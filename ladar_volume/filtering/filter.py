@@ -10,14 +10,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.filtering import cross, kernels
-from ladar_volume.filtering.fit import OK
+from ladar_volume.filtering import cross, kernels, project, sensitivity
+from ladar_volume.filtering.fit import OK, REACH
 from ladar_volume.filtering.store import HALF, VoxelStore
 from ladar_volume.georeference.lidar import mounting
 from ladar_volume.georeference.sensitivity import bracket
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, FilterUpdate, MappedPoints, Patches, PlatformStates, concatenate, select
+from ladar_volume.model.records import (
+    F64,
+    I64,
+    Bool,
+    FilteredPoints,
+    FilterUpdate,
+    MappedPoints,
+    Patches,
+    PlatformStates,
+    concatenate,
+    select,
+)
 from ladar_volume.model.se3 import matrix_from_quaternion, slerp
 
 #: Platform states older than this before the newest are forgotten once no point waits for them.
@@ -103,13 +114,13 @@ class SurfaceFilter:
             self._states = select(states, slice(int(np.searchsorted(states.t_ns, oldest)), None))
 
     def _take_in(self, points: MappedPoints, states: PlatformStates) -> None:
-        finite = np.isfinite(points.r_map).all(axis=1) & np.isfinite(points.C_ind).all(axis=1)
+        finite: Bool = np.isfinite(points.r_map).all(axis=1) & np.isfinite(points.C_ind).all(axis=1)
         near = finite & (np.abs(np.where(finite[:, None], points.r_map, 0.0)) < (HALF - 8) * self.parameters.radius_m).all(axis=1)
         covered, k, fraction = bracket(points.t_ns, states.t_ns, states.segment)
         self._losses.add("point_nan", int((~finite).sum()))
         self._losses.add("point_too_far", int((finite & ~near).sum()))
         self._losses.add("point_platform_gap", int((near & ~covered).sum()))
-        keep = near & covered
+        keep: Bool = near & covered
         if not keep.all():
             points, k, fraction = select(points, keep), k[keep], fraction[keep]
         if len(points) == 0:
@@ -150,7 +161,7 @@ class SurfaceFilter:
         grow = self._store.used - len(self._published)
         for name in ("_published", "_outliers", "_unfitted"):
             setattr(self, name, np.concatenate([getattr(self, name), np.zeros(grow, getattr(self, name).dtype)]))
-        refitted = self._around(changed, kernels.REACH)
+        refitted = self._around(changed, REACH)
         rows_voxels = self._around(refitted, cross.SPAN)
         fits = self._fit(self._around(rows_voxels, cross.SPAN))
         mine = np.isin(fits.voxels, rows_voxels)
@@ -190,7 +201,7 @@ class SurfaceFilter:
             np.zeros((m, 3)), np.zeros((m, 3)), np.zeros((m, 3)), np.zeros((m, 6)), np.zeros((m, 6, 6)),
         )  # fmt: skip
         kernels.fit_patches(
-            voxels, start, s.keys, s.table, s.count, s.hashes, s.r, s.t_ns, s.aux, s.cap, f.radius_m, p, f.sample_size or 4, f.trials,
+            voxels, start, s.keys, s.table, s.count, s.order, s.r, s.t_ns, s.aux, s.cap, f.radius_m, p, f.sample_size or 4, f.trials,
             f.start == "ransac", f.ransac_threshold_m, f.outlier_sigmas, f.outlier_floor_m, f.min_points, f.refit_iterations, f.seed,
             fits.members, fits.status, fits.used, fits.sigma, fits.time, fits.centre, fits.normal, fits.tangent, fits.beta, fits.inverse,
         )  # fmt: skip
@@ -209,40 +220,48 @@ class SurfaceFilter:
         patch_of = np.full(s.used, -1, np.int64)
         good = np.flatnonzero(fits.status == OK)
         patch_of[fits.voxels[good]] = good
-        counts = np.zeros(len(rows), np.int64)
-
-        def pairs(fill: bool, offset: I64, out: I64) -> None:
-            cross.neighbours(
-                rows, fits.voxels, patch_of, fits.start, fits.used, fits.members, fits.centre, self.parameters.radius_m, s.keys, s.table,
-                s.hashes, s.cap, fill, offset, out, counts,
-            )  # fmt: skip
-
-        pairs(False, np.zeros(len(rows) + 1, np.int64), np.empty(0, np.int64))
-        offset = np.concatenate([[0], np.cumsum(counts)])
-        others = np.empty(offset[-1], np.int64)
-        pairs(True, offset, others)
+        offset, others = self._pairs(fits, rows, patch_of)
         blocks = np.zeros((offset[-1], p, p))
+        most = int(fits.used.max(initial=0))
         cross.cross_blocks(
-            rows, offset, others, fits.start, fits.used, fits.members, s.r, s.C, s.keys, s.hashes, s.cap, fits.centre, fits.normal,
-            fits.tangent, fits.inverse, p, blocks,
+            rows, offset, others, fits.start, fits.used, fits.members, s.r, s.C, fits.centre, fits.normal, fits.tangent, fits.inverse, p,
+            most, cross.chunks_of(len(rows)), blocks,
         )  # fmt: skip
         nav_start, nav_bin, M_cal, M_nav = self._sensitivities(fits, rows, p)
         return Patches(
             s.keys[fits.voxels[rows]], fits.centre[rows], fits.normal[rows], fits.tangent[rows], fits.beta[rows, :p], fits.sigma[rows],
-            fits.used[rows].astype(np.int32), fits.time[rows], offset, s.keys[fits.voxels[others]], blocks, M_cal, nav_start, nav_bin, M_nav,
+            fits.used[rows].astype(np.int32), fits.time[rows], offset, s.keys[fits.voxels[others]], blocks, M_cal, nav_start, nav_bin,
+            M_nav,
         )  # fmt: skip
+
+    def _pairs(self, fits: _Fits, rows: I64, patch_of: I64) -> tuple[I64, I64]:
+        """Pairs of patches that share raw points, in CSR form: (offset, other patch), the other's key never the lower one."""
+        s, counts = self._store, np.zeros(len(rows), np.int64)
+
+        def listed(fill: bool, offset: I64, out: I64) -> None:
+            cross.candidates(
+                rows, fits.voxels, patch_of, fits.centre, self.parameters.radius_m, s.keys, s.table, fill, offset, out, counts
+            )  # fmt: skip
+
+        listed(False, np.zeros(len(rows) + 1, np.int64), np.empty(0, np.int64))
+        offset = np.concatenate([[0], np.cumsum(counts)])
+        others = np.empty(offset[-1], np.int64)
+        listed(True, offset, others)
+        shared = np.zeros(len(others), np.bool_)
+        cross.sharing(rows, offset, others, fits.start, fits.used, fits.members, len(s.r), cross.chunks_of(len(rows)), shared)
+        return np.concatenate([[0], np.cumsum(shared)])[offset], others[shared]
 
     def _sensitivities(self, fits: _Fits, rows: I64, p: int) -> tuple[I64, I64, F64, F64]:
         s, bin_ns = self._store, np.int64(self.parameters.nav_bin_s * 1e9)
         start = np.concatenate([[0], np.cumsum(fits.used[rows])])
         members = _joined(fits.members, fits.start[rows], fits.used[rows])
         bins = np.zeros(len(rows), np.int64)
-        kernels.count_bins(start, fits.used[rows], members, s.t_ns, bin_ns, bins)
+        sensitivity.count_bins(start, fits.used[rows], members, s.t_ns, bin_ns, bins)
         nav_start = np.concatenate([[0], np.cumsum(bins)])
         nav_bin = np.zeros(nav_start[-1], np.int64)
         M_cal = np.zeros((len(rows), p, 11 + 2 * self.beams))
         M_nav = np.zeros((nav_start[-1], p, 6))
-        kernels.sensitivities(
+        sensitivity.sensitivities(
             start, fits.used[rows], members, s.r, s.t_ns, s.ring, s.aux, fits.centre[rows], fits.normal[rows], fits.tangent[rows],
             fits.inverse[rows], p, self.beams, self._mount.lever_laser, self._mount.lever_antenna,
             np.ascontiguousarray(self._mount.R_body_laser[:, 2]), bin_ns, nav_start, nav_bin, M_cal, M_nav,
@@ -255,9 +274,10 @@ class SurfaceFilter:
         r, normal, variance = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
         C, t_ns, uv = np.zeros((n, 6), np.float32), np.zeros(n, np.int64), np.zeros((n, 2))
         counts, own = np.zeros(len(rows), np.int64), np.zeros(len(rows), np.int64)
-        cross.project(
+        spacing = self.parameters.sampling_m or self.parameters.radius_m / 2
+        project.project(
             rows, fits.voxels, fits.start, fits.used, fits.members, s.r, s.C, s.t_ns, s.cap, fits.centre, fits.normal, fits.tangent,
-            fits.beta, np.ascontiguousarray(patches.cross[patches.cross_start[:-1]]), p, self.parameters.sampling_m or self.parameters.radius_m / 2,
+            fits.beta, np.ascontiguousarray(patches.cross[patches.cross_start[:-1]]), p, spacing,
             r, normal, variance, C, t_ns, uv, counts, own,
         )  # fmt: skip
         self._outliers[fits.voxels[rows]] -= own

@@ -40,8 +40,8 @@ def invert(A: Any, p: Any, inverse: Any) -> Any:
             for k in range(j):
                 s -= L[i, k] * L[j, k]
             L[i, j] = s / L[j, j]
+    y = np.zeros(6)
     for c in range(p):
-        y = np.zeros(6)
         for i in range(p):
             s = 1.0 if i == c else 0.0
             for k in range(i):

@@ -115,10 +115,24 @@ def _insert(
     return len(t_ns), used
 
 
+@kernel
+def sort_voxels(voxels: Any, count: Any, hashes: Any, cap: Any, order: Any) -> None:
+    """Slots of each voxel by rising hash, to ``order[v * cap:v * cap + count[v]]``."""
+    for v in voxels:
+        first = v * cap
+        for q in range(count[v]):
+            slot = first + q
+            m = slot
+            while m > first and hashes[order[m - 1]] > hashes[slot]:
+                order[m] = order[m - 1]
+                m -= 1
+            order[m] = slot
+
+
 class VoxelStore:
     """Points by voxel. Slot ``v * cap + k`` holds the k-th point of voxel v; order within a voxel means nothing.
 
-    keys : (used,) int64 · count : (used,) int32 · hashes, t_ns, ring, r, C, aux : per slot
+    keys : (used,) int64 · count : (used,) int32 · hashes, t_ns, ring, r, C, aux : per slot · order : slots of each voxel by hash
     """
 
     def __init__(self, edge_m: float, cap: int, voxels: int = 1024) -> None:
@@ -130,6 +144,7 @@ class VoxelStore:
         self.table: I32 = np.full(4 * voxels, -1, np.int32)
         slots = voxels * cap
         self.hashes: npt.NDArray[np.uint64] = np.zeros(slots, np.uint64)
+        self.order: I64 = np.zeros(slots, np.int64)
         self.t_ns: I64 = np.zeros(slots, np.int64)
         self.ring: U16 = np.zeros(slots, np.uint16)
         self.r: F64 = np.zeros((slots, 3))
@@ -167,14 +182,15 @@ class VoxelStore:
         voxels = 2 * len(self.keys)
         for name in ("keys", "count", "worst", "changed"):
             setattr(self, name, _resized(getattr(self, name), voxels))
-        for name in ("hashes", "t_ns", "ring", "r", "C", "aux"):
+        for name in ("hashes", "order", "t_ns", "ring", "r", "C", "aux"):
             setattr(self, name, _resized(getattr(self, name), voxels * self.cap))
         self.table = np.full(4 * voxels, -1, np.int32)
         _rebuild(self.table, self.keys, self.used)
 
     def take_changed(self) -> I64:
-        """Voxel indices changed since the last call."""
+        """Voxel indices changed since the last call; brings their ``order`` up to date."""
         changed = np.flatnonzero(self.changed[: self.used])
+        sort_voxels(changed, self.count, self.hashes, self.cap, self.order)
         self.changed[:] = False
         return changed
 

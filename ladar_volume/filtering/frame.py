@@ -1,0 +1,221 @@
+"""Least squares of one patch in its tangent frame: coordinates once per frame, refits to a fixed point, the frame itself."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ladar_volume.filtering.linear import basis, invert
+from ladar_volume.model.kernels import kernel
+
+
+@kernel
+def tangent_of(normal: Any, tangent: Any) -> None:
+    """A unit vector across the normal: along map x where that is not nearly the normal, else along map y."""
+    axis = 0 if abs(normal[0]) < 0.9 else 1
+    d = normal[axis]
+    length = np.sqrt(1.0 - d * d)
+    for k in range(3):
+        tangent[k] = ((1.0 if k == axis else 0.0) - d * normal[k]) / length
+
+
+@kernel
+def across(normal: Any, tangent: Any, side: Any) -> None:
+    """The second tangent vector, normal x tangent."""
+    side[0] = normal[1] * tangent[2] - normal[2] * tangent[1]
+    side[1] = normal[2] * tangent[0] - normal[0] * tangent[2]
+    side[2] = normal[0] * tangent[1] - normal[1] * tangent[0]
+
+
+@kernel
+def row(r: Any, slot: Any, centre: Any, tangent: Any, side: Any, p: Any, x: Any) -> None:
+    """``x[:p] = (1, u, v[, u², uv, v²])`` of one point in metres."""
+    x0, x1, x2 = r[slot, 0] - centre[0], r[slot, 1] - centre[1], r[slot, 2] - centre[2]
+    u = x0 * tangent[0] + x1 * tangent[1] + x2 * tangent[2]
+    v = x0 * side[0] + x1 * side[1] + x2 * side[2]
+    basis(u, v, p, x)
+
+
+@kernel
+def coordinates(r: Any, n: Any, centre: Any, normal: Any, tangent: Any, ball: Any, uvw: Any, index: Any) -> Any:
+    """(u / ball, v / ball, w) of the points of r (n, 3) within ``ball`` of the centre, to uvw (3, m) and index (m,); returns m."""
+    n0, n1, n2 = normal[0], normal[1], normal[2]
+    t0, t1, t2 = tangent[0], tangent[1], tangent[2]
+    s0, s1, s2 = n1 * t2 - n2 * t1, n2 * t0 - n0 * t2, n0 * t1 - n1 * t0
+    m = 0
+    for i in range(n):
+        x, y, z = r[i, 0] - centre[0], r[i, 1] - centre[1], r[i, 2] - centre[2]
+        u = x * t0 + y * t1 + z * t2
+        v = x * s0 + y * s1 + z * s2
+        w = x * n0 + y * n1 + z * n2
+        if u * u + v * v + w * w <= ball * ball:
+            uvw[0, m], uvw[1, m], uvw[2, m] = u / ball, v / ball, w
+            index[m] = i
+            m += 1
+    return m
+
+
+@kernel
+def _normal_plane(uvw: Any, m: Any, inside: Any, A: Any, b: Any) -> None:
+    a00 = a10 = a20 = a11 = a21 = a22 = b0 = b1 = b2 = 0.0
+    for i in range(m):
+        if inside[i]:
+            u, v, w = uvw[0, i], uvw[1, i], uvw[2, i]
+            a00 += 1.0
+            a10 += u
+            a20 += v
+            a11 += u * u
+            a21 += v * u
+            a22 += v * v
+            b0 += w
+            b1 += u * w
+            b2 += v * w
+    A[0, 0], A[1, 0], A[2, 0], A[1, 1], A[2, 1], A[2, 2] = a00, a10, a20, a11, a21, a22
+    b[0], b[1], b[2] = b0, b1, b2
+
+
+@kernel
+def _normal_quadric(uvw: Any, m: Any, inside: Any, A: Any, b: Any) -> None:
+    # one sum per monomial u^i v^j up to the fourth degree: the 21 entries of the matrix are only 15 different sums
+    c, u1, v1, u2, uv, v2, u3, u2v, uv2, v3 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    u4 = u3v = u2v2 = uv3 = v4 = b0 = b1 = b2 = b3 = b4 = b5 = 0.0
+    for i in range(m):
+        if inside[i]:
+            u, v, w = uvw[0, i], uvw[1, i], uvw[2, i]
+            uu, q, vv = u * u, u * v, v * v
+            c += 1.0
+            u1 += u
+            v1 += v
+            u2 += uu
+            uv += q
+            v2 += vv
+            u3 += uu * u
+            u2v += uu * v
+            uv2 += u * vv
+            v3 += vv * v
+            u4 += uu * uu
+            u3v += uu * q
+            u2v2 += uu * vv
+            uv3 += q * vv
+            v4 += vv * vv
+            b0 += w
+            b1 += u * w
+            b2 += v * w
+            b3 += uu * w
+            b4 += q * w
+            b5 += vv * w
+    A[0, 0], A[1, 0], A[2, 0], A[3, 0], A[4, 0], A[5, 0] = c, u1, v1, u2, uv, v2
+    A[1, 1], A[2, 1], A[3, 1], A[4, 1], A[5, 1] = u2, uv, u3, u2v, uv2
+    A[2, 2], A[3, 2], A[4, 2], A[5, 2] = v2, u2v, uv2, v3
+    A[3, 3], A[4, 3], A[5, 3], A[4, 4], A[5, 4], A[5, 5] = u4, u3v, u2v2, u2v2, uv3, v4
+    b[0], b[1], b[2], b[3], b[4], b[5] = b0, b1, b2, b3, b4, b5
+
+
+@kernel
+def _classify(uvw: Any, m: Any, p: Any, b: Any, threshold: Any, inside: Any) -> Any:
+    """Mark the points within ``threshold`` of the model; returns (how many, sum of their squared residuals, any change)."""
+    used, square, changed = 0, 0.0, False
+    for i in range(m):
+        u, v = uvw[0, i], uvw[1, i]
+        d = uvw[2, i] - b[0] - u * b[1] - v * b[2]
+        if p == 6:
+            d = d - u * u * b[3] - u * v * b[4] - v * v * b[5]
+        near = abs(d) <= threshold
+        if near:
+            square += d * d
+            used += 1
+        changed |= near != inside[i]
+        inside[i] = near
+    return used, square, changed
+
+
+@kernel
+def refit(
+    uvw: Any, m: Any, ball: Any, p: Any, sigma: Any, sigmas: Any, floor: Any, iterations: Any, inside: Any, beta: Any, inverse: Any
+) -> Any:
+    """Least squares on the inliers, iterated until they stay the same. ``inside`` (m,) holds the start.
+
+    u and v are scaled by the ball's radius inside, so the pivots mean the same at every scale; ``beta`` and ``inverse`` =
+    (XᵀX)⁻¹ come back in metres. Returns (number of inliers, sigma); 0 inliers where the terms are not determined.
+    """
+    A, b, right = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
+    used = 0
+    for step in range(iterations + 1):
+        if step > 0:
+            threshold = max(sigmas * sigma, floor) if step == 1 else max(sigmas * sigma, floor, 1e-7 * ball)
+            used, square, changed = _classify(uvw, m, p, b, threshold, inside)
+            if used <= p:
+                return 0, sigma
+            # noise-free input: the threshold of the next step stays above the rounding of coordinates
+            sigma = np.sqrt(square / (used - p))
+            if step > 1 and not changed:
+                break
+        if p == 6:
+            _normal_quadric(uvw, m, inside, A, right)
+        else:
+            _normal_plane(uvw, m, inside, A, right)
+        for k in range(p):
+            for l in range(k):
+                A[l, k] = A[k, l]
+        if not invert(A, p, inverse):
+            return 0, sigma
+        for k in range(p):
+            b[k] = 0.0
+            for l in range(p):
+                b[k] += inverse[k, l] * right[l]
+    unit = np.ones(6)
+    unit[1] = unit[2] = 1.0 / ball
+    unit[3] = unit[4] = unit[5] = 1.0 / (ball * ball)
+    for k in range(p):
+        beta[k] = b[k] * unit[k]
+        for l in range(p):
+            inverse[k, l] *= unit[k] * unit[l]
+    return used, sigma
+
+
+@kernel
+def mark_flat(uvw: Any, m: Any, threshold: Any, inside: Any) -> None:
+    """Mark the points within ``threshold`` of the tangent plane."""
+    for i in range(m):
+        inside[i] = abs(uvw[2, i]) <= threshold
+
+
+@kernel
+def level_frame(
+    r: Any, n: Any, origin: Any, plane: Any, sigma: Any, ball: Any, sigmas: Any, floor: Any, iterations: Any, uvw: Any, index: Any,
+    inside: Any, centre: Any, normal: Any, tangent: Any,
+) -> Any:  # fmt: skip
+    """Turn a start plane into a frame at the foot point of ``origin``: a plane refit and re-tilt until it lies flat.
+
+    Returns the plane's sigma, −1 where no plane is determined.
+    """
+    beta, inverse, new = np.zeros(6), np.zeros((6, 6)), np.empty(3)
+    normal[:] = plane[:3]
+    height = origin[0] * normal[0] + origin[1] * normal[1] + origin[2] * normal[2] - plane[3]
+    for k in range(3):
+        centre[k] = origin[k] - height * normal[k]
+    for _ in range(3):
+        tangent_of(normal, tangent)
+        m = coordinates(r, n, centre, normal, tangent, ball, uvw, index)
+        mark_flat(uvw, m, max(sigmas * sigma, floor, 0.5e-7 * ball), inside)
+        used, sigma = refit(uvw, m, ball, 3, sigma, sigmas, floor, iterations, inside, beta, inverse)
+        if used == 0:
+            return -1.0
+        t0, t1, t2 = tangent[0], tangent[1], tangent[2]
+        new[0] = normal[0] - beta[1] * t0 - beta[2] * (normal[1] * t2 - normal[2] * t1)
+        new[1] = normal[1] - beta[1] * t1 - beta[2] * (normal[2] * t0 - normal[0] * t2)
+        new[2] = normal[2] - beta[1] * t2 - beta[2] * (normal[0] * t1 - normal[1] * t0)
+        length = np.sqrt(new[0] * new[0] + new[1] * new[1] + new[2] * new[2])
+        h = 0.0
+        for k in range(3):
+            new[k] /= length
+            # the plane passes through centre + beta0 normal; the foot point of origin on it is the new centre
+            h += (origin[k] - centre[k] - beta[0] * normal[k]) * new[k]
+        for k in range(3):
+            centre[k] = origin[k] - h * new[k]
+            normal[k] = new[k]
+        if abs(beta[1]) + abs(beta[2]) < 1e-6:
+            break
+    tangent_of(normal, tangent)
+    return sigma
