@@ -6,6 +6,7 @@ import contextlib
 import math
 import queue
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -16,7 +17,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -79,9 +80,9 @@ class StageNode(LifecycleNode):
         self._arrived: dict[str, float] = {}
         self._queue: queue.Queue[tuple[str, Any] | None] = queue.Queue(QUEUE)
         self._worker: threading.Thread | None = None
-        self._idle_hook = threading.Event()
         self._group = MutuallyExclusiveCallbackGroup()
         self._active = False
+        self._busy = False
         self.parameters = self._declare()
         self.add_on_set_parameters_callback(self._on_set)
 
@@ -205,13 +206,17 @@ class StageNode(LifecycleNode):
             try:
                 item = self._queue.get(timeout=0.05)
             except queue.Empty:
+                self._busy = True
                 self._guarded(self.idle)
+                self._busy = False
                 continue
             if item is None:
                 break
             kind, payload = item
+            self._busy = True
             self._guarded(lambda kind=kind, payload=payload: self.work(kind, payload))  # type: ignore[misc]
             self._guarded(self.idle)
+            self._busy = False
 
     def _guarded(self, action: Callable[[], None]) -> None:
         """No input may end a node: a refusal is counted by its reason, a defect is logged and counted."""
@@ -226,7 +231,7 @@ class StageNode(LifecycleNode):
     # diagnostics --------------------------------------------------------------------------------------------------
     def publish_diagnostics(self) -> None:
         """One DiagnosticStatus with rates, ages, queue length, losses by reason, and the stage's own lines."""
-        values: dict[str, Any] = {"queue": self._queue.qsize()}
+        values: dict[str, Any] = {"queue": self._queue.qsize() + int(self._busy)}
         now = time.monotonic()
         for kind, count in list(self.received.items()):
             before, old = self._rate_state.get(kind, (now, count))
@@ -260,32 +265,45 @@ class StageNode(LifecycleNode):
             self.trigger_activate()
 
 
-def spin(factories: Sequence[Callable[[], StageNode]], argv: Sequence[str] | None = None) -> int:
-    """Run nodes in this process until SIGINT or SIGTERM, then let them finish their work. Returns an exit code."""
+class Spinner:
+    """One executor and one thread per node: callbacks only queue, and a service that computes delays no other node."""
+
+    def __init__(self, node: Any) -> None:
+        self.node = node
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(node)
+        self._thread = threading.Thread(target=self._spin, name=f"spin {node.get_name()}", daemon=True)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        with contextlib.suppress(ExternalShutdownException):
+            self._executor.spin()
+
+    def close(self) -> None:
+        """Let the node finish its work, then end the thread and the node."""
+        if isinstance(self.node, StageNode):
+            self.node.stop()
+        self._executor.shutdown(timeout_sec=2.0)
+        self._thread.join(timeout=2.0)
+        self.node.destroy_node()
+
+
+def spin(factory: Callable[[], StageNode], argv: Sequence[str] | None = None) -> int:
+    """Run one node in this process until SIGINT or SIGTERM, then let it finish its work. Returns an exit code."""
     rclpy.init(args=list(argv) if argv is not None else None, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    executor = MultiThreadedExecutor(num_threads=2)
-    nodes: list[StageNode] = []
     try:
-        for factory in factories:
-            node = factory()
-            nodes.append(node)
-            node.autostart()
-            executor.add_node(node)
-        while not stop.is_set():
-            executor.spin_once(timeout_sec=0.1)
+        node = factory()
+        node.autostart()
+        spinner = Spinner(node)
+        while not stop.wait(0.2):
+            continue
+        spinner.close()
     except ConfigurationError as error:
-        print(f"ladar_volume: {error}")  # noqa: T201 - before any node exists there is no logger
+        print(f"ladar_volume: {error}", file=sys.stderr)  # noqa: T201 - before any node exists there is no logger
         return 2
-    except ExternalShutdownException:
-        stop.set()
     finally:
-        for node in nodes:
-            node.stop()
-        executor.shutdown(timeout_sec=2.0)
-        for node in nodes:
-            node.destroy_node()
         rclpy.try_shutdown()
     return 0

@@ -93,7 +93,7 @@ class FilterNode(StageNode):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the node alone."""
-    return spin([FilterNode], argv)
+    return spin(FilterNode, argv)
 
 
 if __name__ == "__main__":

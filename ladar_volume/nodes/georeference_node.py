@@ -98,7 +98,7 @@ class GeoreferenceNode(StageNode):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the node alone."""
-    return spin([GeoreferenceNode], argv)
+    return spin(GeoreferenceNode, argv)
 
 
 if __name__ == "__main__":

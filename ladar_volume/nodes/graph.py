@@ -14,14 +14,13 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from ladar_volume.io.bags import BagReader
-from ladar_volume.model.errors import LadarVolumeError, VolumeError
-from ladar_volume.nodes.base import StageNode
+from ladar_volume.model.errors import VolumeError
+from ladar_volume.nodes.base import Spinner, StageNode
 from ladar_volume.nodes.filter_node import FilterNode
 from ladar_volume.nodes.georeference_node import GeoreferenceNode
 from ladar_volume.nodes.logger_node import LoggerNode
@@ -93,11 +92,10 @@ class Graph:
     """Starts the nodes, plays a recording if asked, waits, answers, stops what it started."""
 
     def __init__(self, config: Path, separate: bool, log: Path | None) -> None:
-        self._nodes: list[Node] = []
+        self._spinners: list[Spinner] = []
         self._processes: list[subprocess.Popen[bytes]] = []
         names = [n for n in FACTORIES if n != "logger_node" or log is not None]
         rclpy.init(args=[])
-        self._executor = MultiThreadedExecutor(num_threads=4)
         self.watcher = Watcher()
         self._add(self.watcher)
         for name in names:
@@ -110,18 +108,9 @@ class Graph:
                 node = FACTORIES[name](parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()])
                 node.autostart()
                 self._add(node)
-        self._thread = threading.Thread(target=self._spin, daemon=True)
-        self._thread.start()
 
     def _add(self, node: Node) -> None:
-        self._nodes.append(node)
-        self._executor.add_node(node)
-
-    def _spin(self) -> None:
-        try:
-            self._executor.spin()
-        except rclpy.executors.ExternalShutdownException:
-            return
+        self._spinners.append(Spinner(node))
 
     def wait_ready(self, timeout_s: float = 60.0) -> None:
         """Until every node reports. Raises VolumeError where one does not."""
@@ -175,13 +164,8 @@ class Graph:
                 process.wait(timeout=30.0)
             except subprocess.TimeoutExpired:
                 process.kill()
-        for node in self._nodes:
-            if isinstance(node, StageNode):
-                node.stop()
-        self._executor.shutdown(timeout_sec=2.0)
-        self._thread.join(timeout=2.0)
-        for node in self._nodes:
-            node.destroy_node()
+        for spinner in self._spinners:
+            spinner.close()
         rclpy.try_shutdown()
 
     def losses(self) -> dict[str, int]:
@@ -193,5 +177,3 @@ class Graph:
                     total[key[5:]] = total.get(key[5:], 0) + int(value)
         return dict(sorted(total.items()))
 
-
-__all__ = ["Graph", "LadarVolumeError", "Watcher"]

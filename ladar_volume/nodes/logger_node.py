@@ -97,7 +97,7 @@ class LoggerNode(StageNode):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the node alone."""
-    return spin([LoggerNode], argv)
+    return spin(LoggerNode, argv)
 
 
 if __name__ == "__main__":

@@ -197,7 +197,7 @@ class VolumeNode(StageNode):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the node alone."""
-    return spin([VolumeNode], argv)
+    return spin(VolumeNode, argv)
 
 
 if __name__ == "__main__":
