@@ -114,7 +114,7 @@ class SurfaceFilter:
             self._states = select(states, slice(int(np.searchsorted(states.t_ns, oldest)), None))
 
     def _take_in(self, points: MappedPoints, states: PlatformStates) -> None:
-        finite: Bool = np.isfinite(points.r_map).all(axis=1) & np.isfinite(points.C_ind).all(axis=1)
+        finite = np.isfinite(np.column_stack([points.r_map, points.C_ind])).all(axis=1)
         near = finite & (np.abs(np.where(finite[:, None], points.r_map, 0.0)) < (HALF - 8) * self.parameters.radius_m).all(axis=1)
         covered, k, fraction = bracket(points.t_ns, states.t_ns, states.segment)
         self._losses.add("point_nan", int((~finite).sum()))
