@@ -10,11 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.filtering import cross, kernels, project, sensitivity
+from ladar_volume.filtering import admission, cross, kernels, project, sensitivity
 from ladar_volume.filtering.fit import OK, REACH
 from ladar_volume.filtering.store import HALF, VoxelStore
 from ladar_volume.georeference.lidar import mounting
-from ladar_volume.georeference.sensitivity import bracket
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import (
@@ -29,7 +28,6 @@ from ladar_volume.model.records import (
     concatenate,
     select,
 )
-from ladar_volume.model.se3 import matrix_from_quaternion, slerp
 
 #: Platform states older than this before the newest are forgotten once no point waits for them.
 KEEP_NS = 30_000_000_000
@@ -114,35 +112,25 @@ class SurfaceFilter:
             self._states = select(states, slice(int(np.searchsorted(states.t_ns, oldest)), None))
 
     def _take_in(self, points: MappedPoints, states: PlatformStates) -> None:
-        finite = np.isfinite(np.column_stack([points.r_map, points.C_ind])).all(axis=1)
-        near = finite & (np.abs(np.where(finite[:, None], points.r_map, 0.0)) < (HALF - 8) * self.parameters.radius_m).all(axis=1)
-        covered, k, fraction = bracket(points.t_ns, states.t_ns, states.segment)
-        self._losses.add("point_nan", int((~finite).sum()))
-        self._losses.add("point_too_far", int((finite & ~near).sum()))
-        self._losses.add("point_platform_gap", int((near & ~covered).sum()))
-        keep: Bool = near & covered
-        if not keep.all():
-            points, k, fraction = select(points, keep), k[keep], fraction[keep]
+        n = len(points)
+        verdict, state, fraction = np.zeros(n, np.int8), np.zeros(n, np.int64), np.zeros(n)
+        limit = (HALF - 8) * self.parameters.radius_m
+        admission.admit(points.t_ns, points.r_map, points.C_ind, limit, states.t_ns, states.segment, verdict, state, fraction)
+        counts = np.bincount(verdict, minlength=4)
+        self._losses.add("point_nan", int(counts[admission.NOT_FINITE]))
+        self._losses.add("point_too_far", int(counts[admission.TOO_FAR]))
+        self._losses.add("point_platform_gap", int(counts[admission.UNCOVERED]))
+        if counts[admission.TAKEN] < n:
+            keep = verdict == admission.TAKEN
+            points, state, fraction = select(points, keep), state[keep], fraction[keep]
         if len(points) == 0:
             return
         self._t_ns = max(self._t_ns, int(points.t_ns.max()))
         slots, rows = self._store.insert(points.t_ns, points.ring, points.r_map, points.C_ind)
-        self._store.aux[slots] = self._geometry(points.r_map[rows], states, k[rows], fraction[rows])
-
-    def _geometry(self, r_map: F64, states: PlatformStates, k: I64, f: F64) -> F64:
-        """Attitude, v_body, antenna velocity and body rates (n, 13) of the points that stay."""
-        after = np.minimum(k + 1, len(states) - 1)
-
-        def between(values: F64) -> F64:
-            out: F64 = values[k] + f[:, None] * (values[after] - values[k])
-            return out
-
-        q = slerp(states.q_map_body[k], states.q_map_body[after], f)
-        R = matrix_from_quaternion(q)
-        omega = between(states.omega_body)
-        v_body = np.einsum("nji,nj->ni", R, r_map - between(states.p_map_body)) - self._mount.lever_laser
-        velocity = np.einsum("nij,nj->ni", R, between(states.v_body) + np.cross(omega, self._mount.lever_antenna))
-        return np.concatenate([q, v_body, velocity, omega], axis=1)
+        admission.geometry(
+            rows, slots, points.r_map, state, fraction, states.p_map_body, states.q_map_body, states.v_body, states.omega_body,
+            self._mount.lever_laser, self._mount.lever_antenna, self._store.aux,
+        )  # fmt: skip
 
     def update(self) -> FilterUpdate | None:
         """What changed since the last update, or None."""

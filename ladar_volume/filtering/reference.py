@@ -10,6 +10,7 @@ import numpy as np
 from ladar_volume.georeference.sensitivity import full_calibration_jacobian, navigation_jacobian, point_geometry, unpack
 from ladar_volume.model.parameters import CalibrationParameters
 from ladar_volume.model.records import F64, I64, MappedPoints, PlatformStates
+from ladar_volume.model.se3 import matrix_from_quaternion, slerp
 
 
 def design(r_map: F64, centre: F64, normal: F64, tangent: F64, degree: int) -> tuple[F64, F64]:
@@ -48,3 +49,19 @@ def mean_sensitivities(
     at = points.t_ns // bin_ns
     bins = np.unique(at)
     return weights @ cal, bins, np.stack([weights[:, at == b] @ nav[at == b] for b in bins])
+
+
+def geometry(r_map: F64, states: PlatformStates, state: I64, fraction: F64, lever_laser: F64, lever_antenna: F64) -> F64:
+    """Attitude xyzw, v_body, antenna velocity (map) and body rates (n, 13) of points (n, 3) between platform states."""
+    after = np.minimum(state + 1, len(states) - 1)
+
+    def between(values: F64) -> F64:
+        out: F64 = values[state] + fraction[:, None] * (values[after] - values[state])
+        return out
+
+    q = slerp(states.q_map_body[state], states.q_map_body[after], fraction)
+    R = matrix_from_quaternion(q)
+    omega = between(states.omega_body)
+    v_body = np.einsum("nji,nj->ni", R, r_map - between(states.p_map_body)) - lever_laser
+    velocity = np.einsum("nij,nj->ni", R, between(states.v_body) + np.cross(omega, lever_antenna))
+    return np.concatenate([q, v_body, velocity, omega], axis=1)
