@@ -13,7 +13,6 @@ test: .venv/ready
 
 lint: .venv/ready
 	$(PY) -m ruff check .
-	$(PY) -m ruff format --check .
 	$(PY) -m mypy
 
 bench: .venv/ready

@@ -17,13 +17,13 @@ from rich.progress import Progress
 from ladar_volume.cli.present import show_result
 from ladar_volume.engine import Engine
 from ladar_volume.io import results, wire
-from ladar_volume.io.bags import TYPESTORE, BagReader, Raw
+from ladar_volume.io.bags import TYPESTORE, BagReader
 from ladar_volume.io.clouds import returns_from_cloud
 from ladar_volume.io.config import read_config
 from ladar_volume.io.log import McapLog
 from ladar_volume.io.messages import fix_from_message, imu_from_message, odometry_from_message
 from ladar_volume.io.tables import NUMBERS, encode
-from ladar_volume.model.errors import BagError, InputError
+from ladar_volume.model.errors import BagError, GroundError, InputError, SurfaceError, VolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import Estimate
@@ -56,7 +56,18 @@ class Replay:
             if role in ("", "cloud"):
                 self.engine.step()
                 progress(share)
-        return self.engine.finish()
+        try:
+            return self.engine.finish()
+        except (SurfaceError, GroundError, VolumeError) as error:
+            lost = sorted(self.all_losses().items(), key=lambda item: -item[1])[:4]
+            why = ", ".join(f"{reason} {count}" for reason, count in lost)
+            raise type(error)(f"{error} ({self.returns} returns read; not used: {why or 'nothing'})", reason=error.reason) from error
+
+    def all_losses(self) -> Losses:
+        """What decoding and the stages dropped."""
+        losses = Losses(self.losses.as_dict())
+        losses.merge(self.engine.losses)
+        return losses
 
     def _add_returns(self, returns: Any) -> None:
         self.returns += len(returns)
@@ -77,7 +88,7 @@ class Replay:
                     continue
                 role = roles[raw.topic]
                 try:
-                    yield (raw.t_ns - first) * 1e-9 / max(span, 1e-9), role, decode[role](self._message(raw))
+                    yield (raw.t_ns - first) * 1e-9 / max(span, 1e-9), role, decode[role](self.bag.message(raw))
                 except (InputError, BagError) as error:
                     if error.reason == "bag_truncated":
                         raise
@@ -87,16 +98,11 @@ class Replay:
                 raise
             self.losses.add("bag_truncated")  # what came before the break is good data
 
-    def _message(self, raw: Raw) -> Any:
-        return self.bag.message(raw)
-
     def result(self, estimate: Estimate) -> dict[str, Any]:
         """The result as plain values."""
-        losses = Losses(self.losses.as_dict())
-        losses.merge(self.engine.losses)
         points = {"returns": self.returns, "mapped": self.engine.points_mapped, **self.engine.filter.stats}
         source = {"path": self.bag.path.name, "sha256": self.bag.digest(), "duration_s": self.bag.duration_s, "topics": self.topics}
-        return results.result_dict(estimate, self.parameters, losses, self.engine.datum, points, source)
+        return results.result_dict(estimate, self.parameters, self.all_losses(), self.engine.datum, points, source)
 
 
 def _ahead(items: Iterator[tuple[float, str, Any]], depth: int = 64) -> Iterator[tuple[float, str, Any]]:

@@ -18,14 +18,14 @@ from ladar_volume.simulation.survey import Survey, SurveyOptions
 #: Filter and outline that suit a scene; everything else keeps its default.
 SUITED: dict[str, dict[str, dict[str, Any]]] = {
     "box": {
-        "filter": {"radius_m": 0.12, "degree": 1, "min_points": 8, "cap_per_voxel": 16},
-        "volume": {"object_height_m": 0.1, "outline_margin_m": 0.4, "ground_ring_m": 4.0, "max_edge_m": 1.5},
-        "georeference": {"region_m": [-7.0, -7.0, -2.0, 7.0, 7.0, 5.0]},
+        "filter": {"radius_m": 0.08, "degree": 1, "min_points": 8, "cap_per_voxel": 12},
+        "volume": {"object_height_m": 0.1, "outline_margin_m": 0.3, "ground_ring_m": 2.5, "max_edge_m": 1.5},
+        "georeference": {"region_m": [-4.5, -4.0, -2.0, 4.5, 4.0, 5.0]},
     },
     "pile": {
-        "filter": {"radius_m": 0.6, "degree": 2},
+        "filter": {"radius_m": 0.6, "degree": 2, "cap_per_voxel": 20},
         "volume": {"object_height_m": 0.25, "outline_margin_m": 1.0, "ground_ring_m": 8.0},
-        "georeference": {"region_m": [-25.0, -22.0, -10.0, 25.0, 22.0, 30.0]},
+        "georeference": {"region_m": [-20.0, -18.0, -10.0, 20.0, 18.0, 30.0]},
     },
 }
 

@@ -30,12 +30,11 @@ def _plan(ax: Any, figure: Figure, estimate: Estimate) -> None:
     tin = estimate.tin
     triangles = tin.triangles[tin.relevant]
     heights = tin.vertices[triangles, 2].mean(axis=1)
-    shade = _shade(tin)
-    faces = PolyCollection(list(tin.vertices[triangles, :2]), array=heights, cmap="viridis", edgecolors="none", antialiased=False)
-    ax.add_collection(faces)
-    dark = np.zeros((len(triangles), 4))
-    dark[:, 3] = 0.55 * (1.0 - shade)
-    ax.add_collection(PolyCollection(list(tin.vertices[triangles, :2]), facecolors=dark, edgecolors="none", antialiased=False))
+    corners = list(tin.vertices[triangles, :2])
+    faces = PolyCollection(corners, array=heights, cmap="viridis", edgecolors="face", linewidths=0.2)
+    colours = faces.to_rgba(heights)
+    colours[:, :3] *= (0.45 + 0.55 * _shade(tin))[:, None]
+    ax.add_collection(PolyCollection(corners, facecolors=colours, edgecolors=colours, linewidths=0.2))
     outline = np.vstack([estimate.volume.outline, estimate.volume.outline[:1]])
     ax.plot(outline[:, 0], outline[:, 1], color="crimson", lw=1.4, label="outline")
     ax.set(aspect="equal", xlabel="east / m", ylabel="north / m")
