@@ -1,0 +1,102 @@
+"""The command line on the bundled recordings: the truth within the interval, the same bytes every time, errors in one line."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+from ladar_volume.cli.main import main
+from ladar_volume.io.bags import BagReader
+
+BAGS = Path(__file__).parents[2] / "bags"
+
+
+def replayed(capsys, bag, out, *words):
+    assert main(["replay", str(bag), "--json", "--no-figure", "-o", str(out), *words]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("name", ["stockpile", "box"])
+def test_the_true_volume_lies_in_the_interval_of_the_bundled_surveys(name, capsys, tmp_path):
+    result = replayed(capsys, BAGS / name, tmp_path)
+    truth = json.loads((BAGS / name / "truth.json").read_text())["volume_m3"]
+    low, high = result["interval_m3"]
+    assert low <= truth <= high
+    assert abs(result["volume_m3"] - truth) <= 0.015 * truth
+    assert result["sigma_m3"] <= 0.02 * truth
+    assert sum(result["budget_m6"].values()) == pytest.approx(result["sigma_m3"] ** 2, rel=1e-9)
+    assert result["base_same_survey"] and result["version"] and result["input"]["sha256"]
+    points, lost = result["points"], result["losses"]
+    assert points["returns"] == points["mapped"] + sum(v for k, v in lost.items() if k in GEOREFERENCE_LOSSES)
+    assert (tmp_path / "mesh.ply").stat().st_size > 1000 and (tmp_path / "result.mcap").stat().st_size > 1000
+
+
+GEOREFERENCE_LOSSES = {
+    "point_region", "point_range", "point_vehicle", "point_intensity", "point_pose_gap", "point_before_trajectory",
+    "point_trajectory_end", "point_pose_timeout",
+}  # fmt: skip
+
+
+def test_replay_is_deterministic_whatever_the_number_of_threads(capsys, tmp_path):
+    words = ("--duration", "12")
+    one = replayed(capsys, BAGS / "stockpile", tmp_path / "a", *words)
+    threads = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        two = replayed(capsys, BAGS / "stockpile", tmp_path / "b", *words)
+    finally:
+        numba.set_num_threads(threads)
+    assert one == two
+
+
+def test_the_truth_is_never_read(capsys, tmp_path):
+    bag = tmp_path / "copy"
+    shutil.copytree(BAGS / "stockpile", bag)
+    (bag / "truth.json").unlink()
+    words = ("--duration", "8")
+    assert replayed(capsys, bag, tmp_path / "a", *words)["volume_m3"] == replayed(capsys, BAGS / "stockpile", tmp_path / "b", *words)["volume_m3"]
+
+
+def test_the_real_recording_replays_and_unknown_covariances_are_refused_without_the_budget(capsys, tmp_path):
+    result = replayed(capsys, BAGS / "leo_cut", tmp_path)
+    assert result["points"]["mapped"] > 50_000 and np.isfinite(result["volume_m3"])
+    assert main(["replay", str(BAGS / "leo_cut"), "--set", "georeference.unknown_covariance=refuse", "-o", str(tmp_path)]) == 2
+    assert "fix_unknown_covariance" in capsys.readouterr().err
+
+
+def test_errors_are_one_line_and_a_code(capsys, tmp_path):
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    cases = [
+        (["replay", str(tmp_path / "none")], "no such recording"),
+        (["replay", str(BAGS / "stockpile"), "--set", "filter.radus_m=1"], "did you mean 'radius_m'"),
+        (["replay", str(BAGS / "stockpile"), "-o", str(blocked / "out")], "cannot be written"),
+        (["replay", str(BAGS / "stockpile"), "--topic", "cloud=other"], "no topic 'other'"),
+        (["info", str(blocked)], "not a readable recording"),
+        (["check-config", str(tmp_path / "none.yaml")], "cannot be read"),
+    ]
+    for words, text in cases:
+        assert main(words) == 2
+        err = capsys.readouterr().err
+        assert text in err and "Traceback" not in err and err.count("\n") == 1
+
+
+def test_a_truncated_recording_keeps_its_good_beginning(capsys, tmp_path):
+    whole = (BAGS / "stockpile" / "stockpile.mcap").read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole[: len(whole) // 2])
+    code = main(["replay", str(cut), "--config", str(BAGS / "stockpile" / "config.yaml"), "-o", str(tmp_path / "out")])
+    shown = capsys.readouterr()
+    assert code == 2 and "Traceback" not in shown.err and "cut.mcap" in shown.err
+
+
+def test_info_and_check_config_speak_plainly(capsys):
+    assert main(["info", str(BAGS / "stockpile"), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    with BagReader(BAGS / "stockpile") as bag:
+        assert facts["duration_s"] == bag.duration_s
+    assert facts["roles"]["cloud"] == "velodyne_points"
+    assert main(["check-config", str(BAGS / "stockpile" / "config.yaml")]) == 0
+    assert "good" in capsys.readouterr().out
