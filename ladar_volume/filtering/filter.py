@@ -6,24 +6,20 @@ projected once, by the patch of its own voxel. An update refits what new points 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from ladar_volume.filtering import admission, cross, kernels, project, sensitivity
+from ladar_volume.filtering import admission, cross, kernels
 from ladar_volume.filtering.fit import OK, REACH
+from ladar_volume.filtering.patches import Fits, PatchBuilder
 from ladar_volume.filtering.store import HALF, VoxelStore
 from ladar_volume.georeference.lidar import mounting
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import (
-    F64,
     I64,
     Bool,
-    FilteredPoints,
     FilterUpdate,
     MappedPoints,
-    Patches,
     PlatformStates,
     concatenate,
     select,
@@ -33,32 +29,14 @@ from ladar_volume.model.records import (
 KEEP_NS = 30_000_000_000
 
 
-@dataclass(frozen=True)
-class _Fits:
-    """Fits of a set of voxels; row-wise, with inlier slots in CSR form."""
-
-    voxels: I64
-    start: I64
-    members: I64
-    used: I64
-    status: I64
-    sigma: F64
-    time: I64
-    centre: F64
-    normal: F64
-    tangent: F64
-    beta: F64
-    inverse: F64
-
-
 class SurfaceFilter:
     """See the module. Feed platform states and mapped points, ask for updates; order and batching do not matter."""
 
     def __init__(self, parameters: Parameters) -> None:
         self.parameters = parameters.filter
-        self.beams = parameters.georeference.beams
         self._mount = mounting(parameters.calibration, parameters.georeference.pose_source)
         self._store = VoxelStore(self.parameters.radius_m, self.parameters.cap_per_voxel)
+        self._builder = PatchBuilder(self.parameters, self._store, self._mount, parameters.georeference.beams)
         self._states: PlatformStates | None = None
         self._waiting: list[MappedPoints] = []
         self._losses = Losses()
@@ -151,15 +129,16 @@ class SurfaceFilter:
             setattr(self, name, np.concatenate([getattr(self, name), np.zeros(grow, getattr(self, name).dtype)]))
         refitted = self._around(changed, REACH)
         rows_voxels = self._around(refitted, cross.SPAN)
-        fits = self._fit(self._around(rows_voxels, cross.SPAN))
+        fits = self._builder.fit(self._around(rows_voxels, cross.SPAN))
         mine = np.isin(fits.voxels, rows_voxels)
         good = fits.status == OK
         rows = np.flatnonzero(mine & good)
         gone = fits.voxels[mine & ~good]
         removed = self._store.keys[gone[self._published[gone]]]
         self._account(fits, mine)
-        patches = self._patches(fits, rows)
-        points = self._points(fits, rows, patches)
+        patches = self._builder.patches(fits, rows)
+        points, projected = self._builder.points(fits, rows, patches)
+        self._outliers[fits.voxels[rows]] -= projected
         self._published[gone] = False
         self._published[fits.voxels[rows]] = True
         return FilterUpdate(self._t_ns, np.sort(removed), points, patches, complete)
@@ -178,105 +157,10 @@ class SurfaceFilter:
         order: I64 = chosen[np.argsort(s.keys[chosen], kind="stable")]
         return order
 
-    def _fit(self, voxels: I64) -> _Fits:
-        s, f = self._store, self.parameters
-        m, p = len(voxels), 6 if f.degree == 2 else 3
-        bound = np.zeros(m, np.int64)
-        kernels.count_candidates(voxels, s.keys, s.table, s.count, bound)
-        start = np.concatenate([[0], np.cumsum(bound)])
-        fits = _Fits(
-            voxels, start, np.empty(start[-1], np.int64), np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros(m), np.zeros(m, np.int64),
-            np.zeros((m, 3)), np.zeros((m, 3)), np.zeros((m, 3)), np.zeros((m, 6)), np.zeros((m, 6, 6)),
-        )  # fmt: skip
-        kernels.fit_patches(
-            voxels, start, s.keys, s.table, s.count, s.order, s.r, s.t_ns, s.aux, s.cap, f.radius_m, p, f.sample_size or 4, f.trials,
-            f.start == "ransac", f.ransac_threshold_m, f.outlier_sigmas, f.outlier_floor_m, f.min_points, f.refit_iterations, f.seed,
-            fits.members, fits.status, fits.used, fits.sigma, fits.time, fits.centre, fits.normal, fits.tangent, fits.beta, fits.inverse,
-        )  # fmt: skip
-        return fits
-
-    def _account(self, fits: _Fits, mine: Bool) -> None:
+    def _account(self, fits: Fits, mine: Bool) -> None:
         """Keep, per voxel, how many of its points are outliers of their patch or have no patch."""
         voxels = fits.voxels[mine]
         held = self._store.count[voxels].astype(np.int64)
         failed = fits.status[mine] != OK
         self._unfitted[voxels] = np.where(failed, held, 0)
-        self._outliers[voxels] = np.where(failed, 0, held)  # those projected are taken off in _points
-
-    def _patches(self, fits: _Fits, rows: I64) -> Patches:
-        s, p = self._store, 6 if self.parameters.degree == 2 else 3
-        patch_of = np.full(s.used, -1, np.int64)
-        good = np.flatnonzero(fits.status == OK)
-        patch_of[fits.voxels[good]] = good
-        offset, others = self._pairs(fits, rows, patch_of)
-        blocks = np.zeros((offset[-1], p, p))
-        most = int(fits.used.max(initial=0))
-        cross.cross_blocks(
-            rows, offset, others, fits.start, fits.used, fits.members, s.r, s.C, fits.centre, fits.normal, fits.tangent, fits.inverse, p,
-            most, cross.chunks_of(len(rows)), blocks,
-        )  # fmt: skip
-        nav_start, nav_bin, M_cal, M_nav = self._sensitivities(fits, rows, p)
-        return Patches(
-            s.keys[fits.voxels[rows]], fits.centre[rows], fits.normal[rows], fits.tangent[rows], fits.beta[rows, :p], fits.sigma[rows],
-            fits.used[rows].astype(np.int32), fits.time[rows], offset, s.keys[fits.voxels[others]], blocks, M_cal, nav_start, nav_bin,
-            M_nav,
-        )  # fmt: skip
-
-    def _pairs(self, fits: _Fits, rows: I64, patch_of: I64) -> tuple[I64, I64]:
-        """Pairs of patches that share raw points, in CSR form: (offset, other patch), the other's key never the lower one."""
-        s, counts = self._store, np.zeros(len(rows), np.int64)
-
-        def listed(fill: bool, offset: I64, out: I64) -> None:
-            cross.candidates(
-                rows, fits.voxels, patch_of, fits.centre, self.parameters.radius_m, s.keys, s.table, fill, offset, out, counts
-            )  # fmt: skip
-
-        listed(False, np.zeros(len(rows) + 1, np.int64), np.empty(0, np.int64))
-        offset = np.concatenate([[0], np.cumsum(counts)])
-        others = np.empty(offset[-1], np.int64)
-        listed(True, offset, others)
-        shared = np.zeros(len(others), np.bool_)
-        cross.sharing(rows, offset, others, fits.start, fits.used, fits.members, len(s.r), cross.chunks_of(len(rows)), shared)
-        return np.concatenate([[0], np.cumsum(shared)])[offset], others[shared]
-
-    def _sensitivities(self, fits: _Fits, rows: I64, p: int) -> tuple[I64, I64, F64, F64]:
-        s, bin_ns = self._store, np.int64(self.parameters.nav_bin_s * 1e9)
-        start = np.concatenate([[0], np.cumsum(fits.used[rows])])
-        members = _joined(fits.members, fits.start[rows], fits.used[rows])
-        bins = np.zeros(len(rows), np.int64)
-        sensitivity.count_bins(start, fits.used[rows], members, s.t_ns, bin_ns, bins)
-        nav_start = np.concatenate([[0], np.cumsum(bins)])
-        nav_bin = np.zeros(nav_start[-1], np.int64)
-        M_cal = np.zeros((len(rows), p, 11 + 2 * self.beams))
-        M_nav = np.zeros((nav_start[-1], p, 6))
-        sensitivity.sensitivities(
-            start, fits.used[rows], members, s.r, s.t_ns, s.ring, s.aux, fits.centre[rows], fits.normal[rows], fits.tangent[rows],
-            fits.inverse[rows], p, self.beams, self._mount.lever_laser, self._mount.lever_antenna,
-            np.ascontiguousarray(self._mount.R_body_laser[:, 2]), bin_ns, nav_start, nav_bin, M_cal, M_nav,
-        )  # fmt: skip
-        return nav_start, nav_bin, M_cal, M_nav
-
-    def _points(self, fits: _Fits, rows: I64, patches: Patches) -> FilteredPoints:
-        s, p = self._store, patches.beta.shape[1]
-        n = len(rows) * s.cap
-        r, normal, variance = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
-        C, t_ns, uv = np.zeros((n, 6), np.float32), np.zeros(n, np.int64), np.zeros((n, 2))
-        counts, own = np.zeros(len(rows), np.int64), np.zeros(len(rows), np.int64)
-        spacing = self.parameters.sampling_m or self.parameters.radius_m / 2
-        project.project(
-            rows, fits.voxels, fits.start, fits.used, fits.members, s.r, s.C, s.t_ns, s.cap, fits.centre, fits.normal, fits.tangent,
-            fits.beta, np.ascontiguousarray(patches.cross[patches.cross_start[:-1]]), p, spacing,
-            r, normal, variance, C, t_ns, uv, counts, own,
-        )  # fmt: skip
-        self._outliers[fits.voxels[rows]] -= own
-        slot = np.arange(n) % max(s.cap, 1)
-        keep = slot < np.repeat(counts, s.cap)
-        patch = np.repeat(patches.key, s.cap)
-        return select(FilteredPoints(r, normal, variance, C, t_ns, patch, uv), keep)
-
-
-def _joined(values: I64, start: I64, length: I64) -> I64:
-    """The slices ``values[start[i]:start[i] + length[i]]`` one after another."""
-    index = np.repeat(start - np.concatenate([[0], np.cumsum(length)[:-1]]) if len(start) else start, length)
-    joined: I64 = values[index + np.arange(len(index))]
-    return joined
+        self._outliers[voxels] = np.where(failed, 0, held)  # those projected are taken off later

@@ -31,18 +31,19 @@ def distinct_bins(members: Any, n: Any, t_ns: Any, bin_ns: Any, bins: Any) -> An
 
 
 @parallel_kernel
-def count_bins(start: Any, used: Any, members: Any, t_ns: Any, bin_ns: Any, out: Any) -> None:
+def count_bins(rows: Any, start: Any, used: Any, members: Any, t_ns: Any, bin_ns: Any, out: Any) -> None:
     """Distinct navigation time bins of each patch."""
-    for a in numba.prange(len(used)):
+    for i_row in numba.prange(len(rows)):
+        a = rows[i_row]
         bins = np.empty(used[a] + 1, np.int64)
-        out[a] = distinct_bins(members[start[a] : start[a + 1]], used[a], t_ns, bin_ns, bins)
+        out[i_row] = distinct_bins(members[start[a] : start[a] + used[a]], used[a], t_ns, bin_ns, bins)
 
 
 @parallel_kernel
 def sensitivities(
-    start: Any, used: Any, members: Any, r: Any, t_ns: Any, ring: Any, aux: Any, centre: Any, normal: Any, tangent: Any, inverse: Any,
-    p: Any, beams: Any, lever_laser: Any, lever_antenna: Any, axis_body: Any, bin_ns: Any, nav_start: Any, nav_bin: Any, M_cal: Any,
-    M_nav: Any,
+    rows: Any, start: Any, used: Any, members: Any, r: Any, t_ns: Any, ring: Any, aux: Any, centre: Any, normal: Any, tangent: Any,
+    inverse: Any, p: Any, beams: Any, lever_laser: Any, lever_antenna: Any, axis_body: Any, bin_ns: Any, nav_start: Any, nav_bin: Any,
+    M_cal: Any, M_nav: Any,
 ) -> None:  # fmt: skip
     """Mean sensitivities of beta (UNCERTAINTY step 4): ``(XᵀX)⁻¹ Σ_j x_j n·∂r_j/∂theta``, over all inliers and per time bin.
 
@@ -50,12 +51,13 @@ def sensitivities(
     n·velocity + (omega x arm)·m, vertical angle m·(range (axis − u sin eps)/cos eps) with ``axis_body`` the laser's z axis.
     """
     shift = lever_laser - lever_antenna
-    for a in numba.prange(len(used)):
+    for i_row in numba.prange(len(rows)):
+        a = rows[i_row]
         n = normal[a]
-        nb = nav_start[a + 1] - nav_start[a]
-        bins = nav_bin[nav_start[a] : nav_start[a + 1]]
+        nb = nav_start[i_row + 1] - nav_start[i_row]
+        bins = nav_bin[nav_start[i_row] : nav_start[i_row + 1]]
         all_bins = np.empty(used[a] + 1, np.int64)
-        distinct_bins(members[start[a] : start[a + 1]], used[a], t_ns, bin_ns, all_bins)
+        distinct_bins(members[start[a] : start[a] + used[a]], used[a], t_ns, bin_ns, all_bins)
         bins[:] = all_bins[:nb]
         cal = np.zeros((6, 11 + 2 * beams))
         nav = np.zeros((nb, 6, 6))
@@ -103,10 +105,10 @@ def sensitivities(
                 s = 0.0
                 for l in range(p):
                     s += inverse[a, k, l] * cal[l, c]
-                M_cal[a, k, c] = s
+                M_cal[i_row, k, c] = s
             for e in range(nb):
                 for c in range(6):
                     s = 0.0
                     for l in range(p):
                         s += inverse[a, k, l] * nav[e, l, c]
-                    M_nav[nav_start[a] + e, k, c] = s
+                    M_nav[nav_start[i_row] + e, k, c] = s

@@ -31,7 +31,7 @@ def fitted(scene, request):
     f.add_platform(states)
     f.add(points)
     update = f.finish()
-    fits = f._fit(f._around(np.arange(f._store.used), 0))
+    fits = f._builder.fit(f._around(np.arange(f._store.used), 0))
     slots = {
         int(f._store.keys[v]): np.sort(fits.members[fits.start[a] : fits.start[a] + fits.used[a]])
         for a, v in enumerate(fits.voxels)
@@ -102,7 +102,7 @@ def test_sensitivities_are_those_of_the_lidar_equation(fitted):
         calibration = Parameters.read({
             "calibration": {"boresight_pitch_deg": 25.0, "lever_laser_m": [0.1, -0.2, 0.3], "lever_antenna_m": [-0.3, 0.1, 0.8]}
         }).calibration  # fmt: skip
-        M_cal, bins, M_nav = reference.mean_sensitivities(X, p.normal[j], points, states, calibration, f.beams, 2_000_000_000)
+        M_cal, bins, M_nav = reference.mean_sensitivities(X, p.normal[j], points, states, calibration, f._builder.beams, 2_000_000_000)
         nav = slice(p.nav_start[j], p.nav_start[j + 1])
         assert np.array_equal(bins, p.nav_bin[nav])
         # the filter keeps the geometry in float32

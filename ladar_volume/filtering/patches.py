@@ -1,0 +1,128 @@
+"""Patches of a set of voxels: fits, cross blocks, sensitivities and projected points, assembled from the kernels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ladar_volume.filtering import cross, kernels, project, sensitivity
+from ladar_volume.filtering.fit import OK
+from ladar_volume.filtering.store import VoxelStore
+from ladar_volume.georeference.lidar import Mounting
+from ladar_volume.model.parameters import FilterParameters
+from ladar_volume.model.records import F64, I64, FilteredPoints, Patches, select
+
+
+@dataclass(frozen=True)
+class Fits:
+    """Fits of a set of voxels; row-wise, with inlier slots in CSR form."""
+
+    voxels: I64
+    start: I64
+    members: I64
+    used: I64
+    status: I64
+    sigma: F64
+    time: I64
+    centre: F64
+    normal: F64
+    tangent: F64
+    beta: F64
+    inverse: F64
+
+
+class PatchBuilder:
+    """Fits the voxels of a store and assembles what is published. Holds no state of its own."""
+
+    def __init__(self, parameters: FilterParameters, store: VoxelStore, mount: Mounting, beams: int) -> None:
+        self.parameters, self.store, self.mount, self.beams = parameters, store, mount, beams
+
+    def fit(self, voxels: I64) -> Fits:
+        """Fit the patches of these voxels (indices)."""
+        s, f = self.store, self.parameters
+        m, p = len(voxels), 6 if f.degree == 2 else 3
+        bound = np.zeros(m, np.int64)
+        kernels.count_candidates(voxels, s.keys, s.table, s.count, bound)
+        start = np.concatenate([[0], np.cumsum(bound)])
+        fits = Fits(
+            voxels, start, np.empty(start[-1], np.int64), np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros(m), np.zeros(m, np.int64),
+            np.zeros((m, 3)), np.zeros((m, 3)), np.zeros((m, 3)), np.zeros((m, 6)), np.zeros((m, 6, 6)),
+        )  # fmt: skip
+        kernels.fit_patches(
+            voxels, start, s.keys, s.table, s.count, s.order, s.r, s.t_ns, s.aux, s.cap, f.radius_m, p, f.sample_size or 4, f.trials,
+            f.start == "ransac", f.ransac_threshold_m, f.outlier_sigmas, f.outlier_floor_m, f.min_points, f.refit_iterations, f.seed,
+            fits.members, fits.status, fits.used, fits.sigma, fits.time, fits.centre, fits.normal, fits.tangent, fits.beta, fits.inverse,
+        )  # fmt: skip
+        return fits
+
+    def patches(self, fits: Fits, rows: I64) -> Patches:
+        """The record of patches ``rows`` of the fits, which must hold all their neighbours."""
+        s, p = self.store, 6 if self.parameters.degree == 2 else 3
+        patch_of = np.full(s.used, -1, np.int64)
+        good = np.flatnonzero(fits.status == OK)
+        patch_of[fits.voxels[good]] = good
+        offset, others = self._pairs(fits, rows, patch_of)
+        blocks = np.zeros((offset[-1], p, p))
+        most = int(fits.used.max(initial=0))
+        cross.cross_blocks(
+            rows, offset, others, fits.start, fits.used, fits.members, s.r, s.C, fits.centre, fits.normal, fits.tangent, fits.inverse, p,
+            most, cross.chunks_of(len(rows)), blocks,
+        )  # fmt: skip
+        nav_start, nav_bin, M_cal, M_nav = self._sensitivities(fits, rows, p)
+        return Patches(
+            s.keys[fits.voxels[rows]], fits.centre[rows], fits.normal[rows], fits.tangent[rows], fits.beta[rows, :p], fits.sigma[rows],
+            fits.used[rows].astype(np.int32), fits.time[rows], offset, s.keys[fits.voxels[others]], blocks, M_cal, nav_start, nav_bin,
+            M_nav,
+        )  # fmt: skip
+
+    def _pairs(self, fits: Fits, rows: I64, patch_of: I64) -> tuple[I64, I64]:
+        """Pairs of patches that share raw points, in CSR form: (offset, other patch), the other's key never the lower one."""
+        s, counts = self.store, np.zeros(len(rows), np.int64)
+
+        def listed(fill: bool, offset: I64, out: I64) -> None:
+            cross.candidates(
+                rows, fits.voxels, patch_of, fits.centre, self.parameters.radius_m, s.keys, s.table, fill, offset, out, counts
+            )  # fmt: skip
+
+        listed(False, np.zeros(len(rows) + 1, np.int64), np.empty(0, np.int64))
+        offset = np.concatenate([[0], np.cumsum(counts)])
+        others = np.empty(offset[-1], np.int64)
+        listed(True, offset, others)
+        shared = np.zeros(len(others), np.bool_)
+        cross.sharing(rows, offset, others, fits.start, fits.used, fits.members, len(s.r), cross.chunks_of(len(rows)), shared)
+        return np.concatenate([[0], np.cumsum(shared)])[offset], others[shared]
+
+    def _sensitivities(self, fits: Fits, rows: I64, p: int) -> tuple[I64, I64, F64, F64]:
+        s, bin_ns = self.store, np.int64(self.parameters.nav_bin_s * 1e9)
+        bins = np.zeros(len(rows), np.int64)
+        sensitivity.count_bins(rows, fits.start, fits.used, fits.members, s.t_ns, bin_ns, bins)
+        nav_start = np.concatenate([[0], np.cumsum(bins)])
+        nav_bin = np.zeros(nav_start[-1], np.int64)
+        M_cal = np.zeros((len(rows), p, 11 + 2 * self.beams))
+        M_nav = np.zeros((nav_start[-1], p, 6))
+        sensitivity.sensitivities(
+            rows, fits.start, fits.used, fits.members, s.r, s.t_ns, s.ring, s.aux, fits.centre, fits.normal, fits.tangent,
+            fits.inverse, p, self.beams, self.mount.lever_laser, self.mount.lever_antenna,
+            np.ascontiguousarray(self.mount.R_body_laser[:, 2]), bin_ns, nav_start, nav_bin, M_cal, M_nav,
+        )  # fmt: skip
+        return nav_start, nav_bin, M_cal, M_nav
+
+    def points(self, fits: Fits, rows: I64, patches: Patches) -> tuple[FilteredPoints, I64]:
+        """The filtered points of patches ``rows``, and how many raw points each projected."""
+        s, p = self.store, patches.beta.shape[1]
+        n = len(rows) * s.cap
+        r, normal, variance = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
+        C, t_ns, uv = np.zeros((n, 6), np.float32), np.zeros(n, np.int64), np.zeros((n, 2))
+        counts, own = np.zeros(len(rows), np.int64), np.zeros(len(rows), np.int64)
+        spacing = self.parameters.sampling_m or self.parameters.radius_m / 2
+        project.project(
+            rows, fits.voxels, fits.start, fits.used, fits.members, s.r, s.C, s.t_ns, s.cap, fits.centre, fits.normal, fits.tangent,
+            fits.beta, np.ascontiguousarray(patches.cross[patches.cross_start[:-1]]), p, spacing,
+            r, normal, variance, C, t_ns, uv, counts, own,
+        )  # fmt: skip
+        slot = np.arange(n) % max(s.cap, 1)
+        keep = slot < np.repeat(counts, s.cap)
+        patch = np.repeat(patches.key, s.cap)
+        return select(FilteredPoints(r, normal, variance, C, t_ns, patch, uv), keep), own
+
