@@ -33,7 +33,9 @@ SUITED: dict[str, dict[str, dict[str, Any]]] = {
 def add_parser(subparsers: Any) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser("simulate", help="simulate a survey of a scene with a known volume")
-    parser.add_argument("scene", help="stockpile, cone, cone_100, frustum, stockpile_5000, box, nist_box, kern_before, kern_after, sphere, square")
+    parser.add_argument(
+        "scene", help="stockpile, cone, cone_100, frustum, stockpile_5000, box, nist_box, kern_before, kern_after, sphere, square"
+    )
     parser.add_argument("--platform", choices=("uav", "rover"), default="uav")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--duration", type=float, default=36.0, help="seconds")
@@ -50,9 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
     console = Console(stderr=True)
     scene = make_scene(arguments.scene, arguments.seed)
     platform = make_platform(arguments.platform, scene.extent_m, arguments.duration)
-    options = SurveyOptions(
-        arguments.duration, max(1, arguments.thin), arguments.gnss_hz, arguments.imu_hz, seed=arguments.seed
-    )
+    options = SurveyOptions(arguments.duration, max(1, arguments.thin), arguments.gnss_hz, arguments.imu_hz, seed=arguments.seed)
     parameters = read_config(arguments.config)
     survey = Survey(scene, platform, parameters.budget, options)
     suited = {s: dict(v) for s, v in SUITED["box" if arguments.scene == "box" else "pile"].items()}

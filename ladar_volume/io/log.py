@@ -57,7 +57,7 @@ class McapLog:
             if self._flushed_ns is None:
                 self._flushed_ns = t_ns
             if t_ns - self._flushed_ns >= self.parameters.chunk_s * 1e9 or t_ns < self._flushed_ns:
-                self._writer.flush()
+                self._writer.flush()  # type: ignore[no-untyped-call]
                 self._stream.flush()
                 self._flushed_ns = t_ns
             if self.parameters.split_bytes and self._stream.tell() >= self.parameters.split_bytes:
@@ -85,7 +85,7 @@ class McapLog:
     def close(self) -> None:
         """Finish the file with its index."""
         if not self._stream.closed:
-            self._writer.finish()
+            self._writer.finish()  # type: ignore[no-untyped-call]
             self._stream.close()
 
     def _channel(self, topic: str, kind: str) -> int:

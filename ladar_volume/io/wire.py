@@ -7,6 +7,7 @@ long table, one row per block, told apart by `kind`; its values are float32: onl
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Mapping
 from typing import Any
 
@@ -56,7 +57,8 @@ def mapped_points(stamp_ns: int, columns: Mapping[str, Any]) -> MappedPoints:
     _need(columns, "x", "y", "z", "intensity", "ring", "t", *names)
     r = np.column_stack([columns[a] for a in "xyz"]).astype(np.float64)
     C = np.column_stack([columns[n] for n in names]).astype(np.float32)
-    return MappedPoints(stamp_ns + columns["t"].astype(np.int64), r, C, columns["ring"].astype(np.uint16), columns["intensity"].astype(np.float32))
+    t_ns = stamp_ns + columns["t"].astype(np.int64)
+    return MappedPoints(t_ns, r, C, columns["ring"].astype(np.uint16), columns["intensity"].astype(np.float32))
 
 
 def filtered_columns(points: FilteredPoints) -> Columns:
@@ -80,8 +82,8 @@ def filtered_points(columns: Mapping[str, Any]) -> FilteredPoints:
 
 
 def patch_columns(update: FilterUpdate) -> Columns:
-    """``patches``: the long table. Row kinds: 0 head (`other` its time), 1 cross block (`other` its key), 2 calibration columns from `index` on,
-    3 navigation bin `other`, 4 removed patch, 5 end marker (index 1: the last update of the data)."""
+    """``patches``: the long table. Row kinds: 0 head (`other` its time), 1 cross block (`other` its key), 2 calibration columns
+    (`index` the group), 3 navigation bin `other`, 4 removed patch, 5 end marker (index 1: the last update of the data)."""
     a = update.patches
     m, p = a.beta.shape
     width = max(p * p, p * CAL_GROUP, 14 + p)
@@ -108,7 +110,7 @@ def update_parts(update: FilterUpdate, patches: int = 400) -> list[FilterUpdate]
     m = len(update.patches)
     bounds = [*range(0, m, patches), m] if m else [0, 0]
     parts = []
-    for first, last in zip(bounds[:-1], bounds[1:], strict=True):
+    for first, last in itertools.pairwise(bounds):
         a = update.patches
         c0, c1, n0, n1 = a.cross_start[first], a.cross_start[last], a.nav_start[first], a.nav_start[last]
         rows = {f.name: getattr(a, f.name)[first:last] for f in dataclasses.fields(a)}

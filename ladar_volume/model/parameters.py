@@ -25,7 +25,9 @@ class CalibrationParameters:
         (0.0, 0.0, 0.0), "Small body-side rotation vector applied to the nominal boresight.", low=-10, high=10, vector=3
     )
     lever_laser_m: tuple[float, ...] = param((0.0, 0.0, 0.0), "Laser origin in the body frame, b.", unit="m", low=-50, high=50, vector=3)
-    lever_antenna_m: tuple[float, ...] = param((0.0, 0.0, 0.0), "Antenna phase centre in the body frame, a.", unit="m", low=-50, high=50, vector=3)
+    lever_antenna_m: tuple[float, ...] = param(
+        (0.0, 0.0, 0.0), "Antenna phase centre in the body frame, a.", unit="m", low=-50, high=50, vector=3
+    )
     clock_offset_s: float = param(0.0, "dt: navigation time minus LiDAR time, t_nav = t_lidar + dt.", unit="s", low=-1e5, high=1e5)
 
 
@@ -43,16 +45,25 @@ class BudgetParameters:
     beam_vertical_sigma_rad: float = param(math.radians(0.01), "Vertical angle offset of each beam, constant (eps_k).", low=0, high=5)
     range_bias_sigma_m: float = param(0.003, "Range bias common to all beams (rho_0).", unit="m", low=0, high=1)
     position_sigma_m: tuple[float, ...] = param(
-        (0.014, 0.014, 0.021), "Antenna position east, north, up: stands in where the receiver gives no covariance.", unit="m", low=0, high=100, vector=3
+        (0.014, 0.014, 0.021),
+        "Antenna position east, north, up: stands in where the receiver gives no covariance.",
+        unit="m",
+        low=0,
+        high=100,
+        vector=3,
     )
     attitude_sigma_rad: tuple[float, ...] = param(
         (math.radians(0.02), math.radians(0.02), math.radians(0.05)),
         "Roll, pitch, heading: stands in where the IMU gives no covariance.", low=0, high=90, vector=3,
     )  # fmt: skip
     position_bias_fraction: float = param(0.2, "Share of the position variance that is constant over the survey.", low=0, high=1)
-    position_white_fraction: float = param(0.1, "Share of the position variance that is white per fix; the rest is Gauss-Markov.", low=0, high=1)
+    position_white_fraction: float = param(
+        0.1, "Share of the position variance that is white per fix; the rest is Gauss-Markov.", low=0, high=1
+    )
     attitude_bias_fraction: float = param(0.1, "Share of the attitude variance that is constant over the survey.", low=0, high=1)
-    attitude_white_fraction: float = param(0.1, "Share of the attitude variance that is white per sample; the rest is Gauss-Markov.", low=0, high=1)
+    attitude_white_fraction: float = param(
+        0.1, "Share of the attitude variance that is white per sample; the rest is Gauss-Markov.", low=0, high=1
+    )
     tau_position_s: float = param(300.0, "Correlation time of the position's Gauss-Markov part.", unit="s", low=0.1, high=1e6)
     tau_attitude_s: float = param(20.0, "Correlation time of the attitude's Gauss-Markov part.", unit="s", low=0.1, high=1e6)
     boresight_sigma_rad: tuple[float, ...] = param(
@@ -69,11 +80,17 @@ class GeoreferenceParameters:
 
     pose_source: str = param("gnss_imu", "Where poses come from.", choices=("gnss_imu", "odometry"))
     position_interpolation: str = param("linear", "Antenna position between fixes.", choices=("linear", "hermite"))
-    max_position_gap_s: float = param(0.6, "Largest interval between fixes that is bridged; returns in a longer one are lost.", unit="s", low=0.001, high=60)
+    max_position_gap_s: float = param(
+        0.6, "Largest interval between fixes that is bridged; returns in a longer one are lost.", unit="s", low=0.001, high=60
+    )
     max_attitude_gap_s: float = param(0.15, "Largest interval between attitudes that is bridged.", unit="s", low=0.001, high=60)
-    unknown_covariance: str = param("refuse", "Fix or attitude without covariance: refuse it, or take the budget's sigma.", choices=("refuse", "budget"))
+    unknown_covariance: str = param(
+        "refuse", "Fix or attitude without covariance: refuse it, or take the budget's sigma.", choices=("refuse", "budget")
+    )
     stamp_refers_to: str = param("first", "What the stamp marks where `t` offsets count from the sweep's start.", choices=("first", "last"))
-    untimed_clouds: str = param("refuse", "Cloud without per-point time: refuse it, or give every return the stamp.", choices=("refuse", "stamp"))
+    untimed_clouds: str = param(
+        "refuse", "Cloud without per-point time: refuse it, or give every return the stamp.", choices=("refuse", "stamp")
+    )
     range_min_m: float = param(0.5, "Nearest range kept.", unit="m", low=0, high=1000)
     range_max_m: float = param(120.0, "Farthest range kept.", unit="m", low=0.1, high=10000)
     vehicle_box_m: tuple[float, ...] = param(
@@ -125,14 +142,24 @@ class GroundParameters:
 class VolumeParameters:
     """Surface, base and volume."""
 
-    base: str = param("ground", "What the volume stands on: ground of the same survey, a level, or a given plane.", choices=("ground", "level", "plane"))
+    base: str = param(
+        "ground", "What the volume stands on: ground of the same survey, a level, or a given plane.", choices=("ground", "level", "plane")
+    )
     level_m: float = param(0.0, "Height of the level in the map frame.", unit="m", low=-10000, high=10000)
-    plane: tuple[float, ...] = param((0.0, 0.0, 0.0), "The given plane z = c0 + c1 x + c2 y in the map frame.", low=-1e5, high=1e5, vector=3)
-    outline: str = param("auto", "Where the volume counts: the main body above the base, everything, or a polygon.", choices=("auto", "all", "polygon"))
+    plane: tuple[float, ...] = param(
+        (0.0, 0.0, 0.0), "The given plane z = c0 + c1 x + c2 y in the map frame.", low=-1e5, high=1e5, vector=3
+    )
+    outline: str = param(
+        "auto", "Where the volume counts: the main body above the base, everything, or a polygon.", choices=("auto", "all", "polygon")
+    )
     polygon_m: tuple[float, ...] = param((), "Outline x1, y1, x2, y2, ... in the map frame.", unit="m", vector=0)
-    object_height_m: float = param(0.15, "Auto outline: least height above the base that belongs to the body.", unit="m", low=0.001, high=100)
+    object_height_m: float = param(
+        0.15, "Auto outline: least height above the base that belongs to the body.", unit="m", low=0.001, high=100
+    )
     outline_margin_m: float = param(1.0, "Auto outline: margin around the body, so that the toe is inside.", unit="m", low=0, high=100)
-    ground_ring_m: float = param(10.0, "Ground is fitted to points within this distance outside the outline; 0 for all.", unit="m", low=0, high=10000)
+    ground_ring_m: float = param(
+        10.0, "Ground is fitted to points within this distance outside the outline; 0 for all.", unit="m", low=0, high=10000
+    )
     relevant: str = param("edge", "Which triangles count (seed 000 section 3.1).", choices=("all", "corners", "edge", "circumcircle"))
     max_edge_m: float = param(3.0, "Longest edge of a relevant triangle.", unit="m", low=0.001, high=10000)
     max_circumdiameter_m: float = param(3.0, "Largest circumcircle diameter of a relevant triangle.", unit="m", low=0.001, high=10000)

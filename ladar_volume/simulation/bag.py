@@ -31,15 +31,16 @@ def _header(t_ns: int, frame: str) -> Any:
 
 def cloud_message(sweep: Sweep) -> Any:
     """PointCloud2 with the Velodyne driver's fields x y z intensity ring time, 22 bytes a point."""
-    layout = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")])
+    columns = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")]
+    layout = np.dtype(columns)
     packed = np.empty(len(sweep.time_s), layout)
     packed["x"], packed["y"], packed["z"] = sweep.xyz.T
     packed["intensity"], packed["ring"], packed["time"] = sweep.intensity, sweep.ring, sweep.time_s
     kinds = {"<f4": FLOAT32, "<u2": UINT16}
-    fields = [
-        T["sensor_msgs/msg/PointField"](name=n, offset=int(layout.fields[n][1]), datatype=kinds[layout.fields[n][0].str], count=1)
-        for n in layout.names
-    ]  # fmt: skip
+    fields, offset = [], 0
+    for name, code in columns:
+        fields.append(T["sensor_msgs/msg/PointField"](name=name, offset=offset, datatype=kinds[code], count=1))
+        offset += np.dtype(code).itemsize
     return T["sensor_msgs/msg/PointCloud2"](
         header=_header(sweep.stamp_ns, "velodyne"), height=1, width=len(packed), fields=fields, is_bigendian=False,
         point_step=layout.itemsize, row_step=layout.itemsize * len(packed), data=packed.view(np.uint8), is_dense=True,

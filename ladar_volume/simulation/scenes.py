@@ -132,7 +132,8 @@ def pile(name: str, a: float, b: float, top: float, ground: Ground, extent: floa
     outer = 1.0 + np.geomspace(0.02, extent / min(a, b) - 1.0, 60)
 
     def profile(r: F64) -> F64:
-        return height * np.clip((1.0 - r) / (1.0 - top), 0.0, 1.0)
+        h: F64 = height * np.clip((1.0 - r) / (1.0 - top), 0.0, 1.0)
+        return h
 
     vertices, triangles = polar_mesh(np.concatenate([rho, outer]), a, b, profile, ground)
     volume = np.pi * a * b * height * (1 + top + top * top) / 3.0

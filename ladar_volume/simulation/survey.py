@@ -6,6 +6,7 @@ only. ``Survey.truth`` names what was drawn.
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -117,7 +118,7 @@ class Survey:
 
     def sweeps(self) -> Iterator[Sweep]:
         """Clouds of one turn each, in laser coordinates, returns only."""
-        import open3d as o3d  # loaded where rays are cast: half a second and 300 MB
+        o3d = importlib.import_module("open3d")  # loaded where rays are cast: half a second and 300 MB
 
         caster = o3d.t.geometry.RaycastingScene()
         caster.add_triangles(
@@ -149,7 +150,7 @@ class Survey:
         xyz = rho[keep, None] * velodyne.directions(f.azimuth[keep], f.elevation[keep])
         facing = np.abs(np.sum(normals[keep] * rays[keep, 3:], axis=1))
         intensity = np.round(np.clip(90.0 * facing, 1, 255)).astype(np.float32)
-        stamp = EPOCH_NS + int(round((start_s - self._clock_s) * 1e9))
+        stamp = EPOCH_NS + round((start_s - self._clock_s) * 1e9)
         offset = (f.time_s[keep] - start_s).astype(np.float32)
         return Sweep(stamp, offset, xyz.astype(np.float32), intensity, f.ring[keep])
 

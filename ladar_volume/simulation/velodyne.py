@@ -79,4 +79,5 @@ def measured_ranges(
     step = np.isfinite(after) & np.isfinite(true) & (np.abs(after - true) > 0.2) & (np.abs(after - true) < 20.0)
     mixed = step & (rng.random(len(true)) < mixed_share)
     rho[mixed] += (after - true)[mixed] * rng.random(int(mixed.sum()))
-    return np.round(rho / RANGE_STEP_M) * RANGE_STEP_M
+    reported: F64 = np.round(rho / RANGE_STEP_M) * RANGE_STEP_M
+    return reported

@@ -7,6 +7,7 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
+
 from ladar_volume.cli.main import main
 from ladar_volume.io.bags import BagReader
 
@@ -56,7 +57,10 @@ def test_the_truth_is_never_read(capsys, tmp_path):
     shutil.copytree(BAGS / "stockpile", bag)
     (bag / "truth.json").unlink()
     words = ("--duration", "8")
-    assert replayed(capsys, bag, tmp_path / "a", *words)["volume_m3"] == replayed(capsys, BAGS / "stockpile", tmp_path / "b", *words)["volume_m3"]
+    assert (
+        replayed(capsys, bag, tmp_path / "a", *words)["volume_m3"]
+        == replayed(capsys, BAGS / "stockpile", tmp_path / "b", *words)["volume_m3"]
+    )
 
 
 def test_the_real_recording_replays_and_unknown_covariances_are_refused_without_the_budget(capsys, tmp_path):

@@ -8,6 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.spatial.transform import Rotation, Slerp
+
 from ladar_volume.model import errors
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.records import concatenate, select
@@ -21,7 +23,6 @@ from ladar_volume.model.se3 import (
     skew,
     slerp,
 )
-from scipy.spatial.transform import Rotation, Slerp
 
 angles = st.floats(-np.pi, np.pi)
 vectors = arrays(np.float64, 3, elements=st.floats(-3, 3))

@@ -4,6 +4,7 @@ import dataclasses
 import math
 
 import pytest
+
 from ladar_volume.model.errors import ParameterValueError, UnknownParameterError
 from ladar_volume.model.parameter import specs
 from ladar_volume.model.parameters import SECTIONS, Parameters

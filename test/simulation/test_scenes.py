@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from ladar_volume.model.errors import SimulationError
 from ladar_volume.simulation.scenes import Ground, box_mesh, kern_pit, make_scene, mesh_volume, pile, sphere, square
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.clouds import returns_from_cloud
 from ladar_volume.model.errors import OutputError, SimulationError
@@ -18,7 +20,6 @@ from ladar_volume.simulation.errors import error_series
 from ladar_volume.simulation.platforms import make_platform
 from ladar_volume.simulation.scenes import make_scene
 from ladar_volume.simulation.survey import EPOCH_NS, Survey, SurveyOptions
-from scipy.spatial.transform import Rotation
 
 BAGS = Path(__file__).parents[2] / "bags"
 ZERO = {
@@ -54,7 +55,9 @@ def test_error_series_has_its_total_variance_and_its_correlation():
 def _flawless(platform, seed=1, **options):
     scene = make_scene("cone")
     budget = BudgetParameters(**ZERO)
-    return Survey(scene, make_platform(platform, scene.extent_m, 20.0), budget, SurveyOptions(0.4, 12, mixed_share=0.0, seed=seed, **options))
+    return Survey(
+        scene, make_platform(platform, scene.extent_m, 20.0), budget, SurveyOptions(0.4, 12, mixed_share=0.0, seed=seed, **options)
+    )
 
 
 @pytest.mark.parametrize("platform", ["uav", "rover"])
