@@ -80,13 +80,14 @@ class FilterNode(StageNode):
                 self._points.publish(table_message(filtered_columns(part.points), update.t_ns + number))
                 self.counts["parts"] += 1
             self.counts["updates"] += 1
-        self._updated = time.monotonic()
-        self._last_update_s = self._updated - began
+        self._updated = began  # the period counts from start to start
+        self._last_update_s = time.monotonic() - began
 
     def status(self) -> dict[str, Any]:
         """Size of the surface, what was sent, and whether something waits for the next update."""
         return {
-            **self.stage.stats, **{f"count_{k}": v for k, v in self.counts.items()}, "pending_update": int(self._fresh or bool(self._states)),
+            **self.stage.stats, **{f"count_{k}": v for k, v in self.counts.items()},
+            "pending_update": int(self._fresh or bool(self._states)),
             "last_update_s": f"{self._last_update_s:.2f}",
         }  # fmt: skip
 

@@ -61,7 +61,8 @@ class Watcher(Node):
             n("georeference_node", "received_cloud"), n("georeference_node", "received_imu"), n("georeference_node", "queue"),
             n("georeference_node", "sent_points"), n("georeference_node", "sent_states"), n("filter_node", "count_points"),
             n("filter_node", "count_states"), n("filter_node", "pending_update"), n("filter_node", "queue"),
-            n("filter_node", "count_parts"), n("volume_node", "count_parts"), n("volume_node", "pending_estimate"), n("volume_node", "queue"),
+            n("filter_node", "count_parts"), n("volume_node", "count_parts"), n("volume_node", "pending_estimate"),
+            n("volume_node", "queue"),
         )  # fmt: skip
 
     def drained(self) -> bool:

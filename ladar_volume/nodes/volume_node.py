@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import threading
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -44,6 +45,7 @@ class VolumeNode(StageNode):
         self._states: list[Odometry] = []
         self._segment = 0
         self._due = False
+        self._mapped = float("-inf")
         self._estimate: Estimate | None = None
         self._why_not = "no surface yet"
         self._datum: Datum | None = None
@@ -136,10 +138,13 @@ class VolumeNode(StageNode):
         self._volume.publish(Float64(data=v.volume_m3))
         self._sigma.publish(Float64(data=v.sigma_m3))
         self._ground.publish(ground_message(estimate))
-        if self._tin.get_subscription_count():
-            self._tin.publish(tin_marker(estimate, self.parameters.node.tin_colour))
-        if self._mesh.get_subscription_count():
-            self._mesh.publish(mesh_message(estimate))
+        # a map of a hundred thousand corners takes longer to pack than to compute: it follows at its own pace
+        if time.monotonic() - self._mapped >= self.parameters.node.map_period_s:
+            self._mapped = time.monotonic()
+            if self._tin.get_subscription_count():
+                self._tin.publish(tin_marker(estimate, self.parameters.node.tin_colour))
+            if self._mesh.get_subscription_count():
+                self._mesh.publish(mesh_message(estimate))
 
     def _result(self) -> dict[str, Any]:
         estimate = self._compute()
