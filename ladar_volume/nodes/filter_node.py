@@ -19,7 +19,7 @@ from ladar_volume.nodes.convert import platform_state, table_message
 
 
 class FilterNode(StageNode):
-    """Wraps one SurfaceFilter; brings its surface up to date every ``node.update_period_s``."""
+    """Wraps one SurfaceFilter; brings its surface up to date, with a pause of ``node.update_period_s`` between."""
 
     sections = ("calibration", "georeference", "filter", "node")
     runtime_sections = ("node",)
@@ -80,8 +80,9 @@ class FilterNode(StageNode):
                 self._points.publish(table_message(filtered_columns(part.points), update.t_ns + number))
                 self.counts["parts"] += 1
             self.counts["updates"] += 1
-        self._updated = began  # the period counts from start to start
-        self._last_update_s = time.monotonic() - began
+        # the pause counts from the end: a slow machine spends at most its share on updates, and the estimate gets its turn
+        self._updated = time.monotonic()
+        self._last_update_s = self._updated - began
 
     def status(self) -> dict[str, Any]:
         """Size of the surface, what was sent, and whether something waits for the next update."""
