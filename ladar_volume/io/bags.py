@@ -121,15 +121,19 @@ class BagReader:
             )  # fmt: skip
 
     def raw(self, topics: set[str] | None = None) -> Iterator[Raw]:
-        """Messages in receive order. Raises BagError (bag_truncated) where the file breaks off."""
+        """Messages in receive order. Raises BagError (bag_truncated) where the file breaks off or holds fewer than it announces."""
         connections = [c for c in self._reader.connections if topics is None or c.topic.lstrip("/") in topics]
         if not connections:
             return
+        missing = sum(c.msgcount for c in connections)
         try:
             for connection, t_ns, data in self._reader.messages(connections=connections):
+                missing -= 1
                 yield Raw(t_ns, connection.topic.lstrip("/"), connection.msgtype, data)
         except Exception as error:  # as above: any parser error means the file is damaged from here on
             raise BagError(f"{self.path}: the recording breaks off: {error!r}", reason="bag_truncated", value=str(self.path)) from error
+        if missing > 0:
+            raise BagError(f"{self.path}: {missing} announced messages cannot be read", reason="bag_truncated", value=missing)
 
     def message(self, raw: Raw) -> Any:
         """Deserialise. Raises BagError (bag_message) for bytes that are not such a message."""

@@ -1,0 +1,29 @@
+"""The graph on a machine with a normal Jazzy install: ``ros2 launch ladar_volume online.launch.py config:=FILE log:=FILE``."""
+
+from ament_index_python.packages import get_package_share_path
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import LifecycleNode
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Four lifecycle nodes; they configure and activate themselves unless node.autostart is false."""
+    default = str(get_package_share_path("ladar_volume") / "config" / "default.yaml")
+    config = LaunchConfiguration("config")
+    arguments = [
+        DeclareLaunchArgument("config", default_value=default, description="parameter file in the ROS layout"),
+        DeclareLaunchArgument("log", default_value="ladar_volume.mcap", description="MCAP file to write"),
+    ]
+    nodes = [
+        LifecycleNode(
+            package="ladar_volume",
+            executable=name,
+            name=name,
+            namespace="",
+            parameters=[{"config_file": config}, *([{"logger.path": LaunchConfiguration("log")}] if name == "logger_node" else [])],
+            output="screen",
+        )
+        for name in ("georeference_node", "filter_node", "volume_node", "logger_node")
+    ]
+    return LaunchDescription([*arguments, *nodes])
