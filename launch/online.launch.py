@@ -1,10 +1,11 @@
 """The graph on a machine with a normal Jazzy install: ``ros2 launch ladar_volume online.launch.py config:=FILE log:=FILE``."""
 
 from ament_index_python.packages import get_package_share_path
-from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode
+
+from launch import LaunchDescription
 
 
 def generate_launch_description() -> LaunchDescription:

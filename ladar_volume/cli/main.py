@@ -27,7 +27,8 @@ def _info(arguments: argparse.Namespace) -> int:
 
     with BagReader(arguments.bag) as bag:
         topics = {name: {"type": kind, "messages": count} for name, (kind, count) in bag.topics().items()}
-        facts: dict[str, Any] = {"path": str(arguments.bag), "duration_s": bag.duration_s, "start_ns": bag.start_ns, "topics": topics, "roles": bag.roles()}
+        facts: dict[str, Any] = {"path": str(arguments.bag), "duration_s": bag.duration_s, "start_ns": bag.start_ns}
+        facts |= {"topics": topics, "roles": bag.roles()}
     if arguments.json:
         print(json.dumps(facts, indent=1))
         return 0

@@ -174,7 +174,7 @@ class NodeParameters:
     update_period_s: float = param(0.5, "Pause between two updates of the filtered surface.", unit="s", low=0.05, high=60)
     map_period_s: float = param(5.0, "How often tin and mesh are published, at most.", unit="s", low=0.05, high=600)
     input_reliability: str = param("best_effort", "Reliability of the sensor subscriptions.", choices=("best_effort", "reliable"))
-    input_depth: int = param(50, "History depth of the sensor subscriptions.", low=1, high=10000)
+    input_depth: int = param(500, "History depth of the sensor subscriptions; a longer burst overwrites its beginning.", low=1, high=10000)
     diagnostics_period_s: float = param(1.0, "How often /diagnostics is published.", unit="s", low=0.1, high=60)
     autostart: bool = param(True, "Configure and activate at start.")
     tin_colour: str = param("height", "Colour of the published TIN.", choices=("height", "sigma"))

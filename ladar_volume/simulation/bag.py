@@ -6,6 +6,7 @@ The pipeline never opens truth.json.
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -91,7 +92,8 @@ def nominal_config(survey: Survey, extra: dict[str, dict[str, Any]]) -> str:
 
 
 def write_bag(survey: Survey, path: Path, extra: dict[str, dict[str, Any]], progress: Callable[[float], None]) -> None:
-    """Write the recording folder; ``progress`` is told the share done. Raises OutputError where it cannot be written."""
+    """Write the recording folder; ``progress`` is told the share done. Raises OutputError where it cannot be
+    written; a recording broken off leaves nothing behind."""
     if path.exists():
         raise OutputError(f"{path} exists already", reason="output_exists", value=str(path))
     messages = sorted([*_fix_messages(survey), *_imu_messages(survey)], key=lambda m: m[0])
@@ -117,5 +119,8 @@ def write_bag(survey: Survey, path: Path, extra: dict[str, dict[str, Any]], prog
                 put(topic, message, t_ns)
         (path / "truth.json").write_text(json.dumps(survey.truth, indent=1) + "\n", encoding="utf-8")
         (path / "config.yaml").write_text(nominal_config(survey, extra), encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error}", value=str(path)) from error
+    except BaseException as error:
+        shutil.rmtree(path, ignore_errors=True)
+        if isinstance(error, OSError):
+            raise OutputError(f"{path}: cannot be written: {error}", value=str(path)) from error
+        raise

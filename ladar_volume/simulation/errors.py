@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
 F64 = npt.NDArray[np.float64]
 
 
-def error_series(t_s: F64, sigma: F64, bias_share: float, white_share: float, tau_s: float, rng: np.random.Generator) -> F64:
-    """Errors (n, k) at increasing times with total sigmas (k,); the shares are of the variance, the rest is Gauss-Markov."""
+class Errors(NamedTuple):
+    """Drawn errors: the sum of all parts (n, k) at the asked times, and the constant part (k,) within it."""
+
+    total: F64
+    bias: F64
+
+
+def draw_errors(t_s: F64, sigma: F64, bias_share: float, white_share: float, tau_s: float, rng: np.random.Generator) -> Errors:
+    """Errors at increasing times (n,) s with total sigmas (k,); the shares are of the variance, the rest is Gauss-Markov."""
     n, k = len(t_s), len(sigma)
     markov_share = max(0.0, 1.0 - bias_share - white_share)
     bias = rng.normal(size=k) * np.sqrt(bias_share)
@@ -23,4 +32,9 @@ def error_series(t_s: F64, sigma: F64, bias_share: float, white_share: float, ta
         state = keep[i] * state + np.sqrt(1.0 - keep[i] ** 2) * steps[i]
         markov[i] = state
     total: F64 = (bias + white + markov * np.sqrt(markov_share)) * sigma
-    return total
+    return Errors(total, bias * sigma)
+
+
+def error_series(t_s: F64, sigma: F64, bias_share: float, white_share: float, tau_s: float, rng: np.random.Generator) -> F64:
+    """The sum of the parts alone, (n, k)."""
+    return draw_errors(t_s, sigma, bias_share, white_share, tau_s, rng).total

@@ -15,13 +15,17 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from ladar_volume.model.errors import SimulationError
 from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.simulation import velodyne
-from ladar_volume.simulation.errors import error_series
+from ladar_volume.simulation.errors import draw_errors
 from ladar_volume.simulation.platforms import Platform
 from ladar_volume.simulation.scenes import Scene
 
 F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+Fixes = tuple[I64, F64, F64, I64]
+Attitudes = tuple[I64, F64, F64, F64]
 #: Start of every simulated recording: 2026-05-01 08:00:00 UTC.
 EPOCH_NS = 1_777_622_400_000_000_000
 #: Origin of the scenes' coordinates.
@@ -30,7 +34,11 @@ LATITUDE_DEG, LONGITUDE_DEG, HEIGHT_M = 50.0755, 14.4378, 235.0
 
 @dataclass(frozen=True)
 class SurveyOptions:
-    """How the survey is flown and what goes wrong on the way."""
+    """How the survey is flown and what goes wrong on the way. Raises SimulationError for what cannot be flown.
+
+    ``thin`` keeps every n-th firing cycle; in ``outages_s`` (from, to) the receiver has no fix, in ``float_spans_s`` a float one of ten
+    times the sigma; ``range_step_m`` 0 leaves ranges unrounded.
+    """
 
     duration_s: float = 36.0
     thin: int = 1
@@ -41,7 +49,23 @@ class SurveyOptions:
     outages_s: tuple[tuple[float, float], ...] = ()
     float_spans_s: tuple[tuple[float, float], ...] = ()
     max_range_m: float = 100.0
+    range_step_m: float = velodyne.RANGE_STEP_M
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        limits = {
+            "duration_s": (velodyne.TURN_S, 86_400.0), "thin": (1, 1808), "gnss_hz": (0.1, 1000.0), "imu_hz": (1.0, 10_000.0),
+            "dropout_share": (0.0, 1.0), "mixed_share": (0.0, 1.0), "max_range_m": (0.3, 1000.0), "range_step_m": (0.0, 1.0),
+            "seed": (0, 2**63 - 1),
+        }  # fmt: skip
+        for name, (low, high) in limits.items():
+            value = getattr(self, name)
+            if not low <= value <= high:  # NaN too
+                raise SimulationError(f"{name} is {value}; it must lie between {low} and {high}", value=value)
+        for name in ("outages_s", "float_spans_s"):
+            for first, last in getattr(self, name):
+                if not first < last:
+                    raise SimulationError(f"{name}: a span must end after it begins, not {first} to {last}", value=(first, last))
 
 
 @dataclass(frozen=True)
@@ -67,27 +91,36 @@ class Survey:
 
     def __post_init__(self) -> None:
         o, b = self.options, self.budget
-        self._rng = np.random.default_rng(o.seed)
         rng = np.random.default_rng([o.seed, 1])
         self._boresight = rng.normal(0, b.boresight_sigma_rad)
         self._lever_laser = np.array(self.platform.lever_laser_m) + rng.normal(0, b.lever_laser_sigma_m)
         self._lever_antenna = np.array(self.platform.lever_antenna_m) + rng.normal(0, b.lever_antenna_sigma_m)
         self._clock_s = float(rng.normal(0, b.clock_sigma_s))
         self._beams = velodyne.BeamErrors.draw(b, rng)
-        self._nav_rng = np.random.default_rng([o.seed, 2])
         self.truth = {
             "scene": self.scene.name, "volume_m3": self.scene.volume_m3, "seed": o.seed,
             "boresight_error_rad": self._boresight.tolist(), "lever_laser_m": self._lever_laser.tolist(),
             "lever_antenna_m": self._lever_antenna.tolist(), "clock_error_s": self._clock_s, "range_bias_m": self._beams.range_bias,
-            "beam_range_m": self._beams.rho.tolist(), "beam_vertical_rad": self._beams.eps.tolist(),
+            "beam_range_m": self._beams.rho.tolist(), "beam_vertical_rad": self._beams.eps.tolist(), **self.scene.extra,
         }  # fmt: skip
+        nav_rng = np.random.default_rng([o.seed, 2])
+        self._fixes = self._draw_fixes(nav_rng)
+        self._attitudes = self._draw_attitudes(nav_rng)
 
-    def fixes(self) -> tuple[npt.NDArray[np.int64], F64, F64, npt.NDArray[np.int64]]:
+    def fixes(self) -> Fixes:
         """Times (ns), antenna positions in scene coordinates (n, 3), sigmas (n, 3) and status (−1 outage, 0 float, 2 fix)."""
+        return self._fixes
+
+    def attitudes(self) -> Attitudes:
+        """Times (ns), quaternions xyzw (n, 4), body rates (n, 3), covariances about the map's axes (n, 3, 3)."""
+        return self._attitudes
+
+    def _draw_fixes(self, rng: np.random.Generator) -> Fixes:
         o, b = self.options, self.budget
         t = np.arange(-0.5, o.duration_s + 0.6, 1.0 / o.gnss_hz)
         sigma = np.array(b.position_sigma_m)
-        error = error_series(t, sigma, b.position_bias_fraction, b.position_white_fraction, b.tau_position_s, self._nav_rng)
+        error, bias = draw_errors(t, sigma, b.position_bias_fraction, b.position_white_fraction, b.tau_position_s, rng)
+        self.truth["position_bias_m"] = bias.tolist()
         status = np.full(len(t), 2)
         scale = np.ones(len(t))
         for first, last in o.float_spans_s:
@@ -98,12 +131,12 @@ class Survey:
         antenna = self.platform.position(t) + self.platform.rotation(t).apply(self._lever_antenna)
         return _ns(t), antenna + error * scale[:, None], sigma * scale[:, None], status
 
-    def attitudes(self) -> tuple[npt.NDArray[np.int64], F64, F64, F64]:
-        """Times (ns), quaternions xyzw (n, 4), body rates (n, 3), covariances about the map's axes (n, 3, 3)."""
+    def _draw_attitudes(self, rng: np.random.Generator) -> Attitudes:
         o, b = self.options, self.budget
         t = np.arange(-0.5, o.duration_s + 0.6, 1.0 / o.imu_hz)
         sigma = np.array(b.attitude_sigma_rad)
-        error = error_series(t, sigma, b.attitude_bias_fraction, b.attitude_white_fraction, b.tau_attitude_s, self._nav_rng)
+        error, bias = draw_errors(t, sigma, b.attitude_bias_fraction, b.attitude_white_fraction, b.tau_attitude_s, rng)
+        self.truth["attitude_bias_rad"] = bias.tolist()
         angles = self.platform.angles(t)
         measured = angles + error
         q = Rotation.from_euler("ZYX", measured[:, ::-1]).as_quat()
@@ -113,11 +146,11 @@ class Survey:
         axes[:, :, 1] = np.column_stack([-sy, cy, np.zeros(len(t))])
         axes[:, 2, 2] = 1.0
         covariance = axes @ np.diag(sigma**2) @ axes.transpose(0, 2, 1)
-        rates = self.platform.rates(t) + self._nav_rng.normal(0, 1e-3, (len(t), 3))
+        rates = self.platform.rates(t) + rng.normal(0, 1e-3, (len(t), 3))
         return _ns(t), q, rates, covariance
 
     def sweeps(self) -> Iterator[Sweep]:
-        """Clouds of one turn each, in laser coordinates, returns only."""
+        """Clouds of one turn each, in laser coordinates, returns only; every call gives the same."""
         o3d = importlib.import_module("open3d")  # loaded where rays are cast: half a second and 300 MB
 
         caster = o3d.t.geometry.RaycastingScene()
@@ -126,13 +159,14 @@ class Survey:
         )
         nominal = Rotation.from_euler("ZYX", np.radians(self.platform.boresight_deg[::-1]))
         mounting = Rotation.from_rotvec(self._boresight) * nominal
+        rng = np.random.default_rng(self.options.seed)
         for k in range(int(self.options.duration_s / velodyne.TURN_S)):
-            sweep = self._sweep(k * velodyne.TURN_S, caster, mounting, o3d)
+            sweep = self._sweep(k * velodyne.TURN_S, caster, mounting, o3d, rng)
             if len(sweep.time_s):
                 yield sweep
 
-    def _sweep(self, start_s: float, caster: Any, mounting: Rotation, o3d: Any) -> Sweep:
-        o, rng = self.options, self._rng
+    def _sweep(self, start_s: float, caster: Any, mounting: Rotation, o3d: Any, rng: np.random.Generator) -> Sweep:
+        o = self.options
         f = velodyne.sweep(start_s, o.thin)
         body = mounting.apply(velodyne.true_directions(f, self._beams, self.budget, rng))
         R = self.platform.rotation(f.time_s)
@@ -145,7 +179,7 @@ class Survey:
         normals = np.zeros((len(rays), 3))
         normals[down] = hit["primitive_normals"].numpy()
         true[~np.isfinite(true) | (true > o.max_range_m)] = np.nan
-        rho = velodyne.measured_ranges(true, f.ring, self._beams, self.budget, o.mixed_share, rng)
+        rho = velodyne.measured_ranges(true, f.ring, self._beams, self.budget, o.mixed_share, rng, o.range_step_m)
         keep = np.isfinite(rho) & (rho > 0.3) & (rng.random(len(rho)) >= o.dropout_share)
         xyz = rho[keep, None] * velodyne.directions(f.azimuth[keep], f.elevation[keep])
         facing = np.abs(np.sum(normals[keep] * rays[keep, 3:], axis=1))
@@ -155,5 +189,5 @@ class Survey:
         return Sweep(stamp, offset, xyz.astype(np.float32), intensity, f.ring[keep])
 
 
-def _ns(t: F64) -> npt.NDArray[np.int64]:
+def _ns(t: F64) -> I64:
     return EPOCH_NS + np.rint(t * 1e9).astype(np.int64)

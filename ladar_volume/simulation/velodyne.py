@@ -1,4 +1,8 @@
-"""A VLP-16 that fires as the real one: 16 beams in cycles of 55.296 µs, one every 2.304 µs, 10 turns a second."""
+"""A VLP-16 that fires as the real one: 16 beams in cycles of 55.296 µs, one every 2.304 µs, 10 turns a second.
+
+Every sweep starts a fresh cycle at azimuth zero; the real scanner's turn holds 1808.4 cycles, so that its azimuths shift by a part
+of a step from turn to turn and the 25 µs at the end of a turn are not idle.
+"""
 
 from __future__ import annotations
 
@@ -68,16 +72,18 @@ def true_directions(f: Firings, errors: BeamErrors, budget: BudgetParameters, rn
 
 
 def measured_ranges(
-    true: F64, ring: npt.NDArray[Any], errors: BeamErrors, budget: BudgetParameters, mixed_share: float, rng: np.random.Generator
-) -> F64:
+    true: F64, ring: npt.NDArray[Any], errors: BeamErrors, budget: BudgetParameters, mixed_share: float, rng: np.random.Generator,
+    step_m: float = RANGE_STEP_M,
+) -> F64:  # fmt: skip
     """Ranges as the instrument reports them (m), NaN where there is no return.
 
     A pulse whose neighbour in time of the same beam lies deeper by more than 0.2 m and less than 20 m may return a mixture of both.
+    ``step_m`` is the instrument's range resolution; 0 leaves ranges unrounded.
     """
     rho = true + errors.range_bias + errors.rho[ring] + rng.normal(0, budget.range_noise_m, len(true))
     after = np.roll(true, -16)
     step = np.isfinite(after) & np.isfinite(true) & (np.abs(after - true) > 0.2) & (np.abs(after - true) < 20.0)
     mixed = step & (rng.random(len(true)) < mixed_share)
     rho[mixed] += (after - true)[mixed] * rng.random(int(mixed.sum()))
-    reported: F64 = np.round(rho / RANGE_STEP_M) * RANGE_STEP_M
+    reported: F64 = np.round(rho / step_m) * step_m if step_m > 0 else rho
     return reported
