@@ -11,11 +11,11 @@ from rich.progress import Progress
 
 from ladar_volume.io.config import read_config
 from ladar_volume.simulation.bag import write_bag
-from ladar_volume.simulation.platforms import make_platform
-from ladar_volume.simulation.scenes import make_scene
+from ladar_volume.simulation.platforms import platform_for
+from ladar_volume.simulation.scenes import Scene, make_scene
 from ladar_volume.simulation.survey import Survey, SurveyOptions
 
-#: Filter and outline that suit a scene; everything else keeps its default.
+#: Filter and outline that suit a kind of scene; everything else keeps its default.
 SUITED: dict[str, dict[str, dict[str, Any]]] = {
     "box": {
         "filter": {"radius_m": 0.08, "degree": 1, "min_points": 8, "cap_per_voxel": 12},
@@ -25,9 +25,34 @@ SUITED: dict[str, dict[str, dict[str, Any]]] = {
     "pile": {
         "filter": {"radius_m": 0.6, "degree": 2, "cap_per_voxel": 20},
         "volume": {"object_height_m": 0.25, "outline_margin_m": 1.0, "ground_ring_m": 8.0},
-        "georeference": {"region_m": [-20.0, -18.0, -10.0, 20.0, 18.0, 30.0]},
+    },
+    "small": {
+        "filter": {"radius_m": 0.15, "degree": 1, "min_points": 8, "cap_per_voxel": 12},
+        "volume": {"outline": "polygon", "ground_ring_m": 3.0, "max_edge_m": 1.5},
     },
 }
+KINDS = {name: "small" for name in ("nist_box", "kern_before", "kern_after", "sphere", "square")} | {"box": "box"}
+
+
+def suited(scene: Scene) -> dict[str, dict[str, Any]]:
+    """Settings a surveyor would choose for the scene: sections and keys. The region holds the outline and its ring of ground."""
+    chosen = {section: dict(values) for section, values in SUITED[KINDS.get(scene.name, "pile")].items()}
+    volume = chosen["volume"]
+    if volume.get("outline") == "polygon":
+        volume["polygon_m"] = [float(round(v, 3)) for v in scene.outline.ravel()]
+    if "georeference" not in chosen:
+        ring = volume["ground_ring_m"]
+        (x0, y0), (x1, y1) = scene.outline.min(axis=0) - ring, scene.outline.max(axis=0) + ring
+        chosen["georeference"] = {"region_m": [float(round(v, 3)) for v in (x0, y0, -10.0, x1, y1, 30.0)]}
+    return chosen
+
+
+def _span(text: str) -> tuple[float, float]:
+    first, _, last = text.partition(":")
+    try:
+        return float(first), float(last)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not FROM:TO in seconds") from None
 
 
 def add_parser(subparsers: Any) -> None:
@@ -42,6 +67,8 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--thin", type=int, default=1, help="keep every N-th firing cycle (1: the full rate)")
     parser.add_argument("--gnss-hz", type=float, default=10.0)
     parser.add_argument("--imu-hz", type=float, default=100.0)
+    parser.add_argument("--outage", type=_span, action="append", default=[], metavar="FROM:TO", help="seconds without a fix; repeatable")
+    parser.add_argument("--float", type=_span, action="append", default=[], metavar="FROM:TO", help="seconds with a float fix; repeatable")
     parser.add_argument("--config", type=Path, help="budget and parameters, written into the recording's config.yaml")
     parser.add_argument("-o", "--output", type=Path, required=True, help="recording folder to create")
     parser.set_defaults(run=run)
@@ -50,15 +77,18 @@ def add_parser(subparsers: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Simulate and write; prints the true volume."""
     console = Console(stderr=True)
+    options = SurveyOptions(
+        arguments.duration, arguments.thin, arguments.gnss_hz, arguments.imu_hz, outages_s=tuple(arguments.outage),
+        float_spans_s=tuple(arguments.float), seed=arguments.seed,
+    )  # fmt: skip
     scene = make_scene(arguments.scene, arguments.seed)
-    platform = make_platform(arguments.platform, scene.extent_m, arguments.duration)
-    options = SurveyOptions(arguments.duration, max(1, arguments.thin), arguments.gnss_hz, arguments.imu_hz, seed=arguments.seed)
+    platform = platform_for(scene, arguments.platform, arguments.duration)
     parameters = read_config(arguments.config)
     survey = Survey(scene, platform, parameters.budget, options)
-    suited = {s: dict(v) for s, v in SUITED["box" if arguments.scene == "box" else "pile"].items()}
-    suited["budget"] = parameters.write()["budget"]
+    settings = suited(scene)
+    settings["budget"] = parameters.write()["budget"]
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("simulating", total=1.0)
-        write_bag(survey, arguments.output, suited, lambda share: bar.update(task, completed=share))
+        write_bag(survey, arguments.output, settings, lambda share: bar.update(task, completed=share))
     console.print(f"{arguments.output}: {scene.name}, true volume {scene.volume_m3:.3f} m³")
     return 0

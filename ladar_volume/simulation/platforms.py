@@ -10,6 +10,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from ladar_volume.model.errors import SimulationError
+from ladar_volume.simulation.scenes import Scene
 
 F64 = npt.NDArray[np.float64]
 GRAVITY = 9.81
@@ -64,14 +65,16 @@ def uav(extent: float, height: float, duration: float) -> Platform:
     return Platform("uav", position, angles, (0.0, 90.0, 0.0), (0.12, 0.0, -0.15), (-0.10, 0.05, 0.25))
 
 
-def rover(extent: float, duration: float) -> Platform:
-    """Loops around the scene's centre, the centre on the left; the scanner on a mast, tilted to the left and down."""
+def rover(extent: float, duration: float, centre: tuple[float, float] = (0.0, 0.0), sense: float = 1.0) -> Platform:
+    """Two loops around a centre on a level 2 m below the mast's head, the scanner tilted to the left and down: towards the loop's
+    inside for ``sense`` +1 (counter-clockwise), its outside for −1."""
     turn = 2 * np.pi / max(duration / 2.0, 12.0)
     mast = 2.0
 
     def position(t: F64) -> F64:
         radius = extent * (1.0 + 0.12 * np.sin(1.5 * turn * t))
-        return np.column_stack([1.15 * radius * np.cos(turn * t), radius * np.sin(turn * t), mast - 0.2 + 0.01 * np.sin(3.1 * t)])
+        x, y = 1.15 * radius * np.cos(turn * t), sense * radius * np.sin(turn * t)
+        return np.column_stack([x + centre[0], y + centre[1], mast - 0.2 + 0.01 * np.sin(3.1 * t)])
 
     def angles(t: F64) -> F64:
         velocity, _ = _motion(position, t)
@@ -88,3 +91,15 @@ def make_platform(name: str, extent: float, duration: float) -> Platform:
     if name == "rover":
         return rover(0.25 * extent, duration)
     raise SimulationError(f"no platform {name!r}; there are uav and rover", value=name)
+
+
+def platform_for(scene: Scene, name: str, duration: float) -> Platform:
+    """The platform with a path that suits the scene. Raises SimulationError where it would not see the body, or for an unknown name."""
+    if name in ("uav", "rover") and name not in scene.platforms:
+        raise SimulationError(f"a {name} does not see enough of {scene.name}; use {' or '.join(scene.platforms)}", value=name)
+    if name == "uav" and scene.flight_m is not None:
+        return uav(*scene.flight_m, duration)
+    if name == "rover" and scene.loop_m is not None:
+        radius, x, y, sense = scene.loop_m
+        return rover(radius, duration, (x, y), sense)
+    return make_platform(name, scene.extent_m, duration)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import j1
 
 from ladar_volume.model.errors import SimulationError
 
@@ -24,7 +25,12 @@ REPOSE = np.radians(35.0)
 @dataclass(frozen=True)
 class Scene:
     """Vertices (n, 3) m, triangles (m, 3), exact volume of the body above its own ground, a suggested outline (k, 2) m
-    and the radius of the part of the scene that matters."""
+    and the radius of the part of the scene that matters.
+
+    ``platforms`` see enough of the body: a scanner on a low mast sees neither the top of a high pile nor the floor of a pit.
+    ``flight_m`` is half the length of a flight and its height; ``loop_m`` the rover's loop: radius, centre x, y, and +1 with the
+    body inside the loop or −1 with the body outside. What is not given follows from the extent. ``extra`` goes into the truth.
+    """
 
     name: str
     vertices: F64
@@ -33,6 +39,9 @@ class Scene:
     outline: F64
     extent_m: float
     extra: dict[str, float] = field(default_factory=dict)
+    platforms: tuple[str, ...] = ("uav",)
+    flight_m: tuple[float, float] | None = None
+    loop_m: tuple[float, float, float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -71,6 +80,15 @@ class Ground:
             half = 0.5 * np.array([x1 - x0, y1 - y0])
             shrink = np.sinc(k[:, 0] * half[0] / np.pi) * np.sinc(k[:, 1] * half[1] / np.pi)
             total += float(np.sum(amplitude * shrink * np.sin(k[:, 0] * cx + k[:, 1] * cy + phase)))
+        return total
+
+    def mean_over_disc(self, cx: float, cy: float, radius: float) -> float:
+        """Exact mean height over a disc: a wave shrinks by ``2 J1(k r) / (k r)``."""
+        total = self.height_m + self.slope[0] * cx + self.slope[1] * cy
+        if self.rough_m > 0:
+            k, phase, amplitude = self.waves()
+            kr = np.hypot(k[:, 0], k[:, 1]) * radius
+            total += float(np.sum(amplitude * 2 * j1(kr) / kr * np.sin(k[:, 0] * cx + k[:, 1] * cy + phase)))
         return total
 
 
@@ -148,17 +166,21 @@ def box_scene(name: str, size: tuple[float, float, float], ground: Ground, exten
     body = box_mesh(-lx / 2, lx / 2, -ly / 2, ly / 2, mean - 0.5, mean + lz)
     vertices, triangles = join(grid_mesh(step, step, ground), body)
     outline = np.array([[-lx, -ly], [lx, -ly], [lx, ly], [-lx, ly]]) / 2 * 1.5
-    return Scene(name, vertices, triangles, lx * ly * lz, outline, extent)
+    return Scene(
+        name, vertices, triangles, lx * ly * lz, outline, extent, platforms=("uav", "rover"), flight_m=(6.0, 10.0)
+    )  # fmt: skip
 
 
 def nist_box() -> Scene:
     """Seed 000 chapter 5: a plywood box in the corner of two perpendicular screens."""
     size = (1.2192, 1.5240, 0.9144)
-    floor = box_mesh(0, 6, 0, 6, -0.02, 0.0)
+    floor = box_mesh(0, 9, 0, 9, -0.02, 0.0)
     screens = [box_mesh(-0.02, 0.0, 0, 2.0, 0, 1.7), box_mesh(0, 2.0, -0.02, 0.0, 0, 1.7)]
     body = box_mesh(0, size[0], 0, size[1], 0, size[2])
     vertices, triangles = join(floor, *screens, body)
-    return Scene("nist_box", vertices, triangles, float(np.prod(size)), np.array([[0, 0], [2, 0], [2, 2], [0, 2.0]]), 3.0)
+    outline = np.array([[0, 0], [2, 0], [2, 2], [0, 2.0]])
+    loop = (0.9, 4.8, 4.8, -1.0)  # on the open side of the corner
+    return Scene("nist_box", vertices, triangles, float(np.prod(size)), outline, 3.0, platforms=("rover",), loop_m=loop)
 
 
 def kern_pit(after: bool) -> Scene:
@@ -176,11 +198,13 @@ def kern_pit(after: bool) -> Scene:
 
     vertices, triangles = polar_mesh(rho, radius, radius, profile, ground)
     outline = _ring_outline(radius, radius, 0.5)
-    return Scene("kern_after" if after else "kern_before", vertices, triangles, -16.0 if after else 0.0, outline, 10.0)
+    return Scene("kern_after" if after else "kern_before", vertices, triangles, -16.0 if after else 0.0, outline, 10.0, flight_m=(8.0, 15.0))
 
 
 def sphere() -> Scene:
-    """A sphere of 1 m standing on level ground; the mesh is scaled to the exact volume."""
+    """A sphere of 1 m standing on level ground; the mesh is scaled to the exact volume.
+
+    A surface seen from above closes it down to the ground: ``volume_25d_m3`` is the half sphere on its cylinder."""
     theta, phi = np.linspace(0, np.pi, 181)[1:-1], 2 * np.pi * np.arange(360) / 360
     body = np.concatenate([[[0, 0, 1.0]], np.stack(
         [np.outer(np.sin(theta), np.cos(phi)), np.outer(np.sin(theta), np.sin(phi)), np.outer(np.cos(theta), np.ones(360))], -1
@@ -196,19 +220,25 @@ def sphere() -> Scene:
     body = body * (volume / mesh_volume(body, triangles)) ** (1 / 3) + [0, 0, 1.0]
     step = np.linspace(-20, 20, 81)
     vertices, triangles = join(grid_mesh(step, step, Ground()), (body, triangles))
-    return Scene("sphere", vertices, triangles, volume, _ring_outline(1.0, 1.0, 0.5), 10.0)
+    extra = {"volume_25d_m3": 5.0 / 3.0 * np.pi}
+    outline = _ring_outline(1.0, 1.0, 0.5)
+    return Scene("sphere", vertices, triangles, volume, outline, 10.0, extra, ("uav",), flight_m=(6.0, 10.0))
 
 
 def square() -> Scene:
     """The thesis's square (seed 002 chapter 9): paving with benches, a fountain ring and trees; the volume is benches and ring."""
-    step = np.arange(-14.0, 14.01, 0.25)
-    parts = [grid_mesh(step, step, Ground(rough_m=0.004, length_m=0.5, seed=9))]
+    step = np.arange(-14.0, 14.01, 0.0625)
+    paving = Ground(rough_m=0.004, length_m=0.5, seed=9)
+    parts = [grid_mesh(step, step, paving)]
     volume = 0.0
     for x, y in ((-6.0, 5.0), (0.0, 6.0), (6.0, 5.0)):
-        parts.append(box_mesh(x - 0.9, x + 0.9, y - 0.25, y + 0.25, -0.1, 0.45))
+        foot = (x - 0.9, x + 0.9, y - 0.25, y + 0.25)
+        parts.append(box_mesh(*foot, -0.1, paving.mean_over_box(*foot) + 0.45))
         volume += 1.8 * 0.5 * 0.45
     phi = 2 * np.pi * np.arange(SIDES) / SIDES
-    profile = [(4.0, -0.1), (4.0, 0.5), (3.6, 0.5), (3.6, -0.1)]
+    means = [paving.mean_over_disc(0.0, -5.0, r) * r * r for r in (4.0, 3.6)]
+    rim = (means[0] - means[1]) / (4.0**2 - 3.6**2) + 0.5
+    profile = [(4.0, -0.1), (4.0, rim), (3.6, rim), (3.6, -0.1)]
     ring = np.concatenate([np.column_stack([r * np.cos(phi), r * np.sin(phi) - 5.0, np.full(SIDES, z)]) for r, z in profile])
     k, nxt = np.arange(SIDES), (np.arange(SIDES) + 1) % SIDES
     faces = []
@@ -223,7 +253,8 @@ def square() -> Scene:
         body = crown.vertices[81 * 81 :] * 1.6 + [x, y, 2.0]
         parts.append((body, crown.triangles[2 * 80 * 80 :] - 81 * 81))
     vertices, triangles = join(*parts)
-    return Scene("square", vertices, triangles, float(volume), np.array([[-13, -13], [13, -13], [13, 8], [-13, 8.0]]), 14.0)
+    outline = np.array([[-8, -10], [8, -10], [8, 7], [-8, 7.0]])  # without the trees
+    return Scene("square", vertices, triangles, float(volume), outline, 14.0, flight_m=(12.0, 15.0))
 
 
 def mesh_volume(vertices: F64, triangles: I32) -> float:

@@ -72,9 +72,14 @@ def true_directions(f: Firings, errors: BeamErrors, budget: BudgetParameters, rn
 
 
 def measured_ranges(
-    true: F64, ring: npt.NDArray[Any], errors: BeamErrors, budget: BudgetParameters, mixed_share: float, rng: np.random.Generator,
+    true: F64,
+    ring: npt.NDArray[Any],
+    errors: BeamErrors,
+    budget: BudgetParameters,
+    mixed_share: float,
+    rng: np.random.Generator,
     step_m: float = RANGE_STEP_M,
-) -> F64:  # fmt: skip
+) -> F64:
     """Ranges as the instrument reports them (m), NaN where there is no return.
 
     A pulse whose neighbour in time of the same beam lies deeper by more than 0.2 m and less than 20 m may return a mixture of both.

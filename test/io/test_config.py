@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 def test_the_default_file_and_the_page_are_generated():
     assert (ROOT / "config" / "default.yaml").read_text() == dump_config(Parameters())
     assert (ROOT / "docs" / "parameters.md").read_text() == parameters_markdown()
-    assert repr(read_config(ROOT / "config" / "default.yaml")) == repr(Parameters())
+    assert repr(read_config(ROOT / "config" / "default.yaml").write()) == repr(Parameters().write())
 
 
 def written(tmp_path, text):
