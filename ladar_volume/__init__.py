@@ -1,0 +1,2 @@
+"""Volumes from LiDAR surveys with propagated covariance."""
+

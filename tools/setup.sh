@@ -47,7 +47,7 @@ if [ "$(cat .venv/requirements.sha256 2>/dev/null || true)" != "$want" ]; then
 fi
 .venv/bin/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation .
 rm -rf build ladar_volume.egg-info
-# compile the kernels once, into the installed package's cache, so that the first survey does not wait for it
+# once, into the installed package's cache, so that the first survey does not wait for it
 echo "Compiling the kernels (about a minute)"
-.venv/bin/ladar_volume replay bags/leo_cut --duration 2 --no-figure --json -o .venv/warm >/dev/null 2>&1 || true
+(cd .venv && bin/python -c 'from ladar_volume.warm import warm_up; warm_up()')
 touch .venv/ready

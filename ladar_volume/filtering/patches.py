@@ -50,7 +50,7 @@ class PatchBuilder:
             np.zeros((m, 3)), np.zeros((m, 3)), np.zeros((m, 3)), np.zeros((m, 6)), np.zeros((m, 6, 6)),
         )  # fmt: skip
         kernels.fit_patches(
-            voxels, start, s.keys, s.table, s.count, s.order, s.r, s.t_ns, s.aux, s.cap, f.radius_m, p, f.sample_size or 4, f.trials,
+            voxels, start, s.keys, s.table, s.count, s.order, s.r, s.t_ns, s.aux, s.cap, f.radius_m, p, f.sample_size, f.trials,
             f.start == "ransac", f.ransac_threshold_m, f.outlier_sigmas, f.outlier_floor_m, f.min_points, f.refit_iterations, f.seed,
             fits.members, fits.status, fits.used, fits.sigma, fits.time, fits.centre, fits.normal, fits.tangent, fits.beta, fits.inverse,
         )  # fmt: skip

@@ -115,7 +115,7 @@ class FilterParameters:
     degree: int = param(2, "Polynomial degree of a patch.", low=1, high=2)
     start: str = param("lmeds", "How the starting model is sampled.", choices=("lmeds", "ransac"))
     trials: int = param(40, "Random samples per patch.", low=1, high=10000)
-    sample_size: int = param(0, "Points per random sample; 0 for the fewest a start plane needs plus one (four).", low=0, high=1000)
+    sample_size: int = param(4, "Points per random sample: a plane through three, or the mean plane of four.", low=3, high=4)
     ransac_threshold_m: float = param(0.02, "Residual threshold of the weighted RANSAC start.", unit="m", low=1e-6, high=10)
     outlier_sigmas: float = param(3.5, "Inlier threshold in robust sigma; below 3 the printed variance would be too small.", low=3, high=20)
     outlier_floor_m: float = param(0.0, "The inlier threshold is never below this.", unit="m", low=0, high=10)
@@ -171,7 +171,7 @@ class VolumeParameters:
 class NodeParameters:
     """What the nodes need beside their stage."""
 
-    update_period_s: float = param(0.5, "Pause between two updates of the filtered surface.", unit="s", low=0.05, high=60)
+    update_period_s: float = param(0.3, "Pause between two updates of the filtered surface.", unit="s", low=0.05, high=60)
     map_period_s: float = param(5.0, "How often tin and mesh are published, at most.", unit="s", low=0.05, high=600)
     input_reliability: str = param("best_effort", "Reliability of the sensor subscriptions.", choices=("best_effort", "reliable"))
     input_depth: int = param(500, "History depth of the sensor subscriptions; a longer burst overwrites its beginning.", low=1, high=10000)

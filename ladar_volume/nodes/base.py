@@ -28,6 +28,7 @@ from ladar_volume.model.errors import ConfigurationError, LadarVolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameter import ParameterSpec, specs
 from ladar_volume.model.parameters import SECTIONS, Parameters
+from ladar_volume.warm import warm_up
 
 #: Maps, datum and volumes: whoever comes late still gets the last one.
 LATCHED = QoSProfile(
@@ -71,6 +72,8 @@ class StageNode(LifecycleNode):
     sections: tuple[str, ...] = ("node",)
     #: Sections whose parameters may change while the node runs.
     runtime_sections: tuple[str, ...] = ()
+    #: Whether the node's stage runs compiled kernels, which must be ready before data comes.
+    kernels = True
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
@@ -140,8 +143,10 @@ class StageNode(LifecycleNode):
         return {}
 
     def on_configure(self, state: Any) -> TransitionCallbackReturn:
-        """Build everything and start the worker."""
+        """Build everything, kernels included, and start the worker."""
         try:
+            if self.kernels:
+                warm_up()
             self.build()
         except LadarVolumeError as error:
             self.get_logger().error(str(error))

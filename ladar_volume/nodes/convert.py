@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import NavSatFix, PointCloud2, PointField
-from shape_msgs.msg import Mesh, MeshTriangle
-from std_msgs.msg import ColorRGBA, Header
-from visualization_msgs.msg import Marker
+from std_msgs.msg import Header
 
 from ladar_volume.io.clouds import stamp_ns
 from ladar_volume.io.tables import NUMBERS, encode
@@ -82,32 +80,6 @@ def platform_state(messages: list[Any], segment: int) -> tuple[PlatformStates, i
     T[:, :3, :3], T[:, 3:, 3:] = np.eye(3), matrix_from_quaternion(q).transpose(0, 2, 1)
     t_ns = np.array([stamp_ns(m) for m in messages], np.int64)
     return PlatformStates(t_ns, p, q, v, w, T @ C @ T.transpose(0, 2, 1), segments), segment
-
-
-def tin_marker(estimate: Estimate, by: str) -> Marker:
-    """The relevant triangles as a TRIANGLE_LIST coloured by height or by sigma."""
-    tin = estimate.tin
-    corners = tin.triangles[tin.relevant].ravel()
-    value = tin.vertices[:, 2] if by == "height" else estimate.sigma_z
-    low, high = float(np.min(value)), float(np.max(value))
-    share = (value - low) / max(high - low, 1e-12)
-    marker = Marker(header=header(estimate.volume.t_ns), ns="tin", type=Marker.TRIANGLE_LIST, action=Marker.ADD)
-    marker.scale.x = marker.scale.y = marker.scale.z = 1.0
-    marker.pose.orientation.w = 1.0
-    # one object per vertex, shared by its triangles: a sixth of the objects
-    points = [Point(x=a, y=b, z=c) for a, b, c in tin.vertices.tolist()]
-    colours = [ColorRGBA(r=s, g=0.6 * (1.0 - abs(2.0 * s - 1.0)) + 0.3, b=1.0 - s, a=1.0) for s in share.tolist()]
-    marker.points = [points[i] for i in corners]
-    marker.colors = [colours[i] for i in corners]
-    return marker
-
-
-def mesh_message(estimate: Estimate) -> Mesh:
-    """The relevant triangles as shape_msgs/Mesh."""
-    tin = estimate.tin
-    mesh = Mesh(vertices=[Point(x=a, y=b, z=c) for a, b, c in tin.vertices.tolist()])
-    mesh.triangles = [MeshTriangle(vertex_indices=np.array(t, np.uint32)) for t in tin.triangles[tin.relevant].tolist()]
-    return mesh
 
 
 def ground_message(estimate: Estimate) -> PoseWithCovarianceStamped:

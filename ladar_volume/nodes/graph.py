@@ -26,6 +26,7 @@ from ladar_volume.nodes.georeference_node import GeoreferenceNode
 from ladar_volume.nodes.logger_node import LoggerNode
 from ladar_volume.nodes.player import Player
 from ladar_volume.nodes.volume_node import VolumeNode
+from ladar_volume.warm import warm_up
 
 FACTORIES: dict[str, Callable[..., StageNode]] = {
     "georeference_node": GeoreferenceNode, "filter_node": FilterNode, "volume_node": VolumeNode, "logger_node": LoggerNode,
@@ -96,6 +97,7 @@ class Graph:
         self._spinners: list[Spinner] = []
         self._processes: list[subprocess.Popen[bytes]] = []
         names = [n for n in FACTORIES if n != "logger_node" or log is not None]
+        warm_up()  # once here, so that four processes do not compile the same kernels beside each other
         rclpy.init(args=[])
         self.watcher = Watcher()
         self._add(self.watcher)
@@ -113,7 +115,7 @@ class Graph:
     def _add(self, node: Node) -> None:
         self._spinners.append(Spinner(node))
 
-    def wait_ready(self, timeout_s: float = 60.0) -> None:
+    def wait_ready(self, timeout_s: float = 300.0) -> None:
         """Until every node reports. Raises VolumeError where one does not."""
         deadline = time.monotonic() + timeout_s
         wanted = {"georeference_node", "filter_node", "volume_node"}

@@ -28,6 +28,7 @@ def message_class(kind: str) -> Any:
 class LoggerNode(StageNode):
     """Looks for topics once a second and subscribes to those wanted, with the publisher's own durability and reliability."""
 
+    kernels = False
     sections = ("logger", "node")
 
     def __init__(self, **options: Any) -> None:

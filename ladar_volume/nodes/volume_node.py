@@ -17,14 +17,14 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker
 
-from ladar_volume.io import results
+from ladar_volume.io import cdr, results
 from ladar_volume.io.clouds import stamp_ns
 from ladar_volume.io.tables import decode
 from ladar_volume.io.wire import filter_update, filtered_points, no_filtered_points, volume_columns
 from ladar_volume.model.errors import LadarVolumeError, VolumeError
-from ladar_volume.model.records import Datum, Estimate
+from ladar_volume.model.records import Datum, Estimate, FilterUpdate
 from ladar_volume.nodes.base import LATCHED, STREAM, StageNode, spin
-from ladar_volume.nodes.convert import ground_message, mesh_message, platform_state, table_message, tin_marker
+from ladar_volume.nodes.convert import ground_message, platform_state, table_message
 from ladar_volume.volume.estimator import VolumeEstimator
 
 
@@ -42,6 +42,7 @@ class VolumeNode(StageNode):
         self.stage = VolumeEstimator(self.parameters)
         self._lock = threading.Lock()
         self._half: dict[int, dict[str, Any]] = {}
+        self._parts: list[FilterUpdate] = []
         self._states: list[Odometry] = []
         self._segment = 0
         self._due = False
@@ -51,6 +52,7 @@ class VolumeNode(StageNode):
         self._datum: Datum | None = None
         self._epoch = 0
         self.counts = {"parts": 0, "estimates": 0}
+        self._last_estimate_s, self._estimate_began = 0.0, float("-inf")
         self._tin = self.create_publisher(Marker, "tin", LATCHED)
         self._mesh = self.create_publisher(Mesh, "mesh", LATCHED)
         self._ground = self.create_publisher(PoseWithCovarianceStamped, "ground_plane", LATCHED)
@@ -68,6 +70,9 @@ class VolumeNode(StageNode):
         ):  # fmt: skip
             self.create_service(Trigger, f"~/{name}", self._service(action), callback_group=self._group)
 
+    def _start_over(self) -> None:
+        self.stage, self._half, self._parts, self._estimate = VolumeEstimator(self.parameters), {}, [], None
+
     def changed(self) -> None:
         """New base, outline or ground: the next estimate uses it."""
         if hasattr(self, "stage"):
@@ -80,7 +85,7 @@ class VolumeNode(StageNode):
 
     def _work(self, kind: str, item: Any) -> None:
         if kind == "reset":
-            self.stage, self._half, self._estimate = VolumeEstimator(self.parameters), {}, None
+            self._start_over()
         elif kind == "parameters":
             self.stage.set_parameters(item)
             self._due = True
@@ -103,10 +108,13 @@ class VolumeNode(StageNode):
         del self._half[key]
         points = filtered_points(decode(pair["points"])) if pair["points"].width else no_filtered_points()
         update = filter_update(points, decode(pair["patches"]))
-        self._hand_over()
-        self.stage.add(update)
         self.counts["parts"] += 1
-        self._due = self._due or update.complete
+        self._parts.append(update)
+        if update.complete:  # half an update would lack the cross covariances with its other half
+            self._hand_over()
+            for part in self._parts:
+                self.stage.add(part)
+            self._parts, self._due = [], True
 
     def _hand_over(self) -> None:
         if self._states:
@@ -115,19 +123,24 @@ class VolumeNode(StageNode):
             self.stage.add_platform(states)
 
     def idle(self) -> None:
-        """Estimate when an update is complete and nothing more waits: a late estimator skips, it does not fall behind."""
-        if self._due and self._queue.empty():
+        """Estimate when an update is complete: at once when nothing more waits, else at most half of the time, so that a late
+        estimator skips updates but does not fall behind."""
+        waited = time.monotonic() - self._estimate_began
+        if self._due and (self._queue.empty() or waited > 2.0 * self._last_estimate_s):
             with self._lock:
                 self._compute()
 
     def _compute(self) -> Estimate:
         self._hand_over()
         self._due = False
+        self._estimate_began = time.monotonic()
         try:
             self._estimate = self.stage.estimate()
         except LadarVolumeError as error:
             self._why_not = str(error)
             raise
+        finally:
+            self._last_estimate_s = time.monotonic() - self._estimate_began
         self.counts["estimates"] += 1
         self._publish(self._estimate)
         return self._estimate
@@ -138,13 +151,13 @@ class VolumeNode(StageNode):
         self._volume.publish(Float64(data=v.volume_m3))
         self._sigma.publish(Float64(data=v.sigma_m3))
         self._ground.publish(ground_message(estimate))
-        # a map of a hundred thousand corners takes longer to pack than to compute: it follows at its own pace
+        # maps are megabytes: they follow at their own pace
         if time.monotonic() - self._mapped >= self.parameters.node.map_period_s:
             self._mapped = time.monotonic()
             if self._tin.get_subscription_count():
-                self._tin.publish(tin_marker(estimate, self.parameters.node.tin_colour))
+                self._tin.publish(cdr.tin_marker(estimate, self.parameters.node.tin_colour))
             if self._mesh.get_subscription_count():
-                self._mesh.publish(mesh_message(estimate))
+                self._mesh.publish(cdr.mesh(estimate))
 
     def _result(self) -> dict[str, Any]:
         estimate = self._compute()
@@ -183,12 +196,14 @@ class VolumeNode(StageNode):
         self._epoch += 1
         if self._filter_reset.service_is_ready():
             self._filter_reset.call_async(Trigger.Request())
-        self.stage, self._half, self._estimate = VolumeEstimator(self.parameters), {}, None
+        self._start_over()
         return {"kept": str(folder), "epoch": self._epoch, "volume_m3": result["volume_m3"]}
 
     def status(self) -> dict[str, Any]:
         """The present estimate against the wanted tolerance."""
-        lines: dict[str, Any] = {f"count_{k}": v for k, v in self.counts.items()} | {"pending_estimate": int(self._due)}
+        lines: dict[str, Any] = {f"count_{k}": v for k, v in self.counts.items()} | {
+            "pending_estimate": int(self._due), "last_estimate_s": f"{self._last_estimate_s:.2f}",
+        }  # fmt: skip
         if self._estimate is None:
             return lines | {"estimate": self._why_not}
         v = self._estimate.volume

@@ -24,7 +24,7 @@ from ladar_volume.volume.patch_store import PatchStore
 from ladar_volume.volume.polygon import areas_inside, check_polygon, clipped_prismoids
 from ladar_volume.volume.prismoids import prismoids
 
-#: Base and outline settle in two or three rounds; a surface that does not settle keeps the last.
+#: Base and outline settle in two or three rounds; where triangles come and go the first repetition ends it.
 MAX_ROUNDS = 10
 
 
@@ -99,13 +99,15 @@ class VolumeEstimator:
         inside = self._inside(tin, base)
         if p.base != "ground" or p.outline == "all":
             return base, inside
+        seen = [inside]
         for _ in range(MAX_ROUNDS):
             ring = surroundings(tin, inside > 0, p.ground_ring_m)
             refined = refine(tin.vertices[ring], height_variance[ring], base, self.parameters.ground, p.object_height_m)
             base = dataclasses.replace(refined, support=ring[refined.support])
-            before, inside = inside, self._inside(tin, base)
-            if np.array_equal(before, inside):
-                break
+            inside = self._inside(tin, base)
+            if any(np.array_equal(inside, earlier) for earlier in seen):
+                break  # settled, or a triangle or two come and go
+            seen.append(inside)
         return base, inside
 
     def _inside(self, tin: Tin, base: Plane) -> F64:

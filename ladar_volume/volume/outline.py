@@ -39,16 +39,18 @@ def main_body(tin: Tin, base: Plane, object_height_m: float) -> Bool:
     return body
 
 
-def distance_to(tin: Tin, mask: Bool) -> F64:
-    """Horizontal distance (n,) m of every vertex to the nearest vertex of the triangles in ``mask``."""
+def within(tin: Tin, mask: Bool, distance_m: float) -> Bool:
+    """Vertices (n,) within ``distance_m``, horizontally, of a vertex of the triangles in ``mask``."""
     inside = vertex_mask(tin, mask)
-    distance, _ = cKDTree(tin.vertices[inside, :2]).query(tin.vertices[:, :2])
-    return np.asarray(distance, dtype=np.float64)
+    bound = 1.001 * distance_m + 1e-6  # the search excludes its bound
+    distance, _ = cKDTree(tin.vertices[inside, :2]).query(tin.vertices[:, :2], distance_upper_bound=bound)
+    out: Bool = distance <= distance_m
+    return out
 
 
 def widened(tin: Tin, body: Bool, margin_m: float) -> Bool:
     """The body, the relevant triangles with a vertex within ``margin_m`` of it, and the holes these enclose."""
-    near = distance_to(tin, body) <= margin_m
+    near = within(tin, body, margin_m)
     grown = tin.relevant & (body | near[tin.triangles].any(axis=1))
     return fill_holes(tin, grown)
 
@@ -69,7 +71,7 @@ def surroundings(tin: Tin, outline: Bool, ring_m: float) -> I64:
     """Vertices (k,) of relevant triangles outside the outline, within ``ring_m`` of it (0: all)."""
     outside = vertex_mask(tin, tin.relevant) & ~vertex_mask(tin, outline)
     if ring_m > 0:
-        outside &= distance_to(tin, outline) <= ring_m
+        outside &= within(tin, outline, ring_m)
     return np.flatnonzero(outside).astype(np.int64)
 
 

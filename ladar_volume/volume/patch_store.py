@@ -5,6 +5,8 @@ What is stored depends only on the union of the updates, not on their history, s
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from ladar_volume.model.losses import Losses
@@ -36,14 +38,14 @@ def take_patches(patches: Patches, rows: I64) -> Patches:
     )
 
 
-def join_patches(a: Patches, b: Patches) -> Patches:
-    """The rows of both."""
-    changes = {name: np.concatenate([getattr(a, name), getattr(b, name)]) for name in (*ROWS, "cross_key", "cross", "nav_bin", "M_nav")}
-    return Patches(
-        **changes,
-        cross_start=np.concatenate([a.cross_start, a.cross_start[-1] + b.cross_start[1:]]),
-        nav_start=np.concatenate([a.nav_start, a.nav_start[-1] + b.nav_start[1:]]),
-    )
+def join_patches(parts: list[Patches]) -> Patches:
+    """The rows of all parts, one after the other."""
+    rows = (*ROWS, "cross_key", "cross", "nav_bin", "M_nav")
+    changes = {name: np.concatenate([getattr(part, name) for part in parts]) for name in rows}
+    for name in ("cross_start", "nav_start"):
+        counts = np.concatenate([np.diff(getattr(part, name)) for part in parts])
+        changes[name] = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return Patches(**changes)
 
 
 def points_finite(points: FilteredPoints) -> Bool:
@@ -56,27 +58,59 @@ def points_finite(points: FilteredPoints) -> Bool:
 
 
 class PatchStore:
-    """Patches sorted by key and points sorted by patch, then position."""
+    """Patches sorted by key and points sorted by patch, then position.
+
+    Updates are only collected as they come and merged in one go when somebody looks: an update in thirty messages costs one merge.
+    """
 
     def __init__(self) -> None:
-        self.patches: Patches | None = None
-        self.points: FilteredPoints | None = None
+        self._patches: Patches | None = None
+        self._points: FilteredPoints | None = None
+        self._pending: list[FilterUpdate] = []
         self.losses = Losses()
+
+    @property
+    def patches(self) -> Patches | None:
+        """All patches as they stand."""
+        self._merge()
+        return self._patches
+
+    @property
+    def points(self) -> FilteredPoints | None:
+        """All points as they stand."""
+        self._merge()
+        return self._points
 
     def replace(self, update: FilterUpdate) -> None:
         """Forget what the update removes or replaces, then add its patches and points."""
-        gone = np.union1d(update.removed, update.patches.key)
-        order = np.argsort(update.patches.key, kind="stable")
-        new = take_patches(update.patches, order)
-        points = self._usable(update.points, new.key)
-        if self.patches is not None and self.points is not None:
-            kept = take_patches(self.patches, np.flatnonzero(~np.isin(self.patches.key, gone)))
-            new = join_patches(kept, new)
-            new = take_patches(new, np.argsort(new.key, kind="stable"))
-            points = concatenate([select(self.points, ~np.isin(self.points.patch, gone)), points])
-        r = points.r_map
-        self.points = select(points, np.lexsort((r[:, 2], r[:, 1], r[:, 0], points.patch)))
-        self.patches = new
+        self._pending.append(dataclasses.replace(update, points=self._usable(update.points, update.patches.key)))
+
+    def _merge(self) -> None:
+        """The last word on every patch counts: its update's rows stay, all earlier ones go."""
+        if not self._pending:
+            return
+        patches = [update.patches for update in self._pending]
+        points = [update.points for update in self._pending]
+        words = [np.union1d(update.removed, update.patches.key) for update in self._pending]
+        if self._patches is not None and self._points is not None:
+            patches, points, words = [self._patches, *patches], [self._points, *points], [self._patches.key, *words]
+        self._pending = []
+        keys, turn = np.concatenate(words), _turns(words)
+        order = np.lexsort((turn, keys))
+        last = order[np.append(keys[order][1:] != keys[order][:-1], True)] if len(keys) else order
+        keys, turn = keys[last], turn[last]
+
+        def stays(parts: list[I64]) -> I64:
+            key = np.concatenate(parts)
+            out: I64 = np.flatnonzero(turn[np.searchsorted(keys, key)] == _turns(parts))
+            return out
+
+        rows = stays([part.key for part in patches])
+        joined = join_patches(patches)
+        self._patches = take_patches(joined, rows[np.argsort(joined.key[rows], kind="stable")])
+        kept = select(concatenate(points), stays([part.patch for part in points]))
+        r = kept.r_map
+        self._points = select(kept, np.lexsort((r[:, 2], r[:, 1], r[:, 0], kept.patch)))
 
     def _usable(self, points: FilteredPoints, keys: I64) -> FilteredPoints:
         finite = points_finite(points)
@@ -84,3 +118,8 @@ class PatchStore:
         self.losses.add("point_nan", int(np.count_nonzero(~finite)))
         self.losses.add("point_without_patch", int(np.count_nonzero(finite & ~owned)))
         return select(points, finite & owned)
+
+
+def _turns(parts: list[I64]) -> I64:
+    """For every entry of the parts, one after the other, the number of its part."""
+    return np.repeat(np.arange(len(parts)), [len(part) for part in parts])

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, Bool
 
 #: Points used for the autocorrelation, taken at equal index steps: two million pairs.
@@ -38,6 +39,19 @@ def mean_spacing(xy: F64) -> float:
     return math.sqrt(occupied * side * side / len(xy))
 
 
+@kernel
+def pair_products(xy: F64, e: F64, edges: F64) -> tuple[F64, F64]:
+    """Sums of ``e_i e_j`` and numbers of pairs (k + 1,) of points xy (n, 2) whose distance lies between ascending edges (k,)."""
+    products, counts = np.zeros(len(edges) + 1), np.zeros(len(edges) + 1)
+    for i in range(len(xy)):
+        for j in range(i + 1, len(xy)):
+            d = math.sqrt((xy[i, 0] - xy[j, 0]) ** 2 + (xy[i, 1] - xy[j, 1]) ** 2)
+            k = np.searchsorted(edges, d, side="right")
+            products[k] += e[i] * e[j]
+            counts[k] += 1.0
+    return products, counts
+
+
 def estimate_roughness(xy: F64, residual: F64, noise_variance: F64, parameters: int) -> Roughness:
     """s² and L from ground residuals (n,) m at xy (n, 2) m with known independent noise variances (n,) m².
 
@@ -55,13 +69,7 @@ def estimate_roughness(xy: F64, residual: F64, noise_variance: F64, parameters: 
     p, e = xy[::step], residual[::step]
     extent = float(np.linalg.norm(xy.max(axis=0) - xy.min(axis=0)))
     edges = np.geomspace(max(spacing, extent / 1000), max(extent / 2, 2 * spacing), 25)
-    products, counts = np.zeros(len(edges) + 1), np.zeros(len(edges) + 1)
-    for start in range(0, len(p), 256):  # blocks keep the distance table small
-        d = np.sqrt(((p[start : start + 256, None] - p[None]) ** 2).sum(axis=2))
-        i, j = np.nonzero(np.arange(start, start + len(d))[:, None] < np.arange(len(p))[None])
-        k = np.digitize(d[i, j], edges)
-        products += np.bincount(k, e[start + i] * e[j], len(edges) + 1)
-        counts += np.bincount(k, minlength=len(edges) + 1)
+    products, counts = pair_products(np.ascontiguousarray(p), np.ascontiguousarray(e), edges)
     lag = np.concatenate([[edges[0] / 2], np.sqrt(edges[:-1] * edges[1:])])
     ok = counts[:-1] >= 30
     return Roughness(s2, max(spacing / 2, fall_length(lag[ok], products[:-1][ok] / counts[:-1][ok] / s2)), spacing)
