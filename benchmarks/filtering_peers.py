@@ -11,13 +11,13 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from benchmarks.peers import Kept, Missing, meshlab_outliers, open3d_outliers, pcl_mls, seconds, startup_s
+from benchmarks.peers import Kept, Missing, meshlab_outliers, open3d_outliers, pcl_mls, startup_s, timed
 from benchmarks.shapes import Result, Shape, every, rms_mm, score
 from benchmarks.truth import F64
 from ladar_volume.model.parameters import FilterParameters
 
 SEEDS = 20
-RADII_M = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4)
+RADII_M = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
 TUNING_SEED = 1000
 OWN = "ladar_volume"
 Method = Callable[[F64], Result]
@@ -86,7 +86,7 @@ def one_set(shapes: list[Shape], tuning: Shape, started: tuple[float, float]) ->
             out[f"{name}: {label}"] = f"skipped: {method}"
             continue
         figures = measure(method, shapes)
-        wall, cpu = seconds(lambda method=method: method(shapes[0].points))  # type: ignore[misc]
+        wall, cpu, _ = timed(method, shapes[0].points)
         starts = label.startswith("PCL") + label.startswith("PCL outlier")
         out[f"{name}: {label}"] = line(figures, wall - starts * started[0], cpu - starts * started[1])
         errors[label] = figures["rms_mm"]

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from benchmarks.shapes import Result
 from benchmarks.truth import F64, I64, Mask
 
 
@@ -29,11 +30,13 @@ class Missing(RuntimeError):
 
 @dataclass(frozen=True)
 class Kept:
-    """What a peer returns, in the terms of the cloud filter's result."""
+    """What a peer returns, in the terms of the cloud filter's result. ``spent``: wall and CPU seconds of its own where files are written
+    for it and input indices are found afterwards, which is not its work."""
 
     r: F64
     index: I64
     outliers: I64
+    spent: tuple[float, float] | None = None
 
 
 def by_mask(points: F64, keep: Mask) -> Kept:
@@ -49,11 +52,13 @@ def module(name: str) -> Any:
         raise Missing(f"{name} is not installed") from error
 
 
-def tool(*words: str) -> None:
-    """Run a command-line tool."""
+def tool(*words: str) -> tuple[float, float]:
+    """Run a command-line tool; wall and CPU seconds."""
     if shutil.which(words[0]) is None:
         raise Missing(f"{words[0]} is not installed")
+    wall, cpu = time.perf_counter(), cpu_seconds()
     subprocess.run(words, check=True, capture_output=True)
+    return time.perf_counter() - wall, cpu_seconds() - cpu
 
 
 def write_pcd(path: Path, points: F64) -> None:
@@ -84,22 +89,22 @@ def same_rows(inner: F64, outer: F64) -> I64:
     return found
 
 
-def pcl_outliers(points: F64, folder: Path, mean_k: int = 20, sigmas: float = 2.0) -> I64:
-    """Indices PCL's statistical outlier removal keeps."""
+def pcl_outliers(points: F64, folder: Path, mean_k: int = 20, sigmas: float = 2.0) -> tuple[I64, tuple[float, float]]:
+    """Indices PCL's statistical outlier removal keeps; seconds."""
     write_pcd(folder / "in.pcd", points)
     options = ["-method", "statistical", "-mean_k", str(mean_k), "-std_dev_mul", str(sigmas)]
-    tool("pcl_outlier_removal", str(folder / "in.pcd"), str(folder / "kept.pcd"), *options)
-    return same_rows(read_pcd(folder / "kept.pcd"), points)
+    spent = tool("pcl_outlier_removal", str(folder / "in.pcd"), str(folder / "kept.pcd"), *options)
+    return same_rows(read_pcd(folder / "kept.pcd"), points), spent
 
 
 def pcl_mls(points: F64, radius: float, order: int = 2, clean: bool = False) -> Kept:
     """PCL's moving least squares, alone or after its outlier removal. Points with fewer than three neighbours are dropped by it."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        index = pcl_outliers(points, folder) if clean else np.arange(len(points))
+        index, before = pcl_outliers(points, folder) if clean else (np.arange(len(points)), (0.0, 0.0))
         write_pcd(folder / "in.pcd", points[index])
         options = ["-radius", str(radius), "-sqr_gauss_param", str(radius**2), "-polynomial_order", str(order)]
-        tool("pcl_mls_smoothing", str(folder / "in.pcd"), str(folder / "out.pcd"), *options)
+        wall, cpu = tool("pcl_mls_smoothing", str(folder / "in.pcd"), str(folder / "out.pcd"), *options)
         r = read_pcd(folder / "out.pcd")
     if len(r) < len(index):
         small = points[index].astype(np.float32).astype(np.float64)
@@ -108,7 +113,8 @@ def pcl_mls(points: F64, radius: float, order: int = 2, clean: bool = False) -> 
     if len(r) != len(index):
         raise RuntimeError(f"PCL returned {len(r)} points, {len(index)} were expected")
     sound = np.isfinite(r).all(axis=1)
-    return Kept(r[sound], index[sound], np.setdiff1d(np.arange(len(points)), index[sound]))
+    removed = np.setdiff1d(np.arange(len(points)), index[sound])
+    return Kept(r[sound], index[sound], removed, (before[0] + wall, before[1] + cpu))
 
 
 def open3d_outliers(points: F64, neighbours: int = 20, sigmas: float = 2.0) -> Kept:
@@ -131,15 +137,15 @@ def meshlab_outliers(points: F64, probability: float = 0.8, neighbours: int = 32
     return by_mask(points, ~np.asarray(meshes.current_mesh().vertex_selection_array()))
 
 
-def seconds(action: Callable[[], object], times: int = 3) -> tuple[float, float]:
-    """Median wall and CPU seconds, child processes included."""
-    walls, cpus = [], []
+def timed(method: Callable[[F64], Result], points: F64, times: int = 3) -> tuple[float, float, Result]:
+    """Median wall and CPU seconds, child processes included, and the last answer."""
+    spent = []
     for _ in range(times):
         wall, cpu = time.perf_counter(), cpu_seconds()
-        action()
-        walls.append(time.perf_counter() - wall)
-        cpus.append(cpu_seconds() - cpu)
-    return statistics.median(walls), statistics.median(cpus)
+        result = method(points)
+        whole = (time.perf_counter() - wall, cpu_seconds() - cpu)
+        spent.append(getattr(result, "spent", None) or whole)
+    return statistics.median(wall for wall, _ in spent), statistics.median(cpu for _, cpu in spent), result
 
 
 def cpu_seconds() -> float:
@@ -149,7 +155,16 @@ def cpu_seconds() -> float:
 
 
 def startup_s(name: str = "pcl_mls_smoothing") -> tuple[float, float]:
-    """Wall and CPU seconds a tool needs to say how it is used: loading its libraries."""
-    if shutil.which(name) is None:
+    """Wall and CPU seconds a tool needs to load its libraries and say that a file is not there; the least of five."""
+    try:
+        tool(name, "none.pcd", "none.pcd")
+    except Missing:
         return 0.0, 0.0
-    return seconds(lambda: subprocess.run([name, "-h"], check=False, capture_output=True))
+    except subprocess.CalledProcessError:
+        pass
+    spent = []
+    for _ in range(5):
+        wall, cpu = time.perf_counter(), cpu_seconds()
+        subprocess.run([name, "none.pcd", "none.pcd"], check=False, capture_output=True)
+        spent.append((time.perf_counter() - wall, cpu_seconds() - cpu))
+    return min(wall for wall, _ in spent), min(cpu for _, cpu in spent)

@@ -216,15 +216,16 @@ def bench_and_fountain(seed: int = 0, count: int = 135_100) -> Square:
 
 def score(whole: Square, result: Result) -> dict[str, float]:
     """RMS over kept points of all surfaces and of each class (mm), mean height of kept paving points over the paving (mm), shares kept
-    of each class and of far outliers taken out (%)."""
+    of each class and of far outliers taken out (%). Classes that are not there are left out."""
     label = whole.label[result.index]
     error = whole.distance(result.r)
     surface = label < CROWN
     out = {"rms_mm": rms_mm(error[surface]), "ground_bias_mm": float(1e3 * np.mean(whole.level(result.r[label == GROUND])[:, 2]))}
-    for kind, name in enumerate(CLASSES):
+    before, after = (np.bincount(labels, minlength=len(CLASSES)) for labels in (whole.label, label))
+    for kind in np.flatnonzero(before):
         if kind < CROWN:
-            out[f"{name}_rms_mm"] = rms_mm(error[label == kind])
-        out[f"{name}_kept_pct"] = float(100 * np.mean(np.bincount(label, minlength=7)[kind] / max(1, np.sum(whole.label == kind))))
+            out[f"{CLASSES[kind]}_rms_mm"] = rms_mm(error[label == kind])
+        out[f"{CLASSES[kind]}_kept_pct"] = float(100 * after[kind] / before[kind])
     stray = np.flatnonzero(whole.label == OUTLIER)
     far = stray[whole.distance(whole.points[stray]) > FAR_M]
     out["far_removed_pct"] = float(100 * np.mean(~np.isin(far, result.index))) if len(far) else float("nan")
