@@ -9,6 +9,11 @@ import numpy as np
 from ladar_volume.filtering.linear import basis, invert
 from ladar_volume.model.kernels import kernel
 
+#: Square of the slope from which the arc term no longer grows.
+STEEPEST = 0.9
+#: A fit has settled when its quadratic terms move the rim of the neighbourhood by less than this share of sigma.
+SETTLED = 1e-3
+
 
 @kernel
 def tangent_of(normal: Any, tangent: Any) -> None:
@@ -39,7 +44,7 @@ def row(r: Any, slot: Any, centre: Any, tangent: Any, side: Any, p: Any, x: Any)
 
 @kernel
 def coordinates(r: Any, n: Any, centre: Any, normal: Any, tangent: Any, ball: Any, uvw: Any, index: Any) -> Any:
-    """(u / ball, v / ball, w) of the points of r (n, 3) within ``ball`` of the centre, to uvw (3, m) and index (m,); returns m."""
+    """(u / ball, v / ball, w) of the points of r (n, 3) within ``ball`` of the centre, to uvw (4, m) and index (m,); returns m."""
     n0, n1, n2 = normal[0], normal[1], normal[2]
     t0, t1, t2 = tangent[0], tangent[1], tangent[2]
     s0, s1, s2 = n1 * t2 - n2 * t1, n2 * t0 - n0 * t2, n0 * t1 - n1 * t0
@@ -54,6 +59,37 @@ def coordinates(r: Any, n: Any, centre: Any, normal: Any, tangent: Any, ball: An
             index[m] = i
             m += 1
     return m
+
+
+@kernel
+def arc(u: Any, v: Any, a: Any, b: Any, c: Any) -> Any:
+    """How far a surface of constant curvature lies above its osculating quadric ``q = a u² + b uv + c v²``, and the slopes
+    along u and v of both together.
+
+    With g = grad q the height ``q · 2 (1 − √(1 − g²)) / g²`` is exact for a sphere and for a cylinder in any direction. A bare
+    quadric over a wide neighbourhood of a curved surface is biased at its centre by its missing fourth-order term. Steeper than
+    the limit the correction stays what it is there.
+    """
+    q = a * u * u + b * u * v + c * v * v
+    gu, gv = 2.0 * a * u + b * v, b * u + 2.0 * c * v
+    square = gu * gu + gv * gv
+    t = min(square, STEEPEST)
+    if t < 1e-6:
+        return 0.25 * q * t, gu, gv
+    s = np.sqrt(1.0 - t)
+    factor = 2.0 * (1.0 - s) / t
+    # d factor / dt times dt: zero where the limit holds
+    rate = q * (1.0 / s - factor) / t if square < STEEPEST else 0.0
+    tu, tv = 2.0 * (2.0 * a * gu + b * gv), 2.0 * (b * gu + 2.0 * c * gv)
+    return q * (factor - 1.0), gu * factor + rate * tu, gv * factor + rate * tv
+
+
+@kernel
+def _straighten(uvw: Any, m: Any, b: Any, ball: Any) -> None:
+    """Heights less the arc term of the present coefficients, to uvw[3]: what is left is linear in the coefficients."""
+    for i in range(m):
+        extra, _, _ = arc(uvw[0, i] * ball, uvw[1, i] * ball, b[3] / (ball * ball), b[4] / (ball * ball), b[5] / (ball * ball))
+        uvw[3, i] = uvw[2, i] - extra
 
 
 @kernel
@@ -82,7 +118,7 @@ def _normal_quadric(uvw: Any, m: Any, inside: Any, A: Any, b: Any) -> None:
     u4 = u3v = u2v2 = uv3 = v4 = b0 = b1 = b2 = b3 = b4 = b5 = 0.0
     for i in range(m):
         if inside[i]:
-            u, v, w = uvw[0, i], uvw[1, i], uvw[2, i]
+            u, v, w = uvw[0, i], uvw[1, i], uvw[3, i]
             uu, q, vv = u * u, u * v, v * v
             c += 1.0
             u1 += u
@@ -113,15 +149,26 @@ def _normal_quadric(uvw: Any, m: Any, inside: Any, A: Any, b: Any) -> None:
 
 
 @kernel
-def _classify(uvw: Any, m: Any, p: Any, b: Any, threshold: Any, inside: Any) -> Any:
-    """Mark the points within ``threshold`` of the model; returns (how many, sum of their squared residuals, any change)."""
+def _classify(uvw: Any, m: Any, p: Any, b: Any, ball: Any, threshold: Any, inside: Any) -> Any:
+    """Mark the points within ``threshold`` of the model; returns (how many, sum of their squared residuals, any change).
+
+    Residuals of a quadric are taken along its own normal, and its neighbourhood is a ball about the *foot points*: a ball
+    about the noisy points keeps more of those on the hollow side, which pulls a curved surface inwards.
+    """
     used, square, changed = 0, 0.0, False
+    reach = max(1.0 - threshold / ball, 0.5)
     for i in range(m):
         u, v = uvw[0, i], uvw[1, i]
         d = uvw[2, i] - b[0] - u * b[1] - v * b[2]
+        near = True
         if p == 6:
-            d = d - u * u * b[3] - u * v * b[4] - v * v * b[5]
-        near = abs(d) <= threshold
+            d = uvw[3, i] - b[0] - u * b[1] - v * b[2] - u * u * b[3] - u * v * b[4] - v * v * b[5]
+            gu, gv = (b[1] + 2.0 * u * b[3] + v * b[4]) / ball, (b[2] + u * b[4] + 2.0 * v * b[5]) / ball
+            slope = 1.0 + gu * gu + gv * gv
+            fu, fv, fw = u + d * gu / (slope * ball), v + d * gv / (slope * ball), (uvw[2, i] - d / slope) / ball
+            near = fu * fu + fv * fv + fw * fw <= reach * reach
+            d /= np.sqrt(slope)
+        near = near and abs(d) <= threshold
         if near:
             square += d * d
             used += 1
@@ -140,18 +187,19 @@ def refit(
     (XᵀX)⁻¹ come back in metres. Returns (number of inliers, sigma); 0 inliers where the terms are not determined.
     """
     A, b, right = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
-    used = 0
+    used, shift = 0, 0.0
     for step in range(iterations + 1):
         if step > 0:
             threshold = max(sigmas * sigma, floor) if step == 1 else max(sigmas * sigma, floor, 1e-7 * ball)
-            used, square, changed = _classify(uvw, m, p, b, threshold, inside)
+            used, square, changed = _classify(uvw, m, p, b, ball, threshold, inside)
             if used <= p:
                 return 0, sigma
             # noise-free input: the threshold of the next step stays above the rounding of coordinates
             sigma = np.sqrt(square / (used - p))
-            if step > 1 and not changed:
+            if step > 1 and not changed and shift <= SETTLED * sigma:
                 break
         if p == 6:
+            _straighten(uvw, m, b, ball)
             _normal_quadric(uvw, m, inside, A, right)
         else:
             _normal_plane(uvw, m, inside, A, right)
@@ -160,10 +208,14 @@ def refit(
                 A[l, k] = A[k, l]
         if not invert(A, p, inverse):
             return 0, sigma
+        shift = 0.0
         for k in range(p):
-            b[k] = 0.0
+            new = 0.0
             for l in range(p):
-                b[k] += inverse[k, l] * right[l]
+                new += inverse[k, l] * right[l]
+            # only the arc term, which follows the quadratic terms, can still move when the inliers have settled
+            shift = max(shift, abs(new - b[k]) if k > 2 else 0.0)
+            b[k] = new
     unit = np.ones(6)
     unit[1] = unit[2] = 1.0 / ball
     unit[3] = unit[4] = unit[5] = 1.0 / (ball * ball)

@@ -7,7 +7,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from ladar_volume.filtering.frame import across, row
+from ladar_volume.filtering.frame import across, arc, row
 from ladar_volume.filtering.linear import basis
 from ladar_volume.model.kernels import kernel, parallel_kernel
 
@@ -62,8 +62,8 @@ def project(
             basis(u, v, p, x)
             w, wu, wv, variance = 0.0, beta[a, 1], beta[a, 2], 0.0
             if p == 6:
-                wu += 2.0 * beta[a, 3] * u + beta[a, 4] * v
-                wv += beta[a, 4] * u + 2.0 * beta[a, 5] * v
+                extra, gu, gv = arc(u, v, beta[a, 3], beta[a, 4], beta[a, 5])
+                w, wu, wv = w + extra, wu + gu, wv + gv
             for e in range(p):
                 w += x[e] * beta[a, e]
                 for f in range(p):

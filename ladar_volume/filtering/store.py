@@ -65,7 +65,8 @@ def _place(table: Any, keys: Any, index: Any) -> None:
 
 
 @kernel
-def _rebuild(table: Any, keys: Any, used: Any) -> None:
+def place_all(table: Any, keys: Any, used: Any) -> None:
+    """Fill the table anew with the first ``used`` keys."""
     table[:] = -1
     for i in range(used):
         _place(table, keys, i)
@@ -185,7 +186,7 @@ class VoxelStore:
         for name in ("hashes", "order", "t_ns", "ring", "r", "C", "aux"):
             setattr(self, name, _resized(getattr(self, name), voxels * self.cap))
         self.table = np.full(4 * voxels, -1, np.int32)
-        _rebuild(self.table, self.keys, self.used)
+        place_all(self.table, self.keys, self.used)
 
     def take_changed(self) -> I64:
         """Voxel indices changed since the last call; brings their ``order`` up to date."""

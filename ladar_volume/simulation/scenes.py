@@ -198,7 +198,8 @@ def kern_pit(after: bool) -> Scene:
 
     vertices, triangles = polar_mesh(rho, radius, radius, profile, ground)
     outline = _ring_outline(radius, radius, 0.5)
-    return Scene("kern_after" if after else "kern_before", vertices, triangles, -16.0 if after else 0.0, outline, 10.0, flight_m=(8.0, 15.0))
+    name = "kern_after" if after else "kern_before"
+    return Scene(name, vertices, triangles, -16.0 if after else 0.0, outline, 10.0, flight_m=(8.0, 15.0))
 
 
 def sphere() -> Scene:

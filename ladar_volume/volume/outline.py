@@ -44,8 +44,7 @@ def within(tin: Tin, mask: Bool, distance_m: float) -> Bool:
     inside = vertex_mask(tin, mask)
     bound = 1.001 * distance_m + 1e-6  # the search excludes its bound
     distance, _ = cKDTree(tin.vertices[inside, :2]).query(tin.vertices[:, :2], distance_upper_bound=bound)
-    out: Bool = distance <= distance_m
-    return out
+    return np.asarray(distance <= distance_m, dtype=np.bool_)
 
 
 def widened(tin: Tin, body: Bool, margin_m: float) -> Bool:

@@ -1,0 +1,322 @@
+"""Sharp features: several planes in one neighbourhood, where they meet, and the piece of each that is surface.
+
+Seed 002 section 4.2 handles edges of two planes and corners of three; here any number of planes may meet, convex and
+concave, in any orientation. Planes are ``n·x = o`` in rows (n, o); all kernels work on points (m, 3) about a local origin.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ladar_volume.filtering.fit import _uniform
+from ladar_volume.model.kernels import kernel
+
+#: Most planes in one neighbourhood.
+MOST = 8
+#: A point scores for a plane within this many sigma: uniform noise ends at 1.73, a third of a plane tilted across an edge lies beyond.
+SCORE_SIGMAS = 2.2
+#: Share of a plane's support on one side of another plane from which on that plane bounds it.
+ONE_SIDED = 0.97
+#: Rounds of assignment and refit.
+ROUNDS = 20
+#: Standard deviation of accepted support, in noise sigma: points evenly spread between the thresholds reach 1.7.
+SPREAD = 1.3
+#: Planes closer than this, as the sine of their angle, are one where they also lie within the noise of each other.
+SAME_SINE = 0.1
+
+
+@kernel
+def distance(x: Any, plane: Any) -> Any:
+    """Signed distance of a point (3,) to a plane (4,)."""
+    return x[0] * plane[0] + x[1] * plane[1] + x[2] * plane[2] - plane[3]
+
+
+@kernel
+def plane_through(a: Any, b: Any, c: Any, plane: Any) -> Any:
+    """The plane through three points; False where they are nearly in line."""
+    u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    v0, v1, v2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    n0, n1, n2 = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
+    length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+    sides = np.sqrt((u0 * u0 + u1 * u1 + u2 * u2) * (v0 * v0 + v1 * v1 + v2 * v2))
+    if not length > 0.2 * sides:
+        return False
+    plane[0], plane[1], plane[2] = n0 / length, n1 / length, n2 / length
+    plane[3] = plane[0] * a[0] + plane[1] * a[1] + plane[2] * a[2]
+    return True
+
+
+@kernel
+def best_plane(x: Any, free: Any, m: Any, reach: Any, threshold: Any, trials: Any, state: Any, plane: Any) -> Any:
+    """The plane through three of the points ``free[:m]`` within ``reach`` of each other with the best truncated score (MSAC).
+
+    Samples are local: where five planes meet, three random points lie on one of them once in twenty-five times, three
+    neighbours far more often. Returns the score, 0 where no sample was usable.
+    """
+    trial = np.empty(4)
+    limit = threshold * threshold
+    best = 0.0
+    for _ in range(trials):
+        a = free[_uniform(state, m)]
+        found = 0
+        b = c = a
+        for _ in range(12):
+            k = free[_uniform(state, m)]
+            d = (x[k, 0] - x[a, 0]) ** 2 + (x[k, 1] - x[a, 1]) ** 2 + (x[k, 2] - x[a, 2]) ** 2
+            if k == a or k == b or d > reach * reach:
+                continue
+            if found == 0:
+                b = k
+            else:
+                c = k
+            found += 1
+            if found == 2:
+                break
+        if found < 2 or not plane_through(x[a], x[b], x[c], trial):
+            continue
+        score = 0.0
+        for i in range(m):
+            d = distance(x[free[i]], trial)
+            if d * d < limit:
+                score += limit - d * d
+            if score + (m - i) * limit <= best:
+                break
+        if score > best:
+            best = score
+            plane[:] = trial
+    return best
+
+
+@kernel
+def fit_plane(x: Any, m: Any, label: Any, own: Any, plane: Any, mean: Any, inverse: Any) -> Any:
+    """Orthogonal least squares of the points labelled ``own``; returns (number, standard deviation of residuals).
+
+    The inverse (3, 3) is that of the scatter about the mean with the normal's own direction set aside: the covariance
+    of the plane's two tilts is sigma² times its projection.
+    """
+    n = 0
+    mean[:] = 0.0
+    for i in range(m):
+        if label[i] == own:
+            n += 1
+            for k in range(3):
+                mean[k] += x[i, k]
+    if n < 4:
+        return 0, 0.0
+    for k in range(3):
+        mean[k] /= n
+    S = np.zeros((3, 3))
+    for i in range(m):
+        if label[i] == own:
+            d0, d1, d2 = x[i, 0] - mean[0], x[i, 1] - mean[1], x[i, 2] - mean[2]
+            S[0, 0] += d0 * d0
+            S[0, 1] += d0 * d1
+            S[0, 2] += d0 * d2
+            S[1, 1] += d1 * d1
+            S[1, 2] += d1 * d2
+            S[2, 2] += d2 * d2
+    S[1, 0], S[2, 0], S[2, 1] = S[0, 1], S[0, 2], S[1, 2]
+    value, vector = np.linalg.eigh(S)
+    if not value[1] > 1e-12 * max(value[2], 1e-300):
+        return 0, 0.0
+    n0, n1, n2 = vector[0, 0], vector[1, 0], vector[2, 0]
+    if n0 * plane[0] + n1 * plane[1] + n2 * plane[2] < 0.0:
+        n0, n1, n2 = -n0, -n1, -n2
+    plane[0], plane[1], plane[2] = n0, n1, n2
+    plane[3] = n0 * mean[0] + n1 * mean[1] + n2 * mean[2]
+    for i in range(3):
+        for j in range(3):
+            inverse[i, j] = vector[i, 1] * vector[j, 1] / value[1] + vector[i, 2] * vector[j, 2] / value[2]
+    return n, np.sqrt(max(value[0], 0.0) / (n - 3))
+
+
+@kernel
+def assign(x: Any, m: Any, planes: Any, count: Any, threshold: Any, label: Any) -> None:
+    """Label every point with its plane; −1 beyond the threshold of all, −2 within that of several.
+
+    A strip along every intersection is set aside: to which plane its points belong is unknown, and a choice by distance would
+    pull the planes towards each other. The strip is cut by the distance to the *other* plane, so it does not select by noise.
+    """
+    for i in range(m):
+        near = 0
+        label[i] = -1
+        for k in range(count):
+            if abs(distance(x[i], planes[k])) <= threshold:
+                near += 1
+                label[i] = k
+        if near > 1:
+            label[i] = -2
+
+
+@kernel
+def drop_plane(planes: Any, means: Any, inverses: Any, used: Any, count: Any, k: Any) -> Any:
+    """Close the gap of plane k; returns the new count."""
+    for j in range(k, count - 1):
+        planes[j], means[j], inverses[j], used[j] = planes[j + 1], means[j + 1], inverses[j + 1], used[j + 1]
+    return count - 1
+
+
+@kernel
+def merge_same(x: Any, m: Any, label: Any, planes: Any, means: Any, inverses: Any, used: Any, count: Any, sigma: Any) -> Any:
+    """Drop planes that another one explains: nearly parallel, and within the noise of it at their own centre."""
+    k = count - 1
+    while k > 0:
+        for j in range(k):
+            c = abs(planes[j, 0] * planes[k, 0] + planes[j, 1] * planes[k, 1] + planes[j, 2] * planes[k, 2])
+            near = abs(distance(means[k], planes[j])) < sigma
+            if near and np.sqrt(max(0.0, 1.0 - c * c)) < SAME_SINE:
+                count = drop_plane(planes, means, inverses, used, count, k)
+                break
+        k -= 1
+    return count
+
+
+@kernel
+def refine(x: Any, m: Any, planes: Any, means: Any, inverses: Any, used: Any, count: Any, sigma: Any, threshold: Any, least: Any,
+           label: Any) -> Any:  # fmt: skip
+    """Assign and refit all planes until no label changes; planes left without support go. Returns the number of planes."""
+    before = np.empty(m, np.int64)
+    for i in range(m):
+        before[i] = -3
+    for _ in range(ROUNDS):
+        assign(x, m, planes, count, threshold, label)
+        changed = False
+        for i in range(m):
+            changed |= before[i] != label[i]
+            before[i] = label[i]
+        if not changed:
+            break
+        k = count - 1
+        while k >= 0:
+            n, s = fit_plane(x, m, label, k, planes[k], means[k], inverses[k])
+            used[k] = n
+            if n < least or s > SPREAD * sigma:
+                count = drop_plane(planes, means, inverses, used, count, k)
+                assign(x, m, planes, count, threshold, label)
+                before[0] = -3
+            k -= 1
+        merged = merge_same(x, m, label, planes, means, inverses, used, count, sigma)
+        if merged < count:
+            count = merged
+            before[0] = -3
+    return count
+
+
+@kernel
+def choose_planes(
+    x: Any, m: Any, candidates: Any, offered: Any, sigma: Any, threshold: Any, least: Any, planes: Any, means: Any, inverses: Any,
+    used: Any, label: Any,
+) -> Any:  # fmt: skip
+    """The planes among the ``offered`` candidates that together explain the points (m, 3), refined. Returns their number.
+
+    Greedy: the next plane is the one that lowers the truncated squares most, as long as it lowers them by more than its three
+    parameters cost (BIC) and explains ``least`` points better than before.
+    """
+    limit = threshold * threshold
+    residual = np.full(m, limit)
+    price = 3.0 * np.log(m) * sigma * sigma
+    count = 0
+    while count < MOST:
+        best, which = price, -1
+        for c in range(offered):
+            gain, better = 0.0, 0
+            for i in range(m):
+                d = distance(x[i], candidates[c])
+                if d * d < residual[i]:
+                    gain += residual[i] - d * d
+                    better += residual[i] > 0.5 * limit
+            if gain > best and better >= least:
+                best, which = gain, c
+        if which < 0:
+            break
+        planes[count] = candidates[which]
+        for _ in range(2):
+            for i in range(m):
+                d = distance(x[i], planes[count])
+                label[i] = 0 if d * d <= residual[i] else -1
+            fit_plane(x, m, label, 0, planes[count], means[count], inverses[count])
+        for i in range(m):
+            d = distance(x[i], planes[count])
+            residual[i] = min(residual[i], d * d)
+        count += 1
+    return refine(x, m, planes, means, inverses, used, count, sigma, threshold, least, label)
+
+
+@kernel
+def bounds(x: Any, m: Any, label: Any, planes: Any, count: Any, side: Any) -> None:
+    """side (k, k): +1 or −1 where a plane's support lies on that side of another plane, 0 where it lies on both."""
+    for a in range(count):
+        for b in range(count):
+            side[a, b] = 0
+            if a == b:
+                continue
+            above, total = 0, 0
+            for i in range(m):
+                if label[i] == a:
+                    total += 1
+                    above += distance(x[i], planes[b]) > 0.0
+            if total > 0 and above >= ONE_SIDED * total:
+                side[a, b] = 1
+            elif total > 0 and above <= (1.0 - ONE_SIDED) * total:
+                side[a, b] = -1
+
+
+@kernel
+def _most_beyond(q: Any, a: Any, planes: Any, count: Any, side: Any, skip: Any) -> Any:
+    """Of the planes that bound plane a, the one q lies farthest beyond; (−1, 0) where it lies beyond none."""
+    worst, depth = -1, 1e-9
+    for b in range(count):
+        if b == skip or side[a, b] == 0:
+            continue
+        d = -side[a, b] * distance(q, planes[b])
+        if d > depth:
+            worst, depth = b, d
+    return worst, depth
+
+
+@kernel
+def nearest_on_piece(x: Any, a: Any, planes: Any, count: Any, side: Any, q: Any) -> Any:
+    """The nearest point q of the bounded piece of plane a; returns 0 inside it, 1 on an edge, 2 in a vertex."""
+    d = distance(x, planes[a])
+    for k in range(3):
+        q[k] = x[k] - d * planes[a, k]
+    b, _ = _most_beyond(q, a, planes, count, side, -1)
+    if b < 0:
+        return 0
+    c = planes[a, 0] * planes[b, 0] + planes[a, 1] * planes[b, 1] + planes[a, 2] * planes[b, 2]
+    square = 1.0 - c * c
+    if square < 1e-4:
+        return 0
+    g = distance(q, planes[b]) / square
+    for k in range(3):
+        q[k] -= g * (planes[b, k] - c * planes[a, k])
+    e, _ = _most_beyond(q, a, planes, count, side, b)
+    if e < 0:
+        return 1
+    l0 = planes[a, 1] * planes[b, 2] - planes[a, 2] * planes[b, 1]
+    l1 = planes[a, 2] * planes[b, 0] - planes[a, 0] * planes[b, 2]
+    l2 = planes[a, 0] * planes[b, 1] - planes[a, 1] * planes[b, 0]
+    along = l0 * planes[e, 0] + l1 * planes[e, 1] + l2 * planes[e, 2]
+    if abs(along) < 1e-2 * np.sqrt(square):
+        return 1
+    h = distance(q, planes[e]) / along
+    q[0] -= h * l0
+    q[1] -= h * l1
+    q[2] -= h * l2
+    return 2
+
+
+@kernel
+def nearest_piece(x: Any, planes: Any, count: Any, side: Any, q: Any) -> Any:
+    """(plane, distance, 0 | 1 | 2 as :func:`nearest_on_piece`) of the piece nearest to x, with the point q on it."""
+    best, which, kind = np.inf, -1, 0
+    trial = np.empty(3)
+    for a in range(count):
+        on = nearest_on_piece(x, a, planes, count, side, trial)
+        d = np.sqrt((x[0] - trial[0]) ** 2 + (x[1] - trial[1]) ** 2 + (x[2] - trial[2]) ** 2)
+        if d < best:
+            best, which, kind = d, a, on
+            q[:] = trial
+    return which, best, kind
