@@ -72,7 +72,7 @@ def write_las(path: Path, columns: Columns, comments: list[str], encoding: str) 
     header = laspy.LasHeader(point_format=6, version="1.4")
     columns = {name: narrow(c) for name, c in columns.items()}
     r = np.column_stack([columns.pop(axis) for axis in "xyz"])
-    low, high = r.min(axis=0), r.max(axis=0)
+    low, high = (r.min(axis=0), r.max(axis=0)) if len(r) else (np.zeros(3), np.zeros(3))
     header.offsets = np.round(0.5 * (low + high))
     header.scales = np.maximum(SCALE_M, np.ceil((high - low) / 4.0e9 / SCALE_M) * SCALE_M)
     if any(len(name.encode()) > 32 for name in columns):

@@ -130,11 +130,12 @@ def write_cloud(
     names: Mapping[str, Sequence[str]] | None = None,
     encoding: str | None = None,
 ) -> None:
-    """Write points (n, 3), m, and columns, (n,) or (n, count), as the kind of file its name ends in; whole, or not at all.
+    """Write points (n, 3), m, and columns, (n,) or (n, count), as the kind of file its name ends in; whole, or not at all. There may be
+    none: the file then holds its columns' names.
 
     ``names`` gives words to the codes of an integer column: text and NPY hold the words, the others the codes, and the words in a comment
     (LAS: in a record). ``encoding`` chooses among :data:`ENCODINGS`. LAS rounds coordinates to 0.1 mm; the others are lossless.
-    Raises :class:`OutputError` for an unknown ending or encoding, columns that do not fit, no points, and files that cannot be written.
+    Raises :class:`OutputError` for an unknown ending or encoding, columns that do not fit, and files that cannot be written.
     """
     path = Path(path)
     ending = _ending(path, OutputError)
@@ -153,8 +154,18 @@ def write_cloud(
             part.unlink(missing_ok=True)
 
 
+def check_output(path: str | Path) -> Path:
+    """The path, where a point cloud file can be written there; to ask before a long computation. Raises :class:`OutputError`."""
+    path = Path(path)
+    _ending(path, OutputError)
+    if not path.parent.is_dir() or path.is_dir():
+        raise OutputError(f"{path}: cannot be written: {path if path.is_dir() else path.parent} is {'a' if path.is_dir() else 'no'} folder",
+                          value=str(path))  # fmt: skip
+    return path
+
+
 def _flatten(r: F64, columns: dict[str, npt.NDArray[Any]], names: Mapping[str, Sequence[str]], ending: str) -> tuple[Columns, list[str]]:
-    if r.ndim != 2 or r.shape[1] != 3 or not len(r) or any(len(c) != len(r) for c in columns.values()):
+    if r.ndim != 2 or r.shape[1] != 3 or any(len(c) != len(r) for c in columns.values()):
         raise OutputError(f"positions {r.shape} and columns { ({n: c.shape for n, c in columns.items()}) } make no table", value=r.shape)
     flat: Columns = {axis: np.ascontiguousarray(r[:, k]) for k, axis in enumerate("xyz")}
     worded, comments = ending in (".csv", ".xyz", ".txt", ".asc", ".npy"), []

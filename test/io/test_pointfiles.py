@@ -7,7 +7,7 @@ import pytest
 
 from ladar_volume.io import lzf
 from ladar_volume.io.pcd import ENCODINGS as PCD_ENCODINGS
-from ladar_volume.io.pointfiles import ENCODINGS, read_cloud, write_cloud
+from ladar_volume.io.pointfiles import ENCODINGS, check_output, read_cloud, write_cloud
 from ladar_volume.model.errors import CloudError, InputError, LadarVolumeError, OutputError
 
 EVERY = [(ending, encoding) for ending, encodings in ENCODINGS.items() for encoding in encodings]
@@ -55,6 +55,15 @@ def test_positions_alone_and_a_single_point(ending, encoding, tmp_path):
         back = read_cloud(tmp_path / f"c{ending}")
         np.testing.assert_allclose(back.r, r, rtol=0, atol=0.5001e-4 if ending in (".las", ".laz") else 0)
         assert ending in (".las", ".laz") or not back.columns
+
+
+@pytest.mark.parametrize("ending,encoding", EVERY)
+def test_no_point_is_written_and_read_as_none(ending, encoding, tmp_path):
+    r, columns = cloud(3)
+    write_cloud(tmp_path / f"c{ending}", r[:0], {k: v[:0] for k, v in columns.items()}, {"reason": REASONS}, encoding)
+    with pytest.raises(CloudError) as caught:
+        read_cloud(tmp_path / f"c{ending}")
+    assert caught.value.reason == "cloud_empty"
 
 
 @pytest.mark.parametrize("ending,encoding", [e for e in EVERY if e[0] in (".ply", ".pcd")])
@@ -281,10 +290,12 @@ def test_unknown_kinds_and_what_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("")
     (tmp_path / "folder.ply").mkdir()
     for path in (tmp_path / "none" / "a.ply", tmp_path / "file" / "a.csv", tmp_path / "folder.ply"):
-        with pytest.raises(OutputError, match="cannot be written"):
-            write_cloud(path, r, columns)
+        for function in (check_output, lambda path: write_cloud(path, r, columns)):
+            with pytest.raises(OutputError, match="cannot be written"):
+                function(path)
+    assert check_output(tmp_path / "a.laz") == tmp_path / "a.laz"
     bad = [
-        {"r": r[:0]}, {"r": r[:, :2]}, {"r": r, "columns": {"s": np.zeros(3)}}, {"r": r, "columns": {"a b": np.zeros(4)}},
+        {"r": r[:, :2]}, {"r": r, "columns": {"s": np.zeros(3)}}, {"r": r, "columns": {"a b": np.zeros(4)}},
         {"r": r, "columns": {"s": np.array(list("abcd"))}}, {"r": r, "columns": {"s": np.full(4, 2**60)}}, {"r": r, "encoding": "zip"},
     ]  # fmt: skip
     for options in bad:

@@ -1,0 +1,135 @@
+"""``ladar_volume filter``: the robust moving least squares filter on a point cloud file."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from ladar_volume.filtering.cloud import REASONS, CloudResult, filter_cloud
+from ladar_volume.filtering.presets import PRESETS
+from ladar_volume.io.config import read_config
+from ladar_volume.io.pointfiles import ENCODINGS, check_output, read_cloud, write_cloud
+from ladar_volume.io.results import json_text
+from ladar_volume.model.errors import ConfigurationError, FilterError, OutputError
+from ladar_volume.model.parameters import FilterParameters, Parameters
+from ladar_volume.version import version
+
+
+def add_parser(subparsers: Any) -> None:
+    """Declare the verb."""
+    kinds = " ".join(ENCODINGS)
+    parser = subparsers.add_parser(
+        "filter", help="filter a point cloud file: outliers out, noise down, edges kept",
+        description="Robust moving least squares on a point cloud file. Without --radius, --preset or --set filter.radius_m=..., radius, "
+        "degree and threshold are estimated from the cloud (--auto).",
+    )  # fmt: skip
+    parser.add_argument("cloud", type=Path, help=f"point cloud ({kinds})")
+    parser.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="OUT", help="filtered points with normal, sigma and input index"
+    )
+    parser.add_argument("--radius", type=float, metavar="R", help="range r in m; fits reach over 2 r")
+    parser.add_argument("--degree", type=int, choices=(1, 2), help="degree of the local surfaces")
+    parser.add_argument("--preset", choices=sorted(PRESETS), help="published settings")
+    parser.add_argument("--auto", action="store_true", help="estimate radius, degree and threshold from the cloud (the default)")
+    parser.add_argument("--set", action="append", default=[], metavar="filter.KEY=VALUE", help="override one parameter")
+    parser.add_argument("--outliers", type=Path, metavar="FILE", help="points taken out, with input index and reason")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON to standard output")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Read, filter, write, print."""
+    parameters, auto = settings(arguments)
+    _check_outputs(arguments)
+    console = Console(stderr=arguments.json)
+    with console.status(f"reading {arguments.cloud.name}") as status:
+        r = read_cloud(arguments.cloud, columns=False).r
+        status.update(f"filtering {len(r):,} points")
+        result = filter_cloud(r, parameters, auto)
+        counts = np.bincount(result.reason, minlength=len(REASONS))
+        outliers = {name: int(count) for name, count in zip(REASONS, counts, strict=True) if count}
+        if not len(result.index):
+            why = ", ".join(f"{name} {count}" for name, count in outliers.items())
+            raise FilterError(f"{arguments.cloud}: no point is left of {len(r)} ({why})", reason="filter_nothing_left", value=outliers)
+        status.update("writing")
+        write_cloud(arguments.output, result.r, {"normal": result.normal, "sigma": result.sigma, "index": result.index})
+        if arguments.outliers is not None:
+            columns = {"index": result.outliers, "reason": result.reason}
+            write_cloud(arguments.outliers, r[result.outliers], columns, {"reason": REASONS})
+    facts = {
+        "input": {"path": arguments.cloud.name, "points": len(r)},
+        "output": {"path": arguments.output.name, "points": len(result.index)},
+        "outliers": outliers,
+        **_facts(result, len(r), auto),
+        "parameters": Parameters(filter=parameters).write()["filter"],
+    }
+    if arguments.json:
+        print(json_text(facts), end="")
+    else:
+        show(console, facts, set(REASONS))
+    return 0
+
+
+def _facts(result: CloudResult, points: int, auto: bool) -> dict[str, Any]:
+    return {
+        "reduction": 1.0 - len(result.index) / points, "sigma_median_m": float(np.median(result.sigma)), "auto": auto,
+        "report": dict(result.report), "version": version(),
+    }  # fmt: skip
+
+
+def settings(arguments: argparse.Namespace) -> tuple[FilterParameters, bool]:
+    """Filter parameters, and whether radius, degree and threshold come from the cloud: preset < --radius, --degree < --set.
+
+    Raises ConfigurationError for options that contradict each other.
+    """
+    keys = [text.partition("=")[0].strip() for text in arguments.set]
+    for key in keys:
+        if not key.startswith("filter."):
+            raise ConfigurationError(f"--set {key}: this verb has parameters of the section 'filter' only", value=key)
+    given = {key: value for key, value in (("radius_m", arguments.radius), ("degree", arguments.degree)) if value is not None}
+    by_hand = "radius_m" in given or arguments.preset is not None or "filter.radius_m" in keys
+    if arguments.auto and by_hand:
+        raise ConfigurationError("--auto estimates what --radius, --preset or filter.radius_m give: choose one")
+    if not by_hand and ("degree" in given or "filter.degree" in keys):
+        raise ConfigurationError("the degree is estimated with the radius: give --radius too, or leave both to --auto")
+    start = Parameters.read({"filter": {**PRESETS.get(arguments.preset, {}), **given}})
+    overrides = read_config(None, arguments.set).write()["filter"]
+    changes = {key.removeprefix("filter."): overrides[key.removeprefix("filter.")] for key in keys}
+    return Parameters.read({"filter": changes}, start).filter, not by_hand
+
+
+def _check_outputs(arguments: argparse.Namespace) -> None:
+    paths = [arguments.cloud] + [check_output(p) for p in (arguments.output, arguments.outliers) if p is not None]
+    if len({p.resolve() for p in paths}) < len(paths):
+        raise OutputError("the cloud, the output and the outliers must be different files", value=[str(p) for p in paths])
+
+
+def show(console: Console, facts: Mapping[str, Any], reasons: set[str]) -> None:
+    """Print the facts as a short table."""
+    table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_row("points in", f"{facts['input']['points']:,}")
+    table.add_row("points out", f"[bold]{facts['output']['points']:,}[/bold] ({100 * facts['reduction']:.1f} % fewer)")
+    for reason, count in facts["outliers"].items():
+        table.add_row(f"  {reason.replace('_', ' ')}", f"{count:,} ({100 * count / facts['input']['points']:.2f} %)")
+    table.add_row("sigma along the normal", f"{1e3 * facts['sigma_median_m']:.2f} mm (median)")
+    for name, value in facts["report"].items():
+        if name not in reasons | {"points", "kept"}:  # said above
+            table.add_row(*_line(name, value, facts["auto"]))
+    console.print(table)
+    console.print(f"written to {facts['output']['path']}")
+
+
+def _line(name: str, value: Any, auto: bool) -> tuple[str, str]:
+    estimated = " (estimated)" if auto and name in ("radius_m", "degree", "threshold_m") else ""
+    if name.endswith("_m"):
+        text = f"{value:.3f} m" if abs(value) >= 0.1 else f"{1e3 * value:.2f} mm"
+        return name.removesuffix("_m").replace("_", " "), text + estimated
+    return name.replace("_", " "), (
+        f"{value:,}" if isinstance(value, int) else f"{value:.4g}" if isinstance(value, float) else str(value)
+    ) + estimated
