@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 import pytest
-from ladar_volume.filtering.cloud import REASONS, filter_cloud
 
 from ladar_volume.cli.main import main
+from ladar_volume.filtering.cloud import REASONS, filter_cloud
 from ladar_volume.filtering.presets import PRESETS
 from ladar_volume.io.pointfiles import ENCODINGS, read_cloud, write_cloud
 from ladar_volume.model.parameters import FilterParameters, Parameters
