@@ -291,8 +291,7 @@ def filter_cell(
         return 0
     planes, means, inverses = np.zeros((pieces.MOST, 4)), np.zeros((pieces.MOST, 3)), np.zeros((pieces.MOST, 3, 3))
     used, label, side = np.zeros(pieces.MOST, np.int64), np.empty(m, np.int64), np.zeros((pieces.MOST, pieces.MOST), np.int64)
-    count = pieces.choose_planes(x, m, candidates, offered, sigma, threshold, need, planes, means, inverses, used, label)
-    pieces.bounds(x, m, label, planes, count, side)
+    count = pieces.choose_planes(x, m, candidates, offered, sigma, threshold, need, planes, means, inverses, used, side, label)
     start = planes[0] if count > 0 else candidates[0]
     limit = threshold * threshold
     best = limit * m

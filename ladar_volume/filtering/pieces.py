@@ -133,21 +133,49 @@ def fit_plane(x: Any, m: Any, label: Any, own: Any, plane: Any, mean: Any, inver
 
 
 @kernel
-def assign(x: Any, m: Any, planes: Any, count: Any, threshold: Any, label: Any) -> None:
-    """Label every point with its plane; −1 beyond the threshold of all, −2 within that of several.
+def clearances(planes: Any, count: Any, side: Any, sigma: Any, threshold: Any, out: Any) -> None:
+    """out (k, k): how far from plane b a foot point on plane a must lie for the point to be a's beyond doubt.
 
-    A strip along every intersection is set aside: to which plane its points belong is unknown, and a choice by distance would
-    pull the planes towards each other. The strip is cut by the distance to the *other* plane, so it does not select by noise.
+    Points of b err by up to 2 sigma and count for a within the threshold. Where a is known to end at b, b's points stand over
+    a's own side only if the angle between the two pieces is acute; else just their noise reaches across the edge.
+    """
+    for a in range(count):
+        for b in range(count):
+            c = planes[a, 0] * planes[b, 0] + planes[a, 1] * planes[b, 1] + planes[a, 2] * planes[b, 2]
+            out[a, b] = threshold * abs(c) + 2.0 * sigma
+            if side[a, b] != 0 and side[b, a] != 0:
+                # directions in each plane away from the edge: t_a = side_ab (n_b - c n_a), so t_a . t_b = -side side c (1 - c²)
+                fold = -side[a, b] * side[b, a] * c
+                out[a, b] = threshold * c * fold / abs(c) + 2.0 * sigma if fold > 0.0 else 2.0 * sigma * (1.0 - c * c)
+
+
+@kernel
+def assign(x: Any, m: Any, planes: Any, count: Any, side: Any, clear: Any, threshold: Any, label: Any) -> None:
+    """Label every point with its plane; −1 beyond the threshold of all, −2 where its plane is in doubt.
+
+    In doubt are the points along an intersection: a choice by distance would pull the planes towards each other. The strip is
+    cut by where the *foot point* lies, which does not depend on the point's own noise.
     """
     for i in range(m):
-        near = 0
         label[i] = -1
-        for k in range(count):
-            if abs(distance(x[i], planes[k])) <= threshold:
-                near += 1
-                label[i] = k
-        if near > 1:
-            label[i] = -2
+        nearest = np.inf
+        for a in range(count):
+            d = distance(x[i], planes[a])
+            if abs(d) > threshold:
+                continue
+            own = True
+            for b in range(count):
+                if b == a:
+                    continue
+                c = planes[a, 0] * planes[b, 0] + planes[a, 1] * planes[b, 1] + planes[a, 2] * planes[b, 2]
+                e = distance(x[i], planes[b]) - d * c  # of the foot point
+                e = e * side[a, b] if side[a, b] != 0 else abs(e)
+                own = own and e > clear[a, b]
+            if own and abs(d) < nearest:
+                nearest = abs(d)
+                label[i] = a
+            elif label[i] == -1:
+                label[i] = -2
 
 
 @kernel
@@ -159,7 +187,7 @@ def drop_plane(planes: Any, means: Any, inverses: Any, used: Any, count: Any, k:
 
 
 @kernel
-def merge_same(x: Any, m: Any, label: Any, planes: Any, means: Any, inverses: Any, used: Any, count: Any, sigma: Any) -> Any:
+def merge_same(planes: Any, means: Any, inverses: Any, used: Any, count: Any, sigma: Any) -> Any:
     """Drop planes that another one explains: nearly parallel, and within the noise of it at their own centre."""
     k = count - 1
     while k > 0:
@@ -174,40 +202,45 @@ def merge_same(x: Any, m: Any, label: Any, planes: Any, means: Any, inverses: An
 
 
 @kernel
-def refine(x: Any, m: Any, planes: Any, means: Any, inverses: Any, used: Any, count: Any, sigma: Any, threshold: Any, least: Any,
-           label: Any) -> Any:  # fmt: skip
+def refine(
+    x: Any, m: Any, planes: Any, means: Any, inverses: Any, used: Any, count: Any, sigma: Any, threshold: Any, least: Any, side: Any,
+    label: Any,
+) -> Any:  # fmt: skip
     """Assign and refit all planes until no label changes; planes left without support go. Returns the number of planes."""
-    before = np.empty(m, np.int64)
-    for i in range(m):
-        before[i] = -3
-    for _ in range(ROUNDS):
-        assign(x, m, planes, count, threshold, label)
+    before, clear = np.full(m, -3), np.zeros((MOST, MOST))
+    side[:] = 0
+    for step in range(ROUNDS):
+        if step > 1:  # the first labels tell on which side of each other the planes end
+            bounds(x, m, label, planes, count, side)
+        clearances(planes, count, side, sigma, threshold, clear)
+        assign(x, m, planes, count, side, clear, threshold, label)
         changed = False
         for i in range(m):
             changed |= before[i] != label[i]
             before[i] = label[i]
-        if not changed:
+        if step > 2 and not changed:
             break
-        k = count - 1
-        while k >= 0:
-            n, s = fit_plane(x, m, label, k, planes[k], means[k], inverses[k])
-            used[k] = n
-            if n < least or s > SPREAD * sigma:
-                count = drop_plane(planes, means, inverses, used, count, k)
-                assign(x, m, planes, count, threshold, label)
-                before[0] = -3
-            k -= 1
-        merged = merge_same(x, m, label, planes, means, inverses, used, count, sigma)
+        worst, fewest = -1, least
+        for k in range(count):
+            used[k], s = fit_plane(x, m, label, k, planes[k], means[k], inverses[k])
+            supported = used[k] if s <= SPREAD * sigma else 0
+            if supported < fewest:
+                worst, fewest = k, supported
+        if worst >= 0:
+            count = drop_plane(planes, means, inverses, used, count, worst)
+            side[:] = 0
+            continue
+        merged = merge_same(planes, means, inverses, used, count, sigma)
         if merged < count:
             count = merged
-            before[0] = -3
+            side[:] = 0
     return count
 
 
 @kernel
 def choose_planes(
     x: Any, m: Any, candidates: Any, offered: Any, sigma: Any, threshold: Any, least: Any, planes: Any, means: Any, inverses: Any,
-    used: Any, label: Any,
+    used: Any, side: Any, label: Any,
 ) -> Any:  # fmt: skip
     """The planes among the ``offered`` candidates that together explain the points (m, 3), refined. Returns their number.
 
@@ -241,7 +274,7 @@ def choose_planes(
             d = distance(x[i], planes[count])
             residual[i] = min(residual[i], d * d)
         count += 1
-    return refine(x, m, planes, means, inverses, used, count, sigma, threshold, least, label)
+    return refine(x, m, planes, means, inverses, used, count, sigma, threshold, least, side, label)
 
 
 @kernel

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ladar_volume.filtering.frame import STEEPEST
 from ladar_volume.georeference.sensitivity import full_calibration_jacobian, navigation_jacobian, point_geometry, unpack
 from ladar_volume.model.parameters import CalibrationParameters
 from ladar_volume.model.records import F64, I64, MappedPoints, PlatformStates
@@ -20,6 +21,23 @@ def design(r_map: F64, centre: F64, normal: F64, tangent: F64, degree: int) -> t
     if degree == 2:
         columns += [u * u, u * v, v * v]
     return np.stack(columns, axis=-1), w
+
+
+def arc(X: F64, beta: F64) -> tuple[F64, F64, F64]:
+    """Height (n,) of the constant-curvature surface above its osculating quadric, and the slopes (n,) along u and v of the whole
+    surface, at design rows X (n, 6); see ``frame.arc``. Zero height and the plane's slopes for rows (n, 3)."""
+    if X.shape[1] == 3:
+        return np.zeros(len(X)), np.full(len(X), beta[1]), np.full(len(X), beta[2])
+
+    def height(u: F64, v: F64) -> F64:
+        square = (2 * beta[3] * u + beta[4] * v) ** 2 + (beta[4] * u + 2 * beta[5] * v) ** 2
+        t = np.clip(square, 1e-12, STEEPEST)
+        out: F64 = (beta[3] * u * u + beta[4] * u * v + beta[5] * v * v) * 2 * (1 - np.sqrt(1 - t)) / t
+        return out
+
+    u, v, h = X[:, 1], X[:, 2], 1e-6
+    gu, gv = (height(u + h, v) - height(u - h, v)) / (2 * h), (height(u, v + h) - height(u, v - h)) / (2 * h)
+    return height(u, v) - X[:, 3:] @ beta[3:], beta[1] + gu, beta[2] + gv
 
 
 def least_squares(X: F64, w: F64) -> tuple[F64, F64]:

@@ -39,7 +39,8 @@ def take_patches(patches: Patches, rows: I64) -> Patches:
 
 
 def join_patches(parts: list[Patches]) -> Patches:
-    """The rows of all parts, one after the other."""
+    """The rows of all parts, one after the other. A part without rows has no columns of its own to match."""
+    parts = [part for part in parts if len(part)] or parts[:1]
     rows = (*ROWS, "cross_key", "cross", "nav_bin", "M_nav")
     changes = {name: np.concatenate([getattr(part, name) for part in parts]) for name in rows}
     for name in ("cross_start", "nav_start"):
