@@ -18,11 +18,13 @@ SPLITTER = 2.0**27 + 1.0
 ORIENT_BOUND = (3.0 + 16.0 * EPSILON) * EPSILON
 INCIRCLE_BOUND = (10.0 + 96.0 * EPSILON) * EPSILON
 #: Longest expansion of the incircle determinant: three products of 16 by 16 components.
-WORKSPACE = (12, 1600)
+WORKSPACE = (13, 1600)
+#: Row of the workspace that counts how many orientations and how many incircle tests reached the exact stage.
+COUNTS = 12
 
 
 def workspace() -> F64:
-    """Scratch rows for the exact evaluation, to be allocated once per triangulation: (12, 1600) float64."""
+    """Scratch rows for the exact evaluation, to be allocated once per triangulation: (13, 1600) float64."""
     return np.zeros(WORKSPACE)
 
 
@@ -141,8 +143,16 @@ def orientation(ax: float, ay: float, bx: float, by: float, cx: float, cy: float
     left = (ax - cx) * (by - cy)
     right = (ay - cy) * (bx - cx)
     det = left - right
-    if abs(det) > ORIENT_BOUND * (abs(left) + abs(right)):
+    # a product that vanishes has a factor that vanishes, and differences vanish exactly
+    if abs(det) > ORIENT_BOUND * (abs(left) + abs(right)) or left == 0.0 or right == 0.0:
         return det
+    return orientation_exact(ax, ay, bx, by, cx, cy, w)
+
+
+@kernel
+def orientation_exact(ax: float, ay: float, bx: float, by: float, cx: float, cy: float, w: F64) -> float:
+    """A number of the sign of the orientation determinant, without rounding; counted in the workspace."""
+    w[COUNTS, 0] += 1.0
     n0 = expansion_difference(ax, cx, w[4])
     n1 = expansion_difference(ay, cy, w[5])
     n2 = expansion_difference(bx, cx, w[6])
@@ -152,26 +162,64 @@ def orientation(ax: float, ay: float, bx: float, by: float, cx: float, cy: float
 
 
 @kernel
-def incircle_exact(p: F64, w: F64) -> float:
-    """Sign of the incircle determinant of ``p`` (4, 2) without rounding."""
-    d = np.empty((3, 2, 2))
-    nd = np.empty((3, 2), np.int64)
-    for i in range(3):
+def incircle_exact(xy: F64, a: int, b: int, c: int, d: int, w: F64) -> float:
+    """A number of the sign of the incircle determinant of points a to d, without rounding; counted in the workspace."""
+    w[COUNTS, 1] += 1.0
+    short = incircle_short(xy, a, b, c, d)
+    if short == short:
+        return short
+    # differences and squares in the tail of the scratch rows: six rows of two, three of four
+    e = w[11]
+    n = np.empty(9, np.int64)
+    for i, v in enumerate((a, b, c)):
         for k in range(2):
-            nd[i, k] = expansion_difference(p[i, k], p[3, k], d[i, k])
-    n = 0
+            n[2 * i + k] = expansion_difference(xy[v, k], xy[d, k], e[8 * i + 4 * k : 8 * i + 4 * k + 4])
+    total = 0
     for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        nm = minor_exact(nd[j, 0], d[j, 0], nd[j, 1], d[j, 1], nd[k, 0], d[k, 0], nd[k, 1], d[k, 1], w[4], w)
-        nx = expansion_product(nd[i, 0], d[i, 0], nd[i, 0], d[i, 0], w[5], w[0], w[1])
-        ny = expansion_product(nd[i, 1], d[i, 1], nd[i, 1], d[i, 1], w[6], w[0], w[1])
+        j, k = 8 * ((i + 1) % 3), 8 * ((i + 2) % 3)
+        nm = minor_exact(n[j // 4], e[j:], n[j // 4 + 1], e[j + 4 :], n[k // 4], e[k:], n[k // 4 + 1], e[k + 4 :], w[4], w)
+        x, y = e[8 * i : 8 * i + 4], e[8 * i + 4 : 8 * i + 8]
+        nx = expansion_product(n[2 * i], x, n[2 * i], x, w[5], w[0], w[1])
+        ny = expansion_product(n[2 * i + 1], y, n[2 * i + 1], y, w[6], w[0], w[1])
         nl = expansion_sum(nx, w[5], ny, w[6], w[7])
         nt = expansion_product(nm, w[4], nl, w[7], w[8], w[0], w[1])
-        ns = expansion_sum(n, w[9], nt, w[8], w[10])
+        ns = expansion_sum(total, w[9], nt, w[8], w[10])
         for m in range(ns):
             w[9, m] = w[10, m]
-        n = ns
-    return float(w[9, n - 1]) if n else 0.0
+        total = ns
+    return float(w[9, total - 1]) if total else 0.0
+
+
+@kernel
+def exact_difference(a: float, b: float) -> float:
+    """``a - b`` where that is exact, else NaN."""
+    x, y = two_sum(a, -b)
+    return x if y == 0.0 else np.nan
+
+
+@kernel
+def exact_product(a: float, b: float) -> float:
+    """``a b`` where that is exact, else NaN."""
+    x, y = two_product(a, b)
+    return x if y == 0.0 else np.nan
+
+
+@kernel
+def incircle_short(xy: F64, a: int, b: int, c: int, d: int) -> float:
+    """The incircle determinant where no operation of it rounds (grids of short numbers), else NaN."""
+    adx, ady = exact_difference(xy[a, 0], xy[d, 0]), exact_difference(xy[a, 1], xy[d, 1])
+    bdx, bdy = exact_difference(xy[b, 0], xy[d, 0]), exact_difference(xy[b, 1], xy[d, 1])
+    cdx, cdy = exact_difference(xy[c, 0], xy[d, 0]), exact_difference(xy[c, 1], xy[d, 1])
+    al = exact_difference(exact_product(adx, adx), -exact_product(ady, ady))
+    bc = exact_difference(exact_product(bdx, cdy), exact_product(cdx, bdy))
+    total = exact_product(al, bc)
+    if total != total:
+        return total
+    bl = exact_difference(exact_product(bdx, bdx), -exact_product(bdy, bdy))
+    ca = exact_difference(exact_product(cdx, ady), exact_product(adx, cdy))
+    cl = exact_difference(exact_product(cdx, cdx), -exact_product(cdy, cdy))
+    ab = exact_difference(exact_product(adx, bdy), exact_product(bdx, ady))
+    return exact_difference(exact_difference(total, -exact_product(bl, ca)), -exact_product(cl, ab))
 
 
 @kernel
@@ -188,7 +236,4 @@ def incircle(xy: F64, a: int, b: int, c: int, d: int, w: F64) -> float:
     size = (abs(bc) + abs(cb)) * al + (abs(ca) + abs(ac)) * bl + (abs(ab) + abs(ba)) * cl
     if abs(det) > INCIRCLE_BOUND * size:
         return float(det)
-    p = np.empty((4, 2))
-    for k in range(2):
-        p[0, k], p[1, k], p[2, k], p[3, k] = xy[a, k], xy[b, k], xy[c, k], xy[d, k]
-    return incircle_exact(p, w)
+    return incircle_exact(xy, a, b, c, d, w)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.model.errors import SurfaceError
-from ladar_volume.model.records import F64, I32, Bool, Tin
-from ladar_volume.surface.delaunay import delaunay, first_copies
+from ladar_volume.model.records import F64, I32, I64, Bool, Tin
+from ladar_volume.surface.delaunay import triangulate
 
 
 def build_tin(points_map: F64) -> Tin:
@@ -20,11 +20,18 @@ def build_tin(points_map: F64) -> Tin:
         raise SurfaceError(f"points are (n, 3), not {points.shape}", reason="surface_shape", value=points.shape)
     if not np.isfinite(points).all():
         raise SurfaceError("a point with a coordinate that is not finite", reason="surface_not_finite")
-    source = first_copies(points[:, :2])
-    vertices = np.ascontiguousarray(points[source])
-    triangles, neighbours = delaunay(vertices[:, :2])
-    relevant = np.ones(len(triangles), bool)
-    return Tin(vertices, triangles, neighbours, relevant, source, len(points) - len(source))
+    out = triangulate(points[:, :2])
+    source, triangles = out.vertices, out.triangles
+    if len(source) < len(points):
+        triangles = number(source, len(points))[triangles]
+    return Tin(points[source], triangles, out.neighbours, np.ones(len(triangles), bool), source, len(points) - len(source))
+
+
+def number(source: I64, n: int) -> I32:
+    """Place in ``source`` (k,) of each of n points, (n,); -1 where it is not there."""
+    out = np.full(n, -1, np.int32)
+    out[source] = np.arange(len(source), dtype=np.int32)
+    return out
 
 
 def footprint_areas(vertices: F64, triangles: I32) -> F64:

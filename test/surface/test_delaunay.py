@@ -10,9 +10,19 @@ from scipy.spatial import Delaunay
 
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.surface import predicates
-from ladar_volume.surface.delaunay import check_kernel, delaunay, fault, first_copies, is_valid, triangulate_kernel
-from ladar_volume.surface.ordering import hilbert_index, insertion_order, rounds
-from ladar_volume.surface.predicates import incircle, orientation, workspace
+from ladar_volume.surface.delaunay import check_hull_kernel, check_kernel, delaunay, fault, is_valid, triangulate
+from ladar_volume.surface.mesh import export, first_triangle, insert_kernel, triangle_table
+from ladar_volume.surface.ordering import (
+    BITS,
+    by_rounds,
+    hilbert_index,
+    hilbert_kernel,
+    hilbert_order,
+    insertion_order,
+    radix_order,
+    rounds,
+)
+from ladar_volume.surface.predicates import COUNTS, incircle, orientation, workspace
 
 
 def as_set(triangles):
@@ -56,12 +66,23 @@ def test_predicates_have_the_sign_of_rational_arithmetic():
 def test_exact_branch_alone_agrees_with_rational_arithmetic():
     w = workspace()
     for p in np.random.default_rng(1).random((100, 4, 2)) * 10.0 ** np.random.default_rng(2).integers(-6, 7, (100, 4, 1)):
-        assert np.sign(predicates.incircle_exact(np.ascontiguousarray(p), w)) == exact_incircle(p)
+        assert np.sign(predicates.incircle_exact(np.ascontiguousarray(p), 0, 1, 2, 3, w)) == exact_incircle(p)
+        assert np.sign(predicates.orientation_exact(*p[0], *p[1], *p[2], w)) == exact_orientation(p[0], p[1], p[2])
+    assert w[COUNTS, :2].tolist() == [100.0, 100.0]
+
+
+def test_the_short_branch_answers_where_nothing_rounds_and_only_there():
+    rng = np.random.default_rng(11)
+    for p in rng.integers(-50, 50, (100, 4, 2)).astype(float):
+        assert np.sign(predicates.incircle_short(p, 0, 1, 2, 3)) == exact_incircle(p)
+    for p in rng.random((100, 4, 2)):
+        assert np.isnan(predicates.incircle_short(p, 0, 1, 2, 3))
+    assert predicates.incircle_short(np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]) * 2.0**-30 + 2.0**20, 0, 1, 2, 3) == 0.0
 
 
 def test_compiled_predicates_equal_their_plain_twins():
     w = workspace()
-    for p in nearly_degenerate(10, np.random.default_rng(3)):
+    for p in np.concatenate([nearly_degenerate(10, np.random.default_rng(3)), np.random.default_rng(3).random((10, 4, 2))]):
         assert incircle(p, 0, 1, 2, 3, w) == incircle.py_func(p, 0, 1, 2, 3, w)
         assert orientation(*p[0], *p[1], *p[2], w) == orientation.py_func(*p[0], *p[1], *p[2], w)
 
@@ -132,8 +153,38 @@ def test_refusals(xy, reason):
 
 def test_first_copy_is_kept_and_signed_zeros_are_one():
     xy = np.array([[0.0, 1], [2, 2], [-0.0, 1], [0, 1], [2, 2], [3, 0]])
-    assert first_copies(xy).tolist() == [0, 1, 5]
-    assert first_copies(np.zeros((0, 2))).tolist() == []
+    out = triangulate(xy)
+    assert out.same.tolist() == [0, 1, 0, 0, 1, 5] and out.vertices.tolist() == [0, 1, 5]
+    assert sorted(out.triangles[0].tolist()) == [0, 1, 5] and out.neighbours.tolist() == [[-1, -1, -1]]
+    with pytest.raises(SurfaceError) as caught:
+        delaunay(xy)
+    assert caught.value.reason == "surface_duplicates" and caught.value.value == 3
+
+
+def test_many_copies_in_any_order():
+    xy = np.random.default_rng(12).integers(0, 12, (900, 2)).astype(float)
+    out = triangulate(xy)
+    _, first, member = np.unique(xy, axis=0, return_index=True, return_inverse=True)
+    assert np.array_equal(out.same, first[member.reshape(-1)])
+    number = np.searchsorted(out.vertices, out.triangles).astype(np.int32)
+    assert fault(xy[out.vertices], number, out.neighbours) == ""
+
+
+@pytest.mark.parametrize("kind", ["grid", "shifted grid", "circle", "line and point"])
+def test_predicates_that_reach_the_exact_stage_are_counted(kind):
+    g = np.stack(np.meshgrid(np.arange(20.0), np.arange(20.0)), axis=-1).reshape(-1, 2)
+    a = np.arange(360) * (np.pi / 180)
+    t = np.arange(40.0)
+    xy = {
+        "grid": g,
+        "shifted grid": g * 0.1 + [431000.3, 5411000.7],
+        "circle": np.column_stack([np.cos(a), np.sin(a)]),
+        "line and point": np.concatenate([np.column_stack([t * 0.1, t * 0.3]), [[1.0, -5.0]]]),
+    }[kind]
+    out = triangulate(xy)
+    assert fault(xy, out.triangles, out.neighbours) == ""
+    assert out.exact_orientations + out.exact_incircles > 0
+    assert triangulate(np.random.default_rng(0).random((2000, 2))).exact_incircles == 0
 
 
 def test_order_of_input_does_not_matter_in_general_position():
@@ -155,6 +206,7 @@ def test_is_valid_sees_faults():
     assert not is_valid(xy, triangles[:, ::-1], neighbours[:, ::-1])
     assert not is_valid(np.concatenate([xy, [[1.0, 1.0]]]), triangles, neighbours)
     assert not is_valid(xy[[1, 0, 2, 3]], triangles, neighbours)
+    assert not is_valid(xy, triangles + 2, neighbours) and not is_valid(xy, triangles[:0], neighbours[:0])
     broken = neighbours.copy()
     broken[broken >= 0] = -1
     assert not is_valid(xy, triangles, broken)
@@ -168,20 +220,38 @@ def test_is_valid_sees_faults():
 
 def test_compiled_kernels_equal_their_plain_twins():
     xy = np.random.default_rng(9).integers(0, 6, (40, 2)).astype(float)
-    xy = np.unique(xy, axis=0)
-    order, w = insertion_order(xy), workspace()
-    n = len(xy)
-    order = order[np.argsort(order != order[0], kind="stable")]
-    first = [order[0], *[k for k in order if exact_orientation(xy[order[0]], xy[order[1]], xy[k])][:1]]
-    order = np.array([first[0], order[1], first[1], *[k for k in order if k not in (first[0], order[1], first[1])]])
+    w, n = workspace(), len(xy)
+    k = next(k for k in range(2, n) if exact_orientation(xy[0], xy[1], xy[k]))
+    xy[[2, k]] = xy[[k, 2]]
     results = []
-    for run in (triangulate_kernel, triangulate_kernel.py_func):
-        tri, nb = np.zeros((2 * n + 2, 3), np.int64), np.zeros((2 * n + 2, 3), np.int64)
-        results.append((run(xy, order, tri, nb, w), tri, nb))
-    assert results[0][0] == results[1][0]
-    assert np.array_equal(results[0][1], results[1][1]) and np.array_equal(results[0][2], results[1][2])
-    t, o = delaunay(xy)
-    assert check_kernel.py_func(xy, t.astype(np.int64), o.astype(np.int64), w) == 0
+    for begin, insert in ((first_triangle, insert_kernel), (first_triangle.py_func, insert_kernel.py_func)):
+        m, same = triangle_table(n), np.arange(n, dtype=np.int32)
+        m[:] = 0
+        begin(xy, m, 0, 1, 2, w)
+        size, hint = insert(xy, m, 4, 0, 3, same, w)
+        results.append((size, hint, same, m[:size]))
+    for a, b in zip(*results, strict=True):
+        assert np.array_equal(a, b)
+    triangles, neighbours = export(results[0][3], np.arange(n, dtype=np.int32))
+    used = np.unique(triangles)
+    number = np.searchsorted(used, triangles).astype(np.int32)
+    for check in (check_kernel, check_kernel.py_func, check_hull_kernel, check_hull_kernel.py_func):
+        assert check(xy[used], number, neighbours, w) == 0
+
+
+def test_plain_twins_of_the_ordering():
+    xy = np.random.default_rng(13).random((300, 2))
+    assert np.array_equal(hilbert_kernel(xy, 0.0, 0.0, 2.0**BITS), hilbert_kernel.py_func(xy, 0.0, 0.0, 2.0**BITS))
+    key = hilbert_index(np.repeat(xy, 2, axis=0))
+    with np.errstate(over="ignore"):
+        assert np.array_equal(rounds(300), rounds.py_func(300))
+    plain = np.argsort(key, kind="stable")
+    assert np.array_equal(radix_order(key.view(np.uint64).copy(), 2 * BITS), plain)
+    assert np.array_equal(radix_order.py_func(key.view(np.uint64).copy(), 2 * BITS), plain)
+    order = plain.astype(np.int32)
+    assert np.array_equal(by_rounds(order), plain[np.argsort(-rounds(600)[plain].astype(int), kind="stable")])
+    assert np.array_equal(by_rounds.py_func(order), by_rounds(order))
+    assert len(hilbert_order(np.zeros((0, 2)))) == len(insertion_order(np.zeros((0, 2)))) == 0
 
 
 def test_insertion_order_is_a_permutation_along_a_curve():
@@ -190,5 +260,5 @@ def test_insertion_order_is_a_permutation_along_a_curve():
     assert sorted(order.tolist()) == list(range(3000))
     assert rounds(3000).max() >= 3
     grid = np.stack(np.meshgrid(np.arange(16), np.arange(16)), axis=-1).reshape(-1, 2) * 4369.0
-    walk = grid[np.argsort(hilbert_index(grid))]
+    walk = grid[hilbert_order(grid)]
     assert set(np.abs(np.diff(walk, axis=0)).sum(axis=1).tolist()) == {4369.0}

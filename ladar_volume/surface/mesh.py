@@ -1,0 +1,232 @@
+"""The triangle table and its elementary moves: locate, split, flip.
+
+One row of eight 32-bit words per triangle, so that a triangle is half a cache line: words 0 to 2 are the vertices,
+counter-clockwise; words 4 to 6 the neighbours opposite them, each as ``4 t + k`` - the neighbour t and the corner k of it that lies
+across; words 3 and 7 are free for the caller. Outside the convex hull lie ghost triangles that share one vertex at infinity,
+:data:`GHOST`: every triangle has three neighbours, a point outside the hull falls into a ghost triangle, and the hull is the true
+convex hull. Seed 000 section 2.4.2 (insertion and exchange of diagonals, after Lawson 1977); ghost triangles after Shewchuk, lecture
+notes on Delaunay mesh generation.
+"""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from ladar_volume.model.kernels import kernel
+from ladar_volume.model.records import F64, I32
+from ladar_volume.surface.predicates import incircle, orientation
+
+MeshTable: TypeAlias = npt.NDArray[np.int32]
+#: The vertex at infinity, and "none" in the free words.
+GHOST = -1
+#: Where a point lies in its triangle: inside, outside the hull, on the edge opposite corner ``where``, or on corner ``where - VERTEX``.
+INSIDE, OUTSIDE, VERTEX = -1, -2, 4
+
+
+@kernel
+def turn(xy: F64, a: int, b: int, c: int, w: F64) -> float:
+    """Orientation of three points by index."""
+    return orientation(xy[a, 0], xy[a, 1], xy[b, 0], xy[b, 1], xy[c, 0], xy[c, 1], w)
+
+
+@kernel
+def link(m: MeshTable, h: int, g: int) -> None:
+    """Make corners h and g, both as ``4 t + k``, face each other."""
+    m[h >> 2, 4 + (h & 3)] = g
+    m[g >> 2, 4 + (g & 3)] = h
+
+
+@kernel
+def put(m: MeshTable, t: int, a: int, b: int, c: int) -> None:
+    """Write the vertices of triangle t."""
+    m[t, 0] = a
+    m[t, 1] = b
+    m[t, 2] = c
+
+
+@kernel
+def is_ghost(m: MeshTable, t: int) -> bool:
+    """Whether triangle t has the vertex at infinity."""
+    return bool(m[t, 0] == GHOST or m[t, 1] == GHOST or m[t, 2] == GHOST)
+
+
+@kernel
+def first_triangle(xy: F64, m: MeshTable, a: int, b: int, c: int, w: F64) -> None:
+    """Start a triangulation from three points that are not collinear: triangle 0 and its three ghosts, 1 to 3."""
+    if turn(xy, a, b, c, w) < 0.0:
+        b, c = c, b
+    put(m, 0, a, b, c)
+    put(m, 1, GHOST, c, b)
+    put(m, 2, GHOST, a, c)
+    put(m, 3, GHOST, b, a)
+    for k in range(3):
+        link(m, k, 4 * (k + 1))
+        link(m, 4 * (k + 1) + 2, 4 * ((k + 1) % 3 + 1) + 1)
+
+
+@kernel
+def locate(xy: F64, m: MeshTable, start: int, p: int, w: F64) -> tuple[int, int]:
+    """Triangle that holds point p, walking from the real triangle ``start``, and where in it p lies."""
+    t, entry = start, -1
+    while True:
+        edge, zeros, leave = INSIDE, 0, -1
+        for k in range(3):
+            if k == entry:  # p lies strictly on this side of the edge that was crossed
+                continue
+            o = turn(xy, m[t, (k + 1) % 3], m[t, (k + 2) % 3], p, w)
+            if o < 0.0:
+                leave = k
+                break
+            if o == 0.0:
+                zeros += 1
+                edge = k if zeros == 1 else VERTEX + 3 - edge - k
+        if leave < 0:
+            return t, edge
+        h = m[t, 4 + leave]
+        t, entry = h >> 2, h & 3
+        if m[t, entry] == GHOST:
+            return t, OUTSIDE
+
+
+@kernel
+def split_triangle(m: MeshTable, t: int, p: int, t1: int, t2: int) -> None:
+    """Replace triangle t by the three around p: t, t1, t2, counter-clockwise about p. p comes first in each."""
+    a, b, c = m[t, 0], m[t, 1], m[t, 2]
+    n1, n2 = m[t, 5], m[t, 6]
+    put(m, t, p, b, c)
+    put(m, t1, p, c, a)
+    put(m, t2, p, a, b)
+    link(m, 4 * t1, n1)
+    link(m, 4 * t2, n2)
+    link(m, 4 * t + 1, 4 * t1 + 2)
+    link(m, 4 * t1 + 1, 4 * t2 + 2)
+    link(m, 4 * t2 + 1, 4 * t + 2)
+
+
+@kernel
+def split_edge(m: MeshTable, t: int, k: int, p: int, t1: int, t3: int) -> int:
+    """Replace the two triangles at edge k of t by the four around p: t, t1, t3 and the neighbour, which is returned."""
+    h = m[t, 4 + k]
+    o, j = h >> 2, h & 3
+    a, b, c, d = m[t, k], m[t, (k + 1) % 3], m[t, (k + 2) % 3], m[o, j]
+    nab, nca = m[t, 4 + (k + 2) % 3], m[t, 4 + (k + 1) % 3]
+    nbd, ndc = m[o, 4 + (j + 1) % 3], m[o, 4 + (j + 2) % 3]
+    put(m, t, p, a, b)
+    put(m, t1, p, c, a)
+    put(m, t3, p, d, c)
+    put(m, o, p, b, d)
+    link(m, 4 * t, nab)
+    link(m, 4 * t1, nca)
+    link(m, 4 * t3, ndc)
+    link(m, 4 * o, nbd)
+    link(m, 4 * t + 1, 4 * o + 2)
+    link(m, 4 * o + 1, 4 * t3 + 2)
+    link(m, 4 * t3 + 1, 4 * t1 + 2)
+    link(m, 4 * t1 + 1, 4 * t + 2)
+    return int(o)
+
+
+@kernel
+def must_flip(xy: F64, p: int, b: int, c: int, d: int, w: F64) -> bool:
+    """Whether the edge b-c between triangles (p, b, c) and (d, c, b) has to go; at a ghost the circle is a half plane."""
+    if d == GHOST:
+        return False
+    if b == GHOST:
+        return turn(xy, p, c, d, w) < 0.0
+    if c == GHOST:
+        return turn(xy, d, b, p, w) < 0.0
+    return incircle(xy, p, b, c, d, w) > 0.0
+
+
+@kernel
+def flip(m: MeshTable, t: int) -> int:
+    """Exchange the diagonal opposite corner 0 of t = (p, b, c) for the one from p: t = (p, b, d) and the neighbour (p, d, c), returned."""
+    h = m[t, 4]
+    o, j = h >> 2, h & 3
+    p, c, d = m[t, 0], m[t, 2], m[o, j]
+    nbd, ndc, ncp = m[o, 4 + (j + 1) % 3], m[o, 4 + (j + 2) % 3], m[t, 5]
+    m[t, 2] = d
+    put(m, o, p, d, c)
+    link(m, 4 * t, nbd)
+    link(m, 4 * o, ndc)
+    link(m, 4 * o + 1, ncp)
+    link(m, 4 * t + 1, 4 * o + 2)
+    return int(o)
+
+
+@kernel
+def legalise(xy: F64, m: MeshTable, first: int, w: F64) -> int:
+    """Go once round the new point, corner 0 of triangle ``first`` and of its whole star, and flip every edge of the star's rim that must
+    go; returns a real triangle of the star."""
+    t, real = first, -1
+    while True:
+        h = m[t, 4]
+        if must_flip(xy, m[t, 0], m[t, 1], m[t, 2], m[h >> 2, h & 3], w):
+            flip(m, t)
+            continue
+        if m[t, 1] != GHOST and m[t, 2] != GHOST:
+            real = t
+        t = m[t, 5] >> 2
+        if t == first:
+            return int(real)
+
+
+@kernel
+def insert_kernel(xy: F64, m: MeshTable, size: int, hint: int, first: int, same: I32, w: F64) -> tuple[int, int]:
+    """Insert points xy[first:] in their order into the triangles m[:size]; ``same[p]`` becomes the earlier vertex at p's position, or p.
+
+    Returns the new number of triangles (two more per vertex) and a real triangle at the last point.
+    """
+    for p in range(first, len(xy)):
+        same[p] = p
+        t, where = locate(xy, m, hint, p, w)
+        if where >= VERTEX:
+            same[p], hint = m[t, where - VERTEX], t
+            continue
+        if where < 0:
+            split_triangle(m, t, p, size, size + 1)
+        else:
+            split_edge(m, t, where, p, size, size + 1)
+        size += 2
+        hint = legalise(xy, m, t, w)
+    return size, hint
+
+
+def triangle_table(vertices: int) -> MeshTable:
+    """Room for the triangles and ghosts over so many vertices: (2 vertices + 2, 8)."""
+    return np.empty((2 * vertices + 2, 8), np.int32)
+
+
+@kernel
+def number_real(m: MeshTable) -> int:
+    """Number the real triangles of a table in word 3, -1 for ghosts; returns how many there are."""
+    count = 0
+    for t in range(len(m)):
+        if is_ghost(m, t):
+            m[t, 3] = -1
+        else:
+            m[t, 3] = count
+            count += 1
+    return count
+
+
+@kernel
+def export_kernel(m: MeshTable, name: I32, triangles: I32, neighbours: I32) -> None:
+    """Write the real triangles as :func:`number_real` numbered them, vertex v as ``name[v]``, with their neighbours, -1 at the hull."""
+    for t in range(len(m)):
+        i = m[t, 3]
+        if i >= 0:
+            for k in range(3):
+                triangles[i, k] = name[m[t, k]]
+                neighbours[i, k] = m[m[t, 4 + k] >> 2, 3]
+
+
+def export(m: MeshTable, name: I32) -> tuple[I32, I32]:
+    """Triangles and neighbours, both (k, 3), of a table in use; destroys word 3 of its rows."""
+    count = int(number_real(m))
+    triangles, neighbours = np.empty((count, 3), np.int32), np.empty((count, 3), np.int32)
+    export_kernel(m, name, triangles, neighbours)
+    return triangles, neighbours
