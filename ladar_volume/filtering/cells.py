@@ -19,8 +19,10 @@ from ladar_volume.filtering.store import BITS, _mix, find_voxel
 from ladar_volume.model.kernels import kernel, parallel_kernel
 
 KEPT, OUTLIER, FEW_POINTS, NO_SURFACE, BEYOND_EDGE = 0, 1, 2, 3, 4
-#: Support a plane needs, as a share of the neighbourhood.
-SHARE = 0.06
+#: Planes each cell finds for itself and its neighbours.
+OFFERED = 3
+#: What lies within this many sigma of a plane found is not searched for the next one.
+EXPLAINED = 2.02
 #: Re-levelling of a quadric's frame.
 LEVELS = 3
 
@@ -195,19 +197,6 @@ def quadric_cost(x: Any, m: Any, origin: Any, centre: Any, normal: Any, tangent:
 
 
 @kernel
-def planes_cost(x: Any, m: Any, planes: Any, count: Any, side: Any, limit: Any) -> Any:
-    """Sum of squared distances of points (m, 3) to the nearest piece, each at most ``limit``."""
-    cost, q = 0.0, np.empty(3)
-    for i in range(m):
-        if count == 1:
-            d = abs(pieces.distance(x[i], planes[0]))
-        else:
-            _, d, _ = pieces.nearest_piece(x[i], planes, count, side, q)
-        cost += min(d * d, limit)
-    return cost
-
-
-@kernel
 def around(r: Any, first: Any, v: Any, slots: Any, n: Any, ball: Any, origin: Any, x: Any) -> Any:
     """Mean of the cell's own points to origin (3,), and the gathered points within ``ball`` of it, about it, to x; returns how many."""
     lo, hi = first[v], first[v + 1]
@@ -231,32 +220,46 @@ def main_planes(
     keys: Any, table: Any, first: Any, r: Any, ball: Any, sigma: Any, threshold: Any, trials: Any, least: Any, seed: Any, planes: Any,
     found: Any,
 ) -> None:  # fmt: skip
-    """The plane most points near each cell lie on, as ``n·x = o`` (v, 4): what its neighbours are offered where planes meet."""
+    """The planes that the points near each cell lie on, most points first, as ``n·x = o`` (v, OFFERED, 4) and their number (v,).
+
+    Each is sought among what the former ones do not explain. They are what a cell and its neighbours have to choose from.
+    """
     for v in numba.prange(len(keys)):
         empty = np.empty(0, np.int64)
         n = gather(v, keys, table, first, r, empty)
         slots, x, origin = np.empty(n, np.int64), np.empty((n + 1, 3)), np.empty(3)
         gather(v, keys, table, first, r, slots)
         m = around(r, first, v, slots, n, ball, origin, x)
-        found[v] = False
-        if m < least:
-            continue
-        state, label, mean, inverse = np.empty(1, np.uint64), np.empty(m, np.int64), np.empty(3), np.empty((3, 3))
+        found[v] = 0
+        state, label, mean, inverse = np.empty(1, np.uint64), np.full(m, -1), np.empty(3), np.empty((3, 3))
         state[0] = _mix(np.uint64(keys[v]) ^ _mix(np.uint64(seed)))
-        if pieces.best_plane(x, np.arange(m), m, ball, pieces.SCORE_SIGMAS * sigma, trials, state, planes[v]) <= 0.0:
-            continue
-        used = 0
-        for _ in range(3):
-            for i in range(m):
-                label[i] = 0 if abs(pieces.distance(x[i], planes[v])) <= threshold else -1
-            used, _ = pieces.fit_plane(x, m, label, 0, planes[v], mean, inverse)
-        found[v] = used >= least
-        planes[v, 3] += planes[v, 0] * origin[0] + planes[v, 1] * origin[1] + planes[v, 2] * origin[2]
+        free = np.arange(m)
+        left = m
+        for _ in range(OFFERED):
+            plane = planes[v, found[v]]
+            if left < least or pieces.best_plane(x, free, left, ball, pieces.SCORE_SIGMAS * sigma, trials, state, plane) <= 0.0:
+                break
+            used = 0
+            for _ in range(3):
+                label[:] = -1
+                for i in range(left):
+                    label[free[i]] = 0 if abs(pieces.distance(x[free[i]], plane)) <= threshold else -1
+                used, _ = pieces.fit_plane(x, m, label, 0, plane, mean, inverse)
+            if used < least:
+                break
+            rest = 0
+            for i in range(left):
+                if abs(pieces.distance(x[free[i]], plane)) > EXPLAINED * sigma:
+                    free[rest] = free[i]
+                    rest += 1
+            left = rest
+            plane[3] += plane[0] * origin[0] + plane[1] * origin[1] + plane[2] * origin[2]
+            found[v] += 1
 
 
 @kernel
 def offers(v: Any, keys: Any, table: Any, planes: Any, found: Any, origin: Any, out: Any) -> Any:
-    """Main planes of the cells around cell v, about ``origin``; returns how many."""
+    """Planes of the cells around cell v, about ``origin``; returns how many."""
     key, mask = keys[v], (1 << BITS) - 1
     i0, j0, k0 = key >> (2 * BITS), (key >> BITS) & mask, key & mask
     n = 0
@@ -264,9 +267,9 @@ def offers(v: Any, keys: Any, table: Any, planes: Any, found: Any, origin: Any, 
         for dj in range(-REACH, REACH + 1):
             for dk in range(-REACH, REACH + 1):
                 w = find_voxel(table, keys, ((i0 + di) << (2 * BITS)) | ((j0 + dj) << BITS) | (k0 + dk))
-                if w >= 0 and found[w]:
-                    out[n] = planes[w]
-                    out[n, 3] -= planes[w, 0] * origin[0] + planes[w, 1] * origin[1] + planes[w, 2] * origin[2]
+                for a in range(found[w] if w >= 0 else 0):
+                    out[n] = planes[w, a]
+                    out[n, 3] -= out[n, 0] * origin[0] + out[n, 1] * origin[1] + out[n, 2] * origin[2]
                     n += 1
     return n
 
@@ -283,20 +286,19 @@ def filter_cell(
     if m < least:
         reason[lo:hi] = FEW_POINTS
         return 0
-    need = max(least, np.int64(SHARE * m))
-    candidates = np.empty(((2 * REACH + 1) ** 3, 4))
+    candidates = np.empty((OFFERED * (2 * REACH + 1) ** 3, 4))
     offered = offers(v, keys, table, main, found, origin, candidates)
     if offered == 0:
         reason[lo:hi] = NO_SURFACE
         return 0
     planes, means, inverses = np.zeros((pieces.MOST, 4)), np.zeros((pieces.MOST, 3)), np.zeros((pieces.MOST, 3, 3))
     used, label, side = np.zeros(pieces.MOST, np.int64), np.empty(m, np.int64), np.zeros((pieces.MOST, pieces.MOST), np.int64)
-    count = pieces.choose_planes(x, m, candidates, offered, sigma, threshold, need, planes, means, inverses, used, side, label)
+    count = pieces.choose_planes(x, m, candidates, offered, sigma, threshold, least, planes, means, inverses, used, side, label)
     start = planes[0] if count > 0 else candidates[0]
-    limit = threshold * threshold
+    limit, used_here = threshold * threshold, np.empty(pieces.MOST, np.int64)
     best = limit * m
     if count > 0:
-        best = planes_cost(x, m, planes, count, side, limit) + sigma * sigma * 3 * count * np.log(m)
+        best = pieces.pieces_cost(x, m, planes, count, side, limit, sigma, used_here) + sigma * sigma * 3 * count * np.log(m)
     centre, normal, tangent, beta, inverse = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(6), np.zeros((6, 6))
     curved = False
     if degree == 2:
@@ -304,7 +306,7 @@ def filter_cell(
         for i in range(n):
             pts[i] = r[slots[i]]
         inliers = quadric_from(pts, n, origin, start, ball, sigma, threshold, iterations, centre, normal, tangent, beta, inverse)
-        if inliers >= max(need, 8):
+        if inliers >= max(least, 8):
             cost = quadric_cost(x, m, origin, centre, normal, tangent, beta, limit) + sigma * sigma * 6 * np.log(m)
             curved = cost < best
     if not curved and count == 0:

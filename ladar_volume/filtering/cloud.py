@@ -68,9 +68,9 @@ def filter_cloud(r: F64, parameters: FilterParameters, auto: bool = False) -> Cl
     n = len(local)
     q, normals, variance = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
     reason, kind = np.full(n, cells.NO_SURFACE, np.int64), np.zeros(len(keys), np.int64)
-    main, found, ordered = np.zeros((len(keys), 4)), np.zeros(len(keys), np.bool_), local[order]
+    main, found, ordered = np.zeros((len(keys), cells.OFFERED, 4)), np.zeros(len(keys), np.int64), local[order]
     cells.main_planes(
-        keys, table, first, ordered, ball / 2, tuned.sigma_m, tuned.threshold_m, parameters.trials, parameters.min_points,
+        keys, table, first, ordered, ball / 2.5, tuned.sigma_m, tuned.threshold_m, parameters.trials, parameters.min_points,
         parameters.seed, main, found,
     )  # fmt: skip
     cells.filter_cells(

@@ -19,10 +19,18 @@ MOST = 8
 SCORE_SIGMAS = 2.2
 #: Share of a plane's support on one side of another plane from which on that plane bounds it.
 ONE_SIDED = 0.97
+#: Least share of the points a plane needs: outliers give this much to any slab.
+CHANCE = 0.03
+#: Most points looked at to choose planes.
+SEEN = 300
+#: Most candidates tried in all combinations.
+TRIED = 12
 #: Rounds of assignment and refit.
 ROUNDS = 20
-#: Standard deviation of accepted support, in noise sigma: points evenly spread between the thresholds reach 1.7.
-SPREAD = 1.3
+#: Share of the points nearest to a plane that must be its own beyond doubt, to be fitted to these alone.
+SURE = 0.25
+#: Rounds before the points beyond doubt tell where planes end.
+SETTLING = 1
 #: Planes closer than this, as the sine of their angle, are one where they also lie within the noise of each other.
 SAME_SINE = 0.1
 
@@ -206,35 +214,115 @@ def refine(
     x: Any, m: Any, planes: Any, means: Any, inverses: Any, used: Any, count: Any, sigma: Any, threshold: Any, least: Any, side: Any,
     label: Any,
 ) -> Any:  # fmt: skip
-    """Assign and refit all planes until no label changes; planes left without support go. Returns the number of planes."""
-    before, clear = np.full(m, -3), np.zeros((MOST, MOST))
-    side[:] = 0
+    """Assign and refit all planes until no label changes. Returns the number of planes.
+
+    A plane with too few points whose plane is beyond doubt is fitted to all that are nearest to its piece.
+    """
+    before, nearest, clear = np.full(m, -3), np.empty(m, np.int64), np.zeros((MOST, MOST))
+    nearest_planes(x, m, planes, count, threshold * threshold, label)
+    bounds(x, m, label, planes, count, side)
     for step in range(ROUNDS):
-        if step > 1:  # the first labels tell on which side of each other the planes end
-            bounds(x, m, label, planes, count, side)
         clearances(planes, count, side, sigma, threshold, clear)
         assign(x, m, planes, count, side, clear, threshold, label)
+        nearest_pieces(x, m, planes, count, side, threshold * threshold, nearest)
+        for k in range(count):
+            sure, all_of_it = 0, 0
+            for i in range(m):
+                sure += label[i] == k
+                all_of_it += nearest[i] == k
+            if sure < max(least, np.int64(SURE * all_of_it)):
+                for i in range(m):
+                    if nearest[i] == k:
+                        label[i] = k
         changed = False
         for i in range(m):
             changed |= before[i] != label[i]
             before[i] = label[i]
-        if step > 2 and not changed:
+        if not changed:
             break
-        worst, fewest = -1, least
-        for k in range(count):
-            used[k], s = fit_plane(x, m, label, k, planes[k], means[k], inverses[k])
-            supported = used[k] if s <= SPREAD * sigma else 0
-            if supported < fewest:
-                worst, fewest = k, supported
-        if worst >= 0:
-            count = drop_plane(planes, means, inverses, used, count, worst)
-            side[:] = 0
-            continue
-        merged = merge_same(planes, means, inverses, used, count, sigma)
-        if merged < count:
-            count = merged
-            side[:] = 0
+        k = count - 1
+        while k >= 0:
+            used[k], _ = fit_plane(x, m, label, k, planes[k], means[k], inverses[k])
+            if used[k] == 0:
+                count = drop_plane(planes, means, inverses, used, count, k)
+                nearest_planes(x, m, planes, count, threshold * threshold, label)
+            k -= 1
+        count = merge_same(planes, means, inverses, used, count, sigma)
+        if step < SETTLING:
+            nearest_planes(x, m, planes, count, threshold * threshold, label)
+        bounds(x, m, label, planes, count, side)
     return count
+
+
+@kernel
+def nearest_pieces(x: Any, m: Any, planes: Any, count: Any, side: Any, limit: Any, label: Any) -> None:
+    """Label every point with the plane of its nearest piece, −1 beyond the limit of squared distance."""
+    q = np.empty(3)
+    for i in range(m):
+        a, d, _ = nearest_piece(x[i], planes, count, side, q)
+        label[i] = a if d * d <= limit else -1
+
+
+@kernel
+def nearest_planes(x: Any, m: Any, planes: Any, count: Any, limit: Any, label: Any) -> None:
+    """Label every point with its nearest plane, −1 beyond the limit of squared distance."""
+    for i in range(m):
+        nearest = limit
+        label[i] = -1
+        for k in range(count):
+            d = distance(x[i], planes[k])
+            if d * d < nearest:
+                nearest = d * d
+                label[i] = k
+
+
+@kernel
+def pieces_cost(x: Any, m: Any, planes: Any, count: Any, side: Any, limit: Any, sigma: Any, support: Any) -> Any:
+    """Description length of points (m, 3) on the bounded pieces, in squared distances: truncated squares, and what it takes to say to
+    which piece a point belongs where its position does not tell. support (k,) gets the number of points nearest to each piece.
+
+    Without the second term a slab of noise is described better by two planes within it than by the one in its middle.
+    """
+    cost, q = 0.0, np.empty(3)
+    support[:count] = 0
+    for i in range(m):
+        nearest, which, several = limit, -1, 0
+        for a in range(count):
+            on = nearest_on_piece(x[i], a, planes, count, side, q)
+            d = (x[i, 0] - q[0]) ** 2 + (x[i, 1] - q[1]) ** 2 + (x[i, 2] - q[2]) ** 2
+            several += on == 0 and d < limit
+            if d < nearest:
+                nearest, which = d, a
+        cost += nearest
+        if several > 1:
+            cost += 2.0 * np.log(several) * sigma * sigma
+        if which >= 0:
+            support[which] += 1
+    return cost
+
+
+@kernel
+def distinct(x: Any, m: Any, candidates: Any, offered: Any, limit: Any, out: Any) -> Any:
+    """A few candidates, each the one that explains most of what those before it leave, to out (k, 4); returns how many."""
+    residual = np.full(m, limit)
+    n = 0
+    while n < len(out):
+        best, which = 0.0, -1
+        for c in range(offered):
+            gain = 0.0
+            for i in range(m):
+                d = distance(x[i], candidates[c])
+                gain += max(residual[i] - d * d, 0.0)
+            if gain > best:
+                best, which = gain, c
+        if which < 0:
+            break
+        out[n] = candidates[which]
+        for i in range(m):
+            d = distance(x[i], out[n])
+            residual[i] = min(residual[i], d * d)
+        n += 1
+    return n
 
 
 @kernel
@@ -242,38 +330,50 @@ def choose_planes(
     x: Any, m: Any, candidates: Any, offered: Any, sigma: Any, threshold: Any, least: Any, planes: Any, means: Any, inverses: Any,
     used: Any, side: Any, label: Any,
 ) -> Any:  # fmt: skip
-    """The planes among the ``offered`` candidates that together explain the points (m, 3), refined. Returns their number.
+    """The planes among the ``offered`` candidates whose pieces together describe the points (m, 3) best, refined. Returns their number.
 
-    Greedy: the next plane is the one that lowers the truncated squares most, as long as it lowers them by more than its three
-    parameters cost (BIC) and explains ``least`` points better than before.
+    Planes are added, exchanged and dropped one at a time, whatever shortens the description most; a plane costs its three
+    parameters (BIC) and needs more support than outliers give any slab. At most ``SEEN`` points are looked at.
     """
     limit = threshold * threshold
-    residual = np.full(m, limit)
-    price = 3.0 * np.log(m) * sigma * sigma
-    count = 0
-    while count < MOST:
-        best, which = price, -1
-        for c in range(offered):
-            gain, better = 0.0, 0
-            for i in range(m):
-                d = distance(x[i], candidates[c])
-                if d * d < residual[i]:
-                    gain += residual[i] - d * d
-                    better += residual[i] > 0.5 * limit
-            if gain > best and better >= least:
-                best, which = gain, c
-        if which < 0:
+    stride = (m + SEEN - 1) // SEEN
+    y = x[:m:stride]
+    n = len(y)
+    need = max(least // stride, np.int64(CHANCE * n), 1)
+    few, trial, best_set = np.empty((TRIED, 4)), np.empty((MOST, 4)), np.empty((MOST, 4))
+    distinct_count = distinct(y, n, candidates, offered, limit, few)
+    support = np.empty(MOST, np.int64)
+    count, cost = 0, limit * m
+    for _ in range(2 * MOST):
+        best, best_count = cost, -1
+        for c in range(-1, distinct_count):
+            # move k: plane k exchanged for candidate c, or dropped for c = −1; k = count: added
+            for k in range(count + (c >= 0 and count < MOST)):
+                trial[:count] = planes[:count]
+                size = max(count, k + 1)
+                if c >= 0:
+                    trial[k] = few[c]
+                else:
+                    size = count - 1
+                    trial[k:size] = planes[k + 1 : count]
+                if size == 0:
+                    continue
+                nearest_planes(y, n, trial, size, limit, label)
+                bounds(y, n, label, trial, size, side)
+                length = pieces_cost(y, n, trial, size, side, limit, sigma, support) * m / n
+                length += 3.0 * size * np.log(m) * sigma * sigma
+                if length < best and support[:size].min() >= need:
+                    best, best_count = length, size
+                    best_set[:size] = trial[:size]
+        if best_count < 0:
             break
-        planes[count] = candidates[which]
-        for _ in range(2):
-            for i in range(m):
-                d = distance(x[i], planes[count])
-                label[i] = 0 if d * d <= residual[i] else -1
-            fit_plane(x, m, label, 0, planes[count], means[count], inverses[count])
-        for i in range(m):
-            d = distance(x[i], planes[count])
-            residual[i] = min(residual[i], d * d)
-        count += 1
+        count, cost = best_count, best
+        planes[:count] = best_set[:count]
+        nearest_planes(y, n, planes, count, limit, label)
+        bounds(y, n, label, planes, count, side)
+        nearest_pieces(y, n, planes, count, side, limit, label)
+        for k in range(count):
+            fit_plane(y, n, label, k, planes[k], means[k], inverses[k])
     return refine(x, m, planes, means, inverses, used, count, sigma, threshold, least, side, label)
 
 
