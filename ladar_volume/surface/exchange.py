@@ -18,8 +18,8 @@ from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, I64, Bool, Tin
 from ladar_volume.surface.adjust import measures
-from ladar_volume.surface.delaunay import put, relink, turn
 from ladar_volume.surface.locate import locate, triangle_index
+from ladar_volume.surface.mesh import turn
 from ladar_volume.surface.predicates import workspace
 
 MEASURES = ("asd", "rms")
@@ -38,6 +38,21 @@ class Exchange:
     asd_m: float
     rms_before_m: float
     asd_before_m: float
+
+
+@kernel
+def relink(nb: I64, t: int, old: int, new: int) -> None:
+    """Triangle ``t`` now borders ``new`` where it bordered ``old``."""
+    for k in range(3):
+        if nb[t, k] == old:
+            nb[t, k] = new
+
+
+@kernel
+def put(tri: I64, nb: I64, t: int, v: tuple[int, int, int], n: tuple[int, int, int]) -> None:
+    """Write one triangle's vertices and neighbours."""
+    tri[t, 0], tri[t, 1], tri[t, 2] = v
+    nb[t, 0], nb[t, 1], nb[t, 2] = n
 
 
 @kernel
