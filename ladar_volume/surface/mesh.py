@@ -175,23 +175,28 @@ def legalise(xy: F64, m: MeshTable, first: int, w: F64) -> int:
 
 
 @kernel
-def insert_kernel(xy: F64, m: MeshTable, size: int, hint: int, first: int, same: I32, w: F64) -> tuple[int, int]:
-    """Insert points xy[first:] in their order into the triangles m[:size]; ``same[p]`` becomes the earlier vertex at p's position, or p.
+def insert_point(xy: F64, m: MeshTable, size: int, hint: int, p: int, w: F64) -> tuple[int, int, int]:
+    """Insert point p into the triangles m[:size], walking from the real triangle ``hint``.
 
-    Returns the new number of triangles (two more per vertex) and a real triangle at the last point.
+    Returns the new number of triangles (two more), a real triangle at p, and the vertex that lies at p already, which then stays
+    alone, or -1.
     """
+    t, where = locate(xy, m, hint, p, w)
+    if where >= VERTEX:
+        return size, t, m[t, where - VERTEX]
+    if where < 0:
+        split_triangle(m, t, p, size, size + 1)
+    else:
+        split_edge(m, t, where, p, size, size + 1)
+    return size + 2, legalise(xy, m, t, w), -1
+
+
+@kernel
+def insert_kernel(xy: F64, m: MeshTable, size: int, hint: int, first: int, same: I32, w: F64) -> tuple[int, int]:
+    """Insert points xy[first:] in their order; ``same[p]`` becomes the earlier vertex at p's position, or p."""
     for p in range(first, len(xy)):
-        same[p] = p
-        t, where = locate(xy, m, hint, p, w)
-        if where >= VERTEX:
-            same[p], hint = m[t, where - VERTEX], t
-            continue
-        if where < 0:
-            split_triangle(m, t, p, size, size + 1)
-        else:
-            split_edge(m, t, where, p, size, size + 1)
-        size += 2
-        hint = legalise(xy, m, t, w)
+        size, hint, copy = insert_point(xy, m, size, hint, p, w)
+        same[p] = copy if copy >= 0 else p
     return size, hint
 
 
