@@ -1,0 +1,247 @@
+"""Two surfaces: rational brute force, closed forms, invariances, gradients against differences, degenerate overlays."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from ladar_volume.ground.polynomial import design_surface
+from ladar_volume.model.errors import VolumeError
+from ladar_volume.model.records import Tin
+from ladar_volume.surface.locate import triangle_index
+from ladar_volume.surface.tin import build_tin
+from ladar_volume.volume.overlay import between, integrals
+from ladar_volume.volume.overlay_kernel import (
+    CORNERS,
+    add_fan,
+    add_pair,
+    apart,
+    boxes_apart,
+    boxes_of,
+    clip_line,
+    group_box,
+    overlay_kernel,
+    tip,
+)
+from ladar_volume.volume.prismoids import positive_part, prismoids
+
+
+def random_tin(n=30, seed=0, half=3.0, bump=1.0):
+    rng = np.random.default_rng(seed)
+    corners = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
+    xy = np.r_[rng.uniform(-half, half, (n, 2)), corners]
+    return build_tin(np.c_[xy, bump * rng.uniform(-1, 1, len(xy))])
+
+
+def flat(z, half=3.0):
+    return build_tin(np.array([[-half, -half, z], [half, -half, z], [half, half, z], [-half, half, z]], float))
+
+
+def roof():
+    vertices = np.array([(0, 0, 0), (4, 0, 1), (4, 3, 2), (0, 3, -1), (2, 1.5, 3)], float)
+    triangles = np.array([(0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)], np.int32)
+    return Tin(vertices, triangles, np.full((4, 3), -1, np.int32), np.ones(4, bool), np.arange(5))
+
+
+def exact_clip(ring, f):
+    """Sutherland-Hodgman in rational numbers."""
+    out = []
+    for i, p in enumerate(ring):
+        q = ring[(i + 1) % len(ring)]
+        u, v = f(p), f(q)
+        if u >= 0:
+            out.append(p)
+        if u * v < 0:
+            s = u / (u - v)
+            out.append(tuple(a + s * (b - a) for a, b in zip(p, q, strict=True)))
+    return out
+
+
+def plane_through(p):
+    """Coefficients of the plane through three rational points."""
+    (x0, y0, z0), (x1, y1, z1), (x2, y2, z2) = p
+    det = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+    gx = ((z1 - z0) * (y2 - y0) - (z2 - z0) * (y1 - y0)) / det
+    gy = ((z2 - z0) * (x1 - x0) - (z1 - z0) * (x2 - x0)) / det
+    return z0 - gx * x0 - gy * y0, gx, gy
+
+
+def exact(upper, lower):
+    """Cut, fill and area by clipping every triangle with every other, without rounding."""
+    rows = [[[tuple(Fraction(float(c)) for c in s.vertices[v]) for v in t] for t in s.triangles[s.relevant]] for s in (upper, lower)]
+    total = [Fraction(0)] * 3
+    for a in rows[0]:
+        pa = plane_through(a)
+        for b in rows[1]:
+            ring = [p[:2] for p in a]
+            for k in range(3):
+                (x0, y0), (x1, y1) = b[k][:2], b[(k + 1) % 3][:2]
+                ring = exact_clip(ring, lambda p: (x1 - x0) * (p[1] - y0) - (y1 - y0) * (p[0] - x0)) if ring else ring  # noqa: B023
+            pb = plane_through(b)
+            d = [u - v for u, v in zip(pa, pb, strict=True)]
+            for side, sign in ((0, 1), (1, -1)):
+                part = exact_clip(ring, lambda p: sign * (d[0] + d[1] * p[0] + d[2] * p[1])) if ring else []  # noqa: B023
+                for i in range(1, len(part) - 1):
+                    p, q, r = part[0], part[i], part[i + 1]
+                    area = ((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])) / 2
+                    mean = sum(sign * (d[0] + d[1] * s[0] + d[2] * s[1]) for s in (p, q, r)) / 3
+                    total[side] += area * mean
+                    total[2] += area
+    return [float(t) for t in total]
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_random_surfaces_against_rational_clipping(seed):
+    a, b = random_tin(12, seed), random_tin(9, seed + 50, half=2.5)
+    a = dataclasses.replace(a, relevant=np.random.default_rng(seed).random(len(a.triangles)) < 0.8)
+    r = between(a, b)
+    assert (r.cut_m3, r.fill_m3, r.area_m2) == pytest.approx(exact(a, b), rel=1e-12, abs=1e-13)
+
+
+@pytest.mark.parametrize("z,cut,fill", [(0, 49 / 3, 1 / 3), (1, 20 / 3, 8 / 3), (2, 1, 9), (2.5, 0.125, 14.125), (5, 0, 44), (-2, 40, 0)])
+def test_the_roof_above_a_flat_surface(z, cut, fill):
+    r = between(roof(), flat(z, half=7.0))
+    assert (r.cut_m3, r.fill_m3, r.area_m2) == pytest.approx((cut, fill, 12.0), abs=1e-12)
+    back = between(flat(z, half=7.0), roof())
+    assert (back.cut_m3, back.fill_m3) == pytest.approx((fill, cut), abs=1e-12)
+
+
+def test_a_flat_or_tilted_lower_surface_gives_the_prismoids():
+    a = random_tin(seed=3)
+    low = flat(0.0, half=4.0)
+    low = dataclasses.replace(
+        low, vertices=low.vertices + np.c_[np.zeros((4, 2)), 0.3 + 0.2 * low.vertices[:, 0] - 0.1 * low.vertices[:, 1]]
+    )
+    r, p = between(a, low), prismoids(a, design_surface([0.3, 0.2, -0.1]))
+    assert (r.cut_m3, r.fill_m3, r.area_m2) == pytest.approx((p.cut_m3, p.fill_m3, p.area_m2), rel=1e-12)
+    assert r.gradient_cut[:, 2] == pytest.approx(p.gradient_cut[:, 2], abs=1e-12)
+    assert r.lower_net[:, 2].sum() == pytest.approx(p.base_net[0], rel=1e-12)
+
+
+def test_swapping_adding_and_shifting():
+    a, b = random_tin(seed=4), random_tin(seed=5, half=2.0)
+    r, back = between(a, b), between(b, a)
+    assert (r.cut_m3, r.fill_m3, r.area_m2) == pytest.approx((back.fill_m3, back.cut_m3, back.area_m2), rel=1e-12)
+    assert r.gradient_cut == pytest.approx(back.lower_fill, abs=1e-12) and r.lower_cut == pytest.approx(back.gradient_fill, abs=1e-12)
+    part = np.random.default_rng(0).random(len(a.triangles)) < 0.4
+    halves = [between(dataclasses.replace(a, relevant=m), b) for m in (part, ~part)]
+    for name in ("cut_m3", "fill_m3", "area_m2"):
+        assert sum(getattr(h, name) for h in halves) == pytest.approx(getattr(r, name), rel=1e-12)
+    up = between(dataclasses.replace(a, vertices=a.vertices + np.array([0, 0, 0.25])), b)
+    assert up.net_m3 - r.net_m3 == pytest.approx(0.25 * r.area_m2, rel=1e-12) and r.area_m2 == pytest.approx(16.0, rel=1e-12)
+    c = random_tin(seed=6, half=2.0)
+    assert between(a, c).net_m3 + between(c, b).net_m3 == pytest.approx(r.net_m3, rel=1e-11)
+
+
+def test_turning_shifting_and_scaling():
+    a, b = random_tin(seed=7), random_tin(seed=8, half=2.0)
+    r = between(a, b)
+    c, s = math.cos(0.7), math.sin(0.7)
+    R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    moved = [dataclasses.replace(t, vertices=t.vertices @ R.T + [500.0, -300, 20]) for t in (a, b)]
+    m = between(*moved)
+    assert (m.cut_m3, m.fill_m3, m.area_m2) == pytest.approx((r.cut_m3, r.fill_m3, r.area_m2), rel=1e-10)
+    assert m.gradient_cut == pytest.approx(r.gradient_cut @ R.T, abs=1e-9)
+    far = between(*(dataclasses.replace(t, vertices=t.vertices + np.array([5e5, 5e6, 0])) for t in (a, b)))
+    assert far.net_m3 == pytest.approx(r.net_m3, abs=1e-6)
+    scaled = between(*(dataclasses.replace(t, vertices=3.0 * t.vertices) for t in (a, b)))
+    assert scaled.cut_m3 == pytest.approx(27 * r.cut_m3, rel=1e-12)
+
+
+def test_gradients_against_central_differences():
+    a, b = random_tin(14, seed=9, half=3.0), random_tin(12, seed=10, half=2.0)
+    r, h = between(a, b), 1e-6
+    for which, cut, fill in ((0, r.gradient_cut, r.gradient_fill), (1, r.lower_cut, r.lower_fill)):
+        tin = (a, b)[which]
+        hull = set(tin.triangles[np.flatnonzero((tin.neighbours < 0).any(axis=1))].ravel().tolist()) if which else set()
+        for i in range(0, len(tin.vertices), 2):
+            for axis in range(3):
+                if axis < 2 and i in hull:
+                    continue  # the common footprint is held fixed
+                step = np.zeros_like(tin.vertices)
+                step[i, axis] = h
+                up, down = (
+                    between(*[dataclasses.replace(t, vertices=t.vertices + e * step) if t is tin else t for t in (a, b)], gradients=False)
+                    for e in (1, -1)
+                )
+                assert cut[i, axis] == pytest.approx((up.cut_m3 - down.cut_m3) / (2 * h), abs=3e-7)
+                assert fill[i, axis] == pytest.approx((up.fill_m3 - down.fill_m3) / (2 * h), abs=3e-7)
+
+
+def test_the_same_surface_twice_and_a_lattice_on_a_lattice():
+    a = random_tin(seed=11)
+    r = between(a, a)
+    assert (
+        r.cut_m3 == pytest.approx(0, abs=1e-13) and r.fill_m3 == pytest.approx(0, abs=1e-13) and r.area_m2 == pytest.approx(36, rel=1e-12)
+    )
+    x, y = (g.ravel().astype(float) for g in np.meshgrid(np.arange(6), np.arange(6)))
+    one, two = build_tin(np.c_[x, y, x * y]), build_tin(np.c_[y, x, x * y - 1.0])
+    assert between(one, two).area_m2 == pytest.approx(25.0, rel=1e-14)
+    level = between(flat(2.0), flat(2.0))
+    assert level.cut_m3 == level.fill_m3 == 0.0 and level.net_m3 == 0.0
+    assert level.gradient_net[:, 2].sum() == pytest.approx(36.0) and level.lower_net[:, 2].sum() == pytest.approx(-36.0)
+
+
+def test_touching_vertices_edges_and_empty_overlap():
+    a = flat(1.0, 1.0)
+    for shift in ([2.0, 0, 0], [2.0, 2.0, 0], [50.0, 0, 0]):
+        with pytest.raises(VolumeError) as caught:
+            between(a, dataclasses.replace(a, vertices=a.vertices + shift))
+        assert caught.value.reason == "volume_no_common_footprint"
+    none = dataclasses.replace(a, relevant=np.zeros(2, bool))
+    for pair in ((a, none), (none, a)):
+        with pytest.raises(VolumeError) as caught:
+            between(*pair)
+        assert caught.value.reason == "volume_no_triangle"
+    corner = between(a, dataclasses.replace(a, vertices=a.vertices + np.array([1.0, 1.0, -0.5])))
+    assert (corner.area_m2, corner.net_m3) == pytest.approx((1.0, 0.5))
+
+
+def test_walls_and_slivers():
+    # a wall one micrometre wide and 2 m high, against a surface that crosses it
+    xy = np.array([[-1, -1], [0, -1], [1e-6, -1], [1, -1], [-1, 1], [0, 1], [1e-6, 1], [1, 1.0]])
+    wall = build_tin(np.c_[xy, np.where(xy[:, 0] > 0, 2.0, 0.0)])
+    r = between(wall, random_tin(seed=12))
+    shallow = random_tin(seed=12)
+    expected = (
+        between(build_tin(np.c_[xy[[0, 1, 4, 5]], np.zeros(4)]), shallow).net_m3
+        + between(build_tin(np.c_[xy[[1, 3, 5, 7]], np.full(4, 2.0)]), shallow).net_m3
+    )
+    assert r.area_m2 == pytest.approx(4.0, rel=1e-12) and r.net_m3 == pytest.approx(expected - 2e-6, abs=1e-9)
+
+
+def test_compiled_kernels_equal_their_plain_twins():
+    a, b = random_tin(6, seed=13), random_tin(5, seed=14)
+    one, two = triangle_index(a), triangle_index(b)
+    z, other = (np.ascontiguousarray(t.vertices[:, 2][t.triangles[i.order]]) for t, i in ((a, one), (b, two)))
+    args = (one.corners, z, two.corners, other, two.boxes, -1.0)
+    assert np.array_equal(overlay_kernel(*args), overlay_kernel.py_func(*args))
+    assert np.array_equal(overlay_kernel(*args), integrals(a, one, b, two, -1.0))
+    assert any(apart(p, q) for p in one.corners for q in two.corners)
+    assert np.array_equal(boxes_of(one.corners), boxes_of.py_func(one.corners))
+    boxes, low = boxes_of(one.corners), boxes_of(two.corners)
+    found = np.zeros((2, 4))
+    group_box(boxes, 1, 5, found[0])
+    group_box.py_func(boxes, 1, 5, found[1])
+    assert np.array_equal(*found) and np.array_equal(found[0], np.r_[boxes[1:5, :2].min(axis=0), boxes[1:5, 2:].max(axis=0)])
+    assert all(boxes_apart(boxes, t, low, o) == boxes_apart.py_func(boxes, t, low, o) for t in range(5) for o in range(5))
+    for p, q in zip(one.corners, two.corners, strict=False):
+        assert apart(p, q) == apart.py_func(p, q)
+        outs = [np.zeros((2, 4)), np.zeros((2, 4))]
+        for run, out in zip((add_pair, add_pair.py_func), outs, strict=True):
+            run(p - p[0], z[0], q - p[0], other[0], 1.0, *np.zeros((2, 2, CORNERS)), *np.zeros((3, CORNERS)), out)
+        assert np.array_equal(*outs)
+    ring = np.random.default_rng(0).normal(size=(2, 7))
+    targets = np.zeros((2, 2, CORNERS))
+    assert clip_line(7, ring, 1.0, 0.5, 0.1, 0.2, targets[0]) == clip_line.py_func(7, ring, 1.0, 0.5, 0.1, 0.2, targets[1])
+    assert np.array_equal(*targets) and tip(1.0, -0.3, -2.0) == tip.py_func(1.0, -0.3, -2.0)
+    for d in np.random.default_rng(1).integers(-2, 3, (60, 3)).astype(float):
+        outs = np.zeros((2, 2, 4))
+        for run, out in zip((add_fan, add_fan.py_func), outs, strict=True):
+            run(0.7, d, np.array([0.1, 0.5, 0.4]), np.array([0.3, 0.0, 0.6]), 1, out)
+        assert np.array_equal(*outs)
+        assert outs[0][:, 1] == pytest.approx([0.7 * positive_part(s * d[None])[0][0] for s in (1, -1)], abs=1e-15)
