@@ -25,6 +25,8 @@ CHANCE = 0.03
 SEEN = 300
 #: Most candidates tried in all combinations.
 TRIED = 12
+#: Fewest points from which sides are told.
+CLEAR = 8
 #: Rounds of assignment and refit.
 ROUNDS = 20
 #: Share of the points nearest to a plane that must be its own beyond doubt, to be fitted to these alone.
@@ -220,7 +222,7 @@ def refine(
     """
     before, nearest, clear = np.full(m, -3), np.empty(m, np.int64), np.zeros((MOST, MOST))
     nearest_planes(x, m, planes, count, threshold * threshold, label)
-    bounds(x, m, label, planes, count, side)
+    bounds(x, m, label, planes, count, sigma, side)
     for step in range(ROUNDS):
         clearances(planes, count, side, sigma, threshold, clear)
         assign(x, m, planes, count, side, clear, threshold, label)
@@ -250,7 +252,7 @@ def refine(
         count = merge_same(planes, means, inverses, used, count, sigma)
         if step < SETTLING:
             nearest_planes(x, m, planes, count, threshold * threshold, label)
-        bounds(x, m, label, planes, count, side)
+        bounds(x, m, label, planes, count, sigma, side)
     return count
 
 
@@ -359,7 +361,7 @@ def choose_planes(
                 if size == 0:
                     continue
                 nearest_planes(y, n, trial, size, limit, label)
-                bounds(y, n, label, trial, size, side)
+                bounds(y, n, label, trial, size, sigma, side)
                 length = pieces_cost(y, n, trial, size, side, limit, sigma, support) * m / n
                 length += 3.0 * size * np.log(m) * sigma * sigma
                 if length < best and support[:size].min() >= need:
@@ -370,7 +372,7 @@ def choose_planes(
         count, cost = best_count, best
         planes[:count] = best_set[:count]
         nearest_planes(y, n, planes, count, limit, label)
-        bounds(y, n, label, planes, count, side)
+        bounds(y, n, label, planes, count, sigma, side)
         nearest_pieces(y, n, planes, count, side, limit, label)
         for k in range(count):
             fit_plane(y, n, label, k, planes[k], means[k], inverses[k])
@@ -378,8 +380,11 @@ def choose_planes(
 
 
 @kernel
-def bounds(x: Any, m: Any, label: Any, planes: Any, count: Any, side: Any) -> None:
-    """side (k, k): +1 or −1 where a plane's support lies on that side of another plane, 0 where it lies on both."""
+def bounds(x: Any, m: Any, label: Any, planes: Any, count: Any, sigma: Any, side: Any) -> None:
+    """side (k, k): +1 or −1 where a plane's support lies on that side of another plane, 0 where it lies on both.
+
+    Points within the noise of the other plane do not tell.
+    """
     for a in range(count):
         for b in range(count):
             side[a, b] = 0
@@ -388,11 +393,12 @@ def bounds(x: Any, m: Any, label: Any, planes: Any, count: Any, side: Any) -> No
             above, total = 0, 0
             for i in range(m):
                 if label[i] == a:
-                    total += 1
-                    above += distance(x[i], planes[b]) > 0.0
-            if total > 0 and above >= ONE_SIDED * total:
+                    d = distance(x[i], planes[b])
+                    total += abs(d) > 2.0 * sigma
+                    above += d > 2.0 * sigma
+            if total >= CLEAR and above >= ONE_SIDED * total:
                 side[a, b] = 1
-            elif total > 0 and above <= (1.0 - ONE_SIDED) * total:
+            elif total >= CLEAR and above <= (1.0 - ONE_SIDED) * total:
                 side[a, b] = -1
 
 
