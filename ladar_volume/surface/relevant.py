@@ -10,18 +10,30 @@ from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I64, Bool, Tin
 from ladar_volume.surface.tin import footprint_areas
 
+#: How relevant triangles are told from others.
+OPTIONS = ("all", "corners", "edge", "circumcircle")
+
 
 def edge_lengths(tin: Tin) -> F64:
     """Horizontal lengths (m, 3) of the edges opposite each vertex, m."""
     p = tin.vertices[tin.triangles, :2]
-    out: F64 = np.linalg.norm(p[:, [2, 0, 1]] - p[:, [1, 2, 0]], axis=2)
+    d = p[:, [2, 0, 1]] - p[:, [1, 2, 0]]
+    out: F64 = np.hypot(d[..., 0], d[..., 1])
     return out
 
 
 def circumdiameters(tin: Tin) -> F64:
-    """Diameters (m,) of the horizontal circumcircles, m: product of the edges over twice the area."""
-    out: F64 = edge_lengths(tin).prod(axis=1) / (2.0 * np.abs(footprint_areas(tin.vertices, tin.triangles)))
+    """Diameters (m,) of the horizontal circumcircles, m: product of the edges over twice the area; infinite for a triangle so flat that its
+    area rounds to zero."""
+    edges, area = edge_lengths(tin), np.abs(footprint_areas(tin.vertices, tin.triangles))
+    out: F64 = np.full(len(area), np.inf)
+    np.divide(edges.prod(axis=1), 2.0 * area, out=out, where=area > 0.0)
     return out
+
+
+def artificial_vertices(tin: Tin) -> I64:
+    """Vertices (k,) that are no data points (map corners): their source is -1."""
+    return np.flatnonzero(tin.source < 0)
 
 
 def relevant_triangles(
@@ -29,16 +41,22 @@ def relevant_triangles(
 ) -> Bool:
     """Mask (m,) by one of the four options of seed 000 section 3.1.
 
-    ``all``: every triangle · ``corners``: those that meet no artificial vertex (indices ``artificial``) · ``edge``: of these,
-    those without an edge longer than ``max_edge_m`` · ``circumcircle``: of these, those whose circumcircle is no wider than
-    ``max_circumdiameter_m``. Horizontal measures.
+    ``all``: every triangle · ``corners``: those that meet no artificial vertex (indices ``artificial``, by default those without a
+    source) · ``edge``: of these, those without an edge longer than ``max_edge_m`` · ``circumcircle``: of these, those whose circumcircle
+    is no wider than ``max_circumdiameter_m`` (the α-shape of the data points with α half of it). Horizontal measures.
+
+    Raises :class:`SurfaceError` for an unknown option or a limit that is not a number > 0.
     """
-    if option not in ("all", "corners", "edge", "circumcircle"):
+    if option not in OPTIONS:
         raise SurfaceError(f"unknown choice of relevant triangles {option!r}", reason="surface_relevant", value=option)
+    limit = {"edge": max_edge_m, "circumcircle": max_circumdiameter_m}.get(option, 1.0)
+    if not limit > 0.0:
+        raise SurfaceError(f"the limit of option {option!r} is {limit} m; it must be above 0", reason="surface_limit", value=limit)
     mask = np.ones(len(tin.triangles), bool)
     if option == "all":
         return mask
-    if artificial is not None and len(artificial):
+    artificial = artificial_vertices(tin) if artificial is None else artificial
+    if len(artificial):
         mask &= ~np.isin(tin.triangles, artificial).any(axis=1)
     if option == "edge":
         mask &= (edge_lengths(tin) <= max_edge_m).all(axis=1)
@@ -49,7 +67,11 @@ def relevant_triangles(
 
 def with_relevant(tin: Tin, option: str, max_edge_m: float, max_circumdiameter_m: float, artificial: I64 | None = None) -> Tin:
     """The same TIN with its relevant triangles marked; raises :class:`SurfaceError` where none is left."""
-    mask = relevant_triangles(tin, option, max_edge_m, max_circumdiameter_m, artificial)
+    return mark(tin, relevant_triangles(tin, option, max_edge_m, max_circumdiameter_m, artificial), f"option {option!r}")
+
+
+def mark(tin: Tin, mask: Bool, by: str) -> Tin:
+    """The same TIN with the triangles in ``mask`` (m,) relevant; the others stay in it. Raises :class:`SurfaceError` where none is left."""
     if not mask.any():
-        raise SurfaceError(f"no relevant triangle is left of {len(mask)} (option {option!r})", reason="surface_no_relevant", value=option)
+        raise SurfaceError(f"no relevant triangle is left of {len(mask)} ({by})", reason="surface_no_relevant", value=by)
     return dataclasses.replace(tin, relevant=mask)
