@@ -31,6 +31,8 @@ CLEAR = 8
 ROUNDS = 20
 #: Share of the points nearest to a plane that must be its own beyond doubt, to be fitted to these alone.
 SURE = 0.25
+#: Least width of the strip of these, as standard deviation in noise sigma.
+WIDTH = 1.5
 #: Rounds before the points beyond doubt tell where planes end.
 SETTLING = 1
 #: Planes closer than this, as the sine of their angle, are one where they also lie within the noise of each other.
@@ -101,7 +103,7 @@ def best_plane(x: Any, free: Any, m: Any, reach: Any, threshold: Any, trials: An
 
 @kernel
 def fit_plane(x: Any, m: Any, label: Any, own: Any, plane: Any, mean: Any, inverse: Any) -> Any:
-    """Orthogonal least squares of the points labelled ``own``; returns (number, standard deviation of residuals).
+    """Orthogonal least squares of the points labelled ``own``; returns (number, standard deviation along their narrow side).
 
     The inverse (3, 3) is that of the scatter about the mean with the normal's own direction set aside: the covariance
     of the plane's two tilts is sigma² times its projection.
@@ -139,7 +141,7 @@ def fit_plane(x: Any, m: Any, label: Any, own: Any, plane: Any, mean: Any, inver
     for i in range(3):
         for j in range(3):
             inverse[i, j] = vector[i, 1] * vector[j, 1] / value[1] + vector[i, 2] * vector[j, 2] / value[2]
-    return n, np.sqrt(max(value[0], 0.0) / (n - 3))
+    return n, np.sqrt(value[1] / n)
 
 
 @kernel
@@ -218,9 +220,10 @@ def refine(
 ) -> Any:  # fmt: skip
     """Assign and refit all planes until no label changes. Returns the number of planes.
 
-    A plane with too few points whose plane is beyond doubt is fitted to all that are nearest to its piece.
+    A plane with too few points beyond doubt, or in too narrow a strip to tell its tilt from the noise, is fitted to all that are
+    nearest to its piece.
     """
-    before, nearest, clear = np.full(m, -3), np.empty(m, np.int64), np.zeros((MOST, MOST))
+    before, nearest, clear, trial = np.full(m, -3), np.empty(m, np.int64), np.zeros((MOST, MOST)), np.empty(4)
     nearest_planes(x, m, planes, count, threshold * threshold, label)
     bounds(x, m, label, planes, count, sigma, side)
     for step in range(ROUNDS):
@@ -228,11 +231,9 @@ def refine(
         assign(x, m, planes, count, side, clear, threshold, label)
         nearest_pieces(x, m, planes, count, side, threshold * threshold, nearest)
         for k in range(count):
-            sure, all_of_it = 0, 0
-            for i in range(m):
-                sure += label[i] == k
-                all_of_it += nearest[i] == k
-            if sure < max(least, np.int64(SURE * all_of_it)):
+            trial[:] = planes[k]
+            sure, width = fit_plane(x, m, label, k, trial, means[k], inverses[k])
+            if sure < max(least, np.int64(SURE * np.count_nonzero(nearest == k))) or width < WIDTH * sigma:
                 for i in range(m):
                     if nearest[i] == k:
                         label[i] = k
@@ -328,6 +329,18 @@ def distinct(x: Any, m: Any, candidates: Any, offered: Any, limit: Any, out: Any
 
 
 @kernel
+def description(y: Any, n: Any, trial: Any, size: Any, m: Any, sigma: Any, threshold: Any, need: Any, side: Any, label: Any) -> Any:
+    """Description length of m points, of which the n points y (n, 3) are a sample, with these planes; infinite where one of the
+    planes has less than ``need`` points of the sample."""
+    support = np.empty(MOST, np.int64)
+    limit = threshold * threshold
+    nearest_planes(y, n, trial, size, limit, label)
+    bounds(y, n, label, trial, size, sigma, side)
+    length = pieces_cost(y, n, trial, size, side, limit, sigma, support)
+    return length * m / n + 3.0 * size * np.log(m) * sigma * sigma if support[:size].min() >= need else np.inf
+
+
+@kernel
 def choose_planes(
     x: Any, m: Any, candidates: Any, offered: Any, sigma: Any, threshold: Any, least: Any, planes: Any, means: Any, inverses: Any,
     used: Any, side: Any, label: Any,
@@ -337,18 +350,16 @@ def choose_planes(
     Planes are added, exchanged and dropped one at a time, whatever shortens the description most; a plane costs its three
     parameters (BIC) and needs more support than outliers give any slab. At most ``SEEN`` points are looked at.
     """
-    limit = threshold * threshold
     stride = (m + SEEN - 1) // SEEN
     y = x[:m:stride]
     n = len(y)
     need = max(least // stride, np.int64(CHANCE * n), 1)
     few, trial, best_set = np.empty((TRIED, 4)), np.empty((MOST, 4)), np.empty((MOST, 4))
-    distinct_count = distinct(y, n, candidates, offered, limit, few)
-    support = np.empty(MOST, np.int64)
-    count, cost = 0, limit * m
+    tried = distinct(y, n, candidates, offered, threshold * threshold, few)
+    count, cost = 0, threshold * threshold * m
     for _ in range(2 * MOST):
         best, best_count = cost, -1
-        for c in range(-1, distinct_count):
+        for c in range(-1, tried):
             # move k: plane k exchanged for candidate c, or dropped for c = −1; k = count: added
             for k in range(count + (c >= 0 and count < MOST)):
                 trial[:count] = planes[:count]
@@ -360,22 +371,14 @@ def choose_planes(
                     trial[k:size] = planes[k + 1 : count]
                 if size == 0:
                     continue
-                nearest_planes(y, n, trial, size, limit, label)
-                bounds(y, n, label, trial, size, sigma, side)
-                length = pieces_cost(y, n, trial, size, side, limit, sigma, support) * m / n
-                length += 3.0 * size * np.log(m) * sigma * sigma
-                if length < best and support[:size].min() >= need:
+                length = description(y, n, trial, size, m, sigma, threshold, need, side, label)
+                if length < best:
                     best, best_count = length, size
                     best_set[:size] = trial[:size]
         if best_count < 0:
             break
         count, cost = best_count, best
         planes[:count] = best_set[:count]
-        nearest_planes(y, n, planes, count, limit, label)
-        bounds(y, n, label, planes, count, sigma, side)
-        nearest_pieces(y, n, planes, count, side, limit, label)
-        for k in range(count):
-            fit_plane(y, n, label, k, planes[k], means[k], inverses[k])
     return refine(x, m, planes, means, inverses, used, count, sigma, threshold, least, side, label)
 
 
