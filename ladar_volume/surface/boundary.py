@@ -106,7 +106,7 @@ def holes(tin: Tin, mask: Bool, max_area_m2: float) -> Bool:
     if len(part) == 0:
         return off
     area = np.bincount(part, footprint_areas(tin.vertices, tin.triangles)[off])
-    outside = (tin.neighbours < 0).any(axis=1) | np.isin(tin.triangles, artificial_vertices(tin)).any(axis=1)
+    outside: Bool = np.any((tin.neighbours < 0) | np.isin(tin.triangles, artificial_vertices(tin)), axis=1)
     closed = np.bincount(part, outside[off]) == 0
     fill: Bool = np.logical_and(area <= max_area_m2, closed)
     off[off] = fill[part]
