@@ -14,11 +14,10 @@ from ladar_volume.model.records import F64, I32, Bool
 from ladar_volume.surface.mesh import (
     GHOST,
     MeshTable,
-    flip,
     insert_point,
     is_ghost,
+    legalise,
     locate,
-    must_flip,
     split_edge,
     split_triangle,
     turn,
@@ -156,22 +155,16 @@ def deal(c: Cloud, m: MeshTable, first: int, pool: int, w: F64) -> None:
 def insert_worst(c: Cloud, m: MeshTable, size: int, t: int, p: int, w: F64) -> int:
     """Make point p of triangle t's list a vertex and deal out the points of all triangles that change; returns a triangle of p's star."""
     t, where = locate(c.xy, m, t, p, w)
-    pool = chain(c, m, t, -1)
     m[size, 3] = m[size + 1, 3] = -1
     if where < 0:
         split_triangle(m, t, p, size, size + 1)
     else:
-        pool = chain(c, m, m[t, 4 + where] >> 2, pool)
         split_edge(m, t, where, p, size, size + 1)
-    at = t
-    while True:
-        h = m[at, 4]
-        if must_flip(c.xy, m[at, 0], m[at, 1], m[at, 2], m[h >> 2, h & 3], w):
-            pool = chain(c, m, flip(m, at), pool)
-            continue
-        at = m[at, 5] >> 2
-        if at == t:
-            break
+    legalise(c.xy, m, t, w)
+    # every row that changed is in the star now, and still has its old list
+    pool, at = chain(c, m, t, -1), m[t, 5] >> 2
+    while at != t:
+        pool, at = chain(c, m, at, pool), m[at, 5] >> 2
     deal(c, m, t, pool, w)
     return t
 

@@ -9,9 +9,19 @@ import pytest
 from scipy.spatial import Delaunay
 
 from ladar_volume.model.errors import SurfaceError
-from ladar_volume.surface import predicates
-from ladar_volume.surface.delaunay import check_hull_kernel, check_kernel, delaunay, fault, is_valid, triangulate
-from ladar_volume.surface.mesh import export, first_triangle, insert_kernel, triangle_table
+from ladar_volume.surface import mesh, predicates
+from ladar_volume.surface.delaunay import (
+    check_hull_kernel,
+    check_kernel,
+    delaunay,
+    fault,
+    first_names,
+    first_three,
+    is_valid,
+    original_order,
+    triangulate,
+)
+from ladar_volume.surface.mesh import triangle_table
 from ladar_volume.surface.ordering import (
     BITS,
     by_rounds,
@@ -218,25 +228,35 @@ def test_is_valid_sees_faults():
     assert fault(xy, t, n) == "a vertex lies inside a circumcircle"
 
 
-def test_compiled_kernels_equal_their_plain_twins():
-    xy = np.random.default_rng(9).integers(0, 6, (40, 2)).astype(float)
+@pytest.mark.parametrize("lattice", [True, False])
+def test_compiled_kernels_equal_their_plain_twins(lattice, monkeypatch):
+    rng = np.random.default_rng(9)
+    xy = rng.integers(0, 6, (40, 2)).astype(float) if lattice else rng.random((40, 2))
     w, n = workspace(), len(xy)
     k = next(k for k in range(2, n) if exact_orientation(xy[0], xy[1], xy[k]))
     xy[[2, k]] = xy[[k, 2]]
-    results = []
-    for begin, insert in ((first_triangle, insert_kernel), (first_triangle.py_func, insert_kernel.py_func)):
+
+    def run():
         m, same = triangle_table(n), np.arange(n, dtype=np.int32)
         m[:] = 0
-        begin(xy, m, 0, 1, 2, w)
-        size, hint = insert(xy, m, 4, 0, 3, same, w)
-        results.append((size, hint, same, m[:size]))
-    for a, b in zip(*results, strict=True):
+        mesh.first_triangle(xy, m, 0, 1, 2, w)
+        size, hint = mesh.insert_kernel(xy, m, 4, 0, 3, same, w)
+        return [size, hint, same, m[:size].copy(), *mesh.export(m[:size], np.arange(n, dtype=np.int32))]
+
+    compiled = run()
+    for name in [k for k, v in vars(mesh).items() if hasattr(v, "py_func")]:
+        monkeypatch.setattr(mesh, name, getattr(mesh, name).py_func)
+    for a, b in zip(compiled, run(), strict=True):
         assert np.array_equal(a, b)
-    triangles, neighbours = export(results[0][3], np.arange(n, dtype=np.int32))
+    *_, triangles, neighbours = compiled
     used = np.unique(triangles)
     number = np.searchsorted(used, triangles).astype(np.int32)
     for check in (check_kernel, check_kernel.py_func, check_hull_kernel, check_hull_kernel.py_func):
         assert check(xy[used], number, neighbours, w) == 0
+    for one, other in ((first_three, first_three.py_func), (first_names, first_names.py_func), (original_order, original_order.py_func)):
+        order = np.random.default_rng(1).permutation(n).astype(np.int32)
+        arguments = {first_three: (xy, w), first_names: (order, compiled[2]), original_order: (order, compiled[2], order)}[one]
+        assert np.array_equal(one(*arguments), other(*arguments))
 
 
 def test_plain_twins_of_the_ordering():
