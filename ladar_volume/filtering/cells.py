@@ -11,7 +11,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from ladar_volume.filtering import pieces
+from ladar_volume.filtering import choice, pieces
 from ladar_volume.filtering.fit import REACH
 from ladar_volume.filtering.frame import across, arc, coordinates, level_frame, mark_flat, refit, tangent_of
 from ladar_volume.filtering.linear import basis, invert
@@ -293,12 +293,12 @@ def filter_cell(
         return 0
     planes, means, inverses = np.zeros((pieces.MOST, 4)), np.zeros((pieces.MOST, 3)), np.zeros((pieces.MOST, 3, 3))
     used, label, side = np.zeros(pieces.MOST, np.int64), np.empty(m, np.int64), np.zeros((pieces.MOST, pieces.MOST), np.int64)
-    count = pieces.choose_planes(x, m, candidates, offered, sigma, threshold, least, planes, means, inverses, used, side, label)
+    count = choice.choose_planes(x, m, candidates, offered, sigma, threshold, least, planes, means, inverses, used, side, label)
     start = planes[0] if count > 0 else candidates[0]
     limit, used_here = threshold * threshold, np.empty(pieces.MOST, np.int64)
     best = limit * m
     if count > 0:
-        best = pieces.pieces_cost(x, m, planes, count, side, limit, sigma, used_here) + sigma * sigma * 3 * count * np.log(m)
+        best = choice.pieces_cost(x, m, planes, count, side, limit, sigma, used_here) + sigma * sigma * 3 * count * np.log(m)
     centre, normal, tangent, beta, inverse = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(6), np.zeros((6, 6))
     curved = False
     if degree == 2:

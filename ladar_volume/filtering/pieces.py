@@ -19,12 +19,6 @@ MOST = 8
 SCORE_SIGMAS = 2.2
 #: Share of a plane's support on one side of another plane from which on that plane bounds it.
 ONE_SIDED = 0.97
-#: Least share of the points a plane needs: outliers give this much to any slab.
-CHANCE = 0.03
-#: Most points looked at to choose planes.
-SEEN = 300
-#: Most candidates tried in all combinations.
-TRIED = 12
 #: Fewest points from which sides are told.
 CLEAR = 8
 #: Rounds of assignment and refit.
@@ -277,109 +271,6 @@ def nearest_planes(x: Any, m: Any, planes: Any, count: Any, limit: Any, label: A
             if d * d < nearest:
                 nearest = d * d
                 label[i] = k
-
-
-@kernel
-def pieces_cost(x: Any, m: Any, planes: Any, count: Any, side: Any, limit: Any, sigma: Any, support: Any) -> Any:
-    """Description length of points (m, 3) on the bounded pieces, in squared distances: truncated squares, and what it takes to say to
-    which piece a point belongs where its position does not tell. support (k,) gets the number of points nearest to each piece.
-
-    Without the second term a slab of noise is described better by two planes within it than by the one in its middle.
-    """
-    cost, q = 0.0, np.empty(3)
-    support[:count] = 0
-    for i in range(m):
-        nearest, which, several = limit, -1, 0
-        for a in range(count):
-            on = nearest_on_piece(x[i], a, planes, count, side, q)
-            d = (x[i, 0] - q[0]) ** 2 + (x[i, 1] - q[1]) ** 2 + (x[i, 2] - q[2]) ** 2
-            several += on == 0 and d < limit
-            if d < nearest:
-                nearest, which = d, a
-        cost += nearest
-        if several > 1:
-            cost += 2.0 * np.log(several) * sigma * sigma
-        if which >= 0:
-            support[which] += 1
-    return cost
-
-
-@kernel
-def distinct(x: Any, m: Any, candidates: Any, offered: Any, limit: Any, out: Any) -> Any:
-    """A few candidates, each the one that explains most of what those before it leave, to out (k, 4); returns how many."""
-    residual = np.full(m, limit)
-    n = 0
-    while n < len(out):
-        best, which = 0.0, -1
-        for c in range(offered):
-            gain = 0.0
-            for i in range(m):
-                d = distance(x[i], candidates[c])
-                gain += max(residual[i] - d * d, 0.0)
-            if gain > best:
-                best, which = gain, c
-        if which < 0:
-            break
-        out[n] = candidates[which]
-        for i in range(m):
-            d = distance(x[i], out[n])
-            residual[i] = min(residual[i], d * d)
-        n += 1
-    return n
-
-
-@kernel
-def description(y: Any, n: Any, trial: Any, size: Any, m: Any, sigma: Any, threshold: Any, need: Any, side: Any, label: Any) -> Any:
-    """Description length of m points, of which the n points y (n, 3) are a sample, with these planes; infinite where one of the
-    planes has less than ``need`` points of the sample."""
-    support = np.empty(MOST, np.int64)
-    limit = threshold * threshold
-    nearest_planes(y, n, trial, size, limit, label)
-    bounds(y, n, label, trial, size, sigma, side)
-    length = pieces_cost(y, n, trial, size, side, limit, sigma, support)
-    return length * m / n + 3.0 * size * np.log(m) * sigma * sigma if support[:size].min() >= need else np.inf
-
-
-@kernel
-def choose_planes(
-    x: Any, m: Any, candidates: Any, offered: Any, sigma: Any, threshold: Any, least: Any, planes: Any, means: Any, inverses: Any,
-    used: Any, side: Any, label: Any,
-) -> Any:  # fmt: skip
-    """The planes among the ``offered`` candidates whose pieces together describe the points (m, 3) best, refined. Returns their number.
-
-    Planes are added, exchanged and dropped one at a time, whatever shortens the description most; a plane costs its three
-    parameters (BIC) and needs more support than outliers give any slab. At most ``SEEN`` points are looked at.
-    """
-    stride = (m + SEEN - 1) // SEEN
-    y = x[:m:stride]
-    n = len(y)
-    need = max(least // stride, np.int64(CHANCE * n), 1)
-    few, trial, best_set = np.empty((TRIED, 4)), np.empty((MOST, 4)), np.empty((MOST, 4))
-    tried = distinct(y, n, candidates, offered, threshold * threshold, few)
-    count, cost = 0, threshold * threshold * m
-    for _ in range(2 * MOST):
-        best, best_count = cost, -1
-        for c in range(-1, tried):
-            # move k: plane k exchanged for candidate c, or dropped for c = −1; k = count: added
-            for k in range(count + (c >= 0 and count < MOST)):
-                trial[:count] = planes[:count]
-                size = max(count, k + 1)
-                if c >= 0:
-                    trial[k] = few[c]
-                else:
-                    size = count - 1
-                    trial[k:size] = planes[k + 1 : count]
-                if size == 0:
-                    continue
-                length = description(y, n, trial, size, m, sigma, threshold, need, side, label)
-                if length < best:
-                    best, best_count = length, size
-                    best_set[:size] = trial[:size]
-        if best_count < 0:
-            break
-        count, cost = best_count, best
-        planes[:count] = best_set[:count]
-    return refine(x, m, planes, means, inverses, used, count, sigma, threshold, least, side, label)
 
 
 @kernel
