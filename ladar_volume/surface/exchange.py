@@ -62,6 +62,8 @@ def residual(vertices: F64, a: int, b: int, c: int, p: F64) -> float:
     vx, vy = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1]
     dx, dy = p[0] - vertices[a, 0], p[1] - vertices[a, 1]
     area = ux * vy - uy * vx
+    if area == 0.0:  # a sliver that rounds to nothing: its first corner stands for it
+        return float(p[2] - vertices[a, 2])
     s, t = (dx * vy - dy * vx) / area, (ux * dy - uy * dx) / area
     za = vertices[a, 2]
     return float(p[2] - za - s * (vertices[b, 2] - za) - t * (vertices[c, 2] - za))

@@ -162,11 +162,15 @@ def locate(index: TriangleIndex, xy: F64) -> I64:
 
 
 def barycentric(tin: Tin, triangle: I64, xy: F64) -> F64:
-    """Barycentric coordinates (n, 3) of points xy (n, 2) in their triangles (n,); rows of NaN for triangle −1."""
+    """Barycentric coordinates (n, 3) of points xy (n, 2) in their triangles (n,); rows of NaN for triangle −1. In a sliver whose area
+    rounds to nothing the nearest corner has all the weight."""
     p = tin.vertices[:, :2][tin.triangles[triangle]]
     a, b, c = (p[:, k] - xy for k in range(3))
     area = np.stack([u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] for u, v in ((b, c), (c, a), (a, b))], axis=1)
-    weights: F64 = area / area.sum(axis=1, keepdims=True)
+    total = area.sum(axis=1, keepdims=True)
+    thin = total[:, 0] <= 0.0
+    weights: F64 = area / np.where(thin[:, None], 1.0, total)
+    weights[thin] = np.eye(3)[np.argmin(((p[thin] - xy[thin, None]) ** 2).sum(axis=2), axis=1)]
     weights[triangle < 0] = np.nan
     return weights
 

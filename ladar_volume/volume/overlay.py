@@ -63,7 +63,8 @@ def vertex_gradient(tin: Tin, index: TriangleIndex, parts: F64) -> F64:
     """Gradient (n, 3) m² from integrals (m, 4) of the barycentric coordinates: vertical ``∫λ``, horizontal ``−∫λ`` times the
     surface's own slope."""
     triangles = tin.triangles[index.order]
-    slopes = height_slopes(index.corners, tin.vertices[:, 2][triangles])
+    with np.errstate(divide="ignore", invalid="ignore"):  # slivers whose area rounds to nothing have no slope, and no share
+        slopes = np.nan_to_num(height_slopes(index.corners, tin.vertices[:, 2][triangles]), nan=0.0, posinf=0.0, neginf=0.0)
     w = np.stack([parts[:, 0] - parts[:, 2] - parts[:, 3], parts[:, 2], parts[:, 3]], axis=1)
     corner = np.concatenate([-w[..., None] * slopes[:, None], w[..., None]], axis=2)
     return gather(corner, triangles, len(tin.vertices))

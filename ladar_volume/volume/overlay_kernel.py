@@ -107,11 +107,11 @@ def add_pair(a: F64, za: F64, b: F64, zb: F64, sign: float, one: F64, two: F64, 
     n = clip_line(3, one, b[1, 0] - b[0, 0], b[1, 1] - b[0, 1], b[0, 0], b[0, 1], two)
     n = clip_line(n, two, b[2, 0] - b[1, 0], b[2, 1] - b[1, 1], b[1, 0], b[1, 1], one) if n > 0 else 0
     n = clip_line(n, one, b[0, 0] - b[2, 0], b[0, 1] - b[2, 1], b[2, 0], b[2, 1], two) if n > 0 else 0
-    if n < 3:
-        return
-    area_a = 1.0 / (a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0])
     ux, uy, vx, vy = b[1, 0] - b[0, 0], b[1, 1] - b[0, 1], b[2, 0] - b[0, 0], b[2, 1] - b[0, 1]
-    area_b = 1.0 / (ux * vy - uy * vx)
+    area_a, area_b = a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0], ux * vy - uy * vx
+    if n < 3 or area_a <= 0.0 or area_b <= 0.0:  # a sliver whose area rounds to nothing holds no volume
+        return
+    area_a, area_b = 1.0 / area_a, 1.0 / area_b
     for i in range(n):
         x, y = two[0, i], two[1, i]
         p[i] = min(max((x * a[2, 1] - y * a[2, 0]) * area_a, 0.0), 1.0)

@@ -113,5 +113,5 @@ def prismoids(tin: Tin, base: Plane, mask: Bool | None = None) -> Prismoids:
 def gather(corner: F64, triangles: I32, n: int) -> F64:
     """Sum per-corner rows (m, 3, k) at their vertices: (n, k); the order of the sum is that of the triangles."""
     index = triangles.ravel()
-    rows = corner.reshape(len(index), -1)
+    rows = corner.reshape(len(index), corner.shape[-1])
     return np.stack([np.bincount(index, rows[:, c], n) for c in range(rows.shape[1])], axis=1)
