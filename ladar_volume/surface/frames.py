@@ -88,8 +88,8 @@ def search_direction(points_map: F64, guess: F64 | None = None) -> F64:
 
     Seen from the scanner neighbours in the picture are neighbours in space; from elsewhere near and far surfaces interlace. The measure is
     the mean log length in space of the edges of the Delaunay triangulation, over a hemisphere about ``guess`` (default: straight down,
-    as scanners mostly look down) and then ever closer; an even spread of at most 20,000 points is used. A flat scene fits a wide range of
-    directions, and one that is a plane has no answer but its normal.
+    as scanners mostly look down) and then ever closer; an even spread of at most 20,000 points is used. Where little is hidden, many
+    directions serve: the one found lies among them, not always near the mean direction. Some seconds for 10,000 points.
     """
     points = check_cloud(points_map, 4)
     points = points[np.linspace(0, len(points) - 1, min(len(points), SEARCH_POINTS)).astype(np.int64)]

@@ -171,7 +171,9 @@ def sequence_offset(level_m: F64, cut_a: F64, cut_b: F64, reach_m: float) -> Off
     start = int(np.argmin([((spline(z + d) - target) ** 2).sum() for d in tried]))
     bounds = (float(tried[max(start - 1, 0)]), float(tried[min(start + 1, 40)]))
     scale = float((target**2).sum()) or 1.0
-    best = minimize_scalar(lambda d: ((spline(z + d) - target) ** 2).sum() / scale, bounds=bounds, method="bounded", options={"xatol": 1e-9})
+    best = minimize_scalar(
+        lambda d: ((spline(z + d) - target) ** 2).sum() / scale, bounds=bounds, method="bounded", options={"xatol": 1e-9}
+    )
     d = float(best.x)
     r, slope = spline(z + d) - target, spline(z + d, 1)
     information = float(slope @ slope)

@@ -78,7 +78,7 @@ def front_level(surface_with: Tin, surface_without: Tin, step_m: float, offset_m
     low = zero_fill_level(surface_with, surface_without, offset_m)
     if not step_m > 0 or not (high - low) / step_m < 1e6:
         raise VolumeError(f"the step between levels is {step_m} m", reason="volume_levels", value=step_m)
-    level = low + step_m * np.arange(int((high - low) / step_m) + 2)
+    level = np.asarray(low + step_m * np.arange(int((high - low) / step_m) + 2), dtype=np.float64)
     difference = np.abs(cut_sequence(surface_with, level).cut_m3 - cut_sequence(surface_without, level - offset_m).cut_m3)
     if difference.max() == 0.0:
         raise VolumeError("the two surfaces are the same: there is no body", reason="volume_no_body")

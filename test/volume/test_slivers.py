@@ -26,7 +26,10 @@ def test_slivers_neither_break_nor_hold_volume():
     tin = surface()
     flat = Tin(tin.vertices[[0, 3, 1, 4]] * [1, 1, 0], np.array([[0, 1, 2], [0, 2, 3]], np.int32),
                np.array([[-1, 1, -1], [-1, -1, 0]], np.int32), np.ones(2, bool), np.arange(4))  # fmt: skip
-    for zero in (tin, Tin(tin.vertices, np.r_[tin.triangles, [[0, 1, 1]]].astype(np.int32), np.full((5, 3), -1, np.int32), np.ones(5, bool), tin.source)):
+    for zero in (
+        tin,
+        Tin(tin.vertices, np.r_[tin.triangles, [[0, 1, 1]]].astype(np.int32), np.full((5, 3), -1, np.int32), np.ones(5, bool), tin.source),
+    ):
         areas = footprint_areas(zero.vertices, zero.triangles)
         r = between(zero, flat)
         assert np.isfinite(r.gradient_net).all() and np.isfinite(r.lower_net).all()
