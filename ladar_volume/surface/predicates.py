@@ -165,6 +165,8 @@ def orientation_exact(ax: float, ay: float, bx: float, by: float, cx: float, cy:
 def incircle_exact(xy: F64, a: int, b: int, c: int, d: int, w: F64) -> float:
     """A number of the sign of the incircle determinant of points a to d, without rounding; counted in the workspace."""
     w[COUNTS, 1] += 1.0
+    if upright(xy, a, b, c, d) or upright(xy, a, c, b, d) or upright(xy, a, d, b, c):
+        return 0.0
     short = incircle_short(xy, a, b, c, d)
     if short == short:
         return short
@@ -188,6 +190,17 @@ def incircle_exact(xy: F64, a: int, b: int, c: int, d: int, w: F64) -> float:
             w[9, m] = w[10, m]
         total = ns
     return float(w[9, total - 1]) if total else 0.0
+
+
+@kernel
+def upright(xy: F64, a: int, b: int, c: int, d: int) -> bool:
+    """Whether a-b and c-d are the upright sides of an axis-parallel rectangle, whose corners are co-circular whatever their digits.
+
+    This is the common case of the exact stage: heights on a raster.
+    """
+    if xy[a, 0] != xy[b, 0] or xy[c, 0] != xy[d, 0]:
+        return False
+    return bool((xy[a, 1] == xy[c, 1] and xy[b, 1] == xy[d, 1]) or (xy[a, 1] == xy[d, 1] and xy[b, 1] == xy[c, 1]))
 
 
 @kernel
