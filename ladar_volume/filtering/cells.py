@@ -18,11 +18,13 @@ from ladar_volume.filtering.linear import basis, invert
 from ladar_volume.filtering.store import BITS, _mix, find_voxel
 from ladar_volume.model.kernels import kernel, parallel_kernel
 
-KEPT, OUTLIER, FEW_POINTS, NO_SURFACE, BEYOND_EDGE = 0, 1, 2, 3, 4
+KEPT, OUTLIER, FEW_POINTS, NO_SURFACE, BEYOND_EDGE, UNSUPPORTED = 0, 1, 2, 3, 4, 5
 #: Planes each cell finds for itself and its neighbours.
 OFFERED = 3
 #: What lies within this many sigma of a plane found is not searched for the next one.
 EXPLAINED = 2.02
+#: Support of a projected point: this many points within the radius that holds PATCH of them on a full surface.
+SUPPORT, PATCH = 4, 20
 #: Re-levelling of a quadric's frame.
 LEVELS = 3
 
@@ -215,6 +217,20 @@ def around(r: Any, first: Any, v: Any, slots: Any, n: Any, ball: Any, origin: An
     return m
 
 
+@kernel
+def supported(x: Any, m: Any, origin: Any, q: Any, square: Any) -> Any:
+    """Whether enough points (m, 3) about ``origin`` lie around q: planes end nowhere, surfaces do."""
+    near = 0
+    for i in range(m):
+        d = 0.0
+        for k in range(3):
+            d += (x[i, k] + origin[k] - q[k]) ** 2
+        near += d <= square
+        if near > SUPPORT:  # one of them is the projected point itself
+            return True
+    return False
+
+
 @parallel_kernel
 def main_planes(
     keys: Any, table: Any, first: Any, r: Any, ball: Any, sigma: Any, threshold: Any, trials: Any, least: Any, seed: Any, planes: Any,
@@ -314,11 +330,11 @@ def filter_cell(
         return 0
     across_t, y, foot = np.empty(3), np.empty(3), np.empty(3)
     across(normal, tangent, across_t)
+    reach = ball * ball * PATCH / m + 4.0 * sigma * sigma
     for i in range(lo, hi):
+        on = 0
         if curved:
             d, share = foot_on_quadric(r[i], centre, normal, tangent, across_t, beta, inverse, q[i], normals[i])
-            reason[i] = KEPT if d <= threshold else OUTLIER
-            variance[i] = share * sigma * sigma
         else:
             for k in range(3):
                 y[k] = r[i, k] - origin[k]
@@ -329,8 +345,13 @@ def filter_cell(
                 normals[i, k] = planes[a, k]
                 for l in range(3):
                     share += (foot[k] - means[a, k]) * inverses[a, k, l] * (foot[l] - means[a, l])
-            variance[i] = share * sigma * sigma
-            reason[i] = OUTLIER if d > threshold else BEYOND_EDGE if on > 0 and not snap else KEPT
+        variance[i] = share * sigma * sigma
+        if d > threshold:
+            reason[i] = OUTLIER
+        elif on > 0 and not snap:
+            reason[i] = BEYOND_EDGE
+        else:
+            reason[i] = KEPT if supported(x, m, origin, q[i], reach) else UNSUPPORTED
     return -1 if curved else count
 
 

@@ -14,7 +14,7 @@ from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64, I32, I64
 
 #: Names of the reasons, by the numbers of ``CloudResult.reason``.
-REASONS = ("kept", "outlier", "few_neighbours", "no_surface", "beyond_edge")
+REASONS = ("kept", "outlier", "few_neighbours", "no_surface", "beyond_edge", "unsupported")
 
 
 @dataclass(frozen=True)
