@@ -12,7 +12,7 @@ from ladar_volume.surface.locate import CHUNKS, search
 #: Corners a ring can have: a triangle clipped by three lines, and some for rounding.
 CORNERS = 12
 #: Triangles that are looked up in the other surface's tree together.
-GROUP = 8
+GROUP = 4
 
 
 @kernel
@@ -47,8 +47,8 @@ def tip(d0: float, d1: float, d2: float) -> tuple[float, float, float, float]:
 
 
 @kernel
-def add_fan(area: float, d: F64, p: F64, q: F64, i: int, out: F64) -> None:
-    """Adds the fan triangle of a ring's corners 0, i, i + 1 to ``out`` (2, 4): above and below the zero of d, the area, ∫|d|, ∫p, ∫q."""
+def add_fan(area: float, d: F64, p: F64, q: F64, i: int, out: F64, t: int) -> None:
+    """Adds the fan triangle of a ring's corners 0, i, i + 1 to ``out[t]`` (2, 4): above and below the zero of d, the area, ∫|d|, ∫p, ∫q."""
     j = i + 1
     d0, d1, d2 = d[0], d[i], d[j]
     mean_d, mean_p, mean_q = (d0 + d1 + d2) / 3.0, (p[0] + p[i] + p[j]) / 3.0, (q[0] + q[i] + q[j]) / 3.0
@@ -60,10 +60,10 @@ def add_fan(area: float, d: F64, p: F64, q: F64, i: int, out: F64) -> None:
         a0, a1, a2 = d0 > 0.0, d1 > 0.0, d2 > 0.0
         lone = 0 if a1 == a2 else (1 if a0 == a2 else 2)
         side = 1 if (a0, a1, a2)[lone] else 0
-    out[side, 0] += area
-    out[side, 1] += area * (mean_d if side == 0 else -mean_d)
-    out[side, 2] += area * mean_p
-    out[side, 3] += area * mean_q
+    out[t, side, 0] += area
+    out[t, side, 1] += area * (mean_d if side == 0 else -mean_d)
+    out[t, side, 2] += area * mean_p
+    out[t, side, 3] += area * mean_q
     if lone < 0:
         return
     if lone == 0:
@@ -74,14 +74,14 @@ def add_fan(area: float, d: F64, p: F64, q: F64, i: int, out: F64) -> None:
         mean, w2, w0, w1 = tip(d2, d0, d1)
     share, mean_p, mean_q = w0 + w1 + w2, w0 * p[0] + w1 * p[i] + w2 * p[j], w0 * q[0] + w1 * q[i] + w2 * q[j]
     other = 1 - side
-    out[other, 0] += area * share
-    out[other, 1] += area * abs(mean)
-    out[other, 2] += area * mean_p
-    out[other, 3] += area * mean_q
-    out[side, 0] -= area * share
-    out[side, 1] += area * abs(mean)  # the signed mean held the tip with the other sign
-    out[side, 2] -= area * mean_p
-    out[side, 3] -= area * mean_q
+    out[t, other, 0] += area * share
+    out[t, other, 1] += area * abs(mean)
+    out[t, other, 2] += area * mean_p
+    out[t, other, 3] += area * mean_q
+    out[t, side, 0] -= area * share
+    out[t, side, 1] += area * abs(mean)  # the signed mean held the tip with the other sign
+    out[t, side, 2] -= area * mean_p
+    out[t, side, 3] -= area * mean_q
 
 
 @kernel
@@ -100,10 +100,11 @@ def apart(a: F64, b: F64) -> bool:
 
 
 @kernel
-def add_pair(a: F64, za: F64, b: F64, zb: F64, sign: float, one: F64, two: F64, d: F64, p: F64, q: F64, out: F64) -> None:
-    """Adds what two triangles (3, 2) with heights (3,) have in common to ``out`` (2, 4); a has its corner 0 at the origin. The ring's
-    coordinates p, q in the triangle a, kept within it, give the difference of heights d; the rest is scratch."""
-    one[0, :3], one[1, :3] = a[:, 0], a[:, 1]
+def add_pair(a: F64, za: F64, t: int, b: F64, zb: F64, o: int, sign: float, one: F64, two: F64, d: F64, p: F64, q: F64, out: F64) -> None:
+    """Adds what two triangles a, b (3, 2) with heights za[t], zb[o] have in common to ``out[t]`` (2, 4); a has its corner 0 at the
+    origin. The ring's coordinates p, q in the triangle a, kept within it, give the difference of heights d; the rest is scratch."""
+    for i in range(3):
+        one[0, i], one[1, i] = a[i, 0], a[i, 1]
     n = clip_line(3, one, b[1, 0] - b[0, 0], b[1, 1] - b[0, 1], b[0, 0], b[0, 1], two)
     n = clip_line(n, two, b[2, 0] - b[1, 0], b[2, 1] - b[1, 1], b[1, 0], b[1, 1], one) if n > 0 else 0
     n = clip_line(n, one, b[0, 0] - b[2, 0], b[0, 1] - b[2, 1], b[2, 0], b[2, 1], two) if n > 0 else 0
@@ -119,12 +120,12 @@ def add_pair(a: F64, za: F64, b: F64, zb: F64, sign: float, one: F64, two: F64, 
         dx, dy = x - b[0, 0], y - b[0, 1]
         r = min(max((dx * vy - dy * vx) * area_b, 0.0), 1.0)
         s = min(max((ux * dy - uy * dx) * area_b, 0.0), 1.0 - r)
-        high = p[i] * (za[1] - za[0]) + q[i] * (za[2] - za[0]) - r * (zb[1] - zb[0]) - s * (zb[2] - zb[0])
-        d[i] = sign * ((za[0] - zb[0]) + high)
+        high = p[i] * (za[t, 1] - za[t, 0]) + q[i] * (za[t, 2] - za[t, 0]) - r * (zb[o, 1] - zb[o, 0]) - s * (zb[o, 2] - zb[o, 0])
+        d[i] = sign * ((za[t, 0] - zb[o, 0]) + high)
     for i in range(1, n - 1):
         ex, ey = two[0, i] - two[0, 0], two[1, i] - two[1, 0]
         area = 0.5 * (ex * (two[1, i + 1] - two[1, 0]) - ey * (two[0, i + 1] - two[0, 0]))
-        add_fan(area, d, p, q, i, out)
+        add_fan(area, d, p, q, i, out, t)
 
 
 @kernel
@@ -185,5 +186,5 @@ def overlay_kernel(corners: F64, heights: F64, other: F64, other_heights: F64, t
                     for k in range(3):
                         b[k, 0], b[k, 1] = other[o, k, 0] - x0, other[o, k, 1] - y0
                     if not (apart(a, b) or apart(b, a)):
-                        add_pair(a, heights[t], b, other_heights[o], sign, one, two, d, p, q, out[t])
+                        add_pair(a, heights, t, b, other_heights, o, sign, one, two, d, p, q, out)
     return out

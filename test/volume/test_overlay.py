@@ -231,17 +231,17 @@ def test_compiled_kernels_equal_their_plain_twins():
     assert all(boxes_apart(boxes, t, low, o) == boxes_apart.py_func(boxes, t, low, o) for t in range(5) for o in range(5))
     for p, q in zip(one.corners, two.corners, strict=False):
         assert apart(p, q) == apart.py_func(p, q)
-        outs = [np.zeros((2, 4)), np.zeros((2, 4))]
+        outs = np.zeros((2, 1, 2, 4))
         for run, out in zip((add_pair, add_pair.py_func), outs, strict=True):
-            run(p - p[0], z[0], q - p[0], other[0], 1.0, *np.zeros((2, 2, CORNERS)), *np.zeros((3, CORNERS)), out)
+            run(p - p[0], z, 0, q - p[0], other, 0, 1.0, *np.zeros((2, 2, CORNERS)), *np.zeros((3, CORNERS)), out)
         assert np.array_equal(*outs)
     ring = np.random.default_rng(0).normal(size=(2, 7))
     targets = np.zeros((2, 2, CORNERS))
     assert clip_line(7, ring, 1.0, 0.5, 0.1, 0.2, targets[0]) == clip_line.py_func(7, ring, 1.0, 0.5, 0.1, 0.2, targets[1])
     assert np.array_equal(*targets) and tip(1.0, -0.3, -2.0) == tip.py_func(1.0, -0.3, -2.0)
     for d in np.random.default_rng(1).integers(-2, 3, (60, 3)).astype(float):
-        outs = np.zeros((2, 2, 4))
+        outs = np.zeros((2, 1, 2, 4))
         for run, out in zip((add_fan, add_fan.py_func), outs, strict=True):
-            run(0.7, d, np.array([0.1, 0.5, 0.4]), np.array([0.3, 0.0, 0.6]), 1, out)
+            run(0.7, d, np.array([0.1, 0.5, 0.4]), np.array([0.3, 0.0, 0.6]), 1, out, 0)
         assert np.array_equal(*outs)
-        assert outs[0][:, 1] == pytest.approx([0.7 * positive_part(s * d[None])[0][0] for s in (1, -1)], abs=1e-15)
+        assert outs[0, 0, :, 1] == pytest.approx([0.7 * positive_part(s * d[None])[0][0] for s in (1, -1)], abs=1e-15)
