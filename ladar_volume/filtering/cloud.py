@@ -2,50 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ladar_volume.filtering import cells
-from ladar_volume.filtering.store import HALF, pack_key, place_all
+from ladar_volume.filtering.published import filter_published, settings
+from ladar_volume.filtering.result import REASONS as REASONS
+from ladar_volume.filtering.result import CloudResult as CloudResult
+from ladar_volume.filtering.result import checked
+from ladar_volume.filtering.sampling import expanded, merged, reduce_points, sorted_by_voxel
 from ladar_volume.filtering.tuning import choose
-from ladar_volume.model.errors import FilterError
 from ladar_volume.model.parameters import FilterParameters
-from ladar_volume.model.records import F64, I32, I64
+from ladar_volume.model.records import F64
 
-#: Names of the reasons, by the numbers of ``CloudResult.reason``.
-REASONS = ("kept", "outlier", "few_neighbours", "no_surface", "beyond_edge", "unsupported")
-
-
-@dataclass(frozen=True)
-class CloudResult:
-    """What became of a cloud.
-
-    r : (k, 3) m, filtered points in the order of their input · index : (k,) input point of each · normal : (k, 3), towards no
-    side in particular · sigma : (k,) m, standard deviation along the normal · outliers : (m,) input points taken out, ascending ·
-    reason : (m,) index into ``REASONS`` · report : what was chosen and what came of it
-    """
-
-    r: F64
-    index: I64
-    normal: F64
-    sigma: F64
-    outliers: I64
-    reason: I64
-    report: dict[str, float | int | str]
-
-
-def sorted_by_voxel(r: F64, edge_m: float) -> tuple[I64, I64, I64, I32]:
-    """Order (n,) of points by voxel of the given edge, keys (v,), first point of each voxel (v + 1,), hash table."""
-    ijk = np.floor(r / edge_m).astype(np.int64)
-    if np.abs(ijk).max(initial=0) >= HALF - 8:
-        raise FilterError(f"a cloud wider than {2 * HALF} voxels of {edge_m} m", reason="filter_too_wide", value=edge_m)
-    key = pack_key(ijk)
-    order = np.lexsort((r[:, 2], r[:, 1], r[:, 0], key))
-    keys, first = np.unique(key[order], return_index=True)
-    table = np.full(1 << max(4, int(4 * len(keys) - 1).bit_length()), -1, np.int32)
-    place_all(table, keys, len(keys))
-    return order, keys, np.append(first, len(r)).astype(np.int64), table
+#: Reduction before and after the filter, by ``FilterParameters.reduce``.
+REDUCE = {"published": ("round", "mean"), "round": ("round", "round"), "mean": ("mean", "mean")}
 
 
 def filter_cloud(r: F64, parameters: FilterParameters, auto: bool = False) -> CloudResult:
@@ -54,15 +24,23 @@ def filter_cloud(r: F64, parameters: FilterParameters, auto: bool = False) -> Cl
     auto : estimate noise, radius and degree from the cloud instead of taking them from the parameters. Raises
     :class:`FilterError` for a wrong shape, a coordinate that is not finite, or no points.
     """
-    points = np.ascontiguousarray(r, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
-        raise FilterError(f"points are (n, 3), not {points.shape}", reason="filter_shape", value=points.shape)
-    bad = int(np.count_nonzero(~np.isfinite(points).all(axis=1)))
-    if bad:
-        raise FilterError(f"{bad} points with a coordinate that is not finite", reason="filter_not_finite", value=bad)
+    points = checked(r)
+    how_before, how_after = REDUCE[parameters.reduce]
+    before = reduce_points(points, parameters.grid_before_m, how_before)
+    result = _filter(before.r, parameters, auto)
+    if parameters.grid_before_m > 0.0:
+        result = expanded(result, before, parameters.grid_before_m if how_before == "round" else 0.0)
+    return merged(result, parameters.grid_after_m, how_after)
+
+
+def _filter(points: F64, parameters: FilterParameters, auto: bool) -> CloudResult:
+    """The points that are left after the first reduction, in the order asked for."""
     origin = points.mean(axis=0)  # digits: cells work on offsets of the cloud's size, not on map coordinates
     local = points - origin
     tuned = choose(local, parameters, auto)
+    if parameters.order == "published":
+        chosen = {"radius_m": tuned.ball_m / 2, "degree": tuned.degree, "threshold_m": tuned.threshold_m} if auto else {}
+        return filter_published(points, settings(parameters, **chosen))
     ball = tuned.ball_m
     order, keys, first, table = sorted_by_voxel(local, ball / 2)
     n = len(local)

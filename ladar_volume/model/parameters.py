@@ -111,18 +111,36 @@ class GeoreferenceParameters:
 class FilterParameters:
     """Robust moving least squares (seed 002 chapter 4)."""
 
+    order: str = param(
+        "cover",
+        "Point cloud files: every cell its own surface, in any order; or the published sequential sweep (Algorithm 1).",
+        choices=("cover", "published"),
+    )
     radius_m: float = param(0.5, "Range r: patches are r apart and are fitted over 2r.", unit="m", low=0.001, high=100)
     degree: int = param(2, "Polynomial degree of a patch.", low=1, high=2)
     start: str = param("lmeds", "How the starting model is sampled.", choices=("lmeds", "ransac"))
     trials: int = param(40, "Random samples per patch.", low=1, high=10000)
+    confidence: float = param(
+        0.999, "Published order: trials end once a sample without outliers was drawn with this probability; 1 for never.", low=0, high=1
+    )
     sample_size: int = param(4, "Points per random sample: a plane through three, or the mean plane of four.", low=3, high=4)
     ransac_threshold_m: float = param(0.02, "Residual threshold of the weighted RANSAC start.", unit="m", low=1e-6, high=10)
     outlier_sigmas: float = param(3.5, "Inlier threshold in robust sigma; below 3 the printed variance would be too small.", low=3, high=20)
-    outlier_floor_m: float = param(0.0, "The inlier threshold is never below this.", unit="m", low=0, high=10)
+    outlier_floor_m: float = param(
+        0.0, "The inlier threshold is never below this; in the published order it is this.", unit="m", low=0, high=10
+    )
     min_points: int = param(12, "Fewest inliers of a patch.", low=4, high=100000)
     refit_iterations: int = param(30, "Most refits towards the fixed point.", low=1, high=1000)
     cap_per_voxel: int = param(32, "Most raw points kept per voxel of edge r (those with the lowest hashes).", low=1, high=100000)
     sampling_m: float = param(0.0, "Spacing of the filtered points; 0 for r / 2.", unit="m", low=0, high=100)
+    grid_before_m: float = param(0.0, "Point cloud files: grid of the reduction before the filter; 0 for none.", unit="m", low=0, high=100)
+    grid_after_m: float = param(0.0, "Point cloud files: grid of the reduction after the filter; 0 for none.", unit="m", low=0, high=100)
+    reduce: str = param(
+        "published",
+        "What stands for the points of a grid cell: its middle, their mean, or as published the middle before and the mean after.",
+        choices=("published", "round", "mean"),
+    )
+    edge: str = param("snap", "Published order: points beyond an intersection are set onto it, or removed.", choices=("snap", "remove"))
     nav_bin_s: float = param(2.0, "Length of a navigation time bin of the mean sensitivities.", unit="s", low=0.01, high=60)
     seed: int = param(1, "Seed of the random samples; each patch derives its own from it and its key.", low=0, high=2**31 - 1)
 
