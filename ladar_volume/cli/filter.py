@@ -58,10 +58,13 @@ def run(arguments: argparse.Namespace) -> int:
             why = ", ".join(f"{name} {count}" for name, count in outliers.items())
             raise FilterError(f"{arguments.cloud}: no point is left of {len(r)} ({why})", reason="filter_nothing_left", value=outliers)
         status.update("writing")
-        write_cloud(arguments.output, result.r, {"normal": result.normal, "sigma": result.sigma, "index": result.index})
+        columns = {"normal": result.normal, "sigma": result.sigma, "index": result.index}
+        if result.count is not None:
+            columns["count"] = result.count
+        write_cloud(arguments.output, result.r, columns)
         if arguments.outliers is not None:
-            columns = {"index": result.outliers, "reason": result.reason}
-            write_cloud(arguments.outliers, r[result.outliers], columns, {"reason": REASONS})
+            taken = {"index": result.outliers, "reason": result.reason}
+            write_cloud(arguments.outliers, r[result.outliers], taken, {"reason": REASONS})
     facts = {
         "input": {"path": arguments.cloud.name, "points": len(r)},
         "output": {"path": arguments.output.name, "points": len(result.index)},

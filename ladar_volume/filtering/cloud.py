@@ -53,7 +53,7 @@ def _filter(points: F64, parameters: FilterParameters, auto: bool) -> CloudResul
     )  # fmt: skip
     cells.filter_cells(
         keys, table, first, ordered, main, found, ball, tuned.degree, tuned.sigma_m, tuned.threshold_m, parameters.min_points,
-        parameters.refit_iterations, True, q, normals, variance, reason, kind,
+        parameters.refit_iterations, parameters.edge == "snap", q, normals, variance, reason, kind,
     )  # fmt: skip
     back = np.empty(n, np.int64)
     back[order] = np.arange(n)

@@ -86,7 +86,7 @@ def rounding_variance(step_m: float, noise_m: float) -> float:
     moves as a whole, by up to half a step, and its scatter does not show it. With the mean of rounded normal numbers as a Fourier series
     over the place between two multiples of the step (Sheppard's corrections), its mean square over all places is
     ``step² / (2 π²) Σ exp(−4 π² k² s² / step²) / k²`` for the scatter s before rounding. Below 0.3 steps
-    the scatter after rounding hides part of s: the answer is then up to twice too large.
+    the scatter after rounding hides part of s: the answer is then up to 2.3 times too large.
     """
     if step_m == 0.0:
         return 0.0

@@ -140,7 +140,7 @@ class FilterParameters:
         "What stands for the points of a grid cell: its middle, their mean, or as published the middle before and the mean after.",
         choices=("published", "round", "mean"),
     )
-    edge: str = param("snap", "Published order: points beyond an intersection are set onto it, or removed.", choices=("snap", "remove"))
+    edge: str = param("snap", "Point cloud files: points beyond an edge are set onto it, or removed.", choices=("snap", "remove"))
     nav_bin_s: float = param(2.0, "Length of a navigation time bin of the mean sensitivities.", unit="s", low=0.01, high=60)
     seed: int = param(1, "Seed of the random samples; each patch derives its own from it and its key.", low=0, high=2**31 - 1)
 
