@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from ladar_volume.filtering.pieces import distance, fit_plane, nearest_piece
+from ladar_volume.filtering.pieces import distance, nearest_piece
 from ladar_volume.filtering.rules import limit_of
-from ladar_volume.filtering.trials import sampled_plane
+from ladar_volume.filtering.trials import plane_and_scatter, sampled_plane
 from ladar_volume.model.kernels import kernel
 
 #: Most planes in a neighbourhood: the source omits four and more.
@@ -63,7 +63,7 @@ def settle(
             break
         square, free = 0.0, 0
         for k in range(count):
-            used[k], s = fit_plane(x, m, label, k, planes[k], means[k], inverses[k])
+            used[k], s = plane_and_scatter(x, m, label, k, planes[k], means[k], inverses[k])
             if used[k] < rules.least:
                 return -1.0, threshold
             square += s * s * (used[k] - 3)

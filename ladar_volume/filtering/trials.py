@@ -12,7 +12,7 @@ import numpy as np
 
 from ladar_volume.filtering.fit import MAD, _median_if_better, _truncated_square, _uniform
 from ladar_volume.filtering.linear import basis, invert, select_kth
-from ladar_volume.filtering.pieces import fit_plane, plane_through
+from ladar_volume.filtering.pieces import distance, fit_plane, plane_through
 from ladar_volume.model.kernels import kernel
 
 #: Residuals within this many robust sigma count as inliers of a trial by the median (Rousseeuw and Leroy 1987).
@@ -36,6 +36,17 @@ def trials_needed(share: Any, k: Any, confidence: Any) -> Any:
     if good >= 1.0:
         return 1.0
     return np.log(1.0 - confidence) / np.log1p(-good) if good > 0.0 else np.inf
+
+
+@kernel
+def plane_and_scatter(x: Any, m: Any, label: Any, own: Any, plane: Any, mean: Any, inverse: Any) -> Any:
+    """Least squares of the points labelled ``own``, see ``pieces.fit_plane``; returns (number, standard deviation of residuals)."""
+    used, _ = fit_plane(x, m, label, own, plane, mean, inverse)
+    square = 0.0
+    for i in range(m):
+        if label[i] == own and used > 0:
+            square += distance(x[i], plane) ** 2
+    return used, np.sqrt(square / (used - 3)) if used > 3 else 0.0
 
 
 @kernel

@@ -261,8 +261,8 @@ def test_the_sweep_is_its_twin(kind, start, changes):
         assert result.report["trials_per_fit"] == pytest.approx(made / fits)
     assert result.report["variance_inflation"] == pytest.approx(factor)
     clear = ~np.isnan(variance[result.index])  # on an edge the variance is that of one of its two planes
-    # duplicates and points on a line lie exactly on their plane: only rounding, nanometres, is left
-    assert np.allclose(result.sigma[clear] ** 2, factor * variance[result.index][clear], rtol=1e-6, atol=1e-17)
+    # duplicates and points on a line lie exactly on their plane: only rounding is left of the variance
+    assert np.allclose(result.sigma[clear] ** 2, factor * variance[result.index][clear], rtol=1e-6, atol=1e-24)
     assert clear.mean() > 0.9
     assert fits > 2 and len(result.index) > 0.3 * len(r)
 
@@ -283,7 +283,7 @@ def test_every_reason_occurs_in_what_the_twin_covers():
                 start="lmeds",
             )
             seen |= set(np.array(REASONS)[filter_published(scene(kind), p).reason])
-    assert seen == set(REASONS[1:])
+    assert seen == {"outlier", "few_neighbours", "no_surface", "beyond_edge"}
 
 
 @pytest.mark.parametrize("ransac", [False, True])
