@@ -33,11 +33,12 @@ class Fit:
     """How a surface follows the points it represents.
 
     B : (k, n) sparse, barycentric coordinates of the k points inside relevant triangles · point : (k,) int64, their indices in the
-    cloud · z : (k,) m · weight : (k,) · adjusted : (n,) bool, vertices that some point depends on
+    cloud · triangle : (k,) int64, triangle of each · z : (k,) m · weight : (k,) · adjusted : (n,) bool, vertices that some point depends on
     """
 
     B: Any
     point: I64
+    triangle: I64
     z: F64
     weight: F64
     adjusted: Bool
@@ -87,7 +88,7 @@ def fit_of(tin: Tin, points_map: F64, sigma_m: F64 | None = None) -> Fit:
     B = sparse.csr_array((weights.ravel(), (row, corner.ravel())), shape=(len(point), len(tin.vertices)))
     B.eliminate_zeros()
     adjusted = np.bincount(B.indices, B.data**2, len(tin.vertices)) > 0
-    return Fit(B, point, points[point, 2], sigma[point] ** -2.0, adjusted)
+    return Fit(B, point, where[point], points[point, 2], sigma[point] ** -2.0, adjusted)
 
 
 def measures(residuals: F64) -> tuple[float, float]:
@@ -96,15 +97,19 @@ def measures(residuals: F64) -> tuple[float, float]:
 
 
 class Normal:
-    """The normal equations ``BᵀWB`` of a fit, ready to be solved for any right-hand side."""
+    """The normal equations ``BᵀWB`` of a fit, ready to be solved for any right-hand side. The factors have room for ``pairs`` (k, 2) of
+    vertices too, whether a point joins them or not."""
 
-    def __init__(self, B: Any, weight: F64, direct: bool = False) -> None:
+    def __init__(self, B: Any, weight: F64, direct: bool = False, pairs: Any = None) -> None:
         N = (B.T @ sparse.diags_array(weight) @ B).tocsc()
         diagonal = N.diagonal()
         self.free: Bool = diagonal > 0
         self.scale = np.where(self.free, diagonal, 1.0) ** -0.5
         S = sparse.diags_array(self.scale)
         self.matrix = (S @ N @ S + sparse.diags_array(np.where(self.free, RIDGE, 1.0))).tocsc()
+        if pairs is not None:  # entries too small to matter, but there
+            room = sparse.coo_array((np.full(len(pairs), 1e-280), (pairs[:, 0], pairs[:, 1])), shape=N.shape)
+            self.matrix = (self.matrix + room + room.T).tocsc()
         options = {"SymmetricMode": True}
         direct = direct or len(diagonal) <= MAX_DIRECT
         self.factor = splu(self.matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options) if direct else None
