@@ -112,6 +112,12 @@ class SurfaceError(LadarVolumeError):
     reason = "surface"
 
 
+class RegistrationError(LadarVolumeError):
+    """A reference sphere or a transform cannot be determined from what was observed."""
+
+    reason = "registration"
+
+
 class VolumeError(LadarVolumeError):
     """A volume cannot be computed from this surface and base."""
 
