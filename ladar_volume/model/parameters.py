@@ -178,6 +178,12 @@ class VolumeParameters:
     ground_ring_m: float = param(
         10.0, "Ground is fitted to points within this distance outside the outline; 0 for all.", unit="m", low=0, high=10000
     )
+    vertex_ratio: float = param(
+        1.0,
+        "Part of the filtered points that become vertices: 1 for all; below it they are chosen by adaptive insertion, and their heights "
+        "adjusted to all points (seed 000 chapters 2 and 3; a third is published as best).",
+        low=0.01, high=1,
+    )  # fmt: skip
     relevant: str = param("edge", "Which triangles count (seed 000 section 3.1).", choices=("all", "corners", "edge", "circumcircle"))
     max_edge_m: float = param(3.0, "Longest edge of a relevant triangle.", unit="m", low=0.001, high=10000)
     max_circumdiameter_m: float = param(3.0, "Largest circumcircle diameter of a relevant triangle.", unit="m", low=0.001, high=10000)

@@ -7,7 +7,9 @@ import numpy as np
 from ladar_volume.ground.adjoint import ground_gradient
 from ladar_volume.ground.polynomial import base_height
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, Plane, Tin
+from ladar_volume.model.records import F64, FilteredPoints, Plane, Tin
+from ladar_volume.surface.adjoint import height_covariance
+from ladar_volume.surface.represent import Represented
 from ladar_volume.volume.budget import GroundField
 from ladar_volume.volume.prismoids import Prismoids
 from ladar_volume.volume.roughness import estimate_roughness
@@ -23,19 +25,42 @@ def base_name(parameters: Parameters) -> str:
     return f"ground of the same survey ({('level', 'plane', 'quadric')[degree]})"
 
 
-def result_gradients(tin: Tin, base: Plane, solid: Prismoids, points: int) -> F64:
-    """Gradients (points, k, 3) by the points the TIN was built from: the net volume and, where the base was fitted, each of its
-    coefficients.
+def vertex_variance(surface: Represented, points: FilteredPoints) -> F64:
+    """Independent variance (n,) m² of each vertex' height: of its point, or of the mean of points that the adjustment makes of it."""
+    tin = surface.tin
+    height = points.variance / np.maximum(points.normal[:, 2] ** 2, 1e-4)
+    own: F64 = height[tin.source]
+    if surface.fit is None:
+        return own
+    B, unit = surface.fit.B, height_covariance(tin, surface.fit, np.ones(len(own))).diagonal()
+    weight = np.asarray(B.sum(axis=0)).ravel()
+    around = B.T @ height[surface.fit.point] / np.maximum(weight, 1e-300)
+    return np.where(surface.fit.adjusted, unit * around, own)
+
+
+def vertex_gradients(tin: Tin, base: Plane, solid: Prismoids) -> F64:
+    """Gradients (n, k, 3) by the vertices: of the net volume and, where the base was fitted, of each of its coefficients.
 
     The volume's gradient holds both ways in: through the surface, and through the points that define the base (UNCERTAINTY step 2).
     """
     fitted = len(base.support) > 0
     results = 1 + (len(base.beta) if fitted else 0)
-    out = np.zeros((points, results, 3))
-    out[tin.source, 0] = solid.gradient_net
+    out = np.zeros((len(tin.vertices), results, 3))
+    out[:, 0] = solid.gradient_net
     if fitted:
         by_beta = np.concatenate([solid.base_net[:, None], np.eye(len(base.beta))], axis=1)
-        out[tin.source[base.support]] += ground_gradient(tin.vertices, base, by_beta)
+        out[base.support] += ground_gradient(tin.vertices, base, by_beta)
+    return out
+
+
+def result_gradients(tin: Tin, base: Plane, solid: Prismoids, points: int, surface: Represented | None = None) -> F64:
+    """The same (points, k, 3) by the points the TIN was built from; for a partial TIN, ``surface``, through the adjustment of its heights
+    (UNCERTAINTY step 5)."""
+    gradient = vertex_gradients(tin, base, solid)
+    if surface is not None:
+        return surface.by_points(gradient, points)
+    out = np.zeros((points, *gradient.shape[1:]))
+    out[tin.source] = gradient
     return out
 
 

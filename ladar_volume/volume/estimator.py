@@ -13,9 +13,9 @@ from ladar_volume.model.errors import SurfaceError, VolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Estimate, FilteredPoints, FilterUpdate, Patches, Plane, PlatformStates, Tin, Volume
-from ladar_volume.surface.relevant import with_relevant
-from ladar_volume.surface.tin import build_tin, footprint_areas
-from ladar_volume.volume.assembly import base_name, ground_field, result_gradients
+from ladar_volume.surface.represent import Represented, SurfaceOptions, represent
+from ladar_volume.surface.tin import footprint_areas
+from ladar_volume.volume.assembly import base_name, ground_field, result_gradients, vertex_variance
 from ladar_volume.volume.budget import Sources, vertical_sigma
 from ladar_volume.volume.centroid import centroid
 from ladar_volume.volume.navigation import NavigationBins
@@ -40,13 +40,13 @@ class VolumeEstimator:
         self.losses = Losses()
         self._navigation = NavigationBins(parameters.filter.nav_bin_s)
         self._store = PatchStore()
-        self._tin: Tin | None = None
+        self._surface_now: Represented | None = None
         self._t_ns = 0
 
     def set_parameters(self, parameters: Parameters) -> None:
         """Another base, outline or ground for the next estimate; the surface stays."""
         self.parameters = parameters
-        self._tin = None
+        self._surface_now = None
 
     def add_platform(self, states: PlatformStates) -> None:
         """New platform states; only the mean covariance per time bin is kept."""
@@ -57,7 +57,7 @@ class VolumeEstimator:
         self._store.replace(update)
         self.losses.merge(self._store.losses)
         self._store.losses = Losses()
-        self._tin = None
+        self._surface_now = None
         self._t_ns = max(self._t_ns, update.t_ns)
 
     def estimate(self) -> Estimate:
@@ -75,16 +75,21 @@ class VolumeEstimator:
                 reason="surface_too_few_points",
                 value=0 if points is None else len(points),
             )
-        tin = self._surface(points)
-        height_variance = points.variance[tin.source] / np.maximum(points.normal[tin.source, 2] ** 2, 1e-4)
-        base, inside = self._base_and_outline(tin, height_variance)
-        return self._result(tin, base, inside, points, patches, height_variance)
+        surface = self._surface(points)
+        height_variance = vertex_variance(surface, points)
+        base, inside = self._base_and_outline(surface.tin, height_variance)
+        return self._result(surface, base, inside, points, patches, height_variance)
 
-    def _surface(self, points: FilteredPoints) -> Tin:
-        if self._tin is None:
+    def _surface(self, points: FilteredPoints) -> Represented:
+        if self._surface_now is None:
             v = self.parameters.volume
-            self._tin = with_relevant(build_tin(points.r_map), v.relevant, v.max_edge_m, v.max_circumdiameter_m)
-        return self._tin
+            adjust = "none" if v.vertex_ratio == 1.0 else "rms"  # copies of a footprint stay out, as they always have
+            options = SurfaceOptions(
+                ratio=v.vertex_ratio, adjust=adjust, relevant=v.relevant, max_edge_m=v.max_edge_m,
+                max_circumdiameter_m=v.max_circumdiameter_m,
+            )  # fmt: skip
+            self._surface_now = represent(points.r_map, options, measured=False)
+        return self._surface_now
 
     def _base_and_outline(self, tin: Tin, height_variance: F64) -> tuple[Plane, F64]:
         """The base, and the area (m,) m² of each triangle inside the outline."""
@@ -126,8 +131,10 @@ class VolumeEstimator:
             raise VolumeError("polygon_m holds x, y pairs; its length is odd", reason="volume_polygon", value=len(flat))
         return check_polygon(flat.reshape(-1, 2))
 
-    def _result(self, tin: Tin, base: Plane, inside: F64, points: FilteredPoints, patches: Patches, height_variance: F64) -> Estimate:
-        p, mask = self.parameters, inside > 0
+    def _result(
+        self, surface: Represented, base: Plane, inside: F64, points: FilteredPoints, patches: Patches, height_variance: F64
+    ) -> Estimate:
+        p, mask, tin = self.parameters, inside > 0, surface.tin
         if p.volume.outline == "polygon":
             outline = self._polygon()
             solid = clipped_prismoids(tin, base, outline, mask)
@@ -135,7 +142,8 @@ class VolumeEstimator:
             outline = boundary_loop(tin, mask)
             solid = prismoids(tin, base, mask)
         sources = Sources(points, patches, self._navigation, p)
-        budget = sources.budget(result_gradients(tin, base, solid, len(points)), ground_field(tin, base, solid, inside, height_variance))
+        gradients = result_gradients(tin, base, solid, len(points), surface)
+        budget = sources.budget(gradients, ground_field(tin, base, solid, inside, height_variance))
         if len(base.support):
             base = dataclasses.replace(base, C_beta=budget.C_results[1:, 1:])
         volume = Volume(

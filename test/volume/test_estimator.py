@@ -110,7 +110,7 @@ def test_common_shift_and_yaw_cancel_above_the_surveys_own_ground_only():
     update = surface_update(sloped, perturb=0.01)
     for degree in (0, 1, 2):
         r = estimator(update, parameters(ground={"degree": degree}))
-        tin = r._surface(r._store.points)
+        tin = r._surface(r._store.points).tin
         base, inside = r._base_and_outline(tin, np.full(len(tin.vertices), 1e-4))
         G = result_gradients(tin, base, prismoids(tin, base, inside > 0), len(r._store.points))[:, 0]
         position = r._store.points.r_map
