@@ -63,7 +63,7 @@ def check_drift(points: F64, t_s: F64, sphere: Sphere, risk: float = 0.001) -> S
         raise RegistrationError(
             "points and times are so arranged that motion and place cannot be told apart", reason="sphere_times", value=len(p)
         )
-    Q: F64 = np.linalg.inv(N)
+    Q = np.asarray(np.linalg.inv(N), dtype=np.float64)
     estimate: F64 = Q @ (A.T @ (v / sigma))
     return judge(estimate[-3:], Q[-3:, -3:], risk)
 
