@@ -203,3 +203,11 @@ def test_a_mirrored_frame_is_not_called_consistent():
     C = np.repeat(0.005**2 * np.eye(3)[None], 6, axis=0)
     r = register(SPHERES, SPHERES * [1, 1, -1], None, C)
     assert np.linalg.det(r.transform.R) == pytest.approx(1.0) and not r.consistent
+
+
+def test_three_spheres_tell_that_one_is_wrong_but_not_which():
+    C = np.repeat(0.003**2 * np.eye(3)[None], 3, axis=0)
+    y = SPHERES[:3].copy()
+    y[1, :2] *= 1.01
+    r = register(SPHERES[:3], y, None, C)
+    assert r.used.all() and not r.consistent and r.p_global < 1e-6
