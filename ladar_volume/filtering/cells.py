@@ -13,8 +13,8 @@ import numpy as np
 
 from ladar_volume.filtering import choice, pieces
 from ladar_volume.filtering.fit import REACH
-from ladar_volume.filtering.frame import across, arc, coordinates, level_frame, mark_flat, refit, tangent_of
-from ladar_volume.filtering.linear import basis, invert
+from ladar_volume.filtering.frame import across
+from ladar_volume.filtering.osculating import foot_on_quadric, quadric_cost, quadric_from
 from ladar_volume.filtering.store import BITS, _mix, find_voxel
 from ladar_volume.model.kernels import kernel, parallel_kernel
 
@@ -22,11 +22,9 @@ KEPT, OUTLIER, FEW_POINTS, NO_SURFACE, BEYOND_EDGE, UNSUPPORTED = 0, 1, 2, 3, 4,
 #: Planes each cell finds for itself and its neighbours.
 OFFERED = 3
 #: What lies within this many sigma of a plane found is not searched for the next one.
-EXPLAINED = 2.02
+EXPLAINED = 2.0
 #: Support of a projected point: this many points within the radius that holds PATCH of them on a full surface.
 SUPPORT, PATCH = 4, 20
-#: Re-levelling of a quadric's frame.
-LEVELS = 3
 
 
 @kernel
@@ -45,157 +43,6 @@ def gather(v: Any, keys: Any, table: Any, first: Any, r: Any, out: Any) -> Any:
                             out[n] = i
                         n += 1
     return n
-
-
-@kernel
-def geometric_refit(near: Any, m: Any, ball: Any, threshold: Any, iterations: Any, sigma: Any, beta: Any, inverse: Any) -> Any:
-    """Orthogonal least squares of a quadric from a start: distances along the local normal, design rows at the foot points.
-
-    A fit of heights over the points' own u and v is biased on a curved surface: noise moves a point across the slope and along
-    the surface at once (errors in variables). Rows at the foot points do not depend on the noise. near (4, m): u / ball,
-    v / ball, w. ``inverse`` comes back as ``(Σ x xᵀ / (1 + slope²))⁻¹``. Returns the number of inliers, 0 where undetermined.
-    """
-    A, b, x = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
-    reach = ball * max(1.0 - threshold / ball, 0.5)
-    unit = np.ones(6)
-    unit[1] = unit[2] = 1.0 / ball
-    unit[3] = unit[4] = unit[5] = 1.0 / (ball * ball)
-    used = 0
-    for _ in range(iterations):
-        A[:] = 0.0
-        b[:] = 0.0
-        used = 0
-        for i in range(m):
-            u, v, w = near[0, i] * ball, near[1, i] * ball, near[2, i]
-            fu, fv, fw, gu, gv, d = foot_in_frame(u, v, w, beta)
-            if abs(d) > threshold or fu * fu + fv * fv + fw * fw > reach * reach:
-                continue
-            used += 1
-            slope = 1.0 + gu * gu + gv * gv
-            basis(fu / ball, fv / ball, 6, x)
-            for k in range(6):
-                b[k] += x[k] * d / np.sqrt(slope)
-                for l in range(k + 1):
-                    A[k, l] += x[k] * x[l] / slope
-        if used <= 8:
-            return 0
-        for k in range(6):
-            for l in range(k):
-                A[l, k] = A[k, l]
-        if not invert(A, 6, inverse):
-            return 0
-        shift = 0.0
-        for k in range(6):
-            step = 0.0
-            for l in range(6):
-                step += inverse[k, l] * b[l]
-            shift = max(shift, abs(step))
-            beta[k] += step * unit[k]
-        if shift < 1e-3 * sigma:
-            break
-    for k in range(6):
-        for l in range(6):
-            inverse[k, l] *= unit[k] * unit[l]
-    return used
-
-
-@kernel
-def foot_in_frame(u: Any, v: Any, w: Any, beta: Any) -> Any:
-    """(u, v, w of the foot point, slopes there, signed distance) of a point in a quadric's frame."""
-    fu, fv, gu, gv = u, v, 0.0, 0.0
-    height, along = 0.0, 0.0
-    for _ in range(4):  # the foot moves down the slope by what the distance says there
-        height, gu, gv = height_at(fu, fv, beta)
-        along = (w - height + gu * (fu - u) + gv * (fv - v)) / (1.0 + gu * gu + gv * gv)
-        fu, fv = u + along * gu, v + along * gv
-    height, gu, gv = height_at(fu, fv, beta)
-    return fu, fv, height, gu, gv, along * np.sqrt(1.0 + gu * gu + gv * gv)
-
-
-@kernel
-def height_at(u: Any, v: Any, beta: Any) -> Any:
-    """(height, slope along u, slope along v) of a quadric with its arc term."""
-    extra, gu, gv = arc(u, v, beta[3], beta[4], beta[5])
-    height = beta[0] + u * beta[1] + v * beta[2] + u * u * beta[3] + u * v * beta[4] + v * v * beta[5] + extra
-    return height, beta[1] + gu, beta[2] + gv
-
-
-@kernel
-def quadric_from(
-    pts: Any, n: Any, origin: Any, start: Any, ball: Any, sigma: Any, threshold: Any, iterations: Any, centre: Any, normal: Any,
-    tangent: Any, beta: Any, inverse: Any,
-) -> Any:  # fmt: skip
-    """A quadric grown from a start plane over the ball; its frame touches it at the centre. Returns the number of inliers."""
-    near, index, inside = np.empty((4, n)), np.empty(n, np.int64), np.empty(n, np.bool_)
-    plane = start.copy()
-    plane[3] += plane[0] * origin[0] + plane[1] * origin[1] + plane[2] * origin[2]
-    if level_frame(pts, n, origin, plane, sigma, ball, 0.0, threshold, iterations, near, index, inside, centre, normal, tangent) < 0.0:
-        return 0
-    used = 0
-    side = np.empty(3)
-    for level in range(LEVELS):
-        m = coordinates(pts, n, centre, normal, tangent, ball, near, index)
-        if level == 0:
-            mark_flat(near, m, threshold, inside)
-            used, _ = refit(near, m, ball, 6, sigma, 0.0, threshold, iterations, inside, beta, inverse)
-            if used == 0:
-                return 0
-        used = geometric_refit(near, m, ball, threshold, iterations, sigma, beta, inverse)
-        if used == 0:
-            return 0
-        if level + 1 < LEVELS and abs(beta[1]) + abs(beta[2]) + abs(beta[0]) / ball > 1e-3:
-            across(normal, tangent, side)
-            length = np.sqrt(1.0 + beta[1] * beta[1] + beta[2] * beta[2])
-            for k in range(3):
-                centre[k] += beta[0] * normal[k]
-                normal[k] = (normal[k] - beta[1] * tangent[k] - beta[2] * side[k]) / length
-            tangent_of(normal, tangent)
-            beta[0], beta[1], beta[2] = 0.0, 0.0, 0.0
-        else:
-            break
-    return used
-
-
-@kernel
-def foot_on_quadric(x: Any, centre: Any, normal: Any, tangent: Any, side: Any, beta: Any, inverse: Any, q: Any, n_out: Any) -> Any:
-    """Foot point q and normal of the surface under x; returns (distance, variance of the surface there over sigma²)."""
-    u = v = w = 0.0
-    for k in range(3):
-        d = x[k] - centre[k]
-        u += d * tangent[k]
-        v += d * side[k]
-        w += d * normal[k]
-    fu, fv, fw, gu, gv, _ = foot_in_frame(u, v, w, beta)
-    slope = np.sqrt(1.0 + gu * gu + gv * gv)
-    row = np.empty(6)
-    row[0], row[1], row[2], row[3], row[4], row[5] = 1.0, fu, fv, fu * fu, fu * fv, fv * fv
-    variance = 0.0
-    for e in range(6):
-        for f in range(6):
-            variance += row[e] * inverse[e, f] * row[f]
-    square = 0.0
-    for k in range(3):
-        q[k] = centre[k] + fu * tangent[k] + fv * side[k] + fw * normal[k]
-        n_out[k] = (normal[k] - gu * tangent[k] - gv * side[k]) / slope
-        square += (x[k] - q[k]) ** 2
-    return np.sqrt(square), variance / (slope * slope)
-
-
-@kernel
-def quadric_cost(x: Any, m: Any, origin: Any, centre: Any, normal: Any, tangent: Any, beta: Any, limit: Any) -> Any:
-    """Sum of squared distances of points (m, 3) about ``origin``, each at most ``limit``."""
-    side, cost = np.empty(3), 0.0
-    across(normal, tangent, side)
-    for i in range(m):
-        u = v = w = 0.0
-        for k in range(3):
-            d = x[i, k] + origin[k] - centre[k]
-            u += d * tangent[k]
-            v += d * side[k]
-            w += d * normal[k]
-        d = foot_in_frame(u, v, w, beta)[5]
-        cost += min(d * d, limit)
-    return cost
 
 
 @kernel
@@ -233,14 +80,17 @@ def supported(x: Any, m: Any, origin: Any, q: Any, square: Any) -> Any:
 
 @parallel_kernel
 def main_planes(
-    keys: Any, table: Any, first: Any, r: Any, ball: Any, sigma: Any, threshold: Any, trials: Any, least: Any, seed: Any, planes: Any,
-    found: Any,
+    keys: Any, table: Any, first: Any, r: Any, wanted: Any, ball: Any, noise: Any, limit: Any, trials: Any, least: Any, seed: Any,
+    planes: Any, found: Any,
 ) -> None:  # fmt: skip
     """The planes that the points near each cell lie on, most points first, as ``n·x = o`` (v, OFFERED, 4) and their number (v,).
 
     Each is sought among what the former ones do not explain. They are what a cell and its neighbours have to choose from.
     """
     for v in numba.prange(len(keys)):
+        if not wanted[v]:
+            continue
+        sigma, threshold = noise[v], limit[v]
         empty = np.empty(0, np.int64)
         n = gather(v, keys, table, first, r, empty)
         slots, x, origin = np.empty(n, np.int64), np.empty((n + 1, 3)), np.empty(3)
@@ -291,30 +141,41 @@ def offers(v: Any, keys: Any, table: Any, planes: Any, found: Any, origin: Any, 
 
 
 @kernel
+def nearest_to_origin(planes: Any, count: Any) -> Any:
+    """The plane that passes the origin most closely."""
+    best = 0
+    for a in range(count):
+        if abs(planes[a, 3]) < abs(planes[best, 3]):
+            best = a
+    return best
+
+
+@kernel
 def filter_cell(
-    v: Any, keys: Any, table: Any, main: Any, found: Any, slots: Any, n: Any, r: Any, first: Any, ball: Any, degree: Any, sigma: Any,
-    threshold: Any, least: Any, iterations: Any, snap: Any, q: Any, normals: Any, variance: Any, reason: Any,
+    v: Any, keys: Any, table: Any, main: Any, found: Any, slots: Any, n: Any, r: Any, first: Any, mine: Any, ball: Any, degree: Any,
+    sigma: Any, threshold: Any, least: Any, iterations: Any, snap: Any, q: Any, normals: Any, variance: Any, reason: Any,
 ) -> Any:  # fmt: skip
-    """Surface of one cell, and its own points projected. Returns the number of planes, −1 for a quadric, 0 for none."""
+    """Surface of one cell, and its own points projected. Returns (number of planes, −1 for a quadric, 0 for none; mean truncated
+    square of all points near the cell over sigma²)."""
     lo, hi = first[v], first[v + 1]
     origin, x = np.zeros(3), np.empty((n + 1, 3))
     m = around(r, first, v, slots, n, ball, origin, x)
     if m < least:
-        reason[lo:hi] = FEW_POINTS
-        return 0
+        verdict(lo, hi, mine, FEW_POINTS, reason)
+        return 0, 9.0
     candidates = np.empty((OFFERED * (2 * REACH + 1) ** 3, 4))
     offered = offers(v, keys, table, main, found, origin, candidates)
     if offered == 0:
-        reason[lo:hi] = NO_SURFACE
-        return 0
+        verdict(lo, hi, mine, NO_SURFACE, reason)
+        return 0, 9.0
     planes, means, inverses = np.zeros((pieces.MOST, 4)), np.zeros((pieces.MOST, 3)), np.zeros((pieces.MOST, 3, 3))
     used, label, side = np.zeros(pieces.MOST, np.int64), np.empty(m, np.int64), np.zeros((pieces.MOST, pieces.MOST), np.int64)
     count = choice.choose_planes(x, m, candidates, offered, sigma, threshold, least, planes, means, inverses, used, side, label)
-    start = planes[0] if count > 0 else candidates[0]
+    start = planes[nearest_to_origin(planes, count)] if count > 0 else candidates[nearest_to_origin(candidates, offered)]
     limit, used_here = threshold * threshold, np.empty(pieces.MOST, np.int64)
-    best = limit * m
+    length, square, price = limit * m, limit * m, sigma * sigma * np.log(m)
     if count > 0:
-        best = choice.pieces_cost(x, m, planes, count, side, limit, sigma, used_here) + sigma * sigma * 3 * count * np.log(m)
+        length, square = choice.pieces_cost(x, m, planes, count, side, limit, sigma, used_here)
     centre, normal, tangent, beta, inverse = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(6), np.zeros((6, 6))
     curved = False
     if degree == 2:
@@ -323,15 +184,18 @@ def filter_cell(
             pts[i] = r[slots[i]]
         inliers = quadric_from(pts, n, origin, start, ball, sigma, threshold, iterations, centre, normal, tangent, beta, inverse)
         if inliers >= max(least, 8):
-            cost = quadric_cost(x, m, origin, centre, normal, tangent, beta, limit) + sigma * sigma * 6 * np.log(m)
-            curved = cost < best
+            cost = quadric_cost(x, m, origin, centre, normal, tangent, beta, limit)
+            curved = cost + 6 * price < length + 3 * count * price
+            square = cost if curved else square
     if not curved and count == 0:
-        reason[lo:hi] = NO_SURFACE
-        return 0
+        verdict(lo, hi, mine, NO_SURFACE, reason)
+        return 0, 9.0
     across_t, y, foot = np.empty(3), np.empty(3), np.empty(3)
     across(normal, tangent, across_t)
     reach = ball * ball * PATCH / m + 4.0 * sigma * sigma
     for i in range(lo, hi):
+        if not mine[i]:
+            continue
         on = 0
         if curved:
             d, share = foot_on_quadric(r[i], centre, normal, tangent, across_t, beta, inverse, q[i], normals[i])
@@ -352,21 +216,31 @@ def filter_cell(
             reason[i] = BEYOND_EDGE
         else:
             reason[i] = KEPT if supported(x, m, origin, q[i], reach) else UNSUPPORTED
-    return -1 if curved else count
+    return -1 if curved else count, square / (m * sigma * sigma)
+
+
+@kernel
+def verdict(lo: Any, hi: Any, mine: Any, why: Any, reason: Any) -> None:
+    """One reason for all points of a cell."""
+    for i in range(lo, hi):
+        if mine[i]:
+            reason[i] = why
 
 
 @parallel_kernel
 def filter_cells(
-    keys: Any, table: Any, first: Any, r: Any, main: Any, found: Any, ball: Any, degree: Any, sigma: Any, threshold: Any, least: Any,
-    iterations: Any, snap: Any, q: Any, normals: Any, variance: Any, reason: Any, kind: Any,
+    keys: Any, table: Any, first: Any, r: Any, main: Any, found: Any, wanted: Any, mine: Any, ball: Any, degree: Any, noise: Any, limit: Any,
+    least: Any, iterations: Any, snap: Any, q: Any, normals: Any, variance: Any, reason: Any, kind: Any, misfit: Any,
 ) -> None:  # fmt: skip
-    """All cells of points (n, 3) sorted by voxel; each writes only its own points."""
+    """The ``wanted`` cells of points (n, 3) sorted by voxel; each writes only those of its own points that are ``mine``."""
     for v in numba.prange(len(keys)):
+        if not wanted[v]:
+            continue
         empty = np.empty(0, np.int64)
         n = gather(v, keys, table, first, r, empty)
         slots = np.empty(n, np.int64)
         gather(v, keys, table, first, r, slots)
-        kind[v] = filter_cell(
-            v, keys, table, main, found, slots, n, r, first, ball, degree, sigma, threshold, least, iterations, snap, q, normals,
+        kind[v], misfit[v] = filter_cell(
+            v, keys, table, main, found, slots, n, r, first, mine, ball, degree, noise[v], limit[v], least, iterations, snap, q, normals,
             variance, reason,
         )  # fmt: skip

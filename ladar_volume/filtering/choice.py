@@ -33,7 +33,7 @@ def pieces_cost(x: Any, m: Any, planes: Any, count: Any, side: Any, limit: Any, 
 
     Without the second term a slab of noise is described better by two planes within it than by the one in its middle.
     """
-    cost, q = 0.0, np.empty(3)
+    cost, saying, q = 0.0, 0.0, np.empty(3)
     support[:count] = 0
     for i in range(m):
         nearest, which, several = limit, -1, 0
@@ -45,10 +45,10 @@ def pieces_cost(x: Any, m: Any, planes: Any, count: Any, side: Any, limit: Any, 
                 nearest, which = d, a
         cost += nearest
         if several > 1:
-            cost += 2.0 * np.log(several) * sigma * sigma
+            saying += 2.0 * np.log(several) * sigma * sigma
         if which >= 0:
             support[which] += 1
-    return cost
+    return cost + saying, cost
 
 
 @kernel
@@ -83,7 +83,7 @@ def description(y: Any, n: Any, trial: Any, size: Any, m: Any, sigma: Any, thres
     limit = threshold * threshold
     nearest_planes(y, n, trial, size, limit, label)
     bounds(y, n, label, trial, size, sigma, side)
-    length = pieces_cost(y, n, trial, size, side, limit, sigma, support)
+    length, _ = pieces_cost(y, n, trial, size, side, limit, sigma, support)
     return length * m / n + 3.0 * size * np.log(m) * sigma * sigma if support[:size].min() >= need else np.inf
 
 

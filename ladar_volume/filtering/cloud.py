@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.filtering import cells
+from ladar_volume.filtering.cover import cover
 from ladar_volume.filtering.published import filter_published, settings
 from ladar_volume.filtering.result import REASONS as REASONS
 from ladar_volume.filtering.result import CloudResult as CloudResult
 from ladar_volume.filtering.result import checked
-from ladar_volume.filtering.sampling import expanded, merged, reduce_points, sorted_by_voxel
+from ladar_volume.filtering.sampling import expanded, merged, reduce_points
 from ladar_volume.filtering.tuning import choose
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64
@@ -41,35 +42,21 @@ def _filter(points: F64, parameters: FilterParameters, auto: bool) -> CloudResul
     if parameters.order == "published":
         chosen = {"radius_m": tuned.ball_m / 2, "degree": tuned.degree, "threshold_m": tuned.threshold_m} if auto else {}
         return filter_published(points, settings(parameters, **chosen))
-    ball = tuned.ball_m
-    order, keys, first, table = sorted_by_voxel(local, ball / 2)
     n = len(local)
-    q, normals, variance = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
-    reason, kind = np.full(n, cells.NO_SURFACE, np.int64), np.zeros(len(keys), np.int64)
-    main, found, ordered = np.zeros((len(keys), cells.OFFERED, 4)), np.zeros(len(keys), np.int64), local[order]
-    cells.main_planes(
-        keys, table, first, ordered, ball / 2.5, tuned.sigma_m, tuned.threshold_m, parameters.trials, parameters.min_points,
-        parameters.seed, main, found,
-    )  # fmt: skip
-    cells.filter_cells(
-        keys, table, first, ordered, main, found, ball, tuned.degree, tuned.sigma_m, tuned.threshold_m, parameters.min_points,
-        parameters.refit_iterations, parameters.edge == "snap", q, normals, variance, reason, kind,
-    )  # fmt: skip
-    back = np.empty(n, np.int64)
-    back[order] = np.arange(n)
-    kept = reason[back] == cells.KEPT
-    index = np.flatnonzero(kept)
-    rows = back[index]
-    outliers = np.flatnonzero(~kept)
+    done = cover(local, tuned.regions, parameters, tuned.degree)
+    kept = done.reason == cells.KEPT
+    index, outliers = np.flatnonzero(kept), np.flatnonzero(~kept)
     report: dict[str, float | int | str] = {
         **tuned.report(),
         "points": n,
         "kept": len(index),
-        "cells": len(keys),
-        "cells_quadric": int(np.count_nonzero(kind == -1)),
-        "cells_plane": int(np.count_nonzero(kind == 1)),
-        "cells_sharp": int(np.count_nonzero(kind > 1)),
+        "cells": done.cells,
+        "on_quadrics": int(np.count_nonzero(done.kind == -1)),
+        "on_planes": int(np.count_nonzero(done.kind == 1)),
+        "on_sharp": int(np.count_nonzero(done.kind > 1)),
     }
     for number, name in enumerate(REASONS[1:], 1):
-        report[name] = int(np.count_nonzero(reason == number))
-    return CloudResult(q[rows] + origin, index, normals[rows], np.sqrt(variance[rows]), outliers, reason[back[outliers]], report)
+        report[name] = int(np.count_nonzero(done.reason == number))
+    return CloudResult(
+        done.q[index] + origin, index, done.normal[index], np.sqrt(done.variance[index]), outliers, done.reason[outliers], report
+    )

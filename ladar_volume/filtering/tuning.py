@@ -1,4 +1,10 @@
-"""Parameters that set themselves: noise, radius and degree from the cloud (seed 002, future work)."""
+"""Parameters that set themselves: noise, radius and threshold from the cloud itself, per region (seed 002, future work).
+
+Noise is the residual of robust quadrics over the smallest neighbourhoods that are clearly wider than it. The radius is the largest,
+up to a number of points from which more would gain little, at which the filter's own surfaces still describe the points as well as they
+do at small radii; planes that meet count as described, so edges do not make the radius small, but clutter and strong curvature do.
+Whether a neighbourhood is one quadric or several planes each decides for itself.
+"""
 
 from __future__ import annotations
 
@@ -7,28 +13,142 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ladar_volume.filtering.cover import Regions, cover
+from ladar_volume.filtering.scatter import scatter
 from ladar_volume.model.parameters import FilterParameters
-from ladar_volume.model.records import F64
+from ladar_volume.model.records import F64, I64
+
+#: Points at which the cloud is looked at; those at which the filter is tried; neighbours whose median makes a region's value.
+SAMPLES, TRIED, SMOOTH = 400, 40, 40
+#: Neighbours in the largest neighbourhood, and in those from which noise is told.
+MOST = 750
+LADDER = (30, 47, 94, 187, 375, MOST)
+#: A neighbourhood tells noise from extent when its radius is this many sigma.
+PLATE = 5.0
+#: Noise that differs from the whole cloud's by less than this share is the whole cloud's.
+ALIKE = 0.15
+#: Threshold in sigma: from three on the variance of what is left within it is that of the noise.
+SIGMAS = 3.0
+#: Neighbouring radii differ by this factor; so many smaller ones are tried.
+STEP, STEPS = float(np.sqrt(2.0)), 3
+#: A larger radius may describe the points worse by this share, and by this many standard deviations of a mean of squares.
+WORSE, DEVIATIONS = 0.08, 2.0
+#: Share of the cloud's diagonal that a neighbourhood's radius may have.
+WIDEST = 0.25
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """ball_m : radius of a neighbourhood · sigma_m : noise · threshold_m : farthest a point lies from its surface · degree"""
+    """regions as the cover wants them · degree · samples : what was looked at"""
 
-    ball_m: float
-    sigma_m: float
-    threshold_m: float
+    regions: Regions
     degree: int
 
+    @property
+    def ball_m(self) -> float:
+        """Median radius of a neighbourhood."""
+        return float(np.median(self.regions.ball_m[self.regions.level]))
+
+    @property
+    def sigma_m(self) -> float:
+        """Median noise."""
+        return float(np.median(self.regions.sigma_m))
+
+    @property
+    def threshold_m(self) -> float:
+        """Median threshold."""
+        return float(np.median(self.regions.threshold_m))
+
     def report(self) -> dict[str, float | int | str]:
-        """The chosen values by name."""
-        return {
+        """The chosen values by name; where regions differ their median and range."""
+        used = self.regions.ball_m[np.unique(self.regions.level)]
+        out: dict[str, float | int | str] = {
             "radius_m": self.ball_m / 2, "fit_radius_m": self.ball_m, "noise_m": self.sigma_m, "threshold_m": self.threshold_m,
-            "degree": self.degree,
+            "degree": self.degree, "radii": len(used),
         }  # fmt: skip
+        if len(used) > 1:
+            out |= {"least_radius_m": float(used.min()) / 2, "largest_radius_m": float(used.max()) / 2}
+            out |= {"least_noise_m": float(self.regions.sigma_m.min()), "largest_noise_m": float(self.regions.sigma_m.max())}
+        return out
 
 
 def choose(r: F64, parameters: FilterParameters, auto: bool) -> Tuned:
-    import os
-    sigma = float(os.environ.get("SIG", "0.0289"))
-    return Tuned(float(os.environ.get("BALL", "0.8")), sigma, 3.0 * sigma, 2)
+    """Regions and degree for points (n, 3) m near the origin. Without ``auto`` radius and degree are the parameters', fits reach over
+    2 r, and only the noise is estimated, one for the whole cloud."""
+    n = len(r)
+    at = np.sort(np.random.default_rng(parameters.seed).choice(n, min(SAMPLES, n), replace=False))
+    tree = cKDTree(r, balanced_tree=False, compact_nodes=False)
+    distance, near = tree.query(r[at], k=np.arange(1, min(MOST, n) + 1), workers=-1)
+    smooth = _nearest(r[at], r[at], SMOOTH)
+    noise, narrow = _noise(r, distance, near, smooth, parameters.seed)
+    whole = float(np.median(noise))
+    if not auto:
+        threshold = max(parameters.outlier_sigmas * whole, parameters.outlier_floor_m)
+        balls, zero = np.array([2.0 * parameters.radius_m]), np.zeros(n, np.int64)
+        return Tuned(Regions(balls, zero, np.full(n, whole), np.full(n, threshold)), parameters.degree)
+    noise = np.where(np.abs(noise / whole - 1.0) > ALIKE, noise, whole)
+    extent = WIDEST * float(np.linalg.norm(np.ptp(r, axis=0)))
+    wide = np.maximum(np.minimum(np.median(distance[:, -1][smooth], axis=1), extent), narrow)
+    low = float(wide.min()) / STEP**STEPS
+    level = np.rint(np.log(wide / low) / np.log(STEP)).astype(np.int64)
+    balls = low * STEP ** np.arange(level.max() + 1)
+    least = np.minimum(np.ceil(np.log(np.maximum(narrow / low, 1.0)) / np.log(STEP)).astype(np.int64), level)
+    level = np.maximum(level - _steps_down(r, tree, at, balls, level, noise, parameters), least)
+    nearest = _nearest(r[at], r, 1)[:, 0]
+    threshold = np.maximum(SIGMAS * noise, parameters.outlier_floor_m)
+    return Tuned(Regions(balls, level[nearest], noise[nearest], threshold[nearest]), 2)
+
+
+def _nearest(samples: F64, points: F64, k: int) -> I64:
+    """Indices (n, k) of the samples nearest to points (n, 3)."""
+    out: I64 = cKDTree(samples).query(points, k=np.arange(1, min(k, len(samples)) + 1), workers=-1)[1]
+    return out
+
+
+def _noise(r: F64, distance: F64, near: I64, smooth: I64, seed: int) -> tuple[F64, F64]:
+    """Noise (s,) m around the samples, and the radius (s,) m from which it was told: the smallest that is clearly wider than it.
+
+    smooth : (s, k) samples whose median makes a value. One by one the samples would choose the radius by their own error.
+    """
+    sigma, narrow = np.full(len(near), np.nan), distance[:, -1].copy()
+    undecided = np.ones(len(near), np.bool_)
+    for k in LADDER:
+        if k > near.shape[1] or not undecided.any():
+            break
+        each = np.empty(len(near))
+        scatter(r, np.ascontiguousarray(near[:, :k]), seed, each)
+        each = np.where(np.isfinite(each), each, np.nanmedian(each) if np.isfinite(each).any() else np.nan)
+        found, width = np.median(each[smooth], axis=1), np.median(distance[:, k - 1][smooth], axis=1)
+        sigma = np.where(undecided & np.isfinite(found), found, sigma)
+        plate = undecided & (width >= PLATE * found)
+        narrow[plate] = width[plate]
+        undecided &= ~plate
+    # where nothing was found, that is on lines and in tiny clouds, any noise serves: no surface will be found either
+    extent = max(float(narrow.max(initial=0.0)), 1e-6)
+    sigma = np.where(np.isfinite(sigma), sigma, 0.01 * extent)
+    # without noise, coordinates still round
+    return np.maximum(sigma, 1e-7 * extent), np.maximum(narrow, 1e-3 * extent)
+
+
+def _steps_down(r: F64, tree: cKDTree, at: I64, balls: F64, level: I64, noise: F64, parameters: FilterParameters) -> I64:
+    """By how many steps (s,) the radius at each sample must be smaller for the filter's surfaces to describe the points."""
+    some = np.unique(np.linspace(0, len(at) - 1, TRIED).astype(np.int64))
+    # a cell's planes are offered by cells up to a radius away, and these look one radius further
+    inside = tree.query_ball_point(r[at[some]], 3.0 * balls[level[some]])
+    window = np.unique(np.concatenate([np.asarray(i, np.int64) for i in inside]))
+    sample = _nearest(r[at[some]], r[window], 1)[:, 0]
+    centre = np.searchsorted(window, at[some])
+    mine = np.zeros(len(window), np.bool_)
+    mine[centre] = True
+    misfit = np.empty((STEPS + 1, len(some)))
+    for step in range(STEPS + 1):
+        sigma = noise[some][sample]
+        regions = Regions(balls, np.maximum(level[some] - step, 0)[sample], sigma, SIGMAS * sigma)
+        misfit[step] = cover(r[window], regions, parameters, 2, mine).misfit[centre]
+    points = MOST * STEP ** (-2.0 * np.arange(STEPS + 1))[:, None]
+    allowed = np.median(misfit[STEPS]) * (1.0 + WORSE) + DEVIATIONS * np.sqrt(2.0 / points)
+    fits = misfit <= allowed
+    fits[STEPS] = True
+    down: I64 = np.argmax(fits, axis=0)
+    out: I64 = np.median(down[_nearest(r[at[some]], r[at], TRIED // 4)], axis=1).astype(np.int64)
+    return out

@@ -1,0 +1,91 @@
+"""The order-independent cover: a grid of cells over the whole cloud, each with a surface of its own, in parallel.
+
+Points of one region share the radius of their neighbourhoods. A cell is as wide as half that radius; where regions of several radii
+meet, each is covered by its own grid over all points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ladar_volume.filtering import cells, kernels
+from ladar_volume.filtering.fit import REACH
+from ladar_volume.filtering.sampling import sorted_by_voxel
+from ladar_volume.model.parameters import FilterParameters
+from ladar_volume.model.records import F64, I64, Bool
+
+#: A cell looks for planes within the ball's radius over this; it is offered those of its neighbours too.
+NARROWER = 2.5
+
+
+@dataclass(frozen=True)
+class Regions:
+    """ball_m : (l,), radius of the neighbourhoods of each level · level : (n,) level of each point · sigma_m : (n,) noise along the
+    normal · threshold_m : (n,) farthest a point lies from its surface"""
+
+    ball_m: F64
+    level: I64
+    sigma_m: F64
+    threshold_m: F64
+
+
+@dataclass(frozen=True)
+class Covered:
+    """Per point (n,): foot point q (n, 3) m, normal (n, 3), variance m² along it, reason, kind of its cell's surface (number of planes,
+    −1 for a quadric, 0 for none) and mean truncated square of the residuals around that cell over sigma²."""
+
+    q: F64
+    normal: F64
+    variance: F64
+    reason: I64
+    kind: I64
+    misfit: F64
+    cells: int
+
+
+def cover(r: F64, regions: Regions, parameters: FilterParameters, degree: int, mine: Bool | None = None) -> Covered:
+    """Project points (n, 3) m, near the origin, onto the surfaces of their cells; only those that are ``mine`` (n,), by default all."""
+    n = len(r)
+    out = Covered(
+        np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.full(n, cells.NO_SURFACE, np.int64), np.zeros(n, np.int64), np.zeros(n), 0
+    )  # fmt: skip
+    count = 0
+    for level, ball in enumerate(regions.ball_m):
+        own = regions.level == level
+        if mine is not None:
+            own &= mine
+        if np.any(own):
+            count += _cover_level(r, own, float(ball), regions, parameters, degree, out)
+    return Covered(out.q, out.normal, out.variance, out.reason, out.kind, out.misfit, count)
+
+
+def _cover_level(
+    r: F64, own: Bool, ball: float, regions: Regions, parameters: FilterParameters, degree: int, out: Covered
+) -> int:  # fmt: skip
+    order, keys, first, table = sorted_by_voxel(r, ball / 2)
+    ordered, mine = r[order], own[order]
+    wanted = np.add.reduceat(mine, first[:-1], dtype=np.int64) > 0
+    near = np.zeros(len(keys), np.bool_)
+    kernels.near_marked(keys, len(keys), table, wanted, REACH, near)
+    # noise of a cell: that of its points, which differ only where regions meet
+    size = np.diff(first)
+    noise = np.add.reduceat(regions.sigma_m[order], first[:-1]) / size
+    limit = np.add.reduceat(regions.threshold_m[order], first[:-1]) / size
+    main, found = np.zeros((len(keys), cells.OFFERED, 4)), np.zeros(len(keys), np.int64)
+    cells.main_planes(
+        keys, table, first, ordered, near, ball / NARROWER, noise, limit, parameters.trials, parameters.min_points, parameters.seed, main,
+        found,
+    )  # fmt: skip
+    n = len(r)
+    q, normal, variance, reason = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.zeros(n, np.int64)
+    kind, misfit = np.zeros(len(keys), np.int64), np.zeros(len(keys))
+    cells.filter_cells(
+        keys, table, first, ordered, main, found, wanted, mine, ball, degree, noise, limit, parameters.min_points,
+        parameters.refit_iterations, parameters.edge == "snap", q, normal, variance, reason, kind, misfit,
+    )  # fmt: skip
+    to = order[mine]
+    out.q[to], out.normal[to], out.variance[to], out.reason[to] = q[mine], normal[mine], variance[mine], reason[mine]
+    out.kind[to], out.misfit[to] = np.repeat(kind, size)[mine], np.repeat(misfit, size)[mine]
+    return int(np.count_nonzero(wanted))
