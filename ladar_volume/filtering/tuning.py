@@ -16,17 +16,21 @@ from scipy.spatial import cKDTree
 from ladar_volume.filtering.cover import Regions, cover
 from ladar_volume.filtering.scatter import scatter
 from ladar_volume.model.parameters import FilterParameters
-from ladar_volume.model.records import F64, I64
+from ladar_volume.model.records import F64, I64, Bool
 
 #: Points at which the cloud is looked at; those at which the filter is tried; neighbours whose median makes a region's value.
-SAMPLES, TRIED, SMOOTH = 400, 40, 40
+SAMPLES, TRIED, SMOOTH = 400, 40, 60
 #: Neighbours in the largest neighbourhood, and in those from which noise is told.
-MOST = 750
-LADDER = (30, 47, 94, 187, 375, MOST)
+MOST = 1000
+LADDER = (30, 60, 120, 250, 500, MOST)
 #: A neighbourhood tells noise from extent when its radius is this many sigma.
 PLATE = 5.0
+#: Quantile of the samples' noise by which regions are compared.
+LOW = 0.2
 #: Noise that differs from the whole cloud's by less than this share is the whole cloud's.
 ALIKE = 0.15
+#: Noise is larger where surfaces leave this much more of it, in squares, than elsewhere.
+NOISIER = 1.4
 #: Threshold in sigma: from three on the variance of what is left within it is that of the noise.
 SIGMAS = 3.0
 #: Neighbouring radii differ by this factor; so many smaller ones are tried.
@@ -81,22 +85,25 @@ def choose(r: F64, parameters: FilterParameters, auto: bool) -> Tuned:
     distance, near = tree.query(r[at], k=np.arange(1, min(MOST, n) + 1), workers=-1)
     smooth = _nearest(r[at], r[at], SMOOTH)
     noise, narrow = _noise(r, distance, near, smooth, parameters.seed)
-    whole = float(np.median(noise))
+    whole = float(np.median(noise[:, 1]))
     if not auto:
         threshold = max(parameters.outlier_sigmas * whole, parameters.outlier_floor_m)
         balls, zero = np.array([2.0 * parameters.radius_m]), np.zeros(n, np.int64)
         return Tuned(Regions(balls, zero, np.full(n, whole), np.full(n, threshold)), parameters.degree)
-    noise = np.where(np.abs(noise / whole - 1.0) > ALIKE, noise, whole)
+    ratio = noise[:, 0] / np.median(noise[:, 0])
+    sigma = np.where(np.abs(ratio - 1.0) > ALIKE, ratio, 1.0) * whole
     extent = WIDEST * float(np.linalg.norm(np.ptp(r, axis=0)))
     wide = np.maximum(np.minimum(np.median(distance[:, -1][smooth], axis=1), extent), narrow)
     low = float(wide.min()) / STEP**STEPS
     level = np.rint(np.log(wide / low) / np.log(STEP)).astype(np.int64)
     balls = low * STEP ** np.arange(level.max() + 1)
     least = np.minimum(np.ceil(np.log(np.maximum(narrow / low, 1.0)) / np.log(STEP)).astype(np.int64), level)
-    level = np.maximum(level - _steps_down(r, tree, at, balls, level, noise, parameters), least)
+    down, noisier = _trial(r, tree, at, balls, level, whole, parameters)
+    level = np.maximum(level - down, least)
+    sigma = np.where(noisier, sigma, np.minimum(sigma, whole))
     nearest = _nearest(r[at], r, 1)[:, 0]
-    threshold = np.maximum(SIGMAS * noise, parameters.outlier_floor_m)
-    return Tuned(Regions(balls, level[nearest], noise[nearest], threshold[nearest]), 2)
+    threshold = np.maximum(SIGMAS * sigma, parameters.outlier_floor_m)
+    return Tuned(Regions(balls, level[nearest], sigma[nearest], threshold[nearest]), 2)
 
 
 def _nearest(samples: F64, points: F64, k: int) -> I64:
@@ -106,11 +113,12 @@ def _nearest(samples: F64, points: F64, k: int) -> I64:
 
 
 def _noise(r: F64, distance: F64, near: I64, smooth: I64, seed: int) -> tuple[F64, F64]:
-    """Noise (s,) m around the samples, and the radius (s,) m from which it was told: the smallest that is clearly wider than it.
+    """Noise (s, 2) m around the samples, and the radius (s,) m from which it was told: the smallest that is clearly wider than it.
 
-    smooth : (s, k) samples whose median makes a value. One by one the samples would choose the radius by their own error.
+    smooth : (s, k) samples around each; one by one they would choose the radius by their own error. First comes a low quantile of
+    theirs, for comparing regions: near edges most of them see two planes. Second comes the median.
     """
-    sigma, narrow = np.full(len(near), np.nan), distance[:, -1].copy()
+    sigma, narrow = np.full((len(near), 2), np.nan), distance[:, -1].copy()
     undecided = np.ones(len(near), np.bool_)
     for k in LADDER:
         if k > near.shape[1] or not undecided.any():
@@ -118,9 +126,9 @@ def _noise(r: F64, distance: F64, near: I64, smooth: I64, seed: int) -> tuple[F6
         each = np.empty(len(near))
         scatter(r, np.ascontiguousarray(near[:, :k]), seed, each)
         each = np.where(np.isfinite(each), each, np.nanmedian(each) if np.isfinite(each).any() else np.nan)
-        found, width = np.median(each[smooth], axis=1), np.median(distance[:, k - 1][smooth], axis=1)
-        sigma = np.where(undecided & np.isfinite(found), found, sigma)
-        plate = undecided & (width >= PLATE * found)
+        found, width = np.quantile(each[smooth], (LOW, 0.5), axis=1).T, np.median(distance[:, k - 1][smooth], axis=1)
+        sigma = np.where((undecided & np.isfinite(found[:, 0]))[:, None], found, sigma)
+        plate = undecided & (width >= PLATE * found[:, 1])
         narrow[plate] = width[plate]
         undecided &= ~plate
     # where nothing was found, that is on lines and in tiny clouds, any noise serves: no surface will be found either
@@ -130,8 +138,10 @@ def _noise(r: F64, distance: F64, near: I64, smooth: I64, seed: int) -> tuple[F6
     return np.maximum(sigma, 1e-7 * extent), np.maximum(narrow, 1e-3 * extent)
 
 
-def _steps_down(r: F64, tree: cKDTree, at: I64, balls: F64, level: I64, noise: F64, parameters: FilterParameters) -> I64:
-    """By how many steps (s,) the radius at each sample must be smaller for the filter's surfaces to describe the points."""
+def _trial(r: F64, tree: cKDTree, at: I64, balls: F64, level: I64, sigma: float, parameters: FilterParameters) -> tuple[I64, Bool]:
+    """The filter on some cells, with one noise for all. By how many steps (s,) the radius around each sample must be smaller for the
+    surfaces to describe the points as well as small ones do; and where (s,) even those do not, so that the noise there is larger.
+    """
     some = np.unique(np.linspace(0, len(at) - 1, TRIED).astype(np.int64))
     # a cell's planes are offered by cells up to a radius away, and these look one radius further
     inside = tree.query_ball_point(r[at[some]], 3.0 * balls[level[some]])
@@ -140,15 +150,16 @@ def _steps_down(r: F64, tree: cKDTree, at: I64, balls: F64, level: I64, noise: F
     centre = np.searchsorted(window, at[some])
     mine = np.zeros(len(window), np.bool_)
     mine[centre] = True
+    noise = np.full(len(window), sigma)
     misfit = np.empty((STEPS + 1, len(some)))
     for step in range(STEPS + 1):
-        sigma = noise[some][sample]
-        regions = Regions(balls, np.maximum(level[some] - step, 0)[sample], sigma, SIGMAS * sigma)
+        regions = Regions(balls, np.maximum(level[some] - step, 0)[sample], noise, SIGMAS * noise)
         misfit[step] = cover(r[window], regions, parameters, 2, mine).misfit[centre]
+    around = _nearest(r[at[some]], r[at], TRIED // 4)
+    least = np.median(misfit[STEPS][around[np.searchsorted(at, at[some])]], axis=1)
     points = MOST * STEP ** (-2.0 * np.arange(STEPS + 1))[:, None]
-    allowed = np.median(misfit[STEPS]) * (1.0 + WORSE) + DEVIATIONS * np.sqrt(2.0 / points)
-    fits = misfit <= allowed
+    fits = misfit <= least * (1.0 + WORSE) + DEVIATIONS * np.sqrt(2.0 / points)
     fits[STEPS] = True
-    down: I64 = np.argmax(fits, axis=0)
-    out: I64 = np.median(down[_nearest(r[at[some]], r[at], TRIED // 4)], axis=1).astype(np.int64)
-    return out
+    down: I64 = np.median(np.argmax(fits, axis=0)[around], axis=1).astype(np.int64)
+    noisier: Bool = np.median(misfit[STEPS][around], axis=1) > NOISIER * np.median(misfit[STEPS])
+    return down, noisier
