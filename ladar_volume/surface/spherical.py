@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, Bool, Tin
@@ -63,7 +62,10 @@ def widest_gap(directions: F64) -> F64:
     size = float(np.linalg.norm(mean))
     if size > 1e-6:
         tried = np.concatenate([-mean[None] / size, tried])
-    out: F64 = tried[int(np.argmax(cKDTree(directions).query(tried)[0]))]
+    nearest = np.full(len(tried), -1.0)
+    for start in range(0, len(directions), 10_000):  # in pieces, for the memory
+        nearest = np.maximum(nearest, (directions[start : start + 10_000] @ tried.T).max(axis=0))
+    out: F64 = tried[int(np.argmin(nearest))]
     return out
 
 
