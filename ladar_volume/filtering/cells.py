@@ -151,6 +151,23 @@ def nearest_to_origin(planes: Any, count: Any) -> Any:
 
 
 @kernel
+def foot_on_planes(
+    x: Any, origin: Any, planes: Any, count: Any, side: Any, means: Any, inverses: Any, used: Any, q: Any, n_out: Any
+) -> Any:  # fmt: skip
+    """Foot point q and normal on the nearest piece of planes about ``origin``; returns (distance, variance of the plane there over
+    sigma², 0 inside the piece, 1 on an edge, 2 in a vertex)."""
+    y, foot = x - origin, np.empty(3)
+    a, d, on = pieces.nearest_piece(y, planes, count, side, foot)
+    share = 1.0 / used[a]
+    for k in range(3):
+        q[k] = foot[k] + origin[k]
+        n_out[k] = planes[a, k]
+        for l in range(3):
+            share += (foot[k] - means[a, k]) * inverses[a, k, l] * (foot[l] - means[a, l])
+    return d, share, on
+
+
+@kernel
 def filter_cell(
     v: Any, keys: Any, table: Any, main: Any, found: Any, slots: Any, n: Any, r: Any, first: Any, mine: Any, ball: Any, degree: Any,
     sigma: Any, threshold: Any, least: Any, iterations: Any, snap: Any, q: Any, normals: Any, variance: Any, reason: Any,
@@ -187,28 +204,19 @@ def filter_cell(
             cost = quadric_cost(x, m, origin, centre, normal, tangent, beta, limit)
             curved = cost + 6 * price < length + 3 * count * price
             square = cost if curved else square
+    across_t, reach = np.empty(3), ball * ball * PATCH / m + 4.0 * sigma * sigma
+    across(normal, tangent, across_t)
     if not curved and count == 0:
         verdict(lo, hi, mine, NO_SURFACE, reason)
         return 0, 9.0
-    across_t, y, foot = np.empty(3), np.empty(3), np.empty(3)
-    across(normal, tangent, across_t)
-    reach = ball * ball * PATCH / m + 4.0 * sigma * sigma
     for i in range(lo, hi):
         if not mine[i]:
             continue
-        on = 0
         if curved:
             d, share = foot_on_quadric(r[i], centre, normal, tangent, across_t, beta, inverse, q[i], normals[i])
+            on = 0
         else:
-            for k in range(3):
-                y[k] = r[i, k] - origin[k]
-            a, d, on = pieces.nearest_piece(y, planes, count, side, foot)
-            share = 1.0 / used[a]
-            for k in range(3):
-                q[i, k] = foot[k] + origin[k]
-                normals[i, k] = planes[a, k]
-                for l in range(3):
-                    share += (foot[k] - means[a, k]) * inverses[a, k, l] * (foot[l] - means[a, l])
+            d, share, on = foot_on_planes(r[i], origin, planes, count, side, means, inverses, used, q[i], normals[i])
         variance[i] = share * sigma * sigma
         if d > threshold:
             reason[i] = OUTLIER
@@ -229,8 +237,8 @@ def verdict(lo: Any, hi: Any, mine: Any, why: Any, reason: Any) -> None:
 
 @parallel_kernel
 def filter_cells(
-    keys: Any, table: Any, first: Any, r: Any, main: Any, found: Any, wanted: Any, mine: Any, ball: Any, degree: Any, noise: Any, limit: Any,
-    least: Any, iterations: Any, snap: Any, q: Any, normals: Any, variance: Any, reason: Any, kind: Any, misfit: Any,
+    keys: Any, table: Any, first: Any, r: Any, main: Any, found: Any, wanted: Any, mine: Any, ball: Any, degree: Any, noise: Any,
+    limit: Any, least: Any, iterations: Any, snap: Any, q: Any, normals: Any, variance: Any, reason: Any, kind: Any, misfit: Any,
 ) -> None:  # fmt: skip
     """The ``wanted`` cells of points (n, 3) sorted by voxel; each writes only those of its own points that are ``mine``."""
     for v in numba.prange(len(keys)):

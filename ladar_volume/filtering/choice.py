@@ -6,16 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ladar_volume.filtering.pieces import (
-    MOST,
-    bounds,
-    distance,
-    fit_plane,
-    nearest_on_piece,
-    nearest_pieces,
-    nearest_planes,
-    refine,
-)
+from ladar_volume.filtering.assignment import refine
+from ladar_volume.filtering.pieces import MOST, bounds, distance, fit_plane, nearest_on_piece, nearest_pieces, nearest_planes
 from ladar_volume.model.kernels import kernel
 
 #: Least share of the points a plane needs: outliers give this much to any slab.

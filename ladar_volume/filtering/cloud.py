@@ -36,7 +36,8 @@ def filter_cloud(r: F64, parameters: FilterParameters, auto: bool = False) -> Cl
 
 def _filter(points: F64, parameters: FilterParameters, auto: bool) -> CloudResult:
     """The points that are left after the first reduction, in the order asked for."""
-    origin = points.mean(axis=0)  # digits: cells work on offsets of the cloud's size, not on map coordinates
+    # digits: cells work on offsets of the cloud's size, not on map coordinates; a mean would depend on the order of the points
+    origin = 0.5 * (points.min(axis=0) + points.max(axis=0))
     local = points - origin
     tuned = choose(local, parameters, auto)
     if parameters.order == "published":

@@ -22,33 +22,16 @@ def geometric_refit(near: Any, m: Any, ball: Any, threshold: Any, iterations: An
     the surface at once (errors in variables). Rows at the foot points do not depend on the noise. near (4, m): u / ball,
     v / ball, w. ``inverse`` comes back as ``(Σ x xᵀ / (1 + slope²))⁻¹``. Returns the number of inliers, 0 where undetermined.
     """
-    A, b, x = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
+    A, b = np.zeros((6, 6)), np.zeros(6)
     reach = ball * max(1.0 - threshold / ball, 0.5)
     unit = np.ones(6)
     unit[1] = unit[2] = 1.0 / ball
     unit[3] = unit[4] = unit[5] = 1.0 / (ball * ball)
     used = 0
     for _ in range(iterations):
-        A[:] = 0.0
-        b[:] = 0.0
-        used = 0
-        for i in range(m):
-            u, v, w = near[0, i] * ball, near[1, i] * ball, near[2, i]
-            fu, fv, fw, gu, gv, d = foot_in_frame(u, v, w, beta)
-            if abs(d) > threshold or fu * fu + fv * fv + fw * fw > reach * reach:
-                continue
-            used += 1
-            slope = 1.0 + gu * gu + gv * gv
-            basis(fu / ball, fv / ball, 6, x)
-            for k in range(6):
-                b[k] += x[k] * d / np.sqrt(slope)
-                for l in range(k + 1):
-                    A[k, l] += x[k] * x[l] / slope
+        used = normal_equations(near, m, ball, threshold, reach, beta, A, b)
         if used <= 8:
             return 0
-        for k in range(6):
-            for l in range(k):
-                A[l, k] = A[k, l]
         if not invert(A, 6, inverse):
             return 0
         shift = 0.0
@@ -63,6 +46,31 @@ def geometric_refit(near: Any, m: Any, ball: Any, threshold: Any, iterations: An
     for k in range(6):
         for l in range(6):
             inverse[k, l] *= unit[k] * unit[l]
+    return used
+
+
+@kernel
+def normal_equations(near: Any, m: Any, ball: Any, threshold: Any, reach: Any, beta: Any, A: Any, b: Any) -> Any:
+    """``A = Σ x xᵀ / (1 + slope²)`` and ``b = Σ x d / √(1 + slope²)`` of the points within threshold and reach of the surface, x in units
+    of the ball; returns their number."""
+    x, used = np.zeros(6), 0
+    A[:] = 0.0
+    b[:] = 0.0
+    for i in range(m):
+        u, v, w = near[0, i] * ball, near[1, i] * ball, near[2, i]
+        fu, fv, fw, gu, gv, d = foot_in_frame(u, v, w, beta)
+        if abs(d) > threshold or fu * fu + fv * fv + fw * fw > reach * reach:
+            continue
+        used += 1
+        slope = 1.0 + gu * gu + gv * gv
+        basis(fu / ball, fv / ball, 6, x)
+        for k in range(6):
+            b[k] += x[k] * d / np.sqrt(slope)
+            for l in range(k + 1):
+                A[k, l] += x[k] * x[l] / slope
+    for k in range(6):
+        for l in range(k):
+            A[l, k] = A[k, l]
     return used
 
 

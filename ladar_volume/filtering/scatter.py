@@ -10,7 +10,7 @@ import numpy as np
 from ladar_volume.filtering.fit import start_plane
 from ladar_volume.filtering.frame import coordinates, level_frame, mark_flat, refit
 from ladar_volume.filtering.store import _mix
-from ladar_volume.model.kernels import parallel_kernel
+from ladar_volume.model.kernels import kernel, parallel_kernel
 
 #: Random planes per neighbourhood; refits towards the fixed point.
 TRIALS, REFITS = 60, 20
@@ -18,6 +18,15 @@ TRIALS, REFITS = 60, 20
 SIGMAS, CUT = 3.0, 4.0
 #: Fewest points of a quadric whose residuals tell the noise.
 FEWEST = 15
+
+
+@kernel
+def hashes(numbers: Any) -> Any:
+    """Hash of each of numbers (n,) uint64."""
+    out = np.empty_like(numbers)
+    for i in range(len(numbers)):
+        out[i] = _mix(numbers[i])
+    return out
 
 
 @parallel_kernel
@@ -38,7 +47,7 @@ def scatter(r: Any, near: Any, seed: Any, sigma: Any) -> None:
         sigma[s] = np.nan
         if ball == 0.0:
             continue
-        guess = start_plane(across_points, k, 3, TRIALS, False, 0.0, _mix(np.uint64(seed) ^ _mix(np.uint64(near[s, 0]))), plane, work)
+        guess = start_plane(across_points, k, 3, TRIALS, False, 0.0, _mix(np.uint64(seed) ^ _mix(np.uint64(s))), plane, work)
         if guess < 0.0:
             continue
         uvw, index, inside = np.empty((4, k)), np.empty(k, np.int64), np.empty(k, np.bool_)

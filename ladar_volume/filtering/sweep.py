@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from ladar_volume.filtering.cells import BEYOND_EDGE, FEW_POINTS, KEPT, NO_SURFACE, OUTLIER, gather
-from ladar_volume.filtering.osculating import foot_on_quadric
 from ladar_volume.filtering.facets import FACETS, fit_facets, nearest_distance, project_on_facets
 from ladar_volume.filtering.frame import across
+from ladar_volume.filtering.osculating import foot_on_quadric
 from ladar_volume.filtering.quadric import fit_quadric
 from ladar_volume.filtering.rules import limit_of
 from ladar_volume.filtering.store import _mix

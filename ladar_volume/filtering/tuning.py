@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ladar_volume.filtering.cover import Regions, cover
-from ladar_volume.filtering.scatter import scatter
+from ladar_volume.filtering.scatter import hashes, scatter
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64, I64, Bool
 
@@ -80,18 +80,18 @@ def choose(r: F64, parameters: FilterParameters, auto: bool) -> Tuned:
     """Regions and degree for points (n, 3) m near the origin. Without ``auto`` radius and degree are the parameters', fits reach over
     2 r, and only the noise is estimated, one for the whole cloud."""
     n = len(r)
-    at = np.sort(np.random.default_rng(parameters.seed).choice(n, min(SAMPLES, n), replace=False))
+    at = _samples(r, parameters.seed)
     tree = cKDTree(r, balanced_tree=False, compact_nodes=False)
-    distance, near = tree.query(r[at], k=np.arange(1, min(MOST, n) + 1), workers=-1)
+    distance, near = _query(tree, r[at], MOST)
     smooth = _nearest(r[at], r[at], SMOOTH)
     noise, narrow = _noise(r, distance, near, smooth, parameters.seed)
     whole = float(np.median(noise[:, 1]))
     if not auto:
-        threshold = max(parameters.outlier_sigmas * whole, parameters.outlier_floor_m)
+        limit = max(parameters.outlier_sigmas * whole, parameters.outlier_floor_m)
         balls, zero = np.array([2.0 * parameters.radius_m]), np.zeros(n, np.int64)
-        return Tuned(Regions(balls, zero, np.full(n, whole), np.full(n, threshold)), parameters.degree)
+        return Tuned(Regions(balls, zero, np.full(n, whole), np.full(n, limit)), parameters.degree)
     ratio = noise[:, 0] / np.median(noise[:, 0])
-    sigma = np.where(np.abs(ratio - 1.0) > ALIKE, ratio, 1.0) * whole
+    sigma = whole * np.where(np.abs(ratio - 1.0) > ALIKE, ratio, 1.0)
     extent = WIDEST * float(np.linalg.norm(np.ptp(r, axis=0)))
     wide = np.maximum(np.minimum(np.median(distance[:, -1][smooth], axis=1), extent), narrow)
     low = float(wide.min()) / STEP**STEPS
@@ -106,10 +106,26 @@ def choose(r: F64, parameters: FilterParameters, auto: bool) -> Tuned:
     return Tuned(Regions(balls, level[nearest], sigma[nearest], threshold[nearest]), 2)
 
 
+def _samples(r: F64, seed: int) -> I64:
+    """Random points in random order, the same ones in whatever order the cloud comes: those with the lowest hashes."""
+    mixed = np.full(len(r), seed, np.uint64)
+    for axis in range(3):
+        mixed = hashes(mixed ^ (r[:, axis] + 0.0).view(np.uint64))  # + 0.0: one zero
+    few = min(SAMPLES, len(r))
+    lowest = np.argpartition(mixed, few - 1)[:few]
+    out: I64 = lowest[np.argsort(mixed[lowest], kind="stable")]
+    return out
+
+
+def _query(tree: cKDTree, points: F64, k: int) -> tuple[F64, I64]:
+    """Distances and indices (n, k) of the k nearest points of the tree, all of them where there are fewer."""
+    distance, index = tree.query(points, k=np.arange(1, min(k, tree.n) + 1), workers=-1)
+    return np.asarray(distance, np.float64), np.asarray(index, np.int64)
+
+
 def _nearest(samples: F64, points: F64, k: int) -> I64:
     """Indices (n, k) of the samples nearest to points (n, 3)."""
-    out: I64 = cKDTree(samples).query(points, k=np.arange(1, min(k, len(samples)) + 1), workers=-1)[1]
-    return out
+    return _query(cKDTree(samples), points, k)[1]
 
 
 def _noise(r: F64, distance: F64, near: I64, smooth: I64, seed: int) -> tuple[F64, F64]:
@@ -142,7 +158,7 @@ def _trial(r: F64, tree: cKDTree, at: I64, balls: F64, level: I64, sigma: float,
     """The filter on some cells, with one noise for all. By how many steps (s,) the radius around each sample must be smaller for the
     surfaces to describe the points as well as small ones do; and where (s,) even those do not, so that the noise there is larger.
     """
-    some = np.unique(np.linspace(0, len(at) - 1, TRIED).astype(np.int64))
+    some = np.arange(min(TRIED, len(at)))
     # a cell's planes are offered by cells up to a radius away, and these look one radius further
     inside = tree.query_ball_point(r[at[some]], 3.0 * balls[level[some]])
     window = np.unique(np.concatenate([np.asarray(i, np.int64) for i in inside]))
@@ -156,7 +172,7 @@ def _trial(r: F64, tree: cKDTree, at: I64, balls: F64, level: I64, sigma: float,
         regions = Regions(balls, np.maximum(level[some] - step, 0)[sample], noise, SIGMAS * noise)
         misfit[step] = cover(r[window], regions, parameters, 2, mine).misfit[centre]
     around = _nearest(r[at[some]], r[at], TRIED // 4)
-    least = np.median(misfit[STEPS][around[np.searchsorted(at, at[some])]], axis=1)
+    least = np.median(misfit[STEPS][around[some]], axis=1)
     points = MOST * STEP ** (-2.0 * np.arange(STEPS + 1))[:, None]
     fits = misfit <= least * (1.0 + WORSE) + DEVIATIONS * np.sqrt(2.0 / points)
     fits[STEPS] = True
