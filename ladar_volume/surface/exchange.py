@@ -57,14 +57,23 @@ def put(tri: I64, nb: I64, t: int, v: tuple[int, int, int], n: tuple[int, int, i
 
 @kernel
 def residual(vertices: F64, a: int, b: int, c: int, p: F64) -> float:
-    """Height of point p (3,) over the plane through three vertices."""
+    """Height of a point p (3,) of a triangle over the plane through its vertices.
+
+    The same whichever vertex is named first, and with coordinates kept within the triangle: what rounding makes of slivers must not let
+    two states of the surface each look better than the other, or the exchanges would not end.
+    """
+    if b < a and b < c:
+        a, b, c = b, c, a
+    elif c < a and c < b:
+        a, b, c = c, a, b
     ux, uy = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1]
     vx, vy = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1]
     dx, dy = p[0] - vertices[a, 0], p[1] - vertices[a, 1]
     area = ux * vy - uy * vx
     if area == 0.0:  # a sliver that rounds to nothing: its first corner stands for it
         return float(p[2] - vertices[a, 2])
-    s, t = (dx * vy - dy * vx) / area, (ux * dy - uy * dx) / area
+    s = min(max((dx * vy - dy * vx) / area, 0.0), 1.0)
+    t = min(max((ux * dy - uy * dx) / area, 0.0), 1.0 - s)
     za = vertices[a, 2]
     return float(p[2] - za - s * (vertices[b, 2] - za) - t * (vertices[c, 2] - za))
 

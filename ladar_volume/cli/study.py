@@ -1,0 +1,73 @@
+"""``ladar_volume study``: published experiments repeated on simulated data."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from ladar_volume.io.results import json_text
+from ladar_volume.model.errors import OutputError
+from ladar_volume.version import version
+
+
+def add_parser(subparsers: Any) -> None:
+    """Declare the verb and its studies."""
+    parser = subparsers.add_parser("study", help="repeat a published experiment on simulated data")
+    studies = parser.add_subparsers(dest="study", required=True, metavar="STUDY")
+    nist = studies.add_parser(
+        "nist", help="the plywood box in the corner of two screens (TINvolume, Experiments 1 to 4)",
+        description="Simulates the box experiment of Witzgall and Cheok, runs Experiments 1 to 4 as published and the package's own way, "
+        "and writes every table and figure beside the published values. About ten seconds per seed, and ten more for Experiment 1 "
+        "on each of the first eight.",
+    )  # fmt: skip
+    nist.add_argument("--seeds", type=int, default=24, metavar="N", help="simulated pairs of scans (default 24)")
+    nist.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="tables.md, study.json and the figures")
+    nist.add_argument("--json", action="store_true", help="print the numbers as JSON to standard output")
+    nist.set_defaults(run=run_nist)
+
+
+def run_nist(arguments: argparse.Namespace) -> int:
+    """Simulate, measure, write, print."""
+    from ladar_volume.studies.nist import run, summary
+    from ladar_volume.studies.nist_figures import write_figures
+    from ladar_volume.studies.nist_tables import tables
+
+    if arguments.output is not None:
+        try:
+            arguments.output.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"{arguments.output} cannot be made: {error}", value=str(arguments.output)) from error
+    console = Console(stderr=arguments.json)
+    with console.status("simulating") as status:
+        study = run(arguments.seeds, status.update)
+        facts: dict[str, Any] = {"study": "nist", "seeds": arguments.seeds, **summary(study), "version": version()}
+        if arguments.output is not None:
+            status.update("writing")
+            facts["figures"] = write_figures(study, arguments.output)
+            (arguments.output / "tables.md").write_text(tables(study), encoding="utf-8")
+            (arguments.output / "study.json").write_text(json_text(facts), encoding="utf-8")
+    if arguments.json:
+        print(json_text(facts), end="")
+        return 0
+    show(console, facts)
+    if arguments.output is not None:
+        console.print(f"written to {arguments.output}")
+    return 0
+
+
+def show(console: Console, facts: dict[str, Any]) -> None:
+    """Print the errors of every procedure as a table."""
+    own = facts["own"]
+    table = Table("procedure", "mean error", "spread", title=f"Box of 1.6990 m³, {facts['seeds']} seeds", title_justify="left")
+    names = ("no filter, RMS", "no filter", "filter, RMS", "filter")
+    table.add_row("all points, scan direction, common footprint", f"{own['bias_pct']:.3f} %", f"{own['spread_pct']:.3f} %")
+    table.add_row("  predicted sigma", "", f"{own['predicted_sigma_pct']:.3f} %")
+    for k, name in enumerate(names):
+        table.add_row(f"Experiment 3, {name}", f"{facts['experiment_3_pct']['mean'][k]:.2f} %", "")
+    for k, name in enumerate(("Method 1", "Method 2", "Method 1, RMS", "Method 2, RMS")):
+        table.add_row(f"Experiment 4, {name}", f"{facts['experiment_4_pct']['mean'][k]:.2f} %", "")
+    console.print(table)
