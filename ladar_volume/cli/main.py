@@ -19,7 +19,8 @@ from ladar_volume.version import version
 #: Verbs in modules of their own, loaded only when asked for: name → module with add_parser(subparsers).
 MODULES = {
     "replay": "ladar_volume.cli.replay", "filter": "ladar_volume.cli.filter", "simulate": "ladar_volume.cli.simulate",
-    "up": "ladar_volume.cli.up", "study": "ladar_volume.cli.study",
+    "tin": "ladar_volume.cli.tin", "volume": "ladar_volume.cli.volume", "study": "ladar_volume.cli.study",
+    "up": "ladar_volume.cli.up",
 }  # fmt: skip
 
 

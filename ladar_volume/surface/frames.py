@@ -46,6 +46,17 @@ class Frame:
         out: F64 = self.R_frame_map @ C_map @ self.R_frame_map.T
         return out
 
+    def plane(self, beta: F64) -> F64:
+        """The plane ``z = c0 + c1 x + c2 y`` of the map, beta (3,), in this frame, (3,). Raises :class:`SurfaceError` where it stands
+        upright in it."""
+        c0, c1, c2 = (float(c) for c in beta)
+        upright = np.array([-c1, -c2, 1.0])
+        a: F64 = self.R_frame_map @ upright
+        if abs(a[2]) < 1e-6 * float(np.linalg.norm(a)):
+            words = "the plane runs along the scan direction: no surface lies above it"
+            raise SurfaceError(words, reason="surface_direction", value=(c0, c1, c2))
+        return np.array([float(c0 - upright @ self.origin_map), -a[0], -a[1]], dtype=np.float64) / float(a[2])
+
     def tin_back(self, tin: Tin) -> Tin:
         """A TIN built in this frame with its vertices in the map: a mesh for export, no TIN over the map's plane."""
         return dataclasses.replace(tin, vertices=self.points_back(tin.vertices))

@@ -7,25 +7,20 @@ from statistics import NormalDist
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import design_surface
-from ladar_volume.ground.robust import fit_ground, refine
-from ladar_volume.model.errors import SurfaceError, VolumeError
+from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Estimate, FilteredPoints, FilterUpdate, Patches, Plane, PlatformStates, Tin, Volume
 from ladar_volume.surface.represent import Represented, SurfaceOptions, represent
-from ladar_volume.surface.tin import footprint_areas
 from ladar_volume.volume.assembly import base_name, ground_field, result_gradients, vertex_variance
+from ladar_volume.volume.base import base_and_outline, polygon_of
 from ladar_volume.volume.budget import Sources, vertical_sigma
 from ladar_volume.volume.centroid import centroid
 from ladar_volume.volume.navigation import NavigationBins
-from ladar_volume.volume.outline import boundary_loop, main_body, surroundings, widened
+from ladar_volume.volume.outline import boundary_loop
 from ladar_volume.volume.patch_store import PatchStore
-from ladar_volume.volume.polygon import areas_inside, check_polygon, clipped_prismoids
+from ladar_volume.volume.polygon import clipped_prismoids
 from ladar_volume.volume.prismoids import prismoids
-
-#: Base and outline settle in two or three rounds; where triangles come and go the first repetition ends it.
-MAX_ROUNDS = 10
 
 
 class VolumeEstimator:
@@ -92,51 +87,14 @@ class VolumeEstimator:
         return self._surface_now
 
     def _base_and_outline(self, tin: Tin, height_variance: F64) -> tuple[Plane, F64]:
-        """The base, and the area (m,) m² of each triangle inside the outline."""
-        p = self.parameters.volume
-        if p.base == "level":
-            base = design_surface([p.level_m])
-        elif p.base == "plane":
-            base = design_surface(p.plane)
-        else:
-            used = np.unique(tin.triangles[tin.relevant]).astype(np.int64)
-            base = fit_ground(tin.vertices, height_variance, self.parameters.ground, p.object_height_m / 2, select=used)
-        inside = self._inside(tin, base)
-        if p.base != "ground" or p.outline == "all":
-            return base, inside
-        seen = [inside]
-        for _ in range(MAX_ROUNDS):
-            ring = surroundings(tin, inside > 0, p.ground_ring_m)
-            refined = refine(tin.vertices[ring], height_variance[ring], base, self.parameters.ground, p.object_height_m)
-            base = dataclasses.replace(refined, support=ring[refined.support])
-            inside = self._inside(tin, base)
-            if any(np.array_equal(inside, earlier) for earlier in seen):
-                break  # settled, or a triangle or two come and go
-            seen.append(inside)
-        return base, inside
-
-    def _inside(self, tin: Tin, base: Plane) -> F64:
-        p = self.parameters.volume
-        if p.outline == "polygon":
-            inside = areas_inside(tin, self._polygon())
-            if not inside.any():
-                raise VolumeError("no part of the surface lies inside the outline", reason="volume_no_triangle")
-            return inside
-        mask = tin.relevant if p.outline == "all" else widened(tin, main_body(tin, base, p.object_height_m), p.outline_margin_m)
-        return np.where(mask, footprint_areas(tin.vertices, tin.triangles), 0.0)
-
-    def _polygon(self) -> F64:
-        flat = np.asarray(self.parameters.volume.polygon_m, dtype=np.float64)
-        if len(flat) % 2:
-            raise VolumeError("polygon_m holds x, y pairs; its length is odd", reason="volume_polygon", value=len(flat))
-        return check_polygon(flat.reshape(-1, 2))
+        return base_and_outline(tin, height_variance, self.parameters)
 
     def _result(
         self, surface: Represented, base: Plane, inside: F64, points: FilteredPoints, patches: Patches, height_variance: F64
     ) -> Estimate:
         p, mask, tin = self.parameters, inside > 0, surface.tin
         if p.volume.outline == "polygon":
-            outline = self._polygon()
+            outline = polygon_of(self.parameters.volume)
             solid = clipped_prismoids(tin, base, outline, mask)
         else:
             outline = boundary_loop(tin, mask)

@@ -1,0 +1,67 @@
+"""What a volume stands on and where it counts: base and outline, which define each other where the ground is the survey's own."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ladar_volume.ground.polynomial import design_surface
+from ladar_volume.ground.robust import fit_ground, refine
+from ladar_volume.model.errors import VolumeError
+from ladar_volume.model.parameters import Parameters, VolumeParameters
+from ladar_volume.model.records import F64, Plane, Tin
+from ladar_volume.surface.tin import footprint_areas
+from ladar_volume.volume.outline import main_body, surroundings, widened
+from ladar_volume.volume.polygon import areas_inside, check_polygon
+
+#: Base and outline settle in two or three rounds; where triangles come and go the first repetition ends it.
+MAX_ROUNDS = 10
+
+
+def base_and_outline(tin: Tin, height_variance: F64, parameters: Parameters) -> tuple[Plane, F64]:
+    """The base, and the area (m,) m² of each triangle inside the outline.
+
+    height_variance : (n,) m², independent noise of the vertex heights. Raises :class:`GroundError` where no ground can be fitted and
+    :class:`VolumeError` where nothing lies inside the outline.
+    """
+    p = parameters.volume
+    if p.base == "level":
+        base = design_surface([p.level_m])
+    elif p.base == "plane":
+        base = design_surface(p.plane)
+    else:
+        used = np.unique(tin.triangles[tin.relevant]).astype(np.int64)
+        base = fit_ground(tin.vertices, height_variance, parameters.ground, p.object_height_m / 2, select=used)
+    inside = area_inside(tin, base, p)
+    if p.base != "ground" or p.outline == "all":
+        return base, inside
+    seen = [inside]
+    for _ in range(MAX_ROUNDS):
+        ring = surroundings(tin, inside > 0, p.ground_ring_m)
+        refined = refine(tin.vertices[ring], height_variance[ring], base, parameters.ground, p.object_height_m)
+        base = dataclasses.replace(refined, support=ring[refined.support])
+        inside = area_inside(tin, base, p)
+        if any(np.array_equal(inside, earlier) for earlier in seen):
+            break  # settled, or a triangle or two come and go
+        seen.append(inside)
+    return base, inside
+
+
+def area_inside(tin: Tin, base: Plane, p: VolumeParameters) -> F64:
+    """Area (m,) m² of each triangle inside the outline. Raises :class:`VolumeError` where there is none."""
+    if p.outline == "polygon":
+        inside = areas_inside(tin, polygon_of(p))
+        if not inside.any():
+            raise VolumeError("no part of the surface lies inside the outline", reason="volume_no_triangle")
+        return inside
+    mask = tin.relevant if p.outline == "all" else widened(tin, main_body(tin, base, p.object_height_m), p.outline_margin_m)
+    return np.where(mask, footprint_areas(tin.vertices, tin.triangles), 0.0)
+
+
+def polygon_of(p: VolumeParameters) -> F64:
+    """The outline (k, 2) m of the parameters. Raises :class:`VolumeError` for one that is no simple polygon."""
+    flat = np.asarray(p.polygon_m, dtype=np.float64)
+    if len(flat) % 2:
+        raise VolumeError("polygon_m holds x, y pairs; its length is odd", reason="volume_polygon", value=len(flat))
+    return check_polygon(flat.reshape(-1, 2))
