@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 from ladar_volume.filtering import choice, pieces
-from ladar_volume.filtering.fit import REACH
+from ladar_volume.filtering.fit import REACH, start_plane
 from ladar_volume.filtering.frame import across
 from ladar_volume.filtering.osculating import foot_on_quadric, quadric_cost, quadric_from
 from ladar_volume.filtering.store import BITS, _mix, find_voxel
@@ -23,6 +23,10 @@ KEPT, OUTLIER, FEW_POINTS, NO_SURFACE, BEYOND_EDGE, UNSUPPORTED = 0, 1, 2, 3, 4,
 OFFERED = 3
 #: What lies within this many sigma of a plane found is not searched for the next one.
 EXPLAINED = 2.0
+#: A bent surface is sought from a plane over the ball's radius over this, the best of so many.
+BENT, TRIALS = 3.0, 60
+#: Share of the points that a quadric must explain to compete with few planes only.
+EXPLAINS = 0.8
 #: Support of a projected point: this many points within the radius that holds PATCH of them on a full surface.
 SUPPORT, PATCH = 4, 20
 
@@ -151,6 +155,17 @@ def nearest_to_origin(planes: Any, count: Any) -> Any:
 
 
 @kernel
+def loose_plane(x: Any, m: Any, reach: Any, key: Any, plane: Any) -> Any:
+    """Least median of squares plane of the points (m, 3) within ``reach`` of the origin; returns its robust sigma, −1 for none."""
+    near, work, n = np.empty((3, m)), np.empty(m), 0
+    for i in range(m):
+        if x[i, 0] ** 2 + x[i, 1] ** 2 + x[i, 2] ** 2 <= reach * reach:
+            near[:, n] = x[i]
+            n += 1
+    return start_plane(near, n, 3, TRIALS, False, 0.0, _mix(np.uint64(key)), plane, work) if n > 8 else -1.0
+
+
+@kernel
 def foot_on_planes(
     x: Any, origin: Any, planes: Any, count: Any, side: Any, means: Any, inverses: Any, used: Any, q: Any, n_out: Any
 ) -> Any:  # fmt: skip
@@ -168,6 +183,33 @@ def foot_on_planes(
 
 
 @kernel
+def bend(
+    x: Any, m: Any, n: Any, r: Any, slots: Any, origin: Any, key: Any, candidates: Any, offered: Any, ball: Any, sigma: Any, threshold: Any,
+    least: Any, iterations: Any, centre: Any, normal: Any, tangent: Any, beta: Any, inverse: Any,
+) -> Any:  # fmt: skip
+    """A quadric for the cell. Returns (its sum of truncated squares, infinite for none; how many planes may compete with it): where it
+    leaves no more than the noise, more than two planes, which cost more than it, have nothing to gain."""
+    start, loose, most = np.empty(4), 0.0, least
+    if offered > 0:
+        start[:] = candidates[nearest_to_origin(candidates, offered)]
+    else:  # no plane within the threshold: a surface that bends by more than its noise, or none; half of the points must say so
+        loose, most = loose_plane(x, m, ball / BENT, key, start), m // 2
+        if loose < 0.0:
+            return np.inf, pieces.MOST
+    pts = np.empty((n, 3))
+    for i in range(n):
+        pts[i] = r[slots[i]]
+    inliers = quadric_from(
+        pts, n, origin, start, 3.0 * loose, ball, sigma, threshold, iterations, centre, normal, tangent, beta, inverse
+    )  # fmt: skip
+    if inliers < max(most, 8):
+        return np.inf, pieces.MOST
+    cost, near = quadric_cost(x, m, origin, centre, normal, tangent, beta, threshold * threshold)
+    leaves = (cost - (m - near) * threshold * threshold) / (near * sigma * sigma)
+    return cost, 2 if near > EXPLAINS * m and leaves < 1.0 + 2.0 / np.sqrt(near) else pieces.MOST
+
+
+@kernel
 def filter_cell(
     v: Any, keys: Any, table: Any, main: Any, found: Any, slots: Any, n: Any, r: Any, first: Any, mine: Any, ball: Any, degree: Any,
     sigma: Any, threshold: Any, least: Any, iterations: Any, snap: Any, q: Any, normals: Any, variance: Any, reason: Any,
@@ -182,28 +224,20 @@ def filter_cell(
         return 0, 9.0
     candidates = np.empty((OFFERED * (2 * REACH + 1) ** 3, 4))
     offered = offers(v, keys, table, main, found, origin, candidates)
-    if offered == 0:
-        verdict(lo, hi, mine, NO_SURFACE, reason)
-        return 0, 9.0
     planes, means, inverses = np.zeros((pieces.MOST, 4)), np.zeros((pieces.MOST, 3)), np.zeros((pieces.MOST, 3, 3))
     used, label, side = np.zeros(pieces.MOST, np.int64), np.empty(m, np.int64), np.zeros((pieces.MOST, pieces.MOST), np.int64)
-    count = choice.choose_planes(x, m, candidates, offered, sigma, threshold, least, planes, means, inverses, used, side, label)
-    start = planes[nearest_to_origin(planes, count)] if count > 0 else candidates[nearest_to_origin(candidates, offered)]
-    limit, used_here = threshold * threshold, np.empty(pieces.MOST, np.int64)
-    length, square, price = limit * m, limit * m, sigma * sigma * np.log(m)
-    if count > 0:
-        length, square = choice.pieces_cost(x, m, planes, count, side, limit, sigma, used_here)
     centre, normal, tangent, beta, inverse = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(6), np.zeros((6, 6))
-    curved = False
+    limit, price, most = threshold * threshold, sigma * sigma * np.log(m), pieces.MOST
+    curve = np.inf
     if degree == 2:
-        pts = np.empty((n, 3))
-        for i in range(n):
-            pts[i] = r[slots[i]]
-        inliers = quadric_from(pts, n, origin, start, ball, sigma, threshold, iterations, centre, normal, tangent, beta, inverse)
-        if inliers >= max(least, 8):
-            cost = quadric_cost(x, m, origin, centre, normal, tangent, beta, limit)
-            curved = cost + 6 * price < length + 3 * count * price
-            square = cost if curved else square
+        curve, most = bend(x, m, n, r, slots, origin, keys[v], candidates, offered, ball, sigma, threshold, least, iterations, centre,
+                           normal, tangent, beta, inverse)  # fmt: skip
+    count = choice.choose_planes(x, m, candidates, offered, sigma, threshold, least, most, planes, means, inverses, used, side, label)
+    length, square = limit * m, limit * m
+    if count > 0:
+        length, square = choice.pieces_cost(x, m, planes, count, side, limit, sigma, np.inf, np.empty(pieces.MOST, np.int64))
+    curved = curve + 6 * price < length + 3 * count * price
+    square = curve if curved else square
     across_t, reach = np.empty(3), ball * ball * PATCH / m + 4.0 * sigma * sigma
     across(normal, tangent, across_t)
     if not curved and count == 0:

@@ -13,13 +13,15 @@ from ladar_volume.model.kernels import kernel
 #: Least share of the points a plane needs: outliers give this much to any slab.
 CHANCE = 0.03
 #: Most points looked at to choose planes.
-SEEN = 300
+SEEN = 250
+#: Mean truncated square over sigma² of a choice that need not be searched for again: noise, and outliers of a few per cent.
+ENOUGH = 1.25
 #: Most candidates tried in all combinations.
-TRIED = 12
+TRIED = 10
 
 
 @kernel
-def pieces_cost(x: Any, m: Any, planes: Any, count: Any, side: Any, limit: Any, sigma: Any, support: Any) -> Any:
+def pieces_cost(x: Any, m: Any, planes: Any, count: Any, side: Any, limit: Any, sigma: Any, most: Any, support: Any) -> Any:
     """Description length of points (m, 3) on the bounded pieces, in squared distances: truncated squares, and what it takes to say to
     which piece a point belongs where its position does not tell. support (k,) gets the number of points nearest to each piece.
 
@@ -40,6 +42,8 @@ def pieces_cost(x: Any, m: Any, planes: Any, count: Any, side: Any, limit: Any, 
             saying += 2.0 * np.log(several) * sigma * sigma
         if which >= 0:
             support[which] += 1
+        if cost + saying > most:
+            break
     return cost + saying, cost
 
 
@@ -68,23 +72,29 @@ def distinct(x: Any, m: Any, candidates: Any, offered: Any, limit: Any, out: Any
 
 
 @kernel
-def description(y: Any, n: Any, trial: Any, size: Any, m: Any, sigma: Any, threshold: Any, need: Any, side: Any, label: Any) -> Any:
+def description(
+    y: Any, n: Any, trial: Any, size: Any, m: Any, sigma: Any, threshold: Any, need: Any, most: Any, side: Any, label: Any
+) -> Any:  # fmt: skip
     """Description length of m points, of which the n points y (n, 3) are a sample, with these planes; infinite where one of the
-    planes has less than ``need`` points of the sample."""
+    planes has less than ``need`` points of the sample, or where it exceeds ``most``."""
     support = np.empty(MOST, np.int64)
     limit = threshold * threshold
-    nearest_planes(y, n, trial, size, limit, label)
+    price = 3.0 * size * np.log(m) * sigma * sigma
+    if nearest_planes(y, n, trial, size, limit, label) * m / n + price >= most:
+        return np.inf
     bounds(y, n, label, trial, size, sigma, side)
-    length, _ = pieces_cost(y, n, trial, size, side, limit, sigma, support)
-    return length * m / n + 3.0 * size * np.log(m) * sigma * sigma if support[:size].min() >= need else np.inf
+    length, _ = pieces_cost(y, n, trial, size, side, limit, sigma, (most - price) * n / m, support)
+    length = length * m / n + price
+    return length if length < most and support[:size].min() >= need else np.inf
 
 
 @kernel
 def search(
-    y: Any, n: Any, few: Any, tried: Any, m: Any, sigma: Any, threshold: Any, need: Any, polish: Any, planes: Any, side: Any, label: Any
+    y: Any, n: Any, few: Any, tried: Any, m: Any, sigma: Any, threshold: Any, need: Any, most: Any, polish: Any, planes: Any, side: Any,
+    label: Any,
 ) -> Any:  # fmt: skip
-    """Planes added, exchanged and dropped one at a time, whatever shortens the description most; ``polish``: refitted after every
-    such move. Returns (number of planes, description length)."""
+    """At most ``most`` planes, added, exchanged and dropped one at a time, whatever shortens the description most; ``polish``:
+    refitted after every such move. Returns (number of planes, description length)."""
     trial, best_set, mean, inverse = np.empty((MOST, 4)), np.empty((MOST, 4)), np.empty(3), np.empty((3, 3))
     limit = threshold * threshold
     count, cost = 0, limit * m
@@ -92,7 +102,7 @@ def search(
         best, best_count = cost, -1
         for c in range(-1, tried):
             # move k: plane k exchanged for candidate c, or dropped for c = −1; k = count: added
-            for k in range(count + (c >= 0 and count < MOST)):
+            for k in range(count + (c >= 0 and count < most)):
                 trial[:count] = planes[:count]
                 size = max(count, k + 1)
                 if c >= 0:
@@ -102,7 +112,7 @@ def search(
                     trial[k:size] = planes[k + 1 : count]
                 if size == 0:
                     continue
-                length = description(y, n, trial, size, m, sigma, threshold, need, side, label)
+                length = description(y, n, trial, size, m, sigma, threshold, need, best, side, label)
                 if length < best:
                     best, best_count = length, size
                     best_set[:size] = trial[:size]
@@ -118,7 +128,7 @@ def search(
         trial[:count] = planes[:count]
         for k in range(count):
             fit_plane(y, n, label, k, trial[k], mean, inverse)
-        length = description(y, n, trial, count, m, sigma, threshold, need, side, label)
+        length = description(y, n, trial, count, m, sigma, threshold, need, cost, side, label)
         if length < cost:
             cost = length
             planes[:count] = trial[:count]
@@ -127,10 +137,10 @@ def search(
 
 @kernel
 def choose_planes(
-    x: Any, m: Any, candidates: Any, offered: Any, sigma: Any, threshold: Any, least: Any, planes: Any, means: Any, inverses: Any,
-    used: Any, side: Any, label: Any,
+    x: Any, m: Any, candidates: Any, offered: Any, sigma: Any, threshold: Any, least: Any, most: Any, planes: Any, means: Any,
+    inverses: Any, used: Any, side: Any, label: Any,
 ) -> Any:  # fmt: skip
-    """The planes among the ``offered`` candidates whose pieces together describe the points (m, 3) best, refined. Returns their number.
+    """The planes, at most ``most``, among the ``offered`` candidates whose pieces together describe the points (m, 3) best, refined. Returns their number.
 
     A plane costs its three parameters (BIC) and needs more support than outliers give any slab. At most ``SEEN`` points are looked at.
     The search ends in a best choice of its neighbourhood only, so two are made: polishing after every move helps one, hinders another.
@@ -141,9 +151,10 @@ def choose_planes(
     need = max(least // stride, np.int64(CHANCE * n), 1)
     few, other = np.empty((TRIED, 4)), np.empty((MOST, 4))
     tried = distinct(y, n, candidates, offered, threshold * threshold, few)
-    count, cost = search(y, n, few, tried, m, sigma, threshold, need, True, planes, side, label)
-    if count > 1:
-        size, length = search(y, n, few, tried, m, sigma, threshold, need, False, other, side, label)
+    count, cost = search(y, n, few, tried, m, sigma, threshold, need, most, True, planes, side, label)
+    # what outliers cost is not known; a choice that leaves hardly more than noise of the rest is not searched for again
+    if count > 1 and cost - 3.0 * count * np.log(m) * sigma * sigma > ENOUGH * m * sigma * sigma:
+        size, length = search(y, n, few, tried, m, sigma, threshold, need, most, False, other, side, label)
         if length < cost:
             count = size
             planes[:size] = other[:size]

@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from ladar_volume.filtering.frame import across, arc, coordinates, level_frame, mark_flat, refit, tangent_of
+from ladar_volume.filtering.frame import across, arc, coordinates, level_frame, mark_flat, refit
 from ladar_volume.filtering.linear import basis, invert
 from ladar_volume.model.kernels import kernel
 
 #: Re-levelling of a quadric's frame.
 LEVELS = 3
+#: Most reductions of what counts as an inlier.
+SHRINKS = 24
 
 
 @kernel
@@ -20,20 +22,20 @@ def geometric_refit(near: Any, m: Any, ball: Any, threshold: Any, iterations: An
 
     A fit of heights over the points' own u and v is biased on a curved surface: noise moves a point across the slope and along
     the surface at once (errors in variables). Rows at the foot points do not depend on the noise. near (4, m): u / ball,
-    v / ball, w. ``inverse`` comes back as ``(Σ x xᵀ / (1 + slope²))⁻¹``. Returns the number of inliers, 0 where undetermined.
+    v / ball, w. ``inverse`` comes back as ``(Σ x xᵀ / (1 + slope²))⁻¹``. Returns (number of inliers, their mean square), 0 where undetermined.
     """
     A, b = np.zeros((6, 6)), np.zeros(6)
     reach = ball * max(1.0 - threshold / ball, 0.5)
     unit = np.ones(6)
     unit[1] = unit[2] = 1.0 / ball
     unit[3] = unit[4] = unit[5] = 1.0 / (ball * ball)
-    used = 0
+    used, square = 0, 0.0
     for _ in range(iterations):
-        used = normal_equations(near, m, ball, threshold, reach, beta, A, b)
+        used, square = normal_equations(near, m, ball, threshold, reach, beta, A, b)
         if used <= 8:
-            return 0
+            return 0, 0.0
         if not invert(A, 6, inverse):
-            return 0
+            return 0, 0.0
         shift = 0.0
         for k in range(6):
             step = 0.0
@@ -46,14 +48,14 @@ def geometric_refit(near: Any, m: Any, ball: Any, threshold: Any, iterations: An
     for k in range(6):
         for l in range(6):
             inverse[k, l] *= unit[k] * unit[l]
-    return used
+    return used, square / used
 
 
 @kernel
 def normal_equations(near: Any, m: Any, ball: Any, threshold: Any, reach: Any, beta: Any, A: Any, b: Any) -> Any:
     """``A = Σ x xᵀ / (1 + slope²)`` and ``b = Σ x d / √(1 + slope²)`` of the points within threshold and reach of the surface, x in units
-    of the ball; returns their number."""
-    x, used = np.zeros(6), 0
+    of the ball; returns (their number, sum of squared distances)."""
+    x, used, square = np.zeros(6), 0, 0.0
     A[:] = 0.0
     b[:] = 0.0
     for i in range(m):
@@ -62,6 +64,7 @@ def normal_equations(near: Any, m: Any, ball: Any, threshold: Any, reach: Any, b
         if abs(d) > threshold or fu * fu + fv * fv + fw * fw > reach * reach:
             continue
         used += 1
+        square += d * d
         slope = 1.0 + gu * gu + gv * gv
         basis(fu / ball, fv / ball, 6, x)
         for k in range(6):
@@ -71,7 +74,7 @@ def normal_equations(near: Any, m: Any, ball: Any, threshold: Any, reach: Any, b
     for k in range(6):
         for l in range(k):
             A[l, k] = A[k, l]
-    return used
+    return used, square
 
 
 @kernel
@@ -97,38 +100,46 @@ def height_at(u: Any, v: Any, beta: Any) -> Any:
 
 @kernel
 def quadric_from(
-    pts: Any, n: Any, origin: Any, start: Any, ball: Any, sigma: Any, threshold: Any, iterations: Any, centre: Any, normal: Any,
-    tangent: Any, beta: Any, inverse: Any,
+    pts: Any, n: Any, origin: Any, start: Any, loose: Any, ball: Any, sigma: Any, threshold: Any, iterations: Any, centre: Any,
+    normal: Any, tangent: Any, beta: Any, inverse: Any,
 ) -> Any:  # fmt: skip
-    """A quadric grown from a start plane over the ball; its frame touches it at the centre. Returns the number of inliers."""
+    """A quadric grown from a start plane over the ball; its frame touches it at the centre. Returns the number of inliers.
+
+    ``loose``: how far the points may lie from the start plane; what counts as an inlier shrinks from there to the threshold, as fast
+    as the quadric explains the points, so that a surface may bend by more than the threshold within the neighbourhood.
+    """
     near, index, inside = np.empty((4, n)), np.empty(n, np.int64), np.empty(n, np.bool_)
-    plane = start.copy()
+    plane, side, used = start.copy(), np.empty(3), 0
     plane[3] += plane[0] * origin[0] + plane[1] * origin[1] + plane[2] * origin[2]
-    if level_frame(pts, n, origin, plane, sigma, ball, 0.0, threshold, iterations, near, index, inside, centre, normal, tangent) < 0.0:
+    loose = max(loose, threshold)
+    if level_frame(pts, n, origin, plane, sigma, ball, 0.0, loose, iterations, near, index, inside, centre, normal, tangent) < 0.0:
         return 0
-    used = 0
-    side = np.empty(3)
-    for level in range(LEVELS):
+    for level in range(LEVELS + SHRINKS):
         m = coordinates(pts, n, centre, normal, tangent, ball, near, index)
         if level == 0:
-            mark_flat(near, m, threshold, inside)
-            used, _ = refit(near, m, ball, 6, sigma, 0.0, threshold, iterations, inside, beta, inverse)
+            mark_flat(near, m, loose, inside)
+            used, _ = refit(near, m, ball, 6, sigma, 0.0, loose, iterations, inside, beta, inverse)
             if used == 0:
                 return 0
-        used = geometric_refit(near, m, ball, threshold, iterations, sigma, beta, inverse)
+        used, square = geometric_refit(near, m, ball, loose, iterations, sigma, beta, inverse)
         if used == 0:
             return 0
-        if level + 1 < LEVELS and abs(beta[1]) + abs(beta[2]) + abs(beta[0]) / ball > 1e-3:
-            across(normal, tangent, side)
-            length = np.sqrt(1.0 + beta[1] * beta[1] + beta[2] * beta[2])
-            for k in range(3):
-                centre[k] += beta[0] * normal[k]
-                normal[k] = (normal[k] - beta[1] * tangent[k] - beta[2] * side[k]) / length
-            tangent_of(normal, tangent)
-            beta[0], beta[1], beta[2] = 0.0, 0.0, 0.0
-        else:
+        level_now = abs(beta[1]) + abs(beta[2]) + abs(beta[0]) / ball <= 1e-3
+        if loose == threshold and (level_now or level + 1 >= LEVELS):
             break
-    return used
+        loose = max(threshold, min(0.5 * loose, 3.0 * np.sqrt(square)))
+        across(normal, tangent, side)
+        length = np.sqrt(1.0 + beta[1] * beta[1] + beta[2] * beta[2])
+        for k in range(3):
+            centre[k] += beta[0] * normal[k]
+            normal[k] = (normal[k] - beta[1] * tangent[k] - beta[2] * side[k]) / length
+        # the old tangent leaned into the new plane: the quadratic terms belong to these axes
+        along = tangent[0] * normal[0] + tangent[1] * normal[1] + tangent[2] * normal[2]
+        length = np.sqrt(1.0 - along * along)
+        for k in range(3):
+            tangent[k] = (tangent[k] - along * normal[k]) / length
+        beta[0], beta[1], beta[2] = 0.0, 0.0, 0.0
+    return used if loose == threshold else 0
 
 
 @kernel
@@ -158,8 +169,8 @@ def foot_on_quadric(x: Any, centre: Any, normal: Any, tangent: Any, side: Any, b
 
 @kernel
 def quadric_cost(x: Any, m: Any, origin: Any, centre: Any, normal: Any, tangent: Any, beta: Any, limit: Any) -> Any:
-    """Sum of squared distances of points (m, 3) about ``origin``, each at most ``limit``."""
-    side, cost = np.empty(3), 0.0
+    """Sum of squared distances of points (m, 3) about ``origin``, each at most ``limit``; and how many are below it."""
+    side, cost, below = np.empty(3), 0.0, 0
     across(normal, tangent, side)
     for i in range(m):
         u = v = w = 0.0
@@ -170,4 +181,5 @@ def quadric_cost(x: Any, m: Any, origin: Any, centre: Any, normal: Any, tangent:
             w += d * normal[k]
         d = foot_in_frame(u, v, w, beta)[5]
         cost += min(d * d, limit)
-    return cost
+        below += d * d < limit
+    return cost, below

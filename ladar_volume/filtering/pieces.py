@@ -138,8 +138,10 @@ def nearest_pieces(x: Any, m: Any, planes: Any, count: Any, side: Any, limit: An
 
 
 @kernel
-def nearest_planes(x: Any, m: Any, planes: Any, count: Any, limit: Any, label: Any) -> None:
-    """Label every point with its nearest plane, −1 beyond the limit of squared distance."""
+def nearest_planes(x: Any, m: Any, planes: Any, count: Any, limit: Any, label: Any) -> Any:
+    """Label every point with its nearest plane, −1 beyond the limit of squared distance; returns the sum of squares, each at most the
+    limit: never more than that of the distances to the pieces."""
+    square = 0.0
     for i in range(m):
         nearest = limit
         label[i] = -1
@@ -148,6 +150,8 @@ def nearest_planes(x: Any, m: Any, planes: Any, count: Any, limit: Any, label: A
             if d * d < nearest:
                 nearest = d * d
                 label[i] = k
+        square += nearest
+    return square
 
 
 @kernel
@@ -156,20 +160,24 @@ def bounds(x: Any, m: Any, label: Any, planes: Any, count: Any, sigma: Any, side
 
     Points within the noise of the other plane do not tell.
     """
+    above, total = np.zeros((MOST, MOST), np.int64), np.zeros((MOST, MOST), np.int64)
+    for i in range(m):
+        a = label[i]
+        if a < 0:
+            continue
+        for b in range(count):
+            d = distance(x[i], planes[b])
+            if abs(d) > 2.0 * sigma:
+                total[a, b] += 1
+                above[a, b] += d > 0.0
     for a in range(count):
         for b in range(count):
             side[a, b] = 0
-            if a == b:
+            if a == b or total[a, b] < CLEAR:
                 continue
-            above, total = 0, 0
-            for i in range(m):
-                if label[i] == a:
-                    d = distance(x[i], planes[b])
-                    total += abs(d) > 2.0 * sigma
-                    above += d > 2.0 * sigma
-            if total >= CLEAR and above >= ONE_SIDED * total:
+            if above[a, b] >= ONE_SIDED * total[a, b]:
                 side[a, b] = 1
-            elif total >= CLEAR and above <= (1.0 - ONE_SIDED) * total:
+            elif above[a, b] <= (1.0 - ONE_SIDED) * total[a, b]:
                 side[a, b] = -1
 
 
