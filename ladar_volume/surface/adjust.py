@@ -21,6 +21,7 @@ from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, I64, Bool, Tin
 from ladar_volume.surface.locate import barycentric, locate, triangle_index
+from ladar_volume.surface.ordering import hilbert_order
 
 #: Above this number of vertices the factors of a direct solve outgrow the matrix; conjugate gradients then reach the same digits.
 MAX_DIRECT = 20_000
@@ -78,7 +79,8 @@ def fit_of(tin: Tin, points_map: F64, sigma_m: F64 | None = None) -> Fit:
     sigma = np.ones(len(points)) if sigma_m is None else np.asarray(sigma_m, dtype=np.float64)
     if sigma.shape != (len(points),) or not (np.isfinite(sigma) & (sigma > 0)).all():
         raise SurfaceError("every point needs a positive standard deviation", reason="surface_sigma")
-    where = locate(triangle_index(tin, tin.relevant), points[:, :2])
+    order, where = hilbert_order(points[:, :2]), np.empty(len(points), np.int64)
+    where[order] = locate(triangle_index(tin, tin.relevant), points[order, :2])  # neighbours in turn are found faster
     point = np.flatnonzero(where >= 0)
     if len(point) == 0:
         raise SurfaceError("no point lies in a relevant triangle", reason="surface_no_point")

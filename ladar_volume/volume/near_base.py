@@ -25,8 +25,9 @@ from scipy import sparse
 from ladar_volume.ground.polynomial import base_height
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.kernels import kernel, parallel_kernel
-from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
+from ladar_volume.model.records import F64, I32, Bool, Plane, Tin
 from ladar_volume.surface.tin import footprint_areas
+from ladar_volume.volume.neighbourhood import Smooth
 from ladar_volume.volume.prismoids import gather, positive_part
 
 #: A triangle counts as near where its heights come within this many standard deviations of the base.
@@ -165,55 +166,6 @@ def node_covariances(C: Any, triangles: I32) -> F64:
     return out
 
 
-def neighbourhoods(tin: Tin) -> Any:
-    """Sparse (n, n): 1 for each vertex and those an edge away."""
-    n, t = len(tin.vertices), tin.triangles
-    pairs = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
-    links = sparse.csr_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    near = sparse.csr_array(links + links.T + sparse.eye_array(n))
-    near.data[:] = 1.0
-    return near
-
-
-def plane_rows(member: Any, rows: I64, xy: F64) -> Any:
-    """Weights (r, n), sparse, with which the heights of a vertex' neighbourhood, ``member`` (r, n), give the plane's height at it."""
-    x, y = xy.T
-    sums = member @ np.c_[np.ones(len(x)), x, y, x * x, x * y, y * y]
-    n, cx, cy = sums[:, 0], sums[:, 1] / sums[:, 0], sums[:, 2] / sums[:, 0]
-    sxx, sxy, syy = sums[:, 3] - cx * sums[:, 1], sums[:, 4] - cx * sums[:, 2], sums[:, 5] - cy * sums[:, 2]
-    det, dx, dy = sxx * syy - sxy * sxy, x[rows] - cx, y[rows] - cy
-    good = det > 1e-9 * (sxx + syy) ** 2
-    det = np.where(good, det, 1.0)
-    px, py = np.where(good, (syy * dx - sxy * dy) / det, 0.0), np.where(good, (sxx * dy - sxy * dx) / det, 0.0)
-    S, own = member.copy(), np.repeat(np.arange(len(rows)), np.diff(member.indptr))
-    S.data = (1.0 / n - px * cx - py * cy)[own] + px[own] * x[S.indices] + py[own] * y[S.indices]
-    return S
-
-
-def smoother(tin: Tin, h: F64, variance: F64, wanted: Bool, rings: int) -> Any:
-    """Sparse (n, n): each wanted vertex' height as that of a plane through its neighbourhood, the others' as their own.
-
-    A neighbourhood grows ring by ring, up to ``rings``, as long as the squares of its heights about that one are what noise explains
-    (three standard deviations of their sum): it ends where the ground ends or leaves the level.
-    """
-    rows, near = np.flatnonzero(wanted).astype(np.int64), neighbourhoods(tin)
-    xy = tin.vertices[:, :2] - tin.vertices[:, :2].mean(axis=0)
-    S, member, alive = sparse.eye_array(len(h), format="csr"), sparse.eye_array(len(h), format="csr")[rows], np.ones(len(rows), bool)
-    for _ in range(rings if len(rows) else 0):
-        member = sparse.csr_array(member @ near)
-        member.data[:] = 1.0
-        new = plane_rows(member, rows, xy)
-        level = new @ h
-        own, count = np.repeat(np.arange(len(rows)), np.diff(member.indptr)), np.diff(member.indptr)
-        square = np.bincount(own, (h[member.indices] - level[own]) ** 2 / np.maximum(variance[member.indices], 1e-300), len(rows))
-        alive &= square <= count + 3.0 * np.sqrt(2.0 * count)
-        keep = np.ones(len(h))
-        keep[rows[alive]] = 0.0
-        lift = sparse.csr_array((np.ones(alive.sum()), (rows[alive], np.flatnonzero(alive))), shape=(len(h), len(rows)))
-        S = sparse.csr_array(sparse.diags_array(keep) @ S + lift @ new)
-    return S
-
-
 def near_base(tin: Tin, base: Plane, C: Any, mask: Bool | None = None, rings: int = 4) -> NearBase:
     """Correction of cut and fill above ``base`` where the surface runs near it, and the variances of both.
 
@@ -235,9 +187,9 @@ def near_base(tin: Tin, base: Plane, C: Any, mask: Bool | None = None, rings: in
     near = ((h[t] - reach) <= 0).any(axis=1) & ((h[t] + reach) >= 0).any(axis=1) & (reach > 0).any(axis=1)
     wanted = np.zeros(len(h), bool)
     wanted[t[near]] = True
-    S = smoother(tin, h, variance, wanted, rings)
-    value = S @ h
-    mu, s = value[t[near]], np.sqrt((S * S) @ variance)[t[near]]
+    smooth = Smooth(tin, h, variance, wanted, rings)
+    value = smooth.heights
+    mu, s = value[t[near]], np.sqrt(smooth.variance)[t[near]]
     own = np.stack([s[:, i] * s[:, j] for i, j in PACKED], axis=1)  # neighbouring planes share their points: as if fully correlated
     noise = packed[near]
     once, twice, plane = folded(mu, noise), folded(mu, noise + own), folded(mu, own)
@@ -245,7 +197,8 @@ def near_base(tin: Tin, base: Plane, C: Any, mask: Bool | None = None, rings: in
     # how the correction follows the heights through the planes; its kink at zero is smoothed as the planes are
     follow = (2.0 * once[:, 1:4] - twice[:, 1:4] - plane[:, 1:4]) * area[near, None]
     means = folded(value[t], packed)
-    cut = gather((means[:, 1:4] * area[:, None])[..., None], t, len(h))[:, 0] - S.T @ gather(follow[..., None], t[near], len(h))[:, 0]
+    cut = gather((means[:, 1:4] * area[:, None])[..., None], t, len(h))[:, 0]
+    cut = cut - smooth.adjoint(gather(follow[..., None], t[near], len(h))[:, 0])
     net = gather(np.repeat(area / 3.0, 3).reshape(-1, 3, 1), t, len(h))[:, 0]
     full: Any = C if joint else sparse.diags_array(variance)
     curved = second_order(means[:, 4:] * area[:, None], t, full)

@@ -24,8 +24,8 @@ from ladar_volume.volume.near_base import (
     near_base,
     node_covariances,
     second_order,
-    smoother,
 )
+from ladar_volume.volume.neighbourhood import Smooth, adjoint_kernel, smooth_kernel, smoother
 from ladar_volume.volume.prismoids import positive_part, prismoids
 
 LEVEL = design_surface([0.0])
@@ -217,3 +217,23 @@ def test_compiled_kernels_equal_their_plain_twins():
         run(*args, a)
         run.py_func(*args, b)
         assert a == pytest.approx(b, rel=1e-13) and a.any()
+
+
+@pytest.mark.parametrize("truth", [lambda x, y: 0 * x, lambda x, y: np.where(x > 5, 1.0, 0.0), lambda x, y: 0.2 * x * y])
+def test_compiled_neighbourhoods_equal_their_plain_twins(truth):
+    tin = ground(truth)
+    rng = np.random.default_rng(3)
+    variance = rng.uniform(0.5, 2.0, 400) * 0.03**2
+    h = tin.vertices[:, 2] + np.sqrt(variance) * rng.normal(size=400)
+    wanted, g = rng.random(400) < 0.7, rng.normal(size=400)
+    for rings in (0, 1, 4):
+        S = smoother(tin, h, variance, wanted, rings)
+        smooth = Smooth(tin, h, variance, wanted, rings)
+        assert smooth.heights == pytest.approx(S @ h, abs=1e-9) and smooth.variance == pytest.approx((S * S) @ variance, rel=1e-7)
+        assert smooth.adjoint(g) == pytest.approx(S.T @ g, abs=1e-8)
+        rows = smooth._rows
+        plain = smooth_kernel.py_func(smooth._start, smooth._link, smooth._xy, h, variance, rows[:20], rings)
+        assert np.array_equal(plain[0], smooth._ring[:20])
+        assert adjoint_kernel.py_func(smooth._start, smooth._link, smooth._xy, rows, smooth._ring, g) == pytest.approx(S.T @ g, abs=1e-8)
+    line = dataclasses.replace(tin, vertices=np.c_[tin.vertices[:, 0], 0 * h, h])
+    assert np.isfinite(Smooth(line, h, variance, wanted, 4).heights).all()
