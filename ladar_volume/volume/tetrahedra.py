@@ -16,6 +16,7 @@ from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, I32, Bool
 from ladar_volume.model.se3 import skew
+from ladar_volume.surface.intersections import check_simple
 from ladar_volume.surface.topology import Oriented, check_closed, check_mesh, edge_table, orient
 
 
@@ -102,16 +103,19 @@ def part_signs(vertices: F64, mesh: Oriented, volumes: F64) -> F64:
     return np.where(depth % 2 == 1, -1.0, 1.0)
 
 
-def closed_volume(vertices: F64, triangles: I32, pole_map: F64 | None = None) -> ClosedVolume:
+def closed_volume(vertices: F64, triangles: I32, pole_map: F64 | None = None, allow_crossings: bool = False) -> ClosedVolume:
     """Volume of a closed mesh, whatever the orientation its triangles are given in.
 
     vertices : (n, 3) m, map frame · triangles : (m, 3) · pole_map : (3,) m, default the middle of the vertices' box. Parts are oriented
-    outward, cavities inward. Raises :class:`SurfaceError` (see :func:`~ladar_volume.surface.topology.orient`; mesh_open for a mesh with a
-    boundary) and :class:`VolumeError` for a pole that is not three finite numbers.
+    outward, cavities inward. ``allow_crossings``: do not search for triangles that cross; space they enclose twice counts twice. Raises
+    :class:`SurfaceError` (see :func:`~ladar_volume.surface.topology.orient`; mesh_open for a mesh with a boundary,
+    mesh_self_intersecting) and :class:`VolumeError` for a pole that is not three finite numbers.
     """
     v, _ = check_mesh(vertices, triangles)
     mesh = orient(v, triangles)
     check_closed(mesh)
+    if not allow_crossings:
+        check_simple(v, mesh.triangles)
     used = v[np.unique(mesh.triangles)]
     poles = other_poles(used)
     pole = poles[0] if pole_map is None else np.asarray(pole_map, dtype=np.float64)
