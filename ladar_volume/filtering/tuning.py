@@ -85,13 +85,13 @@ def choose(r: F64, parameters: FilterParameters, auto: bool) -> Tuned:
     distance, near = _query(tree, r[at], MOST)
     smooth = _nearest(r[at], r[at], SMOOTH)
     noise, narrow = _noise(r, distance, near, smooth, parameters.seed)
-    whole = float(np.median(noise[:, 1]))
+    regional = noise[:, 0] * np.median(noise[:, 1] / noise[:, 0])
+    whole = float(np.median(regional))
     if not auto:
         limit = max(parameters.outlier_sigmas * whole, parameters.outlier_floor_m)
         balls, zero = np.array([2.0 * parameters.radius_m]), np.zeros(n, np.int64)
         return Tuned(Regions(balls, zero, np.full(n, whole), np.full(n, limit)), parameters.degree)
-    ratio = noise[:, 0] / np.median(noise[:, 0])
-    sigma = whole * np.where(np.abs(ratio - 1.0) > ALIKE, ratio, 1.0)
+    sigma = np.where(np.abs(regional / whole - 1.0) > ALIKE, regional, whole)
     extent = WIDEST * float(np.linalg.norm(np.ptp(r, axis=0)))
     wide = np.maximum(np.minimum(np.median(distance[:, -1][smooth], axis=1), extent), narrow)
     low = float(wide.min()) / STEP**STEPS
