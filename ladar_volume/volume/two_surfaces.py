@@ -135,39 +135,49 @@ def two_surfaces(
         ring, hits_a, hits_b = ring.reversed(), hits_a.reversed(), hits_b.reversed()
     if ring_turn(hits_b.point, s_b) < 0.0:
         raise VolumeError("the scanners see the ring from opposite sides of the surface", reason="ring_sides")
-    drop_a, drop_b = np.zeros(len(a), bool), np.zeros(len(b), bool)
-    for _ in range(MAX_ROUNDS):
-        cut_a, cut_b = cut_surface(a, drop_a, hits_a, s_a, *limits), cut_surface(b, drop_b, hits_b, s_b, *limits)
-        missing = np.union1d(cut_a.missing, cut_b.missing)
-        if len(missing) == 0:
-            break
-        middles = ring.middles(missing)
-        hits_a, hits_b = hits_a.insert(missing, cast(middles, s_a.tin, "A")), hits_b.insert(missing, cast(middles, s_b.tin, "B"))
-        ring = ring.insert(missing, middles)
-        if len(ring) > MAX_RING:
-            break
-    if len(missing):
-        raise VolumeError(
-            f"{len(missing)} edges of the ring cannot be cut into the surfaces: points lie too near the ring; move it", reason="ring_lost",
-            value=len(missing),
-        )  # fmt: skip
-    vertices, triangles = join(cut_a, cut_b, len(ring))
+    ring, hits, cuts = cut_both((a, b), (s_a, s_b), ring, (hits_a, hits_b), limits)
+    vertices, triangles = join(*cuts, len(ring))
     pole = np.asarray(scanner_b if pole_map is None else pole_map, dtype=np.float64)
     check_closed(orient(vertices, triangles))
     total = float(signed_tetrahedra(vertices, triangles, pole).sum())
     poles = other_poles(vertices)
     spread = max(abs(float(signed_tetrahedra(vertices, triangles, q).sum()) - total) for q in poles)
     g = tetrahedra_gradient(vertices, triangles, poles[0])
-    na = len(cut_a.tin.vertices)
+    na = len(cuts[0].tin.vertices)
     gradients = [
-        by_points(part, cut, s, ring, hits, len(points))
-        for part, cut, s, hits, points in ((g[:na], cut_a, s_a, hits_a, a), (g[na:], cut_b, s_b, hits_b, b))
+        by_points(part, cut, s, ring, hit, len(points))
+        for part, cut, s, hit, points in zip((g[:na], g[na:]), cuts, (s_a, s_b), hits, (a, b), strict=True)
     ]
-    area = [surface_area(c.tin.vertices, c.tin.triangles[c.inside]) for c in (cut_a, cut_b)]
-    bridged = [surface_area(c.tin.vertices, c.tin.triangles[c.inside & ~c.tin.relevant]) for c in (cut_a, cut_b)]
+    area = [surface_area(c.tin.vertices, c.tin.triangles[c.inside]) for c in cuts]
+    bridged = [surface_area(c.tin.vertices, c.tin.triangles[c.inside & ~c.tin.relevant]) for c in cuts]
     return TwoSurfaces(
-        total, gradients[0], gradients[1], vertices, triangles, pole, spread, hits_b.distance - hits_a.distance, area[0], area[1],
+        total, gradients[0], gradients[1], vertices, triangles, pole, spread, hits[1].distance - hits[0].distance, area[0], area[1],
         (bridged[0], bridged[1]),
+    )  # fmt: skip
+
+
+def cut_both(
+    points: tuple[F64, F64], scans: tuple[SphericalTin, SphericalTin], ring: Ring, hits: tuple[Hits, Hits], limits: tuple[float, float]
+) -> tuple[Ring, tuple[Hits, Hits], tuple[Cut, Cut]]:
+    """Cut the ring into both surfaces; where an edge of it is in one of them no edge, both get a line midway, until all are.
+
+    Raises :class:`VolumeError` (ring_lost) where that does not end.
+    """
+    (a, b), (s_a, s_b), (hits_a, hits_b) = points, scans, hits
+    drop_a, drop_b = np.zeros(len(a), bool), np.zeros(len(b), bool)
+    for _ in range(MAX_ROUNDS):
+        cut_a, cut_b = cut_surface(a, drop_a, hits_a, s_a, *limits), cut_surface(b, drop_b, hits_b, s_b, *limits)
+        missing = np.union1d(cut_a.missing, cut_b.missing)
+        if len(missing) == 0:
+            return ring, (hits_a, hits_b), (cut_a, cut_b)
+        middles = ring.middles(missing)
+        hits_a, hits_b = hits_a.insert(missing, cast(middles, s_a.tin, "A")), hits_b.insert(missing, cast(middles, s_b.tin, "B"))
+        ring = ring.insert(missing, middles)
+        if len(ring) > MAX_RING:
+            break
+    raise VolumeError(
+        f"{len(missing)} edges of the ring cannot be cut into the surfaces: points lie too near the ring; move it", reason="ring_lost",
+        value=len(missing),
     )  # fmt: skip
 
 
