@@ -10,7 +10,7 @@ from ladar_volume.filtering.pieces import MOST, bounds, distance, fit_plane, nea
 from ladar_volume.model.kernels import kernel
 
 #: Rounds of assignment and refit.
-ROUNDS = 20
+ROUNDS = 8
 #: Share of the points nearest to a plane that must be its own beyond doubt, to be fitted to these alone.
 SURE = 0.25
 #: Least width of the strip of these, as standard deviation in noise sigma.

@@ -1,6 +1,6 @@
 """The order-independent cover: a grid of cells over the whole cloud, each with a surface of its own, in parallel.
 
-Points of one region share the radius of their neighbourhoods. A cell is as wide as half that radius; where regions of several radii
+Points of one region share the radius of their neighbourhoods. A cell is a good half as wide as that radius; where regions of several radii
 meet, each is covered by its own grid over all points.
 """
 
@@ -16,6 +16,8 @@ from ladar_volume.filtering.sampling import sorted_by_voxel
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64, I64, Bool
 
+#: Width of a cell over the radius of its neighbourhood: from half on, the cells two away hold all of it.
+CELL = 0.7
 #: A cell looks for planes within the ball's radius over this; it is offered those of its neighbours too.
 NARROWER = 2.5
 
@@ -64,7 +66,7 @@ def cover(r: F64, regions: Regions, parameters: FilterParameters, degree: int, m
 def _cover_level(
     r: F64, own: Bool, ball: float, regions: Regions, parameters: FilterParameters, degree: int, out: Covered
 ) -> int:  # fmt: skip
-    order, keys, first, table = sorted_by_voxel(r, ball / 2)
+    order, keys, first, table = sorted_by_voxel(r, CELL * ball)
     ordered, mine = r[order], own[order]
     wanted = np.add.reduceat(mine, first[:-1], dtype=np.int64) > 0
     near = np.zeros(len(keys), np.bool_)

@@ -12,6 +12,8 @@ from ladar_volume.model.kernels import kernel
 
 #: Re-levelling of a quadric's frame.
 LEVELS = 3
+#: Most steps of an orthogonal fit in one frame: on a surface that is a quadric two suffice.
+STEPS = 3
 #: Most reductions of what counts as an inlier.
 SHRINKS = 24
 
@@ -121,7 +123,7 @@ def quadric_from(
             used, _ = refit(near, m, ball, 6, sigma, 0.0, loose, iterations, inside, beta, inverse)
             if used == 0:
                 return 0
-        used, square = geometric_refit(near, m, ball, loose, iterations, sigma, beta, inverse)
+        used, square = geometric_refit(near, m, ball, loose, min(iterations, STEPS), sigma, beta, inverse)
         if used == 0:
             return 0
         level_now = abs(beta[1]) + abs(beta[2]) + abs(beta[0]) / ball <= 1e-3
