@@ -140,10 +140,11 @@ def choose_planes(
     x: Any, m: Any, candidates: Any, offered: Any, sigma: Any, threshold: Any, least: Any, most: Any, planes: Any, means: Any,
     inverses: Any, used: Any, side: Any, label: Any,
 ) -> Any:  # fmt: skip
-    """The planes, at most ``most``, among the ``offered`` candidates whose pieces together describe the points (m, 3) best, refined. Returns their number.
+    """The planes, at most ``most``, among the ``offered`` candidates whose pieces together describe the points (m, 3) best, refined.
 
-    A plane costs its three parameters (BIC) and needs more support than outliers give any slab. At most ``SEEN`` points are looked at.
-    The search ends in a best choice of its neighbourhood only, so two are made: polishing after every move helps one, hinders another.
+    Returns their number. A plane costs its three parameters (BIC) and needs more support than outliers give any slab. At most ``SEEN``
+    points are looked at. A search ends in a best choice of its neighbourhood only, so there may be two: polishing after every move
+    helps one and hinders another.
     """
     stride = (m + SEEN - 1) // SEEN
     y = x[:m:stride]

@@ -24,7 +24,8 @@ def geometric_refit(near: Any, m: Any, ball: Any, threshold: Any, iterations: An
 
     A fit of heights over the points' own u and v is biased on a curved surface: noise moves a point across the slope and along
     the surface at once (errors in variables). Rows at the foot points do not depend on the noise. near (4, m): u / ball,
-    v / ball, w. ``inverse`` comes back as ``(Σ x xᵀ / (1 + slope²))⁻¹``. Returns (number of inliers, their mean square), 0 where undetermined.
+    v / ball, w. ``inverse`` comes back as ``(Σ x xᵀ / (1 + slope²))⁻¹``. Returns (number of inliers, their mean
+    square), 0 where undetermined.
     """
     A, b = np.zeros((6, 6)), np.zeros(6)
     reach = ball * max(1.0 - threshold / ball, 0.5)

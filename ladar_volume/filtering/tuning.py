@@ -72,6 +72,7 @@ class Tuned:
         }  # fmt: skip
         if len(used) > 1:
             out |= {"least_radius_m": float(used.min()) / 2, "largest_radius_m": float(used.max()) / 2}
+        if np.ptp(self.regions.sigma_m) > 0.0:
             out |= {"least_noise_m": float(self.regions.sigma_m.min()), "largest_noise_m": float(self.regions.sigma_m.max())}
         return out
 

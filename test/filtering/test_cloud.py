@@ -94,7 +94,7 @@ def test_noise_of_regions_is_told_apart():
 
 def test_density_of_regions_is_told_apart():
     rng = np.random.default_rng(3)
-    xy = np.concatenate([rng.uniform(-4, 4, (8000, 2)), rng.uniform(-0.5, 0.5, (20000, 2)) + [10.0, 0.0]])
+    xy = np.concatenate([rng.uniform(-4, 4, (8000, 2)), rng.uniform([9.5, -0.5], [10.5, 0.5], (20000, 2))])
     result = filter_cloud(np.column_stack([xy, 0.005 * rng.normal(size=len(xy))]), FilterParameters(), auto=True)
     assert result.report["least_radius_m"] < 0.5 * result.report["largest_radius_m"]
     assert len(result.index) > 0.99 * len(xy)

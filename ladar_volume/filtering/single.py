@@ -1,0 +1,126 @@
+"""One surface for a neighbourhood: the plane or quadric that needs no company, if there is one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ladar_volume.filtering import pieces
+from ladar_volume.filtering.fit import start_plane
+from ladar_volume.filtering.frame import across, tangent_of
+from ladar_volume.filtering.linear import basis, invert
+from ladar_volume.filtering.osculating import quadric_cost, quadric_from
+from ladar_volume.filtering.store import _mix
+from ladar_volume.model.kernels import kernel
+
+#: A bent surface is sought from a plane over the ball's radius over this, the best of so many.
+BENT, TRIALS = 3.0, 60
+#: Most refits of a plane.
+STEADY = 6
+#: Share of the points that one surface must explain, with no more than the noise left, to need no further search.
+EXPLAINS = 0.85
+
+
+@kernel
+def nearest_to_origin(planes: Any, count: Any) -> Any:
+    """The plane that passes the origin most closely."""
+    best = 0
+    for a in range(count):
+        if abs(planes[a, 3]) < abs(planes[best, 3]):
+            best = a
+    return best
+
+
+@kernel
+def loose_plane(x: Any, m: Any, reach: Any, key: Any, plane: Any) -> Any:
+    """Least median of squares plane of the points (m, 3) within ``reach`` of the origin; returns its robust sigma, −1 for none."""
+    near, work, n = np.empty((3, m)), np.empty(m), 0
+    for i in range(m):
+        if x[i, 0] ** 2 + x[i, 1] ** 2 + x[i, 2] ** 2 <= reach * reach:
+            near[:, n] = x[i]
+            n += 1
+    return start_plane(near, n, 3, TRIALS, False, 0.0, _mix(np.uint64(key)), plane, work) if n > 8 else -1.0
+
+
+@kernel
+def bent(x: Any, m: Any, label: Any, plane: Any, mean: Any, ball: Any) -> Any:
+    """By how much quadratic terms would lower the squares of the points labelled 0 about their plane."""
+    A, inverted, b, row = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros(6), np.zeros(6)
+    tangent, side = np.empty(3), np.empty(3)
+    tangent_of(plane[:3], tangent)
+    across(plane[:3], tangent, side)
+    for i in range(m):
+        if label[i] == 0:
+            u = v = 0.0
+            for k in range(3):
+                u += (x[i, k] - mean[k]) * tangent[k] / ball
+                v += (x[i, k] - mean[k]) * side[k] / ball
+            basis(u, v, 6, row)
+            d = pieces.distance(x[i], plane)
+            for k in range(6):
+                b[k] += row[k] * d
+                for l in range(k + 1):
+                    A[k, l] += row[k] * row[l]
+    for k in range(6):
+        for l in range(k):
+            A[l, k] = A[k, l]
+    gain = 0.0
+    if invert(A, 6, inverted):
+        for k in range(6):
+            for l in range(6):
+                gain += b[k] * inverted[k, l] * b[l]
+    return gain
+
+
+@kernel
+def flat(
+    x: Any, m: Any, ball: Any, sigma: Any, threshold: Any, price: Any, plane: Any, mean: Any, inverse: Any, label: Any
+) -> Any:  # fmt: skip
+    """Whether one plane describes the points (m, 3): it explains most of them, leaves no more than the noise, and quadratic terms would
+    lower its squares by less than their price. Refits ``plane``; returns (1 or 0, number of its points, sum of truncated squares)."""
+    used, near, square = 0, -1, 0.0
+    for _ in range(STEADY):
+        count, square = 0, 0.0
+        for i in range(m):
+            d = pieces.distance(x[i], plane)
+            label[i] = 0 if abs(d) <= threshold else -1
+            count += label[i] == 0
+            square += d * d if label[i] == 0 else 0.0
+        if count == near:
+            break
+        near = count
+        used, _ = pieces.fit_plane(x, m, label, 0, plane, mean, inverse)
+        if used < EXPLAINS * m:
+            return 0, used, 0.0
+    if square > used * sigma * sigma * (1.0 + 2.0 / np.sqrt(used)):
+        return 0, used, 0.0
+    gain = bent(x, m, label, plane, mean, ball)
+    return np.int64(gain < price), used, square + (m - used) * threshold * threshold
+
+
+@kernel
+def bend(
+    x: Any, m: Any, n: Any, r: Any, slots: Any, origin: Any, key: Any, candidates: Any, offered: Any, ball: Any, sigma: Any, threshold: Any,
+    least: Any, iterations: Any, centre: Any, normal: Any, tangent: Any, beta: Any, inverse: Any,
+) -> Any:  # fmt: skip
+    """A quadric for the cell. Returns (its sum of truncated squares, infinite for none; how many planes may compete with it): where it
+    leaves no more than the noise, none: several planes, which cost no less than it, have nothing to gain."""
+    start, loose, most = np.empty(4), 0.0, least
+    if offered > 0:
+        start[:] = candidates[nearest_to_origin(candidates, offered)]
+    else:  # no plane within the threshold: a surface that bends by more than its noise, or none; half of the points must say so
+        loose, most = loose_plane(x, m, ball / BENT, key, start), m // 2
+        if loose < 0.0:
+            return np.inf, pieces.MOST
+    pts = np.empty((n, 3))
+    for i in range(n):
+        pts[i] = r[slots[i]]
+    inliers = quadric_from(
+        pts, n, origin, start, 3.0 * loose, ball, sigma, threshold, iterations, centre, normal, tangent, beta, inverse
+    )  # fmt: skip
+    if inliers < max(most, 8):
+        return np.inf, pieces.MOST
+    cost, near = quadric_cost(x, m, origin, centre, normal, tangent, beta, threshold * threshold)
+    leaves = (cost - (m - near) * threshold * threshold) / (near * sigma * sigma)
+    return cost, 0 if near > EXPLAINS * m and leaves < 1.0 + 2.0 / np.sqrt(near) else pieces.MOST
