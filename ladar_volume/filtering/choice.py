@@ -16,6 +16,8 @@ CHANCE = 0.03
 SEEN = 250
 #: Mean truncated square over sigma² of a choice that need not be searched for again: noise, and outliers of a few per cent.
 ENOUGH = 1.25
+#: So many planes that still leave this mean truncated square over sigma² do not describe a surface: leaves, grass, cables.
+SEVERAL, CLUTTER = 3, 3.0
 #: Most candidates tried in all combinations.
 TRIED = 10
 
@@ -94,7 +96,7 @@ def search(
     label: Any,
 ) -> Any:  # fmt: skip
     """At most ``most`` planes, added, exchanged and dropped one at a time, whatever shortens the description most; ``polish``:
-    refitted after every such move. Returns (number of planes, description length)."""
+    refitted after every such move; none for clutter. Returns (number of planes, description length)."""
     trial, best_set, mean, inverse = np.empty((MOST, 4)), np.empty((MOST, 4)), np.empty(3), np.empty((3, 3))
     limit = threshold * threshold
     count, cost = 0, limit * m
@@ -120,6 +122,8 @@ def search(
             break
         count, cost = best_count, best
         planes[:count] = best_set[:count]
+        if count >= SEVERAL and cost > CLUTTER * m * sigma * sigma:
+            return 0, np.inf
         if not polish:
             continue
         nearest_planes(y, n, planes, count, limit, label)

@@ -122,5 +122,7 @@ def bend(
     if inliers < max(most, 8):
         return np.inf, pieces.MOST
     cost, near = quadric_cost(x, m, origin, centre, normal, tangent, beta, threshold * threshold)
+    if near < m // 2:
+        return np.inf, pieces.MOST
     leaves = (cost - (m - near) * threshold * threshold) / (near * sigma * sigma)
     return cost, 0 if near > EXPLAINS * m and leaves < 1.0 + 2.0 / np.sqrt(near) else pieces.MOST

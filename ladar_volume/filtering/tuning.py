@@ -29,6 +29,8 @@ PLATE = 5.0
 LOW = 0.2
 #: Noise that differs from the whole cloud's by less than this share is the whole cloud's.
 ALIKE = 0.15
+#: More than this many times the cloud's noise is no noise but leaves and branches.
+CLUTTER = 5.0
 #: Noise is larger where surfaces leave this much more of it, in squares, than elsewhere.
 NOISIER = 1.4
 #: Threshold in sigma: from three on the variance of what is left within it is that of the noise.
@@ -92,7 +94,7 @@ def choose(r: F64, parameters: FilterParameters, auto: bool) -> Tuned:
         limit = max(parameters.outlier_sigmas * whole, parameters.outlier_floor_m)
         balls, zero = np.array([2.0 * parameters.radius_m]), np.zeros(n, np.int64)
         return Tuned(Regions(balls, zero, np.full(n, whole), np.full(n, limit)), parameters.degree)
-    sigma = np.where(np.abs(regional / whole - 1.0) > ALIKE, regional, whole)
+    sigma = np.where((np.abs(regional / whole - 1.0) > ALIKE) & (regional < CLUTTER * whole), regional, whole)
     extent = WIDEST * float(np.linalg.norm(np.ptp(r, axis=0)))
     wide = np.maximum(np.minimum(np.median(distance[:, -1][smooth], axis=1), extent), narrow)
     low = float(wide.min()) / STEP**STEPS
