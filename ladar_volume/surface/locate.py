@@ -14,10 +14,13 @@ import numpy as np
 
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.kernels import kernel, parallel_kernel
-from ladar_volume.model.records import F64, I64, Bool, Tin
+from ladar_volume.model.records import F64, I32, I64, Bool, Tin
+from ladar_volume.surface.ordering import radix_order
 from ladar_volume.surface.predicates import orientation, workspace
 
 LEAF = 4
+#: Steps of the curve's grid per axis, as a power of two.
+CURVE_BITS = 20
 #: Parts that are worked on independently; fixed, so that results do not depend on the number of threads.
 CHUNKS = 32
 
@@ -34,14 +37,14 @@ class TriangleIndex:
 
 @kernel
 def curve_keys(centres: F64) -> I64:
-    """Position of points (m, 2) along a Z-curve over their bounding box: (m,) int64."""
+    """Position of points (m, 2) along a Z-curve over their bounding box: (m,), :data:`CURVE_BITS` bits per axis, int64."""
     m = len(centres)
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for i in range(m):
         for c in range(2):
             low[c], high[c] = min(low[c], centres[i, c]), max(high[c], centres[i, c])
     size = max(high[0] - low[0], high[1] - low[1])
-    scale = 1048575.0 / size if size > 0.0 else 0.0
+    scale = (2.0**CURVE_BITS - 1.0) / size if size > 0.0 else 0.0
     out = np.empty(m, np.int64)
     for i in range(m):
         key = 0
@@ -54,6 +57,28 @@ def curve_keys(centres: F64) -> I64:
             v = (v | (v << 1)) & 0x5555555555555555
             key |= v << c
         out[i] = key
+    return out
+
+
+@kernel
+def centres_of(vertices: F64, triangles: I32, chosen: I64) -> F64:
+    """Centres (m, 2) of the footprints of triangles ``chosen`` (m,)."""
+    out = np.empty((len(chosen), 2))
+    for i in range(len(chosen)):
+        a, b, c = triangles[chosen[i], 0], triangles[chosen[i], 1], triangles[chosen[i], 2]
+        for k in range(2):
+            out[i, k] = (vertices[a, k] + vertices[b, k] + vertices[c, k]) / 3.0
+    return out
+
+
+@kernel
+def corners_of(vertices: F64, triangles: I32, chosen: I64) -> F64:
+    """Corners (m, 3, 2) of the footprints of triangles ``chosen`` (m,)."""
+    out = np.empty((len(chosen), 3, 2))
+    for i in range(len(chosen)):
+        for k in range(3):
+            v = triangles[chosen[i], k]
+            out[i, k, 0], out[i, k, 1] = vertices[v, 0], vertices[v, 1]
     return out
 
 
@@ -80,13 +105,13 @@ def triangle_index(tin: Tin, mask: Bool | None = None) -> TriangleIndex:
     chosen = np.arange(len(tin.triangles), dtype=np.int64) if mask is None else np.flatnonzero(mask).astype(np.int64)
     if len(chosen) == 0:
         raise SurfaceError("there is no triangle to look in", reason="surface_no_relevant")
-    corners = tin.vertices[:, :2][tin.triangles[chosen]]
-    order = np.argsort(curve_keys(corners.mean(axis=1)), kind="stable")
-    corners = np.ascontiguousarray(corners[order])
+    keys = curve_keys(centres_of(tin.vertices, tin.triangles, chosen))
+    order = chosen[radix_order(keys.view(np.uint64), 2 * CURVE_BITS)]
+    corners = corners_of(tin.vertices, tin.triangles, order)
     leaves = 1
     while leaves * LEAF < len(corners):
         leaves *= 2
-    return TriangleIndex(chosen[order], corners, build_boxes(corners, leaves))
+    return TriangleIndex(order, corners, build_boxes(corners, leaves))
 
 
 @kernel

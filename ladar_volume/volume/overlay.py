@@ -12,11 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.model.records import F64, Tin
+from ladar_volume.model.kernels import kernel
+from ladar_volume.model.records import F64, I32, I64, Tin
 from ladar_volume.surface.locate import TriangleIndex, triangle_index
 from ladar_volume.volume.overlay_kernel import overlay_kernel
-from ladar_volume.volume.polygon import height_slopes
-from ladar_volume.volume.prismoids import gather
 
 
 @dataclass(frozen=True)
@@ -52,41 +51,81 @@ class Between:
         return self.lower_cut - self.lower_fill
 
 
-def integrals(subject: Tin, index: TriangleIndex, other: Tin, other_index: TriangleIndex, sign: float) -> F64:
-    """:func:`overlay_kernel` of two surfaces, in the order of the subject's tree."""
-    z = np.ascontiguousarray(subject.vertices[:, 2][subject.triangles[index.order]])
-    other_z = np.ascontiguousarray(other.vertices[:, 2][other.triangles[other_index.order]])
-    return np.asarray(overlay_kernel(index.corners, z, other_index.corners, other_z, other_index.boxes, sign))
+def integrals(subject: Tin, index: TriangleIndex, other: Tin, other_index: TriangleIndex, sign: float, both: bool) -> tuple[F64, F64]:
+    """:func:`overlay_kernel` of two surfaces, in the order of their trees."""
+    z, zo = (
+        corner_heights(subject.vertices, subject.triangles, index.order),
+        corner_heights(other.vertices, other.triangles, other_index.order),
+    )
+    neighbours = placed_neighbours(other.neighbours, other_index.order)
+    one, two = overlay_kernel(index.corners, z, other_index.corners, zo, neighbours, other_index.boxes, sign, both)
+    return np.asarray(one), np.asarray(two)
 
 
-def vertex_gradient(tin: Tin, index: TriangleIndex, parts: F64) -> F64:
-    """Gradient (n, 3) m² from integrals (m, 4) of the barycentric coordinates: vertical ``∫λ``, horizontal ``−∫λ`` times the
-    surface's own slope."""
-    triangles = tin.triangles[index.order]
-    with np.errstate(divide="ignore", invalid="ignore"):  # slivers whose area rounds to nothing have no slope, and no share
-        slopes = np.nan_to_num(height_slopes(index.corners, tin.vertices[:, 2][triangles]), nan=0.0, posinf=0.0, neginf=0.0)
-    w = np.stack([parts[:, 0] - parts[:, 2] - parts[:, 3], parts[:, 2], parts[:, 3]], axis=1)
-    corner = np.concatenate([-w[..., None] * slopes[:, None], w[..., None]], axis=2)
-    return gather(corner, triangles, len(tin.vertices))
+@kernel
+def corner_heights(vertices: F64, triangles: I32, order: I64) -> F64:
+    """Heights (m, 3) of the corners of triangles ``order`` (m,)."""
+    out = np.empty((len(order), 3))
+    for i in range(len(order)):
+        for k in range(3):
+            out[i, k] = vertices[triangles[order[i], k], 2]
+    return out
+
+
+@kernel
+def placed_neighbours(neighbours: I32, order: I64) -> I64:
+    """Neighbours (m, 3) of triangles ``order`` (m,) as places in that order; −1 where there is none or it is not in the order."""
+    place = np.full(len(neighbours), -1, np.int64)
+    for i in range(len(order)):
+        place[order[i]] = i
+    out = np.empty((len(order), 3), np.int64)
+    for i in range(len(order)):
+        for k in range(3):
+            t = neighbours[order[i], k]
+            out[i, k] = place[t] if t >= 0 else -1
+    return out
+
+
+@kernel
+def vertex_gradients(vertices: F64, triangles: I32, order: I64, corners: F64, parts: F64, sign: float) -> F64:
+    """Gradients (2, n, 3) m² above and below from integrals (m, 2, 3 or more) of 1 and of the second and third barycentric coordinate of
+    triangles ``order`` (m,): vertical ``∫λ``, horizontal ``−∫λ`` times the surface's own slope; above with ``sign``, below against it."""
+    out = np.zeros((2, len(vertices), 3))
+    for i in range(len(order)):
+        a, b, c = triangles[order[i], 0], triangles[order[i], 1], triangles[order[i], 2]
+        ux, uy = corners[i, 1, 0] - corners[i, 0, 0], corners[i, 1, 1] - corners[i, 0, 1]
+        vx, vy = corners[i, 2, 0] - corners[i, 0, 0], corners[i, 2, 1] - corners[i, 0, 1]
+        p, q, det = vertices[b, 2] - vertices[a, 2], vertices[c, 2] - vertices[a, 2], ux * vy - uy * vx
+        sx, sy = (p * vy - q * uy) / det, (q * ux - p * vx) / det
+        if not (np.isfinite(sx) and np.isfinite(sy)):  # slivers whose area rounds to nothing have no slope, and no share
+            sx = sy = 0.0
+        for side in range(2):
+            one, two = parts[i, side, 1], parts[i, side, 2]
+            for v, share in ((a, parts[i, side, 0] - one - two), (b, one), (c, two)):
+                weight = share * sign * (1.0 - 2.0 * side)
+                out[side, v, 0] -= weight * sx
+                out[side, v, 1] -= weight * sy
+                out[side, v, 2] += weight
+    return out
 
 
 def between(upper: Tin, lower: Tin, gradients: bool = True) -> Between:
     """Cut and fill of ``upper`` against ``lower`` over the intersection of their footprints (relevant triangles, counter-clockwise).
 
-    Without ``gradients``, which take a second overlay, these are zero. Raises :class:`VolumeError` where a surface has no relevant
-    triangle or the two have no area in common.
+    Without ``gradients`` these are zero. Raises :class:`VolumeError` where a surface has no relevant triangle or the two have no area in
+    common.
     """
     if not upper.relevant.any() or not lower.relevant.any():
         raise VolumeError("a surface has no relevant triangle", reason="volume_no_triangle")
     one, two = triangle_index(upper, upper.relevant), triangle_index(lower, lower.relevant)
-    parts = integrals(upper, one, lower, two, 1.0)
-    (area_cut, cut), (area_fill, fill) = parts[:, :, :2].sum(axis=0)
+    parts, back = integrals(upper, one, lower, two, 1.0, gradients)
+    (area_cut, _, _, cut), (area_fill, _, _, fill) = parts.sum(axis=0)
     area = float(area_cut + area_fill)
     if area <= 0.0:
         raise VolumeError("the two surfaces have no area in common", reason="volume_no_common_footprint")
     g = [np.zeros_like(upper.vertices), np.zeros_like(upper.vertices), np.zeros_like(lower.vertices), np.zeros_like(lower.vertices)]
     if gradients:
-        back = integrals(lower, two, upper, one, -1.0)
-        g = [vertex_gradient(upper, one, parts[:, 0]), -vertex_gradient(upper, one, parts[:, 1])]
-        g += [-vertex_gradient(lower, two, back[:, 0]), vertex_gradient(lower, two, back[:, 1])]
+        up = vertex_gradients(upper.vertices, upper.triangles, one.order, one.corners, parts, 1.0)
+        down = vertex_gradients(lower.vertices, lower.triangles, two.order, two.corners, back, -1.0)
+        g = [up[0], up[1], down[0], down[1]]
     return Between(float(cut), float(fill), area, *g)

@@ -1,4 +1,10 @@
-"""Kernels of the overlay of two triangulations: pairs of triangles, clipped and integrated."""
+"""Kernels of the overlay of two triangulations: pairs of triangles, clipped and integrated.
+
+For each triangle of one surface (the subject) those of the other that it meets are found from neighbour to neighbour: where a piece
+was cut off by an edge, the triangle beyond that edge comes next. What the pieces found so leave of the subject's area - at the rim of
+the other surface, over its holes, where very many small triangles lie below a large one - sends the subject to the other surface's
+tree instead, so nothing depends on the walk being complete.
+"""
 
 from __future__ import annotations
 
@@ -6,185 +12,201 @@ import numba
 import numpy as np
 
 from ladar_volume.model.kernels import kernel, parallel_kernel
-from ladar_volume.model.records import F64
+from ladar_volume.model.records import F64, I64
 from ladar_volume.surface.locate import CHUNKS, search
+from ladar_volume.volume.pieces import CORNERS, add_piece, clip_pair
 
-#: Corners a ring can have: a triangle clipped by three lines, and some for rounding.
-CORNERS = 12
-#: Triangles that are looked up in the other surface's tree together.
-GROUP = 4
-
-
-@kernel
-def clip_line(n: int, source: F64, ux: float, uy: float, px: float, py: float, target: F64) -> int:
-    """The part of a ring, x and y in rows of ``source`` (2, n or more), to the left of the line through p along u, into ``target``;
-    returns its length."""
-    m, last = 0, n - 1
-    before = ux * (source[1, last] - py) - uy * (source[0, last] - px)
-    for i in range(n):
-        x, y = source[0, i], source[1, i]
-        f = ux * (y - py) - uy * (x - px)
-        if (f > 0.0 and before < 0.0) or (f < 0.0 and before > 0.0):
-            s = before / (before - f)
-            target[0, m] = source[0, last] + s * (x - source[0, last])
-            target[1, m] = source[1, last] + s * (y - source[1, last])
-            m += 1
-        if f >= 0.0:
-            target[0, m], target[1, m] = x, y
-            m += 1
-        before, last = f, i
-    return m
+#: Steps of a walk to a triangle's centre and triangles met below one, beyond which the tree is asked.
+STEPS, FEW = 1024, 96
+#: Part of a triangle's area that pieces may miss by rounding.
+MISSED = 1e-9
+#: Pieces whose integrals wait to be added to the other surface's triangles, per chunk. Only one thread adds, always in the same order.
+WAITING = 4096
 
 
 @kernel
-def tip(d0: float, d1: float, d2: float) -> tuple[float, float, float, float]:
-    """Over the tip of a triangle at its corner 0, cut off by the zero line of the linear function with corner values d: means over the
-    whole triangle of the function and of the three barycentric coordinates, each counted on the tip only (seed 000 section 4.1)."""
-    s, t = d0 / (d0 - d1), d0 / (d0 - d2)
-    share = s * t
-    one, two = share * s / 3.0, share * t / 3.0
-    return share * d0 / 3.0, share - one - two, one, two
+def walk(corners: F64, neighbours: I64, start: int, x: float, y: float) -> int:
+    """Triangle that holds a point, or borders it by rounding, walking from triangle ``start``; −1 where the walk ends elsewhere."""
+    t = start
+    for _ in range(STEPS):
+        if t < 0:
+            return -1
+        leave = -1
+        for k in range(3):
+            i, j = (k + 1 if k < 2 else 0), (k - 1 if k > 0 else 2)
+            px, py = corners[t, i, 0], corners[t, i, 1]
+            if (corners[t, j, 0] - px) * (y - py) - (corners[t, j, 1] - py) * (x - px) < 0.0:
+                leave = k
+                break
+        if leave < 0:
+            return t
+        t = neighbours[t, leave]
+    return -1
 
 
 @kernel
-def add_fan(area: float, d: F64, p: F64, q: F64, i: int, out: F64, t: int) -> None:
-    """Adds the fan triangle of a ring's corners 0, i, i + 1 to ``out[t]`` (2, 4): above and below the zero of d, the area, ∫|d|, ∫p, ∫q."""
-    j = i + 1
-    d0, d1, d2 = d[0], d[i], d[j]
-    mean_d, mean_p, mean_q = (d0 + d1 + d2) / 3.0, (p[0] + p[i] + p[j]) / 3.0, (q[0] + q[i] + q[j]) / 3.0
-    if d0 >= 0.0 and d1 >= 0.0 and d2 >= 0.0:
-        side, lone = 0, -1
-    elif d0 <= 0.0 and d1 <= 0.0 and d2 <= 0.0:
-        side, lone = 1, -1
-    else:  # one corner is alone on its side of zero: the one whose sign no other shares
-        a0, a1, a2 = d0 > 0.0, d1 > 0.0, d2 > 0.0
-        lone = 0 if a1 == a2 else (1 if a0 == a2 else 2)
-        side = 1 if (a0, a1, a2)[lone] else 0
-    out[t, side, 0] += area
-    out[t, side, 1] += area * (mean_d if side == 0 else -mean_d)
-    out[t, side, 2] += area * mean_p
-    out[t, side, 3] += area * mean_q
-    if lone < 0:
-        return
-    if lone == 0:
-        mean, w0, w1, w2 = tip(d0, d1, d2)
-    elif lone == 1:
-        mean, w1, w2, w0 = tip(d1, d2, d0)
-    else:
-        mean, w2, w0, w1 = tip(d2, d0, d1)
-    share, mean_p, mean_q = w0 + w1 + w2, w0 * p[0] + w1 * p[i] + w2 * p[j], w0 * q[0] + w1 * q[i] + w2 * q[j]
-    other = 1 - side
-    out[t, other, 0] += area * share
-    out[t, other, 1] += area * abs(mean)
-    out[t, other, 2] += area * mean_p
-    out[t, other, 3] += area * mean_q
-    out[t, side, 0] -= area * share
-    out[t, side, 1] += area * abs(mean)  # the signed mean held the tip with the other sign
-    out[t, side, 2] -= area * mean_p
-    out[t, side, 3] -= area * mean_q
-
-
-@kernel
-def apart(a: F64, b: F64) -> bool:
-    """Whether an edge of triangle a (3, 2), counter-clockwise, has all of triangle b on its outer side."""
+def shift(corners: F64, t: int, x0: float, y0: float, a: F64) -> None:
+    """Triangle t about a point, into ``a`` (3, 2): differences of large map coordinates are exact or nearly so, their products are not."""
     for k in range(3):
-        j = k + 1 if k < 2 else 0
-        ux, uy, px, py = a[j, 0] - a[k, 0], a[j, 1] - a[k, 1], a[k, 0], a[k, 1]
-        if (
-            ux * (b[0, 1] - py) - uy * (b[0, 0] - px) <= 0.0
-            and ux * (b[1, 1] - py) - uy * (b[1, 0] - px) <= 0.0
-            and ux * (b[2, 1] - py) - uy * (b[2, 0] - px) <= 0.0
-        ):
-            return True
-    return False
+        a[k, 0], a[k, 1] = corners[t, k, 0] - x0, corners[t, k, 1] - y0
 
 
 @kernel
-def add_pair(a: F64, za: F64, t: int, b: F64, zb: F64, o: int, sign: float, one: F64, two: F64, d: F64, p: F64, q: F64, out: F64) -> None:
-    """Adds what two triangles a, b (3, 2) with heights za[t], zb[o] have in common to ``out[t]`` (2, 4); a has its corner 0 at the
-    origin. The ring's coordinates p, q in the triangle a, kept within it, give the difference of heights d; the rest is scratch."""
-    for i in range(3):
-        one[0, i], one[1, i] = a[i, 0], a[i, 1]
-    n = clip_line(3, one, b[1, 0] - b[0, 0], b[1, 1] - b[0, 1], b[0, 0], b[0, 1], two)
-    n = clip_line(n, two, b[2, 0] - b[1, 0], b[2, 1] - b[1, 1], b[1, 0], b[1, 1], one) if n > 0 else 0
-    n = clip_line(n, one, b[0, 0] - b[2, 0], b[0, 1] - b[2, 1], b[2, 0], b[2, 1], two) if n > 0 else 0
-    ux, uy, vx, vy = b[1, 0] - b[0, 0], b[1, 1] - b[0, 1], b[2, 0] - b[0, 0], b[2, 1] - b[0, 1]
-    area_a, area_b = a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0], ux * vy - uy * vx
-    if n < 3 or area_a <= 0.0 or area_b <= 0.0:  # a sliver whose area rounds to nothing holds no volume
-        return
-    area_a, area_b = 1.0 / area_a, 1.0 / area_b
-    for i in range(n):
-        x, y = two[0, i], two[1, i]
-        p[i] = min(max((x * a[2, 1] - y * a[2, 0]) * area_a, 0.0), 1.0)
-        q[i] = min(max((a[1, 0] * y - a[1, 1] * x) * area_a, 0.0), 1.0 - p[i])
-        dx, dy = x - b[0, 0], y - b[0, 1]
-        r = min(max((dx * vy - dy * vx) * area_b, 0.0), 1.0)
-        s = min(max((ux * dy - uy * dx) * area_b, 0.0), 1.0 - r)
-        high = p[i] * (za[t, 1] - za[t, 0]) + q[i] * (za[t, 2] - za[t, 0]) - r * (zb[o, 1] - zb[o, 0]) - s * (zb[o, 2] - zb[o, 0])
-        d[i] = sign * ((za[t, 0] - zb[o, 0]) + high)
-    for i in range(1, n - 1):
-        ex, ey = two[0, i] - two[0, 0], two[1, i] - two[1, 0]
-        area = 0.5 * (ex * (two[1, i + 1] - two[1, 0]) - ey * (two[0, i + 1] - two[0, 0]))
-        add_fan(area, d, p, q, i, out, t)
+def note(pair: F64, o: int, ids: I64, rows: F64, chunk: int, used: int) -> int:
+    """Keeps a piece's integrals by the other surface for later; returns how many are kept."""
+    ids[chunk, used] = o
+    for side in range(2):
+        rows[chunk, used, 3 * side] = pair[side, 0]
+        rows[chunk, used, 3 * side + 1], rows[chunk, used, 3 * side + 2] = pair[side, 4], pair[side, 5]
+    return used + 1
 
 
 @kernel
-def boxes_of(corners: F64) -> F64:
-    """Boxes (m, 4) of triangles (m, 3, 2): low x, low y, high x, high y."""
-    out = np.empty((len(corners), 4))
-    for t in range(len(corners)):
-        for c in range(2):
-            out[t, c] = min(corners[t, 0, c], corners[t, 1, c], corners[t, 2, c])
-            out[t, 2 + c] = max(corners[t, 0, c], corners[t, 1, c], corners[t, 2, c])
-    return out
+def along_neighbours(
+    t: int,
+    start: int,
+    corners: F64,
+    z: F64,
+    other: F64,
+    zo: F64,
+    neighbours: I64,
+    sign: float,
+    a: F64,
+    b: F64,
+    w: F64,
+    pair: F64,
+    found: I64,
+    out: F64,
+    ids: I64,
+    rows: F64,
+    chunk: int,
+    used: int,
+) -> tuple[float, int, int]:
+    """Adds the pieces of triangle t met from neighbour to neighbour, beginning with triangle ``start``, to ``out[t]``: their area, how many
+    pieces are kept now, and the last triangle with a piece, −1 for none."""
+    x0, y0 = corners[t, 0, 0], corners[t, 0, 1]
+    covered, last, i, count = 0.0, -1, 0, 1
+    found[0] = start
+    while i < count and count <= FEW - 3:
+        o = found[i]
+        i += 1
+        shift(other, o, x0, y0, b)
+        s, n, cut = clip_pair(a, b, w)
+        if n < 3:
+            continue
+        covered += add_piece(a, z, t, b, zo, o, sign, w, s, n, pair, out)
+        last = o
+        if len(ids) > 0:
+            used = note(pair, o, ids, rows, chunk, used)
+        for k in range(3):
+            beyond = neighbours[o, k]
+            if (cut >> k) & 1 == 0 or beyond < 0:
+                continue
+            known = False
+            for j in range(count):
+                known = known or found[j] == beyond
+            if not known:
+                found[count] = beyond
+                count += 1
+    return (covered if i == count else -1.0), used, last
 
 
 @kernel
-def group_box(boxes: F64, start: int, stop: int, box: F64) -> None:
-    """The box of triangles start..stop−1 into ``box`` (4,)."""
-    for c in range(4):
-        box[c] = boxes[start, c]
-    for t in range(start + 1, stop):
-        for c in range(2):
-            box[c], box[2 + c] = min(box[c], boxes[t, c]), max(box[2 + c], boxes[t, 2 + c])
+def from_tree(
+    t: int, entry: int, corners: F64, z: F64, other: F64, zo: F64, tree: F64, sign: float, a: F64, b: F64, w: F64, pair: F64,
+    found: I64, out: F64, ids: I64, rows: F64, chunk: int, used: int,
+) -> tuple[int, int, int]:  # fmt: skip
+    """Adds the pieces of triangle t with those whose boxes it meets, from the one numbered ``entry`` on: where to go on (−1: all done), how
+    many pieces are kept now, and the last triangle with a piece, −1 for none."""
+    stack, box, last = np.empty(128, np.int64), np.empty(4), -1
+    for c in range(2):
+        box[c] = min(corners[t, 0, c], corners[t, 1, c], corners[t, 2, c])
+        box[2 + c] = max(corners[t, 0, c], corners[t, 1, c], corners[t, 2, c])
+    count = search(tree, len(other), box, stack, found)
+    if count > len(found):
+        found = np.empty(count, np.int64)
+        search(tree, len(other), box, stack, found)
+    while entry < count:
+        if len(ids) > 0 and used == WAITING:
+            return entry, used, last
+        o = found[entry]
+        entry += 1
+        shift(other, o, corners[t, 0, 0], corners[t, 0, 1], b)
+        s, n, _ = clip_pair(a, b, w)
+        if n >= 3:
+            add_piece(a, z, t, b, zo, o, sign, w, s, n, pair, out)
+            last = o
+            if len(ids) > 0:
+                used = note(pair, o, ids, rows, chunk, used)
+    return -1, used, last
 
 
 @kernel
-def boxes_apart(a: F64, t: int, b: F64, o: int) -> bool:
-    """Whether box t of ``a`` (m, 4) and box o of ``b`` have no area in common."""
-    return bool(a[t, 0] >= b[o, 2] or a[t, 1] >= b[o, 3] or a[t, 2] <= b[o, 0] or a[t, 3] <= b[o, 1])
+def chunk_kernel(
+    chunk: int, stop: int, state: I64, corners: F64, z: F64, other: F64, zo: F64, neighbours: I64, tree: F64, sign: float, out: F64,
+    ids: I64, rows: F64,
+) -> None:  # fmt: skip
+    """Works on the triangles of a chunk until they end or the pieces fill ``rows``. state[chunk] : next triangle, next entry of its tree
+    search (−1: not begun), where the last walk ended, pieces kept."""
+    found, a, b, w, pair = np.empty(1024, np.int64), np.empty((3, 2)), np.empty((3, 2)), np.empty((10, CORNERS)), np.empty((2, 6))
+    t, entry, last, used = state[chunk, 0], state[chunk, 1], state[chunk, 2], 0
+    while t < stop and used + FEW <= WAITING:
+        x0, y0 = corners[t, 0, 0], corners[t, 0, 1]
+        shift(corners, t, x0, y0, a)
+        area = 0.5 * (a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0])
+        if area <= 0.0:  # a sliver whose area rounds to nothing holds no volume
+            t += 1
+            continue
+        if entry < 0:
+            before, covered, entry = used, -1.0, 0
+            at = walk(other, neighbours, last, x0 + (a[1, 0] + a[2, 0]) / 3.0, y0 + (a[1, 1] + a[2, 1]) / 3.0)
+            if at >= 0:
+                covered, used, at = along_neighbours(
+                    t, at, corners, z, other, zo, neighbours, sign, a, b, w, pair, found, out, ids, rows, chunk, used
+                )
+            if abs(covered - area) <= MISSED * area:
+                t, entry, last = t + 1, -1, at
+                continue
+            used = before
+            out[t] = 0.0
+        entry, used, at = from_tree(t, entry, corners, z, other, zo, tree, sign, a, b, w, pair, found, out, ids, rows, chunk, used)
+        last = at if at >= 0 else last
+        if entry >= 0:
+            break
+        t += 1
+    state[chunk, 0], state[chunk, 1], state[chunk, 2], state[chunk, 3] = t, entry, last, used
+
+
+@kernel
+def add_kept(state: I64, ids: I64, rows: F64, back: F64) -> None:
+    """Adds the kept pieces to the triangles (k, 2, 4) of the other surface."""
+    for chunk in range(len(ids)):
+        for i in range(state[chunk, 3]):
+            o = ids[chunk, i]
+            for side in range(2):
+                for c in range(3):
+                    back[o, side, c] += rows[chunk, i, 3 * side + c]
 
 
 @parallel_kernel
-def overlay_kernel(corners: F64, heights: F64, other: F64, other_heights: F64, tree: F64, sign: float) -> F64:
-    """Integrals (m, 2, 4) over each triangle (m, 3, 2) with heights (m, 3), above and below the other surface: area, ∫|difference|,
-    and those of the second and third barycentric coordinate. Both surfaces are in the order of their trees."""
-    m, count = len(corners), len(other)
-    out = np.zeros((m, 2, 4))
-    boxes, other_boxes = boxes_of(corners), boxes_of(other)
-    for chunk in numba.prange(CHUNKS):
-        stack, found, box = np.empty(128, np.int64), np.empty(1024, np.int64), np.empty(4)
-        one, two, d, p, q = np.empty((2, CORNERS)), np.empty((2, CORNERS)), np.empty(CORNERS), np.empty(CORNERS), np.empty(CORNERS)
-        # about the subject's first corner: differences of large map coordinates are exact or nearly so, their products are not
-        a, b = np.empty((3, 2)), np.empty((3, 2))
-        end = (chunk + 1) * m // CHUNKS
-        for start in range(chunk * m // CHUNKS, end, GROUP):
-            stop = min(start + GROUP, end)
-            group_box(boxes, start, stop, box)
-            n = search(tree, count, box, stack, found)
-            if n > len(found):
-                found = np.empty(2 * n, np.int64)
-                n = search(tree, count, box, stack, found)
-            for t in range(start, stop):
-                x0, y0 = corners[t, 0, 0], corners[t, 0, 1]
-                for k in range(3):
-                    a[k, 0], a[k, 1] = corners[t, k, 0] - x0, corners[t, k, 1] - y0
-                for i in range(n):
-                    o = found[i]
-                    if boxes_apart(boxes, t, other_boxes, o):
-                        continue
-                    for k in range(3):
-                        b[k, 0], b[k, 1] = other[o, k, 0] - x0, other[o, k, 1] - y0
-                    if not (apart(a, b) or apart(b, a)):
-                        add_pair(a, heights, t, b, other_heights, o, sign, one, two, d, p, q, out)
-    return out
+def overlay_kernel(corners: F64, z: F64, other: F64, zo: F64, neighbours: I64, tree: F64, sign: float, both: bool) -> tuple[F64, F64]:
+    """Integrals (m, 2, 4) over each triangle (m, 3, 2) with heights z (m, 3), above and below the other surface: area, those of the second
+    and third barycentric coordinate, and ∫|difference|; with ``both`` also (k, 2, 4) the first three by the triangles of the other
+    surface. Both are in the order of their trees; neighbours : (k, 3) of the other surface in that order, −1 for none."""
+    m = len(corners)
+    out, back = np.zeros((m, 2, 4)), np.zeros((len(other) if both else 0, 2, 4))
+    ids, rows = np.empty((CHUNKS if both else 0, WAITING), np.int64), np.empty((CHUNKS if both else 0, WAITING, 6))
+    state = np.zeros((CHUNKS, 4), np.int64)
+    state[:, 1:3] = -1
+    for chunk in range(CHUNKS):
+        state[chunk, 0] = chunk * m // CHUNKS
+    left = CHUNKS
+    while left > 0:
+        for chunk in numba.prange(CHUNKS):
+            chunk_kernel(chunk, (chunk + 1) * m // CHUNKS, state, corners, z, other, zo, neighbours, tree, sign, out, ids, rows)
+        if both:
+            add_kept(state, ids, rows, back)
+        left = 0
+        for chunk in range(CHUNKS):
+            left += 1 if state[chunk, 0] < (chunk + 1) * m // CHUNKS else 0
+    return out, back

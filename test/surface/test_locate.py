@@ -11,6 +11,8 @@ from ladar_volume.model.errors import SurfaceError
 from ladar_volume.surface.locate import (
     barycentric,
     build_boxes,
+    centres_of,
+    corners_of,
     curve_keys,
     height_at,
     locate,
@@ -84,6 +86,9 @@ def test_the_kernels_equal_their_plain_twins():
     args = (index.order, index.corners, index.boxes, xy)
     assert np.array_equal(locate_kernel(*args), locate_kernel.py_func(*args))
     centres = index.corners.mean(axis=1)
+    for f, expected in ((centres_of, centres), (corners_of, index.corners)):
+        compiled = f(tin.vertices, tin.triangles, index.order)
+        assert np.array_equal(compiled, f.py_func(tin.vertices, tin.triangles, index.order)) and compiled == pytest.approx(expected, abs=1e-15)
     assert np.array_equal(curve_keys(centres), curve_keys.py_func(centres)) and np.array_equal(
         curve_keys(centres), np.sort(curve_keys(centres))
     )

@@ -6,6 +6,7 @@ import dataclasses
 import math
 from fractions import Fraction
 
+import numba
 import numpy as np
 import pytest
 
@@ -13,20 +14,10 @@ from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import Tin
 from ladar_volume.surface.locate import triangle_index
-from ladar_volume.surface.tin import build_tin
-from ladar_volume.volume.overlay import between, integrals
-from ladar_volume.volume.overlay_kernel import (
-    CORNERS,
-    add_fan,
-    add_pair,
-    apart,
-    boxes_apart,
-    boxes_of,
-    clip_line,
-    group_box,
-    overlay_kernel,
-    tip,
-)
+from ladar_volume.surface.tin import build_tin, footprint_areas
+from ladar_volume.volume.overlay import between, corner_heights, integrals, placed_neighbours, vertex_gradients
+from ladar_volume.volume.overlay_kernel import WAITING, overlay_kernel, walk
+from ladar_volume.volume.pieces import CORNERS, add_fan, add_piece, add_same_sign, clip_line, clip_pair, tip
 from ladar_volume.volume.prismoids import positive_part, prismoids
 
 
@@ -214,34 +205,96 @@ def test_walls_and_slivers():
     assert r.area_m2 == pytest.approx(4.0, rel=1e-12) and r.net_m3 == pytest.approx(expected - 2e-6, abs=1e-9)
 
 
+def prepared(a, b):
+    one, two = triangle_index(a), triangle_index(b)
+    z, zo = (corner_heights(t.vertices, t.triangles, i.order) for t, i in ((a, one), (b, two)))
+    return one, two, (one.corners, z, two.corners, zo, placed_neighbours(b.neighbours, two.order), two.boxes, -1.0, True)
+
+
 def test_compiled_kernels_equal_their_plain_twins():
     a, b = random_tin(6, seed=13), random_tin(5, seed=14)
-    one, two = triangle_index(a), triangle_index(b)
-    z, other = (np.ascontiguousarray(t.vertices[:, 2][t.triangles[i.order]]) for t, i in ((a, one), (b, two)))
-    args = (one.corners, z, two.corners, other, two.boxes, -1.0)
-    assert np.array_equal(overlay_kernel(*args), overlay_kernel.py_func(*args))
-    assert np.array_equal(overlay_kernel(*args), integrals(a, one, b, two, -1.0))
-    assert any(apart(p, q) for p in one.corners for q in two.corners)
-    assert np.array_equal(boxes_of(one.corners), boxes_of.py_func(one.corners))
-    boxes, low = boxes_of(one.corners), boxes_of(two.corners)
-    found = np.zeros((2, 4))
-    group_box(boxes, 1, 5, found[0])
-    group_box.py_func(boxes, 1, 5, found[1])
-    assert np.array_equal(*found) and np.array_equal(found[0], np.r_[boxes[1:5, :2].min(axis=0), boxes[1:5, 2:].max(axis=0)])
-    assert all(boxes_apart(boxes, t, low, o) == boxes_apart.py_func(boxes, t, low, o) for t in range(5) for o in range(5))
+    one, two, args = prepared(a, b)
+    for compiled, plain, direct in zip(overlay_kernel(*args), overlay_kernel.py_func(*args), integrals(a, one, b, two, -1.0, True), strict=True):
+        assert np.array_equal(compiled, plain) and np.array_equal(compiled, direct)
+    assert np.array_equal(args[1], corner_heights.py_func(a.vertices, a.triangles, one.order))
+    assert np.array_equal(args[4], placed_neighbours.py_func(b.neighbours, two.order))
+    parts = overlay_kernel(*args)[0]
+    grads = [f(a.vertices, a.triangles, one.order, one.corners, parts, 1.0) for f in (vertex_gradients, vertex_gradients.py_func)]
+    assert np.array_equal(*grads)
+    for x, y in np.random.default_rng(3).uniform(-3.5, 3.5, (50, 2)):
+        assert walk(two.corners, args[4], 0, x, y) == walk.py_func(two.corners, args[4], 0, x, y)
     for p, q in zip(one.corners, two.corners, strict=False):
-        assert apart(p, q) == apart.py_func(p, q)
-        outs = np.zeros((2, 1, 2, 4))
-        for run, out in zip((add_pair, add_pair.py_func), outs, strict=True):
-            run(p - p[0], z, 0, q - p[0], other, 0, 1.0, *np.zeros((2, 2, CORNERS)), *np.zeros((3, CORNERS)), out)
-        assert np.array_equal(*outs)
+        scratch, pairs, outs = np.zeros((2, 10, CORNERS)), np.zeros((2, 2, 6)), np.zeros((2, 1, 2, 4))
+        rings = [f(p - p[0], q - p[0], w) for f, w in zip((clip_pair, clip_pair.py_func), scratch, strict=True)]
+        assert rings[0] == rings[1] and np.array_equal(*scratch)
+        if rings[0][1] >= 3:
+            for f, w, pair, out in zip((add_piece, add_piece.py_func), scratch, pairs, outs, strict=True):
+                f(p - p[0], args[1], 0, q - p[0], args[3], 0, 1.0, w, rings[0][0], rings[0][1], pair, out)
+            assert np.array_equal(*pairs) and np.array_equal(*outs)
+
+
+def test_clipping_and_fans_equal_their_plain_twins():
     ring = np.random.default_rng(0).normal(size=(2, 7))
-    targets = np.zeros((2, 2, CORNERS))
-    assert clip_line(7, ring, 1.0, 0.5, 0.1, 0.2, targets[0]) == clip_line.py_func(7, ring, 1.0, 0.5, 0.1, 0.2, targets[1])
-    assert np.array_equal(*targets) and tip(1.0, -0.3, -2.0) == tip.py_func(1.0, -0.3, -2.0)
+    scratch = np.zeros((2, 10, CORNERS))
+    scratch[:, :2, :7] = ring
+    found = [f(w, 0, 7, 1.0, 0.5, 0.1, 0.2) for f, w in zip((clip_line, clip_line.py_func), scratch, strict=True)]
+    assert found[0] == found[1] and np.array_equal(*scratch) and tip(1.0, -0.3, -2.0) == tip.py_func(1.0, -0.3, -2.0)
+    scratch[:, 6:, :3] = [[0.1, 0.5, 0.4], [0.3, 0.0, 0.6], [0.2, 0.7, 0.1], [0.5, 0.2, 0.0]]
+    scratch[:, 0, :3], scratch[:, 1, :3] = [0.0, 1.4, 0.0], [0.0, 0.0, 1.0]  # area 0.7
     for d in np.random.default_rng(1).integers(-2, 3, (60, 3)).astype(float):
-        outs = np.zeros((2, 1, 2, 4))
-        for run, out in zip((add_fan, add_fan.py_func), outs, strict=True):
-            run(0.7, d, np.array([0.1, 0.5, 0.4]), np.array([0.3, 0.0, 0.6]), 1, out, 0)
-        assert np.array_equal(*outs)
-        assert outs[0, 0, :, 1] == pytest.approx([0.7 * positive_part(s * d[None])[0][0] for s in (1, -1)], abs=1e-15)
+        scratch[:, 5, :3] = d
+        pairs = np.zeros((2, 2, 6))
+        for f, w, pair in zip((add_fan, add_fan.py_func), scratch, pairs, strict=True):
+            f(0.7, w, 1, pair)
+        assert np.array_equal(*pairs)
+        assert pairs[0, :, 3] == pytest.approx([0.7 * positive_part(s * d[None])[0][0] for s in (1, -1)], abs=1e-15)
+        if (d >= 0).all() or (d <= 0).all():  # the same by the way for one sign
+            same = np.zeros((2, 2, 6))
+            for f, w, pair in zip((add_same_sign, add_same_sign.py_func), scratch, same, strict=True):
+                f(w, 0, 3, 0 if (d >= 0).all() else 1, pair)
+            assert np.array_equal(*same) and same[0] == pytest.approx(pairs[0], abs=1e-15)
+
+
+def test_the_walk_from_neighbour_to_neighbour_and_the_tree_agree():
+    """Without neighbours every triangle is looked up in the tree: the same pieces, in another order."""
+    rng = np.random.default_rng(7)
+    for n, k in ((40, 900), (900, 40), (300, 300)):
+        a, b = random_tin(n, seed=n), random_tin(k, seed=k + 1, half=2.5)
+        holes = dataclasses.replace(b, relevant=rng.random(len(b.triangles)) < 0.9)
+        for other in (b, holes):
+            alone = dataclasses.replace(other, neighbours=np.full_like(other.neighbours, -1))
+            one, two = between(a, other), between(a, alone)
+            assert (one.cut_m3, one.fill_m3, one.area_m2) == pytest.approx((two.cut_m3, two.fill_m3, two.area_m2), rel=1e-12)
+            for name in ("gradient_cut", "gradient_fill", "lower_cut", "lower_fill"):
+                assert getattr(one, name) == pytest.approx(getattr(two, name), abs=1e-12)
+
+
+def test_wrong_neighbours_cost_time_but_no_volume():
+    a, b = random_tin(200, seed=21), random_tin(150, seed=22)
+    mixed = dataclasses.replace(b, neighbours=np.random.default_rng(5).permutation(b.neighbours))
+    one, two = between(a, b), between(a, mixed)
+    assert (one.cut_m3, one.fill_m3, one.area_m2) == pytest.approx((two.cut_m3, two.fill_m3, two.area_m2), rel=1e-9)
+
+
+def test_one_triangle_over_more_than_can_wait_at_once():
+    """A pair of triangles above a lattice of 12,800: the tree's list is taken up again where the kept pieces were full."""
+    x, y = (g.ravel() for g in np.meshgrid(np.linspace(-1, 1, 81), np.linspace(-1, 1, 81)))
+    fine = build_tin(np.c_[x, y, 0.1 * x - 0.2 * y])
+    r = between(flat(1.0), fine)
+    assert len(fine.triangles) > 2 * WAITING and r.area_m2 == pytest.approx(4.0, rel=1e-12) and r.net_m3 == pytest.approx(4.0, rel=1e-12)
+    thirds = np.bincount(fine.triangles.ravel(), np.repeat(footprint_areas(fine.vertices, fine.triangles) / 3.0, 3))
+    assert r.lower_net[:, 2] == pytest.approx(-thirds, abs=1e-15)
+    back = between(fine, flat(1.0))
+    assert back.gradient_net == pytest.approx(-r.lower_net, abs=1e-12)
+
+
+def test_results_do_not_depend_on_the_number_of_threads():
+    a, b = random_tin(3000, seed=31), random_tin(2500, seed=32)
+    many, before = between(a, b), numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        one = between(a, b)
+    finally:
+        numba.set_num_threads(before)
+    for field in dataclasses.fields(many):
+        assert np.array_equal(getattr(many, field.name), getattr(one, field.name))
