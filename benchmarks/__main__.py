@@ -14,7 +14,7 @@ from pathlib import Path
 from ladar_volume.version import version
 
 HERE = Path(__file__).parent
-NAMES = ("georeference", "filtering", "surface", "replay", "live", "seeds")
+NAMES = ("georeference", "filtering", "surface", "epochs", "replay", "live", "seeds")
 
 
 def machine() -> str:

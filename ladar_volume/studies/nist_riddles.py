@@ -38,7 +38,8 @@ def difference_map(surfaces: tuple[Tin, Tin]) -> tuple[F64, F64, F64]:
     """Heights with minus without the box (n,) m on a fine grid over both, NaN where one is missing; the true one; positions (n, 2)."""
     axis = np.arange(-0.2, 2.2, CELL_M) + 0.5 * CELL_M
     xy = np.stack([g.ravel() for g in np.meshgrid(axis, axis)], axis=1)
-    true = np.where((xy > 0).all(axis=1) & (xy < BOX_M[:2]).all(axis=1), BOX_M[2], 0.0)
+    share = np.clip((BOX_M[:2] - xy) / CELL_M + 0.5, 0.0, 1.0)  # of each cell that the box covers, along each axis
+    true = np.where((xy > 0).all(axis=1), BOX_M[2] * share.prod(axis=1), 0.0)
     return height_at(surfaces[0], xy) - height_at(surfaces[1], xy), true, xy
 
 

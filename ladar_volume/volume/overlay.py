@@ -51,24 +51,20 @@ class Between:
         return self.lower_cut - self.lower_fill
 
 
-def integrals(subject: Tin, index: TriangleIndex, other: Tin, other_index: TriangleIndex, sign: float, both: bool) -> tuple[F64, F64]:
-    """:func:`overlay_kernel` of two surfaces, in the order of their trees."""
-    z, zo = (
-        corner_heights(subject.vertices, subject.triangles, index.order),
-        corner_heights(other.vertices, other.triangles, other_index.order),
-    )
-    neighbours = placed_neighbours(other.neighbours, other_index.order)
-    one, two = overlay_kernel(index.corners, z, other_index.corners, zo, neighbours, other_index.boxes, sign, both)
-    return np.asarray(one), np.asarray(two)
+def integrals(one: F64, other: Tin, two: F64, index: TriangleIndex, sign: float, both: bool) -> tuple[F64, F64]:
+    """:func:`overlay_kernel` of a surface's corners ``one`` (m, 3, 3) and the other's, ``two`` (k, 3, 3), in the order of its index."""
+    parts, back = overlay_kernel(one, two, placed_neighbours(other.neighbours, index.order), index.boxes, sign, both)
+    return np.asarray(parts), np.asarray(back)
 
 
 @kernel
-def corner_heights(vertices: F64, triangles: I32, order: I64) -> F64:
-    """Heights (m, 3) of the corners of triangles ``order`` (m,)."""
-    out = np.empty((len(order), 3))
+def placed_corners(vertices: F64, triangles: I32, order: I64) -> F64:
+    """Corners (m, 3, 3) of triangles ``order`` (m,)."""
+    out = np.empty((len(order), 3, 3))
     for i in range(len(order)):
         for k in range(3):
-            out[i, k] = vertices[triangles[order[i], k], 2]
+            v = triangles[order[i], k]
+            out[i, k, 0], out[i, k, 1], out[i, k, 2] = vertices[v, 0], vertices[v, 1], vertices[v, 2]
     return out
 
 
@@ -87,15 +83,16 @@ def placed_neighbours(neighbours: I32, order: I64) -> I64:
 
 
 @kernel
-def vertex_gradients(vertices: F64, triangles: I32, order: I64, corners: F64, parts: F64, sign: float) -> F64:
+def vertex_gradients(n: int, triangles: I32, order: I64, corners: F64, parts: F64, sign: float) -> F64:
     """Gradients (2, n, 3) m² above and below from integrals (m, 2, 3 or more) of 1 and of the second and third barycentric coordinate of
-    triangles ``order`` (m,): vertical ``∫λ``, horizontal ``−∫λ`` times the surface's own slope; above with ``sign``, below against it."""
-    out = np.zeros((2, len(vertices), 3))
+    triangles ``order`` (m,) with corners (m, 3, 3): vertical ``∫λ``, horizontal ``−∫λ`` times the surface's own slope; above with
+    ``sign``, below against it."""
+    out = np.zeros((2, n, 3))
     for i in range(len(order)):
         a, b, c = triangles[order[i], 0], triangles[order[i], 1], triangles[order[i], 2]
         ux, uy = corners[i, 1, 0] - corners[i, 0, 0], corners[i, 1, 1] - corners[i, 0, 1]
         vx, vy = corners[i, 2, 0] - corners[i, 0, 0], corners[i, 2, 1] - corners[i, 0, 1]
-        p, q, det = vertices[b, 2] - vertices[a, 2], vertices[c, 2] - vertices[a, 2], ux * vy - uy * vx
+        p, q, det = corners[i, 1, 2] - corners[i, 0, 2], corners[i, 2, 2] - corners[i, 0, 2], ux * vy - uy * vx
         sx, sy = (p * vy - q * uy) / det, (q * ux - p * vx) / det
         if not (np.isfinite(sx) and np.isfinite(sy)):  # slivers whose area rounds to nothing have no slope, and no share
             sx = sy = 0.0
@@ -118,14 +115,15 @@ def between(upper: Tin, lower: Tin, gradients: bool = True) -> Between:
     if not upper.relevant.any() or not lower.relevant.any():
         raise VolumeError("a surface has no relevant triangle", reason="volume_no_triangle")
     one, two = triangle_index(upper, upper.relevant), triangle_index(lower, lower.relevant)
-    parts, back = integrals(upper, one, lower, two, 1.0, gradients)
+    high, low = (placed_corners(s.vertices, s.triangles, i.order) for s, i in ((upper, one), (lower, two)))
+    parts, back = integrals(high, lower, low, two, 1.0, gradients)
     (area_cut, _, _, cut), (area_fill, _, _, fill) = parts.sum(axis=0)
     area = float(area_cut + area_fill)
     if area <= 0.0:
         raise VolumeError("the two surfaces have no area in common", reason="volume_no_common_footprint")
     g = [np.zeros_like(upper.vertices), np.zeros_like(upper.vertices), np.zeros_like(lower.vertices), np.zeros_like(lower.vertices)]
     if gradients:
-        up = vertex_gradients(upper.vertices, upper.triangles, one.order, one.corners, parts, 1.0)
-        down = vertex_gradients(lower.vertices, lower.triangles, two.order, two.corners, back, -1.0)
+        up = vertex_gradients(len(upper.vertices), upper.triangles, one.order, high, parts, 1.0)
+        down = vertex_gradients(len(lower.vertices), lower.triangles, two.order, low, back, -1.0)
         g = [up[0], up[1], down[0], down[1]]
     return Between(float(cut), float(fill), area, *g)

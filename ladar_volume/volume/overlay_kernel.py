@@ -14,7 +14,7 @@ import numpy as np
 from ladar_volume.model.kernels import kernel, parallel_kernel
 from ladar_volume.model.records import F64, I64
 from ladar_volume.surface.locate import CHUNKS, search
-from ladar_volume.volume.pieces import CORNERS, add_piece, clip_pair
+from ladar_volume.volume.pieces import CORNERS, PAIR, ROWS, A, B, add_piece, clip_pair
 
 #: Steps of a walk to a triangle's centre and triangles met below one, beyond which the tree is asked.
 STEPS, FEW = 1024, 96
@@ -45,43 +45,27 @@ def walk(corners: F64, neighbours: I64, start: int, x: float, y: float) -> int:
 
 
 @kernel
-def shift(corners: F64, t: int, x0: float, y0: float, a: F64) -> None:
-    """Triangle t about a point, into ``a`` (3, 2): differences of large map coordinates are exact or nearly so, their products are not."""
+def shift(corners: F64, t: int, x0: float, y0: float, w: F64, row: int) -> None:
+    """Triangle t about a point into the scratch: differences of large map coordinates are exact or nearly so, their products are not."""
     for k in range(3):
-        a[k, 0], a[k, 1] = corners[t, k, 0] - x0, corners[t, k, 1] - y0
+        w[row, k], w[row + 1, k], w[row + 2, k] = corners[t, k, 0] - x0, corners[t, k, 1] - y0, corners[t, k, 2]
 
 
 @kernel
-def note(pair: F64, o: int, ids: I64, rows: F64, chunk: int, used: int) -> int:
+def note(w: F64, o: int, ids: I64, rows: F64, chunk: int, used: int) -> int:
     """Keeps a piece's integrals by the other surface for later; returns how many are kept."""
     ids[chunk, used] = o
     for side in range(2):
-        rows[chunk, used, 3 * side] = pair[side, 0]
-        rows[chunk, used, 3 * side + 1], rows[chunk, used, 3 * side + 2] = pair[side, 4], pair[side, 5]
+        rows[chunk, used, 3 * side] = w[PAIR + side, 0]
+        rows[chunk, used, 3 * side + 1], rows[chunk, used, 3 * side + 2] = w[PAIR + side, 4], w[PAIR + side, 5]
     return used + 1
 
 
 @kernel
 def along_neighbours(
-    t: int,
-    start: int,
-    corners: F64,
-    z: F64,
-    other: F64,
-    zo: F64,
-    neighbours: I64,
-    sign: float,
-    a: F64,
-    b: F64,
-    w: F64,
-    pair: F64,
-    found: I64,
-    out: F64,
-    ids: I64,
-    rows: F64,
-    chunk: int,
-    used: int,
-) -> tuple[float, int, int]:
+    t: int, start: int, corners: F64, other: F64, neighbours: I64, sign: float, w: F64, found: I64, out: F64, ids: I64, rows: F64,
+    chunk: int, used: int,
+) -> tuple[float, int, int]:  # fmt: skip
     """Adds the pieces of triangle t met from neighbour to neighbour, beginning with triangle ``start``, to ``out[t]``: their area, how many
     pieces are kept now, and the last triangle with a piece, −1 for none."""
     x0, y0 = corners[t, 0, 0], corners[t, 0, 1]
@@ -90,14 +74,14 @@ def along_neighbours(
     while i < count and count <= FEW - 3:
         o = found[i]
         i += 1
-        shift(other, o, x0, y0, b)
-        s, n, cut = clip_pair(a, b, w)
+        shift(other, o, x0, y0, w, B)
+        s, n, cut = clip_pair(w)
         if n < 3:
             continue
-        covered += add_piece(a, z, t, b, zo, o, sign, w, s, n, pair, out)
+        covered += add_piece(t, sign, w, s, n, out)
         last = o
         if len(ids) > 0:
-            used = note(pair, o, ids, rows, chunk, used)
+            used = note(w, o, ids, rows, chunk, used)
         for k in range(3):
             beyond = neighbours[o, k]
             if (cut >> k) & 1 == 0 or beyond < 0:
@@ -113,8 +97,8 @@ def along_neighbours(
 
 @kernel
 def from_tree(
-    t: int, entry: int, corners: F64, z: F64, other: F64, zo: F64, tree: F64, sign: float, a: F64, b: F64, w: F64, pair: F64,
-    found: I64, out: F64, ids: I64, rows: F64, chunk: int, used: int,
+    t: int, entry: int, corners: F64, other: F64, tree: F64, sign: float, w: F64, found: I64, out: F64, ids: I64, rows: F64, chunk: int,
+    used: int,
 ) -> tuple[int, int, int]:  # fmt: skip
     """Adds the pieces of triangle t with those whose boxes it meets, from the one numbered ``entry`` on: where to go on (−1: all done), how
     many pieces are kept now, and the last triangle with a piece, −1 for none."""
@@ -131,45 +115,42 @@ def from_tree(
             return entry, used, last
         o = found[entry]
         entry += 1
-        shift(other, o, corners[t, 0, 0], corners[t, 0, 1], b)
-        s, n, _ = clip_pair(a, b, w)
+        shift(other, o, corners[t, 0, 0], corners[t, 0, 1], w, B)
+        s, n, _ = clip_pair(w)
         if n >= 3:
-            add_piece(a, z, t, b, zo, o, sign, w, s, n, pair, out)
+            add_piece(t, sign, w, s, n, out)
             last = o
             if len(ids) > 0:
-                used = note(pair, o, ids, rows, chunk, used)
+                used = note(w, o, ids, rows, chunk, used)
     return -1, used, last
 
 
 @kernel
 def chunk_kernel(
-    chunk: int, stop: int, state: I64, corners: F64, z: F64, other: F64, zo: F64, neighbours: I64, tree: F64, sign: float, out: F64,
-    ids: I64, rows: F64,
+    chunk: int, stop: int, state: I64, corners: F64, other: F64, neighbours: I64, tree: F64, sign: float, out: F64, ids: I64, rows: F64,
 ) -> None:  # fmt: skip
     """Works on the triangles of a chunk until they end or the pieces fill ``rows``. state[chunk] : next triangle, next entry of its tree
     search (−1: not begun), where the last walk ended, pieces kept."""
-    found, a, b, w, pair = np.empty(1024, np.int64), np.empty((3, 2)), np.empty((3, 2)), np.empty((10, CORNERS)), np.empty((2, 6))
+    found, w = np.empty(1024, np.int64), np.empty((ROWS, CORNERS))
     t, entry, last, used = state[chunk, 0], state[chunk, 1], state[chunk, 2], 0
     while t < stop and used + FEW <= WAITING:
         x0, y0 = corners[t, 0, 0], corners[t, 0, 1]
-        shift(corners, t, x0, y0, a)
-        area = 0.5 * (a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0])
+        shift(corners, t, x0, y0, w, A)
+        area = 0.5 * (w[A, 1] * w[A + 1, 2] - w[A + 1, 1] * w[A, 2])
         if area <= 0.0:  # a sliver whose area rounds to nothing holds no volume
             t += 1
             continue
         if entry < 0:
             before, covered, entry = used, -1.0, 0
-            at = walk(other, neighbours, last, x0 + (a[1, 0] + a[2, 0]) / 3.0, y0 + (a[1, 1] + a[2, 1]) / 3.0)
+            at = walk(other, neighbours, last, x0 + (w[A, 1] + w[A, 2]) / 3.0, y0 + (w[A + 1, 1] + w[A + 1, 2]) / 3.0)
             if at >= 0:
-                covered, used, at = along_neighbours(
-                    t, at, corners, z, other, zo, neighbours, sign, a, b, w, pair, found, out, ids, rows, chunk, used
-                )
+                covered, used, at = along_neighbours(t, at, corners, other, neighbours, sign, w, found, out, ids, rows, chunk, used)
             if abs(covered - area) <= MISSED * area:
                 t, entry, last = t + 1, -1, at
                 continue
             used = before
             out[t] = 0.0
-        entry, used, at = from_tree(t, entry, corners, z, other, zo, tree, sign, a, b, w, pair, found, out, ids, rows, chunk, used)
+        entry, used, at = from_tree(t, entry, corners, other, tree, sign, w, found, out, ids, rows, chunk, used)
         last = at if at >= 0 else last
         if entry >= 0:
             break
@@ -189,10 +170,10 @@ def add_kept(state: I64, ids: I64, rows: F64, back: F64) -> None:
 
 
 @parallel_kernel
-def overlay_kernel(corners: F64, z: F64, other: F64, zo: F64, neighbours: I64, tree: F64, sign: float, both: bool) -> tuple[F64, F64]:
-    """Integrals (m, 2, 4) over each triangle (m, 3, 2) with heights z (m, 3), above and below the other surface: area, those of the second
-    and third barycentric coordinate, and ∫|difference|; with ``both`` also (k, 2, 4) the first three by the triangles of the other
-    surface. Both are in the order of their trees; neighbours : (k, 3) of the other surface in that order, −1 for none."""
+def overlay_kernel(corners: F64, other: F64, neighbours: I64, tree: F64, sign: float, both: bool) -> tuple[F64, F64]:
+    """Integrals (m, 2, 4) over each triangle (m, 3, 3), x, y and height of its corners, above and below the other surface: area, those of
+    the second and third barycentric coordinate, and ∫|difference|; with ``both`` also (k, 2, 4) the first three by the triangles of the
+    other surface. Both are in the order of their trees; neighbours : (k, 3) of the other surface in that order, −1 for none."""
     m = len(corners)
     out, back = np.zeros((m, 2, 4)), np.zeros((len(other) if both else 0, 2, 4))
     ids, rows = np.empty((CHUNKS if both else 0, WAITING), np.int64), np.empty((CHUNKS if both else 0, WAITING, 6))
@@ -203,7 +184,7 @@ def overlay_kernel(corners: F64, z: F64, other: F64, zo: F64, neighbours: I64, t
     left = CHUNKS
     while left > 0:
         for chunk in numba.prange(CHUNKS):
-            chunk_kernel(chunk, (chunk + 1) * m // CHUNKS, state, corners, z, other, zo, neighbours, tree, sign, out, ids, rows)
+            chunk_kernel(chunk, (chunk + 1) * m // CHUNKS, state, corners, other, neighbours, tree, sign, out, ids, rows)
         if both:
             add_kept(state, ids, rows, back)
         left = 0

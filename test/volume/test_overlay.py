@@ -15,9 +15,9 @@ from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import Tin
 from ladar_volume.surface.locate import triangle_index
 from ladar_volume.surface.tin import build_tin, footprint_areas
-from ladar_volume.volume.overlay import between, corner_heights, integrals, placed_neighbours, vertex_gradients
+from ladar_volume.volume.overlay import between, integrals, placed_corners, placed_neighbours, vertex_gradients
 from ladar_volume.volume.overlay_kernel import WAITING, overlay_kernel, walk
-from ladar_volume.volume.pieces import CORNERS, add_fan, add_piece, add_same_sign, clip_line, clip_pair, tip
+from ladar_volume.volume.pieces import CORNERS, PAIR, ROWS, A, B, add_fan, add_piece, add_same_sign, clip_line, clip_pair, tip
 from ladar_volume.volume.prismoids import positive_part, prismoids
 
 
@@ -205,54 +205,59 @@ def test_walls_and_slivers():
     assert r.area_m2 == pytest.approx(4.0, rel=1e-12) and r.net_m3 == pytest.approx(expected - 2e-6, abs=1e-9)
 
 
-def prepared(a, b):
-    one, two = triangle_index(a), triangle_index(b)
-    z, zo = (corner_heights(t.vertices, t.triangles, i.order) for t, i in ((a, one), (b, two)))
-    return one, two, (one.corners, z, two.corners, zo, placed_neighbours(b.neighbours, two.order), two.boxes, -1.0, True)
-
-
 def test_compiled_kernels_equal_their_plain_twins():
     a, b = random_tin(6, seed=13), random_tin(5, seed=14)
-    one, two, args = prepared(a, b)
-    for compiled, plain, direct in zip(overlay_kernel(*args), overlay_kernel.py_func(*args), integrals(a, one, b, two, -1.0, True), strict=True):
+    one, two = triangle_index(a), triangle_index(b)
+    high, low = placed_corners(a.vertices, a.triangles, one.order), placed_corners(b.vertices, b.triangles, two.order)
+    neighbours = placed_neighbours(b.neighbours, two.order)
+    args = (high, low, neighbours, two.boxes, -1.0, True)
+    for compiled, plain, direct in zip(
+        overlay_kernel(*args), overlay_kernel.py_func(*args), integrals(high, b, low, two, -1.0, True), strict=True
+    ):
         assert np.array_equal(compiled, plain) and np.array_equal(compiled, direct)
-    assert np.array_equal(args[1], corner_heights.py_func(a.vertices, a.triangles, one.order))
-    assert np.array_equal(args[4], placed_neighbours.py_func(b.neighbours, two.order))
+    assert np.array_equal(high, placed_corners.py_func(a.vertices, a.triangles, one.order))
+    assert np.array_equal(high[..., :2], one.corners)
+    assert np.array_equal(neighbours, placed_neighbours.py_func(b.neighbours, two.order))
     parts = overlay_kernel(*args)[0]
-    grads = [f(a.vertices, a.triangles, one.order, one.corners, parts, 1.0) for f in (vertex_gradients, vertex_gradients.py_func)]
+    grads = [f(len(a.vertices), a.triangles, one.order, high, parts, 1.0) for f in (vertex_gradients, vertex_gradients.py_func)]
     assert np.array_equal(*grads)
     for x, y in np.random.default_rng(3).uniform(-3.5, 3.5, (50, 2)):
-        assert walk(two.corners, args[4], 0, x, y) == walk.py_func(two.corners, args[4], 0, x, y)
-    for p, q in zip(one.corners, two.corners, strict=False):
-        scratch, pairs, outs = np.zeros((2, 10, CORNERS)), np.zeros((2, 2, 6)), np.zeros((2, 1, 2, 4))
-        rings = [f(p - p[0], q - p[0], w) for f, w in zip((clip_pair, clip_pair.py_func), scratch, strict=True)]
+        assert walk(low, neighbours, 0, x, y) == walk.py_func(low, neighbours, 0, x, y)
+
+
+def test_pieces_equal_their_plain_twins():
+    a, b = random_tin(6, seed=13), random_tin(5, seed=14)
+    for p, q in zip(a.triangles, b.triangles, strict=False):
+        scratch, outs = np.zeros((2, ROWS, CORNERS)), np.zeros((2, 1, 2, 4))
+        scratch[:, A : A + 3, :3] = (a.vertices[p] - a.vertices[p[0]] * [1, 1, 0]).T
+        scratch[:, B : B + 3, :3] = (b.vertices[q] - a.vertices[p[0]] * [1, 1, 0]).T
+        rings = [f(w) for f, w in zip((clip_pair, clip_pair.py_func), scratch, strict=True)]
         assert rings[0] == rings[1] and np.array_equal(*scratch)
         if rings[0][1] >= 3:
-            for f, w, pair, out in zip((add_piece, add_piece.py_func), scratch, pairs, outs, strict=True):
-                f(p - p[0], args[1], 0, q - p[0], args[3], 0, 1.0, w, rings[0][0], rings[0][1], pair, out)
-            assert np.array_equal(*pairs) and np.array_equal(*outs)
+            areas = [f(0, 1.0, w, *rings[0][:2], o) for f, w, o in zip((add_piece, add_piece.py_func), scratch, outs, strict=True)]
+            assert areas[0] == areas[1] and np.array_equal(*scratch) and np.array_equal(*outs)
 
 
 def test_clipping_and_fans_equal_their_plain_twins():
     ring = np.random.default_rng(0).normal(size=(2, 7))
-    scratch = np.zeros((2, 10, CORNERS))
+    scratch = np.zeros((2, ROWS, CORNERS))
     scratch[:, :2, :7] = ring
     found = [f(w, 0, 7, 1.0, 0.5, 0.1, 0.2) for f, w in zip((clip_line, clip_line.py_func), scratch, strict=True)]
     assert found[0] == found[1] and np.array_equal(*scratch) and tip(1.0, -0.3, -2.0) == tip.py_func(1.0, -0.3, -2.0)
-    scratch[:, 6:, :3] = [[0.1, 0.5, 0.4], [0.3, 0.0, 0.6], [0.2, 0.7, 0.1], [0.5, 0.2, 0.0]]
+    scratch[:, 6:10, :3] = [[0.1, 0.5, 0.4], [0.3, 0.0, 0.6], [0.2, 0.7, 0.1], [0.5, 0.2, 0.0]]
     scratch[:, 0, :3], scratch[:, 1, :3] = [0.0, 1.4, 0.0], [0.0, 0.0, 1.0]  # area 0.7
     for d in np.random.default_rng(1).integers(-2, 3, (60, 3)).astype(float):
-        scratch[:, 5, :3] = d
-        pairs = np.zeros((2, 2, 6))
-        for f, w, pair in zip((add_fan, add_fan.py_func), scratch, pairs, strict=True):
-            f(0.7, w, 1, pair)
-        assert np.array_equal(*pairs)
-        assert pairs[0, :, 3] == pytest.approx([0.7 * positive_part(s * d[None])[0][0] for s in (1, -1)], abs=1e-15)
+        scratch[:, 5, :3], scratch[:, PAIR:] = d, 0.0
+        for f, w in zip((add_fan, add_fan.py_func), scratch, strict=True):
+            f(0.7, w, 1)
+        assert np.array_equal(*scratch)
+        fan = scratch[0, PAIR:].copy()
+        assert fan[:, 3] == pytest.approx([0.7 * positive_part(s * d[None])[0][0] for s in (1, -1)], abs=1e-15)
         if (d >= 0).all() or (d <= 0).all():  # the same by the way for one sign
-            same = np.zeros((2, 2, 6))
-            for f, w, pair in zip((add_same_sign, add_same_sign.py_func), scratch, same, strict=True):
-                f(w, 0, 3, 0 if (d >= 0).all() else 1, pair)
-            assert np.array_equal(*same) and same[0] == pytest.approx(pairs[0], abs=1e-15)
+            scratch[:, PAIR:] = 0.0
+            for f, w in zip((add_same_sign, add_same_sign.py_func), scratch, strict=True):
+                f(w, 0, 3, 0 if (d >= 0).all() else 1)
+            assert np.array_equal(*scratch) and scratch[0, PAIR:] == pytest.approx(fan, abs=1e-15)
 
 
 def test_the_walk_from_neighbour_to_neighbour_and_the_tree_agree():
