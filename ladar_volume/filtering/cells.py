@@ -12,11 +12,11 @@ import numba
 import numpy as np
 
 from ladar_volume.filtering import choice, pieces
-from ladar_volume.filtering.fit import REACH
+from ladar_volume.filtering.fit import AROUND, REACH
 from ladar_volume.filtering.frame import across
 from ladar_volume.filtering.osculating import foot_on_quadric
 from ladar_volume.filtering.single import bend, flat, nearest_to_origin
-from ladar_volume.filtering.store import BITS, _mix, find_voxel
+from ladar_volume.filtering.store import _mix, voxels_around
 from ladar_volume.model.kernels import kernel, parallel_kernel
 
 KEPT, OUTLIER, FEW_POINTS, NO_SURFACE, BEYOND_EDGE, UNSUPPORTED = 0, 1, 2, 3, 4, 5
@@ -31,18 +31,12 @@ SUPPORT, PATCH = 4, 20
 @kernel
 def gather(v: Any, keys: Any, table: Any, first: Any, r: Any, out: Any) -> Any:
     """Indices of all points (sorted by voxel) in the voxels around voxel v; returns how many. With an empty ``out`` only counts."""
-    key, mask = keys[v], (1 << BITS) - 1
-    i0, j0, k0 = key >> (2 * BITS), (key >> BITS) & mask, key & mask
-    n = 0
-    for di in range(-REACH, REACH + 1):
-        for dj in range(-REACH, REACH + 1):
-            for dk in range(-REACH, REACH + 1):
-                w = find_voxel(table, keys, ((i0 + di) << (2 * BITS)) | ((j0 + dj) << BITS) | (k0 + dk))
-                if w >= 0:
-                    for i in range(first[w], first[w + 1]):
-                        if len(out):
-                            out[n] = i
-                        n += 1
+    near, n = np.empty(AROUND, np.int64), 0
+    for a in range(voxels_around(keys[v], keys, table, REACH, near)):
+        for i in range(first[near[a]], first[near[a] + 1]):
+            if len(out):
+                out[n] = i
+            n += 1
     return n
 
 
@@ -127,17 +121,12 @@ def main_planes(
 @kernel
 def offers(v: Any, keys: Any, table: Any, planes: Any, found: Any, origin: Any, out: Any) -> Any:
     """Planes of the cells around cell v, about ``origin``; returns how many."""
-    key, mask = keys[v], (1 << BITS) - 1
-    i0, j0, k0 = key >> (2 * BITS), (key >> BITS) & mask, key & mask
-    n = 0
-    for di in range(-REACH, REACH + 1):
-        for dj in range(-REACH, REACH + 1):
-            for dk in range(-REACH, REACH + 1):
-                w = find_voxel(table, keys, ((i0 + di) << (2 * BITS)) | ((j0 + dj) << BITS) | (k0 + dk))
-                for a in range(found[w] if w >= 0 else 0):
-                    out[n] = planes[w, a]
-                    out[n, 3] -= out[n, 0] * origin[0] + out[n, 1] * origin[1] + out[n, 2] * origin[2]
-                    n += 1
+    near, n = np.empty(AROUND, np.int64), 0
+    for i in range(voxels_around(keys[v], keys, table, REACH, near)):
+        for a in range(found[near[i]]):
+            out[n] = planes[near[i], a]
+            out[n, 3] -= out[n, 0] * origin[0] + out[n, 1] * origin[1] + out[n, 2] * origin[2]
+            n += 1
     return n
 
 
@@ -149,13 +138,10 @@ def foot_on_planes(
     sigma², 0 inside the piece, 1 on an edge, 2 in a vertex)."""
     y, foot = x - origin, np.empty(3)
     a, d, on = pieces.nearest_piece(y, planes, count, side, foot)
-    share = 1.0 / used[a]
     for k in range(3):
         q[k] = foot[k] + origin[k]
         n_out[k] = planes[a, k]
-        for l in range(3):
-            share += (foot[k] - means[a, k]) * inverses[a, k, l] * (foot[l] - means[a, l])
-    return d, share, on
+    return d, pieces.plane_share(foot, used[a], means[a], inverses[a]), on
 
 
 @kernel
@@ -171,7 +157,7 @@ def filter_cell(
     if m < least:
         verdict(lo, hi, mine, FEW_POINTS, reason)
         return 0, 9.0
-    candidates = np.empty((OFFERED * (2 * REACH + 1) ** 3, 4))
+    candidates = np.empty((OFFERED * AROUND, 4))
     offered = offers(v, keys, table, main, found, origin, candidates)
     planes, means, inverses = np.zeros((pieces.MOST, 4)), np.zeros((pieces.MOST, 3)), np.zeros((pieces.MOST, 3, 3))
     used, label, side = np.zeros(pieces.MOST, np.int64), np.empty(m, np.int64), np.zeros((pieces.MOST, pieces.MOST), np.int64)

@@ -39,10 +39,12 @@ def _filter(points: F64, parameters: FilterParameters, auto: bool) -> CloudResul
     # digits: cells work on offsets of the cloud's size, not on map coordinates; a mean would depend on the order of the points
     origin = 0.5 * (points.min(axis=0) + points.max(axis=0))
     local = points - origin
+    if parameters.order == "published" and not auto:
+        return filter_published(points, settings(parameters))
     tuned = choose(local, parameters, auto)
     if parameters.order == "published":
-        chosen = {"radius_m": tuned.ball_m / 2, "degree": tuned.degree, "threshold_m": tuned.threshold_m} if auto else {}
-        return filter_published(points, settings(parameters, **chosen))
+        own = settings(parameters, radius_m=tuned.ball_m / 2, degree=tuned.degree, threshold_m=tuned.threshold_m)
+        return filter_published(points, own)
     n = len(local)
     done = cover(local, tuned.regions, parameters, tuned.degree)
     kept = done.reason == cells.KEPT

@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 
 from ladar_volume.filtering.linear import select_kth
-from ladar_volume.filtering.store import BITS, _mix, find_voxel
+from ladar_volume.filtering.store import _mix, voxels_around
 from ladar_volume.model.kernels import kernel
 
 #: A patch looks at the voxels up to this many away; a ball of radius 2r about a centre in the voxel needs two.
 REACH = 2
+#: Voxels it looks at, at most.
+AROUND = (2 * REACH + 1) ** 3
 #: 1 / Phi^-1(3/4): the median of |normal residuals| to their standard deviation.
 MAD = 1.4826
 #: Distances between two looks at whether a trial is lost.
@@ -27,18 +29,11 @@ OK, FEW_POINTS, NO_PLANE, FEW_INLIERS, NOT_ON_PATCH = 0, 1, 2, 3, 4
 @kernel
 def gather(v: Any, keys: Any, table: Any, count: Any, order: Any, cap: Any, slots: Any) -> Any:
     """Slots of all points in the voxels around voxel v, in canonical order (voxel, then hash); returns how many."""
-    key = keys[v]
-    mask = (1 << BITS) - 1
-    i0, j0, k0 = key >> (2 * BITS), (key >> BITS) & mask, key & mask
-    n = 0
-    for di in range(-REACH, REACH + 1):
-        for dj in range(-REACH, REACH + 1):
-            for dk in range(-REACH, REACH + 1):
-                w = find_voxel(table, keys, ((i0 + di) << (2 * BITS)) | ((j0 + dj) << BITS) | (k0 + dk))
-                if w >= 0:
-                    for q in range(count[w]):
-                        slots[n] = order[w * cap + q]
-                        n += 1
+    near, n = np.empty(AROUND, np.int64), 0
+    for a in range(voxels_around(keys[v], keys, table, REACH, near)):
+        for q in range(count[near[a]]):
+            slots[n] = order[near[a] * cap + q]
+            n += 1
     return n
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from ladar_volume.filtering import fit
 from ladar_volume.filtering.fit import REACH
 from ladar_volume.filtering.frame import coordinates, level_frame, mark_flat, refit, tangent_of
-from ladar_volume.filtering.store import BITS, _mix, find_voxel
+from ladar_volume.filtering.store import BITS, _mix, find_voxel, voxels_around
 from ladar_volume.model.kernels import kernel, parallel_kernel
 
 OK, FEW_POINTS, NO_PLANE, FEW_INLIERS, NOT_ON_PATCH = fit.OK, fit.FEW_POINTS, fit.NO_PLANE, fit.FEW_INLIERS, fit.NOT_ON_PATCH
@@ -23,17 +23,10 @@ OK, FEW_POINTS, NO_PLANE, FEW_INLIERS, NOT_ON_PATCH = fit.OK, fit.FEW_POINTS, fi
 @parallel_kernel
 def count_candidates(voxels: Any, keys: Any, table: Any, count: Any, out: Any) -> None:
     """Points in the voxels around each of ``voxels``: an upper bound of its inliers."""
-    mask = (1 << BITS) - 1
     for a in numba.prange(len(voxels)):
-        key = keys[voxels[a]]
-        i0, j0, k0 = key >> (2 * BITS), (key >> BITS) & mask, key & mask
-        n = 0
-        for di in range(-REACH, REACH + 1):
-            for dj in range(-REACH, REACH + 1):
-                for dk in range(-REACH, REACH + 1):
-                    w = find_voxel(table, keys, ((i0 + di) << (2 * BITS)) | ((j0 + dj) << BITS) | (k0 + dk))
-                    if w >= 0:
-                        n += count[w]
+        near, n = np.empty(fit.AROUND, np.int64), 0
+        for i in range(voxels_around(keys[voxels[a]], keys, table, REACH, near)):
+            n += count[near[i]]
         out[a] = n
 
 

@@ -129,6 +129,16 @@ def fit_plane(x: Any, m: Any, label: Any, own: Any, plane: Any, mean: Any, inver
 
 
 @kernel
+def plane_share(x: Any, used: Any, mean: Any, inverse: Any) -> Any:
+    """Variance of a plane at x (3,) on it over the noise's, from what :func:`fit_plane` gave."""
+    share = 1.0 / used
+    for k in range(3):
+        for l in range(3):
+            share += (x[k] - mean[k]) * inverse[k, l] * (x[l] - mean[l])
+    return share
+
+
+@kernel
 def nearest_pieces(x: Any, m: Any, planes: Any, count: Any, side: Any, limit: Any, label: Any) -> None:
     """Label every point with the plane of its nearest piece, −1 beyond the limit of squared distance."""
     q = np.empty(3)

@@ -19,7 +19,6 @@ BITS = 21
 HALF = 1 << (BITS - 1)
 #: Columns of the geometry kept per point: attitude xyzw, v_body = B r_laser, antenna velocity (map), body rates.
 AUX = 13
-EMPTY = np.int64(-1)
 
 
 def pack_key(ijk: I64) -> I64:
@@ -53,6 +52,22 @@ def find_voxel(table: Any, keys: Any, key: Any) -> Any:
             return table[at]
         at = (at + np.uint64(1)) & mask
     return -1
+
+
+@kernel
+def voxels_around(key: Any, keys: Any, table: Any, reach: Any, out: Any) -> Any:
+    """Indices of the voxels up to ``reach`` away from that of the key, itself included, in order of their keys; returns how many."""
+    mask = (1 << BITS) - 1
+    i0, j0, k0 = key >> (2 * BITS), (key >> BITS) & mask, key & mask
+    n = 0
+    for di in range(-reach, reach + 1):
+        for dj in range(-reach, reach + 1):
+            for dk in range(-reach, reach + 1):
+                w = find_voxel(table, keys, ((i0 + di) << (2 * BITS)) | ((j0 + dj) << BITS) | (k0 + dk))
+                if w >= 0:
+                    out[n] = w
+                    n += 1
+    return n
 
 
 @kernel

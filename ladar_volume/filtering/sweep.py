@@ -14,6 +14,7 @@ from ladar_volume.filtering.cells import BEYOND_EDGE, FEW_POINTS, KEPT, NO_SURFA
 from ladar_volume.filtering.facets import FACETS, fit_facets, nearest_distance, project_on_facets
 from ladar_volume.filtering.frame import across
 from ladar_volume.filtering.osculating import foot_on_quadric
+from ladar_volume.filtering.pieces import plane_share
 from ladar_volume.filtering.quadric import fit_quadric
 from ladar_volume.filtering.rules import limit_of
 from ladar_volume.filtering.store import _mix
@@ -119,13 +120,10 @@ def settle_facets(
         reason[i] = OUTLIER if d > threshold else BEYOND_EDGE if beyond else KEPT
         if reason[i] != KEPT:
             continue
-        share = 1.0 / used[p]
         for k in range(3):
             q[i, k] = r[at, k] + foot[k]
             normals[i, k] = planes[p, k]
-            for l in range(3):
-                share += (foot[k] - means[p, k]) * inverses[p, k, l] * (foot[l] - means[p, l])
-        variance[i] = share * sigma * sigma
+        variance[i] = plane_share(foot, used[p], means[p], inverses[p]) * sigma * sigma
     return True
 
 

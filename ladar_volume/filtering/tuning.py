@@ -45,7 +45,7 @@ WIDEST = 0.25
 
 @dataclass(frozen=True)
 class Tuned:
-    """regions as the cover wants them · degree · samples : what was looked at"""
+    """regions as the cover wants them · degree of the surfaces"""
 
     regions: Regions
     degree: int
