@@ -6,7 +6,6 @@ with a typed error that names the file.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +17,7 @@ import numpy.typing as npt
 
 from ladar_volume.io import pcd, ply, pointtext
 from ladar_volume.io.ply import Columns
+from ladar_volume.io.whole import whole_file
 from ladar_volume.model.errors import CloudError, InputError, LadarVolumeError, OutputError
 from ladar_volume.model.records import F64
 
@@ -143,15 +143,8 @@ def write_cloud(
     if encoding not in ENCODINGS[ending]:
         raise OutputError(f"{path}: {encoding!r} is not one of {', '.join(ENCODINGS[ending])}", value=encoding)
     flat, comments = _flatten(np.asarray(r, np.float64), dict(columns or {}), names or {}, ending)
-    part = path.with_name(f".{path.stem}.part{ending}")  # beside it: a rename is whole, and the ending tells libraries the kind
-    try:
+    with whole_file(path) as part:
         _writer(ending)(part, flat, comments, encoding)
-        part.replace(path)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error}", value=str(path)) from error
-    finally:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
 
 
 def check_output(path: str | Path) -> Path:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
 
 import numpy as np
 
 from ladar_volume.io.ply import NAMES
+from ladar_volume.io.whole import whole_file
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.records import F64, Tin
 
@@ -48,13 +48,6 @@ def write_tin(path: str | Path, tin: Tin, sigma_z: F64 | None = None, every: boo
     if every:
         face["relevant"] = tin.relevant
         lines.append("property uchar relevant")
-    part = path.with_name(f".{path.stem}.part.ply")
-    try:
+    with whole_file(path) as part:
         part.write_bytes(("\n".join([*lines, "end_header"]) + "\n").encode() + vertex.tobytes() + face.tobytes())
-        part.replace(path)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error}", value=str(path)) from error
-    finally:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
     return len(vertex), len(face)

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ladar_volume.model.errors import CloudError
-from ladar_volume.model.records import F64, I64, Estimate, FilteredPoints, FilterUpdate, MappedPoints, Patches, Volume, select
+from ladar_volume.model.records import F64, I64, FilteredPoints, FilterUpdate, MappedPoints, Patches, Volume, select
 
 Columns = dict[str, npt.NDArray[Any]]
 HEAD, CROSS, CALIBRATION, NAVIGATION, REMOVED, END = range(6)
@@ -183,10 +183,3 @@ def volume_columns(volumes: list[Volume]) -> Columns:
     for source in sorted({s for v in volumes for s in v.budget_m6}):
         columns[f"var_{source}"] = np.array([v.budget_m6.get(source, 0.0) for v in volumes])
     return columns
-
-
-def tin_triangles(estimate: Estimate) -> F64:
-    """Corners of the relevant triangles in order, (3 m, 3), for a TRIANGLE_LIST."""
-    tin = estimate.tin
-    corners: F64 = tin.vertices[tin.triangles[tin.relevant].ravel()]
-    return corners
