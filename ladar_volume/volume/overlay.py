@@ -16,34 +16,18 @@ from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, I32, I64, Tin
 from ladar_volume.surface.locate import TriangleIndex, triangle_index
 from ladar_volume.volume.overlay_kernel import overlay_kernel
+from ladar_volume.volume.prismoids import CutFill
 
 
 @dataclass(frozen=True)
-class Between:
-    """Volumes between an upper and a lower surface, where both are.
+class Between(CutFill):
+    """Volumes between an upper and a lower surface, over their common footprint, which is held fixed too.
 
-    cut_m3 : where the upper surface is above the lower one, fill_m3 : where it is below, both positive; net = cut − fill · area_m2 :
-    of the common footprint · gradient_cut, gradient_fill : (n, 3) m² by the vertices of the upper surface, lower_cut, lower_fill :
-    (k, 3) m² by those of the lower one; in the map frame, triangulations and common footprint held fixed.
+    lower_cut, lower_fill : (k, 3) m², by the vertices of the lower surface in the map frame
     """
 
-    cut_m3: float
-    fill_m3: float
-    area_m2: float
-    gradient_cut: F64
-    gradient_fill: F64
     lower_cut: F64
     lower_fill: F64
-
-    @property
-    def net_m3(self) -> float:
-        """Cut minus fill, m³."""
-        return self.cut_m3 - self.fill_m3
-
-    @property
-    def gradient_net(self) -> F64:
-        """Gradient (n, 3) m² of the net volume by the upper vertices."""
-        return self.gradient_cut - self.gradient_fill
 
     @property
     def lower_net(self) -> F64:

@@ -18,11 +18,11 @@ from ladar_volume.surface.tin import footprint_areas
 
 
 @dataclass(frozen=True)
-class Prismoids:
-    """Volumes above a base and how they change.
+class CutFill:
+    """Volumes of a surface over something else.
 
-    cut_m3, fill_m3 : m³, both positive; net = cut − fill · area_m2 : footprint · gradient_cut, gradient_fill : (n, 3) m², per vertex in
-    the map frame, the base following its formula · base_cut, base_fill : (p,), by the base's coefficients.
+    cut_m3 : above it, fill_m3 : below it, both positive; net = cut − fill · area_m2 : footprint · gradient_cut, gradient_fill : (n, 3) m²,
+    by the vertices of the surface in the map frame, the triangulation held fixed.
     """
 
     cut_m3: float
@@ -30,8 +30,6 @@ class Prismoids:
     area_m2: float
     gradient_cut: F64
     gradient_fill: F64
-    base_cut: F64
-    base_fill: F64
 
     @property
     def net_m3(self) -> float:
@@ -42,6 +40,14 @@ class Prismoids:
     def gradient_net(self) -> F64:
         """Gradient (n, 3) m² of the net volume."""
         return self.gradient_cut - self.gradient_fill
+
+
+@dataclass(frozen=True)
+class Prismoids(CutFill):
+    """Volumes above a base. base_cut, base_fill : (p,), derivatives by the base's coefficients; the other gradients follow its formula."""
+
+    base_cut: F64
+    base_fill: F64
 
     @property
     def base_net(self) -> F64:
