@@ -14,7 +14,9 @@ from pathlib import Path
 from ladar_volume.version import version
 
 HERE = Path(__file__).parent
-NAMES = ("georeference", "filtering", "surface", "epochs", "replay", "live", "seeds")
+NAMES = (
+    "georeference", "filtering", "filtering_peers", "filtering_square", "surface", "surface_peers", "epochs", "replay", "live", "seeds",
+)  # fmt: skip
 
 
 def machine() -> str:

@@ -45,6 +45,8 @@ if [ "$(cat .venv/requirements.sha256 2>/dev/null || true)" != "$want" ]; then
     .venv/bin/python -m pip install -q --disable-pip-version-check -r requirements-dev.txt
     echo "$want" >.venv/requirements.sha256
 fi
+# machine code in the tree is recompiled when its own file changes, not when a kernel it calls does
+find ladar_volume -name '*.nb[ic]' -delete
 .venv/bin/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation .
 rm -rf build ladar_volume.egg-info
 # once, into the installed package's cache, so that the first survey does not wait for it
