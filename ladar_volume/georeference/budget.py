@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ladar_volume.model.errors import ParameterValueError
 from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.records import CAL_COLUMNS, F64
 from ladar_volume.model.se3 import euler_rate_matrix, matrix_from_quaternion
@@ -24,16 +25,47 @@ def calibration_columns(beams: int) -> tuple[str, ...]:
 
 
 def calibration_covariance(budget: BudgetParameters, beams: int, pose_source: str = "gnss_imu") -> F64:
-    """C_cal (c, c) with c = 11 + 2 beams, diagonal, in the order of :func:`calibration_columns`; m², rad², s².
+    """C_cal (c, c) with c = 11 + 2 beams, in the order of :func:`calibration_columns`; m², rad², s².
 
-    With ``odometry`` as pose source there is no antenna lever arm, so its sigma is zero.
+    Diagonal, unless the budget holds correlations (from a self-calibration). With ``odometry`` as pose source there is no antenna lever
+    arm, so its sigma is zero. Raises :class:`ParameterValueError` for correlations of another number of beams, or none that errors can
+    have.
     """
     lever_antenna = (0.0, 0.0, 0.0) if pose_source == "odometry" else budget.lever_antenna_sigma_m
     shared = [
         budget.range_bias_sigma_m, *budget.boresight_sigma_rad, *budget.lever_laser_sigma_m, *lever_antenna, budget.clock_sigma_s,
     ]  # fmt: skip
     sigmas = np.array(shared + [budget.beam_range_sigma_m] * beams + [budget.beam_vertical_sigma_rad] * beams)
-    return np.diag(sigmas**2)
+    out: F64 = sigmas[:, None] * correlation_matrix(budget.calibration_correlation, len(sigmas)) * sigmas
+    return out
+
+
+def correlation_matrix(triangle: tuple[float, ...], size: int) -> F64:
+    """Correlations (size, size) from the upper triangle without its diagonal, row by row; that of the columns shared by all beams is
+    enough, the beams then correlate with nothing; the identity for an empty one."""
+    out = np.eye(size)
+    if not triangle:
+        return out
+    sizes = {k * (k - 1) // 2: k for k in (len(CAL_COLUMNS), size)}
+    if len(triangle) not in sizes:
+        raise ParameterValueError(
+            f"budget.calibration_correlation: {len(triangle)} values; {' or '.join(str(n) for n in sizes)} are expected with "
+            f"{(size - len(CAL_COLUMNS)) // 2} beams", value=len(triangle),
+        )  # fmt: skip
+    rows, columns = np.triu_indices(sizes[len(triangle)], 1)
+    out[rows, columns] = out[columns, rows] = triangle
+    if np.linalg.eigvalsh(out)[0] < -1e-6:  # the rounding of nine decimals stays far below this
+        raise ParameterValueError("budget.calibration_correlation: no errors can be correlated like this (an eigenvalue is negative)")
+    return out
+
+
+def correlation_triangle(C: F64) -> tuple[float, ...]:
+    """The upper triangle of the correlations of a covariance (c, c), to nine decimals, as :func:`correlation_matrix` reads it; columns of
+    zero variance correlate with nothing."""
+    sigma = np.sqrt(np.diag(C))
+    safe = np.where(sigma > 0.0, sigma, 1.0)
+    R = C / (safe[:, None] * safe)
+    return tuple(float(round(v, 9)) + 0.0 for v in np.clip(R[np.triu_indices(len(C), 1)], -1.0, 1.0))
 
 
 def independent_sigmas(budget: BudgetParameters) -> F64:

@@ -7,7 +7,7 @@ rclpy refuses keys that nobody declares. Precedence: default < file < command li
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +87,19 @@ def dump_config(parameters: Parameters) -> str:
         for spec in specs(SECTIONS[section]):
             lines.append(f"      # {spec.help} [{_bounds(spec)}]")
             lines.append(f"      {spec.key}: {_yaml(values[spec.key])}")
+    return "\n".join(lines) + "\n"
+
+
+def changed_config(parameters: Parameters, kept: Mapping[str, Mapping[str, Any]], comment: str) -> str:
+    """A configuration as YAML text with a comment above: what differs from the defaults, and the keys of ``kept`` in any case."""
+    default, sections = Parameters().write(), {}
+    for section, values in parameters.write().items():
+        wanted = {k: v for k, v in values.items() if k in kept.get(section, {}) or repr(v) != repr(default[section][k])}  # NaN equals NaN
+        if wanted:
+            sections[section] = wanted
+    lines = [f"# {comment}", "/**:", "  ros__parameters:"]
+    for section, values in sections.items():
+        lines += [f"    {section}:", *(f"      {key}: {_yaml(value)}" for key, value in values.items())]
     return "\n".join(lines) + "\n"
 
 

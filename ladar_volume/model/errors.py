@@ -124,6 +124,12 @@ class VolumeError(LadarVolumeError):
     reason = "volume"
 
 
+class CalibrationError(LadarVolumeError):
+    """A calibration constant or its sigma cannot be determined from what was measured."""
+
+    reason = "calibration"
+
+
 class SimulationError(LadarVolumeError):
     """A scene, platform or survey cannot be simulated as asked."""
 

@@ -72,6 +72,13 @@ class BudgetParameters:
     lever_laser_sigma_m: tuple[float, ...] = param((0.002, 0.002, 0.003), "Laser lever arm.", unit="m", low=0, high=10, vector=3)
     lever_antenna_sigma_m: tuple[float, ...] = param((0.002, 0.002, 0.003), "Antenna lever arm.", unit="m", low=0, high=10, vector=3)
     clock_sigma_s: float = param(0.0002, "Clock offset.", unit="s", low=0, high=100)
+    calibration_correlation: tuple[float, ...] = param(
+        (),
+        "Correlations of the calibration errors, as `calibrate strips` writes them: upper triangle, row by row, over range bias, "
+        "boresight, laser lever arm, antenna lever arm (x, y, z each), clock, and where given all beams' range and vertical offsets; "
+        "empty for none.",
+        low=-1, high=1, vector=0,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
