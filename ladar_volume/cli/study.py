@@ -9,8 +9,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from ladar_volume.io.results import json_text
-from ladar_volume.model.errors import OutputError
+from ladar_volume.io.results import json_text, output_folder, write_text
 from ladar_volume.version import version
 
 
@@ -28,6 +27,14 @@ def add_parser(subparsers: Any) -> None:
     nist.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="tables.md, study.json and the figures")
     nist.add_argument("--json", action="store_true", help="print the numbers as JSON to standard output")
     nist.set_defaults(run=run_nist)
+    stockpile = studies.add_parser(
+        "stockpile", help="precision of a surveyed point and a coal stockpile of 100 m³ (its Table 2)",
+        description="Recomputes the precision of an airborne LiDAR point and what a stockpile of 100 m³ asks for, published and "
+        "corrected, side by side.",
+    )  # fmt: skip
+    stockpile.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="tables.md, study.json and precision.png")
+    stockpile.add_argument("--json", action="store_true", help="print the numbers as JSON to standard output")
+    stockpile.set_defaults(run=run_stockpile)
 
 
 def run_nist(arguments: argparse.Namespace) -> int:
@@ -37,10 +44,7 @@ def run_nist(arguments: argparse.Namespace) -> int:
     from ladar_volume.studies.nist_tables import tables
 
     if arguments.output is not None:
-        try:
-            arguments.output.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(f"{arguments.output} cannot be made: {error}", value=str(arguments.output)) from error
+        output_folder(arguments.output)
     console = Console(stderr=arguments.json)
     with console.status("simulating") as status:
         study = run(arguments.seeds, status.update)
@@ -48,12 +52,35 @@ def run_nist(arguments: argparse.Namespace) -> int:
         if arguments.output is not None:
             status.update("writing")
             facts["figures"] = write_figures(study, arguments.output)
-            (arguments.output / "tables.md").write_text(tables(study), encoding="utf-8")
-            (arguments.output / "study.json").write_text(json_text(facts), encoding="utf-8")
+            write_text(arguments.output / "tables.md", tables(study))
+            write_text(arguments.output / "study.json", json_text(facts))
     if arguments.json:
         print(json_text(facts), end="")
         return 0
     show(console, facts)
+    if arguments.output is not None:
+        console.print(f"written to {arguments.output}")
+    return 0
+
+
+def run_stockpile(arguments: argparse.Namespace) -> int:
+    """Compute, write, print."""
+    from ladar_volume.studies.stockpile import summary
+    from ladar_volume.studies.stockpile_tables import TABLES, tables, write_figure
+
+    facts: dict[str, Any] = {"study": "stockpile", **summary(), "version": version()}
+    if arguments.output is not None:
+        folder = output_folder(arguments.output)
+        facts["figures"] = [write_figure(folder)]
+        write_text(folder / "tables.md", tables())
+        write_text(folder / "study.json", json_text(facts))
+    if arguments.json:
+        print(json_text(facts), end="")
+        return 0
+    console = Console()
+    for title, make in TABLES.items():
+        console.print(f"\n[bold]{title}[/bold]\n")
+        console.print(make(), end="", markup=False, highlight=False, soft_wrap=True)
     if arguments.output is not None:
         console.print(f"written to {arguments.output}")
     return 0
