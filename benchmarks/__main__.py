@@ -16,6 +16,7 @@ from ladar_volume.version import version
 HERE = Path(__file__).parent
 NAMES = (
     "georeference", "filtering", "filtering_peers", "filtering_square", "surface", "surface_peers", "epochs", "replay", "live", "seeds",
+    "pits", "spheres",
 )  # fmt: skip
 
 

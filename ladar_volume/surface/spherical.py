@@ -110,3 +110,15 @@ def short_edges(vertices: F64, triangles: np.ndarray, limit: float, angle: bool 
     corner = vertices[triangles]
     out: Bool = (np.linalg.norm(corner - corner[:, [1, 2, 0]], axis=2) <= chord).all(axis=1)
     return out
+
+
+def normals_towards(tin: Tin) -> F64:
+    """Unit normals (n, 3) of the vertices, towards the scanner: the mean of their relevant triangles' by area."""
+    p = tin.vertices[tin.triangles[tin.relevant]]
+    face = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    index = tin.triangles[tin.relevant]
+    out = np.stack([np.bincount(index.ravel(), np.repeat(face[:, k], 3), len(tin.vertices)) for k in range(3)], axis=1)
+    size = np.linalg.norm(out, axis=1)
+    out[size == 0.0] = [0.0, 0.0, 1.0]  # a vertex of no relevant triangle
+    unit: F64 = out / np.where(size > 0.0, size, 1.0)[:, None]
+    return unit

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pits import PITS, pit, rim
 
+from benchmarks.pits import PITS, pit, rim, without_ring
 from ladar_volume.model.errors import SurfaceError, VolumeError
 from ladar_volume.model.se3 import exp_so3
 from ladar_volume.registration.adjustment import register
@@ -60,18 +60,14 @@ def test_a_pocket_in_a_leaning_wall_seen_from_in_front(lean):
 
 def test_what_a_missing_boundary_ring_costs_and_that_the_common_ring_costs_nothing(case):
     before, after, truth, opening, scanner = case
-    x0, x1, y0, y1 = opening
-    outermost = (after[:, 2] == 0) & (
-        (after[:, 0] < x0 - 0.9) | (after[:, 0] > x1 + 0.9) | (after[:, 1] < y0 - 0.9) | (after[:, 1] > y1 + 0.9)
-    )
-    whole, part = build_spherical(after, scanner), build_spherical(after[~outermost], scanner)
+    whole, part = build_spherical(after, scanner), build_spherical(without_ring(after, opening), scanner)
     a = build_spherical(before, scanner)
     assert published_difference(a, whole, scanner) == pytest.approx(truth, rel=5e-5)
     cost = published_difference(a, part, scanner) / truth - 1
     assert -0.14 < cost < -0.02
     # and then the pole matters: three metres higher it is more
     assert published_difference(a, part, scanner + np.array([0.0, 0, 3])) / truth - 1 < 2 * cost
-    d = two_surfaces(before, after[~outermost], ring_over(rim(opening, 0.4), 3.0, 0.2), scanner, scanner)
+    d = two_surfaces(before, without_ring(after, opening), ring_over(rim(opening, 0.4), 3.0, 0.2), scanner, scanner)
     assert d.removed_m3 == pytest.approx(truth, rel=5e-5)
 
 

@@ -1,0 +1,158 @@
+"""What ``diff`` reads: clouds and meshes, positions, polygons, noise, and the refinement by the ground around the region."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ladar_volume.io.meshfiles import ENDINGS, read_mesh
+from ladar_volume.io.pointfiles import read_cloud
+from ladar_volume.io.transforms import read_transform
+from ladar_volume.model.errors import ConfigurationError, InputError, SurfaceError, VolumeError
+from ladar_volume.model.records import F64, I32
+from ladar_volume.registration.transform import Transform
+from ladar_volume.surface.cloud import local_sigma
+from ladar_volume.surface.spherical import build_spherical, normals_towards, stereographic, unit_directions, widest_gap
+from ladar_volume.surface.topology import orient
+from ladar_volume.volume.excavation import Region, Scan, beam_noise, hull_polygon, select
+
+#: The cell of the refinement's covariance, as a part of A's larger side.
+ICP_CELLS = 12.0
+
+
+@dataclass(frozen=True)
+class Part:
+    """A file: points (n, 3) m in the map frame · triangles (m, 3), none for a cloud · closed : a mesh without boundary · sigma : (n,) m of
+    the file, or None · transform : that was applied"""
+
+    path: Path
+    points: F64
+    triangles: I32
+    closed: bool
+    sigma: F64 | None
+    transform: Transform | None
+
+
+@dataclass(frozen=True)
+class Noise:
+    """noise : a sigma, sigmas (n,), m, or covariances (n, 3, 3) m² · typical_m : its median · words : where it comes from"""
+
+    noise: float | F64
+    typical_m: float
+    words: str
+
+
+def point(text: str) -> F64:
+    """Three finite numbers with commas, from the command line."""
+    values = numbers(text)
+    if len(values) != 3:
+        raise argparse.ArgumentTypeError(f"{text!r} is not X,Y,Z")
+    return np.array(values)
+
+
+def numbers(text: str) -> list[float]:
+    """Finite numbers with commas; none where the text is anything else."""
+    try:
+        values = [float(w) for w in text.split(",")]
+    except ValueError:
+        return []
+    return values if all(math.isfinite(v) for v in values) else []
+
+
+def load(path: Path, transform: Path | None) -> Part:
+    """Read a cloud or a mesh and bring it into the map frame."""
+    T = None if transform is None else read_transform(transform)
+    r, triangles, sigma = read_any(path)
+    closed = False
+    if len(triangles):
+        try:
+            closed = len(orient(r, triangles).boundary) == 0
+        except SurfaceError as error:
+            raise SurfaceError(f"{path}: {error}", reason=error.reason, value=error.value) from error
+    return Part(path, r if T is None else T.apply(r), triangles, closed, sigma, T)
+
+
+def read_any(path: Path) -> tuple[F64, I32, F64 | None]:
+    """Points (n, 3), triangles (m, 3) and the column ``sigma`` (n,), where there is one. A PLY file without faces is a cloud."""
+    if path.suffix.lower() in ENDINGS:
+        try:
+            mesh = read_mesh(path)
+            return mesh.vertices, mesh.triangles, None
+        except InputError as error:
+            if path.suffix.lower() != ".ply" or error.reason not in ("mesh_file_fields", "mesh_file_empty"):
+                raise
+    cloud = read_cloud(path)
+    sigma = cloud.columns.get("sigma")
+    good = sigma is not None and sigma.dtype.kind in "fiu" and sigma.ndim == 1 and bool((np.isfinite(sigma) & (sigma >= 0)).all())
+    return cloud.r, np.zeros((0, 3), np.int32), np.asarray(sigma, np.float64) if good else None
+
+
+def given_corners(polygon: Sequence[str] | None, selection: Path | None) -> F64 | None:
+    """Corners (c, 2 or 3) of the region from the command line or a file; None without. Raises :class:`ConfigurationError`."""
+    if selection is not None:
+        return hull_polygon(read_cloud(selection, columns=False).r)
+    if polygon is None:
+        return None
+    rows = [numbers(text) for text in polygon]
+    if len(polygon) == 1 and not rows[0]:
+        try:
+            separator = "," if "," in Path(polygon[0]).read_text(encoding="utf-8") else None
+            table = np.loadtxt(polygon[0], delimiter=separator, ndmin=2)
+        except (OSError, ValueError) as error:
+            raise ConfigurationError(f"--polygon {polygon[0]}: no file of rows x y or x y z: {error}", value=polygon[0]) from error
+        rows = table.tolist()
+    if len(rows) < 3 or len({len(r) for r in rows}) != 1 or len(rows[0]) not in (2, 3):
+        raise ConfigurationError("--polygon: at least three corners x,y (or x,y,z)", value=list(polygon))
+    return np.array(rows)
+
+
+def make_scan(part: Part, scanner: F64 | None, pole: F64 | None) -> Scan:
+    """A scan whose scanner is given in the file's frame; without it the pole is the scanner's place in the map."""
+    if scanner is None:
+        eye = np.zeros(3) if pole is None else pole
+    else:
+        eye = scanner if part.transform is None else part.transform.apply(scanner[None])[0]
+    return Scan(part.points, eye, np.nan, part.transform)
+
+
+def sigma_of(scan: Scan, part: Part, given: float | None, beam: bool) -> Noise:
+    """Noise of a scan: as given, of the file's column, or from what local quadrics leave of its ranges, which lies along the beam."""
+    if given is not None and not given >= 0.0:
+        raise ConfigurationError(f"--sigma {given:g}: 0 or more", value=given)
+    if given is None and part.sigma is None:
+        direction, distance = unit_directions(scan.points, scan.scanner)
+        seen = 2.0 * float(np.median(distance)) * stereographic(direction, widest_gap(direction))
+        sigma: float | F64 = local_sigma(np.column_stack([seen, distance]))
+        beam, words = True, "residuals of local quadrics, along the beam"
+    else:
+        sigma, words = (given, "given") if given is not None else (np.asarray(part.sigma), "column 'sigma'")
+    typical = float(np.median(sigma))
+    return Noise(beam_noise(scan.points, scan.scanner, sigma) if beam else sigma, typical, words)
+
+
+def refine_by_ground(a: Scan, b: Scan, region: Region, reach_m: float, cell_m: float | None) -> tuple[Scan, dict[str, Any]]:
+    """Scan B laid on scan A by the ground outside the region, and what the JSON says of it.
+
+    Raises :class:`RegistrationError` as :func:`ladar_volume.registration.icp.refine` does, :class:`VolumeError` without ground.
+    """
+    from ladar_volume.io.epochs import register_epochs  # Open3D only where asked for
+
+    outside = ~select(a, a, region, 0.0)[0], ~select(Scan(b.points, a.scanner, np.nan), b, region, 0.0)[0]
+    tin = build_spherical(a.points, a.scanner).tin
+    ground = outside[0][tin.source]
+    if not ground.any() or not outside[1].any():
+        raise VolumeError("there is no ground outside the region to refine by", reason="region_ground")
+    cell = float(np.ptp(a.points, axis=0).max()) / ICP_CELLS if cell_m is None else cell_m
+    found = register_epochs(b.points[outside[1]], tin.vertices[ground], normals_towards(tin)[ground], reach_m=reach_m, cell_m=cell)
+    T = found.transform
+    noise = b.noise if np.ndim(b.noise) < 3 else T.R @ np.asarray(b.noise) @ T.R.T
+    moved = Scan(T.apply(b.points), T.apply(b.scanner[None])[0], noise, T)
+    facts = {"matrix": T.matrix().tolist(), "pairs": len(found.pairs), "sigma_m": found.sigma_m, "overlap": found.overlap, "cell_m": cell,
+             "sigma_rotation_rad": np.sqrt(np.diag(T.C)[:3]).tolist(), "sigma_shift_m": np.sqrt(np.diag(T.C)[3:6]).tolist()}  # fmt: skip
+    return moved, facts
