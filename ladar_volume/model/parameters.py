@@ -157,9 +157,20 @@ class GroundParameters:
     """The ground fitted to the surroundings (seed 002 chapter 6)."""
 
     trials: int = param(1000, "RANSAC trials (thesis: 1000).", low=1, high=1000000)
-    threshold_m: float = param(0.0, "Inlier threshold; 0 for three robust sigma of the residuals.", unit="m", low=0, high=10)
+    sample_size: int = param(
+        0, "Points per random sample; 0 for the fewest that define the surface (thesis: k = 20 or 10).", low=0, high=1000
+    )
+    threshold_m: float = param(0.0, "Inlier threshold; 0 for 3.5 robust sigma of the residuals.", unit="m", low=0, high=10)
+    below_weight: float = param(
+        4.0,
+        "How much a point below a candidate counts against it: 0 for the largest surface (thesis); with w a surface above the ground wins "
+        "only with more than 1 + w times its points.",
+        low=0, high=100,
+    )  # fmt: skip
     max_tilt_rad: float = param(math.radians(30.0), "Largest tilt of the ground from the horizontal.", low=0, high=89)
-    degree: int = param(1, "Degree of the ground polynomial: 0 level, 1 plane, 2 quadric.", low=0, high=2)
+    degree: int = param(1, "Degree of the ground polynomial: 0 level, 1 plane, 2 quadric, 3 cubic.", low=0, high=3)
+    surfaces: int = param(1, "Most ground surfaces (terraces, steps); the volume stands on the first.", low=1, high=1000)
+    min_support: float = param(0.02, "Smallest share of the points that makes a ground surface.", low=0, high=1)
     seed: int = param(1, "Seed of the random samples.", low=0, high=2**31 - 1)
 
 

@@ -244,10 +244,10 @@ class Tin:
 
 @dataclass(frozen=True)
 class Plane:
-    """A base surface ``z = x(dx, dy) @ beta`` about ``origin_xy``: degree 0 (level), 1 (plane) or 2.
+    """A base surface ``z = x(dx, dy) @ beta`` about ``origin_xy``: degree 0 (level), 1 (plane), 2 or 3.
 
-    origin_xy : (2,) m · beta : (p,) with x = (1, dx, dy[, dx², dx dy, dy²]) · C_beta : (p, p) independent part ·
-    support : (k,) int64 indices of the points that define it (empty for a design surface)
+    origin_xy : (2,) m · beta : (p,) with x = (1, dx, dy[, dx², dx dy, dy²[, dx³, dx² dy, dx dy², dy³]]) · C_beta : (p, p) independent
+    part · support : (k,) int64 indices of the points that define it (empty for a design surface)
     """
 
     origin_xy: F64

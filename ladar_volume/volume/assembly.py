@@ -22,7 +22,7 @@ def base_name(parameters: Parameters) -> str:
         return f"level {v.level_m:.3f} m"
     if v.base == "plane":
         return "given plane z = {:.6g} + {:.6g} x + {:.6g} y".format(*v.plane)
-    return f"ground of the same survey ({('level', 'plane', 'quadric')[degree]})"
+    return f"ground of the same survey ({('level', 'plane', 'quadric', 'cubic')[degree]})"
 
 
 def vertex_variance(surface: Represented, points: FilteredPoints) -> F64:

@@ -1,6 +1,6 @@
 """Cut, fill and net volume of a TIN above a base by exact prismoids, with their gradients (seed 000 section 4.1).
 
-Over a triangle the height above the base is linear (a base of degree 2 is taken at the vertices). Where it changes sign the
+Over a triangle the height above the base is linear (a base of degree 2 or 3 is taken at the vertices). Where it changes sign the
 triangle is cut along the zero line: the prismoid at the single vertex i on its side has the volume
 ``A h_i³ / (3 (h_i − h_j)(h_i − h_k))``. Gradients hold the triangulation fixed; the footprint moves with the vertices.
 """

@@ -16,6 +16,7 @@ from ladar_volume.model.parameters import GroundParameters
 from ladar_volume.model.records import Plane
 
 COEFFICIENTS = {0: [2.0], 1: [2.0, 0.03, -0.05], 2: [2.0, 0.03, -0.05, 0.001, -0.002, 0.0005]}
+COEFFICIENTS[3] = [*COEFFICIENTS[2], 2e-4, -1e-4, 1e-4, -2e-4]
 
 
 def ground(n=400, degree=1, noise=0.0, seed=0, half=20.0):
@@ -25,10 +26,10 @@ def ground(n=400, degree=1, noise=0.0, seed=0, half=20.0):
 
 
 def fit(points, degree=1, **kwargs):
-    return fit_ground(points, np.full(len(points), 1e-4), GroundParameters(degree=degree, trials=300, **kwargs))
+    return fit_ground(points, np.full(len(points), 1e-4), GroundParameters(degree=degree, trials=300 if degree < 3 else 1000, **kwargs))
 
 
-@pytest.mark.parametrize("degree", [0, 1, 2])
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_exact_ground_is_recovered(degree):
     points = ground(degree=degree)
     plane = fit(points, degree)
@@ -37,7 +38,7 @@ def test_exact_ground_is_recovered(degree):
     assert len(plane.support) == 400 and plane.rms_m < 1e-12
 
 
-@pytest.mark.parametrize("degree", [0, 1, 2])
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_a_pile_and_outliers_do_not_move_it(degree):
     points = ground(1500, degree, noise=0.01)
     r = np.hypot(points[:, 0], points[:, 1])
@@ -92,7 +93,7 @@ def test_same_input_same_bits_and_shift_equivariance():
     assert base_height(moved, xy + np.array([1000.0, -2000.0])) - 300.0 == pytest.approx(base_height(a, xy), abs=1e-8)
 
 
-@pytest.mark.parametrize("degree", [0, 1, 2])
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_gradients_of_the_surface_and_of_the_design(degree):
     plane = design_surface(COEFFICIENTS[degree], (3.0, -2.0))
     xy, h = np.random.default_rng(2).uniform(-5, 5, (20, 2)), 1e-5
@@ -104,7 +105,7 @@ def test_gradients_of_the_surface_and_of_the_design(degree):
         assert np.allclose(design_gradient(xy, plane.origin_xy, degree)[:, axis], numeric, atol=1e-8)
 
 
-@pytest.mark.parametrize("degree", [0, 1, 2])
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_adjoint_equals_central_differences(degree):
     points = ground(30, degree, noise=0.2)
     by_beta = np.random.default_rng(3).standard_normal((len(COEFFICIENTS[degree]), 2))
@@ -140,9 +141,10 @@ def test_refusals(points, degree, reason):
 
 def test_a_conic_does_not_define_a_quadric():
     a = np.linspace(0, 2 * np.pi, 40, endpoint=False)
-    with pytest.raises(GroundError) as caught:
-        solve(np.c_[np.cos(a), np.sin(a), np.zeros(40)], np.zeros(2), 2)
-    assert caught.value.reason == "ground_degenerate"
+    for degree in (2, 3):
+        with pytest.raises(GroundError) as caught:
+            solve(np.c_[np.cos(a), np.sin(a), np.zeros(40)], np.zeros(2), degree)
+        assert caught.value.reason == "ground_degenerate"
 
 
 def test_gravity_prior():
