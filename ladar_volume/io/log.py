@@ -1,7 +1,12 @@
-"""The MCAP log: raw CDR bytes in zstd chunks, flushed by time, that Foxglove and ``ros2 bag play`` open."""
+"""One MCAP file: raw CDR bytes in zstd chunks, flushed by time, that Foxglove and ``ros2 bag play`` open."""
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
+import os
+import time
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -14,31 +19,41 @@ from ladar_volume.model.parameters import LoggerParameters
 from ladar_volume.version import version
 
 COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
+LIBRARY = "ladar_volume"
+
+
+def usual_definition(kind: str) -> str:
+    """Message definition of a type of the common interfaces; empty where it is none of them."""
+    return str(TYPESTORE.generate_msgdef(kind, ros_version=2)[0]) if kind in TYPESTORE.fielddefs else ""
 
 
 class McapLog:
-    """One or, with ``split_bytes``, several numbered files. Not thread-safe: one writer thread."""
+    """A new file. Not thread-safe: one writer thread. Raises OutputError where the file exists or the disk refuses.
 
-    def __init__(self, parameters: LoggerParameters, path: str | Path | None = None) -> None:
+    ``definition`` gives the ros2msg text of a message type.
+    """
+
+    def __init__(
+        self, parameters: LoggerParameters, path: str | Path | None = None, definition: Callable[[str], str] = usual_definition
+    ) -> None:
         self.parameters = parameters
-        self._base = Path(path if path is not None else parameters.path)
-        self._part = 0
-        self.messages = 0
-        self._open()
-
-    def _open(self) -> None:
-        name = self._base if self._part == 0 else self._base.with_name(f"{self._base.stem}_{self._part}{self._base.suffix}")
-        try:
-            name.parent.mkdir(parents=True, exist_ok=True)
-            self._stream = name.open("wb")
-        except OSError as error:
-            raise OutputError(f"{name}: cannot be written: {error}", value=str(name)) from error
-        self.path = name
-        self._writer = Writer(self._stream, chunk_size=self.parameters.chunk_bytes, compression=COMPRESSION[self.parameters.compression])
-        self._writer.start(profile="ros2", library=f"ladar_volume {version()}")
+        self.path = Path(path if path is not None else parameters.path)
+        #: Messages per topic that were taken in, and those of them that are not in a written chunk yet.
+        self.accepted: dict[str, int] = {}
+        self.pending: dict[str, int] = {}
+        self._definition = definition
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
-        self._flushed_ns: int | None = None
+        self._chunk_began: tuple[float, int] | None = None
+        self._disk(self._open)
+
+    def _open(self) -> None:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self._stream = self.path.open("xb")
+        fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # nobody repairs a file that is being written
+        self._writer = Writer(self._stream, chunk_size=2**31, compression=COMPRESSION[self.parameters.compression])
+        self._writer.start(profile="ros2", library=f"{LIBRARY} {version()}")
+        self._stream.flush()  # from here on a killed logger leaves a file that can be repaired
 
     def __enter__(self) -> McapLog:
         return self
@@ -46,52 +61,91 @@ class McapLog:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
-    def write(self, topic: str, kind: str, data: bytes, t_ns: int) -> None:
-        """Append one serialised message; ``kind`` as ``sensor_msgs/msg/Imu``. Chunks reach the disk at least every ``chunk_s``.
-
-        Raises OutputError where the disk refuses.
-        """
+    def _disk(self, action: Callable[[], Any]) -> None:
         try:
-            self._writer.add_message(self._channel(topic, kind), t_ns, data, t_ns)
-            self.messages += 1
-            if self._flushed_ns is None:
-                self._flushed_ns = t_ns
-            if t_ns - self._flushed_ns >= self.parameters.chunk_s * 1e9 or t_ns < self._flushed_ns:
-                self._writer.flush()  # type: ignore[no-untyped-call]
-                self._stream.flush()
-                self._flushed_ns = t_ns
-            if self.parameters.split_bytes and self._stream.tell() >= self.parameters.split_bytes:
-                self.split()
+            action()
         except OSError as error:
             raise OutputError(f"{self.path}: cannot be written: {error}", value=str(self.path)) from error
+
+    @property
+    def size(self) -> int:
+        """Bytes in written chunks."""
+        return self._stream.tell()
+
+    def write(
+        self, topic: str, kind: str, data: bytes, t_ns: int, published_ns: int | None = None, sequence: int = 0, qos: str = ""
+    ) -> None:
+        """Append one serialised message; ``kind`` as ``sensor_msgs/msg/Imu``, ``t_ns`` the receive time.
+
+        A chunk is written before it spans more than ``chunk_s`` of receive time or of real time, or ``chunk_bytes``.
+        """
+        if self._chunk_began is not None and abs(t_ns - self._chunk_began[1]) >= self.parameters.chunk_s * 1e9:
+            self.flush()
+        if self._chunk_began is None:
+            self._chunk_began, self._chunk_bytes = (time.monotonic(), t_ns), 0
+        published = t_ns if published_ns is None else published_ns
+        self._writer.add_message(self._channel(topic, kind, qos), t_ns, data, published, sequence & 0xFFFFFFFF)
+        self.accepted[topic] = self.accepted.get(topic, 0) + 1
+        self.pending[topic] = self.pending.get(topic, 0) + 1
+        self._chunk_bytes += len(data)
+        if self._chunk_bytes >= self.parameters.chunk_bytes:
+            self.flush()
+        self.tick()
 
     def write_message(self, topic: str, message: Any, t_ns: int) -> None:
         """Append a message object of the package's type store."""
         kind = str(message.__msgtype__)
         self.write(topic, kind, bytes(TYPESTORE.serialize_cdr(message, kind)), t_ns)
 
+    def tick(self) -> None:
+        """Write the chunk if it is old enough; to be called when no message comes, too."""
+        if self._chunk_began is not None and time.monotonic() - self._chunk_began[0] >= self.parameters.chunk_s:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write the chunk in progress to the disk."""
+        self._chunk_began = None
+        self._disk(self._flush)
+        self.pending = {}
+
+    def _flush(self) -> None:
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self._stream.flush()
+        if self.parameters.sync == "chunk":
+            os.fdatasync(self._stream.fileno())
+
     def metadata(self, name: str, values: dict[str, str]) -> None:
         """Attach named text values, such as the effective parameters."""
-        self._writer.add_metadata(name, values)
+        self._disk(lambda: self._writer.add_metadata(name, values))
+        self._disk(self._stream.flush)
 
-    def split(self) -> Path:
-        """Finish this file and go on in the next; returns the finished one."""
-        done = self.path
-        self.close()
-        self._part += 1
-        self._open()
-        return done
+    def attach(self, name: str, media_type: str, data: bytes, t_ns: int) -> None:
+        """Attach a file."""
+        self._disk(lambda: self._writer.add_attachment(t_ns, t_ns, name, media_type, data))
+        self._disk(self._stream.flush)
 
     def close(self) -> None:
         """Finish the file with its index."""
         if not self._stream.closed:
-            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._disk(self._finish)
+            self.pending = {}
+
+    def _finish(self) -> None:
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+        self._stream.close()
+
+    def abandon(self) -> None:
+        """Let go of a file the disk no longer takes; what it holds can be repaired."""
+        with contextlib.suppress(OSError):  # the buffer could not be written; the descriptor is closed all the same
             self._stream.close()
 
-    def _channel(self, topic: str, kind: str) -> int:
+    def _channel(self, topic: str, kind: str, qos: str) -> int:
         if topic not in self._channels:
             if kind not in self._schemas:
-                definition = TYPESTORE.generate_msgdef(kind, ros_version=2)[0] if kind in TYPESTORE.fielddefs else ""
+                definition = self._definition(kind)
                 self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", definition.encode())
-            self._channels[topic] = self._writer.register_channel("/" + topic.lstrip("/"), "cdr", self._schemas[kind])
+            metadata = {"offered_qos_profiles": qos} if qos else {}
+            self._channels[topic] = self._writer.register_channel("/" + topic.lstrip("/"), "cdr", self._schemas[kind], metadata)
         return self._channels[topic]

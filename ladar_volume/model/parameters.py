@@ -227,12 +227,27 @@ class NodeParameters:
 class LoggerParameters:
     """The MCAP log."""
 
-    path: str = param("ladar_volume.mcap", "File to write; split files get a running number.")
+    path: str = param("ladar_volume.mcap", "File to write; further files get a running number, an existing one is never overwritten.")
     topics: tuple[str, ...] = param(("*",), "Topics to log, with shell wildcards; '*' for all of this graph.", vector=0)
-    chunk_s: float = param(1.0, "Longest time before a chunk is written.", unit="s", low=0.05, high=60)
+    chunk_s: float = param(
+        0.5, "Longest time before a chunk is written; a killed logger loses this and what it was writing.", unit="s", low=0.05, high=1
+    )
     chunk_bytes: int = param(4_000_000, "Largest chunk.", unit="B", low=1000, high=2**31 - 1)
     compression: str = param("zstd", "Chunk compression.", choices=("zstd", "lz4", "none"))
+    sync: str = param(
+        "chunk", "When the disk must confirm: every chunk (survives a power cut), or never (survives a killed process).",
+        choices=("chunk", "never"),
+    )  # fmt: skip
     split_bytes: int = param(0, "Start a new file beyond this size; 0 for never.", unit="B", low=0)
+    split_s: float = param(0.0, "Start a new file after this time; 0 for never.", unit="s", low=0, high=1e6)
+    queue_bytes: int = param(
+        128_000_000, "Most bytes that wait for a slow disk; beyond, the newest message is dropped and counted.", unit="B", low=1_000_000
+    )
+    disk_reserve_bytes: int = param(200_000_000, "The disk counts as full when less than this is free.", unit="B", low=0)
+    disk_full: str = param(
+        "stop", "On a full disk: finish the file and wait for space, or delete the oldest finished file of this log.",
+        choices=("stop", "delete_oldest"),
+    )  # fmt: skip
 
 
 SECTIONS: dict[str, type] = {

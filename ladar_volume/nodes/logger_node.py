@@ -4,16 +4,32 @@ from __future__ import annotations
 
 import fnmatch
 import importlib
+import re
 import sys
+import threading
+import time
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
-from ladar_volume.io.log import McapLog
+from ladar_volume.io.config import dump_config
+from ladar_volume.io.log import usual_definition
+from ladar_volume.io.recorder import Recorder
+from ladar_volume.io.recover import Recovery
 from ladar_volume.io.results import json_text
+from ladar_volume.model.errors import OutputError
+from ladar_volume.model.losses import Losses
 from ladar_volume.nodes.base import StageNode, spin
+from ladar_volume.version import version
+
+#: How often new topics are looked for.
+DISCOVERY_S = 0.2
+_FOREVER = "{sec: 9223372036, nsec: 854775807}"
 
 
 def message_class(kind: str) -> Any:
@@ -25,8 +41,64 @@ def message_class(kind: str) -> Any:
         return None
 
 
+def installed_definition(kind: str) -> str:
+    """ros2msg text of any installed message type, its parts behind it; of the common interfaces from the type store."""
+    text = usual_definition(kind)
+    if text:
+        return text
+    parts, todo = [], [kind]
+    seen = set(todo)
+    while todo:
+        kind = todo.pop(0)
+        cls = message_class(kind)
+        if cls is None:
+            return ""
+        fields = cls.get_fields_and_field_types()
+        inner = [m for m in (re.search(r"(\w+)/(\w+)", t) for t in fields.values()) if m]
+        parts.append((kind, "".join(f"{_ros2msg(t)} {name}\n" for name, t in fields.items())))
+        fresh = dict.fromkeys(f"{m[1]}/msg/{m[2]}" for m in inner)
+        todo += [k for k in fresh if k not in seen]
+        seen |= set(fresh)
+    rule = "=" * 80
+    return parts[0][1] + "".join(f"{rule}\nMSG: {k.replace('/msg/', '/')}\n{text}" for k, text in parts[1:])
+
+
+def _ros2msg(kind: str) -> str:
+    """A field type as rclpy names it, as .msg files write it."""
+    kind = kind.replace("boolean", "bool").replace("double", "float64").replace("octet", "byte")
+    kind = re.sub(r"\bfloat\b", "float32", kind)
+    bounded = re.fullmatch(r"sequence<(.+), (\d+)>", kind)
+    if bounded:
+        return f"{_ros2msg(bounded[1])}[<={bounded[2]}]"
+    endless = re.fullmatch(r"sequence<(.+)>", kind)
+    return f"{_ros2msg(endless[1])}[]" if endless else re.sub(r"string<(\d+)>", r"string<=\1", kind)
+
+
+@dataclass
+class Subscribed:
+    """A topic that is logged, as it was subscribed to."""
+
+    kind: str
+    reliable: bool
+    latched: bool
+    subscription: Any = None
+    publishers: int = 1
+    sequence: int = 0
+    events: int = 0
+    gaps: int = 0
+
+    @property
+    def qos_text(self) -> str:
+        """The publisher's QoS as rosbag2 stores it, so that a replay offers the same."""
+        return (
+            f"- history: keep_last\n  depth: 1\n  reliability: {'reliable' if self.reliable else 'best_effort'}\n"
+            f"  durability: {'transient_local' if self.latched else 'volatile'}\n  deadline: {_FOREVER}\n  lifespan: {_FOREVER}\n"
+            f"  liveliness: automatic\n  liveliness_lease_duration: {_FOREVER}\n  avoid_ros_namespace_conventions: false"
+        )
+
+
 class LoggerNode(StageNode):
-    """Looks for topics once a second and subscribes to those wanted, with the publisher's own durability and reliability."""
+    """Looks for topics and subscribes to those wanted, with the publisher's own durability and reliability."""
 
     kernels = False
     sections = ("logger", "node")
@@ -35,65 +107,146 @@ class LoggerNode(StageNode):
         super().__init__("logger_node", **options)
 
     def build(self) -> None:
-        """Open the log, begin to look for topics."""
-        self._log = McapLog(self.parameters.logger)
-        self._log.metadata("ladar_volume", {"parameters": json_text(self.parameters.write())})
-        self._known: set[str] = set()
-        self.create_timer(1.0, self._discover, callback_group=self._group)
+        """Open the log, begin to look for topics, make whole what a killed run left behind."""
+        self._recorder = Recorder(self.parameters.logger, installed_definition)
+        parameters = self.parameters
+        self._recorder.metadata("ladar_volume", {"version": version(), "parameters": json_text(parameters.write())})
+        self._recorder.attach("parameters.yaml", "application/yaml", dump_config(parameters).encode(), self._now())
+        self._known: dict[str, Subscribed | None] = {}
+        self._offered, self._taken = 0, 0  # bytes; each counted by one thread alone
+        self._rates: dict[str, tuple[float, int]] = {}
+        self._repairs: list[Recovery | OutputError] = []
+        threading.Thread(target=self._repair, name="repair", daemon=True).start()
+        self.create_timer(DISCOVERY_S, self._discover, callback_group=self._group)
         self.create_service(Trigger, "~/split", self._split, callback_group=self._group)
         self._discover()
 
+    def _now(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def _repair(self) -> None:
+        for done in self._recorder.repair_older():
+            if isinstance(done, OutputError):
+                self.get_logger().error(str(done))
+            else:
+                self.get_logger().warning(
+                    f"{done.path} was not finished: repaired with {done.messages} messages; {done.lost_bytes} bytes at its end were torn"
+                )
+            self._repairs.append(done)
+
+    # topics -------------------------------------------------------------------------------------------------------
     def _discover(self) -> None:
         for topic, kinds in self.get_topic_names_and_types():
             name = topic.lstrip("/")
-            if topic in self._known or not any(fnmatch.fnmatch(name, pattern.lstrip("/")) for pattern in self.parameters.logger.topics):
+            if not any(fnmatch.fnmatch(name, pattern.lstrip("/")) for pattern in self.parameters.logger.topics):
                 continue
             publishers = self.get_publishers_info_by_topic(topic)
-            if not publishers:
-                continue
-            self._known.add(topic)
-            kind = message_class(kinds[0])
-            if kind is None:
-                self.losses.add("message_unknown_type")
-                self.get_logger().warning(f"{topic}: no Python support for {kinds[0]}, not logged")
+            if not publishers or (topic in self._known and self._known[topic] is None):
                 continue
             # asking for more than a publisher offers would get nothing: take the weakest of what they offer
             reliable = all(p.qos_profile.reliability == ReliabilityPolicy.RELIABLE for p in publishers)
             latched = all(p.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in publishers)
-            qos = QoSProfile(
-                history=HistoryPolicy.KEEP_LAST, depth=1000,
-                reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-                durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-            )  # fmt: skip
-            self.create_subscription(
-                kind, topic, lambda data, name=name, kind=kinds[0]: self._take(name, kind, data), qos, raw=True, callback_group=self._group
-            )
+            known = self._known.get(topic)
+            if known is not None:
+                known.publishers = len(publishers)
+                if known.reliable <= reliable and known.latched <= latched:
+                    continue
+                self.destroy_subscription(known.subscription)  # a newcomer offers less than was asked for
+            self._subscribe(topic, name, Subscribed(kinds[0], reliable, latched, publishers=len(publishers)))
 
-    def _take(self, name: str, kind: str, data: bytes) -> None:
-        if self._active:
-            self.offer("message", (name, kind, data, self.get_clock().now().nanoseconds))
+    def _subscribe(self, topic: str, name: str, known: Subscribed) -> None:
+        message_type = message_class(known.kind)
+        if message_type is None:
+            self._known[topic] = None
+            self.losses.add("message_unknown_type")
+            self.get_logger().warning(f"{topic}: no Python support for {known.kind}, not logged")
+            return
+        self._known[topic] = known
+        qos = QoSProfile(
+            history=HistoryPolicy.KEEP_LAST, depth=1000,
+            reliability=ReliabilityPolicy.RELIABLE if known.reliable else ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if known.latched else DurabilityPolicy.VOLATILE,
+        )  # fmt: skip
 
+        def lost(event: Any) -> None:
+            known.events += max(int(event.total_count_change), 0)
+            self._recorder.account(name).middleware = max(known.events, known.gaps)
+
+        def take(data: bytes, info: Any) -> None:
+            if self._active:
+                self._take(name, known, data, info)
+
+        known.subscription = self.create_subscription(
+            message_type, topic, take, qos, raw=True, callback_group=self._group,
+            event_callbacks=SubscriptionEventCallbacks(message_lost=lost),
+        )  # fmt: skip
+
+    def _take(self, name: str, known: Subscribed, data: bytes, info: Any) -> None:
+        account = self._recorder.account(name)
+        sequence = int(info.get("publication_sequence_number") or 0)
+        if known.publishers == 1 and sequence > 0:  # the numbers of several publishers cannot be told apart
+            if known.sequence == 0:
+                account.before = sequence - 1
+            elif sequence > known.sequence + 1:
+                known.gaps += sequence - known.sequence - 1
+                account.middleware = max(known.events, known.gaps)
+        known.sequence = sequence
+        if self._queue.full() or self._offered - self._taken + len(data) > self.parameters.logger.queue_bytes:
+            account.queue += 1
+            return
+        self._offered += len(data)
+        self.offer("message", (name, known, data, self._now(), int(info.get("source_timestamp") or 0) or None, sequence))
+
+    # the writing thread -------------------------------------------------------------------------------------------
     def work(self, kind: str, item: Any) -> None:
         """Write one message, or split."""
         if kind == "split":
-            self._log.split()
+            self._recorder.split(self._now())
         elif kind == "message":
-            self._log.write(*item)
+            name, known, data, t_ns, published_ns, sequence = item
+            self._taken += len(data)
+            self._recorder.write(name, known.kind, data, t_ns, published_ns, sequence, known.qos_text, known.latched)
+
+    def idle(self) -> None:
+        """Write a chunk that is old enough even when nothing comes."""
+        self._recorder.tick(self._now())
 
     def _split(self, request: Any, response: Any) -> Any:
         self.offer("split", None)
-        response.success, response.message = True, json_text({"finishing": str(self._log.path)})
+        response.success, response.message = True, json_text({"finishing": str(self._recorder.path)})
         return response
 
     def stop(self) -> None:
         """Write what is queued, then finish the file with its index."""
         super().stop()
-        if hasattr(self, "_log"):
-            self._log.close()
+        if hasattr(self, "_recorder"):
+            self._recorder.close()
+
+    def all_losses(self) -> Losses:
+        """Messages that are not in the log, by reason and topic."""
+        total = Losses(self.losses.as_dict())
+        total.merge(self._recorder.losses())
+        total.add("message_unrepaired_file", sum(isinstance(r, OutputError) for r in self._repairs))
+        return total
 
     def status(self) -> dict[str, Any]:
-        """What is written where."""
-        return {"file": self._log.path, "messages_written": self._log.messages, "topics": len(self._known)}
+        """What is written where, and the account of every topic."""
+        recorder, now = self._recorder, time.monotonic()
+        accounts = dict(sorted(recorder.accounts.items()))
+        lines: dict[str, Any] = {
+            "file": recorder.path, "messages_written": sum(a.written for a in accounts.values()), "topics": len(accounts),
+            "waiting_bytes": self._offered - self._taken, "disk": recorder.problem or "good", "disk_free_bytes": recorder.free(),
+            "deleted_files": len(recorder.deleted),
+            "repaired_files": ", ".join(f"{Path(r.path).name}: {r.lost_bytes} B torn" for r in self._repairs if isinstance(r, Recovery)),
+        }  # fmt: skip
+        for topic, a in accounts.items():
+            before, old = self._rates.get(topic, (now, a.written))
+            self._rates[topic] = (now, a.written)
+            rate = (a.written - old) / (now - before) if now > before else 0.0
+            lines |= {f"written_{topic}": a.written, f"written_rate_{topic}_hz": f"{rate:.1f}"}
+            if a.before:
+                lines[f"before_{topic}"] = a.before
+        return lines
 
 
 def main(argv: Sequence[str] | None = None) -> int:

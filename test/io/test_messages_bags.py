@@ -1,7 +1,6 @@
 """Fixes, attitudes and recordings: what is bad is refused by name."""
 
 import os
-import shutil
 from pathlib import Path
 from types import SimpleNamespace as Message
 
@@ -138,38 +137,3 @@ def test_unwritable_output_is_an_error_not_a_traceback(tmp_path):
     ):  # fmt: skip
         with pytest.raises(OutputError):
             action()
-
-
-def test_a_log_is_read_back_and_splits(tmp_path):
-    with McapLog(LoggerParameters(split_bytes=2000, chunk_s=0.05, compression="none"), tmp_path / "log.mcap") as log:
-        for i in range(100):
-            log.write_message("chat", text(f"{i:050d}"), i * 10**8)
-    files = sorted(tmp_path.glob("log*.mcap"))
-    assert len(files) > 2
-    total = 0
-    for file in files:
-        with BagReader(file) as bag:
-            total += sum(1 for _ in bag.raw())
-    assert total == 100
-
-
-def test_a_log_that_was_never_closed_holds_all_but_its_last_chunk(tmp_path):
-    log = McapLog(LoggerParameters(chunk_s=1.0), tmp_path / "log.mcap")
-    for i in range(100):
-        log.write_message("chat", text(str(i)), i * 10**8)
-    shutil.copy(tmp_path / "log.mcap", tmp_path / "killed.mcap")
-    log.close()
-    assert _counted(tmp_path / "killed.mcap") >= 90
-
-
-def _counted(path):
-    from mcap.stream_reader import StreamReader
-
-    count = 0
-    with path.open("rb") as stream:
-        try:
-            for record in StreamReader(stream).records:
-                count += type(record).__name__ == "Message"
-        except Exception as error:
-            assert type(error).__name__ == "EndOfFile"
-    return count

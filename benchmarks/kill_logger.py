@@ -1,0 +1,171 @@
+"""What ``kill -9`` costs the log: the logger is killed at random moments under load, its next start repairs the file it left, and
+both ``mcap`` and ``rosbags`` must open it. Lost is the time from the last message in the file to the kill.
+
+``python -m benchmarks.kill_logger [--runs N] [--bare]``; ``--bare`` kills a process that writes through the Recorder without ROS.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+
+from ladar_volume.io.bags import TYPESTORE
+from ladar_volume.io.recorder import Recorder, log_files
+from ladar_volume.io.recover import is_whole
+from ladar_volume.model.parameters import LoggerParameters
+
+ROOT = Path(__file__).parents[1]
+CLOUD_BYTES, CLOUD_HZ, IMU_HZ = 660_000, 10, 100
+#: A kill comes this long after the file appeared, at most.
+LONGEST_S = 3.0
+
+
+def write_bare(path: str) -> None:
+    """The killed process without ROS: clouds and attitudes at a scanner's rate."""
+    recorder = Recorder(LoggerParameters(path=path, disk_reserve_bytes=0))
+    recorder.repair_older()
+    noise, i = os.urandom(CLOUD_BYTES), 0
+    while True:
+        now = time.time_ns()
+        recorder.write("imu/data", "sensor_msgs/msg/Imu", noise[:324], now)
+        if i % (IMU_HZ // CLOUD_HZ) == 0:
+            recorder.write("velodyne_points", "sensor_msgs/msg/PointCloud2", noise, now)
+        i += 1
+        time.sleep(1.0 / IMU_HZ)
+
+
+def publish() -> None:
+    """The load over DDS, until killed."""
+    import rclpy
+    from sensor_msgs.msg import Imu, PointCloud2
+
+    rclpy.init(args=[])
+    node = rclpy.create_node("load")
+    clouds, imus = node.create_publisher(PointCloud2, "velodyne_points", 10), node.create_publisher(Imu, "imu/data", 100)
+    cloud, i = PointCloud2(data=os.urandom(CLOUD_BYTES)), 0
+    while True:
+        imus.publish(Imu())
+        if i % (IMU_HZ // CLOUD_HZ) == 0:
+            clouds.publish(cloud)
+        i += 1
+        time.sleep(1.0 / IMU_HZ)
+
+
+def _wait(done: Callable[[], bool], timeout_s: float = 60.0) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not done():
+        if time.monotonic() > deadline:
+            raise RuntimeError("the logger did not start")
+        time.sleep(0.01)
+
+
+def check(path: Path) -> tuple[int, int]:
+    """Messages and last receive time, by ``mcap``; raises where it or ``rosbags`` cannot read the file or they disagree."""
+    with path.open("rb") as stream:
+        times = [m.log_time for _, _, m in make_reader(stream, validate_crcs=True).iter_messages()]
+    if times:
+        with AnyReader([path], default_typestore=TYPESTORE) as bag:
+            if sum(1 for _ in bag.messages()) != len(times):
+                raise RuntimeError(f"{path}: mcap and rosbags disagree")
+    return len(times), max(times, default=0)
+
+
+def kill_often(runs: int, bare: bool, folder: Path) -> list[dict[str, Any]]:
+    """One dictionary per run: ``delay_s``, ``lost_s`` (None where nothing had been written yet), ``messages``, ``opens``."""
+    rng, base = random.Random(20), folder / "log.mcap"
+    python = [sys.executable, "-m"]
+    environment = os.environ | {"ROS_DOMAIN_ID": str(os.getpid() % 90 + 10), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    settings = [w for s in (f"path:={base}", "disk_reserve_bytes:=0") for w in ("-p", f"logger.{s}")]
+    command = [*python, "benchmarks.kill_logger", "--write", str(base)] if bare else [
+        *python, "ladar_volume.nodes.logger_node", "--ros-args", *settings
+    ]  # fmt: skip
+    load = None if bare else subprocess.Popen([*python, "benchmarks.kill_logger", "--publish"], cwd=ROOT, env=environment)
+    found: list[dict[str, Any]] = []
+    newest: list[Path] = []
+    try:
+        for n in range(runs + 1):
+            logger = subprocess.Popen(command, cwd=ROOT, env=environment)
+            try:
+                _wait(lambda before=newest: log_files(base)[-1:] != before)  # type: ignore[misc]
+                if newest:
+                    found[-1] |= _outcome(newest[0], found[-1])
+                newest = log_files(base)[-1:]
+                delay = rng.uniform(0.0, LONGEST_S)
+                time.sleep(delay if n < runs else 0.0)
+            finally:
+                logger.kill()
+                killed = time.time_ns()
+                logger.wait()
+            found.append({"delay_s": delay, "killed_ns": killed})
+    finally:
+        if load is not None:
+            load.kill()
+            load.wait()
+    return found[:runs]
+
+
+def _outcome(path: Path, run: dict[str, Any]) -> dict[str, Any]:
+    """Wait for the repair by the present logger, then look at what the one before left."""
+    try:
+        _wait(lambda: is_whole(path), 20.0)
+        messages, last = check(path)
+    except Exception as error:  # whatever a reader fails with is the finding
+        return {"opens": False, "messages": 0, "lost_s": None, "error": repr(error)}
+    path.unlink()
+    return {"opens": True, "messages": messages, "lost_s": (run["killed_ns"] - last) * 1e-9 if messages else None}
+
+
+def summary(found: list[dict[str, Any]]) -> dict[str, float | int | str]:
+    """The figures."""
+    lost = [r["lost_s"] for r in found if r["lost_s"] is not None]
+    return {
+        "kills": len(found),
+        "files that mcap and rosbags open": sum(r["opens"] for r in found),
+        "kills before the first chunk": sum(r["lost_s"] is None for r in found),
+        "median loss, s": statistics.median(lost) if lost else 0.0,
+        "largest loss, s": max(lost, default=0.0),
+        "kills that lost more than 1 s": sum(s > 1.0 for s in lost),
+    }
+
+
+def run(runs: int = 200, bare: bool = False, folder: Path | None = None) -> dict[str, float | int | str]:
+    """The record: 200 kills of the node."""
+    with tempfile.TemporaryDirectory() as scratch:
+        return summary(kill_often(runs, bare, folder or Path(scratch)))
+
+
+def main() -> int:
+    """Command line; 1 where a file does not open or more than a second is lost."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=200)
+    parser.add_argument("--bare", action="store_true")
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--folder", type=Path)
+    parser.add_argument("--write", help=argparse.SUPPRESS)
+    parser.add_argument("--publish", action="store_true", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.write:
+        write_bare(arguments.write)
+    if arguments.publish:
+        publish()
+    figures = run(arguments.runs, arguments.bare, arguments.folder)
+    print(json.dumps(figures) if arguments.json else "\n".join(f"{k}: {v}" for k, v in figures.items()))
+    bad = figures["files that mcap and rosbags open"] != figures["kills"] or figures["kills that lost more than 1 s"]
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
