@@ -1,0 +1,159 @@
+"""A triangle mesh through points of surfaces of any orientation (seed 002 chapter 5): local triangulations in tangent planes that agree.
+
+Every point triangulates its neighbours in its own tangent plane and keeps the triangles at itself, its star. A triangle that is in the
+stars of all three corners is taken; where stars disagree the surface grows by the triangles that fit, by votes and then the shortest
+first; what then still gapes is closed up to a stated size. The result is a manifold with one orientation. The published Algorithm 2, with
+its repairs, is the other method.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from ladar_volume.model.errors import SurfaceError
+from ladar_volume.model.records import F64, I32, I64
+from ladar_volume.surface.frames import check_cloud
+from ladar_volume.surface.local_frames import PLANE, SLACK, consistent_normals, neighbours, plane_normals
+from ladar_volume.surface.local_grow import FAN, drop_fans, grow, spread_out
+from ladar_volume.surface.local_holes import fill, rims
+from ladar_volume.surface.local_star import DEGREE, ballot, stars
+from ladar_volume.surface.topology import edge_table
+
+#: What a vertex is: inside the surface, on a rim, in no triangle, or at the place of an earlier point.
+INSIDE, RIM, UNUSED, DUPLICATE = range(4)
+#: Neighbours that the spacing of the points is taken from (the median distance of this one), and those a star is made of.
+SPACING, NEIGHBOURS = 6, 32
+#: Longest edge and largest hole in spacings, where no lengths are given.
+REACH, HOLE = 4.0, 6.0
+#: Rounds of closing holes and of dropping what hangs on a single vertex.
+ROUNDS = 4
+
+
+@dataclass(frozen=True)
+class LocalMeshSettings:
+    """radius_m : longest edge, and reach of a point's neighbourhood, 0: from the spacing of the points · hole_m : diameter of the largest
+    hole that is closed, 0: 1.5 times the longest edge."""
+
+    radius_m: float = 0.0
+    hole_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Raises :class:`SurfaceError` for lengths that are negative or not finite."""
+        for length in (self.radius_m, self.hole_m):
+            if not (np.isfinite(length) and length >= 0.0):
+                raise SurfaceError(f"a length of {length} m", reason="mesh_settings", value=length)
+
+
+@dataclass(frozen=True)
+class LocalMesh:
+    """A mesh through points, in their frame.
+
+    vertices : (n, 3) m, the input points in their order · normals : (n, 3), unit, on the side the triangles face · triangles : (m, 3)
+    int32, counter-clockwise as seen from the normals' side: outside of a closed body · votes : (m,) by how many of its corners a triangle
+    was proposed, 0 where it closes a hole · status : (n,) int32, INSIDE, RIM, UNUSED or DUPLICATE · rims : vertices of each open rim, in
+    their order with the gap on the left · over_full : (k, 2) edges that have more than two triangles, none but in the published method ·
+    report : counts of what was found, closed and dropped, and the lengths used
+    """
+
+    vertices: F64
+    normals: F64
+    triangles: I32
+    votes: I32
+    status: I32
+    rims: tuple[I32, ...]
+    over_full: I32
+    report: dict[str, float | int] = field(default_factory=dict)
+
+    @property
+    def watertight(self) -> bool:
+        """Whether every edge has two triangles."""
+        return not self.rims and not len(self.over_full)
+
+
+def mesh_cloud(points: F64, normals: F64 | None = None, settings: LocalMeshSettings | None = None) -> LocalMesh:
+    """A manifold mesh through points (n, 3), m, in any frame, with their normals (n, 3), whose signs and lengths do not matter.
+
+    Without normals, planes through the nearest points stand in, which round sharp edges off. Raises :class:`SurfaceError`:
+    surface_shape, surface_not_finite, mesh_points (fewer than three places), mesh_normals, mesh_empty (no triangle: collinear, or all
+    farther apart than the radius).
+    """
+    settings = settings or LocalMeshSettings()
+    given = check_cloud(points, 3)
+    first = np.sort(np.unique(given + 0.0, axis=0, return_index=True)[1])
+    if len(first) < 3:
+        raise SurfaceError(f"{len(first)} points at different places are no surface", reason="mesh_points", value=len(first))
+    # digits: offsets of the cloud's size, not map coordinates
+    p = given[first] - 0.5 * (given.min(axis=0) + given.max(axis=0))
+    distance, index = neighbours(p, NEIGHBOURS)
+    n = unit_normals(p, index, None if normals is None else np.asarray(normals, np.float64), first, len(given))
+    spacing = float(np.median(distance[:, min(SPACING, distance.shape[1]) - 1]))
+    reach = settings.radius_m or REACH * spacing
+    hole = settings.hole_m or HOLE / REACH * reach
+    triangles, votes, report = agree(p, n, index, reach, SLACK * spacing)
+    return finish(given, first, p, n, triangles, votes, hole, {"spacing_m": spacing, "radius_m": reach, "hole_m": hole, **report})
+
+
+def unit_normals(p: F64, index: I64, normals: F64 | None, first: I64, given: int) -> F64:
+    """Normals of the points in use, of length 1 and with signs that agree; from planes where none are given."""
+    if normals is None:
+        return consistent_normals(p, plane_normals(p, index[:, :PLANE]), index)
+    if normals.shape != (given, 3):
+        raise SurfaceError(f"normals are ({given}, 3), not {normals.shape}", reason="mesh_normals", value=normals.shape)
+    length = np.linalg.norm(normals, axis=1)
+    if not np.all(np.isfinite(length) & (length > 0.0)):
+        raise SurfaceError("a normal that is zero or not finite", reason="mesh_normals")
+    return consistent_normals(p, (normals / length[:, None])[first], index)
+
+
+def agree(p: F64, n: F64, index: I64, reach: float, slack: float) -> tuple[I32, I32, dict[str, float | int]]:
+    """Triangles of all stars in the order in which they are taken, their votes, and counts."""
+    ring, closed = np.empty((len(p), DEGREE), np.int32), np.empty(len(p), np.int32)
+    stars(p, n, index, np.arange(len(p)), reach, slack, ring, closed)
+    triangles, votes = ballot(p, ring, closed, reach)
+    most = np.diff(edge_table(triangles[votes >= 2])[1])
+    corner = p[triangles]
+    longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
+    order = np.lexsort((longest, -votes))
+    count = np.bincount(votes, minlength=4)
+    report: dict[str, float | int] = {
+        "agreed": int(count[3]), "of_two": int(count[2]), "of_one": int(count[1]), "edges_before": len(most),
+        "over_full_before": int(np.sum(most > 2)),
+    }  # fmt: skip
+    return triangles[order], votes[order], report
+
+
+def finish(
+    given: F64, first: I64, p: F64, n: F64, triangles: I32, votes: I32, hole: float, report: dict[str, float | int]
+) -> LocalMesh:
+    """Grow the surface, close its holes, and put the result in terms of the given points."""
+    fan, size = np.zeros((len(p), FAN, 3), np.int32), np.zeros(len(p), np.int32)
+    slack = SLACK * float(report["spacing_m"])
+    grow(p, n, triangles, votes, slack, fan, size)
+    holes = dropped = 0
+    for _ in range(ROUNDS):
+        closed = fill(p, n, fan, size, slack, hole)[0]
+        gone = drop_fans(fan, size)
+        holes, dropped = holes + closed, dropped + gone
+        if not gone:
+            break
+    out = np.empty((int(size.sum()) // 3, 4), np.int32)
+    if spread_out(fan, size, out) == 0:
+        raise SurfaceError(
+            f"no triangle: the points are collinear, or all farther apart than {report['radius_m']:.3g} m", reason="mesh_empty"
+        )
+    rim, start, _ = rims(p, n, fan, size, slack)
+    status = np.full(len(given), DUPLICATE, np.int32)
+    status[first] = np.where(size > 0, INSIDE, UNUSED)
+    status[first[rim]] = RIM
+    normals = np.zeros_like(given)
+    normals[first] = n
+    here = first.astype(np.int32)
+    edges = tuple(here[rim[a:b]] for a, b in pairwise(start))
+    report |= {
+        "closed_holes": holes, "closing_triangles": int(np.sum(out[:, 3] == 0)), "dropped": dropped,
+        "unused": int(np.sum(status == UNUSED)), "duplicates": len(given) - len(first),
+    }  # fmt: skip
+    return LocalMesh(given, normals, here[out[:, :3]], out[:, 3].copy(), status, edges, np.empty((0, 2), np.int32), report)

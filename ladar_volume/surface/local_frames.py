@@ -1,0 +1,166 @@
+"""Neighbours of every point, its tangent plane, and how one neighbour lies in it: what a mesher without a direction of its own needs.
+
+Normals say up to their sign which way a surface faces. Signs are carried over the cloud along its smoothest connections first (Hoppe et
+al. 1992, with union and find in the place of a tree); across an edge the sign is the one by which the connection runs along both faces.
+A neighbour on another face is unfolded: turned about the line in which both tangent planes meet, so that lengths on both faces stay true.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ladar_volume.model.kernels import kernel, parallel_kernel
+from ladar_volume.model.records import F64, I64
+
+#: Neighbours that carry the sign of a normal, and those a plane is fitted to where no normals are given.
+LINKS, PLANE = 10, 12
+#: Normals that enclose less than this are of one smooth piece (cosine of 25 degrees); beyond it, a neighbour is unfolded.
+SMOOTH = 0.906
+#: Normals that enclose more than this belong to two sheets, back to back (cosine of 150 degrees).
+OPPOSITE = -0.866
+#: A connection may leave the surface by this slope (its sine), and by this part of the spacing.
+SLOPE, SLACK = 0.5, 0.15
+
+
+def neighbours(points: F64, count: int, at: I64 | None = None) -> tuple[F64, I64]:
+    """Distances and indices (n, k) of the nearest ``count`` other points of each point (or of those ``at``), nearest first; k is smaller
+    in a small cloud. No two points may be equal."""
+    k = min(count, len(points) - 1)
+    chosen = points if at is None else points[at]
+    found = cKDTree(points).query(chosen, k + 1, workers=numba.get_num_threads())
+    distance, index = np.asarray(found[0]), np.asarray(found[1])
+    return np.ascontiguousarray(distance[:, 1:]), np.ascontiguousarray(index[:, 1:], np.int64)
+
+
+def plane_normals(points: F64, index: I64) -> F64:
+    """Normals (n, 3) of the planes through each point and its neighbours (n, k): the direction of least scatter."""
+    arm = points[index] - points[:, None]
+    middle = arm.sum(axis=1, keepdims=True) / (index.shape[1] + 1)
+    arm = np.concatenate([arm, np.zeros_like(middle)], axis=1) - middle
+    normals: F64 = np.linalg.eigh(np.einsum("nki,nkj->nij", arm, arm))[1][:, :, 0]
+    return np.ascontiguousarray(normals)
+
+
+@kernel
+def leaves(ox: float, oy: float, oz: float, normals: F64, i: int, j: int, s: float) -> float:
+    """By how much an offset leaves the surface between points with unit normals n_i and s n_j: its part along their mean direction."""
+    bx, by, bz = normals[i, 0] + s * normals[j, 0], normals[i, 1] + s * normals[j, 1], normals[i, 2] + s * normals[j, 2]
+    off: float = abs(ox * bx + oy * by + oz * bz) / max(math.sqrt(bx * bx + by * by + bz * bz), 1e-12)
+    return off
+
+
+@parallel_kernel
+def link_costs(points: F64, normals: F64, index: I64) -> tuple[F64, F64]:
+    """For each point and neighbour (n, k): how badly the connection fits one surface (0 smooth; infinite where it joins two sheets) and
+    the sign of the neighbour's normal if it does."""
+    n, k = index.shape
+    cost, sign = np.empty((n, k)), np.empty((n, k))
+    for i in numba.prange(n):
+        for c in range(k):
+            j = index[i, c]
+            x, y, z = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
+            length = math.sqrt(x * x + y * y + z * z)
+            dot = normals[i, 0] * normals[j, 0] + normals[i, 1] * normals[j, 1] + normals[i, 2] * normals[j, 2]
+            s = 1.0 if dot >= 0.0 else -1.0
+            off, other = leaves(x, y, z, normals, i, j, s) / length, 1.0
+            if abs(dot) < SMOOTH:
+                other = leaves(x, y, z, normals, i, j, -s) / length
+                if other < off:
+                    s, off, other = -s, other, off
+            sign[i, c] = s
+            # a connection along an edge fits either sign and says nothing
+            cost[i, c] = (1.0 - s * dot) + off + (1.0 - other) if off < 0.8 else np.inf
+    return cost, sign
+
+
+@kernel
+def carry_signs(a: I64, b: I64, relative: F64, n: int) -> tuple[F64, I64]:
+    """Signs (n,) so that ``sign[a] relative = sign[b]`` along the links in their order, where no earlier ones decide, and the parts."""
+    parent, sign = np.arange(n), np.ones(n)
+    for e in range(len(a)):
+        i, j, si, sj = a[e], b[e], 1.0, 1.0
+        while parent[i] != i:
+            p = parent[i]
+            if parent[p] != p:  # path halving keeps the sign relative to the new parent
+                sign[i] *= sign[p]
+                parent[i] = parent[p]
+            si *= sign[i]
+            i = parent[i]
+        while parent[j] != j:
+            p = parent[j]
+            if parent[p] != p:
+                sign[j] *= sign[p]
+                parent[j] = parent[p]
+            sj *= sign[j]
+            j = parent[j]
+        if i != j:
+            low, high = min(i, j), max(i, j)
+            parent[high] = low
+            sign[high] = si * sj * relative[e]
+    root, total = np.empty(n, np.int64), np.empty(n)
+    for i in range(n):  # a parent has a lower number, so it is done
+        p = parent[i]
+        root[i], total[i] = (i, 1.0) if p == i else (root[p], sign[i] * total[p])
+    return total, root
+
+
+def consistent_normals(points: F64, normals: F64, index: I64) -> F64:
+    """Normals (n, 3) with signs that agree over each connected part, pointing outward: away from its middle, or up where it is flat."""
+    near = np.ascontiguousarray(index[:, :LINKS])
+    cost, sign = link_costs(points, normals, near)
+    a, b = np.repeat(np.arange(len(points)), near.shape[1]), near.ravel()
+    good = np.isfinite(cost.ravel()) & ((a < b) | ~np.any(near[b] == a[:, None], axis=1))
+    a, b, weight, relative = a[good], b[good], cost.ravel()[good], sign.ravel()[good]
+    order = np.argsort(weight, kind="stable")
+    signs, part = carry_signs(a[order], b[order], relative[order], len(points))
+    out = normals * signs[:, None]
+    size = np.bincount(part, minlength=len(points))
+    middle = np.stack([np.bincount(part, points[:, k], len(points)) for k in range(3)], axis=1) / np.maximum(size, 1)[:, None]
+    arm = points - middle[part]
+    # the flux of the position through a closed surface is three times what it holds
+    flux = np.bincount(part, np.einsum("ni,ni->n", arm, out), len(points))
+    reach = np.bincount(part, np.linalg.norm(arm, axis=1), len(points))
+    up = np.bincount(part, out[:, 2], len(points))
+    outward = np.where(np.abs(flux) > 0.02 * reach, flux, up)
+    result: F64 = out * np.where(outward < 0.0, -1.0, 1.0)[part][:, None]
+    return result
+
+
+@kernel
+def unfold(points: F64, normals: F64, i: int, j: int, slack: float) -> tuple[float, float, bool]:
+    """Where point j lies in the tangent plane of point i, in a right-handed frame that depends on i alone, and whether it is on the same
+    sheet. Lengths along the surface are kept: over smooth parts the distance, over an edge both ways to the line where the planes meet.
+    """
+    n, m = normals[i], normals[j]
+    ox, oy, oz = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
+    length = math.sqrt(ox * ox + oy * oy + oz * oz)
+    dot = n[0] * m[0] + n[1] * m[1] + n[2] * m[2]
+    # a frame from the normal alone (Duff et al. 2017)
+    g = math.copysign(1.0, n[2])
+    h = -1.0 / (g + n[2])
+    tx, ty, tz = 1.0 + g * n[0] * n[0] * h, g * n[0] * n[1] * h, -g * n[0]
+    bx, by, bz = n[0] * n[1] * h, g + n[1] * n[1] * h, -n[1]
+    if dot < OPPOSITE:
+        return ox * tx + oy * ty + oz * tz, ox * bx + oy * by + oz * bz, False
+    off = leaves(ox, oy, oz, normals, i, j, 1.0)
+    same = off <= (SLOPE + math.sqrt(max(0.0, 0.5 - 0.5 * dot))) * length + slack
+    if dot > SMOOTH:
+        sx, sy, sz = n[0] + m[0], n[1] + m[1], n[2] + m[2]
+        w = (ox * sx + oy * sy + oz * sz) / (sx * sx + sy * sy + sz * sz)
+        ex, ey, ez = ox - w * sx, oy - w * sy, oz - w * sz
+        x, y = ex * tx + ey * ty + ez * tz, ex * bx + ey * by + ez * bz
+        short = math.sqrt(x * x + y * y)
+        scale = length / short if short > 1e-12 * length else 1.0
+        return x * scale, y * scale, same
+    ax, ay, az = n[1] * m[2] - n[2] * m[1], n[2] * m[0] - n[0] * m[2], n[0] * m[1] - n[1] * m[0]
+    sine = math.sqrt(ax * ax + ay * ay + az * az)
+    ax, ay, az = ax / sine, ay / sine, az / sine
+    ux, uy, uz = ay * n[2] - az * n[1], az * n[0] - ax * n[2], ax * n[1] - ay * n[0]
+    across = ((ox * m[0] + oy * m[1] + oz * m[2]) - (ox * n[0] + oy * n[1] + oz * n[2])) / sine
+    along = ox * ax + oy * ay + oz * az
+    ex, ey, ez = along * ax + across * ux, along * ay + across * uy, along * az + across * uz
+    return ex * tx + ey * ty + ez * tz, ex * bx + ey * by + ez * bz, same
