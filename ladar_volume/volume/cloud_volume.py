@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -22,8 +21,8 @@ from ladar_volume.surface.cloud import CloudSurface
 from ladar_volume.surface.tin import footprint_areas
 from ladar_volume.volume.assembly import base_name, ground_field
 from ladar_volume.volume.base import base_and_outline, polygon_of
-from ladar_volume.volume.difference import difference
-from ladar_volume.volume.near_base import REACH, NearBase, near_base
+from ladar_volume.volume.difference import along_curve, difference
+from ladar_volume.volume.near_base import REACH, NearBase, any_corner, near_base
 from ladar_volume.volume.overlay import between
 from ladar_volume.volume.polygon import clipped_prismoids
 from ladar_volume.volume.prismoids import prismoids
@@ -95,14 +94,8 @@ def comes_near(tin: Tin, height: F64, sigma_m: F64 | None, mask: Bool) -> bool:
     """Whether any triangle of the mask (m,) with vertex heights (n,) above the base could lie within reach of the noise."""
     if sigma_m is None or not sigma_m.any():
         return False
-    reach, h = REACH * float(sigma_m.max()), height[tin.triangles[mask]]
-    return bool(((h.min(axis=1) <= reach) & (h.max(axis=1) >= -reach)).any())
-
-
-def curvature(near: NearBase, C: Any) -> float:
-    """The second-order part of the variance of cut and fill, m⁶: what is left without the first-order part."""
-    g = near.gradient_cut
-    return max(0.0, near.variance_cut_m6 - float(g @ (C @ g)))
+    reach, t = REACH * float(sigma_m.max()), tin.triangles[mask]
+    return bool((any_corner((height <= reach)[t]) & any_corner((height >= -reach)[t])).any())
 
 
 def above_base(surface: CloudSurface, parameters: Parameters, correct: bool = True) -> tuple[CloudVolume, Plane, Bool]:
@@ -133,7 +126,7 @@ def solid_above(
     if correct and surface.sigma_m is not None and comes_near(tin, height, surface.sigma_m, whole):
         C = surface.made.covariance(surface.sigma_m)
         near = near_base(tin, base, C, whole)
-        curved = curvature(near, C)
+        curved = near.curved_m6
         cut = cut if by_polygon else near.gradient_cut
     gradient = np.stack([found.gradient_net[:, 2], cut], axis=1)
     extra: dict[str, float] = {}
@@ -153,22 +146,34 @@ def between_clouds(upper: CloudSurface, lower: CloudSurface, lower_name: str, co
     Raises :class:`VolumeError` where the two have no area in common.
     """
     one, two = upper.made.tin, lower.made.tin
-    found = between(one, two)
-    cut_one, cut_two, near, curved = found.gradient_cut[:, 2], found.lower_cut[:, 2], None, 0.0
+    found, near, curved = between(one, two), None, 0.0
+    net, cut = [found.gradient_net[:, 2], found.lower_net[:, 2]], [found.gradient_cut[:, 2], found.lower_cut[:, 2]]
     if correct and upper.sigma_m is not None and lower.sigma_m is not None:
-        apart = difference(one, two)
-        sigma = np.array([math.hypot(upper.sigma_m.max(), lower.sigma_m.max())])
-        if comes_near(apart.tin, apart.tin.vertices[:, 2], sigma, apart.tin.relevant):
-            C = apart.covariance(one, upper.made.covariance(upper.sigma_m), two, lower.made.covariance(lower.sigma_m))
-            near = near_base(apart.tin, ZERO, C)
-            curved = curvature(near, C)
-            cut_one, cut_two = apart.by_upper.T @ near.gradient_cut, -(apart.by_lower.T @ near.gradient_cut)
-    gradients = (
-        (upper, np.stack([found.gradient_net[:, 2], cut_one], axis=1)),
-        (lower, np.stack([found.lower_net[:, 2], cut_two], axis=1)),
-    )
+        near, shares = near_difference(upper, lower)
+        if near is not None:
+            curved = near.curved_m6
+            cut = [np.where(np.isfinite(share), share * g, c) for share, g, c in zip(shares, net, cut, strict=True)]
+    gradients = tuple((s, np.stack(g, axis=1)) for s, *g in zip((upper, lower), net, cut, strict=True))
     solid = Solid(found.cut_m3, found.fill_m3, found.area_m2, gradients, near, curved)
     return finished(solid, f"surface of {lower_name} over the common footprint", False)
+
+
+def near_difference(upper: CloudSurface, lower: CloudSurface) -> tuple[NearBase | None, tuple[F64, ...]]:
+    """The correction between two surfaces, None where they are nowhere near one another, and what part of each vertex' derivative of the
+    net volume that of the cut is."""
+    if upper.sigma_m is None or lower.sigma_m is None:
+        return None, ()
+    (one, first), (two, second) = along_curve(upper.made.tin), along_curve(lower.made.tin)
+    apart = difference(one, two)
+    sigma = np.array([math.hypot(upper.sigma_m.max(), lower.sigma_m.max())])
+    if not comes_near(apart.tin, apart.tin.vertices[:, 2], sigma, apart.tin.relevant):
+        return None, ()
+    C_one, C_two = upper.made.covariance(upper.sigma_m)[first][:, first], lower.made.covariance(lower.sigma_m)[second][:, second]
+    own, other, below = (C_one, C_two, two) if apart.upper_carries else (C_two, C_one, one)
+    near = near_base(apart.tin, ZERO, apart.covariance(own, below, other))
+    carried, rest = apart.shares(near.gradient_cut, near.gradient_net, len(below.vertices))
+    ordered = (carried, rest) if apart.upper_carries else (rest, carried)
+    return near, tuple(share[np.argsort(order)] for share, order in zip(ordered, (first, second), strict=True))
 
 
 def own_footprints(

@@ -14,6 +14,7 @@ from scipy import sparse
 
 from ladar_volume.model.kernels import kernel, parallel_kernel
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
+from ladar_volume.surface.ordering import hilbert_order
 from ladar_volume.surface.screen import edges
 
 #: Pieces of work shared over the cores; the result does not depend on it.
@@ -23,109 +24,141 @@ CHUNKS = 16
 class Smooth:
     """Heights of the ``wanted`` (n,) vertices as those of planes through their neighbourhoods, the others' as they are.
 
-    heights : (n,) m · variance : (n,) m², for independent variances (n,) of the heights h (n,) given
+    start, link : edges of the triangulation in CSR form · heights : (n,) m · variance : (n,) m². h, variance : (n,) heights given and their
+    variances · summed : (n,) m², by default the variances: sums of each height's covariances, what it brings to the variance of a mean
     """
 
-    def __init__(self, tin: Tin, h: F64, variance: F64, wanted: Bool, rings: int) -> None:
-        self._start, self._link = edges(tin.triangles, tin.neighbours, len(h))
-        self._xy, self._rows = np.ascontiguousarray(tin.vertices[:, :2]), np.flatnonzero(wanted).astype(np.int64)
-        self._ring = np.zeros(len(self._rows), np.int64)
+    def __init__(self, tin: Tin, h: F64, variance: F64, wanted: Bool, rings: int, summed: F64 | None = None) -> None:
+        self.start, self.link = edges(tin.triangles, tin.neighbours, len(h))
+        self._xy, rows = np.ascontiguousarray(tin.vertices[:, :2]), np.flatnonzero(wanted).astype(np.int64)
+        self._rows = rows[hilbert_order(self._xy[rows])]  # neighbours in turn share what the cache holds
+        self._ring, self._plane = np.zeros(len(rows), np.int64), np.zeros((len(rows), 3))
         self.heights, self.variance = h.copy(), variance.copy()
-        if rings > 0 and len(self._rows):
-            self._ring, level, spread = smooth_kernel(self._start, self._link, self._xy, h, variance, self._rows, rings)
+        if rings > 0 and len(rows):
+            share = variance if summed is None else np.maximum(summed, 0.0)
+            self._ring, self._plane, level, spread = smooth_kernel(self.start, self.link, self._xy, h, variance, share, self._rows, rings)
             grown = self._ring > 0
             self.heights[self._rows[grown]], self.variance[self._rows[grown]] = level[grown], spread[grown]
 
     def adjoint(self, gradient: F64) -> F64:
         """From derivatives (n,) by the smoothed heights to those (n,) by the heights given; the neighbourhoods are held fixed."""
-        return np.asarray(adjoint_kernel(self._start, self._link, self._xy, self._rows, self._ring, gradient))
+        used = np.flatnonzero((self._ring > 0) & (gradient[self._rows] != 0.0))
+        rows = self._rows[used]
+        out = gradient.copy()
+        out[rows] = 0.0
+        parts = adjoint_kernel(self.start, self.link, self._xy, rows, self._ring[used], self._plane[used], gradient[rows])
+        return np.asarray(out + parts.sum(axis=0))
 
 
 @kernel
-def grow(start: I64, link: I64, member: I32, begin: int, count: int, mark: I32, stamp: int) -> int:
-    """Add the vertices an edge away from members begin..count; returns the new count."""
+def grow(start: I64, link: I64, member: I64, begin: int, count: int, mark: I32, stamp: int) -> tuple[I64, int]:
+    """Add the vertices an edge away from members begin..count; returns the members, which may have moved to a longer array, and how many
+    they are."""
     end = count
     for i in range(begin, count):
-        for j in range(start[member[i]], start[member[i] + 1]):
-            v = link[j]
-            if mark[v] != stamp:
-                mark[v] = stamp
-                member[end] = v
+        v = member[i]
+        if end + start[v + 1] - start[v] > len(member):
+            longer = np.empty(2 * (end + start[v + 1] - start[v]), np.int64)
+            longer[:end] = member[:end]
+            member = longer
+        for j in range(start[v], start[v + 1]):
+            if mark[link[j]] != stamp:
+                mark[link[j]] = stamp
+                member[end] = link[j]
                 end += 1
-    return end
+    return member, end
 
 
 @kernel
-def plane_weights(xy: F64, member: I32, count: int, weight: F64) -> None:
-    """Weights (count,) with which the heights of the members give the height of their plane at the first of them; their mean where they lie
-    on a line."""
+def add_moments(xy: F64, h: F64, share: F64, member: I64, begin: int, count: int, m: F64) -> None:
+    """Adds members begin..count to the moments m (15,) about the first of them: of 1, x, y, x², xy, y², then h, hx, hy, and those six
+    weighted with ``share``."""
     o = member[0]
-    cx = cy = sxx = sxy = syy = 0.0
-    for i in range(count):
-        cx += xy[member[i], 0] - xy[o, 0]
-        cy += xy[member[i], 1] - xy[o, 1]
-    cx /= count
-    cy /= count
-    for i in range(count):
-        x, y = xy[member[i], 0] - xy[o, 0] - cx, xy[member[i], 1] - xy[o, 1] - cy
-        sxx += x * x
-        sxy += x * y
-        syy += y * y
+    for i in range(begin, count):
+        v = member[i]
+        x, y, s = xy[v, 0] - xy[o, 0], xy[v, 1] - xy[o, 1], share[v]
+        m[0] += 1.0
+        m[1] += x
+        m[2] += y
+        m[3] += x * x
+        m[4] += x * y
+        m[5] += y * y
+        m[6] += h[v]
+        m[7] += h[v] * x
+        m[8] += h[v] * y
+        m[9] += s
+        m[10] += s * x
+        m[11] += s * y
+        m[12] += s * x * x
+        m[13] += s * x * y
+        m[14] += s * y * y
+
+
+@kernel
+def plane_weights(m: F64, plane: F64) -> None:
+    """The weights ``a + b x + c y`` (plane: a, b, c) with which heights at (x, y) give the height of their plane at the origin, from their
+    moments; the same for all, which gives the mean, where they lie on a line."""
+    cx, cy = m[1] / m[0], m[2] / m[0]
+    sxx, sxy, syy = m[3] - cx * m[1], m[4] - cx * m[2], m[5] - cy * m[2]
     det = sxx * syy - sxy * sxy
-    px = py = 0.0
+    plane[0], plane[1], plane[2] = 1.0 / m[0], 0.0, 0.0
     if det > 1e-9 * (sxx + syy) ** 2:
-        px, py = (sxy * cy - syy * cx) / det, (sxy * cx - sxx * cy) / det
-    for i in range(count):
-        x, y = xy[member[i], 0] - xy[o, 0] - cx, xy[member[i], 1] - xy[o, 1] - cy
-        weight[i] = 1.0 / count + px * x + py * y
+        plane[1], plane[2] = (sxy * cy - syy * cx) / det, (sxy * cx - sxx * cy) / det
+        plane[0] -= plane[1] * cx + plane[2] * cy
 
 
 @parallel_kernel
-def smooth_kernel(start: I64, link: I64, xy: F64, h: F64, variance: F64, rows: I64, rings: int) -> tuple[I64, F64, F64]:
-    """For vertices rows (r,): how many rings their neighbourhood has, and the height of its plane there and its variance."""
+def smooth_kernel(
+    start: I64, link: I64, xy: F64, h: F64, variance: F64, share: F64, rows: I64, rings: int
+) -> tuple[I64, F64, F64, F64]:
+    """For vertices rows (r,): how many rings their neighbourhood has, the weights (r, 3) of its plane, and the plane's height there and
+    its variance."""
     r, n = len(rows), len(h)
-    ring, level, spread = np.zeros(r, np.int64), np.zeros(r), np.zeros(r)
+    ring, planes, level, spread = np.zeros(r, np.int64), np.zeros((r, 3)), np.zeros(r), np.zeros(r)
     for chunk in numba.prange(CHUNKS):
-        mark, member, weight = np.full(n, -1, np.int32), np.empty(n, np.int32), np.empty(n)
+        mark, member, m, p = np.full(n, -1, np.int32), np.empty(256, np.int64), np.empty(15), np.empty(3)
         for i in range(chunk * r // CHUNKS, (chunk + 1) * r // CHUNKS):
             member[0], mark[rows[i]] = rows[i], i
             begin, count = 0, 1
+            m[:] = 0.0
+            add_moments(xy, h, share, member, 0, 1, m)
             for k in range(rings):
-                more = grow(start, link, member, begin, count, mark, i)
+                member, more = grow(start, link, member, begin, count, mark, i)
                 begin, count = count, more
-                plane_weights(xy, member, count, weight)
-                z = square = s2 = 0.0
-                for j in range(count):
-                    z += weight[j] * h[member[j]]
-                    s2 += weight[j] * weight[j] * variance[member[j]]
+                add_moments(xy, h, share, member, begin, count, m)
+                plane_weights(m, p)
+                z = p[0] * m[6] + p[1] * m[7] + p[2] * m[8]
+                square, most = 0.0, count + 3.0 * np.sqrt(2.0 * count)
                 for j in range(count):
                     d = h[member[j]] - z
                     square += d * d / max(variance[member[j]], 1e-300)
-                if square > count + 3.0 * np.sqrt(2.0 * count):
+                if square > most:
                     break
-                ring[i], level[i], spread[i] = k + 1, z, s2
-    return ring, level, spread
+                ring[i], level[i], planes[i] = k + 1, z, p
+                spread[i] = p[0] * (p[0] * m[9] + 2.0 * (p[1] * m[10] + p[2] * m[11]))
+                spread[i] += p[1] * (p[1] * m[12] + 2.0 * p[2] * m[13]) + p[2] * p[2] * m[14]
+    return ring, planes, level, np.maximum(spread, 0.0)
 
 
-@kernel
-def adjoint_kernel(start: I64, link: I64, xy: F64, rows: I64, ring: I64, gradient: F64) -> F64:
-    """Derivatives (n,) by the heights from those by the smoothed heights, for neighbourhoods of ``ring`` (r,) rings about rows (r,)."""
-    n = len(gradient)
-    out = gradient.copy()
-    mark, member, weight = np.full(n, -1, np.int32), np.empty(n, np.int32), np.empty(n)
-    for i in range(len(rows)):
-        g = gradient[rows[i]]
-        if ring[i] == 0 or g == 0.0:
-            continue
-        member[0], mark[rows[i]] = rows[i], i
-        begin, count = 0, 1
-        for _ in range(ring[i]):
-            more = grow(start, link, member, begin, count, mark, i)
-            begin, count = count, more
-        plane_weights(xy, member, count, weight)
-        out[rows[i]] -= g
-        for j in range(count):
-            out[member[j]] += g * weight[j]
+@parallel_kernel
+def adjoint_kernel(start: I64, link: I64, xy: F64, rows: I64, ring: I64, planes: F64, gradient: F64) -> F64:
+    """Derivatives (chunks, n), to be summed, by the heights from those (r,) by the heights of planes with weights ``planes`` (r, 3) over
+    neighbourhoods of ``ring`` (r,) rings about rows (r,)."""
+    r, n, chunks = len(rows), len(xy), CHUNKS // 2
+    out = np.zeros((chunks, n))
+    for chunk in numba.prange(chunks):
+        mark, member = np.full(n, -1, np.int32), np.empty(256, np.int64)
+        for i in range(chunk * r // chunks, (chunk + 1) * r // chunks):
+            o, g = rows[i], gradient[i]
+            member[0], mark[o] = o, i
+            begin, count = 0, 1
+            for _ in range(ring[i]):
+                member, more = grow(start, link, member, begin, count, mark, i)
+                begin, count = count, more
+            for j in range(count):
+                v = member[j]
+                weight = planes[i, 0] + planes[i, 1] * (xy[v, 0] - xy[o, 0]) + planes[i, 2] * (xy[v, 1] - xy[o, 1])
+                out[chunk, v] += g * weight
     return out
 
 

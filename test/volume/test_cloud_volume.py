@@ -14,10 +14,20 @@ from ladar_volume.model.parameters import Parameters
 from ladar_volume.surface.cloud import cloud_surface, local_sigma
 from ladar_volume.surface.locate import height_at
 from ladar_volume.surface.represent import SurfaceOptions
+from ladar_volume.surface.screen import edges
 from ladar_volume.surface.tin import build_tin
 from ladar_volume.volume.cloud_levels import above_floor, events, level_list, sequence
 from ladar_volume.volume.cloud_volume import above_base, between_clouds, own_footprints
-from ladar_volume.volume.difference import difference, interpolation, mean_variance
+from ladar_volume.volume.difference import (
+    along_curve,
+    difference,
+    difference_kernel,
+    interpolation,
+    mean_variance,
+    variance_kernel,
+    with_diagonal,
+)
+from ladar_volume.volume.near_base import csr
 
 SIGMA = 0.05
 
@@ -114,21 +124,49 @@ def test_own_footprints_need_a_level():
     assert both.net_m3 == 0.0 and one.net_m3 == two.net_m3 == pytest.approx(100.0) and both.sigma_m3 == pytest.approx(one.sigma_m3 * math.sqrt(2))
 
 
-def test_the_difference_surface_is_the_difference():
-    one, two = (build_tin(np.c_[footprint(n, s), hill(footprint(n, s))]) for n, s in ((200, 13), (150, 14)))
-    d = difference(one, two)
-    xy = d.tin.vertices[:, :2]
-    assert d.tin.vertices[:, 2] == pytest.approx(height_at(one, xy) - height_at(two, xy), abs=1e-12)
-    assert d.tin.vertices[:, 2] == pytest.approx(d.by_upper @ one.vertices[:, 2] - d.by_lower @ two.vertices[:, 2], abs=1e-12)
-    assert d.tin.relevant.all() and len(xy) == 200 + 150 - 4
-    C, D = sparse.eye_array(200, format="csr") * 0.01, sparse.eye_array(150, format="csr") * 0.04
-    joint = d.covariance(one, C, two, D)
-    assert mean_variance(one, C) == pytest.approx(0.005) and mean_variance(two, D) == pytest.approx(0.02)
-    assert mean_variance(d.tin, joint) == pytest.approx(0.025, rel=1e-12)
-    there = interpolation(one, np.array([[0.0, 0.0], [50.0, 0.0]]))[1]
-    assert there.tolist() == [True, False]
+@pytest.mark.parametrize("swap", [False, True])
+def test_the_difference_surface_is_the_difference(swap):
+    fine, coarse = (build_tin(np.c_[footprint(n, s), hill(footprint(n, s))]) for n, s in ((200, 13), (150, 14)))
+    upper, lower = (coarse, fine) if swap else (fine, coarse)
+    d, sign = difference(upper, lower), -1.0 if swap else 1.0
+    assert d.upper_carries != swap and d.tin.relevant.all()
+    own, other = fine.vertices[:, 2], coarse.vertices[:, 2]
+    assert d.tin.vertices[:, 2] == pytest.approx(sign * (own - height_at(coarse, fine.vertices[:, :2])), abs=1e-12)
+    Q = np.zeros((200, 150))
+    np.add.at(Q, (np.arange(200)[:, None], d.corner), d.weight)
+    assert d.tin.vertices[:, 2] == pytest.approx(sign * (own - Q @ other), abs=1e-12)
+    rng = np.random.default_rng(21)
+    A, B = sparse.diags_array(rng.uniform(0.5, 2, 200)).tocsr() * 0.01, sparse.csr_array(np.diag(np.full(150, 0.04)) + 0.001)
+    joint, pattern = d.covariance(A, coarse, B), d.covariance(A, coarse, B).toarray() != 0
+    plain = Q @ B.toarray() @ Q.T
+    scale = mean_variance(coarse, B) / mean_variance(d.tin, sparse.csr_array(plain))
+    assert joint.toarray() == pytest.approx(np.where(pattern, A.toarray() + scale * plain, 0.0), abs=1e-14)
+    assert pattern.sum() == 200 + 2 * (200 + len(fine.triangles) - 1)  # vertices, and edges twice
+    assert mean_variance(d.tin, joint) == pytest.approx(mean_variance(fine, A) + mean_variance(coarse, B), rel=1e-12)
+    begin, column = with_diagonal(*edges(fine.triangles, fine.neighbours, 200))
+    args = (begin, column, *csr(A), *csr(B), d.corner, d.weight)
+    for a, b in zip(difference_kernel(*args), difference_kernel.py_func(*args), strict=True):
+        assert a == pytest.approx(b, rel=1e-13)
+    args = (fine.vertices, fine.triangles, fine.relevant, *csr(joint))
+    assert variance_kernel(*args) == pytest.approx(variance_kernel.py_func(*args), rel=1e-12)
+    carried, rest = d.shares(np.full(200, 0.25), np.ones(200), 150)
+    assert (carried == 0.25).all() and rest[np.isfinite(rest)] == pytest.approx(0.25) and np.isfinite(rest).sum() > 100
+    assert interpolation(fine, np.array([[0.0, 0.0], [50.0, 0.0]]))[2].tolist() == [True, False]
     with pytest.raises(VolumeError):
-        difference(one, dataclasses.replace(two, vertices=two.vertices + np.array([100.0, 0, 0])))
+        difference(upper, dataclasses.replace(lower, vertices=lower.vertices + np.array([100.0, 0, 0])))
+
+
+def test_numbers_along_a_curve_are_the_same_surface():
+    tin = build_tin(np.c_[footprint(200, 22), hill(footprint(200, 22))])
+    moved, order = along_curve(tin)
+    assert np.array_equal(moved.vertices, tin.vertices[order]) and np.array_equal(moved.source, tin.source[order])
+    assert {tuple(np.roll(t, -np.argmin(t))) for t in order[moved.triangles]} == {tuple(np.roll(t, -np.argmin(t))) for t in tin.triangles}
+    for t in range(len(moved.triangles)):
+        for k in range(3):
+            o = moved.neighbours[t, k]
+            if o >= 0:
+                assert set(np.delete(moved.triangles[t], k)) <= set(moved.triangles[o])
+    assert (moved.neighbours < 0).sum() == (tin.neighbours < 0).sum()
 
 
 def test_levels_and_floors():

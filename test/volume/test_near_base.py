@@ -11,20 +11,10 @@ from scipy import sparse, special
 
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.errors import VolumeError
+from ladar_volume.surface.screen import edges
 from ladar_volume.surface.tin import build_tin
-from ladar_volume.volume.near_base import (
-    NODES,
-    PACKED,
-    add_point,
-    by_line,
-    by_quadrature,
-    folded,
-    folded_kernel,
-    least_deviation,
-    near_base,
-    node_covariances,
-    second_order,
-)
+from ladar_volume.volume.folded import NODES, PACKED, add_point, by_line, by_quadrature, folded, folded_kernel, least_deviation
+from ladar_volume.volume.near_base import csr, edge_sums, near_base, node_covariances, packed_kernel, second_order, trace_kernel
 from ladar_volume.volume.neighbourhood import Smooth, adjoint_kernel, smooth_kernel, smoother
 from ladar_volume.volume.prismoids import positive_part, prismoids
 
@@ -177,7 +167,15 @@ def test_curvature_term_is_the_trace():
         for (i, j), v in zip(PACKED, row, strict=True):
             H[t[i], t[j]] += v
             H[t[j], t[i]] += v * (i != j)
-    assert second_order(curvature, tin.triangles, sparse.csr_array(C)) == pytest.approx(0.5 * np.trace(H @ C @ H @ C), rel=1e-12)
+    start, link = edges(tin.triangles, tin.neighbours, 12)
+    assert second_order(curvature, tin.triangles, start, link, sparse.csr_array(C)) == pytest.approx(0.5 * np.trace(H @ C @ H @ C), rel=1e-12)
+    alone = sparse.csr_array(np.diag(np.diag(C)))
+    found = second_order(curvature, tin.triangles, start, link, alone)
+    assert found == pytest.approx(0.5 * np.trace(H @ alone.toarray() @ H @ alone.toarray()), rel=1e-12)
+    args = (start, link, *edge_sums(curvature, tin.triangles, start, link), *csr(sparse.csr_array(C)))
+    assert trace_kernel.py_func(*args) == pytest.approx(trace_kernel(*args), rel=1e-12)
+    assert all(np.array_equal(*pair) for pair in zip(edge_sums.py_func(curvature, tin.triangles, start, link), args[2:4], strict=True))
+    assert np.array_equal(packed_kernel.py_func(*args[4:], tin.triangles), node_covariances(sparse.csr_array(C), tin.triangles))
     assert node_covariances(sparse.csr_array(C), tin.triangles[:1])[0] == pytest.approx(
         [C[tin.triangles[0, i], tin.triangles[0, j]] for i, j in PACKED]
     )
@@ -231,9 +229,16 @@ def test_compiled_neighbourhoods_equal_their_plain_twins(truth):
         smooth = Smooth(tin, h, variance, wanted, rings)
         assert smooth.heights == pytest.approx(S @ h, abs=1e-9) and smooth.variance == pytest.approx((S * S) @ variance, rel=1e-7)
         assert smooth.adjoint(g) == pytest.approx(S.T @ g, abs=1e-8)
-        rows = smooth._rows
-        plain = smooth_kernel.py_func(smooth._start, smooth._link, smooth._xy, h, variance, rows[:20], rings)
-        assert np.array_equal(plain[0], smooth._ring[:20])
-        assert adjoint_kernel.py_func(smooth._start, smooth._link, smooth._xy, rows, smooth._ring, g) == pytest.approx(S.T @ g, abs=1e-8)
+        if rings > 0:
+            rows, links = smooth._rows[:20], (smooth.start, smooth.link, smooth._xy)
+            plain = smooth_kernel.py_func(*links, h, variance, variance, rows, rings)
+            compiled = smooth_kernel(*links, h, variance, variance, rows, rings)
+            assert all(a == pytest.approx(b, rel=1e-10, abs=1e-15) for a, b in zip(plain, compiled, strict=True))
+            args = (*links, rows, *compiled[:2], g[rows])
+            assert adjoint_kernel.py_func(*args) == pytest.approx(adjoint_kernel(*args), rel=1e-10, abs=1e-15)
+    # heights that share noise: what a plane has of it is the sum of its covariances
+    summed = Smooth(tin, h, variance, wanted, 4, 2.0 * variance)
+    grown = summed._ring[np.argsort(summed._rows)] > 0
+    assert summed.variance[wanted][grown] == pytest.approx(2.0 * smooth.variance[wanted][grown], rel=1e-12)
     line = dataclasses.replace(tin, vertices=np.c_[tin.vertices[:, 0], 0 * h, h])
     assert np.isfinite(Smooth(line, h, variance, wanted, 4).heights).all()
