@@ -1,0 +1,109 @@
+"""The rims of an open mesh: its boundary as loops, with no vertex twice in one, and which of them look down to the ground."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from ladar_volume.model.records import F64, I32, I64
+from ladar_volume.surface.skin import Skin, blocks, extended
+from ladar_volume.surface.topology import edge_table, orient
+
+#: A rim looks down where the surface leaves the mesh across it with at least this mean slope (its sine); across a gap the mean is 0.
+LEAVES = 0.15
+
+
+@dataclass(frozen=True)
+class Rim:
+    """vertices : (k,) int64, in the order in which a closing surface passes them, counter-clockwise from outside · size_m : twice the
+    largest distance of a vertex from their middle · middle : (3,) m"""
+
+    vertices: I64
+    size_m: float
+    middle: F64
+
+
+def place(p: F64) -> str:
+    """A place in words."""
+    return f"({p[0]:.2f}, {p[1]:.2f}, {p[2]:.2f})"
+
+
+def split_fans(skin: Skin) -> Skin:
+    """One vertex per fan of triangles: where parts touch in one vertex only, each gets its own copy. No rim then passes a vertex twice."""
+    t, n = skin.triangles, len(skin.vertices)
+    order, start, _ = edge_table(t)
+    pair = start[:-1][np.diff(start) == 2]
+    i, j = order[pair], order[pair + 1]
+
+    def corner(half: I64, vertex: I32) -> I64:
+        """The corner (e,) of the half edge's triangle that has the vertex."""
+        at = half // 3 * 3
+        out: I64 = at + np.argmax(t[half // 3] == vertex[:, None], axis=1)
+        return out
+
+    ends = [t.ravel()[i], t[:, [1, 2, 0]].ravel()[i]]
+    a = np.concatenate([corner(i, v) for v in ends])
+    b = np.concatenate([corner(j, v) for v in ends])
+    graph = coo_matrix((np.ones(len(a), np.int8), (a, b)), shape=(3 * len(t), 3 * len(t)))
+    fan = connected_components(graph, directed=False)[1]
+    # fans in the order of their first corner; the first one of each vertex keeps it
+    _, first = np.unique(fan, return_index=True)
+    vertex = t.ravel()[first]
+    _, earliest = np.unique(vertex, return_index=True)
+    number = np.full(len(first), -1, np.int64)
+    number[earliest] = vertex[earliest]
+    more = np.flatnonzero(number < 0)
+    if len(more) == 0:
+        return skin
+    number[more] = n + np.arange(len(more))
+    new = number[fan].reshape(-1, 3).astype(np.int32)
+    old = vertex[more]
+    copy = blocks(np.arange(len(more)), old.astype(np.int64), np.tile(np.eye(3), (len(more), 1, 1)), (len(more), n))
+    return extended(skin, skin.vertices[old], skin.kind[old], copy, np.zeros((3 * len(more), 3)), new, skin.normals, skin.face)
+
+
+def rims_of(skin: Skin) -> list[Rim]:
+    """The rims of a mesh without common vertices (:func:`split_fans`), by their first vertex.
+
+    Raises :class:`SurfaceError` as :func:`~ladar_volume.surface.topology.orient`.
+    """
+    edges = orient(skin.vertices, skin.triangles).boundary
+    before = {int(b): int(a) for a, b in edges}
+    left, out = set(before), []
+    for first in sorted(before):
+        if first not in left:
+            continue
+        loop = [first]
+        while before[loop[-1]] != first:
+            loop.append(before[loop[-1]])
+        left -= set(loop)
+        p = skin.vertices[loop]
+        middle = p.mean(axis=0)
+        out.append(Rim(np.array(loop, np.int64), 2.0 * float(np.linalg.norm(p - middle, axis=1).max()), middle))
+    return out
+
+
+def descent(skin: Skin, rims: list[Rim], up: F64) -> F64:
+    """Mean (r,) of −up · (direction in which the surface leaves the mesh) along each rim: 1 down a wall, 0 across a gap."""
+    t = skin.triangles
+    across = {}
+    half = np.stack([t.ravel(), t[:, [1, 2, 0]].ravel()], axis=1)
+    for k, (a, b) in enumerate(half.tolist()):
+        across[a, b] = k
+    opposite = t[:, [2, 0, 1]].ravel()
+    out = np.zeros(len(rims))
+    for number, rim in enumerate(rims):
+        a, b = np.roll(rim.vertices, -1), rim.vertices
+        c = opposite[[across[pair] for pair in zip(a.tolist(), b.tolist(), strict=True)]]
+        along = skin.vertices[b] - skin.vertices[a]
+        length = np.linalg.norm(along, axis=1)
+        unit = along / np.where(length > 0.0, length, 1.0)[:, None]
+        leave = skin.vertices[a] - skin.vertices[c]
+        leave -= np.einsum("ki,ki->k", leave, unit)[:, None] * unit
+        size = np.linalg.norm(leave, axis=1)
+        down = -(leave @ up) / np.where(size > 0.0, size, 1.0)
+        out[number] = float((down * length).sum() / max(float(length.sum()), 1e-300))
+    return out
