@@ -106,6 +106,12 @@ class GroundError(LadarVolumeError):
     reason = "ground"
 
 
+class ObjectError(LadarVolumeError):
+    """No object above (or pit below) the ground is where one was asked for."""
+
+    reason = "object"
+
+
 class SurfaceError(LadarVolumeError):
     """A surface cannot be built or is not what was asked for."""
 
