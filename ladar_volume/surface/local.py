@@ -16,7 +16,7 @@ import numpy as np
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64
 from ladar_volume.surface.frames import check_cloud
-from ladar_volume.surface.local_frames import PLANE, SLACK, consistent_normals, neighbours, plane_normals
+from ladar_volume.surface.local_frames import PLANE, consistent_normals, neighbours, plane_normals, roughness
 from ladar_volume.surface.local_grow import FAN, drop_fans, grow, spread_out
 from ladar_volume.surface.local_holes import fill, rims
 from ladar_volume.surface.local_star import DEGREE, ballot, stars
@@ -35,10 +35,12 @@ ROUNDS = 4
 @dataclass(frozen=True)
 class LocalMeshSettings:
     """radius_m : longest edge, and reach of a point's neighbourhood, 0: from the spacing of the points · hole_m : diameter of the largest
-    hole that is closed, 0: 1.5 times the longest edge."""
+    hole that is closed, 0: 1.5 times the longest edge · signed : whether given normals point outward as they are; otherwise only their
+    lines count and signs are found from the cloud, which bodies that touch can mislead."""
 
     radius_m: float = 0.0
     hole_m: float = 0.0
+    signed: bool = False
 
     def __post_init__(self) -> None:
         """Raises :class:`SurfaceError` for lengths that are negative or not finite."""
@@ -74,7 +76,7 @@ class LocalMesh:
 
 
 def mesh_cloud(points: F64, normals: F64 | None = None, settings: LocalMeshSettings | None = None) -> LocalMesh:
-    """A manifold mesh through points (n, 3), m, in any frame, with their normals (n, 3), whose signs and lengths do not matter.
+    """A manifold mesh through points (n, 3), m, in any frame, with their normals (n, 3) of any length.
 
     Without normals, planes through the nearest points stand in, which round sharp edges off. Raises :class:`SurfaceError`:
     surface_shape, surface_not_finite, mesh_points (fewer than three places), mesh_normals, mesh_empty (no triangle: collinear, or all
@@ -88,15 +90,17 @@ def mesh_cloud(points: F64, normals: F64 | None = None, settings: LocalMeshSetti
     # digits: offsets of the cloud's size, not map coordinates
     p = given[first] - 0.5 * (given.min(axis=0) + given.max(axis=0))
     distance, index = neighbours(p, NEIGHBOURS)
-    n = unit_normals(p, index, None if normals is None else np.asarray(normals, np.float64), first, len(given))
+    n = unit_normals(p, index, None if normals is None else np.asarray(normals, np.float64), first, len(given), settings.signed)
     spacing = float(np.median(distance[:, min(SPACING, distance.shape[1]) - 1]))
     reach = settings.radius_m or REACH * spacing
     hole = settings.hole_m or HOLE / REACH * reach
-    triangles, votes, report = agree(p, n, index, reach, SLACK * spacing)
-    return finish(given, first, p, n, triangles, votes, hole, {"spacing_m": spacing, "radius_m": reach, "hole_m": hole, **report})
+    slack = roughness(p, n, index, spacing)
+    triangles, votes, report = agree(p, n, index, reach, slack)
+    lengths = {"spacing_m": spacing, "radius_m": reach, "hole_m": hole, "slack_m": slack}
+    return finish(given, first, p, n, triangles, votes, {**lengths, **report})
 
 
-def unit_normals(p: F64, index: I64, normals: F64 | None, first: I64, given: int) -> F64:
+def unit_normals(p: F64, index: I64, normals: F64 | None, first: I64, given: int, signed: bool) -> F64:
     """Normals of the points in use, of length 1 and with signs that agree; from planes where none are given."""
     if normals is None:
         return consistent_normals(p, plane_normals(p, index[:, :PLANE]), index)
@@ -105,7 +109,8 @@ def unit_normals(p: F64, index: I64, normals: F64 | None, first: I64, given: int
     length = np.linalg.norm(normals, axis=1)
     if not np.all(np.isfinite(length) & (length > 0.0)):
         raise SurfaceError("a normal that is zero or not finite", reason="mesh_normals")
-    return consistent_normals(p, (normals / length[:, None])[first], index)
+    unit = (normals / length[:, None])[first]
+    return unit if signed else consistent_normals(p, unit, index)
 
 
 def agree(p: F64, n: F64, index: I64, reach: float, slack: float) -> tuple[I32, I32, dict[str, float | int]]:
@@ -125,12 +130,10 @@ def agree(p: F64, n: F64, index: I64, reach: float, slack: float) -> tuple[I32, 
     return triangles[order], votes[order], report
 
 
-def finish(
-    given: F64, first: I64, p: F64, n: F64, triangles: I32, votes: I32, hole: float, report: dict[str, float | int]
-) -> LocalMesh:
+def finish(given: F64, first: I64, p: F64, n: F64, triangles: I32, votes: I32, report: dict[str, float | int]) -> LocalMesh:
     """Grow the surface, close its holes, and put the result in terms of the given points."""
     fan, size = np.zeros((len(p), FAN, 3), np.int32), np.zeros(len(p), np.int32)
-    slack = SLACK * float(report["spacing_m"])
+    slack, hole = float(report["slack_m"]), float(report["hole_m"])
     grow(p, n, triangles, votes, slack, fan, size)
     holes = dropped = 0
     for _ in range(ROUNDS):

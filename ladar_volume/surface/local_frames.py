@@ -22,8 +22,14 @@ LINKS, PLANE = 10, 12
 SMOOTH = 0.906
 #: Normals that enclose more than this belong to two sheets, back to back (cosine of 150 degrees).
 OPPOSITE = -0.866
-#: A connection may leave the surface by this slope (its sine), and by this part of the spacing.
-SLOPE, SLACK = 0.5, 0.15
+#: A connection may leave the surface by this slope (its sine), and by as many times the usual part, within these limits in spacings.
+SLOPE, USUAL, LEAST_SLACK, MOST_SLACK = 0.3, 3.0, 0.1, 0.5
+#: How sure a smooth connection carries a sign, how sure two faces are of theirs, and as if by how many more connections that say nothing.
+SURE, LEAST, FEW = 0.65, 0.1, 4
+#: Slope beyond which parallel planes are two.
+STEEP = 0.5
+#: Least share of the flux of the position in its length by which a part shows which side of it is outside.
+FLAT = 0.02
 
 
 def neighbours(points: F64, count: int, at: I64 | None = None) -> tuple[F64, I64]:
@@ -54,11 +60,11 @@ def leaves(ox: float, oy: float, oz: float, normals: F64, i: int, j: int, s: flo
 
 
 @parallel_kernel
-def link_costs(points: F64, normals: F64, index: I64) -> tuple[F64, F64]:
-    """For each point and neighbour (n, k): how badly the connection fits one surface (0 smooth; infinite where it joins two sheets) and
-    the sign of the neighbour's normal if it does."""
+def link_signs(points: F64, normals: F64, index: I64) -> F64:
+    """For each point and neighbour (n, k) the sign their normals have to each other, times how sure it is: by how much more the
+    connection leaves the surface for the other sign. Over smooth parts, the sign of the normals' product and 1 or little less."""
     n, k = index.shape
-    cost, sign = np.empty((n, k)), np.empty((n, k))
+    sign = np.empty((n, k))
     for i in numba.prange(n):
         for c in range(k):
             j = index[i, c]
@@ -71,10 +77,9 @@ def link_costs(points: F64, normals: F64, index: I64) -> tuple[F64, F64]:
                 other = leaves(x, y, z, normals, i, j, -s) / length
                 if other < off:
                     s, off, other = -s, other, off
-            sign[i, c] = s
-            # a connection along an edge fits either sign and says nothing
-            cost[i, c] = (1.0 - s * dot) + off + (1.0 - other) if off < 0.8 else np.inf
-    return cost, sign
+            # between parallel planes, one over the other, a connection says nothing
+            sign[i, c] = s * (other - off) if other < 1.0 or off < STEEP else 0.0
+    return sign
 
 
 @kernel
@@ -109,25 +114,50 @@ def carry_signs(a: I64, b: I64, relative: F64, n: int) -> tuple[F64, I64]:
 
 
 def consistent_normals(points: F64, normals: F64, index: I64) -> F64:
-    """Normals (n, 3) with signs that agree over each connected part, pointing outward: away from its middle, or up where it is flat."""
+    """Normals (n, 3) with signs that agree over each connected part, pointing outward: away from its middle, or up where it is flat.
+
+    Signs are carried over smooth connections first; faces that these make then decide together, all connections of two faces as one.
+    """
     near = np.ascontiguousarray(index[:, :LINKS])
-    cost, sign = link_costs(points, normals, near)
+    sure = link_signs(points, normals, near).ravel()
     a, b = np.repeat(np.arange(len(points)), near.shape[1]), near.ravel()
-    good = np.isfinite(cost.ravel()) & ((a < b) | ~np.any(near[b] == a[:, None], axis=1))
-    a, b, weight, relative = a[good], b[good], cost.ravel()[good], sign.ravel()[good]
-    order = np.argsort(weight, kind="stable")
-    signs, part = carry_signs(a[order], b[order], relative[order], len(points))
-    out = normals * signs[:, None]
-    size = np.bincount(part, minlength=len(points))
-    middle = np.stack([np.bincount(part, points[:, k], len(points)) for k in range(3)], axis=1) / np.maximum(size, 1)[:, None]
+    smooth = (np.abs(np.einsum("ni,ni->n", normals[a], normals[b])) > SMOOTH) & (np.abs(sure) > SURE)
+    order = np.flatnonzero(smooth)[np.argsort(-np.abs(sure[smooth]), kind="stable")]
+    signs, part = carry_signs(a[order], b[order], np.sign(sure[order]), len(points))
+    across = np.flatnonzero(part[a] != part[b])
+    low, high = np.minimum(part[a], part[b])[across], np.maximum(part[a], part[b])[across]
+    pair, which, count = np.unique(low * len(points) + high, return_inverse=True, return_counts=True)
+    vote = np.bincount(which, (sure * signs[a] * signs[b])[across], len(pair)) / (count + FEW)
+    order = np.argsort(-np.abs(vote), kind="stable")
+    order = order[np.abs(vote[order]) > LEAST]
+    turn, whole = carry_signs(pair[order] // len(points), pair[order] % len(points), np.sign(vote[order]), len(points))
+    return outward(points, normals * (signs * turn[part])[:, None], whole[part])
+
+
+def roughness(points: F64, normals: F64, index: I64, spacing: float) -> float:
+    """By how much a connection may leave the surface because points are noisy, m: taken from the nearest neighbours on smooth parts."""
+    near = index[:, :4]
+    offset = points[near] - points[:, None]
+    mean = normals[near] + normals[:, None]
+    length = np.linalg.norm(mean, axis=2)
+    off = np.abs(np.einsum("nki,nki->nk", offset, mean)) / np.maximum(length, 1e-12)
+    smooth = off[length > 1.9]
+    usual = USUAL * float(np.median(smooth)) if len(smooth) else 0.0
+    return min(max(usual, LEAST_SLACK * spacing), MOST_SLACK * spacing)
+
+
+def outward(points: F64, normals: F64, part: I64) -> F64:
+    """Normals (n, 3) of each part turned away from its middle, or up where the part is flat."""
+    n = len(points)
+    size = np.maximum(np.bincount(part, minlength=n), 1)
+    middle = np.stack([np.bincount(part, points[:, k], n) for k in range(3)], axis=1) / size[:, None]
     arm = points - middle[part]
     # the flux of the position through a closed surface is three times what it holds
-    flux = np.bincount(part, np.einsum("ni,ni->n", arm, out), len(points))
-    reach = np.bincount(part, np.linalg.norm(arm, axis=1), len(points))
-    up = np.bincount(part, out[:, 2], len(points))
-    outward = np.where(np.abs(flux) > 0.02 * reach, flux, up)
-    result: F64 = out * np.where(outward < 0.0, -1.0, 1.0)[part][:, None]
-    return result
+    flux = np.bincount(part, np.einsum("ni,ni->n", arm, normals), n)
+    reach = np.bincount(part, np.linalg.norm(arm, axis=1), n)
+    side = np.where(np.abs(flux) > FLAT * reach, flux, np.bincount(part, normals[:, 2], n))
+    turned: F64 = normals * np.where(side < 0.0, -1.0, 1.0)[part][:, None]
+    return turned
 
 
 @kernel
@@ -154,7 +184,7 @@ def unfold(points: F64, normals: F64, i: int, j: int, slack: float) -> tuple[flo
         ex, ey, ez = ox - w * sx, oy - w * sy, oz - w * sz
         x, y = ex * tx + ey * ty + ez * tz, ex * bx + ey * by + ez * bz
         short = math.sqrt(x * x + y * y)
-        scale = length / short if short > 1e-12 * length else 1.0
+        scale = math.sqrt(ex * ex + ey * ey + ez * ez) / short if short > 1e-12 * length else 1.0
         return x * scale, y * scale, same
     ax, ay, az = n[1] * m[2] - n[2] * m[1], n[2] * m[0] - n[0] * m[2], n[0] * m[1] - n[1] * m[0]
     sine = math.sqrt(ax * ax + ay * ay + az * az)

@@ -1,7 +1,8 @@
 """Gaps of a growing surface: their rims, which of them are holes, and the cheapest triangulation of a hole.
 
 A rim is followed with the gap on its left. Whether the gap is a hole in the surface or all that lies outside of it shows in the angles
-of the gap along the rim: a flat polygon of k corners has k - 2 half turns inside and k + 2 outside. A hole is closed by the
+of the gap along the rim: a flat polygon of k corners has k - 2 half turns inside and k + 2 outside. (Far fewer are those of a rim that
+goes astray where several fans meet at a vertex; all but one of these are dropped then.) A hole is closed by the
 triangulation of least area (Barequet and Sharir 1995), weighted by how far triangles turn away from the normals at their corners.
 """
 
@@ -142,7 +143,7 @@ def fill(points: F64, normals: F64, fan: I32, size: I32, slack: float, largest_m
     step[last] = np.linalg.norm(points[rim[last]] - points[rim[start[:-1]]], axis=1)
     length = np.add.reduceat(step, start[:-1]) if len(rim) else np.zeros(0)
     corners = np.diff(start)
-    chosen = np.flatnonzero((length <= math.pi * largest_m) & (excess < 2.0) & (corners >= 3) & (corners <= LONGEST))
+    chosen = np.flatnonzero((length <= math.pi * largest_m) & (np.abs(excess) < 2.0) & (corners >= 3) & (corners <= LONGEST))
     order = np.argsort(corners[chosen], kind="stable")
     return close_holes(points, normals, fan, size, rim, start, chosen[order])
 
