@@ -18,6 +18,10 @@ def show_result(console: Console, result: Mapping[str, Any]) -> None:
     head.add_row(f"{100 * result['confidence']:.0f} % interval", f"{low:.3f} to {high:.3f} m³ (k = {result['coverage_factor']:.2f})")
     head.add_row("above", f"{result['base']}{' (same survey)' if result['base_same_survey'] else ''}")
     head.add_row("cut, fill", f"{result['cut_m3']:.3f} m³, {result['fill_m3']:.3f} m³ over {result['area_m2']:.1f} m²")
+    fix = result["correction"]
+    if fix["name"]:
+        words = f"{fix['m3']:.3f} m³ taken from cut and from fill over {fix['near_area_m2']:.1f} m² near the base ({fix['name']})"
+        head.add_row("corrected", words)
     tau = result["sigma_tau_range_m3"]
     head.add_row("sigma if tau is off", f"{tau[0]:.3f} to {tau[1]:.3f} m³ (a third to three times the correlation times)")
     head.add_row("naive sigma", f"{result['sigma_naive_m3']:.3f} m³ (all points independent: not to be used)")

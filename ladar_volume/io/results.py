@@ -23,6 +23,10 @@ def volume_dict(volume: Volume) -> dict[str, Any]:
     return {
         "volume_m3": volume.volume_m3, "sigma_m3": volume.sigma_m3, "interval_m3": [low, high], "confidence": volume.confidence,
         "coverage_factor": volume.coverage_factor, "cut_m3": volume.cut_m3, "fill_m3": volume.fill_m3, "area_m2": volume.area_m2,
+        "correction": {
+            "name": "folded normal" if volume.folded_m3 > 0.0 else None, "m3": volume.folded_m3, "near_area_m2": volume.near_area_m2,
+            "cut_raw_m3": volume.cut_m3 + volume.folded_m3, "fill_raw_m3": volume.fill_m3 + volume.folded_m3,
+        },
         "base": volume.base, "base_same_survey": volume.base_same_survey, "centroid_map_m": list(volume.centroid_map),
         "budget_m6": dict(sorted(volume.budget_m6.items(), key=lambda item: -item[1])),
         "sigma_tau_range_m3": list(volume.sigma_tau_range_m3), "sigma_naive_m3": volume.sigma_naive_m3,

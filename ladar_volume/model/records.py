@@ -259,7 +259,8 @@ class Plane:
 
 @dataclass(frozen=True)
 class Volume:
-    """A volume with its budget. Net = cut − fill inside the outline. ``budget_m6`` adds up to ``sigma_m3 ** 2``."""
+    """A volume with its budget. Net = cut − fill inside the outline. ``budget_m6`` adds up to ``sigma_m3 ** 2``. ``folded_m3`` : taken from
+    cut and from fill by the folded-normal correction, where the surface runs near its base, over ``near_area_m2``; net is not touched."""
 
     volume_m3: float
     sigma_m3: float
@@ -278,6 +279,8 @@ class Volume:
     vertices: int
     triangles: int
     t_ns: int
+    folded_m3: float = 0.0
+    near_area_m2: float = 0.0
 
     @property
     def interval_m3(self) -> tuple[float, float]:

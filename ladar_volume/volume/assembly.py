@@ -7,12 +7,16 @@ import numpy as np
 from ladar_volume.ground.adjoint import ground_gradient
 from ladar_volume.ground.polynomial import base_height
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, FilteredPoints, Plane, Tin
+from ladar_volume.model.records import F64, Bool, FilteredPoints, Patches, Plane, Tin
 from ladar_volume.surface.adjoint import height_covariance
 from ladar_volume.surface.represent import Represented
+from ladar_volume.surface.tin import footprint_areas
 from ladar_volume.volume.budget import GroundField
+from ladar_volume.volume.near_base import NearBase, near_base, near_triangles
 from ladar_volume.volume.prismoids import Prismoids
+from ladar_volume.volume.propagation import SurfaceGeometry
 from ladar_volume.volume.roughness import estimate_roughness
+from ladar_volume.volume.vertex_noise import STEEPEST, height_pairs, height_sums, rings_for, vertex_rows
 
 
 def base_name(parameters: Parameters) -> str:
@@ -61,6 +65,32 @@ def result_gradients(tin: Tin, base: Plane, solid: Prismoids, points: int, surfa
         return surface.by_points(gradient, points)
     out = np.zeros((points, *gradient.shape[1:]))
     out[tin.source] = gradient
+    return out
+
+
+def near_correction(
+    surface: Represented, base: Plane, inside_m2: F64, points: FilteredPoints, patches: Patches, geometry: SurfaceGeometry
+) -> NearBase | None:
+    """The correction of cut and fill where the surface runs near its base (UNCERTAINTY step 7), None where it nowhere does.
+
+    inside_m2 : (m,) area of each triangle within the outline; one that the outline cuts is left uncorrected. The noise is that of the
+    returns: what the whole survey shares lifts or lowers the surface as one and does not fold.
+    """
+    tin, whole = surface.tin, whole_triangles(surface.tin, inside_m2)
+    height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
+    X, row = vertex_rows(tin, points, geometry)
+    variance = points.variance[tin.source] / np.maximum(np.abs(points.normal[tin.source, 2]), STEEPEST) ** 2
+    close = tin.triangles[whole][near_triangles(tin, height, variance, whole)]
+    if not len(close):
+        return None
+    C, middle = height_pairs(tin, patches, geometry, X, row, variance, close), np.unique(close).astype(np.int64)
+    sums, alike = height_sums(patches, geometry, X, row, middle, variance)
+    return near_base(tin, base, C, whole, rings_for(alike), sums)
+
+
+def whole_triangles(tin: Tin, inside_m2: F64) -> Bool:
+    """Triangles (m,) that lie wholly within an outline, from their areas within it."""
+    out: Bool = (inside_m2 > 0) & (inside_m2 >= footprint_areas(tin.vertices, tin.triangles) * (1.0 - 1e-9))
     return out
 
 

@@ -18,8 +18,7 @@ from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.surface.cloud import CloudSurface
-from ladar_volume.surface.tin import footprint_areas
-from ladar_volume.volume.assembly import base_name, ground_field
+from ladar_volume.volume.assembly import base_name, ground_field, whole_triangles
 from ladar_volume.volume.base import base_and_outline, polygon_of
 from ladar_volume.volume.difference import along_curve, difference
 from ladar_volume.volume.near_base import REACH, NearBase, any_corner, near_base
@@ -82,7 +81,7 @@ def finished(solid: Solid, base: str, same_survey: bool) -> CloudVolume:
     extra = sum(solid.extra.values())
     net, cut, fill = np.sqrt(np.maximum(total + extra + [0.0, solid.curved_m6, solid.curved_m6], 0.0)).tolist()
     near = solid.correction
-    folded = math.nan if math.isnan(net) else 0.0 if near is None else min(near.correction_m3, solid.cut_m3, solid.fill_m3)
+    folded = math.nan if math.isnan(net) else 0.0 if near is None else near.taken(solid.cut_m3, solid.fill_m3)
     taken = 0.0 if math.isnan(folded) else folded
     return CloudVolume(
         solid.cut_m3 - taken, solid.fill_m3 - taken, solid.cut_m3, solid.fill_m3, folded, 0.0 if near is None else near.near_area_m2,
@@ -120,8 +119,7 @@ def solid_above(
     by_polygon = parameters.volume.outline == "polygon"
     found = clipped_prismoids(tin, base, polygon_of(parameters.volume), mask) if by_polygon else prismoids(tin, base, mask)
     cut, near, curved = found.gradient_cut[:, 2], None, 0.0
-    # a triangle that the outline cuts is left uncorrected
-    whole: Bool = mask & (inside >= footprint_areas(tin.vertices, tin.triangles) * (1.0 - 1e-9)) if by_polygon else mask
+    whole = whole_triangles(tin, inside) if by_polygon else mask  # a triangle that the outline cuts is left uncorrected
     height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
     if correct and surface.sigma_m is not None and comes_near(tin, height, surface.sigma_m, whole):
         C = surface.made.covariance(surface.sigma_m)

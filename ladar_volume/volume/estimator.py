@@ -12,7 +12,7 @@ from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Estimate, FilteredPoints, FilterUpdate, Patches, Plane, PlatformStates, Tin, Volume
 from ladar_volume.surface.represent import Represented, SurfaceOptions, represent
-from ladar_volume.volume.assembly import base_name, ground_field, result_gradients, vertex_variance
+from ladar_volume.volume.assembly import base_name, ground_field, near_correction, result_gradients, vertex_variance
 from ladar_volume.volume.base import base_and_outline, polygon_of
 from ladar_volume.volume.budget import Sources, vertical_sigma
 from ladar_volume.volume.centroid import centroid
@@ -102,6 +102,8 @@ class VolumeEstimator:
         sources = Sources(points, patches, self._navigation, p)
         gradients = result_gradients(tin, base, solid, len(points), surface)
         budget = sources.budget(gradients, ground_field(tin, base, solid, inside, height_variance))
+        near = near_correction(surface, base, inside, points, patches, sources.geometry)
+        folded = 0.0 if near is None else near.taken(solid.cut_m3, solid.fill_m3)
         if len(base.support):
             base = dataclasses.replace(base, C_beta=budget.C_results[1:, 1:])
         volume = Volume(
@@ -109,8 +111,8 @@ class VolumeEstimator:
             sigma_m3=budget.sigma,
             confidence=p.volume.confidence,
             coverage_factor=NormalDist().inv_cdf(0.5 + p.volume.confidence / 2),
-            cut_m3=solid.cut_m3,
-            fill_m3=solid.fill_m3,
+            cut_m3=solid.cut_m3 - folded,
+            fill_m3=solid.fill_m3 - folded,
             area_m2=solid.area_m2,
             base=base_name(p),
             base_same_survey=p.volume.base == "ground",
@@ -122,5 +124,7 @@ class VolumeEstimator:
             vertices=len(np.unique(tin.triangles[mask])),
             triangles=int(np.count_nonzero(mask)),
             t_ns=self._t_ns,
+            folded_m3=folded,
+            near_area_m2=0.0 if near is None else near.near_area_m2,
         )
         return Estimate(volume, tin, base, vertical_sigma(sources, points)[tin.source])

@@ -15,8 +15,10 @@ from ladar_volume.model.kernels import kernel, parallel_kernel
 from ladar_volume.model.records import F64
 from ladar_volume.volume.prismoids import positive_part
 
+#: Standard deviations beyond which a height's positive part is that of the height without noise.
+FAR = 6.0
 #: Most parts an edge is divided into; a taller triangle crosses the base on a strip that is treated as a line.
-PARTS = 64
+PARTS = 32
 #: Quadrature of degree 5 on a triangle: weights, and the coordinates of each orbit (Radon 1948).
 ROOT = math.sqrt(15.0)
 ORBITS = (((6 - ROOT) / 21, (155 - ROOT) / 1200), ((6 + ROOT) / 21, (155 + ROOT) / 1200))
@@ -49,12 +51,29 @@ def add_point(mu: F64, C: F64, p: float, q: float, weight: float, out: F64) -> N
 
 
 @kernel
-def by_quadrature(mu: F64, C: F64, parts: int, nodes: F64, out: F64) -> None:
-    """Means over a triangle of :func:`add_point`, divided into parts² equal triangles."""
+def add_far(mu: F64, p: float, q: float, weight: float, out: F64) -> None:
+    """The same where zero is too far for the noise to matter; exact for the mean over a part of the triangle about its centre."""
+    o = 1.0 - p - q
+    m = o * mu[0] + p * mu[1] + q * mu[2]
+    if m > 0.0:
+        out[0] += weight * m
+        out[1] += weight * o
+        out[2] += weight * p
+        out[3] += weight * q
+
+
+@kernel
+def by_quadrature(mu: F64, C: F64, s: float, parts: int, nodes: F64, out: F64) -> None:
+    """Means over a triangle of :func:`add_point`, divided into parts² equal triangles; s : largest standard deviation."""
     size = 1.0 / parts
+    far = FAR * s + (max(mu[0], mu[1], mu[2]) - min(mu[0], mu[1], mu[2])) * size
     for i in range(parts):
         for j in range(parts - i):
             for flip in range(2 if j < parts - i - 1 else 1):
+                p, q = (i + (1.0 + flip) / 3.0) * size, (j + (1.0 + flip) / 3.0) * size
+                if abs((1.0 - p - q) * mu[0] + p * mu[1] + q * mu[2]) > far:
+                    add_far(mu, p, q, size * size, out)
+                    continue
                 for k in range(len(nodes)):
                     u, v = (nodes[k, 0], nodes[k, 1]) if flip == 0 else (1.0 - nodes[k, 0], 1.0 - nodes[k, 1])
                     add_point(mu, C, (i + u) * size, (j + v) * size, nodes[k, 2] * size * size, out)
@@ -99,21 +118,22 @@ def least_deviation(C: F64) -> float:
 @parallel_kernel
 def folded_kernel(mu: F64, C: F64, plain: F64, nodes: F64) -> F64:
     """Means (m, 10) over triangles with heights mu (m, 3) and packed node covariances C (m, 6): g, its slopes (3), its curvature (6).
-    ``plain`` (m, 4): mean and slopes without noise, taken where the base is more than eight standard deviations away."""
+    ``plain`` (m, 4): mean and slopes without noise, taken where the base is farther away than the noise reaches."""
     out = np.zeros((len(mu), 10))
     for t in numba.prange(len(mu)):
         low, high = min(mu[t, 0], mu[t, 1], mu[t, 2]), max(mu[t, 0], mu[t, 1], mu[t, 2])
         s = math.sqrt(max(C[t, 0], C[t, 3], C[t, 5]))
         small = least_deviation(C[t])
-        if low >= 8.0 * s or high <= -8.0 * s:
+        if low >= FAR * s or high <= -FAR * s:
             out[t, :4] = plain[t]
         elif high - low > PARTS * s and low < 0.0 and high > 0.0:
             out[t, :4] = plain[t]
             by_line(mu[t], C[t], out[t])
         else:
             least = 1 if high - low < 0.5 * small and small > 0.5 * s else 2  # nearly level, and noise nearly alike: one part will do
-            parts = PARTS if high - low > PARTS * small else max(least, math.ceil((high - low) / max(small, 1e-300)))
-            by_quadrature(mu[t], C[t], parts, nodes, out[t])
+            # two standard deviations a part: 1e-4 of the bias at most
+            parts = PARTS if high - low > 2.0 * PARTS * small else max(least, math.ceil(0.5 * (high - low) / max(small, 1e-300)))
+            by_quadrature(mu[t], C[t], s, parts, nodes, out[t])
     return out
 
 

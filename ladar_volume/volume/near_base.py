@@ -54,6 +54,10 @@ class NearBase:
     gradient_cut: F64
     gradient_net: F64
 
+    def taken(self, cut_m3: float, fill_m3: float) -> float:
+        """What is taken, m³: neither volume becomes negative."""
+        return min(self.correction_m3, cut_m3, fill_m3)
+
 
 @parallel_kernel
 def packed_kernel(start: I64, column: I64, value: F64, triangles: I32) -> F64:
@@ -82,13 +86,21 @@ def csr(C: Any) -> tuple[I64, I64, F64]:
     return rows.indptr.astype(np.int64), rows.indices.astype(np.int64), rows.data
 
 
-def near_base(tin: Tin, base: Plane, C: Any, mask: Bool | None = None, rings: int = 4) -> NearBase:
+def near_triangles(tin: Tin, height: F64, variance: F64, mask: Bool) -> Bool:
+    """Which of the triangles of a mask (m,) come within reach of a base, (k,), for vertex heights (n,) above it with variances (n,)."""
+    t, reach = tin.triangles[mask], REACH * np.sqrt(variance)
+    return any_corner((height - reach <= 0)[t]) & any_corner((height + reach >= 0)[t]) & any_corner((reach > 0)[t])
+
+
+def near_base(
+    tin: Tin, base: Plane, C: Any, mask: Bool | None = None, rings: int = 4, summed: F64 | None = None
+) -> NearBase:
     """Correction of cut and fill above ``base`` where the surface runs near it, and the variances of both.
 
     C : variances (n,) m², or sparse covariance (n, n), of the vertex heights above the base (independent noise; what base and surface
     share cancels and does not belong here); of pairs that no edge joins nothing is needed · mask : triangles that count, by default the
-    relevant ones · rings : size of the neighbourhood from which true heights are estimated. Raises :class:`VolumeError` without triangles
-    or for bad variances.
+    relevant ones · rings : size of the neighbourhood from which true heights are estimated · summed : (n,) m² sums of each height's
+    covariances with all others, where they reach beyond the edges. Raises :class:`VolumeError` without triangles or for bad variances.
     """
     chosen = tin.relevant if mask is None else mask
     t, n = tin.triangles[chosen], len(tin.vertices)
@@ -99,11 +111,10 @@ def near_base(tin: Tin, base: Plane, C: Any, mask: Bool | None = None, rings: in
     if variance.shape != (n,) or not (np.isfinite(variance) & (variance >= 0)).all():
         raise VolumeError("every vertex needs a variance of 0 or more", reason="volume_variance")
     h = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
-    area, reach = footprint_areas(tin.vertices, t), REACH * np.sqrt(variance)
-    near = any_corner((h - reach <= 0)[t]) & any_corner((h + reach >= 0)[t]) & any_corner((reach > 0)[t])
+    area, near = footprint_areas(tin.vertices, t), near_triangles(tin, h, variance, chosen)
     close, close_area, wanted = t[near], area[near], np.zeros(n, bool)
     wanted[close] = True
-    smooth = Smooth(tin, h, variance, wanted, rings, np.asarray(joint.sum(axis=1)).ravel())
+    smooth = Smooth(tin, h, variance, wanted, rings, np.asarray(joint.sum(axis=1)).ravel() if summed is None else summed)
     found = means(smooth, close, node_covariances(joint, close))
     slope = np.empty((len(t), 3))
     slope[~near], slope[near] = positive_part(h[t[~near]])[1], found[:, 1:4]

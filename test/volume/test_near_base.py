@@ -13,7 +13,7 @@ from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.surface.screen import edges
 from ladar_volume.surface.tin import build_tin
-from ladar_volume.volume.folded import NODES, PACKED, add_point, by_line, by_quadrature, folded, folded_kernel, least_deviation
+from ladar_volume.volume.folded import NODES, PACKED, add_far, add_point, by_line, by_quadrature, folded, folded_kernel, least_deviation
 from ladar_volume.volume.near_base import csr, edge_sums, near_base, node_covariances, packed_kernel, second_order, trace_kernel
 from ladar_volume.volume.neighbourhood import Smooth, adjoint_kernel, smooth_kernel, smoother
 from ladar_volume.volume.prismoids import positive_part, prismoids
@@ -210,7 +210,7 @@ def test_compiled_kernels_equal_their_plain_twins():
     plain = np.c_[positive_part(mu)[0], positive_part(mu)[1]]
     assert folded_kernel(mu, C, plain, NODES) == pytest.approx(folded_kernel.py_func(mu, C, plain, NODES), rel=1e-13, abs=1e-16)
     assert all(least_deviation(c) == least_deviation.py_func(c) == pytest.approx(0.03 / math.sqrt(3)) for c in C)
-    for run, args in ((add_point, (mu[2], C[2], 0.2, 0.3, 0.5)), (by_quadrature, (mu[3], C[3], 3, NODES)), (by_line, (mu[0], C[0]))):
+    for run, args in ((add_point, (mu[2], C[2], 0.2, 0.3, 0.5)), (by_quadrature, (mu[3], C[3], 0.03, 3, NODES)), (add_far, (mu[1], 0.2, 0.3, 0.5)), (by_line, (mu[0], C[0]))):
         a, b = np.zeros(10), np.zeros(10)
         run(*args, a)
         run.py_func(*args, b)

@@ -1,0 +1,79 @@
+"""What neighbouring vertices of a filtered surface have in common of the noise of the returns (UNCERTAINTY steps 3 and 7).
+
+A filtered height is ``x·beta`` of its patch, and patches share returns: ``cov(h_i, h_j) = x_iᵀ C_ab x_j``, divided by the vertical
+components of both normals. An adjusted height of a partial TIN is taken as that of its own point: the points it is a mean of lie on the
+same patches.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from ladar_volume.model.records import F64, I32, I64, FilteredPoints, Patches, Tin
+from ladar_volume.volume.propagation import SurfaceGeometry
+
+#: Least vertical component of a normal.
+STEEPEST = 0.01
+#: Rings of a neighbourhood of independent heights, and the most for heights that share noise.
+RINGS, MOST_RINGS = 4, 12
+
+
+def vertex_rows(tin: Tin, points: FilteredPoints, geometry: SurfaceGeometry) -> tuple[F64, I64]:
+    """Rows (n, p) that give each vertex' height from the parameters of its patch, and that patch (n,)."""
+    up = np.maximum(np.abs(points.normal[tin.source, 2]), STEEPEST)
+    return geometry.X[tin.source] / up[:, None], geometry.row[tin.source]
+
+
+def height_pairs(tin: Tin, patches: Patches, geometry: SurfaceGeometry, X: F64, row: I64, variance: F64, triangles: I32) -> Any:
+    """Covariance (n, n), sparse, m², of the vertex heights: their variances (n,), and the pairs that edges of ``triangles`` (m, 3) join.
+
+    X, row : see :func:`vertex_rows`.
+    """
+    n, m = len(tin.vertices), len(patches)
+    known = np.flatnonzero(geometry.weight > 0)
+    block = geometry.left[known] * m + geometry.right[known]
+    order = np.argsort(block, kind="stable")
+    block, known = block[order], known[order]
+    pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).astype(np.int64)
+    one, two = np.divmod(np.unique(pairs.min(axis=1) * n + pairs.max(axis=1)), n)
+    turned = row[one] > row[two]
+    first, second = np.where(turned, two, one), np.where(turned, one, two)
+    wanted = row[first] * m + row[second]
+    at = np.minimum(np.searchsorted(block, wanted), max(len(block) - 1, 0))
+    shared = block[at] == wanted if len(block) else np.zeros(len(wanted), bool)
+    first, second, at = first[shared], second[shared], known[at[shared]]
+    value = np.einsum("na,nab,nb->n", X[first], patches.cross[at], X[second], optimize=True)
+    upper = sparse.coo_array((value, (first, second)), shape=(n, n)).tocsr()
+    return sparse.csr_array(upper + upper.T + sparse.diags_array(variance))
+
+
+def height_sums(
+    patches: Patches, geometry: SurfaceGeometry, X: F64, row: I64, chosen: I64, variance: F64
+) -> tuple[F64, float]:
+    """Sums (n,) m² of the covariances of each of the ``chosen`` (k,) vertices' heights with all heights, and how many heights share their
+    noise: the median of sum over variance, which stands for the vertices that are not chosen."""
+    m, p = len(patches), X.shape[1]
+    load = np.stack([np.bincount(row, X[:, k], m) for k in range(p)], axis=1)
+    touched, total = np.zeros(m, bool), np.zeros((m, p))
+    touched[row[chosen]] = True
+    known, apart = geometry.weight > 0, geometry.left != geometry.right
+    for of, by, used, way in (
+        (geometry.left, geometry.right, known, "nab,nb->na"), (geometry.right, geometry.left, known & apart, "nba,nb->na"),
+    ):  # fmt: skip
+        rows = np.flatnonzero(used & touched[of])
+        part = np.einsum(way, patches.cross[rows], load[by[rows]])
+        total += np.stack([np.bincount(of[rows], part[:, k], m) for k in range(p)], axis=1)
+    own = np.maximum((X[chosen] * total[row[chosen]]).sum(axis=1), 0.0)
+    alike = max(1.0, float(np.median(own / np.maximum(variance[chosen], 1e-300)))) if len(chosen) else 1.0
+    out = alike * variance
+    out[chosen] = own
+    return out, alike
+
+
+def rings_for(alike: float) -> int:
+    """Rings of a neighbourhood where ``alike`` heights share their noise: for nearly as many independent heights as :data:`RINGS` hold."""
+    return int(min(MOST_RINGS, max(RINGS, math.ceil(0.75 * RINGS * math.sqrt(alike)))))
