@@ -22,6 +22,7 @@ from ladar_volume.calibration.repeats import (
     correction_of,
     spread,
 )
+from ladar_volume.cli import calibrate_strips
 from ladar_volume.io.config import changed_config, read_config
 from ladar_volume.io.measurements import Measurements, read_measurements
 from ladar_volume.io.results import json_text
@@ -67,6 +68,7 @@ def add_parser(subparsers: Any) -> None:
     repeats.add_argument("--confidence", type=float, default=0.95, help="of the printed intervals (default 0.95)")
     add_output(repeats)
     repeats.set_defaults(run=run_repeats)
+    calibrate_strips.add_parser(modes)
 
 
 def add_output(parser: argparse.ArgumentParser) -> None:

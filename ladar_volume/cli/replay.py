@@ -50,7 +50,7 @@ class Replay:
         add: dict[str, Callable[[Any], None]] = {
             "fix": self.engine.add_fix, "imu": self.engine.add_imu, "odometry": self.engine.add_odometry, "cloud": self._add_returns,
         }  # fmt: skip
-        for share, role, record in _ahead(self._records()):
+        for share, role, record in _ahead(self.records()):
             if role:
                 add[role](record)
             if role in ("", "cloud"):
@@ -73,7 +73,8 @@ class Replay:
         self.returns += len(returns)
         self.engine.add_returns(returns)
 
-    def _records(self) -> Iterator[tuple[float, str, Any]]:
+    def records(self) -> Iterator[tuple[float, str, Any]]:
+        """Share done, role and record of every usable message, in the order of the recording; role "" for nothing."""
         roles = {topic: role for role, topic in self.topics.items()}
         decode: dict[str, Callable[[Any], Any]] = {
             "fix": fix_from_message, "imu": imu_from_message, "odometry": odometry_from_message,

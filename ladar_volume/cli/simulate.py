@@ -61,7 +61,10 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "scene", help="stockpile, cone, cone_100, frustum, stockpile_5000, box, nist_box, kern_before, kern_after, sphere, square"
     )
-    parser.add_argument("--platform", choices=("uav", "rover"), default="uav")
+    parser.add_argument(
+        "--platform", choices=("uav", "lanes", "rover"), default="uav",
+        help="uav: a figure of eight; lanes: both ways in two directions, for calibrate strips (72 s or more); rover: two loops",
+    )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--duration", type=float, default=36.0, help="seconds")
     parser.add_argument("--thin", type=int, default=1, help="keep every N-th firing cycle (1: the full rate)")
@@ -69,6 +72,10 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--imu-hz", type=float, default=100.0)
     parser.add_argument("--outage", type=_span, action="append", default=[], metavar="FROM:TO", help="seconds without a fix; repeatable")
     parser.add_argument("--float", type=_span, action="append", default=[], metavar="FROM:TO", help="seconds with a float fix; repeatable")
+    parser.add_argument(
+        "--mixed", type=float, default=0.1, metavar="SHARE",
+        help="share of returns at a step in range that mix both sides (default 0.1); 0 with --thin: a neighbour is then many degrees away",
+    )  # fmt: skip
     parser.add_argument("--config", type=Path, help="budget and parameters, written into the recording's config.yaml")
     parser.add_argument("-o", "--output", type=Path, required=True, help="recording folder to create")
     parser.set_defaults(run=run)
@@ -78,8 +85,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Simulate and write; prints the true volume."""
     console = Console(stderr=True)
     options = SurveyOptions(
-        arguments.duration, arguments.thin, arguments.gnss_hz, arguments.imu_hz, outages_s=tuple(arguments.outage),
-        float_spans_s=tuple(arguments.float), seed=arguments.seed,
+        arguments.duration, arguments.thin, arguments.gnss_hz, arguments.imu_hz, mixed_share=arguments.mixed,
+        outages_s=tuple(arguments.outage), float_spans_s=tuple(arguments.float), seed=arguments.seed,
     )  # fmt: skip
     scene = make_scene(arguments.scene, arguments.seed)
     platform = platform_for(scene, arguments.platform, arguments.duration)

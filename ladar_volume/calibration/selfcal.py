@@ -1,0 +1,204 @@
+"""Self-calibration from overlapping strips: boresight, lever arms and clock offset by least squares on planar patches.
+
+Gauss-Newton: georeference with the current constants, find the patches that several strips saw, solve for the corrections with navigation
+errors and beam offsets as nuisance (seed 004 section 5.1.2: "post processing of overlapping strips of LiDAR data over non-flat terrain").
+Priors from the budget always enter; what the strips cannot tell stays at its prior, and the result says so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from ladar_volume.calibration.adjustment import Observations, Solution, observations, off_plane, solve, without
+from ladar_volume.calibration.drift import Drift, drift
+from ladar_volume.calibration.flight import Flight, remapped
+from ladar_volume.calibration.patches import OUTLIER_SIGMAS, overlap
+from ladar_volume.georeference.budget import calibration_columns, independent_sigmas
+from ladar_volume.georeference.sensitivity import unpack
+from ladar_volume.model.errors import CalibrationError
+from ladar_volume.model.parameters import BudgetParameters
+from ladar_volume.model.records import CAL_COLUMNS, F64, I64
+
+#: Columns that have a constant to be corrected: everything shared but the range bias.
+CORRECTED: I64 = np.arange(1, len(CAL_COLUMNS))
+#: Share of the prior sigma below which a constant counts as estimated, and above which it counts as held at its prior.
+ESTIMATED, HELD = 0.5, 0.9
+_CONVERGED, _NOISE_STEADY, _MOST_STEPS = 1e-2, 0.01, 15
+
+
+@dataclass(frozen=True)
+class StripOptions:
+    """Edge of the voxels that hold one patch (m), least returns of one strip on it, most patches, Gauss-Newton steps."""
+
+    edge_m: float = 1.0
+    min_points: int = 6
+    max_patches: int = 2500
+
+
+@dataclass(frozen=True)
+class StripCalibration:
+    """What the strips say. Columns are those of ``budget.calibration_columns``: m, rad, s.
+
+    theta : (c,) corrections of the constants (body rotation vector for the boresight), zero for columns that have none · prior, posterior :
+    (c, c) before and after · C_cal : (c, c) for the budget of surveys that use the corrected constants · condition : ratio of the best to
+    the worst determined direction, sigma over prior sigma · weakest : (10,) that direction, in units of the prior sigmas · noise : measured
+    over budgeted noise of the returns · chi2, freedom, p_value : of the strips' disagreement, given the budget's navigation errors and
+    priors · before_m, after_m : rms disagreement of strips on one patch, as read and corrected · patches, strips, returns, moved (patches
+    left out), steps : counts
+    """
+
+    names: tuple[str, ...]
+    theta: F64
+    prior: F64
+    posterior: F64
+    C_cal: F64
+    condition: float
+    weakest: F64
+    noise: float
+    chi2: float
+    freedom: int
+    p_value: float
+    before_m: float
+    after_m: float
+    patches: int
+    strips: int
+    returns: int
+    moved: int
+    steps: int
+
+    def status(self, column: int) -> str:
+        """``fixed``, ``estimated``, ``improved`` or ``held at its prior``."""
+        before, after = self.prior[column, column], self.posterior[column, column]
+        if before == 0.0:
+            return "fixed"
+        share = float(np.sqrt(after / before))
+        return "estimated" if share < ESTIMATED else "improved" if share < HELD else "held at its prior"
+
+
+@dataclass(frozen=True)
+class _Step:
+    """One adjustment. noise : of the returns within strips, over the assumed · chi2, freedom : of the strips' disagreement with that
+    noise · offset_m : rms distance of the strips from their common planes, before and after the step"""
+
+    solution: Solution
+    patches: int
+    strips: int
+    returns: int
+    noise: float
+    chi2: float
+    freedom: int
+    offset_m: tuple[float, float]
+    moved: int
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """What stays the same from step to step."""
+
+    flight: Flight
+    budget: BudgetParameters
+    effects: Drift
+    options: StripOptions
+    active: I64
+    beams: int
+    precision: F64
+
+
+def calibrate(flight: Flight, budget: BudgetParameters, prior: F64, options: StripOptions | None = None) -> StripCalibration:
+    """Corrections of a flight's constants. ``prior`` (c, c) is C_cal of the budget (``budget.calibration_covariance``); columns of zero
+    variance stay as they are.
+
+    Raises :class:`CalibrationError`: calibration_no_overlap, calibration_no_convergence, calibration_unobservable (no constant gains).
+    """
+    active = np.flatnonzero(np.diag(prior) > 0.0)
+    corrected = np.isin(active, CORRECTED)
+    if not corrected.any():
+        raise CalibrationError("every constant has a prior sigma of zero: nothing is to be estimated", reason="calibration_unobservable")
+    beams = (len(prior) - len(CAL_COLUMNS)) // 2
+    precision = np.asarray(np.linalg.inv(prior[np.ix_(active, active)]), np.float64)
+    problem = _Problem(flight, budget, drift(flight, budget), options or StripOptions(), active, beams, precision)
+    theta, noise, before_m = np.zeros(len(prior)), 1.0, np.nan
+    for number in range(1, _MOST_STEPS + 1):
+        step = _step(problem, theta, noise)
+        before_m = step.offset_m[0] if number == 1 else before_m
+        move = step.solution.x[: len(active)][corrected]
+        theta[active[corrected]] += move
+        size = float(move @ np.linalg.solve(step.solution.C[np.ix_(corrected, corrected)], move))
+        if size < _CONVERGED and abs(step.noise - 1.0) < _NOISE_STEADY:
+            return _result(problem, step, theta, prior, noise, before_m, number)
+        noise *= step.noise
+    raise CalibrationError(
+        f"no convergence in {_MOST_STEPS} steps: the last one moved the constants by {np.sqrt(size):.2g} sigma",
+        reason="calibration_no_convergence", value=size,
+    )  # fmt: skip
+
+
+def _step(p: _Problem, theta: F64, noise: float) -> _Step:
+    points, geometry = remapped(p.flight, theta, independent_sigmas(p.budget))
+    C, strip = unpack(points.C_ind), p.flight.strip[geometry.state]
+    typical = noise * np.sqrt(np.einsum("nii->n", C) / 3.0)
+    found = overlap(points.r_map, strip, typical, p.options.edge_m, p.options.min_points, p.options.max_patches)
+    normal = found.normal[found.patch]
+    sigma = noise * np.sqrt(np.einsum("ni,nij,nj->n", normal, C[found.point], normal))
+    o = observations(points, geometry, found, p.effects, sigma)
+    solution = solve(o, p.effects, p.active, p.beams, p.precision, theta[p.active])
+    total = int(o.patch.max()) + 1
+    moved = _moved(o, solution.residual)
+    if len(moved):
+        o = without(o, moved)
+        solution = solve(o, p.effects, p.active, p.beams, p.precision, theta[p.active])
+    return _judged(o, solution, total - len(moved), len(np.unique(found.strip_of)), len(moved))
+
+
+def _moved(o: Observations, residual: F64) -> I64:
+    """Patches on which a strip lies farther from the others than noise, or the usual disagreement, explains: something moved there."""
+    count = np.bincount(o.group)
+    z = np.abs(np.bincount(o.group, residual)) / np.sqrt(count)
+    far = z > OUTLIER_SIGMAS * max(1.0, 1.4826 * float(np.median(z)))
+    return np.unique(o.patch[far[o.group]])
+
+
+def _judged(o: Observations, solution: Solution, patches: int, strips: int, moved: int) -> _Step:
+    count = np.bincount(o.group)
+    within = solution.residual - (np.bincount(o.group, solution.residual) / count)[o.group]
+    inner = len(o.e) - len(count) - 2 * patches
+    square = float(within @ within)
+    before, after = (
+        float(np.sqrt(np.average((np.bincount(o.group, r / o.scale) / count) ** 2, weights=count)))
+        for r in (off_plane(o, o.e), solution.residual)
+    )
+    freedom = solution.freedom - inner
+    noise2 = square / max(inner, 1)
+    chi2 = (solution.chi2 - square) / noise2
+    return _Step(solution, patches, strips, len(o.e), float(np.sqrt(noise2)), chi2, freedom, (before, after), moved)
+
+
+def _result(p: _Problem, step: _Step, theta: F64, prior: F64, noise: float, before_m: float, number: int) -> StripCalibration:
+    active, at = p.active, np.ix_(p.active, p.active)
+    posterior = np.zeros_like(prior)
+    posterior[at] = step.solution.C
+    # what has no constant stays uncorrected, so its own spread is the prior's; with the corrected ones it shares the posterior's covariance
+    C_cal = posterior.copy()
+    rest = np.setdiff1d(active, CORRECTED)
+    C_cal[np.ix_(rest, rest)] = prior[np.ix_(rest, rest)]
+    constants = np.intersect1d(active, CORRECTED)
+    sigma = np.sqrt(np.diag(prior)[constants])
+    root = np.linalg.cholesky(prior[np.ix_(constants, constants)])
+    gain = np.linalg.solve(root, np.linalg.solve(root, posterior[np.ix_(constants, constants)]).T)
+    value, vector = np.linalg.eigh(0.5 * (gain + gain.T))
+    weakest = np.zeros(len(prior))
+    weakest[constants] = (root @ vector[:, -1]) / sigma
+    found = StripCalibration(
+        calibration_columns(p.beams), theta, prior, posterior, C_cal, float(np.sqrt(value[-1] / max(value[0], 1e-300))), weakest,
+        noise, step.chi2, step.freedom, float(stats.chi2.sf(step.chi2, step.freedom)), before_m, step.offset_m[1], step.patches,
+        step.strips, step.returns, step.moved, number,
+    )  # fmt: skip
+    if all(found.status(k) in ("held at its prior", "fixed") for k in CORRECTED):
+        raise CalibrationError(
+            "the strips tell no constant better than its prior: fly lanes in two directions, both ways, over ground with slopes",
+            reason="calibration_unobservable", value=found.condition,
+        )  # fmt: skip
+    return found
