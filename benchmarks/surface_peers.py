@@ -1,8 +1,8 @@
 """The Delaunay kernel beside CGAL, Triangle, startinpy and Qhull, and the adaptive insertion, on one core and in one run.
 
 ``python -m benchmarks.surface_peers [N]`` (default 1,000,000 points). A peer that is not installed is left out: CGAL needs Debian's
-libcgal-dev and g++, Triangle and startinpy their wheels. CPU seconds, medians of three; memory is the growth of the peak resident size in a
-process of its own, input included.
+libcgal-dev and g++, Triangle and startinpy the wheels of ``benchmarks/requirements.txt``. CPU seconds, medians of three; memory is the
+growth of the peak resident size in a process of its own, input included.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from ladar_volume.surface.adaptive import adaptive_tin
 from ladar_volume.surface.delaunay import Triangulated, triangulate
+from ladar_volume.surface.ordering import hilbert_order
 
 Points = npt.NDArray[np.float64]
 
@@ -85,24 +86,33 @@ def cgal_s(xy: Points) -> tuple[float, int] | None:
     return statistics.median(float(line.split()[0]) for line in lines[:3]), int(lines[0].split()[1])
 
 
-def other_peers(xy: Points) -> dict[str, float]:
-    """CPU seconds of the Python peers that are installed."""
+def other_peers(xy: Points) -> dict[str, tuple[float, int]]:
+    """CPU seconds of the Python peers that are installed, and how many triangles they find."""
     from scipy.spatial import Delaunay
 
-    out = {"Qhull": cpu_s(lambda: Delaunay(xy), 1)}
+    out = {"Qhull": timed(lambda: len(Delaunay(xy).simplices))}
     if importlib.util.find_spec("triangle"):
         import triangle
 
-        out["Triangle"] = cpu_s(lambda: triangle.delaunay(xy), 1)
+        out["Triangle"] = timed(lambda: len(triangle.delaunay(xy)))
     if importlib.util.find_spec("startinpy"):
         import startinpy
 
-        def run() -> None:
+        def run() -> int:
             dt = startinpy.DT()
-            dt.insert(np.column_stack([xy, np.zeros(len(xy))]))
+            dt.snap_tolerance = 1e-9
+            dt.insert(np.column_stack([xy, np.zeros(len(xy))])[hilbert_order(xy)])  # as given it walks across the whole map every time
+            return int(dt.number_of_triangles())
 
-        out["startinpy"] = cpu_s(run, 1)
+        out["startinpy, sorted"] = timed(run)
     return out
+
+
+def timed(action: Callable[[], int]) -> tuple[float, int]:
+    """CPU seconds of one run, and what it returns."""
+    began = time.process_time()
+    value = action()
+    return time.process_time() - began, value
 
 
 def same_triangles(xy: Points, own: Triangulated) -> bool:
@@ -150,8 +160,11 @@ def run(n: int = 1_000_000) -> dict[str, float | int | str]:
             figures[f"{name}: triangles, own and CGAL"] = f"{len(out.triangles)}, {cgal[1]}"
     small = clouds(200_000)["random"]
     own = cpu_s(lambda: triangulate(small))
-    for name, seconds in other_peers(small).items():
+    figures["200,000 random: own / CPU s"] = own
+    for name, (seconds, triangles) in other_peers(small).items():
+        figures[f"200,000 random: {name} / CPU s"] = seconds
         figures[f"200,000 random: {name}'s time / own"] = seconds / own
+        figures[f"200,000 random: triangles, own and {name}"] = f"{len(triangulate(small).triangles)}, {triangles}"
     figures["200,000 random: same triangles as Qhull"] = str(same_triangles(small, triangulate(small)))
     figures["bytes per point, input included"] = bytes_per_point(n)
     for part in (n // 10, n):
