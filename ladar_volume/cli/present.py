@@ -25,6 +25,9 @@ def show_result(console: Console, result: Mapping[str, Any]) -> None:
     tau = result["sigma_tau_range_m3"]
     head.add_row("sigma if tau is off", f"{tau[0]:.3f} to {tau[1]:.3f} m³ (a third to three times the correlation times)")
     head.add_row("naive sigma", f"{result['sigma_naive_m3']:.3f} m³ (all points independent: not to be used)")
+    for number, body in enumerate(result["bodies"][1:], start=2):
+        x, y, _ = body["centroid_map_m"]
+        head.add_row(f"body {number}", f"{body['volume_m3']:.3f} ± {body['sigma_m3']:.3f} m³ at {x:.1f}, {y:.1f} m")
     console.print(head)
     total = sum(result["budget_m6"].values()) or 1.0
     budget = Table("source", "sigma / m³", "share of variance", title="Where the uncertainty comes from", title_justify="left")

@@ -202,16 +202,18 @@ def write_outputs(folder: Path, estimate: Estimate, result: dict[str, Any], titl
 
 
 def write_mcap(path: Path, estimate: Estimate, result: dict[str, Any]) -> None:
-    """The volume table, the TIN's vertices and the parameters as MCAP."""
+    """The tables of volumes and ground surfaces, the TIN's vertices and the parameters as MCAP."""
     types = TYPESTORE.types
     t_ns = estimate.volume.t_ns
     stamp = types["builtin_interfaces/msg/Time"](sec=t_ns // 1_000_000_000, nanosec=t_ns % 1_000_000_000)
     header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="map")
     vertices = estimate.tin.vertices
     tables = {
-        "volumes": wire.volume_columns([estimate.volume]),
+        "volumes": wire.volume_columns(list(estimate.bodies)),
         "tin_vertices": {"x": vertices[:, 0], "y": vertices[:, 1], "z": vertices[:, 2], "sigma_z": estimate.sigma_z},
     }
+    if estimate.grounds:
+        tables["grounds"] = wire.ground_columns(estimate.grounds)
     path.unlink(missing_ok=True)
     with McapLog(Parameters().logger, path) as log:
         log.metadata("ladar_volume", {"result": results.json_text(result)})

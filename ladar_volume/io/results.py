@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ladar_volume.ground.polynomial import degree_of
+from ladar_volume.ground.robust import tilt_of
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import Datum, Estimate, Tin, Volume
+from ladar_volume.model.records import Datum, Estimate, Plane, Tin, Volume
 from ladar_volume.version import version
 
 
@@ -34,12 +37,25 @@ def volume_dict(volume: Volume) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def ground_dict(plane: Plane) -> dict[str, Any]:
+    """A ground surface as plain values."""
+    return {
+        "degree": degree_of(plane), "origin_xy_m": plane.origin_xy.tolist(), "beta": plane.beta.tolist(), "C_beta": plane.C_beta.tolist(),
+        "sigma_m": plane.rms_m, "support": len(plane.support), "tilt_deg": math.degrees(tilt_of(plane)),
+    }  # fmt: skip
+
+
 def result_dict(
     estimate: Estimate, parameters: Parameters, losses: Losses, datum: Datum | None, points: Mapping[str, int], source: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """The whole result: volume, budget, losses, effective parameters, version and where it came from."""
+    """The whole result: volume of the main body, budget, every body with the covariance of all, ground surfaces, losses, effective
+    parameters, version and where it came from."""
+    joint = estimate.C_bodies_m6
     return {
         **volume_dict(estimate.volume),
+        "bodies": [volume_dict(body) for body in estimate.bodies],
+        "C_bodies_m6": None if joint is None else joint.tolist(),
+        "grounds": [ground_dict(ground) for ground in estimate.grounds],
         "losses": losses.as_dict(),
         "points": dict(points),
         "datum": None if datum is None else dataclasses.asdict(datum),

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from ladar_volume.ground.polynomial import degree_of
+from ladar_volume.ground.robust import tilt_of
 from ladar_volume.model.errors import CloudError
-from ladar_volume.model.records import F64, I64, FilteredPoints, FilterUpdate, MappedPoints, Patches, Volume, select
+from ladar_volume.model.records import F64, I64, FilteredPoints, FilterUpdate, MappedPoints, Patches, Plane, Volume, select
 
 Columns = dict[str, npt.NDArray[Any]]
 HEAD, CROSS, CALIBRATION, NAVIGATION, REMOVED, END = range(6)
@@ -169,6 +171,24 @@ def filter_update(points: FilteredPoints, columns: Mapping[str, Any]) -> FilterU
 def _starts(keys: I64, rows: I64) -> I64:
     """CSR starts of rows that come grouped in the order of sorted ``keys``."""
     return np.concatenate([np.searchsorted(rows, keys), [len(rows)]]).astype(np.int64)
+
+
+def ground_columns(grounds: Sequence[Plane]) -> Columns:
+    """``grounds``: one row per surface, the base of the volumes first (`id` 0): x y z (origin and height there), degree, sigma (of its
+    points), support (their number), tilt (rad, at the origin), `beta` in the order 1, dx, dy, dx², dx dy, dy², … and `covariance`, the
+    upper triangle of theirs by rows. Both are as long as the highest degree needs; a lower one is filled with zeros."""
+    p = max(len(g.beta) for g in grounds)
+    beta, covariance = np.zeros((len(grounds), p)), np.zeros((len(grounds), p, p))
+    for row, g in enumerate(grounds):
+        k = len(g.beta)
+        beta[row, :k], covariance[row, :k, :k] = g.beta, g.C_beta
+    upper = np.triu_indices(p)
+    return {
+        "x": np.array([g.origin_xy[0] for g in grounds]), "y": np.array([g.origin_xy[1] for g in grounds]), "z": beta[:, 0].copy(),
+        "id": np.arange(len(grounds), dtype=np.uint32), "degree": np.array([degree_of(g) for g in grounds], np.uint8),
+        "sigma": np.array([g.rms_m for g in grounds]), "support": np.array([len(g.support) for g in grounds], np.uint32),
+        "tilt": np.array([tilt_of(g) for g in grounds]), "beta": beta, "covariance": covariance[:, upper[0], upper[1]],
+    }  # fmt: skip
 
 
 def volume_columns(volumes: list[Volume]) -> Columns:

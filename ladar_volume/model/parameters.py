@@ -192,6 +192,10 @@ class VolumeParameters:
     object_height_m: float = param(
         0.15, "Auto outline: least height above the base that belongs to the body.", unit="m", low=0.001, high=100
     )
+    bodies: int = param(
+        1, "Auto outline: most bodies, the largest first; 1 for the main body alone, 0 for all.", low=0, high=10000
+    )
+    min_body_m3: float = param(0.1, "Auto outline: smallest volume of a further body.", unit="m3", low=0, high=1e9)
     outline_margin_m: float = param(1.0, "Auto outline: margin around the body, so that the toe is inside.", unit="m", low=0, high=100)
     ground_ring_m: float = param(
         10.0, "Ground is fitted to points within this distance outside the outline; 0 for all.", unit="m", low=0, high=10000

@@ -20,7 +20,7 @@ from visualization_msgs.msg import Marker
 from ladar_volume.io import cdr, results
 from ladar_volume.io.clouds import stamp_ns
 from ladar_volume.io.tables import decode
-from ladar_volume.io.wire import filter_update, filtered_points, no_filtered_points, volume_columns
+from ladar_volume.io.wire import filter_update, filtered_points, ground_columns, no_filtered_points, volume_columns
 from ladar_volume.model.errors import LadarVolumeError, VolumeError
 from ladar_volume.model.records import Datum, Estimate, FilterUpdate
 from ladar_volume.nodes.base import LATCHED, STREAM, StageNode, spin
@@ -147,7 +147,9 @@ class VolumeNode(StageNode):
 
     def _publish(self, estimate: Estimate) -> None:
         v = estimate.volume
-        self._volumes.publish(table_message(volume_columns([v]), v.t_ns))
+        self._volumes.publish(table_message(volume_columns(list(estimate.bodies)), v.t_ns))
+        if estimate.grounds:
+            self._grounds.publish(table_message(ground_columns(estimate.grounds), v.t_ns))
         self._volume.publish(Float64(data=v.volume_m3))
         self._sigma.publish(Float64(data=v.sigma_m3))
         self._ground.publish(ground_message(estimate))

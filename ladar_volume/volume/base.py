@@ -8,15 +8,18 @@ import numpy as np
 
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.ground.robust import fit_ground, refine
+from ladar_volume.ground.surfaces import further_grounds
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters, VolumeParameters
 from ladar_volume.model.records import F64, Plane, Tin
 from ladar_volume.surface.tin import footprint_areas
-from ladar_volume.volume.outline import main_body, surroundings, widened
+from ladar_volume.volume.outline import bodies, shares, surroundings, widened
 from ladar_volume.volume.polygon import areas_inside, check_polygon
 
 #: Base and outline settle in two or three rounds; where triangles come and go the first repetition ends it.
 MAX_ROUNDS = 10
+#: Stands where no base is needed.
+ZERO = design_surface([0.0])
 
 
 def base_and_outline(tin: Tin, height_variance: F64, parameters: Parameters) -> tuple[Plane, F64]:
@@ -31,7 +34,10 @@ def base_and_outline(tin: Tin, height_variance: F64, parameters: Parameters) -> 
     elif p.base == "plane":
         base = design_surface(p.plane)
     else:
-        used = np.unique(tin.triangles[tin.relevant]).astype(np.int64)
+        if p.outline == "polygon":  # what is inside, such as a pit, is no ground
+            used = surroundings(tin, area_inside(tin, ZERO, p) > 0, 0.0)
+        else:
+            used = np.unique(tin.triangles[tin.relevant]).astype(np.int64)
         base = fit_ground(tin.vertices, height_variance, parameters.ground, p.object_height_m / 2, select=used)
     inside = area_inside(tin, base, p)
     if p.base != "ground" or p.outline == "all":
@@ -55,8 +61,30 @@ def area_inside(tin: Tin, base: Plane, p: VolumeParameters) -> F64:
         if not inside.any():
             raise VolumeError("no part of the surface lies inside the outline", reason="volume_no_triangle")
         return inside
-    mask = tin.relevant if p.outline == "all" else widened(tin, main_body(tin, base, p.object_height_m), p.outline_margin_m)
+    if p.outline == "all":
+        mask = tin.relevant
+    else:
+        found = bodies(tin, base, p.object_height_m, p.bodies, p.min_body_m3)
+        mask = widened(tin, np.logical_or.reduce(found), p.outline_margin_m)
     return np.where(mask, footprint_areas(tin.vertices, tin.triangles), 0.0)
+
+
+def area_by_body(tin: Tin, base: Plane, inside: F64, p: VolumeParameters) -> list[F64]:
+    """The area (m,) m² of each triangle inside the outline, body by body, the main one first; they add up to ``inside``."""
+    if p.outline != "auto" or p.bodies == 1:
+        return [inside]
+    found = bodies(tin, base, p.object_height_m, p.bodies, p.min_body_m3)
+    return [np.where(share, inside, 0.0) for share in shares(tin, inside > 0, found)]
+
+
+def all_grounds(tin: Tin, height_variance: F64, base: Plane, inside: F64, parameters: Parameters) -> tuple[Plane, ...]:
+    """The ground surfaces of the survey: the base, and up to ``ground.surfaces - 1`` others outside the outline. None above a design
+    surface."""
+    p = parameters.volume
+    if p.base != "ground":
+        return ()
+    outside = surroundings(tin, inside > 0, 0.0)
+    return (base, *further_grounds(tin.vertices, height_variance, base, parameters.ground, p.object_height_m / 2, outside))
 
 
 def polygon_of(p: VolumeParameters) -> F64:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from statistics import NormalDist
 
 import numpy as np
@@ -13,14 +14,18 @@ from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Estimate, FilteredPoints, FilterUpdate, Patches, Plane, PlatformStates, Tin, Volume
 from ladar_volume.surface.represent import Represented, SurfaceOptions, represent
 from ladar_volume.volume.assembly import base_name, ground_field, near_correction, result_gradients, vertex_variance
-from ladar_volume.volume.base import base_and_outline, polygon_of
-from ladar_volume.volume.budget import Sources, vertical_sigma
+from ladar_volume.volume.base import all_grounds, area_by_body, base_and_outline, polygon_of
+from ladar_volume.volume.budget import Budget, Sources, vertical_sigma
 from ladar_volume.volume.centroid import centroid
 from ladar_volume.volume.navigation import NavigationBins
+from ladar_volume.volume.near_base import NearBase
 from ladar_volume.volume.outline import boundary_loop
 from ladar_volume.volume.patch_store import PatchStore
 from ladar_volume.volume.polygon import clipped_prismoids
-from ladar_volume.volume.prismoids import prismoids
+from ladar_volume.volume.prismoids import Prismoids, prismoids
+
+#: Bodies whose joint covariance is computed: the work grows with the number of pairs.
+MAX_JOINT = 8
 
 
 class VolumeEstimator:
@@ -92,21 +97,35 @@ class VolumeEstimator:
     def _result(
         self, surface: Represented, base: Plane, inside: F64, points: FilteredPoints, patches: Patches, height_variance: F64
     ) -> Estimate:
-        p, mask, tin = self.parameters, inside > 0, surface.tin
-        if p.volume.outline == "polygon":
-            outline = polygon_of(self.parameters.volume)
-            solid = clipped_prismoids(tin, base, outline, mask)
-        else:
-            outline = boundary_loop(tin, mask)
-            solid = prismoids(tin, base, mask)
-        sources = Sources(points, patches, self._navigation, p)
-        gradients = result_gradients(tin, base, solid, len(points), surface)
-        budget = sources.budget(gradients, ground_field(tin, base, solid, inside, height_variance))
-        near = near_correction(surface, base, inside, points, patches, sources.geometry)
-        folded = 0.0 if near is None else near.taken(solid.cut_m3, solid.fill_m3)
+        sources = Sources(points, patches, self._navigation, self.parameters)
+        parts = area_by_body(surface.tin, base, inside, self.parameters.volume)
+
+        def solved(part: F64) -> tuple[Prismoids, Budget]:
+            solid = self._solid(surface.tin, base, part)
+            gradients = result_gradients(surface.tin, base, solid, len(points), surface)
+            return solid, sources.budget(gradients, ground_field(surface.tin, base, solid, part, height_variance))
+
+        def near(part: F64) -> NearBase | None:
+            return near_correction(surface, base, part, points, patches, sources.geometry)
+
+        made = [solved(part) for part in parts]
+        volumes = tuple(self._volume(surface.tin, base, part, *one, near(part)) for part, one in zip(parts, made, strict=True))
+        grounds = all_grounds(surface.tin, height_variance, base, inside, self.parameters)
         if len(base.support):
-            base = dataclasses.replace(base, C_beta=budget.C_results[1:, 1:])
-        volume = Volume(
+            base = dataclasses.replace(base, C_beta=made[0][1].C_results[1:, 1:])
+            grounds = (base, *grounds[1:])
+        joint = joint_covariance([v.sigma_m3**2 for v in volumes], lambda a, b: solved(parts[a] + parts[b])[1].sigma ** 2)
+        return Estimate(volumes[0], surface.tin, base, vertical_sigma(sources, points)[surface.tin.source], grounds, volumes, joint)
+
+    def _solid(self, tin: Tin, base: Plane, inside: F64) -> Prismoids:
+        if self.parameters.volume.outline == "polygon":
+            return clipped_prismoids(tin, base, polygon_of(self.parameters.volume), inside > 0)
+        return prismoids(tin, base, inside > 0)
+
+    def _volume(self, tin: Tin, base: Plane, inside: F64, solid: Prismoids, budget: Budget, near: NearBase | None) -> Volume:
+        p, mask = self.parameters, inside > 0
+        folded = 0.0 if near is None else near.taken(solid.cut_m3, solid.fill_m3)
+        return Volume(
             volume_m3=solid.net_m3,
             sigma_m3=budget.sigma,
             confidence=p.volume.confidence,
@@ -120,11 +139,23 @@ class VolumeEstimator:
             budget_m6=budget.lines,
             sigma_tau_range_m3=budget.sigma_tau_range,
             sigma_naive_m3=budget.sigma_naive,
-            outline=outline,
+            outline=polygon_of(p.volume) if p.volume.outline == "polygon" else boundary_loop(tin, mask),
             vertices=len(np.unique(tin.triangles[mask])),
             triangles=int(np.count_nonzero(mask)),
             t_ns=self._t_ns,
             folded_m3=folded,
             near_area_m2=0.0 if near is None else near.near_area_m2,
         )
-        return Estimate(volume, tin, base, vertical_sigma(sources, points)[tin.source])
+
+
+def joint_covariance(variance: list[float], of_two: Callable[[int, int], float]) -> F64 | None:
+    """Covariance (k, k) m⁶ of k volumes from the variances of each and of any two together: every source is a quadratic form, so
+    ``2 C_ab = Var(a + b) − Var(a) − Var(b)``. None for one volume, and for more than eight."""
+    k = len(variance)
+    if not 1 < k <= MAX_JOINT:
+        return None
+    C = np.diag(np.asarray(variance, dtype=np.float64))
+    for a in range(k):
+        for b in range(a):
+            C[a, b] = C[b, a] = 0.5 * (of_two(a, b) - variance[a] - variance[b])
+    return C

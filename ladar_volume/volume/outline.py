@@ -1,4 +1,4 @@
-"""Where the volume counts: the main body above a base, widened so that its toe is inside, as a set of whole triangles."""
+"""Where the volume counts: bodies above a base, widened so that their toes are inside, as sets of whole triangles."""
 
 from __future__ import annotations
 
@@ -24,9 +24,12 @@ def components(tin: Tin, mask: Bool) -> I32:
     return np.where(mask, label, -1).astype(np.int32)
 
 
-def main_body(tin: Tin, base: Plane, object_height_m: float) -> Bool:
-    """Triangles (m,) of the largest body: connected relevant triangles whose three vertices rise more than ``object_height_m``
-    above the base; the largest by volume. Raises :class:`VolumeError` where nothing rises that high."""
+def bodies(tin: Tin, base: Plane, object_height_m: float, count: int = 1, least_m3: float = 0.0) -> list[Bool]:
+    """Triangles (m,) of the largest bodies by volume, ``count`` at most (0: all): connected relevant triangles whose three vertices rise
+    more than ``object_height_m`` above the base. The first always counts, the others with at least ``least_m3``.
+
+    Raises :class:`VolumeError` where nothing rises that high.
+    """
     height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
     rising = tin.relevant & (height[tin.triangles] > object_height_m).all(axis=1)
     if not rising.any():
@@ -35,8 +38,19 @@ def main_body(tin: Tin, base: Plane, object_height_m: float) -> Bool:
     volume = footprint_areas(tin.vertices, tin.triangles) * height[tin.triangles].mean(axis=1)
     chosen = np.flatnonzero(rising)
     total = np.bincount(label[chosen], volume[chosen])
-    body: Bool = label == int(np.argmax(total))
-    return body
+    order = np.argsort(-total, kind="stable")
+    kept = [int(k) for n, k in enumerate(order) if n == 0 or (total[k] > 0 and total[k] >= least_m3)]
+    return [label == k for k in (kept[:count] if count else kept)]
+
+
+def shares(tin: Tin, outline: Bool, found: list[Bool]) -> list[Bool]:
+    """The triangles (m,) of an outline around several bodies, each given to the body with the vertex nearest to its centroid."""
+    middle = tin.vertices[tin.triangles, :2].mean(axis=1)
+    distance = [np.asarray(cKDTree(tin.vertices[vertex_mask(tin, body), :2]).query(middle)[0]) for body in found]
+    nearest = np.argmin(distance, axis=0)
+    for number, body in enumerate(found):
+        nearest[body] = number
+    return [outline & (nearest == number) for number in range(len(found))]
 
 
 def within(tin: Tin, mask: Bool, distance_m: float) -> Bool:

@@ -55,7 +55,7 @@ def test_four_processes_give_the_offline_volume_and_a_log(flight, tmp_path, caps
 
     with log.open("rb") as stream:
         topics = _counts(make_reader(stream))
-    assert topics["/velodyne_points"] > 50 and topics["/volumes"] >= 1 and "/diagnostics" in topics
+    assert topics["/velodyne_points"] > 50 and topics["/volumes"] >= 1 and topics["/grounds"] >= 1 and "/diagnostics" in topics
 
 
 def _counts(reader):

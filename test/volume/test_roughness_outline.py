@@ -11,7 +11,7 @@ import pytest
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.surface.tin import build_tin
-from ladar_volume.volume.outline import boundary_loop, components, fill_holes, main_body, surroundings, widened
+from ladar_volume.volume.outline import bodies, boundary_loop, components, fill_holes, surroundings, widened
 from ladar_volume.volume.roughness import Roughness, estimate_roughness, fall_length, field_variance, mean_spacing
 
 
@@ -79,7 +79,7 @@ def stepped(n=21):
 
 def test_body_margin_and_surroundings():
     tin = stepped()
-    body = main_body(tin, design_surface([0.0]), 0.5)
+    body = bodies(tin, design_surface([0.0]), 0.5)[0]
     area = 0.5 * body.sum()
     assert area == 36.0
     assert 0.5 * widened(tin, body, 0.0).sum() == pytest.approx(64.0, abs=4)
@@ -92,16 +92,16 @@ def test_body_margin_and_surroundings():
     assert far.min() >= 5.0 and far.max() <= 8.0
     assert len(surroundings(tin, wide, 0.0)) > len(ring)
     with pytest.raises(VolumeError):
-        main_body(tin, design_surface([5.0]), 0.5)
+        bodies(tin, design_surface([5.0]), 0.5)[0]
 
 
 def test_the_larger_of_two_bodies_is_chosen_by_volume():
     xy = grid(21)
     z = np.where(np.abs(xy - 5).max(axis=1) <= 3, 0.3, 0.0) + np.where(np.abs(xy - 15).max(axis=1) <= 2, 5.0, 0.0)
     tin = build_tin(np.c_[xy, z])
-    body = main_body(tin, design_surface([0.0]), 0.2)
+    body = bodies(tin, design_surface([0.0]), 0.2)[0]
     assert tin.vertices[tin.triangles[body], :2].min() >= 13
-    both = main_body(tin, design_surface([-1.0]), 0.2)
+    both = bodies(tin, design_surface([-1.0]), 0.2)[0]
     assert both.all()
 
 
