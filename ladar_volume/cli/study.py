@@ -9,6 +9,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from ladar_volume.cli.study_bodies import add_studies
 from ladar_volume.io.results import json_text, output_folder, write_text
 from ladar_volume.version import version
 
@@ -35,6 +36,7 @@ def add_parser(subparsers: Any) -> None:
     stockpile.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="tables.md, study.json and precision.png")
     stockpile.add_argument("--json", action="store_true", help="print the numbers as JSON to standard output")
     stockpile.set_defaults(run=run_stockpile)
+    add_studies(studies)
 
 
 def run_nist(arguments: argparse.Namespace) -> int:

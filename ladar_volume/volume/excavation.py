@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.model.records import F64, Bool
+from ladar_volume.model.records import F64, I64, Bool
 from ladar_volume.registration.transform import Transform
 from ladar_volume.surface.spherical import build_spherical, short_edges, stereographic, unit_directions
 from ladar_volume.volume.polygon import check_polygon
@@ -23,6 +23,8 @@ from ladar_volume.volume.two_surfaces import TwoSurfaces, published_difference, 
 
 #: The margin where none is given, as a share of the region's smaller side, and the spacing of the ring in spacings of the points.
 MARGIN_SHARE, RING_SPACINGS = 0.1, 2.0
+#: The ring lies on planes through the points within so many sigma: where noise folds the surface, its triangles would tear the ring.
+RING_SIGMAS = 8.0
 
 
 @dataclass(frozen=True)
@@ -38,10 +40,16 @@ class Scan:
     noise: float | F64
     transform: Transform | None = None
 
-    def part(self, mask: Bool) -> Scan:
-        """The points of a mask (n,)."""
-        noise = self.noise if np.ndim(self.noise) == 0 else np.asarray(self.noise)[mask]
-        return replace(self, points=self.points[mask], noise=noise)
+    def part(self, chosen: Bool | I64) -> Scan:
+        """The points of a mask (n,) or of indices (k,)."""
+        noise = self.noise if np.ndim(self.noise) == 0 else np.asarray(self.noise)[chosen]
+        return replace(self, points=self.points[chosen], noise=noise)
+
+    def sigma(self) -> float:
+        """A typical standard deviation of a point, m; 0 where it is not known."""
+        noise = np.asarray(self.noise)
+        typical = float(np.median(noise)) if noise.ndim < 3 else float(np.sqrt(np.median(np.trace(noise, axis1=1, axis2=2))))
+        return typical if np.isfinite(typical) else 0.0
 
     def source(self) -> F64 | None:
         """The points (n, 3), m, as they were before registration."""
@@ -166,8 +174,9 @@ def excavate(a: Scan, b: Scan, region: Region, *, pole_map: F64 | None = None, m
     if pole.shape != (3,) or not np.isfinite(pole).all():
         raise VolumeError("a pole is three finite numbers", reason="volume_pole", value=pole_map)
     between = two_surfaces(
-        one.points, two.points, ring_of(region, one, two), one.scanner, two.scanner, max_edge_m=max_edge_m, pole_map=pole
-    )
+        one.points, two.points, ring_of(region, one, two), one.scanner, two.scanner, max_edge_m=max_edge_m, pole_map=pole,
+        ring_radius_m=RING_SIGMAS * max(one.sigma(), two.sigma()),
+    )  # fmt: skip
     budget = two_surface_budget(
         between, one.noise, two.noise, two.transform, two.source(), transform_a=one.transform, source_a=one.source()
     )
@@ -191,13 +200,13 @@ def by_resolution(a: Scan, b: Scan, region: Region, cells_m: list[float], max_ed
     """Volume and surface of B over a series of thinned scans, finest first (seed 003 section 4)."""
     in_a, in_b = select(a, b, region)
     one, two = a.part(in_a), b.part(in_b)
-    cells = iter(sorted(cells_m))
+    cells, radius = iter(sorted(cells_m)), RING_SIGMAS * max(one.sigma(), two.sigma())
 
     def evaluate(points: F64) -> tuple[float, float]:
         cell = next(cells)
         before = one.points[thin(one.points, cell)]
         coarse = replace(region, spacing_m=max(region.spacing_m, cell))
-        d = two_surfaces(before, points, ring_of(coarse, one, two), one.scanner, two.scanner, max_edge_m=max_edge_m)
+        d = two_surfaces(before, points, ring_of(coarse, one, two), one.scanner, two.scanner, max_edge_m=max_edge_m, ring_radius_m=radius)
         return d.removed_m3, d.area_b_m2
 
     return resolution_series(two.points, cells_m, evaluate)

@@ -7,15 +7,22 @@ and overhangs), or straight down over a polygon in plan (pits with firm ground a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, I32, I64, Tin
+from ladar_volume.surface.ordering import hilbert_order
 
 #: How far outside a triangle, in barycentric coordinates, a line still meets it: lines through shared edges must not slip between.
 EDGE_TOLERANCE = 1e-9
+#: Most vertices that a point of the ring hangs on, and fewest.
+FIT_POINTS, MIN_FIT = 48, 6
+#: Triangles that rays pass over together.
+GROUP = 64
 
 
 @dataclass(frozen=True)
@@ -80,45 +87,76 @@ def ring_over(polygon_xy: F64, top_m: float, spacing_m: float) -> Ring:
 
 
 @kernel
-def cast_kernel(corners: F64, centre: F64, radius2: F64, origin: F64, direction: F64, triangle: I64, weight: F64, reach: F64) -> None:
+def cast_kernel(corners: F64, balls: F64, origin: F64, direction: F64, triangle: I64, weight: F64, reach: F64) -> None:
     """First triangle (k,) along each line, barycentric coordinates there (k, 3) and distance (k,); −1 where there is none.
 
-    corners : (m, 3, 3) · centre, radius2 : a ball about each triangle, by which most are passed over (Moeller & Trumbore 1997)
+    corners : (m, 3, 3) · balls : (g, 4), centre and squared radius about each GROUP of triangles, by which most are passed over
+    (intersection after Moeller & Trumbore 1997)
     """
     for i in range(len(origin)):
         ox, oy, oz, dx, dy, dz = origin[i, 0], origin[i, 1], origin[i, 2], direction[i, 0], direction[i, 1], direction[i, 2]
         best, found = np.inf, -1
-        for t in range(len(corners)):
-            px, py, pz = centre[t, 0] - ox, centre[t, 1] - oy, centre[t, 2] - oz
+        for g in range(len(balls)):
+            px, py, pz = balls[g, 0] - ox, balls[g, 1] - oy, balls[g, 2] - oz
             along = px * dx + py * dy + pz * dz
-            if px * px + py * py + pz * pz - along * along > radius2[t]:
+            if px * px + py * py + pz * pz - along * along > balls[g, 3]:
                 continue
-            a = corners[t, 0]
-            e1x, e1y, e1z = corners[t, 1, 0] - a[0], corners[t, 1, 1] - a[1], corners[t, 1, 2] - a[2]
-            e2x, e2y, e2z = corners[t, 2, 0] - a[0], corners[t, 2, 1] - a[1], corners[t, 2, 2] - a[2]
-            hx, hy, hz = dy * e2z - dz * e2y, dz * e2x - dx * e2z, dx * e2y - dy * e2x
-            det = e1x * hx + e1y * hy + e1z * hz
-            if det == 0.0:
-                continue
-            sx, sy, sz = ox - a[0], oy - a[1], oz - a[2]
-            u = (sx * hx + sy * hy + sz * hz) / det
-            qx, qy, qz = sy * e1z - sz * e1y, sz * e1x - sx * e1z, sx * e1y - sy * e1x
-            v = (dx * qx + dy * qy + dz * qz) / det
-            s = (e2x * qx + e2y * qy + e2z * qz) / det
-            if u >= -EDGE_TOLERANCE and v >= -EDGE_TOLERANCE and u + v <= 1.0 + EDGE_TOLERANCE and 0.0 < s < best:
-                best, found = s, t
-                weight[i, 0], weight[i, 1], weight[i, 2] = 1.0 - u - v, u, v
+            for t in range(g * GROUP, min((g + 1) * GROUP, len(corners))):
+                a = corners[t, 0]
+                e1x, e1y, e1z = corners[t, 1, 0] - a[0], corners[t, 1, 1] - a[1], corners[t, 1, 2] - a[2]
+                e2x, e2y, e2z = corners[t, 2, 0] - a[0], corners[t, 2, 1] - a[1], corners[t, 2, 2] - a[2]
+                hx, hy, hz = dy * e2z - dz * e2y, dz * e2x - dx * e2z, dx * e2y - dy * e2x
+                det = e1x * hx + e1y * hy + e1z * hz
+                if det == 0.0:
+                    continue
+                sx, sy, sz = ox - a[0], oy - a[1], oz - a[2]
+                u = (sx * hx + sy * hy + sz * hz) / det
+                qx, qy, qz = sy * e1z - sz * e1y, sz * e1x - sx * e1z, sx * e1y - sy * e1x
+                v = (dx * qx + dy * qy + dz * qz) / det
+                s = (e2x * qx + e2y * qy + e2z * qz) / det
+                if u >= -EDGE_TOLERANCE and v >= -EDGE_TOLERANCE and u + v <= 1.0 + EDGE_TOLERANCE and 0.0 < s < best:
+                    best, found = s, t
+                    weight[i, 0], weight[i, 1], weight[i, 2] = 1.0 - u - v, u, v
         triangle[i], reach[i] = found, best
 
 
 @dataclass(frozen=True)
+class Target:
+    """A surface made ready for rays: tin · triangles : (m, 3), the relevant ones, neighbours near one another · corners : (m, 3, 3) m ·
+    balls : see :func:`cast_kernel`"""
+
+    tin: Tin
+    triangles: I32
+    corners: F64
+    balls: F64
+
+    @cached_property
+    def vertices(self) -> tuple[I64, cKDTree]:
+        """The vertices of relevant triangles, and the tree of their positions."""
+        used = np.unique(self.triangles).astype(np.int64)
+        return used, cKDTree(self.tin.vertices[used])
+
+
+def target(tin: Tin) -> Target:
+    """The relevant triangles of a surface in groups along a Hilbert curve in plan, with a ball about each."""
+    t = tin.triangles[tin.relevant]
+    t = t[hilbert_order(tin.vertices[t].mean(axis=1)[:, :2])]
+    corners = tin.vertices[t]
+    start = np.arange(0, len(t), GROUP)
+    low, high = np.minimum.reduceat(corners.min(axis=1), start), np.maximum.reduceat(corners.max(axis=1), start)
+    radius2 = 0.25 * ((high - low) ** 2).sum(axis=1) * (1.0 + 1e-6)
+    return Target(tin, t, corners, np.column_stack([0.5 * (low + high), radius2]))
+
+
+@dataclass(frozen=True)
 class Hits:
-    """Where lines meet a surface. point : (k, 3) m · corner : (k, 3) int32, vertices of the triangle met · weight : (k, 3) barycentric ·
-    distance : (k,) m along the line"""
+    """Where lines meet a surface. point : (k, 3) m · corner : (k, c) int32, vertices it hangs on · weight : (k, c), together 1 · normal :
+    (k, 3), of the plane there, of any length · distance : (k,) m along the line"""
 
     point: F64
     corner: I32
     weight: F64
+    normal: F64
     distance: F64
 
     def insert(self, rows: I64, more: Hits) -> Hits:
@@ -126,40 +164,74 @@ class Hits:
         at = rows + 1
         return Hits(
             np.insert(self.point, at, more.point, axis=0), np.insert(self.corner, at, more.corner, axis=0),
-            np.insert(self.weight, at, more.weight, axis=0), np.insert(self.distance, at, more.distance),
+            np.insert(self.weight, at, more.weight, axis=0), np.insert(self.normal, at, more.normal, axis=0),
+            np.insert(self.distance, at, more.distance),
         )  # fmt: skip
 
     def reversed(self) -> Hits:
         """In the order of the reversed ring."""
-        return Hits(self.point[::-1], self.corner[::-1], self.weight[::-1], self.distance[::-1])
+        return Hits(self.point[::-1], self.corner[::-1], self.weight[::-1], self.normal[::-1], self.distance[::-1])
 
 
-def cast(ring: Ring, tin: Tin, name: str) -> Hits:
+def cast(ring: Ring, surface: Target, name: str, radius_m: float = 0.0) -> Hits:
     """Where the lines of a ring first meet the relevant triangles of a surface. ``name`` stands in the error.
+
+    With a radius the point is that of a plane through the vertices around (:func:`settle`): where the noise of points is as large as
+    their spacing, the surface has folds, between which the first hit jumps.
 
     Raises :class:`VolumeError` (ring_off_surface; value: the lines (k,) that miss).
     """
-    t = tin.triangles[tin.relevant]
-    corners = tin.vertices[t]
-    centre = corners.mean(axis=1)
-    radius2 = ((corners - centre[:, None]) ** 2).sum(axis=2).max(axis=1) * (1.0 + 1e-6)
+    t, corners = surface.triangles, surface.corners
     found, weight, reach = np.empty(len(ring), np.int64), np.zeros((len(ring), 3)), np.empty(len(ring))
-    cast_kernel(corners, centre, radius2, np.ascontiguousarray(ring.origin), np.ascontiguousarray(ring.direction), found, weight, reach)
+    cast_kernel(corners, surface.balls, np.ascontiguousarray(ring.origin), np.ascontiguousarray(ring.direction), found, weight, reach)
     if (found < 0).any():
         raise VolumeError(
             f"{int((found < 0).sum())} of {len(ring)} lines of the ring miss surface {name}: select more of it around the ring (a margin)",
             reason="ring_off_surface", value=np.flatnonzero(found < 0),
         )  # fmt: skip
-    return Hits(ring.origin + reach[:, None] * ring.direction, t[found], weight, reach)
+    normal = np.cross(corners[found, 1] - corners[found, 0], corners[found, 2] - corners[found, 0])
+    hits = Hits(ring.origin + reach[:, None] * ring.direction, t[found], weight, normal, reach)
+    return settle(ring, hits, surface, radius_m) if radius_m > 0.0 else hits
 
 
-def pull(gradient: F64, ring: Ring, hits: Hits, vertices: F64, into: F64) -> None:
+def settle(ring: Ring, hits: Hits, surface: Target, radius_m: float) -> Hits:
+    """Hits on planes through the vertices within ``radius_m`` of each (at most 48), weights falling to zero there; as they were where there
+    are fewer than six, or these are in a line, or the line runs along the plane."""
+    used, tree = surface.vertices
+    far, near = tree.query(hits.point, min(FIT_POINTS, len(used)), distance_upper_bound=radius_m)
+    there = np.isfinite(far)
+    corner = used[np.where(there, near, 0)]
+    p = surface.tin.vertices[corner] - hits.point[:, None]
+    along = (p * ring.direction[:, None]).sum(axis=2)
+    across = p - along[..., None] * ring.direction[:, None]
+    helper = np.eye(3)[np.abs(ring.direction).argmin(axis=1)]
+    u = np.cross(ring.direction, helper)
+    u /= np.linalg.norm(u, axis=1)[:, None]
+    v = np.cross(ring.direction, u)
+    plan = [(across * axis[:, None]).sum(axis=2) / radius_m for axis in (u, v)]
+    X = np.stack([np.ones_like(along), *plan], axis=2)
+    w = np.where(there, np.maximum(1.0 - (across**2).sum(axis=2) / radius_m**2, 0.0) ** 2, 0.0)
+    N = np.einsum("kci,kc,kcj->kij", X, w, X)
+    good = (there.sum(axis=1) >= MIN_FIT) & (np.linalg.eigvalsh(N)[:, 0] > 1e-3 * np.maximum(w.sum(axis=1), 1e-300))
+    N[~good] = np.eye(3)
+    rows = np.linalg.solve(N, np.swapaxes(X * w[..., None], 1, 2))  # (k, 3, c): height and slopes by the heights of the vertices
+    height, slope_u, slope_v = np.moveaxis(np.einsum("kic,kc->ki", rows, along), 1, 0)
+    normal = ring.direction - (slope_u[:, None] * u + slope_v[:, None] * v) / radius_m
+    good &= np.abs(height) <= radius_m
+    pad = corner.shape[1] - 3
+    chosen = good[:, None]
+    return Hits(
+        np.where(chosen, hits.point + height[:, None] * ring.direction, hits.point),
+        np.where(chosen, corner, np.pad(hits.corner, ((0, 0), (0, pad)), mode="edge")).astype(np.int32),
+        np.where(chosen, rows[:, 0], np.pad(hits.weight, ((0, 0), (0, pad)))),
+        np.where(chosen, normal, hits.normal), hits.distance + np.where(good, height, 0.0),
+    )  # fmt: skip
+
+
+def pull(gradient: F64, ring: Ring, hits: Hits, into: F64) -> None:
     """Add to ``into`` (n, 3) what a gradient (k, 3) by the ring's points on a surface means for the vertices (n, 3) they hang on.
 
-    A vertex that moves by δ lifts the plane of its triangle, so the point slides along its line by ``w n·δ / (n·d)``.
+    A vertex that moves by δ lifts the plane it belongs to, so the point slides along its line by ``w n·δ / (n·d)``.
     """
-    p = vertices[hits.corner]
-    normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-    slide = (gradient * ring.direction).sum(axis=1) / (normal * ring.direction).sum(axis=1)
-    for k in range(3):
-        np.add.at(into, hits.corner[:, k], (slide * hits.weight[:, k])[:, None] * normal)
+    slide = (gradient * ring.direction).sum(axis=1) / (hits.normal * ring.direction).sum(axis=1)
+    np.add.at(into, hits.corner, (slide[:, None] * hits.weight)[..., None] * hits.normal[:, None])

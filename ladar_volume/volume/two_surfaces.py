@@ -23,7 +23,7 @@ from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.registration.transform import Transform
 from ladar_volume.surface.spherical import SphericalTin, build_spherical, stereographic, unit_directions
 from ladar_volume.surface.topology import check_closed, orient
-from ladar_volume.volume.ring import Hits, Ring, cast, pull
+from ladar_volume.volume.ring import Hits, Ring, Target, cast, pull, target
 from ladar_volume.volume.tetrahedra import other_poles, signed_tetrahedra, surface_area, tetrahedra_gradient, vertex_covariances
 
 #: Rounds of refinement of the ring until its edges are in both triangulations, and the size at which that is given up.
@@ -116,13 +116,14 @@ def cut_surface(points: F64, drop: Bool, hits: Hits, s: SphericalTin, max_angle_
 
 def two_surfaces(
     points_a: F64, points_b: F64, ring: Ring, scanner_a: F64, scanner_b: F64, *, max_angle_rad: float = np.inf, max_edge_m: float = np.inf,
-    pole_map: F64 | None = None,
+    pole_map: F64 | None = None, ring_radius_m: float = 0.0,
 ) -> TwoSurfaces:  # fmt: skip
     """Volume between surfaces A (before) and B (after) within a ring.
 
     points_a, points_b : (n, 3) m, both in the map frame (register first), reaching a margin beyond the ring · scanner_a, scanner_b : (3,)
     m · max_angle_rad, max_edge_m : limits of a triangle; wider ones still close the surface, and are counted in ``bridged_m2`` ·
-    pole_map : (3,) m, default scanner B.
+    pole_map : (3,) m, default scanner B · ring_radius_m : the ring lies on planes through the points so near to it; 0: on the triangles,
+    which serves exact points.
 
     Raises :class:`SurfaceError` for points that cannot be triangulated and :class:`VolumeError`: ring_off_surface, ring_touches,
     ring_sides (the scanners see the ring from opposite sides), ring_lost (points too near the ring).
@@ -130,12 +131,13 @@ def two_surfaces(
     a, b = (np.asarray(p, dtype=np.float64) for p in (points_a, points_b))
     limits = (max_angle_rad, max_edge_m)
     s_a, s_b = build_spherical(a, scanner_a, *limits), build_spherical(b, scanner_b, *limits)
-    hits_a, hits_b = cast(ring, s_a.tin, "A"), cast(ring, s_b.tin, "B")
+    aims = target(s_a.tin), target(s_b.tin)
+    hits_a, hits_b = (cast(ring, aim, name, ring_radius_m) for aim, name in zip(aims, "AB", strict=True))
     if ring_turn(hits_a.point, s_a) < 0.0:
         ring, hits_a, hits_b = ring.reversed(), hits_a.reversed(), hits_b.reversed()
     if ring_turn(hits_b.point, s_b) < 0.0:
         raise VolumeError("the scanners see the ring from opposite sides of the surface", reason="ring_sides")
-    ring, hits, cuts = cut_both((a, b), (s_a, s_b), ring, (hits_a, hits_b), limits)
+    ring, hits, cuts = cut_both((a, b), (s_a, s_b), aims, ring, (hits_a, hits_b), limits, ring_radius_m)
     vertices, triangles = join(*cuts, len(ring))
     pole = np.asarray(scanner_b if pole_map is None else pole_map, dtype=np.float64)
     check_closed(orient(vertices, triangles))
@@ -157,7 +159,8 @@ def two_surfaces(
 
 
 def cut_both(
-    points: tuple[F64, F64], scans: tuple[SphericalTin, SphericalTin], ring: Ring, hits: tuple[Hits, Hits], limits: tuple[float, float]
+    points: tuple[F64, F64], scans: tuple[SphericalTin, SphericalTin], aims: tuple[Target, Target], ring: Ring, hits: tuple[Hits, Hits],
+    limits: tuple[float, float], radius_m: float,
 ) -> tuple[Ring, tuple[Hits, Hits], tuple[Cut, Cut]]:
     """Cut the ring into both surfaces; where an edge of it is in one of them no edge, both get a line midway, until all are.
 
@@ -171,7 +174,9 @@ def cut_both(
         if len(missing) == 0:
             return ring, (hits_a, hits_b), (cut_a, cut_b)
         middles = ring.middles(missing)
-        hits_a, hits_b = hits_a.insert(missing, cast(middles, s_a.tin, "A")), hits_b.insert(missing, cast(middles, s_b.tin, "B"))
+        hits_a, hits_b = (
+            h.insert(missing, cast(middles, aim, name, radius_m)) for h, aim, name in zip((hits_a, hits_b), aims, "AB", strict=True)
+        )
         ring = ring.insert(missing, middles)
         if len(ring) > MAX_RING:
             break
@@ -196,7 +201,7 @@ def by_points(gradient: F64, cut: Cut, s: SphericalTin, ring: Ring, hits: Hits, 
     out, at_vertices = np.zeros((n, 3)), np.zeros(s.tin.vertices.shape)
     own = cut.tin.source >= k
     out[cut.tin.source[own] - k] = gradient[own]
-    pull(gradient[:k], ring, hits, s.tin.vertices, at_vertices)
+    pull(gradient[:k], ring, hits, at_vertices)
     out[s.tin.source] += at_vertices
     return out
 
@@ -238,15 +243,18 @@ def select_regions(points_a: F64, points_b: F64, polygon_xy: F64, margin_m: floa
     a, b, p = (np.asarray(x, dtype=np.float64) for x in (points_a, points_b, polygon_xy))
     if p.ndim != 2 or p.shape[1:] != (2,) or len(p) < 3 or not np.isfinite(p).all() or not margin_m >= 0.0:
         raise VolumeError("a region is a polygon of at least three finite corners x, y and a margin of 0 or more", reason="region_polygon")
-    inside, near = np.zeros(len(a), bool), np.full(len(a), np.inf)
-    for q, r in zip(p, np.roll(p, -1, axis=0), strict=True):
-        d, e = a[:, :2] - q, r - q
-        crosses = (q[1] > a[:, 1]) != (r[1] > a[:, 1])
+    box = ((a[:, :2] >= p.min(axis=0) - margin_m) & (a[:, :2] <= p.max(axis=0) + margin_m)).all(axis=1)
+    r = a[box, :2]
+    inside, near = np.zeros(len(r), bool), np.full(len(r), np.inf)
+    for q, after in zip(p, np.roll(p, -1, axis=0), strict=True):
+        d, e = r - q, after - q
+        crosses = (q[1] > r[:, 1]) != (after[1] > r[:, 1])
         with np.errstate(divide="ignore", invalid="ignore"):
             inside ^= crosses & (d[:, 0] < e[0] * d[:, 1] / e[1])
         share = np.clip((d @ e) / max(float(e @ e), 1e-300), 0.0, 1.0)
         near = np.minimum(near, np.linalg.norm(d - share[:, None] * e, axis=1))
-    in_a: Bool = inside | (near <= margin_m)
+    in_a = box.copy()
+    in_a[box] = inside | (near <= margin_m)
     if not in_a.any():
         raise VolumeError("no point of scan A lies within the region", reason="region_empty")
     low, high = a[in_a, :2].min(axis=0), a[in_a, :2].max(axis=0)

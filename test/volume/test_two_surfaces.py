@@ -11,7 +11,7 @@ from ladar_volume.model.se3 import exp_so3
 from ladar_volume.registration.adjustment import register
 from ladar_volume.registration.transform import Transform
 from ladar_volume.surface.spherical import build_spherical
-from ladar_volume.volume.ring import cast, cast_kernel, densify, ring_over, ring_through
+from ladar_volume.volume.ring import cast, cast_kernel, densify, ring_over, ring_through, target
 from ladar_volume.volume.two_surfaces import cone_volume, published_difference, select_regions, two_surface_budget, two_surfaces
 
 
@@ -173,14 +173,47 @@ def test_regions():
 
 
 def test_the_compiled_rays_do_what_their_python_does():
-    tin = build_spherical(pit((0, 2, 0, 2), (0, 2, 0, 2), 1.0, 0.5)[1], np.array([1.0, 1, 1])).tin
+    surface = target(build_spherical(pit((0, 2, 0, 2), (0, 2, 0, 2), 1.0, 0.5)[1], np.array([1.0, 1, 1])).tin)
     ring = ring_over(rim((0, 2, 0, 2), 0.3), 2.0, 0.7)
-    hits = cast(ring, tin, "A")
+    hits = cast(ring, surface, "A")
     assert hits.point[:, 2] == pytest.approx(0, abs=1e-12) and hits.weight.sum(axis=1) == pytest.approx(1)
-    corners = tin.vertices[tin.triangles]
     out = np.zeros(len(ring), np.int64), np.zeros((len(ring), 3)), np.zeros(len(ring))
-    cast_kernel.py_func(corners, corners.mean(axis=1), np.full(len(corners), 9.0), ring.origin, ring.direction, *out)
-    assert out[2] == pytest.approx(hits.distance) and (tin.triangles[out[0]] == hits.corner).mean() > 0.9
+    everything = surface.balls + np.array([0.0, 0.0, 0.0, 99.0])  # no group is passed over
+    cast_kernel.py_func(surface.corners, everything, ring.origin, ring.direction, *out)
+    assert out[2] == pytest.approx(hits.distance) and (surface.triangles[out[0]] == hits.corner).mean() > 0.9
+
+
+def test_a_ring_on_planes_through_the_points_around():
+    """Exact on plane ground; its gradient is that of the planes; and noise that folds the surface does not tear it."""
+    opening, floor, depth, scanner = PITS["frustum"]
+    before, after, truth = pit(opening, floor, depth, 0.1)
+    eye, ring = np.array(scanner), ring_over(rim(opening, 0.45), 3.0, 0.1)
+    d = two_surfaces(before, after, ring, eye, eye, ring_radius_m=0.3)
+    assert d.removed_m3 == pytest.approx(truth, rel=1e-9) and np.abs(d.gap_m).max() < 1e-9
+    assert d.gradient_a.sum(axis=0) + d.gradient_b.sum(axis=0) == pytest.approx(0, abs=1e-6)
+    rng = np.random.default_rng(6)
+    a, b = (p + 1e-4 * rng.standard_normal(p.shape) for p in (before, after))
+    d = two_surfaces(a, b, ring, eye, eye, ring_radius_m=0.3)
+    near = np.flatnonzero((np.abs(a[:, 0] - opening[0] + 0.45) < 0.2) & (np.abs(a[:, 1] - 2) < 1.5))
+    for i in rng.choice(near, 4):
+        u = np.array([0.0, 0, 1e-6])
+        volume = []
+        for sign in (1, -1):
+            moved = a.copy()
+            moved[i] += sign * u
+            volume.append(two_surfaces(moved, b, ring, eye, eye, ring_radius_m=0.3).removed_m3)
+        assert (volume[0] - volume[1]) / 2e-6 == pytest.approx(d.gradient_a[i, 2], rel=0.02, abs=2e-5)
+    a, b = (p + 0.03 * rng.standard_normal(p.shape) for p in (before, after))
+    d = two_surfaces(a, b, ring, eye, eye, ring_radius_m=0.24)
+    assert d.removed_m3 == pytest.approx(truth, rel=0.01) and d.pole_spread_m3 < 1e-9 * truth
+
+
+def test_too_few_points_around_leave_the_ring_on_the_triangles():
+    opening, floor, depth, scanner = PITS["box"]
+    surface = target(build_spherical(pit(opening, floor, depth, 0.4)[1], np.array(scanner)).tin)
+    ring = ring_over(rim(opening, 0.4), 3.0, 0.5)
+    exact, fitted = cast(ring, surface, "B"), cast(ring, surface, "B", 0.05)
+    assert fitted.point == pytest.approx(exact.point) and fitted.weight.sum(axis=1) == pytest.approx(1)
 
 
 def reason(*args, **kwargs):
