@@ -19,15 +19,20 @@ from ladar_volume.surface.frames import check_cloud
 from ladar_volume.surface.local_frames import PLANE, consistent_normals, neighbours, plane_normals, roughness
 from ladar_volume.surface.local_grow import FAN, drop_fans, grow, spread_out
 from ladar_volume.surface.local_holes import fill, rims
+from ladar_volume.surface.local_published import published, repaired
 from ladar_volume.surface.local_star import DEGREE, ballot, stars
 from ladar_volume.surface.topology import edge_table
 
-#: What a vertex is: inside the surface, on a rim, in no triangle, or at the place of an earlier point.
-INSIDE, RIM, UNUSED, DUPLICATE = range(4)
-#: Neighbours that the spacing of the points is taken from (the median distance of this one), and those a star is made of.
-SPACING, NEIGHBOURS = 6, 32
+#: What a vertex is: inside the surface, on a rim, in no triangle, at the place of an earlier point, or added on a sharp edge.
+INSIDE, RIM, UNUSED, DUPLICATE, ADDED = range(5)
+#: Neighbours that the spacing of the points is taken from (the median distance of this one), those a star is made of, and
+#: by how many times more where it stays open.
+SPACING, NEIGHBOURS, WIDER = 6, 32, 4
 #: Longest edge and largest hole in spacings, where no lengths are given.
 REACH, HOLE = 4.0, 6.0
+#: A cloud this much thinner than it is long is a line.
+THIN = 1e-9
+REPAIRS = ("none", "empty", "false", "both", "remove")
 #: Rounds of closing holes and of dropping what hangs on a single vertex.
 ROUNDS = 4
 
@@ -36,17 +41,33 @@ ROUNDS = 4
 class LocalMeshSettings:
     """radius_m : longest edge, and reach of a point's neighbourhood, 0: from the spacing of the points · hole_m : diameter of the largest
     hole that is closed, 0: 1.5 times the longest edge · signed : whether given normals point outward as they are; otherwise only their
-    lines count and signs are found from the cloud, which bodies that touch can mislead."""
+    lines count and signs are found from the cloud, which bodies that touch can mislead.
+
+    method : "agreement", or "published" for Algorithm 2, which needs a radius · longest_m : longest edge of the published method, 0: its
+    radius · repair : what it does about false and empty triangles: "none", "empty", "false", "both" or "remove" (all suspicious)."""
 
     radius_m: float = 0.0
     hole_m: float = 0.0
     signed: bool = False
+    method: str = "agreement"
+    longest_m: float = 0.0
+    repair: str = "both"
 
     def __post_init__(self) -> None:
-        """Raises :class:`SurfaceError` for lengths that are negative or not finite."""
-        for length in (self.radius_m, self.hole_m):
+        """Raises :class:`SurfaceError` (mesh_settings) for lengths that are negative or not finite, and unknown names."""
+        for length in (self.radius_m, self.hole_m, self.longest_m):
             if not (np.isfinite(length) and length >= 0.0):
                 raise SurfaceError(f"a length of {length} m", reason="mesh_settings", value=length)
+        if self.method not in ("agreement", "published") or self.repair not in REPAIRS:
+            raise SurfaceError(f"no method {self.method!r} or repair {self.repair!r}", reason="mesh_settings", value=self.method)
+        if self.method == "published" and self.radius_m == 0.0:
+            raise SurfaceError("the published method needs a radius", reason="mesh_settings", value=self.radius_m)
+
+
+#: The thesis's three meshes (section 9.2): bench and fountain, cardboard box, sphere.
+FOUNTAIN = LocalMeshSettings(0.10, method="published")
+BOX = LocalMeshSettings(0.20, method="published")
+SPHERE = LocalMeshSettings(0.35, method="published")
 
 
 @dataclass(frozen=True)
@@ -55,9 +76,9 @@ class LocalMesh:
 
     vertices : (n, 3) m, the input points in their order · normals : (n, 3), unit, on the side the triangles face · triangles : (m, 3)
     int32, counter-clockwise as seen from the normals' side: outside of a closed body · votes : (m,) by how many of its corners a triangle
-    was proposed, 0 where it closes a hole · status : (n,) int32, INSIDE, RIM, UNUSED or DUPLICATE · rims : vertices of each open rim, in
-    their order with the gap on the left · over_full : (k, 2) edges that have more than two triangles, none but in the published method ·
-    report : counts of what was found, closed and dropped, and the lengths used
+    was proposed, 0 where it closes a hole · status : (n,) int32, INSIDE, RIM, UNUSED, DUPLICATE or ADDED · rims : vertices of each open
+    rim, in their order with the gap on the left; the two ends of each open edge in the published method · over_full : (k, 2) edges that
+    have more than two triangles, none but in the published method · report : counts of what was found, closed and dropped, lengths used
     """
 
     vertices: F64
@@ -89,8 +110,13 @@ def mesh_cloud(points: F64, normals: F64 | None = None, settings: LocalMeshSetti
         raise SurfaceError(f"{len(first)} points at different places are no surface", reason="mesh_points", value=len(first))
     # digits: offsets of the cloud's size, not map coordinates
     p = given[first] - 0.5 * (given.min(axis=0) + given.max(axis=0))
+    spread = np.linalg.svd(p - p.mean(axis=0), compute_uv=False)
+    if spread[1] <= THIN * spread[0]:
+        raise SurfaceError("no triangle: all points lie on one line", reason="mesh_empty")
     distance, index = neighbours(p, NEIGHBOURS)
     n = unit_normals(p, index, None if normals is None else np.asarray(normals, np.float64), first, len(given), settings.signed)
+    if settings.method == "published":
+        return overlapping(given, first, p, n, settings)
     spacing = float(np.median(distance[:, min(SPACING, distance.shape[1]) - 1]))
     reach = settings.radius_m or REACH * spacing
     hole = settings.hole_m or HOLE / REACH * reach
@@ -117,6 +143,10 @@ def agree(p: F64, n: F64, index: I64, reach: float, slack: float) -> tuple[I32, 
     """Triangles of all stars in the order in which they are taken, their votes, and counts."""
     ring, closed = np.empty((len(p), DEGREE), np.int32), np.empty(len(p), np.int32)
     stars(p, n, index, np.arange(len(p)), reach, slack, ring, closed)
+    # scans are dense along their lines: where the nearest do not go all round, ask more
+    still = np.flatnonzero(closed == 0)
+    if len(still) and index.shape[1] == NEIGHBOURS:
+        stars(p, n, neighbours(p, WIDER * NEIGHBOURS, still)[1], still, reach, slack, ring, closed)
     triangles, votes = ballot(p, ring, closed, reach)
     most = np.diff(edge_table(triangles[votes >= 2])[1])
     corner = p[triangles]
@@ -145,7 +175,7 @@ def finish(given: F64, first: I64, p: F64, n: F64, triangles: I32, votes: I32, r
     out = np.empty((int(size.sum()) // 3, 4), np.int32)
     if spread_out(fan, size, out) == 0:
         raise SurfaceError(
-            f"no triangle: the points are collinear, or all farther apart than {report['radius_m']:.3g} m", reason="mesh_empty"
+            f"no triangle: the points lie on lines, or all farther apart than {report['radius_m']:.3g} m", reason="mesh_empty"
         )
     rim, start, _ = rims(p, n, fan, size, slack)
     status = np.full(len(given), DUPLICATE, np.int32)
@@ -160,3 +190,30 @@ def finish(given: F64, first: I64, p: F64, n: F64, triangles: I32, votes: I32, r
         "unused": int(np.sum(status == UNUSED)), "duplicates": len(given) - len(first),
     }  # fmt: skip
     return LocalMesh(given, normals, here[out[:, :3]], out[:, 3].copy(), status, edges, np.empty((0, 2), np.int32), report)
+
+
+def overlapping(given: F64, first: I64, p: F64, n: F64, settings: LocalMeshSettings) -> LocalMesh:
+    """The mesh of the published method: each triangle faces the side of the normals at its corners; each open edge is a rim of its own."""
+    found = published(p, settings.radius_m, settings.longest_m or settings.radius_m)
+    if len(found) == 0:
+        raise SurfaceError(f"no triangle with sides up to {settings.radius_m:.3g} m", reason="mesh_empty")
+    t = repaired(found, settings.repair)
+    a, b, c = (p[t[:, k]] for k in range(3))
+    back = np.einsum("ni,ni->n", np.cross(b - a, c - a), n[t].sum(axis=1)) < 0.0
+    t[back] = t[back][:, [0, 2, 1]]
+    order, start, key = edge_table(t)
+    uses, ends = np.diff(start), np.stack([key >> 32, key & 0xFFFFFFFF], axis=1)[order[start[:-1]]]
+    here = first.astype(np.int32)
+    single = here[ends[uses == 1]]
+    status = np.full(len(given), DUPLICATE, np.int32)
+    status[first] = UNUSED
+    status[here[t]] = INSIDE
+    status[single] = RIM
+    normals = np.zeros_like(given)
+    normals[first] = n
+    report: dict[str, float | int] = {
+        "radius_m": settings.radius_m, "found": len(found), "repaired": len(t) - len(found), "open_edges": len(single),
+        "over_full": int(np.sum(uses > 2)), "unused": int(np.sum(status == UNUSED)), "duplicates": len(given) - len(first),
+    }  # fmt: skip
+    votes = np.ones(len(t), np.int32)
+    return LocalMesh(given, normals, here[t], votes, status, tuple(single), here[ends[uses > 2]], report)

@@ -42,6 +42,15 @@ def neighbours(points: F64, count: int, at: I64 | None = None) -> tuple[F64, I64
     return np.ascontiguousarray(distance[:, 1:]), np.ascontiguousarray(index[:, 1:], np.int64)
 
 
+def within(points: F64, radius: float) -> tuple[I64, I64]:
+    """The points within a radius of each point, itself among them, in ascending order: where each list begins (n + 1,), and all lists."""
+    pair = cKDTree(points).query_pairs(radius, output_type="ndarray").astype(np.int64)
+    n = len(points)
+    key = np.concatenate([pair[:, 0] * n + pair[:, 1], pair[:, 1] * n + pair[:, 0], np.arange(n) * (n + 1)])
+    key.sort()
+    return np.searchsorted(key, np.arange(n + 1) * n).astype(np.int64), key % n
+
+
 def plane_normals(points: F64, index: I64) -> F64:
     """Normals (n, 3) of the planes through each point and its neighbours (n, k): the direction of least scatter."""
     arm = points[index] - points[:, None]
