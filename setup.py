@@ -8,7 +8,7 @@ from setuptools import find_packages, setup
 
 PACKAGE = "ladar_volume"
 MANIFEST = ElementTree.parse(Path(__file__).parent / "package.xml").getroot()
-NODES = ("georeference_node", "filter_node", "volume_node", "logger_node", "player")
+NODES = ("georeference_node", "filter_node", "volume_node", "logger_node", "mavlink_node", "player")
 
 
 def manifest(tag: str) -> str:
@@ -29,7 +29,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
         (f"share/{PACKAGE}/launch", sorted(glob("launch/*.launch.py"))),
-        (f"share/{PACKAGE}/config", sorted(glob("config/*.yaml"))),
+        (f"share/{PACKAGE}/config", sorted(glob("config/*.yaml") + glob("config/*.json"))),
     ],
     python_requires=">=3.11",
     zip_safe=True,

@@ -1,7 +1,9 @@
-"""The graph on a machine with a normal Jazzy install: ``ros2 launch ladar_volume online.launch.py config:=FILE log:=FILE``."""
+"""The graph on a machine with a normal Jazzy install: ``ros2 launch ladar_volume online.launch.py config:=FILE log:=FILE
+mavlink:=URL``."""
 
 from ament_index_python.packages import get_package_share_path
 from launch.actions import DeclareLaunchArgument
+from launch.conditions import LaunchConfigurationNotEquals
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode
 
@@ -9,12 +11,13 @@ from launch import LaunchDescription
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Four lifecycle nodes; they configure and activate themselves unless node.autostart is false."""
+    """Four lifecycle nodes, and a fifth for an autopilot; they configure and activate themselves unless node.autostart is false."""
     default = str(get_package_share_path("ladar_volume") / "config" / "default.yaml")
     config = LaunchConfiguration("config")
     arguments = [
         DeclareLaunchArgument("config", default_value=default, description="parameter file in the ROS layout"),
         DeclareLaunchArgument("log", default_value="ladar_volume.mcap", description="MCAP file to write"),
+        DeclareLaunchArgument("mavlink", default_value="", description="autopilot to take poses from (mavlink.url); empty for none"),
     ]
     nodes = [
         LifecycleNode(
@@ -27,4 +30,13 @@ def generate_launch_description() -> LaunchDescription:
         )
         for name in ("georeference_node", "filter_node", "volume_node", "logger_node")
     ]
-    return LaunchDescription([*arguments, *nodes])
+    autopilot = LifecycleNode(
+        package="ladar_volume",
+        executable="mavlink_node",
+        name="mavlink_node",
+        namespace="",
+        parameters=[{"config_file": config, "mavlink.url": LaunchConfiguration("mavlink")}],
+        condition=LaunchConfigurationNotEquals("mavlink", ""),
+        output="screen",
+    )
+    return LaunchDescription([*arguments, *nodes, autopilot])

@@ -25,6 +25,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--play", type=Path, metavar="BAG", help="recording to play through the nodes; without it they run until stopped")
     parser.add_argument("--rate", type=float, default=1.0, help="times real time")
     parser.add_argument("--separate", action="store_true", help="every node in a process of its own")
+    parser.add_argument("--mavlink", metavar="URL", help="autopilot to take poses from: udpin:HOST:PORT, serial:DEVICE:BAUD, a .tlog")
     parser.add_argument("--log", type=Path, help="MCAP file to log all topics to")
     add_common(parser)
     parser.set_defaults(run=run)
@@ -39,6 +40,8 @@ def run(arguments: argparse.Namespace) -> int:
     overrides = list(arguments.set)
     if arguments.play is not None:
         overrides = ["node.input_reliability=reliable", "node.input_depth=2000", *overrides]
+    if arguments.mavlink is not None:
+        overrides.append(f"mavlink.url={arguments.mavlink}")
     config = config_for(arguments.play, arguments.config) if arguments.play is not None else arguments.config
     parameters = read_config(config, overrides)
     folder = results.output_folder(arguments.output)
@@ -48,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory() as scratch:
         effective = Path(scratch) / "parameters.yaml"
         effective.write_text(dump_config(parameters), encoding="utf-8")
-        graph = Graph(effective, arguments.separate, arguments.log)
+        graph = Graph(effective, arguments.separate, arguments.log, arguments.mavlink is not None)
         try:
             graph.wait_ready()
             if arguments.play is None:

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from ladar_volume.model.mavlink_parameters import MavlinkParameters
 from ladar_volume.model.parameter import param, read_section, unknown_section, write_section
 
 
@@ -263,6 +264,7 @@ SECTIONS: dict[str, type] = {
     "volume": VolumeParameters,
     "node": NodeParameters,
     "logger": LoggerParameters,
+    "mavlink": MavlinkParameters,
 }
 
 
@@ -278,6 +280,7 @@ class Parameters:
     volume: VolumeParameters = field(default_factory=VolumeParameters)
     node: NodeParameters = field(default_factory=NodeParameters)
     logger: LoggerParameters = field(default_factory=LoggerParameters)
+    mavlink: MavlinkParameters = field(default_factory=MavlinkParameters)
 
     @classmethod
     def read(cls, mapping: Mapping[str, Mapping[str, Any]], start: Parameters | None = None) -> Parameters:

@@ -24,12 +24,14 @@ from ladar_volume.nodes.base import Spinner, StageNode
 from ladar_volume.nodes.filter_node import FilterNode
 from ladar_volume.nodes.georeference_node import GeoreferenceNode
 from ladar_volume.nodes.logger_node import LoggerNode
+from ladar_volume.nodes.mavlink_node import MavlinkNode
 from ladar_volume.nodes.player import Player
 from ladar_volume.nodes.volume_node import VolumeNode
 from ladar_volume.warm import warm_up
 
 FACTORIES: dict[str, Callable[..., StageNode]] = {
     "georeference_node": GeoreferenceNode, "filter_node": FilterNode, "volume_node": VolumeNode, "logger_node": LoggerNode,
+    "mavlink_node": MavlinkNode,
 }  # fmt: skip
 #: The graph has drained when its counters have agreed and stood still this long.
 STILL_S = 1.5
@@ -93,10 +95,11 @@ class Watcher(Node):
 class Graph:
     """Starts the nodes, plays a recording if asked, waits, answers, stops what it started."""
 
-    def __init__(self, config: Path, separate: bool, log: Path | None) -> None:
+    def __init__(self, config: Path, separate: bool, log: Path | None, mavlink: bool = False) -> None:
         self._spinners: list[Spinner] = []
         self._processes: list[subprocess.Popen[bytes]] = []
-        names = [n for n in FACTORIES if n != "logger_node" or log is not None]
+        wanted = {"logger_node": log is not None, "mavlink_node": mavlink}
+        names = [n for n in FACTORIES if wanted.get(n, True)]
         warm_up()  # once here, so that four processes do not compile the same kernels beside each other
         rclpy.init(args=[])
         self.watcher = Watcher()

@@ -77,6 +77,6 @@ def test_every_intermediate_volume_is_that_of_the_offline_prefix():
 def test_launch_files_name_the_nodes_that_exist():
     tree = ast.parse((ROOT / "launch" / "online.launch.py").read_text())
     words = {n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)}
-    for node in ("georeference_node", "filter_node", "volume_node", "logger_node"):
+    for node in ("georeference_node", "filter_node", "volume_node", "logger_node", "mavlink_node"):
         assert node in words and (ROOT / "ladar_volume" / "nodes" / f"{node}.py").is_file()
     assert np.all([w != "rosbag2_py" for w in words])

@@ -1,0 +1,251 @@
+"""Where MAVLink bytes come from: UDP, TCP or a serial port. A socket listens on the one address it is given,
+and on loopback where none is given; it talks to one peer at a time."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import termios
+import time
+import tty
+from typing import Protocol
+
+from ladar_volume.model.errors import ConfigurationError
+from ladar_volume.model.losses import Losses
+
+#: A peer that is silent for this long may be replaced by another.
+PEER_S = 5.0
+#: A lost connection is tried again after this time.
+RETRY_S = 1.0
+
+
+class Link(Protocol):
+    """A two-way link. ``losses`` counts what was refused and how often the link broke."""
+
+    losses: Losses
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has come, at most ``timeout_s`` from now; empty for nothing."""
+
+    def write(self, data: bytes) -> None:
+        """Send; what the link cannot take now is lost, as on the wire."""
+
+    def close(self) -> None:
+        """Let go."""
+
+
+class UdpLink:
+    """Datagrams: listening on ``address``, or sending to it."""
+
+    def __init__(self, address: tuple[str, int], listen: bool) -> None:
+        self.losses = Losses()
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._listen = listen
+        self._peer: tuple[str, int] | None = None if listen else address
+        self._heard = 0.0
+        try:
+            if listen:
+                self._socket.bind(address)
+            else:
+                self._socket.connect(address)
+        except OSError as error:
+            self._socket.close()
+            raise ConfigurationError(f"mavlink.url: {address[0]}:{address[1]}: {error}", value=address) from error
+        self._socket.setblocking(False)
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """The own end."""
+        host, port = self._socket.getsockname()[:2]
+        return str(host), int(port)
+
+    def read(self, timeout_s: float) -> bytes:
+        """All datagrams of the peer that wait; those of others are counted and dropped."""
+        select.select([self._socket], [], [], timeout_s)
+        data = bytearray()
+        with contextlib.suppress(OSError):  # nothing more waits, or the peer's port is closed
+            while len(data) < 1 << 20:
+                packet, sender = self._socket.recvfrom(65535)
+                now = time.monotonic()
+                if self._listen and sender != self._peer:
+                    if self._peer is not None and now - self._heard < PEER_S:
+                        self.losses.add("mavlink_other_peer")
+                        continue
+                    self._peer = sender
+                self._heard = now
+                data += packet
+        return bytes(data)
+
+    def write(self, data: bytes) -> None:
+        """To the peer, once there is one."""
+        if self._peer is not None:
+            with contextlib.suppress(OSError):
+                self._socket.sendto(data, self._peer) if self._listen else self._socket.send(data)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+class TcpLink:
+    """A connection: accepted one at a time on ``address``, or made to it and made again when it breaks."""
+
+    def __init__(self, address: tuple[str, int], listen: bool) -> None:
+        self.losses = Losses()
+        self._address = address
+        self._peer: socket.socket | None = None
+        self._server: socket.socket | None = None
+        self._next = 0.0
+        if listen:
+            try:
+                self._server = socket.create_server(address, backlog=1)
+            except OSError as error:
+                raise ConfigurationError(f"mavlink.url: {address[0]}:{address[1]}: {error}", value=address) from error
+            self._server.setblocking(False)
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """The address that listens or is connected to."""
+        if self._server is None:
+            return self._address
+        host, port = self._server.getsockname()[:2]
+        return str(host), int(port)
+
+    def _connect(self, timeout_s: float) -> None:
+        with contextlib.suppress(OSError):
+            if self._server is not None:
+                select.select([self._server], [], [], timeout_s)
+                self._peer, _ = self._server.accept()
+            elif time.monotonic() >= self._next:
+                self._next = time.monotonic() + RETRY_S
+                self._peer = socket.create_connection(self._address, timeout=RETRY_S)
+            else:
+                time.sleep(min(timeout_s, max(self._next - time.monotonic(), 0.0)))
+        if self._peer is not None:
+            self._peer.setblocking(False)
+            self._peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def _drop(self) -> None:
+        if self._peer is not None:
+            self._peer.close()
+            self._peer = None
+            self.losses.add("mavlink_link_lost")
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has come; connects where nobody is connected."""
+        if self._peer is None:
+            self._connect(timeout_s)
+            return b""
+        select.select([self._peer], [], [], timeout_s)
+        try:
+            data: bytes = self._peer.recv(65535)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if not data:
+            self._drop()
+        return data
+
+    def write(self, data: bytes) -> None:
+        """To whoever is connected."""
+        if self._peer is not None:
+            try:
+                self._peer.send(data)
+            except BlockingIOError:
+                return
+            except OSError:
+                self._drop()
+
+    def close(self) -> None:
+        """Close everything."""
+        for end in (self._peer, self._server):
+            if end is not None:
+                end.close()
+
+
+class SerialLink:
+    """A serial port, raw, 8N1; opened again when it goes away."""
+
+    def __init__(self, device: str, baud: int) -> None:
+        self.losses = Losses()
+        self._device, self._next = device, 0.0
+        speed = getattr(termios, f"B{baud}", None)
+        if speed is None:
+            raise ConfigurationError(f"mavlink.url: {baud} is no baud rate of this system", value=baud)
+        self._speed: int = speed
+        self._fd: int | None = None
+        self._open()
+
+    def _open(self) -> None:
+        self._next = time.monotonic() + RETRY_S
+        fd = None
+        try:
+            fd = os.open(self._device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            tty.setraw(fd)
+            settings = termios.tcgetattr(fd)
+            settings[2] |= termios.CLOCAL | termios.CREAD
+            settings[4] = settings[5] = self._speed
+            termios.tcsetattr(fd, termios.TCSANOW, settings)
+        except (OSError, termios.error):
+            if fd is not None:
+                os.close(fd)
+            self.losses.add("mavlink_port_not_open")
+            return
+        self._fd = fd
+
+    def _drop(self) -> None:
+        if self._fd is not None:
+            os.close(self._fd)
+            self._fd = None
+            self.losses.add("mavlink_link_lost")
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has come."""
+        if self._fd is None:
+            time.sleep(min(timeout_s, max(self._next - time.monotonic(), 0.0)))
+            if time.monotonic() >= self._next:
+                self._open()
+            return b""
+        ready, _, _ = select.select([self._fd], [], [], timeout_s)
+        if not ready:
+            return b""
+        try:
+            data = os.read(self._fd, 65535)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if not data:
+            self._drop()
+        return data
+
+    def write(self, data: bytes) -> None:
+        """To the port."""
+        if self._fd is not None:
+            with contextlib.suppress(OSError):
+                os.write(self._fd, data)
+
+    def close(self) -> None:
+        """Close the port."""
+        if self._fd is not None:
+            os.close(self._fd)
+            self._fd = None
+
+
+def open_link(url: str) -> Link:
+    """A link for ``udpin:HOST:PORT`` and the others. Raises ConfigurationError naming what is wrong."""
+    scheme, _, rest = url.partition(":")
+    host, _, number = rest.rpartition(":")
+    if not number.isdigit() or int(number) > (10_000_000 if scheme == "serial" else 65535):
+        raise ConfigurationError(f"mavlink.url: {url!r}: the number after the last colon is missing or too large", value=url)
+    if scheme == "serial":
+        return SerialLink(host, int(number))
+    address = (host or "127.0.0.1", int(number))
+    if scheme in ("udpin", "udpout"):
+        return UdpLink(address, scheme == "udpin")
+    if scheme in ("tcp", "tcpin"):
+        return TcpLink(address, scheme == "tcpin")
+    raise ConfigurationError(f"mavlink.url: {url!r}: one of udpin, udpout, tcp, tcpin, serial, or a .tlog or .bin file", value=url)

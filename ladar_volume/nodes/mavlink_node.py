@@ -1,0 +1,221 @@
+"""mavlink_node: an autopilot's messages, live or from its log, as fixes, attitudes and odometry."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Imu, NavSatFix
+
+from ladar_volume.io.mavlink import Record, height_parameters
+from ladar_volume.io.mavlink_dataflash import DataFlashLog
+from ladar_volume.io.mavlink_links import Link, open_link
+from ladar_volume.io.mavlink_poses import InertialSample
+from ladar_volume.io.mavlink_session import MavlinkSession
+from ladar_volume.io.mavlink_tlog import log_file, tlog_frames
+from ladar_volume.model.errors import BagError
+from ladar_volume.model.losses import Losses
+from ladar_volume.model.records import F64, Fix, ImuSample, OdometrySample
+from ladar_volume.nodes.base import STREAM, StageNode, spin
+from ladar_volume.nodes.convert import header
+
+#: A log that is played as fast as possible waits while more than this is queued.
+AHEAD = 1000
+
+
+def fix_message(fix: Fix) -> NavSatFix:
+    """A fix; without accuracies its covariance type is unknown."""
+    message = NavSatFix(header=header(fix.t_ns, "gnss"), latitude=fix.latitude_deg, longitude=fix.longitude_deg, altitude=fix.height_m)
+    message.status.status, message.status.service = fix.status, 1
+    if fix.C_enu is not None:
+        message.position_covariance = fix.C_enu.ravel()
+        message.position_covariance_type = NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN
+    return message
+
+
+def _set(target: Any, values: F64) -> None:
+    target.x, target.y, target.z = values[:3].tolist()
+    if len(values) == 4:
+        target.w = float(values[3])
+
+
+def imu_message(sample: ImuSample) -> Imu:
+    """An attitude with its rates; what the autopilot does not say has −1 (absent) or zeros (unknown), as REP-145 has it."""
+    message = Imu(header=header(sample.t_ns, "base_link"))
+    _set(message.orientation, sample.q_map_body)
+    if sample.C_axes is not None:
+        message.orientation_covariance = sample.C_axes.ravel()
+    if np.all(np.isfinite(sample.omega_body)):
+        _set(message.angular_velocity, sample.omega_body)
+    else:
+        message.angular_velocity_covariance[0] = -1.0
+    message.linear_acceleration_covariance[0] = -1.0
+    return message
+
+
+def inertial_message(sample: InertialSample) -> Imu:
+    """Raw rates and accelerations without an attitude."""
+    message = Imu(header=header(sample.t_ns, "base_link"))
+    message.orientation_covariance[0] = -1.0
+    _set(message.angular_velocity, sample.omega_body)
+    _set(message.linear_acceleration, sample.acceleration_body)
+    return message
+
+
+def odometry_message(sample: OdometrySample) -> Odometry:
+    """A pose; a covariance of zeros is unknown."""
+    message = Odometry(header=header(sample.t_ns, "odom"), child_frame_id="base_link")
+    _set(message.pose.pose.position, sample.p_map_body)
+    _set(message.pose.pose.orientation, sample.q_map_body)
+    _set(message.twist.twist.linear, sample.v_body)
+    _set(message.twist.twist.angular, sample.omega_body)
+    if sample.C_pose is not None:
+        message.pose.covariance = sample.C_pose.ravel()
+    return message
+
+
+class MavlinkNode(StageNode):
+    """Wraps one MavlinkSession over a link, or plays a log."""
+
+    kernels = False
+    sections = ("mavlink", "node")
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("mavlink_node", **options)
+
+    def build(self) -> None:
+        """Open the link or the log."""
+        p = self.parameters.mavlink
+        self._session = MavlinkSession(p)
+        self._before = Losses()
+        self._file_losses = Losses()
+        self._link: Link | None = None
+        self._dataflash: DataFlashLog | None = None
+        self._playback = ""
+        self._ended = threading.Event()
+        self.sent: dict[str, int] = {"fix": 0, "imu": 0, "inertial": 0, "odometry": 0}
+        self._out: dict[type, tuple[str, Any, Callable[[Any], Any]]] = {
+            Fix: ("fix", self.create_publisher(NavSatFix, "gnss/fix", STREAM), fix_message),
+            ImuSample: ("imu", self.create_publisher(Imu, "imu/data", STREAM), imu_message),
+            InertialSample: ("inertial", self.create_publisher(Imu, "imu/data_raw", STREAM), inertial_message),
+            OdometrySample: ("odometry", self.create_publisher(Odometry, "odometry", STREAM), odometry_message),
+        }
+        height_parameters(p)
+        path = log_file(p.url)
+        if path is None:
+            self._link = open_link(p.url)
+            target: Callable[[], None] = self._listen
+        else:
+            if not path.is_file():
+                raise BagError(f"{path}: no such log", reason="bag_missing", value=str(path))
+            self._playback = "waiting"
+            target = lambda: self._play(path)  # noqa: E731
+        self._reader = threading.Thread(target=target, name="mavlink", daemon=True)
+        self._reader.start()
+
+    # the reading thread -------------------------------------------------------------------------------------------
+    def _listen(self) -> None:
+        assert self._link is not None
+        while not self._ended.is_set():
+            data = self._link.read(0.05)
+            if data and self._active:
+                self.offer("bytes", (data, int(self.get_clock().now().nanoseconds)))
+
+    def _items(self, path: Path) -> Iterator[tuple[int, str, Any]]:
+        """(time, kind, item) of a log."""
+        if path.suffix.lower() == ".tlog":
+            for t_ns, frame in tlog_frames(path, self._file_losses):
+                yield t_ns, "bytes", (frame, t_ns)
+            return
+        self._dataflash = DataFlashLog(path, self.parameters.mavlink)
+        for record in self._dataflash.records():
+            yield record.t_ns, "record", record
+
+    def _play(self, path: Path) -> None:
+        rate, first, began = self.parameters.mavlink.playback_rate, None, 0.0
+        try:
+            while not self._active and not self._ended.is_set():
+                time.sleep(0.02)
+            self._playback = "playing"
+            for t_ns, kind, item in self._items(path):
+                if first is None:
+                    first, began = t_ns, time.monotonic()
+                wait = (t_ns - first) * 1e-9 / rate - (time.monotonic() - began) if rate > 0 else 0.0
+                if self._ended.wait(max(wait, 0.0)):
+                    return
+                while self._queue.qsize() > AHEAD and not self._ended.is_set():
+                    time.sleep(0.002)
+                self.offer(kind, item)
+            self._playback = "done"
+        except BagError as error:
+            self.losses.add(error.reason)
+            self.get_logger().error(str(error))
+            self._playback = str(error)
+
+    # the worker ---------------------------------------------------------------------------------------------------
+    def work(self, kind: str, item: Any) -> None:
+        """Bytes to records to messages."""
+        if kind == "reset":
+            self._before.merge(self._session.losses())
+            self._session = MavlinkSession(self.parameters.mavlink)
+        elif kind == "bytes":
+            for record in self._session.feed(*item):
+                self._publish(record)
+        elif kind == "record":
+            self._publish(item)
+
+    def _publish(self, record: Record) -> None:
+        name, publisher, convert = self._out[type(record)]
+        publisher.publish(convert(record))
+        self.sent[name] += 1
+
+    def idle(self) -> None:
+        """Say what is due on the link."""
+        if self._link is not None and self._active:
+            data = self._session.due(int(self.get_clock().now().nanoseconds))
+            if data:
+                self._link.write(data)
+
+    def stop(self) -> None:
+        """Stop reading, work off what came, close the link."""
+        if hasattr(self, "_ended"):
+            self._ended.set()
+            self._reader.join(timeout=2.0)
+        super().stop()
+        link: Link | None = getattr(self, "_link", None)
+        if link is not None:
+            link.close()
+
+    def all_losses(self) -> Losses:
+        """What link, stream, decoder and log refused or missed."""
+        total = Losses(self.losses.as_dict())
+        parts = [self._before, self._session.losses(), self._file_losses]
+        parts += [source.losses for source in (self._link, self._dataflash) if source is not None]
+        for part in parts:
+            total.merge(part)
+        return total
+
+    def status(self) -> dict[str, Any]:
+        """The link and what was made of it."""
+        lines = {"url": self.parameters.mavlink.url, **({"playback": self._playback} if self._playback else {})}
+        if self._dataflash is not None:
+            line = self._dataflash.line
+            lines |= {"clock": "UTC by GPS time", "clock_sigma_s": f"{line.sigma_ns * 1e-9:.6f}"}
+        else:
+            lines |= self._session.status()
+        return {**lines, **{f"sent_{k}": n for k, n in self.sent.items()}}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the node alone."""
+    return spin(MavlinkNode, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
