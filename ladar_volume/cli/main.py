@@ -21,7 +21,7 @@ MODULES = {
     "replay": "ladar_volume.cli.replay", "filter": "ladar_volume.cli.filter", "simulate": "ladar_volume.cli.simulate",
     "tin": "ladar_volume.cli.tin", "volume": "ladar_volume.cli.volume", "study": "ladar_volume.cli.study",
     "up": "ladar_volume.cli.up", "register": "ladar_volume.cli.register", "calibrate": "ladar_volume.cli.calibrate",
-    "diff": "ladar_volume.cli.diff",
+    "diff": "ladar_volume.cli.diff", "plan": "ladar_volume.cli.plan",
 }  # fmt: skip
 
 

@@ -16,27 +16,42 @@ def show_result(console: Console, result: Mapping[str, Any]) -> None:
     head = Table(show_header=False, box=None, pad_edge=False)
     head.add_row("volume", f"[bold]{result['volume_m3']:.3f} ± {result['sigma_m3']:.3f} m³[/bold] (1 sigma, {share:.2f} %)")
     head.add_row(f"{100 * result['confidence']:.0f} % interval", f"{low:.3f} to {high:.3f} m³ (k = {result['coverage_factor']:.2f})")
-    head.add_row("above", f"{result['base']}{' (same survey)' if result['base_same_survey'] else ''}")
     head.add_row("cut, fill", f"{result['cut_m3']:.3f} m³, {result['fill_m3']:.3f} m³ over {result['area_m2']:.1f} m²")
     fix = result["correction"]
     if fix["name"]:
         words = f"{fix['m3']:.3f} m³ taken from cut and from fill over {fix['near_area_m2']:.1f} m² near the base ({fix['name']})"
         head.add_row("corrected", words)
-    tau = result["sigma_tau_range_m3"]
-    head.add_row("sigma if tau is off", f"{tau[0]:.3f} to {tau[1]:.3f} m³ (a third to three times the correlation times)")
-    head.add_row("naive sigma", f"{result['sigma_naive_m3']:.3f} m³ (all points independent: not to be used)")
+    volume_rows(head, result)
     for number, body in enumerate(result["bodies"][1:], start=2):
         x, y, _ = body["centroid_map_m"]
         head.add_row(f"body {number}", f"{body['volume_m3']:.3f} ± {body['sigma_m3']:.3f} m³ at {x:.1f}, {y:.1f} m")
     console.print(head)
-    total = sum(result["budget_m6"].values()) or 1.0
-    budget = Table("source", "sigma / m³", "share of variance", title="Where the uncertainty comes from", title_justify="left")
-    for source, variance in result["budget_m6"].items():
-        if variance > 1e-4 * total:
-            budget.add_row(source.replace("_", " "), f"{max(variance, 0.0) ** 0.5:.4f}", f"{100 * variance / total:.1f} %")
-    console.print(budget)
+    console.print(budget_table(result))
     if result["losses"]:
         lost = Table("not used", "count", title="Losses", title_justify="left")
         for reason, count in result["losses"].items():
             lost.add_row(reason.replace("_", " "), f"{count:,}")
         console.print(lost)
+
+
+def volume_rows(head: Table, result: Mapping[str, Any]) -> None:
+    """Base, largest source and the two sigmas printed beside, as rows of a table of two columns."""
+    head.add_row("above", f"{result['base']}{' (same survey)' if result['base_same_survey'] else ''}")
+    if source := result["largest_source"]:
+        halved = result["sigma_if_halved_m3"][source]
+        head.add_row("largest source", f"{source.replace('_', ' ')}: half of it would make sigma {halved:.3f} m³")
+    tau = result["sigma_tau_range_m3"]
+    head.add_row("sigma if tau is off", f"{tau[0]:.3f} to {tau[1]:.3f} m³ (a third to three times the correlation times)")
+    head.add_row("naive sigma", f"{result['sigma_naive_m3']:.3f} m³ (all points independent: not to be used)")
+
+
+def budget_table(result: Mapping[str, Any]) -> Table:
+    """The budget: each source's own sigma and share, and the sigma of the volume if the source were halved."""
+    total = sum(result["budget_m6"].values()) or 1.0
+    title = "Where the uncertainty comes from"
+    budget = Table("source", "sigma / m³", "share of variance", "sigma of V if halved / m³", title=title, title_justify="left")
+    for source, variance in result["budget_m6"].items():
+        if variance > 1e-4 * total:
+            own, halved = max(variance, 0.0) ** 0.5, result["sigma_if_halved_m3"][source]
+            budget.add_row(source.replace("_", " "), f"{own:.4f}", f"{100 * variance / total:.1f} %", f"{halved:.4f}")
+    return budget

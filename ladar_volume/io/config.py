@@ -31,12 +31,12 @@ class _StrictLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def read_config(path: str | Path | None, overrides: Sequence[str] = ()) -> Parameters:
-    """Parameters from defaults, then the file, then ``section.key=value`` overrides.
+def read_config(path: str | Path | None, overrides: Sequence[str] = (), start: Parameters | None = None) -> Parameters:
+    """Parameters from defaults (or ``start``), then the file, then ``section.key=value`` overrides.
 
     Raises ConfigurationError (or a leaf of it) naming file, key, value, range and the nearest known key.
     """
-    parameters = Parameters()
+    parameters = Parameters() if start is None else start
     if path is not None:
         try:
             parameters = Parameters.read(_mapping(Path(path)), parameters)

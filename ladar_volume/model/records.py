@@ -9,6 +9,7 @@ into map. Quaternions xyzw. Times are int64 nanoseconds. Symmetric 3x3 covarianc
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -287,6 +288,17 @@ class Volume:
         """The coverage interval ``V ± k sigma``."""
         half = self.coverage_factor * self.sigma_m3
         return self.volume_m3 - half, self.volume_m3 + half
+
+    @property
+    def largest_source(self) -> str:
+        """The budget line with the largest variance; empty without a budget."""
+        return max(self.budget_m6, key=lambda source: self.budget_m6[source]) if self.budget_m6 else ""
+
+    @property
+    def sigma_if_halved_m3(self) -> dict[str, float]:
+        """By source: sigma of the volume if the standard deviations of that source alone were half as large."""
+        total = sum(self.budget_m6.values())
+        return {source: math.sqrt(max(0.0, total - 0.75 * line)) for source, line in self.budget_m6.items()}
 
 
 @dataclass(frozen=True)

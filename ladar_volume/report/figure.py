@@ -56,7 +56,10 @@ def _budget(ax: Any, estimate: Estimate) -> None:
     lines = sorted(estimate.volume.budget_m6.items(), key=lambda item: item[1])
     names = [name.replace("_", " ") for name, _ in lines]
     ax.barh(names, [np.sqrt(max(value, 0.0)) for _, value in lines], color="steelblue")
+    v = estimate.volume
+    halved = v.sigma_if_halved_m3.get(v.largest_source, v.sigma_m3)
     ax.set(xlabel="standard deviation of V by source / m³")
+    ax.set_title(f"{v.largest_source.replace('_', ' ')} is the largest; half of it: ± {halved:.2f} m³", fontsize=9)
     ax.grid(axis="x", alpha=0.3)
 
 
