@@ -18,7 +18,7 @@ from ladar_volume.surface.adaptive import CRITERIA
 from ladar_volume.surface.cloud import CloudSurface, cloud_surface
 from ladar_volume.surface.exchange import MEASURES
 from ladar_volume.surface.frames import Frame, frame_along, mean_direction, search_direction
-from ladar_volume.surface.represent import ADJUST, SurfaceOptions
+from ladar_volume.surface.represent import ADJUST, Represented, SurfaceOptions
 from ladar_volume.surface.tin import footprint_areas
 
 #: Columns that hold a standard deviation, in order of preference.
@@ -47,6 +47,8 @@ def add_surface_options(parser: argparse.ArgumentParser, default_vertices: str) 
     g.add_argument("--tolerance", type=number, metavar="M", help="insert points until no residual is larger (in sigmas for residual-sigma)")
     g.add_argument("--criterion", choices=CRITERIA, default="residual-area", help="what the next vertex maximises")
     g.add_argument("--adjust", choices=ADJUST, default="rms", help="elevation adjustment of a partial TIN (default rms)")
+    g.add_argument("--iterations", type=int, metavar="N", help="rms-iterated ends after this many steps (default 100)")
+    g.add_argument("--height-tolerance", type=number, metavar="M", help="or when no height changes by as much in a step (default 0.0001)")
     g.add_argument("--exchange", choices=(*MEASURES, "none"), default="none", help="exchange diagonals for a better fit")
     g.add_argument("--relevant", choices=RELEVANT, help="which triangles count (default: those that meet no artificial corner)")
     g.add_argument("--max-edge", type=number, metavar="M", help="longest edge of a relevant triangle")
@@ -81,8 +83,11 @@ def surface_options(arguments: argparse.Namespace, default: SurfaceOptions) -> S
     for option, limit, word in (("edge", a.max_edge, "--max-edge"), ("circumcircle", a.max_circle, "--max-circle")):
         if (relevant == option) != (limit is not None):
             raise ConfigurationError(f"--relevant {option} and {word} go together", value=relevant)
+    if a.adjust != "rms-iterated" and (a.iterations is not None or a.height_tolerance is not None):
+        raise ConfigurationError("--iterations and --height-tolerance belong to --adjust rms-iterated", value=a.adjust)
     limits = {"max_edge_m": a.max_edge, "max_circumdiameter_m": a.max_circle, "max_ear_edge_m": a.max_ear,
-              "min_island_m2": a.min_island, "max_hole_m2": a.max_hole}  # fmt: skip
+              "min_island_m2": a.min_island, "max_hole_m2": a.max_hole,
+              "max_iterations": a.iterations, "height_tolerance_m": a.height_tolerance}  # fmt: skip
     return SurfaceOptions(
         **given, tolerance=a.tolerance, criterion=a.criterion, adjust=a.adjust, exchange=a.exchange, relevant=relevant,
         window=None if a.window is None else tuple(a.window), duplicate_tolerance_m=a.duplicates, bins_per_row=a.bins,
@@ -167,14 +172,22 @@ def surface_facts(source: Source, surface: CloudSurface) -> dict[str, Any]:
         "adjust": made.adjust, "converged": made.converged, "exchanges": made.exchanges,
         "rms_m": made.rms_m, "asd_m": made.asd_m, "fitted_points": made.fitted, "rms_before_m": made.rms_before_m,
         "asd_before_m": made.asd_before_m, "sigma_from": surface.sigma_from,
+        "sigma_held_fixed": held_fixed(made), "sigma_factor": math.sqrt(made.variance_factor),
         "sigma_point_m": None if surface.sigma_m is None else float(np.median(surface.sigma_m)),
     }  # fmt: skip
+
+
+def held_fixed(made: Represented) -> list[str]:
+    """What the standard deviations of a surface take for given, though the noise of the points has a part in it."""
+    partial = ["choice of vertices"] if made.initial or len(made.tin.vertices) < made.fitted else []
+    return ["triangulation", *partial, *(["exchanged diagonals"] if made.exchanges else [])]
 
 
 def option_facts(options: SurfaceOptions) -> dict[str, Any]:
     """The options a surface was made with."""
     names = ("vertices", "ratio", "tolerance", "criterion", "adjust", "exchange", "relevant", "max_edge_m", "max_circumdiameter_m",
-             "max_ear_edge_m", "min_island_m2", "max_hole_m2", "window", "duplicate_tolerance_m", "bins_per_row")  # fmt: skip
+             "max_ear_edge_m", "min_island_m2", "max_hole_m2", "window", "duplicate_tolerance_m", "bins_per_row", "max_iterations",
+             "height_tolerance_m")  # fmt: skip
     return {name: getattr(options, name) for name in names}
 
 

@@ -34,7 +34,7 @@ from ladar_volume.surface.cloud import CloudSurface
 from ladar_volume.surface.frames import Frame
 from ladar_volume.surface.represent import SurfaceOptions
 from ladar_volume.version import version
-from ladar_volume.volume.cloud_levels import above_floor, events, level_list, sequence
+from ladar_volume.volume.cloud_levels import above_floor, events, folded_levels, level_list, sequence
 from ladar_volume.volume.cloud_volume import CloudVolume, above_base, between_clouds, own_footprints
 from ladar_volume.volume.floors import surface_offset
 from ladar_volume.volume.methods import zero_fill_level
@@ -167,7 +167,7 @@ def computed(
         volume = dataclasses.replace(volume, base="given plane z = {:.6g} + {:.6g} x + {:.6g} y".format(*a.plane))
     facts = volume_facts(volume, parameters)
     if levels is not None:
-        more |= level_facts(surfaces, levels, counted)
+        more |= level_facts(surfaces, levels, counted, correct)
     return {**facts, "footprint": a.footprint if len(surfaces) == 2 else None, **more}
 
 
@@ -188,14 +188,18 @@ def volume_facts(volume: CloudVolume, parameters: Parameters) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def level_facts(surfaces: list[CloudSurface], levels: F64, base: Plane | None) -> dict[str, Any]:
-    """Sequences, events and, for two clouds, the offset between their sequences."""
+def level_facts(surfaces: list[CloudSurface], levels: F64, base: Plane | None, correct: bool) -> dict[str, Any]:
+    """Sequences, events and, for two clouds, the offset between their sequences. Cut and fill are corrected near the levels where that is
+    wanted and the noise is known."""
     out, found = [], [sequence(s, levels, base) for s in surfaces]
     for surface, each in zip(surfaces, found, strict=True):
         seen, sigma = events(surface, each, base)
+        folded = folded_levels(surface, each, base) if correct else np.zeros(len(levels))
+        taken = np.nan_to_num(folded)
         out.append({
-            "level_m": each.level_m.tolist(), "cut_m3": each.cut_m3.tolist(), "fill_m3": each.fill_m3.tolist(),
-            "above_m2": each.above_m2.tolist(),
+            "level_m": each.level_m.tolist(), "cut_m3": (each.cut_m3 - taken).tolist(), "fill_m3": (each.fill_m3 - taken).tolist(),
+            "folded_m3": folded.tolist(), "above_m2": each.above_m2.tolist(),
+            "first_m3": np.diff(each.cut_m3).tolist(), "second_m3": np.diff(each.cut_m3, 2).tolist(),
             "events": [{"level_m": e.level_m, "sigma_m": s, "area_m2": e.area_m2, "width_m": e.width_m}
                        for e, s in zip(seen, sigma.tolist(), strict=True)],
             "floor_m": seen[0].level_m if seen else None, "top_m": seen[-1].level_m if seen else None,

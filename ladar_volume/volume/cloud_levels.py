@@ -15,6 +15,7 @@ from ladar_volume.volume.base import area_inside
 from ladar_volume.volume.cloud_volume import CloudVolume, finished, solid_above
 from ladar_volume.volume.cutfill import Sequence, cut_sequence
 from ladar_volume.volume.floors import MAX_LEVELS, Event, Floors, event_gradient, spikes
+from ladar_volume.volume.near_base import near_levels
 
 
 def level_list(start_m: float, stop_m: float, step_m: float) -> F64:
@@ -29,8 +30,20 @@ def level_list(start_m: float, stop_m: float, step_m: float) -> F64:
 
 
 def sequence(surface: CloudSurface, levels_m: F64, base: Plane | None = None) -> Sequence:
-    """Cut and fill of the relevant triangles at levels (m,), m; with a base they count from it. Not corrected near the levels."""
+    """Cut and fill of the relevant triangles at levels (m,), m; with a base they count from it. Not corrected near the levels: noise
+    widens the spikes of second differences and leaves their centroids, so events and offsets are read off this."""
     return cut_sequence(surface.made.tin, levels_m, base)
+
+
+def folded_levels(surface: CloudSurface, found: Sequence, base: Plane | None = None) -> F64:
+    """What noise adds to cut and to fill alike at each level (m,), m³, of a sequence ("folded normal"): no more than either; NaN where the
+    noise is not known."""
+    if surface.sigma_m is None:
+        return np.full(len(found.level_m), np.nan)
+    if not surface.sigma_m.any():
+        return np.zeros(len(found.level_m))
+    correction = near_levels(surface.made.tin, found.level_m, surface.made.covariance(surface.sigma_m), base)
+    return np.minimum(correction, np.minimum(found.cut_m3, found.fill_m3))
 
 
 def events(surface: CloudSurface, found: Sequence, base: Plane | None = None) -> tuple[tuple[Event, ...], F64]:

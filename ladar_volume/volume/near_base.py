@@ -123,7 +123,7 @@ def near_base(
     net = gather(np.repeat(area / 3.0, 3).reshape(-1, 3, 1), t, n)[:, 0]
     curved = second_order(found[:, 7:] * close_area[:, None], close, smooth.start, smooth.link, joint)
     first = [float(g @ (joint @ g)) for g in (cut, cut - net, net)]
-    total = float(close_area @ np.maximum(found[:, 0], 0.0))
+    total = float(close_area @ found[:, 0])
     return NearBase(total, near, float(close_area.sum()), first[0] + curved, first[1] + curved, first[2], curved, cut, net)
 
 
@@ -134,19 +134,53 @@ def any_corner(corner: Bool) -> Bool:
 
 
 def means(smooth: Smooth, triangles: I32, packed: F64) -> F64:
-    """Means (m, 13) over triangles with packed node covariances (m, 6): the correction, slopes of the cut (3), derivatives of the
-    correction by the smoothed heights (3) and curvature (6)."""
+    """:func:`moments` (m, 13) of triangles (m, 3) with packed node covariances (m, 6)."""
     out = np.empty((len(triangles), 13))
     for i in range(0, len(triangles), BLOCK):
         part = slice(i, i + BLOCK)
-        mu, s, noise = smooth.heights[triangles[part]], np.sqrt(smooth.variance)[triangles[part]], packed[part]
-        own = np.stack([s[:, i] * s[:, j] for i, j in PACKED], axis=1)  # neighbouring planes share their points: as if fully correlated
-        once, twice, plane = folded(mu, noise), folded(mu, noise + own), folded(mu, own)
-        out[part, 0] = 2.0 * once[:, 0] - twice[:, 0] + plane[:, 0] - 2.0 * positive_part(mu)[0]
-        # how the correction follows the heights through the planes; its kink at zero is smoothed as the planes are
-        out[part, 4:7] = 2.0 * once[:, 1:4] - twice[:, 1:4] - plane[:, 1:4]
-        out[part, 1:4], out[part, 7:] = once[:, 1:4], once[:, 4:]
+        out[part] = moments(smooth.heights[triangles[part]], np.sqrt(smooth.variance)[triangles[part]], packed[part])
     return out
+
+
+def moments(mu: F64, s: F64, noise: F64) -> F64:
+    """Means (m, 13) over triangles with smoothed heights mu (m, 3) above the base, their own standard deviations s (m, 3) and packed node
+    covariances (m, 6): the correction, slopes of the cut (3), derivatives of the correction by the smoothed heights (3), curvature (6)."""
+    out = np.empty((len(mu), 13))
+    own = np.stack([s[:, i] * s[:, j] for i, j in PACKED], axis=1)  # neighbouring planes share their points: as if fully correlated
+    once, twice, plane = folded(mu, noise), folded(mu, noise + own), folded(mu, own)
+    out[:, 0] = np.maximum(2.0 * once[:, 0] - twice[:, 0] + plane[:, 0] - 2.0 * positive_part(mu)[0], 0.0)
+    # how the correction follows the heights through the planes; its kink at zero is smoothed as the planes are
+    out[:, 4:7] = 2.0 * once[:, 1:4] - twice[:, 1:4] - plane[:, 1:4]
+    out[:, 1:4], out[:, 7:] = once[:, 1:4], once[:, 4:]
+    return out
+
+
+def near_levels(tin: Tin, levels_m: F64, C: Any, base: Plane | None = None, mask: Bool | None = None, rings: int = 4) -> F64:
+    """Corrections (k,) m³ of cut and fill at levels (k,), m, in any order; with ``base`` they count from it. At each it is that of
+    :func:`near_base`, which see; the true heights are estimated once."""
+    chosen = tin.relevant if mask is None else mask
+    t, variance = tin.triangles[chosen], sparse.csr_array(C).diagonal()
+    h = tin.vertices[:, 2] if base is None else tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
+    order, reach = np.argsort(levels_m, kind="stable"), REACH * np.sqrt(variance)
+    level = np.asarray(levels_m, dtype=np.float64)[order]
+    low, high = (h - reach)[t].min(axis=1), (h + reach)[t].max(axis=1)
+    first = np.searchsorted(level, low)
+    count = np.where(any_corner((reach > 0)[t]), np.searchsorted(level, high, side="right") - first, 0)
+    close, wanted, out = np.flatnonzero(count > 0), np.zeros(len(h), bool), np.zeros(len(level))
+    wanted[t[close]] = True
+    summed: F64 = np.asarray(sparse.csr_array(C).sum(axis=1), dtype=np.float64).ravel()
+    smooth = Smooth(tin, h, variance, wanted, rings, summed)
+    t, first, count = t[close], first[close], count[close]
+    area, packed, s = footprint_areas(tin.vertices, t), node_covariances(C, t), np.sqrt(smooth.variance)[t]
+    ends = np.cumsum(count)
+    for i in range(0, int(ends[-1]) if len(ends) else 0, BLOCK):
+        pair = np.arange(i, min(i + BLOCK, int(ends[-1])))
+        one = np.searchsorted(ends, pair, side="right")  # every triangle with every level it comes near
+        at = first[one] + pair - (ends[one] - count[one])
+        out += np.bincount(at, area[one] * moments(smooth.heights[t[one]] - level[at, None], s[one], packed[one])[:, 0], len(level))
+    back = np.empty_like(out)
+    back[order] = out
+    return back
 
 
 @kernel

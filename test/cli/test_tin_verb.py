@@ -97,6 +97,16 @@ def test_adjustments_and_exchange_fit_ever_better(save, tin):
     assert fits["rms"]["rms_m"] < fits["asd"]["rms_m"] < fits["none"]["rms_m"]
     assert fits["asd"]["asd_m"] < fits["rms"]["asd_m"] < fits["none"]["asd_m"]
     assert fits["rms-iterated"]["rms_m"] == pytest.approx(fits["rms"]["rms_m"], rel=1e-3)
+    # the published stopping rules: so many steps, or no height changed by as much
+    once = tin(path, "--vertices", 0.1, "--adjust", "rms-iterated", "--iterations", 1)[0]
+    coarse = tin(path, "--vertices", 0.1, "--adjust", "rms-iterated", "--height-tolerance", 0.01)[0]
+    assert not once["converged"] and coarse["converged"] and once["options"]["max_iterations"] == 1
+    assert fits["none"]["rms_m"] > once["rms_m"] > coarse["rms_m"] > fits["rms"]["rms_m"]
+    assert fits["asd"]["sigma_factor"] == pytest.approx(math.sqrt(math.pi / 2)) and fits["rms"]["sigma_factor"] == 1.0
+    assert fits["rms"]["sigma_held_fixed"] == ["triangulation", "choice of vertices"]
+    turned = tin(path, "--vertices", 0.1, "--exchange", "rms")[0]
+    assert turned["exchanges"] > 0 and turned["sigma_held_fixed"][-1] == "exchanged diagonals"
+    assert tin(path, "--vertices", 1)[0]["sigma_held_fixed"] == ["triangulation"]
     assert fits["none"]["rms_m"] == fits["none"]["rms_before_m"] == fits["rms"]["rms_before_m"]
     assert fits["asd"]["sigma_z_median_m"] == pytest.approx(math.sqrt(math.pi / 2) * fits["rms"]["sigma_z_median_m"], rel=1e-6)
     better = tin(path, "--vertices", 0.1, "--exchange", "rms")[0]
@@ -178,6 +188,8 @@ def test_wrong_words_are_one_line_and_leave_no_file(save, tmp_path, capsys):
         ([two, "-o", out], "two.csv"),
         ([path, "-o", out, "--vertices", -1], "whole number"),
         ([path, "-o", out, "--vertices", 0.5, "--relevant", "circumcircle"], "go together"),
+        ([path, "-o", out, "--iterations", 5], "belong to --adjust rms-iterated"),
+        ([path, "-o", out, "--adjust", "rms-iterated", "--iterations", -1], "0 or more"),
         ([path, "-o", out, "--tolerance", -1], "0 or more"),
         ([path, "-o", out, "--bins", 0], "one or more"),
         ([path, "-o", out, "--vertices", 10, "--bins", 9], "use fewer bins"),

@@ -141,12 +141,18 @@ def test_levels_find_floor_and_top(save, volume):
     assert found["floor_m"] == pytest.approx(0.0, abs=0.003) and found["top_m"] == pytest.approx(1.0, abs=0.003)
     assert len(found["level_m"]) == len(found["cut_m3"]) == 81 and found["level_m"][-1] == pytest.approx(1.3)
     assert all(0 < e["sigma_m"] < 0.001 for e in found["events"])
+    assert np.diff(found["first_m3"]) == pytest.approx(found["second_m3"], abs=1e-9) and len(found["first_m3"]) == 80
     assert facts["base"].startswith("floor of the same cloud") and facts["base_same_survey"]
     fixed = volume(cloud, "--level", found["floor_m"])
     # the noise of the ground is in the volume and in the floor, and cancels between them
     assert facts["net_m3"] == pytest.approx(fixed["net_m3"], abs=1e-9) and facts["sigma_m3"] < 0.6 * fixed["sigma_m3"]
     at = volume(cloud, "--level", 0.5, "--levels", 0.5, 0.5, 1)
-    assert at["sequences"][0]["cut_m3"] == pytest.approx([at["correction"]["cut_raw_m3"]], rel=1e-9)
+    # near the levels the sequence has the same correction as the volume
+    row = at["sequences"][0]
+    assert row["cut_m3"] == pytest.approx([at["cut_m3"]], rel=1e-9) and row["fill_m3"] == pytest.approx([at["fill_m3"]], rel=1e-9)
+    assert row["folded_m3"] == pytest.approx([at["correction"]["m3"]], rel=1e-9) and row["folded_m3"][0] > 0
+    raw = volume(cloud, "--level", 0.5, "--levels", 0.5, 0.5, 1, "--no-correction")
+    assert raw["sequences"][0]["cut_m3"] == pytest.approx([at["correction"]["cut_raw_m3"]], rel=1e-9)
     # shift identity
     two = volume(cloud, "--level", 0.2)
     assert two["net_m3"] - at["net_m3"] == pytest.approx(at["area_m2"] * 0.3, rel=1e-9)

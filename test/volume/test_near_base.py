@@ -11,10 +11,20 @@ from scipy import sparse, special
 
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.errors import VolumeError
+from ladar_volume.model.records import Plane
 from ladar_volume.surface.screen import edges
 from ladar_volume.surface.tin import build_tin
 from ladar_volume.volume.folded import NODES, PACKED, add_far, add_point, by_line, by_quadrature, folded, folded_kernel, least_deviation
-from ladar_volume.volume.near_base import csr, edge_sums, near_base, node_covariances, packed_kernel, second_order, trace_kernel
+from ladar_volume.volume.near_base import (
+    csr,
+    edge_sums,
+    near_base,
+    near_levels,
+    node_covariances,
+    packed_kernel,
+    second_order,
+    trace_kernel,
+)
 from ladar_volume.volume.neighbourhood import Smooth, adjoint_kernel, smooth_kernel, smoother
 from ladar_volume.volume.prismoids import positive_part, prismoids
 
@@ -156,6 +166,22 @@ def test_scale_and_sparse_covariances():
     part = rng.random(len(tin.triangles)) < 0.5
     halves = [near_base(tin, LEVEL, variance, m).near_area_m2 for m in (part, ~part)]
     assert sum(halves) == pytest.approx(a.near_area_m2, rel=1e-12)
+
+
+def test_all_levels_at_once_are_the_levels_one_by_one():
+    tin, rng = ground(lambda x, y: 0.03 * x, seed=9), np.random.default_rng(10)
+    tin = dataclasses.replace(tin, vertices=tin.vertices + np.c_[np.zeros((400, 2)), 0.03 * rng.normal(size=400)])
+    C, levels = sparse.diags_array(rng.uniform(0.5, 2, 400) * 0.03**2).tocsr(), np.array([0.2, -5.0, 0.1, 0.1, 0.35, 9.0])
+    slope = Plane(np.zeros(2), np.array([0.0, 0.01, 0.0]), np.zeros((3, 3)), np.zeros(0, np.int64))
+    mask = rng.random(len(tin.triangles)) < 0.7
+    for base, chosen in ((None, None), (slope, mask)):
+        one_by_one = []
+        for z in levels:
+            beta = np.array([z, 0.0, 0.0]) if base is None else base.beta + np.array([z, 0.0, 0.0])
+            one_by_one.append(near_base(tin, dataclasses.replace(slope, beta=beta), C, chosen).correction_m3)
+        found = near_levels(tin, levels, C, base, chosen)
+        assert found == pytest.approx(one_by_one, rel=1e-9) and found[1] == found[5] == 0.0 and (found[[0, 2, 3, 4]] > 0).all()
+    assert (near_levels(tin, levels, 0.0 * C) == 0.0).all()
 
 
 def test_curvature_term_is_the_trace():
