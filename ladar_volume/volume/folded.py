@@ -137,7 +137,13 @@ def folded_kernel(mu: F64, C: F64, plain: F64, nodes: F64) -> F64:
     return out
 
 
-def folded(mu: F64, C: F64) -> F64:
-    """:func:`folded_kernel` of heights (m, 3), m, and packed covariances (m, 6), m²."""
+def without_noise(mu: F64) -> F64:
+    """Mean and slopes (m, 4) of the positive part of heights (m, 3) as they are."""
     mean, slope = positive_part(mu)
-    return np.asarray(folded_kernel(np.ascontiguousarray(mu), np.ascontiguousarray(C), np.c_[mean, slope], NODES))
+    return np.c_[mean, slope]
+
+
+def folded(mu: F64, C: F64, plain: F64 | None = None) -> F64:
+    """:func:`folded_kernel` of heights (m, 3), m, and packed covariances (m, 6), m²; ``plain`` is :func:`without_noise` of the heights."""
+    plain = without_noise(mu) if plain is None else plain
+    return np.asarray(folded_kernel(np.ascontiguousarray(mu), np.ascontiguousarray(C), plain, NODES))

@@ -26,7 +26,7 @@ from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.kernels import kernel, parallel_kernel
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.surface.tin import footprint_areas
-from ladar_volume.volume.folded import PACKED, folded
+from ladar_volume.volume.folded import PACKED, folded, without_noise
 from ladar_volume.volume.neighbourhood import CHUNKS, Smooth
 from ladar_volume.volume.prismoids import gather, positive_part
 
@@ -145,10 +145,10 @@ def means(smooth: Smooth, triangles: I32, packed: F64) -> F64:
 def moments(mu: F64, s: F64, noise: F64) -> F64:
     """Means (m, 13) over triangles with smoothed heights mu (m, 3) above the base, their own standard deviations s (m, 3) and packed node
     covariances (m, 6): the correction, slopes of the cut (3), derivatives of the correction by the smoothed heights (3), curvature (6)."""
-    out = np.empty((len(mu), 13))
+    out, plain = np.empty((len(mu), 13)), without_noise(mu)
     own = np.stack([s[:, i] * s[:, j] for i, j in PACKED], axis=1)  # neighbouring planes share their points: as if fully correlated
-    once, twice, plane = folded(mu, noise), folded(mu, noise + own), folded(mu, own)
-    out[:, 0] = np.maximum(2.0 * once[:, 0] - twice[:, 0] + plane[:, 0] - 2.0 * positive_part(mu)[0], 0.0)
+    once, twice, plane = (folded(mu, C, plain) for C in (noise, noise + own, own))
+    out[:, 0] = np.maximum(2.0 * once[:, 0] - twice[:, 0] + plane[:, 0] - 2.0 * plain[:, 0], 0.0)
     # how the correction follows the heights through the planes; its kink at zero is smoothed as the planes are
     out[:, 4:7] = 2.0 * once[:, 1:4] - twice[:, 1:4] - plane[:, 1:4]
     out[:, 1:4], out[:, 7:] = once[:, 1:4], once[:, 4:]
