@@ -140,7 +140,8 @@ def folded_kernel(mu: F64, C: F64, plain: F64, nodes: F64) -> F64:
 def without_noise(mu: F64) -> F64:
     """Mean and slopes (m, 4) of the positive part of heights (m, 3) as they are."""
     mean, slope = positive_part(mu)
-    return np.c_[mean, slope]
+    out: F64 = np.c_[mean, slope]
+    return out
 
 
 def folded(mu: F64, C: F64, plain: F64 | None = None) -> F64:
