@@ -15,8 +15,8 @@ from ladar_volume.version import version
 
 HERE = Path(__file__).parent
 NAMES = (
-    "georeference", "filtering", "filtering_peers", "filtering_square", "surface", "surface_peers", "epochs", "replay", "live", "seeds",
-    "pits", "spheres", "correlated_sum",
+    "georeference", "filtering", "filtering_peers", "filtering_square", "surface", "surface_peers", "epochs", "replay", "live",
+    "seeds", "pits", "spheres", "correlated_sum", "ball_box",
 )  # fmt: skip
 
 
