@@ -181,7 +181,7 @@ def volume_facts(volume: CloudVolume, parameters: Parameters) -> dict[str, Any]:
         "sigma_cut_m3": volume.sigma_cut_m3, "sigma_fill_m3": volume.sigma_fill_m3, "area_m2": volume.area_m2,
         "base": volume.base, "base_same_survey": volume.base_same_survey,
         "correction": {
-            "name": "folded normal" if volume.folded_m3 > 0.0 else None, "m3": volume.folded_m3, "near_area_m2": volume.near_area_m2,
+            "name": "folded normal" if abs(volume.folded_m3) > 0.0 else None, "m3": volume.folded_m3, "near_area_m2": volume.near_area_m2,
             "cut_raw_m3": volume.cut_raw_m3, "fill_raw_m3": volume.fill_raw_m3,
         },
         "budget_m6": volume.budget_m6,
