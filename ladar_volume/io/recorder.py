@@ -36,7 +36,9 @@ class TopicAccount:
 
 
 def free_bytes(folder: Path) -> int:
-    """What the disk has left for us."""
+    """What the disk that holds, or will hold, a folder has left for us."""
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
     return shutil.disk_usage(folder).free
 
 
@@ -69,7 +71,10 @@ class Recorder:
         self._began, self._seen = 0.0, 0
         self._settled: dict[str, int] = {}
         self.path = self._base
-        self._open(0)
+        if self._has_room(1):
+            self._open(0)
+        else:
+            self._wait_for_room()
 
     # what every file holds ----------------------------------------------------------------------------------------
     def metadata(self, name: str, values: dict[str, str]) -> None:
@@ -200,9 +205,12 @@ class Recorder:
     def _room(self) -> None:
         """Keep the reserve free, else finish this file and wait."""
         if not self._has_room(1):
-            self.problem = f"disk full: less than {self.parameters.disk_reserve_bytes} bytes free in {self._base.parent.absolute()}"
             self._finish()
-            self._again = time.monotonic() + RETRY_S
+            self._wait_for_room()
+
+    def _wait_for_room(self) -> None:
+        self.problem = f"disk full: less than {self.parameters.disk_reserve_bytes} bytes free in {self._base.parent.absolute()}"
+        self._again = time.monotonic() + RETRY_S
 
     def _has_room(self, times: int) -> bool:
         """Whether so many reserves are free, if need be after the oldest finished files were deleted, where the parameters say so."""

@@ -244,6 +244,22 @@ def test_a_full_disk_finishes_the_file_waits_and_goes_on(tmp_path, monkeypatch):
     assert recorder.account("chat").written == 30 - lost
 
 
+def test_a_disk_that_is_full_from_the_start_is_waited_for(tmp_path, monkeypatch):
+    free = [0]
+    monkeypatch.setattr("ladar_volume.io.recorder.RETRY_S", 0.0)
+    recorder = Recorder(parameters(tmp_path / "new" / "folder", disk_reserve_bytes=1000), free=lambda folder: free[0])
+    recorder.metadata("ladar_volume", {"a": "b"})
+    fill(recorder, 3)
+    assert "disk full" in recorder.problem and not (tmp_path / "new").exists() and recorder.account("chat").disk == 3
+    free[0] = 5000
+    fill(recorder, 4, first=3)
+    recorder.close()
+    assert len(read(recorder.path)) == 4 and summary(recorder.path)[1]["ladar_volume"] == {"a": "b"}
+    with pytest.raises(OutputError):  # a path that cannot be is a mistake, not a full disk
+        (tmp_path / "file").write_text("")
+        Recorder(parameters(tmp_path / "file" / "folder"))
+
+
 def test_a_full_disk_takes_the_oldest_file_where_that_is_wanted(tmp_path):
     with pytest.raises(ConfigurationError, match="split"):
         Recorder(parameters(tmp_path, disk_full="delete_oldest"))

@@ -56,6 +56,9 @@ def test_four_processes_give_the_offline_volume_and_a_log(flight, tmp_path, caps
     with log.open("rb") as stream:
         topics = _counts(make_reader(stream))
     assert topics["/velodyne_points"] > 50 and topics["/volumes"] >= 1 and topics["/grounds"] >= 1 and "/diagnostics" in topics
+    words = ["replay", str(log), "--config", str(flight / "config.yaml"), "--json", "--no-figure", "-o", str(tmp_path / "again")]
+    assert main(words) == 0
+    assert json.loads(capsys.readouterr().out)["volume_m3"] == pytest.approx(offline["volume_m3"], rel=1e-6)
 
 
 def _counts(reader):

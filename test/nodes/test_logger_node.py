@@ -7,10 +7,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
+from rosbags.typesys import get_types_from_msg
 
+from ladar_volume.io.bags import TYPESTORE
 from ladar_volume.io.recorder import log_files
+from ladar_volume.nodes.logger_node import installed_definition
 
 ROOT = Path(__file__).parents[2]
 
@@ -89,6 +93,19 @@ def test_everything_published_is_in_the_files(tmp_path):
             assert [a.name for a in reader.iter_attachments()] == ["parameters.yaml"]
     assert texts == [*(f"line {i}" for i in range(500)), "last"]
     assert sequences == list(range(sequences[0], sequences[0] + 501))  # the publisher's own numbers: a gap would be a loss
+
+
+@pytest.mark.parametrize("kind", [
+    "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Imu", "diagnostic_msgs/msg/DiagnosticArray", "rcl_interfaces/msg/ParameterEvent",
+    "visualization_msgs/msg/Marker", "lifecycle_msgs/msg/TransitionEvent", "shape_msgs/msg/SolidPrimitive",
+])  # fmt: skip
+def test_a_definition_made_from_an_installed_type_says_what_the_published_one_does(kind, monkeypatch):
+    monkeypatch.setattr("ladar_volume.nodes.logger_node.usual_definition", lambda kind: "")
+    made = get_types_from_msg(installed_definition(kind), kind)
+    for name, (_, fields) in made.items():
+        if name in TYPESTORE.fielddefs:
+            assert fields == TYPESTORE.fielddefs[name][1], name
+    assert kind in made and installed_definition("nobody_msgs/msg/Nothing") == ""
 
 
 def test_the_foxglove_layout_shows_topics_that_the_nodes_publish():
