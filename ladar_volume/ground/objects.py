@@ -36,8 +36,10 @@ class ObjectParameters:
     pits: bool = False
 
     def __post_init__(self) -> None:
-        if not (self.distance_m > 0 and self.min_points >= 1 and min(self.min_height_m, self.sigmas, self.split_m) >= 0):
-            raise ObjectError("objects need distance_m > 0, min_points >= 1, and no negative height or sigmas", reason="object_parameters")
+        if not (min(self.distance_m, self.step_m) > 0 and self.min_points >= 1 and min(self.min_height_m, self.sigmas, self.split_m) >= 0):
+            raise ObjectError(
+                "objects need distance_m > 0, step_m > 0, min_points >= 1, and no negative height or sigmas", reason="object_parameters"
+            )
 
 
 @dataclass(frozen=True)

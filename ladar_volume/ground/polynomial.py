@@ -73,14 +73,37 @@ def solve(points: F64, origin_xy: F64, degree: int) -> tuple[F64, F64, F64]:
     the surface.
     """
     X = design(points[:, :2], origin_xy, degree)
-    scale = np.sqrt((X * X).sum(axis=0))
-    if len(points) < X.shape[1] or (scale == 0).any():
-        raise GroundError(
-            f"{len(points)} points do not define a ground of degree {degree}: give more of the ground, or a lower ground.degree",
-            reason="ground_too_few_points",
-            value=len(points),
-        )
+    scale = column_scale(X, degree)
     Q, R = np.linalg.qr(X / scale)
+    check_rank(R, degree)
+    H: F64 = np.linalg.solve(R, Q.T) / scale[:, None]
+    return H @ points[:, 2], H, H @ H.T
+
+
+def coefficients(X: F64, z: F64, degree: int) -> F64:
+    """The coefficients (p,) alone, from design rows X (n, p) and heights z (n,): without the n columns of H."""
+    scale = column_scale(X, degree)
+    scaled = X / scale
+    R: F64 = np.asarray(np.linalg.qr(scaled, mode="r"))
+    check_rank(R, degree)
+    out: F64 = np.linalg.solve(R, np.linalg.solve(R.T, scaled.T @ z)) / scale
+    return out
+
+
+def column_scale(X: F64, degree: int) -> F64:
+    """Lengths (p,) of the columns of design rows X (n, p). Raises :class:`GroundError` for too few rows or an empty column."""
+    scale: F64 = np.sqrt((X * X).sum(axis=0))
+    if len(X) < X.shape[1] or (scale == 0).any():
+        raise GroundError(
+            f"{len(X)} points do not define a ground of degree {degree}: give more of the ground, or a lower ground.degree",
+            reason="ground_too_few_points",
+            value=len(X),
+        )
+    return scale
+
+
+def check_rank(R: F64, degree: int) -> None:
+    """Raises :class:`GroundError` where a triangular factor R (p, p) of scaled columns shows that they do not fix the surface."""
     diagonal = np.abs(np.diag(R))
     if diagonal.min() < 1e-9 * diagonal.max():
         raise GroundError(
@@ -88,5 +111,3 @@ def solve(points: F64, origin_xy: F64, degree: int) -> tuple[F64, F64, F64]:
             "ground.degree",
             reason="ground_degenerate",
         )
-    H: F64 = np.linalg.solve(R, Q.T) / scale[:, None]
-    return H @ points[:, 2], H, H @ H.T

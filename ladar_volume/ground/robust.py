@@ -6,12 +6,13 @@ fixed point).
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import COEFFICIENTS, base_gradient, base_height, design, solve
+from ladar_volume.ground.polynomial import COEFFICIENTS, base_gradient, base_height, coefficients, design, solve
 from ladar_volume.ground.sampling import best_candidate
 from ladar_volume.model.errors import GroundError
 from ladar_volume.model.parameters import GroundParameters
@@ -21,6 +22,8 @@ MAD_TO_SIGMA = 1.4826
 #: Inlier threshold in robust sigma; 3 is the least for which the printed covariance is true (UNCERTAINTY step 3).
 THRESHOLD_SIGMAS = 3.5
 MAX_REFITS = 50
+#: Clouds with at least twice as many points are searched on a subset of about this many, and refined as a whole.
+SEARCHED_POINTS = 50_000
 #: Threshold of the random search where none is given, m.
 COARSE_M = 0.1
 
@@ -39,11 +42,11 @@ def refine(points: F64, variance: F64, start: Plane, parameters: GroundParameter
     """
     threshold = parameters.threshold_m
     origin, degree = start.origin_xy, parameters.degree
+    X = design(points[:, :2], origin, degree)
     inside: Bool = np.abs(points[:, 2] - base_height(start, points[:, :2])) <= (threshold or reach_m)
     seen: set[bytes] = set()
     for _ in range(MAX_REFITS):
-        beta, H, _ = solve(points[inside], origin, degree)
-        residual = points[:, 2] - design(points[:, :2], origin, degree) @ beta
+        residual = points[:, 2] - X @ coefficients(X[inside], points[inside, 2], degree)
         # a floor of rounding size keeps exact planes from losing points to the last bit
         floor = 1e-9 * (1.0 + float(np.abs(points[:, 2]).max()))
         limit = threshold or max(THRESHOLD_SIGMAS * robust_sigma(residual[inside]), floor)
@@ -53,7 +56,7 @@ def refine(points: F64, variance: F64, start: Plane, parameters: GroundParameter
         seen.add(new.tobytes())
         inside = new
     beta, H, _ = solve(points[inside], origin, degree)
-    residual = points[inside, 2] - design(points[inside, :2], origin, degree) @ beta
+    residual = points[inside, 2] - X[inside] @ beta
     C_beta = (H * variance[inside]) @ H.T
     plane = Plane(origin, beta, C_beta, np.flatnonzero(inside).astype(np.int64), float(np.sqrt(np.mean(residual**2))))
     check_tilt(plane, parameters)
@@ -96,25 +99,44 @@ def fit_ground(points: F64, variance: F64, parameters: GroundParameters, coarse_
         )
     if not (np.isfinite(p).all() and np.isfinite(variance[chosen]).all()):
         raise GroundError("a ground point with a coordinate or variance that is not finite: remove it", reason="ground_not_finite")
-    plane = _search(p, variance[chosen], parameters, coarse_m)
+    step = max(1, len(p) // SEARCHED_POINTS)
+    plane = _search(p[::step], variance[chosen][::step], parameters, coarse_m)
+    if step > 1:
+        plane = refine(p, variance[chosen], plane, parameters, THRESHOLD_SIGMAS * plane.rms_m)
     return dataclasses.replace(plane, support=chosen[plane.support])
 
 
 def _search(p: F64, variance: F64, parameters: GroundParameters, coarse_m: float) -> Plane:
     """Random search and refinement. Where no threshold is given and the result is thicker than the one of the search, the surface may lie
-    across steps or have grown into the clutter: finer thresholds are tried, and the first result stands if they do not help."""
+    across steps or have grown into the clutter: finer thresholds are tried, then fixed ones. The first result stands if nothing helps:
+    rough ground."""
     origin = np.round(p[:, :2].mean(axis=0))
-    found: list[Plane] = []
+    tried: list[tuple[float, Plane, Plane]] = []
     for threshold in (parameters.threshold_m,) if parameters.threshold_m else (coarse_m, coarse_m / 2, coarse_m / 4):
         try:
             beta = best_candidate(p, origin, threshold, parameters)
             start = Plane(origin, beta, np.zeros((len(beta), len(beta))), np.zeros(0, np.int64))
             plane = refine(p, variance, start, parameters, threshold)
         except GroundError:
-            if not found:
+            if not tried:
                 raise
             break
         if plane.rms_m <= threshold:
             return plane
-        found.append(plane)
-    return found[0]
+        tried.append((threshold, start, plane))
+    if parameters.threshold_m == 0.0 and parameters.below_weight > 0.0:
+        for threshold, start, _ in tried:
+            with contextlib.suppress(GroundError):
+                plane = refine(p, variance, start, dataclasses.replace(parameters, threshold_m=threshold))
+                if bottom_layer(p, plane, threshold):
+                    return plane
+    return tried[0][2]
+
+
+def bottom_layer(points: F64, plane: Plane, threshold_m: float) -> bool:
+    """Whether the points about a surface are a layer of their own at the bottom of denser clutter: half as many again as in the layer of
+    the same thickness above, and four times as many as in that below. Rough ground has equally many on both sides."""
+    r = points[:, 2] - base_height(plane, points[:, :2])
+    own = np.count_nonzero(np.abs(r) <= threshold_m)
+    above, below = (np.count_nonzero((side > threshold_m) & (side <= 3.0 * threshold_m)) for side in (r, -r))
+    return bool(own >= 1.5 * above and own >= 4.0 * below)

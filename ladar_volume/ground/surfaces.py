@@ -13,17 +13,21 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ladar_volume.ground.clusters import clusters
 from ladar_volume.ground.polynomial import base_height, degree_of, design
 from ladar_volume.ground.robust import COARSE_M, THRESHOLD_SIGMAS, fit_ground
 from ladar_volume.model.errors import GroundError
 from ladar_volume.model.parameters import GroundParameters
 from ladar_volume.model.records import F64, I64, Plane
 
+#: Clusters of a surface's support with less than this share of the largest one's points do not carry it.
+MAIN_SHARE = 0.1
+
 
 def find_grounds(
     points: F64, variance: F64, parameters: GroundParameters, coarse_m: float = COARSE_M, select: I64 | None = None
 ) -> tuple[Plane, ...]:
-    """Up to ``parameters.surfaces`` ground surfaces, first the one of :func:`fit_ground`, the others in the order they are found.
+    """Up to ``parameters.surfaces`` ground surfaces, first the one of :func:`fit_ground`, then the largest of what is left.
 
     Arguments as of :func:`fit_ground`; ``support`` of each indexes ``points``, and no point supports two. Raises :class:`GroundError`
     where there is not even one.
@@ -42,7 +46,8 @@ def further_grounds(
     found = [main]
     while len(found) < parameters.surfaces and len(rest) >= max(least, 1.0):
         try:
-            share = dataclasses.replace(parameters, min_support=least / len(rest))
+            # what stands on the surfaces found so far lies below the higher ones: it must not count against them
+            share = dataclasses.replace(parameters, min_support=least / len(rest), below_weight=0.0)
             new = fit_ground(points, variance, share, coarse_m, rest)
         except GroundError:
             break  # what is left is no ground
@@ -73,7 +78,7 @@ def heights_above(points: F64, grounds: Sequence[Plane], supports: F64, reach_m:
     z = np.stack([points[:, 2] - base_height(g, xy) for g in grounds])
     sigma = np.stack([surface_sigma(g, xy) for g in grounds])
     if len(grounds) > 1:
-        away = np.stack([cKDTree(supports[g.support, :2]).query(xy)[0] for g in grounds])
+        away = np.stack([cKDTree(main_part(supports[g.support], reach_m)[:, :2]).query(xy)[0] for g in grounds])
         counts = away <= away.min(axis=0) + reach_m
     else:
         counts = np.ones(z.shape, dtype=np.bool_)
@@ -82,6 +87,16 @@ def heights_above(points: F64, grounds: Sequence[Plane], supports: F64, reach_m:
     rows = np.arange(len(points))
     high, low = over[top, rows], under[bottom, rows]
     return np.where(high > 0, high, np.where(low < 0, low, 0.0)), np.where(high > 0, sigma[top, rows], sigma[bottom, rows])
+
+
+def main_part(support: F64, distance_m: float) -> F64:
+    """Points (k, 3) that carry a surface: its clusters with a tenth of the largest one's points. Others, such as the course round a wall at
+    the height of a terrace, lie on it by chance. Steps are ``distance_m``, or five times the distance of neighbours if longer."""
+    spacing = np.asarray(cKDTree(support).query(support, k=2)[0])[:, 1]
+    label = clusters(support, max(distance_m, 5.0 * float(np.median(spacing))), 1)
+    count = np.bincount(label)
+    out: F64 = support[count[label] >= MAIN_SHARE * count[0]]
+    return out
 
 
 def surface_sigma(plane: Plane, xy: F64) -> F64:

@@ -122,6 +122,15 @@ def test_objects_on_two_terraces():
     assert alone.records[0].points > 2500  # the upper terrace stands on the lower
 
 
+def test_a_block_that_reaches_the_height_of_another_terrace_stands_on_its_own():
+    low, high = floor() - np.array([5, 0, 0]), floor() + np.array([5, 0, 0.5])
+    p = np.concatenate([low, high, block(-4, 0, 1, 1, 1)])
+    grounds = find_grounds(p, np.full(len(p), 1e-6), GroundParameters(surfaces=2, threshold_m=0.02, min_support=0.1))
+    found = find_objects(p, grounds, P)
+    assert len(grounds) == 2 and len(found.records) == 1
+    assert found.records[0].height_m == pytest.approx(1.0) and found.records[0].low_m[2] == pytest.approx(0.2)
+
+
 def test_touching_bodies_by_saddle_by_picks_and_by_polygons():
     xy = floor(6.0, 0.1)[:, :2]
     left, right = (np.maximum(0.0, 2.0 - np.hypot(xy[:, 0] - x, xy[:, 1])) for x in (-1.5, 1.6))
