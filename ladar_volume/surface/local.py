@@ -16,7 +16,7 @@ import numpy as np
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64
 from ladar_volume.surface.frames import check_cloud
-from ladar_volume.surface.local_frames import PLANE, consistent_normals, neighbours, plane_normals, roughness
+from ladar_volume.surface.local_frames import PLANE, SLACK, by_place, consistent_normals, neighbours, plane_normals
 from ladar_volume.surface.local_grow import FAN, drop_fans, grow, spread_out
 from ladar_volume.surface.local_holes import fill, rims
 from ladar_volume.surface.local_published import published, repaired
@@ -108,6 +108,8 @@ def mesh_cloud(points: F64, normals: F64 | None = None, settings: LocalMeshSetti
     first = np.sort(np.unique(given + 0.0, axis=0, return_index=True)[1])
     if len(first) < 3:
         raise SurfaceError(f"{len(first)} points at different places are no surface", reason="mesh_points", value=len(first))
+    if settings.method == "agreement":
+        first = first[by_place(given[first])]
     # digits: offsets of the cloud's size, not map coordinates
     p = given[first] - 0.5 * (given.min(axis=0) + given.max(axis=0))
     spread = np.linalg.svd(p - p.mean(axis=0), compute_uv=False)
@@ -120,7 +122,7 @@ def mesh_cloud(points: F64, normals: F64 | None = None, settings: LocalMeshSetti
     spacing = float(np.median(distance[:, min(SPACING, distance.shape[1]) - 1]))
     reach = settings.radius_m or REACH * spacing
     hole = settings.hole_m or HOLE / REACH * reach
-    slack = roughness(p, n, index, spacing)
+    slack = SLACK * spacing
     triangles, votes, report = agree(p, n, index, reach, slack)
     lengths = {"spacing_m": spacing, "radius_m": reach, "hole_m": hole, "slack_m": slack}
     return finish(given, first, p, n, triangles, votes, {**lengths, **report})

@@ -22,8 +22,9 @@ LINKS, PLANE = 10, 12
 SMOOTH = 0.906
 #: Normals that enclose more than this belong to two sheets, back to back (cosine of 150 degrees).
 OPPOSITE = -0.866
-#: A connection may leave the surface by this slope (its sine), and by as many times the usual part, within these limits in spacings.
-SLOPE, USUAL, LEAST_SLACK, MOST_SLACK = 0.3, 3.0, 0.1, 0.5
+#: A connection may leave the surface by this slope (its sine), and by this part of the spacing: of two sheets that face the same way and
+#: are closer than their points, one is noise (a filter can split a thick band into two).
+SLOPE, SLACK = 0.3, 1.25
 #: How sure a smooth connection carries a sign, how sure two faces are of theirs, and as if by how many more connections that say nothing.
 SURE, LEAST, FEW = 0.65, 0.1, 4
 #: Slope beyond which parallel planes are two.
@@ -37,9 +38,14 @@ def neighbours(points: F64, count: int, at: I64 | None = None) -> tuple[F64, I64
     in a small cloud. No two points may be equal."""
     k = min(count, len(points) - 1)
     chosen = points if at is None else points[at]
-    found = cKDTree(points).query(chosen, k + 1, workers=numba.get_num_threads())
+    found = cKDTree(points, balanced_tree=False, compact_nodes=False).query(chosen, k + 1, workers=numba.get_num_threads())
     distance, index = np.asarray(found[0]), np.asarray(found[1])
     return np.ascontiguousarray(distance[:, 1:]), np.ascontiguousarray(index[:, 1:], np.int64)
+
+
+def by_place(points: F64) -> I64:
+    """The order of points in which neighbours follow each other, for the sake of the cache."""
+    return np.asarray(cKDTree(points, leafsize=64, balanced_tree=False, compact_nodes=False).indices, np.int64)
 
 
 def within(points: F64, radius: float) -> tuple[I64, I64]:
@@ -136,23 +142,12 @@ def consistent_normals(points: F64, normals: F64, index: I64) -> F64:
     across = np.flatnonzero(part[a] != part[b])
     low, high = np.minimum(part[a], part[b])[across], np.maximum(part[a], part[b])[across]
     pair, which, count = np.unique(low * len(points) + high, return_inverse=True, return_counts=True)
-    vote = np.bincount(which, (sure * signs[a] * signs[b])[across], len(pair)) / (count + FEW)
+    vote = np.bincount(which, (sure * signs[a] * signs[b])[across], len(pair))
+    # the longest common edges first: there the sum is largest
     order = np.argsort(-np.abs(vote), kind="stable")
-    order = order[np.abs(vote[order]) > LEAST]
+    order = order[np.abs(vote[order]) > LEAST * (count[order] + FEW)]
     turn, whole = carry_signs(pair[order] // len(points), pair[order] % len(points), np.sign(vote[order]), len(points))
     return outward(points, normals * (signs * turn[part])[:, None], whole[part])
-
-
-def roughness(points: F64, normals: F64, index: I64, spacing: float) -> float:
-    """By how much a connection may leave the surface because points are noisy, m: taken from the nearest neighbours on smooth parts."""
-    near = index[:, :4]
-    offset = points[near] - points[:, None]
-    mean = normals[near] + normals[:, None]
-    length = np.linalg.norm(mean, axis=2)
-    off = np.abs(np.einsum("nki,nki->nk", offset, mean)) / np.maximum(length, 1e-12)
-    smooth = off[length > 1.9]
-    usual = USUAL * float(np.median(smooth)) if len(smooth) else 0.0
-    return min(max(usual, LEAST_SLACK * spacing), MOST_SLACK * spacing)
 
 
 def outward(points: F64, normals: F64, part: I64) -> F64:

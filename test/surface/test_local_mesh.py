@@ -143,7 +143,7 @@ def test_a_plate_is_not_bridged_but_closed_round_its_rim():
 
 def test_two_sheets_one_over_the_other_stay_two():
     rng = np.random.default_rng(5)
-    points = np.concatenate([np.c_[rng.uniform(0, 1, (1000, 2)), z + rng.normal(0, 0.002, 1000)] for z in (0.0, 0.04)])
+    points = np.concatenate([np.c_[rng.uniform(0, 1, (1000, 2)), z + rng.normal(0, 0.002, 1000)] for z in (0.0, 0.15)])
     mesh = mesh_cloud(points, np.tile([0.0, 0.0, -1.0], (2000, 1)))
     whole = orient(mesh.vertices, mesh.triangles)
     assert whole.part.max() == 1 and whole.euler == 2 and len(mesh.rims) == 2
