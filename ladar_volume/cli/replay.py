@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import heapq
 import queue
 import threading
 import time
@@ -21,12 +22,16 @@ from ladar_volume.io.bags import TYPESTORE, BagReader
 from ladar_volume.io.clouds import returns_from_cloud
 from ladar_volume.io.config import read_config
 from ladar_volume.io.log import McapLog
+from ladar_volume.io.mavlink_log import ROLE, MavlinkLog
 from ladar_volume.io.messages import fix_from_message, imu_from_message, odometry_from_message
 from ladar_volume.io.tables import NUMBERS, encode
 from ladar_volume.model.errors import BagError, GroundError, InputError, SurfaceError, VolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import Estimate
+
+#: Poses of an autopilot's log this far outside the recording still bridge its ends.
+POSE_MARGIN_NS = 2_000_000_000
 
 
 @dataclass
@@ -38,9 +43,13 @@ class Replay:
     topics: dict[str, str]
     start_s: float = 0.0
     duration_s: float = float("inf")
+    poses: MavlinkLog | None = None
 
     def __post_init__(self) -> None:
-        self.bag.require(self.topics, self.parameters.georeference.pose_source)
+        if self.poses is not None:  # the autopilot's log stands in for the recording's own poses
+            self.topics = {role: topic for role, topic in self.topics.items() if role == "cloud"}
+        given = {} if self.poses is None else dict.fromkeys(("fix", "imu", "odometry"), self.poses.path.name)
+        self.bag.require({**self.topics, **given}, self.parameters.georeference.pose_source)
         self.engine = Engine(self.parameters)
         self.losses = Losses()
         self.returns = 0
@@ -75,21 +84,36 @@ class Replay:
 
     def records(self) -> Iterator[tuple[float, str, Any]]:
         """Share done, role and record of every usable message, in the order of the recording; role "" for nothing."""
+        first = self.bag.start_ns + int(self.start_s * 1e9)
+        span = min(self.duration_s, self.bag.duration_s - self.start_s)
+        items = self._recorded(first, first + int(span * 1e9))
+        if self.poses is not None:
+            items = heapq.merge(items, self._logged(self.poses, first, first + int(span * 1e9)), key=lambda item: item[0])
+        for t_ns, role, record in items:
+            yield (t_ns - first) * 1e-9 / max(span, 1e-9), role, record
+
+    def _logged(self, poses: MavlinkLog, first: int, last: int) -> Iterator[tuple[int, str, Any]]:
+        """Records of an autopilot's log that the pose source takes, from a little before to a little after."""
+        wanted = ("odometry",) if self.parameters.georeference.pose_source == "odometry" else ("fix", "imu")
+        for record in poses.records():
+            role = ROLE[type(record)]
+            if role in wanted and first - POSE_MARGIN_NS <= record.t_ns <= last + POSE_MARGIN_NS:
+                yield record.t_ns, role, record
+        self.losses.merge(poses.losses())
+
+    def _recorded(self, first: int, last: int) -> Iterator[tuple[int, str, Any]]:
         roles = {topic: role for role, topic in self.topics.items()}
         decode: dict[str, Callable[[Any], Any]] = {
             "fix": fix_from_message, "imu": imu_from_message, "odometry": odometry_from_message,
             "cloud": lambda message: returns_from_cloud(message, self.parameters.georeference, self.losses),
         }  # fmt: skip
-        first = self.bag.start_ns + int(self.start_s * 1e9)
-        span = min(self.duration_s, self.bag.duration_s - self.start_s)
-        last = first + int(span * 1e9)
         try:
             for raw in self.bag.raw(set(roles)):
                 if not first <= raw.t_ns <= last:
                     continue
                 role = roles[raw.topic]
                 try:
-                    yield (raw.t_ns - first) * 1e-9 / max(span, 1e-9), role, decode[role](self.bag.message(raw))
+                    yield raw.t_ns, role, decode[role](self.bag.message(raw))
                 except (InputError, BagError) as error:
                     if error.reason == "bag_truncated":
                         raise
@@ -103,6 +127,8 @@ class Replay:
         """The result as plain values."""
         points = {"returns": self.returns, "mapped": self.engine.points_mapped, **self.engine.filter.stats}
         source = {"path": self.bag.path.name, "sha256": self.bag.digest(), "duration_s": self.bag.duration_s, "topics": self.topics}
+        if self.poses is not None:
+            source |= {"poses": self.poses.path.name, "poses_sha256": self.poses.digest()}
         return results.result_dict(estimate, self.parameters, self.all_losses(), self.engine.datum, points, source)
 
 
@@ -142,6 +168,7 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser("replay", help="volume of a recorded survey, offline")
     parser.add_argument("bag", type=Path, help="rosbag2 folder, .mcap, or ROS 1 .bag")
     add_common(parser)
+    parser.add_argument("--poses", type=Path, metavar="LOG", help="autopilot's .tlog or .bin to take the poses from (section mavlink)")
     parser.add_argument("--start", type=float, default=0.0, help="seconds into the recording")
     parser.add_argument("--duration", type=float, default=float("inf"), help="seconds")
     parser.add_argument("--no-figure", action="store_true", help="skip the picture")
@@ -174,7 +201,8 @@ def run(arguments: argparse.Namespace) -> int:
     parameters = read_config(config_for(arguments.bag, arguments.config), arguments.set)
     folder = results.output_folder(arguments.output)
     with BagReader(arguments.bag) as bag:
-        replay = Replay(bag, parameters, bag.roles(topics_from(arguments.topic)), arguments.start, arguments.duration)
+        poses = MavlinkLog(arguments.poses, parameters.mavlink) if arguments.poses is not None else None
+        replay = Replay(bag, parameters, bag.roles(topics_from(arguments.topic)), arguments.start, arguments.duration, poses)
         began = time.perf_counter()
         with Progress(console=console, transient=True) as bar:
             task = bar.add_task(f"replaying {arguments.bag.name}", total=1.0)

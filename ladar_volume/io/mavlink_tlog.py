@@ -15,12 +15,6 @@ from ladar_volume.model.losses import Losses
 TLOG_GAP_US = 3 * 86400 * 1_000_000
 
 
-def log_file(url: str) -> Path | None:
-    """The path where a url names a log file, ``.tlog`` or ``.bin``; else None."""
-    path = url.removeprefix("file:")
-    return Path(path) if path.lower().endswith((".tlog", ".bin")) else None
-
-
 def tlog_frames(path: Path, losses: Losses) -> Iterator[tuple[int, bytes]]:
     """(time of receipt in ns, frame) of a .tlog: eight bytes of microseconds, big-endian, before every frame. Bytes between are
     counted as noise. Raises BagError (bag_missing) where there is no such file."""

@@ -5,21 +5,18 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu, NavSatFix
 
-from ladar_volume.io.mavlink import Record, height_parameters
-from ladar_volume.io.mavlink_dataflash import DataFlashLog
+from ladar_volume.io.mavlink import Record
 from ladar_volume.io.mavlink_links import Link, open_link
+from ladar_volume.io.mavlink_log import MavlinkLog, log_file
 from ladar_volume.io.mavlink_poses import InertialSample
 from ladar_volume.io.mavlink_session import MavlinkSession
-from ladar_volume.io.mavlink_tlog import log_file, tlog_frames
-from ladar_volume.model.errors import BagError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.records import F64, Fix, ImuSample, OdometrySample
 from ladar_volume.nodes.base import STREAM, StageNode, spin
@@ -94,9 +91,8 @@ class MavlinkNode(StageNode):
         p = self.parameters.mavlink
         self._session = MavlinkSession(p)
         self._before = Losses()
-        self._file_losses = Losses()
         self._link: Link | None = None
-        self._dataflash: DataFlashLog | None = None
+        self._log: MavlinkLog | None = None
         self._playback = ""
         self._ended = threading.Event()
         self.sent: dict[str, int] = {"fix": 0, "imu": 0, "inertial": 0, "odometry": 0}
@@ -106,17 +102,12 @@ class MavlinkNode(StageNode):
             InertialSample: ("inertial", self.create_publisher(Imu, "imu/data_raw", STREAM), inertial_message),
             OdometrySample: ("odometry", self.create_publisher(Odometry, "odometry", STREAM), odometry_message),
         }
-        height_parameters(p)
         path = log_file(p.url)
         if path is None:
             self._link = open_link(p.url)
-            target: Callable[[], None] = self._listen
         else:
-            if not path.is_file():
-                raise BagError(f"{path}: no such log", reason="bag_missing", value=str(path))
-            self._playback = "waiting"
-            target = lambda: self._play(path)  # noqa: E731
-        self._reader = threading.Thread(target=target, name="mavlink", daemon=True)
+            self._log, self._playback = MavlinkLog(path, p), "waiting"
+        self._reader = threading.Thread(target=self._listen if path is None else self._play, name="mavlink", daemon=True)
         self._reader.start()
 
     # the reading thread -------------------------------------------------------------------------------------------
@@ -127,36 +118,22 @@ class MavlinkNode(StageNode):
             if data and self._active:
                 self.offer("bytes", (data, int(self.get_clock().now().nanoseconds)))
 
-    def _items(self, path: Path) -> Iterator[tuple[int, str, Any]]:
-        """(time, kind, item) of a log."""
-        if path.suffix.lower() == ".tlog":
-            for t_ns, frame in tlog_frames(path, self._file_losses):
-                yield t_ns, "bytes", (frame, t_ns)
-            return
-        self._dataflash = DataFlashLog(path, self.parameters.mavlink)
-        for record in self._dataflash.records():
-            yield record.t_ns, "record", record
-
-    def _play(self, path: Path) -> None:
+    def _play(self) -> None:
+        assert self._log is not None
         rate, first, began = self.parameters.mavlink.playback_rate, None, 0.0
-        try:
-            while not self._active and not self._ended.is_set():
-                time.sleep(0.02)
-            self._playback = "playing"
-            for t_ns, kind, item in self._items(path):
-                if first is None:
-                    first, began = t_ns, time.monotonic()
-                wait = (t_ns - first) * 1e-9 / rate - (time.monotonic() - began) if rate > 0 else 0.0
-                if self._ended.wait(max(wait, 0.0)):
-                    return
-                while self._queue.qsize() > AHEAD and not self._ended.is_set():
-                    time.sleep(0.002)
-                self.offer(kind, item)
-            self._playback = "done"
-        except BagError as error:
-            self.losses.add(error.reason)
-            self.get_logger().error(str(error))
-            self._playback = str(error)
+        while not self._active and not self._ended.is_set():
+            time.sleep(0.02)
+        self._playback = "playing"
+        for record in self._log.records():
+            if first is None:
+                first, began = record.t_ns, time.monotonic()
+            wait = (record.t_ns - first) * 1e-9 / rate - (time.monotonic() - began) if rate > 0 else 0.0
+            if self._ended.wait(max(wait, 0.0)):
+                return
+            while self._queue.qsize() > AHEAD and not self._ended.is_set():
+                time.sleep(0.002)
+            self.offer("record", record)
+        self._playback = "done"
 
     # the worker ---------------------------------------------------------------------------------------------------
     def work(self, kind: str, item: Any) -> None:
@@ -195,21 +172,20 @@ class MavlinkNode(StageNode):
     def all_losses(self) -> Losses:
         """What link, stream, decoder and log refused or missed."""
         total = Losses(self.losses.as_dict())
-        parts = [self._before, self._session.losses(), self._file_losses]
-        parts += [source.losses for source in (self._link, self._dataflash) if source is not None]
+        parts = [self._before, self._session.losses()]
+        if self._link is not None:
+            parts.append(self._link.losses)
+        if self._log is not None:
+            parts.append(self._log.losses())
         for part in parts:
             total.merge(part)
         return total
 
     def status(self) -> dict[str, Any]:
         """The link and what was made of it."""
-        lines = {"url": self.parameters.mavlink.url, **({"playback": self._playback} if self._playback else {})}
-        if self._dataflash is not None:
-            line = self._dataflash.line
-            lines |= {"clock": "UTC by GPS time", "clock_sigma_s": f"{line.sigma_ns * 1e-9:.6f}"}
-        else:
-            lines |= self._session.status()
-        return {**lines, **{f"sent_{k}": n for k, n in self.sent.items()}}
+        source = self._session if self._log is None else self._log
+        playback = {"playback": self._playback} if self._playback else {}
+        return {"url": self.parameters.mavlink.url, **playback, **source.status(), **{f"sent_{k}": n for k, n in self.sent.items()}}
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -18,8 +18,9 @@ from pymavlink.dialects.v20 import all as dialect
 from ladar_volume.io.mavlink import STATUS
 from ladar_volume.io.mavlink_dataflash import DataFlashLog
 from ladar_volume.io.mavlink_links import SerialLink, TcpLink, UdpLink, open_link
+from ladar_volume.io.mavlink_log import MavlinkLog, log_file
 from ladar_volume.io.mavlink_session import MavlinkSession
-from ladar_volume.io.mavlink_tlog import log_file, tlog_frames
+from ladar_volume.io.mavlink_tlog import tlog_frames
 from ladar_volume.model.errors import BagError, ConfigurationError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.mavlink_parameters import MavlinkParameters
@@ -442,6 +443,23 @@ def test_a_dataflash_log_is_related_to_utc_by_its_fixes(tmp_path):
     assert not [r for r in log.records() if isinstance(r, Fix)] and log.losses.as_dict() == {"fix_no_ellipsoidal_height": 50}
 
 
+def test_both_kinds_of_log_are_read_alike(tmp_path):
+    vehicle = Vehicle()
+    for ms in range(1000, 9000, 100):
+        vehicle.gps(ms)
+        vehicle.attitude(ms)
+    frames = vehicle.take()
+    path = tmp_path / "a.tlog"
+    path.write_bytes(b"".join(struct.pack(">Q", START // 1000 + 1_000_000 + 50_000 * i) + f for i, f in enumerate(frames)) + b"\x00")
+    log = MavlinkLog(path, MavlinkParameters())
+    kinds = [type(r) for r in log.records()]
+    assert (kinds.count(Fix), kinds.count(ImuSample)) == (59, 60)  # the first two seconds compare the clocks
+    assert log.losses().as_dict() == {"fix_clock_unsettled": 21, "imu_clock_unsettled": 20, "mavlink_noise_byte": 1}
+    (tmp_path / "a.BIN").write_bytes(dataflash())
+    log = MavlinkLog(tmp_path / "a.BIN", MavlinkParameters())
+    assert len(list(log.records())) == 150 and not log.losses() and log.status()["clock"] == "UTC by GPS time" and len(log.digest()) == 64
+
+
 def test_damaged_dataflash_logs_never_crash_and_always_end(tmp_path):
     whole, r, path = dataflash(), random.Random(3), tmp_path / "a.bin"
     read = 0
@@ -456,8 +474,11 @@ def test_damaged_dataflash_logs_never_crash_and_always_end(tmp_path):
         except BagError as error:
             assert error.reason == "bag_clock"
     assert read > 2000
-    with pytest.raises(BagError):
-        DataFlashLog(tmp_path / "absent.bin", MavlinkParameters())
+    for name, content in (("absent.bin", None), ("empty.bin", b""), ("notes.txt", b"hello")):
+        if content is not None:
+            (tmp_path / name).write_bytes(content)
+        with pytest.raises(BagError):
+            MavlinkLog(tmp_path / name, MavlinkParameters())
 
 
 @pytest.mark.skipif(not LOGS.is_dir(), reason=f"no autopilot logs at {LOGS}")
