@@ -64,7 +64,7 @@ def observations(points: MappedPoints, geometry: PointGeometry, found: Overlap, 
     knot, share = drift.place(points.t_ns[found.point])
     order = np.argsort(knot, kind="stable")
     index, patch = found.point[order], found.patch[order]
-    normal, scale = found.normal[patch], 1.0 / sigma[order]
+    normal, scale = found.steady[patch], 1.0 / sigma[order]
     shared, own, nav = np.empty((len(index), len(CAL_COLUMNS))), np.empty((len(index), 2)), np.empty((len(index), 6))
     for start in range(0, len(index), _CHUNK):  # the Jacobians take half a kilobyte per point
         part = slice(start, start + _CHUNK)

@@ -109,8 +109,8 @@ def turned(mount: Mounting, theta: F64) -> Mounting:
     )  # fmt: skip
 
 
-def remapped(flight: Flight, theta: F64, sigmas: F64) -> tuple[MappedPoints, PointGeometry]:
-    """The flight's returns georeferenced anew with constants corrected by theta (c,), as far as the trajectory covers them.
+def remapped(flight: Flight, theta: F64, sigmas: F64) -> tuple[MappedPoints, PointGeometry, I64]:
+    """The returns georeferenced anew with constants corrected by theta (c,): points, geometry, and their index (n,) in the flight.
 
     Positions are linear between states, which are as dense as the attitudes. ``sigmas`` (3,) as ``budget.independent_sigmas``.
     """
@@ -122,5 +122,6 @@ def remapped(flight: Flight, theta: F64, sigmas: F64) -> tuple[MappedPoints, Poi
     t_ns = flight.t_ns + mount.clock_ns
     mapped = map_returns(t_ns, flight.r_laser, path, mount, sigmas, vehicle_box(()), region_box(()))
     everything = MappedPoints(t_ns, mapped.r_map, mapped.C_ind, flight.ring, np.zeros(len(t_ns), np.float32))
-    points = select(everything, mapped.status == MAPPED)
-    return points, point_geometry(points, moved, mount)
+    index = np.flatnonzero(mapped.status == MAPPED)
+    points = select(everything, index)
+    return points, point_geometry(points, moved, mount), index

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ladar_volume.model.errors import CalibrationError
 from ladar_volume.model.records import F64, I64
@@ -15,19 +16,21 @@ from ladar_volume.model.records import F64, I64
 #: Points farther than this many robust sigma from their patch are left out.
 OUTLIER_SIGMAS = 3.5
 #: A patch more than this many times rougher than the usual one is no plane.
-_ROUGH = 2.0
+_ROUGH = 1.5
 #: Least extent of a patch in both directions, as standard deviation over the edge of its voxel (a full square has 0.29).
 _EXTENT = 0.1
 _SWEEPS = 3
+#: Normals within this many edges and this angle are averaged.
+_NEIGHBOURS, _ALIKE_RAD = 3.0, np.radians(10.0)
 
 
 @dataclass(frozen=True)
 class Overlap:
     """Patches seen by several strips.
 
-    point : (n,) index of the points that lie on a patch · patch : (n,) number of each point's patch · group : (n,) number of its patch and
-    strip · X : (n, 3) design rows (1, u, v), m · height : (n,) m above the patch's plane · normal : (p, 3) · patch_of : (g,) patch of each
-    group · strip_of : (g,) strip of each group
+    point : (n,) index of the points that lie on a patch · patch : (n,) number of each point's patch · group : (n,) number of its patch
+    and strip · X : (n, 3) design rows (1, u, v), m · height : (n,) m above the patch's plane · normal : (p, 3) · steady : (p, 3) normals
+    averaged over neighbours, for sensitivities · patch_of : (g,) patch of each group · strip_of : (g,) strip of each group
     """
 
     point: I64
@@ -36,45 +39,78 @@ class Overlap:
     X: F64
     height: F64
     normal: F64
+    steady: F64
     patch_of: I64
     strip_of: I64
 
 
-def overlap(r_map: F64, strip: I64, sigma: F64, edge_m: float, min_points: int, max_patches: int) -> Overlap:
-    """Patches of points r_map (n, 3) m seen in strips (n,), with noise sigma (n,) m.
+def overlap(r_map: F64, strip: I64, C: F64, edge_m: float, min_points: int, max_patches: int) -> Overlap:
+    """Patches of points r_map (n, 3) m seen in strips (n,), with noise C (n, 3, 3) m².
 
     Raises :class:`CalibrationError` (calibration_no_overlap) where no patch is seen by two strips.
     """
-    point = np.arange(len(r_map))
-    cells = np.floor(r_map / edge_m).astype(np.int64)
-    _, patch = np.unique(cells, axis=0, return_inverse=True)
-    patch = patch.ravel()
-    normal = np.zeros((0, 3))
+    point, patch = np.arange(len(r_map)), cells(r_map, edge_m)
     for _ in range(_SWEEPS):
-        point, patch, group, patch_of, strip_of = _seen_twice(point, patch, strip, min_points)
+        point, patch, group, _, _ = _seen_twice(point, patch, strip, min_points)
         if len(point) == 0:
             raise CalibrationError(
                 f"no surface of {edge_m:g} m was seen by two strips with {min_points} returns each: strips must overlap",
                 reason="calibration_no_overlap", value=0,
             )  # fmt: skip
         d = r_map[point] - _means(r_map[point], group)[group]
-        normal, tangents, extent = _planes(d, patch)
+        normal, _, extent = _planes(d, patch)
         along = np.einsum("ni,ni->n", d, normal[patch])
         scale = 1.4826 * medians(np.abs(along), patch)
-        expected = np.sqrt(_means(sigma[point, None] ** 2, patch)[:, 0])
+        n = normal[patch]
+        expected = np.sqrt(_means(np.einsum("ni,nij,nj->n", n, C[point], n)[:, None], patch)[:, 0])
         ratio = scale / expected
         flat = (ratio <= _ROUGH * max(1.0, float(np.median(ratio)))) & (extent >= _EXTENT * edge_m)
         good = flat[patch] & (np.abs(along) <= OUTLIER_SIGMAS * np.maximum(scale, expected)[patch])
         point, patch = point[good], patch[good]
+    return fitted(r_map, strip, point, patch, edge_m, min_points, max_patches)
+
+
+def cells(r_map: F64, edge_m: float) -> I64:
+    """Number (n,) of the cell that holds each point: square columns, cut in height about the median height of each.
+
+    A face of a cell must not run within the noise of a level surface: it would sort the noise of its points.
+    """
+    _, column = np.unique(np.floor(r_map[:, :2] / edge_m), axis=0, return_inverse=True)
+    column = column.ravel()
+    storey = np.floor((r_map[:, 2] - medians(r_map[:, 2], column)[column]) / edge_m + 0.5)
+    _, cell = np.unique(np.column_stack([column, storey]), axis=0, return_inverse=True)
+    return cell.ravel()
+
+
+def fitted(r_map: F64, strip: I64, point: I64, patch: I64, edge_m: float, min_points: int, max_patches: int) -> Overlap:
+    """Planes of given points (n,) on given patches (n,), each strip's points about their own mean. Raises as :func:`overlap`."""
     point, patch, group, patch_of, strip_of = _seen_twice(point, patch, strip, min_points, max_patches)
     if len(point) == 0:
         raise CalibrationError("no patch that two strips saw is a plane", reason="calibration_no_overlap", value=0)
-    d = r_map[point] - _means(r_map[point], patch)[patch]
+    centre = _means(r_map[point], patch)
+    d = r_map[point] - centre[patch]
     within = r_map[point] - _means(r_map[point], group)[group]
     normal, tangents, _ = _planes(within, patch)
     uv = np.einsum("nij,ni->nj", tangents[patch], d)
     X = np.column_stack([np.ones(len(d)), uv])
-    return Overlap(point, patch, group, X, np.einsum("ni,ni->n", d, normal[patch]), normal, patch_of, strip_of)
+    height = np.einsum("ni,ni->n", d, normal[patch])
+    return Overlap(point, patch, group, X, height, normal, averaged(centre, normal, _NEIGHBOURS * edge_m), patch_of, strip_of)
+
+
+def averaged(centre: F64, normal: F64, radius_m: float) -> F64:
+    """Normals (p, 3), each averaged with those like it within a radius.
+
+    The noise of a small patch's normal, times the distance to the scanner, would pass for a sensitivity to horizontal shifts: on level
+    ground it feigns knowledge of the heading. A normal that hardly shares the patch's own noise does not.
+    """
+    pairs = cKDTree(centre).query_pairs(radius_m, output_type="ndarray")
+    a, b = np.concatenate([pairs, pairs[:, ::-1]]).T
+    cosine = np.einsum("ni,ni->n", normal[a], normal[b])
+    alike = np.abs(cosine) > np.cos(_ALIKE_RAD)
+    total = normal.copy()
+    np.add.at(total, a[alike], np.sign(cosine[alike])[:, None] * normal[b[alike]])
+    out: F64 = total / np.linalg.norm(total, axis=1, keepdims=True)
+    return out
 
 
 def _seen_twice(
@@ -110,10 +146,11 @@ def _planes(d: F64, patch: I64) -> tuple[F64, F64, F64]:
 
 
 def medians(values: F64, label: I64) -> F64:
-    """Medians (k,) of values (n,) by label (n,), every label from 0 on present."""
+    """Lower medians (k,) of values (n,) by label (n,), every label from 0 on present: always one of the values, never halfway between two
+    surfaces."""
     order = np.lexsort((values, label))
     count = np.bincount(label)
     start = np.cumsum(count) - count
     ordered = values[order]
-    out: F64 = 0.5 * (ordered[start + (count - 1) // 2] + ordered[start + count // 2])
+    out: F64 = ordered[start + (count - 1) // 2]
     return out

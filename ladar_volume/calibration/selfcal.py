@@ -15,7 +15,7 @@ from scipy import stats
 from ladar_volume.calibration.adjustment import Observations, Solution, observations, off_plane, solve, without
 from ladar_volume.calibration.drift import Drift, drift
 from ladar_volume.calibration.flight import Flight, remapped
-from ladar_volume.calibration.patches import OUTLIER_SIGMAS, overlap
+from ladar_volume.calibration.patches import OUTLIER_SIGMAS, fitted, overlap
 from ladar_volume.georeference.budget import calibration_columns, independent_sigmas
 from ladar_volume.georeference.sensitivity import unpack
 from ladar_volume.model.errors import CalibrationError
@@ -27,6 +27,10 @@ CORRECTED: I64 = np.arange(1, len(CAL_COLUMNS))
 #: Share of the prior sigma below which a constant counts as estimated, and above which it counts as held at its prior.
 ESTIMATED, HELD = 0.5, 0.9
 _CONVERGED, _NOISE_STEADY, _MOST_STEPS = 1e-2, 0.01, 15
+#: Patches are searched anew until a step is within one sigma, or this often.
+_NEAR, _SEARCHING = 1.0, 6
+#: Fewer patches are no net of observations but a coincidence.
+_FEWEST = 20
 
 
 @dataclass(frozen=True)
@@ -81,7 +85,8 @@ class StripCalibration:
 @dataclass(frozen=True)
 class _Step:
     """One adjustment. noise : of the returns within strips, over the assumed · chi2, freedom : of the strips' disagreement with that
-    noise · offset_m : rms distance of the strips from their common planes, before and after the step"""
+    noise · offset_m : rms distance of the strips from their common planes, before and after the step · membership : patch of every return
+    of the flight, −1 for none"""
 
     solution: Solution
     patches: int
@@ -92,6 +97,7 @@ class _Step:
     freedom: int
     offset_m: tuple[float, float]
     moved: int
+    membership: I64
 
 
 @dataclass(frozen=True)
@@ -120,9 +126,9 @@ def calibrate(flight: Flight, budget: BudgetParameters, prior: F64, options: Str
     beams = (len(prior) - len(CAL_COLUMNS)) // 2
     precision = np.asarray(np.linalg.inv(prior[np.ix_(active, active)]), np.float64)
     problem = _Problem(flight, budget, drift(flight, budget), options or StripOptions(), active, beams, precision)
-    theta, noise, before_m = np.zeros(len(prior)), 1.0, np.nan
+    theta, noise, before_m, membership = np.zeros(len(prior)), 1.0, np.nan, None
     for number in range(1, _MOST_STEPS + 1):
-        step = _step(problem, theta, noise)
+        step = _step(problem, theta, noise, membership)
         before_m = step.offset_m[0] if number == 1 else before_m
         move = step.solution.x[: len(active)][corrected]
         theta[active[corrected]] += move
@@ -130,17 +136,29 @@ def calibrate(flight: Flight, budget: BudgetParameters, prior: F64, options: Str
         if size < _CONVERGED and abs(step.noise - 1.0) < _NOISE_STEADY:
             return _result(problem, step, theta, prior, noise, before_m, number)
         noise *= step.noise
+        if membership is None and (size < _NEAR or number == _SEARCHING):
+            membership = step.membership  # from here on the same returns, so that the steps can end
     raise CalibrationError(
         f"no convergence in {_MOST_STEPS} steps: the last one moved the constants by {np.sqrt(size):.2g} sigma",
         reason="calibration_no_convergence", value=size,
     )  # fmt: skip
 
 
-def _step(p: _Problem, theta: F64, noise: float) -> _Step:
-    points, geometry = remapped(p.flight, theta, independent_sigmas(p.budget))
+def _step(p: _Problem, theta: F64, noise: float, membership: I64 | None) -> _Step:
+    points, geometry, index = remapped(p.flight, theta, independent_sigmas(p.budget))
     C, strip = unpack(points.C_ind), p.flight.strip[geometry.state]
-    typical = noise * np.sqrt(np.einsum("nii->n", C) / 3.0)
-    found = overlap(points.r_map, strip, typical, p.options.edge_m, p.options.min_points, p.options.max_patches)
+    limits = (p.options.edge_m, p.options.min_points, p.options.max_patches)
+    if membership is None:
+        # limits never shrink below the budget's noise: a cut that lowers the noise that sets the cut would run away
+        found = overlap(points.r_map, strip, max(1.0, noise) ** 2 * C, *limits)
+    else:
+        point = np.flatnonzero(membership[index] >= 0)
+        found = fitted(points.r_map, strip, point, membership[index][point], *limits)
+    if len(found.normal) < _FEWEST:
+        raise CalibrationError(
+            f"only {len(found.normal)} patches were seen by two strips, {_FEWEST} are needed: strips must overlap",
+            reason="calibration_no_overlap", value=len(found.normal),
+        )  # fmt: skip
     normal = found.normal[found.patch]
     sigma = noise * np.sqrt(np.einsum("ni,nij,nj->n", normal, C[found.point], normal))
     o = observations(points, geometry, found, p.effects, sigma)
@@ -150,7 +168,10 @@ def _step(p: _Problem, theta: F64, noise: float) -> _Step:
     if len(moved):
         o = without(o, moved)
         solution = solve(o, p.effects, p.active, p.beams, p.precision, theta[p.active])
-    return _judged(o, solution, total - len(moved), len(np.unique(found.strip_of)), len(moved))
+    belongs = np.full(len(p.flight.t_ns), -1, np.int64)
+    kept = ~np.isin(found.patch, moved)
+    belongs[index[found.point[kept]]] = found.patch[kept]
+    return _judged(o, solution, total - len(moved), len(np.unique(found.strip_of)), len(moved), belongs)
 
 
 def _moved(o: Observations, residual: F64) -> I64:
@@ -161,7 +182,7 @@ def _moved(o: Observations, residual: F64) -> I64:
     return np.unique(o.patch[far[o.group]])
 
 
-def _judged(o: Observations, solution: Solution, patches: int, strips: int, moved: int) -> _Step:
+def _judged(o: Observations, solution: Solution, patches: int, strips: int, moved: int, membership: I64) -> _Step:
     count = np.bincount(o.group)
     within = solution.residual - (np.bincount(o.group, solution.residual) / count)[o.group]
     inner = len(o.e) - len(count) - 2 * patches
@@ -173,7 +194,7 @@ def _judged(o: Observations, solution: Solution, patches: int, strips: int, move
     freedom = solution.freedom - inner
     noise2 = square / max(inner, 1)
     chi2 = (solution.chi2 - square) / noise2
-    return _Step(solution, patches, strips, len(o.e), float(np.sqrt(noise2)), chi2, freedom, (before, after), moved)
+    return _Step(solution, patches, strips, len(o.e), float(np.sqrt(noise2)), chi2, freedom, (before, after), moved, membership)
 
 
 def _result(p: _Problem, step: _Step, theta: F64, prior: F64, noise: float, before_m: float, number: int) -> StripCalibration:
