@@ -6,65 +6,88 @@ from typing import Any
 
 import numpy as np
 
-from ladar_volume.filtering.pieces import MOST, bounds, distance, fit_plane, nearest_pieces, nearest_planes
+from ladar_volume.filtering.pieces import MOST, bounds, distance, fit_shares, nearest_on_piece, nearest_planes
 from ladar_volume.model.kernels import kernel
 
 #: Rounds of assignment and refit.
-ROUNDS = 8
-#: Share of the points nearest to a plane that must be its own beyond doubt, to be fitted to these alone.
-SURE = 0.25
-#: Least width of the strip of these, as standard deviation in noise sigma.
-WIDTH = 1.5
-#: Rounds before the points beyond doubt tell where planes end.
+ROUNDS = 12
+#: Rounds before the points' own shares tell where planes end.
 SETTLING = 1
+#: Movement of a plane over the neighbourhood, in noise sigma, below which it has settled.
+SETTLED = 0.02
+#: Least sum of shares a plane is fitted to.
+FEWEST = 4.0
 #: Planes closer than this, as the sine of their angle, are one where they also lie within the noise of each other.
 SAME_SINE = 0.1
 
 
 @kernel
-def clearances(planes: Any, count: Any, side: Any, sigma: Any, threshold: Any, out: Any) -> None:
-    """out (k, k): how far from plane b a foot point on plane a must lie for the point to be a's beyond doubt.
+def pieces_cost(x: Any, m: Any, planes: Any, count: Any, side: Any, limit: Any, sigma: Any, most: Any, support: Any) -> Any:
+    """Description length of points (m, 3) on the bounded pieces, in squared distances: truncated squares, and what it takes to say to
+    which piece a point belongs where its position does not tell. support (k,) gets the number of points nearest to each piece.
 
-    Points of b err by up to 2 sigma and count for a within the threshold. Where a is known to end at b, b's points stand over
-    a's own side only if the angle between the two pieces is acute; else just their noise reaches across the edge.
+    Without the second term a slab of noise is described better by two planes within it than by the one in its middle.
     """
-    for a in range(count):
-        for b in range(count):
-            c = planes[a, 0] * planes[b, 0] + planes[a, 1] * planes[b, 1] + planes[a, 2] * planes[b, 2]
-            out[a, b] = threshold * abs(c) + 2.0 * sigma
-            if side[a, b] != 0 and side[b, a] != 0:
-                # directions in each plane away from the edge: t_a = side_ab (n_b - c n_a), so t_a . t_b = -side side c (1 - c²)
-                fold = -side[a, b] * side[b, a] * c
-                out[a, b] = threshold * c * fold / abs(c) + 2.0 * sigma if fold > 0.0 else 2.0 * sigma * (1.0 - c * c)
+    cost, saying, q = 0.0, 0.0, np.empty(3)
+    support[:count] = 0
+    for i in range(m):
+        nearest, which, several = limit, -1, 0
+        for a in range(count):
+            on = nearest_on_piece(x[i], a, planes, count, side, q)
+            d = (x[i, 0] - q[0]) ** 2 + (x[i, 1] - q[1]) ** 2 + (x[i, 2] - q[2]) ** 2
+            several += on == 0 and d < limit
+            if d < nearest:
+                nearest, which = d, a
+        cost += nearest
+        if several > 1:
+            saying += 2.0 * np.log(several) * sigma * sigma
+        if which >= 0:
+            support[which] += 1
+        if cost + saying > most:
+            break
+    return cost + saying, cost
 
 
 @kernel
-def assign(x: Any, m: Any, planes: Any, count: Any, side: Any, clear: Any, threshold: Any, label: Any) -> None:
-    """Label every point with its plane; −1 beyond the threshold of all, −2 where its plane is in doubt.
+def share_out(x: Any, m: Any, planes: Any, count: Any, side: Any, sigma: Any, threshold: Any, share: Any, label: Any) -> None:
+    """share (k, m): the probability that a point belongs to each piece, and label (m,) of the likeliest, −1 for none.
 
-    In doubt are the points along an intersection: a choice by distance would pull the planes towards each other. The strip is
-    cut by where the *foot point* lies, which does not depend on the point's own noise.
+    The noise lies along the normal, so a point of a piece has its foot on that piece: where a foot lies beyond the intersection that
+    bounds the plane, the point is not the plane's. Along an intersection a point may be of either; all or nothing would pull the planes
+    towards each other, since each would lose its points on the far side of the other. Surfaces are sampled alike, so
+    the likelihoods need no further weights; an outlier is as likely as a point at the threshold.
     """
+    none = np.exp(-0.5 * threshold * threshold / (sigma * sigma))
     for i in range(m):
+        total, best = none, none
         label[i] = -1
-        nearest = np.inf
         for a in range(count):
             d = distance(x[i], planes[a])
+            share[a, i] = 0.0
             if abs(d) > threshold:
                 continue
             own = True
             for b in range(count):
-                if b == a:
-                    continue
-                c = planes[a, 0] * planes[b, 0] + planes[a, 1] * planes[b, 1] + planes[a, 2] * planes[b, 2]
-                e = distance(x[i], planes[b]) - d * c  # of the foot point
-                e = e * side[a, b] if side[a, b] != 0 else abs(e)
-                own = own and e > clear[a, b]
-            if own and abs(d) < nearest:
-                nearest = abs(d)
-                label[i] = a
-            elif label[i] == -1:
-                label[i] = -2
+                if side[a, b] != 0:
+                    c = planes[a, 0] * planes[b, 0] + planes[a, 1] * planes[b, 1] + planes[a, 2] * planes[b, 2]
+                    own = own and side[a, b] * (distance(x[i], planes[b]) - d * c) >= 0.0
+            if own:
+                share[a, i] = np.exp(-0.5 * d * d / (sigma * sigma))
+                total += share[a, i]
+                if share[a, i] > best:
+                    best = share[a, i]
+                    label[i] = a
+        for a in range(count):
+            share[a, i] /= total
+
+
+@kernel
+def certain(x: Any, m: Any, plane: Any, sigma: Any, share: Any, out: Any) -> None:
+    """What the points tell of a plane, over what they would if they were known to be its own (Louis 1982): a doubtful point tells less,
+    and less the farther it lies off. Its mean over the doubt is never below zero, single points count as zero where they would be."""
+    for i in range(m):
+        d = distance(x[i], plane) / sigma
+        out[i] = max(0.0, share[i] - share[i] * (1.0 - share[i]) * d * d)
 
 
 @kernel
@@ -92,43 +115,50 @@ def merge_same(planes: Any, means: Any, inverses: Any, used: Any, count: Any, si
 
 @kernel
 def refine(
-    x: Any, m: Any, planes: Any, means: Any, inverses: Any, used: Any, count: Any, sigma: Any, threshold: Any, least: Any, side: Any,
+    x: Any, m: Any, reach: Any, planes: Any, means: Any, inverses: Any, used: Any, count: Any, sigma: Any, threshold: Any, side: Any,
     label: Any,
 ) -> Any:  # fmt: skip
-    """Assign and refit all planes until no label changes. Returns the number of planes.
+    """Share out the points (m, 3) within ``reach`` and refit all planes, in turn until none moves (expectation and maximisation).
 
-    A plane with too few points beyond doubt, or in too narrow a strip to tell its tilt from the noise, is fitted to all that are
-    nearest to its piece.
+    Returns the number of planes; ``used``, ``means`` and ``inverses`` give their covariance.
     """
-    before, nearest, clear, trial = np.full(m, -3), np.empty(m, np.int64), np.zeros((MOST, MOST)), np.empty(4)
-    nearest_planes(x, m, planes, count, threshold * threshold, label)
+    share, before, best_set = np.zeros((MOST, m)), np.empty(4), planes.copy()
+    support, best, best_count = np.empty(MOST, np.int64), np.inf, count
+    limit, price = threshold * threshold, 3.0 * np.log(m) * sigma * sigma
+    nearest_planes(x, m, planes, count, limit, label)
     bounds(x, m, label, planes, count, sigma, side)
     for step in range(ROUNDS):
-        clearances(planes, count, side, sigma, threshold, clear)
-        assign(x, m, planes, count, side, clear, threshold, label)
-        nearest_pieces(x, m, planes, count, side, threshold * threshold, nearest)
-        for k in range(count):
-            trial[:] = planes[k]
-            sure, width = fit_plane(x, m, label, k, trial, means[k], inverses[k])
-            if sure < max(least, np.int64(SURE * np.count_nonzero(nearest == k))) or width < WIDTH * sigma:
-                for i in range(m):
-                    if nearest[i] == k:
-                        label[i] = k
-        changed = False
-        for i in range(m):
-            changed |= before[i] != label[i]
-            before[i] = label[i]
-        if not changed:
-            break
-        k = count - 1
+        length, _ = pieces_cost(x, m, planes, count, side, limit, sigma, best, support)
+        if length + count * price < best:
+            best, best_count = length + count * price, count
+            best_set[:count] = planes[:count]
+        share_out(x, m, planes, count, side, sigma, threshold, share, label)
+        moved, lost, k = 0.0, False, count - 1
         while k >= 0:
-            used[k], _ = fit_plane(x, m, label, k, planes[k], means[k], inverses[k])
-            if used[k] == 0:
-                count = drop_plane(planes, means, inverses, used, count, k)
-                nearest_planes(x, m, planes, count, threshold * threshold, label)
+            before[:] = planes[k]
+            used[k] = fit_shares(x, m, share[k], planes[k], means[k], inverses[k])
+            if used[k] < FEWEST:
+                count, lost = drop_plane(planes, means, inverses, used, count, k), True
+            else:
+                turn = (before[0] - planes[k, 0]) ** 2 + (before[1] - planes[k, 1]) ** 2 + (before[2] - planes[k, 2]) ** 2
+                moved = max(moved, abs(before[3] - planes[k, 3]) + reach * np.sqrt(turn))
             k -= 1
+        size = count
         count = merge_same(planes, means, inverses, used, count, sigma)
-        if step < SETTLING:
-            nearest_planes(x, m, planes, count, threshold * threshold, label)
+        if count < size or lost or step < SETTLING:
+            nearest_planes(x, m, planes, count, limit, label)
+        elif moved < SETTLED * sigma:
+            break
         bounds(x, m, label, planes, count, sigma, side)
+    length, _ = pieces_cost(x, m, planes, count, side, limit, sigma, best, support)
+    if best < length + count * price:
+        count = best_count
+        planes[:count] = best_set[:count]
+        nearest_planes(x, m, planes, count, limit, label)
+        bounds(x, m, label, planes, count, sigma, side)
+    share_out(x, m, planes, count, side, sigma, threshold, share, label)
+    for k in range(count):
+        certain(x, m, planes[k], sigma, share[k], share[k])
+        before[:] = planes[k]
+        used[k] = max(FEWEST, fit_shares(x, m, share[k], before, means[k], inverses[k]))
     return count

@@ -11,7 +11,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from ladar_volume.filtering import choice, pieces
+from ladar_volume.filtering import assignment, choice, pieces
 from ladar_volume.filtering.fit import AROUND, REACH
 from ladar_volume.filtering.frame import across
 from ladar_volume.filtering.osculating import foot_on_quadric
@@ -105,7 +105,7 @@ def main_planes(
                 label[:] = -1
                 for i in range(left):
                     label[free[i]] = 0 if abs(pieces.distance(x[free[i]], plane)) <= threshold else -1
-                used, _ = pieces.fit_plane(x, m, label, 0, plane, mean, inverse)
+                used = pieces.fit_plane(x, m, label, 0, plane, mean, inverse)
             if used < least:
                 break
             rest = 0
@@ -131,6 +131,21 @@ def offers(v: Any, keys: Any, table: Any, planes: Any, found: Any, origin: Any, 
 
 
 @kernel
+def sets_around(v: Any, keys: Any, table: Any, sets: Any, sizes: Any, origin: Any, out: Any, out_sizes: Any) -> Any:
+    """The sets of several planes of the cells around cell v, about ``origin``; returns how many."""
+    near, n = np.empty(AROUND, np.int64), 0
+    for i in range(voxels_around(keys[v], keys, table, REACH, near)):
+        w = near[i]
+        if sizes[w] > 1:
+            out_sizes[n] = sizes[w]
+            for a in range(sizes[w]):
+                out[n, a] = sets[w, a]
+                out[n, a, 3] -= sets[w, a, 0] * origin[0] + sets[w, a, 1] * origin[1] + sets[w, a, 2] * origin[2]
+            n += 1
+    return n
+
+
+@kernel
 def foot_on_planes(
     x: Any, origin: Any, planes: Any, count: Any, side: Any, means: Any, inverses: Any, used: Any, q: Any, n_out: Any
 ) -> Any:  # fmt: skip
@@ -145,9 +160,30 @@ def foot_on_planes(
 
 
 @kernel
+def several(
+    v: Any, keys: Any, table: Any, sets: Any, sizes: Any, seek: Any, x: Any, m: Any, origin: Any, own: Any, ball: Any, candidates: Any,
+    offered: Any, sigma: Any, threshold: Any, least: Any, most: Any, planes: Any, means: Any, inverses: Any, used: Any, side: Any,
+    label: Any,
+) -> Any:  # fmt: skip
+    """Several planes for the cell; returns (their number, length of the description without their price, sum of truncated squares)."""
+    limit = threshold * threshold
+    lent, lent_sizes = np.empty((AROUND, pieces.MOST, 4)), np.empty(AROUND, np.int64)
+    number = sets_around(v, keys, table, sets, sizes, origin, lent, lent_sizes)
+    count = choice.choose_planes(
+        x, m, own, ball, candidates, offered, lent[:number], lent_sizes[:number], seek, sigma, threshold, least, most, planes, means,
+        inverses, used, side, label,
+    )  # fmt: skip
+    if count == 0:
+        return 0, limit * m, limit * m
+    length, square = assignment.pieces_cost(x, m, planes, count, side, limit, sigma, np.inf, np.empty(pieces.MOST, np.int64))
+    return count, length, square
+
+
+@kernel
 def filter_cell(
-    v: Any, keys: Any, table: Any, main: Any, found: Any, slots: Any, n: Any, r: Any, first: Any, mine: Any, ball: Any, degree: Any,
-    sigma: Any, threshold: Any, least: Any, iterations: Any, snap: Any, q: Any, normals: Any, variance: Any, reason: Any,
+    v: Any, keys: Any, table: Any, main: Any, found: Any, sets: Any, sizes: Any, seek: Any, slots: Any, n: Any, r: Any, first: Any,
+    mine: Any, ball: Any, degree: Any, sigma: Any, threshold: Any, least: Any, iterations: Any, snap: Any, q: Any, normals: Any,
+    variance: Any, reason: Any, chosen: Any,
 ) -> Any:  # fmt: skip
     """Surface of one cell, and its own points projected. Returns (number of planes, −1 for a quadric, 0 for none; mean truncated
     square of all points near the cell over sigma²)."""
@@ -160,10 +196,10 @@ def filter_cell(
     candidates = np.empty((OFFERED * AROUND, 4))
     offered = offers(v, keys, table, main, found, origin, candidates)
     planes, means, inverses = np.zeros((pieces.MOST, 4)), np.zeros((pieces.MOST, 3)), np.zeros((pieces.MOST, 3, 3))
-    used, label, side = np.zeros(pieces.MOST, np.int64), np.empty(m, np.int64), np.zeros((pieces.MOST, pieces.MOST), np.int64)
+    used, label, side = np.zeros(pieces.MOST), np.empty(m, np.int64), np.zeros((pieces.MOST, pieces.MOST), np.int64)
     centre, normal, tangent, beta, inverse = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(6), np.zeros((6, 6))
-    limit, price = threshold * threshold, sigma * sigma * np.log(m)
-    length, square, curve, count, most = limit * m, limit * m, np.inf, 0, pieces.MOST
+    price, length = sigma * sigma * np.log(m), threshold * threshold * m
+    square, curve, count, most = length, np.inf, 0, pieces.MOST
     if offered > 0:
         planes[0] = candidates[nearest_to_origin(candidates, offered)]
         allowed = 3 * price if degree == 2 else np.inf
@@ -173,19 +209,16 @@ def filter_cell(
             curve, most = bend(x, m, n, r, slots, origin, keys[v], candidates, offered, ball, sigma, threshold, least, iterations,
                                centre, normal, tangent, beta, inverse)  # fmt: skip
         if most > 0:
-            count = choice.choose_planes(
-                x, m, candidates, offered, sigma, threshold, least, most, planes, means, inverses, used, side, label
+            count, length, square = several(
+                v, keys, table, sets, sizes, seek, x, m, origin, r[lo:hi] - origin, ball, candidates, offered, sigma, threshold, least,
+                most, planes, means, inverses, used, side, label,
             )  # fmt: skip
-        square = limit * m
-        if count > 0:
-            length, square = choice.pieces_cost(x, m, planes, count, side, limit, sigma, np.inf, np.empty(pieces.MOST, np.int64))
     curved = curve + 6 * price < length + 3 * count * price
-    square = curve if curved else square
-    across_t, reach = np.empty(3), ball * ball * PATCH / m + 4.0 * sigma * sigma
-    across(normal, tangent, across_t)
     if not curved and count == 0:
         verdict(lo, hi, mine, NO_SURFACE, reason)
         return 0, 9.0
+    across_t, reach = np.empty(3), ball * ball * PATCH / m + 4.0 * sigma * sigma
+    across(normal, tangent, across_t)
     for i in range(lo, hi):
         if not mine[i]:
             continue
@@ -201,7 +234,10 @@ def filter_cell(
             reason[i] = BEYOND_EDGE
         else:
             reason[i] = KEPT if supported(x, m, origin, q[i], reach) else UNSUPPORTED
-    return -1 if curved else count, square / (m * sigma * sigma)
+    for a in range(count):
+        chosen[a] = planes[a]
+        chosen[a, 3] += planes[a, 0] * origin[0] + planes[a, 1] * origin[1] + planes[a, 2] * origin[2]
+    return -1 if curved else count, (curve if curved else square) / (m * sigma * sigma)
 
 
 @kernel
@@ -214,8 +250,9 @@ def verdict(lo: Any, hi: Any, mine: Any, why: Any, reason: Any) -> None:
 
 @parallel_kernel
 def filter_cells(
-    keys: Any, table: Any, first: Any, r: Any, main: Any, found: Any, wanted: Any, mine: Any, ball: Any, degree: Any, noise: Any,
-    limit: Any, least: Any, iterations: Any, snap: Any, q: Any, normals: Any, variance: Any, reason: Any, kind: Any, misfit: Any,
+    keys: Any, table: Any, first: Any, r: Any, main: Any, found: Any, sets: Any, sizes: Any, seek: Any, wanted: Any, mine: Any, ball: Any,
+    degree: Any, noise: Any, limit: Any, least: Any, iterations: Any, snap: Any, q: Any, normals: Any, variance: Any, reason: Any,
+    kind: Any, misfit: Any, chosen: Any,
 ) -> None:  # fmt: skip
     """The ``wanted`` cells of points (n, 3) sorted by voxel; each writes only those of its own points that are ``mine``."""
     for v in numba.prange(len(keys)):
@@ -226,6 +263,6 @@ def filter_cells(
         slots = np.empty(n, np.int64)
         gather(v, keys, table, first, r, slots)
         kind[v], misfit[v] = filter_cell(
-            v, keys, table, main, found, slots, n, r, first, mine, ball, degree, noise[v], limit[v], least, iterations, snap, q, normals,
-            variance, reason,
+            v, keys, table, main, found, sets, sizes, seek, slots, n, r, first, mine, ball, degree, noise[v], limit[v], least, iterations,
+            snap, q, normals, variance, reason, chosen[v],
         )  # fmt: skip

@@ -6,47 +6,20 @@ from typing import Any
 
 import numpy as np
 
-from ladar_volume.filtering.assignment import refine
-from ladar_volume.filtering.pieces import MOST, bounds, distance, fit_plane, nearest_on_piece, nearest_pieces, nearest_planes
+from ladar_volume.filtering.assignment import pieces_cost, refine
+from ladar_volume.filtering.pieces import MOST, bounds, distance, fit_plane, nearest_piece, nearest_pieces, nearest_planes
 from ladar_volume.model.kernels import kernel
 
-#: Least share of the points a plane needs: outliers give this much to any slab.
+#: Least share of the points a plane needs: outliers give this much to any slab. Half of it where a neighbour found the plane.
 CHANCE = 0.03
 #: Most points looked at to choose planes.
 SEEN = 250
-#: Mean truncated square over sigma² of a choice that need not be searched for again: noise, and outliers of a few per cent.
-ENOUGH = 1.25
+#: Mean truncated square over sigma² of a choice that needs no search: noise, and outliers of a few per cent.
+ENOUGH = 1.2
 #: So many planes that still leave this mean truncated square over sigma² do not describe a surface: leaves, grass, cables.
 SEVERAL, CLUTTER = 3, 3.0
-#: Most candidates tried in all combinations.
-TRIED = 10
-
-
-@kernel
-def pieces_cost(x: Any, m: Any, planes: Any, count: Any, side: Any, limit: Any, sigma: Any, most: Any, support: Any) -> Any:
-    """Description length of points (m, 3) on the bounded pieces, in squared distances: truncated squares, and what it takes to say to
-    which piece a point belongs where its position does not tell. support (k,) gets the number of points nearest to each piece.
-
-    Without the second term a slab of noise is described better by two planes within it than by the one in its middle.
-    """
-    cost, saying, q = 0.0, 0.0, np.empty(3)
-    support[:count] = 0
-    for i in range(m):
-        nearest, which, several = limit, -1, 0
-        for a in range(count):
-            on = nearest_on_piece(x[i], a, planes, count, side, q)
-            d = (x[i, 0] - q[0]) ** 2 + (x[i, 1] - q[1]) ** 2 + (x[i, 2] - q[2]) ** 2
-            several += on == 0 and d < limit
-            if d < nearest:
-                nearest, which = d, a
-        cost += nearest
-        if several > 1:
-            saying += 2.0 * np.log(several) * sigma * sigma
-        if which >= 0:
-            support[which] += 1
-        if cost + saying > most:
-            break
-    return cost + saying, cost
+#: Most candidates tried, and how many of them in all combinations.
+TRIED, TOGETHER = 10, 3
 
 
 @kernel
@@ -91,16 +64,83 @@ def description(
 
 
 @kernel
-def search(
-    y: Any, n: Any, few: Any, tried: Any, m: Any, sigma: Any, threshold: Any, need: Any, most: Any, polish: Any, planes: Any, side: Any,
-    label: Any,
+def few_planes(
+    y: Any, n: Any, few: Any, tried: Any, m: Any, sigma: Any, threshold: Any, need: Any, most: Any, planes: Any, side: Any, label: Any
 ) -> Any:  # fmt: skip
-    """At most ``most`` planes, added, exchanged and dropped one at a time, whatever shortens the description most; ``polish``:
-    refitted after every such move; none for clutter. Returns (number of planes, description length)."""
-    trial, best_set, mean, inverse = np.empty((MOST, 4)), np.empty((MOST, 4)), np.empty(3), np.empty((3, 3))
+    """The best set of up to ``TOGETHER`` candidates, all sets compared. Returns (number of planes, description length).
+
+    The sum over the points of the square to the nearest of the unbounded planes is a lower bound; sets come in its order.
+    """
     limit = threshold * threshold
+    square = np.empty((tried, n))
+    for c in range(tried):
+        for i in range(n):
+            d = distance(y[i], few[c])
+            square[c, i] = min(d * d, limit)
+    sets, least, number = np.empty((tried * (tried * tried + 5) // 6, TOGETHER), np.int64), np.empty(tried * (tried * tried + 5) // 6), 0
+    price = 3.0 * np.log(m) * sigma * sigma
+    pair = np.empty(n)
+    for a in range(tried):
+        for b in range(a, tried):
+            pair[:] = np.minimum(square[a], square[b])
+            for c in range(b, tried):
+                size = 1 + (b > a) + (c > b)
+                if size > most or (a == b and c > b):  # every set once: a, ab as abb, abc
+                    continue
+                total = 0.0
+                for i in range(n):
+                    total += min(pair[i], square[c, i])
+                sets[number, 0], sets[number, 1], sets[number, 2] = a, b, c
+                least[number] = total * m / n + size * price
+                number += 1
+    trial = np.empty((MOST, 4))
     count, cost = 0, limit * m
+    for s in np.argsort(least[:number]):
+        if least[s] >= cost:
+            break
+        a, b, c = sets[s]
+        size = 1 + (b > a) + (c > b)
+        trial[0], trial[1], trial[2] = few[a], few[b], few[c]
+        length = description(y, n, trial, size, m, sigma, threshold, need, cost, side, label)
+        if length < cost:
+            count, cost = size, length
+            planes[:size] = trial[:size]
+    return count, cost
+
+
+@kernel
+def polish(
+    y: Any, n: Any, count: Any, cost: Any, m: Any, sigma: Any, threshold: Any, need: Any, planes: Any, side: Any, label: Any
+) -> Any:  # fmt: skip
+    """Refit the planes to the points nearest to their pieces, where that shortens the description; returns its length."""
+    trial, mean, inverse = np.empty((MOST, 4)), np.empty(3), np.empty((3, 3))
+    limit = threshold * threshold
+    nearest_planes(y, n, planes, count, limit, label)
+    bounds(y, n, label, planes, count, sigma, side)
+    nearest_pieces(y, n, planes, count, side, limit, label)
+    trial[:count] = planes[:count]
+    for k in range(count):
+        fit_plane(y, n, label, k, trial[k], mean, inverse)
+    length = description(y, n, trial, count, m, sigma, threshold, need, cost, side, label)
+    if length < cost:
+        planes[:count] = trial[:count]
+        return length
+    return cost
+
+
+@kernel
+def search(
+    y: Any, n: Any, few: Any, tried: Any, m: Any, sigma: Any, threshold: Any, need: Any, most: Any, planes: Any, side: Any, label: Any
+) -> Any:  # fmt: skip
+    """At most ``most`` planes: the best few, then added, exchanged and dropped one at a time, whatever shortens the description most,
+    and refitted after every such move; none for clutter. Returns (number of planes, description length)."""
+    trial, best_set = np.empty((MOST, 4)), np.empty((MOST, 4))
+    count, cost = few_planes(y, n, few, tried, m, sigma, threshold, need, most, planes, side, label)
     for _ in range(2 * MOST):
+        if count >= SEVERAL and cost > CLUTTER * m * sigma * sigma:
+            return 0, np.inf
+        if count > 0:
+            cost = polish(y, n, count, cost, m, sigma, threshold, need, planes, side, label)
         best, best_count = cost, -1
         for c in range(-1, tried):
             # move k: plane k exchanged for candidate c, or dropped for c = −1; k = count: added
@@ -122,45 +162,59 @@ def search(
             break
         count, cost = best_count, best
         planes[:count] = best_set[:count]
-        if count >= SEVERAL and cost > CLUTTER * m * sigma * sigma:
-            return 0, np.inf
-        if not polish:
-            continue
-        nearest_planes(y, n, planes, count, limit, label)
-        bounds(y, n, label, planes, count, sigma, side)
-        nearest_pieces(y, n, planes, count, side, limit, label)
-        trial[:count] = planes[:count]
-        for k in range(count):
-            fit_plane(y, n, label, k, trial[k], mean, inverse)
-        length = description(y, n, trial, count, m, sigma, threshold, need, cost, side, label)
-        if length < cost:
-            cost = length
-            planes[:count] = trial[:count]
     return count, cost
 
 
 @kernel
-def choose_planes(
-    x: Any, m: Any, candidates: Any, offered: Any, sigma: Any, threshold: Any, least: Any, most: Any, planes: Any, means: Any,
-    inverses: Any, used: Any, side: Any, label: Any,
+def best_lent(
+    y: Any, n: Any, lent: Any, sizes: Any, m: Any, sigma: Any, threshold: Any, need: Any, most: Any, planes: Any, side: Any, label: Any
 ) -> Any:  # fmt: skip
-    """The planes, at most ``most``, among the ``offered`` candidates whose pieces together describe the points (m, 3) best, refined.
+    """Of the sets (k, MOST, 4) that neighbours chose, the one with the shortest description here. Returns (number of planes, length)."""
+    count, cost = 0, threshold * threshold * m
+    for a in range(len(lent)):
+        if sizes[a] <= most:
+            length = description(y, n, lent[a], sizes[a], m, sigma, threshold, need, cost, side, label)
+            if length < cost:
+                count, cost = sizes[a], length
+                planes[:count] = lent[a, :count]
+    return count, cost
+
+
+@kernel
+def explains(own: Any, y: Any, n: Any, planes: Any, count: Any, sigma: Any, threshold: Any, side: Any, label: Any) -> Any:
+    """Whether the pieces, with their ends told from the points y (n, 3), leave no more of the points ``own`` (k, 3) than outliers."""
+    nearest_planes(y, n, planes, count, threshold * threshold, label)
+    bounds(y, n, label, planes, count, sigma, side)
+    left, q = 0, np.empty(3)
+    for i in range(len(own)):
+        _, d, _ = nearest_piece(own[i], planes, count, side, q)
+        left += d > threshold
+    return left <= CHANCE * len(own)
+
+
+@kernel
+def choose_planes(
+    x: Any, m: Any, own: Any, reach: Any, candidates: Any, offered: Any, lent: Any, sizes: Any, seek: Any, sigma: Any, threshold: Any,
+    least: Any, most: Any, planes: Any, means: Any, inverses: Any, used: Any, side: Any, label: Any,
+) -> Any:  # fmt: skip
+    """The planes, at most ``most``, whose pieces together describe the points (m, 3) best, refined: a set lent by a neighbour, or
+    if none of these explains the points, and in particular the cell's ``own``, and ``seek``, one from among the ``offered`` candidates.
 
     Returns their number. A plane costs its three parameters (BIC) and needs more support than outliers give any slab. At most ``SEEN``
-    points are looked at. A search ends in a best choice of its neighbourhood only, so there may be two: polishing after every move
-    helps one and hinders another.
+    points are looked at.
     """
-    stride = (m + SEEN - 1) // SEEN
+    stride = (m + SEEN - 1) // SEEN if seek else 1
     y = x[:m:stride]
     n = len(y)
     need = max(least // stride, np.int64(CHANCE * n), 1)
-    few, other = np.empty((TRIED, 4)), np.empty((MOST, 4))
-    tried = distinct(y, n, candidates, offered, threshold * threshold, few)
-    count, cost = search(y, n, few, tried, m, sigma, threshold, need, most, True, planes, side, label)
-    # what outliers cost is not known; a choice that leaves hardly more than noise of the rest is not searched for again
-    if count > 1 and cost - 3.0 * count * np.log(m) * sigma * sigma > ENOUGH * m * sigma * sigma:
-        size, length = search(y, n, few, tried, m, sigma, threshold, need, most, False, other, side, label)
+    count, cost = best_lent(y, n, lent, sizes, m, sigma, threshold, max(need // 2, 1), most, planes, side, label)
+    price = 3.0 * np.log(m) * sigma * sigma
+    enough = count > 0 and cost - count * price <= ENOUGH * m * sigma * sigma
+    if seek and not (enough and explains(own, y, n, planes, count, sigma, threshold, side, label)):
+        few, found = np.empty((TRIED, 4)), np.empty((MOST, 4))
+        tried = distinct(y, n, candidates, offered, threshold * threshold, few)
+        size, length = search(y, n, few, tried, m, sigma, threshold, need, most, found, side, label)
         if length < cost:
             count = size
-            planes[:size] = other[:size]
-    return refine(x, m, planes, means, inverses, used, count, sigma, threshold, least, side, label)
+            planes[:count] = found[:count]
+    return refine(x, m, reach, planes, means, inverses, used, count, sigma, threshold, side, label)

@@ -11,8 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladar_volume.filtering import cells, kernels
+from ladar_volume.filtering.choice import ENOUGH
 from ladar_volume.filtering.fit import REACH
+from ladar_volume.filtering.pieces import MOST
 from ladar_volume.filtering.sampling import sorted_by_voxel
+from ladar_volume.filtering.store import BITS
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64, I64, Bool
 
@@ -20,6 +23,9 @@ from ladar_volume.model.records import F64, I64, Bool
 CELL = 0.7
 #: A cell looks for planes within the ball's radius over this; it is offered those of its neighbours too.
 NARROWER = 2.5
+#: Leaders search their planes; the others take over what a neighbour found where it explains their points, and else search too; in the
+#: last turn cells of several planes and such as are not explained choose again among what all around them found, by all of their points.
+TURNS = 3
 
 
 @dataclass(frozen=True)
@@ -83,11 +89,25 @@ def _cover_level(
     n = len(r)
     q, normal, variance, reason = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.zeros(n, np.int64)
     kind, misfit = np.zeros(len(keys), np.int64), np.zeros(len(keys))
-    cells.filter_cells(
-        keys, table, first, ordered, main, found, wanted, mine, ball, degree, noise, limit, parameters.min_points,
-        parameters.refit_iterations, parameters.edge == "snap", q, normal, variance, reason, kind, misfit,
-    )  # fmt: skip
+    sets, sizes, chosen = np.zeros((len(keys), MOST, 4)), np.zeros(len(keys), np.int64), np.zeros((len(keys), MOST, 4))
+    lead = _leaders(keys)
+    for turn, some in enumerate((wanted & lead, wanted & ~lead, wanted)):
+        if turn == TURNS - 1:
+            some = some & ((kind > 1) | (kind != 0) & (misfit > ENOUGH))
+        cells.filter_cells(
+            keys, table, first, ordered, main, found, sets, sizes, turn < TURNS - 1, some, mine, ball, degree, noise, limit,
+            parameters.min_points, parameters.refit_iterations, parameters.edge == "snap", q, normal, variance, reason, kind, misfit,
+            chosen,
+        )  # fmt: skip
+        sets[some], sizes[some] = chosen[some], kind[some]
     to = order[mine]
     out.q[to], out.normal[to], out.variance[to], out.reason[to] = q[mine], normal[mine], variance[mine], reason[mine]
     out.kind[to], out.misfit[to] = np.repeat(kind, size)[mine], np.repeat(misfit, size)[mine]
     return int(np.count_nonzero(wanted))
+
+
+def _leaders(keys: I64) -> Bool:
+    """One cell of each block of two by two by two."""
+    one = np.int64(1)
+    lead: Bool = ((keys >> (2 * BITS) | keys >> BITS | keys) & one) == 0
+    return lead

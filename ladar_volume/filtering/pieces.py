@@ -17,10 +17,10 @@ from ladar_volume.model.kernels import kernel
 MOST = 8
 #: A point scores for a plane within this many sigma: uniform noise ends at 1.73, a third of a plane tilted across an edge lies beyond.
 SCORE_SIGMAS = 2.2
-#: Share of a plane's support on one side of another plane from which on that plane bounds it.
-ONE_SIDED = 0.97
+#: A plane bounds another where no more of its points than this share, and this many besides, lie on the far side: outliers do.
+STRAY, STRAYS = 0.03, 2
 #: Fewest points from which sides are told.
-CLEAR = 8
+CLEAR = 12
 
 
 @kernel
@@ -86,37 +86,37 @@ def best_plane(x: Any, free: Any, m: Any, reach: Any, threshold: Any, trials: An
 
 
 @kernel
-def fit_plane(x: Any, m: Any, label: Any, own: Any, plane: Any, mean: Any, inverse: Any) -> Any:
-    """Orthogonal least squares of the points labelled ``own``; returns (number, standard deviation along their narrow side).
+def fit_shares(x: Any, m: Any, share: Any, plane: Any, mean: Any, inverse: Any) -> Any:
+    """Orthogonal least squares of points (m, 3) that count by their shares (m,); returns the sum of the shares, 0 where they
+    determine no plane.
 
     The inverse (3, 3) is that of the scatter about the mean with the normal's own direction set aside: the covariance
     of the plane's two tilts is sigma² times its projection.
     """
-    n = 0
+    total = 0.0
     mean[:] = 0.0
     for i in range(m):
-        if label[i] == own:
-            n += 1
-            for k in range(3):
-                mean[k] += x[i, k]
-    if n < 4:
-        return 0, 0.0
+        total += share[i]
+        for k in range(3):
+            mean[k] += share[i] * x[i, k]
+    if total < 3.0:
+        return 0.0
     for k in range(3):
-        mean[k] /= n
+        mean[k] /= total
     S = np.zeros((3, 3))
     for i in range(m):
-        if label[i] == own:
+        if share[i] > 0.0:
             d0, d1, d2 = x[i, 0] - mean[0], x[i, 1] - mean[1], x[i, 2] - mean[2]
-            S[0, 0] += d0 * d0
-            S[0, 1] += d0 * d1
-            S[0, 2] += d0 * d2
-            S[1, 1] += d1 * d1
-            S[1, 2] += d1 * d2
-            S[2, 2] += d2 * d2
+            S[0, 0] += share[i] * d0 * d0
+            S[0, 1] += share[i] * d0 * d1
+            S[0, 2] += share[i] * d0 * d2
+            S[1, 1] += share[i] * d1 * d1
+            S[1, 2] += share[i] * d1 * d2
+            S[2, 2] += share[i] * d2 * d2
     S[1, 0], S[2, 0], S[2, 1] = S[0, 1], S[0, 2], S[1, 2]
     value, vector = np.linalg.eigh(S)
     if not value[1] > 1e-12 * max(value[2], 1e-300):
-        return 0, 0.0
+        return 0.0
     n0, n1, n2 = vector[0, 0], vector[1, 0], vector[2, 0]
     if n0 * plane[0] + n1 * plane[1] + n2 * plane[2] < 0.0:
         n0, n1, n2 = -n0, -n1, -n2
@@ -125,7 +125,20 @@ def fit_plane(x: Any, m: Any, label: Any, own: Any, plane: Any, mean: Any, inver
     for i in range(3):
         for j in range(3):
             inverse[i, j] = vector[i, 1] * vector[j, 1] / value[1] + vector[i, 2] * vector[j, 2] / value[2]
-    return n, np.sqrt(value[1] / n)
+    return total
+
+
+@kernel
+def fit_plane(x: Any, m: Any, label: Any, own: Any, plane: Any, mean: Any, inverse: Any) -> Any:
+    """Orthogonal least squares of the points labelled ``own``, as :func:`fit_shares`; returns their number, 0 for less than four."""
+    share, n = np.zeros(m), 0
+    for i in range(m):
+        if label[i] == own:
+            share[i] = 1.0
+            n += 1
+    if n < 4 or fit_shares(x, m, share, plane, mean, inverse) == 0.0:
+        return 0
+    return n
 
 
 @kernel
@@ -185,10 +198,9 @@ def bounds(x: Any, m: Any, label: Any, planes: Any, count: Any, sigma: Any, side
             side[a, b] = 0
             if a == b or total[a, b] < CLEAR:
                 continue
-            if above[a, b] >= ONE_SIDED * total[a, b]:
-                side[a, b] = 1
-            elif above[a, b] <= (1.0 - ONE_SIDED) * total[a, b]:
-                side[a, b] = -1
+            below = total[a, b] - above[a, b]
+            if min(above[a, b], below) <= STRAY * total[a, b] + STRAYS:
+                side[a, b] = 1 if above[a, b] > below else -1
 
 
 @kernel

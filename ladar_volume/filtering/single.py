@@ -90,7 +90,7 @@ def flat(
         if count == near:
             break
         near = count
-        used, _ = pieces.fit_plane(x, m, label, 0, plane, mean, inverse)
+        used = pieces.fit_plane(x, m, label, 0, plane, mean, inverse)
         if used < EXPLAINS * m:
             return 0, used, 0.0
     if square > used * sigma * sigma * (1.0 + 2.0 / np.sqrt(used)):

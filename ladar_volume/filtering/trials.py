@@ -41,7 +41,7 @@ def trials_needed(share: Any, k: Any, confidence: Any) -> Any:
 @kernel
 def plane_and_scatter(x: Any, m: Any, label: Any, own: Any, plane: Any, mean: Any, inverse: Any) -> Any:
     """Least squares of the points labelled ``own``, see ``pieces.fit_plane``; returns (number, standard deviation of residuals)."""
-    used, _ = fit_plane(x, m, label, own, plane, mean, inverse)
+    used = fit_plane(x, m, label, own, plane, mean, inverse)
     square = 0.0
     for i in range(m):
         if label[i] == own and used > 0:
@@ -58,7 +58,7 @@ def plane_of(x: Any, pick: Any, k: Any, plane: Any) -> Any:
     for a in range(k):
         for c in range(3):
             some[a, c] = x[c, pick[a]]
-    used, _ = fit_plane(some, k, label, 0, plane, mean, inverse)
+    used = fit_plane(some, k, label, 0, plane, mean, inverse)
     return used > 0
 
 
