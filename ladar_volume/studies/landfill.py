@@ -37,6 +37,9 @@ LOAD_KG, SIGMA_LOAD_KG, SIGMA_CALIBRATION = 4000.0, 20.0, 0.001
 #: How far the sphere is off that was knocked over before the second scan, m; which one, and which one a machine hides from each scan.
 KNOCKED_M, KNOCKED, HIDDEN = 0.05, 2, (4, 5)
 MARGIN_M, RING_M = 0.5, 0.08
+#: Noise across the beam that a point on a sphere is given, in sigmas along it. Where the beam only touches, range noise σ leaves the sphere
+#: in second order, by σ²/2R in the mean: without this the limb would count too much, and sigma of a centre come out a seventh too small.
+ACROSS = 0.2
 #: One point per cell of this size serves, m: independent noise is the least part of the budget. Cells of the series over resolution.
 THIN_M = 0.02
 CELLS_M = (0.015, 0.03, 0.06, 0.12, 0.24)
@@ -73,7 +76,7 @@ def fitted(points: F64, number: I64, instrument: F64, sigma_m: float) -> dict[in
     for k in np.unique(number).tolist():
         p = points[number == k]
         if len(p) >= MIN_POINTS:
-            out[k] = fit_sphere(p, beam_noise(p, instrument, sigma_m) + (0.1 * sigma_m) ** 2 * np.eye(3), SPHERE_M, instrument)
+            out[k] = fit_sphere(p, beam_noise(p, instrument, sigma_m) + (ACROSS * sigma_m) ** 2 * np.eye(3), SPHERE_M, instrument)
     return out
 
 
