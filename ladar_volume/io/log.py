@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -25,6 +26,40 @@ LIBRARY = "ladar_volume"
 def usual_definition(kind: str) -> str:
     """Message definition of a type of the common interfaces; empty where it is none of them."""
     return str(TYPESTORE.generate_msgdef(kind, ros_version=2)[0]) if kind in TYPESTORE.fielddefs else ""
+
+
+class _Syncer:
+    """Asks the disk to confirm, in a thread of its own: a slow confirmation must not hold up the next chunk."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._due, self._ended = threading.Event(), False
+        self._error: OSError | None = None
+        self._thread = threading.Thread(target=self._run, name="sync", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while True:
+            self._due.wait()
+            if self._ended:
+                return
+            self._due.clear()
+            try:
+                os.fdatasync(self._descriptor)
+            except OSError as error:
+                self._error = error
+
+    def request(self) -> None:
+        """Confirm what has been written. Raises what an earlier request failed with."""
+        if self._error is not None:
+            raise self._error
+        self._due.set()
+
+    def end(self) -> None:
+        """Wait for a confirmation in progress; no further one is asked for."""
+        self._ended = True
+        self._due.set()
+        self._thread.join()
 
 
 class McapLog:
@@ -51,6 +86,7 @@ class McapLog:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self._stream = self.path.open("xb")
         fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # nobody repairs a file that is being written
+        self._syncer = _Syncer(self._stream.fileno()) if self.parameters.sync == "chunk" else None
         self._writer = Writer(self._stream, chunk_size=2**31, compression=COMPRESSION[self.parameters.compression])
         self._writer.start(profile="ros2", library=f"{LIBRARY} {version()}")
         self._stream.flush()  # from here on a killed logger leaves a file that can be repaired
@@ -111,8 +147,8 @@ class McapLog:
     def _flush(self) -> None:
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._stream.flush()
-        if self.parameters.sync == "chunk":
-            os.fdatasync(self._stream.fileno())
+        if self._syncer is not None:
+            self._syncer.request()
 
     def metadata(self, name: str, values: dict[str, str]) -> None:
         """Attach named text values, such as the effective parameters."""
@@ -133,11 +169,18 @@ class McapLog:
     def _finish(self) -> None:
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._stream.flush()
+        self._end_sync()
         os.fsync(self._stream.fileno())
         self._stream.close()
 
+    def _end_sync(self) -> None:
+        if self._syncer is not None:
+            self._syncer.end()
+            self._syncer = None
+
     def abandon(self) -> None:
         """Let go of a file the disk no longer takes; what it holds can be repaired."""
+        self._end_sync()
         with contextlib.suppress(OSError):  # the buffer could not be written; the descriptor is closed all the same
             self._stream.close()
 

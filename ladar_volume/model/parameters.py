@@ -240,7 +240,7 @@ class LoggerParameters:
     chunk_bytes: int = param(4_000_000, "Largest chunk.", unit="B", low=1000, high=2**31 - 1)
     compression: str = param("zstd", "Chunk compression.", choices=("zstd", "lz4", "none"))
     sync: str = param(
-        "chunk", "When the disk must confirm: every chunk (survives a power cut), or never (survives a killed process).",
+        "chunk", "What the disk is asked to confirm: every chunk, against power cuts, or nothing; a killed process needs neither.",
         choices=("chunk", "never"),
     )  # fmt: skip
     split_bytes: int = param(0, "Start a new file beyond this size; 0 for never.", unit="B", low=0)
