@@ -16,8 +16,9 @@ from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.records import F64, I64
 from ladar_volume.volume.navigation import matrix_root
 
-#: Spacing of the knots (s), and how many there may be.
-KNOT_S, MOST_KNOTS = 1.0, 300
+#: Spacing of the knots (s), and how many there may be. Errors faster than the knots pass for noise; those as fast as a vehicle sways, from
+#: which the clock is told, must not.
+KNOT_S, MOST_KNOTS = 0.25, 600
 
 
 @dataclass(frozen=True)

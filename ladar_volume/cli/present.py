@@ -54,4 +54,8 @@ def budget_table(result: Mapping[str, Any]) -> Table:
         if variance > 1e-4 * total:
             own, halved = max(variance, 0.0) ** 0.5, result["sigma_if_halved_m3"][source]
             budget.add_row(source.replace("_", " "), f"{own:.4f}", f"{100 * variance / total:.1f} %", f"{halved:.4f}")
+            within = result.get("budget_within_m6") or {}
+            for part, marginal in within.items() if source == "calibration" else ():
+                if marginal > 1e-4 * total:
+                    budget.add_row(f"  {part.replace('_', ' ')} alone", f"{marginal**0.5:.4f}", "correlated", "")
     return budget

@@ -33,6 +33,7 @@ def volume_dict(volume: Volume) -> dict[str, Any]:
         "base": volume.base, "base_same_survey": volume.base_same_survey, "centroid_map_m": list(volume.centroid_map),
         "budget_m6": dict(sorted(volume.budget_m6.items(), key=lambda item: -item[1])),
         "largest_source": volume.largest_source, "sigma_if_halved_m3": volume.sigma_if_halved_m3,
+        "budget_within_m6": volume.budget_within_m6,
         "sigma_tau_range_m3": list(volume.sigma_tau_range_m3), "sigma_naive_m3": volume.sigma_naive_m3,
         "vertices": volume.vertices, "triangles": volume.triangles, "t_ns": volume.t_ns,
     }  # fmt: skip

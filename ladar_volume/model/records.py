@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
@@ -261,7 +261,8 @@ class Plane:
 @dataclass(frozen=True)
 class Volume:
     """A volume with its budget. Net = cut − fill inside the outline. ``budget_m6`` adds up to ``sigma_m3 ** 2``. ``folded_m3`` : taken from
-    cut and from fill by the folded-normal correction, where the surface runs near its base, over ``near_area_m2``; net is not touched."""
+    cut and from fill by the folded-normal correction, where the surface runs near its base, over ``near_area_m2``; net is not touched.
+    ``budget_within_m6`` : marginal variances inside the line ``calibration`` where its sources are correlated; they do not add up to it."""
 
     volume_m3: float
     sigma_m3: float
@@ -282,6 +283,7 @@ class Volume:
     t_ns: int
     folded_m3: float = 0.0
     near_area_m2: float = 0.0
+    budget_within_m6: dict[str, float] = field(default_factory=dict)
 
     @property
     def interval_m3(self) -> tuple[float, float]:

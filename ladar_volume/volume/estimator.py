@@ -144,6 +144,7 @@ class VolumeEstimator:
             triangles=int(np.count_nonzero(mask)),
             t_ns=self._t_ns,
             folded_m3=folded,
+            budget_within_m6=budget.within,
             near_area_m2=0.0 if near is None else near.near_area_m2,
         )
 

@@ -107,6 +107,12 @@ def calibration_variance(J: F64, C_cal: F64) -> dict[str, float]:
         label[index] = number
     if (C_cal[label[:, None] != label[None]] != 0).any():
         return {"calibration": float(J @ C_cal @ J)}
+    return calibration_marginals(J, C_cal)
+
+
+def calibration_marginals(J: F64, C_cal: F64) -> dict[str, float]:
+    """Variance of each group by itself, of a sensitivity J (c,): within a correlated block they do not add up to its variance."""
+    groups = calibration_groups(len(J))
     return {name: float(J[i] @ C_cal[np.ix_(i, i)] @ J[i]) for name, i in groups.items()}
 
 

@@ -9,7 +9,7 @@ from ladar_volume.georeference.budget import calibration_covariance, correlation
 from ladar_volume.io.config import changed_config, read_config
 from ladar_volume.model.errors import ParameterValueError
 from ladar_volume.model.parameters import BudgetParameters, Parameters
-from ladar_volume.volume.propagation import calibration_variance
+from ladar_volume.volume.propagation import calibration_marginals, calibration_variance
 
 BEAMS = 3
 
@@ -31,6 +31,8 @@ def test_a_covariance_survives_the_file(size, tmp_path):
     assert found[:size, :size] == pytest.approx(C, rel=1e-6, abs=1e-9 * C.max())
     assert not found[:size, size:].any() and (np.linalg.eigvalsh(found) > 0).all()
     J = np.linspace(1.0, 2.0, 11 + 2 * BEAMS)
+    boresight = calibration_marginals(J, found)["boresight"]
+    assert boresight == pytest.approx(J[1:4] @ found[1:4, 1:4] @ J[1:4]) and boresight != pytest.approx(J @ found @ J)
     assert calibration_variance(J, found) == {"calibration": pytest.approx(J @ found @ J)}
 
 

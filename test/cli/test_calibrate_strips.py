@@ -52,6 +52,7 @@ def test_the_calibrated_file_is_replayed_with_one_line_for_the_calibration(bag, 
     assert main(["replay", str(bag), "--config", str(out), "--json", "--no-figure", "-o", str(tmp_path / "out")]) == 0
     result = json.loads(capsys.readouterr().out)
     assert "calibration" in result["budget_m6"] and "boresight" not in result["budget_m6"]
+    assert {"boresight", "clock", "lever_laser"} <= result["budget_within_m6"].keys()
     assert sum(result["budget_m6"].values()) == pytest.approx(result["sigma_m3"] ** 2)
 
 
