@@ -148,6 +148,8 @@ class MavlinkNode(StageNode):
             self._publish(item)
 
     def _publish(self, record: Record) -> None:
+        if not self.context.ok():
+            return  # interrupted: nobody can hear it any more
         name, publisher, convert = self._out[type(record)]
         publisher.publish(convert(record))
         self.sent[name] += 1

@@ -323,7 +323,7 @@ def test_bytes_in_any_portions_give_the_same_packets_and_the_buffer_stays_small(
     assert session.stream.packets == 300
 
 
-def test_ten_thousand_mutated_inputs_crash_nothing_and_every_byte_is_accounted_for():
+def test_five_thousand_mutated_packets_crash_nothing_and_noise_is_counted():
     frames, r = stream_of(200), random.Random(6)
     session = MavlinkSession(MavlinkParameters())
     for i in range(5000):
@@ -348,7 +348,7 @@ def wild(r, cls, vehicle):
     vehicle.mav.send(cls(**values))
 
 
-def test_ten_thousand_wild_but_valid_messages_each_give_a_record_or_a_reason():
+def test_five_thousand_wild_but_valid_messages_each_give_a_record_or_a_reason():
     session, vehicle = settled(roll_pitch_sigma_rad=0.01)
     r = random.Random(8)
     names = {"GPS_RAW_INT", "ATTITUDE", "ATTITUDE_QUATERNION", "ODOMETRY", "HIGHRES_IMU", "RAW_IMU", "SYSTEM_TIME", "TIMESYNC", "HEARTBEAT"}
