@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from ladar_volume.calibration.adjustment import Observations, Solution, observations, off_plane, solve, without
 from ladar_volume.calibration.drift import Drift, drift
@@ -26,6 +25,10 @@ from ladar_volume.model.records import CAL_COLUMNS, F64, I64
 CORRECTED: I64 = np.arange(1, len(CAL_COLUMNS))
 #: Share of the prior sigma below which a constant counts as estimated, and above which it counts as held at its prior.
 ESTIMATED, HELD = 0.5, 0.9
+#: Chi-square over its degrees of freedom up to which strips agree: flights that fit their budget have 0.9 to 1.1 (curved patches, white
+#: noise of the fixes), those with errors three times the budget's 1.2 to 1.4. With thousands of degrees of freedom a test would refuse
+#: them all.
+AGREE = 1.2
 _CONVERGED, _NOISE_STEADY, _MOST_STEPS = 1e-2, 0.01, 15
 #: Patches are searched anew until a step is within one sigma, or this often.
 _NEAR, _SEARCHING = 1.0, 6
@@ -49,7 +52,7 @@ class StripCalibration:
     theta : (c,) corrections of the constants (body rotation vector for the boresight), zero for columns that have none · prior, posterior :
     (c, c) before and after · C_cal : (c, c) for the budget of surveys that use the corrected constants · condition : ratio of the best to
     the worst determined direction, sigma over prior sigma · weakest : (10,) that direction, in units of the prior sigmas · noise : measured
-    over budgeted noise of the returns · chi2, freedom, p_value : of the strips' disagreement, given the budget's navigation errors and
+    over budgeted noise of the returns · chi2, freedom : of the strips' disagreement, given the budget's navigation errors and
     priors · before_m, after_m : rms disagreement of strips on one patch, as read and corrected · patches, strips, returns, moved (patches
     left out), steps : counts
     """
@@ -64,7 +67,6 @@ class StripCalibration:
     noise: float
     chi2: float
     freedom: int
-    p_value: float
     before_m: float
     after_m: float
     patches: int
@@ -72,6 +74,11 @@ class StripCalibration:
     returns: int
     moved: int
     steps: int
+
+    @property
+    def agree(self) -> bool:
+        """Whether the corrected strips agree within the budget, as far as patches that are not quite planes can tell."""
+        return self.chi2 <= AGREE * self.freedom
 
     def status(self, column: int) -> str:
         """``fixed``, ``estimated``, ``improved`` or ``held at its prior``."""
@@ -214,7 +221,7 @@ def _result(p: _Problem, step: _Step, theta: F64, prior: F64, noise: float, befo
     weakest[constants] = (root @ vector[:, -1]) / sigma
     found = StripCalibration(
         calibration_columns(p.beams), theta, prior, posterior, C_cal, float(np.sqrt(value[-1] / max(value[0], 1e-300))), weakest,
-        noise, step.chi2, step.freedom, float(stats.chi2.sf(step.chi2, step.freedom)), before_m, step.offset_m[1], step.patches,
+        noise, step.chi2, step.freedom, before_m, step.offset_m[1], step.patches,
         step.strips, step.returns, step.moved, number,
     )  # fmt: skip
     if all(found.status(k) in ("held at its prior", "fixed") for k in CORRECTED):

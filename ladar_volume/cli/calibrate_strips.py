@@ -143,7 +143,7 @@ def facts_of(found: StripCalibration, corrected: Parameters) -> dict[str, Any]:
         }
         for k in CORRECTED
     }  # fmt: skip
-    names = ("condition", "noise", "chi2", "freedom", "p_value", "before_m", "after_m", "patches", "strips", "returns", "moved", "steps")
+    names = ("condition", "noise", "chi2", "freedom", "agree", "before_m", "after_m", "patches", "strips", "returns", "moved", "steps")
     part = np.ix_(CORRECTED, CORRECTED)
     return {
         "constants": constants, "columns": [found.names[k] for k in CORRECTED], "covariance": found.posterior[part].tolist(),
@@ -165,7 +165,7 @@ def show(console: Console, found: StripCalibration) -> None:
         f"{found.returns:,} returns of {found.strips} strips on {found.patches} patches ({found.moved} left out: something moved), "
         f"{found.steps} steps; strips {1e3 * found.before_m:.1f} mm off their planes before, {1e3 * found.after_m:.1f} mm after"
     )
-    verdict = "agree" if found.p_value > 0.01 else "[bold]do not agree[/bold]"
+    verdict = "agree" if found.agree else "[bold]do not agree[/bold]"
     console.print(
         f"corrected strips {verdict} within the budget: chi-square {found.chi2:.0f} with {found.freedom} degrees of freedom; noise of a "
         f"return {found.noise:.2f} times the budget's"
