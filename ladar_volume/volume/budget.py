@@ -24,6 +24,7 @@ from ladar_volume.volume.propagation import (
     tangential_variance,
 )
 from ladar_volume.volume.roughness import Roughness, field_variance
+from ladar_volume.volume.second_order import BORESIGHT, SecondOrder, boresight_curvature, second_order
 
 
 @dataclass(frozen=True)
@@ -41,13 +42,15 @@ class GroundField:
 class Budget:
     """lines : m⁶ by source, all uncorrelated · C_results : (k, k) independent-noise covariance of all results · sigma_tau_range
     : m³, with all correlation times divided by 3 and multiplied by 3 · sigma_naive : m³, as if every point erred alone · within : m⁶,
-    marginals of the line ``calibration`` where its sources are correlated"""
+    marginals of the line ``calibration`` where its sources are correlated · second : the second order of the boresight, a line by its
+    mean square"""
 
     lines: dict[str, float]
     C_results: F64
     sigma_tau_range: tuple[float, float]
     sigma_naive: float
     within: dict[str, float]
+    second: SecondOrder
 
     @property
     def sigma(self) -> float:
@@ -71,18 +74,20 @@ class Sources:
         first = np.ascontiguousarray(q[:, :, 0])
         J_nav, bins = navigation_sensitivity(first, self.patches)
         loads = navigation_loads(J_nav, bins, self.navigation, self.parameters.georeference.max_position_gap_s)
-        J_cal = calibration_sensitivity(first, self.patches)
+        J_cal, C_b = calibration_sensitivity(first, self.patches), self.C_cal[BORESIGHT, BORESIGHT]
+        once = float(J_cal[BORESIGHT] @ C_b @ J_cal[BORESIGHT])
+        second = second_order(boresight_curvature(first, self.patches, self.navigation), C_b, once)
         lines = {
             "noise": max(0.0, float(C_results[0, 0])),
             "noise_tangential": tangential_variance(gradient[:, 0], self.points),
-            **calibration_variance(J_cal, self.C_cal),
+            **calibration_variance(J_cal, self.C_cal), "boresight_second_order": second.line_m6,
             **navigation_variance(loads, self.parameters.budget),
             "base_surface": 0.0 if field is None else field_variance(field.xy, field.weight, field.point, field.rough),
         }
         rest = sum(lines.values()) - lines["position"] - lines["attitude"]
         low, high = (math.sqrt(rest + sum(navigation_variance(loads, self.parameters.budget, f).values())) for f in (1.0 / 3.0, 3.0))
         within = calibration_marginals(J_cal, self.C_cal) if "calibration" in lines else {}
-        return Budget(lines, C_results, (min(low, high), max(low, high)), self._naive(gradient[:, 0]), within)
+        return Budget(lines, C_results, (min(low, high), max(low, high)), self._naive(gradient[:, 0]), within, second)
 
     def _naive(self, gradient: F64) -> float:
         along = np.einsum("nc,nc->n", gradient, self.patches.normal[self.geometry.row])

@@ -146,6 +146,8 @@ class VolumeEstimator:
             folded_m3=folded,
             budget_within_m6=budget.within,
             near_area_m2=0.0 if near is None else near.near_area_m2,
+            second_order_m3=budget.second.shift_m3,
+            second_order_matters=budget.second.matters,
         )
 
 

@@ -17,10 +17,11 @@ from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.kernels import kernel
 from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.records import F64, I64, PlatformStates
+from ladar_volume.model.se3 import matrix_from_quaternion
 
 
 class NavigationBins:
-    """Mean C_nav of the platform states in every time bin; the sums run in order of time, whatever the batches.
+    """Mean C_nav and pose of the platform states in every time bin; the sums run in order of time, whatever the batches.
 
     bin_s : length of a bin, s. Bin index is ``floor(t / bin_s)``.
     """
@@ -30,6 +31,7 @@ class NavigationBins:
         self.index: I64 = np.zeros(0, np.int64)
         self.count: I64 = np.zeros(0, np.int64)
         self._sum: F64 = np.zeros((0, 6, 6))
+        self._pose: F64 = np.zeros((0, 4, 3))
 
     def add(self, states: PlatformStates) -> None:
         """Take in new states."""
@@ -37,19 +39,32 @@ class NavigationBins:
         index = np.union1d(self.index, bins)
         if len(index) != len(self.index):
             old = np.searchsorted(index, self.index)
-            total, count = np.zeros((len(index), 6, 6)), np.zeros(len(index), np.int64)
-            total[old], count[old] = self._sum, self.count
-            self.index, self._sum, self.count = index, total, count
+            total, pose, count = np.zeros((len(index), 6, 6)), np.zeros((len(index), 4, 3)), np.zeros(len(index), np.int64)
+            total[old], pose[old], count[old] = self._sum, self._pose, self.count
+            self.index, self._sum, self._pose, self.count = index, total, pose, count
         row = np.searchsorted(self.index, bins)
+        pose = np.concatenate([states.p_map_body[:, None], matrix_from_quaternion(states.q_map_body)], axis=1)
+        np.add.at(self._pose, row, pose)
         np.add.at(self._sum, row, states.C_nav)  # one by one, in order: the same bits for any batching
         np.add.at(self.count, row, 1)
 
     def mean(self, bins: I64) -> tuple[F64, I64]:
         """Mean C_nav (k, 6, 6) and number of states (k,) of bins (k,). Raises :class:`VolumeError` for a bin without a state."""
+        row = self._rows(bins)
+        return self._sum[row] / np.maximum(self.count[row], 1)[:, None, None], self.count[row]
+
+    def mean_pose(self, bins: I64) -> tuple[F64, F64]:
+        """Mean position (k, 3) m and mean of R_map_body (k, 3, 3), short of a rotation where the platform turned, of bins (k,). Raises as
+        :meth:`mean`."""
+        row = self._rows(bins)
+        mean = self._pose[row] / np.maximum(self.count[row], 1)[:, None, None]
+        return mean[:, 0], mean[:, 1:]
+
+    def _rows(self, bins: I64) -> I64:
         row = np.minimum(np.searchsorted(self.index, bins), max(len(self.index) - 1, 0))
         if len(bins) and (len(self.index) == 0 or not np.array_equal(self.index[row], bins)):
             raise VolumeError("the platform's covariance is not known for every time of the surface", reason="volume_no_navigation")
-        return self._sum[row] / np.maximum(self.count[row], 1)[:, None, None], self.count[row]
+        return row
 
 
 def matrix_root(C: F64) -> F64:

@@ -1,0 +1,212 @@
+"""Second order of the boresight: single patches in closed form, and volumes against exact rotations drawn at random."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from volume_surfaces import BIN_NS, T0, normal_frame
+
+from ladar_volume.georeference.budget import PRESETS
+from ladar_volume.model.errors import VolumeError
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import FilteredPoints, FilterUpdate, Patches, PlatformStates, Tin, select
+from ladar_volume.model.se3 import exp_so3
+from ladar_volume.volume import budget
+from ladar_volume.volume.estimator import VolumeEstimator
+from ladar_volume.volume.navigation import NavigationBins
+from ladar_volume.volume.polygon import clipped_prismoids
+from ladar_volume.volume.second_order import SIGMA_RAD, boresight_curvature, passes, pooled, second_order
+
+SPEED, STEP = 2.0, 0.5
+SURVEY = PRESETS["survey"].boresight_sigma_rad
+
+
+def states(height, aside, half, yaw=0.0):
+    """A lane along x, 10 states a second, at y = aside."""
+    n = int(2 * half / SPEED * 10) + 20
+    t = T0 + np.arange(n) * (BIN_NS // 10)
+    p = np.stack([-half + np.arange(n) * SPEED / 10, np.full(n, aside), np.full(n, height)], axis=1)
+    q = np.tile([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)], (n, 1))
+    return PlatformStates(t, p, q, np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 6, 6)), np.zeros(n, np.int64))
+
+
+def survey(height_of, half, height, aside, yaw=0.0, moving=True):
+    """One point per patch on a grid, seen from abeam on the lane: the update, and the sensor's position (m, 3) for each. Around a patch the
+    sensor moves with the point along x, or stands."""
+    grid = (np.arange(round(2 * half / STEP)) + 0.5) * STEP - half
+    x, y = (a.ravel() for a in np.meshgrid(grid, grid, indexing="ij"))
+    e = 1e-4
+    slope = np.stack([height_of(x + e, y) - height_of(x - e, y), height_of(x, y + e) - height_of(x, y - e)], axis=1) / (2 * e)
+    n = np.concatenate([-slope, np.ones((len(x), 1))], axis=1)
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    tangent, side = normal_frame(n)
+    r = np.stack([x, y, height_of(x, y)], axis=1)
+    sensor = np.stack([x, np.full(len(x), aside), np.full(len(x), height)], axis=1)
+    R = exp_so3(np.array([0.0, 0.0, yaw]))
+    v, m = (r - sensor) @ R, n @ R
+    count = len(x)
+    M_cal, M_nav = np.zeros((count, 3, 11 + 2)), np.zeros((count, 3, 6))
+    M_cal[:, 0, 1:4] = M_nav[:, 0, 3:] = np.cross(v, m)
+    M_nav[:, 0, :3] = n
+    for number, along in enumerate((tangent, side), start=1):
+        change = along * [0.0, 1.0, 1.0] if moving else along
+        M_cal[:, number, 1:4] = M_nav[:, number, 3:] = np.cross(change @ R, m)
+    bins = (T0 + np.round((x + half) / SPEED * 1e9).astype(np.int64)) // BIN_NS
+    key = np.arange(count, dtype=np.int64)
+    C = np.zeros((count, 3, 3))
+    C[:, 0, 0] = 1e-10
+    patches = Patches(
+        key, r, n, tangent, np.zeros((count, 3)), np.ones(count), np.full(count, 9, np.int32), bins * BIN_NS, np.arange(count + 1), key, C,
+        M_cal, np.arange(count + 1), bins, M_nav,
+    )  # fmt: skip
+    points = FilteredPoints(r, n, np.full(count, 1e-10), np.zeros((count, 6), np.float32), bins * BIN_NS, key, np.zeros((count, 2)))
+    return FilterUpdate(T0, np.zeros(0, np.int64), points, patches), sensor
+
+
+def estimate(update, path, half, base, ring=None):
+    flat = [c * (ring or half) for c in (-1.0, -1.0, 1.0, -1.0, 1.0, 1.0, -1.0, 1.0)]
+    parameters = Parameters.read({
+        "filter": {"nav_bin_s": 1.0}, "georeference": {"beams": 1}, "volume": {"outline": "polygon", "polygon_m": flat, **base},
+        "budget": {"boresight_sigma_deg": [math.degrees(s) for s in SURVEY]},
+    })  # fmt: skip
+    e = VolumeEstimator(parameters)
+    e.add_platform(path)
+    e.add(update)
+    return e.estimate()
+
+
+def turned_volume(found, sensor, half, theta, yaw=0.0):
+    """The volume over the fixed outline with every point turned exactly about its sensor by the boresight error theta (3,)."""
+    R, tin = exp_so3(np.array([0.0, 0.0, yaw])), found.tin
+    at = sensor[tin.source]
+    moved = at + (tin.vertices - at) @ R @ (R @ exp_so3(theta)).T
+    outline = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
+    turned = Tin(moved, tin.triangles, tin.neighbours, tin.relevant, tin.source)
+    return clipped_prismoids(turned, found.base, outline, tin.relevant).net_m3
+
+
+def exact_curvature(found, sensor, half, yaw, step=3e-3):
+    """The Hessian (3, 3) of the volume by differences."""
+    E, H = step * np.eye(3), np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            parts = [s * t * turned_volume(found, sensor, half, s * E[i] + t * E[j], yaw) for s in (1, -1) for t in (1, -1)]
+            H[i, j] = sum(parts) / (4 * step * step)
+    return H
+
+
+def hill(x, y):
+    return 3.6 * np.exp(-(x**2 + y**2) / (2.0 * 2.1**2))
+
+
+@pytest.mark.parametrize("yaw", [0.0, 2.1])
+def test_a_single_patch_turns_about_the_sensor(yaw):
+    normal = np.array([0.3, -0.2, 1.0]) / np.linalg.norm([0.3, -0.2, 1.0])
+    update, sensor = survey(lambda x, y: -0.3 * x + 0.2 * y, 0.25, 20.0, 6.0, yaw, moving=False)
+    known = NavigationBins(1.0)
+    known.add(states(20.0, 6.0, 0.25, yaw))
+    q = np.zeros((1, 3))
+    q[0, 0] = 2.0
+    patches = update.patches
+    # the platform stands where it saw the patch: only then is the mean position exact
+    known._pose[:, 0] = known.count[:, None] * sensor[0]
+    H = boresight_curvature(q, patches, known)
+    R, d = exp_so3(np.array([0.0, 0.0, yaw])), patches.centre[0] - sensor[0]
+    for theta in 1e-3 * np.random.default_rng(1).standard_normal((6, 3)):
+        T = R @ exp_so3(theta) @ R.T
+        turned = T @ normal
+        # the plane through the turned point, met on the vertical through the old place
+        exact = normal[2] * (turned @ (sensor[0] + T @ d - patches.centre[0])) / turned[2]
+        first = theta @ patches.M_cal[0, 0, 1:4]
+        assert 2.0 * (exact - first) == pytest.approx(0.5 * theta @ H @ theta, rel=0.01, abs=1e-9)
+
+
+def test_flat_ground_straight_below():
+    known = NavigationBins(1.0)
+    known.add(states(30.0, 0.0, 0.25))
+    q = np.array([[1.0, 0.0, 0.0]])
+    for moving, expected in ((False, [-30.0, -30.0, 0.0]), (True, [-30.0, 30.0, 0.0])):
+        update, _ = survey(lambda x, y: 0.0 * x, 0.25, 30.0, 0.0, moving=moving)
+        # a standing sensor turns the ground about itself; a moving one lifts it by the cosine under a turn about the axis across
+        assert boresight_curvature(q, update.patches, known) == pytest.approx(np.diag(expected), abs=1.0)
+    s, h = 2e-3, 30.0
+    found = second_order(np.diag([-h, 0.0, 0.0]), np.diag([s * s, s * s, s * s]), 0.0)
+    assert (found.shift_m3, found.variance_m6) == pytest.approx((-0.5 * h * s**2, 0.5 * h**2 * s**4))
+    assert found.matters and not second_order(np.zeros((3, 3)), np.eye(3) * (0.5 * SIGMA_RAD) ** 2, 1.0).matters
+
+
+def bending(sensor, half, yaw, step=0.05):
+    """What H leaves out (3, 3): the integral over the outline of the hill's second derivatives along the shifts of each boresight angle."""
+    grid = np.arange(-half, half, step) + step / 2
+    x, y = (a.ravel() for a in np.meshgrid(grid, grid, indexing="ij"))
+    z, s2 = hill(x, y), 2.1**2
+    second = np.array([[z * (x * x / s2 - 1) / s2, z * x * y / s2**2], [z * x * y / s2**2, z * (y * y / s2 - 1) / s2]])
+    R = exp_so3(np.array([0.0, 0.0, yaw]))
+    ray = np.stack([0.0 * x, y - sensor[0, 1], z - sensor[0, 2]], axis=1)  # abeam
+    shift = np.stack([np.cross(R[:, k], ray)[:, :2] for k in range(3)])
+    return np.einsum("abn,ina,jnb->ij", second, shift, shift) * step**2
+
+
+@pytest.mark.parametrize(("aside", "yaw"), [(0.0, 0.0), (0.0, 0.7), (20.0, 0.0)])
+def test_the_curvature_of_a_volume_under_exact_rotations(aside, yaw, monkeypatch):
+    half, seen = 8.0, []
+    monkeypatch.setattr(budget, "boresight_curvature", lambda *words: seen.append(boresight_curvature(*words)) or seen[-1])
+    update, sensor = survey(hill, half + 2.0, 30.0, aside, yaw)
+    found = estimate(update, states(30.0, aside, half + 2.0, yaw), half, {"base": "level"})
+    exact = exact_curvature(found, sensor, half, yaw)
+    left_out = bending(sensor, half, yaw)
+    assert np.abs(seen[0] + left_out - exact).max() < 0.02 * np.abs(exact).max()
+    assert np.abs(left_out).max() < 0.2 * np.abs(exact).max()
+
+
+def test_the_spread_where_the_first_order_cancels(monkeypatch):
+    half, seen = 8.0, []
+    monkeypatch.setattr(budget, "boresight_curvature", lambda *words: seen.append(boresight_curvature(*words)) or seen[-1])
+    update, sensor = survey(hill, half + 2.0, 30.0, 0.0)
+    v = (found := estimate(update, states(30.0, 0.0, half + 2.0), half, {"base": "level"})).volume
+    rng, count = np.random.default_rng(3), 400
+    error = np.array([turned_volume(found, sensor, half, rng.normal(0.0, SURVEY)) for _ in range(count)]) - v.volume_m3
+    first, line = v.budget_m6["boresight"], v.budget_m6["boresight_second_order"]
+    square = error**2
+    assert square.mean() > 100.0 * first  # a pile straight below: the first order says next to nothing
+    whole = second_order(seen[0] + bending(sensor, half, 0.0), np.diag(np.square(SURVEY)), first)
+    assert abs(square.mean() - first - whole.line_m6) < 3.0 * square.std() / math.sqrt(count)
+    assert abs(error.mean() - whole.shift_m3) < 3.0 * error.std() / math.sqrt(count)
+    # what is left out makes the printed sigma a sixth too large on a hill as steep as this
+    assert 1.0 < math.sqrt(line / whole.line_m6) < 1.2
+    assert v.second_order_matters and v.second_order_m3 < 0.0
+    assert sum(v.budget_m6.values()) == pytest.approx(v.sigma_m3**2, rel=1e-12)
+
+
+def test_own_ground_cancels_the_second_order_too_and_aside_the_first_order_rules():
+    half = 8.0
+    update, _ = survey(hill, half + 2.0, 30.0, 0.0)
+    path = states(30.0, 0.0, half + 2.0)
+    level = estimate(update, path, half, {"base": "level"}).volume
+    own = estimate(update, path, half, {"base": "ground", "ground_ring_m": 0.0}, ring=6.0).volume
+    assert own.budget_m6["boresight_second_order"] < 0.05 * level.budget_m6["boresight_second_order"]
+    aside, _ = survey(hill, half + 2.0, 30.0, 20.0)
+    v = estimate(aside, states(30.0, 20.0, half + 2.0), half, {"base": "level"}).volume
+    assert v.budget_m6["boresight_second_order"] < 1e-4 * v.budget_m6["boresight"]
+
+
+def test_passes():
+    owner, bins = np.array([0, 0, 0, 1, 1, 4, 4, 4]), np.array([5, 6, 9, 10, 12, 2, 3, 4])
+    assert passes(owner, bins).tolist() == [0, 0, 1, 2, 3, 4, 4, 4]
+    assert pooled(np.array([0, 1, 0]), np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])).tolist() == [[6.0, 8.0], [3.0, 4.0]]
+
+
+def test_mean_poses_whatever_the_batches():
+    s = states(20.0, 3.0, 4.0, 0.4)
+    whole, pieces = NavigationBins(1.0), NavigationBins(1.0)
+    whole.add(s)
+    for part in (slice(0, 7), slice(7, 30), slice(30, None)):
+        pieces.add(select(s, part))
+    position, R = whole.mean_pose(whole.index)
+    assert np.array_equal(position, pieces.mean_pose(whole.index)[0]) and np.array_equal(R, pieces.mean_pose(whole.index)[1])
+    first = s.t_ns // BIN_NS == whole.index[1]
+    assert position[1] == pytest.approx(s.p_map_body[first].mean(axis=0)) and R[1] == pytest.approx(exp_so3(np.array([0.0, 0.0, 0.4])))
+    with pytest.raises(VolumeError):
+        whole.mean_pose(np.array([0]))
