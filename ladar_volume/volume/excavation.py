@@ -129,6 +129,7 @@ def region_of(points_a: F64, corners: F64 | None = None, margin_m: float | None 
         raise VolumeError(f"a margin of {margin:g} m; it must be 0 or more", reason="region_margin", value=margin)
     if corners is None:
         outline = hull_polygon(a, margin)
+        margin += 1e-9 * float(np.abs(a).max())  # the points that the outline came from are within it
     if outline.shape[1] == 2:
         outline = check_polygon(outline)
     if spacing_m is None:
