@@ -7,6 +7,7 @@ Priors from the budget always enter; what the strips cannot tell stays at its pr
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,6 +81,12 @@ class StripCalibration:
         """Whether the corrected strips agree within the budget, as far as patches that are not quite planes can tell."""
         return self.chi2 <= AGREE * self.freedom
 
+    @property
+    def surprising(self) -> tuple[str, ...]:
+        """Constants corrected by more than 3.5 sigma of their prior: the budget, or the recording, is not what it was taken for."""
+        limit = OUTLIER_SIGMAS * np.sqrt(np.diag(self.prior))
+        return tuple(self.names[k] for k in CORRECTED if abs(self.theta[k]) > limit[k] > 0.0)
+
     def status(self, column: int) -> str:
         """``fixed``, ``estimated``, ``improved`` or ``held at its prior``."""
         before, after = self.prior[column, column], self.posterior[column, column]
@@ -133,7 +140,7 @@ def calibrate(flight: Flight, budget: BudgetParameters, prior: F64, options: Str
     beams = (len(prior) - len(CAL_COLUMNS)) // 2
     precision = np.asarray(np.linalg.inv(prior[np.ix_(active, active)]), np.float64)
     problem = _Problem(flight, budget, drift(flight, budget), options or StripOptions(), active, beams, precision)
-    theta, noise, before_m, membership = np.zeros(len(prior)), 1.0, np.nan, None
+    theta, noise, before_m, membership, moved = np.zeros(len(prior)), 1.0, np.nan, None, 0
     for number in range(1, _MOST_STEPS + 1):
         step = _step(problem, theta, noise, membership)
         before_m = step.offset_m[0] if number == 1 else before_m
@@ -141,10 +148,11 @@ def calibrate(flight: Flight, budget: BudgetParameters, prior: F64, options: Str
         theta[active[corrected]] += move
         size = float(move @ np.linalg.solve(step.solution.C[np.ix_(corrected, corrected)], move))
         if size < _CONVERGED and abs(step.noise - 1.0) < _NOISE_STEADY:
+            step = dataclasses.replace(step, moved=moved + step.moved)
             return _result(problem, step, theta, prior, noise, before_m, number)
         noise *= step.noise
         if membership is None and (size < _NEAR or number == _SEARCHING):
-            membership = step.membership  # from here on the same returns, so that the steps can end
+            membership, moved = step.membership, step.moved  # from here on the same returns, so that the steps can end
     raise CalibrationError(
         f"no convergence in {_MOST_STEPS} steps: the last one moved the constants by {np.sqrt(size):.2g} sigma",
         reason="calibration_no_convergence", value=size,
@@ -221,8 +229,7 @@ def _result(p: _Problem, step: _Step, theta: F64, prior: F64, noise: float, befo
     weakest[constants] = (root @ vector[:, -1]) / sigma
     found = StripCalibration(
         calibration_columns(p.beams), theta, prior, posterior, C_cal, float(np.sqrt(value[-1] / max(value[0], 1e-300))), weakest,
-        noise, step.chi2, step.freedom, before_m, step.offset_m[1], step.patches,
-        step.strips, step.returns, step.moved, number,
+        noise, step.chi2, step.freedom, before_m, step.offset_m[1], step.patches, step.strips, step.returns, step.moved, number,
     )  # fmt: skip
     if all(found.status(k) in ("held at its prior", "fixed") for k in CORRECTED):
         raise CalibrationError(

@@ -143,7 +143,9 @@ def facts_of(found: StripCalibration, corrected: Parameters) -> dict[str, Any]:
         }
         for k in CORRECTED
     }  # fmt: skip
-    names = ("condition", "noise", "chi2", "freedom", "agree", "before_m", "after_m", "patches", "strips", "returns", "moved", "steps")
+    names = (
+        "condition", "noise", "chi2", "freedom", "agree", "surprising", "before_m", "after_m", "patches", "strips", "returns", "moved", "steps",
+    )  # fmt: skip
     part = np.ix_(CORRECTED, CORRECTED)
     return {
         "constants": constants, "columns": [found.names[k] for k in CORRECTED], "covariance": found.posterior[part].tolist(),
@@ -170,5 +172,8 @@ def show(console: Console, found: StripCalibration) -> None:
         f"corrected strips {verdict} within the budget: chi-square {found.chi2:.0f} with {found.freedom} degrees of freedom; noise of a "
         f"return {found.noise:.2f} times the budget's"
     )
+    if found.surprising:
+        names = ", ".join(name.replace("_", " ") for name in found.surprising)
+        console.print(f"[bold]beyond 3.5 sigma of the prior: {names}[/bold]; the budget, or the recording, is not what it was taken for")
     worst = ", ".join(f"{found.weakest[k]:+.2f} {found.names[k].replace('_', ' ')}" for k in CORRECTED if abs(found.weakest[k]) > 0.2)
     console.print(f"worst determined: {worst} (in prior sigmas); condition {found.condition:.0f}")

@@ -10,6 +10,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from pyramid_flight import fly
 
+from ladar_volume.calibration.flight import remapped
 from ladar_volume.calibration.selfcal import CORRECTED, StripOptions, calibrate
 from ladar_volume.georeference.budget import calibration_covariance
 from ladar_volume.model.errors import CalibrationError
@@ -69,6 +70,7 @@ def test_the_covariance_for_the_budget():
     found = calibrate(fly(BUDGET, 6, BORESIGHT, per_s=700), BUDGET, PRIOR, OPTIONS)
     rest = np.setdiff1d(np.arange(len(PRIOR)), CORRECTED)
     C = found.C_cal
+    assert found.surprising == ()
     assert np.array_equal(C[np.ix_(rest, rest)], PRIOR[np.ix_(rest, rest)])  # range bias and beams have no constant: their prior stays
     assert np.array_equal(C[np.ix_(CORRECTED, CORRECTED)], found.posterior[np.ix_(CORRECTED, CORRECTED)])
     s = np.sqrt(np.diag(C))
@@ -84,6 +86,12 @@ def test_constants_fixed_by_a_zero_sigma_stay():
     everything = np.zeros_like(PRIOR)
     with pytest.raises(CalibrationError, match="prior sigma of zero"):
         calibrate(fly(BUDGET, 7), BUDGET, everything, OPTIONS)
+
+
+def test_a_correction_far_beyond_its_prior_is_named():
+    sure = dataclasses.replace(BUDGET, boresight_sigma_rad=tuple(np.radians([0.01, 0.01, 0.01])))
+    found = calibrate(fly(BUDGET, 12, np.radians([0.15, 0.0, 0.0]), per_s=700), sure, calibration_covariance(sure, 16), OPTIONS)
+    assert "boresight_x" in found.surprising
 
 
 def test_one_lane_is_refused():
@@ -106,3 +114,16 @@ def test_the_order_of_returns_does_not_matter():
     other = dataclasses.replace(flight, t_ns=flight.t_ns[order], r_laser=flight.r_laser[order], ring=flight.ring[order])
     a, b = (calibrate(f, BUDGET, PRIOR, OPTIONS) for f in (flight, other))
     assert a.theta == pytest.approx(b.theta, abs=1e-9) and a.posterior == pytest.approx(b.posterior, rel=1e-6, abs=1e-20)
+
+
+def test_what_moved_between_the_strips_is_left_out_and_counted():
+    flight = fly(BUDGET, 11, BORESIGHT, per_s=700)
+    points, _, index = remapped(flight, np.append([0.0], np.append(BORESIGHT, np.zeros(39))), np.zeros(3))
+    lane = (flight.t_ns[index] - flight.t_ns.min()) // 13_000_000_000
+    parked = (lane == 1) & (np.abs(points.r_map[:, 0] - 10) < 2) & (np.abs(points.r_map[:, 1]) < 2)
+    r = flight.r_laser.copy()
+    r[index[parked]] *= 0.993  # 15 cm high, in one lane only
+    found = calibrate(dataclasses.replace(flight, r_laser=r), BUDGET, PRIOR, OPTIONS)
+    error = found.theta[1:4] - BORESIGHT
+    assert parked.sum() > 50 and found.moved >= 1
+    assert (np.abs(error) < 3.5 * np.sqrt(np.diag(found.posterior)[1:4])).all()
