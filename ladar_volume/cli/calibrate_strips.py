@@ -144,7 +144,8 @@ def facts_of(found: StripCalibration, corrected: Parameters) -> dict[str, Any]:
         for k in CORRECTED
     }  # fmt: skip
     names = (
-        "condition", "noise", "chi2", "freedom", "agree", "surprising", "before_m", "after_m", "patches", "strips", "returns", "moved", "steps",
+        "condition", "noise", "chi2", "freedom", "agree", "surprising", "before_m", "after_m", "patches", "strips", "returns", "moved",
+        "steps",
     )  # fmt: skip
     part = np.ix_(CORRECTED, CORRECTED)
     return {
