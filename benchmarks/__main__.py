@@ -16,7 +16,7 @@ from ladar_volume.version import version
 HERE = Path(__file__).parent
 NAMES = (
     "georeference", "filtering", "filtering_peers", "filtering_square", "surface", "surface_peers", "epochs", "replay", "live",
-    "seeds", "pits", "spheres", "correlated_sum", "ball_box", "local_mesh", "kill_logger", "calibration",
+    "seeds", "pits", "spheres", "correlated_sum", "ball_box", "local_mesh", "kill_logger", "calibration", "bodies",
 )  # fmt: skip
 
 

@@ -20,7 +20,8 @@ from ladar_volume.version import version
 MODULES = {
     "replay": "ladar_volume.cli.replay", "filter": "ladar_volume.cli.filter", "simulate": "ladar_volume.cli.simulate",
     "tin": "ladar_volume.cli.tin", "volume": "ladar_volume.cli.volume", "study": "ladar_volume.cli.study",
-    "up": "ladar_volume.cli.up", "register": "ladar_volume.cli.register", "calibrate": "ladar_volume.cli.calibrate",
+    "up": "ladar_volume.cli.up", "register": "ladar_volume.cli.register",
+    "body": "ladar_volume.cli.body", "calibrate": "ladar_volume.cli.calibrate",
     "diff": "ladar_volume.cli.diff", "plan": "ladar_volume.cli.plan",
 }  # fmt: skip
 

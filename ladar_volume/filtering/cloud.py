@@ -61,5 +61,7 @@ def _filter(points: F64, parameters: FilterParameters, auto: bool) -> CloudResul
     for number, name in enumerate(REASONS[1:], 1):
         report[name] = int(np.count_nonzero(done.reason == number))
     return CloudResult(
-        done.q[index] + origin, index, done.normal[index], np.sqrt(done.variance[index]), outliers, done.reason[outliers], report
-    )
+        done.q[index] + origin, index, done.normal[index], np.sqrt(done.variance[index]), outliers, done.reason[outliers], report,
+        noise=tuned.regions.sigma_m[index], reach=tuned.regions.ball_m[tuned.regions.level[index]],
+        curved=done.kind[index] == -1,
+    )  # fmt: skip

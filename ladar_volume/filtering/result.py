@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladar_volume.model.errors import FilterError
-from ladar_volume.model.records import F64, I64
+from ladar_volume.model.records import F64, I64, Bool
 
 #: Names of the reasons, by the numbers of ``CloudResult.reason``.
 REASONS = ("kept", "outlier", "few_neighbours", "no_surface", "beyond_edge", "unsupported")
@@ -20,7 +20,9 @@ class CloudResult:
     r : (k, 3) m, filtered points in the order of their input · index : (k,) input point of each · normal : (k, 3), towards no
     side in particular · sigma : (k,) m, standard deviation along the normal · outliers : (m,) input points taken out, ascending ·
     reason : (m,) index into ``REASONS`` · report : what was chosen and what came of it · count : (k,) input points each filtered
-    point stands for, None where each stands for its own alone. ``sum(count) + m`` is the number of input points.
+    point stands for, None where each stands for its own alone. ``sum(count) + m`` is the number of input points ·
+    noise, reach : (k,) m, standard deviation of one input point there and radius of its fit; curved : (k,) whether that was a quadric, not
+    planes; all None where points were reduced or the order was the published one.
     """
 
     r: F64
@@ -31,6 +33,9 @@ class CloudResult:
     reason: I64
     report: dict[str, float | int | str]
     count: I64 | None = None
+    noise: F64 | None = None
+    reach: F64 | None = None
+    curved: Bool | None = None
 
 
 def checked(r: F64) -> F64:

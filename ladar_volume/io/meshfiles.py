@@ -6,14 +6,15 @@ position become one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ladar_volume.io.meshply import read_ply_mesh, write_ply_mesh
+from ladar_volume.io.meshply import parse_header, read_ply_mesh, write_ply_mesh
+from ladar_volume.io.ply import HEADER_LIMIT
 from ladar_volume.model.errors import InputError, OutputError
 from ladar_volume.model.records import F64, I32
 from ladar_volume.surface.topology import weld
@@ -30,6 +31,19 @@ class MeshFile:
     vertices: F64
     triangles: I32
     dropped: int = 0
+
+
+def holds_faces(path: str | Path) -> bool:
+    """Whether a file is a mesh: by its ending, and a PLY by whether its header announces faces."""
+    path = Path(path)
+    if path.suffix.lower() != ".ply":
+        return path.suffix.lower() in ENDINGS
+    try:
+        with path.open("rb") as file:
+            elements = parse_header(file.read(HEADER_LIMIT))[1]
+    except (OSError, InputError):
+        return False  # the reader of clouds says what is wrong
+    return any(e.name == "face" and e.rows > 0 for e in elements)
 
 
 def read_mesh(path: str | Path) -> MeshFile:
@@ -155,10 +169,14 @@ def _read_stl(path: Path) -> F64:
     return _finite(soup)
 
 
-def write_mesh(path: str | Path, vertices: F64, triangles: I32, comments: Sequence[str] = ()) -> None:
+def write_mesh(
+    path: str | Path, vertices: F64, triangles: I32, comments: Sequence[str] = (), vertex: Mapping[str, I32] | None = None,
+    face: Mapping[str, I32] | None = None,
+) -> None:  # fmt: skip
     """Write a mesh; coordinates are kept to the last bit, except by STL, which is binary with 24 bits (6 cm at 1e6 m: reduce them first).
 
-    Raises :class:`OutputError` for an unknown ending or what cannot be written.
+    vertex, face : small numbers (0 to 255) beside each, which only PLY keeps. Raises :class:`OutputError` for an unknown ending or what
+    cannot be written.
     """
     path, v, t = Path(path), np.asarray(vertices, dtype=np.float64), np.asarray(triangles, dtype=np.int32)
     notes = [line for c in comments for line in c.splitlines()]
@@ -167,15 +185,15 @@ def write_mesh(path: str | Path, vertices: F64, triangles: I32, comments: Sequen
         raise OutputError(f"{path}: no known kind of mesh file ({', '.join(ENDINGS)})", reason="output_format", value=str(path))
     try:
         if ending == ".ply":
-            write_ply_mesh(path, v, t, notes)
+            write_ply_mesh(path, v, t, notes, vertex, face)
         elif ending == ".stl":
             table = np.zeros(len(t), [("normal", "<f4", (3,)), ("v", "<f4", (3, 3)), ("attribute", "<u2")])
             table["v"] = v[t]
             path.write_bytes(b"binary stl".ljust(80) + len(t).to_bytes(4, "little") + table.tobytes())
         else:
             head = [*(f"# {c}" for c in notes)] if ending == ".obj" else ["OFF", *(f"# {c}" for c in notes), f"{len(v)} {len(t)} 0"]
-            mark, face, base = ("v ", "f ", 1) if ending == ".obj" else ("", "3 ", 0)
+            mark, corner, base = ("v ", "f ", 1) if ending == ".obj" else ("", "3 ", 0)
             rows = [mark + " ".join(map(repr, r)) for r in v.tolist()]
-            path.write_text("\n".join([*head, *rows, *(face + " ".join(map(str, r)) for r in (t + base).tolist())]) + "\n")
+            path.write_text("\n".join([*head, *rows, *(corner + " ".join(map(str, r)) for r in (t + base).tolist())]) + "\n")
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error}", value=str(path)) from error

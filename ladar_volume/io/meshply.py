@@ -5,6 +5,7 @@ Every element is read row after row from one stream; where all rows of an elemen
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -151,10 +152,19 @@ def read_ply_mesh(path: Path) -> tuple[F64, list[I32] | I32]:
     return xyz, faces.astype(np.int32) if isinstance(faces, np.ndarray) else [f.astype(np.int32) for f in faces]
 
 
-def write_ply_mesh(path: Path, vertices: F64, triangles: I32, comments: list[str]) -> None:
-    """Write a binary PLY with double coordinates. Raises OSError."""
+def write_ply_mesh(
+    path: Path, vertices: F64, triangles: I32, comments: list[str], vertex: Mapping[str, npt.NDArray[Any]] | None = None,
+    face: Mapping[str, npt.NDArray[Any]] | None = None,
+) -> None:  # fmt: skip
+    """Write a binary PLY with double coordinates; ``vertex`` and ``face`` are small numbers (0 to 255) beside each. Raises OSError."""
+    vertex, face = vertex or {}, face or {}
     lines = ["ply", "format binary_little_endian 1.0", *(f"comment {c}" for c in comments), f"element vertex {len(vertices)}"]
-    lines += [f"property double {axis}" for axis in "xyz"] + [f"element face {len(triangles)}", "property list uchar int vertex_indices"]
-    table = np.empty(len(triangles), [("n", "u1"), ("v", "<i4", (3,))])
-    table["n"], table["v"] = 3, triangles
-    path.write_bytes(("\n".join([*lines, "end_header"]) + "\n").encode() + vertices.astype("<f8").tobytes() + table.tobytes())
+    lines += [f"property double {axis}" for axis in "xyz"] + [f"property uchar {name}" for name in vertex]
+    lines += [f"element face {len(triangles)}", "property list uchar int vertex_indices", *(f"property uchar {name}" for name in face)]
+    points = np.empty(len(vertices), [("r", "<f8", (3,)), *((name, "u1") for name in vertex)])
+    table = np.empty(len(triangles), [("n", "u1"), ("v", "<i4", (3,)), *((name, "u1") for name in face)])
+    points["r"], table["n"], table["v"] = vertices, 3, triangles
+    for rows, columns in ((points, vertex), (table, face)):
+        for name, values in columns.items():
+            rows[name] = values
+    path.write_bytes(("\n".join([*lines, "end_header"]) + "\n").encode() + points.tobytes() + table.tobytes())

@@ -32,8 +32,8 @@ LONGEST = 200
 def close(skin: Skin, close_m: float, ground: Plane | None = None) -> tuple[Skin, list[Closure]]:
     """A mesh without boundary, and what was closed.
 
-    close_m : gaps up to this size are filled, rims up to this far from the ground drawn on to it. Raises :class:`SurfaceError` as
-    :func:`~ladar_volume.surface.topology.orient`, closing_gap (value: size m), closing_height (value: m), closing_inside_out,
+    close_m : gaps up to this width are filled, rims up to this far from the ground drawn on to it. Raises :class:`SurfaceError` as
+    :func:`~ladar_volume.surface.topology.orient`, closing_gap (value: width m), closing_height (value: m), closing_inside_out,
     closing_ground (a ground that is not a plane).
     """
     up = np.array([0.0, 0.0, 1.0]) if ground is None else plane_normal(ground)
@@ -43,10 +43,10 @@ def close(skin: Skin, close_m: float, ground: Plane | None = None) -> tuple[Skin
             check_height(skin, rim, ground, close_m)
         if any(heights(skin.vertices[r.vertices], ground).min() < 0.0 for r in bottoms):
             skin, bottoms, gaps = sorted_rims(split_fans(clip_to_ground(skin, ground)), ground, up)
-    check_gaps(gaps, close_m, ground)
+    hint = "" if ground is not None else ", or give the ground it stands on"
     made: list[Closure] = []
     for rim in gaps:
-        skin, closure = fill_gap(skin, rim)
+        skin, closure = fill_gap(skin, rim, close_m, hint)
         made.append(closure)
     if bottoms and ground is not None:
         skin, closures = stand_on(skin, bottoms, ground, up)
@@ -82,22 +82,25 @@ def check_height(skin: Skin, rim: Rim, ground: Plane, close_m: float) -> None:
         )  # fmt: skip
 
 
-def check_gaps(gaps: list[Rim], close_m: float, ground: Plane | None) -> None:
-    """Refuse a gap that is too large."""
-    large = max(gaps, key=lambda r: r.size_m, default=None)
-    if large is not None and large.size_m > close_m:
-        hint = "" if ground is not None else ", or give the ground it stands on"
-        raise SurfaceError(
-            f"a gap of {large.size_m:.3f} m at {place(large.middle)}, more than {close_m:g} m: close more (--close), scan that side{hint}",
-            reason="closing_gap", value=large.size_m,
-        )  # fmt: skip
+def gap_width(p: F64, triangles: I64) -> float:
+    """Width of a gap, m: four areas of its fill (k, 3) over the length of its rim (n, 3). The diameter of a circle, twice the width of a
+    slit, however long."""
+    a, b, c = (p[triangles[:, k]] for k in range(3))
+    area = 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+    return 4.0 * area / max(float(np.linalg.norm(p - np.roll(p, 1, axis=0), axis=1).sum()), 1e-300)
 
 
-def fill_gap(skin: Skin, rim: Rim) -> tuple[Skin, Closure]:
-    """The least area within a rim, or a fan from its middle."""
+def fill_gap(skin: Skin, rim: Rim, close_m: float, hint: str) -> tuple[Skin, Closure]:
+    """The least area within a rim, or a fan from its middle. Refuses a gap that is too wide."""
     loop, n, k = rim.vertices, len(skin.vertices), len(rim.vertices)
     inner = least_area(skin.vertices[loop], taken_chords(skin, loop)) if k <= LONGEST else np.zeros((0, 3), np.int64)
     fan = len(inner) == 0
+    width = rim.size_m if fan else gap_width(skin.vertices[loop], inner)
+    if width > close_m:
+        raise SurfaceError(
+            f"a gap {width:.3f} m wide at {place(rim.middle)}, more than {close_m:g} m: close more (--close), scan that side{hint}",
+            reason="closing_gap", value=width,
+        )  # fmt: skip
     new = np.zeros((0, 3))
     if fan:
         inner = np.stack([np.arange(k), (np.arange(k) + 1) % k, np.full(k, k)], axis=1)
@@ -111,7 +114,7 @@ def fill_gap(skin: Skin, rim: Rim) -> tuple[Skin, Closure]:
         np.concatenate([skin.triangles, loop[inner].astype(np.int32)]), np.concatenate([skin.normals, known[inner]]),
         np.concatenate([skin.face, np.full(len(inner), GAP, np.int32)]),
     )  # fmt: skip
-    return skin, Closure(GAP, k, rim.size_m, tetrahedra(skin.vertices, loop[inner], rim.middle), bulge_of(skin, before))
+    return skin, Closure(GAP, k, width, tetrahedra(skin.vertices, loop[inner], rim.middle), bulge_of(skin, before))
 
 
 def bulge_of(skin: Skin, start: int) -> float:
@@ -119,7 +122,9 @@ def bulge_of(skin: Skin, start: int) -> float:
     t = skin.triangles[start:]
     normals = skin.normals[start:]
     own = vertex_normals(skin.vertices, skin.triangles[:start])[t]
-    part = Skin(skin.vertices, t, np.where(np.isnan(normals), own, normals), skin.kind, skin.face[start:], skin.by_measured, skin.by_ground)
+    rounded = np.ones(len(skin.vertices), bool)
+    part = Skin(skin.vertices, t, np.where(np.isnan(normals), own, normals), skin.kind, rounded, skin.face[start:],
+                skin.by_measured, skin.by_ground)  # fmt: skip
     return abs(float(bulge_volumes(part).sum()))
 
 

@@ -12,6 +12,9 @@ import numpy as np
 from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, I64, Bool
 
+#: Share of a chord's square that counts as area: of fills of one area, as in a flat loop, the one with short chords is taken.
+SHORTER = 1e-3
+
 
 @kernel
 def least_area_kernel(p: F64, taken: Bool, split: I64) -> float:
@@ -32,7 +35,8 @@ def least_area_kernel(p: F64, taken: Bool, split: I64) -> float:
                 ax, ay, az = p[k, 0] - p[i, 0], p[k, 1] - p[i, 1], p[k, 2] - p[i, 2]
                 bx, by, bz = p[j, 0] - p[i, 0], p[j, 1] - p[i, 1], p[j, 2] - p[i, 2]
                 x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-                area = below + 0.5 * np.sqrt(x * x + y * y + z * z)
+                chord = bx * bx + by * by + bz * bz
+                area = below + 0.5 * np.sqrt(x * x + y * y + z * z) + SHORTER * chord
                 if area < cost[i, j]:
                     cost[i, j], split[i, j] = area, k
     return float(cost[0, n - 1])

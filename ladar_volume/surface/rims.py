@@ -62,7 +62,8 @@ def split_fans(skin: Skin) -> Skin:
     new = number[fan].reshape(-1, 3).astype(np.int32)
     old = vertex[more]
     copy = blocks(np.arange(len(more)), old.astype(np.int64), np.tile(np.eye(3), (len(more), 1, 1)), (len(more), n))
-    return extended(skin, skin.vertices[old], skin.kind[old], copy, np.zeros((3 * len(more), 3)), new, skin.normals, skin.face)
+    return extended(skin, skin.vertices[old], skin.kind[old], copy, np.zeros((3 * len(more), 3)), new, skin.normals, skin.face,
+                    skin.curved[old])  # fmt: skip
 
 
 def rims_of(skin: Skin) -> list[Rim]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import bmat, csr_matrix, identity
 
-from ladar_volume.model.records import F64, I32, I64
+from ladar_volume.model.records import F64, I32, I64, Bool
 from ladar_volume.surface.topology import orient
 
 #: What a vertex is: a measured point, on an edge or corner where faces meet, in a closed gap, on the ground.
@@ -27,14 +27,16 @@ class Skin:
 
     vertices : (n, 3) m, the k measured ones first · triangles : (m, 3), counter-clockwise from outside · normals : (m, 3, 3) outward unit
     normals of the surface at the corners of each triangle, NaN where not known; at an edge the triangles of its two sides differ ·
-    kind : (n,) int8 of each vertex · face : (m,) int8, MEASURED or what closed it (GAP, GROUND) · by_measured : (3n, 3k) sparse, derivative
-    of the vertices by the measured ones · by_ground : (3n, 3), by the height of the ground at its origin and its two slopes
+    kind : (n,) of each vertex · curved : (n,) whether the surface there is curved, so that chords leave some of it out · face : (m,) int8,
+    MEASURED or what closed it (GAP, GROUND) · by_measured : (3n, 3k) sparse, derivative of the vertices by the measured ones · by_ground :
+    (3n, 3), by the height of the ground at its origin and its two slopes
     """
 
     vertices: F64
     triangles: I32
     normals: F64
     kind: I32
+    curved: Bool
     face: I32
     by_measured: csr_matrix
     by_ground: F64
@@ -72,9 +74,11 @@ def outward(vertices: F64, triangles: I32) -> I32:
     return t
 
 
-def skin_of(vertices: F64, triangles: I32, normals: F64 | None = None) -> Skin:
+def skin_of(vertices: F64, triangles: I32, normals: F64 | None = None, curved: Bool | None = None) -> Skin:
     """A mesh of measured vertices (n, 3), turned outward, and its normals (n, 3), of either sign, where known.
 
+    curved : (n,), by default wherever normals are known. A plane fitted to a curved surface lies as much within it as outside: its chords
+    have nothing to give back.
     Raises :class:`SurfaceError` as :func:`~ladar_volume.surface.topology.orient`.
     """
     v = np.asarray(vertices, dtype=np.float64)
@@ -84,7 +88,8 @@ def skin_of(vertices: F64, triangles: I32, normals: F64 | None = None) -> Skin:
         sign = np.einsum("ni,ni->n", normals, vertex_normals(v, t))
         corner = (np.where(sign < 0.0, -1.0, 1.0)[:, None] * normals)[t]
     kind, face = np.full(len(v), MEASURED, np.int32), np.full(len(t), MEASURED, np.int32)
-    return Skin(v, t, corner, kind, face, identity(3 * len(v), format="csr"), np.zeros((3 * len(v), 3)))
+    bends = np.full(len(v), normals is not None) if curved is None else np.asarray(curved, dtype=bool)
+    return Skin(v, t, corner, kind, bends, face, identity(3 * len(v), format="csr"), np.zeros((3 * len(v), 3)))
 
 
 def blocks(rows: I64, columns: I64, values: F64, shape: tuple[int, int]) -> csr_matrix:
@@ -95,14 +100,17 @@ def blocks(rows: I64, columns: I64, values: F64, shape: tuple[int, int]) -> csr_
 
 
 def extended(
-    skin: Skin, new: F64, kind: int | I32, by_vertices: csr_matrix, by_ground: F64, triangles: I32, normals: F64, face: I32
+    skin: Skin, new: F64, kind: int | I32, by_vertices: csr_matrix, by_ground: F64, triangles: I32, normals: F64, face: I32,
+    curved: Bool | None = None,
 ) -> Skin:  # fmt: skip
     """The skin with new vertices (a, 3) of one kind, or (a,) kinds, and other triangles (m, 3), corner normals (m, 3, 3) and faces (m,).
 
-    by_vertices : (3a, 3n), derivative of the new vertices by the old ones · by_ground : (3a, 3), by the ground at fixed old vertices.
+    by_vertices : (3a, 3n), derivative of the new vertices by the old ones · by_ground : (3a, 3), by the ground at fixed old vertices ·
+    curved : (a,), by default not.
     """
     direct = by_ground + by_vertices @ skin.by_ground
     kinds = np.concatenate([skin.kind, np.broadcast_to(np.int32(kind), len(new))])
     by_measured = csr_matrix(bmat([[skin.by_measured], [by_vertices @ skin.by_measured]]))
     by_all = np.concatenate([skin.by_ground, direct])
-    return Skin(np.concatenate([skin.vertices, new]), triangles, normals, kinds, face, by_measured, by_all)
+    bends = np.concatenate([skin.curved, np.zeros(len(new), bool) if curved is None else curved])
+    return Skin(np.concatenate([skin.vertices, new]), triangles, normals, kinds, bends, face, by_measured, by_all)

@@ -26,8 +26,8 @@ ON_GROUND = 1e-9
 
 @dataclass(frozen=True)
 class Closure:
-    """One closed rim. kind : GAP or GROUND · vertices : of the rim · size_m : across · closed_m3, doubt_m3 : see
-    :mod:`~ladar_volume.surface.closing` · overlaps : triangles that overlap because the foot of the rim crosses itself"""
+    """One closed rim. kind : GAP or GROUND · vertices : of the rim · size_m : width of a gap, diameter of a foot · closed_m3, doubt_m3 :
+    see :mod:`~ladar_volume.surface.closing` · overlaps : triangles that overlap because the foot of the rim crosses itself"""
 
     kind: int
     vertices: int
@@ -53,7 +53,7 @@ def downward(skin: Skin, vertices: I64, normals: F64) -> F64:
     M = np.zeros((len(skin.vertices), 3, 3))
     np.add.at(M, skin.triangles.ravel(), np.einsum("ni,nj->nij", normals.reshape(-1, 3), normals.reshape(-1, 3)))
     M = M[vertices]
-    known = np.isfinite(M).all(axis=(1, 2))
+    known = np.isfinite(M).all(axis=(1, 2)) & (np.trace(M, axis1=1, axis2=2) > 0.0)
     M[~known] = np.eye(3)
     value, vector = np.linalg.eigh(M / np.trace(M, axis1=1, axis2=2)[:, None, None])
     along = np.einsum("kia,ka,kja,j->ki", vector, (value < IN_PLANE).astype(np.float64), vector, DOWN)

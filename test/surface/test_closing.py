@@ -174,7 +174,7 @@ def test_a_pit_is_refused():
     mesh = np.concatenate([t, fan])
     skin = skin_of(cup, mesh)
     assert volume(close(skin, 0.1, LEVEL)[0]).volume_m3 == pytest.approx(4.0)
-    pit = type(skin)(skin.vertices, skin.triangles[:, [0, 2, 1]], skin.normals, skin.kind, skin.face, skin.by_measured, skin.by_ground)
+    pit = type(skin)(skin.vertices, skin.triangles[:, [0, 2, 1]], skin.normals, skin.kind, skin.curved, skin.face, skin.by_measured, skin.by_ground)
     with pytest.raises(SurfaceError) as error:
         close(pit, 0.1, LEVEL)
     assert error.value.reason == "closing_inside_out"

@@ -1,0 +1,97 @@
+"""From a filtered cloud to its bodies: ground, objects, mesh, edges, closing, volume, uncertainty (seed 002 chapters 5 to 7 in one
+line)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ladar_volume.model.errors import SurfaceError, VolumeError
+from ladar_volume.model.records import F64, I32, I64, Bool, Plane
+from ladar_volume.surface.local import LocalMesh, LocalMeshSettings, mesh_cloud
+from ladar_volume.surface.sharpen import SHARP_RAD
+from ladar_volume.surface.topology import orient
+from ladar_volume.volume.bodies import Body, body_of
+
+#: A gap is closed, and a rim drawn on to the ground, over this many longest edges where no size is given.
+CLOSE = 2.0
+#: A part of the mesh that is open and has fewer triangles than this share of all is a stray piece.
+STRAY = 0.02
+
+
+@dataclass(frozen=True)
+class BodyOptions:
+    """mesh : of the local meshes · close_m : largest gap, and distance of a rim from the ground, that are closed; 0: twice the mesh's
+    longest edge · sharp_rad : faces whose normals enclose more meet in an edge, None: no edge is completed · pole_map : (3,) m, of the
+    tetrahedra"""
+
+    mesh: LocalMeshSettings = field(default_factory=LocalMeshSettings)
+    close_m: float = 0.0
+    sharp_rad: float | None = SHARP_RAD
+    pole_map: F64 | None = None
+
+
+@dataclass(frozen=True)
+class CloudBodies:
+    """bodies · sources : (k,) of each, the point of each measured vertex · meshes : as built, before edges and closing · stray : triangles
+    left out, per body · ground : where they stand, None for bodies seen from all sides"""
+
+    bodies: tuple[Body, ...]
+    sources: tuple[I64, ...]
+    meshes: tuple[LocalMesh, ...]
+    stray: tuple[int, ...]
+    ground: Plane | None
+
+
+def cloud_bodies(
+    points: F64, normals: F64 | None, curved: Bool | None, label: I64, ground: Plane | None, options: BodyOptions | None = None,
+    step: Callable[[int, int], None] = lambda number, many: None,
+) -> CloudBodies:  # fmt: skip
+    """The bodies of a filtered cloud.
+
+    points : (n, 3) m · normals : (n, 3), of either sign, or None · curved : (n,) whether the surface there is curved, None where normals
+    tell · label : (n,) body of each point, −1 for none · ground : None where bodies are seen from all sides · step : called with the number
+    of each body and how many there are, before it is made. Raises :class:`VolumeError` (volume_no_body) where no point is in a body and
+    :class:`SurfaceError` for a body that cannot be meshed or closed, naming it.
+    """
+    o = options or BodyOptions()
+    many = int(label.max(initial=-1)) + 1
+    if many == 0:
+        raise VolumeError("no body: no point stands above the ground", reason="volume_no_body")
+    made = []
+    for number in range(many):
+        step(number, many)
+        rows = np.flatnonzero(label == number).astype(np.int64)
+        try:
+            made.append((*_body(points, normals, curved, rows, ground, o), rows))
+        except SurfaceError as error:
+            name = f"body {number + 1}: " if many > 1 else ""
+            raise SurfaceError(f"{name}{error}", reason=error.reason, value=error.value) from error
+    bodies, meshes, stray, sources = zip(*made, strict=True)
+    return CloudBodies(bodies, sources, meshes, stray, ground)
+
+
+def _body(
+    points: F64, normals: F64 | None, curved: Bool | None, rows: I64, ground: Plane | None, o: BodyOptions
+) -> tuple[Body, LocalMesh, int]:  # fmt: skip
+    """The body of some of the points, its mesh, and how many triangles were left out."""
+    mesh = mesh_cloud(points[rows], None if normals is None else normals[rows], o.mesh)
+    close_m = o.close_m or CLOSE * float(mesh.report["radius_m"])
+    triangles, left = without_stray(mesh)
+    body = body_of(
+        mesh.vertices, triangles, None if normals is None else mesh.normals, None if curved is None else curved[rows], close_m, ground,
+        o.sharp_rad, o.pole_map, allow_crossings=True,
+    )  # fmt: skip
+    return body, mesh, left
+
+
+def without_stray(mesh: LocalMesh) -> tuple[I32, int]:
+    """The triangles of a mesh without open parts too small to be bodies, and how many were left out."""
+    found = orient(mesh.vertices, mesh.triangles)
+    size = np.bincount(found.part)
+    is_open = np.zeros(len(size), bool)
+    is_open[found.part[np.isin(mesh.triangles, found.boundary).any(axis=1)]] = True
+    keep = ~(is_open & (size < STRAY * len(mesh.triangles)))[found.part]
+    return mesh.triangles[keep], int(np.count_nonzero(~keep))

@@ -1,0 +1,124 @@
+"""``ladar_volume body`` on files: clouds, meshes, ground, regions, JSON, refusals."""
+
+import json
+
+import numpy as np
+import pytest
+from closed_meshes import CUBE_T, CUBE_V, sphere
+
+from ladar_volume.cli.main import main
+from ladar_volume.io.meshfiles import holds_faces, read_mesh, write_mesh
+from ladar_volume.io.meshply import parse_header
+from ladar_volume.io.pointfiles import write_cloud
+from ladar_volume.surface.topology import orient
+
+
+def boxes(rng, places, count=3500, noise=0.01):
+    """Unit cubes without bottom on a ground of 6 x 3 m."""
+    n = 18 * count // 5
+    parts = [np.column_stack([rng.uniform([-1.5, -1.5], [4.5, 1.5], (n, 2)), np.zeros(n)])]
+    keep = np.ones(n, bool)
+    for x in places:
+        keep &= (np.abs(parts[0][:, 0] - x) > 0.5) | (np.abs(parts[0][:, 1]) > 0.5)
+        for axis, side in ((0, -0.5), (0, 0.5), (1, -0.5), (1, 0.5), (2, 0.5)):
+            face = np.insert(rng.uniform(-0.5, 0.5, (count // 5, 2)), axis, side, axis=1)
+            parts.append(face + np.array([x, 0, 0.5]))
+    parts[0] = parts[0][keep]
+    p = np.concatenate(parts)
+    return p + noise * rng.normal(size=p.shape)
+
+
+@pytest.fixture(scope="module")
+def cloud(tmp_path_factory):
+    path = tmp_path_factory.mktemp("body") / "cubes.ply"
+    write_cloud(path, boxes(np.random.default_rng(0), (0.0, 3.0)))
+    return path
+
+
+def answer(capsys, *words):
+    assert main(["body", *map(str, words), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_two_cubes_on_the_ground(cloud, tmp_path, capsys):
+    out = tmp_path / "bodies.ply"
+    facts = answer(capsys, cloud, "-o", out)
+    assert len(facts["bodies"]) == 2 and facts["watertight"] is True
+    for body in facts["bodies"]:
+        assert body["volume_m3"] == pytest.approx(1.0, abs=0.02) and body["euler"] == 2
+        assert 0.0 < body["sigma_m3"] < 0.01 and body["closed_m3"] > 0.0 and body["closures"][0]["on"] == "ground"
+        assert abs(body["pole_spread_m3"]) < 1e-12 and body["mesh"]["points"] > 500
+    assert facts["volume_m3"] == pytest.approx(sum(b["volume_m3"] for b in facts["bodies"]))
+    assert facts["uncorrected_m3"] < facts["volume_m3"] and facts["ground"]["points"] > 1000
+    assert np.sqrt(np.sum(facts["covariance_m6"])) == pytest.approx(facts["sigma_m3"])
+    mesh = read_mesh(out)
+    assert len(orient(mesh.vertices, mesh.triangles).boundary) == 0
+    names = {e.name: [p.name for p in e.properties] for e in parse_header(out.read_bytes())[1]}
+    assert names["vertex"][-1] == "kind" and names["face"][-2:] == ["closed", "body"]
+
+
+def test_one_body_by_region_or_pick(cloud, tmp_path, capsys):
+    out = tmp_path / "one.ply"
+    whole = answer(capsys, cloud, "-o", out, "--box=-1,-1,-1,1,1,2")
+    pick = answer(capsys, cloud, "-o", out, "--pick=0,0,1")
+    assert len(whole["bodies"]) == len(pick["bodies"]) == 1
+    assert whole["volume_m3"] == pytest.approx(pick["volume_m3"]) == pytest.approx(1.0, abs=0.02)
+    given = answer(capsys, cloud, "-o", out, "--pick=0,0,1", "--ground", "0")
+    assert given["volume_m3"] == pytest.approx(whole["volume_m3"], abs=0.005) and given["ground"]["points"] == 0
+    polygon = answer(capsys, cloud, "-o", out, "--polygon", "2,-1", "4,-1", "4,1", "2,1")
+    assert len(polygon["bodies"]) == 1 and polygon["bodies"][0]["centroid_map_m"][0] == pytest.approx(3.0, abs=0.02)
+
+
+def test_filtered_points_as_they_are(tmp_path, capsys):
+    v, _ = sphere(1500)
+    path, out = tmp_path / "ball.csv", tmp_path / "ball.obj"
+    write_cloud(path, v, {"normal": v, "sigma": np.full(len(v), 0.001)})
+    facts = answer(capsys, path, "-o", out, "--no-filter", "--ground", "none")
+    assert facts["volume_m3"] == pytest.approx(4 / 3 * np.pi, rel=1e-4) and facts["filter"] is None
+    assert facts["uncorrected_m3"] < facts["volume_m3"] and facts["sigma_m3"] == pytest.approx(0.001 * 4 * np.pi / np.sqrt(1500), rel=0.1)
+    assert read_mesh(out).triangles.shape == (2996, 3)
+
+
+def test_meshes_closed_open_and_refused(tmp_path, capsys):
+    whole, hollow, out = tmp_path / "cube.off", tmp_path / "cup.stl", tmp_path / "o.ply"
+    write_mesh(whole, CUBE_V, CUBE_T)
+    write_mesh(hollow, CUBE_V, CUBE_T[2:])
+    facts = answer(capsys, whole, "-o", out, "--pole=5,5,5", "--sigma", "0.001")
+    assert facts["volume_m3"] == pytest.approx(1.0) and facts["closed_m3"] == 0 and facts["sigma_m3"] > 0
+    assert facts["bodies"][0]["pole_map_m"] == [5, 5, 5]
+    facts = answer(capsys, hollow, "-o", out, "--ground=-0.1", "--close", "0.2")
+    assert facts["volume_m3"] == pytest.approx(1.1) and facts["closed_m3"] == pytest.approx(0.1) and facts["sigma_m3"] is None
+    again = answer(capsys, out, "-o", tmp_path / "again.ply")
+    assert again["volume_m3"] == pytest.approx(1.1) and holds_faces(out)
+    for words, say in (
+        ((hollow, "-o", out), "--close"),
+        ((hollow, "-o", out, "--ground=-0.5", "--close", "0.2"), "above the ground"),
+        ((whole, "-o", whole), "different files"),
+        ((whole, "-o", tmp_path / "o.txt"), "no known kind"),
+        ((whole, "-o", out, "--pick=0,0,0"), "is a mesh"),
+        ((tmp_path / "none.ply", "-o", out), "none.ply"),
+        ((whole, "-o", out, "--close=-1"), "from 0 up"),
+    ):
+        assert main(["body", *map(str, words)]) == 2
+        assert say in capsys.readouterr().err
+
+
+def test_what_a_person_sees(cloud, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    assert main(["body", str(cloud), "-o", str(tmp_path / "o.ply")]) == 0
+    seen = capsys.readouterr().out
+    for words in ("uncorrected", "closed on the ground", "edges completed", "watertight: yes", "all"):
+        assert words in seen
+
+
+def test_contradictions_of_a_cloud_are_refused(cloud, tmp_path, capsys):
+    out = str(tmp_path / "o.ply")
+    for words, say in (
+        (["--box=0,0,0,1,1,1", "--pick=0,0,0"], "choose one"),
+        (["--no-filter", "--radius", "1"], "--no-filter"),
+        (["--box=10,10,10,11,11,11"], "nothing rises"),
+    ):
+        assert main(["body", str(cloud), "-o", out, *words]) == 2
+        assert say in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["body", str(cloud), "-o", out, "--ground", "1,2"])
