@@ -11,7 +11,7 @@ import numpy as np
 from ladar_volume.georeference.budget import calibration_covariance
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Bool, FilteredPoints, Patches
-from ladar_volume.volume.navigation import NavigationBins, matrix_root, navigation_loads, navigation_variance
+from ladar_volume.volume.navigation import NavigationBins, NavigationLoads, matrix_root, navigation_loads, navigation_variance
 from ladar_volume.volume.propagation import (
     SurfaceGeometry,
     calibration_marginals,
@@ -58,6 +58,20 @@ class Budget:
         return math.sqrt(sum(self.lines.values()))
 
 
+@dataclass(frozen=True)
+class Sensitivities:
+    """Of one result to every source. C_results : (k, k) covariance from the returns' noise, of all results · tangential_m6 : variance from
+    their noise within the surface · J_cal : (c,) · curvature : (3, 3) by the boresight · navigation : by time bin · naive_m3 : sigma as if
+    every point erred alone"""
+
+    C_results: F64
+    tangential_m6: float
+    J_cal: F64
+    curvature: F64
+    navigation: NavigationLoads
+    naive_m3: float
+
+
 class Sources:
     """Every error source of one filtered surface, ready to be propagated to results."""
 
@@ -69,25 +83,34 @@ class Sources:
 
     def budget(self, gradient: F64, field: GroundField | None) -> Budget:
         """Budget of the first of k results with gradients (n, k, 3) per point; the others get their independent covariance only."""
-        q = patch_loads(gradient, self.patches, self.geometry)
-        C_results = independent_covariance(q, self.patches, self.geometry)
-        first = np.ascontiguousarray(q[:, :, 0])
-        J_nav, bins = navigation_sensitivity(first, self.patches)
-        loads = navigation_loads(J_nav, bins, self.navigation, self.parameters.georeference.max_position_gap_s)
-        J_cal, C_b = calibration_sensitivity(first, self.patches), self.C_cal[BORESIGHT, BORESIGHT]
-        once = float(J_cal[BORESIGHT] @ C_b @ J_cal[BORESIGHT])
-        second = second_order(boresight_curvature(first, self.patches, self.navigation), C_b, once)
+        s = self.sensitivities(gradient)
+        C_b = self.C_cal[BORESIGHT, BORESIGHT]
+        second = second_order(s.curvature, C_b, float(s.J_cal[BORESIGHT] @ C_b @ s.J_cal[BORESIGHT]))
         lines = {
-            "noise": max(0.0, float(C_results[0, 0])),
-            "noise_tangential": tangential_variance(gradient[:, 0], self.points),
-            **calibration_variance(J_cal, self.C_cal), "boresight_second_order": second.line_m6,
-            **navigation_variance(loads, self.parameters.budget),
+            "noise": max(0.0, float(s.C_results[0, 0])),
+            "noise_tangential": s.tangential_m6,
+            **calibration_variance(s.J_cal, self.C_cal), "boresight_second_order": second.line_m6,
+            **navigation_variance(s.navigation, self.parameters.budget),
             "base_surface": 0.0 if field is None else field_variance(field.xy, field.weight, field.point, field.rough),
         }
         rest = sum(lines.values()) - lines["position"] - lines["attitude"]
-        low, high = (math.sqrt(rest + sum(navigation_variance(loads, self.parameters.budget, f).values())) for f in (1.0 / 3.0, 3.0))
-        within = calibration_marginals(J_cal, self.C_cal) if "calibration" in lines else {}
-        return Budget(lines, C_results, (min(low, high), max(low, high)), self._naive(gradient[:, 0]), within, second)
+        low, high = (math.sqrt(rest + sum(navigation_variance(s.navigation, self.parameters.budget, f).values())) for f in (1.0 / 3.0, 3.0))
+        within = calibration_marginals(s.J_cal, self.C_cal) if "calibration" in lines else {}
+        return Budget(lines, s.C_results, (min(low, high), max(low, high)), s.naive_m3, within, second)
+
+    def sensitivities(self, gradient: F64) -> Sensitivities:
+        """What each source does to the first of k results with gradients (n, k, 3) per point; C_results is of all of them."""
+        q = patch_loads(gradient, self.patches, self.geometry)
+        first = np.ascontiguousarray(q[:, :, 0])
+        J_nav, bins = navigation_sensitivity(first, self.patches)
+        return Sensitivities(
+            independent_covariance(q, self.patches, self.geometry),
+            tangential_variance(gradient[:, 0], self.points),
+            calibration_sensitivity(first, self.patches),
+            boresight_curvature(first, self.patches, self.navigation),
+            navigation_loads(J_nav, bins, self.navigation, self.parameters.georeference.max_position_gap_s),
+            self._naive(gradient[:, 0]),
+        )
 
     def _naive(self, gradient: F64) -> float:
         along = np.einsum("nc,nc->n", gradient, self.patches.normal[self.geometry.row])
@@ -98,16 +121,27 @@ class Sources:
         """Variance (n,) m² of each point along its patch's normal from all sources; navigation of one patch counts as fully correlated."""
         M, X, row = self.patches.M_cal, self.geometry.X, self.geometry.row
         shared = np.einsum("mpc,mqc->mpq", M @ self.C_cal, M, optimize=True)
-        unique, index = np.unique(self.patches.nav_bin, return_inverse=True)
-        C, _ = self.navigation.mean(unique)
-        owner = np.repeat(np.arange(len(self.patches)), np.diff(self.patches.nav_start))
-        for block in (slice(0, 3), slice(3, 6)):
-            rows = (self.patches.M_nav[:, :, block] @ matrix_root(C[:, block, block])[index.ravel()]).reshape(len(owner), -1)
-            S = np.stack([np.bincount(owner, rows[:, c], len(self.patches)) for c in range(rows.shape[1])], axis=1)
-            S = S.reshape(len(self.patches), M.shape[1], 3)
+        for S in self.navigation_rows:
             shared += S @ np.swapaxes(S, 1, 2)
         out: F64 = self.points.variance + np.einsum("np,npq,nq->n", X, shared[row], X, optimize=True)
         return out
+
+    @cached_property
+    def navigation_rows(self) -> tuple[F64, F64]:
+        """What one standard deviation of position and of attitude, each in three directions, does to the parameters of every patch:
+        (m, p, 3) each; the errors within one patch count as one."""
+        unique, index = np.unique(self.patches.nav_bin, return_inverse=True)
+        C, _ = self.navigation.mean(unique)
+        m, p = self.patches.beta.shape
+        owner = np.repeat(np.arange(m), np.diff(self.patches.nav_start))
+        out: list[F64] = []
+        for block in (slice(0, 3), slice(3, 6)):
+            rows = (self.patches.M_nav[:, :, block] @ matrix_root(C[:, block, block])[index.ravel()]).reshape(len(owner), -1)
+            S = np.empty((m, 3 * p))
+            for c in range(3 * p):
+                S[:, c] = np.bincount(owner, rows[:, c], m)
+            out.append(S.reshape(m, p, 3))
+        return out[0], out[1]
 
 
 def vertical_sigma(sources: Sources, points: FilteredPoints) -> F64:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Callable
 from statistics import NormalDist
@@ -17,6 +18,7 @@ from ladar_volume.volume.assembly import base_name, ground_field, near_correctio
 from ladar_volume.volume.base import all_grounds, area_by_body, base_and_outline, polygon_of
 from ladar_volume.volume.budget import Budget, Sources, vertical_sigma
 from ladar_volume.volume.centroid import centroid
+from ladar_volume.volume.epoch_budget import Epoch
 from ladar_volume.volume.navigation import NavigationBins
 from ladar_volume.volume.near_base import NearBase
 from ladar_volume.volume.outline import boundary_loop
@@ -68,6 +70,24 @@ class VolumeEstimator:
         :class:`VolumeError` where nothing lies inside the outline or the platform's covariance is not yet known for all of the
         surface.
         """
+        points, patches = self._current()
+        surface = self._surface(points)
+        height_variance = vertex_variance(surface, points)
+        base, inside = self._base_and_outline(surface.tin, height_variance)
+        return self._result(surface, base, inside, points, patches, height_variance)
+
+    def epoch(self) -> Epoch:
+        """Everything so far as one survey, to be compared with another. Raises :class:`SurfaceError` where there is no surface."""
+        points, patches = self._current()
+        return Epoch(self._surface(points), Sources(points, patches, self._navigation, self.parameters), self._t_ns)
+
+    def restarted(self) -> VolumeEstimator:
+        """An estimator without a surface that knows the platform's path so far: returns still on their way refer to it."""
+        out = VolumeEstimator(self.parameters)
+        out._navigation = copy.deepcopy(self._navigation)
+        return out
+
+    def _current(self) -> tuple[FilteredPoints, Patches]:
         points, patches = self._store.points, self._store.patches
         if points is None or patches is None or len(points) < 3:
             raise SurfaceError(
@@ -75,10 +95,7 @@ class VolumeEstimator:
                 reason="surface_too_few_points",
                 value=0 if points is None else len(points),
             )
-        surface = self._surface(points)
-        height_variance = vertex_variance(surface, points)
-        base, inside = self._base_and_outline(surface.tin, height_variance)
-        return self._result(surface, base, inside, points, patches, height_variance)
+        return points, patches
 
     def _surface(self, points: FilteredPoints) -> Represented:
         if self._surface_now is None:
