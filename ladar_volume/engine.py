@@ -26,6 +26,7 @@ class Engine:
         self.filter = SurfaceFilter(parameters)
         self.estimator = VolumeEstimator(parameters)
         self.points_mapped = 0
+        self._restarts = 0
 
     def add_fix(self, fix: Fix) -> None:
         """An antenna position."""
@@ -44,7 +45,11 @@ class Engine:
         self.georeferencer.add_returns(returns)
 
     def step(self) -> list[MappedPoints]:
-        """Hand what is georeferenced to the filter; returns the clouds that became ready, for whoever logs them."""
+        """Hand what is georeferenced to the filter; returns the clouds that became ready, for whoever logs them. Where the time of the
+        data began again (a looping recording), the surface begins anew."""
+        if self.georeferencer.restarts != self._restarts:
+            self._restarts, self.points_mapped = self.georeferencer.restarts, 0
+            self.filter, self.estimator = SurfaceFilter(self.parameters), VolumeEstimator(self.parameters)
         states = self.georeferencer.take_platform()
         if states is not None:
             self.filter.add_platform(states)

@@ -6,17 +6,20 @@ Nothing here raises on bad data: a sample or return that cannot be used is count
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from ladar_volume.georeference.admission import JUMP_S, TimeOrder, fix_covariance, imu_attitude, odometry_pose
 from ladar_volume.georeference.budget import independent_sigmas
+from ladar_volume.georeference.clock import Lead, SweepTimes
 from ladar_volume.georeference.geodesy import LocalFrame
 from ladar_volume.georeference.lidar import mounting
 from ladar_volume.georeference.mapping import IN_VEHICLE, MAPPED, NO_POSE, OUTSIDE_REGION, map_returns, region_box, vehicle_box
+from ladar_volume.georeference.restart import Restart
 from ladar_volume.georeference.trajectory import Trajectory
 from ladar_volume.model import records as rec
 from ladar_volume.model.errors import InputError, ParameterValueError
@@ -45,6 +48,9 @@ class Georeferencer:
     What comes out does not depend on how the topics are interleaved, as long as each is in order and none lags the clouds by more than
     ``max_pending_s``. ``MappedPoints.t_ns`` is navigation time, ``t_lidar + clock_offset_s``.
 
+    Where the time of two topics goes back together (a looping recording), everything begins anew and :attr:`restarts` counts one more.
+    What the arrival of the messages tells of the clocks is in :attr:`cloud_lead`, :attr:`fix_lead` and :attr:`sweeps`.
+
     Raises :class:`ParameterValueError` for a half-given datum or a malformed box.
     """
 
@@ -56,18 +62,28 @@ class Georeferencer:
         self._sigmas = independent_sigmas(parameters.budget)
         self._vehicle = vehicle_box(_box("vehicle_box_m", self._p.vehicle_box_m))
         self._region = region_box(_box("region_m", self._p.region_m))
+        self._datum = _datum(self._p)
+        self._restart = Restart()
+        self._begin()
+
+    def _begin(self) -> None:
         self._trajectory = Trajectory(self._p, self.mount.lever_antenna)
         jump = max(JUMP_S, 2 * self._p.max_position_gap_s, 2 * self._p.max_attitude_gap_s)
         self._fixes: TimeOrder[tuple[Fix, F64]] = TimeOrder("fix", jump)
         self._imus: TimeOrder[tuple[ImuSample, F64, F64]] = TimeOrder("imu", jump)
         self._odometry: TimeOrder[tuple[OdometrySample, F64, F64]] = TimeOrder("odometry", jump)
-        datum = _datum(self._p)
-        self._frame = LocalFrame(datum) if datum is not None else None
+        self._frame = LocalFrame(self._datum) if self._datum is not None else None
         self._waiting: list[_Waiting] = []
         self._waiting_clock_ns = 0
         self._newest_cloud_ns: int | None = None
         self._points: list[MappedPoints] = []
         self._states: list[PlatformStates] = []
+        self.cloud_lead, self.fix_lead, self.sweeps = Lead(), Lead(), SweepTimes()
+
+    @property
+    def restarts(self) -> int:
+        """How often the time of the data began again."""
+        return self._restart.count
 
     @property
     def datum(self) -> Datum | None:
@@ -88,9 +104,12 @@ class Georeferencer:
             C = fix_covariance(fix, self._budget, self._p.unknown_covariance)
         except InputError as error:
             return self.losses.add(error.reason)
-        for good, C_enu in self._in_order(self._fixes, fix.t_ns, (fix, C)):
+        return self._arrive("fix", fix.t_ns, (fix, C))
+
+    def _take_fix(self, sample: tuple[Fix, F64]) -> None:
+        self.fix_lead.other(sample[0].t_ns)
+        for good, C_enu in self._in_order(self._fixes, sample[0].t_ns, sample):
             self._add_position(good, C_enu)
-        return self._advance()
 
     def _add_position(self, fix: Fix, C_enu: F64) -> None:
         if self._frame is None:
@@ -108,9 +127,12 @@ class Georeferencer:
             q, C = imu_attitude(imu, self._budget, self._p.unknown_covariance)
         except InputError as error:
             return self.losses.add(error.reason)
-        for good, q_good, C_good in self._in_order(self._imus, imu.t_ns, (imu, q, C)):
+        return self._arrive("imu", imu.t_ns, (imu, q, C))
+
+    def _take_imu(self, sample: tuple[ImuSample, F64, F64]) -> None:
+        for good, q_good, C_good in self._in_order(self._imus, sample[0].t_ns, sample):
             self._trajectory.add_attitude(good.t_ns, q_good, good.omega_body, C_good)
-        return self._advance()
+            self._refer(good.t_ns)
 
     def add_odometry(self, sample: OdometrySample) -> None:
         """One pose: its own point takes the antenna's place and a = 0. Refusals as for the IMU, with ``odometry_``."""
@@ -120,10 +142,35 @@ class Georeferencer:
             q, C = odometry_pose(sample, self._budget, self._p.unknown_covariance)
         except InputError as error:
             return self.losses.add(error.reason)
-        for good, q_good, C_good in self._in_order(self._odometry, sample.t_ns, (sample, q, C)):
+        return self._arrive("odometry", sample.t_ns, (sample, q, C))
+
+    def _take_odometry(self, sample: tuple[OdometrySample, F64, F64]) -> None:
+        for good, q_good, C_good in self._in_order(self._odometry, sample[0].t_ns, sample):
             self._trajectory.add_position(good.t_ns, good.p_map_body, C_good[:3, :3])
             self._trajectory.add_attitude(good.t_ns, q_good, good.omega_body, C_good[3:, 3:], C_good[:3, 3:])
-        return self._advance()
+            self._refer(good.t_ns)
+
+    def _refer(self, t_ns: int) -> None:
+        self.cloud_lead.reference(t_ns)
+        self.fix_lead.reference(t_ns)
+
+    def _arrive(self, kind: str, t_ns: int, sample: Any) -> None:
+        """Every admitted sample comes through here, in the order of arrival."""
+        again, samples, dropped = self._restart.push(kind, int(t_ns), sample)
+        if again:
+            self._lose_waiting()
+            self._begin()
+        for reason in dropped:
+            self.losses.add(reason)
+        self._take(samples)
+
+    def _take(self, samples: list[tuple[str, Any]]) -> None:
+        takers: dict[str, Callable[[Any], None]] = {
+            "fix": self._take_fix, "imu": self._take_imu, "odometry": self._take_odometry, "cloud": self._take_cloud,
+        }  # fmt: skip
+        for kind, sample in samples:
+            takers[kind](sample)
+        self._advance()
 
     def _in_order(self, order: TimeOrder[S], t_ns: int, sample: S) -> list[S]:
         accepted, refused = order.push(int(t_ns), sample)
@@ -132,18 +179,23 @@ class Georeferencer:
         return accepted
 
     def add_returns(self, returns: Returns) -> None:
-        """One cloud, laser frame and LiDAR time. Returns are refused as point_nan, point_range, point_intensity, point_ring; the rest
-        waits for the trajectory."""
+        """One cloud, laser frame and LiDAR time. Returns are refused as point_nan, point_range, point_intensity, point_ring, point_time
+        (a time far from all others of the cloud); the rest waits for the trajectory."""
         shapes = (np.shape(returns.r_laser), np.shape(returns.ring), np.shape(returns.intensity))
         n = len(returns)
         if shapes != ((n, 3), (n,), (n,)):
             return self.losses.add("cloud_malformed")
         kept = self._gate(returns)
         if len(kept):
-            first, last = int(kept.t_ns.min()), int(kept.t_ns.max())
-            self._tick(last)
-            self._waiting.append(_Waiting(kept, first, last, self._waiting_clock_ns))
+            return self._arrive("cloud", int(kept.t_ns.max()), kept)
         return self._advance()
+
+    def _take_cloud(self, kept: Returns) -> None:
+        first, last = int(kept.t_ns.min()), int(kept.t_ns.max())
+        self.cloud_lead.other(last)
+        self.sweeps.add(first, last)
+        self._tick(last)
+        self._waiting.append(_Waiting(kept, first, last, self._waiting_clock_ns))
 
     def _gate(self, returns: Returns) -> Returns:
         p = self._p
@@ -157,6 +209,9 @@ class Georeferencer:
             "point_intensity": (returns.intensity < p.intensity_min) | (returns.intensity > p.intensity_max),
             "point_ring": returns.ring >= p.beams,
         }
+        late = self.sweeps.corrupt(returns.t_ns)
+        if late is not None:  # one such return would keep its whole cloud waiting for that time
+            bad["point_time"] = late
         dropped = np.zeros(len(returns), bool)
         for reason, mask in bad.items():
             self.losses.add(reason, int(np.count_nonzero(mask & ~dropped)))
@@ -232,6 +287,10 @@ class Georeferencer:
 
     def finish(self) -> None:
         """End of data: clouds that still wait are lost as point_trajectory_end; nothing is extrapolated."""
+        self._take(self._restart.finish())
+        self._lose_waiting()
+
+    def _lose_waiting(self) -> None:
         for reason in self._fixes.finish() + self._imus.finish() + self._odometry.finish():
             self.losses.add(reason)
         self.losses.add("point_trajectory_end", self.pending)

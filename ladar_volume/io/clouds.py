@@ -15,6 +15,8 @@ from ladar_volume.model.records import I64, Returns, select
 
 #: Absolute `timestamp` values above this are nanoseconds, below it seconds (1e12 s is 30,000 years ahead).
 NANOSECONDS_ABOVE = 1e12
+#: A cloud larger than this is no single firing: one time for all of its returns is none.
+ONE_TIME_RETURNS = 500
 
 
 def stamp_ns(message: Any) -> int:
@@ -30,7 +32,8 @@ def returns_from_cloud(message: Any, parameters: GeoreferenceParameters, losses:
 
     Raises
     ------
-    CloudError : layout reasons of :func:`ladar_volume.io.tables.decode`; cloud_no_xyz, cloud_no_time, cloud_all_nan.
+    CloudError : layout reasons of :func:`ladar_volume.io.tables.decode`; cloud_no_xyz, cloud_no_time, cloud_one_time (a time field that
+        says the same for every return of a sweep), cloud_all_nan.
     """
     columns = decode(message)
     missing = [axis for axis in "xyz" if axis not in columns]
@@ -68,6 +71,11 @@ def _times(
             reason="cloud_no_time",
         )
     values = columns[name]
+    if n > ONE_TIME_RETURNS and parameters.untimed_clouds == "refuse" and bool((values == values[0]).all()):
+        raise CloudError(
+            f"field {name} holds one and the same time for {n} returns; georeference.untimed_clouds: stamp accepts it",
+            reason="cloud_one_time", value=n,
+        )  # fmt: skip
     ok = np.isfinite(values) if values.dtype.kind == "f" else np.ones(n, np.bool_)
     clean = values if ok.all() else np.where(ok, values, 0)
     if name.startswith("time") and name != "time":

@@ -3,31 +3,31 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import queue
-import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.clock import Clock, ClockType, JumpThreshold
+from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
+from ladar_volume.io.clouds import stamp_ns
 from ladar_volume.io.config import read_config
 from ladar_volume.model.errors import ConfigurationError, LadarVolumeError
 from ladar_volume.model.losses import Losses
-from ladar_volume.model.parameter import ParameterSpec, specs
+from ladar_volume.model.parameter import specs
 from ladar_volume.model.parameters import SECTIONS, Parameters
+from ladar_volume.nodes.declared import descriptor, outside, why_not_now
+from ladar_volume.nodes.health import Health
 from ladar_volume.warm import warm_up
 
 #: Maps, datum and volumes: whoever comes late still gets the last one.
@@ -38,6 +38,8 @@ LATCHED = QoSProfile(
 STREAM = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.RELIABLE)
 #: Items a worker's queue holds; beyond, the newest is dropped and counted.
 QUEUE = 5000
+#: How long a node may take to finish its work.
+STOP_S = 30.0
 
 
 def sensor_qos(parameters: Parameters) -> QoSProfile:
@@ -49,20 +51,9 @@ def sensor_qos(parameters: Parameters) -> QoSProfile:
     )  # fmt: skip
 
 
-def _descriptor(spec: ParameterSpec) -> ParameterDescriptor:
-    unit = f" [{spec.unit}]" if spec.unit else ""
-    d = ParameterDescriptor(description=f"{spec.help}{unit}", additional_constraints=spec.range_text)
-    # an empty list has no element type, and NaN fails every range check: these are checked by this package alone
-    d.dynamic_typing = spec.vector == 0
-    finite = not (isinstance(spec.default, float) and not math.isfinite(spec.default))
-    if spec.vector is None and finite and (spec.low is not None or spec.high is not None):
-        if spec.kind is float:
-            low, high = (-1e308 if spec.low is None else spec.low), (1e308 if spec.high is None else spec.high)
-            d.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high))]
-        elif spec.kind is int:
-            low, high = (-(2**62) if spec.low is None else spec.low), (2**62 if spec.high is None else spec.high)
-            d.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
-    return d
+def _stamp(item: Any) -> int | None:
+    """The header stamp of a message (ns), None for what has none."""
+    return stamp_ns(item) if hasattr(item, "header") else None
 
 
 class StageNode(LifecycleNode):
@@ -78,32 +69,37 @@ class StageNode(LifecycleNode):
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
         self.losses = Losses()
-        self.received: dict[str, int] = {}
-        self._rate_state: dict[str, tuple[float, int]] = {}
-        self._arrived: dict[str, float] = {}
+        self.health = Health()
         self._queue: queue.Queue[tuple[str, Any] | None] = queue.Queue(QUEUE)
         self._worker: threading.Thread | None = None
         self._group = MutuallyExclusiveCallbackGroup()
         self._active = False
         self._busy = False
+        self._before_build: set[int] = set()
+        self._jumps_back = 0
         self.parameters = self._declare()
         self.add_on_set_parameters_callback(self._on_set)
+        # a simulated clock that goes back is named here; what it means for the data, the data itself tells
+        back = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
+        self.get_clock().create_jump_callback(back, post_callback=self._jumped)
+
+    def _jumped(self, jump: Any) -> None:
+        self._jumps_back += 1
 
     # parameters ---------------------------------------------------------------------------------------------------
     def _declare(self) -> Parameters:
-        file = self.declare_parameter("config_file", "", ParameterDescriptor(description="Parameter file in the ROS layout.")).value
+        read_once = ParameterDescriptor(description="Parameter file in the ROS layout, read at the start.", read_only=True)
+        file = self.declare_parameter("config_file", "", read_once).value
         start = read_config(file or None)
-        outside = start.write()
+        given = start.write()
         for section in self.sections:
             for spec in specs(SECTIONS[section]):
-                value = outside[section][spec.key]
-                self.declare_parameter(f"{section}.{spec.key}", value if value != [] else [0.0][:0], _descriptor(spec))
-        values = {s: {k.key: self._outside(f"{s}.{k.key}") for k in specs(SECTIONS[s])} for s in self.sections}
+                value = given[section][spec.key]
+                self.declare_parameter(f"{section}.{spec.key}", value if value != [] else [0.0][:0], descriptor(spec))
+        values = {
+            s: {k.key: outside(self.get_parameter(f"{s}.{k.key}").value) for k in specs(SECTIONS[s])} for s in self.sections
+        }  # fmt: skip
         return Parameters.read(values, start)
-
-    def _outside(self, name: str) -> Any:
-        value = self.get_parameter(name).value
-        return list(value) if value is not None and not isinstance(value, str | int | float | bool) else [] if value is None else value
 
     def _on_set(self, changes: Sequence[Parameter]) -> SetParametersResult:
         values: dict[str, dict[str, Any]] = {}
@@ -111,16 +107,20 @@ class StageNode(LifecycleNode):
             section, dot, key = change.name.partition(".")
             if not dot or section not in SECTIONS:
                 continue
-            if self._worker is not None and section not in self.runtime_sections:
-                return SetParametersResult(successful=False, reason=f"{change.name} cannot change while the node is configured")
-            value = change.value
-            values.setdefault(section, {})[key] = value if isinstance(value, str | int | float | bool) else list(value or [])
+            reason = why_not_now(change.name, self.runtime_sections) if self._worker is not None else None
+            if reason is not None:
+                return SetParametersResult(successful=False, reason=reason)
+            values.setdefault(section, {})[key] = outside(change.value)
+        if not values:
+            return SetParametersResult(successful=True)
         try:
             parameters = Parameters.read(values, self.parameters)
         except ConfigurationError as error:
             return SetParametersResult(successful=False, reason=str(error))
         self.parameters = parameters
-        self.changed()
+        if self._worker is not None:
+            self._timer.timer_period_ns = round(parameters.node.diagnostics_period_s * 1e9)
+            self.changed()
         return SetParametersResult(successful=True)
 
     def changed(self) -> None:
@@ -138,21 +138,34 @@ class StageNode(LifecycleNode):
     def idle(self) -> None:
         """Called by the worker after items and at least every 50 ms; for periodic work."""
 
+    def finish(self) -> None:
+        """The worker's last act: bring to an end what was taken in."""
+        self.idle()
+
     def status(self) -> dict[str, Any]:
         """The node's own lines in the diagnostics."""
         return {}
 
+    def warnings(self) -> list[str]:
+        """What the node itself finds wrong, in words; for subclasses."""
+        return []
+
     def on_configure(self, state: Any) -> TransitionCallbackReturn:
         """Build everything, kernels included, and start the worker."""
+        self._before_build = {id(e) for _, e in self._entities()}
         try:
             if self.kernels:
                 warm_up()
             self.build()
         except LadarVolumeError as error:
             self.get_logger().error(str(error))
+            self._take_down()
             return TransitionCallbackReturn.FAILURE
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_timer(self.parameters.node.diagnostics_period_s, self.publish_diagnostics, callback_group=self._group)
+        # by a steady clock: a simulated one may stand still, and then one wants to see why
+        self._timer = self.create_timer(
+            self.parameters.node.diagnostics_period_s, self.publish_diagnostics, self._group, Clock(clock_type=ClockType.STEADY_TIME)
+        )
         self.create_service(Trigger, "~/reset", self._reset, callback_group=self._group)
         self._worker = threading.Thread(target=self._run, name=self.get_name(), daemon=True)
         self._worker.start()
@@ -168,17 +181,43 @@ class StageNode(LifecycleNode):
         self._active = False
         return super().on_deactivate(state)
 
+    def on_cleanup(self, state: Any) -> TransitionCallbackReturn:
+        """Finish the work in the queue, then take down what :meth:`on_configure` built; the node can be configured again."""
+        self.stop()
+        self._take_down()
+        self._worker = None
+        return TransitionCallbackReturn.SUCCESS
+
     def on_shutdown(self, state: Any) -> TransitionCallbackReturn:
         """Finish the work in the queue."""
         self.stop()
         return TransitionCallbackReturn.SUCCESS
 
+    def _entities(self) -> list[tuple[Callable[[Any], Any], Any]]:
+        kinds = (
+            (self.destroy_subscription, self.subscriptions), (self.destroy_publisher, self.publishers), (self.destroy_timer, self.timers),
+            (self.destroy_service, self.services), (self.destroy_client, self.clients),
+        )  # fmt: skip
+        return [(destroy, entity) for destroy, entities in kinds for entity in entities]
+
+    def _take_down(self) -> None:
+        for destroy, entity in self._entities():
+            if id(entity) not in self._before_build:
+                destroy(entity)
+
     def stop(self) -> None:
-        """Work off the queue, then end the worker."""
+        """Work off the queue, finish, report for the last time, and wait until listeners have it; then the worker has ended."""
         self._active = False
-        if self._worker is not None and self._worker.is_alive():
-            self._queue.put(None)
-            self._worker.join(timeout=30.0)
+        if self._worker is None or not self._worker.is_alive():
+            return
+        self._queue.put(None)
+        self._worker.join(timeout=STOP_S)
+        if self._worker.is_alive():
+            self.get_logger().error(f"work in the queue was not finished within {STOP_S:g} s")
+        if self.context.ok():
+            self.publish_diagnostics()
+            for publisher in self.publishers:
+                publisher.wait_for_all_acked(Duration(seconds=1))
 
     def _reset(self, request: Any, response: Any) -> Any:
         self.offer("reset", None)
@@ -188,15 +227,16 @@ class StageNode(LifecycleNode):
     # worker -------------------------------------------------------------------------------------------------------
     def offer(self, kind: str, item: Any) -> None:
         """Queue an item for the worker; a full queue drops it and counts it."""
-        self.received[kind] = self.received.get(kind, 0) + 1
-        self._arrived[kind] = time.monotonic()
+        self.health.arrived(kind, time.monotonic(), _stamp(item))
         try:
             self._queue.put_nowait((kind, item))
         except queue.Full:
             self.losses.add(f"message_queue_full_{kind}")
 
-    def listen(self, kind: str, message_type: Any, topic: str, qos: QoSProfile) -> None:
-        """Subscribe: messages go to the worker as ``kind``; what the middleware lost is counted."""
+    def listen(self, kind: str, message_type: Any, topic: str, qos: QoSProfile, silent_s: float | None = None) -> None:
+        """Subscribe: messages go to the worker as ``kind``; what the middleware lost is counted, a silence beyond ``silent_s`` named."""
+        if silent_s is not None:
+            self.health.expect(kind, silent_s)
 
         def lost(event: Any) -> None:
             self.losses.add(f"message_lost_{kind}", max(int(event.total_count_change), 0))
@@ -211,16 +251,19 @@ class StageNode(LifecycleNode):
             try:
                 item = self._queue.get(timeout=0.05)
             except queue.Empty:
-                self._busy = True
+                self._busy, began = True, time.monotonic()
                 self._guarded(self.idle)
+                self.health.busy(time.monotonic() - began)
                 self._busy = False
                 continue
             if item is None:
+                self._guarded(self.finish)
                 break
             kind, payload = item
-            self._busy = True
+            self._busy, began = True, time.monotonic()
             self._guarded(lambda kind=kind, payload=payload: self.work(kind, payload))  # type: ignore[misc]
             self._guarded(self.idle)
+            self.health.worked(kind, time.monotonic() - began, _stamp(payload))
             self._busy = False
 
     def _guarded(self, action: Callable[[], None]) -> None:
@@ -237,22 +280,20 @@ class StageNode(LifecycleNode):
     def publish_diagnostics(self) -> None:
         """One DiagnosticStatus with rates, ages, queue length, losses by reason, and the stage's own lines."""
         values: dict[str, Any] = {"queue": self._queue.qsize() + int(self._busy)}
-        now = time.monotonic()
-        for kind, count in list(self.received.items()):
-            before, old = self._rate_state.get(kind, (now, count))
-            values[f"received_{kind}"] = count
-            values[f"rate_{kind}_hz"] = f"{(count - old) / (now - before):.1f}" if now > before else "0.0"
-            values[f"age_{kind}_s"] = f"{now - self._arrived[kind]:.2f}"
-            self._rate_state[kind] = (now, count)
+        now, clock = time.monotonic(), self.get_clock().now()
+        values |= self.health.lines(now, int(clock.nanoseconds)) | {"clock_jumps_back": self._jumps_back}
+        wrong = self.health.silent(now) if self._active else []
         with contextlib.suppress(RuntimeError):  # a dictionary of the worker's changed size under our eyes: next period
             values |= self.status()
+            wrong += self.warnings()
         lost = self.all_losses()
         values |= {f"lost_{reason}": count for reason, count in lost.items()}
-        level, message = (DiagnosticStatus.WARN, "data was lost") if lost else (DiagnosticStatus.OK, "good")
+        wrong += self.health.newly_lost(lost.as_dict())
+        level, message = (DiagnosticStatus.WARN, "; ".join(wrong)) if wrong else (DiagnosticStatus.OK, "good")
         status = DiagnosticStatus(level=level, name=self.get_name(), message=message, hardware_id="ladar_volume")
         status.values = [KeyValue(key=k, value=str(v)) for k, v in values.items()]
         array = DiagnosticArray(status=[status])
-        array.header.stamp = self.get_clock().now().to_msg()
+        array.header.stamp = clock.to_msg()
         self._diagnostics.publish(array)
 
     def all_losses(self) -> Losses:
@@ -268,47 +309,3 @@ class StageNode(LifecycleNode):
         if self.parameters.node.autostart:
             self.trigger_configure()
             self.trigger_activate()
-
-
-class Spinner:
-    """One executor and one thread per node: callbacks only queue, and a service that computes delays no other node."""
-
-    def __init__(self, node: Any) -> None:
-        self.node = node
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(node)
-        self._thread = threading.Thread(target=self._spin, name=f"spin {node.get_name()}", daemon=True)
-        self._thread.start()
-
-    def _spin(self) -> None:
-        with contextlib.suppress(ExternalShutdownException):
-            self._executor.spin()
-
-    def close(self) -> None:
-        """Let the node finish its work, then end the thread and the node."""
-        if isinstance(self.node, StageNode):
-            self.node.stop()
-        self._executor.shutdown(timeout_sec=2.0)
-        self._thread.join(timeout=2.0)
-        self.node.destroy_node()
-
-
-def spin(factory: Callable[[], StageNode], argv: Sequence[str] | None = None) -> int:
-    """Run one node in this process until SIGINT or SIGTERM, then let it finish its work. Returns an exit code."""
-    rclpy.init(args=list(argv) if argv is not None else None, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    try:
-        node = factory()
-        node.autostart()
-        spinner = Spinner(node)
-        while not stop.wait(0.2):
-            continue
-        spinner.close()
-    except ConfigurationError as error:
-        print(f"ladar_volume: {error}", file=sys.stderr)  # noqa: T201 - before any node exists there is no logger
-        return 2
-    finally:
-        rclpy.try_shutdown()
-    return 0

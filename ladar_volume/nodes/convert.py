@@ -41,6 +41,11 @@ def datum_message(datum: Datum, t_ns: int) -> NavSatFix:
     return NavSatFix(header=header(t_ns), latitude=datum.latitude_deg, longitude=datum.longitude_deg, altitude=datum.height_m)
 
 
+def datum_of(message: NavSatFix) -> Datum:
+    """The inverse of :func:`datum_message`."""
+    return Datum(message.latitude, message.longitude, message.altitude)
+
+
 def platform_messages(states: PlatformStates, last_segment: int | None) -> list[Odometry]:
     """One Odometry per state: pose of the IMU origin, twist in the body frame, pose covariance about fixed axes (its position
     block is the antenna's). The first state after a gap has −1 in twist.covariance[0]: nothing ties it to the one before."""

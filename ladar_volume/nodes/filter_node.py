@@ -8,14 +8,17 @@ from collections.abc import Sequence
 from typing import Any
 
 from nav_msgs.msg import Odometry
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import NavSatFix, PointCloud2
 
 from ladar_volume.filtering.filter import SurfaceFilter
 from ladar_volume.io.clouds import stamp_ns
 from ladar_volume.io.tables import decode
 from ladar_volume.io.wire import filtered_columns, mapped_points, patch_columns, update_parts
-from ladar_volume.nodes.base import STREAM, StageNode, spin
-from ladar_volume.nodes.convert import platform_state, table_message
+from ladar_volume.model.records import Datum, FilterUpdate
+from ladar_volume.nodes.base import LATCHED, STREAM, StageNode
+from ladar_volume.nodes.convert import datum_of, platform_state, table_message
+from ladar_volume.nodes.passes import Passes
+from ladar_volume.nodes.running import spin
 
 
 class FilterNode(StageNode):
@@ -30,6 +33,9 @@ class FilterNode(StageNode):
     def build(self) -> None:
         """Stage, topics."""
         self.stage = SurfaceFilter(self.parameters)
+        self._passes = Passes("platform")
+        self._unsure: list[PointCloud2] = []
+        self._datum: Datum | None = None
         self._segment = 0
         self._states: list[Odometry] = []
         self._fresh = False
@@ -40,22 +46,49 @@ class FilterNode(StageNode):
         self._patches = self.create_publisher(PointCloud2, "patches", STREAM)
         self.listen("points", PointCloud2, "points_mapped", STREAM)
         self.listen("platform", Odometry, "platform", STREAM)
+        self.listen("datum", NavSatFix, "datum", LATCHED)
 
     def work(self, kind: str, item: Any) -> None:
         """Hand points and states to the stage."""
         if kind == "reset":
-            self.stage = SurfaceFilter(self.parameters)
-            return
-        if kind == "platform":
-            self._states.append(item)  # handed over in blocks: one small array operation per state would cost more
-            if len(self._states) >= 10:
-                self._hand_over()
-            return
+            return self._start_over()
+        if kind == "datum":
+            return self._take_datum(datum_of(item))
+        verdict = self._passes.take(kind, stamp_ns(item))
+        if verdict == "old":
+            return self.losses.add("message_before_restart")
+        if verdict == "wait":
+            return self._unsure.append(item)
+        if verdict == "new":
+            self._start_over()
+        if kind == "points":
+            return self._add(item)
+        self._states.append(item)  # handed over in blocks: one small array operation per state would cost more
+        if len(self._states) >= 10:
+            self._hand_over()
+        unsure, self._unsure = self._unsure, []
+        for message in unsure:
+            self._add(message)
+        return None
+
+    def _add(self, message: PointCloud2) -> None:
         self._hand_over()
-        points = mapped_points(stamp_ns(item), decode(item))
+        points = mapped_points(stamp_ns(message), decode(message))
         self.stage.add(points)
         self.counts["points"] += len(points)
         self._fresh = True
+
+    def _take_datum(self, datum: Datum) -> None:
+        if self._datum not in (None, datum):
+            self.get_logger().warning("another datum: coordinates so far mean nothing in it, a new surface begins")
+            self.losses.add("message_datum_changed")
+            self._start_over()
+        self._datum = datum
+
+    def _start_over(self) -> None:
+        self.losses.merge(self.stage.losses)
+        self.stage = SurfaceFilter(self.parameters)
+        self._states, self._fresh = [], False
 
     def _hand_over(self) -> None:
         if self._states:
@@ -72,7 +105,18 @@ class FilterNode(StageNode):
         began = time.monotonic()
         self._hand_over()
         self._fresh = False
-        update = self.stage.update()
+        self._send(self.stage.update())
+        # the pause counts from the end: a slow machine spends at most its share on updates, and the estimate gets its turn
+        self._updated = time.monotonic()
+        self._last_update_s = self._updated - began
+
+    def finish(self) -> None:
+        """The last update."""
+        self._hand_over()
+        self._fresh = False
+        self._send(self.stage.finish())
+
+    def _send(self, update: FilterUpdate | None) -> None:
         if update is not None:
             for number, part in enumerate(update_parts(update)):
                 # the stamp pairs the two tables; a nanosecond per part keeps it unique
@@ -80,16 +124,13 @@ class FilterNode(StageNode):
                 self._points.publish(table_message(filtered_columns(part.points), update.t_ns + number))
                 self.counts["parts"] += 1
             self.counts["updates"] += 1
-        # the pause counts from the end: a slow machine spends at most its share on updates, and the estimate gets its turn
-        self._updated = time.monotonic()
-        self._last_update_s = self._updated - began
 
     def status(self) -> dict[str, Any]:
         """Size of the surface, what was sent, and whether something waits for the next update."""
         return {
             **self.stage.stats, **{f"count_{k}": v for k, v in self.counts.items()},
             "pending_update": int(self._fresh or bool(self._states)),
-            "last_update_s": f"{self._last_update_s:.2f}",
+            "last_update_s": f"{self._last_update_s:.2f}", "restarts": self._passes.begun,
         }  # fmt: skip
 
 

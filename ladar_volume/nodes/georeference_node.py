@@ -15,8 +15,14 @@ from ladar_volume.georeference.sensitivity import total_covariance
 from ladar_volume.io.clouds import returns_from_cloud, stamp_ns
 from ladar_volume.io.messages import fix_from_message, imu_from_message, odometry_from_message
 from ladar_volume.io.wire import mapped_columns
-from ladar_volume.nodes.base import LATCHED, STREAM, StageNode, sensor_qos, spin
+from ladar_volume.nodes.base import LATCHED, STREAM, StageNode, sensor_qos
 from ladar_volume.nodes.convert import datum_message, platform_messages, table_message
+from ladar_volume.nodes.running import spin
+
+#: An outage: sensors at 10 Hz and more do not pause this long.
+SILENT_S = 2.0
+#: What NavSatFix.status says, as drivers use it.
+FIX_TYPES = {-1: "none", 0: "autonomous or float", 1: "augmented", 2: "RTK fixed"}
 
 
 class GeoreferenceNode(StageNode):
@@ -33,26 +39,28 @@ class GeoreferenceNode(StageNode):
         self.stage = Georeferencer(self.parameters)
         self._segment: int | None = None
         self._datum_sent = False
-        self._fix_status = "none"
+        self._fix_status: int | None = None
+        self._fix_changes = self._restarts = 0
         self._newest_ns = 0
         self.sent = {"points": 0, "clouds": 0, "states": 0}
         self._points = self.create_publisher(PointCloud2, "points_mapped", STREAM)
         self._platform = self.create_publisher(Odometry, "platform", STREAM)
         self._datum = self.create_publisher(NavSatFix, "datum", LATCHED)
         qos = sensor_qos(self.parameters)
-        self.listen("cloud", PointCloud2, "velodyne_points", qos)
+        self.listen("cloud", PointCloud2, "velodyne_points", qos, SILENT_S)
         if self.parameters.georeference.pose_source == "odometry":
-            self.listen("odometry", Odometry, "odometry", qos)
+            self.listen("odometry", Odometry, "odometry", qos, SILENT_S)
         else:
-            self.listen("fix", NavSatFix, "gnss/fix", qos)
-            self.listen("imu", Imu, "imu/data", qos)
+            self.listen("fix", NavSatFix, "gnss/fix", qos, SILENT_S)
+            self.listen("imu", Imu, "imu/data", qos, SILENT_S)
 
     def work(self, kind: str, item: Any) -> None:
         """One message: decode, hand to the stage, publish what became ready."""
         if kind == "reset":
             self.losses.merge(self.stage.losses)
             self.stage = Georeferencer(self.parameters)
-            self._segment, self._datum_sent = None, False
+            self._restarts = 0
+            self._start_over()
             return
         stage = self.stage
         decode: dict[str, Callable[[Any], None]] = {
@@ -62,9 +70,22 @@ class GeoreferenceNode(StageNode):
             "cloud": lambda m: stage.add_returns(returns_from_cloud(m, self.parameters.georeference, self.losses)),
         }
         if kind == "fix":
-            self._fix_status = str(item.status.status)
-        self._newest_ns = max(self._newest_ns, stamp_ns(item))
+            self._fix_changes += self._fix_status not in (None, int(item.status.status))
+            self._fix_status = int(item.status.status)
+        self._newest_ns = stamp_ns(item)
         decode[kind](item)
+        if stage.restarts != self._restarts:
+            self._restarts = stage.restarts
+            self.get_logger().warning("the time of the data began again: a new trajectory, a new surface")
+            self._start_over()
+        self._publish()
+
+    def _start_over(self) -> None:
+        self._segment, self._datum_sent = None, False
+
+    def finish(self) -> None:
+        """What still waits for a pose is lost, and counted."""
+        self.stage.finish()
         self._publish()
 
     def _publish(self) -> None:
@@ -88,12 +109,35 @@ class GeoreferenceNode(StageNode):
             self.sent["clouds"] += 1
 
     def status(self) -> dict[str, Any]:
-        """Fix type, clock offset, waiting returns, what was sent."""
-        offset = self.parameters.calibration.clock_offset_s
-        return {
-            "fix_status": self._fix_status, "clock_offset_s": offset, "returns_waiting": self.stage.pending,
+        """Fix type, clocks, waiting returns, what was sent. ``clock_offset_estimate_s`` is the whole offset, the declared one included."""
+        offset, lead, fix = self.parameters.calibration.clock_offset_s, self.stage.cloud_lead, self.stage.fix_lead
+        status = -1 if self._fix_status is None else self._fix_status
+        lines: dict[str, Any] = {
+            "fix_status": status, "fix_type": FIX_TYPES.get(status, "unknown"), "fix_changes": self._fix_changes,
+            "clock_offset_s": offset, "clock_state": lead.state, "fix_clock_state": fix.state,
+            "sweeps_overlapping": self.stage.sweeps.overlapping, "restarts": self.stage.restarts, "returns_waiting": self.stage.pending,
             **{f"sent_{k}": v for k, v in self.sent.items()},
         }  # fmt: skip
+        if lead.estimate_s is not None:
+            lines |= {"clock_offset_estimate_s": f"{offset + lead.estimate_s[0]:.4f}", "clock_offset_sigma_s": f"{lead.estimate_s[1]:.4f}"}
+        if fix.estimate_s is not None:
+            lines["fix_behind_s"] = f"{fix.estimate_s[0]:.4f}"
+        return lines
+
+    def warnings(self) -> list[str]:
+        """A LiDAR clock, or a receiver's, that does not tell the attitudes' time; a receiver without RTK fix."""
+        out = []
+        lead, fix = self.stage.cloud_lead, self.stage.fix_lead
+        if lead.estimate_s is not None and lead.state == "offset":
+            seconds = self.parameters.calibration.clock_offset_s + lead.estimate_s[0]
+            out.append(f"the LiDAR's clock is off: calibration.clock_offset_s should be about {seconds:.3f}")
+        elif lead.state == "unsteady":
+            out.append("the times of the clouds scatter against those of the poses")
+        if fix.state in ("offset", "unsteady") and fix.estimate_s is not None:
+            out.append(f"fixes are {fix.estimate_s[0]:.2f} s older than attitudes when they come ({fix.state})")
+        if self._fix_status is not None and self._fix_status < 0:
+            out.append("the receiver has no fix")
+        return out
 
 
 def main(argv: Sequence[str] | None = None) -> int:

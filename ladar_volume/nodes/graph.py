@@ -20,12 +20,13 @@ from std_srvs.srv import Trigger
 
 from ladar_volume.io.bags import BagReader
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.nodes.base import Spinner, StageNode
+from ladar_volume.nodes.base import STOP_S, StageNode
 from ladar_volume.nodes.filter_node import FilterNode
 from ladar_volume.nodes.georeference_node import GeoreferenceNode
 from ladar_volume.nodes.logger_node import LoggerNode
 from ladar_volume.nodes.mavlink_node import MavlinkNode
 from ladar_volume.nodes.player import Player
+from ladar_volume.nodes.running import Spinner
 from ladar_volume.nodes.volume_node import VolumeNode
 from ladar_volume.warm import warm_up
 
@@ -33,6 +34,8 @@ FACTORIES: dict[str, Callable[..., StageNode]] = {
     "georeference_node": GeoreferenceNode, "filter_node": FilterNode, "volume_node": VolumeNode, "logger_node": LoggerNode,
     "mavlink_node": MavlinkNode,
 }  # fmt: skip
+#: Data flows from each to the next: in this order they end, so that each still hears what the one before it finishes.
+ENDING = ("mavlink_node", "georeference_node", "filter_node", "volume_node", "logger_node")
 #: The graph has drained when its counters have agreed and stood still this long.
 STILL_S = 1.5
 
@@ -96,8 +99,8 @@ class Graph:
     """Starts the nodes, plays a recording if asked, waits, answers, stops what it started."""
 
     def __init__(self, config: Path, separate: bool, log: Path | None, mavlink: bool = False) -> None:
-        self._spinners: list[Spinner] = []
-        self._processes: list[subprocess.Popen[bytes]] = []
+        self._spinners: dict[str, Spinner] = {}
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
         wanted = {"logger_node": log is not None, "mavlink_node": mavlink}
         names = [n for n in FACTORIES if wanted.get(n, True)]
         warm_up()  # once here, so that four processes do not compile the same kernels beside each other
@@ -109,21 +112,21 @@ class Graph:
             if separate:
                 words = [w for key, value in settings.items() for w in ("-p", f"{key}:={value}")]
                 command = [sys.executable, "-m", f"ladar_volume.nodes.{name}", "--ros-args", *words]
-                self._processes.append(subprocess.Popen(command, env=os.environ))
+                self._processes[name] = subprocess.Popen(command, env=os.environ)
             else:
                 node = FACTORIES[name](parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()])
                 node.autostart()
                 self._add(node)
 
     def _add(self, node: Node) -> None:
-        self._spinners.append(Spinner(node))
+        self._spinners[node.get_name()] = Spinner(node)
 
     def wait_ready(self, timeout_s: float = 300.0) -> None:
         """Until every node reports. Raises VolumeError where one does not."""
         deadline = time.monotonic() + timeout_s
         wanted = {"georeference_node", "filter_node", "volume_node"}
         while not wanted <= set(self.watcher.lines):
-            dead = [p.args for p in self._processes if p.poll() not in (None, 0)]
+            dead = [p.args for p in self._processes.values() if p.poll() not in (None, 0)]
             if dead or time.monotonic() > deadline:
                 raise VolumeError(f"nodes did not start: {sorted(wanted - set(self.watcher.lines))}", reason="volume_no_node")
             time.sleep(0.05)
@@ -162,16 +165,17 @@ class Graph:
                 return
 
     def close(self) -> None:
-        """Stop the nodes and processes this graph started."""
-        for process in self._processes:
-            process.terminate()
-        for process in self._processes:
-            try:
-                process.wait(timeout=30.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-        for spinner in self._spinners:
-            spinner.close()
+        """Stop the nodes and processes this graph started, each once those before it have handed on what they had; the log ends last."""
+        for name in (*ENDING, *(n for n in self._spinners if n not in ENDING)):
+            process = self._processes.get(name)
+            if process is not None:
+                process.terminate()
+                try:
+                    process.wait(timeout=STOP_S + 5.0)
+                except subprocess.TimeoutExpired:
+                    process.kill()
+            if name in self._spinners:
+                self._spinners[name].close()
         rclpy.try_shutdown()
 
     def losses(self) -> dict[str, int]:

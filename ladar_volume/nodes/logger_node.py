@@ -24,7 +24,8 @@ from ladar_volume.io.recover import Recovery
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.losses import Losses
-from ladar_volume.nodes.base import StageNode, spin
+from ladar_volume.nodes.base import StageNode
+from ladar_volume.nodes.running import spin
 from ladar_volume.version import version
 
 #: How often new topics are looked for.

@@ -23,8 +23,10 @@ from ladar_volume.io.tables import decode
 from ladar_volume.io.wire import filter_update, filtered_points, ground_columns, no_filtered_points, volume_columns
 from ladar_volume.model.errors import LadarVolumeError, VolumeError
 from ladar_volume.model.records import Datum, Estimate, FilterUpdate
-from ladar_volume.nodes.base import LATCHED, STREAM, StageNode, spin
-from ladar_volume.nodes.convert import ground_message, platform_state, table_message
+from ladar_volume.nodes.base import LATCHED, STREAM, StageNode
+from ladar_volume.nodes.convert import datum_of, ground_message, platform_state, table_message
+from ladar_volume.nodes.passes import Passes
+from ladar_volume.nodes.running import spin
 from ladar_volume.volume.estimator import VolumeEstimator
 
 
@@ -44,6 +46,7 @@ class VolumeNode(StageNode):
         self._half: dict[int, dict[str, Any]] = {}
         self._parts: list[FilterUpdate] = []
         self._states: list[Odometry] = []
+        self._passes = Passes("platform", "points", "patches")
         self._segment = 0
         self._due = False
         self._mapped = float("-inf")
@@ -71,7 +74,9 @@ class VolumeNode(StageNode):
             self.create_service(Trigger, f"~/{name}", self._service(action), callback_group=self._group)
 
     def _start_over(self) -> None:
+        self.losses.merge(self.stage.losses)
         self.stage, self._half, self._parts, self._estimate = VolumeEstimator(self.parameters), {}, [], None
+        self._states, self._due, self._why_not = [], False, "no surface yet"
 
     def changed(self) -> None:
         """New base, outline or ground: the next estimate uses it."""
@@ -85,16 +90,28 @@ class VolumeNode(StageNode):
 
     def _work(self, kind: str, item: Any) -> None:
         if kind == "reset":
-            self._start_over()
-        elif kind == "parameters":
-            self.stage.set_parameters(item)
+            return self._start_over()
+        if kind == "parameters":
             self._due = True
-        elif kind == "datum":
-            self._datum = Datum(item.latitude, item.longitude, item.altitude)
-        elif kind == "platform":
+            return None
+        if kind == "datum":
+            return self._take_datum(datum_of(item))
+        verdict = self._passes.take(kind, stamp_ns(item))
+        if verdict == "old":
+            return self.losses.add("message_before_restart")
+        if verdict == "new":
+            self._start_over()
+        if kind == "platform":
             self._states.append(item)
-        else:
-            self._pair(kind, item)
+            return None
+        return self._pair(kind, item)
+
+    def _take_datum(self, datum: Datum) -> None:
+        if self._datum not in (None, datum):
+            self.get_logger().warning("another datum: coordinates so far mean nothing in it, a new surface begins")
+            self.losses.add("message_datum_changed")
+            self._start_over()
+        self._datum = datum
 
     def _pair(self, kind: str, item: Any) -> None:
         key = stamp_ns(item)
@@ -130,8 +147,19 @@ class VolumeNode(StageNode):
             with self._lock:
                 self._compute()
 
+    def finish(self) -> None:
+        """The last estimate, if anything is new, said once more in the log."""
+        with self._lock:
+            if self._due:
+                self._compute()
+        if self._estimate is not None:
+            v = self._estimate.volume
+            self.get_logger().info(f"volume at the end: {v.volume_m3:.4f} m3, sigma {v.sigma_m3:.4f} m3")
+
     def _compute(self) -> Estimate:
         self._hand_over()
+        if self.stage.parameters is not self.parameters:
+            self.stage.set_parameters(self.parameters)
         self._due = False
         self._estimate_began = time.monotonic()
         try:
@@ -204,7 +232,7 @@ class VolumeNode(StageNode):
     def status(self) -> dict[str, Any]:
         """The present estimate against the wanted tolerance."""
         lines: dict[str, Any] = {f"count_{k}": v for k, v in self.counts.items()} | {
-            "pending_estimate": int(self._due), "last_estimate_s": f"{self._last_estimate_s:.2f}",
+            "pending_estimate": int(self._due), "last_estimate_s": f"{self._last_estimate_s:.2f}", "restarts": self._passes.begun,
         }  # fmt: skip
         if self._estimate is None:
             return lines | {"estimate": self._why_not}

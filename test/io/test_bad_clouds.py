@@ -77,6 +77,15 @@ def test_untimed_clouds_are_refused_unless_told_otherwise():
     assert set(returns.t_ns.tolist()) == {STAMP}
 
 
+def test_one_time_for_a_whole_sweep_is_none():
+    still = columns(600, time=np.full(600, 0.05, np.float32))
+    with pytest.raises(CloudError, match="same time") as caught:
+        read(message(still))
+    assert caught.value.reason == "cloud_one_time"
+    assert set(read(message(still), untimed_clouds="stamp")[0].t_ns.tolist()) == {STAMP + 50_000_001}  # 0.05 as float32
+    read(message(columns(16, time=np.zeros(16, np.float32))))  # one firing of all beams is at one time
+
+
 def test_nan_rows_go_with_all_their_columns_and_are_counted():
     c = timed()
     c["y"][2] = np.nan

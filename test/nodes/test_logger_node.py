@@ -28,7 +28,8 @@ from rclpy.qos import HistoryPolicy, QoSProfile
 from sensor_msgs.msg import NavSatFix
 from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
-from ladar_volume.nodes.base import LATCHED, STREAM, Spinner
+from ladar_volume.nodes.base import LATCHED, STREAM
+from ladar_volume.nodes.running import Spinner
 from ladar_volume.nodes.logger_node import LoggerNode
 
 rclpy.init(args=[])

@@ -1,0 +1,60 @@
+"""Nodes in threads and processes: an executor for each, and an orderly end on SIGINT or SIGTERM."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+
+from ladar_volume.model.errors import ConfigurationError
+from ladar_volume.nodes.base import StageNode
+
+
+class Spinner:
+    """One executor and one thread per node: callbacks only queue, and a service that computes delays no other node."""
+
+    def __init__(self, node: Any) -> None:
+        self.node = node
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(node)
+        self._thread = threading.Thread(target=self._spin, name=f"spin {node.get_name()}", daemon=True)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        with contextlib.suppress(ExternalShutdownException):
+            self._executor.spin()
+
+    def close(self) -> None:
+        """Let the node finish its work, then end the thread and the node."""
+        if isinstance(self.node, StageNode):
+            self.node.stop()
+        self._executor.shutdown(timeout_sec=2.0)
+        self._thread.join(timeout=2.0)
+        self.node.destroy_node()
+
+
+def spin(factory: Callable[[], StageNode], argv: Sequence[str] | None = None) -> int:
+    """Run one node in this process until SIGINT or SIGTERM, then let it finish its work. Returns an exit code."""
+    rclpy.init(args=list(argv) if argv is not None else None, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    try:
+        node = factory()
+        node.autostart()
+        spinner = Spinner(node)
+        while not stop.wait(0.2):
+            continue
+        spinner.close()
+    except ConfigurationError as error:
+        print(f"ladar_volume: {error}", file=sys.stderr)  # noqa: T201 - before any node exists there is no logger
+        return 2
+    finally:
+        rclpy.try_shutdown()
+    return 0
