@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ladar_volume.cli.study_bodies import add_studies
+from ladar_volume.cli.study_coverage import add_coverage
 from ladar_volume.io.results import json_text, output_folder, write_text
 from ladar_volume.version import version
 
@@ -37,6 +38,7 @@ def add_parser(subparsers: Any) -> None:
     stockpile.add_argument("--json", action="store_true", help="print the numbers as JSON to standard output")
     stockpile.set_defaults(run=run_stockpile)
     add_studies(studies)
+    add_coverage(studies)
 
 
 def run_nist(arguments: argparse.Namespace) -> int:

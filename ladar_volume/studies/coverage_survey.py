@@ -1,0 +1,218 @@
+"""One survey at vertex level: every return becomes a vertex of the surface, with all its sensitivities; no filter in between.
+
+What goes wrong is drawn by the simulation's own code (:mod:`ladar_volume.simulation`), each source from a stream of its own, so that a
+source can be left out without changing the others. What is believed of it is the product's: LiDAR equation, Jacobians and covariances of
+``georeference/``, records as the filter makes them, with one patch per return.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ladar_volume.georeference.budget import independent_sigmas
+from ladar_volume.georeference.lidar import Mounting, laser_vector, map_point, mounting
+from ladar_volume.georeference.sensitivity import (
+    full_calibration_jacobian,
+    independent_covariance,
+    navigation_jacobian,
+    pack,
+    point_geometry,
+)
+from ladar_volume.model.parameters import BudgetParameters, CalibrationParameters, Parameters
+from ladar_volume.model.records import F64, I64, FilteredPoints, FilterUpdate, MappedPoints, Patches, PlatformStates
+from ladar_volume.simulation import velodyne
+from ladar_volume.simulation.errors import draw_errors
+from ladar_volume.simulation.platforms import Platform, uav
+from ladar_volume.studies.coverage_scene import Site
+
+DURATION_S, FIX_HZ, ATTITUDE_HZ = 36.0, 10.0, 50.0
+#: Pulses within this angle about the scanner's axis from straight down.
+SECTOR_RAD = math.radians(45.0)
+#: Streams of random numbers: every survey has its own of each.
+PULSES, CALIBRATION, BEAMS, CLOCK, POSITION, ATTITUDE, NOISE = range(7)
+BEAM_COUNT = 16
+
+
+@dataclass(frozen=True)
+class VertexSurvey:
+    """update : vertices as the filter would hand them on · states : the platform as measured, with the believed C_nav"""
+
+    update: FilterUpdate
+    states: PlatformStates
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What is wrong with one survey: boresight (3,) rad, lever arms (3,) m, clock s, beams, and errors of fixes and attitudes in time."""
+
+    boresight: F64
+    lever_laser: F64
+    lever_antenna: F64
+    clock_s: float
+    beams: velodyne.BeamErrors
+    fix_s: F64
+    position: F64
+    attitude_s: F64
+    attitude: F64
+
+    @classmethod
+    def draw(cls, budget: BudgetParameters, instrument: int, flight: int) -> Drawn:
+        """Errors of this budget. Two surveys with one ``instrument`` share its calibration; each ``flight`` has its own navigation."""
+        b = budget
+        calibration, clock = np.random.default_rng([instrument, CALIBRATION]), np.random.default_rng([instrument, CLOCK])
+        fix_s, attitude_s = (np.arange(-0.5, DURATION_S + 0.6, 1.0 / hz) for hz in (FIX_HZ, ATTITUDE_HZ))
+        position = draw_errors(
+            fix_s, np.array(b.position_sigma_m), b.position_bias_fraction, b.position_white_fraction, b.tau_position_s,
+            np.random.default_rng([flight, POSITION]),
+        )  # fmt: skip
+        attitude = draw_errors(
+            attitude_s, np.array(b.attitude_sigma_rad), b.attitude_bias_fraction, b.attitude_white_fraction, b.tau_attitude_s,
+            np.random.default_rng([flight, ATTITUDE]),
+        )  # fmt: skip
+        return cls(
+            calibration.normal(0, b.boresight_sigma_rad), calibration.normal(0, b.lever_laser_sigma_m),
+            calibration.normal(0, b.lever_antenna_sigma_m), float(clock.normal(0, b.clock_sigma_s)),
+            velodyne.BeamErrors.draw(b, np.random.default_rng([instrument, BEAMS])), fix_s, position.total, attitude_s, attitude.total,
+        )  # fmt: skip
+
+    def position_at(self, t: F64) -> F64:
+        """Position errors (n, 3) m at times (n,) s, linear between fixes."""
+        return np.stack([np.interp(t, self.fix_s, self.position[:, k]) for k in range(3)], axis=1)
+
+    def attitude_at(self, t: F64) -> F64:
+        """Errors (n, 3) rad of roll, pitch and yaw at times (n,) s."""
+        return np.stack([np.interp(t, self.attitude_s, self.attitude[:, k]) for k in range(3)], axis=1)
+
+
+def nominal(platform: Platform) -> CalibrationParameters:
+    """The mounting as the surveyor knows it."""
+    roll, pitch, yaw = (math.radians(v) for v in platform.boresight_deg)
+    return CalibrationParameters(
+        boresight_roll_rad=roll, boresight_pitch_rad=pitch, boresight_yaw_rad=yaw, lever_laser_m=platform.lever_laser_m,
+        lever_antenna_m=platform.lever_antenna_m,
+    )  # fmt: skip
+
+
+def pulses(platform: Platform, count: int, rng: np.random.Generator) -> velodyne.Firings:
+    """Random pulses of the flight that go down, in order of time."""
+    down = Rotation.from_euler("ZYX", np.radians(platform.boresight_deg[::-1])).inv().apply([0.0, 0.0, -1.0])
+    straight = math.atan2(down[1], down[0])
+    turn = rng.integers(0, int(DURATION_S / velodyne.TURN_S), count)
+    azimuth = straight + rng.uniform(-SECTOR_RAD, SECTOR_RAD, count)
+    t = np.sort((turn + np.mod(-azimuth / (2 * np.pi), 1.0)) * velodyne.TURN_S)
+    ring = rng.integers(0, BEAM_COUNT, count)
+    elevation = np.radians(np.sort(velodyne.FIRING_ORDER_DEG))[ring]
+    return velodyne.Firings(t, -2 * np.pi * t / velodyne.TURN_S, elevation, ring.astype(np.uint16))
+
+
+def measured_rotation(platform: Platform, drawn: Drawn, t: F64) -> Rotation:
+    """Body → map rotations as measured at times (n,) s."""
+    angles = platform.angles(t) + drawn.attitude_at(t)
+    return Rotation.from_euler("ZYX", angles[:, ::-1])
+
+
+def survey(site: Site, drawn_with: BudgetParameters, believed: Parameters, seed: int, flight: int | None = None) -> VertexSurvey:
+    """Fly over a site with errors drawn from one budget, and hand on what is measured as another budget believes it.
+
+    ``flight`` numbers the flight where one instrument (``seed``) flies more than once; the ground is that of ``seed``.
+    """
+    flight = seed if flight is None else flight
+    platform = uav(*site.flight_m, DURATION_S)
+    mount = mounting(nominal(platform))
+    drawn = Drawn.draw(drawn_with, seed, flight)
+    noise = np.random.default_rng([flight, NOISE])
+    f = pulses(platform, site.pulses, np.random.default_rng([flight, PULSES]))
+    boresight = Rotation.from_rotvec(drawn.boresight) * Rotation.from_matrix(mount.R_body_laser)
+    R = platform.rotation(f.time_s)
+    ray = R.apply(boresight.apply(velodyne.true_directions(f, drawn.beams, drawn_with, noise)))
+    true = site.ranges(platform.position(f.time_s) + R.apply(mount.lever_laser + drawn.lever_laser), ray, site.ground(seed))
+    rho = velodyne.measured_ranges(true, f.ring, drawn.beams, drawn_with, 0.0, noise, 0.0)
+    keep = np.flatnonzero(np.isfinite(rho))
+    f, rho = velodyne.Firings(f.time_s[keep], f.azimuth[keep], f.elevation[keep], f.ring[keep]), rho[keep]
+    t = f.time_s - drawn.clock_s  # the stamp that the recording gives the pulse
+    antenna = platform.position(t) + platform.rotation(t).apply(mount.lever_antenna + drawn.lever_antenna) + drawn.position_at(t)
+    r = map_point(antenna, measured_rotation(platform, drawn, t).as_matrix(), laser_vector(rho, f.azimuth, f.elevation), mount)
+    points = MappedPoints(nanoseconds(t), r, np.zeros((len(r), 6), np.float32), f.ring, np.ones(len(r), np.float32))
+    states = platform_states(platform, drawn, mount, believed.budget)
+    return VertexSurvey(vertices(points, states, mount, site.normals(r[:, :2]), believed), states)
+
+
+def nanoseconds(t: F64) -> I64:
+    """Seconds of the flight as nanoseconds; a minute is added so that none is negative."""
+    return np.rint((t + 60.0) * 1e9).astype(np.int64)
+
+
+def platform_states(platform: Platform, drawn: Drawn, mount: Mounting, budget: BudgetParameters) -> PlatformStates:
+    """States at the rate of the attitudes, with the covariance that the budget claims."""
+    t, h = drawn.attitude_s, 1e-3
+    R = measured_rotation(platform, drawn, t)
+    roll, pitch, _ = (platform.angles(t) + drawn.attitude_at(t)).T
+    antenna = platform.position(t) + platform.rotation(t).apply(mount.lever_antenna) + drawn.position_at(t)
+    velocity = (platform.position(t + h) - platform.position(t - h)) / (2 * h)
+    zero, one = np.zeros(len(t)), np.ones(len(t))
+    E = np.moveaxis(np.array([  # body rotation vector per roll, pitch, yaw: se3.euler_rate_matrix, stacked
+        [one, zero, -np.sin(pitch)], [zero, np.cos(roll), np.sin(roll) * np.cos(pitch)],
+        [zero, -np.sin(roll), np.cos(roll) * np.cos(pitch)]]), 2, 0) * np.array(budget.attitude_sigma_rad)  # fmt: skip
+    C = np.zeros((len(t), 6, 6))
+    C[:, :3, :3] = np.diag(np.array(budget.position_sigma_m) ** 2)
+    C[:, 3:, 3:] = E @ np.swapaxes(E, 1, 2)
+    position = antenna - R.apply(mount.lever_antenna)
+    return PlatformStates(
+        nanoseconds(t), position, R.as_quat(), R.inv().apply(velocity), platform.rates(t), C, np.zeros(len(t), np.int64)
+    )  # fmt: skip
+
+
+def vertices(points: MappedPoints, states: PlatformStates, mount: Mounting, normal: F64, believed: Parameters) -> FilterUpdate:
+    """Every return as a surface point with a patch of its own: its noise and sensitivities along the surface's normal (n, 3)."""
+    n = len(points)
+    geometry = point_geometry(points, states, mount)
+    C = independent_covariance(geometry, independent_sigmas(believed.budget))
+    across = np.eye(3) - normal[:, :, None] * normal[:, None, :]
+    variance = np.einsum("ni,nij,nj->n", normal, C, normal)
+    M_cal = np.zeros((n, 3, 11 + 2 * BEAM_COUNT))
+    M_cal[:, 0] = np.einsum("ni,nic->nc", normal, full_calibration_jacobian(geometry, points.ring, BEAM_COUNT))
+    M_nav = np.zeros((n, 3, 6))
+    M_nav[:, 0] = np.einsum("ni,nic->nc", normal, navigation_jacobian(geometry))
+    cross = np.zeros((n, 3, 3))
+    cross[:, 0, 0] = variance
+    key, ends = np.arange(n, dtype=np.int64), np.arange(n + 1, dtype=np.int64)
+    tangent = np.stack([normal[:, 2], np.zeros(n), -normal[:, 0]], axis=1)
+    patches = Patches(
+        key, points.r_map, normal, tangent / np.linalg.norm(tangent, axis=1, keepdims=True), np.zeros((n, 3)), np.sqrt(variance),
+        np.ones(n, np.int32), points.t_ns, ends, key, cross, M_cal, ends, points.t_ns // round(believed.filter.nav_bin_s * 1e9), M_nav,
+    )  # fmt: skip
+    tangential = pack(across @ C @ across).astype(np.float32)
+    surface = FilteredPoints(points.r_map, normal, variance, tangential, points.t_ns, key, np.zeros((n, 2)))
+    return FilterUpdate(int(points.t_ns[-1]), np.zeros(0, np.int64), surface, patches, complete=True)
+
+
+def without(budget: BudgetParameters, *kept: str) -> BudgetParameters:
+    """The budget with every source at zero except the named lines."""
+    changes: dict[str, Any] = {name: zero for line, fields in SOURCES.items() if line not in kept for name, zero in fields}
+    return dataclasses.replace(budget, **changes)
+
+
+def _zeros(*names: str) -> tuple[tuple[str, float | tuple[float, ...]], ...]:
+    default = BudgetParameters()
+    return tuple((n, (0.0, 0.0, 0.0) if isinstance(getattr(default, n), tuple) else 0.0) for n in names)
+
+
+#: The fields of the budget behind each printed line.
+SOURCES = {
+    "noise": _zeros("range_noise_m", "azimuth_noise_rad", "vertical_noise_rad", "beam_divergence_rad"),
+    "range_bias": _zeros("range_bias_sigma_m"),
+    "beam_range": _zeros("beam_range_sigma_m"),
+    "beam_vertical": _zeros("beam_vertical_sigma_rad"),
+    "boresight": _zeros("boresight_sigma_rad"),
+    "lever_laser": _zeros("lever_laser_sigma_m"),
+    "lever_antenna": _zeros("lever_antenna_sigma_m"),
+    "clock": _zeros("clock_sigma_s"),
+    "position": _zeros("position_sigma_m"),
+    "attitude": _zeros("attitude_sigma_rad"),
+}

@@ -1,0 +1,183 @@
+"""The coverage study: its sites and surveys against closed forms, its file against interruption, its statistics against known samples."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+
+from ladar_volume.cli.main import main
+from ladar_volume.georeference.budget import attitude_covariance_from_euler
+from ladar_volume.georeference.lidar import mounting
+from ladar_volume.model.errors import ConfigurationError
+from ladar_volume.model.parameters import BudgetParameters, Parameters
+from ladar_volume.simulation.platforms import uav
+from ladar_volume.studies import coverage
+from ladar_volume.studies.coverage_cases import DEFAULT, GROUND, LEVEL, VARIANTS, alone, believed_parameters, measured, net_volumes, scaled
+from ladar_volume.studies.coverage_scene import SITES, level_truth
+from ladar_volume.studies.coverage_survey import DURATION_S, SOURCES, Drawn, nominal, platform_states, survey, without
+from ladar_volume.studies.coverage_tables import tables
+from ladar_volume.volume.estimator import VolumeEstimator
+
+SMALL = dataclasses.replace(SITES["stockpile_100"], pulses=2500)
+PIT = dataclasses.replace(SITES["pit"], pulses=1500)
+
+
+def test_the_volume_of_a_site_is_the_integral_of_its_heights():
+    for site in SITES.values():
+        x, y = (np.linspace(-h, h, 1201) for h in (site.a + 1.0, site.b + 1.0))
+        grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+        body = site.smooth(grid) - grid @ np.array([0.012, -0.008])
+        cell = (x[1] - x[0]) * (y[1] - y[0])
+        assert body.sum() * cell == pytest.approx(site.volume_m3, rel=2e-4)
+
+
+@pytest.mark.parametrize("name", SITES)
+def test_rays_end_on_the_surface_and_not_behind_it(name):
+    site, rng = SITES[name], np.random.default_rng(1)
+    ground = site.ground(3)
+    origin = np.concatenate([rng.uniform(-10, 10, (400, 2)), rng.uniform(20, 30, (400, 1))], axis=1)
+    target = np.concatenate([rng.uniform(-5, 5, (400, 2)), np.zeros((400, 1))], axis=1)
+    ray = (target - origin) / np.linalg.norm(target - origin, axis=1, keepdims=True)
+    t = site.ranges(origin, ray, ground)
+    seen = np.isfinite(t)
+    assert seen.mean() > 0.9
+
+    def above(share):
+        at = origin[seen] + (share * t[seen])[:, None] * ray[seen]
+        body = site.smooth(at[:, :2]) - at[:, :2] @ np.array(ground.slope)
+        return at[:, 2] - ground(at[:, 0], at[:, 1]) - body
+
+    assert np.abs(above(1.0)).max() < 2e-3 and np.median(np.abs(above(1.0))) < 2e-5
+    for share in np.linspace(0.5, 0.995, 40):
+        assert above(share).min() > -0.03
+
+
+def test_normals_are_the_gradient():
+    site, rng = SITES["stockpile_5000"], np.random.default_rng(2)
+    xy = rng.uniform(-15, 15, (300, 2))
+    h = 1e-6
+    slope = np.stack([(site.smooth(xy + d) - site.smooth(xy - d)) / (2 * h) for d in (np.array([h, 0]), np.array([0, h]))], axis=1)
+    n = site.normals(xy)
+    smooth = np.abs(np.hypot(xy[:, 0] / site.a, xy[:, 1] / site.b) - site.top) > 1e-3
+    assert np.allclose((-n[:, :2] / n[:, 2:])[smooth], slope[smooth], atol=1e-6)
+
+
+def test_without_errors_a_survey_finds_the_volume():
+    for base, volume in net_volumes(SITES["stockpile_100"], without(DEFAULT), 7).items():
+        site = SITES["stockpile_100"]
+        exact = site.volume_m3 if base == GROUND else level_truth(site, site.ground(7), (site.a + 1.5, site.b + 1.5), 0.0)
+        assert volume == pytest.approx(exact, rel=0.02 if base == GROUND else 0.005)
+
+
+def test_without_errors_points_lie_on_the_surface():
+    site = dataclasses.replace(SMALL, rough_m=0.0)
+    r = survey(site, without(DEFAULT), Parameters(), 3).update.points.r_map
+    assert np.abs(r[:, 2] - site.smooth(r[:, :2])).max() < 1e-3  # the sinusoids are there, with an amplitude of zero
+    assert len(r) > 800
+
+
+def test_budgets_of_the_variants():
+    assert without(DEFAULT, *SOURCES) == DEFAULT
+    assert without(DEFAULT).position_sigma_m == (0.0, 0.0, 0.0) and without(DEFAULT, "clock").clock_sigma_s == DEFAULT.clock_sigma_s
+    larger = scaled(DEFAULT, sigmas=1.3, tau=3.0)
+    assert larger.boresight_sigma_rad == pytest.approx([1.3 * v for v in DEFAULT.boresight_sigma_rad])
+    assert larger.tau_attitude_s == 60.0 and larger.position_bias_fraction == DEFAULT.position_bias_fraction
+    assert all(isinstance(pair[0], BudgetParameters) for pair in VARIANTS.values())
+
+
+def test_the_believed_covariance_is_that_of_the_georeferencing():
+    platform = uav(10.0, 25.0, DURATION_S)
+    states = platform_states(platform, Drawn.draw(DEFAULT, 1, 1), mounting(nominal(platform)), DEFAULT)
+    for k in (0, 700, 1500):
+        assert states.C_nav[k, 3:, 3:] == pytest.approx(attitude_covariance_from_euler(states.q_map_body[k], DEFAULT.attitude_sigma_rad))
+
+
+def test_one_instrument_flies_twice():
+    one, two, other = (Drawn.draw(DEFAULT, i, f) for i, f in ((1, 5), (1, 6), (2, 5)))
+    assert np.array_equal(one.boresight, two.boresight) and not np.array_equal(one.boresight, other.boresight)
+    assert not np.array_equal(one.position, two.position) and np.array_equal(one.position, other.position)
+
+
+def test_a_common_height_bias_needs_a_design_level_to_matter():
+    site = dataclasses.replace(SMALL, pulses=4000)
+    P = Parameters()
+    one = survey(site, without(DEFAULT), P, 5)
+    volumes = {}
+    for lift in (0.0, 0.05):
+        r = one.update.points.r_map + np.array([0.0, 0.0, lift])
+        update = dataclasses.replace(one.update, points=dataclasses.replace(one.update.points, r_map=r))
+        for base in (GROUND, LEVEL):
+            estimator = VolumeEstimator(believed_parameters(DEFAULT, site, base))
+            estimator.add_platform(one.states)
+            estimator.add(update)
+            volumes[base, lift] = estimator.estimate().volume
+    base = volumes[GROUND, 0.0]
+    assert abs(volumes[GROUND, 0.05].volume_m3 - base.volume_m3) < 1e-6 * base.volume_m3
+    level = volumes[LEVEL, 0.0]
+    assert volumes[LEVEL, 0.05].volume_m3 - level.volume_m3 == pytest.approx(0.05 * level.area_m2, rel=1e-9)
+
+
+@pytest.mark.parametrize("site", [SMALL, PIT], ids=["stockpile", "pit"])
+def test_a_survey_is_repeatable_and_its_budget_adds_up(site):
+    one, two = (measured(site, *VARIANTS["all"], 11) for _ in range(2))
+    assert one == two
+    for row in one.values():
+        assert sum(row.budget_m6.values()) == pytest.approx(row.sigma_m3**2)
+        assert row.tau_m3[0] <= row.sigma_m3 <= row.tau_m3[1] * 1.001
+        assert abs(row.error_m3) < 6.0 * row.sigma_m3
+
+
+def test_each_source_alone():
+    found = alone(PIT, 4)["two epochs"]
+    assert set(found) == set(SOURCES)
+    for line, (changed, variance) in found.items():
+        assert abs(changed) < 8.0 * math.sqrt(variance) + 1e-3 * abs(PIT.volume_m3), line  # the triangulation changes too
+
+
+def test_statistics_of_a_known_sample():
+    rows = [
+        {"error_m3": e, "sigma_m3": 2.0, "naive_m3": 1.0, "tau_m3": [1.0, 3.0], "budget_m6": {"noise": 4.0}}
+        for e in np.random.default_rng(3).normal(0.5, 2.0, 4000)
+    ]
+    s = coverage.statistics(rows, 10.0)
+    assert s["ratio"] == pytest.approx(1.0, abs=0.03) and s["ratio_naive"] == pytest.approx(0.5, abs=0.02)
+    assert s["bias_m3"] == pytest.approx(0.5, abs=0.1) and s["holds_95"] == pytest.approx(0.94, abs=0.015)
+    assert s["budget_m3"] == {"noise": 2.0} and s["tau_m3"] == [1.0, 3.0]
+    lines = coverage.line_statistics([{"clock": (e, 4.0)} for e in (3.0, -3.0, 3.0)])
+    assert lines["clock"]["ratio"] == pytest.approx(2.0 / 3.0)
+    assert coverage.limits(200)["ratio"] == (0.85, 1.15) and coverage.limits(2000)["ratio"] == (0.9, 1.1)
+
+
+def test_a_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
+    monkeypatch.setattr(coverage, "do", lambda t: {**dataclasses.asdict(t), "version": coverage.version(), "result": {}})
+    todo, path, told = coverage.tasks(["pit"], (3, 2, 1)), tmp_path / "s.jsonl", []
+    assert len(todo) == 3 + 2 + (len(VARIANTS) - 1)
+    coverage.run(todo[:4], path, 1, told.append)
+    path.write_text(path.read_text()[:-20])  # broken off within the last line
+    coverage.run(todo, path, 1, told.append)
+    assert told == [0, 1, 2, 3, 4, *range(3, len(todo) + 1)]
+    rows = coverage.read_rows(path)
+    assert coverage.done(rows) == set(todo) and len(rows) == len(todo)
+    old = {**json.loads(json.dumps(rows[0])), "version": "0.0"}
+    path.write_text(json.dumps(old) + "\n")
+    assert coverage.read_rows(path) == []
+    with pytest.raises(ConfigurationError):
+        coverage.tasks(["moon"], (1, 1, 1))
+
+
+def test_the_verb_writes_tables_and_json(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(SITES, "pit", dataclasses.replace(PIT, pulses=500))
+    for name in list(VARIANTS)[2:]:
+        monkeypatch.delitem(VARIANTS, name)
+    words = ["study", "coverage", "--scenario", "pit", "--surveys", "2", "--workers", "1", "--json", "-o", str(tmp_path / "c")]
+    assert main(words) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["scenarios"]["pit"]["two epochs"]["variants"]["all"]["surveys"] == 2
+    assert (tmp_path / "c" / "tables.md").read_text() == tables(facts["scenarios"])
+    assert main(words) == 0  # nothing is left to do
+    assert json.loads(capsys.readouterr().out) == facts
+    assert main(["study", "coverage", "--scenario", "moon", "-o", str(tmp_path / "d")]) != 0
