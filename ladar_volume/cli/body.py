@@ -26,7 +26,7 @@ from ladar_volume.model.parameters import FilterParameters, GroundParameters
 from ladar_volume.model.records import F64, I64, Bool, Plane
 from ladar_volume.surface.local import REPAIRS, LocalMeshSettings
 from ladar_volume.volume.bodies import Body, Uncertain, body_of, cloud_uncertainty, mesh_uncertainty
-from ladar_volume.volume.cloud_bodies import BodyOptions, cloud_bodies
+from ladar_volume.volume.cloud_bodies import CLEAR, BodyOptions, cloud_bodies
 
 
 def numbers(*counts: int) -> Callable[[str], tuple[float, ...]]:
@@ -65,7 +65,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     g.add_argument("--polygon", type=numbers(2), nargs="+", action="append", default=[], metavar="X,Y", help="one body in this outline")
     g.add_argument("--box", type=numbers(6), action="append", default=[], metavar="X0,Y0,Z0,X1,Y1,Z1", help="one body in this box")
     g.add_argument("--pick", type=numbers(3), action="append", default=[], metavar="X,Y,Z", help="one body at this point")
-    g.add_argument("--min-height", type=float, metavar="M", help="least height above the ground (default: the noise of the cloud)")
+    g.add_argument("--min-height", type=float, metavar="M", help="least height above the ground (default: twice the cloud's noise)")
     g.add_argument("--min-points", type=int, metavar="N", help="fewest points of an object")
     g.add_argument("--distance", type=float, metavar="M", help="longest step between points of one object")
     g.add_argument("--split", type=float, metavar="M", help="part objects that rise this far above the saddle between them")
@@ -203,7 +203,7 @@ def ground_of(arguments: argparse.Namespace, points: F64, sigma: F64) -> Plane |
 def objects_of(arguments: argparse.Namespace, points: F64, ground: Plane, filtered: CloudResult | None) -> Objects:
     """The objects asked for; all that are found by default."""
     a = arguments
-    least = 0.0 if filtered is None else float(filtered.report["noise_m"])
+    least = 0.0 if filtered is None else CLEAR * float(filtered.report["noise_m"])
     p = ObjectParameters(min_height_m=least if a.min_height is None else a.min_height)
     given = {"min_points": a.min_points, "distance_m": a.distance, "split_m": a.split}
     p = dataclasses.replace(p, **{key: value for key, value in given.items() if value is not None})

@@ -17,6 +17,8 @@ from ladar_volume.volume.bodies import Body, body_of
 
 #: A gap is closed, and a rim drawn on to the ground, over this many longest edges where no size is given.
 CLOSE = 2.0
+#: Least height of an object's points in sigmas of the raw noise: ground points within it can come to lie on a wall drawn on beyond its end.
+CLEAR = 2.0
 #: A part of the mesh that is open and has fewer triangles than this share of all is a stray piece.
 STRAY = 0.02
 
