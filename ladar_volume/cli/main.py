@@ -22,7 +22,7 @@ MODULES = {
     "tin": "ladar_volume.cli.tin", "volume": "ladar_volume.cli.volume", "study": "ladar_volume.cli.study",
     "up": "ladar_volume.cli.up", "register": "ladar_volume.cli.register",
     "body": "ladar_volume.cli.body", "calibrate": "ladar_volume.cli.calibrate",
-    "diff": "ladar_volume.cli.diff", "plan": "ladar_volume.cli.plan",
+    "diff": "ladar_volume.cli.diff", "plan": "ladar_volume.cli.plan", "epochs": "ladar_volume.cli.epochs",
 }  # fmt: skip
 
 

@@ -17,18 +17,18 @@ from rich.progress import Progress
 
 from ladar_volume.cli.present import show_result
 from ladar_volume.engine import Engine
-from ladar_volume.io import results, wire
-from ladar_volume.io.bags import TYPESTORE, BagReader
+from ladar_volume.io import results
+from ladar_volume.io.bags import BagReader
 from ladar_volume.io.clouds import returns_from_cloud
 from ladar_volume.io.config import read_config
-from ladar_volume.io.log import McapLog
 from ladar_volume.io.mavlink_log import ROLE, MavlinkLog
 from ladar_volume.io.messages import fix_from_message, imu_from_message, odometry_from_message
-from ladar_volume.io.tables import NUMBERS, encode
+from ladar_volume.io.surveys import FILE, write_survey
 from ladar_volume.model.errors import BagError, GroundError, InputError, SurfaceError, VolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import Estimate
+from ladar_volume.volume.epoch_budget import Epoch
 
 #: Poses of an autopilot's log this far outside the recording still bridge its ends.
 POSE_MARGIN_NS = 2_000_000_000
@@ -209,7 +209,7 @@ def run(arguments: argparse.Namespace) -> int:
             estimate = replay.run(lambda share: bar.update(task, completed=share))
         seconds = time.perf_counter() - began
         result = replay.result(estimate)
-    write_outputs(folder, estimate, result, arguments.bag.name, figure=not arguments.no_figure)
+    write_outputs(folder, estimate, replay.engine.estimator.epoch(), result, arguments.bag.name, figure=not arguments.no_figure)
     if arguments.json:
         print(results.json_text(result), end="")
     else:
@@ -218,40 +218,12 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def write_outputs(folder: Path, estimate: Estimate, result: dict[str, Any], title: str, figure: bool = True) -> None:
+def write_outputs(folder: Path, estimate: Estimate, epoch: Epoch, result: dict[str, Any], title: str, figure: bool = True) -> None:
     """result.json, mesh.ply, result.mcap and, where wanted, figure.png."""
     results.write_text(folder / "result.json", results.json_text(result))
     results.write_ply(folder / "mesh.ply", estimate.tin, estimate.sigma_z)
-    write_mcap(folder / "result.mcap", estimate, result)
+    write_survey(folder / FILE, estimate, epoch, result)
     if figure:
         from ladar_volume.report.figure import save  # matplotlib takes a second to load
 
         save(estimate, title, folder / "figure.png")
-
-
-def write_mcap(path: Path, estimate: Estimate, result: dict[str, Any]) -> None:
-    """The tables of volumes and ground surfaces, the TIN's vertices and the parameters as MCAP."""
-    types = TYPESTORE.types
-    t_ns = estimate.volume.t_ns
-    stamp = types["builtin_interfaces/msg/Time"](sec=t_ns // 1_000_000_000, nanosec=t_ns % 1_000_000_000)
-    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="map")
-    vertices = estimate.tin.vertices
-    tables = {
-        "volumes": wire.volume_columns(list(estimate.bodies)),
-        "tin_vertices": {"x": vertices[:, 0], "y": vertices[:, 1], "z": vertices[:, 2], "sigma_z": estimate.sigma_z},
-    }
-    if estimate.grounds:
-        tables["grounds"] = wire.ground_columns(estimate.grounds)
-    path.unlink(missing_ok=True)
-    with McapLog(Parameters().logger, path) as log:
-        log.metadata("ladar_volume", {"result": results.json_text(result)})
-        for topic, columns in tables.items():
-            table = encode(columns)
-            fields = [
-                types["sensor_msgs/msg/PointField"](name=c.name, offset=c.offset, datatype=NUMBERS[c.code], count=c.count)
-                for c in table.columns
-            ]  # fmt: skip
-            log.write_message(topic, types["sensor_msgs/msg/PointCloud2"](
-                header=header, height=1, width=table.rows, fields=fields, is_bigendian=False, point_step=table.row_bytes,
-                row_step=table.row_bytes * table.rows, data=table.data, is_dense=True,
-            ), t_ns)  # fmt: skip

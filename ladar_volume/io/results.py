@@ -107,16 +107,23 @@ def write_text(path: Path, text: str) -> None:
 
 def write_ply(path: Path, tin: Tin, sigma_z: Any) -> None:
     """The relevant triangles as binary PLY, double coordinates, with the sigma of each vertex's height (m)."""
+    write_columns(path, tin, {"sigma_z": sigma_z})
+
+
+def write_columns(path: Path, tin: Tin, columns: Mapping[str, Any]) -> None:
+    """The relevant triangles as binary PLY, double coordinates, with columns (n,) of the vertices as float. Raises OutputError."""
     triangles = tin.triangles[tin.relevant]
     used, inverse = np.unique(triangles, return_inverse=True)
-    vertex = np.empty(len(used), [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("sigma_z", "<f4")])
+    vertex = np.empty(len(used), [(axis, "<f8") for axis in "xyz"] + [(name, "<f4") for name in columns])
     vertex["x"], vertex["y"], vertex["z"] = tin.vertices[used].T
-    vertex["sigma_z"] = np.asarray(sigma_z)[used]
+    for name, values in columns.items():
+        vertex[name] = np.asarray(values)[used]
     face = np.empty(len(triangles), [("n", "u1"), ("v", "<i4", 3)])
     face["n"], face["v"] = 3, inverse.reshape(-1, 3)
+    properties = [f"property double {axis}" for axis in "xyz"] + [f"property float {name}" for name in columns]
     header = (
-        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertex)}\nproperty double x\nproperty double y\nproperty double z\n"
-        f"property float sigma_z\nelement face {len(face)}\nproperty list uchar int vertex_indices\nend_header\n"
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertex)}\n{chr(10).join(properties)}\n"
+        f"element face {len(face)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
     try:
         path.write_bytes(header.encode() + vertex.tobytes() + face.tobytes())

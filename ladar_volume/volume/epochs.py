@@ -41,6 +41,11 @@ class EpochDifference:
     z: float
     p_value: float
 
+    @property
+    def significant(self) -> bool:
+        """Whether zero lies outside the interval."""
+        return abs(self.z) > self.volume.coverage_factor
+
 
 def within_outline(tin: Tin, polygon: F64 | None) -> Tin:
     """The surface with those triangles relevant of which at least half lies within a polygon (c, 2) m."""

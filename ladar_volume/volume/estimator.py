@@ -37,10 +37,10 @@ class VolumeEstimator:
     is held: memory follows the surface.
     """
 
-    def __init__(self, parameters: Parameters) -> None:
+    def __init__(self, parameters: Parameters, navigation: NavigationBins | None = None) -> None:
         self.parameters = parameters
         self.losses = Losses()
-        self._navigation = NavigationBins(parameters.filter.nav_bin_s)
+        self._navigation = NavigationBins(parameters.filter.nav_bin_s) if navigation is None else navigation
         self._store = PatchStore()
         self._surface_now: Represented | None = None
         self._t_ns = 0
@@ -83,9 +83,7 @@ class VolumeEstimator:
 
     def restarted(self) -> VolumeEstimator:
         """An estimator without a surface that knows the platform's path so far: returns still on their way refer to it."""
-        out = VolumeEstimator(self.parameters)
-        out._navigation = copy.deepcopy(self._navigation)
-        return out
+        return VolumeEstimator(self.parameters, copy.deepcopy(self._navigation))
 
     def _current(self) -> tuple[FilteredPoints, Patches]:
         points, patches = self._store.points, self._store.patches

@@ -48,6 +48,17 @@ class NavigationBins:
         np.add.at(self._sum, row, states.C_nav)  # one by one, in order: the same bits for any batching
         np.add.at(self.count, row, 1)
 
+    def sums(self) -> tuple[I64, I64, F64, F64]:
+        """Bins (k,), number of states (k,), sums of their C_nav (k, 6, 6) and of position and R_map_body (k, 4, 3)."""
+        return self.index, self.count, self._sum, self._pose
+
+    @classmethod
+    def from_sums(cls, bin_s: float, index: I64, count: I64, C_nav: F64, pose: F64) -> NavigationBins:
+        """The inverse of :meth:`sums`."""
+        out = cls(bin_s)
+        out.index, out.count, out._sum, out._pose = index, count, C_nav, pose
+        return out
+
     def mean(self, bins: I64) -> tuple[F64, I64]:
         """Mean C_nav (k, 6, 6) and number of states (k,) of bins (k,). Raises :class:`VolumeError` for a bin without a state."""
         row = self._rows(bins)

@@ -1,0 +1,136 @@
+"""``ladar_volume epochs``: what changed between two surveys of one place, with its standard deviation and the level of detection."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from ladar_volume.cli.diff_input import given_corners
+from ladar_volume.cli.present import budget_table, volume_rows
+from ladar_volume.io import results
+from ladar_volume.io.surveys import Survey, between_datums, read_survey
+from ladar_volume.io.transforms import read_transform
+from ladar_volume.model.errors import ConfigurationError
+from ladar_volume.model.records import F64
+from ladar_volume.version import version
+from ladar_volume.volume.detection import ChangeMap, Thresholded, change_map, thresholded
+from ladar_volume.volume.epoch_budget import Epoch
+from ladar_volume.volume.epochs import EpochDifference, epoch_difference
+from ladar_volume.volume.propagation import CALIBRATION_GROUPS
+
+
+def add_parser(subparsers: Any) -> None:
+    """Declare the verb."""
+    parser = subparsers.add_parser(
+        "epochs", help="change between two surveys, with level of detection",
+        description="NEW minus PREVIOUS over the common footprint. Both are folders that 'replay' or volume_node's ~/save wrote. The "
+        "calibration counts as common to both, but for the clock offset.",
+    )  # fmt: skip
+    parser.add_argument("previous", type=Path, help="results of the earlier survey: a folder, or its result.mcap")
+    parser.add_argument("new", type=Path, help="results of the later survey")
+    parser.add_argument("--separate", action="append", default=[], metavar="GROUP", choices=[*CALIBRATION_GROUPS, "all"],
+                        help=f"calibrated anew between the two, may be given again: {', '.join(CALIBRATION_GROUPS)}, or all")  # fmt: skip
+    parser.add_argument("--transform", type=Path, metavar="FILE",
+                        help="JSON of 'register NEW PREVIOUS': lays the new survey on the previous one, with its covariance")  # fmt: skip
+    parser.add_argument("--polygon", nargs="+", metavar="X,Y", help="only within these corners, or a file of rows x y")
+    parser.add_argument("-o", "--output", type=Path, default=Path("change"), help="folder for epochs.json, change.ply, change.png")
+    parser.add_argument("--json", action="store_true", help="print epochs.json to standard output")
+    parser.add_argument("--no-figure", action="store_true", help="skip the picture")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Read both surveys, compare, print, write the output folder."""
+    console = Console(stderr=arguments.json)
+    folder = results.output_folder(arguments.output)
+    corners = given_corners(arguments.polygon, None)
+    separate = CALIBRATION_GROUPS if "all" in arguments.separate else tuple(arguments.separate)
+    with console.status("reading") as status:
+        previous, new = read_survey(arguments.previous), read_survey(arguments.new)
+        later = laid_on(new, previous, arguments.transform)
+        status.update("comparing")
+        found, change, kept = compared(later, previous.epoch, separate, None if corners is None else corners[:, :2])
+    facts = {
+        **epoch_dict(found, kept, separate), "previous": source_of(previous), "new": source_of(new),
+        "frame": frame_words(later, arguments.transform), "version": version(),
+    }  # fmt: skip
+    results.write_text(folder / "epochs.json", results.json_text(facts))
+    columns = ("difference_m", "sigma_noise_m", "sigma_shared_m", "sigma_m", "level_m", "significant")
+    results.write_columns(folder / "change.ply", change.tin, {name: getattr(change, name) for name in columns})
+    if not arguments.no_figure:
+        from ladar_volume.report.change import save  # matplotlib takes a second to load
+
+        save(found.volume, change, f"{arguments.new.name} against {arguments.previous.name}", folder / "change.png")
+    if arguments.json:
+        print(results.json_text(facts), end="")
+    else:
+        show(console, facts)
+        console.print(f"written to {folder}/")
+    return 0
+
+
+def laid_on(new: Survey, previous: Survey, transform: Path | None) -> Epoch:
+    """The new survey in the frame of the previous one. Raises :class:`ConfigurationError` where it is not known how the frames lie."""
+    if transform is not None:
+        return dataclasses.replace(new.epoch, transform=read_transform(transform))
+    if new.datum is not None and previous.datum is not None:
+        return dataclasses.replace(new.epoch, transform=between_datums(new.datum, previous.datum))
+    if new.datum is None and previous.datum is None:
+        return new.epoch
+    raise ConfigurationError("one survey has a datum and the other has none: give --transform")
+
+
+def frame_words(new: Epoch, transform: Path | None) -> str:
+    """How the new survey came to lie on the previous one."""
+    if transform is not None:
+        return f"new survey moved by {transform.name}"
+    return "same map frame" if new.transform is None else "new survey moved between the two datums"
+
+
+def compared(new: Epoch, previous: Epoch, separate: Collection[str], polygon: F64 | None) -> tuple[EpochDifference, ChangeMap, Thresholded]:
+    """Difference, map, and volumes with the threshold."""
+    found, apart = epoch_difference(new, previous, separate, polygon)
+    k = found.volume.coverage_factor
+    change = change_map(new, previous, apart, k, separate)
+    return found, change, thresholded(new, previous, apart, change, k, separate)
+
+
+def epoch_dict(found: EpochDifference, kept: Thresholded, separate: Collection[str]) -> dict[str, Any]:
+    """The comparison as plain values."""
+    return {
+        **results.volume_dict(found.volume), "z": found.z, "p_value": found.p_value, "significant": found.significant,
+        "sigma_if_nothing_shared_m3": found.budget.sigma_separate, "separate": list(separate),
+        "level_of_detection": dataclasses.asdict(kept),
+    }  # fmt: skip
+
+
+def source_of(survey: Survey) -> dict[str, Any]:
+    """Where a survey came from."""
+    return {"path": str(survey.path), "input": survey.result.get("input"), "t_ns": survey.epoch.t_ns}
+
+
+def show(console: Console, facts: Mapping[str, Any]) -> None:
+    """Print the comparison as tables."""
+    low, high = facts["interval_m3"]
+    lod = facts["level_of_detection"]
+    head = Table(show_header=False, box=None, pad_edge=False)
+    head.add_row("change", f"[bold]{facts['volume_m3']:+.3f} ± {facts['sigma_m3']:.3f} m³[/bold] (1 sigma)")
+    head.add_row(f"{100 * facts['confidence']:.0f} % interval", f"{low:+.3f} to {high:+.3f} m³ (k = {facts['coverage_factor']:.2f})")
+    words = "significant" if facts["significant"] else "not significant"
+    head.add_row("significance", f"{words}: z = {facts['z']:.2f}, p = {facts['p_value']:.2g}")
+    head.add_row("raised, lowered", f"{facts['cut_m3']:.3f} m³, {facts['fill_m3']:.3f} m³ over {facts['area_m2']:.1f} m²")
+    share = 100.0 * lod["area_m2"] / lod["map_area_m2"]
+    head.add_row("level of detection", f"{100.0 * lod['level_m']:.1f} cm (median), exceeded on {lod['area_m2']:.1f} m² ({share:.1f} %)")
+    parts = f"raised {lod['raised_m3']:.3f}, lowered {lod['lowered_m3']:.3f} m³"
+    head.add_row("above it alone", f"{lod['net_m3']:+.3f} ± {lod['sigma_m3']:.3f} m³: {parts}")
+    head.add_row("threshold's bias", f"{lod['bias_m3']:+.3f} ± {lod['bias_sigma_m3']:.3f} m³ of the net volume")
+    head.add_row("if nothing were shared", f"sigma {facts['sigma_if_nothing_shared_m3']:.3f} m³")
+    volume_rows(head, facts)
+    console.print(head)
+    console.print(budget_table(facts))

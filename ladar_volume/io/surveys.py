@@ -1,0 +1,144 @@
+"""A survey as a file: result.mcap, which Foxglove opens as tables and from which the volume to a later survey is computed.
+
+Beside the tables a person looks at it holds what the nodes send each other, ``points_filtered`` and ``patches``, and in ``navigation`` the
+platform's covariance and mean pose per time bin: the surface comes back bit by bit, its covariances to 1e-7.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+
+from ladar_volume.georeference.geodesy import LocalFrame
+from ladar_volume.io import results, wire
+from ladar_volume.io.bags import TYPESTORE, BagReader
+from ladar_volume.io.log import McapLog
+from ladar_volume.io.tables import NUMBERS, decode, encode
+from ladar_volume.model.errors import InputError
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import Datum, Estimate, FilterUpdate
+from ladar_volume.registration.transform import Transform
+from ladar_volume.volume.epoch_budget import Epoch
+from ladar_volume.volume.estimator import VolumeEstimator
+from ladar_volume.volume.navigation import NavigationBins
+
+#: Name of the file in a results folder, and of its metadata record.
+FILE, RECORD = "result.mcap", "ladar_volume"
+#: Tables that hold the survey itself.
+SURVEY = ("points_filtered", "patches", "navigation")
+
+
+@dataclass(frozen=True)
+class Survey:
+    """path · epoch : the surface with its sources · datum : origin of its map frame, None where it is not known · result : as in
+    result.json"""
+
+    path: Path
+    epoch: Epoch
+    datum: Datum | None
+    result: Mapping[str, Any]
+
+
+def navigation_columns(bins: NavigationBins) -> wire.Columns:
+    """``navigation``: per time bin its index, number of platform states, sums of C_nav (36) and of position and R_map_body (12)."""
+    index, count, C, pose = bins.sums()
+    return {
+        "bin": index.astype(np.float64), "states": count.astype(np.uint32), "C_nav": C.reshape(-1, 36), "pose": pose.reshape(-1, 12),
+    }  # fmt: skip
+
+
+def survey_tables(epoch: Epoch) -> list[tuple[str, wire.Columns]]:
+    """Topics and columns of everything a survey is compared by, large ones in several messages."""
+    points, patches = epoch.sources.points, epoch.sources.patches
+    update = FilterUpdate(epoch.t_ns, np.zeros(0, np.int64), points, patches, True)
+    tables = []
+    for part in wire.update_parts(update):
+        tables += [("points_filtered", wire.filtered_columns(part.points)), ("patches", wire.patch_columns(part))]
+    return [*tables, ("navigation", navigation_columns(epoch.sources.navigation))]
+
+
+def write_survey(path: Path, estimate: Estimate, epoch: Epoch, result: Mapping[str, Any]) -> None:
+    """The tables of volumes and ground surfaces, the TIN's vertices, the survey and the whole result as MCAP. Raises OutputError."""
+    types = TYPESTORE.types
+    t_ns = estimate.volume.t_ns
+    stamp = types["builtin_interfaces/msg/Time"](sec=t_ns // 1_000_000_000, nanosec=t_ns % 1_000_000_000)
+    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="map")
+    vertices = estimate.tin.vertices
+    tables = [
+        ("volumes", wire.volume_columns(list(estimate.bodies))),
+        ("tin_vertices", {"x": vertices[:, 0], "y": vertices[:, 1], "z": vertices[:, 2], "sigma_z": estimate.sigma_z}),
+    ]
+    if estimate.grounds:
+        tables.append(("grounds", wire.ground_columns(estimate.grounds)))
+    path.unlink(missing_ok=True)
+    with McapLog(Parameters().logger, path) as log:
+        log.metadata(RECORD, {"result": results.json_text(result)})
+        for topic, columns in [*tables, *survey_tables(epoch)]:
+            table = encode(columns)
+            fields = [
+                types["sensor_msgs/msg/PointField"](name=c.name, offset=c.offset, datatype=NUMBERS[c.code], count=c.count)
+                for c in table.columns
+            ]  # fmt: skip
+            log.write_message(topic, types["sensor_msgs/msg/PointCloud2"](
+                header=header, height=1, width=table.rows, fields=fields, is_bigendian=False, point_step=table.row_bytes,
+                row_step=table.row_bytes * table.rows, data=table.data, is_dense=True,
+            ), t_ns)  # fmt: skip
+
+
+def read_survey(path: str | Path) -> Survey:
+    """A survey from result.mcap, or from the folder it lies in.
+
+    Raises :class:`InputError` (survey_missing; survey_file for a file that is none, or is of a version that did not keep the surface),
+    BagError and CloudError for a damaged one.
+    """
+    file = Path(path) / FILE if Path(path).is_dir() else Path(path)
+    if not file.is_file():
+        raise InputError(f"{file}: no such file; replay writes it", reason="survey_missing", value=str(path))
+    result = read_result(file)
+    tables: dict[str, list[Any]] = {topic: [] for topic in SURVEY}
+    with BagReader(file) as bag:
+        for raw in bag.raw(set(SURVEY)):
+            tables[raw.topic].append(decode(bag.message(raw)))
+    points, patches, navigation = (tables[topic] for topic in SURVEY)
+    if not points or len(points) != len(patches) or len(navigation) != 1:
+        raise InputError(f"{file}: holds no surface to compare with; replay the recording again", reason="survey_file", value=str(path))
+    try:
+        given = {s: {k: v for k, v in values.items() if v is not None} for s, values in result["parameters"].items()}
+        datum = None if result["datum"] is None else Datum(**result["datum"])
+        n = navigation[0]
+        bins = n["bin"].astype(np.int64), n["states"].astype(np.int64), n["C_nav"].reshape(-1, 6, 6), n["pose"].reshape(-1, 4, 3)
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise InputError(f"{file}: not a result of this program: {error!r}", reason="survey_file", value=str(path)) from error
+    parameters = Parameters.read(given)
+    estimator = VolumeEstimator(parameters, NavigationBins.from_sums(parameters.filter.nav_bin_s, *bins))
+    for one, two in zip(points, patches, strict=True):
+        estimator.add(wire.filter_update(wire.filtered_points(one), two))
+    return Survey(file, estimator.epoch(), datum, result)
+
+
+def read_result(file: Path) -> dict[str, Any]:
+    """The whole result from the metadata of a file. Raises :class:`InputError` (survey_file)."""
+    try:
+        with file.open("rb") as stream:
+            found = [r.metadata["result"] for r in make_reader(stream).iter_metadata() if r.name == RECORD and "result" in r.metadata]
+        result: dict[str, Any] = json.loads(found[-1])
+    except (OSError, McapError, struct.error, IndexError, ValueError) as error:
+        raise InputError(f"{file}: not a result of this program: {error!r}", reason="survey_file", value=str(file)) from error
+    return result
+
+
+def between_datums(new: Datum, previous: Datum) -> Transform | None:
+    """From the map frame at one datum to that at another, both known exactly; None for the same."""
+    if new == previous:
+        return None
+    one, two = LocalFrame(new), LocalFrame(previous)
+    t = two.to_map(new.latitude_deg, new.longitude_deg, new.height_m)
+    return Transform(two.R_map_ecef @ one.R_map_ecef.T, t, np.zeros(3), 1.0, np.zeros((7, 7)))
