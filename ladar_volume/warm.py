@@ -1,45 +1,99 @@
-"""Compile the kernels, or load them from their cache, before data arrives that would have to wait for it."""
+"""Compile the kernels, or load them from their cache, before data arrives that would have to wait for it.
+
+A made-up survey of a mound from a platform that stands still above it, four seconds long, goes through the stage that is asked for. Only
+the modules of that stage are loaded: each node holds no more than it runs.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import gc
+import importlib
+from collections.abc import Iterator
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ladar_volume.engine import Engine
 from ladar_volume.model.errors import LadarVolumeError
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import Fix, ImuSample, Returns
+from ladar_volume.model.records import F64, I64, Fix, ImuSample, MappedPoints, PlatformStates, Returns
+
+if TYPE_CHECKING:
+    from ladar_volume.filtering.filter import SurfaceFilter
+    from ladar_volume.volume.estimator import VolumeEstimator
 
 HEIGHT_M, SECONDS, RETURNS_PER_CLOUD = 5.0, 4, 600
+STAGES = ("georeference", "filter", "volume")
+SQUARE = [-1.5, -1.5, 1.5, -1.5, 1.5, 1.5, -1.5, 1.5]
 
 
 @cache
-def warm_up() -> None:
-    """Carry a made-up survey of a mound, four seconds long, through every stage; the second call in a process does nothing."""
-    square = [-1.5, -1.5, 1.5, -1.5, 1.5, 1.5, -1.5, 1.5]
+def warm_up(stage: str) -> None:
+    """Run one of :data:`STAGES` on the made-up survey; the second call for it in a process does nothing."""
     parameters = Parameters.read({"filter": {"radius_m": 0.15}, "volume": {"object_height_m": 0.1}})
-    engine = Engine(parameters)
+    if stage == "georeference":
+        _georeference(parameters)
+    else:
+        _surface(parameters, stage == "volume")
+    # what compiler and survey took and no longer need goes back to the system: some 50 MB; only glibc keeps it and knows the call
+    gc.collect()
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
+
+
+def _clouds() -> Iterator[tuple[int, I64, F64, Returns]]:
+    """Stamp, times (n,), points in the map (n, 3) and the same as returns, ten clouds a second."""
     rng = np.random.default_rng(1)
     for step in range(SECONDS * 10):
-        t_ns = 1_000_000_000_000 + step * 100_000_000
-        engine.add_fix(Fix(t_ns, 50.0, 14.0, HEIGHT_M, np.eye(3) * 1e-4))
-        engine.add_imu(ImuSample(t_ns, np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.eye(3) * 1e-6))
+        stamp = 1_000_000_000_000 + step * 100_000_000
         xy = rng.uniform(-3.0, 3.0, (RETURNS_PER_CLOUD, 2))
         mound = np.maximum(0.0, 0.6 - 0.5 * np.hypot(xy[:, 0], xy[:, 1]))
-        xyz = np.column_stack([xy, mound - HEIGHT_M + rng.normal(0.0, 0.005, len(xy))])
-        t = t_ns + np.arange(len(xy), dtype=np.int64) * 100_000
-        engine.add_returns(Returns(t, xyz, rng.integers(0, 16, len(xy)).astype(np.uint16), np.ones(len(xy), np.float32)))
-        engine.step()
-        if step == SECONDS * 5:
-            _estimate(engine)
-    _estimate(engine)
-    engine.estimator.set_parameters(Parameters.read({"volume": {"outline": "polygon", "polygon_m": square}}, parameters))
-    _estimate(engine)
+        xyz = np.column_stack([xy, mound + rng.normal(0.0, 0.005, len(xy))])
+        t = stamp + np.arange(len(xy), dtype=np.int64) * 100_000
+        ring = rng.integers(0, 16, len(xy)).astype(np.uint16)
+        yield stamp, t, xyz, Returns(t, xyz - [0.0, 0.0, HEIGHT_M], ring, np.ones(len(xy), np.float32))
 
 
-def _estimate(engine: Engine) -> None:
-    # a volume is not what this is for: whatever a stage says of this little survey, its kernels are ready
+def _georeference(parameters: Parameters) -> None:
+    stage = importlib.import_module("ladar_volume.georeference.georeferencer").Georeferencer(parameters)
+    for stamp, _, _, returns in _clouds():
+        stage.add_fix(Fix(stamp, 50.0, 14.0, HEIGHT_M, np.eye(3) * 1e-4))
+        stage.add_imu(ImuSample(stamp, np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.eye(3) * 1e-6))
+        stage.add_returns(returns)
+
+
+def _still(t: I64) -> PlatformStates:
+    n, zero = len(t), np.zeros((len(t), 3))
+    q = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
+    C = np.tile(np.diag([1e-4] * 3 + [1e-6] * 3), (n, 1, 1))
+    return PlatformStates(t, np.tile([0.0, 0.0, HEIGHT_M], (n, 1)), q, zero, zero, C, np.zeros(n, np.int64))
+
+
+def _surface(parameters: Parameters, with_volume: bool) -> None:
+    surface: SurfaceFilter = importlib.import_module("ladar_volume.filtering.filter").SurfaceFilter(parameters)
+    estimator: VolumeEstimator | None = None
+    if with_volume:
+        estimator = importlib.import_module("ladar_volume.volume.estimator").VolumeEstimator(parameters)
+    C_ind = np.tile(np.array([1e-4, 0, 0, 1e-4, 0, 1e-4], np.float32), (RETURNS_PER_CLOUD, 1))
+    for step, (stamp, t, xyz, returns) in enumerate(_clouds()):
+        states = _still(np.array([stamp, stamp + 99_999_999], np.int64))
+        surface.add_platform(states)
+        surface.add(MappedPoints(t, xyz, C_ind, returns.ring, returns.intensity))
+        if estimator is not None:
+            estimator.add_platform(states)
+        if step in (SECONDS * 5, SECONDS * 10 - 1):
+            update = surface.update()
+            if update is not None and estimator is not None:
+                estimator.add(update)
+                _estimate(estimator)
+    if estimator is not None:
+        estimator.set_parameters(Parameters.read({"volume": {"outline": "polygon", "polygon_m": SQUARE}}, parameters))
+        _estimate(estimator)
+
+
+def _estimate(estimator: VolumeEstimator) -> None:
+    # a volume is not what this is for: whatever the stage says of this little survey, its kernels are ready
     with contextlib.suppress(LadarVolumeError):
-        engine.estimate()
+        estimator.estimate()

@@ -161,7 +161,10 @@ class Georeferencer:
             self._lose_waiting()
             self._begin()
         for reason in dropped:
-            self.losses.add(reason)
+            if kind == "cloud":
+                self.losses.add("point_before_restart", len(sample))
+            else:
+                self.losses.add(reason)
         self._take(samples)
 
     def _take(self, samples: list[tuple[str, Any]]) -> None:

@@ -15,6 +15,10 @@ from ladar_volume.model.records import I64, Returns, select
 
 #: Absolute `timestamp` values above this are nanoseconds, below it seconds (1e12 s is 30,000 years ahead).
 NANOSECONDS_ABOVE = 1e12
+#: Names of the time of a return, in the order of preference.
+TIME_FIELDS = ("time", "t", "timestamp", "time_stamp")
+#: Offsets and absolute times beyond these (s) are no times of this age, and would not fit into nanoseconds.
+LONGEST_OFFSET_S, LATEST_S = 1e6, 9e9
 #: A cloud larger than this is no single firing: one time for all of its returns is none.
 ONE_TIME_RETURNS = 500
 
@@ -39,6 +43,9 @@ def returns_from_cloud(message: Any, parameters: GeoreferenceParameters, losses:
     missing = [axis for axis in "xyz" if axis not in columns]
     if missing or any(columns[axis].ndim != 1 for axis in "xyz"):
         raise CloudError(f"cloud without scalar field {', '.join(missing) or 'x, y, z'}", reason="cloud_no_xyz", value=missing)
+    vectors = [name for name in ("ring", "intensity", *TIME_FIELDS) if name in columns and columns[name].ndim != 1]
+    if vectors:
+        raise CloudError(f"several values per point in field {', '.join(vectors)}", reason="cloud_fields", value=vectors)
     n = len(columns["x"])
     r_laser = np.empty((n, 3))
     for i, axis in enumerate("xyz"):
@@ -62,7 +69,7 @@ def _times(
     columns: dict[str, npt.NDArray[Any]], stamp: int, n: int, parameters: GeoreferenceParameters
 ) -> tuple[I64, npt.NDArray[np.bool_]]:
     """Time of each return (ns) and whether it is finite; the offset's sign is taken as it comes."""
-    name = next((c for c in ("time", "t", "timestamp", "time_stamp") if c in columns), None)
+    name = next((c for c in TIME_FIELDS if c in columns), None)
     if name is None:
         if parameters.untimed_clouds == "stamp":
             return np.full(n, stamp, np.int64), np.ones(n, np.bool_)
@@ -76,14 +83,10 @@ def _times(
             f"field {name} holds one and the same time for {n} returns; georeference.untimed_clouds: stamp accepts it",
             reason="cloud_one_time", value=n,
         )  # fmt: skip
-    ok = np.isfinite(values) if values.dtype.kind == "f" else np.ones(n, np.bool_)
-    clean = values if ok.all() else np.where(ok, values, 0)
     if name.startswith("time") and name != "time":
-        scale = 1.0 if float(np.max(np.abs(clean))) > NANOSECONDS_ABOVE else 1e9
-        if clean.dtype.kind in "iu":
-            return clean.astype(np.int64) * int(scale), ok
-        whole = np.floor(clean)  # splitting keeps the nanoseconds that a product of 1e18 would round away
-        return whole.astype(np.int64) * int(scale) + np.rint((clean - whole) * scale).astype(np.int64), ok
+        return _absolute(values)
+    ok = np.abs(values.astype(np.float64)) <= LONGEST_OFFSET_S * (1e9 if values.dtype.kind in "iu" else 1.0)  # NaN is not
+    clean = values if ok.all() else np.where(ok, values, 0)
     if clean.dtype.kind == "f":
         offset = np.rint(clean.astype(np.float64) * 1e9).astype(np.int64)
     else:
@@ -91,3 +94,16 @@ def _times(
     if name == "t" and parameters.stamp_refers_to == "last":
         offset = offset - offset.max()
     return stamp + offset, ok
+
+
+def _absolute(values: npt.NDArray[Any]) -> tuple[I64, npt.NDArray[np.bool_]]:
+    """Times (ns) from seconds or nanoseconds since an epoch, whichever the median is."""
+    size = np.abs(values.astype(np.float64))
+    finite = size[np.isfinite(size)]
+    scale = 1.0 if len(finite) and float(np.median(finite)) > NANOSECONDS_ABOVE else 1e9
+    ok = size <= LATEST_S * 1e9 / scale  # NaN is not
+    clean = values if ok.all() else np.where(ok, values, 0)
+    if clean.dtype.kind in "iu":
+        return clean.astype(np.int64) * int(scale), ok
+    whole = np.floor(clean)  # splitting keeps the nanoseconds that a product of 1e18 would round away
+    return whole.astype(np.int64) * int(scale) + np.rint((clean - whole) * scale).astype(np.int64), ok

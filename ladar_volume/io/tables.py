@@ -67,12 +67,12 @@ def decode(message: Any) -> dict[str, npt.NDArray[Any]]:
     point_step, row_step = int(message.point_step), int(message.row_step)
     if width <= 0 or height <= 0:
         raise CloudError(f"cloud without points ({width} x {height})", reason="cloud_empty", value=(width, height))
-    dtype = _dtype(message, point_step)
     if row_step < width * point_step:
         raise CloudError(f"row_step {row_step} < width {width} x point_step {point_step}", reason="cloud_row_step", value=row_step)
     data = np.frombuffer(message.data, dtype=np.uint8) if not isinstance(message.data, np.ndarray) else message.data
     if data.size < row_step * (height - 1) + width * point_step:
         raise CloudError(f"{data.size} bytes for {height} rows of {row_step}", reason="cloud_short", value=data.size)
+    dtype = _dtype(message, point_step)  # after the sizes: a row that does not fit the data may be too long for any type
     if height == 1 or row_step == width * point_step:
         records = np.ascontiguousarray(data[: width * height * point_step]).view(dtype)
     else:

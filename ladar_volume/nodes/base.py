@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import queue
 import threading
 import time
@@ -28,7 +29,6 @@ from ladar_volume.model.parameter import specs
 from ladar_volume.model.parameters import SECTIONS, Parameters
 from ladar_volume.nodes.declared import descriptor, outside, why_not_now
 from ladar_volume.nodes.health import Health
-from ladar_volume.warm import warm_up
 
 #: Maps, datum and volumes: whoever comes late still gets the last one.
 LATCHED = QoSProfile(
@@ -63,8 +63,8 @@ class StageNode(LifecycleNode):
     sections: tuple[str, ...] = ("node",)
     #: Sections whose parameters may change while the node runs.
     runtime_sections: tuple[str, ...] = ()
-    #: Whether the node's stage runs compiled kernels, which must be ready before data comes.
-    kernels = True
+    #: The stage whose compiled kernels must be ready before data comes; without one, no compiler is loaded.
+    kernels: str | None = None
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
@@ -154,8 +154,8 @@ class StageNode(LifecycleNode):
         """Build everything, kernels included, and start the worker."""
         self._before_build = {id(e) for _, e in self._entities()}
         try:
-            if self.kernels:
-                warm_up()
+            if self.kernels is not None:
+                importlib.import_module("ladar_volume.warm").warm_up(self.kernels)
             self.build()
         except LadarVolumeError as error:
             self.get_logger().error(str(error))

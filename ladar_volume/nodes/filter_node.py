@@ -25,6 +25,7 @@ class FilterNode(StageNode):
     """Wraps one SurfaceFilter; brings its surface up to date, with a pause of ``node.update_period_s`` between."""
 
     sections = ("calibration", "georeference", "filter", "node")
+    kernels = "filter"
     runtime_sections = ("node",)
 
     def __init__(self, **options: Any) -> None:

@@ -29,6 +29,7 @@ class GeoreferenceNode(StageNode):
     """Wraps one Georeferencer."""
 
     sections = ("calibration", "budget", "georeference", "node")
+    kernels = "georeference"
     runtime_sections = ("node",)
 
     def __init__(self, **options: Any) -> None:

@@ -28,7 +28,7 @@ from ladar_volume.nodes.mavlink_node import MavlinkNode
 from ladar_volume.nodes.player import Player
 from ladar_volume.nodes.running import Spinner
 from ladar_volume.nodes.volume_node import VolumeNode
-from ladar_volume.warm import warm_up
+from ladar_volume.warm import STAGES, warm_up
 
 FACTORIES: dict[str, Callable[..., StageNode]] = {
     "georeference_node": GeoreferenceNode, "filter_node": FilterNode, "volume_node": VolumeNode, "logger_node": LoggerNode,
@@ -103,7 +103,8 @@ class Graph:
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         wanted = {"logger_node": log is not None, "mavlink_node": mavlink}
         names = [n for n in FACTORIES if wanted.get(n, True)]
-        warm_up()  # once here, so that four processes do not compile the same kernels beside each other
+        for stage in STAGES:  # once here, so that processes do not compile the same kernels beside each other
+            warm_up(stage)
         rclpy.init(args=[])
         self.watcher = Watcher()
         self._add(self.watcher)

@@ -101,7 +101,6 @@ class Subscribed:
 class LoggerNode(StageNode):
     """Looks for topics and subscribes to those wanted, with the publisher's own durability and reliability."""
 
-    kernels = False
     sections = ("logger", "node")
 
     def __init__(self, **options: Any) -> None:

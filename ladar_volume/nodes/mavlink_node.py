@@ -81,7 +81,6 @@ def odometry_message(sample: OdometrySample) -> Odometry:
 class MavlinkNode(StageNode):
     """Wraps one MavlinkSession over a link, or plays a log."""
 
-    kernels = False
     sections = ("mavlink", "node")
 
     def __init__(self, **options: Any) -> None:

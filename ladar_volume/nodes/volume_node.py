@@ -34,6 +34,7 @@ class VolumeNode(StageNode):
     """Wraps one VolumeEstimator; estimates after every complete update of the surface."""
 
     sections = ("budget", "georeference", "filter", "ground", "volume", "node")
+    kernels = "volume"
     runtime_sections = ("node", "ground", "volume")
 
     def __init__(self, **options: Any) -> None:

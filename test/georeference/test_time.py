@@ -80,7 +80,7 @@ def test_stragglers_of_the_pass_before_are_dropped_by_name():
     feed(stage, [e for e in events if e is not late])
     begun = [e for e in events if e[0] != "cloud"][:40]
     feed(stage, [*begun[:30], late, *begun[30:]])
-    assert stage.restarts == 1 and stage.losses.as_dict()["cloud_before_restart"] == 1
+    assert stage.restarts == 1 and stage.losses.as_dict()["point_before_restart"] == 60
 
 
 def test_one_topic_whose_clock_is_set_back_restarts_nothing_and_is_counted():

@@ -1,0 +1,87 @@
+"""What each node costs before any data: time to import its module, time until it is configured and reports, and resident size.
+
+``python -m benchmarks footprint``. Kernels are in their cache (a first start of every node is not measured); each node is alone in a
+process of its own. Medians of three starts.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+
+ROOT = Path(__file__).parents[1]
+NODES = ("georeference_node", "filter_node", "volume_node", "logger_node", "mavlink_node")
+STARTS, TIMEOUT_S = 3, 300.0
+
+
+def resident_mb(pid: int) -> float:
+    """Resident size of a process (MB); 0 where it is gone."""
+    try:
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    except OSError:
+        return 0.0
+    return next((int(line.split()[1]) / 1024.0 for line in lines if line.startswith("VmRSS")), 0.0)
+
+
+def imported(name: str, environment: dict[str, str]) -> tuple[float, float]:
+    """Seconds to import a node's module in a fresh interpreter, and its resident size then (MB)."""
+    code = (
+        "import time; began = time.perf_counter()\n"
+        f"import ladar_volume.nodes.{name}\n"
+        "print(time.perf_counter() - began, next(l for l in open('/proc/self/status') if l.startswith('VmRSS')).split()[1])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], env=environment, cwd=ROOT, capture_output=True, text=True, check=True)
+    seconds, kilobytes = done.stdout.split()
+    return float(seconds), int(kilobytes) / 1024.0
+
+
+def started(name: str, environment: dict[str, str], folder: str) -> tuple[float, float]:
+    """Seconds from the start of the process to its first diagnostics, less their period, and the resident size then (MB)."""
+    settings = {"node.diagnostics_period_s": "0.1", "logger.path": f"{folder}/log.mcap", "mavlink.url": "udpin:127.0.0.1:14660"}
+    words = [w for k, v in settings.items() if k.split("_")[0].split(".")[0] in ("node", name.split("_")[0]) for w in ("-p", f"{k}:={v}")]
+    watcher = rclpy.create_node("footprint")
+    seen: list[str] = []
+    watcher.create_subscription(DiagnosticArray, "/diagnostics", lambda m: seen.extend(s.name for s in m.status), 10)
+    began = time.monotonic()
+    command = [sys.executable, "-m", f"ladar_volume.nodes.{name}", "--ros-args", *words]
+    process = subprocess.Popen(command, env=environment, cwd=ROOT, stderr=subprocess.DEVNULL)
+    try:
+        while name not in seen:
+            if process.poll() is not None or time.monotonic() - began > TIMEOUT_S:
+                raise RuntimeError(f"{name} did not start")
+            rclpy.spin_once(watcher, timeout_sec=0.05)
+        return time.monotonic() - began - 0.1, resident_mb(process.pid)
+    finally:
+        process.terminate()
+        process.wait(timeout=60.0)
+        watcher.destroy_node()
+
+
+def run() -> dict[str, float | int | str]:
+    """Import time, start time and resident size of every node."""
+    os.environ["ROS_DOMAIN_ID"] = str(os.getpid() % 90 + 10)
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    environment = dict(os.environ)
+    out: dict[str, float | int | str] = {}
+    rclpy.init(args=[])
+    try:
+        for name in NODES:
+            with tempfile.TemporaryDirectory() as folder:
+                started(name, environment, folder)  # fills the cache
+                imports = [imported(name, environment) for _ in range(STARTS)]
+                starts = [started(name, environment, folder) for _ in range(STARTS)]
+            out[f"{name}: import, s"] = statistics.median(s for s, _ in imports)
+            out[f"{name}: imported, MB"] = statistics.median(m for _, m in imports)
+            out[f"{name}: up, s"] = statistics.median(s for s, _ in starts)
+            out[f"{name}: before data, MB"] = statistics.median(m for _, m in starts)
+    finally:
+        rclpy.try_shutdown()
+    return out

@@ -1,0 +1,29 @@
+"""What a node loads: no compiler where there is nothing to compile, no other stage than its own."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.parametrize(
+    ("node", "banned"),
+    [
+        ("logger_node", ("numba", "scipy", "ladar_volume.filtering")),
+        ("mavlink_node", ("numba", "scipy", "ladar_volume.filtering")),
+        ("georeference_node", ("scipy", "ladar_volume.filtering", "ladar_volume.volume")),
+        ("filter_node", ("pyproj", "ladar_volume.volume", "ladar_volume.surface")),
+        ("volume_node", ("pyproj", "open3d", "matplotlib")),
+    ],
+)
+def test_a_node_loads_no_more_than_its_stage(node, banned):
+    code = (
+        "import sys\n"
+        f"for name in {banned!r}: sys.modules[name] = None\n"
+        f"import ladar_volume.nodes.{node}\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
