@@ -102,10 +102,12 @@ def flat(
 @kernel
 def bend(
     x: Any, m: Any, n: Any, r: Any, slots: Any, origin: Any, key: Any, candidates: Any, offered: Any, ball: Any, sigma: Any, threshold: Any,
-    least: Any, iterations: Any, centre: Any, normal: Any, tangent: Any, beta: Any, inverse: Any,
+    least: Any, iterations: Any, quadric: Any,
 ) -> Any:  # fmt: skip
-    """A quadric for the cell. Returns (its sum of truncated squares, infinite for none; how many planes may compete with it): where it
-    leaves no more than the noise, none: several planes, which cost no less than it, have nothing to gain."""
+    """A ``quadric`` (centre, normal, tangent, beta, inverse) for the cell, to the arrays given. Returns (its sum of truncated squares,
+    infinite for none; how many planes may compete with it): where it leaves no more than the noise, none: several planes, which cost no
+    less than it, have nothing to gain."""
+    centre, normal, tangent, beta, inverse = quadric
     start, loose, most = np.empty(4), 0.0, least
     if offered > 0:
         start[:] = candidates[nearest_to_origin(candidates, offered)]
