@@ -16,6 +16,8 @@ from ladar_volume.model.kernels import kernel
 
 #: A bent surface is sought from a plane over the ball's radius over this, the best of so many.
 BENT, TRIALS = 3.0, 60
+#: Points that tell whether a quadric is worth a fit to all, and the mean square over sigma² of those it explains from which it is not.
+SCREEN, HOPELESS = 150, 1.5
 #: Most refits of a plane.
 STEADY = 6
 #: Share of the points that one surface must explain, with no more than the noise left, to need no further search.
@@ -118,6 +120,16 @@ def bend(
     pts = np.empty((n, 3))
     for i in range(n):
         pts[i] = r[slots[i]]
+    thin = max(m // SCREEN, 1)
+    if thin > 1:  # most neighbourhoods that are not flat are sharp or clutter, and a few points say so
+        few = (n + thin - 1) // thin
+        inliers = quadric_from(
+            pts[::thin], few, origin, start, 3.0 * loose, ball, sigma, threshold, iterations, centre, normal, tangent, beta, inverse
+        )  # fmt: skip
+        some = (m + thin - 1) // thin
+        cost, near = quadric_cost(x[:m:thin], some, origin, centre, normal, tangent, beta, threshold * threshold)
+        if inliers < 8 or 2 * near < some or cost - (some - near) * threshold * threshold > HOPELESS * near * sigma * sigma:
+            return np.inf, pieces.MOST
     inliers = quadric_from(
         pts, n, origin, start, 3.0 * loose, ball, sigma, threshold, iterations, centre, normal, tangent, beta, inverse
     )  # fmt: skip
