@@ -27,27 +27,26 @@ TRIED, TOGETHER = 10, 3
 
 
 @kernel
-def distinct(x: Any, m: Any, candidates: Any, offered: Any, limit: Any, out: Any) -> Any:
+def distinct(y: Any, n: Any, candidates: Any, offered: Any, limit: Any, out: Any) -> Any:
     """A few candidates, each the one that explains most of what those before it leave, to out (k, 4); returns how many."""
-    residual = np.full(m, limit)
-    n = 0
-    while n < len(out):
-        best, which = 0.0, -1
+    square, residual = np.empty((offered, n)), np.full(n, limit)
+    for c in range(offered):
+        for i in range(n):
+            d = distance(y[i], candidates[c])
+            square[c, i] = d * d
+    number = 0
+    while number < len(out):
+        least, which = residual.sum(), -1
         for c in range(offered):
-            gain = 0.0
-            for i in range(m):
-                d = distance(x[i], candidates[c])
-                gain += max(residual[i] - d * d, 0.0)
-            if gain > best:
-                best, which = gain, c
+            left = np.minimum(residual, square[c]).sum()
+            if left < least:
+                least, which = left, c
         if which < 0:
             break
-        out[n] = candidates[which]
-        for i in range(m):
-            d = distance(x[i], out[n])
-            residual[i] = min(residual[i], d * d)
-        n += 1
-    return n
+        out[number] = candidates[which]
+        residual[:] = np.minimum(residual, square[which])
+        number += 1
+    return number
 
 
 @kernel

@@ -16,8 +16,11 @@ from ladar_volume.model.kernels import kernel
 
 #: A bent surface is sought from a plane over the ball's radius over this, the best of so many.
 BENT, TRIALS = 3.0, 60
-#: Points that tell whether a quadric is worth a fit to all, and the mean square over sigma² of those it explains from which it is not.
-SCREEN, HOPELESS = 150, 1.5
+#: Points that tell whether a quadric is worth a fit to all.
+SCREEN = 150
+#: Mean square over sigma² of the points that a quadric explains from which it is no surface: in leaves they fill the slab, which gives
+#: 3. Few points scatter by this over the root of their number.
+HOPELESS, SCATTER = 1.5, 5.0
 #: Most refits of a plane.
 STEADY = 6
 #: Share of the points that one surface must explain, with no more than the noise left, to need no further search.
@@ -136,7 +139,7 @@ def bend(
     if inliers < max(most, 8):
         return np.inf, pieces.MOST
     cost, near = quadric_cost(x, m, origin, centre, normal, tangent, beta, threshold * threshold)
-    if near < m // 2:
+    leaves = (cost - (m - near) * threshold * threshold) / (max(near, 1) * sigma * sigma)
+    if near < m // 2 or leaves > max(HOPELESS, 1.0 + SCATTER / np.sqrt(near)):
         return np.inf, pieces.MOST
-    leaves = (cost - (m - near) * threshold * threshold) / (near * sigma * sigma)
     return cost, 0 if near > EXPLAINS * m and leaves < 1.0 + 2.0 / np.sqrt(near) else pieces.MOST
