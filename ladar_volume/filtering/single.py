@@ -19,8 +19,8 @@ BENT, TRIALS = 3.0, 60
 #: Points that tell whether a quadric is worth a fit to all.
 SCREEN = 150
 #: Mean square over sigma² of the points that a quadric explains from which it is no surface: in leaves they fill the slab, which gives
-#: 3. Few points scatter by this over the root of their number.
-HOPELESS, SCATTER = 1.5, 5.0
+#: 3; the noise may be a third larger than believed. Few points scatter by this over the root of their number.
+HOPELESS, SCATTER = 2.0, 5.0
 #: Most refits of a plane.
 STEADY = 6
 #: Share of the points that one surface must explain, with no more than the noise left, to need no further search.
