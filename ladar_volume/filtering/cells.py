@@ -24,6 +24,12 @@ KEPT, OUTLIER, FEW_POINTS, NO_SURFACE, BEYOND_EDGE, UNSUPPORTED = 0, 1, 2, 3, 4,
 OFFERED = 3
 #: What lies within this many sigma of a plane found is not searched for the next one.
 EXPLAINED = 2.0
+#: Turns: leaders search their planes; the others take over what a neighbour found where it explains their points, and else search too;
+#: in the last one cells of several planes, and such as are not explained, choose again among what all around them found.
+TURNS = 3
+LAST = TURNS - 1
+#: A cell and those next to it.
+NEXT = 27
 #: Support of a projected point: this many points within the radius that holds PATCH of them on a full surface.
 SUPPORT, PATCH = 4, 20
 
@@ -132,9 +138,9 @@ def offers(v: Any, keys: Any, table: Any, planes: Any, found: Any, origin: Any, 
 
 @kernel
 def sets_around(v: Any, keys: Any, table: Any, sets: Any, sizes: Any, origin: Any, out: Any, out_sizes: Any) -> Any:
-    """The sets of several planes of the cells around cell v, about ``origin``; returns how many."""
-    near, n = np.empty(AROUND, np.int64), 0
-    for i in range(voxels_around(keys[v], keys, table, REACH, near)):
+    """The sets of several planes of the cells next to cell v and its own, about ``origin``; returns how many."""
+    near, n = np.empty(NEXT, np.int64), 0
+    for i in range(voxels_around(keys[v], keys, table, 1, near)):
         w = near[i]
         if sizes[w] > 1:
             out_sizes[n] = sizes[w]
@@ -160,28 +166,39 @@ def foot_on_planes(
 
 
 @kernel
-def several(
-    v: Any, keys: Any, table: Any, sets: Any, sizes: Any, seek: Any, x: Any, m: Any, origin: Any, own: Any, ball: Any, candidates: Any,
-    offered: Any, sigma: Any, threshold: Any, least: Any, most: Any, planes: Any, means: Any, inverses: Any, used: Any, side: Any,
-    label: Any,
+def surface_of(
+    v: Any, keys: Any, table: Any, sets: Any, sizes: Any, turn: Any, x: Any, m: Any, n: Any, r: Any, slots: Any, origin: Any, own: Any,
+    ball: Any, degree: Any, candidates: Any, offered: Any, sigma: Any, threshold: Any, least: Any, iterations: Any, quadric: Any,
+    planes: Any, side: Any, label: Any,
 ) -> Any:  # fmt: skip
-    """Several planes for the cell; returns (their number, length of the description without their price, sum of truncated squares)."""
-    limit = threshold * threshold
-    lent, lent_sizes = np.empty((AROUND, pieces.MOST, 4)), np.empty(AROUND, np.int64)
+    """Several planes for the cell, not yet refined, and its quadric. Returns (number of planes; sum of truncated squares of the quadric,
+    infinite where it is not wanted). What neighbours found comes first: it makes search and quadric superfluous where it
+    leaves no more than the noise."""
+    lent, lent_sizes = np.empty((NEXT, pieces.MOST, 4)), np.empty(NEXT, np.int64)
     number = sets_around(v, keys, table, sets, sizes, origin, lent, lent_sizes)
-    count = choice.choose_planes(
-        x, m, own, ball, candidates, offered, lent[:number], lent_sizes[:number], seek, sigma, threshold, least, most, planes, means,
-        inverses, used, side, label,
-    )  # fmt: skip
-    if count == 0:
-        return 0, limit * m, limit * m
-    length, square = assignment.pieces_cost(x, m, planes, count, side, limit, sigma, np.inf, np.empty(pieces.MOST, np.int64))
-    return count, length, square
+    count, cost = choice.best_lent(x, m, lent[:number], lent_sizes[:number], sigma, threshold, least, planes, side, label)
+    if turn == LAST and count > 0 and sizes[v] > 1:
+        return count, np.inf
+    well = choice.steady(x, m, own, planes, count, sigma, threshold, side, label) if count > 0 else 0
+    if well == 2:
+        return count, np.inf
+    curve, most = np.inf, pieces.MOST
+    if degree == 2:
+        curve, most = bend(x, m, n, r, slots, origin, keys[v], candidates, offered, ball, sigma, threshold, least, iterations, quadric)
+    if most == 0:
+        return 0, curve
+    if turn < LAST and well == 0:
+        found = np.empty((pieces.MOST, 4))
+        size, length = choice.found_planes(x, m, candidates, offered, sigma, threshold, least, most, found, side, label)
+        if length < cost:
+            count = size
+            planes[:count] = found[:count]
+    return count, curve
 
 
 @kernel
 def filter_cell(
-    v: Any, keys: Any, table: Any, main: Any, found: Any, sets: Any, sizes: Any, seek: Any, slots: Any, n: Any, r: Any, first: Any,
+    v: Any, keys: Any, table: Any, main: Any, found: Any, sets: Any, sizes: Any, turn: Any, slots: Any, n: Any, r: Any, first: Any,
     mine: Any, ball: Any, degree: Any, sigma: Any, threshold: Any, least: Any, iterations: Any, snap: Any, q: Any, normals: Any,
     variance: Any, reason: Any, chosen: Any,
 ) -> Any:  # fmt: skip
@@ -197,26 +214,26 @@ def filter_cell(
     offered = offers(v, keys, table, main, found, origin, candidates)
     planes, means, inverses = np.zeros((pieces.MOST, 4)), np.zeros((pieces.MOST, 3)), np.zeros((pieces.MOST, 3, 3))
     used, label, side = np.zeros(pieces.MOST), np.empty(m, np.int64), np.zeros((pieces.MOST, pieces.MOST), np.int64)
-    centre, normal, tangent, beta, inverse = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(6), np.zeros((6, 6))
-    price, length = sigma * sigma * np.log(m), threshold * threshold * m
-    square, curve, count, most = length, np.inf, 0, pieces.MOST
+    quadric = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(6), np.zeros((6, 6))
+    price, limit = sigma * sigma * np.log(m), threshold * threshold
+    length, square, curve, count = limit * m, limit * m, np.inf, 0
     if offered > 0:
         planes[0] = candidates[nearest_to_origin(candidates, offered)]
         allowed = 3 * price if degree == 2 else np.inf
         count, used[0], square = flat(x, m, ball, sigma, threshold, allowed, planes[0], means[0], inverses[0], label)
     if count == 0:
-        if degree == 2:
-            curve, most = bend(x, m, n, r, slots, origin, keys[v], candidates, offered, ball, sigma, threshold, least, iterations,
-                               centre, normal, tangent, beta, inverse)  # fmt: skip
-        if most > 0:
-            count, length, square = several(
-                v, keys, table, sets, sizes, seek, x, m, origin, r[lo:hi] - origin, ball, candidates, offered, sigma, threshold, least,
-                most, planes, means, inverses, used, side, label,
-            )  # fmt: skip
+        count, curve = surface_of(
+            v, keys, table, sets, sizes, turn, x, m, n, r, slots, origin, r[lo:hi] - origin, ball, degree, candidates, offered, sigma,
+            threshold, least, iterations, quadric, planes, side, label,
+        )  # fmt: skip
+        if count > 0:
+            count = assignment.refine(x, m, ball, planes, means, inverses, used, count, sigma, threshold, side, label)
+            length, square = assignment.pieces_cost(x, m, planes, count, side, limit, sigma, np.inf, np.empty(pieces.MOST, np.int64))
     curved = curve + 6 * price < length + 3 * count * price
     if not curved and count == 0:
         verdict(lo, hi, mine, NO_SURFACE, reason)
         return 0, 9.0
+    centre, normal, tangent, beta, inverse = quadric
     across_t, reach = np.empty(3), ball * ball * PATCH / m + 4.0 * sigma * sigma
     across(normal, tangent, across_t)
     for i in range(lo, hi):
@@ -250,7 +267,7 @@ def verdict(lo: Any, hi: Any, mine: Any, why: Any, reason: Any) -> None:
 
 @parallel_kernel
 def filter_cells(
-    keys: Any, table: Any, first: Any, r: Any, main: Any, found: Any, sets: Any, sizes: Any, seek: Any, wanted: Any, mine: Any, ball: Any,
+    keys: Any, table: Any, first: Any, r: Any, main: Any, found: Any, sets: Any, sizes: Any, turn: Any, wanted: Any, mine: Any, ball: Any,
     degree: Any, noise: Any, limit: Any, least: Any, iterations: Any, snap: Any, q: Any, normals: Any, variance: Any, reason: Any,
     kind: Any, misfit: Any, chosen: Any,
 ) -> None:  # fmt: skip
@@ -263,6 +280,6 @@ def filter_cells(
         slots = np.empty(n, np.int64)
         gather(v, keys, table, first, r, slots)
         kind[v], misfit[v] = filter_cell(
-            v, keys, table, main, found, sets, sizes, seek, slots, n, r, first, mine, ball, degree, noise[v], limit[v], least, iterations,
+            v, keys, table, main, found, sets, sizes, turn, slots, n, r, first, mine, ball, degree, noise[v], limit[v], least, iterations,
             snap, q, normals, variance, reason, chosen[v],
         )  # fmt: skip

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ladar_volume.filtering.assignment import pieces_cost, refine
+from ladar_volume.filtering.assignment import pieces_cost
 from ladar_volume.filtering.pieces import MOST, bounds, distance, fit_plane, nearest_piece, nearest_pieces, nearest_planes
 from ladar_volume.model.kernels import kernel
 
@@ -16,6 +16,10 @@ CHANCE = 0.03
 SEEN = 250
 #: Mean truncated square over sigma² of a choice that needs no search: noise, and outliers of a few per cent.
 ENOUGH = 1.2
+#: Share of the points that planes must explain, with no more than the noise left, to need no comparison.
+EXPLAINS = 0.85
+#: Lent sets compared by all points: so many, none of them longer than the best by more than this factor on a sample.
+TIGHT, NEARLY = 5, 1.1
 #: So many planes that still leave this mean truncated square over sigma² do not describe a surface: leaves, grass, cables.
 SEVERAL, CLUTTER = 3, 3.0
 #: Most candidates tried, and how many of them in all combinations.
@@ -23,27 +27,26 @@ TRIED, TOGETHER = 10, 3
 
 
 @kernel
-def distinct(x: Any, m: Any, candidates: Any, offered: Any, limit: Any, out: Any) -> Any:
+def distinct(y: Any, n: Any, candidates: Any, offered: Any, limit: Any, out: Any) -> Any:
     """A few candidates, each the one that explains most of what those before it leave, to out (k, 4); returns how many."""
-    residual = np.full(m, limit)
-    n = 0
-    while n < len(out):
-        best, which = 0.0, -1
+    square, residual = np.empty((offered, n)), np.full(n, limit)
+    for c in range(offered):
+        for i in range(n):
+            d = distance(y[i], candidates[c])
+            square[c, i] = d * d
+    number = 0
+    while number < len(out):
+        least, which = residual.sum(), -1
         for c in range(offered):
-            gain = 0.0
-            for i in range(m):
-                d = distance(x[i], candidates[c])
-                gain += max(residual[i] - d * d, 0.0)
-            if gain > best:
-                best, which = gain, c
+            left = np.minimum(residual, square[c]).sum()
+            if left < least:
+                least, which = left, c
         if which < 0:
             break
-        out[n] = candidates[which]
-        for i in range(m):
-            d = distance(x[i], out[n])
-            residual[i] = min(residual[i], d * d)
-        n += 1
-    return n
+        out[number] = candidates[which]
+        residual[:] = np.minimum(residual, square[which])
+        number += 1
+    return number
 
 
 @kernel
@@ -166,55 +169,65 @@ def search(
 
 
 @kernel
+def sample(x: Any, m: Any, least: Any) -> Any:
+    """At most ``SEEN`` of the points x[:m], and how many of them a plane needs."""
+    stride = (m + SEEN - 1) // SEEN
+    y = x[:m:stride]
+    return y, max(least // stride, np.int64(CHANCE * len(y)), 1)
+
+
+@kernel
 def best_lent(
-    y: Any, n: Any, lent: Any, sizes: Any, m: Any, sigma: Any, threshold: Any, need: Any, most: Any, planes: Any, side: Any, label: Any
+    x: Any, m: Any, lent: Any, sizes: Any, sigma: Any, threshold: Any, least: Any, planes: Any, side: Any, label: Any
 ) -> Any:  # fmt: skip
-    """Of the sets (k, MOST, 4) that neighbours chose, the one with the shortest description here. Returns (number of planes, length)."""
-    count, cost = 0, threshold * threshold * m
+    """Of the sets (k, MOST, 4) that neighbours chose, the one with the shortest description of the points (m, 3), of the ``TIGHT`` best
+    by a sample. Returns (number of planes, length); a plane that a neighbour found needs half as many points here."""
+    y, need = sample(x, m, least)
+    length, shortest = np.full(len(lent), np.inf), threshold * threshold * m
     for a in range(len(lent)):
-        if sizes[a] <= most:
-            length = description(y, n, lent[a], sizes[a], m, sigma, threshold, need, cost, side, label)
-            if length < cost:
-                count, cost = sizes[a], length
+        length[a] = description(y, len(y), lent[a], sizes[a], m, sigma, threshold, max(need // 2, 1), NEARLY * shortest, side, label)
+        shortest = min(shortest, length[a])
+    count, cost, need = 0, threshold * threshold * m, max(least // 2, np.int64(0.5 * CHANCE * m))
+    for a in np.argsort(length)[:TIGHT]:
+        if length[a] < np.inf:
+            total = description(x, m, lent[a], sizes[a], m, sigma, threshold, need, cost, side, label)
+            if total < cost:
+                count, cost = sizes[a], total
                 planes[:count] = lent[a, :count]
     return count, cost
 
 
 @kernel
-def explains(own: Any, y: Any, n: Any, planes: Any, count: Any, sigma: Any, threshold: Any, side: Any, label: Any) -> Any:
-    """Whether the pieces, with their ends told from the points y (n, 3), leave no more of the points ``own`` (k, 3) than outliers."""
-    nearest_planes(y, n, planes, count, threshold * threshold, label)
-    bounds(y, n, label, planes, count, sigma, side)
-    left, q = 0, np.empty(3)
+def steady(x: Any, m: Any, own: Any, planes: Any, count: Any, sigma: Any, threshold: Any, side: Any, label: Any) -> Any:
+    """How well the pieces explain the points (m, 3), and the cell's ``own`` (k, 3) in particular: 2 where most lie on them and these
+    scatter no more than the noise, 1 where they need no further search, 0 where they leave more than that."""
+    nearest_planes(x, m, planes, count, threshold * threshold, label)
+    bounds(x, m, label, planes, count, sigma, side)
+    q, left, near, square = np.empty(3), 0, 0, 0.0
     for i in range(len(own)):
         _, d, _ = nearest_piece(own[i], planes, count, side, q)
         left += d > threshold
-    return left <= CHANCE * len(own)
+    for i in range(m):
+        _, d, _ = nearest_piece(x[i], planes, count, side, q)
+        if d <= threshold:
+            near += 1
+            square += d * d / (sigma * sigma)
+    if left > CHANCE * len(own):
+        return 0
+    if near > EXPLAINS * m and square < near * (1.0 + 2.0 / np.sqrt(near)):
+        return 2
+    return np.int64(square + (m - near) * (threshold / sigma) ** 2 <= ENOUGH * m)
 
 
 @kernel
-def choose_planes(
-    x: Any, m: Any, own: Any, reach: Any, candidates: Any, offered: Any, lent: Any, sizes: Any, seek: Any, sigma: Any, threshold: Any,
-    least: Any, most: Any, planes: Any, means: Any, inverses: Any, used: Any, side: Any, label: Any,
+def found_planes(
+    x: Any, m: Any, candidates: Any, offered: Any, sigma: Any, threshold: Any, least: Any, most: Any, planes: Any, side: Any, label: Any
 ) -> Any:  # fmt: skip
-    """The planes, at most ``most``, whose pieces together describe the points (m, 3) best, refined: a set lent by a neighbour, or
-    if none of these explains the points, and in particular the cell's ``own``, and ``seek``, one from among the ``offered`` candidates.
+    """At most ``most`` planes among the ``offered`` candidates whose pieces together describe the points (m, 3) best.
 
-    Returns their number. A plane costs its three parameters (BIC) and needs more support than outliers give any slab. At most ``SEEN``
-    points are looked at.
+    Returns (their number, length). A plane costs its three parameters (BIC) and needs more support than outliers give any slab.
     """
-    stride = (m + SEEN - 1) // SEEN if seek else 1
-    y = x[:m:stride]
-    n = len(y)
-    need = max(least // stride, np.int64(CHANCE * n), 1)
-    count, cost = best_lent(y, n, lent, sizes, m, sigma, threshold, max(need // 2, 1), most, planes, side, label)
-    price = 3.0 * np.log(m) * sigma * sigma
-    enough = count > 0 and cost - count * price <= ENOUGH * m * sigma * sigma
-    if seek and not (enough and explains(own, y, n, planes, count, sigma, threshold, side, label)):
-        few, found = np.empty((TRIED, 4)), np.empty((MOST, 4))
-        tried = distinct(y, n, candidates, offered, threshold * threshold, few)
-        size, length = search(y, n, few, tried, m, sigma, threshold, need, most, found, side, label)
-        if length < cost:
-            count = size
-            planes[:count] = found[:count]
-    return refine(x, m, reach, planes, means, inverses, used, count, sigma, threshold, side, label)
+    y, need = sample(x, m, least)
+    few = np.empty((TRIED, 4))
+    tried = distinct(y, len(y), candidates, offered, threshold * threshold, few)
+    return search(y, len(y), few, tried, m, sigma, threshold, need, most, planes, side, label)

@@ -23,9 +23,6 @@ from ladar_volume.model.records import F64, I64, Bool
 CELL = 0.7
 #: A cell looks for planes within the ball's radius over this; it is offered those of its neighbours too.
 NARROWER = 2.5
-#: Leaders search their planes; the others take over what a neighbour found where it explains their points, and else search too; in the
-#: last turn cells of several planes and such as are not explained choose again among what all around them found, by all of their points.
-TURNS = 3
 
 
 @dataclass(frozen=True)
@@ -92,10 +89,10 @@ def _cover_level(
     sets, sizes, chosen = np.zeros((len(keys), MOST, 4)), np.zeros(len(keys), np.int64), np.zeros((len(keys), MOST, 4))
     lead = _leaders(keys)
     for turn, some in enumerate((wanted & lead, wanted & ~lead, wanted)):
-        if turn == TURNS - 1:
+        if turn == cells.LAST:
             some = some & ((kind > 1) | (kind != 0) & (misfit > ENOUGH))
         cells.filter_cells(
-            keys, table, first, ordered, main, found, sets, sizes, turn < TURNS - 1, some, mine, ball, degree, noise, limit,
+            keys, table, first, ordered, main, found, sets, sizes, turn, some, mine, ball, degree, noise, limit,
             parameters.min_points, parameters.refit_iterations, parameters.edge == "snap", q, normal, variance, reason, kind, misfit,
             chosen,
         )  # fmt: skip

@@ -16,6 +16,11 @@ from ladar_volume.model.kernels import kernel
 
 #: A bent surface is sought from a plane over the ball's radius over this, the best of so many.
 BENT, TRIALS = 3.0, 60
+#: Points that tell whether a quadric is worth a fit to all.
+SCREEN = 150
+#: Mean square over sigma² of the points that a quadric explains from which it is no surface: in leaves they fill the slab, which gives
+#: 3; the noise may be a third larger than believed. Few points scatter by this over the root of their number.
+HOPELESS, SCATTER = 2.0, 5.0
 #: Most refits of a plane.
 STEADY = 6
 #: Share of the points that one surface must explain, with no more than the noise left, to need no further search.
@@ -102,10 +107,12 @@ def flat(
 @kernel
 def bend(
     x: Any, m: Any, n: Any, r: Any, slots: Any, origin: Any, key: Any, candidates: Any, offered: Any, ball: Any, sigma: Any, threshold: Any,
-    least: Any, iterations: Any, centre: Any, normal: Any, tangent: Any, beta: Any, inverse: Any,
+    least: Any, iterations: Any, quadric: Any,
 ) -> Any:  # fmt: skip
-    """A quadric for the cell. Returns (its sum of truncated squares, infinite for none; how many planes may compete with it): where it
-    leaves no more than the noise, none: several planes, which cost no less than it, have nothing to gain."""
+    """A ``quadric`` (centre, normal, tangent, beta, inverse) for the cell, to the arrays given. Returns (its sum of truncated squares,
+    infinite for none; how many planes may compete with it): where it leaves no more than the noise, none: several planes, which cost no
+    less than it, have nothing to gain."""
+    centre, normal, tangent, beta, inverse = quadric
     start, loose, most = np.empty(4), 0.0, least
     if offered > 0:
         start[:] = candidates[nearest_to_origin(candidates, offered)]
@@ -116,13 +123,23 @@ def bend(
     pts = np.empty((n, 3))
     for i in range(n):
         pts[i] = r[slots[i]]
+    thin = max(m // SCREEN, 1)
+    if thin > 1:  # most neighbourhoods that are not flat are sharp or clutter, and a few points say so
+        few = (n + thin - 1) // thin
+        inliers = quadric_from(
+            pts[::thin], few, origin, start, 3.0 * loose, ball, sigma, threshold, iterations, centre, normal, tangent, beta, inverse
+        )  # fmt: skip
+        some = (m + thin - 1) // thin
+        cost, near = quadric_cost(x[:m:thin], some, origin, centre, normal, tangent, beta, threshold * threshold)
+        if inliers < 8 or 2 * near < some or cost - (some - near) * threshold * threshold > HOPELESS * near * sigma * sigma:
+            return np.inf, pieces.MOST
     inliers = quadric_from(
         pts, n, origin, start, 3.0 * loose, ball, sigma, threshold, iterations, centre, normal, tangent, beta, inverse
     )  # fmt: skip
     if inliers < max(most, 8):
         return np.inf, pieces.MOST
     cost, near = quadric_cost(x, m, origin, centre, normal, tangent, beta, threshold * threshold)
-    if near < m // 2:
+    leaves = (cost - (m - near) * threshold * threshold) / (max(near, 1) * sigma * sigma)
+    if near < m // 2 or leaves > max(HOPELESS, 1.0 + SCATTER / np.sqrt(near)):
         return np.inf, pieces.MOST
-    leaves = (cost - (m - near) * threshold * threshold) / (near * sigma * sigma)
     return cost, 0 if near > EXPLAINS * m and leaves < 1.0 + 2.0 / np.sqrt(near) else pieces.MOST
