@@ -7,35 +7,22 @@ A variant is a pair of budgets: the one the errors are drawn from and the one th
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from ladar_volume.ground.polynomial import design_surface
-from ladar_volume.model.parameters import BudgetParameters, Parameters, VolumeParameters
-from ladar_volume.model.records import F64, FilterUpdate, Tin
+from ladar_volume.model.parameters import BudgetParameters, GeoreferenceParameters, Parameters, VolumeParameters
+from ladar_volume.model.records import FilterUpdate, Tin, Volume
 from ladar_volume.studies.coverage_scene import SITES, Site, level_truth
-from ladar_volume.studies.coverage_survey import SOURCES, VertexSurvey, survey, without
+from ladar_volume.studies.coverage_survey import FIX_HZ, SOURCES, VertexSurvey, survey, without
 from ladar_volume.surface.represent import SurfaceOptions, represent
 from ladar_volume.volume.assembly import vertex_variance
 from ladar_volume.volume.base import base_and_outline, polygon_of
-from ladar_volume.volume.budget import Sources
+from ladar_volume.volume.epochs import epoch_difference
 from ladar_volume.volume.estimator import VolumeEstimator
-from ladar_volume.volume.navigation import NavigationBins, NavigationLoads, navigation_loads, navigation_variance
 from ladar_volume.volume.overlay import between
 from ladar_volume.volume.polygon import areas_inside, clipped_prismoids
 from ladar_volume.volume.prismoids import prismoids
-from ladar_volume.volume.propagation import (
-    calibration_sensitivity,
-    calibration_variance,
-    independent_covariance,
-    navigation_sensitivity,
-    patch_loads,
-    surface_geometry,
-    tangential_variance,
-)
 
 #: First seeds; the rest count up. Surveys with one source at a time have seeds of their own.
 SEED, LINES_SEED = 20_000, 60_000
@@ -88,13 +75,13 @@ def bases(site: Site) -> tuple[str, ...]:
 
 
 def believed_parameters(budget: BudgetParameters, site: Site, base: str) -> Parameters:
-    """Parameters of the estimation: the body's automatic outline above its own ground, or a rectangle above the level 0."""
-    if base == GROUND:
-        volume = VolumeParameters()
-    else:
+    """Parameters of the estimation: the body's automatic outline above its own ground, or a rectangle above the level 0. The rate of the
+    fixes is known, by the longest gap that is bridged."""
+    volume = VolumeParameters(max_edge_m=site.max_edge_m)
+    if base == LEVEL:
         x, y = level_half(site)
-        volume = VolumeParameters(base="level", outline="polygon", polygon_m=(-x, -y, x, -y, x, y, -x, y))
-    return Parameters(budget=budget, volume=volume)
+        volume = dataclasses.replace(volume, base="level", outline="polygon", polygon_m=(-x, -y, x, -y, x, y, -x, y))
+    return Parameters(budget=budget, volume=volume, georeference=GeoreferenceParameters(max_position_gap_s=1.0 / FIX_HZ))
 
 
 def level_half(site: Site) -> tuple[float, float]:
@@ -111,24 +98,33 @@ def measured(site: Site, drawn: BudgetParameters, believed: BudgetParameters, se
     """One whole survey, or two for a difference: by base its error and what the propagation says of it."""
     if site.height_m < 0:
         P = believed_parameters(believed, site, EPOCHS)
-        return {EPOCHS: difference(*flights(site, drawn, P, seed), P, site.volume_m3)}
-    first = believed_parameters(believed, site, GROUND)
-    flown, estimator, out = survey(site, drawn, first, seed), VolumeEstimator(first), {}
-    estimator.add_platform(flown.states)
-    estimator.add(flown.update)
+        before, after = (estimator_of(flown, P).epoch() for flown in flights(site, drawn, P, seed))
+        return {EPOCHS: row_of(epoch_difference(after, before)[0].volume, site.volume_m3)}
+    first, out = believed_parameters(believed, site, GROUND), {}
+    estimator = estimator_of(survey(site, drawn, first, seed), first)
     for base in bases(site):
         estimator.set_parameters(believed_parameters(believed, site, base))
-        v = estimator.estimate().volume
-        error = v.volume_m3 - truth(site, base, seed)
-        out[base] = Row(error, v.sigma_m3, v.sigma_naive_m3, v.sigma_tau_range_m3, with_tangential(v.budget_m6))
+        out[base] = row_of(estimator.estimate().volume, truth(site, base, seed))
     return out
 
 
-def with_tangential(budget_m6: dict[str, float]) -> dict[str, float]:
-    """The budget with both parts of the returns' noise in one line."""
-    lines = dict(budget_m6)
-    lines["noise"] += lines.pop("noise_tangential")
-    return lines
+def row_of(v: Volume, true_m3: float) -> Row:
+    """A volume as its error and what it says of itself."""
+    return Row(v.volume_m3 - true_m3, v.sigma_m3, v.sigma_naive_m3, v.sigma_tau_range_m3, by_source(v.budget_m6))
+
+
+#: Lines of the budget that are part of another one's source.
+PARTS = {"noise_tangential": "noise", "boresight_second_order": "boresight"}
+
+
+def by_source(budget_m6: dict[str, float]) -> dict[str, float]:
+    """The budget by source: what one source does in several lines, or in both of two epochs, in one."""
+    out: dict[str, float] = {}
+    for line, variance in budget_m6.items():
+        own = line.removesuffix("_previous")
+        own = PARTS.get(own, own)
+        out[own] = out.get(own, 0.0) + variance
+    return out
 
 
 def flights(site: Site, drawn: BudgetParameters, believed: Parameters, seed: int) -> tuple[VertexSurvey, VertexSurvey]:
@@ -150,39 +146,12 @@ def options_of(parameters: Parameters) -> SurfaceOptions:
     )  # fmt: skip
 
 
-def difference(before: VertexSurvey, after: VertexSurvey, parameters: Parameters, true_m3: float) -> Row:
-    """The volume between two epochs over their common footprint: constants of calibration enter with the difference of their
-    sensitivities, navigation and noise independently (UNCERTAINTY step 10)."""
-    tins = [full_tin(s.update, parameters) for s in (after, before)]
-    found = between(tins[0], tins[1])
-    noise = naive = 0.0
-    J_cal: F64 | float = 0.0
-    loads: list[NavigationLoads] = []
-    tangential = 0.0
-    for one, tin, g in zip((after, before), tins, (found.gradient_net, found.lower_net), strict=True):
-        points, patches = one.update.points, one.update.patches
-        bins = NavigationBins(parameters.filter.nav_bin_s)
-        bins.add(one.states)
-        gradient = np.zeros((len(points), 1, 3))
-        gradient[tin.source, 0] = g
-        sources, geometry = Sources(points, patches, bins, parameters), surface_geometry(points, patches)
-        q = patch_loads(gradient, patches, geometry)
-        noise += float(independent_covariance(q, patches, geometry)[0, 0])
-        tangential += tangential_variance(gradient[:, 0], points)
-        naive += float((q[:, 0, 0] ** 2 * sources.total_variance).sum())
-        first = np.ascontiguousarray(q[:, :, 0])
-        J_cal = J_cal + calibration_sensitivity(first, patches)
-        loads.append(navigation_loads(*navigation_sensitivity(first, patches), bins, parameters.georeference.max_position_gap_s))
-        C_cal = sources.C_cal
-
-    def navigation(factor: float) -> dict[str, float]:
-        both = [navigation_variance(load, parameters.budget, factor) for load in loads]
-        return {name: both[0][name] + both[1][name] for name in both[0]}
-
-    constant = {"noise": noise + tangential, **calibration_variance(np.asarray(J_cal), C_cal)}
-    lines = {**constant, **navigation(1.0)}
-    low, high = sorted(math.sqrt(sum(constant.values()) + sum(navigation(f).values())) for f in (1.0 / 3.0, 3.0))
-    return Row(found.net_m3 - true_m3, math.sqrt(sum(lines.values())), math.sqrt(naive + tangential), (low, high), lines)
+def estimator_of(flown: VertexSurvey, parameters: Parameters) -> VolumeEstimator:
+    """The volume stage, with one survey in it."""
+    estimator = VolumeEstimator(parameters)
+    estimator.add_platform(flown.states)
+    estimator.add(flown.update)
+    return estimator
 
 
 def net_volumes(site: Site, drawn: BudgetParameters, seed: int) -> dict[str, float]:

@@ -63,9 +63,10 @@ class Drawn:
 
     @classmethod
     def draw(cls, budget: BudgetParameters, instrument: int, flight: int) -> Drawn:
-        """Errors of this budget. Two surveys with one ``instrument`` share its calibration; each ``flight`` has its own navigation."""
+        """Errors of this budget. Two surveys with one ``instrument`` share its calibration; each ``flight`` has its own clock offset
+        and navigation."""
         b = budget
-        calibration, clock = np.random.default_rng([instrument, CALIBRATION]), np.random.default_rng([instrument, CLOCK])
+        calibration, clock = np.random.default_rng([instrument, CALIBRATION]), np.random.default_rng([flight, CLOCK])
         fix_s, attitude_s = (np.arange(-0.5, DURATION_S + 0.6, 1.0 / hz) for hz in (FIX_HZ, ATTITUDE_HZ))
         position = draw_errors(
             fix_s, np.array(b.position_sigma_m), b.position_bias_fraction, b.position_white_fraction, b.tau_position_s,

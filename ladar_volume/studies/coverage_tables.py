@@ -9,7 +9,7 @@ from ladar_volume.studies.coverage_cases import ALL
 from ladar_volume.studies.nist_tables import markdown
 
 WORDS = {
-    "stockpile_100": "stockpile of 100 m³", "stockpile_5000": "stockpile of 4,900 m³", "pit": "pit",
+    "stockpile_100": "stockpile of 100 m³", "stockpile_5000": "stockpile of 5,200 m³", "pit": "pit",
     "own ground": "above its own ground", "design level": "above a design level", "two epochs": "between two epochs",
 }  # fmt: skip
 

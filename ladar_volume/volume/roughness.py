@@ -23,7 +23,8 @@ MAX_CELLS = 400
 
 @dataclass(frozen=True)
 class Roughness:
-    """variance_m2 : s², m² · length_m : correlation length L, m · spacing_m : mean distance of the points it was estimated from"""
+    """variance_m2 : s², m² · length_m : L, m, of the exponential correlation with the same integral over the plane · spacing_m : mean
+    distance of the points it was estimated from"""
 
     variance_m2: float
     length_m: float
@@ -55,8 +56,9 @@ def pair_products(xy: F64, e: F64, edges: F64) -> tuple[F64, F64]:
 def estimate_roughness(xy: F64, residual: F64, noise_variance: F64, parameters: int) -> Roughness:
     """s² and L from ground residuals (n,) m at xy (n, 2) m with known independent noise variances (n,) m².
 
-    s² is the mean square residual, corrected for the fitted parameters, minus the mean noise, never below zero; L is the
-    distance at which the empirical autocorrelation falls to 1/e, at least half the spacing.
+    s² is the mean square residual, corrected for the fitted parameters, minus the mean noise, never below zero; L is that of the
+    exponential with the integral of the empirical autocorrelation over the plane, which is what a body much larger than L feels, at least
+    half the spacing. (The distance at which the correlation falls to 1/e makes the sigma of a smooth ground 1.4 times too large.)
     """
     n = len(residual)
     spacing = mean_spacing(xy)
@@ -72,17 +74,23 @@ def estimate_roughness(xy: F64, residual: F64, noise_variance: F64, parameters: 
     products, counts = pair_products(np.ascontiguousarray(p), np.ascontiguousarray(e), edges)
     lag = np.concatenate([[edges[0] / 2], np.sqrt(edges[:-1] * edges[1:])])
     ok = counts[:-1] >= 30
-    return Roughness(s2, max(spacing / 2, fall_length(lag[ok], products[:-1][ok] / counts[:-1][ok] / s2)), spacing)
+    return Roughness(s2, max(spacing / 2, integral_length(lag[ok], products[:-1][ok] / counts[:-1][ok] / s2)), spacing)
 
 
-def fall_length(lag: F64, rho: F64) -> float:
-    """Distance at which a correlation, sampled at ascending lags, first falls to 1/e; linear between samples, starting at 1 for lag 0."""
+def integral_length(lag: F64, rho: F64) -> float:
+    """L of the exponential correlation with the same integral over the plane: ``L² = ∫ rho(d) d dd``, of a correlation sampled at ascending
+    lags, up to where it first falls to zero; linear between samples, starting at 1 for lag 0. The last lag, where none falls to 1/e."""
     d, r = np.concatenate([[0.0], lag]), np.concatenate([[1.0], np.minimum(rho, 1.0)])
-    below = np.flatnonzero(r < math.exp(-1.0))
-    if len(below) == 0:
+    if not (r < math.exp(-1.0)).any():
         return float(d[-1])
-    k = int(below[0])
-    return float(d[k - 1] + (d[k] - d[k - 1]) * (r[k - 1] - math.exp(-1.0)) / (r[k - 1] - r[k]))
+    end = np.flatnonzero(r <= 0.0)
+    if len(end):  # up to the crossing, which lies between two samples
+        k = int(end[0])
+        d = np.append(d[:k], d[k - 1] + (d[k] - d[k - 1]) * r[k - 1] / (r[k - 1] - r[k]))
+        r = np.append(r[:k], 0.0)
+    h, one, two = np.diff(d), d[:-1], d[1:]
+    # exact for a correlation that is linear between the samples
+    return math.sqrt(float((h * (one * (2.0 * r[:-1] + r[1:]) + two * (r[:-1] + 2.0 * r[1:])) / 6.0).sum()))
 
 
 def field_variance(xy: F64, weight: F64, point: Bool, rough: Roughness) -> float:

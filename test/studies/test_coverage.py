@@ -16,7 +16,7 @@ from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.parameters import BudgetParameters, Parameters
 from ladar_volume.simulation.platforms import uav
 from ladar_volume.studies import coverage
-from ladar_volume.studies.coverage_cases import DEFAULT, GROUND, LEVEL, VARIANTS, alone, believed_parameters, measured, net_volumes, scaled
+from ladar_volume.studies.coverage_cases import DEFAULT, GROUND, LEVEL, VARIANTS, alone, believed_parameters, by_source, measured, net_volumes, scaled
 from ladar_volume.studies.coverage_scene import SITES, level_truth
 from ladar_volume.studies.coverage_survey import DURATION_S, SOURCES, Drawn, nominal, platform_states, survey, without
 from ladar_volume.studies.coverage_tables import tables
@@ -48,12 +48,21 @@ def test_rays_end_on_the_surface_and_not_behind_it(name):
 
     def above(share):
         at = origin[seen] + (share * t[seen])[:, None] * ray[seen]
-        body = site.smooth(at[:, :2]) - at[:, :2] @ np.array(ground.slope)
-        return at[:, 2] - ground(at[:, 0], at[:, 1]) - body
+        return at[:, 2] - ground(at[:, :2]) - site.smooth(at[:, :2])
 
     assert np.abs(above(1.0)).max() < 2e-3 and np.median(np.abs(above(1.0))) < 2e-5
     for share in np.linspace(0.5, 0.995, 40):
         assert above(share).min() > -0.03
+
+
+def test_the_table_of_the_ground_is_its_sinusoids():
+    ground, rng = SITES["pit"].ground(4), np.random.default_rng(6)
+    xy = rng.uniform(-6, 6, (500, 2))
+    exact = sum(part(xy[:, 0], xy[:, 1]) for part in ground.parts)
+    assert np.abs(ground(xy) - exact).max() < 3e-5
+    dense = np.stack(np.meshgrid(np.linspace(-4, 4, 401), np.linspace(-3, 3, 401), indexing="ij"), axis=-1).reshape(-1, 2)
+    assert ground.mean_over_box(4.0, 3.0) == pytest.approx(ground(dense).mean(), abs=1e-5)
+    assert np.std([SITES["pit"].ground(k)(xy[:50]) for k in range(60)]) == pytest.approx(0.010, rel=0.1)
 
 
 def test_normals_are_the_gradient():
@@ -136,6 +145,12 @@ def test_each_source_alone():
     assert set(found) == set(SOURCES)
     for line, (changed, variance) in found.items():
         assert abs(changed) < 8.0 * math.sqrt(variance) + 1e-3 * abs(PIT.volume_m3), line  # the triangulation changes too
+
+
+def test_lines_of_one_source_are_added():
+    lines = {"noise": 1.0, "noise_tangential": 2.0, "noise_previous": 4.0, "noise_tangential_previous": 8.0, "boresight": 16.0,
+             "boresight_second_order": 32.0, "clock": 64.0}  # fmt: skip
+    assert by_source(lines) == {"noise": 15.0, "boresight": 48.0, "clock": 64.0}
 
 
 def test_statistics_of_a_known_sample():

@@ -12,7 +12,7 @@ from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.surface.tin import build_tin
 from ladar_volume.volume.outline import bodies, boundary_loop, components, fill_holes, surroundings, widened
-from ladar_volume.volume.roughness import Roughness, estimate_roughness, fall_length, field_variance, mean_spacing
+from ladar_volume.volume.roughness import Roughness, estimate_roughness, field_variance, integral_length, mean_spacing
 
 
 def grid(n=30, step=1.0):
@@ -64,11 +64,14 @@ def test_noise_alone_is_no_roughness():
     assert mean_spacing(grid(40, 0.3)) == pytest.approx(0.3, rel=0.05)
 
 
-def test_fall_length():
-    lag = np.linspace(0.1, 10, 200)
-    assert fall_length(lag, np.exp(-lag / 2.5)) == pytest.approx(2.5, rel=1e-3)
-    assert fall_length(lag, np.ones(200)) == 10.0
-    assert fall_length(lag, np.zeros(200)) == pytest.approx(0.1 * (1 - math.exp(-1)))
+def test_integral_length():
+    lag = np.linspace(0.02, 40, 2000)
+    assert integral_length(lag, np.exp(-lag / 2.5)) == pytest.approx(2.5, rel=1e-3)
+    assert integral_length(lag, np.exp(-(lag**2) / (2 * 2.5**2))) == pytest.approx(2.5, rel=1e-3)
+    assert integral_length(lag, np.maximum(0.0, 1 - lag / 3)) == pytest.approx(math.sqrt(1.5), rel=1e-3)  # ∫ (1 − d / 3) d dd = 9 / 6
+    assert integral_length(lag, np.cos(lag * math.pi / 4)) == pytest.approx(math.sqrt(16 / math.pi**2 * (math.pi / 2 - 1)), rel=1e-3)
+    assert integral_length(lag, np.ones(2000)) == 40.0
+    assert integral_length(np.array([0.1, 0.2]), np.zeros(2)) == pytest.approx(math.sqrt(0.01 / 6))
 
 
 def stepped(n=21):
