@@ -16,7 +16,18 @@ from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.parameters import BudgetParameters, Parameters
 from ladar_volume.simulation.platforms import uav
 from ladar_volume.studies import coverage
-from ladar_volume.studies.coverage_cases import DEFAULT, GROUND, LEVEL, VARIANTS, alone, believed_parameters, by_source, measured, net_volumes, scaled
+from ladar_volume.studies.coverage_cases import (
+    DEFAULT,
+    GROUND,
+    LEVEL,
+    VARIANTS,
+    alone,
+    believed_parameters,
+    by_source,
+    measured,
+    net_volumes,
+    scaled,
+)
 from ladar_volume.studies.coverage_scene import SITES, level_truth
 from ladar_volume.studies.coverage_survey import DURATION_S, SOURCES, Drawn, nominal, platform_states, survey, without
 from ladar_volume.studies.coverage_tables import tables
