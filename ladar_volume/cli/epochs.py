@@ -103,11 +103,7 @@ def compared(new: Epoch, previous: Epoch, separate: Collection[str], polygon: F6
 
 def epoch_dict(found: EpochDifference, kept: Thresholded, separate: Collection[str]) -> dict[str, Any]:
     """The comparison as plain values."""
-    return {
-        **results.volume_dict(found.volume), "z": found.z, "p_value": found.p_value, "significant": found.significant,
-        "sigma_if_nothing_shared_m3": found.budget.sigma_separate, "separate": list(separate),
-        "level_of_detection": dataclasses.asdict(kept),
-    }  # fmt: skip
+    return {**results.change_dict(found), "separate": list(separate), "level_of_detection": dataclasses.asdict(kept)}
 
 
 def source_of(survey: Survey) -> dict[str, Any]:

@@ -25,6 +25,10 @@ def show_result(console: Console, result: Mapping[str, Any]) -> None:
     for number, body in enumerate(result["bodies"][1:], start=2):
         x, y, _ = body["centroid_map_m"]
         head.add_row(f"body {number}", f"{body['volume_m3']:.3f} ± {body['sigma_m3']:.3f} m³ at {x:.1f}, {y:.1f} m")
+    places = result.get("where_more_data_helps", {}).get("places", [])
+    for number, place in enumerate(places):
+        words = f"at {place['x_m']:.1f}, {place['y_m']:.1f} m: sigma falls by {place['gain_m3']:.2g} m³ ({place['why']})"
+        head.add_row("" if number else "another pass helps", words)
     console.print(head)
     console.print(budget_table(result))
     if result["losses"]:

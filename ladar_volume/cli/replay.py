@@ -129,7 +129,8 @@ class Replay:
         source = {"path": self.bag.path.name, "sha256": self.bag.digest(), "duration_s": self.bag.duration_s, "topics": self.topics}
         if self.poses is not None:
             source |= {"poses": self.poses.path.name, "poses_sha256": self.poses.digest()}
-        return results.result_dict(estimate, self.parameters, self.all_losses(), self.engine.datum, points, source)
+        result = results.result_dict(estimate, self.parameters, self.all_losses(), self.engine.datum, points, source)
+        return result | {"where_more_data_helps": results.more_data_dict(self.engine.estimator.more_data())}
 
 
 def _ahead(items: Iterator[tuple[float, str, Any]], depth: int = 64) -> Iterator[tuple[float, str, Any]]:

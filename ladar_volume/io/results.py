@@ -18,6 +18,8 @@ from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import Datum, Estimate, Plane, Tin, Volume
 from ladar_volume.version import version
+from ladar_volume.volume.epochs import EpochDifference
+from ladar_volume.volume.more_data import MoreData
 
 
 def volume_dict(volume: Volume) -> dict[str, Any]:
@@ -66,6 +68,19 @@ def result_dict(
         "version": version(),
         "parameters": parameters.write(),
     }
+
+
+def change_dict(found: EpochDifference) -> dict[str, Any]:
+    """A change between two epochs as plain values: the volume, its significance, and sigma if nothing were shared."""
+    return {
+        **volume_dict(found.volume), "z": found.z, "p_value": found.p_value, "significant": found.significant,
+        "sigma_if_nothing_shared_m3": found.budget.sigma_separate,
+    }  # fmt: skip
+
+
+def more_data_dict(found: MoreData) -> dict[str, Any]:
+    """Where another pass would help most, as plain values."""
+    return {"places": found.best(), "sigma_m3": found.sigma_m3, "sigma_gaps_m3": found.sigma_gaps_m3, "cell_m": found.cell_m}
 
 
 def json_text(values: Mapping[str, Any]) -> str:

@@ -18,8 +18,11 @@ from ladar_volume.ground.polynomial import degree_of
 from ladar_volume.ground.robust import tilt_of
 from ladar_volume.model.errors import CloudError
 from ladar_volume.model.records import F64, I64, FilteredPoints, FilterUpdate, MappedPoints, Patches, Plane, Volume, select
+from ladar_volume.volume.more_data import SOURCES, MoreData
 
 Columns = dict[str, npt.NDArray[Any]]
+#: First word of a base's name → number in the table ``volumes``.
+BASES = {"ground": 0, "level": 1, "given": 2, "epoch": 3}
 HEAD, CROSS, CALIBRATION, NAVIGATION, REMOVED, END = range(6)
 #: Columns of M_cal that share one row of the long table.
 CAL_GROUP = 6
@@ -191,14 +194,28 @@ def ground_columns(grounds: Sequence[Plane]) -> Columns:
     }  # fmt: skip
 
 
+def more_data_columns(found: MoreData) -> Columns:
+    """``more_data``: one row per cell: x y z of its middle, `gain` (m³, by how much sigma of the volume would fall after another pass),
+    `sigma` (m, of the heights there), `side` (m, of the cell) and by how much the variance would fall by source, ``fall_<source>``."""
+    columns: Columns = {axis: found.centre_map[:, i] for i, axis in enumerate("xyz")}
+    columns |= {"gain": found.gain_m3, "sigma": found.sigma_m, "side": np.full(len(found.sigma_m), found.cell_m)}
+    return columns | {f"fall_{name}": found.falls_m6[:, i] for i, name in enumerate(SOURCES)}
+
+
+def base_code(base: str) -> int:
+    """A base in words as the number in the table ``volumes``; 255 for a name this does not know."""
+    return BASES.get(base.partition(" ")[0], 255)
+
+
 def volume_columns(volumes: list[Volume]) -> Columns:
-    """``volumes``: one row per body with centroid, volume, variance, cut, fill, area and one ``var_<source>`` per source."""
+    """``volumes``: one row per body with centroid, volume, variance, cut, fill, area, base (:data:`BASES`) and one ``var_<source>`` per
+    source."""
     centroid = np.array([v.centroid_map for v in volumes], dtype=np.float64)
     columns: Columns = {axis: centroid[:, i] for i, axis in enumerate("xyz")}
     columns |= {
         "volume": np.array([v.volume_m3 for v in volumes]), "variance": np.array([v.sigma_m3**2 for v in volumes]),
         "cut": np.array([v.cut_m3 for v in volumes]), "fill": np.array([v.fill_m3 for v in volumes]),
-        "area": np.array([v.area_m2 for v in volumes]),
+        "area": np.array([v.area_m2 for v in volumes]), "base": np.array([base_code(v.base) for v in volumes], np.uint8),
     }  # fmt: skip
     for source in sorted({s for v in volumes for s in v.budget_m6}):
         columns[f"var_{source}"] = np.array([v.budget_m6.get(source, 0.0) for v in volumes])

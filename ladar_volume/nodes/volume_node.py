@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -19,15 +20,25 @@ from visualization_msgs.msg import Marker
 
 from ladar_volume.io import cdr, results
 from ladar_volume.io.clouds import stamp_ns
+from ladar_volume.io.surveys import FILE, write_survey
 from ladar_volume.io.tables import decode
-from ladar_volume.io.wire import filter_update, filtered_points, ground_columns, no_filtered_points, volume_columns
+from ladar_volume.io.wire import (
+    filter_update,
+    filtered_points,
+    ground_columns,
+    more_data_columns,
+    no_filtered_points,
+    volume_columns,
+)  # fmt: skip
 from ladar_volume.model.errors import LadarVolumeError, VolumeError
-from ladar_volume.model.records import Datum, Estimate, FilterUpdate
+from ladar_volume.model.records import Datum, Estimate, FilterUpdate, Volume
 from ladar_volume.nodes.base import LATCHED, STREAM, StageNode
 from ladar_volume.nodes.convert import datum_of, ground_message, platform_state, table_message
 from ladar_volume.nodes.passes import Passes
 from ladar_volume.nodes.running import spin
+from ladar_volume.nodes.since_epoch import SinceEpoch
 from ladar_volume.volume.estimator import VolumeEstimator
+from ladar_volume.volume.more_data import MoreData
 
 
 class VolumeNode(StageNode):
@@ -55,6 +66,8 @@ class VolumeNode(StageNode):
         self._why_not = "no surface yet"
         self._datum: Datum | None = None
         self._epoch = 0
+        self._since = SinceEpoch()
+        self._more: MoreData | None = None
         self.counts = {"parts": 0, "estimates": 0}
         self._last_estimate_s, self._estimate_began = 0.0, float("-inf")
         self._tin = self.create_publisher(Marker, "tin", LATCHED)
@@ -62,6 +75,7 @@ class VolumeNode(StageNode):
         self._ground = self.create_publisher(PoseWithCovarianceStamped, "ground_plane", LATCHED)
         self._grounds = self.create_publisher(PointCloud2, "grounds", LATCHED)
         self._volumes = self.create_publisher(PointCloud2, "volumes", LATCHED)
+        self._more_data = self.create_publisher(PointCloud2, "more_data", LATCHED)
         self._volume = self.create_publisher(Float64, "volume", 10)
         self._sigma = self.create_publisher(Float64, "volume_sigma", 10)
         self.listen("points", PointCloud2, "points_filtered", STREAM)
@@ -74,10 +88,10 @@ class VolumeNode(StageNode):
         ):  # fmt: skip
             self.create_service(Trigger, f"~/{name}", self._service(action), callback_group=self._group)
 
-    def _start_over(self) -> None:
+    def _start_over(self, stage: VolumeEstimator | None = None) -> None:
         self.losses.merge(self.stage.losses)
-        self.stage, self._half, self._parts, self._estimate = VolumeEstimator(self.parameters), {}, [], None
-        self._states, self._due, self._why_not = [], False, "no surface yet"
+        self.stage, self._half, self._parts = VolumeEstimator(self.parameters) if stage is None else stage, {}, []
+        self._states, self._due, self._why_not, self._estimate, self._more = [], False, "no surface yet", None, None
 
     def changed(self) -> None:
         """New base, outline or ground: the next estimate uses it."""
@@ -91,6 +105,7 @@ class VolumeNode(StageNode):
 
     def _work(self, kind: str, item: Any) -> None:
         if kind == "reset":
+            self._since = SinceEpoch()
             return self._start_over()
         if kind == "parameters":
             self._due = True
@@ -111,6 +126,7 @@ class VolumeNode(StageNode):
         if self._datum not in (None, datum):
             self.get_logger().warning("another datum: coordinates so far mean nothing in it, a new surface begins")
             self.losses.add("message_datum_changed")
+            self._since = SinceEpoch()
             self._start_over()
         self._datum = datum
 
@@ -164,9 +180,11 @@ class VolumeNode(StageNode):
         self._due = False
         self._estimate_began = time.monotonic()
         try:
+            self._since.compare(self.stage)
             self._estimate = self.stage.estimate()
         except LadarVolumeError as error:
             self._why_not = str(error)
+            self._publish_volumes([])  # a pit is no body above its ground, and yet a change
             raise
         finally:
             self._last_estimate_s = time.monotonic() - self._estimate_began
@@ -174,9 +192,14 @@ class VolumeNode(StageNode):
         self._publish(self._estimate)
         return self._estimate
 
+    def _publish_volumes(self, bodies: list[Volume]) -> None:
+        rows = [*bodies, *self._since.rows()]
+        if rows:
+            self._volumes.publish(table_message(volume_columns(rows), rows[0].t_ns))
+
     def _publish(self, estimate: Estimate) -> None:
         v = estimate.volume
-        self._volumes.publish(table_message(volume_columns(list(estimate.bodies)), v.t_ns))
+        self._publish_volumes(list(estimate.bodies))
         if estimate.grounds:
             self._grounds.publish(table_message(ground_columns(estimate.grounds), v.t_ns))
         self._volume.publish(Float64(data=v.volume_m3))
@@ -185,6 +208,8 @@ class VolumeNode(StageNode):
         # maps are megabytes: they follow at their own pace
         if time.monotonic() - self._mapped >= self.parameters.node.map_period_s:
             self._mapped = time.monotonic()
+            self._more = self.stage.more_data()
+            self._more_data.publish(table_message(more_data_columns(self._more), v.t_ns))
             if self._tin.get_subscription_count():
                 self._tin.publish(cdr.tin_marker(estimate, self.parameters.node.tin_colour))
             if self._mesh.get_subscription_count():
@@ -192,7 +217,10 @@ class VolumeNode(StageNode):
 
     def _result(self) -> dict[str, Any]:
         estimate = self._compute()
-        return results.result_dict(estimate, self.parameters, self.all_losses(), self._datum, {}, {"node": self.get_name()})
+        self._more = self.stage.more_data()
+        result = results.result_dict(estimate, self.parameters, self.all_losses(), self._datum, {}, {"node": self.get_name()})
+        change = None if self._since.change is None else results.change_dict(self._since.change)
+        return result | {"where_more_data_helps": results.more_data_dict(self._more), "epoch": change}
 
     def _service(self, action: Any) -> Any:
         def call(request: Any, response: Any) -> Any:
@@ -211,30 +239,37 @@ class VolumeNode(StageNode):
 
     def _save(self) -> dict[str, Any]:
         result = self._result()
-        assert self._estimate is not None
         folder = results.output_folder(self.parameters.node.output_folder)
+        self._write(folder, result)
+        return {"folder": str(folder), "volume_m3": result["volume_m3"], "sigma_m3": result["sigma_m3"]}
+
+    def _write(self, folder: Path, result: dict[str, Any]) -> None:
+        assert self._estimate is not None
         results.write_text(folder / "result.json", results.json_text(result))
         results.write_ply(folder / "mesh.ply", self._estimate.tin, self._estimate.sigma_z)
-        return {"folder": str(folder), "volume_m3": result["volume_m3"], "sigma_m3": result["sigma_m3"]}
+        write_survey(folder / FILE, self._estimate, self.stage.epoch(), result)
 
     def _start_epoch(self) -> dict[str, Any]:
         if self._estimate is None:
             raise VolumeError(f"nothing to keep as an epoch: {self._why_not}", reason="volume_no_estimate")
         folder = results.output_folder(f"{self.parameters.node.output_folder}/epoch_{self._epoch}")
         result = self._result()
-        results.write_text(folder / "result.json", results.json_text(result))
-        results.write_ply(folder / "mesh.ply", self._estimate.tin, self._estimate.sigma_z)
+        self._write(folder, result)
         self._epoch += 1
+        self._since.keep(self.stage.epoch())
         if self._filter_reset.service_is_ready():
             self._filter_reset.call_async(Trigger.Request())
-        self._start_over()
+        self._start_over(self.stage.restarted())
         return {"kept": str(folder), "epoch": self._epoch, "volume_m3": result["volume_m3"]}
 
     def status(self) -> dict[str, Any]:
         """The present estimate against the wanted tolerance."""
         lines: dict[str, Any] = {f"count_{k}": v for k, v in self.counts.items()} | {
             "pending_estimate": int(self._due), "last_estimate_s": f"{self._last_estimate_s:.2f}", "restarts": self._passes.begun,
+            **self._since.lines(),
         }  # fmt: skip
+        for number, place in enumerate([] if self._more is None else self._more.best(), start=1):
+            lines[f"more_data_{number}"] = f"{place['x_m']:.2f} {place['y_m']:.2f} {place['gain_m3']:.4f} {place['why']}"
         if self._estimate is None:
             return lines | {"estimate": self._why_not}
         v = self._estimate.volume

@@ -9,7 +9,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from ladar_volume.model.errors import SurfaceError
+from ladar_volume.model.errors import SurfaceError, VolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Estimate, FilteredPoints, FilterUpdate, Patches, Plane, PlatformStates, Tin, Volume
@@ -19,6 +19,7 @@ from ladar_volume.volume.base import all_grounds, area_by_body, base_and_outline
 from ladar_volume.volume.budget import Budget, Sources, vertical_sigma
 from ladar_volume.volume.centroid import centroid
 from ladar_volume.volume.epoch_budget import Epoch
+from ladar_volume.volume.more_data import MoreData, more_data
 from ladar_volume.volume.navigation import NavigationBins
 from ladar_volume.volume.near_base import NearBase
 from ladar_volume.volume.outline import boundary_loop
@@ -43,6 +44,7 @@ class VolumeEstimator:
         self._navigation = NavigationBins(parameters.filter.nav_bin_s) if navigation is None else navigation
         self._store = PatchStore()
         self._surface_now: Represented | None = None
+        self._main: tuple[Represented, Plane, F64, Prismoids, Budget, Sources, F64] | None = None
         self._t_ns = 0
 
     def set_parameters(self, parameters: Parameters) -> None:
@@ -80,6 +82,15 @@ class VolumeEstimator:
         """Everything so far as one survey, to be compared with another. Raises :class:`SurfaceError` where there is no surface."""
         points, patches = self._current()
         return Epoch(self._surface(points), Sources(points, patches, self._navigation, self.parameters), self._t_ns)
+
+    def more_data(self) -> MoreData:
+        """Where another pass would make sigma of the last estimate's main body smaller. Raises :class:`VolumeError` without one."""
+        if self._main is None:
+            raise VolumeError("no estimate yet", reason="volume_no_estimate")
+        surface, base, part, solid, budget, sources, variance = self._main
+        gradient = result_gradients(surface.tin, base, solid, len(sources.points), surface)[:, 0]
+        sigma_z = vertical_sigma(sources, sources.points)[surface.tin.source]
+        return more_data(surface.tin, part > 0, gradient, sources, sigma_z, variance, budget.sigma)
 
     def restarted(self) -> VolumeEstimator:
         """An estimator without a surface that knows the platform's path so far: returns still on their way refer to it."""
@@ -124,6 +135,7 @@ class VolumeEstimator:
             return near_correction(surface, base, part, points, patches, sources.geometry)
 
         made = [solved(part) for part in parts]
+        self._main = surface, base, parts[0], *made[0], sources, height_variance
         volumes = tuple(self._volume(surface.tin, base, part, *one, near(part)) for part, one in zip(parts, made, strict=True))
         grounds = all_grounds(surface.tin, height_variance, base, inside, self.parameters)
         if len(base.support):
