@@ -193,3 +193,14 @@ def test_a_polygon_keeps_the_rest_out():
     assert d.volume.sigma_m3 < epoch_difference(new, old)[0].volume.sigma_m3
     nothing = epoch_budget(new, old, np.zeros_like(new.tin.vertices), np.zeros_like(old.tin.vertices))
     assert nothing.sigma == 0.0
+
+
+def test_a_partial_tin_goes_through_its_adjustment():
+    old = epoch(surface_update(flat))
+    part = epoch(surface_update(pit, spacing=0.25), volume={"vertex_ratio": 0.4})
+    whole = epoch(surface_update(pit, spacing=0.25))
+    one, two = (epoch_difference(e, old)[0] for e in (part, whole))
+    assert len(part.tin.vertices) < 0.5 * len(whole.tin.vertices)
+    assert one.volume.volume_m3 == pytest.approx(PIT, rel=5e-3)
+    assert one.volume.sigma_m3 / one.volume.area_m2 == pytest.approx(two.volume.sigma_m3 / two.volume.area_m2, rel=0.01)
+    assert one.budget.lines["noise"] == pytest.approx(two.budget.lines["noise"], rel=0.2)
