@@ -13,6 +13,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from ladar_volume.io.results import json_text, output_folder, write_text
 from ladar_volume.version import version
 
+#: Surveys through the whole engine where no number is given.
+ENGINE_SURVEYS = 200
+
 
 def add_coverage(studies: Any) -> None:
     """Declare the study."""
@@ -24,6 +27,10 @@ def add_coverage(studies: Any) -> None:
     )  # fmt: skip
     parser.add_argument("--scenario", action="append", default=[], metavar="NAME", help="stockpile_100, stockpile_5000, pit (default: all)")
     parser.add_argument("--reduced", action="store_true", help="200 surveys, 200 per source, 50 per wrong budget; about ten minutes")
+    parser.add_argument(
+        "--engine", type=int, nargs="?", const=ENGINE_SURVEYS, default=0, metavar="N",
+        help=f"and N ({ENGINE_SURVEYS}) surveys of each stockpile from PointCloud2 messages through the whole engine: ten seconds each",
+    )  # fmt: skip
     parser.add_argument("--surveys", type=int, metavar="N", help="surveys of each kind, instead")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, metavar="N", help="processes (default: all cores)")
     parser.add_argument(
@@ -43,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.surveys is not None:
         counts = (arguments.surveys,) * 3
     scenarios = arguments.scenario or list(SCENARIOS)
-    todo = coverage.tasks(scenarios, counts)
+    todo = coverage.tasks(scenarios, counts, arguments.engine)
     folder = output_folder(arguments.output)
     console = Console(stderr=arguments.json)
     bar = Progress(TextColumn("surveys"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=console, transient=True)
@@ -53,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
     wanted = set(todo)
     rows = [r for r in coverage.read_rows(folder / coverage.FILE) if coverage.done([r]) <= wanted]
     found = coverage.summary(rows, scenarios)
-    facts = {"study": "coverage", "level": "vertices", "limits": coverage.limits(max(counts)), "scenarios": found, "version": version()}
+    facts = {"study": "coverage", "limits": coverage.limits(max(counts)), "scenarios": found, "version": version()}
     write_text(folder / "tables.md", tables(found))
     write_text(folder / "study.json", json_text(facts))
     if arguments.json:

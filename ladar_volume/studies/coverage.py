@@ -18,11 +18,14 @@ from typing import Any
 
 from ladar_volume.model.errors import ConfigurationError, OutputError
 from ladar_volume.studies.coverage_cases import ALL, LINES, LINES_SEED, SCENARIOS, SEED, VARIANTS, alone, measured
+from ladar_volume.studies.coverage_engine import SCENES, measured_by_engine
 from ladar_volume.studies.coverage_scene import SITES
 from ladar_volume.version import version
 
 #: Surveys of a scenario with all sources on, with each source alone, and of each variant whose errors are not those believed.
 FULL, REDUCED = (2000, 1000, 500), (200, 200, 50)
+#: Variant and first seed of surveys through the whole engine.
+ENGINE, ENGINE_SEED = "whole engine", 80_000
 FILE = "surveys.jsonl"
 #: From so many surveys on: limits of predicted over empirical sigma, and of the share (%) of intervals that hold the truth.
 LIMITS = {
@@ -45,8 +48,11 @@ class Task:
     seed: int
 
 
-def tasks(scenarios: Sequence[str], counts: tuple[int, int, int]) -> list[Task]:
-    """All surveys, scenario by scenario. Raises :class:`ConfigurationError` for a scenario that there is not."""
+def tasks(scenarios: Sequence[str], counts: tuple[int, int, int], engine: int = 0) -> list[Task]:
+    """All surveys, scenario by scenario, the last ``engine`` of each through the whole engine, where its scene can be cast.
+
+    Raises :class:`ConfigurationError` for a scenario that there is not.
+    """
     unknown = sorted(set(scenarios) - set(SCENARIOS))
     if unknown:
         raise ConfigurationError(f"no scenario {unknown[0]!r}; there are {', '.join(SCENARIOS)}", value=unknown[0])
@@ -56,6 +62,8 @@ def tasks(scenarios: Sequence[str], counts: tuple[int, int, int]) -> list[Task]:
             count = counts[0] if variant == ALL else counts[1] if variant == LINES else counts[2]
             first = LINES_SEED if variant == LINES else SEED
             out += [Task(name, variant, first + k) for k in range(count)]
+        if name in SCENES:
+            out += [Task(name, ENGINE, ENGINE_SEED + k) for k in range(engine)]
     return out
 
 
@@ -65,7 +73,9 @@ def do(task: Task) -> dict[str, Any]:
     if task.variant == LINES:
         result: dict[str, Any] = dict(alone(site, task.seed))
     else:
-        result = {base: dataclasses.asdict(row) for base, row in measured(site, *VARIANTS[task.variant], task.seed).items()}
+        by_engine = task.variant == ENGINE
+        rows = measured_by_engine(task.scenario, task.seed) if by_engine else measured(site, *VARIANTS[task.variant], task.seed)
+        result = {base: dataclasses.asdict(row) for base, row in rows.items()}
     return {**dataclasses.asdict(task), "version": version(), "result": result}
 
 
@@ -179,7 +189,7 @@ def summary(rows: Sequence[dict[str, Any]], scenarios: Sequence[str]) -> dict[st
         mine = [r for r in rows if r["scenario"] == name]
         for base in dict.fromkeys(b for r in mine for b in r["result"]):
             variants = {}
-            for variant in VARIANTS:
+            for variant in (*VARIANTS, ENGINE):
                 some = [r["result"][base] for r in mine if r["variant"] == variant]
                 if some:
                     variants[variant] = statistics(some, SITES[name].volume_m3)

@@ -28,6 +28,7 @@ from ladar_volume.studies.coverage_cases import (
     net_volumes,
     scaled,
 )
+from ladar_volume.studies.coverage_engine import measured_by_engine
 from ladar_volume.studies.coverage_scene import SITES, level_truth
 from ladar_volume.studies.coverage_survey import DURATION_S, SOURCES, Drawn, nominal, platform_states, survey, without
 from ladar_volume.studies.coverage_tables import tables
@@ -207,3 +208,13 @@ def test_the_verb_writes_tables_and_json(tmp_path, monkeypatch, capsys):
     assert main(words) == 0  # nothing is left to do
     assert json.loads(capsys.readouterr().out) == facts
     assert main(["study", "coverage", "--scenario", "moon", "-o", str(tmp_path / "d")]) != 0
+
+
+def test_a_survey_from_messages_through_the_engine():
+    found = measured_by_engine("stockpile_100", 80_000, thin=60)
+    for row in found.values():
+        assert abs(row.error_m3) < 5.0 * row.sigma_m3
+        assert sum(row.budget_m6.values()) == pytest.approx(row.sigma_m3**2)
+    assert found[LEVEL].budget_m6["position"] > 100.0 * found[GROUND].budget_m6["position"]
+    both = coverage.tasks(["stockpile_100", "pit"], (0, 0, 0), 2)
+    assert both == [coverage.Task("stockpile_100", coverage.ENGINE, 80_000 + k) for k in range(2)]
