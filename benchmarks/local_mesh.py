@@ -17,14 +17,15 @@ from benchmarks.truth import F64
 from ladar_volume.filtering.cloud import filter_cloud
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.surface.local import BOX, REPAIRS, LocalMesh, LocalMeshSettings, mesh_cloud
-from ladar_volume.surface.local_edges import complete_edges
+from ladar_volume.surface.sharpen import sharpen
+from ladar_volume.surface.skin import Skin, skin_of
 from ladar_volume.surface.topology import orient
 
 SEEDS, COUNT = range(20), 300_000
 TRUE = {"sphere": 4 / 3 * np.pi, "cube": 1.0}
 
 
-def volume(mesh: LocalMesh) -> float:
+def volume(mesh: LocalMesh | Skin) -> float:
     """Sum of signed tetrahedra, m³, also of a mesh that overlaps."""
     a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
     return float(np.einsum("ni,ni->", a, np.cross(b, c)) / 6)
@@ -40,14 +41,14 @@ def square_points(count: int) -> F64:
 
 def body(name: str) -> dict[str, float | int | str]:
     """Whole meshes and deviation of the volume of one shape, over the seeds."""
-    off: dict[str, list[float]] = {"through the points": [], "edges put back": []}
+    off: dict[str, list[float]] = {"through the points": [], "edges completed": []}
     whole = over = 0.0
     for seed in SEEDS:
         result = filter_cloud(getattr(shapes, name)(seed).points, Parameters.read({}).filter, auto=True)
         mesh = mesh_cloud(result.r, result.normal)
-        sharp = complete_edges(mesh)
-        for key, one in zip(off, (mesh, sharp), strict=True):
-            off[key].append(100 * (volume(one) / TRUE[name] - 1))
+        sharp = sharpen(skin_of(mesh.vertices, mesh.triangles, mesh.normals))[0]
+        off["through the points"].append(100 * (volume(mesh) / TRUE[name] - 1))
+        off["edges completed"].append(100 * (volume(sharp) / TRUE[name] - 1))
         one = orient(sharp.vertices, sharp.triangles)
         whole += one.euler == 2 and not len(one.boundary) and one.part.max() == 0
         over += 100 * mesh.report["over_full_before"] / mesh.report["edges_before"] / len(SEEDS)

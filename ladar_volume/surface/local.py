@@ -23,8 +23,8 @@ from ladar_volume.surface.local_published import published, repaired
 from ladar_volume.surface.local_star import DEGREE, ballot, stars
 from ladar_volume.surface.topology import edge_table
 
-#: What a vertex is: inside the surface, on a rim, in no triangle, at the place of an earlier point, or added on a sharp edge.
-INSIDE, RIM, UNUSED, DUPLICATE, ADDED = range(5)
+#: What a vertex is: inside the surface, on a rim, in no triangle, or at the place of an earlier point.
+INSIDE, RIM, UNUSED, DUPLICATE = range(4)
 #: Neighbours that the spacing of the points is taken from (the median distance of this one), those a star is made of, and
 #: by how many times more where it stays open.
 SPACING, NEIGHBOURS, WIDER = 6, 32, 4
@@ -76,7 +76,7 @@ class LocalMesh:
 
     vertices : (n, 3) m, the input points in their order · normals : (n, 3), unit, on the side the triangles face · triangles : (m, 3)
     int32, counter-clockwise as seen from the normals' side: outside of a closed body · votes : (m,) by how many of its corners a triangle
-    was proposed, 0 where it closes a hole · status : (n,) int32, INSIDE, RIM, UNUSED, DUPLICATE or ADDED · rims : vertices of each open
+    was proposed, 0 where it closes a hole · status : (n,) int32, INSIDE, RIM, UNUSED or DUPLICATE · rims : vertices of each open
     rim, in their order with the gap on the left; the two ends of each open edge in the published method · over_full : (k, 2) edges that
     have more than two triangles, none but in the published method · report : counts of what was found, closed and dropped, lengths used
     """

@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 from closed_meshes import CUBE_T, CUBE_V, sphere, torus
 
+from benchmarks.truth import box_faces, rotation, sample_polygons
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.surface import fill
 from ladar_volume.surface.clipping import clip_to_ground, heights
 from ladar_volume.surface.closing import close
 from ladar_volume.surface.curvature import bulge_volumes
+from ladar_volume.surface.local import mesh_cloud
 from ladar_volume.surface.sharpen import meet, sharpen
 from ladar_volume.surface.skin import EDGE, GAP, GROUND, MEASURED, skin_of
 from ladar_volume.surface.topology import check_closed, orient
@@ -224,6 +226,35 @@ def test_edges_and_corners_of_a_cube_are_completed_exactly():
         face = np.tile(np.where((n[where] @ np.eye(3)[axis % 3] * (-1) ** axis > 0.5)[:, None], n[where] @ turn.T, 0.0), 1)
         if face.any():
             assert gradient @ face.ravel() == pytest.approx(1.0, abs=1e-9)
+
+
+def test_edges_of_a_meshed_block_are_completed():
+    rng = np.random.default_rng(5)
+    at, n = sample_polygons(box_faces(np.full(3, -0.5), np.full(3, 0.5)), 3000, rng)
+    R = rotation(rng)
+    mesh = mesh_cloud(at @ R.T, n @ R.T)
+    skin = skin_of(mesh.vertices, mesh.triangles, mesh.normals)
+    sharp, count = sharpen(skin)
+    whole = orient(sharp.vertices, sharp.triangles)
+    check_closed(whole)
+    assert whole.euler == 2 and not whole.flipped.any() and count == len(sharp.vertices) - 3000
+    assert volume(skin).volume_m3 < 0.998
+    # thin triangles may fold over along an edge, by nothing that counts
+    assert closed_volume(sharp.vertices, sharp.triangles, allow_crossings=True).volume_m3 == pytest.approx(1.0, abs=1e-3)
+    # every vertex that was made lies on an edge: two of its coordinates are half an edge
+    assert np.sort(np.abs(sharp.vertices[3000:] @ R), axis=1)[:, 1:] == pytest.approx(0.5)
+
+
+def test_completed_edges_end_on_the_rim_they_came_from():
+    # a block without its bottom: one rim before, and one after that runs through the ends of four edges
+    at, n = sample_polygons(box_faces(np.full(3, -0.5), np.full(3, 0.5))[1:], 2500, np.random.default_rng(6))
+    mesh = mesh_cloud(at, n)
+    sharp, count = sharpen(skin_of(mesh.vertices, mesh.triangles, mesh.normals))
+    rim = orient(sharp.vertices, sharp.triangles).boundary
+    assert len(mesh.rims) == 1 and count > 0
+    ends = np.setdiff1d(rim, mesh.rims[0])
+    assert len(rim) == len(mesh.rims[0]) + 4 and len(ends) == 4
+    assert np.abs(sharp.vertices[ends][:, :2]) == pytest.approx(0.5)
 
 
 def test_smooth_surfaces_and_unknown_normals_are_not_sharpened():

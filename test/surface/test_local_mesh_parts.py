@@ -1,4 +1,4 @@
-"""The parts of the mesher: stars, unfolding, signs, rims, the published method and its repairs, edges put back."""
+"""The parts of the mesher: stars, unfolding, signs, rims, the published method and its repairs."""
 
 import itertools
 
@@ -7,14 +7,12 @@ import pytest
 from scipy.spatial import Delaunay
 
 from benchmarks.truth import box_faces, rotation, sample_polygons
-from ladar_volume.surface.local import ADDED, LocalMeshSettings, mesh_cloud
-from ladar_volume.surface.local_edges import complete_edges
+from ladar_volume.surface.local import LocalMeshSettings, mesh_cloud
 from ladar_volume.surface.local_frames import consistent_normals, neighbours, unfold, within
 from ladar_volume.surface.local_grow import FAN, add, drop_fans, fits
 from ladar_volume.surface.local_holes import rims
 from ladar_volume.surface.local_published import published, repaired
 from ladar_volume.surface.local_star import DEGREE, star
-from ladar_volume.surface.topology import check_closed, orient
 
 
 def volume(mesh):
@@ -170,32 +168,3 @@ def test_the_published_repairs_change_a_block_as_in_the_thesis():
         size[repair] = len(mesh.triangles), volume(mesh), len(mesh.over_full)
     assert size["empty"][0] > size["none"][0] > size["both"][0] > size["false"][0] > size["remove"][0]
     assert size["none"][1] > 1.03 > size["false"][1] and size["none"][2] > 20 * max(size["false"][2], 1)
-
-
-def test_edges_put_back_make_a_block_exact():
-    rng = np.random.default_rng(5)
-    at, n = sample_polygons(box_faces(np.full(3, -0.5), np.full(3, 0.5)), 3000, rng)
-    R = rotation(rng)
-    mesh = mesh_cloud(at @ R.T, n @ R.T)
-    sharp = complete_edges(mesh)
-    whole = orient(sharp.vertices, sharp.triangles)
-    check_closed(whole)
-    assert whole.euler == 2 and not whole.flipped.any()
-    assert volume(mesh) < 0.998 and volume(sharp) == pytest.approx(1.0, abs=1e-3)
-    assert np.all(np.flatnonzero(sharp.status == ADDED) >= 3000) and len(sharp.votes) == len(sharp.triangles)
-    # every vertex that was added lies on an edge: two of its coordinates are half an edge
-    new = np.sort(np.abs(sharp.vertices[3000:] @ R), axis=1)
-    assert len(new) == sharp.report["added_vertices"] and np.allclose(new[:, 1:], 0.5)
-
-
-def test_edges_put_back_leave_smooth_bodies_and_rims_alone():
-    rng = np.random.default_rng(6)
-    n = rng.normal(size=(1500, 3))
-    n /= np.linalg.norm(n, axis=1, keepdims=True)
-    mesh = mesh_cloud(n, n)
-    assert np.array_equal(complete_edges(mesh).triangles, mesh.triangles)
-    at, m = sample_polygons(box_faces(np.full(3, -0.5), np.full(3, 0.5))[1:], 2500, rng)
-    mesh = mesh_cloud(at, m)
-    sharp = complete_edges(mesh)
-    assert len(mesh.rims) == 1 and len(sharp.vertices) > len(mesh.vertices)
-    assert len(orient(sharp.vertices, sharp.triangles).boundary) == len(mesh.rims[0])
