@@ -23,13 +23,10 @@ from ladar_volume.model.errors import SimulationError
 from ladar_volume.model.parameters import FilterParameters, GroundParameters, Parameters
 from ladar_volume.model.records import F64
 from ladar_volume.studies import thesis_scene as scene
-from ladar_volume.surface.closing import close
-from ladar_volume.surface.curvature import bulge_volumes
 from ladar_volume.surface.local import BOX, FOUNTAIN, REPAIRS, SPHERE, LocalMesh, LocalMeshSettings, mesh_cloud
-from ladar_volume.surface.sharpen import sharpen
-from ladar_volume.surface.skin import skin_of
 from ladar_volume.surface.topology import edge_table, orient
-from ladar_volume.volume.tetrahedra import closed_volume, signed_tetrahedra
+from ladar_volume.volume.bodies import body_of
+from ladar_volume.volume.tetrahedra import signed_tetrahedra
 
 #: Largest gap that the package's own way closes, m; and what the ground is searched with: Table 9.1's threshold, T = 1000.
 CLOSE_M, GROUND_THRESHOLD_M = 0.4, 0.05
@@ -131,17 +128,12 @@ def own_way(points: F64) -> OwnBody:
     began = time.perf_counter()
     filtered = filter_cloud(points, FilterParameters(), auto=True)
     mesh = mesh_cloud(filtered.r, filtered.normal)
-    start = skin_of(mesh.vertices, largest_part(mesh), filtered.normal)
-    blunt, closures = close(start, CLOSE_M)
-    sharp, added = sharpen(start)
-    skin, closures = close(sharp, CLOSE_M) if added else (blunt, closures)
-    body = closed_volume(skin.vertices, skin.triangles, allow_crossings=True)
-    volume = body.volume_m3 + float(bulge_volumes(skin).sum())
+    body = body_of(mesh.vertices, largest_part(mesh), filtered.normal, filtered.curved, CLOSE_M, allow_crossings=True)
     seconds = time.perf_counter() - began
-    uncorrected = float(signed_tetrahedra(blunt.vertices, blunt.triangles, blunt.vertices.mean(axis=0)).sum())
+    closed = body.closed.mesh
     return OwnBody(
-        len(filtered.r), body.mesh.vertices, len(skin.triangles), volume, uncorrected, len(body.mesh.boundary) == 0, body.mesh.euler,
-        sum(c.closed_m3 for c in closures), seconds,
+        len(filtered.r), closed.vertices, len(closed.triangles), body.volume_m3, body.uncorrected_m3, len(closed.boundary) == 0,
+        closed.euler, body.closed_m3, seconds,
     )  # fmt: skip
 
 
