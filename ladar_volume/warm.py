@@ -7,8 +7,6 @@ the modules of that stage are loaded: each node holds no more than it runs.
 from __future__ import annotations
 
 import contextlib
-import ctypes
-import gc
 import importlib
 from collections.abc import Iterator
 from functools import cache
@@ -37,10 +35,6 @@ def warm_up(stage: str) -> None:
         _georeference(parameters)
     else:
         _surface(parameters, stage == "volume")
-    # what compiler and survey took and no longer need goes back to the system: some 50 MB; only glibc keeps it and knows the call
-    gc.collect()
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _clouds() -> Iterator[tuple[int, I64, F64, Returns]]:

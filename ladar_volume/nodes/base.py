@@ -27,6 +27,7 @@ from ladar_volume.model.errors import ConfigurationError, LadarVolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameter import specs
 from ladar_volume.model.parameters import SECTIONS, Parameters
+from ladar_volume.nodes import memory
 from ladar_volume.nodes.declared import descriptor, outside, why_not_now
 from ladar_volume.nodes.health import Health
 
@@ -156,6 +157,7 @@ class StageNode(LifecycleNode):
         try:
             if self.kernels is not None:
                 importlib.import_module("ladar_volume.warm").warm_up(self.kernels)
+                memory.tidy()
             self.build()
         except LadarVolumeError as error:
             self.get_logger().error(str(error))
@@ -247,7 +249,11 @@ class StageNode(LifecycleNode):
         )  # fmt: skip
 
     def _run(self) -> None:
+        given_back = time.monotonic()
         while True:
+            if time.monotonic() - given_back > memory.GIVE_BACK_S:
+                memory.give_back()
+                given_back = time.monotonic()
             try:
                 item = self._queue.get(timeout=0.05)
             except queue.Empty:

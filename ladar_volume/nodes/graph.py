@@ -126,10 +126,11 @@ class Graph:
         """Until every node reports. Raises VolumeError where one does not."""
         deadline = time.monotonic() + timeout_s
         wanted = {"georeference_node", "filter_node", "volume_node"}
-        while not wanted <= set(self.watcher.lines):
+        while not wanted <= set(self.watcher.lines) or self.watcher.number("volume_node", "joined") != 1:
             dead = [p.args for p in self._processes.values() if p.poll() not in (None, 0)]
             if dead or time.monotonic() > deadline:
-                raise VolumeError(f"nodes did not start: {sorted(wanted - set(self.watcher.lines))}", reason="volume_no_node")
+                missing = sorted(wanted - set(self.watcher.lines)) or "volume_node and filter_node do not find each other"
+                raise VolumeError(f"nodes did not start: {missing}", reason="volume_no_node")
             time.sleep(0.05)
 
     def play(self, bag: BagReader, topics: dict[str, str], rate: float, progress: Callable[[float], None]) -> Player:

@@ -83,6 +83,7 @@ class VolumeNode(StageNode):
         self.listen("platform", Odometry, "platform", STREAM)
         self.listen("datum", NavSatFix, "datum", LATCHED)
         self._filter_reset = self.create_client(Trigger, "filter_node/reset")
+        self._joined = False
         for name, action in (
             ("compute", self._answer), ("set_base", self._answer), ("save", self._save), ("start_epoch", self._start_epoch),
         ):  # fmt: skip
@@ -159,10 +160,19 @@ class VolumeNode(StageNode):
     def idle(self) -> None:
         """Estimate when an update is complete: at once when nothing more waits, else at most half of the time, so that a late
         estimator skips updates but does not fall behind."""
+        if not self._joined and self._filter_reset.service_is_ready():
+            self._join()
         waited = time.monotonic() - self._estimate_began
         if self._due and (self._queue.empty() or waited > 2.0 * self._last_estimate_s):
             with self._lock:
                 self._compute()
+
+    def _join(self) -> None:
+        """Have the filter begin anew: of a surface from before this node was there, patches and times of flight would be missing here."""
+        self._joined = True
+        self._filter_reset.call_async(Trigger.Request())
+        with self._lock:
+            self._start_over()
 
     def finish(self) -> None:
         """The last estimate, if anything is new, said once more in the log."""
@@ -265,6 +275,7 @@ class VolumeNode(StageNode):
     def status(self) -> dict[str, Any]:
         """The present estimate against the wanted tolerance."""
         lines: dict[str, Any] = {f"count_{k}": v for k, v in self.counts.items()} | {
+            "joined": int(self._joined),
             "pending_estimate": int(self._due), "last_estimate_s": f"{self._last_estimate_s:.2f}", "restarts": self._passes.begun,
             **self._since.lines(),
         }  # fmt: skip

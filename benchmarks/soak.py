@@ -1,0 +1,361 @@
+"""A long flight with everything going wrong: the four nodes in processes of their own, a load at the recording's rate, injected faults.
+
+A recorded flight is flown again and again with stamps that go on, so that an hour maps no more ground than a minute. All the time one
+message in a hundred is dropped; in turn come bursts of NaN, a GNSS outage, a float solution, a receiver's clock set back, clouds stamped
+an hour ahead, all clocks set back half a minute (a new pass of the data), restarts of each node, and a full disk. Measured are resident
+sizes, the time from a scan to the volume that holds it, and the books: what was published against what arrived and what was named lost.
+
+``python -m benchmarks.soak [--seconds 180] [--full-rate] [--faults A,B,...]``; ``--seconds 3600`` for the hour. Exit code 1 where a node
+died, a message is unaccounted for, an unforeseen exception was counted, no volume comes at the end or it is wrong by more than five sigma.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
+
+from benchmarks.footprint import resident_mb
+from ladar_volume.cli.simulate import suited
+from ladar_volume.io.bags import BagReader
+from ladar_volume.io.tables import decode
+from ladar_volume.model.parameters import BudgetParameters
+from ladar_volume.nodes.base import LATCHED, STREAM
+from ladar_volume.nodes.running import Spinner
+from ladar_volume.simulation.bag import write_bag
+from ladar_volume.simulation.platforms import platform_for
+from ladar_volume.simulation.scenes import make_scene
+from ladar_volume.simulation.survey import Survey, SurveyOptions
+
+ROOT = Path(__file__).parents[1]
+BAG = ROOT / "bags" / "stockpile"
+S = 1_000_000_000
+NODES = ("georeference_node", "filter_node", "volume_node", "logger_node")
+TYPES: dict[str, Any] = {"cloud": PointCloud2, "fix": NavSatFix, "imu": Imu}
+TOPICS = {"cloud": "velodyne_points", "fix": "gnss/fix", "imu": "imu/data"}
+#: Faults and how long each lasts, s.
+FAULTS = {
+    "nan": 2.0, "outage": 4.0, "float": 4.0, "fix_clock": 4.0, "lidar_stamps": 2.0, "disk_full": 6.0, "restart_volume_node": 0.0,
+    "restart_filter_node": 0.0, "restart_georeference_node": 0.0, "restart_logger_node": 0.0, "all_clocks_back": 0.0,
+}  # fmt: skip
+DROPPED, LOG_BYTES, BALLAST_BYTES = 0.01, 40_000_000, 60_000_000
+
+
+def full_rate_flight(folder: Path) -> Path:
+    """Half a minute at all 300,000 firings a second."""
+    scene = make_scene("stockpile", 5)
+    survey = Survey(scene, platform_for(scene, "uav", 30.0), BudgetParameters(), SurveyOptions(30.0, 1, seed=5))
+    write_bag(survey, folder / "flight", suited(scene), lambda share: None)
+    return folder / "flight"
+
+
+@dataclass
+class Recorded:
+    """One message of the flight: when (ns from its start), what, and its bytes with the stamp's distance from that moment."""
+
+    at_ns: int
+    kind: str
+    data: bytes
+    stamp_ns: int
+
+
+def flight(path: Path) -> tuple[list[Recorded], int]:
+    """The recording in memory and its length, ns."""
+    out = []
+    with BagReader(path) as bag:
+        roles = {topic: role for role, topic in bag.roles().items() if role in TYPES}
+        for raw in bag.raw(set(roles)):
+            data = bytes(raw.data)
+            sec, nanosec = struct.unpack_from("<iI", data, 4)
+            out.append(Recorded(raw.t_ns - bag.start_ns, roles[raw.topic], data, sec * S + nanosec - bag.start_ns))
+    return out, out[-1].at_ns + S
+
+
+def stamped(data: bytes, t_ns: int) -> bytes:
+    """A serialised message with another header stamp."""
+    return data[:4] + struct.pack("<iI", t_ns // S, t_ns % S) + data[12:]
+
+
+def with_nan(kind: str, data: bytes) -> bytes:
+    """The message with NaN in it: a third of the points, the position, or the attitude."""
+    message: Any = deserialize_message(data, TYPES[kind])
+    if kind == "cloud":
+        rows = np.frombuffer(message.data, np.uint8).copy().reshape(-1, message.point_step)
+        rows[::3, :4] = np.frombuffer(np.float32(np.nan).tobytes(), np.uint8)
+        length = rows.size
+        return data[: len(data) - 1 - length] + rows.tobytes() + data[-1:] if decode(message)["x"].dtype == np.float32 else data
+    if kind == "fix":
+        message.latitude = float("nan")
+    else:
+        message.orientation.x = float("nan")
+    return bytes(serialize_message(message))
+
+
+def changed_fix(data: bytes, status: int, scale: float) -> bytes:
+    """The fix with another status and a covariance ``scale`` times as large."""
+    message: Any = deserialize_message(data, NavSatFix)
+    message.status.status = status
+    message.position_covariance = np.asarray(message.position_covariance) * scale
+    return bytes(serialize_message(message))
+
+
+class Load(Node):
+    """Publishes the flight with its faults, and listens to diagnostics and volumes."""
+
+    def __init__(self) -> None:
+        super().__init__("load")
+        self.out = {k: self.create_publisher(TYPES[k], TOPICS[k], STREAM) for k in TYPES}
+        self.back_ns = 0
+        self.sent = dict.fromkeys(TYPES, 0)
+        self.unheard = dict.fromkeys(TYPES, 0)
+        self.dropped = dict.fromkeys(TYPES, 0)
+        self.hurt = dict.fromkeys(FAULTS, 0)
+        self.lines: dict[str, dict[str, str]] = {}
+        self.past: list[tuple[str, dict[str, str]]] = []
+        self.warnings: dict[str, int] = {}
+        self.latency: list[tuple[float, float]] = []
+        self.seen: set[int] = set()
+        self._random = random.Random(4)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._listen, 100)
+        self.create_subscription(PointCloud2, "volumes", self._volume, LATCHED)
+
+    def _listen(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            self.lines[status.name] = {v.key: v.value for v in status.values}
+            for words in status.message.split("; "):
+                text = "".join(c for c in words if not c.isdigit() and c not in ".-")
+                self.warnings[text] = self.warnings.get(text, 0) + 1
+
+    def _volume(self, message: PointCloud2) -> None:
+        t_ns = message.header.stamp.sec * S + message.header.stamp.nanosec
+        seconds = (time.time_ns() - t_ns - self.back_ns) * 1e-9
+        if t_ns not in self.seen and 0.0 <= seconds < 60.0:
+            self.seen.add(t_ns)
+            self.latency.append((time.monotonic(), seconds))
+
+    def send(self, one: Recorded, t_ns: int, fault: str | None) -> None:
+        """Publish a message stamped ``t_ns``, as the fault wants it."""
+        kind, data = one.kind, one.data
+        if self._random.random() < DROPPED:
+            self.dropped[kind] += 1
+            return
+        t_ns -= self.back_ns
+        hit = True
+        if fault == "nan":
+            data = with_nan(kind, data)
+        elif fault == "outage" and kind == "fix":
+            data = changed_fix(data, -1, 1.0)
+        elif fault == "float" and kind == "fix":
+            data = changed_fix(data, 0, 100.0)
+        elif fault == "fix_clock" and kind == "fix":
+            t_ns -= 3 * S
+        elif fault == "lidar_stamps" and kind == "cloud":
+            t_ns += 3600 * S
+        else:
+            hit = False
+        if fault is not None and hit:
+            self.hurt[fault] += 1
+        if self.out[kind].get_subscription_count() < 2:  # the logger, or the node in question, is down
+            self.unheard[kind] += 1
+        self.sent[kind] += 1
+        self.out[kind].publish(stamped(data, t_ns))
+
+    def total(self, node: str, prefix: str) -> int:
+        """Sum of a node's counters that begin so, over its restarts."""
+        parts = [lines for name, lines in self.past if name == node] + [self.lines.get(node, {})]
+        return sum(int(v) for lines in parts for k, v in lines.items() if k.startswith(prefix) and v.lstrip("-").isdigit())
+
+
+class Soak:
+    """Starts the nodes, flies, hurts, measures."""
+
+    def __init__(self, bag: Path, folder: Path) -> None:
+        free = os.statvfs(folder).f_bavail * os.statvfs(folder).f_frsize
+        self._ballast = folder / "ballast"
+        self._settings = {
+            "config_file": str(bag / "config.yaml"), "node.input_reliability": "reliable", "node.input_depth": "2000",
+            "node.diagnostics_period_s": "0.5", "logger.path": str(folder / "log.mcap"), "logger.split_bytes": str(LOG_BYTES // 4),
+            "logger.disk_full": "delete_oldest", "logger.disk_reserve_bytes": str(max(free - 4 * LOG_BYTES, 0)),
+        }  # fmt: skip
+        self.load = Load()
+        self._spinner = Spinner(self.load)
+        self.processes = {name: self._start(name) for name in NODES}
+        self.resident: list[tuple[float, dict[str, float]]] = []
+        self.died: list[str] = []
+
+    def _start(self, name: str) -> subprocess.Popen[bytes]:
+        section = name.split("_")[0]
+        words = [w for k, v in self._settings.items() if k.split(".")[0] in ("config_file", "node", section) for w in ("-p", f"{k}:={v}")]
+        command = [sys.executable, "-m", f"ladar_volume.nodes.{name}", "--ros-args", "--log-level", "error", *words]
+        return subprocess.Popen(command, cwd=ROOT)
+
+    def ready(self) -> None:
+        """Wait until all nodes report and hear the load."""
+        deadline = time.monotonic() + 300.0
+        while set(NODES) - set(self.load.lines) or any(p.get_subscription_count() < 2 for p in self.load.out.values()):
+            if time.monotonic() > deadline or any(p.poll() is not None for p in self.processes.values()):
+                raise RuntimeError(f"nodes did not start: {set(NODES) - set(self.load.lines)}")
+            time.sleep(0.1)
+
+    def fly(self, messages: list[Recorded], length_ns: int, seconds: float, faults: list[str]) -> None:
+        """Publish in real time; the faults come one after the other, evenly, between a tenth and nine tenths of the time."""
+        began, wall = time.monotonic(), time.time_ns()
+        span = 0.8 * seconds / max(len(faults), 1)
+        done, measured, sent = 0, 0.0, 0
+        while True:
+            for one in messages:
+                at_s = (sent * length_ns + one.at_ns) * 1e-9
+                if at_s > seconds:
+                    return
+                time.sleep(max(0.0, at_s - (time.monotonic() - began)))
+                number = int((at_s - 0.1 * seconds) // span) if faults and at_s >= 0.1 * seconds else -1
+                fault = faults[number] if 0 <= number < len(faults) else None
+                if fault is not None and done <= number:
+                    done = number + 1
+                    self._hit(fault)
+                if fault is None or at_s - 0.1 * seconds - number * span > FAULTS[fault]:
+                    fault = None
+                    self._ballast.unlink(missing_ok=True)
+                self.load.send(one, wall + sent * length_ns + one.stamp_ns, fault)
+                if at_s - measured > 1.0:
+                    measured = at_s
+                    self._measure(at_s)
+            sent += 1
+
+    def _hit(self, fault: str) -> None:
+        if fault == "all_clocks_back":
+            self.load.back_ns += 30 * S
+            self.load.hurt[fault] += 1
+        elif fault == "disk_full":
+            with self._ballast.open("wb") as stream:
+                stream.write(os.urandom(1_000_000) * ((4 * LOG_BYTES + BALLAST_BYTES) // 1_000_000))
+            self.load.hurt[fault] += 1
+        elif fault.startswith("restart_"):
+            name = fault.removeprefix("restart_")
+            process = self.processes[name]
+            process.terminate()
+            if process.wait(timeout=60.0) != 0:
+                self.died.append(f"{name} ended with {process.returncode}")
+            time.sleep(0.3)  # its last diagnostics come in
+            self.load.past.append((name, self.load.lines.pop(name, {})))
+            self.processes[name] = self._start(name)
+            self.load.hurt[fault] += 1
+
+    def _measure(self, at_s: float) -> None:
+        self.resident.append((at_s, {name: resident_mb(p.pid) for name, p in self.processes.items()}))
+        for name, process in self.processes.items():
+            if process.poll() is not None and f"{name} died" not in self.died:
+                self.died.append(f"{name} died")
+
+    def close(self) -> None:
+        """End the nodes in the order of the data, then listen for their last words."""
+        time.sleep(3.0)
+        for process in self.processes.values():
+            process.terminate()
+            try:
+                process.wait(timeout=60.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                self.died.append("a node did not end")
+        time.sleep(0.5)
+        self._spinner.close()
+
+
+def report(soak: Soak, truth_m3: float) -> dict[str, Any]:
+    """The figures; ``wrong`` lists what must not be."""
+    load = soak.load
+    wrong = list(soak.died)
+    unaccounted = {}
+    for kind in TYPES:
+        arrived = load.total("georeference_node", f"received_{kind}") + load.total("georeference_node", f"lost_message_lost_{kind}")
+        unaccounted[kind] = load.sent[kind] - load.unheard[kind] - arrived
+        if unaccounted[kind] > 0:
+            wrong.append(f"{unaccounted[kind]} {kind} messages are unaccounted for")
+    unforeseen = sum(load.total(name, "lost_message_internal_error") for name in NODES)
+    if unforeseen:
+        wrong.append(f"{unforeseen} unforeseen exceptions")
+    last = load.lines.get("volume_node", {})
+    volume, sigma = float(last.get("volume_m3", "nan")), float(last.get("sigma_m3", "nan"))
+    if not abs(volume - truth_m3) < 5.0 * sigma:
+        wrong.append(f"volume {volume} with sigma {sigma}, true {truth_m3}")
+    middle = np.median([t for t, _ in load.latency]) if load.latency else 0.0
+    halves = {"all": [s for _, s in load.latency], "first half": [s for t, s in load.latency if t <= middle],
+              "second half": [s for t, s in load.latency if t > middle]}  # fmt: skip
+    losses: dict[str, int] = {}
+    for name, lines in [*load.past, *load.lines.items()]:
+        for key, value in lines.items():
+            if key.startswith("lost_"):
+                losses[f"{name} {key[5:]}"] = losses.get(f"{name} {key[5:]}", 0) + int(value)
+    sizes = [sum(r.values()) for _, r in soak.resident]
+    third = max(len(sizes) // 3, 1)
+    return {
+        "wrong": wrong, "sent": load.sent, "dropped_by_load": load.dropped, "unheard_while_down": load.unheard, "unaccounted": unaccounted,
+        "faults": {k: n for k, n in load.hurt.items() if n}, "volumes": len(load.latency), "volume_m3": volume, "sigma_m3": sigma,
+        "truth_m3": truth_m3, "scan_to_volume_s": {k: [float(np.percentile(v, q)) for q in (50, 99)] for k, v in halves.items() if v},
+        "resident_mb": {name: max(r[name] for _, r in soak.resident) for name in NODES}, "resident_all_mb": max(sizes),
+        "resident_middle_third_mb": max(sizes[third : 2 * third] or sizes), "resident_last_third_mb": max(sizes[2 * third :] or sizes),
+        "losses": dict(sorted(losses.items())), "named": dict(sorted(load.warnings.items(), key=lambda w: -w[1])[:25]),
+    }  # fmt: skip
+
+
+def soak(seconds: float, full_rate: bool, faults: list[str]) -> dict[str, Any]:
+    """Fly for ``seconds`` with the faults."""
+    os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 90 + 10))
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        bag = full_rate_flight(folder) if full_rate else BAG
+        messages, length_ns = flight(bag)
+        truth = float(json.loads((bag / "truth.json").read_text())["volume_m3"])
+        rclpy.init(args=[])
+        one = Soak(bag, folder)
+        try:
+            one.ready()
+            one.fly(messages, length_ns, seconds, faults)
+        finally:
+            one.close()
+            rclpy.try_shutdown()
+        return report(one, truth)
+
+
+def run() -> dict[str, float | int | str]:
+    """Three minutes at full rate."""
+    out = soak(180.0, True, list(FAULTS))
+    latency = out["scan_to_volume_s"]["all"]
+    return {
+        "wrong": "; ".join(out["wrong"]) or "nothing", "messages": sum(out["sent"].values()), "kinds of faults": len(out["faults"]),
+        "unaccounted": sum(max(n, 0) for n in out["unaccounted"].values()), "scan to volume p50, s": latency[0],
+        "scan to volume p99, s": latency[1], "all nodes at most, MB": out["resident_all_mb"],
+    }  # fmt: skip
+
+
+def main() -> int:
+    """Print the figures as JSON."""
+    parser = argparse.ArgumentParser(description="long flight with faults")
+    parser.add_argument("--seconds", type=float, default=180.0)
+    parser.add_argument("--full-rate", action="store_true", help="simulate a flight at 300,000 returns a second instead of the shipped one")
+    parser.add_argument("--faults", default=",".join(FAULTS), help=f"comma-separated: {', '.join(FAULTS)}")
+    arguments = parser.parse_args()
+    out = soak(arguments.seconds, arguments.full_rate, [f for f in arguments.faults.split(",") if f])
+    print(json.dumps(out, indent=1))
+    return int(bool(out["wrong"]))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
