@@ -7,7 +7,7 @@ import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,8 +18,10 @@ from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import Datum, Estimate, Plane, Tin, Volume
 from ladar_volume.version import version
-from ladar_volume.volume.epochs import EpochDifference
-from ladar_volume.volume.more_data import MoreData
+
+if TYPE_CHECKING:  # for names of types alone: a stage's kernels are loaded by the node that runs it
+    from ladar_volume.volume.epochs import EpochDifference
+    from ladar_volume.volume.more_data import MoreData
 
 
 def volume_dict(volume: Volume) -> dict[str, Any]:

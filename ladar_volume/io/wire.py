@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,9 @@ from ladar_volume.ground.polynomial import degree_of
 from ladar_volume.ground.robust import tilt_of
 from ladar_volume.model.errors import CloudError
 from ladar_volume.model.records import F64, I64, FilteredPoints, FilterUpdate, MappedPoints, Patches, Plane, Volume, select
-from ladar_volume.volume.more_data import SOURCES, MoreData
+
+if TYPE_CHECKING:  # for names of types alone: a stage's kernels are loaded by the node that runs it
+    from ladar_volume.volume.more_data import MoreData
 
 Columns = dict[str, npt.NDArray[Any]]
 #: First word of a base's name → number in the table ``volumes``.
@@ -199,7 +201,7 @@ def more_data_columns(found: MoreData) -> Columns:
     `sigma` (m, of the heights there), `side` (m, of the cell) and by how much the variance would fall by source, ``fall_<source>``."""
     columns: Columns = {axis: found.centre_map[:, i] for i, axis in enumerate("xyz")}
     columns |= {"gain": found.gain_m3, "sigma": found.sigma_m, "side": np.full(len(found.sigma_m), found.cell_m)}
-    return columns | {f"fall_{name}": found.falls_m6[:, i] for i, name in enumerate(SOURCES)}
+    return columns | {f"fall_{name}": found.falls_m6[:, i] for i, name in enumerate(found.sources)}
 
 
 def base_code(base: str) -> int:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -37,6 +38,7 @@ class MoreData:
     (k, 4) by how much the variance of the volume would fall, by :data:`SOURCES` · sigma_m3 : of the volume · sigma_gaps_m3 : of what lies
     in gaps, which the budget does not hold · cell_m : side of a cell"""
 
+    sources: ClassVar[tuple[str, ...]] = SOURCES
     centre_map: F64
     sigma_m: F64
     falls_m6: F64
