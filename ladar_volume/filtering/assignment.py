@@ -9,8 +9,11 @@ import numpy as np
 from ladar_volume.filtering.pieces import MOST, bounds, distance, fit_shares, nearest_on_piece, nearest_planes
 from ladar_volume.model.kernels import kernel
 
-#: Rounds of assignment and refit.
-ROUNDS = 12
+#: Most rounds of sharing out and refitting.
+ROUNDS = 30
+#: A result that describes the points worse than its start by this factor has lost its way. The description itself, which gives each point
+#: to one piece, is too crude for less: it prefers planes that lean into the corners.
+WORSE = 1.05
 #: Rounds before the points' own shares tell where planes end.
 SETTLING = 1
 #: Movement of a plane over the neighbourhood, in noise sigma, below which it has settled.
@@ -122,16 +125,12 @@ def refine(
 
     Returns the number of planes; ``used``, ``means`` and ``inverses`` give their covariance.
     """
-    share, before, best_set = np.zeros((MOST, m)), np.empty(4), planes.copy()
-    support, best, best_count = np.empty(MOST, np.int64), np.inf, count
-    limit, price = threshold * threshold, 3.0 * np.log(m) * sigma * sigma
+    share, before, start, at_first = np.zeros((MOST, m)), np.empty(4), planes.copy(), count
+    support, limit, price = np.empty(MOST, np.int64), threshold * threshold, 3.0 * np.log(m) * sigma * sigma
     nearest_planes(x, m, planes, count, limit, label)
     bounds(x, m, label, planes, count, sigma, side)
+    worst = WORSE * (pieces_cost(x, m, planes, count, side, limit, sigma, np.inf, support)[0] + count * price)
     for step in range(ROUNDS):
-        length, _ = pieces_cost(x, m, planes, count, side, limit, sigma, best, support)
-        if length + count * price < best:
-            best, best_count = length + count * price, count
-            best_set[:count] = planes[:count]
         share_out(x, m, planes, count, side, sigma, threshold, share, label)
         moved, lost, k = 0.0, False, count - 1
         while k >= 0:
@@ -150,10 +149,9 @@ def refine(
         elif moved < SETTLED * sigma:
             break
         bounds(x, m, label, planes, count, sigma, side)
-    length, _ = pieces_cost(x, m, planes, count, side, limit, sigma, best, support)
-    if best < length + count * price:
-        count = best_count
-        planes[:count] = best_set[:count]
+    if pieces_cost(x, m, planes, count, side, limit, sigma, worst, support)[0] + count * price > worst:
+        count = at_first
+        planes[:] = start
         nearest_planes(x, m, planes, count, limit, label)
         bounds(x, m, label, planes, count, sigma, side)
     share_out(x, m, planes, count, side, sigma, threshold, share, label)
