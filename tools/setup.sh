@@ -51,5 +51,5 @@ find ladar_volume -name '*.nb[ic]' -delete
 rm -rf build ladar_volume.egg-info
 # once, into the installed package's cache, so that the first survey does not wait for it
 echo "Compiling the kernels (about a minute)"
-(cd .venv && bin/python -c 'from ladar_volume.warm import warm_up; warm_up()')
+(cd .venv && bin/python -c 'from ladar_volume.warm import STAGES, warm_up; [warm_up(s) for s in STAGES]')
 touch .venv/ready
