@@ -12,7 +12,7 @@ FAULTS = "restart_volume_node,nan,outage,float,fix_clock,lidar_stamps"
 
 def test_a_flight_with_faults_ends_with_the_right_volume_and_balanced_books():
     environment = os.environ | {"ROS_DOMAIN_ID": str((os.getpid() + 9) % 90 + 10), "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "benchmarks.soak", "--seconds", "40", "--faults", FAULTS]
+    command = [sys.executable, "-m", "benchmarks.soak", "--seconds", "75", "--faults", FAULTS]
     done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
     seen = json.loads(done.stdout)
