@@ -6,6 +6,7 @@ A refusal is a typed error whose ``reason`` is the key under which the stage cou
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -19,6 +20,10 @@ from ladar_volume.model.records import F64, Fix, ImuSample, OdometrySample
 UNIT_TOLERANCE = 1e-3
 #: A step forward longer than this (s) needs a second sample that confirms it: one corrupt stamp must not shut out what follows.
 JUMP_S = 10.0
+#: A step back longer than this (s) is no late message but a clock that was set, or a block of late ones.
+SET_BACK_S = 0.5
+#: A clock set back for longer than this (s) is taken to be right from then on.
+LASTING_S = 10.0
 
 S = TypeVar("S")
 
@@ -98,11 +103,22 @@ def odometry_pose(sample: OdometrySample, budget: BudgetParameters, policy: str)
     return q, bud.pose_covariance_from_axes(q, C)
 
 
+@dataclass(frozen=True)
+class _SetBack:
+    """A clock that was set back: by how much, and the first and the newest stamp since (ns)."""
+
+    step_ns: int
+    first_ns: int
+    newest_ns: int
+
+
 class TimeOrder(Generic[S]):
     """Keeps one topic strictly increasing in time.
 
     A repeated or earlier stamp is refused. A step forward beyond ``jump_s`` is held until the next sample confirms it; if the next
-    sample continues the old time instead, the held one was a corrupt stamp and is refused.
+    sample continues the old time instead, the held one was a corrupt stamp and is refused. After a step back of more than
+    ``SET_BACK_S`` the samples that pass the newest stamp again are refused too (``_clock_back``): the platform was there earlier than
+    they say. That ends when the clock comes forward by half the step or more, or after ``LASTING_S``.
     """
 
     def __init__(self, topic: str, jump_s: float = JUMP_S) -> None:
@@ -110,9 +126,12 @@ class TimeOrder(Generic[S]):
         self._jump_ns = round(jump_s * 1e9)
         self._last: int | None = None
         self._held: tuple[int, S] | None = None
+        self._set_back: _SetBack | None = None
 
     def push(self, t_ns: int, sample: S) -> tuple[list[S], list[str]]:
         """The samples that may now be used, in order, and the reasons of those refused."""
+        if self._clock_is_back(t_ns) and self._last is not None and t_ns > self._last:
+            return [], [f"{self._topic}_clock_back"]
         if self._last is None or 0 < t_ns - self._last <= self._jump_ns:
             return self._accept(t_ns, [sample], self._drop_held())
         if t_ns <= self._last:
@@ -129,6 +148,19 @@ class TimeOrder(Generic[S]):
         refused = self._drop_held()
         self._held = (t_ns, sample)
         return [], refused
+
+    def _clock_is_back(self, t_ns: int) -> bool:
+        back = self._set_back
+        if back is None:
+            if self._last is not None and self._last - t_ns > SET_BACK_S * 1e9:
+                self._set_back = _SetBack(self._last - t_ns, t_ns, t_ns)
+        elif t_ns < back.newest_ns:
+            self._set_back = _SetBack(back.step_ns + back.newest_ns - t_ns, t_ns, t_ns)
+        elif 2 * (t_ns - back.newest_ns) >= back.step_ns or t_ns - back.first_ns > LASTING_S * 1e9:
+            self._set_back = None
+        else:
+            self._set_back = _SetBack(back.step_ns, back.first_ns, t_ns)
+        return self._set_back is not None
 
     def finish(self) -> list[str]:
         """End of data: a held sample was never confirmed."""

@@ -97,7 +97,7 @@ class Georeferencer:
 
     def add_fix(self, fix: Fix) -> None:
         """One GNSS fix. Refusals: fix_no_fix, fix_nan, fix_out_of_range, fix_unknown_covariance, fix_bad_covariance, fix_duplicate,
-        fix_time_backwards, fix_time_jump; fix_unused where odometry is the pose source."""
+        fix_time_backwards, fix_clock_back, fix_time_jump; fix_unused where odometry is the pose source."""
         if self._p.pose_source != "gnss_imu":
             return self.losses.add("fix_unused")
         try:
@@ -120,7 +120,7 @@ class Georeferencer:
 
     def add_imu(self, imu: ImuSample) -> None:
         """One attitude. Refusals: imu_no_orientation, imu_nan, imu_not_unit, imu_unknown_covariance, imu_bad_covariance,
-        imu_duplicate, imu_time_backwards, imu_time_jump; imu_unused where odometry is the pose source."""
+        imu_duplicate, imu_time_backwards, imu_clock_back, imu_time_jump; imu_unused where odometry is the pose source."""
         if self._p.pose_source != "gnss_imu":
             return self.losses.add("imu_unused")
         try:

@@ -168,11 +168,13 @@ class VolumeNode(StageNode):
                 self._compute()
 
     def _join(self) -> None:
-        """Have the filter begin anew: of a surface from before this node was there, patches and times of flight would be missing here."""
+        """Have the filter begin anew: of a surface from before this node was there, patches and times of flight would be missing here.
+        The path so far stays: returns that the filter had not yet read when it began anew refer to it."""
         self._joined = True
         self._filter_reset.call_async(Trigger.Request())
         with self._lock:
-            self._start_over()
+            self._hand_over()
+            self._start_over(self.stage.restarted())
 
     def finish(self) -> None:
         """The last estimate, if anything is new, said once more in the log."""
@@ -194,6 +196,8 @@ class VolumeNode(StageNode):
             self._estimate = self.stage.estimate()
         except LadarVolumeError as error:
             self._why_not = str(error)
+            if error.reason == "volume_no_navigation":  # the filter held returns from before this node listened: once more
+                self._joined = False
             self._publish_volumes([])  # a pit is no body above its ground, and yet a change
             raise
         finally:

@@ -336,6 +336,33 @@ def test_time_order_accepts_a_confirmed_jump():
     assert order.push(500 * second, "g") == ([], []) and order.finish() == ["fix_time_jump"]
 
 
+def test_time_order_refuses_a_clock_that_was_set_back_until_it_comes_forward():
+    order, tenth = TimeOrder("fix"), 10**8
+    for k in range(50):
+        assert order.push(k * tenth, k) == ([k], [])
+    for k in range(20, 60):  # three seconds back, for four seconds
+        late = "fix_duplicate" if k == 49 else "fix_time_backwards" if k < 49 else "fix_clock_back"
+        assert order.push(k * tenth, k) == ([], [late])
+    assert order.push(90 * tenth, 90) == ([90], []) and order.push(91 * tenth, 91) == ([91], [])
+
+
+def test_time_order_believes_a_clock_that_stays_back_after_ten_seconds():
+    order, tenth = TimeOrder("fix"), 10**8
+    order.push(50 * tenth, "a")
+    seen = [order.push(k * tenth, k) for k in range(20, 130)]
+    assert [r[1][0] for r in seen[31:101]] == ["fix_clock_back"] * 70
+    assert all(r == ([k], []) for k, r in zip(range(121, 130), seen[101:], strict=True))
+
+
+def test_time_order_takes_what_follows_late_messages():
+    order, tenth = TimeOrder("fix"), 10**8
+    order.push(50 * tenth, "a")
+    assert [order.push(k * tenth, k)[1] for k in (30, 31, 32)] == [["fix_time_backwards"]] * 3
+    assert order.push(51 * tenth, "b") == (["b"], [])
+    assert order.push(0, "c")[1] == ["fix_time_backwards"] and order.push(-tenth, "d")[1] == ["fix_time_backwards"]
+    assert order.push(52 * tenth, "e") == (["e"], [])
+
+
 def test_unknown_covariances_take_the_budget_only_when_told():
     fixes = [dataclasses.replace(f, C_enu=None) for f in _survey()[0]]
     imus = [dataclasses.replace(m, C_axes=None) for m in _survey()[1]]
