@@ -17,7 +17,7 @@ HERE = Path(__file__).parent
 NAMES = (
     "georeference", "filtering", "filtering_peers", "filtering_square", "surface", "surface_peers", "epochs", "replay", "live",
     "seeds", "pits", "spheres", "correlated_sum", "ball_box", "local_mesh", "kill_logger", "calibration", "bodies",
-    "footprint", "fuzz", "soak",
+    "propagation", "footprint", "fuzz", "soak",
 )  # fmt: skip
 
 

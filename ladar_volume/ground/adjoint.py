@@ -8,6 +8,14 @@ from ladar_volume.ground.polynomial import base_gradient, base_height, degree_of
 from ladar_volume.model.records import F64, Plane
 
 
+def ground_weights(points: F64, plane: Plane, by_beta: F64) -> F64:
+    """Derivatives (s, k) of k results by the heights of the points ``plane.support`` (s,), inliers held fixed: the vertical part of
+    :func:`ground_gradient`."""
+    _, H, _ = solve(points[plane.support], plane.origin_xy, degree_of(plane))
+    out: F64 = H.T @ by_beta
+    return out
+
+
 def ground_gradient(points: F64, plane: Plane, by_beta: F64) -> F64:
     """Gradients (s, k, 3) of k results by the points ``plane.support`` (s,), inliers held fixed.
 

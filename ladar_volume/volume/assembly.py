@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladar_volume.ground.adjoint import ground_gradient
+from ladar_volume.ground.adjoint import ground_gradient, ground_weights
 from ladar_volume.ground.polynomial import base_height
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Bool, FilteredPoints, Patches, Plane, Tin
@@ -105,7 +105,7 @@ def ground_field(tin: Tin, base: Plane, solid: Prismoids, inside_m2: F64, height
     ground = tin.vertices[base.support]
     residual = ground[:, 2] - base_height(base, ground[:, :2])
     rough = estimate_roughness(ground[:, :2], residual, height_variance[base.support], len(base.beta))
-    fit = ground_gradient(tin.vertices, base, solid.base_net[:, None])[:, 0, 2]
+    fit = ground_weights(tin.vertices, base, solid.base_net[:, None])[:, 0]
     rows = np.flatnonzero(inside_m2 > 0)
     middle = tin.vertices[tin.triangles[rows], :2].mean(axis=1)
     point = np.arange(len(rows) + len(ground)) >= len(rows)

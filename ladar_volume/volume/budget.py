@@ -10,7 +10,8 @@ import numpy as np
 
 from ladar_volume.georeference.budget import calibration_covariance
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, Bool, FilteredPoints, Patches
+from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, Patches
+from ladar_volume.volume.load_kernels import deviation_kernel, height_kernel, shared_kernel
 from ladar_volume.volume.navigation import NavigationBins, NavigationLoads, matrix_root, navigation_loads, navigation_variance
 from ladar_volume.volume.propagation import (
     SurfaceGeometry,
@@ -22,6 +23,7 @@ from ladar_volume.volume.propagation import (
     patch_loads,
     surface_geometry,
     tangential_variance,
+    time_bins,
 )
 from ladar_volume.volume.roughness import Roughness, field_variance
 from ladar_volume.volume.second_order import BORESIGHT, SecondOrder, boresight_curvature, second_order
@@ -102,46 +104,44 @@ class Sources:
         """What each source does to the first of k results with gradients (n, k, 3) per point; C_results is of all of them."""
         q = patch_loads(gradient, self.patches, self.geometry)
         first = np.ascontiguousarray(q[:, :, 0])
-        J_nav, bins = navigation_sensitivity(first, self.patches)
+        J_nav, bins = navigation_sensitivity(first, self.patches, self.time_bins)
+        tangential = tangential_variance(gradient[:, 0], self.points)
         return Sensitivities(
             independent_covariance(q, self.patches, self.geometry),
-            tangential_variance(gradient[:, 0], self.points),
+            tangential,
             calibration_sensitivity(first, self.patches),
-            boresight_curvature(first, self.patches, self.navigation),
+            boresight_curvature(first, self.patches, self.navigation, self.time_bins),
             navigation_loads(J_nav, bins, self.navigation, self.parameters.georeference.max_position_gap_s),
-            self._naive(gradient[:, 0]),
+            math.sqrt(self._naive(gradient[:, 0]) + tangential),
         )
 
     def _naive(self, gradient: F64) -> float:
+        """Variance along the normals if every point erred alone."""
         along = np.einsum("nc,nc->n", gradient, self.patches.normal[self.geometry.row])
-        return math.sqrt(float((along**2 * self.total_variance).sum()) + tangential_variance(gradient, self.points))
+        return float((along**2 * self.total_variance).sum())
+
+    @cached_property
+    def time_bins(self) -> tuple[I64, I64]:
+        """Bins (b,) of the navigation sensitivities and the row (l,) of each one's own among them."""
+        return time_bins(self.patches)
 
     @cached_property
     def total_variance(self) -> F64:
         """Variance (n,) m² of each point along its patch's normal from all sources; navigation of one patch counts as fully correlated."""
-        M, X, row = self.patches.M_cal, self.geometry.X, self.geometry.row
-        shared = np.einsum("mpc,mqc->mpq", M @ self.C_cal, M, optimize=True)
-        for S in self.navigation_rows:
-            shared += S @ np.swapaxes(S, 1, 2)
-        out: F64 = self.points.variance + np.einsum("np,npq,nq->n", X, shared[row], X, optimize=True)
+        one, two = np.nonzero(self.C_cal)
+        shared = shared_kernel(self.patches.M_cal, one, two, self.C_cal[one, two], self.navigation_rows)
+        out: F64 = self.points.variance + height_kernel(self.geometry.X, self.geometry.row, shared)
         return out
 
     @cached_property
-    def navigation_rows(self) -> tuple[F64, F64]:
+    def navigation_rows(self) -> F64:
         """What one standard deviation of position and of attitude, each in three directions, does to the parameters of every patch:
-        (m, p, 3) each; the errors within one patch count as one."""
-        unique, index = np.unique(self.patches.nav_bin, return_inverse=True)
-        C, _ = self.navigation.mean(unique)
-        m, p = self.patches.beta.shape
-        owner = np.repeat(np.arange(m), np.diff(self.patches.nav_start))
-        out: list[F64] = []
-        for block in (slice(0, 3), slice(3, 6)):
-            rows = (self.patches.M_nav[:, :, block] @ matrix_root(C[:, block, block])[index.ravel()]).reshape(len(owner), -1)
-            S = np.empty((m, 3 * p))
-            for c in range(3 * p):
-                S[:, c] = np.bincount(owner, rows[:, c], m)
-            out.append(S.reshape(m, p, 3))
-        return out[0], out[1]
+        (m, p, 6); the errors within one patch count as one."""
+        bins, index = self.time_bins
+        C, _ = self.navigation.mean(bins)
+        p = self.patches
+        roots = (matrix_root(C[:, block, block]) for block in (slice(0, 3), slice(3, 6)))
+        return np.asarray(deviation_kernel(p.nav_start, index, p.M_nav, *roots))
 
 
 def vertical_sigma(sources: Sources, points: FilteredPoints) -> F64:

@@ -108,30 +108,29 @@ def height_variance(own: Epoch, other: Epoch, apart: Difference) -> F64:
     return out
 
 
-def sensitivity_rows(epoch: Epoch, corner: I32 | I64, weight: F64) -> tuple[F64, F64, F64]:
+def sensitivity_rows(epoch: Epoch, corner: I32 | I64, weight: F64) -> tuple[F64, F64]:
     """Of heights made of vertices corner (k, j) with shares weight (k, j): sensitivities (k, c) to the calibration and what one standard
-    deviation of position and attitude does, (k, 3) each."""
+    deviation of position and attitude does, (k, 6)."""
     s = epoch.sources
     source = epoch.surface.tin.source[corner]
     up = np.maximum(np.abs(s.points.normal[source, 2]), STEEPEST)
     X = s.geometry.X[source] * (weight / up)[..., None]
     row = s.geometry.row[source]
-    position, attitude = s.navigation_rows
-    parts = [np.zeros((len(corner), k)) for k in (s.patches.M_cal.shape[2], 3, 3)]
+    parts = [np.zeros((len(corner), k)) for k in (s.patches.M_cal.shape[2], 6)]
     for j in range(corner.shape[1]):
-        for part, M in zip(parts, (s.patches.M_cal, position, attitude), strict=True):
+        for part, M in zip(parts, (s.patches.M_cal, s.navigation_rows), strict=True):
             part += np.einsum("kp,kpc->kc", X[:, j], M[row[:, j]])
-    return parts[0], parts[1], parts[2]
+    return parts[0], parts[1]
 
 
 def shared_variance(own: Epoch, other: Epoch, apart: Difference, rows: I64, cross: F64) -> F64:
     """Variance (k,) m² of the differences at vertices ``rows`` (k,) from all that is no noise of returns; cross : covariance (c, c) of the
     calibration errors of own and other."""
-    J, *own_navigation = sensitivity_rows(own, rows[:, None], np.ones((len(rows), 1)))
-    K, *navigation = sensitivity_rows(other, apart.corner[rows], apart.weight[rows])
+    J, own_navigation = sensitivity_rows(own, rows[:, None], np.ones((len(rows), 1)))
+    K, navigation = sensitivity_rows(other, apart.corner[rows], apart.weight[rows])
     out: F64 = ((J @ own.sources.C_cal) * J).sum(axis=1)
     out += ((K @ other.sources.C_cal) * K).sum(axis=1) - 2.0 * ((J @ cross) * K).sum(axis=1)
-    for part in (*own_navigation, *navigation):
+    for part in (own_navigation, navigation):
         out += (part**2).sum(axis=1)
     r = own.tin.vertices[rows]
     n = own.normals()[rows]

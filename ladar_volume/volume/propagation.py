@@ -12,10 +12,13 @@ import numpy as np
 
 from ladar_volume.georeference.budget import calibration_columns
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, Patches
+from ladar_volume.model.records import F64, I64, FilteredPoints, Patches
+from ladar_volume.volume.load_kernels import cross_kernel, load_kernel, navigation_kernel, neighbour_kernel, quadratic_kernel
 
 #: Lines of the budget from the calibration, in order.
 CALIBRATION_GROUPS = ("range_bias", "beam_range", "beam_vertical", "boresight", "lever_laser", "lever_antenna", "clock")
+#: Longest survey, in time bins, whose bins are looked up in a table.
+LONGEST = 1 << 22
 
 
 @dataclass(frozen=True)
@@ -48,30 +51,19 @@ def surface_geometry(points: FilteredPoints, patches: Patches) -> SurfaceGeometr
     """Index the points and cross blocks of patches sorted by key."""
     row = np.searchsorted(patches.key, points.patch)
     left = np.repeat(np.arange(len(patches)), np.diff(patches.cross_start))
-    right = np.minimum(np.searchsorted(patches.key, patches.cross_key), len(patches) - 1)
-    known = patches.key[right] == patches.cross_key
-    weight = np.where(known, np.where(left == right, 1.0, 2.0), 0.0)
+    right, weight = neighbour_kernel(patches.key, patches.cross_start, patches.cross_key)
     X = design_rows(points.local, patches.beta.shape[1])
-    return SurfaceGeometry(row, X, left, right, weight, int(np.count_nonzero(~known)))
+    return SurfaceGeometry(row, X, left, right, weight, int(np.count_nonzero(weight == 0.0)))
 
 
 def patch_loads(gradient: F64, patches: Patches, geometry: SurfaceGeometry) -> F64:
     """Loads q (m, p, k) of k results with gradients (n, k, 3) on the patch parameters."""
-    along = np.einsum("nkc,nc->nk", gradient, patches.normal[geometry.row])
-    p, results = geometry.X.shape[1], along.shape[1]
-    out = np.empty((len(patches), p, results))
-    for a in range(p):
-        for k in range(results):
-            out[:, a, k] = np.bincount(geometry.row, geometry.X[:, a] * along[:, k], len(patches))
-    return out
+    return np.asarray(load_kernel(gradient, patches.normal, geometry.X, geometry.row))
 
 
 def independent_covariance(q: F64, patches: Patches, geometry: SurfaceGeometry) -> F64:
     """Covariance (k, k) of k results from the independent noise of the returns: ``Σ_ab q_aᵀ C_ab q_b`` over all pairs of patches."""
-    loaded: Bool = np.any(q.reshape(len(q), -1) != 0, axis=1)
-    active = np.flatnonzero((geometry.weight > 0) & loaded[geometry.left] & loaded[geometry.right])
-    left, right = q[geometry.left[active]], q[geometry.right[active]]
-    half = np.einsum("npa,npq,nqb,n->ab", left, patches.cross[active], right, geometry.weight[active], optimize=True)
+    half = cross_kernel(q, geometry.left, geometry.right, geometry.weight, patches.cross)
     out: F64 = 0.5 * (half + half.T)  # the transposed pairs
     return out
 
@@ -84,8 +76,7 @@ def unpack(packed: F64) -> F64:
 
 def tangential_variance(gradient: F64, points: FilteredPoints) -> float:
     """``Σ g_tᵀ C_tangent g_t`` of a gradient (n, 3): noise of the points within their surface."""
-    C = unpack(points.C_tangent.astype(np.float64))
-    return float(np.einsum("ni,nij,nj->", gradient, C, gradient, optimize=True))
+    return float(quadratic_kernel(gradient, points.C_tangent))
 
 
 def calibration_groups(columns: int) -> dict[str, I64]:
@@ -122,11 +113,22 @@ def calibration_sensitivity(q: F64, patches: Patches) -> F64:
     return out
 
 
-def navigation_sensitivity(q: F64, patches: Patches) -> tuple[F64, I64]:
-    """Sensitivities ``J_e = Σ_patches qᵀ M_nav[e]`` (b, 6) and their ascending bins (b,) of loads q (m, p)."""
-    owner = np.repeat(np.arange(len(patches)), np.diff(patches.nav_start))
-    loaded: Bool = np.any(q != 0, axis=1)
-    used = np.flatnonzero(loaded[owner])
-    rows = np.einsum("lp,lpc->lc", q[owner[used]], patches.M_nav[used])
-    bins, index = np.unique(patches.nav_bin[used], return_inverse=True)
-    return np.stack([np.bincount(index.ravel(), rows[:, c], len(bins)) for c in range(6)], axis=1), bins
+def navigation_sensitivity(q: F64, patches: Patches, listed: tuple[I64, I64] | None = None) -> tuple[F64, I64]:
+    """Sensitivities ``J_e = Σ_patches qᵀ M_nav[e]`` (b, 6) and their ascending bins (b,) of loads q (m, p).
+
+    listed : :func:`time_bins`, where known.
+    """
+    bins, index = time_bins(patches) if listed is None else listed
+    J = navigation_kernel(q, patches.nav_start, index, patches.M_nav, len(bins))
+    used = np.flatnonzero(J.any(axis=1))
+    return J[used], bins[used]
+
+
+def time_bins(patches: Patches) -> tuple[I64, I64]:
+    """Bins (b,) of all navigation sensitivities, ascending, and the row (l,) of each sensitivity's own among them."""
+    low = int(patches.nav_bin.min()) if len(patches.nav_bin) else 0
+    if len(patches.nav_bin) and int(patches.nav_bin.max()) - low > LONGEST:  # a table of all between would be larger than the data
+        bins = np.unique(patches.nav_bin)
+        return bins, np.searchsorted(bins, patches.nav_bin).astype(np.int64)
+    seen = np.bincount(patches.nav_bin - low)
+    return np.flatnonzero(seen) + low, (np.cumsum(seen > 0) - 1)[patches.nav_bin - low]

@@ -1,0 +1,158 @@
+"""The sums of the propagation over points, pairs of patches and time bins as compiled kernels: one pass over the data each, no copies.
+
+They add up in the order of the records, so a result does not depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ladar_volume.model.kernels import kernel
+from ladar_volume.model.records import F32, F64, I64
+
+
+@kernel
+def neighbour_kernel(key: I64, start: I64, cross_key: I64) -> tuple[I64, F64]:
+    """Row (b,) of the patch with each cross key among ascending keys (m,), and its weight (b,): 1 for the patch itself, 2 for another, 0
+    for one that is not there. start : (m + 1,) of each patch's blocks."""
+    row, weight = np.empty(len(cross_key), np.int64), np.empty(len(cross_key))
+    for a in range(len(key)):
+        low = a
+        for i in range(start[a], start[a + 1]):
+            wanted = cross_key[i]
+            if key[low] > wanted:
+                low = 0
+            step, high = 1, low
+            while high < len(key) and key[high] < wanted:  # mostly near the one before
+                low, high, step = high, high + step, 2 * step
+            high = min(high, len(key))
+            while low < high:
+                middle = (low + high) // 2
+                if key[middle] < wanted:
+                    low = middle + 1
+                else:
+                    high = middle
+            low = min(low, len(key) - 1)
+            row[i] = low
+            weight[i] = 0.0 if key[low] != wanted else 1.0 if low == a else 2.0
+    return row, weight
+
+
+@kernel
+def load_kernel(gradient: F64, normal: F64, X: F64, row: I64) -> F64:
+    """Loads (m, p, k) of k results: gradients (n, k, 3) along the normals (m, 3) of the points' patches row (n,), times design rows
+    X (n, p)."""
+    results, p = gradient.shape[1], X.shape[1]
+    out = np.zeros((len(normal), p, results))
+    for i in range(len(gradient)):
+        m = row[i]
+        for k in range(results):
+            along = gradient[i, k, 0] * normal[m, 0] + gradient[i, k, 1] * normal[m, 1] + gradient[i, k, 2] * normal[m, 2]
+            if along != 0.0:
+                for a in range(p):
+                    out[m, a, k] += X[i, a] * along
+    return out
+
+
+@kernel
+def cross_kernel(q: F64, left: I64, right: I64, weight: F64, cross: F64) -> F64:
+    """``Σ weight q_leftᵀ C q_right`` (k, k) over blocks C (b, p, p) of patches left (b,), ascending, and right (b,) with loads
+    q (m, p, k)."""
+    m, p, results = q.shape
+    loaded = np.zeros(m, np.bool_)
+    for i in range(m):
+        loaded[i] = (q[i] != 0.0).any()
+    out, summed = np.zeros((results, results)), np.zeros((p, results))
+    i = 0
+    while i < len(left):
+        a = left[i]
+        summed[:] = 0.0
+        while i < len(left) and left[i] == a:
+            if weight[i] != 0.0 and loaded[a] and loaded[right[i]]:
+                C, load, w = cross[i], q[right[i]], weight[i]
+                for r in range(p):
+                    for c in range(p):
+                        f = w * C[r, c]
+                        for k in range(results):
+                            summed[r, k] += f * load[c, k]
+            i += 1
+        if loaded[a]:
+            for r in range(p):
+                for k in range(results):
+                    for j in range(results):
+                        out[k, j] += q[a, r, k] * summed[r, j]
+    return out
+
+
+@kernel
+def quadratic_kernel(gradient: F64, C: F32) -> float:
+    """``Σ gᵀ C g`` of gradients (n, 3) and packed covariances (n, 6)."""
+    total = 0.0
+    for i in range(len(gradient)):
+        x, y, z = gradient[i, 0], gradient[i, 1], gradient[i, 2]
+        if x != 0.0 or y != 0.0 or z != 0.0:
+            total += C[i, 0] * x * x + C[i, 3] * y * y + C[i, 5] * z * z + 2.0 * (C[i, 1] * x * y + C[i, 2] * x * z + C[i, 4] * y * z)
+    return total
+
+
+@kernel
+def navigation_kernel(q: F64, start: I64, index: I64, M: F64, bins: int) -> F64:
+    """``Σ qᵀ M`` (bins, 6) of loads q (m, p) and sensitivities M (l, p, 6), listed by patch from start (m + 1,), in bins index (l,)."""
+    out = np.zeros((bins, 6))
+    for a in range(len(q)):
+        if not (q[a] != 0.0).any():
+            continue
+        for e in range(start[a], start[a + 1]):
+            for r in range(q.shape[1]):
+                for c in range(6):
+                    out[index[e], c] += q[a, r] * M[e, r, c]
+    return out
+
+
+@kernel
+def deviation_kernel(start: I64, index: I64, M: F64, position: F64, attitude: F64) -> F64:
+    """What one standard deviation of position and attitude, in three directions each, does to every patch: (m, p, 6). position, attitude :
+    (bins, 3, 3) roots of their covariances; the rest as in :func:`navigation_kernel`."""
+    p = M.shape[1]
+    out = np.zeros((len(start) - 1, p, 6))
+    for a in range(len(start) - 1):
+        for e in range(start[a], start[a + 1]):
+            P, A = position[index[e]], attitude[index[e]]
+            for r in range(p):
+                for c in range(3):
+                    out[a, r, c] += M[e, r, 0] * P[0, c] + M[e, r, 1] * P[1, c] + M[e, r, 2] * P[2, c]
+                    out[a, r, 3 + c] += M[e, r, 3] * A[0, c] + M[e, r, 4] * A[1, c] + M[e, r, 5] * A[2, c]
+    return out
+
+
+@kernel
+def shared_kernel(M_cal: F64, one: I64, two: I64, value: F64, deviation: F64) -> F64:
+    """Covariance (m, p, p) of every patch's parameters from all that is shared: sensitivities M_cal (m, p, c) with the covariances
+    ``value`` (z,) of columns one and two (z,), those that are not zero, and deviations (m, p, d) of unit variance."""
+    m, p, d = deviation.shape
+    out, turned = np.zeros((m, p, p)), np.zeros((p, M_cal.shape[2]))
+    for a in range(m):
+        turned[:] = 0.0
+        for z in range(len(value)):
+            for r in range(p):
+                turned[r, two[z]] += M_cal[a, r, one[z]] * value[z]
+        for r in range(p):
+            for s in range(r + 1):
+                total = 0.0
+                for c in range(M_cal.shape[2]):
+                    total += turned[r, c] * M_cal[a, s, c]
+                for c in range(d):
+                    total += deviation[a, r, c] * deviation[a, s, c]
+                out[a, r, s] = out[a, s, r] = total
+    return out
+
+
+@kernel
+def height_kernel(X: F64, row: I64, C: F64) -> F64:
+    """``x C xᵀ`` (n,) of design rows X (n, p) with the covariances C (m, p, p) of their patches row (n,)."""
+    out = np.zeros(len(X))
+    for i in range(len(X)):
+        for r in range(X.shape[1]):
+            for s in range(X.shape[1]):
+                out[i] += X[i, r] * C[row[i], r, s] * X[i, s]
+    return out

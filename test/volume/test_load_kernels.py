@@ -1,0 +1,140 @@
+"""The kernels of the propagation against whole-array sums, and time bins and neighbours against searches."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from test_propagation import COLUMNS, random_surface
+
+from ladar_volume.model.records import PlatformStates
+from ladar_volume.volume import propagation
+from ladar_volume.volume.load_kernels import deviation_kernel, height_kernel, neighbour_kernel, quadratic_kernel, shared_kernel
+from ladar_volume.volume.navigation import NavigationBins
+from ladar_volume.volume.propagation import independent_covariance, navigation_sensitivity, patch_loads, surface_geometry, time_bins, unpack
+from ladar_volume.volume.second_order import STEEPEST, boresight_curvature
+
+
+def close(value):
+    return pytest.approx(value, rel=1e-11, abs=1e-11)
+
+
+@pytest.mark.parametrize("p", [3, 6])
+def test_loads_and_their_pairs(p):
+    points, patches, _, _ = random_surface(p, seed=3)
+    geometry, g = surface_geometry(points, patches), np.random.default_rng(4).standard_normal((len(points), 3, 3))
+    g[::3] = 0.0
+    q = patch_loads(g, patches, geometry)
+    along = np.einsum("nkc,nc->nk", g, patches.normal[geometry.row])
+    twin = np.zeros_like(q)
+    np.add.at(twin, geometry.row, geometry.X[:, :, None] * along[:, None])
+    assert q == close(twin)
+    q[2] = 0.0
+    left, right = q[geometry.left], q[geometry.right]
+    half = np.einsum("npa,npq,nqb,n->ab", left, patches.cross, right, geometry.weight)
+    assert independent_covariance(q, patches, geometry) == close(0.5 * (half + half.T))
+    packed = points.C_tangent.astype(np.float64)
+    assert quadratic_kernel(g[:, 1], points.C_tangent) == close(np.einsum("ni,nij,nj->", g[:, 1], unpack(packed), g[:, 1]))
+
+
+def test_neighbours_are_found_whatever_their_order():
+    rng = np.random.default_rng(5)
+    key = np.sort(rng.choice(500, 60, replace=False)).astype(np.int64)
+    start = np.concatenate([[0], np.cumsum(rng.integers(0, 9, 60))])
+    cross_key = rng.integers(0, 700, start[-1])
+    cross_key[start[:-1][np.diff(start) > 0]] = key[np.diff(start) > 0]  # own block first
+    row, weight = neighbour_kernel(key, start, cross_key)
+    owner = np.repeat(np.arange(60), np.diff(start))
+    known = np.isin(cross_key, key)
+    assert np.array_equal(key[row[known]], cross_key[known])
+    assert np.array_equal(weight, np.where(known, np.where(key[owner] == cross_key, 1.0, 2.0), 0.0))
+    empty = neighbour_kernel(key[:1], np.zeros(2, np.int64), np.zeros(0, np.int64))
+    assert [len(part) for part in empty] == [0, 0]
+
+
+def test_time_bins(monkeypatch):
+    _, patches, _, _ = random_surface(seed=6)
+    for far in (0, 1 << 30):
+        spread = dataclasses.replace(patches, nav_bin=patches.nav_bin * 7 - 3 + np.where(patches.nav_bin > 3, far, 0))
+        bins, index = time_bins(spread)
+        assert np.array_equal(bins, np.unique(spread.nav_bin)) and np.array_equal(bins[index], spread.nav_bin)
+        monkeypatch.setattr(propagation, "LONGEST", -1)  # by a search
+        assert all(np.array_equal(a, b) for a, b in zip((bins, index), time_bins(spread), strict=True))
+        monkeypatch.undo()
+    none = dataclasses.replace(patches, nav_bin=patches.nav_bin[:0])
+    assert [len(part) for part in time_bins(none)] == [0, 0]
+
+
+@pytest.mark.parametrize("p", [3, 6])
+def test_what_is_shared(p):
+    points, patches, _, _ = random_surface(p, seed=7)
+    rng, m = np.random.default_rng(8), len(patches)
+    bins, index = time_bins(patches)
+    owner = np.repeat(np.arange(m), np.diff(patches.nav_start))
+    P, A = rng.standard_normal((2, len(bins), 3, 3))
+    rows = np.concatenate([patches.M_nav[:, :, :3] @ P[index], patches.M_nav[:, :, 3:] @ A[index]], axis=2)
+    twin = np.zeros((m, p, 6))
+    np.add.at(twin, owner, rows)
+    deviation = deviation_kernel(patches.nav_start, index, patches.M_nav, P, A)
+    assert deviation == close(twin)
+    root = rng.standard_normal((COLUMNS, COLUMNS)) * (rng.random((COLUMNS, COLUMNS)) < 0.1)
+    C = root @ root.T
+    one, two = np.nonzero(C)
+    shared = shared_kernel(patches.M_cal, one, two, C[one, two], deviation)
+    assert shared == close(patches.M_cal @ C @ np.swapaxes(patches.M_cal, 1, 2) + deviation @ np.swapaxes(deviation, 1, 2))
+    geometry = surface_geometry(points, patches)
+    assert height_kernel(geometry.X, geometry.row, shared) == close(
+        np.einsum("np,npq,nq->n", geometry.X, shared[geometry.row], geometry.X)
+    )
+    q = rng.standard_normal((m, p))
+    q[1] = 0.0
+    J, used = navigation_sensitivity(q, patches)
+    every = np.zeros((len(bins), 6))
+    np.add.at(every, index, np.einsum("lp,lpc->lc", q[owner], patches.M_nav))
+    assert J == close(every[np.isin(bins, used)]) and not every[~np.isin(bins, used)].any()
+
+
+def curvature_twin(q, patches, known):
+    """H by whole arrays: every term for every sensitivity, those of a pass by its number."""
+    owner = np.repeat(np.arange(len(patches)), np.diff(patches.nav_start))
+    bins, M, n, load = patches.nav_bin, patches.M_nav, patches.normal[owner], q[owner, 0]
+    label = np.concatenate([[0], np.cumsum((owner[1:] != owner[:-1]) | (bins[1:] > bins[:-1] + 1))])
+    position, R = known.mean_pose(bins)
+    part = np.einsum("kc,kc->k", M[:, 0, :3], n)
+    share, weight = load * part, np.abs(part) + 1e-12
+    m, v = (np.einsum("kji,kj->ki", R, x) for x in (n, patches.centre[owner] - position))
+    upright = np.copysign(np.maximum(np.abs(n[:, 2]), STEEPEST), n[:, 2])
+    half, shifts = 0.5 * np.einsum("k,ki,kj->ij", share, m, v), []
+    for number, along in enumerate((patches.tangent[owner], np.cross(n, patches.tangent[owner])), start=1):
+        body = np.einsum("kji,kj->ki", R, along)
+        shift, standing = np.cross(v, body) - (along[:, 2] / upright)[:, None] * np.cross(v, m), np.cross(body, m)
+        moving, mean = np.zeros((2, label[-1] + 1, 3))
+        np.add.at(moving, label, load[:, None] * (M[:, number, 3:] - part[:, None] * standing))
+        np.add.at(mean, label, weight[:, None] * shift)
+        mean /= np.bincount(label, weight)[:, None]
+        half -= np.einsum("k,ki,kj->ij", share, shift, standing) + mean.T @ moving
+        shifts.append(shift)
+    if q.shape[1] == 6:
+        beta = patches.beta[owner]
+        for f, i, j in ((beta[:, 3], 0, 0), (0.5 * beta[:, 4], 0, 1), (0.5 * beta[:, 4], 1, 0), (beta[:, 5], 1, 1)):
+            half += np.einsum("k,ki,kj->ij", share * f, shifts[i], shifts[j])
+    return half + half.T - float(share @ np.einsum("kc,kc->k", m, v)) * np.eye(3)
+
+
+@pytest.mark.parametrize("p", [3, 6])
+def test_the_curvature(p):
+    _, patches, _, _ = random_surface(p, m=30, seed=9)
+    rng = np.random.default_rng(10)
+    tangent = np.cross(patches.normal, rng.standard_normal((30, 3)))
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    patches = dataclasses.replace(patches, tangent=tangent, beta=rng.standard_normal((30, p)))
+    known, t = NavigationBins(1.0), np.arange(70, dtype=np.int64) * 100_000_000
+    turn = rng.standard_normal((70, 4))
+    turn /= np.linalg.norm(turn, axis=1, keepdims=True)
+    zero = np.zeros((70, 3))
+    known.add(PlatformStates(t, 10.0 * rng.standard_normal((70, 3)), turn, zero, zero, np.zeros((70, 6, 6)), t))
+    q = rng.standard_normal((30, p))
+    q[::5] = 0.0
+    assert boresight_curvature(q, patches, known) == close(curvature_twin(q, patches, known))
+    assert not boresight_curvature(0.0 * q, patches, known).any()
