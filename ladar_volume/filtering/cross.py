@@ -12,6 +12,7 @@ import numpy as np
 
 from ladar_volume.filtering.frame import across
 from ladar_volume.filtering.frame import row as row_of
+from ladar_volume.filtering.linear import basis
 from ladar_volume.filtering.store import BITS, find_voxel
 from ladar_volume.model.kernels import kernel, parallel_kernel
 
@@ -26,28 +27,29 @@ def chunks_of(rows: int) -> int:
 
 @parallel_kernel
 def candidates(
-    rows: Any, voxels: Any, patch_of: Any, centre: Any, radius: Any, keys: Any, table: Any, fill: Any, offset: Any, out: Any, counts: Any
+    rows: Any, good: Any, mine: Any, centre: Any, radius: Any, keys: Any, table: Any, fill: Any, offset: Any, out: Any, counts: Any
 ) -> None:
-    """Patches with key >= own whose balls meet the ball of each of ``rows``: counted, or with ``fill`` listed from ``offset`` on."""
+    """Patches whose balls meet the ball of each of ``rows`` (voxel indices): those with key >= own, then those with a lower key that are
+    not ``mine``, each in order of their keys; counted, or with ``fill`` listed from ``offset`` on. ``good``: voxels with a patch."""
     mask = (1 << BITS) - 1
     for row in numba.prange(len(rows)):
         a = rows[row]
-        key = keys[voxels[a]]
+        key = keys[a]
         i0, j0, k0 = key >> (2 * BITS), (key >> BITS) & mask, key & mask
         n = 0
-        for di in range(SPAN + 1):
-            for dj in range(-SPAN, SPAN + 1):
-                for dk in range(-SPAN, SPAN + 1):
-                    other = ((i0 + di) << (2 * BITS)) | ((j0 + dj) << BITS) | (k0 + dk)
-                    w = find_voxel(table, keys, other) if other >= key else -1
-                    b = patch_of[w] if w >= 0 else -1
-                    if b < 0:
-                        continue
-                    d0, d1, d2 = centre[a, 0] - centre[b, 0], centre[a, 1] - centre[b, 1], centre[a, 2] - centre[b, 2]
-                    if d0 * d0 + d1 * d1 + d2 * d2 <= 16.0 * radius * radius:
-                        if fill:
-                            out[offset[row] + n] = b
-                        n += 1
+        for lower in range(2):
+            for di in range(-SPAN * lower, SPAN * (1 - lower) + 1):
+                for dj in range(-SPAN, SPAN + 1):
+                    for dk in range(-SPAN, SPAN + 1):
+                        other = ((i0 + di) << (2 * BITS)) | ((j0 + dj) << BITS) | (k0 + dk)
+                        b = find_voxel(table, keys, other) if (other < key) == (lower == 1) else -1
+                        if b < 0 or not good[b] or (lower == 1 and mine[b]):
+                            continue
+                        d0, d1, d2 = centre[a, 0] - centre[b, 0], centre[a, 1] - centre[b, 1], centre[a, 2] - centre[b, 2]
+                        if d0 * d0 + d1 * d1 + d2 * d2 <= 16.0 * radius * radius:
+                            if fill:
+                                out[offset[row] + n] = b
+                            n += 1
         counts[row] = n
 
 
@@ -90,25 +92,26 @@ def _rows_of(a: Any, start: Any, used: Any, members: Any, r: Any, C: Any, centre
 
 
 @kernel
-def _add_quadric(X: Any, i: Any, variance: Any, u: Any, v: Any, S: Any) -> None:
-    y3, y4, y5 = u * u, u * v, v * v
-    for l in range(6):
-        g = variance * X[i, l]
-        S[l, 0] += g
-        S[l, 1] += g * u
-        S[l, 2] += g * v
-        S[l, 3] += g * y3
-        S[l, 4] += g * y4
-        S[l, 5] += g * y5
-
-
-@kernel
-def _add_plane(X: Any, i: Any, variance: Any, u: Any, v: Any, S: Any) -> None:
-    for l in range(3):
-        g = variance * X[i, l]
-        S[l, 0] += g
-        S[l, 1] += g * u
-        S[l, 2] += g * v
+def _sum_products(G: Any, Y: Any, m: Any, p: Any, S: Any) -> None:
+    """``S[:p, :p] = Σ_j G[j] Y[j]ᵀ`` over m rows, one row of S at a time in registers."""
+    for l in range(p):
+        s0 = s1 = s2 = s3 = s4 = s5 = 0.0
+        if p == 6:
+            for j in range(m):
+                g = G[j, l]
+                s0 += g
+                s1 += g * Y[j, 0]
+                s2 += g * Y[j, 1]
+                s3 += g * Y[j, 2]
+                s4 += g * Y[j, 3]
+                s5 += g * Y[j, 4]
+        else:
+            for j in range(m):
+                g = G[j, l]
+                s0 += g
+                s1 += g * Y[j, 0]
+                s2 += g * Y[j, 1]
+        S[l, 0], S[l, 1], S[l, 2], S[l, 3], S[l, 4], S[l, 5] = s0, s1, s2, s3, s4, s5
 
 
 @kernel
@@ -128,15 +131,50 @@ def _sandwich(left: Any, S: Any, right: Any, p: Any, out: Any) -> None:
             out[l, m] = total
 
 
+@kernel
+def _shared(
+    a: Any, b: Any, swap: Any, owner: Any, place: Any, start: Any, used: Any, members: Any, r: Any, C: Any, centre: Any, normal: Any,
+    tangent: Any, p: Any, X: Any, G: Any, Y: Any,
+) -> Any:  # fmt: skip
+    """Of each inlier that patch b shares with a: ``n_aᵀ C n_b`` times its row on the one patch to G, u, v, u², uv, v² on the other to Y;
+    returns how many. The row is that on a, with ``swap`` that on b: the same numbers as from the other patch's side."""
+    side, x, w, na, nb = np.empty(3), np.empty(6), np.empty(3), normal[a], normal[b]
+    across(nb, tangent[b], side)
+    c0, c1, c2 = centre[b, 0], centre[b, 1], centre[b, 2]
+    t0, t1, t2 = tangent[b, 0], tangent[b, 1], tangent[b, 2]
+    m = 0
+    for j in range(start[b], start[b] + used[b]):
+        slot = members[j]
+        if owner[slot] != a:
+            continue
+        i = place[slot]
+        x0, x1, x2 = r[slot, 0] - c0, r[slot, 1] - c1, r[slot, 2] - c2
+        u, v = x0 * t0 + x1 * t1 + x2 * t2, x0 * side[0] + x1 * side[1] + x2 * side[2]
+        if swap:
+            _noise_along(C[slot], nb, w)
+            variance = w[0] * na[0] + w[1] * na[1] + w[2] * na[2]
+            basis(u, v, p, x)
+            for l in range(p):
+                G[m, l] = variance * x[l]
+            u, v = X[i, 1], X[i, 2]
+        else:
+            variance = X[i, 6] * nb[0] + X[i, 7] * nb[1] + X[i, 8] * nb[2]
+            for l in range(p):
+                G[m, l] = variance * X[i, l]
+        Y[m, 0], Y[m, 1], Y[m, 2], Y[m, 3], Y[m, 4] = u, v, u * u, u * v, v * v
+        m += 1
+    return m
+
+
 @parallel_kernel
 def cross_blocks(
-    rows: Any, offset: Any, others: Any, start: Any, used: Any, members: Any, r: Any, C: Any, centre: Any, normal: Any, tangent: Any,
-    inverse: Any, p: Any, most: Any, chunks: Any, out: Any,
+    rows: Any, offset: Any, others: Any, keys: Any, start: Any, used: Any, members: Any, r: Any, C: Any, centre: Any, normal: Any,
+    tangent: Any, inverse: Any, p: Any, most: Any, chunks: Any, out: Any,
 ) -> None:  # fmt: skip
-    """The blocks of the pairs that share points. ``most``: largest number of inliers."""
+    """The blocks of the pairs that share points, the patch with the lower key first. ``most``: largest number of inliers of ``rows``."""
     for chunk in numba.prange(chunks):
         owner, place = np.full(len(r), -1, np.int32), np.empty(len(r), np.int32)
-        X, S, side = np.zeros((most, 9)), np.zeros((6, 6)), np.empty(3)
+        X, G, Y, S = np.zeros((most, 9)), np.zeros((most, 6)), np.zeros((most, 5)), np.zeros((6, 6))
         for row in range(chunk * len(rows) // chunks, (chunk + 1) * len(rows) // chunks):
             a = rows[row]
             _rows_of(a, start, used, members, r, C, centre, normal, tangent, p, X)
@@ -145,22 +183,10 @@ def cross_blocks(
                 place[members[start[a] + i]] = i
             for k in range(offset[row], offset[row + 1]):
                 b = others[k]
-                across(normal[b], tangent[b], side)
-                c0, c1, c2 = centre[b, 0], centre[b, 1], centre[b, 2]
-                t0, t1, t2 = tangent[b, 0], tangent[b, 1], tangent[b, 2]
-                n0, n1, n2 = normal[b, 0], normal[b, 1], normal[b, 2]
-                S[:] = 0.0
-                for j in range(start[b], start[b] + used[b]):
-                    slot = members[j]
-                    if owner[slot] != a:
-                        continue
-                    i = place[slot]
-                    x, y, z = r[slot, 0] - c0, r[slot, 1] - c1, r[slot, 2] - c2
-                    u = x * t0 + y * t1 + z * t2
-                    v = x * side[0] + y * side[1] + z * side[2]
-                    variance = X[i, 6] * n0 + X[i, 7] * n1 + X[i, 8] * n2
-                    if p == 6:
-                        _add_quadric(X, i, variance, u, v, S)
-                    else:
-                        _add_plane(X, i, variance, u, v, S)
-                _sandwich(inverse[a], S, inverse[b], p, out[k])
+                swap = keys[b] < keys[a]
+                m = _shared(a, b, swap, owner, place, start, used, members, r, C, centre, normal, tangent, p, X, G, Y)
+                _sum_products(G, Y, m, p, S)
+                if swap:
+                    _sandwich(inverse[b], S, inverse[a], p, out[k])
+                else:
+                    _sandwich(inverse[a], S, inverse[b], p, out[k])

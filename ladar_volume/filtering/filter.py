@@ -1,16 +1,17 @@
 """The filter stage: robust moving least squares on a stream (seed 002 chapter 4; UNCERTAINTY steps 3 and 4).
 
 Raw points go into capped voxels of edge r. Every occupied voxel has one patch, fitted over 2r; each raw point is
-projected once, by the patch of its own voxel. An update refits what new points touched and replaces it.
+projected once, by the patch of its own voxel. An update refits what new points touched and replaces the patches that are others then.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ladar_volume.filtering import admission, cross, kernels
-from ladar_volume.filtering.fit import OK, REACH
-from ladar_volume.filtering.patches import Fits, PatchBuilder
+from ladar_volume.filtering import admission, kernels
+from ladar_volume.filtering.fit import FEW_POINTS, OK, REACH
+from ladar_volume.filtering.fits import FitStore
+from ladar_volume.filtering.patches import PatchBuilder
 from ladar_volume.filtering.store import HALF, VoxelStore
 from ladar_volume.georeference.lidar import mounting
 from ladar_volume.model.losses import Losses
@@ -27,6 +28,8 @@ from ladar_volume.model.records import (
 
 #: Platform states older than this before the newest are forgotten once no point waits for them.
 KEEP_NS = 30_000_000_000
+#: Voxels fitted at once: the neighbours looked at take room.
+BLOCK = 4096
 
 
 class SurfaceFilter:
@@ -37,6 +40,7 @@ class SurfaceFilter:
         self._mount = mounting(parameters.calibration, parameters.georeference.pose_source)
         self._store = VoxelStore(self.parameters.radius_m, self.parameters.cap_per_voxel)
         self._builder = PatchBuilder(self.parameters, self._store, self._mount, parameters.georeference.beams)
+        self._fits = FitStore(FEW_POINTS)
         self._states: PlatformStates | None = None
         self._waiting: list[MappedPoints] = []
         self._losses = Losses()
@@ -112,55 +116,51 @@ class SurfaceFilter:
 
     def update(self) -> FilterUpdate | None:
         """What changed since the last update, or None."""
-        return self._update(complete=False)
+        return self._update()
 
     def finish(self) -> FilterUpdate | None:
         """End of the data: points that still wait are lost and counted; the last update, or None where nothing changed."""
         self._losses.add("point_platform_gap", sum(len(p) for p in self._waiting))
         self._waiting = []
-        return self._update(complete=True)
+        return self._update()
 
-    def _update(self, complete: bool) -> FilterUpdate | None:
-        changed = self._store.take_changed()
+    def _update(self) -> FilterUpdate | None:
+        s = self._store
+        changed = s.changed_voxels()
         if len(changed) == 0:
             return None
-        grow = self._store.used - len(self._published)
+        new = self._refit(self._around(changed))
+        s.settle()
+        fits = self._fits.fits
+        good = fits.status[new] == OK
+        rows, gone = new[good], new[~good]
+        removed = s.keys[gone[self._published[gone]]]
+        self._published[gone], self._published[rows] = False, True
+        patches = self._builder.patches(fits, rows)
+        return FilterUpdate(self._t_ns, np.sort(removed), self._builder.points(fits, rows, patches), patches)
+
+    def _refit(self, voxels: I64) -> I64:
+        """Fit these voxels, in order of their keys; returns those whose patch is another one now, in that order."""
+        s, new = self._store, np.zeros(len(voxels), np.bool_)
+        grow = s.used - len(self._published)
         for name in ("_published", "_outliers", "_unfitted"):
             setattr(self, name, np.concatenate([getattr(self, name), np.zeros(grow, getattr(self, name).dtype)]))
-        refitted = self._around(changed, REACH)
-        rows_voxels = self._around(refitted, cross.SPAN)
-        fits = self._builder.fit(self._around(rows_voxels, cross.SPAN))
-        mine = np.isin(fits.voxels, rows_voxels)
-        good = fits.status == OK
-        rows = np.flatnonzero(mine & good)
-        gone = fits.voxels[mine & ~good]
-        removed = self._store.keys[gone[self._published[gone]]]
-        self._account(fits, mine)
-        patches = self._builder.patches(fits, rows)
-        points, projected = self._builder.points(fits, rows, patches)
-        self._outliers[fits.voxels[rows]] -= projected
-        self._published[gone] = False
-        self._published[fits.voxels[rows]] = True
-        return FilterUpdate(self._t_ns, np.sort(removed), points, patches, complete)
+        self._fits.grow(s.used)
+        for i in range(0, len(voxels), BLOCK):
+            block = voxels[i : i + BLOCK]
+            found = self._builder.fit(block)
+            new[i : i + BLOCK], own = self._fits.keep(found, s.fresh, s.cap)
+            held, failed = s.count[block].astype(np.int64), found.status != OK
+            self._unfitted[block] = np.where(failed, held, 0)
+            self._outliers[block] = np.where(failed, 0, held - own)
+        return voxels[new]
 
-    def _around(self, voxels: I64, reach: int) -> I64:
-        """Indices of all voxels within ``reach`` of the given ones, in order of their keys."""
+    def _around(self, voxels: I64) -> I64:
+        """Indices of all voxels whose patch looks at one of these, in order of their keys."""
         s = self._store
-        if len(voxels) == s.used:
-            chosen = voxels
-        else:
-            marked = np.zeros(len(s.keys), np.bool_)
-            marked[voxels] = True
-            near = np.zeros(s.used, np.bool_)
-            kernels.near_marked(s.keys, s.used, s.table, marked, reach, near)
-            chosen = np.flatnonzero(near)
+        marked, near = np.zeros(len(s.keys), np.bool_), np.zeros(s.used, np.bool_)
+        marked[voxels] = True
+        kernels.near_marked(s.keys, s.used, s.table, marked, REACH, near)
+        chosen = np.flatnonzero(near)
         order: I64 = chosen[np.argsort(s.keys[chosen], kind="stable")]
         return order
-
-    def _account(self, fits: Fits, mine: Bool) -> None:
-        """Keep, per voxel, how many of its points are outliers of their patch or have no patch."""
-        voxels = fits.voxels[mine]
-        held = self._store.count[voxels].astype(np.int64)
-        failed = fits.status[mine] != OK
-        self._unfitted[voxels] = np.where(failed, held, 0)
-        self._outliers[voxels] = np.where(failed, 0, held)  # those projected are taken off later

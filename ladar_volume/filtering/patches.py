@@ -2,34 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ladar_volume.filtering import cross, kernels, project, sensitivity
 from ladar_volume.filtering.fit import OK
+from ladar_volume.filtering.fits import Fits, blank
 from ladar_volume.filtering.store import VoxelStore
 from ladar_volume.georeference.lidar import Mounting
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64, I64, FilteredPoints, Patches, select
-
-
-@dataclass(frozen=True)
-class Fits:
-    """Fits of a set of voxels; row-wise, with inlier slots in CSR form."""
-
-    voxels: I64
-    start: I64
-    members: I64
-    used: I64
-    status: I64
-    sigma: F64
-    time: I64
-    centre: F64
-    normal: F64
-    tangent: F64
-    beta: F64
-    inverse: F64
 
 
 class PatchBuilder:
@@ -41,14 +22,10 @@ class PatchBuilder:
     def fit(self, voxels: I64) -> Fits:
         """Fit the patches of these voxels (indices)."""
         s, f = self.store, self.parameters
-        m, p = len(voxels), 6 if f.degree == 2 else 3
-        bound = np.zeros(m, np.int64)
+        p, bound = 6 if f.degree == 2 else 3, np.zeros(len(voxels), np.int64)
         kernels.count_candidates(voxels, s.keys, s.table, s.count, bound)
         start = np.concatenate([[0], np.cumsum(bound)])
-        fits = Fits(
-            voxels, start, np.empty(start[-1], np.int64), np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros(m), np.zeros(m, np.int64),
-            np.zeros((m, 3)), np.zeros((m, 3)), np.zeros((m, 3)), np.zeros((m, 6)), np.zeros((m, 6, 6)),
-        )  # fmt: skip
+        fits = blank(voxels, start, np.empty(start[-1], np.int32))
         kernels.fit_patches(
             voxels, start, s.keys, s.table, s.count, s.order, s.r, s.t_ns, s.aux, s.cap, f.radius_m, p, f.sample_size, f.trials,
             f.start == "ransac", f.ransac_threshold_m, f.outlier_sigmas, f.outlier_floor_m, f.min_points, f.refit_iterations, f.seed,
@@ -57,33 +34,31 @@ class PatchBuilder:
         return fits
 
     def patches(self, fits: Fits, rows: I64) -> Patches:
-        """The record of patches ``rows`` of the fits, which must hold all their neighbours."""
+        """The record of patches ``rows`` of the fits of all voxels; pairs with a patch of a lower key are listed, after the others, where
+        that patch is not among the rows."""
         s, p = self.store, 6 if self.parameters.degree == 2 else 3
-        patch_of = np.full(s.used, -1, np.int64)
-        good = np.flatnonzero(fits.status == OK)
-        patch_of[fits.voxels[good]] = good
-        offset, others = self._pairs(fits, rows, patch_of)
+        offset, others = self._pairs(fits, rows)
         blocks = np.zeros((offset[-1], p, p))
-        most = int(fits.used.max(initial=0))
+        most = int(fits.used[rows].max(initial=0))
         cross.cross_blocks(
-            rows, offset, others, fits.start, fits.used, fits.members, s.r, s.C, fits.centre, fits.normal, fits.tangent, fits.inverse, p,
-            most, cross.chunks_of(len(rows)), blocks,
+            rows, offset, others, s.keys, fits.start, fits.used, fits.members, s.r, s.C, fits.centre, fits.normal, fits.tangent,
+            fits.inverse, p, most, cross.chunks_of(len(rows)), blocks,
         )  # fmt: skip
         nav_start, nav_bin, M_cal, M_nav = self._sensitivities(fits, rows, p)
         return Patches(
-            s.keys[fits.voxels[rows]], fits.centre[rows], fits.normal[rows], fits.tangent[rows], fits.beta[rows, :p], fits.sigma[rows],
-            fits.used[rows].astype(np.int32), fits.time[rows], offset, s.keys[fits.voxels[others]], blocks, M_cal, nav_start, nav_bin,
+            s.keys[rows], fits.centre[rows], fits.normal[rows], fits.tangent[rows], fits.beta[rows, :p], fits.sigma[rows],
+            fits.used[rows].astype(np.int32), fits.time[rows], offset, s.keys[others], blocks, M_cal, nav_start, nav_bin,
             M_nav,
         )  # fmt: skip
 
-    def _pairs(self, fits: Fits, rows: I64, patch_of: I64) -> tuple[I64, I64]:
-        """Pairs of patches that share raw points, in CSR form: (offset, other patch), the other's key never the lower one."""
-        s, counts = self.store, np.zeros(len(rows), np.int64)
+    def _pairs(self, fits: Fits, rows: I64) -> tuple[I64, I64]:
+        """Pairs of patches that share raw points, in CSR form: (offset, other patch)."""
+        s, counts, mine = self.store, np.zeros(len(rows), np.int64), np.zeros(len(fits.voxels), np.bool_)
+        mine[rows] = True
+        good = fits.status == OK
 
         def listed(fill: bool, offset: I64, out: I64) -> None:
-            cross.candidates(
-                rows, fits.voxels, patch_of, fits.centre, self.parameters.radius_m, s.keys, s.table, fill, offset, out, counts
-            )  # fmt: skip
+            cross.candidates(rows, good, mine, fits.centre, self.parameters.radius_m, s.keys, s.table, fill, offset, out, counts)
 
         listed(False, np.zeros(len(rows) + 1, np.int64), np.empty(0, np.int64))
         offset = np.concatenate([[0], np.cumsum(counts)])
@@ -108,21 +83,21 @@ class PatchBuilder:
         )  # fmt: skip
         return nav_start, nav_bin, M_cal, M_nav
 
-    def points(self, fits: Fits, rows: I64, patches: Patches) -> tuple[FilteredPoints, I64]:
-        """The filtered points of patches ``rows``, and how many raw points each projected."""
+    def points(self, fits: Fits, rows: I64, patches: Patches) -> FilteredPoints:
+        """The filtered points of patches ``rows``."""
         s, p = self.store, patches.beta.shape[1]
         n = len(rows) * s.cap
         r, normal, variance = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
         C, t_ns, uv = np.zeros((n, 6), np.float32), np.zeros(n, np.int64), np.zeros((n, 2))
-        counts, own = np.zeros(len(rows), np.int64), np.zeros(len(rows), np.int64)
+        counts = np.zeros(len(rows), np.int64)
         spacing = self.parameters.sampling_m or self.parameters.radius_m / 2
         project.project(
             rows, fits.voxels, fits.start, fits.used, fits.members, s.r, s.C, s.t_ns, s.cap, fits.centre, fits.normal, fits.tangent,
             fits.beta, np.ascontiguousarray(patches.cross[patches.cross_start[:-1]]), p, spacing,
-            r, normal, variance, C, t_ns, uv, counts, own,
+            r, normal, variance, C, t_ns, uv, counts,
         )  # fmt: skip
         slot = np.arange(n) % max(s.cap, 1)
         keep = slot < np.repeat(counts, s.cap)
         patch = np.repeat(patches.key, s.cap)
-        return select(FilteredPoints(r, normal, variance, C, t_ns, patch, uv), keep), own
+        return select(FilteredPoints(r, normal, variance, C, t_ns, patch, uv), keep)
 

@@ -16,11 +16,11 @@ from ladar_volume.model.kernels import kernel, parallel_kernel
 def project(
     rows: Any, voxels: Any, start: Any, used: Any, members: Any, r: Any, C: Any, t_ns: Any, cap: Any, centre: Any, normal: Any,
     tangent: Any, beta: Any, C_beta: Any, p: Any, cell: Any, r_out: Any, n_out: Any, var_out: Any, C_out: Any, t_out: Any, uv_out: Any,
-    counts: Any, own: Any,
+    counts: Any,
 ) -> None:  # fmt: skip
     """Project each patch's own inliers and replace those in one cell of its tangent plane by their mean.
 
-    Row i of every output belongs to patch ``rows[k]`` with i = k * cap + cluster; ``own`` is the number projected.
+    Row i of every output belongs to patch ``rows[k]`` with i = k * cap + cluster.
     """
     for i_row in numba.prange(len(rows)):
         a = rows[i_row]
@@ -34,12 +34,10 @@ def project(
         time0 = np.zeros(cap, np.int64)
         time = np.zeros(cap, np.int64)
         m = 0
-        own[i_row] = 0
         for i in range(start[a], start[a] + used[a]):
             slot = members[i]
             if slot // cap != voxels[a]:
                 continue
-            own[i_row] += 1
             row(r, slot, centre[a], t, s, p, x)
             cu, cv = np.int64(np.floor(x[1] / cell)), np.int64(np.floor(x[2] / cell))
             k = 0

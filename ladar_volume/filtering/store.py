@@ -148,7 +148,8 @@ def sort_voxels(voxels: Any, count: Any, hashes: Any, cap: Any, order: Any) -> N
 class VoxelStore:
     """Points by voxel. Slot ``v * cap + k`` holds the k-th point of voxel v; order within a voxel means nothing.
 
-    keys : (used,) int64 · count : (used,) int32 · hashes, t_ns, ring, r, C, aux : per slot · order : slots of each voxel by hash
+    keys : (used,) int64 · count : (used,) int32 · hashes, t_ns, ring, r, C, aux : per slot · order : slots of each voxel by hash ·
+    fresh : slots filled since :meth:`settle`
     """
 
     def __init__(self, edge_m: float, cap: int, voxels: int = 1024) -> None:
@@ -160,7 +161,8 @@ class VoxelStore:
         self.table: I32 = np.full(4 * voxels, -1, np.int32)
         slots = voxels * cap
         self.hashes: npt.NDArray[np.uint64] = np.zeros(slots, np.uint64)
-        self.order: I64 = np.zeros(slots, np.int64)
+        self.order: I32 = np.zeros(slots, np.int32)
+        self.fresh: npt.NDArray[np.bool_] = np.zeros(slots, np.bool_)
         self.t_ns: I64 = np.zeros(slots, np.int64)
         self.ring: U16 = np.zeros(slots, np.uint16)
         self.r: F64 = np.zeros((slots, 3))
@@ -192,23 +194,28 @@ class VoxelStore:
         rows = np.flatnonzero(slot_of >= 0)
         slots = slot_of[rows]
         self.t_ns[slots], self.ring[slots], self.r[slots], self.C[slots] = t_ns[rows], ring[rows], r[rows], C[rows]
+        self.fresh[slots] = True
         return slots, rows
 
     def _grow(self) -> None:
         voxels = 2 * len(self.keys)
         for name in ("keys", "count", "worst", "changed"):
             setattr(self, name, _resized(getattr(self, name), voxels))
-        for name in ("hashes", "order", "t_ns", "ring", "r", "C", "aux"):
+        for name in ("hashes", "order", "fresh", "t_ns", "ring", "r", "C", "aux"):
             setattr(self, name, _resized(getattr(self, name), voxels * self.cap))
         self.table = np.full(4 * voxels, -1, np.int32)
         place_all(self.table, self.keys, self.used)
 
-    def take_changed(self) -> I64:
-        """Voxel indices changed since the last call; brings their ``order`` up to date."""
+    def changed_voxels(self) -> I64:
+        """Voxel indices changed since :meth:`settle`; brings their ``order`` up to date."""
         changed = np.flatnonzero(self.changed[: self.used])
         sort_voxels(changed, self.count, self.hashes, self.cap, self.order)
-        self.changed[:] = False
         return changed
+
+    def settle(self) -> None:
+        """What has changed so far has been seen."""
+        self.changed[:] = False
+        self.fresh[:] = False
 
 
 def _resized(old: Any, rows: int) -> Any:

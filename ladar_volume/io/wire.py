@@ -90,7 +90,7 @@ def filtered_points(columns: Mapping[str, Any]) -> FilteredPoints:
 
 def patch_columns(update: FilterUpdate) -> Columns:
     """``patches``: the long table. Row kinds: 0 head (`other` its time), 1 cross block (`other` its key), 2 calibration columns
-    (`index` the group), 3 navigation bin `other`, 4 removed patch, 5 end marker (index 1: the last update of the data)."""
+    (`index` the group), 3 navigation bin `other`, 4 removed patch, 5 end marker (index 1: the last part of an update)."""
     a = update.patches
     m, p = a.beta.shape
     width = max(p * p, p * CAL_GROUP, 14 + p)

@@ -216,14 +216,16 @@ class Patches:
 
 @dataclass(frozen=True)
 class FilterUpdate:
-    """What changed in the filtered surface: every patch in ``removed`` or in ``patches.key`` is to be forgotten with its
-    points, then the new ones added. The union of all updates equals one update from the whole input."""
+    """What changed in the filtered surface: every patch in ``removed`` or in ``patches.key`` is to be forgotten with its points and with
+    all its cross blocks, those held by other patches too; then the new ones added. A cross block with a patch that did not change and has
+    the lower key comes with the patch that did: its ``cross_key`` is then the lower one, the block itself is that patch's, ``C_ba``.
+    The union of all updates equals one update from the whole input. Not ``complete``, an update is continued by the next one."""
 
     t_ns: int
     removed: I64
     points: FilteredPoints
     patches: Patches
-    complete: bool = False
+    complete: bool = True
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,8 @@ What is stored depends only on the union of the updates, not on their history, s
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence, Sized
+from typing import Any
 
 import numpy as np
 
@@ -38,15 +40,18 @@ def take_patches(patches: Patches, rows: I64) -> Patches:
     )
 
 
-def join_patches(parts: list[Patches]) -> Patches:
-    """The rows of all parts, one after the other. A part without rows has no columns of its own to match."""
+def picked(parts: list[Any], rows: I64) -> Any:
+    """Rows of arrays as if these were one after the other. A part without rows has no columns of its own to match."""
     parts = [part for part in parts if len(part)] or parts[:1]
-    rows = (*ROWS, "cross_key", "cross", "nav_bin", "M_nav")
-    changes = {name: np.concatenate([getattr(part, name) for part in parts]) for name in rows}
-    for name in ("cross_start", "nav_start"):
-        counts = np.concatenate([np.diff(getattr(part, name)) for part in parts])
-        changes[name] = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    return Patches(**changes)
+    if len(parts) == 1:
+        return parts[0][rows]
+    out = np.empty((len(rows), *parts[0].shape[1:]), parts[0].dtype)
+    first = 0
+    for part in parts:
+        own = np.flatnonzero((rows >= first) & (rows < first + len(part)))
+        out[own] = part[rows[own] - first]
+        first += len(part)
+    return out
 
 
 def points_finite(points: FilteredPoints) -> Bool:
@@ -87,29 +92,25 @@ class PatchStore:
         self._pending.append(dataclasses.replace(update, points=self._usable(update.points, update.patches.key)))
 
     def _merge(self) -> None:
-        """The last word on every patch counts: its update's rows stay, all earlier ones go."""
+        """The last word on every patch counts: its update's rows stay, all earlier ones go. A cross block is as new as the newer of its two
+        patches."""
         if not self._pending:
             return
-        patches = [update.patches for update in self._pending]
-        points = [update.points for update in self._pending]
-        words = [np.union1d(update.removed, update.patches.key) for update in self._pending]
+        updates, turn, turns = self._pending, 1, []
+        for update in updates:
+            turns.append(turn)
+            turn += update.complete
         if self._patches is not None and self._points is not None:
-            patches, points, words = [self._patches, *patches], [self._points, *points], [self._patches.key, *words]
+            updates, turns = [FilterUpdate(0, np.zeros(0, np.int64), self._points, self._patches), *updates], [0, *turns]
         self._pending = []
-        keys, turn = np.concatenate(words), _turns(words)
-        order = np.lexsort((turn, keys))
-        last = order[np.append(keys[order][1:] != keys[order][:-1], True)] if len(keys) else order
-        keys, turn = keys[last], turn[last]
-
-        def stays(parts: list[I64]) -> I64:
-            key = np.concatenate(parts)
-            out: I64 = np.flatnonzero(turn[np.searchsorted(keys, key)] == _turns(parts))
-            return out
-
-        rows = stays([part.key for part in patches])
-        joined = join_patches(patches)
-        self._patches = take_patches(joined, rows[np.argsort(joined.key[rows], kind="stable")])
-        kept = select(concatenate(points), stays([part.patch for part in points]))
+        last = LastWord(updates, turns)
+        parts = [update.patches for update in updates]
+        key = np.concatenate([part.key for part in parts])
+        rows = np.flatnonzero(last.turn(key) == _spread(turns, parts))
+        rows = rows[np.argsort(key[rows], kind="stable")]
+        self._patches = Patches(**merged_rows(parts, rows), **merged_blocks(parts, turns, last, key[rows]), **merged_bins(parts, rows))
+        points = [update.points for update in updates]
+        kept = select(concatenate(points), np.flatnonzero(last.turn(np.concatenate([p.patch for p in points])) == _spread(turns, points)))
         r = kept.r_map
         self._points = select(kept, np.lexsort((r[:, 2], r[:, 1], r[:, 0], kept.patch)))
 
@@ -121,6 +122,53 @@ class PatchStore:
         return select(points, finite & owned)
 
 
-def _turns(parts: list[I64]) -> I64:
-    """For every entry of the parts, one after the other, the number of its part."""
-    return np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+class LastWord:
+    """Which update was the last to say anything of a patch."""
+
+    def __init__(self, updates: list[FilterUpdate], turns: list[int]) -> None:
+        """turns : number of each of these updates, rising; parts of one have the same."""
+        words = [np.union1d(update.removed, update.patches.key) for update in updates]
+        keys, turn = np.concatenate(words), _spread(turns, words)
+        order = np.lexsort((turn, keys))
+        last = order[np.append(keys[order][1:] != keys[order][:-1], True)] if len(keys) else order
+        self._keys, self._turn = np.append(keys[last], np.iinfo(np.int64).max), np.append(turn[last], -1)
+
+    def turn(self, key: I64) -> I64:
+        """Number (n,) of the last update for keys (n,), -1 where there was none."""
+        at = np.searchsorted(self._keys, key)
+        return np.where(self._keys[at] == key, self._turn[at], -1)
+
+
+def merged_rows(parts: list[Patches], rows: I64) -> dict[str, Any]:
+    """The row-wise arrays of patches ``rows`` (k,), counted over all parts."""
+    return {name: picked([getattr(part, name) for part in parts], rows) for name in ROWS}
+
+
+def merged_bins(parts: list[Patches], rows: I64) -> dict[str, Any]:
+    """The navigation bins of patches ``rows`` (k,), counted over all parts."""
+    start = np.concatenate([[0], np.cumsum(np.concatenate([np.diff(part.nav_start) for part in parts]))]).astype(np.int64)
+    entries = ragged_index(start, rows)
+    return {
+        "nav_start": np.concatenate([[0], np.cumsum((start[1:] - start[:-1])[rows])]).astype(np.int64),
+        "nav_bin": picked([part.nav_bin for part in parts], entries), "M_nav": picked([part.M_nav for part in parts], entries),
+    }  # fmt: skip
+
+
+def merged_blocks(parts: list[Patches], turns: list[int], last: LastWord, keys: I64) -> dict[str, Any]:
+    """The cross blocks that hold, by the lower key of their pair and then the other, for patches of keys (m,)."""
+    own = np.concatenate([np.repeat(part.key, np.diff(part.cross_start)) for part in parts])
+    other = np.concatenate([part.cross_key for part in parts])
+    turn = np.repeat(turns, [len(part.cross_key) for part in parts])
+    entries = np.flatnonzero(turn == np.maximum(last.turn(own), last.turn(other)))
+    own, other = own[entries], other[entries]
+    low, high = np.minimum(own, other), np.maximum(own, other)
+    known = np.isin(low, keys)  # a block with a patch that never came stays where it was
+    own, other = np.where(known, low, own), np.where(known, high, other)
+    order = np.lexsort((other, own))
+    start = np.searchsorted(own[order], np.append(keys, np.iinfo(np.int64).max))
+    return {"cross_start": start.astype(np.int64), "cross_key": other[order], "cross": picked([p.cross for p in parts], entries[order])}
+
+
+def _spread(turns: list[int], parts: Sequence[Sized]) -> I64:
+    """The number of its part for every row of the parts, one after the other."""
+    return np.repeat(np.asarray(turns, np.int64), [len(part) for part in parts])
