@@ -18,7 +18,7 @@ from ladar_volume.model.records import F64, I32, I64
 from ladar_volume.surface.frames import check_cloud
 from ladar_volume.surface.local_frames import PLANE, SLACK, by_place, consistent_normals, neighbours, plane_normals
 from ladar_volume.surface.local_grow import FAN, drop_fans, grow, spread_out
-from ladar_volume.surface.local_holes import fill, rims
+from ladar_volume.surface.local_holes import fill, open_handles, rims
 from ladar_volume.surface.local_published import published, repaired
 from ladar_volume.surface.local_star import DEGREE, ballot, stars
 from ladar_volume.surface.topology import edge_table
@@ -168,9 +168,10 @@ def finish(given: F64, first: I64, p: F64, n: F64, triangles: I32, votes: I32, r
     slack, hole = float(report["slack_m"]), float(report["hole_m"])
     grow(p, n, triangles, votes, slack, fan, size)
     holes = dropped = 0
+    opened = np.zeros(len(p), np.bool_)
     for _ in range(ROUNDS):
-        closed = fill(p, n, fan, size, slack, hole)[0]
-        gone = drop_fans(fan, size)
+        closed = fill(p, n, fan, size, slack, hole, opened)[0]
+        gone = drop_fans(fan, size) + open_handles(p, n, fan, size, slack, hole, opened)
         holes, dropped = holes + closed, dropped + gone
         if not gone:
             break

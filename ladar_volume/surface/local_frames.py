@@ -11,6 +11,7 @@ import math
 
 import numba
 import numpy as np
+from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
 from ladar_volume.model.kernels import kernel, parallel_kernel
@@ -131,7 +132,8 @@ def carry_signs(a: I64, b: I64, relative: F64, n: int) -> tuple[F64, I64]:
 def consistent_normals(points: F64, normals: F64, index: I64) -> F64:
     """Normals (n, 3) with signs that agree over each connected part, pointing outward: away from its middle, or up where it is flat.
 
-    Signs are carried over smooth connections first; faces that these make then decide together, all connections of two faces as one.
+    Signs are carried over smooth connections first; faces that these make then decide together, all connections of two faces as one;
+    at last none is left with more against it than for it.
     """
     near = np.ascontiguousarray(index[:, :LINKS])
     sure = link_signs(points, normals, near).ravel()
@@ -142,12 +144,34 @@ def consistent_normals(points: F64, normals: F64, index: I64) -> F64:
     across = np.flatnonzero(part[a] != part[b])
     low, high = np.minimum(part[a], part[b])[across], np.maximum(part[a], part[b])[across]
     pair, which, count = np.unique(low * len(points) + high, return_inverse=True, return_counts=True)
-    vote = np.bincount(which, (sure * signs[a] * signs[b])[across], len(pair))
+    vote: F64 = np.bincount(which, (sure * signs[a] * signs[b])[across], len(pair)).astype(np.float64)
     # the longest common edges first: there the sum is largest
     order = np.argsort(-np.abs(vote), kind="stable")
     order = order[np.abs(vote[order]) > LEAST * (count[order] + FEW)]
-    turn, whole = carry_signs(pair[order] // len(points), pair[order] % len(points), np.sign(vote[order]), len(points))
+    one, other = pair[order] // len(points), pair[order] % len(points)
+    turn, whole = carry_signs(one, other, np.sign(vote[order]), len(points))
+    turn = agreed(turn, one, other, vote[order])
     return outward(points, normals * (signs * turn[part])[:, None], whole[part])
+
+
+def agreed(turn: F64, a: I64, b: I64, vote: F64) -> F64:
+    """Signs (n,) of faces of which none has more against it than for it among its connections ``a b`` (e,) with their votes.
+
+    A tree hears one connection of each face only; a strip of noise along a concave edge can outvote it there, but not the others. The face
+    that most speaks against turns first; each turn adds to the sum of ``sign[a] vote sign[b]``, so it ends.
+    """
+    n, out = len(turn), turn.copy()
+    joined = csr_matrix((np.tile(vote, 2), (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(n, n))
+    for_it: F64 = out * np.asarray(joined @ out)
+    while True:
+        worst = int(np.argmin(for_it))
+        if for_it[worst] >= -1e-9 * float(np.abs(vote).max(initial=0.0)):
+            return out
+        row = slice(joined.indptr[worst], joined.indptr[worst + 1])
+        near = joined.indices[row]
+        for_it[near] -= 2.0 * out[worst] * joined.data[row] * out[near]
+        for_it[worst] = -for_it[worst]
+        out[worst] = -out[worst]
 
 
 def outward(points: F64, normals: F64, part: I64) -> F64:

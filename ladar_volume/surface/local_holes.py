@@ -1,9 +1,12 @@
 """Gaps of a growing surface: their rims, which of them are holes, and the cheapest triangulation of a hole.
 
 A rim is followed with the gap on its left. Whether the gap is a hole in the surface or all that lies outside of it shows in the angles
-of the gap along the rim: a flat polygon of k corners has k - 2 half turns inside and k + 2 outside. (Far fewer are those of a rim that
-goes astray where several fans meet at a vertex; all but one of these are dropped then.) A hole is closed by the
+of the gap along the rim: a flat polygon of k corners has k - 2 half turns inside and k + 2 outside. A hole is closed by the
 triangulation of least area (Barequet and Sharir 1995), weighted by how far triangles turn away from the normals at their corners.
+
+Where two strips of triangles cross, as they can at the end of a concave edge, they make a handle without the curvature of one, and their
+common rim misses four half turns for each (Gauss and Bonnet); a handle of the body itself misses none. No triangulation closes such a rim:
+all triangles round it go, and what then gapes is a hole like others.
 """
 
 from __future__ import annotations
@@ -13,12 +16,14 @@ import math
 import numpy as np
 
 from ladar_volume.model.kernels import kernel
-from ladar_volume.model.records import F64, I32, I64
+from ladar_volume.model.records import F64, I32, I64, Bool
 from ladar_volume.surface.local_frames import unfold
-from ladar_volume.surface.local_grow import FAN, add, follows, precedes
+from ladar_volume.surface.local_grow import FAN, add, follows, precedes, take_away
 
 #: Longest rim that is closed; the work grows with its cube.
 LONGEST = 200
+#: By how many half turns a rim's angles differ from those of a hole at most; nearer to the next multiple of four it is of another kind.
+OF_A_HOLE = 2.0
 
 
 @kernel
@@ -135,17 +140,55 @@ def close_holes(points: F64, normals: F64, fan: I32, size: I32, rim: I32, start:
     return holes, triangles
 
 
-def fill(points: F64, normals: F64, fan: I32, size: I32, slack: float, largest_m: float) -> tuple[int, int]:
-    """Close every hole whose rim is no longer than that of a circle of diameter ``largest_m``: how many, with how many triangles."""
+def fill(points: F64, normals: F64, fan: I32, size: I32, slack: float, largest_m: float, opened: Bool) -> tuple[int, int]:
+    """Close every hole whose rim is no longer than that of a circle of diameter ``largest_m``, or that was opened (n,) at one of its
+    vertices: how many, with how many triangles."""
     rim, start, excess = rims(points, normals, fan, size, slack)
-    step = np.linalg.norm(np.diff(points[rim], axis=0, append=points[rim[:1]]), axis=1) if len(rim) else np.zeros(0)
-    last = start[1:] - 1
-    step[last] = np.linalg.norm(points[rim[last]] - points[rim[start[:-1]]], axis=1)
-    length = np.add.reduceat(step, start[:-1]) if len(rim) else np.zeros(0)
     corners = np.diff(start)
-    chosen = np.flatnonzero((length <= math.pi * largest_m) & (np.abs(excess) < 2.0) & (corners >= 3) & (corners <= LONGEST))
+    wanted = (rim_lengths(points, rim, start) <= math.pi * largest_m) | touching(rim, start, opened)
+    chosen = np.flatnonzero(wanted & (np.abs(excess) < OF_A_HOLE) & (corners >= 3) & (corners <= LONGEST))
     order = np.argsort(corners[chosen], kind="stable")
     return close_holes(points, normals, fan, size, rim, start, chosen[order])
+
+
+def open_handles(points: F64, normals: F64, fan: I32, size: I32, slack: float, largest_m: float, opened: Bool) -> int:
+    """Take away all triangles round rims where strips of triangles cross, and mark what then is their rim ``opened`` (n,); how many went.
+
+    Both strips have two sides: the rim of a handle no wider than ``largest_m`` is no longer than four circles of that diameter, of several
+    that hang together two more for each. Longer ones are not of noise.
+    """
+    rim, start, excess = rims(points, normals, fan, size, slack)
+    longest = math.pi * largest_m * (2.0 - 0.5 * excess)
+    crossed = (excess < -OF_A_HOLE) & (rim_lengths(points, rim, start) <= longest)
+    return clear(fan, size, np.unique(rim[np.repeat(crossed, np.diff(start))]), opened)
+
+
+@kernel
+def clear(fan: I32, size: I32, at: I32, touched: Bool) -> int:
+    """Take away all triangles at vertices ``at`` (k,) and mark their corners; how many went."""
+    gone = 0
+    for i in at:
+        while size[i] > 0:
+            touched[i] = touched[fan[i, 0, 0]] = touched[fan[i, 0, 1]] = True
+            take_away(fan, size, i, fan[i, 0, 0], fan[i, 0, 1])
+            gone += 1
+    return gone
+
+
+def rim_lengths(points: F64, rim: I32, start: I64) -> F64:
+    """Length (r,) of each rim, m."""
+    if len(rim) == 0:
+        return np.zeros(0)
+    following = np.append(rim[1:], rim[0])
+    following[start[1:] - 1] = rim[start[:-1]]
+    length: F64 = np.add.reduceat(np.linalg.norm(points[following] - points[rim], axis=1), start[:-1])
+    return length
+
+
+def touching(rim: I32, start: I64, marked: Bool) -> Bool:
+    """Whether (r,) a rim passes a marked vertex (n,)."""
+    number = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    return np.bincount(number, marked[rim], len(start) - 1) > 0
 
 
 def rims(points: F64, normals: F64, fan: I32, size: I32, slack: float) -> tuple[I32, I64, F64]:

@@ -19,7 +19,7 @@ from ladar_volume.volume.bodies import Body, body_of
 CLOSE = 2.0
 #: Least height of an object's points in sigmas of the raw noise: ground points within it can come to lie on a wall drawn on beyond its end.
 CLEAR = 2.0
-#: A part of the mesh that is open and has fewer triangles than this share of all is a stray piece.
+#: A part of the mesh that has fewer triangles than this share of all, and is open or tiny, is a stray piece.
 STRAY = 0.02
 
 
@@ -90,10 +90,17 @@ def _body(
 
 
 def without_stray(mesh: LocalMesh) -> tuple[I32, int]:
-    """The triangles of a mesh without open parts too small to be bodies, and how many were left out."""
+    """The triangles of a mesh without parts too small to be bodies: open ones of few triangles, closed ones that would fit through the
+    largest hole that is closed. And how many were left out."""
     found = orient(mesh.vertices, mesh.triangles)
     size = np.bincount(found.part)
     is_open = np.zeros(len(size), bool)
     is_open[found.part[np.isin(mesh.triangles, found.boundary).any(axis=1)]] = True
-    keep = ~(is_open & (size < STRAY * len(mesh.triangles)))[found.part]
+    at = mesh.vertices[mesh.triangles]
+    low, high = np.full((len(size), 3), np.inf), np.full((len(size), 3), -np.inf)
+    np.minimum.at(low, found.part, at.min(axis=1))
+    np.maximum.at(high, found.part, at.max(axis=1))
+    narrow = np.linalg.norm(high - low, axis=1) < float(mesh.report["hole_m"])
+    few = (size < STRAY * len(mesh.triangles)) & (is_open | narrow)
+    keep = ~few[found.part]
     return mesh.triangles[keep], int(np.count_nonzero(~keep))

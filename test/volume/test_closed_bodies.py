@@ -12,9 +12,10 @@ from ladar_volume.ground.robust import fit_ground
 from ladar_volume.model.errors import FilterError, SurfaceError, VolumeError
 from ladar_volume.model.parameters import FilterParameters, GroundParameters
 from ladar_volume.model.records import Plane
+from ladar_volume.surface.local import LocalMesh
 from ladar_volume.surface.topology import orient
 from ladar_volume.volume.bodies import body_of, cloud_uncertainty, mesh_uncertainty
-from ladar_volume.volume.cloud_bodies import BodyOptions, cloud_bodies
+from ladar_volume.volume.cloud_bodies import BodyOptions, cloud_bodies, without_stray
 from ladar_volume.volume.tetrahedra import closed_variance
 
 RADIUS = 0.3
@@ -172,6 +173,18 @@ def test_stray_pieces_are_left_out_and_reported():
     v = sphere(1500, rng=rng)[0]
     made = cloud_bodies(np.concatenate([v, flake]), np.concatenate([v, np.tile([0, 0, 1.0], (4, 1))]), None, np.zeros(1504, np.int64), None)
     assert made.stray[0] == 2 and made.bodies[0].volume_m3 == pytest.approx(4 / 3 * np.pi, rel=1e-3)
+
+
+def test_a_closed_speck_is_left_out_and_a_second_body_is_not():
+    v, t = sphere(1500)
+    speck, tetra = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]), np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    for size, left in ((0.1, 4), (0.5, 0)):
+        vertices = np.concatenate([v, 3.0 + size * speck])
+        faces = np.concatenate([t, tetra + len(v)]).astype(np.int32)
+        mesh = LocalMesh(vertices, np.zeros_like(vertices), faces, np.zeros(len(faces), np.int32), np.zeros(len(vertices), np.int32), (),
+                         np.zeros((0, 2), np.int32), {"hole_m": 0.2})  # fmt: skip
+        kept, many = without_stray(mesh)
+        assert many == left and np.array_equal(kept, faces[: len(faces) - left])
 
 
 def test_what_is_no_body_is_refused():
