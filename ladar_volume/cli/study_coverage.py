@@ -25,11 +25,13 @@ def add_coverage(studies: Any) -> None:
         "2000 surveys per scenario, 1000 with each source alone, 500 with each kind of wrong budget; about an hour on two cores. One line "
         "per survey is appended to a file; a run that was stopped goes on.",
     )  # fmt: skip
-    parser.add_argument("--scenario", action="append", default=[], metavar="NAME", help="stockpile_100, stockpile_5000, pit (default: all)")
+    parser.add_argument(
+        "--scenario", action="append", default=[], metavar="NAME", help="stockpile_100, stockpile_5000, pit, box (default: all)"
+    )  # fmt: skip
     parser.add_argument("--reduced", action="store_true", help="200 surveys, 200 per source, 50 per wrong budget; about ten minutes")
     parser.add_argument(
         "--engine", type=int, nargs="?", const=ENGINE_SURVEYS, default=0, metavar="N",
-        help=f"and N ({ENGINE_SURVEYS}) surveys of each stockpile from PointCloud2 messages through the whole engine: ten seconds each",
+        help=f"and N ({ENGINE_SURVEYS}) surveys of each scenario from PointCloud2 messages through the whole engine: ten seconds each",
     )  # fmt: skip
     parser.add_argument("--surveys", type=int, metavar="N", help="surveys of each kind, instead")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, metavar="N", help="processes (default: all cores)")

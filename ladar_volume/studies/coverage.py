@@ -17,9 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from ladar_volume.model.errors import ConfigurationError, OutputError
-from ladar_volume.studies.coverage_cases import ALL, LINES, LINES_SEED, SCENARIOS, SEED, VARIANTS, alone, measured
-from ladar_volume.studies.coverage_engine import SCENES, measured_by_engine
-from ladar_volume.studies.coverage_scene import SITES
+from ladar_volume.studies.coverage_cases import ALL, LINES, LINES_SEED, SCENARIOS, SEED, SITES, VARIANTS, alone, measured
+from ladar_volume.studies.coverage_engine import measured_by_engine
 from ladar_volume.version import version
 
 #: Surveys of a scenario with all sources on, with each source alone, and of each variant whose errors are not those believed.
@@ -49,7 +48,7 @@ class Task:
 
 
 def tasks(scenarios: Sequence[str], counts: tuple[int, int, int], engine: int = 0) -> list[Task]:
-    """All surveys, scenario by scenario, the last ``engine`` of each through the whole engine, where its scene can be cast.
+    """All surveys, scenario by scenario, the last ``engine`` of each through the whole engine.
 
     Raises :class:`ConfigurationError` for a scenario that there is not.
     """
@@ -62,8 +61,7 @@ def tasks(scenarios: Sequence[str], counts: tuple[int, int, int], engine: int = 
             count = counts[0] if variant == ALL else counts[1] if variant == LINES else counts[2]
             first = LINES_SEED if variant == LINES else SEED
             out += [Task(name, variant, first + k) for k in range(count)]
-        if name in SCENES:
-            out += [Task(name, ENGINE, ENGINE_SEED + k) for k in range(engine)]
+        out += [Task(name, ENGINE, ENGINE_SEED + k) for k in range(engine)]
     return out
 
 

@@ -13,13 +13,15 @@ from typing import Any
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.parameters import BudgetParameters, GeoreferenceParameters, Parameters, VolumeParameters
 from ladar_volume.model.records import FilterUpdate, Tin, Volume
-from ladar_volume.studies.coverage_scene import SITES, Site, level_truth
+from ladar_volume.studies.coverage_box import BOX, BoxSite, ClosedBox, body_on_ground, closed_box
+from ladar_volume.studies.coverage_scene import FIELDS, Site, level_truth
 from ladar_volume.studies.coverage_survey import FIX_HZ, SOURCES, VertexSurvey, survey, without
 from ladar_volume.surface.represent import SurfaceOptions, represent
 from ladar_volume.volume.assembly import vertex_variance
 from ladar_volume.volume.base import base_and_outline, polygon_of
 from ladar_volume.volume.epochs import epoch_difference
 from ladar_volume.volume.estimator import VolumeEstimator
+from ladar_volume.volume.navigation import NavigationBins
 from ladar_volume.volume.overlay import between
 from ladar_volume.volume.polygon import areas_inside, clipped_prismoids
 from ladar_volume.volume.prismoids import prismoids
@@ -28,7 +30,8 @@ from ladar_volume.volume.prismoids import prismoids
 SEED, LINES_SEED = 20_000, 60_000
 #: Half a margin beyond the foot, m, of the rectangle in which a volume above a level is counted.
 MARGIN_M = 1.5
-GROUND, LEVEL, EPOCHS = "own ground", "design level", "two epochs"
+GROUND, LEVEL, EPOCHS, CLOSED = "own ground", "design level", "two epochs", "closed"
+SITES: dict[str, Site | BoxSite] = {**FIELDS, BOX.name: BOX}
 
 
 @dataclass(frozen=True)
@@ -69,8 +72,10 @@ VARIANTS: dict[str, tuple[BudgetParameters, BudgetParameters]] = {
 SCENARIOS = tuple(SITES)
 
 
-def bases(site: Site) -> tuple[str, ...]:
+def bases(site: Site | BoxSite) -> tuple[str, ...]:
     """What the volumes of a site stand on."""
+    if isinstance(site, BoxSite):
+        return (CLOSED,)
     return (EPOCHS,) if site.height_m < 0 else (GROUND, LEVEL)
 
 
@@ -89,13 +94,18 @@ def level_half(site: Site) -> tuple[float, float]:
     return site.a + MARGIN_M, site.b + MARGIN_M
 
 
-def truth(site: Site, base: str, seed: int) -> float:
+def truth(site: Site | BoxSite, base: str, seed: int) -> float:
     """The exact volume, m³."""
-    return level_truth(site, site.ground(seed), level_half(site), 0.0) if base == LEVEL else site.volume_m3
+    if base == LEVEL and isinstance(site, Site):
+        return level_truth(site, site.ground(seed), level_half(site), 0.0)
+    return site.volume_m3
 
 
-def measured(site: Site, drawn: BudgetParameters, believed: BudgetParameters, seed: int) -> dict[str, Row]:
+def measured(site: Site | BoxSite, drawn: BudgetParameters, believed: BudgetParameters, seed: int) -> dict[str, Row]:
     """One whole survey, or two for a difference: by base its error and what the propagation says of it."""
+    if isinstance(site, BoxSite):
+        P = Parameters(budget=believed, georeference=GeoreferenceParameters(max_position_gap_s=1.0 / FIX_HZ))
+        return {CLOSED: box_row(site, survey(site, drawn, P, seed), P)}
     if site.height_m < 0:
         P = believed_parameters(believed, site, EPOCHS)
         before, after = (estimator_of(flown, P).epoch() for flown in flights(site, drawn, P, seed))
@@ -111,6 +121,20 @@ def measured(site: Site, drawn: BudgetParameters, believed: BudgetParameters, se
 def row_of(v: Volume, true_m3: float) -> Row:
     """A volume as its error and what it says of itself."""
     return Row(v.volume_m3 - true_m3, v.sigma_m3, v.sigma_naive_m3, v.sigma_tau_range_m3, by_source(v.budget_m6))
+
+
+def box_row(site: BoxSite, flown: VertexSurvey, parameters: Parameters) -> Row:
+    """The closed body of a survey of a box."""
+    navigation = NavigationBins(parameters.filter.nav_bin_s)
+    navigation.add(flown.states)
+    return closed_row(closed_box(flown.update.points, flown.update.patches, navigation, parameters), site.volume_m3)
+
+
+def closed_row(found: ClosedBox, true_m3: float) -> Row:
+    """A closed body as its error and what it says of itself."""
+    return Row(
+        found.volume_m3 - true_m3, found.sigma_m3, found.sigma_naive_m3, found.sigma_tau_range_m3, by_source(found.budget_m6)
+    )  # fmt: skip
 
 
 #: Lines of the budget that are part of another one's source.
@@ -154,8 +178,10 @@ def estimator_of(flown: VertexSurvey, parameters: Parameters) -> VolumeEstimator
     return estimator
 
 
-def net_volumes(site: Site, drawn: BudgetParameters, seed: int) -> dict[str, float]:
+def net_volumes(site: Site | BoxSite, drawn: BudgetParameters, seed: int) -> dict[str, float]:
     """By base the volume alone, m³, of a survey with other errors than believed."""
+    if isinstance(site, BoxSite):
+        return {CLOSED: body_on_ground(survey(site, drawn, Parameters(), seed).update.points)[0].volume_m3}
     if site.height_m < 0:
         P = believed_parameters(DEFAULT, site, EPOCHS)
         before, after = (full_tin(s.update, P) for s in flights(site, drawn, P, seed))
@@ -169,7 +195,7 @@ def net_volumes(site: Site, drawn: BudgetParameters, seed: int) -> dict[str, flo
     return {GROUND: prismoids(surface.tin, plane, inside > 0).net_m3, LEVEL: rectangle.net_m3}
 
 
-def alone(site: Site, seed: int) -> dict[str, dict[str, tuple[float, float]]]:
+def alone(site: Site | BoxSite, seed: int) -> dict[str, dict[str, tuple[float, float]]]:
     """By base and line of the budget: the change of the volume (m³) when that source alone errs, and the variance (m⁶) predicted for it.
 
     The change is against the same survey without any error, so that what the sampling of the surface does is in both. The roughness of
@@ -183,6 +209,6 @@ def alone(site: Site, seed: int) -> dict[str, dict[str, tuple[float, float]]]:
         for base, row in off.items():
             error = noisy[base].error_m3 if changed is None else changed[base] - truth(site, base, seed)
             out[base][line] = (error - row.error_m3, row.budget_m6[line])
-    if GROUND in off:
-        out[GROUND]["base_surface"] = (off[GROUND].error_m3, noisy[GROUND].budget_m6["base_surface"])
+    for base in {GROUND, CLOSED} & set(off):
+        out[base]["base_surface"] = (off[base].error_m3, noisy[base].budget_m6["base_surface"])
     return out

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from ladar_volume.model.records import F64, Bool
+from ladar_volume.model.records import F64, I64, Bool
 from ladar_volume.simulation.scenes import Ground
 
 #: Steps of the march along a ray; each leaves at most half of the way that is left on what a flight sees.
@@ -56,6 +56,7 @@ class Site:
     a, b : semi-axes of the foot, m · height_m : of the top above the ground, negative for a pit · top : size of the flat top over that of
     the foot · around_m : ground surveyed around the foot · flight_m : half length and height of the flight · pulses : that go down in one
     survey · max_edge_m : longest edge of its triangles · rough_m, length_m : standard deviation and length of the ground's sinusoids
+    · sector_rad : pulses within this angle from straight down
     """
 
     name: str
@@ -69,6 +70,7 @@ class Site:
     max_edge_m: float = 3.0
     rough_m: float = 0.010
     length_m: float = 1.0
+    sector_rad: float = math.radians(45.0)
 
     @property
     def volume_m3(self) -> float:
@@ -97,6 +99,14 @@ class Site:
         n = np.stack([wall * xy[:, 0] / self.a**2 - SLOPE[0], wall * xy[:, 1] / self.b**2 - SLOPE[1], np.ones(len(xy))], axis=1)
         out: F64 = n / np.linalg.norm(n, axis=1, keepdims=True)
         return out
+
+    def sampled(self, true: F64) -> I64:
+        """The hits (k,) among (n, 3) m, NaN for none, that are vertices: all."""
+        return np.flatnonzero(np.isfinite(true[:, 0]))
+
+    def normals_at(self, true: F64, measured: F64) -> F64:
+        """Upward unit normals (n, 3) where hits were measured (n, 3) m: the slope of the smooth surface there."""
+        return self.normals(measured[:, :2])
 
     def inside(self, xy: F64) -> Bool:
         """Whether xy (n, 2) lie in the surveyed rectangle."""
@@ -131,7 +141,8 @@ def level_truth(site: Site, ground: RoughGround, half: tuple[float, float], leve
     return site.volume_m3 + 4.0 * half[0] * half[1] * (ground.mean_over_box(*half) - level_m)
 
 
-SITES = {
+#: Sites whose surface is a height field.
+FIELDS = {
     s.name: s
     for s in (
         Site("stockpile_100", 5.14, 5.14, 5.14 * math.tan(REPOSE), 0.0, 7.0, (10.0, 25.0), 9_000),

@@ -29,11 +29,10 @@ from ladar_volume.model.records import F64, I64, FilteredPoints, FilterUpdate, M
 from ladar_volume.simulation import velodyne
 from ladar_volume.simulation.errors import draw_errors
 from ladar_volume.simulation.platforms import Platform, uav
+from ladar_volume.studies.coverage_box import BoxSite
 from ladar_volume.studies.coverage_scene import Site
 
 DURATION_S, FIX_HZ, ATTITUDE_HZ = 36.0, 10.0, 50.0
-#: Pulses within this angle about the scanner's axis from straight down.
-SECTOR_RAD = math.radians(45.0)
 #: Streams of random numbers: every survey has its own of each.
 PULSES, CALIBRATION, BEAMS, CLOCK, POSITION, ATTITUDE, NOISE = range(7)
 BEAM_COUNT = 16
@@ -100,12 +99,12 @@ def nominal(platform: Platform) -> CalibrationParameters:
     )  # fmt: skip
 
 
-def pulses(platform: Platform, count: int, rng: np.random.Generator) -> velodyne.Firings:
-    """Random pulses of the flight that go down, in order of time."""
+def pulses(platform: Platform, count: int, sector_rad: float, rng: np.random.Generator) -> velodyne.Firings:
+    """Random pulses of the flight within an angle about the scanner's axis from straight down, in order of time."""
     down = Rotation.from_euler("ZYX", np.radians(platform.boresight_deg[::-1])).inv().apply([0.0, 0.0, -1.0])
     straight = math.atan2(down[1], down[0])
     turn = rng.integers(0, int(DURATION_S / velodyne.TURN_S), count)
-    azimuth = straight + rng.uniform(-SECTOR_RAD, SECTOR_RAD, count)
+    azimuth = straight + rng.uniform(-sector_rad, sector_rad, count)
     t = np.sort((turn + np.mod(-azimuth / (2 * np.pi), 1.0)) * velodyne.TURN_S)
     ring = rng.integers(0, BEAM_COUNT, count)
     elevation = np.radians(np.sort(velodyne.FIRING_ORDER_DEG))[ring]
@@ -118,7 +117,7 @@ def measured_rotation(platform: Platform, drawn: Drawn, t: F64) -> Rotation:
     return Rotation.from_euler("ZYX", angles[:, ::-1])
 
 
-def survey(site: Site, drawn_with: BudgetParameters, believed: Parameters, seed: int, flight: int | None = None) -> VertexSurvey:
+def survey(site: Site | BoxSite, drawn_with: BudgetParameters, believed: Parameters, seed: int, flight: int | None = None) -> VertexSurvey:
     """Fly over a site with errors drawn from one budget, and hand on what is measured as another budget believes it.
 
     ``flight`` numbers the flight where one instrument (``seed``) flies more than once; the ground is that of ``seed``.
@@ -128,20 +127,22 @@ def survey(site: Site, drawn_with: BudgetParameters, believed: Parameters, seed:
     mount = mounting(nominal(platform))
     drawn = Drawn.draw(drawn_with, seed, flight)
     noise = np.random.default_rng([flight, NOISE])
-    f = pulses(platform, site.pulses, np.random.default_rng([flight, PULSES]))
+    f = pulses(platform, site.pulses, site.sector_rad, np.random.default_rng([flight, PULSES]))
     boresight = Rotation.from_rotvec(drawn.boresight) * Rotation.from_matrix(mount.R_body_laser)
     R = platform.rotation(f.time_s)
     ray = R.apply(boresight.apply(velodyne.true_directions(f, drawn.beams, drawn_with, noise)))
-    true = site.ranges(platform.position(f.time_s) + R.apply(mount.lever_laser + drawn.lever_laser), ray, site.ground(seed))
+    origin = platform.position(f.time_s) + R.apply(mount.lever_laser + drawn.lever_laser)
+    true = site.ranges(origin, ray, site.ground(seed))
     rho = velodyne.measured_ranges(true, f.ring, drawn.beams, drawn_with, 0.0, noise, 0.0)
-    keep = np.flatnonzero(np.isfinite(rho))
+    hit = origin + true[:, None] * ray
+    keep = site.sampled(hit)
     f, rho = velodyne.Firings(f.time_s[keep], f.azimuth[keep], f.elevation[keep], f.ring[keep]), rho[keep]
     t = f.time_s - drawn.clock_s  # the stamp that the recording gives the pulse
     antenna = platform.position(t) + platform.rotation(t).apply(mount.lever_antenna + drawn.lever_antenna) + drawn.position_at(t)
     r = map_point(antenna, measured_rotation(platform, drawn, t).as_matrix(), laser_vector(rho, f.azimuth, f.elevation), mount)
     points = MappedPoints(nanoseconds(t), r, np.zeros((len(r), 6), np.float32), f.ring, np.ones(len(r), np.float32))
     states = platform_states(platform, drawn, mount, believed.budget)
-    return VertexSurvey(vertices(points, states, mount, site.normals(r[:, :2]), believed), states)
+    return VertexSurvey(vertices(points, states, mount, site.normals_at(hit[keep], r), believed), states)
 
 
 def nanoseconds(t: F64) -> I64:
@@ -184,6 +185,7 @@ def vertices(points: MappedPoints, states: PlatformStates, mount: Mounting, norm
     cross[:, 0, 0] = variance
     key, ends = np.arange(n, dtype=np.int64), np.arange(n + 1, dtype=np.int64)
     tangent = np.stack([normal[:, 2], np.zeros(n), -normal[:, 0]], axis=1)
+    tangent[np.abs(normal[:, 1]) > 0.99] = [1.0, 0.0, 0.0]  # walls that face along y
     patches = Patches(
         key, points.r_map, normal, tangent / np.linalg.norm(tangent, axis=1, keepdims=True), np.zeros((n, 3)), np.sqrt(variance),
         np.ones(n, np.int32), points.t_ns, ends, key, cross, M_cal, ends, points.t_ns // round(believed.filter.nav_bin_s * 1e9), M_nav,

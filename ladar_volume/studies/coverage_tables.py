@@ -14,7 +14,8 @@ from ladar_volume.studies.nist_tables import markdown
 SLIGHT = 0.02
 WORDS = {
     "stockpile_100": "stockpile of 100 m³", "stockpile_5000": "stockpile of 5,200 m³", "pit": "pit",
-    "own ground": "above its own ground", "design level": "above a design level", "two epochs": "between two epochs",
+    "box": "box of 37.5 m³", "own ground": "above its own ground", "design level": "above a design level",
+    "two epochs": "between two epochs", "closed": "as a closed body",
 }  # fmt: skip
 
 

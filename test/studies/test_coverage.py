@@ -16,10 +16,13 @@ from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.parameters import BudgetParameters, Parameters
 from ladar_volume.simulation.platforms import uav
 from ladar_volume.studies import coverage
+from ladar_volume.studies.coverage_box import BOX, body_on_ground, one_per_cube
 from ladar_volume.studies.coverage_cases import (
+    CLOSED,
     DEFAULT,
     GROUND,
     LEVEL,
+    SITES,
     VARIANTS,
     alone,
     believed_parameters,
@@ -29,7 +32,7 @@ from ladar_volume.studies.coverage_cases import (
     scaled,
 )
 from ladar_volume.studies.coverage_engine import measured_by_engine
-from ladar_volume.studies.coverage_scene import SITES, level_truth
+from ladar_volume.studies.coverage_scene import FIELDS, level_truth
 from ladar_volume.studies.coverage_survey import DURATION_S, SOURCES, Drawn, nominal, platform_states, survey, without
 from ladar_volume.studies.coverage_tables import tables
 from ladar_volume.volume.estimator import VolumeEstimator
@@ -39,7 +42,7 @@ PIT = dataclasses.replace(SITES["pit"], pulses=1500)
 
 
 def test_the_volume_of_a_site_is_the_integral_of_its_heights():
-    for site in SITES.values():
+    for site in FIELDS.values():
         x, y = (np.linspace(-h, h, 1201) for h in (site.a + 1.0, site.b + 1.0))
         grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
         body = site.smooth(grid) - grid @ np.array([0.012, -0.008])
@@ -47,7 +50,7 @@ def test_the_volume_of_a_site_is_the_integral_of_its_heights():
         assert body.sum() * cell == pytest.approx(site.volume_m3, rel=2e-4)
 
 
-@pytest.mark.parametrize("name", SITES)
+@pytest.mark.parametrize("name", FIELDS)
 def test_rays_end_on_the_surface_and_not_behind_it(name):
     site, rng = SITES[name], np.random.default_rng(1)
     ground = site.ground(3)
@@ -85,6 +88,48 @@ def test_normals_are_the_gradient():
     n = site.normals(xy)
     smooth = np.abs(np.hypot(xy[:, 0] / site.a, xy[:, 1] / site.b) - site.top) > 1e-3
     assert np.allclose((-n[:, :2] / n[:, 2:])[smooth], slope[smooth], atol=1e-6)
+
+
+def test_rays_end_on_the_box():
+    rng, ground = np.random.default_rng(1), BOX.ground(3)
+    half, roof = 0.5 * np.array(BOX.size_m[:2]), ground.mean_over_box(3.0, 1.25) + 2.5
+    faces = {
+        (0, 0, 1): np.c_[rng.uniform(-half, half, (50, 2)), np.full(50, roof)],
+        (1, 0, 0): np.c_[np.full(50, half[0]), rng.uniform(-1.2, 1.2, 50), rng.uniform(0.2, 2.4, 50)],
+        (0, -1, 0): np.c_[rng.uniform(-2.9, 2.9, 50), np.full(50, -half[1]), rng.uniform(0.2, 2.4, 50)],
+    }
+    eye = np.array([5.0, -6.0, 9.0])
+    for face, at in faces.items():
+        ray = (at - eye) / np.linalg.norm(at - eye, axis=1, keepdims=True)
+        t = BOX.ranges(np.tile(eye, (50, 1)), ray, ground)
+        assert t == pytest.approx(np.linalg.norm(at - eye, axis=1), abs=1e-6)
+        assert np.array_equal(BOX.normals_at(eye + t[:, None] * ray, at), np.tile(np.array(face, float), (50, 1)))
+    beside = np.c_[rng.uniform(-4.0, 4.0, 50), rng.uniform(-3.6, -1.6, 50)]
+    at = np.c_[beside, beside @ np.array([0.012, -0.008]) + ground(beside)]
+    ray = (at - eye) / np.linalg.norm(at - eye, axis=1, keepdims=True)
+    t = BOX.ranges(np.tile(eye, (50, 1)), ray, ground)
+    assert t == pytest.approx(np.linalg.norm(at - eye, axis=1), abs=1e-3)
+    assert np.isnan(BOX.ranges(eye[None], np.array([[0.99, 0.0, -0.1]]), ground)).all()
+    assert one_per_cube(np.array([[0.1, 0.0, 0.0], [0.2, 0.0, 0.0], [0.6, 0.0, 0.0]]), 0.5).tolist() == [0, 2]
+
+
+def test_the_gradient_of_a_closed_box_is_that_of_its_volume():
+    site = dataclasses.replace(BOX, pulses=60_000)
+    points = survey(site, without(DEFAULT), Parameters(), 3).update.points
+    body, gradient, _ = body_on_ground(points)
+    assert body.volume_m3 == pytest.approx(site.volume_m3, rel=0.003)
+    assert np.abs(gradient.sum(axis=0)).max() < 1e-2  # a common shift changes nothing: ground and walls move too
+    rng = np.random.default_rng(5)
+    wave = 1e-3 * np.sin(points.r_map @ rng.standard_normal((3, 3)))
+    up, down = (body_on_ground(dataclasses.replace(points, r_map=points.r_map + s * wave))[0].volume_m3 for s in (1.0, -1.0))
+    assert up - down == pytest.approx(2.0 * float((gradient * wave).sum()), rel=0.05)
+
+
+def test_a_closed_box_with_all_sources():
+    row = measured(SITES["box"], *VARIANTS["all"], 11)[CLOSED]
+    assert abs(row.error_m3) < 4.0 * row.sigma_m3
+    assert sum(row.budget_m6.values()) == pytest.approx(row.sigma_m3**2)
+    assert row.naive_m3 < row.sigma_m3 and min(row.budget_m6["position"], row.budget_m6["base_surface"]) > row.budget_m6["noise"]
 
 
 def test_without_errors_a_survey_finds_the_volume():
@@ -217,4 +262,19 @@ def test_a_survey_from_messages_through_the_engine():
         assert sum(row.budget_m6.values()) == pytest.approx(row.sigma_m3**2)
     assert found[LEVEL].budget_m6["position"] > 100.0 * found[GROUND].budget_m6["position"]
     both = coverage.tasks(["stockpile_100", "pit"], (0, 0, 0), 2)
-    assert both == [coverage.Task("stockpile_100", coverage.ENGINE, 80_000 + k) for k in range(2)]
+    assert both == [coverage.Task(name, coverage.ENGINE, 80_000 + k) for name in ("stockpile_100", "pit") for k in range(2)]
+
+
+def test_a_pit_from_messages_through_the_engine():
+    (row,) = measured_by_engine("pit", 80_000, thin=60).values()
+    assert abs(row.error_m3) < 5.0 * row.sigma_m3
+    assert sum(row.budget_m6.values()) == pytest.approx(row.sigma_m3**2)
+    # each flight has its own instrument: what both lift alike does not cancel
+    area = 4.0 * math.prod(SITES["pit"].half_m)
+    assert math.sqrt(row.budget_m6["range_bias"]) == pytest.approx(math.sqrt(2.0) * area * DEFAULT.range_bias_sigma_m, rel=0.1)
+
+
+def test_a_box_from_messages_through_the_engine():
+    (row,) = measured_by_engine("box", 80_000).values()
+    assert abs(row.error_m3) < 4.0 * row.sigma_m3 < 0.02 * BOX.volume_m3
+    assert sum(row.budget_m6.values()) == pytest.approx(row.sigma_m3**2) and row.budget_m6["closing"] > 0.0
