@@ -31,6 +31,15 @@ def resident_mb(pid: int) -> float:
     return next((int(line.split()[1]) / 1024.0 for line in lines if line.startswith("VmRSS")), 0.0)
 
 
+def cpu_seconds(pid: int) -> float:
+    """Processor time a process has used so far (s); 0 where it is gone."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
 def imported(name: str, environment: dict[str, str]) -> tuple[float, float]:
     """Seconds to import a node's module in a fresh interpreter, and its resident size then (MB)."""
     code = (

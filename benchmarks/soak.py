@@ -31,7 +31,7 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 
-from benchmarks.footprint import resident_mb
+from benchmarks.footprint import cpu_seconds, resident_mb
 from ladar_volume.cli.simulate import suited
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.tables import decode
@@ -197,6 +197,8 @@ class Soak:
         self._spinner = Spinner(self.load)
         self.processes = {name: self._start(name) for name in NODES}
         self.resident: list[tuple[float, dict[str, float]]] = []
+        self.busy = dict.fromkeys(NODES, 0.0)
+        self._busy_of: dict[int, float] = {}
         self.died: list[str] = []
 
     def _start(self, name: str) -> subprocess.Popen[bytes]:
@@ -260,6 +262,9 @@ class Soak:
     def _measure(self, at_s: float) -> None:
         self.resident.append((at_s, {name: resident_mb(p.pid) for name, p in self.processes.items()}))
         for name, process in self.processes.items():
+            now = cpu_seconds(process.pid)
+            self.busy[name] += now - self._busy_of.setdefault(process.pid, now)
+            self._busy_of[process.pid] = max(now, self._busy_of[process.pid])
             if process.poll() is not None and f"{name} died" not in self.died:
                 self.died.append(f"{name} died")
 
@@ -303,11 +308,13 @@ def report(soak: Soak, truth_m3: float) -> dict[str, Any]:
             if key.startswith("lost_"):
                 losses[f"{name} {key[5:]}"] = losses.get(f"{name} {key[5:]}", 0) + int(value)
     sizes = [sum(r.values()) for _, r in soak.resident]
+    flown_s = soak.resident[-1][0] - soak.resident[0][0]
     third = max(len(sizes) // 3, 1)
     return {
         "wrong": wrong, "sent": load.sent, "dropped_by_load": load.dropped, "unheard_while_down": load.unheard, "unaccounted": unaccounted,
         "faults": {k: n for k, n in load.hurt.items() if n}, "volumes": len(load.latency), "volume_m3": volume, "sigma_m3": sigma,
         "truth_m3": truth_m3, "scan_to_volume_s": {k: [float(np.percentile(v, q)) for q in (50, 99)] for k, v in halves.items() if v},
+        "cpu_per_second": {name: busy / flown_s for name, busy in soak.busy.items()},
         "resident_mb": {name: max(r[name] for _, r in soak.resident) for name in NODES}, "resident_all_mb": max(sizes),
         "resident_middle_third_mb": max(sizes[third : 2 * third] or sizes), "resident_last_third_mb": max(sizes[2 * third :] or sizes),
         "losses": dict(sorted(losses.items())), "named": dict(sorted(load.warnings.items(), key=lambda w: -w[1])[:25]),

@@ -1,7 +1,8 @@
 """Compile the kernels, or load them from their cache, before data arrives that would have to wait for it.
 
-A made-up survey of a mound from a platform that stands still above it, four seconds long, goes through the stage that is asked for. Only
-the modules of that stage are loaded: each node holds no more than it runs.
+A made-up survey of a mound from a platform that stands still above it, four seconds long, goes through the stage that is asked for, or
+through the volume the surface that a filter would make of it. Only the modules of that stage are loaded: each node holds no more than it
+runs.
 """
 
 from __future__ import annotations
@@ -16,7 +17,18 @@ import numpy as np
 
 from ladar_volume.model.errors import LadarVolumeError
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, I64, Fix, ImuSample, MappedPoints, PlatformStates, Returns
+from ladar_volume.model.records import (
+    F64,
+    I64,
+    FilteredPoints,
+    FilterUpdate,
+    Fix,
+    ImuSample,
+    MappedPoints,
+    Patches,
+    PlatformStates,
+    Returns,
+)
 
 if TYPE_CHECKING:
     from ladar_volume.filtering.filter import SurfaceFilter
@@ -24,6 +36,7 @@ if TYPE_CHECKING:
 
 HEIGHT_M, SECONDS, RETURNS_PER_CLOUD = 5.0, 4, 600
 STAGES = ("georeference", "filter", "volume")
+START_NS, BIN_NS = 1_000_000_000_000, round(Parameters().filter.nav_bin_s * 1e9)
 SQUARE = [-1.5, -1.5, 1.5, -1.5, 1.5, 1.5, -1.5, 1.5]
 
 
@@ -33,15 +46,17 @@ def warm_up(stage: str) -> None:
     parameters = Parameters.read({"filter": {"radius_m": 0.15}, "volume": {"object_height_m": 0.1}})
     if stage == "georeference":
         _georeference(parameters)
+    elif stage == "filter":
+        _filter(parameters)
     else:
-        _surface(parameters, stage == "volume")
+        _volume(parameters)
 
 
 def _clouds() -> Iterator[tuple[int, I64, F64, Returns]]:
     """Stamp, times (n,), points in the map (n, 3) and the same as returns, ten clouds a second."""
     rng = np.random.default_rng(1)
     for step in range(SECONDS * 10):
-        stamp = 1_000_000_000_000 + step * 100_000_000
+        stamp = START_NS + step * 100_000_000
         xy = rng.uniform(-3.0, 3.0, (RETURNS_PER_CLOUD, 2))
         mound = np.maximum(0.0, 0.6 - 0.5 * np.hypot(xy[:, 0], xy[:, 1]))
         xyz = np.column_stack([xy, mound + rng.normal(0.0, 0.005, len(xy))])
@@ -65,29 +80,51 @@ def _still(t: I64) -> PlatformStates:
     return PlatformStates(t, np.tile([0.0, 0.0, HEIGHT_M], (n, 1)), q, zero, zero, C, np.zeros(n, np.int64))
 
 
-def _surface(parameters: Parameters, with_volume: bool) -> None:
+def _filter(parameters: Parameters) -> None:
     surface: SurfaceFilter = importlib.import_module("ladar_volume.filtering.filter").SurfaceFilter(parameters)
-    estimator: VolumeEstimator | None = None
-    if with_volume:
-        estimator = importlib.import_module("ladar_volume.volume.estimator").VolumeEstimator(parameters)
     C_ind = np.tile(np.array([1e-4, 0, 0, 1e-4, 0, 1e-4], np.float32), (RETURNS_PER_CLOUD, 1))
     for step, (stamp, t, xyz, returns) in enumerate(_clouds()):
-        states = _still(np.array([stamp, stamp + 99_999_999], np.int64))
-        surface.add_platform(states)
+        surface.add_platform(_still(np.array([stamp, stamp + 99_999_999], np.int64)))
         surface.add(MappedPoints(t, xyz, C_ind, returns.ring, returns.intensity))
-        if estimator is not None:
-            estimator.add_platform(states)
         if step in (SECONDS * 5, SECONDS * 10 - 1):
-            update = surface.update()
-            if update is not None and estimator is not None:
-                estimator.add(update)
-                _estimate(estimator)
-    if estimator is not None:
-        estimator.set_parameters(Parameters.read({"volume": {"outline": "polygon", "polygon_m": SQUARE}}, parameters))
-        _estimate(estimator)
+            surface.update()
+
+
+def _made_up_surface(side: int, beams: int) -> FilterUpdate:
+    """The mound as a filter would send it: (side, side) patches of 15 cm, each with four points and a block with the next."""
+    rng, edge, m, p = np.random.default_rng(1), 0.15, side * side, 6
+    key, ones = np.arange(m, dtype=np.int64), np.ones(m)
+    xy = (np.stack(np.meshgrid(np.arange(side), np.arange(side), indexing="ij"), axis=-1).reshape(-1, 2) - side / 2) * edge
+    axes = np.eye(3)[[2, 0]]
+    next_one = np.minimum(key + 1, m - 1)[:, None]
+    cross_key = np.hstack([key[:, None], next_one]).ravel()[:-1]
+    blocks = np.tile(1e-6 * np.eye(p), (len(cross_key), 1, 1))
+    patches = Patches(
+        key, np.c_[xy, 0.0 * ones], np.tile(axes[0], (m, 1)), np.tile(axes[1], (m, 1)), np.zeros((m, p)), 0.005 * ones,
+        np.full(m, 40, np.int32), np.full(m, START_NS), np.append(2 * key, 2 * m - 1), cross_key, blocks,
+        np.full((m, p, 11 + 2 * beams), 0.1), np.arange(m + 1), START_NS // BIN_NS + key % 2, np.full((m, p, 6), 0.1),
+    )  # fmt: skip
+    local = np.tile([[-0.04, -0.04], [0.04, -0.04], [-0.04, 0.04], [0.04, 0.04]], (m, 1)) + rng.uniform(-0.02, 0.02, (4 * m, 2))
+    at = np.repeat(xy, 4, axis=0) + local
+    z = np.maximum(0.0, 0.6 - 0.5 * np.hypot(at[:, 0], at[:, 1])) + rng.normal(0.0, 0.002, 4 * m)
+    points = FilteredPoints(
+        np.c_[at, z], np.tile(axes[0], (4 * m, 1)), np.full(4 * m, 1e-6), np.zeros((4 * m, 6), np.float32), np.full(4 * m, START_NS),
+        np.repeat(key, 4), local,
+    )  # fmt: skip
+    return FilterUpdate(START_NS, key[:0], points, patches)
+
+
+def _volume(parameters: Parameters) -> None:
+    estimator: VolumeEstimator = importlib.import_module("ladar_volume.volume.estimator").VolumeEstimator(parameters)
+    estimator.add_platform(_still(np.array([START_NS, START_NS + BIN_NS], np.int64)))
+    estimator.add(_made_up_surface(40, parameters.georeference.beams))
+    _estimate(estimator)
+    estimator.set_parameters(Parameters.read({"volume": {"outline": "polygon", "polygon_m": SQUARE}}, parameters))
+    _estimate(estimator)
 
 
 def _estimate(estimator: VolumeEstimator) -> None:
     # a volume is not what this is for: whatever the stage says of this little survey, its kernels are ready
     with contextlib.suppress(LadarVolumeError):
         estimator.estimate()
+        estimator.more_data()

@@ -1,22 +1,32 @@
 """Memory that a long-running node no longer needs goes back to the system. glibc's allocator keeps it otherwise: its arenas, one or more
-per thread, grow to the peak of each thread and stay there. Elsewhere these calls do nothing."""
+per thread, grow to the peak of each thread and stay there, and large blocks that were freed once are cut from the heap from then on.
+Elsewhere these calls do nothing."""
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
 import gc
+from pathlib import Path
 
-#: mallopt's number for the greatest number of arenas (malloc.h).
-_M_ARENA_MAX = -8
+#: mallopt's numbers for the size from which a block is a mapping of its own, and for the greatest number of arenas (malloc.h).
+_M_MMAP_THRESHOLD, _M_ARENA_MAX = -3, -8
+#: Blocks from this size on are mapped, and unmapped when freed: messages and the large arrays of a surface.
+MAPPED_BYTES = 1 << 20
+#: madvise's word for pages that are not needed now (mman.h): those of a file are read again when they are.
+_MADV_DONTNEED = 4
+#: The compiler's library. Once the kernels are loaded nothing of it runs.
+COMPILER = "libllvm"
 #: How often a node gives memory back, s: the call takes milliseconds.
 GIVE_BACK_S = 5.0
 
 
 def few_arenas() -> None:
-    """Let all threads share two arenas; to be called before they start."""
+    """Let all threads share two arenas and map large blocks; to be called before they start."""
     with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 2)
+        libc = ctypes.CDLL(None)
+        libc.mallopt(_M_ARENA_MAX, 2)
+        libc.mallopt(_M_MMAP_THRESHOLD, MAPPED_BYTES)
 
 
 def give_back() -> None:
@@ -25,7 +35,32 @@ def give_back() -> None:
         ctypes.CDLL(None).malloc_trim(0)
 
 
+def unchanged_pages(smaps: str, library: str) -> list[tuple[int, int]]:
+    """First address and length of each mapping of a file of this name that may not be written to and that nothing was written to, from
+    the text of ``/proc/self/smaps``."""
+    out, mapping = [], (0, 0)
+    for line in smaps.splitlines():
+        words = line.split()
+        if not words[0].endswith(":"):
+            first, _, end = words[0].partition("-")
+            inside = words[1][1] == "-" and len(words) > 5 and words[-1].rpartition("/")[2].startswith(library)
+            mapping = (int(first, 16), int(end, 16) - int(first, 16)) if inside else (0, 0)
+        elif words[0] == "Anonymous:" and mapping[1] and int(words[1]) == 0:
+            out.append(mapping)
+    return out
+
+
+def drop_compiler() -> None:
+    """Give back the pages of the compiler's library that are as in its file."""
+    with contextlib.suppress(OSError, AttributeError):
+        madvise = ctypes.CDLL(None).madvise
+        for first, length in unchanged_pages(Path("/proc/self/smaps").read_text(), COMPILER):
+            madvise(ctypes.c_void_p(first), ctypes.c_size_t(length), _MADV_DONTNEED)
+
+
 def tidy() -> None:
-    """Collect what only cycles hold, then return what is free: after a start that compiled and imported much."""
+    """Collect what only cycles hold, then return what is free and what only a compiler needs: after a start that compiled and imported
+    much."""
     gc.collect()
     give_back()
+    drop_compiler()

@@ -20,7 +20,6 @@ from visualization_msgs.msg import Marker
 
 from ladar_volume.io import cdr, results
 from ladar_volume.io.clouds import stamp_ns
-from ladar_volume.io.surveys import FILE, write_survey
 from ladar_volume.io.tables import decode
 from ladar_volume.io.wire import (
     filter_update,
@@ -258,6 +257,8 @@ class VolumeNode(StageNode):
         return {"folder": str(folder), "volume_m3": result["volume_m3"], "sigma_m3": result["sigma_m3"]}
 
     def _write(self, folder: Path, result: dict[str, Any]) -> None:
+        from ladar_volume.io.surveys import FILE, write_survey  # what bags need is loaded where one is written
+
         assert self._estimate is not None
         results.write_text(folder / "result.json", results.json_text(result))
         results.write_ply(folder / "mesh.ply", self._estimate.tin, self._estimate.sigma_z)

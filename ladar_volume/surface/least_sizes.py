@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from scipy import sparse
-from scipy.optimize import linprog
 
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, Tin
@@ -90,6 +89,8 @@ def adjust_asd_exact(tin: Tin, points_map: F64, sigma_m: F64 | None = None, fit:
     cost = np.r_[np.zeros(len(used)), w, w] / w.max()
     bounds = np.r_[np.tile([-np.inf, np.inf], (len(used), 1)), np.tile([0.0, np.inf], (2 * k, 1))]
     # as changes of the present heights: numbers near zero whatever the datum
+    from scipy.optimize import linprog  # a quarter of a second to load, and the online surface never needs it
+
     found = linprog(cost, A_eq=A, b_eq=fit.residuals(z), bounds=bounds, method="highs")
     if found.status != 0 or found.x is None:
         raise SurfaceError(f"the linear program was not solved: {found.message}", reason="surface_adjustment", value=found.status)

@@ -61,7 +61,7 @@ class VolumeEstimator:
         self._store.replace(update)
         self.losses.merge(self._store.losses)
         self._store.losses = Losses()
-        self._surface_now = None
+        self._surface_now = self._main = None  # the surface before would be held beside the new one
         self._t_ns = max(self._t_ns, update.t_ns)
 
     def estimate(self) -> Estimate:
@@ -84,7 +84,7 @@ class VolumeEstimator:
         return Epoch(self._surface(points), Sources(points, patches, self._navigation, self.parameters), self._t_ns)
 
     def more_data(self) -> MoreData:
-        """Where another pass would make sigma of the last estimate's main body smaller. Raises :class:`VolumeError` without one."""
+        """Where another pass would make sigma of the present estimate's main body smaller. Raises :class:`VolumeError` without one."""
         if self._main is None:
             raise VolumeError("no estimate yet", reason="volume_no_estimate")
         surface, base, part, solid, budget, sources, variance = self._main

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
         ("mavlink_node", ("numba", "scipy", "ladar_volume.filtering")),
         ("georeference_node", ("scipy", "ladar_volume.filtering", "ladar_volume.volume")),
         ("filter_node", ("pyproj", "ladar_volume.volume", "ladar_volume.surface")),
-        ("volume_node", ("open3d", "matplotlib", "rich")),
+        ("volume_node", ("open3d", "matplotlib", "rich", "scipy.optimize", "rosbags", "mcap")),
     ],
 )
 def test_a_node_loads_no_more_than_its_stage(node, banned):

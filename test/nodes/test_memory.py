@@ -1,0 +1,52 @@
+"""What a node gives back once it is up."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+from ladar_volume.nodes.memory import unchanged_pages
+
+ROOT = Path(__file__).parents[2]
+
+SMAPS = """\
+7f0000000000-7f0000004000 r-xp 00000000 08:01 42 /opt/some where/libllvmlite.so
+Rss:                  16 kB
+Anonymous:             0 kB
+7f0000004000-7f0000006000 r--p 00004000 08:01 42 /opt/libllvmlite.so
+Anonymous:             8 kB
+7f0000006000-7f0000007000 rw-p 00006000 08:01 42 /opt/libllvmlite.so
+Anonymous:             0 kB
+7f0000007000-7f0000009000 r--p 00000000 08:01 43 /opt/libLLVM-15.so
+Anonymous:             0 kB
+7f0000009000-7f000000a000 r--p 00006000 08:01 42 /opt/libllvmlite.so
+Anonymous:             0 kB
+7f000000a000-7f000000b000 r-xp 00000000 00:00 0
+Anonymous:             0 kB
+VmFlags: rd ex mr mw me
+"""
+
+
+def test_only_what_is_as_in_the_file_is_given_back():
+    # not what was relocated, not what may be written, not another library, not what has no file
+    wanted = [(0x7F0000009000, 0x1000)]
+    assert unchanged_pages(SMAPS, "libllvm") == [(0x7F0000000000, 0x4000), *wanted]
+    assert unchanged_pages("", "libllvm") == []
+
+
+def test_kernels_run_and_compile_after_the_compiler_was_given_back():
+    code = """if True:
+        import numba, numpy as np
+        from ladar_volume.nodes import memory
+        from ladar_volume.volume.navigation import markov_sum
+        memory.few_arenas()
+        t, y = np.arange(3.0), np.ones((3, 2))
+        first = markov_sum(t, y, 1.0)
+        size = lambda: next(int(l.split()[1]) for l in open("/proc/self/status") if l.startswith("RssFile"))
+        before = size()
+        memory.tidy()
+        assert size() < before - 20_000, (before, size())
+        assert markov_sum(t, y, 1.0) == first
+        assert numba.njit(lambda x: x + 1)(1) == 2
+    """
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
