@@ -171,7 +171,7 @@ def finish(given: F64, first: I64, p: F64, n: F64, triangles: I32, votes: I32, r
     opened = np.zeros(len(p), np.bool_)
     for _ in range(ROUNDS):
         closed = fill(p, n, fan, size, slack, hole, opened)[0]
-        gone = drop_fans(fan, size) + open_handles(p, n, fan, size, slack, hole, opened)
+        gone = drop_fans(fan, size) + open_handles(p, n, fan, size, slack, opened)
         holes, dropped = holes + closed, dropped + gone
         if not gone:
             break

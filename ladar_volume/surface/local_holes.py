@@ -151,15 +151,13 @@ def fill(points: F64, normals: F64, fan: I32, size: I32, slack: float, largest_m
     return close_holes(points, normals, fan, size, rim, start, chosen[order])
 
 
-def open_handles(points: F64, normals: F64, fan: I32, size: I32, slack: float, largest_m: float, opened: Bool) -> int:
+def open_handles(points: F64, normals: F64, fan: I32, size: I32, slack: float, opened: Bool) -> int:
     """Take away all triangles round rims where strips of triangles cross, and mark what then is their rim ``opened`` (n,); how many went.
 
-    Both strips have two sides: the rim of a handle no wider than ``largest_m`` is no longer than four circles of that diameter, of several
-    that hang together two more for each. Longer ones are not of noise.
+    Rims too long to be closed again stay.
     """
     rim, start, excess = rims(points, normals, fan, size, slack)
-    longest = math.pi * largest_m * (2.0 - 0.5 * excess)
-    crossed = (excess < -OF_A_HOLE) & (rim_lengths(points, rim, start) <= longest)
+    crossed = (excess < -OF_A_HOLE) & (np.diff(start) <= LONGEST)
     return clear(fan, size, np.unique(rim[np.repeat(crossed, np.diff(start))]), opened)
 
 
