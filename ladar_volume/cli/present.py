@@ -45,8 +45,9 @@ def volume_rows(head: Table, result: Mapping[str, Any]) -> None:
         halved = result["sigma_if_halved_m3"][source]
         head.add_row("largest source", f"{source.replace('_', ' ')}: half of it would make sigma {halved:.3f} m³")
     if result["second_order"]["matters"]:
-        sigma, shift = result["budget_m6"]["boresight_second_order"] ** 0.5, result["second_order"]["shift_m3"]
-        words = f"of the boresight: {sigma:.2g} m³, in the budget; it moves V by {shift:.2g} m³ on average, which is not corrected"
+        sigma = sum(line for name, line in result["budget_m6"].items() if "_second_order" in name) ** 0.5
+        shift = result["second_order"]["shift_m3"]
+        words = f"of boresight and attitude: {sigma:.2g} m³, in the budget; it moves V by {shift:.2g} m³ on average, which is not corrected"
         head.add_row("second order", words)
     tau = result["sigma_tau_range_m3"]
     head.add_row("sigma if tau is off", f"{tau[0]:.3f} to {tau[1]:.3f} m³ (a third to three times the correlation times)")

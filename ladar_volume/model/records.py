@@ -265,7 +265,7 @@ class Volume:
     """A volume with its budget. Net = cut − fill inside the outline. ``budget_m6`` adds up to ``sigma_m3 ** 2``. ``folded_m3`` : taken from
     cut and from fill by the folded-normal correction, where the surface runs near its base, over ``near_area_m2``; net is not touched.
     ``budget_within_m6`` : marginal variances inside the line ``calibration`` where its sources are correlated; they do not add up to it.
-    ``second_order_m3`` : mean second-order effect of the boresight's uncertainty, which is not corrected but a line of the budget, and
+    ``second_order_m3`` : mean second-order effect of the uncertain boresight and attitude, not corrected but in lines of the budget, and
     whether that ``second_order_matters``."""
 
     volume_m3: float

@@ -29,6 +29,8 @@ from ladar_volume.volume.roughness import estimate_roughness
 
 #: Lowest points of the box that are not taken for ground, m above it.
 LEAST_M = 0.06
+#: Gaps up to this are closed, and rims so far above the ground drawn on to it: the box's own height, m.
+CLOSE_M = 2.5
 #: Vertical component of the normals of what may be ground.
 LEVEL = 0.7
 
@@ -134,7 +136,7 @@ def body_on_ground(points: FilteredPoints, longest_m: float = 0.0) -> tuple[Body
     level = np.flatnonzero(points.normal[:, 2] > LEVEL)
     ground = fit_ground(points.r_map, height_variance(points), GroundParameters(degree=1), select=level)
     label = find_objects(points.r_map, [ground], ObjectParameters(min_height_m=LEAST_M)).label
-    options = BodyOptions(LocalMeshSettings(longest_m))
+    options = BodyOptions(LocalMeshSettings(longest_m), CLOSE_M)
     flat: Bool = np.zeros(len(points), bool)
     made = cloud_bodies(points.r_map, points.normal, flat, np.where(label == 0, 0, -1), ground, options)
     body, gradient = made.bodies[0], np.zeros((len(points), 3))

@@ -26,7 +26,16 @@ from ladar_volume.volume.propagation import (
     time_bins,
 )
 from ladar_volume.volume.roughness import Roughness, field_variance
-from ladar_volume.volume.second_order import BORESIGHT, SecondOrder, boresight_curvature, second_order
+from ladar_volume.volume.second_order import (
+    BORESIGHT,
+    SecondOrder,
+    Swing,
+    attitude_second_order,
+    curvatures,
+    second_order,
+    swing_of,
+    together,
+)
 
 
 @dataclass(frozen=True)
@@ -44,8 +53,8 @@ class GroundField:
 class Budget:
     """lines : m⁶ by source, all uncorrelated · C_results : (k, k) independent-noise covariance of all results · sigma_tau_range
     : m³, with all correlation times divided by 3 and multiplied by 3 · sigma_naive : m³, as if every point erred alone · within : m⁶,
-    marginals of the line ``calibration`` where its sources are correlated · second : the second order of the boresight, a line by its
-    mean square"""
+    marginals of the line ``calibration`` where its sources are correlated · second : the second order of boresight and attitude, each a
+    line by its mean square"""
 
     lines: dict[str, float]
     C_results: F64
@@ -63,13 +72,15 @@ class Budget:
 @dataclass(frozen=True)
 class Sensitivities:
     """Of one result to every source. C_results : (k, k) covariance from the returns' noise, of all results · tangential_m6 : variance from
-    their noise within the surface · J_cal : (c,) · curvature : (3, 3) by the boresight · navigation : by time bin · naive_m3 : sigma as if
+    their noise within the surface · J_cal : (c,) · curvature : (3, 3) by the boresight · swing : the same by the
+    attitude · navigation : by time bin · naive_m3 : sigma as if
     every point erred alone"""
 
     C_results: F64
     tangential_m6: float
     J_cal: F64
     curvature: F64
+    swing: Swing
     navigation: NavigationLoads
     naive_m3: float
 
@@ -87,12 +98,15 @@ class Sources:
         """Budget of the first of k results with gradients (n, k, 3) per point; the others get their independent covariance only."""
         s = self.sensitivities(gradient)
         C_b = self.C_cal[BORESIGHT, BORESIGHT]
-        second = second_order(s.curvature, C_b, float(s.J_cal[BORESIGHT] @ C_b @ s.J_cal[BORESIGHT]))
+        navigation = navigation_variance(s.navigation, self.parameters.budget)
+        bent, second = together({
+            "boresight_second_order": second_order(s.curvature, C_b, float(s.J_cal[BORESIGHT] @ C_b @ s.J_cal[BORESIGHT])),
+            "attitude_second_order": attitude_second_order(s.swing, self.parameters.budget, navigation["attitude"]),
+        })  # fmt: skip
         lines = {
             "noise": max(0.0, float(s.C_results[0, 0])),
             "noise_tangential": s.tangential_m6,
-            **calibration_variance(s.J_cal, self.C_cal), "boresight_second_order": second.line_m6,
-            **navigation_variance(s.navigation, self.parameters.budget),
+            **calibration_variance(s.J_cal, self.C_cal), **navigation, **bent,
             "base_surface": 0.0 if field is None else field_variance(field.xy, field.weight, field.point, field.rough),
         }
         rest = sum(lines.values()) - lines["position"] - lines["attitude"]
@@ -104,13 +118,15 @@ class Sources:
         """What each source does to the first of k results with gradients (n, k, 3) per point; C_results is of all of them."""
         q = patch_loads(gradient, self.patches, self.geometry)
         first = np.ascontiguousarray(q[:, :, 0])
+        H = curvatures(first, self.patches, self.navigation, self.time_bins)
         J_nav, bins = navigation_sensitivity(first, self.patches, self.time_bins)
         tangential = tangential_variance(gradient[:, 0], self.points)
         return Sensitivities(
             independent_covariance(q, self.patches, self.geometry),
             tangential,
             calibration_sensitivity(first, self.patches),
-            boresight_curvature(first, self.patches, self.navigation, self.time_bins),
+            H.sum(axis=0),
+            swing_of(H, self.time_bins[0], self.navigation),
             navigation_loads(J_nav, bins, self.navigation, self.parameters.georeference.max_position_gap_s),
             math.sqrt(self._naive(gradient[:, 0]) + tangential),
         )

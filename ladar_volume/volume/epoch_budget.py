@@ -21,7 +21,7 @@ from ladar_volume.surface.represent import Represented
 from ladar_volume.volume.budget import Sensitivities, Sources
 from ladar_volume.volume.navigation import navigation_variance
 from ladar_volume.volume.propagation import CALIBRATION_GROUPS, calibration_groups
-from ladar_volume.volume.second_order import BORESIGHT, SecondOrder, second_order
+from ladar_volume.volume.second_order import BORESIGHT, SecondOrder, attitude_second_order, second_order, together
 
 #: Calibration constants that belong to one survey and not to the instrument: the clock offset is set anew with every start.
 OWN = frozenset({"clock"})
@@ -160,12 +160,16 @@ def epoch_budget(new: Epoch, previous: Epoch, gradient_new: F64, gradient_previo
     cross = calibration_cross(new, previous, separate)
     calibration, within = calibration_lines(one.J_cal, two.J_cal, C_new, C_old, cross)
     second = boresight_second_order(one, two, C_new, C_old, "boresight" not in separate)
-    lines: dict[str, float] = {**calibration, "boresight_second_order": second.line_m6}
+    lines, bent = {**calibration}, {"boresight_second_order": second}
     for epoch, s, end in ((new, one, ""), (previous, two, "_previous")):
         lines[f"noise{end}"] = max(0.0, float(s.C_results[0, 0]))
         lines[f"noise_tangential{end}"] = s.tangential_m6
-        for name, value in navigation_variance(s.navigation, epoch.sources.parameters.budget).items():
+        own = epoch.sources.parameters.budget
+        for name, value in navigation_variance(s.navigation, own).items():
             lines[f"{name}{end}"] = value
+        bent[f"attitude_second_order{end}"] = attitude_second_order(s.swing, own, lines[f"attitude{end}"])
+    second_lines, all_second = together(bent)
+    lines.update(second_lines)
     moved = new.registration_variance(gradient_new) + previous.registration_variance(gradient_previous)
     if new.transform is not None or previous.transform is not None:
         lines["registration"] = moved
@@ -175,7 +179,7 @@ def epoch_budget(new: Epoch, previous: Epoch, gradient_new: F64, gradient_previo
     apart = total - sum(calibration.values()) + nothing_shared
     apart += boresight_second_order(one, two, C_new, C_old, False).line_m6 - second.line_m6
     return EpochBudget(
-        lines, within, second, (math.sqrt(min(tau)), math.sqrt(max(tau))), math.hypot(one.naive_m3, two.naive_m3),
+        lines, within, all_second, (math.sqrt(min(tau)), math.sqrt(max(tau))), math.hypot(one.naive_m3, two.naive_m3),
         math.sqrt(max(apart, 0.0)),
     )  # fmt: skip
 

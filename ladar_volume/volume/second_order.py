@@ -25,8 +25,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladar_volume.model.kernels import kernel
+from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.records import F64, I64, Patches
-from ladar_volume.volume.navigation import NavigationBins
+from ladar_volume.volume.navigation import NavigationBins, markov_sum, matrix_root
 from ladar_volume.volume.propagation import time_bins
 
 #: Columns of M_cal and C_cal that hold the boresight.
@@ -39,8 +40,8 @@ STEEPEST = 0.2
 
 @dataclass(frozen=True)
 class SecondOrder:
-    """Of a boresight error in the volume. shift_m3 : mean of the second-order term · variance_m6 : its variance · matters : whether it
-    changes what the first order says, or the boresight is so uncertain that it may"""
+    """Of an angular error in the volume. shift_m3 : mean of the second-order term · variance_m6 : its variance · matters : whether it
+    changes what the first order says, or the angle is so uncertain that it may"""
 
     shift_m3: float
     variance_m6: float
@@ -77,10 +78,10 @@ def add_outer(out: F64, factor: float, a: F64, b: F64) -> None:
 def curvature_kernel(
     q: F64, start: I64, index: I64, bins: I64, M_nav: F64, position: F64, R: F64, normal: F64, tangent: F64, centre: F64, bending: F64
 ) -> F64:
-    """H (3, 3) of :func:`boresight_curvature`: loads q (m, p) of patches with frames (m, 3) and second derivatives bending (m, 3) by uu, uv
+    """H (b, 3, 3) of :func:`curvatures`: loads q (m, p) of patches with frames (m, 3) and second derivatives bending (m, 3) by uu, uv
     and vv; sensitivities M_nav (l, p, 6) from start (m + 1,) in rows index (l,) of ascending bins (b,), whose mean poses are (b, 3) and
     (b, 3, 3)."""
-    half, trace, weight = np.zeros((3, 3)), 0.0, 0.0
+    H, weight = np.zeros((len(bins), 3, 3)), 0.0
     m, v, vm, body, upon, standing = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     along, shift, mean, moving = np.empty((2, 3)), np.empty((2, 3)), np.zeros((2, 3)), np.zeros((2, 3))
     for a in np.flatnonzero(q[:, 0]):
@@ -90,13 +91,15 @@ def curvature_kernel(
         cross(n, tangent[a], along[1])
         for e in range(start[a], start[a + 1]):
             M, b = M_nav[e], index[e]
+            half = H[b]
             part = M[0, 0] * n[0] + M[0, 1] * n[1] + M[0, 2] * n[2]
             share, own = q[a, 0] * part, abs(part) + 1e-12
             turned_back(R[b], n, m)
             turned_back(R[b], centre[a] - position[b], v)
             cross(v, m, vm)
-            trace += share * (m[0] * v[0] + m[1] * v[1] + m[2] * v[2])
             add_outer(half, 0.5 * share, m, v)
+            for i in range(3):
+                half[i, i] -= 0.5 * share * (m[0] * v[0] + m[1] * v[1] + m[2] * v[2])
             for k in range(2):
                 turned_back(R[b], along[k], body)
                 cross(v, body, upon)
@@ -114,16 +117,19 @@ def curvature_kernel(
                 for k in range(2):
                     add_outer(half, -1.0 / weight, mean[k], moving[k])
                 mean[:], moving[:], weight = 0.0, 0.0, 0.0
-    return half + half.T - trace * np.eye(3)
+    for b in range(len(bins)):
+        H[b] += H[b].T.copy()
+    return H
 
 
-def boresight_curvature(q: F64, patches: Patches, navigation: NavigationBins, listed: tuple[I64, I64] | None = None) -> F64:
-    """H (3, 3), unit of the result per rad², of one result with loads q (m, p) on the patches' parameters.
+def curvatures(q: F64, patches: Patches, navigation: NavigationBins, listed: tuple[I64, I64] | None = None) -> F64:
+    """H by time bin (b, 3, 3), unit of the result per rad², of one result with loads q (m, p) on the patches' parameters: by an error that
+    is the same for all that was seen in the bin. The boresight's is the sum.
 
     Each patch was seen from one or more time bins: v and m are taken from the mean pose in the bin, the bin's share of the patch from the
     patch's own sensitivities to the attitude, which turns the ray as the boresight does. The slope of the first-order error is that under a
     standing sensor, and over each pass (bins without a gap) what the patch's slopes say beyond it: there the sensor moves with the places
-    it sees. listed : time bins of the sensitivities, where known.
+    it sees. listed : time bins (b,) of the sensitivities, where known.
     """
     bins, index = time_bins(patches) if listed is None else listed
     position, R = navigation.mean_pose(bins)
@@ -133,6 +139,47 @@ def boresight_curvature(q: F64, patches: Patches, navigation: NavigationBins, li
         q, p.nav_start, index, bins, p.M_nav, position, np.ascontiguousarray(R), p.normal, p.tangent, p.centre, bending
     )  # fmt: skip
     return np.asarray(found)
+
+
+@dataclass(frozen=True)
+class Swing:
+    """Second order of the attitude by time bin. t_s : (b,) ascending, s · S : (b, 3, 3) ``C^{1/2} H C^{1/2}``, in the result's unit"""
+
+    t_s: F64
+    S: F64
+
+
+def swing_of(H: F64, bins: I64, navigation: NavigationBins) -> Swing:
+    """From curvatures H (b, 3, 3) by ascending time bins (b,)."""
+    C, _ = navigation.mean(bins)
+    root = matrix_root(C[:, 3:, 3:])
+    return Swing((bins - (bins[0] if len(bins) else 0)) * (navigation.bin_ns * 1e-9), root @ H @ root)
+
+
+def attitude_second_order(swing: Swing, budget: BudgetParameters, first_m6: float) -> SecondOrder:
+    """The attitude's second-order term ``Σ_e ½ theta_eᵀ H_e theta_e``, beside the first order's variance.
+
+    An attitude error turns what is seen as a boresight error does, but for the lever arms; from time to time it changes. With the
+    correlation rho of two bins the variance is ``½ Σ_ef rho² tr(S_e S_f)``, and the square of a constant and an exponential part is made of
+    exponentials. The white part, of the variance of which each state has its own, is left out: it averages, and turns no surface.
+    """
+    bias, markov = budget.attitude_bias_fraction, 1.0 - budget.attitude_bias_fraction - budget.attitude_white_fraction
+    S, tau = np.ascontiguousarray(swing.S.reshape(len(swing.S), 9)), budget.tau_attitude_s
+    total = S.sum(axis=0)
+    constant, once, twice = float(total @ total), float(markov_sum(swing.t_s, S, tau)), float(markov_sum(swing.t_s, S, 0.5 * tau))
+    variance = 0.5 * (bias**2 * constant + 2.0 * bias * markov * once + markov**2 * twice)
+    shift = 0.5 * (bias + markov) * float(total[[0, 4, 8]].sum())
+    return SecondOrder(shift, variance, variance + shift**2 > SHARE * first_m6)
+
+
+def together(parts: dict[str, SecondOrder]) -> tuple[dict[str, float], SecondOrder]:
+    """Lines m⁶ of several second orders, by name, and all of them as one. The errors are independent but their means are not: the square of
+    the sum of all means is shared out in order, no line below zero."""
+    lines, mean = {}, 0.0
+    for name, part in parts.items():
+        lines[name] = max(0.0, part.line_m6 + 2.0 * part.shift_m3 * mean)
+        mean += part.shift_m3
+    return lines, SecondOrder(mean, sum(p.variance_m6 for p in parts.values()), any(p.matters for p in parts.values()))
 
 
 def second_order(H: F64, C: F64, first_m6: float) -> SecondOrder:

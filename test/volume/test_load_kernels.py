@@ -13,7 +13,7 @@ from ladar_volume.volume import propagation
 from ladar_volume.volume.load_kernels import deviation_kernel, height_kernel, neighbour_kernel, quadratic_kernel, shared_kernel
 from ladar_volume.volume.navigation import NavigationBins
 from ladar_volume.volume.propagation import independent_covariance, navigation_sensitivity, patch_loads, surface_geometry, time_bins, unpack
-from ladar_volume.volume.second_order import STEEPEST, boresight_curvature
+from ladar_volume.volume.second_order import STEEPEST, curvatures
 
 
 def close(value):
@@ -136,5 +136,5 @@ def test_the_curvature(p):
     known.add(PlatformStates(t, 10.0 * rng.standard_normal((70, 3)), turn, zero, zero, np.zeros((70, 6, 6)), t))
     q = rng.standard_normal((30, p))
     q[::5] = 0.0
-    assert boresight_curvature(q, patches, known) == close(curvature_twin(q, patches, known))
-    assert not boresight_curvature(0.0 * q, patches, known).any()
+    assert curvatures(q, patches, known).sum(axis=0) == close(curvature_twin(q, patches, known))
+    assert not curvatures(0.0 * q, patches, known).any()

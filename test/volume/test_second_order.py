@@ -1,4 +1,4 @@
-"""Second order of the boresight: single patches in closed form, and volumes against exact rotations drawn at random."""
+"""Second order of boresight and attitude: single patches in closed form, and volumes against exact rotations drawn at random."""
 
 from __future__ import annotations
 
@@ -6,30 +6,33 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from volume_surfaces import BIN_NS, T0, normal_frame
 
 from ladar_volume.georeference.budget import PRESETS
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.parameters import BudgetParameters, Parameters
 from ladar_volume.model.records import FilteredPoints, FilterUpdate, Patches, PlatformStates, Tin, select
 from ladar_volume.model.se3 import exp_so3
 from ladar_volume.volume import budget
 from ladar_volume.volume.estimator import VolumeEstimator
 from ladar_volume.volume.navigation import NavigationBins
 from ladar_volume.volume.polygon import clipped_prismoids
-from ladar_volume.volume.second_order import SIGMA_RAD, boresight_curvature, second_order
+from ladar_volume.volume.second_order import SIGMA_RAD, SecondOrder, Swing, attitude_second_order, curvatures, second_order, together
 
 SPEED, STEP = 2.0, 0.5
 SURVEY = PRESETS["survey"].boresight_sigma_rad
 
 
-def states(height, aside, half, yaw=0.0):
-    """A lane along x, 10 states a second, at y = aside."""
+def states(height, aside, half, yaw=0.0, attitude=0.0):
+    """A lane along x, 10 states a second, at y = aside; attitude : its standard deviation, rad."""
     n = int(2 * half / SPEED * 10) + 20
     t = T0 + np.arange(n) * (BIN_NS // 10)
     p = np.stack([-half + np.arange(n) * SPEED / 10, np.full(n, aside), np.full(n, height)], axis=1)
     q = np.tile([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)], (n, 1))
-    return PlatformStates(t, p, q, np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 6, 6)), np.zeros(n, np.int64))
+    C = np.zeros((n, 6, 6))
+    C[:, range(3, 6), range(3, 6)] = attitude**2
+    return PlatformStates(t, p, q, np.zeros((n, 3)), np.zeros((n, 3)), C, np.zeros(n, np.int64))
 
 
 def second_derivatives(height_of, x, y, e=1e-3):
@@ -79,11 +82,11 @@ def survey(height_of, half, height, aside, yaw=0.0, moving=True, p=3):
     return FilterUpdate(T0, np.zeros(0, np.int64), points, patches), sensor
 
 
-def estimate(update, path, half, base, ring=None):
+def estimate(update, path, half, base, ring=None, **budget):
     flat = [c * (ring or half) for c in (-1.0, -1.0, 1.0, -1.0, 1.0, 1.0, -1.0, 1.0)]
     parameters = Parameters.read({
         "filter": {"nav_bin_s": 1.0}, "georeference": {"beams": 1}, "volume": {"outline": "polygon", "polygon_m": flat, **base},
-        "budget": {"boresight_sigma_deg": [math.degrees(s) for s in SURVEY]},
+        "budget": {"boresight_sigma_deg": [math.degrees(s) for s in SURVEY], **budget},
     })  # fmt: skip
     e = VolumeEstimator(parameters)
     e.add_platform(path)
@@ -92,10 +95,12 @@ def estimate(update, path, half, base, ring=None):
 
 
 def turned_volume(found, sensor, half, theta, yaw=0.0):
-    """The volume over the fixed outline with every point turned exactly about its sensor by the boresight error theta (3,)."""
+    """The volume over the fixed outline with every point turned exactly about its sensor by the boresight error theta (3,), or each by its
+    own (n, 3)."""
     R, tin = exp_so3(np.array([0.0, 0.0, yaw])), found.tin
     at = sensor[tin.source]
-    moved = at + (tin.vertices - at) @ R @ (R @ exp_so3(theta)).T
+    body = Rotation.from_rotvec(theta if theta.ndim == 1 else theta[tin.source]).apply((tin.vertices - at) @ R)
+    moved = at + body @ R.T
     outline = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
     turned = Tin(moved, tin.triangles, tin.neighbours, tin.relevant, tin.source)
     return clipped_prismoids(turned, found.base, outline, tin.relevant).net_m3
@@ -126,7 +131,7 @@ def test_a_single_patch_turns_about_the_sensor(yaw):
     patches = update.patches
     # the platform stands where it saw the patch: only then is the mean position exact
     known._pose[:, 0] = known.count[:, None] * sensor[0]
-    H = boresight_curvature(q, patches, known)
+    H = curvatures(q, patches, known).sum(axis=0)
     R, d = exp_so3(np.array([0.0, 0.0, yaw])), patches.centre[0] - sensor[0]
     for theta in 1e-3 * np.random.default_rng(1).standard_normal((6, 3)):
         T = R @ exp_so3(theta) @ R.T
@@ -144,7 +149,7 @@ def test_flat_ground_straight_below():
     for moving, expected in ((False, [-30.0, -30.0, 0.0]), (True, [-30.0, 30.0, 0.0])):
         update, _ = survey(lambda x, y: 0.0 * x, 0.25, 30.0, 0.0, moving=moving)
         # a standing sensor turns the ground about itself; a moving one lifts it by the cosine under a turn about the axis across
-        assert boresight_curvature(q, update.patches, known) == pytest.approx(np.diag(expected), abs=1.0)
+        assert curvatures(q, update.patches, known).sum(axis=0) == pytest.approx(np.diag(expected), abs=1.0)
     s, h = 2e-3, 30.0
     found = second_order(np.diag([-h, 0.0, 0.0]), np.diag([s * s, s * s, s * s]), 0.0)
     assert (found.shift_m3, found.variance_m6) == pytest.approx((-0.5 * h * s**2, 0.5 * h**2 * s**4))
@@ -166,11 +171,11 @@ def bending(sensor, half, yaw, step=0.05):
 @pytest.mark.parametrize(("aside", "yaw"), [(0.0, 0.0), (0.0, 0.7), (20.0, 0.0)])
 def test_the_curvature_of_a_volume_under_exact_rotations(aside, yaw, monkeypatch):
     half, seen = 8.0, []
-    monkeypatch.setattr(budget, "boresight_curvature", lambda *words: seen.append(boresight_curvature(*words)) or seen[-1])
+    monkeypatch.setattr(budget, "curvatures", lambda *words: seen.append(curvatures(*words)) or seen[-1])
     for p in (3, 6):
         update, sensor = survey(hill, half + 2.0, 30.0, aside, yaw, p=p)
         found = estimate(update, states(30.0, aside, half + 2.0, yaw), half, {"base": "level"})
-    exact = exact_curvature(found, sensor, half, yaw)
+    exact, seen = exact_curvature(found, sensor, half, yaw), [H.sum(axis=0) for H in seen]
     left_out = bending(sensor, half, yaw)
     assert np.abs(seen[1] - exact).max() < 0.02 * np.abs(exact).max()
     # planes do not bend: what they leave out is a seventh here
@@ -190,6 +195,51 @@ def test_the_spread_where_the_first_order_cancels():
     assert abs(error.mean() - v.second_order_m3) < 3.0 * error.std() / math.sqrt(count)
     assert v.second_order_matters and v.second_order_m3 < 0.0
     assert sum(v.budget_m6.values()) == pytest.approx(v.sigma_m3**2, rel=1e-12)
+
+
+@pytest.mark.parametrize("tau", [20.0, 40.0])
+def test_the_attitude_against_draws_in_time(tau, monkeypatch):
+    half, sigma, bias, seen = 8.0, math.radians(0.25), 0.2, []
+    monkeypatch.setattr(budget, "curvatures", lambda *words: seen.append(curvatures(*words)) or seen[-1])
+    update, sensor = survey(hill, half + 2.0, 30.0, 0.0, p=6)
+    v = (found := estimate(
+        update, states(30.0, 0.0, half + 2.0, attitude=sigma), half, {"base": "level"}, tau_attitude_s=tau, attitude_bias_fraction=bias,
+        attitude_white_fraction=0.0, boresight_sigma_deg=[0.0, 0.0, 0.0])).volume  # fmt: skip
+    bins, of = np.unique(update.patches.nav_bin, return_inverse=True)
+    rho = bias + (1.0 - bias) * np.exp(-np.abs(bins[:, None] - bins) / tau)
+    root, rng, count = np.linalg.cholesky(rho + 1e-12 * np.eye(len(bins))), np.random.default_rng(4), 500
+    plain, second = np.zeros(count), np.zeros(count)
+    for k in range(count):
+        theta = sigma * root @ rng.standard_normal((len(bins), 3))
+        # half the sum of both signs is the second order alone
+        up, down = (turned_volume(found, sensor, half, sign * theta[of]) - v.volume_m3 for sign in (1.0, -1.0))
+        plain[k], second[k] = up, 0.5 * (up + down)
+    line = v.budget_m6["attitude_second_order"]
+    assert abs(second.mean() - v.second_order_m3) < 3.0 * second.std() / math.sqrt(count)
+    assert math.sqrt(line) == pytest.approx(math.sqrt((second**2).mean()), rel=0.1)
+    assert math.sqrt(v.budget_m6["attitude"] + line) == pytest.approx(math.sqrt((plain**2).mean()), rel=0.1)
+    # the same in all bins is a boresight
+    still = BudgetParameters(attitude_bias_fraction=1.0, attitude_white_fraction=0.0)
+    constant = attitude_second_order(Swing(np.zeros(len(seen[0])), sigma**2 * seen[0]), still, 0.0)
+    whole = second_order(seen[0].sum(axis=0), sigma**2 * np.eye(3), 0.0)
+    assert (constant.shift_m3, constant.variance_m6) == (pytest.approx(whole.shift_m3), pytest.approx(whole.variance_m6))
+
+
+def test_the_second_order_of_a_swing_in_closed_form():
+    rng, budget_ = np.random.default_rng(6), BudgetParameters(attitude_bias_fraction=0.3, attitude_white_fraction=0.1, tau_attitude_s=5.0)
+    t, S = np.cumsum(rng.uniform(1.0, 3.0, 7)), rng.standard_normal((7, 3, 3))
+    S += np.swapaxes(S, 1, 2)
+    rho = 0.3 + 0.6 * np.exp(-np.abs(t[:, None] - t) / 5.0)
+    found = attitude_second_order(Swing(t, S), budget_, 1e9)
+    assert found.variance_m6 == pytest.approx(0.5 * np.einsum("ef,eij,fij->", rho**2, S, S))
+    assert found.shift_m3 == pytest.approx(0.45 * np.einsum("eii->", S)) and not found.matters
+
+
+def test_means_of_several_second_orders_add_up():
+    parts = {"a": SecondOrder(0.3, 0.01, False), "b": SecondOrder(0.2, 0.02, True), "c": SecondOrder(-0.05, 0.06, False)}
+    lines, whole = together(parts)
+    assert sum(lines.values()) == pytest.approx(0.09 + 0.45**2) and whole.line_m6 == pytest.approx(sum(lines.values()))
+    assert whole.matters and together({"a": parts["a"], "c": SecondOrder(-0.2, 0.0, False)})[0]["c"] == 0.0
 
 
 def test_own_ground_cancels_the_second_order_too_and_aside_the_first_order_rules():
