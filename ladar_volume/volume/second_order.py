@@ -6,12 +6,15 @@ order, by ``½ m·(theta x (theta x v)) − a·∇(theta·(v x m)) + ½ aᵀKa``
 along the surface, and brought its own first-order error with it. How that error changes along the surface is in the patch's slopes: over
 ground straight below one standpoint the first two terms add up to ``−½ h theta²``, under a moving sensor to ``+½ h theta²`` for a turn
 about the axis across the path. The third is the surface's own curvature K: the slope of the place that is found is not that of the place
-that was seen (``−½ aᵀKa``), and the normal turns along the way (``+aᵀKa``). It is in the quadratic terms of the patches; patches that are
-planes leave it out. With the patches' loads all three give ``½ thetaᵀ H theta`` for the volume.
+that was seen (``−½ aᵀKa``), and the normal turns along the way (``+aᵀKa``). With the patches' loads all three give ``½ thetaᵀ H theta``
+for the volume.
 
-K enters linearly and a is smooth, so over a body the term is as good as the sum of K: each fitted curvature is a mean of the true one
-around the patch, creases included, and these means add up to the whole. It cancels over a body but for the body's shear: on a round hill of
-100 m³ straight below the path it makes sigma a seventh smaller.
+Over a body K cancels but for what of ``a`` changes across it, and sums of fitted curvatures do not: at a toe filters round the crease
+off, and the rest times the square of a is more than the whole term. So the third is integrated by parts, ``½ ∫ aᵀKa = −½ ∫ ∂_j(a_i a_j)
+s_i`` with the slopes s of the surface against their mean: where a body ends on the ground there are none. A place that stands higher is
+shifted less, by ``c = theta x e_z`` per metre: the term is ``−(c·s)(a·s)``. That is what it comes to under a moving sensor; what a turn
+about the vertical adds under a standing one is left out. On a round hill of 100 m³ straight below the path it makes sigma a seventh
+smaller.
 
 For Gaussian theta the two orders are uncorrelated; the second has the mean ``½ tr(HC)`` and the variance ``½ tr(HCHC)``. The volume is
 not corrected for that mean: the line of the budget is the mean square, both together.
@@ -76,13 +79,13 @@ def add_outer(out: F64, factor: float, a: F64, b: F64) -> None:
 
 @kernel
 def curvature_kernel(
-    q: F64, start: I64, index: I64, bins: I64, M_nav: F64, position: F64, R: F64, normal: F64, tangent: F64, centre: F64, bending: F64
+    q: F64, start: I64, index: I64, bins: I64, M_nav: F64, position: F64, R: F64, normal: F64, tangent: F64, centre: F64, slope: F64
 ) -> F64:
-    """H (b, 3, 3) of :func:`curvatures`: loads q (m, p) of patches with frames (m, 3) and second derivatives bending (m, 3) by uu, uv
-    and vv; sensitivities M_nav (l, p, 6) from start (m + 1,) in rows index (l,) of ascending bins (b,), whose mean poses are (b, 3) and
-    (b, 3, 3)."""
+    """H (b, 3, 3) of :func:`curvatures`: loads q (m, p) of patches with frames (m, 3) and slopes (m, 2) against their mean; sensitivities
+    M_nav (l, p, 6) from start (m + 1,) in rows index (l,) of ascending bins (b,), whose mean poses are (b, 3) and (b, 3, 3)."""
     H, weight = np.zeros((len(bins), 3, 3)), 0.0
     m, v, vm, body, upon, standing = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    fall, change, shifted = np.empty(3), np.empty(3), np.empty(3)
     along, shift, mean, moving = np.empty((2, 3)), np.empty((2, 3)), np.zeros((2, 3)), np.zeros((2, 3))
     for a in np.flatnonzero(q[:, 0]):
         n = normal[a]
@@ -110,8 +113,11 @@ def curvature_kernel(
                     mean[k, i] += own * shift[k, i]
                     moving[k, i] += q[a, 0] * (M[k + 1, 3 + i] - part * standing[i])
                 add_outer(half, -share, shift[k], standing)
-                add_outer(half, 0.5 * share * bending[a, 2 * k], shift[k], shift[k])
-            add_outer(half, share * bending[a, 1], shift[0], shift[1])
+            for i in range(3):  # along the slope: by how much a place is shifted, and how that changes with its height
+                fall[i] = R[b, 0, i] * slope[a, 0] + R[b, 1, i] * slope[a, 1]
+                change[i] = R[b, 1, i] * slope[a, 0] - R[b, 0, i] * slope[a, 1]
+            cross(v, fall, shifted)
+            add_outer(half, -share * upright, change, shifted)
             weight += own
             if e + 1 == start[a + 1] or bins[index[e + 1]] > bins[b] + 1:  # the pass ends
                 for k in range(2):
@@ -133,10 +139,12 @@ def curvatures(q: F64, patches: Patches, navigation: NavigationBins, listed: tup
     """
     bins, index = time_bins(patches) if listed is None else listed
     position, R = navigation.mean_pose(bins)
-    beta, p = patches.beta, patches
-    bending = beta[:, 3:] * np.array([2.0, 1.0, 2.0]) if beta.shape[1] == 6 else np.zeros((len(p), 3))
+    p, n = patches, patches.normal
+    upright = np.copysign(np.maximum(np.abs(n[:, 2]), STEEPEST), n[:, 2])
+    slope, weight = -n[:, :2] / upright[:, None], np.abs(q[:, 0] * upright)
+    slope -= weight @ slope / max(float(weight.sum()), 1e-300)
     found = curvature_kernel(
-        q, p.nav_start, index, bins, p.M_nav, position, np.ascontiguousarray(R), p.normal, p.tangent, p.centre, bending
+        q, p.nav_start, index, bins, p.M_nav, position, np.ascontiguousarray(R), n, p.tangent, p.centre, slope
     )  # fmt: skip
     return np.asarray(found)
 

@@ -105,7 +105,7 @@ def curvature_twin(q, patches, known):
     share, weight = load * part, np.abs(part) + 1e-12
     m, v = (np.einsum("kji,kj->ki", R, x) for x in (n, patches.centre[owner] - position))
     upright = np.copysign(np.maximum(np.abs(n[:, 2]), STEEPEST), n[:, 2])
-    half, shifts = 0.5 * np.einsum("k,ki,kj->ij", share, m, v), []
+    half = 0.5 * np.einsum("k,ki,kj->ij", share, m, v)
     for number, along in enumerate((patches.tangent[owner], np.cross(n, patches.tangent[owner])), start=1):
         body = np.einsum("kji,kj->ki", R, along)
         shift, standing = np.cross(v, body) - (along[:, 2] / upright)[:, None] * np.cross(v, m), np.cross(body, m)
@@ -114,11 +114,13 @@ def curvature_twin(q, patches, known):
         np.add.at(mean, label, weight[:, None] * shift)
         mean /= np.bincount(label, weight)[:, None]
         half -= np.einsum("k,ki,kj->ij", share, shift, standing) + mean.T @ moving
-        shifts.append(shift)
-    if q.shape[1] == 6:
-        beta = patches.beta[owner]
-        for f, i, j in ((beta[:, 3], 0, 0), (0.5 * beta[:, 4], 0, 1), (0.5 * beta[:, 4], 1, 0), (beta[:, 5], 1, 1)):
-            half += np.einsum("k,ki,kj->ij", share * f, shifts[i], shifts[j])
+    up = np.copysign(np.maximum(np.abs(patches.normal[:, 2]), STEEPEST), patches.normal[:, 2])
+    mean = np.average(-patches.normal / up[:, None], axis=0, weights=np.abs(q[:, 0] * up))
+    slope = (-n / upright[:, None] - mean) * [1.0, 1.0, 0.0]
+    turns = np.swapaxes(R, 1, 2)  # the body's axes in the map
+    shift = np.cross(turns, (patches.centre[owner] - position)[:, None])
+    change = np.cross(turns, [0.0, 0.0, 1.0])
+    half -= np.einsum("k,kic,kc,kjd,kd->ij", share * upright, change, slope, shift, slope)
     return half + half.T - float(share @ np.einsum("kc,kc->k", m, v)) * np.eye(3)
 
 
@@ -130,7 +132,7 @@ def test_the_curvature(p):
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     patches = dataclasses.replace(patches, tangent=tangent, beta=rng.standard_normal((30, p)))
     known, t = NavigationBins(1.0), np.arange(70, dtype=np.int64) * 100_000_000
-    turn = rng.standard_normal((70, 4))
+    turn = np.repeat(rng.standard_normal((7, 4)), 10, axis=0)  # one attitude in each bin: its mean is a rotation
     turn /= np.linalg.norm(turn, axis=1, keepdims=True)
     zero = np.zeros((70, 3))
     known.add(PlatformStates(t, 10.0 * rng.standard_normal((70, 3)), turn, zero, zero, np.zeros((70, 6, 6)), t))

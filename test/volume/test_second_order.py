@@ -35,19 +35,9 @@ def states(height, aside, half, yaw=0.0, attitude=0.0):
     return PlatformStates(t, p, q, np.zeros((n, 3)), np.zeros((n, 3)), C, np.zeros(n, np.int64))
 
 
-def second_derivatives(height_of, x, y, e=1e-3):
-    """(n, 2, 2) of a height function."""
-    steps = np.array([[1.0, 0.0], [0.0, 1.0]]) * e
-
-    def mixed(a, b):
-        return sum(i * j * height_of(x + i * a[0] + j * b[0], y + i * a[1] + j * b[1]) for i in (1, -1) for j in (1, -1)) / (4 * e * e)
-
-    return np.moveaxis(np.array([[mixed(a, b) for b in steps] for a in steps]), 2, 0)
-
-
-def survey(height_of, half, height, aside, yaw=0.0, moving=True, p=3):
-    """One point per patch of p parameters on a grid, seen from abeam on the lane: the update, and the sensor's position (m, 3) for each.
-    Around a patch the sensor moves with the point along x, or stands."""
+def survey(height_of, half, height, aside, yaw=0.0, moving=True):
+    """One point per patch on a grid, seen from abeam on the lane: the update, and the sensor's position (m, 3) for each. Around a patch the
+    sensor moves with the point along x, or stands."""
     grid = (np.arange(round(2 * half / STEP)) + 0.5) * STEP - half
     x, y = (a.ravel() for a in np.meshgrid(grid, grid, indexing="ij"))
     e = 1e-4
@@ -60,11 +50,7 @@ def survey(height_of, half, height, aside, yaw=0.0, moving=True, p=3):
     R = exp_so3(np.array([0.0, 0.0, yaw]))
     v, m = (r - sensor) @ R, n @ R
     count = len(x)
-    M_cal, M_nav, beta = np.zeros((count, p, 11 + 2)), np.zeros((count, p, 6)), np.zeros((count, p))
-    if p == 6:
-        bent = n[:, 2, None, None] * second_derivatives(height_of, x, y)
-        for k, (one, two, f) in enumerate(((tangent, tangent, 0.5), (tangent, side, 1.0), (side, side, 0.5)), start=3):
-            beta[:, k] = f * np.einsum("ni,nij,nj->n", one[:, :2], bent, two[:, :2])
+    M_cal, M_nav = np.zeros((count, 3, 11 + 2)), np.zeros((count, 3, 6))
     M_cal[:, 0, 1:4] = M_nav[:, 0, 3:] = np.cross(v, m)
     M_nav[:, 0, :3] = n
     for number, along in enumerate((tangent, side), start=1):
@@ -72,10 +58,10 @@ def survey(height_of, half, height, aside, yaw=0.0, moving=True, p=3):
         M_cal[:, number, 1:4] = M_nav[:, number, 3:] = np.cross(change @ R, m)
     bins = (T0 + np.round((x + half) / SPEED * 1e9).astype(np.int64)) // BIN_NS
     key = np.arange(count, dtype=np.int64)
-    C = np.zeros((count, p, p))
+    C = np.zeros((count, 3, 3))
     C[:, 0, 0] = 1e-10
     patches = Patches(
-        key, r, n, tangent, beta, np.ones(count), np.full(count, 9, np.int32), bins * BIN_NS, np.arange(count + 1), key, C,
+        key, r, n, tangent, np.zeros((count, 3)), np.ones(count), np.full(count, 9, np.int32), bins * BIN_NS, np.arange(count + 1), key, C,
         M_cal, np.arange(count + 1), bins, M_nav,
     )  # fmt: skip
     points = FilteredPoints(r, n, np.full(count, 1e-10), np.zeros((count, 6), np.float32), bins * BIN_NS, key, np.zeros((count, 2)))
@@ -156,35 +142,19 @@ def test_flat_ground_straight_below():
     assert found.matters and not second_order(np.zeros((3, 3)), np.eye(3) * (0.5 * SIGMA_RAD) ** 2, 1.0).matters
 
 
-def bending(sensor, half, yaw, step=0.05):
-    """What H leaves out (3, 3): the integral over the outline of the hill's second derivatives along the shifts of each boresight angle."""
-    grid = np.arange(-half, half, step) + step / 2
-    x, y = (a.ravel() for a in np.meshgrid(grid, grid, indexing="ij"))
-    z, s2 = hill(x, y), 2.1**2
-    second = np.array([[z * (x * x / s2 - 1) / s2, z * x * y / s2**2], [z * x * y / s2**2, z * (y * y / s2 - 1) / s2]])
-    R = exp_so3(np.array([0.0, 0.0, yaw]))
-    ray = np.stack([0.0 * x, y - sensor[0, 1], z - sensor[0, 2]], axis=1)  # abeam
-    shift = np.stack([np.cross(R[:, k], ray)[:, :2] for k in range(3)])
-    return np.einsum("abn,ina,jnb->ij", second, shift, shift) * step**2
-
-
 @pytest.mark.parametrize(("aside", "yaw"), [(0.0, 0.0), (0.0, 0.7), (20.0, 0.0)])
 def test_the_curvature_of_a_volume_under_exact_rotations(aside, yaw, monkeypatch):
     half, seen = 8.0, []
     monkeypatch.setattr(budget, "curvatures", lambda *words: seen.append(curvatures(*words)) or seen[-1])
-    for p in (3, 6):
-        update, sensor = survey(hill, half + 2.0, 30.0, aside, yaw, p=p)
-        found = estimate(update, states(30.0, aside, half + 2.0, yaw), half, {"base": "level"})
-    exact, seen = exact_curvature(found, sensor, half, yaw), [H.sum(axis=0) for H in seen]
-    left_out = bending(sensor, half, yaw)
-    assert np.abs(seen[1] - exact).max() < 0.02 * np.abs(exact).max()
-    # planes do not bend: what they leave out is a seventh here
-    assert np.abs(seen[1] - seen[0] - left_out).max() < 0.01 * np.abs(exact).max() < 0.2 * np.abs(left_out).max()
+    update, sensor = survey(hill, half + 2.0, 30.0, aside, yaw)
+    found = estimate(update, states(30.0, aside, half + 2.0, yaw), half, {"base": "level"})
+    exact = exact_curvature(found, sensor, half, yaw)
+    assert np.abs(seen[0].sum(axis=0) - exact).max() < 0.02 * np.abs(exact).max()
 
 
 def test_the_spread_where_the_first_order_cancels():
     half = 8.0
-    update, sensor = survey(hill, half + 2.0, 30.0, 0.0, p=6)
+    update, sensor = survey(hill, half + 2.0, 30.0, 0.0)
     v = (found := estimate(update, states(30.0, 0.0, half + 2.0), half, {"base": "level"})).volume
     rng, count = np.random.default_rng(3), 400
     error = np.array([turned_volume(found, sensor, half, rng.normal(0.0, SURVEY)) for _ in range(count)]) - v.volume_m3
@@ -197,11 +167,11 @@ def test_the_spread_where_the_first_order_cancels():
     assert sum(v.budget_m6.values()) == pytest.approx(v.sigma_m3**2, rel=1e-12)
 
 
-@pytest.mark.parametrize("tau", [20.0, 40.0])
+@pytest.mark.parametrize("tau", [3.0, 40.0])
 def test_the_attitude_against_draws_in_time(tau, monkeypatch):
     half, sigma, bias, seen = 8.0, math.radians(0.25), 0.2, []
     monkeypatch.setattr(budget, "curvatures", lambda *words: seen.append(curvatures(*words)) or seen[-1])
-    update, sensor = survey(hill, half + 2.0, 30.0, 0.0, p=6)
+    update, sensor = survey(hill, half + 2.0, 30.0, 0.0)
     v = (found := estimate(
         update, states(30.0, 0.0, half + 2.0, attitude=sigma), half, {"base": "level"}, tau_attitude_s=tau, attitude_bias_fraction=bias,
         attitude_white_fraction=0.0, boresight_sigma_deg=[0.0, 0.0, 0.0])).volume  # fmt: skip
