@@ -44,7 +44,7 @@ def row(r: Any, slot: Any, centre: Any, tangent: Any, side: Any, p: Any, x: Any)
 
 @kernel
 def coordinates(r: Any, n: Any, centre: Any, normal: Any, tangent: Any, ball: Any, uvw: Any, index: Any) -> Any:
-    """(u / ball, v / ball, w) of the points of r (n, 3) within ``ball`` of the centre, to uvw (4, m) and index (m,); returns m."""
+    """(u / ball, v / ball, w) of the points of r (n, 3) within ``ball`` of the centre, to uvw (3, m) and index (m,); returns m."""
     n0, n1, n2 = normal[0], normal[1], normal[2]
     t0, t1, t2 = tangent[0], tangent[1], tangent[2]
     s0, s1, s2 = n1 * t2 - n2 * t1, n2 * t0 - n0 * t2, n0 * t1 - n1 * t0
@@ -62,6 +62,13 @@ def coordinates(r: Any, n: Any, centre: Any, normal: Any, tangent: Any, ball: An
 
 
 @kernel
+def _rise(q: Any, t: Any) -> Any:
+    """The height of :func:`arc` for a quadric's height q and the square t of its slope."""
+    exact = q * (2.0 * (1.0 - np.sqrt(1.0 - t)) / t - 1.0)
+    return 0.25 * q * t if t < 1e-6 else exact
+
+
+@kernel
 def arc(u: Any, v: Any, a: Any, b: Any, c: Any) -> Any:
     """How far a surface of constant curvature lies above its osculating quadric ``q = a u² + b uv + c v²``, and the slopes
     along u and v of both together.
@@ -75,21 +82,23 @@ def arc(u: Any, v: Any, a: Any, b: Any, c: Any) -> Any:
     square = gu * gu + gv * gv
     t = min(square, STEEPEST)
     if t < 1e-6:
-        return 0.25 * q * t, gu, gv
+        return _rise(q, t), gu, gv
     s = np.sqrt(1.0 - t)
     factor = 2.0 * (1.0 - s) / t
     # d factor / dt times dt: zero where the limit holds
     rate = q * (1.0 / s - factor) / t if square < STEEPEST else 0.0
     tu, tv = 2.0 * (2.0 * a * gu + b * gv), 2.0 * (b * gu + 2.0 * c * gv)
-    return q * (factor - 1.0), gu * factor + rate * tu, gv * factor + rate * tv
+    return _rise(q, t), gu * factor + rate * tu, gv * factor + rate * tv
 
 
 @kernel
-def _straighten(uvw: Any, m: Any, b: Any, ball: Any) -> None:
-    """Heights less the arc term of the present coefficients, to uvw[3]: what is left is linear in the coefficients."""
-    for i in range(m):
-        extra, _, _ = arc(uvw[0, i] * ball, uvw[1, i] * ball, b[3] / (ball * ball), b[4] / (ball * ball), b[5] / (ball * ball))
-        uvw[3, i] = uvw[2, i] - extra
+def _straighten(uvw: Any, m: Any, b: Any, ball: Any, straight: Any) -> None:
+    """Heights less the arc term of the present coefficients, to ``straight``: what is left is linear in the coefficients."""
+    k3, k4, k5 = b[3] / (ball * ball), b[4] / (ball * ball), b[5] / (ball * ball)
+    for i in range(m):  # no branch: several points at once
+        u, v = uvw[0, i] * ball, uvw[1, i] * ball
+        gu, gv = 2.0 * k3 * u + k4 * v, k4 * u + 2.0 * k5 * v
+        straight[i] = uvw[2, i] - _rise(k3 * u * u + k4 * u * v + k5 * v * v, min(gu * gu + gv * gv, STEEPEST))
 
 
 @kernel
@@ -112,13 +121,13 @@ def _normal_plane(uvw: Any, m: Any, inside: Any, A: Any, b: Any) -> None:
 
 
 @kernel
-def _normal_quadric(uvw: Any, m: Any, inside: Any, A: Any, b: Any) -> None:
+def _normal_quadric(uvw: Any, straight: Any, m: Any, inside: Any, A: Any, b: Any) -> None:
     # one sum per monomial u^i v^j up to the fourth degree: the 21 entries of the matrix are only 15 different sums
     c, u1, v1, u2, uv, v2, u3, u2v, uv2, v3 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     u4 = u3v = u2v2 = uv3 = v4 = b0 = b1 = b2 = b3 = b4 = b5 = 0.0
     for i in range(m):
         if inside[i]:
-            u, v, w = uvw[0, i], uvw[1, i], uvw[3, i]
+            u, v, w = uvw[0, i], uvw[1, i], straight[i]
             uu, q, vv = u * u, u * v, v * v
             c += 1.0
             u1 += u
@@ -149,7 +158,7 @@ def _normal_quadric(uvw: Any, m: Any, inside: Any, A: Any, b: Any) -> None:
 
 
 @kernel
-def _classify(uvw: Any, m: Any, p: Any, b: Any, ball: Any, threshold: Any, inside: Any) -> Any:
+def _classify(uvw: Any, straight: Any, m: Any, p: Any, b: Any, ball: Any, threshold: Any, inside: Any, off: Any) -> Any:
     """Mark the points within ``threshold`` of the model; returns (how many, sum of their squared residuals, any change).
 
     Residuals of a quadric are taken along its own normal, and its neighbourhood is a ball about the *foot points*: a ball
@@ -157,20 +166,23 @@ def _classify(uvw: Any, m: Any, p: Any, b: Any, ball: Any, threshold: Any, insid
     """
     used, square, changed = 0, 0.0, False
     reach = max(1.0 - threshold / ball, 0.5)
-    for i in range(m):
-        u, v = uvw[0, i], uvw[1, i]
-        d = uvw[2, i] - b[0] - u * b[1] - v * b[2]
-        near = True
-        if p == 6:
-            d = uvw[3, i] - b[0] - u * b[1] - v * b[2] - u * u * b[3] - u * v * b[4] - v * v * b[5]
-            gu, gv = (b[1] + 2.0 * u * b[3] + v * b[4]) / ball, (b[2] + u * b[4] + 2.0 * v * b[5]) / ball
+    b0, b1, b2, b3, b4, b5 = b[0], b[1], b[2], b[3], b[4], b[5]
+    if p == 6:
+        for i in range(m):  # no branch and no sum: several points at once
+            u, v = uvw[0, i], uvw[1, i]
+            d = straight[i] - b0 - u * b1 - v * b2 - u * u * b3 - u * v * b4 - v * v * b5
+            gu, gv = (b1 + 2.0 * u * b3 + v * b4) / ball, (b2 + u * b4 + 2.0 * v * b5) / ball
             slope = 1.0 + gu * gu + gv * gv
             fu, fv, fw = u + d * gu / (slope * ball), v + d * gv / (slope * ball), (uvw[2, i] - d / slope) / ball
-            near = fu * fu + fv * fv + fw * fw <= reach * reach
-            d /= np.sqrt(slope)
-        near = near and abs(d) <= threshold
+            d = abs(d / np.sqrt(slope))
+            off[i] = d if fu * fu + fv * fv + fw * fw <= reach * reach else np.inf
+    else:
+        for i in range(m):
+            off[i] = abs(uvw[2, i] - b0 - uvw[0, i] * b1 - uvw[1, i] * b2)
+    for i in range(m):
+        near = off[i] <= threshold
         if near:
-            square += d * d
+            square += off[i] * off[i]
             used += 1
         changed |= near != inside[i]
         inside[i] = near
@@ -187,11 +199,12 @@ def refit(
     (XᵀX)⁻¹ come back in metres. Returns (number of inliers, sigma); 0 inliers where the terms are not determined.
     """
     A, b, right = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
+    straight, off = np.empty(m), np.empty(m)
     used, shift = 0, 0.0
     for step in range(iterations + 1):
         if step > 0:
             threshold = max(sigmas * sigma, floor) if step == 1 else max(sigmas * sigma, floor, 1e-7 * ball)
-            used, square, changed = _classify(uvw, m, p, b, ball, threshold, inside)
+            used, square, changed = _classify(uvw, straight, m, p, b, ball, threshold, inside, off)
             if used <= p:
                 return 0, sigma
             # noise-free input: the threshold of the next step stays above the rounding of coordinates
@@ -199,8 +212,8 @@ def refit(
             if step > 1 and not changed and shift <= SETTLED * sigma:
                 break
         if p == 6:
-            _straighten(uvw, m, b, ball)
-            _normal_quadric(uvw, m, inside, A, right)
+            _straighten(uvw, m, b, ball, straight)
+            _normal_quadric(uvw, straight, m, inside, A, right)
         else:
             _normal_plane(uvw, m, inside, A, right)
         for k in range(p):

@@ -92,7 +92,7 @@ def _fit_one(
 ) -> Any:  # fmt: skip
     """One patch; returns (status, inliers, sigma) and leaves the inliers' slots at the front of ``slots``."""
     ball = 2.0 * radius
-    pts, near = np.empty((n, 3)), np.empty((4, n))
+    pts, near = np.empty((n, 3)), np.empty((3, n))
     for i in range(n):
         for k in range(3):
             pts[i, k] = r[slots[i], k]

@@ -100,8 +100,12 @@ class FilterNode(StageNode):
             self._fresh = True
 
     def idle(self) -> None:
-        """Publish an update when its time has come and something is new."""
-        if not self._fresh or time.monotonic() - self._updated < self.parameters.node.update_period_s:
+        """Publish an update when its time has come and something is new: at once when nothing more waits, else after twice the time an
+        update takes, so that a late filter makes fewer updates but none of old data."""
+        waited = time.monotonic() - self._updated
+        if not self._fresh or waited < self.parameters.node.update_period_s:
+            return
+        if not self._queue.empty() and waited < 2.0 * self._last_update_s:
             return
         began = time.monotonic()
         self._hand_over()
