@@ -31,13 +31,13 @@ def pieces_cost(x: Any, m: Any, planes: Any, count: Any, side: Any, limit: Any, 
 
     Without the second term a slab of noise is described better by two planes within it than by the one in its middle.
     """
-    cost, saying, q = 0.0, 0.0, np.empty(3)
+    cost, saying = 0.0, 0.0
     support[:count] = 0
     for i in range(m):
         nearest, which, several = limit, -1, 0
         for a in range(count):
-            on = nearest_on_piece(x[i], a, planes, count, side, q)
-            d = (x[i, 0] - q[0]) ** 2 + (x[i, 1] - q[1]) ** 2 + (x[i, 2] - q[2]) ** 2
+            q0, q1, q2, on = nearest_on_piece(x[i], a, planes, count, side)
+            d = (x[i, 0] - q0) ** 2 + (x[i, 1] - q1) ** 2 + (x[i, 2] - q2) ** 2
             several += on == 0 and d < limit
             if d < nearest:
                 nearest, which = d, a
@@ -61,21 +61,25 @@ def share_out(x: Any, m: Any, planes: Any, count: Any, side: Any, sigma: Any, th
     the likelihoods need no further weights; an outlier is as likely as a point at the threshold.
     """
     none = np.exp(-0.5 * threshold * threshold / (sigma * sigma))
+    cosine, d = np.empty((MOST, MOST)), np.empty(MOST)
+    for a in range(count):
+        for b in range(count):
+            cosine[a, b] = planes[a, 0] * planes[b, 0] + planes[a, 1] * planes[b, 1] + planes[a, 2] * planes[b, 2]
     for i in range(m):
         total, best = none, none
         label[i] = -1
         for a in range(count):
-            d = distance(x[i], planes[a])
+            d[a] = distance(x[i], planes[a])
+        for a in range(count):
             share[a, i] = 0.0
-            if abs(d) > threshold:
+            if abs(d[a]) > threshold:
                 continue
             own = True
             for b in range(count):
                 if side[a, b] != 0:
-                    c = planes[a, 0] * planes[b, 0] + planes[a, 1] * planes[b, 1] + planes[a, 2] * planes[b, 2]
-                    own = own and side[a, b] * (distance(x[i], planes[b]) - d * c) >= 0.0
+                    own = own and side[a, b] * (d[b] - d[a] * cosine[a, b]) >= 0.0
             if own:
-                share[a, i] = np.exp(-0.5 * d * d / (sigma * sigma))
+                share[a, i] = np.exp(-0.5 * d[a] * d[a] / (sigma * sigma))
                 total += share[a, i]
                 if share[a, i] > best:
                     best = share[a, i]

@@ -157,12 +157,14 @@ def foot_on_planes(
 ) -> Any:  # fmt: skip
     """Foot point q and normal on the nearest piece of planes about ``origin``; returns (distance, variance of the plane there over
     sigma², 0 inside the piece, 1 on an edge, 2 in a vertex)."""
-    y, foot = x - origin, np.empty(3)
-    a, d, on = pieces.nearest_piece(y, planes, count, side, foot)
     for k in range(3):
-        q[k] = foot[k] + origin[k]
+        n_out[k] = x[k] - origin[k]
+    a, square, on = pieces.nearest_piece(n_out, planes, count, side, q)
+    share = pieces.plane_share(q, used[a], means[a], inverses[a])
+    for k in range(3):
+        q[k] += origin[k]
         n_out[k] = planes[a, k]
-    return d, pieces.plane_share(foot, used[a], means[a], inverses[a]), on
+    return np.sqrt(square), share, on
 
 
 @kernel
@@ -199,7 +201,7 @@ def surface_of(
 @kernel
 def filter_cell(
     v: Any, keys: Any, table: Any, main: Any, found: Any, sets: Any, sizes: Any, turn: Any, slots: Any, n: Any, r: Any, first: Any,
-    mine: Any, ball: Any, degree: Any, sigma: Any, threshold: Any, least: Any, iterations: Any, snap: Any, q: Any, normals: Any,
+    order: Any, mine: Any, ball: Any, degree: Any, sigma: Any, threshold: Any, least: Any, iterations: Any, snap: Any, q: Any, normals: Any,
     variance: Any, reason: Any, chosen: Any,
 ) -> Any:  # fmt: skip
     """Surface of one cell, and its own points projected. Returns (number of planes, −1 for a quadric, 0 for none; mean truncated
@@ -208,7 +210,7 @@ def filter_cell(
     origin, x = np.zeros(3), np.empty((n + 1, 3))
     m = around(r, first, v, slots, n, ball, origin, x)
     if m < least:
-        verdict(lo, hi, mine, FEW_POINTS, reason)
+        verdict(lo, hi, order, mine, FEW_POINTS, reason)
         return 0, 9.0
     candidates = np.empty((OFFERED * AROUND, 4))
     offered = offers(v, keys, table, main, found, origin, candidates)
@@ -231,26 +233,27 @@ def filter_cell(
             length, square = assignment.pieces_cost(x, m, planes, count, side, limit, sigma, np.inf, np.empty(pieces.MOST, np.int64))
     curved = curve + 6 * price < length + 3 * count * price
     if not curved and count == 0:
-        verdict(lo, hi, mine, NO_SURFACE, reason)
+        verdict(lo, hi, order, mine, NO_SURFACE, reason)
         return 0, 9.0
     centre, normal, tangent, beta, inverse = quadric
     across_t, reach = np.empty(3), ball * ball * PATCH / m + 4.0 * sigma * sigma
     across(normal, tangent, across_t)
     for i in range(lo, hi):
-        if not mine[i]:
+        to = order[i]
+        if not mine[to]:
             continue
         if curved:
-            d, share = foot_on_quadric(r[i], centre, normal, tangent, across_t, beta, inverse, q[i], normals[i])
+            d, share = foot_on_quadric(r[i], centre, normal, tangent, across_t, beta, inverse, q[to], normals[to])
             on = 0
         else:
-            d, share, on = foot_on_planes(r[i], origin, planes, count, side, means, inverses, used, q[i], normals[i])
-        variance[i] = share * sigma * sigma
+            d, share, on = foot_on_planes(r[i], origin, planes, count, side, means, inverses, used, q[to], normals[to])
+        variance[to] = share * sigma * sigma
         if d > threshold:
-            reason[i] = OUTLIER
+            reason[to] = OUTLIER
         elif on > 0 and not snap:
-            reason[i] = BEYOND_EDGE
+            reason[to] = BEYOND_EDGE
         else:
-            reason[i] = KEPT if supported(x, m, origin, q[i], reach) else UNSUPPORTED
+            reason[to] = KEPT if supported(x, m, origin, q[to], reach) else UNSUPPORTED
     for a in range(count):
         chosen[a] = planes[a]
         chosen[a, 3] += planes[a, 0] * origin[0] + planes[a, 1] * origin[1] + planes[a, 2] * origin[2]
@@ -258,20 +261,21 @@ def filter_cell(
 
 
 @kernel
-def verdict(lo: Any, hi: Any, mine: Any, why: Any, reason: Any) -> None:
+def verdict(lo: Any, hi: Any, order: Any, mine: Any, why: Any, reason: Any) -> None:
     """One reason for all points of a cell."""
     for i in range(lo, hi):
-        if mine[i]:
-            reason[i] = why
+        if mine[order[i]]:
+            reason[order[i]] = why
 
 
 @parallel_kernel
 def filter_cells(
-    keys: Any, table: Any, first: Any, r: Any, main: Any, found: Any, sets: Any, sizes: Any, turn: Any, wanted: Any, mine: Any, ball: Any,
-    degree: Any, noise: Any, limit: Any, least: Any, iterations: Any, snap: Any, q: Any, normals: Any, variance: Any, reason: Any,
-    kind: Any, misfit: Any, chosen: Any,
+    keys: Any, table: Any, first: Any, r: Any, main: Any, found: Any, sets: Any, sizes: Any, turn: Any, wanted: Any, order: Any, mine: Any,
+    ball: Any, degree: Any, noise: Any, limit: Any, least: Any, iterations: Any, snap: Any, q: Any, normals: Any, variance: Any,
+    reason: Any, kind: Any, misfit: Any, chosen: Any,
 ) -> None:  # fmt: skip
-    """The ``wanted`` cells of points (n, 3) sorted by voxel; each writes only those of its own points that are ``mine``."""
+    """The ``wanted`` cells of points (n, 3) sorted by voxel, ``order`` (n,) the place of each among the points as given: that is where a
+    cell writes what becomes of those of its own points that are ``mine``."""
     for v in numba.prange(len(keys)):
         if not wanted[v]:
             continue
@@ -280,6 +284,6 @@ def filter_cells(
         slots = np.empty(n, np.int64)
         gather(v, keys, table, first, r, slots)
         kind[v], misfit[v] = filter_cell(
-            v, keys, table, main, found, sets, sizes, turn, slots, n, r, first, mine, ball, degree, noise[v], limit[v], least, iterations,
-            snap, q, normals, variance, reason, chosen[v],
+            v, keys, table, main, found, sets, sizes, turn, slots, n, r, first, order, mine, ball, degree, noise[v], limit[v], least,
+            iterations, snap, q, normals, variance, reason, chosen[v],
         )  # fmt: skip

@@ -22,13 +22,16 @@ EXPLAINS = 0.85
 TIGHT, NEARLY = 5, 1.1
 #: So many planes that still leave this mean truncated square over sigma² do not describe a surface: leaves, grass, cables.
 SEVERAL, CLUTTER = 3, 3.0
+#: Mean square over sigma² of the points within the threshold of a plane that has none of its own; evenly filled slabs give 3.
+HOPELESS = 2.0
 #: Most candidates tried, and how many of them in all combinations.
 TRIED, TOGETHER = 10, 3
 
 
 @kernel
-def distinct(y: Any, n: Any, candidates: Any, offered: Any, limit: Any, out: Any) -> Any:
-    """A few candidates, each the one that explains most of what those before it leave, to out (k, 4); returns how many."""
+def distinct(y: Any, n: Any, candidates: Any, offered: Any, limit: Any, worth: Any, out: Any) -> Any:
+    """A few candidates, each the one that explains most of what those before it leave, to out (k, 4); returns how many. One that lowers
+    the sum of squares by less than it is ``worth`` is no other plane, but one of those before as another cell found it."""
     square, residual = np.empty((offered, n)), np.full(n, limit)
     for c in range(offered):
         for i in range(n):
@@ -36,15 +39,20 @@ def distinct(y: Any, n: Any, candidates: Any, offered: Any, limit: Any, out: Any
             square[c, i] = d * d
     number = 0
     while number < len(out):
-        least, which = residual.sum(), -1
+        least, which = residual.sum() - worth, -1
         for c in range(offered):
-            left = np.minimum(residual, square[c]).sum()
+            left = 0.0
+            for i in range(n):
+                left += min(residual[i], square[c, i])
+                if left >= least:
+                    break
             if left < least:
                 least, which = left, c
         if which < 0:
             break
         out[number] = candidates[which]
-        residual[:] = np.minimum(residual, square[which])
+        for i in range(n):
+            residual[i] = min(residual[i], square[which, i])
         number += 1
     return number
 
@@ -72,14 +80,19 @@ def few_planes(
 ) -> Any:  # fmt: skip
     """The best set of up to ``TOGETHER`` candidates, all sets compared. Returns (number of planes, description length).
 
-    The sum over the points of the square to the nearest of the unbounded planes is a lower bound; sets come in its order.
+    The sum over the points of the square to the nearest of the unbounded planes is a lower bound; sets come in its order. Where not one
+    is below what clutter leaves, and no plane's own points scatter about it less than its slab's width lets them, there is none.
     """
     limit = threshold * threshold
-    square = np.empty((tried, n))
+    square, clutter = np.empty((tried, n)), True
     for c in range(tried):
+        near, inside = 0, 0.0
         for i in range(n):
             d = distance(y[i], few[c])
             square[c, i] = min(d * d, limit)
+            near += d * d < limit
+            inside += d * d if d * d < limit else 0.0
+        clutter = clutter and inside > HOPELESS * near * sigma * sigma
     sets, least, number = np.empty((tried * (tried * tried + 5) // 6, TOGETHER), np.int64), np.empty(tried * (tried * tried + 5) // 6), 0
     price = 3.0 * np.log(m) * sigma * sigma
     pair = np.empty(n)
@@ -98,6 +111,8 @@ def few_planes(
                 number += 1
     trial = np.empty((MOST, 4))
     count, cost = 0, limit * m
+    if tried == 0 or (clutter and least[:number].min() > CLUTTER * m * sigma * sigma):
+        return 0, np.inf
     for s in np.argsort(least[:number]):
         if least[s] >= cost:
             break
@@ -139,11 +154,12 @@ def search(
     and refitted after every such move; none for clutter. Returns (number of planes, description length)."""
     trial, best_set = np.empty((MOST, 4)), np.empty((MOST, 4))
     count, cost = few_planes(y, n, few, tried, m, sigma, threshold, need, most, planes, side, label)
+    if count == 0:
+        return 0, np.inf
     for _ in range(2 * MOST):
         if count >= SEVERAL and cost > CLUTTER * m * sigma * sigma:
             return 0, np.inf
-        if count > 0:
-            cost = polish(y, n, count, cost, m, sigma, threshold, need, planes, side, label)
+        cost = polish(y, n, count, cost, m, sigma, threshold, need, planes, side, label)
         best, best_count = cost, -1
         for c in range(-1, tried):
             # move k: plane k exchanged for candidate c, or dropped for c = −1; k = count: added
@@ -205,13 +221,12 @@ def steady(x: Any, m: Any, own: Any, planes: Any, count: Any, sigma: Any, thresh
     bounds(x, m, label, planes, count, sigma, side)
     q, left, near, square = np.empty(3), 0, 0, 0.0
     for i in range(len(own)):
-        _, d, _ = nearest_piece(own[i], planes, count, side, q)
-        left += d > threshold
+        left += nearest_piece(own[i], planes, count, side, q)[1] > threshold * threshold
     for i in range(m):
-        _, d, _ = nearest_piece(x[i], planes, count, side, q)
-        if d <= threshold:
+        d2 = nearest_piece(x[i], planes, count, side, q)[1]
+        if d2 <= threshold * threshold:
             near += 1
-            square += d * d / (sigma * sigma)
+            square += d2 / (sigma * sigma)
     if left > CHANCE * len(own):
         return 0
     if near > EXPLAINS * m and square < near * (1.0 + 2.0 / np.sqrt(near)):
@@ -229,5 +244,6 @@ def found_planes(
     """
     y, need = sample(x, m, least)
     few = np.empty((TRIED, 4))
-    tried = distinct(y, len(y), candidates, offered, threshold * threshold, few)
+    worth = 3.0 * np.log(m) * sigma * sigma * len(y) / m  # its price: what is explained by less cannot be added
+    tried = distinct(y, len(y), candidates, offered, threshold * threshold, worth, few)
     return search(y, len(y), few, tried, m, sigma, threshold, need, most, planes, side, label)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.filtering import cells
-from ladar_volume.filtering.cover import cover
+from ladar_volume.filtering.cover import Covered, Regions, cover
 from ladar_volume.filtering.published import filter_published, settings
 from ladar_volume.filtering.result import REASONS as REASONS
 from ladar_volume.filtering.result import CloudResult as CloudResult
@@ -17,6 +17,9 @@ from ladar_volume.model.records import F64
 
 #: Reduction before and after the filter, by ``FilterParameters.reduce``.
 REDUCE = {"published": ("round", "mean"), "round": ("round", "round"), "mean": ("mean", "mean")}
+#: Self-set parameters: where a surface is known no better than to this share of the noise, some six points' worth, it was carried on
+#: beyond what supports it; the noise is told where it is known to better than the second share, and corrected by these factors at most.
+KNOWN, SURE, NARROWER, WIDER = 0.4, 0.25, 0.8, 1.25
 
 
 def filter_cloud(r: F64, parameters: FilterParameters, auto: bool = False) -> CloudResult:
@@ -47,10 +50,11 @@ def _filter(points: F64, parameters: FilterParameters, auto: bool) -> CloudResul
         return filter_published(points, own)
     n = len(local)
     done = cover(local, tuned.regions, parameters, tuned.degree)
+    factor = judge(local, done, tuned.regions) if auto else 1.0
     kept = done.reason == cells.KEPT
     index, outliers = np.flatnonzero(kept), np.flatnonzero(~kept)
     report: dict[str, float | int | str] = {
-        **tuned.report(),
+        **tuned.report(factor),
         "points": n,
         "kept": len(index),
         "cells": done.cells,
@@ -61,7 +65,26 @@ def _filter(points: F64, parameters: FilterParameters, auto: bool) -> CloudResul
     for number, name in enumerate(REASONS[1:], 1):
         report[name] = int(np.count_nonzero(done.reason == number))
     return CloudResult(
-        done.q[index] + origin, index, done.normal[index], np.sqrt(done.variance[index]), outliers, done.reason[outliers], report,
-        noise=tuned.regions.sigma_m[index], reach=tuned.regions.ball_m[tuned.regions.level[index]],
+        done.q[index] + origin, index, done.normal[index], factor * np.sqrt(done.variance[index]), outliers,
+        done.reason[outliers].astype(np.int64), report,
+        noise=factor * tuned.regions.sigma_m[index], reach=tuned.regions.ball_m[tuned.regions.level[index]],
         curved=done.kind[index] == -1,
     )  # fmt: skip
+
+
+def judge(r: F64, done: Covered, regions: Regions) -> float:
+    """A second look at self-set parameters, once there are surfaces, at points (n, 3): names in ``done.reason`` those whose surface is
+    hardly known where they are, and those beyond the threshold that the noise about all surfaces gives. Returns that noise over the
+    one the filter began with, which edges and curvature raise and few samples scatter by some per cent."""
+    kept = np.flatnonzero(done.reason == cells.KEPT)
+    sigma = regions.sigma_m[kept]
+    square = np.sum((done.q[kept] - r[kept]) ** 2, axis=1) / sigma**2
+    share = done.variance[kept] / sigma**2
+    sure = share < SURE**2
+    # a residual's own variance is that of the noise less that of the surface, which followed it
+    factor = float(np.sqrt(np.mean(square[sure] / (1.0 - share[sure])))) if sure.any() else 1.0
+    factor = min(max(factor, NARROWER), WIDER)
+    limit = np.minimum(factor, 1.0) * regions.threshold_m[kept] / sigma
+    done.reason[kept[share > KNOWN**2]] = cells.UNSUPPORTED
+    done.reason[kept[square > limit**2]] = cells.OUTLIER
+    return factor

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from ladar_volume.filtering import cells, kernels
 from ladar_volume.filtering.choice import ENOUGH
@@ -18,6 +19,8 @@ from ladar_volume.filtering.sampling import sorted_by_voxel
 from ladar_volume.filtering.store import BITS
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64, I64, Bool
+
+I8 = npt.NDArray[np.int8]
 
 #: Width of a cell over the radius of its neighbourhood: from half on, the cells two away hold all of it.
 CELL = 0.7
@@ -44,8 +47,8 @@ class Covered:
     q: F64
     normal: F64
     variance: F64
-    reason: I64
-    kind: I64
+    reason: I8
+    kind: I8
     misfit: F64
     cells: int
 
@@ -54,7 +57,7 @@ def cover(r: F64, regions: Regions, parameters: FilterParameters, degree: int, m
     """Project points (n, 3) m, near the origin, onto the surfaces of their cells; only those that are ``mine`` (n,), by default all."""
     n = len(r)
     out = Covered(
-        np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.full(n, cells.NO_SURFACE, np.int64), np.zeros(n, np.int64), np.zeros(n), 0
+        np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.full(n, cells.NO_SURFACE, np.int8), np.zeros(n, np.int8), np.zeros(n), 0
     )  # fmt: skip
     count = 0
     for level, ball in enumerate(regions.ball_m):
@@ -70,8 +73,8 @@ def _cover_level(
     r: F64, own: Bool, ball: float, regions: Regions, parameters: FilterParameters, degree: int, out: Covered
 ) -> int:  # fmt: skip
     order, keys, first, table = sorted_by_voxel(r, CELL * ball)
-    ordered, mine = r[order], own[order]
-    wanted = np.add.reduceat(mine, first[:-1], dtype=np.int64) > 0
+    ordered = r[order]
+    wanted = np.add.reduceat(own[order], first[:-1], dtype=np.int64) > 0
     near = np.zeros(len(keys), np.bool_)
     kernels.near_marked(keys, len(keys), table, wanted, REACH, near)
     # noise of a cell: that of its points, which differ only where regions meet
@@ -83,8 +86,6 @@ def _cover_level(
         keys, table, first, ordered, near, ball / NARROWER, noise, limit, parameters.trials, parameters.min_points, parameters.seed, main,
         found,
     )  # fmt: skip
-    n = len(r)
-    q, normal, variance, reason = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.zeros(n, np.int64)
     kind, misfit = np.zeros(len(keys), np.int64), np.zeros(len(keys))
     sets, sizes, chosen = np.zeros((len(keys), MOST, 4)), np.zeros(len(keys), np.int64), np.zeros((len(keys), MOST, 4))
     lead = _leaders(keys)
@@ -92,14 +93,14 @@ def _cover_level(
         if turn == cells.LAST:
             some = some & ((kind > 1) | (kind != 0) & (misfit > ENOUGH))
         cells.filter_cells(
-            keys, table, first, ordered, main, found, sets, sizes, turn, some, mine, ball, degree, noise, limit,
-            parameters.min_points, parameters.refit_iterations, parameters.edge == "snap", q, normal, variance, reason, kind, misfit,
-            chosen,
+            keys, table, first, ordered, main, found, sets, sizes, turn, some, order, own, ball, degree, noise, limit,
+            parameters.min_points, parameters.refit_iterations, parameters.edge == "snap", out.q, out.normal, out.variance, out.reason,
+            kind, misfit, chosen,
         )  # fmt: skip
         sets[some], sizes[some] = chosen[some], kind[some]
-    to = order[mine]
-    out.q[to], out.normal[to], out.variance[to], out.reason[to] = q[mine], normal[mine], variance[mine], reason[mine]
-    out.kind[to], out.misfit[to] = np.repeat(kind, size)[mine], np.repeat(misfit, size)[mine]
+    of = np.empty(len(r), np.int32)
+    of[order] = np.repeat(np.arange(len(keys), dtype=np.int32), size)
+    out.kind[own], out.misfit[own] = kind[of[own]], misfit[of[own]]
     return int(np.count_nonzero(wanted))
 
 

@@ -160,7 +160,8 @@ def project_on_facets(x: Any, planes: Any, count: Any, side: Any, snap: Any, q: 
     snap : to the nearest point of the half planes, which may lie on an edge or in a vertex. Else to the nearest plane, if the foot
     lies in its half.
     """
-    p, d, _ = nearest_piece(x, planes, count, side, q)
+    p, square, _ = nearest_piece(x, planes, count, side, q)
+    d = np.sqrt(square)
     if snap:
         return p, d, False
     p, best = 0, np.inf

@@ -16,6 +16,10 @@ LEVELS = 3
 STEPS = 3
 #: Most reductions of what counts as an inlier.
 SHRINKS = 24
+#: Mean square over sigma² from which the inliers are no surface's: they fill the slab, which gives 3.
+LOST = 2.5
+#: Most steps of a point towards its foot, and the change, as a share of its distance, below which it has found it.
+FEET, FOUND = 4, 3e-3
 
 
 @kernel
@@ -68,12 +72,14 @@ def normal_equations(near: Any, m: Any, ball: Any, threshold: Any, reach: Any, b
             continue
         used += 1
         square += d * d
-        slope = 1.0 + gu * gu + gv * gv
+        weight = 1.0 / (1.0 + gu * gu + gv * gv)
+        along = d * np.sqrt(weight)
         basis(fu / ball, fv / ball, 6, x)
         for k in range(6):
-            b[k] += x[k] * d / np.sqrt(slope)
+            b[k] += x[k] * along
+            weighted = x[k] * weight
             for l in range(k + 1):
-                A[k, l] += x[k] * x[l] / slope
+                A[k, l] += weighted * x[l]
     for k in range(6):
         for l in range(k):
             A[l, k] = A[k, l]
@@ -85,10 +91,12 @@ def foot_in_frame(u: Any, v: Any, w: Any, beta: Any) -> Any:
     """(u, v, w of the foot point, slopes there, signed distance) of a point in a quadric's frame."""
     fu, fv, gu, gv = u, v, 0.0, 0.0
     height, along = 0.0, 0.0
-    for _ in range(4):  # the foot moves down the slope by what the distance says there
+    for _ in range(FEET):  # the foot moves down the slope by what the distance says there
         height, gu, gv = height_at(fu, fv, beta)
-        along = (w - height + gu * (fu - u) + gv * (fv - v)) / (1.0 + gu * gu + gv * gv)
+        before, along = along, (w - height + gu * (fu - u) + gv * (fv - v)) / (1.0 + gu * gu + gv * gv)
         fu, fv = u + along * gu, v + along * gv
+        if abs(along - before) <= FOUND * abs(along):
+            break
     height, gu, gv = height_at(fu, fv, beta)
     return fu, fv, height, gu, gv, along * np.sqrt(1.0 + gu * gu + gv * gv)
 
@@ -112,20 +120,30 @@ def quadric_from(
     as the quadric explains the points, so that a surface may bend by more than the threshold within the neighbourhood.
     """
     near, index, inside = np.empty((4, n)), np.empty(n, np.int64), np.empty(n, np.bool_)
-    plane, side, used = start.copy(), np.empty(3), 0
+    plane = start.copy()
     plane[3] += plane[0] * origin[0] + plane[1] * origin[1] + plane[2] * origin[2]
     loose = max(loose, threshold)
-    if level_frame(pts, n, origin, plane, sigma, ball, 0.0, loose, iterations, near, index, inside, centre, normal, tangent) < 0.0:
+    few = min(iterations, STEPS)  # a start; the fixed point is sought with the right distances
+    if level_frame(pts, n, origin, plane, sigma, ball, 0.0, loose, few, near, index, inside, centre, normal, tangent) < 0.0:
         return 0
+    m = coordinates(pts, n, centre, normal, tangent, ball, near, index)
+    mark_flat(near, m, loose, inside)
+    used, _ = refit(near, m, ball, 6, sigma, 0.0, loose, few, inside, beta, inverse)
+    return settled(pts, n, loose, ball, sigma, threshold, iterations, centre, normal, tangent, beta, inverse) if used > 0 else 0
+
+
+@kernel
+def settled(
+    pts: Any, n: Any, loose: Any, ball: Any, sigma: Any, threshold: Any, iterations: Any, centre: Any, normal: Any, tangent: Any,
+    beta: Any, inverse: Any,
+) -> Any:  # fmt: skip
+    """A quadric refitted to the points around it until its frame touches it and ``loose`` is the threshold; returns the number of
+    inliers, 0 where it gets lost."""
+    near, index, side, used = np.empty((4, n)), np.empty(n, np.int64), np.empty(3), 0
     for level in range(LEVELS + SHRINKS):
         m = coordinates(pts, n, centre, normal, tangent, ball, near, index)
-        if level == 0:
-            mark_flat(near, m, loose, inside)
-            used, _ = refit(near, m, ball, 6, sigma, 0.0, loose, iterations, inside, beta, inverse)
-            if used == 0:
-                return 0
         used, square = geometric_refit(near, m, ball, loose, min(iterations, STEPS), sigma, beta, inverse)
-        if used == 0:
+        if used == 0 or (loose == threshold and square > LOST * sigma * sigma):
             return 0
         level_now = abs(beta[1]) + abs(beta[2]) + abs(beta[0]) / ball <= 1e-3
         if loose == threshold and (level_now or level + 1 >= LEVELS):

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ladar_volume.filtering.fit import _uniform
+from ladar_volume.filtering.linear import eigen
 from ladar_volume.model.kernels import kernel
 
 #: Most planes in one neighbourhood.
@@ -103,18 +104,23 @@ def fit_shares(x: Any, m: Any, share: Any, plane: Any, mean: Any, inverse: Any) 
         return 0.0
     for k in range(3):
         mean[k] /= total
-    S = np.zeros((3, 3))
+    s00 = s01 = s02 = s11 = s12 = s22 = 0.0
     for i in range(m):
         if share[i] > 0.0:
             d0, d1, d2 = x[i, 0] - mean[0], x[i, 1] - mean[1], x[i, 2] - mean[2]
-            S[0, 0] += share[i] * d0 * d0
-            S[0, 1] += share[i] * d0 * d1
-            S[0, 2] += share[i] * d0 * d2
-            S[1, 1] += share[i] * d1 * d1
-            S[1, 2] += share[i] * d1 * d2
-            S[2, 2] += share[i] * d2 * d2
-    S[1, 0], S[2, 0], S[2, 1] = S[0, 1], S[0, 2], S[1, 2]
-    value, vector = np.linalg.eigh(S)
+            e0, e1, e2 = share[i] * d0, share[i] * d1, share[i] * d2
+            s00 += e0 * d0
+            s01 += e0 * d1
+            s02 += e0 * d2
+            s11 += e1 * d1
+            s12 += e1 * d2
+            s22 += e2 * d2
+    S, value, vector = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
+    S[0, 0], S[1, 1], S[2, 2] = s00, s11, s22
+    S[0, 1] = S[1, 0] = s01
+    S[0, 2] = S[2, 0] = s02
+    S[1, 2] = S[2, 1] = s12
+    eigen(S, value, vector)
     if not value[1] > 1e-12 * max(value[2], 1e-300):
         return 0.0
     n0, n1, n2 = vector[0, 0], vector[1, 0], vector[2, 0]
@@ -156,8 +162,8 @@ def nearest_pieces(x: Any, m: Any, planes: Any, count: Any, side: Any, limit: An
     """Label every point with the plane of its nearest piece, −1 beyond the limit of squared distance."""
     q = np.empty(3)
     for i in range(m):
-        a, d, _ = nearest_piece(x[i], planes, count, side, q)
-        label[i] = a if d * d <= limit else -1
+        a, square, _ = nearest_piece(x[i], planes, count, side, q)
+        label[i] = a if square <= limit else -1
 
 
 @kernel
@@ -204,59 +210,53 @@ def bounds(x: Any, m: Any, label: Any, planes: Any, count: Any, sigma: Any, side
 
 
 @kernel
-def _most_beyond(q: Any, a: Any, planes: Any, count: Any, side: Any, skip: Any) -> Any:
-    """Of the planes that bound plane a, the one q lies farthest beyond; (−1, 0) where it lies beyond none."""
+def _most_beyond(q0: Any, q1: Any, q2: Any, a: Any, planes: Any, count: Any, side: Any, skip: Any) -> Any:
+    """Of the planes that bound plane a, the one q lies farthest beyond; −1 where it lies beyond none."""
     worst, depth = -1, 1e-9
     for b in range(count):
         if b == skip or side[a, b] == 0:
             continue
-        d = -side[a, b] * distance(q, planes[b])
+        d = -side[a, b] * (q0 * planes[b, 0] + q1 * planes[b, 1] + q2 * planes[b, 2] - planes[b, 3])
         if d > depth:
             worst, depth = b, d
-    return worst, depth
+    return worst
 
 
 @kernel
-def nearest_on_piece(x: Any, a: Any, planes: Any, count: Any, side: Any, q: Any) -> Any:
-    """The nearest point q of the bounded piece of plane a; returns 0 inside it, 1 on an edge, 2 in a vertex."""
+def nearest_on_piece(x: Any, a: Any, planes: Any, count: Any, side: Any) -> Any:
+    """The nearest point of the bounded piece of plane a, as (q0, q1, q2, on): on = 0 inside it, 1 on an edge, 2 in a vertex."""
+    n0, n1, n2 = planes[a, 0], planes[a, 1], planes[a, 2]
     d = distance(x, planes[a])
-    for k in range(3):
-        q[k] = x[k] - d * planes[a, k]
-    b, _ = _most_beyond(q, a, planes, count, side, -1)
+    q0, q1, q2 = x[0] - d * n0, x[1] - d * n1, x[2] - d * n2
+    b = _most_beyond(q0, q1, q2, a, planes, count, side, -1)
     if b < 0:
-        return 0
-    c = planes[a, 0] * planes[b, 0] + planes[a, 1] * planes[b, 1] + planes[a, 2] * planes[b, 2]
+        return q0, q1, q2, 0
+    b0, b1, b2 = planes[b, 0], planes[b, 1], planes[b, 2]
+    c = n0 * b0 + n1 * b1 + n2 * b2
     square = 1.0 - c * c
     if square < 1e-4:
-        return 0
-    g = distance(q, planes[b]) / square
-    for k in range(3):
-        q[k] -= g * (planes[b, k] - c * planes[a, k])
-    e, _ = _most_beyond(q, a, planes, count, side, b)
+        return q0, q1, q2, 0
+    g = (q0 * b0 + q1 * b1 + q2 * b2 - planes[b, 3]) / square
+    q0, q1, q2 = q0 - g * (b0 - c * n0), q1 - g * (b1 - c * n1), q2 - g * (b2 - c * n2)
+    e = _most_beyond(q0, q1, q2, a, planes, count, side, b)
     if e < 0:
-        return 1
-    l0 = planes[a, 1] * planes[b, 2] - planes[a, 2] * planes[b, 1]
-    l1 = planes[a, 2] * planes[b, 0] - planes[a, 0] * planes[b, 2]
-    l2 = planes[a, 0] * planes[b, 1] - planes[a, 1] * planes[b, 0]
+        return q0, q1, q2, 1
+    l0, l1, l2 = n1 * b2 - n2 * b1, n2 * b0 - n0 * b2, n0 * b1 - n1 * b0
     along = l0 * planes[e, 0] + l1 * planes[e, 1] + l2 * planes[e, 2]
     if abs(along) < 1e-2 * np.sqrt(square):
-        return 1
-    h = distance(q, planes[e]) / along
-    q[0] -= h * l0
-    q[1] -= h * l1
-    q[2] -= h * l2
-    return 2
+        return q0, q1, q2, 1
+    h = (q0 * planes[e, 0] + q1 * planes[e, 1] + q2 * planes[e, 2] - planes[e, 3]) / along
+    return q0 - h * l0, q1 - h * l1, q2 - h * l2, 2
 
 
 @kernel
 def nearest_piece(x: Any, planes: Any, count: Any, side: Any, q: Any) -> Any:
-    """(plane, distance, 0 | 1 | 2 as :func:`nearest_on_piece`) of the piece nearest to x, with the point q on it."""
+    """(plane, squared distance, 0 | 1 | 2 as :func:`nearest_on_piece`) of the piece nearest to x, with the point q on it."""
     best, which, kind = np.inf, -1, 0
-    trial = np.empty(3)
     for a in range(count):
-        on = nearest_on_piece(x, a, planes, count, side, trial)
-        d = np.sqrt((x[0] - trial[0]) ** 2 + (x[1] - trial[1]) ** 2 + (x[2] - trial[2]) ** 2)
-        if d < best:
-            best, which, kind = d, a, on
-            q[:] = trial
+        q0, q1, q2, on = nearest_on_piece(x, a, planes, count, side)
+        square = (x[0] - q0) ** 2 + (x[1] - q1) ** 2 + (x[2] - q2) ** 2
+        if square < best:
+            best, which, kind = square, a, on
+            q[0], q[1], q[2] = q0, q1, q2
     return which, best, kind

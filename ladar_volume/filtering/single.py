@@ -10,12 +10,14 @@ from ladar_volume.filtering import pieces
 from ladar_volume.filtering.fit import start_plane
 from ladar_volume.filtering.frame import across, tangent_of
 from ladar_volume.filtering.linear import basis, invert
-from ladar_volume.filtering.osculating import quadric_cost, quadric_from
+from ladar_volume.filtering.osculating import quadric_cost, quadric_from, settled
 from ladar_volume.filtering.store import _mix
 from ladar_volume.model.kernels import kernel
 
 #: A bent surface is sought from a plane over the ball's radius over this, the best of so many.
 BENT, TRIALS = 3.0, 60
+#: A quadric's centre is its own, not the cell's: it is fitted to points within the ball's radius times this.
+WIDE = 1.5
 #: Points that tell whether a quadric is worth a fit to all.
 SCREEN = 150
 #: Mean square over sigma² of the points that a quadric explains from which it is no surface: in leaves they fill the slab, which gives
@@ -105,6 +107,19 @@ def flat(
 
 
 @kernel
+def wider(r: Any, slots: Any, n: Any, origin: Any, reach: Any) -> Any:
+    """The gathered points within ``reach`` of the origin (n, 3), and how many."""
+    pts, m = np.empty((n, 3)), 0
+    for i in range(n):
+        square = 0.0
+        for k in range(3):
+            pts[m, k] = r[slots[i], k]
+            square += (pts[m, k] - origin[k]) ** 2
+        m += square <= reach * reach
+    return pts, m
+
+
+@kernel
 def bend(
     x: Any, m: Any, n: Any, r: Any, slots: Any, origin: Any, key: Any, candidates: Any, offered: Any, ball: Any, sigma: Any, threshold: Any,
     least: Any, iterations: Any, quadric: Any,
@@ -120,22 +135,18 @@ def bend(
         loose, most = loose_plane(x, m, ball / BENT, key, start), m // 2
         if loose < 0.0:
             return np.inf, pieces.MOST
-    pts = np.empty((n, 3))
-    for i in range(n):
-        pts[i] = r[slots[i]]
+    pts, n = wider(r, slots, n, origin, WIDE * ball)
     thin = max(m // SCREEN, 1)
+    few = (n + thin - 1) // thin
+    inliers = quadric_from(
+        pts[:n:thin], few, origin, start, 3.0 * loose, ball, sigma, threshold, iterations, centre, normal, tangent, beta, inverse
+    )  # fmt: skip
     if thin > 1:  # most neighbourhoods that are not flat are sharp or clutter, and a few points say so
-        few = (n + thin - 1) // thin
-        inliers = quadric_from(
-            pts[::thin], few, origin, start, 3.0 * loose, ball, sigma, threshold, iterations, centre, normal, tangent, beta, inverse
-        )  # fmt: skip
         some = (m + thin - 1) // thin
         cost, near = quadric_cost(x[:m:thin], some, origin, centre, normal, tangent, beta, threshold * threshold)
         if inliers < 8 or 2 * near < some or cost - (some - near) * threshold * threshold > HOPELESS * near * sigma * sigma:
             return np.inf, pieces.MOST
-    inliers = quadric_from(
-        pts, n, origin, start, 3.0 * loose, ball, sigma, threshold, iterations, centre, normal, tangent, beta, inverse
-    )  # fmt: skip
+        inliers = settled(pts, n, threshold, ball, sigma, threshold, iterations, centre, normal, tangent, beta, inverse)
     if inliers < max(most, 8):
         return np.inf, pieces.MOST
     cost, near = quadric_cost(x, m, origin, centre, normal, tangent, beta, threshold * threshold)

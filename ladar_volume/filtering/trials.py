@@ -18,6 +18,9 @@ from ladar_volume.model.kernels import kernel
 #: Residuals within this many robust sigma count as inliers of a trial by the median (Rousseeuw and Leroy 1987).
 LMEDS_SIGMAS = 2.5
 
+#: A median below this share of the extent is rounding: the first sample with such a one is as good as any other.
+ROUNDING = 1e-12
+
 
 @kernel
 def draw(state: Any, pick: Any, n: Any, k: Any) -> None:
@@ -99,7 +102,9 @@ def sampled_plane(
     """The best plane of random samples of x (3, n). Returns (robust sigma, −1 where every sample was degenerate; trials made)."""
     for i in range(n):
         pick[i] = i
-    trial = np.zeros(4)
+    trial, rounding = np.zeros(4), 0.0
+    for i in range(n):
+        rounding = max(rounding, ROUNDING * (abs(x[0, i]) + abs(x[1, i]) + abs(x[2, i])))
     best, needed, made = np.inf, np.inf, 0
     while k <= n and made < trials and made < needed:
         made += 1
@@ -109,7 +114,7 @@ def sampled_plane(
         if ransac:
             score = _truncated_square(x, n, trial, best, threshold * threshold)
         else:
-            score = _median_if_better(x, n, trial, best, work)
+            score = max(_median_if_better(x, n, trial, best, work), rounding)
         if score < best:
             best = score
             plane[:] = trial

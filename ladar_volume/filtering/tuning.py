@@ -65,17 +65,19 @@ class Tuned:
         """Median threshold."""
         return float(np.median(self.regions.threshold_m))
 
-    def report(self) -> dict[str, float | int | str]:
-        """The chosen values by name; where regions differ their median and range."""
+    def report(self, factor: float = 1.0) -> dict[str, float | int | str]:
+        """The chosen values by name; where regions differ their median and range. factor : noise as found in the end over that chosen."""
         used = self.regions.ball_m[np.unique(self.regions.level)]
         out: dict[str, float | int | str] = {
-            "radius_m": self.ball_m / 2, "fit_radius_m": self.ball_m, "noise_m": self.sigma_m, "threshold_m": self.threshold_m,
+            "radius_m": self.ball_m / 2, "fit_radius_m": self.ball_m, "noise_m": factor * self.sigma_m,
+            "threshold_m": min(factor, 1.0) * self.threshold_m,
             "degree": self.degree, "radii": len(used),
         }  # fmt: skip
         if len(used) > 1:
             out |= {"least_radius_m": float(used.min()) / 2, "largest_radius_m": float(used.max()) / 2}
         if np.ptp(self.regions.sigma_m) > 0.0:
-            out |= {"least_noise_m": float(self.regions.sigma_m.min()), "largest_noise_m": float(self.regions.sigma_m.max())}
+            noise = factor * self.regions.sigma_m
+            out |= {"least_noise_m": float(noise.min()), "largest_noise_m": float(noise.max())}
         return out
 
 

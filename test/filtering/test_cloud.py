@@ -185,3 +185,27 @@ def test_synthetic_sets(name):
     assert mean["false_removed_pct"] <= 0.5 and mean["far_removed_pct"] >= 97.0 and mean["unaccounted"] == 0
     if name == "sphere":
         assert abs(mean["bias_mm"]) <= 0.5
+
+
+@pytest.mark.parametrize("kind", ["normal", "uniform"])
+def test_self_set_noise_is_the_true_one_though_edges_raise_the_first_guess(kind):
+    rng = np.random.default_rng(4)
+    shape = next(s for s in shapes.every(4) if s.name == "cube")
+    foot, _ = shape.foot(shape.points)
+    noise = rng.normal(0, 0.02, len(foot)) if kind == "normal" else rng.uniform(-0.03, 0.03, len(foot))
+    r = (foot + noise[:, None] * shape.normal)[shape.from_surface]
+    result = filter_cloud(r, FilterParameters(), auto=True)
+    # a normal noise loses its tails at the threshold
+    true, within = (0.02, 0.05) if kind == "normal" else (0.03 / np.sqrt(3), 0.01)
+    assert result.report["noise_m"] == pytest.approx(true, rel=within)
+    assert len(result.index) > 0.99 * len(r)
+
+
+def test_a_surface_carried_on_beyond_its_points_is_named():
+    """A few stray points beside a plane: what is fitted to them hangs on the plane's far end."""
+    rng = np.random.default_rng(8)
+    plane = np.column_stack([rng.uniform(-1, 1, (3000, 2)), rng.normal(0, 0.01, 3000)])
+    stray = np.column_stack([rng.uniform(1.15, 1.5, 12), rng.uniform(-0.2, 0.2, 12), rng.uniform(-0.3, 0.3, 12)])
+    r = np.concatenate([plane, stray])
+    result = filter_cloud(r, FilterParameters(), auto=True)
+    assert np.isin(np.arange(3000, 3012), result.outliers).all() and np.isin(np.arange(3000), result.index).mean() > 0.99

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ladar_volume.filtering import reference
+from ladar_volume.filtering import linear, reference
 from ladar_volume.filtering.filter import SurfaceFilter
 from ladar_volume.filtering.fit import OK
 from ladar_volume.filtering.linear import invert, select_kth
@@ -157,3 +157,17 @@ def test_small_algebra_against_numpy():
         a = rng.integers(0, 9, n).astype(float)
         for k in range(n):
             assert select_kth(a.copy(), n, k) == np.sort(a)[k]
+
+
+def test_eigenvectors_of_small_matrices():
+    rng = np.random.default_rng(0)
+    for case in range(300):
+        A = rng.normal(size=(3, 3))
+        turn = np.linalg.qr(A)[0]
+        S = [A @ A.T * 10.0 ** rng.uniform(-8, 8), turn @ np.diag([1e-14, 1.0, 1.0]) @ turn.T, np.diag(rng.integers(0, 3, 3) * 1.0)][case % 3]
+        S = 0.5 * (S + S.T)
+        value, vector = np.empty(3), np.empty((3, 3))
+        linear.eigen(S.copy(), value, vector)
+        scale = max(np.abs(S).max(), 1e-300)
+        assert np.abs(value - np.linalg.eigvalsh(S)).max() < 1e-14 * scale and (np.diff(value) >= 0).all()
+        assert np.abs(vector.T @ vector - np.eye(3)).max() < 1e-14 and np.abs(S @ vector - vector * value).max() < 1e-14 * scale

@@ -66,7 +66,7 @@ def sampled(x, p, draws):
         if plane is None:
             continue
         d = np.abs(off(x, plane))
-        score = np.sort(d)[len(d) // 2] if p.start == "lmeds" else np.minimum(d**2, p.ransac_threshold_m**2).sum()
+        score = max(np.sort(d)[len(d) // 2], 1e-12 * np.abs(x).sum(axis=1).max()) if p.start == "lmeds" else np.minimum(d**2, p.ransac_threshold_m**2).sum()
         if score < best:
             best, found = score, plane
             share = np.mean(d <= (2.5 * MAD * best if p.start == "lmeds" else p.ransac_threshold_m))
