@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ladar_volume.model.errors import ConfigurationError, OutputError
+from ladar_volume.model.errors import ConfigurationError, OutputError, SurfaceError, VolumeError
 from ladar_volume.studies.coverage_cases import ALL, LINES, LINES_SEED, SCENARIOS, SEED, SITES, VARIANTS, alone, measured
 from ladar_volume.studies.coverage_engine import measured_by_engine
 from ladar_volume.version import version
@@ -66,15 +66,22 @@ def tasks(scenarios: Sequence[str], counts: tuple[int, int, int], engine: int = 
 
 
 def do(task: Task) -> dict[str, Any]:
-    """The numbers of one survey as plain values."""
+    """The numbers of one survey as plain values; of one that is refused, such as a box with a gap in its walls, the reason."""
+    try:
+        result = numbers(task)
+    except (SurfaceError, VolumeError) as error:
+        return {**dataclasses.asdict(task), "version": version(), "result": {}, "refused": str(error)}
+    return {**dataclasses.asdict(task), "version": version(), "result": result}
+
+
+def numbers(task: Task) -> dict[str, Any]:
+    """By base the numbers of one survey."""
     site = SITES[task.scenario]
     if task.variant == LINES:
-        result: dict[str, Any] = dict(alone(site, task.seed))
-    else:
-        by_engine = task.variant == ENGINE
-        rows = measured_by_engine(task.scenario, task.seed) if by_engine else measured(site, *VARIANTS[task.variant], task.seed)
-        result = {base: dataclasses.asdict(row) for base, row in rows.items()}
-    return {**dataclasses.asdict(task), "version": version(), "result": result}
+        return dict(alone(site, task.seed))
+    by_engine = task.variant == ENGINE
+    rows = measured_by_engine(task.scenario, task.seed) if by_engine else measured(site, *VARIANTS[task.variant], task.seed)
+    return {base: dataclasses.asdict(row) for base, row in rows.items()}
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
@@ -188,9 +195,10 @@ def summary(rows: Sequence[dict[str, Any]], scenarios: Sequence[str]) -> dict[st
         for base in dict.fromkeys(b for r in mine for b in r["result"]):
             variants = {}
             for variant in (*VARIANTS, ENGINE):
-                some = [r["result"][base] for r in mine if r["variant"] == variant]
+                some = [r["result"][base] for r in mine if r["variant"] == variant and r["result"]]
                 if some:
-                    variants[variant] = statistics(some, SITES[name].volume_m3)
-            lines = [r["result"][base] for r in mine if r["variant"] == LINES]
+                    refused = sum(1 for r in mine if r["variant"] == variant and not r["result"])
+                    variants[variant] = {**statistics(some, SITES[name].volume_m3), "refused": refused}
+            lines = [r["result"][base] for r in mine if r["variant"] == LINES and r["result"]]
             out.setdefault(name, {})[base] = {"variants": variants, "lines": line_statistics(lines) if lines else {}}
     return out

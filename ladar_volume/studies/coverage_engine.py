@@ -42,8 +42,8 @@ SCENES = {"stockpile_100": "cone_100", "stockpile_5000": "stockpile_5000"}
 DURATION_S = 36.0
 #: Every so many firing cycles are simulated; returns do not mix then, since the neighbour of a pulse is degrees away.
 THIN = 15
-#: So many times more for a box, and the longest edge of its mesh, m.
-BOX_MORE, BOX_EDGE_M = 3, 0.5
+#: So many times more for a box; cubes of which one filtered point each is meshed, and the longest edge of the mesh, m.
+BOX_MORE, BOX_CELL_M, BOX_EDGE_M = 3, 0.2, 1.0
 #: Settings of the filter for a box of this size.
 BOX_SETTINGS: dict[str, dict[str, Any]] = {
     "filter": {"radius_m": 0.2, "degree": 1, "min_points": 8, "cap_per_voxel": 12},
@@ -120,6 +120,6 @@ def box_by_engine(seed: int, thin: int) -> Row:
     ground = Ground(slope=SLOPE, rough_m=BOX.rough_m, length_m=BOX.length_m, seed=seed)
     replay = replayed(box_scene("box", BOX.size_m, ground), uav(*BOX.flight_m, DURATION_S), BOX_SETTINGS, seed, max(1, thin // BOX_MORE))
     sources = replay.engine.estimator.epoch().sources
-    points = select(sources.points, one_per_cube(sources.points.r_map, BOX.cell_m))
+    points = select(sources.points, one_per_cube(sources.points.r_map, BOX_CELL_M))
     found = closed_box(points, sources.patches, sources.navigation, replay.parameters, BOX_EDGE_M)
     return closed_row(found, BOX.volume_m3)

@@ -53,7 +53,7 @@ def main_table(found: dict[str, Any]) -> str:
         for base, parts in by_base.items():
             for variant, s in parts["variants"].items():
                 if variant in (ALL, ENGINE):
-                    words = "" if variant == ALL else f", {variant}"
+                    words = ("" if variant == ALL else f", {variant}") + (f" ({s['refused']} refused)" if s["refused"] else "")
                     rows.append([title(scenario, base) + words, *main_cells(s)])
     head = [
         "", "surveys", "V / m³", "bias / m³", "empirical sigma / m³", "predicted sigma / m³", "predicted / empirical", "68 % holds / %",

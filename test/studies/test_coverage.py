@@ -12,7 +12,7 @@ import pytest
 from ladar_volume.cli.main import main
 from ladar_volume.georeference.budget import attitude_covariance_from_euler
 from ladar_volume.georeference.lidar import mounting
-from ladar_volume.model.errors import ConfigurationError
+from ladar_volume.model.errors import ConfigurationError, SurfaceError
 from ladar_volume.model.parameters import BudgetParameters, Parameters
 from ladar_volume.simulation.platforms import uav
 from ladar_volume.studies import coverage
@@ -239,6 +239,21 @@ def test_a_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
     assert coverage.read_rows(path) == []
     with pytest.raises(ConfigurationError):
         coverage.tasks(["moon"], (1, 1, 1))
+
+
+def test_a_survey_that_is_refused_is_counted(monkeypatch):
+    def measured_but(site, drawn, believed, seed):
+        if seed % 2:
+            raise SurfaceError("a gap", reason="closing_gap")
+        return measured(site, drawn, believed, seed)
+
+    monkeypatch.setitem(SITES, "pit", dataclasses.replace(PIT, pulses=500))
+    monkeypatch.setattr(coverage, "measured", measured_but)
+    rows = [coverage.do(coverage.Task("pit", "all", seed)) for seed in (1, 2, 3, 4)]
+    assert [r.get("refused") for r in rows] == ["a gap", None, "a gap", None]
+    found = coverage.summary(rows, ["pit"])
+    assert found["pit"]["two epochs"]["variants"]["all"]["surveys"] == found["pit"]["two epochs"]["variants"]["all"]["refused"] == 2
+    assert "(2 refused)" in tables(found)
 
 
 def test_the_verb_writes_tables_and_json(tmp_path, monkeypatch, capsys):
