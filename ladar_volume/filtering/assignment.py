@@ -9,8 +9,8 @@ import numpy as np
 from ladar_volume.filtering.pieces import MOST, bounds, distance, fit_shares, nearest_on_piece, nearest_planes
 from ladar_volume.model.kernels import kernel
 
-#: Most rounds of sharing out and refitting.
-ROUNDS = 30
+#: Most rounds of sharing out and refitting; and where the cell will choose again.
+ROUNDS, FIRST_ROUNDS = 30, 8
 #: A result that describes the points worse than its start by this factor has lost its way. The description itself, which gives each point
 #: to one piece, is too crude for less: it prefers planes that lean into the corners.
 WORSE = 1.05
@@ -122,10 +122,11 @@ def merge_same(planes: Any, means: Any, inverses: Any, used: Any, count: Any, si
 
 @kernel
 def refine(
-    x: Any, m: Any, reach: Any, planes: Any, means: Any, inverses: Any, used: Any, count: Any, sigma: Any, threshold: Any, side: Any,
-    label: Any,
+    x: Any, m: Any, reach: Any, planes: Any, means: Any, inverses: Any, used: Any, count: Any, sigma: Any, threshold: Any, rounds: Any,
+    side: Any, label: Any,
 ) -> Any:  # fmt: skip
-    """Share out the points (m, 3) within ``reach`` and refit all planes, in turn until none moves (expectation and maximisation).
+    """Share out the points (m, 3) within ``reach`` and refit all planes, in turn until none moves (expectation and maximisation), for
+    ``rounds`` at most.
 
     Returns the number of planes; ``used``, ``means`` and ``inverses`` give their covariance.
     """
@@ -134,7 +135,7 @@ def refine(
     nearest_planes(x, m, planes, count, limit, label)
     bounds(x, m, label, planes, count, sigma, side)
     worst = WORSE * (pieces_cost(x, m, planes, count, side, limit, sigma, np.inf, support)[0] + count * price)
-    for step in range(ROUNDS):
+    for step in range(rounds):
         share_out(x, m, planes, count, side, sigma, threshold, share, label)
         moved, lost, k = 0.0, False, count - 1
         while k >= 0:

@@ -229,7 +229,8 @@ def filter_cell(
             threshold, least, iterations, quadric, planes, side, label,
         )  # fmt: skip
         if count > 0:
-            count = assignment.refine(x, m, ball, planes, means, inverses, used, count, sigma, threshold, side, label)
+            rounds = assignment.ROUNDS if turn == LAST or count == 1 else assignment.FIRST_ROUNDS
+            count = assignment.refine(x, m, ball, planes, means, inverses, used, count, sigma, threshold, rounds, side, label)
             length, square = assignment.pieces_cost(x, m, planes, count, side, limit, sigma, np.inf, np.empty(pieces.MOST, np.int64))
     curved = curve + 6 * price < length + 3 * count * price
     if not curved and count == 0:

@@ -10,7 +10,7 @@ from ladar_volume.filtering.frame import across, arc, coordinates, level_frame, 
 from ladar_volume.filtering.linear import basis, invert
 from ladar_volume.model.kernels import kernel
 
-#: Re-levelling of a quadric's frame.
+#: Re-levellings of a quadric's frame.
 LEVELS = 3
 #: Most steps of an orthogonal fit in one frame: on a surface that is a quadric two suffice.
 STEPS = 3
@@ -111,8 +111,8 @@ def height_at(u: Any, v: Any, beta: Any) -> Any:
 
 @kernel
 def quadric_from(
-    pts: Any, n: Any, origin: Any, start: Any, loose: Any, ball: Any, sigma: Any, threshold: Any, iterations: Any, centre: Any,
-    normal: Any, tangent: Any, beta: Any, inverse: Any,
+    pts: Any, n: Any, origin: Any, start: Any, loose: Any, ball: Any, sigma: Any, threshold: Any, iterations: Any, levels: Any,
+    centre: Any, normal: Any, tangent: Any, beta: Any, inverse: Any,
 ) -> Any:  # fmt: skip
     """A quadric grown from a start plane over the ball; its frame touches it at the centre. Returns the number of inliers.
 
@@ -129,24 +129,26 @@ def quadric_from(
     m = coordinates(pts, n, centre, normal, tangent, ball, near, index)
     mark_flat(near, m, loose, inside)
     used, _ = refit(near, m, ball, 6, sigma, 0.0, loose, few, inside, beta, inverse)
-    return settled(pts, n, loose, ball, sigma, threshold, iterations, centre, normal, tangent, beta, inverse) if used > 0 else 0
+    if used == 0:
+        return 0
+    return settled(pts, n, loose, ball, sigma, threshold, iterations, levels, centre, normal, tangent, beta, inverse)
 
 
 @kernel
 def settled(
-    pts: Any, n: Any, loose: Any, ball: Any, sigma: Any, threshold: Any, iterations: Any, centre: Any, normal: Any, tangent: Any,
-    beta: Any, inverse: Any,
+    pts: Any, n: Any, loose: Any, ball: Any, sigma: Any, threshold: Any, iterations: Any, levels: Any, centre: Any, normal: Any,
+    tangent: Any, beta: Any, inverse: Any,
 ) -> Any:  # fmt: skip
-    """A quadric refitted to the points around it until its frame touches it and ``loose`` is the threshold; returns the number of
-    inliers, 0 where it gets lost."""
+    """A quadric refitted to the points around it until ``loose`` is the threshold and its frame touches it, ``levels`` frames at most;
+    returns the number of inliers, 0 where it gets lost."""
     near, index, side, used = np.empty((4, n)), np.empty(n, np.int64), np.empty(3), 0
-    for level in range(LEVELS + SHRINKS):
+    for level in range(levels + SHRINKS):
         m = coordinates(pts, n, centre, normal, tangent, ball, near, index)
         used, square = geometric_refit(near, m, ball, loose, min(iterations, STEPS), sigma, beta, inverse)
         if used == 0 or (loose == threshold and square > LOST * sigma * sigma):
             return 0
         level_now = abs(beta[1]) + abs(beta[2]) + abs(beta[0]) / ball <= 1e-3
-        if loose == threshold and (level_now or level + 1 >= LEVELS):
+        if loose == threshold and (level_now or level + 1 >= levels):
             break
         loose = max(threshold, min(0.5 * loose, 3.0 * np.sqrt(square)))
         across(normal, tangent, side)

@@ -10,7 +10,7 @@ from ladar_volume.filtering import pieces
 from ladar_volume.filtering.fit import start_plane
 from ladar_volume.filtering.frame import across, tangent_of
 from ladar_volume.filtering.linear import basis, invert
-from ladar_volume.filtering.osculating import quadric_cost, quadric_from, settled
+from ladar_volume.filtering.osculating import LEVELS, quadric_cost, quadric_from, settled
 from ladar_volume.filtering.store import _mix
 from ladar_volume.model.kernels import kernel
 
@@ -138,15 +138,16 @@ def bend(
     pts, n = wider(r, slots, n, origin, WIDE * ball)
     thin = max(m // SCREEN, 1)
     few = (n + thin - 1) // thin
+    levels = LEVELS if thin == 1 else 1  # the fit to all points levels the frame
     inliers = quadric_from(
-        pts[:n:thin], few, origin, start, 3.0 * loose, ball, sigma, threshold, iterations, centre, normal, tangent, beta, inverse
+        pts[:n:thin], few, origin, start, 3.0 * loose, ball, sigma, threshold, iterations, levels, centre, normal, tangent, beta, inverse
     )  # fmt: skip
     if thin > 1:  # most neighbourhoods that are not flat are sharp or clutter, and a few points say so
         some = (m + thin - 1) // thin
         cost, near = quadric_cost(x[:m:thin], some, origin, centre, normal, tangent, beta, threshold * threshold)
         if inliers < 8 or 2 * near < some or cost - (some - near) * threshold * threshold > HOPELESS * near * sigma * sigma:
             return np.inf, pieces.MOST
-        inliers = settled(pts, n, threshold, ball, sigma, threshold, iterations, centre, normal, tangent, beta, inverse)
+        inliers = settled(pts, n, threshold, ball, sigma, threshold, iterations, LEVELS, centre, normal, tangent, beta, inverse)
     if inliers < max(most, 8):
         return np.inf, pieces.MOST
     cost, near = quadric_cost(x, m, origin, centre, normal, tangent, beta, threshold * threshold)
