@@ -1,10 +1,12 @@
 """Run every benchmark on the machine at hand and write RESULTS.md beside this file.
 
-``python -m benchmarks [NAME ...]``: all of them, or those named. Each module has ``run() -> dict[str, float | int | str]``.
+``python -m benchmarks [NAME ...]``: all of them, or those named, whose sections replace those of an earlier run. Each module has
+``run() -> dict[str, float | int | str]``.
 """
 
 from __future__ import annotations
 
+import datetime
 import importlib
 import os
 import platform
@@ -28,22 +30,33 @@ def machine() -> str:
     return f"{names[0] if names else platform.processor()}, {os.cpu_count()} cores, Python {platform.python_version()}"
 
 
+def sections(text: str) -> dict[str, str]:
+    """The sections of an earlier RESULTS.md by name, headings included."""
+    parts = text.split("\n## ")[1:]
+    return {part.split("\n", 1)[0].strip(): f"## {part.strip()}\n" for part in parts}
+
+
+def section(name: str, figures: dict[str, float | int | str]) -> str:
+    """One benchmark's table."""
+    rows = [f"| {key} | {value:.4g} |" if isinstance(value, float) else f"| {key} | {value} |" for key, value in figures.items()]
+    head = [f"## {name}", "", f"{version()}, {machine()}, {datetime.date.today()}", "", "| figure | value |", "|---|---|"]
+    return "\n".join([*head, *rows, ""])
+
+
 def main(wanted: list[str]) -> int:
-    """Run the wanted benchmarks, print and keep their figures."""
+    """Run the wanted benchmarks, print their figures, and put their sections in the place of those of an earlier run."""
     unknown = set(wanted) - set(NAMES)
     if unknown:
         print(f"no such benchmark: {', '.join(sorted(unknown))}; there are {', '.join(NAMES)}", file=sys.stderr)
         return 2
-    text = [f"# Benchmarks of ladar_volume {version()}", "", machine(), ""]
+    results = HERE / "RESULTS.md"
     for name in wanted or NAMES:
         figures = importlib.import_module(f"benchmarks.{name}").run()
-        text += [f"## {name}", "", "| figure | value |", "|---|---|"]
         for key, value in figures.items():
-            text.append(f"| {key} | {value:.4g} |" if isinstance(value, float) else f"| {key} | {value} |")
             print(f"{name}: {key}: {value:.4g}" if isinstance(value, float) else f"{name}: {key}: {value}", flush=True)
-        text.append("")
-    if not wanted:
-        (HERE / "RESULTS.md").write_text("\n".join(text))
+        done = sections(results.read_text()) if results.exists() else {}
+        done[name] = section(name, figures)
+        results.write_text("\n".join(["# Benchmarks of ladar_volume", "", *(done[n] for n in NAMES if n in done)]))
     return 0
 
 
