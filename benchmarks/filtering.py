@@ -62,7 +62,7 @@ def _store(points: MappedPoints) -> float:
     start = time.perf_counter()
     for i in range(0, POINTS, PER_CLOUD):
         part = slice(i, i + PER_CLOUD)
-        store.insert(points.t_ns[part], points.ring[part], points.r_map[part], points.C_ind[part])
+        store.insert(store.offer(points.t_ns[part], points.ring[part], points.r_map[part], points.C_ind[part])[0])
     return time.perf_counter() - start
 
 

@@ -81,13 +81,14 @@ def _still(t: I64) -> PlatformStates:
 
 
 def _filter(parameters: Parameters) -> None:
-    surface: SurfaceFilter = importlib.import_module("ladar_volume.filtering.filter").SurfaceFilter(parameters)
+    surface: SurfaceFilter = importlib.import_module("ladar_volume.filtering.filter").SurfaceFilter(parameters, deferring=True)
     C_ind = np.tile(np.array([1e-4, 0, 0, 1e-4, 0, 1e-4], np.float32), (RETURNS_PER_CLOUD, 1))
     for step, (stamp, t, xyz, returns) in enumerate(_clouds()):
         surface.add_platform(_still(np.array([stamp, stamp + 99_999_999], np.int64)))
         surface.add(MappedPoints(t, xyz, C_ind, returns.ring, returns.intensity))
         if step in (SECONDS * 5, SECONDS * 10 - 1):
-            surface.update()
+            surface.update(50)
+    surface.finish()
 
 
 def _made_up_surface(side: int, beams: int) -> FilterUpdate:

@@ -1,7 +1,8 @@
 """The filter stage: robust moving least squares on a stream (seed 002 chapter 4; UNCERTAINTY steps 3 and 4).
 
 Raw points go into capped voxels of edge r. Every occupied voxel has one patch, fitted over 2r; each raw point is
-projected once, by the patch of its own voxel. An update refits what new points touched and replaces the patches that are others then.
+projected once, by the patch of its own voxel. An update refits what new points touched and replaces the patches that are others
+then; one in a hurry puts off what new points would change least.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.filtering import admission, kernels
+from ladar_volume.filtering.deferral import Deferred
 from ladar_volume.filtering.fit import FEW_POINTS, OK, REACH
 from ladar_volume.filtering.fits import FitStore
 from ladar_volume.filtering.patches import PatchBuilder
@@ -35,7 +37,8 @@ BLOCK = 4096
 class SurfaceFilter:
     """See the module. Feed platform states and mapped points, ask for updates; order and batching do not matter."""
 
-    def __init__(self, parameters: Parameters) -> None:
+    def __init__(self, parameters: Parameters, deferring: bool = False) -> None:
+        """deferring : new points are put into the surface by updates alone, which may put them off."""
         self.parameters = parameters.filter
         self._mount = mounting(parameters.calibration, parameters.georeference.pose_source)
         self._store = VoxelStore(self.parameters.radius_m, self.parameters.cap_per_voxel)
@@ -48,6 +51,8 @@ class SurfaceFilter:
         self._outliers: I64 = np.zeros(0, np.int64)
         self._unfitted: I64 = np.zeros(0, np.int64)
         self._t_ns = 0
+        self._deferring, self._deferred = deferring, Deferred()
+        self._refitted = 0
 
     @property
     def losses(self) -> Losses:
@@ -59,15 +64,26 @@ class SurfaceFilter:
 
     @property
     def stats(self) -> dict[str, int]:
-        """Counts of the surface as it stands: voxels, points offered, kept, over the cap, and waiting for a pose."""
+        """Counts of the surface as it stands: voxels, points offered, kept, over the cap, put off, and waiting for a pose."""
         return {
             "voxels": self._store.used,
             "points_offered": self._store.offered,
             "points_kept": self._store.kept,
-            "points_over_cap": self._store.offered - self._store.kept,
+            "points_over_cap": self._store.offered - self._store.kept - len(self._deferred),
             "patches": int(self._published.sum()),
+            "points_deferred": len(self._deferred),
             "points_waiting": sum(len(p) for p in self._waiting),
         }
+
+    @property
+    def refitted(self) -> int:
+        """Voxels fitted in the last update that had any to fit."""
+        return self._refitted
+
+    @property
+    def deferred_s(self) -> float:
+        """How much older than the newest point the oldest one is that waits for its voxel's turn, s."""
+        return self._deferred.age_s(self._t_ns)
 
     def add_platform(self, states: PlatformStates) -> None:
         """Poses along the path; points that waited for them are taken in."""
@@ -108,28 +124,40 @@ class SurfaceFilter:
         if len(points) == 0:
             return
         self._t_ns = max(self._t_ns, int(points.t_ns.max()))
-        slots, rows = self._store.insert(points.t_ns, points.ring, points.r_map, points.C_ind)
+        candidates, rows = self._store.offer(points.t_ns, points.ring, points.r_map, points.C_ind)
         admission.geometry(
-            rows, slots, points.r_map, state, fraction, states.p_map_body, states.q_map_body, states.v_body, states.omega_body,
-            self._mount.lever_laser, self._mount.lever_antenna, self._store.aux,
+            rows, np.arange(len(rows)), points.r_map, state, fraction, states.p_map_body, states.q_map_body, states.v_body,
+            states.omega_body, self._mount.lever_laser, self._mount.lever_antenna, candidates.aux,
         )  # fmt: skip
+        if self._deferring:
+            self._deferred.add(candidates)
+        else:
+            self._store.insert(candidates)
 
-    def update(self) -> FilterUpdate | None:
-        """What changed since the last update, or None."""
+    def update(self, most: int | None = None) -> FilterUpdate | None:
+        """What changed since the last update, or None.
+
+        most : patches to be refitted, about, where the filter is deferring: then points wait whose voxels change least (see ``deferral``),
+        and the surface is that of the points taken in so far. Without it nothing waits: the surface is that of all points.
+        """
+        if self._deferring:
+            self._store.insert(self._deferred.take(self._store, most, self._t_ns))
         return self._update()
 
     def finish(self) -> FilterUpdate | None:
-        """End of the data: points that still wait are lost and counted; the last update, or None where nothing changed."""
+        """End of the data: points that still wait for a pose are lost and counted; the last update, or None where nothing changed."""
         self._losses.add("point_platform_gap", sum(len(p) for p in self._waiting))
         self._waiting = []
-        return self._update()
+        return self.update()
 
     def _update(self) -> FilterUpdate | None:
         s = self._store
         changed = s.changed_voxels()
         if len(changed) == 0:
             return None
-        new = self._refit(self._around(changed))
+        touched = self._around(changed)
+        self._refitted = len(touched)
+        new = self._refit(touched)
         s.settle()
         fits = self._fits.fits
         good = fits.status[new] == OK

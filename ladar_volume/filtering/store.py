@@ -6,6 +6,7 @@ equals batch and memory follows the mapped area (seed 002 section 4.3 reduces by
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -88,37 +89,49 @@ def place_all(table: Any, keys: Any, used: Any) -> None:
 
 
 @kernel
-def _insert(
-    t_ns: Any, ring: Any, r: Any, edge: Any, cap: Any, table: Any, keys: Any, count: Any, worst: Any, hashes: Any, changed: Any,
-    used: Any, start: Any, slot_of: Any,
-) -> Any:  # fmt: skip
-    """Offer points from ``start`` on; returns (next point, voxels used). Stops early where the voxel arrays are full."""
-    for i in range(start, len(t_ns)):
+def would_stay(
+    t_ns: Any, ring: Any, r: Any, edge: Any, cap: Any, table: Any, keys: Any, count: Any, worst: Any, hashes: Any, key: Any, h: Any,
+    stays: Any,
+) -> None:  # fmt: skip
+    """Voxel key and hash of each point, and whether it would stay were it alone. Voxels only fill up and their worst hash only falls:
+    a point that would not stay now never will."""
+    for i in range(len(t_ns)):
         ix = np.int64(np.floor(r[i, 0] / edge))
         iy = np.int64(np.floor(r[i, 1] / edge))
         iz = np.int64(np.floor(r[i, 2] / edge))
-        key = ((ix + HALF) << (2 * BITS)) | ((iy + HALF) << BITS) | (iz + HALF)
+        key[i] = ((ix + HALF) << (2 * BITS)) | ((iy + HALF) << BITS) | (iz + HALF)
         # the position (to the micrometre) tells apart the two returns of one firing
         place = np.uint64(np.int64(r[i, 0] * 1e6)) ^ _mix(np.uint64(np.int64(r[i, 1] * 1e6)))
-        h = _mix(np.uint64(t_ns[i]) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(ring[i]) + place)
-        v = find_voxel(table, keys, key)
+        h[i] = _mix(np.uint64(t_ns[i]) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(ring[i]) + place)
+        v = find_voxel(table, keys, key[i])
+        stays[i] = v < 0 or count[v] < cap or h[i] < hashes[v * cap + worst[v]]
+
+
+@kernel
+def _insert(
+    key: Any, h: Any, cap: Any, table: Any, keys: Any, count: Any, worst: Any, hashes: Any, changed: Any, used: Any, start: Any,
+    slot_of: Any,
+) -> Any:  # fmt: skip
+    """Offer points from ``start`` on; returns (next point, voxels used). Stops early where the voxel arrays are full."""
+    for i in range(start, len(key)):
+        v = find_voxel(table, keys, key[i])
         if v < 0:
             if used == len(keys):
                 return i, used
             v = used
-            keys[v] = key
+            keys[v] = key[i]
             used += 1
             _place(table, keys, v)
         base = v * cap
         if count[v] < cap:
             k = count[v]
             count[v] += 1
-            hashes[base + k] = h
-            if k == 0 or h > hashes[base + worst[v]]:
+            hashes[base + k] = h[i]
+            if k == 0 or h[i] > hashes[base + worst[v]]:
                 worst[v] = k
-        elif h < hashes[base + worst[v]]:
+        elif h[i] < hashes[base + worst[v]]:
             k = worst[v]
-            hashes[base + k] = h
+            hashes[base + k] = h[i]
             w = 0
             for q in range(1, cap):
                 if hashes[base + q] > hashes[base + w]:
@@ -128,7 +141,7 @@ def _insert(
             continue
         changed[v] = True
         slot_of[i] = base + k
-    return len(t_ns), used
+    return len(key), used
 
 
 @kernel
@@ -143,6 +156,22 @@ def sort_voxels(voxels: Any, count: Any, hashes: Any, cap: Any, order: Any) -> N
                 order[m] = order[m - 1]
                 m -= 1
             order[m] = slot
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Points (n,) that may stay: key of their voxel, hash, and what is kept of each (see :class:`VoxelStore`)."""
+
+    key: I64
+    hash: npt.NDArray[np.uint64]
+    t_ns: I64
+    ring: U16
+    r: F64
+    C: F32
+    aux: F32
+
+    def __len__(self) -> int:
+        return len(self.key)
 
 
 class VoxelStore:
@@ -175,27 +204,34 @@ class VoxelStore:
         """Points held."""
         return int(self.count[: self.used].sum())
 
-    def insert(self, t_ns: I64, ring: U16, r: F64, C: F32) -> tuple[I64, I64]:
-        """Offer points; returns (slots, rows): where each point that stays went and its row, later rows winning a slot.
+    def offer(self, t_ns: I64, ring: U16, r: F64, C: F32) -> tuple[Candidates, I64]:
+        """The points that may stay, and their rows among those offered. The caller fills their ``aux`` and hands them to :meth:`insert`,
+        now or later."""
+        key, h, stays = np.empty(len(t_ns), np.int64), np.empty(len(t_ns), np.uint64), np.empty(len(t_ns), np.bool_)
+        would_stay(
+            t_ns, ring, r, self.edge_m, self.cap, self.table, self.keys, self.count, self.worst, self.hashes, key, h, stays
+        )  # fmt: skip
+        self.offered += len(t_ns)
+        rows = np.flatnonzero(stays)
+        aux = np.zeros((len(rows), AUX), np.float32)
+        return Candidates(key[rows], h[rows], t_ns[rows], ring[rows], r[rows], C[rows], aux), rows
 
-        The caller fills ``aux`` for these slots.
-        """
-        slot_of = np.full(len(t_ns), -1, np.int64)
-        start = 0
+    def insert(self, points: Candidates) -> None:
+        """Take points in, each where it is among the lowest hashes of its voxel."""
+        slot_of, start = np.full(len(points), -1, np.int64), 0
         while True:
             start, self.used = _insert(
-                t_ns, ring, r, self.edge_m, self.cap, self.table, self.keys, self.count, self.worst, self.hashes, self.changed,
-                self.used, start, slot_of,
+                points.key, points.hash, self.cap, self.table, self.keys, self.count, self.worst, self.hashes, self.changed, self.used,
+                start, slot_of,
             )  # fmt: skip
-            if start == len(t_ns):
+            if start == len(points):
                 break
             self._grow()
-        self.offered += len(t_ns)
         rows = np.flatnonzero(slot_of >= 0)
         slots = slot_of[rows]
-        self.t_ns[slots], self.ring[slots], self.r[slots], self.C[slots] = t_ns[rows], ring[rows], r[rows], C[rows]
+        for name in ("t_ns", "ring", "r", "C", "aux"):  # later rows win a slot
+            getattr(self, name)[slots] = getattr(points, name)[rows]
         self.fresh[slots] = True
-        return slots, rows
 
     def _grow(self) -> None:
         voxels = 2 * len(self.keys)

@@ -20,6 +20,9 @@ from ladar_volume.nodes.convert import datum_of, platform_state, table_message
 from ladar_volume.nodes.passes import Passes
 from ladar_volume.nodes.running import spin
 
+#: Patches refitted per second of an update, before any has been measured; updates with fewer than so many measure nothing.
+FIRST_RATE, LEAST_MEASURED = 2000.0, 50
+
 
 class FilterNode(StageNode):
     """Wraps one SurfaceFilter; brings its surface up to date, with a pause of ``node.update_period_s`` between."""
@@ -33,7 +36,9 @@ class FilterNode(StageNode):
 
     def build(self) -> None:
         """Stage, topics."""
-        self.stage = SurfaceFilter(self.parameters)
+        self.stage = SurfaceFilter(self.parameters, deferring=True)
+        self._patches_per_s = FIRST_RATE
+        self._came = time.monotonic()
         self._passes = Passes("platform")
         self._unsure: list[PointCloud2] = []
         self._datum: Datum | None = None
@@ -77,7 +82,7 @@ class FilterNode(StageNode):
         points = mapped_points(stamp_ns(message), decode(message))
         self.stage.add(points)
         self.counts["points"] += len(points)
-        self._fresh = True
+        self._fresh, self._came = True, time.monotonic()
 
     def _take_datum(self, datum: Datum) -> None:
         if self._datum not in (None, datum):
@@ -88,7 +93,7 @@ class FilterNode(StageNode):
 
     def _start_over(self) -> None:
         self.losses.merge(self.stage.losses)
-        self.stage = SurfaceFilter(self.parameters)
+        self.stage = SurfaceFilter(self.parameters, deferring=True)
         self._states, self._fresh = [], False
 
     def _hand_over(self) -> None:
@@ -100,20 +105,23 @@ class FilterNode(StageNode):
             self._fresh = True
 
     def idle(self) -> None:
-        """Publish an update when its time has come and something is new: at once when nothing more waits, else after twice the time an
-        update takes, so that a late filter makes fewer updates but none of old data."""
-        waited = time.monotonic() - self._updated
-        if not self._fresh or waited < self.parameters.node.update_period_s:
+        """Publish an update when its time has come and something is new. While data comes, it takes about half of the pause between two,
+        and leaves for the next what changes least; once none comes, nothing is left. When messages wait, at most every third of the time
+        goes into updates."""
+        now, period = time.monotonic(), self.parameters.node.update_period_s
+        waited = now - self._updated
+        if not self._fresh or waited < period or (not self._queue.empty() and waited < 2.0 * self._last_update_s):
             return
-        if not self._queue.empty() and waited < 2.0 * self._last_update_s:
-            return
-        began = time.monotonic()
         self._hand_over()
-        self._fresh = False
-        self._send(self.stage.update())
+        quiet = now - self._came > period
+        update = self.stage.update(None if quiet else max(round(0.5 * period * self._patches_per_s), 1))
+        self._fresh = self.stage.stats["points_deferred"] > 0
+        self._send(update)
         # the pause counts from the end: a slow machine spends at most its share on updates, and the estimate gets its turn
         self._updated = time.monotonic()
-        self._last_update_s = self._updated - began
+        self._last_update_s = self._updated - now
+        if self.stage.refitted >= LEAST_MEASURED:
+            self._patches_per_s += 0.3 * (self.stage.refitted / self._last_update_s - self._patches_per_s)
 
     def finish(self) -> None:
         """The last update."""
@@ -135,7 +143,7 @@ class FilterNode(StageNode):
         return {
             **self.stage.stats, **{f"count_{k}": v for k, v in self.counts.items()},
             "pending_update": int(self._fresh or bool(self._states)),
-            "last_update_s": f"{self._last_update_s:.2f}", "restarts": self._passes.begun,
+            "last_update_s": f"{self._last_update_s:.2f}", "deferred_s": f"{self.stage.deferred_s:.2f}", "restarts": self._passes.begun,
         }  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 import numba
 import numpy as np
 
+from ladar_volume.filtering import deferral
 from ladar_volume.filtering.filter import SurfaceFilter
 from ladar_volume.filtering.store import VoxelStore, pack_key, unpack_key
 from ladar_volume.model.parameters import Parameters
@@ -53,8 +54,8 @@ def scene_points(scene, n=6000):
     return scene.mapped(r)
 
 
-def run(scene, points, order, batches, updates):
-    f = SurfaceFilter(PARAMETERS)
+def run(scene, points, order, batches, updates, most=None):
+    f = SurfaceFilter(PARAMETERS, deferring=most is not None)
     world = ({}, {})
     parts = np.array_split(order, batches)
     states = scene.platform()
@@ -65,7 +66,7 @@ def run(scene, points, order, batches, updates):
             f.add_platform(select(states, slice(i * len(states) // batches, (i + 1) * len(states) // batches)))
         f.add(select(points, part))
         if updates:
-            follow(world, f.update())
+            follow(world, f.update(most))
     follow(world, f.finish())
     return f, world
 
@@ -84,6 +85,67 @@ def test_streaming_equals_batch_to_the_bit(scene):
         assert world == expected
         assert f.losses.as_dict() == whole.losses.as_dict()
         assert f.stats == whole.stats
+
+
+def test_what_was_put_off_changes_nothing_in_the_end(scene):
+    points = scene_points(scene)
+    whole, expected = run(scene, points, np.arange(len(points)), 1, False)
+    shuffled = np.random.default_rng(7).permutation(len(points))
+    for order, batches, most in ((np.arange(len(points)), 11, 150), (shuffled, 6, 40), (shuffled, 3, 1)):
+        f, world = run(scene, points, order, batches, True, most)
+        assert world == expected
+        assert f.losses.as_dict() == whole.losses.as_dict()
+        assert f.stats == whole.stats and f.deferred_s == 0.0
+
+
+def test_a_hurried_surface_is_that_of_the_points_taken_in(scene):
+    points = scene_points(scene)
+    f, world = SurfaceFilter(PARAMETERS, deferring=True), ({}, {})
+    f.add_platform(scene.platform())
+    put_off = []
+    for part in np.array_split(np.arange(len(points)), 8):
+        f.add(select(points, part))
+        follow(world, f.update(120))
+        put_off.append(f.stats["points_deferred"])
+        waiting = {(int(t), *r) for c in f._deferred._parts for t, r in zip(c.t_ns, c.r, strict=True)}
+        taken = [j for j in range(part[-1] + 1) if (int(points.t_ns[j]), *points.r_map[j]) not in waiting]
+        alone = SurfaceFilter(PARAMETERS)
+        alone.add_platform(scene.platform())
+        alone.add(select(points, np.array(taken)))
+        # the stamp tells how far the data goes, not the patches
+        assert surface(alone.finish()) == world
+    assert max(put_off) > 500 and f.refitted > 60
+    follow(world, f.update())
+    assert world == run(scene, points, np.arange(len(points)), 1, False)[1]
+
+
+def test_no_tile_is_passed_over_for_ever(scene):
+    """New points everywhere before every update: what waits is never older than a few turns of the map."""
+    points = scene_points(scene, 12_000)
+    f, oldest, tiles = SurfaceFilter(PARAMETERS, deferring=True), [], 27
+    f.add_platform(scene.platform())
+    order = np.argsort(points.t_ns, kind="stable")
+    for part in np.array_split(order, 60):
+        f.add(select(points, part))
+        f.update(1)  # one tile at a time
+        oldest.append(f.deferred_s)
+    span = (points.t_ns.max() - points.t_ns.min()) * 1e-9
+    assert 0.0 < max(oldest[tiles:]) < span * 2 * tiles / 60
+    assert f.update() is not None and f.deferred_s == 0.0 and f.update(1) is None
+
+
+def test_points_without_room_are_forgotten_while_they_wait(scene, monkeypatch):
+    points = scene_points(scene)
+    expected = run(scene, points, np.arange(len(points)), 1, False)[1]
+    monkeypatch.setattr(deferral, "ROOM", 0)
+    _, world = run(scene, points, np.arange(len(points)), 5, True, 1)
+    assert world == expected
+    some = VoxelStore(0.5, 8).offer(points.t_ns, points.ring, points.r_map, points.C_ind)[0]
+    left = deferral.lowest(some, 8)
+    kept, full = VoxelStore(0.5, 8), VoxelStore(0.5, 8)
+    kept.insert(left)
+    full.insert(some)
+    assert len(left) == kept.kept == full.kept < len(some)
 
 
 def test_a_patch_that_loses_its_ground_is_removed(scene):
@@ -128,7 +190,7 @@ def test_cap_keeps_the_same_points_in_any_order(scene):
         order = np.random.default_rng(seed).permutation(len(points))
         for part in np.array_split(order, 3 * seed + 1):
             p = select(points, part)
-            store.insert(p.t_ns, p.ring, p.r_map, p.C_ind)
+            store.insert(store.offer(p.t_ns, p.ring, p.r_map, p.C_ind)[0])
         held = (np.arange(store.used * 8) % 8) < np.repeat(store.count[: store.used], 8)
         kept.append({row.tobytes() for row in np.column_stack([store.t_ns[: len(held)][held], store.r[: len(held)][held]])})
         assert store.kept == len(kept[-1]) and store.count.max() == 8 and store.offered == len(points)
@@ -140,7 +202,7 @@ def test_cap_is_a_fair_sample_of_the_voxel():
     n = 40_000
     r = rng.uniform(0, 0.5, (n, 3)) + np.repeat(np.arange(10), n // 10)[:, None] * np.array([0.5, 0, 0])
     store = VoxelStore(0.5, 400)
-    store.insert(np.arange(n), np.zeros(n, np.uint16), r, np.zeros((n, 6), np.float32))
+    store.insert(store.offer(np.arange(n), np.zeros(n, np.uint16), r, np.zeros((n, 6), np.float32))[0])
     mean = np.stack([store.r[v * 400 : (v + 1) * 400].mean(axis=0) - 0.5 * unpack_key(store.keys[v]) for v in range(10)])
     # sd of a mean of 400 uniforms over 0.5 m is 7.2 mm
     assert np.abs(mean - 0.25).max() < 4 * 0.5 / np.sqrt(12 * 400)
