@@ -7,19 +7,28 @@ import dataclasses
 import numpy as np
 
 from ladar_volume.model.errors import SurfaceError
-from ladar_volume.model.records import F64, I64, Bool, Tin
+from ladar_volume.model.kernels import kernel
+from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.surface.tin import footprint_areas
 
 #: How relevant triangles are told from others.
 OPTIONS = ("all", "corners", "edge", "circumcircle")
 
 
+@kernel
+def length_kernel(vertices: F64, triangles: I32) -> F64:
+    """See :func:`edge_lengths`."""
+    out = np.empty((len(triangles), 3))
+    for t in range(len(triangles)):
+        for k in range(3):
+            a, b = vertices[triangles[t, (k + 1) % 3]], vertices[triangles[t, (k + 2) % 3]]
+            out[t, k] = np.hypot(b[0] - a[0], b[1] - a[1])
+    return out
+
+
 def edge_lengths(tin: Tin) -> F64:
     """Horizontal lengths (m, 3) of the edges opposite each vertex, m."""
-    p = tin.vertices[tin.triangles, :2]
-    d = p[:, [2, 0, 1]] - p[:, [1, 2, 0]]
-    out: F64 = np.hypot(d[..., 0], d[..., 1])
-    return out
+    return np.asarray(length_kernel(tin.vertices, tin.triangles))
 
 
 def circumdiameters(tin: Tin) -> F64:

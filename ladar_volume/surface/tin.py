@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.model.errors import SurfaceError
+from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.surface.delaunay import triangulate
 
@@ -34,11 +35,19 @@ def number(source: I64, n: int) -> I32:
     return out
 
 
+@kernel
+def area_kernel(vertices: F64, triangles: I32) -> F64:
+    """See :func:`footprint_areas`."""
+    out = np.empty(len(triangles))
+    for t in range(len(triangles)):
+        a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
+        out[t] = 0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+    return out
+
+
 def footprint_areas(vertices: F64, triangles: I32) -> F64:
     """Signed horizontal areas (m,) m² of triangles (m, 3) over vertices (n, 3); positive counter-clockwise from above."""
-    a, b, c = (vertices[triangles[:, k], :2] for k in range(3))
-    out: F64 = 0.5 * ((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0]))
-    return out
+    return np.asarray(area_kernel(vertices, triangles))
 
 
 def vertex_mask(tin: Tin, mask: Bool) -> Bool:

@@ -12,7 +12,7 @@ from ladar_volume.ground.surfaces import further_grounds
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters, VolumeParameters
 from ladar_volume.model.records import F64, Plane, Tin
-from ladar_volume.surface.tin import footprint_areas
+from ladar_volume.surface.tin import footprint_areas, vertex_mask
 from ladar_volume.volume.outline import bodies, shares, surroundings, widened
 from ladar_volume.volume.polygon import areas_inside, check_polygon
 
@@ -37,7 +37,7 @@ def base_and_outline(tin: Tin, height_variance: F64, parameters: Parameters) -> 
         if p.outline == "polygon":  # what is inside, such as a pit, is no ground
             used = surroundings(tin, area_inside(tin, ZERO, p) > 0, 0.0)
         else:
-            used = np.unique(tin.triangles[tin.relevant]).astype(np.int64)
+            used = np.flatnonzero(vertex_mask(tin, tin.relevant))
         base = fit_ground(tin.vertices, height_variance, parameters.ground, p.object_height_m / 2, select=used)
     inside = area_inside(tin, base, p)
     if p.base != "ground" or p.outline == "all":

@@ -14,6 +14,7 @@ from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Estimate, FilteredPoints, FilterUpdate, Patches, Plane, PlatformStates, Tin, Volume
 from ladar_volume.surface.represent import Represented, SurfaceOptions, represent
+from ladar_volume.surface.tin import vertex_mask
 from ladar_volume.volume.assembly import base_name, ground_field, near_correction, result_gradients, vertex_variance
 from ladar_volume.volume.base import all_grounds, area_by_body, base_and_outline, polygon_of
 from ladar_volume.volume.budget import Budget, Sources, vertical_sigma
@@ -167,7 +168,7 @@ class VolumeEstimator:
             sigma_tau_range_m3=budget.sigma_tau_range,
             sigma_naive_m3=budget.sigma_naive,
             outline=polygon_of(p.volume) if p.volume.outline == "polygon" else boundary_loop(tin, mask),
-            vertices=len(np.unique(tin.triangles[mask])),
+            vertices=int(np.count_nonzero(vertex_mask(tin, mask))),
             triangles=int(np.count_nonzero(mask)),
             t_ns=self._t_ns,
             folded_m3=folded,

@@ -3,25 +3,40 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ladar_volume.ground.polynomial import base_height
 from ladar_volume.model.errors import VolumeError
+from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.surface.tin import footprint_areas, vertex_mask
+from ladar_volume.volume.near_base import any_corner
+
+
+@kernel
+def flood_kernel(neighbours: I32, mask: Bool) -> I32:
+    """See :func:`components`; numbers rise with the first triangle of each."""
+    label, stack = np.full(len(mask), -1, np.int32), np.empty(len(mask), np.int64)
+    number = 0
+    for first in range(len(mask)):
+        if not mask[first] or label[first] >= 0:
+            continue
+        label[first], stack[0], waiting = number, first, 1
+        while waiting > 0:
+            waiting -= 1
+            t = stack[waiting]
+            for k in range(3):
+                o = neighbours[t, k]
+                if o >= 0 and mask[o] and label[o] < 0:
+                    label[o], stack[waiting] = number, o
+                    waiting += 1
+        number += 1
+    return label
 
 
 def components(tin: Tin, mask: Bool) -> I32:
     """Number (m,) of the edge-connected component of each triangle in ``mask``; -1 elsewhere."""
-    t, k = np.nonzero((tin.neighbours >= 0) & mask[:, None])
-    o = tin.neighbours[t, k]
-    both = mask[o]
-    m = len(tin.triangles)
-    graph = coo_matrix((np.ones(int(both.sum()), np.int8), (t[both], o[both])), shape=(m, m))
-    label = connected_components(graph, directed=False)[1].astype(np.int32)
-    return np.where(mask, label, -1).astype(np.int32)
+    return np.asarray(flood_kernel(tin.neighbours, mask))
 
 
 def bodies(tin: Tin, base: Plane, object_height_m: float, count: int = 1, least_m3: float = 0.0) -> list[Bool]:
@@ -31,13 +46,13 @@ def bodies(tin: Tin, base: Plane, object_height_m: float, count: int = 1, least_
     Raises :class:`VolumeError` where nothing rises that high.
     """
     height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
-    rising = tin.relevant & (height[tin.triangles] > object_height_m).all(axis=1)
+    rising = tin.relevant & ~any_corner(~(height > object_height_m)[tin.triangles])
     if not rising.any():
         raise VolumeError(f"nothing rises more than {object_height_m:g} m above the base", reason="volume_no_body", value=object_height_m)
     label = components(tin, rising)
-    volume = footprint_areas(tin.vertices, tin.triangles) * height[tin.triangles].mean(axis=1)
     chosen = np.flatnonzero(rising)
-    total = np.bincount(label[chosen], volume[chosen])
+    volume = footprint_areas(tin.vertices, tin.triangles[chosen]) * height[tin.triangles[chosen]].mean(axis=1)
+    total = np.bincount(label[chosen], volume)
     order = np.argsort(-total, kind="stable")
     kept = [int(k) for n, k in enumerate(order) if n == 0 or (total[k] > 0 and total[k] >= least_m3)]
     return [label == k for k in (kept[:count] if count else kept)]
@@ -55,16 +70,22 @@ def shares(tin: Tin, outline: Bool, found: list[Bool]) -> list[Bool]:
 
 def within(tin: Tin, mask: Bool, distance_m: float) -> Bool:
     """Vertices (n,) within ``distance_m``, horizontally, of a vertex of the triangles in ``mask``."""
-    inside = vertex_mask(tin, mask)
+    inside, xy = vertex_mask(tin, mask), tin.vertices[:, :2]
+    if not inside.any():
+        return inside
     bound = 1.001 * distance_m + 1e-6  # the search excludes its bound
-    distance, _ = cKDTree(tin.vertices[inside, :2]).query(tin.vertices[:, :2], distance_upper_bound=bound)
-    return np.asarray(distance <= distance_m, dtype=np.bool_)
+    x, y = xy[:, 0], xy[:, 1]
+    (west, south), (east, north) = xy[inside].min(axis=0) - bound, xy[inside].max(axis=0) + bound
+    rest = np.flatnonzero(~inside & (x > west) & (x < east) & (y > south) & (y < north))
+    distance, _ = cKDTree(xy[inside]).query(xy[rest], distance_upper_bound=bound)
+    inside[rest[np.asarray(distance) <= distance_m]] = True
+    return inside
 
 
 def widened(tin: Tin, body: Bool, margin_m: float) -> Bool:
     """The body, the relevant triangles with a vertex within ``margin_m`` of it, and the holes these enclose."""
     near = within(tin, body, margin_m)
-    grown = tin.relevant & (body | near[tin.triangles].any(axis=1))
+    grown = tin.relevant & (body | any_corner(near[tin.triangles]))
     return fill_holes(tin, grown)
 
 
@@ -74,9 +95,9 @@ def fill_holes(tin: Tin, mask: Bool) -> Bool:
     if not rest.any():
         return mask
     label = components(tin, rest)
-    open_triangle = rest & ((tin.neighbours < 0).any(axis=1) | ~tin.relevant)
-    enclosed = rest & ~np.isin(label, label[open_triangle])
-    out: Bool = mask | enclosed
+    enclosed = np.ones(int(label.max()) + 1, np.bool_)
+    enclosed[label[rest & (any_corner(tin.neighbours < 0) | ~tin.relevant)]] = False
+    out: Bool = mask | enclosed[label]  # of a triangle of the mask, whose label is -1, anything
     return out
 
 

@@ -6,6 +6,7 @@ What is stored depends only on the union of the updates, not on their history, s
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence, Sized
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, FilterUpdate, Patches, concatenate, select
+from ladar_volume.volume.patch_merge import block_rows, copy_rows, place_blocks
 
 ROWS = ("key", "centre", "normal", "tangent", "beta", "sigma", "used", "t_ns", "M_cal")
 
@@ -46,10 +48,9 @@ def picked(parts: list[Any], rows: I64) -> Any:
     if len(parts) == 1:
         return parts[0][rows]
     out = np.empty((len(rows), *parts[0].shape[1:]), parts[0].dtype)
-    first = 0
+    width, first = math.prod(parts[0].shape[1:]), 0
     for part in parts:
-        own = np.flatnonzero((rows >= first) & (rows < first + len(part)))
-        out[own] = part[rows[own] - first]
+        copy_rows(np.ascontiguousarray(part, out.dtype).reshape(len(part), width), rows, first, out.reshape(len(rows), width))
         first += len(part)
     return out
 
@@ -123,7 +124,7 @@ class PatchStore:
 
 
 class LastWord:
-    """Which update was the last to say anything of a patch."""
+    """Which update was the last to say anything of a patch. keys, turns : of the patches ever named, ascending, then one that is none."""
 
     def __init__(self, updates: list[FilterUpdate], turns: list[int]) -> None:
         """turns : number of each of these updates, rising; parts of one have the same."""
@@ -131,12 +132,12 @@ class LastWord:
         keys, turn = np.concatenate(words), _spread(turns, words)
         order = np.lexsort((turn, keys))
         last = order[np.append(keys[order][1:] != keys[order][:-1], True)] if len(keys) else order
-        self._keys, self._turn = np.append(keys[last], np.iinfo(np.int64).max), np.append(turn[last], -1)
+        self.keys, self.turns = np.append(keys[last], np.iinfo(np.int64).max), np.append(turn[last], -1)
 
     def turn(self, key: I64) -> I64:
         """Number (n,) of the last update for keys (n,), -1 where there was none."""
-        at = np.searchsorted(self._keys, key)
-        return np.where(self._keys[at] == key, self._turn[at], -1)
+        at = np.searchsorted(self.keys, key)
+        return np.where(self.keys[at] == key, self.turns[at], -1)
 
 
 def merged_rows(parts: list[Patches], rows: I64) -> dict[str, Any]:
@@ -156,17 +157,16 @@ def merged_bins(parts: list[Patches], rows: I64) -> dict[str, Any]:
 
 def merged_blocks(parts: list[Patches], turns: list[int], last: LastWord, keys: I64) -> dict[str, Any]:
     """The cross blocks that hold, by the lower key of their pair and then the other, for patches of keys (m,)."""
-    own = np.concatenate([np.repeat(part.key, np.diff(part.cross_start)) for part in parts])
-    other = np.concatenate([part.cross_key for part in parts])
-    turn = np.repeat(turns, [len(part.cross_key) for part in parts])
-    entries = np.flatnonzero(turn == np.maximum(last.turn(own), last.turn(other)))
-    own, other = own[entries], other[entries]
-    low, high = np.minimum(own, other), np.maximum(own, other)
-    known = np.isin(low, keys)  # a block with a patch that never came stays where it was
-    own, other = np.where(known, low, own), np.where(known, high, other)
-    order = np.lexsort((other, own))
-    start = np.searchsorted(own[order], np.append(keys, np.iinfo(np.int64).max))
-    return {"cross_start": start.astype(np.int64), "cross_key": other[order], "cross": picked([p.cross for p in parts], entries[order])}
+    rows = [np.empty(len(part.cross_key), np.int64) for part in parts]
+    count = np.zeros(len(keys), np.int64)
+    for part, turn, row in zip(parts, turns, rows, strict=True):
+        block_rows(part.key, part.cross_start, part.cross_key, turn, last.keys, last.turns, keys, row, count)
+    start = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+    key, entry, filled, number = np.empty(start[-1], np.int64), np.empty(start[-1], np.int64), np.zeros(len(keys), np.int64), 0
+    for part, row in zip(parts, rows, strict=True):
+        place_blocks(part.key, part.cross_start, part.cross_key, row, number, keys, start, filled, key, entry)
+        number += len(row)
+    return {"cross_start": start, "cross_key": key, "cross": picked([part.cross for part in parts], entry)}
 
 
 def _spread(turns: list[int], parts: Sequence[Sized]) -> I64:
