@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 from rich.console import Console
@@ -11,8 +11,7 @@ from rich.table import Table
 
 from ladar_volume.cli.study_bodies import add_studies
 from ladar_volume.cli.study_coverage import add_coverage
-from ladar_volume.io.results import json_text, output_folder, write_text
-from ladar_volume.version import version
+from ladar_volume.cli.study_record import add_outputs, carry_out
 
 
 def add_parser(subparsers: Any) -> None:
@@ -26,16 +25,14 @@ def add_parser(subparsers: Any) -> None:
         "on each of the first eight.",
     )  # fmt: skip
     nist.add_argument("--seeds", type=int, default=24, metavar="N", help="simulated pairs of scans (default 24)")
-    nist.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="tables.md, study.json and the figures")
-    nist.add_argument("--json", action="store_true", help="print the numbers as JSON to standard output")
+    add_outputs(nist, "the figures")
     nist.set_defaults(run=run_nist)
     stockpile = studies.add_parser(
         "stockpile", help="precision of a surveyed point and a coal stockpile of 100 m³ (its Table 2)",
         description="Recomputes the precision of an airborne LiDAR point and what a stockpile of 100 m³ asks for, published and "
         "corrected, side by side.",
     )  # fmt: skip
-    stockpile.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="tables.md, study.json and precision.png")
-    stockpile.add_argument("--json", action="store_true", help="print the numbers as JSON to standard output")
+    add_outputs(stockpile, "precision.png")
     stockpile.set_defaults(run=run_stockpile)
     add_studies(studies)
     add_coverage(studies)
@@ -47,24 +44,7 @@ def run_nist(arguments: argparse.Namespace) -> int:
     from ladar_volume.studies.nist_figures import write_figures
     from ladar_volume.studies.nist_tables import tables
 
-    if arguments.output is not None:
-        output_folder(arguments.output)
-    console = Console(stderr=arguments.json)
-    with console.status("simulating") as status:
-        study = run(arguments.seeds, status.update)
-        facts: dict[str, Any] = {"study": "nist", "seeds": arguments.seeds, **summary(study), "version": version()}
-        if arguments.output is not None:
-            status.update("writing")
-            facts["figures"] = write_figures(study, arguments.output)
-            write_text(arguments.output / "tables.md", tables(study))
-            write_text(arguments.output / "study.json", json_text(facts))
-    if arguments.json:
-        print(json_text(facts), end="")
-        return 0
-    show(console, facts)
-    if arguments.output is not None:
-        console.print(f"written to {arguments.output}")
-    return 0
+    return carry_out(arguments, partial(run, arguments.seeds), summary, tables, write_figures, show_nist)
 
 
 def run_stockpile(arguments: argparse.Namespace) -> int:
@@ -72,25 +52,16 @@ def run_stockpile(arguments: argparse.Namespace) -> int:
     from ladar_volume.studies.stockpile import summary
     from ladar_volume.studies.stockpile_tables import TABLES, tables, write_figure
 
-    facts: dict[str, Any] = {"study": "stockpile", **summary(), "version": version()}
-    if arguments.output is not None:
-        folder = output_folder(arguments.output)
-        facts["figures"] = [write_figure(folder)]
-        write_text(folder / "tables.md", tables())
-        write_text(folder / "study.json", json_text(facts))
-    if arguments.json:
-        print(json_text(facts), end="")
-        return 0
-    console = Console()
-    for title, make in TABLES.items():
-        console.print(f"\n[bold]{title}[/bold]\n")
-        console.print(make(), end="", markup=False, highlight=False, soft_wrap=True)
-    if arguments.output is not None:
-        console.print(f"written to {arguments.output}")
-    return 0
+    def show(console: Console, _: dict[str, Any]) -> None:
+        for title, make in TABLES.items():
+            console.print(f"\n[bold]{title}[/bold]\n")
+            console.print(make(), end="", markup=False, highlight=False, soft_wrap=True)
+
+    # nothing is simulated: all of it is computed from the printed figures
+    return carry_out(arguments, lambda _: None, lambda _: summary(), lambda _: tables(), lambda _, folder: [write_figure(folder)], show)
 
 
-def show(console: Console, facts: dict[str, Any]) -> None:
+def show_nist(console: Console, facts: dict[str, Any]) -> None:
     """Print the errors of every procedure as a table."""
     own = facts["own"]
     table = Table("procedure", "mean error", "spread", title=f"Box of 1.6990 m³, {facts['seeds']} seeds", title_justify="left")

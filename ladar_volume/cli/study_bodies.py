@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-from ladar_volume.io.results import json_text, output_folder, write_text
-from ladar_volume.version import version
+from ladar_volume.cli.study_record import add_outputs, carry_out
 
 
 def add_studies(studies: Any) -> None:
@@ -21,8 +20,7 @@ def add_studies(studies: Any) -> None:
         "registered by four of six reference spheres, and measures volumes and densities. Some 20 seconds per seed.",
     )  # fmt: skip
     landfill.add_argument("--seeds", type=int, default=4, metavar="N", help="simulated excavations of three bodies each (default 4)")
-    landfill.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="tables.md, study.json and the figures")
-    landfill.add_argument("--json", action="store_true", help="print the numbers as JSON to standard output")
+    add_outputs(landfill, "the figures")
     landfill.set_defaults(run=run_landfill)
     thesis = studies.add_parser(
         "thesis", help="filter, mesh, ground and volume of a thesis's box, sphere, bench and square (its Tables 9.1 to 9.4)",
@@ -31,8 +29,7 @@ def add_studies(studies: Any) -> None:
     )  # fmt: skip
     thesis.add_argument("--seeds", type=int, default=5, metavar="N", help="clouds of box and sphere each (default 5)")
     thesis.add_argument("--large", type=int, default=300_000, metavar="POINTS", help="points of the square; 2700000 as published; 0: none")
-    thesis.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="tables.md, study.json and volumes.png")
-    thesis.add_argument("--json", action="store_true", help="print the numbers as JSON to standard output")
+    add_outputs(thesis, "volumes.png")
     thesis.set_defaults(run=run_thesis)
 
 
@@ -41,20 +38,11 @@ def run_landfill(arguments: argparse.Namespace) -> int:
     from ladar_volume.studies.landfill import run, summary
     from ladar_volume.studies.landfill_tables import tables, write_figures
 
-    if arguments.output is not None:
-        output_folder(arguments.output)
-    console = Console(stderr=arguments.json)
-    with console.status("simulating") as status:
-        study = run(arguments.seeds, status.update)
-        facts: dict[str, Any] = {"study": "landfill", "seeds": arguments.seeds, **summary(study), "version": version()}
-        if arguments.output is not None:
-            status.update("writing")
-            facts["figures"] = write_figures(study, arguments.output)
-            write_text(arguments.output / "tables.md", tables(study))
-            write_text(arguments.output / "study.json", json_text(facts))
-    if arguments.json:
-        print(json_text(facts), end="")
-        return 0
+    return carry_out(arguments, partial(run, arguments.seeds), summary, tables, write_figures, show_landfill)
+
+
+def show_landfill(console: Console, facts: dict[str, Any]) -> None:
+    """Print errors and predicted sigma as a table."""
     table = Table("", "mean error", "spread", title=f"{facts['bodies']} bodies of 16 m³", title_justify="left")
     table.add_row("volume, common boundary ring", f"{facts['bias_pct']:+.3f} %", f"{facts['spread_pct']:.3f} %")
     table.add_row("  predicted sigma", "", f"{facts['predicted_sigma_pct']:.3f} %")
@@ -62,9 +50,6 @@ def run_landfill(arguments: argparse.Namespace) -> int:
     table.add_row(own, f"{facts['published_bias_pct']:+.2f} %", f"{facts['published_spread_pct']:.2f} %")
     table.add_row("density", f"{facts['density_bias_pct']:+.3f} %", f"{facts['density_spread_pct']:.3f} %")
     console.print(table)
-    if arguments.output is not None:
-        console.print(f"written to {arguments.output}")
-    return 0
 
 
 def run_thesis(arguments: argparse.Namespace) -> int:
@@ -72,20 +57,12 @@ def run_thesis(arguments: argparse.Namespace) -> int:
     from ladar_volume.studies.thesis import run, summary
     from ladar_volume.studies.thesis_tables import tables, write_figure
 
-    if arguments.output is not None:
-        output_folder(arguments.output)
-    console = Console(stderr=arguments.json)
-    with console.status("simulating") as status:
-        study = run(arguments.seeds, arguments.large, status.update)
-        facts: dict[str, Any] = {"study": "thesis", "seeds": arguments.seeds, **summary(study), "version": version()}
-        if arguments.output is not None:
-            status.update("writing")
-            facts["figures"] = [write_figure(study, arguments.output)]
-            write_text(arguments.output / "tables.md", tables(study))
-            write_text(arguments.output / "study.json", json_text(facts))
-    if arguments.json:
-        print(json_text(facts), end="")
-        return 0
+    simulate = partial(run, arguments.seeds, arguments.large)
+    return carry_out(arguments, simulate, summary, tables, lambda study, folder: [write_figure(study, folder)], show_thesis)
+
+
+def show_thesis(console: Console, facts: dict[str, Any]) -> None:
+    """Print errors of the volumes and the times of the clouds."""
     table = Table("error of the volume", "cube", "sphere", title=f"{facts['seeds']} clouds each", title_justify="left")
     for way in facts["box"]["error_pct"]:
         cells = (facts[body]["error_pct"][way] for body in ("box", "sphere"))
@@ -95,6 +72,3 @@ def run_thesis(arguments: argparse.Namespace) -> int:
         filtering, meshing, ground = f["seconds"]
         console.print(f"{name}: {f['filtered']:,} of {f['raw']:,} points, {f['triangles']:,} triangles; "
                       f"filter {filtering:.3g} s, mesh {meshing:.3g} s, ground {ground:.2g} s")  # fmt: skip
-    if arguments.output is not None:
-        console.print(f"written to {arguments.output}")
-    return 0

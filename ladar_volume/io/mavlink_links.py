@@ -36,6 +36,19 @@ class Link(Protocol):
         """Let go."""
 
 
+def _taken(descriptor: int, timeout_s: float) -> bytes | None:
+    """What has come within ``timeout_s``, empty for nothing, None where the other end is gone."""
+    ready, _, _ = select.select([descriptor], [], [], timeout_s)
+    if not ready:
+        return b""
+    try:
+        return os.read(descriptor, 65535) or None
+    except BlockingIOError:
+        return b""
+    except OSError:
+        return None
+
+
 class UdpLink:
     """Datagrams: listening on ``address``, or sending to it."""
 
@@ -138,16 +151,10 @@ class TcpLink:
         if self._peer is None:
             self._connect(timeout_s)
             return b""
-        select.select([self._peer], [], [], timeout_s)
-        try:
-            data: bytes = self._peer.recv(65535)
-        except BlockingIOError:
-            return b""
-        except OSError:
-            data = b""
-        if not data:
+        data = _taken(self._peer.fileno(), timeout_s)
+        if data is None:
             self._drop()
-        return data
+        return data or b""
 
     def write(self, data: bytes) -> None:
         """To whoever is connected."""
@@ -209,18 +216,10 @@ class SerialLink:
             if time.monotonic() >= self._next:
                 self._open()
             return b""
-        ready, _, _ = select.select([self._fd], [], [], timeout_s)
-        if not ready:
-            return b""
-        try:
-            data = os.read(self._fd, 65535)
-        except BlockingIOError:
-            return b""
-        except OSError:
-            data = b""
-        if not data:
+        data = _taken(self._fd, timeout_s)
+        if data is None:
             self._drop()
-        return data
+        return data or b""
 
     def write(self, data: bytes) -> None:
         """To the port."""
