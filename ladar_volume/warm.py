@@ -118,8 +118,9 @@ def _made_up_surface(side: int, beams: int) -> FilterUpdate:
 def _volume(parameters: Parameters) -> None:
     estimator: VolumeEstimator = importlib.import_module("ladar_volume.volume.estimator").VolumeEstimator(parameters)
     estimator.add_platform(_still(np.array([START_NS, START_NS + BIN_NS], np.int64)))
-    estimator.add(_made_up_surface(40, parameters.georeference.beams))
-    _estimate(estimator)
+    for _ in range(2):  # the second update is merged with the first
+        estimator.add(_made_up_surface(40, parameters.georeference.beams))
+        _estimate(estimator)
     estimator.set_parameters(Parameters.read({"volume": {"outline": "polygon", "polygon_m": SQUARE}}, parameters))
     _estimate(estimator)
 

@@ -86,5 +86,11 @@ def tangential(total: Any, n: Any, size: Any, out: Any) -> None:
     for i in range(3):
         for j in range(3):
             P[i, j] -= n[i] * n[j]
-    D = P @ C @ P / (size * size)
-    out[0], out[1], out[2], out[3], out[4], out[5] = D[0, 0], D[0, 1], D[0, 2], D[1, 1], D[1, 2], D[2, 2]
+    D, e = np.empty((3, 3)), 0  # D = P C
+    for i in range(3):
+        for j in range(3):
+            D[i, j] = P[i, 0] * C[0, j] + P[i, 1] * C[1, j] + P[i, 2] * C[2, j]
+    for i in range(3):
+        for j in range(i, 3):
+            out[e] = (D[i, 0] * P[0, j] + D[i, 1] * P[1, j] + D[i, 2] * P[2, j]) / (size * size)
+            e += 1

@@ -7,6 +7,8 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import gc
+import importlib
+import sys
 from pathlib import Path
 
 #: mallopt's numbers for the size from which a block is a mapping of its own, and for the greatest number of arenas (malloc.h).
@@ -15,8 +17,8 @@ _M_MMAP_THRESHOLD, _M_ARENA_MAX = -3, -8
 MAPPED_BYTES = 1 << 20
 #: madvise's word for pages that are not needed now (mman.h): those of a file are read again when they are.
 _MADV_DONTNEED = 4
-#: The compiler's library. Once the kernels are loaded nothing of it runs.
-COMPILER = "libllvm"
+#: What numba asks for with its first kernel, to take products of matrices by it, which no kernel here does: all of SciPy's linear algebra.
+BLAS = "scipy.linalg.cython_blas"
 #: How often a node gives memory back, s: the call takes milliseconds.
 GIVE_BACK_S = 5.0
 
@@ -35,32 +37,44 @@ def give_back() -> None:
         ctypes.CDLL(None).malloc_trim(0)
 
 
-def unchanged_pages(smaps: str, library: str) -> list[tuple[int, int]]:
-    """First address and length of each mapping of a file of this name that may not be written to and that nothing was written to, from
-    the text of ``/proc/self/smaps``."""
+def without_blas() -> None:
+    """Let numba load without SciPy's linear algebra, a fifth of what a node without data holds; for a process of one's own, in which then
+    no kernel can multiply matrices."""
+    if BLAS in sys.modules:
+        return
+    sys.modules[BLAS] = None  # type: ignore[assignment]
+    try:
+        importlib.import_module("numba.np.arraymath")
+    finally:
+        del sys.modules[BLAS]
+
+
+def unchanged_pages(smaps: str) -> list[tuple[int, int]]:
+    """First address and length of each mapping of a shared library that may not be written to and that nothing was written to, from the
+    text of ``/proc/self/smaps``."""
     out, mapping = [], (0, 0)
     for line in smaps.splitlines():
         words = line.split()
         if not words[0].endswith(":"):
             first, _, end = words[0].partition("-")
-            inside = words[1][1] == "-" and len(words) > 5 and words[-1].rpartition("/")[2].startswith(library)
+            inside = words[1][1] == "-" and len(words) > 5 and ".so" in words[-1].rpartition("/")[2]
             mapping = (int(first, 16), int(end, 16) - int(first, 16)) if inside else (0, 0)
         elif words[0] == "Anonymous:" and mapping[1] and int(words[1]) == 0:
             out.append(mapping)
     return out
 
 
-def drop_compiler() -> None:
-    """Give back the pages of the compiler's library that are as in its file."""
+def drop_code() -> None:
+    """Give back the pages of libraries that are as in their files. Most ran only to import and compile; what runs again is read again, and
+    mostly lies in the system's cache."""
     with contextlib.suppress(OSError, AttributeError):
         madvise = ctypes.CDLL(None).madvise
-        for first, length in unchanged_pages(Path("/proc/self/smaps").read_text(), COMPILER):
+        for first, length in unchanged_pages(Path("/proc/self/smaps").read_text()):
             madvise(ctypes.c_void_p(first), ctypes.c_size_t(length), _MADV_DONTNEED)
 
 
 def tidy() -> None:
-    """Collect what only cycles hold, then return what is free and what only a compiler needs: after a start that compiled and imported
-    much."""
+    """Collect what only cycles hold, then return what is free and what only a start needs: after one that compiled and imported much."""
     gc.collect()
     give_back()
-    drop_compiler()
+    drop_code()

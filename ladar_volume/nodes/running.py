@@ -14,7 +14,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.nodes.base import StageNode
-from ladar_volume.nodes.memory import few_arenas
+from ladar_volume.nodes.memory import few_arenas, without_blas
 
 
 class Spinner:
@@ -49,6 +49,8 @@ def spin(factory: Callable[[], StageNode], argv: Sequence[str] | None = None) ->
         signal.signal(number, lambda *_: stop.set())
     try:
         node = factory()
+        if node.kernels is not None:
+            without_blas()
         node.autostart()
         spinner = Spinner(node)
         while not stop.wait(0.2):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ladar_volume.filtering import linear, reference
+from ladar_volume.filtering import linear, project, reference
 from ladar_volume.filtering.filter import SurfaceFilter
 from ladar_volume.filtering.fit import OK
 from ladar_volume.filtering.linear import invert, select_kth
@@ -171,3 +171,13 @@ def test_eigenvectors_of_small_matrices():
         scale = max(np.abs(S).max(), 1e-300)
         assert np.abs(value - np.linalg.eigvalsh(S)).max() < 1e-14 * scale and (np.diff(value) >= 0).all()
         assert np.abs(vector.T @ vector - np.eye(3)).max() < 1e-14 and np.abs(S @ vector - vector * value).max() < 1e-14 * scale
+
+
+def test_noise_within_the_tangent_plane_beside_matrices():
+    rng = np.random.default_rng(8)
+    for size in (1, 7):
+        A, n = rng.normal(size=(3, 3)), rng.normal(size=3)
+        n /= np.linalg.norm(n)
+        C, P, out = A @ A.T, np.eye(3) - np.outer(n, n), np.zeros(6)
+        project.tangential(C[np.triu_indices(3)], n, size, out)
+        assert np.allclose(out, (P @ C @ P)[np.triu_indices(3)] / size**2, rtol=1e-12, atol=1e-15)

@@ -1,5 +1,6 @@
 """What a node loads: no compiler where there is nothing to compile, no other stage than its own."""
 
+import ast
 import subprocess
 import sys
 from pathlib import Path
@@ -27,3 +28,24 @@ def test_a_node_loads_no_more_than_its_stage(node, banned):
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def kernels(path):
+    """The compiled functions of a module."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        marks = getattr(node, "decorator_list", [])
+        if any(isinstance(mark, ast.Name) and mark.id in ("kernel", "parallel_kernel") for mark in marks):
+            yield node
+
+
+def test_no_kernel_takes_matrix_products_from_scipy():
+    # numba would load all of SciPy's linear algebra for them: nodes do without
+    found = [
+        f"{path.name}:{node.lineno}"
+        for path in (ROOT / "ladar_volume").rglob("*.py")
+        for function in kernels(path)
+        for node in ast.walk(function)
+        if (isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult))
+        or (isinstance(node, ast.Attribute) and node.attr in ("dot", "vdot", "linalg"))
+    ]
+    assert found == []
