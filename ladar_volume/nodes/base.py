@@ -157,7 +157,6 @@ class StageNode(LifecycleNode):
         try:
             if self.kernels is not None:
                 importlib.import_module("ladar_volume.warm").warm_up(self.kernels)
-                memory.tidy()
             self.build()
         except LadarVolumeError as error:
             self.get_logger().error(str(error))
@@ -176,6 +175,8 @@ class StageNode(LifecycleNode):
     def on_activate(self, state: Any) -> TransitionCallbackReturn:
         """Begin to take in data."""
         self._active = True
+        if self.kernels is not None:
+            memory.tidy()
         return super().on_activate(state)
 
     def on_deactivate(self, state: Any) -> TransitionCallbackReturn:
