@@ -130,6 +130,7 @@ class Load(Node):
         self.past: list[tuple[str, dict[str, str]]] = []
         self.warnings: dict[str, int] = {}
         self.latency: list[tuple[float, float]] = []
+        self.deferred: list[float] = []
         self.seen: set[int] = set()
         self._random = random.Random(4)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._listen, 100)
@@ -138,6 +139,8 @@ class Load(Node):
     def _listen(self, message: DiagnosticArray) -> None:
         for status in message.status:
             self.lines[status.name] = {v.key: v.value for v in status.values}
+            if status.name == "filter_node":
+                self.deferred.append(float(self.lines[status.name].get("deferred_s", "0")))
             for words in status.message.split("; "):
                 text = "".join(c for c in words if not c.isdigit() and c not in ".-")
                 self.warnings[text] = self.warnings.get(text, 0) + 1
@@ -314,6 +317,7 @@ def report(soak: Soak, truth_m3: float) -> dict[str, Any]:
         "wrong": wrong, "sent": load.sent, "dropped_by_load": load.dropped, "unheard_while_down": load.unheard, "unaccounted": unaccounted,
         "faults": {k: n for k, n in load.hurt.items() if n}, "volumes": len(load.latency), "volume_m3": volume, "sigma_m3": sigma,
         "truth_m3": truth_m3, "scan_to_volume_s": {k: [float(np.percentile(v, q)) for q in (50, 99)] for k, v in halves.items() if v},
+        "put_off_s": [float(np.percentile(load.deferred or [0.0], q)) for q in (50, 99)],
         "cpu_per_second": {name: busy / flown_s for name, busy in soak.busy.items()},
         "resident_mb": {name: max(r[name] for _, r in soak.resident) for name in NODES}, "resident_all_mb": max(sizes),
         "resident_middle_third_mb": max(sizes[third : 2 * third] or sizes), "resident_last_third_mb": max(sizes[2 * third :] or sizes),

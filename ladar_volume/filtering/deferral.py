@@ -2,8 +2,8 @@
 
 Points wait by tile, blocks of 8 x 8 x 8 voxels: taking in a whole tile refits its rim's neighbours once instead of once per voxel. What is
 taken in is a set of points like any other, so the surface stays exactly the surface of some points; what waits only makes it that of fewer.
-A tile's turn comes by the number of voxels' worth of points it would exchange, times the time it has waited: new ground comes first, and
-no tile is passed over for ever.
+A tile's turn comes by the number of voxels' worth of points it would exchange, and a few, times the time it has waited: new ground comes
+first, and where little changes a tile waits twice as long as others, not for ever.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from ladar_volume.model.records import F64, I64, concatenate, select
 TILE_BITS = 3
 #: A tile that has just begun to wait counts as if for this long (ns): otherwise new ground would wait too.
 HEAD_START_NS = 500_000_000
+#: Voxels' worth of points that every tile counts for beside those it would exchange.
+AT_LEAST = 4.0
 
 #: Points that may wait, beside twice as many as could stay when last looked at, before those that cannot stay are looked for.
 ROOM = 1 << 16
@@ -94,7 +96,8 @@ class Deferred:
         tiles, tile = np.unique(tile_of(voxels), return_inverse=True)
         oldest = np.full(len(tiles), newest_ns)
         np.minimum.at(oldest, tile[which], points.t_ns)
-        turn = np.bincount(tile, weights=shares(store, voxels, new)) * (newest_ns - oldest + HEAD_START_NS)
+        turn = np.bincount(tile, weights=shares(store, voxels, new)) + AT_LEAST
+        turn *= newest_ns - oldest + HEAD_START_NS
         order = np.argsort(-turn, kind="stable")
         rank = np.empty(len(order), np.int64)
         rank[order] = np.arange(len(order))

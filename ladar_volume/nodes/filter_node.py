@@ -22,6 +22,8 @@ from ladar_volume.nodes.running import spin
 
 #: Patches refitted per second of an update, before any has been measured; updates with fewer than so many measure nothing.
 FIRST_RATE, LEAST_MEASURED = 2000.0, 50
+#: Time of an update as a share of the pause between two; how long no data must have come until there is no hurry.
+SHARE, QUIET_S = 1.0 / 3.0, 0.3
 
 
 class FilterNode(StageNode):
@@ -105,16 +107,16 @@ class FilterNode(StageNode):
             self._fresh = True
 
     def idle(self) -> None:
-        """Publish an update when its time has come and something is new. While data comes, it takes about half of the pause between two,
-        and leaves for the next what changes least; once none comes, nothing is left. When messages wait, at most every third of the time
-        goes into updates."""
+        """Publish an update when its time has come and something is new. While data comes it takes about :data:`SHARE` of the pause
+        between two, and leaves for the next what changes least; once none comes there is no pause until nothing is left. While messages
+        wait, at most every third of the time goes into updates."""
         now, period = time.monotonic(), self.parameters.node.update_period_s
-        waited = now - self._updated
-        if not self._fresh or waited < period or (not self._queue.empty() and waited < 2.0 * self._last_update_s):
+        waited, late = now - self._updated, not self._queue.empty()
+        quiet = not late and now - self._came > QUIET_S
+        if not self._fresh or (waited < period and not quiet) or (late and waited < 2.0 * self._last_update_s):
             return
         self._hand_over()
-        quiet = now - self._came > period
-        update = self.stage.update(None if quiet else max(round(0.5 * period * self._patches_per_s), 1))
+        update = self.stage.update(max(round((1.0 if quiet else SHARE) * period * self._patches_per_s), 1))
         self._fresh = self.stage.stats["points_deferred"] > 0
         self._send(update)
         # the pause counts from the end: a slow machine spends at most its share on updates, and the estimate gets its turn
