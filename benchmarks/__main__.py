@@ -17,7 +17,7 @@ from ladar_volume.version import version
 
 HERE = Path(__file__).parent
 NAMES = (
-    "georeference", "filtering", "filtering_peers", "filtering_square", "surface", "surface_peers", "epochs", "replay", "live",
+    "georeference", "filtering", "filtering_peers", "filtering_square", "surface", "surface_peers", "epochs", "replay", "stages", "live",
     "seeds", "pits", "spheres", "correlated_sum", "ball_box", "local_mesh", "kill_logger", "calibration", "bodies",
     "propagation", "footprint", "fuzz", "soak",
 )  # fmt: skip

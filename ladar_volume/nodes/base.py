@@ -7,7 +7,8 @@ import importlib
 import queue
 import threading
 import time
-from collections.abc import Callable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Generator, Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -52,12 +53,19 @@ def sensor_qos(parameters: Parameters) -> QoSProfile:
     )  # fmt: skip
 
 
+class NextRound:
+    """Awaited in a service that answers later: the executor comes back to it whenever something wakes it."""
+
+    def __await__(self) -> Generator[None]:
+        yield
+
+
 def _stamp(item: Any) -> int | None:
     """The header stamp of a message (ns), None for what has none."""
     return stamp_ns(item) if hasattr(item, "header") else None
 
 
-class StageNode(LifecycleNode):
+class StageNode(LifecycleNode, ABC):
     """Base of the nodes. A subclass names its sections, builds its stage in :meth:`build` and handles work items in
     :meth:`work`, which runs in the one worker thread; callbacks only queue."""
 
@@ -128,13 +136,13 @@ class StageNode(LifecycleNode):
         """Take over run-time parameters; for subclasses."""
 
     # lifecycle ----------------------------------------------------------------------------------------------------
+    @abstractmethod
     def build(self) -> None:
         """Create stage, publishers, subscriptions and services."""
-        raise NotImplementedError
 
+    @abstractmethod
     def work(self, kind: str, item: Any) -> None:
         """Handle one queued item in the worker thread."""
-        raise NotImplementedError
 
     def idle(self) -> None:
         """Called by the worker after items and at least every 50 ms; for periodic work."""
@@ -282,6 +290,11 @@ class StageNode(LifecycleNode):
         except Exception as error:
             self.losses.add("message_internal_error")
             self.get_logger().error(f"{type(error).__name__}: {error}")
+
+    def wake(self) -> None:
+        """Have the executor look again at services that answer later."""
+        if self.executor is not None:
+            self.executor.wake()
 
     # diagnostics --------------------------------------------------------------------------------------------------
     def publish_diagnostics(self) -> None:

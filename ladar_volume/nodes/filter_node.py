@@ -8,14 +8,17 @@ from collections.abc import Sequence
 from typing import Any
 
 from nav_msgs.msg import Odometry
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.task import Future
 from sensor_msgs.msg import NavSatFix, PointCloud2
+from std_srvs.srv import Trigger
 
 from ladar_volume.filtering.filter import SurfaceFilter
 from ladar_volume.io.clouds import stamp_ns
 from ladar_volume.io.tables import decode
 from ladar_volume.io.wire import filtered_columns, mapped_points, patch_columns, update_parts
 from ladar_volume.model.records import Datum, FilterUpdate
-from ladar_volume.nodes.base import LATCHED, STREAM, StageNode
+from ladar_volume.nodes.base import LATCHED, STREAM, NextRound, StageNode
 from ladar_volume.nodes.convert import datum_of, platform_state, table_message
 from ladar_volume.nodes.passes import Passes
 from ladar_volume.nodes.running import spin
@@ -52,14 +55,34 @@ class FilterNode(StageNode):
         self._last_update_s = 0.0
         self._points = self.create_publisher(PointCloud2, "points_filtered", STREAM)
         self._patches = self.create_publisher(PointCloud2, "patches", STREAM)
+        self._sent_ns = 0
+        self.create_service(Trigger, "~/flush", self._flush, callback_group=MutuallyExclusiveCallbackGroup())
         self.listen("points", PointCloud2, "points_mapped", STREAM)
         self.listen("platform", Odometry, "platform", STREAM)
         self.listen("datum", NavSatFix, "datum", LATCHED)
+
+    async def _flush(self, request: Any, response: Any) -> Any:
+        """Send all that was put off; the answer, when it is sent, is the stamp (ns) of the last part."""
+        flushed = Future()
+        self.offer("flush", flushed)
+        while not flushed.done():
+            await NextRound()
+        response.success, response.message = True, str(flushed.result())
+        return response
 
     def work(self, kind: str, item: Any) -> None:
         """Hand points and states to the stage."""
         if kind == "reset":
             return self._start_over()
+        if kind == "flush":
+            try:
+                self._hand_over()
+                self._fresh = False
+                self._send(self.stage.update())
+            finally:
+                item.set_result(self._sent_ns)
+                self.wake()
+            return None
         if kind == "datum":
             return self._take_datum(datum_of(item))
         verdict = self._passes.take(kind, stamp_ns(item))
@@ -68,6 +91,7 @@ class FilterNode(StageNode):
         if verdict == "wait":
             return self._unsure.append(item)
         if verdict == "new":
+            self._sent_ns = 0
             self._start_over()
         if kind == "points":
             return self._add(item)
@@ -133,10 +157,11 @@ class FilterNode(StageNode):
 
     def _send(self, update: FilterUpdate | None) -> None:
         if update is not None:
-            for number, part in enumerate(update_parts(update)):
-                # the stamp pairs the two tables; a nanosecond per part keeps it unique
-                self._patches.publish(table_message(patch_columns(part), update.t_ns + number))
-                self._points.publish(table_message(filtered_columns(part.points), update.t_ns + number))
+            # the stamp pairs the two tables: a nanosecond more where that of the data would come again
+            first = max(update.t_ns, self._sent_ns + 1)
+            for self._sent_ns, part in enumerate(update_parts(update), start=first):
+                self._patches.publish(table_message(patch_columns(part), self._sent_ns))
+                self._points.publish(table_message(filtered_columns(part.points), self._sent_ns))
                 self.counts["parts"] += 1
             self.counts["updates"] += 1
 

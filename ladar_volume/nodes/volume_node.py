@@ -12,6 +12,7 @@ from typing import Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from sensor_msgs.msg import NavSatFix, PointCloud2
 from shape_msgs.msg import Mesh
 from std_msgs.msg import Float64
@@ -31,13 +32,16 @@ from ladar_volume.io.wire import (
 )  # fmt: skip
 from ladar_volume.model.errors import LadarVolumeError, VolumeError
 from ladar_volume.model.records import Datum, Estimate, FilterUpdate, Volume
-from ladar_volume.nodes.base import LATCHED, STREAM, StageNode
+from ladar_volume.nodes.base import LATCHED, STREAM, NextRound, StageNode
 from ladar_volume.nodes.convert import datum_of, ground_message, platform_state, table_message
 from ladar_volume.nodes.passes import Passes
 from ladar_volume.nodes.running import spin
 from ladar_volume.nodes.since_epoch import SinceEpoch
 from ladar_volume.volume.estimator import VolumeEstimator
 from ladar_volume.volume.more_data import MoreData
+
+#: How long an answer waits for the filter, s.
+CATCH_UP_S = 20.0
 
 
 class VolumeNode(StageNode):
@@ -82,11 +86,14 @@ class VolumeNode(StageNode):
         self.listen("platform", Odometry, "platform", STREAM)
         self.listen("datum", NavSatFix, "datum", LATCHED)
         self._filter_reset = self.create_client(Trigger, "filter_node/reset")
+        self._filter_flush = self.create_client(Trigger, "filter_node/flush")
+        self._newest_part, self._awaited = 0, False
         self._joined = False
+        answers = MutuallyExclusiveCallbackGroup()  # they wait for messages, which have to come in meanwhile
         for name, action in (
             ("compute", self._answer), ("set_base", self._answer), ("save", self._save), ("start_epoch", self._start_epoch),
         ):  # fmt: skip
-            self.create_service(Trigger, f"~/{name}", self._service(action), callback_group=self._group)
+            self.create_service(Trigger, f"~/{name}", self._service(action), callback_group=answers)
 
     def _start_over(self, stage: VolumeEstimator | None = None) -> None:
         self.losses.merge(self.stage.losses)
@@ -116,6 +123,7 @@ class VolumeNode(StageNode):
         if verdict == "old":
             return self.losses.add("message_before_restart")
         if verdict == "new":
+            self._newest_part = 0
             self._start_over()
         if kind == "platform":
             self._states.append(item)
@@ -148,7 +156,9 @@ class VolumeNode(StageNode):
             self._hand_over()
             for part in self._parts:
                 self.stage.add(part)
-            self._parts, self._due = [], True
+            self._parts, self._due, self._newest_part = [], True, key
+            if self._awaited:
+                self.wake()
 
     def _hand_over(self) -> None:
         if self._states:
@@ -235,8 +245,21 @@ class VolumeNode(StageNode):
         change = None if self._since.change is None else results.change_dict(self._since.change)
         return result | {"where_more_data_helps": results.more_data_dict(self._more), "epoch": change}
 
+    async def _catch_up(self) -> None:
+        """Have the filter send what it put off, and wait for it, some seconds at most: without a filter the answer is from what is here."""
+        if not self._filter_flush.service_is_ready():
+            return
+        asked, deadline, self._awaited = self._filter_flush.call_async(Trigger.Request()), time.monotonic() + CATCH_UP_S, True
+        while not (asked.done() and self._newest_part >= int(asked.result().message)):
+            if time.monotonic() > deadline:
+                self.losses.add("message_filter_late")
+                break
+            await NextRound()
+        self._awaited = False
+
     def _service(self, action: Any) -> Any:
-        def call(request: Any, response: Any) -> Any:
+        async def call(request: Any, response: Any) -> Any:
+            await self._catch_up()
             try:
                 with self._lock:
                     response.message = json.dumps(results.finite(action()))
