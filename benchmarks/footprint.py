@@ -93,4 +93,5 @@ def run() -> dict[str, float | int | str]:
             out[f"{name}: before data, MB"] = statistics.median(m for _, m in starts)
     finally:
         rclpy.try_shutdown()
+    out["load average of the machine at the end, all its work"] = f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
     return out

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
 import statistics
 import tempfile
 from pathlib import Path
@@ -39,4 +40,5 @@ def run() -> dict[str, float | int | str]:
         "volumes per play": statistics.median(count),
         "median interval, s": statistics.median(middle),
         "longest interval of each play, s": ", ".join(f"{g:.2f}" for g in worst),
+        "load average of the machine at the end, all its work": f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
     }

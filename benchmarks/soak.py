@@ -352,7 +352,11 @@ def run() -> dict[str, float | int | str]:
     return {
         "wrong": "; ".join(out["wrong"]) or "nothing", "messages": sum(out["sent"].values()), "kinds of faults": len(out["faults"]),
         "unaccounted": sum(max(n, 0) for n in out["unaccounted"].values()), "scan to volume p50, s": latency[0],
-        "scan to volume p99, s": latency[1], "all nodes at most, MB": out["resident_all_mb"],
+        "scan to volume p99, s": latency[1], "points put off at most, p50, s": out["put_off_s"][0],
+        "points put off at most, p99, s": out["put_off_s"][1], "all nodes at most, MB": out["resident_all_mb"],
+        "all nodes at most in the last third, MB": out["resident_last_third_mb"],
+        "processor time per second": ", ".join(f"{name} {busy:.2f}" for name, busy in out["cpu_per_second"].items()),
+        "load average of the machine at the end, all its work": f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
     }  # fmt: skip
 
 
