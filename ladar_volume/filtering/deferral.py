@@ -2,8 +2,8 @@
 
 Points wait by tile, blocks of 8 x 8 x 8 voxels: taking in a whole tile refits its rim's neighbours once instead of once per voxel. What is
 taken in is a set of points like any other, so the surface stays exactly the surface of some points; what waits only makes it that of fewer.
-A tile's turn comes by the number of voxels' worth of points it would exchange, and a few, times the time it has waited: new ground comes
-first, and where little changes a tile waits twice as long as others, not for ever.
+New ground comes first. Then a tile's turn comes by the time it has waited, times the number of voxels' worth of points it would exchange,
+to which so many are added that one where little changes waits about twice as long as others.
 """
 
 from __future__ import annotations
@@ -19,11 +19,10 @@ from ladar_volume.model.records import F64, I64, concatenate, select
 
 #: Voxels along the side of a tile, as a power of two.
 TILE_BITS = 3
-#: A tile that has just begun to wait counts as if for this long (ns): otherwise new ground would wait too.
-HEAD_START_NS = 500_000_000
+#: Share of its voxels' points that is new, from which a tile is new ground.
+NEW_GROUND = 0.25
 #: Voxels' worth of points that every tile counts for beside those it would exchange.
-AT_LEAST = 4.0
-
+AT_LEAST = 16.0
 #: Points that may wait, beside twice as many as could stay when last looked at, before those that cannot stay are looked for.
 ROOM = 1 << 16
 
@@ -96,9 +95,9 @@ class Deferred:
         tiles, tile = np.unique(tile_of(voxels), return_inverse=True)
         oldest = np.full(len(tiles), newest_ns)
         np.minimum.at(oldest, tile[which], points.t_ns)
-        turn = np.bincount(tile, weights=shares(store, voxels, new)) + AT_LEAST
-        turn *= newest_ns - oldest + HEAD_START_NS
-        order = np.argsort(-turn, kind="stable")
+        exchanged = np.bincount(tile, weights=shares(store, voxels, new))
+        known = exchanged < NEW_GROUND * np.bincount(tile)
+        order = np.lexsort((-(exchanged + AT_LEAST) * (newest_ns - oldest + 1), known))
         rank = np.empty(len(order), np.int64)
         rank[order] = np.arange(len(order))
         by_turn = np.argsort(rank[tile], kind="stable")
