@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ladar_volume.filtering.pieces import MOST, bounds, distance, fit_shares, nearest_on_piece, nearest_planes
-from ladar_volume.model.kernels import kernel
+from ladar_volume.model.kernels import kernel, leaf_kernel
 
 #: Most rounds of sharing out and refitting; and where the cell will choose again.
 ROUNDS, FIRST_ROUNDS = 30, 8
@@ -24,7 +24,7 @@ FEWEST = 4.0
 SAME_SINE = 0.1
 
 
-@kernel
+@leaf_kernel
 def pieces_cost(x: Any, m: Any, planes: Any, count: Any, side: Any, limit: Any, sigma: Any, most: Any, support: Any) -> Any:
     """Description length of points (m, 3) on the bounded pieces, in squared distances: truncated squares, and what it takes to say to
     which piece a point belongs where its position does not tell. support (k,) gets the number of points nearest to each piece.
@@ -60,8 +60,14 @@ def share_out(x: Any, m: Any, planes: Any, count: Any, side: Any, sigma: Any, th
     towards each other, since each would lose its points on the far side of the other. Surfaces are sampled alike, so
     the likelihoods need no further weights; an outlier is as likely as a point at the threshold.
     """
+    _share_out(x, m, planes, count, side, sigma, threshold, np.empty((MOST, MOST)), np.empty(MOST), share, label)
+
+
+@leaf_kernel
+def _share_out(
+    x: Any, m: Any, planes: Any, count: Any, side: Any, sigma: Any, threshold: Any, cosine: Any, d: Any, share: Any, label: Any
+) -> None:  # fmt: skip
     none = np.exp(-0.5 * threshold * threshold / (sigma * sigma))
-    cosine, d = np.empty((MOST, MOST)), np.empty(MOST)
     for a in range(count):
         for b in range(count):
             cosine[a, b] = planes[a, 0] * planes[b, 0] + planes[a, 1] * planes[b, 1] + planes[a, 2] * planes[b, 2]
@@ -88,7 +94,7 @@ def share_out(x: Any, m: Any, planes: Any, count: Any, side: Any, sigma: Any, th
             share[a, i] /= total
 
 
-@kernel
+@leaf_kernel
 def certain(x: Any, m: Any, plane: Any, sigma: Any, share: Any, out: Any) -> None:
     """What the points tell of a plane, over what they would if they were known to be its own (Louis 1982): a doubtful point tells less,
     and less the farther it lies off. Its mean over the doubt is never below zero, single points count as zero where they would be."""

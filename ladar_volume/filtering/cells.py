@@ -17,7 +17,7 @@ from ladar_volume.filtering.frame import across
 from ladar_volume.filtering.osculating import foot_on_quadric
 from ladar_volume.filtering.single import bend, flat, nearest_to_origin
 from ladar_volume.filtering.store import _mix, voxels_around
-from ladar_volume.model.kernels import kernel, parallel_kernel
+from ladar_volume.model.kernels import kernel, leaf_kernel, parallel_kernel
 
 KEPT, OUTLIER, FEW_POINTS, NO_SURFACE, BEYOND_EDGE, UNSUPPORTED = 0, 1, 2, 3, 4, 5
 #: Planes each cell finds for itself and its neighbours.
@@ -46,7 +46,7 @@ def gather(v: Any, keys: Any, table: Any, first: Any, r: Any, out: Any) -> Any:
     return n
 
 
-@kernel
+@leaf_kernel
 def around(r: Any, first: Any, v: Any, slots: Any, n: Any, ball: Any, origin: Any, x: Any) -> Any:
     """Mean of the cell's own points to origin (3,), and the gathered points within ``ball`` of it, about it, to x; returns how many."""
     lo, hi = first[v], first[v + 1]
@@ -65,7 +65,7 @@ def around(r: Any, first: Any, v: Any, slots: Any, n: Any, ball: Any, origin: An
     return m
 
 
-@kernel
+@leaf_kernel
 def supported(x: Any, m: Any, origin: Any, q: Any, square: Any) -> Any:
     """Whether enough points (m, 3) about ``origin`` lie around q: planes end nowhere, surfaces do."""
     near = 0
@@ -151,7 +151,7 @@ def sets_around(v: Any, keys: Any, table: Any, sets: Any, sizes: Any, origin: An
     return n
 
 
-@kernel
+@leaf_kernel
 def foot_on_planes(
     x: Any, origin: Any, planes: Any, count: Any, side: Any, means: Any, inverses: Any, used: Any, q: Any, n_out: Any
 ) -> Any:  # fmt: skip

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ladar_volume.filtering.assignment import pieces_cost
-from ladar_volume.filtering.pieces import MOST, bounds, distance, fit_plane, nearest_piece, nearest_pieces, nearest_planes
+from ladar_volume.filtering.pieces import MOST, bounds, fit_plane, nearest_piece, nearest_pieces, nearest_planes, squares
 from ladar_volume.model.kernels import kernel
 
 #: Least share of the points a plane needs: outliers give this much to any slab. Half of it where a neighbour found the plane.
@@ -33,10 +33,7 @@ def distinct(y: Any, n: Any, candidates: Any, offered: Any, limit: Any, worth: A
     """A few candidates, each the one that explains most of what those before it leave, to out (k, 4); returns how many. One that lowers
     the sum of squares by less than it is ``worth`` is no other plane, but one of those before as another cell found it."""
     square, residual = np.empty((offered, n)), np.full(n, limit)
-    for c in range(offered):
-        for i in range(n):
-            d = distance(y[i], candidates[c])
-            square[c, i] = d * d
+    squares(y, n, candidates, offered, square)
     number = 0
     while number < len(out):
         least, which = residual.sum() - worth, -1
@@ -85,13 +82,15 @@ def few_planes(
     """
     limit = threshold * threshold
     square, clutter = np.empty((tried, n)), True
+    squares(y, n, few, tried, square)
     for c in range(tried):
         near, inside = 0, 0.0
         for i in range(n):
-            d = distance(y[i], few[c])
-            square[c, i] = min(d * d, limit)
-            near += d * d < limit
-            inside += d * d if d * d < limit else 0.0
+            if square[c, i] < limit:
+                near += 1
+                inside += square[c, i]
+            else:
+                square[c, i] = limit
         clutter = clutter and inside > HOPELESS * near * sigma * sigma
     sets, least, number = np.empty((tried * (tried * tried + 5) // 6, TOGETHER), np.int64), np.empty(tried * (tried * tried + 5) // 6), 0
     price = 3.0 * np.log(m) * sigma * sigma

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ladar_volume.filtering.linear import basis, invert
-from ladar_volume.model.kernels import kernel
+from ladar_volume.model.kernels import kernel, leaf_kernel
 
 #: Square of the slope from which the arc term no longer grows.
 STEEPEST = 0.9
@@ -15,7 +15,7 @@ STEEPEST = 0.9
 SETTLED = 1e-3
 
 
-@kernel
+@leaf_kernel
 def tangent_of(normal: Any, tangent: Any) -> None:
     """A unit vector across the normal: along map x where that is not nearly the normal, else along map y."""
     axis = 0 if abs(normal[0]) < 0.9 else 1
@@ -25,7 +25,7 @@ def tangent_of(normal: Any, tangent: Any) -> None:
         tangent[k] = ((1.0 if k == axis else 0.0) - d * normal[k]) / length
 
 
-@kernel
+@leaf_kernel
 def across(normal: Any, tangent: Any, side: Any) -> None:
     """The second tangent vector, normal x tangent."""
     side[0] = normal[1] * tangent[2] - normal[2] * tangent[1]
@@ -42,7 +42,7 @@ def row(r: Any, slot: Any, centre: Any, tangent: Any, side: Any, p: Any, x: Any)
     basis(u, v, p, x)
 
 
-@kernel
+@leaf_kernel
 def coordinates(r: Any, n: Any, centre: Any, normal: Any, tangent: Any, ball: Any, uvw: Any, index: Any) -> Any:
     """(u / ball, v / ball, w) of the points of r (n, 3) within ``ball`` of the centre, to uvw (3, m) and index (m,); returns m."""
     n0, n1, n2 = normal[0], normal[1], normal[2]
@@ -61,14 +61,14 @@ def coordinates(r: Any, n: Any, centre: Any, normal: Any, tangent: Any, ball: An
     return m
 
 
-@kernel
+@leaf_kernel
 def _rise(q: Any, t: Any) -> Any:
     """The height of :func:`arc` for a quadric's height q and the square t of its slope."""
     exact = q * (2.0 * (1.0 - np.sqrt(1.0 - t)) / t - 1.0)
     return 0.25 * q * t if t < 1e-6 else exact
 
 
-@kernel
+@leaf_kernel
 def arc(u: Any, v: Any, a: Any, b: Any, c: Any) -> Any:
     """How far a surface of constant curvature lies above its osculating quadric ``q = a u² + b uv + c v²``, and the slopes
     along u and v of both together.
@@ -91,7 +91,7 @@ def arc(u: Any, v: Any, a: Any, b: Any, c: Any) -> Any:
     return _rise(q, t), gu * factor + rate * tu, gv * factor + rate * tv
 
 
-@kernel
+@leaf_kernel
 def _straighten(uvw: Any, m: Any, b: Any, ball: Any, straight: Any) -> None:
     """Heights less the arc term of the present coefficients, to ``straight``: what is left is linear in the coefficients."""
     k3, k4, k5 = b[3] / (ball * ball), b[4] / (ball * ball), b[5] / (ball * ball)
@@ -101,7 +101,7 @@ def _straighten(uvw: Any, m: Any, b: Any, ball: Any, straight: Any) -> None:
         straight[i] = uvw[2, i] - _rise(k3 * u * u + k4 * u * v + k5 * v * v, min(gu * gu + gv * gv, STEEPEST))
 
 
-@kernel
+@leaf_kernel
 def _normal_plane(uvw: Any, m: Any, inside: Any, A: Any, b: Any) -> None:
     a00 = a10 = a20 = a11 = a21 = a22 = b0 = b1 = b2 = 0.0
     for i in range(m):
@@ -120,7 +120,7 @@ def _normal_plane(uvw: Any, m: Any, inside: Any, A: Any, b: Any) -> None:
     b[0], b[1], b[2] = b0, b1, b2
 
 
-@kernel
+@leaf_kernel
 def _normal_quadric(uvw: Any, straight: Any, m: Any, inside: Any, A: Any, b: Any) -> None:
     # one sum per monomial u^i v^j up to the fourth degree: the 21 entries of the matrix are only 15 different sums
     c, u1, v1, u2, uv, v2, u3, u2v, uv2, v3 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -157,7 +157,7 @@ def _normal_quadric(uvw: Any, straight: Any, m: Any, inside: Any, A: Any, b: Any
     b[0], b[1], b[2], b[3], b[4], b[5] = b0, b1, b2, b3, b4, b5
 
 
-@kernel
+@leaf_kernel
 def _classify(uvw: Any, straight: Any, m: Any, p: Any, b: Any, ball: Any, threshold: Any, inside: Any, off: Any) -> Any:
     """Mark the points within ``threshold`` of the model; returns (how many, sum of their squared residuals, any change).
 
@@ -239,7 +239,7 @@ def refit(
     return used, sigma
 
 
-@kernel
+@leaf_kernel
 def mark_flat(uvw: Any, m: Any, threshold: Any, inside: Any) -> None:
     """Mark the points within ``threshold`` of the tangent plane."""
     for i in range(m):

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ladar_volume.model.kernels import kernel
+from ladar_volume.model.kernels import kernel, leaf_kernel
 
 #: A pivot of the scaled normal matrix below this share of its diagonal means the points do not determine the term.
 PIVOT = 1e-6
@@ -14,7 +14,7 @@ PIVOT = 1e-6
 SWEEPS = 12
 
 
-@kernel
+@leaf_kernel
 def basis(u: Any, v: Any, p: Any, x: Any) -> None:
     """``x[:p] = (1, u, v[, u², uv, v²])``."""
     x[0] = 1.0
@@ -58,7 +58,7 @@ def invert(A: Any, p: Any, inverse: Any) -> Any:
     return True
 
 
-@kernel
+@leaf_kernel
 def rotate(S: Any, vector: Any, p: Any, q: Any) -> None:
     """One Jacobi rotation: the symmetric S (3, 3) gets a zero at (p, q), the columns of ``vector`` turn with it."""
     if S[p, q] == 0.0:
@@ -78,7 +78,7 @@ def rotate(S: Any, vector: Any, p: Any, q: Any) -> None:
         vector[k, p], vector[k, q] = c * a - s * b, s * a + c * b
 
 
-@kernel
+@leaf_kernel
 def eigen(S: Any, value: Any, vector: Any) -> None:
     """Eigenvalues (3,), ascending, and eigenvectors, the columns of ``vector`` (3, 3), of the symmetric S (3, 3), which is used up: by
     cyclic Jacobi rotations (Golub and Van Loan, Matrix Computations, section 8.5), at this size far faster than LAPACK."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from ladar_volume.filtering.frame import across, arc, coordinates, level_frame, mark_flat, refit
 from ladar_volume.filtering.linear import basis, invert
-from ladar_volume.model.kernels import kernel
+from ladar_volume.model.kernels import kernel, leaf_kernel
 
 #: Re-levellings of a quadric's frame.
 LEVELS = 3
@@ -17,7 +17,7 @@ STEPS = 3
 #: Most reductions of what counts as an inlier.
 SHRINKS = 24
 #: Mean square over sigma² from which the inliers are no surface's: they fill the slab, which gives 3.
-LOST = 2.5
+LOST = 2.0
 #: Most steps of a point towards its foot, and the change, as a share of its distance, below which it has found it.
 FEET, FOUND = 4, 3e-3
 
@@ -86,7 +86,7 @@ def normal_equations(near: Any, m: Any, ball: Any, threshold: Any, reach: Any, b
     return used, square
 
 
-@kernel
+@leaf_kernel
 def foot_in_frame(u: Any, v: Any, w: Any, beta: Any) -> Any:
     """(u, v, w of the foot point, slopes there, signed distance) of a point in a quadric's frame."""
     fu, fv, gu, gv = u, v, 0.0, 0.0
@@ -101,7 +101,7 @@ def foot_in_frame(u: Any, v: Any, w: Any, beta: Any) -> Any:
     return fu, fv, height, gu, gv, along * np.sqrt(1.0 + gu * gu + gv * gv)
 
 
-@kernel
+@leaf_kernel
 def height_at(u: Any, v: Any, beta: Any) -> Any:
     """(height, slope along u, slope along v) of a quadric with its arc term."""
     extra, gu, gv = arc(u, v, beta[3], beta[4], beta[5])

@@ -12,7 +12,7 @@ import numpy as np
 
 from ladar_volume.filtering.fit import _uniform
 from ladar_volume.filtering.linear import eigen
-from ladar_volume.model.kernels import kernel
+from ladar_volume.model.kernels import kernel, leaf_kernel
 
 #: Most planes in one neighbourhood.
 MOST = 8
@@ -24,13 +24,13 @@ STRAY, STRAYS = 0.03, 2
 CLEAR = 12
 
 
-@kernel
+@leaf_kernel
 def distance(x: Any, plane: Any) -> Any:
     """Signed distance of a point (3,) to a plane (4,)."""
     return x[0] * plane[0] + x[1] * plane[1] + x[2] * plane[2] - plane[3]
 
 
-@kernel
+@leaf_kernel
 def plane_through(a: Any, b: Any, c: Any, plane: Any) -> Any:
     """The plane through three points; False where they are nearly in line."""
     u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -147,7 +147,7 @@ def fit_plane(x: Any, m: Any, label: Any, own: Any, plane: Any, mean: Any, inver
     return n
 
 
-@kernel
+@leaf_kernel
 def plane_share(x: Any, used: Any, mean: Any, inverse: Any) -> Any:
     """Variance of a plane at x (3,) on it over the noise's, from what :func:`fit_plane` gave."""
     share = 1.0 / used
@@ -155,6 +155,15 @@ def plane_share(x: Any, used: Any, mean: Any, inverse: Any) -> Any:
         for l in range(3):
             share += (x[k] - mean[k]) * inverse[k, l] * (x[l] - mean[l])
     return share
+
+
+@leaf_kernel
+def squares(x: Any, m: Any, planes: Any, count: Any, out: Any) -> None:
+    """Squared distances of points (m, 3) to planes, to out (count, m)."""
+    for a in range(count):
+        for i in range(m):
+            d = distance(x[i], planes[a])
+            out[a, i] = d * d
 
 
 @kernel
@@ -166,7 +175,7 @@ def nearest_pieces(x: Any, m: Any, planes: Any, count: Any, side: Any, limit: An
         label[i] = a if square <= limit else -1
 
 
-@kernel
+@leaf_kernel
 def nearest_planes(x: Any, m: Any, planes: Any, count: Any, limit: Any, label: Any) -> Any:
     """Label every point with its nearest plane, −1 beyond the limit of squared distance; returns the sum of squares, each at most the
     limit: never more than that of the distances to the pieces."""
@@ -190,15 +199,7 @@ def bounds(x: Any, m: Any, label: Any, planes: Any, count: Any, sigma: Any, side
     Points within the noise of the other plane do not tell.
     """
     above, total = np.zeros((MOST, MOST), np.int64), np.zeros((MOST, MOST), np.int64)
-    for i in range(m):
-        a = label[i]
-        if a < 0:
-            continue
-        for b in range(count):
-            d = distance(x[i], planes[b])
-            if abs(d) > 2.0 * sigma:
-                total[a, b] += 1
-                above[a, b] += d > 0.0
+    _count_sides(x, m, label, planes, count, 2.0 * sigma, above, total)
     for a in range(count):
         for b in range(count):
             side[a, b] = 0
@@ -209,7 +210,21 @@ def bounds(x: Any, m: Any, label: Any, planes: Any, count: Any, sigma: Any, side
                 side[a, b] = 1 if above[a, b] > below else -1
 
 
-@kernel
+@leaf_kernel
+def _count_sides(x: Any, m: Any, label: Any, planes: Any, count: Any, doubt: Any, above: Any, total: Any) -> None:
+    """Of the points of each plane that lie farther than ``doubt`` from each other plane: all of them, and those above it."""
+    for i in range(m):
+        a = label[i]
+        if a < 0:
+            continue
+        for b in range(count):
+            d = distance(x[i], planes[b])
+            if abs(d) > doubt:
+                total[a, b] += 1
+                above[a, b] += d > 0.0
+
+
+@leaf_kernel
 def _most_beyond(q0: Any, q1: Any, q2: Any, a: Any, planes: Any, count: Any, side: Any, skip: Any) -> Any:
     """Of the planes that bound plane a, the one q lies farthest beyond; −1 where it lies beyond none."""
     worst, depth = -1, 1e-9
@@ -222,7 +237,7 @@ def _most_beyond(q0: Any, q1: Any, q2: Any, a: Any, planes: Any, count: Any, sid
     return worst
 
 
-@kernel
+@leaf_kernel
 def nearest_on_piece(x: Any, a: Any, planes: Any, count: Any, side: Any) -> Any:
     """The nearest point of the bounded piece of plane a, as (q0, q1, q2, on): on = 0 inside it, 1 on an edge, 2 in a vertex."""
     n0, n1, n2 = planes[a, 0], planes[a, 1], planes[a, 2]
@@ -249,7 +264,7 @@ def nearest_on_piece(x: Any, a: Any, planes: Any, count: Any, side: Any) -> Any:
     return q0 - h * l0, q1 - h * l1, q2 - h * l2, 2
 
 
-@kernel
+@leaf_kernel
 def nearest_piece(x: Any, planes: Any, count: Any, side: Any, q: Any) -> Any:
     """(plane, squared distance, 0 | 1 | 2 as :func:`nearest_on_piece`) of the piece nearest to x, with the point q on it."""
     best, which, kind = np.inf, -1, 0

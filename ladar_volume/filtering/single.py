@@ -12,7 +12,7 @@ from ladar_volume.filtering.frame import across, tangent_of
 from ladar_volume.filtering.linear import basis, invert
 from ladar_volume.filtering.osculating import LEVELS, quadric_cost, quadric_from, settled
 from ladar_volume.filtering.store import _mix
-from ladar_volume.model.kernels import kernel
+from ladar_volume.model.kernels import kernel, leaf_kernel
 
 #: A bent surface is sought from a plane over the ball's radius over this, the best of so many.
 BENT, TRIALS = 3.0, 60
@@ -20,6 +20,8 @@ BENT, TRIALS = 3.0, 60
 WIDE = 1.5
 #: Points that tell whether a quadric is worth a fit to all.
 SCREEN = 150
+#: Points about its start plane that it grows from.
+FROM = 50
 #: Mean square over sigma² of the points that a quadric explains from which it is no surface: in leaves they fill the slab, which gives
 #: 3; the noise may be a third larger than believed. Few points scatter by this over the root of their number.
 HOPELESS, SCATTER = 2.0, 5.0
@@ -29,7 +31,7 @@ STEADY = 6
 EXPLAINS = 0.85
 
 
-@kernel
+@leaf_kernel
 def nearest_to_origin(planes: Any, count: Any) -> Any:
     """The plane that passes the origin most closely."""
     best = 0
@@ -119,6 +121,16 @@ def wider(r: Any, slots: Any, n: Any, origin: Any, reach: Any) -> Any:
     return pts, m
 
 
+@leaf_kernel
+def close_to(pts: Any, n: Any, origin: Any, plane: Any, width: Any) -> Any:
+    """How many of the points (n, 3) lie within ``width`` of a plane about ``origin``."""
+    offset = plane[3] + plane[0] * origin[0] + plane[1] * origin[1] + plane[2] * origin[2]
+    near = 0
+    for i in range(n):
+        near += abs(plane[0] * pts[i, 0] + plane[1] * pts[i, 1] + plane[2] * pts[i, 2] - offset) <= width
+    return near
+
+
 @kernel
 def bend(
     x: Any, m: Any, n: Any, r: Any, slots: Any, origin: Any, key: Any, candidates: Any, offered: Any, ball: Any, sigma: Any, threshold: Any,
@@ -136,15 +148,16 @@ def bend(
         if loose < 0.0:
             return np.inf, pieces.MOST
     pts, n = wider(r, slots, n, origin, WIDE * ball)
-    thin = max(m // SCREEN, 1)
+    every = max(m // SCREEN, 1)
+    thin = max(min(n // SCREEN, close_to(pts, n, origin, start, max(3.0 * loose, threshold)) // FROM), 1)
     few = (n + thin - 1) // thin
     levels = LEVELS if thin == 1 else 1  # the fit to all points levels the frame
     inliers = quadric_from(
         pts[:n:thin], few, origin, start, 3.0 * loose, ball, sigma, threshold, iterations, levels, centre, normal, tangent, beta, inverse
     )  # fmt: skip
     if thin > 1:  # most neighbourhoods that are not flat are sharp or clutter, and a few points say so
-        some = (m + thin - 1) // thin
-        cost, near = quadric_cost(x[:m:thin], some, origin, centre, normal, tangent, beta, threshold * threshold)
+        some = (m + every - 1) // every
+        cost, near = quadric_cost(x[:m:every], some, origin, centre, normal, tangent, beta, threshold * threshold)
         if inliers < 8 or 2 * near < some or cost - (some - near) * threshold * threshold > HOPELESS * near * sigma * sigma:
             return np.inf, pieces.MOST
         inliers = settled(pts, n, threshold, ball, sigma, threshold, iterations, LEVELS, centre, normal, tangent, beta, inverse)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ladar_volume.model.kernels import kernel
+from ladar_volume.model.kernels import kernel, leaf_kernel
 from ladar_volume.model.records import F32, F64, I32, I64, U16
 
 #: Bits and offset of one axis in a packed voxel key; 2**20 voxels to either side of the map's origin.
@@ -35,7 +35,7 @@ def unpack_key(key: I64) -> I64:
     return np.stack([(key >> (2 * BITS)) - HALF, ((key >> BITS) & mask) - HALF, (key & mask) - HALF], axis=-1)
 
 
-@kernel
+@leaf_kernel
 def _mix(x: Any) -> Any:
     # splitmix64's finaliser: every input bit reaches every output bit
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -43,7 +43,7 @@ def _mix(x: Any) -> Any:
     return x ^ (x >> np.uint64(31))
 
 
-@kernel
+@leaf_kernel
 def find_voxel(table: Any, keys: Any, key: Any) -> Any:
     """Index of a voxel in the open-addressing table, −1 where it is not there."""
     mask = np.uint64(len(table) - 1)
@@ -55,7 +55,7 @@ def find_voxel(table: Any, keys: Any, key: Any) -> Any:
     return -1
 
 
-@kernel
+@leaf_kernel
 def voxels_around(key: Any, keys: Any, table: Any, reach: Any, out: Any) -> Any:
     """Indices of the voxels up to ``reach`` away from that of the key, itself included, in order of their keys; returns how many."""
     mask = (1 << BITS) - 1

@@ -1,0 +1,52 @@
+"""The decorators of compiled kernels."""
+
+import sys
+import weakref
+
+import numba
+import numpy as np
+import pytest
+
+from ladar_volume.model.kernels import kernel, leaf_kernel
+
+
+@leaf_kernel
+def dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@leaf_kernel
+def trace(x, y):
+    total = 0.0
+    for i in range(len(x)):
+        total += dot(x[i], y[i])
+    return total
+
+
+@kernel
+def traces(x, rounds):
+    total = 0.0
+    for _ in range(rounds):
+        work = x.copy()  # owned here, lent to the leaf
+        total += trace(x, work)
+    return total
+
+
+def test_a_leaf_is_its_plain_twin_and_leaves_its_arrays_alone():
+    x = np.random.default_rng(3).normal(size=(200, 3))
+    held = sys.getrefcount(x)
+    assert traces(x, 50) == pytest.approx(50.0 * np.sum(x * x), rel=1e-12)
+    assert traces(x[::2], 2) == pytest.approx(traces.py_func(x[::2], 2), rel=1e-12)
+    assert sys.getrefcount(x) == held
+    gone = weakref.ref(x)
+    del x
+    assert gone() is None, "a reference was kept"
+
+
+def test_a_leaf_that_allocates_is_refused():
+    @numba.njit(_nrt=False)
+    def allocates(n):
+        return np.empty(n)[0]
+
+    with pytest.raises(numba.core.errors.NumbaError, match="empty"):
+        allocates(3)
