@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ladar_volume.filtering import cells
@@ -67,7 +69,7 @@ def _filter(points: F64, parameters: FilterParameters, auto: bool) -> CloudResul
     return CloudResult(
         done.q[index] + origin, index, done.normal[index], factor * np.sqrt(done.variance[index]), outliers,
         done.reason[outliers].astype(np.int64), report,
-        noise=factor * tuned.regions.sigma_m[index], reach=tuned.regions.ball_m[tuned.regions.level[index]],
+        noise=factor * tuned.regions.sigma_m[index], reach=tuned.regions.ball_m[done.level[index]],
         curved=done.kind[index] == -1,
     )  # fmt: skip
 
@@ -82,7 +84,8 @@ def judge(r: F64, done: Covered, regions: Regions) -> float:
     share = done.variance[kept] / sigma**2
     sure = share < SURE**2
     # a residual's own variance is that of the noise less that of the surface, which followed it
-    factor = float(np.sqrt(np.mean(square[sure] / (1.0 - share[sure])))) if sure.any() else 1.0
+    # summed exactly: the order of the points must not show
+    factor = math.sqrt(math.fsum(square[sure] / (1.0 - share[sure])) / np.count_nonzero(sure)) if sure.any() else 1.0
     factor = min(max(factor, NARROWER), WIDER)
     limit = np.minimum(factor, 1.0) * regions.threshold_m[kept] / sigma
     done.reason[kept[share > KNOWN**2]] = cells.UNSUPPORTED

@@ -1,12 +1,13 @@
 """The order-independent cover: a grid of cells over the whole cloud, each with a surface of its own, in parallel.
 
 Points of one region share the radius of their neighbourhoods. A cell is a good half as wide as that radius; where regions of several radii
-meet, each is covered by its own grid over all points.
+meet, each is covered by its own grid over all points. A region's radius suits most of it: the points of a cell in which no surface is
+found, as where a thin part bends away on both sides or several curved surfaces meet, are covered once more with the next smaller radius.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -30,11 +31,13 @@ NARROWER = 2.5
 
 @dataclass(frozen=True)
 class Regions:
-    """ball_m : (l,), radius of the neighbourhoods of each level · level : (n,) level of each point · sigma_m : (n,) noise along the
-    normal · threshold_m : (n,) farthest a point lies from its surface"""
+    """ball_m : (l,), radius of the neighbourhoods of each level, ascending · level : (n,) level of each point · least : (n,) lowest
+    level it may have where no surface is found · sigma_m : (n,) noise along the normal · threshold_m : (n,) farthest a point lies from its
+    surface"""
 
     ball_m: F64
     level: I64
+    least: I64
     sigma_m: F64
     threshold_m: F64
 
@@ -42,7 +45,7 @@ class Regions:
 @dataclass(frozen=True)
 class Covered:
     """Per point (n,): foot point q (n, 3) m, normal (n, 3), variance m² along it, reason, kind of its cell's surface (number of planes,
-    −1 for a quadric, 0 for none) and mean truncated square of the residuals around that cell over sigma²."""
+    −1 for a quadric, 0 for none), mean truncated square of the residuals around that cell over sigma², and level of its radius."""
 
     q: F64
     normal: F64
@@ -50,23 +53,25 @@ class Covered:
     reason: I8
     kind: I8
     misfit: F64
+    level: I64
     cells: int
 
 
 def cover(r: F64, regions: Regions, parameters: FilterParameters, degree: int, mine: Bool | None = None) -> Covered:
     """Project points (n, 3) m, near the origin, onto the surfaces of their cells; only those that are ``mine`` (n,), by default all."""
-    n = len(r)
+    n, count, at = len(r), 0, regions.level.copy()
     out = Covered(
-        np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.full(n, cells.NO_SURFACE, np.int8), np.zeros(n, np.int8), np.zeros(n), 0
+        np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.full(n, cells.NO_SURFACE, np.int8), np.zeros(n, np.int8), np.zeros(n), at, 0
     )  # fmt: skip
-    count = 0
-    for level, ball in enumerate(regions.ball_m):
-        own = regions.level == level
-        if mine is not None:
-            own &= mine
-        if np.any(own):
-            count += _cover_level(r, own, float(ball), regions, parameters, degree, out)
-    return Covered(out.q, out.normal, out.variance, out.reason, out.kind, out.misfit, count)
+    open_ = np.ones(n, np.bool_) if mine is None else mine
+    while open_.any():
+        for level, ball in enumerate(regions.ball_m):
+            own = open_ & (at == level)
+            if own.any():
+                count += _cover_level(r, own, float(ball), regions, parameters, degree, out)
+        open_ = open_ & (out.reason == cells.NO_SURFACE) & (at > regions.least)
+        at[open_] -= 1
+    return replace(out, cells=count)
 
 
 def _cover_level(

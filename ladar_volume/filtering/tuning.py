@@ -95,7 +95,7 @@ def choose(r: F64, parameters: FilterParameters, auto: bool) -> Tuned:
     if not auto:
         limit = max(parameters.outlier_sigmas * whole, parameters.outlier_floor_m)
         balls, zero = np.array([2.0 * parameters.radius_m]), np.zeros(n, np.int64)
-        return Tuned(Regions(balls, zero, np.full(n, whole), np.full(n, limit)), parameters.degree)
+        return Tuned(Regions(balls, zero, zero, np.full(n, whole), np.full(n, limit)), parameters.degree)
     sigma = np.where((np.abs(regional / whole - 1.0) > ALIKE) & (regional < CLUTTER * whole), regional, whole)
     extent = WIDEST * float(np.linalg.norm(np.ptp(r, axis=0)))
     wide = np.maximum(np.minimum(np.median(distance[:, -1][smooth], axis=1), extent), narrow)
@@ -108,7 +108,7 @@ def choose(r: F64, parameters: FilterParameters, auto: bool) -> Tuned:
     sigma = np.where(noisier, sigma, np.minimum(sigma, whole))
     nearest = _nearest(r[at], r, 1)[:, 0]
     threshold = np.maximum(SIGMAS * sigma, parameters.outlier_floor_m)
-    return Tuned(Regions(balls, level[nearest], sigma[nearest], threshold[nearest]), 2)
+    return Tuned(Regions(balls, level[nearest], least[nearest], sigma[nearest], threshold[nearest]), 2)
 
 
 def _samples(r: F64, seed: int) -> I64:
@@ -174,7 +174,8 @@ def _trial(r: F64, tree: cKDTree, at: I64, balls: F64, level: I64, sigma: float,
     noise = np.full(len(window), sigma)
     misfit = np.empty((STEPS + 1, len(some)))
     for step in range(STEPS + 1):
-        regions = Regions(balls, np.maximum(level[some] - step, 0)[sample], noise, SIGMAS * noise)
+        at_step = np.maximum(level[some] - step, 0)[sample]
+        regions = Regions(balls, at_step, at_step, noise, SIGMAS * noise)
         misfit[step] = cover(r[window], regions, parameters, 2, mine).misfit[centre]
     around = _nearest(r[at[some]], r[at], TRIED // 4)
     least = np.median(misfit[STEPS][around[some]], axis=1)
