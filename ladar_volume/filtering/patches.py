@@ -10,7 +10,7 @@ from ladar_volume.filtering.fits import Fits, blank
 from ladar_volume.filtering.store import VoxelStore
 from ladar_volume.georeference.lidar import Mounting
 from ladar_volume.model.parameters import FilterParameters
-from ladar_volume.model.records import F64, I64, FilteredPoints, Patches, select
+from ladar_volume.model.records import F32, I64, FilteredPoints, Patches, select
 
 
 class PatchBuilder:
@@ -68,14 +68,14 @@ class PatchBuilder:
         cross.sharing(rows, offset, others, fits.start, fits.used, fits.members, len(s.r), cross.chunks_of(len(rows)), shared)
         return np.concatenate([[0], np.cumsum(shared)])[offset], others[shared]
 
-    def _sensitivities(self, fits: Fits, rows: I64, p: int) -> tuple[I64, I64, F64, F64]:
+    def _sensitivities(self, fits: Fits, rows: I64, p: int) -> tuple[I64, I64, F32, F32]:
         s, bin_ns = self.store, np.int64(self.parameters.nav_bin_s * 1e9)
         bins = np.zeros(len(rows), np.int64)
         sensitivity.count_bins(rows, fits.start, fits.used, fits.members, s.t_ns, bin_ns, bins)
         nav_start = np.concatenate([[0], np.cumsum(bins)])
         nav_bin = np.zeros(nav_start[-1], np.int64)
-        M_cal = np.zeros((len(rows), p, 11 + 2 * self.beams))
-        M_nav = np.zeros((nav_start[-1], p, 6))
+        M_cal = np.zeros((len(rows), p + 2, 11 + 2 * self.beams), np.float32)
+        M_nav = np.zeros((nav_start[-1], p + 2, 6), np.float32)
         sensitivity.sensitivities(
             rows, fits.start, fits.used, fits.members, s.r, s.t_ns, s.ring, s.aux, fits.centre, fits.normal, fits.tangent,
             fits.inverse, p, self.beams, self.mount.lever_laser, self.mount.lever_antenna,

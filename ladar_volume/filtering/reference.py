@@ -10,7 +10,7 @@ import numpy as np
 from ladar_volume.filtering.frame import STEEPEST
 from ladar_volume.georeference.sensitivity import full_calibration_jacobian, navigation_jacobian, point_geometry, unpack
 from ladar_volume.model.parameters import CalibrationParameters
-from ladar_volume.model.records import F64, I64, MappedPoints, PlatformStates
+from ladar_volume.model.records import F64, I64, Bool, MappedPoints, PlatformStates
 from ladar_volume.model.se3 import matrix_from_quaternion, slerp
 
 
@@ -57,16 +57,22 @@ def shared_covariance(X_a: F64, X_b: F64, normal_a: F64, normal_b: F64, ids_a: I
 
 
 def mean_sensitivities(
-    X: F64, normal: F64, points: MappedPoints, states: PlatformStates, calibration: CalibrationParameters, beams: int, bin_ns: int
-) -> tuple[F64, I64, F64]:
-    """``M_cal`` (p, 11 + 2 beams), time bins (l,) and ``M_nav`` (l, p, 6) of one patch with inliers ``points`` (UNCERTAINTY step 4)."""
+    X: F64, normal: F64, tangent: F64, points: MappedPoints, states: PlatformStates, calibration: CalibrationParameters, beams: int,
+    bin_ns: int,
+) -> tuple[F64, I64, F64]:  # fmt: skip
+    """``M_cal`` (p + 2, 11 + 2 beams), time bins (l,) and ``M_nav`` (l, p + 2, 6) of one patch with inliers ``points`` (UNCERTAINTY
+    step 4)."""
     geometry = point_geometry(points, states, calibration)
-    weights = np.linalg.pinv(X)
-    cal = np.einsum("i,nic->nc", normal, full_calibration_jacobian(geometry, points.ring, beams))
-    nav = np.einsum("i,nic->nc", normal, navigation_jacobian(geometry))
+    weights, mean = np.linalg.pinv(X), np.full((1, len(X)), 1.0 / len(X))
+    axes = ((normal, weights), (tangent, mean), (np.cross(normal, tangent), mean))
+    cal, nav = full_calibration_jacobian(geometry, points.ring, beams), navigation_jacobian(geometry)
+
+    def rows(J: F64, some: Bool) -> F64:
+        return np.concatenate([w[:, some] @ np.einsum("i,nic->nc", axis, J[some]) for axis, w in axes])
+
     at = points.t_ns // bin_ns
     bins = np.unique(at)
-    return weights @ cal, bins, np.stack([weights[:, at == b] @ nav[at == b] for b in bins])
+    return rows(cal, np.ones(len(X), bool)), bins, np.stack([rows(nav, at == b) for b in bins])
 
 
 def geometry(r_map: F64, states: PlatformStates, state: I64, fraction: F64, lever_laser: F64, lever_antenna: F64) -> F64:

@@ -190,8 +190,9 @@ class Patches:
     key : (m,) int64, unique and stable · centre, normal, tangent : (m, 3) · beta : (m, p) · sigma : (m,) m, robust residual
     scale · used : (m,) int32 inliers in the fit · t_ns : (m,) mean time ·
     cross_start : (m + 1,), cross_key : (k,) keys of neighbours with key >= own key (own block first), cross : (k, p, p) m² the
-    covariance blocks ``C_ab`` of UNCERTAINTY step 3 · M_cal : (m, p, c) mean sensitivities of beta to the calibration columns ·
-    nav_start : (m + 1,), nav_bin : (l,) int64 ``floor(t / nav_bin)``, M_nav : (l, p, 6) the same per navigation time bin
+    covariance blocks ``C_ab`` of UNCERTAINTY step 3 · M_cal : (m, p + 2, c) float32 mean sensitivities to the calibration columns: of
+    beta, then of the place along tangent and binormal, which moves with the returns · nav_start : (m + 1,), nav_bin : (l,) int64
+    ``floor(t / nav_bin)``, M_nav : (l, p + 2, 6) float32 the same per navigation time bin
     """
 
     key: I64
@@ -205,10 +206,10 @@ class Patches:
     cross_start: I64
     cross_key: I64
     cross: F64
-    M_cal: F64
+    M_cal: F32
     nav_start: I64
     nav_bin: I64
-    M_nav: F64
+    M_nav: F32
 
     def __len__(self) -> int:
         return len(self.key)

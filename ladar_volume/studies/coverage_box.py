@@ -21,6 +21,7 @@ from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, Patches, 
 from ladar_volume.studies.coverage_scene import SLOPE, RoughGround
 from ladar_volume.surface.local import LocalMeshSettings
 from ladar_volume.surface.skin import GROUND
+from ladar_volume.volume.assembly import shared_by
 from ladar_volume.volume.bodies import Body, closing_m6
 from ladar_volume.volume.budget import Budget, GroundField, Sources
 from ladar_volume.volume.cloud_bodies import BodyOptions, cloud_bodies
@@ -145,13 +146,14 @@ def body_on_ground(points: FilteredPoints, longest_m: float = 0.0) -> tuple[Body
     return body, gradient, ground
 
 
-def under_body(body: Body, points: FilteredPoints, ground: Plane) -> GroundField:
+def under_body(body: Body, sources: Sources, ground: Plane) -> GroundField:
     """How the ground's deviation from its plane enters: under the body, where it is not seen, and through the fit."""
+    points = sources.points
     p, xy = body.skin.vertices, points.r_map[ground.support, :2]
     bottom = p[body.closed.mesh.triangles[body.skin.face == GROUND]]
     down = np.cross(bottom[:, 1] - bottom[:, 0], bottom[:, 2] - bottom[:, 0])[:, 2] / 2.0
     residual = points.r_map[ground.support, 2] - base_height(ground, xy)
-    rough = estimate_roughness(xy, residual, height_variance(points)[ground.support], len(ground.beta))
+    rough = estimate_roughness(xy, residual, height_variance(points)[ground.support], len(ground.beta), shared_by(sources, ground.support))
     fit = ground_weights(points.r_map, ground, body.by_ground[:, None])[:, 0]
     point = np.arange(len(bottom) + len(xy)) >= len(bottom)
     return GroundField(np.concatenate([bottom[:, :, :2].mean(axis=1), xy]), np.concatenate([-down, fit]), point, rough)
@@ -163,7 +165,7 @@ def closed_box(
     """The largest body of a survey's surface as a closed mesh with edges up to ``longest_m``, with the survey's own budget."""
     body, gradient, ground = body_on_ground(points, longest_m)
     sources = Sources(points, patches, navigation, parameters)
-    budget: Budget = sources.budget(gradient[:, None], under_body(body, points, ground))
+    budget: Budget = sources.budget(gradient[:, None], under_body(body, sources, ground))
     closing = closing_m6(body)
     low, high = (math.sqrt(s * s + closing) for s in budget.sigma_tau_range)
     return ClosedBox(body.volume_m3, {**budget.lines, "closing": closing}, budget.sigma_naive, (low, high))

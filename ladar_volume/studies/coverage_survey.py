@@ -177,17 +177,18 @@ def vertices(points: MappedPoints, states: PlatformStates, mount: Mounting, norm
     C = independent_covariance(geometry, independent_sigmas(believed.budget))
     across = np.eye(3) - normal[:, :, None] * normal[:, None, :]
     variance = np.einsum("ni,nij,nj->n", normal, C, normal)
-    M_cal = np.zeros((n, 3, 11 + 2 * BEAM_COUNT))
-    M_cal[:, 0] = np.einsum("ni,nic->nc", normal, full_calibration_jacobian(geometry, points.ring, BEAM_COUNT))
-    M_nav = np.zeros((n, 3, 6))
-    M_nav[:, 0] = np.einsum("ni,nic->nc", normal, navigation_jacobian(geometry))
+    tangent = np.stack([normal[:, 2], np.zeros(n), -normal[:, 0]], axis=1)
+    tangent[np.abs(normal[:, 1]) > 0.99] = [1.0, 0.0, 0.0]  # walls that face along y
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    M_cal, M_nav = np.zeros((n, 5, 11 + 2 * BEAM_COUNT), np.float32), np.zeros((n, 5, 6), np.float32)
+    J_cal, J_nav = full_calibration_jacobian(geometry, points.ring, BEAM_COUNT), navigation_jacobian(geometry)
+    for row, axis in ((0, normal), (3, tangent), (4, np.cross(normal, tangent))):
+        M_cal[:, row], M_nav[:, row] = np.einsum("ni,nic->nc", axis, J_cal), np.einsum("ni,nic->nc", axis, J_nav)
     cross = np.zeros((n, 3, 3))
     cross[:, 0, 0] = variance
     key, ends = np.arange(n, dtype=np.int64), np.arange(n + 1, dtype=np.int64)
-    tangent = np.stack([normal[:, 2], np.zeros(n), -normal[:, 0]], axis=1)
-    tangent[np.abs(normal[:, 1]) > 0.99] = [1.0, 0.0, 0.0]  # walls that face along y
     patches = Patches(
-        key, points.r_map, normal, tangent / np.linalg.norm(tangent, axis=1, keepdims=True), np.zeros((n, 3)), np.sqrt(variance),
+        key, points.r_map, normal, tangent, np.zeros((n, 3)), np.sqrt(variance),
         np.ones(n, np.int32), points.t_ns, ends, key, cross, M_cal, ends, points.t_ns // round(believed.filter.nav_bin_s * 1e9), M_nav,
     )  # fmt: skip
     tangential = pack(across @ C @ across).astype(np.float32)

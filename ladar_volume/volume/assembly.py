@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ladar_volume.ground.adjoint import ground_gradient, ground_weights
 from ladar_volume.ground.polynomial import base_height
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, Bool, FilteredPoints, Patches, Plane, Tin
+from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, Patches, Plane, Tin
 from ladar_volume.surface.adjoint import height_covariance
 from ladar_volume.surface.represent import Represented
 from ladar_volume.surface.tin import footprint_areas
-from ladar_volume.volume.budget import GroundField
+from ladar_volume.volume.budget import GroundField, Sources
 from ladar_volume.volume.near_base import NearBase, near_base, near_triangles
 from ladar_volume.volume.prismoids import Prismoids
 from ladar_volume.volume.propagation import SurfaceGeometry
@@ -94,17 +96,26 @@ def whole_triangles(tin: Tin, inside_m2: F64) -> Bool:
     return out
 
 
-def ground_field(tin: Tin, base: Plane, solid: Prismoids, inside_m2: F64, height_variance: F64) -> GroundField | None:
+def shared_by(sources: Sources, points: I64) -> Callable[[I64], F64]:
+    """The covariance (k, k) m² of the heights of k among points (n,), by their place there, from all that returns share."""
+    return lambda some: sources.shared_covariance(points[some])
+
+
+def ground_field(
+    tin: Tin, base: Plane, solid: Prismoids, inside_m2: F64, height_variance: F64, sources: Sources | None = None
+) -> GroundField | None:
     """How the deviation of the ground from the fitted base enters the volume; None above a design surface.
 
     It enters with the area (inside_m2 (m,), at triangle centroids) inside the outline, and with the fit's weights at the ground
-    points. height_variance (n,) m²: independent noise of the vertices, which is not roughness.
+    points. height_variance (n,) m²: independent noise of the vertices, which is not roughness; nor is what calibration and navigation did
+    to the points of ``sources`` that the TIN was built from.
     """
     if len(base.support) == 0:
         return None
     ground = tin.vertices[base.support]
     residual = ground[:, 2] - base_height(base, ground[:, :2])
-    rough = estimate_roughness(ground[:, :2], residual, height_variance[base.support], len(base.beta))
+    shared = None if sources is None else shared_by(sources, tin.source[base.support])
+    rough = estimate_roughness(ground[:, :2], residual, height_variance[base.support], len(base.beta), shared)
     fit = ground_weights(tin.vertices, base, solid.base_net[:, None])[:, 0]
     rows = np.flatnonzero(inside_m2 > 0)
     middle = tin.vertices[tin.triangles[rows], :2].mean(axis=1)

@@ -37,6 +37,10 @@ from ladar_volume.volume.second_order import (
     together,
 )
 
+#: Least vertical component of a normal; and the share of their variance that independent errors of two samples keep, on average, where one
+#: is interpolated between them.
+LEAST_UP, BETWEEN = 0.05, 2.0 / 3.0
+
 
 @dataclass(frozen=True)
 class GroundField:
@@ -157,11 +161,33 @@ class Sources:
         C, _ = self.navigation.mean(bins)
         p = self.patches
         roots = (matrix_root(C[:, block, block]) for block in (slice(0, 3), slice(3, 6)))
-        return np.asarray(deviation_kernel(p.nav_start, index, p.M_nav, *roots))
+        return np.asarray(deviation_kernel(p.nav_start, index, p.M_nav, p.beta.shape[1], *roots))
+
+    def shared_covariance(self, points: I64) -> F64:
+        """Covariance (k, k) m² of the heights of points (k,) from calibration and navigation, each at its mean time; white errors are
+        shared as by the samples of a time bin."""
+        row, up = self.geometry.row[points], np.maximum(np.abs(self.points.normal[points, 2]), LEAST_UP)
+        X = self.geometry.X[points] / up[:, None]
+        J = np.einsum("kp,kpc->kc", X, self.patches.M_cal[row, : X.shape[1]])
+        out: F64 = J @ self.C_cal @ J.T
+        b, t_ns, bin_ns = self.parameters.budget, self.points.t_ns[points], self.navigation.bin_ns
+        lag = np.abs(t_ns[:, None] - t_ns) * 1e-9
+        same = (t_ns // bin_ns)[:, None] == t_ns // bin_ns
+        fixes = max(1.0, bin_ns * 1e-9 / self.parameters.georeference.max_position_gap_s)
+        states = max(1.0, float(self.navigation.mean(self.time_bins[0])[1].mean()))  # a mean time may lie where there are none
+        deviation = np.einsum("kp,kpc->kc", X, self.navigation_rows[row])
+        for d, bias, white, tau, n in (
+            (deviation[:, :3], b.position_bias_fraction, b.position_white_fraction, b.tau_position_s, fixes),
+            (deviation[:, 3:], b.attitude_bias_fraction, b.attitude_white_fraction, b.tau_attitude_s, states),
+        ):  # fmt: skip
+            apart = white * same / n
+            np.fill_diagonal(apart, white * BETWEEN)
+            out += (d @ d.T) * (bias + (1.0 - bias - white) * np.exp(-lag / tau) + apart)
+        return out
 
 
 def vertical_sigma(sources: Sources, points: FilteredPoints) -> F64:
     """Total standard deviation (n,) m of each point's height: that along the normal over the normal's vertical component, of which no less
     than 0.05 is taken (walls)."""
-    out: F64 = np.sqrt(sources.total_variance) / np.maximum(np.abs(points.normal[:, 2]), 0.05)
+    out: F64 = np.sqrt(sources.total_variance) / np.maximum(np.abs(points.normal[:, 2]), LEAST_UP)
     return out

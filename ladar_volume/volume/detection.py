@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.model.records import F64, I32, I64, Bool, Tin
+from ladar_volume.model.records import F32, F64, I32, I64, Bool, Tin
 from ladar_volume.surface.tin import footprint_areas
 from ladar_volume.volume.assembly import vertex_variance
 from ladar_volume.volume.difference import Difference, difference_kernel
@@ -117,8 +117,9 @@ def sensitivity_rows(epoch: Epoch, corner: I32 | I64, weight: F64) -> tuple[F64,
     X = s.geometry.X[source] * (weight / up)[..., None]
     row = s.geometry.row[source]
     parts = [np.zeros((len(corner), k)) for k in (s.patches.M_cal.shape[2], 6)]
+    rows: list[F32 | F64] = [s.patches.M_cal[:, : X.shape[2]], s.navigation_rows]
     for j in range(corner.shape[1]):
-        for part, M in zip(parts, (s.patches.M_cal, s.navigation_rows), strict=True):
+        for part, M in zip(parts, rows, strict=True):
             part += np.einsum("kp,kpc->kc", X[:, j], M[row[:, j]])
     return parts[0], parts[1]
 

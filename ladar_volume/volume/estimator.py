@@ -130,7 +130,7 @@ class VolumeEstimator:
         def solved(part: F64) -> tuple[Prismoids, Budget]:
             solid = self._solid(surface.tin, base, part)
             gradients = result_gradients(surface.tin, base, solid, len(points), surface)
-            return solid, sources.budget(gradients, ground_field(surface.tin, base, solid, part, height_variance))
+            return solid, sources.budget(gradients, ground_field(surface.tin, base, solid, part, height_variance, sources))
 
         def near(part: F64) -> NearBase | None:
             return near_correction(surface, base, part, points, patches, sources.geometry)

@@ -39,29 +39,34 @@ def neighbour_kernel(key: I64, start: I64, cross_key: I64) -> tuple[I64, F64]:
 
 
 @kernel
-def load_kernel(gradient: F64, normal: F64, X: F64, row: I64) -> F64:
-    """Loads (m, p, k) of k results: gradients (n, k, 3) along the normals (m, 3) of the points' patches row (n,), times design rows
-    X (n, p)."""
+def load_kernel(gradient: F64, normal: F64, tangent: F64, X: F64, row: I64) -> F64:
+    """Loads (m, p + 2, k) of k results: gradients (n, k, 3) along the normals (m, 3) of the points' patches row (n,) times design rows
+    X (n, p), then along their tangents (m, 3) and binormals."""
     results, p = gradient.shape[1], X.shape[1]
-    out = np.zeros((len(normal), p, results))
+    out, side = np.zeros((len(normal), p + 2, results)), np.empty(3)
     for i in range(len(gradient)):
         m = row[i]
+        n, t = normal[m], tangent[m]
+        side[0], side[1], side[2] = n[1] * t[2] - n[2] * t[1], n[2] * t[0] - n[0] * t[2], n[0] * t[1] - n[1] * t[0]
         for k in range(results):
-            along = gradient[i, k, 0] * normal[m, 0] + gradient[i, k, 1] * normal[m, 1] + gradient[i, k, 2] * normal[m, 2]
-            if along != 0.0:
+            x, y, z = gradient[i, k, 0], gradient[i, k, 1], gradient[i, k, 2]
+            if x != 0.0 or y != 0.0 or z != 0.0:
+                along = x * n[0] + y * n[1] + z * n[2]
                 for a in range(p):
                     out[m, a, k] += X[i, a] * along
+                out[m, p, k] += x * t[0] + y * t[1] + z * t[2]
+                out[m, p + 1, k] += x * side[0] + y * side[1] + z * side[2]
     return out
 
 
 @kernel
 def cross_kernel(q: F64, left: I64, right: I64, weight: F64, cross: F64) -> F64:
-    """``Σ weight q_leftᵀ C q_right`` (k, k) over blocks C (b, p, p) of patches left (b,), ascending, and right (b,) with loads
-    q (m, p, k)."""
-    m, p, results = q.shape
+    """``Σ weight q_leftᵀ C q_right`` (k, k) over blocks C (b, p, p) of patches left (b,), ascending, and right (b,) with loads q (m, p or
+    more, k), of which the first p count."""
+    m, p, results = len(q), cross.shape[1], q.shape[2]
     loaded = np.zeros(m, np.bool_)
     for i in range(m):
-        loaded[i] = (q[i] != 0.0).any()
+        loaded[i] = (q[i, :p] != 0.0).any()
     out, summed = np.zeros((results, results)), np.zeros((p, results))
     i = 0
     while i < len(left):
@@ -96,7 +101,20 @@ def quadratic_kernel(gradient: F64, C: F32) -> float:
 
 
 @kernel
-def navigation_kernel(q: F64, start: I64, index: I64, M: F64, bins: int) -> F64:
+def calibration_kernel(q: F64, M: F32) -> F64:
+    """``Σ qᵀ M`` (c,) of loads q (m, p) and sensitivities M (m, p, c)."""
+    out = np.zeros(M.shape[2])
+    for a in range(len(q)):
+        for r in range(q.shape[1]):
+            load = q[a, r]
+            if load != 0.0:
+                for c in range(M.shape[2]):
+                    out[c] += load * M[a, r, c]
+    return out
+
+
+@kernel
+def navigation_kernel(q: F64, start: I64, index: I64, M: F32, bins: int) -> F64:
     """``Σ qᵀ M`` (bins, 6) of loads q (m, p) and sensitivities M (l, p, 6), listed by patch from start (m + 1,), in bins index (l,)."""
     out = np.zeros((bins, 6))
     for a in range(len(q)):
@@ -110,10 +128,9 @@ def navigation_kernel(q: F64, start: I64, index: I64, M: F64, bins: int) -> F64:
 
 
 @kernel
-def deviation_kernel(start: I64, index: I64, M: F64, position: F64, attitude: F64) -> F64:
-    """What one standard deviation of position and attitude, in three directions each, does to every patch: (m, p, 6). position, attitude :
-    (bins, 3, 3) roots of their covariances; the rest as in :func:`navigation_kernel`."""
-    p = M.shape[1]
+def deviation_kernel(start: I64, index: I64, M: F32, p: int, position: F64, attitude: F64) -> F64:
+    """What one standard deviation of position and attitude, in three directions each, does to the p parameters of every patch: (m, p, 6).
+    position, attitude : (bins, 3, 3) roots of their covariances; the rest as in :func:`navigation_kernel`."""
     out = np.zeros((len(start) - 1, p, 6))
     for a in range(len(start) - 1):
         for e in range(start[a], start[a + 1]):
@@ -126,9 +143,10 @@ def deviation_kernel(start: I64, index: I64, M: F64, position: F64, attitude: F6
 
 
 @kernel
-def shared_kernel(M_cal: F64, one: I64, two: I64, value: F64, deviation: F64) -> F64:
-    """Covariance (m, p, p) of every patch's parameters from all that is shared: sensitivities M_cal (m, p, c) with the covariances
-    ``value`` (z,) of columns one and two (z,), those that are not zero, and deviations (m, p, d) of unit variance."""
+def shared_kernel(M_cal: F32, one: I64, two: I64, value: F64, deviation: F64) -> F64:
+    """Covariance (m, p, p) of every patch's parameters from all that is shared: sensitivities M_cal (m, p or more, c), of which the
+    first p count, with the covariances ``value`` (z,) of columns one and two (z,), those that are not zero, and deviations (m, p, d) of
+    unit variance."""
     m, p, d = deviation.shape
     out, turned = np.zeros((m, p, p)), np.zeros((p, M_cal.shape[2]))
     for a in range(m):

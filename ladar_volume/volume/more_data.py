@@ -67,8 +67,9 @@ class MoreData:
 
 
 def noise_falls(gradient: F64, q: F64, sources: Sources, patch_cell: I64, cells: int) -> F64:
-    """(cells,) m⁶ from the returns' noise, for a gradient (n, 3) by points and loads q (m, p)."""
+    """(cells,) m⁶ from the returns' noise, for a gradient (n, 3) by points and loads q (m, p + 2)."""
     g, patches = sources.geometry, sources.patches
+    q = q[:, : patches.beta.shape[1]]
     value = g.weight * np.einsum("np,npq,nq->n", q[g.left], patches.cross, q[g.right], optimize=True)
     left, right = patch_cell[g.left], patch_cell[g.right]
     cov = 0.5 * (np.bincount(left, value, cells) + np.bincount(right, value, cells))
@@ -99,7 +100,7 @@ def summed(label: I64, values: F64, groups: int) -> F64:
 
 
 def navigation_falls(q: F64, sources: Sources, patch_cell: I64, cells: int) -> F64:
-    """(cells, 2) m⁶ from position and attitude, for loads q (m, p)."""
+    """(cells, 2) m⁶ from position and attitude, for loads q (m, p + 2)."""
     b, gap = sources.parameters.budget, sources.parameters.georeference.max_position_gap_s
     patches, out = sources.patches, np.zeros((cells, 2))
     owner = np.repeat(np.arange(len(patches)), np.diff(patches.nav_start))

@@ -189,7 +189,7 @@ def with_roughness(estimate: Estimate, pile: Pile, parameters: Parameters) -> Vo
     field = ground_field(tin, base, prismoids(tin, base, inside > 0), inside, np.zeros(len(tin.vertices)))
     if field is None:
         return v
-    planned = dataclasses.replace(field.rough, variance_m2=pile.rough_m**2, length_m=pile.rough_length_m)
+    planned = dataclasses.replace(field.rough, variance_m2=pile.rough_m**2, length_m=pile.rough_length_m, gaussian=0.0)
     line = field_variance(field.xy, field.weight, field.point, planned)
     change = line - v.budget_m6["base_surface"]
     low, high = (math.sqrt(s * s + change) for s in v.sigma_tau_range_m3)

@@ -1,7 +1,9 @@
 """From a gradient per surface point to a variance per source (UNCERTAINTY steps 3 and 4).
 
 A point is ``centre + u tangent + v binormal + (x·beta) normal`` of its patch, so a result with gradients ``g_i`` has the load
-``q_patch = Σ_i (g_i · normal) x_i`` on the patch's parameters. Patches share raw points: the stored blocks C_ab carry that.
+``q_patch = Σ_i (g_i · normal) x_i`` on the patch's parameters. Patches share raw points: the stored blocks C_ab carry that. What all
+returns of a patch share moves its points along the surface too, where the result has the loads ``Σ_i g_i · tangent`` and
+``Σ_i g_i · binormal``.
 """
 
 from __future__ import annotations
@@ -13,7 +15,14 @@ import numpy as np
 from ladar_volume.georeference.budget import calibration_columns
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I64, FilteredPoints, Patches
-from ladar_volume.volume.load_kernels import cross_kernel, load_kernel, navigation_kernel, neighbour_kernel, quadratic_kernel
+from ladar_volume.volume.load_kernels import (
+    calibration_kernel,
+    cross_kernel,
+    load_kernel,
+    navigation_kernel,
+    neighbour_kernel,
+    quadratic_kernel,
+)
 
 #: Lines of the budget from the calibration, in order.
 CALIBRATION_GROUPS = ("range_bias", "beam_range", "beam_vertical", "boresight", "lever_laser", "lever_antenna", "clock")
@@ -57,12 +66,14 @@ def surface_geometry(points: FilteredPoints, patches: Patches) -> SurfaceGeometr
 
 
 def patch_loads(gradient: F64, patches: Patches, geometry: SurfaceGeometry) -> F64:
-    """Loads q (m, p, k) of k results with gradients (n, k, 3) on the patch parameters."""
-    return np.asarray(load_kernel(gradient, patches.normal, geometry.X, geometry.row))
+    """Loads q (m, p + 2, k) of k results with gradients (n, k, 3): on the patch parameters, then on the patch's place along its tangent and
+    binormal."""
+    return np.asarray(load_kernel(gradient, patches.normal, patches.tangent, geometry.X, geometry.row))
 
 
 def independent_covariance(q: F64, patches: Patches, geometry: SurfaceGeometry) -> F64:
-    """Covariance (k, k) of k results from the independent noise of the returns: ``Σ_ab q_aᵀ C_ab q_b`` over all pairs of patches."""
+    """Covariance (k, k) of k results from the independent noise of the returns: ``Σ_ab q_aᵀ C_ab q_b`` over all pairs of patches, with the
+    loads on their parameters."""
     half = cross_kernel(q, geometry.left, geometry.right, geometry.weight, patches.cross)
     out: F64 = 0.5 * (half + half.T)  # the transposed pairs
     return out
@@ -108,13 +119,12 @@ def calibration_marginals(J: F64, C_cal: F64) -> dict[str, float]:
 
 
 def calibration_sensitivity(q: F64, patches: Patches) -> F64:
-    """``J_cal = Σ_patches qᵀ M_cal`` (c,) of loads q (m, p)."""
-    out: F64 = np.einsum("mp,mpc->c", q, patches.M_cal, optimize=True)
-    return out
+    """``J_cal = Σ_patches qᵀ M_cal`` (c,) of loads q (m, p + 2)."""
+    return np.asarray(calibration_kernel(q, patches.M_cal))
 
 
 def navigation_sensitivity(q: F64, patches: Patches, listed: tuple[I64, I64] | None = None) -> tuple[F64, I64]:
-    """Sensitivities ``J_e = Σ_patches qᵀ M_nav[e]`` (b, 6) and their ascending bins (b,) of loads q (m, p).
+    """Sensitivities ``J_e = Σ_patches qᵀ M_nav[e]`` (b, 6) and their ascending bins (b,) of loads q (m, p + 2).
 
     listed : :func:`time_bins`, where known.
     """

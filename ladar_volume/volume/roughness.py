@@ -1,34 +1,50 @@
 """The ground is not the polynomial fitted to it: roughness as a source of its own.
 
-Residuals of the ground points beyond their noise are a random field with variance s² and correlation ``exp(−d / L)``. The field
-acts twice: through the fit, and under the body, where the ground is not seen. Both are one linear functional of the field, ``Σ
-w e``, with the outline's area as weight inside and the fit's weights outside; its variance ``s² Σ_ij w_i w_j exp(−d_ij / L)``
-is summed on a grid by FFT.
+Residuals of the ground points beyond what their noise, calibration and navigation explain are a random field with variance s² and
+correlation ``(1 − g) exp(−d / L) + g exp(−d² / 2 L²)``. Both have the integral 2 pi L² over the plane, which decides what a body much
+larger than L feels; g, how smooth the field is, what one of a few L feels. What calibration and navigation do to the residuals is in the
+lines of the budget that are theirs: on smooth ground it is the larger part, and would count twice.
+
+The field acts twice: through the fit, and under the body, where the ground is not seen. Both are one linear functional of the field, ``Σ
+w e``, with the outline's area as weight inside and the fit's weights outside; its variance ``s² Σ_ij w_i w_j rho(d_ij)`` is summed on a
+grid by FFT.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
+from ladar_volume.ground.polynomial import COEFFICIENTS, design
 from ladar_volume.model.kernels import kernel
-from ladar_volume.model.records import F64, Bool
+from ladar_volume.model.records import F64, I64, Bool
 
 #: Points used for the autocorrelation, taken at equal index steps: two million pairs.
 MAX_POINTS = 1500
 MAX_CELLS = 400
+#: Estimates of the field, each with what the fit took of the one before given back.
+ROUNDS = 3
 
 
 @dataclass(frozen=True)
 class Roughness:
-    """variance_m2 : s², m² · length_m : L, m, of the exponential correlation with the same integral over the plane · spacing_m : mean
-    distance of the points it was estimated from"""
+    """variance_m2 : s², m² · length_m : L, m · spacing_m : mean distance of the points it was estimated from · gaussian : share g of the
+    Gaussian correlation, the rest is exponential"""
 
     variance_m2: float
     length_m: float
     spacing_m: float
+    gaussian: float = 0.0
+
+    def correlation(self, d: F64) -> F64:
+        """Correlation at distances d, m."""
+        x = d / self.length_m
+        out: F64 = (1.0 - self.gaussian) * np.exp(-x) + self.gaussian * np.exp(-0.5 * x * x)
+        return out
 
 
 def mean_spacing(xy: F64) -> float:
@@ -41,56 +57,103 @@ def mean_spacing(xy: F64) -> float:
 
 
 @kernel
-def pair_products(xy: F64, e: F64, edges: F64) -> tuple[F64, F64]:
-    """Sums of ``e_i e_j`` and numbers of pairs (k + 1,) of points xy (n, 2) whose distance lies between ascending edges (k,)."""
+def pair_products(xy: F64, e: F64, explained: F64, edges: F64) -> tuple[F64, F64]:
+    """Sums of ``e_i e_j − explained_ij`` and numbers of pairs (k + 1,) of points xy (n, 2) whose distance lies between ascending edges
+    (k,). explained : (n, n) covariance that is not the field's."""
     products, counts = np.zeros(len(edges) + 1), np.zeros(len(edges) + 1)
     for i in range(len(xy)):
         for j in range(i + 1, len(xy)):
             d = math.sqrt((xy[i, 0] - xy[j, 0]) ** 2 + (xy[i, 1] - xy[j, 1]) ** 2)
             k = np.searchsorted(edges, d, side="right")
-            products[k] += e[i] * e[j]
+            products[k] += e[i] * e[j] - explained[i, j]
             counts[k] += 1.0
     return products, counts
 
 
-def estimate_roughness(xy: F64, residual: F64, noise_variance: F64, parameters: int) -> Roughness:
+def left_by_fit(xy: F64, parameters: int, C: F64) -> F64:
+    """Covariance (n, n) of the residuals that a least-squares polynomial of so many coefficients leaves of heights at xy (n, 2) with
+    covariance C (n, n)."""
+    Q = np.linalg.qr(design((xy - xy.mean(axis=0)) / max(float(np.ptp(xy)), 1e-9), np.zeros(2), COEFFICIENTS.index(parameters)))[0]
+    half = C - Q @ (Q.T @ C)
+    out: F64 = half - (half @ Q) @ Q.T
+    return out
+
+
+def estimate_roughness(
+    xy: F64, residual: F64, noise_variance: F64, parameters: int, shared: Callable[[I64], F64] | None = None
+) -> Roughness:
     """s² and L from ground residuals (n,) m at xy (n, 2) m with known independent noise variances (n,) m².
 
-    s² is the mean square residual, corrected for the fitted parameters, minus the mean noise, never below zero; L is that of the
-    exponential with the integral of the empirical autocorrelation over the plane, which is what a body much larger than L feels, at least
-    half the spacing. (The distance at which the correlation falls to 1/e makes the sigma of a smooth ground 1.4 times too large.)
+    shared : gives the covariance (k, k) m² of the heights of k of the points from errors that returns share, None for none. s² is the mean
+    square residual minus the mean noise and what is shared, never below zero; L and the share of the Gaussian are those with
+    the integral and the mean distance of the empirical autocorrelation over the plane, L at least half the spacing. What the fit takes of
+    the field is given back, to the square and to the autocorrelation, by the field as first estimated. (The distance at which the
+    correlation falls to 1/e makes the sigma of a smooth ground 1.4 times too large.)
     """
     n = len(residual)
     spacing = mean_spacing(xy)
-    if n <= parameters:
-        return Roughness(0.0, spacing / 2, spacing)
-    s2 = max(0.0, float(residual @ residual) / (n - parameters) - float(noise_variance.mean()))
-    if s2 == 0.0:
-        return Roughness(0.0, spacing / 2, spacing)
-    step = max(1, math.ceil(n / MAX_POINTS))
-    p, e = xy[::step], residual[::step]
-    extent = float(np.linalg.norm(xy.max(axis=0) - xy.min(axis=0)))
+    some = np.arange(0, n, max(1, math.ceil(n / MAX_POINTS)), dtype=np.int64)
+    p, e, taken = xy[some], residual[some], np.zeros((len(some), len(some)))
+    none = Roughness(0.0, spacing / 2, spacing)
+    if len(some) <= parameters:
+        return none
+    left = float(residual @ residual) / n - float(noise_variance.mean()) * (1.0 - parameters / n)
+    if shared is not None:
+        taken = left_by_fit(p, parameters, shared(some))
+    d, given_back, rough = cdist(p, p), np.zeros_like(taken), none
+    for _ in range(ROUNDS):
+        rough = of_products(p, e, taken - given_back, left - float((taken - given_back).diagonal().mean()), none)
+        field = rough.variance_m2 * rough.correlation(d)
+        given_back = field - left_by_fit(p, parameters, field)
+    return rough
+
+
+def of_products(xy: F64, e: F64, taken: F64, s2: float, none: Roughness) -> Roughness:
+    """The field of variance s2 whose correlation the products of residuals e (n,), less ``taken`` (n, n), have; ``none`` for a variance of
+    zero or less."""
+    if s2 <= 0.0:
+        return none
+    spacing, extent = none.spacing_m, float(np.linalg.norm(xy.max(axis=0) - xy.min(axis=0)))
     edges = np.geomspace(max(spacing, extent / 1000), max(extent / 2, 2 * spacing), 25)
-    products, counts = pair_products(np.ascontiguousarray(p), np.ascontiguousarray(e), edges)
+    products, counts = pair_products(xy, e, taken, edges)
     lag = np.concatenate([[edges[0] / 2], np.sqrt(edges[:-1] * edges[1:])])
     ok = counts[:-1] >= 30
-    return Roughness(s2, max(spacing / 2, integral_length(lag[ok], products[:-1][ok] / counts[:-1][ok] / s2)), spacing)
+    d, rho = until_zero(lag[ok], products[:-1][ok] / counts[:-1][ok] / s2)
+    L = integral_length(d, rho)
+    return Roughness(s2, max(spacing / 2, L), spacing, gaussian_share(d, rho, L))
 
 
-def integral_length(lag: F64, rho: F64) -> float:
-    """L of the exponential correlation with the same integral over the plane: ``L² = ∫ rho(d) d dd``, of a correlation sampled at ascending
-    lags, up to where it first falls to zero; linear between samples, starting at 1 for lag 0. The last lag, where none falls to 1/e."""
+def until_zero(lag: F64, rho: F64) -> tuple[F64, F64]:
+    """A correlation sampled at ascending lags, from 1 at lag 0 up to where it first falls to zero, which lies between two samples."""
     d, r = np.concatenate([[0.0], lag]), np.concatenate([[1.0], np.minimum(rho, 1.0)])
-    if not (r < math.exp(-1.0)).any():
-        return float(d[-1])
     end = np.flatnonzero(r <= 0.0)
-    if len(end):  # up to the crossing, which lies between two samples
+    if len(end):
         k = int(end[0])
         d = np.append(d[:k], d[k - 1] + (d[k] - d[k - 1]) * r[k - 1] / (r[k - 1] - r[k]))
         r = np.append(r[:k], 0.0)
-    h, one, two = np.diff(d), d[:-1], d[1:]
-    # exact for a correlation that is linear between the samples
-    return math.sqrt(float((h * (one * (2.0 * r[:-1] + r[1:]) + two * (r[:-1] + 2.0 * r[1:])) / 6.0).sum()))
+    return d, r
+
+
+def moment(d: F64, rho: F64, power: int) -> float:
+    """``∫ rho d^power dd`` of a correlation that is linear between ascending lags d, for a power up to 2."""
+    middle, mean = 0.5 * (d[:-1] + d[1:]), 0.5 * (rho[:-1] + rho[1:])
+    ends = rho * d**power
+    return float((np.diff(d) * (ends[:-1] + 4.0 * mean * middle**power + ends[1:])).sum() / 6.0)  # Simpson's rule is exact
+
+
+def integral_length(d: F64, rho: F64) -> float:
+    """L of the exponential correlation with the same integral over the plane: ``L² = ∫ rho(d) d dd``, of a correlation rho at ascending
+    lags d from 0. The last lag, where none falls to 1/e."""
+    return math.sqrt(moment(d, rho, 1)) if (rho < math.exp(-1.0)).any() else float(d[-1])
+
+
+def gaussian_share(d: F64, rho: F64, length_m: float) -> float:
+    """Share, 0 to 1, of the Gaussian correlation that gives a mixture the mean distance ``∫ rho d² dd / L³`` of rho at ascending lags d: 2
+    for the exponential of length L, √(π/2) for the Gaussian."""
+    if not (rho < math.exp(-1.0)).any():
+        return 0.0
+    mean, gaussian = moment(d, rho, 2) / length_m**3, math.sqrt(math.pi / 2.0)
+    return min(1.0, max(0.0, (2.0 - mean) / (2.0 - gaussian)))
 
 
 def field_variance(xy: F64, weight: F64, point: Bool, rough: Roughness) -> float:
@@ -108,9 +171,9 @@ def field_variance(xy: F64, weight: F64, point: Bool, rough: Roughness) -> float
     grid = np.bincount(cell[:, 0] * shape[1] + cell[:, 1], weight, int(shape[0] * shape[1])).reshape(shape)
     size = [int(2 ** math.ceil(math.log2(2 * s))) for s in shape]
     dx, dy = (np.minimum(np.arange(s), s - np.arange(s)) * h for s in size)
-    kernel = np.exp(-np.hypot(dx[:, None], dy[None]) / rough.length_m)
+    kernel = rough.correlation(np.hypot(dx[:, None], dy[None]))
     # two points of one cell are 0.52 h apart on average; for L below h the cell's mean correlation is its integral over its area
-    kernel[0, 0] = min(math.exp(-0.5214 * h / rough.length_m), 2 * math.pi * (rough.length_m / h) ** 2)
+    kernel[0, 0] = min(float(rough.correlation(np.array(0.5214 * h))), 2 * math.pi * (rough.length_m / h) ** 2)
     spectrum = np.fft.rfft2(grid, s=size)
     smooth = np.fft.irfft2(spectrum * np.fft.rfft2(kernel), s=size)[: shape[0], : shape[1]]
     # a point is fully correlated with itself, not as two points of one cell are

@@ -29,7 +29,7 @@ import numpy as np
 
 from ladar_volume.model.kernels import kernel
 from ladar_volume.model.parameters import BudgetParameters
-from ladar_volume.model.records import F64, I64, Patches
+from ladar_volume.model.records import F32, F64, I64, Patches
 from ladar_volume.volume.navigation import NavigationBins, markov_sum, matrix_root
 from ladar_volume.volume.propagation import time_bins
 
@@ -79,10 +79,10 @@ def add_outer(out: F64, factor: float, a: F64, b: F64) -> None:
 
 @kernel
 def curvature_kernel(
-    q: F64, start: I64, index: I64, bins: I64, M_nav: F64, position: F64, R: F64, normal: F64, tangent: F64, centre: F64, slope: F64
+    q: F64, start: I64, index: I64, bins: I64, M_nav: F32, position: F64, R: F64, normal: F64, tangent: F64, centre: F64, slope: F64
 ) -> F64:
     """H (b, 3, 3) of :func:`curvatures`: loads q (m, p) of patches with frames (m, 3) and slopes (m, 2) against their mean; sensitivities
-    M_nav (l, p, 6) from start (m + 1,) in rows index (l,) of ascending bins (b,), whose mean poses are (b, 3) and (b, 3, 3)."""
+    M_nav (l, p + 2, 6) from start (m + 1,) in rows index (l,) of ascending bins (b,), whose mean poses are (b, 3) and (b, 3, 3)."""
     H, weight = np.zeros((len(bins), 3, 3)), 0.0
     m, v, vm, body, upon, standing = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     fall, change, shifted = np.empty(3), np.empty(3), np.empty(3)

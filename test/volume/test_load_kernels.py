@@ -26,12 +26,12 @@ def test_loads_and_their_pairs(p):
     geometry, g = surface_geometry(points, patches), np.random.default_rng(4).standard_normal((len(points), 3, 3))
     g[::3] = 0.0
     q = patch_loads(g, patches, geometry)
-    along = np.einsum("nkc,nc->nk", g, patches.normal[geometry.row])
-    twin = np.zeros_like(q)
-    np.add.at(twin, geometry.row, geometry.X[:, :, None] * along[:, None])
+    n, t = patches.normal[geometry.row], patches.tangent[geometry.row]
+    along, twin = [np.einsum("nkc,nc->nk", g, axis) for axis in (n, t, np.cross(n, t))], np.zeros_like(q)
+    np.add.at(twin, geometry.row, np.concatenate([geometry.X[:, :, None] * along[0][:, None], np.stack(along[1:], axis=1)], axis=1))
     assert q == close(twin)
     q[2] = 0.0
-    left, right = q[geometry.left], q[geometry.right]
+    left, right = q[geometry.left, :p], q[geometry.right, :p]
     half = np.einsum("npa,npq,nqb,n->ab", left, patches.cross, right, geometry.weight)
     assert independent_covariance(q, patches, geometry) == close(0.5 * (half + half.T))
     packed = points.C_tangent.astype(np.float64)
@@ -73,21 +73,21 @@ def test_what_is_shared(p):
     bins, index = time_bins(patches)
     owner = np.repeat(np.arange(m), np.diff(patches.nav_start))
     P, A = rng.standard_normal((2, len(bins), 3, 3))
-    rows = np.concatenate([patches.M_nav[:, :, :3] @ P[index], patches.M_nav[:, :, 3:] @ A[index]], axis=2)
+    rows = np.concatenate([patches.M_nav[:, :p, :3] @ P[index], patches.M_nav[:, :p, 3:] @ A[index]], axis=2)
     twin = np.zeros((m, p, 6))
     np.add.at(twin, owner, rows)
-    deviation = deviation_kernel(patches.nav_start, index, patches.M_nav, P, A)
+    deviation = deviation_kernel(patches.nav_start, index, patches.M_nav, p, P, A)
     assert deviation == close(twin)
     root = rng.standard_normal((COLUMNS, COLUMNS)) * (rng.random((COLUMNS, COLUMNS)) < 0.1)
     C = root @ root.T
     one, two = np.nonzero(C)
     shared = shared_kernel(patches.M_cal, one, two, C[one, two], deviation)
-    assert shared == close(patches.M_cal @ C @ np.swapaxes(patches.M_cal, 1, 2) + deviation @ np.swapaxes(deviation, 1, 2))
+    assert shared == close(patches.M_cal[:, :p] @ C @ np.swapaxes(patches.M_cal[:, :p], 1, 2) + deviation @ np.swapaxes(deviation, 1, 2))
     geometry = surface_geometry(points, patches)
     assert height_kernel(geometry.X, geometry.row, shared) == close(
         np.einsum("np,npq,nq->n", geometry.X, shared[geometry.row], geometry.X)
     )
-    q = rng.standard_normal((m, p))
+    q = rng.standard_normal((m, p + 2))
     q[1] = 0.0
     J, used = navigation_sensitivity(q, patches)
     every = np.zeros((len(bins), 6))

@@ -90,8 +90,8 @@ def laser_of(point, antenna, R):
     return NOMINAL.as_matrix().T @ (R.T @ (point - antenna) + ANTENNA - LASER)
 
 
-def rows_of(point, normal, antenna, R):
-    """How the point moves along its normal with every source, by central differences."""
+def rows_of(point, antenna, R):
+    """How the point moves with every source, by central differences."""
     laser = laser_of(point, antenna, R)
     r = np.array(polar(laser))
     moved = {
@@ -99,42 +99,44 @@ def rows_of(point, normal, antenna, R):
         "laser": lambda e: lidar(antenna, R, laser, b=e), "antenna": lambda e: lidar(antenna, R, laser, a=e),
         "ray": lambda e: lidar(antenna, R, cartesian(*(r + e))),
     }  # fmt: skip
-    return {name: normal @ slope_of(function, 3, 1e-6) for name, function in moved.items()}
+    return {name: slope_of(function, 3, 1e-6) for name, function in moved.items()}
 
 
 def dense(points, normal, t, ring, gradient):
-    """Variance (m⁶) by source of a result with gradient (n, 3): every return's Jacobian along its normal, and full covariances."""
+    """Variance (m⁶) by source of a result with gradient (n, 3): every return's Jacobian, that of its noise along its
+    normal, and full covariances."""
     antenna, R = pose(t)
     before, after = pose(t - 1e-4), pose(t + 1e-4)
     b, n = BUDGET, len(points)
-    J = {name: np.zeros((n, size)) for name, size in (("boresight", 3), ("laser", 3), ("antenna", 3), ("ray", 3), ("attitude", 3))}
+    J = {name: np.zeros((n, 3)) for name in ("boresight", "laser", "antenna", "ray", "attitude", "noise")}  # of the result
     clock = np.zeros(n)
     for i in range(n):
-        for name, row in rows_of(points[i], normal[i], antenna[i], R[i].as_matrix()).items():
-            J[name][i] = row
+        moved = rows_of(points[i], antenna[i], R[i].as_matrix())
+        for name, rows in moved.items():
+            J[name][i] = gradient[i] @ rows
+        J["noise"][i] = (gradient[i] @ normal[i]) * (normal[i] @ moved["ray"])
         ends = [lidar(p[0][i], p[1][i].as_matrix(), laser_of(points[i], antenna[i], R[i].as_matrix())) for p in (before, after)]
-        clock[i] = normal[i] @ (ends[1] - ends[0]) / 2e-4
-    g = (gradient * normal).sum(axis=1)
+        clock[i] = gradient[i] @ (ends[1] - ends[0]) / 2e-4
     spot = b.beam_divergence_rad / 4
     ray = np.array([b.range_noise_m, math.hypot(b.azimuth_noise_rad, spot), math.hypot(b.vertical_noise_rad, spot)])
-    out = {"noise": float(g**2 @ (J["ray"] ** 2 @ ray**2))}
+    out = {"noise": float((J["noise"] ** 2 @ ray**2).sum())}
     same = ring[:, None] == ring
-    out["range_bias"] = b.range_bias_sigma_m**2 * float(g @ J["ray"][:, 0]) ** 2
+    out["range_bias"] = b.range_bias_sigma_m**2 * float(J["ray"][:, 0].sum()) ** 2
     for line, column, sigma in (("beam_range", 0, b.beam_range_sigma_m), ("beam_vertical", 2, b.beam_vertical_sigma_rad)):
-        s = g * J["ray"][:, column]
+        s = J["ray"][:, column]
         out[line] = sigma**2 * float(s @ same @ s)
     constants = {"boresight": b.boresight_sigma_rad, "laser": b.lever_laser_sigma_m, "antenna": b.lever_antenna_sigma_m}
     for name, sigma in constants.items():
-        out[name] = float(((g @ J[name]) ** 2) @ np.array(sigma) ** 2)
-    out["clock"] = b.clock_sigma_s**2 * float(g @ clock) ** 2
-    out["clock_apart"] = b.clock_sigma_s**2 * float(np.abs(g * clock).sum()) ** 2
+        out[name] = float((J[name].sum(axis=0) ** 2) @ np.array(sigma) ** 2)
+    out["clock"] = b.clock_sigma_s**2 * float(clock.sum()) ** 2
+    out["clock_apart"] = b.clock_sigma_s**2 * float(np.abs(clock).sum()) ** 2
     # navigation: errors of one time bin are one error, white ones average over the samples in it
     bins = np.floor(t / BIN_S)
     lag = np.abs(bins[:, None] - bins) * BIN_S
     for line, s, bias, white, tau, samples in (
-        ("position", g[:, None] * normal * np.array(b.position_sigma_m), b.position_bias_fraction, b.position_white_fraction,
+        ("position", gradient * np.array(b.position_sigma_m), b.position_bias_fraction, b.position_white_fraction,
          b.tau_position_s, BIN_S / 0.5),
-        ("attitude", g[:, None] * J["attitude"] * np.array(b.attitude_sigma_rad), b.attitude_bias_fraction, b.attitude_white_fraction,
+        ("attitude", J["attitude"] * np.array(b.attitude_sigma_rad), b.attitude_bias_fraction, b.attitude_white_fraction,
          b.tau_attitude_s, BIN_S * RATE),
     ):  # fmt: skip
         rho = bias + (1 - bias - white) * np.exp(-lag / tau) + white / samples * (lag == 0)

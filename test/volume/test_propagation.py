@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from volume_surfaces import normal_frame
 
 from ladar_volume.georeference.budget import calibration_columns
 from ladar_volume.model.errors import VolumeError
@@ -52,9 +53,9 @@ def random_surface(p=3, m=9, n=40, seed=0):
     nav_count = rng.integers(1, 4, m)
     nav_bin = np.concatenate([np.sort(rng.choice(6, c, replace=False)) for c in nav_count]).astype(np.int64)
     patches = Patches(
-        key, rng.standard_normal((m, 3)), normal, np.zeros((m, 3)), np.zeros((m, p)), np.ones(m), np.full(m, 9, np.int32),
-        np.zeros(m, np.int64), np.array(start), np.array(cross_key), np.array(cross), rng.standard_normal((m, p, COLUMNS)),
-        np.concatenate([[0], np.cumsum(nav_count)]), nav_bin, rng.standard_normal((len(nav_bin), p, 6)),
+        key, rng.standard_normal((m, 3)), normal, normal_frame(normal)[0], np.zeros((m, p)), np.ones(m), np.full(m, 9, np.int32),
+        np.zeros(m, np.int64), np.array(start), np.array(cross_key), np.array(cross), rng.standard_normal((m, p + 2, COLUMNS)).astype(np.float32),
+        np.concatenate([[0], np.cumsum(nav_count)]), nav_bin, rng.standard_normal((len(nav_bin), p + 2, 6)).astype(np.float32),
     )  # fmt: skip
     row = np.sort(rng.integers(0, m, n))
     T = rng.standard_normal((n, 3, 3))
@@ -76,6 +77,17 @@ def dense_map(points, patches, row):
     return B
 
 
+def movements(points, patches, row):
+    """How all point coordinates (3 n) move with the parameters of all patches and their places along tangent and binormal, m (p + 2)."""
+    p, m = patches.beta.shape[1], len(patches)
+    B = dense_map(points, patches, row).reshape(-1, m, p)
+    places = np.zeros((3 * len(points), m, 2))
+    for i in range(len(points)):
+        places[3 * i : 3 * i + 3, row[i], 0] = patches.tangent[row[i]]
+        places[3 * i : 3 * i + 3, row[i], 1] = np.cross(patches.normal[row[i]], patches.tangent[row[i]])
+    return np.concatenate([B, places], axis=2).reshape(len(B), -1)
+
+
 @pytest.mark.parametrize("p", [3, 6])
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_every_part_equals_the_dense_oracle(p, seed):
@@ -87,15 +99,15 @@ def test_every_part_equals_the_dense_oracle(p, seed):
     assert geometry.missing == 0
     q = patch_loads(gradient, patches, geometry)
     assert independent_covariance(q, patches, geometry) == pytest.approx(g @ B @ dense @ B.T @ g.T, rel=1e-10)
-    M = patches.M_cal.reshape(-1, COLUMNS)
-    assert calibration_sensitivity(q[:, :, 0], patches) == pytest.approx(g[0] @ B @ M, rel=1e-10)
+    M, moved = patches.M_cal.reshape(-1, COLUMNS), movements(points, patches, row)
+    assert calibration_sensitivity(q[:, :, 0], patches) == pytest.approx(g[0] @ moved @ M, rel=1e-10, abs=1e-12)
     J, bins = navigation_sensitivity(np.ascontiguousarray(q[:, :, 0]), patches)
     owner = np.repeat(np.arange(len(patches)), np.diff(patches.nav_start))
     for b, value in zip(bins, J, strict=True):
-        M = np.zeros((len(patches), p, 6))
+        M = np.zeros((len(patches), p + 2, 6))
         for entry in np.flatnonzero(patches.nav_bin == b):
             M[owner[entry]] += patches.M_nav[entry]
-        assert value == pytest.approx(g[0] @ B @ M.reshape(-1, 6), rel=1e-9, abs=1e-12)
+        assert value == pytest.approx(g[0] @ moved @ M.reshape(-1, 6), rel=1e-9, abs=1e-12)
     t = points.C_tangent.astype(float)[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
     assert tangential_variance(gradient[:, 0], points) == pytest.approx(
         sum(g @ C @ g for g, C in zip(gradient[:, 0], t, strict=True)), rel=1e-10

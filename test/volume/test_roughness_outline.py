@@ -8,11 +8,21 @@ import math
 import numpy as np
 import pytest
 
-from ladar_volume.ground.polynomial import design_surface
+from ladar_volume.ground.polynomial import COEFFICIENTS, design, design_surface
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.surface.tin import build_tin
 from ladar_volume.volume.outline import bodies, boundary_loop, components, fill_holes, surroundings, widened
-from ladar_volume.volume.roughness import Roughness, estimate_roughness, field_variance, integral_length, mean_spacing
+from ladar_volume.volume.roughness import (
+    Roughness,
+    estimate_roughness,
+    field_variance,
+    gaussian_share,
+    integral_length,
+    left_by_fit,
+    mean_spacing,
+    pair_products,
+    until_zero,
+)
 
 
 def grid(n=30, step=1.0):
@@ -64,14 +74,62 @@ def test_noise_alone_is_no_roughness():
     assert mean_spacing(grid(40, 0.3)) == pytest.approx(0.3, rel=0.05)
 
 
+def test_how_smooth_a_field_is():
+    lag = np.linspace(0.02, 40, 2000)
+    for share in (0.0, 0.3, 1.0):
+        d, rho = until_zero(lag, Roughness(1.0, 2.0, 0.1, share).correlation(lag))
+        assert integral_length(d, rho) == pytest.approx(2.0, rel=1e-3)
+        assert gaussian_share(d, rho, 2.0) == pytest.approx(share, abs=2e-3)
+    xy = grid(30)
+    weight = np.where(np.hypot(*(xy - 14.5).T) < 5, 1.0, -0.05)  # a body of a few lengths
+    some = np.zeros(900, bool)
+    for share in (0.0, 1.0):
+        rough = Roughness(0.01, 1.7, 1.0, share)
+        d = np.linalg.norm(xy[:, None] - xy[None], axis=2)
+        assert field_variance(xy, weight, some, rough) == pytest.approx(0.01 * weight @ rough.correlation(d) @ weight, rel=0.1)
+
+
+@pytest.mark.parametrize("parameters", [1, 3, 6])
+def test_what_is_shared_is_no_roughness(parameters):
+    xy, rng = grid(20), np.random.default_rng(5)
+    n = len(xy)
+    strips = np.floor(xy[:, 0] / 4)  # each strip has a height error of its own, and all tilt together
+    C = 4e-4 * (strips[:, None] == strips) + 1e-6 * np.outer(xy[:, 1], xy[:, 1])
+    root = np.linalg.cholesky(C + 1e-12 * np.eye(n))
+    X = design(xy - 9.5, np.zeros(2), COEFFICIENTS.index(parameters))
+    P = np.eye(n) - X @ np.linalg.pinv(X)
+    assert left_by_fit(xy, parameters, C) == pytest.approx(P @ C @ P, abs=1e-12)
+    d = np.linalg.norm(xy[:, None] - xy[None], axis=2)
+    field = np.linalg.cholesky(0.0009 * np.exp(-d / 1.5) + 1e-12 * np.eye(n))
+    found = []
+    for _ in range(40):
+        e = P @ (root @ rng.standard_normal(n) + field @ rng.standard_normal(n) + 0.01 * rng.standard_normal(n))
+        known = (None, lambda some: C[np.ix_(some, some)])
+        found.append([estimate_roughness(xy, e, np.full(n, 1e-4), parameters, shared).variance_m2 for shared in known])
+    double, once = np.mean(found, axis=0)
+    assert double > 1.1 * once
+    assert once == pytest.approx(0.0009, rel=0.1)
+
+
+def test_pairs_by_distance():
+    rng = np.random.default_rng(6)
+    xy, e, A = rng.uniform(0, 5, (40, 2)), rng.standard_normal(40), rng.standard_normal((40, 40))
+    C, edges = A @ A.T, np.array([0.5, 1.0, 3.0])
+    products, counts = pair_products(xy, e, C, edges)
+    i, j = np.triu_indices(40, 1)
+    k = np.digitize(np.linalg.norm(xy[i] - xy[j], axis=1), edges)
+    assert counts == pytest.approx(np.bincount(k, minlength=4))
+    assert products == pytest.approx(np.bincount(k, e[i] * e[j] - C[i, j], 4))
+
+
 def test_integral_length():
     lag = np.linspace(0.02, 40, 2000)
-    assert integral_length(lag, np.exp(-lag / 2.5)) == pytest.approx(2.5, rel=1e-3)
-    assert integral_length(lag, np.exp(-(lag**2) / (2 * 2.5**2))) == pytest.approx(2.5, rel=1e-3)
-    assert integral_length(lag, np.maximum(0.0, 1 - lag / 3)) == pytest.approx(math.sqrt(1.5), rel=1e-3)  # ∫ (1 − d / 3) d dd = 9 / 6
-    assert integral_length(lag, np.cos(lag * math.pi / 4)) == pytest.approx(math.sqrt(16 / math.pi**2 * (math.pi / 2 - 1)), rel=1e-3)
-    assert integral_length(lag, np.ones(2000)) == 40.0
-    assert integral_length(np.array([0.1, 0.2]), np.zeros(2)) == pytest.approx(math.sqrt(0.01 / 6))
+    assert integral_length(*until_zero(lag, np.exp(-lag / 2.5))) == pytest.approx(2.5, rel=1e-3)
+    assert integral_length(*until_zero(lag, np.exp(-(lag**2) / (2 * 2.5**2)))) == pytest.approx(2.5, rel=1e-3)
+    assert integral_length(*until_zero(lag, np.maximum(0.0, 1 - lag / 3))) == pytest.approx(math.sqrt(1.5), rel=1e-3)  # ∫ (1 − d / 3) d dd = 9 / 6
+    assert integral_length(*until_zero(lag, np.cos(lag * math.pi / 4))) == pytest.approx(math.sqrt(16 / math.pi**2 * (math.pi / 2 - 1)), rel=1e-3)
+    assert integral_length(*until_zero(lag, np.ones(2000))) == 40.0
+    assert integral_length(*until_zero(np.array([0.1, 0.2]), np.zeros(2))) == pytest.approx(math.sqrt(0.01 / 6))
 
 
 def stepped(n=21):

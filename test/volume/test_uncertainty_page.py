@@ -28,7 +28,7 @@ def heap():
     x, y = (a.ravel() for a in np.meshgrid(grid, grid, indexing="ij"))
     r, n = np.stack([x, y, np.full(400, 2.0)], axis=1), np.tile([0.0, 0.0, 1.0], (400, 1))
     v = r - np.stack([x, np.full(400, 6.0), np.full(400, 24.0)], axis=1)
-    M_cal, M_nav = np.zeros((400, 3, 13)), np.zeros((400, 3, 6))
+    M_cal, M_nav = np.zeros((400, 5, 13), np.float32), np.zeros((400, 5, 6), np.float32)  # the page knows heights alone
     M_cal[:, 0, 0] = -1.0  # the page takes the beam as vertical
     M_cal[:, 0, 1:4] = M_nav[:, 0, 3:] = np.cross(v, n)
     M_nav[:, 0, :3] = n

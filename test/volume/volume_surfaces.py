@@ -59,18 +59,18 @@ def surface_update(
     C = np.zeros((m, 3, 3))
     C[:, 0, 0], C[:, 1, 1], C[:, 2, 2] = noise**2 / 9, noise**2 / 9 / side**2, noise**2 / 9 / side**2
     variance = C[patch, 0, 0] + C[patch, 1, 1] * (local**2).sum(1)
-    # sensitivities of the normal coordinate at the centre: n . dr/dtheta, zero for the slopes
+    # sensitivities of the three coordinates at the centre, n . dr/dtheta and so on, zero for the slopes
     beams = 16
-    M_cal = np.zeros((m, 3, 11 + 2 * beams))
+    M_cal, M_nav = np.zeros((m, 5, 11 + 2 * beams), np.float32), np.zeros((m, 5, 6), np.float32)
     ray = centre - np.stack([cx, cy, np.full(m, sensor[2])], axis=1)
     unit = ray / np.linalg.norm(ray, axis=1, keepdims=True)
-    M_cal[:, 0, 0] = (normal * unit).sum(1)
-    M_cal[:, 0, 1:4] = np.cross(ray, normal)
-    M_cal[:, 0, 4:7], M_cal[:, 0, 7:10] = normal, -normal
-    M_cal[:, 0, 10] = normal[:, 0] * speed
-    M_cal[np.arange(m), 0, 11 + np.arange(m) % beams] = M_cal[:, 0, 0]
-    M_nav = np.zeros((m, 3, 6))
-    M_nav[:, 0, :3], M_nav[:, 0, 3:] = normal, np.cross(ray, normal)
+    for k, axis in ((0, normal), (3, tangent), (4, binormal)):
+        M_cal[:, k, 0] = (axis * unit).sum(1)
+        M_cal[:, k, 1:4] = np.cross(ray, axis)
+        M_cal[:, k, 4:7], M_cal[:, k, 7:10] = axis, -axis
+        M_cal[:, k, 10] = axis[:, 0] * speed
+        M_cal[np.arange(m), k, 11 + np.arange(m) % beams] = M_cal[:, k, 0]
+        M_nav[:, k, :3], M_nav[:, k, 3:] = axis, np.cross(ray, axis)
     bins = T0 // BIN_NS + np.floor((cx + half) / speed).astype(np.int64)
     patches = Patches(
         key, centre, normal, tangent, np.zeros((m, 3)), np.full(m, noise), np.full(m, 9, np.int32), bins * BIN_NS,
