@@ -15,7 +15,7 @@ from ladar_volume.model.parameters import BudgetParameters, GeoreferenceParamete
 from ladar_volume.model.records import FilterUpdate, Tin, Volume
 from ladar_volume.studies.coverage_box import BOX, BoxSite, ClosedBox, body_on_ground, closed_box
 from ladar_volume.studies.coverage_scene import FIELDS, Site, level_truth
-from ladar_volume.studies.coverage_survey import FIX_HZ, SOURCES, VertexSurvey, survey, without
+from ladar_volume.studies.coverage_survey import FIX_HZ, SOURCES, VertexSurvey, ground_of, survey, without
 from ladar_volume.surface.represent import SurfaceOptions, represent
 from ladar_volume.volume.assembly import vertex_variance
 from ladar_volume.volume.base import base_and_outline, polygon_of
@@ -97,7 +97,7 @@ def level_half(site: Site) -> tuple[float, float]:
 def truth(site: Site | BoxSite, base: str, seed: int) -> float:
     """The exact volume, m³."""
     if base == LEVEL and isinstance(site, Site):
-        return level_truth(site, site.ground(seed), level_half(site), 0.0)
+        return level_truth(site, ground_of(site, seed), level_half(site), 0.0)
     return site.volume_m3
 
 
@@ -199,16 +199,16 @@ def alone(site: Site | BoxSite, seed: int) -> dict[str, dict[str, tuple[float, f
     """By base and line of the budget: the change of the volume (m³) when that source alone errs, and the variance (m⁶) predicted for it.
 
     The change is against the same survey without any error, so that what the sampling of the surface does is in both. The roughness of
-    the ground is what is left without any other error: its change is the error of that survey, its prediction that of one with noise.
+    the ground is what is left without any other error: its change is the error of that survey, its prediction that of one with all errors,
+    since it is estimated from what these leave unexplained.
     """
     off = measured(site, without(DEFAULT), DEFAULT, seed)
-    noisy = measured(site, without(DEFAULT, "noise"), DEFAULT, seed)
+    full = measured(site, DEFAULT, DEFAULT, seed)
     out: dict[str, dict[str, tuple[float, float]]] = {base: {} for base in off}
     for line in SOURCES:
-        changed = None if line == "noise" else net_volumes(site, without(DEFAULT, line), seed)
+        changed = net_volumes(site, without(DEFAULT, line), seed)
         for base, row in off.items():
-            error = noisy[base].error_m3 if changed is None else changed[base] - truth(site, base, seed)
-            out[base][line] = (error - row.error_m3, row.budget_m6[line])
+            out[base][line] = (changed[base] - truth(site, base, seed) - row.error_m3, row.budget_m6[line])
     for base in {GROUND, CLOSED} & set(off):
-        out[base]["base_surface"] = (off[base].error_m3, noisy[base].budget_m6["base_surface"])
+        out[base]["base_surface"] = (off[base].error_m3, full[base].budget_m6["base_surface"])
     return out

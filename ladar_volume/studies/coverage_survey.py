@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ from ladar_volume.simulation import velodyne
 from ladar_volume.simulation.errors import draw_errors
 from ladar_volume.simulation.platforms import Platform, uav
 from ladar_volume.studies.coverage_box import BoxSite
-from ladar_volume.studies.coverage_scene import Site
+from ladar_volume.studies.coverage_scene import RoughGround, Site
 
 DURATION_S, FIX_HZ, ATTITUDE_HZ = 36.0, 10.0, 50.0
 #: Streams of random numbers: every survey has its own of each.
@@ -44,6 +45,16 @@ class VertexSurvey:
 
     update: FilterUpdate
     states: PlatformStates
+
+
+def sample_times(hz: float) -> F64:
+    """Times (n,) s of samples at this rate, from before the flight to after it."""
+    return np.arange(-0.5, DURATION_S + 0.6, 1.0 / hz)
+
+
+def attitude_times() -> F64:
+    """Times (n,) s of the attitudes."""
+    return sample_times(ATTITUDE_HZ)
 
 
 @dataclass(frozen=True)
@@ -66,7 +77,7 @@ class Drawn:
         and navigation."""
         b = budget
         calibration, clock = np.random.default_rng([instrument, CALIBRATION]), np.random.default_rng([flight, CLOCK])
-        fix_s, attitude_s = (np.arange(-0.5, DURATION_S + 0.6, 1.0 / hz) for hz in (FIX_HZ, ATTITUDE_HZ))
+        fix_s, attitude_s = sample_times(FIX_HZ), attitude_times()
         position = draw_errors(
             fix_s, np.array(b.position_sigma_m), b.position_bias_fraction, b.position_white_fraction, b.tau_position_s,
             np.random.default_rng([flight, POSITION]),
@@ -111,10 +122,50 @@ def pulses(platform: Platform, count: int, sector_rad: float, rng: np.random.Gen
     return velodyne.Firings(t, -2 * np.pi * t / velodyne.TURN_S, elevation, ring.astype(np.uint16))
 
 
-def measured_rotation(platform: Platform, drawn: Drawn, t: F64) -> Rotation:
-    """Body → map rotations as measured at times (n,) s."""
-    angles = platform.angles(t) + drawn.attitude_at(t)
-    return Rotation.from_euler("ZYX", angles[:, ::-1])
+@dataclass(frozen=True)
+class Path:
+    """Where the platform truly is at times t_s (n,): position (n, 3) m, roll, pitch and yaw (n, 3) rad, and the rotations they are."""
+
+    t_s: F64
+    position: F64
+    angles: F64
+    rotation: Rotation
+
+    @classmethod
+    def at(cls, platform: Platform, t_s: F64) -> Path:
+        """The path at these times."""
+        angles = platform.angles(t_s)
+        return cls(t_s, platform.position(t_s), angles, Rotation.from_euler("ZYX", angles[:, ::-1]))
+
+    def select(self, keep: I64) -> Path:
+        """The path at some of the times."""
+        return Path(self.t_s[keep], self.position[keep], self.angles[keep], self.rotation[keep])
+
+    def measured_rotation(self, drawn: Drawn) -> Rotation:
+        """Body → map rotations as measured."""
+        return Rotation.from_euler("ZYX", (self.angles + drawn.attitude_at(self.t_s))[:, ::-1])
+
+
+@lru_cache(maxsize=2)
+def pulses_of(site: Site | BoxSite, flight: int) -> tuple[velodyne.Firings, Path]:
+    """The pulses of one flight and the path at them: surveys with one source at a time share them."""
+    platform = uav(*site.flight_m, DURATION_S)
+    f = pulses(platform, site.pulses, site.sector_rad, np.random.default_rng([flight, PULSES]))
+    return f, Path.at(platform, f.time_s)
+
+
+@lru_cache(maxsize=4)
+def states_of(site: Site | BoxSite) -> tuple[Path, F64, F64]:
+    """The path at the times of the attitudes, the antenna's velocity and the body rates (n, 3) there."""
+    platform, h = uav(*site.flight_m, DURATION_S), 1e-3
+    t = attitude_times()
+    return Path.at(platform, t), (platform.position(t + h) - platform.position(t - h)) / (2 * h), platform.rates(t)
+
+
+@lru_cache(maxsize=2)
+def ground_of(site: Site | BoxSite, seed: int) -> RoughGround:
+    """The ground of one survey."""
+    return site.ground(seed)
 
 
 def survey(site: Site | BoxSite, drawn_with: BudgetParameters, believed: Parameters, seed: int, flight: int | None = None) -> VertexSurvey:
@@ -127,21 +178,21 @@ def survey(site: Site | BoxSite, drawn_with: BudgetParameters, believed: Paramet
     mount = mounting(nominal(platform))
     drawn = Drawn.draw(drawn_with, seed, flight)
     noise = np.random.default_rng([flight, NOISE])
-    f = pulses(platform, site.pulses, site.sector_rad, np.random.default_rng([flight, PULSES]))
+    f, path = pulses_of(site, flight)
     boresight = Rotation.from_rotvec(drawn.boresight) * Rotation.from_matrix(mount.R_body_laser)
-    R = platform.rotation(f.time_s)
-    ray = R.apply(boresight.apply(velodyne.true_directions(f, drawn.beams, drawn_with, noise)))
-    origin = platform.position(f.time_s) + R.apply(mount.lever_laser + drawn.lever_laser)
-    true = site.ranges(origin, ray, site.ground(seed))
+    ray = path.rotation.apply(boresight.apply(velodyne.true_directions(f, drawn.beams, drawn_with, noise)))
+    origin = path.position + path.rotation.apply(mount.lever_laser + drawn.lever_laser)
+    true = site.ranges(origin, ray, ground_of(site, seed))
     rho = velodyne.measured_ranges(true, f.ring, drawn.beams, drawn_with, 0.0, noise, 0.0)
     hit = origin + true[:, None] * ray
     keep = site.sampled(hit)
     f, rho = velodyne.Firings(f.time_s[keep], f.azimuth[keep], f.elevation[keep], f.ring[keep]), rho[keep]
     t = f.time_s - drawn.clock_s  # the stamp that the recording gives the pulse
-    antenna = platform.position(t) + platform.rotation(t).apply(mount.lever_antenna + drawn.lever_antenna) + drawn.position_at(t)
-    r = map_point(antenna, measured_rotation(platform, drawn, t).as_matrix(), laser_vector(rho, f.azimuth, f.elevation), mount)
+    stamped = Path.at(platform, t) if drawn.clock_s else path.select(keep)
+    antenna = stamped.position + stamped.rotation.apply(mount.lever_antenna + drawn.lever_antenna) + drawn.position_at(t)
+    r = map_point(antenna, stamped.measured_rotation(drawn).as_matrix(), laser_vector(rho, f.azimuth, f.elevation), mount)
     points = MappedPoints(nanoseconds(t), r, np.zeros((len(r), 6), np.float32), f.ring, np.ones(len(r), np.float32))
-    states = platform_states(platform, drawn, mount, believed.budget)
+    states = platform_states(site, drawn, mount, believed.budget)
     return VertexSurvey(vertices(points, states, mount, site.normals_at(hit[keep], r), believed), states)
 
 
@@ -150,13 +201,12 @@ def nanoseconds(t: F64) -> I64:
     return np.rint((t + 60.0) * 1e9).astype(np.int64)
 
 
-def platform_states(platform: Platform, drawn: Drawn, mount: Mounting, budget: BudgetParameters) -> PlatformStates:
+def platform_states(site: Site | BoxSite, drawn: Drawn, mount: Mounting, budget: BudgetParameters) -> PlatformStates:
     """States at the rate of the attitudes, with the covariance that the budget claims."""
-    t, h = drawn.attitude_s, 1e-3
-    R = measured_rotation(platform, drawn, t)
-    roll, pitch, _ = (platform.angles(t) + drawn.attitude_at(t)).T
-    antenna = platform.position(t) + platform.rotation(t).apply(mount.lever_antenna) + drawn.position_at(t)
-    velocity = (platform.position(t + h) - platform.position(t - h)) / (2 * h)
+    path, velocity, rates = states_of(site)
+    t, R = path.t_s, path.measured_rotation(drawn)
+    roll, pitch, _ = (path.angles + drawn.attitude_at(t)).T
+    antenna = path.position + path.rotation.apply(mount.lever_antenna) + drawn.position_at(t)
     zero, one = np.zeros(len(t)), np.ones(len(t))
     E = np.moveaxis(np.array([  # body rotation vector per roll, pitch, yaw: se3.euler_rate_matrix, stacked
         [one, zero, -np.sin(pitch)], [zero, np.cos(roll), np.sin(roll) * np.cos(pitch)],
@@ -166,7 +216,7 @@ def platform_states(platform: Platform, drawn: Drawn, mount: Mounting, budget: B
     C[:, 3:, 3:] = E @ np.swapaxes(E, 1, 2)
     position = antenna - R.apply(mount.lever_antenna)
     return PlatformStates(
-        nanoseconds(t), position, R.as_quat(), R.inv().apply(velocity), platform.rates(t), C, np.zeros(len(t), np.int64)
+        nanoseconds(t), position, R.as_quat(), R.inv().apply(velocity), rates, C, np.zeros(len(t), np.int64)
     )  # fmt: skip
 
 

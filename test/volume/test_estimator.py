@@ -138,10 +138,24 @@ def test_a_constant_position_error_above_a_given_plane_has_a_closed_form():
     volume = {"base": "plane", "plane": [1.0, 0.1, 0.2], "outline": "all"}
     v = estimator(surface_update(lambda x, y: 3.0 + 0.1 * x + 0.2 * y), parameters(budget=budget, volume=volume)).estimate().volume
     assert v.volume_m3 == pytest.approx(2.0 * v.area_m2, rel=1e-12)
-    # an east error e lifts the surface by -0.1 e, a north error n by -0.2 n, an up error u by u
-    assert v.budget_m6["position"] == pytest.approx((0.02 * v.area_m2) ** 2 * (1 + 0.1**2 + 0.2**2), rel=1e-8)
+    # an east error e lifts the surface by -0.1 e, a north error n by -0.2 n, an up error u by u; sensitivities are float32
+    assert v.budget_m6["position"] == pytest.approx((0.02 * v.area_m2) ** 2 * (1 + 0.1**2 + 0.2**2), rel=3e-7)
     # the same holds for a lever arm on a sensor that never turns
-    assert v.budget_m6["lever_laser"] == pytest.approx(v.area_m2**2 * (0.003**2 + (0.002 * 0.1) ** 2 + (0.002 * 0.2) ** 2), rel=1e-8)
+    assert v.budget_m6["lever_laser"] == pytest.approx(v.area_m2**2 * (0.003**2 + (0.002 * 0.1) ** 2 + (0.002 * 0.2) ** 2), rel=3e-7)
+
+
+@pytest.mark.parametrize("line", ["position", "lever_laser", "lever_antenna"])
+def test_a_common_shift_vanishes_above_the_surveys_own_ground_at_every_edge(line):
+    """At toe and rim the triangles of a point lie on both faces and its normal is that of one: the movement along it alone leaves a part
+    of the shift, a tenth of a metre times the length of the edge."""
+    budget = {"position_bias_fraction": 1.0, "position_white_fraction": 0.0}
+    update = surface_update(lambda x, y: np.clip(3.0 - np.hypot(x, y), 0.0, 1.5), spacing=0.25)
+    flat = dataclasses.replace(update.patches, M_cal=update.patches.M_cal.copy(), M_nav=update.patches.M_nav.copy())
+    flat.M_cal[:, 3:] = flat.M_nav[:, 3:] = 0.0
+    along_normal = dataclasses.replace(update, patches=flat)
+    found, partial = (estimator(u, parameters(budget=budget)).estimate().volume for u in (update, along_normal))
+    assert math.sqrt(found.budget_m6[line]) < 1e-6 * found.volume_m3
+    assert math.sqrt(partial.budget_m6[line]) > 1e-4 * found.volume_m3
 
 
 def test_noise_line_and_base_covariance_against_sampling():
