@@ -156,8 +156,9 @@ def test_budgets_of_the_variants():
 
 
 def test_the_believed_covariance_is_that_of_the_georeferencing():
-    platform = uav(10.0, 25.0, DURATION_S)
-    states = platform_states(platform, Drawn.draw(DEFAULT, 1, 1), mounting(nominal(platform)), DEFAULT)
+    site = SITES["stockpile_100"]
+    mount = mounting(nominal(uav(*site.flight_m, DURATION_S)))
+    states = platform_states(site, Drawn.draw(DEFAULT, 1, 1), mount, DEFAULT)
     for k in (0, 700, 1500):
         assert states.C_nav[k, 3:, 3:] == pytest.approx(attitude_covariance_from_euler(states.q_map_body[k], DEFAULT.attitude_sigma_rad))
 
