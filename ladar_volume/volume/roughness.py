@@ -17,7 +17,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.distance import cdist
 
 from ladar_volume.ground.polynomial import COEFFICIENTS, design
 from ladar_volume.model.kernels import kernel
@@ -100,7 +99,7 @@ def estimate_roughness(
     left = float(residual @ residual) / n - float(noise_variance.mean()) * (1.0 - parameters / n)
     if shared is not None:
         taken = left_by_fit(p, parameters, shared(some))
-    d, given_back, rough = cdist(p, p), np.zeros_like(taken), none
+    d, given_back, rough = np.hypot(*(p.T[:, :, None] - p.T[:, None])), np.zeros_like(taken), none
     for _ in range(ROUNDS):
         rough = of_products(p, e, taken - given_back, left - float((taken - given_back).diagonal().mean()), none)
         field = rough.variance_m2 * rough.correlation(d)
