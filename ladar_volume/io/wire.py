@@ -181,7 +181,10 @@ def filter_update(points: FilteredPoints, columns: Mapping[str, Any]) -> FilterU
     p = int(head[0, 12]) if m else 6 if values.shape[1] >= 36 else 3
     columns_cal = int(head[0, 11]) if m else 0
     keys = key[kind == HEAD]
-    halves = 6 // NAV_GROUP
+    groups, halves = -(-columns_cal // CAL_GROUP), 6 // NAV_GROUP
+    bad = np.count_nonzero(kind == CALIBRATION) != m * groups or np.count_nonzero(kind == NAVIGATION) % halves
+    if bad or values.shape[1] < (p + 2) * CAL_GROUP:
+        raise CloudError("patch table of another format: written by another version", reason="cloud_format")
     bins = other[kind == NAVIGATION][::halves]
     patches = Patches(
         keys, head[:, 0:3].copy(), head[:, 3:6].copy(), head[:, 6:9].copy(), head[:, 13 : 13 + p].copy(), head[:, 9].copy(),

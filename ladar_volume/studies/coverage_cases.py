@@ -14,8 +14,9 @@ from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.parameters import BudgetParameters, GeoreferenceParameters, Parameters, VolumeParameters
 from ladar_volume.model.records import FilterUpdate, Tin, Volume
 from ladar_volume.studies.coverage_box import BOX, BoxSite, ClosedBox, body_on_ground, closed_box
+from ladar_volume.studies.coverage_flight import FIX_HZ, ground_of
 from ladar_volume.studies.coverage_scene import FIELDS, Site, level_truth
-from ladar_volume.studies.coverage_survey import FIX_HZ, SOURCES, VertexSurvey, ground_of, survey, without
+from ladar_volume.studies.coverage_survey import SOURCES, VertexSurvey, survey, without
 from ladar_volume.surface.represent import SurfaceOptions, represent
 from ladar_volume.volume.assembly import vertex_variance
 from ladar_volume.volume.base import base_and_outline, polygon_of

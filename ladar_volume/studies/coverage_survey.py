@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -31,12 +30,21 @@ from ladar_volume.simulation import velodyne
 from ladar_volume.simulation.errors import draw_errors
 from ladar_volume.simulation.platforms import Platform, uav
 from ladar_volume.studies.coverage_box import BoxSite
-from ladar_volume.studies.coverage_scene import RoughGround, Site
+from ladar_volume.studies.coverage_flight import (
+    ATTITUDE_HZ,
+    BEAM_COUNT,
+    DURATION_S,
+    FIX_HZ,
+    Path,
+    ground_of,
+    pulses_of,
+    sample_times,
+    states_of,
+)  # fmt: skip
+from ladar_volume.studies.coverage_scene import Site
 
-DURATION_S, FIX_HZ, ATTITUDE_HZ = 36.0, 10.0, 50.0
 #: Streams of random numbers: every survey has its own of each.
-PULSES, CALIBRATION, BEAMS, CLOCK, POSITION, ATTITUDE, NOISE = range(7)
-BEAM_COUNT = 16
+CALIBRATION, BEAMS, CLOCK, POSITION, ATTITUDE, NOISE = range(1, 7)
 
 
 @dataclass(frozen=True)
@@ -45,16 +53,6 @@ class VertexSurvey:
 
     update: FilterUpdate
     states: PlatformStates
-
-
-def sample_times(hz: float) -> F64:
-    """Times (n,) s of samples at this rate, from before the flight to after it."""
-    return np.arange(-0.5, DURATION_S + 0.6, 1.0 / hz)
-
-
-def attitude_times() -> F64:
-    """Times (n,) s of the attitudes."""
-    return sample_times(ATTITUDE_HZ)
 
 
 @dataclass(frozen=True)
@@ -77,7 +75,7 @@ class Drawn:
         and navigation."""
         b = budget
         calibration, clock = np.random.default_rng([instrument, CALIBRATION]), np.random.default_rng([flight, CLOCK])
-        fix_s, attitude_s = sample_times(FIX_HZ), attitude_times()
+        fix_s, attitude_s = sample_times(FIX_HZ), sample_times(ATTITUDE_HZ)
         position = draw_errors(
             fix_s, np.array(b.position_sigma_m), b.position_bias_fraction, b.position_white_fraction, b.tau_position_s,
             np.random.default_rng([flight, POSITION]),
@@ -110,64 +108,6 @@ def nominal(platform: Platform) -> CalibrationParameters:
     )  # fmt: skip
 
 
-def pulses(platform: Platform, count: int, sector_rad: float, rng: np.random.Generator) -> velodyne.Firings:
-    """Random pulses of the flight within an angle about the scanner's axis from straight down, in order of time."""
-    down = Rotation.from_euler("ZYX", np.radians(platform.boresight_deg[::-1])).inv().apply([0.0, 0.0, -1.0])
-    straight = math.atan2(down[1], down[0])
-    turn = rng.integers(0, int(DURATION_S / velodyne.TURN_S), count)
-    azimuth = straight + rng.uniform(-sector_rad, sector_rad, count)
-    t = np.sort((turn + np.mod(-azimuth / (2 * np.pi), 1.0)) * velodyne.TURN_S)
-    ring = rng.integers(0, BEAM_COUNT, count)
-    elevation = np.radians(np.sort(velodyne.FIRING_ORDER_DEG))[ring]
-    return velodyne.Firings(t, -2 * np.pi * t / velodyne.TURN_S, elevation, ring.astype(np.uint16))
-
-
-@dataclass(frozen=True)
-class Path:
-    """Where the platform truly is at times t_s (n,): position (n, 3) m, roll, pitch and yaw (n, 3) rad, and the rotations they are."""
-
-    t_s: F64
-    position: F64
-    angles: F64
-    rotation: Rotation
-
-    @classmethod
-    def at(cls, platform: Platform, t_s: F64) -> Path:
-        """The path at these times."""
-        angles = platform.angles(t_s)
-        return cls(t_s, platform.position(t_s), angles, Rotation.from_euler("ZYX", angles[:, ::-1]))
-
-    def select(self, keep: I64) -> Path:
-        """The path at some of the times."""
-        return Path(self.t_s[keep], self.position[keep], self.angles[keep], self.rotation[keep])
-
-    def measured_rotation(self, drawn: Drawn) -> Rotation:
-        """Body → map rotations as measured."""
-        return Rotation.from_euler("ZYX", (self.angles + drawn.attitude_at(self.t_s))[:, ::-1])
-
-
-@lru_cache(maxsize=2)
-def pulses_of(site: Site | BoxSite, flight: int) -> tuple[velodyne.Firings, Path]:
-    """The pulses of one flight and the path at them: surveys with one source at a time share them."""
-    platform = uav(*site.flight_m, DURATION_S)
-    f = pulses(platform, site.pulses, site.sector_rad, np.random.default_rng([flight, PULSES]))
-    return f, Path.at(platform, f.time_s)
-
-
-@lru_cache(maxsize=4)
-def states_of(site: Site | BoxSite) -> tuple[Path, F64, F64]:
-    """The path at the times of the attitudes, the antenna's velocity and the body rates (n, 3) there."""
-    platform, h = uav(*site.flight_m, DURATION_S), 1e-3
-    t = attitude_times()
-    return Path.at(platform, t), (platform.position(t + h) - platform.position(t - h)) / (2 * h), platform.rates(t)
-
-
-@lru_cache(maxsize=2)
-def ground_of(site: Site | BoxSite, seed: int) -> RoughGround:
-    """The ground of one survey."""
-    return site.ground(seed)
-
-
 def survey(site: Site | BoxSite, drawn_with: BudgetParameters, believed: Parameters, seed: int, flight: int | None = None) -> VertexSurvey:
     """Fly over a site with errors drawn from one budget, and hand on what is measured as another budget believes it.
 
@@ -190,7 +130,7 @@ def survey(site: Site | BoxSite, drawn_with: BudgetParameters, believed: Paramet
     t = f.time_s - drawn.clock_s  # the stamp that the recording gives the pulse
     stamped = Path.at(platform, t) if drawn.clock_s else path.select(keep)
     antenna = stamped.position + stamped.rotation.apply(mount.lever_antenna + drawn.lever_antenna) + drawn.position_at(t)
-    r = map_point(antenna, stamped.measured_rotation(drawn).as_matrix(), laser_vector(rho, f.azimuth, f.elevation), mount)
+    r = map_point(antenna, stamped.measured_rotation(drawn.attitude_at(t)).as_matrix(), laser_vector(rho, f.azimuth, f.elevation), mount)
     points = MappedPoints(nanoseconds(t), r, np.zeros((len(r), 6), np.float32), f.ring, np.ones(len(r), np.float32))
     states = platform_states(site, drawn, mount, believed.budget)
     return VertexSurvey(vertices(points, states, mount, site.normals_at(hit[keep], r), believed), states)
@@ -204,8 +144,9 @@ def nanoseconds(t: F64) -> I64:
 def platform_states(site: Site | BoxSite, drawn: Drawn, mount: Mounting, budget: BudgetParameters) -> PlatformStates:
     """States at the rate of the attitudes, with the covariance that the budget claims."""
     path, velocity, rates = states_of(site)
-    t, R = path.t_s, path.measured_rotation(drawn)
-    roll, pitch, _ = (path.angles + drawn.attitude_at(t)).T
+    t, error = path.t_s, drawn.attitude_at(path.t_s)
+    R = path.measured_rotation(error)
+    roll, pitch, _ = (path.angles + error).T
     antenna = path.position + path.rotation.apply(mount.lever_antenna) + drawn.position_at(t)
     zero, one = np.zeros(len(t)), np.ones(len(t))
     E = np.moveaxis(np.array([  # body rotation vector per roll, pitch, yaw: se3.euler_rate_matrix, stacked

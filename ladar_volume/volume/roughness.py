@@ -22,8 +22,8 @@ from ladar_volume.ground.polynomial import COEFFICIENTS, design
 from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, I64, Bool
 
-#: Points used for the autocorrelation, taken at equal index steps: two million pairs.
-MAX_POINTS = 1500
+#: Points used for the autocorrelation, taken at equal index steps: half a million pairs.
+MAX_POINTS = 1000
 MAX_CELLS = 400
 #: Estimates of the field, each with what the fit took of the one before given back.
 ROUNDS = 3
@@ -41,9 +41,10 @@ class Roughness:
 
     def correlation(self, d: F64) -> F64:
         """Correlation at distances d, m."""
-        x = d / self.length_m
-        out: F64 = (1.0 - self.gaussian) * np.exp(-x) + self.gaussian * np.exp(-0.5 * x * x)
-        return out
+        x, g = d / self.length_m, self.gaussian
+        if 0.0 < g < 1.0:
+            return np.asarray((1.0 - g) * np.exp(-x) + g * np.exp(-0.5 * x * x))
+        return np.asarray(np.exp(-x) if g == 0.0 else np.exp(-0.5 * x * x))
 
 
 def mean_spacing(xy: F64) -> float:
@@ -101,7 +102,8 @@ def estimate_roughness(
         taken = left_by_fit(p, parameters, shared(some))
     d, given_back, rough = np.hypot(*(p.T[:, :, None] - p.T[:, None])), np.zeros_like(taken), none
     for _ in range(ROUNDS):
-        rough = of_products(p, e, taken - given_back, left - float((taken - given_back).diagonal().mean()), none)
+        apart = taken - given_back
+        rough = of_products(p, e, apart, left - float(apart.diagonal().mean()), none)
         field = rough.variance_m2 * rough.correlation(d)
         given_back = field - left_by_fit(p, parameters, field)
     return rough

@@ -32,8 +32,9 @@ from ladar_volume.studies.coverage_cases import (
     scaled,
 )
 from ladar_volume.studies.coverage_engine import measured_by_engine
+from ladar_volume.studies.coverage_flight import DURATION_S
 from ladar_volume.studies.coverage_scene import FIELDS, level_truth
-from ladar_volume.studies.coverage_survey import DURATION_S, SOURCES, Drawn, nominal, platform_states, survey, without
+from ladar_volume.studies.coverage_survey import SOURCES, Drawn, nominal, platform_states, survey, without
 from ladar_volume.studies.coverage_tables import tables
 from ladar_volume.volume.estimator import VolumeEstimator
 
