@@ -155,7 +155,7 @@ def test_a_common_shift_vanishes_above_the_surveys_own_ground_at_every_edge(line
     along_normal = dataclasses.replace(update, patches=flat)
     found, partial = (estimator(u, parameters(budget=budget)).estimate().volume for u in (update, along_normal))
     assert math.sqrt(found.budget_m6[line]) < 1e-6 * found.volume_m3
-    assert math.sqrt(partial.budget_m6[line]) > 1e-4 * found.volume_m3
+    assert partial.budget_m6[line] > 1e4 * found.budget_m6[line]
 
 
 def test_noise_line_and_base_covariance_against_sampling():
