@@ -57,11 +57,16 @@ def design_rows(local: F64, p: int) -> F64:
 
 
 def surface_geometry(points: FilteredPoints, patches: Patches) -> SurfaceGeometry:
-    """Index the points and cross blocks of patches sorted by key."""
+    """Index the points and cross blocks of patches sorted by key. Raises :class:`VolumeError` (volume_patches) for sensitivities that are
+    not those of the parameters and two tangents."""
+    p = patches.beta.shape[1]
+    for M in (patches.M_cal, patches.M_nav):
+        if M.shape[1] != p + 2:
+            raise VolumeError(f"patches of {p} parameters with sensitivities in {M.shape[1]} rows, not {p + 2}", reason="volume_patches")
     row = np.searchsorted(patches.key, points.patch)
     left = np.repeat(np.arange(len(patches)), np.diff(patches.cross_start))
     right, weight = neighbour_kernel(patches.key, patches.cross_start, patches.cross_key)
-    X = design_rows(points.local, patches.beta.shape[1])
+    X = design_rows(points.local, p)
     return SurfaceGeometry(row, X, left, right, weight, int(np.count_nonzero(weight == 0.0)))
 
 

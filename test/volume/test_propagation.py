@@ -151,3 +151,12 @@ def test_refusals():
         calibration_groups(12)
     with pytest.raises(VolumeError):
         design_rows(np.zeros((2, 2)), 4)
+
+
+def test_sensitivities_of_another_shape_are_refused():
+    points, patches, _, _ = random_surface()
+    for name in ("M_cal", "M_nav"):
+        short = dataclasses.replace(patches, **{name: getattr(patches, name)[:, :-2]})
+        with pytest.raises(VolumeError) as refused:
+            surface_geometry(points, short)
+        assert refused.value.reason == "volume_patches" and "not 5" in str(refused.value)
