@@ -1,4 +1,7 @@
-"""What each node costs before any data: time to import its module, time until it is configured and reports, and resident size.
+"""What each node costs before any data: time to import its module, to be active and to be heard, and resident size.
+
+Active is a node that has its kernels and takes in data. Heard it is with its first diagnostics: discovery over DDS takes up to three
+seconds where an announcement is missed.
 
 ``python -m benchmarks footprint``. Kernels are in their cache (a first start of every node is not measured); each node is alone in a
 process of its own. Medians of three starts.
@@ -52,15 +55,44 @@ def imported(name: str, environment: dict[str, str]) -> tuple[float, float]:
     return float(seconds), int(kilobytes) / 1024.0
 
 
-def started(name: str, environment: dict[str, str], folder: str) -> tuple[float, float]:
-    """Seconds from the start of the process to its first diagnostics, less their period, and the resident size then (MB)."""
+def words_for(name: str, folder: str) -> list[str]:
+    """The command line of a node, after the program."""
     settings = {"node.diagnostics_period_s": "0.1", "logger.path": f"{folder}/log.mcap", "mavlink.url": "udpin:127.0.0.1:14660"}
-    words = [w for k, v in settings.items() if k.split("_")[0].split(".")[0] in ("node", name.split("_")[0]) for w in ("-p", f"{k}:={v}")]
+    own = [w for k, v in settings.items() if k.split("_")[0].split(".")[0] in ("node", name.split("_")[0]) for w in ("-p", f"{k}:={v}")]
+    return ["--ros-args", *own]
+
+
+def active(name: str, environment: dict[str, str], folder: str) -> float:
+    """Seconds from the start of the process until the node is active."""
+    code = (
+        "import sys, time\n"
+        f"from ladar_volume.nodes import base, {name} as module\n"
+        "plain = base.StageNode.on_activate\n"
+        "def told(self, state):\n"
+        "    done = plain(self, state)\n"
+        "    print(time.time(), flush=True)\n"
+        "    return done\n"
+        "base.StageNode.on_activate = told\n"
+        "sys.exit(module.main(sys.argv))\n"
+    )
+    began = time.time()
+    command = [sys.executable, "-c", code, *words_for(name, folder)]
+    process = subprocess.Popen(command, env=environment, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    try:
+        assert process.stdout is not None
+        return float(process.stdout.readline()) - began
+    finally:
+        process.terminate()
+        process.wait(timeout=60.0)
+
+
+def heard(name: str, environment: dict[str, str], folder: str) -> tuple[float, float]:
+    """Seconds from the start of the process to its first diagnostics, less their period, and the resident size then (MB)."""
     watcher = rclpy.create_node("footprint")
     seen: list[str] = []
     watcher.create_subscription(DiagnosticArray, "/diagnostics", lambda m: seen.extend(s.name for s in m.status), 10)
     began = time.monotonic()
-    command = [sys.executable, "-m", f"ladar_volume.nodes.{name}", "--ros-args", *words]
+    command = [sys.executable, "-m", f"ladar_volume.nodes.{name}", *words_for(name, folder)]
     process = subprocess.Popen(command, env=environment, cwd=ROOT, stderr=subprocess.DEVNULL)
     try:
         while name not in seen:
@@ -84,12 +116,14 @@ def run() -> dict[str, float | int | str]:
     try:
         for name in NODES:
             with tempfile.TemporaryDirectory() as folder:
-                started(name, environment, folder)  # fills the cache
+                active(name, environment, folder)  # fills the cache
                 imports = [imported(name, environment) for _ in range(STARTS)]
-                starts = [started(name, environment, folder) for _ in range(STARTS)]
+                actives = [active(name, environment, folder) for _ in range(STARTS)]
+                starts = [heard(name, environment, folder) for _ in range(STARTS)]
             out[f"{name}: import, s"] = statistics.median(s for s, _ in imports)
             out[f"{name}: imported, MB"] = statistics.median(m for _, m in imports)
-            out[f"{name}: up, s"] = statistics.median(s for s, _ in starts)
+            out[f"{name}: active, s"] = statistics.median(actives)
+            out[f"{name}: heard, s"] = statistics.median(s for s, _ in starts)
             out[f"{name}: before data, MB"] = statistics.median(m for _, m in starts)
     finally:
         rclpy.try_shutdown()
