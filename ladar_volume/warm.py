@@ -120,7 +120,7 @@ def _volume(parameters: Parameters) -> None:
     estimator: VolumeEstimator = importlib.import_module("ladar_volume.volume.estimator").VolumeEstimator(parameters)
     estimator.add_platform(_still(np.array([START_NS, START_NS + BIN_NS], np.int64)))
     for _ in range(2):  # the second update is merged with the first
-        estimator.add(_made_up_surface(40, parameters.georeference.beams))
+        estimator.add(_made_up_surface(24, parameters.georeference.beams))
         _estimate(estimator)
     estimator.set_parameters(Parameters.read({"volume": {"outline": "polygon", "polygon_m": SQUARE}}, parameters))
     _estimate(estimator)
