@@ -30,9 +30,9 @@ from ladar_volume.volume.roughness import estimate_roughness
 
 #: Lowest points of the box that are not taken for ground, m above it.
 LEAST_M = 0.06
-#: Gaps up to this are closed, and rims so far above the ground drawn on to it, m: the filter leaves a third of a metre of the walls. A wall
+#: Gaps up to half the height are closed, and rims so far above the ground drawn on to it, m: a third of a metre is left in most. A wall
 #: that was not meshed is refused (closing_height, closing_gap).
-CLOSE_M = 1.0
+CLOSE_M = 1.25
 #: Vertical component of the normals of what may be ground.
 LEVEL = 0.7
 
