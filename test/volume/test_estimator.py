@@ -158,6 +158,23 @@ def test_a_common_shift_vanishes_above_the_surveys_own_ground_at_every_edge(line
     assert partial.budget_m6[line] > 1e4 * found.budget_m6[line]
 
 
+def test_what_heights_share():
+    """On level ground seen by a sensor that never turns: the height of the position, constant, wandering and white, and of a lever arm."""
+    budget = {"position_bias_fraction": 0.2, "position_white_fraction": 0.1, "tau_position_s": 5.0, "lever_laser_sigma_m": [0.0, 0.0, 0.003]}
+    zero = ("range_bias_sigma_m", "beam_range_sigma_m", "beam_vertical_sigma_deg", "clock_sigma_s")
+    budget |= dict.fromkeys(zero, 0.0) | {name: [0.0, 0.0, 0.0] for name in ("boresight_sigma_deg", "lever_antenna_sigma_m")}
+    e = VolumeEstimator(parameters(budget=budget, georeference={"max_position_gap_s": 0.25}))
+    e.add_platform(platform(position=0.02, attitude=0.0))
+    e.add(surface_update(lambda x, y: 3.0 + 0.0 * x, spacing=0.5))
+    sources = e.epoch().sources
+    some = np.arange(0, len(sources.points), 7, dtype=np.int64)
+    t = sources.points.t_ns[some] * 1e-9
+    lag = np.abs(t[:, None] - t)
+    white = np.where(np.eye(len(some), dtype=bool), 2.0 / 3.0, (lag == 0) / (1.0 / 0.25))
+    expected = 0.003**2 + 0.02**2 * (0.2 + 0.7 * np.exp(-lag / 5.0) + 0.1 * white)
+    assert (lag > 0).any() and sources.shared_covariance(some) == pytest.approx(expected, rel=1e-6)
+
+
 def test_noise_line_and_base_covariance_against_sampling():
     update = surface_update(sloped, spacing=0.5, noise=0.03)
     quiet = parameters(budget={"position_bias_fraction": 0.0})
