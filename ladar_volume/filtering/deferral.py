@@ -2,8 +2,8 @@
 
 Points wait by tile, blocks of 8 x 8 x 8 voxels: taking in a whole tile refits its rim's neighbours once instead of once per voxel. What is
 taken in is a set of points like any other, so the surface stays exactly the surface of some points; what waits only makes it that of fewer.
-New ground comes first. Then a tile's turn comes by the time it has waited, times the number of voxels' worth of points it would exchange,
-to which so many are added that one where little changes waits about twice as long as others.
+Turns alternate: to the tile that has waited longest, so that none waits for more than two rounds of the map, and to the one that would
+exchange the most voxels' worth of points: new ground comes at once.
 """
 
 from __future__ import annotations
@@ -19,10 +19,6 @@ from ladar_volume.model.records import F64, I64, concatenate, select
 
 #: Voxels along the side of a tile, as a power of two.
 TILE_BITS = 3
-#: Share of its voxels' points that is new, from which a tile is new ground.
-NEW_GROUND = 0.25
-#: Voxels' worth of points that every tile counts for beside those it would exchange.
-AT_LEAST = 16.0
 #: Points that may wait, beside twice as many as could stay when last looked at, before those that cannot stay are looked for.
 ROOM = 1 << 16
 
@@ -96,8 +92,8 @@ class Deferred:
         oldest = np.full(len(tiles), newest_ns)
         np.minimum.at(oldest, tile[which], points.t_ns)
         exchanged = np.bincount(tile, weights=shares(store, voxels, new))
-        known = exchanged < NEW_GROUND * np.bincount(tile)
-        order = np.lexsort((-(exchanged + AT_LEAST) * (newest_ns - oldest + 1), known))
+        by_age, by_weight = (np.argsort(np.argsort(x, kind="stable"), kind="stable") for x in (oldest, -exchanged))
+        order = np.argsort(np.minimum(2 * by_age, 2 * by_weight + 1), kind="stable")
         rank = np.empty(len(order), np.int64)
         rank[order] = np.arange(len(order))
         by_turn = np.argsort(rank[tile], kind="stable")
