@@ -64,23 +64,29 @@ def cover(r: F64, regions: Regions, parameters: FilterParameters, degree: int, m
         np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.full(n, cells.NO_SURFACE, np.int8), np.zeros(n, np.int8), np.zeros(n), at, 0
     )  # fmt: skip
     open_ = np.ones(n, np.bool_) if mine is None else mine
+    part = np.arange(n)
     while open_.any():
+        around = np.zeros(n, np.bool_)
         for level, ball in enumerate(regions.ball_m):
             own = open_ & (at == level)
             if own.any():
-                count += _cover_level(r, own, float(ball), regions, parameters, degree, out)
+                count += _cover_level(r, part, own, float(ball), regions, parameters, degree, out, around)
         open_ = open_ & (out.reason == cells.NO_SURFACE) & (at > regions.least)
         at[open_] -= 1
+        part = np.flatnonzero(around)
     return replace(out, cells=count)
 
 
 def _cover_level(
-    r: F64, own: Bool, ball: float, regions: Regions, parameters: FilterParameters, degree: int, out: Covered
+    r: F64, part: I64, own: Bool, ball: float, regions: Regions, parameters: FilterParameters, degree: int, out: Covered, around: Bool
 ) -> int:  # fmt: skip
-    order, keys, first, table = sorted_by_voxel(r, CELL * ball)
+    """Cover the points that are ``own`` (n,); returns the number of cells. part : the points that may count, all near enough. Those that
+    may count with a smaller radius where a cell found no surface are marked in ``around`` (n,)."""
+    order, keys, first, table = sorted_by_voxel(r[part], CELL * ball)
+    order = part[order]
     ordered = r[order]
     wanted = np.add.reduceat(own[order], first[:-1], dtype=np.int64) > 0
-    near = np.zeros(len(keys), np.bool_)
+    near, close = np.zeros(len(keys), np.bool_), np.zeros(len(keys), np.bool_)
     kernels.near_marked(keys, len(keys), table, wanted, REACH, near)
     # noise of a cell: that of its points, which differ only where regions meet
     size = np.diff(first)
@@ -103,9 +109,12 @@ def _cover_level(
             kind, misfit, chosen,
         )  # fmt: skip
         sets[some], sizes[some] = chosen[some], kind[some]
-    of = np.empty(len(r), np.int32)
-    of[order] = np.repeat(np.arange(len(keys), dtype=np.int32), size)
-    out.kind[own], out.misfit[own] = kind[of[own]], misfit[of[own]]
+    of = np.repeat(np.arange(len(keys)), size)
+    mine = own[order]
+    out.kind[order[mine]], out.misfit[order[mine]] = kind[of[mine]], misfit[of[mine]]
+    kernels.near_marked(keys, len(keys), table, wanted & (kind == 0), REACH, close)  # these offer planes,
+    kernels.near_marked(keys, len(keys), table, close, REACH, near)  # and these are what their planes are told from
+    around[order[near[of]]] = True
     return int(np.count_nonzero(wanted))
 
 
