@@ -65,10 +65,11 @@ def fly():
             if kind != "cloud" or k % 2:
                 pubs[kind].publish(good(kind, t, rng))
         time.sleep(0.005)
-    until(lambda: geo._queue.empty() and filter_._queue.empty() and not filter_._fresh)
+    until(lambda: geo._queue.empty() and filter_._queue.empty() and not filter_._fresh and volume._queue.empty() and not volume._due)
 fly()
 first = [filter_.stage.stats["points_offered"], geo.stage.restarts]
 fly()
+until(lambda: filter_._passes.begun and volume._passes.begun)  # volume_node may still be at its estimate of the first pass
 out["passes"] = [first, [filter_.stage.stats["points_offered"], geo.stage.restarts], filter_._passes.begun, volume._passes.begun]
 out["delay"] = {k: v for k, v in geo.health.lines(time.monotonic(), 0).items() if k.startswith("rate")}
 for s in spinners:
