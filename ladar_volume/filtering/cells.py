@@ -81,16 +81,15 @@ def supported(x: Any, m: Any, origin: Any, q: Any, square: Any) -> Any:
 
 @parallel_kernel
 def main_planes(
-    keys: Any, table: Any, first: Any, r: Any, wanted: Any, ball: Any, noise: Any, limit: Any, trials: Any, least: Any, seed: Any,
+    keys: Any, table: Any, first: Any, r: Any, which: Any, ball: Any, noise: Any, limit: Any, trials: Any, least: Any, seed: Any,
     planes: Any, found: Any,
 ) -> None:  # fmt: skip
-    """The planes that the points near each cell lie on, most points first, as ``n·x = o`` (v, OFFERED, 4) and their number (v,).
+    """The planes that the points near the cells ``which`` lie on, most points first, as ``n·x = o`` (v, OFFERED, 4) and their number (v,).
 
     Each is sought among what the former ones do not explain. They are what a cell and its neighbours have to choose from.
     """
-    for v in numba.prange(len(keys)):
-        if not wanted[v]:
-            continue
+    for i in numba.prange(len(which)):
+        v = which[i]
         sigma, threshold = noise[v], limit[v]
         empty = np.empty(0, np.int64)
         n = gather(v, keys, table, first, r, empty)
@@ -109,15 +108,15 @@ def main_planes(
             used = 0
             for _ in range(3):
                 label[:] = -1
-                for i in range(left):
-                    label[free[i]] = 0 if abs(pieces.distance(x[free[i]], plane)) <= threshold else -1
+                for j in range(left):
+                    label[free[j]] = 0 if abs(pieces.distance(x[free[j]], plane)) <= threshold else -1
                 used = pieces.fit_plane(x, m, label, 0, plane, mean, inverse)
             if used < least:
                 break
             rest = 0
-            for i in range(left):
-                if abs(pieces.distance(x[free[i]], plane)) > EXPLAINED * sigma:
-                    free[rest] = free[i]
+            for j in range(left):
+                if abs(pieces.distance(x[free[j]], plane)) > EXPLAINED * sigma:
+                    free[rest] = free[j]
                     rest += 1
             left = rest
             plane[3] += plane[0] * origin[0] + plane[1] * origin[1] + plane[2] * origin[2]
@@ -271,15 +270,14 @@ def verdict(lo: Any, hi: Any, order: Any, mine: Any, why: Any, reason: Any) -> N
 
 @parallel_kernel
 def filter_cells(
-    keys: Any, table: Any, first: Any, r: Any, main: Any, found: Any, sets: Any, sizes: Any, turn: Any, wanted: Any, order: Any, mine: Any,
+    keys: Any, table: Any, first: Any, r: Any, main: Any, found: Any, sets: Any, sizes: Any, turn: Any, which: Any, order: Any, mine: Any,
     ball: Any, degree: Any, noise: Any, limit: Any, least: Any, iterations: Any, snap: Any, q: Any, normals: Any, variance: Any,
     reason: Any, kind: Any, misfit: Any, chosen: Any,
 ) -> None:  # fmt: skip
-    """The ``wanted`` cells of points (n, 3) sorted by voxel, ``order`` (n,) the place of each among the points as given: that is where a
+    """The cells ``which`` of points (n, 3) sorted by voxel, ``order`` (n,) the place of each among the points as given: that is where a
     cell writes what becomes of those of its own points that are ``mine``."""
-    for v in numba.prange(len(keys)):
-        if not wanted[v]:
-            continue
+    for i in numba.prange(len(which)):
+        v = which[i]
         empty = np.empty(0, np.int64)
         n = gather(v, keys, table, first, r, empty)
         slots = np.empty(n, np.int64)

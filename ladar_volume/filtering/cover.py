@@ -18,6 +18,7 @@ from ladar_volume.filtering.fit import REACH
 from ladar_volume.filtering.pieces import MOST
 from ladar_volume.filtering.sampling import sorted_by_voxel
 from ladar_volume.filtering.store import BITS
+from ladar_volume.model.kernels import dealt_out
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64, I64, Bool
 
@@ -82,7 +83,7 @@ def _cover_level(
 ) -> int:  # fmt: skip
     """Cover the points that are ``own`` (n,); returns the number of cells. part : the points that may count, all near enough. Those that
     may count with a smaller radius where a cell found no surface are marked in ``around`` (n,)."""
-    order, keys, first, table = sorted_by_voxel(r[part], CELL * ball)
+    order, keys, first, table = sorted_by_voxel(r if len(part) == len(r) else r[part], CELL * ball)
     order = part[order]
     ordered = r[order]
     wanted = np.add.reduceat(own[order], first[:-1], dtype=np.int64) > 0
@@ -94,8 +95,8 @@ def _cover_level(
     limit = np.add.reduceat(regions.threshold_m[order], first[:-1]) / size
     main, found = np.zeros((len(keys), cells.OFFERED, 4)), np.zeros(len(keys), np.int64)
     cells.main_planes(
-        keys, table, first, ordered, near, ball / NARROWER, noise, limit, parameters.trials, parameters.min_points, parameters.seed, main,
-        found,
+        keys, table, first, ordered, dealt_out(np.flatnonzero(near)), ball / NARROWER, noise, limit, parameters.trials,
+        parameters.min_points, parameters.seed, main, found,
     )  # fmt: skip
     kind, misfit = np.zeros(len(keys), np.int64), np.zeros(len(keys))
     sets, sizes, chosen = np.zeros((len(keys), MOST, 4)), np.zeros(len(keys), np.int64), np.zeros((len(keys), MOST, 4))
@@ -104,9 +105,9 @@ def _cover_level(
         if turn == cells.LAST:
             some = some & ((kind > 1) | (kind != 0) & (misfit > ENOUGH))
         cells.filter_cells(
-            keys, table, first, ordered, main, found, sets, sizes, turn, some, order, own, ball, degree, noise, limit,
-            parameters.min_points, parameters.refit_iterations, parameters.edge == "snap", out.q, out.normal, out.variance, out.reason,
-            kind, misfit, chosen,
+            keys, table, first, ordered, main, found, sets, sizes, turn, dealt_out(np.flatnonzero(some)), order, own, ball, degree,
+            noise, limit, parameters.min_points, parameters.refit_iterations, parameters.edge == "snap", out.q, out.normal, out.variance,
+            out.reason, kind, misfit, chosen,
         )  # fmt: skip
         sets[some], sizes[some] = chosen[some], kind[some]
     of = np.repeat(np.arange(len(keys)), size)

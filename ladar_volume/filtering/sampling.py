@@ -37,8 +37,9 @@ def sorted_by_voxel(r: F64, edge_m: float) -> tuple[I64, I64, I64, I32]:
         raise FilterError(f"a cloud wider than {2 * HALF} voxels of {edge_m} m", reason="filter_too_wide", value=edge_m)
     key = pack_key(ijk)
     order = np.argsort(key, kind="stable")
-    keys, first = np.unique(key[order], return_index=True)
-    first = np.append(first, len(r)).astype(np.int64)
+    key = key[order]
+    first = np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1], [True]])[: len(key) + 1])
+    keys = key[first[:-1]]
     sort_within(r, first, order)
     table = np.full(1 << max(4, int(4 * len(keys) - 1).bit_length()), -1, np.int32)
     place_all(table, keys, len(keys))

@@ -14,6 +14,8 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numba
+import numpy as np
+import numpy.typing as npt
 
 numba.config.THREADING_LAYER = "omp"  # type: ignore[attr-defined]
 
@@ -43,3 +45,10 @@ def parallel_kernel(function: F) -> F:
     compiled: Any = numba.njit(cache=True, nogil=True, parallel=True, error_model="numpy")(function)
     result: F = compiled
     return result
+
+
+def dealt_out(index: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """The same indices (n,), in turn to each thread and then thread by thread: a parallel loop gives every thread one run of them, and
+    neighbours, which take about as long as each other, are shared evenly."""
+    threads = numba.get_num_threads()
+    return np.concatenate([index[k::threads] for k in range(threads)])

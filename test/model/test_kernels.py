@@ -7,7 +7,7 @@ import numba
 import numpy as np
 import pytest
 
-from ladar_volume.model.kernels import kernel, leaf_kernel
+from ladar_volume.model.kernels import dealt_out, kernel, leaf_kernel
 
 
 @leaf_kernel
@@ -50,3 +50,13 @@ def test_a_leaf_that_allocates_is_refused():
 
     with pytest.raises(numba.core.errors.NumbaError, match="empty"):
         allocates(3)
+
+
+@pytest.mark.parametrize("count", [0, 1, 7, 100])
+def test_threads_get_even_shares_and_nothing_is_lost(count):
+    index = np.arange(3, 3 + count)
+    out = dealt_out(index)
+    assert sorted(out.tolist()) == index.tolist()
+    threads = numba.get_num_threads()
+    for share in np.split(out, np.cumsum([len(index[k::threads]) for k in range(threads)])[:-1]):
+        assert np.all(np.diff(share) == threads)
