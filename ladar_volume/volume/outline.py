@@ -7,36 +7,15 @@ from scipy.spatial import cKDTree
 
 from ladar_volume.ground.polynomial import base_height
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.model.kernels import kernel
-from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
+from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
+from ladar_volume.surface.boundary import parts_kernel
 from ladar_volume.surface.tin import footprint_areas, vertex_mask
 from ladar_volume.volume.near_base import any_corner
 
 
-@kernel
-def flood_kernel(neighbours: I32, mask: Bool) -> I32:
-    """See :func:`components`; numbers rise with the first triangle of each."""
-    label, stack = np.full(len(mask), -1, np.int32), np.empty(len(mask), np.int64)
-    number = 0
-    for first in range(len(mask)):
-        if not mask[first] or label[first] >= 0:
-            continue
-        label[first], stack[0], waiting = number, first, 1
-        while waiting > 0:
-            waiting -= 1
-            t = stack[waiting]
-            for k in range(3):
-                o = neighbours[t, k]
-                if o >= 0 and mask[o] and label[o] < 0:
-                    label[o], stack[waiting] = number, o
-                    waiting += 1
-        number += 1
-    return label
-
-
-def components(tin: Tin, mask: Bool) -> I32:
+def components(tin: Tin, mask: Bool) -> I64:
     """Number (m,) of the edge-connected component of each triangle in ``mask``; -1 elsewhere."""
-    return np.asarray(flood_kernel(tin.neighbours, mask))
+    return np.asarray(parts_kernel(tin.neighbours, mask))
 
 
 def bodies(tin: Tin, base: Plane, object_height_m: float, count: int = 1, least_m3: float = 0.0) -> list[Bool]:
