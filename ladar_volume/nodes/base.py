@@ -236,13 +236,15 @@ class StageNode(LifecycleNode, ABC):
         return response
 
     # worker -------------------------------------------------------------------------------------------------------
-    def offer(self, kind: str, item: Any) -> None:
-        """Queue an item for the worker; a full queue drops it and counts it."""
+    def offer(self, kind: str, item: Any) -> bool:
+        """Queue an item for the worker; a full queue drops it and counts it. Returns whether it was queued."""
         self.health.arrived(kind, time.monotonic(), _stamp(item))
         try:
             self._queue.put_nowait((kind, item))
         except queue.Full:
             self.losses.add(f"message_queue_full_{kind}")
+            return False
+        return True
 
     def listen(self, kind: str, message_type: Any, topic: str, qos: QoSProfile, silent_s: float | None = None) -> None:
         """Subscribe: messages go to the worker as ``kind``; what the middleware lost is counted, a silence beyond ``silent_s`` named."""

@@ -64,7 +64,9 @@ class FilterNode(StageNode):
     async def _flush(self, request: Any, response: Any) -> Any:
         """Send all that was put off; the answer, when it is sent, is the stamp (ns) of the last part."""
         flushed = Future()
-        self.offer("flush", flushed)
+        if not self.offer("flush", flushed):
+            response.success, response.message = False, "too much waits already"
+            return response
         while not flushed.done():
             await NextRound()
         response.success, response.message = True, str(flushed.result())

@@ -250,8 +250,8 @@ class VolumeNode(StageNode):
         if not self._filter_flush.service_is_ready():
             return
         asked, deadline, self._awaited = self._filter_flush.call_async(Trigger.Request()), time.monotonic() + CATCH_UP_S, True
-        while not (asked.done() and self._newest_part >= int(asked.result().message)):
-            if time.monotonic() > deadline:
+        while not (asked.done() and asked.result().success and self._newest_part >= int(asked.result().message)):
+            if time.monotonic() > deadline or (asked.done() and not asked.result().success):
                 self.losses.add("message_filter_late")
                 break
             await NextRound()

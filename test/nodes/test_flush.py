@@ -9,7 +9,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 
 SCRIPT = '''
-import json, time
+import json, queue, time
 import numpy as np, rclpy
 from nav_msgs.msg import Odometry
 from rclpy.parameter import Parameter
@@ -85,11 +85,22 @@ for part in np.array_split(np.argsort(points.t_ns, kind="stable"), 3):
     same = [np.array_equal(getattr(store.patches, n), getattr(whole.patches, n)) for n in ("key", "used", "t_ns", "sigma", "cross_key", "nav_bin")]
     close = np.allclose(store.patches.beta, whole.patches.beta, atol=1e-6) and np.allclose(store.points.variance.sum(), whole.points.variance.sum())
     equal.append(all(same) and bool(close) and len(store.points) == len(whole.points))
+losses = dict(node.all_losses().as_dict())
+def full(item):
+    raise queue.Full
+def answer():
+    future = flush.call_async(Trigger.Request())
+    until(future.done)
+    return [future.result().success, future.result().message]
+node._queue.put_nowait = full
+refused = [*answer(), node.all_losses().as_dict().get("message_queue_full_flush")]
+del node._queue.put_nowait
+afterwards = answer()
 for s in spinners:
     s.close()
 rclpy.try_shutdown()
-print(json.dumps({"nothing": nothing, "put_off": put_off, "equal": equal, "repeated": got["repeated"], "losses": node.all_losses().as_dict(),
-                  "parts": node.counts["parts"]}))
+print(json.dumps({"nothing": nothing, "put_off": put_off, "equal": equal, "repeated": got["repeated"], "losses": losses,
+                  "parts": node.counts["parts"], "refused": refused, "afterwards": afterwards}))
 '''
 
 
@@ -108,3 +119,5 @@ def test_a_flush_hands_on_all_points_that_came(tmp_path):
     assert max(found["put_off"]) > 500
     assert found["repeated"] == 0 and found["parts"] > 6  # several updates without new data in between do not share a stamp
     assert not {k for k in found["losses"] if k.startswith("message_")}
+    assert found["refused"] == [False, "too much waits already", 1]  # an answer all the same: the next one must not wait for it
+    assert found["afterwards"][0] and int(found["afterwards"][1]) > 0
