@@ -2,7 +2,7 @@
 
 Every timed run has a process of its own, so that memory is its own peak, with the cloud read from a file before the clock starts and the
 kernels compiled before; compiling them into an empty cache is timed apart. ``python -m benchmarks.filtering_square FILE.npy OUT.npz`` is
-such a process. The density is the same in all sizes of the scaling run: the area grows.
+such a process. Clouds of the scaling run are so many pieces of the square side by side: density and content are the same in all sizes.
 """
 
 from __future__ import annotations
@@ -24,10 +24,11 @@ import numpy as np
 from benchmarks.filtering_peers import own
 from benchmarks.peers import Missing, cpu_seconds, open3d_outliers, pcl_mls, timed
 from benchmarks.shapes import Result
-from benchmarks.square import POINTS, SIDE_M, Square, bench_and_fountain, score, square, window
+from benchmarks.square import POINTS, SIDE_M, TILT, Square, bench_and_fountain, score, square, window
 from benchmarks.truth import F64
 
-SIZES = (100_000, 300_000, 1_000_000, 2_700_000, 10_000_000)
+#: Pieces of the square, their side, m (100,000 points at its density), and how many differ.
+TILES, TILE_M, DRAWN = (1, 3, 10, 30, 100), SIDE_M * float(np.sqrt(100_000 / POINTS)), 8
 PEER_RADIUS_M = 0.15
 Figures = dict[str, float | int | str]
 
@@ -70,17 +71,13 @@ def digest(result: Result) -> str:
     return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in (result.r, result.index, result.outliers))).hexdigest()
 
 
-def sized(n: int, seed: int = 0) -> F64:
-    """About ``n`` points at the square's density: a window of it, or several squares side by side."""
-    across = int(np.ceil(np.sqrt(n / POINTS) - 1e-9))
-    side = SIDE_M * np.sqrt(n / POINTS)
-    if across == 1:
-        return window(square(POINTS, seed), side).points
-    parts = []
-    for i in range(across**2):
-        tile = square(POINTS, seed + i).points + SIDE_M * np.array([i % across, i // across, 0.0])
-        parts.append(tile[np.all(tile[:, :2] <= side - SIDE_M / 2, axis=1)])
-    return np.concatenate(parts)
+def sized(tiles: int, side: float = TILE_M) -> F64:
+    """Bench and fountain ``tiles`` times side by side, as square as the count allows, level with each other: what is in a cloud decides
+    its cost, so clouds of all sizes hold the same. Noise is drawn ``DRAWN`` times and then used again."""
+    rows = next(k for k in range(int(np.sqrt(tiles)), 0, -1) if tiles % k == 0)
+    drawn = [window(square(POINTS, seed), side).points for seed in range(min(tiles, DRAWN))]
+    steps = [side * np.array([i % rows, i // rows, 0.0]) @ TILT.T for i in range(tiles)]
+    return np.concatenate([drawn[i % DRAWN] + step for i, step in enumerate(steps)])
 
 
 def own_square(whole: Square, folder: Path, times: int) -> tuple[Figures, float]:
@@ -115,12 +112,12 @@ def peers(whole: Square, wall: float) -> Figures:
     return out
 
 
-def scaling(folder: Path, sizes: tuple[int, ...]) -> Figures:
+def scaling(folder: Path, tiles: tuple[int, ...]) -> Figures:
     """Wall per point over sizes."""
     out: Figures = {}
     cost = []
-    for size in sizes:
-        points = sized(size)
+    for count in tiles:
+        points = sized(count)
         answer, _ = filtered(points, folder)
         cost.append(1e6 * answer["wall"] / len(points))
         out[f"{len(points)} points"] = f"{answer['wall']:.2f} s wall, {answer['cpu']:.2f} s CPU, {cost[-1]:.2f} us / point"
@@ -128,7 +125,7 @@ def scaling(folder: Path, sizes: tuple[int, ...]) -> Figures:
     return out
 
 
-def run(times: int = 3, with_peers: bool = True, sizes: tuple[int, ...] = SIZES) -> Figures:
+def run(times: int = 3, with_peers: bool = True, tiles: tuple[int, ...] = TILES) -> Figures:
     """Medians of ``times`` on the square; peers and sizes once each."""
     out: Figures = {}
     with tempfile.TemporaryDirectory() as name:
@@ -140,7 +137,7 @@ def run(times: int = 3, with_peers: bool = True, sizes: tuple[int, ...] = SIZES)
             out |= {f"{title}: {key}": value for key, value in figures.items()}
             if with_peers:
                 out |= {f"{title}: {key}": value for key, value in peers(whole, wall).items()}
-        out |= {f"scaling: {key}": value for key, value in scaling(folder, sizes).items()}
+        out |= {f"scaling: {key}": value for key, value in scaling(folder, tiles).items()}
     return out
 
 
