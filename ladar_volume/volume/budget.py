@@ -11,7 +11,7 @@ import numpy as np
 from ladar_volume.georeference.budget import calibration_covariance
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, Patches
-from ladar_volume.volume.load_kernels import deviation_kernel, height_kernel, shared_kernel
+from ladar_volume.volume.load_kernels import correlated_kernel, deviation_kernel, height_kernel, shared_kernel
 from ladar_volume.volume.navigation import NavigationBins, NavigationLoads, matrix_root, navigation_loads, navigation_variance
 from ladar_volume.volume.propagation import (
     SurfaceGeometry,
@@ -171,8 +171,8 @@ class Sources:
         J = np.einsum("kp,kpc->kc", X, self.patches.M_cal[row, : X.shape[1]])
         out: F64 = J @ self.C_cal @ J.T
         b, t_ns, bin_ns = self.parameters.budget, self.points.t_ns[points], self.navigation.bin_ns
-        lag = np.abs(t_ns[:, None] - t_ns) * 1e-9
-        same = (t_ns // bin_ns)[:, None] == t_ns // bin_ns
+        order = np.argsort(t_ns, kind="stable")
+        apart_s = np.append(np.diff(t_ns[order]), 0) * 1e-9
         fixes = max(1.0, bin_ns * 1e-9 / self.parameters.georeference.max_position_gap_s)
         states = max(1.0, float(self.navigation.mean(self.time_bins[0])[1].mean()))  # a mean time may lie where there are none
         deviation = np.einsum("kp,kpc->kc", X, self.navigation_rows[row])
@@ -180,9 +180,8 @@ class Sources:
             (deviation[:, :3], b.position_bias_fraction, b.position_white_fraction, b.tau_position_s, fixes),
             (deviation[:, 3:], b.attitude_bias_fraction, b.attitude_white_fraction, b.tau_attitude_s, states),
         ):  # fmt: skip
-            apart = white * same / n
-            np.fill_diagonal(apart, white * BETWEEN)
-            out += (d @ d.T) * (bias + (1.0 - bias - white) * np.exp(-lag / tau) + apart)
+            shares = (bias, 1.0 - bias - white, white / n, white * BETWEEN)
+            correlated_kernel(np.ascontiguousarray(d), order, np.exp(-apart_s / tau), t_ns // bin_ns, shares, out)
         return out
 
 

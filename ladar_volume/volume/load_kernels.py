@@ -174,3 +174,23 @@ def height_kernel(X: F64, row: I64, C: F64) -> F64:
             for s in range(X.shape[1]):
                 out[i] += X[i, r] * C[row[i], r, s] * X[i, s]
     return out
+
+
+@kernel
+def correlated_kernel(d: F64, order: I64, decay: F64, bins: I64, shares: tuple[float, float, float, float], out: F64) -> None:
+    """Adds to out (k, k) the covariance ``d_i·d_j c_ij`` of k values with deviations d (k, 3): c is the share of the constant, plus that of
+    the Gauss-Markov part times the product of the decays between their times, plus the third share within one bin (k,), and on the
+    diagonal the fourth instead. order : (k,) by time · decay : (k,) from each value in that order to the next."""
+    constant, markov, same, own = shares
+    for a in range(len(d)):
+        i, left = order[a], markov
+        out[i, i] += (d[i, 0] ** 2 + d[i, 1] ** 2 + d[i, 2] ** 2) * (constant + markov + own)
+        for b in range(a + 1, len(d)):
+            j = order[b]
+            left *= decay[b - 1]
+            c = constant + left
+            if bins[i] == bins[j]:
+                c += same
+            c *= d[i, 0] * d[j, 0] + d[i, 1] * d[j, 1] + d[i, 2] * d[j, 2]
+            out[i, j] += c
+            out[j, i] += c

@@ -17,6 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.fft import irfft2, next_fast_len, rfft2
 
 from ladar_volume.ground.polynomial import COEFFICIENTS, design
 from ladar_volume.model.kernels import kernel
@@ -57,26 +58,52 @@ def mean_spacing(xy: F64) -> float:
 
 
 @kernel
-def pair_products(xy: F64, e: F64, explained: F64, edges: F64) -> tuple[F64, F64]:
-    """Sums of ``e_i e_j − explained_ij`` and numbers of pairs (k + 1,) of points xy (n, 2) whose distance lies between ascending edges
-    (k,). explained : (n, n) covariance that is not the field's."""
-    products, counts = np.zeros(len(edges) + 1), np.zeros(len(edges) + 1)
-    for i in range(len(xy)):
-        for j in range(i + 1, len(xy)):
-            d = math.sqrt((xy[i, 0] - xy[j, 0]) ** 2 + (xy[i, 1] - xy[j, 1]) ** 2)
-            k = np.searchsorted(edges, d, side="right")
-            products[k] += e[i] * e[j] - explained[i, j]
-            counts[k] += 1.0
-    return products, counts
+def pair_sums(xy: F64, e: F64, C: F64, Q: F64, edges: F64) -> tuple[F64, F64, F64, F64]:
+    """Of points xy (n, 2) and their pairs whose distance lies between two of ascending edges (k + 1,), from 0 on: sums (k,) of
+    ``e_i e_j − C_ij``, numbers of pairs (k,), for every point sums (k, n, p) of the rows of Q (n, p) of its partners; and the distances of
+    all pairs i < j, row by row. C : (n, n) covariance that is known."""
+    n, p, k = len(xy), Q.shape[1], len(edges) - 1
+    products, counts, partners, d = np.zeros(k), np.zeros(k), np.zeros((k, n, p)), np.empty(n * (n - 1) // 2)
+    at = 0
+    for i in range(n):
+        for j in range(i + 1, n):
+            d[at] = math.sqrt((xy[i, 0] - xy[j, 0]) ** 2 + (xy[i, 1] - xy[j, 1]) ** 2)
+            b = np.searchsorted(edges, d[at], side="right") - 1
+            at += 1
+            if b < k:
+                products[b] += e[i] * e[j] - C[i, j]
+                counts[b] += 1.0
+                for c in range(p):
+                    partners[b, i, c] += Q[j, c]
+                    partners[b, j, c] += Q[i, c]
+    return products, counts, partners, d
 
 
-def left_by_fit(xy: F64, parameters: int, C: F64) -> F64:
-    """Covariance (n, n) of the residuals that a least-squares polynomial of so many coefficients leaves of heights at xy (n, 2) with
-    covariance C (n, n)."""
-    Q = np.linalg.qr(design((xy - xy.mean(axis=0)) / max(float(np.ptp(xy)), 1e-9), np.zeros(2), COEFFICIENTS.index(parameters)))[0]
-    half = C - Q @ (Q.T @ C)
-    out: F64 = half - (half @ Q) @ Q.T
+@kernel
+def condensed_product(rho: F64, Q: F64) -> F64:
+    """``R Q`` (n, p) of a correlation matrix R whose elements i < j are rho (n (n − 1) / 2,), row by row."""
+    n, p = Q.shape
+    out, at = Q.copy(), 0
+    for i in range(n):
+        for j in range(i + 1, n):
+            for c in range(p):
+                out[i, c] += rho[at] * Q[j, c]
+                out[j, c] += rho[at] * Q[i, c]
+            at += 1
     return out
+
+
+def basis(xy: F64, parameters: int) -> F64:
+    """Orthonormal columns (n, parameters) that span the polynomials of so many coefficients at xy (n, 2)."""
+    X = design((xy - xy.mean(axis=0)) / max(float(np.ptp(xy)), 1e-9), np.zeros(2), COEFFICIENTS.index(parameters))
+    return np.ascontiguousarray(np.linalg.qr(X)[0])
+
+
+def taken_by_fit(CQ: F64, Q: F64) -> tuple[F64, float]:
+    """What a least-squares fit with the basis Q (n, p) takes of heights of covariance C, ``T = PC + CP − PCP`` with ``P = QQᵀ``: W (n, p)
+    with ``T = WQᵀ + QWᵀ``, and its trace. CQ : (n, p)."""
+    S = Q.T @ CQ
+    return CQ - 0.5 * Q @ S, float(np.trace(S))
 
 
 def estimate_roughness(
@@ -93,35 +120,34 @@ def estimate_roughness(
     n = len(residual)
     spacing = mean_spacing(xy)
     some = np.arange(0, n, max(1, math.ceil(n / MAX_POINTS)), dtype=np.int64)
-    p, e, taken = xy[some], residual[some], np.zeros((len(some), len(some)))
-    none = Roughness(0.0, spacing / 2, spacing)
+    p, none = xy[some], Roughness(0.0, spacing / 2, spacing)
     if len(some) <= parameters:
         return none
     left = float(residual @ residual) / n - float(noise_variance.mean()) * (1.0 - parameters / n)
-    if shared is not None:
-        taken = left_by_fit(p, parameters, shared(some))
-    d, given_back, rough = np.hypot(*(p.T[:, :, None] - p.T[:, None])), np.zeros_like(taken), none
-    for _ in range(ROUNDS):
-        apart = taken - given_back
-        rough = of_products(p, e, apart, left - float(apart.diagonal().mean()), none)
-        field = rough.variance_m2 * rough.correlation(d)
-        given_back = field - left_by_fit(p, parameters, field)
+    C = np.zeros((len(some), len(some))) if shared is None else shared(some)
+    Q, extent = basis(p, parameters), float(np.linalg.norm(p.max(axis=0) - p.min(axis=0)))
+    edges = np.geomspace(max(spacing, extent / 1000), max(extent / 2, 2 * spacing), 25)
+    products, counts, partners, d = pair_sums(p, residual[some], C, Q, np.concatenate([[0.0], edges]))
+    known, trace = taken_by_fit(C @ Q, Q)
+    left -= (float(np.trace(C)) - trace) / len(some)
+    rough, own, trace = none, np.zeros_like(Q), 0.0
+    for number in range(ROUNDS):
+        if number:  # what the fit took of the field is given back
+            own, trace = taken_by_fit(rough.variance_m2 * condensed_product(rough.correlation(d), Q), Q)
+        rough = of_products(edges, products + np.tensordot(partners, known + own), counts, left + trace / len(some), none)
     return rough
 
 
-def of_products(xy: F64, e: F64, taken: F64, s2: float, none: Roughness) -> Roughness:
-    """The field of variance s2 whose correlation the products of residuals e (n,), less ``taken`` (n, n), have; ``none`` for a variance of
-    zero or less."""
+def of_products(edges: F64, products: F64, counts: F64, s2: float, none: Roughness) -> Roughness:
+    """The field of variance s2 whose covariances have the sums ``products`` (k,) over numbers of pairs (k,) with distances up to each of
+    ascending edges (k,); ``none`` for a variance of zero or less."""
     if s2 <= 0.0:
         return none
-    spacing, extent = none.spacing_m, float(np.linalg.norm(xy.max(axis=0) - xy.min(axis=0)))
-    edges = np.geomspace(max(spacing, extent / 1000), max(extent / 2, 2 * spacing), 25)
-    products, counts = pair_products(xy, e, taken, edges)
     lag = np.concatenate([[edges[0] / 2], np.sqrt(edges[:-1] * edges[1:])])
-    ok = counts[:-1] >= 30
-    d, rho = until_zero(lag[ok], products[:-1][ok] / counts[:-1][ok] / s2)
+    ok = counts >= 30
+    d, rho = until_zero(lag[ok], products[ok] / counts[ok] / s2)
     L = integral_length(d, rho)
-    return Roughness(s2, max(spacing / 2, L), spacing, gaussian_share(d, rho, L))
+    return Roughness(s2, max(none.spacing_m / 2, L), none.spacing_m, gaussian_share(d, rho, L))
 
 
 def until_zero(lag: F64, rho: F64) -> tuple[F64, F64]:
@@ -170,13 +196,13 @@ def field_variance(xy: F64, weight: F64, point: Bool, rough: Roughness) -> float
     cell = np.floor((xy - low) / h).astype(np.int64)
     shape = cell.max(axis=0) + 1
     grid = np.bincount(cell[:, 0] * shape[1] + cell[:, 1], weight, int(shape[0] * shape[1])).reshape(shape)
-    size = [int(2 ** math.ceil(math.log2(2 * s))) for s in shape]
-    dx, dy = (np.minimum(np.arange(s), s - np.arange(s)) * h for s in size)
-    kernel = rough.correlation(np.hypot(dx[:, None], dy[None]))
+    size = [next_fast_len(2 * int(s), real=True) for s in shape]
+    dx, dy = (np.minimum(np.arange(s), s - np.arange(s)) for s in size)
+    quarter = rough.correlation(h * np.hypot(np.arange(size[0] // 2 + 1)[:, None], np.arange(size[1] // 2 + 1)))
+    kernel = quarter[dx[:, None], dy]
     # two points of one cell are 0.52 h apart on average; for L below h the cell's mean correlation is its integral over its area
     kernel[0, 0] = min(float(rough.correlation(np.array(0.5214 * h))), 2 * math.pi * (rough.length_m / h) ** 2)
-    spectrum = np.fft.rfft2(grid, s=size)
-    smooth = np.fft.irfft2(spectrum * np.fft.rfft2(kernel), s=size)[: shape[0], : shape[1]]
+    smooth = irfft2(rfft2(grid, s=size) * rfft2(kernel), s=size)[: shape[0], : shape[1]]
     # a point is fully correlated with itself, not as two points of one cell are
     alone = (1.0 - kernel[0, 0]) * float((weight[point] ** 2).sum())
     return rough.variance_m2 * max(0.0, float((grid * smooth).sum()) + float(alone))

@@ -14,13 +14,15 @@ from ladar_volume.surface.tin import build_tin
 from ladar_volume.volume.outline import bodies, boundary_loop, components, fill_holes, surroundings, widened
 from ladar_volume.volume.roughness import (
     Roughness,
+    basis,
+    condensed_product,
     estimate_roughness,
     field_variance,
     gaussian_share,
     integral_length,
-    left_by_fit,
     mean_spacing,
-    pair_products,
+    pair_sums,
+    taken_by_fit,
     until_zero,
 )
 
@@ -98,7 +100,10 @@ def test_what_is_shared_is_no_roughness(parameters):
     root = np.linalg.cholesky(C + 1e-12 * np.eye(n))
     X = design(xy - 9.5, np.zeros(2), COEFFICIENTS.index(parameters))
     P = np.eye(n) - X @ np.linalg.pinv(X)
-    assert left_by_fit(xy, parameters, C) == pytest.approx(P @ C @ P, abs=1e-12)
+    Q = basis(xy, parameters)
+    W, trace = taken_by_fit(C @ Q, Q)
+    assert C - W @ Q.T - Q @ W.T == pytest.approx(P @ C @ P, abs=1e-12)
+    assert trace == pytest.approx(np.trace(C) - np.trace(P @ C @ P))
     d = np.linalg.norm(xy[:, None] - xy[None], axis=2)
     field = np.linalg.cholesky(0.0009 * np.exp(-d / 1.5) + 1e-12 * np.eye(n))
     found = []
@@ -113,13 +118,20 @@ def test_what_is_shared_is_no_roughness(parameters):
 
 def test_pairs_by_distance():
     rng = np.random.default_rng(6)
-    xy, e, A = rng.uniform(0, 5, (40, 2)), rng.standard_normal(40), rng.standard_normal((40, 40))
-    C, edges = A @ A.T, np.array([0.5, 1.0, 3.0])
-    products, counts = pair_products(xy, e, C, edges)
+    xy, e, A, Q = rng.uniform(0, 5, (40, 2)), rng.standard_normal(40), rng.standard_normal((40, 40)), rng.standard_normal((40, 3))
+    C, edges = A @ A.T, np.array([0.0, 0.5, 1.0, 3.0])
+    products, counts, partners, d = pair_sums(xy, e, C, Q, edges)
     i, j = np.triu_indices(40, 1)
-    k = np.digitize(np.linalg.norm(xy[i] - xy[j], axis=1), edges)
-    assert counts == pytest.approx(np.bincount(k, minlength=4))
-    assert products == pytest.approx(np.bincount(k, e[i] * e[j] - C[i, j], 4))
+    assert d == pytest.approx(np.linalg.norm(xy[i] - xy[j], axis=1))
+    k = np.digitize(d, edges) - 1
+    assert counts == pytest.approx(np.bincount(k, minlength=4)[:3])
+    assert products == pytest.approx(np.bincount(k, e[i] * e[j] - C[i, j], 4)[:3])
+    W = rng.standard_normal((40, 3))
+    T = W @ Q.T + Q @ W.T
+    assert np.tensordot(partners, W) == pytest.approx(np.bincount(k, T[i, j], 4)[:3])
+    R = np.eye(40)
+    R[i, j] = R[j, i] = np.exp(-d)
+    assert condensed_product(np.exp(-d), Q) == pytest.approx(R @ Q)
 
 
 def test_integral_length():
