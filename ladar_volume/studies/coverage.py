@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from ladar_volume.model.errors import ConfigurationError, OutputError, SurfaceError, VolumeError
-from ladar_volume.studies.coverage_cases import ALL, LINES, LINES_SEED, SCENARIOS, SEED, SITES, VARIANTS, alone, measured
+from ladar_volume.studies.coverage_cases import ALL, LINES, SCENARIOS, SEED, SITES, VARIANTS, alone, measured
 from ladar_volume.studies.coverage_engine import measured_by_engine
 from ladar_volume.version import version
 
@@ -59,8 +59,7 @@ def tasks(scenarios: Sequence[str], counts: tuple[int, int, int], engine: int = 
     for name in scenarios:
         for variant in (*VARIANTS, LINES):
             count = counts[0] if variant == ALL else counts[1] if variant == LINES else counts[2]
-            first = LINES_SEED if variant == LINES else SEED
-            out += [Task(name, variant, first + k) for k in range(count)]
+            out += [Task(name, variant, SEED + k) for k in range(count)]
         out += [Task(name, ENGINE, ENGINE_SEED + k) for k in range(engine)]
     return out
 
@@ -176,12 +175,13 @@ def statistics(rows: Sequence[dict[str, Any]], true_m3: float) -> dict[str, Any]
     }  # fmt: skip
 
 
-def line_statistics(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, float]]:
-    """By line of the budget: predicted and empirical sigma, m³, and their ratio, of surveys with that source alone."""
+def line_statistics(rows: Sequence[tuple[dict[str, float], dict[str, float]]]) -> dict[str, dict[str, float]]:
+    """By line of the budget: predicted and empirical sigma, m³, and their ratio, from the changes (m³) by each source alone and the
+    variances (m⁶) that the survey of the same seed with all sources printed."""
     out = {}
-    for line in rows[0]:
-        predicted = math.sqrt(math.fsum(r[line][1] for r in rows) / len(rows))
-        found = root_mean_square([r[line][0] for r in rows])
+    for line in rows[0][0]:
+        predicted = math.sqrt(math.fsum(variance[line] for _, variance in rows) / len(rows))
+        found = root_mean_square([change[line] for change, _ in rows])
         ratio = predicted / found if found else math.nan
         out[line] = {"surveys": len(rows), "predicted_m3": predicted, "empirical_m3": found, "ratio": ratio}
     return out
@@ -199,6 +199,8 @@ def summary(rows: Sequence[dict[str, Any]], scenarios: Sequence[str]) -> dict[st
                 if some:
                     refused = sum(1 for r in mine if r["variant"] == variant and not r["result"])
                     variants[variant] = {**statistics(some, SITES[name].volume_m3), "refused": refused}
-            lines = [r["result"][base] for r in mine if r["variant"] == LINES and r["result"]]
+            printed = {r["seed"]: r["result"][base]["budget_m6"] for r in mine if r["variant"] == ALL and r["result"]}
+            single = [r for r in mine if r["variant"] == LINES and r["result"] and r["seed"] in printed]
+            lines = [(r["result"][base], printed[r["seed"]]) for r in single]
             out.setdefault(name, {})[base] = {"variants": variants, "lines": line_statistics(lines) if lines else {}}
     return out

@@ -39,7 +39,9 @@ LEVEL = 0.7
 
 def one_per_cube(r: F64, cell_m: float) -> I64:
     """The first (k,) of the points (n, 3) in each cube of this side."""
-    _, first = np.unique(np.floor(r / cell_m), axis=0, return_index=True)
+    cube = np.floor(r / cell_m).astype(np.int64)
+    x, y, z = (cube - cube.min(axis=0, initial=0)).T
+    _, first = np.unique((x * (y.max(initial=0) + 1) + y) * (z.max(initial=0) + 1) + z, return_index=True)
     return np.sort(first).astype(np.int64)
 
 
@@ -68,17 +70,24 @@ class BoxSite:
         """Half length and width of the surveyed rectangle."""
         return 0.5 * self.size_m[0] + self.around_m, 0.5 * self.size_m[1] + self.around_m
 
+    @property
+    def heights_m(self) -> tuple[float, float]:
+        """Between which the site lies, m, its ground's slope left out."""
+        return 0.0, self.size_m[2]
+
     def ground(self, seed: int) -> RoughGround:
         """The ground of one survey."""
         return RoughGround(self.rough_m, self.length_m, seed, self.half_m)
 
     def ranges(self, origin: F64, ray: F64, ground: RoughGround) -> F64:
         """Distance (n,) m along downward unit rays (n, 3) from origins (n, 3) m to their first hit within the rectangle, NaN without."""
-        t = -origin[:, 2] / ray[:, 2]
-        for _ in range(4):
-            xy = origin[:, :2] + t[:, None] * ray[:, :2]
-            fall = ray[:, 2] - ray[:, :2] @ np.array(SLOPE)
-            t = t + (xy @ np.array(SLOPE) + ground(xy) - origin[:, 2] - t * ray[:, 2]) / fall
+        slope = np.array(SLOPE)
+        smooth = t = (origin[:, :2] @ slope - origin[:, 2]) / (ray[:, 2] - ray[:, :2] @ slope)
+        near = np.flatnonzero((np.abs(origin[:, :2] + t[:, None] * ray[:, :2]) <= np.array(self.half_m) + 0.2).all(axis=1))
+        o, d, t = origin[near, :2], ray[near, :2], t.copy()
+        fall = ray[near, 2] - d @ slope
+        for _ in range(3):  # the roughness is small: the beam meets it a little before or after
+            t[near] = smooth[near] + ground(o + t[near, None] * d) / fall
         half = 0.5 * np.array(self.size_m[:2])
         roof = ground.mean_over_box(float(half[0]), float(half[1])) + self.size_m[2]
         with np.errstate(divide="ignore"):

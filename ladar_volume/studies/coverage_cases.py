@@ -12,11 +12,11 @@ from typing import Any
 
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.parameters import BudgetParameters, GeoreferenceParameters, Parameters, VolumeParameters
-from ladar_volume.model.records import FilterUpdate, Tin, Volume
+from ladar_volume.model.records import Tin, Volume
 from ladar_volume.studies.coverage_box import BOX, BoxSite, ClosedBox, body_on_ground, closed_box
 from ladar_volume.studies.coverage_flight import FIX_HZ, ground_of
 from ladar_volume.studies.coverage_scene import FIELDS, Site, level_truth
-from ladar_volume.studies.coverage_survey import SOURCES, VertexSurvey, survey, without
+from ladar_volume.studies.coverage_survey import SOURCES, Flown, VertexSurvey, fly, surface_only, survey, vertices, without
 from ladar_volume.surface.represent import SurfaceOptions, represent
 from ladar_volume.volume.assembly import vertex_variance
 from ladar_volume.volume.base import base_and_outline, polygon_of
@@ -27,8 +27,8 @@ from ladar_volume.volume.overlay import between
 from ladar_volume.volume.polygon import areas_inside, clipped_prismoids
 from ladar_volume.volume.prismoids import prismoids
 
-#: First seeds; the rest count up. Surveys with one source at a time have seeds of their own.
-SEED, LINES_SEED = 20_000, 60_000
+#: The first seed; the rest count up.
+SEED = 20_000
 #: Half a margin beyond the foot, m, of the rectangle in which a volume above a level is counted.
 MARGIN_M = 1.5
 GROUND, LEVEL, EPOCHS, CLOSED = "own ground", "design level", "two epochs", "closed"
@@ -109,7 +109,7 @@ def measured(site: Site | BoxSite, drawn: BudgetParameters, believed: BudgetPara
         return {CLOSED: box_row(site, survey(site, drawn, P, seed), P)}
     if site.height_m < 0:
         P = believed_parameters(believed, site, EPOCHS)
-        before, after = (estimator_of(flown, P).epoch() for flown in flights(site, drawn, P, seed))
+        before, after = (estimator_of(VertexSurvey(vertices(f, P), f.states), P).epoch() for f in epochs(site, drawn, believed, seed))
         return {EPOCHS: row_of(epoch_difference(after, before)[0].volume, site.volume_m3)}
     first, out = believed_parameters(believed, site, GROUND), {}
     estimator = estimator_of(survey(site, drawn, first, seed), first)
@@ -152,15 +152,15 @@ def by_source(budget_m6: dict[str, float]) -> dict[str, float]:
     return out
 
 
-def flights(site: Site, drawn: BudgetParameters, believed: Parameters, seed: int) -> tuple[VertexSurvey, VertexSurvey]:
+def epochs(site: Site, drawn: BudgetParameters, believed: BudgetParameters, seed: int) -> tuple[Flown, Flown]:
     """Before and after: one instrument and one ground, two flights."""
     before = dataclasses.replace(site, height_m=0.0)
-    return survey(before, drawn, believed, seed, 2 * seed), survey(site, drawn, believed, seed, 2 * seed + 1)
+    return fly(before, drawn, believed, seed, 2 * seed), fly(site, drawn, believed, seed, 2 * seed + 1)
 
 
-def full_tin(update: FilterUpdate, parameters: Parameters) -> Tin:
+def full_tin(flown: Flown, parameters: Parameters) -> Tin:
     """Every vertex of the survey in one TIN, with the triangles that the parameters call relevant."""
-    return represent(update.points.r_map, options_of(parameters), measured=False).tin
+    return represent(flown.points.r_map, options_of(parameters), measured=False).tin
 
 
 def options_of(parameters: Parameters) -> SurfaceOptions:
@@ -182,13 +182,12 @@ def estimator_of(flown: VertexSurvey, parameters: Parameters) -> VolumeEstimator
 def net_volumes(site: Site | BoxSite, drawn: BudgetParameters, seed: int) -> dict[str, float]:
     """By base the volume alone, m³, of a survey with other errors than believed."""
     if isinstance(site, BoxSite):
-        return {CLOSED: body_on_ground(survey(site, drawn, Parameters(), seed).update.points)[0].volume_m3}
+        return {CLOSED: body_on_ground(surface_only(fly(site, drawn, DEFAULT, seed), Parameters()))[0].volume_m3}
     if site.height_m < 0:
-        P = believed_parameters(DEFAULT, site, EPOCHS)
-        before, after = (full_tin(s.update, P) for s in flights(site, drawn, P, seed))
+        before, after = (full_tin(s, believed_parameters(DEFAULT, site, EPOCHS)) for s in epochs(site, drawn, DEFAULT, seed))
         return {EPOCHS: between(after, before, gradients=False).net_m3}
     P = believed_parameters(DEFAULT, site, GROUND)
-    points = survey(site, drawn, P, seed).update.points
+    points = surface_only(fly(site, drawn, DEFAULT, seed), P)
     surface = represent(points.r_map, options_of(P), measured=False)
     plane, inside = base_and_outline(surface.tin, vertex_variance(surface, points), P)
     level, polygon = design_surface([0.0]), polygon_of(believed_parameters(DEFAULT, site, LEVEL).volume)
@@ -196,20 +195,15 @@ def net_volumes(site: Site | BoxSite, drawn: BudgetParameters, seed: int) -> dic
     return {GROUND: prismoids(surface.tin, plane, inside > 0).net_m3, LEVEL: rectangle.net_m3}
 
 
-def alone(site: Site | BoxSite, seed: int) -> dict[str, dict[str, tuple[float, float]]]:
-    """By base and line of the budget: the change of the volume (m³) when that source alone errs, and the variance (m⁶) predicted for it.
+def alone(site: Site | BoxSite, seed: int) -> dict[str, dict[str, float]]:
+    """By base and line of the budget: the change of the volume (m³) when that source alone errs.
 
     The change is against the same survey without any error, so that what the sampling of the surface does is in both. The roughness of
-    the ground is what is left without any other error: its change is the error of that survey, its prediction that of one with all errors,
-    since it is estimated from what these leave unexplained.
+    the ground is what is left without any other error: its change is the error of that survey.
     """
-    off = measured(site, without(DEFAULT), DEFAULT, seed)
-    full = measured(site, DEFAULT, DEFAULT, seed)
-    out: dict[str, dict[str, tuple[float, float]]] = {base: {} for base in off}
-    for line in SOURCES:
-        changed = net_volumes(site, without(DEFAULT, line), seed)
-        for base, row in off.items():
-            out[base][line] = (changed[base] - truth(site, base, seed) - row.error_m3, row.budget_m6[line])
+    off = net_volumes(site, without(DEFAULT), seed)
+    changes = {line: net_volumes(site, without(DEFAULT, line), seed) for line in SOURCES}
+    out = {base: {line: changed[base] - volume for line, changed in changes.items()} for base, volume in off.items()}
     for base in {GROUND, CLOSED} & set(off):
-        out[base]["base_surface"] = (off[base].error_m3, full[base].budget_m6["base_surface"])
+        out[base]["base_surface"] = off[base] - truth(site, base, seed)
     return out

@@ -9,17 +9,35 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import map_coordinates, spline_filter
 
+from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, I64, Bool
 from ladar_volume.simulation.scenes import Ground
 
 #: Steps of the march along a ray; each leaves at most half of the way that is left on what a flight sees.
 STEPS = 30
+#: Height above the surface from which on a ray is at its end, m.
+ON_SURFACE_M = 1e-10
 REPOSE = math.radians(35.0)
 SLOPE = (0.012, -0.008)
 #: Grounds of 40 sinusoids each that are added up: few would make a field with rare large errors. Cell of the table they are read from, m.
 GROUNDS, CELL_M = 10, 0.25
+
+
+@kernel
+def march(origin: F64, ray: F64, fall: F64, shape: F64, t: F64) -> None:
+    """Moves distances t (n,) along rays (n, 3) from origins (n, 3) on to the surface of :meth:`Site.smooth`, by its height below over
+    ``fall`` (n,) a step. shape : semi-axes, height and top of the site, slope of its ground."""
+    a, b, height, top, slope_x, slope_y = shape
+    for i in range(len(t)):
+        for _ in range(STEPS):
+            x, y = origin[i, 0] + t[i] * ray[i, 0], origin[i, 1] + t[i] * ray[i, 1]
+            part = (1.0 - math.sqrt((x / a) ** 2 + (y / b) ** 2)) / (1.0 - top)
+            above = origin[i, 2] + t[i] * ray[i, 2] - slope_x * x - slope_y * y - height * min(max(part, 0.0), 1.0)
+            t[i] += above / fall[i]
+            if abs(above) < ON_SURFACE_M:
+                break
 
 
 class RoughGround:
@@ -32,16 +50,14 @@ class RoughGround:
         share = rough_m / math.sqrt(GROUNDS)
         self.parts = [Ground(rough_m=share, length_m=length_m, seed=seed * GROUNDS + k) for k in range(GROUNDS)]
         x, y = (np.arange(-h - 2.0, h + 2.0 + CELL_M, CELL_M) for h in half_m)
-        self._low, self._table = np.array([x[0], y[0]]), np.zeros((len(x), len(y)))
-        for part in self.parts:
-            if part.rough_m > 0.0:
-                k, phase, amplitude = part.waves()
-                along = amplitude * np.exp(1j * (np.outer(x, k[:, 0]) + phase))
-                self._table += (along @ np.exp(1j * np.outer(k[:, 1], y))).imag
+        k, phase, amplitude = (np.concatenate(values) for values in zip(*(part.waves() for part in self.parts), strict=True))
+        along, across = np.outer(x, k[:, 0]) + phase, np.outer(y, k[:, 1])
+        table = (amplitude * np.sin(along)) @ np.cos(across).T + (amplitude * np.cos(along)) @ np.sin(across).T
+        self._low, self._spline = np.array([x[0], y[0]]), spline_filter(table, order=3, mode="mirror")
 
     def __call__(self, xy: F64) -> F64:
         """Heights (n,) m above the plane at xy (n, 2) m."""
-        out: F64 = map_coordinates(self._table, ((xy - self._low) / CELL_M).T, order=3, mode="nearest")
+        out: F64 = map_coordinates(self._spline, ((xy - self._low) / CELL_M).T, order=3, mode="nearest", prefilter=False)
         return out
 
     def mean_over_box(self, half_x: float, half_y: float) -> float:
@@ -82,6 +98,11 @@ class Site:
         """Half length and width of the surveyed rectangle."""
         return self.a + self.around_m, self.b + self.around_m
 
+    @property
+    def heights_m(self) -> tuple[float, float]:
+        """Between which the site lies, m, its ground's slope left out."""
+        return min(0.0, self.height_m), max(0.0, self.height_m)
+
     def ground(self, seed: int) -> RoughGround:
         """The ground of one survey."""
         return RoughGround(self.rough_m, self.length_m, seed, self.half_m)
@@ -121,8 +142,7 @@ class Site:
         steepest = abs(self.height_m) / (1.0 - self.top) / min(self.a, self.b) + math.hypot(*SLOPE)
         fall = np.abs(ray[:, 2]) + steepest * np.hypot(ray[:, 0], ray[:, 1])
         t = np.maximum((origin[:, 2] - abs(self.height_m) - 1.0) / -ray[:, 2], 0.0) if self.height_m > 0 else np.zeros(len(ray))
-        for _ in range(STEPS):
-            t = t + (origin[:, 2] + t * ray[:, 2] - self.smooth(origin[:, :2] + t[:, None] * ray[:, :2])) / fall
+        march(origin, ray, fall, np.array([self.a, self.b, self.height_m, self.top, *SLOPE]), t)
         hit = origin[:, :2] + t[:, None] * ray[:, :2]
         out = np.full(len(ray), np.nan)
         rows = np.flatnonzero(self.inside(hit))

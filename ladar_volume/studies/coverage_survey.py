@@ -18,14 +18,16 @@ from scipy.spatial.transform import Rotation
 from ladar_volume.georeference.budget import independent_sigmas
 from ladar_volume.georeference.lidar import Mounting, laser_vector, map_point, mounting
 from ladar_volume.georeference.sensitivity import (
-    full_calibration_jacobian,
+    PointGeometry,
+    beam_jacobian,
+    calibration_jacobian,
     independent_covariance,
     navigation_jacobian,
     pack,
     point_geometry,
 )
 from ladar_volume.model.parameters import BudgetParameters, CalibrationParameters, Parameters
-from ladar_volume.model.records import F64, I64, FilteredPoints, FilterUpdate, MappedPoints, Patches, PlatformStates
+from ladar_volume.model.records import CAL_COLUMNS, F64, I64, FilteredPoints, FilterUpdate, MappedPoints, Patches, PlatformStates
 from ladar_volume.simulation import velodyne
 from ladar_volume.simulation.errors import draw_errors
 from ladar_volume.simulation.platforms import Platform, uav
@@ -35,14 +37,16 @@ from ladar_volume.studies.coverage_flight import (
     BEAM_COUNT,
     DURATION_S,
     FIX_HZ,
+    Aim,
     Path,
-    ground_of,
-    pulses_of,
+    hits_of,
     sample_times,
     states_of,
 )  # fmt: skip
 from ladar_volume.studies.coverage_scene import Site
 
+#: Rows of a patch' sensitivities along its normal and both tangents.
+ALONG = np.array([0, 3, 4])
 #: Streams of random numbers: every survey has its own of each.
 CALIBRATION, BEAMS, CLOCK, POSITION, ATTITUDE, NOISE = range(1, 7)
 
@@ -53,6 +57,17 @@ class VertexSurvey:
 
     update: FilterUpdate
     states: PlatformStates
+
+
+@dataclass(frozen=True)
+class Flown:
+    """points : what is mapped · states : the platform as measured, with the believed C_nav · mount : as known · normal : (n, 3) of the
+    surface that each hit"""
+
+    points: MappedPoints
+    states: PlatformStates
+    mount: Mounting
+    normal: F64
 
 
 @dataclass(frozen=True)
@@ -109,7 +124,14 @@ def nominal(platform: Platform) -> CalibrationParameters:
 
 
 def survey(site: Site | BoxSite, drawn_with: BudgetParameters, believed: Parameters, seed: int, flight: int | None = None) -> VertexSurvey:
-    """Fly over a site with errors drawn from one budget, and hand on what is measured as another budget believes it.
+    """Fly over a site with errors drawn from one budget, and hand on what is measured as another budget believes it; the rest as in
+    :func:`fly`."""
+    flown = fly(site, drawn_with, believed.budget, seed, flight)
+    return VertexSurvey(vertices(flown, believed), flown.states)
+
+
+def fly(site: Site | BoxSite, drawn_with: BudgetParameters, believed: BudgetParameters, seed: int, flight: int | None = None) -> Flown:
+    """A flight over a site with errors drawn from one budget; the platform's covariance is that of another.
 
     ``flight`` numbers the flight where one instrument (``seed``) flies more than once; the ground is that of ``seed``.
     """
@@ -117,23 +139,20 @@ def survey(site: Site | BoxSite, drawn_with: BudgetParameters, believed: Paramet
     platform = uav(*site.flight_m, DURATION_S)
     mount = mounting(nominal(platform))
     drawn = Drawn.draw(drawn_with, seed, flight)
-    noise = np.random.default_rng([flight, NOISE])
-    f, path = pulses_of(site, flight)
+    b, noise = drawn_with, np.random.default_rng([flight, NOISE])
     boresight = Rotation.from_rotvec(drawn.boresight) * Rotation.from_matrix(mount.R_body_laser)
-    ray = path.rotation.apply(boresight.apply(velodyne.true_directions(f, drawn.beams, drawn_with, noise)))
-    origin = path.position + path.rotation.apply(mount.lever_laser + drawn.lever_laser)
-    true = site.ranges(origin, ray, ground_of(site, seed))
-    rho = velodyne.measured_ranges(true, f.ring, drawn.beams, drawn_with, 0.0, noise, 0.0)
-    hit = origin + true[:, None] * ray
-    keep = site.sampled(hit)
-    f, rho = velodyne.Firings(f.time_s[keep], f.azimuth[keep], f.elevation[keep], f.ring[keep]), rho[keep]
+    aim = Aim(
+        tuple(boresight.as_quat()), tuple(mount.lever_laser + drawn.lever_laser), tuple(drawn.beams.eps), b.azimuth_noise_rad,
+        b.vertical_noise_rad, b.beam_divergence_rad,
+    )  # fmt: skip
+    f, path, true, hit = hits_of(site, seed, flight, aim)
+    rho = velodyne.measured_ranges(true, f.ring, drawn.beams, b, 0.0, noise, 0.0)
     t = f.time_s - drawn.clock_s  # the stamp that the recording gives the pulse
-    stamped = Path.at(platform, t) if drawn.clock_s else path.select(keep)
+    stamped = Path.at(platform, t) if drawn.clock_s else path
     antenna = stamped.position + stamped.rotation.apply(mount.lever_antenna + drawn.lever_antenna) + drawn.position_at(t)
     r = map_point(antenna, stamped.measured_rotation(drawn.attitude_at(t)).as_matrix(), laser_vector(rho, f.azimuth, f.elevation), mount)
     points = MappedPoints(nanoseconds(t), r, np.zeros((len(r), 6), np.float32), f.ring, np.ones(len(r), np.float32))
-    states = platform_states(site, drawn, mount, believed.budget)
-    return VertexSurvey(vertices(points, states, mount, site.normals_at(hit[keep], r), believed), states)
+    return Flown(points, platform_states(site, drawn, mount, believed), mount, site.normals_at(hit, r))
 
 
 def nanoseconds(t: F64) -> I64:
@@ -161,29 +180,42 @@ def platform_states(site: Site | BoxSite, drawn: Drawn, mount: Mounting, budget:
     )  # fmt: skip
 
 
-def vertices(points: MappedPoints, states: PlatformStates, mount: Mounting, normal: F64, believed: Parameters) -> FilterUpdate:
-    """Every return as a surface point with a patch of its own: its noise and sensitivities along the surface's normal (n, 3)."""
-    n = len(points)
-    geometry = point_geometry(points, states, mount)
+def surface_points(flown: Flown, geometry: PointGeometry, believed: Parameters) -> FilteredPoints:
+    """Every return as a surface point, with its independent noise."""
+    n, normal, r = len(flown.points), flown.normal, flown.points.r_map
     C = independent_covariance(geometry, independent_sigmas(believed.budget))
     across = np.eye(3) - normal[:, :, None] * normal[:, None, :]
-    variance = np.einsum("ni,nij,nj->n", normal, C, normal)
+    variance = (normal * (C @ normal[:, :, None])[:, :, 0]).sum(axis=1)
+    tangential = pack(across @ C @ across).astype(np.float32)
+    return FilteredPoints(r, normal, variance, tangential, flown.points.t_ns, np.arange(n, dtype=np.int64), np.zeros((n, 2)))
+
+
+def surface_only(flown: Flown, believed: Parameters) -> FilteredPoints:
+    """The surface points without what errors do to them: enough for a volume without its sigma."""
+    return surface_points(flown, point_geometry(flown.points, flown.states, flown.mount), believed)
+
+
+def vertices(flown: Flown, believed: Parameters) -> FilterUpdate:
+    """Every return as a surface point with a patch of its own: its noise and sensitivities along the surface's normal."""
+    points, normal, n = flown.points, flown.normal, len(flown.points)
+    geometry = point_geometry(points, flown.states, flown.mount)
+    surface = surface_points(flown, geometry, believed)
     tangent = np.stack([normal[:, 2], np.zeros(n), -normal[:, 0]], axis=1)
     tangent[np.abs(normal[:, 1]) > 0.99] = [1.0, 0.0, 0.0]  # walls that face along y
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    M_cal, M_nav = np.zeros((n, 5, 11 + 2 * BEAM_COUNT), np.float32), np.zeros((n, 5, 6), np.float32)
-    J_cal, J_nav = full_calibration_jacobian(geometry, points.ring, BEAM_COUNT), navigation_jacobian(geometry)
-    for row, axis in ((0, normal), (3, tangent), (4, np.cross(normal, tangent))):
-        M_cal[:, row], M_nav[:, row] = np.einsum("ni,nic->nc", axis, J_cal), np.einsum("ni,nic->nc", axis, J_nav)
+    axes, shared, ring = np.stack([normal, tangent, np.cross(normal, tangent)], axis=1), len(CAL_COLUMNS), points.ring.astype(np.int64)
+    M_cal, M_nav = np.zeros((n, 5, shared + 2 * BEAM_COUNT), np.float32), np.zeros((n, 5, 6), np.float32)
+    M_cal[:, ALONG, :shared], M_nav[:, ALONG] = axes @ calibration_jacobian(geometry), axes @ navigation_jacobian(geometry)
+    own, every = axes @ beam_jacobian(geometry), np.arange(n)
+    for k in range(2):  # a beam's range and its vertical angle
+        M_cal[every[:, None], ALONG, (shared + k * BEAM_COUNT + ring)[:, None]] = own[:, :, k]
     cross = np.zeros((n, 3, 3))
-    cross[:, 0, 0] = variance
+    cross[:, 0, 0] = surface.variance
     key, ends = np.arange(n, dtype=np.int64), np.arange(n + 1, dtype=np.int64)
     patches = Patches(
-        key, points.r_map, normal, tangent, np.zeros((n, 3)), np.sqrt(variance),
+        key, points.r_map, normal, tangent, np.zeros((n, 3)), np.sqrt(surface.variance),
         np.ones(n, np.int32), points.t_ns, ends, key, cross, M_cal, ends, points.t_ns // round(believed.filter.nav_bin_s * 1e9), M_nav,
     )  # fmt: skip
-    tangential = pack(across @ C @ across).astype(np.float32)
-    surface = FilteredPoints(points.r_map, normal, variance, tangential, points.t_ns, key, np.zeros((n, 2)))
     return FilterUpdate(int(points.t_ns[-1]), np.zeros(0, np.int64), surface, patches, complete=True)
 
 

@@ -89,16 +89,14 @@ def rims_of(skin: Skin) -> list[Rim]:
 
 def descent(skin: Skin, rims: list[Rim], up: F64) -> F64:
     """Mean (r,) of −up · (direction in which the surface leaves the mesh) along each rim: 1 down a wall, 0 across a gap."""
-    t = skin.triangles
-    across = {}
-    half = np.stack([t.ravel(), t[:, [1, 2, 0]].ravel()], axis=1)
-    for k, (a, b) in enumerate(half.tolist()):
-        across[a, b] = k
-    opposite = t[:, [2, 0, 1]].ravel()
+    t, n = skin.triangles.astype(np.int64), len(skin.vertices)
+    half = (t * n + t[:, [1, 2, 0]]).ravel()
+    order = np.argsort(half)
+    half, opposite = half[order], t[:, [2, 0, 1]].ravel()[order]
     out = np.zeros(len(rims))
     for number, rim in enumerate(rims):
         a, b = np.roll(rim.vertices, -1), rim.vertices
-        c = opposite[[across[pair] for pair in zip(a.tolist(), b.tolist(), strict=True)]]
+        c = opposite[np.searchsorted(half, a * n + b)]
         along = skin.vertices[b] - skin.vertices[a]
         length = np.linalg.norm(along, axis=1)
         unit = along / np.where(length > 0.0, length, 1.0)[:, None]
