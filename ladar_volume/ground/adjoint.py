@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import base_gradient, base_height, degree_of, design_gradient, solve
+from ladar_volume.ground.polynomial import base_gradient, degree_of, design_gradient, solve
 from ladar_volume.model.records import F64, Plane
 
 
 def ground_weights(points: F64, plane: Plane, by_beta: F64) -> F64:
     """Derivatives (s, k) of k results by the heights of the points ``plane.support`` (s,), inliers held fixed: the vertical part of
     :func:`ground_gradient`."""
-    _, H, _ = solve(points[plane.support], plane.origin_xy, degree_of(plane))
-    out: F64 = H.T @ by_beta
+    _, X, N = solve(points[plane.support], plane.origin_xy, degree_of(plane))
+    out: F64 = X @ (N @ by_beta)
     return out
 
 
@@ -27,9 +27,9 @@ def ground_gradient(points: F64, plane: Plane, by_beta: F64) -> F64:
     if len(p) == 0:
         return np.zeros((0, by_beta.shape[1], 3))
     xy = p[:, :2]
-    _, H, N = solve(p, plane.origin_xy, degree_of(plane))
-    residual = p[:, 2] - base_height(plane, xy)
-    vertical = H.T @ by_beta
+    _, X, N = solve(p, plane.origin_xy, degree_of(plane))
+    residual = p[:, 2] - X @ plane.beta
+    vertical = X @ (N @ by_beta)
     moved = np.einsum("sap,pk->ska", design_gradient(xy, plane.origin_xy, degree_of(plane)), N @ by_beta)
     out = np.empty((len(p), by_beta.shape[1], 3))
     out[..., 2] = vertical

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ladar_volume.model.errors import GroundError
+from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, Plane
 
 #: Number of coefficients by degree.
@@ -25,10 +26,20 @@ def exponents(degree: int) -> list[tuple[int, int]]:
 
 def design(xy: F64, origin_xy: F64, degree: int) -> F64:
     """Rows ``(1, dx, dy, dx², dx dy, dy², dx³, dx² dy, dx dy², dy³)`` up to the degree: (n, p) for points xy (n, 2), m."""
-    d = xy - origin_xy
-    out = np.ones((len(d), COEFFICIENTS[degree]))
-    for column, (a, b) in enumerate(exponents(degree)):
-        out[:, column] = d[:, 0] ** a * d[:, 1] ** b
+    return np.asarray(design_kernel(np.ascontiguousarray(xy, dtype=np.float64), origin_xy, degree))
+
+
+@kernel
+def design_kernel(xy: F64, origin_xy: F64, degree: int) -> F64:
+    """See :func:`design`: powers by multiplication, those of the y coordinate last."""
+    out = np.ones((len(xy), (degree + 1) * (degree + 2) // 2))
+    for i in range(len(xy)):
+        x, y, c = xy[i, 0] - origin_xy[0], xy[i, 1] - origin_xy[1], 1
+        for k in range(1, degree + 1):
+            for j in range(k):  # all of one power less, times x
+                out[i, c + j] = out[i, c - k + j] * x
+            out[i, c + k] = out[i, c - 1] * y
+            c += k + 1
     return out
 
 
@@ -69,30 +80,33 @@ def design_surface(beta: Sequence[float], origin_xy: tuple[float, float] = (0.0,
 def solve(points: F64, origin_xy: F64, degree: int) -> tuple[F64, F64, F64]:
     """Least-squares coefficients of points (n, 3) with vertical residuals.
 
-    Returns beta (p,), ``H = (XᵀX)⁻¹Xᵀ`` (p, n), and ``(XᵀX)⁻¹`` (p, p). Raises :class:`GroundError` where the points do not fix
-    the surface.
+    Returns beta (p,), the design rows X (n, p), and ``N = (XᵀX)⁻¹`` (p, p): the coefficients follow heights by ``N Xᵀ``. Raises
+    :class:`GroundError` where the points do not fix the surface.
     """
     X = design(points[:, :2], origin_xy, degree)
-    scale = column_scale(X, degree)
-    Q, R = np.linalg.qr(X / scale)
-    check_rank(R, degree)
-    H: F64 = np.linalg.solve(R, Q.T) / scale[:, None]
-    return H @ points[:, 2], H, H @ H.T
+    S = inverse_root(X, degree)
+    return S @ (S.T @ (X.T @ points[:, 2])), X, S @ S.T
 
 
 def coefficients(X: F64, z: F64, degree: int) -> F64:
-    """The coefficients (p,) alone, from design rows X (n, p) and heights z (n,): without the n columns of H."""
+    """The coefficients (p,) alone, from design rows X (n, p) and heights z (n,)."""
+    S = inverse_root(X, degree)
+    out: F64 = S @ (S.T @ (X.T @ z))
+    return out
+
+
+def inverse_root(X: F64, degree: int) -> F64:
+    """S (p, p) with ``S Sᵀ = (XᵀX)⁻¹`` of design rows X (n, p). Raises :class:`GroundError` where the points do not fix the surface."""
     scale = column_scale(X, degree)
-    scaled = X / scale
-    R: F64 = np.asarray(np.linalg.qr(scaled, mode="r"))
+    R: F64 = np.asarray(np.linalg.qr(X / scale, mode="r"))
     check_rank(R, degree)
-    out: F64 = np.linalg.solve(R, np.linalg.solve(R.T, scaled.T @ z)) / scale
+    out: F64 = np.linalg.solve(R, np.eye(len(R))) / scale[:, None]
     return out
 
 
 def column_scale(X: F64, degree: int) -> F64:
     """Lengths (p,) of the columns of design rows X (n, p). Raises :class:`GroundError` for too few rows or an empty column."""
-    scale: F64 = np.sqrt((X * X).sum(axis=0))
+    scale: F64 = np.sqrt(np.einsum("np,np->p", X, X))
     if len(X) < X.shape[1] or (scale == 0).any():
         raise GroundError(
             f"{len(X)} points do not define a ground of degree {degree}: give more of the ground, or a lower ground.degree",

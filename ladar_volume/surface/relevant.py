@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 
@@ -22,7 +23,7 @@ def length_kernel(vertices: F64, triangles: I32) -> F64:
     for t in range(len(triangles)):
         for k in range(3):
             a, b = vertices[triangles[t, (k + 1) % 3]], vertices[triangles[t, (k + 2) % 3]]
-            out[t, k] = np.hypot(b[0] - a[0], b[1] - a[1])
+            out[t, k] = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2)
     return out
 
 

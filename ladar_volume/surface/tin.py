@@ -50,8 +50,31 @@ def footprint_areas(vertices: F64, triangles: I32) -> F64:
     return np.asarray(area_kernel(vertices, triangles))
 
 
+@kernel
+def corner_kernel(triangles: I32, mask: Bool, n: int) -> Bool:
+    """See :func:`vertex_mask`."""
+    out = np.zeros(n, np.bool_)
+    for t in range(len(triangles)):
+        if mask[t]:
+            for k in range(3):
+                out[triangles[t, k]] = True
+    return out
+
+
 def vertex_mask(tin: Tin, mask: Bool) -> Bool:
     """Vertices (n,) of the triangles chosen by ``mask`` (m,)."""
-    out = np.zeros(len(tin.vertices), bool)
-    out[tin.triangles[mask]] = True
+    return np.asarray(corner_kernel(tin.triangles, mask, len(tin.vertices)))
+
+
+@kernel
+def any_kernel(triangles: I32, chosen: Bool) -> Bool:
+    """See :func:`any_corner`."""
+    out = np.empty(len(triangles), np.bool_)
+    for t in range(len(triangles)):
+        out[t] = chosen[triangles[t, 0]] or chosen[triangles[t, 1]] or chosen[triangles[t, 2]]
     return out
+
+
+def any_corner(triangles: I32, chosen: Bool) -> Bool:
+    """Which of triangles (m, 3) have a vertex among the ``chosen`` (n,)."""
+    return np.asarray(any_kernel(triangles, chosen))

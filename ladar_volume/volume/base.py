@@ -83,6 +83,8 @@ def all_grounds(tin: Tin, height_variance: F64, base: Plane, inside: F64, parame
     p = parameters.volume
     if p.base != "ground":
         return ()
+    if parameters.ground.surfaces == 1:
+        return (base,)
     outside = surroundings(tin, inside > 0, 0.0)
     return (base, *further_grounds(tin.vertices, height_variance, base, parameters.ground, p.object_height_m / 2, outside))
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.ground.polynomial import base_height
-from ladar_volume.model.records import F64, Plane, Tin
+from ladar_volume.model.kernels import kernel
+from ladar_volume.model.records import F64, I32, Plane, Tin
 
 
 def centroid(tin: Tin, base: Plane, inside_m2: F64) -> tuple[float, float, float]:
@@ -14,18 +15,28 @@ def centroid(tin: Tin, base: Plane, inside_m2: F64) -> tuple[float, float, float
     inside_m2 : (m,) area of each triangle inside the outline. Triangles whose mean height is not above the base do not count;
     exact where the outline is made of whole triangles that lie above the base. Without any, the mean of the triangles.
     """
-    rows = np.flatnonzero(inside_m2 > 0)
-    corner = tin.vertices[tin.triangles[rows]]
-    low = base_height(base, tin.vertices[:, :2])[tin.triangles[rows]]
-    h = corner[..., 2] - low
-    keep = h.mean(axis=1) > 0
-    if not keep.any():
-        x, y, z = corner.mean(axis=(0, 1))
-        return float(x), float(y), float(z)
-    corner, low, h, area = corner[keep], low[keep], h[keep], inside_m2[rows][keep]
-    total = float(area @ h.mean(axis=1))
-    middle = np.concatenate([corner[..., :2], 0.5 * (corner[..., 2] + low)[..., None]], axis=2)
-    # the integral of a product of two linear functions over a triangle: A / 12 (Σ a_i b_i + Σ a_i Σ b_i)
-    moment = area @ ((middle * h[..., None]).sum(axis=1) + middle.sum(axis=1) * h.sum(axis=1)[:, None]) / 12.0
-    x, y, z = moment / total
+    low = base_height(base, tin.vertices[:, :2])
+    x, y, z = moment_kernel(tin.vertices, tin.triangles, inside_m2, low)
     return float(x), float(y), float(z)
+
+
+@kernel
+def moment_kernel(vertices: F64, triangles: I32, inside_m2: F64, low: F64) -> F64:
+    """See :func:`centroid`; low : (n,) height of the base under each vertex."""
+    moment, total, mean, count = np.zeros(3), 0.0, np.zeros(3), 0
+    corner, h = np.empty((3, 3)), np.empty(3)
+    for t in range(len(triangles)):
+        if not inside_m2[t] > 0.0:
+            continue
+        count += 1
+        for i in range(3):
+            corner[i], h[i] = vertices[triangles[t, i]], vertices[triangles[t, i], 2] - low[triangles[t, i]]
+            mean += corner[i] / 3.0
+            corner[i, 2] -= 0.5 * h[i]  # of what stands on the base there the middle
+        whole = h[0] + h[1] + h[2]
+        if whole > 0.0:
+            total += inside_m2[t] * whole / 3.0
+            for c in range(3):  # the integral of a product of two linear functions: A / 12 (Σ a_i b_i + Σ a_i Σ b_i)
+                a = corner[:, c]
+                moment[c] += inside_m2[t] / 12.0 * (a[0] * h[0] + a[1] * h[1] + a[2] * h[2] + (a[0] + a[1] + a[2]) * whole)
+    return moment / total if total > 0.0 else mean / count

@@ -18,10 +18,11 @@ from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.surface.cloud import CloudSurface
+from ladar_volume.surface.tin import any_corner
 from ladar_volume.volume.assembly import base_name, ground_field, whole_triangles
 from ladar_volume.volume.base import base_and_outline, polygon_of
 from ladar_volume.volume.difference import along_curve, difference
-from ladar_volume.volume.near_base import REACH, NearBase, any_corner, near_base
+from ladar_volume.volume.near_base import REACH, NearBase, near_base
 from ladar_volume.volume.overlay import between
 from ladar_volume.volume.polygon import clipped_prismoids
 from ladar_volume.volume.prismoids import prismoids
@@ -94,7 +95,7 @@ def comes_near(tin: Tin, height: F64, sigma_m: F64 | None, mask: Bool) -> bool:
     if sigma_m is None or not sigma_m.any():
         return False
     reach, t = REACH * float(sigma_m.max()), tin.triangles[mask]
-    return bool((any_corner((height <= reach)[t]) & any_corner((height >= -reach)[t])).any())
+    return bool((any_corner(t, height <= reach) & any_corner(t, height >= -reach)).any())
 
 
 def above_base(surface: CloudSurface, parameters: Parameters, correct: bool = True) -> tuple[CloudVolume, Plane, Bool]:

@@ -20,8 +20,8 @@ from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.surface.locate import barycentric, locate, triangle_index
 from ladar_volume.surface.ordering import hilbert_order
 from ladar_volume.surface.screen import edges
-from ladar_volume.surface.tin import footprint_areas
-from ladar_volume.volume.near_base import any_corner, csr
+from ladar_volume.surface.tin import any_corner, footprint_areas
+from ladar_volume.volume.near_base import csr
 from ladar_volume.volume.neighbourhood import CHUNKS
 
 
@@ -168,7 +168,7 @@ def difference(upper: Tin, lower: Tin) -> Difference:
     own, other, sign = (upper, lower, 1.0) if carries else (lower, upper, -1.0)
     corner, weight, there = interpolation(other, own.vertices[:, :2])
     z = sign * (own.vertices[:, 2] - (weight * other.vertices[corner, 2]).sum(axis=1))
-    relevant: Bool = own.relevant & ~any_corner(~there[own.triangles])
+    relevant: Bool = own.relevant & ~any_corner(own.triangles, ~there)
     if not relevant.any():
         raise VolumeError("the two surfaces have no area in common", reason="volume_no_common_footprint")
     return Difference(dataclasses.replace(own, vertices=np.c_[own.vertices[:, :2], z], relevant=relevant), carries, corner, weight)

@@ -25,7 +25,7 @@ from ladar_volume.ground.polynomial import base_height
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.kernels import kernel, parallel_kernel
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
-from ladar_volume.surface.tin import footprint_areas
+from ladar_volume.surface.tin import any_corner, footprint_areas
 from ladar_volume.volume.folded import PACKED, folded, without_noise
 from ladar_volume.volume.neighbourhood import CHUNKS, Smooth
 from ladar_volume.volume.prismoids import gather, positive_part
@@ -89,7 +89,7 @@ def csr(C: Any) -> tuple[I64, I64, F64]:
 def near_triangles(tin: Tin, height: F64, variance: F64, mask: Bool) -> Bool:
     """Which of the triangles of a mask (m,) come within reach of a base, (k,), for vertex heights (n,) above it with variances (n,)."""
     t, reach = tin.triangles[mask], REACH * np.sqrt(variance)
-    return any_corner((height - reach <= 0)[t]) & any_corner((height + reach >= 0)[t]) & any_corner((reach > 0)[t])
+    return any_corner(t, height - reach <= 0) & any_corner(t, height + reach >= 0) & any_corner(t, reach > 0)
 
 
 def near_base(
@@ -127,12 +127,6 @@ def near_base(
     return NearBase(total, near, float(close_area.sum()), first[0] + curved, first[1] + curved, first[2], curved, cut, net)
 
 
-def any_corner(corner: Bool) -> Bool:
-    """Whether any of three holds, for (m, 3)."""
-    out: Bool = corner[:, 0] | corner[:, 1] | corner[:, 2]
-    return out
-
-
 def means(smooth: Smooth, triangles: I32, packed: F64) -> F64:
     """:func:`moments` (m, 13) of triangles (m, 3) with packed node covariances (m, 6)."""
     out = np.empty((len(triangles), 13))
@@ -165,7 +159,7 @@ def near_levels(tin: Tin, levels_m: F64, C: Any, base: Plane | None = None, mask
     level = np.asarray(levels_m, dtype=np.float64)[order]
     low, high = (h - reach)[t].min(axis=1), (h + reach)[t].max(axis=1)
     first = np.searchsorted(level, low)
-    count = np.where(any_corner((reach > 0)[t]), np.searchsorted(level, high, side="right") - first, 0)
+    count = np.where(any_corner(t, reach > 0), np.searchsorted(level, high, side="right") - first, 0)
     close, wanted, out = np.flatnonzero(count > 0), np.zeros(len(h), bool), np.zeros(len(level))
     wanted[t[close]] = True
     summed: F64 = np.asarray(sparse.csr_array(C).sum(axis=1), dtype=np.float64).ravel()

@@ -7,10 +7,11 @@ from scipy.spatial import cKDTree
 
 from ladar_volume.ground.polynomial import base_height
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
+from ladar_volume.model.kernels import kernel
+from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.surface.boundary import parts_kernel
-from ladar_volume.surface.tin import footprint_areas, vertex_mask
-from ladar_volume.volume.near_base import any_corner
+from ladar_volume.surface.tin import any_corner, footprint_areas, vertex_mask
+from ladar_volume.volume.vicinity import within_kernel
 
 
 def components(tin: Tin, mask: Bool) -> I64:
@@ -25,12 +26,13 @@ def bodies(tin: Tin, base: Plane, object_height_m: float, count: int = 1, least_
     Raises :class:`VolumeError` where nothing rises that high.
     """
     height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
-    rising = tin.relevant & ~any_corner(~(height > object_height_m)[tin.triangles])
+    rising = tin.relevant & ~any_corner(tin.triangles, ~(height > object_height_m))
     if not rising.any():
         raise VolumeError(f"nothing rises more than {object_height_m:g} m above the base", reason="volume_no_body", value=object_height_m)
     label = components(tin, rising)
     chosen = np.flatnonzero(rising)
-    volume = footprint_areas(tin.vertices, tin.triangles[chosen]) * height[tin.triangles[chosen]].mean(axis=1)
+    h = height[tin.triangles[chosen]]
+    volume = footprint_areas(tin.vertices, tin.triangles[chosen]) * ((h[:, 0] + h[:, 1] + h[:, 2]) / 3.0)
     total = np.bincount(label[chosen], volume)
     order = np.argsort(-total, kind="stable")
     kept = [int(k) for n, k in enumerate(order) if n == 0 or (total[k] > 0 and total[k] >= least_m3)]
@@ -49,34 +51,32 @@ def shares(tin: Tin, outline: Bool, found: list[Bool]) -> list[Bool]:
 
 def within(tin: Tin, mask: Bool, distance_m: float) -> Bool:
     """Vertices (n,) within ``distance_m``, horizontally, of a vertex of the triangles in ``mask``."""
-    inside, xy = vertex_mask(tin, mask), tin.vertices[:, :2]
-    if not inside.any():
-        return inside
-    bound = 1.001 * distance_m + 1e-6  # the search excludes its bound
-    x, y = xy[:, 0], xy[:, 1]
-    (west, south), (east, north) = xy[inside].min(axis=0) - bound, xy[inside].max(axis=0) + bound
-    rest = np.flatnonzero(~inside & (x > west) & (x < east) & (y > south) & (y < north))
-    distance, _ = cKDTree(xy[inside]).query(xy[rest], distance_upper_bound=bound)
-    inside[rest[np.asarray(distance) <= distance_m]] = True
-    return inside
+    return np.asarray(within_kernel(np.ascontiguousarray(tin.vertices[:, :2]), vertex_mask(tin, mask), float(distance_m)))
 
 
 def widened(tin: Tin, body: Bool, margin_m: float) -> Bool:
     """The body, the relevant triangles with a vertex within ``margin_m`` of it, and the holes these enclose."""
     near = within(tin, body, margin_m)
-    grown = tin.relevant & (body | any_corner(near[tin.triangles]))
+    grown = tin.relevant & (body | any_corner(tin.triangles, near))
     return fill_holes(tin, grown)
 
 
 def fill_holes(tin: Tin, mask: Bool) -> Bool:
     """``mask`` with the relevant triangles added that it encloses: those cut off from the hull and from irrelevant triangles."""
-    rest = ~mask
-    if not rest.any():
-        return mask
-    label = components(tin, rest)
-    enclosed = np.ones(int(label.max()) + 1, np.bool_)
-    enclosed[label[rest & (any_corner(tin.neighbours < 0) | ~tin.relevant)]] = False
-    out: Bool = mask | enclosed[label]  # of a triangle of the mask, whose label is -1, anything
+    return np.asarray(filled(tin.neighbours, tin.relevant, mask, components(tin, ~mask)))
+
+
+@kernel
+def filled(neighbours: I32, relevant: Bool, mask: Bool, part: I64) -> Bool:
+    """See :func:`fill_holes`; part : (m,) number of the component off the mask each triangle belongs to, -1 on it."""
+    outside = np.zeros(part.max() + 1, np.bool_)
+    for t in range(len(part)):
+        if part[t] >= 0 and (not relevant[t] or neighbours[t].min() < 0):
+            outside[part[t]] = True
+    out = mask.copy()
+    for t in range(len(part)):
+        if part[t] >= 0 and not outside[part[t]]:
+            out[t] = True
     return out
 
 

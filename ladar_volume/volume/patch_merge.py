@@ -4,28 +4,39 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
-from ladar_volume.model.kernels import kernel
+from ladar_volume.model.kernels import kernel, leaf_kernel
 
 
 @kernel
-def copy_rows(part: Any, rows: Any, first: Any, out: Any) -> None:
-    """Rows (k,) of a part (n, c) whose first row has the number ``first``, to out (k, c); those of other parts stay."""
-    for k in range(len(rows)):
-        i = rows[k] - first
-        if 0 <= i < len(part):
+def copy_rows(part: Any, to: Any, out: Any) -> None:
+    """Rows of a part (n, c) to those of out (k, c) that ``to`` (n,) says, -1 for none."""
+    for i in range(len(part)):
+        if to[i] >= 0:
             for c in range(part.shape[1]):
-                out[k, c] = part[i, c]
+                out[to[i], c] = part[i, c]
 
 
-@kernel
-def place_of(keys: Any, key: Any, hint: Any) -> Any:
-    """Place of a key among ascending ones, -1 where it is not there. ``hint`` : that of the key before it, which is often next to it."""
-    if hint + 1 < len(keys) and keys[hint + 1] == key:
-        return hint + 1
-    i = np.searchsorted(keys, key)
-    return i if i < len(keys) and keys[i] == key else -1
+@leaf_kernel
+def place_from(keys: Any, key: Any, hint: Any) -> Any:
+    """Number of ascending keys below a key. ``hint`` : that number for the key before it, which is often next to it."""
+    low = hint if hint < len(keys) and keys[hint] <= key else 0
+    high, step = low, 1
+    while high < len(keys) and keys[high] < key:
+        low, high, step = high, high + step, 2 * step
+    high = min(high, len(keys))
+    while low < high:
+        middle = (low + high) // 2
+        if keys[middle] < key:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@leaf_kernel
+def holds(keys: Any, key: Any, place: Any) -> Any:
+    """Whether ascending keys hold a key, given its :func:`place_from`."""
+    return place < len(keys) and keys[place] == key
 
 
 @kernel
@@ -35,14 +46,20 @@ def block_rows(own: Any, start: Any, other: Any, turn: Any, said: Any, last: Any
     own : (m,) keys of the part's patches · start, other : its blocks in CSR form · said, last : patches ever named and the turns of the
     last word on them
     """
+    spoken, at = 0, 0
     for i in range(len(own)):
-        mine, hint = last[place_of(said, own[i], -1)], -1
+        spoken, at = place_from(said, own[i], spoken), place_from(keys, own[i], at)
+        mine = last[spoken] if holds(said, own[i], spoken) else -1
+        here = at if holds(keys, own[i], at) else -1
+        hint, below = 0, 0
         for e in range(start[i], start[i + 1]):
-            hint = place_of(said, other[e], hint)
+            hint = place_from(said, other[e], hint)
             row[e] = -1
-            if turn == max(mine, last[hint] if hint >= 0 else -1):
-                k = place_of(keys, min(own[i], other[e]), -1)
-                row[e] = k if k >= 0 else place_of(keys, own[i], -1)  # a block with a patch that never came stays where it was
+            if turn == max(mine, last[hint] if holds(said, other[e], hint) else -1):
+                row[e] = here  # also that of a block with a patch of a lower key that never came
+                if other[e] < own[i]:
+                    below = place_from(keys, other[e], below)
+                    row[e] = below if holds(keys, other[e], below) else here
                 if row[e] >= 0:
                     count[row[e]] += 1
 
@@ -67,3 +84,34 @@ def place_blocks(
                 key[m], entry[m] = key[m - 1], entry[m - 1]
                 m -= 1
             key[m], entry[m] = high, number + e
+
+
+@leaf_kernel
+def before(r: Any, i: Any, j: Any) -> Any:
+    """Whether point i comes before point j: by x, y and z, then by number."""
+    for c in range(3):
+        if r[i, c] != r[j, c]:
+            return r[i, c] < r[j, c]
+    return i < j
+
+
+@kernel
+def sort_runs(patch: Any, r: Any, order: Any) -> None:
+    """Put points ``order`` (k,), which lie together by patch, in order of their positions r (n, 3) within each patch."""
+    first = 0
+    while first < len(order):
+        end = first + 1
+        while end < len(order) and patch[order[end]] == patch[order[first]]:
+            end += 1
+        gap = 1
+        while gap < (end - first) // 3:
+            gap = 3 * gap + 1
+        while gap > 0:  # Shell's method
+            for k in range(first + gap, end):
+                one, m = order[k], k
+                while m >= first + gap and before(r, one, order[m - gap]):
+                    order[m] = order[m - gap]
+                    m -= gap
+                order[m] = one
+            gap //= 3
+        first = end

@@ -14,7 +14,7 @@ import numpy as np
 
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, FilterUpdate, Patches, concatenate, select
-from ladar_volume.volume.patch_merge import block_rows, copy_rows, place_blocks
+from ladar_volume.volume.patch_merge import block_rows, copy_rows, place_blocks, sort_runs
 
 ROWS = ("key", "centre", "normal", "tangent", "beta", "sigma", "used", "t_ns", "M_cal")
 
@@ -43,14 +43,16 @@ def take_patches(patches: Patches, rows: I64) -> Patches:
 
 
 def picked(parts: list[Any], rows: I64) -> Any:
-    """Rows of arrays as if these were one after the other. A part without rows has no columns of its own to match."""
+    """Rows of arrays, each at most once, as if these were one after the other. A part without rows has no columns of its own to match."""
     parts = [part for part in parts if len(part)] or parts[:1]
     if len(parts) == 1:
         return parts[0][rows]
-    out = np.empty((len(rows), *parts[0].shape[1:]), parts[0].dtype)
+    out, to = np.empty((len(rows), *parts[0].shape[1:]), parts[0].dtype), np.full(sum(len(part) for part in parts), -1, np.int64)
+    to[rows] = np.arange(len(rows))
     width, first = math.prod(parts[0].shape[1:]), 0
     for part in parts:
-        copy_rows(np.ascontiguousarray(part, out.dtype).reshape(len(part), width), rows, first, out.reshape(len(rows), width))
+        flat = np.ascontiguousarray(part, out.dtype).reshape(len(part), width)
+        copy_rows(flat, to[first : first + len(part)], out.reshape(len(rows), width))
         first += len(part)
     return out
 
@@ -110,10 +112,11 @@ class PatchStore:
         rows = np.flatnonzero(last.turn(key) == _spread(turns, parts))
         rows = rows[np.argsort(key[rows], kind="stable")]
         self._patches = Patches(**merged_rows(parts, rows), **merged_blocks(parts, turns, last, key[rows]), **merged_bins(parts, rows))
-        points = [update.points for update in updates]
-        kept = select(concatenate(points), np.flatnonzero(last.turn(np.concatenate([p.patch for p in points])) == _spread(turns, points)))
-        r = kept.r_map
-        self._points = select(kept, np.lexsort((r[:, 2], r[:, 1], r[:, 0], kept.patch)))
+        points = concatenate([update.points for update in updates])
+        chosen = np.flatnonzero(last.turn(points.patch) == _spread(turns, [update.points for update in updates]))
+        order = chosen[np.argsort(points.patch[chosen], kind="stable")]
+        sort_runs(points.patch, points.r_map, order)
+        self._points = select(points, order)
 
     def _usable(self, points: FilteredPoints, keys: I64) -> FilteredPoints:
         finite = points_finite(points)

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import base_gradient, base_height, degree_of, design
+from ladar_volume.ground.polynomial import base_gradient, degree_of, design
 from ladar_volume.model.errors import VolumeError
+from ladar_volume.model.kernels import kernel, leaf_kernel
 from ladar_volume.model.records import F64, I32, Bool, Plane, Tin
-from ladar_volume.surface.tin import footprint_areas
 
 
 @dataclass(frozen=True)
@@ -55,35 +55,73 @@ class Prismoids(CutFill):
         return self.base_cut - self.base_fill
 
 
-def positive_part(h: F64) -> tuple[F64, F64]:
-    """Mean over a triangle of ``max(height, 0)`` for vertex heights h (m, 3): means (m,) and derivatives (m, 3) by h."""
-    above = h > 0.0
-    count = above.sum(axis=1)
-    mean, slope = np.zeros(len(h)), np.zeros((len(h), 3))
-    full = count == 3
-    mean[full], slope[full] = h[full].sum(axis=1) / 3.0, 1.0 / 3.0
-    for single, sign in ((count == 1, 1.0), (count == 2, -1.0)):
-        rows = np.flatnonzero(single)
-        # the lone vertex: the one above, or the one not above, whose tip is added to the signed mean
-        i = np.argmax(above[rows] if sign > 0 else ~above[rows], axis=1)
-        j, k = (i + 1) % 3, (i + 2) % 3
-        hi, dj, dk = h[rows, i], h[rows, i] - h[rows, j], h[rows, i] - h[rows, k]
-        tip = hi * (hi / dj) * (hi / dk) / 3.0
-        mean[rows] = tip
-        slope[rows, i] = (hi / dj) * (hi / dk) - tip / dj - tip / dk
-        slope[rows, j], slope[rows, k] = tip / dj, tip / dk
-        if sign < 0:  # mean of the positive part = signed mean + size of the tip below
-            mean[rows] = h[rows].sum(axis=1) / 3.0 - tip
-            slope[rows] = 1.0 / 3.0 - slope[rows]
+@leaf_kernel
+def mean_above(h: F64, slope: F64) -> float:
+    """Mean over a triangle of ``max(height, 0)`` for heights h (3,) of its vertices; its derivatives by them into slope (3,)."""
+    above = int(h[0] > 0.0) + int(h[1] > 0.0) + int(h[2] > 0.0)
+    for c in range(3):
+        slope[c] = 1.0 / 3.0 if above == 3 else 0.0
+    whole: float = (h[0] + h[1] + h[2]) / 3.0
+    if above == 0 or above == 3:
+        return whole if above == 3 else 0.0
+    # the lone vertex: the one above, or the one not above, whose tip is added to the signed mean
+    i = 0
+    while (h[i] > 0.0) != (above == 1):
+        i += 1
+    j, k = (i + 1) % 3, (i + 2) % 3
+    dj, dk = h[i] - h[j], h[i] - h[k]
+    tip: float = h[i] * (h[i] / dj) * (h[i] / dk) / 3.0
+    slope[i], slope[j], slope[k] = (h[i] / dj) * (h[i] / dk) - tip / dj - tip / dk, tip / dj, tip / dk
+    if above == 1:
+        return tip
+    for c in range(3):  # mean of the positive part = signed mean + size of the tip below
+        slope[c] = 1.0 / 3.0 - slope[c]
+    return whole - tip
+
+
+@kernel
+def means_above(h: F64) -> tuple[F64, F64]:
+    """See :func:`positive_part`."""
+    mean, slope = np.empty(len(h)), np.empty((len(h), 3))
+    for t in range(len(h)):
+        mean[t] = mean_above(h[t], slope[t])
     return mean, slope
 
 
-def area_gradient(vertices: F64, triangles: I32) -> F64:
-    """Derivatives (m, 3, 2) m of the footprint areas by x and y of each corner."""
-    p = vertices[triangles, :2]
-    edge = p[:, [1, 2, 0]] - p[:, [2, 0, 1]]
-    out: F64 = 0.5 * np.stack([edge[..., 1], -edge[..., 0]], axis=-1)
-    return out
+def positive_part(h: F64) -> tuple[F64, F64]:
+    """Mean over a triangle of ``max(height, 0)`` for vertex heights h (m, 3): means (m,) and derivatives (m, 3) by h."""
+    mean, slope = means_above(np.ascontiguousarray(h))
+    return mean, slope
+
+
+@kernel
+def prismoid_kernel(vertices: F64, triangles: I32, chosen: Bool, height: F64) -> tuple[F64, F64, F64]:
+    """Cut, fill, footprint (3,) of the ``chosen`` triangles (m,) over vertices (n, 3) that stand so high (n,) above a base, and the
+    gradients (n, 3) of cut and net volume by the vertices, the base held fixed at each."""
+    cut, net, total = np.zeros((len(vertices), 3)), np.zeros((len(vertices), 3)), np.zeros(3)
+    h, below, slope, other = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for t in range(len(triangles)):
+        if not chosen[t]:
+            continue
+        for c in range(3):
+            h[c] = height[triangles[t, c]]
+            below[c] = -h[c]
+        a, b, d = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
+        area = 0.5 * ((b[0] - a[0]) * (d[1] - a[1]) - (b[1] - a[1]) * (d[0] - a[0]))
+        up, whole = mean_above(h, slope), (h[0] + h[1] + h[2]) / 3.0
+        total[0] += area * up
+        total[1] += area * mean_above(below, other)
+        total[2] += area
+        for c in range(3):
+            v, one, two = triangles[t, c], vertices[triangles[t, (c + 1) % 3]], vertices[triangles[t, (c + 2) % 3]]
+            east, north = 0.5 * (one[1] - two[1]), 0.5 * (two[0] - one[0])  # of the area, by the corner's x and y
+            cut[v, 0] += up * east
+            cut[v, 1] += up * north
+            cut[v, 2] += slope[c] * area
+            net[v, 0] += whole * east
+            net[v, 1] += whole * north
+            net[v, 2] += area / 3.0
+    return total, cut, net
 
 
 def prismoids(tin: Tin, base: Plane, mask: Bool | None = None) -> Prismoids:
@@ -92,28 +130,17 @@ def prismoids(tin: Tin, base: Plane, mask: Bool | None = None) -> Prismoids:
     Raises :class:`VolumeError` where no triangle is chosen.
     """
     chosen = tin.relevant if mask is None else mask
-    triangles = tin.triangles[chosen]
-    if len(triangles) == 0:
+    if not chosen.any():
         raise VolumeError("no triangle lies inside the outline", reason="volume_no_triangle")
     v, xy = tin.vertices, tin.vertices[:, :2]
-    height = v[:, 2] - base_height(base, xy)
-    slope_base = base_gradient(base, xy)
     X = design(xy, base.origin_xy, degree_of(base))
-    area = footprint_areas(v, triangles)
-    dA = area_gradient(v, triangles)
-    h = height[triangles]
-    parts = []
-    for mean, slope in (positive_part(h), (h.sum(axis=1) / 3.0, np.full(h.shape, 1.0 / 3.0))):
-        corner = np.empty((len(triangles), 3, 3))
-        corner[..., :2] = mean[:, None, None] * dA
-        corner[..., 2] = slope * area[:, None]
-        gradient = gather(corner, triangles, len(v))
+    (cut, fill, area), g_cut, g_net = prismoid_kernel(v, tin.triangles, chosen, v[:, 2] - X @ base.beta)
+    slope_base = base_gradient(base, xy)
+    for gradient in (g_cut, g_net):
         gradient[:, :2] -= gradient[:, 2:] * slope_base
-        parts.append((gradient, -(X.T @ gradient[:, 2])))
-    (g_cut, b_cut), (g_net, b_net) = parts
-    cut, fill = float(area @ positive_part(h)[0]), float(area @ positive_part(-h)[0])
+    b_cut, b_net = -(X.T @ g_cut[:, 2]), -(X.T @ g_net[:, 2])
     # fill = cut − net: at a height of exactly zero, where neither has a derivative, the net volume keeps its own
-    return Prismoids(cut, fill, float(area.sum()), g_cut, g_cut - g_net, b_cut, b_cut - b_net)
+    return Prismoids(float(cut), float(fill), float(area), g_cut, g_cut - g_net, b_cut, b_cut - b_net)
 
 
 def gather(corner: F64, triangles: I32, n: int) -> F64:

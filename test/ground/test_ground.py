@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 
 from ladar_volume.ground.adjoint import ground_gradient
-from ladar_volume.ground.polynomial import base_gradient, base_height, design, design_gradient, design_surface, solve
+from ladar_volume.ground.polynomial import (
+    base_gradient,
+    base_height,
+    design,
+    design_gradient,
+    design_kernel,
+    design_surface,
+    exponents,
+    solve,
+)
 from ladar_volume.ground.robust import fit_ground, robust_sigma
 from ladar_volume.model.errors import GroundError
 from ladar_volume.model.parameters import GroundParameters
@@ -62,6 +71,15 @@ def test_a_flat_top_larger_than_the_ground_does_not_win():
     assert abs(base_height(fit(points), np.zeros((1, 2)))[0] - 2.0) < 0.01
 
 
+def test_design_rows_are_the_powers():
+    xy, origin = np.random.default_rng(2).uniform(-3.0, 3.0, (20, 2)), np.array([0.5, -1.0])
+    for degree in range(4):
+        dx, dy = (xy - origin).T
+        rows = np.column_stack([dx**a * dy**b for a, b in exponents(degree)])
+        assert design(xy, origin, degree) == pytest.approx(rows, rel=1e-13, abs=1e-13)
+        assert np.array_equal(design(xy, origin, degree), design_kernel.py_func(xy, origin, degree))
+
+
 def test_covariance_is_that_of_the_sampled_coefficients():
     fits = []
     xy = ground(300, seed=9)
@@ -69,9 +87,9 @@ def test_covariance_is_that_of_the_sampled_coefficients():
         p = xy.copy()
         p[:, 2] += 0.01 * np.random.default_rng(seed).standard_normal(300)
         origin = np.zeros(2)
-        beta, H, N = solve(p, origin, 1)
+        beta, X, N = solve(p, origin, 1)
         fits.append(beta)
-    C = 1e-4 * H @ H.T
+    C = 1e-4 * N @ X.T @ X @ N
     assert np.allclose(C, 1e-4 * N, rtol=1e-10)
     ratio = np.linalg.solve(C, np.cov(np.array(fits).T))
     # 400 samples: the standard error of a variance is 7 %

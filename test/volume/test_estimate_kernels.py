@@ -9,9 +9,11 @@ from scipy.sparse.csgraph import connected_components
 
 from ladar_volume.model.records import Patches
 from ladar_volume.surface.relevant import edge_lengths
-from ladar_volume.surface.tin import build_tin, footprint_areas
+from ladar_volume.surface.tin import any_corner, build_tin, footprint_areas, vertex_mask
 from ladar_volume.volume.outline import components, fill_holes, within
+from ladar_volume.volume.patch_merge import place_from, sort_runs
 from ladar_volume.volume.patch_store import LastWord, merged_blocks, picked
+from ladar_volume.volume.vicinity import within_kernel
 
 
 @pytest.fixture(scope="module")
@@ -27,6 +29,10 @@ def test_areas_and_edges_of_triangles(tin):
     expected = 0.5 * ((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0]))
     assert np.array_equal(footprint_areas(tin.vertices, tin.triangles), expected)
     assert np.array_equal(footprint_areas(tin.vertices[:, :2], tin.triangles), expected)
+    mask = np.random.default_rng(6).random(len(tin.triangles)) < 0.01
+    corners = np.isin(np.arange(len(tin.vertices)), tin.triangles[mask])
+    assert np.array_equal(vertex_mask(tin, mask), corners)
+    assert np.array_equal(any_corner(tin.triangles, corners), corners[tin.triangles].any(axis=1))
     lengths = np.column_stack([np.linalg.norm(v, axis=1) for v in (c - b, a - c, b - a)])
     assert edge_lengths(tin) == pytest.approx(lengths, rel=1e-14)
 
@@ -52,6 +58,20 @@ def test_vertices_within_a_distance(tin):
     for distance in (0.0, 0.4, 2.0, 50.0):
         assert np.array_equal(within(tin, mask, distance), away <= distance)
     assert not within(tin, np.zeros(len(mask), bool), 1.0).any()
+
+
+def test_places_within_a_distance_of_some():
+    rng = np.random.default_rng(7)
+    cluster, lattice = rng.normal(0.0, 3.0, (400, 2)), np.stack(np.meshgrid(np.arange(20.0), np.arange(15.0)), axis=-1).reshape(-1, 2)
+    along, apart = np.column_stack([rng.uniform(0.0, 9.0, 200), np.zeros(200)]), np.r_[cluster, [[1e5, -2e4], [3e4, 7e4]]]
+    for xy in (cluster, lattice, along, apart, np.zeros((5, 2)), cluster[:1]):
+        for share in (0.0, 0.01, 0.2, 1.0):
+            some = rng.random(len(xy)) < share
+            away = np.full(len(xy), np.inf)
+            if some.any():
+                away = np.linalg.norm(xy[:, None] - xy[None, some], axis=2).min(axis=1)
+            for distance in (0.0, 0.3, 1.0, 2.0, 5.0, 60.0, 1e6):
+                assert np.array_equal(within_kernel(xy, some, distance), away <= distance)
 
 
 def test_holes_are_filled_with_relevant_triangles_alone(tin):
@@ -105,9 +125,26 @@ def test_blocks_of_several_updates_one_by_one():
     assert start[-1] == len(found["cross_key"]) > 40
 
 
+def test_points_in_order_within_their_patches():
+    rng = np.random.default_rng(8)
+    patch = np.sort(rng.integers(0, 30, 900))
+    patch[:150] = 0  # one patch with many
+    r = rng.integers(0, 4, (900, 3)).astype(np.float64)
+    order = np.argsort(patch, kind="stable")
+    sort_runs(patch, r, order)
+    assert np.array_equal(order, np.lexsort((r[:, 2], r[:, 1], r[:, 0], patch)))
+
+
+def test_places_of_keys_from_any_hint():
+    keys = np.array([2, 3, 5, 8, 13, 21], np.int64)
+    for hint in range(7):
+        for key in range(25):
+            assert place_from(keys, key, hint) == np.searchsorted(keys, key)
+
+
 def test_rows_picked_from_parts():
     rng = np.random.default_rng(5)
     parts = [rng.random((n, 2, 3)) for n in (4, 0, 7)]
-    rows = rng.integers(0, 11, 20)
+    rows = rng.permutation(11)[:8]
     assert np.array_equal(picked(parts, rows), np.concatenate(parts)[rows])
     assert np.array_equal(picked([part[:, 0, 0] for part in parts], rows), np.concatenate(parts)[rows, 0, 0])

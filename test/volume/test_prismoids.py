@@ -12,9 +12,9 @@ from ladar_volume.ground.polynomial import base_height, design_surface
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import Plane, Tin
 from ladar_volume.surface.tin import build_tin
-from ladar_volume.volume.centroid import centroid
+from ladar_volume.volume.centroid import centroid, moment_kernel
 from ladar_volume.volume.polygon import areas_inside, check_polygon, clip, clipped_prismoids, clipped_weights, moments
-from ladar_volume.volume.prismoids import positive_part, prismoids
+from ladar_volume.volume.prismoids import mean_above, positive_part, prismoid_kernel, prismoids
 
 
 def level(z):
@@ -105,6 +105,22 @@ def test_gradients_against_central_differences(base, outline):
         a, b = (run(tin.vertices, dataclasses.replace(plane, beta=plane.beta + s * step)) for s in (1, -1))
         assert p.base_cut[k] == pytest.approx((a.cut_m3 - b.cut_m3) / (2 * h), abs=2e-6)
         assert p.base_fill[k] == pytest.approx((a.fill_m3 - b.fill_m3) / (2 * h), abs=2e-6)
+
+
+def test_compiled_passes_equal_their_plain_twins():
+    tin, rng = random_tin(seed=6), np.random.default_rng(1)
+    h = rng.integers(-1, 2, (200, 3)) * rng.uniform(0.5, 1.5, (200, 3))
+    mean, slope = positive_part(h)
+    for t in range(len(h)):
+        own = np.empty(3)
+        assert mean_above.py_func(h[t], own) == mean[t] and np.array_equal(own, slope[t])
+    height, inside = tin.vertices[:, 2] - 0.4, np.where(rng.random(len(tin.triangles)) < 0.7, 0.3, 0.0)
+    for compiled, words in (
+        (prismoid_kernel, (tin.vertices, tin.triangles, inside > 0, height)),
+        (moment_kernel, (tin.vertices, tin.triangles, inside, np.full(len(height), 0.4))),
+    ):
+        for a, b in zip(compiled(*words), compiled.py_func(*words), strict=True):
+            assert np.allclose(a, b, rtol=1e-13, atol=1e-13)
 
 
 def test_net_gradient_survives_heights_of_exactly_zero():
