@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 
 from ladar_volume.filtering.fit import REACH
-from ladar_volume.filtering.store import AUX, Candidates, VoxelStore, find_voxel, pack_key, unpack_key, voxels_around
+from ladar_volume.filtering.store import Candidates, VoxelStore, find_voxel, pack_key, unpack_key, voxels_around
 from ladar_volume.model.kernels import kernel
-from ladar_volume.model.records import F64, I64, concatenate, select
+from ladar_volume.model.records import F64, I32, I64, Bool
 
 #: Voxels along the side of a tile, as a power of two.
 TILE_BITS = 3
-#: Points that may wait, beside twice as many as could stay when last looked at, before those that cannot stay are looked for.
-ROOM = 1 << 16
+#: The time of a point that does not wait.
+NEVER = np.iinfo(np.int64).max
 
 
 def tile_of(key: I64) -> I64:
@@ -54,44 +54,57 @@ def held_in(voxels: Any, keys: Any, table: Any, count: Any, out: Any) -> None:
         out[a] = count[v] if v >= 0 else 0
 
 
-class Deferred:
-    """The points that wait. Order and batching of what is added mean nothing."""
+@kernel
+def note_oldest(key: Any, t_ns: Any, keys: Any, table: Any, oldest: Any) -> None:
+    """Lower ``oldest`` (used,) to the times of points in voxels that the table holds."""
+    for i in range(len(key)):
+        v = find_voxel(table, keys, key[i])
+        oldest[v] = min(oldest[v], t_ns[i])
 
-    def __init__(self) -> None:
-        self._parts: list[Candidates] = []
-        self._left = 0
+
+class Deferred:
+    """The points that wait, of each voxel no more than could stay. Order and batching of what is added mean nothing."""
+
+    def __init__(self, edge_m: float, cap: int) -> None:
+        self._waiting = VoxelStore(edge_m, cap, 16)
+        self._oldest: I64 = np.zeros(0, np.int64)
 
     def __len__(self) -> int:
-        return sum(len(part) for part in self._parts)
+        return self._waiting.kept
 
     def age_s(self, newest_ns: int) -> float:
         """How long the oldest point has waited, by the time of the data (s)."""
-        return max((newest_ns - int(part.t_ns.min()) for part in self._parts if len(part)), default=0) * 1e-9
+        return (newest_ns - min(int(self._oldest.min(initial=NEVER)), newest_ns)) * 1e-9
 
     def add(self, points: Candidates) -> None:
         """These wait too."""
-        if len(points):
-            self._parts.append(points)
+        w = self._waiting
+        w.insert(points)
+        self._oldest = np.concatenate([self._oldest, np.full(w.used - len(self._oldest), NEVER)])
+        note_oldest(points.key, points.t_ns, w.keys, w.table, self._oldest)
 
     def take(self, store: VoxelStore, most: int | None, newest_ns: int) -> Candidates:
         """Points whose turn it is: all of them, or as many tiles as refit about ``most`` voxels."""
-        points = concatenate(self._parts) if self._parts else nothing()
-        if most is None or len(points) == 0:
-            self._parts = []
-            return points
-        if len(points) > 2 * self._left + ROOM:
-            points = lowest(points, store.cap)
-            self._left = len(points)
-        chosen = np.isin(tile_of(points.key), self._next_tiles(store, points, most, newest_ns))
-        self._parts = [select(points, ~chosen)] if not chosen.all() else []
-        return select(points, chosen)
+        w = self._waiting
+        voxels = np.flatnonzero(w.count[: w.used])
+        voxels = voxels[np.argsort(w.keys[voxels])]
+        if most is not None and len(voxels):
+            voxels = voxels[self._turn(store, voxels, most, newest_ns)]
+        count = w.count[voxels]
+        slots = np.repeat(voxels * w.cap - np.cumsum(count) + count, count) + np.arange(int(count.sum()))
+        points = Candidates(
+            np.repeat(w.keys[voxels], count), w.hashes[slots], w.t_ns[slots], w.ring[slots], w.r[slots], w.C[slots], w.aux[slots]
+        )  # fmt: skip
+        w.count[voxels], self._oldest[voxels] = 0, NEVER
+        return points
 
-    def _next_tiles(self, store: VoxelStore, points: Candidates, most: int, newest_ns: int) -> I64:
-        voxels, which, new = np.unique(points.key, return_inverse=True, return_counts=True)
-        tiles, tile = np.unique(tile_of(voxels), return_inverse=True)
+    def _turn(self, store: VoxelStore, voxels: I64, most: int, newest_ns: int) -> Bool:
+        """Which of these voxels (n,), in order of their keys, lie in tiles whose turn it is."""
+        key, new = self._waiting.keys[voxels], self._waiting.count[voxels]
+        tiles, tile = np.unique(tile_of(key), return_inverse=True)
         oldest = np.full(len(tiles), newest_ns)
-        np.minimum.at(oldest, tile[which], points.t_ns)
-        exchanged = np.bincount(tile, weights=shares(store, voxels, new))
+        np.minimum.at(oldest, tile, self._oldest[voxels])
+        exchanged = np.bincount(tile, weights=shares(store, key, new))
         by_age, by_weight = (np.argsort(np.argsort(x, kind="stable"), kind="stable") for x in (oldest, -exchanged))
         order = np.argsort(np.minimum(2 * by_age, 2 * by_weight + 1), kind="stable")
         rank = np.empty(len(order), np.int64)
@@ -99,29 +112,13 @@ class Deferred:
         by_turn = np.argsort(rank[tile], kind="stable")
         start = np.concatenate([[0], np.cumsum(np.bincount(tile)[order])])
         marked = np.zeros(max(store.used, 1), np.bool_)
-        return tiles[order[: tiles_within(start, voxels[by_turn], store.keys, store.table, most, marked)]]
+        chosen: Bool = rank[tile] < tiles_within(start, key[by_turn], store.keys, store.table, most, marked)
+        return chosen
 
 
-def shares(store: VoxelStore, voxels: I64, new: I64) -> F64:
+def shares(store: VoxelStore, voxels: I64, new: I64 | I32) -> F64:
     """Which share of a voxel's points (n,) would be new ones, at most, if all ``new`` (n,) of its points were taken in."""
     held = np.zeros(len(voxels), np.int64)
     held_in(voxels, store.keys, store.table, store.count, held)
-    coming = np.minimum(new, store.cap)
-    out: F64 = coming / np.minimum(held + coming, store.cap)
+    out: F64 = new / np.minimum(held + new, store.cap)
     return out
-
-
-def lowest(points: Candidates, cap: int) -> Candidates:
-    """Without those that other points of their voxel leave no room for."""
-    order = np.lexsort((points.hash, points.key))
-    key = points.key[order]
-    rank = np.arange(len(key)) - np.searchsorted(key, key)
-    return select(points, np.sort(order[rank < cap]))
-
-
-def nothing() -> Candidates:
-    """No points."""
-    return Candidates(
-        np.zeros(0, np.int64), np.zeros(0, np.uint64), np.zeros(0, np.int64), np.zeros(0, np.uint16), np.zeros((0, 3)),
-        np.zeros((0, 6), np.float32), np.zeros((0, AUX), np.float32),
-    )  # fmt: skip

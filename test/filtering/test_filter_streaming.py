@@ -3,7 +3,7 @@
 import numba
 import numpy as np
 
-from ladar_volume.filtering import deferral
+from ladar_volume.filtering import deferral, kernels
 from ladar_volume.filtering.filter import SurfaceFilter
 from ladar_volume.filtering.store import VoxelStore, pack_key, unpack_key
 from ladar_volume.model.parameters import Parameters
@@ -107,8 +107,9 @@ def test_a_hurried_surface_is_that_of_the_points_taken_in(scene):
         f.add(select(points, part))
         follow(world, f.update(120))
         put_off.append(f.stats["points_deferred"])
-        waiting = {(int(t), *r) for c in f._deferred._parts for t, r in zip(c.t_ns, c.r, strict=True)}
-        taken = [j for j in range(part[-1] + 1) if (int(points.t_ns[j]), *points.r_map[j]) not in waiting]
+        held = np.concatenate([np.arange(v * f._store.cap, v * f._store.cap + n) for v, n in enumerate(f._store.count[: f._store.used])])
+        there = {(int(t), *r) for t, r in zip(f._store.t_ns[held], f._store.r[held], strict=True)}
+        taken = [j for j in range(part[-1] + 1) if (int(points.t_ns[j]), *points.r_map[j]) in there]
         alone = SurfaceFilter(PARAMETERS)
         alone.add_platform(scene.platform())
         alone.add(select(points, np.array(taken)))
@@ -134,18 +135,43 @@ def test_no_tile_is_passed_over_for_ever(scene):
     assert f.update() is not None and f.deferred_s == 0.0 and f.update(1) is None
 
 
-def test_points_without_room_are_forgotten_while_they_wait(scene, monkeypatch):
+def test_of_those_that_wait_a_voxel_holds_what_could_stay(scene):
     points = scene_points(scene)
-    expected = run(scene, points, np.arange(len(points)), 1, False)[1]
-    monkeypatch.setattr(deferral, "ROOM", 0)
-    _, world = run(scene, points, np.arange(len(points)), 5, True, 1)
-    assert world == expected
-    some = VoxelStore(0.5, 8).offer(points.t_ns, points.ring, points.r_map, points.C_ind)[0]
-    left = deferral.lowest(some, 8)
-    kept, full = VoxelStore(0.5, 8), VoxelStore(0.5, 8)
-    kept.insert(left)
-    full.insert(some)
-    assert len(left) == kept.kept == full.kept < len(some)
+    offered = VoxelStore(0.5, 8).offer(points.t_ns, points.ring, points.r_map, points.C_ind)[0]
+    waiting, store, full = deferral.Deferred(0.5, 8), VoxelStore(0.5, 8), VoxelStore(0.5, 8)
+    full.insert(offered)
+    for part in np.array_split(np.random.default_rng(2).permutation(len(offered)), 5):
+        waiting.add(select(offered, part))
+    assert len(waiting) == full.kept < 0.7 * len(offered)
+    newest = int(points.t_ns.max())
+    assert waiting.age_s(newest) == (newest - points.t_ns.min()) * 1e-9
+    left, hashes = len(waiting), []
+    while len(waiting):
+        took = waiting.take(store, 1, newest)
+        store.insert(took)
+        hashes.append(took.hash)
+        assert len(waiting) == left - len(took) < left
+        left = len(waiting)
+    assert len(hashes) > 3 and store.kept == full.kept and waiting.age_s(newest) == 0.0
+    slots = np.concatenate([np.arange(v * 8, v * 8 + n) for v, n in enumerate(full.count[: full.used])])
+    assert np.array_equal(np.sort(np.concatenate(hashes)), np.sort(full.hashes[slots]))
+    assert len(waiting.take(store, None, newest)) == 0
+
+
+def test_voxels_near_a_few_or_many_of_them():
+    rng = np.random.default_rng(1)
+    store = VoxelStore(1.0, 2)
+    r = rng.uniform(-6.0, 6.0, (700, 3))
+    store.insert(store.offer(np.arange(700), np.zeros(700, np.uint16), r, np.zeros((700, 6), np.float32))[0])
+    ijk = unpack_key(store.keys[: store.used])
+    for count in (0, 1, 9, store.used):
+        chosen = rng.permutation(store.used)[:count]
+        marked, many, few = np.zeros(len(store.keys), bool), np.zeros(store.used, bool), np.zeros(store.used, bool)
+        marked[chosen] = True
+        kernels.near_marked(store.keys, store.used, store.table, marked, 2, many)
+        kernels.mark_around(chosen, store.keys, store.table, 2, few)
+        near = (np.abs(ijk[:, None] - ijk[None, chosen]).max(axis=2) <= 2).any(axis=1)
+        assert np.array_equal(few, near) and np.array_equal(many, near)
 
 
 def test_a_patch_that_loses_its_ground_is_removed(scene):

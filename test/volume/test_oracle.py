@@ -25,7 +25,7 @@ from ladar_volume.model.parameters import (
     VolumeParameters,
 )
 from ladar_volume.model.records import MappedPoints, PlatformStates
-from ladar_volume.studies.coverage_survey import vertices
+from ladar_volume.studies.coverage_survey import Flown, vertices
 from ladar_volume.volume.estimator import VolumeEstimator
 
 BEAMS, BIN_S, RATE = 16, 2.0, 200.0
@@ -185,7 +185,7 @@ def by_package(points, normal, t, ring, volume):
     )  # fmt: skip
     estimator = VolumeEstimator(P)
     estimator.add_platform(states)
-    estimator.add(vertices(mapped, states, mount, normal, P))
+    estimator.add(vertices(Flown(mapped, states, mount, normal), P))
     return estimator.estimate()
 
 
