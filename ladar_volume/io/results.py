@@ -34,7 +34,7 @@ def volume_dict(volume: Volume) -> dict[str, Any]:
             "name": "folded normal" if volume.folded_m3 > 0.0 else None, "m3": volume.folded_m3, "near_area_m2": volume.near_area_m2,
             "cut_raw_m3": volume.cut_m3 + volume.folded_m3, "fill_raw_m3": volume.fill_m3 + volume.folded_m3,
         },
-        "second_order": {"shift_m3": volume.second_order_m3, "matters": volume.second_order_matters},
+        "second_order": {"shift_m3": volume.second_order_m3, "matters": volume.second_order_matters}, "chord_m3": volume.chord_m3,
         "base": volume.base, "base_same_survey": volume.base_same_survey, "centroid_map_m": list(volume.centroid_map),
         "budget_m6": dict(sorted(volume.budget_m6.items(), key=lambda item: -item[1])),
         "largest_source": volume.largest_source, "sigma_if_halved_m3": volume.sigma_if_halved_m3,

@@ -267,7 +267,8 @@ class Volume:
     cut and from fill by the folded-normal correction, where the surface runs near its base, over ``near_area_m2``; net is not touched.
     ``budget_within_m6`` : marginal variances inside the line ``calibration`` where its sources are correlated; they do not add up to it.
     ``second_order_m3`` : mean second-order effect of the uncertain boresight and attitude, not corrected but in lines of the budget, and
-    whether that ``second_order_matters``."""
+    whether that ``second_order_matters``. ``chord_m3`` : taken from the volume, and from cut and fill, for what the surface's chords span
+    above hollows and below crests."""
 
     volume_m3: float
     sigma_m3: float
@@ -291,6 +292,7 @@ class Volume:
     budget_within_m6: dict[str, float] = field(default_factory=dict)
     second_order_m3: float = 0.0
     second_order_matters: bool = False
+    chord_m3: float = 0.0
 
     @property
     def interval_m3(self) -> tuple[float, float]:

@@ -20,6 +20,7 @@ from ladar_volume.studies.coverage_survey import SOURCES, Flown, VertexSurvey, f
 from ladar_volume.surface.represent import SurfaceOptions, represent
 from ladar_volume.volume.assembly import vertex_variance
 from ladar_volume.volume.base import base_and_outline, polygon_of
+from ladar_volume.volume.chords import chord_volumes
 from ladar_volume.volume.epochs import epoch_difference
 from ladar_volume.volume.estimator import VolumeEstimator
 from ladar_volume.volume.navigation import NavigationBins
@@ -191,8 +192,11 @@ def net_volumes(site: Site | BoxSite, drawn: BudgetParameters, seed: int) -> dic
     surface = represent(points.r_map, options_of(P), measured=False)
     plane, inside = base_and_outline(surface.tin, vertex_variance(surface, points), P)
     level, polygon = design_surface([0.0]), polygon_of(believed_parameters(DEFAULT, site, LEVEL).volume)
-    rectangle = clipped_prismoids(surface.tin, level, polygon, areas_inside(surface.tin, polygon) > 0)
-    return {GROUND: prismoids(surface.tin, plane, inside > 0).net_m3, LEVEL: rectangle.net_m3}
+    within = areas_inside(surface.tin, polygon)
+    volumes = prismoids(surface.tin, plane, inside > 0).net_m3, clipped_prismoids(surface.tin, level, polygon, within > 0).net_m3
+    normal = points.normal[surface.tin.source]
+    chords = (float(chord_volumes(surface.tin, normal, area).sum()) for area in (inside, within))
+    return {base: volume - chord for base, volume, chord in zip((GROUND, LEVEL), volumes, chords, strict=True)}
 
 
 def alone(site: Site | BoxSite, seed: int) -> dict[str, dict[str, float]]:

@@ -19,6 +19,7 @@ from ladar_volume.volume.assembly import base_name, ground_field, near_correctio
 from ladar_volume.volume.base import all_grounds, area_by_body, base_and_outline, polygon_of
 from ladar_volume.volume.budget import Budget, Sources, vertical_sigma
 from ladar_volume.volume.centroid import centroid
+from ladar_volume.volume.chords import cut_and_fill_chords
 from ladar_volume.volume.epoch_budget import Epoch
 from ladar_volume.volume.more_data import MoreData, more_data
 from ladar_volume.volume.navigation import NavigationBins
@@ -137,7 +138,8 @@ class VolumeEstimator:
 
         made = [solved(part) for part in parts]
         self._main = surface, base, parts[0], *made[0], sources, height_variance
-        volumes = tuple(self._volume(surface.tin, base, part, *one, near(part)) for part, one in zip(parts, made, strict=True))
+        normal = points.normal[surface.tin.source]
+        volumes = tuple(self._volume(surface.tin, normal, base, part, *one, near(part)) for part, one in zip(parts, made, strict=True))
         grounds = all_grounds(surface.tin, height_variance, base, inside, self.parameters)
         if len(base.support):
             base = dataclasses.replace(base, C_beta=made[0][1].C_results[1:, 1:])
@@ -150,16 +152,19 @@ class VolumeEstimator:
             return clipped_prismoids(tin, base, polygon_of(self.parameters.volume), inside > 0)
         return prismoids(tin, base, inside > 0)
 
-    def _volume(self, tin: Tin, base: Plane, inside: F64, solid: Prismoids, budget: Budget, near: NearBase | None) -> Volume:
+    def _volume(
+        self, tin: Tin, normal: F64, base: Plane, inside: F64, solid: Prismoids, budget: Budget, near: NearBase | None
+    ) -> Volume:  # fmt: skip
         p, mask = self.parameters, inside > 0
+        above, below = cut_and_fill_chords(tin, normal, base, inside)
         folded = 0.0 if near is None else near.taken(solid.cut_m3, solid.fill_m3)
         return Volume(
-            volume_m3=solid.net_m3,
+            volume_m3=solid.net_m3 - above - below,
             sigma_m3=budget.sigma,
             confidence=p.volume.confidence,
             coverage_factor=NormalDist().inv_cdf(0.5 + p.volume.confidence / 2),
-            cut_m3=solid.cut_m3 - folded,
-            fill_m3=solid.fill_m3 - folded,
+            cut_m3=solid.cut_m3 - folded - above,
+            fill_m3=solid.fill_m3 - folded + below,
             area_m2=solid.area_m2,
             base=base_name(p),
             base_same_survey=p.volume.base == "ground",
@@ -176,6 +181,7 @@ class VolumeEstimator:
             near_area_m2=0.0 if near is None else near.near_area_m2,
             second_order_m3=budget.second.shift_m3,
             second_order_matters=budget.second.matters,
+            chord_m3=above + below,
         )
 
 

@@ -32,6 +32,7 @@ from ladar_volume.studies.coverage_cases import (
     measured,
     net_volumes,
     scaled,
+    truth,
 )
 from ladar_volume.studies.coverage_engine import measured_by_engine
 from ladar_volume.studies.coverage_flight import DURATION_S, hits_of, pulses_of, turned
@@ -229,6 +230,13 @@ def test_a_survey_is_repeatable_and_its_budget_adds_up(site):
         assert sum(row.budget_m6.values()) == pytest.approx(row.sigma_m3**2)
         assert row.tau_m3[0] <= row.sigma_m3 <= row.tau_m3[1] * 1.001
         assert abs(row.error_m3) < 6.0 * row.sigma_m3
+
+
+@pytest.mark.parametrize("site", [SMALL, PIT], ids=["stockpile", "pit"])
+def test_the_volume_alone_is_that_with_a_budget(site):
+    alone_m3 = net_volumes(site, DEFAULT, 12)
+    for base, row in measured(site, *VARIANTS["all"], 12).items():
+        assert alone_m3[base] - truth(site, base, 12) == pytest.approx(row.error_m3, abs=1e-9)
 
 
 def test_each_source_alone():

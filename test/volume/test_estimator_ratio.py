@@ -45,7 +45,7 @@ def test_a_ratio_of_one_is_the_full_tin_to_the_last_bit():
     assert surface.fit is None and vertex_variance(surface, points).tobytes() == variance.tobytes()
     base, inside = e._base_and_outline(plain, variance)
     solid = prismoids(plain, base, inside > 0)
-    assert estimate.volume.volume_m3 == solid.net_m3
+    assert estimate.volume.volume_m3 + estimate.volume.chord_m3 == pytest.approx(solid.net_m3, rel=1e-14)
     with_surface = result_gradients(plain, base, solid, len(points), surface)
     assert with_surface.tobytes() == result_gradients(plain, base, solid, len(points)).tobytes()
 
