@@ -12,6 +12,7 @@ grid by FFT.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,6 +29,9 @@ MAX_POINTS = 1000
 MAX_CELLS = 400
 #: Estimates of the field, each with what the fit took of the one before given back.
 ROUNDS = 3
+#: Scatter of an empirical correlation that no number of pairs takes away: a survey has few independent errors that are shared, and few
+#: lengths of the field. Lengths that are tried at a time.
+CHANCE, LENGTHS = 0.1, 60
 
 
 @dataclass(frozen=True)
@@ -112,10 +116,10 @@ def estimate_roughness(
     """s² and L from ground residuals (n,) m at xy (n, 2) m with known independent noise variances (n,) m².
 
     shared : gives the covariance (k, k) m² of the heights of k of the points from errors that returns share, None for none. s² is the mean
-    square residual minus the mean noise and what is shared, never below zero; L and the share of the Gaussian are those with
-    the integral and the mean distance of the empirical autocorrelation over the plane, L at least half the spacing. What the fit takes of
-    the field is given back, to the square and to the autocorrelation, by the field as first estimated. (The distance at which the
-    correlation falls to 1/e makes the sigma of a smooth ground 1.4 times too large.)
+    square residual minus the mean noise and what is shared, never below zero; L, at least half the spacing, and the share of the Gaussian
+    are fitted to the empirical autocorrelation. What the fit of the ground takes of the field is given back, to the square and to the
+    autocorrelation, by the field as first estimated. (The distance at which the correlation falls to 1/e makes the sigma of a smooth ground
+    1.4 times too large; the integral of the autocorrelation up to its first zero scatters twice as much as the fit, and is too long by it.)
     """
     n = len(residual)
     spacing = mean_spacing(xy)
@@ -130,57 +134,43 @@ def estimate_roughness(
     products, counts, partners, d = pair_sums(p, residual[some], C, Q, np.concatenate([[0.0], edges]))
     known, trace = taken_by_fit(C @ Q, Q)
     left -= (float(np.trace(C)) - trace) / len(some)
-    rough, own, trace = none, np.zeros_like(Q), 0.0
+    rough, own, trace, square = none, np.zeros_like(Q), 0.0, float((residual[some] ** 2).mean())
     for number in range(ROUNDS):
         if number:  # what the fit took of the field is given back
             own, trace = taken_by_fit(rough.variance_m2 * condensed_product(rough.correlation(d), Q), Q)
-        rough = of_products(edges, products + np.tensordot(partners, known + own), counts, left + trace / len(some), none)
+        rough = of_products(edges, products + np.tensordot(partners, known + own), counts, left + trace / len(some), square, none)
     return rough
 
 
-def of_products(edges: F64, products: F64, counts: F64, s2: float, none: Roughness) -> Roughness:
+def of_products(edges: F64, products: F64, counts: F64, s2: float, square_m2: float, none: Roughness) -> Roughness:
     """The field of variance s2 whose covariances have the sums ``products`` (k,) over numbers of pairs (k,) with distances up to each of
-    ascending edges (k,); ``none`` for a variance of zero or less."""
+    ascending edges (k,), of residuals with this mean square; ``none`` for a variance of zero or less."""
     if s2 <= 0.0:
         return none
     lag = np.concatenate([[edges[0] / 2], np.sqrt(edges[:-1] * edges[1:])])
     ok = counts >= 30
-    d, rho = until_zero(lag[ok], products[ok] / counts[ok] / s2)
-    L = integral_length(d, rho)
-    return Roughness(s2, max(none.spacing_m / 2, L), none.spacing_m, gaussian_share(d, rho, L))
+    if not ok.any():
+        return dataclasses.replace(none, variance_m2=s2)
+    weight = 1.0 / ((square_m2 / s2) ** 2 / counts[ok] + CHANCE**2)
+    L, g = fitted_correlation(lag[ok], products[ok] / counts[ok] / s2, weight, none.spacing_m / 2, 2.0 * float(edges[-1]))
+    return Roughness(s2, L, none.spacing_m, g)
 
 
-def until_zero(lag: F64, rho: F64) -> tuple[F64, F64]:
-    """A correlation sampled at ascending lags, from 1 at lag 0 up to where it first falls to zero, which lies between two samples."""
-    d, r = np.concatenate([[0.0], lag]), np.concatenate([[1.0], np.minimum(rho, 1.0)])
-    end = np.flatnonzero(r <= 0.0)
-    if len(end):
-        k = int(end[0])
-        d = np.append(d[:k], d[k - 1] + (d[k] - d[k - 1]) * r[k - 1] / (r[k - 1] - r[k]))
-        r = np.append(r[:k], 0.0)
-    return d, r
-
-
-def moment(d: F64, rho: F64, power: int) -> float:
-    """``∫ rho d^power dd`` of a correlation that is linear between ascending lags d, for a power up to 2."""
-    middle, mean = 0.5 * (d[:-1] + d[1:]), 0.5 * (rho[:-1] + rho[1:])
-    ends = rho * d**power
-    return float((np.diff(d) * (ends[:-1] + 4.0 * mean * middle**power + ends[1:])).sum() / 6.0)  # Simpson's rule is exact
-
-
-def integral_length(d: F64, rho: F64) -> float:
-    """L of the exponential correlation with the same integral over the plane: ``L² = ∫ rho(d) d dd``, of a correlation rho at ascending
-    lags d from 0. The last lag, where none falls to 1/e."""
-    return math.sqrt(moment(d, rho, 1)) if (rho < math.exp(-1.0)).any() else float(d[-1])
-
-
-def gaussian_share(d: F64, rho: F64, length_m: float) -> float:
-    """Share, 0 to 1, of the Gaussian correlation that gives a mixture the mean distance ``∫ rho d² dd / L³`` of rho at ascending lags d: 2
-    for the exponential of length L, √(π/2) for the Gaussian."""
-    if not (rho < math.exp(-1.0)).any():
-        return 0.0
-    mean, gaussian = moment(d, rho, 2) / length_m**3, math.sqrt(math.pi / 2.0)
-    return min(1.0, max(0.0, (2.0 - mean) / (2.0 - gaussian)))
+def fitted_correlation(lag: F64, rho: F64, weight: F64, least_m: float, most_m: float) -> tuple[float, float]:
+    """Length, between two limits, and share g of the Gaussian of the mixture that is nearest to correlations rho (k,) at lags (k,) in the
+    sense of weighted least squares. For each of many lengths g is the solution of a linear problem; the second round looks between the
+    neighbours of the best length."""
+    length, g, k = np.array([least_m]), np.zeros(1), 0
+    for _ in range(2):
+        length = np.geomspace(least_m, max(most_m, least_m), LENGTHS)
+        x = lag / length[:, None]
+        exponential = np.exp(-x)
+        apart = np.exp(-0.5 * x * x) - exponential
+        left = rho - exponential
+        g = np.clip((left * apart) @ weight / np.maximum((apart * apart) @ weight, 1e-300), 0.0, 1.0)
+        k = int(np.argmin((left - g[:, None] * apart) ** 2 @ weight))
+        least_m, most_m = float(length[max(k - 1, 0)]), float(length[min(k + 1, LENGTHS - 1)])
+    return float(length[k]), float(g[k])
 
 
 def field_variance(xy: F64, weight: F64, point: Bool, rough: Roughness) -> float:

@@ -18,12 +18,10 @@ from ladar_volume.volume.roughness import (
     condensed_product,
     estimate_roughness,
     field_variance,
-    gaussian_share,
-    integral_length,
+    fitted_correlation,
     mean_spacing,
     pair_sums,
     taken_by_fit,
-    until_zero,
 )
 
 
@@ -77,11 +75,10 @@ def test_noise_alone_is_no_roughness():
 
 
 def test_how_smooth_a_field_is():
-    lag = np.linspace(0.02, 40, 2000)
+    lag = np.geomspace(0.3, 40, 25)
     for share in (0.0, 0.3, 1.0):
-        d, rho = until_zero(lag, Roughness(1.0, 2.0, 0.1, share).correlation(lag))
-        assert integral_length(d, rho) == pytest.approx(2.0, rel=1e-3)
-        assert gaussian_share(d, rho, 2.0) == pytest.approx(share, abs=2e-3)
+        found = fitted_correlation(lag, Roughness(1.0, 2.0, 0.1, share).correlation(lag), np.ones(25), 0.1, 80.0)
+        assert found == pytest.approx((2.0, share), rel=5e-3, abs=0.02)
     xy = grid(30)
     weight = np.where(np.hypot(*(xy - 14.5).T) < 5, 1.0, -0.05)  # a body of a few lengths
     some = np.zeros(900, bool)
@@ -134,14 +131,14 @@ def test_pairs_by_distance():
     assert condensed_product(np.exp(-d), Q) == pytest.approx(R @ Q)
 
 
-def test_integral_length():
-    lag = np.linspace(0.02, 40, 2000)
-    assert integral_length(*until_zero(lag, np.exp(-lag / 2.5))) == pytest.approx(2.5, rel=1e-3)
-    assert integral_length(*until_zero(lag, np.exp(-(lag**2) / (2 * 2.5**2)))) == pytest.approx(2.5, rel=1e-3)
-    assert integral_length(*until_zero(lag, np.maximum(0.0, 1 - lag / 3))) == pytest.approx(math.sqrt(1.5), rel=1e-3)  # ∫ (1 − d / 3) d dd = 9 / 6
-    assert integral_length(*until_zero(lag, np.cos(lag * math.pi / 4))) == pytest.approx(math.sqrt(16 / math.pi**2 * (math.pi / 2 - 1)), rel=1e-3)
-    assert integral_length(*until_zero(lag, np.ones(2000))) == 40.0
-    assert integral_length(*until_zero(np.array([0.1, 0.2]), np.zeros(2))) == pytest.approx(math.sqrt(0.01 / 6))
+def test_lengths_at_their_limits():
+    lag, even = np.geomspace(0.3, 40, 25), np.ones(25)
+    assert fitted_correlation(lag, np.ones(25), even, 0.1, 80.0)[0] == pytest.approx(80.0, rel=1e-3)
+    assert fitted_correlation(lag, np.zeros(25), even, 0.1, 80.0)[0] == pytest.approx(0.1)
+    assert fitted_correlation(lag, np.zeros(25), even, 0.1, 0.05)[0] == 0.1
+    rng = np.random.default_rng(7)
+    found = [fitted_correlation(lag, np.exp(-lag / 3.0) + rng.normal(0, 0.05, 25), even, 0.1, 80.0)[0] for _ in range(200)]
+    assert np.mean(found) == pytest.approx(3.0, rel=0.05) and np.std(found) < 0.6
 
 
 def stepped(n=21):
