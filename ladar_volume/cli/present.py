@@ -21,6 +21,10 @@ def show_result(console: Console, result: Mapping[str, Any]) -> None:
     if fix["name"]:
         words = f"{fix['m3']:.3f} m³ taken from cut and from fill over {fix['near_area_m2']:.1f} m² near the base ({fix['name']})"
         head.add_row("corrected", words)
+    chords = result["chord_m3"]
+    if abs(chords) >= 5e-4:
+        words = f"{chords:+.3f} m³ of the mesh over hollows and under crests, taken out ({result['volume_m3'] + chords:.3f} m³ with them)"
+        head.add_row("chords", words)
     volume_rows(head, result)
     for number, body in enumerate(result["bodies"][1:], start=2):
         x, y, _ = body["centroid_map_m"]

@@ -40,6 +40,14 @@ GEOREFERENCE_LOSSES = {
 }  # fmt: skip
 
 
+def test_the_chords_are_printed_with_the_volume_that_has_them(capsys, tmp_path):
+    assert main(["replay", str(BAGS / "stockpile"), "--no-figure", "-o", str(tmp_path)]) == 0
+    result = json.loads((tmp_path / "result.json").read_text())
+    printed = " ".join(capsys.readouterr().out.split())
+    assert result["chord_m3"] != 0.0
+    assert f"{result['volume_m3']:.3f} ±" in printed and f"({result['volume_m3'] + result['chord_m3']:.3f} m³ with them)" in printed
+
+
 def test_replay_is_deterministic_whatever_the_number_of_threads(capsys, tmp_path):
     words = ("--duration", "12")
     one = replayed(capsys, BAGS / "stockpile", tmp_path / "a", *words)
