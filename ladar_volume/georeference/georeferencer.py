@@ -30,6 +30,8 @@ from ladar_volume.model.se3 import quaternion_from_matrix
 
 #: The waiting clock advances with the clouds' own time, but by no more than this per cloud, so one corrupt stamp expires nothing.
 _LARGEST_STEP_NS = 1_000_000_000
+#: Least share of what waits of a cloud that is mapped before the rest.
+WORTH_IT = 0.25
 
 S = TypeVar("S")
 
@@ -40,6 +42,19 @@ class _Waiting:
     first_ns: int
     last_ns: int
     arrived_ns: int  # on the waiting clock
+
+    def parted(self, until_ns: int, least: float) -> tuple[_Waiting | None, _Waiting | None]:
+        """The returns up to a time, and those later. Where the former are less than a share ``least`` of all, they wait with the others."""
+        if self.last_ns <= until_ns:
+            return self, None
+        early = self.returns.t_ns <= until_ns
+        if np.count_nonzero(early) < max(least * len(early), 1.0):
+            return None, self
+        part, rest = rec.select(self.returns, early), rec.select(self.returns, ~early)
+        return (
+            _Waiting(part, self.first_ns, int(part.t_ns.max()), self.arrived_ns),
+            _Waiting(rest, int(rest.t_ns.min()), self.last_ns, self.arrived_ns),
+        )
 
 
 class Georeferencer:
@@ -227,25 +242,23 @@ class Georeferencer:
             self._waiting_clock_ns += min(max(cloud_ns - self._newest_cloud_ns, 0), _LARGEST_STEP_NS)
         self._newest_cloud_ns = cloud_ns
 
-    def _advance(self) -> None:
-        """Map every cloud whose fate is known. One with a corrupt stamp waits for its time without holding up the others."""
+    def _advance(self, least: float = WORTH_IT) -> None:
+        """Map what is known the fate of. A part of a cloud, at least such a share, need not wait for the rest."""
         if not self._waiting:
             return
         decided, begin = self._trajectory.decided_ns, self._trajectory.begin_ns
+        known_ns = max(t for t in (decided, None if begin is None else begin - 1, -1) if t is not None)
         oldest_ns = self._waiting_clock_ns - self._p.max_pending_s * 1e9
-        ready = [
-            (decided is not None and w.last_ns <= decided) or (begin is not None and w.last_ns < begin) or w.arrived_ns < oldest_ns
-            for w in self._waiting
-        ]
-        if not any(ready):
+        if all(w.first_ns > known_ns and w.arrived_ns >= oldest_ns for w in self._waiting):
             return
         self._decide()
         waiting, self._waiting = self._waiting, []
-        for cloud, now in zip(waiting, ready, strict=True):
-            if now:
-                self._map(cloud, decided)
-            else:
-                self._waiting.append(cloud)
+        for cloud in waiting:
+            part, rest = cloud.parted(known_ns, least) if cloud.arrived_ns >= oldest_ns else (cloud, None)
+            if part is not None:
+                self._map(part, decided)
+            if rest is not None:
+                self._waiting.append(rest)
 
     def _decide(self) -> None:
         states = self._trajectory.decide()
@@ -278,7 +291,7 @@ class Georeferencer:
         self.losses.add("point_pose_gap", int(np.count_nonzero(~before & ~after)))
 
     def take_points(self) -> list[MappedPoints]:
-        """The clouds decided since the last call, in order of time; a cloud of which nothing is left gives no record."""
+        """What was decided since the last call, clouds or parts of them, in order of time; one of which nothing is left gives no record."""
         out, self._points = self._points, []
         return out
 
@@ -289,8 +302,9 @@ class Georeferencer:
         return rec.concatenate(out) if out else None
 
     def finish(self) -> None:
-        """End of data: clouds that still wait are lost as point_trajectory_end; nothing is extrapolated."""
+        """End of data: returns that still wait are lost as point_trajectory_end; nothing is extrapolated."""
         self._take(self._restart.finish())
+        self._advance(0.0)
         self._lose_waiting()
 
     def _lose_waiting(self) -> None:

@@ -141,8 +141,8 @@ class Trajectory:
         need = 2 if self._hermite else 1
         if len(self._position) < need:
             return 0
-        # strictly before: the interval after the attitude must be known, a Hermite tangent needs one knot more
-        count = int(np.searchsorted(self._attitude.t_ns, self._position.t_ns[-need], side="left"))
+        # the interval after the attitude must be known; a Hermite tangent at its end needs one knot more, unless it has no weight there
+        count = int(np.searchsorted(self._attitude.t_ns, self._position.t_ns[-need], side="right" if self._hermite else "left"))
         if count and count == len(self._attitude) and np.isnan(self._attitude["omega"][count - 1, 0]):
             return count - 1  # its rate needs the next attitude
         return count

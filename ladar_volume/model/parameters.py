@@ -218,7 +218,7 @@ class VolumeParameters:
 class NodeParameters:
     """What the nodes need beside their stage."""
 
-    update_period_s: float = param(0.3, "Pause between two updates of the filtered surface.", unit="s", low=0.05, high=60)
+    update_period_s: float = param(0.1, "Pause between two updates of the filtered surface.", unit="s", low=0.05, high=60)
     map_period_s: float = param(5.0, "How often tin and mesh are published, at most.", unit="s", low=0.05, high=600)
     input_reliability: str = param("best_effort", "Reliability of the sensor subscriptions.", choices=("best_effort", "reliable"))
     input_depth: int = param(500, "History depth of the sensor subscriptions; a longer burst overwrites its beginning.", low=1, high=10000)

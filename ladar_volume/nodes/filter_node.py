@@ -25,8 +25,9 @@ from ladar_volume.nodes.running import spin
 
 #: Patches refitted per second of an update, before any has been measured; updates with fewer than so many measure nothing.
 FIRST_RATE, LEAST_MEASURED = 2000.0, 50
-#: Time of an update as a share of the pause between two; how long no data must have come until there is no hurry.
-SHARE, QUIET_S = 1.0 / 3.0, 0.3
+#: Time of an update as a share of the pause between two; how long no data must have come until an update need not wait for more, and until
+#: there is no hurry.
+SHARE, BETWEEN_S, QUIET_S = 1.0 / 3.0, 0.15, 0.3
 
 
 class FilterNode(StageNode):
@@ -43,7 +44,7 @@ class FilterNode(StageNode):
         """Stage, topics."""
         self.stage = SurfaceFilter(self.parameters, deferring=True)
         self._patches_per_s = FIRST_RATE
-        self._came = time.monotonic()
+        self._came, self._just_came = time.monotonic(), False
         self._passes = Passes("platform")
         self._unsure: list[PointCloud2] = []
         self._datum: Datum | None = None
@@ -110,7 +111,7 @@ class FilterNode(StageNode):
         points = mapped_points(stamp_ns(message), decode(message))
         self.stage.add(points)
         self.counts["points"] += len(points)
-        self._fresh, self._came = True, time.monotonic()
+        self._fresh, self._just_came, self._came = True, True, time.monotonic()
 
     def _take_datum(self, datum: Datum) -> None:
         if self._datum not in (None, datum):
@@ -133,13 +134,15 @@ class FilterNode(StageNode):
             self._fresh = True
 
     def idle(self) -> None:
-        """Publish an update when its time has come and something is new. While data comes it takes about :data:`SHARE` of the pause
-        between two, and leaves for the next what changes least; once none comes there is no pause until nothing is left. While messages
-        wait, at most every third of the time goes into updates."""
+        """Publish an update when its time has come and something is new. While data comes it begins with new points, takes about
+        :data:`SHARE` of the pause between two, and leaves for the next what changes least; once none comes there is no pause until nothing
+        is left. While messages wait, at most every third of the time goes into updates."""
         now, period = time.monotonic(), self.parameters.node.update_period_s
-        waited, late = now - self._updated, not self._queue.empty()
+        waited, late, just_came, self._just_came = now - self._updated, not self._queue.empty(), self._just_came, False
         quiet = not late and now - self._came > QUIET_S
-        if not self._fresh or (waited < period and not quiet) or (late and waited < 2.0 * self._last_update_s):
+        # between two clouds an update would only be of older points than one with the next
+        due = waited >= period and (just_came or now - self._came > BETWEEN_S)
+        if not self._fresh or not (due or quiet) or (late and waited < 2.0 * self._last_update_s):
             return
         self._hand_over()
         update = self.stage.update(max(round((1.0 if quiet else SHARE) * period * self._patches_per_s), 1))

@@ -43,7 +43,7 @@ class GeoreferenceNode(StageNode):
         self._fix_status: int | None = None
         self._fix_changes = self._restarts = 0
         self._newest_ns = 0
-        self.sent = {"points": 0, "clouds": 0, "states": 0}
+        self.sent = {"points": 0, "parts": 0, "states": 0}
         self._points = self.create_publisher(PointCloud2, "points_mapped", STREAM)
         self._platform = self.create_publisher(Odometry, "platform", STREAM)
         self._datum = self.create_publisher(NavSatFix, "datum", LATCHED)
@@ -107,7 +107,7 @@ class GeoreferenceNode(StageNode):
             stamp, columns = mapped_columns(points)
             self._points.publish(table_message(columns, stamp))
             self.sent["points"] += len(points)
-            self.sent["clouds"] += 1
+            self.sent["parts"] += 1
 
     def status(self) -> dict[str, Any]:
         """Fix type, clocks, waiting returns, what was sent. ``clock_offset_estimate_s`` is the whole offset, the declared one included."""

@@ -69,7 +69,7 @@ class NavigationBins:
         :meth:`mean`."""
         row = self._rows(bins)
         mean = self._pose[row] / np.maximum(self.count[row], 1)[:, None, None]
-        return mean[:, 0], mean[:, 1:]
+        return np.ascontiguousarray(mean[:, 0]), np.ascontiguousarray(mean[:, 1:])  # of one bin as of many, for kernels compiled once
 
     def _rows(self, bins: I64) -> I64:
         row = np.minimum(np.searchsorted(self.index, bins), max(len(self.index) - 1, 0))

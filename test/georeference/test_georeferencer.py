@@ -16,7 +16,7 @@ from ladar_volume.georeference.georeferencer import Georeferencer
 from ladar_volume.georeference.knots import Knots
 from ladar_volume.model.errors import ParameterValueError
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import Datum, Fix, ImuSample, MappedPoints, OdometrySample, PlatformStates, Returns, concatenate
+from ladar_volume.model.records import Datum, Fix, ImuSample, MappedPoints, OdometrySample, PlatformStates, Returns, concatenate, select
 
 DATUM = Datum(50.0, 14.0, 200.0)
 FRAME = LocalFrame(DATUM)
@@ -102,8 +102,11 @@ def test_points_and_states_are_the_closed_form(interpolation):
     parameters = _parameters(position_interpolation=interpolation)
     fixes, imus, clouds = _survey()
     stage, points, states = _run(parameters, _by_time(fixes, imus, clouds))
-    assert not stage.losses and stage.pending == 0 and stage.datum == DATUM and len(points) == len(clouds)
-    for got, cloud in zip(points, clouds, strict=True):
+    assert not stage.losses and stage.pending == 0 and stage.datum == DATUM and len(points) > len(clouds)  # in parts
+    whole = concatenate(points)
+    assert len(whole) == sum(len(c) for c in clouds)
+    for number, cloud in enumerate(clouds):
+        got = select(whole, slice(len(cloud) * number, len(cloud) * (number + 1)))
         np.testing.assert_array_equal(got.t_ns, cloud.t_ns)
         np.testing.assert_array_equal(got.ring, cloud.ring)
         # the platform leaves the datum by 22 m: its vertical turns by 3.5e-6 rad, 0.2 mm at 60 m
@@ -131,7 +134,7 @@ def test_missing_rates_come_from_the_attitudes(order):
     assert set(stage.losses.as_dict()) == {"point_pose_gap"}
     np.testing.assert_allclose(states.omega_body, np.tile(RATE, (len(states), 1)), atol=1e-7)
     reference = _run(_parameters(), _by_time(fixes, imus, clouds))
-    _assert_same(points, reference[1])
+    _assert_same([concatenate(points)], [concatenate(reference[1])])
     _assert_same([states], [reference[2]])
 
 
@@ -183,7 +186,7 @@ def test_result_does_not_depend_on_interleaving(interpolation):
         orders.append(mixed)
     for order in orders:
         stage, points, states = _run(parameters, order)
-        _assert_same(points, reference[1])
+        _assert_same([concatenate(points)], [concatenate(reference[1])])
         _assert_same([states], [reference[2]])
         assert stage.losses.as_dict() == reference[0].losses.as_dict()
 
@@ -249,9 +252,36 @@ def test_gap_in_attitudes_and_a_wider_limit_bridges_it():
 def test_no_extrapolation_at_either_end():
     fixes, imus, _ = _survey()
     stage, points, _ = _run(_parameters(), [*fixes, *imus, _cloud(-0.05), _cloud(1.95)])
-    assert len(points) == 1 and (points[0].t_ns > T0).all()
-    assert stage.losses["point_before_trajectory"] + len(points[0]) == 40
-    assert stage.losses["point_trajectory_end"] == 40
+    first, last = points
+    assert (first.t_ns > T0).all() and stage.losses["point_before_trajectory"] + len(first) == 40
+    assert (last.t_ns < T0 + 2 * 10**9).all() and 0 < len(last) and stage.losses["point_trajectory_end"] + len(last) == 40
+
+
+@pytest.mark.parametrize("interpolation,fixes_later", [("linear", 1), ("hermite", 2)])
+def test_a_return_waits_for_the_fixes_its_position_is_made_of_and_no_longer(interpolation, fixes_later):
+    fixes, imus, _ = _survey()
+    stage, cloud = Georeferencer(_parameters(position_interpolation=interpolation)), _cloud(0.45)
+    _feed(stage, [*fixes[:5], *imus, cloud])
+    got = []
+    for after, fix in enumerate(fixes[5:8], start=1):
+        _feed(stage, [fix])
+        got += stage.take_points()
+        first, last = (T0 + round(1e8 * (4 + after + k - fixes_later)) for k in (0, 1))  # of the interval that is known now, and its end
+        sent = cloud.t_ns[(cloud.t_ns >= first) & (cloud.t_ns < last - 10_000_000)]  # but for the attitude before the end
+        new = concatenate(got).t_ns if got else np.zeros(0, np.int64)
+        assert np.isin(sent, new).all() and (new <= last).all()
+    assert len(got) == 2 and stage.pending == 0
+
+
+def test_small_parts_wait_for_the_rest():
+    """Poses a hundred times a second would cut every cloud to pieces."""
+    imus = [_imu(i * 0.01) for i in range(40)]
+    stage, sizes = Georeferencer(_parameters(pose_source="odometry")), []
+    _feed(stage, [_odometry(0.0), _cloud(0.005, n=400)])
+    for i in range(1, 20):
+        _feed(stage, [_odometry(i * 0.01)])
+        sizes += [len(p) for p in stage.take_points()]
+    assert sum(sizes) == 400 and stage.pending == 0 and len(imus) > len(sizes) and 1 < len(sizes) < 8
 
 
 @pytest.mark.parametrize("hours", [-1, 1])
