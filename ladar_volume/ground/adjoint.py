@@ -28,10 +28,10 @@ def ground_gradient(points: F64, plane: Plane, by_beta: F64) -> F64:
         return np.zeros((0, by_beta.shape[1], 3))
     xy = p[:, :2]
     _, X, N = solve(p, plane.origin_xy, degree_of(plane))
-    residual = p[:, 2] - X @ plane.beta
-    vertical = X @ (N @ by_beta)
-    moved = np.einsum("sap,pk->ska", design_gradient(xy, plane.origin_xy, degree_of(plane)), N @ by_beta)
+    residual, slope = p[:, 2] - X @ plane.beta, base_gradient(plane, xy)
+    D, by_sums = design_gradient(xy, plane.origin_xy, degree_of(plane)), N @ by_beta
     out = np.empty((len(p), by_beta.shape[1], 3))
-    out[..., 2] = vertical
-    out[..., :2] = -vertical[..., None] * base_gradient(plane, xy)[:, None] + moved * residual[:, None, None]
+    out[..., 2] = X @ by_sums
+    for c in range(2):
+        out[..., c] = residual[:, None] * (D[:, c] @ by_sums) - slope[:, c, None] * out[..., 2]
     return out

@@ -63,7 +63,8 @@ def base_height(plane: Plane, xy: F64) -> F64:
 
 def base_gradient(plane: Plane, xy: F64) -> F64:
     """Slope (n, 2) of a base surface at xy (n, 2)."""
-    out: F64 = design_gradient(xy, plane.origin_xy, degree_of(plane)) @ plane.beta
+    D = design_gradient(xy, plane.origin_xy, degree_of(plane))
+    out: F64 = (D.reshape(-1, D.shape[2]) @ plane.beta).reshape(-1, 2)  # as one product, not one for each point
     return out
 
 

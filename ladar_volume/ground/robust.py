@@ -42,13 +42,13 @@ def refine(points: F64, variance: F64, start: Plane, parameters: GroundParameter
     """
     threshold = parameters.threshold_m
     origin, degree = start.origin_xy, parameters.degree
-    X = design(points[:, :2], origin, degree)
-    inside: Bool = np.abs(points[:, 2] - base_height(start, points[:, :2])) <= (threshold or reach_m)
+    X, z = design(points[:, :2], origin, degree), np.ascontiguousarray(points[:, 2])
+    inside: Bool = np.abs(z - base_height(start, points[:, :2])) <= (threshold or reach_m)
     seen: set[bytes] = set()
     # a floor of rounding size keeps exact planes from losing points to the last bit
-    floor = 1e-9 * (1.0 + float(np.abs(points[:, 2]).max(initial=0.0)))
+    floor = 1e-9 * (1.0 + float(np.abs(z).max(initial=0.0)))
     for _ in range(MAX_REFITS):
-        residual = points[:, 2] - X @ coefficients(X[inside], points[inside, 2], degree)
+        residual = z - X @ coefficients(X[inside], z[inside], degree)
         limit = threshold or max(THRESHOLD_SIGMAS * robust_sigma(residual[inside]), floor)
         new = np.abs(residual) <= limit
         if np.array_equal(new, inside) or new.tobytes() in seen:
@@ -56,7 +56,7 @@ def refine(points: F64, variance: F64, start: Plane, parameters: GroundParameter
         seen.add(new.tobytes())
         inside = new
     beta, X, N = solve(points[inside], origin, degree)
-    residual = points[inside, 2] - X @ beta
+    residual = z[inside] - X @ beta
     C_beta = N @ ((X.T * variance[inside]) @ X) @ N
     plane = Plane(origin, beta, C_beta, np.flatnonzero(inside).astype(np.int64), float(np.sqrt(np.mean(residual**2))))
     check_tilt(plane, parameters)

@@ -13,8 +13,9 @@ import numpy as np
 
 from ladar_volume.ground.polynomial import COEFFICIENTS, design, design_gradient, exponents
 from ladar_volume.model.errors import GroundError
+from ladar_volume.model.kernels import kernel
 from ladar_volume.model.parameters import GroundParameters
-from ladar_volume.model.records import F64
+from ladar_volume.model.records import F64, I64
 
 #: Candidates are scored on at most this many points: a subset taken at equal index steps is as good for a start.
 SCORED_POINTS = 2000
@@ -78,29 +79,40 @@ def best_candidate(points: F64, origin_xy: F64, threshold_m: float, parameters: 
     scored = points[:: max(1, len(points) // SCORED_POINTS)]
     found = candidates(points, origin_xy, parameters)
     X = design(scored[:, :2], origin_xy, COEFFICIENTS.index(found.shape[1]))
-    best: F64 | None = None
-    best_score, most = -math.inf, 0
-    for start in range(0, len(found), 64):
-        part = found[start : start + 64]
-        r = scored[:, 2] - part @ X.T
-        within = (np.abs(r) <= threshold_m).sum(axis=1)
-        score = within - parameters.below_weight * (r < -threshold_m).sum(axis=1)
-        score = np.where(within >= parameters.min_support * len(scored), score, -math.inf)
-        k = int(np.argmax(score))
-        most = max(most, int(within.max()))
-        if score[k] > best_score:
-            best, best_score = part[k], float(score[k])
+    within, below = score_kernel(np.ascontiguousarray(X.T), np.ascontiguousarray(scored[:, 2]), found, threshold_m)
+    enough = within >= parameters.min_support * len(scored)
+    score = np.where(enough, within - parameters.below_weight * below, -math.inf)
+    most = int(within.max(initial=0))
     if len(found) == 0:
         raise GroundError(
             f"no sampled surface is within {math.degrees(parameters.max_tilt_rad):g} degrees of the horizontal: turn the points "
             "upright, or raise ground.max_tilt_deg",
             reason="ground_tilt",
         )
-    if best is None:
+    if not enough.any():
         raise GroundError(
             f"no surface holds {parameters.min_support:.1%} of the points within {threshold_m:g} m (the best {most / len(scored):.1%}): "
             "raise ground.threshold_m, ground.trials or ground.degree, or lower ground.min_support",
             reason="ground_no_consensus",
             value=most / len(scored),
         )
+    best: F64 = found[int(np.argmax(score))]
     return best
+
+
+@kernel
+def score_kernel(columns: F64, z: F64, beta: F64, threshold: float) -> tuple[I64, I64]:
+    """How many of the points with design columns (p, n) and heights (n,) lie within a threshold of each surface beta (k, p), and how many
+    further below it."""
+    within, below, r = np.zeros(len(beta), np.int64), np.zeros(len(beta), np.int64), np.empty(len(z))
+    for k in range(len(beta)):
+        r[:] = z
+        for c in range(beta.shape[1]):
+            for i in range(len(z)):
+                r[i] -= beta[k, c] * columns[c, i]
+        near, under = 0, 0
+        for i in range(len(z)):
+            near += abs(r[i]) <= threshold
+            under += r[i] < -threshold
+        within[k], below[k] = near, under
+    return within, below

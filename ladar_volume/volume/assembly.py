@@ -118,6 +118,7 @@ def ground_field(
     rough = estimate_roughness(ground[:, :2], residual, height_variance[base.support], len(base.beta), shared)
     fit = ground_weights(tin.vertices, base, solid.base_net[:, None])[:, 0]
     rows = np.flatnonzero(inside_m2 > 0)
-    middle = tin.vertices[tin.triangles[rows], :2].mean(axis=1)
+    t, xy = tin.triangles[rows], np.ascontiguousarray(tin.vertices[:, :2])
+    middle = (xy[t[:, 0]] + xy[t[:, 1]] + xy[t[:, 2]]) / 3.0
     point = np.arange(len(rows) + len(ground)) >= len(rows)
     return GroundField(np.concatenate([middle, ground[:, :2]]), np.concatenate([inside_m2[rows], fit]), point, rough)

@@ -8,12 +8,17 @@ from ladar_volume.model.kernels import kernel, leaf_kernel
 
 
 @kernel
-def copy_rows(part: Any, to: Any, out: Any) -> None:
-    """Rows of a part (n, c) to those of out (k, c) that ``to`` (n,) says, -1 for none."""
-    for i in range(len(part)):
-        if to[i] >= 0:
-            for c in range(part.shape[1]):
-                out[to[i], c] = part[i, c]
+def copy_rows(part: Any, to: Any, width: Any, out: Any) -> None:
+    """Rows of a part, c numbers each, to those of out that ``to`` (n,) says, -1 for none; part and out are flat."""
+    i, n = 0, len(to)
+    while i < n:
+        first, i = i, i + 1
+        if to[first] >= 0:
+            while i < n and to[i] == to[i - 1] + 1:  # what stays together is moved in one piece
+                i += 1
+            source, target = part[first * width : i * width], out[to[first] * width : to[first] * width + (i - first) * width]
+            for k in range(len(source)):
+                target[k] = source[k]
 
 
 @leaf_kernel

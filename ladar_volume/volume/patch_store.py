@@ -51,8 +51,7 @@ def picked(parts: list[Any], rows: I64) -> Any:
     to[rows] = np.arange(len(rows))
     width, first = math.prod(parts[0].shape[1:]), 0
     for part in parts:
-        flat = np.ascontiguousarray(part, out.dtype).reshape(len(part), width)
-        copy_rows(flat, to[first : first + len(part)], out.reshape(len(rows), width))
+        copy_rows(np.ascontiguousarray(part, out.dtype).reshape(-1), to[first : first + len(part)], width, out.reshape(-1))
         first += len(part)
     return out
 

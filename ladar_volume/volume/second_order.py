@@ -27,7 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.model.kernels import kernel
+from ladar_volume.model.kernels import kernel, leaf_kernel
 from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.records import F32, F64, I64, Patches
 from ladar_volume.volume.navigation import NavigationBins, markov_sum, matrix_root
@@ -56,20 +56,20 @@ class SecondOrder:
         return self.variance_m6 + self.shift_m3**2
 
 
-@kernel
+@leaf_kernel
 def cross(a: F64, b: F64, out: F64) -> None:
     """``a x b`` of vectors (3,) into out."""
     out[0], out[1], out[2] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@kernel
+@leaf_kernel
 def turned_back(R: F64, a: F64, out: F64) -> None:
     """``Rᵀ a`` into out."""
     for i in range(3):
         out[i] = R[0, i] * a[0] + R[1, i] * a[1] + R[2, i] * a[2]
 
 
-@kernel
+@leaf_kernel
 def add_outer(out: F64, factor: float, a: F64, b: F64) -> None:
     """Adds ``factor a bᵀ`` to out (3, 3)."""
     for i in range(3):

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from ladar_volume.model.kernels import kernel
+from ladar_volume.model.kernels import kernel, leaf_kernel
 from ladar_volume.model.records import F64, I64, Bool
 
 #: Cells per distance: more decide more at once and take longer to go through.
@@ -53,7 +53,7 @@ def away_in_row(start: I64, rows: int, columns: int) -> I64:
     return out
 
 
-@kernel
+@leaf_kernel
 def near_one(xy: F64, i: int, r: int, k: int, cells: float, away: I64, start: I64, member: I64, distance: float) -> bool:
     """Whether place i, in row r and column k, has a member within the distance, which is so many ``cells``."""
     rows, columns = away.shape

@@ -20,6 +20,7 @@ from ladar_volume.ground.polynomial import (
     solve,
 )
 from ladar_volume.ground.robust import fit_ground, robust_sigma
+from ladar_volume.ground.sampling import score_kernel
 from ladar_volume.model.errors import GroundError
 from ladar_volume.model.parameters import GroundParameters
 from ladar_volume.model.records import Plane
@@ -78,6 +79,16 @@ def test_design_rows_are_the_powers():
         rows = np.column_stack([dx**a * dy**b for a, b in exponents(degree)])
         assert design(xy, origin, degree) == pytest.approx(rows, rel=1e-13, abs=1e-13)
         assert np.array_equal(design(xy, origin, degree), design_kernel.py_func(xy, origin, degree))
+
+
+def test_scores_of_candidates_by_their_plain_twin():
+    rng = np.random.default_rng(3)
+    points = rng.normal(size=(300, 3)) * 0.2
+    X, beta = design(points[:, :2], np.zeros(2), 2), rng.normal(size=(40, 6)) * 0.1
+    within, below = score_kernel(np.ascontiguousarray(X.T), np.ascontiguousarray(points[:, 2]), beta, 0.1)
+    r = points[:, 2] - beta @ X.T
+    assert np.array_equal(within, (np.abs(r) <= 0.1).sum(axis=1)) and np.array_equal(below, (r < -0.1).sum(axis=1))
+    assert 0 < within.max() < 300 and 0 < below.max()
 
 
 def test_covariance_is_that_of_the_sampled_coefficients():
