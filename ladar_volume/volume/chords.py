@@ -8,13 +8,34 @@ normals that the filter gives its points, not from the mesh.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ladar_volume.ground.polynomial import base_height
-from ladar_volume.model.records import F64, Plane, Tin
+from ladar_volume.model.kernels import kernel
+from ladar_volume.model.records import F64, I32, Plane, Tin
 
 #: Least vertical component of a normal that says what its surroundings do to a height: steeper walls are not looked at.
 LEAST_UP = 0.3
+
+
+@kernel
+def chord_kernel(xy: F64, normal: F64, triangles: I32, inside_m2: F64) -> F64:
+    """:func:`chord_volumes` of triangles (m, 3) of vertices at xy (n, 2)."""
+    out, slope = np.zeros(len(triangles)), np.full(xy.shape, math.nan)
+    for i in range(len(xy)):
+        if abs(normal[i, 2]) >= LEAST_UP:
+            slope[i, 0], slope[i, 1] = -normal[i, 0] / normal[i, 2], -normal[i, 1] / normal[i, 2]
+    for t in range(len(triangles)):
+        if inside_m2[t] > 0.0:
+            total = 0.0
+            for k in range(3):
+                i, j = triangles[t, k], triangles[t, (k + 1) % 3]
+                total += (xy[j, 0] - xy[i, 0]) * (slope[j, 0] - slope[i, 0]) + (xy[j, 1] - xy[i, 1]) * (slope[j, 1] - slope[i, 1])
+            if not math.isnan(total):
+                out[t] = inside_m2[t] / 24.0 * total
+    return out
 
 
 def chord_volumes(tin: Tin, normal: F64, inside_m2: F64) -> F64:
@@ -22,21 +43,14 @@ def chord_volumes(tin: Tin, normal: F64, inside_m2: F64) -> F64:
 
     normal : (n, 3) of the surface at the vertices, of either sign. A triangle with a corner on a wall steeper than 70° counts as flat.
     """
-    out, xy = np.zeros(len(tin.triangles)), tin.vertices[:, :2]
-    gentle = np.abs(normal[:, 2]) >= LEAST_UP
-    rows = np.flatnonzero((inside_m2 > 0.0) & gentle[tin.triangles].all(axis=1))
-    slope = -normal[:, :2] / np.where(gentle, normal[:, 2], 1.0)[:, None]
-    t = tin.triangles[rows]
-    for a, b in ((0, 1), (1, 2), (2, 0)):
-        i, j = t[:, a], t[:, b]
-        out[rows] += ((xy[j] - xy[i]) * (slope[j] - slope[i])).sum(axis=1)
-    out *= inside_m2 / 24.0
-    return out
+    xy = np.ascontiguousarray(tin.vertices[:, :2])
+    return np.asarray(chord_kernel(xy, np.ascontiguousarray(normal), tin.triangles, np.ascontiguousarray(inside_m2)))
 
 
 def cut_and_fill_chords(tin: Tin, normal: F64, base: Plane, inside_m2: F64) -> tuple[float, float]:
     """The sums, m³, of :func:`chord_volumes` over the triangles that lie above a base, with their middle, and over those below."""
     volume = chord_volumes(tin, normal, inside_m2)
     height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
-    above = height[tin.triangles].sum(axis=1) > 0.0
-    return float(volume[above].sum()), float(volume[~above].sum())
+    above = height[tin.triangles[:, 0]] + height[tin.triangles[:, 1]] + height[tin.triangles[:, 2]] > 0.0
+    cut = float(volume @ above)
+    return cut, float(volume.sum()) - cut

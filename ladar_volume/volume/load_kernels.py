@@ -154,14 +154,16 @@ def shared_kernel(M_cal: F32, one: I64, two: I64, value: F64, deviation: F64) ->
         for z in range(len(value)):
             for r in range(p):
                 turned[r, two[z]] += M_cal[a, r, one[z]] * value[z]
+        for c in range(M_cal.shape[2]):
+            for r in range(p):
+                if turned[r, c] != 0.0:  # most beams do not see a patch
+                    for s in range(r + 1):
+                        out[a, r, s] += turned[r, c] * M_cal[a, s, c]
         for r in range(p):
             for s in range(r + 1):
-                total = 0.0
-                for c in range(M_cal.shape[2]):
-                    total += turned[r, c] * M_cal[a, s, c]
                 for c in range(d):
-                    total += deviation[a, r, c] * deviation[a, s, c]
-                out[a, r, s] = out[a, s, r] = total
+                    out[a, r, s] += deviation[a, r, c] * deviation[a, s, c]
+                out[a, s, r] = out[a, r, s]
     return out
 
 
