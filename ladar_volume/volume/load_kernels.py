@@ -147,23 +147,27 @@ def shared_kernel(M_cal: F32, one: I64, two: I64, value: F64, deviation: F64) ->
     """Covariance (m, p, p) of every patch's parameters from all that is shared: sensitivities M_cal (m, p or more, c), of which the
     first p count, with the covariances ``value`` (z,) of columns one and two (z,), those that are not zero, and deviations (m, p, d) of
     unit variance."""
-    m, p, d = deviation.shape
-    out, turned = np.zeros((m, p, p)), np.zeros((p, M_cal.shape[2]))
+    (m, p, d), columns = deviation.shape, M_cal.shape[2]
+    out, turned, fours = np.zeros((m, p, p)), np.zeros((p, columns)), columns // 4 * 4
     for a in range(m):
         turned[:] = 0.0
-        for z in range(len(value)):
-            for r in range(p):
-                turned[r, two[z]] += M_cal[a, r, one[z]] * value[z]
-        for c in range(M_cal.shape[2]):
-            for r in range(p):
-                if turned[r, c] != 0.0:  # most beams do not see a patch
-                    for s in range(r + 1):
-                        out[a, r, s] += turned[r, c] * M_cal[a, s, c]
         for r in range(p):
+            w = turned[r]
+            for z in range(len(value)):
+                w[two[z]] += M_cal[a, r, one[z]] * value[z]
             for s in range(r + 1):
+                theirs = M_cal[a, s]
+                one_sum = two_sum = three_sum = four_sum = 0.0  # four at a time: one sum would wait for itself
+                for c in range(0, fours, 4):
+                    one_sum += w[c] * theirs[c]
+                    two_sum += w[c + 1] * theirs[c + 1]
+                    three_sum += w[c + 2] * theirs[c + 2]
+                    four_sum += w[c + 3] * theirs[c + 3]
+                for c in range(fours, columns):
+                    one_sum += w[c] * theirs[c]
                 for c in range(d):
-                    out[a, r, s] += deviation[a, r, c] * deviation[a, s, c]
-                out[a, s, r] = out[a, r, s]
+                    two_sum += deviation[a, r, c] * deviation[a, s, c]
+                out[a, r, s] = out[a, s, r] = (one_sum + two_sum) + (three_sum + four_sum)
     return out
 
 
