@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from ladar_volume.model.records import F64, I32, I64, FilteredPoints, Patches, Tin
+from ladar_volume.model.kernels import kernel
+from ladar_volume.model.records import F64, I32, I64, Bool, FilteredPoints, Patches, Tin
 from ladar_volume.volume.propagation import SurfaceGeometry
 
 #: Least vertical component of a normal.
@@ -33,22 +34,35 @@ def height_pairs(tin: Tin, patches: Patches, geometry: SurfaceGeometry, X: F64, 
 
     X, row : see :func:`vertex_rows`.
     """
-    n, m = len(tin.vertices), len(patches)
-    known = np.flatnonzero(geometry.weight > 0)
-    block = geometry.left[known] * m + geometry.right[known]
-    order = np.argsort(block, kind="stable")
-    block, known = block[order], known[order]
+    n = len(tin.vertices)
     pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).astype(np.int64)
     one, two = np.divmod(np.unique(pairs.min(axis=1) * n + pairs.max(axis=1)), n)
-    turned = row[one] > row[two]
-    first, second = np.where(turned, two, one), np.where(turned, one, two)
-    wanted = row[first] * m + row[second]
-    at = np.minimum(np.searchsorted(block, wanted), max(len(block) - 1, 0))
-    shared = block[at] == wanted if len(block) else np.zeros(len(wanted), bool)
-    first, second, at = first[shared], second[shared], known[at[shared]]
-    value = np.einsum("na,nab,nb->n", X[first], patches.cross[at], X[second], optimize=True)
-    upper = sparse.coo_array((value, (first, second)), shape=(n, n)).tocsr()
+    value, shared = pair_kernel(one, two, row, X, patches.cross_start, geometry.right, geometry.weight, patches.cross)
+    upper = sparse.coo_array((value[shared], (one[shared], two[shared])), shape=(n, n)).tocsr()
     return sparse.csr_array(upper + upper.T + sparse.diags_array(variance))
+
+
+@kernel
+def pair_kernel(
+    one: I64, two: I64, row: I64, X: F64, start: I64, right: I64, weight: F64, cross: F64
+) -> tuple[F64, Bool]:
+    """``x_i C x_j`` (k,) of vertices one and two (k,) on patches row (n,) by design rows X (n, p), and whether there is such a block.
+
+    start : (m + 1,) of each patch's blocks · right : (b,) the other patch of each · weight : (b,) 0 where that is not known
+    """
+    value, shared = np.zeros(len(one)), np.zeros(len(one), np.bool_)
+    for e in range(len(one)):
+        i, j = one[e], two[e]
+        if row[i] > row[j]:
+            i, j = j, i
+        for b in range(start[row[i]], start[row[i] + 1]):
+            if right[b] == row[j] and weight[b] > 0.0:
+                shared[e] = True
+                for a in range(X.shape[1]):
+                    for c in range(X.shape[1]):
+                        value[e] += X[i, a] * cross[b, a, c] * X[j, c]
+                break
+    return value, shared
 
 
 def height_sums(
