@@ -20,8 +20,9 @@ SETTLING = 1
 SETTLED = 0.02
 #: Least sum of shares a plane is fitted to.
 FEWEST = 4.0
-#: Planes closer than this, as the sine of their angle, are one where they also lie within the noise of each other.
-SAME_SINE = 0.1
+#: Planes closer than this, as the sine of their angle, are one where they also lie within this many sigma of each other: nearly so far
+#: apart come two planes to lie that share one slab of uniform noise, where it is a little larger than believed.
+SAME_SINE, SAME_SIGMAS = 0.1, 1.25
 
 
 @leaf_kernel
@@ -58,7 +59,9 @@ def share_out(x: Any, m: Any, planes: Any, count: Any, side: Any, sigma: Any, th
     The noise lies along the normal, so a point of a piece has its foot on that piece: where a foot lies beyond the intersection that
     bounds the plane, the point is not the plane's. Along an intersection a point may be of either; all or nothing would pull the planes
     towards each other, since each would lose its points on the far side of the other. Surfaces are sampled alike, so
-    the likelihoods need no further weights; an outlier is as likely as a point at the threshold.
+    the likelihoods need no further weights; an outlier is as likely as a point at the threshold. Whether a point is one is asked of each
+    plane alone: with the likelihoods of all together, points before an edge, which no other plane explains, would count for less than
+    those behind it, and planes that meet would be drawn in.
     """
     _share_out(x, m, planes, count, side, sigma, threshold, np.empty((MOST, MOST)), np.empty(MOST), share, label)
 
@@ -72,7 +75,7 @@ def _share_out(
         for b in range(count):
             cosine[a, b] = planes[a, 0] * planes[b, 0] + planes[a, 1] * planes[b, 1] + planes[a, 2] * planes[b, 2]
     for i in range(m):
-        total, best = none, none
+        total, best = 0.0, none
         label[i] = -1
         for a in range(count):
             d[a] = distance(x[i], planes[a])
@@ -91,7 +94,8 @@ def _share_out(
                     best = share[a, i]
                     label[i] = a
         for a in range(count):
-            share[a, i] /= total
+            if share[a, i] > 0.0:
+                share[a, i] *= share[a, i] / (total * (share[a, i] + none))
 
 
 @leaf_kernel
@@ -118,7 +122,7 @@ def merge_same(planes: Any, means: Any, inverses: Any, used: Any, count: Any, si
     while k > 0:
         for j in range(k):
             c = abs(planes[j, 0] * planes[k, 0] + planes[j, 1] * planes[k, 1] + planes[j, 2] * planes[k, 2])
-            near = abs(distance(means[k], planes[j])) < sigma
+            near = abs(distance(means[k], planes[j])) < SAME_SIGMAS * sigma
             if near and np.sqrt(max(0.0, 1.0 - c * c)) < SAME_SINE:
                 count = drop_plane(planes, means, inverses, used, count, k)
                 break
@@ -132,7 +136,7 @@ def refine(
     side: Any, label: Any,
 ) -> Any:  # fmt: skip
     """Share out the points (m, 3) within ``reach`` and refit all planes, in turn until none moves (expectation and maximisation), for
-    ``rounds`` at most.
+    ``rounds`` at most, and as many again after a plane is dropped.
 
     Returns the number of planes; ``used``, ``means`` and ``inverses`` give their covariance.
     """
@@ -141,7 +145,8 @@ def refine(
     nearest_planes(x, m, planes, count, limit, label)
     bounds(x, m, label, planes, count, sigma, side)
     worst = WORSE * (pieces_cost(x, m, planes, count, side, limit, sigma, np.inf, support)[0] + count * price)
-    for step in range(rounds):
+    step = 0
+    while step < rounds:
         share_out(x, m, planes, count, side, sigma, threshold, share, label)
         moved, lost, k = 0.0, False, count - 1
         while k >= 0:
@@ -155,11 +160,14 @@ def refine(
             k -= 1
         size = count
         count = merge_same(planes, means, inverses, used, count, sigma)
-        if count < size or lost or step < SETTLING:
+        if count < size or lost:
+            step = -1  # what is left has all its rounds
+        if step < SETTLING:
             nearest_planes(x, m, planes, count, limit, label)
         elif moved < SETTLED * sigma:
             break
         bounds(x, m, label, planes, count, sigma, side)
+        step += 1
     if pieces_cost(x, m, planes, count, side, limit, sigma, worst, support)[0] + count * price > worst:
         count = at_first
         planes[:] = start

@@ -119,8 +119,44 @@ def test_shares_are_the_likelihoods(seed):
     own = ((side[None, :3, :3] * heights >= 0) | (side[None, :3, :3] == 0)).all(axis=2) & (np.abs(d) <= THRESHOLD)
     weight = np.where(own, np.exp(-0.5 * (d / SIGMA) ** 2), 0.0)
     none = np.exp(-0.5 * (THRESHOLD / SIGMA) ** 2)
-    assert np.abs(share[:3].T - weight / (none + weight.sum(axis=1, keepdims=True))).max() < 1e-12
+    expected = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300) * weight / (weight + none)
+    assert np.abs(share[:3].T - expected).max() < 1e-12
     assert np.array_equal(label, np.where(weight.max(axis=1) > none, weight.argmax(axis=1), -1))
+
+
+@pytest.mark.parametrize(("count", "inward"), [(2, -1), (2, 1), (3, -1)])
+def test_shares_pull_no_plane_off_where_planes_meet(count, inward):
+    """Planes x_a = 0 that end at each other, normal noise: the expected sum of shares times distances vanishes for each, by quadrature,
+    but for what the threshold cuts off."""
+    planes, side = np.zeros((pieces.MOST, 4)), np.zeros((pieces.MOST, pieces.MOST), np.int64)
+    planes[:count, :count] = np.eye(count)
+    side[:count, :count] = inward * (1 - np.eye(count, dtype=np.int64))
+    line = SIGMA * (np.arange(-40, 40) + 0.5) / 10  # over four sigma to either side of the planes
+    x = np.zeros((len(line) ** count, 3))
+    x[:, :count] = np.stack(np.meshgrid(*[line] * count, indexing="ij"), axis=-1).reshape(-1, count)
+    density = np.zeros(len(x))
+    for a in range(count):
+        on = np.all(np.delete(x[:, :count], a, axis=1) * inward > 0, axis=1)
+        density += on * np.exp(-0.5 * (x[:, a] / SIGMA) ** 2)
+    share, label = np.zeros((pieces.MOST, len(x))), np.empty(len(x), np.int64)
+    assignment.share_out(x, len(x), planes, count, side, SIGMA, THRESHOLD, share, label)
+    pull = (share[:count] * density) @ x[:, :count]
+    assert np.abs(np.diagonal(pull)).max() < 2e-3 * SIGMA * (share[0] * density).sum()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_two_planes_in_one_slab_become_one(seed):
+    """Also where the noise is uniform and six per cent larger than believed; what is left is the plane of its points."""
+    rng = np.random.default_rng(seed)
+    x = np.column_stack([rng.uniform(-0.5, 0.5, (600, 2)), rng.uniform(-1, 1, 600) * np.sqrt(3) * 1.06 * SIGMA])
+    planes = np.zeros((pieces.MOST, 4))
+    for k, tilt in enumerate(rng.uniform(0.02, 0.15, 2) * [1, -1]):
+        planes[k] = np.sin(tilt), 0.0, np.cos(tilt), rng.uniform(-0.5, 0.5) * SIGMA
+    means, inverses, used = np.zeros((pieces.MOST, 3)), np.zeros((pieces.MOST, 3, 3)), np.zeros(pieces.MOST)
+    side, label = np.zeros((pieces.MOST, pieces.MOST), np.int64), np.empty(len(x), np.int64)
+    assert assignment.refine(x, len(x), 0.7, planes, means, inverses, used, 2, SIGMA, THRESHOLD, 8, side, label) == 1
+    height, *slope = np.linalg.lstsq(np.column_stack([np.ones(len(x)), x[:, :2]]), x[:, 2], rcond=None)[0]
+    assert np.abs(planes[0, :2] / planes[0, 2] + slope).max() < 3e-3 and abs(planes[0, 3] / planes[0, 2] - height) < 1e-3
 
 
 @pytest.mark.parametrize("seed", SEEDS)
