@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from ladar_volume.model.errors import GroundError
-from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, Plane
 
 #: Number of coefficients by degree.
@@ -26,20 +26,13 @@ def exponents(degree: int) -> list[tuple[int, int]]:
 
 def design(xy: F64, origin_xy: F64, degree: int) -> F64:
     """Rows ``(1, dx, dy, dx², dx dy, dy², dx³, dx² dy, dx dy², dy³)`` up to the degree: (n, p) for points xy (n, 2), m."""
-    return np.asarray(design_kernel(np.ascontiguousarray(xy, dtype=np.float64), origin_xy, degree))
-
-
-@kernel
-def design_kernel(xy: F64, origin_xy: F64, degree: int) -> F64:
-    """See :func:`design`: powers by multiplication, those of the y coordinate last."""
-    out = np.ones((len(xy), (degree + 1) * (degree + 2) // 2))
-    for i in range(len(xy)):
-        x, y, c = xy[i, 0] - origin_xy[0], xy[i, 1] - origin_xy[1], 1
-        for k in range(1, degree + 1):
-            for j in range(k):  # all of one power less, times x
-                out[i, c + j] = out[i, c - k + j] * x
-            out[i, c + k] = out[i, c - 1] * y
-            c += k + 1
+    (x, y), c = (xy - origin_xy).T, 1
+    out = np.ones((len(xy), COEFFICIENTS[degree]))
+    for k in range(1, degree + 1):
+        for j in range(k):  # all of one power less, times x
+            np.multiply(out[:, c - k + j], x, out=out[:, c + j])
+        np.multiply(out[:, c - 1], y, out=out[:, c + k])
+        c += k + 1
     return out
 
 
@@ -66,6 +59,11 @@ def base_gradient(plane: Plane, xy: F64) -> F64:
     D = design_gradient(xy, plane.origin_xy, degree_of(plane))
     out: F64 = (D.reshape(-1, D.shape[2]) @ plane.beta).reshape(-1, 2)  # as one product, not one for each point
     return out
+
+
+def tilt_of(plane: Plane) -> float:
+    """Tilt of a surface at its origin, rad."""
+    return math.atan(float(np.linalg.norm(base_gradient(plane, plane.origin_xy[None])[0])))
 
 
 def design_surface(beta: Sequence[float], origin_xy: tuple[float, float] = (0.0, 0.0)) -> Plane:

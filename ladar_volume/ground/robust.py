@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import COEFFICIENTS, base_gradient, base_height, coefficients, design, solve
+from ladar_volume.ground.polynomial import COEFFICIENTS, base_height, coefficients, design, solve, tilt_of
 from ladar_volume.ground.sampling import best_candidate
 from ladar_volume.model.errors import GroundError
 from ladar_volume.model.parameters import GroundParameters
@@ -61,11 +61,6 @@ def refine(points: F64, variance: F64, start: Plane, parameters: GroundParameter
     plane = Plane(origin, beta, C_beta, np.flatnonzero(inside).astype(np.int64), float(np.sqrt(np.mean(residual**2))))
     check_tilt(plane, parameters)
     return plane
-
-
-def tilt_of(plane: Plane) -> float:
-    """Tilt of a surface at its origin, rad."""
-    return math.atan(float(np.linalg.norm(base_gradient(plane, plane.origin_xy[None])[0])))
 
 
 def check_tilt(plane: Plane, parameters: GroundParameters) -> None:

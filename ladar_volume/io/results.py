@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import degree_of
-from ladar_volume.ground.robust import tilt_of
+from ladar_volume.ground.polynomial import degree_of, tilt_of
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters

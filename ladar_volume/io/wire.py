@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from ladar_volume.ground.polynomial import degree_of
-from ladar_volume.ground.robust import tilt_of
+from ladar_volume.ground.polynomial import degree_of, tilt_of
 from ladar_volume.model.errors import CloudError
 from ladar_volume.model.records import F32, F64, I64, FilteredPoints, FilterUpdate, MappedPoints, Patches, Plane, Volume, select
 

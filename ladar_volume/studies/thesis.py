@@ -17,8 +17,8 @@ import numpy as np
 
 from ladar_volume.filtering.cloud import CloudResult, filter_cloud
 from ladar_volume.filtering.presets import PRESETS
-from ladar_volume.ground.polynomial import base_height
-from ladar_volume.ground.robust import fit_ground, tilt_of
+from ladar_volume.ground.polynomial import base_height, tilt_of
+from ladar_volume.ground.robust import fit_ground
 from ladar_volume.model.errors import SimulationError
 from ladar_volume.model.parameters import FilterParameters, GroundParameters, Parameters
 from ladar_volume.model.records import F64

@@ -14,7 +14,6 @@ from ladar_volume.ground.polynomial import (
     base_height,
     design,
     design_gradient,
-    design_kernel,
     design_surface,
     exponents,
     solve,
@@ -78,7 +77,6 @@ def test_design_rows_are_the_powers():
         dx, dy = (xy - origin).T
         rows = np.column_stack([dx**a * dy**b for a, b in exponents(degree)])
         assert design(xy, origin, degree) == pytest.approx(rows, rel=1e-13, abs=1e-13)
-        assert np.array_equal(design(xy, origin, degree), design_kernel.py_func(xy, origin, degree))
 
 
 def test_scores_of_candidates_by_their_plain_twin():
