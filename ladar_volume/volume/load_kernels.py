@@ -9,6 +9,7 @@ import numpy as np
 
 from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F32, F64, I64
+from ladar_volume.volume.patch_merge import place_from
 
 
 @kernel
@@ -20,18 +21,7 @@ def neighbour_kernel(key: I64, start: I64, cross_key: I64) -> tuple[I64, F64]:
         low = a
         for i in range(start[a], start[a + 1]):
             wanted = cross_key[i]
-            if key[low] > wanted:
-                low = 0
-            step, high = 1, low
-            while high < len(key) and key[high] < wanted:  # mostly near the one before
-                low, high, step = high, high + step, 2 * step
-            high = min(high, len(key))
-            while low < high:
-                middle = (low + high) // 2
-                if key[middle] < wanted:
-                    low = middle + 1
-                else:
-                    high = middle
+            low = place_from(key, wanted, low)  # mostly near the one before
             low = min(low, len(key) - 1)
             row[i] = low
             weight[i] = 0.0 if key[low] != wanted else 1.0 if low == a else 2.0
