@@ -11,7 +11,6 @@ from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.surface.boundary import parts_kernel
 from ladar_volume.surface.tin import any_corner, footprint_areas, vertex_mask
-from ladar_volume.volume.vicinity import within_kernel
 
 
 def components(tin: Tin, mask: Bool) -> I64:
@@ -51,7 +50,20 @@ def shares(tin: Tin, outline: Bool, found: list[Bool]) -> list[Bool]:
 
 def within(tin: Tin, mask: Bool, distance_m: float) -> Bool:
     """Vertices (n,) within ``distance_m``, horizontally, of a vertex of the triangles in ``mask``."""
-    return np.asarray(within_kernel(np.ascontiguousarray(tin.vertices[:, :2]), vertex_mask(tin, mask), float(distance_m)))
+    return near_some(tin.vertices[:, :2], vertex_mask(tin, mask), distance_m)
+
+
+def near_some(xy: F64, some: Bool, distance_m: float) -> Bool:
+    """Which places (n, 2) lie within the distance of one of ``some`` (n,); these themselves do."""
+    out = some.copy()
+    if not some.any():
+        return out
+    bound = 1.001 * distance_m + 1e-6  # the search excludes its bound
+    low, high = xy[some].min(axis=0) - bound, xy[some].max(axis=0) + bound
+    rest = np.flatnonzero(~some & ((xy > low) & (xy < high)).all(axis=1))
+    distance, _ = cKDTree(xy[some]).query(xy[rest], distance_upper_bound=bound)
+    out[rest[np.asarray(distance) <= distance_m]] = True
+    return out
 
 
 def widened(tin: Tin, body: Bool, margin_m: float) -> Bool:

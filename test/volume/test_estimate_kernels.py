@@ -10,10 +10,9 @@ from scipy.sparse.csgraph import connected_components
 from ladar_volume.model.records import Patches
 from ladar_volume.surface.relevant import edge_lengths
 from ladar_volume.surface.tin import any_corner, build_tin, footprint_areas, vertex_mask
-from ladar_volume.volume.outline import components, fill_holes, within
+from ladar_volume.volume.outline import components, fill_holes, near_some, within
 from ladar_volume.volume.patch_merge import place_from, sort_runs
 from ladar_volume.volume.patch_store import LastWord, merged_blocks, picked
-from ladar_volume.volume.vicinity import within_kernel
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +70,7 @@ def test_places_within_a_distance_of_some():
             if some.any():
                 away = np.linalg.norm(xy[:, None] - xy[None, some], axis=2).min(axis=1)
             for distance in (0.0, 0.3, 1.0, 2.0, 5.0, 60.0, 1e6):
-                assert np.array_equal(within_kernel(xy, some, distance), away <= distance)
+                assert np.array_equal(near_some(xy, some, distance), away <= distance)
 
 
 def test_holes_are_filled_with_relevant_triangles_alone(tin):
