@@ -21,7 +21,7 @@ from ladar_volume.ground.robust import fit_ground
 from ladar_volume.io.meshfiles import ENDINGS, holds_faces, read_mesh, write_mesh
 from ladar_volume.io.pointfiles import ENCODINGS
 from ladar_volume.io.results import json_text
-from ladar_volume.model.errors import ConfigurationError, InputError, OutputError, SurfaceError
+from ladar_volume.model.errors import ConfigurationError, GroundError, InputError, OutputError, SurfaceError
 from ladar_volume.model.parameters import FilterParameters, GroundParameters
 from ladar_volume.model.records import F64, I64, Bool, Plane
 from ladar_volume.surface.local import REPAIRS, LocalMeshSettings
@@ -197,7 +197,13 @@ def ground_of(arguments: argparse.Namespace, points: F64, sigma: F64) -> Plane |
     if arguments.ground == "none":
         return None
     given = given_ground(arguments)
-    return given if given is not None else fit_ground(points, sigma**2, GroundParameters(seed=arguments.seed, degree=1))
+    if given is not None:
+        return given
+    try:
+        return fit_ground(points, sigma**2, GroundParameters(seed=arguments.seed, degree=1))
+    except GroundError as error:
+        ways = "--ground Z gives a level, --ground none means a body that is seen from all sides"
+        raise GroundError(f"{arguments.source}: {error}; {ways}", reason=error.reason, value=error.value) from error
 
 
 def objects_of(arguments: argparse.Namespace, points: F64, ground: Plane, filtered: CloudResult | None) -> Objects:

@@ -15,7 +15,8 @@ from ladar_volume.cli.diff_show import show
 from ladar_volume.cli.surface_options import number
 from ladar_volume.io.meshfiles import ENDINGS, write_mesh
 from ladar_volume.io.results import json_text
-from ladar_volume.model.errors import ConfigurationError, OutputError
+from ladar_volume.model.errors import ConfigurationError, OutputError, SurfaceError
+from ladar_volume.surface.topology import watertight
 from ladar_volume.version import version
 from ladar_volume.volume.density import density, relative_errors, size_rule
 from ladar_volume.volume.excavation import Excavation, Region, Scan, by_resolution, excavate, region_of
@@ -147,7 +148,7 @@ def facts_of(found: Excavation, region: Region, noise_m: float, offset_m: float)
     return {
         "method": "two surfaces and a pole", "volume_m3": found.removed_m3, "sigma_m3": found.sigma_m3, "budget_m6": found.budget_m6,
         "interval_m3": [found.removed_m3 - 1.96 * found.sigma_m3, found.removed_m3 + 1.96 * found.sigma_m3], "coverage_factor": 1.96,
-        "watertight": True, "closed_m3": found.closed_m3, "bridged_m2": list(d.bridged_m2), "area_m2": found.area_m2,
+        "watertight": watertight(d.triangles), "closed_m3": found.closed_m3, "bridged_m2": list(d.bridged_m2), "area_m2": found.area_m2,
         "area_a_m2": d.area_a_m2, "area_b_m2": d.area_b_m2, "pole_m": d.pole_map.tolist(), "pole_spread_m3": d.pole_spread_m3,
         "ring": {"points": len(d.gap_m), "mean_gap_m": float(d.gap_m.mean()), "rms_gap_m": float(np.sqrt((d.gap_m**2).mean())),
                  "largest_gap_m": float(np.abs(d.gap_m).max())},
@@ -164,15 +165,18 @@ def bodies(arguments: argparse.Namespace, a: Part, b: Part) -> dict[str, Any]:
             raise ConfigurationError(f"--{name.replace('_', '-')} is for scans; these are closed bodies")
     sigmas = arguments.sigma, arguments.sigma if arguments.sigma_b is None else arguments.sigma_b
     budget: dict[str, float] = {}
-    volumes, spread, area, closed = [], 0.0, 0.0, []
+    volumes, spread, area, points, closed = [], 0.0, 0.0, 0, []
     for name, part, sigma in zip("ab", (a, b), sigmas, strict=True):
-        body = closed_volume(part.points, part.triangles, arguments.pole, arguments.allow_crossings)
+        try:
+            body = closed_volume(part.points, part.triangles, arguments.pole, arguments.allow_crossings)
+        except SurfaceError as error:
+            raise SurfaceError(f"{part.path}: {error}", reason=error.reason, value=error.value) from error
         variance = closed_variance(part.points, body, sigma or 0.0)
         budget[f"noise_{name}"] = np.nan if sigma is None else variance.first_m6 + variance.second_m6
         if part.transform is not None:
             budget[f"registration_{name}"] = part.transform.variance(body.gradient, part.transform.back(part.points))
         volumes.append(body.volume_m3)
-        spread, area = max(spread, body.pole_spread_m3), area + body.area_m2
+        spread, area, points = max(spread, body.pole_spread_m3), area + body.area_m2, points + body.mesh.vertices
         closed.append({"path": part.path.name, "volume_m3": body.volume_m3, "area_m2": body.area_m2, "parts": len(body.volumes_m3),
                        "turned_triangles": int(body.flipped.sum())})  # fmt: skip
     volume, sigma = volumes[0] - volumes[1], float(np.sqrt(sum(budget.values())))
@@ -180,4 +184,6 @@ def bodies(arguments: argparse.Namespace, a: Part, b: Part) -> dict[str, Any]:
         "method": "closed bodies", "volume_m3": volume, "sigma_m3": sigma, "budget_m6": budget, "watertight": True, "closed_m3": 0.0,
         "interval_m3": [volume - 1.96 * sigma, volume + 1.96 * sigma], "coverage_factor": 1.96,
         "area_m2": area, "pole_m": body.pole_map.tolist(), "pole_spread_m3": spread, "bodies": closed,
+        "size_classes": None if volume == 0.0 else relative_errors(
+            area, abs(volume), offset_m=arguments.offset, noise_m=max(s or 0.0 for s in sigmas), spacing_m=float(np.sqrt(area / points))),
     }  # fmt: skip

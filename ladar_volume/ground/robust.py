@@ -24,6 +24,10 @@ THRESHOLD_SIGMAS = 3.5
 MAX_REFITS = 50
 #: Clouds with at least twice as many points are searched on a subset of about this many, and refined as a whole.
 SEARCHED_POINTS = 50_000
+#: Least width of a surface in thicknesses, both as standard deviations; of a shapeless cloud, both are the same.
+WIDE = 2.0
+#: A layer with this many times the points of the layers of the same thickness above and below is a surface.
+CONTRAST = 1.5
 #: Threshold of the random search where none is given, m.
 COARSE_M = 0.1
 
@@ -80,7 +84,8 @@ def fit_ground(points: F64, variance: F64, parameters: GroundParameters, coarse_
 
     points : (n, 3) m, z up · variance : (n,) m², independent vertical noise · coarse_m : threshold of the random search where
     ``parameters.threshold_m`` is 0 · select : indices of the points to use. ``support`` indexes ``points``.
-    Raises :class:`GroundError` for too few or degenerate points, where no surface has enough points, and for a tilt beyond max_tilt.
+    Raises :class:`GroundError` for too few or degenerate points, where no surface has enough points, for a tilt beyond max_tilt, and for
+    points that show no surface.
     """
     chosen = np.arange(len(points), dtype=np.int64) if select is None else np.asarray(select, dtype=np.int64)
     p = points[chosen]
@@ -98,6 +103,7 @@ def fit_ground(points: F64, variance: F64, parameters: GroundParameters, coarse_
     plane = _search(p[::step], variance[chosen][::step], parameters, coarse_m)
     if step > 1:
         plane = refine(p, variance[chosen], plane, parameters, THRESHOLD_SIGMAS * plane.rms_m)
+    check_surface(p, variance[chosen], plane, parameters)
     return dataclasses.replace(plane, support=chosen[plane.support])
 
 
@@ -128,10 +134,40 @@ def _search(p: F64, variance: F64, parameters: GroundParameters, coarse_m: float
     return tried[0][2]
 
 
+def check_surface(points: F64, variance: F64, plane: Plane, parameters: GroundParameters) -> None:
+    """Refuse points that fill space: scattered about the surface as far as across it. With a given threshold that is asked of what the
+    surface grows to without it, where the layer within it is no denser than those above and below."""
+    threshold = parameters.threshold_m
+    grown = plane
+    if threshold > 0.0:
+        own, above, below = layers(points, plane, threshold)
+        if own >= CONTRAST * max(above, below):
+            return
+        try:
+            grown = refine(points, variance, plane, dataclasses.replace(parameters, threshold_m=0.0), threshold)
+        except GroundError:
+            return  # it grows into what is too steep to be ground
+    inside = points[grown.support]
+    off = inside - inside.mean(axis=0)
+    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(off.T @ off / len(off)), 0.0))
+    # a level does not follow a slope: its residuals are no thickness
+    thick, wide = min(grown.rms_m, float(spread[0])), float(spread[1])
+    if wide < WIDE * thick:
+        raise GroundError(
+            f"the points show no ground, they scatter by {thick:.3g} m about a surface {wide:.3g} m wide (standard deviations): give more "
+            "of the ground around the body, or its level", reason="ground_no_surface", value=wide / thick,
+        )  # fmt: skip
+
+
+def layers(points: F64, plane: Plane, threshold_m: float) -> tuple[int, int, int]:
+    """How many points lie within the threshold of a surface, and how many in the layers of the same thickness above and below."""
+    r = points[:, 2] - base_height(plane, points[:, :2])
+    above, below = (int(np.count_nonzero((side > threshold_m) & (side <= 3.0 * threshold_m))) for side in (r, -r))
+    return int(np.count_nonzero(np.abs(r) <= threshold_m)), above, below
+
+
 def bottom_layer(points: F64, plane: Plane, threshold_m: float) -> bool:
     """Whether the points about a surface are a layer of their own at the bottom of denser clutter: half as many again as in the layer of
     the same thickness above, and four times as many as in that below. Rough ground has equally many on both sides."""
-    r = points[:, 2] - base_height(plane, points[:, :2])
-    own = np.count_nonzero(np.abs(r) <= threshold_m)
-    above, below = (np.count_nonzero((side > threshold_m) & (side <= 3.0 * threshold_m)) for side in (r, -r))
+    own, above, below = layers(points, plane, threshold_m)
     return bool(own >= 1.5 * above and own >= 4.0 * below)

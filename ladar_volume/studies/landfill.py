@@ -27,6 +27,7 @@ from ladar_volume.studies.landfill_scene import (
     scan,
     tacheometer,
 )
+from ladar_volume.surface.topology import watertight
 from ladar_volume.volume.density import Density, density, relative_errors, weighed_mass
 from ladar_volume.volume.excavation import Excavation, Region, Scan, beam_noise, by_resolution, excavate
 from ladar_volume.volume.resolution import ResolutionSeries, thin
@@ -167,7 +168,10 @@ def summary(study: Study) -> dict[str, Any]:
     inside = [b.rho.interval_kg_m3[0] <= b.true_kg_m3 <= b.rho.interval_kg_m3[1] for b in every]
     s = study.resolution
     return {
-        "bodies": len(every), "bias_pct": float(error.mean()), "spread_pct": spread(error),
+        "bodies": len(every), "true_m3": [b.true_m3 for b in every], "volume_m3": [b.found.removed_m3 for b in every],
+        "sigma_m3": [b.found.sigma_m3 for b in every], "closed_m3": [b.found.closed_m3 for b in every],
+        "watertight": all(watertight(b.found.between.triangles) for b in every),
+        "bias_pct": float(error.mean()), "spread_pct": spread(error),
         "predicted_sigma_pct": float(np.sqrt((sigma**2).mean())), "coverage_95": float(np.mean(np.abs(normal) <= 1.96)),
         "pole_spread": max(b.found.between.pole_spread_m3 / b.true_m3 for b in every),
         "published_bias_pct": float(published.mean()), "published_spread_pct": spread(published),

@@ -25,7 +25,7 @@ from ladar_volume.model.records import F64
 from ladar_volume.studies import thesis_scene as scene
 from ladar_volume.surface.local import BOX, FOUNTAIN, REPAIRS, SPHERE, LocalMesh, LocalMeshSettings, mesh_cloud
 from ladar_volume.surface.topology import edge_table, orient
-from ladar_volume.volume.bodies import body_of
+from ladar_volume.volume.bodies import body_of, cloud_uncertainty
 from ladar_volume.volume.tetrahedra import signed_tetrahedra
 
 #: Largest gap that the package's own way closes, m; and what the ground is searched with: Table 9.1's threshold, T = 1000.
@@ -45,13 +45,14 @@ class Mode:
 
 @dataclass(frozen=True)
 class OwnBody:
-    """The package's own way. points, vertices, triangles · volume_m3 : corrected · uncorrected_m3 : without edges and curvature ·
-    watertight · euler : V − E + F of the closed mesh · closed_m3 · seconds"""
+    """The package's own way. points, vertices, triangles · volume_m3 : corrected · sigma_m3 · uncorrected_m3 : without edges and
+    curvature · watertight · euler : V − E + F of the closed mesh · closed_m3 · seconds"""
 
     points: int
     vertices: int
     triangles: int
     volume_m3: float
+    sigma_m3: float
     uncorrected_m3: float
     watertight: bool
     euler: int
@@ -130,9 +131,10 @@ def own_way(points: F64) -> OwnBody:
     mesh = mesh_cloud(filtered.r, filtered.normal)
     body = body_of(mesh.vertices, largest_part(mesh), filtered.normal, filtered.curved, CLOSE_M, allow_crossings=True)
     seconds = time.perf_counter() - began
+    sigma = float(cloud_uncertainty([body], [np.arange(len(filtered.r))], points, filtered, None).sigma_m3[0])
     closed = body.closed.mesh
     return OwnBody(
-        len(filtered.r), closed.vertices, len(closed.triangles), body.volume_m3, body.uncorrected_m3, len(closed.boundary) == 0,
+        len(filtered.r), closed.vertices, len(closed.triangles), body.volume_m3, sigma, body.uncorrected_m3, len(closed.boundary) == 0,
         closed.euler, body.closed_m3, seconds,
     )  # fmt: skip
 
@@ -203,7 +205,7 @@ def summary(study: Study) -> dict[str, Any]:
             "triangles": {way: float(np.mean([b.modes[way].triangles for b in bodies])) for way in REPAIRS},
             "filtered": float(np.mean([b.filtered for b in bodies])),
             "watertight": all(b.own.watertight for b in bodies), "euler": [b.own.euler for b in bodies],
-            "closed_m3": [b.own.closed_m3 for b in bodies],
+            **{name: [getattr(b.own, name) for b in bodies] for name in ("volume_m3", "sigma_m3", "closed_m3")},
         }  # fmt: skip
     facts["fields"] = {name: dataclasses.asdict(f) for name, f in study.fields.items()}
     return facts

@@ -91,6 +91,13 @@ def edge_table(triangles: I32) -> tuple[I64, I64, I64]:
     return order, np.concatenate([[0], new, [len(order)]]).astype(np.int64), key
 
 
+def watertight(triangles: I32) -> bool:
+    """Whether triangles (m, 3) have no boundary: every edge is run through as often one way as the other."""
+    order, start, _ = edge_table(triangles)
+    way = np.where(triangles < triangles[:, [1, 2, 0]], 1, -1).ravel()[order]
+    return len(triangles) > 0 and not np.add.reduceat(way, start[:-1]).any()
+
+
 @kernel
 def spread_kernel(neighbour: I32, agrees: Bool, part: I32, turned: Bool) -> int:
     """Number the parts and mark triangles to turn so that each agrees with the first of its part; -1, or a triangle that cannot agree."""

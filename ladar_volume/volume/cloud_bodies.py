@@ -19,6 +19,8 @@ from ladar_volume.volume.bodies import Body, body_of
 CLOSE = 2.0
 #: Least height of an object's points in sigmas of the raw noise: ground points within it can come to lie on a wall drawn on beyond its end.
 CLEAR = 2.0
+#: Fewest points at different places that are a body.
+FEWEST = 4
 #: A part of the mesh that has fewer triangles than this share of all, and is open or tiny, is a stray piece.
 STRAY = 0.02
 
@@ -61,7 +63,10 @@ def cloud_bodies(
     o = options or BodyOptions()
     many = int(label.max(initial=-1)) + 1
     if many == 0:
-        raise VolumeError("no body: no point stands above the ground", reason="volume_no_body")
+        raise VolumeError(
+            "no body: no point stands above the ground; give the ground, or ask for less height or fewer points of an object",
+            reason="volume_no_body",
+        )
     made = []
     for number in range(many):
         step(number, many)
@@ -80,6 +85,12 @@ def _body(
 ) -> tuple[Body, LocalMesh, int]:  # fmt: skip
     """The body of some of the points, its mesh, and how many triangles were left out."""
     mesh = mesh_cloud(points[rows], None if normals is None else normals[rows], o.mesh)
+    places = len(rows) - int(mesh.report["duplicates"])
+    if places < FEWEST:
+        raise SurfaceError(
+            f"{places} points at different places are no body: scan it more densely, or ask for more points of an object (--min-points)",
+            reason="mesh_points", value=places,
+        )  # fmt: skip
     close_m = o.close_m or CLOSE * float(mesh.report["radius_m"])
     triangles, left = without_stray(mesh)
     body = body_of(

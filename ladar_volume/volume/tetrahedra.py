@@ -12,12 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.model.errors import VolumeError
+from ladar_volume.model.errors import SurfaceError, VolumeError
 from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, I32, Bool
 from ladar_volume.model.se3 import skew
 from ladar_volume.surface.intersections import check_simple
 from ladar_volume.surface.topology import Oriented, check_closed, check_mesh, edge_table, orient
+
+#: A mesh whose faces lie no farther apart than so many roundings of its coordinates encloses nothing.
+FLAT = 64.0
 
 
 @dataclass(frozen=True)
@@ -109,7 +112,7 @@ def closed_volume(vertices: F64, triangles: I32, pole_map: F64 | None = None, al
     vertices : (n, 3) m, map frame · triangles : (m, 3) · pole_map : (3,) m, default the middle of the vertices' box. Parts are oriented
     outward, cavities inward. ``allow_crossings``: do not search for triangles that cross; space they enclose twice counts twice. Raises
     :class:`SurfaceError` (see :func:`~ladar_volume.surface.topology.orient`; mesh_open for a mesh with a boundary,
-    mesh_self_intersecting) and :class:`VolumeError` for a pole that is not three finite numbers.
+    mesh_self_intersecting, mesh_flat for one that encloses nothing) and :class:`VolumeError` for a pole that is not three finite numbers.
     """
     v, _ = check_mesh(vertices, triangles)
     mesh = orient(v, triangles)
@@ -121,7 +124,8 @@ def closed_volume(vertices: F64, triangles: I32, pole_map: F64 | None = None, al
     pole = poles[0] if pole_map is None else np.asarray(pole_map, dtype=np.float64)
     if pole.shape != (3,) or not np.isfinite(pole).all():
         raise VolumeError("a pole is three finite numbers", reason="volume_pole", value=pole_map)
-    raw = part_sums(mesh, signed_tetrahedra(v, mesh.triangles, pole))
+    raw = part_sums(mesh, signed_tetrahedra(v, mesh.triangles, poles[0]))
+    check_thick(v, mesh, raw)
     turn = (np.where(raw < 0, -1.0, 1.0) != part_signs(v, mesh, raw))[mesh.part]
     out = mesh.triangles.copy()
     out[turn] = mesh.triangles[turn][:, [0, 2, 1]]
@@ -131,6 +135,19 @@ def closed_volume(vertices: F64, triangles: I32, pole_map: F64 | None = None, al
     spread = max(abs(float(signed_tetrahedra(v, out, q).sum()) - total) for q in poles)
     gradient = tetrahedra_gradient(v, out, poles[0])
     return ClosedVolume(total, volumes, gradient, surface_area(v, out), pole, spread, mesh, mesh.flipped)
+
+
+def check_thick(vertices: F64, mesh: Oriented, volumes: F64) -> None:
+    """Raises :class:`SurfaceError` (mesh_flat; value: m) where no part, volumes (k,) m³, is thicker on the mean than coordinates round."""
+    p = vertices[mesh.triangles]
+    areas = part_sums(mesh, 0.5 * np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1))
+    least = FLAT * float(np.spacing(np.abs(p).max()))
+    if not (2.0 * np.abs(volumes) > least * areas).any():
+        thickness = float(np.max(2.0 * np.abs(volumes) / np.maximum(areas, 1e-300)))
+        raise SurfaceError(
+            f"the closed mesh is flat, {thickness:.1e} m thick: it encloses no volume. Check the mesh's coordinates and units, or give "
+            "more of the body", reason="mesh_flat", value=thickness,
+        )  # fmt: skip
 
 
 def part_sums(mesh: Oriented, values: F64) -> F64:

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from closed_meshes import CUBE_T, CUBE_V, sphere
+from closed_meshes import CUBE_T, CUBE_V, moebius, sphere
 
 from ladar_volume.cli.main import main
 from ladar_volume.io.meshfiles import holds_faces, read_mesh, write_mesh
@@ -122,3 +122,49 @@ def test_contradictions_of_a_cloud_are_refused(cloud, tmp_path, capsys):
         assert say in capsys.readouterr().err
     with pytest.raises(SystemExit):
         main(["body", str(cloud), "-o", out, "--ground", "1,2"])
+
+
+def refusal(capsys, *words):
+    """What the verb says, in one line."""
+    assert main(["body", *map(str, words)]) == 2
+    out, err = capsys.readouterr()
+    assert err.startswith("ladar_volume: ") and err.count("\n") == 1 and "watertight" not in out
+    return err
+
+
+def test_bad_meshes_are_refused_in_one_line(tmp_path, capsys):
+    out = tmp_path / "o.ply"
+    twice = np.concatenate([CUBE_V, CUBE_V + 0.4])
+    for name, v, t, say in (
+        ("double", CUBE_V, np.concatenate([CUBE_T, CUBE_T[:1]]), "remove double or inner faces"),
+        ("strip", *moebius(), "not orientable"),
+        ("crossed", twice, np.concatenate([CUBE_T, CUBE_T + 8]), "repair it, or join the bodies"),
+        ("flat", CUBE_V * [1, 1, 0], CUBE_T, "encloses no volume"),
+        ("open", CUBE_V, CUBE_T[2:], "--close"),
+        ("corner", CUBE_V, np.where(CUBE_T == 7, 6, CUBE_T), "weld the mesh"),
+    ):
+        path = tmp_path / f"{name}.off"
+        write_mesh(path, v, t)
+        error = refusal(capsys, path, "-o", out)
+        assert say in error and f"{name}.off" in error and not out.exists()
+    (tmp_path / "empty.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n")
+    assert "no face" in refusal(capsys, tmp_path / "empty.obj", "-o", out)
+
+
+def test_clouds_without_a_body_are_refused_in_one_line(cloud, tmp_path, capsys):
+    rng = np.random.default_rng(7)
+    blob, few, flat, out = (tmp_path / name for name in ("blob.ply", "few.xyz", "flat.ply", "o.ply"))
+    write_cloud(blob, rng.normal(size=(3000, 3)))
+    write_cloud(few, CUBE_V[:3])
+    write_cloud(flat, np.column_stack([rng.uniform(-2, 2, (3000, 2)), 0.01 * rng.normal(size=3000)]))
+    error = refusal(capsys, blob, "-o", out, "--no-filter")
+    assert "show no ground" in error and "--ground none" in error and "blob.ply" in error
+    for words, say in (
+        ((blob,), "blob.ply"), ((blob, "--no-filter", "--ground", "none"), "close more"), ((few,), "few.xyz"),
+        ((few, "--no-filter"), "no point stands above the ground"), ((few, "--no-filter", "--ground", "none"), "no bod"),
+        ((flat,), "no point stands above the ground"), ((flat, "--ground", "5"), "no point stands above the ground"),
+        ((cloud, "--polygon", "9,9", "10,9", "10,10"), "nothing rises"), ((cloud, "--polygon", "0,0", "1,1"), "three"),
+        ((cloud, "--polygon", "0,0", "1,1", "2,2"), "no area"), ((cloud, "--pick=30,0,0"), "pick on it"),
+    ):  # fmt: skip
+        assert say in refusal(capsys, words[0], "-o", out, *words[1:])
+    assert not out.exists()

@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from closed_meshes import moebius
 
 from benchmarks.pits import PITS, pit, rim
 from ladar_volume.cli.main import main
@@ -153,6 +154,13 @@ def test_closed_meshes_are_compared_as_bodies(tmp_path, capsys):
     assert "closed body" in refusal(capsys, tmp_path / "big.obj", tmp_path / "open.off")
     assert "for scans" in refusal(capsys, tmp_path / "big.obj", tmp_path / "small.stl", "--scanner", "0,0,0")
     assert "sigma" in refusal(capsys, tmp_path / "big.obj", tmp_path / "small.stl", "--mass", "1", "--mass-sigma", "1")
+    for name, v, t, say in (
+        ("flat.off", cube * [1, 1, 0], faces, "encloses no volume"), ("double.off", cube, np.r_[faces, faces[:1]], "remove double"),
+        ("strip.off", *moebius(), "not orientable"), ("crossed.off", np.r_[cube, cube + np.array([0.4, 0.3, 0.2])], np.r_[faces, faces + 8], "repair it"),
+    ):  # fmt: skip
+        write_mesh(tmp_path / name, v, t.astype(np.int32))
+        error = refusal(capsys, tmp_path / "big.obj", tmp_path / name)
+        assert say in error and name in error
 
 
 def test_refusals(scans, tmp_path, capsys):

@@ -50,11 +50,15 @@ def test_errors_are_one_line(files, tmp_path, capsys):
     bare = tmp_path / "bare.csv"
     write_cloud(bare, CENTRES, {})
     two = sphere_file(tmp_path / "two.csv", CENTRES[:2], 3)
+    row, mast = np.outer(np.arange(4.0), [3, 4, 1]), np.outer(np.arange(3.0), [0, 0, 2]) + np.array([5.0, 5, 1])
+    lines = [sphere_file(tmp_path / f"row{k}.csv", row + k, 4 + k) for k in range(2)]
+    masts = [sphere_file(tmp_path / f"mast{k}.csv", mast + k, 6 + k) for k in range(2)]
     few = tmp_path / "few.csv"
     write_cloud(few, CENTRES, {"sphere": np.zeros(6, int)})
     for pair, extra, text in (
         ((files[0], bare), [], "column 'sphere'"), ((files[0], two), [], "needs 3 common spheres"), ((files[0], few), [], "sphere 0: 6 points"),
-        (files, ["--apply", str(bare)], "go together"),
+        (files, ["--apply", str(bare)], "go together"), (lines, [], "line"), (masts, ["--levelled"], "one line"),
+        ((tmp_path / "none.csv", files[1]), [], "no such file"), (files, ["--radius", "-1"], "radius"),
     ):  # fmt: skip
         assert main(["register", *map(str, pair), *extra]) == 2
         error = capsys.readouterr().err

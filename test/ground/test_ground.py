@@ -166,6 +166,28 @@ def test_refusals(points, degree, reason):
     assert caught.value.reason == reason
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("options", [{}, {"degree": 0}, {"degree": 2}, {"threshold_m": 0.1}, {"below_weight": 0.0, "threshold_m": 0.2}])
+def test_points_that_fill_space_show_no_ground(seed, options):
+    rng = np.random.default_rng(seed)
+    ball = rng.standard_normal((4000, 3))
+    for points in (ball, 3.0 * ball, rng.uniform(-1, 1, (4000, 3)), ball * [8.0, 1.0, 1.0], np.r_[ball, ball + np.array([7.0, 0, 0])]):
+        with pytest.raises(GroundError) as caught:
+            fit(points, **options)
+        assert caught.value.reason in ("ground_no_surface", "ground_no_consensus", "ground_tilt")
+
+
+def test_what_a_surface_may_be_like():
+    narrow = ground(2000, noise=0.03, half=0.15)
+    assert fit(narrow).rms_m == pytest.approx(0.03, rel=0.1)
+    slope = ground(2000, noise=0.01) * [1, 0.1, 1]
+    slope[:, 2] = 0.3 * slope[:, 0]
+    assert fit(slope, 0).rms_m > slope[:, 1].std()  # a level does not follow it, but it is a surface
+    stairs = ground(3000, noise=0.005)
+    stairs[:, 2] = 0.17 * np.floor(stairs[:, 0] / 8.0) + stairs[:, 2] - base_height(design_surface(COEFFICIENTS[1]), stairs[:, :2])
+    assert fit(stairs, 0, threshold_m=0.02).rms_m < 0.01
+
+
 def test_a_conic_does_not_define_a_quadric():
     a = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     for degree in (2, 3):

@@ -126,6 +126,7 @@ def test_tables_and_figures_have_every_number(study, tmp_path, monkeypatch, caps
     assert cli.main(["study", "landfill", "--seeds", "1", "-o", str(tmp_path / "out"), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["study"] == "landfill" and facts["bodies"] == 6 and facts["pole_spread"] < 1e-9
+    assert facts["watertight"] is True and len(facts["volume_m3"]) == len(facts["sigma_m3"]) == len(facts["closed_m3"]) == 6
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["errors.png", "resolution.png", "section.png", "study.json", "tables.md"]
     assert cli.main(["study", "landfill", "--seeds", "1"]) == 0
     assert "predicted sigma" in capsys.readouterr().out

@@ -78,6 +78,7 @@ def test_tables_figure_and_verb(study, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(thesis, "run", lambda seeds, large, progress: study)
     assert cli.main(["study", "thesis", "--seeds", "1", "-o", str(tmp_path / "out"), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
+    assert facts["box"]["volume_m3"] == pytest.approx([1.0], abs=0.01) and 0.001 < facts["box"]["sigma_m3"][0] < 0.01
     assert facts["box"]["watertight"] is True and facts["sphere"]["euler"] == [2]
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["study.json", "tables.md", "volumes.png"]
     assert cli.main(["study", "thesis", "--seeds", "1"]) == 0

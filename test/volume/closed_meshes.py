@@ -31,6 +31,19 @@ def torus(rows=40, columns=24, R=2.0, r=0.6, twist=0):
     return grid_mesh(rows, columns, place, twist)
 
 
+def moebius():
+    """A strip of 24 triangles with one side only."""
+    n = 12
+    a = 2 * np.pi * np.arange(n) / n
+    rim = [np.stack([(2 + s * np.cos(a / 2)) * np.cos(a), (2 + s * np.cos(a / 2)) * np.sin(a), s * np.sin(a / 2)], axis=1) for s in (-0.5, 0.5)]
+    t = []
+    for i in range(n):
+        j = (i + 1) % n
+        low, high = (j, n + j) if j else (n, 0)
+        t += [[i, low, n + i], [low, high, n + i]]
+    return np.concatenate(rim), np.array(t)
+
+
 def sphere(n=2000, radius=1.0, rng=None):
     """A convex mesh through points on a sphere, evenly spread or random, from the package's own spherical triangulation with its gap closed."""
     from ladar_volume.surface.spherical import build_spherical

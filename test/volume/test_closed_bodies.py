@@ -197,6 +197,11 @@ def test_what_is_no_body_is_refused():
     with pytest.raises(SurfaceError, match="body 1: a gap") as gap:
         cloud_bodies(flat, np.tile([0, 0, 1.0], (400, 1)), None, label, None, BodyOptions(), lambda k, many: steps.append((k, many)))
     assert gap.value.reason == "closing_gap" and steps == [(0, 2)]
+    corner = np.array([[0, 0, 1.0], [1, 0, 1], [0, 1, 1], [0, 0, 1]])
+    for points, ground in ((corner, design_surface([0.0])), (corner[:3], None), (np.ones((50, 3)), None)):
+        with pytest.raises(SurfaceError) as few:
+            cloud_bodies(points, None, None, np.zeros(len(points), np.int64), ground)
+        assert few.value.reason == "mesh_points" and few.value.value < 4
     crossed = np.concatenate([CUBE_V, CUBE_V + 0.4])
     with pytest.raises(SurfaceError) as error:
         body_of(crossed, np.concatenate([CUBE_T, CUBE_T + 8]))

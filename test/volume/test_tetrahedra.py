@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from closed_meshes import CUBE_T, CUBE_V, grid_mesh, sphere, torus
+from closed_meshes import CUBE_T, CUBE_V, grid_mesh, moebius, sphere, torus
 
 from ladar_volume.model.errors import SurfaceError, VolumeError
 from ladar_volume.model.se3 import exp_so3
-from ladar_volume.surface.topology import edge_table, orient, spread_kernel, weld
+from ladar_volume.surface.topology import edge_table, orient, spread_kernel, watertight, weld
 from ladar_volume.volume.tetrahedra import closed_variance, closed_volume, signed_tetrahedra, tetrahedra_gradient, winding_kernel
+
+
+def test_a_mesh_without_boundary_is_watertight_whichever_way_its_triangles_run():
+    assert watertight(CUBE_T) and not watertight(CUBE_T[:-1]) and not watertight(CUBE_T[:0])
+    assert watertight(np.concatenate([CUBE_T, CUBE_T[:, [0, 2, 1]]])) and not watertight(CUBE_T[:, [0, 2, 1]][:5])
 
 
 def test_the_cube_about_any_pole():
@@ -136,18 +141,6 @@ def reason(v, t):
     return caught.value.reason
 
 
-def moebius():
-    n = 12
-    a = 2 * np.pi * np.arange(n) / n
-    rim = [np.stack([(2 + s * np.cos(a / 2)) * np.cos(a), (2 + s * np.cos(a / 2)) * np.sin(a), s * np.sin(a / 2)], axis=1) for s in (-0.5, 0.5)]
-    t = []
-    for i in range(n):
-        j = (i + 1) % n
-        low, high = (j, n + j) if j else (n, 0)
-        t += [[i, low, n + i], [low, high, n + i]]
-    return np.concatenate(rim), np.array(t)
-
-
 def test_refused_meshes():
     assert reason(CUBE_V, CUBE_T[:-1]) == "mesh_open"
     assert reason(CUBE_V, np.concatenate([CUBE_T, CUBE_T[:1]])) == "mesh_non_manifold"
@@ -164,8 +157,16 @@ def test_refused_meshes():
         closed_variance(CUBE_V, closed_volume(CUBE_V, CUBE_T), np.ones(3))
 
 
-def test_a_flat_mesh_has_no_volume():
-    assert closed_volume(CUBE_V * [1, 1, 0], CUBE_T).volume_m3 == pytest.approx(0.0, abs=1e-15)
+def test_a_flat_mesh_encloses_nothing():
+    R, far = exp_so3(np.array([0.4, -0.7, 0.2])), np.array([5e5, 5.6e6, 300.0])
+    flat, thin = CUBE_V * [1, 1, 0], CUBE_V * [1, 1, 1e-6]
+    for v in (flat, flat @ R.T, flat @ R.T + far, np.zeros((8, 3)), CUBE_V * [1, 0, 0]):
+        assert reason(v, CUBE_T) == "mesh_flat"
+    assert closed_volume(thin @ R.T, CUBE_T).volume_m3 == pytest.approx(1e-6, rel=1e-9)
+    assert closed_volume(thin @ R.T + far, CUBE_T).volume_m3 == pytest.approx(1e-6, rel=2e-3)
+    # beside a body it does no harm
+    both = closed_volume(np.concatenate([CUBE_V, flat + 3.0]), np.concatenate([CUBE_T, CUBE_T + 8]))
+    assert both.volumes_m3 == pytest.approx([1.0, 0.0], abs=1e-12)
 
 
 def test_welding_closes_a_soup_of_triangles():
