@@ -34,7 +34,7 @@ from ladar_volume.volume.navigation import NavigationBins
 BAG = Path(__file__).parents[1] / "bags" / "stockpile"
 POINTS = 1_000_000
 #: What the estimate calls for the sake of sigma alone.
-PROPAGATION = ("Sources", "result_gradients", "ground_field", "budget", "vertical_sigma")
+PROPAGATION = ("Sources", "ground_inverse", "result_gradients", "ground_field", "budget", "vertical_sigma")
 #: And what it does for the bias of cut and fill near the base, which counts as the rest.
 REST = ("near_correction",)
 

@@ -60,7 +60,10 @@ def run(arguments: argparse.Namespace) -> int:
         task = bar.add_task("surveys", total=len(todo))
         coverage.run(todo, folder / coverage.FILE, arguments.workers, lambda count: bar.update(task, completed=count))
     wanted = set(todo)
-    rows = [r for r in coverage.read_rows(folder / coverage.FILE) if coverage.done([r]) <= wanted]
+    known, others = coverage.sorted_rows(folder / coverage.FILE)
+    if others:
+        Console(stderr=True).print(f"{others} surveys of another version of the study in {folder / coverage.FILE} are left out")
+    rows = [r for r in known if coverage.done([r]) <= wanted]
     found = coverage.summary(rows, scenarios)
     facts = {"study": "coverage", "limits": coverage.limits(max(counts)), "scenarios": found, "version": version()}
     write_text(folder / "tables.md", tables(found))

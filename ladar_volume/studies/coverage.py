@@ -16,8 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ladar_volume.model.errors import ConfigurationError, OutputError, SurfaceError, VolumeError
-from ladar_volume.studies.coverage_cases import ALL, LINES, SCENARIOS, SEED, SITES, VARIANTS, alone, measured
+from ladar_volume.studies.coverage_cases import ALL, BASE_SURFACE, LINES, NOISE, SCENARIOS, SEED, SITES, VARIANTS, alone, measured
 from ladar_volume.studies.coverage_engine import measured_by_engine
 from ladar_volume.version import version
 
@@ -26,6 +28,8 @@ FULL, REDUCED = (2000, 1000, 500), (200, 200, 50)
 #: Variant and first seed of surveys through the whole engine.
 ENGINE, ENGINE_SEED = "whole engine", 80_000
 FILE = "surveys.jsonl"
+#: Number of the way in which surveys are simulated and written down: those of another are not counted with.
+METHOD = 2
 #: From so many surveys on: limits of predicted over empirical sigma, and of the share (%) of intervals that hold the truth.
 LIMITS = {
     0: {"ratio": (0.85, 1.15), "holds_68_pct": (58.0, 78.0), "holds_95_pct": (90.0, 99.0)},
@@ -69,8 +73,13 @@ def do(task: Task) -> dict[str, Any]:
     try:
         result = numbers(task)
     except (SurfaceError, VolumeError) as error:
-        return {**dataclasses.asdict(task), "version": version(), "result": {}, "refused": str(error)}
-    return {**dataclasses.asdict(task), "version": version(), "result": result}
+        return {**dataclasses.asdict(task), **made_by(), "result": {}, "refused": str(error)}
+    return {**dataclasses.asdict(task), **made_by(), "result": result}
+
+
+def made_by() -> dict[str, Any]:
+    """What a line of the file must agree in to be counted."""
+    return {"version": version(), "method": METHOD}
 
 
 def numbers(task: Task) -> dict[str, Any]:
@@ -84,18 +93,24 @@ def numbers(task: Task) -> dict[str, Any]:
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
-    """The surveys in a file, those of this version; a last line that was broken off is left out. Empty where there is no file."""
-    if not path.is_file():
-        return []
-    rows = []
-    for line in path.read_text(encoding="utf-8").splitlines():
+    """The surveys in a file, those of this version and method; a last line that was broken off is left out. Empty without a file."""
+    rows, _ = sorted_rows(path)
+    return rows
+
+
+def sorted_rows(path: Path) -> tuple[list[dict[str, Any]], int]:
+    """:func:`read_rows`, and how many surveys of another version or method the file holds beside them."""
+    rows, others = [], 0
+    for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else []:
         try:
             row = json.loads(line)
         except json.JSONDecodeError:
             continue
-        if row.get("version") == version():
+        if made_by().items() <= row.items():
             rows.append(row)
-    return rows
+        else:
+            others += 1
+    return rows, others
 
 
 def done(rows: Iterable[dict[str, Any]]) -> set[Task]:
@@ -175,15 +190,27 @@ def statistics(rows: Sequence[dict[str, Any]], true_m3: float) -> dict[str, Any]
     }  # fmt: skip
 
 
-def line_statistics(rows: Sequence[tuple[dict[str, float], dict[str, float]]]) -> dict[str, dict[str, float]]:
-    """By line of the budget: predicted and empirical sigma, m³, and their ratio, from the changes (m³) by each source alone and the
-    variances (m⁶) that the survey of the same seed with all sources printed."""
+def line_statistics(rows: Sequence[tuple[dict[str, list[float]], dict[str, float]]]) -> dict[str, dict[str, float]]:
+    """By line of the budget: predicted and empirical sigma, m³, and their ratio with its standard error, from the changes (m³) by each
+    source alone over two grounds and the variances (m⁶) that the survey of the same seed with all sources printed.
+
+    What the source itself does is what both changes have in common, the mean of their product (the first-order index of Sobol, by picking
+    the source and freezing the rest). Over one ground, the mean square (with_ground_m3), it also makes another part of the roughness be
+    sampled. Noise and roughness have nothing in common over two grounds: their lines are the mean square.
+    """
     out = {}
     for line in rows[0][0]:
         predicted = math.sqrt(math.fsum(variance[line] for _, variance in rows) / len(rows))
-        found = root_mean_square([change[line] for change, _ in rows])
+        one, two = (np.array([changes[line][k] for changes, _ in rows]) for k in range(2))
+        square = 0.5 * (one * one + two * two)
+        own = square if line in (NOISE, BASE_SURFACE) else one * two
+        found = math.sqrt(max(0.0, float(own.mean())))
         ratio = predicted / found if found else math.nan
-        out[line] = {"surveys": len(rows), "predicted_m3": predicted, "empirical_m3": found, "ratio": ratio}
+        scatter = 0.5 * ratio * float(own.std()) / math.sqrt(len(rows)) / found**2 if found else math.nan
+        out[line] = {
+            "surveys": len(rows), "predicted_m3": predicted, "empirical_m3": found, "with_ground_m3": math.sqrt(float(square.mean())),
+            "ratio": ratio, "ratio_sigma": scatter,
+        }  # fmt: skip
     return out
 
 

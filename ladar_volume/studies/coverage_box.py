@@ -12,9 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.ground.adjoint import ground_gradient, ground_weights
+from ladar_volume.ground.adjoint import ground_gradient, ground_residuals
 from ladar_volume.ground.objects import ObjectParameters, find_objects
-from ladar_volume.ground.polynomial import base_height
 from ladar_volume.ground.robust import fit_ground
 from ladar_volume.model.parameters import GroundParameters, Parameters
 from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, Patches, Plane
@@ -104,7 +103,7 @@ class BoxSite:
         seen = np.flatnonzero(np.isfinite(true[:, 0]))
         return seen[one_per_cube(true[seen], self.cell_m)]
 
-    def normals_at(self, true: F64, measured: F64) -> F64:
+    def normals_at(self, true: F64) -> F64:
         """Outward unit normals (n, 3) of the faces that the rays truly hit at (n, 3) m."""
         out: F64 = np.tile(np.array([-SLOPE[0], -SLOPE[1], 1.0]) / math.sqrt(1.0 + SLOPE[0] ** 2 + SLOPE[1] ** 2), (len(true), 1))
         beyond = np.abs(true[:, :2]) - 0.5 * np.array(self.size_m[:2])
@@ -159,12 +158,11 @@ def body_on_ground(points: FilteredPoints, longest_m: float = 0.0) -> tuple[Body
 def under_body(body: Body, sources: Sources, ground: Plane) -> GroundField:
     """How the ground's deviation from its plane enters: under the body, where it is not seen, and through the fit."""
     points = sources.points
-    p, xy = body.skin.vertices, points.r_map[ground.support, :2]
+    p = body.skin.vertices
+    xy, residual, fit = ground_residuals(points.r_map, ground, body.by_ground)
     bottom = p[body.closed.mesh.triangles[body.skin.face == GROUND]]
     down = np.cross(bottom[:, 1] - bottom[:, 0], bottom[:, 2] - bottom[:, 0])[:, 2] / 2.0
-    residual = points.r_map[ground.support, 2] - base_height(ground, xy)
     rough = estimate_roughness(xy, residual, height_variance(points)[ground.support], len(ground.beta), shared_by(sources, ground.support))
-    fit = ground_weights(points.r_map, ground, body.by_ground[:, None])[:, 0]
     point = np.arange(len(bottom) + len(xy)) >= len(bottom)
     return GroundField(np.concatenate([bottom[:, :, :2].mean(axis=1), xy]), np.concatenate([-down, fit]), point, rough)
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ladar_volume.ground.polynomial import design_surface
-from ladar_volume.model.parameters import BudgetParameters, GeoreferenceParameters, Parameters, VolumeParameters
+from ladar_volume.model.parameters import BudgetParameters, FilterParameters, GeoreferenceParameters, Parameters, VolumeParameters
 from ladar_volume.model.records import Tin, Volume
 from ladar_volume.studies.coverage_box import BOX, BoxSite, ClosedBox, body_on_ground, closed_box
 from ladar_volume.studies.coverage_flight import FIX_HZ, ground_of
@@ -32,6 +32,8 @@ from ladar_volume.volume.prismoids import prismoids
 SEED = 20_000
 #: Half a margin beyond the foot, m, of the rectangle in which a volume above a level is counted.
 MARGIN_M = 1.5
+#: Between the two grounds over which one source alone errs.
+OTHER_GROUND = 1_000_000
 GROUND, LEVEL, EPOCHS, CLOSED = "own ground", "design level", "two epochs", "closed"
 SITES: dict[str, Site | BoxSite] = {**FIELDS, BOX.name: BOX}
 
@@ -62,6 +64,7 @@ def scaled(budget: BudgetParameters, sigmas: float = 1.0, tau: float = 1.0) -> B
 
 DEFAULT = BudgetParameters()
 ALL, LINES = "all", "lines"
+NOISE, BASE_SURFACE = "noise", "base_surface"
 #: Variant → the budget the errors are drawn from, and the one that is believed.
 VARIANTS: dict[str, tuple[BudgetParameters, BudgetParameters]] = {
     ALL: (DEFAULT, DEFAULT),
@@ -82,13 +85,21 @@ def bases(site: Site | BoxSite) -> tuple[str, ...]:
 
 
 def believed_parameters(budget: BudgetParameters, site: Site, base: str) -> Parameters:
-    """Parameters of the estimation: the body's automatic outline above its own ground, or a rectangle above the level 0. The rate of the
-    fixes is known, by the longest gap that is bridged."""
+    """Parameters of the estimation: the body's automatic outline above its own ground, or a rectangle above the level 0."""
     volume = VolumeParameters(max_edge_m=site.max_edge_m)
     if base == LEVEL:
         x, y = level_half(site)
         volume = dataclasses.replace(volume, base="level", outline="polygon", polygon_m=(-x, -y, x, -y, x, y, -x, y))
-    return Parameters(budget=budget, volume=volume, georeference=GeoreferenceParameters(max_position_gap_s=1.0 / FIX_HZ))
+    return dataclasses.replace(at_vertex_level(budget), volume=volume)
+
+
+def at_vertex_level(budget: BudgetParameters) -> Parameters:
+    """Parameters of a survey whose every return is a vertex. The rate of the fixes is known, by the longest gap that is bridged, and a time
+    bin is as long: a few returns for each fix do not see the same as those for the next one, as thousands would."""
+    step_s = 1.0 / FIX_HZ
+    return Parameters(
+        budget=budget, georeference=GeoreferenceParameters(max_position_gap_s=step_s), filter=FilterParameters(nav_bin_s=step_s)
+    )  # fmt: skip
 
 
 def level_half(site: Site) -> tuple[float, float]:
@@ -106,7 +117,7 @@ def truth(site: Site | BoxSite, base: str, seed: int) -> float:
 def measured(site: Site | BoxSite, drawn: BudgetParameters, believed: BudgetParameters, seed: int) -> dict[str, Row]:
     """One whole survey, or two for a difference: by base its error and what the propagation says of it."""
     if isinstance(site, BoxSite):
-        P = Parameters(budget=believed, georeference=GeoreferenceParameters(max_position_gap_s=1.0 / FIX_HZ))
+        P = at_vertex_level(believed)
         return {CLOSED: box_row(site, survey(site, drawn, P, seed), P)}
     if site.height_m < 0:
         P = believed_parameters(believed, site, EPOCHS)
@@ -153,10 +164,12 @@ def by_source(budget_m6: dict[str, float]) -> dict[str, float]:
     return out
 
 
-def epochs(site: Site, drawn: BudgetParameters, believed: BudgetParameters, seed: int) -> tuple[Flown, Flown]:
+def epochs(
+    site: Site, drawn: BudgetParameters, believed: BudgetParameters, seed: int, ground: int | None = None
+) -> tuple[Flown, Flown]:  # fmt: skip
     """Before and after: one instrument and one ground, two flights."""
     before = dataclasses.replace(site, height_m=0.0)
-    return fly(before, drawn, believed, seed, 2 * seed), fly(site, drawn, believed, seed, 2 * seed + 1)
+    return fly(before, drawn, believed, seed, 2 * seed, ground), fly(site, drawn, believed, seed, 2 * seed + 1, ground)
 
 
 def full_tin(flown: Flown, parameters: Parameters) -> Tin:
@@ -180,15 +193,15 @@ def estimator_of(flown: VertexSurvey, parameters: Parameters) -> VolumeEstimator
     return estimator
 
 
-def net_volumes(site: Site | BoxSite, drawn: BudgetParameters, seed: int) -> dict[str, float]:
-    """By base the volume alone, m³, of a survey with other errors than believed."""
+def net_volumes(site: Site | BoxSite, drawn: BudgetParameters, seed: int, ground: int | None = None) -> dict[str, float]:
+    """By base the volume alone, m³, of a survey with other errors than believed, over the ground of ``seed`` or another."""
     if isinstance(site, BoxSite):
-        return {CLOSED: body_on_ground(surface_only(fly(site, drawn, DEFAULT, seed), Parameters()))[0].volume_m3}
+        return {CLOSED: body_on_ground(surface_only(fly(site, drawn, DEFAULT, seed, ground=ground), Parameters()))[0].volume_m3}
     if site.height_m < 0:
-        before, after = (full_tin(s, believed_parameters(DEFAULT, site, EPOCHS)) for s in epochs(site, drawn, DEFAULT, seed))
+        before, after = (full_tin(s, believed_parameters(DEFAULT, site, EPOCHS)) for s in epochs(site, drawn, DEFAULT, seed, ground))
         return {EPOCHS: between(after, before, gradients=False).net_m3}
     P = believed_parameters(DEFAULT, site, GROUND)
-    points = surface_only(fly(site, drawn, DEFAULT, seed), P)
+    points = surface_only(fly(site, drawn, DEFAULT, seed, ground=ground), P)
     surface = represent(points.r_map, options_of(P), measured=False)
     plane, inside = base_and_outline(surface.tin, vertex_variance(surface, points), P)
     level, polygon = design_surface([0.0]), polygon_of(believed_parameters(DEFAULT, site, LEVEL).volume)
@@ -199,15 +212,20 @@ def net_volumes(site: Site | BoxSite, drawn: BudgetParameters, seed: int) -> dic
     return {base: volume - chord for base, volume, chord in zip((GROUND, LEVEL), volumes, chords, strict=True)}
 
 
-def alone(site: Site | BoxSite, seed: int) -> dict[str, dict[str, float]]:
-    """By base and line of the budget: the change of the volume (m³) when that source alone errs.
+def alone(site: Site | BoxSite, seed: int) -> dict[str, dict[str, list[float]]]:
+    """By base and line of the budget: the changes of the volume (m³) when that source alone errs, the same errors over two grounds of
+    their own roughness.
 
     The change is against the same survey without any error, so that what the sampling of the surface does is in both. The roughness of
     the ground is what is left without any other error: its change is the error of that survey.
     """
-    off = net_volumes(site, without(DEFAULT), seed)
-    changes = {line: net_volumes(site, without(DEFAULT, line), seed) for line in SOURCES}
-    out = {base: {line: changed[base] - volume for line, changed in changes.items()} for base, volume in off.items()}
-    for base in {GROUND, CLOSED} & set(off):
-        out[base]["base_surface"] = off[base] - truth(site, base, seed)
+    out: dict[str, dict[str, list[float]]] = {base: {} for base in bases(site)}
+    for ground in (seed, seed + OTHER_GROUND):
+        off = net_volumes(site, without(DEFAULT), seed, ground)
+        for line in SOURCES:
+            changed = net_volumes(site, without(DEFAULT, line), seed, ground)
+            for base, volume in off.items():
+                out[base].setdefault(line, []).append(changed[base] - volume)
+        for base in {GROUND, CLOSED} & set(off):
+            out[base].setdefault(BASE_SURFACE, []).append(off[base] - truth(site, base, ground))
     return out

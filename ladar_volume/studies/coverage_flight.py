@@ -125,7 +125,7 @@ class Aim:
 
 
 @lru_cache(maxsize=4)
-def hits_of(site: Site | BoxSite, seed: int, flight: int, aim: Aim) -> tuple[velodyne.Firings, Path, F64, F64]:
+def hits_of(site: Site | BoxSite, ground: int, flight: int, aim: Aim) -> tuple[velodyne.Firings, Path, F64, F64]:
     """The pulses that become vertices, the path at them, their true ranges (k,) and hits (k, 3) m: most sources leave them as they are."""
     f, path = pulses_of(site, flight)
     budget = BudgetParameters(
@@ -135,7 +135,7 @@ def hits_of(site: Site | BoxSite, seed: int, flight: int, aim: Aim) -> tuple[vel
     local = velodyne.true_directions(f, beams, budget, np.random.default_rng([flight, SPOT]))
     ray = path.rotation.apply(Rotation.from_quat(aim.rotation).apply(local))
     origin = path.position + path.rotation.apply(aim.lever)
-    true = site.ranges(origin, ray, ground_of(site, seed))
+    true = site.ranges(origin, ray, ground_of(site, ground))
     hit = origin + true[:, None] * ray
     keep = site.sampled(hit)
     kept = velodyne.Firings(f.time_s[keep], f.azimuth[keep], f.elevation[keep], f.ring[keep])

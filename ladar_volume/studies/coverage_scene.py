@@ -125,9 +125,10 @@ class Site:
         """The hits (k,) among (n, 3) m, NaN for none, that are vertices: all."""
         return np.flatnonzero(np.isfinite(true[:, 0]))
 
-    def normals_at(self, true: F64, measured: F64) -> F64:
-        """Upward unit normals (n, 3) where hits were measured (n, 3) m: the slope of the smooth surface there."""
-        return self.normals(measured[:, :2])
+    def normals_at(self, true: F64) -> F64:
+        """Upward unit normals (n, 3) of the smooth surface that the rays truly hit at (n, 3) m: as a filter's, they go where the points
+        go."""
+        return self.normals(true[:, :2])
 
     def inside(self, xy: F64) -> Bool:
         """Whether xy (n, 2) lie in the surveyed rectangle."""

@@ -130,12 +130,16 @@ def survey(site: Site | BoxSite, drawn_with: BudgetParameters, believed: Paramet
     return VertexSurvey(vertices(flown, believed), flown.states)
 
 
-def fly(site: Site | BoxSite, drawn_with: BudgetParameters, believed: BudgetParameters, seed: int, flight: int | None = None) -> Flown:
+def fly(
+    site: Site | BoxSite, drawn_with: BudgetParameters, believed: BudgetParameters, seed: int, flight: int | None = None,
+    ground: int | None = None,
+) -> Flown:  # fmt: skip
     """A flight over a site with errors drawn from one budget; the platform's covariance is that of another.
 
-    ``flight`` numbers the flight where one instrument (``seed``) flies more than once; the ground is that of ``seed``.
+    ``flight`` numbers the flight where one instrument (``seed``) flies more than once; the roughness of the ground is that of ``seed``
+    unless ``ground`` names another.
     """
-    flight = seed if flight is None else flight
+    flight, ground = (seed if number is None else number for number in (flight, ground))
     platform = uav(*site.flight_m, DURATION_S)
     mount = mounting(nominal(platform))
     drawn = Drawn.draw(drawn_with, seed, flight)
@@ -145,14 +149,14 @@ def fly(site: Site | BoxSite, drawn_with: BudgetParameters, believed: BudgetPara
         tuple(boresight.as_quat()), tuple(mount.lever_laser + drawn.lever_laser), tuple(drawn.beams.eps), b.azimuth_noise_rad,
         b.vertical_noise_rad, b.beam_divergence_rad,
     )  # fmt: skip
-    f, path, true, hit = hits_of(site, seed, flight, aim)
+    f, path, true, hit = hits_of(site, ground, flight, aim)
     rho = velodyne.measured_ranges(true, f.ring, drawn.beams, b, 0.0, noise, 0.0)
     t = f.time_s - drawn.clock_s  # the stamp that the recording gives the pulse
     stamped = Path.at(platform, t) if drawn.clock_s else path
     antenna = stamped.position + stamped.rotation.apply(mount.lever_antenna + drawn.lever_antenna) + drawn.position_at(t)
     r = map_point(antenna, stamped.measured_rotation(drawn.attitude_at(t)).as_matrix(), laser_vector(rho, f.azimuth, f.elevation), mount)
     points = MappedPoints(nanoseconds(t), r, np.zeros((len(r), 6), np.float32), f.ring, np.ones(len(r), np.float32))
-    return Flown(points, platform_states(site, drawn, mount, believed), mount, site.normals_at(hit, r))
+    return Flown(points, platform_states(site, drawn, mount, believed), mount, site.normals_at(hit))
 
 
 def nanoseconds(t: F64) -> I64:

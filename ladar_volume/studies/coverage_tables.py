@@ -63,12 +63,13 @@ def main_table(found: dict[str, Any]) -> str:
 
 
 def line_cell(line: dict[str, float] | None, total_m3: float) -> str:
-    """Ratio of one source alone with its own standard error, and its empirical sigma; no star for a source without weight."""
+    """Ratio of one source alone with its own standard error, its empirical sigma, and that with what it does over one ground; no star for
+    a source without weight."""
     if line is None:
         return ""
     low, high = limits(int(line["surveys"]))["ratio"] if line["empirical_m3"] > SLIGHT * total_m3 else (0.0, math.inf)
-    scatter = line["ratio"] / math.sqrt(2.0 * line["surveys"])
-    return f"{mark(line['ratio'], low, high, '.2f')} ± {scatter:.2f} ({line['empirical_m3']:.3g} m³)"
+    more = "" if line["with_ground_m3"] < 1.005 * line["empirical_m3"] else f"; {line['with_ground_m3']:.3g}"
+    return f"{mark(line['ratio'], low, high, '.2f')} ± {line['ratio_sigma']:.2f} ({line['empirical_m3']:.3g}{more} m³)"
 
 
 def line_table(found: dict[str, Any]) -> str:

@@ -6,14 +6,16 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ladar_volume.ground.adjoint import ground_gradient, ground_weights
+from ladar_volume.ground.adjoint import add_ground_gradient, ground_residuals
 from ladar_volume.ground.polynomial import base_height
+from ladar_volume.model.kernels import kernel
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, Patches, Plane, Tin
+from ladar_volume.model.records import F64, I32, I64, Bool, FilteredPoints, Patches, Plane, Tin
 from ladar_volume.surface.adjoint import height_covariance
 from ladar_volume.surface.represent import Represented
 from ladar_volume.surface.tin import footprint_areas
 from ladar_volume.volume.budget import GroundField, Sources
+from ladar_volume.volume.load_kernels import place_kernel
 from ladar_volume.volume.near_base import NearBase, near_base, near_triangles
 from ladar_volume.volume.prismoids import Prismoids
 from ladar_volume.volume.propagation import SurfaceGeometry
@@ -44,30 +46,24 @@ def vertex_variance(surface: Represented, points: FilteredPoints) -> F64:
     return np.where(surface.fit.adjusted, unit * around, own)
 
 
-def vertex_gradients(tin: Tin, base: Plane, solid: Prismoids) -> F64:
-    """Gradients (n, k, 3) by the vertices: of the net volume and, where the base was fitted, of each of its coefficients.
+def result_gradients(
+    tin: Tin, base: Plane, solid: Prismoids, points: int, surface: Represented | None = None, inverse: F64 | None = None
+) -> F64:
+    """Gradients (points, k, 3) by the points the TIN was built from: of the net volume and, where the base was fitted, of each of its
+    coefficients; for a partial TIN, ``surface``, through the adjustment of its heights (UNCERTAINTY step 5).
 
-    The volume's gradient holds both ways in: through the surface, and through the points that define the base (UNCERTAINTY step 2).
+    The volume's gradient holds both ways in: through the surface, and through the points that define the base (step 2). inverse :
+    :func:`~ladar_volume.ground.adjoint.ground_inverse`, where known.
     """
-    fitted = len(base.support) > 0
-    results = 1 + (len(base.beta) if fitted else 0)
-    out = np.zeros((len(tin.vertices), results, 3))
-    out[:, 0] = solid.gradient_net
-    if fitted:
-        by_beta = np.concatenate([solid.base_net[:, None], np.eye(len(base.beta))], axis=1)
-        out[base.support] += ground_gradient(tin.vertices, base, by_beta)
-    return out
-
-
-def result_gradients(tin: Tin, base: Plane, solid: Prismoids, points: int, surface: Represented | None = None) -> F64:
-    """The same (points, k, 3) by the points the TIN was built from; for a partial TIN, ``surface``, through the adjustment of its heights
-    (UNCERTAINTY step 5)."""
-    gradient = vertex_gradients(tin, base, solid)
-    if surface is not None:
-        return surface.by_points(gradient, points)
-    out = np.zeros((points, *gradient.shape[1:]))
-    out[tin.source] = gradient
-    return out
+    adjusted = surface is not None and surface.fit is not None
+    place, rows = (np.arange(len(tin.vertices)), len(tin.vertices)) if adjusted else (tin.source, points)
+    p = len(base.beta) if len(base.support) else 0
+    out = np.zeros((rows, 1 + p, 3))
+    place_kernel(solid.gradient_cut, solid.gradient_fill, place, out)
+    if p:
+        by_beta = np.concatenate([solid.base_net[:, None], np.eye(p)], axis=1)
+        add_ground_gradient(out, place, tin.vertices, base, by_beta, inverse)
+    return out if surface is None or not adjusted else surface.by_points(out, points)
 
 
 def near_correction(
@@ -102,23 +98,38 @@ def shared_by(sources: Sources, points: I64) -> Callable[[I64], F64]:
 
 
 def ground_field(
-    tin: Tin, base: Plane, solid: Prismoids, inside_m2: F64, height_variance: F64, sources: Sources | None = None
-) -> GroundField | None:
+    tin: Tin, base: Plane, solid: Prismoids, inside_m2: F64, height_variance: F64, sources: Sources | None = None,
+    inverse: F64 | None = None,
+) -> GroundField | None:  # fmt: skip
     """How the deviation of the ground from the fitted base enters the volume; None above a design surface.
 
     It enters with the area (inside_m2 (m,), at triangle centroids) inside the outline, and with the fit's weights at the ground
     points. height_variance (n,) m²: independent noise of the vertices, which is not roughness; nor is what calibration and navigation did
-    to the points of ``sources`` that the TIN was built from.
+    to the points of ``sources`` that the TIN was built from. inverse : :func:`~ladar_volume.ground.adjoint.ground_inverse`, where known.
     """
     if len(base.support) == 0:
         return None
-    ground = tin.vertices[base.support]
-    residual = ground[:, 2] - base_height(base, ground[:, :2])
+    ground, residual, fit = ground_residuals(tin.vertices, base, solid.base_net, inverse)
     shared = None if sources is None else shared_by(sources, tin.source[base.support])
-    rough = estimate_roughness(ground[:, :2], residual, height_variance[base.support], len(base.beta), shared)
-    fit = ground_weights(tin.vertices, base, solid.base_net[:, None])[:, 0]
-    rows = np.flatnonzero(inside_m2 > 0)
-    t, xy = tin.triangles[rows], np.ascontiguousarray(tin.vertices[:, :2])
-    middle = (xy[t[:, 0]] + xy[t[:, 1]] + xy[t[:, 2]]) / 3.0
-    point = np.arange(len(rows) + len(ground)) >= len(rows)
-    return GroundField(np.concatenate([middle, ground[:, :2]]), np.concatenate([inside_m2[rows], fit]), point, rough)
+    rough = estimate_roughness(ground, residual, height_variance[base.support], len(base.beta), shared)
+    xy, weight = under_kernel(tin.vertices, tin.triangles, inside_m2, ground, fit)
+    return GroundField(xy, weight, np.arange(len(xy)) >= len(xy) - len(ground), rough)
+
+
+@kernel
+def under_kernel(vertices: F64, triangles: I32, inside_m2: F64, ground: F64, fit: F64) -> tuple[F64, F64]:
+    """Centroids (r + s, 2) and areas (r + s,) of the triangles (m, 3) with an area inside_m2 (m,), then the ground (s, 2) and its weights
+    (s,)."""
+    count = 0
+    for t in range(len(triangles)):
+        if inside_m2[t] > 0.0:
+            count += 1
+    xy, weight, row = np.empty((count + len(ground), 2)), np.empty(count + len(ground)), 0
+    for t in range(len(triangles)):
+        if inside_m2[t] > 0.0:
+            a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
+            xy[row, 0], xy[row, 1], weight[row] = (a[0] + b[0] + c[0]) / 3.0, (a[1] + b[1] + c[1]) / 3.0, inside_m2[t]
+            row += 1
+    for i in range(len(ground)):
+        xy[row + i, 0], xy[row + i, 1], weight[row + i] = ground[i, 0], ground[i, 1], fit[i]
+    return xy, weight

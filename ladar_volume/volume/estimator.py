@@ -9,6 +9,7 @@ from statistics import NormalDist
 
 import numpy as np
 
+from ladar_volume.ground.adjoint import ground_inverse
 from ladar_volume.model.errors import SurfaceError, VolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
@@ -127,11 +128,12 @@ class VolumeEstimator:
     ) -> Estimate:
         sources = Sources(points, patches, self._navigation, self.parameters)
         parts = area_by_body(surface.tin, base, inside, self.parameters.volume)
+        inverse = ground_inverse(surface.tin.vertices, base) if len(base.support) else None
 
         def solved(part: F64) -> tuple[Prismoids, Budget]:
             solid = self._solid(surface.tin, base, part)
-            gradients = result_gradients(surface.tin, base, solid, len(points), surface)
-            return solid, sources.budget(gradients, ground_field(surface.tin, base, solid, part, height_variance, sources))
+            gradients = result_gradients(surface.tin, base, solid, len(points), surface, inverse)
+            return solid, sources.budget(gradients, ground_field(surface.tin, base, solid, part, height_variance, sources, inverse))
 
         def near(part: F64) -> NearBase | None:
             return near_correction(surface, base, part, points, patches, sources.geometry)

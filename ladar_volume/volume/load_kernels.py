@@ -29,6 +29,16 @@ def neighbour_kernel(key: I64, start: I64, cross_key: I64) -> tuple[I64, F64]:
 
 
 @kernel
+def place_kernel(cut: F64, fill: F64, place: I64, out: F64) -> None:
+    """``cut − fill`` (n, 3) as the first of k results into out (m, k, 3), each row to its place (n,) there, none below zero."""
+    for i in range(len(place)):
+        at = place[i]
+        if at >= 0:
+            for c in range(3):
+                out[at, 0, c] = cut[i, c] - fill[i, c]
+
+
+@kernel
 def load_kernel(gradient: F64, normal: F64, tangent: F64, X: F64, row: I64) -> F64:
     """Loads (m, p + 2, k) of k results: gradients (n, k, 3) along the normals (m, 3) of the points' patches row (n,) times design rows
     X (n, p), then along their tangents (m, 3) and binormals."""
@@ -50,32 +60,39 @@ def load_kernel(gradient: F64, normal: F64, tangent: F64, X: F64, row: I64) -> F
 
 
 @kernel
-def cross_kernel(q: F64, left: I64, right: I64, weight: F64, cross: F64) -> F64:
-    """``Σ weight q_leftᵀ C q_right`` (k, k) over blocks C (b, p, p) of patches left (b,), ascending, and right (b,) with loads q (m, p or
-    more, k), of which the first p count."""
+def cross_kernel(q: F64, four: F64, start: I64, right: I64, weight: F64, cross: F64) -> F64:
+    """``Σ weight q_leftᵀ C f_right`` (k, 4) over the blocks C (b, p, p) of each patch from start (m + 1,) on, with patches right (b,), with
+    loads q (m, p or more, k), of which the first p count, and f (m, p, 4): as many sums as stay in registers."""
     m, p, results = len(q), cross.shape[1], q.shape[2]
-    loaded = np.zeros(m, np.bool_)
-    for i in range(m):
-        loaded[i] = (q[i, :p] != 0.0).any()
-    out, summed = np.zeros((results, results)), np.zeros((p, results))
-    i = 0
-    while i < len(left):
-        a = left[i]
+    loaded, out, summed = np.zeros(m, np.bool_), np.zeros((results, 4)), np.zeros((p, 4))
+    for a in range(m):
+        for r in range(p):
+            for k in range(results):
+                loaded[a] |= q[a, r, k] != 0.0
+    for a in range(m):
+        if not loaded[a]:
+            continue
         summed[:] = 0.0
-        while i < len(left) and left[i] == a:
-            if weight[i] != 0.0 and loaded[a] and loaded[right[i]]:
-                C, load, w = cross[i], q[right[i]], weight[i]
-                for r in range(p):
-                    for c in range(p):
-                        f = w * C[r, c]
-                        for k in range(results):
-                            summed[r, k] += f * load[c, k]
-            i += 1
-        if loaded[a]:
+        for i in range(start[a], start[a + 1]):
+            b, w = right[i], weight[i]
+            if w == 0.0 or not loaded[b]:
+                continue
             for r in range(p):
-                for k in range(results):
-                    for j in range(results):
-                        out[k, j] += q[a, r, k] * summed[r, j]
+                s0 = s1 = s2 = s3 = 0.0
+                for c in range(p):
+                    f = cross[i, r, c]
+                    s0 += f * four[b, c, 0]
+                    s1 += f * four[b, c, 1]
+                    s2 += f * four[b, c, 2]
+                    s3 += f * four[b, c, 3]
+                summed[r, 0] += w * s0
+                summed[r, 1] += w * s1
+                summed[r, 2] += w * s2
+                summed[r, 3] += w * s3
+        for r in range(p):
+            for k in range(results):
+                for j in range(4):
+                    out[k, j] += q[a, r, k] * summed[r, j]
     return out
 
 

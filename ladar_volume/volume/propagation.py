@@ -79,7 +79,12 @@ def patch_loads(gradient: F64, patches: Patches, geometry: SurfaceGeometry) -> F
 def independent_covariance(q: F64, patches: Patches, geometry: SurfaceGeometry) -> F64:
     """Covariance (k, k) of k results from the independent noise of the returns: ``Σ_ab q_aᵀ C_ab q_b`` over all pairs of patches, with the
     loads on their parameters."""
-    half = cross_kernel(q, geometry.left, geometry.right, geometry.weight, patches.cross)
+    (m, _, k), p = q.shape, patches.cross.shape[1]
+    half = np.empty((k, k))
+    for j in range(0, k, 4):
+        four, these = np.zeros((m, p, 4)), min(4, k - j)
+        four[:, :, :these] = q[:, :p, j : j + 4]
+        half[:, j : j + 4] = cross_kernel(q, four, patches.cross_start, geometry.right, geometry.weight, patches.cross)[:, :these]
     out: F64 = 0.5 * (half + half.T)  # the transposed pairs
     return out
 

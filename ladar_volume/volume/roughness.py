@@ -18,7 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import irfft2, next_fast_len, rfft2
+from scipy.fft import dctn, next_fast_len, rfft2
 
 from ladar_volume.ground.polynomial import COEFFICIENTS, design
 from ladar_volume.model.kernels import kernel
@@ -54,11 +54,32 @@ class Roughness:
 
 def mean_spacing(xy: F64) -> float:
     """Side (m) of the square that one of the points (n, 2) occupies on average: of the occupied cells of a coarse grid."""
-    low, high = xy.min(axis=0), xy.max(axis=0)
+    low, high = bounds(xy)
     side = max(float((high - low).max()) / 40.0, 1e-9)
-    cells = np.floor((xy - low) / side).astype(np.int64)
-    occupied = int(np.count_nonzero(np.bincount(cells[:, 0] * 64 + cells[:, 1])))
+    occupied = int(np.count_nonzero(squares_grid(xy, np.ones(len(xy)), np.zeros(len(xy), bool), low, side, (41, 41))[0]))
     return math.sqrt(occupied * side * side / len(xy))
+
+
+@kernel
+def bounds(xy: F64) -> tuple[F64, F64]:
+    """Least and greatest x and y, (2,) each, of points (n, 2)."""
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for i in range(len(xy)):
+        for c in range(2):
+            low[c], high[c] = min(low[c], xy[i, c]), max(high[c], xy[i, c])
+    return low, high
+
+
+@kernel
+def squares_grid(xy: F64, weight: F64, point: Bool, low: F64, side: float, shape: tuple[int, int]) -> tuple[F64, float]:
+    """Sums ``shape`` of the weights (n,) of points xy (n, 2) by square from ``low`` (2,) on, and the sum of the squares of those that act
+    at a point (n,)."""
+    grid, alone = np.zeros(shape), 0.0
+    for i in range(len(xy)):
+        grid[int((xy[i, 0] - low[0]) / side), int((xy[i, 1] - low[1]) / side)] += weight[i]
+        if point[i]:
+            alone += weight[i] * weight[i]
+    return grid, alone
 
 
 @kernel
@@ -180,19 +201,19 @@ def field_variance(xy: F64, weight: F64, point: Bool, rough: Roughness) -> float
     """
     if rough.variance_m2 == 0.0 or len(xy) == 0:
         return 0.0
-    low = xy.min(axis=0)
-    extent = float((xy.max(axis=0) - low).max())
-    h = max(rough.spacing_m, extent / MAX_CELLS, 1e-9)
-    cell = np.floor((xy - low) / h).astype(np.int64)
-    shape = cell.max(axis=0) + 1
-    grid = np.bincount(cell[:, 0] * shape[1] + cell[:, 1], weight, int(shape[0] * shape[1])).reshape(shape)
-    size = [next_fast_len(2 * int(s), real=True) for s in shape]
-    dx, dy = (np.minimum(np.arange(s), s - np.arange(s)) for s in size)
-    quarter = rough.correlation(h * np.hypot(np.arange(size[0] // 2 + 1)[:, None], np.arange(size[1] // 2 + 1)))
-    kernel = quarter[dx[:, None], dy]
+    low, high = bounds(xy)
+    h = max(rough.spacing_m, float((high - low).max()) / MAX_CELLS, 1e-9)
+    shape = [int(s) + 1 for s in (high - low) / h]
+    grid, squares = squares_grid(xy, weight, point, low, h, (shape[0], shape[1]))
+    half = [next_fast_len(s, real=True) for s in shape]  # of a torus on which the grid does not reach round
+    quarter = rough.correlation(h * np.hypot(np.arange(half[0] + 1)[:, None], np.arange(half[1] + 1)))
     # two points of one cell are 0.52 h apart on average; for L below h the cell's mean correlation is its integral over its area
-    kernel[0, 0] = min(float(rough.correlation(np.array(0.5214 * h))), 2 * math.pi * (rough.length_m / h) ** 2)
-    smooth = irfft2(rfft2(grid, s=size) * rfft2(kernel), s=size)[: shape[0], : shape[1]]
+    quarter[0, 0] = min(float(rough.correlation(np.array(0.5214 * h))), 2 * math.pi * (rough.length_m / h) ** 2)
+    power = np.abs(rfft2(grid, s=[2 * s for s in half])) ** 2  # by Parseval's theorem: no way back
+    spectrum = dctn(quarter, type=1)  # of the even kernel whose quarter it is
+    folded = power[: half[0] + 1].copy()
+    folded[1 : half[0]] += power[: half[0] : -1]
+    folded[:, 1 : half[1]] *= 2.0
+    total = float((folded * spectrum).sum()) / (4.0 * half[0] * half[1])
     # a point is fully correlated with itself, not as two points of one cell are
-    alone = (1.0 - kernel[0, 0]) * float((weight[point] ** 2).sum())
-    return rough.variance_m2 * max(0.0, float((grid * smooth).sum()) + float(alone))
+    return rough.variance_m2 * max(0.0, total + (1.0 - float(quarter[0, 0])) * squares)

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from ladar_volume.ground.adjoint import ground_gradient
+from ladar_volume.ground.adjoint import add_ground_gradient, ground_gradient, ground_residuals
 from ladar_volume.ground.polynomial import (
     base_gradient,
     base_height,
@@ -218,3 +218,25 @@ def test_fixed_threshold_and_bad_coefficients():
     with pytest.raises(GroundError):
         design_surface([1.0, 2.0])
     assert dataclasses.replace(design_surface([1.0])).support.size == 0
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_gradients_in_place_are_whole_array_sums(degree):
+    points = np.concatenate([ground(40, degree, noise=0.2), np.full((3, 3), 9.0)])
+    rng, origin, support = np.random.default_rng(4), np.array([1.0, 2.0]), np.sort(np.random.default_rng(5).choice(40, 30, replace=False))
+    beta, X, N = solve(points[support], origin, degree)
+    plane, by_beta = Plane(origin, beta, np.zeros((len(beta), len(beta))), support), rng.standard_normal((len(beta), 4))
+    xy, residual, weight = ground_residuals(points, plane, by_beta[:, 0])
+    assert xy.tobytes() == points[support, :2].tobytes()
+    assert residual == pytest.approx(points[support, 2] - X @ beta, abs=1e-12)
+    assert weight == pytest.approx(X @ (N @ by_beta[:, 0]), rel=1e-9, abs=1e-12)
+    D, slope = design_gradient(xy, origin, degree), base_gradient(plane, xy)
+    vertical = X @ N @ by_beta
+    across = residual[:, None, None] * (D @ N @ by_beta) - slope[:, :, None] * vertical[:, None]
+    place, out = rng.permutation(len(points)), rng.standard_normal((len(points), 4, 3))
+    place[support[3]] = -1  # a corner of the surface that is no point
+    twin = out.copy()
+    kept = np.arange(30) != 3
+    np.add.at(twin, place[support[kept]], np.concatenate([across, vertical[:, None]], axis=1).swapaxes(1, 2)[kept])
+    add_ground_gradient(out, place, points, plane, by_beta)
+    assert out == pytest.approx(twin, rel=1e-9, abs=1e-11)

@@ -27,6 +27,7 @@ from ladar_volume.studies.coverage_cases import (
     SITES,
     VARIANTS,
     alone,
+    at_vertex_level,
     believed_parameters,
     by_source,
     measured,
@@ -137,7 +138,7 @@ def test_rays_end_on_the_box():
         ray = (at - eye) / np.linalg.norm(at - eye, axis=1, keepdims=True)
         t = BOX.ranges(np.tile(eye, (50, 1)), ray, ground)
         assert t == pytest.approx(np.linalg.norm(at - eye, axis=1), abs=1e-6)
-        assert np.array_equal(BOX.normals_at(eye + t[:, None] * ray, at), np.tile(np.array(face, float), (50, 1)))
+        assert np.array_equal(BOX.normals_at(eye + t[:, None] * ray), np.tile(np.array(face, float), (50, 1)))
     beside = np.c_[rng.uniform(-4.0, 4.0, 50), rng.uniform(-3.6, -1.6, 50)]
     at = np.c_[beside, beside @ np.array([0.012, -0.008]) + ground(beside)]
     ray = (at - eye) / np.linalg.norm(at - eye, axis=1, keepdims=True)
@@ -205,7 +206,7 @@ def test_one_instrument_flies_twice():
 
 def test_a_common_height_bias_needs_a_design_level_to_matter():
     site = dataclasses.replace(SMALL, pulses=4000)
-    P = Parameters()
+    P = at_vertex_level(DEFAULT)
     one = survey(site, without(DEFAULT), P, 5)
     volumes = {}
     for lift in (0.0, 0.05):
@@ -243,8 +244,9 @@ def test_each_source_alone():
     found = alone(PIT, 4)["two epochs"]
     assert set(found) == set(SOURCES)
     printed = measured(PIT, *VARIANTS["all"], 4)["two epochs"].budget_m6
-    for line, changed in found.items():
-        assert abs(changed) < 8.0 * math.sqrt(printed[line]) + 1e-3 * abs(PIT.volume_m3), line  # the triangulation changes too
+    for line, (changed, other) in found.items():
+        assert changed != other  # over another ground
+        assert max(abs(changed), abs(other)) < 8.0 * math.sqrt(printed[line]) + 1e-3 * abs(PIT.volume_m3), line  # the triangulation changes too
 
 
 def test_lines_of_one_source_are_added():
@@ -262,13 +264,32 @@ def test_statistics_of_a_known_sample():
     assert s["ratio"] == pytest.approx(1.0, abs=0.03) and s["ratio_naive"] == pytest.approx(0.5, abs=0.02)
     assert s["bias_m3"] == pytest.approx(0.5, abs=0.1) and s["holds_95"] == pytest.approx(0.94, abs=0.015)
     assert s["budget_m3"] == {"noise": 2.0} and s["tau_m3"] == [1.0, 3.0]
-    lines = coverage.line_statistics([({"clock": e}, {"clock": 4.0}) for e in (3.0, -3.0, 3.0)])
-    assert lines["clock"]["ratio"] == pytest.approx(2.0 / 3.0)
     assert coverage.limits(200)["ratio"] == (0.85, 1.15) and coverage.limits(2000)["ratio"] == (0.9, 1.1)
 
 
+def test_the_line_of_a_source_is_what_it_does_over_either_ground():
+    rng = np.random.default_rng(7)
+    source, one, two = rng.standard_normal((3, 4000)) * np.array([[0.5], [0.8], [0.8]])
+    changes = [{line: [s + a, s + b] for line in ("clock", "noise")} for s, a, b in zip(source, one, two, strict=True)]
+    lines = coverage.line_statistics([(change, {"clock": 0.25, "noise": 0.25}) for change in changes])
+    assert lines["clock"]["ratio"] == pytest.approx(1.0, abs=4.0 * lines["clock"]["ratio_sigma"])
+    assert lines["clock"]["ratio_sigma"] == pytest.approx(0.5 * math.sqrt((0.25**2 + 0.89**2) / 4000) / 0.25, rel=0.1)
+    assert lines["clock"]["with_ground_m3"] == lines["noise"]["empirical_m3"] == pytest.approx(math.sqrt(0.89), rel=0.03)
+    nothing = coverage.line_statistics([({"clock": [0.0, 0.0]}, {"clock": 0.0})])["clock"]
+    assert nothing["empirical_m3"] == 0.0 and math.isnan(nothing["ratio"])
+
+
+def test_normals_go_where_the_points_go():
+    site = dataclasses.replace(SMALL, rough_m=0.0)
+    shift = dataclasses.replace(
+        without(DEFAULT), position_sigma_m=(0.4, 0.4, 0.4), position_bias_fraction=1.0, position_white_fraction=0.0
+    )  # fmt: skip
+    moved, still = (net_volumes(site, budget, 7)[GROUND] for budget in (shift, without(DEFAULT)))
+    assert moved == pytest.approx(still, rel=1e-6)  # a survey that is shifted as one
+
+
 def test_a_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
-    monkeypatch.setattr(coverage, "do", lambda t: {**dataclasses.asdict(t), "version": coverage.version(), "result": {}})
+    monkeypatch.setattr(coverage, "do", lambda t: {**dataclasses.asdict(t), **coverage.made_by(), "result": {}})
     todo, path, told = coverage.tasks(["pit"], (3, 2, 1)), tmp_path / "s.jsonl", []
     assert len(todo) == 3 + 2 + (len(VARIANTS) - 1)
     coverage.run(todo[:4], path, 1, told.append)
@@ -277,9 +298,10 @@ def test_a_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
     assert told == [0, 1, 2, 3, 4, *range(3, len(todo) + 1)]
     rows = coverage.read_rows(path)
     assert coverage.done(rows) == set(todo) and len(rows) == len(todo)
-    old = {**json.loads(json.dumps(rows[0])), "version": "0.0"}
-    path.write_text(json.dumps(old) + "\n")
-    assert coverage.read_rows(path) == []
+    old = [{**json.loads(json.dumps(rows[0])), **other} for other in ({"version": "0.0"}, {"method": 1})]
+    del (last := dict(rows[0]))["method"]
+    path.write_text("".join(json.dumps(row) + "\n" for row in (*old, last)))
+    assert coverage.sorted_rows(path) == ([], 3)
     with pytest.raises(ConfigurationError):
         coverage.tasks(["moon"], (1, 1, 1))
 

@@ -20,10 +20,10 @@ def close(value):
     return pytest.approx(value, rel=1e-11, abs=1e-11)
 
 
-@pytest.mark.parametrize("p", [3, 6])
-def test_loads_and_their_pairs(p):
+@pytest.mark.parametrize("p,results", [(3, 3), (6, 3), (6, 7)])
+def test_loads_and_their_pairs(p, results):
     points, patches, _, _ = random_surface(p, seed=3)
-    geometry, g = surface_geometry(points, patches), np.random.default_rng(4).standard_normal((len(points), 3, 3))
+    geometry, g = surface_geometry(points, patches), np.random.default_rng(4).standard_normal((len(points), results, 3))
     g[::3] = 0.0
     q = patch_loads(g, patches, geometry)
     n, t = patches.normal[geometry.row], patches.tangent[geometry.row]

@@ -15,12 +15,14 @@ from ladar_volume.volume.outline import bodies, boundary_loop, components, fill_
 from ladar_volume.volume.roughness import (
     Roughness,
     basis,
+    bounds,
     condensed_product,
     estimate_roughness,
     field_variance,
     fitted_correlation,
     mean_spacing,
     pair_sums,
+    squares_grid,
     taken_by_fit,
 )
 
@@ -36,6 +38,23 @@ def test_field_variance_equals_the_dense_sum(length):
     d = np.linalg.norm(xy[:, None] - xy[None], axis=2)
     dense = 0.04 * float(weight @ np.exp(-d / length) @ weight)
     assert field_variance(xy, weight, np.ones(625, bool), Roughness(0.04, length, 1.0)) == pytest.approx(dense, rel=0.05)
+
+
+def test_the_sum_on_a_grid_is_that_of_all_pairs_of_cells():
+    rng = np.random.default_rng(3)
+    xy, weight, point = rng.uniform(0, 1, (300, 2)) * [9.0, 4.0], rng.standard_normal(300), rng.random(300) < 0.5
+    rough = Roughness(0.02, 0.7, 0.5, 0.4)
+    cell = np.floor((xy - xy.min(axis=0)) / 0.5)
+    rho = rough.correlation(0.5 * np.linalg.norm(cell[:, None] - cell[None], axis=2))
+    same = (cell[:, None] == cell[None]).all(axis=2)
+    rho[same] = rough.correlation(np.array(0.5214 * 0.5))
+    rho[np.arange(300), np.arange(300)] = np.where(point, 1.0, rho.diagonal())
+    assert field_variance(xy, weight, point, rough) == pytest.approx(0.02 * weight @ rho @ weight, rel=1e-12)
+    low, high = bounds(xy)
+    assert np.array_equal(low, xy.min(axis=0)) and np.array_equal(high, xy.max(axis=0))
+    found, compiled = squares_grid.py_func(xy, weight, point, low, 0.5, (19, 9)), squares_grid(xy, weight, point, low, 0.5, (19, 9))
+    assert np.array_equal(found[0], compiled[0]) and found[1] == pytest.approx(compiled[1], rel=1e-12)
+    assert field_variance(xy[:1], weight[:1], np.ones(1, bool), rough) == pytest.approx(0.02 * weight[0] ** 2)
 
 
 def test_a_constant_deviation_cancels_between_inside_and_outside():
