@@ -9,7 +9,7 @@ run: .venv/ready
 	.venv/bin/ladar_volume up --play bags/box --rate 4 -o out/box
 
 test: .venv/ready
-	$(PY) -m pytest -q -n auto --dist loadgroup
+	$(PY) -m pytest -q -n auto
 
 lint: .venv/ready
 	$(PY) -m ruff check .

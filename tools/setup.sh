@@ -45,11 +45,18 @@ if [ "$(cat .venv/requirements.sha256 2>/dev/null || true)" != "$want" ]; then
     .venv/bin/python -m pip install -q --disable-pip-version-check -r requirements-dev.txt
     echo "$want" >.venv/requirements.sha256
 fi
-# machine code in the tree is recompiled when its own file changes, not when a kernel it calls does
+# machine code is recompiled when its own file changes, not when a kernel it calls does
 find ladar_volume -name '*.nb[ic]' -delete
-.venv/bin/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation .
+# from the tree, so that commands, nodes and tests share one copy and its machine code; launch and config go where ament looks for them
+.venv/bin/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
+.venv/bin/python -W ignore setup.py -q install_data --install-dir=.venv
 rm -rf build ladar_volume.egg-info
-# once, into the installed package's cache, so that the first survey does not wait for it
+# once, so that the first survey does not wait for it
 echo "Compiling the kernels (about a minute)"
-(cd .venv && bin/python -c 'from ladar_volume.warm import STAGES, warm_up; [warm_up(s) for s in STAGES]')
+compiling=()
+for stage in georeference filter volume; do
+    .venv/bin/python -c "from ladar_volume.warm import warm_up; warm_up('$stage')" &
+    compiling+=($!)
+done
+for process in "${compiling[@]}"; do wait "$process"; done
 touch .venv/ready
