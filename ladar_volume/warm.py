@@ -99,7 +99,7 @@ def _made_up_surface(side: int, beams: int) -> FilterUpdate:
     axes = np.eye(3)[[2, 0]]
     next_one = np.minimum(key + 1, m - 1)[:, None]
     cross_key = np.hstack([key[:, None], next_one]).ravel()[:-1]
-    blocks = np.tile(1e-6 * np.eye(p), (len(cross_key), 1, 1))
+    blocks = np.tile(1e-6 * np.eye(p, dtype=np.float32), (len(cross_key), 1, 1))
     patches = Patches(
         key, np.c_[xy, 0.0 * ones], np.tile(axes[0], (m, 1)), np.tile(axes[1], (m, 1)), np.zeros((m, p)), 0.005 * ones,
         np.full(m, 40, np.int32), np.full(m, START_NS), np.append(2 * key, 2 * m - 1), cross_key, blocks,

@@ -20,7 +20,7 @@ from ladar_volume.filtering.sampling import sorted_by_voxel
 from ladar_volume.filtering.store import BITS
 from ladar_volume.model.kernels import dealt_out
 from ladar_volume.model.parameters import FilterParameters
-from ladar_volume.model.records import F64, I64, Bool
+from ladar_volume.model.records import F64, I32, I64, Bool
 
 I8 = npt.NDArray[np.int8]
 
@@ -87,8 +87,7 @@ def _cover_level(
     order = part[order]
     ordered = r[order]
     wanted = np.add.reduceat(own[order], first[:-1], dtype=np.int64) > 0
-    near, close = np.zeros(len(keys), np.bool_), np.zeros(len(keys), np.bool_)
-    kernels.near_marked(keys, len(keys), table, wanted, REACH, near)
+    near = _near(wanted, keys, table)
     # noise of a cell: that of its points, which differ only where regions meet
     size = np.diff(first)
     noise = np.add.reduceat(regions.sigma_m[order], first[:-1]) / size
@@ -113,10 +112,16 @@ def _cover_level(
     of = np.repeat(np.arange(len(keys)), size)
     mine = own[order]
     out.kind[order[mine]], out.misfit[order[mine]] = kind[of[mine]], misfit[of[mine]]
-    kernels.near_marked(keys, len(keys), table, wanted & (kind == 0), REACH, close)  # these offer planes,
-    kernels.near_marked(keys, len(keys), table, close, REACH, near)  # and these are what their planes are told from
-    around[order[near[of]]] = True
+    close = _near(wanted & (kind == 0), keys, table)  # these offer planes,
+    around[order[_near(close, keys, table)[of]]] = True  # and those near them are what their planes are told from
     return int(np.count_nonzero(wanted))
+
+
+def _near(marked: Bool, keys: I64, table: I32) -> Bool:
+    """Which voxels (n,) lie near one that is ``marked`` (n,)."""
+    near = np.zeros(len(keys), np.bool_)
+    kernels.mark_around(np.flatnonzero(marked), keys, table, REACH, near)
+    return near
 
 
 def _leaders(keys: I64) -> Bool:

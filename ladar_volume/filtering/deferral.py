@@ -8,14 +8,26 @@ exchange the most voxels' worth of points: new ground comes at once.
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
 from ladar_volume.filtering.fit import REACH
-from ladar_volume.filtering.store import Candidates, VoxelStore, find_voxel, pack_key, unpack_key, voxels_around
+from ladar_volume.filtering.store import (
+    AUX,
+    Candidates,
+    VoxelStore,
+    find_voxel,
+    pack_key,
+    place,
+    place_all,
+    resized,
+    unpack_key,
+    voxels_around,
+)
 from ladar_volume.model.kernels import kernel
-from ladar_volume.model.records import F64, I32, I64, Bool
+from ladar_volume.model.records import F64, I32, I64, Bool, select
 
 #: Voxels along the side of a tile, as a power of two.
 TILE_BITS = 3
@@ -47,6 +59,58 @@ def tiles_within(start: Any, voxels: Any, keys: Any, table: Any, most: Any, mark
 
 
 @kernel
+def enqueue(
+    key: Any, h: Any, cap: Any, table: Any, keys: Any, count: Any, head: Any, after: Any, hashes: Any, ends: Any, start: Any, slot_of: Any
+) -> Any:
+    """Put points from ``start`` on into the lists of their voxels, of each the ``cap`` of lowest hash; returns the next point, before the
+    end where the voxels' or the slots' arrays are full. ends : voxels used, slots used, first free slot; -1 ends a list."""
+    for i in range(start, len(key)):
+        v = find_voxel(table, keys, key[i])
+        if v < 0:
+            if ends[0] == len(keys):
+                return i
+            v = ends[0]
+            keys[v], head[v] = key[i], -1
+            ends[0] += 1
+            place(table, keys, v)
+        if count[v] < cap:
+            slot = ends[2]
+            if slot >= 0:
+                ends[2] = after[slot]
+            elif ends[1] < len(after):
+                slot = ends[1]
+                ends[1] += 1
+            else:
+                return i
+            after[slot], head[v] = head[v], slot
+            count[v] += 1
+        else:
+            slot, other = head[v], after[head[v]]
+            while other >= 0:
+                slot, other = other if hashes[other] > hashes[slot] else slot, after[other]
+            if h[i] >= hashes[slot]:
+                continue
+        hashes[slot] = h[i]
+        slot_of[i] = slot
+    return len(key)
+
+
+@kernel
+def dequeue(voxels: Any, count: Any, head: Any, after: Any, ends: Any, out: Any) -> None:
+    """Slots of all points of these voxels, one voxel after the other, to ``out``; their lists are empty then and the slots free."""
+    n = 0
+    for v in voxels:
+        slot = head[v]
+        while slot >= 0:
+            out[n] = slot
+            n += 1
+            following = after[slot]
+            after[slot], ends[2] = ends[2], slot
+            slot = following
+        head[v], count[v] = -1, 0
+
+
+@kernel
 def held_in(voxels: Any, keys: Any, table: Any, count: Any, out: Any) -> None:
     """Points that each voxel of these keys (n,) holds."""
     for a in range(len(voxels)):
@@ -63,44 +127,70 @@ def note_oldest(key: Any, t_ns: Any, keys: Any, table: Any, oldest: Any) -> None
 
 
 class Deferred:
-    """The points that wait, of each voxel no more than could stay. Order and batching of what is added mean nothing."""
+    """The points that wait, of each voxel no more than could stay, in lists by voxel. Order and batching of what is added mean nothing."""
 
-    def __init__(self, edge_m: float, cap: int) -> None:
-        self._waiting = VoxelStore(edge_m, cap, 16)
-        self._oldest: I64 = np.zeros(0, np.int64)
+    def __init__(self, cap: int) -> None:
+        self._cap = cap
+        self._keys: I64 = np.zeros(16, np.int64)
+        self._count: I32 = np.zeros(16, np.int32)
+        self._head: I32 = np.zeros(16, np.int32)
+        self._oldest: I64 = np.full(16, NEVER)
+        self._table: I32 = np.full(64, -1, np.int32)
+        self._after: I32 = np.zeros(64, np.int32)
+        self._ends: I64 = np.array([0, 0, -1])
+        self._points = Candidates(
+            np.zeros(64, np.int64), np.zeros(64, np.uint64), np.zeros(64, np.int64), np.zeros(64, np.uint16), np.zeros((64, 3)),
+            np.zeros((64, 6), np.float32), np.zeros((64, AUX), np.float32),
+        )  # fmt: skip
 
     def __len__(self) -> int:
-        return self._waiting.kept
+        return int(self._count.sum())
 
     def age_s(self, newest_ns: int) -> float:
         """How long the oldest point has waited, by the time of the data (s)."""
-        return (newest_ns - min(int(self._oldest.min(initial=NEVER)), newest_ns)) * 1e-9
+        return (newest_ns - min(int(self._oldest.min()), newest_ns)) * 1e-9
 
     def add(self, points: Candidates) -> None:
         """These wait too."""
-        w = self._waiting
-        w.insert(points)
-        self._oldest = np.concatenate([self._oldest, np.full(w.used - len(self._oldest), NEVER)])
-        note_oldest(points.key, points.t_ns, w.keys, w.table, self._oldest)
+        slot_of, start = np.full(len(points), -1, np.int64), 0
+        while True:
+            start = enqueue(
+                points.key, points.hash, self._cap, self._table, self._keys, self._count, self._head, self._after, self._points.hash,
+                self._ends, start, slot_of,
+            )  # fmt: skip
+            if start == len(points):
+                break
+            self._grow()
+        rows = np.flatnonzero(slot_of >= 0)
+        for field in fields(Candidates):  # later rows win a slot
+            getattr(self._points, field.name)[slot_of[rows]] = getattr(points, field.name)[rows]
+        note_oldest(points.key, points.t_ns, self._keys, self._table, self._oldest)
+
+    def _grow(self) -> None:
+        voxels, slots = len(self._keys), len(self._after)
+        if self._ends[0] == voxels:
+            self._keys, self._count, self._head = (resized(a, 2 * voxels) for a in (self._keys, self._count, self._head))
+            self._oldest = np.concatenate([self._oldest, np.full(voxels, NEVER)])
+            self._table = np.full(8 * voxels, -1, np.int32)
+            place_all(self._table, self._keys, self._ends[0])
+        if self._ends[1] == slots:
+            self._after = resized(self._after, 2 * slots)
+            self._points = Candidates(*(resized(getattr(self._points, field.name), 2 * slots) for field in fields(Candidates)))
 
     def take(self, store: VoxelStore, most: int | None, newest_ns: int) -> Candidates:
         """Points whose turn it is: all of them, or as many tiles as refit about ``most`` voxels."""
-        w = self._waiting
-        voxels = np.flatnonzero(w.count[: w.used])
-        voxels = voxels[np.argsort(w.keys[voxels])]
+        voxels = np.flatnonzero(self._count)
+        voxels = voxels[np.argsort(self._keys[voxels])]
         if most is not None and len(voxels):
             voxels = voxels[self._turn(store, voxels, most, newest_ns)]
-        count = w.count[voxels]
-        slots = np.repeat(voxels * w.cap - np.cumsum(count) + count, count) + np.arange(int(count.sum()))
-        points = Candidates(
-            np.repeat(w.keys[voxels], count), w.hashes[slots], w.t_ns[slots], w.ring[slots], w.r[slots], w.C[slots], w.aux[slots]
-        )  # fmt: skip
-        w.count[voxels], self._oldest[voxels] = 0, NEVER
-        return points
+        slots = np.empty(int(self._count[voxels].sum()), np.int64)
+        dequeue(voxels, self._count, self._head, self._after, self._ends, slots)
+        self._oldest[voxels] = NEVER
+        return select(self._points, slots)
 
     def _turn(self, store: VoxelStore, voxels: I64, most: int, newest_ns: int) -> Bool:
         """Which of these voxels (n,), in order of their keys, lie in tiles whose turn it is."""
-        key, new = self._waiting.keys[voxels], self._waiting.count[voxels]
+        key, new = self._keys[voxels], self._count[voxels]
         tiles, tile = np.unique(tile_of(key), return_inverse=True)
         oldest = np.full(len(tiles), newest_ns)
         np.minimum.at(oldest, tile, self._oldest[voxels])

@@ -52,7 +52,7 @@ class SurfaceFilter:
         self._unfitted: I64 = np.zeros(0, np.int64)
         self._t_ns = 0
         self._deferring = deferring
-        self._deferred = Deferred(self.parameters.radius_m, self.parameters.cap_per_voxel)
+        self._deferred = Deferred(self.parameters.cap_per_voxel)
         self._refitted = 0
 
     @property
@@ -188,12 +188,7 @@ class SurfaceFilter:
         """Indices of all voxels whose patch looks at one of these, in order of their keys."""
         s = self._store
         near = np.zeros(s.used, np.bool_)
-        if 2 * len(voxels) < s.used:
-            kernels.mark_around(voxels, s.keys, s.table, REACH, near)
-        else:  # most are found at once
-            marked = np.zeros(len(s.keys), np.bool_)
-            marked[voxels] = True
-            kernels.near_marked(s.keys, s.used, s.table, marked, REACH, near)
+        kernels.mark_around(voxels, s.keys, s.table, REACH, near)
         chosen = np.flatnonzero(near)
         order: I64 = chosen[np.argsort(s.keys[chosen], kind="stable")]
         return order

@@ -14,7 +14,7 @@ import numpy as np
 from ladar_volume.filtering import fit
 from ladar_volume.filtering.fit import REACH
 from ladar_volume.filtering.frame import coordinates, level_frame, mark_flat, refit, tangent_of
-from ladar_volume.filtering.store import BITS, _mix, find_voxel, voxels_around
+from ladar_volume.filtering.store import _mix, voxels_around
 from ladar_volume.model.kernels import kernel, parallel_kernel
 
 OK, FEW_POINTS, NO_PLANE, FEW_INLIERS, NOT_ON_PATCH = fit.OK, fit.FEW_POINTS, fit.NO_PLANE, fit.FEW_INLIERS, fit.NOT_ON_PATCH
@@ -159,26 +159,9 @@ def fit_patches(
             time[a] = first + total // used[a]
 
 
-@parallel_kernel
-def near_marked(keys: Any, used: Any, table: Any, marked: Any, reach: Any, out: Any) -> None:
-    """Which voxels lie within ``reach`` voxels of a marked one."""
-    mask = (1 << BITS) - 1
-    for v in numba.prange(used):
-        key = keys[v]
-        i0, j0, k0 = key >> (2 * BITS), (key >> BITS) & mask, key & mask
-        found = marked[v]
-        for di in range(-reach, reach + 1):
-            for dj in range(-reach, reach + 1):
-                for dk in range(-reach, reach + 1):
-                    if not found:
-                        w = find_voxel(table, keys, ((i0 + di) << (2 * BITS)) | ((j0 + dj) << BITS) | (k0 + dk))
-                        found = w >= 0 and marked[w]
-        out[v] = found
-
-
 @kernel
 def mark_around(voxels: Any, keys: Any, table: Any, reach: Any, out: Any) -> None:
-    """Mark those within ``reach`` voxels of each of ``voxels``: what :func:`near_marked` finds, in the time these few take."""
+    """Mark those within ``reach`` voxels of each of ``voxels``."""
     near = np.empty((2 * reach + 1) ** 3, np.int64)
     for v in voxels:
         for i in range(voxels_around(keys[v], keys, table, reach, near)):

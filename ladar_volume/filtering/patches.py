@@ -18,6 +18,7 @@ class PatchBuilder:
 
     def __init__(self, parameters: FilterParameters, store: VoxelStore, mount: Mounting, beams: int) -> None:
         self.parameters, self.store, self.mount, self.beams = parameters, store, mount, beams
+        self.most_bins = sensitivity.MOST_BINS
 
     def fit(self, voxels: I64) -> Fits:
         """Fit the patches of these voxels (indices)."""
@@ -38,7 +39,7 @@ class PatchBuilder:
         that patch is not among the rows."""
         s, p = self.store, 6 if self.parameters.degree == 2 else 3
         offset, others = self._pairs(fits, rows)
-        blocks = np.zeros((offset[-1], p, p))
+        blocks = np.zeros((offset[-1], p, p), np.float32)
         most = int(fits.used[rows].max(initial=0))
         cross.cross_blocks(
             rows, offset, others, s.keys, fits.start, fits.used, fits.members, s.r, s.C, fits.centre, fits.normal, fits.tangent,
@@ -71,13 +72,13 @@ class PatchBuilder:
     def _sensitivities(self, fits: Fits, rows: I64, p: int) -> tuple[I64, I64, F32, F32]:
         s, bin_ns = self.store, np.int64(self.parameters.nav_bin_s * 1e9)
         bins = np.zeros(len(rows), np.int64)
-        sensitivity.count_bins(rows, fits.start, fits.used, fits.members, s.t_ns, bin_ns, bins)
+        sensitivity.count_bins(rows, fits.start, fits.used, fits.members, s.t_ns, bin_ns, self.most_bins, bins)
         nav_start = np.concatenate([[0], np.cumsum(bins)])
         nav_bin = np.zeros(nav_start[-1], np.int64)
         M_cal = np.zeros((len(rows), p + 2, 11 + 2 * self.beams), np.float32)
         M_nav = np.zeros((nav_start[-1], p + 2, 6), np.float32)
         sensitivity.sensitivities(
-            rows, fits.start, fits.used, fits.members, s.r, s.t_ns, s.ring, s.aux, fits.centre, fits.normal, fits.tangent,
+            rows, fits.start, fits.used, fits.members, s.keys, s.r, s.t_ns, s.ring, s.aux, fits.centre, fits.normal, fits.tangent,
             fits.inverse, p, self.beams, self.mount.lever_laser, self.mount.lever_antenna,
             np.ascontiguousarray(self.mount.R_body_laser[:, 2]), bin_ns, nav_start, nav_bin, M_cal, M_nav,
         )  # fmt: skip

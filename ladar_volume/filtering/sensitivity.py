@@ -14,7 +14,11 @@ import numpy as np
 
 from ladar_volume.filtering.frame import across, row
 from ladar_volume.filtering.kernels import rotate
+from ladar_volume.filtering.store import BITS
 from ladar_volume.model.kernels import kernel, parallel_kernel
+
+#: Navigation time bins of a patch, at most: those of a minute. A patch that is seen for an hour has inliers in hundreds.
+MOST_BINS = 32
 
 
 @kernel
@@ -36,12 +40,12 @@ def distinct_bins(members: Any, n: Any, t_ns: Any, bin_ns: Any, bins: Any) -> An
 
 
 @parallel_kernel
-def count_bins(rows: Any, start: Any, used: Any, members: Any, t_ns: Any, bin_ns: Any, out: Any) -> None:
-    """Distinct navigation time bins of each patch."""
+def count_bins(rows: Any, start: Any, used: Any, members: Any, t_ns: Any, bin_ns: Any, most: Any, out: Any) -> None:
+    """Navigation time bins each patch will have: its distinct ones, or ``most`` that stand for them."""
     for i_row in numba.prange(len(rows)):
         a = rows[i_row]
         bins = np.empty(used[a] + 1, np.int64)
-        out[i_row] = distinct_bins(members[start[a] : start[a] + used[a]], used[a], t_ns, bin_ns, bins)
+        out[i_row] = min(distinct_bins(members[start[a] : start[a] + used[a]], used[a], t_ns, bin_ns, bins), most)
 
 
 #: Columns of a return's sensitivities: shared calibration, the beam's vertical angle, position, attitude; its range is that of column 0.
@@ -101,36 +105,84 @@ def solved(inverse: Any, p: Any, count: Any, rows: Any, out: Any) -> None:
         out[p, c], out[p + 1, c] = rows[p, c] / count, rows[p + 1, c] / count
 
 
+@kernel
+def fraction_of(key: Any) -> Any:
+    """A number in [0, 1) for a voxel: those of neighbours, of any square of them, lie evenly (a Kronecker sequence along each axis, with
+    powers of the inverses of the numbers with x³ = x + 1 and, for z, x⁴ = x + 1)."""
+    mask = (1 << BITS) - 1
+    x = (key >> (2 * BITS)) * 0.7548776662466927 + ((key >> BITS) & mask) * 0.5698402909980532 + (key & mask) * 0.8191725133961645
+    return x - np.floor(x)
+
+
+@kernel
+def draw(run: Any, runs: Any, u: Any, drawn: Any) -> None:
+    """The inlier (runs,) that is drawn from each run, for the run (n,) of each inlier and a fraction u, another one for each run."""
+    held, turn = np.zeros(runs, np.int64), np.empty(runs, np.int64)
+    for i in range(len(run)):
+        held[run[i]] += 1
+    for g in range(runs):
+        x = u + g * 0.6180339887498949
+        turn[g] = np.int64((x - np.floor(x)) * held[g])
+    for i in range(len(run)):
+        if turn[run[i]] == 0:
+            drawn[run[i]] = i
+        turn[run[i]] -= 1
+
+
+@kernel
+def seen_from(g: Any, away: Any, axis: Any, shift: Any, h: Any) -> None:
+    """To h the attitude's part of ``axis·∂r/∂theta`` of a point, had it been seen when another one was: with that one's geometry g (13,)
+    and the way ``away`` (3,) m from there to it. See :func:`along_axis`."""
+    conj, m, v = np.empty(4), np.empty(3), np.empty(3)
+    conj[0], conj[1], conj[2], conj[3] = -g[0], -g[1], -g[2], g[3]
+    rotate(conj, axis, m)
+    rotate(conj, away, v)
+    w0, w1, w2 = v[0] + g[4] + shift[0], v[1] + g[5] + shift[1], v[2] + g[6] + shift[2]
+    h[ATTITUDE], h[ATTITUDE + 1], h[ATTITUDE + 2] = w1 * m[2] - w2 * m[1], w2 * m[0] - w0 * m[2], w0 * m[1] - w1 * m[0]
+
+
 @parallel_kernel
 def sensitivities(
-    rows: Any, start: Any, used: Any, members: Any, r: Any, t_ns: Any, ring: Any, aux: Any, centre: Any, normal: Any, tangent: Any,
-    inverse: Any, p: Any, beams: Any, lever_laser: Any, lever_antenna: Any, axis_body: Any, bin_ns: Any, nav_start: Any, nav_bin: Any,
-    M_cal: Any, M_nav: Any,
+    rows: Any, start: Any, used: Any, members: Any, keys: Any, r: Any, t_ns: Any, ring: Any, aux: Any, centre: Any, normal: Any,
+    tangent: Any, inverse: Any, p: Any, beams: Any, lever_laser: Any, lever_antenna: Any, axis_body: Any, bin_ns: Any, nav_start: Any,
+    nav_bin: Any, M_cal: Any, M_nav: Any,
 ) -> None:  # fmt: skip
     """Mean sensitivities M_cal (m, p + 2, 11 + 2 beams) over all inliers, and M_nav (l, p + 2, 6) per time bin: of beta,
-    ``(XᵀX)⁻¹ Σ_j x_j n·∂r_j/∂theta``, and of the place along tangent and binormal, the mean of ``tangent·∂r_j/∂theta``."""
+    ``(XᵀX)⁻¹ Σ_j x_j n·∂r_j/∂theta``, and of the place along tangent and binormal, the mean of ``tangent·∂r_j/∂theta``.
+
+    A patch with inliers in more bins than it has room for gets runs of bins instead: of each run one inlier is drawn, and all count as if
+    they had been seen when that one was. A common shift stays what it is. Averages over the run would be no substitute: a turn of the
+    platform acts the other way round on what it has on its other side. Over patches, whose draws differ evenly, all bins have their say.
+    """
     shift = lever_laser - lever_antenna
     for i_row in numba.prange(len(rows)):
         a = rows[i_row]
-        first, nb = nav_start[i_row], nav_start[i_row + 1] - nav_start[i_row]
+        first, runs = nav_start[i_row], nav_start[i_row + 1] - nav_start[i_row]
         mine = members[start[a] : start[a] + used[a]]
-        bins = np.empty(used[a] + 1, np.int64)
-        distinct_bins(mine, used[a], t_ns, bin_ns, bins)
-        nav_bin[first : first + nb] = bins[:nb]
-        cal, nav, x, h, axes = np.zeros((p + 2, 11 + 2 * beams)), np.zeros((nb, p + 2, 6)), np.zeros(6), np.empty(ALL), np.empty((3, 3))
+        bins, run, drawn = np.empty(used[a] + 1, np.int64), np.empty(used[a], np.int64), np.empty(runs, np.int64)
+        nb = distinct_bins(mine, used[a], t_ns, bin_ns, bins)
+        for i in range(used[a]):
+            b = np.searchsorted(bins[:nb], np.int64(np.floor_divide(t_ns[mine[i]], bin_ns)))
+            run[i] = ((b + 1) * runs - 1) // nb
+        draw(run, runs, fraction_of(keys[a]), drawn)
+        for g in range(runs):
+            nav_bin[first + g] = np.int64(np.floor_divide(t_ns[mine[drawn[g]]], bin_ns))
+        cal, nav, x, h, axes = np.zeros((p + 2, 11 + 2 * beams)), np.zeros((runs, p + 2, 6)), np.zeros(6), np.empty(ALL), np.empty((3, 3))
         axes[0], axes[1] = normal[a], tangent[a]
         across(normal[a], tangent[a], axes[2])
         for i in range(used[a]):
-            slot = mine[i]
+            slot, other = mine[i], mine[drawn[run[i]]]
             row(r, slot, centre[a], tangent[a], axes[2], p, x)
-            b = np.searchsorted(bins[:nb], np.int64(np.floor_divide(t_ns[slot], bin_ns)))
             beam = min(np.int64(ring[slot]), beams - 1)
-            along_axis(aux[slot], axes[0], shift, axis_body, h)
-            for k in range(p):
-                add_return(h, x[k], beam, beams, cal[k], nav[b, k])
-            for k in range(2):
-                along_axis(aux[slot], axes[1 + k], shift, axis_body, h)
-                add_return(h, 1.0, beam, beams, cal[p + k], nav[b, p + k])
+            for k in range(3):
+                along_axis(aux[slot], axes[k], shift, axis_body, h)
+                if runs < nb:
+                    seen_from(aux[other], r[slot] - r[other], axes[k], shift, h)
+                if k == 0:
+                    for l in range(p):
+                        add_return(h, x[l], beam, beams, cal[l], nav[run[i], l])
+                else:
+                    add_return(h, 1.0, beam, beams, cal[p + k - 1], nav[run[i], p + k - 1])
         solved(inverse[a], p, used[a], cal, M_cal[i_row])
-        for e in range(nb):
-            solved(inverse[a], p, used[a], nav[e], M_nav[first + e])
+        for g in range(runs):
+            solved(inverse[a], p, used[a], nav[g], M_nav[first + g])

@@ -72,7 +72,8 @@ def voxels_around(key: Any, keys: Any, table: Any, reach: Any, out: Any) -> Any:
 
 
 @kernel
-def _place(table: Any, keys: Any, index: Any) -> None:
+def place(table: Any, keys: Any, index: Any) -> None:
+    """Enter a voxel, by its index, that the table does not hold."""
     mask = np.uint64(len(table) - 1)
     at = _mix(np.uint64(keys[index])) & mask
     while table[at] >= 0:
@@ -85,7 +86,7 @@ def place_all(table: Any, keys: Any, used: Any) -> None:
     """Fill the table anew with the first ``used`` keys."""
     table[:] = -1
     for i in range(used):
-        _place(table, keys, i)
+        place(table, keys, i)
 
 
 @kernel
@@ -121,7 +122,7 @@ def _insert(
             v = used
             keys[v] = key[i]
             used += 1
-            _place(table, keys, v)
+            place(table, keys, v)
         base = v * cap
         if count[v] < cap:
             k = count[v]
@@ -236,9 +237,9 @@ class VoxelStore:
     def _grow(self) -> None:
         voxels = 2 * len(self.keys)
         for name in ("keys", "count", "worst", "changed"):
-            setattr(self, name, _resized(getattr(self, name), voxels))
+            setattr(self, name, resized(getattr(self, name), voxels))
         for name in ("hashes", "order", "fresh", "t_ns", "ring", "r", "C", "aux"):
-            setattr(self, name, _resized(getattr(self, name), voxels * self.cap))
+            setattr(self, name, resized(getattr(self, name), voxels * self.cap))
         self.table = np.full(4 * voxels, -1, np.int32)
         place_all(self.table, self.keys, self.used)
 
@@ -254,7 +255,8 @@ class VoxelStore:
         self.fresh[:] = False
 
 
-def _resized(old: Any, rows: int) -> Any:
+def resized(old: Any, rows: int) -> Any:
+    """The same array with more rows, zeros."""
     new = np.zeros((rows, *old.shape[1:]), old.dtype)
     new[: len(old)] = old
     return new

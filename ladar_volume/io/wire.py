@@ -171,11 +171,11 @@ def _rows(kind: int, key: I64, other: I64, index: Any, values: F32 | F64, width:
 def filter_update(points: FilteredPoints, columns: Mapping[str, Any]) -> FilterUpdate:
     """The update from its two tables. Raises CloudError where they do not fit."""
     _need(columns, "kind", "key_high", "key_low", "other_high", "other_low", "index", "values")
-    kind, values = columns["kind"], columns["values"].astype(np.float64)
+    kind, values = columns["kind"], columns["values"].astype(np.float32, copy=False)
     key, other = _joined(columns["key_high"], columns["key_low"]), _joined(columns["other_high"], columns["other_low"])
     if not len(kind) or kind[-1] != END:
         raise CloudError("patch table without its end marker", reason="cloud_short", value=len(kind))
-    head = values[kind == HEAD]
+    head = values[kind == HEAD].astype(np.float64)
     m = len(head)
     p = int(head[0, 12]) if m else 6 if values.shape[1] >= 36 else 3
     columns_cal = int(head[0, 11]) if m else 0

@@ -189,10 +189,10 @@ class Patches:
 
     key : (m,) int64, unique and stable · centre, normal, tangent : (m, 3) · beta : (m, p) · sigma : (m,) m, robust residual
     scale · used : (m,) int32 inliers in the fit · t_ns : (m,) mean time ·
-    cross_start : (m + 1,), cross_key : (k,) keys of neighbours with key >= own key (own block first), cross : (k, p, p) m² the
-    covariance blocks ``C_ab`` of UNCERTAINTY step 3 · M_cal : (m, p + 2, c) float32 mean sensitivities to the calibration columns: of
+    cross_start : (m + 1,), cross_key : (k,) keys of neighbours with key >= own key (own block first), cross : (k, p, p) float32 m²
+    the covariance blocks ``C_ab`` of UNCERTAINTY step 3 · M_cal : (m, p + 2, c) float32 mean sensitivities to the calibration columns: of
     beta, then of the place along tangent and binormal, which moves with the returns · nav_start : (m + 1,), nav_bin : (l,) int64
-    ``floor(t / nav_bin)``, M_nav : (l, p + 2, 6) float32 the same per navigation time bin
+    ``floor(t / nav_bin)``, M_nav : (l, p + 2, 6) float32 the same per navigation time bin, or for some bins that stand for all
     """
 
     key: I64
@@ -205,7 +205,7 @@ class Patches:
     t_ns: I64
     cross_start: I64
     cross_key: I64
-    cross: F64
+    cross: F32
     M_cal: F32
     nav_start: I64
     nav_bin: I64

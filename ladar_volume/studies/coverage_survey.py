@@ -213,7 +213,7 @@ def vertices(flown: Flown, believed: Parameters) -> FilterUpdate:
     own, every = axes @ beam_jacobian(geometry), np.arange(n)
     for k in range(2):  # a beam's range and its vertical angle
         M_cal[every[:, None], ALONG, (shared + k * BEAM_COUNT + ring)[:, None]] = own[:, :, k]
-    cross = np.zeros((n, 3, 3))
+    cross = np.zeros((n, 3, 3), np.float32)
     cross[:, 0, 0] = surface.variance
     key, ends = np.arange(n, dtype=np.int64), np.arange(n + 1, dtype=np.int64)
     patches = Patches(

@@ -60,7 +60,7 @@ def load_kernel(gradient: F64, normal: F64, tangent: F64, X: F64, row: I64) -> F
 
 
 @kernel
-def cross_kernel(q: F64, four: F64, start: I64, right: I64, weight: F64, cross: F64) -> F64:
+def cross_kernel(q: F64, four: F64, start: I64, right: I64, weight: F64, cross: F32) -> F64:
     """``Σ weight q_leftᵀ C f_right`` (k, 4) over the blocks C (b, p, p) of each patch from start (m + 1,) on, with patches right (b,), with
     loads q (m, p or more, k), of which the first p count, and f (m, p, 4): as many sums as stay in registers."""
     m, p, results = len(q), cross.shape[1], q.shape[2]

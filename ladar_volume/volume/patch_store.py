@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence, Sized
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from ladar_volume.model.losses import Losses
-from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, FilterUpdate, Patches, concatenate, select
+from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, FilterUpdate, Patches, select
 from ladar_volume.volume.patch_merge import block_rows, copy_rows, place_blocks, sort_runs
 
 ROWS = ("key", "centre", "normal", "tangent", "beta", "sigma", "used", "t_ns", "M_cal")
@@ -104,18 +104,12 @@ class PatchStore:
             turn += update.complete
         if self._patches is not None and self._points is not None:
             updates, turns = [FilterUpdate(0, np.zeros(0, np.int64), self._points, self._patches), *updates], [0, *turns]
-        self._pending = []
         last = LastWord(updates, turns)
-        parts = [update.patches for update in updates]
-        key = np.concatenate([part.key for part in parts])
-        rows = np.flatnonzero(last.turn(key) == _spread(turns, parts))
-        rows = rows[np.argsort(key[rows], kind="stable")]
-        self._patches = Patches(**merged_rows(parts, rows), **merged_blocks(parts, turns, last, key[rows]), **merged_bins(parts, rows))
-        points = concatenate([update.points for update in updates])
-        chosen = np.flatnonzero(last.turn(points.patch) == _spread(turns, [update.points for update in updates]))
-        order = chosen[np.argsort(points.patch[chosen], kind="stable")]
-        sort_runs(points.patch, points.r_map, order)
-        self._points = select(points, order)
+        points, patches = Parts([update.points for update in updates]), Parts([update.patches for update in updates])
+        self._pending, self._points, self._patches = [], None, None  # old and new are held together only array by array
+        del updates
+        self._points = merged_points(points, turns, last)
+        self._patches = merged_patches(patches, turns, last)
 
     def _usable(self, points: FilteredPoints, keys: I64) -> FilteredPoints:
         finite = points_finite(points)
@@ -131,7 +125,7 @@ class LastWord:
     def __init__(self, updates: list[FilterUpdate], turns: list[int]) -> None:
         """turns : number of each of these updates, rising; parts of one have the same."""
         words = [np.union1d(update.removed, update.patches.key) for update in updates]
-        keys, turn = np.concatenate(words), _spread(turns, words)
+        keys, turn = np.concatenate(words), np.repeat(turns, [len(word) for word in words])
         order = np.lexsort((turn, keys))
         last = order[np.append(keys[order][1:] != keys[order][:-1], True)] if len(keys) else order
         self.keys, self.turns = np.append(keys[last], np.iinfo(np.int64).max), np.append(turn[last], -1)
@@ -142,35 +136,61 @@ class LastWord:
         return np.where(self.keys[at] == key, self.turns[at], -1)
 
 
-def merged_rows(parts: list[Patches], rows: I64) -> dict[str, Any]:
-    """The row-wise arrays of patches ``rows`` (k,), counted over all parts."""
-    return {name: picked([getattr(part, name) for part in parts], rows) for name in ROWS}
+class Parts:
+    """Several records' arrays by name. What was taken is held here no longer."""
+
+    def __init__(self, records: Sequence[Any]) -> None:
+        self.rows = [len(record) for record in records]
+        self._held = [dict(vars(record)) for record in records]
+
+    def see(self, name: str) -> list[Any]:
+        """An array of each."""
+        return [held[name] for held in self._held]
+
+    def take(self, name: str) -> list[Any]:
+        """The same for the last time."""
+        return [held.pop(name) for held in self._held]
 
 
-def merged_bins(parts: list[Patches], rows: I64) -> dict[str, Any]:
-    """The navigation bins of patches ``rows`` (k,), counted over all parts."""
-    start = np.concatenate([[0], np.cumsum(np.concatenate([np.diff(part.nav_start) for part in parts]))]).astype(np.int64)
-    entries = ragged_index(start, rows)
-    return {
-        "nav_start": np.concatenate([[0], np.cumsum((start[1:] - start[:-1])[rows])]).astype(np.int64),
-        "nav_bin": picked([part.nav_bin for part in parts], entries), "M_nav": picked([part.M_nav for part in parts], entries),
-    }  # fmt: skip
+def merged_points(parts: Parts, turns: list[int], last: LastWord) -> FilteredPoints:
+    """The points that hold, by patch, then position."""
+    patch, r = np.concatenate(parts.see("patch")), np.concatenate(parts.see("r_map"))
+    chosen = np.flatnonzero(last.turn(patch) == np.repeat(turns, parts.rows))
+    order = chosen[np.argsort(patch[chosen], kind="stable")]
+    sort_runs(patch, r, order)
+    del patch, r
+    return FilteredPoints(**{field.name: picked(parts.take(field.name), order) for field in dataclasses.fields(FilteredPoints)})
 
 
-def merged_blocks(parts: list[Patches], turns: list[int], last: LastWord, keys: I64) -> dict[str, Any]:
-    """The cross blocks that hold, by the lower key of their pair and then the other, for patches of keys (m,)."""
-    rows = [np.empty(len(part.cross_key), np.int64) for part in parts]
+def merged_patches(parts: Parts, turns: list[int], last: LastWord) -> Patches:
+    """The patches that hold, by key, with their blocks by the lower key of their pair and then the other, and their bins."""
+    key = np.concatenate(parts.see("key"))
+    rows = np.flatnonzero(last.turn(key) == np.repeat(turns, parts.rows))
+    rows = rows[np.argsort(key[rows], kind="stable")]
+    start, other, entry = block_entries(parts.see("key"), parts.take("cross_start"), parts.take("cross_key"), turns, last, key[rows])
+    made: dict[str, Any] = {"cross_start": start, "cross_key": other, "cross": picked(parts.take("cross"), entry)}
+    starts = parts.take("nav_start")
+    bins = np.concatenate([[0], np.cumsum(np.concatenate([np.diff(start) for start in starts]))]).astype(np.int64)
+    made["nav_start"] = np.concatenate([[0], np.cumsum((bins[1:] - bins[:-1])[rows])]).astype(np.int64)
+    entry = ragged_index(bins, rows)
+    for name in ("nav_bin", "M_nav"):
+        made[name] = picked(parts.take(name), entry)
+    return Patches(**made, **{name: picked(parts.take(name), rows) for name in ROWS})
+
+
+def block_entries(
+    own: list[I64], start: list[I64], other: list[I64], turns: list[int], last: LastWord, keys: I64
+) -> tuple[I64, I64, I64]:
+    """The cross blocks that hold, by the lower key of their pair and then the other, for patches of keys (m,): start (m + 1,), the other
+    key of each and its number among the blocks of all parts. own, start, other : of each part, the keys of its patches and their blocks
+    in CSR form."""
+    rows = [np.empty(len(keys_there), np.int64) for keys_there in other]
     count = np.zeros(len(keys), np.int64)
-    for part, turn, row in zip(parts, turns, rows, strict=True):
-        block_rows(part.key, part.cross_start, part.cross_key, turn, last.keys, last.turns, keys, row, count)
-    start = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
-    key, entry, filled, number = np.empty(start[-1], np.int64), np.empty(start[-1], np.int64), np.zeros(len(keys), np.int64), 0
-    for part, row in zip(parts, rows, strict=True):
-        place_blocks(part.key, part.cross_start, part.cross_key, row, number, keys, start, filled, key, entry)
+    for mine, first, theirs, turn, row in zip(own, start, other, turns, rows, strict=True):
+        block_rows(mine, first, theirs, turn, last.keys, last.turns, keys, row, count)
+    begin = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+    key, entry, filled, number = np.empty(begin[-1], np.int64), np.empty(begin[-1], np.int64), np.zeros(len(keys), np.int64), 0
+    for mine, first, theirs, row in zip(own, start, other, rows, strict=True):
+        place_blocks(mine, first, theirs, row, number, keys, begin, filled, key, entry)
         number += len(row)
-    return {"cross_start": start, "cross_key": key, "cross": picked([part.cross for part in parts], entry)}
-
-
-def _spread(turns: list[int], parts: Sequence[Sized]) -> I64:
-    """The number of its part for every row of the parts, one after the other."""
-    return np.repeat(np.asarray(turns, np.int64), [len(part) for part in parts])
+    return begin, key, entry

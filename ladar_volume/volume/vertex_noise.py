@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from ladar_volume.model.kernels import kernel
-from ladar_volume.model.records import F64, I32, I64, Bool, FilteredPoints, Patches, Tin
+from ladar_volume.model.records import F32, F64, I32, I64, Bool, FilteredPoints, Patches, Tin
 from ladar_volume.volume.propagation import SurfaceGeometry
 
 #: Least vertical component of a normal.
@@ -44,7 +44,7 @@ def height_pairs(tin: Tin, patches: Patches, geometry: SurfaceGeometry, X: F64, 
 
 @kernel
 def pair_kernel(
-    one: I64, two: I64, row: I64, X: F64, start: I64, right: I64, weight: F64, cross: F64
+    one: I64, two: I64, row: I64, X: F64, start: I64, right: I64, weight: F64, cross: F32
 ) -> tuple[F64, Bool]:
     """``x_i C x_j`` (k,) of vertices one and two (k,) on patches row (n,) by design rows X (n, p), and whether there is such a block.
 

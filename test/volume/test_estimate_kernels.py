@@ -12,7 +12,7 @@ from ladar_volume.surface.relevant import edge_lengths
 from ladar_volume.surface.tin import any_corner, build_tin, footprint_areas, vertex_mask
 from ladar_volume.volume.outline import components, fill_holes, near_some, within
 from ladar_volume.volume.patch_merge import place_from, sort_runs
-from ladar_volume.volume.patch_store import LastWord, merged_blocks, picked
+from ladar_volume.volume.patch_store import LastWord, block_entries, picked
 
 
 @pytest.fixture(scope="module")
@@ -113,15 +113,15 @@ def test_blocks_of_several_updates_one_by_one():
     last = LastWord.__new__(LastWord)
     last.keys = np.append(np.array(sorted(newest), np.int64), np.iinfo(np.int64).max)
     last.turns = np.append([newest[k] for k in sorted(newest)], -1)
-    found = merged_blocks(parts, turns, last, keys)
-    start, got = found["cross_start"], {}
-    for i, own in enumerate(keys.tolist()):
-        others = found["cross_key"][start[i] : start[i + 1]]
-        assert (np.diff(others) >= 0).all()
+    own, starts, others = ([getattr(part, name) for part in parts] for name in ("key", "cross_start", "cross_key"))
+    start, other, entry = block_entries(own, starts, others, turns, last, keys)
+    blocks, got = picked([part.cross for part in parts], entry), {}
+    for i, mine in enumerate(keys.tolist()):
+        assert (np.diff(other[start[i] : start[i + 1]]) >= 0).all()
         for e in range(start[i], start[i + 1]):
-            got.setdefault((own, int(found["cross_key"][e])), []).append(found["cross"][e].tobytes())
+            got.setdefault((mine, int(other[e])), []).append(blocks[e].tobytes())
     assert {k: sorted(v) for k, v in got.items()} == {k: sorted(v) for k, v in expected.items() if k[0] in keys}
-    assert start[-1] == len(found["cross_key"]) > 40
+    assert start[-1] == len(other) > 40
 
 
 def test_points_in_order_within_their_patches():
