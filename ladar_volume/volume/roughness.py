@@ -12,7 +12,6 @@ grid by FFT.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,8 +29,11 @@ MAX_CELLS = 400
 #: Estimates of the field, each with what the fit took of the one before given back.
 ROUNDS = 3
 #: Scatter of an empirical correlation that no number of pairs takes away: a survey has few independent errors that are shared, and few
-#: lengths of the field. Lengths that are tried at a time.
-CHANCE, LENGTHS = 0.1, 60
+#: lengths of the field. Lengths that are tried at a time; pairs of points below which a distance says nothing.
+CHANCE, LENGTHS, LEAST_PAIRS = 0.1, 60, 30
+#: Standard deviation of the believed variance of the noise, over itself; and by how much a field must lessen the weighted sum of squares
+#: where the mean square says that there is none.
+DOUBT, SIGNIFICANT = 0.5, 4.0
 
 
 @dataclass(frozen=True)
@@ -134,13 +136,14 @@ def taken_by_fit(CQ: F64, Q: F64) -> tuple[F64, float]:
 def estimate_roughness(
     xy: F64, residual: F64, noise_variance: F64, parameters: int, shared: Callable[[I64], F64] | None = None
 ) -> Roughness:
-    """s² and L from ground residuals (n,) m at xy (n, 2) m with known independent noise variances (n,) m².
+    """s², L and g from ground residuals (n,) m at xy (n, 2) m with known independent noise variances (n,) m².
 
-    shared : gives the covariance (k, k) m² of the heights of k of the points from errors that returns share, None for none. s² is the mean
-    square residual minus the mean noise and what is shared, never below zero; L, at least half the spacing, and the share of the Gaussian
-    are fitted to the empirical autocorrelation. What the fit of the ground takes of the field is given back, to the square and to the
-    autocorrelation, by the field as first estimated. (The distance at which the correlation falls to 1/e makes the sigma of a smooth ground
-    1.4 times too large; the integral of the autocorrelation up to its first zero scatters twice as much as the fit, and is too long by it.)
+    shared : gives the covariance (k, k) m² of the heights of k of the points from errors that returns share, None for none. What the fit
+    of the ground takes of the field is given back, by the field as first estimated. The field is fitted to the products of residuals at
+    different points, which their noise does not enter; their mean square minus the noise counts as far as the noise is believed: were it
+    subtracted for certain, a noise believed a third too large would leave no roughness. (The distance at which the correlation falls to 1/e
+    makes the sigma of a smooth ground 1.4 times too large; the integral of the autocorrelation up to its first zero scatters twice as much
+    as the fit, and is too long by it.)
     """
     n = len(residual)
     spacing = mean_spacing(xy)
@@ -148,50 +151,66 @@ def estimate_roughness(
     p, none = xy[some], Roughness(0.0, spacing / 2, spacing)
     if len(some) <= parameters:
         return none
-    left = float(residual @ residual) / n - float(noise_variance.mean()) * (1.0 - parameters / n)
+    noise, square = float(noise_variance.mean()) * (1.0 - parameters / n), float(residual @ residual) / n
     C = np.zeros((len(some), len(some))) if shared is None else shared(some)
     Q, extent = basis(p, parameters), float(np.linalg.norm(p.max(axis=0) - p.min(axis=0)))
     edges = np.geomspace(max(spacing, extent / 1000), max(extent / 2, 2 * spacing), 25)
     products, counts, partners, d = pair_sums(p, residual[some], C, Q, np.concatenate([[0.0], edges]))
     known, trace = taken_by_fit(C @ Q, Q)
-    left -= (float(np.trace(C)) - trace) / len(some)
-    rough, own, trace, square = none, np.zeros_like(Q), 0.0, float((residual[some] ** 2).mean())
+    lag = np.concatenate([[0.0, edges[0] / 2], np.sqrt(edges[:-1] * edges[1:])])
+    ok = np.append(True, counts >= LEAST_PAIRS)
+    pairs = np.maximum(np.append(0.5 * n, counts), 1.0)
+    variance = square**2 / pairs + np.append((DOUBT * noise) ** 2, np.zeros(len(counts)))
+    left = square - noise - (float(np.trace(C)) - trace) / len(some)
+    rough, own, trace = none, np.zeros_like(Q), 0.0
     for number in range(ROUNDS):
         if number:  # what the fit took of the field is given back
             own, trace = taken_by_fit(rough.variance_m2 * condensed_product(rough.correlation(d), Q), Q)
-        rough = of_products(edges, products + np.tensordot(partners, known + own), counts, left + trace / len(some), square, none)
+        value = np.append(left + trace / len(some), (products + np.tensordot(partners, known + own)) / pairs[1:])
+        rough = of_products(lag[ok], value[ok], variance[ok], spacing, 2.0 * float(edges[-1]))
     return rough
 
 
-def of_products(edges: F64, products: F64, counts: F64, s2: float, square_m2: float, none: Roughness) -> Roughness:
-    """The field of variance s2 whose covariances have the sums ``products`` (k,) over numbers of pairs (k,) with distances up to each of
-    ascending edges (k,), of residuals with this mean square; ``none`` for a variance of zero or less."""
-    if s2 <= 0.0:
-        return none
-    lag = np.concatenate([[edges[0] / 2], np.sqrt(edges[:-1] * edges[1:])])
-    ok = counts >= 30
-    if not ok.any():
-        return dataclasses.replace(none, variance_m2=s2)
-    weight = 1.0 / ((square_m2 / s2) ** 2 / counts[ok] + CHANCE**2)
-    L, g = fitted_correlation(lag[ok], products[ok] / counts[ok] / s2, weight, none.spacing_m / 2, 2.0 * float(edges[-1]))
-    return Roughness(s2, L, none.spacing_m, g)
+def of_products(lag: F64, value: F64, variance: F64, spacing_m: float, most_m: float) -> Roughness:
+    """The field whose covariances at lags (k,), the first of them 0, were found to be ``value`` (k,) with variances (k,) from the number of
+    pairs; what else scatters is in proportion to the field. None where neither the variance nor what is between points speaks for one."""
+    s2, length, g, gain = max(float(value[0]), 0.0), spacing_m / 2, 0.0, 0.0
+    for _ in range(ROUNDS):
+        s2, length, g, gain = fitted_field(lag, value, 1.0 / (variance + (CHANCE * s2) ** 2), spacing_m / 2, most_m)
+    if value[0] <= 0.0 and gain < SIGNIFICANT:
+        return Roughness(0.0, spacing_m / 2, spacing_m)
+    return Roughness(s2, length, spacing_m, g)
 
 
-def fitted_correlation(lag: F64, rho: F64, weight: F64, least_m: float, most_m: float) -> tuple[float, float]:
-    """Length, between two limits, and share g of the Gaussian of the mixture that is nearest to correlations rho (k,) at lags (k,) in the
-    sense of weighted least squares. For each of many lengths g is the solution of a linear problem; the second round looks between the
-    neighbours of the best length."""
-    length, g, k = np.array([least_m]), np.zeros(1), 0
+def fitted_field(lag: F64, value: F64, weight: F64, least_m: float, most_m: float) -> tuple[float, float, float, float]:
+    """Variance, length, between two limits, and share g of the Gaussian of the field whose covariances at lags (k,) are nearest to
+    ``value`` (k,) in the sense of weighted least squares, and by how much the weighted sum of squares is less than without a field. For
+    each of many lengths the parts of exponential and Gaussian are the solution of a linear problem, neither below zero; the second round
+    looks between the neighbours of the best length."""
+    part, length, gain, k = np.zeros((1, 2)), np.array([least_m]), np.zeros(1), 0
     for _ in range(2):
         length = np.geomspace(least_m, max(most_m, least_m), LENGTHS)
         x = lag / length[:, None]
-        exponential = np.exp(-x)
-        apart = np.exp(-0.5 * x * x) - exponential
-        left = rho - exponential
-        g = np.clip((left * apart) @ weight / np.maximum((apart * apart) @ weight, 1e-300), 0.0, 1.0)
-        k = int(np.argmin((left - g[:, None] * apart) ** 2 @ weight))
+        shape = np.stack([np.exp(-x), np.exp(-0.5 * x * x)], axis=1)
+        part = parts_of(np.einsum("lak,lbk,k->lab", shape, shape, weight), shape @ (weight * value))
+        found = np.einsum("la,lak->lk", part, shape)
+        gain = (2.0 * value - found) * found @ weight
+        k = int(np.argmax(gain))
         least_m, most_m = float(length[max(k - 1, 0)]), float(length[min(k + 1, LENGTHS - 1)])
-    return float(length[k]), float(g[k])
+    s2 = float(part[k].sum())
+    return s2, float(length[k]), float(part[k, 1]) / s2 if s2 > 0.0 else 0.0, float(gain[k])
+
+
+def parts_of(N: F64, right: F64) -> F64:
+    """Solutions (l, 2), neither part below zero, of pairs of normal equations ``N x = right`` (l, 2, 2), (l, 2)."""
+    one, two, both = N[:, 0, 0], N[:, 1, 1], N[:, 0, 1]
+    det = np.maximum(one * two - both * both, 1e-12 * one * two)
+    out = np.stack([two * right[:, 0] - both * right[:, 1], one * right[:, 1] - both * right[:, 0]], axis=1) / det[:, None]
+    alone = np.maximum(right, 0.0) / np.stack([one, two], axis=1)  # one part by itself: it gains right times itself
+    first = right[:, 0] * alone[:, 0] >= right[:, 1] * alone[:, 1]
+    single = alone * np.stack([first, ~first], axis=1)
+    whole = (out[:, 0] >= 0.0) & (out[:, 1] >= 0.0)
+    return np.asarray(np.where(whole[:, None], out, single))
 
 
 def field_variance(xy: F64, weight: F64, point: Bool, rough: Roughness) -> float:

@@ -19,7 +19,7 @@ from ladar_volume.volume.roughness import (
     condensed_product,
     estimate_roughness,
     field_variance,
-    fitted_correlation,
+    fitted_field,
     mean_spacing,
     pair_sums,
     squares_grid,
@@ -85,6 +85,20 @@ def test_roughness_of_a_simulated_field(length):
     assert np.mean([f.length_m for f in found]) == pytest.approx(length, rel=0.3)
 
 
+def test_a_field_is_found_whatever_its_noise_is_believed_to_be():
+    xy = grid(36, 0.5)
+    d = np.linalg.norm(xy[:, None] - xy[None], axis=2)
+    root = np.linalg.cholesky(np.exp(-0.5 * (d / 1.2) ** 2) + 1e-8 * np.eye(len(xy)))
+    rng, weight = np.random.default_rng(8), np.where(np.hypot(*(xy - 8.75).T) < 3.0, 1.0, -0.1)
+    found = []
+    for _ in range(12):
+        e = 0.01 * root @ rng.standard_normal(len(xy)) + 0.03 * rng.standard_normal(len(xy))
+        rough = [estimate_roughness(xy, e - e.mean(), np.full(len(xy), share * 9e-4), 1) for share in (0.5, 1.0, 2.0)]
+        found.append([field_variance(xy, weight, np.zeros(len(xy), bool), one) for one in rough])
+    exact = 1e-4 * float(weight @ np.exp(-0.5 * (d / 1.2) ** 2) @ weight)
+    assert np.sqrt(np.mean(found, axis=0) / exact) == pytest.approx(1.0, abs=0.2)
+
+
 def test_noise_alone_is_no_roughness():
     e = 0.01 * np.random.default_rng(2).standard_normal(1600)
     found = estimate_roughness(grid(40), e, np.full(1600, 1.2e-4), 3)
@@ -96,8 +110,8 @@ def test_noise_alone_is_no_roughness():
 def test_how_smooth_a_field_is():
     lag = np.geomspace(0.3, 40, 25)
     for share in (0.0, 0.3, 1.0):
-        found = fitted_correlation(lag, Roughness(1.0, 2.0, 0.1, share).correlation(lag), np.ones(25), 0.1, 80.0)
-        assert found == pytest.approx((2.0, share), rel=5e-3, abs=0.02)
+        found = fitted_field(lag, 3.0 * Roughness(1.0, 2.0, 0.1, share).correlation(lag), np.ones(25), 0.1, 80.0)
+        assert found[1:3] == pytest.approx((2.0, share), rel=5e-3, abs=0.02) and found[0] == pytest.approx(3.0, rel=0.01)
     xy = grid(30)
     weight = np.where(np.hypot(*(xy - 14.5).T) < 5, 1.0, -0.05)  # a body of a few lengths
     some = np.zeros(900, bool)
@@ -152,11 +166,14 @@ def test_pairs_by_distance():
 
 def test_lengths_at_their_limits():
     lag, even = np.geomspace(0.3, 40, 25), np.ones(25)
-    assert fitted_correlation(lag, np.ones(25), even, 0.1, 80.0)[0] == pytest.approx(80.0, rel=1e-3)
-    assert fitted_correlation(lag, np.zeros(25), even, 0.1, 80.0)[0] == pytest.approx(0.1)
-    assert fitted_correlation(lag, np.zeros(25), even, 0.1, 0.05)[0] == 0.1
-    rng = np.random.default_rng(7)
-    found = [fitted_correlation(lag, np.exp(-lag / 3.0) + rng.normal(0, 0.05, 25), even, 0.1, 80.0)[0] for _ in range(200)]
+    assert fitted_field(lag, np.ones(25), even, 0.1, 80.0)[1] == pytest.approx(80.0, rel=1e-3)
+    assert fitted_field(lag, np.zeros(25), even, 0.1, 80.0) == (0.0, pytest.approx(0.1), 0.0, 0.0)
+    assert fitted_field(lag, np.zeros(25), even, 0.1, 0.05)[1] == 0.1
+    rng, known = np.random.default_rng(7), np.append(1e6, even)  # the variance is given: a correlation
+    found = [
+        fitted_field(np.append(0.0, lag), np.append(1.0, np.exp(-lag / 3.0) + rng.normal(0, 0.05, 25)), known, 0.1, 80.0)[1]
+        for _ in range(200)
+    ]
     assert np.mean(found) == pytest.approx(3.0, rel=0.05) and np.std(found) < 0.6
 
 
