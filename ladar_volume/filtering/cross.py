@@ -54,21 +54,24 @@ def candidates(
 
 
 @parallel_kernel
-def sharing(rows: Any, offset: Any, others: Any, start: Any, used: Any, members: Any, slots: Any, chunks: Any, out: Any) -> None:
-    """Whether each candidate pair shares an inlier. ``slots``: length of the slot arrays."""
+def sharing(rows: Any, offset: Any, others: Any, first: Any, held: Any, entries: Any, voxels: Any, chunks: Any, out: Any) -> None:
+    """Whether each candidate pair shares an inlier, by their entries (see ``fits``). ``voxels``: how many there are."""
     for chunk in numba.prange(chunks):
-        # which patch last marked a slot: one array per chunk of rows, never cleared
-        owner = np.full(slots, -1, np.int32)
+        # which patch last listed a voxel, and the number of its entry: one array per chunk of rows, never cleared
+        owner, entry = np.full(voxels, -1, np.int32), np.empty(voxels, np.int64)
         for row in range(chunk * len(rows) // chunks, (chunk + 1) * len(rows) // chunks):
             a = rows[row]
-            for i in range(start[a], start[a] + used[a]):
-                owner[members[i]] = a
+            for e in range(first[a], first[a] + held[a]):
+                owner[entries[e, 0]], entry[entries[e, 0]] = a, e
             for k in range(offset[row], offset[row + 1]):
                 b = others[k]
                 out[k] = False
-                for i in range(start[b], start[b] + used[b]):
-                    if owner[members[i]] == a:
-                        out[k] = True
+                for e in range(first[b], first[b] + held[b]):
+                    if owner[entries[e, 0]] == a:
+                        mine = entries[entry[entries[e, 0]]]
+                        for word in range(1, entries.shape[1]):
+                            out[k] |= (mine[word] & entries[e, word]) != 0
+                    if out[k]:
                         break
 
 

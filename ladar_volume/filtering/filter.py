@@ -43,7 +43,7 @@ class SurfaceFilter:
         self._mount = mounting(parameters.calibration, parameters.georeference.pose_source)
         self._store = VoxelStore(self.parameters.radius_m, self.parameters.cap_per_voxel)
         self._builder = PatchBuilder(self.parameters, self._store, self._mount, parameters.georeference.beams)
-        self._fits = FitStore(FEW_POINTS)
+        self._fits = FitStore(FEW_POINTS, self.parameters.cap_per_voxel)
         self._states: PlatformStates | None = None
         self._waiting: list[MappedPoints] = []
         self._losses = Losses()
@@ -160,13 +160,12 @@ class SurfaceFilter:
         self._refitted = len(touched)
         new = self._refit(touched)
         s.settle()
-        fits = self._fits.fits
-        good = fits.status[new] == OK
+        good = self._fits.fits.status[new] == OK
         rows, gone = new[good], new[~good]
         removed = s.keys[gone[self._published[gone]]]
         self._published[gone], self._published[rows] = False, True
-        patches = self._builder.patches(fits, rows)
-        return FilterUpdate(self._t_ns, np.sort(removed), self._builder.points(fits, rows, patches), patches)
+        patches = self._builder.patches(self._fits, rows)
+        return FilterUpdate(self._t_ns, np.sort(removed), self._builder.points(self._fits, rows, patches), patches)
 
     def _refit(self, voxels: I64) -> I64:
         """Fit these voxels, in order of their keys; returns those whose patch is another one now, in that order."""
@@ -178,7 +177,7 @@ class SurfaceFilter:
         for i in range(0, len(voxels), BLOCK):
             block = voxels[i : i + BLOCK]
             found = self._builder.fit(block)
-            new[i : i + BLOCK], own = self._fits.keep(found, s.fresh, s.cap)
+            new[i : i + BLOCK], own = self._fits.keep(found, s.fresh)
             held, failed = s.count[block].astype(np.int64), found.status != OK
             self._unfitted[block] = np.where(failed, held, 0)
             self._outliers[block] = np.where(failed, 0, held - own)

@@ -6,7 +6,7 @@ import numpy as np
 
 from ladar_volume.filtering import cross, kernels, project, sensitivity
 from ladar_volume.filtering.fit import OK
-from ladar_volume.filtering.fits import Fits, blank
+from ladar_volume.filtering.fits import Fits, FitStore, blank
 from ladar_volume.filtering.store import VoxelStore
 from ladar_volume.georeference.lidar import Mounting
 from ladar_volume.model.parameters import FilterParameters
@@ -34,11 +34,12 @@ class PatchBuilder:
         )  # fmt: skip
         return fits
 
-    def patches(self, fits: Fits, rows: I64) -> Patches:
+    def patches(self, kept: FitStore, rows: I64) -> Patches:
         """The record of patches ``rows`` of the fits of all voxels; pairs with a patch of a lower key are listed, after the others, where
         that patch is not among the rows."""
         s, p = self.store, 6 if self.parameters.degree == 2 else 3
-        offset, others = self._pairs(fits, rows)
+        offset, others = self._pairs(kept, rows)
+        fits = kept.listed(np.union1d(rows, others), s)
         blocks = np.zeros((offset[-1], p, p), np.float32)
         most = int(fits.used[rows].max(initial=0))
         cross.cross_blocks(
@@ -52,8 +53,9 @@ class PatchBuilder:
             M_nav,
         )  # fmt: skip
 
-    def _pairs(self, fits: Fits, rows: I64) -> tuple[I64, I64]:
+    def _pairs(self, kept: FitStore, rows: I64) -> tuple[I64, I64]:
         """Pairs of patches that share raw points, in CSR form: (offset, other patch)."""
+        fits = kept.fits
         s, counts, mine = self.store, np.zeros(len(rows), np.int64), np.zeros(len(fits.voxels), np.bool_)
         mine[rows] = True
         good = fits.status == OK
@@ -66,7 +68,7 @@ class PatchBuilder:
         others = np.empty(offset[-1], np.int64)
         listed(True, offset, others)
         shared = np.zeros(len(others), np.bool_)
-        cross.sharing(rows, offset, others, fits.start, fits.used, fits.members, len(s.r), cross.chunks_of(len(rows)), shared)
+        cross.sharing(rows, offset, others, kept.first, kept.held, kept.entries, len(fits.voxels), cross.chunks_of(len(rows)), shared)
         return np.concatenate([[0], np.cumsum(shared)])[offset], others[shared]
 
     def _sensitivities(self, fits: Fits, rows: I64, p: int) -> tuple[I64, I64, F32, F32]:
@@ -84,9 +86,9 @@ class PatchBuilder:
         )  # fmt: skip
         return nav_start, nav_bin, M_cal, M_nav
 
-    def points(self, fits: Fits, rows: I64, patches: Patches) -> FilteredPoints:
+    def points(self, kept: FitStore, rows: I64, patches: Patches) -> FilteredPoints:
         """The filtered points of patches ``rows``."""
-        s, p = self.store, patches.beta.shape[1]
+        s, p, fits = self.store, patches.beta.shape[1], kept.listed(rows, self.store)
         n = len(rows) * s.cap
         r, normal, variance = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
         C, t_ns, uv = np.zeros((n, 6), np.float32), np.zeros(n, np.int64), np.zeros((n, 2))

@@ -17,8 +17,8 @@ from ladar_volume.filtering.kernels import rotate
 from ladar_volume.filtering.store import BITS
 from ladar_volume.model.kernels import kernel, parallel_kernel
 
-#: Navigation time bins of a patch, at most: those of a minute. A patch that is seen for an hour has inliers in hundreds.
-MOST_BINS = 32
+#: Navigation time bins of a patch, at most: those of forty seconds. A patch that is seen for an hour has inliers in hundreds.
+MOST_BINS = 20
 
 
 @kernel

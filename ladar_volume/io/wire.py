@@ -136,14 +136,16 @@ def update_parts(update: FilterUpdate, patches: int = 400) -> list[FilterUpdate]
     """A large update as several messages' worth; only the last is marked complete, all of them together are the update."""
     m = len(update.patches)
     bounds = [*range(0, m, patches), m] if m else [0, 0]
-    parts = []
+    parts, a = [], update.patches
+    order = np.argsort(a.key, kind="stable")
+    at = np.searchsorted(a.key, update.points.patch, sorter=order)
+    owner = np.append(order, -1)[at]  # the patch of each point
     for first, last in itertools.pairwise(bounds):
-        a = update.patches
         c0, c1, n0, n1 = a.cross_start[first], a.cross_start[last], a.nav_start[first], a.nav_start[last]
         rows = {f.name: getattr(a, f.name)[first:last] for f in dataclasses.fields(a)}
         rows |= {"cross_start": a.cross_start[first : last + 1] - c0, "cross_key": a.cross_key[c0:c1], "cross": a.cross[c0:c1]}
         rows |= {"nav_start": a.nav_start[first : last + 1] - n0, "nav_bin": a.nav_bin[n0:n1], "M_nav": a.M_nav[n0:n1]}
-        mine = np.isin(update.points.patch, rows["key"])
+        mine = (owner >= first) & (owner < last)
         removed = update.removed if first == 0 else update.removed[:0]
         parts.append(FilterUpdate(update.t_ns, removed, select(update.points, mine), Patches(**rows), last == m))
     return parts

@@ -16,6 +16,8 @@ from ladar_volume.model.losses import Losses
 from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, FilterUpdate, Patches, select
 from ladar_volume.volume.patch_merge import block_rows, copy_rows, place_blocks, sort_runs
 
+#: Numbers after which a large array gives back what has been copied of it.
+GIVEN_BACK = 4_000_000
 ROWS = ("key", "centre", "normal", "tangent", "beta", "sigma", "used", "t_ns", "M_cal")
 
 
@@ -43,16 +45,25 @@ def take_patches(patches: Patches, rows: I64) -> Patches:
 
 
 def picked(parts: list[Any], rows: I64) -> Any:
-    """Rows of arrays, each at most once, as if these were one after the other. A part without rows has no columns of its own to match."""
-    parts = [part for part in parts if len(part)] or parts[:1]
+    """Rows of arrays, each at most once, as if these were one after the other. A part without rows has no columns of its own to match.
+    The list is used up; so is a large array that nobody else has a hold of: what has been copied goes back to the system, and the array is
+    not held twice."""
+    parts[:] = [part for part in parts if len(part)] or parts[:1]
     if len(parts) == 1:
         return parts[0][rows]
     out, to = np.empty((len(rows), *parts[0].shape[1:]), parts[0].dtype), np.full(sum(len(part) for part in parts), -1, np.int64)
     to[rows] = np.arange(len(rows))
-    width, first = math.prod(parts[0].shape[1:]), 0
-    for part in parts:
-        copy_rows(np.ascontiguousarray(part, out.dtype).reshape(-1), to[first : first + len(part)], width, out.reshape(-1))
-        first += len(part)
+    width, end = math.prod(parts[0].shape[1:]), len(to)
+    while parts:
+        part = np.ascontiguousarray(parts.pop(), out.dtype)
+        while len(part):
+            left = max(len(part) - max(GIVEN_BACK // max(width, 1), 1), 0) if part.base is None else 0
+            copy_rows(part[left:].reshape(-1), to[end - len(part) + left : end], width, out.reshape(-1))
+            end -= len(part) - left
+            try:
+                part.resize((left, *part.shape[1:]))
+            except ValueError:  # others refer to it
+                part = part[:left]
     return out
 
 

@@ -21,10 +21,10 @@ def test_fewer_bins_than_a_patch_is_seen_in(scene):
     f.add_platform(states)
     f.add(points)
     all_bins = f.finish().patches
-    fits, s = f._fits.fits, f._store
+    s = f._store
     rows = np.array([int(np.flatnonzero(s.keys[: s.used] == key)[0]) for key in all_bins.key])
     f._builder.most_bins = most
-    few = f._builder.patches(fits, rows)
+    few, fits = f._builder.patches(f._fits, rows), f._fits.listed(rows, s)
     assert (np.diff(few.nav_start) == most).all() and np.diff(all_bins.nav_start).min() > 3 * most
     assert few.M_cal.tobytes() == all_bins.M_cal.tobytes() and few.cross.tobytes() == all_bins.cross.tobytes()
     drawn, u = np.zeros(most, np.int64), np.array([sensitivity.fraction_of(key) for key in few.key])

@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from ladar_volume.model.records import Patches
 from ladar_volume.surface.relevant import edge_lengths
 from ladar_volume.surface.tin import any_corner, build_tin, footprint_areas, vertex_mask
+from ladar_volume.volume import patch_store
 from ladar_volume.volume.outline import components, fill_holes, near_some, within
 from ladar_volume.volume.patch_merge import place_from, sort_runs
 from ladar_volume.volume.patch_store import LastWord, block_entries, picked
@@ -145,5 +146,17 @@ def test_rows_picked_from_parts():
     rng = np.random.default_rng(5)
     parts = [rng.random((n, 2, 3)) for n in (4, 0, 7)]
     rows = rng.permutation(11)[:8]
-    assert np.array_equal(picked(parts, rows), np.concatenate(parts)[rows])
+    assert np.array_equal(picked(list(parts), rows), np.concatenate(parts)[rows])
     assert np.array_equal(picked([part[:, 0, 0] for part in parts], rows), np.concatenate(parts)[rows, 0, 0])
+
+
+@pytest.mark.parametrize("given_back", [1, 50, 10_000])
+def test_a_large_part_is_given_back_while_it_is_copied(monkeypatch, given_back):
+    monkeypatch.setattr(patch_store, "GIVEN_BACK", given_back)
+    rng = np.random.default_rng(6)
+    parts = [rng.random((n, 2, 3)) for n in (90, 7, 30)]
+    rows, whole, held = rng.permutation(127)[:100], np.concatenate(parts), parts[0]
+    assert np.array_equal(picked(list(parts), rows), whole[rows])
+    assert np.array_equal(held, whole[:90])  # somebody else has a hold of it
+    mine = [part.copy() for part in parts]
+    assert np.array_equal(picked(mine, rows), whole[rows]) and not mine
