@@ -11,7 +11,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from ladar_volume.filtering import assignment, choice, pieces
+from ladar_volume.filtering import agreement, assignment, choice, pieces
 from ladar_volume.filtering.fit import AROUND, REACH
 from ladar_volume.filtering.frame import across
 from ladar_volume.filtering.osculating import foot_on_quadric
@@ -177,9 +177,10 @@ def surface_of(
     leaves no more than the noise."""
     lent, lent_sizes = np.empty((NEXT, pieces.MOST, 4)), np.empty(NEXT, np.int64)
     number = sets_around(v, keys, table, sets, sizes, origin, lent, lent_sizes)
-    count, cost = choice.best_lent(x, m, lent[:number], lent_sizes[:number], sigma, threshold, least, planes, side, label)
+    lent, lent_sizes, reach = lent[:number], lent_sizes[:number], 0.5 * ball
+    count, cost = choice.best_lent(x, m, reach, lent, lent_sizes, sigma, threshold, least, planes, side, label)
     if turn == LAST and count > 0 and sizes[v] > 1:
-        return count, np.inf
+        return agreement.common(x, m, own, reach, lent, lent_sizes, count, cost, sigma, threshold, least, planes, side, label), np.inf
     well = choice.steady(x, m, own, planes, count, sigma, threshold, side, label) if count > 0 else 0
     if well == 2:
         return count, np.inf

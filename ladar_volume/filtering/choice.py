@@ -8,7 +8,7 @@ import numpy as np
 
 from ladar_volume.filtering.assignment import pieces_cost
 from ladar_volume.filtering.pieces import MOST, bounds, fit_plane, nearest_piece, nearest_pieces, nearest_planes, squares
-from ladar_volume.model.kernels import kernel
+from ladar_volume.model.kernels import kernel, leaf_kernel
 
 #: Least share of the points a plane needs: outliers give this much to any slab. Half of it where a neighbour found the plane.
 CHANCE = 0.03
@@ -24,6 +24,8 @@ TIGHT, NEARLY = 5, 1.1
 SEVERAL, CLUTTER = 3, 3.0
 #: Mean square over sigma² of the points within the threshold of a plane that has none of its own; evenly filled slabs give 3.
 HOPELESS = 2.0
+#: Planes nowhere in half the neighbourhood farther apart than this many sigma are one to start from: refitting makes them the same.
+REPEATED = 0.3
 #: Most candidates tried, and how many of them in all combinations.
 TRIED, TOGETHER = 10, 3
 
@@ -191,17 +193,48 @@ def sample(x: Any, m: Any, least: Any) -> Any:
     return y, max(least // stride, np.int64(CHANCE * len(y)), 1)
 
 
+@leaf_kernel
+def same(a: Any, b: Any, reach: Any, limit: Any) -> Any:
+    """Whether two planes about an origin are nowhere within ``reach`` of it farther apart than the limit."""
+    s = 1.0 if a[0] * b[0] + a[1] * b[1] + a[2] * b[2] > 0.0 else -1.0
+    turn = (a[0] - s * b[0]) ** 2 + (a[1] - s * b[1]) ** 2 + (a[2] - s * b[2]) ** 2
+    return abs(a[3] - s * b[3]) + reach * np.sqrt(turn) < limit
+
+
+@kernel
+def among(plane: Any, planes: Any, count: Any, reach: Any, limit: Any) -> Any:
+    """Whether a plane is one of ``count`` planes (k, 4), as :func:`same`."""
+    for a in range(count):
+        if same(plane, planes[a], reach, limit):
+            return True
+    return False
+
+
+@kernel
+def repeated(lent: Any, sizes: Any, a: Any, reach: Any, limit: Any) -> Any:
+    """Whether set ``a`` has the same planes as one before it."""
+    for b in range(a):
+        if sizes[b] == sizes[a]:
+            known = 0
+            while known < sizes[a] and among(lent[a, known], lent[b], sizes[b], reach, limit):
+                known += 1
+            if known == sizes[a]:
+                return True
+    return False
+
+
 @kernel
 def best_lent(
-    x: Any, m: Any, lent: Any, sizes: Any, sigma: Any, threshold: Any, least: Any, planes: Any, side: Any, label: Any
+    x: Any, m: Any, reach: Any, lent: Any, sizes: Any, sigma: Any, threshold: Any, least: Any, planes: Any, side: Any, label: Any
 ) -> Any:  # fmt: skip
     """Of the sets (k, MOST, 4) that neighbours chose, the one with the shortest description of the points (m, 3), of the ``TIGHT`` best
-    by a sample. Returns (number of planes, length); a plane that a neighbour found needs half as many points here."""
+    different ones by a sample. Returns (number of planes, length); a plane that a neighbour found needs half as many points here."""
     y, need = sample(x, m, least)
     length, shortest = np.full(len(lent), np.inf), threshold * threshold * m
     for a in range(len(lent)):
-        length[a] = description(y, len(y), lent[a], sizes[a], m, sigma, threshold, max(need // 2, 1), NEARLY * shortest, side, label)
-        shortest = min(shortest, length[a])
+        if not repeated(lent, sizes, a, reach, REPEATED * sigma):
+            length[a] = description(y, len(y), lent[a], sizes[a], m, sigma, threshold, max(need // 2, 1), NEARLY * shortest, side, label)
+            shortest = min(shortest, length[a])
     count, cost, need = 0, threshold * threshold * m, max(least // 2, np.int64(0.5 * CHANCE * m))
     for a in np.argsort(length)[:TIGHT]:
         if length[a] < np.inf:

@@ -1,0 +1,133 @@
+"""The planes that neighbourhoods agree in: where more planes come together than any one of them told apart, together they know them all.
+
+Every cell chooses the planes that describe its own surroundings. Of three within a few widths of the noise it may miss one and lean the
+others, but then its neighbours, which see more of one and less of another, rarely err alike.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ladar_volume.filtering.choice import CHANCE, among, description, same, sample, steady
+from ladar_volume.filtering.pieces import MOST, nearest_planes
+from ladar_volume.model.kernels import kernel
+
+#: Planes agree that are nowhere in half the neighbourhood farther apart than this, in sigma; within the second they are no two.
+AGREE, APART = 0.75, 1.5
+#: A plane that so many of the sets have, and one set of this many, is agreed in.
+VOTES, OF = 3, 4
+
+
+@kernel
+def accepted(planes: Any, count: Any, lent: Any, sizes: Any, reach: Any, sigma: Any) -> Any:
+    """Whether the sets (k, MOST, 4) agree in every one of ``count`` planes."""
+    for b in range(count):
+        votes = 0
+        for a in range(len(lent)):
+            votes += among(planes[b], lent[a], sizes[a], reach, AGREE * sigma)
+        if votes < VOTES or OF * votes < len(lent):
+            return False
+    return True
+
+
+@kernel
+def agreed(lent: Any, sizes: Any, reach: Any, sigma: Any, out: Any) -> Any:
+    """The planes that most of the sets (k, MOST, 4) agree in, to out (n, 4), the most frequent first; returns how many."""
+    total, n, number = sizes.sum(), 0, 0
+    each, votes = np.empty((total, 4)), np.ones(total, np.int64)
+    for a in range(len(lent)):
+        for k in range(sizes[a]):
+            each[n] = lent[a, k]
+            n += 1
+    for a in range(n):
+        for b in range(a):
+            if same(each[a], each[b], reach, AGREE * sigma):
+                votes[a] += 1
+                votes[b] += 1
+    while number < len(out):
+        best = np.argmax(votes)
+        if votes[best] == 0:
+            break
+        out[number] = each[best]
+        for a in range(n):
+            if same(each[a], out[number], reach, APART * sigma):
+                votes[a] = 0
+        number += 1
+    return number
+
+
+@kernel
+def without(planes: Any, size: Any, k: Any, out: Any) -> None:
+    """All of ``size`` planes but the one numbered k, to out."""
+    out[:k] = planes[:k]
+    out[k : size - 1] = planes[k + 1 : size]
+
+
+@kernel
+def supported(y: Any, n: Any, planes: Any, size: Any, need: Any, limit: Any, label: Any) -> Any:
+    """Drop planes to which fewer than ``need`` of the points (n, 3) are nearest, the one with fewest first; returns how many are left."""
+    support, other = np.empty(MOST, np.int64), np.empty((MOST, 4))
+    while size > 0:
+        nearest_planes(y, n, planes, size, limit, label)
+        support[:size] = 0
+        for i in range(n):
+            if label[i] >= 0:
+                support[label[i]] += 1
+        k = np.argmin(support[:size])
+        if support[k] >= need:
+            break
+        without(planes, size, k, other)
+        size -= 1
+        planes[:size] = other[:size]
+    return size
+
+
+@kernel
+def thinned(y: Any, n: Any, planes: Any, size: Any, m: Any, sigma: Any, threshold: Any, side: Any, label: Any) -> Any:
+    """Drop planes one at a time, whichever shortens the description of m points, of which y (n, 3) are a sample, most, as long as one
+    does; returns how many are left."""
+    other = np.zeros((MOST, 4))
+    length = description(y, n, planes, size, m, sigma, threshold, 0, np.inf, side, label)
+    while size > 1:
+        best = -1
+        for k in range(size):
+            without(planes, size, k, other)
+            shorter = description(y, n, other, size - 1, m, sigma, threshold, 0, length, side, label)
+            if shorter < length:
+                best, length = k, shorter
+        if best < 0:
+            break
+        without(planes, size, best, other)
+        size -= 1
+        planes[:size] = other[:size]
+    return size
+
+
+@kernel
+def common(
+    x: Any, m: Any, own: Any, reach: Any, lent: Any, sizes: Any, count: Any, cost: Any, sigma: Any, threshold: Any, least: Any, planes: Any,
+    side: Any, label: Any,
+) -> Any:  # fmt: skip
+    """The planes that the neighbours' sets (k, MOST, 4) agree in, without those that explain nothing here, where they describe the points
+    (m, 3) better than the ``count`` planes of the best single set, whose description has the length ``cost``. Returns their number.
+
+    Not asked where the neighbours agree in the planes of that set, and these leave no more than the noise."""
+    if accepted(planes, count, lent, sizes, reach, sigma) and steady(x, m, own, planes, count, sigma, threshold, side, label) == 2:
+        return count
+    y, need = sample(x, m, least)
+    trial = np.zeros((MOST, 4))
+    size = agreed(lent, sizes, reach, sigma, trial)
+    size = supported(y, len(y), trial, size, max(need // 2, 1), threshold * threshold, label)
+    known = 0
+    for a in range(size):
+        known += among(trial[a], planes, count, reach, AGREE * sigma)
+    if size == 0 or known == size == count:
+        return count
+    size = thinned(y, len(y), trial, size, m, sigma, threshold, side, label)
+    need = max(least // 2, np.int64(0.5 * CHANCE * m))
+    if description(x, m, trial, size, m, sigma, threshold, need, cost, side, label) < cost:
+        planes[:size] = trial[:size]
+        return size
+    return count
