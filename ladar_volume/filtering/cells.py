@@ -25,7 +25,8 @@ OFFERED = 3
 #: What lies within this many sigma of a plane found is not searched for the next one.
 EXPLAINED = 2.0
 #: Turns: leaders search their planes; the others take over what a neighbour found where it explains their points, and else search too;
-#: in the last one cells of several planes, and such as are not explained, choose again among what all around them found.
+#: in the last one cells of several planes, and such as are not explained, choose again among what all around them found,
+#: or take the planes that these agree in.
 TURNS = 3
 LAST = TURNS - 1
 #: A cell and those next to it.

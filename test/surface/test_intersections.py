@@ -8,7 +8,7 @@ from closed_meshes import CUBE_T, CUBE_V, grid_mesh, torus
 
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.se3 import exp_so3
-from ladar_volume.surface.intersections import check_simple, cross, crossings
+from ladar_volume.surface.intersections import check_simple, corners_beyond, cross, crossings
 from ladar_volume.volume.tetrahedra import closed_volume
 
 
@@ -25,7 +25,23 @@ def test_overlapping_bodies_are_refused_and_told_why():
     assert closed_volume(v, t, allow_crossings=True).volume_m3 == pytest.approx(2.0)
 
 
-@pytest.mark.parametrize("shift", [[1, 0, 0], [1, 1, 0], [1, 1, 1], [1, 0.3, 0.2], [3, 0, 0]])
+@pytest.mark.parametrize("shift", [[0.5, 0.5, 0.5], [0.4, 0.4, 0.4], [0.5, 0.5, -0.5], [0.5, 0.25, 0.25], [-0.3, 0.3, 0.3]])
+def test_edges_that_meet_the_edges_of_the_other_body_pierce_it(shift):
+    v, given = two(shift)
+    for t in (given, given[:, [0, 2, 1]]):
+        for scale, at in ((1.0, 0.0), (1.0, np.array([5e5, 5.6e6, 300.0])), (1e-3, 0.0)):
+            with pytest.raises(SurfaceError, match="cross"):
+                check_simple(v * scale + at, t)
+
+
+def test_the_corner_beyond_each_edge():
+    beyond = corners_beyond(CUBE_T.astype(np.int32))
+    edges = {(t[k], t[(k + 1) % 3]): t[(k + 2) % 3] for t in CUBE_T.tolist() for k in range(3)}
+    assert beyond.tolist() == [[edges[t[(k + 1) % 3], t[k]] for k in range(3)] for t in CUBE_T.tolist()]
+    assert (corners_beyond(CUBE_T[:1].astype(np.int32)) == -1).all()
+
+
+@pytest.mark.parametrize("shift", [[1, 0, 0], [1, 0, 0.5], [1, 0.5, 0.5], [0.5, 0.5, 1], [1, 0, -0.25], [1, 1, 0], [1, 1, 1], [1, 0.3, 0.2], [3, 0, 0]])
 def test_touching_is_not_crossing(shift):
     v, t = two(shift)
     check_simple(v, t)
@@ -37,7 +53,7 @@ def test_against_a_plain_search_and_turned():
     v = rng.uniform(0, 1, (90, 3))
     t = np.arange(90, dtype=np.int32).reshape(-1, 3)
     t[20:, 0] = t[:10, 1]  # some share a vertex
-    plain = {(i, j) for i in range(30) for j in range(i + 1, 30) if cross.py_func(v, t[i], t[j])}
+    plain = {(i, j) for i in range(30) for j in range(i + 1, 30) if cross.py_func(v, t, corners_beyond(t), i, j)}
     assert {tuple(p) for p in crossings(v, t).tolist()} == plain and len(plain) > 20
     R = exp_so3(np.array([1.0, 2, 3]))
     assert {tuple(p) for p in crossings(v @ R.T, t).tolist()} == plain
