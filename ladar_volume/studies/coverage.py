@@ -196,14 +196,16 @@ def line_statistics(rows: Sequence[tuple[dict[str, list[float]], dict[str, float
 
     What the source itself does is what both changes have in common, the mean of their product (the first-order index of Sobol, by picking
     the source and freezing the rest). Over one ground, the mean square (with_ground_m3), it also makes another part of the roughness be
-    sampled. Noise and roughness have nothing in common over two grounds: their lines are the mean square.
+    sampled. Noise and roughness have nothing in common over two grounds: their lines are the mean square, as is that of a source that erred
+    over one.
     """
     out = {}
     for line in rows[0][0]:
         predicted = math.sqrt(math.fsum(variance[line] for _, variance in rows) / len(rows))
-        one, two = (np.array([changes[line][k] for changes, _ in rows]) for k in range(2))
-        square = 0.5 * (one * one + two * two)
-        own = square if line in (NOISE, BASE_SURFACE) else one * two
+        changes = [change[line] for change, _ in rows]
+        square = np.array([math.fsum(x * x for x in c) / len(c) for c in changes])
+        apart = line in (NOISE, BASE_SURFACE)
+        own = np.array([s if apart or len(c) == 1 else c[0] * c[1] for s, c in zip(square, changes, strict=True)])
         found = math.sqrt(max(0.0, float(own.mean())))
         ratio = predicted / found if found else math.nan
         scatter = 0.5 * ratio * float(own.std()) / math.sqrt(len(rows)) / found**2 if found else math.nan

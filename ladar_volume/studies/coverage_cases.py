@@ -214,15 +214,17 @@ def net_volumes(site: Site | BoxSite, drawn: BudgetParameters, seed: int, ground
 
 def alone(site: Site | BoxSite, seed: int) -> dict[str, dict[str, list[float]]]:
     """By base and line of the budget: the changes of the volume (m³) when that source alone errs, the same errors over two grounds of
-    their own roughness.
+    their own roughness; over one for noise, and for a box, on whose smooth ground little depends.
 
     The change is against the same survey without any error, so that what the sampling of the surface does is in both. The roughness of
     the ground is what is left without any other error: its change is the error of that survey.
     """
     out: dict[str, dict[str, list[float]]] = {base: {} for base in bases(site)}
-    for ground in (seed, seed + OTHER_GROUND):
+    for ground in (seed,) if isinstance(site, BoxSite) else (seed, seed + OTHER_GROUND):
         off = net_volumes(site, without(DEFAULT), seed, ground)
         for line in SOURCES:
+            if line == NOISE and ground != seed:
+                continue
             changed = net_volumes(site, without(DEFAULT, line), seed, ground)
             for base, volume in off.items():
                 out[base].setdefault(line, []).append(changed[base] - volume)
