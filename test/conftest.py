@@ -9,7 +9,7 @@ import pytest
 HERE = Path(__file__).parent
 TOGETHER = {
     "online": ("nodes", "io", "georeference"),
-    "clouds": ("filtering", "benchmarks", "cli", "studies"),
+    "clouds": ("cli", "filtering"),
 }
 GROUP = {folder: name for name, folders in TOGETHER.items() for folder in folders}
 

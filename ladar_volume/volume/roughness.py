@@ -152,6 +152,8 @@ def estimate_roughness(
     if len(some) <= parameters:
         return none
     noise, square = float(noise_variance.mean()) * (1.0 - parameters / n), float(residual @ residual) / n
+    if square == 0.0:  # an exact ground
+        return none
     C = np.zeros((len(some), len(some))) if shared is None else shared(some)
     Q, extent = basis(p, parameters), float(np.linalg.norm(p.max(axis=0) - p.min(axis=0)))
     edges = np.geomspace(max(spacing, extent / 1000), max(extent / 2, 2 * spacing), 25)

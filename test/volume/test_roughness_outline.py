@@ -107,6 +107,13 @@ def test_noise_alone_is_no_roughness():
     assert mean_spacing(grid(40, 0.3)) == pytest.approx(0.3, rel=0.05)
 
 
+def test_an_exact_ground_has_no_roughness():
+    xy = grid()
+    with np.errstate(all="raise"):
+        found = estimate_roughness(xy, np.zeros(len(xy)), np.zeros(len(xy)), 3)
+    assert found.variance_m2 == 0.0
+
+
 def test_how_smooth_a_field_is():
     lag = np.geomspace(0.3, 40, 25)
     for share in (0.0, 0.3, 1.0):
