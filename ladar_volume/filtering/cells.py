@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 
 from ladar_volume.filtering import agreement, assignment, choice, pieces
@@ -17,7 +16,7 @@ from ladar_volume.filtering.frame import across
 from ladar_volume.filtering.osculating import foot_on_quadric
 from ladar_volume.filtering.single import bend, flat, nearest_to_origin
 from ladar_volume.filtering.store import _mix, voxels_around
-from ladar_volume.model.kernels import kernel, leaf_kernel, parallel_kernel
+from ladar_volume.model.kernels import kernel, leaf_kernel
 
 KEPT, OUTLIER, FEW_POINTS, NO_SURFACE, BEYOND_EDGE, UNSUPPORTED = 0, 1, 2, 3, 4, 5
 #: Planes each cell finds for itself and its neighbours.
@@ -80,17 +79,16 @@ def supported(x: Any, m: Any, origin: Any, q: Any, square: Any) -> Any:
     return False
 
 
-@parallel_kernel
+@kernel
 def main_planes(
-    keys: Any, table: Any, first: Any, r: Any, which: Any, ball: Any, noise: Any, limit: Any, trials: Any, least: Any, seed: Any,
+    which: Any, keys: Any, table: Any, first: Any, r: Any, ball: Any, noise: Any, limit: Any, trials: Any, least: Any, seed: Any,
     planes: Any, found: Any,
 ) -> None:  # fmt: skip
     """The planes that the points near the cells ``which`` lie on, most points first, as ``n·x = o`` (v, OFFERED, 4) and their number (v,).
 
     Each is sought among what the former ones do not explain. They are what a cell and its neighbours have to choose from.
     """
-    for i in numba.prange(len(which)):
-        v = which[i]
+    for v in which:
         sigma, threshold = noise[v], limit[v]
         empty = np.empty(0, np.int64)
         n = gather(v, keys, table, first, r, empty)
@@ -270,16 +268,15 @@ def verdict(lo: Any, hi: Any, order: Any, mine: Any, why: Any, reason: Any) -> N
             reason[order[i]] = why
 
 
-@parallel_kernel
+@kernel
 def filter_cells(
-    keys: Any, table: Any, first: Any, r: Any, main: Any, found: Any, sets: Any, sizes: Any, turn: Any, which: Any, order: Any, mine: Any,
+    which: Any, keys: Any, table: Any, first: Any, r: Any, main: Any, found: Any, sets: Any, sizes: Any, turn: Any, order: Any, mine: Any,
     ball: Any, degree: Any, noise: Any, limit: Any, least: Any, iterations: Any, snap: Any, q: Any, normals: Any, variance: Any,
     reason: Any, kind: Any, misfit: Any, chosen: Any,
 ) -> None:  # fmt: skip
     """The cells ``which`` of points (n, 3) sorted by voxel, ``order`` (n,) the place of each among the points as given: that is where a
     cell writes what becomes of those of its own points that are ``mine``."""
-    for i in numba.prange(len(which)):
-        v = which[i]
+    for v in which:
         empty = np.empty(0, np.int64)
         n = gather(v, keys, table, first, r, empty)
         slots = np.empty(n, np.int64)

@@ -18,7 +18,7 @@ from ladar_volume.filtering.fit import REACH
 from ladar_volume.filtering.pieces import MOST
 from ladar_volume.filtering.sampling import sorted_by_voxel
 from ladar_volume.filtering.store import BITS
-from ladar_volume.model.kernels import dealt_out
+from ladar_volume.model.kernels import in_threads
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64, I32, I64, Bool
 
@@ -93,8 +93,8 @@ def _cover_level(
     noise = np.add.reduceat(regions.sigma_m[order], first[:-1]) / size
     limit = np.add.reduceat(regions.threshold_m[order], first[:-1]) / size
     main, found = np.zeros((len(keys), cells.OFFERED, 4)), np.zeros(len(keys), np.int64)
-    cells.main_planes(
-        keys, table, first, ordered, dealt_out(np.flatnonzero(near)), ball / NARROWER, noise, limit, parameters.trials,
+    in_threads(
+        cells.main_planes, np.flatnonzero(near), keys, table, first, ordered, ball / NARROWER, noise, limit, parameters.trials,
         parameters.min_points, parameters.seed, main, found,
     )  # fmt: skip
     kind, misfit = np.zeros(len(keys), np.int64), np.zeros(len(keys))
@@ -103,8 +103,8 @@ def _cover_level(
     for turn, some in enumerate((wanted & lead, wanted & ~lead, wanted)):
         if turn == cells.LAST:
             some = some & ((kind > 1) | (kind != 0) & (misfit > ENOUGH))
-        cells.filter_cells(
-            keys, table, first, ordered, main, found, sets, sizes, turn, dealt_out(np.flatnonzero(some)), order, own, ball, degree,
+        in_threads(
+            cells.filter_cells, np.flatnonzero(some), keys, table, first, ordered, main, found, sets, sizes, turn, order, own, ball, degree,
             noise, limit, parameters.min_points, parameters.refit_iterations, parameters.edge == "snap", out.q, out.normal, out.variance,
             out.reason, kind, misfit, chosen,
         )  # fmt: skip

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 import pytest
 
-from ladar_volume.model.kernels import dealt_out, kernel, leaf_kernel
+from ladar_volume.model.kernels import in_threads, kernel, leaf_kernel
 
 
 @leaf_kernel
@@ -52,11 +52,19 @@ def test_a_leaf_that_allocates_is_refused():
         allocates(3)
 
 
-@pytest.mark.parametrize("count", [0, 1, 7, 100])
-def test_threads_get_even_shares_and_nothing_is_lost(count):
-    index = np.arange(3, 3 + count)
-    out = dealt_out(index)
-    assert sorted(out.tolist()) == index.tolist()
-    threads = numba.get_num_threads()
-    for share in np.split(out, np.cumsum([len(index[k::threads]) for k in range(threads)])[:-1]):
-        assert np.all(np.diff(share) == threads)
+@kernel
+def counted(which, times):
+    for i in which:
+        times[i] += 1
+
+
+@pytest.mark.parametrize("count", [0, 1, 7, 100, 1000])
+def test_threads_get_every_index_once(count):
+    times = np.zeros(3 + count, np.int64)
+    in_threads(counted, np.arange(3, 3 + count), times)
+    assert times.tolist() == [0, 0, 0] + [1] * count
+
+
+def test_what_a_part_raises_is_raised():
+    with pytest.raises(IndexError):
+        in_threads(counted.py_func, np.array([0, 5]), np.zeros(2))
