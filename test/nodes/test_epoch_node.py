@@ -42,7 +42,7 @@ path = tester.create_publisher(Odometry, "platform", STREAM)
 clients = {n: tester.create_client(Trigger, f"volume_node/{n}") for n in ("compute", "start_epoch", "save")}
 spinners = [Spinner(n) for n in (node, tester)]
 def until(done):
-    for _ in range(600):
+    for _ in range(2400):
         if done():
             return
         time.sleep(0.05)
@@ -92,7 +92,7 @@ def seen(tmp_path_factory):
         "PYTHONPATH": f"{ROOT}:{ROOT / 'test' / 'volume'}",
     }  # fmt: skip
     done = subprocess.run([sys.executable, str(script), str(folder / "out")], env=environment, cwd=ROOT, capture_output=True, text=True,
-                          timeout=120)  # fmt: skip
+                          timeout=300)  # fmt: skip
     assert done.returncode == 0, done.stderr
     return folder / "out", json.loads(done.stdout.splitlines()[-1])
 

@@ -43,7 +43,7 @@ tester = rclpy.create_node("tester")
 pubs = {"cloud": tester.create_publisher(PointCloud2, "velodyne_points", STREAM), "fix": tester.create_publisher(NavSatFix, "gnss/fix", STREAM),
         "imu": tester.create_publisher(Imu, "imu/data", STREAM)}
 spinners = [Spinner(n) for n in (geo, filter_, volume, tester)]
-until = lambda done: [time.sleep(0.05) for _ in range(400) if not done()]
+until = lambda done: [time.sleep(0.05) for _ in range(2400) if not done()]
 until(lambda: all(p.get_subscription_count() for p in pubs.values()) and volume._joined)
 time.sleep(0.5)
 tried = {}
@@ -87,7 +87,7 @@ def test_lifecycle_parameters_and_a_looping_recording(tmp_path):
     environment = os.environ | {
         "ROS_DOMAIN_ID": str((os.getpid() + 7) % 90 + 10), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONPATH": str(ROOT),
     }  # fmt: skip
-    done = subprocess.run([sys.executable, str(script)], env=environment, cwd=ROOT, capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, str(script)], env=environment, cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     seen = json.loads(done.stdout.splitlines()[-1])
     configured, cleaned = seen["counts"][::2], seen["counts"][1::2]

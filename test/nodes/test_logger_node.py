@@ -73,7 +73,7 @@ def test_everything_published_is_in_the_files(tmp_path):
     environment = os.environ | {
         "ROS_DOMAIN_ID": str((os.getpid() + 21) % 90 + 10), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONPATH": str(ROOT),
     }  # fmt: skip
-    done = subprocess.run([sys.executable, str(script), str(log)], env=environment, cwd=ROOT, capture_output=True, text=True, timeout=90)
+    done = subprocess.run([sys.executable, str(script), str(log)], env=environment, cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     seen = json.loads(done.stdout.splitlines()[-1])
     assert seen["answer"]["finishing"].endswith("log.mcap") and not [k for k in seen["lines"] if k.startswith("lost_")]

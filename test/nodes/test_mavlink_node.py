@@ -90,7 +90,7 @@ def environment(offset):
 def test_a_peer_on_loopback_becomes_ros_messages(tmp_path):
     script = tmp_path / "peer.py"
     script.write_text(SCRIPT)
-    done = subprocess.run([sys.executable, str(script)], env=environment(11), cwd=ROOT, capture_output=True, text=True, timeout=90)
+    done = subprocess.run([sys.executable, str(script)], env=environment(11), cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     seen = json.loads(done.stdout.splitlines()[-1])
     assert seen["fix"][:3] == pytest.approx([50.1234567, 14.1234567, 295.0]) and seen["fix"][4] == 2 and seen["order"]
