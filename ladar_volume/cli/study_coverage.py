@@ -29,7 +29,7 @@ def add_coverage(studies: Any) -> None:
         "--scenario", action="append", default=[], metavar="NAME", help="stockpile_100, stockpile_5000, pit, box (default: all)"
     )  # fmt: skip
     parser.add_argument(
-        "--reduced", action="store_true", help="200 surveys, 200 per source, 50 per wrong budget; a quarter of an hour on two cores"
+        "--reduced", action="store_true", help="200 surveys, 200 per source, 50 per wrong budget; some twenty minutes on two cores"
     )  # fmt: skip
     parser.add_argument(
         "--engine", type=int, nargs="?", const=ENGINE_SURVEYS, default=0, metavar="N",

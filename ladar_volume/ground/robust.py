@@ -170,4 +170,4 @@ def bottom_layer(points: F64, plane: Plane, threshold_m: float) -> bool:
     """Whether the points about a surface are a layer of their own at the bottom of denser clutter: half as many again as in the layer of
     the same thickness above, and four times as many as in that below. Rough ground has equally many on both sides."""
     own, above, below = layers(points, plane, threshold_m)
-    return bool(own >= 1.5 * above and own >= 4.0 * below)
+    return bool(own >= CONTRAST * above and own >= 4.0 * below)
