@@ -29,21 +29,6 @@ def ragged_index(start: I64, rows: I64) -> I64:
     return out
 
 
-def take_patches(patches: Patches, rows: I64) -> Patches:
-    """The chosen rows (k,) of patches, ragged parts included, in that order."""
-    cross, nav = ragged_index(patches.cross_start, rows), ragged_index(patches.nav_start, rows)
-    changes = {name: getattr(patches, name)[rows] for name in ROWS}
-    return Patches(
-        **changes,
-        cross_start=np.concatenate([[0], np.cumsum(np.diff(patches.cross_start)[rows])]).astype(np.int64),
-        cross_key=patches.cross_key[cross],
-        cross=patches.cross[cross],
-        nav_start=np.concatenate([[0], np.cumsum(np.diff(patches.nav_start)[rows])]).astype(np.int64),
-        nav_bin=patches.nav_bin[nav],
-        M_nav=patches.M_nav[nav],
-    )
-
-
 def picked(parts: list[Any], rows: I64) -> Any:
     """Rows of arrays, each at most once, as if these were one after the other. A part without rows has no columns of its own to match.
     The list is used up; so is a large array that nobody else has a hold of: what has been copied goes back to the system, and the array is

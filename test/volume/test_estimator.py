@@ -7,13 +7,12 @@ import math
 
 import numpy as np
 import pytest
-from volume_surfaces import BIN_NS, T0, cone, platform, surface_update
+from volume_surfaces import BIN_NS, T0, cone, platform, surface_update, take_patches
 
 from ladar_volume.model.errors import GroundError, SurfaceError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import FilterUpdate, select
 from ladar_volume.volume.estimator import VolumeEstimator
-from ladar_volume.volume.patch_store import take_patches
 
 CONE = math.pi * 16.0
 

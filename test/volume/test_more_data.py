@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from volume_surfaces import BIN_NS, T0, cone, platform, surface_update
+from volume_surfaces import BIN_NS, T0, cone, platform, surface_update, take_patches
 
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
@@ -15,7 +15,6 @@ from ladar_volume.model.records import FilterUpdate, select
 from ladar_volume.volume.estimator import VolumeEstimator
 from ladar_volume.volume.more_data import SOURCES, markov_product, relief
 from ladar_volume.volume.navigation import markov_sum
-from ladar_volume.volume.patch_store import take_patches
 
 LEVEL = {"base": "level", "level_m": 0.0, "outline": "all"}
 

@@ -6,13 +6,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from volume_surfaces import cone, surface_update
+from volume_surfaces import cone, surface_update, take_patches
 
 from ladar_volume.filtering.filter import SurfaceFilter
 from ladar_volume.io.wire import update_parts
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import FilterUpdate, MappedPoints, PlatformStates, select
-from ladar_volume.volume.patch_store import PatchStore, take_patches
+from ladar_volume.volume.patch_store import PatchStore
 
 
 def random_updates(rng, n):

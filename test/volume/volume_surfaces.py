@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ladar_volume.model.records import FilteredPoints, FilterUpdate, Patches, PlatformStates
+from ladar_volume.volume.patch_store import ROWS, ragged_index
 
 BIN_NS = 1_000_000_000
 T0 = 1_700_000_000 * BIN_NS
@@ -17,6 +18,21 @@ def normal_frame(normal):
     tangent = np.stack([normal[:, 2], np.zeros(len(normal)), -normal[:, 0]], axis=1)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     return tangent, np.cross(normal, tangent)
+
+
+def take_patches(patches, rows):
+    """The chosen rows (k,) of patches, ragged parts included, in that order."""
+    cross, nav = ragged_index(patches.cross_start, rows), ragged_index(patches.nav_start, rows)
+    changes = {name: getattr(patches, name)[rows] for name in ROWS}
+    return Patches(
+        **changes,
+        cross_start=np.concatenate([[0], np.cumsum(np.diff(patches.cross_start)[rows])]).astype(np.int64),
+        cross_key=patches.cross_key[cross],
+        cross=patches.cross[cross],
+        nav_start=np.concatenate([[0], np.cumsum(np.diff(patches.nav_start)[rows])]).astype(np.int64),
+        nav_bin=patches.nav_bin[nav],
+        M_nav=patches.M_nav[nav],
+    )
 
 
 def surface_update(
