@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from ladar_volume.filtering.choice import CHANCE, among, description, same, sample, steady
-from ladar_volume.filtering.pieces import MOST, nearest_planes
-from ladar_volume.model.kernels import kernel
+from ladar_volume.filtering.choice import CHANCE, among, description, same, sample, steady, without
+from ladar_volume.filtering.pieces import MOST, distance, nearest_planes
+from ladar_volume.model.kernels import kernel, leaf_kernel
 
 #: Planes agree that are nowhere in half the neighbourhood farther apart than this, in sigma; within the second they are no two.
 AGREE, APART = 0.75, 1.5
@@ -59,16 +59,9 @@ def agreed(lent: Any, sizes: Any, reach: Any, sigma: Any, out: Any) -> Any:
 
 
 @kernel
-def without(planes: Any, size: Any, k: Any, out: Any) -> None:
-    """All of ``size`` planes but the one numbered k, to out."""
-    out[:k] = planes[:k]
-    out[k : size - 1] = planes[k + 1 : size]
-
-
-@kernel
-def supported(y: Any, n: Any, planes: Any, size: Any, need: Any, limit: Any, label: Any) -> Any:
+def populated(y: Any, n: Any, planes: Any, size: Any, need: Any, limit: Any, label: Any) -> Any:
     """Drop planes to which fewer than ``need`` of the points (n, 3) are nearest, the one with fewest first; returns how many are left."""
-    support, other = np.empty(MOST, np.int64), np.empty((MOST, 4))
+    support = np.empty(MOST, np.int64)
     while size > 0:
         nearest_planes(y, n, planes, size, limit, label)
         support[:size] = 0
@@ -78,30 +71,49 @@ def supported(y: Any, n: Any, planes: Any, size: Any, need: Any, limit: Any, lab
         k = np.argmin(support[:size])
         if support[k] >= need:
             break
-        without(planes, size, k, other)
-        size -= 1
-        planes[:size] = other[:size]
+        size = without(planes, size, k, planes)
     return size
+
+
+@leaf_kernel
+def without_each(y: Any, n: Any, planes: Any, size: Any, limit: Any, out: Any) -> None:
+    """Sum of the squared distances of points (n, 3) to the nearest of the planes but one, each at most the limit, to out (size,): for
+    every plane that is left out."""
+    total = 0.0
+    out[:size] = 0.0
+    for i in range(n):
+        nearest, second, which = limit, limit, 0
+        for k in range(size):
+            d = distance(y[i], planes[k])
+            if d * d < nearest:
+                nearest, second, which = d * d, nearest, k
+            elif d * d < second:
+                second = d * d
+        total += nearest
+        out[which] += second - nearest
+    for k in range(size):
+        out[k] += total
 
 
 @kernel
 def thinned(y: Any, n: Any, planes: Any, size: Any, m: Any, sigma: Any, threshold: Any, side: Any, label: Any) -> Any:
     """Drop planes one at a time, whichever shortens the description of m points, of which y (n, 3) are a sample, most, as long as one
-    does; returns how many are left."""
-    other = np.zeros((MOST, 4))
+    does; returns how many are left. The sum of the squares to the unbounded planes is a lower bound; they come in its order."""
+    other, least, price = np.zeros((MOST, 4)), np.empty(MOST), 3.0 * np.log(m) * sigma * sigma
     length = description(y, n, planes, size, m, sigma, threshold, 0, np.inf, side, label)
     while size > 1:
         best = -1
-        for k in range(size):
-            without(planes, size, k, other)
-            shorter = description(y, n, other, size - 1, m, sigma, threshold, 0, length, side, label)
+        without_each(y, n, planes, size, threshold * threshold, least)
+        for k in np.argsort(least[:size]):
+            if least[k] * m / n + (size - 1) * price >= length:
+                break
+            left = without(planes, size, k, other)
+            shorter = description(y, n, other, left, m, sigma, threshold, 0, length, side, label)
             if shorter < length:
                 best, length = k, shorter
         if best < 0:
             break
-        without(planes, size, best, other)
-        size -= 1
-        planes[:size] = other[:size]
+        size = without(planes, size, best, planes)
     return size
 
 
@@ -119,7 +131,7 @@ def common(
     y, need = sample(x, m, least)
     trial = np.zeros((MOST, 4))
     size = agreed(lent, sizes, reach, sigma, trial)
-    size = supported(y, len(y), trial, size, max(need // 2, 1), threshold * threshold, label)
+    size = populated(y, len(y), trial, size, max(need // 2, 1), threshold * threshold, label)
     known = 0
     for a in range(size):
         known += among(trial[a], planes, count, reach, AGREE * sigma)

@@ -37,6 +37,8 @@ def pieces_cost(x: Any, m: Any, planes: Any, count: Any, side: Any, limit: Any, 
     for i in range(m):
         nearest, which, several = limit, -1, 0
         for a in range(count):
+            if distance(x[i], planes[a]) ** 2 >= limit:  # no piece is nearer than its plane
+                continue
             q0, q1, q2, on = nearest_on_piece(x[i], a, planes, count, side)
             d = (x[i, 0] - q0) ** 2 + (x[i, 1] - q1) ** 2 + (x[i, 2] - q2) ** 2
             several += on == 0 and d < limit

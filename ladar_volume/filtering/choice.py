@@ -30,28 +30,45 @@ REPEATED = 0.3
 TRIED, TOGETHER = 10, 3
 
 
+@leaf_kernel
+def sum_of_less(a: Any, b: Any, n: Any) -> Any:
+    """Sum of the lesser of two numbers over n pairs; in eight sums, so that one addition need not wait for the last."""
+    s0 = s1 = s2 = s3 = s4 = s5 = s6 = s7 = 0.0
+    whole = n - n % 8
+    for i in range(0, whole, 8):
+        s0 += min(a[i], b[i])
+        s1 += min(a[i + 1], b[i + 1])
+        s2 += min(a[i + 2], b[i + 2])
+        s3 += min(a[i + 3], b[i + 3])
+        s4 += min(a[i + 4], b[i + 4])
+        s5 += min(a[i + 5], b[i + 5])
+        s6 += min(a[i + 6], b[i + 6])
+        s7 += min(a[i + 7], b[i + 7])
+    for i in range(whole, n):
+        s0 += min(a[i], b[i])
+    return ((s0 + s1) + (s2 + s3)) + ((s4 + s5) + (s6 + s7))
+
+
 @kernel
 def distinct(y: Any, n: Any, candidates: Any, offered: Any, limit: Any, worth: Any, out: Any) -> Any:
     """A few candidates, each the one that explains most of what those before it leave, to out (k, 4); returns how many. One that lowers
-    the sum of squares by less than it is ``worth`` is no other plane, but one of those before as another cell found it."""
+    the sum of squares by no more than it is ``worth`` is no other plane, but one of those before as another cell found it.
+
+    What a candidate explains becomes less with every one before it, so it is computed anew only where it was the most so far.
+    """
     square, residual = np.empty((offered, n)), np.full(n, limit)
     squares(y, n, candidates, offered, square)
-    number = 0
-    while number < len(out):
-        least, which = residual.sum() - worth, -1
-        for c in range(offered):
-            left = 0.0
-            for i in range(n):
-                left += min(residual[i], square[c, i])
-                if left >= least:
-                    break
-            if left < least:
-                least, which = left, c
-        if which < 0:
+    gain, known, number = np.full(offered, np.inf), np.full(offered, -1), 0
+    while number < min(len(out), offered):
+        c, left = np.argmax(gain), residual.sum()
+        while known[c] < number:
+            gain[c], known[c] = left - sum_of_less(residual, square[c], n), number
+            c = np.argmax(gain)
+        if gain[c] <= worth:
             break
-        out[number] = candidates[which]
+        out[number], gain[c] = candidates[c], -np.inf
         for i in range(n):
-            residual[i] = min(residual[i], square[which, i])
+            residual[i] = min(residual[i], square[c, i])
         number += 1
     return number
 
@@ -104,9 +121,7 @@ def few_planes(
                 size = 1 + (b > a) + (c > b)
                 if size > most or (a == b and c > b):  # every set once: a, ab as abb, abc
                     continue
-                total = 0.0
-                for i in range(n):
-                    total += min(pair[i], square[c, i])
+                total = sum_of_less(pair, square[c], n)
                 sets[number, 0], sets[number, 1], sets[number, 2] = a, b, c
                 least[number] = total * m / n + size * price
                 number += 1
@@ -148,6 +163,14 @@ def polish(
 
 
 @kernel
+def without(planes: Any, size: Any, k: Any, out: Any) -> Any:
+    """All of ``size`` planes but the one numbered k, to out, which may be ``planes``; returns how many."""
+    for a in range(size - 1):
+        out[a] = planes[a + (a >= k)]
+    return size - 1
+
+
+@kernel
 def search(
     y: Any, n: Any, few: Any, tried: Any, m: Any, sigma: Any, threshold: Any, need: Any, most: Any, planes: Any, side: Any, label: Any
 ) -> Any:  # fmt: skip
@@ -165,13 +188,11 @@ def search(
         for c in range(-1, tried):
             # move k: plane k exchanged for candidate c, or dropped for c = −1; k = count: added
             for k in range(count + (c >= 0 and count < most)):
-                trial[:count] = planes[:count]
-                size = max(count, k + 1)
                 if c >= 0:
-                    trial[k] = few[c]
+                    trial[:count] = planes[:count]
+                    trial[k], size = few[c], max(count, k + 1)
                 else:
-                    size = count - 1
-                    trial[k:size] = planes[k + 1 : count]
+                    size = without(planes, count, k, trial)
                 if size == 0:
                     continue
                 length = description(y, n, trial, size, m, sigma, threshold, need, best, side, label)

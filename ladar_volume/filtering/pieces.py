@@ -269,6 +269,8 @@ def nearest_piece(x: Any, planes: Any, count: Any, side: Any, q: Any) -> Any:
     """(plane, squared distance, 0 | 1 | 2 as :func:`nearest_on_piece`) of the piece nearest to x, with the point q on it."""
     best, which, kind = np.inf, -1, 0
     for a in range(count):
+        if distance(x, planes[a]) ** 2 >= best:  # no piece is nearer than its plane
+            continue
         q0, q1, q2, on = nearest_on_piece(x, a, planes, count, side)
         square = (x[0] - q0) ** 2 + (x[1] - q1) ** 2 + (x[2] - q2) ** 2
         if square < best:

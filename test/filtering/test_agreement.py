@@ -89,6 +89,22 @@ def test_repeated_sets_and_votes_against_plain_loops(seed):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
+def test_what_is_left_without_each_plane(seed):
+    rng = np.random.default_rng(seed)
+    x, limit = rng.normal(size=(203, 3)) * 0.05, THRESHOLD**2
+    planes = normalised(rng.normal(size=(5, 4)) * [1, 1, 1, 0.02])
+    square = np.minimum((x @ planes[:, :3].T - planes[:, 3]) ** 2, limit)
+    for size in (1, 2, 5):
+        out = np.full(size, np.nan)
+        agreement.without_each(x, len(x), planes, size, limit, out)
+        expected = [np.delete(square[:, :size], k, axis=1).min(axis=1, initial=limit).sum() for k in range(size)]
+        assert out == pytest.approx(expected, rel=1e-12)
+    for n in (0, 1, 7, 8, 203):
+        total = choice.sum_of_less(square[:n, 0].copy(), square[:n, 1].copy(), n)
+        assert total == pytest.approx(np.minimum(square[:n, 0], square[:n, 1]).sum(), rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
 def test_planes_that_explain_nothing_go_one_at_a_time(seed):
     rng = np.random.default_rng(seed)
     x, true = ledge(rng)
@@ -96,7 +112,7 @@ def test_planes_that_explain_nothing_go_one_at_a_time(seed):
     planes = np.zeros((pieces.MOST, 4))
     planes[:6] = np.concatenate([true, normalised(rng.normal(size=(2, 4)) * [1, 1, 1, 0.1]), [[0, 0, 1.0, 5.0]]])
     given = planes.copy()
-    assert agreement.supported(x, len(x), planes, 6, 5, THRESHOLD**2, label) == 5 and np.array_equal(planes[:5], given[:5])
+    assert agreement.populated(x, len(x), planes, 6, 5, THRESHOLD**2, label) == 5 and np.array_equal(planes[:5], given[:5])
     left, length = list(range(5)), None
 
     def cost(rows):
