@@ -222,7 +222,7 @@ def run(arguments: argparse.Namespace) -> int:
 def write_outputs(folder: Path, estimate: Estimate, epoch: Epoch, result: dict[str, Any], title: str, figure: bool = True) -> None:
     """result.json, mesh.ply, result.mcap and, where wanted, figure.png."""
     results.write_text(folder / "result.json", results.json_text(result))
-    results.write_ply(folder / "mesh.ply", estimate.tin, estimate.sigma_z)
+    results.write_ply(folder / "mesh.ply", estimate.tin, epoch.sigma_z())
     write_survey(folder / FILE, estimate, epoch, result)
     if figure:
         from ladar_volume.report.figure import save  # matplotlib takes a second to load

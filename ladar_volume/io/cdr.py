@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ladar_volume.model.records import Estimate
+from ladar_volume.model.records import F64, Estimate
 
 TRIANGLE_LIST = 11
 
@@ -56,11 +56,10 @@ class Writer:
         return bytes(self._out)
 
 
-def tin_marker(estimate: Estimate, by: str) -> bytes:
-    """visualization_msgs/Marker: the relevant triangles as a TRIANGLE_LIST coloured by ``height`` or by ``sigma``."""
+def tin_marker(estimate: Estimate, value: F64) -> bytes:
+    """visualization_msgs/Marker: the relevant triangles as a TRIANGLE_LIST coloured by a value (n,) of each vertex."""
     tin = estimate.tin
     corners = tin.triangles[tin.relevant].ravel()
-    value = tin.vertices[:, 2] if by == "height" else estimate.sigma_z
     low, high = float(np.min(value)), float(np.max(value))
     s = (value - low) / max(high - low, 1e-12)
     colour = np.column_stack([s, 0.6 * (1.0 - np.abs(2.0 * s - 1.0)) + 0.3, 1.0 - s, np.ones(len(s))]).astype(np.float32)

@@ -74,7 +74,7 @@ def write_survey(path: Path, estimate: Estimate, epoch: Epoch, result: Mapping[s
     vertices = estimate.tin.vertices
     tables = [
         ("volumes", wire.volume_columns(list(estimate.bodies))),
-        ("tin_vertices", {"x": vertices[:, 0], "y": vertices[:, 1], "z": vertices[:, 2], "sigma_z": estimate.sigma_z}),
+        ("tin_vertices", {"x": vertices[:, 0], "y": vertices[:, 1], "z": vertices[:, 2], "sigma_z": epoch.sigma_z()}),
     ]
     if estimate.grounds:
         tables.append(("grounds", wire.ground_columns(estimate.grounds)))

@@ -314,7 +314,7 @@ class Volume:
 
 @dataclass(frozen=True)
 class Estimate:
-    """What one estimation gives: the volume (of the main body), the surface, its base, and per-vertex standard deviations of height.
+    """What one estimation gives: the volume (of the main body), the surface, its base.
 
     grounds : the ground surfaces, the base first; empty above a level or a given plane · bodies : every body's volume, the main one first ·
     C_bodies_m6 : (k, k) their covariance, None for one body or very many
@@ -323,7 +323,6 @@ class Estimate:
     volume: Volume
     tin: Tin
     base: Plane
-    sigma_z: F64
     grounds: tuple[Plane, ...] = ()
     bodies: tuple[Volume, ...] = ()
     C_bodies_m6: F64 | None = None

@@ -234,7 +234,8 @@ class VolumeNode(StageNode):
             self._more = self.stage.more_data()
             self._more_data.publish(table_message(more_data_columns(self._more), v.t_ns))
             if self._tin.get_subscription_count():
-                self._tin.publish(cdr.tin_marker(estimate, self.parameters.node.tin_colour))
+                by_sigma = self.parameters.node.tin_colour == "sigma"
+                self._tin.publish(cdr.tin_marker(estimate, self.stage.epoch().sigma_z() if by_sigma else estimate.tin.vertices[:, 2]))
             if self._mesh.get_subscription_count():
                 self._mesh.publish(cdr.mesh(estimate))
 
@@ -284,8 +285,9 @@ class VolumeNode(StageNode):
 
         assert self._estimate is not None
         results.write_text(folder / "result.json", results.json_text(result))
-        results.write_ply(folder / "mesh.ply", self._estimate.tin, self._estimate.sigma_z)
-        write_survey(folder / FILE, self._estimate, self.stage.epoch(), result)
+        epoch = self.stage.epoch()
+        results.write_ply(folder / "mesh.ply", self._estimate.tin, epoch.sigma_z())
+        write_survey(folder / FILE, self._estimate, epoch, result)
 
     def _start_epoch(self) -> dict[str, Any]:
         if self._estimate is None:

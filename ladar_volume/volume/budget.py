@@ -11,8 +11,9 @@ import numpy as np
 from ladar_volume.georeference.budget import calibration_covariance
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, Patches
-from ladar_volume.volume.load_kernels import correlated_kernel, deviation_kernel, height_kernel, shared_kernel
-from ladar_volume.volume.navigation import NavigationBins, NavigationLoads, matrix_root, navigation_loads, navigation_variance
+from ladar_volume.volume.load_kernels import correlated_kernel, height_kernel, naive_kernel
+from ladar_volume.volume.navigation import NavigationBins, NavigationLoads, navigation_loads, navigation_variance
+from ladar_volume.volume.patch_errors import PatchErrors
 from ladar_volume.volume.propagation import (
     SurfaceGeometry,
     calibration_marginals,
@@ -137,8 +138,14 @@ class Sources:
 
     def _naive(self, gradient: F64) -> float:
         """Variance along the normals if every point erred alone."""
-        along = np.einsum("nc,nc->n", gradient, self.patches.normal[self.geometry.row])
-        return float((along**2 * self.total_variance).sum())
+        points, square = naive_kernel(gradient, self.patches.normal, self.geometry.row)
+        return float(square @ self.variance(points))
+
+    def variance(self, points: I64) -> F64:
+        """Variance (k,) m² of points (k,) along their patch's normal from all sources; navigation of one patch counts as fully correlated."""
+        shared = self.errors.covariance(self.geometry.row[points])
+        out: F64 = self.points.variance[points] + height_kernel(points, self.geometry.X, self.geometry.row, shared)
+        return out
 
     @cached_property
     def time_bins(self) -> tuple[I64, I64]:
@@ -146,22 +153,9 @@ class Sources:
         return time_bins(self.patches)
 
     @cached_property
-    def total_variance(self) -> F64:
-        """Variance (n,) m² of each point along its patch's normal from all sources; navigation of one patch counts as fully correlated."""
-        one, two = np.nonzero(self.C_cal)
-        shared = shared_kernel(self.patches.M_cal, one, two, self.C_cal[one, two], self.navigation_rows)
-        out: F64 = self.points.variance + height_kernel(self.geometry.X, self.geometry.row, shared)
-        return out
-
-    @cached_property
-    def navigation_rows(self) -> F64:
-        """What one standard deviation of position and of attitude, each in three directions, does to the parameters of every patch:
-        (m, p, 6); the errors within one patch count as one."""
-        bins, index = self.time_bins
-        C, _ = self.navigation.mean(bins)
-        p = self.patches
-        roots = (matrix_root(C[:, block, block]) for block in (slice(0, 3), slice(3, 6)))
-        return np.asarray(deviation_kernel(p.nav_start, index, p.M_nav, p.beta.shape[1], *roots))
+    def errors(self) -> PatchErrors:
+        """What calibration and navigation do to the parameters of each patch."""
+        return PatchErrors(self.patches, self.navigation, self.C_cal, self.time_bins)
 
     def shared_covariance(self, points: I64) -> F64:
         """Covariance (k, k) m² of the heights of points (k,) from calibration and navigation, each at its mean time; white errors are
@@ -175,7 +169,7 @@ class Sources:
         apart_s = np.append(np.diff(t_ns[order]), 0) * 1e-9
         fixes = max(1.0, bin_ns * 1e-9 / self.parameters.georeference.max_position_gap_s)
         states = max(1.0, float(self.navigation.mean(self.time_bins[0])[1].mean()))  # a mean time may lie where there are none
-        deviation = np.einsum("kp,kpc->kc", X, self.navigation_rows[row])
+        deviation = np.einsum("kp,kpc->kc", X, self.errors.deviation(row)[row])
         for d, bias, white, tau, n in (
             (deviation[:, :3], b.position_bias_fraction, b.position_white_fraction, b.tau_position_s, fixes),
             (deviation[:, 3:], b.attitude_bias_fraction, b.attitude_white_fraction, b.tau_attitude_s, states),
@@ -185,8 +179,8 @@ class Sources:
         return out
 
 
-def vertical_sigma(sources: Sources, points: FilteredPoints) -> F64:
-    """Total standard deviation (n,) m of each point's height: that along the normal over the normal's vertical component, of which no less
-    than 0.05 is taken (walls)."""
-    out: F64 = np.sqrt(sources.total_variance) / np.maximum(np.abs(points.normal[:, 2]), LEAST_UP)
+def vertical_sigma(sources: Sources, points: I64) -> F64:
+    """Total standard deviation (k,) m of the height of points (k,): that along the normal over the normal's vertical component, of which no
+    less than 0.05 is taken (walls)."""
+    out: F64 = np.sqrt(sources.variance(points)) / np.maximum(np.abs(sources.points.normal[points, 2]), LEAST_UP)
     return out

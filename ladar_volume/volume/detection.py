@@ -117,7 +117,7 @@ def sensitivity_rows(epoch: Epoch, corner: I32 | I64, weight: F64) -> tuple[F64,
     X = s.geometry.X[source] * (weight / up)[..., None]
     row = s.geometry.row[source]
     parts = [np.zeros((len(corner), k)) for k in (s.patches.M_cal.shape[2], 6)]
-    rows: list[F32 | F64] = [s.patches.M_cal[:, : X.shape[2]], s.navigation_rows]
+    rows: list[F32 | F64] = [s.patches.M_cal[:, : X.shape[2]], s.errors.deviation(row.ravel())]
     for j in range(corner.shape[1]):
         for part, M in zip(parts, rows, strict=True):
             part += np.einsum("kp,kpc->kc", X[:, j], M[row[:, j]])

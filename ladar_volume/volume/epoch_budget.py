@@ -18,7 +18,7 @@ from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, Bool, Tin
 from ladar_volume.registration.transform import Transform
 from ladar_volume.surface.represent import Represented
-from ladar_volume.volume.budget import Sensitivities, Sources
+from ladar_volume.volume.budget import Sensitivities, Sources, vertical_sigma
 from ladar_volume.volume.navigation import navigation_variance
 from ladar_volume.volume.propagation import CALIBRATION_GROUPS, calibration_groups
 from ladar_volume.volume.second_order import BORESIGHT, SecondOrder, attitude_second_order, second_order, together
@@ -47,6 +47,10 @@ class Epoch:
         """Normals (n, 3) of the vertices, in the frame of the comparison."""
         n = self.sources.points.normal[self.surface.tin.source]
         return n if self.transform is None else n @ self.transform.R.T
+
+    def sigma_z(self) -> F64:
+        """Total standard deviation (n,) m of the height of every vertex in its own map frame, all sources."""
+        return vertical_sigma(self.sources, self.surface.tin.source)
 
     def sensitivities(self, gradient: F64) -> Sensitivities:
         """To every source, of a result with gradient (n, 3) by the vertices in the frame of the comparison."""

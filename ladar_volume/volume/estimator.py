@@ -70,10 +70,8 @@ class VolumeEstimator:
     def estimate(self) -> Estimate:
         """The volume from everything so far.
 
-        ``sigma_z`` of the estimate is the total standard deviation (m) of each vertex's height, all sources. Raises
-        :class:`SurfaceError` where the points do not span a surface, :class:`GroundError` where no base can be fitted,
-        :class:`VolumeError` where nothing lies inside the outline or the platform's covariance is not yet known for all of the
-        surface.
+        Raises :class:`SurfaceError` where the points do not span a surface, :class:`GroundError` where no base can be fitted,
+        :class:`VolumeError` where nothing lies inside the outline or the platform's covariance is not yet known for all of the surface.
         """
         points, patches = self._current()
         surface = self._surface(points)
@@ -92,7 +90,7 @@ class VolumeEstimator:
             raise VolumeError("no estimate yet", reason="volume_no_estimate")
         surface, base, part, solid, budget, sources, variance = self._main
         gradient = result_gradients(surface.tin, base, solid, len(sources.points), surface)[:, 0]
-        sigma_z = vertical_sigma(sources, sources.points)[surface.tin.source]
+        sigma_z = vertical_sigma(sources, surface.tin.source)
         return more_data(surface.tin, part > 0, gradient, sources, sigma_z, variance, budget.sigma)
 
     def restarted(self) -> VolumeEstimator:
@@ -147,7 +145,7 @@ class VolumeEstimator:
             base = dataclasses.replace(base, C_beta=made[0][1].C_results[1:, 1:])
             grounds = (base, *grounds[1:])
         joint = joint_covariance([v.sigma_m3**2 for v in volumes], lambda a, b: solved(parts[a] + parts[b])[1].sigma ** 2)
-        return Estimate(volumes[0], surface.tin, base, vertical_sigma(sources, points)[surface.tin.source], grounds, volumes, joint)
+        return Estimate(volumes[0], surface.tin, base, grounds, volumes, joint)
 
     def _solid(self, tin: Tin, base: Plane, inside: F64) -> Prismoids:
         if self.parameters.volume.outline == "polygon":

@@ -135,28 +135,27 @@ def navigation_kernel(q: F64, start: I64, index: I64, M: F32, bins: int) -> F64:
 
 
 @kernel
-def deviation_kernel(start: I64, index: I64, M: F32, p: int, position: F64, attitude: F64) -> F64:
-    """What one standard deviation of position and attitude, in three directions each, does to the p parameters of every patch: (m, p, 6).
-    position, attitude : (bins, 3, 3) roots of their covariances; the rest as in :func:`navigation_kernel`."""
-    out = np.zeros((len(start) - 1, p, 6))
-    for a in range(len(start) - 1):
+def deviation_kernel(which: I64, start: I64, index: I64, M: F32, position: F64, attitude: F64, out: F64) -> None:
+    """What one standard deviation of position and attitude, in three directions each, does to the p parameters of patches ``which`` (k,),
+    to out (m, p, 6). position, attitude : (bins, 3, 3) roots of their covariances; the rest as in :func:`navigation_kernel`."""
+    for a in which:
+        out[a] = 0.0
         for e in range(start[a], start[a + 1]):
             P, A = position[index[e]], attitude[index[e]]
-            for r in range(p):
+            for r in range(out.shape[1]):
                 for c in range(3):
                     out[a, r, c] += M[e, r, 0] * P[0, c] + M[e, r, 1] * P[1, c] + M[e, r, 2] * P[2, c]
                     out[a, r, 3 + c] += M[e, r, 3] * A[0, c] + M[e, r, 4] * A[1, c] + M[e, r, 5] * A[2, c]
-    return out
 
 
 @kernel
-def shared_kernel(M_cal: F32, one: I64, two: I64, value: F64, deviation: F64) -> F64:
-    """Covariance (m, p, p) of every patch's parameters from all that is shared: sensitivities M_cal (m, p or more, c), of which the
-    first p count, with the covariances ``value`` (z,) of columns one and two (z,), those that are not zero, and deviations (m, p, d) of
-    unit variance."""
-    (m, p, d), columns = deviation.shape, M_cal.shape[2]
-    out, turned, fours = np.zeros((m, p, p)), np.zeros((p, columns)), columns // 4 * 4
-    for a in range(m):
+def shared_kernel(which: I64, M_cal: F32, one: I64, two: I64, value: F64, deviation: F64, out: F64) -> None:
+    """Covariance of the parameters of patches ``which`` (k,) from all that is shared, to out (m, p, p): sensitivities M_cal (m, p or more,
+    c), of which the first p count, with the covariances ``value`` (z,) of columns one and two (z,), those that are not zero, and
+    deviations (m, p, d) of unit variance."""
+    (p, d), columns = deviation.shape[1:], M_cal.shape[2]
+    turned, fours = np.zeros((p, columns)), columns // 4 * 4
+    for a in which:
         turned[:] = 0.0
         for r in range(p):
             w = turned[r]
@@ -175,18 +174,32 @@ def shared_kernel(M_cal: F32, one: I64, two: I64, value: F64, deviation: F64) ->
                 for c in range(d):
                     two_sum += deviation[a, r, c] * deviation[a, s, c]
                 out[a, r, s] = out[a, s, r] = (one_sum + two_sum) + (three_sum + four_sum)
+
+
+@kernel
+def height_kernel(which: I64, X: F64, row: I64, C: F64) -> F64:
+    """``x C xᵀ`` (k,) of the design rows X (n, p) of points ``which`` (k,) with the covariances C (m, p, p) of their patches row (n,)."""
+    out = np.zeros(len(which))
+    for a in range(len(which)):
+        i = which[a]
+        for r in range(X.shape[1]):
+            for s in range(X.shape[1]):
+                out[a] += X[i, r] * C[row[i], r, s] * X[i, s]
     return out
 
 
 @kernel
-def height_kernel(X: F64, row: I64, C: F64) -> F64:
-    """``x C xᵀ`` (n,) of design rows X (n, p) with the covariances C (m, p, p) of their patches row (n,)."""
-    out = np.zeros(len(X))
-    for i in range(len(X)):
-        for r in range(X.shape[1]):
-            for s in range(X.shape[1]):
-                out[i] += X[i, r] * C[row[i], r, s] * X[i, s]
-    return out
+def naive_kernel(gradient: F64, normal: F64, row: I64) -> tuple[I64, F64]:
+    """Points (k,) at which gradients (n, 3) are not zero, and the squares (k,) of these along the normals (m, 3) of the points' patches
+    row (n,)."""
+    which, square, k = np.empty(len(gradient), np.int64), np.empty(len(gradient)), 0
+    for i in range(len(gradient)):
+        x, y, z = gradient[i, 0], gradient[i, 1], gradient[i, 2]
+        if x != 0.0 or y != 0.0 or z != 0.0:
+            n = normal[row[i]]
+            which[k], square[k] = i, (x * n[0] + y * n[1] + z * n[2]) ** 2
+            k += 1
+    return which[:k].copy(), square[:k].copy()
 
 
 @kernel

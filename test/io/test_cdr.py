@@ -24,20 +24,18 @@ def estimate():
     return stage.estimate()
 
 
-@pytest.mark.parametrize("by", ["height", "sigma"])
-def test_marker(estimate, by):
-    kind = "visualization_msgs/msg/Marker"
-    data = cdr.tin_marker(estimate, by)
+def test_marker(estimate):
+    kind, tin = "visualization_msgs/msg/Marker", estimate.tin
+    value = np.hypot(*tin.vertices[:, :2].T)
+    data = cdr.tin_marker(estimate, value)
     marker = TYPES.deserialize_cdr(data, kind)
-    tin = estimate.tin
     corners = tin.vertices[tin.triangles[tin.relevant].ravel()]
     assert marker.type == 11 and marker.action == 0 and marker.ns == "tin" and marker.header.frame_id == "map"
     assert marker.header.stamp.sec * 10**9 + marker.header.stamp.nanosec == estimate.volume.t_ns
     assert np.array_equal([[p.x, p.y, p.z] for p in marker.points], corners)
     assert len(marker.colors) == len(corners) and marker.pose.orientation.w == 1.0 and marker.scale.z == 1.0
-    value = corners[:, 2] if by == "height" else estimate.sigma_z[tin.triangles[tin.relevant].ravel()]
     red = np.array([c.r for c in marker.colors])
-    assert (np.diff(red[np.argsort(value, kind="stable")]) >= 0).all() and all(c.a == 1.0 for c in marker.colors)
+    assert (np.diff(red[np.argsort(value[tin.triangles[tin.relevant].ravel()], kind="stable")]) >= 0).all() and all(c.a == 1.0 for c in marker.colors)
     assert marker.text == marker.mesh_file.filename == marker.texture.format == ""
     assert bytes(TYPES.serialize_cdr(marker, kind)) == data
 

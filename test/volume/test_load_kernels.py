@@ -10,7 +10,14 @@ from test_propagation import COLUMNS, random_surface
 
 from ladar_volume.model.records import PlatformStates
 from ladar_volume.volume import propagation
-from ladar_volume.volume.load_kernels import deviation_kernel, height_kernel, neighbour_kernel, quadratic_kernel, shared_kernel
+from ladar_volume.volume.load_kernels import (
+    deviation_kernel,
+    height_kernel,
+    naive_kernel,
+    neighbour_kernel,
+    quadratic_kernel,
+    shared_kernel,
+)
 from ladar_volume.volume.navigation import NavigationBins
 from ladar_volume.volume.propagation import independent_covariance, navigation_sensitivity, patch_loads, surface_geometry, time_bins, unpack
 from ladar_volume.volume.second_order import STEEPEST, curvatures
@@ -76,17 +83,26 @@ def test_what_is_shared(p):
     rows = np.concatenate([patches.M_nav[:, :p, :3] @ P[index], patches.M_nav[:, :p, 3:] @ A[index]], axis=2)
     twin = np.zeros((m, p, 6))
     np.add.at(twin, owner, rows)
-    deviation = deviation_kernel(patches.nav_start, index, patches.M_nav, p, P, A)
+    every, deviation = np.arange(m), np.full((m, p, 6), np.nan)
+    for part in (every[::2], every[1::2]):
+        deviation_kernel(part, patches.nav_start, index, patches.M_nav, P, A, deviation)
     assert deviation == close(twin)
     root = rng.standard_normal((COLUMNS, COLUMNS)) * (rng.random((COLUMNS, COLUMNS)) < 0.1)
     C = root @ root.T
     one, two = np.nonzero(C)
-    shared = shared_kernel(patches.M_cal, one, two, C[one, two], deviation)
+    shared = np.full((m, p, p), np.nan)
+    for part in (every[::2], every[1::2]):
+        shared_kernel(part, patches.M_cal, one, two, C[one, two], deviation, shared)
     assert shared == close(patches.M_cal[:, :p] @ C @ np.swapaxes(patches.M_cal[:, :p], 1, 2) + deviation @ np.swapaxes(deviation, 1, 2))
     geometry = surface_geometry(points, patches)
-    assert height_kernel(geometry.X, geometry.row, shared) == close(
-        np.einsum("np,npq,nq->n", geometry.X, shared[geometry.row], geometry.X)
+    some = rng.permutation(len(points))[:9]
+    assert height_kernel(some, geometry.X, geometry.row, shared) == close(
+        np.einsum("np,npq,nq->n", geometry.X, shared[geometry.row], geometry.X)[some]
     )
+    g = rng.standard_normal((len(points), 3)) * (rng.random((len(points), 1)) < 0.5)
+    which, square = naive_kernel(g, patches.normal, geometry.row)
+    assert np.array_equal(which, np.flatnonzero(g.any(axis=1)))
+    assert square == close((g * patches.normal[geometry.row]).sum(axis=1)[which] ** 2)
     q = rng.standard_normal((m, p + 2))
     q[1] = 0.0
     J, used = navigation_sensitivity(q, patches)
