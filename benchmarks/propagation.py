@@ -3,7 +3,7 @@
 The filtered surface of the bundled stockpile, with its patches, their covariances and sensitivities, is laid side by side many times
 on its own tilted ground; then all of it is one volume above that ground, or one of the piles is. Processor time of one estimate is split
 into the propagation (sensitivities, covariance, budget, ground roughness) and the rest (triangulation, ground, outline, prismoids,
-near-base correction, boundary). Sigma of every vertex, no part of an estimate, is timed by itself. About 9 GB of memory at a million points.
+near-base correction, boundary). Sigma of every vertex, no part of it, is timed by itself. About 9 GB of memory at a million points.
 
 ``python -m benchmarks.propagation [POINTS]``
 """

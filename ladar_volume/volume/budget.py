@@ -142,7 +142,7 @@ class Sources:
         return float(square @ self.variance(points))
 
     def variance(self, points: I64) -> F64:
-        """Variance (k,) m² of points (k,) along their patch's normal from all sources; navigation of one patch counts as fully correlated."""
+        """Variance (k,) m² of points (k,) along their patches' normals from all sources; navigation of one patch counts as correlated."""
         shared = self.errors.covariance(self.geometry.row[points])
         out: F64 = self.points.variance[points] + height_kernel(points, self.geometry.X, self.geometry.row, shared)
         return out
