@@ -13,6 +13,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -52,18 +53,17 @@ class Task:
 
 
 def tasks(scenarios: Sequence[str], counts: tuple[int, int, int], engine: int = 0) -> list[Task]:
-    """All surveys, scenario by scenario, the last ``engine`` of each through the whole engine.
+    """All surveys, scenario by scenario and seed by seed, the last ``engine`` of each scenario through the whole engine.
 
     Raises :class:`ConfigurationError` for a scenario that there is not.
     """
     unknown = sorted(set(scenarios) - set(SCENARIOS))
     if unknown:
         raise ConfigurationError(f"no scenario {unknown[0]!r}; there are {', '.join(SCENARIOS)}", value=unknown[0])
+    count = {ALL: counts[0], **dict.fromkeys(tuple(VARIANTS)[1:], counts[2]), LINES: counts[1]}
     out = []
     for name in scenarios:
-        for variant in (*VARIANTS, LINES):
-            count = counts[0] if variant == ALL else counts[1] if variant == LINES else counts[2]
-            out += [Task(name, variant, SEED + k) for k in range(count)]
+        out += [Task(name, variant, SEED + k) for k in range(max(counts)) for variant, many in count.items() if k < many]
         out += [Task(name, ENGINE, ENGINE_SEED + k) for k in range(engine)]
     return out
 
@@ -75,6 +75,11 @@ def do(task: Task) -> dict[str, Any]:
     except (SurfaceError, VolumeError) as error:
         return {**dataclasses.asdict(task), **made_by(), "result": {}, "refused": str(error)}
     return {**dataclasses.asdict(task), **made_by(), "result": result}
+
+
+def do_all(group: Sequence[Task]) -> list[dict[str, Any]]:
+    """:func:`do` for surveys of one seed, which share their pulses and their ground."""
+    return list(map(do, group))
 
 
 def made_by() -> dict[str, Any]:
@@ -139,25 +144,25 @@ def run(todo: Sequence[Task], path: Path, workers: int, progress: Callable[[int]
 
 
 def results(todo: Sequence[Task], workers: int) -> Iterator[dict[str, Any]]:
-    """Results of tasks as they come, from processes of one thread each; in this process for a single worker."""
+    """Results of tasks as they come, those of one seed together, from processes of one thread each; in this process for a single worker."""
+    groups = (list(group) for _, group in groupby(todo, key=lambda task: (task.scenario, task.seed)))
     if workers <= 1:
         yield from map(do, todo)
         return
     os.environ["NUMBA_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"  # for the processes about to start
     with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
-        waiting: set[Future[dict[str, Any]]] = set()
-        queue = iter(todo)
+        waiting: set[Future[list[dict[str, Any]]]] = set()
         try:
             while True:
-                for task in queue:
-                    waiting.add(pool.submit(do, task))
+                for group in groups:
+                    waiting.add(pool.submit(do_all, group))
                     if len(waiting) >= 2 * workers:
                         break
                 if not waiting:
                     return
                 ready, waiting = wait(waiting, return_when=FIRST_COMPLETED)
                 for future in ready:
-                    yield future.result()
+                    yield from future.result()
         finally:
             pool.shutdown(cancel_futures=True)
 

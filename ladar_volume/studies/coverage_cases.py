@@ -10,6 +10,8 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.parameters import BudgetParameters, FilterParameters, GeoreferenceParameters, Parameters, VolumeParameters
 from ladar_volume.model.records import Tin, Volume
@@ -18,7 +20,6 @@ from ladar_volume.studies.coverage_flight import FIX_HZ, ground_of
 from ladar_volume.studies.coverage_scene import FIELDS, Site, level_truth
 from ladar_volume.studies.coverage_survey import SOURCES, Flown, VertexSurvey, fly, surface_only, survey, vertices, without
 from ladar_volume.surface.represent import SurfaceOptions, represent
-from ladar_volume.volume.assembly import vertex_variance
 from ladar_volume.volume.base import base_and_outline, polygon_of
 from ladar_volume.volume.chords import chord_volumes
 from ladar_volume.volume.epochs import epoch_difference
@@ -196,19 +197,18 @@ def estimator_of(flown: VertexSurvey, parameters: Parameters) -> VolumeEstimator
 def net_volumes(site: Site | BoxSite, drawn: BudgetParameters, seed: int, ground: int | None = None) -> dict[str, float]:
     """By base the volume alone, m³, of a survey with other errors than believed, over the ground of ``seed`` or another."""
     if isinstance(site, BoxSite):
-        return {CLOSED: body_on_ground(surface_only(fly(site, drawn, DEFAULT, seed, ground=ground), Parameters()))[0].volume_m3}
+        return {CLOSED: body_on_ground(surface_only(fly(site, drawn, DEFAULT, seed, ground=ground)))[0].volume_m3}
     if site.height_m < 0:
         before, after = (full_tin(s, believed_parameters(DEFAULT, site, EPOCHS)) for s in epochs(site, drawn, DEFAULT, seed, ground))
         return {EPOCHS: between(after, before, gradients=False).net_m3}
     P = believed_parameters(DEFAULT, site, GROUND)
-    points = surface_only(fly(site, drawn, DEFAULT, seed, ground=ground), P)
-    surface = represent(points.r_map, options_of(P), measured=False)
-    plane, inside = base_and_outline(surface.tin, vertex_variance(surface, points), P)
+    flown = fly(site, drawn, DEFAULT, seed, ground=ground)
+    tin = full_tin(flown, P)
+    plane, inside = base_and_outline(tin, np.zeros(len(tin.vertices)), P)
     level, polygon = design_surface([0.0]), polygon_of(believed_parameters(DEFAULT, site, LEVEL).volume)
-    within = areas_inside(surface.tin, polygon)
-    volumes = prismoids(surface.tin, plane, inside > 0).net_m3, clipped_prismoids(surface.tin, level, polygon, within > 0).net_m3
-    normal = points.normal[surface.tin.source]
-    chords = (float(chord_volumes(surface.tin, normal, area).sum()) for area in (inside, within))
+    within = areas_inside(tin, polygon)
+    volumes = prismoids(tin, plane, inside > 0).net_m3, clipped_prismoids(tin, level, polygon, within > 0).net_m3
+    chords = (float(chord_volumes(tin, flown.normal[tin.source], area).sum()) for area in (inside, within))
     return {base: volume - chord for base, volume, chord in zip((GROUND, LEVEL), volumes, chords, strict=True)}
 
 

@@ -124,7 +124,7 @@ class Aim:
     beam_divergence_rad: float
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def hits_of(site: Site | BoxSite, ground: int, flight: int, aim: Aim) -> tuple[velodyne.Firings, Path, F64, F64]:
     """The pulses that become vertices, the path at them, their true ranges (k,) and hits (k, 3) m: most sources leave them as they are."""
     f, path = pulses_of(site, flight)

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -61,13 +63,18 @@ class VertexSurvey:
 
 @dataclass(frozen=True)
 class Flown:
-    """points : what is mapped · states : the platform as measured, with the believed C_nav · mount : as known · normal : (n, 3) of the
-    surface that each hit"""
+    """points : what is mapped · measured : gives the platform as measured, with the believed C_nav: a volume without
+    its sigma does not need it · mount : as known · normal : (n, 3) of the surface that each hit"""
 
     points: MappedPoints
-    states: PlatformStates
+    measured: Callable[[], PlatformStates]
     mount: Mounting
     normal: F64
+
+    @cached_property
+    def states(self) -> PlatformStates:
+        """The platform as measured."""
+        return self.measured()
 
 
 @dataclass(frozen=True)
@@ -156,7 +163,7 @@ def fly(
     antenna = stamped.position + stamped.rotation.apply(mount.lever_antenna + drawn.lever_antenna) + drawn.position_at(t)
     r = map_point(antenna, stamped.measured_rotation(drawn.attitude_at(t)).as_matrix(), laser_vector(rho, f.azimuth, f.elevation), mount)
     points = MappedPoints(nanoseconds(t), r, np.zeros((len(r), 6), np.float32), f.ring, np.ones(len(r), np.float32))
-    return Flown(points, platform_states(site, drawn, mount, believed), mount, site.normals_at(hit))
+    return Flown(points, lambda: platform_states(site, drawn, mount, believed), mount, site.normals_at(hit))
 
 
 def nanoseconds(t: F64) -> I64:
@@ -186,17 +193,21 @@ def platform_states(site: Site | BoxSite, drawn: Drawn, mount: Mounting, budget:
 
 def surface_points(flown: Flown, geometry: PointGeometry, believed: Parameters) -> FilteredPoints:
     """Every return as a surface point, with its independent noise."""
-    n, normal, r = len(flown.points), flown.normal, flown.points.r_map
+    normal = flown.normal
     C = independent_covariance(geometry, independent_sigmas(believed.budget))
     across = np.eye(3) - normal[:, :, None] * normal[:, None, :]
     variance = (normal * (C @ normal[:, :, None])[:, :, 0]).sum(axis=1)
     tangential = pack(across @ C @ across).astype(np.float32)
-    return FilteredPoints(r, normal, variance, tangential, flown.points.t_ns, np.arange(n, dtype=np.int64), np.zeros((n, 2)))
+    return dataclasses.replace(surface_only(flown), variance=variance, C_tangent=tangential)
 
 
-def surface_only(flown: Flown, believed: Parameters) -> FilteredPoints:
-    """The surface points without what errors do to them: enough for a volume without its sigma."""
-    return surface_points(flown, point_geometry(flown.points, flown.states, flown.mount), believed)
+def surface_only(flown: Flown) -> FilteredPoints:
+    """Every return as a surface point without noise: enough for a volume without its sigma."""
+    n = len(flown.points)
+    return FilteredPoints(
+        flown.points.r_map, flown.normal, np.zeros(n), np.zeros((n, 6), np.float32), flown.points.t_ns, np.arange(n, dtype=np.int64),
+        np.zeros((n, 2)),
+    )  # fmt: skip
 
 
 def vertices(flown: Flown, believed: Parameters) -> FilterUpdate:

@@ -185,7 +185,7 @@ def by_package(points, normal, t, ring, volume):
     )  # fmt: skip
     estimator = VolumeEstimator(P)
     estimator.add_platform(states)
-    estimator.add(vertices(Flown(mapped, states, mount, normal), P))
+    estimator.add(vertices(Flown(mapped, lambda: states, mount, normal), P))
     return estimator.estimate()
 
 
