@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from ladar_volume.volume.estimator import VolumeEstimator
 
 HEIGHT_M, SECONDS, RETURNS_PER_CLOUD = 5.0, 4, 600
-STAGES = ("georeference", "filter", "volume")
+STAGES = ("georeference", "filter", "volume", "epochs")
 START_NS, BIN_NS = 1_000_000_000_000, round(Parameters().filter.nav_bin_s * 1e9)
 SQUARE = [-1.5, -1.5, 1.5, -1.5, 1.5, 1.5, -1.5, 1.5]
 
@@ -48,8 +48,10 @@ def warm_up(stage: str) -> None:
         _georeference(parameters)
     elif stage == "filter":
         _filter(parameters)
-    else:
+    elif stage == "volume":
         _volume(parameters)
+    else:
+        _epochs(parameters)
 
 
 def _clouds() -> Iterator[tuple[int, I64, F64, Returns]]:
@@ -91,9 +93,9 @@ def _filter(parameters: Parameters) -> None:
     surface.finish()
 
 
-def _made_up_surface(side: int, beams: int) -> FilterUpdate:
+def _made_up_surface(side: int, beams: int, seed: int = 1) -> FilterUpdate:
     """The mound as a filter would send it: (side, side) patches of 15 cm, each with four points and a block with the next."""
-    rng, edge, m, p = np.random.default_rng(1), 0.15, side * side, 6
+    rng, edge, m, p = np.random.default_rng(seed), 0.15, side * side, 6
     key, ones = np.arange(m, dtype=np.int64), np.ones(m)
     xy = (np.stack(np.meshgrid(np.arange(side), np.arange(side), indexing="ij"), axis=-1).reshape(-1, 2) - side / 2) * edge
     axes = np.eye(3)[[2, 0]]
@@ -124,6 +126,17 @@ def _volume(parameters: Parameters) -> None:
         _estimate(estimator)
     estimator.set_parameters(Parameters.read({"volume": {"outline": "polygon", "polygon_m": SQUARE}}, parameters))
     _estimate(estimator)
+
+
+def _epochs(parameters: Parameters) -> None:
+    stage, epochs = (importlib.import_module(f"ladar_volume.volume.{name}") for name in ("estimator", "epochs"))
+    kept = []
+    for seed in (1, 2):
+        estimator: VolumeEstimator = stage.VolumeEstimator(parameters)
+        estimator.add_platform(_still(np.array([START_NS, START_NS + BIN_NS], np.int64)))
+        estimator.add(_made_up_surface(24, parameters.georeference.beams, seed))
+        kept.append(estimator.epoch())
+    epochs.epoch_difference(kept[1], kept[0])
 
 
 def _estimate(estimator: VolumeEstimator) -> None:

@@ -54,7 +54,7 @@ rm -rf build ladar_volume.egg-info
 # once, so that the first survey does not wait for it
 echo "Compiling the kernels (about a minute)"
 compiling=()
-for stage in georeference filter volume; do
+for stage in georeference filter volume epochs; do
     .venv/bin/python -c "from ladar_volume.warm import warm_up; warm_up('$stage')" &
     compiling+=($!)
 done

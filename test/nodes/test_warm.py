@@ -16,6 +16,7 @@ def test_a_survey_needs_no_kernel_that_was_not_ready():
         from ladar_volume.cli.replay import Replay
         from ladar_volume.io.bags import BagReader
         from ladar_volume.io.config import read_config
+        from ladar_volume.volume.epochs import epoch_difference
         for stage in warm.STAGES:
             warm.warm_up(stage)
         late, load = [], Cache.load_overload
@@ -24,6 +25,8 @@ def test_a_survey_needs_no_kernel_that_was_not_ready():
             replay = Replay(bag, read_config(Path("bags/stockpile/config.yaml"), ["filter.trials=5"]), bag.roles(), 0.0, 12.0)
             replay.run()
             replay.engine.estimator.more_data()
+            now = replay.engine.estimator.epoch()
+            epoch_difference(now, now)
         print(late)
         sys.exit(bool(late))
     """
