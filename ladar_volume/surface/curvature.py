@@ -20,6 +20,8 @@ LEAST_COSINE = 0.5
 
 def bulge_volumes(skin: Skin, angle_rad: float = SHARP_RAD) -> F64:
     """Volume (m,) m³ between each triangle and its curved patch, positive outward; 0 where normals are not known."""
+    if not skin.curved.any():
+        return np.zeros(len(skin.triangles))
     p = skin.vertices[skin.triangles]
     area = 0.5 * np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     size = np.linalg.norm(area, axis=1)

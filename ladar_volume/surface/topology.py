@@ -53,7 +53,7 @@ def check_mesh(vertices: F64, triangles: npt.ArrayLike) -> tuple[F64, I32]:
         raise SurfaceError("the mesh has no triangle", reason="mesh_empty")
     if int(t.min()) < 0 or int(t.max()) >= len(v):
         raise SurfaceError(f"a triangle names vertex {int(t.max())} of {len(v)}", reason="mesh_index", value=int(t.max()))
-    if not np.isfinite(v[t]).all():
+    if not (np.isfinite(v).all() or np.isfinite(v[t]).all()):  # vertices in no triangle may be what they like
         raise SurfaceError("a vertex with a coordinate that is not finite", reason="mesh_not_finite")
     twice = (t[:, 0] == t[:, 1]) | (t[:, 1] == t[:, 2]) | (t[:, 2] == t[:, 0])
     if twice.any():
@@ -81,14 +81,33 @@ def weld(vertices: F64, triangles: I32, tolerance_m: float = 0.0) -> tuple[F64, 
     return v[used], index.reshape(-1, 3).astype(np.int32), int((~good).sum())
 
 
+def vertices_of(triangles: I32) -> I64:
+    """The vertices (k,) of triangles (m, 3), ascending."""
+    return np.flatnonzero(np.bincount(triangles.ravel()))
+
+
 def edge_table(triangles: I32) -> tuple[I64, I64, I64]:
     """Edges sorted by their ends: order (3m,) of the half edges ``3 t + k`` (from corner k to the next), start (e + 1,) of each edge in
     it, and both ends as one number (3m,)."""
     a, b = triangles.astype(np.int64).ravel(), triangles[:, [1, 2, 0]].astype(np.int64).ravel()
-    key = np.minimum(a, b) << 32 | np.maximum(a, b)
-    order = np.argsort(key, kind="stable").astype(np.int64)
+    low, high = np.minimum(a, b), np.maximum(a, b)
+    key, many = low << 32 | high, int(high.max(initial=-1)) + 1
+    order = counted(low, counted(high, np.arange(len(key)), many), many)
     new = np.flatnonzero(np.diff(key[order])) + 1
     return order, np.concatenate([[0], new, [len(order)]]).astype(np.int64), key
+
+
+@kernel
+def counted(value: I64, order: I64, many: int) -> I64:
+    """An order (n,) sorted by values (n,) below ``many``; equal ones stay as they are."""
+    place, out = np.zeros(many + 1, np.int64), np.empty(len(order), np.int64)
+    for v in value:
+        place[v + 1] += 1
+    place = np.cumsum(place)
+    for i in order:
+        out[place[value[i]]] = i
+        place[value[i]] += 1
+    return out
 
 
 def watertight(triangles: I32) -> bool:
@@ -159,7 +178,7 @@ def orient(vertices: F64, triangles: npt.ArrayLike) -> Oriented:
     edge = np.stack([t.ravel()[alone], t[:, [1, 2, 0]].ravel()[alone]], axis=1)
     back = turned[alone // 3]
     edge[back] = edge[back][:, ::-1]
-    return Oriented(out, turned, part, edge.astype(np.int32), len(uses), len(np.unique(t)))
+    return Oriented(out, turned, part, edge.astype(np.int32), len(uses), len(vertices_of(t)))
 
 
 def check_closed(mesh: Oriented) -> None:

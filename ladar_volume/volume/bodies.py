@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -36,7 +37,7 @@ class Body:
     volume_m3 : corrected · uncorrected_m3 : of the closed mesh as it is, its edges cut off and its curves chords · edge_m3, curvature_m3 :
     the corrections · closed_m3 : between the rims, spanned from their middles, and what closes them · centroid_map : (3,) m ·
     skin : the closed mesh · closed : its volume without curvature, gradient, parts, independence of the pole · closures : what was closed ·
-    edge_vertices : how many vertices complete edges · crossing : pairs of triangles that cross, at most 1,000 · gradient : (k, 3) m², by
+    edge_vertices : how many vertices complete edges · may_cross : whether triangles may cross · gradient : (k, 3) m², by
     the measured vertices · by_ground : (3,), by the ground's height and slopes
     """
 
@@ -50,9 +51,14 @@ class Body:
     closed: ClosedVolume
     closures: tuple[Closure, ...]
     edge_vertices: int
-    crossing: int
+    may_cross: bool
     gradient: F64
     by_ground: F64
+
+    @cached_property
+    def crossing(self) -> int:
+        """Pairs of triangles that cross, at most 1,000."""
+        return len(crossings(self.skin.vertices, self.skin.triangles)) if self.may_cross else 0
 
     @property
     def area_m2(self) -> float:
@@ -77,7 +83,6 @@ def body_of(
     skin = blunt
     if added:
         skin, closures = close(sharp, close_m, ground)
-    crossing = crossings(skin.vertices, skin.triangles) if allow_crossings else np.zeros((0, 2), np.int64)
     closed = closed_volume(skin.vertices, skin.triangles, pole_map, allow_crossings)
     cut_off = closed_volume(blunt.vertices, blunt.triangles, pole_map, True).volume_m3 if added else closed.volume_m3
     # a cavity is turned round: what its surface bulges is lost to the body
@@ -86,7 +91,7 @@ def body_of(
     by_measured = np.asarray(closed.gradient.ravel() @ skin.by_measured).reshape(-1, 3)
     return Body(
         closed.volume_m3 + curvature, cut_off, closed.volume_m3 - cut_off, curvature, sum(c.closed_m3 for c in closures),
-        solid_centroid(skin.vertices, closed), skin, closed, tuple(closures), added, len(crossing), by_measured,
+        solid_centroid(skin.vertices, closed), skin, closed, tuple(closures), added, allow_crossings, by_measured,
         closed.gradient.ravel() @ skin.by_ground,
     )  # fmt: skip
 

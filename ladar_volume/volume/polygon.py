@@ -81,8 +81,13 @@ def clipped_weights(corners: F64, heights: F64, polygon: F64) -> F64:
     size = 8 * len(polygon) + 64
     one, two, three = np.empty((size, 2)), np.empty((size, 2)), np.empty((size, 2))
     line = np.empty((3, 3))
+    west, east, south, north = polygon[:, 0].min(), polygon[:, 0].max(), polygon[:, 1].min(), polygon[:, 1].max()
     for t in range(len(corners)):
         p = corners[t]
+        if max(p[0, 0], p[1, 0], p[2, 0]) < west or min(p[0, 0], p[1, 0], p[2, 0]) > east:
+            continue
+        if max(p[0, 1], p[1, 1], p[2, 1]) < south or min(p[0, 1], p[1, 1], p[2, 1]) > north:
+            continue
         area2 = (p[1, 0] - p[0, 0]) * (p[2, 1] - p[0, 1]) - (p[1, 1] - p[0, 1]) * (p[2, 0] - p[0, 0])
         for i in range(3):  # barycentric coordinates as linear functions about corner 0
             j, k = (i + 1) % 3, (i + 2) % 3

@@ -17,7 +17,7 @@ from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, I32, Bool
 from ladar_volume.model.se3 import skew
 from ladar_volume.surface.intersections import check_simple
-from ladar_volume.surface.topology import Oriented, check_closed, check_mesh, edge_table, orient
+from ladar_volume.surface.topology import Oriented, check_closed, check_mesh, edge_table, orient, vertices_of
 
 #: A mesh whose faces lie no farther apart than so many roundings of its coordinates encloses nothing.
 FLAT = 64.0
@@ -44,8 +44,19 @@ class ClosedVolume:
 
 def signed_tetrahedra(vertices: F64, triangles: I32, pole_map: F64) -> F64:
     """Signed volumes (m,) m³ of the tetrahedra of triangles and pole (3,); of an open surface their sum depends on the pole."""
-    a, b, c = (vertices[triangles[:, k]] - pole_map for k in range(3))
-    out: F64 = np.einsum("ni,ni->n", a, np.cross(b, c)) / 6.0
+    return np.asarray(tetrahedra_kernel(vertices, triangles, pole_map))
+
+
+@kernel
+def tetrahedra_kernel(vertices: F64, triangles: I32, pole: F64) -> F64:
+    """See :func:`signed_tetrahedra`."""
+    out = np.empty(len(triangles))
+    for t in range(len(triangles)):
+        i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        ax, ay, az = vertices[i, 0] - pole[0], vertices[i, 1] - pole[1], vertices[i, 2] - pole[2]
+        bx, by, bz = vertices[j, 0] - pole[0], vertices[j, 1] - pole[1], vertices[j, 2] - pole[2]
+        cx, cy, cz = vertices[k, 0] - pole[0], vertices[k, 1] - pole[1], vertices[k, 2] - pole[2]
+        out[t] = (ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)) / 6.0
     return out
 
 
@@ -119,7 +130,7 @@ def closed_volume(vertices: F64, triangles: I32, pole_map: F64 | None = None, al
     check_closed(mesh)
     if not allow_crossings:
         check_simple(v, mesh.triangles)
-    used = v[np.unique(mesh.triangles)]
+    used = v[vertices_of(mesh.triangles)]
     poles = other_poles(used)
     pole = poles[0] if pole_map is None else np.asarray(pole_map, dtype=np.float64)
     if pole.shape != (3,) or not np.isfinite(pole).all():

@@ -8,8 +8,15 @@ from closed_meshes import CUBE_T, CUBE_V, grid_mesh, moebius, sphere, torus
 
 from ladar_volume.model.errors import SurfaceError, VolumeError
 from ladar_volume.model.se3 import exp_so3
-from ladar_volume.surface.topology import edge_table, orient, spread_kernel, watertight, weld
-from ladar_volume.volume.tetrahedra import closed_variance, closed_volume, signed_tetrahedra, tetrahedra_gradient, winding_kernel
+from ladar_volume.surface.topology import counted, edge_table, orient, spread_kernel, watertight, weld
+from ladar_volume.volume.tetrahedra import (
+    closed_variance,
+    closed_volume,
+    signed_tetrahedra,
+    tetrahedra_gradient,
+    tetrahedra_kernel,
+    winding_kernel,
+)
 
 
 def test_a_mesh_without_boundary_is_watertight_whichever_way_its_triangles_run():
@@ -179,6 +186,22 @@ def test_welding_closes_a_soup_of_triangles():
     rough = soup + np.random.default_rng(3).uniform(-1e-6, 1e-6, soup.shape)
     w, u, _ = weld(rough, index, 1e-3)
     assert closed_volume(w, u).volume_m3 == pytest.approx(closed_volume(v, t).volume_m3, rel=1e-4)
+
+
+def test_edges_and_tetrahedra_are_their_twins():
+    rng = np.random.default_rng(9)
+    t, v, pole = rng.integers(0, 30, (200, 3)).astype(np.int32), rng.standard_normal((30, 3)), rng.standard_normal(3)
+    order, start, key = edge_table(t)
+    a, b = t.astype(np.int64), np.roll(t, -1, axis=1).astype(np.int64)
+    assert np.array_equal(key, (np.minimum(a, b) << 32 | np.maximum(a, b)).ravel()) and np.array_equal(order, np.argsort(key, kind="stable"))
+    assert np.array_equal(start, [*np.unique(key[order], return_index=True)[1], len(order)])
+    assert [len(part) for part in edge_table(t[:0])] == [0, 2, 0]
+    value = rng.integers(0, 7, 50)
+    assert np.array_equal(counted.py_func(value, np.arange(50), 7), np.argsort(value, kind="stable"))
+    corner = v[t] - pole
+    volumes = np.einsum("ni,ni->n", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6.0
+    assert signed_tetrahedra(v, t, pole) == pytest.approx(volumes, abs=1e-14)
+    assert tetrahedra_kernel.py_func(v, t, pole) == pytest.approx(volumes, abs=1e-14)
 
 
 def test_open_meshes_have_an_oriented_boundary():
