@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.parameters import BudgetParameters, FilterParameters, GeoreferenceParameters, Parameters, VolumeParameters
 from ladar_volume.model.records import Tin, Volume
 from ladar_volume.studies.coverage_box import BOX, BoxSite, ClosedBox, body_on_ground, closed_box
@@ -26,7 +25,7 @@ from ladar_volume.volume.epochs import epoch_difference
 from ladar_volume.volume.estimator import VolumeEstimator
 from ladar_volume.volume.navigation import NavigationBins
 from ladar_volume.volume.overlay import between
-from ladar_volume.volume.polygon import areas_inside, clipped_prismoids
+from ladar_volume.volume.polygon import weights_inside
 from ladar_volume.volume.prismoids import prismoids
 
 #: The first seed; the rest count up.
@@ -205,10 +204,10 @@ def net_volumes(site: Site | BoxSite, drawn: BudgetParameters, seed: int, ground
     flown = fly(site, drawn, DEFAULT, seed, ground=ground)
     tin = full_tin(flown, P)
     plane, inside = base_and_outline(tin, np.zeros(len(tin.vertices)), P)
-    level, polygon = design_surface([0.0]), polygon_of(believed_parameters(DEFAULT, site, LEVEL).volume)
-    within = areas_inside(tin, polygon)
-    volumes = prismoids(tin, plane, inside > 0).net_m3, clipped_prismoids(tin, level, polygon, within > 0).net_m3
-    chords = (float(chord_volumes(tin, flown.normal[tin.source], area).sum()) for area in (inside, within))
+    weights = weights_inside(tin, polygon_of(believed_parameters(DEFAULT, site, LEVEL).volume))
+    above_level = float((weights * tin.vertices[tin.triangles, 2]).sum())
+    volumes = prismoids(tin, plane, inside > 0).net_m3, above_level
+    chords = (float(chord_volumes(tin, flown.normal[tin.source], area).sum()) for area in (inside, weights.sum(axis=1)))
     return {base: volume - chord for base, volume, chord in zip((GROUND, LEVEL), volumes, chords, strict=True)}
 
 

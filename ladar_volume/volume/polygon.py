@@ -72,6 +72,34 @@ def moments(ring: F64, n: int) -> tuple[float, float, float]:
 
 
 @kernel
+def leftward(a: F64, b: F64, p: F64) -> bool:
+    """Whether p (2,) lies on the left of the line from a to b, or on it."""
+    left: bool = (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]) >= 0.0
+    return left
+
+
+@kernel
+def is_convex(polygon: F64) -> bool:
+    """Whether a simple polygon (k, 2), counter-clockwise, is convex."""
+    k = len(polygon)
+    for i in range(k):
+        if not leftward(polygon[i], polygon[(i + 1) % k], polygon[(i + 2) % k]):
+            return False
+    return True
+
+
+@kernel
+def holds(polygon: F64, points: F64) -> bool:
+    """Whether all points (n, 2) lie in a convex polygon (k, 2), counter-clockwise."""
+    k = len(polygon)
+    for i in range(k):
+        for p in points:
+            if not leftward(polygon[i], polygon[(i + 1) % k], p):
+                return False
+    return True
+
+
+@kernel
 def clipped_weights(corners: F64, heights: F64, polygon: F64) -> F64:
     """Integrals of the barycentric coordinates over each triangle inside the polygon: above and below the base.
 
@@ -80,7 +108,7 @@ def clipped_weights(corners: F64, heights: F64, polygon: F64) -> F64:
     out = np.zeros((len(corners), 2, 3))
     size = 8 * len(polygon) + 64
     one, two, three = np.empty((size, 2)), np.empty((size, 2)), np.empty((size, 2))
-    line = np.empty((3, 3))
+    line, convex = np.empty((3, 3)), is_convex(polygon)
     west, east, south, north = polygon[:, 0].min(), polygon[:, 0].max(), polygon[:, 1].min(), polygon[:, 1].max()
     for t in range(len(corners)):
         p = corners[t]
@@ -93,11 +121,16 @@ def clipped_weights(corners: F64, heights: F64, polygon: F64) -> F64:
             j, k = (i + 1) % 3, (i + 2) % 3
             line[i, 1], line[i, 2] = (p[j, 1] - p[k, 1]) / area2, (p[k, 0] - p[j, 0]) / area2
             line[i, 0] = 1.0 if i == 0 else 0.0
-        for i in range(len(polygon)):
-            one[i, 0], one[i, 1] = polygon[i, 0] - p[0, 0], polygon[i, 1] - p[0, 1]
-        n = clip(one, len(polygon), line[0, 0], line[0, 1], line[0, 2], two)
-        n = clip(two, n, line[1, 0], line[1, 1], line[1, 2], one)
-        n = clip(one, n, line[2, 0], line[2, 1], line[2, 2], two)
+        if convex and holds(polygon, p):
+            n = 3
+            for i in range(n):
+                two[i, 0], two[i, 1] = p[i, 0] - p[0, 0], p[i, 1] - p[0, 1]
+        else:
+            for i in range(len(polygon)):
+                one[i, 0], one[i, 1] = polygon[i, 0] - p[0, 0], polygon[i, 1] - p[0, 1]
+            n = clip(one, len(polygon), line[0, 0], line[0, 1], line[0, 2], two)
+            n = clip(two, n, line[1, 0], line[1, 1], line[1, 2], one)
+            n = clip(one, n, line[2, 0], line[2, 1], line[2, 2], two)
         for side in range(2):
             sign = 1.0 - 2.0 * side
             h = sign * heights[t]
@@ -145,13 +178,18 @@ def clipped_prismoids(tin: Tin, base: Plane, polygon: F64, mask: Bool | None = N
     return Prismoids(cut, fill, area, g_cut, g_fill, b_cut, b_fill)
 
 
+def weights_inside(tin: Tin, polygon: F64) -> F64:
+    """Integrals (m, 3) m² of the barycentric coordinates of each relevant triangle over what lies within a counter-clockwise polygon
+    (k, 2); 0 for the others."""
+    corners = np.ascontiguousarray(tin.vertices[tin.triangles[tin.relevant], :2])
+    out = np.zeros((len(tin.triangles), 3))
+    out[tin.relevant] = clipped_weights(corners, np.ones((len(corners), 3)), np.ascontiguousarray(polygon))[:, 0]
+    return out
+
+
 def areas_inside(tin: Tin, polygon: F64) -> F64:
     """Area (m,) m² of each relevant triangle within a counter-clockwise polygon (k, 2); 0 for the others."""
-    corners = np.ascontiguousarray(tin.vertices[tin.triangles[tin.relevant], :2])
-    out = np.zeros(len(tin.triangles))
-    out[tin.relevant] = np.maximum(
-        clipped_weights(corners, np.ones((len(corners), 3)), np.ascontiguousarray(polygon))[:, 0].sum(axis=1), 0.0
-    )
+    out: F64 = np.maximum(weights_inside(tin, polygon).sum(axis=1), 0.0)
     return out
 
 

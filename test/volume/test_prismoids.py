@@ -13,7 +13,17 @@ from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import Plane, Tin
 from ladar_volume.surface.tin import build_tin
 from ladar_volume.volume.centroid import centroid, moment_kernel
-from ladar_volume.volume.polygon import areas_inside, check_polygon, clip, clipped_prismoids, clipped_weights, moments
+from ladar_volume.volume.polygon import (
+    areas_inside,
+    check_polygon,
+    clip,
+    clipped_prismoids,
+    clipped_weights,
+    holds,
+    is_convex,
+    leftward,
+    moments,
+)
 from ladar_volume.volume.prismoids import mean_above, positive_part, prismoid_kernel, prismoids
 
 
@@ -172,7 +182,25 @@ def test_polygons_add_and_orientation_does_not_matter():
 def test_compiled_clipping_equals_its_plain_twin():
     tin = random_tin(n=6, seed=8)
     corners, h = np.ascontiguousarray(tin.vertices[tin.triangles, :2]), np.ascontiguousarray(tin.vertices[tin.triangles, 2])
-    assert np.array_equal(clipped_weights(corners, h, STAR), clipped_weights.py_func(corners, h, STAR))
+    hexagon = np.stack([np.cos(np.arange(6) * np.pi / 3), np.sin(np.arange(6) * np.pi / 3)], axis=1)
+    for ring, convex in ((STAR, False), (hexagon, True), (9.0 * hexagon, True), (hexagon[::-1].copy(), False)):
+        assert np.array_equal(clipped_weights(corners, h, ring), clipped_weights.py_func(corners, h, ring))
+        assert is_convex(ring) == is_convex.py_func(ring) == convex
+        for points in (corners[0], 0.1 * corners[0]):
+            assert holds(ring, points) == holds.py_func(ring, points)
+            assert leftward(ring[0], ring[1], points[0]) == leftward.py_func(ring[0], ring[1], points[0])
+
+
+def test_triangles_within_a_convex_polygon_are_taken_whole():
+    tin = random_tin(seed=5)
+    square = 3.5 * np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
+    notched = np.r_[square[:2], [[3.5, -0.1], [3.4, 0.0], [3.5, 0.1]], square[2:]]  # not convex, and holds the same
+    corners, h = np.ascontiguousarray(tin.vertices[tin.triangles, :2]), np.ascontiguousarray(tin.vertices[tin.triangles, 2])
+    assert is_convex(square) and not is_convex(notched)
+    assert clipped_weights(corners, h, square) == pytest.approx(clipped_weights(corners, h, notched), abs=1e-13)
+
+
+def test_compiled_moments_equal_their_plain_twin():
     a, b = np.zeros((30, 2)), np.zeros((30, 2))
     n = clip(STAR, 8, 0.1, 1.0, -0.3, a)
     assert n == clip.py_func(STAR, 8, 0.1, 1.0, -0.3, b) and np.array_equal(a, b)
