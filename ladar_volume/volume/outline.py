@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -14,8 +12,6 @@ from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.surface.boundary import parts_kernel
 from ladar_volume.surface.tin import any_corner, footprint_areas, vertex_mask
 
-#: Most cells on a side of the grid in which near places are searched for.
-MOST_CELLS = 500
 
 def components(tin: Tin, mask: Bool) -> I64:
     """Number (m,) of the edge-connected component of each triangle in ``mask``; -1 elsewhere."""
@@ -59,45 +55,14 @@ def within(tin: Tin, mask: Bool, distance_m: float) -> Bool:
 
 def near_some(xy: F64, some: Bool, distance_m: float) -> Bool:
     """Which places (n, 2) lie within the distance of one of ``some`` (n,); these themselves do."""
-    if not some.any():
-        return some.copy()
-    low, extent = xy[some].min(axis=0), float(np.ptp(xy[some], axis=0).max())
-    return np.asarray(near_kernel(np.ascontiguousarray(xy), some, distance_m, low, max(1.001 * distance_m + 1e-6, extent / MOST_CELLS)))
-
-
-@kernel
-def near_kernel(xy: F64, some: Bool, distance: float, low: F64, side: float) -> Bool:
-    """See :func:`near_some`: with ``some`` in square cells from ``low`` (2,) on, not smaller than the distance, those of nine are looked
-    at."""
-    n, wide, high = len(xy), 0, 0
-    column, line = np.empty(n, np.int64), np.empty(n, np.int64)
-    for i in range(n):
-        x, y = (xy[i, 0] - low[0]) / side, (xy[i, 1] - low[1]) / side
-        # places beyond the cells' neighbours are far from all
-        column[i], line[i] = math.floor(min(max(x, -2.0), MOST_CELLS + 3.0)), math.floor(min(max(y, -2.0), MOST_CELLS + 3.0))
-        if some[i]:
-            wide, high = max(wide, column[i] + 1), max(high, line[i] + 1)
-    start = np.zeros(wide * high + 1, np.int64)
-    for i in range(n):
-        if some[i]:
-            start[column[i] * high + line[i]] += 1
-    start = np.cumsum(start)
-    member = np.empty(start[-1], np.int64)
-    for i in range(n):
-        if some[i]:
-            start[column[i] * high + line[i]] -= 1
-            member[start[column[i] * high + line[i]]] = i
     out = some.copy()
-    for i in range(n):
-        for c in range(max(column[i] - 1, 0), min(column[i] + 2, wide)):
-            if out[i]:
-                break
-            first, last = max(line[i] - 1, 0), min(line[i] + 2, high)
-            if first < last:  # the cells of a column follow each other
-                for k in member[start[c * high + first] : start[c * high + last]]:
-                    if math.sqrt((xy[k, 0] - xy[i, 0]) ** 2 + (xy[k, 1] - xy[i, 1]) ** 2) <= distance:
-                        out[i] = True
-                        break
+    if not some.any():
+        return out
+    bound = 1.001 * distance_m + 1e-6  # the search excludes its bound
+    low, high = xy[some].min(axis=0) - bound, xy[some].max(axis=0) + bound
+    rest = np.flatnonzero(~some & ((xy > low) & (xy < high)).all(axis=1))
+    distance, _ = cKDTree(xy[some]).query(xy[rest], distance_upper_bound=bound)
+    out[rest[np.asarray(distance) <= distance_m]] = True
     return out
 
 

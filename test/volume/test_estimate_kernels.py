@@ -11,7 +11,7 @@ from ladar_volume.model.records import Patches
 from ladar_volume.surface.relevant import edge_lengths
 from ladar_volume.surface.tin import any_corner, build_tin, footprint_areas, vertex_mask
 from ladar_volume.volume import patch_store
-from ladar_volume.volume.outline import components, fill_holes, near_kernel, near_some, within
+from ladar_volume.volume.outline import components, fill_holes, near_some, within
 from ladar_volume.volume.patch_merge import place_from, sort_runs
 from ladar_volume.volume.patch_store import LastWord, block_entries, picked
 
@@ -72,10 +72,6 @@ def test_places_within_a_distance_of_some():
                 away = np.linalg.norm(xy[:, None] - xy[None, some], axis=2).min(axis=1)
             for distance in (0.0, 0.3, 1.0, 2.0, 5.0, 60.0, 1e6):
                 assert np.array_equal(near_some(xy, some, distance), away <= distance)
-    low = cluster[::4].min(axis=0)
-    assert np.array_equal(
-        near_kernel.py_func(cluster, np.arange(400) % 4 == 0, 0.3, low, 0.4), near_some(cluster, np.arange(400) % 4 == 0, 0.3)
-    )
 
 
 def test_holes_are_filled_with_relevant_triangles_alone(tin):
