@@ -50,6 +50,13 @@ def join_cells(points: F64, start: I64, left: I64, right: I64, limit2: float, ro
             root[max(a, b)] = min(a, b)
 
 
+@kernel
+def to_roots(root: I64) -> None:
+    """Every cell (c,) straight to its root: none is after the cells it leads to."""
+    for i in range(len(root)):
+        root[i] = root[root[i]]
+
+
 def connected(points: F64, distance_m: float) -> I64:
     """Number (n,) of the connected component of each point (n, 3) m, components in no particular order.
 
@@ -75,8 +82,9 @@ def connected(points: F64, distance_m: float) -> I64:
         right = np.minimum(np.searchsorted(unique, wanted), len(unique) - 1).astype(np.int64)
         left = np.flatnonzero(unique[right] == wanted).astype(np.int64)
         join_cells(ordered, start, left, right[left], distance_m * distance_m, root)
+    to_roots(root)
     label = np.empty(len(points), dtype=np.int64)
-    label[order] = np.repeat(np.array([root_of(root, i) for i in range(len(root))], dtype=np.int64), np.diff(start))
+    label[order] = np.repeat(root, np.diff(start))
     return label
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
+from ladar_volume.ground.clusters import root_of, to_roots
+from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, I32, I64
 from ladar_volume.surface.skin import Skin, blocks, extended
 from ladar_volume.surface.topology import edge_table, orient
@@ -31,26 +31,33 @@ def place(p: F64) -> str:
     return f"({p[0]:.2f}, {p[1]:.2f}, {p[2]:.2f})"
 
 
+@kernel
+def fans(triangles: I32, one: I64, other: I64) -> I64:
+    """The first corner (3m,) of the fan that each corner of triangles (m, 3) is in, which edges join: half edges ``one`` and ``other``
+    (e,) of two triangles each."""
+    corner = triangles.ravel()
+    root = np.arange(len(corner))
+    for e in range(len(one)):
+        i, t = one[e], other[e] // 3 * 3
+        for a in (i, i // 3 * 3 + (i + 1) % 3):
+            b = t
+            while corner[b] != corner[a]:
+                b += 1
+            p, q = root_of(root, a), root_of(root, b)
+            root[max(p, q)] = min(p, q)
+    to_roots(root)
+    return root
+
+
 def split_fans(skin: Skin) -> Skin:
     """One vertex per fan of triangles: where parts touch in one vertex only, each gets its own copy. No rim then passes a vertex twice."""
     t, n = skin.triangles, len(skin.vertices)
     order, start, _ = edge_table(t)
     pair = start[:-1][np.diff(start) == 2]
-    i, j = order[pair], order[pair + 1]
-
-    def corner(half: I64, vertex: I32) -> I64:
-        """The corner (e,) of the half edge's triangle that has the vertex."""
-        at = half // 3 * 3
-        out: I64 = at + np.argmax(t[half // 3] == vertex[:, None], axis=1)
-        return out
-
-    ends = [t.ravel()[i], t[:, [1, 2, 0]].ravel()[i]]
-    a = np.concatenate([corner(i, v) for v in ends])
-    b = np.concatenate([corner(j, v) for v in ends])
-    graph = coo_matrix((np.ones(len(a), np.int8), (a, b)), shape=(3 * len(t), 3 * len(t)))
-    fan = connected_components(graph, directed=False)[1]
+    root = np.asarray(fans(t, order[pair], order[pair + 1]))
     # fans in the order of their first corner; the first one of each vertex keeps it
-    _, first = np.unique(fan, return_index=True)
+    begins = root == np.arange(len(root))
+    first, fan = np.flatnonzero(begins), (np.cumsum(begins) - 1)[root]
     vertex = t.ravel()[first]
     _, earliest = np.unique(vertex, return_index=True)
     number = np.full(len(first), -1, np.int64)
@@ -90,9 +97,13 @@ def rims_of(skin: Skin) -> list[Rim]:
 def descent(skin: Skin, rims: list[Rim], up: F64) -> F64:
     """Mean (r,) of −up · (direction in which the surface leaves the mesh) along each rim: 1 down a wall, 0 across a gap."""
     t, n = skin.triangles.astype(np.int64), len(skin.vertices)
-    half = (t * n + t[:, [1, 2, 0]]).ravel()
+    on = np.zeros(n, bool)
+    for rim in rims:
+        on[rim.vertices] = True
+    along_rim = on[t] & on[t[:, [1, 2, 0]]]
+    half = (t * n + t[:, [1, 2, 0]])[along_rim]
     order = np.argsort(half)
-    half, opposite = half[order], t[:, [2, 0, 1]].ravel()[order]
+    half, opposite = half[order], t[:, [2, 0, 1]][along_rim][order]
     out = np.zeros(len(rims))
     for number, rim in enumerate(rims):
         a, b = np.roll(rim.vertices, -1), rim.vertices

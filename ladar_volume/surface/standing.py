@@ -50,8 +50,11 @@ def tetrahedra(v: F64, triangles: I64, pole: F64) -> float:
 
 def downward(skin: Skin, vertices: I64, normals: F64) -> F64:
     """Directions (k, 3) in which the surface with corner normals (m, 3, 3) goes down at vertices; straight where flat or not known."""
-    M = np.zeros((len(skin.vertices), 3, 3))
-    np.add.at(M, skin.triangles.ravel(), np.einsum("ni,nj->nij", normals.reshape(-1, 3), normals.reshape(-1, 3)))
+    M, wanted = np.zeros((len(skin.vertices), 3, 3)), np.zeros(len(skin.vertices), bool)
+    wanted[vertices] = True
+    corner = np.flatnonzero(wanted[skin.triangles.ravel()])
+    n = normals.reshape(-1, 3)[corner]
+    np.add.at(M, skin.triangles.ravel()[corner], np.einsum("ni,nj->nij", n, n))
     M = M[vertices]
     known = np.isfinite(M).all(axis=(1, 2)) & (np.trace(M, axis1=1, axis2=2) > 0.0)
     M[~known] = np.eye(3)

@@ -107,11 +107,13 @@ def without_stray(mesh: LocalMesh) -> tuple[I32, int]:
     size = np.bincount(found.part)
     is_open = np.zeros(len(size), bool)
     is_open[found.part[np.isin(mesh.triangles, found.boundary).any(axis=1)]] = True
-    at = mesh.vertices[mesh.triangles]
+    small = size < STRAY * len(mesh.triangles)
+    rows = np.flatnonzero(small[found.part])
+    at, part = mesh.vertices[mesh.triangles[rows]], found.part[rows]
     low, high = np.full((len(size), 3), np.inf), np.full((len(size), 3), -np.inf)
-    np.minimum.at(low, found.part, at.min(axis=1))
-    np.maximum.at(high, found.part, at.max(axis=1))
+    np.minimum.at(low, part, at.min(axis=1))
+    np.maximum.at(high, part, at.max(axis=1))
     narrow = np.linalg.norm(high - low, axis=1) < float(mesh.report["hole_m"])
-    few = (size < STRAY * len(mesh.triangles)) & (is_open | narrow)
+    few = small & (is_open | narrow)
     keep = ~few[found.part]
     return mesh.triangles[keep], int(np.count_nonzero(~keep))

@@ -10,7 +10,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ladar_volume.ground.clusters import clusters, connected, join_cells, root_of
+from ladar_volume.ground.clusters import clusters, connected, join_cells, root_of, to_roots
 from ladar_volume.ground.objects import ObjectParameters, find_objects, objects_at, objects_in
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.ground.regions import in_box, in_polygon
@@ -57,7 +57,11 @@ def test_the_kernel_equals_its_plain_twin():
     one, two = np.arange(20), np.arange(20)
     join_cells(p, start, left, right, 0.01, one)
     join_cells.py_func(p, start, left, right, 0.01, two)
-    assert np.array_equal(one, two) and 1 < len({root_of.py_func(two, i) for i in range(20)}) < 20
+    roots = [root_of.py_func(two, i) for i in range(20)]
+    assert np.array_equal(one, two) and 1 < len(set(roots)) < 20
+    to_roots(one)
+    to_roots.py_func(two)
+    assert np.array_equal(one, roots) and np.array_equal(two, roots)
 
 
 def test_labels_by_size_then_position_whatever_the_order():

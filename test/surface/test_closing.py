@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 from closed_meshes import CUBE_T, CUBE_V, sphere, torus
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from benchmarks.truth import box_faces, rotation, sample_polygons
 from ladar_volume.ground.polynomial import design_surface
@@ -12,9 +14,10 @@ from ladar_volume.surface.clipping import clip_to_ground, heights
 from ladar_volume.surface.closing import close
 from ladar_volume.surface.curvature import bulge_volumes
 from ladar_volume.surface.local import mesh_cloud
+from ladar_volume.surface.rims import fans
 from ladar_volume.surface.sharpen import meet, sharpen
 from ladar_volume.surface.skin import EDGE, GAP, GROUND, MEASURED, skin_of
-from ladar_volume.surface.topology import check_closed, orient
+from ladar_volume.surface.topology import check_closed, edge_table, orient
 from ladar_volume.volume.tetrahedra import closed_volume, signed_tetrahedra, tetrahedra_gradient
 
 LEVEL = design_surface([0.0])
@@ -291,6 +294,22 @@ def test_the_volume_over_chords_of_a_torus_is_given_back():
     truth = 2 * np.pi**2 * 2.0 * 0.36
     chords = signed_tetrahedra(skin.vertices, skin.triangles, np.zeros(3)).sum()
     assert chords / truth < 0.992 and (chords + bulge_volumes(skin).sum()) / truth == pytest.approx(1.0, abs=4e-4)
+
+
+def test_fans_are_the_components_of_the_corners():
+    touching = np.concatenate([CUBE_T, CUBE_T + 8]).astype(np.int32)
+    touching[touching == 15] = 0  # two cubes that touch in a vertex
+    for t, count in ((touching, 16), (touching[::2], None), (touching[[0, 5, 9]], None)):
+        order, start, _ = edge_table(t)
+        pair = start[:-1][np.diff(start) == 2]
+        one, other = order[pair], order[pair + 1]
+        joined = [(i, j) for a, b in zip(one // 3 * 3, other // 3 * 3, strict=True) for i in range(a, a + 3) for j in range(b, b + 3)
+                  if t.ravel()[i] == t.ravel()[j]]  # fmt: skip
+        graph = coo_matrix((np.ones(len(joined)), np.array(joined, np.int64).reshape(-1, 2).T), shape=(t.size, t.size))
+        number, label = connected_components(graph, directed=False)
+        root = fans(t, one, other)
+        assert np.array_equal(root, np.unique(label, return_index=True)[1][label]) and number == (count or number)
+        assert np.array_equal(root, fans.py_func(t, one, other))
 
 
 def test_kernels_agree_with_their_plain_twins():
