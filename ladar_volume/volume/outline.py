@@ -59,10 +59,13 @@ def near_some(xy: F64, some: Bool, distance_m: float) -> Bool:
     if not some.any():
         return out
     bound = 1.001 * distance_m + 1e-6  # the search excludes its bound
-    low, high = xy[some].min(axis=0) - bound, xy[some].max(axis=0) + bound
-    rest = np.flatnonzero(~some & ((xy > low) & (xy < high)).all(axis=1))
-    distance, _ = cKDTree(xy[some]).query(xy[rest], distance_upper_bound=bound)
-    out[rest[np.asarray(distance) <= distance_m]] = True
+    rest = ~some
+    for c in xy.T:
+        own = c[some]
+        rest &= (c > own.min() - bound) & (c < own.max() + bound)
+    tree = cKDTree(xy[some], balanced_tree=False, compact_nodes=False)  # built in half the time
+    distance, _ = tree.query(xy[rest], distance_upper_bound=bound)
+    out[rest] = np.asarray(distance) <= distance_m
     return out
 
 
