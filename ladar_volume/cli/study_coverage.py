@@ -22,14 +22,14 @@ def add_coverage(studies: Any) -> None:
     parser = studies.add_parser(
         "coverage", help="do the error bars hold the truth? Monte Carlo of whole surveys, all sources on and each alone",
         description="Simulates surveys with every error source drawn anew and compares the spread of the volumes with the printed sigma: "
-        "2000 surveys per scenario, 1000 with each source alone, 500 with each kind of wrong budget; two hours on two cores. One "
+        "2000 surveys per scenario, 1000 with each source alone, 500 with each kind of wrong budget; an hour on two cores. One "
         "line per survey is appended to a file; a run that was stopped goes on.",
     )  # fmt: skip
     parser.add_argument(
         "--scenario", action="append", default=[], metavar="NAME", help="stockpile_100, stockpile_5000, pit, box (default: all)"
     )  # fmt: skip
     parser.add_argument(
-        "--reduced", action="store_true", help="200 surveys, 200 per source, 50 per wrong budget; some twenty minutes on two cores"
+        "--reduced", action="store_true", help="200 surveys, 200 per source, 50 per wrong budget; some seven minutes on two cores"
     )  # fmt: skip
     parser.add_argument(
         "--engine", type=int, nargs="?", const=ENGINE_SURVEYS, default=0, metavar="N",
