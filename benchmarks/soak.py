@@ -5,7 +5,8 @@ message in a hundred is dropped; in turn come bursts of NaN, a GNSS outage, a fl
 an hour ahead, all clocks set back half a minute (a new pass of the data), restarts of each node, and a full disk. Measured are resident
 sizes, the time from a scan to the volume that holds it, and the books: what was published against what arrived and what was named lost.
 
-``python -m benchmarks.soak [--seconds 180] [--full-rate] [--faults A,B,...]``; ``--seconds 3600`` for the hour. Exit code 1 where a node
+``python -m benchmarks.soak [--seconds 180] [--full-rate | --site 200] [--faults A,B,...]``; ``--seconds 3600`` for the hour, ``--site`` for
+memory by area: a square site of so many metres, the resident size of each node by time. Exit code 1 where a node
 died, a message is unaccounted for, an unforeseen exception was counted, no volume comes at the end or it is wrong by more than five sigma.
 """
 
@@ -39,8 +40,8 @@ from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.nodes.base import LATCHED, STREAM
 from ladar_volume.nodes.running import Spinner
 from ladar_volume.simulation.bag import write_bag
-from ladar_volume.simulation.platforms import platform_for
-from ladar_volume.simulation.scenes import make_scene
+from ladar_volume.simulation.platforms import make_platform, platform_for
+from ladar_volume.simulation.scenes import Ground, make_scene, pile
 from ladar_volume.simulation.survey import Survey, SurveyOptions
 
 ROOT = Path(__file__).parents[1]
@@ -63,6 +64,18 @@ def full_rate_flight(folder: Path) -> Path:
     survey = Survey(scene, platform_for(scene, "uav", 30.0), BudgetParameters(), SurveyOptions(30.0, 1, seed=5))
     write_bag(survey, folder / "flight", suited(scene), lambda share: None)
     return folder / "flight"
+
+
+def site_flight(folder: Path, side_m: float) -> Path:
+    """A minute at all 300,000 firings a second over a square site with a pile of 5000 m³ in its middle, filtered with a radius of 1 m; all
+    of the site is mapped."""
+    scene = pile("site", 22.0, 18.0, 0.2, Ground(slope=(0.012, -0.008), rough_m=0.010, length_m=1.0, seed=5), 0.75 * side_m)
+    survey = Survey(scene, make_platform("uav", side_m, 60.0), BudgetParameters(), SurveyOptions(60.0, 1, seed=5))
+    settings, half = suited(scene), 0.5 * side_m
+    settings["filter"]["radius_m"] = 1.0
+    settings["georeference"]["region_m"] = [-half, -half, -10.0, half, half, 30.0]
+    write_bag(survey, folder / "site", settings, lambda share: None)
+    return folder / "site"
 
 
 @dataclass
@@ -312,7 +325,7 @@ def report(soak: Soak, truth_m3: float) -> dict[str, Any]:
                 losses[f"{name} {key[5:]}"] = losses.get(f"{name} {key[5:]}", 0) + int(value)
     sizes = [sum(r.values()) for _, r in soak.resident]
     flown_s = soak.resident[-1][0] - soak.resident[0][0]
-    third = max(len(sizes) // 3, 1)
+    third, tenth = max(len(sizes) // 3, 1), max(len(sizes) // 10, 1)
     return {
         "wrong": wrong, "sent": load.sent, "dropped_by_load": load.dropped, "unheard_while_down": load.unheard, "unaccounted": unaccounted,
         "faults": {k: n for k, n in load.hurt.items() if n}, "volumes": len(load.latency), "volume_m3": volume, "sigma_m3": sigma,
@@ -320,18 +333,22 @@ def report(soak: Soak, truth_m3: float) -> dict[str, Any]:
         "put_off_s": [float(np.percentile(load.deferred or [0.0], q)) for q in (50, 99)],
         "cpu_per_second": {name: busy / flown_s for name, busy in soak.busy.items()},
         "resident_mb": {name: max(r[name] for _, r in soak.resident) for name in NODES}, "resident_all_mb": max(sizes),
+        "resident_by_time_mb": {
+            round(t): {name: round(max(r[name] for _, r in soak.resident[i : i + tenth])) for name in NODES}
+            for i, (t, _) in enumerate(soak.resident) if i % tenth == 0
+        },
         "resident_middle_third_mb": max(sizes[third : 2 * third] or sizes), "resident_last_third_mb": max(sizes[2 * third :] or sizes),
         "losses": dict(sorted(losses.items())), "named": dict(sorted(load.warnings.items(), key=lambda w: -w[1])[:25]),
     }  # fmt: skip
 
 
-def soak(seconds: float, full_rate: bool, faults: list[str]) -> dict[str, Any]:
-    """Fly for ``seconds`` with the faults."""
+def soak(seconds: float, full_rate: bool, faults: list[str], site_m: float = 0.0) -> dict[str, Any]:
+    """Fly for ``seconds`` with the faults; over a site of ``site_m`` a side, if that is not 0."""
     os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 90 + 10))
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        bag = full_rate_flight(folder) if full_rate else BAG
+        bag = site_flight(folder, site_m) if site_m else full_rate_flight(folder) if full_rate else BAG
         messages, length_ns = flight(bag)
         truth = float(json.loads((bag / "truth.json").read_text())["volume_m3"])
         rclpy.init(args=[])
@@ -365,9 +382,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="long flight with faults")
     parser.add_argument("--seconds", type=float, default=180.0)
     parser.add_argument("--full-rate", action="store_true", help="simulate a flight at 300,000 returns a second instead of the shipped one")
+    parser.add_argument("--site", type=float, default=0.0, metavar="METRES", help="the same over a square site of this side, radius 1 m")
     parser.add_argument("--faults", default=",".join(FAULTS), help=f"comma-separated: {', '.join(FAULTS)}")
     arguments = parser.parse_args()
-    out = soak(arguments.seconds, arguments.full_rate, [f for f in arguments.faults.split(",") if f])
+    out = soak(arguments.seconds, arguments.full_rate, [f for f in arguments.faults.split(",") if f], arguments.site)
     print(json.dumps(out, indent=1))
     return int(bool(out["wrong"]))
 

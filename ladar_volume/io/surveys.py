@@ -6,9 +6,10 @@ platform's covariance and mean pose per time bin: the surface comes back bit by 
 
 from __future__ import annotations
 
+import itertools
 import json
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,16 +25,19 @@ from ladar_volume.io.log import McapLog
 from ladar_volume.io.tables import NUMBERS, decode, encode
 from ladar_volume.model.errors import InputError
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import Datum, Estimate, FilterUpdate
+from ladar_volume.model.records import Datum, Estimate, FilterUpdate, select
 from ladar_volume.registration.transform import Transform
 from ladar_volume.volume.epoch_budget import Epoch
 from ladar_volume.volume.estimator import VolumeEstimator
 from ladar_volume.volume.navigation import NavigationBins
+from ladar_volume.volume.packing import unpacked
 
 #: Name of the file in a results folder, and of its metadata record.
 FILE, RECORD = "result.mcap", "ladar_volume"
 #: Tables that hold the survey itself.
 SURVEY = ("points_filtered", "patches", "navigation")
+#: Patches of one message.
+PART = 400
 
 
 @dataclass(frozen=True)
@@ -55,14 +59,17 @@ def navigation_columns(bins: NavigationBins) -> wire.Columns:
     }  # fmt: skip
 
 
-def survey_tables(epoch: Epoch) -> list[tuple[str, wire.Columns]]:
+def survey_tables(epoch: Epoch) -> Iterator[tuple[str, wire.Columns]]:
     """Topics and columns of everything a survey is compared by, large ones in several messages."""
     points, patches = epoch.sources.points, epoch.sources.patches
-    update = FilterUpdate(epoch.t_ns, np.zeros(0, np.int64), points, patches, True)
-    tables = []
-    for part in wire.update_parts(update):
-        tables += [("points_filtered", wire.filtered_columns(part.points)), ("patches", wire.patch_columns(part))]
-    return [*tables, ("navigation", navigation_columns(epoch.sources.navigation))]
+    for first in range(0, len(patches), PART):
+        last = min(first + PART, len(patches))
+        mine = unpacked(patches, first, last)
+        at = slice(*np.searchsorted(points.patch, [mine.key[0], mine.key[-1] + 1]))
+        part = FilterUpdate(epoch.t_ns, np.zeros(0, np.int64), select(points, at), mine, last == len(patches))
+        yield "points_filtered", wire.filtered_columns(part.points)
+        yield "patches", wire.patch_columns(part)
+    yield "navigation", navigation_columns(epoch.sources.navigation)
 
 
 def write_survey(path: Path, estimate: Estimate, epoch: Epoch, result: Mapping[str, Any]) -> None:
@@ -81,7 +88,7 @@ def write_survey(path: Path, estimate: Estimate, epoch: Epoch, result: Mapping[s
     path.unlink(missing_ok=True)
     with McapLog(Parameters().logger, path) as log:
         log.metadata(RECORD, {"result": results.json_text(result)})
-        for topic, columns in [*tables, *survey_tables(epoch)]:
+        for topic, columns in itertools.chain(tables, survey_tables(epoch)):
             table = encode(columns)
             fields = [
                 types["sensor_msgs/msg/PointField"](name=c.name, offset=c.offset, datatype=NUMBERS[c.code], count=c.count)

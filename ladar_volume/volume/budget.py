@@ -10,7 +10,7 @@ import numpy as np
 
 from ladar_volume.georeference.budget import calibration_covariance
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, Patches
+from ladar_volume.model.records import F64, I32, I64, Bool, FilteredPoints, Patches
 from ladar_volume.volume.load_kernels import correlated_kernel, height_kernel, naive_kernel
 from ladar_volume.volume.navigation import NavigationBins, NavigationLoads, navigation_loads, navigation_variance
 from ladar_volume.volume.patch_errors import PatchErrors
@@ -148,7 +148,7 @@ class Sources:
         return out
 
     @cached_property
-    def time_bins(self) -> tuple[I64, I64]:
+    def time_bins(self) -> tuple[I64, I32]:
         """Bins (b,) of the navigation sensitivities and the row (l,) of each one's own among them."""
         return time_bins(self.patches)
 

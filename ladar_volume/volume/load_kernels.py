@@ -8,24 +8,23 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.model.kernels import kernel
-from ladar_volume.model.records import F32, F64, I64
+from ladar_volume.model.records import F32, F64, I16, I32, I64
 from ladar_volume.volume.patch_merge import place_from
 
 
 @kernel
-def neighbour_kernel(key: I64, start: I64, cross_key: I64) -> tuple[I64, F64]:
-    """Row (b,) of the patch with each cross key among ascending keys (m,), and its weight (b,): 1 for the patch itself, 2 for another, 0
-    for one that is not there. start : (m + 1,) of each patch's blocks."""
-    row, weight = np.empty(len(cross_key), np.int64), np.empty(len(cross_key))
+def neighbour_kernel(key: I64, start: I64, cross_key: I64) -> I32:
+    """Row (b,) of the patch with each cross key among ascending keys (m,), -1 for one that is not there. start : (m + 1,) of each patch's
+    blocks."""
+    row = np.empty(len(cross_key), np.int32)
     for a in range(len(key)):
         low = a
         for i in range(start[a], start[a + 1]):
             wanted = cross_key[i]
             low = place_from(key, wanted, low)  # mostly near the one before
             low = min(low, len(key) - 1)
-            row[i] = low
-            weight[i] = 0.0 if key[low] != wanted else 1.0 if low == a else 2.0
-    return row, weight
+            row[i] = low if key[low] == wanted else -1
+    return row
 
 
 @kernel
@@ -60,9 +59,10 @@ def load_kernel(gradient: F64, normal: F64, tangent: F64, X: F64, row: I64) -> F
 
 
 @kernel
-def cross_kernel(q: F64, four: F64, start: I64, right: I64, weight: F64, cross: F32) -> F64:
-    """``Σ weight q_leftᵀ C f_right`` (k, 4) over the blocks C (b, p, p) of each patch from start (m + 1,) on, with patches right (b,), with
-    loads q (m, p or more, k), of which the first p count, and f (m, p, 4): as many sums as stay in registers."""
+def cross_kernel(q: F64, four: F64, start: I64, right: I32, cross: F32 | I16) -> F64:
+    """``Σ weight q_leftᵀ C f_right`` (k, 4) over the blocks C (b, p, p) of each patch from start (m + 1,) on, with patches right (b,), -1
+    for one that is not there, with loads q (m, p or more, k), of which the first p count, and f (m, p, 4): as many sums as stay in
+    registers. The weight is 1 for a patch's own block, 2 for another."""
     m, p, results = len(q), cross.shape[1], q.shape[2]
     loaded, out, summed = np.zeros(m, np.bool_), np.zeros((results, 4)), np.zeros((p, 4))
     for a in range(m):
@@ -74,9 +74,10 @@ def cross_kernel(q: F64, four: F64, start: I64, right: I64, weight: F64, cross: 
             continue
         summed[:] = 0.0
         for i in range(start[a], start[a + 1]):
-            b, w = right[i], weight[i]
-            if w == 0.0 or not loaded[b]:
+            b = right[i]
+            if b < 0 or not loaded[b]:
                 continue
+            w = 1.0 if b == a else 2.0
             for r in range(p):
                 s0 = s1 = s2 = s3 = 0.0
                 for c in range(p):
@@ -93,6 +94,26 @@ def cross_kernel(q: F64, four: F64, start: I64, right: I64, weight: F64, cross: 
             for k in range(results):
                 for j in range(4):
                     out[k, j] += q[a, r, k] * summed[r, j]
+    return out
+
+
+@kernel
+def pair_falls_kernel(q: F64, start: I64, right: I32, cross: F32 | I16, cell: I64, cells: int) -> F64:
+    """``Cov(T, a) − ½ Var(a)`` (cells,) of each cell's part a of the sum T of loads q (m, p or more) with the blocks of
+    :func:`cross_kernel`, for patches in the cells cell (m,)."""
+    out, p = np.zeros(cells), cross.shape[1]
+    for a in range(len(q)):
+        for i in range(start[a], start[a + 1]):
+            b, value = right[i], 0.0
+            if b < 0:
+                continue
+            for r in range(p):
+                for c in range(p):
+                    value += q[a, r] * cross[i, r, c] * q[b, c]
+            # of a pair in one cell the covariance counts twice, its variance half of that
+            out[cell[a]] += 0.5 * value if b == a else value
+            if cell[a] != cell[b]:
+                out[cell[b]] += value
     return out
 
 
@@ -121,21 +142,25 @@ def calibration_kernel(q: F64, M: F32) -> F64:
 
 
 @kernel
-def navigation_kernel(q: F64, start: I64, index: I64, M: F32, bins: int) -> F64:
-    """``Σ qᵀ M`` (bins, 6) of loads q (m, p) and sensitivities M (l, p, 6), listed by patch from start (m + 1,), in bins index (l,)."""
-    out = np.zeros((bins, 6))
+def navigation_kernel(q: F64, start: I64, index: I32, M: F32 | I16, unit: F32, bins: int) -> F64:
+    """``Σ qᵀ M`` (bins, 6) of loads q (m, p) and sensitivities M (l, p, 6), listed by patch from start (m + 1,), in bins index (l,), in
+    units (m, p, 2) for position and attitude."""
+    out, position, attitude = np.zeros((bins, 6)), np.empty(q.shape[1]), np.empty(q.shape[1])
     for a in range(len(q)):
         if not (q[a] != 0.0).any():
             continue
+        for r in range(q.shape[1]):
+            position[r], attitude[r] = q[a, r] * unit[a, r, 0], q[a, r] * unit[a, r, 1]
         for e in range(start[a], start[a + 1]):
             for r in range(q.shape[1]):
-                for c in range(6):
-                    out[index[e], c] += q[a, r] * M[e, r, c]
+                for c in range(3):
+                    out[index[e], c] += position[r] * M[e, r, c]
+                    out[index[e], 3 + c] += attitude[r] * M[e, r, 3 + c]
     return out
 
 
 @kernel
-def deviation_kernel(which: I64, start: I64, index: I64, M: F32, position: F64, attitude: F64, out: F64) -> None:
+def deviation_kernel(which: I64, start: I64, index: I32, M: F32 | I16, unit: F32, position: F64, attitude: F64, out: F64) -> None:
     """What one standard deviation of position and attitude, in three directions each, does to the p parameters of patches ``which`` (k,),
     to out (m, p, 6). position, attitude : (bins, 3, 3) roots of their covariances; the rest as in :func:`navigation_kernel`."""
     for a in which:
@@ -146,6 +171,10 @@ def deviation_kernel(which: I64, start: I64, index: I64, M: F32, position: F64, 
                 for c in range(3):
                     out[a, r, c] += M[e, r, 0] * P[0, c] + M[e, r, 1] * P[1, c] + M[e, r, 2] * P[2, c]
                     out[a, r, 3 + c] += M[e, r, 3] * A[0, c] + M[e, r, 4] * A[1, c] + M[e, r, 5] * A[2, c]
+        for r in range(out.shape[1]):
+            for c in range(3):
+                out[a, r, c] *= unit[a, r, 0]
+                out[a, r, 3 + c] *= unit[a, r, 1]
 
 
 @kernel
@@ -200,6 +229,40 @@ def naive_kernel(gradient: F64, normal: F64, row: I64) -> tuple[I64, F64]:
             which[k], square[k] = i, (x * n[0] + y * n[1] + z * n[2]) ** 2
             k += 1
     return which[:k].copy(), square[:k].copy()
+
+
+@kernel
+def cell_kernel(
+    q: F64, start: I64, index: I32, M: F32 | I16, unit: F32, order: I64, cell: I64, cells: int, bins: int
+) -> tuple[I64, I64, F64]:
+    """``Σ qᵀ M`` as in :func:`navigation_kernel`, by cell of the patches: first (cells + 1,) of each cell's bins, these bins (k,) in order,
+    and the sums (k, 6). order : (m,) patches by cell (m,)."""
+    first, seen, sums = np.zeros(cells + 1, np.int64), np.full(bins, -1, np.int64), np.zeros((bins, 6))
+    for a in order:
+        if (q[a] != 0.0).any():
+            for e in range(start[a], start[a + 1]):
+                first[cell[a] + 1] += seen[index[e]] != cell[a]
+                seen[index[e]] = cell[a]
+    first = np.cumsum(first)
+    which, out, i = np.empty(first[-1], np.int64), np.empty((first[-1], 6)), 0
+    seen[:] = -1
+    for g in range(cells):
+        while i < len(order) and cell[order[i]] == g:
+            a = order[i]
+            i += 1
+            if not (q[a] != 0.0).any():
+                continue
+            for e in range(start[a], start[a + 1]):
+                seen[index[e]] = g
+                for r in range(q.shape[1]):
+                    for c in range(6):
+                        sums[index[e], c] += q[a, r] * unit[a, r, c // 3] * M[e, r, c]
+        k = first[g]
+        for b in range(bins if k < first[g + 1] else 0):
+            if seen[b] == g:
+                which[k], out[k], sums[b] = b, sums[b], 0.0
+                k += 1
+    return first, which, out
 
 
 @kernel

@@ -22,8 +22,10 @@ from scipy.spatial import cKDTree
 from ladar_volume.model.records import F64, I64, Bool, Tin
 from ladar_volume.surface.tin import footprint_areas
 from ladar_volume.volume.budget import Sources
+from ladar_volume.volume.load_kernels import cell_kernel, pair_falls_kernel
 from ladar_volume.volume.navigation import markov_sum, navigation_loads
-from ladar_volume.volume.propagation import patch_loads, unpack
+from ladar_volume.volume.packing import factor_loads, navigation_units
+from ladar_volume.volume.propagation import patch_loads
 
 #: Cells along the side of a square as large as the surface, and triangles with an edge so many times the usual one are gaps.
 CELLS, GAP = 12, 4.0
@@ -69,13 +71,11 @@ class MoreData:
 def noise_falls(gradient: F64, q: F64, sources: Sources, patch_cell: I64, cells: int) -> F64:
     """(cells,) m⁶ from the returns' noise, for a gradient (n, 3) by points and loads q (m, p + 2)."""
     g, patches = sources.geometry, sources.patches
-    q = q[:, : patches.beta.shape[1]]
-    value = g.weight * np.einsum("np,npq,nq->n", q[g.left], patches.cross, q[g.right], optimize=True)
-    left, right = patch_cell[g.left], patch_cell[g.right]
-    cov = 0.5 * (np.bincount(left, value, cells) + np.bincount(right, value, cells))
-    var = np.bincount(left, np.where(left == right, value, 0.0), cells)
-    tangent = np.einsum("ni,nij,nj->n", gradient, unpack(sources.points.C_tangent.astype(np.float64)), gradient, optimize=True)
-    out: F64 = cov - 0.5 * var + 0.5 * np.bincount(patch_cell[g.row], tangent, cells)
+    q = factor_loads(q[:, : patches.beta.shape[1], None], patches)[:, :, 0]
+    between = pair_falls_kernel(q, g.start, g.right, patches.cross, patch_cell, cells)
+    (x, y, z), C = gradient.T, sources.points.C_tangent.T
+    tangent = C[0] * x * x + C[3] * y * y + C[5] * z * z + 2.0 * (C[1] * x * y + C[2] * x * z + C[4] * y * z)
+    out: F64 = between + 0.5 * np.bincount(patch_cell[g.row], tangent, cells)
     return out
 
 
@@ -103,22 +103,20 @@ def navigation_falls(q: F64, sources: Sources, patch_cell: I64, cells: int) -> F
     """(cells, 2) m⁶ from position and attitude, for loads q (m, p + 2)."""
     b, gap = sources.parameters.budget, sources.parameters.georeference.max_position_gap_s
     patches, out = sources.patches, np.zeros((cells, 2))
-    owner = np.repeat(np.arange(len(patches)), np.diff(patches.nav_start))
-    used = np.flatnonzero(np.any(q != 0.0, axis=1)[owner])
-    rows = np.einsum("lp,lpc->lc", q[owner[used]], patches.M_nav[used])
-    pairs, pair = np.unique(np.c_[patch_cell[owner[used]], patches.nav_bin[used]], axis=0, return_inverse=True)
-    bins, at = np.unique(pairs[:, 1], return_inverse=True)
-    J = summed(pair.ravel(), rows, len(pairs))
-    loads = navigation_loads(J, pairs[:, 1], sources.navigation, gap)
-    starts = np.searchsorted(pairs[:, 0], np.arange(cells + 1))
+    bins, index = sources.time_bins
+    order = np.argsort(patch_cell, kind="stable")
+    starts, at, J = cell_kernel(
+        q, patches.nav_start, index, patches.M_nav, navigation_units(patches), order, patch_cell, cells, len(bins)
+    )  # fmt: skip
+    loads = navigation_loads(J, bins[at], sources.navigation, gap)
     t_s = (bins - (bins[0] if len(bins) else 0)) * (sources.navigation.bin_ns * 1e-9)
     for k, (y, n, bias, white, tau) in enumerate((
         (loads.position, loads.fixes, b.position_bias_fraction, b.position_white_fraction, b.tau_position_s),
         (loads.attitude, loads.samples, b.attitude_bias_fraction, b.attitude_white_fraction, b.tau_attitude_s),
     )):  # fmt: skip
-        whole = summed(at.ravel(), y, len(bins))
-        markov = markov_product(t_s, whole, tau)[at.ravel()]
-        cov = y * ((1.0 - bias - white) * markov + white * whole[at.ravel()] / n[:, None])
+        whole = summed(at, y, len(bins))
+        markov = markov_product(t_s, whole, tau)[at]
+        cov = y * ((1.0 - bias - white) * markov + white * whole[at] / n[:, None])
         for cell in range(cells):
             own = slice(starts[cell], starts[cell + 1])
             var = (1.0 - bias - white) * float(markov_sum(loads.t_s[own], np.ascontiguousarray(y[own]), tau))

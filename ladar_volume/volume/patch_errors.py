@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladar_volume.model.records import F64, I64, Bool, Patches
+from ladar_volume.model.records import F64, I32, I64, Bool, Patches
 from ladar_volume.volume.load_kernels import deviation_kernel, shared_kernel
 from ladar_volume.volume.navigation import NavigationBins, matrix_root
+from ladar_volume.volume.packing import navigation_units
 
 
 class PatchErrors:
@@ -15,9 +16,9 @@ class PatchErrors:
     C_cal : (c, c) of the calibration · time_bins : bins (b,) of the navigation sensitivities, and the row (l,) of each one's own among them
     """
 
-    def __init__(self, patches: Patches, navigation: NavigationBins, C_cal: F64, time_bins: tuple[I64, I64]) -> None:
+    def __init__(self, patches: Patches, navigation: NavigationBins, C_cal: F64, time_bins: tuple[I64, I32]) -> None:
         m, p = patches.beta.shape
-        self._patches, self._index = patches, time_bins[1]
+        self._patches, self._index, self._units = patches, time_bins[1], navigation_units(patches)
         one, two = np.nonzero(C_cal)
         self._calibration = one, two, C_cal[one, two]
         C, _ = navigation.mean(time_bins[0])
@@ -29,7 +30,7 @@ class PatchErrors:
         """What one standard deviation of position and of attitude, each in three directions, does to the parameters: (m, p, 6), known for
         patches ``rows`` (k,). The errors within one patch count as one."""
         new = _missing(self._deviates, rows)
-        deviation_kernel(new, self._patches.nav_start, self._index, self._patches.M_nav, *self._roots, self._deviation)
+        deviation_kernel(new, self._patches.nav_start, self._index, self._patches.M_nav, self._units, *self._roots, self._deviation)
         return self._deviation
 
     def covariance(self, rows: I64) -> F64:

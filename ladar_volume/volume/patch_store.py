@@ -1,6 +1,7 @@
 """The current filtered surface, kept from updates: patches and points by patch key, in canonical order.
 
 What is stored depends only on the union of the updates, not on their history, so a streamed and a batch estimate are bit-identical.
+Covariances and sensitivities are held as 16-bit numbers (see ``packing``).
 """
 
 from __future__ import annotations
@@ -13,12 +14,14 @@ from typing import Any
 import numpy as np
 
 from ladar_volume.model.losses import Losses
-from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, FilterUpdate, Patches, select
+from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, FilterUpdate, HeldPatches, select
+from ladar_volume.volume.packing import block_kernel, prepared
 from ladar_volume.volume.patch_merge import block_rows, copy_rows, place_blocks, sort_runs
 
 #: Numbers after which a large array gives back what has been copied of it.
 GIVEN_BACK = 4_000_000
 ROWS = ("key", "centre", "normal", "tangent", "beta", "sigma", "used", "t_ns", "M_cal")
+HELD = ("factor", "nav_unit")
 
 
 def ragged_index(start: I64, rows: I64) -> I64:
@@ -68,13 +71,13 @@ class PatchStore:
     """
 
     def __init__(self) -> None:
-        self._patches: Patches | None = None
+        self._patches: HeldPatches | None = None
         self._points: FilteredPoints | None = None
         self._pending: list[FilterUpdate] = []
         self.losses = Losses()
 
     @property
-    def patches(self) -> Patches | None:
+    def patches(self) -> HeldPatches | None:
         """All patches as they stand."""
         self._merge()
         return self._patches
@@ -87,7 +90,8 @@ class PatchStore:
 
     def replace(self, update: FilterUpdate) -> None:
         """Forget what the update removes or replaces, then add its patches and points."""
-        self._pending.append(dataclasses.replace(update, points=self._usable(update.points, update.patches.key)))
+        points = self._usable(update.points, update.patches.key)
+        self._pending.append(dataclasses.replace(update, points=points, patches=prepared(update.patches)))
 
     def _merge(self) -> None:
         """The last word on every patch counts: its update's rows stay, all earlier ones go. A cross block is as new as the newer of its two
@@ -158,20 +162,27 @@ def merged_points(parts: Parts, turns: list[int], last: LastWord) -> FilteredPoi
     return FilteredPoints(**{field.name: picked(parts.take(field.name), order) for field in dataclasses.fields(FilteredPoints)})
 
 
-def merged_patches(parts: Parts, turns: list[int], last: LastWord) -> Patches:
+def merged_patches(parts: Parts, turns: list[int], last: LastWord) -> HeldPatches:
     """The patches that hold, by key, with their blocks by the lower key of their pair and then the other, and their bins."""
     key = np.concatenate(parts.see("key"))
     rows = np.flatnonzero(last.turn(key) == np.repeat(turns, parts.rows))
     rows = rows[np.argsort(key[rows], kind="stable")]
-    start, other, entry = block_entries(parts.see("key"), parts.take("cross_start"), parts.take("cross_key"), turns, last, key[rows])
-    made: dict[str, Any] = {"cross_start": start, "cross_key": other, "cross": picked(parts.take("cross"), entry)}
+    keys, own, starts, others = key[rows], parts.see("key"), parts.take("cross_start"), parts.take("cross_key")
+    made: dict[str, Any] = {name: picked(parts.take(name), rows) for name in (*ROWS, *HELD)}
+    made["cross_start"], made["cross_key"], entry = block_entries(own, starts, others, turns, last, keys)
+    blocks, cross = [], parts.take("cross")[::-1]
+    for mine, start, other in zip(own, starts, others, strict=True):
+        new = cross.pop()
+        blocks.append(new if new.dtype == np.int16 else block_kernel(mine, start, other, new, keys, made["factor"]))
+    del new
+    made["cross"] = picked(blocks, entry)
     starts = parts.take("nav_start")
     bins = np.concatenate([[0], np.cumsum(np.concatenate([np.diff(start) for start in starts]))]).astype(np.int64)
     made["nav_start"] = np.concatenate([[0], np.cumsum((bins[1:] - bins[:-1])[rows])]).astype(np.int64)
     entry = ragged_index(bins, rows)
     for name in ("nav_bin", "M_nav"):
         made[name] = picked(parts.take(name), entry)
-    return Patches(**made, **{name: picked(parts.take(name), rows) for name in ROWS})
+    return HeldPatches(**made)
 
 
 def block_entries(

@@ -14,7 +14,7 @@ import numpy as np
 
 from ladar_volume.georeference.budget import calibration_columns
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.model.records import F64, I64, FilteredPoints, Patches
+from ladar_volume.model.records import F64, I32, I64, FilteredPoints, Patches
 from ladar_volume.volume.load_kernels import (
     calibration_kernel,
     cross_kernel,
@@ -23,6 +23,7 @@ from ladar_volume.volume.load_kernels import (
     neighbour_kernel,
     quadratic_kernel,
 )
+from ladar_volume.volume.packing import factor_loads, navigation_units
 
 #: Lines of the budget from the calibration, in order.
 CALIBRATION_GROUPS = ("range_bias", "beam_range", "beam_vertical", "boresight", "lever_laser", "lever_antenna", "clock")
@@ -34,17 +35,24 @@ LONGEST = 1 << 22
 class SurfaceGeometry:
     """What every result on one filtered surface shares.
 
-    row : (n,) index of each point's patch · X : (n, p) design rows · weight : (k,) 1 for a patch's own block, 2 for a cross
-    block · left, right : (k,) patches of the stored blocks · missing : cross blocks whose neighbour is not in the store (they
-    count as zero)
+    row : (n,) index of each point's patch · X : (n, p) design rows · start : (m + 1,) first block of each patch · right : (k,) the other
+    patch of each block, -1 where it is not in the store (such blocks count as zero)
     """
 
     row: I64
     X: F64
-    left: I64
-    right: I64
-    weight: F64
-    missing: int
+    start: I64
+    right: I32
+
+    @property
+    def left(self) -> I64:
+        """Patch (k,) that each block is stored with."""
+        return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
+
+    @property
+    def missing(self) -> int:
+        """Blocks whose other patch is not in the store."""
+        return int(np.count_nonzero(self.right < 0))
 
 
 def design_rows(local: F64, p: int) -> F64:
@@ -64,10 +72,8 @@ def surface_geometry(points: FilteredPoints, patches: Patches) -> SurfaceGeometr
         if M.shape[1] != p + 2:
             raise VolumeError(f"patches of {p} parameters with sensitivities in {M.shape[1]} rows, not {p + 2}", reason="volume_patches")
     row = np.searchsorted(patches.key, points.patch)
-    left = np.repeat(np.arange(len(patches)), np.diff(patches.cross_start))
-    right, weight = neighbour_kernel(patches.key, patches.cross_start, patches.cross_key)
-    X = design_rows(points.local, p)
-    return SurfaceGeometry(row, X, left, right, weight, int(np.count_nonzero(weight == 0.0)))
+    right = neighbour_kernel(patches.key, patches.cross_start, patches.cross_key)
+    return SurfaceGeometry(row, design_rows(points.local, p), patches.cross_start, right)
 
 
 def patch_loads(gradient: F64, patches: Patches, geometry: SurfaceGeometry) -> F64:
@@ -80,11 +86,11 @@ def independent_covariance(q: F64, patches: Patches, geometry: SurfaceGeometry) 
     """Covariance (k, k) of k results from the independent noise of the returns: ``Σ_ab q_aᵀ C_ab q_b`` over all pairs of patches, with the
     loads on their parameters."""
     (m, _, k), p = q.shape, patches.cross.shape[1]
-    half = np.empty((k, k))
+    half, q = np.empty((k, k)), factor_loads(q[:, :p], patches)
     for j in range(0, k, 4):
         four, these = np.zeros((m, p, 4)), min(4, k - j)
-        four[:, :, :these] = q[:, :p, j : j + 4]
-        half[:, j : j + 4] = cross_kernel(q, four, patches.cross_start, geometry.right, geometry.weight, patches.cross)[:, :these]
+        four[:, :, :these] = q[:, :, j : j + 4]
+        half[:, j : j + 4] = cross_kernel(q, four, patches.cross_start, geometry.right, patches.cross)[:, :these]
     out: F64 = 0.5 * (half + half.T)  # the transposed pairs
     return out
 
@@ -133,22 +139,22 @@ def calibration_sensitivity(q: F64, patches: Patches) -> F64:
     return np.asarray(calibration_kernel(q, patches.M_cal))
 
 
-def navigation_sensitivity(q: F64, patches: Patches, listed: tuple[I64, I64] | None = None) -> tuple[F64, I64]:
+def navigation_sensitivity(q: F64, patches: Patches, listed: tuple[I64, I32] | None = None) -> tuple[F64, I64]:
     """Sensitivities ``J_e = Σ_patches qᵀ M_nav[e]`` (b, 6) and their ascending bins (b,) of loads q (m, p + 2).
 
     listed : :func:`time_bins`, where known.
     """
     bins, index = time_bins(patches) if listed is None else listed
-    J = navigation_kernel(q, patches.nav_start, index, patches.M_nav, len(bins))
+    J = navigation_kernel(q, patches.nav_start, index, patches.M_nav, navigation_units(patches), len(bins))
     used = np.flatnonzero(J.any(axis=1))
     return J[used], bins[used]
 
 
-def time_bins(patches: Patches) -> tuple[I64, I64]:
+def time_bins(patches: Patches) -> tuple[I64, I32]:
     """Bins (b,) of all navigation sensitivities, ascending, and the row (l,) of each sensitivity's own among them."""
     low = int(patches.nav_bin.min()) if len(patches.nav_bin) else 0
     if len(patches.nav_bin) and int(patches.nav_bin.max()) - low > LONGEST:  # a table of all between would be larger than the data
         bins = np.unique(patches.nav_bin)
-        return bins, np.searchsorted(bins, patches.nav_bin).astype(np.int64)
+        return bins, np.searchsorted(bins, patches.nav_bin).astype(np.int32)
     seen = np.bincount(patches.nav_bin - low)
-    return np.flatnonzero(seen) + low, (np.cumsum(seen > 0) - 1)[patches.nav_bin - low]
+    return np.flatnonzero(seen) + low, (np.cumsum(seen > 0) - 1).astype(np.int32)[patches.nav_bin - low]

@@ -29,8 +29,9 @@ import numpy as np
 
 from ladar_volume.model.kernels import kernel, leaf_kernel
 from ladar_volume.model.parameters import BudgetParameters
-from ladar_volume.model.records import F32, F64, I64, Patches
+from ladar_volume.model.records import F32, F64, I16, I32, I64, Patches
 from ladar_volume.volume.navigation import NavigationBins, markov_sum, matrix_root
+from ladar_volume.volume.packing import navigation_units
 from ladar_volume.volume.propagation import time_bins
 
 #: Columns of M_cal and C_cal that hold the boresight.
@@ -79,10 +80,12 @@ def add_outer(out: F64, factor: float, a: F64, b: F64) -> None:
 
 @kernel
 def curvature_kernel(
-    q: F64, start: I64, index: I64, bins: I64, M_nav: F32, position: F64, R: F64, normal: F64, tangent: F64, centre: F64, slope: F64
-) -> F64:
+    q: F64, start: I64, index: I32, bins: I64, M_nav: F32 | I16, unit: F32, position: F64, R: F64, normal: F64, tangent: F64, centre: F64,
+    slope: F64,
+) -> F64:  # fmt: skip
     """H (b, 3, 3) of :func:`curvatures`: loads q (m, p) of patches with frames (m, 3) and slopes (m, 2) against their mean; sensitivities
-    M_nav (l, p + 2, 6) from start (m + 1,) in rows index (l,) of ascending bins (b,), whose mean poses are (b, 3) and (b, 3, 3)."""
+    M_nav (l, p + 2, 6) in units (m, p + 2, 2) from start (m + 1,) in rows index (l,) of ascending bins (b,), whose mean poses are (b, 3)
+    and (b, 3, 3)."""
     H, weight = np.zeros((len(bins), 3, 3)), 0.0
     m, v, vm, body, upon, standing = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     fall, change, shifted = np.empty(3), np.empty(3), np.empty(3)
@@ -95,7 +98,7 @@ def curvature_kernel(
         for e in range(start[a], start[a + 1]):
             M, b = M_nav[e], index[e]
             half = H[b]
-            part = M[0, 0] * n[0] + M[0, 1] * n[1] + M[0, 2] * n[2]
+            part = unit[a, 0, 0] * (M[0, 0] * n[0] + M[0, 1] * n[1] + M[0, 2] * n[2])
             share, own = q[a, 0] * part, abs(part) + 1e-12
             turned_back(R[b], n, m)
             turned_back(R[b], centre[a] - position[b], v)
@@ -111,7 +114,7 @@ def curvature_kernel(
                     # a place is one of the map's plane: what moved along the normal came from beside it
                     shift[k, i] = upon[i] - along[k, 2] / upright * vm[i]
                     mean[k, i] += own * shift[k, i]
-                    moving[k, i] += q[a, 0] * (M[k + 1, 3 + i] - part * standing[i])
+                    moving[k, i] += q[a, 0] * (unit[a, k + 1, 1] * M[k + 1, 3 + i] - part * standing[i])
                 add_outer(half, -share, shift[k], standing)
             for i in range(3):  # along the slope: by how much a place is shifted, and how that changes with its height
                 fall[i] = R[b, 0, i] * slope[a, 0] + R[b, 1, i] * slope[a, 1]
@@ -128,7 +131,7 @@ def curvature_kernel(
     return H
 
 
-def curvatures(q: F64, patches: Patches, navigation: NavigationBins, listed: tuple[I64, I64] | None = None) -> F64:
+def curvatures(q: F64, patches: Patches, navigation: NavigationBins, listed: tuple[I64, I32] | None = None) -> F64:
     """H by time bin (b, 3, 3), unit of the result per rad², of one result with loads q (m, p) on the patches' parameters: by an error that
     is the same for all that was seen in the bin. The boresight's is the sum.
 
@@ -144,7 +147,7 @@ def curvatures(q: F64, patches: Patches, navigation: NavigationBins, listed: tup
     slope, weight = -n[:, :2] / upright[:, None], np.abs(q[:, 0] * upright)
     slope -= weight @ slope / max(float(weight.sum()), 1e-300)
     found = curvature_kernel(
-        q, p.nav_start, index, bins, p.M_nav, position, np.ascontiguousarray(R), n, p.tangent, p.centre, slope
+        q, p.nav_start, index, bins, p.M_nav, navigation_units(p), position, np.ascontiguousarray(R), n, p.tangent, p.centre, slope
     )  # fmt: skip
     return np.asarray(found)
 

@@ -14,7 +14,8 @@ import numpy as np
 from scipy import sparse
 
 from ladar_volume.model.kernels import kernel
-from ladar_volume.model.records import F32, F64, I32, I64, Bool, FilteredPoints, Patches, Tin
+from ladar_volume.model.records import F32, F64, I16, I32, I64, Bool, FilteredPoints, Patches, Tin
+from ladar_volume.volume.packing import factor_rows
 from ladar_volume.volume.propagation import SurfaceGeometry
 
 #: Least vertical component of a normal.
@@ -37,18 +38,18 @@ def height_pairs(tin: Tin, patches: Patches, geometry: SurfaceGeometry, X: F64, 
     n = len(tin.vertices)
     pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).astype(np.int64)
     one, two = np.divmod(np.unique(pairs.min(axis=1) * n + pairs.max(axis=1)), n)
-    value, shared = pair_kernel(one, two, row, X, patches.cross_start, geometry.right, geometry.weight, patches.cross)
+    value, shared = pair_kernel(one, two, row, factor_rows(X, row, patches), patches.cross_start, geometry.right, patches.cross)
     upper = sparse.coo_array((value[shared], (one[shared], two[shared])), shape=(n, n)).tocsr()
     return sparse.csr_array(upper + upper.T + sparse.diags_array(variance))
 
 
 @kernel
 def pair_kernel(
-    one: I64, two: I64, row: I64, X: F64, start: I64, right: I64, weight: F64, cross: F32
+    one: I64, two: I64, row: I64, X: F64, start: I64, right: I32, cross: F32 | I16
 ) -> tuple[F64, Bool]:
     """``x_i C x_j`` (k,) of vertices one and two (k,) on patches row (n,) by design rows X (n, p), and whether there is such a block.
 
-    start : (m + 1,) of each patch's blocks · right : (b,) the other patch of each · weight : (b,) 0 where that is not known
+    start : (m + 1,) of each patch's blocks · right : (b,) the other patch of each, -1 where that is not known
     """
     value, shared = np.zeros(len(one)), np.zeros(len(one), np.bool_)
     for e in range(len(one)):
@@ -56,7 +57,7 @@ def pair_kernel(
         if row[i] > row[j]:
             i, j = j, i
         for b in range(start[row[i]], start[row[i] + 1]):
-            if right[b] == row[j] and weight[b] > 0.0:
+            if right[b] == row[j]:
                 shared[e] = True
                 for a in range(X.shape[1]):
                     for c in range(X.shape[1]):
@@ -70,14 +71,13 @@ def height_sums(
 ) -> tuple[F64, float]:
     """Sums (n,) m² of the covariances of each of the ``chosen`` (k,) vertices' heights with all heights, and how many heights share their
     noise: the median of sum over variance, which stands for the vertices that are not chosen."""
-    m, p = len(patches), X.shape[1]
+    m, p, X = len(patches), X.shape[1], factor_rows(X, row, patches)
     load = np.stack([np.bincount(row, X[:, k], m) for k in range(p)], axis=1)
     touched, total = np.zeros(m, bool), np.zeros((m, p))
     touched[row[chosen]] = True
-    known, apart = geometry.weight > 0, geometry.left != geometry.right
-    for of, by, used, way in (
-        (geometry.left, geometry.right, known, "nab,nb->na"), (geometry.right, geometry.left, known & apart, "nba,nb->na"),
-    ):  # fmt: skip
+    left, right = geometry.left, geometry.right
+    known, apart = right >= 0, left != right
+    for of, by, used, way in ((left, right, known, "nab,nb->na"), (right, left, known & apart, "nba,nb->na")):
         rows = np.flatnonzero(used & touched[of])
         part = np.einsum(way, patches.cross[rows], load[by[rows]])
         total += np.stack([np.bincount(of[rows], part[:, k], m) for k in range(p)], axis=1)

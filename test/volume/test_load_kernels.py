@@ -11,14 +11,17 @@ from test_propagation import COLUMNS, random_surface
 from ladar_volume.model.records import PlatformStates
 from ladar_volume.volume import propagation
 from ladar_volume.volume.load_kernels import (
+    cell_kernel,
     deviation_kernel,
     height_kernel,
     naive_kernel,
     neighbour_kernel,
+    pair_falls_kernel,
     quadratic_kernel,
     shared_kernel,
 )
 from ladar_volume.volume.navigation import NavigationBins
+from ladar_volume.volume.packing import navigation_units
 from ladar_volume.volume.propagation import independent_covariance, navigation_sensitivity, patch_loads, surface_geometry, time_bins, unpack
 from ladar_volume.volume.second_order import STEEPEST, curvatures
 
@@ -39,7 +42,7 @@ def test_loads_and_their_pairs(p, results):
     assert q == close(twin)
     q[2] = 0.0
     left, right = q[geometry.left, :p], q[geometry.right, :p]
-    half = np.einsum("npa,npq,nqb,n->ab", left, patches.cross, right, geometry.weight)
+    half = np.einsum("npa,npq,nqb,n->ab", left, patches.cross, right, np.where(geometry.left == geometry.right, 1.0, 2.0))
     assert independent_covariance(q, patches, geometry) == close(0.5 * (half + half.T))
     packed = points.C_tangent.astype(np.float64)
     assert quadratic_kernel(g[:, 1], points.C_tangent) == close(np.einsum("ni,nij,nj->", g[:, 1], unpack(packed), g[:, 1]))
@@ -51,13 +54,11 @@ def test_neighbours_are_found_whatever_their_order():
     start = np.concatenate([[0], np.cumsum(rng.integers(0, 9, 60))])
     cross_key = rng.integers(0, 700, start[-1])
     cross_key[start[:-1][np.diff(start) > 0]] = key[np.diff(start) > 0]  # own block first
-    row, weight = neighbour_kernel(key, start, cross_key)
-    owner = np.repeat(np.arange(60), np.diff(start))
+    row = neighbour_kernel(key, start, cross_key)
     known = np.isin(cross_key, key)
+    assert 0 < known.sum() < len(known) and np.array_equal(row >= 0, known)
     assert np.array_equal(key[row[known]], cross_key[known])
-    assert np.array_equal(weight, np.where(known, np.where(key[owner] == cross_key, 1.0, 2.0), 0.0))
-    empty = neighbour_kernel(key[:1], np.zeros(2, np.int64), np.zeros(0, np.int64))
-    assert [len(part) for part in empty] == [0, 0]
+    assert len(neighbour_kernel(key[:1], np.zeros(2, np.int64), np.zeros(0, np.int64))) == 0
 
 
 def test_time_bins(monkeypatch):
@@ -85,7 +86,7 @@ def test_what_is_shared(p):
     np.add.at(twin, owner, rows)
     every, deviation = np.arange(m), np.full((m, p, 6), np.nan)
     for part in (every[::2], every[1::2]):
-        deviation_kernel(part, patches.nav_start, index, patches.M_nav, P, A, deviation)
+        deviation_kernel(part, patches.nav_start, index, patches.M_nav, navigation_units(patches), P, A, deviation)
     assert deviation == close(twin)
     root = rng.standard_normal((COLUMNS, COLUMNS)) * (rng.random((COLUMNS, COLUMNS)) < 0.1)
     C = root @ root.T
@@ -109,6 +110,27 @@ def test_what_is_shared(p):
     every = np.zeros((len(bins), 6))
     np.add.at(every, index, np.einsum("lp,lpc->lc", q[owner], patches.M_nav))
     assert J == close(every[np.isin(bins, used)]) and not every[~np.isin(bins, used)].any()
+
+
+def test_sums_by_cell():
+    points, patches, _, _ = random_surface(6, seed=9)
+    rng, m = np.random.default_rng(10), len(patches)
+    bins, index = time_bins(patches)
+    q, cell = rng.standard_normal((m, 8)), rng.integers(0, 4, m)
+    cell[cell == 2] = 1  # a cell without patches
+    q[cell == 3] = 0.0  # and one without loads
+    found = cell_kernel(
+        q, patches.nav_start, index, patches.M_nav, navigation_units(patches), np.argsort(cell, kind="stable"), cell, 4, len(bins)
+    )  # fmt: skip
+    owner, twin = np.repeat(np.arange(m), np.diff(patches.nav_start)), np.zeros((4 * len(bins), 6))
+    np.add.at(twin, cell[owner] * len(bins) + index, np.einsum("lp,lpc->lc", q[owner], patches.M_nav))
+    used = np.unique((cell[owner] * len(bins) + index)[cell[owner] != 3])
+    assert np.array_equal(found[0], np.searchsorted(used, np.arange(5) * len(bins)))
+    assert np.array_equal(found[1], used % len(bins)) and found[2] == close(twin[used])
+    geometry = surface_geometry(points, patches)
+    whole = independent_covariance(q[:, :, None], patches, geometry)
+    falls = pair_falls_kernel(q, geometry.start, geometry.right, patches.cross, np.zeros(m, np.int64), 1)
+    assert falls == close(0.5 * whole.ravel())  # all in one cell: half of the variance
 
 
 def curvature_twin(q, patches, known):

@@ -122,8 +122,7 @@ def test_cross_blocks_matter_and_missing_neighbours_are_counted():
     unknown = patches.cross_key.copy()
     unknown[1] = 5000
     assert surface_geometry(points, dataclasses.replace(patches, cross_key=unknown)).missing == 1
-    own = geometry.left == geometry.right
-    alone = dataclasses.replace(geometry, weight=np.where(own, 1.0, 0.0))
+    alone = dataclasses.replace(geometry, right=np.where(geometry.left == geometry.right, geometry.right, np.int32(-1)))
     assert independent_covariance(q, patches, alone)[0, 0] != pytest.approx(independent_covariance(q, patches, geometry)[0, 0], rel=0.05)
 
 

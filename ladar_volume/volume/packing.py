@@ -1,0 +1,159 @@
+"""The large parts of a held surface as 16-bit numbers: covariance blocks, and sensitivities to the navigation.
+
+*Blocks.* Between parameters as they are, correlations would not do: those of one patch depend on one another, and what a result takes of
+them may be a small difference. So each patch has a factor ``F F^T = C_aa`` of its own block (Cholesky), and ``R_ab = F_a^-1 C_ab F_b^-T``
+is kept: correlations of parameters made independent within their patch, none beyond 1, to 2^-15. With the loads ``y_a = F_a^T q_a``, whose
+squares add up to the variance if patches shared no returns, the variance errs by no more than ``2^-15 (sum |y_a|_1)^2`` over pairs with a
+block, in truth by far less, since the errors have either sign.
+
+*Sensitivities.* Each row of a patch has a unit of its own for position and for attitude: 2^-15 of its largest number there. Those to the
+calibration stay float32: there is one of each, and in its sum over body and ground what is the same for both cancels.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ladar_volume.model.kernels import kernel
+from ladar_volume.model.records import F32, F64, I16, I64, HeldPatches, Patches
+from ladar_volume.volume.patch_merge import holds, place_from
+
+#: The factors are kept times this: then a block is ``F_a R F_b^T`` of whole numbers R, 2^14 for a correlation of 1.
+SCALE = 2.0**-7
+#: A pivot below this share of its diagonal is raised to it: there the block's own digits end.
+PIVOT = 1e-6
+#: Largest whole number.
+LARGEST = 32767.0
+
+
+@kernel
+def factor_kernel(start: I64, cross: F32) -> F32:
+    """Lower factors (m, p, p), times :data:`SCALE`, of the patches' own blocks, the first of each from start (m + 1,) on; zero where a
+    parameter is certain, or where there is no block."""
+    m, p = len(start) - 1, cross.shape[1]
+    out, L = np.zeros((m, p, p), np.float32), np.zeros((p, p))
+    for a in range(m):
+        if start[a] == start[a + 1]:
+            continue
+        C = cross[start[a]]
+        L[:] = 0.0
+        for j in range(p):
+            s = np.float64(C[j, j])
+            if not s > 0.0:
+                continue
+            least = PIVOT * s
+            for k in range(j):
+                s -= L[j, k] * L[j, k]
+            L[j, j] = np.sqrt(max(s, least))
+            for i in range(j + 1, p):
+                s = np.float64(C[i, j])
+                for k in range(j):
+                    s -= L[i, k] * L[j, k]
+                L[i, j] = s / L[j, j]
+        for i in range(p):
+            for j in range(i + 1):
+                out[a, i, j] = L[i, j] * SCALE
+    return out
+
+
+@kernel
+def solve_left(F: F32, T: F64) -> None:
+    """``F^-1 T`` in place, for a lower F (p, p) and T (p, p); zero where a diagonal of F is."""
+    p = len(F)
+    for i in range(p):
+        for c in range(p):
+            s = T[i, c]
+            for k in range(i):
+                s -= F[i, k] * T[k, c]
+            T[i, c] = s / F[i, i] if F[i, i] > 0.0 else 0.0
+
+
+@kernel
+def block_kernel(own: I64, start: I64, other: I64, cross: F32, keys: I64, factor: F32) -> I16:
+    """Blocks (k, p, p) of one part as whole numbers: own (m,) its keys, start, other in CSR form; zero where one of the two patches is not
+    among ascending keys with their factors. The lower key comes first."""
+    p, at, hint = cross.shape[1], 0, 0
+    out, T, U = np.zeros(cross.shape, np.int16), np.empty((p, p)), np.empty((p, p))
+    for i in range(len(own)):
+        at, hint = place_from(keys, own[i], at), 0
+        for e in range(start[i], start[i + 1]):
+            hint = place_from(keys, other[e], hint)
+            if not holds(keys, own[i], at) or not holds(keys, other[e], hint):
+                continue
+            a, b = min(at, hint), max(at, hint)
+            for r in range(p):
+                for c in range(p):
+                    T[r, c] = cross[e, r, c]
+            solve_left(factor[a], T)
+            for r in range(p):
+                for c in range(p):
+                    U[r, c] = T[c, r]
+            solve_left(factor[b], U)
+            for r in range(p):
+                for c in range(p):
+                    out[e, r, c] = np.int16(np.rint(min(max(U[c, r], -LARGEST), LARGEST)))
+    return out
+
+
+@kernel
+def row_kernel(start: I64, M: F32) -> tuple[I16, F32]:
+    """Sensitivities M (l, rows, 6), those of each of m patches from start (m + 1,) on, as whole numbers (l, rows, 6), and the units
+    (m, rows, 2) of each row for position and attitude."""
+    rows, m = M.shape[1], len(start) - 1
+    out, unit = np.zeros(M.shape, np.int16), np.zeros((m, rows, 2), np.float32)
+    for a in range(m):
+        for r in range(rows):
+            for e in range(start[a], start[a + 1]):
+                for c in range(6):
+                    unit[a, r, c // 3] = max(unit[a, r, c // 3], abs(M[e, r, c]))
+            unit[a, r] /= np.float32(LARGEST)
+            for e in range(start[a], start[a + 1]):
+                for c in range(6):
+                    if unit[a, r, c // 3] > 0.0:
+                        out[e, r, c] = np.int16(np.rint(M[e, r, c] / unit[a, r, c // 3]))
+    return out, unit
+
+
+
+def factor_loads(q: F64, patches: Patches) -> F64:
+    """Loads (m, p, k) on that whose covariances the blocks are, of loads q (m, p, k) on the patches' parameters."""
+    return np.einsum("mrs,mrk->msk", patches.factor, q) if isinstance(patches, HeldPatches) else q
+
+
+def factor_rows(X: F64, row: I64, patches: Patches) -> F64:
+    """The same for design rows X (n, p) of points on patches row (n,)."""
+    return np.einsum("nr,nrs->ns", X, patches.factor[row]) if isinstance(patches, HeldPatches) else X
+
+
+def navigation_units(patches: Patches) -> F32:
+    """Units (m, p + 2, 2) of the sensitivities to position and attitude."""
+    if isinstance(patches, HeldPatches):
+        return patches.nav_unit
+    return np.ones((len(patches), patches.M_nav.shape[1], 2), np.float32)
+
+
+def prepared(patches: Patches) -> HeldPatches:
+    """Patches as they were sent, ready to be held but for their blocks: those wait until the factors of all patches are known."""
+    rows = {f.name: getattr(patches, f.name) for f in dataclasses.fields(Patches)}
+    rows["M_nav"], rows["nav_unit"] = row_kernel(patches.nav_start, patches.M_nav)
+    return HeldPatches(**rows, factor=np.asarray(factor_kernel(patches.cross_start, patches.cross)))
+
+
+def unpacked(patches: Patches, first: int, last: int) -> Patches:
+    """Patches from ``first`` to ``last``, with blocks and sensitivities as they are sent."""
+    rows = {f.name: getattr(patches, f.name)[first:last] for f in dataclasses.fields(Patches)}
+    for start, names in (("cross_start", ("cross_key", "cross")), ("nav_start", ("nav_bin", "M_nav"))):
+        begin, end = getattr(patches, start)[[first, last]]
+        rows |= {start: getattr(patches, start)[first : last + 1] - begin}
+        rows |= {name: getattr(patches, name)[begin:end] for name in names}
+    if not isinstance(patches, HeldPatches):
+        return Patches(**rows)
+    left = np.repeat(np.arange(first, last), np.diff(rows["cross_start"]))
+    right = np.minimum(np.searchsorted(patches.key, rows["cross_key"]), len(patches) - 1)
+    F = patches.factor
+    rows["cross"] = np.einsum("brs,bst,but->bru", F[left].astype(np.float64), rows["cross"], F[right], optimize=True).astype(np.float32)
+    unit = np.repeat(np.repeat(patches.nav_unit[first:last], np.diff(rows["nav_start"]), axis=0), 3, axis=2)
+    rows["M_nav"] = (rows["M_nav"] * unit.astype(np.float64)).astype(np.float32)
+    return Patches(**rows)
