@@ -7,15 +7,18 @@ header (OMG DDSI-RTPS 2.2, section 10.2).
 
 from __future__ import annotations
 
+import math
 import struct
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ladar_volume.model.records import F64, Estimate
+from ladar_volume.model.records import F64, I64, Bool, Estimate, Tin
 
 TRIANGLE_LIST = 11
+#: Triangles of a marker, about, at most: each takes 120 bytes, in this process, in that of every listener and in between.
+MOST_SHOWN = 100_000
 
 
 class Writer:
@@ -56,10 +59,24 @@ class Writer:
         return bytes(self._out)
 
 
+def shown(tin: Tin) -> I64:
+    """Triangles (k, 3) to be looked at: the relevant ones; of more than :data:`MOST_SHOWN`, those left when all vertices in one square of a
+    grid count as one of them."""
+    triangles = tin.triangles[tin.relevant].astype(np.int64)
+    if len(triangles) <= MOST_SHOWN:
+        return triangles
+    xy = tin.vertices[:, :2] - tin.vertices[:, :2].min(axis=0)
+    square = np.floor(xy / math.sqrt(float(np.prod(xy.max(axis=0))) / (0.5 * MOST_SHOWN))).astype(np.int64)
+    _, first, label = np.unique(square @ [int(square.max()) + 1, 1], return_index=True, return_inverse=True)
+    triangles = first[label][triangles]
+    whole: Bool = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
+    return triangles[whole]
+
+
 def tin_marker(estimate: Estimate, value: F64) -> bytes:
-    """visualization_msgs/Marker: the relevant triangles as a TRIANGLE_LIST coloured by a value (n,) of each vertex."""
+    """visualization_msgs/Marker: the triangles :func:`shown` as a TRIANGLE_LIST coloured by a value (n,) of each vertex."""
     tin = estimate.tin
-    corners = tin.triangles[tin.relevant].ravel()
+    corners = shown(tin).ravel()
     low, high = float(np.min(value)), float(np.max(value))
     s = (value - low) / max(high - low, 1e-12)
     colour = np.column_stack([s, 0.6 * (1.0 - np.abs(2.0 * s - 1.0)) + 0.3, 1.0 - s, np.ones(len(s))]).astype(np.float32)

@@ -40,6 +40,19 @@ def test_marker(estimate):
     assert bytes(TYPES.serialize_cdr(marker, kind)) == data
 
 
+def test_a_large_surface_is_shown_coarser(estimate, monkeypatch):
+    tin = estimate.tin
+    every = cdr.shown(tin)
+    assert np.array_equal(every, tin.triangles[tin.relevant])
+    monkeypatch.setattr(cdr, "MOST_SHOWN", len(every) // 6)
+    fewer = cdr.shown(tin)
+    assert len(every) // 12 < len(fewer) < len(every) // 5
+    a, b, c = (tin.vertices[fewer[:, k], :2] for k in range(3))
+    area = 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+    span = np.ptp(tin.vertices[:, :2], axis=0)
+    assert (area >= -1e-9).mean() > 0.95 and area.sum() == pytest.approx(float(np.prod(span)), rel=0.25)  # but for the rim, all is covered
+
+
 def test_mesh(estimate):
     kind = "shape_msgs/msg/Mesh"
     data = cdr.mesh(estimate)
