@@ -15,11 +15,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ladar_volume.model.records import F64, I64, Bool, Tin
+from ladar_volume.model.kernels import kernel
+from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.surface.tin import footprint_areas
 from ladar_volume.volume.budget import Sources
 from ladar_volume.volume.load_kernels import cell_kernel, pair_falls_kernel
@@ -159,16 +158,26 @@ def beyond_chord(r: F64, variance: F64, tree: cKDTree, middle: I64, step: F64) -
     return out
 
 
+@kernel
+def enclosed_kernel(neighbours: I32, inside: Bool) -> Bool:
+    """Triangles (m,) that are neither inside (m,) nor joined to the hull by others that are not, for neighbours (m, 3), -1 at the hull."""
+    out, found, n = ~inside, np.empty(len(inside), np.int32), 0
+    for t in range(len(inside)):
+        if out[t] and (neighbours[t] < 0).any():
+            out[t], found[n] = False, t
+            n += 1
+    while n > 0:
+        n -= 1
+        for beyond in neighbours[found[n]]:
+            if beyond >= 0 and out[beyond]:
+                out[beyond], found[n] = False, beyond
+                n += 1
+    return out
+
+
 def enclosed(tin: Tin, inside: Bool) -> Bool:
     """Triangles (m,) that do not count, such as those with edges too long, but lie wholly among ones that do."""
-    t, side = np.nonzero(~inside[:, None] & (tin.neighbours >= 0))
-    beyond = tin.neighbours[t, side]
-    same = ~inside[beyond]
-    graph = coo_matrix((np.ones(np.count_nonzero(same), np.int8), (t[same], beyond[same])), shape=(len(inside),) * 2)
-    label = connected_components(graph, directed=False)[1]
-    open_ended = np.unique(label[~inside & (tin.neighbours < 0).any(axis=1)])
-    out: Bool = ~inside & ~np.isin(label, open_ended)
-    return out
+    return np.asarray(enclosed_kernel(tin.neighbours, inside))
 
 
 def gap_sigmas(tin: Tin, inside: Bool, variance: F64) -> F64:
@@ -199,13 +208,17 @@ def more_data(tin: Tin, inside: Bool, gradient: F64, sources: Sources, sigma_z: 
     q = np.ascontiguousarray(patch_loads(gradient[:, None], patches, sources.geometry)[:, :, 0])
     loaded: Bool = np.any(q != 0.0, axis=1)
     rows = np.flatnonzero(inside | enclosed(tin, inside))
-    middle = tin.vertices[tin.triangles[rows]].mean(axis=1)
+    a, b, c = (tin.vertices[corner] for corner in tin.triangles[rows].T)
+    middle = (a + b + c) / 3.0
     xy = np.concatenate([patches.centre[:, :2], middle[:, :2]])
     low = np.concatenate([patches.centre[loaded, :2], middle[:, :2]]).min(axis=0)
     side = np.concatenate([patches.centre[loaded, :2], middle[:, :2]]).max(axis=0) - low
     cell_m = max(math.sqrt(max(float(side[0] * side[1]), 1e-12)), float(side.max()) / CELLS) / CELLS
-    places, label = np.unique(np.floor((xy - low) / cell_m).astype(np.int64), axis=0, return_inverse=True)
-    cells, label = len(places), label.ravel()
+    place = np.floor((xy - low) / cell_m).astype(np.int64)
+    first = place.min(axis=0)
+    row = int(place[:, 1].max() - first[1]) + 1
+    numbers, label = np.unique((place - first) @ [row, 1], return_inverse=True)
+    cells, places = len(numbers), first + np.stack(np.divmod(numbers, row), axis=1)
     of_patch, of_triangle = label[: len(patches)], label[len(patches) :]
     gaps = np.bincount(of_triangle, gap_sigmas(tin, inside, variance)[rows], cells)  # what is not seen in one cell errs as one
     fall = np.c_[noise_falls(gradient, q, sources, of_patch, cells), navigation_falls(q, sources, of_patch, cells), gaps**2]

@@ -7,13 +7,16 @@ import math
 
 import numpy as np
 import pytest
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from volume_surfaces import BIN_NS, T0, cone, platform, surface_update, take_patches
 
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import FilterUpdate, select
+from ladar_volume.surface.tin import build_tin
 from ladar_volume.volume.estimator import VolumeEstimator
-from ladar_volume.volume.more_data import SOURCES, markov_product, relief
+from ladar_volume.volume.more_data import SOURCES, enclosed, markov_product, relief
 from ladar_volume.volume.navigation import markov_sum
 
 LEVEL = {"base": "level", "level_m": 0.0, "outline": "all"}
@@ -40,6 +43,20 @@ def test_needs_an_estimate_first():
     with pytest.raises(VolumeError) as caught:
         estimator(surface_update(hill)).more_data()
     assert caught.value.reason == "volume_no_estimate"
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.6, 0.9, 1.0])
+def test_what_is_enclosed(share):
+    """Against the connected parts of a graph: those without a triangle at the hull."""
+    rng = np.random.default_rng(6)
+    tin = build_tin(rng.random((400, 3)))
+    inside = rng.random(len(tin.triangles)) < share
+    t, side = np.nonzero(~inside[:, None] & (tin.neighbours >= 0))
+    joined = ~inside[tin.neighbours[t, side]]
+    graph = coo_matrix((np.ones(joined.sum()), (t[joined], tin.neighbours[t, side][joined])), shape=(len(inside),) * 2)
+    label = connected_components(graph, directed=False)[1]
+    open_ended = label[~inside & (tin.neighbours < 0).any(axis=1)]
+    assert np.array_equal(enclosed(tin, inside), ~inside & ~np.isin(label, open_ended))
 
 
 def test_one_cell_for_all_is_a_second_survey():
