@@ -201,14 +201,15 @@ class Load(Node):
 class Soak:
     """Starts the nodes, flies, hurts, measures."""
 
-    def __init__(self, bag: Path, folder: Path) -> None:
-        free = os.statvfs(folder).f_bavail * os.statvfs(folder).f_frsize
+    def __init__(self, bag: Path, folder: Path, fills_disk: bool) -> None:
         self._ballast = folder / "ballast"
         self._settings = {
             "config_file": str(bag / "config.yaml"), "node.input_reliability": "reliable", "node.input_depth": "2000",
             "node.diagnostics_period_s": "0.5", "logger.path": str(folder / "log.mcap"), "logger.split_bytes": str(LOG_BYTES // 4),
-            "logger.disk_full": "delete_oldest", "logger.disk_reserve_bytes": str(max(free - 4 * LOG_BYTES, 0)),
         }  # fmt: skip
+        if fills_disk:  # nearly full from the start
+            free = os.statvfs(folder).f_bavail * os.statvfs(folder).f_frsize
+            self._settings |= {"logger.disk_full": "delete_oldest", "logger.disk_reserve_bytes": str(max(free - 4 * LOG_BYTES, 0))}
         self.load = Load()
         self._spinner = Spinner(self.load)
         self.processes = {name: self._start(name) for name in NODES}
@@ -352,7 +353,7 @@ def soak(seconds: float, full_rate: bool, faults: list[str], site_m: float = 0.0
         messages, length_ns = flight(bag)
         truth = float(json.loads((bag / "truth.json").read_text())["volume_m3"])
         rclpy.init(args=[])
-        one = Soak(bag, folder)
+        one = Soak(bag, folder, "disk_full" in faults)
         try:
             one.ready()
             one.fly(messages, length_ns, seconds, faults)
