@@ -30,6 +30,7 @@ from ladar_volume.model.records import F64, FilteredPoints, FilterUpdate, Patche
 from ladar_volume.volume import estimator as stage
 from ladar_volume.volume.estimator import VolumeEstimator
 from ladar_volume.volume.navigation import NavigationBins
+from ladar_volume.volume.packing import unpacked
 
 BAG = Path(__file__).parents[1] / "bags" / "stockpile"
 POINTS = 1_000_000
@@ -45,7 +46,8 @@ def bundled() -> tuple[FilteredPoints, Patches, NavigationBins, Parameters]:
         replay = Replay(bag, read_config(BAG / "config.yaml"), bag.roles())
         replay.run()
     epoch = replay.engine.estimator.epoch()
-    return epoch.sources.points, epoch.sources.patches, epoch.sources.navigation, replay.parameters
+    patches = epoch.sources.patches
+    return epoch.sources.points, unpacked(patches, 0, len(patches)), epoch.sources.navigation, replay.parameters
 
 
 def slope_of(r: F64) -> F64:
