@@ -29,15 +29,18 @@ LARGEST = 32767.0
 
 
 @kernel
-def factor_kernel(start: I64, cross: F32) -> F32:
-    """Lower factors (m, p, p), times :data:`SCALE`, of the patches' own blocks, the first of each from start (m + 1,) on; zero where a
-    parameter is certain, or where there is no block."""
-    m, p = len(start) - 1, cross.shape[1]
+def factor_kernel(key: I64, start: I64, other: I64, cross: F32) -> F32:
+    """Lower factors (m, p, p), times :data:`SCALE`, of the own blocks of patches key (m,), among those from start (m + 1,) on, each with
+    the patch ``other``; zero where a parameter is certain, or where there is no such block."""
+    m, p = len(key), cross.shape[1]
     out, L = np.zeros((m, p, p), np.float32), np.zeros((p, p))
     for a in range(m):
-        if start[a] == start[a + 1]:
+        at = start[a]
+        while at < start[a + 1] and other[at] != key[a]:
+            at += 1
+        if at == start[a + 1]:
             continue
-        C = cross[start[a]]
+        C = cross[at]
         L[:] = 0.0
         for j in range(p):
             s = np.float64(C[j, j])
@@ -116,7 +119,6 @@ def row_kernel(start: I64, M: F32) -> tuple[I16, F32]:
     return out, unit
 
 
-
 def factor_loads(q: F64, patches: Patches) -> F64:
     """Loads (m, p, k) on that whose covariances the blocks are, of loads q (m, p, k) on the patches' parameters."""
     return np.einsum("mrs,mrk->msk", patches.factor, q) if isinstance(patches, HeldPatches) else q
@@ -138,7 +140,7 @@ def prepared(patches: Patches) -> HeldPatches:
     """Patches as they were sent, ready to be held but for their blocks: those wait until the factors of all patches are known."""
     rows = {f.name: getattr(patches, f.name) for f in dataclasses.fields(Patches)}
     rows["M_nav"], rows["nav_unit"] = row_kernel(patches.nav_start, patches.M_nav)
-    return HeldPatches(**rows, factor=np.asarray(factor_kernel(patches.cross_start, patches.cross)))
+    return HeldPatches(**rows, factor=np.asarray(factor_kernel(patches.key, patches.cross_start, patches.cross_key, patches.cross)))
 
 
 def unpacked(patches: Patches, first: int, last: int) -> Patches:

@@ -122,7 +122,8 @@ def test_what_is_sent_again_is_held_the_same(surface):
 
 def test_a_patch_without_a_block_and_one_nobody_knows():
     cross = np.diag([4.0, 0.0, 1.0]).astype(np.float32)[None].repeat(2, axis=0)
-    factor = packing.factor_kernel(np.array([0, 1, 1]), cross)
+    blocks = np.concatenate([9 * cross[:1], cross])  # of 5 with 9, its own, and of 6 with 5
+    factor = packing.factor_kernel(np.array([5, 6]), np.array([0, 2, 3]), np.array([9, 5, 5]), blocks)
     assert np.array_equal(factor[0], np.diag([2.0, 0.0, 1.0]) * SCALE) and not factor[1].any()
     found = packing.block_kernel(np.array([7]), np.array([0, 2]), np.array([7, 9]), cross, np.array([7]), factor[:1])
     assert np.array_equal(found[0], np.diag([16384, 0, 16384])) and not found[1].any()
