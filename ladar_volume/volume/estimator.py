@@ -47,24 +47,26 @@ class VolumeEstimator:
         self._navigation = NavigationBins(parameters.filter.nav_bin_s) if navigation is None else navigation
         self._store = PatchStore()
         self._surface_now: Represented | None = None
+        self._sources_now: Sources | None = None
         self._main: tuple[Represented, Plane, F64, Prismoids, Budget, Sources, F64] | None = None
         self._t_ns = 0
 
     def set_parameters(self, parameters: Parameters) -> None:
         """Another base, outline or ground for the next estimate; the surface stays."""
         self.parameters = parameters
-        self._surface_now = None
+        self._surface_now = self._sources_now = None
 
     def add_platform(self, states: PlatformStates) -> None:
         """New platform states; only the mean covariance per time bin is kept."""
         self._navigation.add(states)
+        self._sources_now = None
 
     def add(self, update: FilterUpdate) -> None:
         """What changed in the filtered surface."""
         self._store.replace(update)
         self.losses.merge(self._store.losses)
         self._store.losses = Losses()
-        self._surface_now = self._main = None  # the surface before would be held beside the new one
+        self._surface_now = self._sources_now = self._main = None  # the surface before would be held beside the new one
         self._t_ns = max(self._t_ns, update.t_ns)
 
     def estimate(self) -> Estimate:
@@ -82,7 +84,7 @@ class VolumeEstimator:
     def epoch(self) -> Epoch:
         """Everything so far as one survey, to be compared with another. Raises :class:`SurfaceError` where there is no surface."""
         points, patches = self._current()
-        return Epoch(self._surface(points), Sources(points, patches, self._navigation, self.parameters), self._t_ns)
+        return Epoch(self._surface(points), self._sources(points, patches), self._t_ns)
 
     def more_data(self) -> MoreData:
         """Where another pass would make sigma of the present estimate's main body smaller. Raises :class:`VolumeError` without one."""
@@ -118,13 +120,18 @@ class VolumeEstimator:
             self._surface_now = represent(points.r_map, options, measured=False)
         return self._surface_now
 
+    def _sources(self, points: FilteredPoints, patches: Patches) -> Sources:
+        if self._sources_now is None:
+            self._sources_now = Sources(points, patches, self._navigation, self.parameters)
+        return self._sources_now
+
     def _base_and_outline(self, tin: Tin, height_variance: F64) -> tuple[Plane, F64]:
         return base_and_outline(tin, height_variance, self.parameters)
 
     def _result(
         self, surface: Represented, base: Plane, inside: F64, points: FilteredPoints, patches: Patches, height_variance: F64
     ) -> Estimate:
-        sources = Sources(points, patches, self._navigation, self.parameters)
+        sources = self._sources(points, patches)
         parts = area_by_body(surface.tin, base, inside, self.parameters.volume)
         inverse = ground_inverse(surface.tin.vertices, base) if len(base.support) else None
 
