@@ -36,8 +36,6 @@ from ladar_volume.volume.packing import unpacked
 FILE, RECORD = "result.mcap", "ladar_volume"
 #: Tables that hold the survey itself.
 SURVEY = ("points_filtered", "patches", "navigation")
-#: Patches of one message.
-PART = 400
 
 
 @dataclass(frozen=True)
@@ -62,8 +60,8 @@ def navigation_columns(bins: NavigationBins) -> wire.Columns:
 def survey_tables(epoch: Epoch) -> Iterator[tuple[str, wire.Columns]]:
     """Topics and columns of everything a survey is compared by, large ones in several messages."""
     points, patches = epoch.sources.points, epoch.sources.patches
-    for first in range(0, len(patches), PART):
-        last = min(first + PART, len(patches))
+    for first in range(0, len(patches), wire.PART):
+        last = min(first + wire.PART, len(patches))
         mine = unpacked(patches, first, last)
         at = slice(*np.searchsorted(points.patch, [mine.key[0], mine.key[-1] + 1]))
         part = FilterUpdate(epoch.t_ns, np.zeros(0, np.int64), select(points, at), mine, last == len(patches))

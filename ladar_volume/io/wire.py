@@ -6,7 +6,6 @@ long table, one row per block, told apart by `kind`; its values are float32: onl
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -16,6 +15,7 @@ import numpy.typing as npt
 
 from ladar_volume.ground.polynomial import degree_of, tilt_of
 from ladar_volume.model.errors import CloudError
+from ladar_volume.model.ragged import patch_range
 from ladar_volume.model.records import F32, F64, I64, FilteredPoints, FilterUpdate, MappedPoints, Patches, Plane, Volume, select
 
 if TYPE_CHECKING:  # for names of types alone: a stage's kernels are loaded by the node that runs it
@@ -27,6 +27,8 @@ BASES = {"ground": 0, "level": 1, "given": 2, "epoch": 3}
 HEAD, CROSS, CALIBRATION, NAVIGATION, REMOVED, END = range(6)
 #: Columns of M_cal, and of M_nav, that share one row of the long table: the rows of degree 2 then are no longer than a cross block.
 CAL_GROUP, NAV_GROUP = 4, 3
+#: Patches of one message.
+PART = 400
 
 
 def _need(columns: Mapping[str, Any], *names: str) -> None:
@@ -132,7 +134,7 @@ def _ungrouped(values: F32, m: int, rows: int, columns: int, size: int) -> F32:
     return np.ascontiguousarray(parts.reshape(m, rows, groups * size)[:, :, :columns], np.float32)
 
 
-def update_parts(update: FilterUpdate, patches: int = 400) -> list[FilterUpdate]:
+def update_parts(update: FilterUpdate, patches: int = PART) -> list[FilterUpdate]:
     """A large update as several messages' worth; only the last is marked complete, all of them together are the update."""
     m = len(update.patches)
     bounds = [*range(0, m, patches), m] if m else [0, 0]
@@ -141,13 +143,9 @@ def update_parts(update: FilterUpdate, patches: int = 400) -> list[FilterUpdate]
     at = np.searchsorted(a.key, update.points.patch, sorter=order)
     owner = np.append(order, -1)[at]  # the patch of each point
     for first, last in itertools.pairwise(bounds):
-        c0, c1, n0, n1 = a.cross_start[first], a.cross_start[last], a.nav_start[first], a.nav_start[last]
-        rows = {f.name: getattr(a, f.name)[first:last] for f in dataclasses.fields(a)}
-        rows |= {"cross_start": a.cross_start[first : last + 1] - c0, "cross_key": a.cross_key[c0:c1], "cross": a.cross[c0:c1]}
-        rows |= {"nav_start": a.nav_start[first : last + 1] - n0, "nav_bin": a.nav_bin[n0:n1], "M_nav": a.M_nav[n0:n1]}
         mine = (owner >= first) & (owner < last)
         removed = update.removed if first == 0 else update.removed[:0]
-        parts.append(FilterUpdate(update.t_ns, removed, select(update.points, mine), Patches(**rows), last == m))
+        parts.append(FilterUpdate(update.t_ns, removed, select(update.points, mine), Patches(**patch_range(a, first, last)), last == m))
     return parts
 
 

@@ -17,6 +17,7 @@ import dataclasses
 import numpy as np
 
 from ladar_volume.model.kernels import kernel
+from ladar_volume.model.ragged import patch_range
 from ladar_volume.model.records import F32, F64, I16, I64, HeldPatches, Patches
 from ladar_volume.volume.patch_merge import holds, place_from
 
@@ -145,11 +146,7 @@ def prepared(patches: Patches) -> HeldPatches:
 
 def unpacked(patches: Patches, first: int, last: int) -> Patches:
     """Patches from ``first`` to ``last``, with blocks and sensitivities as they are sent."""
-    rows = {f.name: getattr(patches, f.name)[first:last] for f in dataclasses.fields(Patches)}
-    for start, names in (("cross_start", ("cross_key", "cross")), ("nav_start", ("nav_bin", "M_nav"))):
-        begin, end = getattr(patches, start)[[first, last]]
-        rows |= {start: getattr(patches, start)[first : last + 1] - begin}
-        rows |= {name: getattr(patches, name)[begin:end] for name in names}
+    rows = patch_range(patches, first, last)
     if not isinstance(patches, HeldPatches):
         return Patches(**rows)
     left = np.repeat(np.arange(first, last), np.diff(rows["cross_start"]))

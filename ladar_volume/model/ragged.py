@@ -1,0 +1,21 @@
+"""A range of patches, their ragged parts with them."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from ladar_volume.model.records import Patches
+
+#: What is ragged, by its CSR starts.
+RAGGED = {"cross_start": ("cross_key", "cross"), "nav_start": ("nav_bin", "M_nav")}
+
+
+def patch_range(patches: Patches, first: int, last: int) -> dict[str, Any]:
+    """What :class:`Patches` holds of those from ``first`` to ``last``, by name; their CSR parts begin at 0."""
+    rows = {field.name: getattr(patches, field.name)[first:last] for field in dataclasses.fields(Patches)}
+    for start, names in RAGGED.items():
+        begin, end = getattr(patches, start)[[first, last]]
+        rows[start] = getattr(patches, start)[first : last + 1] - begin
+        rows |= {name: getattr(patches, name)[begin:end] for name in names}
+    return rows
