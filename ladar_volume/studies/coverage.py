@@ -30,7 +30,7 @@ FULL, REDUCED = (2000, 1000, 500), (200, 200, 50)
 ENGINE, ENGINE_SEED = "whole engine", 80_000
 FILE = "surveys.jsonl"
 #: Number of the way in which surveys are simulated and written down: those of another are not counted with.
-METHOD = 2
+METHOD = 3
 #: From so many surveys on: limits of predicted over empirical sigma, and of the share (%) of intervals that hold the truth.
 LIMITS = {
     0: {"ratio": (0.85, 1.15), "holds_68_pct": (58.0, 78.0), "holds_95_pct": (90.0, 99.0)},

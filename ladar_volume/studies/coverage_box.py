@@ -22,8 +22,9 @@ from ladar_volume.surface.local import LocalMeshSettings
 from ladar_volume.surface.skin import GROUND
 from ladar_volume.volume.assembly import shared_by
 from ladar_volume.volume.bodies import Body, closing_m6
-from ladar_volume.volume.budget import Budget, GroundField, Sources
+from ladar_volume.volume.budget import Budget, Sources
 from ladar_volume.volume.cloud_bodies import BodyOptions, cloud_bodies
+from ladar_volume.volume.ground_field import GroundField
 from ladar_volume.volume.navigation import NavigationBins
 from ladar_volume.volume.roughness import estimate_roughness
 
@@ -160,11 +161,11 @@ def under_body(body: Body, sources: Sources, ground: Plane) -> GroundField:
     points = sources.points
     p = body.skin.vertices
     xy, residual, fit = ground_residuals(points.r_map, ground, body.by_ground)
-    bottom = p[body.closed.mesh.triangles[body.skin.face == GROUND]]
-    down = np.cross(bottom[:, 1] - bottom[:, 0], bottom[:, 2] - bottom[:, 0])[:, 2] / 2.0
+    bottom = body.closed.mesh.triangles[body.skin.face == GROUND]
+    a, b, c = (p[corner] for corner in bottom.T)
+    down = np.cross(b - a, c - a)[:, 2] / 2.0
     rough = estimate_roughness(xy, residual, height_variance(points)[ground.support], len(ground.beta), shared_by(sources, ground.support))
-    point = np.arange(len(bottom) + len(xy)) >= len(bottom)
-    return GroundField(np.concatenate([bottom[:, :, :2].mean(axis=1), xy]), np.concatenate([-down, fit]), point, rough)
+    return GroundField(p, bottom, -down, xy, fit, rough)
 
 
 def closed_box(

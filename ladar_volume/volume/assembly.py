@@ -8,13 +8,13 @@ import numpy as np
 
 from ladar_volume.ground.adjoint import add_ground_gradient, ground_residuals
 from ladar_volume.ground.polynomial import base_height
-from ladar_volume.model.kernels import kernel
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, I32, I64, Bool, FilteredPoints, Patches, Plane, Tin
+from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, Patches, Plane, Tin
 from ladar_volume.surface.adjoint import height_covariance
 from ladar_volume.surface.represent import Represented
 from ladar_volume.surface.tin import footprint_areas
-from ladar_volume.volume.budget import GroundField, Sources
+from ladar_volume.volume.budget import Sources
+from ladar_volume.volume.ground_field import GroundField
 from ladar_volume.volume.load_kernels import place_kernel
 from ladar_volume.volume.near_base import NearBase, near_base, near_triangles
 from ladar_volume.volume.prismoids import Prismoids
@@ -103,7 +103,7 @@ def ground_field(
 ) -> GroundField | None:  # fmt: skip
     """How the deviation of the ground from the fitted base enters the volume; None above a design surface.
 
-    It enters with the area (inside_m2 (m,), at triangle centroids) inside the outline, and with the fit's weights at the ground
+    It enters with the area (inside_m2 (m,)) inside the outline, and with the fit's weights at the ground
     points. height_variance (n,) m²: independent noise of the vertices, which is not roughness; nor is what calibration and navigation did
     to the points of ``sources`` that the TIN was built from. inverse : :func:`~ladar_volume.ground.adjoint.ground_inverse`, where known.
     """
@@ -112,24 +112,4 @@ def ground_field(
     ground, residual, fit = ground_residuals(tin.vertices, base, solid.base_net, inverse)
     shared = None if sources is None else shared_by(sources, tin.source[base.support])
     rough = estimate_roughness(ground, residual, height_variance[base.support], len(base.beta), shared)
-    xy, weight = under_kernel(tin.vertices, tin.triangles, inside_m2, ground, fit)
-    return GroundField(xy, weight, np.arange(len(xy)) >= len(xy) - len(ground), rough)
-
-
-@kernel
-def under_kernel(vertices: F64, triangles: I32, inside_m2: F64, ground: F64, fit: F64) -> tuple[F64, F64]:
-    """Centroids (r + s, 2) and areas (r + s,) of the triangles (m, 3) with an area inside_m2 (m,), then the ground (s, 2) and its weights
-    (s,)."""
-    count = 0
-    for t in range(len(triangles)):
-        if inside_m2[t] > 0.0:
-            count += 1
-    xy, weight, row = np.empty((count + len(ground), 2)), np.empty(count + len(ground)), 0
-    for t in range(len(triangles)):
-        if inside_m2[t] > 0.0:
-            a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
-            xy[row, 0], xy[row, 1], weight[row] = (a[0] + b[0] + c[0]) / 3.0, (a[1] + b[1] + c[1]) / 3.0, inside_m2[t]
-            row += 1
-    for i in range(len(ground)):
-        xy[row + i, 0], xy[row + i, 1], weight[row + i] = ground[i, 0], ground[i, 1], fit[i]
-    return xy, weight
+    return GroundField(tin.vertices, tin.triangles, inside_m2, ground, fit, rough)

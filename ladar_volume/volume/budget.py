@@ -10,7 +10,8 @@ import numpy as np
 
 from ladar_volume.georeference.budget import calibration_covariance
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, I32, I64, Bool, FilteredPoints, Patches
+from ladar_volume.model.records import F64, I32, I64, FilteredPoints, Patches
+from ladar_volume.volume.ground_field import GroundField
 from ladar_volume.volume.load_kernels import correlated_kernel, height_kernel, naive_kernel
 from ladar_volume.volume.navigation import NavigationBins, NavigationLoads, navigation_loads, navigation_variance
 from ladar_volume.volume.patch_errors import PatchErrors
@@ -26,7 +27,6 @@ from ladar_volume.volume.propagation import (
     tangential_variance,
     time_bins,
 )
-from ladar_volume.volume.roughness import Roughness, field_variance
 from ladar_volume.volume.second_order import (
     BORESIGHT,
     SecondOrder,
@@ -41,17 +41,6 @@ from ladar_volume.volume.second_order import (
 #: Least vertical component of a normal; and the share of their variance that independent errors of two samples keep, on average, where one
 #: is interpolated between them.
 LEAST_UP, BETWEEN = 0.05, 2.0 / 3.0
-
-
-@dataclass(frozen=True)
-class GroundField:
-    """Weights (n,) m² at xy (n, 2) m with which the ground's deviation from the base enters the volume; point : (n,) whether at a point or
-    spread over a triangle."""
-
-    xy: F64
-    weight: F64
-    point: Bool
-    rough: Roughness
 
 
 @dataclass(frozen=True)
@@ -112,7 +101,7 @@ class Sources:
             "noise": max(0.0, float(s.C_results[0, 0])),
             "noise_tangential": s.tangential_m6,
             **calibration_variance(s.J_cal, self.C_cal), **navigation, **bent,
-            "base_surface": 0.0 if field is None else field_variance(field.xy, field.weight, field.point, field.rough),
+            "base_surface": 0.0 if field is None else field.variance_m6,
         }
         rest = sum(lines.values()) - lines["position"] - lines["attitude"]
         low, high = (math.sqrt(rest + sum(navigation_variance(s.navigation, self.parameters.budget, f).values())) for f in (1.0 / 3.0, 3.0))

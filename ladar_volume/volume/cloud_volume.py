@@ -26,7 +26,6 @@ from ladar_volume.volume.near_base import REACH, NearBase, near_base
 from ladar_volume.volume.overlay import between
 from ladar_volume.volume.polygon import clipped_prismoids
 from ladar_volume.volume.prismoids import prismoids
-from ladar_volume.volume.roughness import field_variance
 
 #: A level of zero, above which differences stand.
 ZERO = design_surface([0.0])
@@ -133,9 +132,9 @@ def solid_above(
         # the base moves with the points that define it
         by_beta = np.stack([found.base_net, -design(tin.vertices[:, :2], base.origin_xy, degree_of(base)).T @ cut], axis=1)
         gradient[base.support] += ground_gradient(tin.vertices, base, by_beta)[..., 2]
-        rough = ground_field(tin, base, found, inside, variance)
-        if rough is not None:
-            extra["base_surface"] = field_variance(rough.xy, rough.weight, rough.point, rough.rough)
+        field = ground_field(tin, base, found, inside, variance)
+        if field is not None:
+            extra["base_surface"] = field.variance_m6
     return Solid(found.cut_m3, found.fill_m3, found.area_m2, ((surface, gradient),), near, curved, extra)
 
 

@@ -17,12 +17,12 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ladar_volume.model.kernels import kernel
-from ladar_volume.model.records import F64, I32, I64, Bool, Tin
+from ladar_volume.model.records import F64, I64, Bool, Tin
 from ladar_volume.surface.tin import footprint_areas
 from ladar_volume.volume.budget import Sources
 from ladar_volume.volume.load_kernels import cell_kernel, pair_falls_kernel
 from ladar_volume.volume.navigation import markov_sum, navigation_loads
+from ladar_volume.volume.outline import components, filled
 from ladar_volume.volume.packing import factor_loads, navigation_units
 from ladar_volume.volume.propagation import patch_loads
 
@@ -158,33 +158,16 @@ def beyond_chord(r: F64, variance: F64, tree: cKDTree, middle: I64, step: F64) -
     return out
 
 
-@kernel
-def enclosed_kernel(neighbours: I32, inside: Bool) -> Bool:
-    """Triangles (m,) that are neither inside (m,) nor joined to the hull by others that are not, for neighbours (m, 3), -1 at the hull."""
-    out, found, n = ~inside, np.empty(len(inside), np.int32), 0
-    for t in range(len(inside)):
-        if out[t] and (neighbours[t] < 0).any():
-            out[t], found[n] = False, t
-            n += 1
-    while n > 0:
-        n -= 1
-        for beyond in neighbours[found[n]]:
-            if beyond >= 0 and out[beyond]:
-                out[beyond], found[n] = False, beyond
-                n += 1
+def enclosed(tin: Tin, inside: Bool) -> Bool:
+    """Triangles (m,) that do not count, such as those with edges too long, but lie wholly among ones that do."""
+    out: Bool = filled(tin.neighbours, np.ones(len(inside), np.bool_), inside, components(tin, ~inside)) & ~inside
     return out
 
 
-def enclosed(tin: Tin, inside: Bool) -> Bool:
-    """Triangles (m,) that do not count, such as those with edges too long, but lie wholly among ones that do."""
-    return np.asarray(enclosed_kernel(tin.neighbours, inside))
-
-
-def gap_sigmas(tin: Tin, inside: Bool, variance: F64) -> F64:
-    """Sigma (m,) m³ of what lies under each triangle that spans a gap, 0 for the others. inside : (m,) triangles that count; what they
-    enclose belongs to them here · variance : (n,) m² of the vertex heights."""
-    out, rows = np.zeros(len(tin.triangles)), np.flatnonzero(inside | enclosed(tin, inside))
-    longest = longest_edges(tin, rows)
+def gap_sigmas(tin: Tin, inside: Bool, rows: I64, variance: F64) -> F64:
+    """Sigma (k,) m³ of what lies under each of the triangles rows (k,) that spans a gap, 0 for the others. inside : (m,) triangles that
+    count · variance : (n,) m² of the vertex heights."""
+    out, longest = np.zeros(len(rows)), longest_edges(tin, rows)
     usual = float(np.median(longest[inside[rows]]))
     wide = longest > GAP * usual
     if not wide.any():
@@ -195,7 +178,7 @@ def gap_sigmas(tin: Tin, inside: Bool, variance: F64) -> F64:
     known = np.isfinite(rough)
     if known.any():
         area = footprint_areas(tin.vertices, tin.triangles[rows[wide]])
-        out[rows[wide]] = area * np.interp(longest[wide], lengths[known], rough[known])
+        out[wide] = area * np.interp(longest[wide], lengths[known], rough[known])
     return out
 
 
@@ -220,7 +203,7 @@ def more_data(tin: Tin, inside: Bool, gradient: F64, sources: Sources, sigma_z: 
     numbers, label = np.unique((place - first) @ [row, 1], return_inverse=True)
     cells, places = len(numbers), first + np.stack(np.divmod(numbers, row), axis=1)
     of_patch, of_triangle = label[: len(patches)], label[len(patches) :]
-    gaps = np.bincount(of_triangle, gap_sigmas(tin, inside, variance)[rows], cells)  # what is not seen in one cell errs as one
+    gaps = np.bincount(of_triangle, gap_sigmas(tin, inside, rows, variance), cells)  # what is not seen in one cell errs as one
     fall = np.c_[noise_falls(gradient, q, sources, of_patch, cells), navigation_falls(q, sources, of_patch, cells), gaps**2]
     used = np.bincount(of_patch, loaded, cells) + np.bincount(of_triangle, minlength=cells) > 0
     vertex = sources.geometry.row[tin.source]

@@ -26,7 +26,6 @@ from ladar_volume.volume.base import area_inside
 from ladar_volume.volume.estimator import VolumeEstimator
 from ladar_volume.volume.planning_scene import Pile
 from ladar_volume.volume.prismoids import prismoids
-from ladar_volume.volume.roughness import field_variance
 
 #: Rays of the pilot that finds what share of the pulses meets the region.
 PILOT = 20_000
@@ -190,7 +189,7 @@ def with_roughness(estimate: Estimate, pile: Pile, parameters: Parameters) -> Vo
     if field is None:
         return v
     planned = dataclasses.replace(field.rough, variance_m2=pile.rough_m**2, length_m=pile.rough_length_m, gaussian=0.0)
-    line = field_variance(field.xy, field.weight, field.point, planned)
+    line = dataclasses.replace(field, rough=planned).variance_m6
     change = line - v.budget_m6["base_surface"]
     low, high = (math.sqrt(s * s + change) for s in v.sigma_tau_range_m3)
     return dataclasses.replace(

@@ -4,28 +4,22 @@ Residuals of the ground points beyond what their noise, calibration and navigati
 correlation ``(1 − g) exp(−d / L) + g exp(−d² / 2 L²)``. Both have the integral 2 pi L² over the plane, which decides what a body much
 larger than L feels; g, how smooth the field is, what one of a few L feels. What calibration and navigation do to the residuals is in the
 lines of the budget that are theirs: on smooth ground it is the larger part, and would count twice.
-
-The field acts twice: through the fit, and under the body, where the ground is not seen. Both are one linear functional of the field, ``Σ
-w e``, with the outline's area as weight inside and the fit's weights outside; its variance ``s² Σ_ij w_i w_j rho(d_ij)`` is summed on a
-grid by FFT.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import dctn, next_fast_len, rfft2
 
 from ladar_volume.ground.polynomial import COEFFICIENTS, design
 from ladar_volume.model.kernels import kernel
-from ladar_volume.model.records import F64, I64, Bool
+from ladar_volume.model.records import F64, I64
+from ladar_volume.volume.ground_field import Roughness, mean_spacing
 
 #: Points used for the autocorrelation, taken at equal index steps: half a million pairs.
 MAX_POINTS = 1000
-MAX_CELLS = 400
 #: Estimates of the field, each with what the fit took of the one before given back.
 ROUNDS = 3
 #: Scatter of an empirical correlation that no number of pairs takes away: a survey has few independent errors that are shared, and few
@@ -34,54 +28,6 @@ CHANCE, LENGTHS, LEAST_PAIRS = 0.1, 60, 30
 #: Standard deviation of the believed variance of the noise, over itself; and by how much a field must lessen the weighted sum of squares
 #: where the mean square says that there is none.
 DOUBT, SIGNIFICANT = 0.5, 4.0
-
-
-@dataclass(frozen=True)
-class Roughness:
-    """variance_m2 : s², m² · length_m : L, m · spacing_m : mean distance of the points it was estimated from · gaussian : share g of the
-    Gaussian correlation, the rest is exponential"""
-
-    variance_m2: float
-    length_m: float
-    spacing_m: float
-    gaussian: float = 0.0
-
-    def correlation(self, d: F64) -> F64:
-        """Correlation at distances d, m."""
-        x, g = d / self.length_m, self.gaussian
-        if 0.0 < g < 1.0:
-            return np.asarray((1.0 - g) * np.exp(-x) + g * np.exp(-0.5 * x * x))
-        return np.asarray(np.exp(-x) if g == 0.0 else np.exp(-0.5 * x * x))
-
-
-def mean_spacing(xy: F64) -> float:
-    """Side (m) of the square that one of the points (n, 2) occupies on average: of the occupied cells of a coarse grid."""
-    low, high = bounds(xy)
-    side = max(float((high - low).max()) / 40.0, 1e-9)
-    occupied = int(np.count_nonzero(squares_grid(xy, np.ones(len(xy)), np.zeros(len(xy), bool), low, side, (41, 41))[0]))
-    return math.sqrt(occupied * side * side / len(xy))
-
-
-@kernel
-def bounds(xy: F64) -> tuple[F64, F64]:
-    """Least and greatest x and y, (2,) each, of points (n, 2)."""
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)
-    for i in range(len(xy)):
-        for c in range(2):
-            low[c], high[c] = min(low[c], xy[i, c]), max(high[c], xy[i, c])
-    return low, high
-
-
-@kernel
-def squares_grid(xy: F64, weight: F64, point: Bool, low: F64, side: float, shape: tuple[int, int]) -> tuple[F64, float]:
-    """Sums ``shape`` of the weights (n,) of points xy (n, 2) by square from ``low`` (2,) on, and the sum of the squares of those that act
-    at a point (n,)."""
-    grid, alone = np.zeros(shape), 0.0
-    for i in range(len(xy)):
-        grid[int((xy[i, 0] - low[0]) / side), int((xy[i, 1] - low[1]) / side)] += weight[i]
-        if point[i]:
-            alone += weight[i] * weight[i]
-    return grid, alone
 
 
 @kernel
@@ -213,28 +159,3 @@ def parts_of(N: F64, right: F64) -> F64:
     single = alone * np.stack([first, ~first], axis=1)
     whole = (out[:, 0] >= 0.0) & (out[:, 1] >= 0.0)
     return np.asarray(np.where(whole[:, None], out, single))
-
-
-def field_variance(xy: F64, weight: F64, point: Bool, rough: Roughness) -> float:
-    """Variance of ``Σ w e`` for weights (n,) at xy (n, 2) m: unit² of w times m².
-
-    point : (n,) whether a weight acts at a point; the others are spread over their surroundings, about one spacing wide.
-    """
-    if rough.variance_m2 == 0.0 or len(xy) == 0:
-        return 0.0
-    low, high = bounds(xy)
-    h = max(rough.spacing_m, float((high - low).max()) / MAX_CELLS, 1e-9)
-    shape = [int(s) + 1 for s in (high - low) / h]
-    grid, squares = squares_grid(xy, weight, point, low, h, (shape[0], shape[1]))
-    half = [next_fast_len(s, real=True) for s in shape]  # of a torus on which the grid does not reach round
-    quarter = rough.correlation(h * np.hypot(np.arange(half[0] + 1)[:, None], np.arange(half[1] + 1)))
-    # two points of one cell are 0.52 h apart on average; for L below h the cell's mean correlation is its integral over its area
-    quarter[0, 0] = min(float(rough.correlation(np.array(0.5214 * h))), 2 * math.pi * (rough.length_m / h) ** 2)
-    power = np.abs(rfft2(grid, s=[2 * s for s in half])) ** 2  # by Parseval's theorem: no way back
-    spectrum = dctn(quarter, type=1)  # of the even kernel whose quarter it is
-    folded = power[: half[0] + 1].copy()
-    folded[1 : half[0]] += power[: half[0] : -1]
-    folded[:, 1 : half[1]] *= 2.0
-    total = float((folded * spectrum).sum()) / (4.0 * half[0] * half[1])
-    # a point is fully correlated with itself, not as two points of one cell are
-    return rough.variance_m2 * max(0.0, total + (1.0 - float(quarter[0, 0])) * squares)

@@ -11,18 +11,14 @@ import pytest
 from ladar_volume.ground.polynomial import COEFFICIENTS, design, design_surface
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.surface.tin import build_tin
+from ladar_volume.volume.ground_field import GroundField, Roughness, field_bounds, mean_spacing, spread_kernel, squares_grid
 from ladar_volume.volume.outline import bodies, boundary_loop, components, fill_holes, surroundings, widened
 from ladar_volume.volume.roughness import (
-    Roughness,
     basis,
-    bounds,
     condensed_product,
     estimate_roughness,
-    field_variance,
     fitted_field,
-    mean_spacing,
     pair_sums,
-    squares_grid,
     taken_by_fit,
 )
 
@@ -31,13 +27,26 @@ def grid(n=30, step=1.0):
     return np.stack(np.meshgrid(np.arange(n), np.arange(n), indexing="ij"), axis=-1).reshape(-1, 2) * step
 
 
+def at_points(xy, weight, rough):
+    """A field that is felt at points alone."""
+    return GroundField(np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros(0), xy, weight, rough)
+
+
+def over_cells(xy, weight, rough, side=1.0):
+    """A field that is felt over squares around xy, two triangles each."""
+    corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * side
+    triangles = np.arange(4 * len(xy)).reshape(-1, 4)[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3).astype(np.int32)
+    vertices = (xy[:, None] + corners).reshape(-1, 2)
+    return GroundField(vertices, triangles, np.repeat(0.5 * weight, 2), np.zeros((0, 2)), np.zeros(0), rough)
+
+
 @pytest.mark.parametrize("length", [0.6, 2.0, 8.0, 100.0])
 def test_field_variance_equals_the_dense_sum(length):
     xy = grid(25) + np.random.default_rng(0).uniform(-0.3, 0.3, (625, 2))
     weight = 1.0 + 0.05 * xy[:, 0] - 0.02 * xy[:, 1]
     d = np.linalg.norm(xy[:, None] - xy[None], axis=2)
     dense = 0.04 * float(weight @ np.exp(-d / length) @ weight)
-    assert field_variance(xy, weight, np.ones(625, bool), Roughness(0.04, length, 1.0)) == pytest.approx(dense, rel=0.05)
+    assert at_points(xy, weight, Roughness(0.04, length, 1.0)).variance_m6 == pytest.approx(dense, rel=0.05)
 
 
 def test_the_sum_on_a_grid_is_that_of_all_pairs_of_cells():
@@ -49,12 +58,55 @@ def test_the_sum_on_a_grid_is_that_of_all_pairs_of_cells():
     same = (cell[:, None] == cell[None]).all(axis=2)
     rho[same] = rough.correlation(np.array(0.5214 * 0.5))
     rho[np.arange(300), np.arange(300)] = np.where(point, 1.0, rho.diagonal())
-    assert field_variance(xy, weight, point, rough) == pytest.approx(0.02 * weight @ rho @ weight, rel=1e-12)
-    low, high = bounds(xy)
-    assert np.array_equal(low, xy.min(axis=0)) and np.array_equal(high, xy.max(axis=0))
-    found, compiled = squares_grid.py_func(xy, weight, point, low, 0.5, (19, 9)), squares_grid(xy, weight, point, low, 0.5, (19, 9))
-    assert np.array_equal(found[0], compiled[0]) and found[1] == pytest.approx(compiled[1], rel=1e-12)
-    assert field_variance(xy[:1], weight[:1], np.ones(1, bool), rough) == pytest.approx(0.02 * weight[0] ** 2)
+    speck = over_cells(xy[~point], weight[~point], rough, 1e-9)
+    field = dataclasses.replace(speck, xy=xy[point], weight=weight[point])
+    assert field.variance_m6 == pytest.approx(0.02 * weight @ rho @ weight, rel=1e-9)
+    for bounds in (field_bounds, field_bounds.py_func):
+        low, high = bounds(field.vertices, field.triangles, field.area, field.xy)
+        assert low == pytest.approx(xy.min(axis=0), abs=2e-9) and high == pytest.approx(xy.max(axis=0), abs=2e-9)
+    assert np.array_equal(squares_grid.py_func(xy, weight, low, 0.5, (19, 9)), squares_grid(xy, weight, low, 0.5, (19, 9)))
+    assert at_points(xy[:1], weight[:1], rough).variance_m6 == pytest.approx(0.02 * weight[0] ** 2)
+    assert at_points(xy[:0], weight[:0], rough).variance_m6 == 0.0
+
+
+def test_a_large_triangle_feels_the_mean_of_the_field():
+    vertices = np.array([[-3.0, -1.25, 0.3], [3.0, -1.25, 0.1], [3.0, 1.25, 0.0], [-3.0, 1.25, 0.2], [90.0, 90.0, 0.0]])
+    triangles = np.array([[0, 1, 2], [0, 2, 3], [2, 3, 4]], np.int32)
+    for share, length in ((1.0, 0.7), (0.0, 0.7), (0.5, 3.0)):
+        rough = Roughness(9e-6, length, 0.1, share)
+        found = GroundField(vertices, triangles, np.array([7.5, 7.5, 0.0]), np.zeros((0, 2)), np.zeros(0), rough)
+        x, y = (side * (np.arange(n) + 0.5) / n for side, n in ((6.0, 60), (2.5, 25)))
+        # over a rectangle, the number of pairs by distance along x and along y is that of two triangles' convolutions
+        exact = sum(
+            float(((len(x) - np.abs(i)) * (len(y) - abs(j)) * rough.correlation(0.1 * np.hypot(i, j))).sum())
+            for i in [np.arange(1 - len(x), len(x))] for j in range(1 - len(y), len(y))
+        )  # fmt: skip
+        assert found.variance_m6 == pytest.approx(9e-6 * exact * 15.0**2 / 1500**2, rel=0.02)
+
+
+def test_triangles_are_spread_over_their_squares():
+    rng = np.random.default_rng(6)
+    vertices, triangles = rng.uniform(0.0, 6.0, (12, 2)), rng.integers(0, 12, (9, 3)).astype(np.int32)
+    triangles[0] = [3, 3, 3]  # of no size
+    area = rng.standard_normal(9)
+    area[1] = 0.0
+    for kernel in (spread_kernel, spread_kernel.py_func):
+        found = np.zeros((12, 12))
+        kernel(vertices, triangles, area, np.zeros(2), 0.5, found)
+        assert found.sum() == pytest.approx(area.sum(), rel=1e-12)
+        # halving keeps the centroid of all parts where that of the whole is
+        middle = np.stack(np.meshgrid(*2 * [0.25 + 0.5 * np.arange(12)], indexing="ij"), axis=-1)
+        assert np.einsum("ij,ijc->c", found, middle) == pytest.approx(area @ vertices[triangles].mean(axis=1), abs=0.25 * np.abs(area).sum())
+        # what lies in a square is, as the squares get small, the share of the triangle in it
+        fine = np.zeros((120, 120))
+        kernel(vertices, triangles[2:3], np.ones(1), np.zeros(2), 0.05, fine)
+        exact = np.zeros((120, 120))
+        a, b = rng.uniform(size=(2, 1_000_000))
+        u, v = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
+        p, q, r = vertices[triangles[2]]
+        at = np.floor((p + u[:, None] * (q - p) + v[:, None] * (r - p)) / 0.05).astype(int)
+        np.add.at(exact, tuple(at.T), 1.0 / len(at))
+        assert fine.reshape(12, 10, 12, 10).sum(axis=(1, 3)) == pytest.approx(exact.reshape(12, 10, 12, 10).sum(axis=(1, 3)), abs=5e-3)
 
 
 def test_a_constant_deviation_cancels_between_inside_and_outside():
@@ -62,11 +114,10 @@ def test_a_constant_deviation_cancels_between_inside_and_outside():
     inside = np.hypot(*(xy - 14.5).T) < 6
     weight = np.where(inside, 1.0, -inside.sum() / (~inside).sum())
     rough = Roughness(1.0, 1e6, 1.0)
-    spread = np.zeros(900, bool)
-    assert field_variance(xy, weight, spread, rough) < 1e-3 * field_variance(xy, inside.astype(float), spread, rough)
-    assert field_variance(xy, weight, spread, Roughness(0.0, 1.0, 1.0)) == 0.0
+    assert over_cells(xy, weight, rough).variance_m6 < 1e-3 * over_cells(xy, inside.astype(float), rough).variance_m6
+    assert over_cells(xy, weight, Roughness(0.0, 1.0, 1.0)).variance_m6 == 0.0
     area = inside.sum()
-    small = field_variance(xy[inside], np.ones(area), spread[:area], Roughness(1.0, 0.5, 1.0))
+    small = over_cells(xy[inside], np.ones(area), Roughness(1.0, 0.5, 1.0)).variance_m6
     # a field much finer than the body: A 2 pi L^2
     assert small == pytest.approx(area * 2 * math.pi * 0.5**2, rel=0.25)
 
@@ -94,7 +145,7 @@ def test_a_field_is_found_whatever_its_noise_is_believed_to_be():
     for _ in range(12):
         e = 0.01 * root @ rng.standard_normal(len(xy)) + 0.03 * rng.standard_normal(len(xy))
         rough = [estimate_roughness(xy, e - e.mean(), np.full(len(xy), share * 9e-4), 1) for share in (0.5, 1.0, 2.0)]
-        found.append([field_variance(xy, weight, np.zeros(len(xy), bool), one) for one in rough])
+        found.append([over_cells(xy, weight, one, 0.5).variance_m6 for one in rough])
     exact = 1e-4 * float(weight @ np.exp(-0.5 * (d / 1.2) ** 2) @ weight)
     assert np.sqrt(np.mean(found, axis=0) / exact) == pytest.approx(1.0, abs=0.2)
 
@@ -121,11 +172,10 @@ def test_how_smooth_a_field_is():
         assert found[1:3] == pytest.approx((2.0, share), rel=5e-3, abs=0.02) and found[0] == pytest.approx(3.0, rel=0.01)
     xy = grid(30)
     weight = np.where(np.hypot(*(xy - 14.5).T) < 5, 1.0, -0.05)  # a body of a few lengths
-    some = np.zeros(900, bool)
     for share in (0.0, 1.0):
         rough = Roughness(0.01, 1.7, 1.0, share)
         d = np.linalg.norm(xy[:, None] - xy[None], axis=2)
-        assert field_variance(xy, weight, some, rough) == pytest.approx(0.01 * weight @ rough.correlation(d) @ weight, rel=0.1)
+        assert over_cells(xy, weight, rough).variance_m6 == pytest.approx(0.01 * weight @ rough.correlation(d) @ weight, rel=0.1)
 
 
 @pytest.mark.parametrize("parameters", [1, 3, 6])
