@@ -6,6 +6,8 @@ from typing import Any
 
 import pytest
 
+import ladar_volume  # noqa: F401 - before NumPy, which reads then how many threads it may use
+
 HERE = Path(__file__).parent
 TOGETHER = {
     "online": ("nodes", "io", "georeference"),
