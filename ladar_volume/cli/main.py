@@ -5,8 +5,11 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -76,19 +79,41 @@ def _parser(wanted: str | None) -> argparse.ArgumentParser:
     return parser
 
 
+class Terminated(KeyboardInterrupt):
+    """SIGTERM."""
+
+
+@contextmanager
+def orderly_end() -> Iterator[None]:
+    """SIGTERM ends what runs as Ctrl-C does: processes that a verb has started end with it, files are closed."""
+
+    def end(number: int, frame: object) -> None:
+        raise Terminated
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; returns the exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
     verb = next((w for w in words if not w.startswith("-")), None)
     arguments: Any = _parser(verb).parse_args(words)
     try:
-        return int(arguments.run(arguments))
+        with orderly_end():
+            return int(arguments.run(arguments))
     except LadarVolumeError as error:
         print(f"ladar_volume: {error}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print("ladar_volume: interrupted", file=sys.stderr)
-        return 130
+    except KeyboardInterrupt as end:
+        print(f"ladar_volume: {'terminated' if isinstance(end, Terminated) else 'interrupted'}", file=sys.stderr)
+        return 143 if isinstance(end, Terminated) else 130
 
 
 if __name__ == "__main__":

@@ -5,6 +5,10 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -335,6 +339,24 @@ def test_the_verb_writes_tables_and_json(tmp_path, monkeypatch, capsys):
     assert main(words) == 0  # nothing is left to do
     assert json.loads(capsys.readouterr().out) == facts
     assert main(["study", "coverage", "--scenario", "moon", "-o", str(tmp_path / "d")]) != 0
+
+
+def test_what_is_terminated_leaves_no_process(tmp_path):
+    """Workers end with the study, and it goes on where it was."""
+    words = ["study", "coverage", "--scenario", "pit", "--surveys", "100000", "--workers", "2", "-o", str(tmp_path)]
+    with subprocess.Popen([sys.executable, "-m", "ladar_volume.cli.main", *words], stderr=subprocess.PIPE, text=True) as study:
+        deadline, rows = time.monotonic() + 200.0, tmp_path / coverage.FILE
+        while not (rows.is_file() and rows.stat().st_size) and study.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.1)
+        workers = [Path("/proc", pid) for pid in Path(f"/proc/{study.pid}/task/{study.pid}/children").read_text().split()]
+        assert len(workers) >= 2
+        study.terminate()
+        _, said = study.communicate(timeout=100.0)
+    assert study.returncode == 143 and said.splitlines()[-1] == "ladar_volume: terminated"
+    while any(w.exists() for w in workers) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not any(w.exists() for w in workers)
+    assert coverage.read_rows(rows)
 
 
 def test_a_survey_from_messages_through_the_engine():
