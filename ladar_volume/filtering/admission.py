@@ -73,33 +73,32 @@ def _slerp(q0: Any, q1: Any, f: Any, out: Any) -> None:
 
 @kernel
 def geometry(
-    rows: Any, slots: Any, r: Any, state: Any, fraction: Any, p: Any, q: Any, v: Any, omega: Any, lever_laser: Any, lever_antenna: Any,
-    aux: Any,
+    rows: Any, r: Any, state: Any, fraction: Any, p: Any, q: Any, v: Any, omega: Any, lever_laser: Any, out: Any
 ) -> None:  # fmt: skip
-    """Attitude xyzw, v_body = B r_laser, antenna velocity (map) and body rates of points ``rows`` to ``aux[slots]``, in this order."""
-    g, d, m, w = np.empty(4), np.empty(3), np.empty(3), np.empty(3)
+    """Attitude xyzw, v_body = B r_laser and motion with the platform (m/s, map) of points ``rows`` (n,) to out (n, 10)."""
+    g, d, m, w, s = np.empty(4), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for j in range(len(rows)):
         i = rows[j]
         k, f = state[i], fraction[i]
         l = min(k + 1, len(p) - 1)
         _slerp(q[k], q[l], f, g)
-        x, y, z, s = g[0], g[1], g[2], g[3]
+        x, y, z, e = g[0], g[1], g[2], g[3]
         for c in range(3):
             d[c] = r[i, c] - (p[k, c] + f * (p[l, c] - p[k, c]))
             m[c] = v[k, c] + f * (v[l, c] - v[k, c])
             w[c] = omega[k, c] + f * (omega[l, c] - omega[k, c])
-        m[0] += w[1] * lever_antenna[2] - w[2] * lever_antenna[1]
-        m[1] += w[2] * lever_antenna[0] - w[0] * lever_antenna[2]
-        m[2] += w[0] * lever_antenna[1] - w[1] * lever_antenna[0]
-        r00, r01, r02 = 1 - 2 * (y * y + z * z), 2 * (x * y - z * s), 2 * (x * z + y * s)
-        r10, r11, r12 = 2 * (x * y + z * s), 1 - 2 * (x * x + z * z), 2 * (y * z - x * s)
-        r20, r21, r22 = 2 * (x * z - y * s), 2 * (y * z + x * s), 1 - 2 * (x * x + y * y)
-        out = aux[slots[j]]
-        out[0], out[1], out[2], out[3] = x, y, z, s
-        out[4] = r00 * d[0] + r10 * d[1] + r20 * d[2] - lever_laser[0]
-        out[5] = r01 * d[0] + r11 * d[1] + r21 * d[2] - lever_laser[1]
-        out[6] = r02 * d[0] + r12 * d[1] + r22 * d[2] - lever_laser[2]
-        out[7] = r00 * m[0] + r01 * m[1] + r02 * m[2]
-        out[8] = r10 * m[0] + r11 * m[1] + r12 * m[2]
-        out[9] = r20 * m[0] + r21 * m[1] + r22 * m[2]
-        out[10], out[11], out[12] = w[0], w[1], w[2]
+        r00, r01, r02 = 1 - 2 * (y * y + z * z), 2 * (x * y - z * e), 2 * (x * z + y * e)
+        r10, r11, r12 = 2 * (x * y + z * e), 1 - 2 * (x * x + z * z), 2 * (y * z - x * e)
+        r20, r21, r22 = 2 * (x * z - y * e), 2 * (y * z + x * e), 1 - 2 * (x * x + y * y)
+        s[0] = r00 * d[0] + r10 * d[1] + r20 * d[2]
+        s[1] = r01 * d[0] + r11 * d[1] + r21 * d[2]
+        s[2] = r02 * d[0] + r12 * d[1] + r22 * d[2]
+        m[0] += w[1] * s[2] - w[2] * s[1]
+        m[1] += w[2] * s[0] - w[0] * s[2]
+        m[2] += w[0] * s[1] - w[1] * s[0]
+        out[j, 0], out[j, 1], out[j, 2], out[j, 3] = x, y, z, e
+        for c in range(3):
+            out[j, 4 + c] = s[c] - lever_laser[c]
+        out[j, 7] = r00 * m[0] + r01 * m[1] + r02 * m[2]
+        out[j, 8] = r10 * m[0] + r11 * m[1] + r12 * m[2]
+        out[j, 9] = r20 * m[0] + r21 * m[1] + r22 * m[2]

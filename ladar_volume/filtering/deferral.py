@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from ladar_volume.filtering.fit import REACH
+from ladar_volume.filtering.geometry import KEPT
 from ladar_volume.filtering.store import (
-    AUX,
     Candidates,
     VoxelStore,
     find_voxel,
@@ -140,7 +140,7 @@ class Deferred:
         self._ends: I64 = np.array([0, 0, -1])
         self._points = Candidates(
             np.zeros(64, np.int64), np.zeros(64, np.uint64), np.zeros(64, np.int64), np.zeros(64, np.uint16), np.zeros((64, 3)),
-            np.zeros((64, 6), np.float32), np.zeros((64, AUX), np.float32),
+            np.zeros((64, 6), np.float32), np.zeros((64, KEPT), np.int16),
         )  # fmt: skip
 
     def __len__(self) -> int:

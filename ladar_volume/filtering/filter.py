@@ -13,6 +13,7 @@ from ladar_volume.filtering import admission, kernels
 from ladar_volume.filtering.deferral import Deferred
 from ladar_volume.filtering.fit import FEW_POINTS, OK, REACH
 from ladar_volume.filtering.fits import FitStore
+from ladar_volume.filtering.geometry import NUMBERS, keep_each
 from ladar_volume.filtering.patches import PatchBuilder
 from ladar_volume.filtering.store import HALF, VoxelStore
 from ladar_volume.georeference.lidar import mounting
@@ -126,10 +127,12 @@ class SurfaceFilter:
             return
         self._t_ns = max(self._t_ns, int(points.t_ns.max()))
         candidates, rows = self._store.offer(points.t_ns, points.ring, points.r_map, points.C_ind)
+        seen = np.empty((len(rows), NUMBERS))
         admission.geometry(
-            rows, np.arange(len(rows)), points.r_map, state, fraction, states.p_map_body, states.q_map_body, states.v_body,
-            states.omega_body, self._mount.lever_laser, self._mount.lever_antenna, candidates.aux,
+            rows, points.r_map, state, fraction, states.p_map_body, states.q_map_body, states.v_body, states.omega_body,
+            self._mount.lever_laser, seen,
         )  # fmt: skip
+        keep_each(seen, candidates.aux)
         if self._deferring:
             self._deferred.add(candidates)
         else:

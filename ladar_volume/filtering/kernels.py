@@ -14,6 +14,7 @@ import numpy as np
 from ladar_volume.filtering import fit
 from ladar_volume.filtering.fit import REACH
 from ladar_volume.filtering.frame import coordinates, level_frame, mark_flat, refit, tangent_of
+from ladar_volume.filtering.geometry import NUMBERS, recall
 from ladar_volume.filtering.store import _mix, voxels_around
 from ladar_volume.model.kernels import kernel, parallel_kernel
 
@@ -72,10 +73,10 @@ def _ball(pts: Any, n: Any, origin: Any, ball: Any, near: Any) -> Any:
 def _face_sensor(slots: Any, index: Any, m: Any, inside: Any, aux: Any, normal: Any, tangent: Any) -> None:
     """Turn the normal against the mean beam of the inliers."""
     facing = 0.0
-    beam = np.empty(3)
+    g, beam = np.empty(NUMBERS), np.empty(3)
     for i in range(m):
         if inside[i]:
-            g = aux[slots[index[i]]]
+            recall(aux[slots[index[i]]], g)
             rotate(g[0:4], g[4:7], beam)
             facing += beam[0] * normal[0] + beam[1] * normal[1] + beam[2] * normal[2]
     if facing > 0.0:

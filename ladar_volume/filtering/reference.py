@@ -75,8 +75,8 @@ def mean_sensitivities(
     return rows(cal, np.ones(len(X), bool)), bins, np.stack([rows(nav, at == b) for b in bins])
 
 
-def geometry(r_map: F64, states: PlatformStates, state: I64, fraction: F64, lever_laser: F64, lever_antenna: F64) -> F64:
-    """Attitude xyzw, v_body, antenna velocity (map) and body rates (n, 13) of points (n, 3) between platform states."""
+def geometry(r_map: F64, states: PlatformStates, state: I64, fraction: F64, lever_laser: F64) -> F64:
+    """Attitude xyzw, v_body and motion with the platform (map), (n, 10), of points (n, 3) between platform states."""
     after = np.minimum(state + 1, len(states) - 1)
 
     def between(values: F64) -> F64:
@@ -85,7 +85,6 @@ def geometry(r_map: F64, states: PlatformStates, state: I64, fraction: F64, leve
 
     q = slerp(states.q_map_body[state], states.q_map_body[after], fraction)
     R = matrix_from_quaternion(q)
-    omega = between(states.omega_body)
-    v_body = np.einsum("nji,nj->ni", R, r_map - between(states.p_map_body)) - lever_laser
-    velocity = np.einsum("nij,nj->ni", R, between(states.v_body) + np.cross(omega, lever_antenna))
-    return np.concatenate([q, v_body, velocity, omega], axis=1)
+    arm = np.einsum("nji,nj->ni", R, r_map - between(states.p_map_body))
+    motion = np.einsum("nij,nj->ni", R, between(states.v_body) + np.cross(between(states.omega_body), arm))
+    return np.concatenate([q, arm - lever_laser, motion], axis=1)

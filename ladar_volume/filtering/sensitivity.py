@@ -13,6 +13,7 @@ import numba
 import numpy as np
 
 from ladar_volume.filtering.frame import across, row
+from ladar_volume.filtering.geometry import NUMBERS, recall
 from ladar_volume.filtering.kernels import rotate
 from ladar_volume.filtering.store import BITS
 from ladar_volume.model.kernels import kernel, parallel_kernel
@@ -54,10 +55,10 @@ SHARED, VERTICAL, POSITION, ATTITUDE, ALL = 11, 11, 12, 15, 18
 
 @kernel
 def along_axis(g: Any, axis: Any, shift: Any, axis_body: Any, h: Any) -> None:
-    """``axis·∂r/∂theta`` (18,) of one return for a unit vector of the map, with its geometry g (13,): attitude xyzw, v_body, antenna
-    velocity, body rates.
+    """``axis·∂r/∂theta`` (18,) of one return for a unit vector of the map, with its geometry g (10,): attitude xyzw, v_body, motion
+    with the platform.
 
-    With m = Rᵀaxis and arm = v + b − a, ``shift`` = b − a: range u·m, boresight v x m, b m, a −m, clock axis·velocity + (omega x arm)·m,
+    With m = Rᵀaxis and arm = v + b − a, ``shift`` = b − a: range u·m, boresight v x m, b m, a −m, clock axis·motion,
     vertical angle m·(range (z − u sin eps)/cos eps) with z, ``axis_body``, the laser's z axis; position axis, attitude arm x m.
     """
     conj, m = np.empty(4), np.empty(3)
@@ -74,9 +75,7 @@ def along_axis(g: Any, axis: Any, shift: Any, axis_body: Any, h: Any) -> None:
         h[7 + k] = -m[k]
         h[POSITION + k] = axis[k]
     h[ATTITUDE], h[ATTITUDE + 1], h[ATTITUDE + 2] = w1 * m[2] - w2 * m[1], w2 * m[0] - w0 * m[2], w0 * m[1] - w1 * m[0]
-    # (omega x arm)·m = omega·(arm x m)
     h[10] = axis[0] * g[7] + axis[1] * g[8] + axis[2] * g[9]
-    h[10] += g[10] * h[ATTITUDE] + g[11] * h[ATTITUDE + 1] + g[12] * h[ATTITUDE + 2]
     sine = u0 * axis_body[0] + u1 * axis_body[1] + u2 * axis_body[2]
     along = axis_body[0] * m[0] + axis_body[1] * m[1] + axis_body[2] * m[2]
     h[VERTICAL] = length * (along - sine * h[0]) / np.sqrt(max(1.0 - sine * sine, 1e-12))
@@ -131,7 +130,7 @@ def draw(run: Any, runs: Any, u: Any, drawn: Any) -> None:
 
 @kernel
 def seen_from(g: Any, away: Any, axis: Any, shift: Any, h: Any) -> None:
-    """To h the attitude's part of ``axis·∂r/∂theta`` of a point, had it been seen when another one was: with that one's geometry g (13,)
+    """To h the attitude's part of ``axis·∂r/∂theta`` of a point, had it been seen when another one was: with that one's geometry g (10,)
     and the way ``away`` (3,) m from there to it. See :func:`along_axis`."""
     conj, m, v = np.empty(4), np.empty(3), np.empty(3)
     conj[0], conj[1], conj[2], conj[3] = -g[0], -g[1], -g[2], g[3]
@@ -168,16 +167,20 @@ def sensitivities(
         for g in range(runs):
             nav_bin[first + g] = np.int64(np.floor_divide(t_ns[mine[drawn[g]]], bin_ns))
         cal, nav, x, h, axes = np.zeros((p + 2, 11 + 2 * beams)), np.zeros((runs, p + 2, 6)), np.zeros(6), np.empty(ALL), np.empty((3, 3))
+        g, others = np.empty(NUMBERS), np.empty((runs, NUMBERS))
+        for k in range(runs):
+            recall(aux[mine[drawn[k]]], others[k])
         axes[0], axes[1] = normal[a], tangent[a]
         across(normal[a], tangent[a], axes[2])
         for i in range(used[a]):
             slot, other = mine[i], mine[drawn[run[i]]]
             row(r, slot, centre[a], tangent[a], axes[2], p, x)
             beam = min(np.int64(ring[slot]), beams - 1)
+            recall(aux[slot], g)
             for k in range(3):
-                along_axis(aux[slot], axes[k], shift, axis_body, h)
+                along_axis(g, axes[k], shift, axis_body, h)
                 if runs < nb:
-                    seen_from(aux[other], r[slot] - r[other], axes[k], shift, h)
+                    seen_from(others[run[i]], r[slot] - r[other], axes[k], shift, h)
                 if k == 0:
                     for l in range(p):
                         add_return(h, x[l], beam, beams, cal[l], nav[run[i], l])

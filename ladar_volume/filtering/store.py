@@ -12,14 +12,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ladar_volume.filtering.geometry import KEPT
 from ladar_volume.model.kernels import kernel, leaf_kernel
-from ladar_volume.model.records import F32, F64, I32, I64, U16
+from ladar_volume.model.records import F32, F64, I16, I32, I64, U16
 
 #: Bits and offset of one axis in a packed voxel key; 2**20 voxels to either side of the map's origin.
 BITS = 21
 HALF = 1 << (BITS - 1)
-#: Columns of the geometry kept per point: attitude xyzw, v_body = B r_laser, antenna velocity (map), body rates.
-AUX = 13
 
 
 def pack_key(ijk: I64) -> I64:
@@ -169,7 +168,7 @@ class Candidates:
     ring: U16
     r: F64
     C: F32
-    aux: F32
+    aux: I16
 
     def __len__(self) -> int:
         return len(self.key)
@@ -179,7 +178,7 @@ class VoxelStore:
     """Points by voxel. Slot ``v * cap + k`` holds the k-th point of voxel v; order within a voxel means nothing.
 
     keys : (used,) int64 · count : (used,) int32 · hashes, t_ns, ring, r, C, aux : per slot · order : slots of each voxel by hash ·
-    fresh : slots filled since :meth:`settle`
+    fresh : slots filled since :meth:`settle` · aux is the geometry as ``geometry`` keeps it
     """
 
     def __init__(self, edge_m: float, cap: int, voxels: int = 1024) -> None:
@@ -197,7 +196,7 @@ class VoxelStore:
         self.ring: U16 = np.zeros(slots, np.uint16)
         self.r: F64 = np.zeros((slots, 3))
         self.C: F32 = np.zeros((slots, 6), np.float32)
-        self.aux: F32 = np.zeros((slots, AUX), np.float32)
+        self.aux: I16 = np.zeros((slots, KEPT), np.int16)
         self.offered = 0
 
     @property
@@ -214,7 +213,7 @@ class VoxelStore:
         )  # fmt: skip
         self.offered += len(t_ns)
         rows = np.flatnonzero(stays)
-        aux = np.zeros((len(rows), AUX), np.float32)
+        aux = np.zeros((len(rows), KEPT), np.int16)
         return Candidates(key[rows], h[rows], t_ns[rows], ring[rows], r[rows], C[rows], aux), rows
 
     def insert(self, points: Candidates) -> None:

@@ -113,10 +113,11 @@ def test_sensitivities_are_those_of_the_lidar_equation(fitted):
         )  # fmt: skip
         nav = slice(p.nav_start[j], p.nav_start[j + 1])
         assert np.array_equal(bins, p.nav_bin[nav])
-        # the filter keeps the geometry in float32
+        # the geometry of each return is kept in 16 bits (see ``geometry``); means of many err by less
         scale = np.append(np.abs(np.linalg.pinv(X)).sum(axis=1), [1.0, 1.0])[:, None] * 20.0
-        assert (np.abs(M_cal - p.M_cal[j]) < 1e-6 * scale).all()
-        assert (np.abs(M_nav - p.M_nav[nav]) < 1e-6 * scale).all()
+        assert (np.abs(M_cal - p.M_cal[j]) < 1e-5 * scale).all()
+        assert (np.abs(M_nav - p.M_nav[nav])[..., 3:] < 1e-5 * scale).all()
+        assert (np.abs(M_nav - p.M_nav[nav])[..., :3] < 1e-6 * scale).all()  # the position's need none of it
 
 
 def test_common_shift_moves_only_the_constant_term(fitted):

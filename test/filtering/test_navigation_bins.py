@@ -5,6 +5,7 @@ import pytest
 
 from ladar_volume.filtering import reference, sensitivity
 from ladar_volume.filtering.filter import SurfaceFilter
+from ladar_volume.filtering.geometry import NUMBERS, recall
 from ladar_volume.filtering.store import pack_key
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.se3 import matrix_from_quaternion
@@ -27,7 +28,7 @@ def test_fewer_bins_than_a_patch_is_seen_in(scene):
     few, fits = f._builder.patches(f._fits, rows), f._fits.listed(rows, s)
     assert (np.diff(few.nav_start) == most).all() and np.diff(all_bins.nav_start).min() > 3 * most
     assert few.M_cal.tobytes() == all_bins.M_cal.tobytes() and few.cross.tobytes() == all_bins.cross.tobytes()
-    drawn, u = np.zeros(most, np.int64), np.array([sensitivity.fraction_of(key) for key in few.key])
+    drawn, pose, u = np.zeros(most, np.int64), np.empty(NUMBERS), np.array([sensitivity.fraction_of(key) for key in few.key])
     for j in range(0, len(few), 5):
         inliers = fits.members[fits.start[rows[j]] :][: fits.used[rows[j]]]
         bins = s.t_ns[inliers] // 2_000_000_000
@@ -40,7 +41,7 @@ def test_fewer_bins_than_a_patch_is_seen_in(scene):
             own, d = run == g, drawn[g]
             seen = few.nav_start[j] + g
             assert run[d] == g and few.nav_bin[seen] == bins[d]
-            pose = s.aux[inliers[d]].astype(float)
+            recall(s.aux[inliers[d]], pose)
             R = matrix_from_quaternion(pose[None, :4])[0]
             arm = pose[4:7] + (s.r[inliers[own]] - s.r[inliers[d]]) @ R  # of a mount without lever arms
             for k, (axis, w) in enumerate(((few.normal[j], weights), (few.tangent[j], mean), (np.cross(few.normal[j], few.tangent[j]), mean))):
