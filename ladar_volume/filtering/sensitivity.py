@@ -167,7 +167,7 @@ def sensitivities(
         for g in range(runs):
             nav_bin[first + g] = np.int64(np.floor_divide(t_ns[mine[drawn[g]]], bin_ns))
         cal, nav, x, h, axes = np.zeros((p + 2, 11 + 2 * beams)), np.zeros((runs, p + 2, 6)), np.zeros(6), np.empty(ALL), np.empty((3, 3))
-        g, others = np.empty(NUMBERS), np.empty((runs, NUMBERS))
+        own, others = np.empty(NUMBERS), np.empty((runs, NUMBERS))
         for k in range(runs):
             recall(aux[mine[drawn[k]]], others[k])
         axes[0], axes[1] = normal[a], tangent[a]
@@ -176,9 +176,9 @@ def sensitivities(
             slot, other = mine[i], mine[drawn[run[i]]]
             row(r, slot, centre[a], tangent[a], axes[2], p, x)
             beam = min(np.int64(ring[slot]), beams - 1)
-            recall(aux[slot], g)
+            recall(aux[slot], own)
             for k in range(3):
-                along_axis(g, axes[k], shift, axis_body, h)
+                along_axis(own, axes[k], shift, axis_body, h)
                 if runs < nb:
                     seen_from(others[run[i]], r[slot] - r[other], axes[k], shift, h)
                 if k == 0:
