@@ -246,8 +246,9 @@ class LoggerParameters:
     split_bytes: int = param(0, "Start a new file beyond this size; 0 for never.", unit="B", low=0)
     split_s: float = param(0.0, "Start a new file after this time; 0 for never.", unit="s", low=0, high=1e6)
     queue_bytes: int = param(
-        128_000_000, "Most bytes that wait for a slow disk; beyond, the newest message is dropped and counted.", unit="B", low=1_000_000
-    )
+        64_000_000, "Most bytes that wait for a slow disk, six seconds at full rate; beyond, the newest message is dropped and counted.",
+        unit="B", low=1_000_000,
+    )  # fmt: skip
     disk_reserve_bytes: int = param(200_000_000, "The disk counts as full when less than this is free.", unit="B", low=0)
     disk_full: str = param(
         "stop", "On a full disk: finish the file and wait for space, or delete the oldest finished file of this log.",

@@ -28,6 +28,8 @@ FIRST_RATE, LEAST_MEASURED = 2000.0, 50
 #: Time of an update as a share of the pause between two; how long no data must have come until an update need not wait for more, and until
 #: there is no hurry.
 SHARE, BETWEEN_S, QUIET_S = 1.0 / 3.0, 0.15, 0.3
+#: Patches refitted by an update that nothing hurries, about: one of a whole site would take as much room as all of its patches.
+MOST = 2000
 
 
 class FilterNode(StageNode):
@@ -79,9 +81,7 @@ class FilterNode(StageNode):
             return self._start_over()
         if kind == "flush":
             try:
-                self._hand_over()
-                self._fresh = False
-                self._send(self.stage.update())
+                self._catch_up()
             finally:
                 item.set_result(self._sent_ns)
                 self.wake()
@@ -133,6 +133,13 @@ class FilterNode(StageNode):
             self.stage.add_platform(states)
             self._fresh = True
 
+    def _catch_up(self) -> None:
+        """Send all that was put off."""
+        self._hand_over()
+        while self.stage.stats["points_deferred"]:
+            self._send(self.stage.update(MOST))
+        self._fresh = False
+
     def idle(self) -> None:
         """Publish an update when its time has come and something is new. While data comes it begins with new points, takes about
         :data:`SHARE` of the pause between two, and leaves for the next what changes least; once none comes there is no pause until nothing
@@ -156,8 +163,7 @@ class FilterNode(StageNode):
 
     def finish(self) -> None:
         """The last update."""
-        self._hand_over()
-        self._fresh = False
+        self._catch_up()
         self._send(self.stage.finish())
 
     def _send(self, update: FilterUpdate | None) -> None:
