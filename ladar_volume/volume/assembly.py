@@ -76,7 +76,7 @@ def near_correction(
     """
     tin, whole = surface.tin, whole_triangles(surface.tin, inside_m2)
     height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
-    X, row = vertex_rows(tin, points, geometry)
+    X, row = vertex_rows(tin, points, patches, geometry)
     variance = points.variance[tin.source] / np.maximum(np.abs(points.normal[tin.source, 2]), STEEPEST) ** 2
     close = tin.triangles[whole][near_triangles(tin, height, variance, whole)]
     if not len(close):

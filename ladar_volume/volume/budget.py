@@ -12,7 +12,7 @@ from ladar_volume.georeference.budget import calibration_covariance
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I32, I64, FilteredPoints, Patches
 from ladar_volume.volume.ground_field import GroundField
-from ladar_volume.volume.load_kernels import correlated_kernel, height_kernel, naive_kernel
+from ladar_volume.volume.load_kernels import correlated_kernel, height_kernel, mirrored_kernel, naive_kernel
 from ladar_volume.volume.navigation import NavigationBins, NavigationLoads, navigation_loads, navigation_variance
 from ladar_volume.volume.patch_errors import PatchErrors
 from ladar_volume.volume.propagation import (
@@ -149,13 +149,14 @@ class Sources:
     def shared_covariance(self, points: I64) -> F64:
         """Covariance (k, k) m² of the heights of points (k,) from calibration and navigation, each at its mean time; white errors are
         shared as by the samples of a time bin."""
+        order = np.argsort(self.points.t_ns[points], kind="stable")
+        points = points[order]
         row, up = self.geometry.row[points], np.maximum(np.abs(self.points.normal[points, 2]), LEAST_UP)
         X = self.geometry.X[points] / up[:, None]
         J = np.einsum("kp,kpc->kc", X, self.patches.M_cal[row, : X.shape[1]])
-        out: F64 = J @ self.C_cal @ J.T
+        C: F64 = J @ self.C_cal @ J.T
         b, t_ns, bin_ns = self.parameters.budget, self.points.t_ns[points], self.navigation.bin_ns
-        order = np.argsort(t_ns, kind="stable")
-        apart_s = np.append(np.diff(t_ns[order]), 0) * 1e-9
+        apart_s = np.append(np.diff(t_ns), 0) * 1e-9
         fixes = max(1.0, bin_ns * 1e-9 / self.parameters.georeference.max_position_gap_s)
         states = max(1.0, float(self.navigation.mean(self.time_bins[0])[1].mean()))  # a mean time may lie where there are none
         deviation = np.einsum("kp,kpc->kc", X, self.errors.deviation(row)[row])
@@ -164,8 +165,8 @@ class Sources:
             (deviation[:, 3:], b.attitude_bias_fraction, b.attitude_white_fraction, b.tau_attitude_s, states),
         ):  # fmt: skip
             shares = (bias, 1.0 - bias - white, white / n, white * BETWEEN)
-            correlated_kernel(np.ascontiguousarray(d), order, np.exp(-apart_s / tau), t_ns // bin_ns, shares, out)
-        return out
+            correlated_kernel(np.ascontiguousarray(d), np.exp(-apart_s / tau), t_ns // bin_ns, shares, C)
+        return np.asarray(mirrored_kernel(order, C))
 
 
 def vertical_sigma(sources: Sources, points: I64) -> F64:

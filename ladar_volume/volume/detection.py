@@ -100,7 +100,7 @@ def height_variance(own: Epoch, other: Epoch, apart: Difference) -> F64:
     start, column = np.arange(n + 1, dtype=np.int64), np.arange(n, dtype=np.int64)
     C = []
     for e in (own, other):
-        X, row = vertex_rows(e.tin, e.sources.points, e.sources.geometry)
+        X, row = vertex_rows(e.tin, e.sources.points, e.sources.patches, e.sources.geometry)
         variance = vertex_variance(e.surface, e.sources.points)
         C.append(csr(height_pairs(e.tin, e.sources.patches, e.sources.geometry, X, row, variance, e.tin.triangles)))
     mine, taken = difference_kernel(start, column, *C[0], *C[1], apart.corner, apart.weight)

@@ -77,7 +77,7 @@ def height_noise(epoch: Epoch) -> tuple[Any, F64, float]:
     many heights share their noise."""
     tin, s = epoch.tin, epoch.sources
     variance = vertex_variance(epoch.surface, s.points)
-    X, row = vertex_rows(tin, s.points, s.geometry)
+    X, row = vertex_rows(tin, s.points, s.patches, s.geometry)
     C = height_pairs(tin, s.patches, s.geometry, X, row, variance, tin.triangles)
     chosen = np.arange(len(tin.vertices), dtype=np.int64)
     return C, *height_sums(s.patches, s.geometry, X, row, chosen, variance)

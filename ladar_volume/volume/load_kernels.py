@@ -266,20 +266,24 @@ def cell_kernel(
 
 
 @kernel
-def correlated_kernel(d: F64, order: I64, decay: F64, bins: I64, shares: tuple[float, float, float, float], out: F64) -> None:
-    """Adds to out (k, k) the covariance ``d_i·d_j c_ij`` of k values with deviations d (k, 3): c is the share of the constant, plus that of
-    the Gauss-Markov part times the product of the decays between their times, plus the third share within one bin (k,), and on the
-    diagonal the fourth instead. order : (k,) by time · decay : (k,) from each value in that order to the next."""
+def correlated_kernel(d: F64, decay: F64, bins: I64, shares: tuple[float, float, float, float], out: F64) -> None:
+    """Adds to the upper triangle of out (k, k) the covariance ``d_i·d_j c_ij`` of k values in order of time with deviations d (k, 3): c is
+    the share of the constant, plus that of the Gauss-Markov part times the product of the decays between their times, plus the third share
+    within one bin (k,), and on the diagonal the fourth instead. decay : (k,) from each value to the next."""
     constant, markov, same, own = shares
-    for a in range(len(d)):
-        i, left = order[a], markov
-        out[i, i] += (d[i, 0] ** 2 + d[i, 1] ** 2 + d[i, 2] ** 2) * (constant + markov + own)
-        for b in range(a + 1, len(d)):
-            j = order[b]
-            left *= decay[b - 1]
-            c = constant + left
-            if bins[i] == bins[j]:
-                c += same
-            c *= d[i, 0] * d[j, 0] + d[i, 1] * d[j, 1] + d[i, 2] * d[j, 2]
-            out[i, j] += c
-            out[j, i] += c
+    for i in range(len(d)):
+        x, y, z, left, row = d[i, 0], d[i, 1], d[i, 2], markov, out[i]
+        row[i] += (x * x + y * y + z * z) * (constant + markov + own)
+        for j in range(i + 1, len(d)):
+            left *= decay[j - 1]
+            row[j] += (constant + left + (same if bins[i] == bins[j] else 0.0)) * (x * d[j, 0] + y * d[j, 1] + z * d[j, 2])
+
+
+@kernel
+def mirrored_kernel(order: I64, C: F64) -> F64:
+    """A symmetric matrix (k, k) from the upper triangle of C, whose rows and columns are those of ``order`` (k,)."""
+    out = np.empty(C.shape)
+    for a in range(len(order)):
+        for b in range(a, len(order)):
+            out[order[a], order[b]] = out[order[b], order[a]] = C[a, b]
+    return out

@@ -24,10 +24,11 @@ STEEPEST = 0.01
 RINGS, MOST_RINGS = 4, 12
 
 
-def vertex_rows(tin: Tin, points: FilteredPoints, geometry: SurfaceGeometry) -> tuple[F64, I64]:
-    """Rows (n, p) that give each vertex' height from the parameters of its patch, and that patch (n,)."""
+def vertex_rows(tin: Tin, points: FilteredPoints, patches: Patches, geometry: SurfaceGeometry) -> tuple[F64, I64]:
+    """Rows (n, p) that give each vertex' height from that of its patch whose covariances the blocks are, and that patch (n,)."""
     up = np.maximum(np.abs(points.normal[tin.source, 2]), STEEPEST)
-    return geometry.X[tin.source] / up[:, None], geometry.row[tin.source]
+    row = geometry.row[tin.source]
+    return factor_rows(geometry.X[tin.source] / up[:, None], row, patches), row
 
 
 def height_pairs(tin: Tin, patches: Patches, geometry: SurfaceGeometry, X: F64, row: I64, variance: F64, triangles: I32) -> Any:
@@ -38,7 +39,7 @@ def height_pairs(tin: Tin, patches: Patches, geometry: SurfaceGeometry, X: F64, 
     n = len(tin.vertices)
     pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).astype(np.int64)
     one, two = np.divmod(np.unique(pairs.min(axis=1) * n + pairs.max(axis=1)), n)
-    value, shared = pair_kernel(one, two, row, factor_rows(X, row, patches), patches.cross_start, geometry.right, patches.cross)
+    value, shared = pair_kernel(one, two, row, X, patches.cross_start, geometry.right, patches.cross)
     upper = sparse.coo_array((value[shared], (one[shared], two[shared])), shape=(n, n)).tocsr()
     return sparse.csr_array(upper + upper.T + sparse.diags_array(variance))
 
@@ -71,21 +72,36 @@ def height_sums(
 ) -> tuple[F64, float]:
     """Sums (n,) m² of the covariances of each of the ``chosen`` (k,) vertices' heights with all heights, and how many heights share their
     noise: the median of sum over variance, which stands for the vertices that are not chosen."""
-    m, p, X = len(patches), X.shape[1], factor_rows(X, row, patches)
-    load = np.stack([np.bincount(row, X[:, k], m) for k in range(p)], axis=1)
-    touched, total = np.zeros(m, bool), np.zeros((m, p))
+    m, p = len(patches), X.shape[1]
+    load: F64 = np.stack([np.bincount(row, X[:, k], m) for k in range(p)], axis=1).astype(np.float64)
+    touched = np.zeros(m, bool)
     touched[row[chosen]] = True
-    left, right = geometry.left, geometry.right
-    known, apart = right >= 0, left != right
-    for of, by, used, way in ((left, right, known, "nab,nb->na"), (right, left, known & apart, "nba,nb->na")):
-        rows = np.flatnonzero(used & touched[of])
-        part = np.einsum(way, patches.cross[rows], load[by[rows]])
-        total += np.stack([np.bincount(of[rows], part[:, k], m) for k in range(p)], axis=1)
+    total = sum_kernel(patches.cross_start, geometry.right, patches.cross, load, touched)
     own = np.maximum((X[chosen] * total[row[chosen]]).sum(axis=1), 0.0)
     alike = max(1.0, float(np.median(own / np.maximum(variance[chosen], 1e-300)))) if len(chosen) else 1.0
     out = alike * variance
     out[chosen] = own
     return out, alike
+
+
+@kernel
+def sum_kernel(start: I64, right: I32, cross: F32 | I16, load: F64, touched: Bool) -> F64:
+    """``Σ_b C_ab f_b`` (m, p) over all patches b of those ``touched`` (m,), for loads f (m, p) and the blocks of :func:`pair_kernel`."""
+    p, out = load.shape[1], np.zeros(load.shape)
+    for a in range(len(load)):
+        for e in range(start[a], start[a + 1]):
+            b = right[e]
+            if b < 0:
+                continue
+            if touched[a]:
+                for r in range(p):
+                    for c in range(p):
+                        out[a, r] += cross[e, r, c] * load[b, c]
+            if touched[b] and b != a:
+                for r in range(p):
+                    for c in range(p):
+                        out[b, c] += cross[e, r, c] * load[a, r]
+    return out
 
 
 def rings_for(alike: float) -> int:

@@ -101,7 +101,7 @@ def test_covariances_of_vertices_against_dense_ones():
     own = np.repeat(np.arange(m), np.diff(start))
     patches = dataclasses.replace(patches, cross_start=start, cross_key=patches.key[other], cross=dense[own, :, other])
     tin, geometry = build_tin(points.r_map), surface_geometry(points, patches)
-    X, row = vertex_rows(tin, points, geometry)
+    X, row = vertex_rows(tin, points, patches, geometry)
     n = len(tin.vertices)
     by_patch = np.zeros((n, m, 3))
     by_patch[np.arange(n), row] = X

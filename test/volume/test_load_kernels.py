@@ -12,8 +12,10 @@ from ladar_volume.model.records import PlatformStates
 from ladar_volume.volume import propagation
 from ladar_volume.volume.load_kernels import (
     cell_kernel,
+    correlated_kernel,
     deviation_kernel,
     height_kernel,
+    mirrored_kernel,
     naive_kernel,
     neighbour_kernel,
     pair_falls_kernel,
@@ -178,3 +180,16 @@ def test_the_curvature(p):
     q[::5] = 0.0
     assert curvatures(q, patches, known).sum(axis=0) == close(curvature_twin(q, patches, known))
     assert not curvatures(0.0 * q, patches, known).any()
+
+
+def test_what_is_correlated_in_time():
+    rng, k = np.random.default_rng(12), 23
+    d, t, C = rng.standard_normal((k, 3)), np.sort(rng.uniform(0.0, 9.0, k)), rng.standard_normal((k, k))
+    bins, (constant, markov, same, own) = np.floor(t).astype(np.int64), (0.2, 0.5, 0.1, 0.3)
+    share = constant + markov * np.exp(-np.abs(t[:, None] - t)) + same * (bins[:, None] == bins) + (own - same) * np.eye(k)
+    found = C.copy()
+    correlated_kernel(d, np.exp(-np.diff(t, append=t[-1])), bins, (constant, markov, same, own), found)
+    assert np.triu(found) == close(np.triu(C + d @ d.T * share)) and np.array_equal(np.tril(found, -1), np.tril(C, -1))
+    order = rng.permutation(k)
+    whole = mirrored_kernel(order, C)
+    assert np.array_equal(whole, whole.T) and np.array_equal(np.triu(whole[np.ix_(order, order)]), np.triu(C))
