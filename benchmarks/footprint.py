@@ -34,6 +34,15 @@ def resident_mb(pid: int) -> float:
     return next((int(line.split()[1]) / 1024.0 for line in lines if line.startswith("VmRSS")), 0.0)
 
 
+def proportional_mb(pid: int) -> float:
+    """The same with each page that several processes share divided among them; 0 where it is gone."""
+    try:
+        lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+    except OSError:
+        return 0.0
+    return next((int(line.split()[1]) / 1024.0 for line in lines if line.startswith("Pss:")), 0.0)
+
+
 def cpu_seconds(pid: int) -> float:
     """Processor time a process has used so far (s); 0 where it is gone."""
     try:

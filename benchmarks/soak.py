@@ -5,9 +5,10 @@ message in a hundred is dropped; in turn come bursts of NaN, a GNSS outage, a fl
 an hour ahead, all clocks set back half a minute (a new pass of the data), restarts of each node, and a full disk. Measured are resident
 sizes, the time from a scan to the volume that holds it, and the books: what was published against what arrived and what was named lost.
 
-``python -m benchmarks.soak [--seconds 180] [--full-rate | --site 200] [--faults A,B,...]``; ``--seconds 3600`` for the hour, ``--site`` for
-memory by area: a square site of so many metres, the resident size of each node by time. Exit code 1 where a node
-died, a message is unaccounted for, an unforeseen exception was counted, no volume comes at the end or it is wrong by more than five sigma.
+``python -m benchmarks.soak [--seconds 180] [--full-rate | --site 200] [--faults A,B,...] [--one-process]``; ``--seconds 3600`` for the
+hour, ``--site`` for memory by area: a square site of so many metres, the resident size of each node by time; ``--one-process`` for all of
+them in one, as ``ladar_volume up`` runs them. Exit code 1 where a node died, a message is unaccounted for, an unforeseen exception was
+counted, no volume comes at the end or it is wrong by more than five sigma.
 """
 
 from __future__ import annotations
@@ -31,8 +32,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
+from std_srvs.srv import Trigger
 
-from benchmarks.footprint import cpu_seconds, resident_mb
+from benchmarks.footprint import cpu_seconds, proportional_mb, resident_mb
 from ladar_volume.cli.simulate import suited
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.tables import decode
@@ -55,6 +57,8 @@ FAULTS = {
     "nan": 2.0, "outage": 4.0, "float": 4.0, "fix_clock": 4.0, "lidar_stamps": 2.0, "disk_full": 6.0, "restart_volume_node": 0.0,
     "restart_filter_node": 0.0, "restart_georeference_node": 0.0, "restart_logger_node": 0.0, "all_clocks_back": 0.0,
 }  # fmt: skip
+#: How long the nodes may take to map what they put off, s.
+SETTLE_S = 240.0
 DROPPED, LOG_BYTES, BALLAST_BYTES = 0.01, 40_000_000, 60_000_000
 
 
@@ -201,7 +205,7 @@ class Load(Node):
 class Soak:
     """Starts the nodes, flies, hurts, measures."""
 
-    def __init__(self, bag: Path, folder: Path, fills_disk: bool) -> None:
+    def __init__(self, bag: Path, folder: Path, fills_disk: bool, one_process: bool) -> None:
         self._ballast = folder / "ballast"
         self._settings = {
             "config_file": str(bag / "config.yaml"), "node.input_reliability": "reliable", "node.input_depth": "2000",
@@ -212,9 +216,10 @@ class Soak:
             self._settings |= {"logger.disk_full": "delete_oldest", "logger.disk_reserve_bytes": str(max(free - 4 * LOG_BYTES, 0))}
         self.load = Load()
         self._spinner = Spinner(self.load)
-        self.processes = {name: self._start(name) for name in NODES}
+        self.processes = {"up": self._start_all(folder)} if one_process else {name: self._start(name) for name in NODES}
         self.resident: list[tuple[float, dict[str, float]]] = []
-        self.busy = dict.fromkeys(NODES, 0.0)
+        self.proportional: list[float] = []
+        self.busy = dict.fromkeys(self.processes, 0.0)
         self._busy_of: dict[int, float] = {}
         self.died: list[str] = []
 
@@ -223,6 +228,11 @@ class Soak:
         words = [w for k, v in self._settings.items() if k.split(".")[0] in ("config_file", "node", section) for w in ("-p", f"{k}:={v}")]
         command = [sys.executable, "-m", f"ladar_volume.nodes.{name}", "--ros-args", "--log-level", "error", *words]
         return subprocess.Popen(command, cwd=ROOT)
+
+    def _start_all(self, folder: Path) -> subprocess.Popen[bytes]:
+        words = [w for k, v in self._settings.items() if k not in ("config_file", "logger.path") for w in ("--set", f"{k}={v}")]
+        files = ["--config", self._settings["config_file"], "--log", self._settings["logger.path"], "--output", str(folder / "out")]
+        return subprocess.Popen([sys.executable, "-m", "ladar_volume.cli.main", "up", *files, *words], cwd=ROOT, stdout=subprocess.DEVNULL)
 
     def ready(self) -> None:
         """Wait until all nodes report and hear the load."""
@@ -257,6 +267,17 @@ class Soak:
                     self._measure(at_s)
             sent += 1
 
+    def settle(self, at_s: float) -> None:
+        """Have the filter map all it put off, and wait for the volume of it: a site counts when it is mapped, however busy the machine."""
+        client, began = self.load.create_client(Trigger, "filter_node/flush"), time.monotonic()
+        flushed = client.call_async(Trigger.Request())
+        while (past_s := time.monotonic() - began) < SETTLE_S:
+            time.sleep(1.0)
+            self._measure(at_s + past_s)
+            sent, got = (self.load.lines.get(name, {}) for name in ("filter_node", "volume_node"))
+            if flushed.done() and sent.get("count_parts") == got.get("count_parts") and got.get("pending_estimate") == "0":
+                break
+
     def _hit(self, fault: str) -> None:
         if fault == "all_clocks_back":
             self.load.back_ns += 30 * S
@@ -278,6 +299,7 @@ class Soak:
 
     def _measure(self, at_s: float) -> None:
         self.resident.append((at_s, {name: resident_mb(p.pid) for name, p in self.processes.items()}))
+        self.proportional.append(sum(proportional_mb(p.pid) for p in self.processes.values()))
         for name, process in self.processes.items():
             now = cpu_seconds(process.pid)
             self.busy[name] += now - self._busy_of.setdefault(process.pid, now)
@@ -329,13 +351,15 @@ def report(soak: Soak, truth_m3: float) -> dict[str, Any]:
     third, tenth = max(len(sizes) // 3, 1), max(len(sizes) // 10, 1)
     return {
         "wrong": wrong, "sent": load.sent, "dropped_by_load": load.dropped, "unheard_while_down": load.unheard, "unaccounted": unaccounted,
-        "faults": {k: n for k, n in load.hurt.items() if n}, "volumes": len(load.latency), "volume_m3": volume, "sigma_m3": sigma,
+        "faults": {k: n for k, n in load.hurt.items() if n}, "volumes": len(load.latency),
+        "voxels": int(load.lines.get("filter_node", {}).get("voxels", "0")), "volume_m3": volume, "sigma_m3": sigma,
         "truth_m3": truth_m3, "scan_to_volume_s": {k: [float(np.percentile(v, q)) for q in (50, 99)] for k, v in halves.items() if v},
         "put_off_s": [float(np.percentile(load.deferred or [0.0], q)) for q in (50, 99)],
         "cpu_per_second": {name: busy / flown_s for name, busy in soak.busy.items()},
-        "resident_mb": {name: max(r[name] for _, r in soak.resident) for name in NODES}, "resident_all_mb": max(sizes),
+        "resident_mb": {name: max(r[name] for _, r in soak.resident) for name in soak.processes}, "resident_all_mb": max(sizes),
+        "proportional_all_mb": max(soak.proportional),
         "resident_by_time_mb": {
-            round(t): {name: round(max(r[name] for _, r in soak.resident[i : i + tenth])) for name in NODES}
+            round(t): {name: round(max(r[name] for _, r in soak.resident[i : i + tenth])) for name in soak.processes}
             for i, (t, _) in enumerate(soak.resident) if i % tenth == 0
         },
         "resident_middle_third_mb": max(sizes[third : 2 * third] or sizes), "resident_last_third_mb": max(sizes[2 * third :] or sizes),
@@ -343,7 +367,7 @@ def report(soak: Soak, truth_m3: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def soak(seconds: float, full_rate: bool, faults: list[str], site_m: float = 0.0) -> dict[str, Any]:
+def soak(seconds: float, full_rate: bool, faults: list[str], site_m: float = 0.0, one_process: bool = False) -> dict[str, Any]:
     """Fly for ``seconds`` with the faults; over a site of ``site_m`` a side, if that is not 0."""
     os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 90 + 10))
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
@@ -353,10 +377,12 @@ def soak(seconds: float, full_rate: bool, faults: list[str], site_m: float = 0.0
         messages, length_ns = flight(bag)
         truth = float(json.loads((bag / "truth.json").read_text())["volume_m3"])
         rclpy.init(args=[])
-        one = Soak(bag, folder, "disk_full" in faults)
+        one = Soak(bag, folder, "disk_full" in faults, one_process)
         try:
             one.ready()
             one.fly(messages, length_ns, seconds, faults)
+            if site_m:
+                one.settle(seconds)
         finally:
             one.close()
             rclpy.try_shutdown()
@@ -385,8 +411,10 @@ def main() -> int:
     parser.add_argument("--full-rate", action="store_true", help="simulate a flight at 300,000 returns a second instead of the shipped one")
     parser.add_argument("--site", type=float, default=0.0, metavar="METRES", help="the same over a square site of this side, radius 1 m")
     parser.add_argument("--faults", default=",".join(FAULTS), help=f"comma-separated: {', '.join(FAULTS)}")
+    parser.add_argument("--one-process", action="store_true", help="all nodes in one process; a single one cannot be restarted then")
     arguments = parser.parse_args()
-    out = soak(arguments.seconds, arguments.full_rate, [f for f in arguments.faults.split(",") if f], arguments.site)
+    faults = [f for f in arguments.faults.split(",") if f and not (arguments.one_process and f.startswith("restart_"))]
+    out = soak(arguments.seconds, arguments.full_rate, faults, arguments.site, arguments.one_process)
     print(json.dumps(out, indent=1))
     return int(bool(out["wrong"]))
 

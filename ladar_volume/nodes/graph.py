@@ -25,6 +25,7 @@ from ladar_volume.nodes.filter_node import FilterNode
 from ladar_volume.nodes.georeference_node import GeoreferenceNode
 from ladar_volume.nodes.logger_node import LoggerNode
 from ladar_volume.nodes.mavlink_node import MavlinkNode
+from ladar_volume.nodes.memory import few_arenas
 from ladar_volume.nodes.player import Player
 from ladar_volume.nodes.running import Spinner
 from ladar_volume.nodes.volume_node import VolumeNode
@@ -105,7 +106,9 @@ class Graph:
         names = [n for n in FACTORIES if wanted.get(n, True)]
         for stage in STAGES:  # once here, so that processes do not compile the same kernels beside each other
             warm_up(stage)
-        rclpy.init(args=[])
+        few_arenas()
+        # no handler of its own: it would end the context before the nodes have finished
+        rclpy.init(args=[], signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
         self.watcher = Watcher()
         self._add(self.watcher)
         for name in names:

@@ -160,25 +160,26 @@ def navigation_kernel(q: F64, start: I64, index: I32, M: F32 | I16, unit: F32, b
 
 
 @kernel
-def deviation_kernel(which: I64, start: I64, index: I32, M: F32 | I16, unit: F32, position: F64, attitude: F64, out: F64) -> None:
+def deviation_kernel(which: I64, start: I64, index: I32, M: F32 | I16, unit: F32, position: F64, attitude: F64, out: F32) -> None:
     """What one standard deviation of position and attitude, in three directions each, does to the p parameters of patches ``which`` (k,),
     to out (m, p, 6). position, attitude : (bins, 3, 3) roots of their covariances; the rest as in :func:`navigation_kernel`."""
+    own = np.empty(out.shape[1:])
     for a in which:
-        out[a] = 0.0
+        own[:] = 0.0
         for e in range(start[a], start[a + 1]):
             P, A = position[index[e]], attitude[index[e]]
-            for r in range(out.shape[1]):
+            for r in range(len(own)):
                 for c in range(3):
-                    out[a, r, c] += M[e, r, 0] * P[0, c] + M[e, r, 1] * P[1, c] + M[e, r, 2] * P[2, c]
-                    out[a, r, 3 + c] += M[e, r, 3] * A[0, c] + M[e, r, 4] * A[1, c] + M[e, r, 5] * A[2, c]
-        for r in range(out.shape[1]):
+                    own[r, c] += M[e, r, 0] * P[0, c] + M[e, r, 1] * P[1, c] + M[e, r, 2] * P[2, c]
+                    own[r, 3 + c] += M[e, r, 3] * A[0, c] + M[e, r, 4] * A[1, c] + M[e, r, 5] * A[2, c]
+        for r in range(len(own)):
             for c in range(3):
-                out[a, r, c] *= unit[a, r, 0]
-                out[a, r, 3 + c] *= unit[a, r, 1]
+                out[a, r, c] = own[r, c] * unit[a, r, 0]
+                out[a, r, 3 + c] = own[r, 3 + c] * unit[a, r, 1]
 
 
 @kernel
-def shared_kernel(which: I64, M_cal: F32, one: I64, two: I64, value: F64, deviation: F64, out: F64) -> None:
+def shared_kernel(which: I64, M_cal: F32, one: I64, two: I64, value: F64, deviation: F32, out: F32) -> None:
     """Covariance of the parameters of patches ``which`` (k,) from all that is shared, to out (m, p, p): sensitivities M_cal (m, p or more,
     c), of which the first p count, with the covariances ``value`` (z,) of columns one and two (z,), those that are not zero, and
     deviations (m, p, d) of unit variance."""
@@ -206,7 +207,7 @@ def shared_kernel(which: I64, M_cal: F32, one: I64, two: I64, value: F64, deviat
 
 
 @kernel
-def height_kernel(which: I64, X: F64, row: I64, C: F64) -> F64:
+def height_kernel(which: I64, X: F64, row: I64, C: F32) -> F64:
     """``x C xᵀ`` (k,) of the design rows X (n, p) of points ``which`` (k,) with the covariances C (m, p, p) of their patches row (n,)."""
     out = np.zeros(len(which))
     for a in range(len(which)):

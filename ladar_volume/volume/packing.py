@@ -25,6 +25,8 @@ from ladar_volume.volume.patch_merge import holds, place_from
 SCALE = 2.0**-7
 #: A pivot below this share of its diagonal is raised to it: there the block's own digits end.
 PIVOT = 1e-6
+#: Points looked at at once: the factors of their patches take room.
+BLOCK = 1 << 14
 #: Largest whole number.
 LARGEST = 32767.0
 
@@ -127,7 +129,13 @@ def factor_loads(q: F64, patches: Patches) -> F64:
 
 def factor_rows(X: F64, row: I64, patches: Patches) -> F64:
     """The same for design rows X (n, p) of points on patches row (n,)."""
-    return np.einsum("nr,nrs->ns", X, patches.factor[row]) if isinstance(patches, HeldPatches) else X
+    if not isinstance(patches, HeldPatches):
+        return X
+    out = np.empty_like(X)
+    for i in range(0, len(X), BLOCK):
+        part = slice(i, i + BLOCK)
+        out[part] = np.einsum("nr,nrs->ns", X[part], patches.factor[row[part]])
+    return out
 
 
 def navigation_units(patches: Patches) -> F32:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladar_volume.model.records import F64, I32, I64, Bool, Patches
+from ladar_volume.model.records import F32, F64, I32, I64, Bool, Patches
 from ladar_volume.volume.load_kernels import deviation_kernel, shared_kernel
 from ladar_volume.volume.navigation import NavigationBins, matrix_root
 from ladar_volume.volume.packing import navigation_units
 
 
 class PatchErrors:
-    """Deviations and covariances of the parameters of m patches. A volume needs those inside its outline only.
+    """Deviations and covariances of the parameters of m patches, in single precision as the sensitivities they come from. A volume needs
+    those inside its outline only.
 
     C_cal : (c, c) of the calibration · time_bins : bins (b,) of the navigation sensitivities, and the row (l,) of each one's own among them
     """
@@ -23,17 +24,17 @@ class PatchErrors:
         self._calibration = one, two, C_cal[one, two]
         C, _ = navigation.mean(time_bins[0])
         self._roots = matrix_root(C[:, :3, :3]), matrix_root(C[:, 3:, 3:])
-        self._deviation, self._covariance = np.zeros((m, p, 6)), np.zeros((m, p, p))
+        self._deviation, self._covariance = np.zeros((m, p, 6), np.float32), np.zeros((m, p, p), np.float32)
         self._deviates, self._varies = np.zeros(m, np.bool_), np.zeros(m, np.bool_)
 
-    def deviation(self, rows: I64) -> F64:
+    def deviation(self, rows: I64) -> F32:
         """What one standard deviation of position and of attitude, each in three directions, does to the parameters: (m, p, 6), known for
         patches ``rows`` (k,). The errors within one patch count as one."""
         new = _missing(self._deviates, rows)
         deviation_kernel(new, self._patches.nav_start, self._index, self._patches.M_nav, self._units, *self._roots, self._deviation)
         return self._deviation
 
-    def covariance(self, rows: I64) -> F64:
+    def covariance(self, rows: I64) -> F32:
         """Covariance of the parameters: (m, p, p), known for patches ``rows`` (k,)."""
         deviation, new = self.deviation(rows), _missing(self._varies, rows)
         shared_kernel(new, self._patches.M_cal, *self._calibration, deviation, self._covariance)
