@@ -28,8 +28,9 @@ FIRST_RATE, LEAST_MEASURED = 2000.0, 50
 #: Time of an update as a share of the pause between two; how long no data must have come until an update need not wait for more, and until
 #: there is no hurry.
 SHARE, BETWEEN_S, QUIET_S = 1.0 / 3.0, 0.15, 0.3
-#: Patches refitted by an update that nothing hurries, about: one of a whole site would take as much room as all of its patches.
-MOST = 2000
+#: Patches refitted by one update of a flush, about: all of a large site at once would take as much room as all of its patches, and small
+#: pieces are refitted again at their rims.
+MOST = 8000
 
 
 class FilterNode(StageNode):
