@@ -11,10 +11,14 @@ import importlib
 import sys
 from pathlib import Path
 
-#: mallopt's numbers for the size from which a block is a mapping of its own, and for the greatest number of arenas (malloc.h).
-_M_MMAP_THRESHOLD, _M_ARENA_MAX = -3, -8
+#: mallopt's numbers for what may stay free at a heap's end, for the size from which a block is a mapping of its own, and for the greatest
+#: number of arenas (malloc.h).
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
 #: Blocks from this size on are mapped, and unmapped when freed: messages and the large arrays of a surface.
 MAPPED_BYTES = 1 << 20
+#: What stays free at a heap's end between two calls of :func:`give_back`: smaller blocks come and go all the time, and pages given back
+#: are to be cleared anew, a tenth of the time of an estimate.
+KEPT_BYTES = 1 << 24
 #: madvise's word for pages that are not needed now (mman.h): those of a file are read again when they are.
 _MADV_DONTNEED = 4
 #: What numba asks for with its first kernel, to take products of matrices by it, which no kernel here does: all of SciPy's linear algebra.
@@ -29,6 +33,7 @@ def few_arenas() -> None:
         libc = ctypes.CDLL(None)
         libc.mallopt(_M_ARENA_MAX, 2)
         libc.mallopt(_M_MMAP_THRESHOLD, MAPPED_BYTES)
+        libc.mallopt(_M_TRIM_THRESHOLD, KEPT_BYTES)
 
 
 def give_back() -> None:
