@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -13,9 +11,6 @@ from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.surface.boundary import parts_kernel
 from ladar_volume.surface.tin import any_corner, footprint_areas, vertex_mask
-
-#: Squares that a distance is looked at in along one axis, and the most along the side of an area.
-PARTS, MOST_CELLS = 4, 512
 
 
 def components(tin: Tin, mask: Bool) -> I64:
@@ -60,45 +55,17 @@ def within(tin: Tin, mask: Bool, distance_m: float) -> Bool:
 
 def near_some(xy: F64, some: Bool, distance_m: float) -> Bool:
     """Which places (n, 2) lie within the distance of one of ``some`` (n,); these themselves do."""
+    out = some.copy()
     if not some.any():
-        return some.copy()
-    own = xy[some]
-    low = own.min(axis=0)
-    extent = own.max(axis=0) - low
-    side = max(distance_m / PARTS, float(extent.max()) / MOST_CELLS) or 1.0
-    shape = np.floor(extent / side).astype(np.int64) + 1
-    return np.asarray(near_kernel(xy, some, distance_m, low, side, int(shape[0]), int(shape[1])))
-
-
-@kernel
-def near_kernel(xy: F64, some: Bool, distance_m: float, low: F64, side: float, columns: int, rows: int) -> Bool:
-    """See :func:`near_some`; these lie in ``columns`` by ``rows`` squares of a side from ``low`` (2,) on, and only squares within reach are
-    looked into."""
-    first, cell, out = np.zeros(columns * rows + 1, np.int64), np.empty(len(xy), np.int64), some.copy()
-    for i in range(len(xy)):
-        if some[i]:
-            cell[i] = int((xy[i, 0] - low[0]) / side) * rows + int((xy[i, 1] - low[1]) / side)
-            first[cell[i] + 1] += 1
-    first = np.cumsum(first)
-    there, filled = np.empty((first[-1], 2)), first[:-1].copy()
-    for i in range(len(xy)):
-        if some[i]:
-            there[filled[cell[i]]] = xy[i]
-            filled[cell[i]] += 1
-    reach = 1.001 * distance_m + 1e-6 * side  # a little more than needed: squares are found by rounding
-    for i in range(len(xy)):
-        x, y = xy[i, 0], xy[i, 1]
-        left, right = math.floor((x - reach - low[0]) / side), math.floor((x + reach - low[0]) / side)
-        lower, upper = math.floor((y - reach - low[1]) / side), math.floor((y + reach - low[1]) / side)
-        if out[i] or right < 0 or left >= columns or upper < 0 or lower >= rows:
-            continue
-        for c in range(max(left, 0), min(right, columns - 1) + 1):
-            for e in range(first[c * rows + max(lower, 0)], first[c * rows + min(upper, rows - 1) + 1]):
-                if math.sqrt((there[e, 0] - x) ** 2 + (there[e, 1] - y) ** 2) <= distance_m:
-                    out[i] = True
-                    break
-            if out[i]:
-                break
+        return out
+    bound = 1.001 * distance_m + 1e-6  # the search excludes its bound
+    rest = ~some
+    for c in xy.T:
+        own = c[some]
+        rest &= (c > own.min() - bound) & (c < own.max() + bound)
+    tree = cKDTree(xy[some], balanced_tree=False, compact_nodes=False)  # built in half the time
+    distance, _ = tree.query(xy[rest], distance_upper_bound=bound)
+    out[rest] = np.asarray(distance) <= distance_m
     return out
 
 
