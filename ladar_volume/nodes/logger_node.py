@@ -178,7 +178,8 @@ class LoggerNode(StageNode):
 
         known.subscription = self.create_subscription(
             message_type, topic, take, qos, raw=True, callback_group=self._group,
-            event_callbacks=SubscriptionEventCallbacks(message_lost=lost),
+            # warnings of a QoS that does not match are not asked for: it is the publishers' own, and each costs at every message
+            event_callbacks=SubscriptionEventCallbacks(message_lost=lost, use_default_callbacks=False),
         )  # fmt: skip
 
     def _take(self, name: str, known: Subscribed, data: bytes, info: Any) -> None:
