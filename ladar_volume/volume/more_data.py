@@ -70,7 +70,7 @@ class MoreData:
 def noise_falls(gradient: F64, q: F64, sources: Sources, patch_cell: I64, cells: int) -> F64:
     """(cells,) m⁶ from the returns' noise, for a gradient (n, 3) by points and loads q (m, p + 2)."""
     g, patches = sources.geometry, sources.patches
-    q = factor_loads(q[:, : patches.beta.shape[1], None], patches)[:, :, 0]
+    q = factor_loads(q[:, :, None], patches)[:, :, 0]
     between = pair_falls_kernel(q, g.start, g.right, patches.cross, patch_cell, cells)
     (x, y, z), C = gradient.T, sources.points.C_tangent.T
     tangent = C[0] * x * x + C[3] * y * y + C[5] * z * z + 2.0 * (C[1] * x * y + C[2] * x * z + C[4] * y * z)

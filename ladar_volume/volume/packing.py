@@ -123,8 +123,24 @@ def row_kernel(start: I64, M: F32) -> tuple[I16, F32]:
 
 
 def factor_loads(q: F64, patches: Patches) -> F64:
-    """Loads (m, p, k) on that whose covariances the blocks are, of loads q (m, p, k) on the patches' parameters."""
-    return np.einsum("mrs,mrk->msk", patches.factor, q) if isinstance(patches, HeldPatches) else q
+    """Loads (m, p, k) on that whose covariances the blocks are, of loads q (m, p or more, k) of which the first p are on the patches'
+    parameters."""
+    p = patches.beta.shape[1]
+    return np.asarray(factor_load_kernel(patches.factor, q)) if isinstance(patches, HeldPatches) else np.ascontiguousarray(q[:, :p])
+
+
+@kernel
+def factor_load_kernel(factor: F32, q: F64) -> F64:
+    """``Lᵀ q`` (m, p, k) of lower triangles L (m, p, p) and loads q (m, p or more, k)."""
+    m, p, results = len(factor), factor.shape[1], q.shape[2]
+    out = np.zeros((m, p, results))
+    for a in range(m):
+        for r in range(p):
+            for k in range(results):
+                if q[a, r, k] != 0.0:  # most patches are in no volume
+                    for s in range(r + 1):
+                        out[a, s, k] += factor[a, r, s] * q[a, r, k]
+    return out
 
 
 def factor_rows(X: F64, row: I64, patches: Patches) -> F64:

@@ -85,13 +85,15 @@ def patch_loads(gradient: F64, patches: Patches, geometry: SurfaceGeometry) -> F
 def independent_covariance(q: F64, patches: Patches, geometry: SurfaceGeometry) -> F64:
     """Covariance (k, k) of k results from the independent noise of the returns: ``Σ_ab q_aᵀ C_ab q_b`` over all pairs of patches, with the
     loads on their parameters."""
-    (m, _, k), p = q.shape, patches.cross.shape[1]
-    half, q = np.empty((k, k)), factor_loads(q[:, :p], patches)
+    k = q.shape[2]
+    q = factor_loads(q, patches)
+    if k % 4:
+        q = np.concatenate([q, np.zeros((*q.shape[:2], -k % 4))], axis=2)
+    half = np.empty((q.shape[2], q.shape[2]))
     for j in range(0, k, 4):
-        four, these = np.zeros((m, p, 4)), min(4, k - j)
-        four[:, :, :these] = q[:, :, j : j + 4]
-        half[:, j : j + 4] = cross_kernel(q, four, patches.cross_start, geometry.right, patches.cross)[:, :these]
-    out: F64 = 0.5 * (half + half.T)  # the transposed pairs
+        four = np.ascontiguousarray(q[:, :, j : j + 4])
+        half[:, j : j + 4] = cross_kernel(q, four, patches.cross_start, geometry.right, patches.cross)
+    out: F64 = 0.5 * (half + half.T)[:k, :k]  # the transposed pairs
     return out
 
 

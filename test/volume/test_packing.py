@@ -81,7 +81,11 @@ def test_a_variance_errs_by_less_than_the_bound_and_hardly_at_all(surface):
         q = patch_loads(gradient, sent, plain)
         assert patch_loads(gradient, held, packed).tobytes() == q.tobytes()
         before, after = (float(independent_covariance(q, patches, g)[0, 0]) for patches, g in ((sent, plain), (held, packed)))
-        y = np.abs(factor_loads(q[:, :6], held)[:, :, 0]).sum(axis=1)  # of half a whole number
+        turned = factor_loads(q, held)
+        assert turned == pytest.approx(np.einsum("mrs,mrk->msk", held.factor, q[:, :6]), rel=1e-12, abs=1e-15)
+        assert turned == pytest.approx(packing.factor_load_kernel.py_func(held.factor, q), rel=1e-12, abs=1e-15)
+        assert np.array_equal(factor_loads(q, sent), q[:, :6])
+        y = np.abs(turned[:, :, 0]).sum(axis=1)  # of half a whole number
         weight = np.where(packed.left == packed.right, 0.5, 1.0)
         assert abs(after - before) <= float((weight * y[packed.left] * y[packed.right]).sum()) * (1 + 1e-6)
         assert after == pytest.approx(before, rel=2e-5)
