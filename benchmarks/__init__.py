@@ -1,0 +1,1 @@
+import ladar_volume  # noqa: F401 - before NumPy, which reads then how many threads it may use

@@ -27,20 +27,20 @@ STARTS, TIMEOUT_S = 3, 300.0
 
 def resident_mb(pid: int) -> float:
     """Resident size of a process (MB); 0 where it is gone."""
-    try:
-        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-    except OSError:
-        return 0.0
-    return next((int(line.split()[1]) / 1024.0 for line in lines if line.startswith("VmRSS")), 0.0)
+    return _memory_mb(pid, "status", "VmRSS:")
 
 
 def proportional_mb(pid: int) -> float:
     """The same with each page that several processes share divided among them; 0 where it is gone."""
+    return _memory_mb(pid, "smaps_rollup", "Pss:")
+
+
+def _memory_mb(pid: int, file: str, name: str) -> float:
     try:
-        lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+        lines = Path(f"/proc/{pid}/{file}").read_text().splitlines()
     except OSError:
         return 0.0
-    return next((int(line.split()[1]) / 1024.0 for line in lines if line.startswith("Pss:")), 0.0)
+    return next((int(line.split()[1]) / 1024.0 for line in lines if line.startswith(name)), 0.0)
 
 
 def cpu_seconds(pid: int) -> float:
