@@ -5,10 +5,11 @@ message in a hundred is dropped; in turn come bursts of NaN, a GNSS outage, a fl
 an hour ahead, all clocks set back half a minute (a new pass of the data), restarts of each node, and a full disk. Measured are resident
 sizes, the time from a scan to the volume that holds it, and the books: what was published against what arrived and what was named lost.
 
-``python -m benchmarks.soak [--seconds 180] [--full-rate | --site 200] [--faults A,B,...] [--one-process]``; ``--seconds 3600`` for the
-hour, ``--site`` for memory by area: a square site of so many metres, the resident size of each node by time; ``--one-process`` for all of
-them in one, as ``ladar_volume up`` runs them. Exit code 1 where a node died, a message is unaccounted for, an unforeseen exception was
-counted, no volume comes at the end or it is wrong by more than five sigma.
+``python -m benchmarks.soak [--seconds 180] [--full-rate | --site 200] [--faults A,B,...] [--one-process | --without-log]``;
+``--seconds 3600`` for the hour, ``--site`` for memory by area: a square site of so many metres, the resident size of each node by time;
+``--one-process`` for all of them in one, as ``ladar_volume up`` runs them; ``--without-log`` for georeference, filter and volume alone.
+Exit code 1 where a node died, a message is unaccounted for, an unforeseen exception counted, no volume comes at the end or it is wrong by
+more than five sigma.
 """
 
 from __future__ import annotations
@@ -135,8 +136,9 @@ def changed_fix(data: bytes, status: int, scale: float) -> bytes:
 class Load(Node):
     """Publishes the flight with its faults, and listens to diagnostics and volumes."""
 
-    def __init__(self) -> None:
+    def __init__(self, nodes: tuple[str, ...]) -> None:
         super().__init__("load")
+        self._listeners = 2 if "logger_node" in nodes else 1
         self.out = {k: self.create_publisher(TYPES[k], TOPICS[k], STREAM) for k in TYPES}
         self.back_ns = 0
         self.sent = dict.fromkeys(TYPES, 0)
@@ -169,6 +171,10 @@ class Load(Node):
             self.seen.add(t_ns)
             self.latency.append((time.monotonic(), seconds))
 
+    def heard(self, kind: str) -> bool:
+        """Whether every node that wants these messages listens."""
+        return bool(self.out[kind].get_subscription_count() >= self._listeners)
+
     def send(self, one: Recorded, t_ns: int, fault: str | None) -> None:
         """Publish a message stamped ``t_ns``, as the fault wants it."""
         kind, data = one.kind, one.data
@@ -191,7 +197,7 @@ class Load(Node):
             hit = False
         if fault is not None and hit:
             self.hurt[fault] += 1
-        if self.out[kind].get_subscription_count() < 2:  # the logger, or the node in question, is down
+        if not self.heard(kind):  # the logger, or the node in question, is down
             self.unheard[kind] += 1
         self.sent[kind] += 1
         self.out[kind].publish(stamped(data, t_ns))
@@ -205,7 +211,8 @@ class Load(Node):
 class Soak:
     """Starts the nodes, flies, hurts, measures."""
 
-    def __init__(self, bag: Path, folder: Path, fills_disk: bool, one_process: bool) -> None:
+    def __init__(self, bag: Path, folder: Path, fills_disk: bool, one_process: bool, nodes: tuple[str, ...]) -> None:
+        self._nodes = nodes
         self._ballast = folder / "ballast"
         self._settings = {
             "config_file": str(bag / "config.yaml"), "node.input_reliability": "reliable", "node.input_depth": "2000",
@@ -214,9 +221,9 @@ class Soak:
         if fills_disk:  # nearly full from the start
             free = os.statvfs(folder).f_bavail * os.statvfs(folder).f_frsize
             self._settings |= {"logger.disk_full": "delete_oldest", "logger.disk_reserve_bytes": str(max(free - 4 * LOG_BYTES, 0))}
-        self.load = Load()
+        self.load = Load(nodes)
         self._spinner = Spinner(self.load)
-        self.processes = {"up": self._start_all(folder)} if one_process else {name: self._start(name) for name in NODES}
+        self.processes = {"up": self._start_all(folder)} if one_process else {name: self._start(name) for name in nodes}
         self.resident: list[tuple[float, dict[str, float]]] = []
         self.proportional: list[float] = []
         self.busy = dict.fromkeys(self.processes, 0.0)
@@ -237,9 +244,9 @@ class Soak:
     def ready(self) -> None:
         """Wait until all nodes report and hear the load."""
         deadline = time.monotonic() + 300.0
-        while set(NODES) - set(self.load.lines) or any(p.get_subscription_count() < 2 for p in self.load.out.values()):
+        while set(self._nodes) - set(self.load.lines) or not all(self.load.heard(kind) for kind in TYPES):
             if time.monotonic() > deadline or any(p.poll() is not None for p in self.processes.values()):
-                raise RuntimeError(f"nodes did not start: {set(NODES) - set(self.load.lines)}")
+                raise RuntimeError(f"nodes did not start: {set(self._nodes) - set(self.load.lines)}")
             time.sleep(0.1)
 
     def fly(self, messages: list[Recorded], length_ns: int, seconds: float, faults: list[str]) -> None:
@@ -367,7 +374,9 @@ def report(soak: Soak, truth_m3: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def soak(seconds: float, full_rate: bool, faults: list[str], site_m: float = 0.0, one_process: bool = False) -> dict[str, Any]:
+def soak(
+    seconds: float, full_rate: bool, faults: list[str], site_m: float = 0.0, one_process: bool = False, nodes: tuple[str, ...] = NODES
+) -> dict[str, Any]:
     """Fly for ``seconds`` with the faults; over a site of ``site_m`` a side, if that is not 0."""
     os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 90 + 10))
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
@@ -377,7 +386,7 @@ def soak(seconds: float, full_rate: bool, faults: list[str], site_m: float = 0.0
         messages, length_ns = flight(bag)
         truth = float(json.loads((bag / "truth.json").read_text())["volume_m3"])
         rclpy.init(args=[])
-        one = Soak(bag, folder, "disk_full" in faults, one_process)
+        one = Soak(bag, folder, "disk_full" in faults, one_process, nodes)
         try:
             one.ready()
             one.fly(messages, length_ns, seconds, faults)
@@ -412,9 +421,12 @@ def main() -> int:
     parser.add_argument("--site", type=float, default=0.0, metavar="METRES", help="the same over a square site of this side, radius 1 m")
     parser.add_argument("--faults", default=",".join(FAULTS), help=f"comma-separated: {', '.join(FAULTS)}")
     parser.add_argument("--one-process", action="store_true", help="all nodes in one process; a single one cannot be restarted then")
+    parser.add_argument("--without-log", action="store_true", help="georeference, filter and volume only: three processes")
     arguments = parser.parse_args()
-    faults = [f for f in arguments.faults.split(",") if f and not (arguments.one_process and f.startswith("restart_"))]
-    out = soak(arguments.seconds, arguments.full_rate, faults, arguments.site, arguments.one_process)
+    nodes = NODES[:3] if arguments.without_log else NODES
+    alone = {"restart_logger_node", "disk_full"} if arguments.without_log else set()
+    faults = [f for f in arguments.faults.split(",") if f and not (arguments.one_process and f.startswith("restart_")) and f not in alone]
+    out = soak(arguments.seconds, arguments.full_rate, faults, arguments.site, arguments.one_process, nodes)
     print(json.dumps(out, indent=1))
     return int(bool(out["wrong"]))
 

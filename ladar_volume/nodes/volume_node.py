@@ -194,7 +194,7 @@ class VolumeNode(StageNode):
             v = self._estimate.volume
             self.get_logger().info(f"volume at the end: {v.volume_m3:.4f} m3, sigma {v.sigma_m3:.4f} m3")
 
-    def _compute(self) -> Estimate:
+    def _compute(self, naive: bool = False) -> Estimate:
         self._hand_over()
         if self.stage.parameters is not self.parameters:
             self.stage.set_parameters(self.parameters)
@@ -202,7 +202,7 @@ class VolumeNode(StageNode):
         self._estimate_began = time.monotonic()
         try:
             self._since.compare(self.stage)
-            self._estimate = self.stage.estimate()
+            self._estimate = self.stage.estimate(naive)
         except LadarVolumeError as error:
             self._why_not = str(error)
             if error.reason == "volume_no_navigation":  # the filter held returns from before this node listened: once more
@@ -240,7 +240,7 @@ class VolumeNode(StageNode):
                 self._mesh.publish(cdr.mesh(estimate))
 
     def _result(self) -> dict[str, Any]:
-        estimate = self._compute()
+        estimate = self._compute(naive=True)
         self._more = self.stage.more_data()
         result = results.result_dict(estimate, self.parameters, self.all_losses(), self._datum, {}, {"node": self.get_name()})
         change = None if self._since.change is None else results.change_dict(self._since.change)

@@ -92,8 +92,8 @@ def whole_triangles(tin: Tin, inside_m2: F64) -> Bool:
     return out
 
 
-def shared_by(sources: Sources, points: I64) -> Callable[[I64], F64]:
-    """The covariance (k, k) m² of the heights of k among points (n,), by their place there, from all that returns share."""
+def shared_by(sources: Sources, points: I64) -> Callable[[I64], tuple[I64, F64]]:
+    """For k among points (n,), by their place there, :meth:`Sources.shared_covariance`: their order in time, and the covariance."""
     return lambda some: sources.shared_covariance(points[some])
 
 

@@ -12,7 +12,7 @@ from ladar_volume.georeference.budget import calibration_covariance
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I32, I64, FilteredPoints, Patches
 from ladar_volume.volume.ground_field import GroundField
-from ladar_volume.volume.load_kernels import correlated_kernel, height_kernel, mirrored_kernel, naive_kernel
+from ladar_volume.volume.load_kernels import correlated_kernel, height_kernel, naive_kernel
 from ladar_volume.volume.navigation import NavigationBins, NavigationLoads, navigation_loads, navigation_variance
 from ladar_volume.volume.patch_errors import PatchErrors
 from ladar_volume.volume.propagation import (
@@ -88,9 +88,10 @@ class Sources:
         beams = (patches.M_cal.shape[2] - 11) // 2
         self.C_cal = calibration_covariance(parameters.budget, beams, parameters.georeference.pose_source)
 
-    def budget(self, gradient: F64, field: GroundField | None) -> Budget:
-        """Budget of the first of k results with gradients (n, k, 3) per point; the others get their independent covariance only."""
-        s = self.sensitivities(gradient)
+    def budget(self, gradient: F64, field: GroundField | None, naive: bool = True) -> Budget:
+        """Budget of the first of k results with gradients (n, k, 3) per point; the others get their independent covariance only. Without
+        ``naive``, which needs the variance of every point, that sigma is NaN."""
+        s = self.sensitivities(gradient, naive)
         C_b = self.C_cal[BORESIGHT, BORESIGHT]
         navigation = navigation_variance(s.navigation, self.parameters.budget)
         bent, second = together({
@@ -108,8 +109,9 @@ class Sources:
         within = calibration_marginals(s.J_cal, self.C_cal) if "calibration" in lines else {}
         return Budget(lines, s.C_results, (min(low, high), max(low, high)), s.naive_m3, within, second)
 
-    def sensitivities(self, gradient: F64) -> Sensitivities:
-        """What each source does to the first of k results with gradients (n, k, 3) per point; C_results is of all of them."""
+    def sensitivities(self, gradient: F64, naive: bool = True) -> Sensitivities:
+        """What each source does to the first of k results with gradients (n, k, 3) per point; C_results is of all of them; naive_m3 is NaN
+        where it is not wanted."""
         q = patch_loads(gradient, self.patches, self.geometry)
         first = np.ascontiguousarray(q[:, :, 0])
         H = curvatures(first, self.patches, self.navigation, self.time_bins)
@@ -122,7 +124,7 @@ class Sources:
             H.sum(axis=0),
             swing_of(H, self.time_bins[0], self.navigation),
             navigation_loads(J_nav, bins, self.navigation, self.parameters.georeference.max_position_gap_s),
-            math.sqrt(self._naive(gradient[:, 0]) + tangential),
+            math.sqrt(self._naive(gradient[:, 0]) + tangential) if naive else math.nan,
         )
 
     def _naive(self, gradient: F64) -> float:
@@ -146,9 +148,9 @@ class Sources:
         """What calibration and navigation do to the parameters of each patch."""
         return PatchErrors(self.patches, self.navigation, self.C_cal, self.time_bins)
 
-    def shared_covariance(self, points: I64) -> F64:
-        """Covariance (k, k) m² of the heights of points (k,) from calibration and navigation, each at its mean time; white errors are
-        shared as by the samples of a time bin."""
+    def shared_covariance(self, points: I64) -> tuple[I64, F64]:
+        """The order in time of points (k,), each at its mean time, and in this order the covariance (k, k) m² of their heights from
+        calibration and navigation, its upper triangle; white errors are shared as by the samples of a time bin."""
         order = np.argsort(self.points.t_ns[points], kind="stable")
         points = points[order]
         row, up = self.geometry.row[points], np.maximum(np.abs(self.points.normal[points, 2]), LEAST_UP)
@@ -166,7 +168,7 @@ class Sources:
         ):  # fmt: skip
             shares = (bias, 1.0 - bias - white, white / n, white * BETWEEN)
             correlated_kernel(np.ascontiguousarray(d), np.exp(-apart_s / tau), t_ns // bin_ns, shares, C)
-        return np.asarray(mirrored_kernel(order, C))
+        return order, C
 
 
 def vertical_sigma(sources: Sources, points: I64) -> F64:

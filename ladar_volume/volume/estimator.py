@@ -10,6 +10,7 @@ from statistics import NormalDist
 import numpy as np
 
 from ladar_volume.ground.adjoint import ground_inverse
+from ladar_volume.model.at_once import at_once
 from ladar_volume.model.errors import SurfaceError, VolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
@@ -69,8 +70,8 @@ class VolumeEstimator:
         self._surface_now = self._sources_now = self._main = None  # the surface before would be held beside the new one
         self._t_ns = max(self._t_ns, update.t_ns)
 
-    def estimate(self) -> Estimate:
-        """The volume from everything so far.
+    def estimate(self, naive: bool = True) -> Estimate:
+        """The volume from everything so far; without ``naive``, which is printed beside it in results, that sigma is NaN.
 
         Raises :class:`SurfaceError` where the points do not span a surface, :class:`GroundError` where no base can be fitted,
         :class:`VolumeError` where nothing lies inside the outline or the platform's covariance is not yet known for all of the surface.
@@ -79,7 +80,7 @@ class VolumeEstimator:
         surface = self._surface(points)
         height_variance = vertex_variance(surface, points)
         base, inside = self._base_and_outline(surface.tin, height_variance)
-        return self._result(surface, base, inside, points, patches, height_variance)
+        return self._result(surface, base, inside, points, patches, height_variance, naive)
 
     def epoch(self) -> Epoch:
         """Everything so far as one survey, to be compared with another. Raises :class:`SurfaceError` where there is no surface."""
@@ -129,7 +130,7 @@ class VolumeEstimator:
         return base_and_outline(tin, height_variance, self.parameters)
 
     def _result(
-        self, surface: Represented, base: Plane, inside: F64, points: FilteredPoints, patches: Patches, height_variance: F64
+        self, surface: Represented, base: Plane, inside: F64, points: FilteredPoints, patches: Patches, height_variance: F64, naive: bool
     ) -> Estimate:
         sources = self._sources(points, patches)
         parts = area_by_body(surface.tin, base, inside, self.parameters.volume)
@@ -138,15 +139,18 @@ class VolumeEstimator:
         def solved(part: F64) -> tuple[Prismoids, Budget]:
             solid = self._solid(surface.tin, base, part)
             gradients = result_gradients(surface.tin, base, solid, len(points), surface, inverse)
-            return solid, sources.budget(gradients, ground_field(surface.tin, base, solid, part, height_variance, sources, inverse))
+            field = ground_field(surface.tin, base, solid, part, height_variance, sources, inverse)
+            return solid, sources.budget(gradients, field, naive)
 
         def near(part: F64) -> NearBase | None:
             return near_correction(surface, base, part, points, patches, sources.geometry)
 
-        made = [solved(part) for part in parts]
+        made, corrected = at_once(lambda: [solved(part) for part in parts], lambda: [near(part) for part in parts])
         self._main = surface, base, parts[0], *made[0], sources, height_variance
         normal = points.normal[surface.tin.source]
-        volumes = tuple(self._volume(surface.tin, normal, base, part, *one, near(part)) for part, one in zip(parts, made, strict=True))
+        volumes = tuple(
+            self._volume(surface.tin, normal, base, part, *one, beside) for part, one, beside in zip(parts, made, corrected, strict=True)
+        )
         grounds = all_grounds(surface.tin, height_variance, base, inside, self.parameters)
         if len(base.support):
             base = dataclasses.replace(base, C_beta=made[0][1].C_results[1:, 1:])

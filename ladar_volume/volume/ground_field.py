@@ -35,10 +35,18 @@ class Roughness:
 
     def correlation(self, d: F64) -> F64:
         """Correlation at distances d, m."""
-        x, g = d / self.length_m, self.gaussian
-        if 0.0 < g < 1.0:
-            return np.asarray((1.0 - g) * np.exp(-x) + g * np.exp(-0.5 * x * x))
-        return np.asarray(np.exp(-x) if g == 0.0 else np.exp(-0.5 * x * x))
+        g, x, out = self.gaussian, np.empty(np.shape(d)), np.zeros(np.shape(d))
+        np.divide(d, -self.length_m, out=x)
+        if g > 0.0:  # in place: half a million distances are megabytes
+            np.multiply(x, x, out=out)
+            out *= -0.5
+            np.exp(out, out=out)
+            out *= g
+        if g < 1.0:
+            np.exp(x, out=x)
+            x *= 1.0 - g
+            out += x
+        return out
 
 
 @dataclass(frozen=True)

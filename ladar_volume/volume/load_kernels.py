@@ -278,13 +278,3 @@ def correlated_kernel(d: F64, decay: F64, bins: I64, shares: tuple[float, float,
         for j in range(i + 1, len(d)):
             left *= decay[j - 1]
             row[j] += (constant + left + (same if bins[i] == bins[j] else 0.0)) * (x * d[j, 0] + y * d[j, 1] + z * d[j, 2])
-
-
-@kernel
-def mirrored_kernel(order: I64, C: F64) -> F64:
-    """A symmetric matrix (k, k) from the upper triangle of C, whose rows and columns are those of ``order`` (k,)."""
-    out = np.empty(C.shape)
-    for a in range(len(order)):
-        for b in range(a, len(order)):
-            out[order[a], order[b]] = out[order[b], order[a]] = C[a, b]
-    return out

@@ -16,7 +16,7 @@ import numpy as np
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.kernels import kernel
 from ladar_volume.model.parameters import BudgetParameters
-from ladar_volume.model.records import F64, I64, PlatformStates
+from ladar_volume.model.records import F64, I64, Bool, PlatformStates
 from ladar_volume.model.se3 import matrix_from_quaternion
 
 
@@ -32,6 +32,8 @@ class NavigationBins:
         self.count: I64 = np.zeros(0, np.int64)
         self._sum: F64 = np.zeros((0, 6, 6))
         self._pose: F64 = np.zeros((0, 4, 3))
+        self._roots: F64 = np.zeros((0, 2, 3, 3))
+        self._rooted: Bool = np.zeros(0, np.bool_)
 
     def add(self, states: PlatformStates) -> None:
         """Take in new states."""
@@ -41,12 +43,15 @@ class NavigationBins:
             old = np.searchsorted(index, self.index)
             total, pose, count = np.zeros((len(index), 6, 6)), np.zeros((len(index), 4, 3)), np.zeros(len(index), np.int64)
             total[old], pose[old], count[old] = self._sum, self._pose, self.count
-            self.index, self._sum, self._pose, self.count = index, total, pose, count
+            roots, rooted = np.zeros((len(index), 2, 3, 3)), np.zeros(len(index), np.bool_)
+            roots[old], rooted[old] = self._roots, self._rooted
+            self.index, self._sum, self._pose, self.count, self._roots, self._rooted = index, total, pose, count, roots, rooted
         row = np.searchsorted(self.index, bins)
         pose = np.concatenate([states.p_map_body[:, None], matrix_from_quaternion(states.q_map_body)], axis=1)
         np.add.at(self._pose, row, pose)
         np.add.at(self._sum, row, states.C_nav)  # one by one, in order: the same bits for any batching
         np.add.at(self.count, row, 1)
+        self._rooted[row] = False
 
     def sums(self) -> tuple[I64, I64, F64, F64]:
         """Bins (k,), number of states (k,), sums of their C_nav (k, 6, 6) and of position and R_map_body (k, 4, 3)."""
@@ -57,12 +62,23 @@ class NavigationBins:
         """The inverse of :meth:`sums`."""
         out = cls(bin_s)
         out.index, out.count, out._sum, out._pose = index, count, C_nav, pose
+        out._roots, out._rooted = np.zeros((len(index), 2, 3, 3)), np.zeros(len(index), np.bool_)
         return out
 
     def mean(self, bins: I64) -> tuple[F64, I64]:
         """Mean C_nav (k, 6, 6) and number of states (k,) of bins (k,). Raises :class:`VolumeError` for a bin without a state."""
         row = self._rows(bins)
         return self._sum[row] / np.maximum(self.count[row], 1)[:, None, None], self.count[row]
+
+    def roots(self, bins: I64) -> tuple[F64, F64]:
+        """Symmetric roots (k, 3, 3) each of the mean covariances of position and attitude in bins (k,), made once for a bin that no state
+        is added to. Raises as :meth:`mean`."""
+        row = self._rows(bins)
+        new = row[~self._rooted[row]]
+        mean = self._sum[new] / np.maximum(self.count[new], 1)[:, None, None]
+        self._roots[new, 0], self._roots[new, 1] = matrix_root(mean[:, :3, :3]), matrix_root(mean[:, 3:, 3:])
+        self._rooted[new] = True
+        return self._roots[row, 0], self._roots[row, 1]
 
     def mean_pose(self, bins: I64) -> tuple[F64, F64]:
         """Mean position (k, 3) m and mean of R_map_body (k, 3, 3), short of a rotation where the platform turned, of bins (k,). Raises as
@@ -121,9 +137,9 @@ def navigation_loads(J: F64, bins: I64, known: NavigationBins, max_fix_gap_s: fl
     that many fixes: the white part of the position is divided by this least number, that of the attitude by the number of
     states in the bin.
     """
-    C, count = known.mean(bins)
-    position = np.einsum("kij,kj->ki", matrix_root(C[:, :3, :3]), J[:, :3])
-    attitude = np.einsum("kij,kj->ki", matrix_root(C[:, 3:, 3:]), J[:, 3:])
+    (position_root, attitude_root), count = known.roots(bins), known.mean(bins)[1]
+    position = np.einsum("kij,kj->ki", position_root, J[:, :3])
+    attitude = np.einsum("kij,kj->ki", attitude_root, J[:, 3:])
     bin_s = known.bin_ns * 1e-9
     t_s = (bins - (bins[0] if len(bins) else 0)) * bin_s
     fixes = np.full(len(bins), max(1.0, bin_s / max_fix_gap_s))

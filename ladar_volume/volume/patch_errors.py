@@ -6,7 +6,7 @@ import numpy as np
 
 from ladar_volume.model.records import F32, F64, I32, I64, Bool, Patches
 from ladar_volume.volume.load_kernels import deviation_kernel, shared_kernel
-from ladar_volume.volume.navigation import NavigationBins, matrix_root
+from ladar_volume.volume.navigation import NavigationBins
 from ladar_volume.volume.packing import navigation_units
 
 
@@ -22,8 +22,7 @@ class PatchErrors:
         self._patches, self._index, self._units = patches, time_bins[1], navigation_units(patches)
         one, two = np.nonzero(C_cal)
         self._calibration = one, two, C_cal[one, two]
-        C, _ = navigation.mean(time_bins[0])
-        self._roots = matrix_root(C[:, :3, :3]), matrix_root(C[:, 3:, 3:])
+        self._roots = navigation.roots(time_bins[0])
         self._deviation, self._covariance = np.zeros((m, p, 6), np.float32), np.zeros((m, p, p), np.float32)
         self._deviates, self._varies = np.zeros(m, np.bool_), np.zeros(m, np.bool_)
 

@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from scipy.linalg.blas import dspmv
 
 from ladar_volume.ground.polynomial import COEFFICIENTS, design
 from ladar_volume.model.kernels import kernel
@@ -31,39 +32,41 @@ DOUBT, SIGNIFICANT = 0.5, 4.0
 
 
 @kernel
-def pair_sums(xy: F64, e: F64, C: F64, Q: F64, edges: F64) -> tuple[F64, F64, F64, F64]:
+def pair_sums(xy: F64, e: F64, C: F64, Q: F64, edges: F64) -> tuple[F64, F64, F64, F64, F64]:
     """Of points xy (n, 2) and their pairs whose distance lies between two of ascending edges (k + 1,), from 0 on: sums (k,) of
-    ``e_i e_j − C_ij``, numbers of pairs (k,), for every point sums (k, n, p) of the rows of Q (n, p) of its partners; and the distances of
-    all pairs i < j, row by row. C : (n, n) covariance that is known."""
-    n, p, k = len(xy), Q.shape[1], len(edges) - 1
-    products, counts, partners, d = np.zeros(k), np.zeros(k), np.zeros((k, n, p)), np.empty(n * (n - 1) // 2)
-    at = 0
+    ``e_i e_j − C_ij``, numbers of pairs (k,), for every point sums (k, n, p) of the rows of Q (n, p) of its partners; ``C Q`` (n, p); and
+    the distances (n (n + 1) / 2,) of all pairs i <= j, row by row. C : (n, n) covariance that is known, its upper triangle."""
+    n, p, k, at = len(xy), Q.shape[1], len(edges) - 1, 0
+    products, counts, partners = np.zeros(k + 1), np.zeros(k + 1), np.zeros((k + 1, n, p))
+    CQ, d, bins = np.zeros((n, p)), np.zeros(n * (n + 1) // 2), np.empty(n, np.int64)
+    x, y = xy[:, 0].copy(), xy[:, 1].copy()
     for i in range(n):
+        row = d[at : at + n - i]
+        at += n - i
+        for c in range(p):
+            CQ[i, c] += C[i, i] * Q[i, c]
         for j in range(i + 1, n):
-            d[at] = math.sqrt((xy[i, 0] - xy[j, 0]) ** 2 + (xy[i, 1] - xy[j, 1]) ** 2)
-            b = np.searchsorted(edges, d[at], side="right") - 1
-            at += 1
-            if b < k:
-                products[b] += e[i] * e[j] - C[i, j]
-                counts[b] += 1.0
-                for c in range(p):
-                    partners[b, i, c] += Q[j, c]
-                    partners[b, j, c] += Q[i, c]
-    return products, counts, partners, d
-
-
-@kernel
-def condensed_product(rho: F64, Q: F64) -> F64:
-    """``R Q`` (n, p) of a correlation matrix R whose elements i < j are rho (n (n − 1) / 2,), row by row."""
-    n, p = Q.shape
-    out, at = Q.copy(), 0
-    for i in range(n):
+            row[j - i] = math.sqrt((x[i] - x[j]) ** 2 + (y[i] - y[j]) ** 2)
+        for j in range(i + 1, n):  # counted, not searched for: without a branch
+            above = -1
+            for b in range(k + 1):
+                above += row[j - i] >= edges[b]
+            bins[j] = above
         for j in range(i + 1, n):
+            b, cov = bins[j], C[i, j]
+            products[b] += e[i] * e[j] - cov
+            counts[b] += 1.0
             for c in range(p):
-                out[i, c] += rho[at] * Q[j, c]
-                out[j, c] += rho[at] * Q[i, c]
-            at += 1
-    return out
+                partners[b, i, c] += Q[j, c]
+                partners[b, j, c] += Q[i, c]
+                CQ[i, c] += cov * Q[j, c]
+                CQ[j, c] += cov * Q[i, c]
+    return products[:k], counts[:k], partners[:k], CQ, d
+
+
+def packed_product(packed: F64, Q: F64) -> F64:
+    """``R Q`` (n, p) of a symmetric matrix R whose elements i <= j are ``packed`` (n (n + 1) / 2,), row by row."""
+    return np.stack([dspmv(len(Q), 1.0, packed, q, lower=1) for q in np.ascontiguousarray(Q.T)], axis=1)
 
 
 def basis(xy: F64, parameters: int) -> F64:
@@ -80,31 +83,35 @@ def taken_by_fit(CQ: F64, Q: F64) -> tuple[F64, float]:
 
 
 def estimate_roughness(
-    xy: F64, residual: F64, noise_variance: F64, parameters: int, shared: Callable[[I64], F64] | None = None
+    xy: F64, residual: F64, noise_variance: F64, parameters: int, shared: Callable[[I64], tuple[I64, F64]] | None = None
 ) -> Roughness:
     """s², L and g from ground residuals (n,) m at xy (n, 2) m with known independent noise variances (n,) m².
 
-    shared : gives the covariance (k, k) m² of the heights of k of the points from errors that returns share, None for none. What the fit
-    of the ground takes of the field is given back, by the field as first estimated. The field is fitted to the products of residuals at
-    different points, which their noise does not enter; their mean square minus the noise counts as far as the noise is believed: were it
-    subtracted for certain, a noise believed a third too large would leave no roughness. (The distance at which the correlation falls to 1/e
-    makes the sigma of a smooth ground 1.4 times too large; the integral of the autocorrelation up to its first zero scatters twice as much
-    as the fit, and is too long by it.)
+    shared : gives, for k of the points, an order of these (k,) and in this order the covariance (k, k) m² of their heights from errors that
+    returns share, its upper triangle; None for none. What the fit of the ground takes of the field is given back, by the field as first
+    estimated. The field is fitted to the products of residuals at different points, which their noise does not enter; their mean square
+    minus the noise counts as far as the noise is believed: were it subtracted for certain, a noise believed a third too large would leave
+    no roughness. (The distance at which the correlation falls to 1/e makes the sigma of a smooth ground 1.4 times too large; the integral
+    of the autocorrelation up to its first zero scatters twice as much as the fit, and is too long by it.)
     """
     n = len(residual)
     spacing = mean_spacing(xy)
     some = np.arange(0, n, max(1, math.ceil(n / MAX_POINTS)), dtype=np.int64)
-    p, none = xy[some], Roughness(0.0, spacing / 2, spacing)
+    none = Roughness(0.0, spacing / 2, spacing)
     if len(some) <= parameters:
         return none
     noise, square = float(noise_variance.mean()) * (1.0 - parameters / n), float(residual @ residual) / n
     if square == 0.0:  # an exact ground
         return none
-    C = np.zeros((len(some), len(some))) if shared is None else shared(some)
+    C = np.zeros((len(some), len(some)))
+    if shared is not None:
+        order, C = shared(some)
+        some = some[order]
+    p = xy[some]
     Q, extent = basis(p, parameters), float(np.linalg.norm(p.max(axis=0) - p.min(axis=0)))
     edges = np.geomspace(max(spacing, extent / 1000), max(extent / 2, 2 * spacing), 25)
-    products, counts, partners, d = pair_sums(p, residual[some], C, Q, np.concatenate([[0.0], edges]))
-    known, trace = taken_by_fit(C @ Q, Q)
+    products, counts, partners, CQ, d = pair_sums(p, residual[some], C, Q, np.concatenate([[0.0], edges]))
+    known, trace = taken_by_fit(CQ, Q)
     lag = np.concatenate([[0.0, edges[0] / 2], np.sqrt(edges[:-1] * edges[1:])])
     ok = np.append(True, counts >= LEAST_PAIRS)
     pairs = np.maximum(np.append(0.5 * n, counts), 1.0)
@@ -113,7 +120,7 @@ def estimate_roughness(
     rough, own, trace = none, np.zeros_like(Q), 0.0
     for number in range(ROUNDS):
         if number:  # what the fit took of the field is given back
-            own, trace = taken_by_fit(rough.variance_m2 * condensed_product(rough.correlation(d), Q), Q)
+            own, trace = taken_by_fit(rough.variance_m2 * packed_product(rough.correlation(d), Q), Q)
         value = np.append(left + trace / len(some), (products + np.tensordot(partners, known + own)) / pairs[1:])
         rough = of_products(lag[ok], value[ok], variance[ok], spacing, 2.0 * float(edges[-1]))
     return rough
@@ -132,30 +139,40 @@ def of_products(lag: F64, value: F64, variance: F64, spacing_m: float, most_m: f
 
 def fitted_field(lag: F64, value: F64, weight: F64, least_m: float, most_m: float) -> tuple[float, float, float, float]:
     """Variance, length, between two limits, and share g of the Gaussian of the field whose covariances at lags (k,) are nearest to
-    ``value`` (k,) in the sense of weighted least squares, and by how much the weighted sum of squares is less than without a field. For
-    each of many lengths the parts of exponential and Gaussian are the solution of a linear problem, neither below zero; the second round
-    looks between the neighbours of the best length."""
-    part, length, gain, k = np.zeros((1, 2)), np.array([least_m]), np.zeros(1), 0
+    ``value`` (k,) in the sense of weighted least squares, and by how much the weighted sum of squares is less than without a field. The
+    second round looks between the neighbours of the best of many lengths."""
+    found, length, k = np.zeros((1, 3)), np.array([least_m]), 0
     for _ in range(2):
         length = np.geomspace(least_m, max(most_m, least_m), LENGTHS)
-        x = lag / length[:, None]
-        shape = np.stack([np.exp(-x), np.exp(-0.5 * x * x)], axis=1)
-        part = parts_of(np.einsum("lak,lbk,k->lab", shape, shape, weight), shape @ (weight * value))
-        found = np.einsum("la,lak->lk", part, shape)
-        gain = (2.0 * value - found) * found @ weight
-        k = int(np.argmax(gain))
+        found = fields_kernel(lag, value, weight, length)
+        k = int(np.argmax(found[:, 2]))
         least_m, most_m = float(length[max(k - 1, 0)]), float(length[min(k + 1, LENGTHS - 1)])
-    s2 = float(part[k].sum())
-    return s2, float(length[k]), float(part[k, 1]) / s2 if s2 > 0.0 else 0.0, float(gain[k])
+    s2 = float(found[k, 0] + found[k, 1])
+    return s2, float(length[k]), float(found[k, 1]) / s2 if s2 > 0.0 else 0.0, float(found[k, 2])
 
 
-def parts_of(N: F64, right: F64) -> F64:
-    """Solutions (l, 2), neither part below zero, of pairs of normal equations ``N x = right`` (l, 2, 2), (l, 2)."""
-    one, two, both = N[:, 0, 0], N[:, 1, 1], N[:, 0, 1]
-    det = np.maximum(one * two - both * both, 1e-12 * one * two)
-    out = np.stack([two * right[:, 0] - both * right[:, 1], one * right[:, 1] - both * right[:, 0]], axis=1) / det[:, None]
-    alone = np.maximum(right, 0.0) / np.stack([one, two], axis=1)  # one part by itself: it gains right times itself
-    first = right[:, 0] * alone[:, 0] >= right[:, 1] * alone[:, 1]
-    single = alone * np.stack([first, ~first], axis=1)
-    whole = (out[:, 0] >= 0.0) & (out[:, 1] >= 0.0)
-    return np.asarray(np.where(whole[:, None], out, single))
+@kernel
+def fields_kernel(lag: F64, value: F64, weight: F64, length: F64) -> F64:
+    """For each length (l,) the variances of exponential and Gaussian, neither below zero, whose sum is nearest to ``value`` (k,) at lags
+    (k,), and what they take from the weighted sum of squares: (l, 3). The variances are the solution of a linear problem."""
+    out = np.zeros((len(length), 3))
+    for a in range(len(length)):
+        one = two = both = right_one = right_two = 0.0
+        for i in range(len(lag)):
+            x, w = lag[i] / length[a], weight[i]
+            first, second = math.exp(-x), math.exp(-0.5 * x * x)
+            one += w * first * first
+            two += w * second * second
+            both += w * first * second
+            right_one += w * first * value[i]
+            right_two += w * second * value[i]
+        det = max(one * two - both * both, 1e-12 * one * two)
+        s, t = (two * right_one - both * right_two) / det, (one * right_two - both * right_one) / det
+        if s < 0.0 or t < 0.0:  # one of them by itself: the one that gains more, right times itself
+            s, t = max(right_one, 0.0) / one, max(right_two, 0.0) / two
+            if right_one * s >= right_two * t:
+                t = 0.0
+            else:
+                s = 0.0
+        out[a] = s, t, 2.0 * (s * right_one + t * right_two) - (s * s * one + 2.0 * s * t * both + t * t * two)
+    return out

@@ -30,7 +30,7 @@ import numpy as np
 from ladar_volume.model.kernels import kernel, leaf_kernel
 from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.records import F32, F64, I16, I32, I64, Patches
-from ladar_volume.volume.navigation import NavigationBins, markov_sum, matrix_root
+from ladar_volume.volume.navigation import NavigationBins, markov_sum
 from ladar_volume.volume.packing import navigation_units
 from ladar_volume.volume.propagation import time_bins
 
@@ -162,8 +162,7 @@ class Swing:
 
 def swing_of(H: F64, bins: I64, navigation: NavigationBins) -> Swing:
     """From curvatures H (b, 3, 3) by ascending time bins (b,)."""
-    C, _ = navigation.mean(bins)
-    root = matrix_root(C[:, 3:, 3:])
+    root = navigation.roots(bins)[1]
     return Swing((bins - (bins[0] if len(bins) else 0)) * (navigation.bin_ns * 1e-9), root @ H @ root)
 
 

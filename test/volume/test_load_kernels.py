@@ -15,7 +15,6 @@ from ladar_volume.volume.load_kernels import (
     correlated_kernel,
     deviation_kernel,
     height_kernel,
-    mirrored_kernel,
     naive_kernel,
     neighbour_kernel,
     pair_falls_kernel,
@@ -190,6 +189,3 @@ def test_what_is_correlated_in_time():
     found = C.copy()
     correlated_kernel(d, np.exp(-np.diff(t, append=t[-1])), bins, (constant, markov, same, own), found)
     assert np.triu(found) == close(np.triu(C + d @ d.T * share)) and np.array_equal(np.tril(found, -1), np.tril(C, -1))
-    order = rng.permutation(k)
-    whole = mirrored_kernel(order, C)
-    assert np.array_equal(whole, whole.T) and np.array_equal(np.triu(whole[np.ix_(order, order)]), np.triu(C))

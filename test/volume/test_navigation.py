@@ -38,6 +38,22 @@ def test_roots():
     assert np.allclose(root @ root, C, atol=1e-12) and np.allclose(root, np.swapaxes(root, 1, 2))
 
 
+def test_roots_are_made_anew_where_states_come():
+    states, bin_s = platform(60), BIN_NS * 1e-9
+    states = dataclasses.replace(states, C_nav=states.C_nav * (1.0 + np.arange(len(states)) / 100)[:, None, None])
+    known, half = NavigationBins(bin_s), len(states) // 2 + 1  # in the middle of a bin
+    for part in (np.arange(len(states)) < half, np.arange(len(states)) >= half):
+        known.add(select(states, part))
+        bins = known.index
+        mean = known.mean(bins)[0]
+        for _ in range(2):
+            for root, C in zip(known.roots(bins), (mean[:, :3, :3], mean[:, 3:, 3:]), strict=True):
+                assert np.array_equal(root, matrix_root(C))
+    assert np.array_equal(NavigationBins.from_sums(bin_s, *known.sums()).roots(bins[::-1])[1], known.roots(bins)[1][::-1])
+    with pytest.raises(VolumeError):
+        known.roots(bins[-1:] + 1)
+
+
 def test_parts_in_their_limits():
     rng = np.random.default_rng(1)
     t, y, count = np.arange(50.0), rng.standard_normal((50, 3)), np.full(50, 5.0)

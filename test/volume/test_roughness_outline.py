@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from dataclasses import astuple
 
 import numpy as np
 import pytest
+from scipy.optimize import nnls
 
 from ladar_volume.ground.polynomial import COEFFICIENTS, design, design_surface
 from ladar_volume.model.errors import VolumeError
@@ -15,9 +17,10 @@ from ladar_volume.volume.ground_field import GroundField, Roughness, field_bound
 from ladar_volume.volume.outline import bodies, boundary_loop, components, fill_holes, surroundings, widened
 from ladar_volume.volume.roughness import (
     basis,
-    condensed_product,
     estimate_roughness,
+    fields_kernel,
     fitted_field,
+    packed_product,
     pair_sums,
     taken_by_fit,
 )
@@ -196,7 +199,7 @@ def test_what_is_shared_is_no_roughness(parameters):
     found = []
     for _ in range(40):
         e = P @ (root @ rng.standard_normal(n) + field @ rng.standard_normal(n) + 0.01 * rng.standard_normal(n))
-        known = (None, lambda some: C[np.ix_(some, some)])
+        known = (None, lambda some: (np.arange(len(some)), np.triu(C[np.ix_(some, some)])))
         found.append([estimate_roughness(xy, e, np.full(n, 1e-4), parameters, shared).variance_m2 for shared in known])
     double, once = np.mean(found, axis=0)
     assert double > 1.1 * once
@@ -207,8 +210,11 @@ def test_pairs_by_distance():
     rng = np.random.default_rng(6)
     xy, e, A, Q = rng.uniform(0, 5, (40, 2)), rng.standard_normal(40), rng.standard_normal((40, 40)), rng.standard_normal((40, 3))
     C, edges = A @ A.T, np.array([0.0, 0.5, 1.0, 3.0])
-    products, counts, partners, d = pair_sums(xy, e, C, Q, edges)
-    i, j = np.triu_indices(40, 1)
+    products, counts, partners, CQ, packed = pair_sums(xy, e, np.triu(C), Q, edges)
+    assert CQ == pytest.approx(C @ Q)
+    one, two = np.triu_indices(40)
+    assert not packed[one == two].any() and len(packed) == len(one)
+    (i, j), d = np.triu_indices(40, 1), packed[one < two]
     assert d == pytest.approx(np.linalg.norm(xy[i] - xy[j], axis=1))
     k = np.digitize(d, edges) - 1
     assert counts == pytest.approx(np.bincount(k, minlength=4)[:3])
@@ -218,7 +224,37 @@ def test_pairs_by_distance():
     assert np.tensordot(partners, W) == pytest.approx(np.bincount(k, T[i, j], 4)[:3])
     R = np.eye(40)
     R[i, j] = R[j, i] = np.exp(-d)
-    assert condensed_product(np.exp(-d), Q) == pytest.approx(R @ Q)
+    assert packed_product(np.exp(-packed), Q) == pytest.approx(R @ Q)
+
+
+def test_the_order_of_what_is_shared_does_not_matter():
+    xy, rng = grid(20), np.random.default_rng(15)
+    e, C = rng.standard_normal(400), 0.1 * np.exp(-np.abs(xy[:, :1] - xy[:, 0]) / 3.0)
+    found = []
+    for order in (np.arange(400), rng.permutation(400)):
+        found.append(estimate_roughness(xy, e, np.full(400, 0.01), 3, lambda some, order=order: (order, np.triu(C[np.ix_(order, order)]))))
+    assert astuple(found[0]) == pytest.approx(astuple(found[1]), rel=1e-9)
+
+
+def fields_twin(lag, value, weight, length):
+    """Each non-negative least-squares problem by SciPy."""
+    out = []
+    for one in length:
+        x, root = lag / one, np.sqrt(weight)
+        A = np.stack([np.exp(-x), np.exp(-0.5 * x * x)], axis=1)
+        part, rest = nnls(A * root[:, None], value * root)
+        out.append([*part, float((value**2 * weight).sum()) - rest**2])
+    return np.array(out)
+
+
+def test_fields_of_given_lengths():
+    rng, lag, length = np.random.default_rng(16), np.append(0.0, np.geomspace(0.3, 40, 25)), np.geomspace(0.1, 80.0, 12)
+    for scale in (1.0, -1.0):
+        for shape in (np.exp(-lag / 3.0), np.exp(-0.5 * (lag / 3.0) ** 2), np.cos(lag)):
+            value, weight = scale * shape + 0.1 * rng.standard_normal(26), rng.uniform(0.5, 2.0, 26)
+            found = fields_kernel(lag, value, weight, length)
+            assert found == pytest.approx(fields_twin(lag, value, weight, length), rel=1e-7, abs=1e-7)
+            assert found == pytest.approx(fields_kernel.py_func(lag, value, weight, length), rel=1e-12, abs=1e-12)
 
 
 def test_lengths_at_their_limits():

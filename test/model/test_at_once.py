@@ -1,0 +1,32 @@
+"""Two pieces of work at a time."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from ladar_volume.model.at_once import at_once
+from ladar_volume.model.errors import VolumeError
+
+
+def test_both_run_at_the_same_time():
+    met = threading.Barrier(2, timeout=30.0)
+    assert at_once(lambda: (met.wait(), 1)[1], lambda: (met.wait(), 2)[1]) == (1, 2)
+
+
+def test_what_either_raises_is_raised_when_both_have_ended():
+    ended = threading.Event()
+
+    def late() -> None:
+        ended.wait(0.05)
+        ended.set()
+
+    def refuse() -> None:
+        raise VolumeError("no", reason="volume_no_estimate")
+
+    with pytest.raises(VolumeError):
+        at_once(refuse, late)
+    assert ended.is_set()
+    with pytest.raises(VolumeError):
+        at_once(lambda: None, refuse)
