@@ -25,7 +25,7 @@ from ladar_volume.nodes.filter_node import FilterNode
 from ladar_volume.nodes.georeference_node import GeoreferenceNode
 from ladar_volume.nodes.logger_node import LoggerNode
 from ladar_volume.nodes.mavlink_node import MavlinkNode
-from ladar_volume.nodes.memory import few_arenas
+from ladar_volume.nodes.memory import few_arenas, free_buffers
 from ladar_volume.nodes.player import Player
 from ladar_volume.nodes.running import Spinner
 from ladar_volume.nodes.volume_node import VolumeNode
@@ -107,6 +107,7 @@ class Graph:
         for stage in STAGES:  # once here, so that processes do not compile the same kernels beside each other
             warm_up(stage)
         few_arenas()
+        free_buffers()
         # no handler of its own: it would end the context before the nodes have finished
         rclpy.init(args=[], signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
         self.watcher = Watcher()

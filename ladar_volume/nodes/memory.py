@@ -1,6 +1,6 @@
 """Memory that a long-running node no longer needs goes back to the system. glibc's allocator keeps it otherwise: its arenas, one or more
 per thread, grow to the peak of each thread and stay there, and large blocks that were freed once are cut from the heap from then on.
-Elsewhere these calls do nothing."""
+Elsewhere these calls do nothing. Fast DDS, too, keeps a buffer for every message that ever waited, where it is not told otherwise."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import contextlib
 import ctypes
 import gc
 import importlib
+import os
 import sys
 from pathlib import Path
 
@@ -23,6 +24,9 @@ KEPT_BYTES = 1 << 24
 _MADV_DONTNEED = 4
 #: What numba asks for with its first kernel, to take products of matrices by it, which no kernel here does: all of SciPy's linear algebra.
 BLAS = "scipy.linalg.cython_blas"
+#: Where Fast DDS is told what it reads, and the ROS middleware that it is to leave buffers to that; and what is read.
+PROFILES, FROM_PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE", "RMW_FASTRTPS_USE_QOS_FROM_XML"
+FREED = Path(__file__).with_name("fastdds.xml")
 #: How often a node gives memory back, s: the call takes milliseconds.
 GIVE_BACK_S = 5.0
 
@@ -34,6 +38,13 @@ def few_arenas() -> None:
         libc.mallopt(_M_ARENA_MAX, 2)
         libc.mallopt(_M_MMAP_THRESHOLD, MAPPED_BYTES)
         libc.mallopt(_M_TRIM_THRESHOLD, KEPT_BYTES)
+
+
+def free_buffers() -> None:
+    """Have Fast DDS free the buffers of messages that were taken; to be called before ROS starts. Profiles of one's own are left alone, and
+    should say the same."""
+    if PROFILES not in os.environ and FROM_PROFILES not in os.environ:
+        os.environ.update({PROFILES: str(FREED), FROM_PROFILES: "1"})
 
 
 def give_back() -> None:

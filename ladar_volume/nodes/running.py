@@ -14,7 +14,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.nodes.base import StageNode
-from ladar_volume.nodes.memory import few_arenas, without_blas
+from ladar_volume.nodes.memory import few_arenas, free_buffers, without_blas
 
 
 class Spinner:
@@ -43,6 +43,7 @@ class Spinner:
 def spin(factory: Callable[[], StageNode], argv: Sequence[str] | None = None) -> int:
     """Run one node in this process until SIGINT or SIGTERM, then let it finish its work. Returns an exit code."""
     few_arenas()
+    free_buffers()
     rclpy.init(args=list(argv) if argv is not None else None, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):

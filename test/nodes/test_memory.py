@@ -1,10 +1,11 @@
-"""What a node gives back once it is up."""
+"""What a node gives back: once it is up, and of the messages it sent and got."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
 
-from ladar_volume.nodes.memory import unchanged_pages
+from ladar_volume.nodes.memory import FROM_PROFILES, PROFILES, free_buffers, unchanged_pages
 
 ROOT = Path(__file__).parents[2]
 
@@ -66,3 +67,57 @@ def test_kernels_of_a_node_need_no_linear_algebra_of_scipy():
     """
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+SENT = """if True:
+    import array, sys, time
+    import rclpy
+    from rclpy.executors import SingleThreadedExecutor
+    from sensor_msgs.msg import PointCloud2
+    from ladar_volume.nodes import memory
+    from ladar_volume.nodes.base import STREAM
+    memory.few_arenas()
+    if sys.argv[1] == "free":
+        memory.free_buffers()
+    size = lambda: next(int(l.split()[1]) for l in open("/proc/self/status") if l.startswith("VmRSS")) / 1024
+    rclpy.init(args=[])
+    node, executor, got = rclpy.create_node("both"), SingleThreadedExecutor(), []
+    executor.add_node(node)
+    publisher = node.create_publisher(PointCloud2, "table", STREAM)
+    node.create_subscription(PointCloud2, "table", lambda m: got.append(len(m.data)), STREAM)
+    while not publisher.get_subscription_count():
+        time.sleep(0.05)
+    message, before = PointCloud2(data=array.array("B", bytes(2_000_000))), size()
+    for _ in range(30):
+        publisher.publish(message)
+    waiting, deadline = size(), time.monotonic() + 60.0
+    while len(got) < 30 and time.monotonic() < deadline:
+        executor.spin_once(timeout_sec=0.1)
+    assert got == [2_000_000] * 30
+    memory.give_back()
+    print(waiting - before, size() - before)
+    node.destroy_node()
+    rclpy.shutdown()
+"""
+
+
+def sent(how):
+    """What messages of 60 MB take while they wait, and once they are taken (MB)."""
+    environment = {k: v for k, v in os.environ.items() if k not in (PROFILES, FROM_PROFILES)}
+    environment |= {"ROS_DOMAIN_ID": str((os.getpid() + 11) % 90 + 10), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    done = subprocess.run([sys.executable, "-c", SENT, how], cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return [float(word) for word in done.stdout.split()]
+
+
+def test_buffers_of_messages_that_were_taken_are_free():
+    waiting, taken = sent("free")
+    assert waiting > 50.0 and taken < 10.0
+    assert sent("keep")[1] > 50.0  # what Fast DDS does by itself
+
+
+def test_profiles_of_ones_own_stay(monkeypatch):
+    monkeypatch.setenv(PROFILES, "mine.xml")
+    monkeypatch.delenv(FROM_PROFILES, raising=False)
+    free_buffers()
+    assert os.environ[PROFILES] == "mine.xml" and FROM_PROFILES not in os.environ
