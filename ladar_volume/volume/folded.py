@@ -10,9 +10,11 @@ import math
 
 import numba
 import numpy as np
+from scipy.special import ndtr
 
-from ladar_volume.model.kernels import kernel, parallel_kernel
+from ladar_volume.model.kernels import kernel, leaf_kernel, parallel_kernel
 from ladar_volume.model.records import F64
+from ladar_volume.volume.neighbourhood import CHUNKS
 from ladar_volume.volume.prismoids import positive_part
 
 #: Standard deviations beyond which a height's positive part is that of the height without noise.
@@ -23,36 +25,70 @@ PARTS = 32
 ROOT = math.sqrt(15.0)
 ORBITS = (((6 - ROOT) / 21, (155 - ROOT) / 1200), ((6 + ROOT) / 21, (155 + ROOT) / 1200))
 NODES = np.array([[1 / 3, 1 / 3, 9 / 40]] + [[x, y, w] for r, w in ORBITS for x, y in ((r, r), (1 - 2 * r, r), (r, 1 - 2 * r))])
+#: Standard deviations beyond which the normal distribution is 0 or 1, and its table: places, so many per unit, density there, share below.
+LAST, PER_UNIT = 8.0, 32.0
+PLACES = np.arange(-LAST, LAST + 1 / PER_UNIT, 1 / PER_UNIT)
+DENSITY, BELOW = np.exp(-0.5 * PLACES**2) / math.sqrt(2.0 * math.pi), ndtr(PLACES)
+DENSITY[[0, -1]], BELOW[[0, -1]] = 0.0, (0.0, 1.0)
 #: Columns of a packed symmetric 3 by 3 matrix.
 PACKED = np.array([[0, 0], [0, 1], [0, 2], [1, 1], [1, 2], [2, 2]])
 
 
-@kernel
-def add_point(mu: F64, C: F64, p: float, q: float, weight: float, out: F64) -> None:
-    """Adds one quadrature point with barycentric coordinates (1 − p − q, p, q) to ``out`` (10,): g, ∂g/∂μ (3), its curvature (6)."""
-    o = 1.0 - p - q
-    m = o * mu[0] + p * mu[1] + q * mu[2]
-    s2 = o * o * C[0] + p * p * C[3] + q * q * C[5] + 2.0 * (o * p * C[1] + o * q * C[2] + p * q * C[4])
-    s = math.sqrt(max(s2, 1e-300))
-    t = m / s
-    density = math.exp(-0.5 * t * t) * 0.3989422804014327
-    share = 0.5 * math.erfc(-t * 0.7071067811865476)
-    out[0] += weight * (m * share + s * density)
-    out[1] += weight * o * share
-    out[2] += weight * p * share
-    out[3] += weight * q * share
-    curve = weight * density / s
-    out[4] += curve * o * o
-    out[5] += curve * o * p
-    out[6] += curve * o * q
-    out[7] += curve * p * p
-    out[8] += curve * p * q
-    out[9] += curve * q * q
+@leaf_kernel
+def normal(t: float) -> tuple[float, float]:
+    """Density of the normal distribution at t and its share below, to 1e-13, by Taylor's series about the nearest of tabulated places:
+    many at a time, as the library's exponential and error function cannot be had."""
+    t = min(max(-LAST, t), LAST)  # not a number: -LAST
+    k = np.int32((t + LAST) * PER_UNIT + 0.5)
+    x = k * (1 / PER_UNIT) - LAST
+    d, y = t - x, x * x
+    e = -d * (x + 0.5 * d)
+    growth = 1.0 + e * (1.0 + e * (1 / 2 + e * (1 / 6 + e * (1 / 24 + e * (1 / 120 + e * (1 / 720 + e * (1 / 5040)))))))
+    fourth, fifth = (y - 6.0) * y + 3.0, ((y - 10.0) * y + 15.0) * x  # Hermite polynomials: the density's derivatives over the density
+    more = x * (y - 3.0) * (1 / 24) - d * (fourth * (1 / 120) - d * fifth * (1 / 720))
+    more = x * (1 / 2) - d * ((y - 1.0) * (1 / 6) - d * more)
+    return DENSITY[k] * growth, BELOW[k] + DENSITY[k] * d * (1.0 - d * more)
 
 
-@kernel
+@leaf_kernel
+def means_at(mu: F64, C: F64, count: int, work: F64) -> None:
+    """Mean, weighted share above zero and weighted density over the standard deviation, rows 3 to 5 of ``work``, at the ``count`` places
+    with barycentric coordinates (1 − p − q, p, q) and weight in rows 0 to 2."""
+    mu0, mu1, mu2, C00, C01, C02, C11, C12, C22 = mu[0], mu[1], mu[2], C[0], C[1], C[2], C[3], C[4], C[5]
+    P, Q, weight, mean, share, curve = work[0], work[1], work[2], work[3], work[4], work[5]
+    for k in range(count):  # without branches: compiled to vector instructions
+        p, q = P[k], Q[k]
+        o = 1.0 - p - q
+        m = o * mu0 + p * mu1 + q * mu2
+        s2 = o * o * C00 + p * p * C11 + q * q * C22 + 2.0 * (o * p * C01 + o * q * C02 + p * q * C12)
+        s = math.sqrt(max(s2, 1e-300))
+        density, above = normal(m / s)
+        mean[k] = weight[k] * (m * above + s * density)
+        share[k] = weight[k] * above
+        curve[k] = weight[k] * density / s
+
+
+@leaf_kernel
+def add_means(count: int, work: F64, out: F64) -> None:
+    """Adds what :func:`means_at` found to ``out`` (10,): g, ∂g/∂μ (3), its curvature (6)."""
+    P, Q, mean, share, curve = work[0], work[1], work[3], work[4], work[5]
+    g, g0, g1, g2, c00, c01, c02, c11, c12, c22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(count):
+        p, q = P[k], Q[k]
+        o = 1.0 - p - q
+        g += mean[k]
+        g0, g1, g2 = g0 + o * share[k], g1 + p * share[k], g2 + q * share[k]
+        a, b, c = o * curve[k], p * curve[k], q * curve[k]
+        c00, c01, c02, c11, c12, c22 = c00 + o * a, c01 + o * b, c02 + o * c, c11 + p * b, c12 + p * c, c22 + q * c
+    out[0] += g
+    out[1], out[2], out[3] = out[1] + g0, out[2] + g1, out[3] + g2
+    out[4], out[5], out[6], out[7], out[8], out[9] = out[4] + c00, out[5] + c01, out[6] + c02, out[7] + c11, out[8] + c12, out[9] + c22
+
+
+@leaf_kernel
 def add_far(mu: F64, p: float, q: float, weight: float, out: F64) -> None:
-    """The same where zero is too far for the noise to matter; exact for the mean over a part of the triangle about its centre."""
+    """Adds the mean and its slopes at a place with coordinates (1 − p − q, p, q) to ``out`` (10,) where zero is too far for the noise to
+    matter; exact for the mean over a part of the triangle about its centre."""
     o = 1.0 - p - q
     m = o * mu[0] + p * mu[1] + q * mu[2]
     if m > 0.0:
@@ -62,10 +98,11 @@ def add_far(mu: F64, p: float, q: float, weight: float, out: F64) -> None:
         out[3] += weight * q
 
 
-@kernel
-def by_quadrature(mu: F64, C: F64, s: float, parts: int, nodes: F64, out: F64) -> None:
-    """Means over a triangle of :func:`add_point`, divided into parts² equal triangles; s : largest standard deviation."""
-    size = 1.0 / parts
+@leaf_kernel
+def by_quadrature(mu: F64, C: F64, s: float, parts: int, nodes: F64, work: F64, out: F64) -> None:
+    """Adds the means over a triangle to ``out`` (10,): g, ∂g/∂μ (3), its curvature (6). The triangle is divided into parts² equal ones;
+    s : largest standard deviation · work : (6, parts² nodes at least), room for the places looked at."""
+    size, count = 1.0 / parts, 0
     far = FAR * s + (max(mu[0], mu[1], mu[2]) - min(mu[0], mu[1], mu[2])) * size
     for i in range(parts):
         for j in range(parts - i):
@@ -76,7 +113,10 @@ def by_quadrature(mu: F64, C: F64, s: float, parts: int, nodes: F64, out: F64) -
                     continue
                 for k in range(len(nodes)):
                     u, v = (nodes[k, 0], nodes[k, 1]) if flip == 0 else (1.0 - nodes[k, 0], 1.0 - nodes[k, 1])
-                    add_point(mu, C, (i + u) * size, (j + v) * size, nodes[k, 2] * size * size, out)
+                    work[0, count], work[1, count], work[2, count] = (i + u) * size, (j + v) * size, nodes[k, 2] * size * size
+                    count += 1
+    means_at(mu, C, count, work)
+    add_means(count, work, out)
 
 
 @kernel
@@ -107,7 +147,7 @@ def by_line(mu: F64, C: F64, out: F64) -> None:
         out[9] += weight * w[2] * w[2]
 
 
-@kernel
+@leaf_kernel
 def least_deviation(C: F64) -> float:
     """Least standard deviation of the interpolated height at corners, midpoints of edges and centre, for packed covariances (6,)."""
     least = min(C[0], C[3], C[5])
@@ -119,21 +159,23 @@ def least_deviation(C: F64) -> float:
 def folded_kernel(mu: F64, C: F64, plain: F64, nodes: F64) -> F64:
     """Means (m, 10) over triangles with heights mu (m, 3) and packed node covariances C (m, 6): g, its slopes (3), its curvature (6).
     ``plain`` (m, 4): mean and slopes without noise, taken where the base is farther away than the noise reaches."""
-    out = np.zeros((len(mu), 10))
-    for t in numba.prange(len(mu)):
-        low, high = min(mu[t, 0], mu[t, 1], mu[t, 2]), max(mu[t, 0], mu[t, 1], mu[t, 2])
-        s = math.sqrt(max(C[t, 0], C[t, 3], C[t, 5]))
-        small = least_deviation(C[t])
-        if low >= FAR * s or high <= -FAR * s:
-            out[t, :4] = plain[t]
-        elif high - low > PARTS * s and low < 0.0 and high > 0.0:
-            out[t, :4] = plain[t]
-            by_line(mu[t], C[t], out[t])
-        else:
-            least = 1 if high - low < 0.5 * small and small > 0.5 * s else 2  # nearly level, and noise nearly alike: one part will do
-            # two standard deviations a part: 1e-4 of the bias at most
-            parts = PARTS if high - low > 2.0 * PARTS * small else max(least, math.ceil(0.5 * (high - low) / max(small, 1e-300)))
-            by_quadrature(mu[t], C[t], s, parts, nodes, out[t])
+    m, out = len(mu), np.zeros((len(mu), 10))
+    for chunk in numba.prange(CHUNKS):
+        work = np.empty((6, PARTS * PARTS * len(nodes)))
+        for t in range(chunk * m // CHUNKS, (chunk + 1) * m // CHUNKS):
+            low, high = min(mu[t, 0], mu[t, 1], mu[t, 2]), max(mu[t, 0], mu[t, 1], mu[t, 2])
+            s = math.sqrt(max(C[t, 0], C[t, 3], C[t, 5]))
+            small = least_deviation(C[t])
+            if low >= FAR * s or high <= -FAR * s:
+                out[t, :4] = plain[t]
+            elif high - low > PARTS * s and low < 0.0 and high > 0.0:
+                out[t, :4] = plain[t]
+                by_line(mu[t], C[t], out[t])
+            else:
+                least = 1 if high - low < 0.5 * small and small > 0.5 * s else 2  # nearly level, and noise nearly alike: one part will do
+                # two standard deviations a part: 1e-4 of the bias at most
+                parts = PARTS if high - low > 2.0 * PARTS * small else max(least, math.ceil(0.5 * (high - low) / max(small, 1e-300)))
+                by_quadrature(mu[t], C[t], s, parts, nodes, work, out[t])
     return out
 
 

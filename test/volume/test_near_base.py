@@ -14,7 +14,19 @@ from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import Plane
 from ladar_volume.surface.screen import edges
 from ladar_volume.surface.tin import build_tin
-from ladar_volume.volume.folded import NODES, PACKED, add_far, add_point, by_line, by_quadrature, folded, folded_kernel, least_deviation
+from ladar_volume.volume.folded import (
+    NODES,
+    PACKED,
+    add_far,
+    add_means,
+    by_line,
+    by_quadrature,
+    folded,
+    folded_kernel,
+    least_deviation,
+    means_at,
+    normal,
+)
 from ladar_volume.volume.near_base import (
     csr,
     edge_sums,
@@ -236,11 +248,24 @@ def test_compiled_kernels_equal_their_plain_twins():
     plain = np.c_[positive_part(mu)[0], positive_part(mu)[1]]
     assert folded_kernel(mu, C, plain, NODES) == pytest.approx(folded_kernel.py_func(mu, C, plain, NODES), rel=1e-13, abs=1e-16)
     assert all(least_deviation(c) == least_deviation.py_func(c) == pytest.approx(0.03 / math.sqrt(3)) for c in C)
-    for run, args in ((add_point, (mu[2], C[2], 0.2, 0.3, 0.5)), (by_quadrature, (mu[3], C[3], 0.03, 3, NODES)), (add_far, (mu[1], 0.2, 0.3, 0.5)), (by_line, (mu[0], C[0]))):
+    rooms = [np.vstack([np.full((1, 63), 0.2), np.full((1, 63), 0.3), np.full((4, 63), 0.5)]) for _ in range(2)]
+    for room, run in zip(rooms, (means_at, means_at.py_func), strict=True):
+        run(mu[2], C[2], 63, room)
+    assert rooms[0] == pytest.approx(rooms[1], rel=1e-13) and len(set(rooms[0][3:, 0])) == 3
+    quadrature = (mu[3], C[3], 0.03, 3, NODES, rooms[0])
+    for run, args in ((by_quadrature, quadrature), (add_means, (63, rooms[1])), (add_far, (mu[1], 0.2, 0.3, 0.5)), (by_line, (mu[0], C[0]))):
         a, b = np.zeros(10), np.zeros(10)
         run(*args, a)
         run.py_func(*args, b)
         assert a == pytest.approx(b, rel=1e-13) and a.any()
+
+
+def test_the_tabulated_normal_distribution():
+    for t in (*np.linspace(-8.1, 8.1, 3001), -1e150, 1e150, 0.0):
+        density, below = normal(t)
+        assert density == pytest.approx(math.exp(-0.5 * t * t) / math.sqrt(2 * math.pi) if abs(t) < 1e3 else 0.0, abs=1e-13)
+        assert below == pytest.approx(0.5 * math.erfc(-t / math.sqrt(2)), abs=1e-13) and (density, below) == pytest.approx(normal.py_func(t), abs=1e-15)
+    assert [normal(t) for t in (-9.0, 8.0, np.inf, np.nan)] == [(0.0, 0.0), (0.0, 1.0), (0.0, 1.0), (0.0, 0.0)]
 
 
 @pytest.mark.parametrize("truth", [lambda x, y: 0 * x, lambda x, y: np.where(x > 5, 1.0, 0.0), lambda x, y: 0.2 * x * y])
