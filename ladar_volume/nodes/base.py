@@ -16,7 +16,7 @@ from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
-from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -31,6 +31,7 @@ from ladar_volume.model.parameters import SECTIONS, Parameters
 from ladar_volume.nodes import memory
 from ladar_volume.nodes.declared import descriptor, outside, why_not_now
 from ladar_volume.nodes.health import Health
+from ladar_volume.nodes.taking import waiting
 
 #: Maps, datum and volumes: whoever comes late still gets the last one.
 LATCHED = QoSProfile(
@@ -246,6 +247,10 @@ class StageNode(LifecycleNode, ABC):
             return False
         return True
 
+    def create_publisher(self, *arguments: Any, **options: Any) -> Any:
+        """A publisher that does not ask for warnings of a subscriber's QoS that does not match: each costs at every message."""
+        return super().create_publisher(*arguments, event_callbacks=PublisherEventCallbacks(use_default_callbacks=False), **options)
+
     def listen(self, kind: str, message_type: Any, topic: str, qos: QoSProfile, silent_s: float | None = None) -> None:
         """Subscribe: messages go to the worker as ``kind``; what the middleware lost is counted, a silence beyond ``silent_s`` named."""
         if silent_s is not None:
@@ -254,10 +259,14 @@ class StageNode(LifecycleNode, ABC):
         def lost(event: Any) -> None:
             self.losses.add(f"message_lost_{kind}", max(int(event.total_count_change), 0))
 
-        self.create_subscription(
-            message_type, topic, lambda m: self.offer(kind, m) if self._active else None, qos,
-            callback_group=self._group, event_callbacks=SubscriptionEventCallbacks(message_lost=lost),
-        )  # fmt: skip
+        def take(message: Any) -> None:
+            for one in (message, *(m for m, _ in waiting(subscription))):
+                if self._active:
+                    self.offer(kind, one)
+
+        subscription = self.create_subscription(
+            message_type, topic, take, qos, callback_group=self._group, event_callbacks=SubscriptionEventCallbacks(message_lost=lost)
+        )
 
     def _run(self) -> None:
         given_back = time.monotonic()

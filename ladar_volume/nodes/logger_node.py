@@ -26,6 +26,7 @@ from ladar_volume.model.errors import OutputError
 from ladar_volume.model.losses import Losses
 from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.running import spin
+from ladar_volume.nodes.taking import waiting
 from ladar_volume.version import version
 
 #: How often new topics are looked for.
@@ -173,10 +174,11 @@ class LoggerNode(StageNode):
             self._recorder.account(name).middleware = max(known.events, known.gaps)
 
         def take(data: bytes, info: Any) -> None:
-            if self._active:
-                self._take(name, known, data, info)
+            for one, of_it in ((data, info), *waiting(subscription)):
+                if self._active:
+                    self._take(name, known, one, of_it)
 
-        known.subscription = self.create_subscription(
+        known.subscription = subscription = self.create_subscription(
             message_type, topic, take, qos, raw=True, callback_group=self._group,
             # warnings of a QoS that does not match are not asked for: it is the publishers' own, and each costs at every message
             event_callbacks=SubscriptionEventCallbacks(message_lost=lost, use_default_callbacks=False),
