@@ -19,9 +19,19 @@ from ladar_volume.model.records import Datum, Estimate, PlatformStates
 from ladar_volume.model.se3 import matrix_from_quaternion, quaternion_from_matrix
 
 
+def time_message(t_ns: int) -> Time:
+    """An int64 nanosecond time."""
+    return Time(sec=t_ns // 1_000_000_000, nanosec=t_ns % 1_000_000_000)
+
+
+def time_ns(message: Time) -> int:
+    """The inverse of :func:`time_message`."""
+    return int(message.sec) * 1_000_000_000 + int(message.nanosec)
+
+
 def header(t_ns: int, frame: str = "map") -> Header:
     """A header at an int64 nanosecond time."""
-    return Header(stamp=Time(sec=t_ns // 1_000_000_000, nanosec=t_ns % 1_000_000_000), frame_id=frame)
+    return Header(stamp=time_message(t_ns), frame_id=frame)
 
 
 def table_message(columns: Columns, t_ns: int, frame: str = "map") -> PointCloud2:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+from builtin_interfaces.msg import Time
 from nav_msgs.msg import Odometry
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.task import Future
@@ -18,8 +19,9 @@ from ladar_volume.io.clouds import stamp_ns
 from ladar_volume.io.tables import decode
 from ladar_volume.io.wire import filtered_columns, mapped_points, patch_columns, update_parts
 from ladar_volume.model.records import Datum, FilterUpdate
+from ladar_volume.nodes.ahead import Ahead
 from ladar_volume.nodes.base import LATCHED, STREAM, NextRound, StageNode
-from ladar_volume.nodes.convert import datum_of, platform_state, table_message
+from ladar_volume.nodes.convert import datum_of, platform_state, table_message, time_ns
 from ladar_volume.nodes.passes import Passes
 from ladar_volume.nodes.running import spin
 
@@ -30,7 +32,7 @@ FIRST_RATE, LEAST_MEASURED = 2000.0, 50
 SHARE, BETWEEN_S, QUIET_S = 1.0 / 3.0, 0.15, 0.3
 #: Patches refitted by one update of a flush, about: all of a large site at once would take as much room as all of its patches, and small
 #: pieces are refitted again at their rims.
-MOST = 8000
+MOST = 3000
 
 
 class FilterNode(StageNode):
@@ -59,7 +61,8 @@ class FilterNode(StageNode):
         self._last_update_s = 0.0
         self._points = self.create_publisher(PointCloud2, "points_filtered", STREAM)
         self._patches = self.create_publisher(PointCloud2, "patches", STREAM)
-        self._sent_ns = 0
+        self._sent_ns, self._ahead = 0, Ahead()
+        self.create_subscription(Time, "taken", lambda m: self._ahead.taken(time_ns(m)), STREAM, callback_group=self._group)
         self.create_service(Trigger, "~/flush", self._flush, callback_group=MutuallyExclusiveCallbackGroup())
         self.listen("points", PointCloud2, "points_mapped", STREAM)
         self.listen("platform", Odometry, "platform", STREAM)
@@ -125,6 +128,7 @@ class FilterNode(StageNode):
         self.losses.merge(self.stage.losses)
         self.stage = SurfaceFilter(self.parameters, deferring=True)
         self._states, self._fresh = [], False
+        self._ahead.forget()
 
     def _hand_over(self) -> None:
         if self._states:
@@ -135,22 +139,23 @@ class FilterNode(StageNode):
             self._fresh = True
 
     def _catch_up(self) -> None:
-        """Send all that was put off."""
+        """Send all that was put off, no faster than it is taken."""
         self._hand_over()
         while self.stage.stats["points_deferred"]:
+            self._ahead.may_send(wait=True)
             self._send(self.stage.update(MOST))
         self._fresh = False
 
     def idle(self) -> None:
         """Publish an update when its time has come and something is new. While data comes it begins with new points, takes about
         :data:`SHARE` of the pause between two, and leaves for the next what changes least; once none comes there is no pause until nothing
-        is left. While messages wait, at most every third of the time goes into updates."""
+        is left. While messages wait, at most every third of the time goes into updates; while volume_node is behind, none."""
         now, period = time.monotonic(), self.parameters.node.update_period_s
         waited, late, just_came, self._just_came = now - self._updated, not self._queue.empty(), self._just_came, False
         quiet = not late and now - self._came > QUIET_S
         # between two clouds an update would only be of older points than one with the next
         due = waited >= period and (just_came or now - self._came > BETWEEN_S)
-        if not self._fresh or not (due or quiet) or (late and waited < 2.0 * self._last_update_s):
+        if not self._fresh or not (due or quiet) or (late and waited < 2.0 * self._last_update_s) or not self._ahead.may_send():
             return
         self._hand_over()
         update = self.stage.update(max(round((1.0 if quiet else SHARE) * period * self._patches_per_s), 1))
@@ -170,10 +175,15 @@ class FilterNode(StageNode):
     def _send(self, update: FilterUpdate | None) -> None:
         if update is not None:
             # the stamp pairs the two tables: a nanosecond more where that of the data would come again
-            first = max(update.t_ns, self._sent_ns + 1)
+            first, heard = max(update.t_ns, self._sent_ns + 1), self.count_publishers("taken") > 0
+            if not heard:
+                self._ahead.forget()
             for self._sent_ns, part in enumerate(update_parts(update), start=first):
-                self._patches.publish(table_message(patch_columns(part), self._sent_ns))
-                self._points.publish(table_message(filtered_columns(part.points), self._sent_ns))
+                patches, points = patch_columns(part), filtered_columns(part.points)
+                if heard:
+                    self._ahead.sent(self._sent_ns, sum(column.nbytes for table in (patches, points) for column in table.values()))
+                self._patches.publish(table_message(patches, self._sent_ns))
+                self._points.publish(table_message(points, self._sent_ns))
                 self.counts["parts"] += 1
             self.counts["updates"] += 1
 
@@ -183,6 +193,7 @@ class FilterNode(StageNode):
             **self.stage.stats, **{f"count_{k}": v for k, v in self.counts.items()},
             "pending_update": int(self._fresh or bool(self._states)),
             "last_update_s": f"{self._last_update_s:.2f}", "deferred_s": f"{self.stage.deferred_s:.2f}", "restarts": self._passes.begun,
+            "ahead_bytes": self._ahead.bytes,
         }  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
@@ -33,7 +34,7 @@ from ladar_volume.io.wire import (
 from ladar_volume.model.errors import LadarVolumeError, VolumeError
 from ladar_volume.model.records import Datum, Estimate, FilterUpdate, Volume
 from ladar_volume.nodes.base import LATCHED, STREAM, NextRound, StageNode
-from ladar_volume.nodes.convert import datum_of, ground_message, platform_state, table_message
+from ladar_volume.nodes.convert import datum_of, ground_message, platform_state, table_message, time_message
 from ladar_volume.nodes.passes import Passes
 from ladar_volume.nodes.running import spin
 from ladar_volume.nodes.since_epoch import SinceEpoch
@@ -65,7 +66,7 @@ class VolumeNode(StageNode):
         self._segment = 0
         self._due = False
         self._mapped = float("-inf")
-        self._estimate: Estimate | None = None
+        self._last: Volume | None = None  # no more of the last estimate: its surface would be held beside the new one
         self._why_not = "no surface yet"
         self._datum: Datum | None = None
         self._epoch = 0
@@ -81,6 +82,7 @@ class VolumeNode(StageNode):
         self._more_data = self.create_publisher(PointCloud2, "more_data", LATCHED)
         self._volume = self.create_publisher(Float64, "volume", 10)
         self._sigma = self.create_publisher(Float64, "volume_sigma", 10)
+        self._taken = self.create_publisher(Time, "taken", STREAM)
         self.listen("points", PointCloud2, "points_filtered", STREAM)
         self.listen("patches", PointCloud2, "patches", STREAM)
         self.listen("platform", Odometry, "platform", STREAM)
@@ -98,7 +100,7 @@ class VolumeNode(StageNode):
     def _start_over(self, stage: VolumeEstimator | None = None) -> None:
         self.losses.merge(self.stage.losses)
         self.stage, self._half, self._parts = VolumeEstimator(self.parameters) if stage is None else stage, {}, []
-        self._states, self._due, self._why_not, self._estimate, self._more = [], False, "no surface yet", None, None
+        self._states, self._due, self._why_not, self._last, self._more = [], False, "no surface yet", None, None
 
     def changed(self) -> None:
         """New base, outline or ground: the next estimate uses it."""
@@ -157,6 +159,7 @@ class VolumeNode(StageNode):
             for part in self._parts:
                 self.stage.add(part)
             self._parts, self._due, self._newest_part = [], True, key
+            self._taken.publish(time_message(key))
             if self._awaited:
                 self.wake()
 
@@ -190,8 +193,8 @@ class VolumeNode(StageNode):
         with self._lock:
             if self._due:
                 self._compute()
-        if self._estimate is not None:
-            v = self._estimate.volume
+        v = self._last
+        if v is not None:
             self.get_logger().info(f"volume at the end: {v.volume_m3:.4f} m3, sigma {v.sigma_m3:.4f} m3")
 
     def _compute(self, naive: bool = False) -> Estimate:
@@ -202,7 +205,7 @@ class VolumeNode(StageNode):
         self._estimate_began = time.monotonic()
         try:
             self._since.compare(self.stage)
-            self._estimate = self.stage.estimate(naive)
+            estimate = self.stage.estimate(naive)
         except LadarVolumeError as error:
             self._why_not = str(error)
             if error.reason == "volume_no_navigation":  # the filter held returns from before this node listened: once more
@@ -212,8 +215,9 @@ class VolumeNode(StageNode):
         finally:
             self._last_estimate_s = time.monotonic() - self._estimate_began
         self.counts["estimates"] += 1
-        self._publish(self._estimate)
-        return self._estimate
+        self._last = estimate.volume
+        self._publish(estimate)
+        return estimate
 
     def _publish_volumes(self, bodies: list[Volume]) -> None:
         rows = [*bodies, *self._since.rows()]
@@ -239,12 +243,12 @@ class VolumeNode(StageNode):
             if self._mesh.get_subscription_count():
                 self._mesh.publish(cdr.mesh(estimate))
 
-    def _result(self) -> dict[str, Any]:
+    def _result(self) -> tuple[Estimate, dict[str, Any]]:
         estimate = self._compute(naive=True)
         self._more = self.stage.more_data()
         result = results.result_dict(estimate, self.parameters, self.all_losses(), self._datum, {}, {"node": self.get_name()})
         change = None if self._since.change is None else results.change_dict(self._since.change)
-        return result | {"where_more_data_helps": results.more_data_dict(self._more), "epoch": change}
+        return estimate, result | {"where_more_data_helps": results.more_data_dict(self._more), "epoch": change}
 
     async def _catch_up(self) -> None:
         """Have the filter send what it put off, and wait for it, some seconds at most: without a filter the answer is from what is here."""
@@ -272,29 +276,28 @@ class VolumeNode(StageNode):
         return call
 
     def _answer(self) -> dict[str, Any]:
-        return self._result()
+        return self._result()[1]
 
     def _save(self) -> dict[str, Any]:
-        result = self._result()
+        estimate, result = self._result()
         folder = results.output_folder(self.parameters.node.output_folder)
-        self._write(folder, result)
+        self._write(folder, estimate, result)
         return {"folder": str(folder), "volume_m3": result["volume_m3"], "sigma_m3": result["sigma_m3"]}
 
-    def _write(self, folder: Path, result: dict[str, Any]) -> None:
+    def _write(self, folder: Path, estimate: Estimate, result: dict[str, Any]) -> None:
         from ladar_volume.io.surveys import FILE, write_survey  # what bags need is loaded where one is written
 
-        assert self._estimate is not None
         results.write_text(folder / "result.json", results.json_text(result))
         epoch = self.stage.epoch()
-        results.write_ply(folder / "mesh.ply", self._estimate.tin, epoch.sigma_z())
-        write_survey(folder / FILE, self._estimate, epoch, result)
+        results.write_ply(folder / "mesh.ply", estimate.tin, epoch.sigma_z())
+        write_survey(folder / FILE, estimate, epoch, result)
 
     def _start_epoch(self) -> dict[str, Any]:
-        if self._estimate is None:
+        if self._last is None:
             raise VolumeError(f"nothing to keep as an epoch: {self._why_not}", reason="volume_no_estimate")
         folder = results.output_folder(f"{self.parameters.node.output_folder}/epoch_{self._epoch}")
-        result = self._result()
-        self._write(folder, result)
+        estimate, result = self._result()
+        self._write(folder, estimate, result)
         self._epoch += 1
         self._since.keep(self.stage.epoch())
         if self._filter_reset.service_is_ready():
@@ -311,9 +314,9 @@ class VolumeNode(StageNode):
         }  # fmt: skip
         for number, place in enumerate([] if self._more is None else self._more.best(), start=1):
             lines[f"more_data_{number}"] = f"{place['x_m']:.2f} {place['y_m']:.2f} {place['gain_m3']:.4f} {place['why']}"
-        if self._estimate is None:
+        if self._last is None:
             return lines | {"estimate": self._why_not}
-        v = self._estimate.volume
+        v = self._last
         share = v.sigma_m3 / abs(v.volume_m3) if v.volume_m3 else float("inf")
         return lines | {
             "volume_m3": f"{v.volume_m3:.4f}", "sigma_m3": f"{v.sigma_m3:.4f}", "sigma_share": f"{share:.4f}",

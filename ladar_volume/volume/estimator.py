@@ -64,10 +64,10 @@ class VolumeEstimator:
 
     def add(self, update: FilterUpdate) -> None:
         """What changed in the filtered surface."""
+        self._surface_now = self._sources_now = self._main = None  # the surface before would be held beside the new one
         self._store.replace(update)
         self.losses.merge(self._store.losses)
         self._store.losses = Losses()
-        self._surface_now = self._sources_now = self._main = None  # the surface before would be held beside the new one
         self._t_ns = max(self._t_ns, update.t_ns)
 
     def estimate(self, naive: bool = True) -> Estimate:

@@ -20,6 +20,8 @@ from ladar_volume.volume.patch_merge import block_rows, copy_rows, place_blocks,
 
 #: Numbers after which a large array gives back what has been copied of it.
 GIVEN_BACK = 4_000_000
+#: Patches that wait to be merged, of whole updates, from which on they are, whether or not somebody looks: 7 kB and more of each wait.
+PENDING = 4000
 ROWS = ("key", "centre", "normal", "tangent", "beta", "sigma", "used", "t_ns", "M_cal")
 HELD = ("factor", "nav_unit")
 
@@ -67,7 +69,8 @@ def points_finite(points: FilteredPoints) -> Bool:
 class PatchStore:
     """Patches sorted by key and points sorted by patch, then position.
 
-    Updates are only collected as they come and merged in one go when somebody looks: an update in thirty messages costs one merge.
+    Updates are only collected as they come and merged in one go when somebody looks, or when they are many: an update in thirty messages
+    costs one merge.
     """
 
     def __init__(self) -> None:
@@ -92,6 +95,8 @@ class PatchStore:
         """Forget what the update removes or replaces, then add its patches and points."""
         points = self._usable(update.points, update.patches.key)
         self._pending.append(dataclasses.replace(update, points=points, patches=prepared(update.patches)))
+        if update.complete and sum(len(pending.patches) for pending in self._pending) > PENDING:
+            self._merge()
 
     def _merge(self) -> None:
         """The last word on every patch counts: its update's rows stay, all earlier ones go. A cross block is as new as the newer of its two

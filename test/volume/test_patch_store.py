@@ -12,6 +12,7 @@ from ladar_volume.filtering.filter import SurfaceFilter
 from ladar_volume.io.wire import update_parts
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import FilterUpdate, MappedPoints, PlatformStates, select
+from ladar_volume.volume import patch_store
 from ladar_volume.volume.packing import unpacked
 from ladar_volume.volume.patch_store import PatchStore
 
@@ -44,8 +45,9 @@ def twin(updates):
     return held
 
 
-@pytest.mark.parametrize("look_every", [1, 3, 100])
-def test_merge(look_every):
+@pytest.mark.parametrize(("look_every", "pending"), [(1, 10**6), (3, 10**6), (100, 10**6), (100, 40)])
+def test_merge(look_every, pending, monkeypatch):
+    monkeypatch.setattr(patch_store, "PENDING", pending)
     updates = random_updates(np.random.default_rng(5), 9)
     store = PatchStore()
     for number, update in enumerate(updates):
