@@ -20,6 +20,7 @@ F64 = npt.NDArray[np.float64]
 F32 = npt.NDArray[np.float32]
 I64 = npt.NDArray[np.int64]
 I32 = npt.NDArray[np.int32]
+I8 = npt.NDArray[np.int8]
 I16 = npt.NDArray[np.int16]
 U16 = npt.NDArray[np.uint16]
 Bool = npt.NDArray[np.bool_]
@@ -218,13 +219,13 @@ class Patches:
 
 @dataclass(frozen=True)
 class HeldPatches(Patches):
-    """Patches as they are held, about half as large: the blocks ``factor_a cross_ab factor_bᵀ`` with cross int16, M_nav int16 too, each row
+    """Patches as they are held, about half as large: the blocks ``factor_a cross_ab factor_bᵀ`` with cross int8; M_nav int16, each row
     times its unit for position and for attitude (see ``volume.packing``).
 
     factor : (m, p, p) float32 · nav_unit : (m, p + 2, 2) float32
     """
 
-    cross: I16  # type: ignore[assignment]
+    cross: I8  # type: ignore[assignment]
     M_nav: I16  # type: ignore[assignment]
     factor: F32
     nav_unit: F32

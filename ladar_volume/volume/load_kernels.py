@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.model.kernels import kernel
-from ladar_volume.model.records import F32, F64, I16, I32, I64
+from ladar_volume.model.records import F32, F64, I8, I16, I32, I64
 from ladar_volume.volume.patch_merge import place_from
 
 
@@ -59,7 +59,7 @@ def load_kernel(gradient: F64, normal: F64, tangent: F64, X: F64, row: I64) -> F
 
 
 @kernel
-def cross_kernel(q: F64, four: F64, start: I64, right: I32, cross: F32 | I16) -> F64:
+def cross_kernel(q: F64, four: F64, start: I64, right: I32, cross: F32 | I8) -> F64:
     """``Σ weight q_leftᵀ C f_right`` (k, 4) over the blocks C (b, p, p) of each patch from start (m + 1,) on, with patches right (b,), -1
     for one that is not there, with loads q (m, p or more, k), of which the first p count, and f (m, p, 4): as many sums as stay in
     registers. The weight is 1 for a patch's own block, 2 for another."""
@@ -98,7 +98,7 @@ def cross_kernel(q: F64, four: F64, start: I64, right: I32, cross: F32 | I16) ->
 
 
 @kernel
-def pair_falls_kernel(q: F64, start: I64, right: I32, cross: F32 | I16, cell: I64, cells: int) -> F64:
+def pair_falls_kernel(q: F64, start: I64, right: I32, cross: F32 | I8, cell: I64, cells: int) -> F64:
     """``Cov(T, a) − ½ Var(a)`` (cells,) of each cell's part a of the sum T of loads q (m, p or more) with the blocks of
     :func:`cross_kernel`, for patches in the cells cell (m,)."""
     out, p = np.zeros(cells), cross.shape[1]

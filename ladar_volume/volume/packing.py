@@ -1,9 +1,9 @@
-"""The large parts of a held surface as 16-bit numbers: covariance blocks, and sensitivities to the navigation.
+"""The large parts of a held surface in few bits: covariance blocks in 8, sensitivities to the navigation in 16.
 
 *Blocks.* Between parameters as they are, correlations would not do: those of one patch depend on one another, and what a result takes of
 them may be a small difference. So each patch has a factor ``F F^T = C_aa`` of its own block (Cholesky), and ``R_ab = F_a^-1 C_ab F_b^-T``
-is kept: correlations of parameters made independent within their patch, none beyond 1, to 2^-15. With the loads ``y_a = F_a^T q_a``, whose
-squares add up to the variance if patches shared no returns, the variance errs by no more than ``2^-15 (sum |y_a|_1)^2`` over pairs with a
+is kept: correlations of parameters made independent within their patch, none beyond 1, to 1/254. With the loads ``y_a = F_a^T q_a``, whose
+squares add up to the variance if patches shared no returns, the variance errs by no more than ``(sum |y_a|_1)^2 / 254`` over pairs with a
 block, in truth by far less, since the errors have either sign.
 
 *Sensitivities.* Each row of a patch has a unit of its own for position and for attitude: 2^-15 of its largest number there. Those to the
@@ -18,16 +18,17 @@ import numpy as np
 
 from ladar_volume.model.kernels import kernel
 from ladar_volume.model.ragged import patch_range
-from ladar_volume.model.records import F32, F64, I16, I64, HeldPatches, Patches
+from ladar_volume.model.records import F32, F64, I8, I16, I64, HeldPatches, Patches
 from ladar_volume.volume.patch_merge import holds, place_from
 
-#: The factors are kept times this: then a block is ``F_a R F_b^T`` of whole numbers R, 2^14 for a correlation of 1.
-SCALE = 2.0**-7
+#: Whole number for a correlation of 1, and what the factors are kept times: then a block is ``F_a R F_b^T`` of whole numbers R.
+ONE = 127.0
+SCALE = ONE**-0.5
 #: A pivot below this share of its diagonal is raised to it: there the block's own digits end.
 PIVOT = 1e-6
 #: Points looked at at once: the factors of their patches take room.
 BLOCK = 1 << 14
-#: Largest whole number.
+#: Largest whole number of a sensitivity.
 LARGEST = 32767.0
 
 
@@ -77,11 +78,11 @@ def solve_left(F: F32, T: F64) -> None:
 
 
 @kernel
-def block_kernel(own: I64, start: I64, other: I64, cross: F32, keys: I64, factor: F32) -> I16:
+def block_kernel(own: I64, start: I64, other: I64, cross: F32, keys: I64, factor: F32) -> I8:
     """Blocks (k, p, p) of one part as whole numbers: own (m,) its keys, start, other in CSR form; zero where one of the two patches is not
     among ascending keys with their factors. The lower key comes first."""
     p, at, hint = cross.shape[1], 0, 0
-    out, T, U = np.zeros(cross.shape, np.int16), np.empty((p, p)), np.empty((p, p))
+    out, T, U = np.zeros(cross.shape, np.int8), np.empty((p, p)), np.empty((p, p))
     for i in range(len(own)):
         at, hint = place_from(keys, own[i], at), 0
         for e in range(start[i], start[i + 1]):
@@ -99,7 +100,7 @@ def block_kernel(own: I64, start: I64, other: I64, cross: F32, keys: I64, factor
             solve_left(factor[b], U)
             for r in range(p):
                 for c in range(p):
-                    out[e, r, c] = np.int16(np.rint(min(max(U[c, r], -LARGEST), LARGEST)))
+                    out[e, r, c] = np.int8(np.rint(min(max(U[c, r], -ONE), ONE)))
     return out
 
 

@@ -1,7 +1,7 @@
 """The current filtered surface, kept from updates: patches and points by patch key, in canonical order.
 
 What is stored depends only on the union of the updates, not on their history, so a streamed and a batch estimate are bit-identical.
-Covariances and sensitivities are held as 16-bit numbers (see ``packing``).
+Covariances and sensitivities are held in few bits (see ``packing``).
 """
 
 from __future__ import annotations
@@ -178,7 +178,7 @@ def merged_patches(parts: Parts, turns: list[int], last: LastWord) -> HeldPatche
     blocks, cross = [], parts.take("cross")[::-1]
     for mine, start, other in zip(own, starts, others, strict=True):
         new = cross.pop()
-        blocks.append(new if new.dtype == np.int16 else block_kernel(mine, start, other, new, keys, made["factor"]))
+        blocks.append(new if new.dtype == np.int8 else block_kernel(mine, start, other, new, keys, made["factor"]))
     del new
     made["cross"] = picked(blocks, entry)
     starts = parts.take("nav_start")

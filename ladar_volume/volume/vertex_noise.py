@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from ladar_volume.model.kernels import kernel
-from ladar_volume.model.records import F32, F64, I16, I32, I64, Bool, FilteredPoints, Patches, Tin
+from ladar_volume.model.records import F32, F64, I8, I32, I64, Bool, FilteredPoints, Patches, Tin
 from ladar_volume.volume.packing import factor_rows
 from ladar_volume.volume.propagation import SurfaceGeometry
 
@@ -46,7 +46,7 @@ def height_pairs(tin: Tin, patches: Patches, geometry: SurfaceGeometry, X: F64, 
 
 @kernel
 def pair_kernel(
-    one: I64, two: I64, row: I64, X: F64, start: I64, right: I32, cross: F32 | I16
+    one: I64, two: I64, row: I64, X: F64, start: I64, right: I32, cross: F32 | I8
 ) -> tuple[F64, Bool]:
     """``x_i C x_j`` (k,) of vertices one and two (k,) on patches row (n,) by design rows X (n, p), and whether there is such a block.
 
@@ -85,7 +85,7 @@ def height_sums(
 
 
 @kernel
-def sum_kernel(start: I64, right: I32, cross: F32 | I16, load: F64, touched: Bool) -> F64:
+def sum_kernel(start: I64, right: I32, cross: F32 | I8, load: F64, touched: Bool) -> F64:
     """``Σ_b C_ab f_b`` (m, p) over all patches b of those ``touched`` (m,), for loads f (m, p) and the blocks of :func:`pair_kernel`."""
     p, out = load.shape[1], np.zeros(load.shape)
     for a in range(len(load)):

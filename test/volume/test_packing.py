@@ -1,4 +1,4 @@
-"""What is held as 16-bit numbers: the kernels against plain algebra, and what the fewer digits do to a variance."""
+"""What is held in few bits: the kernels against plain algebra, and what the fewer digits do to a variance."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from ladar_volume.model.records import FilterUpdate, Patches
 from ladar_volume.volume import packing
 from ladar_volume.volume.packing import (
     LARGEST,
+    ONE,
     PIVOT,
     SCALE,
     factor_loads,
@@ -66,7 +67,7 @@ def test_blocks_against_plain_algebra(surface):
                 F[np.ix_(live, live)],
                 np.linalg.solve(G[np.ix_(alive, alive)], others[other].astype(np.float64)[np.ix_(live, alive)].T).T,
             )
-            assert np.abs(R - twin).max() <= 0.5 + 1e-6 and np.abs(R).max() <= 1.05 * 2**14
+            assert np.abs(R - twin).max() <= 0.5 + 1e-6 and np.abs(R.astype(int)).max() <= ONE
     assert clear > 100
 
 
@@ -88,7 +89,7 @@ def test_a_variance_errs_by_less_than_the_bound_and_hardly_at_all(surface):
         y = np.abs(turned[:, :, 0]).sum(axis=1)  # of half a whole number
         weight = np.where(packed.left == packed.right, 0.5, 1.0)
         assert abs(after - before) <= float((weight * y[packed.left] * y[packed.right]).sum()) * (1 + 1e-6)
-        assert after == pytest.approx(before, rel=2e-5)
+        assert after == pytest.approx(before, rel=1e-3)  # and its root to a twentieth of a percent
 
 
 def test_sensitivities_keep_fifteen_bits_of_the_largest(surface):
@@ -128,9 +129,9 @@ def test_a_patch_without_a_block_and_one_nobody_knows():
     cross = np.diag([4.0, 0.0, 1.0]).astype(np.float32)[None].repeat(2, axis=0)
     blocks = np.concatenate([9 * cross[:1], cross])  # of 5 with 9, its own, and of 6 with 5
     factor = packing.factor_kernel(np.array([5, 6]), np.array([0, 2, 3]), np.array([9, 5, 5]), blocks)
-    assert np.array_equal(factor[0], np.diag([2.0, 0.0, 1.0]) * SCALE) and not factor[1].any()
+    assert np.array_equal(factor[0], (np.diag([2.0, 0.0, 1.0]) * SCALE).astype(np.float32)) and not factor[1].any()
     found = packing.block_kernel(np.array([7]), np.array([0, 2]), np.array([7, 9]), cross, np.array([7]), factor[:1])
-    assert np.array_equal(found[0], np.diag([16384, 0, 16384])) and not found[1].any()
+    assert np.array_equal(found[0], np.diag([127, 0, 127])) and not found[1].any()
 
 
 def test_plain_patches_are_cut_as_they_are(surface):
