@@ -11,7 +11,6 @@ import numpy as np
 from ladar_volume.georeference.budget import calibration_covariance
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I32, I64, FilteredPoints, Patches
-from ladar_volume.volume.ground_field import GroundField
 from ladar_volume.volume.load_kernels import correlated_kernel, height_kernel, naive_kernel
 from ladar_volume.volume.navigation import NavigationBins, NavigationLoads, navigation_loads, navigation_variance
 from ladar_volume.volume.patch_errors import PatchErrors
@@ -88,10 +87,8 @@ class Sources:
         beams = (patches.M_cal.shape[2] - 11) // 2
         self.C_cal = calibration_covariance(parameters.budget, beams, parameters.georeference.pose_source)
 
-    def budget(self, gradient: F64, field: GroundField | None, naive: bool = True) -> Budget:
-        """Budget of the first of k results with gradients (n, k, 3) per point; the others get their independent covariance only. Without
-        ``naive``, which needs the variance of every point, that sigma is NaN."""
-        s = self.sensitivities(gradient, naive)
+    def budget(self, s: Sensitivities, base_surface_m6: float) -> Budget:
+        """Budget of a result with these sensitivities, and with a variance from the ground's deviation from the base under it."""
         C_b = self.C_cal[BORESIGHT, BORESIGHT]
         navigation = navigation_variance(s.navigation, self.parameters.budget)
         bent, second = together({
@@ -102,7 +99,7 @@ class Sources:
             "noise": max(0.0, float(s.C_results[0, 0])),
             "noise_tangential": s.tangential_m6,
             **calibration_variance(s.J_cal, self.C_cal), **navigation, **bent,
-            "base_surface": 0.0 if field is None else field.variance_m6,
+            "base_surface": base_surface_m6,
         }
         rest = sum(lines.values()) - lines["position"] - lines["attitude"]
         low, high = (math.sqrt(rest + sum(navigation_variance(s.navigation, self.parameters.budget, f).values())) for f in (1.0 / 3.0, 3.0))
@@ -110,8 +107,8 @@ class Sources:
         return Budget(lines, s.C_results, (min(low, high), max(low, high)), s.naive_m3, within, second)
 
     def sensitivities(self, gradient: F64, naive: bool = True) -> Sensitivities:
-        """What each source does to the first of k results with gradients (n, k, 3) per point; C_results is of all of them; naive_m3 is NaN
-        where it is not wanted."""
+        """What each source does to the first of k results with gradients (n, k, 3) per point; C_results is of all of them. Without
+        ``naive``, which needs the variance of every point, that sigma is NaN."""
         q = patch_loads(gradient, self.patches, self.geometry)
         first = np.ascontiguousarray(q[:, :, 0])
         H = curvatures(first, self.patches, self.navigation, self.time_bins)

@@ -6,6 +6,7 @@ import copy
 import dataclasses
 from collections.abc import Callable
 from statistics import NormalDist
+from typing import TypeVar
 
 import numpy as np
 
@@ -30,6 +31,8 @@ from ladar_volume.volume.outline import boundary_loop
 from ladar_volume.volume.patch_store import PatchStore
 from ladar_volume.volume.polygon import clipped_prismoids
 from ladar_volume.volume.prismoids import Prismoids, prismoids
+
+B = TypeVar("B")
 
 #: Bodies whose joint covariance is computed: the work grows with the number of pairs.
 MAX_JOINT = 8
@@ -136,26 +139,29 @@ class VolumeEstimator:
         parts = area_by_body(surface.tin, base, inside, self.parameters.volume)
         inverse = ground_inverse(surface.tin.vertices, base) if len(base.support) else None
 
-        def solved(part: F64) -> tuple[Prismoids, Budget]:
+        def solved(part: F64, beside: Callable[[F64], B]) -> tuple[Prismoids, Budget, B]:
             solid = self._solid(surface.tin, base, part)
             gradients = result_gradients(surface.tin, base, solid, len(points), surface, inverse)
-            field = ground_field(surface.tin, base, solid, part, height_variance, sources, inverse)
-            return solid, sources.budget(gradients, field, naive)
+
+            def rough_m6() -> float:
+                field = ground_field(surface.tin, base, solid, part, height_variance, sources, inverse)
+                return 0.0 if field is None else field.variance_m6
+
+            base_m6, (sensitivities, more) = at_once(rough_m6, lambda: (sources.sensitivities(gradients, naive), beside(part)))
+            return solid, sources.budget(sensitivities, base_m6), more
 
         def near(part: F64) -> NearBase | None:
             return near_correction(surface, base, part, points, patches, sources.geometry)
 
-        made, corrected = at_once(lambda: [solved(part) for part in parts], lambda: [near(part) for part in parts])
-        self._main = surface, base, parts[0], *made[0], sources, height_variance
+        made = [solved(part, near) for part in parts]
+        self._main = surface, base, parts[0], *made[0][:2], sources, height_variance
         normal = points.normal[surface.tin.source]
-        volumes = tuple(
-            self._volume(surface.tin, normal, base, part, *one, beside) for part, one, beside in zip(parts, made, corrected, strict=True)
-        )
+        volumes = tuple(self._volume(surface.tin, normal, base, part, *one) for part, one in zip(parts, made, strict=True))
         grounds = all_grounds(surface.tin, height_variance, base, inside, self.parameters)
         if len(base.support):
             base = dataclasses.replace(base, C_beta=made[0][1].C_results[1:, 1:])
             grounds = (base, *grounds[1:])
-        joint = joint_covariance([v.sigma_m3**2 for v in volumes], lambda a, b: solved(parts[a] + parts[b])[1].sigma ** 2)
+        joint = joint_covariance([v.sigma_m3**2 for v in volumes], lambda a, b: solved(parts[a] + parts[b], lambda _: None)[1].sigma ** 2)
         return Estimate(volumes[0], surface.tin, base, grounds, volumes, joint)
 
     def _solid(self, tin: Tin, base: Plane, inside: F64) -> Prismoids:
