@@ -25,9 +25,8 @@ from ladar_volume.nodes.filter_node import FilterNode
 from ladar_volume.nodes.georeference_node import GeoreferenceNode
 from ladar_volume.nodes.logger_node import LoggerNode
 from ladar_volume.nodes.mavlink_node import MavlinkNode
-from ladar_volume.nodes.memory import few_arenas, free_buffers
 from ladar_volume.nodes.player import Player
-from ladar_volume.nodes.running import Spinner
+from ladar_volume.nodes.running import Spinner, before_ros
 from ladar_volume.nodes.volume_node import VolumeNode
 from ladar_volume.warm import STAGES, warm_up
 
@@ -106,8 +105,7 @@ class Graph:
         names = [n for n in FACTORIES if wanted.get(n, True)]
         for stage in STAGES:  # once here, so that processes do not compile the same kernels beside each other
             warm_up(stage)
-        few_arenas()
-        free_buffers()
+        before_ros()
         # no handler of its own: it would end the context before the nodes have finished
         rclpy.init(args=[], signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
         self.watcher = Watcher()
