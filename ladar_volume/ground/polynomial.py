@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -12,6 +12,8 @@ from ladar_volume.model.records import F64, Plane
 
 #: Number of coefficients by degree.
 COEFFICIENTS = (1, 3, 6, 10)
+#: Where what a column of length 1 has of its own beside the others is more than this, products of columns keep twelve digits of it.
+FIXED = 1e-2
 
 
 def degree_of(plane: Plane) -> int:
@@ -24,15 +26,21 @@ def exponents(degree: int) -> list[tuple[int, int]]:
     return [(k - j, j) for k in range(degree + 1) for j in range(k + 1)]
 
 
+def monomials(xy: F64, origin_xy: F64, degree: int) -> Iterator[F64]:
+    """The design columns (n,) after the constant one, in their order, for points xy (n, 2), m."""
+    x, y = xy[:, 0] - origin_xy[0], xy[:, 1] - origin_xy[1]
+    last: list[F64] = []
+    for k in range(1, degree + 1):
+        last = [*(column * x for column in last), last[-1] * y] if k > 1 else [x, y]  # all of one power less, times x
+        yield from last
+
+
 def design(xy: F64, origin_xy: F64, degree: int) -> F64:
     """Rows ``(1, dx, dy, dx², dx dy, dy², dx³, dx² dy, dx dy², dy³)`` up to the degree: (n, p) for points xy (n, 2), m."""
-    (x, y), c = (xy - origin_xy).T, 1
-    out = np.ones((len(xy), COEFFICIENTS[degree]))
-    for k in range(1, degree + 1):
-        for j in range(k):  # all of one power less, times x
-            np.multiply(out[:, c - k + j], x, out=out[:, c + j])
-        np.multiply(out[:, c - 1], y, out=out[:, c + k])
-        c += k + 1
+    out = np.empty((len(xy), COEFFICIENTS[degree]))
+    out[:, 0] = 1.0
+    for c, column in enumerate(monomials(xy, origin_xy, degree), 1):
+        out[:, c] = column
     return out
 
 
@@ -50,7 +58,9 @@ def design_gradient(xy: F64, origin_xy: F64, degree: int) -> F64:
 
 def base_height(plane: Plane, xy: F64) -> F64:
     """Height (n,) m of a base surface at xy (n, 2)."""
-    out: F64 = design(xy, plane.origin_xy, degree_of(plane)) @ plane.beta
+    out = np.full(len(xy), plane.beta[0])
+    for b, column in zip(plane.beta[1:], monomials(xy, plane.origin_xy, degree_of(plane)), strict=True):
+        out += b * column
     return out
 
 
@@ -76,41 +86,39 @@ def design_surface(beta: Sequence[float], origin_xy: tuple[float, float] = (0.0,
     return Plane(np.asarray(origin_xy, dtype=np.float64), np.asarray(beta, dtype=np.float64), np.zeros((p, p)), np.zeros(0, np.int64))
 
 
-def solve(points: F64, origin_xy: F64, degree: int) -> tuple[F64, F64, F64]:
-    """Least-squares coefficients of points (n, 3) with vertical residuals.
-
-    Returns beta (p,), the design rows X (n, p), and ``N = (XᵀX)⁻¹`` (p, p): the coefficients follow heights by ``N Xᵀ``. Raises
-    :class:`GroundError` where the points do not fix the surface.
-    """
-    X = design(points[:, :2], origin_xy, degree)
+def solve(X: F64, z: F64, degree: int) -> tuple[F64, F64]:
+    """Least-squares coefficients beta (p,) of design rows X (n, p) and heights z (n,), and ``N = (XᵀX)⁻¹`` (p, p): the coefficients follow
+    heights by ``N Xᵀ``. Raises :class:`GroundError` where the points do not fix the surface."""
     S = inverse_root(X, degree)
-    return S @ (S.T @ (X.T @ points[:, 2])), X, S @ S.T
-
-
-def coefficients(X: F64, z: F64, degree: int) -> F64:
-    """The coefficients (p,) alone, from design rows X (n, p) and heights z (n,)."""
-    S = inverse_root(X, degree)
-    out: F64 = S @ (S.T @ (X.T @ z))
-    return out
+    return S @ (S.T @ (X.T @ z)), S @ S.T
 
 
 def inverse_root(X: F64, degree: int) -> F64:
-    """S (p, p) with ``S Sᵀ = (XᵀX)⁻¹`` of design rows X (n, p). Raises :class:`GroundError` where the points do not fix the surface."""
-    scale = column_scale(X, degree)
-    R: F64 = np.asarray(np.linalg.qr(X / scale, mode="r"))
-    check_rank(R, degree)
+    """S (p, p) with ``S Sᵀ = (XᵀX)⁻¹`` of design rows X (n, p): from that product, and from the rows where it has too few digits. Raises
+    :class:`GroundError` where the points do not fix the surface."""
+    square = X.T @ X
+    scale = column_scale(len(X), square, degree)
+    try:
+        R: F64 = np.asarray(np.linalg.cholesky(square / np.outer(scale, scale)).T, np.float64)
+        digits = float(R.diagonal().min())
+    except np.linalg.LinAlgError:
+        digits = 0.0
+    if not digits > FIXED:
+        R = np.asarray(np.linalg.qr(X / scale, mode="r"))
+        check_rank(R, degree)
     out: F64 = np.linalg.solve(R, np.eye(len(R))) / scale[:, None]
     return out
 
 
-def column_scale(X: F64, degree: int) -> F64:
-    """Lengths (p,) of the columns of design rows X (n, p). Raises :class:`GroundError` for too few rows or an empty column."""
-    scale: F64 = np.sqrt(np.einsum("np,np->p", X, X))
-    if len(X) < X.shape[1] or (scale == 0).any():
+def column_scale(count: int, square: F64, degree: int) -> F64:
+    """Lengths (p,) of the columns of ``count`` design rows from their products (p, p). Raises :class:`GroundError` for too few rows or an
+    empty column."""
+    scale: F64 = np.sqrt(square.diagonal())
+    if count < len(scale) or (scale == 0).any():
         raise GroundError(
-            f"{len(X)} points do not define a ground of degree {degree}: give more of the ground, or a lower ground.degree",
+            f"{count} points do not define a ground of degree {degree}: give more of the ground, or a lower ground.degree",
             reason="ground_too_few_points",
-            value=len(X),
+            value=count,
         )
     return scale
 

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import COEFFICIENTS, base_height, coefficients, design, solve, tilt_of
+from ladar_volume.ground.polynomial import COEFFICIENTS, base_height, design, solve, tilt_of
 from ladar_volume.ground.sampling import best_candidate
 from ladar_volume.model.errors import GroundError
 from ladar_volume.model.parameters import GroundParameters
@@ -51,17 +51,18 @@ def refine(points: F64, variance: F64, start: Plane, parameters: GroundParameter
     seen: set[bytes] = set()
     # a floor of rounding size keeps exact planes from losing points to the last bit
     floor = 1e-9 * (1.0 + float(np.abs(z).max(initial=0.0)))
-    for _ in range(MAX_REFITS):
-        residual = z - X @ coefficients(X[inside], z[inside], degree)
+    for left in range(MAX_REFITS, -1, -1):
+        rows = X[inside]
+        beta, N = solve(rows, z[inside], degree)
+        residual = z - X @ beta
         limit = threshold or max(THRESHOLD_SIGMAS * robust_sigma(residual[inside]), floor)
         new = np.abs(residual) <= limit
-        if np.array_equal(new, inside) or new.tobytes() in seen:
+        if left == 0 or np.array_equal(new, inside) or new.tobytes() in seen:
             break
         seen.add(new.tobytes())
         inside = new
-    beta, X, N = solve(points[inside], origin, degree)
-    residual = z[inside] - X @ beta
-    C_beta = N @ ((X.T * variance[inside]) @ X) @ N
+    residual = residual[inside]
+    C_beta = N @ ((rows.T * variance[inside]) @ rows) @ N
     plane = Plane(origin, beta, C_beta, np.flatnonzero(inside).astype(np.int64), float(np.sqrt(np.mean(residual**2))))
     check_tilt(plane, parameters)
     return plane

@@ -39,7 +39,8 @@ def base_and_outline(tin: Tin, height_variance: F64, parameters: Parameters) -> 
         else:
             used = np.flatnonzero(vertex_mask(tin, tin.relevant))
         base = fit_ground(tin.vertices, height_variance, parameters.ground, p.object_height_m / 2, select=used)
-    inside = area_inside(tin, base, p)
+    known: dict[bytes, F64] = {}
+    inside = area_inside(tin, base, p, known)
     if p.base != "ground" or p.outline == "all":
         return base, inside
     seen = [inside]
@@ -47,26 +48,29 @@ def base_and_outline(tin: Tin, height_variance: F64, parameters: Parameters) -> 
         ring = surroundings(tin, inside > 0, p.ground_ring_m)
         refined = refine(tin.vertices[ring], height_variance[ring], base, parameters.ground, p.object_height_m)
         base = dataclasses.replace(refined, support=ring[refined.support])
-        inside = area_inside(tin, base, p)
+        inside = area_inside(tin, base, p, known)
         if any(np.array_equal(inside, earlier) for earlier in seen):
             break  # settled, or a triangle or two come and go
         seen.append(inside)
     return base, inside
 
 
-def area_inside(tin: Tin, base: Plane, p: VolumeParameters) -> F64:
-    """Area (m,) m² of each triangle inside the outline. Raises :class:`VolumeError` where there is none."""
+def area_inside(tin: Tin, base: Plane, p: VolumeParameters, known: dict[bytes, F64] | None = None) -> F64:
+    """Area (m,) m² of each triangle inside the outline. Raises :class:`VolumeError` where there is none. known : by the bodies' triangles,
+    what was found on this surface before; a base that differs little has the same bodies."""
     if p.outline == "polygon":
         inside = areas_inside(tin, polygon_of(p))
         if not inside.any():
             raise VolumeError("no part of the surface lies inside the outline", reason="volume_no_triangle")
         return inside
+    area = footprint_areas(tin.vertices, tin.triangles)
     if p.outline == "all":
-        mask = tin.relevant
-    else:
-        found = bodies(tin, base, p.object_height_m, p.bodies, p.min_body_m3)
-        mask = widened(tin, np.logical_or.reduce(found), p.outline_margin_m)
-    return np.where(mask, footprint_areas(tin.vertices, tin.triangles), 0.0)
+        return np.where(tin.relevant, area, 0.0)
+    body = np.logical_or.reduce(bodies(tin, base, p.object_height_m, p.bodies, p.min_body_m3))
+    known, key = {} if known is None else known, body.tobytes()
+    if key not in known:
+        known[key] = np.where(widened(tin, body, p.outline_margin_m), area, 0.0)
+    return known[key]
 
 
 def area_by_body(tin: Tin, base: Plane, inside: F64, p: VolumeParameters) -> list[F64]:

@@ -16,6 +16,7 @@ from ladar_volume.ground.polynomial import (
     design_gradient,
     design_surface,
     exponents,
+    inverse_root,
     solve,
 )
 from ladar_volume.ground.robust import fit_ground, robust_sigma
@@ -32,6 +33,10 @@ def ground(n=400, degree=1, noise=0.0, seed=0, half=20.0):
     rng = np.random.default_rng(seed)
     xy = rng.uniform(-half, half, (n, 2))
     return np.c_[xy, base_height(design_surface(COEFFICIENTS[degree]), xy) + noise * rng.standard_normal(n)]
+
+
+def fitted(points, origin, degree):
+    return solve(design(points[:, :2], origin, degree), points[:, 2], degree)[0]
 
 
 def fit(points, degree=1, **kwargs):
@@ -96,7 +101,8 @@ def test_covariance_is_that_of_the_sampled_coefficients():
         p = xy.copy()
         p[:, 2] += 0.01 * np.random.default_rng(seed).standard_normal(300)
         origin = np.zeros(2)
-        beta, X, N = solve(p, origin, 1)
+        X = design(p[:, :2], origin, 1)
+        beta, N = solve(X, p[:, 2], 1)
         fits.append(beta)
     C = 1e-4 * N @ X.T @ X @ N
     assert np.allclose(C, 1e-4 * N, rtol=1e-10)
@@ -137,7 +143,7 @@ def test_adjoint_equals_central_differences(degree):
     points = ground(30, degree, noise=0.2)
     by_beta = np.random.default_rng(3).standard_normal((len(COEFFICIENTS[degree]), 2))
     origin = np.array([1.0, 2.0])
-    beta, _, _ = solve(points, origin, degree)
+    beta = fitted(points, origin, degree)
     plane = Plane(origin, beta, np.zeros((len(beta), len(beta))), np.arange(30))
     got = ground_gradient(points, plane, by_beta)
     h = 1e-5
@@ -146,7 +152,7 @@ def test_adjoint_equals_central_differences(degree):
             up, down = points.copy(), points.copy()
             up[i, axis] += h
             down[i, axis] -= h
-            numeric = (solve(up, origin, degree)[0] - solve(down, origin, degree)[0]) @ by_beta / (2 * h)
+            numeric = (fitted(up, origin, degree) - fitted(down, origin, degree)) @ by_beta / (2 * h)
             assert got[i, :, axis] == pytest.approx(numeric, rel=1e-6, abs=1e-8)
 
 
@@ -192,8 +198,18 @@ def test_a_conic_does_not_define_a_quadric():
     a = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     for degree in (2, 3):
         with pytest.raises(GroundError) as caught:
-            solve(np.c_[np.cos(a), np.sin(a), np.zeros(40)], np.zeros(2), degree)
+            fitted(np.c_[np.cos(a), np.sin(a), np.zeros(40)], np.zeros(2), degree)
         assert caught.value.reason == "ground_degenerate"
+
+
+@pytest.mark.parametrize("narrow", [1.0, 1e-1, 1e-3])
+def test_roots_of_well_and_badly_fixed_surfaces(narrow):
+    rng = np.random.default_rng(3)
+    xy = rng.normal(size=(300, 2)) @ [[1.0, 1.0], [-narrow, narrow]]  # from a disc to a strip a thousandth as wide
+    for degree in (0, 1, 2):
+        X = design(xy, np.zeros(2), degree)
+        root, S = np.linalg.inv(np.linalg.qr(X, mode="r")), inverse_root(X, degree)
+        assert S @ S.T == pytest.approx(root @ root.T, rel=1e-9, abs=1e-9 * np.abs(root @ root.T).max())
 
 
 def test_gravity_prior():
@@ -224,7 +240,8 @@ def test_fixed_threshold_and_bad_coefficients():
 def test_gradients_in_place_are_whole_array_sums(degree):
     points = np.concatenate([ground(40, degree, noise=0.2), np.full((3, 3), 9.0)])
     rng, origin, support = np.random.default_rng(4), np.array([1.0, 2.0]), np.sort(np.random.default_rng(5).choice(40, 30, replace=False))
-    beta, X, N = solve(points[support], origin, degree)
+    X = design(points[support, :2], origin, degree)
+    beta, N = solve(X, points[support, 2], degree)
     plane, by_beta = Plane(origin, beta, np.zeros((len(beta), len(beta))), support), rng.standard_normal((len(beta), 4))
     xy, residual, weight = ground_residuals(points, plane, by_beta[:, 0])
     assert xy.tobytes() == points[support, :2].tobytes()
