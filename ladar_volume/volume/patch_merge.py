@@ -21,6 +21,32 @@ def copy_rows(part: Any, to: Any, width: Any, out: Any) -> None:
                 target[k] = source[k]
 
 
+@kernel
+def in_order(to: Any) -> Any:
+    """Whether the rows that stay, those of ``to`` (n,) that are not -1, do so in their order."""
+    last = -1
+    for row in to:
+        if row >= 0:
+            if row < last:
+                return False
+            last = row
+    return True
+
+
+@kernel
+def move_rows(part: Any, width: Any, to: Any) -> None:
+    """Rows of a flat array, c numbers each, in place to those that ``to`` (n,) says, -1 for none, which are in order: those that move to
+    the right from the last, then those that move to the left from the first. So none is written over before it has moved."""
+    for i in range(len(to) - 1, -1, -1):
+        if to[i] > i:
+            for k in range(width - 1, -1, -1):
+                part[to[i] * width + k] = part[i * width + k]
+    for i in range(len(to)):
+        if 0 <= to[i] < i:
+            for k in range(width):
+                part[to[i] * width + k] = part[i * width + k]
+
+
 @leaf_kernel
 def place_from(keys: Any, key: Any, hint: Any) -> Any:
     """Number of ascending keys below a key. ``hint`` : that number for the key before it, which is often next to it."""

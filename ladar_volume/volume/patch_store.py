@@ -16,10 +16,8 @@ import numpy as np
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, FilterUpdate, HeldPatches, select
 from ladar_volume.volume.packing import block_kernel, prepared
-from ladar_volume.volume.patch_merge import block_rows, copy_rows, place_blocks, sort_runs
+from ladar_volume.volume.patch_merge import block_rows, copy_rows, in_order, move_rows, place_blocks, sort_runs
 
-#: Numbers after which a large array gives back what has been copied of it.
-GIVEN_BACK = 4_000_000
 #: Patches that wait to be merged, of whole updates, from which on they are, whether or not somebody looks: 7 kB and more of each wait.
 PENDING = 4000
 ROWS = ("key", "centre", "normal", "tangent", "beta", "sigma", "used", "t_ns", "M_cal")
@@ -36,25 +34,38 @@ def ragged_index(start: I64, rows: I64) -> I64:
 
 def picked(parts: list[Any], rows: I64) -> Any:
     """Rows of arrays, each at most once, as if these were one after the other. A part without rows has no columns of its own to match.
-    The list is used up; so is a large array that nobody else has a hold of: what has been copied goes back to the system, and the array is
-    not held twice."""
+    The list is used up. The first part becomes the result, with its rows moved in place, where they stay in order and nobody else has a
+    hold of it: a large surface is not copied for the few patches of an update."""
     parts[:] = [part for part in parts if len(part)] or parts[:1]
     if len(parts) == 1:
         return parts[0][rows]
-    out, to = np.empty((len(rows), *parts[0].shape[1:]), parts[0].dtype), np.full(sum(len(part) for part in parts), -1, np.int64)
+    to = np.full(sum(len(part) for part in parts), -1, np.int64)
     to[rows] = np.arange(len(rows))
-    width, end = math.prod(parts[0].shape[1:]), len(to)
+    parts.reverse()
+    out, first = parts.pop(), 0
+    count, shape = len(out), out.shape[1:]
+    try:
+        if not (out.flags.c_contiguous and in_order(to[:count])):
+            raise ValueError
+        out.resize((max(count, len(rows)) + 1, *shape))  # refused where others refer to it, as it is larger than before
+        move_rows(*words(out), to[:count])
+        first = count
+    except ValueError:
+        parts.append(out)
+        out = np.empty((len(rows), *shape), out.dtype)
     while parts:
         part = np.ascontiguousarray(parts.pop(), out.dtype)
-        while len(part):
-            left = max(len(part) - max(GIVEN_BACK // max(width, 1), 1), 0) if part.base is None else 0
-            copy_rows(part[left:].reshape(-1), to[end - len(part) + left : end], width, out.reshape(-1))
-            end -= len(part) - left
-            try:
-                part.resize((left, *part.shape[1:]))
-            except ValueError:  # others refer to it
-                part = part[:left]
+        copy_rows(words(part)[0], to[first : first + len(part)], *words(out)[::-1])
+        first += len(part)
+    out.resize((len(rows), *shape), refcheck=False)
     return out
+
+
+def words(array: Any) -> tuple[Any, int]:
+    """The numbers of an array one after the other, up to eight bytes at a time as its rows allow it, and how many make a row."""
+    size = math.prod(array.shape[1:]) * array.itemsize
+    word = math.gcd(size, 8)
+    return array.reshape(-1).view(f"i{word}"), size // word
 
 
 def points_finite(points: FilteredPoints) -> Bool:

@@ -10,9 +10,8 @@ from scipy.sparse.csgraph import connected_components
 from ladar_volume.model.records import Patches
 from ladar_volume.surface.relevant import edge_lengths
 from ladar_volume.surface.tin import any_corner, build_tin, footprint_areas, vertex_mask
-from ladar_volume.volume import patch_store
 from ladar_volume.volume.outline import components, fill_holes, near_some, within
-from ladar_volume.volume.patch_merge import place_from, sort_runs
+from ladar_volume.volume.patch_merge import in_order, move_rows, place_from, sort_runs
 from ladar_volume.volume.patch_store import LastWord, block_entries, picked
 
 
@@ -150,13 +149,23 @@ def test_rows_picked_from_parts():
     assert np.array_equal(picked([part[:, 0, 0] for part in parts], rows), np.concatenate(parts)[rows, 0, 0])
 
 
-@pytest.mark.parametrize("given_back", [1, 50, 10_000])
-def test_a_large_part_is_given_back_while_it_is_copied(monkeypatch, given_back):
-    monkeypatch.setattr(patch_store, "GIVEN_BACK", given_back)
-    rng = np.random.default_rng(6)
-    parts = [rng.random((n, 2, 3)) for n in (90, 7, 30)]
-    rows, whole, held = rng.permutation(127)[:100], np.concatenate(parts), parts[0]
+@pytest.mark.parametrize(("shape", "kind"), [((2, 3), np.float64), ((), np.int64), ((3,), np.int16), ((4, 4), np.int16), ((5,), np.float32)])
+@pytest.mark.parametrize("left", [0, 3, 60, 90])
+def test_a_part_nobody_else_holds_is_changed_in_place(shape, kind, left):
+    rng = np.random.default_rng(left)
+    parts = [rng.integers(-9999, 9999, (n, *shape)).astype(kind) for n in (90, 30, 70)]
+    stay, new = np.sort(rng.permutation(90)[:left]), rng.permutation(100)[: rng.integers(1, 100)] + 90
+    rows = np.insert(new, np.sort(rng.integers(0, len(new) + 1, left)), stay)
+    whole, mine, ways = np.concatenate(parts), [part.copy() for part in parts], []
+    for move in (move_rows, move_rows.py_func):
+        to = np.full(90, -1)
+        to[rows[rows < 90]] = np.flatnonzero(rows < 90)
+        ways.append(np.concatenate([parts[0], np.zeros((110, *shape), kind)]))
+        assert in_order(to) and in_order.py_func(to) and (left < 2 or not in_order(to[::-1]))
+        move(ways[-1].reshape(-1), int(np.prod(shape)), to)
+        assert np.array_equal(ways[-1][to[to >= 0]], parts[0][stay])
     assert np.array_equal(picked(list(parts), rows), whole[rows])
-    assert np.array_equal(held, whole[:90])  # somebody else has a hold of it
-    mine = [part.copy() for part in parts]
+    assert np.array_equal(parts[0], whole[:90])  # somebody else has a hold of it
     assert np.array_equal(picked(mine, rows), whole[rows]) and not mine
+    backwards = rng.permutation(190)[:50]
+    assert np.array_equal(picked([part.copy() for part in parts], backwards), whole[backwards])
