@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -38,6 +39,7 @@ from ladar_volume.volume.propagation import time_bins
 BORESIGHT = slice(1, 4)
 #: The second order is said to matter from this share of the first order's variance on, or for a boresight sigma (rad) beyond this.
 SHARE, SIGMA_RAD = 0.01, math.radians(0.1)
+Vector: TypeAlias = tuple[float, float, float]
 #: Walls count as no steeper than this vertical component of their normal.
 STEEPEST = 0.2
 
@@ -58,24 +60,29 @@ class SecondOrder:
 
 
 @leaf_kernel
-def cross(a: F64, b: F64, out: F64) -> None:
-    """``a x b`` of vectors (3,) into out."""
-    out[0], out[1], out[2] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+def cross(a: Vector, b: Vector) -> Vector:
+    """``a x b``. Vectors are three numbers, not arrays: they stay in registers."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @leaf_kernel
-def turned_back(R: F64, a: F64, out: F64) -> None:
-    """``Rᵀ a`` into out."""
-    for i in range(3):
-        out[i] = R[0, i] * a[0] + R[1, i] * a[1] + R[2, i] * a[2]
+def turned_back(R: F64, a: Vector) -> Vector:
+    """``Rᵀ a``."""
+    return (
+        R[0, 0] * a[0] + R[1, 0] * a[1] + R[2, 0] * a[2],
+        R[0, 1] * a[0] + R[1, 1] * a[1] + R[2, 1] * a[2],
+        R[0, 2] * a[0] + R[1, 2] * a[1] + R[2, 2] * a[2],
+    )
 
 
 @leaf_kernel
-def add_outer(out: F64, factor: float, a: F64, b: F64) -> None:
+def add_outer(out: F64, factor: float, a: Vector, b: Vector) -> None:
     """Adds ``factor a bᵀ`` to out (3, 3)."""
     for i in range(3):
-        for j in range(3):
-            out[i, j] += factor * a[i] * b[j]
+        row = factor * a[i]
+        out[i, 0] += row * b[0]
+        out[i, 1] += row * b[1]
+        out[i, 2] += row * b[2]
 
 
 @kernel
@@ -86,41 +93,34 @@ def curvature_kernel(
     """H (b, 3, 3) of :func:`curvatures`: loads q (m, p) of patches with frames (m, 3) and slopes (m, 2) against their mean; sensitivities
     M_nav (l, p + 2, 6) in units (m, p + 2, 2) from start (m + 1,) in rows index (l,) of ascending bins (b,), whose mean poses are (b, 3)
     and (b, 3, 3)."""
-    H, weight = np.zeros((len(bins), 3, 3)), 0.0
-    m, v, vm, body, upon, standing = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    fall, change, shifted = np.empty(3), np.empty(3), np.empty(3)
-    along, shift, mean, moving = np.empty((2, 3)), np.empty((2, 3)), np.zeros((2, 3)), np.zeros((2, 3))
+    H, mean, moving, weight = np.zeros((len(bins), 3, 3)), np.zeros((2, 3)), np.zeros((2, 3)), 0.0
     for a in np.flatnonzero(q[:, 0]):
-        n = normal[a]
+        n, t = (normal[a, 0], normal[a, 1], normal[a, 2]), (tangent[a, 0], tangent[a, 1], tangent[a, 2])
+        along = (t, cross(n, t))
+        downhill, beside = (slope[a, 0], slope[a, 1], 0.0), (-slope[a, 1], slope[a, 0], 0.0)
         upright = math.copysign(max(abs(n[2]), STEEPEST), n[2])
-        along[0] = tangent[a]
-        cross(n, tangent[a], along[1])
         for e in range(start[a], start[a + 1]):
             M, b = M_nav[e], index[e]
-            half = H[b]
+            half, turn = H[b], R[b]
             part = unit[a, 0, 0] * (M[0, 0] * n[0] + M[0, 1] * n[1] + M[0, 2] * n[2])
             share, own = q[a, 0] * part, abs(part) + 1e-12
-            turned_back(R[b], n, m)
-            turned_back(R[b], centre[a] - position[b], v)
-            cross(v, m, vm)
+            m = turned_back(turn, n)
+            v = turned_back(turn, (centre[a, 0] - position[b, 0], centre[a, 1] - position[b, 1], centre[a, 2] - position[b, 2]))
+            vm, vv = cross(v, m), 0.5 * share * (m[0] * v[0] + m[1] * v[1] + m[2] * v[2])
             add_outer(half, 0.5 * share, m, v)
             for i in range(3):
-                half[i, i] -= 0.5 * share * (m[0] * v[0] + m[1] * v[1] + m[2] * v[2])
+                half[i, i] -= vv
             for k in range(2):
-                turned_back(R[b], along[k], body)
-                cross(v, body, upon)
-                cross(body, m, standing)
+                body = turned_back(turn, along[k])
+                upon, standing, lean = cross(v, body), cross(body, m), along[k][2] / upright
+                # a place is one of the map's plane: what moved along the normal came from beside it
+                shift = (upon[0] - lean * vm[0], upon[1] - lean * vm[1], upon[2] - lean * vm[2])
                 for i in range(3):
-                    # a place is one of the map's plane: what moved along the normal came from beside it
-                    shift[k, i] = upon[i] - along[k, 2] / upright * vm[i]
-                    mean[k, i] += own * shift[k, i]
+                    mean[k, i] += own * shift[i]
                     moving[k, i] += q[a, 0] * (unit[a, k + 1, 1] * M[k + 1, 3 + i] - part * standing[i])
-                add_outer(half, -share, shift[k], standing)
-            for i in range(3):  # along the slope: by how much a place is shifted, and how that changes with its height
-                fall[i] = R[b, 0, i] * slope[a, 0] + R[b, 1, i] * slope[a, 1]
-                change[i] = R[b, 1, i] * slope[a, 0] - R[b, 0, i] * slope[a, 1]
-            cross(v, fall, shifted)
-            add_outer(half, -share * upright, change, shifted)
+                add_outer(half, -share, shift, standing)
+            # along the slope: by how much a place is shifted, and how that changes with its height
+            add_outer(half, -share * upright, turned_back(turn, beside), cross(v, turned_back(turn, downhill)))
             weight += own
             if e + 1 == start[a + 1] or bins[index[e + 1]] > bins[b] + 1:  # the pass ends
                 for k in range(2):
