@@ -49,24 +49,53 @@ def shares(tin: Tin, outline: Bool, found: list[Bool]) -> list[Bool]:
 
 
 def within(tin: Tin, mask: Bool, distance_m: float) -> Bool:
-    """Vertices (n,) within ``distance_m``, horizontally, of a vertex of the triangles in ``mask``."""
-    return near_some(tin.vertices[:, :2], vertex_mask(tin, mask), distance_m)
-
-
-def near_some(xy: F64, some: Bool, distance_m: float) -> Bool:
-    """Which places (n, 2) lie within the distance of one of ``some`` (n,); these themselves do."""
-    out = some.copy()
+    """Vertices (n,) within ``distance_m``, horizontally, of a vertex of the triangles in ``mask``; these themselves are."""
+    some = vertex_mask(tin, mask)
     if not some.any():
-        return out
-    bound = 1.001 * distance_m + 1e-6  # the search excludes its bound
-    rest = ~some
-    for c in xy.T:
+        return some
+    out = np.asarray(reached(tin.triangles, tin.neighbours, tin.vertices, some, distance_m * (1.0 - 1e-9)))
+    bound, rest = 1.001 * distance_m + 1e-6, ~out  # the search excludes its bound
+    for c in tin.vertices.T[:2]:
         own = c[some]
         rest &= (c > own.min() - bound) & (c < own.max() + bound)
-    tree = cKDTree(xy[some], balanced_tree=False, compact_nodes=False)  # built in half the time
-    distance, _ = tree.query(xy[rest], distance_upper_bound=bound)
-    out[rest] = np.asarray(distance) <= distance_m
+    if rest.any():
+        tree = cKDTree(tin.vertices[some, :2], balanced_tree=False, compact_nodes=False)  # built in half the time
+        distance, _ = tree.query(tin.vertices[rest, :2], distance_upper_bound=bound)
+        out[rest] = np.asarray(distance) <= distance_m
     return out
+
+
+@kernel
+def reached(triangles: I32, neighbours: I32, vertices: F64, some: Bool, distance_m: float) -> Bool:
+    """Vertices (n,) that lie within a distance, horizontally, of one of ``some`` (n,), as far as these show themselves on the way from
+    triangle to triangle: each vertex tries those that its neighbours found. That is most of them, for less than a search each."""
+    m, nearest = len(triangles), np.full(len(vertices), -1, np.int32)
+    queue, queued, first, last = np.empty(m, np.int32), np.zeros(m, np.bool_), 0, 0
+    for v in range(len(vertices)):
+        if some[v]:
+            nearest[v] = v
+    for t in range(m):
+        found = int(some[triangles[t, 0]]) + int(some[triangles[t, 1]]) + int(some[triangles[t, 2]])
+        if 0 < found < 3:
+            queue[last], queued[t], last = t, True, last + 1
+    while first < last:
+        t, first, found = queue[first], first + 1, 0
+        for k in range(3):
+            v = triangles[t, k]
+            if nearest[v] < 0:
+                least = distance_m * distance_m
+                for j in range(1, 3):
+                    s = nearest[triangles[t, (k + j) % 3]]
+                    if s >= 0:
+                        square = (vertices[s, 0] - vertices[v, 0]) ** 2 + (vertices[s, 1] - vertices[v, 1]) ** 2
+                        if square <= least:
+                            least, nearest[v] = square, s
+            found += nearest[v] >= 0
+        for k in range(3):
+            o = neighbours[t, k]
+            if found == 3 and o >= 0 and not queued[o]:
+                queue[last], queued[o], last = o, True, last + 1
+    return nearest >= 0
 
 
 def widened(tin: Tin, body: Bool, margin_m: float) -> Bool:
@@ -86,7 +115,7 @@ def filled(neighbours: I32, relevant: Bool, mask: Bool, part: I64) -> Bool:
     """See :func:`fill_holes`; part : (m,) number of the component off the mask each triangle belongs to, -1 on it."""
     outside = np.zeros(part.max() + 1, np.bool_)
     for t in range(len(part)):
-        if part[t] >= 0 and (not relevant[t] or neighbours[t].min() < 0):
+        if part[t] >= 0 and (not relevant[t] or neighbours[t, 0] < 0 or neighbours[t, 1] < 0 or neighbours[t, 2] < 0):
             outside[part[t]] = True
     out = mask.copy()
     for t in range(len(part)):

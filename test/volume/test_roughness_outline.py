@@ -12,9 +12,9 @@ from scipy.optimize import nnls
 
 from ladar_volume.ground.polynomial import COEFFICIENTS, design, design_surface
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.surface.tin import build_tin
+from ladar_volume.surface.tin import build_tin, vertex_mask
 from ladar_volume.volume.ground_field import GroundField, Roughness, field_bounds, mean_spacing, spread_kernel, squares_grid
-from ladar_volume.volume.outline import bodies, boundary_loop, components, fill_holes, surroundings, widened
+from ladar_volume.volume.outline import bodies, boundary_loop, components, fill_holes, reached, surroundings, widened, within
 from ladar_volume.volume.roughness import (
     basis,
     estimate_roughness,
@@ -292,6 +292,21 @@ def test_body_margin_and_surroundings():
     assert len(surroundings(tin, wide, 0.0)) > len(ring)
     with pytest.raises(VolumeError):
         bodies(tin, design_surface([5.0]), 0.5)[0]
+
+
+@pytest.mark.parametrize("distance", [0.02, 0.3, 2.0])
+def test_vertices_within_a_distance_of_some(distance):
+    rng = np.random.default_rng(7)
+    tin = build_tin(np.c_[rng.uniform(0, 10, (500, 2)), np.zeros(500)])
+    for share in (0.0, 0.01, 0.3):
+        mask = rng.random(len(tin.triangles)) < share
+        some = vertex_mask(tin, mask)
+        apart = np.linalg.norm(tin.vertices[:, None, :2] - tin.vertices[None, some, :2], axis=2)
+        expected = (apart <= distance).any(axis=1)
+        assert np.array_equal(within(tin, mask, distance), expected)
+        found = reached(tin.triangles, tin.neighbours, tin.vertices, some, distance)
+        assert np.array_equal(found, reached.py_func(tin.triangles, tin.neighbours, tin.vertices, some, distance))
+        assert not (found & ~expected).any() and found.sum() >= 0.9 * expected.sum()
 
 
 def test_the_larger_of_two_bodies_is_chosen_by_volume():
