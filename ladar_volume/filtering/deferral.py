@@ -3,7 +3,8 @@
 Points wait by tile, blocks of 8 x 8 x 8 voxels: taking in a whole tile refits its rim's neighbours once instead of once per voxel. What is
 taken in is a set of points like any other, so the surface stays exactly the surface of some points; what waits only makes it that of fewer.
 Turns alternate: to the tile that has waited longest, so that none waits for more than two rounds of the map, and to the one that would
-exchange the most voxels' worth of points: new ground comes at once.
+exchange the most voxels' worth of points: new ground comes at once. An update leaves no more than :data:`MOST_WAITING` points waiting,
+however long it takes then.
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ from ladar_volume.model.records import F64, I32, I64, Bool, select
 
 #: Voxels along the side of a tile, as a power of two.
 TILE_BITS = 3
+#: Points that may wait after an update, 106 bytes each.
+MOST_WAITING = 400_000
 #: The time of a point that does not wait.
 NEVER = np.iinfo(np.int64).max
 
@@ -202,7 +205,9 @@ class Deferred:
         by_turn = np.argsort(rank[tile], kind="stable")
         start = np.concatenate([[0], np.cumsum(np.bincount(tile)[order])])
         marked = np.zeros(max(store.used, 1), np.bool_)
-        chosen: Bool = rank[tile] < tiles_within(start, key[by_turn], store.keys, store.table, most, marked)
+        within = tiles_within(start, key[by_turn], store.keys, store.table, most, marked)
+        left = new.sum() - np.cumsum(np.bincount(tile, weights=new)[order])
+        chosen: Bool = rank[tile] < max(within, int(np.searchsorted(-left, -MOST_WAITING)) + 1 if new.sum() > MOST_WAITING else 0)
         return chosen
 
 

@@ -32,6 +32,7 @@ from ladar_volume.nodes import memory
 from ladar_volume.nodes.declared import descriptor, outside, why_not_now
 from ladar_volume.nodes.health import Health
 from ladar_volume.nodes.taking import waiting
+from ladar_volume.nodes.work_queue import WorkQueue
 
 #: Maps, datum and volumes: whoever comes late still gets the last one.
 LATCHED = QoSProfile(
@@ -39,8 +40,6 @@ LATCHED = QoSProfile(
 )
 #: Between this package's nodes: nothing may be lost.
 STREAM = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.RELIABLE)
-#: Items a worker's queue holds; beyond, the newest is dropped and counted.
-QUEUE = 5000
 #: How long a node may take to finish its work.
 STOP_S = 30.0
 
@@ -80,7 +79,7 @@ class StageNode(LifecycleNode, ABC):
         super().__init__(name, **options)
         self.losses = Losses()
         self.health = Health()
-        self._queue: queue.Queue[tuple[str, Any] | None] = queue.Queue(QUEUE)
+        self._queue = WorkQueue()
         self._worker: threading.Thread | None = None
         self._group = MutuallyExclusiveCallbackGroup()
         self._active = False
@@ -310,7 +309,7 @@ class StageNode(LifecycleNode, ABC):
     # diagnostics --------------------------------------------------------------------------------------------------
     def publish_diagnostics(self) -> None:
         """One DiagnosticStatus with rates, ages, queue length, losses by reason, and the stage's own lines."""
-        values: dict[str, Any] = {"queue": self._queue.qsize() + int(self._busy)}
+        values: dict[str, Any] = {"queue": self._queue.qsize() + int(self._busy), "queue_bytes": self._queue.bytes}
         now, clock = time.monotonic(), self.get_clock().now()
         values |= self.health.lines(now, int(clock.nanoseconds)) | {"clock_jumps_back": self._jumps_back}
         wrong = self.health.silent(now) if self._active else []

@@ -120,6 +120,21 @@ def test_a_hurried_surface_is_that_of_the_points_taken_in(scene):
     assert world == run(scene, points, np.arange(len(points)), 1, False)[1]
 
 
+def test_no_more_than_so_many_wait(scene, monkeypatch):
+    points, left = scene_points(scene), []
+    for most in (200, deferral.MOST_WAITING):
+        monkeypatch.setattr(deferral, "MOST_WAITING", most)
+        f, world = SurfaceFilter(PARAMETERS, deferring=True), ({}, {})
+        f.add_platform(scene.platform())
+        for part in np.array_split(np.arange(len(points)), 8):
+            f.add(select(points, part))
+            follow(world, f.update(1))
+            left.append(f.stats["points_deferred"])
+        follow(world, f.update())
+        assert world == run(scene, points, np.arange(len(points)), 1, False)[1]
+    assert max(left[:8]) <= 200 < max(left[8:])
+
+
 def test_no_tile_is_passed_over_for_ever(scene):
     """New points everywhere before every update: what waits is never older than a few turns of the map."""
     points = scene_points(scene, 12_000)
