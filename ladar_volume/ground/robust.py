@@ -52,7 +52,7 @@ def refine(points: F64, variance: F64, start: Plane, parameters: GroundParameter
     # a floor of rounding size keeps exact planes from losing points to the last bit
     floor = 1e-9 * (1.0 + float(np.abs(z).max(initial=0.0)))
     for left in range(MAX_REFITS, -1, -1):
-        rows = X[inside]
+        rows = X.compress(inside, axis=0)
         beta, N = solve(rows, z[inside], degree)
         residual = z - X @ beta
         limit = threshold or max(THRESHOLD_SIGMAS * robust_sigma(residual[inside]), floor)
@@ -148,7 +148,7 @@ def check_surface(points: F64, variance: F64, plane: Plane, parameters: GroundPa
             grown = refine(points, variance, plane, dataclasses.replace(parameters, threshold_m=0.0), threshold)
         except GroundError:
             return  # it grows into what is too steep to be ground
-    inside = points[grown.support]
+    inside = points.take(grown.support, axis=0)
     off = inside - inside.mean(axis=0)
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(off.T @ off / len(off)), 0.0))
     # a level does not follow a slope: its residuals are no thickness

@@ -26,8 +26,6 @@ ONE = 127.0
 SCALE = ONE**-0.5
 #: A pivot below this share of its diagonal is raised to it: there the block's own digits end.
 PIVOT = 1e-6
-#: Points looked at at once: the factors of their patches take room.
-BLOCK = 1 << 14
 #: Largest whole number of a sensitivity.
 LARGEST = 32767.0
 
@@ -146,12 +144,17 @@ def factor_load_kernel(factor: F32, q: F64) -> F64:
 
 def factor_rows(X: F64, row: I64, patches: Patches) -> F64:
     """The same for design rows X (n, p) of points on patches row (n,)."""
-    if not isinstance(patches, HeldPatches):
-        return X
-    out = np.empty_like(X)
-    for i in range(0, len(X), BLOCK):
-        part = slice(i, i + BLOCK)
-        out[part] = np.einsum("nr,nrs->ns", X[part], patches.factor[row[part]])
+    return np.asarray(factor_row_kernel(patches.factor, X, row)) if isinstance(patches, HeldPatches) else X
+
+
+@kernel
+def factor_row_kernel(factor: F32, X: F64, row: I64) -> F64:
+    """``Lᵀ x`` (n, p) of lower triangles L (m, p, p) and rows x (n, p), each with that of its patch row (n,)."""
+    out = np.zeros(X.shape)
+    for i in range(len(X)):
+        for r in range(X.shape[1]):
+            for s in range(r + 1):
+                out[i, s] += factor[row[i], r, s] * X[i, r]
     return out
 
 
