@@ -3,7 +3,8 @@
 A recorded flight is flown again and again with stamps that go on, so that an hour maps no more ground than a minute. All the time one
 message in a hundred is dropped; in turn come bursts of NaN, a GNSS outage, a float solution, a receiver's clock set back, clouds stamped
 an hour ahead, all clocks set back half a minute (a new pass of the data), restarts of each node, and a full disk. Measured are resident
-sizes, the time from a scan to the volume that holds it, and the books: what was published against what arrived and what was named lost.
+sizes, the time from a scan to the volume that holds it (how old its newest return is then) and between two volumes, and the books: what
+was published against what arrived and what was named lost.
 
 ``python -m benchmarks.soak [--seconds 180] [--full-rate | --site 200] [--faults A,B,...] [--one-process | --without-log]``;
 ``--seconds 3600`` for the hour, ``--site`` for memory by area: a square site of so many metres, the resident size of each node by time;
@@ -61,6 +62,8 @@ FAULTS = {
 #: How long the nodes may take to map what they put off, s.
 SETTLE_S = 240.0
 DROPPED, LOG_BYTES, BALLAST_BYTES = 0.01, 40_000_000, 60_000_000
+#: How many times as large the log may be where no disk is filled: what is still wanted is written to each new file, here one a minute.
+ROOMY = 50
 
 
 def full_rate_flight(folder: Path) -> Path:
@@ -216,11 +219,11 @@ class Soak:
         self._ballast = folder / "ballast"
         self._settings = {
             "config_file": str(bag / "config.yaml"), "node.input_reliability": "reliable", "node.input_depth": "2000",
-            "node.diagnostics_period_s": "0.5", "logger.path": str(folder / "log.mcap"), "logger.split_bytes": str(LOG_BYTES // 4),
+            "node.diagnostics_period_s": "0.5", "logger.path": str(folder / "log.mcap"), "logger.disk_full": "delete_oldest",
         }  # fmt: skip
-        if fills_disk:  # nearly full from the start
-            free = os.statvfs(folder).f_bavail * os.statvfs(folder).f_frsize
-            self._settings |= {"logger.disk_full": "delete_oldest", "logger.disk_reserve_bytes": str(max(free - 4 * LOG_BYTES, 0))}
+        log, disk = LOG_BYTES if fills_disk else ROOMY * LOG_BYTES, os.statvfs(folder)
+        room = max(disk.f_bavail * disk.f_frsize - 4 * log, 0)  # the disk counts as nearly full from the start
+        self._settings |= {"logger.split_bytes": str(log // 4), "logger.disk_reserve_bytes": str(room)}
         self.load = Load(nodes)
         self._spinner = Spinner(self.load)
         self.processes = {"up": self._start_all(folder)} if one_process else {name: self._start(name) for name in nodes}
@@ -361,6 +364,7 @@ def report(soak: Soak, truth_m3: float) -> dict[str, Any]:
         "faults": {k: n for k, n in load.hurt.items() if n}, "volumes": len(load.latency),
         "voxels": int(load.lines.get("filter_node", {}).get("voxels", "0")), "volume_m3": volume, "sigma_m3": sigma,
         "truth_m3": truth_m3, "scan_to_volume_s": {k: [float(np.percentile(v, q)) for q in (50, 99)] for k, v in halves.items() if v},
+        "between_volumes_s": [float(np.percentile(np.diff([t for t, _ in load.latency]) if len(load.latency) > 1 else [0.0], q)) for q in (50, 99)],
         "put_off_s": [float(np.percentile(load.deferred or [0.0], q)) for q in (50, 99)],
         "cpu_per_second": {name: busy / flown_s for name, busy in soak.busy.items()},
         "resident_mb": {name: max(r[name] for _, r in soak.resident) for name in soak.processes}, "resident_all_mb": max(sizes),
