@@ -34,6 +34,8 @@ from ladar_volume.model.records import F64, I32, I64, Bool, select
 TILE_BITS = 3
 #: Points that may wait after an update, 106 bytes each.
 MOST_WAITING = 400_000
+#: Room for points that is kept when none waits any more.
+ROOM = 1 << 16
 #: The time of a point that does not wait.
 NEVER = np.iinfo(np.int64).max
 
@@ -134,6 +136,9 @@ class Deferred:
 
     def __init__(self, cap: int) -> None:
         self._cap = cap
+        self._clear()
+
+    def _clear(self) -> None:
         self._keys: I64 = np.zeros(16, np.int64)
         self._count: I32 = np.zeros(16, np.int32)
         self._head: I32 = np.zeros(16, np.int32)
@@ -189,7 +194,10 @@ class Deferred:
         slots = np.empty(int(self._count[voxels].sum()), np.int64)
         dequeue(voxels, self._count, self._head, self._after, self._ends, slots)
         self._oldest[voxels] = NEVER
-        return select(self._points, slots)
+        points = select(self._points, slots)
+        if len(self._after) > ROOM and not len(self):
+            self._clear()
+        return points
 
     def _turn(self, store: VoxelStore, voxels: I64, most: int, newest_ns: int) -> Bool:
         """Which of these voxels (n,), in order of their keys, lie in tiles whose turn it is."""

@@ -150,8 +150,9 @@ def test_no_tile_is_passed_over_for_ever(scene):
     assert f.update() is not None and f.deferred_s == 0.0 and f.update(1) is None
 
 
-def test_of_those_that_wait_a_voxel_holds_what_could_stay(scene):
+def test_of_those_that_wait_a_voxel_holds_what_could_stay(scene, monkeypatch):
     points = scene_points(scene)
+    monkeypatch.setattr(deferral, "ROOM", 500)
     offered = VoxelStore(0.5, 8).offer(points.t_ns, points.ring, points.r_map, points.C_ind)[0]
     waiting, store, full = deferral.Deferred(8), VoxelStore(0.5, 8), VoxelStore(0.5, 8)
     full.insert(offered)
@@ -171,6 +172,9 @@ def test_of_those_that_wait_a_voxel_holds_what_could_stay(scene):
     slots = np.concatenate([np.arange(v * 8, v * 8 + n) for v, n in enumerate(full.count[: full.used])])
     assert np.array_equal(np.sort(np.concatenate(hashes)), np.sort(full.hashes[slots]))
     assert len(waiting.take(store, None, newest)) == 0
+    assert len(waiting._after) <= 500  # the room of those that waited is given back
+    waiting.add(select(offered, np.arange(20)))
+    assert len(waiting.take(store, None, newest)) == len(waiting.take(store, None, newest)) + 20
 
 
 def test_voxels_near_others():
