@@ -351,6 +351,7 @@ def report(soak: Soak, truth_m3: float) -> dict[str, Any]:
     middle = np.median([t for t, _ in load.latency]) if load.latency else 0.0
     halves = {"all": [s for _, s in load.latency], "first half": [s for t, s in load.latency if t <= middle],
               "second half": [s for t, s in load.latency if t > middle]}  # fmt: skip
+    between = np.diff([t for t, _ in load.latency]) if len(load.latency) > 1 else [0.0]
     losses: dict[str, int] = {}
     for name, lines in [*load.past, *load.lines.items()]:
         for key, value in lines.items():
@@ -364,7 +365,7 @@ def report(soak: Soak, truth_m3: float) -> dict[str, Any]:
         "faults": {k: n for k, n in load.hurt.items() if n}, "volumes": len(load.latency),
         "voxels": int(load.lines.get("filter_node", {}).get("voxels", "0")), "volume_m3": volume, "sigma_m3": sigma,
         "truth_m3": truth_m3, "scan_to_volume_s": {k: [float(np.percentile(v, q)) for q in (50, 99)] for k, v in halves.items() if v},
-        "between_volumes_s": [float(np.percentile(np.diff([t for t, _ in load.latency]) if len(load.latency) > 1 else [0.0], q)) for q in (50, 99)],
+        "between_volumes_s": [float(np.percentile(between, q)) for q in (50, 99)],
         "put_off_s": [float(np.percentile(load.deferred or [0.0], q)) for q in (50, 99)],
         "cpu_per_second": {name: busy / flown_s for name, busy in soak.busy.items()},
         "resident_mb": {name: max(r[name] for _, r in soak.resident) for name in soak.processes}, "resident_all_mb": max(sizes),
