@@ -112,7 +112,7 @@ def _search(p: F64, variance: F64, parameters: GroundParameters, coarse_m: float
     """Random search and refinement. Where no threshold is given and the result is thicker than the one of the search, the surface may lie
     across steps or have grown into the clutter: finer thresholds are tried, then fixed ones. The first result stands if nothing helps:
     rough ground."""
-    origin = np.round(p[:, :2].mean(axis=0))
+    origin = np.round([c.mean() for c in p.T[:2]])
     tried: list[tuple[float, Plane, Plane]] = []
     for threshold in (parameters.threshold_m,) if parameters.threshold_m else (coarse_m, coarse_m / 2, coarse_m / 4):
         try:
@@ -149,7 +149,7 @@ def check_surface(points: F64, variance: F64, plane: Plane, parameters: GroundPa
         except GroundError:
             return  # it grows into what is too steep to be ground
     inside = points.take(grown.support, axis=0)
-    off = inside - inside.mean(axis=0)
+    off = inside - [c.mean() for c in inside.T]
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(off.T @ off / len(off)), 0.0))
     # a level does not follow a slope: its residuals are no thickness
     thick, wide = min(grown.rms_m, float(spread[0])), float(spread[1])

@@ -20,14 +20,14 @@ DIGIT = 11
 
 
 def hilbert_steps() -> I64:
-    """Steps of the curve by two levels at once: entry (state, 2 bits of x, 2 bits of y) is 4 bits of position and the next state, (256,).
+    """Steps of the curve by four levels at once: entry (state, 4 bits of x, 4 bits of y) is 8 bits of position and the next state, (1024,).
 
     A state is how the quarter's own frame lies in the map: bit 0 says that x and y are swapped, bit 1 that both are mirrored.
     """
-    table = np.empty((4, 4, 4), np.int64)
-    for state, qx, qy in np.ndindex(4, 4, 4):
+    table = np.empty((4, 16, 16), np.int64)
+    for state, qx, qy in np.ndindex(4, 16, 16):
         swapped, mirrored, d = state & 1, state >> 1, 0
-        for bit in (1, 0):
+        for bit in (3, 2, 1, 0):
             x, y = ((qx >> bit) & 1) ^ mirrored, ((qy >> bit) & 1) ^ mirrored
             if swapped:
                 x, y = y, x
@@ -50,9 +50,9 @@ def hilbert_kernel(xy: F64, x0: float, y0: float, scale: float) -> I64:
     for i in range(len(xy)):
         x, y = min(int((xy[i, 0] - x0) * scale), top), min(int((xy[i, 1] - y0) * scale), top)
         d, step = 0, 0
-        for bit in range(BITS - 2, -1, -2):
-            step = STEPS[((step & 3) << 4) | (((x >> bit) & 3) << 2) | ((y >> bit) & 3)]
-            d = (d << 4) | (step >> 2)
+        for bit in range(BITS - 2, -1, -4):  # the two levels above the first have 0 of both, which turns the frame there and back
+            step = STEPS[((step & 3) << 8) | (((x >> bit) & 15) << 4) | ((y >> bit) & 15)]
+            d = (d << 8) | (step >> 2)
         out[i] = d
     return out
 
@@ -123,9 +123,9 @@ def by_rounds(order: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
 
 def hilbert_index(xy: F64) -> I64:
     """Position of points xy (n, 2) along a Hilbert curve over their bounding square: (n,) int64."""
-    low = xy.min(axis=0)
+    low, high = ([float(extreme(c)) for c in xy.T] for extreme in (np.min, np.max))  # by column: a twentieth of both at once
     # a subnormal extent would make the scale infinite
-    size = max(float((xy.max(axis=0) - low).max()), 1e-280)
+    size = max(high[0] - low[0], high[1] - low[1], 1e-280)
     out: I64 = hilbert_kernel(xy, low[0], low[1], 2.0**BITS / size)
     return out
 

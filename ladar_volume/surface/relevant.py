@@ -38,9 +38,9 @@ def edge_lengths(tin: Tin) -> F64:
 def circumdiameters(tin: Tin) -> F64:
     """Diameters (m,) of the horizontal circumcircles, m: product of the edges over twice the area; infinite for a triangle so flat that its
     area rounds to zero."""
-    edges, area = edge_lengths(tin), np.abs(footprint_areas(tin.vertices, tin.triangles))
+    (a, b, c), area = edge_lengths(tin).T, np.abs(footprint_areas(tin.vertices, tin.triangles))
     out: F64 = np.full(len(area), np.inf)
-    np.divide(edges.prod(axis=1), 2.0 * area, out=out, where=area > 0.0)
+    np.divide(a * b * c, 2.0 * area, out=out, where=area > 0.0)
     return out
 
 
@@ -72,7 +72,8 @@ def relevant_triangles(
     if len(artificial):
         mask &= ~np.isin(tin.triangles, artificial).any(axis=1)
     if option == "edge":
-        mask &= (edge_lengths(tin) <= max_edge_m).all(axis=1)
+        for edge in edge_lengths(tin).T:
+            mask &= edge <= max_edge_m
     elif option == "circumcircle":
         mask &= circumdiameters(tin) <= max_circumdiameter_m
     return mask
