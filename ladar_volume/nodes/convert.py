@@ -41,7 +41,7 @@ def table_message(columns: Columns, t_ns: int, frame: str = "map") -> PointCloud
     message.fields = [PointField(name=c.name, offset=c.offset, datatype=NUMBERS[c.code], count=c.count) for c in table.columns]
     message.point_step, message.row_step = table.row_bytes, table.row_bytes * table.rows
     data = array.array("B")
-    data.frombytes(table.data.tobytes())
+    data.frombytes(table.data.data)
     message.data = data
     return message
 
