@@ -174,7 +174,8 @@ def closed_box(
     """The largest body of a survey's surface as a closed mesh with edges up to ``longest_m``, with the survey's own budget."""
     body, gradient, ground = body_on_ground(points, longest_m)
     sources = Sources(points, patches, navigation, parameters)
-    budget: Budget = sources.budget(sources.sensitivities(gradient[:, None]), under_body(body, sources, ground).variance_m6)
+    rough_m6 = under_body(body, sources, ground).variance_m6
+    budget: Budget = sources.budget(sources.sensitivities(gradient[:, None]), rough_m6, sources.naive_sigma(gradient))
     closing = closing_m6(body)
     low, high = (math.sqrt(s * s + closing) for s in budget.sigma_tau_range)
     return ClosedBox(body.volume_m3, {**budget.lines, "closing": closing}, budget.sigma_naive, (low, high))

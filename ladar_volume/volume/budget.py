@@ -66,8 +66,7 @@ class Budget:
 class Sensitivities:
     """Of one result to every source. C_results : (k, k) covariance from the returns' noise, of all results · tangential_m6 : variance from
     their noise within the surface · J_cal : (c,) · curvature : (3, 3) by the boresight · swing : the same by the
-    attitude · navigation : by time bin · naive_m3 : sigma as if
-    every point erred alone"""
+    attitude · navigation : by time bin"""
 
     C_results: F64
     tangential_m6: float
@@ -75,7 +74,6 @@ class Sensitivities:
     curvature: F64
     swing: Swing
     navigation: NavigationLoads
-    naive_m3: float
 
 
 class Sources:
@@ -87,8 +85,9 @@ class Sources:
         beams = (patches.M_cal.shape[2] - 11) // 2
         self.C_cal = calibration_covariance(parameters.budget, beams, parameters.georeference.pose_source)
 
-    def budget(self, s: Sensitivities, base_surface_m6: float) -> Budget:
-        """Budget of a result with these sensitivities, and with a variance from the ground's deviation from the base under it."""
+    def budget(self, s: Sensitivities, base_surface_m6: float, naive_m3: float = math.nan) -> Budget:
+        """Budget of a result with these sensitivities, with a variance from the ground's deviation from the base under it, and with its
+        :meth:`naive_sigma` where known."""
         C_b = self.C_cal[BORESIGHT, BORESIGHT]
         navigation = navigation_variance(s.navigation, self.parameters.budget)
         bent, second = together({
@@ -104,30 +103,27 @@ class Sources:
         rest = sum(lines.values()) - lines["position"] - lines["attitude"]
         low, high = (math.sqrt(rest + sum(navigation_variance(s.navigation, self.parameters.budget, f).values())) for f in (1.0 / 3.0, 3.0))
         within = calibration_marginals(s.J_cal, self.C_cal) if "calibration" in lines else {}
-        return Budget(lines, s.C_results, (min(low, high), max(low, high)), s.naive_m3, within, second)
+        return Budget(lines, s.C_results, (min(low, high), max(low, high)), naive_m3, within, second)
 
-    def sensitivities(self, gradient: F64, naive: bool = True) -> Sensitivities:
-        """What each source does to the first of k results with gradients (n, k, 3) per point; C_results is of all of them. Without
-        ``naive``, which needs the variance of every point, that sigma is NaN."""
+    def sensitivities(self, gradient: F64) -> Sensitivities:
+        """What each source does to the first of k results with gradients (n, k, 3) per point; C_results is of all of them."""
         q = patch_loads(gradient, self.patches, self.geometry)
         first = np.ascontiguousarray(q[:, :, 0])
         H = curvatures(first, self.patches, self.navigation, self.time_bins)
         J_nav, bins = navigation_sensitivity(first, self.patches, self.time_bins)
-        tangential = tangential_variance(gradient[:, 0], self.points)
         return Sensitivities(
             independent_covariance(q, self.patches, self.geometry),
-            tangential,
+            tangential_variance(gradient[:, 0], self.points),
             calibration_sensitivity(first, self.patches),
             H.sum(axis=0),
             swing_of(H, self.time_bins[0], self.navigation),
             navigation_loads(J_nav, bins, self.navigation, self.parameters.georeference.max_position_gap_s),
-            math.sqrt(self._naive(gradient[:, 0]) + tangential) if naive else math.nan,
         )
 
-    def _naive(self, gradient: F64) -> float:
-        """Variance along the normals if every point erred alone."""
+    def naive_sigma(self, gradient: F64) -> float:
+        """Sigma of a result with gradient (n, 3) per point if every point erred alone."""
         points, square = naive_kernel(gradient, self.patches.normal, self.geometry.row)
-        return float(square @ self.variance(points))
+        return math.sqrt(float(square @ self.variance(points)) + tangential_variance(gradient, self.points))
 
     def variance(self, points: I64) -> F64:
         """Variance (k,) m² of points (k,) along their patches' normals from all sources; navigation of one patch counts as correlated."""

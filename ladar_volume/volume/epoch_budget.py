@@ -54,8 +54,15 @@ class Epoch:
 
     def sensitivities(self, gradient: F64) -> Sensitivities:
         """To every source, of a result with gradient (n, 3) by the vertices in the frame of the comparison."""
+        return self.sources.sensitivities(self._by_points(gradient))
+
+    def naive_sigma(self, gradient: F64) -> float:
+        """Sigma of the same result if every point erred alone."""
+        return self.sources.naive_sigma(self._by_points(gradient)[:, 0])
+
+    def _by_points(self, gradient: F64) -> F64:
         own = gradient if self.transform is None else self.transform.scale * gradient @ self.transform.R
-        return self.sources.sensitivities(self.surface.by_points(own[:, None], len(self.sources.points)))
+        return self.surface.by_points(own[:, None], len(self.sources.points))
 
     def registration_variance(self, gradient: F64) -> float:
         """What the transform adds to the variance of a result with gradient (n, 3) by the vertices in the frame of the comparison."""
@@ -182,10 +189,8 @@ def epoch_budget(new: Epoch, previous: Epoch, gradient_new: F64, gradient_previo
     nothing_shared = sum(calibration_lines(one.J_cal, two.J_cal, C_new, C_old, 0.0 * cross)[0].values())
     apart = total - sum(calibration.values()) + nothing_shared
     apart += boresight_second_order(one, two, C_new, C_old, False).line_m6 - second.line_m6
-    return EpochBudget(
-        lines, within, all_second, (math.sqrt(min(tau)), math.sqrt(max(tau))), math.hypot(one.naive_m3, two.naive_m3),
-        math.sqrt(max(apart, 0.0)),
-    )  # fmt: skip
+    naive = math.hypot(new.naive_sigma(gradient_new), previous.naive_sigma(gradient_previous))
+    return EpochBudget(lines, within, all_second, (math.sqrt(min(tau)), math.sqrt(max(tau))), naive, math.sqrt(max(apart, 0.0)))
 
 
 def tau_change(epoch: Epoch, s: Sensitivities, factor: float) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import math
 from collections.abc import Callable
 from statistics import NormalDist
 from typing import TypeVar
@@ -147,8 +148,10 @@ class VolumeEstimator:
                 field = ground_field(surface.tin, base, solid, part, height_variance, sources, inverse)
                 return 0.0 if field is None else field.variance_m6
 
-            base_m6, (sensitivities, more) = at_once(rough_m6, lambda: (sources.sensitivities(gradients, naive), beside(part)))
-            return solid, sources.budget(sensitivities, base_m6), more
+            base_m6, (sensitivities, more) = at_once(rough_m6, lambda: (sources.sensitivities(gradients), beside(part)))
+            # afterwards: it uses and completes what the roughness knows of the patches' errors
+            naive_m3 = sources.naive_sigma(gradients[:, 0]) if naive else math.nan
+            return solid, sources.budget(sensitivities, base_m6, naive_m3), more
 
         def near(part: F64) -> NearBase | None:
             return near_correction(surface, base, part, points, patches, sources.geometry)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from dataclasses import astuple
 
 import numpy as np
 import pytest
@@ -69,6 +70,19 @@ def test_cone_on_a_slope():
     assert 4.5 < radius.min() and radius.max() < 6.0
     assert v.area_m2 == pytest.approx(polygon_area(v.outline), rel=1e-9)
     assert sigma_z.shape == (len(r.tin.vertices),) and (sigma_z > 0).all()
+
+
+def test_two_threads_find_what_one_finds(monkeypatch):
+    """What they read must not be written by either: repeated, since a race is lost now and then."""
+    update = surface_update(sloped, perturb=0.003)
+
+    def found():
+        e = estimator(update).estimate()
+        return astuple(e.volume), e.base.C_beta.tobytes()
+
+    several = [repr(found()) for _ in range(8)]
+    monkeypatch.setattr("ladar_volume.volume.estimator.at_once", lambda one, two: (one(), two()))
+    assert set(several) == {repr(found())}
 
 
 def polygon_area(p):
