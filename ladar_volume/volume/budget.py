@@ -40,6 +40,8 @@ from ladar_volume.volume.second_order import (
 #: Least vertical component of a normal; and the share of their variance that independent errors of two samples keep, on average, where one
 #: is interpolated between them.
 LEAST_UP, BETWEEN = 0.05, 2.0 / 3.0
+#: Rows of a symmetric matrix that are computed at a time.
+ROWS = 128
 
 
 @dataclass(frozen=True)
@@ -149,7 +151,7 @@ class Sources:
         row, up = self.geometry.row[points], np.maximum(np.abs(self.points.normal[points, 2]), LEAST_UP)
         X = self.geometry.X[points] / up[:, None]
         J = np.einsum("kp,kpc->kc", X, self.patches.M_cal[row, : X.shape[1]])
-        C: F64 = J @ self.C_cal @ J.T
+        C: F64 = upper_product(J @ self.C_cal, J)
         b, t_ns, bin_ns = self.parameters.budget, self.points.t_ns[points], self.navigation.bin_ns
         apart_s = np.append(np.diff(t_ns), 0) * 1e-9
         fixes = max(1.0, bin_ns * 1e-9 / self.parameters.georeference.max_position_gap_s)
@@ -162,6 +164,14 @@ class Sources:
             shares = (bias, 1.0 - bias - white, white / n, white * BETWEEN)
             correlated_kernel(np.ascontiguousarray(d), np.exp(-apart_s / tau), t_ns // bin_ns, shares, C)
         return order, C
+
+
+def upper_product(A: F64, B: F64) -> F64:
+    """``A Bᵀ`` (k, k) of A and B (k, c) on and above the diagonal, and somewhat below."""
+    out, k = np.zeros((len(A), len(A))), len(A)
+    for first in range(0, k, ROWS):
+        np.matmul(A[first : first + ROWS], B[first:].T, out=out[first : first + ROWS, first:])
+    return out
 
 
 def vertical_sigma(sources: Sources, points: I64) -> F64:

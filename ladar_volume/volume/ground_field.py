@@ -16,6 +16,8 @@ from scipy.fft import dctn, next_fast_len, rfft2
 from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, I32
 
+#: Distances whose correlations are computed at a time, of half a million: all of them would pass through memory for each operation.
+IN_CACHE = 1 << 13
 #: Squares of the grid along its longer side.
 MAX_CELLS = 400
 #: Times a triangle can be halved until it is as small as a square: its diameter falls by a factor of 0.87 at least with every second time
@@ -35,18 +37,16 @@ class Roughness:
 
     def correlation(self, d: F64) -> F64:
         """Correlation at distances d, m."""
-        g, x, out = self.gaussian, np.empty(np.shape(d)), np.zeros(np.shape(d))
-        np.divide(d, -self.length_m, out=x)
-        if g > 0.0:  # in place: half a million distances are megabytes
-            np.multiply(x, x, out=out)
-            out *= -0.5
-            np.exp(out, out=out)
-            out *= g
-        if g < 1.0:
-            np.exp(x, out=x)
-            x *= 1.0 - g
-            out += x
+        out, flat = np.empty(np.shape(d)), np.ravel(d)
+        for first in range(0, flat.size, IN_CACHE):
+            out.reshape(-1)[first : first + IN_CACHE] = self._correlation(flat[first : first + IN_CACHE])
         return out
+
+    def _correlation(self, d: F64) -> F64:
+        x, g = d / self.length_m, self.gaussian
+        if 0.0 < g < 1.0:
+            return np.asarray((1.0 - g) * np.exp(-x) + g * np.exp(-0.5 * x * x))
+        return np.asarray(np.exp(-x) if g == 0.0 else np.exp(-0.5 * x * x))
 
 
 @dataclass(frozen=True)

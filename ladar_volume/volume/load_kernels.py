@@ -152,10 +152,21 @@ def navigation_kernel(q: F64, start: I64, index: I32, M: F32 | I16, unit: F32, b
         for r in range(q.shape[1]):
             position[r], attitude[r] = q[a, r] * unit[a, r, 0], q[a, r] * unit[a, r, 1]
         for e in range(start[a], start[a + 1]):
+            x = y = z = u = v = w = 0.0  # as many sums as stay in registers
             for r in range(q.shape[1]):
-                for c in range(3):
-                    out[index[e], c] += position[r] * M[e, r, c]
-                    out[index[e], 3 + c] += attitude[r] * M[e, r, 3 + c]
+                x += position[r] * M[e, r, 0]
+                y += position[r] * M[e, r, 1]
+                z += position[r] * M[e, r, 2]
+                u += attitude[r] * M[e, r, 3]
+                v += attitude[r] * M[e, r, 4]
+                w += attitude[r] * M[e, r, 5]
+            row = out[index[e]]
+            row[0] += x
+            row[1] += y
+            row[2] += z
+            row[3] += u
+            row[4] += v
+            row[5] += w
     return out
 
 

@@ -10,6 +10,7 @@ from test_propagation import COLUMNS, random_surface
 
 from ladar_volume.model.records import PlatformStates
 from ladar_volume.volume import propagation
+from ladar_volume.volume.budget import upper_product
 from ladar_volume.volume.load_kernels import (
     cell_kernel,
     correlated_kernel,
@@ -189,3 +190,9 @@ def test_what_is_correlated_in_time():
     found = C.copy()
     correlated_kernel(d, np.exp(-np.diff(t, append=t[-1])), bins, (constant, markov, same, own), found)
     assert np.triu(found) == close(np.triu(C + d @ d.T * share)) and np.array_equal(np.tril(found, -1), np.tril(C, -1))
+
+
+@pytest.mark.parametrize("k", [0, 1, 128, 300])
+def test_the_upper_triangle_of_a_product(k):
+    A, B = np.random.default_rng(13).standard_normal((2, k, 7))
+    assert np.triu(upper_product(A, B)) == close(np.triu(A @ B.T))
