@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from ladar_volume.model.records import Patches
 from ladar_volume.surface.relevant import edge_lengths
 from ladar_volume.surface.tin import any_corner, build_tin, footprint_areas, vertex_mask
-from ladar_volume.volume.outline import components, fill_holes, near_some, within
+from ladar_volume.volume.outline import components, fill_holes, within
 from ladar_volume.volume.patch_merge import in_order, move_rows, place_from, sort_runs
 from ladar_volume.volume.patch_store import LastWord, block_entries, picked
 
@@ -59,18 +59,20 @@ def test_vertices_within_a_distance(tin):
     assert not within(tin, np.zeros(len(mask), bool), 1.0).any()
 
 
-def test_places_within_a_distance_of_some():
+def test_vertices_within_a_distance_where_places_crowd_or_are_far_apart():
     rng = np.random.default_rng(7)
     cluster, lattice = rng.normal(0.0, 3.0, (400, 2)), np.stack(np.meshgrid(np.arange(20.0), np.arange(15.0)), axis=-1).reshape(-1, 2)
-    along, apart = np.column_stack([rng.uniform(0.0, 9.0, 200), np.zeros(200)]), np.r_[cluster, [[1e5, -2e4], [3e4, 7e4]]]
-    for xy in (cluster, lattice, along, apart, np.zeros((5, 2)), cluster[:1]):
+    narrow, apart = np.column_stack([rng.uniform(0.0, 9.0, 200), rng.uniform(0.0, 1e-3, 200)]), np.r_[cluster, [[1e5, -2e4], [3e4, 7e4]]]
+    for xy in (cluster, lattice, narrow, apart, cluster[:3]):
+        made = build_tin(np.c_[xy, np.zeros(len(xy))])
         for share in (0.0, 0.01, 0.2, 1.0):
-            some = rng.random(len(xy)) < share
-            away = np.full(len(xy), np.inf)
+            mask = rng.random(len(made.triangles)) < share
+            some, places = vertex_mask(made, mask), made.vertices[:, :2]
+            away = np.full(len(places), np.inf)
             if some.any():
-                away = np.linalg.norm(xy[:, None] - xy[None, some], axis=2).min(axis=1)
+                away = np.linalg.norm(places[:, None] - places[None, some], axis=2).min(axis=1)
             for distance in (0.0, 0.3, 1.0, 2.0, 5.0, 60.0, 1e6):
-                assert np.array_equal(near_some(xy, some, distance), away <= distance)
+                assert np.array_equal(within(made, mask, distance), away <= distance)
 
 
 def test_holes_are_filled_with_relevant_triangles_alone(tin):
