@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numba
 import numpy as np
@@ -15,7 +15,7 @@ import numpy.typing as npt
 from ladar_volume.georeference.lidar import Mounting, angle_derivatives
 from ladar_volume.georeference.sensitivity import bracket, pack
 from ladar_volume.georeference.trajectory import PathWindow, interpolate_position
-from ladar_volume.model.kernels import kernel, parallel_kernel
+from ladar_volume.model.kernels import leaf_kernel, parallel_kernel
 from ladar_volume.model.records import F32, F64, I64
 from ladar_volume.model.se3 import matrix_from_quaternion, slerp
 
@@ -23,6 +23,9 @@ from ladar_volume.model.se3 import matrix_from_quaternion, slerp
 MAPPED, NO_POSE, IN_VEHICLE, OUTSIDE_REGION = 0, 1, 2, 3
 #: Points per parallel chunk: each chunk walks along the knots with a hint instead of searching.
 _CHUNK = 1024
+Vector: TypeAlias = tuple[float, float, float]
+Rows: TypeAlias = tuple[Vector, Vector, Vector]
+_ZERO = (0.0, 0.0, 0.0)
 _NEAR = 1.0 - 1e-9  # there the sines cancel; linear interpolation is exact to 1e-14
 
 
@@ -35,7 +38,7 @@ class Mapped:
     status: npt.NDArray[np.uint8]
 
 
-@kernel
+@leaf_kernel
 def _at(t: Any, value: Any, hint: Any) -> Any:
     """Index of the last knot not after ``value``, −1 where all are later; ``hint`` is tried first."""
     n = len(t)
@@ -54,112 +57,148 @@ def _at(t: Any, value: Any, hint: Any) -> Any:
     return lo - 1
 
 
+@leaf_kernel
+def _moved(a: Vector, R: Rows, v: Vector) -> Vector:
+    """``a + R v``. Vectors and rows of matrices are numbers, not arrays: they stay in registers."""
+    return (
+        a[0] + R[0][0] * v[0] + R[0][1] * v[1] + R[0][2] * v[2],
+        a[1] + R[1][0] * v[0] + R[1][1] * v[1] + R[1][2] * v[2],
+        a[2] + R[2][0] * v[0] + R[2][1] * v[1] + R[2][2] * v[2],
+    )
+
+
+@leaf_kernel
+def _arc(sq: Any, k: Any) -> Any:
+    """Constants of the slerp from attitude k to the next: angle, one over its sine, sign of the second, and whether the two are so near
+    that it is linear."""
+    dot = 0.0
+    for c in range(4):
+        dot += sq[k, c] * sq[k + 1, c]
+    sign, dot = -1.0 if dot < 0.0 else 1.0, min(abs(dot), 1.0)
+    theta, near = np.arccos(dot), dot > _NEAR
+    return theta, 1.0 if near else 1.0 / np.sin(theta), sign, near
+
+
+@leaf_kernel
+def _attitude(sq: Any, k: Any, f: Any, arc: Any) -> Any:
+    """The unit quaternion a share f of the way from attitude k to the next."""
+    theta, inv_sine, sign, near = arc
+    if near:
+        w0, w1 = 1.0 - f, sign * f
+    else:
+        w0, w1 = np.sin((1.0 - f) * theta) * inv_sine, sign * np.sin(f * theta) * inv_sine
+    x, y = w0 * sq[k, 0] + w1 * sq[k + 1, 0], w0 * sq[k, 1] + w1 * sq[k + 1, 1]
+    z, w = w0 * sq[k, 2] + w1 * sq[k + 1, 2], w0 * sq[k, 3] + w1 * sq[k + 1, 3]
+    s = 1.0 / np.sqrt(x * x + y * y + z * z + w * w)
+    return x * s, y * s, z * s, w * s
+
+
+@leaf_kernel
+def _rotation(q: Any) -> Rows:
+    """Rows of the rotation of a unit quaternion."""
+    x, y, z, w = q
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+    )
+
+
+@leaf_kernel
+def _antenna(pt: Any, pp: Any, pm: Any, hermite: Any, j: Any, t: Any) -> Vector:
+    """The antenna at a time from position j on, not after the next."""
+    x, y, z = pp[j, 0], pp[j, 1], pp[j, 2]
+    if pt[j] != t:
+        h = (pt[j + 1] - pt[j]) * 1e-9
+        f = (t - pt[j]) / (pt[j + 1] - pt[j])
+        g = f * f * (3.0 - 2.0 * f) if hermite else f
+        x += g * (pp[j + 1, 0] - pp[j, 0])
+        y += g * (pp[j + 1, 1] - pp[j, 1])
+        z += g * (pp[j + 1, 2] - pp[j, 2])
+        if hermite:
+            g0, g1 = h * f * (1.0 - f) * (1.0 - f), h * f * f * (f - 1.0)
+            x += g0 * pm[j, 0] + g1 * pm[j + 1, 0]
+            y += g0 * pm[j, 1] + g1 * pm[j + 1, 1]
+            z += g0 * pm[j, 2] + g1 * pm[j + 1, 2]
+    return x, y, z
+
+
+@leaf_kernel
+def _within(box: Any, v: Vector) -> Any:
+    """Whether a box (6,) holds a place."""
+    return box[0] <= v[0] <= box[3] and box[1] <= v[1] <= box[4] and box[2] <= v[2] <= box[5]
+
+
+@leaf_kernel
+def _noise(r: Vector, sigmas: Any, B: Rows, R: Rows, out: Any) -> None:
+    """Packed covariance (6,) in the map of a return r in the laser frame: the noise of range, azimuth and vertical angle as three arrows,
+    turned into the map."""
+    x, y, z = r
+    hor = np.sqrt(x * x + y * y)
+    rho = np.sqrt(x * x + y * y + z * z)
+    ca, sa = (x / hor, y / hor) if hor > 0.0 else (1.0, 0.0)
+    s0, s1, s2 = sigmas[0] / rho, sigmas[1], sigmas[2]
+    d = _moved(_ZERO, R, _moved(_ZERO, B, (x * s0, y * s0, z * s0)))
+    e = _moved(_ZERO, R, _moved(_ZERO, B, (-y * s1, x * s1, 0.0)))
+    f = _moved(_ZERO, R, _moved(_ZERO, B, (-z * ca * s2, -z * sa * s2, hor * s2)))
+    out[0] = d[0] * d[0] + e[0] * e[0] + f[0] * f[0]
+    out[1] = d[0] * d[1] + e[0] * e[1] + f[0] * f[1]
+    out[2] = d[0] * d[2] + e[0] * e[2] + f[0] * f[2]
+    out[3] = d[1] * d[1] + e[1] * e[1] + f[1] * f[1]
+    out[4] = d[1] * d[2] + e[1] * e[2] + f[1] * f[2]
+    out[5] = d[2] * d[2] + e[2] * e[2] + f[2] * f[2]
+
+
+@leaf_kernel
+def _map_part(
+    first: Any, last: Any, t_ns: Any, r_laser: Any, st: Any, sq: Any, sg: Any, pt: Any, pp: Any, pm: Any, hermite: Any, boresight: Any,
+    arm: Any, b: Any, sigmas: Any, vehicle: Any, region: Any, r_map: Any, C_ind: Any, status: Any,
+) -> None:  # fmt: skip
+    """Returns from ``first`` to ``last``: along the knots, with a hint instead of a search."""
+    ns = len(st)
+    B = (
+        (boresight[0, 0], boresight[0, 1], boresight[0, 2]),
+        (boresight[1, 0], boresight[1, 1], boresight[1, 2]),
+        (boresight[2, 0], boresight[2, 1], boresight[2, 2]),
+    )
+    k, j, arc = -1, -1, (0.0, 1.0, 1.0, True)
+    for i in range(first, last):
+        t, before = t_ns[i], k
+        k = _at(st, t, k)
+        covered = k >= 0 and sg[k] >= 0
+        if covered and st[k] != t:
+            covered = k + 1 < ns and sg[k] == sg[k + 1]
+        if not covered:
+            status[i], k = NO_POSE, before
+            r_map[i, :] = np.nan
+            C_ind[i, :] = np.nan
+            continue
+        if k != before and k + 1 < ns:  # once per interval
+            arc = _arc(sq, k)
+        q = (sq[k, 0], sq[k, 1], sq[k, 2], sq[k, 3])
+        R = _rotation(q if st[k] == t else _attitude(sq, k, (t - st[k]) / (st[k + 1] - st[k]), arc))
+        r = (r_laser[i, 0], r_laser[i, 1], r_laser[i, 2])
+        v = _moved(_ZERO, B, r)
+        inside = _within(vehicle, (v[0] + b[0], v[1] + b[1], v[2] + b[2]))
+        j = _at(pt, t, j)
+        # LiDAR equation
+        m = _moved(_antenna(pt, pp, pm, hermite, j, t), R, (v[0] + arm[0], v[1] + arm[1], v[2] + arm[2]))
+        r_map[i, 0], r_map[i, 1], r_map[i, 2] = m
+        status[i] = IN_VEHICLE if inside else (MAPPED if _within(region, m) else OUTSIDE_REGION)
+        _noise(r, sigmas, B, R, C_ind[i])
+
+
 @parallel_kernel
 def _map(
-    t_ns: Any, r_laser: Any, st: Any, sq: Any, sg: Any, pt: Any, pp: Any, pm: Any, hermite: Any, B: Any, arm: Any, b: Any, sigmas: Any,
-    vehicle: Any, region: Any, r_map: Any, C_ind: Any, status: Any,
+    t_ns: Any, r_laser: Any, st: Any, sq: Any, sg: Any, pt: Any, pp: Any, pm: Any, hermite: Any, boresight: Any, arm: Any, b: Any,
+    sigmas: Any, vehicle: Any, region: Any, r_map: Any, C_ind: Any, status: Any,
 ) -> None:  # fmt: skip
-    # one long function: it is one pass over scalars, and pieces of it would hand two dozen of them to each other
-    n, ns = len(t_ns), len(st)
+    n = len(t_ns)
     for chunk in numba.prange((n + _CHUNK - 1) // _CHUNK):
-        k = j = -1
-        theta, inv_sine, sign, near = 0.0, 1.0, 1.0, True
-        for i in range(chunk * _CHUNK, min(n, (chunk + 1) * _CHUNK)):
-            t = t_ns[i]
-            k_new = _at(st, t, k)
-            covered = k_new >= 0 and sg[k_new] >= 0
-            if covered and st[k_new] != t:
-                covered = k_new + 1 < ns and sg[k_new] == sg[k_new + 1]
-            if not covered:
-                status[i] = NO_POSE
-                r_map[i, :] = np.nan
-                C_ind[i, :] = np.nan
-                continue
-            if k_new != k and k_new + 1 < ns:  # constants of the slerp, once per interval
-                dot = 0.0
-                for c in range(4):
-                    dot += sq[k_new, c] * sq[k_new + 1, c]
-                sign = -1.0 if dot < 0.0 else 1.0
-                dot = min(abs(dot), 1.0)
-                near = dot > _NEAR
-                theta = np.arccos(dot)
-                inv_sine = 1.0 if near else 1.0 / np.sin(theta)
-            k = k_new
-            # attitude
-            if st[k] == t:
-                qx, qy, qz, qw = sq[k, 0], sq[k, 1], sq[k, 2], sq[k, 3]
-            else:
-                f = (t - st[k]) / (st[k + 1] - st[k])
-                if near:
-                    w0, w1 = 1.0 - f, sign * f
-                else:
-                    w0, w1 = np.sin((1.0 - f) * theta) * inv_sine, sign * np.sin(f * theta) * inv_sine
-                qx = w0 * sq[k, 0] + w1 * sq[k + 1, 0]
-                qy = w0 * sq[k, 1] + w1 * sq[k + 1, 1]
-                qz = w0 * sq[k, 2] + w1 * sq[k + 1, 2]
-                qw = w0 * sq[k, 3] + w1 * sq[k + 1, 3]
-                s = 1.0 / np.sqrt(qx * qx + qy * qy + qz * qz + qw * qw)
-                qx, qy, qz, qw = qx * s, qy * s, qz * s, qw * s
-            R00, R01, R02 = 1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy - qz * qw), 2 * (qx * qz + qy * qw)
-            R10, R11, R12 = 2 * (qx * qy + qz * qw), 1 - 2 * (qx * qx + qz * qz), 2 * (qy * qz - qx * qw)
-            R20, R21, R22 = 2 * (qx * qz - qy * qw), 2 * (qy * qz + qx * qw), 1 - 2 * (qx * qx + qy * qy)
-            # body
-            x, y, z = r_laser[i, 0], r_laser[i, 1], r_laser[i, 2]
-            vx = B[0, 0] * x + B[0, 1] * y + B[0, 2] * z
-            vy = B[1, 0] * x + B[1, 1] * y + B[1, 2] * z
-            vz = B[2, 0] * x + B[2, 1] * y + B[2, 2] * z
-            bx, by, bz = vx + b[0], vy + b[1], vz + b[2]
-            inside = vehicle[0] <= bx <= vehicle[3] and vehicle[1] <= by <= vehicle[4] and vehicle[2] <= bz <= vehicle[5]
-            # antenna
-            j = _at(pt, t, j)
-            ax, ay, az = pp[j, 0], pp[j, 1], pp[j, 2]
-            if pt[j] != t:
-                h = (pt[j + 1] - pt[j]) * 1e-9
-                f = (t - pt[j]) / (pt[j + 1] - pt[j])
-                g = f * f * (3.0 - 2.0 * f) if hermite else f
-                ax += g * (pp[j + 1, 0] - pp[j, 0])
-                ay += g * (pp[j + 1, 1] - pp[j, 1])
-                az += g * (pp[j + 1, 2] - pp[j, 2])
-                if hermite:
-                    g0, g1 = h * f * (1.0 - f) * (1.0 - f), h * f * f * (f - 1.0)
-                    ax += g0 * pm[j, 0] + g1 * pm[j + 1, 0]
-                    ay += g0 * pm[j, 1] + g1 * pm[j + 1, 1]
-                    az += g0 * pm[j, 2] + g1 * pm[j + 1, 2]
-            # LiDAR equation
-            bx, by, bz = vx + arm[0], vy + arm[1], vz + arm[2]
-            mx = ax + R00 * bx + R01 * by + R02 * bz
-            my = ay + R10 * bx + R11 * by + R12 * bz
-            mz = az + R20 * bx + R21 * by + R22 * bz
-            r_map[i, 0], r_map[i, 1], r_map[i, 2] = mx, my, mz
-            within = region[0] <= mx <= region[3] and region[1] <= my <= region[4] and region[2] <= mz <= region[5]
-            status[i] = IN_VEHICLE if inside else (MAPPED if within else OUTSIDE_REGION)
-            # covariance: the noise of range, azimuth and vertical angle as three arrows in the laser frame, turned into the map
-            hor = np.sqrt(x * x + y * y)
-            rho = np.sqrt(x * x + y * y + z * z)
-            ca, sa = (x / hor, y / hor) if hor > 0.0 else (1.0, 0.0)
-            s0, s1, s2 = sigmas[0] / rho, sigmas[1], sigmas[2]
-            cxx = cxy = cxz = cyy = cyz = czz = 0.0
-            for c in range(3):
-                if c == 0:
-                    lx, ly, lz = x * s0, y * s0, z * s0
-                elif c == 1:
-                    lx, ly, lz = -y * s1, x * s1, 0.0
-                else:
-                    lx, ly, lz = -z * ca * s2, -z * sa * s2, hor * s2
-                ux = B[0, 0] * lx + B[0, 1] * ly + B[0, 2] * lz
-                uy = B[1, 0] * lx + B[1, 1] * ly + B[1, 2] * lz
-                uz = B[2, 0] * lx + B[2, 1] * ly + B[2, 2] * lz
-                ex = R00 * ux + R01 * uy + R02 * uz
-                ey = R10 * ux + R11 * uy + R12 * uz
-                ez = R20 * ux + R21 * uy + R22 * uz
-                cxx += ex * ex
-                cxy += ex * ey
-                cxz += ex * ez
-                cyy += ey * ey
-                cyz += ey * ez
-                czz += ez * ez
-            C_ind[i, 0], C_ind[i, 1], C_ind[i, 2] = cxx, cxy, cxz
-            C_ind[i, 3], C_ind[i, 4], C_ind[i, 5] = cyy, cyz, czz
+        _map_part(
+            chunk * _CHUNK, min(n, (chunk + 1) * _CHUNK), t_ns, r_laser, st, sq, sg, pt, pp, pm, hermite, boresight, arm, b, sigmas,
+            vehicle, region, r_map, C_ind, status,
+        )  # fmt: skip
 
 
 def vehicle_box(values: tuple[float, ...]) -> F64:
