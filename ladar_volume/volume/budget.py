@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -79,13 +78,21 @@ class Sensitivities:
 
 
 class Sources:
-    """Every error source of one filtered surface, ready to be propagated to results."""
+    """Every error source of one filtered surface, ready to be propagated to results. Two threads may propagate at once as long as only one
+    asks for :meth:`variance` or :meth:`shared_covariance`, which complete :attr:`errors`.
+
+    Raises :class:`VolumeError` (volume_no_navigation) where no state is known for a time bin of the patches.
+    """
 
     def __init__(self, points: FilteredPoints, patches: Patches, navigation: NavigationBins, parameters: Parameters) -> None:
         self.points, self.patches, self.navigation, self.parameters = points, patches, navigation, parameters
         self.geometry: SurfaceGeometry = surface_geometry(points, patches)
         beams = (patches.M_cal.shape[2] - 11) // 2
         self.C_cal = calibration_covariance(parameters.budget, beams, parameters.georeference.pose_source)
+        #: Bins (b,) of the navigation sensitivities and the row (l,) of each one's own among them.
+        self.time_bins: tuple[I64, I32] = time_bins(patches)
+        #: What calibration and navigation do to the parameters of each patch.
+        self.errors = PatchErrors(patches, navigation, self.C_cal, self.time_bins)
 
     def budget(self, s: Sensitivities, base_surface_m6: float, naive_m3: float = math.nan) -> Budget:
         """Budget of a result with these sensitivities, with a variance from the ground's deviation from the base under it, and with its
@@ -132,16 +139,6 @@ class Sources:
         shared = self.errors.covariance(self.geometry.row[points])
         out: F64 = self.points.variance[points] + height_kernel(points, self.geometry.X, self.geometry.row, shared)
         return out
-
-    @cached_property
-    def time_bins(self) -> tuple[I64, I32]:
-        """Bins (b,) of the navigation sensitivities and the row (l,) of each one's own among them."""
-        return time_bins(self.patches)
-
-    @cached_property
-    def errors(self) -> PatchErrors:
-        """What calibration and navigation do to the parameters of each patch."""
-        return PatchErrors(self.patches, self.navigation, self.C_cal, self.time_bins)
 
     def shared_covariance(self, points: I64) -> tuple[I64, F64]:
         """The order in time of points (k,), each at its mean time, and in this order the covariance (k, k) m² of their heights from

@@ -42,17 +42,20 @@ def picked(parts: list[Any], rows: I64) -> Any:
     to = np.full(sum(len(part) for part in parts), -1, np.int64)
     to[rows] = np.arange(len(rows))
     parts.reverse()
-    out, first = parts.pop(), 0
+    out = parts.pop()
     count, shape = len(out), out.shape[1:]
-    try:
-        if not (out.flags.c_contiguous and in_order(to[:count])):
-            raise ValueError
-        out.resize((max(count, len(rows)) + 1, *shape))  # refused where others refer to it, as it is larger than before
+    in_place = out.flags.c_contiguous and in_order(to[:count])
+    if in_place:
+        try:
+            out.resize((max(count, len(rows)) + 1, *shape))  # refused where others refer to it, as it is larger than before
+        except ValueError:
+            in_place = False
+    if in_place:
         move_rows(*words(out), to[:count])
-        first = count
-    except ValueError:
+    else:
         parts.append(out)
         out = np.empty((len(rows), *shape), out.dtype)
+    first = count if in_place else 0
     while parts:
         part = np.ascontiguousarray(parts.pop(), out.dtype)
         copy_rows(words(part)[0], to[first : first + len(part)], *words(out)[::-1])
