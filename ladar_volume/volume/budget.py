@@ -136,8 +136,8 @@ class Sources:
 
     def variance(self, points: I64) -> F64:
         """Variance (k,) m² of points (k,) along their patches' normals from all sources; navigation of one patch counts as correlated."""
-        shared = self.errors.covariance(self.geometry.row[points])
-        out: F64 = self.points.variance[points] + height_kernel(points, self.geometry.X, self.geometry.row, shared)
+        row = self.geometry.row[points]
+        out: F64 = self.points.variance[points] + height_kernel(self.geometry.design(points), row, self.errors.covariance(row))
         return out
 
     def shared_covariance(self, points: I64) -> tuple[I64, F64]:
@@ -146,7 +146,7 @@ class Sources:
         order = np.argsort(self.points.t_ns[points], kind="stable")
         points = points[order]
         row, up = self.geometry.row[points], np.maximum(np.abs(self.points.normal[points, 2]), LEAST_UP)
-        X = self.geometry.X[points] / up[:, None]
+        X = self.geometry.design(points) / up[:, None]
         J = np.einsum("kp,kpc->kc", X, self.patches.M_cal[row, : X.shape[1]])
         C: F64 = upper_product(J @ self.C_cal, J)
         b, t_ns, bin_ns = self.parameters.budget, self.points.t_ns[points], self.navigation.bin_ns

@@ -114,7 +114,7 @@ def sensitivity_rows(epoch: Epoch, corner: I32 | I64, weight: F64) -> tuple[F64,
     s = epoch.sources
     source = epoch.surface.tin.source[corner]
     up = np.maximum(np.abs(s.points.normal[source, 2]), STEEPEST)
-    X = s.geometry.X[source] * (weight / up)[..., None]
+    X = s.geometry.design(source) * (weight / up)[..., None]
     row = s.geometry.row[source]
     parts = [np.zeros((len(corner), k)) for k in (s.patches.M_cal.shape[2], 6)]
     rows: list[F32 | F64] = [s.patches.M_cal[:, : X.shape[2]], s.errors.deviation(row.ravel())]

@@ -38,21 +38,21 @@ def place_kernel(cut: F64, fill: F64, place: I64, out: F64) -> None:
 
 
 @kernel
-def load_kernel(gradient: F64, normal: F64, tangent: F64, X: F64, row: I64) -> F64:
-    """Loads (m, p + 2, k) of k results: gradients (n, k, 3) along the normals (m, 3) of the points' patches row (n,) times design rows
-    X (n, p), then along their tangents (m, 3) and binormals."""
-    results, p = gradient.shape[1], X.shape[1]
+def load_kernel(gradient: F64, normal: F64, tangent: F64, local: F64, row: I64, p: int) -> F64:
+    """Loads (m, p + 2, k) of k results: gradients (n, k, 3) along the normals (m, 3) of the points' patches row (n,) times the first p of
+    ``(1, u, v, u², uv, v²)`` of tangent coordinates local (n, 2), then along their tangents (m, 3) and binormals."""
+    results = gradient.shape[1]
     out, side = np.zeros((len(normal), p + 2, results)), np.empty(3)
     for i in range(len(gradient)):
-        m = row[i]
-        n, t = normal[m], tangent[m]
+        m, u, v = row[i], local[i, 0], local[i, 1]
+        n, t, X = normal[m], tangent[m], (1.0, u, v, u * u, u * v, v * v)
         side[0], side[1], side[2] = n[1] * t[2] - n[2] * t[1], n[2] * t[0] - n[0] * t[2], n[0] * t[1] - n[1] * t[0]
         for k in range(results):
             x, y, z = gradient[i, k, 0], gradient[i, k, 1], gradient[i, k, 2]
             if x != 0.0 or y != 0.0 or z != 0.0:
                 along = x * n[0] + y * n[1] + z * n[2]
                 for a in range(p):
-                    out[m, a, k] += X[i, a] * along
+                    out[m, a, k] += X[a] * along
                 out[m, p, k] += x * t[0] + y * t[1] + z * t[2]
                 out[m, p + 1, k] += x * side[0] + y * side[1] + z * side[2]
     return out
@@ -218,14 +218,13 @@ def shared_kernel(which: I64, M_cal: F32, one: I64, two: I64, value: F64, deviat
 
 
 @kernel
-def height_kernel(which: I64, X: F64, row: I64, C: F32) -> F64:
-    """``x C xᵀ`` (k,) of the design rows X (n, p) of points ``which`` (k,) with the covariances C (m, p, p) of their patches row (n,)."""
-    out = np.zeros(len(which))
-    for a in range(len(which)):
-        i = which[a]
+def height_kernel(X: F64, row: I64, C: F32) -> F64:
+    """``x C xᵀ`` (k,) of design rows X (k, p) with the covariances C (m, p, p) of patches row (k,)."""
+    out = np.zeros(len(row))
+    for a in range(len(row)):
         for r in range(X.shape[1]):
             for s in range(X.shape[1]):
-                out[a] += X[i, r] * C[row[i], r, s] * X[i, s]
+                out[a] += X[a, r] * C[row[a], r, s] * X[a, s]
     return out
 
 

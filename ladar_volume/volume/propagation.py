@@ -35,14 +35,19 @@ LONGEST = 1 << 22
 class SurfaceGeometry:
     """What every result on one filtered surface shares.
 
-    row : (n,) index of each point's patch · X : (n, p) design rows · start : (m + 1,) first block of each patch · right : (k,) the other
-    patch of each block, -1 where it is not in the store (such blocks count as zero)
+    row : (n,) index of each point's patch · local : (n, 2) m, its tangent coordinates there · parameters : of a patch, p · start : (m + 1,)
+    first block of each patch · right : (k,) the other patch of each block, -1 where it is not in the store (such blocks count as zero)
     """
 
     row: I64
-    X: F64
+    local: F64
+    parameters: int
     start: I64
     right: I32
+
+    def design(self, points: I64) -> F64:
+        """Design rows (..., p) of points (...,)."""
+        return design_rows(self.local[points], self.parameters)
 
     @property
     def left(self) -> I64:
@@ -56,30 +61,29 @@ class SurfaceGeometry:
 
 
 def design_rows(local: F64, p: int) -> F64:
-    """Rows ``(1, u, v[, u², uv, v²])`` (n, p) of tangent coordinates (n, 2), m."""
-    u, v = local[:, 0], local[:, 1]
-    columns = [np.ones(len(u)), u, v, u * u, u * v, v * v]
-    if p not in (3, 6):
-        raise VolumeError(f"patches have 3 or 6 parameters, not {p}", reason="volume_patches", value=p)
-    return np.stack(columns[:p], axis=1)
+    """Rows ``(1, u, v[, u², uv, v²])`` (..., p) of tangent coordinates (..., 2), m."""
+    u, v = local[..., 0], local[..., 1]
+    return np.stack([np.ones(u.shape), u, v, u * u, u * v, v * v][:p], axis=-1)
 
 
 def surface_geometry(points: FilteredPoints, patches: Patches) -> SurfaceGeometry:
-    """Index the points and cross blocks of patches sorted by key. Raises :class:`VolumeError` (volume_patches) for sensitivities that are
-    not those of the parameters and two tangents."""
+    """Index the points and cross blocks of patches sorted by key. Raises :class:`VolumeError` (volume_patches) for patches of neither 3 nor
+    6 parameters, and for sensitivities that are not those of the parameters and two tangents."""
     p = patches.beta.shape[1]
+    if p not in (3, 6):
+        raise VolumeError(f"patches have 3 or 6 parameters, not {p}", reason="volume_patches", value=p)
     for M in (patches.M_cal, patches.M_nav):
         if M.shape[1] != p + 2:
             raise VolumeError(f"patches of {p} parameters with sensitivities in {M.shape[1]} rows, not {p + 2}", reason="volume_patches")
     row = np.searchsorted(patches.key, points.patch)
     right = neighbour_kernel(patches.key, patches.cross_start, patches.cross_key)
-    return SurfaceGeometry(row, design_rows(points.local, p), patches.cross_start, right)
+    return SurfaceGeometry(row, points.local, p, patches.cross_start, right)
 
 
 def patch_loads(gradient: F64, patches: Patches, geometry: SurfaceGeometry) -> F64:
     """Loads q (m, p + 2, k) of k results with gradients (n, k, 3): on the patch parameters, then on the patch's place along its tangent and
     binormal."""
-    return np.asarray(load_kernel(gradient, patches.normal, patches.tangent, geometry.X, geometry.row))
+    return np.asarray(load_kernel(gradient, patches.normal, patches.tangent, geometry.local, geometry.row, geometry.parameters))
 
 
 def independent_covariance(q: F64, patches: Patches, geometry: SurfaceGeometry) -> F64:

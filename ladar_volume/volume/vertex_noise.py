@@ -28,7 +28,7 @@ def vertex_rows(tin: Tin, points: FilteredPoints, patches: Patches, geometry: Su
     """Rows (n, p) that give each vertex' height from that of its patch whose covariances the blocks are, and that patch (n,)."""
     up = np.maximum(np.abs(points.normal[tin.source, 2]), STEEPEST)
     row = geometry.row[tin.source]
-    return factor_rows(geometry.X[tin.source] / up[:, None], row, patches), row
+    return factor_rows(geometry.design(tin.source) / up[:, None], row, patches), row
 
 
 def height_pairs(tin: Tin, patches: Patches, geometry: SurfaceGeometry, X: F64, row: I64, variance: F64, triangles: I32) -> Any:

@@ -24,7 +24,15 @@ from ladar_volume.volume.load_kernels import (
 )
 from ladar_volume.volume.navigation import NavigationBins
 from ladar_volume.volume.packing import navigation_units
-from ladar_volume.volume.propagation import independent_covariance, navigation_sensitivity, patch_loads, surface_geometry, time_bins, unpack
+from ladar_volume.volume.propagation import (
+    design_rows,
+    independent_covariance,
+    navigation_sensitivity,
+    patch_loads,
+    surface_geometry,
+    time_bins,
+    unpack,
+)
 from ladar_volume.volume.second_order import STEEPEST, curvatures
 
 
@@ -38,9 +46,9 @@ def test_loads_and_their_pairs(p, results):
     geometry, g = surface_geometry(points, patches), np.random.default_rng(4).standard_normal((len(points), results, 3))
     g[::3] = 0.0
     q = patch_loads(g, patches, geometry)
-    n, t = patches.normal[geometry.row], patches.tangent[geometry.row]
+    n, t, X = patches.normal[geometry.row], patches.tangent[geometry.row], design_rows(points.local, p)
     along, twin = [np.einsum("nkc,nc->nk", g, axis) for axis in (n, t, np.cross(n, t))], np.zeros_like(q)
-    np.add.at(twin, geometry.row, np.concatenate([geometry.X[:, :, None] * along[0][:, None], np.stack(along[1:], axis=1)], axis=1))
+    np.add.at(twin, geometry.row, np.concatenate([X[:, :, None] * along[0][:, None], np.stack(along[1:], axis=1)], axis=1))
     assert q == close(twin)
     q[2] = 0.0
     left, right = q[geometry.left, :p], q[geometry.right, :p]
@@ -99,9 +107,9 @@ def test_what_is_shared(p):
     assert shared == close(patches.M_cal[:, :p] @ C @ np.swapaxes(patches.M_cal[:, :p], 1, 2) + deviation @ np.swapaxes(deviation, 1, 2))
     geometry = surface_geometry(points, patches)
     some = rng.permutation(len(points))[:9]
-    assert height_kernel(some, geometry.X, geometry.row, shared) == close(
-        np.einsum("np,npq,nq->n", geometry.X, shared[geometry.row], geometry.X)[some]
-    )
+    X = design_rows(points.local, p)
+    assert geometry.design(some).tobytes() == X[some].tobytes()
+    assert height_kernel(X[some], geometry.row[some], shared) == close(np.einsum("np,npq,nq->n", X, shared[geometry.row], X)[some])
     g = rng.standard_normal((len(points), 3)) * (rng.random((len(points), 1)) < 0.5)
     which, square = naive_kernel(g, patches.normal, geometry.row)
     assert np.array_equal(which, np.flatnonzero(g.any(axis=1)))

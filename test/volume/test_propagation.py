@@ -148,8 +148,9 @@ def test_refusals():
         calibration_variance(np.ones(COLUMNS), np.eye(COLUMNS - 2))
     with pytest.raises(VolumeError):
         calibration_groups(12)
-    with pytest.raises(VolumeError):
-        design_rows(np.zeros((2, 2)), 4)
+    points, patches, _, _ = random_surface()
+    with pytest.raises(VolumeError, match="not 4"):
+        surface_geometry(points, dataclasses.replace(patches, beta=np.zeros((len(patches), 4))))
 
 
 def test_sensitivities_of_another_shape_are_refused():
