@@ -16,11 +16,11 @@ from ladar_volume.surface.tin import footprint_areas
 from ladar_volume.volume.budget import Sources
 from ladar_volume.volume.ground_field import GroundField
 from ladar_volume.volume.load_kernels import place_kernel
-from ladar_volume.volume.near_base import NearBase, near_base, near_triangles
+from ladar_volume.volume.near_base import Fold, fold, near_triangles
 from ladar_volume.volume.prismoids import Prismoids
 from ladar_volume.volume.propagation import SurfaceGeometry
 from ladar_volume.volume.roughness import estimate_roughness
-from ladar_volume.volume.vertex_noise import STEEPEST, height_pairs, height_sums, rings_for, vertex_rows
+from ladar_volume.volume.vertex_noise import STEEPEST, corner_covariances, height_sums, rings_for, vertex_rows
 
 
 def base_name(parameters: Parameters) -> str:
@@ -68,7 +68,7 @@ def result_gradients(
 
 def near_correction(
     surface: Represented, base: Plane, inside_m2: F64, points: FilteredPoints, patches: Patches, geometry: SurfaceGeometry
-) -> NearBase | None:
+) -> Fold | None:
     """The correction of cut and fill where the surface runs near its base (UNCERTAINTY step 7), None where it nowhere does.
 
     inside_m2 : (m,) area of each triangle within the outline; one that the outline cuts is left uncorrected. The noise is that of the
@@ -81,9 +81,10 @@ def near_correction(
     close = tin.triangles[whole][near_triangles(tin, height, variance, whole)]
     if not len(close):
         return None
-    C, middle = height_pairs(tin, patches, geometry, X, row, variance, close), np.unique(close).astype(np.int64)
-    sums, alike = height_sums(patches, geometry, X, row, middle, variance)
-    return near_base(tin, base, C, whole, rings_for(alike), sums)
+    packed = corner_covariances(patches, geometry, X, row, variance, close)
+    sums, alike = height_sums(patches, geometry, X, row, np.unique(close).astype(np.int64), variance)
+    del X, row
+    return fold(tin, height, variance, close, packed, rings_for(alike), sums)
 
 
 def whole_triangles(tin: Tin, inside_m2: F64) -> Bool:

@@ -18,10 +18,9 @@ import numpy as np
 from ladar_volume.model.records import F64, Tin, Volume
 from ladar_volume.surface.tin import footprint_areas
 from ladar_volume.volume.assembly import vertex_variance
-from ladar_volume.volume.base import ZERO
 from ladar_volume.volume.difference import Difference, difference, fineness
 from ladar_volume.volume.epoch_budget import Epoch, EpochBudget, epoch_budget
-from ladar_volume.volume.near_base import NearBase, near_base, near_triangles
+from ladar_volume.volume.near_base import Fold, fold, near_triangles, node_covariances
 from ladar_volume.volume.outline import boundary_loop
 from ladar_volume.volume.overlay import Between, between
 from ladar_volume.volume.polygon import areas_inside, check_polygon
@@ -83,7 +82,7 @@ def height_noise(epoch: Epoch) -> tuple[Any, F64, float]:
     return C, *height_sums(s.patches, s.geometry, X, row, chosen, variance)
 
 
-def near_correction(new: Epoch, previous: Epoch, apart: Difference) -> NearBase | None:
+def near_correction(new: Epoch, previous: Epoch, apart: Difference) -> Fold | None:
     """What noise folds into cut and fill where the surfaces are near each other; None where they nowhere are."""
     own, other = (new, previous) if apart.upper_carries else (previous, new)
     (C_own, sums, alike), (C_other, other_sums, other_alike) = height_noise(own), height_noise(other)
@@ -91,9 +90,11 @@ def near_correction(new: Epoch, previous: Epoch, apart: Difference) -> NearBase 
     # as many of the carrying surface's vertices as stand where one of the other's does
     density = fineness(apart.tin) / max(fineness(below), 1e-300)
     summed = sums + density * (apart.weight * other_sums[apart.corner]).sum(axis=1)
-    if not near_triangles(apart.tin, apart.tin.vertices[:, 2], C.diagonal(), apart.tin.relevant).any():
+    height, variance, chosen = apart.tin.vertices[:, 2], C.diagonal(), apart.tin.relevant
+    near = apart.tin.triangles[chosen][near_triangles(apart.tin, height, variance, chosen)]
+    if not len(near):
         return None
-    return near_base(apart.tin, ZERO, C, None, rings_for(max(alike, other_alike)), summed)
+    return fold(apart.tin, height, variance, near, node_covariances(C, near), rings_for(max(alike, other_alike)), summed)
 
 
 def change_centroid(apart: Difference, heights: F64) -> tuple[float, float, float]:
@@ -104,7 +105,7 @@ def change_centroid(apart: Difference, heights: F64) -> tuple[float, float, floa
     return float(x), float(y), float(weight @ heights[t].mean(axis=1) / weight.sum())
 
 
-def as_volume(new: Epoch, previous: Epoch, found: Between, apart: Difference, budget: EpochBudget, near: NearBase | None) -> Volume:
+def as_volume(new: Epoch, previous: Epoch, found: Between, apart: Difference, budget: EpochBudget, near: Fold | None) -> Volume:
     """The difference as a volume whose base is the epoch before."""
     p, tin = new.sources.parameters.volume, apart.tin
     folded = 0.0 if near is None else near.taken(found.cut_m3, found.fill_m3)

@@ -27,7 +27,7 @@ from ladar_volume.volume.chords import cut_and_fill_chords
 from ladar_volume.volume.epoch_budget import Epoch
 from ladar_volume.volume.more_data import MoreData, more_data
 from ladar_volume.volume.navigation import NavigationBins
-from ladar_volume.volume.near_base import NearBase
+from ladar_volume.volume.near_base import Fold
 from ladar_volume.volume.outline import boundary_loop
 from ladar_volume.volume.patch_store import PatchStore
 from ladar_volume.volume.polygon import clipped_prismoids
@@ -142,18 +142,20 @@ class VolumeEstimator:
 
         def solved(part: F64, beside: Callable[[F64], B]) -> tuple[Prismoids, Budget, B]:
             solid = self._solid(surface.tin, base, part)
-            gradients = result_gradients(surface.tin, base, solid, len(points), surface, inverse)
 
             def rough_m6() -> float:
                 field = ground_field(surface.tin, base, solid, part, height_variance, sources, inverse)
                 return 0.0 if field is None else field.variance_m6
 
-            base_m6, (sensitivities, more) = at_once(rough_m6, lambda: (sources.sensitivities(gradients), beside(part)))
+            def gradients() -> F64:  # made for each use: they are large
+                return result_gradients(surface.tin, base, solid, len(points), surface, inverse)
+
+            base_m6, (sensitivities, more) = at_once(rough_m6, lambda: (sources.sensitivities(gradients()), beside(part)))
             # afterwards: it uses and completes what the roughness knows of the patches' errors
-            naive_m3 = sources.naive_sigma(gradients[:, 0]) if naive else math.nan
+            naive_m3 = sources.naive_sigma(gradients()[:, 0]) if naive else math.nan
             return solid, sources.budget(sensitivities, base_m6, naive_m3), more
 
-        def near(part: F64) -> NearBase | None:
+        def near(part: F64) -> Fold | None:
             return near_correction(surface, base, part, points, patches, sources.geometry)
 
         made = [solved(part, near) for part in parts]
@@ -173,7 +175,7 @@ class VolumeEstimator:
         return prismoids(tin, base, inside > 0)
 
     def _volume(
-        self, tin: Tin, normal: F64, base: Plane, inside: F64, solid: Prismoids, budget: Budget, near: NearBase | None
+        self, tin: Tin, normal: F64, base: Plane, inside: F64, solid: Prismoids, budget: Budget, near: Fold | None
     ) -> Volume:  # fmt: skip
         p, mask = self.parameters, inside > 0
         above, below = cut_and_fill_chords(tin, normal, base, inside)

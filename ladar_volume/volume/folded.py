@@ -86,6 +86,15 @@ def add_means(count: int, work: F64, out: F64) -> None:
 
 
 @leaf_kernel
+def add_mean(count: int, work: F64, out: F64) -> None:
+    """The same for g alone."""
+    g = 0.0
+    for k in range(count):
+        g += work[3, k]
+    out[0] += g
+
+
+@leaf_kernel
 def add_far(mu: F64, p: float, q: float, weight: float, out: F64) -> None:
     """Adds the mean and its slopes at a place with coordinates (1 − p − q, p, q) to ``out`` (10,) where zero is too far for the noise to
     matter; exact for the mean over a part of the triangle about its centre."""
@@ -99,9 +108,9 @@ def add_far(mu: F64, p: float, q: float, weight: float, out: F64) -> None:
 
 
 @leaf_kernel
-def by_quadrature(mu: F64, C: F64, s: float, parts: int, nodes: F64, work: F64, out: F64) -> None:
-    """Adds the means over a triangle to ``out`` (10,): g, ∂g/∂μ (3), its curvature (6). The triangle is divided into parts² equal ones;
-    s : largest standard deviation · work : (6, parts² nodes at least), room for the places looked at."""
+def by_quadrature(mu: F64, C: F64, s: float, parts: int, slopes: bool, nodes: F64, work: F64, out: F64) -> None:
+    """Adds the means over a triangle to ``out`` (10,): g and, with ``slopes``, ∂g/∂μ (3) and its curvature (6). The triangle is divided
+    into parts² equal ones; s : largest standard deviation · work : (6, parts² nodes at least), room for the places looked at."""
     size, count = 1.0 / parts, 0
     far = FAR * s + (max(mu[0], mu[1], mu[2]) - min(mu[0], mu[1], mu[2])) * size
     for i in range(parts):
@@ -116,7 +125,10 @@ def by_quadrature(mu: F64, C: F64, s: float, parts: int, nodes: F64, work: F64, 
                     work[0, count], work[1, count], work[2, count] = (i + u) * size, (j + v) * size, nodes[k, 2] * size * size
                     count += 1
     means_at(mu, C, count, work)
-    add_means(count, work, out)
+    if slopes:
+        add_means(count, work, out)
+    else:
+        add_mean(count, work, out)
 
 
 @kernel
@@ -156,8 +168,9 @@ def least_deviation(C: F64) -> float:
 
 
 @parallel_kernel
-def folded_kernel(mu: F64, C: F64, plain: F64, nodes: F64) -> F64:
-    """Means (m, 10) over triangles with heights mu (m, 3) and packed node covariances C (m, 6): g, its slopes (3), its curvature (6).
+def folded_kernel(mu: F64, C: F64, plain: F64, slopes: bool, nodes: F64) -> F64:
+    """Means (m, 10) over triangles with heights mu (m, 3) and packed node covariances C (m, 6): g and, right only with ``slopes``, its
+    slopes (3) and its curvature (6).
     ``plain`` (m, 4): mean and slopes without noise, taken where the base is farther away than the noise reaches."""
     m, out = len(mu), np.zeros((len(mu), 10))
     for chunk in numba.prange(CHUNKS):
@@ -175,7 +188,7 @@ def folded_kernel(mu: F64, C: F64, plain: F64, nodes: F64) -> F64:
                 least = 1 if high - low < 0.5 * small and small > 0.5 * s else 2  # nearly level, and noise nearly alike: one part will do
                 # two standard deviations a part: 1e-4 of the bias at most
                 parts = PARTS if high - low > 2.0 * PARTS * small else max(least, math.ceil(0.5 * (high - low) / max(small, 1e-300)))
-                by_quadrature(mu[t], C[t], s, parts, nodes, work, out[t])
+                by_quadrature(mu[t], C[t], s, parts, slopes, nodes, work, out[t])
     return out
 
 
@@ -186,7 +199,7 @@ def without_noise(mu: F64) -> F64:
     return out
 
 
-def folded(mu: F64, C: F64, plain: F64 | None = None) -> F64:
+def folded(mu: F64, C: F64, plain: F64 | None = None, slopes: bool = True) -> F64:
     """:func:`folded_kernel` of heights (m, 3), m, and packed covariances (m, 6), m²; ``plain`` is :func:`without_noise` of the heights."""
     plain = without_noise(mu) if plain is None else plain
-    return np.asarray(folded_kernel(np.ascontiguousarray(mu), np.ascontiguousarray(C), plain, NODES))
+    return np.asarray(folded_kernel(np.ascontiguousarray(mu), np.ascontiguousarray(C), plain, slopes, NODES))

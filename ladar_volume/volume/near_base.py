@@ -14,6 +14,7 @@ Variance: the noise acts through the mean slopes ``G = ∫ λ Φ`` and, since th
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,26 +38,32 @@ BLOCK = 1 << 18
 
 
 @dataclass(frozen=True)
-class NearBase:
-    """correction_m3 : what is to be taken from cut and from fill alike (the correction named "folded normal") · near : (m,) bool, triangles
-    it applies to, among the chosen ones · near_area_m2 : their footprint · variance_cut_m6, variance_fill_m6, variance_net_m6 : of the
-    volumes of all chosen triangles, for the given covariance of the heights · curved_m6 : the second-order part of the first two ·
+class Fold:
+    """correction_m3 : what is to be taken from cut and from fill alike (the correction named "folded normal") · near_area_m2 : footprint of
+    the triangles it comes from"""
+
+    correction_m3: float
+    near_area_m2: float
+
+    def taken(self, cut_m3: float, fill_m3: float) -> float:
+        """What is taken, m³: neither volume becomes negative."""
+        return min(self.correction_m3, cut_m3, fill_m3)
+
+
+@dataclass(frozen=True)
+class NearBase(Fold):
+    """near : (m,) bool, triangles the correction comes from, among the chosen ones · variance_cut_m6, variance_fill_m6, variance_net_m6 :
+    of the volumes of all chosen triangles, for the given covariance of the heights · curved_m6 : the second-order part of the first two ·
     gradient_cut, gradient_net : (n,) m² mean derivatives by the vertex heights, to be used where first-order propagation would take a
     triangle to be wholly cut or wholly fill"""
 
-    correction_m3: float
     near: Bool
-    near_area_m2: float
     variance_cut_m6: float
     variance_fill_m6: float
     variance_net_m6: float
     curved_m6: float
     gradient_cut: F64
     gradient_net: F64
-
-    def taken(self, cut_m3: float, fill_m3: float) -> float:
-        """What is taken, m³: neither volume becomes negative."""
-        return min(self.correction_m3, cut_m3, fill_m3)
 
 
 @parallel_kernel
@@ -92,6 +99,18 @@ def near_triangles(tin: Tin, height: F64, variance: F64, mask: Bool) -> Bool:
     return any_corner(t, height - reach <= 0) & any_corner(t, height + reach >= 0) & any_corner(t, reach > 0)
 
 
+def fold(tin: Tin, height: F64, variance: F64, near: I32, packed: F64, rings: int, summed: F64) -> Fold:
+    """The correction of cut and fill alone, where the surface runs near its base.
+
+    height, variance : (n,) of the vertices above the base, m, and of their independent noise, m² · near : (k, 3) triangles in reach of the
+    base, packed : (k, 6) m² their node covariances · rings, summed : as in :func:`near_base`. Raises :class:`VolumeError` for bad
+    variances.
+    """
+    smooth, area = smoothed(tin, height, variance, near, rings, summed), footprint_areas(tin.vertices, near)
+    total = sum(float(area[part] @ correction(*folds(*at, slopes=False))) for part, at in blocks(smooth, near, packed))
+    return Fold(total, float(area.sum()))
+
+
 def near_base(
     tin: Tin, base: Plane, C: Any, mask: Bool | None = None, rings: int = 4, summed: F64 | None = None
 ) -> NearBase:
@@ -108,14 +127,13 @@ def near_base(
         raise VolumeError("there is no triangle to take a volume of", reason="volume_no_triangle")
     joint: Any = C if sparse.issparse(C) else sparse.diags_array(np.asarray(C, dtype=np.float64))
     variance = joint.diagonal()
-    if variance.shape != (n,) or not (np.isfinite(variance) & (variance >= 0)).all():
-        raise VolumeError("every vertex needs a variance of 0 or more", reason="volume_variance")
     h = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
-    area, near = footprint_areas(tin.vertices, t), near_triangles(tin, h, variance, chosen)
-    close, close_area, wanted = t[near], area[near], np.zeros(n, bool)
-    wanted[close] = True
-    smooth = Smooth(tin, h, variance, wanted, rings, np.asarray(joint.sum(axis=1)).ravel() if summed is None else summed)
-    found = means(smooth, close, node_covariances(joint, close))
+    area, near = footprint_areas(tin.vertices, t), near_triangles(tin, h, checked(variance, n), chosen)
+    close, close_area = t[near], area[near]
+    smooth = smoothed(tin, h, variance, close, rings, np.asarray(joint.sum(axis=1)).ravel() if summed is None else summed)
+    found = np.empty((len(close), 13))
+    for part, at in blocks(smooth, close, node_covariances(joint, close)):
+        found[part] = moments(*at)
     slope = np.empty((len(t), 3))
     slope[~near], slope[near] = positive_part(h[t[~near]])[1], found[:, 1:4]
     cut = gather((slope * area[:, None])[..., None], t, n)[:, 0]
@@ -124,25 +142,52 @@ def near_base(
     curved = second_order(found[:, 7:] * close_area[:, None], close, smooth.start, smooth.link, joint)
     first = [float(g @ (joint @ g)) for g in (cut, cut - net, net)]
     total = float(close_area @ found[:, 0])
-    return NearBase(total, near, float(close_area.sum()), first[0] + curved, first[1] + curved, first[2], curved, cut, net)
+    return NearBase(total, float(close_area.sum()), near, first[0] + curved, first[1] + curved, first[2], curved, cut, net)
 
 
-def means(smooth: Smooth, triangles: I32, packed: F64) -> F64:
-    """:func:`moments` (m, 13) of triangles (m, 3) with packed node covariances (m, 6)."""
-    out = np.empty((len(triangles), 13))
+def checked(variance: F64, n: int) -> F64:
+    """Variances of n vertices. Raises :class:`VolumeError` where one is missing, negative or no number."""
+    if variance.shape != (n,) or not (np.isfinite(variance) & (variance >= 0)).all():
+        raise VolumeError("every vertex needs a variance of 0 or more", reason="volume_variance")
+    return variance
+
+
+def smoothed(tin: Tin, height: F64, variance: F64, near: I32, rings: int, summed: F64) -> Smooth:
+    """True heights of the vertices of triangles ``near`` (k, 3), as estimated. Raises as :func:`checked`."""
+    wanted = np.zeros(len(tin.vertices), bool)
+    wanted[near] = True
+    return Smooth(tin, height, checked(variance, len(wanted)), wanted, rings, summed)
+
+
+def blocks(smooth: Smooth, triangles: I32, packed: F64) -> Iterator[tuple[slice, tuple[F64, F64, F64]]]:
+    """Some triangles at a time, and what :func:`folds` takes of them."""
+    deviation = np.sqrt(smooth.variance)
     for i in range(0, len(triangles), BLOCK):
         part = slice(i, i + BLOCK)
-        out[part] = moments(smooth.heights[triangles[part]], np.sqrt(smooth.variance)[triangles[part]], packed[part])
+        yield part, (smooth.heights[triangles[part]], deviation[triangles[part]], packed[part])
+
+
+def folds(mu: F64, s: F64, noise: F64, slopes: bool) -> tuple[F64, F64, F64, F64]:
+    """Means of the positive part of smoothed heights mu (m, 3) above the base: as they are, with the noise, packed (m, 6), with that and
+    the heights' own standard deviations s (m, 3), and with these alone; ``slopes`` as for
+    :func:`~ladar_volume.volume.folded.folded`."""
+    plain = without_noise(mu)
+    own = np.stack([s[:, i] * s[:, j] for i, j in PACKED], axis=1)  # neighbouring planes share their points: as if fully correlated
+    once, twice, plane = (folded(mu, C, plain, slopes) for C in (noise, noise + own, own))
+    return plain, once, twice, plane
+
+
+def correction(plain: F64, once: F64, twice: F64, plane: F64) -> F64:
+    """What is to be taken (m,), from :func:`folds`, m."""
+    out: F64 = np.maximum(2.0 * once[:, 0] - twice[:, 0] + plane[:, 0] - 2.0 * plain[:, 0], 0.0)
     return out
 
 
 def moments(mu: F64, s: F64, noise: F64) -> F64:
-    """Means (m, 13) over triangles with smoothed heights mu (m, 3) above the base, their own standard deviations s (m, 3) and packed node
-    covariances (m, 6): the correction, slopes of the cut (3), derivatives of the correction by the smoothed heights (3), curvature (6)."""
-    out, plain = np.empty((len(mu), 13)), without_noise(mu)
-    own = np.stack([s[:, i] * s[:, j] for i, j in PACKED], axis=1)  # neighbouring planes share their points: as if fully correlated
-    once, twice, plane = (folded(mu, C, plain) for C in (noise, noise + own, own))
-    out[:, 0] = np.maximum(2.0 * once[:, 0] - twice[:, 0] + plane[:, 0] - 2.0 * plain[:, 0], 0.0)
+    """Means (m, 13) over triangles, of what :func:`folds` takes: the correction, slopes of the cut (3), derivatives of the correction by
+    the smoothed heights (3), curvature (6)."""
+    out, (plain, once, twice, plane) = np.empty((len(mu), 13)), folds(mu, s, noise, slopes=True)
+    out[:, 0] = correction(plain, once, twice, plane)
     # how the correction follows the heights through the planes; its kink at zero is smoothed as the planes are
     out[:, 4:7] = 2.0 * once[:, 1:4] - twice[:, 1:4] - plane[:, 1:4]
     out[:, 1:4], out[:, 7:] = once[:, 1:4], once[:, 4:]
@@ -160,10 +205,9 @@ def near_levels(tin: Tin, levels_m: F64, C: Any, base: Plane | None = None, mask
     low, high = (h - reach)[t].min(axis=1), (h + reach)[t].max(axis=1)
     first = np.searchsorted(level, low)
     count = np.where(any_corner(t, reach > 0), np.searchsorted(level, high, side="right") - first, 0)
-    close, wanted, out = np.flatnonzero(count > 0), np.zeros(len(h), bool), np.zeros(len(level))
-    wanted[t[close]] = True
+    close, out = np.flatnonzero(count > 0), np.zeros(len(level))
     summed: F64 = np.asarray(sparse.csr_array(C).sum(axis=1), dtype=np.float64).ravel()
-    smooth = Smooth(tin, h, variance, wanted, rings, summed)
+    smooth = smoothed(tin, h, variance, t[close], rings, summed)
     t, first, count = t[close], first[close], count[close]
     area, packed, s = footprint_areas(tin.vertices, t), node_covariances(C, t), np.sqrt(smooth.variance)[t]
     ends = np.cumsum(count)
@@ -171,7 +215,8 @@ def near_levels(tin: Tin, levels_m: F64, C: Any, base: Plane | None = None, mask
         pair = np.arange(i, min(i + BLOCK, int(ends[-1])))
         one = np.searchsorted(ends, pair, side="right")  # every triangle with every level it comes near
         at = first[one] + pair - (ends[one] - count[one])
-        out += np.bincount(at, area[one] * moments(smooth.heights[t[one]] - level[at, None], s[one], packed[one])[:, 0], len(level))
+        taken = correction(*folds(smooth.heights[t[one]] - level[at, None], s[one], packed[one], slopes=False))
+        out += np.bincount(at, area[one] * taken, len(level))
     back = np.empty_like(out)
     back[order] = out
     return back

@@ -143,19 +143,21 @@ def factor_load_kernel(factor: F32, q: F64) -> F64:
 
 
 def factor_rows(X: F64, row: I64, patches: Patches) -> F64:
-    """The same for design rows X (n, p) of points on patches row (n,)."""
-    return np.asarray(factor_row_kernel(patches.factor, X, row)) if isinstance(patches, HeldPatches) else X
+    """The same for design rows X (n, p) of points on patches row (n,), in their place."""
+    if isinstance(patches, HeldPatches):
+        factor_row_kernel(patches.factor, X, row)
+    return X
 
 
 @kernel
-def factor_row_kernel(factor: F32, X: F64, row: I64) -> F64:
-    """``Lᵀ x`` (n, p) of lower triangles L (m, p, p) and rows x (n, p), each with that of its patch row (n,)."""
-    out = np.zeros(X.shape)
+def factor_row_kernel(factor: F32, X: F64, row: I64) -> None:
+    """``Lᵀ x`` in place of rows x (n, p), for lower triangles L (m, p, p), each with that of its patch row (n,)."""
     for i in range(len(X)):
-        for r in range(X.shape[1]):
-            for s in range(r + 1):
-                out[i, s] += factor[row[i], r, s] * X[i, r]
-    return out
+        for s in range(X.shape[1]):
+            total = 0.0
+            for r in range(s, X.shape[1]):  # those before are done with
+                total += factor[row[i], r, s] * X[i, r]
+            X[i, s] = total
 
 
 def navigation_units(patches: Patches) -> F32:

@@ -62,8 +62,11 @@ class SurfaceGeometry:
 
 def design_rows(local: F64, p: int) -> F64:
     """Rows ``(1, u, v[, u², uv, v²])`` (..., p) of tangent coordinates (..., 2), m."""
-    u, v = local[..., 0], local[..., 1]
-    return np.stack([np.ones(u.shape), u, v, u * u, u * v, v * v][:p], axis=-1)
+    out: F64 = np.ones((*local.shape[:-1], p))
+    out[..., 1:3] = local
+    for k, (a, b) in enumerate(((0, 0), (0, 1), (1, 1))[: p - 3], start=3):
+        np.multiply(local[..., a], local[..., b], out=out[..., k])
+    return out
 
 
 def surface_geometry(points: FilteredPoints, patches: Patches) -> SurfaceGeometry:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from ladar_volume.model.kernels import kernel
+from ladar_volume.model.kernels import kernel, leaf_kernel
 from ladar_volume.model.records import F32, F64, I8, I32, I64, Bool, FilteredPoints, Patches, Tin
 from ladar_volume.volume.packing import factor_rows
 from ladar_volume.volume.propagation import SurfaceGeometry
@@ -28,7 +28,17 @@ def vertex_rows(tin: Tin, points: FilteredPoints, patches: Patches, geometry: Su
     """Rows (n, p) that give each vertex' height from that of its patch whose covariances the blocks are, and that patch (n,)."""
     up = np.maximum(np.abs(points.normal[tin.source, 2]), STEEPEST)
     row = geometry.row[tin.source]
-    return factor_rows(geometry.design(tin.source) / up[:, None], row, patches), row
+    X = geometry.design(tin.source)
+    X /= up[:, None]
+    return factor_rows(X, row, patches), row
+
+
+def corner_covariances(patches: Patches, geometry: SurfaceGeometry, X: F64, row: I64, variance: F64, triangles: I32) -> F64:
+    """Packed covariances (k, 6) m² of the heights at the corners of ``triangles`` (k, 3), for their variances (n,).
+
+    X, row : see :func:`vertex_rows`.
+    """
+    return np.asarray(corner_kernel(triangles, variance, row, X, patches.cross_start, geometry.right, patches.cross))
 
 
 def height_pairs(tin: Tin, patches: Patches, geometry: SurfaceGeometry, X: F64, row: I64, variance: F64, triangles: I32) -> Any:
@@ -44,6 +54,21 @@ def height_pairs(tin: Tin, patches: Patches, geometry: SurfaceGeometry, X: F64, 
     return sparse.csr_array(upper + upper.T + sparse.diags_array(variance))
 
 
+@leaf_kernel
+def pair(i: int, j: int, row: I64, X: F64, start: I64, right: I32, cross: F32 | I8) -> tuple[float, bool]:
+    """``x_i C x_j`` of two vertices, and whether there is such a block: see :func:`pair_kernel`."""
+    if row[i] > row[j]:
+        i, j = j, i
+    for b in range(start[row[i]], start[row[i] + 1]):
+        if right[b] == row[j]:
+            value = 0.0
+            for a in range(X.shape[1]):
+                for c in range(X.shape[1]):
+                    value += X[i, a] * cross[b, a, c] * X[j, c]
+            return value, True
+    return 0.0, False
+
+
 @kernel
 def pair_kernel(
     one: I64, two: I64, row: I64, X: F64, start: I64, right: I32, cross: F32 | I8
@@ -54,17 +79,22 @@ def pair_kernel(
     """
     value, shared = np.zeros(len(one)), np.zeros(len(one), np.bool_)
     for e in range(len(one)):
-        i, j = one[e], two[e]
-        if row[i] > row[j]:
-            i, j = j, i
-        for b in range(start[row[i]], start[row[i] + 1]):
-            if right[b] == row[j]:
-                shared[e] = True
-                for a in range(X.shape[1]):
-                    for c in range(X.shape[1]):
-                        value[e] += X[i, a] * cross[b, a, c] * X[j, c]
-                break
+        value[e], shared[e] = pair(one[e], two[e], row, X, start, right, cross)
     return value, shared
+
+
+@kernel
+def corner_kernel(triangles: I32, variance: F64, row: I64, X: F64, start: I64, right: I32, cross: F32 | I8) -> F64:
+    """See :func:`corner_covariances`; the rest as in :func:`pair_kernel`."""
+    out = np.empty((len(triangles), 6))
+    for t in range(len(triangles)):
+        k = 0
+        for a in range(3):
+            out[t, k] = variance[triangles[t, a]]
+            for b in range(a + 1, 3):
+                out[t, k + b - a] = pair(triangles[t, a], triangles[t, b], row, X, start, right, cross)[0]
+            k += 3 - a
+    return out
 
 
 def height_sums(

@@ -13,8 +13,17 @@ from ladar_volume.model.parameters import Parameters
 from ladar_volume.surface.tin import build_tin
 from ladar_volume.volume.assembly import whole_triangles
 from ladar_volume.volume.estimator import VolumeEstimator
+from ladar_volume.volume.folded import PACKED
 from ladar_volume.volume.propagation import design_rows, surface_geometry
-from ladar_volume.volume.vertex_noise import MOST_RINGS, height_pairs, height_sums, rings_for, vertex_rows
+from ladar_volume.volume.vertex_noise import (
+    MOST_RINGS,
+    corner_covariances,
+    corner_kernel,
+    height_pairs,
+    height_sums,
+    rings_for,
+    vertex_rows,
+)
 
 SIDE = 1.0
 
@@ -112,6 +121,10 @@ def test_covariances_of_vertices_against_dense_ones():
     for i, j in ((0, 1), (1, 2), (2, 0)):
         joined[chosen[:, i], chosen[:, j]] = joined[chosen[:, j], chosen[:, i]] = True
     assert found == pytest.approx(np.where(joined, C, 0.0), rel=1e-12, abs=1e-16)
+    corners = corner_covariances(patches, geometry, X, row, np.diag(C), chosen)
+    assert corners == pytest.approx(np.stack([C[chosen[:, i], chosen[:, j]] for i, j in PACKED], axis=1), rel=1e-12, abs=1e-16)
+    kernel_arguments = np.diag(C), row, X, patches.cross_start, geometry.right, patches.cross
+    assert corner_kernel.py_func(chosen, *kernel_arguments) == pytest.approx(corners, rel=1e-12)
     some = np.arange(0, n, 3)
     sums, alike = height_sums(patches, geometry, X, row, some, np.diag(C))
     assert sums[some] == pytest.approx(np.maximum(C.sum(axis=1), 0.0)[some], rel=1e-9) and alike >= 1.0

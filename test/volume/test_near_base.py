@@ -18,6 +18,7 @@ from ladar_volume.volume.folded import (
     NODES,
     PACKED,
     add_far,
+    add_mean,
     add_means,
     by_line,
     by_quadrature,
@@ -30,6 +31,7 @@ from ladar_volume.volume.folded import (
 from ladar_volume.volume.near_base import (
     csr,
     edge_sums,
+    fold,
     near_base,
     near_levels,
     node_covariances,
@@ -170,6 +172,9 @@ def test_scale_and_sparse_covariances():
     tin, rng = ground(lambda x, y: 0.01 * np.sin(x), seed=4), np.random.default_rng(5)
     variance = rng.uniform(0.01, 0.05, 400) ** 2
     a, b = near_base(tin, LEVEL, variance), near_base(tin, LEVEL, sparse.diags_array(variance).tocsr())
+    near, diagonal = tin.triangles[a.near], sparse.diags_array(variance)
+    alone = fold(tin, tin.vertices[:, 2], variance, near, node_covariances(diagonal, near), 4, variance)
+    assert (alone.correction_m3, alone.near_area_m2) == (pytest.approx(a.correction_m3, rel=1e-12), a.near_area_m2)
     assert a.correction_m3 == b.correction_m3 and a.variance_cut_m6 == pytest.approx(b.variance_cut_m6, rel=1e-12)
     big = near_base(dataclasses.replace(tin, vertices=3 * tin.vertices), LEVEL, 9 * variance)
     assert big.correction_m3 == pytest.approx(27 * a.correction_m3, rel=1e-9)
@@ -206,7 +211,9 @@ def test_curvature_term_is_the_trace():
             H[t[i], t[j]] += v
             H[t[j], t[i]] += v * (i != j)
     start, link = edges(tin.triangles, tin.neighbours, 12)
-    assert second_order(curvature, tin.triangles, start, link, sparse.csr_array(C)) == pytest.approx(0.5 * np.trace(H @ C @ H @ C), rel=1e-12)
+    assert second_order(curvature, tin.triangles, start, link, sparse.csr_array(C)) == pytest.approx(
+        0.5 * np.trace(H @ C @ H @ C), rel=1e-12
+    )
     alone = sparse.csr_array(np.diag(np.diag(C)))
     found = second_order(curvature, tin.triangles, start, link, alone)
     assert found == pytest.approx(0.5 * np.trace(H @ alone.toarray() @ H @ alone.toarray()), rel=1e-12)
@@ -246,14 +253,17 @@ def test_compiled_kernels_equal_their_plain_twins():
     mu, C = rng.normal(0, 0.05, (8, 3)), np.repeat(packed(np.eye(3) * 0.03**2), 8, axis=0)
     mu[0], mu[1] = [9, -9, 1], [5, 5, 5]
     plain = np.c_[positive_part(mu)[0], positive_part(mu)[1]]
-    assert folded_kernel(mu, C, plain, NODES) == pytest.approx(folded_kernel.py_func(mu, C, plain, NODES), rel=1e-13, abs=1e-16)
+    for slopes, columns in ((True, 10), (False, 1)):
+        found, twin = folded_kernel(mu, C, plain, slopes, NODES), folded_kernel.py_func(mu, C, plain, True, NODES)
+        assert found[:, :columns] == pytest.approx(twin[:, :columns], rel=1e-13, abs=1e-16)
     assert all(least_deviation(c) == least_deviation.py_func(c) == pytest.approx(0.03 / math.sqrt(3)) for c in C)
     rooms = [np.vstack([np.full((1, 63), 0.2), np.full((1, 63), 0.3), np.full((4, 63), 0.5)]) for _ in range(2)]
     for room, run in zip(rooms, (means_at, means_at.py_func), strict=True):
         run(mu[2], C[2], 63, room)
     assert rooms[0] == pytest.approx(rooms[1], rel=1e-13) and len(set(rooms[0][3:, 0])) == 3
-    quadrature = (mu[3], C[3], 0.03, 3, NODES, rooms[0])
-    for run, args in ((by_quadrature, quadrature), (add_means, (63, rooms[1])), (add_far, (mu[1], 0.2, 0.3, 0.5)), (by_line, (mu[0], C[0]))):
+    quadrature = (mu[3], C[3], 0.03, 3, True, NODES, rooms[0])
+    means = ((add_means, (63, rooms[1])), (add_mean, (63, rooms[1])))
+    for run, args in ((by_quadrature, quadrature), *means, (add_far, (mu[1], 0.2, 0.3, 0.5)), (by_line, (mu[0], C[0]))):
         a, b = np.zeros(10), np.zeros(10)
         run(*args, a)
         run.py_func(*args, b)
@@ -264,7 +274,9 @@ def test_the_tabulated_normal_distribution():
     for t in (*np.linspace(-8.1, 8.1, 3001), -1e150, 1e150, 0.0):
         density, below = normal(t)
         assert density == pytest.approx(math.exp(-0.5 * t * t) / math.sqrt(2 * math.pi) if abs(t) < 1e3 else 0.0, abs=1e-13)
-        assert below == pytest.approx(0.5 * math.erfc(-t / math.sqrt(2)), abs=1e-13) and (density, below) == pytest.approx(normal.py_func(t), abs=1e-15)
+        assert below == pytest.approx(0.5 * math.erfc(-t / math.sqrt(2)), abs=1e-13) and (density, below) == pytest.approx(
+            normal.py_func(t), abs=1e-15
+        )
     assert [normal(t) for t in (-9.0, 8.0, np.inf, np.nan)] == [(0.0, 0.0), (0.0, 1.0), (0.0, 1.0), (0.0, 0.0)]
 
 
