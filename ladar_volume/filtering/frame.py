@@ -33,7 +33,7 @@ def across(normal: Any, tangent: Any, side: Any) -> None:
     side[2] = normal[0] * tangent[1] - normal[1] * tangent[0]
 
 
-@kernel
+@leaf_kernel
 def row(r: Any, slot: Any, centre: Any, tangent: Any, side: Any, p: Any, x: Any) -> None:
     """``x[:p] = (1, u, v[, u², uv, v²])`` of one point in metres."""
     x0, x1, x2 = r[slot, 0] - centre[0], r[slot, 1] - centre[1], r[slot, 2] - centre[2]

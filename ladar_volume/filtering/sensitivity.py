@@ -14,9 +14,8 @@ import numpy as np
 
 from ladar_volume.filtering.frame import across, row
 from ladar_volume.filtering.geometry import NUMBERS, recall
-from ladar_volume.filtering.kernels import rotate
 from ladar_volume.filtering.store import BITS
-from ladar_volume.model.kernels import kernel, parallel_kernel
+from ladar_volume.model.kernels import kernel, leaf_kernel, parallel_kernel
 
 #: Navigation time bins of a patch, at most: those of forty seconds. A patch that is seen for an hour has inliers in hundreds.
 MOST_BINS = 20
@@ -49,50 +48,76 @@ def count_bins(rows: Any, start: Any, used: Any, members: Any, t_ns: Any, bin_ns
         out[i_row] = min(distinct_bins(members[start[a] : start[a] + used[a]], used[a], t_ns, bin_ns, bins), most)
 
 
-#: Columns of a return's sensitivities: shared calibration, the beam's vertical angle, position, attitude; its range is that of column 0.
-SHARED, VERTICAL, POSITION, ATTITUDE, ALL = 11, 11, 12, 15, 18
+#: Columns of a return's sensitivities: place of the laser, that of the antenna, clock, the beam's vertical angle, attitude; its range is
+#: column 0, the boresight follows.
+LASER, ANTENNA, CLOCK, SHARED, VERTICAL, ATTITUDE, ALL = 4, 7, 10, 11, 11, 12, 15
 
 
-@kernel
-def along_axis(g: Any, axis: Any, shift: Any, axis_body: Any, h: Any) -> None:
-    """``axis·∂r/∂theta`` (18,) of one return for a unit vector of the map, with its geometry g (10,): attitude xyzw, v_body, motion
-    with the platform.
+@leaf_kernel
+def turned(q: Any, v0: Any, v1: Any, v2: Any) -> Any:
+    """``R(q)ᵀ v`` for a unit quaternion xyzw. Numbers, not arrays: they stay in registers."""
+    x, y, z, w = -q[0], -q[1], -q[2], q[3]
+    t0, t1, t2 = 2.0 * (y * v2 - z * v1), 2.0 * (z * v0 - x * v2), 2.0 * (x * v1 - y * v0)
+    return v0 + w * t0 + y * t2 - z * t1, v1 + w * t1 + z * t0 - x * t2, v2 + w * t2 + x * t1 - y * t0
 
-    With m = Rᵀaxis and arm = v + b − a, ``shift`` = b − a: range u·m, boresight v x m, b m, a −m, clock axis·motion,
-    vertical angle m·(range (z − u sin eps)/cos eps) with z, ``axis_body``, the laser's z axis; position axis, attitude arm x m.
-    """
-    conj, m = np.empty(4), np.empty(3)
-    conj[0], conj[1], conj[2], conj[3] = -g[0], -g[1], -g[2], g[3]
-    rotate(conj, axis, m)
+
+@leaf_kernel
+def sight(g: Any, axis_body: Any) -> Any:
+    """Of a return with geometry g (10,): the beam's direction in the body (3), its length, sine and cosine of its vertical angle."""
     v0, v1, v2 = g[4], g[5], g[6]
-    w0, w1, w2 = v0 + shift[0], v1 + shift[1], v2 + shift[2]
     length = np.sqrt(v0 * v0 + v1 * v1 + v2 * v2)
     u0, u1, u2 = v0 / length, v1 / length, v2 / length
-    h[0] = u0 * m[0] + u1 * m[1] + u2 * m[2]
-    h[1], h[2], h[3] = v1 * m[2] - v2 * m[1], v2 * m[0] - v0 * m[2], v0 * m[1] - v1 * m[0]
-    for k in range(3):
-        h[4 + k] = m[k]
-        h[7 + k] = -m[k]
-        h[POSITION + k] = axis[k]
-    h[ATTITUDE], h[ATTITUDE + 1], h[ATTITUDE + 2] = w1 * m[2] - w2 * m[1], w2 * m[0] - w0 * m[2], w0 * m[1] - w1 * m[0]
-    h[10] = axis[0] * g[7] + axis[1] * g[8] + axis[2] * g[9]
     sine = u0 * axis_body[0] + u1 * axis_body[1] + u2 * axis_body[2]
-    along = axis_body[0] * m[0] + axis_body[1] * m[1] + axis_body[2] * m[2]
-    h[VERTICAL] = length * (along - sine * h[0]) / np.sqrt(max(1.0 - sine * sine, 1e-12))
+    return u0, u1, u2, length, sine, np.sqrt(max(1.0 - sine * sine, 1e-12))
 
 
-@kernel
+@leaf_kernel
+def along_axis(g: Any, beam: Any, axis: Any, shift: Any, axis_body: Any, h: Any) -> None:
+    """``axis·∂r/∂theta`` (15,) of one return for a unit vector of the map, with its geometry g (10,): attitude xyzw, v_body, motion
+    with the platform; ``beam`` : its :func:`sight`. What it is by the antenna's place is left out, as it is that by the laser's with the
+    other sign; by the platform's position it is the axis.
+
+    With m = Rᵀaxis and arm = v + b − a, ``shift`` = b − a: range u·m, boresight v x m, b m, a −m, clock axis·motion,
+    vertical angle m·(range (z − u sin eps)/cos eps) with z, ``axis_body``, the laser's z axis; attitude arm x m.
+    """
+    m0, m1, m2 = turned(g, axis[0], axis[1], axis[2])
+    u0, u1, u2, length, sine, cosine = beam
+    v0, v1, v2 = g[4], g[5], g[6]
+    w0, w1, w2 = v0 + shift[0], v1 + shift[1], v2 + shift[2]
+    h[0] = u0 * m0 + u1 * m1 + u2 * m2
+    h[1], h[2], h[3] = v1 * m2 - v2 * m1, v2 * m0 - v0 * m2, v0 * m1 - v1 * m0
+    h[LASER], h[LASER + 1], h[LASER + 2] = m0, m1, m2
+    h[CLOCK] = axis[0] * g[7] + axis[1] * g[8] + axis[2] * g[9]
+    h[VERTICAL] = length * (axis_body[0] * m0 + axis_body[1] * m1 + axis_body[2] * m2 - sine * h[0]) / cosine
+    h[ATTITUDE], h[ATTITUDE + 1], h[ATTITUDE + 2] = w1 * m2 - w2 * m1, w2 * m0 - w0 * m2, w0 * m1 - w1 * m0
+
+
+@leaf_kernel
 def add_return(h: Any, weight: Any, beam: Any, beams: Any, cal: Any, nav: Any) -> None:
-    """Adds a return's sensitivities h (18,), weighted, to rows cal (11 + 2 beams,) and nav (6,)."""
-    for c in range(SHARED):
+    """Adds a return's sensitivities h (15,), weighted, to rows cal (11 + 2 beams,) but those by the antenna's place, and to nav (6,): its
+    weight, and from the fourth on by the attitude."""
+    for c in range(ANTENNA):
         cal[c] += weight * h[c]
+    cal[CLOCK] += weight * h[CLOCK]
     cal[SHARED + beam] += weight * h[0]
     cal[SHARED + beams + beam] += weight * h[VERTICAL]
-    for c in range(6):
-        nav[c] += weight * h[POSITION + c]
+    nav[0] += weight
+    for c in range(3):
+        nav[3 + c] += weight * h[ATTITUDE + c]
 
 
-@kernel
+@leaf_kernel
+def completed(cal: Any, nav: Any, axis: Any) -> None:
+    """What :func:`add_return` left out, in rows cal (11 + 2 beams,) and nav (runs, 6), for the ``axis`` (3,) of these rows."""
+    for c in range(3):
+        cal[ANTENNA + c] = -cal[LASER + c]
+    for g in range(len(nav)):
+        weight = nav[g, 0]
+        for c in range(3):
+            nav[g, c] = weight * axis[c]
+
+
+@leaf_kernel
 def solved(inverse: Any, p: Any, count: Any, rows: Any, out: Any) -> None:
     """Sums ``rows`` (p + 2, c) to sensitivities: ``inverse`` (p, p) times those along the normal, the mean over ``count`` of the others."""
     for c in range(rows.shape[1]):
@@ -104,7 +129,7 @@ def solved(inverse: Any, p: Any, count: Any, rows: Any, out: Any) -> None:
         out[p, c], out[p + 1, c] = rows[p, c] / count, rows[p + 1, c] / count
 
 
-@kernel
+@leaf_kernel
 def fraction_of(key: Any) -> Any:
     """A number in [0, 1) for a voxel: those of neighbours, of any square of them, lie evenly (a Kronecker sequence along each axis, with
     powers of the inverses of the numbers with x³ = x + 1 and, for z, x⁴ = x + 1)."""
@@ -128,16 +153,14 @@ def draw(run: Any, runs: Any, u: Any, drawn: Any) -> None:
         turn[run[i]] -= 1
 
 
-@kernel
-def seen_from(g: Any, away: Any, axis: Any, shift: Any, h: Any) -> None:
-    """To h the attitude's part of ``axis·∂r/∂theta`` of a point, had it been seen when another one was: with that one's geometry g (10,)
-    and the way ``away`` (3,) m from there to it. See :func:`along_axis`."""
-    conj, m, v = np.empty(4), np.empty(3), np.empty(3)
-    conj[0], conj[1], conj[2], conj[3] = -g[0], -g[1], -g[2], g[3]
-    rotate(conj, axis, m)
-    rotate(conj, away, v)
-    w0, w1, w2 = v[0] + g[4] + shift[0], v[1] + g[5] + shift[1], v[2] + g[6] + shift[2]
-    h[ATTITUDE], h[ATTITUDE + 1], h[ATTITUDE + 2] = w1 * m[2] - w2 * m[1], w2 * m[0] - w0 * m[2], w0 * m[1] - w1 * m[0]
+@leaf_kernel
+def seen_from(g: Any, r: Any, other: Any, axis: Any, shift: Any, h: Any) -> None:
+    """To h the attitude's part of ``axis·∂r/∂theta`` of a point r (3,), had it been seen when that of ``other`` (3,) was, whose geometry is
+    g (10,). See :func:`along_axis`."""
+    m0, m1, m2 = turned(g, axis[0], axis[1], axis[2])
+    v0, v1, v2 = turned(g, r[0] - other[0], r[1] - other[1], r[2] - other[2])
+    w0, w1, w2 = v0 + g[4] + shift[0], v1 + g[5] + shift[1], v2 + g[6] + shift[2]
+    h[ATTITUDE], h[ATTITUDE + 1], h[ATTITUDE + 2] = w1 * m2 - w2 * m1, w2 * m0 - w0 * m2, w0 * m1 - w1 * m0
 
 
 @parallel_kernel
@@ -177,15 +200,18 @@ def sensitivities(
             row(r, slot, centre[a], tangent[a], axes[2], p, x)
             beam = min(np.int64(ring[slot]), beams - 1)
             recall(aux[slot], own)
+            looked = sight(own, axis_body)
             for k in range(3):
-                along_axis(own, axes[k], shift, axis_body, h)
+                along_axis(own, looked, axes[k], shift, axis_body, h)
                 if runs < nb:
-                    seen_from(others[run[i]], r[slot] - r[other], axes[k], shift, h)
+                    seen_from(others[run[i]], r[slot], r[other], axes[k], shift, h)
                 if k == 0:
                     for l in range(p):
                         add_return(h, x[l], beam, beams, cal[l], nav[run[i], l])
                 else:
                     add_return(h, 1.0, beam, beams, cal[p + k - 1], nav[run[i], p + k - 1])
+        for l in range(p + 2):
+            completed(cal[l], nav[:, l], axes[max(l - p + 1, 0)])
         solved(inverse[a], p, used[a], cal, M_cal[i_row])
         for g in range(runs):
             solved(inverse[a], p, used[a], nav[g], M_nav[first + g])
