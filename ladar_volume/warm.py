@@ -106,7 +106,7 @@ def _made_up_surface(side: int, beams: int, seed: int = 1) -> FilterUpdate:
         key, np.c_[xy, 0.0 * ones], np.tile(axes[0], (m, 1)), np.tile(axes[1], (m, 1)), np.zeros((m, p)), 0.005 * ones,
         np.full(m, 40, np.int32), np.full(m, START_NS), np.append(2 * key, 2 * m - 1), cross_key, blocks,
         np.full((m, p + 2, 11 + 2 * beams), 0.1, np.float32), np.arange(m + 1), START_NS // BIN_NS + key % 2,
-        np.full((m, p + 2, 6), 0.1, np.float32),
+        np.full((m, p + 2, 4), 0.1, np.float32),
     )  # fmt: skip
     local = np.tile([[-0.04, -0.04], [0.04, -0.04], [-0.04, 0.04], [0.04, 0.04]], (m, 1)) + rng.uniform(-0.02, 0.02, (4 * m, 2))
     at = np.repeat(xy, 4, axis=0) + local

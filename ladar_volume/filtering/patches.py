@@ -78,7 +78,7 @@ class PatchBuilder:
         nav_start = np.concatenate([[0], np.cumsum(bins)])
         nav_bin = np.zeros(nav_start[-1], np.int64)
         M_cal = np.zeros((len(rows), p + 2, 11 + 2 * self.beams), np.float32)
-        M_nav = np.zeros((nav_start[-1], p + 2, 6), np.float32)
+        M_nav = np.zeros((nav_start[-1], p + 2, 4), np.float32)
         sensitivity.sensitivities(
             rows, fits.start, fits.used, fits.members, s.keys, s.r, s.t_ns, s.ring, s.aux, fits.centre, fits.normal, fits.tangent,
             fits.inverse, p, self.beams, self.mount.lever_laser, self.mount.lever_antenna,

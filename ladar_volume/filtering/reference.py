@@ -60,7 +60,7 @@ def mean_sensitivities(
     X: F64, normal: F64, tangent: F64, points: MappedPoints, states: PlatformStates, calibration: CalibrationParameters, beams: int,
     bin_ns: int,
 ) -> tuple[F64, I64, F64]:  # fmt: skip
-    """``M_cal`` (p + 2, 11 + 2 beams), time bins (l,) and ``M_nav`` (l, p + 2, 6) of one patch with inliers ``points`` (UNCERTAINTY
+    """``M_cal`` (p + 2, 11 + 2 beams), time bins (l,) and ``M_nav`` (l, p + 2, 4) of one patch with inliers ``points`` (UNCERTAINTY
     step 4)."""
     geometry = point_geometry(points, states, calibration)
     weights, mean = np.linalg.pinv(X), np.full((1, len(X)), 1.0 / len(X))
@@ -71,8 +71,10 @@ def mean_sensitivities(
         return np.concatenate([w[:, some] @ np.einsum("i,nic->nc", axis, J[some]) for axis, w in axes])
 
     at = points.t_ns // bin_ns
-    bins = np.unique(at)
-    return rows(cal, np.ones(len(X), bool)), bins, np.stack([rows(nav, at == b) for b in bins])
+    bins, along = np.unique(at), np.concatenate([np.tile(axis, (len(w), 1)) for axis, w in axes])
+    M_nav = np.stack([rows(nav, at == b) for b in bins])
+    by_position = (M_nav[..., :3] * along).sum(axis=2, keepdims=True)
+    return rows(cal, np.ones(len(X), bool)), bins, np.concatenate([by_position, M_nav[..., 3:]], axis=2)
 
 
 def geometry(r_map: F64, states: PlatformStates, state: I64, fraction: F64, lever_laser: F64) -> F64:

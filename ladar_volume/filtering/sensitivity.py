@@ -75,7 +75,7 @@ def sight(g: Any, axis_body: Any) -> Any:
 def along_axis(g: Any, beam: Any, axis: Any, shift: Any, axis_body: Any, h: Any) -> None:
     """``axis·∂r/∂theta`` (15,) of one return for a unit vector of the map, with its geometry g (10,): attitude xyzw, v_body, motion
     with the platform; ``beam`` : its :func:`sight`. What it is by the antenna's place is left out, as it is that by the laser's with the
-    other sign; by the platform's position it is the axis.
+    other sign; by the platform's position along the axis it is 1.
 
     With m = Rᵀaxis and arm = v + b − a, ``shift`` = b − a: range u·m, boresight v x m, b m, a −m, clock axis·motion,
     vertical angle m·(range (z − u sin eps)/cos eps) with z, ``axis_body``, the laser's z axis; attitude arm x m.
@@ -94,8 +94,7 @@ def along_axis(g: Any, beam: Any, axis: Any, shift: Any, axis_body: Any, h: Any)
 
 @leaf_kernel
 def add_return(h: Any, weight: Any, beam: Any, beams: Any, cal: Any, nav: Any) -> None:
-    """Adds a return's sensitivities h (15,), weighted, to rows cal (11 + 2 beams,) but those by the antenna's place, and to nav (6,): its
-    weight, and from the fourth on by the attitude."""
+    """Adds a return's sensitivities h (15,), weighted, to rows cal (11 + 2 beams,) but those by the antenna's place, and to nav (4,)."""
     for c in range(ANTENNA):
         cal[c] += weight * h[c]
     cal[CLOCK] += weight * h[CLOCK]
@@ -103,18 +102,7 @@ def add_return(h: Any, weight: Any, beam: Any, beams: Any, cal: Any, nav: Any) -
     cal[SHARED + beams + beam] += weight * h[VERTICAL]
     nav[0] += weight
     for c in range(3):
-        nav[3 + c] += weight * h[ATTITUDE + c]
-
-
-@leaf_kernel
-def completed(cal: Any, nav: Any, axis: Any) -> None:
-    """What :func:`add_return` left out, in rows cal (11 + 2 beams,) and nav (runs, 6), for the ``axis`` (3,) of these rows."""
-    for c in range(3):
-        cal[ANTENNA + c] = -cal[LASER + c]
-    for g in range(len(nav)):
-        weight = nav[g, 0]
-        for c in range(3):
-            nav[g, c] = weight * axis[c]
+        nav[1 + c] += weight * h[ATTITUDE + c]
 
 
 @leaf_kernel
@@ -169,7 +157,7 @@ def sensitivities(
     tangent: Any, inverse: Any, p: Any, beams: Any, lever_laser: Any, lever_antenna: Any, axis_body: Any, bin_ns: Any, nav_start: Any,
     nav_bin: Any, M_cal: Any, M_nav: Any,
 ) -> None:  # fmt: skip
-    """Mean sensitivities M_cal (m, p + 2, 11 + 2 beams) over all inliers, and M_nav (l, p + 2, 6) per time bin: of beta,
+    """Mean sensitivities M_cal (m, p + 2, 11 + 2 beams) over all inliers, and M_nav (l, p + 2, 4) per time bin: of beta,
     ``(XᵀX)⁻¹ Σ_j x_j n·∂r_j/∂theta``, and of the place along tangent and binormal, the mean of ``tangent·∂r_j/∂theta``.
 
     A patch with inliers in more bins than it has room for gets runs of bins instead: of each run one inlier is drawn, and all count as if
@@ -189,7 +177,7 @@ def sensitivities(
         draw(run, runs, fraction_of(keys[a]), drawn)
         for g in range(runs):
             nav_bin[first + g] = np.int64(np.floor_divide(t_ns[mine[drawn[g]]], bin_ns))
-        cal, nav, x, h, axes = np.zeros((p + 2, 11 + 2 * beams)), np.zeros((runs, p + 2, 6)), np.zeros(6), np.empty(ALL), np.empty((3, 3))
+        cal, nav, x, h, axes = np.zeros((p + 2, 11 + 2 * beams)), np.zeros((runs, p + 2, 4)), np.zeros(6), np.empty(ALL), np.empty((3, 3))
         own, others = np.empty(NUMBERS), np.empty((runs, NUMBERS))
         for k in range(runs):
             recall(aux[mine[drawn[k]]], others[k])
@@ -210,8 +198,8 @@ def sensitivities(
                         add_return(h, x[l], beam, beams, cal[l], nav[run[i], l])
                 else:
                     add_return(h, 1.0, beam, beams, cal[p + k - 1], nav[run[i], p + k - 1])
-        for l in range(p + 2):
-            completed(cal[l], nav[:, l], axes[max(l - p + 1, 0)])
+        for c in range(3):
+            cal[:, ANTENNA + c] = -cal[:, LASER + c]
         solved(inverse[a], p, used[a], cal, M_cal[i_row])
         for g in range(runs):
             solved(inverse[a], p, used[a], nav[g], M_nav[first + g])

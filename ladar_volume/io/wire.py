@@ -25,8 +25,8 @@ Columns = dict[str, npt.NDArray[Any]]
 #: First word of a base's name → number in the table ``volumes``.
 BASES = {"ground": 0, "level": 1, "given": 2, "epoch": 3}
 HEAD, CROSS, CALIBRATION, NAVIGATION, REMOVED, END = range(6)
-#: Columns of M_cal, and of M_nav, that share one row of the long table: the rows of degree 2 then are no longer than a cross block.
-CAL_GROUP, NAV_GROUP = 4, 3
+#: Columns of M_cal, and those of M_nav, that share one row of the long table: the rows of degree 2 then are no longer than a cross block.
+GROUP = 4
 #: Patches of one message.
 PART = 400
 
@@ -91,47 +91,46 @@ def filtered_points(columns: Mapping[str, Any]) -> FilteredPoints:
 
 def patch_columns(update: FilterUpdate) -> Columns:
     """``patches``: the long table. Row kinds: 0 head (`other` its time), 1 cross block (`other` its key), 2 calibration columns
-    (`index` the group), 3 navigation bin `other` (`index` 0 position, 1 attitude), 4 removed patch, 5 end marker (index 1: the last part
+    (`index` the group), 3 navigation bin `other`, 4 removed patch, 5 end marker (index 1: the last part
     of an update)."""
     a = update.patches
     m, p = a.beta.shape
-    width = max(p * p, (p + 2) * CAL_GROUP, 14 + p)
+    width = max(p * p, (p + 2) * GROUP, 14 + p)
     head = np.zeros((m, width))
     head[:, 0:3], head[:, 3:6], head[:, 6:9] = a.centre, a.normal, a.tangent
     head[:, 9], head[:, 10], head[:, 11], head[:, 12], head[:, 13 : 13 + p] = a.sigma, a.used, a.M_cal.shape[2], p, a.beta
-    cal, nav = _grouped(a.M_cal, CAL_GROUP), _grouped(a.M_nav, NAV_GROUP)
-    groups, halves = cal.shape[1], nav.shape[1]
-    owner = np.repeat(a.key, np.diff(a.nav_start) * halves)
+    cal = _grouped(a.M_cal)
+    groups = cal.shape[1]
     parts = [
         _rows(HEAD, a.key, a.t_ns, 0, head, width),
         _rows(CROSS, np.repeat(a.key, np.diff(a.cross_start)), a.cross_key, 0, a.cross.reshape(-1, p * p), width),
         _rows(CALIBRATION, np.repeat(a.key, groups), np.repeat(a.key, groups), np.tile(np.arange(groups), m), _long(cal), width),
-        _rows(NAVIGATION, owner, np.repeat(a.nav_bin, halves), np.tile(np.arange(halves), len(a.nav_bin)), _long(nav), width),
+        _rows(NAVIGATION, np.repeat(a.key, np.diff(a.nav_start)), a.nav_bin, 0, _long(_grouped(a.M_nav)), width),
         _rows(REMOVED, update.removed, update.removed, 0, np.zeros((len(update.removed), 1)), width),
         _rows(END, np.zeros(1, np.int64), np.array([update.t_ns]), int(update.complete), np.zeros((1, 1)), width),
     ]
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def _grouped(M: F32, size: int) -> F32:
-    """Sensitivities (m, rows, c) in groups of columns, the last one filled with zeros: (m, groups, rows, size)."""
+def _grouped(M: F32) -> F32:
+    """Sensitivities (m, rows, c) in groups of columns, the last one filled with zeros: (m, groups, rows, 4)."""
     m, rows, columns = M.shape
-    groups = -(-columns // size)
-    out = np.zeros((m, rows, groups * size), np.float32)
+    groups = -(-columns // GROUP)
+    out = np.zeros((m, rows, groups * GROUP), np.float32)
     out[:, :, :columns] = M
-    return out.reshape(m, rows, groups, size).transpose(0, 2, 1, 3)
+    return out.reshape(m, rows, groups, GROUP).transpose(0, 2, 1, 3)
 
 
 def _long(groups: F32) -> F32:
-    """The groups (m, groups, rows, size) as one row each."""
+    """The groups (m, groups, rows, 4) as one row each."""
     return groups.reshape(groups.shape[0] * groups.shape[1], groups.shape[2] * groups.shape[3])
 
 
-def _ungrouped(values: F32, m: int, rows: int, columns: int, size: int) -> F32:
+def _ungrouped(values: F32, m: int, rows: int, columns: int) -> F32:
     """The inverse of both: (m, rows, columns) from rows of the long table."""
-    groups = -(-columns // size)
-    parts = values[:, : rows * size].reshape(m, groups, rows, size).transpose(0, 2, 1, 3)
-    return np.ascontiguousarray(parts.reshape(m, rows, groups * size)[:, :, :columns], np.float32)
+    groups = -(-columns // GROUP)
+    parts = values[:, : rows * GROUP].reshape(m, groups, rows, GROUP).transpose(0, 2, 1, 3)
+    return np.ascontiguousarray(parts.reshape(m, rows, groups * GROUP)[:, :, :columns], np.float32)
 
 
 def update_parts(update: FilterUpdate, patches: int = PART) -> list[FilterUpdate]:
@@ -180,18 +179,16 @@ def filter_update(points: FilteredPoints, columns: Mapping[str, Any]) -> FilterU
     p = int(head[0, 12]) if m else 6 if values.shape[1] >= 36 else 3
     columns_cal = int(head[0, 11]) if m else 0
     keys = key[kind == HEAD]
-    groups, halves = -(-columns_cal // CAL_GROUP), 6 // NAV_GROUP
-    bad = np.count_nonzero(kind == CALIBRATION) != m * groups or np.count_nonzero(kind == NAVIGATION) % halves
-    if bad or values.shape[1] < (p + 2) * CAL_GROUP:
+    nav, groups = kind == NAVIGATION, -(-columns_cal // GROUP)
+    if np.count_nonzero(kind == CALIBRATION) != m * groups or columns["index"][nav].any() or values.shape[1] < (p + 2) * GROUP:
         raise CloudError("patch table of another format: written by another version", reason="cloud_format")
-    bins = other[kind == NAVIGATION][::halves]
+    bins = other[nav]
     patches = Patches(
         keys, head[:, 0:3].copy(), head[:, 3:6].copy(), head[:, 6:9].copy(), head[:, 13 : 13 + p].copy(), head[:, 9].copy(),
         head[:, 10].astype(np.int32), other[kind == HEAD],
         _starts(keys, key[kind == CROSS]), other[kind == CROSS], values[kind == CROSS][:, : p * p].reshape(-1, p, p).copy(),
-        _ungrouped(values[kind == CALIBRATION], m, p + 2, columns_cal, CAL_GROUP),
-        _starts(keys, key[kind == NAVIGATION][::halves]), bins.copy(),
-        _ungrouped(values[kind == NAVIGATION], len(bins), p + 2, 6, NAV_GROUP),
+        _ungrouped(values[kind == CALIBRATION], m, p + 2, columns_cal),
+        _starts(keys, key[nav]), bins, _ungrouped(values[nav], len(bins), p + 2, GROUP),
     )  # fmt: skip
     return FilterUpdate(int(other[-1]), key[kind == REMOVED], points, patches, bool(columns["index"][-1]))
 

@@ -194,7 +194,8 @@ class Patches:
     cross_start : (m + 1,), cross_key : (k,) keys of neighbours with key >= own key (own block first), cross : (k, p, p) float32 m²
     the covariance blocks ``C_ab`` of UNCERTAINTY step 3 · M_cal : (m, p + 2, c) float32 mean sensitivities to the calibration columns: of
     beta, then of the place along tangent and binormal, which moves with the returns · nav_start : (m + 1,), nav_bin : (l,) int64
-    ``floor(t / nav_bin)``, M_nav : (l, p + 2, 6) float32 the same per navigation time bin, or for some bins that stand for all
+    ``floor(t / nav_bin)``, M_nav : (l, p + 2, 4) float32 the same per navigation time bin, or for some bins that stand for all: by the
+    platform's position along the normal (of beta), the tangent and the binormal, across which it does nothing, then by its attitude
     """
 
     key: I64

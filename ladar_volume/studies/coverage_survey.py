@@ -219,8 +219,9 @@ def vertices(flown: Flown, believed: Parameters) -> FilterUpdate:
     tangent[np.abs(normal[:, 1]) > 0.99] = [1.0, 0.0, 0.0]  # walls that face along y
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     axes, shared, ring = np.stack([normal, tangent, np.cross(normal, tangent)], axis=1), len(CAL_COLUMNS), points.ring.astype(np.int64)
-    M_cal, M_nav = np.zeros((n, 5, shared + 2 * BEAM_COUNT), np.float32), np.zeros((n, 5, 6), np.float32)
-    M_cal[:, ALONG, :shared], M_nav[:, ALONG] = axes @ calibration_jacobian(geometry), axes @ navigation_jacobian(geometry)
+    M_cal, M_nav = np.zeros((n, 5, shared + 2 * BEAM_COUNT), np.float32), np.zeros((n, 5, 4), np.float32)
+    M_cal[:, ALONG, :shared] = axes @ calibration_jacobian(geometry)
+    M_nav[:, ALONG, 0], M_nav[:, ALONG, 1:] = 1.0, axes @ navigation_jacobian(geometry)[..., 3:]
     own, every = axes @ beam_jacobian(geometry), np.arange(n)
     for k in range(2):  # a beam's range and its vertical angle
         M_cal[every[:, None], ALONG, (shared + k * BEAM_COUNT + ring)[:, None]] = own[:, :, k]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladar_volume.model.kernels import kernel
+from ladar_volume.model.kernels import kernel, leaf_kernel
 from ladar_volume.model.records import F32, F64, I8, I16, I32, I64
 from ladar_volume.volume.patch_merge import place_from
 
@@ -141,48 +141,66 @@ def calibration_kernel(q: F64, M: F32) -> F64:
     return out
 
 
+@leaf_kernel
+def add_bin(load: F64, M: F32 | I16, n: F64, t: F64, out: F64) -> None:
+    """Adds to ``out`` (6,) what position and attitude in one bin do with loads (p + 2, 2), in units of the sensitivities M (p + 2, 4) to
+    them, of a patch with this normal and tangent."""
+    p = len(load) - 2
+    x = u = v = w = 0.0  # as many sums as stay in registers
+    for r in range(p):
+        x += load[r, 0] * M[r, 0]
+    for r in range(p + 2):
+        u += load[r, 1] * M[r, 1]
+        v += load[r, 1] * M[r, 2]
+        w += load[r, 1] * M[r, 3]
+    y, z = load[p, 0] * M[p, 0], load[p + 1, 0] * M[p + 1, 0]
+    out[0] += x * n[0] + y * t[0] + z * (n[1] * t[2] - n[2] * t[1])
+    out[1] += x * n[1] + y * t[1] + z * (n[2] * t[0] - n[0] * t[2])
+    out[2] += x * n[2] + y * t[2] + z * (n[0] * t[1] - n[1] * t[0])
+    out[3] += u
+    out[4] += v
+    out[5] += w
+
+
+@leaf_kernel
+def in_units(q: F64, unit: F32, load: F64) -> bool:
+    """Loads q (p + 2,) times the units (p + 2, 2) of position and attitude, to ``load``; whether there is any."""
+    some = False
+    for r in range(len(q)):
+        load[r, 0], load[r, 1] = q[r] * unit[r, 0], q[r] * unit[r, 1]
+        some |= q[r] != 0.0
+    return some
+
+
 @kernel
-def navigation_kernel(q: F64, start: I64, index: I32, M: F32 | I16, unit: F32, bins: int) -> F64:
-    """``Σ qᵀ M`` (bins, 6) of loads q (m, p) and sensitivities M (l, p, 6), listed by patch from start (m + 1,), in bins index (l,), in
-    units (m, p, 2) for position and attitude."""
-    out, position, attitude = np.zeros((bins, 6)), np.empty(q.shape[1]), np.empty(q.shape[1])
+def navigation_kernel(q: F64, start: I64, index: I32, M: F32 | I16, unit: F32, normal: F64, tangent: F64, bins: int) -> F64:
+    """``Σ qᵀ M`` (bins, 6) of loads q (m, p + 2) and sensitivities M (l, p + 2, 4), listed by patch from start (m + 1,), in bins index
+    (l,), in units (m, p + 2, 2) for position and attitude, of patches with these normals and tangents (m, 3)."""
+    out, load = np.zeros((bins, 6)), np.empty((q.shape[1], 2))
     for a in range(len(q)):
-        if not (q[a] != 0.0).any():
-            continue
-        for r in range(q.shape[1]):
-            position[r], attitude[r] = q[a, r] * unit[a, r, 0], q[a, r] * unit[a, r, 1]
-        for e in range(start[a], start[a + 1]):
-            x = y = z = u = v = w = 0.0  # as many sums as stay in registers
-            for r in range(q.shape[1]):
-                x += position[r] * M[e, r, 0]
-                y += position[r] * M[e, r, 1]
-                z += position[r] * M[e, r, 2]
-                u += attitude[r] * M[e, r, 3]
-                v += attitude[r] * M[e, r, 4]
-                w += attitude[r] * M[e, r, 5]
-            row = out[index[e]]
-            row[0] += x
-            row[1] += y
-            row[2] += z
-            row[3] += u
-            row[4] += v
-            row[5] += w
+        if in_units(q[a], unit[a], load):
+            for e in range(start[a], start[a + 1]):
+                add_bin(load, M[e], normal[a], tangent[a], out[index[e]])
     return out
 
 
 @kernel
-def deviation_kernel(which: I64, start: I64, index: I32, M: F32 | I16, unit: F32, position: F64, attitude: F64, out: F32) -> None:
+def deviation_kernel(
+    which: I64, start: I64, index: I32, M: F32 | I16, unit: F32, normal: F64, position: F64, attitude: F64, out: F32
+) -> None:
     """What one standard deviation of position and attitude, in three directions each, does to the p parameters of patches ``which`` (k,),
     to out (m, p, 6). position, attitude : (bins, 3, 3) roots of their covariances; the rest as in :func:`navigation_kernel`."""
-    own = np.empty(out.shape[1:])
+    own, along = np.empty(out.shape[1:]), np.empty(3)
     for a in which:
         own[:] = 0.0
         for e in range(start[a], start[a + 1]):
-            P, A = position[index[e]], attitude[index[e]]
+            P, A, n = position[index[e]], attitude[index[e]], normal[a]
+            for c in range(3):
+                along[c] = n[0] * P[0, c] + n[1] * P[1, c] + n[2] * P[2, c]
             for r in range(len(own)):
                 for c in range(3):
-                    own[r, c] += M[e, r, 0] * P[0, c] + M[e, r, 1] * P[1, c] + M[e, r, 2] * P[2, c]
-                    own[r, 3 + c] += M[e, r, 3] * A[0, c] + M[e, r, 4] * A[1, c] + M[e, r, 5] * A[2, c]
+                    own[r, c] += M[e, r, 0] * along[c]
+                    own[r, 3 + c] += M[e, r, 1] * A[0, c] + M[e, r, 2] * A[1, c] + M[e, r, 3] * A[2, c]
         for r in range(len(own)):
             for c in range(3):
                 out[a, r, c] = own[r, c] * unit[a, r, 0]
@@ -244,7 +262,7 @@ def naive_kernel(gradient: F64, normal: F64, row: I64) -> tuple[I64, F64]:
 
 @kernel
 def cell_kernel(
-    q: F64, start: I64, index: I32, M: F32 | I16, unit: F32, order: I64, cell: I64, cells: int, bins: int
+    q: F64, start: I64, index: I32, M: F32 | I16, unit: F32, normal: F64, tangent: F64, order: I64, cell: I64, cells: int, bins: int
 ) -> tuple[I64, I64, F64]:
     """``Σ qᵀ M`` as in :func:`navigation_kernel`, by cell of the patches: first (cells + 1,) of each cell's bins, these bins (k,) in order,
     and the sums (k, 6). order : (m,) patches by cell (m,)."""
@@ -255,19 +273,16 @@ def cell_kernel(
                 first[cell[a] + 1] += seen[index[e]] != cell[a]
                 seen[index[e]] = cell[a]
     first = np.cumsum(first)
-    which, out, i = np.empty(first[-1], np.int64), np.empty((first[-1], 6)), 0
+    which, out, i, load = np.empty(first[-1], np.int64), np.empty((first[-1], 6)), 0, np.empty((q.shape[1], 2))
     seen[:] = -1
     for g in range(cells):
         while i < len(order) and cell[order[i]] == g:
             a = order[i]
             i += 1
-            if not (q[a] != 0.0).any():
-                continue
-            for e in range(start[a], start[a + 1]):
-                seen[index[e]] = g
-                for r in range(q.shape[1]):
-                    for c in range(6):
-                        sums[index[e], c] += q[a, r] * unit[a, r, c // 3] * M[e, r, c]
+            if in_units(q[a], unit[a], load):
+                for e in range(start[a], start[a + 1]):
+                    seen[index[e]] = g
+                    add_bin(load, M[e], normal[a], tangent[a], sums[index[e]])
         k = first[g]
         for b in range(bins if k < first[g + 1] else 0):
             if seen[b] == g:

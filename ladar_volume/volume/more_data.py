@@ -105,7 +105,8 @@ def navigation_falls(q: F64, sources: Sources, patch_cell: I64, cells: int) -> F
     bins, index = sources.time_bins
     order = np.argsort(patch_cell, kind="stable")
     starts, at, J = cell_kernel(
-        q, patches.nav_start, index, patches.M_nav, navigation_units(patches), order, patch_cell, cells, len(bins)
+        q, patches.nav_start, index, patches.M_nav, navigation_units(patches), patches.normal, patches.tangent, order, patch_cell, cells,
+        len(bins),
     )  # fmt: skip
     loads = navigation_loads(J, bins[at], sources.navigation, gap)
     t_s = (bins - (bins[0] if len(bins) else 0)) * (sources.navigation.bin_ns * 1e-9)

@@ -104,20 +104,20 @@ def block_kernel(own: I64, start: I64, other: I64, cross: F32, keys: I64, factor
 
 @kernel
 def row_kernel(start: I64, M: F32) -> tuple[I16, F32]:
-    """Sensitivities M (l, rows, 6), those of each of m patches from start (m + 1,) on, as whole numbers (l, rows, 6), and the units
+    """Sensitivities M (l, rows, 4), those of each of m patches from start (m + 1,) on, as whole numbers (l, rows, 4), and the units
     (m, rows, 2) of each row for position and attitude."""
     rows, m = M.shape[1], len(start) - 1
     out, unit = np.zeros(M.shape, np.int16), np.zeros((m, rows, 2), np.float32)
     for a in range(m):
         for r in range(rows):
             for e in range(start[a], start[a + 1]):
-                for c in range(6):
-                    unit[a, r, c // 3] = max(unit[a, r, c // 3], abs(M[e, r, c]))
+                for c in range(4):
+                    unit[a, r, min(c, 1)] = max(unit[a, r, min(c, 1)], abs(M[e, r, c]))
             unit[a, r] /= np.float32(LARGEST)
             for e in range(start[a], start[a + 1]):
-                for c in range(6):
-                    if unit[a, r, c // 3] > 0.0:
-                        out[e, r, c] = np.int16(np.rint(M[e, r, c] / unit[a, r, c // 3]))
+                for c in range(4):
+                    if unit[a, r, min(c, 1)] > 0.0:
+                        out[e, r, c] = np.int16(np.rint(M[e, r, c] / unit[a, r, min(c, 1)]))
     return out, unit
 
 
@@ -183,6 +183,6 @@ def unpacked(patches: Patches, first: int, last: int) -> Patches:
     right = np.minimum(np.searchsorted(patches.key, rows["cross_key"]), len(patches) - 1)
     F = patches.factor
     rows["cross"] = np.einsum("brs,bst,but->bru", F[left].astype(np.float64), rows["cross"], F[right], optimize=True).astype(np.float32)
-    unit = np.repeat(np.repeat(patches.nav_unit[first:last], np.diff(rows["nav_start"]), axis=0), 3, axis=2)
+    unit = np.repeat(np.repeat(patches.nav_unit[first:last], np.diff(rows["nav_start"]), axis=0), (1, 3), axis=2)
     rows["M_nav"] = (rows["M_nav"] * unit.astype(np.float64)).astype(np.float32)
     return Patches(**rows)

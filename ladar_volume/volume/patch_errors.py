@@ -30,7 +30,8 @@ class PatchErrors:
         """What one standard deviation of position and of attitude, each in three directions, does to the parameters: (m, p, 6), known for
         patches ``rows`` (k,). The errors within one patch count as one."""
         new = _missing(self._deviates, rows)
-        deviation_kernel(new, self._patches.nav_start, self._index, self._patches.M_nav, self._units, *self._roots, self._deviation)
+        p = self._patches
+        deviation_kernel(new, p.nav_start, self._index, p.M_nav, self._units, p.normal, *self._roots, self._deviation)
         return self._deviation
 
     def covariance(self, rows: I64) -> F32:

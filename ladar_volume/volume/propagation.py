@@ -149,12 +149,14 @@ def calibration_sensitivity(q: F64, patches: Patches) -> F64:
 
 
 def navigation_sensitivity(q: F64, patches: Patches, listed: tuple[I64, I32] | None = None) -> tuple[F64, I64]:
-    """Sensitivities ``J_e = Σ_patches qᵀ M_nav[e]`` (b, 6) and their ascending bins (b,) of loads q (m, p + 2).
+    """Sensitivities ``J_e = Σ_patches qᵀ M_nav[e]`` (b, 6) to position and attitude, and their ascending bins (b,) of loads q (m, p + 2).
 
     listed : :func:`time_bins`, where known.
     """
     bins, index = time_bins(patches) if listed is None else listed
-    J = navigation_kernel(q, patches.nav_start, index, patches.M_nav, navigation_units(patches), len(bins))
+    J = navigation_kernel(
+        q, patches.nav_start, index, patches.M_nav, navigation_units(patches), patches.normal, patches.tangent, len(bins)
+    )  # fmt: skip
     used = np.flatnonzero(J.any(axis=1))
     return J[used], bins[used]
 

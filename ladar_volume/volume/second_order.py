@@ -91,7 +91,7 @@ def curvature_kernel(
     slope: F64,
 ) -> F64:  # fmt: skip
     """H (b, 3, 3) of :func:`curvatures`: loads q (m, p) of patches with frames (m, 3) and slopes (m, 2) against their mean; sensitivities
-    M_nav (l, p + 2, 6) in units (m, p + 2, 2) from start (m + 1,) in rows index (l,) of ascending bins (b,), whose mean poses are (b, 3)
+    M_nav (l, p + 2, 4) in units (m, p + 2, 2) from start (m + 1,) in rows index (l,) of ascending bins (b,), whose mean poses are (b, 3)
     and (b, 3, 3)."""
     H, mean, moving, weight = np.zeros((len(bins), 3, 3)), np.zeros((2, 3)), np.zeros((2, 3)), 0.0
     for a in np.flatnonzero(q[:, 0]):
@@ -102,7 +102,7 @@ def curvature_kernel(
         for e in range(start[a], start[a + 1]):
             M, b = M_nav[e], index[e]
             half, turn = H[b], R[b]
-            part = unit[a, 0, 0] * (M[0, 0] * n[0] + M[0, 1] * n[1] + M[0, 2] * n[2])
+            part = unit[a, 0, 0] * M[0, 0]
             share, own = q[a, 0] * part, abs(part) + 1e-12
             m = turned_back(turn, n)
             v = turned_back(turn, (centre[a, 0] - position[b, 0], centre[a, 1] - position[b, 1], centre[a, 2] - position[b, 2]))
@@ -117,7 +117,7 @@ def curvature_kernel(
                 shift = (upon[0] - lean * vm[0], upon[1] - lean * vm[1], upon[2] - lean * vm[2])
                 for i in range(3):
                     mean[k, i] += own * shift[i]
-                    moving[k, i] += q[a, 0] * (unit[a, k + 1, 1] * M[k + 1, 3 + i] - part * standing[i])
+                    moving[k, i] += q[a, 0] * (unit[a, k + 1, 1] * M[k + 1, 1 + i] - part * standing[i])
                 add_outer(half, -share, shift, standing)
             # along the slope: by how much a place is shifted, and how that changes with its height
             add_outer(half, -share * upright, turned_back(turn, beside), cross(v, turned_back(turn, downhill)))

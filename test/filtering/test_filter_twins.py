@@ -116,18 +116,17 @@ def test_sensitivities_are_those_of_the_lidar_equation(fitted):
         # the geometry of each return is kept in 16 bits (see ``geometry``); means of many err by less
         scale = np.append(np.abs(np.linalg.pinv(X)).sum(axis=1), [1.0, 1.0])[:, None] * 20.0
         assert (np.abs(M_cal - p.M_cal[j]) < 1e-5 * scale).all()
-        assert (np.abs(M_nav - p.M_nav[nav])[..., 3:] < 1e-5 * scale).all()
-        assert (np.abs(M_nav - p.M_nav[nav])[..., :3] < 1e-6 * scale).all()  # the position's need none of it
+        assert (np.abs(M_nav - p.M_nav[nav])[..., 1:] < 1e-5 * scale).all()
+        assert (np.abs(M_nav - p.M_nav[nav])[..., :1] < 1e-6 * scale).all()  # the position's need none of it
 
 
 def test_common_shift_moves_only_the_constant_term(fitted):
     _, update, _, _, _ = fitted
     p = update.patches
     for j in range(len(p)):
-        total = p.M_nav[p.nav_start[j] : p.nav_start[j + 1], :, :3].sum(axis=0)
-        assert total[0] == pytest.approx(p.normal[j], abs=1e-6)
+        total = p.M_nav[p.nav_start[j] : p.nav_start[j + 1], :, 0].sum(axis=0)
+        assert total[[0, -2, -1]] == pytest.approx(1.0, abs=1e-6)
         assert np.abs(total[1:-2]).max() < 2e-6
-        assert total[-2:] == pytest.approx(np.stack([p.tangent[j], np.cross(p.normal[j], p.tangent[j])]), abs=1e-6)
 
 
 def test_points_lie_on_their_patch_with_its_variance(fitted):

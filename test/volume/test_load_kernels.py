@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from test_propagation import COLUMNS, random_surface
+from volume_surfaces import by_position_and_attitude
 
 from ladar_volume.model.records import PlatformStates
 from ladar_volume.volume import propagation
@@ -91,12 +92,13 @@ def test_what_is_shared(p):
     bins, index = time_bins(patches)
     owner = np.repeat(np.arange(m), np.diff(patches.nav_start))
     P, A = rng.standard_normal((2, len(bins), 3, 3))
-    rows = np.concatenate([patches.M_nav[:, :p, :3] @ P[index], patches.M_nav[:, :p, 3:] @ A[index]], axis=2)
+    M_nav = by_position_and_attitude(patches)
+    rows = np.concatenate([M_nav[:, :p, :3] @ P[index], M_nav[:, :p, 3:] @ A[index]], axis=2)
     twin = np.zeros((m, p, 6))
     np.add.at(twin, owner, rows)
     every, deviation = np.arange(m), np.full((m, p, 6), np.nan)
     for part in (every[::2], every[1::2]):
-        deviation_kernel(part, patches.nav_start, index, patches.M_nav, navigation_units(patches), P, A, deviation)
+        deviation_kernel(part, patches.nav_start, index, patches.M_nav, navigation_units(patches), patches.normal, P, A, deviation)
     assert deviation == close(twin)
     root = rng.standard_normal((COLUMNS, COLUMNS)) * (rng.random((COLUMNS, COLUMNS)) < 0.1)
     C = root @ root.T
@@ -118,7 +120,7 @@ def test_what_is_shared(p):
     q[1] = 0.0
     J, used = navigation_sensitivity(q, patches)
     every = np.zeros((len(bins), 6))
-    np.add.at(every, index, np.einsum("lp,lpc->lc", q[owner], patches.M_nav))
+    np.add.at(every, index, np.einsum("lp,lpc->lc", q[owner], M_nav))
     assert J == close(every[np.isin(bins, used)]) and not every[~np.isin(bins, used)].any()
 
 
@@ -130,10 +132,11 @@ def test_sums_by_cell():
     cell[cell == 2] = 1  # a cell without patches
     q[cell == 3] = 0.0  # and one without loads
     found = cell_kernel(
-        q, patches.nav_start, index, patches.M_nav, navigation_units(patches), np.argsort(cell, kind="stable"), cell, 4, len(bins)
+        q, patches.nav_start, index, patches.M_nav, navigation_units(patches), patches.normal, patches.tangent,
+        np.argsort(cell, kind="stable"), cell, 4, len(bins),
     )  # fmt: skip
     owner, twin = np.repeat(np.arange(m), np.diff(patches.nav_start)), np.zeros((4 * len(bins), 6))
-    np.add.at(twin, cell[owner] * len(bins) + index, np.einsum("lp,lpc->lc", q[owner], patches.M_nav))
+    np.add.at(twin, cell[owner] * len(bins) + index, np.einsum("lp,lpc->lc", q[owner], by_position_and_attitude(patches)))
     used = np.unique((cell[owner] * len(bins) + index)[cell[owner] != 3])
     assert np.array_equal(found[0], np.searchsorted(used, np.arange(5) * len(bins)))
     assert np.array_equal(found[1], used % len(bins)) and found[2] == close(twin[used])
@@ -146,7 +149,7 @@ def test_sums_by_cell():
 def curvature_twin(q, patches, known):
     """H by whole arrays: every term for every sensitivity, those of a pass by its number."""
     owner = np.repeat(np.arange(len(patches)), np.diff(patches.nav_start))
-    bins, M, n, load = patches.nav_bin, patches.M_nav, patches.normal[owner], q[owner, 0]
+    bins, M, n, load = patches.nav_bin, by_position_and_attitude(patches), patches.normal[owner], q[owner, 0]
     label = np.concatenate([[0], np.cumsum((owner[1:] != owner[:-1]) | (bins[1:] > bins[:-1] + 1))])
     position, R = known.mean_pose(bins)
     part = np.einsum("kc,kc->k", M[:, 0, :3], n)

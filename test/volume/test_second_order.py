@@ -50,13 +50,13 @@ def survey(height_of, half, height, aside, yaw=0.0, moving=True):
     R = exp_so3(np.array([0.0, 0.0, yaw]))
     v, m = (r - sensor) @ R, n @ R
     count = len(x)
-    M_cal, M_nav = np.zeros((count, 5, 11 + 2), np.float32), np.zeros((count, 5, 6), np.float32)
+    M_cal, M_nav = np.zeros((count, 5, 11 + 2), np.float32), np.zeros((count, 5, 4), np.float32)
     for k, axis in ((0, n), (3, tangent), (4, side)):
-        M_cal[:, k, 1:4] = M_nav[:, k, 3:] = np.cross(v, axis @ R)
-        M_nav[:, k, :3] = axis
+        M_cal[:, k, 1:4] = M_nav[:, k, 1:] = np.cross(v, axis @ R)
+        M_nav[:, k, 0] = 1.0
     for number, along in enumerate((tangent, side), start=1):
         change = along * [0.0, 1.0, 1.0] if moving else along
-        M_cal[:, number, 1:4] = M_nav[:, number, 3:] = np.cross(change @ R, m)
+        M_cal[:, number, 1:4] = M_nav[:, number, 1:] = np.cross(change @ R, m)
     bins = (T0 + np.round((x + half) / SPEED * 1e9).astype(np.int64)) // BIN_NS
     key = np.arange(count, dtype=np.int64)
     C = np.zeros((count, 3, 3))

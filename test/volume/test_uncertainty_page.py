@@ -28,10 +28,10 @@ def heap():
     x, y = (a.ravel() for a in np.meshgrid(grid, grid, indexing="ij"))
     r, n = np.stack([x, y, np.full(400, 2.0)], axis=1), np.tile([0.0, 0.0, 1.0], (400, 1))
     v = r - np.stack([x, np.full(400, 6.0), np.full(400, 24.0)], axis=1)
-    M_cal, M_nav = np.zeros((400, 5, 13), np.float32), np.zeros((400, 5, 6), np.float32)  # the page knows heights alone
+    M_cal, M_nav = np.zeros((400, 5, 13), np.float32), np.zeros((400, 5, 4), np.float32)  # the page knows heights alone
     M_cal[:, 0, 0] = -1.0  # the page takes the beam as vertical
-    M_cal[:, 0, 1:4] = M_nav[:, 0, 3:] = np.cross(v, n)
-    M_nav[:, 0, :3] = n
+    M_cal[:, 0, 1:4] = M_nav[:, 0, 1:] = np.cross(v, n)
+    M_nav[:, 0, 0] = 1.0
     t = T0 + np.floor((x + 5.0) / 10.0 * 19.999 / 2.0).astype(np.int64) * 2 * BIN_NS
     key, start = np.arange(400, dtype=np.int64), np.arange(401)
     C = np.zeros((400, 3, 3))

@@ -20,6 +20,14 @@ def normal_frame(normal):
     return tangent, np.cross(normal, tangent)
 
 
+def by_position_and_attitude(patches):
+    """Sensitivities (l, p + 2, 6) by the platform's position in the map and by its attitude."""
+    owner = np.repeat(np.arange(len(patches)), np.diff(patches.nav_start))
+    n, t, M = patches.normal[owner], patches.tangent[owner], patches.M_nav
+    axes = np.stack([n] * (M.shape[1] - 2) + [t, np.cross(n, t)], axis=1)
+    return np.concatenate([M[..., :1] * axes, M[..., 1:]], axis=2)
+
+
 def take_patches(patches, rows):
     """The chosen rows (k,) of patches, ragged parts included, in that order."""
     cross, nav = ragged_index(patches.cross_start, rows), ragged_index(patches.nav_start, rows)
@@ -77,7 +85,7 @@ def surface_update(
     variance = C[patch, 0, 0] + C[patch, 1, 1] * (local**2).sum(1)
     # sensitivities of the three coordinates at the centre, n . dr/dtheta and so on, zero for the slopes
     beams = 16
-    M_cal, M_nav = np.zeros((m, 5, 11 + 2 * beams), np.float32), np.zeros((m, 5, 6), np.float32)
+    M_cal, M_nav = np.zeros((m, 5, 11 + 2 * beams), np.float32), np.zeros((m, 5, 4), np.float32)
     ray = centre - np.stack([cx, cy, np.full(m, sensor[2])], axis=1)
     unit = ray / np.linalg.norm(ray, axis=1, keepdims=True)
     for k, axis in ((0, normal), (3, tangent), (4, binormal)):
@@ -86,7 +94,7 @@ def surface_update(
         M_cal[:, k, 4:7], M_cal[:, k, 7:10] = axis, -axis
         M_cal[:, k, 10] = axis[:, 0] * speed
         M_cal[np.arange(m), k, 11 + np.arange(m) % beams] = M_cal[:, k, 0]
-        M_nav[:, k, :3], M_nav[:, k, 3:] = axis, np.cross(ray, axis)
+        M_nav[:, k, 0], M_nav[:, k, 1:] = 1.0, np.cross(ray, axis)
     bins = T0 // BIN_NS + np.floor((cx + half) / speed).astype(np.int64)
     patches = Patches(
         key, centre, normal, tangent, np.zeros((m, 3)), np.full(m, noise), np.full(m, 9, np.int32), bins * BIN_NS,
