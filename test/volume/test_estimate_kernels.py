@@ -92,7 +92,7 @@ def update_of(rng, keys, named):
     zero = np.zeros((n, 3))
     return Patches(
         keys, zero, zero, zero, zero, np.zeros(n), np.zeros(n, np.int32), np.zeros(n, np.int64), np.concatenate([[0], np.cumsum(count)]),
-        np.concatenate(lists), blocks, np.zeros((n, 3, 1)), np.zeros(n + 1, np.int64), np.zeros(0, np.int64), np.zeros((0, 3, 6)),
+        np.concatenate(lists), blocks, np.zeros((n, 3, 1)), np.zeros(n + 1, np.int64), np.zeros(0, np.int64), np.zeros((0, 5, 4)),
     )  # fmt: skip
 
 
