@@ -11,6 +11,7 @@ from typing import Any
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.task import Future
 
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.nodes.base import StageNode
@@ -26,21 +27,23 @@ class Spinner:
 
     def __init__(self, node: Any) -> None:
         self.node = node
-        self._executor = SingleThreadedExecutor()
+        self._executor, self._end = SingleThreadedExecutor(), Future()
         self._executor.add_node(node)
         self._thread = threading.Thread(target=self._spin, name=f"spin {node.get_name()}", daemon=True)
         self._thread.start()
 
     def _spin(self) -> None:
         with contextlib.suppress(ExternalShutdownException):
-            self._executor.spin()
+            self._executor.spin_until_future_complete(self._end)
 
     def close(self) -> None:
         """Let the node finish its work, then end the thread and the node."""
         if isinstance(self.node, StageNode):
             self.node.stop()
-        self._executor.shutdown(timeout_sec=2.0)
+        # the thread first: the executor does not wait for a callback that runs as it is shut down, and takes away what that needs
+        self._end.set_result(None)
         self._thread.join(timeout=2.0)
+        self._executor.shutdown(timeout_sec=2.0)
         self.node.destroy_node()
 
 

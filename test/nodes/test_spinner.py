@@ -1,0 +1,40 @@
+"""A node that is closed while its callbacks run: its thread ends first, without an exception."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+
+SCRIPT = """
+import json, threading, time
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from ladar_volume.nodes.running import Spinner
+
+rclpy.init(args=[])
+raised, rounds = [], []
+take = SingleThreadedExecutor._take_timer
+SingleThreadedExecutor._take_timer = lambda *a: time.sleep(0.005) or take(*a)  # so that the end comes between waiting and taking
+threading.excepthook = lambda what: raised.append(repr(what.exc_value))
+for turn in range(10):
+    node = rclpy.create_node(f"busy_{turn}")
+    for _ in range(8):
+        node.create_timer(1e-5, lambda: rounds.append(turn))
+    spinner = Spinner(node)
+    until = time.monotonic() + 30.0
+    while turn not in rounds[-1:] and time.monotonic() < until:
+        time.sleep(0.002)
+    spinner.close()
+    raised += ["still runs"] * spinner._thread.is_alive()
+print(json.dumps([len(set(rounds)), raised]))
+rclpy.try_shutdown()
+"""
+
+
+def test_closing_a_busy_node():
+    environment = os.environ | {"ROS_DOMAIN_ID": str((os.getpid() + 3) % 90 + 10), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    run = subprocess.run([sys.executable, "-c", SCRIPT], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120, check=True)
+    assert json.loads(run.stdout) == [10, []]
