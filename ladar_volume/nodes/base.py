@@ -30,6 +30,7 @@ from ladar_volume.model.parameter import specs
 from ladar_volume.model.parameters import SECTIONS, Parameters
 from ladar_volume.nodes import memory
 from ladar_volume.nodes.declared import descriptor, outside, why_not_now
+from ladar_volume.nodes.defects import Defects
 from ladar_volume.nodes.health import Health
 from ladar_volume.nodes.taking import waiting
 from ladar_volume.nodes.work_queue import WorkQueue
@@ -78,6 +79,7 @@ class StageNode(LifecycleNode, ABC):
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
         self.losses = Losses()
+        self._defects = Defects()
         self.health = Health()
         self._queue = WorkQueue()
         self._worker: threading.Thread | None = None
@@ -292,14 +294,16 @@ class StageNode(LifecycleNode, ABC):
             self._busy = False
 
     def _guarded(self, action: Callable[[], None]) -> None:
-        """No input may end a node: a refusal is counted by its reason, a defect is logged and counted."""
+        """No input may end a node: a refusal is counted by its reason, a defect is counted and logged, of one place once a minute."""
         try:
             action()
         except LadarVolumeError as error:
             self.losses.add(error.reason)
         except Exception as error:
             self.losses.add("message_internal_error")
-            self.get_logger().error(f"{type(error).__name__}: {error}")
+            text = self._defects.told(error, time.monotonic())
+            if text is not None:
+                self.get_logger().error(text)
 
     def wake(self) -> None:
         """Have the executor look again at services that answer later."""
