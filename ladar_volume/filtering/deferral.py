@@ -34,8 +34,8 @@ from ladar_volume.model.records import F64, I32, I64, Bool, select
 TILE_BITS = 3
 #: Points that may wait after an update, 106 bytes each.
 MOST_WAITING = 400_000
-#: Room for points that is kept when none waits any more.
-ROOM = 1 << 16
+#: Room for points that is kept however few wait, and how many times as much as is needed is given back.
+ROOM, SPARE = 1 << 16, 4
 #: The time of a point that does not wait.
 NEVER = np.iinfo(np.int64).max
 
@@ -191,13 +191,25 @@ class Deferred:
         voxels = voxels[np.argsort(self._keys[voxels])]
         if most is not None and len(voxels):
             voxels = voxels[self._turn(store, voxels, most, newest_ns)]
+        points = self._out(voxels)
+        if len(self._after) > max(ROOM, SPARE * len(self)):
+            self._shrink()
+        return points
+
+    def _out(self, voxels: I64) -> Candidates:
+        """The points of these voxels, one voxel after the other, which wait no longer."""
         slots = np.empty(int(self._count[voxels].sum()), np.int64)
         dequeue(voxels, self._count, self._head, self._after, self._ends, slots)
         self._oldest[voxels] = NEVER
-        points = select(self._points, slots)
-        if len(self._after) > ROOM and not len(self):
-            self._clear()
-        return points
+        return select(self._points, slots)
+
+    def _shrink(self) -> None:
+        """Give back the room of those that wait no longer."""
+        voxels = np.flatnonzero(self._count)
+        oldest, points = self._oldest[voxels], self._out(voxels)
+        self._clear()
+        self.add(points)
+        self._oldest[: len(voxels)] = oldest  # of all that came, those that did not stay among them
 
     def _turn(self, store: VoxelStore, voxels: I64, most: int, newest_ns: int) -> Bool:
         """Which of these voxels (n,), in order of their keys, lie in tiles whose turn it is."""

@@ -32,7 +32,7 @@ FIRST_RATE, LEAST_MEASURED = 2000.0, 50
 SHARE, BETWEEN_S, QUIET_S = 1.0 / 3.0, 0.15, 0.3
 #: Patches refitted by one update of a flush, about: all of a large site at once would take as much room as all of its patches, and small
 #: pieces are refitted again at their rims.
-MOST = 3000
+MOST = 2000
 
 
 class FilterNode(StageNode):

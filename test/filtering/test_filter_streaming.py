@@ -177,6 +177,24 @@ def test_of_those_that_wait_a_voxel_holds_what_could_stay(scene, monkeypatch):
     assert len(waiting.take(store, None, newest)) == len(waiting.take(store, None, newest)) + 20
 
 
+def test_room_is_given_back_while_some_still_wait(scene, monkeypatch):
+    points = scene_points(scene, 12_000)
+    offered = VoxelStore(0.5, 8).offer(points.t_ns, points.ring, points.r_map, points.C_ind)[0]
+    newest, found = int(points.t_ns.max()), []
+    for room in (64, 1 << 16):
+        monkeypatch.setattr(deferral, "ROOM", room)
+        waiting, store, turns, sizes = deferral.Deferred(8), VoxelStore(0.5, 8), [], []
+        waiting.add(offered)
+        while len(waiting):
+            took = waiting.take(store, 1, newest)
+            store.insert(took)
+            turns.append((sorted(took.hash.tolist()), waiting.age_s(newest)))
+            sizes.append(len(waiting._after))
+            assert sizes[-1] <= max(room, 4 * len(waiting)) or len(waiting) == 0
+        found.append((turns, sizes))
+    assert found[0][0] == found[1][0] and len(set(found[0][1])) > 3 and len(set(found[1][1])) == 1
+
+
 def test_voxels_near_others():
     rng = np.random.default_rng(1)
     store = VoxelStore(1.0, 2)
