@@ -116,13 +116,14 @@ class Sources:
 
     def sensitivities(self, gradient: F64) -> Sensitivities:
         """What each source does to the first of k results with gradients (n, k, 3) per point; C_results is of all of them."""
-        q = patch_loads(gradient, self.patches, self.geometry)
+        q, tangential_m6 = patch_loads(gradient, self.patches, self.geometry), tangential_variance(gradient[:, 0], self.points)
+        del gradient  # the largest of all that is held meanwhile
         first = np.ascontiguousarray(q[:, :, 0])
         H = curvatures(first, self.patches, self.navigation, self.time_bins)
         J_nav, bins = navigation_sensitivity(first, self.patches, self.time_bins)
         return Sensitivities(
             independent_covariance(q, self.patches, self.geometry),
-            tangential_variance(gradient[:, 0], self.points),
+            tangential_m6,
             calibration_sensitivity(first, self.patches),
             H.sum(axis=0),
             swing_of(H, self.time_bins[0], self.navigation),
