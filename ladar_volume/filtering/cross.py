@@ -21,7 +21,7 @@ SPAN = 4
 
 
 def chunks_of(rows: int) -> int:
-    """How many contiguous chunks rows are handled in, each with its own marks (a slot array each): two per thread, none tiny."""
+    """How many contiguous chunks rows are handled in, each with its own marks: two per thread, none tiny."""
     return min(2 * numba.get_num_threads(), 1 + rows // 64)
 
 
@@ -73,6 +73,20 @@ def sharing(rows: Any, offset: Any, others: Any, first: Any, held: Any, entries:
                             out[k] |= (mine[word] & entries[e, word]) != 0
                     if out[k]:
                         break
+
+
+@kernel
+def local_slots(members: Any, cap: Any, voxels: Any) -> Any:
+    """A number (n,) for the slot of each of the members (n,), from 0 on, the same for the same, and above all of them: few patches of a
+    large map have few slots, and marks for these stay in the cache. voxels : of the map."""
+    rank, out, used = np.full(voxels, -1, np.int32), np.empty(len(members), np.int32), 0
+    for i in range(len(members)):
+        v = members[i] // cap
+        if rank[v] < 0:
+            rank[v] = used
+            used += 1
+        out[i] = rank[v] * cap + members[i] - v * cap
+    return out, used * cap
 
 
 @kernel
@@ -136,8 +150,8 @@ def _sandwich(left: Any, S: Any, right: Any, p: Any, out: Any) -> None:
 
 @kernel
 def _shared(
-    a: Any, b: Any, swap: Any, owner: Any, place: Any, start: Any, used: Any, members: Any, r: Any, C: Any, centre: Any, normal: Any,
-    tangent: Any, p: Any, X: Any, G: Any, Y: Any,
+    a: Any, b: Any, swap: Any, owner: Any, place: Any, start: Any, used: Any, members: Any, local: Any, r: Any, C: Any, centre: Any,
+    normal: Any, tangent: Any, p: Any, X: Any, G: Any, Y: Any,
 ) -> Any:  # fmt: skip
     """Of each inlier that patch b shares with a: ``n_aᵀ C n_b`` times its row on the one patch to G, u, v, u², uv, v² on the other to Y;
     returns how many. The row is that on a, with ``swap`` that on b: the same numbers as from the other patch's side."""
@@ -147,10 +161,9 @@ def _shared(
     t0, t1, t2 = tangent[b, 0], tangent[b, 1], tangent[b, 2]
     m = 0
     for j in range(start[b], start[b] + used[b]):
-        slot = members[j]
-        if owner[slot] != a:
+        if owner[local[j]] != a:
             continue
-        i = place[slot]
+        slot, i = members[j], place[local[j]]
         x0, x1, x2 = r[slot, 0] - c0, r[slot, 1] - c1, r[slot, 2] - c2
         u, v = x0 * t0 + x1 * t1 + x2 * t2, x0 * side[0] + x1 * side[1] + x2 * side[2]
         if swap:
@@ -171,23 +184,24 @@ def _shared(
 
 @parallel_kernel
 def cross_blocks(
-    rows: Any, offset: Any, others: Any, keys: Any, start: Any, used: Any, members: Any, r: Any, C: Any, centre: Any, normal: Any,
-    tangent: Any, inverse: Any, p: Any, most: Any, chunks: Any, out: Any,
+    rows: Any, offset: Any, others: Any, keys: Any, start: Any, used: Any, members: Any, local: Any, slots: Any, r: Any, C: Any,
+    centre: Any, normal: Any, tangent: Any, inverse: Any, p: Any, most: Any, chunks: Any, out: Any,
 ) -> None:  # fmt: skip
-    """The blocks of the pairs that share points, the patch with the lower key first. ``most``: largest number of inliers of ``rows``."""
+    """The blocks of the pairs that share points, the patch with the lower key first. local, slots : see :func:`local_slots` · most :
+    largest number of inliers of ``rows``."""
     for chunk in numba.prange(chunks):
-        owner, place = np.full(len(r), -1, np.int32), np.empty(len(r), np.int32)
+        owner, place = np.full(slots, -1, np.int32), np.empty(slots, np.int32)
         X, G, Y, S = np.zeros((most, 9)), np.zeros((most, 6)), np.zeros((most, 5)), np.zeros((6, 6))
         for row in range(chunk * len(rows) // chunks, (chunk + 1) * len(rows) // chunks):
             a = rows[row]
             _rows_of(a, start, used, members, r, C, centre, normal, tangent, p, X)
             for i in range(used[a]):
-                owner[members[start[a] + i]] = a
-                place[members[start[a] + i]] = i
+                owner[local[start[a] + i]] = a
+                place[local[start[a] + i]] = i
             for k in range(offset[row], offset[row + 1]):
                 b = others[k]
                 swap = keys[b] < keys[a]
-                m = _shared(a, b, swap, owner, place, start, used, members, r, C, centre, normal, tangent, p, X, G, Y)
+                m = _shared(a, b, swap, owner, place, start, used, members, local, r, C, centre, normal, tangent, p, X, G, Y)
                 _sum_products(G, Y, m, p, S)
                 if swap:
                     _sandwich(inverse[b], S, inverse[a], p, out[k])

@@ -41,10 +41,10 @@ class PatchBuilder:
         offset, others = self._pairs(kept, rows)
         fits = kept.listed(np.union1d(rows, others), s)
         blocks = np.zeros((offset[-1], p, p), np.float32)
-        most, slots = int(fits.used[rows].max(initial=0)), s.used * s.cap
+        local, slots = cross.local_slots(fits.members, s.cap, s.used)
         cross.cross_blocks(
-            rows, offset, others, s.keys, fits.start, fits.used, fits.members, s.r[:slots], s.C[:slots], fits.centre, fits.normal,
-            fits.tangent, fits.inverse, p, most, cross.chunks_of(len(rows)), blocks,
+            rows, offset, others, s.keys, fits.start, fits.used, fits.members, local, slots, s.r, s.C, fits.centre, fits.normal,
+            fits.tangent, fits.inverse, p, int(fits.used[rows].max(initial=0)), cross.chunks_of(len(rows)), blocks,
         )  # fmt: skip
         nav_start, nav_bin, M_cal, M_nav = self._sensitivities(fits, rows, p)
         return Patches(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ladar_volume.filtering import linear, project, reference
+from ladar_volume.filtering import cross, linear, project, reference
 from ladar_volume.filtering.filter import SurfaceFilter
 from ladar_volume.filtering.fit import OK
 from ladar_volume.filtering.linear import invert, select_kth
@@ -184,3 +184,13 @@ def test_noise_within_the_tangent_plane_beside_matrices():
         C, P, out = A @ A.T, np.eye(3) - np.outer(n, n), np.zeros(6)
         project.tangential(C[np.triu_indices(3)], n, size, out)
         assert np.allclose(out, (P @ C @ P)[np.triu_indices(3)] / size**2, rtol=1e-12, atol=1e-15)
+
+
+def test_slots_by_numbers_of_their_own():
+    rng = np.random.default_rng(8)
+    members = rng.choice([7, 8, 23, 60, 61, 62, 119], 40).astype(np.int32) * 5 + rng.integers(0, 5, 40).astype(np.int32)
+    local, slots = cross.local_slots(members, 5, 120)
+    assert slots == 5 * len(np.unique(members // 5)) and local.min() >= 0 and local.max() < slots
+    assert len(np.unique(local)) == len(np.unique(members)) == len(np.unique(np.c_[local, members], axis=0))
+    assert (local % 5 == members % 5).all()
+    assert all(np.array_equal(a, b) for a, b in zip(cross.local_slots.py_func(members, 5, 120), (local, slots), strict=True))
