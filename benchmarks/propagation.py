@@ -35,7 +35,7 @@ from ladar_volume.volume.packing import unpacked
 BAG = Path(__file__).parents[1] / "bags" / "stockpile"
 POINTS = 1_000_000
 #: What the estimate calls for the sake of sigma alone.
-PROPAGATION = ("Sources", "ground_inverse", "result_gradients", "ground_field", "budget")
+PROPAGATION = ("Sources", "ground_inverse", "result_gradients", "ground_field", "sensitivities", "naive_sigma", "budget")
 #: And what it does for the bias of cut and fill near the base, which counts as the rest.
 REST = ("near_correction",)
 
@@ -108,9 +108,12 @@ def stopwatch(spent: dict[str, float]) -> Iterator[None]:
 
     class Timed(stage.Sources):
         budget = measured("budget", stage.Sources.budget)
+        sensitivities = measured("sensitivities", stage.Sources.sensitivities)
+        naive_sigma = measured("naive_sigma", stage.Sources.naive_sigma)
 
     replaced = {name: measured(name, getattr(stage, name)) for name in (*PROPAGATION, *REST) if hasattr(stage, name)}
     replaced["Sources"] = measured("Sources", Timed)
+    replaced["at_once"] = lambda one, two: (one(), two())  # one after the other, so that each part's time is its own
     with mock.patch.multiple(stage, **replaced):
         yield
 

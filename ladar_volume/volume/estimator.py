@@ -147,12 +147,15 @@ class VolumeEstimator:
                 field = ground_field(surface.tin, base, solid, part, height_variance, sources, inverse)
                 return 0.0 if field is None else field.variance_m6
 
-            def gradients() -> F64:  # made for each use: they are large
+            def gradients() -> F64:  # large: held for the naive sigma alone
                 return result_gradients(surface.tin, base, solid, len(points), surface, inverse)
 
-            base_m6, (sensitivities, more) = at_once(rough_m6, lambda: (sources.sensitivities(gradients()), beside(part)))
+            held = gradients() if naive else None
+            base_m6, (sensitivities, more) = at_once(
+                rough_m6, lambda: (sources.sensitivities(gradients() if held is None else held), beside(part))
+            )
             # afterwards: it uses and completes what the roughness knows of the patches' errors
-            naive_m3 = sources.naive_sigma(gradients()[:, 0]) if naive else math.nan
+            naive_m3 = math.nan if held is None else sources.naive_sigma(held[:, 0])
             return solid, sources.budget(sensitivities, base_m6, naive_m3), more
 
         def near(part: F64) -> Fold | None:
