@@ -41,6 +41,14 @@ def keep_each(g: Any, kept: Any) -> None:
 
 
 @leaf_kernel
+def rotated(x: Any, y: Any, z: Any, w: Any, v: Any) -> Any:
+    """``R v`` (3) of a vector (3,) by a unit quaternion; with x, y and z negated, ``Rᵀ v``. Numbers, not arrays: they stay in registers."""
+    v0, v1, v2 = v[0], v[1], v[2]
+    t0, t1, t2 = 2.0 * (y * v2 - z * v1), 2.0 * (z * v0 - x * v2), 2.0 * (x * v1 - y * v0)
+    return v0 + w * t0 + y * t2 - z * t1, v1 + w * t1 + z * t0 - x * t2, v2 + w * t2 + x * t1 - y * t0
+
+
+@leaf_kernel
 def recall(kept: Any, g: Any) -> None:
     """The geometry (10,) of one return from what is kept (12,); the attitude is of unit length."""
     length = 0.0

@@ -14,7 +14,7 @@ import numpy as np
 from ladar_volume.filtering import fit
 from ladar_volume.filtering.fit import REACH
 from ladar_volume.filtering.frame import coordinates, level_frame, mark_flat, refit, tangent_of
-from ladar_volume.filtering.geometry import NUMBERS, recall
+from ladar_volume.filtering.geometry import NUMBERS, recall, rotated
 from ladar_volume.filtering.store import _mix, voxels_around
 from ladar_volume.model.kernels import kernel, parallel_kernel
 
@@ -29,18 +29,6 @@ def count_candidates(voxels: Any, keys: Any, table: Any, count: Any, out: Any) -
         for i in range(voxels_around(keys[voxels[a]], keys, table, REACH, near)):
             n += count[near[i]]
         out[a] = n
-
-
-@kernel
-def rotate(q: Any, v: Any, out: Any) -> None:
-    """``R(q) v`` for a unit quaternion xyzw."""
-    x, y, z, w = q[0], q[1], q[2], q[3]
-    t0 = 2.0 * (y * v[2] - z * v[1])
-    t1 = 2.0 * (z * v[0] - x * v[2])
-    t2 = 2.0 * (x * v[1] - y * v[0])
-    out[0] = v[0] + w * t0 + y * t2 - z * t1
-    out[1] = v[1] + w * t1 + z * t0 - x * t2
-    out[2] = v[2] + w * t2 + x * t1 - y * t0
 
 
 @kernel
@@ -73,11 +61,11 @@ def _ball(pts: Any, n: Any, origin: Any, ball: Any, near: Any) -> Any:
 def _face_sensor(slots: Any, index: Any, m: Any, inside: Any, aux: Any, normal: Any, tangent: Any) -> None:
     """Turn the normal against the mean beam of the inliers."""
     facing = 0.0
-    g, beam = np.empty(NUMBERS), np.empty(3)
+    g = np.empty(NUMBERS)
     for i in range(m):
         if inside[i]:
             recall(aux[slots[index[i]]], g)
-            rotate(g[0:4], g[4:7], beam)
+            beam = rotated(g[0], g[1], g[2], g[3], g[4:7])
             facing += beam[0] * normal[0] + beam[1] * normal[1] + beam[2] * normal[2]
     if facing > 0.0:
         for k in range(3):

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 
 from ladar_volume.filtering.frame import across, row
-from ladar_volume.filtering.geometry import NUMBERS, recall
+from ladar_volume.filtering.geometry import NUMBERS, recall, rotated
 from ladar_volume.filtering.store import BITS
 from ladar_volume.model.kernels import kernel, leaf_kernel, parallel_kernel
 
@@ -54,14 +54,6 @@ LASER, ANTENNA, CLOCK, SHARED, VERTICAL, ATTITUDE, ALL = 4, 7, 10, 11, 11, 12, 1
 
 
 @leaf_kernel
-def turned(q: Any, v0: Any, v1: Any, v2: Any) -> Any:
-    """``R(q)ᵀ v`` for a unit quaternion xyzw. Numbers, not arrays: they stay in registers."""
-    x, y, z, w = -q[0], -q[1], -q[2], q[3]
-    t0, t1, t2 = 2.0 * (y * v2 - z * v1), 2.0 * (z * v0 - x * v2), 2.0 * (x * v1 - y * v0)
-    return v0 + w * t0 + y * t2 - z * t1, v1 + w * t1 + z * t0 - x * t2, v2 + w * t2 + x * t1 - y * t0
-
-
-@leaf_kernel
 def sight(g: Any, axis_body: Any) -> Any:
     """Of a return with geometry g (10,): the beam's direction in the body (3), its length, sine and cosine of its vertical angle."""
     v0, v1, v2 = g[4], g[5], g[6]
@@ -80,7 +72,7 @@ def along_axis(g: Any, beam: Any, axis: Any, shift: Any, axis_body: Any, h: Any)
     With m = Rᵀaxis and arm = v + b − a, ``shift`` = b − a: range u·m, boresight v x m, b m, a −m, clock axis·motion,
     vertical angle m·(range (z − u sin eps)/cos eps) with z, ``axis_body``, the laser's z axis; attitude arm x m.
     """
-    m0, m1, m2 = turned(g, axis[0], axis[1], axis[2])
+    m0, m1, m2 = rotated(-g[0], -g[1], -g[2], g[3], axis)
     u0, u1, u2, length, sine, cosine = beam
     v0, v1, v2 = g[4], g[5], g[6]
     w0, w1, w2 = v0 + shift[0], v1 + shift[1], v2 + shift[2]
@@ -145,8 +137,8 @@ def draw(run: Any, runs: Any, u: Any, drawn: Any) -> None:
 def seen_from(g: Any, r: Any, other: Any, axis: Any, shift: Any, h: Any) -> None:
     """To h the attitude's part of ``axis·∂r/∂theta`` of a point r (3,), had it been seen when that of ``other`` (3,) was, whose geometry is
     g (10,). See :func:`along_axis`."""
-    m0, m1, m2 = turned(g, axis[0], axis[1], axis[2])
-    v0, v1, v2 = turned(g, r[0] - other[0], r[1] - other[1], r[2] - other[2])
+    m0, m1, m2 = rotated(-g[0], -g[1], -g[2], g[3], axis)
+    v0, v1, v2 = rotated(-g[0], -g[1], -g[2], g[3], (r[0] - other[0], r[1] - other[1], r[2] - other[2]))
     w0, w1, w2 = v0 + g[4] + shift[0], v1 + g[5] + shift[1], v2 + g[6] + shift[2]
     h[ATTITUDE], h[ATTITUDE + 1], h[ATTITUDE + 2] = w1 * m2 - w2 * m1, w2 * m0 - w0 * m2, w0 * m1 - w1 * m0
 
