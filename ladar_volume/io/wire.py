@@ -25,7 +25,7 @@ Columns = dict[str, npt.NDArray[Any]]
 #: First word of a base's name → number in the table ``volumes``.
 BASES = {"ground": 0, "level": 1, "given": 2, "epoch": 3}
 HEAD, CROSS, CALIBRATION, NAVIGATION, REMOVED, END = range(6)
-#: Columns of M_cal, and those of M_nav, that share one row of the long table: the rows of degree 2 then are no longer than a cross block.
+#: Columns of M_cal that share one row of the long table, and those of M_nav: the rows of degree 2 then are no longer than a cross block.
 GROUP = 4
 #: Patches of one message.
 PART = 400
@@ -91,8 +91,8 @@ def filtered_points(columns: Mapping[str, Any]) -> FilteredPoints:
 
 def patch_columns(update: FilterUpdate) -> Columns:
     """``patches``: the long table. Row kinds: 0 head (`other` its time), 1 cross block (`other` its key), 2 calibration columns
-    (`index` the group), 3 navigation bin `other`, 4 removed patch, 5 end marker (index 1: the last part
-    of an update)."""
+    (`index` the group), 3 navigation bin `other`, 4 removed patch, 5 end marker (index 1: the last part of
+    an update)."""
     a = update.patches
     m, p = a.beta.shape
     width = max(p * p, (p + 2) * GROUP, 14 + p)
@@ -105,7 +105,7 @@ def patch_columns(update: FilterUpdate) -> Columns:
         _rows(HEAD, a.key, a.t_ns, 0, head, width),
         _rows(CROSS, np.repeat(a.key, np.diff(a.cross_start)), a.cross_key, 0, a.cross.reshape(-1, p * p), width),
         _rows(CALIBRATION, np.repeat(a.key, groups), np.repeat(a.key, groups), np.tile(np.arange(groups), m), _long(cal), width),
-        _rows(NAVIGATION, np.repeat(a.key, np.diff(a.nav_start)), a.nav_bin, 0, _long(_grouped(a.M_nav)), width),
+        _rows(NAVIGATION, np.repeat(a.key, np.diff(a.nav_start)), a.nav_bin, 0, a.M_nav.reshape(len(a.nav_bin), (p + 2) * GROUP), width),
         _rows(REMOVED, update.removed, update.removed, 0, np.zeros((len(update.removed), 1)), width),
         _rows(END, np.zeros(1, np.int64), np.array([update.t_ns]), int(update.complete), np.zeros((1, 1)), width),
     ]
@@ -188,7 +188,7 @@ def filter_update(points: FilteredPoints, columns: Mapping[str, Any]) -> FilterU
         head[:, 10].astype(np.int32), other[kind == HEAD],
         _starts(keys, key[kind == CROSS]), other[kind == CROSS], values[kind == CROSS][:, : p * p].reshape(-1, p, p).copy(),
         _ungrouped(values[kind == CALIBRATION], m, p + 2, columns_cal),
-        _starts(keys, key[nav]), bins, _ungrouped(values[nav], len(bins), p + 2, GROUP),
+        _starts(keys, key[nav]), bins, values[nav][:, : (p + 2) * GROUP].reshape(-1, p + 2, GROUP).copy(),
     )  # fmt: skip
     return FilterUpdate(int(other[-1]), key[kind == REMOVED], points, patches, bool(columns["index"][-1]))
 

@@ -106,7 +106,7 @@ def fold(tin: Tin, height: F64, variance: F64, near: I32, packed: F64, rings: in
     base, packed : (k, 6) m² their node covariances · rings, summed : as in :func:`near_base`. Raises :class:`VolumeError` for bad
     variances.
     """
-    smooth, area = smoothed(tin, height, variance, near, rings, summed), footprint_areas(tin.vertices, near)
+    smooth, area = smoothed(tin, height, checked(variance, len(height)), near, rings, summed), footprint_areas(tin.vertices, near)
     total = sum(float(area[part] @ correction(*folds(*at, slopes=False))) for part, at in blocks(smooth, near, packed))
     return Fold(total, float(area.sum()))
 
@@ -153,10 +153,10 @@ def checked(variance: F64, n: int) -> F64:
 
 
 def smoothed(tin: Tin, height: F64, variance: F64, near: I32, rings: int, summed: F64) -> Smooth:
-    """True heights of the vertices of triangles ``near`` (k, 3), as estimated. Raises as :func:`checked`."""
+    """True heights of the vertices of triangles ``near`` (k, 3), as estimated."""
     wanted = np.zeros(len(tin.vertices), bool)
     wanted[near] = True
-    return Smooth(tin, height, checked(variance, len(wanted)), wanted, rings, summed)
+    return Smooth(tin, height, variance, wanted, rings, summed)
 
 
 def blocks(smooth: Smooth, triangles: I32, packed: F64) -> Iterator[tuple[slice, tuple[F64, F64, F64]]]:
