@@ -221,15 +221,19 @@ class Patches:
 @dataclass(frozen=True)
 class HeldPatches(Patches):
     """Patches as they are held, about half as large: the blocks ``factor_a cross_ab factor_bᵀ`` with cross int8; M_nav int16, each row
-    times its unit for position and for attitude (see ``volume.packing``).
+    times its unit for position and for attitude; of M_cal only the columns that all beams share, those of single beams in M_beam as int16,
+    each row times its unit for their ranges and for their vertical angles (see ``volume.packing``).
 
-    factor : (m, p, p) float32 · nav_unit : (m, p + 2, 2) float32
+    factor : (m, p, p) float32 · nav_unit : (m, p + 2, 2) float32 · M_cal : (m, p + 2, 11) float32 · M_beam : (m, p + 2, 2 beams) int16 ·
+    beam_unit : (m, p + 2, 2) float32
     """
 
     cross: I8  # type: ignore[assignment]
     M_nav: I16  # type: ignore[assignment]
     factor: F32
     nav_unit: F32
+    M_beam: I16
+    beam_unit: F32
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I32, I64, FilteredPoints, Patches
 from ladar_volume.volume.load_kernels import correlated_kernel, height_kernel, naive_kernel
 from ladar_volume.volume.navigation import NavigationBins, NavigationLoads, navigation_loads, navigation_variance
+from ladar_volume.volume.packing import beam_count, calibration_rows
 from ladar_volume.volume.patch_errors import PatchErrors
 from ladar_volume.volume.propagation import (
     SurfaceGeometry,
@@ -87,8 +88,7 @@ class Sources:
     def __init__(self, points: FilteredPoints, patches: Patches, navigation: NavigationBins, parameters: Parameters) -> None:
         self.points, self.patches, self.navigation, self.parameters = points, patches, navigation, parameters
         self.geometry: SurfaceGeometry = surface_geometry(points, patches)
-        beams = (patches.M_cal.shape[2] - 11) // 2
-        self.C_cal = calibration_covariance(parameters.budget, beams, parameters.georeference.pose_source)
+        self.C_cal = calibration_covariance(parameters.budget, beam_count(patches), parameters.georeference.pose_source)
         #: Bins (b,) of the navigation sensitivities and the row (l,) of each one's own among them.
         self.time_bins: tuple[I64, I32] = time_bins(patches)
         #: What calibration and navigation do to the parameters of each patch.
@@ -148,7 +148,7 @@ class Sources:
         points = points[order]
         row, up = self.geometry.row[points], np.maximum(np.abs(self.points.normal[points, 2]), LEAST_UP)
         X = self.geometry.design(points) / up[:, None]
-        J = np.einsum("kp,kpc->kc", X, self.patches.M_cal[row, : X.shape[1]])
+        J = np.einsum("kp,kpc->kc", X, calibration_rows(self.patches, row, X.shape[1]))
         C: F64 = upper_product(J @ self.C_cal, J)
         b, t_ns, bin_ns = self.parameters.budget, self.points.t_ns[points], self.navigation.bin_ns
         apart_s = np.append(np.diff(t_ns), 0) * 1e-9

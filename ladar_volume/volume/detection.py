@@ -17,12 +17,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.model.records import F32, F64, I32, I64, Bool, Tin
+from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.surface.tin import footprint_areas
 from ladar_volume.volume.assembly import vertex_variance
 from ladar_volume.volume.difference import Difference, difference_kernel
 from ladar_volume.volume.epoch_budget import Epoch, calibration_cross, epoch_budget
 from ladar_volume.volume.near_base import csr
+from ladar_volume.volume.packing import calibration_rows
 from ladar_volume.volume.vertex_noise import height_pairs, vertex_rows
 
 #: Vertices whose sensitivities are held at once, and the least vertical component of a normal.
@@ -116,12 +117,12 @@ def sensitivity_rows(epoch: Epoch, corner: I32 | I64, weight: F64) -> tuple[F64,
     up = np.maximum(np.abs(s.points.normal[source, 2]), STEEPEST)
     X = s.geometry.design(source) * (weight / up)[..., None]
     row = s.geometry.row[source]
-    parts = [np.zeros((len(corner), k)) for k in (s.patches.M_cal.shape[2], 6)]
-    rows: list[F32 | F64] = [s.patches.M_cal[:, : X.shape[2]], s.errors.deviation(row.ravel())]
+    deviation, p = s.errors.deviation(row.ravel()), X.shape[2]
+    by_calibration, by_navigation = np.zeros((len(corner), len(s.C_cal))), np.zeros((len(corner), 6))
     for j in range(corner.shape[1]):
-        for part, M in zip(parts, rows, strict=True):
-            part += np.einsum("kp,kpc->kc", X[:, j], M[row[:, j]])
-    return parts[0], parts[1]
+        by_calibration += np.einsum("kp,kpc->kc", X[:, j], calibration_rows(s.patches, row[:, j], p))
+        by_navigation += np.einsum("kp,kpc->kc", X[:, j], deviation[row[:, j]])
+    return by_calibration, by_navigation
 
 
 def shared_variance(own: Epoch, other: Epoch, apart: Difference, rows: I64, cross: F64) -> F64:

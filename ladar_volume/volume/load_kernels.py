@@ -129,16 +129,31 @@ def quadratic_kernel(gradient: F64, C: F32) -> float:
 
 
 @kernel
-def calibration_kernel(q: F64, M: F32) -> F64:
-    """``Σ qᵀ M`` (c,) of loads q (m, p) and sensitivities M (m, p, c)."""
-    out = np.zeros(M.shape[2])
+def calibration_kernel(q: F64, M: F32, by_beam: F32 | I16, unit: F32) -> F64:
+    """``Σ qᵀ M`` (c,) of loads q (m, p) and sensitivities in parts: M (m, p, s), by_beam (m, p, 2 beams) and its units (m, p, 2)."""
+    s, beams = M.shape[2], by_beam.shape[2] // 2
+    out = np.zeros(s + 2 * beams)
     for a in range(len(q)):
         for r in range(q.shape[1]):
             load = q[a, r]
             if load != 0.0:
-                for c in range(M.shape[2]):
+                for c in range(s):
                     out[c] += load * M[a, r, c]
+                for h in range(2):
+                    part, row, scaled = out[s + h * beams : s + (h + 1) * beams], by_beam[a, r, h * beams :], load * unit[a, r, h]
+                    for c in range(beams):
+                        part[c] += scaled * row[c]
     return out
+
+
+@leaf_kernel
+def fill_calibration(M: F32, by_beam: F32 | I16, unit: F32, out: F64) -> None:
+    """One row (c,) of sensitivities from its parts M (s,), by_beam (2 beams,) and unit (2,)."""
+    s, beams = len(M), len(by_beam) // 2
+    for c in range(s):
+        out[c] = M[c]
+    for c in range(2 * beams):
+        out[s + c] = by_beam[c] * unit[c // beams]
 
 
 @leaf_kernel
@@ -208,20 +223,23 @@ def deviation_kernel(
 
 
 @kernel
-def shared_kernel(which: I64, M_cal: F32, one: I64, two: I64, value: F64, deviation: F32, out: F32) -> None:
-    """Covariance of the parameters of patches ``which`` (k,) from all that is shared, to out (m, p, p): sensitivities M_cal (m, p or more,
-    c), of which the first p count, with the covariances ``value`` (z,) of columns one and two (z,), those that are not zero, and
-    deviations (m, p, d) of unit variance."""
-    (p, d), columns = deviation.shape[1:], M_cal.shape[2]
-    turned, fours = np.zeros((p, columns)), columns // 4 * 4
+def shared_kernel(
+    which: I64, M_cal: F32, by_beam: F32 | I16, unit: F32, one: I64, two: I64, value: F64, deviation: F32, out: F32
+) -> None:  # fmt: skip
+    """Covariance of the parameters of patches ``which`` (k,) from all that is shared, to out (m, p, p): sensitivities in parts, M_cal (m,
+    p or more, s), by_beam (m, p or more, 2 beams) and its units, of which the first p rows count, with the covariances ``value`` (z,) of
+    columns one and two (z,), those that are not zero, and deviations (m, p, d) of unit variance."""
+    (p, d), columns = deviation.shape[1:], M_cal.shape[2] + by_beam.shape[2]
+    turned, M, fours = np.zeros((p, columns)), np.empty((p, columns)), columns // 4 * 4
     for a in which:
         turned[:] = 0.0
         for r in range(p):
             w = turned[r]
+            fill_calibration(M_cal[a, r], by_beam[a, r], unit[a, r], M[r])
             for z in range(len(value)):
-                w[two[z]] += M_cal[a, r, one[z]] * value[z]
+                w[two[z]] += M[r, one[z]] * value[z]
             for s in range(r + 1):
-                theirs = M_cal[a, s]
+                theirs = M[s]
                 one_sum = two_sum = three_sum = four_sum = 0.0  # four at a time: one sum would wait for itself
                 for c in range(0, fours, 4):
                     one_sum += w[c] * theirs[c]

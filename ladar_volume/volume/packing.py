@@ -1,4 +1,4 @@
-"""The large parts of a held surface in few bits: covariance blocks in 8, sensitivities to the navigation in 16.
+"""The large parts of a held surface in few bits: covariance blocks in 8, sensitivities to the navigation and to single beams in 16.
 
 *Blocks.* Between parameters as they are, correlations would not do: those of one patch depend on one another, and what a result takes of
 them may be a small difference. So each patch has a factor ``F F^T = C_aa`` of its own block (Cholesky), and ``R_ab = F_a^-1 C_ab F_b^-T``
@@ -6,8 +6,9 @@ is kept: correlations of parameters made independent within their patch, none be
 squares add up to the variance if patches shared no returns, the variance errs by no more than ``(sum |y_a|_1)^2 / 254`` over pairs with a
 block, in truth by far less, since the errors have either sign.
 
-*Sensitivities.* Each row of a patch has a unit of its own for position and for attitude: 2^-15 of its largest number there. Those to the
-calibration stay float32: there is one of each, and in its sum over body and ground what is the same for both cancels.
+*Sensitivities.* Each row of a patch has a unit of its own for position and for attitude, for the beams' ranges and for their vertical
+angles: 2^-15 of its largest number there. Those to what all beams share stay float32: there is one of each, and in its sum over body and
+ground what is the same for both cancels.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ SCALE = ONE**-0.5
 PIVOT = 1e-6
 #: Largest whole number of a sensitivity.
 LARGEST = 32767.0
+#: Calibration columns that all beams share; those of their ranges and of their vertical angles follow.
+SHARED = 11
 
 
 @kernel
@@ -121,6 +124,25 @@ def row_kernel(start: I64, M: F32) -> tuple[I16, F32]:
     return out, unit
 
 
+@kernel
+def beam_kernel(M: F32) -> tuple[I16, F32]:
+    """Sensitivities M (m, rows, 2 beams) to the range of each beam, then to its vertical angle, as whole numbers, and the units
+    (m, rows, 2) of each row for both."""
+    m, rows, beams = M.shape[0], M.shape[1], M.shape[2] // 2
+    out, unit = np.zeros(M.shape, np.int16), np.zeros((m, rows, 2), np.float32)
+    for a in range(m):
+        for r in range(rows):
+            for h in range(2):
+                largest = np.float32(0.0)
+                for c in range(h * beams, (h + 1) * beams):
+                    largest = max(largest, abs(M[a, r, c]))
+                if largest > 0.0:
+                    unit[a, r, h] = largest / np.float32(LARGEST)
+                    for c in range(h * beams, (h + 1) * beams):
+                        out[a, r, c] = np.int16(np.rint(M[a, r, c] / unit[a, r, h]))
+    return out, unit
+
+
 def factor_loads(q: F64, patches: Patches) -> F64:
     """Loads (m, p, k) on that whose covariances the blocks are, of loads q (m, p or more, k) of which the first p are on the patches'
     parameters."""
@@ -167,10 +189,34 @@ def navigation_units(patches: Patches) -> F32:
     return np.ones((len(patches), patches.M_nav.shape[1], 2), np.float32)
 
 
+def calibration_parts(patches: Patches) -> tuple[F32, F32 | I16, F32]:
+    """Sensitivities (m, p + 2, 11) to what all beams share, those (m, p + 2, 2 beams) to the range of each beam, then to its vertical
+    angle, and the units (m, p + 2, 2) of each row for both."""
+    if isinstance(patches, HeldPatches):
+        return patches.M_cal, patches.M_beam, patches.beam_unit
+    M = patches.M_cal
+    return np.ascontiguousarray(M[..., :SHARED]), np.ascontiguousarray(M[..., SHARED:]), np.ones((*M.shape[:2], 2), np.float32)
+
+
+def calibration_rows(patches: Patches, rows: I64 | slice, first: int | None = None) -> F32:
+    """Sensitivities (k, p + 2, 11 + 2 beams) of patches ``rows`` (k,) as they are sent; only the ``first`` of each, where asked for."""
+    if not isinstance(patches, HeldPatches):
+        return patches.M_cal[rows, :first]
+    unit = np.repeat(patches.beam_unit[rows, :first], patches.M_beam.shape[2] // 2, axis=2)
+    return np.concatenate([patches.M_cal[rows, :first], patches.M_beam[rows, :first] * unit], axis=2)
+
+
+def beam_count(patches: Patches) -> int:
+    """Beams that the patches have sensitivities to."""
+    return int(patches.M_beam.shape[2] if isinstance(patches, HeldPatches) else patches.M_cal.shape[2] - SHARED) // 2
+
+
 def prepared(patches: Patches) -> HeldPatches:
     """Patches as they were sent, ready to be held but for their blocks: those wait until the factors of all patches are known."""
     rows = {f.name: getattr(patches, f.name) for f in dataclasses.fields(Patches)}
     rows["M_nav"], rows["nav_unit"] = row_kernel(patches.nav_start, patches.M_nav)
+    rows["M_cal"] = np.ascontiguousarray(patches.M_cal[..., :SHARED])
+    rows["M_beam"], rows["beam_unit"] = beam_kernel(np.ascontiguousarray(patches.M_cal[..., SHARED:]))
     return HeldPatches(**rows, factor=np.asarray(factor_kernel(patches.key, patches.cross_start, patches.cross_key, patches.cross)))
 
 
@@ -185,4 +231,5 @@ def unpacked(patches: Patches, first: int, last: int) -> Patches:
     rows["cross"] = np.einsum("brs,bst,but->bru", F[left].astype(np.float64), rows["cross"], F[right], optimize=True).astype(np.float32)
     unit = np.repeat(np.repeat(patches.nav_unit[first:last], np.diff(rows["nav_start"]), axis=0), (1, 3), axis=2)
     rows["M_nav"] = (rows["M_nav"] * unit.astype(np.float64)).astype(np.float32)
+    rows["M_cal"] = calibration_rows(patches, slice(first, last))
     return Patches(**rows)

@@ -7,7 +7,7 @@ import numpy as np
 from ladar_volume.model.records import F32, F64, I32, I64, Bool, Patches
 from ladar_volume.volume.load_kernels import deviation_kernel, shared_kernel
 from ladar_volume.volume.navigation import NavigationBins
-from ladar_volume.volume.packing import navigation_units
+from ladar_volume.volume.packing import calibration_parts, navigation_units
 
 
 class PatchErrors:
@@ -37,7 +37,7 @@ class PatchErrors:
     def covariance(self, rows: I64) -> F32:
         """Covariance of the parameters: (m, p, p), known for patches ``rows`` (k,)."""
         deviation, new = self.deviation(rows), _missing(self._varies, rows)
-        shared_kernel(new, self._patches.M_cal, *self._calibration, deviation, self._covariance)
+        shared_kernel(new, *calibration_parts(self._patches), *self._calibration, deviation, self._covariance)
         return self._covariance
 
 

@@ -21,7 +21,7 @@ from ladar_volume.volume.patch_merge import block_rows, copy_rows, in_order, mov
 #: Patches that wait to be merged, of whole updates, from which on they are, whether or not somebody looks: 7 kB and more of each wait.
 PENDING = 4000
 ROWS = ("key", "centre", "normal", "tangent", "beta", "sigma", "used", "t_ns", "M_cal")
-HELD = ("factor", "nav_unit")
+HELD = ("factor", "nav_unit", "M_beam", "beam_unit")
 
 
 def ragged_index(start: I64, rows: I64) -> I64:

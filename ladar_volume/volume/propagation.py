@@ -23,7 +23,7 @@ from ladar_volume.volume.load_kernels import (
     neighbour_kernel,
     quadratic_kernel,
 )
-from ladar_volume.volume.packing import factor_loads, navigation_units
+from ladar_volume.volume.packing import calibration_parts, factor_loads, navigation_units
 
 #: Lines of the budget from the calibration, in order.
 CALIBRATION_GROUPS = ("range_bias", "beam_range", "beam_vertical", "boresight", "lever_laser", "lever_antenna", "clock")
@@ -145,7 +145,7 @@ def calibration_marginals(J: F64, C_cal: F64) -> dict[str, float]:
 
 def calibration_sensitivity(q: F64, patches: Patches) -> F64:
     """``J_cal = Σ_patches qᵀ M_cal`` (c,) of loads q (m, p + 2)."""
-    return np.asarray(calibration_kernel(q, patches.M_cal))
+    return np.asarray(calibration_kernel(q, *calibration_parts(patches)))
 
 
 def navigation_sensitivity(q: F64, patches: Patches, listed: tuple[I64, I32] | None = None) -> tuple[F64, I64]:

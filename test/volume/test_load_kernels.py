@@ -24,7 +24,7 @@ from ladar_volume.volume.load_kernels import (
     shared_kernel,
 )
 from ladar_volume.volume.navigation import NavigationBins
-from ladar_volume.volume.packing import navigation_units
+from ladar_volume.volume.packing import calibration_parts, navigation_units
 from ladar_volume.volume.propagation import (
     design_rows,
     independent_covariance,
@@ -105,7 +105,7 @@ def test_what_is_shared(p):
     one, two = np.nonzero(C)
     shared = np.full((m, p, p), np.nan)
     for part in (every[::2], every[1::2]):
-        shared_kernel(part, patches.M_cal, one, two, C[one, two], deviation, shared)
+        shared_kernel(part, *calibration_parts(patches), one, two, C[one, two], deviation, shared)
     assert shared == close(patches.M_cal[:, :p] @ C @ np.swapaxes(patches.M_cal[:, :p], 1, 2) + deviation @ np.swapaxes(deviation, 1, 2))
     geometry = surface_geometry(points, patches)
     some = rng.permutation(len(points))[:9]

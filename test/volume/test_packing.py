@@ -18,11 +18,13 @@ from ladar_volume.volume.packing import (
     ONE,
     PIVOT,
     SCALE,
+    SHARED,
     factor_loads,
     unpacked,
 )
 from ladar_volume.volume.patch_store import PatchStore
 from ladar_volume.volume.propagation import (
+    calibration_sensitivity,
     independent_covariance,
     navigation_sensitivity,
     patch_loads,
@@ -103,8 +105,18 @@ def test_sensitivities_keep_fifteen_bits_of_the_largest(surface):
     update, held = surface
     sent, rows = update.patches, np.arange(len(held))
     assert np.array_equal(sent.key, held.key)
-    assert held.M_cal.tobytes() == sent.M_cal.tobytes()
     back = unpacked(held, 0, len(held))
+    assert back.M_cal[..., :SHARED].tobytes() == sent.M_cal[..., :SHARED].tobytes()
+    mine = sent.M_cal[..., SHARED:].reshape(*sent.M_cal.shape[:2], 2, -1)
+    error = np.abs(back.M_cal[..., SHARED:].reshape(mine.shape) - mine).max(axis=3)
+    assert (error <= np.abs(mine).max(axis=3) / (2 * LARGEST) * 1.01).all() and error.max() > 0.0
+    loads = np.random.default_rng(2).standard_normal((len(held), 8))
+    assert calibration_sensitivity(loads, held) == pytest.approx(
+        np.einsum("mr,mrc->c", loads, back.M_cal.astype(np.float64)), rel=1e-6, abs=1e-6 * float(np.abs(back.M_cal).max())
+    )
+    kernel = packing.beam_kernel(np.ascontiguousarray(sent.M_cal[:5, :, SHARED:]))
+    for found, twin in zip(kernel, packing.beam_kernel.py_func(np.ascontiguousarray(sent.M_cal[:5, :, SHARED:])), strict=True):
+        assert found.tobytes() == twin.tobytes()
     owner = np.repeat(rows, np.diff(sent.nav_start))
     for kind in range(2):
         these = slice(kind, 1 + 3 * kind)
