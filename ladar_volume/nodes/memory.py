@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import functools
 import gc
 import importlib
 import os
@@ -16,7 +17,7 @@ from pathlib import Path
 #: number of arenas (malloc.h).
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
 #: Blocks from this size on are mapped, and unmapped when freed: messages and the large arrays of a surface.
-MAPPED_BYTES = 1 << 20
+MAPPED_BYTES = 1 << 18
 #: What stays free at a heap's end between two calls of :func:`give_back`: smaller blocks come and go all the time, and pages given back
 #: are to be cleared anew, a tenth of the time of an estimate.
 KEPT_BYTES = 1 << 24
@@ -89,8 +90,23 @@ def drop_code() -> None:
             madvise(ctypes.c_void_p(first), ctypes.c_size_t(length), _MADV_DONTNEED)
 
 
+def pack_modules() -> None:
+    """Keep what LLVM made of each kernel's intermediate code as the few bytes it was loaded from. Only compiling another kernel that calls
+    it needs that, and then has it made again; machine code stays as it is."""
+    if "numba.core.codegen" not in sys.modules:
+        return
+    codegen, lock = sys.modules["numba.core.codegen"], sys.modules["numba.core.compiler_lock"].global_compiler_lock
+    with lock:  # what another thread loads at this moment is not yet done with its module
+        for library in gc.get_objects():
+            if isinstance(library, codegen.CPUCodeLibrary) and getattr(library, "_shared_module", None) is not None:
+                bitcode = library._shared_module.as_bitcode()
+                library._shared_module = None
+                library._get_module_for_linking = functools.partial(codegen.ll.parse_bitcode, bitcode)
+
+
 def tidy() -> None:
     """Collect what only cycles hold, then return what is free and what only a start needs: after one that compiled and imported much."""
+    pack_modules()
     gc.collect()
     give_back()
     drop_code()

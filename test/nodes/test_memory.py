@@ -53,6 +53,36 @@ def test_kernels_run_and_compile_after_the_libraries_were_given_back():
     assert done.returncode == 0, done.stderr
 
 
+def test_kernels_compile_for_good_after_the_modules_of_those_they_call_were_packed(tmp_path):
+    (tmp_path / "caller.py").write_text(
+        "import numba\nfrom ladar_volume.volume.navigation import markov_sum\n"
+        "@numba.njit(cache=True)\ndef twice(t, y):\n    return 2.0 * markov_sum(t, y, 1.0)\n"
+    )
+    code = """if True:
+        import gc, sys
+        import numpy as np
+        from numba.core.codegen import CPUCodeLibrary
+        from ladar_volume.nodes import memory
+        from ladar_volume.volume.navigation import markov_sum
+        t, y = np.arange(3.0), np.ones((3, 2))
+        held = lambda: sum(getattr(x, "_shared_module", None) is not None for x in gc.get_objects() if isinstance(x, CPUCodeLibrary))
+        if sys.argv[1] == "packed":
+            once = markov_sum(t, y, 1.0)
+            before = held()
+            memory.pack_modules()
+            assert before > 0 and held() == 0, before
+        from caller import twice
+        value = twice(t, y)
+        assert value == 2.0 * markov_sum(t, y, 1.0)
+        assert sum(twice.stats.cache_hits.values()) == (sys.argv[1] == "alone")
+    """
+    env = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+    warm = "from ladar_volume.volume.navigation import markov_sum; import numpy as np; markov_sum(np.arange(3.0), np.ones((3, 2)), 1.0)"
+    for arguments in (["-c", warm], ["-c", code, "packed"], ["-c", code, "alone"]):
+        done = subprocess.run([sys.executable, *arguments], cwd=ROOT, env=env, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+
+
 def test_kernels_of_a_node_need_no_linear_algebra_of_scipy():
     code = """if True:
         import sys
