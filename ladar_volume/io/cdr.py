@@ -25,28 +25,34 @@ class Writer:
     """Appends members in the order of the message definition."""
 
     def __init__(self) -> None:
-        self._out = bytearray(b"\x00\x01\x00\x00")
+        self._parts: list[bytes | memoryview] = []  # put together once, at the end: a map is megabytes
+        self._length = 0
+        self._add(b"\x00\x01\x00\x00")
+
+    def _add(self, part: bytes | memoryview) -> None:
+        self._parts.append(part)
+        self._length += part.nbytes if isinstance(part, memoryview) else len(part)
 
     def _align(self, size: int) -> None:
-        self._out += bytes(-(len(self._out) - 4) % size)
+        self._add(bytes(-(self._length - 4) % size))
 
     def numbers(self, code: str, *values: float) -> None:
         """Numbers of one struct code (``B``, ``i``, ``I``, ``f``, ``d``)."""
         self._align(struct.calcsize(code))
-        self._out += struct.pack(f"<{len(values)}{code}", *values)
+        self._add(struct.pack(f"<{len(values)}{code}", *values))
 
     def text(self, value: str) -> None:
         """A string."""
         data = value.encode() + b"\x00"
         self.numbers("I", len(data))
-        self._out += data
+        self._add(data)
 
     def sequence(self, rows: npt.NDArray[Any]) -> None:
         """A sequence of structures that hold ``rows.shape[1]`` numbers of one type each."""
         self.numbers("I", len(rows))
         if len(rows):
             self._align(rows.dtype.itemsize)
-            self._out += np.ascontiguousarray(rows).astype(rows.dtype.newbyteorder("<"), copy=False).tobytes()
+            self._add(np.ascontiguousarray(rows, rows.dtype.newbyteorder("<")).data)
 
     def header(self, t_ns: int, frame: str) -> None:
         """A std_msgs/Header."""
@@ -56,7 +62,7 @@ class Writer:
 
     def bytes(self) -> bytes:
         """The whole message."""
-        return bytes(self._out)
+        return b"".join(self._parts)
 
 
 def shown(tin: Tin) -> I64:

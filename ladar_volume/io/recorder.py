@@ -12,6 +12,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import zstandard
+
 from ladar_volume.io.log import McapLog, usual_definition
 from ladar_volume.io.recover import Recovery, is_whole, recover
 from ladar_volume.model.errors import ConfigurationError, OutputError
@@ -65,7 +67,8 @@ class Recorder:
         self._definition, self._free = definition, free
         self._metadata: dict[str, dict[str, str]] = {}
         self._attachments: dict[str, tuple[str, bytes]] = {}
-        self._latched: dict[str, tuple[str, bytes, int, str]] = {}
+        self._latched: dict[str, tuple[str, bytes, int, str]] = {}  # packed: a map of a large site is megabytes
+        self._packer = zstandard.ZstdCompressor(level=1)
         self._log: McapLog | None = None
         self._again = 0.0
         self._began, self._seen = 0.0, 0
@@ -99,7 +102,7 @@ class Recorder:
         """Append one serialised message. The last message of a ``latched`` topic opens every further file of the log."""
         self.account(topic).bytes += len(data)
         if latched:
-            self._latched[topic] = (kind, data, published_ns if published_ns is not None else t_ns, qos)
+            self._latched[topic] = (kind, self._packer.compress(data), published_ns if published_ns is not None else t_ns, qos)
         if self._log is None and not self._resume(t_ns):
             self.account(topic).disk += 1
             return
@@ -160,7 +163,7 @@ class Recorder:
         for name, (media_type, data) in self._attachments.items():
             log.attach(name, media_type, data, t_ns)
         for topic, (kind, data, published_ns, qos) in self._latched.items():
-            log.write(topic, kind, data, t_ns, published_ns, 0, qos)
+            log.write(topic, kind, zstandard.decompress(data), t_ns, published_ns, 0, qos)
         self._settled = dict(log.accepted)  # repeats are in no account
 
     def split(self, t_ns: int) -> None:

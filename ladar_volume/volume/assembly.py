@@ -47,21 +47,23 @@ def vertex_variance(surface: Represented, points: FilteredPoints) -> F64:
 
 
 def result_gradients(
-    tin: Tin, base: Plane, solid: Prismoids, points: int, surface: Represented | None = None, inverse: F64 | None = None
-) -> F64:
-    """Gradients (points, k, 3) by the points the TIN was built from: of the net volume and, where the base was fitted, of each of its
-    coefficients; for a partial TIN, ``surface``, through the adjustment of its heights (UNCERTAINTY step 5).
+    tin: Tin, base: Plane, solid: Prismoids, points: int, surface: Represented | None = None, inverse: F64 | None = None,
+    coefficients: bool = True,
+) -> F64:  # fmt: skip
+    """Gradients (points, k, 3) by the points the TIN was built from: of the net volume and, where the base was fitted and its
+    ``coefficients`` are asked for, of each of these; for a partial TIN, ``surface``, through the adjustment of its heights (UNCERTAINTY
+    step 5).
 
     The volume's gradient holds both ways in: through the surface, and through the points that define the base (step 2). inverse :
     :func:`~ladar_volume.ground.adjoint.ground_inverse`, where known.
     """
     adjusted = surface is not None and surface.fit is not None
     place, rows = (np.arange(len(tin.vertices)), len(tin.vertices)) if adjusted else (tin.source, points)
-    p = len(base.beta) if len(base.support) else 0
-    out = np.zeros((rows, 1 + p, 3))
+    fitted = len(base.support) > 0
+    by_beta = np.concatenate([solid.base_net[:, None], np.eye(len(base.beta))], axis=1)[:, : None if fitted and coefficients else 1]
+    out = np.zeros((rows, by_beta.shape[1], 3))
     place_kernel(solid.gradient_cut, solid.gradient_fill, place, out)
-    if p:
-        by_beta = np.concatenate([solid.base_net[:, None], np.eye(p)], axis=1)
+    if fitted:
         add_ground_gradient(out, place, tin.vertices, base, by_beta, inverse)
     return out if surface is None or not adjusted else surface.by_points(out, points)
 

@@ -96,7 +96,7 @@ class VolumeEstimator:
         if self._main is None:
             raise VolumeError("no estimate yet", reason="volume_no_estimate")
         surface, base, part, solid, budget, sources, variance = self._main
-        gradient = result_gradients(surface.tin, base, solid, len(sources.points), surface)[:, 0]
+        gradient = result_gradients(surface.tin, base, solid, len(sources.points), surface, coefficients=False)[:, 0]
         sigma_z = vertical_sigma(sources, surface.tin.source)
         return more_data(surface.tin, part > 0, gradient, sources, sigma_z, variance, budget.sigma)
 
