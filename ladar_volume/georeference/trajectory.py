@@ -17,8 +17,9 @@ from ladar_volume.model.parameters import GeoreferenceParameters
 from ladar_volume.model.records import F64, I64, PlatformStates
 from ladar_volume.model.se3 import matrix_from_quaternion, multiply_quaternions
 
-#: Knots kept per topic (at 200 Hz eleven minutes): bounds memory, and how far a topic may run ahead of the clouds.
-KNOT_LIMIT = 131_072
+#: Knots kept per topic, and for how long (s) at least, or for twice as long as returns may wait: bounds memory, and how far a topic may run
+#: ahead of the clouds.
+KNOT_LIMIT, KNOTS_KEPT_S = 131_072, 120.0
 _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 
 
@@ -100,8 +101,9 @@ class Trajectory:
         self._hermite = parameters.position_interpolation == "hermite"
         self._lever_antenna = lever_antenna
         # tag of a position: how many gaps lie before it; tag of an attitude: its segment, −1 until it is a state
-        self._position = Knots(KNOT_LIMIT, p=(3,), C=(3, 3), convergence=(4,))
-        self._attitude = Knots(KNOT_LIMIT, q=(4,), q_map=(4,), omega=(3,), C=(3, 3), cross=(3, 3))
+        keep_ns = round(max(KNOTS_KEPT_S, 2.0 * parameters.max_pending_s) * 1e9)
+        self._position = Knots(KNOT_LIMIT, keep_ns, p=(3,), C=(3, 3), convergence=(4,))
+        self._attitude = Knots(KNOT_LIMIT, keep_ns, q=(4,), q_map=(4,), omega=(3,), C=(3, 3), cross=(3, 3))
         self._decided = 0
         self._segment = -1
         self._previous: tuple[int, int] | None = None  # time and gap tag of the attitude before, if it is a state

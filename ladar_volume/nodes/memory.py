@@ -109,7 +109,7 @@ def pack_modules() -> None:
     codegen, lock = sys.modules["numba.core.codegen"], sys.modules["numba.core.compiler_lock"].global_compiler_lock
     with lock:  # what another thread loads at this moment is not yet done with its module
         for library in gc.get_objects():
-            if isinstance(library, codegen.CPUCodeLibrary) and getattr(library, "_shared_module", None) is not None:
+            if issubclass(type(library), codegen.CPUCodeLibrary) and getattr(library, "_shared_module", None) is not None:
                 bitcode = library._shared_module.as_bitcode()
                 library._shared_module = None
                 library._get_module_for_linking = functools.partial(codegen.ll.parse_bitcode, bitcode)

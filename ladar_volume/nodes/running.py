@@ -11,7 +11,6 @@ from typing import Any
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.task import Future
 
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.nodes.base import StageNode
@@ -27,21 +26,24 @@ class Spinner:
 
     def __init__(self, node: Any) -> None:
         self.node = node
-        self._executor, self._end = SingleThreadedExecutor(), Future()
+        self._executor, self._ended = SingleThreadedExecutor(), threading.Event()
         self._executor.add_node(node)
         self._thread = threading.Thread(target=self._spin, name=f"spin {node.get_name()}", daemon=True)
         self._thread.start()
 
     def _spin(self) -> None:
+        # not until a future is done: each round would leave a callback with it, 20 MB an hour for every hundred messages a second
         with contextlib.suppress(ExternalShutdownException):
-            self._executor.spin_until_future_complete(self._end)
+            while not self._ended.is_set():
+                self._executor.spin_once()
 
     def close(self) -> None:
         """Let the node finish its work, then end the thread and the node."""
         if isinstance(self.node, StageNode):
             self.node.stop()
         # the thread first: the executor does not wait for a callback that runs as it is shut down, and takes away what that needs
-        self._end.set_result(None)
+        self._ended.set()
+        self._executor.create_task(lambda: None)  # a round in which it is seen
         self._thread.join(timeout=2.0)
         self._executor.shutdown(timeout_sec=2.0)
         self.node.destroy_node()

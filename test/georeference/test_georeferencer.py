@@ -499,7 +499,7 @@ def test_missing_topics_lose_everything_and_say_so():
 
 
 def test_knots_forget_the_oldest_and_keep_the_rest():
-    knots = Knots(100, p=(3,))
+    knots = Knots(100, 10**9, p=(3,))
     forgotten = sum(knots.append(i, -i, p=(i, 0, 0)) for i in range(1234))
     assert len(knots) <= 200 and forgotten + len(knots) == 1234
     np.testing.assert_array_equal(knots.t_ns, np.arange(forgotten, 1234))
@@ -507,12 +507,29 @@ def test_knots_forget_the_oldest_and_keep_the_rest():
     np.testing.assert_array_equal(knots.tag, -knots.t_ns)
 
 
-def test_memory_limit_changes_nothing_for_clouds_in_time(monkeypatch):
+def test_knots_forget_what_is_too_old_and_keep_what_is_not():
+    knots, held = Knots(10_000, 50, p=(3,)), []
+    forgotten = 0
+    for i in range(1000):
+        forgotten += knots.append(i, i, p=(i, 0, 0))
+        assert forgotten + len(knots) == i + 1 and knots.t_ns[0] <= max(i - 50, 0)
+        held.append(len(knots))
+    np.testing.assert_array_equal(knots.t_ns, np.arange(forgotten, 1000))
+    np.testing.assert_array_equal(knots["p"][:, 0], knots.t_ns)
+    assert max(held) == 128  # the power of two of which half is old
+    everything = Knots(10_000, 10**9, p=(3,))
+    assert sum(everything.append(i, i, p=(i, 0, 0)) for i in range(1000)) == 0 and len(everything) == 1000
+
+
+@pytest.mark.parametrize(("name", "value"), [("KNOT_LIMIT", 60), ("KNOTS_KEPT_S", 0.0)])
+def test_memory_limit_changes_nothing_for_clouds_in_time(monkeypatch, name, value):
     fixes, imus, clouds = _survey(4.0)
     events = _by_time(fixes, imus, clouds)
-    _, points, states = _run(_parameters(), events)
-    monkeypatch.setattr("ladar_volume.georeference.trajectory.KNOT_LIMIT", 60)
-    _, few, few_states = _run(_parameters(), events)
+    parameters = _parameters(max_pending_s=0.5)
+    _, points, states = _run(parameters, events)
+    monkeypatch.setattr(f"ladar_volume.georeference.trajectory.{name}", value)
+    stage, few, few_states = _run(parameters, events)
+    assert len(stage._trajectory._attitude) < len(imus)
     _assert_same(few, points)
     _assert_same([few_states], [states])
 

@@ -99,6 +99,31 @@ def test_kernels_of_a_node_need_no_linear_algebra_of_scipy():
     assert done.returncode == 0, done.stderr
 
 
+def test_what_a_large_process_frees_goes_back_at_once():
+    # blocks of 320 kB, each held in its place by one that stays
+    code = """if True:
+        import sys
+        import numpy as np
+        from ladar_volume.nodes import memory
+        memory.few_arenas()
+        memory.LARGE_BYTES = 0 if sys.argv[1] == "large" else 1 << 60
+        memory.give_back()
+        blocks, stay = [], []
+        for _ in range(300):
+            blocks.append(np.ones(40_000))
+            stay.append(np.ones(500))
+        before = memory.resident_bytes()
+        del blocks
+        print(before - memory.resident_bytes())
+    """
+    freed = {}
+    for size in ("small", "large"):
+        done = subprocess.run([sys.executable, "-c", code, size], cwd=ROOT, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        freed[size] = int(done.stdout)
+    assert freed["large"] > 90_000_000 > 45_000_000 > freed["small"], freed
+
+
 SENT = """if True:
     import array, sys, time
     import rclpy

@@ -129,7 +129,10 @@ def test_common_shift_and_yaw_cancel_above_the_surveys_own_ground_only():
         r = estimator(update, parameters(ground={"degree": degree}))
         tin = r._surface(r._store.points).tin
         base, inside = r._base_and_outline(tin, np.full(len(tin.vertices), 1e-4))
-        G = result_gradients(tin, base, prismoids(tin, base, inside > 0), len(r._store.points))[:, 0]
+        solid = prismoids(tin, base, inside > 0)
+        G = result_gradients(tin, base, solid, len(r._store.points))[:, 0]
+        alone = result_gradients(tin, base, solid, len(r._store.points), coefficients=False)
+        assert alone.shape[1] == 1 and np.abs(alone[:, 0] - G).max() <= 1e-12 * np.abs(G).max()
         position = r._store.points.r_map
         yaw = np.c_[-position[:, 1], position[:, 0], np.zeros(len(position))]
         scale = np.abs(G).sum()
