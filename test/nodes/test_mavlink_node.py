@@ -47,7 +47,7 @@ link = mavutil.mavlink_connection(f"udpout:127.0.0.1:{port}", source_system=1, s
 boot = time.time() - 50.0
 began = time.time()
 i, commands = 0, 0
-heard = lambda: commands >= 3 and all(len(messages) > 5 for messages in got.values())
+heard = lambda: i > 110 and commands >= 3 and all(len(messages) > 5 for messages in got.values())
 while (flown := time.time() - began) < 2.5 or (flown < 60.0 and not heard()):
     now = time.time() - boot
     ms = int(now * 1000)
