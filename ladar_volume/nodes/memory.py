@@ -17,7 +17,7 @@ from pathlib import Path
 #: number of arenas (malloc.h).
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
 #: Blocks from this size on are mapped, and unmapped when freed: messages and the large arrays of a surface. Each of their pages is cleared
-#: anew, a tenth of the time of an estimate where blocks of a quarter of this size are mapped.
+#: anew, a twelfth of the time of an estimate where blocks of a quarter of this size are mapped.
 MAPPED_BYTES = 1 << 22
 #: The same once a process holds so much: the blocks of a large map come and go in every thread, and leave holes of a hundred megabytes in
 #: a heap.

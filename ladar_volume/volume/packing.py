@@ -19,7 +19,7 @@ import numpy as np
 
 from ladar_volume.model.kernels import kernel
 from ladar_volume.model.ragged import patch_range
-from ladar_volume.model.records import F32, F64, I8, I16, I64, HeldPatches, Patches
+from ladar_volume.model.records import CAL_COLUMNS, F32, F64, I8, I16, I64, HeldPatches, Patches
 from ladar_volume.volume.patch_merge import holds, place_from
 
 #: Whole number for a correlation of 1, and what the factors are kept times: then a block is ``F_a R F_b^T`` of whole numbers R.
@@ -30,7 +30,7 @@ PIVOT = 1e-6
 #: Largest whole number of a sensitivity.
 LARGEST = 32767.0
 #: Calibration columns that all beams share; those of their ranges and of their vertical angles follow.
-SHARED = 11
+SHARED = len(CAL_COLUMNS)
 
 
 @kernel

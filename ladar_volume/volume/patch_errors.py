@@ -20,6 +20,7 @@ class PatchErrors:
     def __init__(self, patches: Patches, navigation: NavigationBins, C_cal: F64, time_bins: tuple[I64, I32]) -> None:
         m, p = patches.beta.shape
         self._patches, self._index, self._units = patches, time_bins[1], navigation_units(patches)
+        self._by_calibration = calibration_parts(patches)
         one, two = np.nonzero(C_cal)
         self._calibration = one, two, C_cal[one, two]
         self._roots = navigation.roots(time_bins[0])
@@ -37,7 +38,7 @@ class PatchErrors:
     def covariance(self, rows: I64) -> F32:
         """Covariance of the parameters: (m, p, p), known for patches ``rows`` (k,)."""
         deviation, new = self.deviation(rows), _missing(self._varies, rows)
-        shared_kernel(new, *calibration_parts(self._patches), *self._calibration, deviation, self._covariance)
+        shared_kernel(new, *self._by_calibration, *self._calibration, deviation, self._covariance)
         return self._covariance
 
 
