@@ -1,8 +1,9 @@
 """Mutated PointCloud2, NavSatFix and Imu messages into georeference_node: none may end it, and every one must be accounted for.
 
 A good flight's messages are mutated at random: stamps, numbers (NaN, infinite, huge, denormal), covariances, quaternions, layouts that do
-not fit their data, cut, padded and flipped bytes. Then the books must balance: fixes and attitudes offered are those in the trajectory
-plus those refused by name; clouds offered are those decoded plus those refused; returns decoded are those mapped plus those lost.
+not fit their data, cut, padded and flipped bytes, of the data and of the message as it is sent. Then the books must balance: fixes and
+attitudes offered are those in the trajectory plus those refused by name; clouds offered are those decoded plus those refused; returns
+decoded are those mapped plus those lost.
 
 ``python -m benchmarks.fuzz [--count N] [--seed S]``; exit code 1 where the books do not balance or an unforeseen exception occurred.
 """
@@ -14,12 +15,14 @@ import array
 import json
 import random
 import sys
+import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import rclpy
 from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 
 from ladar_volume.georeference.georeferencer import Georeferencer
@@ -158,8 +161,21 @@ def mutate(message: Any, random_: random.Random) -> None:
             change(message, random_)
 
 
+def _on_the_way(data: bytes, random_: random.Random) -> bytes:
+    """What the middleware hands over of a message: cut, flipped in its head, or something else altogether."""
+    kind, out = random_.randrange(3), bytearray(data)
+    if kind == 0:
+        return data[: random_.randrange(len(data))]
+    if kind == 1:
+        for _ in range(random_.randrange(1, 9)):
+            out[random_.randrange(min(len(data), 200))] = random_.randrange(256)
+        return bytes(out)
+    return random_.randbytes(random_.randrange(400))
+
+
 def play(node: GeoreferenceNode, count: int, seed: int) -> dict[str, int]:
-    """Work off ``count`` mutated messages, one good one of the same kind before each; returns how many of each kind were offered."""
+    """Have the node take in ``count`` mutated messages, a good one of the same kind before each, and finish; a quarter of them changes once
+    more on the way, as bytes. Returns how many of each kind were offered."""
     rng, random_ = np.random.default_rng(seed), random.Random(seed)
     offered = dict.fromkeys(("fix", "imu", "cloud"), 0)
     for k in range(count):
@@ -169,9 +185,12 @@ def play(node: GeoreferenceNode, count: int, seed: int) -> dict[str, int]:
             message = good(kind, t_ns + bad * S // 1000, rng)
             if bad:
                 mutate(message, random_)
+            data = serialize_message(message)
             offered[kind] += 1
-            node._guarded(lambda kind=kind, message=message: node.work(kind, message))  # type: ignore[misc]
-    node._guarded(node.finish)
+            node.receive(kind, type(message), _on_the_way(data, random_) if bad and random_.random() < 0.25 else data)
+            while node._queue.qsize() > 100:
+                time.sleep(0.001)
+    node.stop()
     return offered
 
 
@@ -179,7 +198,7 @@ def balance(node: GeoreferenceNode, offered: dict[str, int]) -> dict[str, int]:
     """What the books lack or have too much: zeros where every message and return is accounted for."""
     stage: Any = node.stage
     lost = node.all_losses()
-    missing = {kind: n - stage.book[kind] - lost.total(f"{kind}_") for kind, n in offered.items()}
+    missing = {kind: n - stage.book[kind] - lost.total(f"{kind}_") - lost[f"message_unreadable_{kind}"] for kind, n in offered.items()}
     missing["returns"] = stage.book["returns"] - stage.book["mapped"] - stage.losses.total("point_")
     return missing | {"unforeseen": lost["message_internal_error"]}
 
@@ -192,10 +211,8 @@ def fuzz(count: int, seed: int) -> dict[str, Any]:
         node.trigger_configure()
         stage = Booked(node.parameters)
         node.stage = stage
-        with np.errstate(all="ignore"):
-            offered = play(node, count, seed)
+        offered = play(node, count, seed)
         losses = node.all_losses().as_dict()
-        node.stop()
         node.destroy_node()
     finally:
         rclpy.try_shutdown()

@@ -42,7 +42,7 @@ from ladar_volume.cli.simulate import suited
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.tables import decode
 from ladar_volume.model.parameters import BudgetParameters
-from ladar_volume.nodes.base import LATCHED, STREAM
+from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.running import Spinner
 from ladar_volume.simulation.bag import write_bag
 from ladar_volume.simulation.platforms import make_platform, platform_for

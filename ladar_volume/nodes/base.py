@@ -19,7 +19,7 @@ from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
 
 from ladar_volume.io.clouds import stamp_ns
@@ -32,26 +32,11 @@ from ladar_volume.nodes import memory
 from ladar_volume.nodes.declared import descriptor, outside, why_not_now
 from ladar_volume.nodes.defects import Defects
 from ladar_volume.nodes.health import Health
-from ladar_volume.nodes.taking import waiting
+from ladar_volume.nodes.taking import unpacked, waiting
 from ladar_volume.nodes.work_queue import WorkQueue
 
-#: Maps, datum and volumes: whoever comes late still gets the last one.
-LATCHED = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
-)
-#: Between this package's nodes: nothing may be lost.
-STREAM = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.RELIABLE)
 #: How long a node may take to finish its work.
 STOP_S = 30.0
-
-
-def sensor_qos(parameters: Parameters) -> QoSProfile:
-    """Sensor data QoS (REP-2003), reliability and depth as the parameters say."""
-    reliable = parameters.node.input_reliability == "reliable"
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST, depth=parameters.node.input_depth,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-    )  # fmt: skip
 
 
 class NextRound:
@@ -260,14 +245,23 @@ class StageNode(LifecycleNode, ABC):
         def lost(event: Any) -> None:
             self.losses.add(f"message_lost_{kind}", max(int(event.total_count_change), 0))
 
-        def take(message: Any) -> None:
-            for one in (message, *(m for m, _ in waiting(subscription))):
+        def take(first: bytes) -> None:
+            for data in (first, *(d for d, _ in waiting(subscription))):
                 if self._active:
-                    self.offer(kind, one)
+                    self.receive(kind, message_type, data)
 
         subscription = self.create_subscription(
-            message_type, topic, take, qos, callback_group=self._group, event_callbacks=SubscriptionEventCallbacks(message_lost=lost)
-        )
+            message_type, topic, take, qos,
+            raw=True, callback_group=self._group, event_callbacks=SubscriptionEventCallbacks(message_lost=lost),
+        )  # fmt: skip
+
+    def receive(self, kind: str, message_type: Any, data: bytes) -> None:
+        """Queue the message that came as ``data``; bytes that are none of its type are dropped and counted."""
+        message = unpacked(data, message_type)
+        if message is None:
+            self.losses.add(f"message_unreadable_{kind}")
+        else:
+            self.offer(kind, message)
 
     def _run(self) -> None:
         given_back = time.monotonic()

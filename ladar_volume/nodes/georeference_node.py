@@ -15,8 +15,9 @@ from ladar_volume.georeference.sensitivity import total_covariance
 from ladar_volume.io.clouds import returns_from_cloud, stamp_ns
 from ladar_volume.io.messages import fix_from_message, imu_from_message, odometry_from_message
 from ladar_volume.io.wire import mapped_columns
-from ladar_volume.nodes.base import LATCHED, STREAM, StageNode, sensor_qos
+from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.convert import datum_message, platform_messages, table_message
+from ladar_volume.nodes.qos import LATCHED, STREAM, sensor_qos
 from ladar_volume.nodes.running import spin
 
 #: An outage: sensors at 10 Hz and more do not pause this long.

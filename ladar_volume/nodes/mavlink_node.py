@@ -19,8 +19,9 @@ from ladar_volume.io.mavlink_poses import InertialSample
 from ladar_volume.io.mavlink_session import MavlinkSession
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.records import F64, Fix, ImuSample, OdometrySample
-from ladar_volume.nodes.base import STREAM, StageNode
+from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.convert import header
+from ladar_volume.nodes.qos import STREAM
 from ladar_volume.nodes.running import spin
 
 #: A log that is played as fast as possible waits while more than this is queued.

@@ -33,9 +33,10 @@ from ladar_volume.io.wire import (
 )  # fmt: skip
 from ladar_volume.model.errors import LadarVolumeError, VolumeError
 from ladar_volume.model.records import Datum, Estimate, FilterUpdate, Volume
-from ladar_volume.nodes.base import LATCHED, STREAM, NextRound, StageNode
+from ladar_volume.nodes.base import NextRound, StageNode
 from ladar_volume.nodes.convert import datum_of, ground_message, platform_state, table_message, time_message
 from ladar_volume.nodes.passes import Passes
+from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.running import spin
 from ladar_volume.nodes.since_epoch import SinceEpoch
 from ladar_volume.volume.estimator import VolumeEstimator

@@ -22,8 +22,8 @@ from ladar_volume.io.wire import filter_update, filtered_columns, filtered_point
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import select
 from ladar_volume.nodes import filter_node
-from ladar_volume.nodes.base import STREAM
 from ladar_volume.nodes.convert import platform_messages, table_message
+from ladar_volume.nodes.qos import STREAM
 from ladar_volume.nodes.running import Spinner
 from ladar_volume.volume.patch_store import PatchStore
 

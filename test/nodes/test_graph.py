@@ -73,9 +73,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 from std_srvs.srv import Trigger
-from ladar_volume.nodes.base import STREAM
 from ladar_volume.nodes.convert import header, table_message
 from ladar_volume.nodes.georeference_node import GeoreferenceNode
+from ladar_volume.nodes.qos import STREAM
 from ladar_volume.nodes.running import Spinner
 from ladar_volume.nodes.volume_node import VolumeNode
 

@@ -16,9 +16,9 @@ from nav_msgs.msg import Odometry
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 from benchmarks.fuzz import good
-from ladar_volume.nodes.base import LATCHED, STREAM
 from ladar_volume.nodes.filter_node import FilterNode
 from ladar_volume.nodes.georeference_node import GeoreferenceNode
+from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.running import Spinner
 from ladar_volume.nodes.volume_node import VolumeNode
 

@@ -28,9 +28,9 @@ from rclpy.qos import HistoryPolicy, QoSProfile
 from sensor_msgs.msg import NavSatFix
 from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
-from ladar_volume.nodes.base import LATCHED, STREAM
-from ladar_volume.nodes.running import Spinner
 from ladar_volume.nodes.logger_node import LoggerNode
+from ladar_volume.nodes.qos import LATCHED, STREAM
+from ladar_volume.nodes.running import Spinner
 
 rclpy.init(args=[])
 settings = {"logger.path": sys.argv[1], "logger.disk_reserve_bytes": 0, "node.diagnostics_period_s": 0.2, "logger.topics": ["chat", "datum", "number", "burst", "diagnostics"]}

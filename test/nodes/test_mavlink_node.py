@@ -21,9 +21,9 @@ from pymavlink import mavutil
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu, NavSatFix
 from ladar_volume.io.messages import fix_from_message, imu_from_message, odometry_from_message
-from ladar_volume.nodes.base import STREAM
-from ladar_volume.nodes.running import Spinner
 from ladar_volume.nodes.mavlink_node import MavlinkNode
+from ladar_volume.nodes.qos import STREAM
+from ladar_volume.nodes.running import Spinner
 
 probe = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 probe.bind(("127.0.0.1", 0))

@@ -130,7 +130,7 @@ SENT = """if True:
     from rclpy.executors import SingleThreadedExecutor
     from sensor_msgs.msg import PointCloud2
     from ladar_volume.nodes import memory
-    from ladar_volume.nodes.base import STREAM
+    from ladar_volume.nodes.qos import STREAM
     memory.few_arenas()
     if sys.argv[1] == "free":
         memory.free_buffers()

@@ -1,4 +1,4 @@
-"""Messages that wait behind the one taken come in the same round, in order, none twice."""
+"""Messages that wait behind the one taken come in the same round, in order, none twice; bytes that are no message are counted."""
 
 import json
 import os
@@ -13,7 +13,7 @@ import json, time
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import Float64
-from ladar_volume.nodes.base import STREAM
+from ladar_volume.nodes.qos import STREAM
 from ladar_volume.nodes.taking import AT_ONCE, waiting
 
 rclpy.init(args=[])
@@ -45,10 +45,55 @@ node.destroy_node()
 rclpy.shutdown()
 """
 
+UNREADABLE = """
+import json, time
+import rclpy
+from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import Imu
+from ladar_volume.nodes.georeference_node import GeoreferenceNode
+from ladar_volume.nodes.qos import STREAM
+from ladar_volume.nodes.running import Spinner
+
+rclpy.init(args=[])
+node = GeoreferenceNode(parameter_overrides=[Parameter("node.input_reliability", value="reliable")])
+node.autostart()
+sender = rclpy.create_node("sender")
+out = sender.create_publisher(Imu, "imu/data", STREAM)
+spinner = Spinner(node)
+until = time.monotonic() + 60.0
+while not out.get_subscription_count() and time.monotonic() < until:
+    time.sleep(0.02)
+good = Imu()
+good.orientation.w = 1.0
+good.orientation_covariance[0] = good.orientation_covariance[4] = good.orientation_covariance[8] = 1e-6
+sent = []
+for k in range(60):
+    good.header.stamp.sec, good.header.stamp.nanosec = 1000, 10_000_000 * k
+    data = serialize_message(good)
+    sent.append([data, data[: 5 * k], b"", b"\\xff" * k][k % 4])
+    out.publish(sent[-1])
+while sum(node.losses.as_dict().values()) + node.health.lines(0.0, 0).get("received_imu", 0) < len(sent) and time.monotonic() < until:
+    time.sleep(0.02)
+print(json.dumps({"lost": node.losses.as_dict(), "received": node.health.lines(0.0, 0)["received_imu"]}))
+spinner.close()
+sender.destroy_node()
+rclpy.try_shutdown()
+"""
+
+
+def result_of(script):
+    environment = os.environ | {"ROS_DOMAIN_ID": str(os.getpid() % 90 + 10), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    run = subprocess.run([sys.executable, "-c", script], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120, check=True)
+    return json.loads(run.stdout)
+
 
 def test_a_burst_is_taken_in_few_rounds():
-    environment = os.environ | {"ROS_DOMAIN_ID": str(os.getpid() % 90 + 10), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    run = subprocess.run([sys.executable, "-c", SCRIPT], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120, check=True)
-    out = json.loads(run.stdout)
+    out = result_of(SCRIPT)
     assert out["got"] == [float(k) for k in range(out["number"])]
     assert out["rounds"] < 10 and out["of_none"] == 0
+
+
+def test_bytes_that_are_no_message_are_counted_and_the_others_come():
+    out = result_of(UNREADABLE)
+    assert out == {"lost": {"message_unreadable_imu": 45}, "received": 15}
