@@ -288,16 +288,20 @@ class StageNode(LifecycleNode, ABC):
             self._busy = False
 
     def _guarded(self, action: Callable[[], None]) -> None:
-        """No input may end a node: a refusal is counted by its reason, a defect is counted and logged, of one place once a minute."""
+        """No input may end a node: a refusal is counted by its reason, a defect is counted and logged."""
         try:
             action()
         except LadarVolumeError as error:
             self.losses.add(error.reason)
         except Exception as error:
-            self.losses.add("message_internal_error")
-            text = self._defects.told(error, time.monotonic())
-            if text is not None:
-                self.get_logger().error(text)
+            self.defect(error)
+
+    def defect(self, error: Exception) -> None:
+        """Count an exception nobody foresaw, and log it, of one place once a minute."""
+        self.losses.add("message_internal_error")
+        text = self._defects.told(error, time.monotonic())
+        if text is not None:
+            self.get_logger().error(text)
 
     def wake(self) -> None:
         """Have the executor look again at services that answer later."""

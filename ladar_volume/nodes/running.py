@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import signal
 import sys
 import threading
@@ -19,6 +18,8 @@ from ladar_volume.nodes.memory import few_arenas, free_buffers, without_blas
 #: How long a thread that waits for the interpreter lets another go on, s. The usual 5 ms are a tenth of an estimate for each message that
 #: comes in meanwhile, and for each of its two threads.
 TURN_S = 0.0005
+#: Pause after a round that raised, s: one that raises at every round takes no whole core.
+AFTER_DEFECT_S = 0.02
 
 
 class Spinner:
@@ -33,9 +34,16 @@ class Spinner:
 
     def _spin(self) -> None:
         # not until a future is done: each round would leave a callback with it, 20 MB an hour for every hundred messages a second
-        with contextlib.suppress(ExternalShutdownException):
-            while not self._ended.is_set():
+        while not self._ended.is_set():
+            try:
                 self._executor.spin_once()
+            except ExternalShutdownException:
+                return
+            except Exception as error:  # a callback's: the node would hear nothing from then on
+                if not isinstance(self.node, StageNode):
+                    raise
+                self.node.defect(error)
+                self._ended.wait(AFTER_DEFECT_S)
 
     def close(self) -> None:
         """Let the node finish its work, then end the thread and the node."""

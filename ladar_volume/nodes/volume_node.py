@@ -272,6 +272,10 @@ class VolumeNode(StageNode):
                 response.success = True
             except LadarVolumeError as error:
                 response.success, response.message = False, json.dumps({"error": str(error), "reason": error.reason})
+            except Exception as error:  # who asked is told, too
+                self.defect(error)
+                told = {"error": f"{type(error).__name__}: {error}", "reason": "message_internal_error"}
+                response.success, response.message = False, json.dumps(told)
             return response
 
         return call

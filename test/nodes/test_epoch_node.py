@@ -71,13 +71,17 @@ send(surface_update(lambda x, y: flat(x, y) - cone(x, y)), BIN_NS)
 until(lambda: len(tables[-1]["volume"]) == 2)
 after, saved = call("compute"), call("save")
 until(lambda: "epoch_z" in lines and "more_data_1" in lines)
+node.stage.more_data = lambda: [][0]
+failed = call("compute")
+del node.stage.more_data
+again = call("compute")
 for s in spinners:
     s.close()
 rclpy.try_shutdown()
 print(json.dumps({
     "too_early": too_early, "kept": kept, "before": before["epoch"], "after": after["epoch"], "helps": after["where_more_data_helps"],
     "rows": [t["base"].tolist() for t in (first, tables[-1])], "volumes": tables[-1]["volume"].tolist(), "lines": lines,
-    "cells": len(more[-1]["gain"]), "saved": saved, "columns": sorted(more[-1]),
+    "cells": len(more[-1]["gain"]), "saved": saved, "failed": failed, "again": again["volume_m3"], "columns": sorted(more[-1]),
 }))
 '''
 
@@ -114,6 +118,12 @@ def test_where_more_data_helps_is_published(seen):
     assert len(places) == 3 and places[0]["gain_m3"] >= places[1]["gain_m3"] > 0.0
     assert found["lines"]["more_data_1"].split()[-1] == places[0]["why"]
     assert found["cells"] > 20 and {"gain", "sigma", "side", "fall_gap", "fall_noise"} <= set(found["columns"])
+
+
+def test_who_asks_is_told_of_a_defect_and_may_ask_again(seen):
+    _, found = seen
+    assert found["failed"] == {"error": "IndexError: list index out of range", "reason": "message_internal_error"}
+    assert found["again"] == found["saved"]["volume_m3"]
 
 
 def test_what_the_node_keeps_can_be_compared_offline(seen, capsys):

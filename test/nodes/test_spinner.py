@@ -1,4 +1,5 @@
-"""A node that is closed while its callbacks run: its thread ends first, without an exception. One that runs keeps nothing of its rounds."""
+"""A node that is closed while its callbacks run: its thread ends first, without an exception. One that runs keeps nothing of its rounds, and
+hears on after a callback that raised."""
 
 import json
 import os
@@ -57,6 +58,31 @@ print(json.dumps([done, held[1] - held[0]]))
 rclpy.try_shutdown()
 """
 
+DEFECT = """
+import json, time
+import rclpy
+from ladar_volume.nodes.filter_node import FilterNode
+from ladar_volume.nodes.running import Spinner
+
+rclpy.init(args=[])
+node = FilterNode()
+node.kernels = None
+node.autostart()
+rounds = []
+def tick():
+    rounds.append(None)
+    if len(rounds) in (3, 5):
+        raise KeyError("of this callback")
+node.create_timer(1e-3, tick)
+spinner = Spinner(node)
+until = time.monotonic() + 60.0
+while len(rounds) < 20 and time.monotonic() < until:
+    time.sleep(0.002)
+spinner.close()
+print(json.dumps([len(rounds) >= 20, node.losses["message_internal_error"], spinner._thread.is_alive()]))
+rclpy.try_shutdown()
+"""
+
 
 def result_of(script):
     environment = os.environ | {"ROS_DOMAIN_ID": str((os.getpid() + 3) % 90 + 10), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
@@ -71,3 +97,7 @@ def test_closing_a_busy_node():
 def test_a_round_leaves_nothing_behind():
     rounds, more = result_of(ROUNDS)
     assert rounds >= 2050 and more < 200, more
+
+
+def test_a_callback_that_raises_is_counted_and_the_node_hears_on():
+    assert result_of(DEFECT) == [True, 2, False]
