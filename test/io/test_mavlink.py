@@ -20,6 +20,7 @@ from ladar_volume.io.mavlink_dataflash import DataFlashLog
 from ladar_volume.io.mavlink_links import SerialLink, TcpLink, UdpLink, open_link
 from ladar_volume.io.mavlink_log import MavlinkLog, log_file
 from ladar_volume.io.mavlink_session import MavlinkSession
+from ladar_volume.io.mavlink_stream import MavlinkStream
 from ladar_volume.io.mavlink_tlog import tlog_frames
 from ladar_volume.model.errors import BagError, ConfigurationError
 from ladar_volume.model.losses import Losses
@@ -332,6 +333,34 @@ def test_five_thousand_mutated_packets_crash_nothing_and_noise_is_counted():
             data[r.randrange(len(data))] = r.randrange(256)
         session.feed(bytes(data[: r.randrange(len(data) + 1)]), START + i * 10**7)
     assert session.losses()["mavlink_noise_byte"] > 1000 and session.losses()["mavlink_parser_error"] == 0
+
+
+class Booked(MavlinkStream):
+    """Counts the bytes of what is taken for a message."""
+
+    taken = 0
+
+    def _is_noise(self, message):
+        unknown = self.losses["mavlink_unknown_message"]
+        noise = super()._is_noise(message)
+        if not noise or self.losses["mavlink_unknown_message"] > unknown:
+            self.taken += len(message.get_msgbuf())
+        return noise
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_of_five_thousand_mutated_packets_every_byte_is_part_of_a_message_or_noise_or_waits(seed):
+    frames, r, fed_bytes = stream_of(200, seed), random.Random(seed), 0
+    stream = Booked(lambda system, component: True, 255, 190)
+    for _ in range(5000):
+        data = bytearray(r.choice(frames))
+        for _ in range(r.randrange(6)):
+            data[r.randrange(len(data))] = r.randrange(256)
+        data = data[: r.randrange(len(data) + 1)] if r.random() < 0.2 else data
+        stream.feed(bytes(data))
+        fed_bytes += len(data)
+        assert stream.taken + stream.losses["mavlink_noise_byte"] + len(stream._in.buf) == fed_bytes
+    assert stream.packets > 200 and stream.losses["mavlink_noise_byte"] > 1000 and stream.losses["mavlink_parser_error"] == 0
 
 
 def wild(r, cls, vehicle):
