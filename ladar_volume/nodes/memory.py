@@ -13,6 +13,8 @@ import os
 import sys
 from pathlib import Path
 
+from ladar_volume.model.leaving_out import left_out
+
 #: mallopt's numbers for what may stay free at a heap's end, for the size from which a block is a mapping of its own, and for the greatest
 #: number of arenas (malloc.h).
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
@@ -68,13 +70,8 @@ def give_back() -> None:
 def without_blas() -> None:
     """Let numba load without SciPy's linear algebra, a fifth of what a node without data holds; for a process of one's own, in which then
     no kernel can multiply matrices."""
-    if BLAS in sys.modules:
-        return
-    sys.modules[BLAS] = None  # type: ignore[assignment]
-    try:
+    with left_out(BLAS):
         importlib.import_module("numba.np.arraymath")
-    finally:
-        del sys.modules[BLAS]
 
 
 def unchanged_pages(smaps: str) -> list[tuple[int, int]]:
