@@ -209,6 +209,7 @@ def fuzz(count: int, seed: int) -> dict[str, Any]:
     try:
         node = GeoreferenceNode(parameter_overrides=[Parameter("georeference.max_pending_s", value=1.0)])
         node.trigger_configure()
+        node.trigger_activate()
         stage = Booked(node.parameters)
         node.stage = stage
         offered = play(node, count, seed)

@@ -8,7 +8,7 @@ import queue
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -32,18 +32,12 @@ from ladar_volume.nodes import memory
 from ladar_volume.nodes.declared import descriptor, outside, why_not_now
 from ladar_volume.nodes.defects import Defects
 from ladar_volume.nodes.health import Health
-from ladar_volume.nodes.taking import unpacked, waiting
+from ladar_volume.nodes.qos import STREAM
+from ladar_volume.nodes.taking import AT_ONCE, take_waiting, unpacked
 from ladar_volume.nodes.work_queue import WorkQueue
 
 #: How long a node may take to finish its work.
 STOP_S = 30.0
-
-
-class NextRound:
-    """Awaited in a service that answers later: the executor comes back to it whenever something wakes it."""
-
-    def __await__(self) -> Generator[None]:
-        yield
 
 
 def _stamp(item: Any) -> int | None:
@@ -72,6 +66,7 @@ class StageNode(LifecycleNode, ABC):
         self._active = False
         self._busy = False
         self._before_build: set[int] = set()
+        self._rests: list[Callable[[], int]] = []
         self._jumps_back = 0
         self.parameters = self._declare()
         self.add_on_set_parameters_callback(self._on_set)
@@ -202,6 +197,13 @@ class StageNode(LifecycleNode, ABC):
         for destroy, entity in self._entities():
             if id(entity) not in self._before_build:
                 destroy(entity)
+        self._rests.clear()
+
+    def take_all(self) -> None:
+        """Take in what the middleware holds for this node, before it stops: the sender was told that it came. In the executor's thread."""
+        for _ in range(STREAM.depth // AT_ONCE):
+            if not sum([rest() for rest in self._rests]):
+                break
 
     def stop(self) -> None:
         """Work off the queue, finish, report for the last time, and wait until listeners have it; then the worker has ended."""
@@ -245,18 +247,23 @@ class StageNode(LifecycleNode, ABC):
         def lost(event: Any) -> None:
             self.losses.add(f"message_lost_{kind}", max(int(event.total_count_change), 0))
 
-        def take(first: bytes) -> None:
-            for data in (first, *(d for d, _ in waiting(subscription))):
-                if self._active:
-                    self.receive(kind, message_type, data)
+        def rest() -> int:
+            return take_waiting(subscription, lambda data, _: self.receive(kind, message_type, data))
 
+        def take(first: bytes) -> None:
+            self.receive(kind, message_type, first)
+            rest()
+
+        self._rests.append(rest)
         subscription = self.create_subscription(
             message_type, topic, take, qos,
             raw=True, callback_group=self._group, event_callbacks=SubscriptionEventCallbacks(message_lost=lost),
         )  # fmt: skip
 
     def receive(self, kind: str, message_type: Any, data: bytes) -> None:
-        """Queue the message that came as ``data``; bytes that are none of its type are dropped and counted."""
+        """Queue the message that came as ``data``, where the node is active; bytes that are none of its type are dropped and counted."""
+        if not self._active:
+            return
         message = unpacked(data, message_type)
         if message is None:
             self.losses.add(f"message_unreadable_{kind}")

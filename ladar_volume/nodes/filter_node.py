@@ -20,11 +20,12 @@ from ladar_volume.io.tables import decode
 from ladar_volume.io.wire import filtered_columns, mapped_points, patch_columns, update_parts
 from ladar_volume.model.records import Datum, FilterUpdate
 from ladar_volume.nodes.ahead import Ahead
-from ladar_volume.nodes.base import NextRound, StageNode
+from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.convert import datum_of, platform_state, table_message, time_ns
 from ladar_volume.nodes.passes import Passes
 from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.running import spin
+from ladar_volume.nodes.taking import NextRound
 
 #: Patches refitted per second of an update, before any has been measured; updates with fewer than so many measure nothing.
 FIRST_RATE, LEAST_MEASURED = 2000.0, 50

@@ -26,7 +26,7 @@ from ladar_volume.model.errors import OutputError
 from ladar_volume.model.losses import Losses
 from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.running import spin
-from ladar_volume.nodes.taking import waiting
+from ladar_volume.nodes.taking import take_waiting
 from ladar_volume.version import version
 
 #: How often new topics are looked for.
@@ -173,11 +173,14 @@ class LoggerNode(StageNode):
             known.events += max(int(event.total_count_change), 0)
             self._recorder.account(name).middleware = max(known.events, known.gaps)
 
-        def take(data: bytes, info: Any) -> None:
-            for one, of_it in ((data, info), *waiting(subscription)):
-                if self._active:
-                    self._take(name, known, one, of_it)
+        def rest() -> int:
+            return take_waiting(subscription, lambda data, info: self._take(name, known, data, info))
 
+        def take(data: bytes, info: Any) -> None:
+            self._take(name, known, data, info)
+            rest()
+
+        self._rests.append(rest)
         known.subscription = subscription = self.create_subscription(
             message_type, topic, take, qos, raw=True, callback_group=self._group,
             # warnings of a QoS that does not match are not asked for: it is the publishers' own, and each costs at every message
@@ -185,6 +188,8 @@ class LoggerNode(StageNode):
         )  # fmt: skip
 
     def _take(self, name: str, known: Subscribed, data: bytes, info: Any) -> None:
+        if not self._active:
+            return
         account = self._recorder.account(name)
         sequence = int(info.get("publication_sequence_number") or 0)
         if known.publishers == 1 and sequence > 0:  # the numbers of several publishers cannot be told apart

@@ -12,7 +12,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from ladar_volume.model.errors import ConfigurationError
-from ladar_volume.nodes.base import StageNode
+from ladar_volume.nodes.base import STOP_S, StageNode
 from ladar_volume.nodes.memory import few_arenas, free_buffers, without_blas
 
 #: How long a thread that waits for the interpreter lets another go on, s. The usual 5 ms are a tenth of an estimate for each message that
@@ -27,7 +27,7 @@ class Spinner:
 
     def __init__(self, node: Any) -> None:
         self.node = node
-        self._executor, self._ended = SingleThreadedExecutor(), threading.Event()
+        self._executor, self._ended, self._taken = SingleThreadedExecutor(), threading.Event(), threading.Event()
         self._executor.add_node(node)
         self._thread = threading.Thread(target=self._spin, name=f"spin {node.get_name()}", daemon=True)
         self._thread.start()
@@ -45,9 +45,17 @@ class Spinner:
                 self.node.defect(error)
                 self._ended.wait(AFTER_DEFECT_S)
 
+    def _take_all(self) -> None:
+        try:
+            self.node.take_all()
+        finally:
+            self._taken.set()
+
     def close(self) -> None:
-        """Let the node finish its work, then end the thread and the node."""
+        """Let the node take in what came and finish its work, then end the thread and the node."""
         if isinstance(self.node, StageNode):
+            self._executor.create_task(self._take_all)
+            self._taken.wait(timeout=STOP_S)
             self.node.stop()
         # the thread first: the executor does not wait for a callback that runs as it is shut down, and takes away what that needs
         self._ended.set()

@@ -1,8 +1,8 @@
-"""Taking messages with few rounds of the executor, which makes its list of all that may become ready anew for each; and reading them."""
+"""Rounds of the executor, which makes its list of all that may become ready anew for each: messages are taken with few, and read here."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Generator
 from typing import Any
 
 from rclpy.exceptions import InvalidHandle
@@ -12,17 +12,26 @@ from rclpy.serialization import deserialize_message
 AT_ONCE = 100
 
 
-def waiting(subscription: Any) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """Messages, with what the middleware says of them, that wait behind the one just taken: what comes in bursts costs one round."""
-    for _ in range(AT_ONCE):
+class NextRound:
+    """Awaited in a service that answers later: the executor comes back to it whenever something wakes it."""
+
+    def __await__(self) -> Generator[None]:
+        yield
+
+
+def take_waiting(subscription: Any, receive: Callable[[Any, dict[str, Any]], None]) -> int:
+    """Hand over messages, with what the middleware says of them, that wait behind the one just taken: what comes in bursts costs one
+    round. Returns how many."""
+    for count in range(AT_ONCE):
         try:
             with subscription.handle:
                 taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
         except InvalidHandle:  # taken down meanwhile
-            return
+            return count
         if taken is None:
-            return
-        yield taken
+            return count
+        receive(*taken)
+    return AT_ONCE
 
 
 def unpacked(data: bytes, message_type: Any) -> Any:

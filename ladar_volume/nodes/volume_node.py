@@ -33,12 +33,13 @@ from ladar_volume.io.wire import (
 )  # fmt: skip
 from ladar_volume.model.errors import LadarVolumeError, VolumeError
 from ladar_volume.model.records import Datum, Estimate, FilterUpdate, Volume
-from ladar_volume.nodes.base import NextRound, StageNode
+from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.convert import datum_of, ground_message, platform_state, table_message, time_message
 from ladar_volume.nodes.passes import Passes
 from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.running import spin
 from ladar_volume.nodes.since_epoch import SinceEpoch
+from ladar_volume.nodes.taking import NextRound
 from ladar_volume.volume.estimator import VolumeEstimator
 from ladar_volume.volume.more_data import MoreData
 

@@ -83,10 +83,45 @@ print(json.dumps([len(rounds) >= 20, node.losses["message_internal_error"], spin
 rclpy.try_shutdown()
 """
 
+LAST = """
+import json, sys, time
+import rclpy
+from nav_msgs.msg import Odometry
+from rclpy.duration import Duration
+from rclpy.parameter import Parameter
+from ladar_volume.nodes.filter_node import FilterNode
+from ladar_volume.nodes.logger_node import LoggerNode
+from ladar_volume.nodes.qos import STREAM
+from ladar_volume.nodes.running import Spinner
 
-def result_of(script):
+rclpy.init(args=[])
+nodes = [FilterNode(), LoggerNode(parameter_overrides=[Parameter("logger.path", value=sys.argv[1])])]
+nodes[0].kernels = None
+for node in nodes:
+    node.autostart()
+spinners = [Spinner(node) for node in nodes]
+sender = rclpy.create_node("sender")
+out = sender.create_publisher(Odometry, "platform", STREAM)
+until = time.monotonic() + 60.0
+while out.get_subscription_count() < 2 and time.monotonic() < until:
+    time.sleep(0.02)
+busy = [node.create_timer(1e-3, lambda: time.sleep(1.5)) for node in nodes]  # what comes now waits
+time.sleep(0.1)
+for k in range(450):
+    message = Odometry()
+    message.header.stamp.sec, message.header.stamp.nanosec = 1000, 1_000_000 * k
+    out.publish(message)
+came = out.wait_for_all_acked(Duration(seconds=30))
+for spinner in spinners:
+    spinner.close()
+print(json.dumps([came, nodes[0].health.lines(0.0, 0).get("received_platform"), nodes[1]._recorder.accounts["platform"].written]))
+rclpy.try_shutdown()
+"""
+
+
+def result_of(script, *arguments):
     environment = os.environ | {"ROS_DOMAIN_ID": str((os.getpid() + 3) % 90 + 10), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    run = subprocess.run([sys.executable, "-c", script], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120, check=True)
+    run = subprocess.run([sys.executable, "-c", script, *arguments], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120, check=True)
     return json.loads(run.stdout)
 
 
@@ -101,3 +136,7 @@ def test_a_round_leaves_nothing_behind():
 
 def test_a_callback_that_raises_is_counted_and_the_node_hears_on():
     assert result_of(DEFECT) == [True, 2, False]
+
+
+def test_what_came_before_the_end_is_taken_in(tmp_path):
+    assert result_of(LAST, str(tmp_path / "log.mcap")) == [True, 450, 450]

@@ -14,7 +14,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import Float64
 from ladar_volume.nodes.qos import STREAM
-from ladar_volume.nodes.taking import AT_ONCE, waiting
+from ladar_volume.nodes.taking import AT_ONCE, take_waiting
 
 rclpy.init(args=[])
 node = rclpy.create_node("taker")
@@ -23,7 +23,8 @@ got, rounds = [], []
 
 def take(message):
     rounds.append(1)
-    got.extend(m.data for m in (message, *(m for m, _ in waiting(subscription))))
+    got.append(message.data)
+    take_waiting(subscription, lambda m, _: got.append(m.data))
 
 subscription = node.create_subscription(Float64, "number", take, STREAM)
 executor = SingleThreadedExecutor()
@@ -39,7 +40,7 @@ while len(got) < number and time.monotonic() < until:
     executor.spin_once(timeout_sec=0.05)
 node.destroy_subscription(subscription)
 executor.spin_once(timeout_sec=0.05)
-print(json.dumps({"got": got, "rounds": len(rounds), "of_none": len(list(waiting(subscription))), "number": number}))
+print(json.dumps({"got": got, "rounds": len(rounds), "of_none": take_waiting(subscription, None), "number": number}))
 executor.shutdown()
 node.destroy_node()
 rclpy.shutdown()
