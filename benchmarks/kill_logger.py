@@ -1,7 +1,8 @@
 """What ``kill -9`` costs the log: the logger is killed at random moments under load, its next start repairs the file it left, and
 both ``mcap`` and ``rosbags`` must open it. Lost is the time from the last of the load's messages in the file, which come at 100 Hz, to
-the kill. Every fourth kill comes while the logger starts, the others once the load is in the file. The same readers try the file as the
-kill left it, too; ``mcap`` then also from front to back, and what it finds that way the repaired file must hold.
+the last one that was sent before the kill. Every fourth kill comes while the logger starts, the others once the load is in the file. The
+same readers try the file as the kill left it, too; ``mcap`` then also from front to back, and what it finds that way the repaired file
+must hold.
 
 ``python -m benchmarks.kill_logger [--runs N] [--bare]``; ``--bare`` kills a process that writes through the Recorder without ROS.
 """
@@ -11,6 +12,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import mmap
 import os
 import random
 import statistics
@@ -38,7 +40,26 @@ LONGEST_S = 2.0
 LOAD = "/imu/data"
 
 
-def write_bare(path: str) -> None:
+class Sent:
+    """When the load sent its last message, in a file's pages: there for others whatever becomes of the process."""
+
+    def __init__(self, path: Path) -> None:
+        path.touch()
+        os.truncate(path, 8)
+        with path.open("r+b") as stream:
+            self._pages = mmap.mmap(stream.fileno(), 8)
+
+    def now(self) -> None:
+        """A message was sent."""
+        self._pages[:] = time.time_ns().to_bytes(8, "little")
+
+    @property
+    def t_ns(self) -> int:
+        """The last one, since the epoch."""
+        return int.from_bytes(self._pages[:], "little")
+
+
+def write_bare(path: str, sent: Sent) -> None:
     """The killed process without ROS: clouds and attitudes at a scanner's rate."""
     recorder = Recorder(LoggerParameters(path=path, disk_reserve_bytes=0))
     recorder.repair_older()
@@ -48,11 +69,12 @@ def write_bare(path: str) -> None:
         recorder.write("imu/data", "sensor_msgs/msg/Imu", noise[:324], now)
         if i % (IMU_HZ // CLOUD_HZ) == 0:
             recorder.write("velodyne_points", "sensor_msgs/msg/PointCloud2", noise, now)
+        sent.now()
         i += 1
         time.sleep(1.0 / IMU_HZ)
 
 
-def publish() -> None:
+def publish(sent: Sent) -> None:
     """The load over DDS, until killed."""
     import rclpy
     from sensor_msgs.msg import Imu, PointCloud2
@@ -63,6 +85,7 @@ def publish() -> None:
     cloud, i = PointCloud2(data=os.urandom(CLOUD_BYTES)), 0
     while True:
         imus.publish(Imu())
+        sent.now()
         if i % (IMU_HZ // CLOUD_HZ) == 0:
             clouds.publish(cloud)
         i += 1
@@ -111,15 +134,16 @@ def check(path: Path) -> tuple[int, int]:
 def kill_often(runs: int, bare: bool, folder: Path) -> list[dict[str, Any]]:
     """One dictionary per run: ``delay_s``, ``lost_s`` (None where nothing had been written yet), ``messages``, ``opens``, and what
     :func:`as_left` says."""
-    rng, base = random.Random(20), folder / "log.mcap"
+    rng, base, sent = random.Random(20), folder / "log.mcap", Sent(folder / "sent")
     python = [sys.executable, "-m"]
     environment = os.environ | {"ROS_DOMAIN_ID": str(os.getpid() % 90 + 10), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     environment["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"  # shared memory left by a killed process delays the next one's discovery
     settings = [w for s in (f"path:={base}", "disk_reserve_bytes:=0") for w in ("-p", f"logger.{s}")]
-    command = [*python, "benchmarks.kill_logger", "--write", str(base)] if bare else [
+    shared = ["--sent", str(folder / "sent")]
+    command = [*python, "benchmarks.kill_logger", "--write", str(base), *shared] if bare else [
         *python, "ladar_volume.nodes.logger_node", "--ros-args", *settings
     ]  # fmt: skip
-    load = None if bare else subprocess.Popen([*python, "benchmarks.kill_logger", "--publish"], cwd=ROOT, env=environment)
+    load = None if bare else subprocess.Popen([*python, "benchmarks.kill_logger", "--publish", *shared], cwd=ROOT, env=environment)
     found: list[dict[str, Any]] = []
     newest: list[Path] = []
     try:
@@ -135,10 +159,10 @@ def kill_often(runs: int, bare: bool, folder: Path) -> list[dict[str, Any]]:
                 delay = rng.uniform(0.0, LONGEST_S)
                 time.sleep(delay if n < runs else 0.0)
             finally:
+                last, killed = sent.t_ns, time.time_ns()
                 logger.kill()
-                killed = time.time_ns()
                 logger.wait()
-            found.append({"delay_s": delay, "killed_ns": killed} | (as_left(newest[0]) if n < runs else {}))
+            found.append({"delay_s": delay, "sent_ns": last, "silent_s": (killed - last) * 1e-9} | (as_left(newest[0]) if n < runs else {}))
     finally:
         if load is not None:
             load.kill()
@@ -156,7 +180,7 @@ def _outcome(path: Path, run: dict[str, Any]) -> dict[str, Any]:
     path.unlink()
     if messages < run["readable_before"]:
         return {"opens": False, "messages": messages, "lost_s": None, "error": "the repair lost messages"}
-    return {"opens": True, "messages": messages, "lost_s": (run["killed_ns"] - last) * 1e-9 if messages else None}
+    return {"opens": True, "messages": messages, "lost_s": max(run["sent_ns"] - last, 0) * 1e-9 if messages else None}
 
 
 def summary(found: list[dict[str, Any]]) -> dict[str, float | int | str]:
@@ -173,6 +197,7 @@ def summary(found: list[dict[str, Any]]) -> dict[str, float | int | str]:
         "99 % of losses below, s": sorted(lost)[int(0.99 * len(lost))] if lost else 0.0,
         "largest loss, s": max(lost, default=0.0),
         "kills that lost more than 1 s": sum(s > 1.0 for s in lost),
+        "longest time the load itself had sent nothing before a kill, s": max(r["silent_s"] for r in found),
     }
 
 
@@ -191,11 +216,12 @@ def main() -> int:
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--write", help=argparse.SUPPRESS)
     parser.add_argument("--publish", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--sent", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.write:
-        write_bare(arguments.write)
+        write_bare(arguments.write, Sent(arguments.sent))
     if arguments.publish:
-        publish()
+        publish(Sent(arguments.sent))
     figures = run(arguments.runs, arguments.bare, arguments.folder)
     print(json.dumps(figures) if arguments.json else "\n".join(f"{k}: {v}" for k, v in figures.items()))
     bad = figures["files that mcap and rosbags open after the next start"] != figures["kills"] or figures["kills that lost more than 1 s"]
