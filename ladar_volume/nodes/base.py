@@ -66,7 +66,7 @@ class StageNode(LifecycleNode, ABC):
         self._active = False
         self._busy = False
         self._before_build: set[int] = set()
-        self._rests: list[Callable[[], int]] = []
+        self._rests: dict[str, Callable[[], int]] = {}
         self._jumps_back = 0
         self.parameters = self._declare()
         self.add_on_set_parameters_callback(self._on_set)
@@ -202,7 +202,7 @@ class StageNode(LifecycleNode, ABC):
     def take_all(self) -> None:
         """Take in what the middleware holds for this node, before it stops: the sender was told that it came. In the executor's thread."""
         for _ in range(STREAM.depth // AT_ONCE):
-            if not sum([rest() for rest in self._rests]):
+            if not sum([rest() for rest in self._rests.values()]):
                 break
 
     def stop(self) -> None:
@@ -254,7 +254,7 @@ class StageNode(LifecycleNode, ABC):
             self.receive(kind, message_type, first)
             rest()
 
-        self._rests.append(rest)
+        self._rests[topic] = rest
         subscription = self.create_subscription(
             message_type, topic, take, qos,
             raw=True, callback_group=self._group, event_callbacks=SubscriptionEventCallbacks(message_lost=lost),

@@ -180,7 +180,7 @@ class LoggerNode(StageNode):
             self._take(name, known, data, info)
             rest()
 
-        self._rests.append(rest)
+        self._rests[topic] = rest
         known.subscription = subscription = self.create_subscription(
             message_type, topic, take, qos, raw=True, callback_group=self._group,
             # warnings of a QoS that does not match are not asked for: it is the publishers' own, and each costs at every message
