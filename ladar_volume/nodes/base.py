@@ -247,18 +247,18 @@ class StageNode(LifecycleNode, ABC):
         def lost(event: Any) -> None:
             self.losses.add(f"message_lost_{kind}", max(int(event.total_count_change), 0))
 
-        def rest() -> int:
-            return take_waiting(subscription, lambda data, _: self.receive(kind, message_type, data))
+        events = SubscriptionEventCallbacks(message_lost=lost)
+        self.subscribe(topic, message_type, qos, lambda data, _: self.receive(kind, message_type, data), events)
 
-        def take(first: bytes) -> None:
-            self.receive(kind, message_type, first)
-            rest()
+    def subscribe(self, topic: str, message_type: Any, qos: QoSProfile, receive: Callable[[bytes, Any], None], events: Any) -> Any:
+        """Have every message of a topic handed to ``receive`` as bytes, with what the middleware says of it."""
+        def take(data: bytes, info: Any) -> None:
+            receive(data, info)
+            take_waiting(heard, receive)
 
-        self._rests[topic] = rest
-        subscription = self.create_subscription(
-            message_type, topic, take, qos,
-            raw=True, callback_group=self._group, event_callbacks=SubscriptionEventCallbacks(message_lost=lost),
-        )  # fmt: skip
+        self._rests[topic] = lambda: take_waiting(heard, receive)
+        heard = self.create_subscription(message_type, topic, take, qos, raw=True, callback_group=self._group, event_callbacks=events)
+        return heard
 
     def receive(self, kind: str, message_type: Any, data: bytes) -> None:
         """Queue the message that came as ``data``, where the node is active; bytes that are none of its type are dropped and counted."""

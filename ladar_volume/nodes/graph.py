@@ -26,7 +26,7 @@ from ladar_volume.nodes.georeference_node import GeoreferenceNode
 from ladar_volume.nodes.logger_node import LoggerNode
 from ladar_volume.nodes.mavlink_node import MavlinkNode
 from ladar_volume.nodes.player import Player
-from ladar_volume.nodes.running import Spinner, before_ros
+from ladar_volume.nodes.running import TAKE_S, Spinner, before_ros
 from ladar_volume.nodes.volume_node import VolumeNode
 from ladar_volume.warm import STAGES, warm_up
 
@@ -175,7 +175,7 @@ class Graph:
             if process is not None:
                 process.terminate()
                 try:
-                    process.wait(timeout=STOP_S + 5.0)
+                    process.wait(timeout=TAKE_S + STOP_S + 5.0)
                 except subprocess.TimeoutExpired:
                     process.kill()
             if name in self._spinners:

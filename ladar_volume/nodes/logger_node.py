@@ -26,7 +26,6 @@ from ladar_volume.model.errors import OutputError
 from ladar_volume.model.losses import Losses
 from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.running import spin
-from ladar_volume.nodes.taking import take_waiting
 from ladar_volume.version import version
 
 #: How often new topics are looked for.
@@ -173,19 +172,9 @@ class LoggerNode(StageNode):
             known.events += max(int(event.total_count_change), 0)
             self._recorder.account(name).middleware = max(known.events, known.gaps)
 
-        def rest() -> int:
-            return take_waiting(subscription, lambda data, info: self._take(name, known, data, info))
-
-        def take(data: bytes, info: Any) -> None:
-            self._take(name, known, data, info)
-            rest()
-
-        self._rests[topic] = rest
-        known.subscription = subscription = self.create_subscription(
-            message_type, topic, take, qos, raw=True, callback_group=self._group,
-            # warnings of a QoS that does not match are not asked for: it is the publishers' own, and each costs at every message
-            event_callbacks=SubscriptionEventCallbacks(message_lost=lost, use_default_callbacks=False),
-        )  # fmt: skip
+        # warnings of a QoS that does not match are not asked for: it is the publishers' own, and each costs at every message
+        events = SubscriptionEventCallbacks(message_lost=lost, use_default_callbacks=False)
+        known.subscription = self.subscribe(topic, message_type, qos, lambda data, info: self._take(name, known, data, info), events)
 
     def _take(self, name: str, known: Subscribed, data: bytes, info: Any) -> None:
         if not self._active:

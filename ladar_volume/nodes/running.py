@@ -12,7 +12,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from ladar_volume.model.errors import ConfigurationError
-from ladar_volume.nodes.base import STOP_S, StageNode
+from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.memory import few_arenas, free_buffers, without_blas
 
 #: How long a thread that waits for the interpreter lets another go on, s. The usual 5 ms are a tenth of an estimate for each message that
@@ -20,6 +20,8 @@ from ladar_volume.nodes.memory import few_arenas, free_buffers, without_blas
 TURN_S = 0.0005
 #: Pause after a round that raised, s: one that raises at every round takes no whole core.
 AFTER_DEFECT_S = 0.02
+#: How long a node that ends waits for a callback that runs, before what came is taken in, s.
+TAKE_S = 5.0
 
 
 class Spinner:
@@ -55,7 +57,7 @@ class Spinner:
         """Let the node take in what came and finish its work, then end the thread and the node."""
         if isinstance(self.node, StageNode):
             self._executor.create_task(self._take_all)
-            self._taken.wait(timeout=STOP_S)
+            self._taken.wait(timeout=TAKE_S)
             self.node.stop()
         # the thread first: the executor does not wait for a callback that runs as it is shut down, and takes away what that needs
         self._ended.set()
