@@ -1,4 +1,6 @@
-"""Install the package and make the prefix an ament prefix (resource index, package.xml, launch, config)."""
+"""Install the package and make the prefix an ament prefix (resource index, package.xml, launch,
+config).
+"""
 
 from glob import glob
 from pathlib import Path

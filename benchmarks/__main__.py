@@ -1,7 +1,7 @@
 """Run every benchmark on the machine at hand and write RESULTS.md beside this file.
 
-``python -m benchmarks [NAME ...]``: all of them, or those named, whose sections replace those of an earlier run. Each module has
-``run() -> dict[str, float | int | str]``.
+``python -m benchmarks [NAME ...]``: all of them, or those named, whose sections replace those of an
+earlier run. Each module has ``run() -> dict[str, float | int | str]``.
 """
 
 from __future__ import annotations
@@ -17,17 +17,40 @@ from ladar_volume.version import version
 
 HERE = Path(__file__).parent
 NAMES = (
-    "georeference", "filtering", "filtering_peers", "filtering_square", "surface", "surface_peers", "epochs", "replay", "stages", "live",
-    "seeds", "pits", "spheres", "correlated_sum", "ball_box", "local_mesh", "kill_logger", "calibration", "bodies",
-    "propagation", "footprint", "fuzz", "soak",
-)  # fmt: skip
+    "georeference",
+    "filtering",
+    "filtering_peers",
+    "filtering_square",
+    "surface",
+    "surface_peers",
+    "epochs",
+    "replay",
+    "stages",
+    "live",
+    "seeds",
+    "pits",
+    "spheres",
+    "correlated_sum",
+    "ball_box",
+    "local_mesh",
+    "kill_logger",
+    "calibration",
+    "bodies",
+    "propagation",
+    "footprint",
+    "fuzz",
+    "soak",
+)
 
 
 def machine() -> str:
     """Processor, cores and Python, for the head of the table."""
     lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
     names = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
-    return f"{names[0] if names else platform.processor()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    return (
+        f"{names[0] if names else platform.processor()}, {os.cpu_count()} cores, Python "
+        f"{platform.python_version()}"
+    )
 
 
 def sections(text: str) -> dict[str, str]:
@@ -38,25 +61,47 @@ def sections(text: str) -> dict[str, str]:
 
 def section(name: str, figures: dict[str, float | int | str]) -> str:
     """One benchmark's table."""
-    rows = [f"| {key} | {value:.4g} |" if isinstance(value, float) else f"| {key} | {value} |" for key, value in figures.items()]
-    head = [f"## {name}", "", f"{version()}, {machine()}, {datetime.date.today()}", "", "| figure | value |", "|---|---|"]
+    rows = [
+        f"| {key} | {value:.4g} |" if isinstance(value, float) else f"| {key} | {value} |"
+        for key, value in figures.items()
+    ]
+    head = [
+        f"## {name}",
+        "",
+        f"{version()}, {machine()}, {datetime.date.today()}",
+        "",
+        "| figure | value |",
+        "|---|---|",
+    ]
     return "\n".join([*head, *rows, ""])
 
 
 def main(wanted: list[str]) -> int:
-    """Run the wanted benchmarks, print their figures, and put their sections in the place of those of an earlier run."""
+    """Run the wanted benchmarks, print their figures, and put their sections in the place of those
+    of an earlier run.
+    """
     unknown = set(wanted) - set(NAMES)
     if unknown:
-        print(f"no such benchmark: {', '.join(sorted(unknown))}; there are {', '.join(NAMES)}", file=sys.stderr)
+        print(
+            f"no such benchmark: {', '.join(sorted(unknown))}; there are {', '.join(NAMES)}",
+            file=sys.stderr,
+        )
         return 2
     results = HERE / "RESULTS.md"
     for name in wanted or NAMES:
         figures = importlib.import_module(f"benchmarks.{name}").run()
         for key, value in figures.items():
-            print(f"{name}: {key}: {value:.4g}" if isinstance(value, float) else f"{name}: {key}: {value}", flush=True)
+            print(
+                f"{name}: {key}: {value:.4g}"
+                if isinstance(value, float)
+                else f"{name}: {key}: {value}",
+                flush=True,
+            )
         done = sections(results.read_text()) if results.exists() else {}
         done[name] = section(name, figures)
-        results.write_text("\n".join(["# Benchmarks of ladar_volume", "", *(done[n] for n in NAMES if n in done)]))
+        results.write_text(
+            "\n".join(["# Benchmarks of ladar_volume", "", *(done[n] for n in NAMES if n in done)])
+        )
     return 0
 
 

@@ -17,7 +17,9 @@ VARIOGRAM = Variogram(1.1, 0.2, 6.0)
 
 
 def maps(shape: tuple[int, int], seed: int = 1) -> tuple[F64, F64]:
-    """Sigmas that differ by a factor of four from cell to cell, and weights with a round hole in them."""
+    """Sigmas that differ by a factor of four from cell to cell, and weights with a round hole in
+    them.
+    """
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[: shape[0], : shape[1]]
     hole = np.hypot(y - 0.4 * shape[0], x - 0.6 * shape[1]) < 0.15 * min(shape)
@@ -40,7 +42,9 @@ def lag_sum(shape: tuple[int, int], sigma: float, cell_m: float, variogram: Vari
     """Equal cells: each lag (i, j) has (r − |i|)(c − |j|) pairs."""
     i, j = np.arange(1 - shape[0], shape[0]), np.arange(1 - shape[1], shape[1])
     pairs = (shape[0] - np.abs(i))[:, None] * (shape[1] - np.abs(j))[None].astype(np.float64)
-    rho = (1.0 - variogram.nugget) * np.exp(-np.hypot(i[:, None], j[None]) * cell_m / variogram.length_m)
+    rho = (1.0 - variogram.nugget) * np.exp(
+        -np.hypot(i[:, None], j[None]) * cell_m / variogram.length_m
+    )
     rho[shape[0] - 1, shape[1] - 1] = 1.0
     return variogram.variance * (sigma * cell_m**2) ** 2 * float((pairs * rho).sum())
 
@@ -68,7 +72,9 @@ def run() -> dict[str, float | int | str]:
         "10⁴ cells, relative difference of sigma": abs((fast / slow) ** 0.5 - 1.0),
         "10⁶ cells / s": float(np.median(times)),
         "10⁶ cells, peak memory / MB": peak / 1e6,
-        "10⁶ equal cells, relative difference of sigma": abs((equal / lag_sum(LARGE, 0.02, CELL_M, VARIOGRAM)) ** 0.5 - 1.0),
+        "10⁶ equal cells, relative difference of sigma": abs(
+            (equal / lag_sum(LARGE, 0.02, CELL_M, VARIOGRAM)) ** 0.5 - 1.0
+        ),
     }
 
 

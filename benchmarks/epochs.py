@@ -1,9 +1,12 @@
-"""Two epochs of a stockpile: the volume between two TINs over their common footprint, its bias, spread and predicted sigma, and the time.
+"""Two epochs of a stockpile: the volume between two TINs over their common footprint, its bias,
+spread and predicted sigma, and the time.
 
-A cosine-shaped pile of exactly 5,000 m³ on undulating ground; height noise of 3 cm, other positions in each epoch, and a density that
-varies 10 to 1 across the site and is striped along it. Numbers of points count both epochs.
+A cosine-shaped pile of exactly 5,000 m³ on undulating ground; height noise of 3 cm, other positions
+in each epoch, and a density that varies 10 to 1 across the site and is striped along it. Numbers of
+points count both epochs.
 
-``python -m benchmarks.epochs``: points, seeds, bias and spread in per cent, wall and CPU seconds (medians of three).
+``python -m benchmarks.epochs``: points, seeds, bias and spread in per cent, wall and CPU seconds
+(medians of three).
 """
 
 from __future__ import annotations
@@ -29,7 +32,9 @@ def places(n: int, rng: np.random.Generator) -> F64:
     kept, have = [], 0
     while have < n:
         xy = rng.uniform(-HALF_M, HALF_M, (2 * n, 2))
-        density = (0.2 + 0.8 * (xy[:, 0] / HALF_M + 1.0) / 2.0) * (0.75 + 0.25 * np.cos(2.0 * np.pi * xy[:, 1] / 9.0))
+        density = (0.2 + 0.8 * (xy[:, 0] / HALF_M + 1.0) / 2.0) * (
+            0.75 + 0.25 * np.cos(2.0 * np.pi * xy[:, 1] / 9.0)
+        )
         kept.append(xy[rng.random(2 * n) < density])
         have += len(kept[-1])
     return np.concatenate(kept)[:n]
@@ -41,7 +46,11 @@ def epoch(n: int, with_pile: bool, rng: np.random.Generator) -> F64:
     rho = np.hypot(xy[:, 0], xy[:, 1])
     z = 0.4 * np.sin(xy[:, 0] / 7.0) + 0.02 * xy[:, 1]
     if with_pile:
-        z = z + np.where(rho < RADIUS_M, 0.5 * HEIGHT_M * (1.0 + np.cos(np.pi * np.minimum(rho / RADIUS_M, 1.0))), 0.0)
+        z = z + np.where(
+            rho < RADIUS_M,
+            0.5 * HEIGHT_M * (1.0 + np.cos(np.pi * np.minimum(rho / RADIUS_M, 1.0))),
+            0.0,
+        )
     return np.c_[xy, z + SIGMA_M * rng.standard_normal(n)]
 
 
@@ -74,7 +83,10 @@ def run(sizes: tuple[int, ...] = SIZES, seeds: int = SEEDS) -> dict[str, float |
             vertical = np.r_[r.gradient_net[:, 2], r.lower_net[:, 2]]
             sigmas.append(100.0 * SIGMA_M * float(np.sqrt(vertical @ vertical)) / VOLUME_M3)
         name = f"{points:,} points"
-        out[f"{name}: bias / %"], out[f"{name}: spread / %"] = statistics.fmean(errors), statistics.stdev(errors)
+        out[f"{name}: bias / %"], out[f"{name}: spread / %"] = (
+            statistics.fmean(errors),
+            statistics.stdev(errors),
+        )
         out[f"{name}: largest error / %"] = max(map(abs, errors))
         out[f"{name}: predicted sigma / %"] = float(np.sqrt(np.mean(np.square(sigmas))))
         out[f"{name}: wall per million / s"] = 1e6 * statistics.median(walls[:3]) / points

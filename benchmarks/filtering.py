@@ -1,7 +1,8 @@
-"""Filtering: insertion into voxels (points per second) and refitting a surface (patches per second).
+"""Filtering: insertion into voxels (points per second) and refitting a surface (patches per
+second).
 
-A stockpile of 50 x 44 m with 370,000 returns, patches 0.6 m apart, quadrics over 1.2 m, at most 32 raw points per voxel. Compilation is
-done before.
+A stockpile of 50 x 44 m with 370,000 returns, patches 0.6 m apart, quadrics over 1.2 m, at most 32
+raw points per voxel. Compilation is done before.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ def _platform() -> PlatformStates:
     p = np.stack([s - SECONDS / 2, np.zeros(n), np.full(n, 30.0)], axis=1)
     q = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
     v = np.tile([1.0, 0.0, 0.0], (n, 1))
-    return PlatformStates(t, p, q, v, np.zeros((n, 3)), np.tile(np.eye(6) * 1e-4, (n, 1, 1)), np.zeros(n, np.int64))
+    return PlatformStates(
+        t, p, q, v, np.zeros((n, 3)), np.tile(np.eye(6) * 1e-4, (n, 1, 1)), np.zeros(n, np.int64)
+    )
 
 
 def _points() -> MappedPoints:
@@ -36,12 +39,23 @@ def _points() -> MappedPoints:
     z = 0.3 + np.maximum(0.0, 3.5 - 0.5 * np.hypot(*xy.T)) + 0.01 * rng.normal(size=POINTS)
     z[: POINTS // 200] += rng.uniform(0, 4, POINTS // 200)
     # a scanner passes over: what is ahead is seen earlier
-    t = np.clip((xy[:, 0] + 25) / 50 * SECONDS * 0.8 + rng.uniform(0, SECONDS * 0.2, POINTS), 0, SECONDS) * 1e9
+    t = (
+        np.clip(
+            (xy[:, 0] + 25) / 50 * SECONDS * 0.8 + rng.uniform(0, SECONDS * 0.2, POINTS), 0, SECONDS
+        )
+        * 1e9
+    )
     order = np.argsort(t)
     C = np.zeros((POINTS, 6), np.float32)
     C[:, [0, 3, 5]] = 1e-4
     ring = rng.integers(0, 16, POINTS).astype(np.uint16)
-    return MappedPoints(t[order].astype(np.int64), np.column_stack([xy, z])[order], C, ring, np.zeros(POINTS, np.float32))
+    return MappedPoints(
+        t[order].astype(np.int64),
+        np.column_stack([xy, z])[order],
+        C,
+        ring,
+        np.zeros(POINTS, np.float32),
+    )
 
 
 def _pass(clouds: list[MappedPoints], states: PlatformStates) -> tuple[float, float, FilterUpdate]:
@@ -62,7 +76,11 @@ def _store(points: MappedPoints) -> float:
     start = time.perf_counter()
     for i in range(0, POINTS, PER_CLOUD):
         part = slice(i, i + PER_CLOUD)
-        store.insert(store.offer(points.t_ns[part], points.ring[part], points.r_map[part], points.C_ind[part])[0])
+        store.insert(
+            store.offer(
+                points.t_ns[part], points.ring[part], points.r_map[part], points.C_ind[part]
+            )[0]
+        )
     return time.perf_counter() - start
 
 
@@ -93,7 +111,9 @@ def run() -> dict[str, float | int | str]:
     numba.set_num_threads(threads)
     return {
         "threads": threads,
-        "voxels alone, million points / s": POINTS / min(_store(points) for _ in range(REPEATS)) / 1e6,
+        "voxels alone, million points / s": POINTS
+        / min(_store(points) for _ in range(REPEATS))
+        / 1e6,
         "insertion with poses, million points / s": POINTS / min(p[0] for p in passes) / 1e6,
         "patches": patches,
         "filtered points": len(passes[0][2].points),

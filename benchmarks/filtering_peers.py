@@ -1,7 +1,9 @@
-"""The cloud filter, with parameters it sets itself, beside PCL, Open3D and MeshLab on the synthetic sets (see ``benchmarks.shapes``).
+"""The cloud filter, with parameters it sets itself, beside PCL, Open3D and MeshLab on the synthetic
+sets (see ``benchmarks.shapes``).
 
-Means over the seeds. PCL's radius is picked in its favour, set by set: the one of several with the least RMS on a seed that is not among
-the others. Times are medians of three on the first seed; for PCL's tools the start of the process is subtracted.
+Means over the seeds. PCL's radius is picked in its favour, set by set: the one of several with the
+least RMS on a seed that is not among the others. Times are medians of three on the first seed; for
+PCL's tools the start of the process is subtracted.
 """
 
 from __future__ import annotations
@@ -11,7 +13,15 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from benchmarks.peers import Kept, Missing, meshlab_outliers, open3d_outliers, pcl_mls, startup_s, timed
+from benchmarks.peers import (
+    Kept,
+    Missing,
+    meshlab_outliers,
+    open3d_outliers,
+    pcl_mls,
+    startup_s,
+    timed,
+)
 from benchmarks.shapes import Result, Shape, every, rms_mm, score
 from benchmarks.truth import F64
 from ladar_volume.model.parameters import FilterParameters
@@ -33,7 +43,9 @@ def own(points: F64) -> Result:
 
 def best_radius(shape: Shape, clean: bool) -> float:
     """PCL's radius with the least RMS on one set."""
-    errors = [score(shape, pcl_mls(shape.points, radius, clean=clean))["rms_mm"] for radius in RADII_M]
+    errors = [
+        score(shape, pcl_mls(shape.points, radius, clean=clean))["rms_mm"] for radius in RADII_M
+    ]
     return RADII_M[int(np.argmin(errors))]
 
 
@@ -71,11 +83,19 @@ def measure(method: Method, shapes: list[Shape]) -> Figures:
 def line(figures: Figures, wall: float, cpu: float) -> str:
     """One row of the table."""
     edges = "" if np.isnan(figures["edge_rms_mm"]) else f", edges {figures['edge_rms_mm']:.1f}"
-    removed = f"{figures['false_removed_pct']:.2f} % false, {figures['far_removed_pct']:.1f} % of far outliers removed"
-    return f"RMS {figures['rms_mm']:.2f} mm{edges}, bias {figures['bias_mm']:+.2f}; {removed}; {wall:.3f} s wall, {cpu:.3f} s CPU"
+    removed = (
+        f"{figures['false_removed_pct']:.2f} % false, {figures['far_removed_pct']:.1f} % of "
+        "far outliers removed"
+    )
+    return (
+        f"RMS {figures['rms_mm']:.2f} mm{edges}, bias {figures['bias_mm']:+.2f}; {removed}; "
+        f"{wall:.3f} s wall, {cpu:.3f} s CPU"
+    )
 
 
-def one_set(shapes: list[Shape], tuning: Shape, started: tuple[float, float]) -> dict[str, float | int | str]:
+def one_set(
+    shapes: list[Shape], tuning: Shape, started: tuple[float, float]
+) -> dict[str, float | int | str]:
     """All filters on one kind of set."""
     name = shapes[0].name
     raw = [rms_mm(shape.distance(shape.points[shape.from_surface])) for shape in shapes]
@@ -88,7 +108,9 @@ def one_set(shapes: list[Shape], tuning: Shape, started: tuple[float, float]) ->
         figures = measure(method, shapes)
         wall, cpu, _ = timed(method, shapes[0].points)
         starts = label.startswith("PCL") + label.startswith("PCL outlier")
-        out[f"{name}: {label}"] = line(figures, wall - starts * started[0], cpu - starts * started[1])
+        out[f"{name}: {label}"] = line(
+            figures, wall - starts * started[0], cpu - starts * started[1]
+        )
         errors[label] = figures["rms_mm"]
     for label in errors:
         if label.startswith("PCL"):

@@ -1,10 +1,11 @@
-"""What each node costs before any data: time to import its module, to be active and to be heard, and resident size.
+"""What each node costs before any data: time to import its module, to be active and to be heard,
+and resident size.
 
-Active is a node that has its kernels and takes in data. Heard it is with its first diagnostics: discovery over DDS takes up to three
-seconds where an announcement is missed.
+Active is a node that has its kernels and takes in data. Heard it is with its first diagnostics:
+discovery over DDS takes up to three seconds where an announcement is missed.
 
-``python -m benchmarks footprint``. Kernels are in their cache (a first start of every node is not measured); each node is alone in a
-process of its own. Medians of three starts.
+``python -m benchmarks footprint``. Kernels are in their cache (a first start of every node is not
+measured); each node is alone in a process of its own. Medians of three starts.
 """
 
 from __future__ import annotations
@@ -31,7 +32,9 @@ def resident_mb(pid: int) -> float:
 
 
 def proportional_mb(pid: int) -> float:
-    """The same with each page that several processes share divided among them; 0 where it is gone."""
+    """The same with each page that several processes share divided among them; 0 where it is
+    gone.
+    """
     return _memory_mb(pid, "smaps_rollup", "Pss:")
 
 
@@ -57,17 +60,34 @@ def imported(name: str, environment: dict[str, str]) -> tuple[float, float]:
     code = (
         "import time; began = time.perf_counter()\n"
         f"import ladar_volume.nodes.{name}\n"
-        "print(time.perf_counter() - began, next(l for l in open('/proc/self/status') if l.startswith('VmRSS')).split()[1])"
+        "print(time.perf_counter() - began, next(l for l in open('/proc/self/status') if "
+        "l.startswith('VmRSS')).split()[1])"
     )
-    done = subprocess.run([sys.executable, "-c", code], env=environment, cwd=ROOT, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=environment,
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     seconds, kilobytes = done.stdout.split()
     return float(seconds), int(kilobytes) / 1024.0
 
 
 def words_for(name: str, folder: str) -> list[str]:
     """The command line of a node, after the program."""
-    settings = {"node.diagnostics_period_s": "0.1", "logger.path": f"{folder}/log.mcap", "mavlink.url": "udpin:127.0.0.1:14660"}
-    own = [w for k, v in settings.items() if k.split("_")[0].split(".")[0] in ("node", name.split("_")[0]) for w in ("-p", f"{k}:={v}")]
+    settings = {
+        "node.diagnostics_period_s": "0.1",
+        "logger.path": f"{folder}/log.mcap",
+        "mavlink.url": "udpin:127.0.0.1:14660",
+    }
+    own = [
+        w
+        for k, v in settings.items()
+        if k.split("_")[0].split(".")[0] in ("node", name.split("_")[0])
+        for w in ("-p", f"{k}:={v}")
+    ]
     return ["--ros-args", *own]
 
 
@@ -86,7 +106,14 @@ def active(name: str, environment: dict[str, str], folder: str) -> float:
     )
     began = time.time()
     command = [sys.executable, "-c", code, *words_for(name, folder)]
-    process = subprocess.Popen(command, env=environment, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    process = subprocess.Popen(
+        command,
+        env=environment,
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
     try:
         assert process.stdout is not None
         return float(process.stdout.readline()) - began
@@ -96,10 +123,14 @@ def active(name: str, environment: dict[str, str], folder: str) -> float:
 
 
 def heard(name: str, environment: dict[str, str], folder: str) -> tuple[float, float]:
-    """Seconds from the start of the process to its first diagnostics, less their period, and the resident size then (MB)."""
+    """Seconds from the start of the process to its first diagnostics, less their period, and the
+    resident size then (MB).
+    """
     watcher = rclpy.create_node("footprint")
     seen: list[str] = []
-    watcher.create_subscription(DiagnosticArray, "/diagnostics", lambda m: seen.extend(s.name for s in m.status), 10)
+    watcher.create_subscription(
+        DiagnosticArray, "/diagnostics", lambda m: seen.extend(s.name for s in m.status), 10
+    )
     began = time.monotonic()
     command = [sys.executable, "-m", f"ladar_volume.nodes.{name}", *words_for(name, folder)]
     process = subprocess.Popen(command, env=environment, cwd=ROOT, stderr=subprocess.DEVNULL)
@@ -136,5 +167,7 @@ def run() -> dict[str, float | int | str]:
             out[f"{name}: before data, MB"] = statistics.median(m for _, m in starts)
     finally:
         rclpy.try_shutdown()
-    out["load average of the machine at the end, all its work"] = f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
+    out["load average of the machine at the end, all its work"] = (
+        f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
+    )
     return out

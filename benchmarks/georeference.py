@@ -1,6 +1,7 @@
 """Georeferencing: pose interpolation, LiDAR equation and 3x3 covariance, points per second.
 
-The compiled pass against its plain numpy twin on the same clouds, and the whole stage as a node feeds it. Compilation is done before.
+The compiled pass against its plain numpy twin on the same clouds, and the whole stage as a node
+feeds it. Compilation is done before.
 """
 
 from __future__ import annotations
@@ -14,7 +15,13 @@ import numpy as np
 from ladar_volume.georeference.budget import independent_sigmas
 from ladar_volume.georeference.georeferencer import Georeferencer
 from ladar_volume.georeference.lidar import mounting
-from ladar_volume.georeference.mapping import Mapped, map_returns, map_returns_numpy, region_box, vehicle_box
+from ladar_volume.georeference.mapping import (
+    Mapped,
+    map_returns,
+    map_returns_numpy,
+    region_box,
+    vehicle_box,
+)
 from ladar_volume.georeference.trajectory import PathWindow, tangents
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import Fix, ImuSample, Returns
@@ -34,8 +41,19 @@ def _clouds() -> list[Returns]:
     for i in range(CLOUDS):
         t = round((0.2 + 0.1 * i) * 1e9) + np.sort(rng.integers(0, 100_000_000, PER_CLOUD))
         direction = rng.normal(size=(PER_CLOUD, 3))
-        r = direction / np.linalg.norm(direction, axis=1, keepdims=True) * rng.uniform(2, 60, (PER_CLOUD, 1))
-        out.append(Returns(t, r, rng.integers(0, 16, PER_CLOUD).astype(np.uint16), np.ones(PER_CLOUD, np.float32)))
+        r = (
+            direction
+            / np.linalg.norm(direction, axis=1, keepdims=True)
+            * rng.uniform(2, 60, (PER_CLOUD, 1))
+        )
+        out.append(
+            Returns(
+                t,
+                r,
+                rng.integers(0, 16, PER_CLOUD).astype(np.uint16),
+                np.ones(PER_CLOUD, np.float32),
+            )
+        )
     return out
 
 
@@ -46,7 +64,13 @@ def _window(cloud: Returns) -> PathWindow:
     position_t = t0 - 200_000_000 + 100_000_000 * np.arange(6)
     p = position_t[:, None] * 1e-9 * np.array([5.0, 0.1, 0.0])
     return PathWindow(
-        state_t, _quaternions(state_t * 1e-9), np.zeros(24, np.int64), position_t, p, tangents(position_t, p, np.zeros(6, np.int64)), False
+        state_t,
+        _quaternions(state_t * 1e-9),
+        np.zeros(24, np.int64),
+        position_t,
+        p,
+        tangents(position_t, p, np.zeros(6, np.int64)),
+        False,
     )
 
 
@@ -66,7 +90,9 @@ def _stage(clouds: list[Returns]) -> None:
     for i, cloud in enumerate(clouds):
         until = 0.4 + 0.1 * i
         while fixes * 0.1 <= until:
-            stage.add_fix(Fix(round(fixes * 1e8), 50.0 + 1e-6 * fixes, 14.0, 200.0, np.eye(3) * 1e-4))
+            stage.add_fix(
+                Fix(round(fixes * 1e8), 50.0 + 1e-6 * fixes, 14.0, 200.0, np.eye(3) * 1e-4)
+            )
             fixes += 1
         while imus * 0.005 <= until:
             q = _quaternions(np.array(imus * 0.005))
@@ -87,7 +113,10 @@ def run() -> dict[str, float | int | str]:
     vehicle, region = vehicle_box(()), region_box(())
 
     def all_clouds(pass_: Callable[..., Mapped]) -> Callable[[], list[Mapped]]:
-        return lambda: [pass_(c.t_ns, c.r_laser, w, mount, sigmas, vehicle, region) for c, w in zip(clouds, windows, strict=True)]
+        return lambda: [
+            pass_(c.t_ns, c.r_laser, w, mount, sigmas, vehicle, region)
+            for c, w in zip(clouds, windows, strict=True)
+        ]
 
     n = CLOUDS * PER_CLOUD
     fast, plain = _best(all_clouds(map_returns)), _best(all_clouds(map_returns_numpy))

@@ -1,10 +1,12 @@
-"""What ``kill -9`` costs the log: the logger is killed at random moments under load, its next start repairs the file it left, and
-both ``mcap`` and ``rosbags`` must open it. Lost is the time from the last of the load's messages in the file, which come at 100 Hz, to
-the last one that was sent before the kill. Every fourth kill comes while the logger starts, the others once the load is in the file. The
-same readers try the file as the kill left it, too; ``mcap`` then also from front to back, and what it finds that way the repaired file
-must hold.
+"""What ``kill -9`` costs the log: the logger is killed at random moments under load, its next start
+repairs the file it left, and both ``mcap`` and ``rosbags`` must open it. Lost is the time from the
+last of the load's messages in the file, which come at 100 Hz, to the last one that was sent before
+the kill. Every fourth kill comes while the logger starts, the others once the load is in the file.
+The same readers try the file as the kill left it, too; ``mcap`` then also from front to back, and
+what it finds that way the repaired file must hold.
 
-``python -m benchmarks.kill_logger [--runs N] [--bare]``; ``--bare`` kills a process that writes through the Recorder without ROS.
+``python -m benchmarks.kill_logger [--runs N] [--bare]``; ``--bare`` kills a process that writes
+through the Recorder without ROS.
 """
 
 from __future__ import annotations
@@ -41,7 +43,9 @@ LOAD = "/imu/data"
 
 
 class Sent:
-    """When the load sent its last message, in a file's pages: there for others whatever becomes of the process."""
+    """When the load sent its last message, in a file's pages: there for others whatever becomes of
+    the process.
+    """
 
     def __init__(self, path: Path) -> None:
         path.touch()
@@ -81,7 +85,10 @@ def publish(sent: Sent) -> None:
 
     rclpy.init(args=[])
     node = rclpy.create_node("load")
-    clouds, imus = node.create_publisher(PointCloud2, "velodyne_points", 10), node.create_publisher(Imu, "imu/data", 100)
+    clouds, imus = (
+        node.create_publisher(PointCloud2, "velodyne_points", 10),
+        node.create_publisher(Imu, "imu/data", 100),
+    )
     cloud, i = PointCloud2(data=os.urandom(CLOUD_BYTES)), 0
     while True:
         imus.publish(Imu())
@@ -101,7 +108,9 @@ def _wait(done: Callable[[], bool], timeout_s: float = 60.0) -> None:
 
 
 def as_left(path: Path) -> dict[str, Any]:
-    """Which reader opens a file as the killed logger left it, and how many messages ``mcap`` finds in it from front to back."""
+    """Which reader opens a file as the killed logger left it, and how many messages ``mcap`` finds
+    in it from front to back.
+    """
     out: dict[str, Any] = {"mcap_before": True, "rosbags_before": True, "readable_before": 0}
     with path.open("rb") as stream:
         try:
@@ -120,9 +129,14 @@ def as_left(path: Path) -> dict[str, Any]:
 
 
 def check(path: Path) -> tuple[int, int]:
-    """Messages of the load and the last receive time, by ``mcap``; raises where it or ``rosbags`` cannot read the file or they disagree."""
+    """Messages of the load and the last receive time, by ``mcap``; raises where it or ``rosbags``
+    cannot read the file or they disagree.
+    """
     with path.open("rb") as stream:
-        topics = [(c.topic, m.log_time) for _, c, m in make_reader(stream, validate_crcs=True).iter_messages()]
+        topics = [
+            (c.topic, m.log_time)
+            for _, c, m in make_reader(stream, validate_crcs=True).iter_messages()
+        ]
     if topics:
         with AnyReader([path], default_typestore=TYPESTORE) as bag:
             if sum(1 for _ in bag.messages()) != len(topics):
@@ -132,18 +146,34 @@ def check(path: Path) -> tuple[int, int]:
 
 
 def kill_often(runs: int, bare: bool, folder: Path) -> list[dict[str, Any]]:
-    """One dictionary per run: ``delay_s``, ``lost_s`` (None where nothing had been written yet), ``messages``, ``opens``, and what
-    :func:`as_left` says."""
+    """One dictionary per run: ``delay_s``, ``lost_s`` (None where nothing had been written yet),
+    ``messages``, ``opens``, and what :func:`as_left` says.
+    """
     rng, base, sent = random.Random(20), folder / "log.mcap", Sent(folder / "sent")
     python = [sys.executable, "-m"]
-    environment = os.environ | {"ROS_DOMAIN_ID": str(os.getpid() % 90 + 10), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    environment["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"  # shared memory left by a killed process delays the next one's discovery
-    settings = [w for s in (f"path:={base}", "disk_reserve_bytes:=0") for w in ("-p", f"logger.{s}")]
+    environment = os.environ | {
+        "ROS_DOMAIN_ID": str(os.getpid() % 90 + 10),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    }
+    environment["FASTDDS_BUILTIN_TRANSPORTS"] = (
+        "UDPv4"  # shared memory left by a killed process delays the next one's discovery
+    )
+    settings = [
+        w for s in (f"path:={base}", "disk_reserve_bytes:=0") for w in ("-p", f"logger.{s}")
+    ]
     shared = ["--sent", str(folder / "sent")]
-    command = [*python, "benchmarks.kill_logger", "--write", str(base), *shared] if bare else [
-        *python, "ladar_volume.nodes.logger_node", "--ros-args", *settings
-    ]  # fmt: skip
-    load = None if bare else subprocess.Popen([*python, "benchmarks.kill_logger", "--publish", *shared], cwd=ROOT, env=environment)
+    command = (
+        [*python, "benchmarks.kill_logger", "--write", str(base), *shared]
+        if bare
+        else [*python, "ladar_volume.nodes.logger_node", "--ros-args", *settings]
+    )
+    load = (
+        None
+        if bare
+        else subprocess.Popen(
+            [*python, "benchmarks.kill_logger", "--publish", *shared], cwd=ROOT, env=environment
+        )
+    )
     found: list[dict[str, Any]] = []
     newest: list[Path] = []
     try:
@@ -162,7 +192,10 @@ def kill_often(runs: int, bare: bool, folder: Path) -> list[dict[str, Any]]:
                 last, killed = sent.t_ns, time.time_ns()
                 logger.kill()
                 logger.wait()
-            found.append({"delay_s": delay, "sent_ns": last, "silent_s": (killed - last) * 1e-9} | (as_left(newest[0]) if n < runs else {}))
+            found.append(
+                {"delay_s": delay, "sent_ns": last, "silent_s": (killed - last) * 1e-9}
+                | (as_left(newest[0]) if n < runs else {})
+            )
     finally:
         if load is not None:
             load.kill()
@@ -179,8 +212,17 @@ def _outcome(path: Path, run: dict[str, Any]) -> dict[str, Any]:
         return {"opens": False, "messages": 0, "lost_s": None, "error": repr(error)}
     path.unlink()
     if messages < run["readable_before"]:
-        return {"opens": False, "messages": messages, "lost_s": None, "error": "the repair lost messages"}
-    return {"opens": True, "messages": messages, "lost_s": max(run["sent_ns"] - last, 0) * 1e-9 if messages else None}
+        return {
+            "opens": False,
+            "messages": messages,
+            "lost_s": None,
+            "error": "the repair lost messages",
+        }
+    return {
+        "opens": True,
+        "messages": messages,
+        "lost_s": max(run["sent_ns"] - last, 0) * 1e-9 if messages else None,
+    }
 
 
 def summary(found: list[dict[str, Any]]) -> dict[str, float | int | str]:
@@ -197,11 +239,15 @@ def summary(found: list[dict[str, Any]]) -> dict[str, float | int | str]:
         "99 % of losses below, s": sorted(lost)[int(0.99 * len(lost))] if lost else 0.0,
         "largest loss, s": max(lost, default=0.0),
         "kills that lost more than 1 s": sum(s > 1.0 for s in lost),
-        "longest time the load itself had sent nothing before a kill, s": max(r["silent_s"] for r in found),
+        "longest time the load itself had sent nothing before a kill, s": max(
+            r["silent_s"] for r in found
+        ),
     }
 
 
-def run(runs: int = 200, bare: bool = False, folder: Path | None = None) -> dict[str, float | int | str]:
+def run(
+    runs: int = 200, bare: bool = False, folder: Path | None = None
+) -> dict[str, float | int | str]:
     """The record: 200 kills of the node."""
     with tempfile.TemporaryDirectory() as scratch:
         return summary(kill_often(runs, bare, folder or Path(scratch)))
@@ -223,8 +269,15 @@ def main() -> int:
     if arguments.publish:
         publish(Sent(arguments.sent))
     figures = run(arguments.runs, arguments.bare, arguments.folder)
-    print(json.dumps(figures) if arguments.json else "\n".join(f"{k}: {v}" for k, v in figures.items()))
-    bad = figures["files that mcap and rosbags open after the next start"] != figures["kills"] or figures["kills that lost more than 1 s"]
+    print(
+        json.dumps(figures)
+        if arguments.json
+        else "\n".join(f"{k}: {v}" for k, v in figures.items())
+    )
+    bad = (
+        figures["files that mcap and rosbags open after the next start"] != figures["kills"]
+        or figures["kills that lost more than 1 s"]
+    )
     return 1 if bad else 0
 
 

@@ -1,7 +1,8 @@
-"""Meshing in any direction: filtered spheres and cubes of 20 seeds, and 300,000 points of the square.
+"""Meshing in any direction: filtered spheres and cubes of 20 seeds, and 300,000 points of the
+square.
 
-A mesh is whole where it is watertight, in one part, of Euler characteristic 2. Points of the square are without noise. Compilation is done
-before.
+A mesh is whole where it is watertight, in one part, of Euler characteristic 2. Points of the square
+are without noise. Compilation is done before.
 """
 
 from __future__ import annotations
@@ -44,7 +45,9 @@ def body(name: str) -> dict[str, float | int | str]:
     off: dict[str, list[float]] = {"through the points": [], "edges completed": []}
     whole = over = 0.0
     for seed in SEEDS:
-        result = filter_cloud(getattr(shapes, name)(seed).points, Parameters.read({}).filter, auto=True)
+        result = filter_cloud(
+            getattr(shapes, name)(seed).points, Parameters.read({}).filter, auto=True
+        )
         mesh = mesh_cloud(result.r, result.normal)
         sharp = sharpen(skin_of(mesh.vertices, mesh.triangles, mesh.normals))[0]
         off["through the points"].append(100 * (volume(mesh) / TRUE[name] - 1))
@@ -52,7 +55,10 @@ def body(name: str) -> dict[str, float | int | str]:
         one = orient(sharp.vertices, sharp.triangles)
         whole += one.euler == 2 and not len(one.boundary) and one.part.max() == 0
         over += 100 * mesh.report["over_full_before"] / mesh.report["edges_before"] / len(SEEDS)
-    out: dict[str, float | int | str] = {f"{name}, whole meshes of {len(SEEDS)}": int(whole), f"{name}, over-full edges before, %": over}
+    out: dict[str, float | int | str] = {
+        f"{name}, whole meshes of {len(SEEDS)}": int(whole),
+        f"{name}, over-full edges before, %": over,
+    }
     for key, values in off.items():
         out[f"{name}, {key}, volume, %"] = f"{np.mean(values):+.3f} ± {np.std(values, ddof=1):.3f}"
     return out
@@ -63,7 +69,11 @@ def repairs() -> dict[str, float | int | str]:
     result = filter_cloud(shapes.cube(0).points, Parameters.read({}).filter, auto=True)
     out: dict[str, float | int | str] = {}
     for repair in REPAIRS:
-        mesh = mesh_cloud(result.r, result.normal, LocalMeshSettings(BOX.radius_m, method="published", repair=repair))
+        mesh = mesh_cloud(
+            result.r,
+            result.normal,
+            LocalMeshSettings(BOX.radius_m, method="published", repair=repair),
+        )
         out[f"cube as published, {repair}, volume, %"] = 100 * (volume(mesh) - 1)
     return out
 
@@ -84,7 +94,9 @@ def run() -> dict[str, float | int | str]:
         f"square, {COUNT} points, s": min(wall),
         "square, processor time, s": min(cpu),
         "square, triangles": len(mesh.triangles),
-        "square, over-full edges before, %": 100 * mesh.report["over_full_before"] / mesh.report["edges_before"],
+        "square, over-full edges before, %": 100
+        * mesh.report["over_full_before"]
+        / mesh.report["edges_before"],
         "square, rims": len(mesh.rims),
         "square, Euler characteristic": done.euler,
         **body("sphere"),

@@ -1,6 +1,8 @@
-"""Other filters behind the interface of the cloud filter: points and parameters in, kept points with their input indices out.
+"""Other filters behind the interface of the cloud filter: points and parameters in, kept points
+with their input indices out.
 
-PCL through its command-line tools (Debian's ``pcl-tools``), Open3D and MeshLab in this process. What is not installed raises ``Missing``.
+PCL through its command-line tools (Debian's ``pcl-tools``), Open3D and MeshLab in this process.
+What is not installed raises ``Missing``.
 """
 
 from __future__ import annotations
@@ -30,8 +32,10 @@ class Missing(RuntimeError):
 
 @dataclass(frozen=True)
 class Kept:
-    """What a peer returns, in the terms of the cloud filter's result. ``spent``: wall and CPU seconds of its own where files are written
-    for it and input indices are found afterwards, which is not its work."""
+    """What a peer returns, in the terms of the cloud filter's result. ``spent``: wall and CPU
+    seconds of its own where files are written for it and input indices are found afterwards, which
+    is not its work.
+    """
 
     r: F64
     index: I64
@@ -89,7 +93,9 @@ def same_rows(inner: F64, outer: F64) -> I64:
     return found
 
 
-def pcl_outliers(points: F64, folder: Path, mean_k: int = 20, sigmas: float = 2.0) -> tuple[I64, tuple[float, float]]:
+def pcl_outliers(
+    points: F64, folder: Path, mean_k: int = 20, sigmas: float = 2.0
+) -> tuple[I64, tuple[float, float]]:
     """Indices PCL's statistical outlier removal keeps; seconds."""
     write_pcd(folder / "in.pcd", points)
     options = ["-method", "statistical", "-mean_k", str(mean_k), "-std_dev_mul", str(sigmas)]
@@ -98,17 +104,32 @@ def pcl_outliers(points: F64, folder: Path, mean_k: int = 20, sigmas: float = 2.
 
 
 def pcl_mls(points: F64, radius: float, order: int = 2, clean: bool = False) -> Kept:
-    """PCL's moving least squares, alone or after its outlier removal. Points with fewer than three neighbours are dropped by it."""
+    """PCL's moving least squares, alone or after its outlier removal. Points with fewer than three
+    neighbours are dropped by it.
+    """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        index, before = pcl_outliers(points, folder) if clean else (np.arange(len(points)), (0.0, 0.0))
+        index, before = (
+            pcl_outliers(points, folder) if clean else (np.arange(len(points)), (0.0, 0.0))
+        )
         write_pcd(folder / "in.pcd", points[index])
-        options = ["-radius", str(radius), "-sqr_gauss_param", str(radius**2), "-polynomial_order", str(order)]
-        wall, cpu = tool("pcl_mls_smoothing", str(folder / "in.pcd"), str(folder / "out.pcd"), *options)
+        options = [
+            "-radius",
+            str(radius),
+            "-sqr_gauss_param",
+            str(radius**2),
+            "-polynomial_order",
+            str(order),
+        ]
+        wall, cpu = tool(
+            "pcl_mls_smoothing", str(folder / "in.pcd"), str(folder / "out.pcd"), *options
+        )
         r = read_pcd(folder / "out.pcd")
     if len(r) < len(index):
         small = points[index].astype(np.float32).astype(np.float64)
-        third = np.asarray(cKDTree(small).query(small, k=[3], distance_upper_bound=radius)[0]).ravel()
+        third = np.asarray(
+            cKDTree(small).query(small, k=[3], distance_upper_bound=radius)[0]
+        ).ravel()
         index = index[np.isfinite(third)]
     if len(r) != len(index):
         raise RuntimeError(f"PCL returned {len(r)} points, {len(index)} were expected")
@@ -121,15 +142,19 @@ def open3d_outliers(points: F64, neighbours: int = 20, sigmas: float = 2.0) -> K
     """Open3D's statistical outlier removal: nothing is smoothed."""
     o3d = module("open3d")
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
-    index = np.asarray(cloud.remove_statistical_outlier(nb_neighbors=neighbours, std_ratio=sigmas)[1])
+    index = np.asarray(
+        cloud.remove_statistical_outlier(nb_neighbors=neighbours, std_ratio=sigmas)[1]
+    )
     keep = np.zeros(len(points), bool)
     keep[index] = True
     return by_mask(points, keep)
 
 
 def meshlab_outliers(points: F64, probability: float = 0.8, neighbours: int = 32) -> Kept:
-    """MeshLab's selection by local outlier probability. Its projections onto a moving least squares surface (RIMLS, APSS) end the
-    process on a cloud without triangles (2025.07), so there is no smoothing to compare."""
+    """MeshLab's selection by local outlier probability. Its projections onto a moving least squares
+    surface (RIMLS, APSS) end the process on a cloud without triangles (2025.07), so there is no
+    smoothing to compare.
+    """
     meshlab = module("pymeshlab")
     meshes = meshlab.MeshSet()
     meshes.add_mesh(meshlab.Mesh(vertex_matrix=points))
@@ -137,7 +162,9 @@ def meshlab_outliers(points: F64, probability: float = 0.8, neighbours: int = 32
     return by_mask(points, ~np.asarray(meshes.current_mesh().vertex_selection_array()))
 
 
-def timed(method: Callable[[F64], Result], points: F64, times: int = 3) -> tuple[float, float, Result]:
+def timed(
+    method: Callable[[F64], Result], points: F64, times: int = 3
+) -> tuple[float, float, Result]:
     """Median wall and CPU seconds, child processes included, and the last answer."""
     spent = []
     for _ in range(times):
@@ -145,7 +172,11 @@ def timed(method: Callable[[F64], Result], points: F64, times: int = 3) -> tuple
         result = method(points)
         whole = (time.perf_counter() - wall, cpu_seconds() - cpu)
         spent.append(getattr(result, "spent", None) or whole)
-    return statistics.median(wall for wall, _ in spent), statistics.median(cpu for _, cpu in spent), result
+    return (
+        statistics.median(wall for wall, _ in spent),
+        statistics.median(cpu for _, cpu in spent),
+        result,
+    )
 
 
 def cpu_seconds() -> float:
@@ -155,7 +186,9 @@ def cpu_seconds() -> float:
 
 
 def startup_s(name: str = "pcl_mls_smoothing") -> tuple[float, float]:
-    """Wall and CPU seconds a tool needs to load its libraries and say that a file is not there; the least of five."""
+    """Wall and CPU seconds a tool needs to load its libraries and say that a file is not there; the
+    least of five.
+    """
     if shutil.which(name) is None:
         return 0.0, 0.0
     spent = []

@@ -1,9 +1,11 @@
 """What the error propagation adds to one estimate of a volume from a million filtered points.
 
-The filtered surface of the bundled stockpile, with its patches, their covariances and sensitivities, is laid side by side many times
-on its own tilted ground; then all of it is one volume above that ground, or one of the piles is. Processor time of one estimate is split
-into the propagation (sensitivities, covariance, budget, ground roughness) and the rest (triangulation, ground, outline, prismoids,
-near-base correction, boundary). Sigma of every vertex, no part of it, is timed by itself. About 9 GB of memory at a million points.
+The filtered surface of the bundled stockpile, with its patches, their covariances and
+sensitivities, is laid side by side many times on its own tilted ground; then all of it is one
+volume above that ground, or one of the piles is. Processor time of one estimate is split into the
+propagation (sensitivities, covariance, budget, ground roughness) and the rest (triangulation,
+ground, outline, prismoids, near-base correction, boundary). Sigma of every vertex, no part of it,
+is timed by itself. About 9 GB of memory at a million points.
 
 ``python -m benchmarks.propagation [POINTS]``
 """
@@ -35,7 +37,15 @@ from ladar_volume.volume.packing import unpacked
 BAG = Path(__file__).parents[1] / "bags" / "stockpile"
 POINTS = 1_000_000
 #: What the estimate calls for the sake of sigma alone.
-PROPAGATION = ("Sources", "ground_inverse", "result_gradients", "ground_field", "sensitivities", "naive_sigma", "budget")
+PROPAGATION = (
+    "Sources",
+    "ground_inverse",
+    "result_gradients",
+    "ground_field",
+    "sensitivities",
+    "naive_sigma",
+    "budget",
+)
 #: And what it does for the bias of cut and fill near the base, which counts as the rest.
 REST = ("near_correction",)
 
@@ -47,13 +57,20 @@ def bundled() -> tuple[FilteredPoints, Patches, NavigationBins, Parameters]:
         replay.run()
     epoch = replay.engine.estimator.epoch()
     patches = epoch.sources.patches
-    return epoch.sources.points, unpacked(patches, 0, len(patches)), epoch.sources.navigation, replay.parameters
+    return (
+        epoch.sources.points,
+        unpacked(patches, 0, len(patches)),
+        epoch.sources.navigation,
+        replay.parameters,
+    )
 
 
 def slope_of(r: F64) -> F64:
     """Gradient (2,) of the plane through the lower half of points (n, 3)."""
     low = r[r[:, 2] < np.median(r[:, 2])]
-    found: F64 = np.linalg.lstsq(np.c_[low, np.ones(len(low))][:, [0, 1, 3]], low[:, 2], rcond=None)[0][:2]
+    found: F64 = np.linalg.lstsq(
+        np.c_[low, np.ones(len(low))][:, [0, 1, 3]], low[:, 2], rcond=None
+    )[0][:2]
     return found
 
 
@@ -66,7 +83,9 @@ def tiled(points: FilteredPoints, patches: Patches, copies: int) -> FilterUpdate
     shift = np.c_[xy, xy @ slope]
     neighbour = np.minimum(np.searchsorted(patches.key, patches.cross_key), m - 1)
     known = patches.key[neighbour] == patches.cross_key
-    cross_key = np.where(known, neighbour, np.iinfo(np.int64).max // 2)  # beyond the bundled survey's own edge
+    cross_key = np.where(
+        known, neighbour, np.iinfo(np.int64).max // 2
+    )  # beyond the bundled survey's own edge
 
     def many(array: Any) -> Any:
         return np.tile(array, (copies, *[1] * (array.ndim - 1)))
@@ -81,16 +100,31 @@ def tiled(points: FilteredPoints, patches: Patches, copies: int) -> FilterUpdate
     def joined(start: Any) -> Any:
         return np.concatenate([[0], np.cumsum(np.tile(np.diff(start), copies))]).astype(np.int64)
 
-    surface = {f.name: many(getattr(points, f.name)) for f in dataclasses.fields(points) if f.name not in ("r_map", "patch")}
+    surface = {
+        f.name: many(getattr(points, f.name))
+        for f in dataclasses.fields(points)
+        if f.name not in ("r_map", "patch")
+    }
     own = np.searchsorted(patches.key, points.patch)
-    made = {f.name: many(getattr(patches, f.name)) for f in dataclasses.fields(patches) if not f.name.endswith(("key", "_start", "centre"))}
+    made = {
+        f.name: many(getattr(patches, f.name))
+        for f in dataclasses.fields(patches)
+        if not f.name.endswith(("key", "_start", "centre"))
+    }
     return FilterUpdate(
-        int(points.t_ns.max()), np.zeros(0, np.int64),
+        int(points.t_ns.max()),
+        np.zeros(0, np.int64),
         FilteredPoints(**surface, r_map=moved(points.r_map), patch=numbered(own)),
-        Patches(**made, key=numbered(np.arange(m)), centre=moved(patches.centre), cross_start=joined(patches.cross_start),
-                cross_key=numbered(cross_key), nav_start=joined(patches.nav_start)),
+        Patches(
+            **made,
+            key=numbered(np.arange(m)),
+            centre=moved(patches.centre),
+            cross_start=joined(patches.cross_start),
+            cross_key=numbered(cross_key),
+            nav_start=joined(patches.nav_start),
+        ),
         complete=True,
-    )  # fmt: skip
+    )
 
 
 @contextmanager
@@ -111,15 +145,24 @@ def stopwatch(spent: dict[str, float]) -> Iterator[None]:
         sensitivities = measured("sensitivities", stage.Sources.sensitivities)
         naive_sigma = measured("naive_sigma", stage.Sources.naive_sigma)
 
-    replaced = {name: measured(name, getattr(stage, name)) for name in (*PROPAGATION, *REST) if hasattr(stage, name)}
+    replaced = {
+        name: measured(name, getattr(stage, name))
+        for name in (*PROPAGATION, *REST)
+        if hasattr(stage, name)
+    }
     replaced["Sources"] = measured("Sources", Timed)
-    replaced["at_once"] = lambda one, two: (one(), two())  # one after the other, so that each part's time is its own
+    replaced["at_once"] = lambda one, two: (
+        one(),
+        two(),
+    )  # one after the other, so that each part's time is its own
     with mock.patch.multiple(stage, **replaced):
         yield
 
 
 def timed(estimator: VolumeEstimator) -> dict[str, float | int | str]:
-    """Processor seconds of one estimate and of its parts; the second of two, so that everything is compiled."""
+    """Processor seconds of one estimate and of its parts; the second of two, so that everything is
+    compiled.
+    """
     out: dict[str, float | int | str] = {}
     for _ in range(2):
         spent: dict[str, float] = {}
@@ -130,10 +173,15 @@ def timed(estimator: VolumeEstimator) -> dict[str, float | int | str]:
             wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         propagation = sum(s for name, s in spent.items() if name in PROPAGATION)
         out = {
-            "vertices": len(found.tin.vertices), "V / m³": found.volume.volume_m3, "sigma / m³": found.volume.sigma_m3,
-            "one estimate, CPU / s": cpu, "one estimate, wall / s": wall, "propagation, CPU / s": propagation,
-            "propagation / rest": propagation / (cpu - propagation), **{f"  {name}, CPU / s": s for name, s in spent.items()},
-        }  # fmt: skip
+            "vertices": len(found.tin.vertices),
+            "V / m³": found.volume.volume_m3,
+            "sigma / m³": found.volume.sigma_m3,
+            "one estimate, CPU / s": cpu,
+            "one estimate, wall / s": wall,
+            "propagation, CPU / s": propagation,
+            "propagation / rest": propagation / (cpu - propagation),
+            **{f"  {name}, CPU / s": s for name, s in spent.items()},
+        }
     return out
 
 
@@ -146,7 +194,11 @@ def run(points: int = POINTS) -> dict[str, float | int | str]:
     estimator.epoch()  # merges the update
     out: dict[str, float | int | str] = {}
     for outline, words in (("all", "all of it"), ("auto", "one pile")):
-        estimator.set_parameters(dataclasses.replace(parameters, volume=dataclasses.replace(parameters.volume, outline=outline)))
+        estimator.set_parameters(
+            dataclasses.replace(
+                parameters, volume=dataclasses.replace(parameters.volume, outline=outline)
+            )
+        )
         out.update({f"{words}: {key}": value for key, value in timed(estimator).items()})
     epoch, began = estimator.epoch(), time.process_time()
     epoch.sigma_z()

@@ -1,7 +1,9 @@
-"""Whole offline replay of a flight at the VLP-16's full rate of 300,000 returns a second: how many times real time.
+"""Whole offline replay of a flight at the VLP-16's full rate of 300,000 returns a second: how many
+times real time.
 
-A third of a UAV scanner's pulses meet the ground. So that the load is the full rate, every cloud of a simulated flight is filled
-up to 30,000 returns with its own returns a few microseconds later: a load, not a survey.
+A third of a UAV scanner's pulses meet the ground. So that the load is the full rate, every cloud of
+a simulated flight is filled up to 30,000 returns with its own returns a few microseconds later: a
+load, not a survey.
 """
 
 from __future__ import annotations
@@ -34,9 +36,16 @@ def fill(source: Path, target: Path) -> None:
             rows = np.asarray(cloud.data).reshape(cloud.width, cloud.point_step)
             index = np.arange(RETURNS)
             filled = rows[index % len(rows)].copy()
-            offset = filled[:, 18:22].copy().view("<f4") + (index // len(rows))[:, None].astype(np.float32) * 3e-6
+            offset = (
+                filled[:, 18:22].copy().view("<f4")
+                + (index // len(rows))[:, None].astype(np.float32) * 3e-6
+            )
             filled[:, 18:22] = offset.astype("<f4").view(np.uint8)
-            cloud.width, cloud.row_step, cloud.data = RETURNS, RETURNS * cloud.point_step, filled.reshape(-1)
+            cloud.width, cloud.row_step, cloud.data = (
+                RETURNS,
+                RETURNS * cloud.point_step,
+                filled.reshape(-1),
+            )
             writer.write(raw.topic, cloud, raw.t_ns)
     (target / "config.yaml").write_text((source / "config.yaml").read_text())
 
@@ -45,7 +54,20 @@ def run() -> dict[str, float | int | str]:
     """Median of three replays after one that compiles."""
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         flight, bag, out = Path(folder) / "flight", Path(folder) / "full", str(Path(folder) / "out")
-        if main(["simulate", "stockpile", "--platform", "uav", "--seed", "3", "--duration", str(DURATION_S), "-o", str(flight)]):
+        if main(
+            [
+                "simulate",
+                "stockpile",
+                "--platform",
+                "uav",
+                "--seed",
+                "3",
+                "--duration",
+                str(DURATION_S),
+                "-o",
+                str(flight),
+            ]
+        ):
             raise RuntimeError("simulation failed")
         fill(flight, bag)
         main(["replay", str(bag), "--duration", "2", "--no-figure", "-o", out])

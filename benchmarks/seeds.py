@@ -1,7 +1,8 @@
-"""Twenty new surveys of the stockpile through the whole engine: does the printed sigma tell the truth?
+"""Twenty new surveys of the stockpile through the whole engine: does the printed sigma tell the
+truth?
 
-Every seed is a new flight with newly drawn errors, simulated to a bag and replayed by the command line's own replay;
-the true volume is read here and nowhere in the pipeline.
+Every seed is a new flight with newly drawn errors, simulated to a bag and replayed by the command
+line's own replay; the true volume is read here and nowhere in the pipeline.
 """
 
 from __future__ import annotations
@@ -19,11 +20,26 @@ SEEDS = range(1000, 1020)
 THIN = 15
 
 
-def survey(seed: int, folder: Path, scene: str = "stockpile", platform: str = "uav") -> tuple[float, float, float]:
+def survey(
+    seed: int, folder: Path, scene: str = "stockpile", platform: str = "uav"
+) -> tuple[float, float, float]:
     """True volume, measured volume and sigma (m³) of one simulated survey."""
     bag = folder / f"{scene}_{seed}"
     with contextlib.redirect_stdout(io.StringIO()):
-        if main(["simulate", scene, "--platform", platform, "--seed", str(seed), "--thin", str(THIN), "-o", str(bag)]):
+        if main(
+            [
+                "simulate",
+                scene,
+                "--platform",
+                platform,
+                "--seed",
+                str(seed),
+                "--thin",
+                str(THIN),
+                "-o",
+                str(bag),
+            ]
+        ):
             raise RuntimeError(f"simulation of seed {seed} failed")
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed):
@@ -43,7 +59,13 @@ def run() -> dict[str, float | int | str]:
             errors.append(measured - volume)
             sigmas.append(sigma)
             inside += abs(measured - volume) <= 1.96 * sigma
-            print(f"seed {seed}: V = {measured:.3f} ± {sigma:.3f} m³, true {volume:.3f} m³, error {errors[-1]:+.3f} m³", flush=True)
+            print(
+                (
+                    f"seed {seed}: V = {measured:.3f} ± {sigma:.3f} m³, true {volume:.3f} m³, "
+                    f"error {errors[-1]:+.3f} m³"
+                ),
+                flush=True,
+            )
     spread, mean_sigma = statistics.stdev(errors), statistics.fmean(sigmas)
     return {
         "surveys": len(errors),

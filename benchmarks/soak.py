@@ -1,17 +1,21 @@
-"""A long flight with everything going wrong: the four nodes in processes of their own, a load at the recording's rate, injected faults.
+"""A long flight with everything going wrong: the four nodes in processes of their own, a load at
+the recording's rate, injected faults.
 
-A recorded flight is flown again and again with stamps that go on, so that an hour maps no more ground than a minute. All the time one
-message in a hundred is dropped; in turn come bursts of NaN, a GNSS outage, a float solution, a receiver's clock set back, clouds stamped
-an hour ahead, all clocks set back half a minute (a new pass of the data), restarts of each node, and a full disk. Measured are resident
-sizes, times and the books: what was published against what arrived and what was named lost. The times are from a scan, when it is
-published, to the first volume that holds it: of the newest scan in each volume, and of every scan; how old the newest return in a volume
-is then; and between two volumes.
+A recorded flight is flown again and again with stamps that go on, so that an hour maps no more
+ground than a minute. All the time one message in a hundred is dropped; in turn come bursts of NaN,
+a GNSS outage, a float solution, a receiver's clock set back, clouds stamped an hour ahead, all
+clocks set back half a minute (a new pass of the data), restarts of each node, and a full disk.
+Measured are resident sizes, times and the books: what was published against what arrived and what
+was named lost. The times are from a scan, when it is published, to the first volume that holds it:
+of the newest scan in each volume, and of every scan; how old the newest return in a volume is then;
+and between two volumes.
 
-``python -m benchmarks.soak [--seconds 180] [--full-rate | --site 200] [--faults A,B,...] [--one-process | --without-log]``;
-``--seconds 3600`` for the hour, ``--site`` for memory by area: a square site of so many metres, the resident size of each node by time;
-``--one-process`` for all of them in one, as ``ladar_volume up`` runs them; ``--without-log`` for georeference, filter and volume alone.
-Exit code 1 where a node died, a message is unaccounted for, an unforeseen exception counted, no volume comes at the end or it is wrong by
-more than five sigma.
+``python -m benchmarks.soak [--seconds 180] [--full-rate | --site 200] [--faults A,B,...]
+[--one-process | --without-log]``; ``--seconds 3600`` for the hour, ``--site`` for memory by area: a
+square site of so many metres, the resident size of each node by time; ``--one-process`` for all of
+them in one, as ``ladar_volume up`` runs them; ``--without-log`` for georeference, filter and volume
+alone. Exit code 1 where a node died, a message is unaccounted for, an unforeseen exception counted,
+no volume comes at the end or it is wrong by more than five sigma.
 """
 
 from __future__ import annotations
@@ -57,29 +61,54 @@ TYPES: dict[str, Any] = {"cloud": PointCloud2, "fix": NavSatFix, "imu": Imu}
 TOPICS = {"cloud": "velodyne_points", "fix": "gnss/fix", "imu": "imu/data"}
 #: Faults and how long each lasts, s.
 FAULTS = {
-    "nan": 2.0, "outage": 4.0, "float": 4.0, "fix_clock": 4.0, "lidar_stamps": 2.0, "disk_full": 6.0, "restart_volume_node": 0.0,
-    "restart_filter_node": 0.0, "restart_georeference_node": 0.0, "restart_logger_node": 0.0, "all_clocks_back": 0.0,
-}  # fmt: skip
+    "nan": 2.0,
+    "outage": 4.0,
+    "float": 4.0,
+    "fix_clock": 4.0,
+    "lidar_stamps": 2.0,
+    "disk_full": 6.0,
+    "restart_volume_node": 0.0,
+    "restart_filter_node": 0.0,
+    "restart_georeference_node": 0.0,
+    "restart_logger_node": 0.0,
+    "all_clocks_back": 0.0,
+}
 #: How long the nodes may take to map what they put off, s.
 SETTLE_S = 240.0
 DROPPED, LOG_BYTES, BALLAST_BYTES = 0.01, 40_000_000, 60_000_000
-#: How many times as large the log may be where no disk is filled: what is still wanted is written to each new file, here one a minute.
+#: How many times as large the log may be where no disk is filled: what is still wanted is written
+#: to each new file, here one a minute.
 ROOMY = 50
 
 
 def full_rate_flight(folder: Path) -> Path:
     """Half a minute at all 300,000 firings a second."""
     scene = make_scene("stockpile", 5)
-    survey = Survey(scene, platform_for(scene, "uav", 30.0), BudgetParameters(), SurveyOptions(30.0, 1, seed=5))
+    survey = Survey(
+        scene, platform_for(scene, "uav", 30.0), BudgetParameters(), SurveyOptions(30.0, 1, seed=5)
+    )
     write_bag(survey, folder / "flight", suited(scene), lambda share: None)
     return folder / "flight"
 
 
 def site_flight(folder: Path, side_m: float) -> Path:
-    """A minute at all 300,000 firings a second over a square site with a pile of 5000 m³ in its middle, filtered with a radius of 1 m; all
-    of the site is mapped."""
-    scene = pile("site", 22.0, 18.0, 0.2, Ground(slope=(0.012, -0.008), rough_m=0.010, length_m=1.0, seed=5), 0.75 * side_m)
-    survey = Survey(scene, make_platform("uav", side_m, 60.0), BudgetParameters(), SurveyOptions(60.0, 1, seed=5))
+    """A minute at all 300,000 firings a second over a square site with a pile of 5000 m³ in its
+    middle, filtered with a radius of 1 m; all of the site is mapped.
+    """
+    scene = pile(
+        "site",
+        22.0,
+        18.0,
+        0.2,
+        Ground(slope=(0.012, -0.008), rough_m=0.010, length_m=1.0, seed=5),
+        0.75 * side_m,
+    )
+    survey = Survey(
+        scene,
+        make_platform("uav", side_m, 60.0),
+        BudgetParameters(),
+        SurveyOptions(60.0, 1, seed=5),
+    )
     settings, half = suited(scene), 0.5 * side_m
     settings["filter"]["radius_m"] = 1.0
     settings["georeference"]["region_m"] = [-half, -half, -10.0, half, half, 30.0]
@@ -89,7 +118,9 @@ def site_flight(folder: Path, side_m: float) -> Path:
 
 @dataclass
 class Recorded:
-    """One message of the flight: when (ns from its start), what, and its bytes with the stamp's distance from that moment."""
+    """One message of the flight: when (ns from its start), what, and its bytes with the stamp's
+    distance from that moment.
+    """
 
     at_ns: int
     kind: str
@@ -105,7 +136,14 @@ def flight(path: Path) -> tuple[list[Recorded], int]:
         for raw in bag.raw(set(roles)):
             data = bytes(raw.data)
             sec, nanosec = struct.unpack_from("<iI", data, 4)
-            out.append(Recorded(raw.t_ns - bag.start_ns, roles[raw.topic], data, sec * S + nanosec - bag.start_ns))
+            out.append(
+                Recorded(
+                    raw.t_ns - bag.start_ns,
+                    roles[raw.topic],
+                    data,
+                    sec * S + nanosec - bag.start_ns,
+                )
+            )
     return out, out[-1].at_ns + S
 
 
@@ -121,7 +159,11 @@ def with_nan(kind: str, data: bytes) -> bytes:
         rows = np.frombuffer(message.data, np.uint8).copy().reshape(-1, message.point_step)
         rows[::3, :4] = np.frombuffer(np.float32(np.nan).tobytes(), np.uint8)
         length = rows.size
-        return data[: len(data) - 1 - length] + rows.tobytes() + data[-1:] if decode(message)["x"].dtype == np.float32 else data
+        return (
+            data[: len(data) - 1 - length] + rows.tobytes() + data[-1:]
+            if decode(message)["x"].dtype == np.float32
+            else data
+        )
     if kind == "fix":
         message.latitude = float("nan")
     else:
@@ -173,7 +215,9 @@ class Load(Node):
                 self.warnings[text] = self.warnings.get(text, 0) + 1
 
     def _volume(self, message: PointCloud2) -> None:
-        """A volume of everything up to its stamp: it is the first to hold each scan that begins before, and none held earlier."""
+        """A volume of everything up to its stamp: it is the first to hold each scan that begins
+        before, and none held earlier.
+        """
         t_ns, now = message.header.stamp.sec * S + message.header.stamp.nanosec, time.monotonic()
         age_s = (time.time_ns() - t_ns - self.back_ns) * 1e-9
         if t_ns in self.seen or not 0.0 <= age_s < 60.0:
@@ -223,25 +267,45 @@ class Load(Node):
     def total(self, node: str, prefix: str) -> int:
         """Sum of a node's counters that begin so, over its restarts."""
         parts = [lines for name, lines in self.past if name == node] + [self.lines.get(node, {})]
-        return sum(int(v) for lines in parts for k, v in lines.items() if k.startswith(prefix) and v.lstrip("-").isdigit())
+        return sum(
+            int(v)
+            for lines in parts
+            for k, v in lines.items()
+            if k.startswith(prefix) and v.lstrip("-").isdigit()
+        )
 
 
 class Soak:
     """Starts the nodes, flies, hurts, measures."""
 
-    def __init__(self, bag: Path, folder: Path, fills_disk: bool, one_process: bool, nodes: tuple[str, ...]) -> None:
+    def __init__(
+        self, bag: Path, folder: Path, fills_disk: bool, one_process: bool, nodes: tuple[str, ...]
+    ) -> None:
         self._nodes = nodes
         self._ballast = folder / "ballast"
         self._settings = {
-            "config_file": str(bag / "config.yaml"), "node.input_reliability": "reliable", "node.input_depth": "2000",
-            "node.diagnostics_period_s": "0.5", "logger.path": str(folder / "log.mcap"), "logger.disk_full": "delete_oldest",
-        }  # fmt: skip
+            "config_file": str(bag / "config.yaml"),
+            "node.input_reliability": "reliable",
+            "node.input_depth": "2000",
+            "node.diagnostics_period_s": "0.5",
+            "logger.path": str(folder / "log.mcap"),
+            "logger.disk_full": "delete_oldest",
+        }
         log, disk = LOG_BYTES if fills_disk else ROOMY * LOG_BYTES, os.statvfs(folder)
-        room = max(disk.f_bavail * disk.f_frsize - 4 * log, 0)  # the disk counts as nearly full from the start
-        self._settings |= {"logger.split_bytes": str(log // 4), "logger.disk_reserve_bytes": str(room)}
+        room = max(
+            disk.f_bavail * disk.f_frsize - 4 * log, 0
+        )  # the disk counts as nearly full from the start
+        self._settings |= {
+            "logger.split_bytes": str(log // 4),
+            "logger.disk_reserve_bytes": str(room),
+        }
         self.load = Load(nodes)
         self._spinner = Spinner(self.load)
-        self.processes = {"up": self._start_all(folder)} if one_process else {name: self._start(name) for name in nodes}
+        self.processes = (
+            {"up": self._start_all(folder)}
+            if one_process
+            else {name: self._start(name) for name in nodes}
+        )
         self.resident: list[tuple[float, dict[str, float]]] = []
         self.proportional: list[float] = []
         self.busy = dict.fromkeys(self.processes, 0.0)
@@ -250,25 +314,64 @@ class Soak:
 
     def _start(self, name: str) -> subprocess.Popen[bytes]:
         section = name.split("_")[0]
-        words = [w for k, v in self._settings.items() if k.split(".")[0] in ("config_file", "node", section) for w in ("-p", f"{k}:={v}")]
-        command = [sys.executable, "-m", f"ladar_volume.nodes.{name}", "--ros-args", "--log-level", "error", *words]
+        words = [
+            w
+            for k, v in self._settings.items()
+            if k.split(".")[0] in ("config_file", "node", section)
+            for w in ("-p", f"{k}:={v}")
+        ]
+        command = [
+            sys.executable,
+            "-m",
+            f"ladar_volume.nodes.{name}",
+            "--ros-args",
+            "--log-level",
+            "error",
+            *words,
+        ]
         return subprocess.Popen(command, cwd=ROOT)
 
     def _start_all(self, folder: Path) -> subprocess.Popen[bytes]:
-        words = [w for k, v in self._settings.items() if k not in ("config_file", "logger.path") for w in ("--set", f"{k}={v}")]
-        files = ["--config", self._settings["config_file"], "--log", self._settings["logger.path"], "--output", str(folder / "out")]
-        return subprocess.Popen([sys.executable, "-m", "ladar_volume.cli.main", "up", *files, *words], cwd=ROOT, stdout=subprocess.DEVNULL)
+        words = [
+            w
+            for k, v in self._settings.items()
+            if k not in ("config_file", "logger.path")
+            for w in ("--set", f"{k}={v}")
+        ]
+        files = [
+            "--config",
+            self._settings["config_file"],
+            "--log",
+            self._settings["logger.path"],
+            "--output",
+            str(folder / "out"),
+        ]
+        return subprocess.Popen(
+            [sys.executable, "-m", "ladar_volume.cli.main", "up", *files, *words],
+            cwd=ROOT,
+            stdout=subprocess.DEVNULL,
+        )
 
     def ready(self) -> None:
         """Wait until all nodes report and hear the load."""
         deadline = time.monotonic() + 300.0
-        while set(self._nodes) - set(self.load.lines) or not all(self.load.heard(kind) for kind in TYPES):
-            if time.monotonic() > deadline or any(p.poll() is not None for p in self.processes.values()):
-                raise RuntimeError(f"nodes did not start: {set(self._nodes) - set(self.load.lines)}")
+        while set(self._nodes) - set(self.load.lines) or not all(
+            self.load.heard(kind) for kind in TYPES
+        ):
+            if time.monotonic() > deadline or any(
+                p.poll() is not None for p in self.processes.values()
+            ):
+                raise RuntimeError(
+                    f"nodes did not start: {set(self._nodes) - set(self.load.lines)}"
+                )
             time.sleep(0.1)
 
-    def fly(self, messages: list[Recorded], length_ns: int, seconds: float, faults: list[str]) -> None:
-        """Publish in real time; the faults come one after the other, evenly, between a tenth and nine tenths of the time."""
+    def fly(
+        self, messages: list[Recorded], length_ns: int, seconds: float, faults: list[str]
+    ) -> None:
+        """Publish in real time; the faults come one after the other, evenly, between a tenth and
+        nine tenths of the time.
+        """
         began, wall = time.monotonic(), time.time_ns()
         span = 0.8 * seconds / max(len(faults), 1)
         done, measured, sent = 0, 0.0, 0
@@ -278,7 +381,9 @@ class Soak:
                 if at_s > seconds:
                     return
                 time.sleep(max(0.0, at_s - (time.monotonic() - began)))
-                number = int((at_s - 0.1 * seconds) // span) if faults and at_s >= 0.1 * seconds else -1
+                number = (
+                    int((at_s - 0.1 * seconds) // span) if faults and at_s >= 0.1 * seconds else -1
+                )
                 fault = faults[number] if 0 <= number < len(faults) else None
                 if fault is not None and done <= number:
                     done = number + 1
@@ -293,14 +398,20 @@ class Soak:
             sent += 1
 
     def settle(self, at_s: float) -> None:
-        """Have the filter map all it put off, and wait for the volume of it: a site counts when it is mapped, however busy the machine."""
+        """Have the filter map all it put off, and wait for the volume of it: a site counts when it
+        is mapped, however busy the machine.
+        """
         client, began = self.load.create_client(Trigger, "filter_node/flush"), time.monotonic()
         flushed = client.call_async(Trigger.Request())
         while (past_s := time.monotonic() - began) < SETTLE_S:
             time.sleep(1.0)
             self._measure(at_s + past_s)
             sent, got = (self.load.lines.get(name, {}) for name in ("filter_node", "volume_node"))
-            if flushed.done() and sent.get("count_parts") == got.get("count_parts") and got.get("pending_estimate") == "0":
+            if (
+                flushed.done()
+                and sent.get("count_parts") == got.get("count_parts")
+                and got.get("pending_estimate") == "0"
+            ):
                 break
 
     def _hit(self, fault: str) -> None:
@@ -324,7 +435,9 @@ class Soak:
             self.load.hurt[fault] += 1
 
     def _measure(self, at_s: float) -> None:
-        self.resident.append((at_s, {name: resident_mb(p.pid) for name, p in self.processes.items()}))
+        self.resident.append(
+            (at_s, {name: resident_mb(p.pid) for name, p in self.processes.items()})
+        )
         self.proportional.append(sum(proportional_mb(p.pid) for p in self.processes.values()))
         for name, process in self.processes.items():
             now = cpu_seconds(process.pid)
@@ -356,7 +469,11 @@ def by_halves(timed: list[tuple[float, float]]) -> dict[str, list[float]]:
     """Median and 99th percentile of (when, seconds): of all, and of both halves of the time."""
     t, seconds = np.array(timed).reshape(-1, 2).T
     late = t > (t[0] + t[-1]) / 2.0 if len(t) else np.zeros(0, bool)
-    return {"all": middle_and_end(seconds), "first half": middle_and_end(seconds[~late]), "second half": middle_and_end(seconds[late])}
+    return {
+        "all": middle_and_end(seconds),
+        "first half": middle_and_end(seconds[~late]),
+        "second half": middle_and_end(seconds[late]),
+    }
 
 
 def report(soak: Soak, truth_m3: float) -> dict[str, Any]:
@@ -365,7 +482,9 @@ def report(soak: Soak, truth_m3: float) -> dict[str, Any]:
     wrong = list(soak.died)
     unaccounted = {}
     for kind in TYPES:
-        arrived = load.total("georeference_node", f"received_{kind}") + load.total("georeference_node", f"lost_message_lost_{kind}")
+        arrived = load.total("georeference_node", f"received_{kind}") + load.total(
+            "georeference_node", f"lost_message_lost_{kind}"
+        )
         unaccounted[kind] = load.sent[kind] - load.unheard[kind] - arrived
         if unaccounted[kind] > 0:
             wrong.append(f"{unaccounted[kind]} {kind} messages are unaccounted for")
@@ -386,33 +505,61 @@ def report(soak: Soak, truth_m3: float) -> dict[str, Any]:
     flown_s = soak.resident[-1][0] - soak.resident[0][0]
     third, tenth = max(len(sizes) // 3, 1), max(len(sizes) // 10, 1)
     return {
-        "wrong": wrong, "sent": load.sent, "dropped_by_load": load.dropped, "unheard_while_down": load.unheard, "unaccounted": unaccounted,
-        "faults": {k: n for k, n in load.hurt.items() if n}, "volumes": len(load.volumes),
-        "voxels": int(load.lines.get("filter_node", {}).get("voxels", "0")), "volume_m3": volume, "sigma_m3": sigma,
-        "truth_m3": truth_m3, "scan_to_volume_s": by_halves(load.newest_scan_s), "every_scan_to_volume_s": by_halves(load.every_scan_s),
-        "newest_return_to_volume_s": by_halves(load.volumes), "between_volumes_s": middle_and_end(between),
+        "wrong": wrong,
+        "sent": load.sent,
+        "dropped_by_load": load.dropped,
+        "unheard_while_down": load.unheard,
+        "unaccounted": unaccounted,
+        "faults": {k: n for k, n in load.hurt.items() if n},
+        "volumes": len(load.volumes),
+        "voxels": int(load.lines.get("filter_node", {}).get("voxels", "0")),
+        "volume_m3": volume,
+        "sigma_m3": sigma,
+        "truth_m3": truth_m3,
+        "scan_to_volume_s": by_halves(load.newest_scan_s),
+        "every_scan_to_volume_s": by_halves(load.every_scan_s),
+        "newest_return_to_volume_s": by_halves(load.volumes),
+        "between_volumes_s": middle_and_end(between),
         "put_off_s": middle_and_end(load.deferred),
         "cpu_per_second": {name: busy / flown_s for name, busy in soak.busy.items()},
-        "resident_mb": {name: max(r[name] for _, r in soak.resident) for name in soak.processes}, "resident_all_mb": max(sizes),
+        "resident_mb": {name: max(r[name] for _, r in soak.resident) for name in soak.processes},
+        "resident_all_mb": max(sizes),
         "proportional_all_mb": max(soak.proportional),
         "resident_by_time_mb": {
-            round(t): {name: round(max(r[name] for _, r in soak.resident[i : i + tenth])) for name in soak.processes}
-            for i, (t, _) in enumerate(soak.resident) if i % tenth == 0
+            round(t): {
+                name: round(max(r[name] for _, r in soak.resident[i : i + tenth]))
+                for name in soak.processes
+            }
+            for i, (t, _) in enumerate(soak.resident)
+            if i % tenth == 0
         },
-        "resident_middle_third_mb": max(sizes[third : 2 * third] or sizes), "resident_last_third_mb": max(sizes[2 * third :] or sizes),
-        "losses": dict(sorted(losses.items())), "named": dict(sorted(load.warnings.items(), key=lambda w: -w[1])[:25]),
-    }  # fmt: skip
+        "resident_middle_third_mb": max(sizes[third : 2 * third] or sizes),
+        "resident_last_third_mb": max(sizes[2 * third :] or sizes),
+        "losses": dict(sorted(losses.items())),
+        "named": dict(sorted(load.warnings.items(), key=lambda w: -w[1])[:25]),
+    }
 
 
 def soak(
-    seconds: float, full_rate: bool, faults: list[str], site_m: float = 0.0, one_process: bool = False, nodes: tuple[str, ...] = NODES
+    seconds: float,
+    full_rate: bool,
+    faults: list[str],
+    site_m: float = 0.0,
+    one_process: bool = False,
+    nodes: tuple[str, ...] = NODES,
 ) -> dict[str, Any]:
     """Fly for ``seconds`` with the faults; over a site of ``site_m`` a side, if that is not 0."""
     os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 90 + 10))
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        bag = site_flight(folder, site_m) if site_m else full_rate_flight(folder) if full_rate else BAG
+        bag = (
+            site_flight(folder, site_m)
+            if site_m
+            else full_rate_flight(folder)
+            if full_rate
+            else BAG
+        )
         messages, length_ns = flight(bag)
         truth = float(json.loads((bag / "truth.json").read_text())["volume_m3"])
         rclpy.init(args=[])
@@ -433,31 +580,67 @@ def run() -> dict[str, float | int | str]:
     out = soak(180.0, True, list(FAULTS))
     latency, every = out["scan_to_volume_s"]["all"], out["every_scan_to_volume_s"]["all"]
     return {
-        "wrong": "; ".join(out["wrong"]) or "nothing", "messages": sum(out["sent"].values()), "kinds of faults": len(out["faults"]),
-        "unaccounted": sum(max(n, 0) for n in out["unaccounted"].values()), "scan to volume p50, s": latency[0],
-        "scan to volume p99, s": latency[1], "every scan to volume p50, s": every[0], "every scan to volume p99, s": every[1],
+        "wrong": "; ".join(out["wrong"]) or "nothing",
+        "messages": sum(out["sent"].values()),
+        "kinds of faults": len(out["faults"]),
+        "unaccounted": sum(max(n, 0) for n in out["unaccounted"].values()),
+        "scan to volume p50, s": latency[0],
+        "scan to volume p99, s": latency[1],
+        "every scan to volume p50, s": every[0],
+        "every scan to volume p99, s": every[1],
         "points put off at most, p50, s": out["put_off_s"][0],
-        "points put off at most, p99, s": out["put_off_s"][1], "all nodes at most, MB": out["resident_all_mb"],
+        "points put off at most, p99, s": out["put_off_s"][1],
+        "all nodes at most, MB": out["resident_all_mb"],
         "all nodes at most in the last third, MB": out["resident_last_third_mb"],
-        "processor time per second": ", ".join(f"{name} {busy:.2f}" for name, busy in out["cpu_per_second"].items()),
-        "load average of the machine at the end, all its work": f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
-    }  # fmt: skip
+        "processor time per second": ", ".join(
+            f"{name} {busy:.2f}" for name, busy in out["cpu_per_second"].items()
+        ),
+        "load average of the machine at the end, all its work": (
+            f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
+        ),
+    }
 
 
 def main() -> int:
     """Print the figures as JSON."""
     parser = argparse.ArgumentParser(description="long flight with faults")
     parser.add_argument("--seconds", type=float, default=180.0)
-    parser.add_argument("--full-rate", action="store_true", help="simulate a flight at 300,000 returns a second instead of the shipped one")
-    parser.add_argument("--site", type=float, default=0.0, metavar="METRES", help="the same over a square site of this side, radius 1 m")
-    parser.add_argument("--faults", default=",".join(FAULTS), help=f"comma-separated: {', '.join(FAULTS)}")
-    parser.add_argument("--one-process", action="store_true", help="all nodes in one process; a single one cannot be restarted then")
-    parser.add_argument("--without-log", action="store_true", help="georeference, filter and volume only: three processes")
+    parser.add_argument(
+        "--full-rate",
+        action="store_true",
+        help="simulate a flight at 300,000 returns a second instead of the shipped one",
+    )
+    parser.add_argument(
+        "--site",
+        type=float,
+        default=0.0,
+        metavar="METRES",
+        help="the same over a square site of this side, radius 1 m",
+    )
+    parser.add_argument(
+        "--faults", default=",".join(FAULTS), help=f"comma-separated: {', '.join(FAULTS)}"
+    )
+    parser.add_argument(
+        "--one-process",
+        action="store_true",
+        help="all nodes in one process; a single one cannot be restarted then",
+    )
+    parser.add_argument(
+        "--without-log",
+        action="store_true",
+        help="georeference, filter and volume only: three processes",
+    )
     arguments = parser.parse_args()
     nodes = NODES[:3] if arguments.without_log else NODES
     alone = {"restart_logger_node", "disk_full"} if arguments.without_log else set()
-    faults = [f for f in arguments.faults.split(",") if f and not (arguments.one_process and f.startswith("restart_")) and f not in alone]
-    out = soak(arguments.seconds, arguments.full_rate, faults, arguments.site, arguments.one_process, nodes)
+    faults = [
+        f
+        for f in arguments.faults.split(",")
+        if f and not (arguments.one_process and f.startswith("restart_")) and f not in alone
+    ]
+    out = soak(
+        arguments.seconds, arguments.full_rate, faults, arguments.site, arguments.one_process, nodes
+    )
     print(json.dumps(out, indent=1))
     return int(bool(out["wrong"]))
 

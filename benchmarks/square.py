@@ -1,8 +1,10 @@
-"""The thesis's square (seed 002 chapter 9 and section 9.5) as a synthetic cloud with classes and exact truth.
+"""The thesis's square (seed 002 chapter 9 and section 9.5) as a synthetic cloud with classes and
+exact truth.
 
-27 x 27 m of level paving with benches, the ring of a fountain, lamps and trees, the whole tilted by 10 mrad; 2.7 million points give the
-thesis's 3,700 points per m². Surfaces carry uniform noise of 5 cm along their normal. Crowns are points anywhere in a ball: no surface.
-A hundred outliers lie anywhere in the box.
+27 x 27 m of level paving with benches, the ring of a fountain, lamps and trees, the whole tilted by
+10 mrad; 2.7 million points give the thesis's 3,700 points per m². Surfaces carry uniform noise of 5
+cm along their normal. Crowns are points anywhere in a ball: no surface. A hundred outliers lie
+anywhere in the box.
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ BENCHES = ((0.0, 0.6), (-6.0, 4.0), (6.0, 4.0), (-6.0, 8.0), (0.0, 9.0), (6.0, 8
 LAMPS = ((-12.0, -12.0), (12.0, -12.0), (-12.0, 1.0), (12.0, 1.0))
 TREES = ((-10.0, 10.5), (-3.5, 11.0), (3.5, 11.0), (10.0, 10.5), (-10.0, -6.0), (10.0, -6.0))
 BENCH_SIZE_M = (1.8, 0.5, 0.45)
-#: Profiles (radius, height) of bodies of revolution, their outside to the right of the way they are drawn.
+#: Profiles (radius, height) of bodies of revolution, their outside to the right of the way they are
+#: drawn.
 RING = np.array([(4.0, 0.0), (4.0, 0.5), (3.6, 0.5), (3.6, 0.0)])
 POST = np.array([(0.1, 0.0), (0.1, 3.5), (0.25, 3.6), (0.25, 4.0), (0.0, 4.0)])
 STEM = np.array([(0.25, 0.0), (0.18, 2.4)])
@@ -49,7 +52,9 @@ class Revolved:
         """Corners of the bounding box."""
         reach, (low, high) = self.profile[:, 0].max(), self.profile[[0, -1], 1]
         x, y = self.centre
-        return np.array([x - reach, y - reach, min(low, high, 0.0)]), np.array([x + reach, y + reach, self.profile[:, 1].max()])
+        return np.array([x - reach, y - reach, min(low, high, 0.0)]), np.array(
+            [x + reach, y + reach, self.profile[:, 1].max()]
+        )
 
     def covers(self, x: F64, y: F64) -> Mask:
         """Where there is no paving below."""
@@ -70,7 +75,10 @@ class Revolved:
 
     def distance(self, points: F64) -> F64:
         """Exact (n,) m: the nearest point of a body of revolution lies in the same half plane."""
-        at = np.stack([np.hypot(points[:, 0] - self.centre[0], points[:, 1] - self.centre[1]), points[:, 2]], axis=1)
+        at = np.stack(
+            [np.hypot(points[:, 0] - self.centre[0], points[:, 1] - self.centre[1]), points[:, 2]],
+            axis=1,
+        )
         best = np.full(len(points), np.inf)
         for a, b in self.segments():
             t = np.clip((at - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
@@ -125,7 +133,9 @@ class Box:
 
     def distance(self, points: F64) -> F64:
         """Exact (n,) m."""
-        out: F64 = np.linalg.norm(points - to_polygons(box_faces(*self.box())[1:])(points)[0], axis=1)
+        out: F64 = np.linalg.norm(
+            points - to_polygons(box_faces(*self.box())[1:])(points)[0], axis=1
+        )
         return out
 
     def sample(self, count: int, rng: np.random.Generator) -> tuple[F64, F64]:
@@ -139,7 +149,13 @@ BODIES: tuple[Revolved | Box, ...] = (
     *(Revolved(LAMP, at, POST) for at in LAMPS),
     *(Revolved(TRUNK, at, STEM) for at in TREES),
 )
-TILT = np.array([[np.cos(TILT_RAD), 0.0, np.sin(TILT_RAD)], [0.0, 1.0, 0.0], [-np.sin(TILT_RAD), 0.0, np.cos(TILT_RAD)]])
+TILT = np.array(
+    [
+        [np.cos(TILT_RAD), 0.0, np.sin(TILT_RAD)],
+        [0.0, 1.0, 0.0],
+        [-np.sin(TILT_RAD), 0.0, np.cos(TILT_RAD)],
+    ]
+)
 
 
 @dataclass(frozen=True)
@@ -155,7 +171,8 @@ class Square:
         return out
 
     def distance(self, points: F64) -> F64:
-        """Exact distance (k,) m to the nearest surface of whatever class; crowns have none. The paving goes on beyond the rim.
+        """Exact distance (k,) m to the nearest surface of whatever class; crowns have none. The
+        paving goes on beyond the rim.
 
         A body is only computed for points nearer to its bounding box than to what was found before.
         """
@@ -165,7 +182,9 @@ class Square:
             best[body.covers(p[:, 0], p[:, 1])] = np.inf
         for body in BODIES:
             low, high = body.box()
-            candidates = np.flatnonzero(np.all((p > low - best[:, None]) & (p < high + best[:, None]), axis=1))
+            candidates = np.flatnonzero(
+                np.all((p > low - best[:, None]) & (p < high + best[:, None]), axis=1)
+            )
             best[candidates] = np.minimum(best[candidates], body.distance(p[candidates]))
         return best
 
@@ -180,12 +199,16 @@ def paving(count: int, rng: np.random.Generator) -> F64:
 
 
 def square(n: int = POINTS, seed: int = 0) -> Square:
-    """``n`` points: a tenth in the crowns, a hundred outliers, the rest on the surfaces, uniform by area."""
+    """``n`` points: a tenth in the crowns, a hundred outliers, the rest on the surfaces, uniform by
+    area.
+    """
     rng = np.random.default_rng([seed, 10])
     crowns = round(CROWN_SHARE * n)
     areas = np.array([body.area() for body in BODIES])
     open_area = SIDE_M**2 - sum(body.footprint() for body in BODIES)
-    counts = rng.multinomial(n - crowns - OUTLIERS, np.array([open_area, *areas]) / (open_area + areas.sum()))
+    counts = rng.multinomial(
+        n - crowns - OUTLIERS, np.array([open_area, *areas]) / (open_area + areas.sum())
+    )
     up = np.array([0.0, 0.0, 1.0])
     parts = [paving(counts[0], rng) + rng.uniform(-NOISE_M, NOISE_M, (counts[0], 1)) * up]
     for body, count in zip(BODIES, counts[1:], strict=True):
@@ -193,8 +216,16 @@ def square(n: int = POINTS, seed: int = 0) -> Square:
         parts.append(at + rng.uniform(-NOISE_M, NOISE_M, (count, 1)) * normal)
     ball = rng.normal(size=(crowns, 3))
     ball *= CROWN_M * np.cbrt(rng.random((crowns, 1))) / np.linalg.norm(ball, axis=1, keepdims=True)
-    parts.append(ball + np.column_stack([np.array(TREES)[rng.integers(0, len(TREES), crowns)], np.full(crowns, CROWN_HEIGHT_M)]))
-    low, high = (np.array([f(part[:, i]) for part in parts for i in range(3)]).reshape(-1, 3) for f in (np.min, np.max))
+    parts.append(
+        ball
+        + np.column_stack(
+            [np.array(TREES)[rng.integers(0, len(TREES), crowns)], np.full(crowns, CROWN_HEIGHT_M)]
+        )
+    )
+    low, high = (
+        np.array([f(part[:, i]) for part in parts for i in range(3)]).reshape(-1, 3)
+        for f in (np.min, np.max)
+    )
     parts.append(rng.uniform(low.min(axis=0), high.max(axis=0), (OUTLIERS, 3)))
     kinds = [GROUND, *(body.kind for body in BODIES), CROWN, OUTLIER]
     label = np.repeat(kinds, [len(part) for part in parts])
@@ -203,7 +234,9 @@ def square(n: int = POINTS, seed: int = 0) -> Square:
 
 
 def window(whole: Square, side: float) -> Square:
-    """The part within ``side`` m about the origin: a bench and a piece of the fountain when it is small."""
+    """The part within ``side`` m about the origin: a bench and a piece of the fountain when it is
+    small.
+    """
     inside = np.all(np.abs(whole.points[:, :2]) <= side / 2, axis=1)
     return Square(whole.points[inside], whole.label[inside])
 
@@ -215,12 +248,17 @@ def bench_and_fountain(seed: int = 0, count: int = 135_100) -> Square:
 
 
 def score(whole: Square, result: Result) -> dict[str, float]:
-    """RMS over kept points of all surfaces and of each class (mm), mean height of kept paving points over the paving (mm), shares kept
-    of each class and of far outliers taken out (%). Classes that are not there are left out."""
+    """RMS over kept points of all surfaces and of each class (mm), mean height of kept paving
+    points over the paving (mm), shares kept of each class and of far outliers taken out (%).
+    Classes that are not there are left out.
+    """
     label = whole.label[result.index]
     error = whole.distance(result.r)
     surface = label < CROWN
-    out = {"rms_mm": rms_mm(error[surface]), "ground_bias_mm": float(1e3 * np.mean(whole.level(result.r[label == GROUND])[:, 2]))}
+    out = {
+        "rms_mm": rms_mm(error[surface]),
+        "ground_bias_mm": float(1e3 * np.mean(whole.level(result.r[label == GROUND])[:, 2])),
+    }
     before, after = (np.bincount(labels, minlength=len(CLASSES)) for labels in (whole.label, label))
     for kind in np.flatnonzero(before):
         if kind < CROWN:
@@ -228,7 +266,9 @@ def score(whole: Square, result: Result) -> dict[str, float]:
         out[f"{CLASSES[kind]}_kept_pct"] = float(100 * after[kind] / before[kind])
     stray = np.flatnonzero(whole.label == OUTLIER)
     far = stray[whole.distance(whole.points[stray]) > FAR_M]
-    out["far_removed_pct"] = float(100 * np.mean(~np.isin(far, result.index))) if len(far) else float("nan")
+    out["far_removed_pct"] = (
+        float(100 * np.mean(~np.isin(far, result.index))) if len(far) else float("nan")
+    )
     removed = whole.label[result.outliers]
     out["false_removed_pct"] = float(100 * np.sum(removed < CROWN) / np.sum(whole.label < CROWN))
     return out

@@ -1,9 +1,11 @@
-"""Where the processor time of a flight at full rate goes: one process streams it through the stages and over the wire's tables, with an
-update and an estimate every second of data that leave nothing for later.
+"""Where the processor time of a flight at full rate goes: one process streams it through the stages
+and over the wire's tables, with an update and an estimate every second of data that leave nothing
+for later.
 
-``python -m benchmarks stages``. Seconds of processor time per second of data, all threads together, with one thread and with two; beside
-them how many patches an update changes and how long the last updates and estimates took. Of the budgets and of the fits only the calls
-that cost something are listed; ``filter`` and ``estimate`` are the sums.
+``python -m benchmarks stages``. Seconds of processor time per second of data, all threads together,
+with one thread and with two; beside them how many patches an update changes and how long the last
+updates and estimates took. Of the budgets and of the fits only the calls that cost something are
+listed; ``filter`` and ``estimate`` are the sums.
 """
 
 from __future__ import annotations
@@ -42,15 +44,22 @@ SECONDS, S = 60.0, 1_000_000_000
 Record = tuple[int, str, Any]
 #: What is timed: its name in the table, where it lives and what it is called there.
 TIMED: tuple[tuple[str, Any, str], ...] = (
-    ("filter: points taken in", SurfaceFilter, "_take_in"), ("filter: fits", PatchBuilder, "fit"), ("filter: fits kept", FitStore, "keep"),
+    ("filter: points taken in", SurfaceFilter, "_take_in"),
+    ("filter: fits", PatchBuilder, "fit"),
+    ("filter: fits kept", FitStore, "keep"),
     ("filter: patches, with cross blocks and sensitivities", PatchBuilder, "patches"),
-    ("filter: sensitivities", PatchBuilder, "_sensitivities"), ("filter: points", PatchBuilder, "points"),
-    ("filter", SurfaceFilter, "update"), ("estimate: merge of the update", PatchStore, "_merge"),
-    ("estimate: TIN", estimator.VolumeEstimator, "_surface"), ("estimate: ground and outline", estimator, "base_and_outline"),
-    ("estimate: prismoids", estimator.VolumeEstimator, "_solid"), ("estimate: budget", estimator.Sources, "budget"),
-    ("estimate: ground's roughness", estimator, "ground_field"), ("estimate: surface near its base", estimator, "near_correction"),
+    ("filter: sensitivities", PatchBuilder, "_sensitivities"),
+    ("filter: points", PatchBuilder, "points"),
+    ("filter", SurfaceFilter, "update"),
+    ("estimate: merge of the update", PatchStore, "_merge"),
+    ("estimate: TIN", estimator.VolumeEstimator, "_surface"),
+    ("estimate: ground and outline", estimator, "base_and_outline"),
+    ("estimate: prismoids", estimator.VolumeEstimator, "_solid"),
+    ("estimate: budget", estimator.Sources, "budget"),
+    ("estimate: ground's roughness", estimator, "ground_field"),
+    ("estimate: surface near its base", estimator, "near_correction"),
     ("estimate", estimator.VolumeEstimator, "estimate"),
-)  # fmt: skip
+)
 
 
 class Times:
@@ -74,16 +83,27 @@ class Times:
 
 
 def recorded(bag: Path, parameters: Parameters) -> tuple[list[Record], int]:
-    """Time from the start (ns), kind and record of each message, and the length of the flight (ns)."""
-    decode = {"cloud": lambda m: returns_from_cloud(m, parameters.georeference, Losses()), "fix": fix_from_message, "imu": imu_from_message}
+    """Time from the start (ns), kind and record of each message, and the length of the flight
+    (ns).
+    """
+    decode = {
+        "cloud": lambda m: returns_from_cloud(m, parameters.georeference, Losses()),
+        "fix": fix_from_message,
+        "imu": imu_from_message,
+    }
     with BagReader(bag) as reader:
         roles = {topic: role for role, topic in reader.roles().items() if role in TYPES}
-        raws = [(raw.t_ns - reader.start_ns, roles[raw.topic], reader.message(raw)) for raw in reader.raw(set(roles))]
+        raws = [
+            (raw.t_ns - reader.start_ns, roles[raw.topic], reader.message(raw))
+            for raw in reader.raw(set(roles))
+        ]
     out = [(at, role, decode[role](message)) for at, role, message in raws]
     return out, out[-1][0] + S
 
 
-def again_and_again(records: list[Record], length_ns: int, seconds: float) -> Iterator[tuple[float, str, Any]]:
+def again_and_again(
+    records: list[Record], length_ns: int, seconds: float
+) -> Iterator[tuple[float, str, Any]]:
     """The flight over and over, with stamps that go on, for so many seconds."""
     for turn in range(int(seconds * S // length_ns) + 1):
         for at, kind, record in records:
@@ -94,11 +114,17 @@ def again_and_again(records: list[Record], length_ns: int, seconds: float) -> It
 
 def over_the_wire(update: Any) -> list[Any]:
     """An update as its tables and back."""
-    tables = [(wire.patch_columns(part), wire.filtered_columns(part.points)) for part in wire.update_parts(update)]
+    tables = [
+        (wire.patch_columns(part), wire.filtered_columns(part.points))
+        for part in wire.update_parts(update)
+    ]
     for pair in tables:
         for table in pair:
             encode(table)
-    points = [wire.filtered_points(p) if len(p["variance"]) else wire.no_filtered_points() for _, p in tables]
+    points = [
+        wire.filtered_points(p) if len(p["variance"]) else wire.no_filtered_points()
+        for _, p in tables
+    ]
     return [wire.filter_update(p, patches) for p, (patches, _) in zip(points, tables, strict=True)]
 
 
@@ -133,14 +159,23 @@ def stream(bag: Path, seconds: float) -> dict[str, float]:
         times.call("georeference", add[kind], record)
         if kind == "cloud":
             for points in times.call("georeference, points taken in", engine.step):
-                times.call("points over the wire", lambda p: wire.mapped_points(p[0], p[1]), wire.mapped_columns(points))
+                times.call(
+                    "points over the wire",
+                    lambda p: wire.mapped_points(p[0], p[1]),
+                    wire.mapped_columns(points),
+                )
         if at > due:
             due += 1.0
             rows.append(brought_up_to_date(engine, times))
     half = rows[len(rows) // 2 :]
     changed, update, estimate = (statistics.median(column) for column in zip(*half, strict=True))
     spent = {name: value / seconds for name, value in times.spent.items()}
-    return spent | {"patches": engine.filter.stats["patches"], "changed": changed, "last update": update, "last estimate": estimate}
+    return spent | {
+        "patches": engine.filter.stats["patches"],
+        "changed": changed,
+        "last update": update,
+        "last estimate": estimate,
+    }
 
 
 def run() -> dict[str, float | int | str]:
@@ -152,7 +187,9 @@ def run() -> dict[str, float | int | str]:
         for threads in ("1", "2"):
             environment = os.environ | {"NUMBA_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
             command = [sys.executable, "-m", "benchmarks.stages", str(bag)]
-            text = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+            text = subprocess.run(
+                command, env=environment, capture_output=True, text=True, check=True
+            ).stdout
             found.append(json.loads(text.splitlines()[-1]))
     for name in found[0]:
         out[name] = ", ".join(f"{one[name]:.4g}" for one in found)

@@ -10,7 +10,8 @@ import numpy.typing as npt
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
-#: Points (k, 3) m → their foot points on the surface and the outward unit normals there, (k, 3) each.
+#: Points (k, 3) m → their foot points on the surface and the outward unit normals there, (k, 3)
+#: each.
 Truth = Callable[[F64], tuple[F64, F64]]
 TIE_M = 1e-12
 
@@ -35,7 +36,9 @@ def polygon_normal(polygon: F64) -> F64:
 
 
 def to_polygons(faces: list[F64]) -> Truth:
-    """Exact foot points on a union of convex polygons: the projection where it falls inside, else the nearest side."""
+    """Exact foot points on a union of convex polygons: the projection where it falls inside, else
+    the nearest side.
+    """
 
     def foot(points: F64) -> tuple[F64, F64]:
         best, tallest = np.full(len(points), np.inf), np.zeros(len(points))
@@ -48,9 +51,15 @@ def to_polygons(faces: list[F64]) -> Truth:
             inside = np.all(points @ inward.T >= np.einsum("ki,ki->k", sides[:, 0], inward), axis=1)
             d, here = np.abs(height), points - height[:, None] * normal
             d[~inside], here[~inside] = to_segments(points[~inside], sides)
-            # faces tie where the foot is on an edge: the one seen more steeply knows the side, also where the edge is acute
+            # faces tie where the foot is on an edge: the one seen more steeply knows the side, also
+            # where the edge is acute
             nearer = (d < best - TIE_M) | ((d < best + TIE_M) & (np.abs(height) > tallest))
-            best[nearer], at[nearer], normals[nearer], tallest[nearer] = d[nearer], here[nearer], normal, np.abs(height[nearer])
+            best[nearer], at[nearer], normals[nearer], tallest[nearer] = (
+                d[nearer],
+                here[nearer],
+                normal,
+                np.abs(height[nearer]),
+            )
         return at, normals
 
     return foot
@@ -69,10 +78,16 @@ def to_sphere(centre: F64, radius: float) -> Truth:
 
 
 def sample_polygons(faces: list[F64], count: int, rng: np.random.Generator) -> tuple[F64, F64]:
-    """Points and outward normals (count, 3), uniform by area: fans of triangles, then barycentric coordinates."""
-    triangles = np.array([[face[0], face[i], face[i + 1]] for face in faces for i in range(1, len(face) - 1)])
+    """Points and outward normals (count, 3), uniform by area: fans of triangles, then barycentric
+    coordinates.
+    """
+    triangles = np.array(
+        [[face[0], face[i], face[i + 1]] for face in faces for i in range(1, len(face) - 1)]
+    )
     normals = np.array([polygon_normal(face) for face in faces for _ in range(1, len(face) - 1)])
-    area = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
+    area = np.linalg.norm(
+        np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
+    )
     chosen = rng.choice(len(triangles), size=count, p=area / area.sum())
     u, v = rng.random((2, count))
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)

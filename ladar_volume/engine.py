@@ -1,6 +1,7 @@
 """The method on one page: georeference → filter → surface → volume.
 
-The same three stage objects run here, in the nodes and in notebooks; this is the only place that wires them without ROS.
+The same three stage objects run here, in the nodes and in notebooks; this is the only place that
+wires them without ROS.
 """
 
 from __future__ import annotations
@@ -9,15 +10,24 @@ from ladar_volume.filtering.filter import SurfaceFilter
 from ladar_volume.georeference.georeferencer import Georeferencer
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import Datum, Estimate, Fix, ImuSample, MappedPoints, OdometrySample, Returns
+from ladar_volume.model.records import (
+    Datum,
+    Estimate,
+    Fix,
+    ImuSample,
+    MappedPoints,
+    OdometrySample,
+    Returns,
+)
 from ladar_volume.volume.estimator import VolumeEstimator
 
 
 class Engine:
     """From sensor samples to a volume with its covariance.
 
-    Feed samples in the order of each topic, call :meth:`step` as often as wanted and :meth:`estimate` at any time;
-    neither the interleaving of topics nor the batching changes the result.
+    Feed samples in the order of each topic, call :meth:`step` as often as wanted and
+    :meth:`estimate` at any time; neither the interleaving of topics nor the batching changes the
+    result.
     """
 
     def __init__(self, parameters: Parameters) -> None:
@@ -45,11 +55,16 @@ class Engine:
         self.georeferencer.add_returns(returns)
 
     def step(self) -> list[MappedPoints]:
-        """Hand what is georeferenced to the filter; returns the clouds that became ready, for whoever logs them. Where the time of the
-        data began again (a looping recording), the surface begins anew."""
+        """Hand what is georeferenced to the filter; returns the clouds that became ready, for
+        whoever logs them. Where the time of the data began again (a looping recording), the surface
+        begins anew.
+        """
         if self.georeferencer.restarts != self._restarts:
             self._restarts, self.points_mapped = self.georeferencer.restarts, 0
-            self.filter, self.estimator = SurfaceFilter(self.parameters), VolumeEstimator(self.parameters)
+            self.filter, self.estimator = (
+                SurfaceFilter(self.parameters),
+                VolumeEstimator(self.parameters),
+            )
         states = self.georeferencer.take_platform()
         if states is not None:
             self.filter.add_platform(states)
@@ -61,8 +76,9 @@ class Engine:
         return clouds
 
     def estimate(self) -> Estimate:
-        """The volume from all points that have arrived; raises a GroundError, SurfaceError or VolumeError where there is
-        none yet."""
+        """The volume from all points that have arrived; raises a GroundError, SurfaceError or
+        VolumeError where there is none yet.
+        """
         self.step()
         update = self.filter.update()
         if update is not None:

@@ -1,5 +1,6 @@
-"""The graph on a machine with a normal Jazzy install: ``ros2 launch ladar_volume online.launch.py config:=FILE log:=FILE
-mavlink:=URL``."""
+"""The graph on a machine with a normal Jazzy install: ``ros2 launch ladar_volume online.launch.py
+config:=FILE log:=FILE mavlink:=URL``.
+"""
 
 from ament_index_python.packages import get_package_share_path
 from launch.actions import DeclareLaunchArgument
@@ -11,13 +12,23 @@ from launch import LaunchDescription
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Four lifecycle nodes, and a fifth for an autopilot; they configure and activate themselves unless node.autostart is false."""
+    """Four lifecycle nodes, and a fifth for an autopilot; they configure and activate themselves
+    unless node.autostart is false.
+    """
     default = str(get_package_share_path("ladar_volume") / "config" / "default.yaml")
     config = LaunchConfiguration("config")
     arguments = [
-        DeclareLaunchArgument("config", default_value=default, description="parameter file in the ROS layout"),
-        DeclareLaunchArgument("log", default_value="ladar_volume.mcap", description="MCAP file to write"),
-        DeclareLaunchArgument("mavlink", default_value="", description="autopilot to take poses from (mavlink.url); empty for none"),
+        DeclareLaunchArgument(
+            "config", default_value=default, description="parameter file in the ROS layout"
+        ),
+        DeclareLaunchArgument(
+            "log", default_value="ladar_volume.mcap", description="MCAP file to write"
+        ),
+        DeclareLaunchArgument(
+            "mavlink",
+            default_value="",
+            description="autopilot to take poses from (mavlink.url); empty for none",
+        ),
     ]
     nodes = [
         LifecycleNode(
@@ -25,7 +36,10 @@ def generate_launch_description() -> LaunchDescription:
             executable=name,
             name=name,
             namespace="",
-            parameters=[{"config_file": config}, *([{"logger.path": LaunchConfiguration("log")}] if name == "logger_node" else [])],
+            parameters=[
+                {"config_file": config},
+                *([{"logger.path": LaunchConfiguration("log")}] if name == "logger_node" else []),
+            ],
             output="screen",
         )
         for name in ("georeference_node", "filter_node", "volume_node", "logger_node")

@@ -1,5 +1,7 @@
-"""How the tests are spread over processes: what compiles the same kernels stays together, since two processes that need a kernel at the
-same time both compile it, and compiling takes longer than the tests; so do all that start nodes, which share two cores and the loopback."""
+"""How the tests are spread over processes: what compiles the same kernels stays together, since two
+processes that need a kernel at the same time both compile it, and compiling takes longer than the
+tests; so do all that start nodes, which share two cores and the loopback.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -17,7 +19,9 @@ GROUP = {folder: name for name, folders in TOGETHER.items() for folder in folder
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The groups come first: they take longest, and the files that follow fill up what is left of either process."""
+    """The groups come first: they take longest, and the files that follow fill up what is left of
+    either process.
+    """
     items.sort(key=lambda item: item.path.relative_to(HERE).parts[0] not in GROUP)
 
 

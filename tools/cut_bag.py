@@ -1,4 +1,6 @@
-"""Cut a recording: ``python tools/cut_bag.py SOURCE OUT --start S --duration S``; all topics, messages untouched."""
+"""Cut a recording: ``python tools/cut_bag.py SOURCE OUT --start S --duration S``; all topics,
+messages untouched.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,9 @@
-"""Least squares over all patches: calibration and navigation errors as unknowns with priors, the planes eliminated.
+"""Least squares over all patches: calibration and navigation errors as unknowns with priors, the
+planes eliminated.
 
-A point's height above its plane is ``e + a_cal·theta + a_nav·y − X beta = noise``. With rows over sigma and ``Q`` an orthonormal basis of
-each patch's design, the planes drop out (Schur complement): ``N = AᵀA − (QᵀA)ᵀ(QᵀA) + prior``.
+A point's height above its plane is ``e + a_cal·theta + a_nav·y − X beta = noise``. With rows over
+sigma and ``Q`` an orthonormal basis of each patch's design, the planes drop out (Schur complement):
+``N = AᵀA − (QᵀA)ᵀ(QᵀA) + prior``.
 """
 
 from __future__ import annotations
@@ -27,8 +29,9 @@ _CHUNK = 65_536
 class Observations:
     """Rows over sigma, in order of their navigation knots.
 
-    e : (n,) heights · shared : (n, 11), own : (n, 2) to the calibration shared by all beams and to the point's own · ring : (n,) ·
-    nav : (n, 6) · knot : (n,) ascending, share : (n,) · Q : (n, 3) · patch, group : (n,) · scale : (n,) 1 / sigma, 1/m
+    e : (n,) heights · shared : (n, 11), own : (n, 2) to the calibration shared by all beams and to
+    the point's own · ring : (n,) · nav : (n, 6) · knot : (n,) ascending, share : (n,) · Q : (n, 3)
+    · patch, group : (n,) · scale : (n,) 1 / sigma, 1/m
     """
 
     e: F64
@@ -44,7 +47,9 @@ class Observations:
     scale: F64
 
     def blocks(self, columns: I64, beams: int) -> Iterator[tuple[slice, I64, F64]]:
-        """Points of one knot interval at a time: their rows, the unknowns they touch, and the design (k, c) on those."""
+        """Points of one knot interval at a time: their rows, the unknowns they touch, and the
+        design (k, c) on those.
+        """
         edges = np.append(np.flatnonzero(np.diff(self.knot, prepend=-1)), len(self.knot))
         for lo, hi in itertools.pairwise(edges.tolist()):
             part = slice(lo, hi)
@@ -56,16 +61,28 @@ class Observations:
             f = self.share[part, None]
             design = np.hstack([full[:, columns], self.nav[part] * (1.0 - f), self.nav[part] * f])
             first = len(columns) + 6 * int(self.knot[lo])
-            yield part, np.concatenate([np.arange(len(columns)), np.arange(first, first + 12)]), design
+            yield (
+                part,
+                np.concatenate([np.arange(len(columns)), np.arange(first, first + 12)]),
+                design,
+            )
 
 
-def observations(points: MappedPoints, geometry: PointGeometry, found: Overlap, drift: Drift, sigma: F64) -> Observations:
-    """Observations of the points on patches; sigma (n,) m is the noise of every one of ``points`` along its patch's normal."""
+def observations(
+    points: MappedPoints, geometry: PointGeometry, found: Overlap, drift: Drift, sigma: F64
+) -> Observations:
+    """Observations of the points on patches; sigma (n,) m is the noise of every one of ``points``
+    along its patch's normal.
+    """
     knot, share = drift.place(points.t_ns[found.point])
     order = np.argsort(knot, kind="stable")
     index, patch = found.point[order], found.patch[order]
     normal, scale = found.steady[patch], 1.0 / sigma[order]
-    shared, own, nav = np.empty((len(index), len(CAL_COLUMNS))), np.empty((len(index), 2)), np.empty((len(index), 6))
+    shared, own, nav = (
+        np.empty((len(index), len(CAL_COLUMNS))),
+        np.empty((len(index), 2)),
+        np.empty((len(index), 6)),
+    )
     for start in range(0, len(index), _CHUNK):  # the Jacobians take half a kilobyte per point
         part = slice(start, start + _CHUNK)
         g, n = select(geometry, index[part]), normal[part]
@@ -73,19 +90,31 @@ def observations(points: MappedPoints, geometry: PointGeometry, found: Overlap, 
         own[part] = np.einsum("ni,nij->nj", n, beam_jacobian(g))
         nav[part] = drift.rows(n, g)
     X = found.X[order] * scale[:, None]
-    gram = np.stack([np.bincount(patch, X[:, a] * X[:, b]) for a in range(3) for b in range(3)], axis=1).reshape(-1, 3, 3)
+    gram = np.stack(
+        [np.bincount(patch, X[:, a] * X[:, b]) for a in range(3) for b in range(3)], axis=1
+    ).reshape(-1, 3, 3)
     Q = np.einsum("nij,nj->ni", np.linalg.inv(np.linalg.cholesky(gram))[patch], X)
     s = scale[:, None]
     return Observations(
-        found.height[order] * scale, shared * s, own * s, points.ring[index].astype(np.int64), nav * s, knot[order], share[order], Q, patch,
-        found.group[order], scale,
-    )  # fmt: skip
+        found.height[order] * scale,
+        shared * s,
+        own * s,
+        points.ring[index].astype(np.int64),
+        nav * s,
+        knot[order],
+        share[order],
+        Q,
+        patch,
+        found.group[order],
+        scale,
+    )
 
 
 @dataclass(frozen=True)
 class Solution:
-    """x : (u,) unknowns, calibration first · C : (c, c) their covariance, calibration only · chi2 : minimum of the sum of squares, priors
-    included · freedom : of chi2 · residual : (n,) over sigma"""
+    """x : (u,) unknowns, calibration first · C : (c, c) their covariance, calibration only · chi2 :
+    minimum of the sum of squares, priors included · freedom : of chi2 · residual : (n,) over sigma
+    """
 
     x: F64
     C: F64
@@ -94,19 +123,28 @@ class Solution:
     residual: F64
 
 
-def solve(o: Observations, drift: Drift, columns: I64, beams: int, precision: F64, theta: F64) -> Solution:
-    """One step: unknowns are the calibration ``columns`` (c,), counted from theta (c,) at which the observations were made, with prior mean
-    −theta and ``precision`` (c, c), and the navigation's knots."""
+def solve(
+    o: Observations, drift: Drift, columns: I64, beams: int, precision: F64, theta: F64
+) -> Solution:
+    """One step: unknowns are the calibration ``columns`` (c,), counted from theta (c,) at which the
+    observations were made, with prior mean −theta and ``precision`` (c, c), and the navigation's
+    knots.
+    """
     c, patches = len(columns), int(o.patch.max()) + 1
     size = c + drift.unknowns
     N, g = np.zeros((size, size)), np.zeros(size)
-    G, h = np.zeros((3, patches, size)), np.stack([np.bincount(o.patch, o.Q[:, a] * o.e, patches) for a in range(3)])
+    G, h = (
+        np.zeros((3, patches, size)),
+        np.stack([np.bincount(o.patch, o.Q[:, a] * o.e, patches) for a in range(3)]),
+    )
     for part, at, design in o.blocks(columns, beams):
         N[np.ix_(at, at)] += design.T @ design
         g[at] += design.T @ o.e[part]
         touched, local = np.unique(o.patch[part], return_inverse=True)
         for a in range(3):
-            spread = sparse.csr_matrix((o.Q[part, a], (local, np.arange(len(local)))), shape=(len(touched), len(local)))
+            spread = sparse.csr_matrix(
+                (o.Q[part, a], (local, np.arange(len(local)))), shape=(len(touched), len(local))
+            )
             G[a][np.ix_(touched, at)] += np.asarray(spread @ design)
     flat = G.reshape(-1, size)
     N -= flat.T @ flat
@@ -121,7 +159,9 @@ def solve(o: Observations, drift: Drift, columns: I64, beams: int, precision: F6
     residual = o.e.copy()
     for part, at, design in o.blocks(columns, beams):
         residual[part] += design @ x[at]
-    return Solution(x, 0.5 * (C + C.T), constant + float(g @ x), len(o.e) - 3 * patches, off_plane(o, residual))
+    return Solution(
+        x, 0.5 * (C + C.T), constant + float(g @ x), len(o.e) - 3 * patches, off_plane(o, residual)
+    )
 
 
 def off_plane(o: Observations, values: F64) -> F64:

@@ -1,7 +1,9 @@
-"""Navigation errors as random effects: one value per axis and knot in time, linear between knots, with the budget's correlations.
+"""Navigation errors as random effects: one value per axis and knot in time, linear between knots,
+with the budget's correlations.
 
-An error is ``C(t)^{1/2} y(t)``; every component of y has variance 1, split into a part constant over the survey, a Gauss-Markov part and a
-white part per fix or attitude, as in the volume's budget (UNCERTAINTY, step 4).
+An error is ``C(t)^{1/2} y(t)``; every component of y has variance 1, split into a part constant
+over the survey, a Gauss-Markov part and a white part per fix or attitude, as in the volume's budget
+(UNCERTAINTY, step 4).
 """
 
 from __future__ import annotations
@@ -16,15 +18,17 @@ from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.records import F64, I64
 from ladar_volume.volume.navigation import matrix_root
 
-#: Spacing of the knots (s), and how many there may be. Errors faster than the knots pass for noise; those as fast as a vehicle sways, from
-#: which the clock is told, must not.
+#: Spacing of the knots (s), and how many there may be. Errors faster than the knots pass for noise;
+#: those as fast as a vehicle sways, from which the clock is told, must not.
 KNOT_S, MOST_KNOTS = 0.25, 600
 
 
 @dataclass(frozen=True)
 class Drift:
-    """t_ns : (b,) knots, evenly spaced · position_root, attitude_root : (len(states), 3, 3) ``C^{1/2}``, m and rad · precision :
-    (2, b, b) inverse covariance of y's knots for position and attitude, the same for each axis"""
+    """t_ns : (b,) knots, evenly spaced · position_root, attitude_root : (len(states), 3, 3)
+    ``C^{1/2}``, m and rad · precision : (2, b, b) inverse covariance of y's knots for position and
+    attitude, the same for each axis
+    """
 
     t_ns: I64
     position_root: F64
@@ -62,7 +66,9 @@ class Drift:
 
 
 def drift(flight: Flight, budget: BudgetParameters) -> Drift:
-    """The navigation errors of a flight after its states' covariances and the budget's shares and correlation times."""
+    """The navigation errors of a flight after its states' covariances and the budget's shares and
+    correlation times.
+    """
     t = flight.states.t_ns
     margin = 1_000_000_000  # the clock offset moves returns in time
     span = int(t[-1] - t[0]) + 2 * margin
@@ -72,12 +78,28 @@ def drift(flight: Flight, budget: BudgetParameters) -> Drift:
     attitude_hz = max(len(t) - 1, 1) / max(float(t[-1] - t[0]) * 1e-9, 1e-9)
     lag = np.abs(np.subtract.outer(knots, knots)) * 1e-9
     b = budget
-    precision = np.stack([
-        _precision(lag, b.position_bias_fraction, b.position_white_fraction, b.tau_position_s, flight.fix_hz * step_s),
-        _precision(lag, b.attitude_bias_fraction, b.attitude_white_fraction, b.tau_attitude_s, attitude_hz * step_s),
-    ])  # fmt: skip
+    precision = np.stack(
+        [
+            _precision(
+                lag,
+                b.position_bias_fraction,
+                b.position_white_fraction,
+                b.tau_position_s,
+                flight.fix_hz * step_s,
+            ),
+            _precision(
+                lag,
+                b.attitude_bias_fraction,
+                b.attitude_white_fraction,
+                b.tau_attitude_s,
+                attitude_hz * step_s,
+            ),
+        ]
+    )
     C = flight.states.C_nav
-    return Drift(knots.astype(np.int64), matrix_root(C[:, :3, :3]), matrix_root(C[:, 3:, 3:]), precision)
+    return Drift(
+        knots.astype(np.int64), matrix_root(C[:, :3, :3]), matrix_root(C[:, 3:, 3:]), precision
+    )
 
 
 def _precision(lag: F64, bias: float, white: float, tau_s: float, samples: float) -> F64:

@@ -1,4 +1,6 @@
-"""A flight as self-calibration needs it: returns in the laser frame, the platform's path, and the path cut into strips."""
+"""A flight as self-calibration needs it: returns in the laser frame, the platform's path, and the
+path cut into strips.
+"""
 
 from __future__ import annotations
 
@@ -30,9 +32,10 @@ U16 = npt.NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class Flight:
-    """t_ns : (n,) int64 ns, LiDAR time of the returns · r_laser : (n, 3) m · ring : (n,) · states : the path, built with ``mount`` ·
-    strip : (len(states),) number of the strip each state belongs to · mount : the constants the survey was read with · fix_hz : rate of
-    the position fixes"""
+    """t_ns : (n,) int64 ns, LiDAR time of the returns · r_laser : (n, 3) m · ring : (n,) · states :
+    the path, built with ``mount`` · strip : (len(states),) number of the strip each state belongs
+    to · mount : the constants the survey was read with · fix_hz : rate of the position fixes
+    """
 
     t_ns: I64
     r_laser: F64
@@ -46,21 +49,36 @@ class Flight:
 def flight(points: MappedPoints, states: PlatformStates, mount: Mounting, fix_hz: float) -> Flight:
     """A flight from points mapped with ``mount`` and the states at their times.
 
-    Raises :class:`CalibrationError` (calibration_no_returns) where no point lies between two states.
+    Raises :class:`CalibrationError` (calibration_no_returns) where no point lies between two
+    states.
     """
     geometry = point_geometry(points, states, mount)
     if not geometry.covered.any():
-        raise CalibrationError("no return lies within the trajectory", reason="calibration_no_returns", value=len(points))
+        raise CalibrationError(
+            "no return lies within the trajectory",
+            reason="calibration_no_returns",
+            value=len(points),
+        )
     kept = select(points, geometry.covered)
     r_laser = geometry.v_body[geometry.covered] @ mount.R_body_laser
-    return Flight(kept.t_ns - mount.clock_ns, r_laser, kept.ring, steady(states, mount), strips(states), mount, fix_hz)
+    return Flight(
+        kept.t_ns - mount.clock_ns,
+        r_laser,
+        kept.ring,
+        steady(states, mount),
+        strips(states),
+        mount,
+        fix_hz,
+    )
 
 
 def steady(states: PlatformStates, mount: Mounting) -> PlatformStates:
-    """The states with the velocity of their antenna from the positions within half a second, by least squares.
+    """The states with the velocity of their antenna from the positions within half a second, by
+    least squares.
 
-    Between two fixes the path has their noise as velocity, 0.1 m/s and more. As sensitivity to the clock it would be taken for information:
-    an offset would look better determined than it is, and be biased.
+    Between two fixes the path has their noise as velocity, 0.1 m/s and more. As sensitivity to the
+    clock it would be taken for information: an offset would look better determined than it is, and
+    be biased.
     """
     R = matrix_from_quaternion(states.q_map_body)
     antenna = states.p_map_body + R @ mount.lever_antenna
@@ -70,7 +88,9 @@ def steady(states: PlatformStates, mount: Mounting) -> PlatformStates:
     end = np.searchsorted(states.segment, states.segment, side="right")
     first = np.maximum(np.searchsorted(t, t - _WINDOW_S), begin)
     last = np.minimum(np.searchsorted(t, t + _WINDOW_S, side="right"), end)
-    velocity = np.einsum("nij,nj->ni", R, states.v_body + np.cross(states.omega_body, mount.lever_antenna))
+    velocity = np.einsum(
+        "nij,nj->ni", R, states.v_body + np.cross(states.omega_body, mount.lever_antenna)
+    )
     for i in np.flatnonzero(last - first >= 3):
         part = slice(first[i], last[i])
         s = t[part] - t[part].mean()
@@ -80,7 +100,9 @@ def steady(states: PlatformStates, mount: Mounting) -> PlatformStates:
 
 
 def strips(states: PlatformStates) -> I64:
-    """Number of the strip of every state (n,), ascending in time: a strip keeps heading and course within 30° and lasts 30 s at most."""
+    """Number of the strip of every state (n,), ascending in time: a strip keeps heading and course
+    within 30° and lasts 30 s at most.
+    """
     R = matrix_from_quaternion(states.q_map_body)
     velocity = np.einsum("nij,nj->ni", R, states.v_body)
     slow = np.hypot(velocity[:, 0], velocity[:, 1]) < _SLOW
@@ -102,26 +124,42 @@ def _apart(a: float, b: float) -> float:
 
 
 def turned(mount: Mounting, theta: F64) -> Mounting:
-    """The constants corrected by theta (c,) in the order of CAL_COLUMNS; its range bias and beams have no constant and are left alone."""
+    """The constants corrected by theta (c,) in the order of CAL_COLUMNS; its range bias and beams
+    have no constant and are left alone.
+    """
     return Mounting(
-        R_body_laser=exp_so3(theta[1:4]) @ mount.R_body_laser, lever_laser=mount.lever_laser + theta[4:7],
-        lever_antenna=mount.lever_antenna + theta[7:10], clock_ns=mount.clock_ns + round(float(theta[10]) * 1e9),
-    )  # fmt: skip
+        R_body_laser=exp_so3(theta[1:4]) @ mount.R_body_laser,
+        lever_laser=mount.lever_laser + theta[4:7],
+        lever_antenna=mount.lever_antenna + theta[7:10],
+        clock_ns=mount.clock_ns + round(float(theta[10]) * 1e9),
+    )
 
 
 def remapped(flight: Flight, theta: F64, sigmas: F64) -> tuple[MappedPoints, PointGeometry, I64]:
-    """The returns georeferenced anew with constants corrected by theta (c,): points, geometry, and their index (n,) in the flight.
+    """The returns georeferenced anew with constants corrected by theta (c,): points, geometry, and
+    their index (n,) in the flight.
 
-    Positions are linear between states, which are as dense as the attitudes. ``sigmas`` (3,) as ``budget.independent_sigmas``.
+    Positions are linear between states, which are as dense as the attitudes. ``sigmas`` (3,) as
+    ``budget.independent_sigmas``.
     """
     mount, states = turned(flight.mount, theta), flight.states
     R = matrix_from_quaternion(states.q_map_body)
     antenna = states.p_map_body + R @ flight.mount.lever_antenna
     moved = dataclasses.replace(states, p_map_body=antenna - R @ mount.lever_antenna)
-    path = PathWindow(states.t_ns, states.q_map_body, states.segment, states.t_ns, antenna, np.zeros_like(antenna), False)
+    path = PathWindow(
+        states.t_ns,
+        states.q_map_body,
+        states.segment,
+        states.t_ns,
+        antenna,
+        np.zeros_like(antenna),
+        False,
+    )
     t_ns = flight.t_ns + mount.clock_ns
     mapped = map_returns(t_ns, flight.r_laser, path, mount, sigmas, vehicle_box(()), region_box(()))
-    everything = MappedPoints(t_ns, mapped.r_map, mapped.C_ind, flight.ring, np.zeros(len(t_ns), np.float32))
+    everything = MappedPoints(
+        t_ns, mapped.r_map, mapped.C_ind, flight.ring, np.zeros(len(t_ns), np.float32)
+    )
     index = np.flatnonzero(mapped.status == MAPPED)
     points = select(everything, index)
     return points, point_geometry(points, moved, mount), index

@@ -1,6 +1,7 @@
 """Planar patches that two strips or more have seen, found robustly while the strips still disagree.
 
-Each strip's points count about their own mean, so an offset between strips neither tilts a patch nor makes it look rough.
+Each strip's points count about their own mean, so an offset between strips neither tilts a patch
+nor makes it look rough.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from ladar_volume.model.records import F64, I64
 OUTLIER_SIGMAS = 3.5
 #: A patch more than this many times rougher than the usual one is no plane.
 _ROUGH = 1.5
-#: Least extent of a patch in both directions, as standard deviation over the edge of its voxel (a full square has 0.29).
+#: Least extent of a patch in both directions, as standard deviation over the edge of its voxel (a
+#: full square has 0.29).
 _EXTENT = 0.1
 _SWEEPS = 3
 #: Normals within this many edges and this angle are averaged.
@@ -28,9 +30,11 @@ _NEIGHBOURS, _ALIKE_RAD = 3.0, np.radians(10.0)
 class Overlap:
     """Patches seen by several strips.
 
-    point : (n,) index of the points that lie on a patch · patch : (n,) number of each point's patch · group : (n,) number of its patch
-    and strip · X : (n, 3) design rows (1, u, v), m · height : (n,) m above the patch's plane · normal : (p, 3) · steady : (p, 3) normals
-    averaged over neighbours, for sensitivities · patch_of : (g,) patch of each group · strip_of : (g,) strip of each group
+    point : (n,) index of the points that lie on a patch · patch : (n,) number of each point's patch
+    · group : (n,) number of its patch and strip · X : (n, 3) design rows (1, u, v), m · height :
+    (n,) m above the patch's plane · normal : (p, 3) · steady : (p, 3) normals averaged over
+    neighbours, for sensitivities · patch_of : (g,) patch of each group · strip_of : (g,) strip of
+    each group
     """
 
     point: I64
@@ -44,7 +48,9 @@ class Overlap:
     strip_of: I64
 
 
-def overlap(r_map: F64, strip: I64, C: F64, edge_m: float, min_points: int, max_patches: int) -> Overlap:
+def overlap(
+    r_map: F64, strip: I64, C: F64, edge_m: float, min_points: int, max_patches: int
+) -> Overlap:
     """Patches of points r_map (n, 3) m seen in strips (n,), with noise C (n, 3, 3) m².
 
     Raises :class:`CalibrationError` (calibration_no_overlap) where no patch is seen by two strips.
@@ -54,9 +60,13 @@ def overlap(r_map: F64, strip: I64, C: F64, edge_m: float, min_points: int, max_
         point, patch, group, _, _ = _seen_twice(point, patch, strip, min_points)
         if len(point) == 0:
             raise CalibrationError(
-                f"no surface of {edge_m:g} m was seen by two strips with {min_points} returns each: strips must overlap",
-                reason="calibration_no_overlap", value=0,
-            )  # fmt: skip
+                (
+                    f"no surface of {edge_m:g} m was seen by two strips with {min_points} "
+                    "returns each: strips must overlap"
+                ),
+                reason="calibration_no_overlap",
+                value=0,
+            )
         d = r_map[point] - _means(r_map[point], group)[group]
         normal, _, extent = _planes(d, patch)
         along = np.einsum("ni,ni->n", d, normal[patch])
@@ -71,9 +81,11 @@ def overlap(r_map: F64, strip: I64, C: F64, edge_m: float, min_points: int, max_
 
 
 def cells(r_map: F64, edge_m: float) -> I64:
-    """Number (n,) of the cell that holds each point: square columns, cut in height about the median height of each.
+    """Number (n,) of the cell that holds each point: square columns, cut in height about the median
+    height of each.
 
-    A face of a cell must not run within the noise of a level surface: it would sort the noise of its points.
+    A face of a cell must not run within the noise of a level surface: it would sort the noise of
+    its points.
     """
     _, column = np.unique(np.floor(r_map[:, :2] / edge_m), axis=0, return_inverse=True)
     column = column.ravel()
@@ -82,11 +94,19 @@ def cells(r_map: F64, edge_m: float) -> I64:
     return cell.ravel()
 
 
-def fitted(r_map: F64, strip: I64, point: I64, patch: I64, edge_m: float, min_points: int, max_patches: int) -> Overlap:
-    """Planes of given points (n,) on given patches (n,), each strip's points about their own mean. Raises as :func:`overlap`."""
-    point, patch, group, patch_of, strip_of = _seen_twice(point, patch, strip, min_points, max_patches)
+def fitted(
+    r_map: F64, strip: I64, point: I64, patch: I64, edge_m: float, min_points: int, max_patches: int
+) -> Overlap:
+    """Planes of given points (n,) on given patches (n,), each strip's points about their own mean.
+    Raises as :func:`overlap`.
+    """
+    point, patch, group, patch_of, strip_of = _seen_twice(
+        point, patch, strip, min_points, max_patches
+    )
     if len(point) == 0:
-        raise CalibrationError("no patch that two strips saw is a plane", reason="calibration_no_overlap", value=0)
+        raise CalibrationError(
+            "no patch that two strips saw is a plane", reason="calibration_no_overlap", value=0
+        )
     centre = _means(r_map[point], patch)
     d = r_map[point] - centre[patch]
     within = r_map[point] - _means(r_map[point], group)[group]
@@ -94,14 +114,25 @@ def fitted(r_map: F64, strip: I64, point: I64, patch: I64, edge_m: float, min_po
     uv = np.einsum("nij,ni->nj", tangents[patch], d)
     X = np.column_stack([np.ones(len(d)), uv])
     height = np.einsum("ni,ni->n", d, normal[patch])
-    return Overlap(point, patch, group, X, height, normal, averaged(centre, normal, _NEIGHBOURS * edge_m), patch_of, strip_of)
+    return Overlap(
+        point,
+        patch,
+        group,
+        X,
+        height,
+        normal,
+        averaged(centre, normal, _NEIGHBOURS * edge_m),
+        patch_of,
+        strip_of,
+    )
 
 
 def averaged(centre: F64, normal: F64, radius_m: float) -> F64:
     """Normals (p, 3), each averaged with those like it within a radius.
 
-    The noise of a small patch's normal, times the distance to the scanner, would pass for a sensitivity to horizontal shifts: on level
-    ground it feigns knowledge of the heading. A normal that hardly shares the patch's own noise does not.
+    The noise of a small patch's normal, times the distance to the scanner, would pass for a
+    sensitivity to horizontal shifts: on level ground it feigns knowledge of the heading. A normal
+    that hardly shares the patch's own noise does not.
     """
     pairs = cKDTree(centre).query_pairs(radius_m, output_type="ndarray")
     a, b = np.concatenate([pairs, pairs[:, ::-1]]).T
@@ -116,9 +147,13 @@ def averaged(centre: F64, normal: F64, radius_m: float) -> F64:
 def _seen_twice(
     point: I64, patch: I64, strip: I64, min_points: int, max_patches: int | None = None
 ) -> tuple[I64, I64, I64, I64, I64]:
-    """Cut to groups of enough points, and patches of two groups or more: point, patch, group (all (n,)), patch and strip of each group."""
+    """Cut to groups of enough points, and patches of two groups or more: point, patch, group (all
+    (n,)), patch and strip of each group.
+    """
     strips = int(strip.max(initial=0)) + 1
-    keys, group, count = np.unique(patch * strips + strip[point], return_inverse=True, return_counts=True)
+    keys, group, count = np.unique(
+        patch * strips + strip[point], return_inverse=True, return_counts=True
+    )
     enough = count >= min_points
     several = np.bincount(keys[enough] // strips, minlength=int(patch.max(initial=0)) + 1) >= 2
     if max_patches is not None and np.count_nonzero(several) > max_patches:
@@ -134,11 +169,15 @@ def _seen_twice(
 def _means(values: F64, label: I64) -> F64:
     """Means (k, c) of values (n, c) by label (n,)."""
     count = np.maximum(np.bincount(label), 1)
-    return np.stack([np.bincount(label, values[:, c]) / count for c in range(values.shape[1])], axis=1)
+    return np.stack(
+        [np.bincount(label, values[:, c]) / count for c in range(values.shape[1])], axis=1
+    )
 
 
 def _planes(d: F64, patch: I64) -> tuple[F64, F64, F64]:
-    """Normals (p, 3), tangents (p, 3, 2) and the lesser extent in the plane (p,) m of offsets d (n, 3)."""
+    """Normals (p, 3), tangents (p, 3, 2) and the lesser extent in the plane (p,) m of offsets d (n,
+    3).
+    """
     pairs = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
     packed = _means(np.stack([d[:, a] * d[:, b] for a, b in pairs], axis=1), patch)
     value, vector = np.linalg.eigh(packed[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]])
@@ -146,8 +185,9 @@ def _planes(d: F64, patch: I64) -> tuple[F64, F64, F64]:
 
 
 def medians(values: F64, label: I64) -> F64:
-    """Lower medians (k,) of values (n,) by label (n,), every label from 0 on present: always one of the values, never halfway between two
-    surfaces."""
+    """Lower medians (k,) of values (n,) by label (n,), every label from 0 on present: always one of
+    the values, never halfway between two surfaces.
+    """
     order = np.lexsort((values, label))
     count = np.bincount(label)
     start = np.cumsum(count) - count

@@ -1,8 +1,10 @@
-"""Self-calibration from overlapping strips: boresight, lever arms and clock offset by least squares on planar patches.
+"""Self-calibration from overlapping strips: boresight, lever arms and clock offset by least squares
+on planar patches.
 
-Gauss-Newton: georeference with the current constants, find the patches that several strips saw, solve for the corrections with navigation
-errors and beam offsets as nuisance (seed 004 section 5.1.2: "post processing of overlapping strips of LiDAR data over non-flat terrain").
-Priors from the budget always enter; what the strips cannot tell stays at its prior, and the result says so.
+Gauss-Newton: georeference with the current constants, find the patches that several strips saw,
+solve for the corrections with navigation errors and beam offsets as nuisance (seed 004 section
+5.1.2: "post processing of overlapping strips of LiDAR data over non-flat terrain"). Priors from the
+budget always enter; what the strips cannot tell stays at its prior, and the result says so.
 """
 
 from __future__ import annotations
@@ -12,7 +14,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.calibration.adjustment import Observations, Solution, observations, off_plane, solve, without
+from ladar_volume.calibration.adjustment import (
+    Observations,
+    Solution,
+    observations,
+    off_plane,
+    solve,
+    without,
+)
 from ladar_volume.calibration.drift import Drift, drift
 from ladar_volume.calibration.flight import Flight, remapped
 from ladar_volume.calibration.patches import OUTLIER_SIGMAS, fitted, overlap
@@ -24,11 +33,12 @@ from ladar_volume.model.records import CAL_COLUMNS, F64, I64
 
 #: Columns that have a constant to be corrected: everything shared but the range bias.
 CORRECTED: I64 = np.arange(1, len(CAL_COLUMNS))
-#: Share of the prior sigma below which a constant counts as estimated, and above which it counts as held at its prior.
+#: Share of the prior sigma below which a constant counts as estimated, and above which it counts as
+#: held at its prior.
 ESTIMATED, HELD = 0.5, 0.9
-#: Chi-square over its degrees of freedom up to which strips agree: flights that fit their budget have 0.9 to 1.1 (curved patches, white
-#: noise of the fixes), those with errors three times the budget's 1.2 to 1.4. With thousands of degrees of freedom a test would refuse
-#: them all.
+#: Chi-square over its degrees of freedom up to which strips agree: flights that fit their budget
+#: have 0.9 to 1.1 (curved patches, white noise of the fixes), those with errors three times the
+#: budget's 1.2 to 1.4. With thousands of degrees of freedom a test would refuse them all.
 AGREE = 1.2
 _CONVERGED, _NOISE_STEADY, _MOST_STEPS = 1e-2, 0.01, 15
 #: Patches are searched anew until a step is within one sigma, or this often.
@@ -39,7 +49,9 @@ _FEWEST = 20
 
 @dataclass(frozen=True)
 class StripOptions:
-    """Edge of the voxels that hold one patch (m), least returns of one strip on it, most patches, Gauss-Newton steps."""
+    """Edge of the voxels that hold one patch (m), least returns of one strip on it, most patches,
+    Gauss-Newton steps.
+    """
 
     edge_m: float = 1.0
     min_points: int = 6
@@ -50,12 +62,14 @@ class StripOptions:
 class StripCalibration:
     """What the strips say. Columns are those of ``budget.calibration_columns``: m, rad, s.
 
-    theta : (c,) corrections of the constants (body rotation vector for the boresight), zero for columns that have none · prior, posterior :
-    (c, c) before and after · C_cal : (c, c) for the budget of surveys that use the corrected constants · condition : ratio of the best to
-    the worst determined direction, sigma over prior sigma · weakest : (10,) that direction, in units of the prior sigmas · noise : measured
-    over budgeted noise of the returns · chi2, freedom : of the strips' disagreement, given the budget's navigation errors and
-    priors · before_m, after_m : rms disagreement of strips on one patch, as read and corrected · patches, strips, returns, moved (patches
-    left out), steps : counts
+    theta : (c,) corrections of the constants (body rotation vector for the boresight), zero for
+    columns that have none · prior, posterior : (c, c) before and after · C_cal : (c, c) for the
+    budget of surveys that use the corrected constants · condition : ratio of the best to the worst
+    determined direction, sigma over prior sigma · weakest : (10,) that direction, in units of the
+    prior sigmas · noise : measured over budgeted noise of the returns · chi2, freedom : of the
+    strips' disagreement, given the budget's navigation errors and priors · before_m, after_m : rms
+    disagreement of strips on one patch, as read and corrected · patches, strips, returns, moved
+    (patches left out), steps : counts
     """
 
     names: tuple[str, ...]
@@ -78,12 +92,16 @@ class StripCalibration:
 
     @property
     def agree(self) -> bool:
-        """Whether the corrected strips agree within the budget, as far as patches that are not quite planes can tell."""
+        """Whether the corrected strips agree within the budget, as far as patches that are not
+        quite planes can tell.
+        """
         return self.chi2 <= AGREE * self.freedom
 
     @property
     def surprising(self) -> tuple[str, ...]:
-        """Constants corrected by more than 3.5 sigma of their prior: the budget, or the recording, is not what it was taken for."""
+        """Constants corrected by more than 3.5 sigma of their prior: the budget, or the recording,
+        is not what it was taken for.
+        """
         limit = OUTLIER_SIGMAS * np.sqrt(np.diag(self.prior))
         return tuple(self.names[k] for k in CORRECTED if abs(self.theta[k]) > limit[k] > 0.0)
 
@@ -93,14 +111,22 @@ class StripCalibration:
         if before == 0.0:
             return "fixed"
         share = float(np.sqrt(after / before))
-        return "estimated" if share < ESTIMATED else "improved" if share < HELD else "held at its prior"
+        return (
+            "estimated"
+            if share < ESTIMATED
+            else "improved"
+            if share < HELD
+            else "held at its prior"
+        )
 
 
 @dataclass(frozen=True)
 class _Step:
-    """One adjustment. noise : of the returns within strips, over the assumed · chi2, freedom : of the strips' disagreement with that
-    noise · offset_m : rms distance of the strips from their common planes, before and after the step · membership : patch of every return
-    of the flight, −1 for none"""
+    """One adjustment. noise : of the returns within strips, over the assumed · chi2, freedom : of
+    the strips' disagreement with that noise · offset_m : rms distance of the strips from their
+    common planes, before and after the step · membership : patch of every return of the flight, −1
+    for none
+    """
 
     solution: Solution
     patches: int
@@ -127,19 +153,27 @@ class _Problem:
     precision: F64
 
 
-def calibrate(flight: Flight, budget: BudgetParameters, prior: F64, options: StripOptions | None = None) -> StripCalibration:
-    """Corrections of a flight's constants. ``prior`` (c, c) is C_cal of the budget (``budget.calibration_covariance``); columns of zero
-    variance stay as they are.
+def calibrate(
+    flight: Flight, budget: BudgetParameters, prior: F64, options: StripOptions | None = None
+) -> StripCalibration:
+    """Corrections of a flight's constants. ``prior`` (c, c) is C_cal of the budget
+    (``budget.calibration_covariance``); columns of zero variance stay as they are.
 
-    Raises :class:`CalibrationError`: calibration_no_overlap, calibration_no_convergence, calibration_unobservable (no constant gains).
+    Raises :class:`CalibrationError`: calibration_no_overlap, calibration_no_convergence,
+    calibration_unobservable (no constant gains).
     """
     active = np.flatnonzero(np.diag(prior) > 0.0)
     corrected = np.isin(active, CORRECTED)
     if not corrected.any():
-        raise CalibrationError("every constant has a prior sigma of zero: nothing is to be estimated", reason="calibration_unobservable")
+        raise CalibrationError(
+            "every constant has a prior sigma of zero: nothing is to be estimated",
+            reason="calibration_unobservable",
+        )
     beams = (len(prior) - len(CAL_COLUMNS)) // 2
     precision = np.asarray(np.linalg.inv(prior[np.ix_(active, active)]), np.float64)
-    problem = _Problem(flight, budget, drift(flight, budget), options or StripOptions(), active, beams, precision)
+    problem = _Problem(
+        flight, budget, drift(flight, budget), options or StripOptions(), active, beams, precision
+    )
     theta, noise, before_m, membership, moved = np.zeros(len(prior)), 1.0, np.nan, None, 0
     for number in range(1, _MOST_STEPS + 1):
         step = _step(problem, theta, noise, membership)
@@ -152,11 +186,18 @@ def calibrate(flight: Flight, budget: BudgetParameters, prior: F64, options: Str
             return _result(problem, step, theta, prior, noise, before_m, number)
         noise *= step.noise
         if membership is None and (size < _NEAR or number == _SEARCHING):
-            membership, moved = step.membership, step.moved  # from here on the same returns, so that the steps can end
+            membership, moved = (
+                step.membership,
+                step.moved,
+            )  # from here on the same returns, so that the steps can end
     raise CalibrationError(
-        f"no convergence in {_MOST_STEPS} steps: the last one moved the constants by {np.sqrt(size):.2g} sigma",
-        reason="calibration_no_convergence", value=size,
-    )  # fmt: skip
+        (
+            f"no convergence in {_MOST_STEPS} steps: the last one moved the constants by "
+            f"{np.sqrt(size):.2g} sigma"
+        ),
+        reason="calibration_no_convergence",
+        value=size,
+    )
 
 
 def _step(p: _Problem, theta: F64, noise: float, membership: I64 | None) -> _Step:
@@ -164,16 +205,21 @@ def _step(p: _Problem, theta: F64, noise: float, membership: I64 | None) -> _Ste
     C, strip = unpack(points.C_ind), p.flight.strip[geometry.state]
     limits = (p.options.edge_m, p.options.min_points, p.options.max_patches)
     if membership is None:
-        # limits never shrink below the budget's noise: a cut that lowers the noise that sets the cut would run away
+        # limits never shrink below the budget's noise: a cut that lowers the noise that sets the
+        # cut would run away
         found = overlap(points.r_map, strip, max(1.0, noise) ** 2 * C, *limits)
     else:
         point = np.flatnonzero(membership[index] >= 0)
         found = fitted(points.r_map, strip, point, membership[index][point], *limits)
     if len(found.normal) < _FEWEST:
         raise CalibrationError(
-            f"only {len(found.normal)} patches were seen by two strips, {_FEWEST} are needed: strips must overlap",
-            reason="calibration_no_overlap", value=len(found.normal),
-        )  # fmt: skip
+            (
+                f"only {len(found.normal)} patches were seen by two strips, {_FEWEST} are "
+                "needed: strips must overlap"
+            ),
+            reason="calibration_no_overlap",
+            value=len(found.normal),
+        )
     normal = found.normal[found.patch]
     sigma = noise * np.sqrt(np.einsum("ni,nij,nj->n", normal, C[found.point], normal))
     o = observations(points, geometry, found, p.effects, sigma)
@@ -186,18 +232,24 @@ def _step(p: _Problem, theta: F64, noise: float, membership: I64 | None) -> _Ste
     belongs = np.full(len(p.flight.t_ns), -1, np.int64)
     kept = ~np.isin(found.patch, moved)
     belongs[index[found.point[kept]]] = found.patch[kept]
-    return _judged(o, solution, total - len(moved), len(np.unique(found.strip_of)), len(moved), belongs)
+    return _judged(
+        o, solution, total - len(moved), len(np.unique(found.strip_of)), len(moved), belongs
+    )
 
 
 def _moved(o: Observations, residual: F64) -> I64:
-    """Patches on which a strip lies farther from the others than noise, or the usual disagreement, explains: something moved there."""
+    """Patches on which a strip lies farther from the others than noise, or the usual disagreement,
+    explains: something moved there.
+    """
     count = np.bincount(o.group)
     z = np.abs(np.bincount(o.group, residual)) / np.sqrt(count)
     far = z > OUTLIER_SIGMAS * max(1.0, 1.4826 * float(np.median(z)))
     return np.unique(o.patch[far[o.group]])
 
 
-def _judged(o: Observations, solution: Solution, patches: int, strips: int, moved: int, membership: I64) -> _Step:
+def _judged(
+    o: Observations, solution: Solution, patches: int, strips: int, moved: int, membership: I64
+) -> _Step:
     count = np.bincount(o.group)
     within = solution.residual - (np.bincount(o.group, solution.residual) / count)[o.group]
     inner = len(o.e) - len(count) - 2 * patches
@@ -209,14 +261,28 @@ def _judged(o: Observations, solution: Solution, patches: int, strips: int, move
     freedom = solution.freedom - inner
     noise2 = square / max(inner, 1)
     chi2 = (solution.chi2 - square) / noise2
-    return _Step(solution, patches, strips, len(o.e), float(np.sqrt(noise2)), chi2, freedom, (before, after), moved, membership)
+    return _Step(
+        solution,
+        patches,
+        strips,
+        len(o.e),
+        float(np.sqrt(noise2)),
+        chi2,
+        freedom,
+        (before, after),
+        moved,
+        membership,
+    )
 
 
-def _result(p: _Problem, step: _Step, theta: F64, prior: F64, noise: float, before_m: float, number: int) -> StripCalibration:
+def _result(
+    p: _Problem, step: _Step, theta: F64, prior: F64, noise: float, before_m: float, number: int
+) -> StripCalibration:
     active, at = p.active, np.ix_(p.active, p.active)
     posterior = np.zeros_like(prior)
     posterior[at] = step.solution.C
-    # what has no constant stays uncorrected, so its own spread is the prior's; with the corrected ones it shares the posterior's covariance
+    # what has no constant stays uncorrected, so its own spread is the prior's; with the corrected
+    # ones it shares the posterior's covariance
     C_cal = posterior.copy()
     rest = np.setdiff1d(active, CORRECTED)
     C_cal[np.ix_(rest, rest)] = prior[np.ix_(rest, rest)]
@@ -228,12 +294,31 @@ def _result(p: _Problem, step: _Step, theta: F64, prior: F64, noise: float, befo
     weakest = np.zeros(len(prior))
     weakest[constants] = (root @ vector[:, -1]) / sigma
     found = StripCalibration(
-        calibration_columns(p.beams), theta, prior, posterior, C_cal, float(np.sqrt(value[-1] / max(value[0], 1e-300))), weakest,
-        noise, step.chi2, step.freedom, before_m, step.offset_m[1], step.patches, step.strips, step.returns, step.moved, number,
-    )  # fmt: skip
+        calibration_columns(p.beams),
+        theta,
+        prior,
+        posterior,
+        C_cal,
+        float(np.sqrt(value[-1] / max(value[0], 1e-300))),
+        weakest,
+        noise,
+        step.chi2,
+        step.freedom,
+        before_m,
+        step.offset_m[1],
+        step.patches,
+        step.strips,
+        step.returns,
+        step.moved,
+        number,
+    )
     if all(found.status(k) in ("held at its prior", "fixed") for k in CORRECTED):
         raise CalibrationError(
-            "the strips tell no constant better than its prior: fly lanes in two directions, both ways, over ground with slopes",
-            reason="calibration_unobservable", value=found.condition,
-        )  # fmt: skip
+            (
+                "the strips tell no constant better than its prior: fly lanes in two "
+                "directions, both ways, over ground with slopes"
+            ),
+            reason="calibration_unobservable",
+            value=found.condition,
+        )
     return found

@@ -14,14 +14,26 @@ from ladar_volume.cli.body_facts import cloud_facts, mesh_facts, show
 from ladar_volume.cli.surface_options import Source, read_source
 from ladar_volume.filtering.cloud import filter_cloud
 from ladar_volume.filtering.result import CloudResult
-from ladar_volume.ground.objects import ObjectParameters, Objects, find_objects, objects_at, objects_in
+from ladar_volume.ground.objects import (
+    ObjectParameters,
+    Objects,
+    find_objects,
+    objects_at,
+    objects_in,
+)
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.ground.regions import in_box, in_polygon
 from ladar_volume.ground.robust import fit_ground
 from ladar_volume.io.meshfiles import ENDINGS, holds_faces, read_mesh, write_mesh
 from ladar_volume.io.pointfiles import ENCODINGS
 from ladar_volume.io.results import json_text
-from ladar_volume.model.errors import ConfigurationError, GroundError, InputError, OutputError, SurfaceError
+from ladar_volume.model.errors import (
+    ConfigurationError,
+    GroundError,
+    InputError,
+    OutputError,
+    SurfaceError,
+)
 from ladar_volume.model.parameters import FilterParameters, GroundParameters
 from ladar_volume.model.records import F64, I64, Bool, Plane
 from ladar_volume.surface.local import REPAIRS, LocalMeshSettings
@@ -35,7 +47,9 @@ def numbers(*counts: int) -> Callable[[str], tuple[float, ...]]:
     def parse(text: str) -> tuple[float, ...]:
         values = tuple(float(word) for word in text.split(","))
         if len(values) not in counts or not np.isfinite(values).all():
-            raise argparse.ArgumentTypeError(f"{text}: {' or '.join(map(str, counts))} numbers with commas between")
+            raise argparse.ArgumentTypeError(
+                f"{text}: {' or '.join(map(str, counts))} numbers with commas between"
+            )
         return values
 
     return parse
@@ -50,38 +64,138 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Declare the verb."""
     kinds = " ".join(dict.fromkeys([*ENCODINGS, *ENDINGS]))
     parser = subparsers.add_parser(
-        "body", help="volumes of closed bodies, from a point cloud or a mesh file",
-        description="A cloud is filtered, its ground found, each object on it meshed, its edges completed and its unseen bottom closed on "
-        "the ground; a mesh file is taken as it is, and closed where it is open. Lengths in m. Values that begin with a minus need =: "
+        "body",
+        help="volumes of closed bodies, from a point cloud or a mesh file",
+        description="A cloud is filtered, its ground found, each object on it meshed, its edges "
+        "completed and its unseen bottom closed on "
+        "the ground; a mesh file is taken as it is, and closed where it is open. Lengths "
+        "in m. Values that begin with a minus need =: "
         "--pick=-1,0,2.",
-    )  # fmt: skip
-    parser.add_argument("source", type=Path, metavar="CLOUD|MESH", help=f"point cloud or mesh ({kinds})")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="MESH", help=f"the closed bodies ({' '.join(ENDINGS)})")
+    )
     parser.add_argument(
-        "--ground", type=ground_word, metavar="auto|none|Z|Z,SX,SY",
-        help="found in the cloud (its default), none (a mesh's default: bodies seen from all sides), a level, or a plane Z + SX x + SY y",
-    )  # fmt: skip
+        "source", type=Path, metavar="CLOUD|MESH", help=f"point cloud or mesh ({kinds})"
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="MESH",
+        help=f"the closed bodies ({' '.join(ENDINGS)})",
+    )
+    parser.add_argument(
+        "--ground",
+        type=ground_word,
+        metavar="auto|none|Z|Z,SX,SY",
+        help=(
+            "found in the cloud (its default), none (a mesh's default: bodies seen from all "
+            "sides), a level, or a plane Z + SX x + SY y"
+        ),
+    )
     g = parser.add_argument_group("objects on the ground (by default all that are found)")
-    g.add_argument("--polygon", type=numbers(2), nargs="+", action="append", default=[], metavar="X,Y", help="one body in this outline")
-    g.add_argument("--box", type=numbers(6), action="append", default=[], metavar="X0,Y0,Z0,X1,Y1,Z1", help="one body in this box")
-    g.add_argument("--pick", type=numbers(3), action="append", default=[], metavar="X,Y,Z", help="one body at this point")
-    g.add_argument("--min-height", type=float, metavar="M", help="least height above the ground (default: twice the cloud's noise)")
+    g.add_argument(
+        "--polygon",
+        type=numbers(2),
+        nargs="+",
+        action="append",
+        default=[],
+        metavar="X,Y",
+        help="one body in this outline",
+    )
+    g.add_argument(
+        "--box",
+        type=numbers(6),
+        action="append",
+        default=[],
+        metavar="X0,Y0,Z0,X1,Y1,Z1",
+        help="one body in this box",
+    )
+    g.add_argument(
+        "--pick",
+        type=numbers(3),
+        action="append",
+        default=[],
+        metavar="X,Y,Z",
+        help="one body at this point",
+    )
+    g.add_argument(
+        "--min-height",
+        type=float,
+        metavar="M",
+        help="least height above the ground (default: twice the cloud's noise)",
+    )
     g.add_argument("--min-points", type=int, metavar="N", help="fewest points of an object")
-    g.add_argument("--distance", type=float, metavar="M", help="longest step between points of one object")
-    g.add_argument("--split", type=float, metavar="M", help="part objects that rise this far above the saddle between them")
+    g.add_argument(
+        "--distance", type=float, metavar="M", help="longest step between points of one object"
+    )
+    g.add_argument(
+        "--split",
+        type=float,
+        metavar="M",
+        help="part objects that rise this far above the saddle between them",
+    )
     g = parser.add_argument_group("filter and mesh")
-    g.add_argument("--no-filter", action="store_true", help="the points lie on the surface already; a column 'normal' is used")
-    g.add_argument("--radius", type=float, metavar="R", help="radius of the filter (default: from the cloud)")
-    g.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the filter and of the search of the ground")
-    g.add_argument("--mesh-radius", type=float, default=0.0, metavar="M", help="longest edge of the mesh (default: from the spacing)")
-    g.add_argument("--repair", choices=REPAIRS, help="mesh by the published Algorithm 2 with this repair (needs --mesh-radius)")
-    g.add_argument("--close", type=float, metavar="M", help="widest gap, and distance to the ground, to close (default: two longest edges)")
-    g.add_argument("--sharp", type=float, default=30.0, metavar="DEG", help="faces at more than this meet in an edge; 0: complete no edges")
+    g.add_argument(
+        "--no-filter",
+        action="store_true",
+        help="the points lie on the surface already; a column 'normal' is used",
+    )
+    g.add_argument(
+        "--radius", type=float, metavar="R", help="radius of the filter (default: from the cloud)"
+    )
+    g.add_argument(
+        "--seed",
+        type=int,
+        default=0,
+        metavar="N",
+        help="seed of the filter and of the search of the ground",
+    )
+    g.add_argument(
+        "--mesh-radius",
+        type=float,
+        default=0.0,
+        metavar="M",
+        help="longest edge of the mesh (default: from the spacing)",
+    )
+    g.add_argument(
+        "--repair",
+        choices=REPAIRS,
+        help="mesh by the published Algorithm 2 with this repair (needs --mesh-radius)",
+    )
+    g.add_argument(
+        "--close",
+        type=float,
+        metavar="M",
+        help="widest gap, and distance to the ground, to close (default: two longest edges)",
+    )
+    g.add_argument(
+        "--sharp",
+        type=float,
+        default=30.0,
+        metavar="DEG",
+        help="faces at more than this meet in an edge; 0: complete no edges",
+    )
     g = parser.add_argument_group("volume")
-    g.add_argument("--pole", type=numbers(3), metavar="X,Y,Z", help="common corner of the tetrahedra (any gives the same volume)")
-    g.add_argument("--sigma", type=float, metavar="M", help="standard deviation of each vertex, of a mesh or with --no-filter")
-    g.add_argument("--allow-crossings", action="store_true", help="do not refuse a mesh file whose triangles cross")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON to standard output")
+    g.add_argument(
+        "--pole",
+        type=numbers(3),
+        metavar="X,Y,Z",
+        help="common corner of the tetrahedra (any gives the same volume)",
+    )
+    g.add_argument(
+        "--sigma",
+        type=float,
+        metavar="M",
+        help="standard deviation of each vertex, of a mesh or with --no-filter",
+    )
+    g.add_argument(
+        "--allow-crossings",
+        action="store_true",
+        help="do not refuse a mesh file whose triangles cross",
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print the result as JSON to standard output"
+    )
     parser.set_defaults(run=run)
 
 
@@ -91,7 +205,10 @@ def run(arguments: argparse.Namespace) -> int:
     console = Console(stderr=arguments.json)
     facts, bodies = (of_mesh if holds_faces(arguments.source) else of_cloud)(arguments, console)
     write(arguments.output, bodies)
-    facts["output"] = {"path": arguments.output.name, "faces": sum(len(b.skin.triangles) for b in bodies)}
+    facts["output"] = {
+        "path": arguments.output.name,
+        "faces": sum(len(b.skin.triangles) for b in bodies),
+    }
     if arguments.json:
         print(json_text(facts), end="")
     else:
@@ -103,21 +220,34 @@ def check(arguments: argparse.Namespace) -> None:
     """Refuse options that contradict each other, before anything is read."""
     a = arguments
     if a.output.suffix.lower() not in ENDINGS:
-        raise OutputError(f"{a.output}: no known kind of mesh file ({', '.join(ENDINGS)})", reason="output_format", value=str(a.output))
+        raise OutputError(
+            f"{a.output}: no known kind of mesh file ({', '.join(ENDINGS)})",
+            reason="output_format",
+            value=str(a.output),
+        )
     if a.output.resolve() == a.source.resolve():
         raise OutputError("the input and the output must be different files", value=str(a.output))
     if len([kind for kind in (a.polygon, a.box, a.pick) if kind]) > 1:
-        raise ConfigurationError("bodies come from --polygon, from --box or from --pick: choose one")
+        raise ConfigurationError(
+            "bodies come from --polygon, from --box or from --pick: choose one"
+        )
     for name in ("min_height", "min_points", "distance", "radius", "close", "sigma", "split"):
         value = getattr(a, name)
         if value is not None and not (np.isfinite(value) and value >= 0.0):
-            raise ConfigurationError(f"--{name.replace('_', '-')} {value}: a number from 0 up", value=value)
+            raise ConfigurationError(
+                f"--{name.replace('_', '-')} {value}: a number from 0 up", value=value
+            )
     if not (0.0 <= a.sharp < 180.0):
         raise ConfigurationError(f"--sharp {a.sharp}: degrees from 0 to 180", value=a.sharp)
     if a.no_filter and a.radius is not None:
         raise ConfigurationError("--radius is the filter's, which --no-filter leaves out")
-    if holds_faces(a.source) and (a.ground == "auto" or a.polygon or a.box or a.pick or a.no_filter or a.radius or a.repair):
-        raise ConfigurationError(f"{a.source} is a mesh: --ground Z or Z,SX,SY, --close, --sigma, --pole and --allow-crossings apply to it")
+    if holds_faces(a.source) and (
+        a.ground == "auto" or a.polygon or a.box or a.pick or a.no_filter or a.radius or a.repair
+    ):
+        raise ConfigurationError(
+            f"{a.source} is a mesh: --ground Z or Z,SX,SY, --close, --sigma, --pole and "
+            "--allow-crossings apply to it"
+        )
 
 
 def sharp_rad(arguments: argparse.Namespace) -> float | None:
@@ -135,7 +265,9 @@ def given_ground(arguments: argparse.Namespace) -> Plane | None:
     return design_surface(list(arguments.ground)) if isinstance(arguments.ground, tuple) else None
 
 
-def of_mesh(arguments: argparse.Namespace, console: Console) -> tuple[dict[str, object], list[Body]]:
+def of_mesh(
+    arguments: argparse.Namespace, console: Console
+) -> tuple[dict[str, object], list[Body]]:
     """The body in a mesh file."""
     a = arguments
     with console.status(f"reading {a.source.name}") as status:
@@ -143,15 +275,27 @@ def of_mesh(arguments: argparse.Namespace, console: Console) -> tuple[dict[str, 
         status.update("closing and adding up")
         try:
             body = body_of(
-                mesh.vertices, mesh.triangles, None, None, a.close or 0.0, given_ground(a), sharp_rad(a), pole(a), a.allow_crossings
+                mesh.vertices,
+                mesh.triangles,
+                None,
+                None,
+                a.close or 0.0,
+                given_ground(a),
+                sharp_rad(a),
+                pole(a),
+                a.allow_crossings,
             )
         except SurfaceError as error:
-            raise SurfaceError(f"{a.source}: {error}", reason=error.reason, value=error.value) from error
+            raise SurfaceError(
+                f"{a.source}: {error}", reason=error.reason, value=error.value
+            ) from error
         uncertain = None if a.sigma is None else mesh_uncertainty([body], a.sigma)
     return mesh_facts(a.source.name, mesh, body, uncertain), [body]
 
 
-def of_cloud(arguments: argparse.Namespace, console: Console) -> tuple[dict[str, object], list[Body]]:
+def of_cloud(
+    arguments: argparse.Namespace, console: Console
+) -> tuple[dict[str, object], list[Body]]:
     """The bodies of a point cloud file."""
     a = arguments
     with console.status(f"reading {a.source.name}") as status:
@@ -160,35 +304,63 @@ def of_cloud(arguments: argparse.Namespace, console: Console) -> tuple[dict[str,
         points, normals, curved, sigma = given_points(source, a.sigma)
         if not a.no_filter:
             status.update(f"filtering {len(points):,} points")
-            p = FilterParameters(seed=a.seed) if a.radius is None else FilterParameters(seed=a.seed, radius_m=a.radius)
+            p = (
+                FilterParameters(seed=a.seed)
+                if a.radius is None
+                else FilterParameters(seed=a.seed, radius_m=a.radius)
+            )
             filtered = filter_cloud(points, p, auto=a.radius is None)
-            points, normals, curved, sigma = filtered.r, filtered.normal, filtered.curved, filtered.sigma
+            points, normals, curved, sigma = (
+                filtered.r,
+                filtered.normal,
+                filtered.curved,
+                filtered.sigma,
+            )
         status.update("looking for the ground and what stands on it")
         ground = ground_of(a, points, np.zeros(len(points)) if sigma is None else sigma)
         found = None if ground is None else objects_of(a, points, ground, filtered)
         label = np.zeros(len(points), np.int64) if found is None else found.label
         options = BodyOptions(mesh_settings(a), a.close or 0.0, sharp_rad(a), pole(a))
         made = cloud_bodies(
-            points, normals, curved, label, ground, options, lambda k, many: status.update(f"meshing and closing body {k + 1} of {many}")
+            points,
+            normals,
+            curved,
+            label,
+            ground,
+            options,
+            lambda k, many: status.update(f"meshing and closing body {k + 1} of {many}"),
         )
         status.update("propagating the noise")
         uncertain: Uncertain | None = None
         if filtered is not None:
-            uncertain = cloud_uncertainty(made.bodies, made.sources, source.cloud.r, filtered, ground)
+            uncertain = cloud_uncertainty(
+                made.bodies, made.sources, source.cloud.r, filtered, ground
+            )
         elif sigma is not None:
-            uncertain = mesh_uncertainty(made.bodies, [sigma[rows] for rows in made.sources], ground)
-    return cloud_facts(a.source.name, len(source.cloud.r), filtered, made, found, uncertain), list(made.bodies)
+            uncertain = mesh_uncertainty(
+                made.bodies, [sigma[rows] for rows in made.sources], ground
+            )
+    return cloud_facts(a.source.name, len(source.cloud.r), filtered, made, found, uncertain), list(
+        made.bodies
+    )
 
 
-def given_points(source: Source, sigma: float | None) -> tuple[F64, F64 | None, Bool | None, F64 | None]:
-    """Points of a file that are on the surface already, with their normals and sigmas where there are any."""
+def given_points(
+    source: Source, sigma: float | None
+) -> tuple[F64, F64 | None, Bool | None, F64 | None]:
+    """Points of a file that are on the surface already, with their normals and sigmas where there
+    are any.
+    """
     r, columns = source.cloud.r, source.cloud.columns
     normals = np.asarray(columns["normal"], dtype=np.float64) if "normal" in columns else None
     if sigma is not None or "sigma" not in columns:
         return r, normals, None, None if sigma is None else np.full(len(r), sigma)
     values = np.asarray(columns["sigma"], dtype=np.float64)
     if values.shape != (len(r),) or not (np.isfinite(values) & (values >= 0.0)).all():
-        raise InputError(f"{source.path}: the column 'sigma' holds no standard deviations; give --sigma", reason="input_sigma")
+        raise InputError(
+            f"{source.path}: the column 'sigma' holds no standard deviations; give --sigma",
+            reason="input_sigma",
+        )
     return r, normals, None, values
 
 
@@ -203,10 +375,14 @@ def ground_of(arguments: argparse.Namespace, points: F64, sigma: F64) -> Plane |
         return fit_ground(points, sigma**2, GroundParameters(seed=arguments.seed, degree=1))
     except GroundError as error:
         ways = "--ground Z gives a level, --ground none means a body that is seen from all sides"
-        raise GroundError(f"{arguments.source}: {error}; {ways}", reason=error.reason, value=error.value) from error
+        raise GroundError(
+            f"{arguments.source}: {error}; {ways}", reason=error.reason, value=error.value
+        ) from error
 
 
-def objects_of(arguments: argparse.Namespace, points: F64, ground: Plane, filtered: CloudResult | None) -> Objects:
+def objects_of(
+    arguments: argparse.Namespace, points: F64, ground: Plane, filtered: CloudResult | None
+) -> Objects:
     """The objects asked for; all that are found by default."""
     a = arguments
     least = 0.0 if filtered is None else CLEAR * float(filtered.report["noise_m"])
@@ -217,7 +393,9 @@ def objects_of(arguments: argparse.Namespace, points: F64, ground: Plane, filter
         return objects_at(points, [ground], [np.array(at)[None] for at in a.pick], p)
     regions = [in_polygon(points, np.array(ring)) for ring in a.polygon]
     regions += [in_box(points, np.array(box[:3]), np.array(box[3:])) for box in a.box]
-    return objects_in(points, [ground], regions, p) if regions else find_objects(points, [ground], p)
+    return (
+        objects_in(points, [ground], regions, p) if regions else find_objects(points, [ground], p)
+    )
 
 
 def mesh_settings(arguments: argparse.Namespace) -> LocalMeshSettings:
@@ -228,11 +406,24 @@ def mesh_settings(arguments: argparse.Namespace) -> LocalMeshSettings:
 
 
 def write(path: Path, bodies: list[Body]) -> None:
-    """All bodies in one mesh file; in a PLY each vertex says what it is, and each face of which body it is and what closed it."""
+    """All bodies in one mesh file; in a PLY each vertex says what it is, and each face of which
+    body it is and what closed it.
+    """
     start = np.cumsum([0, *(len(b.skin.vertices) for b in bodies)])
-    triangles = np.concatenate([b.closed.mesh.triangles + at for b, at in zip(bodies, start, strict=False)])
-    body = np.repeat(np.minimum(np.arange(len(bodies)), 255), [len(b.skin.triangles) for b in bodies])
+    triangles = np.concatenate(
+        [b.closed.mesh.triangles + at for b, at in zip(bodies, start, strict=False)]
+    )
+    body = np.repeat(
+        np.minimum(np.arange(len(bodies)), 255), [len(b.skin.triangles) for b in bodies]
+    )
     kind: I64 = np.concatenate([b.skin.kind for b in bodies])
     notes = ["kind, closed: 0 measured, 1 edge completed, 2 gap, 3 on the ground"]
     face = {"closed": np.concatenate([b.skin.face for b in bodies]), "body": body.astype(np.int32)}
-    write_mesh(path, np.concatenate([b.skin.vertices for b in bodies]), triangles, notes, {"kind": kind.astype(np.int32)}, face)
+    write_mesh(
+        path,
+        np.concatenate([b.skin.vertices for b in bodies]),
+        triangles,
+        notes,
+        {"kind": kind.astype(np.int32)},
+        face,
+    )

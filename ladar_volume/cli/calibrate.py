@@ -34,7 +34,8 @@ from ladar_volume.model.se3 import exp_so3, rotation_xyz
 from ladar_volume.version import version
 
 ANGLES = ("boresight_roll_deg", "boresight_pitch_deg", "boresight_yaw_deg")
-#: Column → where its sigma goes in the budget, and which axis; lengths in m, angles in degrees, times in s.
+#: Column → where its sigma goes in the budget, and which axis; lengths in m, angles in degrees,
+#: times in s.
 COLUMNS: dict[str, tuple[str, int]] = {
     **{f"boresight_{axis}_deg": ("boresight_sigma_deg", i) for i, axis in enumerate("xyz")},
     **{f"lever_laser_{axis}_m": ("lever_laser_sigma_m", i) for i, axis in enumerate("xyz")},
@@ -43,29 +44,45 @@ COLUMNS: dict[str, tuple[str, int]] = {
 }
 #: The constant that belongs to a sigma.
 VALUES = {
-    "boresight_sigma_deg": "boresight_correction_deg", "lever_laser_sigma_m": "lever_laser_m", "lever_antenna_sigma_m": "lever_antenna_m",
+    "boresight_sigma_deg": "boresight_correction_deg",
+    "lever_laser_sigma_m": "lever_laser_m",
+    "lever_antenna_sigma_m": "lever_antenna_m",
     "clock_sigma_s": "clock_offset_s",
-}  # fmt: skip
+}
 
 
 def add_parser(subparsers: Any) -> None:
     """Declare the verb and its modes."""
-    parser = subparsers.add_parser("calibrate", help="calibration constants and their sigmas, as a parameter file")
+    parser = subparsers.add_parser(
+        "calibrate", help="calibration constants and their sigmas, as a parameter file"
+    )
     modes = parser.add_subparsers(dest="mode", required=True, metavar="MODE")
     repeats = modes.add_parser(
-        "repeats", help="sigmas from repeated calibrations or measurements",
-        description="FILE holds one measurement per row. Columns: " + ", ".join(ANGLES) + " (together, as calibrations give them; any "
-        "angles), or small rotations " + ", ".join(c for c in COLUMNS if c.startswith("boresight")) + "; "
-        + ", ".join(c for c in COLUMNS if not c.startswith("boresight")) + "; and 'mounting', a name that changes when the sensor was "
+        "repeats",
+        help="sigmas from repeated calibrations or measurements",
+        description="FILE holds one measurement per row. Columns: "
+        + ", ".join(ANGLES)
+        + " (together, as calibrations give them; any "
+        "angles), or small rotations "
+        + ", ".join(c for c in COLUMNS if c.startswith("boresight"))
+        + "; "
+        + ", ".join(c for c in COLUMNS if not c.startswith("boresight"))
+        + "; and 'mounting', a name that changes when the sensor was "
         "taken off and put back.",
-    )  # fmt: skip
+    )
     repeats.add_argument("file", type=Path, help="CSV with a header")
     repeats.add_argument(
-        "--uses", choices=USES, default="single",
-        help="what the survey uses: one value of its own mounting (default), the mean of that mounting's values, or the mean of earlier "
-        "mountings after the sensor was put on anew and not calibrated; with the last two the mean is written too",
-    )  # fmt: skip
-    repeats.add_argument("--confidence", type=float, default=0.95, help="of the printed intervals (default 0.95)")
+        "--uses",
+        choices=USES,
+        default="single",
+        help="what the survey uses: one value of its own mounting (default), the mean of that "
+        "mounting's values, or the mean of earlier "
+        "mountings after the sensor was put on anew and not calibrated; with the last "
+        "two the mean is written too",
+    )
+    repeats.add_argument(
+        "--confidence", type=float, default=0.95, help="of the printed intervals (default 0.95)"
+    )
     add_output(repeats)
     repeats.set_defaults(run=run_repeats)
     calibrate_strips.add_parser(modes)
@@ -73,9 +90,19 @@ def add_parser(subparsers: Any) -> None:
 
 def add_output(parser: argparse.ArgumentParser) -> None:
     """The options both modes share."""
-    parser.add_argument("--config", type=Path, help="parameter file on top of which the result is written")
-    parser.add_argument("-o", "--output", type=Path, metavar="FILE.yaml", help="parameter file to write, for replay --config and the nodes")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON to standard output")
+    parser.add_argument(
+        "--config", type=Path, help="parameter file on top of which the result is written"
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="FILE.yaml",
+        help="parameter file to write, for replay --config and the nodes",
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print the result as JSON to standard output"
+    )
 
 
 def run_repeats(arguments: argparse.Namespace) -> int:
@@ -83,25 +110,41 @@ def run_repeats(arguments: argparse.Namespace) -> int:
     base = read_config(arguments.config)
     if base.budget.calibration_correlation:
         raise CalibrationError(
-            f"{arguments.config} holds correlations of the calibration, which new sigmas would contradict", reason="calibration_base"
+            (
+                f"{arguments.config} holds correlations of the calibration, which new sigmas "
+                "would contradict"
+            ),
+            reason="calibration_base",
         )
     table = read_measurements(arguments.file, (*ANGLES, *COLUMNS))
     columns, mean = _columns(table, base)
-    found = {name: _statistics(name, values, table.mounting, arguments.confidence) for name, values in columns.items()}
+    found = {
+        name: _statistics(name, values, table.mounting, arguments.confidence)
+        for name, values in columns.items()
+    }
     sections = _sections(found, arguments.uses, base, mean)
     if arguments.output is not None:
-        words = f"{arguments.file.name}: {len(next(iter(columns.values())))} values, {arguments.uses}"
-        write_config(arguments.output, base, sections, f"Sigmas from repeated measurements ({words}).")
+        words = (
+            f"{arguments.file.name}: {len(next(iter(columns.values())))} values, {arguments.uses}"
+        )
+        write_config(
+            arguments.output, base, sections, f"Sigmas from repeated measurements ({words})."
+        )
     facts = {
-        "file": str(arguments.file), "uses": arguments.uses, "confidence": arguments.confidence,
+        "file": str(arguments.file),
+        "uses": arguments.uses,
+        "confidence": arguments.confidence,
         "constants": {
-            name: dataclasses.asdict(s) | {
-                "by_mounting": None if c is None else dataclasses.asdict(c), "budget_sigma": budget_sigma(c or s, arguments.uses),
+            name: dataclasses.asdict(s)
+            | {
+                "by_mounting": None if c is None else dataclasses.asdict(c),
+                "budget_sigma": budget_sigma(c or s, arguments.uses),
             }
             for name, (s, c) in found.items()
         },
-        **sections, "version": version(),
-    }  # fmt: skip
+        **sections,
+        "version": version(),
+    }
     if arguments.json:
         print(json_text(facts), end="")
     else:
@@ -118,18 +161,32 @@ def _columns(table: Measurements, base: Parameters) -> tuple[dict[str, F64], F64
         return columns, nominal
     if len(angles) < 3 or any(f"boresight_{axis}_deg" in columns for axis in "xyz"):
         raise CalibrationError(
-            f"{', '.join(ANGLES)} come together, and not beside boresight_x_deg, boresight_y_deg, boresight_z_deg",
-            reason="calibration_columns", value=angles,
-        )  # fmt: skip
-    vectors, mean = boresight_vectors(np.radians(np.stack([columns.pop(name) for name in ANGLES], axis=1)))
-    return {f"boresight_{axis}_deg": np.degrees(vectors[:, i]) for i, axis in enumerate("xyz")} | columns, mean
+            (
+                f"{', '.join(ANGLES)} come together, and not beside boresight_x_deg, "
+                "boresight_y_deg, boresight_z_deg"
+            ),
+            reason="calibration_columns",
+            value=angles,
+        )
+    vectors, mean = boresight_vectors(
+        np.radians(np.stack([columns.pop(name) for name in ANGLES], axis=1))
+    )
+    return {
+        f"boresight_{axis}_deg": np.degrees(vectors[:, i]) for i, axis in enumerate("xyz")
+    } | columns, mean
 
 
-def _statistics(name: str, values: F64, mounting: list[str] | None, confidence: float) -> tuple[Spread, Components | None]:
+def _statistics(
+    name: str, values: F64, mounting: list[str] | None, confidence: float
+) -> tuple[Spread, Components | None]:
     try:
-        return spread(values, confidence), None if mounting is None else components(values, mounting, confidence)
+        return spread(values, confidence), None if mounting is None else components(
+            values, mounting, confidence
+        )
     except CalibrationError as error:
-        raise CalibrationError(f"{name}: {error}", reason=error.reason, value=error.value) from error
+        raise CalibrationError(
+            f"{name}: {error}", reason=error.reason, value=error.value
+        ) from error
 
 
 def _sections(
@@ -142,12 +199,16 @@ def _sections(
     for name, (single, grouped) in found.items():
         key, axis = COLUMNS[name]
         _put(budget, outside["budget"], key, axis, budget_sigma(grouped or single, use))
-        mean = single.mean if grouped is None else grouped.last_mean if use == "mean" else grouped.mean
+        mean = (
+            single.mean if grouped is None else grouped.last_mean if use == "mean" else grouped.mean
+        )
         _put(constants, outside["calibration"], VALUES[key], axis, mean)
     if "boresight_correction_deg" in constants:
         c = base.calibration
         turned = exp_so3(np.radians(constants["boresight_correction_deg"])) @ boresight
-        correction = correction_of(turned, c.boresight_roll_rad, c.boresight_pitch_rad, c.boresight_yaw_rad)
+        correction = correction_of(
+            turned, c.boresight_roll_rad, c.boresight_pitch_rad, c.boresight_yaw_rad
+        )
         constants["boresight_correction_deg"] = [math.degrees(v) for v in correction]
     return {"budget": budget} if use == "single" else {"calibration": constants, "budget": budget}
 
@@ -159,8 +220,12 @@ def _put(into: dict[str, Any], base: dict[str, Any], key: str, axis: int, value:
         into.setdefault(key, list(base[key]))[axis] = value
 
 
-def write_config(path: Path, base: Parameters, sections: dict[str, dict[str, Any]], comment: str) -> None:
-    """The base with the changed sections as a parameter file; a value out of range is refused before anything is written."""
+def write_config(
+    path: Path, base: Parameters, sections: dict[str, dict[str, Any]], comment: str
+) -> None:
+    """The base with the changed sections as a parameter file; a value out of range is refused
+    before anything is written.
+    """
     text = changed_config(Parameters.read(sections, base), sections, comment)
     with whole_file(path) as part:
         part.write_text(text, encoding="utf-8")
@@ -170,23 +235,58 @@ def _show(console: Console, found: dict[str, tuple[Spread, Components | None]], 
     def pair(interval: tuple[float, float]) -> str:
         return f"{interval[0]:.3g} - {interval[1]:.3g}"
 
-    table = Table("constant", "n", "mean", "one value", "interval", "the mean", "budget", box=None, pad_edge=False, title_justify="left",
-                  title=f"Standard deviations; into the budget goes that of: {use}")  # fmt: skip
+    table = Table(
+        "constant",
+        "n",
+        "mean",
+        "one value",
+        "interval",
+        "the mean",
+        "budget",
+        box=None,
+        pad_edge=False,
+        title_justify="left",
+        title=f"Standard deviations; into the budget goes that of: {use}",
+    )
     for name, (s, c) in found.items():
         table.add_row(
-            name, str(s.count), f"{s.mean:.4g}", f"{s.sigma_single:.4g}", pair(s.single_interval), f"{s.sigma_mean:.4g}",
+            name,
+            str(s.count),
+            f"{s.mean:.4g}",
+            f"{s.sigma_single:.4g}",
+            pair(s.single_interval),
+            f"{s.sigma_mean:.4g}",
             f"{budget_sigma(c or s, use):.4g}",
-        )  # fmt: skip
+        )
     console.print(table)
     grouped = {name: c for name, (_, c) in found.items() if c is not None}
     if not grouped:
-        console.print("no column 'mounting': re-mountings, if there were any, are part of the spread and cannot be told apart")
+        console.print(
+            "no column 'mounting': re-mountings, if there were any, are part of the "
+            "spread and cannot be told apart"
+        )
         return
-    table = Table("constant", "n", "within", "interval", "between", "interval", "p", box=None, pad_edge=False, title_justify="left",
-                  title="By mounting: within one, between them, and p of none between")  # fmt: skip
+    table = Table(
+        "constant",
+        "n",
+        "within",
+        "interval",
+        "between",
+        "interval",
+        "p",
+        box=None,
+        pad_edge=False,
+        title_justify="left",
+        title="By mounting: within one, between them, and p of none between",
+    )
     for name, c in grouped.items():
         table.add_row(
-            name, str(c.mountings), f"{c.sigma_within:.4g}", pair(c.within_interval), f"{c.sigma_between:.4g}", pair(c.between_interval),
+            name,
+            str(c.mountings),
+            f"{c.sigma_within:.4g}",
+            pair(c.within_interval),
+            f"{c.sigma_between:.4g}",
+            pair(c.between_interval),
             f"{c.p_value:.2g}",
-        )  # fmt: skip
+        )
     console.print(table)

@@ -1,4 +1,6 @@
-"""``ladar_volume calibrate strips``: boresight, lever arms and clock offset from the overlapping strips of a recording."""
+"""``ladar_volume calibrate strips``: boresight, lever arms and clock offset from the overlapping
+strips of a recording.
+"""
 
 from __future__ import annotations
 
@@ -31,42 +33,98 @@ from ladar_volume.version import version
 def add_parser(modes: Any) -> None:
     """Declare the mode."""
     parser = modes.add_parser(
-        "strips", help="self-calibration from overlapping strips of a recording",
-        description="Estimates boresight, lever arms and clock offset from surfaces that several strips saw. Every prior is the budget's: "
-        "what the strips cannot tell stays there. Fly lanes in two directions, both ways, over ground with slopes.",
-    )  # fmt: skip
+        "strips",
+        help="self-calibration from overlapping strips of a recording",
+        description="Estimates boresight, lever arms and clock offset from surfaces that several "
+        "strips saw. Every prior is the budget's: "
+        "what the strips cannot tell stays there. Fly lanes in two directions, both "
+        "ways, over ground with slopes.",
+    )
     parser.add_argument("bag", type=Path, help="rosbag2 folder, .mcap, or ROS 1 .bag")
-    parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="override one parameter")
-    parser.add_argument("--topic", action="append", default=[], metavar="ROLE=TOPIC", help="cloud, fix, imu or odometry topic")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="SECTION.KEY=VALUE",
+        help="override one parameter",
+    )
+    parser.add_argument(
+        "--topic",
+        action="append",
+        default=[],
+        metavar="ROLE=TOPIC",
+        help="cloud, fix, imu or odometry topic",
+    )
     parser.add_argument("--start", type=float, default=0.0, help="seconds into the recording")
     parser.add_argument("--duration", type=float, default=float("inf"), help="seconds")
-    parser.add_argument("--returns", type=int, default=300_000, help="most returns used, chosen evenly (default 300000)")
-    parser.add_argument("--edge", type=float, default=1.0, metavar="M", help="edge of a planar patch in m (default 1)")
-    parser.add_argument("--config", type=Path, help="parameter file; default: config.yaml in the recording's folder, if any")
-    parser.add_argument("-o", "--output", type=Path, metavar="FILE.yaml", help="parameter file to write: the one read, recalibrated")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON to standard output")
+    parser.add_argument(
+        "--returns",
+        type=int,
+        default=300_000,
+        help="most returns used, chosen evenly (default 300000)",
+    )
+    parser.add_argument(
+        "--edge",
+        type=float,
+        default=1.0,
+        metavar="M",
+        help="edge of a planar patch in m (default 1)",
+    )
+    parser.add_argument(
+        "--config",
+        type=Path,
+        help="parameter file; default: config.yaml in the recording's folder, if any",
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="FILE.yaml",
+        help="parameter file to write: the one read, recalibrated",
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print the result as JSON to standard output"
+    )
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, adjust, write, print."""
     if arguments.returns < 1000 or not 0.05 <= arguments.edge <= 100.0:
-        raise CalibrationError("--returns must be 1000 or more and --edge 0.05 to 100 m", reason="calibration_options")
+        raise CalibrationError(
+            "--returns must be 1000 or more and --edge 0.05 to 100 m", reason="calibration_options"
+        )
     parameters = read_config(config_for(arguments.bag, arguments.config), arguments.set)
     console = Console(stderr=arguments.json)
     with BagReader(arguments.bag) as bag:
-        replay = Replay(bag, parameters, bag.roles(topics_from(arguments.topic)), arguments.start, arguments.duration)
+        replay = Replay(
+            bag,
+            parameters,
+            bag.roles(topics_from(arguments.topic)),
+            arguments.start,
+            arguments.duration,
+        )
         with Progress(console=console, transient=True) as bar:
             task = bar.add_task(f"reading {arguments.bag.name}", total=1.0)
-            flown = read_flight(replay, arguments.returns, lambda share: bar.update(task, completed=share))
+            flown = read_flight(
+                replay, arguments.returns, lambda share: bar.update(task, completed=share)
+            )
     g = parameters.georeference
     with console.status("adjusting"):
         prior = calibration_covariance(parameters.budget, g.beams, g.pose_source)
         found = calibrate(flown, parameters.budget, prior, StripOptions(edge_m=arguments.edge))
     corrected = recalibrated(found, parameters)
     if arguments.output is not None:
-        kept = {"calibration": corrected.write()["calibration"], "budget": corrected.write()["budget"]}
-        write_text(arguments.output, changed_config(corrected, kept, f"Self-calibration from the strips of {arguments.bag.name}."))
+        kept = {
+            "calibration": corrected.write()["calibration"],
+            "budget": corrected.write()["budget"],
+        }
+        write_text(
+            arguments.output,
+            changed_config(
+                corrected, kept, f"Self-calibration from the strips of {arguments.bag.name}."
+            ),
+        )
     if arguments.json:
         print(json_text(facts_of(found, corrected)), end="")
     else:
@@ -76,12 +134,19 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def read_flight(replay: Replay, most: int, progress: Callable[[float], None] = lambda share: None) -> Flight:
-    """The recording as a flight of at most ``most`` returns, an even random choice from every cloud."""
+def read_flight(
+    replay: Replay, most: int, progress: Callable[[float], None] = lambda share: None
+) -> Flight:
+    """The recording as a flight of at most ``most`` returns, an even random choice from every
+    cloud.
+    """
     stage = replay.engine.georeferencer
     add: dict[str, Callable[[Any], None]] = {
-        "fix": stage.add_fix, "imu": stage.add_imu, "odometry": stage.add_odometry, "cloud": stage.add_returns,
-    }  # fmt: skip
+        "fix": stage.add_fix,
+        "imu": stage.add_imu,
+        "odometry": stage.add_odometry,
+        "cloud": stage.add_returns,
+    }
     each = max(1, most // max(1, replay.bag.topics()[replay.topics["cloud"]][1]))
     rng, kept, fixes = np.random.default_rng(1), list[MappedPoints](), 0
     for share, role, record in replay.records():
@@ -95,13 +160,20 @@ def read_flight(replay: Replay, most: int, progress: Callable[[float], None] = l
     states = stage.take_platform()
     if states is None or len(states) < 2 or not kept:
         lost = ", ".join(f"{reason} {count}" for reason, count in stage.losses.items())
-        raise CalibrationError(f"no return could be georeferenced; not used: {lost or 'nothing'}", reason="calibration_no_returns")
+        raise CalibrationError(
+            f"no return could be georeferenced; not used: {lost or 'nothing'}",
+            reason="calibration_no_returns",
+        )
     seconds = float(states.t_ns[-1] - states.t_ns[0]) * 1e-9
     return flight(concatenate(kept), states, stage.mount, fixes / seconds)
 
 
 def _some(points: MappedPoints, most: int, rng: np.random.Generator) -> MappedPoints:
-    return points if len(points) <= most else select(points, np.sort(rng.choice(len(points), most, replace=False)))
+    return (
+        points
+        if len(points) <= most
+        else select(points, np.sort(rng.choice(len(points), most, replace=False)))
+    )
 
 
 def recalibrated(found: StripCalibration, parameters: Parameters) -> Parameters:
@@ -113,68 +185,120 @@ def recalibrated(found: StripCalibration, parameters: Parameters) -> Parameters:
         return tuple(float(v) for v in values)
 
     calibration = dataclasses.replace(
-        c, boresight_correction_rad=numbers(
-            correction_of(mount.R_body_laser, c.boresight_roll_rad, c.boresight_pitch_rad, c.boresight_yaw_rad)
+        c,
+        boresight_correction_rad=numbers(
+            correction_of(
+                mount.R_body_laser, c.boresight_roll_rad, c.boresight_pitch_rad, c.boresight_yaw_rad
+            )
         ),
-        lever_laser_m=numbers(mount.lever_laser), lever_antenna_m=numbers(mount.lever_antenna),
+        lever_laser_m=numbers(mount.lever_laser),
+        lever_antenna_m=numbers(mount.lever_antenna),
         clock_offset_s=c.clock_offset_s + float(found.theta[10]),
-    )  # fmt: skip
+    )
     budget = dataclasses.replace(
-        parameters.budget, boresight_sigma_rad=numbers(sigma[1:4]), lever_laser_sigma_m=numbers(sigma[4:7]),
-        lever_antenna_sigma_m=parameters.budget.lever_antenna_sigma_m if not sigma[7:10].any() else numbers(sigma[7:10]),
-        clock_sigma_s=float(sigma[10]), calibration_correlation=correlation_triangle(found.C_cal),
-    )  # fmt: skip
+        parameters.budget,
+        boresight_sigma_rad=numbers(sigma[1:4]),
+        lever_laser_sigma_m=numbers(sigma[4:7]),
+        lever_antenna_sigma_m=parameters.budget.lever_antenna_sigma_m
+        if not sigma[7:10].any()
+        else numbers(sigma[7:10]),
+        clock_sigma_s=float(sigma[10]),
+        calibration_correlation=correlation_triangle(found.C_cal),
+    )
     # through the door once, so that what is written can be read
-    return Parameters.read(dataclasses.replace(parameters, calibration=calibration, budget=budget).write())
+    return Parameters.read(
+        dataclasses.replace(parameters, calibration=calibration, budget=budget).write()
+    )
 
 
 def outside(k: int) -> tuple[float, str]:
     """Factor and unit in which column k is shown: degrees, millimetres, milliseconds."""
     name = CAL_COLUMNS[k]
-    return (float(np.degrees(1.0)), "deg") if name.startswith("boresight") else (1e3, "ms") if name == "clock" else (1e3, "mm")
+    return (
+        (float(np.degrees(1.0)), "deg")
+        if name.startswith("boresight")
+        else (1e3, "ms")
+        if name == "clock"
+        else (1e3, "mm")
+    )
 
 
 def facts_of(found: StripCalibration, corrected: Parameters) -> dict[str, Any]:
     """The result as plain values in m, rad, s, and the corrected parameters."""
     constants = {
         found.names[k]: {
-            "correction": float(found.theta[k]), "sigma": float(np.sqrt(found.posterior[k, k])),
-            "prior_sigma": float(np.sqrt(found.prior[k, k])), "status": found.status(int(k)), "weakest": float(found.weakest[k]),
+            "correction": float(found.theta[k]),
+            "sigma": float(np.sqrt(found.posterior[k, k])),
+            "prior_sigma": float(np.sqrt(found.prior[k, k])),
+            "status": found.status(int(k)),
+            "weakest": float(found.weakest[k]),
         }
         for k in CORRECTED
-    }  # fmt: skip
+    }
     names = (
-        "condition", "noise", "chi2", "freedom", "agree", "surprising", "before_m", "after_m", "patches", "strips", "returns", "moved",
+        "condition",
+        "noise",
+        "chi2",
+        "freedom",
+        "agree",
+        "surprising",
+        "before_m",
+        "after_m",
+        "patches",
+        "strips",
+        "returns",
+        "moved",
         "steps",
-    )  # fmt: skip
+    )
     part = np.ix_(CORRECTED, CORRECTED)
     return {
-        "constants": constants, "columns": [found.names[k] for k in CORRECTED], "covariance": found.posterior[part].tolist(),
-        **{name: getattr(found, name) for name in names}, "calibration": corrected.write()["calibration"], "version": version(),
-    }  # fmt: skip
+        "constants": constants,
+        "columns": [found.names[k] for k in CORRECTED],
+        "covariance": found.posterior[part].tolist(),
+        **{name: getattr(found, name) for name in names},
+        "calibration": corrected.write()["calibration"],
+        "version": version(),
+    }
 
 
 def show(console: Console, found: StripCalibration) -> None:
     """Print the result as a table with what it rests on."""
-    table = Table("constant", "correction", "sigma", "prior sigma", "unit", "", box=None, pad_edge=False)
+    table = Table(
+        "constant", "correction", "sigma", "prior sigma", "unit", "", box=None, pad_edge=False
+    )
     for k in CORRECTED:
         factor, unit = outside(int(k))
         after, before = (float(np.sqrt(C[k, k])) * factor for C in (found.posterior, found.prior))
         table.add_row(
-            found.names[k].replace("_", " "), f"{found.theta[k] * factor:.4f}", f"{after:.4f}", f"{before:.4f}", unit, found.status(int(k))
+            found.names[k].replace("_", " "),
+            f"{found.theta[k] * factor:.4f}",
+            f"{after:.4f}",
+            f"{before:.4f}",
+            unit,
+            found.status(int(k)),
         )
     console.print(table)
     console.print(
-        f"{found.returns:,} returns of {found.strips} strips on {found.patches} patches ({found.moved} left out: something moved), "
-        f"{found.steps} steps; strips {1e3 * found.before_m:.1f} mm off their planes before, {1e3 * found.after_m:.1f} mm after"
+        f"{found.returns:,} returns of {found.strips} strips on {found.patches} patches "
+        f"({found.moved} left out: something moved), "
+        f"{found.steps} steps; strips {1e3 * found.before_m:.1f} mm off their planes "
+        f"before, {1e3 * found.after_m:.1f} mm after"
     )
     verdict = "agree" if found.agree else "[bold]do not agree[/bold]"
     console.print(
-        f"corrected strips {verdict} within the budget: chi-square {found.chi2:.0f} with {found.freedom} degrees of freedom; noise of a "
+        f"corrected strips {verdict} within the budget: chi-square {found.chi2:.0f} with "
+        f"{found.freedom} degrees of freedom; noise of a "
         f"return {found.noise:.2f} times the budget's"
     )
     if found.surprising:
         names = ", ".join(name.replace("_", " ") for name in found.surprising)
-        console.print(f"[bold]beyond 3.5 sigma of the prior: {names}[/bold]; the budget, or the recording, is not what it was taken for")
-    worst = ", ".join(f"{found.weakest[k]:+.2f} {found.names[k].replace('_', ' ')}" for k in CORRECTED if abs(found.weakest[k]) > 0.2)
+        console.print(
+            f"[bold]beyond 3.5 sigma of the prior: {names}[/bold]; the budget, or the "
+            "recording, is not what it was taken for"
+        )
+    worst = ", ".join(
+        f"{found.weakest[k]:+.2f} {found.names[k].replace('_', ' ')}"
+        for k in CORRECTED
+        if abs(found.weakest[k]) > 0.2
+    )
     console.print(f"worst determined: {worst} (in prior sigmas); condition {found.condition:.0f}")

@@ -1,4 +1,6 @@
-"""``ladar_volume diff``: the volume between two scans (or two closed meshes) by tetrahedra to a pole."""
+"""``ladar_volume diff``: the volume between two scans (or two closed meshes) by tetrahedra to a
+pole.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,15 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from ladar_volume.cli.diff_input import Part, given_corners, load, make_scan, point, refine_by_ground, sigma_of
+from ladar_volume.cli.diff_input import (
+    Part,
+    given_corners,
+    load,
+    make_scan,
+    point,
+    refine_by_ground,
+    sigma_of,
+)
 from ladar_volume.cli.diff_show import show
 from ladar_volume.cli.surface_options import number
 from ladar_volume.io.meshfiles import ENDINGS, write_mesh
@@ -19,51 +29,158 @@ from ladar_volume.model.errors import ConfigurationError, OutputError, SurfaceEr
 from ladar_volume.surface.topology import watertight
 from ladar_volume.version import version
 from ladar_volume.volume.density import density, relative_errors, size_rule
-from ladar_volume.volume.excavation import Excavation, Region, Scan, by_resolution, excavate, region_of
+from ladar_volume.volume.excavation import (
+    Excavation,
+    Region,
+    Scan,
+    by_resolution,
+    excavate,
+    region_of,
+)
 from ladar_volume.volume.tetrahedra import closed_variance, closed_volume
 
 
 def add_parser(subparsers: Any) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser(
-        "diff", help="volume between two scans by tetrahedra to a pole, for pits with steep and overhanging walls",
-        description="What was taken away from A (before) to B (after), as Kern does it: both scans are triangulated about their scanners "
-        "and cut by one common ring; the tetrahedra of both and a pole are summed. Closed meshes are compared as bodies. Lengths in m.",
-    )  # fmt: skip
-    parser._negative_number_matcher = re.compile(r"^-(\d|\.\d)[\d.,eE+-]*$")  # argparse takes -1,2,3 for an option
-    parser.add_argument("a", type=Path, help="scan or mesh before: PLY XYZ CSV NPY PCD LAS OBJ STL OFF ...")
+        "diff",
+        help=(
+            "volume between two scans by tetrahedra to a pole, for pits with steep and "
+            "overhanging walls"
+        ),
+        description="What was taken away from A (before) to B (after), as Kern does it: both scans "
+        "are triangulated about their scanners "
+        "and cut by one common ring; the tetrahedra of both and a pole are summed. "
+        "Closed meshes are compared as bodies. Lengths in m.",
+    )
+    parser._negative_number_matcher = re.compile(
+        r"^-(\d|\.\d)[\d.,eE+-]*$"
+    )  # argparse takes -1,2,3 for an option
+    parser.add_argument(
+        "a", type=Path, help="scan or mesh before: PLY XYZ CSV NPY PCD LAS OBJ STL OFF ..."
+    )
     parser.add_argument("b", type=Path, help="scan or mesh after")
-    parser.add_argument("--pole", type=point, metavar="X,Y,Z", help="pole, map frame (default: scanner B); it also stands for a scanner")
-    parser.add_argument("--scanner", type=point, metavar="X,Y,Z", help="where A was scanned from, in the file's own frame")
-    parser.add_argument("--scanner-b", type=point, metavar="X,Y,Z", help="the same for B (default: as A)")
+    parser.add_argument(
+        "--pole",
+        type=point,
+        metavar="X,Y,Z",
+        help="pole, map frame (default: scanner B); it also stands for a scanner",
+    )
+    parser.add_argument(
+        "--scanner",
+        type=point,
+        metavar="X,Y,Z",
+        help="where A was scanned from, in the file's own frame",
+    )
+    parser.add_argument(
+        "--scanner-b", type=point, metavar="X,Y,Z", help="the same for B (default: as A)"
+    )
     g = parser.add_argument_group("registration")
-    g.add_argument("--transform", type=Path, metavar="JSON", help="brings A into the map frame: what 'register A B --json' printed")
+    g.add_argument(
+        "--transform",
+        type=Path,
+        metavar="JSON",
+        help="brings A into the map frame: what 'register A B --json' printed",
+    )
     g.add_argument("--transform-b", type=Path, metavar="JSON", help="the same for B")
-    g.add_argument("--icp", type=number, metavar="REACH", help="refine B by the ground around the region, partners up to this far")
-    g.add_argument("--icp-cell", type=number, metavar="M", help="its errors may be correlated within so much (default: a twelfth of A)")
+    g.add_argument(
+        "--icp",
+        type=number,
+        metavar="REACH",
+        help="refine B by the ground around the region, partners up to this far",
+    )
+    g.add_argument(
+        "--icp-cell",
+        type=number,
+        metavar="M",
+        help="its errors may be correlated within so much (default: a twelfth of A)",
+    )
     g = parser.add_argument_group("region")
-    g.add_argument("--polygon", nargs="+", metavar="X,Y|FILE", help="corners x,y in plan, x,y,z of a polygon on a wall, or a file of them")
-    g.add_argument("--selection", type=Path, metavar="CLOUD", help="points picked from A: their hull in plan is the polygon")
-    g.add_argument("--margin", type=number, metavar="M", help="ground around the polygon that is used (default: a tenth of its width)")
-    g.add_argument("--spacing", type=number, metavar="M", help="of the boundary ring (default: twice that of A's points)")
-    g.add_argument("--max-edge", type=number, metavar="M", default=np.inf, help="wider triangles count as closed, not as seen")
+    g.add_argument(
+        "--polygon",
+        nargs="+",
+        metavar="X,Y|FILE",
+        help="corners x,y in plan, x,y,z of a polygon on a wall, or a file of them",
+    )
+    g.add_argument(
+        "--selection",
+        type=Path,
+        metavar="CLOUD",
+        help="points picked from A: their hull in plan is the polygon",
+    )
+    g.add_argument(
+        "--margin",
+        type=number,
+        metavar="M",
+        help="ground around the polygon that is used (default: a tenth of its width)",
+    )
+    g.add_argument(
+        "--spacing",
+        type=number,
+        metavar="M",
+        help="of the boundary ring (default: twice that of A's points)",
+    )
+    g.add_argument(
+        "--max-edge",
+        type=number,
+        metavar="M",
+        default=np.inf,
+        help="wider triangles count as closed, not as seen",
+    )
     g = parser.add_argument_group("accuracy")
-    g.add_argument("--sigma", type=number, metavar="M", help="standard deviation of a point of A (default: estimated from its ranges)")
-    g.add_argument("--sigma-b", type=number, metavar="M", help="the same for B (default: as given for A)")
-    g.add_argument("--beam", action="store_true", help="that sigma is along the beam only; otherwise in every direction")
-    g.add_argument("--offset", type=number, metavar="M", default=0.01, help="offset of the whole surface for the size rule (default 0.01)")
+    g.add_argument(
+        "--sigma",
+        type=number,
+        metavar="M",
+        help="standard deviation of a point of A (default: estimated from its ranges)",
+    )
+    g.add_argument(
+        "--sigma-b", type=number, metavar="M", help="the same for B (default: as given for A)"
+    )
+    g.add_argument(
+        "--beam",
+        action="store_true",
+        help="that sigma is along the beam only; otherwise in every direction",
+    )
+    g.add_argument(
+        "--offset",
+        type=number,
+        metavar="M",
+        default=0.01,
+        help="offset of the whole surface for the size rule (default 0.01)",
+    )
     g.add_argument("--mass", type=number, metavar="KG", help="weighed mass, for the density")
     g.add_argument("--mass-sigma", type=number, metavar="KG", help="its standard deviation")
-    g.add_argument("--published", action="store_true", help="print the published value too: each surface over its own boundary")
-    g.add_argument("--resolution", type=number, nargs="+", metavar="M", help="volume and surface of clouds thinned to these cells")
-    parser.add_argument("-o", "--output", type=Path, metavar="MESH", help="the closed body between both")
-    parser.add_argument("--allow-crossings", action="store_true", help="closed meshes may pierce themselves: such space counts twice")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON to standard output")
+    g.add_argument(
+        "--published",
+        action="store_true",
+        help="print the published value too: each surface over its own boundary",
+    )
+    g.add_argument(
+        "--resolution",
+        type=number,
+        nargs="+",
+        metavar="M",
+        help="volume and surface of clouds thinned to these cells",
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="MESH", help="the closed body between both"
+    )
+    parser.add_argument(
+        "--allow-crossings",
+        action="store_true",
+        help="closed meshes may pierce themselves: such space counts twice",
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print the result as JSON to standard output"
+    )
     parser.set_defaults(run=run)
 
 
 def check_options(a: argparse.Namespace) -> None:
-    """Raises :class:`ConfigurationError` for options that contradict one another, :class:`OutputError` for an output of unknown kind."""
+    """Raises :class:`ConfigurationError` for options that contradict one another,
+    :class:`OutputError` for an output of unknown kind.
+    """
     if (a.mass is None) != (a.mass_sigma is None):
         raise ConfigurationError("--mass and --mass-sigma go together")
     if a.polygon is not None and a.selection is not None:
@@ -72,8 +189,13 @@ def check_options(a: argparse.Namespace) -> None:
         raise ConfigurationError("--icp-cell goes with --icp")
     if not a.max_edge > 0.0:
         raise ConfigurationError(f"--max-edge {a.max_edge:g}: above 0", value=a.max_edge)
-    if a.output is not None and (a.output.suffix.lower() not in ENDINGS or not a.output.parent.is_dir()):
-        raise OutputError(f"{a.output}: no folder, or no known kind of mesh file ({', '.join(ENDINGS)})", value=str(a.output))
+    if a.output is not None and (
+        a.output.suffix.lower() not in ENDINGS or not a.output.parent.is_dir()
+    ):
+        raise OutputError(
+            f"{a.output}: no folder, or no known kind of mesh file ({', '.join(ENDINGS)})",
+            value=str(a.output),
+        )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -86,7 +208,9 @@ def run(arguments: argparse.Namespace) -> int:
         if a.closed and b.closed:
             facts = bodies(arguments, a, b)
         elif a.closed or b.closed:
-            raise ConfigurationError("one file is a closed body and the other is not: compare two bodies or two surfaces")
+            raise ConfigurationError(
+                "one file is a closed body and the other is not: compare two bodies or two surfaces"
+            )
         else:
             facts = surfaces(arguments, a, b)
     facts |= {"size_rule": size_rule(arguments.offset), "version": version()}
@@ -100,27 +224,47 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def weighed(arguments: argparse.Namespace, facts: dict[str, Any]) -> dict[str, Any]:
-    """Density of what was taken away. Raises :class:`ConfigurationError` where the volume has no sigma."""
+    """Density of what was taken away. Raises :class:`ConfigurationError` where the volume has no
+    sigma.
+    """
     if not np.isfinite(facts["sigma_m3"]):
         raise ConfigurationError("a density needs the volume's sigma: give --sigma")
     rho = density(arguments.mass, arguments.mass_sigma, facts["volume_m3"], facts["sigma_m3"])
     return {
-        "density_kg_m3": rho.density_kg_m3, "sigma_kg_m3": rho.sigma_kg_m3, "interval_kg_m3": list(rho.interval_kg_m3),
-        "coverage_factor": rho.coverage_factor, "variance_shares": {"mass": rho.variance_shares[0], "volume": rho.variance_shares[1]},
-    }  # fmt: skip
+        "density_kg_m3": rho.density_kg_m3,
+        "sigma_kg_m3": rho.sigma_kg_m3,
+        "interval_kg_m3": list(rho.interval_kg_m3),
+        "coverage_factor": rho.coverage_factor,
+        "variance_shares": {"mass": rho.variance_shares[0], "volume": rho.variance_shares[1]},
+    }
 
 
 def surfaces(arguments: argparse.Namespace, part_a: Part, part_b: Part) -> dict[str, Any]:
-    """Two open surfaces: Kern's procedure. Raises :class:`ConfigurationError` without any position of a scanner."""
+    """Two open surfaces: Kern's procedure. Raises :class:`ConfigurationError` without any position
+    of a scanner.
+    """
     eye = arguments.scanner if arguments.scanner is not None else None
     if eye is None and arguments.pole is None:
         raise ConfigurationError("from where was it scanned? Give --pole X,Y,Z or --scanner X,Y,Z")
     other = arguments.scanner_b if arguments.scanner_b is not None else eye
-    a, b = (make_scan(part, where, arguments.pole) for part, where in ((part_a, eye), (part_b, other)))
+    a, b = (
+        make_scan(part, where, arguments.pole) for part, where in ((part_a, eye), (part_b, other))
+    )
     sigma = arguments.sigma, arguments.sigma if arguments.sigma_b is None else arguments.sigma_b
-    noise = [sigma_of(scan, part, given, arguments.beam) for scan, part, given in zip((a, b), (part_a, part_b), sigma, strict=True)]
-    a, b = (Scan(scan.points, scan.scanner, n.noise, scan.transform) for scan, n in zip((a, b), noise, strict=True))
-    region = region_of(a.points, given_corners(arguments.polygon, arguments.selection), arguments.margin, arguments.spacing)
+    noise = [
+        sigma_of(scan, part, given, arguments.beam)
+        for scan, part, given in zip((a, b), (part_a, part_b), sigma, strict=True)
+    ]
+    a, b = (
+        Scan(scan.points, scan.scanner, n.noise, scan.transform)
+        for scan, n in zip((a, b), noise, strict=True)
+    )
+    region = region_of(
+        a.points,
+        given_corners(arguments.polygon, arguments.selection),
+        arguments.margin,
+        arguments.spacing,
+    )
     more: dict[str, Any] = {}
     if arguments.icp is not None:
         b, more["icp"] = refine_by_ground(a, b, region, arguments.icp, arguments.icp_cell)
@@ -130,60 +274,147 @@ def surfaces(arguments: argparse.Namespace, part_a: Part, part_b: Part) -> dict[
     if arguments.resolution is not None:
         s = by_resolution(a, b, region, arguments.resolution, arguments.max_edge)
         names = ("cell_m", "points", "volume_m3", "area_m2")
-        more["resolution"] = {n: getattr(s, n).tolist() for n in names} | {"dimension": s.dimension, "volume_change_m3": s.volume_change_m3}
+        more["resolution"] = {n: getattr(s, n).tolist() for n in names} | {
+            "dimension": s.dimension,
+            "volume_change_m3": s.volume_change_m3,
+        }
     if arguments.published:
         more["published_m3"] = found.published_m3
-    points = [{"path": p.path.name, "points": len(p.points), "in_region": int(m.sum()), "sigma_m": n.typical_m, "sigma_from": n.words}
-              for p, m, n in zip((part_a, part_b), (found.in_a, found.in_b), noise, strict=True)]  # fmt: skip
-    return facts_of(found, region, noise[0].typical_m, arguments.offset) | {"surfaces": points} | more
+    points = [
+        {
+            "path": p.path.name,
+            "points": len(p.points),
+            "in_region": int(m.sum()),
+            "sigma_m": n.typical_m,
+            "sigma_from": n.words,
+        }
+        for p, m, n in zip((part_a, part_b), (found.in_a, found.in_b), noise, strict=True)
+    ]
+    return (
+        facts_of(found, region, noise[0].typical_m, arguments.offset) | {"surfaces": points} | more
+    )
 
 
 def facts_of(found: Excavation, region: Region, noise_m: float, offset_m: float) -> dict[str, Any]:
     """The result as plain values."""
     d, V = found.between, abs(found.removed_m3)
     plan = d.area_a_m2
-    height = float(np.sqrt(sum(v for k, v in found.budget_m6.items() if k.startswith("registration")))) / plan
-    spacing = float(np.sqrt((d.area_a_m2 + d.area_b_m2) / max(int(found.in_a.sum() + found.in_b.sum()), 1)))
+    height = (
+        float(np.sqrt(sum(v for k, v in found.budget_m6.items() if k.startswith("registration"))))
+        / plan
+    )
+    spacing = float(
+        np.sqrt((d.area_a_m2 + d.area_b_m2) / max(int(found.in_a.sum() + found.in_b.sum()), 1))
+    )
     noise_m = noise_m if np.isfinite(noise_m) else 0.0
     return {
-        "method": "two surfaces and a pole", "volume_m3": found.removed_m3, "sigma_m3": found.sigma_m3, "budget_m6": found.budget_m6,
-        "interval_m3": [found.removed_m3 - 1.96 * found.sigma_m3, found.removed_m3 + 1.96 * found.sigma_m3], "coverage_factor": 1.96,
-        "watertight": watertight(d.triangles), "closed_m3": found.closed_m3, "bridged_m2": list(d.bridged_m2), "area_m2": found.area_m2,
-        "area_a_m2": d.area_a_m2, "area_b_m2": d.area_b_m2, "pole_m": d.pole_map.tolist(), "pole_spread_m3": d.pole_spread_m3,
-        "ring": {"points": len(d.gap_m), "mean_gap_m": float(d.gap_m.mean()), "rms_gap_m": float(np.sqrt((d.gap_m**2).mean())),
-                 "largest_gap_m": float(np.abs(d.gap_m).max())},
-        "region": {"corners_m": region.corners.tolist(), "margin_m": region.margin_m, "spacing_m": region.spacing_m},
-        "size_classes": None if V == 0.0 else relative_errors(
-            found.area_m2, V, offset_m=offset_m, noise_m=noise_m, spacing_m=spacing, height_m=height, plan_area_m2=plan),
-    }  # fmt: skip
+        "method": "two surfaces and a pole",
+        "volume_m3": found.removed_m3,
+        "sigma_m3": found.sigma_m3,
+        "budget_m6": found.budget_m6,
+        "interval_m3": [
+            found.removed_m3 - 1.96 * found.sigma_m3,
+            found.removed_m3 + 1.96 * found.sigma_m3,
+        ],
+        "coverage_factor": 1.96,
+        "watertight": watertight(d.triangles),
+        "closed_m3": found.closed_m3,
+        "bridged_m2": list(d.bridged_m2),
+        "area_m2": found.area_m2,
+        "area_a_m2": d.area_a_m2,
+        "area_b_m2": d.area_b_m2,
+        "pole_m": d.pole_map.tolist(),
+        "pole_spread_m3": d.pole_spread_m3,
+        "ring": {
+            "points": len(d.gap_m),
+            "mean_gap_m": float(d.gap_m.mean()),
+            "rms_gap_m": float(np.sqrt((d.gap_m**2).mean())),
+            "largest_gap_m": float(np.abs(d.gap_m).max()),
+        },
+        "region": {
+            "corners_m": region.corners.tolist(),
+            "margin_m": region.margin_m,
+            "spacing_m": region.spacing_m,
+        },
+        "size_classes": None
+        if V == 0.0
+        else relative_errors(
+            found.area_m2,
+            V,
+            offset_m=offset_m,
+            noise_m=noise_m,
+            spacing_m=spacing,
+            height_m=height,
+            plan_area_m2=plan,
+        ),
+    }
 
 
 def bodies(arguments: argparse.Namespace, a: Part, b: Part) -> dict[str, Any]:
-    """Two closed meshes: the difference of their volumes. Raises :class:`ConfigurationError` for options of scans."""
+    """Two closed meshes: the difference of their volumes. Raises :class:`ConfigurationError` for
+    options of scans.
+    """
     for name in ("polygon", "selection", "icp", "resolution", "output", "scanner", "scanner_b"):
         if getattr(arguments, name) is not None:
-            raise ConfigurationError(f"--{name.replace('_', '-')} is for scans; these are closed bodies")
+            raise ConfigurationError(
+                f"--{name.replace('_', '-')} is for scans; these are closed bodies"
+            )
     sigmas = arguments.sigma, arguments.sigma if arguments.sigma_b is None else arguments.sigma_b
     budget: dict[str, float] = {}
     volumes, spread, area, points, closed = [], 0.0, 0.0, 0, []
     for name, part, sigma in zip("ab", (a, b), sigmas, strict=True):
         try:
-            body = closed_volume(part.points, part.triangles, arguments.pole, arguments.allow_crossings)
+            body = closed_volume(
+                part.points, part.triangles, arguments.pole, arguments.allow_crossings
+            )
         except SurfaceError as error:
-            raise SurfaceError(f"{part.path}: {error}", reason=error.reason, value=error.value) from error
+            raise SurfaceError(
+                f"{part.path}: {error}", reason=error.reason, value=error.value
+            ) from error
         variance = closed_variance(part.points, body, sigma or 0.0)
-        budget[f"noise_{name}"] = np.nan if sigma is None else variance.first_m6 + variance.second_m6
+        budget[f"noise_{name}"] = (
+            np.nan if sigma is None else variance.first_m6 + variance.second_m6
+        )
         if part.transform is not None:
-            budget[f"registration_{name}"] = part.transform.variance(body.gradient, part.transform.back(part.points))
+            budget[f"registration_{name}"] = part.transform.variance(
+                body.gradient, part.transform.back(part.points)
+            )
         volumes.append(body.volume_m3)
-        spread, area, points = max(spread, body.pole_spread_m3), area + body.area_m2, points + body.mesh.vertices
-        closed.append({"path": part.path.name, "volume_m3": body.volume_m3, "area_m2": body.area_m2, "parts": len(body.volumes_m3),
-                       "turned_triangles": int(body.flipped.sum())})  # fmt: skip
+        spread, area, points = (
+            max(spread, body.pole_spread_m3),
+            area + body.area_m2,
+            points + body.mesh.vertices,
+        )
+        closed.append(
+            {
+                "path": part.path.name,
+                "volume_m3": body.volume_m3,
+                "area_m2": body.area_m2,
+                "parts": len(body.volumes_m3),
+                "turned_triangles": int(body.flipped.sum()),
+            }
+        )
     volume, sigma = volumes[0] - volumes[1], float(np.sqrt(sum(budget.values())))
     return {
-        "method": "closed bodies", "volume_m3": volume, "sigma_m3": sigma, "budget_m6": budget, "watertight": True, "closed_m3": 0.0,
-        "interval_m3": [volume - 1.96 * sigma, volume + 1.96 * sigma], "coverage_factor": 1.96,
-        "area_m2": area, "pole_m": body.pole_map.tolist(), "pole_spread_m3": spread, "bodies": closed,
-        "size_classes": None if volume == 0.0 else relative_errors(
-            area, abs(volume), offset_m=arguments.offset, noise_m=max(s or 0.0 for s in sigmas), spacing_m=float(np.sqrt(area / points))),
-    }  # fmt: skip
+        "method": "closed bodies",
+        "volume_m3": volume,
+        "sigma_m3": sigma,
+        "budget_m6": budget,
+        "watertight": True,
+        "closed_m3": 0.0,
+        "interval_m3": [volume - 1.96 * sigma, volume + 1.96 * sigma],
+        "coverage_factor": 1.96,
+        "area_m2": area,
+        "pole_m": body.pole_map.tolist(),
+        "pole_spread_m3": spread,
+        "bodies": closed,
+        "size_classes": None
+        if volume == 0.0
+        else relative_errors(
+            area,
+            abs(volume),
+            offset_m=arguments.offset,
+            noise_m=max(s or 0.0 for s in sigmas),
+            spacing_m=float(np.sqrt(area / points)),
+        ),
+    }

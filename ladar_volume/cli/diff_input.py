@@ -1,4 +1,6 @@
-"""What ``diff`` reads: clouds and meshes, positions, polygons, noise, and the refinement by the ground around the region."""
+"""What ``diff`` reads: clouds and meshes, positions, polygons, noise, and the refinement by the
+ground around the region.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,13 @@ from ladar_volume.model.errors import ConfigurationError, InputError, SurfaceErr
 from ladar_volume.model.records import F64, I32
 from ladar_volume.registration.transform import Transform
 from ladar_volume.surface.cloud import local_sigma
-from ladar_volume.surface.spherical import build_spherical, normals_towards, stereographic, unit_directions, widest_gap
+from ladar_volume.surface.spherical import (
+    build_spherical,
+    normals_towards,
+    stereographic,
+    unit_directions,
+    widest_gap,
+)
 from ladar_volume.surface.topology import orient
 from ladar_volume.volume.excavation import Region, Scan, beam_noise, hull_polygon, select
 
@@ -28,8 +36,9 @@ ICP_CELLS = 12.0
 
 @dataclass(frozen=True)
 class Part:
-    """A file: points (n, 3) m in the map frame · triangles (m, 3), none for a cloud · closed : a mesh without boundary · sigma : (n,) m of
-    the file, or None · transform : that was applied"""
+    """A file: points (n, 3) m in the map frame · triangles (m, 3), none for a cloud · closed : a
+    mesh without boundary · sigma : (n,) m of the file, or None · transform : that was applied
+    """
 
     path: Path
     points: F64
@@ -41,7 +50,9 @@ class Part:
 
 @dataclass(frozen=True)
 class Noise:
-    """noise : a sigma, sigmas (n,), m, or covariances (n, 3, 3) m² · typical_m : its median · words : where it comes from"""
+    """noise : a sigma, sigmas (n,), m, or covariances (n, 3, 3) m² · typical_m : its median · words
+    : where it comes from
+    """
 
     noise: float | F64
     typical_m: float
@@ -74,27 +85,41 @@ def load(path: Path, transform: Path | None) -> Part:
         try:
             closed = len(orient(r, triangles).boundary) == 0
         except SurfaceError as error:
-            raise SurfaceError(f"{path}: {error}", reason=error.reason, value=error.value) from error
+            raise SurfaceError(
+                f"{path}: {error}", reason=error.reason, value=error.value
+            ) from error
     return Part(path, r if T is None else T.apply(r), triangles, closed, sigma, T)
 
 
 def read_any(path: Path) -> tuple[F64, I32, F64 | None]:
-    """Points (n, 3), triangles (m, 3) and the column ``sigma`` (n,), where there is one. A PLY file without faces is a cloud."""
+    """Points (n, 3), triangles (m, 3) and the column ``sigma`` (n,), where there is one. A PLY file
+    without faces is a cloud.
+    """
     if path.suffix.lower() in ENDINGS:
         try:
             mesh = read_mesh(path)
             return mesh.vertices, mesh.triangles, None
         except InputError as error:
-            if path.suffix.lower() != ".ply" or error.reason not in ("mesh_file_fields", "mesh_file_empty"):
+            if path.suffix.lower() != ".ply" or error.reason not in (
+                "mesh_file_fields",
+                "mesh_file_empty",
+            ):
                 raise
     cloud = read_cloud(path)
     sigma = cloud.columns.get("sigma")
-    good = sigma is not None and sigma.dtype.kind in "fiu" and sigma.ndim == 1 and bool((np.isfinite(sigma) & (sigma >= 0)).all())
+    good = (
+        sigma is not None
+        and sigma.dtype.kind in "fiu"
+        and sigma.ndim == 1
+        and bool((np.isfinite(sigma) & (sigma >= 0)).all())
+    )
     return cloud.r, np.zeros((0, 3), np.int32), np.asarray(sigma, np.float64) if good else None
 
 
 def given_corners(polygon: Sequence[str] | None, selection: Path | None) -> F64 | None:
-    """Corners (c, 2 or 3) of the region from the command line or a file; None without. Raises :class:`ConfigurationError`."""
+    """Corners (c, 2 or 3) of the region from the command line or a file; None without. Raises
+    :class:`ConfigurationError`.
+    """
     if selection is not None:
         return hull_polygon(read_cloud(selection, columns=False).r)
     if polygon is None:
@@ -105,15 +130,21 @@ def given_corners(polygon: Sequence[str] | None, selection: Path | None) -> F64 
             separator = "," if "," in Path(polygon[0]).read_text(encoding="utf-8") else None
             table = np.loadtxt(polygon[0], delimiter=separator, ndmin=2)
         except (OSError, ValueError) as error:
-            raise ConfigurationError(f"--polygon {polygon[0]}: no file of rows x y or x y z: {error}", value=polygon[0]) from error
+            raise ConfigurationError(
+                f"--polygon {polygon[0]}: no file of rows x y or x y z: {error}", value=polygon[0]
+            ) from error
         rows = table.tolist()
     if len(rows) < 3 or len({len(r) for r in rows}) != 1 or len(rows[0]) not in (2, 3):
-        raise ConfigurationError("--polygon: at least three corners x,y (or x,y,z)", value=list(polygon))
+        raise ConfigurationError(
+            "--polygon: at least three corners x,y (or x,y,z)", value=list(polygon)
+        )
     return np.array(rows)
 
 
 def make_scan(part: Part, scanner: F64 | None, pole: F64 | None) -> Scan:
-    """A scan whose scanner is given in the file's frame; without it the pole is the scanner's place in the map."""
+    """A scan whose scanner is given in the file's frame; without it the pole is the scanner's place
+    in the map.
+    """
     if scanner is None:
         eye = np.zeros(3) if pole is None else pole
     else:
@@ -122,7 +153,9 @@ def make_scan(part: Part, scanner: F64 | None, pole: F64 | None) -> Scan:
 
 
 def sigma_of(scan: Scan, part: Part, given: float | None, beam: bool) -> Noise:
-    """Noise of a scan: as given, of the file's column, or from what local quadrics leave of its ranges, which lies along the beam."""
+    """Noise of a scan: as given, of the file's column, or from what local quadrics leave of its
+    ranges, which lies along the beam.
+    """
     if given is not None and not given >= 0.0:
         raise ConfigurationError(f"--sigma {given:g}: 0 or more", value=given)
     if given is None and part.sigma is None:
@@ -131,28 +164,51 @@ def sigma_of(scan: Scan, part: Part, given: float | None, beam: bool) -> Noise:
         sigma: float | F64 = local_sigma(np.column_stack([seen, distance]))
         beam, words = True, "residuals of local quadrics, along the beam"
     else:
-        sigma, words = (given, "given") if given is not None else (np.asarray(part.sigma), "column 'sigma'")
+        sigma, words = (
+            (given, "given") if given is not None else (np.asarray(part.sigma), "column 'sigma'")
+        )
     typical = float(np.median(sigma))
     return Noise(beam_noise(scan.points, scan.scanner, sigma) if beam else sigma, typical, words)
 
 
-def refine_by_ground(a: Scan, b: Scan, region: Region, reach_m: float, cell_m: float | None) -> tuple[Scan, dict[str, Any]]:
+def refine_by_ground(
+    a: Scan, b: Scan, region: Region, reach_m: float, cell_m: float | None
+) -> tuple[Scan, dict[str, Any]]:
     """Scan B laid on scan A by the ground outside the region, and what the JSON says of it.
 
-    Raises :class:`RegistrationError` as :func:`ladar_volume.registration.icp.refine` does, :class:`VolumeError` without ground.
+    Raises :class:`RegistrationError` as :func:`ladar_volume.registration.icp.refine` does,
+    :class:`VolumeError` without ground.
     """
     from ladar_volume.io.epochs import register_epochs  # Open3D only where asked for
 
-    outside = ~select(a, a, region, 0.0)[0], ~select(Scan(b.points, a.scanner, np.nan), b, region, 0.0)[0]
+    outside = (
+        ~select(a, a, region, 0.0)[0],
+        ~select(Scan(b.points, a.scanner, np.nan), b, region, 0.0)[0],
+    )
     tin = build_spherical(a.points, a.scanner).tin
     ground = outside[0][tin.source]
     if not ground.any() or not outside[1].any():
-        raise VolumeError("there is no ground outside the region to refine by", reason="region_ground")
+        raise VolumeError(
+            "there is no ground outside the region to refine by", reason="region_ground"
+        )
     cell = float(np.ptp(a.points, axis=0).max()) / ICP_CELLS if cell_m is None else cell_m
-    found = register_epochs(b.points[outside[1]], tin.vertices[ground], normals_towards(tin)[ground], reach_m=reach_m, cell_m=cell)
+    found = register_epochs(
+        b.points[outside[1]],
+        tin.vertices[ground],
+        normals_towards(tin)[ground],
+        reach_m=reach_m,
+        cell_m=cell,
+    )
     T = found.transform
     noise = b.noise if np.ndim(b.noise) < 3 else T.R @ np.asarray(b.noise) @ T.R.T
     moved = Scan(T.apply(b.points), T.apply(b.scanner[None])[0], noise, T)
-    facts = {"matrix": T.matrix().tolist(), "pairs": len(found.pairs), "sigma_m": found.sigma_m, "overlap": found.overlap, "cell_m": cell,
-             "sigma_rotation_rad": np.sqrt(np.diag(T.C)[:3]).tolist(), "sigma_shift_m": np.sqrt(np.diag(T.C)[3:6]).tolist()}  # fmt: skip
+    facts = {
+        "matrix": T.matrix().tolist(),
+        "pairs": len(found.pairs),
+        "sigma_m": found.sigma_m,
+        "overlap": found.overlap,
+        "cell_m": cell,
+        "sigma_rotation_rad": np.sqrt(np.diag(T.C)[:3]).tolist(),
+        "sigma_shift_m": np.sqrt(np.diag(T.C)[3:6]).tolist(),
+    }
     return moved, facts

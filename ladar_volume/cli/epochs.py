@@ -1,4 +1,6 @@
-"""``ladar_volume epochs``: what changed between two surveys of one place, with its standard deviation and the level of detection."""
+"""``ladar_volume epochs``: what changed between two surveys of one place, with its standard
+deviation and the level of detection.
+"""
 
 from __future__ import annotations
 
@@ -28,18 +30,50 @@ from ladar_volume.volume.propagation import CALIBRATION_GROUPS
 def add_parser(subparsers: Any) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser(
-        "epochs", help="change between two surveys, with level of detection",
-        description="NEW minus PREVIOUS over the common footprint. Both are folders that 'replay' or volume_node's ~/save wrote. The "
+        "epochs",
+        help="change between two surveys, with level of detection",
+        description="NEW minus PREVIOUS over the common footprint. Both are folders that "
+        "'replay' or "
+        "volume_node's ~/save wrote. The "
         "calibration counts as common to both, but for the clock offset.",
-    )  # fmt: skip
-    parser.add_argument("previous", type=Path, help="results of the earlier survey: a folder, or its result.mcap")
+    )
+    parser.add_argument(
+        "previous", type=Path, help="results of the earlier survey: a folder, or its result.mcap"
+    )
     parser.add_argument("new", type=Path, help="results of the later survey")
-    parser.add_argument("--separate", action="append", default=[], metavar="GROUP", choices=[*CALIBRATION_GROUPS, "all"],
-                        help=f"calibrated anew between the two, may be given again: {', '.join(CALIBRATION_GROUPS)}, or all")  # fmt: skip
-    parser.add_argument("--transform", type=Path, metavar="FILE",
-                        help="JSON of 'register NEW PREVIOUS': lays the new survey on the previous one, with its covariance")  # fmt: skip
-    parser.add_argument("--polygon", nargs="+", metavar="X,Y", help="only within these corners, or a file of rows x y")
-    parser.add_argument("-o", "--output", type=Path, default=Path("change"), help="folder for epochs.json, change.ply, change.png")
+    parser.add_argument(
+        "--separate",
+        action="append",
+        default=[],
+        metavar="GROUP",
+        choices=[*CALIBRATION_GROUPS, "all"],
+        help=(
+            "calibrated anew between the two, may be given again: "
+            f"{', '.join(CALIBRATION_GROUPS)}, or all"
+        ),
+    )
+    parser.add_argument(
+        "--transform",
+        type=Path,
+        metavar="FILE",
+        help=(
+            "JSON of 'register NEW PREVIOUS': lays the new survey on the previous one, with "
+            "its covariance"
+        ),
+    )
+    parser.add_argument(
+        "--polygon",
+        nargs="+",
+        metavar="X,Y",
+        help="only within these corners, or a file of rows x y",
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        default=Path("change"),
+        help="folder for epochs.json, change.ply, change.png",
+    )
     parser.add_argument("--json", action="store_true", help="print epochs.json to standard output")
     parser.add_argument("--no-figure", action="store_true", help="skip the picture")
     parser.set_defaults(run=run)
@@ -55,18 +89,37 @@ def run(arguments: argparse.Namespace) -> int:
         previous, new = read_survey(arguments.previous), read_survey(arguments.new)
         later = laid_on(new, previous, arguments.transform)
         status.update("comparing")
-        found, change, kept = compared(later, previous.epoch, separate, None if corners is None else corners[:, :2])
+        found, change, kept = compared(
+            later, previous.epoch, separate, None if corners is None else corners[:, :2]
+        )
     facts = {
-        **epoch_dict(found, kept, separate), "previous": source_of(previous), "new": source_of(new),
-        "frame": frame_words(later, arguments.transform), "version": version(),
-    }  # fmt: skip
+        **epoch_dict(found, kept, separate),
+        "previous": source_of(previous),
+        "new": source_of(new),
+        "frame": frame_words(later, arguments.transform),
+        "version": version(),
+    }
     results.write_text(folder / "epochs.json", results.json_text(facts))
-    columns = ("difference_m", "sigma_noise_m", "sigma_shared_m", "sigma_m", "level_m", "significant")
-    results.write_columns(folder / "change.ply", change.tin, {name: getattr(change, name) for name in columns})
+    columns = (
+        "difference_m",
+        "sigma_noise_m",
+        "sigma_shared_m",
+        "sigma_m",
+        "level_m",
+        "significant",
+    )
+    results.write_columns(
+        folder / "change.ply", change.tin, {name: getattr(change, name) for name in columns}
+    )
     if not arguments.no_figure:
         from ladar_volume.report.change import save  # matplotlib takes a second to load
 
-        save(found.volume, change, f"{arguments.new.name} against {arguments.previous.name}", folder / "change.png")
+        save(
+            found.volume,
+            change,
+            f"{arguments.new.name} against {arguments.previous.name}",
+            folder / "change.png",
+        )
     if arguments.json:
         print(results.json_text(facts), end="")
     else:
@@ -76,7 +129,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def laid_on(new: Survey, previous: Survey, transform: Path | None) -> Epoch:
-    """The new survey in the frame of the previous one. Raises :class:`ConfigurationError` where it is not known how the frames lie."""
+    """The new survey in the frame of the previous one. Raises :class:`ConfigurationError` where it
+    is not known how the frames lie.
+    """
     if transform is not None:
         return dataclasses.replace(new.epoch, transform=read_transform(transform))
     if new.datum is not None and previous.datum is not None:
@@ -93,7 +148,9 @@ def frame_words(new: Epoch, transform: Path | None) -> str:
     return "same map frame" if new.transform is None else "new survey moved between the two datums"
 
 
-def compared(new: Epoch, previous: Epoch, separate: Collection[str], polygon: F64 | None) -> tuple[EpochDifference, ChangeMap, Thresholded]:
+def compared(
+    new: Epoch, previous: Epoch, separate: Collection[str], polygon: F64 | None
+) -> tuple[EpochDifference, ChangeMap, Thresholded]:
     """Difference, map, and volumes with the threshold."""
     found, apart = epoch_difference(new, previous, separate, polygon)
     k = found.volume.coverage_factor
@@ -101,14 +158,24 @@ def compared(new: Epoch, previous: Epoch, separate: Collection[str], polygon: F6
     return found, change, thresholded(new, previous, apart, change, k, separate)
 
 
-def epoch_dict(found: EpochDifference, kept: Thresholded, separate: Collection[str]) -> dict[str, Any]:
+def epoch_dict(
+    found: EpochDifference, kept: Thresholded, separate: Collection[str]
+) -> dict[str, Any]:
     """The comparison as plain values."""
-    return {**results.change_dict(found), "separate": list(separate), "level_of_detection": dataclasses.asdict(kept)}
+    return {
+        **results.change_dict(found),
+        "separate": list(separate),
+        "level_of_detection": dataclasses.asdict(kept),
+    }
 
 
 def source_of(survey: Survey) -> dict[str, Any]:
     """Where a survey came from."""
-    return {"path": str(survey.path), "input": survey.result.get("input"), "t_ns": survey.epoch.t_ns}
+    return {
+        "path": str(survey.path),
+        "input": survey.result.get("input"),
+        "t_ns": survey.epoch.t_ns,
+    }
 
 
 def show(console: Console, facts: Mapping[str, Any]) -> None:
@@ -116,16 +183,33 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
     low, high = facts["interval_m3"]
     lod = facts["level_of_detection"]
     head = Table(show_header=False, box=None, pad_edge=False)
-    head.add_row("change", f"[bold]{facts['volume_m3']:+.3f} ± {facts['sigma_m3']:.3f} m³[/bold] (1 sigma)")
-    head.add_row(f"{100 * facts['confidence']:.0f} % interval", f"{low:+.3f} to {high:+.3f} m³ (k = {facts['coverage_factor']:.2f})")
+    head.add_row(
+        "change", f"[bold]{facts['volume_m3']:+.3f} ± {facts['sigma_m3']:.3f} m³[/bold] (1 sigma)"
+    )
+    head.add_row(
+        f"{100 * facts['confidence']:.0f} % interval",
+        f"{low:+.3f} to {high:+.3f} m³ (k = {facts['coverage_factor']:.2f})",
+    )
     words = "significant" if facts["significant"] else "not significant"
     head.add_row("significance", f"{words}: z = {facts['z']:.2f}, p = {facts['p_value']:.2g}")
-    head.add_row("raised, lowered", f"{facts['cut_m3']:.3f} m³, {facts['fill_m3']:.3f} m³ over {facts['area_m2']:.1f} m²")
+    head.add_row(
+        "raised, lowered",
+        f"{facts['cut_m3']:.3f} m³, {facts['fill_m3']:.3f} m³ over {facts['area_m2']:.1f} m²",
+    )
     share = 100.0 * lod["area_m2"] / lod["map_area_m2"]
-    head.add_row("level of detection", f"{100.0 * lod['level_m']:.1f} cm (median), exceeded on {lod['area_m2']:.1f} m² ({share:.1f} %)")
+    head.add_row(
+        "level of detection",
+        (
+            f"{100.0 * lod['level_m']:.1f} cm (median), exceeded on {lod['area_m2']:.1f} m² "
+            f"({share:.1f} %)"
+        ),
+    )
     parts = f"raised {lod['raised_m3']:.3f}, lowered {lod['lowered_m3']:.3f} m³"
     head.add_row("above it alone", f"{lod['net_m3']:+.3f} ± {lod['sigma_m3']:.3f} m³: {parts}")
-    head.add_row("threshold's bias", f"{lod['bias_m3']:+.3f} ± {lod['bias_sigma_m3']:.3f} m³ of the net volume")
+    head.add_row(
+        "threshold's bias",
+        f"{lod['bias_m3']:+.3f} ± {lod['bias_sigma_m3']:.3f} m³ of the net volume",
+    )
     head.add_row("if nothing were shared", f"sigma {facts['sigma_if_nothing_shared_m3']:.3f} m³")
     volume_rows(head, facts)
     console.print(head)

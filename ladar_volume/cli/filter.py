@@ -25,21 +25,47 @@ def add_parser(subparsers: Any) -> None:
     """Declare the verb."""
     kinds = " ".join(ENCODINGS)
     parser = subparsers.add_parser(
-        "filter", help="filter a point cloud file: outliers out, noise down, edges kept",
-        description="Robust moving least squares on a point cloud file. Without --radius, --preset or --set filter.radius_m=..., radius, "
+        "filter",
+        help="filter a point cloud file: outliers out, noise down, edges kept",
+        description="Robust moving least squares on a point cloud file. Without --radius, --preset "
+        "or --set filter.radius_m=..., radius, "
         "degree and threshold are estimated from the cloud (--auto).",
-    )  # fmt: skip
+    )
     parser.add_argument("cloud", type=Path, help=f"point cloud ({kinds})")
     parser.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="OUT", help="filtered points with normal, sigma and input index"
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="OUT",
+        help="filtered points with normal, sigma and input index",
     )
-    parser.add_argument("--radius", type=float, metavar="R", help="range r in m; fits reach over 2 r")
+    parser.add_argument(
+        "--radius", type=float, metavar="R", help="range r in m; fits reach over 2 r"
+    )
     parser.add_argument("--degree", type=int, choices=(1, 2), help="degree of the local surfaces")
     parser.add_argument("--preset", choices=sorted(PRESETS), help="published settings")
-    parser.add_argument("--auto", action="store_true", help="estimate radius, degree and threshold from the cloud (the default)")
-    parser.add_argument("--set", action="append", default=[], metavar="filter.KEY=VALUE", help="override one parameter")
-    parser.add_argument("--outliers", type=Path, metavar="FILE", help="points taken out, with input index and reason")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON to standard output")
+    parser.add_argument(
+        "--auto",
+        action="store_true",
+        help="estimate radius, degree and threshold from the cloud (the default)",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="filter.KEY=VALUE",
+        help="override one parameter",
+    )
+    parser.add_argument(
+        "--outliers",
+        type=Path,
+        metavar="FILE",
+        help="points taken out, with input index and reason",
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print the result as JSON to standard output"
+    )
     parser.set_defaults(run=run)
 
 
@@ -56,7 +82,11 @@ def run(arguments: argparse.Namespace) -> int:
         outliers = {name: int(count) for name, count in zip(REASONS, counts, strict=True) if count}
         if not len(result.index):
             why = ", ".join(f"{name} {count}" for name, count in outliers.items())
-            raise FilterError(f"{arguments.cloud}: no point is left of {len(r)} ({why})", reason="filter_nothing_left", value=outliers)
+            raise FilterError(
+                f"{arguments.cloud}: no point is left of {len(r)} ({why})",
+                reason="filter_nothing_left",
+                value=outliers,
+            )
         status.update("writing")
         columns = {"normal": result.normal, "sigma": result.sigma, "index": result.index}
         if result.count is not None:
@@ -81,26 +111,40 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _facts(result: CloudResult, points: int, auto: bool) -> dict[str, Any]:
     return {
-        "reduction": 1.0 - len(result.index) / points, "sigma_median_m": float(np.median(result.sigma)), "auto": auto,
-        "report": dict(result.report), "version": version(),
-    }  # fmt: skip
+        "reduction": 1.0 - len(result.index) / points,
+        "sigma_median_m": float(np.median(result.sigma)),
+        "auto": auto,
+        "report": dict(result.report),
+        "version": version(),
+    }
 
 
 def settings(arguments: argparse.Namespace) -> tuple[FilterParameters, bool]:
-    """Filter parameters, and whether radius, degree and threshold come from the cloud: preset < --radius, --degree < --set.
+    """Filter parameters, and whether radius, degree and threshold come from the cloud: preset <
+    --radius, --degree < --set.
 
     Raises ConfigurationError for options that contradict each other.
     """
     keys = [text.partition("=")[0].strip() for text in arguments.set]
     for key in keys:
         if not key.startswith("filter."):
-            raise ConfigurationError(f"--set {key}: this verb has parameters of the section 'filter' only", value=key)
-    given = {key: value for key, value in (("radius_m", arguments.radius), ("degree", arguments.degree)) if value is not None}
+            raise ConfigurationError(
+                f"--set {key}: this verb has parameters of the section 'filter' only", value=key
+            )
+    given = {
+        key: value
+        for key, value in (("radius_m", arguments.radius), ("degree", arguments.degree))
+        if value is not None
+    }
     by_hand = "radius_m" in given or arguments.preset is not None or "filter.radius_m" in keys
     if arguments.auto and by_hand:
-        raise ConfigurationError("--auto estimates what --radius, --preset or filter.radius_m give: choose one")
+        raise ConfigurationError(
+            "--auto estimates what --radius, --preset or filter.radius_m give: choose one"
+        )
     if not by_hand and ("degree" in given or "filter.degree" in keys):
-        raise ConfigurationError("the degree is estimated with the radius: give --radius too, or leave both to --auto")
+        raise ConfigurationError(
+            "the degree is estimated with the radius: give --radius too, or leave both to --auto"
+        )
     start = Parameters.read({"filter": {**PRESETS.get(arguments.preset, {}), **given}})
     overrides = read_config(None, arguments.set).write()["filter"]
     changes = {key.removeprefix("filter."): overrides[key.removeprefix("filter.")] for key in keys}
@@ -108,18 +152,29 @@ def settings(arguments: argparse.Namespace) -> tuple[FilterParameters, bool]:
 
 
 def _check_outputs(arguments: argparse.Namespace) -> None:
-    paths = [arguments.cloud] + [check_output(p) for p in (arguments.output, arguments.outliers) if p is not None]
+    paths = [arguments.cloud] + [
+        check_output(p) for p in (arguments.output, arguments.outliers) if p is not None
+    ]
     if len({p.resolve() for p in paths}) < len(paths):
-        raise OutputError("the cloud, the output and the outliers must be different files", value=[str(p) for p in paths])
+        raise OutputError(
+            "the cloud, the output and the outliers must be different files",
+            value=[str(p) for p in paths],
+        )
 
 
 def show(console: Console, facts: Mapping[str, Any], reasons: set[str]) -> None:
     """Print the facts as a short table."""
     table = Table(show_header=False, box=None, pad_edge=False)
     table.add_row("points in", f"{facts['input']['points']:,}")
-    table.add_row("points out", f"[bold]{facts['output']['points']:,}[/bold] ({100 * facts['reduction']:.1f} % fewer)")
+    table.add_row(
+        "points out",
+        f"[bold]{facts['output']['points']:,}[/bold] ({100 * facts['reduction']:.1f} % fewer)",
+    )
     for reason, count in facts["outliers"].items():
-        table.add_row(f"  {reason.replace('_', ' ')}", f"{count:,} ({100 * count / facts['input']['points']:.2f} %)")
+        table.add_row(
+            f"  {reason.replace('_', ' ')}",
+            f"{count:,} ({100 * count / facts['input']['points']:.2f} %)",
+        )
     table.add_row("sigma along the normal", f"{1e3 * facts['sigma_median_m']:.2f} mm (median)")
     for name, value in facts["report"].items():
         if name not in reasons | {"points", "kept"}:  # said above
@@ -134,5 +189,9 @@ def _line(name: str, value: Any, auto: bool) -> tuple[str, str]:
         text = f"{value:.3f} m" if abs(value) >= 0.1 else f"{1e3 * value:.2f} mm"
         return name.removesuffix("_m").replace("_", " "), text + estimated
     return name.replace("_", " "), (
-        f"{value:,}" if isinstance(value, int) else f"{value:.4g}" if isinstance(value, float) else str(value)
+        f"{value:,}"
+        if isinstance(value, int)
+        else f"{value:.4g}"
+        if isinstance(value, float)
+        else str(value)
     ) + estimated

@@ -19,27 +19,49 @@ from rich.table import Table
 from ladar_volume.model.errors import LadarVolumeError
 from ladar_volume.version import version
 
-#: Verbs in modules of their own, loaded only when asked for: name → module with add_parser(subparsers).
+#: Verbs in modules of their own, loaded only when asked for: name → module with
+#: add_parser(subparsers).
 MODULES = {
-    "replay": "ladar_volume.cli.replay", "filter": "ladar_volume.cli.filter", "simulate": "ladar_volume.cli.simulate",
-    "tin": "ladar_volume.cli.tin", "volume": "ladar_volume.cli.volume", "study": "ladar_volume.cli.study",
-    "up": "ladar_volume.cli.up", "register": "ladar_volume.cli.register",
-    "body": "ladar_volume.cli.body", "calibrate": "ladar_volume.cli.calibrate",
-    "diff": "ladar_volume.cli.diff", "plan": "ladar_volume.cli.plan", "epochs": "ladar_volume.cli.epochs",
-}  # fmt: skip
+    "replay": "ladar_volume.cli.replay",
+    "filter": "ladar_volume.cli.filter",
+    "simulate": "ladar_volume.cli.simulate",
+    "tin": "ladar_volume.cli.tin",
+    "volume": "ladar_volume.cli.volume",
+    "study": "ladar_volume.cli.study",
+    "up": "ladar_volume.cli.up",
+    "register": "ladar_volume.cli.register",
+    "body": "ladar_volume.cli.body",
+    "calibrate": "ladar_volume.cli.calibrate",
+    "diff": "ladar_volume.cli.diff",
+    "plan": "ladar_volume.cli.plan",
+    "epochs": "ladar_volume.cli.epochs",
+}
 
 
 def _info(arguments: argparse.Namespace) -> int:
     from ladar_volume.io.bags import BagReader
 
     with BagReader(arguments.bag) as bag:
-        topics = {name: {"type": kind, "messages": count} for name, (kind, count) in bag.topics().items()}
-        facts: dict[str, Any] = {"path": str(arguments.bag), "duration_s": bag.duration_s, "start_ns": bag.start_ns}
+        topics = {
+            name: {"type": kind, "messages": count} for name, (kind, count) in bag.topics().items()
+        }
+        facts: dict[str, Any] = {
+            "path": str(arguments.bag),
+            "duration_s": bag.duration_s,
+            "start_ns": bag.start_ns,
+        }
         facts |= {"topics": topics, "roles": bag.roles()}
     if arguments.json:
         print(json.dumps(facts, indent=1))
         return 0
-    table = Table("topic", "type", "messages", "used as", title=f"{arguments.bag}: {facts['duration_s']:.1f} s", title_justify="left")
+    table = Table(
+        "topic",
+        "type",
+        "messages",
+        "used as",
+        title=f"{arguments.bag}: {facts['duration_s']:.1f} s",
+        title_justify="left",
+    )
     used = {topic: role for role, topic in facts["roles"].items()}
     for name, topic in topics.items():
         table.add_row(name, str(topic["type"]), f"{topic['messages']:,}", used.get(name, ""))
@@ -59,7 +81,9 @@ def _check_config(arguments: argparse.Namespace) -> int:
 
 
 def _parser(wanted: str | None) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="ladar_volume", description="Volumes measured by LiDAR, with error bars one can trust.")
+    parser = argparse.ArgumentParser(
+        prog="ladar_volume", description="Volumes measured by LiDAR, with error bars one can trust."
+    )
     parser.add_argument("--version", action="version", version=f"ladar_volume {version()}")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for name, module in MODULES.items():
@@ -74,7 +98,9 @@ def _parser(wanted: str | None) -> argparse.ArgumentParser:
     check = verbs.add_parser("check-config", help="check a parameter file")
     check.add_argument("file", type=Path)
     check.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE")
-    check.add_argument("--show", action="store_true", help="print the whole effective configuration")
+    check.add_argument(
+        "--show", action="store_true", help="print the whole effective configuration"
+    )
     check.set_defaults(run=_check_config)
     return parser
 
@@ -85,7 +111,9 @@ class Terminated(KeyboardInterrupt):
 
 @contextmanager
 def orderly_end() -> Iterator[None]:
-    """SIGTERM ends what runs as Ctrl-C does: processes that a verb has started end with it, files are closed."""
+    """SIGTERM ends what runs as Ctrl-C does: processes that a verb has started end with it, files
+    are closed.
+    """
 
     def end(number: int, frame: object) -> None:
         raise Terminated
@@ -112,7 +140,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"ladar_volume: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt as end:
-        print(f"ladar_volume: {'terminated' if isinstance(end, Terminated) else 'interrupted'}", file=sys.stderr)
+        print(
+            f"ladar_volume: {'terminated' if isinstance(end, Terminated) else 'interrupted'}",
+            file=sys.stderr,
+        )
         return 143 if isinstance(end, Terminated) else 130
 
 

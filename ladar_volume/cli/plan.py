@@ -24,43 +24,125 @@ from ladar_volume.version import version
 def add_parser(subparsers: Any) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser(
-        "plan", help="predict the volume's sigma before the flight",
-        description="Predicts sigma and budget of a stockpile's volume from its size, the flight, the scanner and the error budget, with "
+        "plan",
+        help="predict the volume's sigma before the flight",
+        description="Predicts sigma and budget of a stockpile's volume from its size, the flight, "
+        "the scanner and the error budget, with "
         "the survey's own filter, surface and propagation on sampled returns.",
-    )  # fmt: skip
+    )
     scene = parser.add_argument_group("scene")
-    scene.add_argument("--volume", type=float, metavar="M3", help="a cone of this volume at its angle of repose")
-    scene.add_argument("--repose", type=float, default=35.0, metavar="DEG", help="angle of repose (default 35, coal)")
-    scene.add_argument("--pile", type=float, nargs=3, metavar=("LENGTH", "WIDTH", "HEIGHT"), help="an elliptic pile; HEIGHT < 0: a pit")
-    scene.add_argument("--top", type=float, default=0.0, metavar="SHARE", help="size of the flat top over that of the foot (default 0)")
-    scene.add_argument("--rough", type=float, default=0.01, metavar="M", help="roughness of the ground (default 0.01)")
-    scene.add_argument("--rough-length", type=float, default=1.0, metavar="M", help="its correlation length (default 1)")
+    scene.add_argument(
+        "--volume", type=float, metavar="M3", help="a cone of this volume at its angle of repose"
+    )
+    scene.add_argument(
+        "--repose",
+        type=float,
+        default=35.0,
+        metavar="DEG",
+        help="angle of repose (default 35, coal)",
+    )
+    scene.add_argument(
+        "--pile",
+        type=float,
+        nargs=3,
+        metavar=("LENGTH", "WIDTH", "HEIGHT"),
+        help="an elliptic pile; HEIGHT < 0: a pit",
+    )
+    scene.add_argument(
+        "--top",
+        type=float,
+        default=0.0,
+        metavar="SHARE",
+        help="size of the flat top over that of the foot (default 0)",
+    )
+    scene.add_argument(
+        "--rough",
+        type=float,
+        default=0.01,
+        metavar="M",
+        help="roughness of the ground (default 0.01)",
+    )
+    scene.add_argument(
+        "--rough-length",
+        type=float,
+        default=1.0,
+        metavar="M",
+        help="its correlation length (default 1)",
+    )
     flight = parser.add_argument_group("flight")
-    flight.add_argument("--height", type=float, default=25.0, metavar="M", help="above the ground (default 25)")
+    flight.add_argument(
+        "--height", type=float, default=25.0, metavar="M", help="above the ground (default 25)"
+    )
     flight.add_argument("--lanes", type=int, default=3, help="number of parallel lanes (default 3)")
-    flight.add_argument("--spacing", type=float, metavar="M", help="between lanes (default: the foot's width over the lanes)")
-    flight.add_argument("--aside", type=float, default=0.0, metavar="M", help="of the lanes' middle from the pile's (default 0)")
-    flight.add_argument("--length", type=float, metavar="M", help="of a lane or of the eight (default: the foot's length and 20 m)")
+    flight.add_argument(
+        "--spacing",
+        type=float,
+        metavar="M",
+        help="between lanes (default: the foot's width over the lanes)",
+    )
+    flight.add_argument(
+        "--aside",
+        type=float,
+        default=0.0,
+        metavar="M",
+        help="of the lanes' middle from the pile's (default 0)",
+    )
+    flight.add_argument(
+        "--length",
+        type=float,
+        metavar="M",
+        help="of a lane or of the eight (default: the foot's length and 20 m)",
+    )
     flight.add_argument("--speed", type=float, default=4.0, metavar="M/S", help="default 4")
-    flight.add_argument("--turn", type=float, default=6.0, metavar="S", help="time of a turn (default 6)")
+    flight.add_argument(
+        "--turn", type=float, default=6.0, metavar="S", help="time of a turn (default 6)"
+    )
     flight.add_argument("--cross", action="store_true", help="the lanes once more, across")
-    flight.add_argument("--eight", type=float, metavar="S", help="a figure of eight of so many seconds instead, as `simulate` flies it")
+    flight.add_argument(
+        "--eight",
+        type=float,
+        metavar="S",
+        help="a figure of eight of so many seconds instead, as `simulate` flies it",
+    )
     sensors = parser.add_argument_group("sensors and error budget")
-    sensors.add_argument("--budget", metavar="NAME", help="a published budget: table1_low, table1_high, survey, survey_corrected, thesis")
+    sensors.add_argument(
+        "--budget",
+        metavar="NAME",
+        help="a published budget: table1_low, table1_high, survey, survey_corrected, thesis",
+    )
     sensors.add_argument("--scanner", metavar="NAME", help="vlp16 (default) or line")
-    sensors.add_argument("--imu", metavar="NAME", help="survey, tactical or mems; default: the budget's own")
+    sensors.add_argument(
+        "--imu", metavar="NAME", help="survey, tactical or mems; default: the budget's own"
+    )
     sensors.add_argument("--rate", type=float, metavar="HZ", help="pulses per second")
-    sensors.add_argument("--config", type=Path, help="parameter file: budget, calibration, filter, volume")
-    sensors.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="override one parameter")
+    sensors.add_argument(
+        "--config", type=Path, help="parameter file: budget, calibration, filter, volume"
+    )
+    sensors.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="SECTION.KEY=VALUE",
+        help="override one parameter",
+    )
     parser.add_argument("--compare", action="store_true", help="every scanner with every IMU")
-    parser.add_argument("--wanted", type=float, metavar="SHARE", help="sigma / V to be reached: the maximum height for it")
+    parser.add_argument(
+        "--wanted",
+        type=float,
+        metavar="SHARE",
+        help="sigma / V to be reached: the maximum height for it",
+    )
     parser.add_argument("--seed", type=int, default=1, help="of the sampled returns")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON to standard output")
+    parser.add_argument(
+        "--json", action="store_true", help="print the numbers as JSON to standard output"
+    )
     parser.set_defaults(run=run)
 
 
 def parameters_of(arguments: argparse.Namespace) -> Parameters:
-    """The parameters: what suits a pile, the file, a published budget, sensors by name, single values; later ones win."""
+    """The parameters: what suits a pile, the file, a published budget, sensors by name, single
+    values; later ones win.
+    """
     from ladar_volume.cli.simulate import SUITED
     from ladar_volume.georeference.budget import PRESETS
     from ladar_volume.model.errors import ParameterValueError
@@ -68,17 +150,26 @@ def parameters_of(arguments: argparse.Namespace) -> Parameters:
 
     if arguments.config is None:
         # a scanner that spins about the direction of flight
-        parameters = Parameters.read({**SUITED["pile"], "calibration": {"boresight_pitch_deg": 90.0}})
+        parameters = Parameters.read(
+            {**SUITED["pile"], "calibration": {"boresight_pitch_deg": 90.0}}
+        )
     else:
         parameters = read_config(arguments.config)
     if arguments.budget is not None:
         if arguments.budget not in PRESETS:
-            raise ParameterValueError(f"no budget {arguments.budget!r}; there are {', '.join(PRESETS)}", value=arguments.budget)
+            raise ParameterValueError(
+                f"no budget {arguments.budget!r}; there are {', '.join(PRESETS)}",
+                value=arguments.budget,
+            )
         parameters = dataclasses.replace(parameters, budget=PRESETS[arguments.budget])
-    return read_config(None, arguments.set, start=equipped(parameters, arguments.scanner, arguments.imu))
+    return read_config(
+        None, arguments.set, start=equipped(parameters, arguments.scanner, arguments.imu)
+    )
 
 
-def flown(arguments: argparse.Namespace, length_m: float, width_m: float) -> Callable[[float], PlatformStates]:
+def flown(
+    arguments: argparse.Namespace, length_m: float, width_m: float
+) -> Callable[[float], PlatformStates]:
     """The path for a height."""
     from ladar_volume.volume.planning_path import Lanes
 
@@ -87,28 +178,51 @@ def flown(arguments: argparse.Namespace, length_m: float, width_m: float) -> Cal
         return lambda height: eight(length / 2.0, height, arguments.eight)
     spacing = width_m / max(arguments.lanes, 1) if arguments.spacing is None else arguments.spacing
     return lambda height: Lanes(
-        height, arguments.lanes, spacing, length, arguments.speed, arguments.turn, arguments.cross, aside_m=arguments.aside
-    ).states()  # fmt: skip
+        height,
+        arguments.lanes,
+        spacing,
+        length,
+        arguments.speed,
+        arguments.turn,
+        arguments.cross,
+        aside_m=arguments.aside,
+    ).states()
 
 
-def eight(extent_m: float, height_m: float, duration_s: float, rate_hz: float = 100.0) -> PlatformStates:
+def eight(
+    extent_m: float, height_m: float, duration_s: float, rate_hz: float = 100.0
+) -> PlatformStates:
     """States of the simulation's figure of eight, which banks in its turns."""
     from ladar_volume.simulation.platforms import uav
 
     platform = uav(extent_m, height_m, duration_s)
     t, h = np.arange(0.0, duration_s + 0.5 / rate_hz, 1.0 / rate_hz), 1e-3
     rotation, n = platform.rotation(t), len(t)
-    velocity = rotation.inv().apply((platform.position(t + h) - platform.position(t - h)) / (2.0 * h))
+    velocity = rotation.inv().apply(
+        (platform.position(t + h) - platform.position(t - h)) / (2.0 * h)
+    )
     t_ns = np.rint(t * 1e9).astype(np.int64)
     return PlatformStates(
-        t_ns, platform.position(t), rotation.as_quat(), velocity, platform.rates(t), np.zeros((n, 6, 6)), np.zeros(n, np.int64)
+        t_ns,
+        platform.position(t),
+        rotation.as_quat(),
+        velocity,
+        platform.rates(t),
+        np.zeros((n, 6, 6)),
+        np.zeros(n, np.int64),
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Predict, compare, print."""
     from ladar_volume.volume.planning import Plan, predict
-    from ladar_volume.volume.planning_choice import SCANNERS, compare, height_steps, highest, over_heights
+    from ladar_volume.volume.planning_choice import (
+        SCANNERS,
+        compare,
+        height_steps,
+        highest,
+        over_heights,
+    )
     from ladar_volume.volume.planning_scene import Pile
 
     console = Console(stderr=arguments.json)
@@ -118,7 +232,9 @@ def run(arguments: argparse.Namespace) -> int:
         pile = Pile(length, width, height, arguments.top, arguments.rough, arguments.rough_length)
     else:
         volume = 100.0 if arguments.volume is None else arguments.volume
-        pile = Pile.cone(volume, math.radians(arguments.repose), arguments.rough, arguments.rough_length)
+        pile = Pile.cone(
+            volume, math.radians(arguments.repose), arguments.rough, arguments.rough_length
+        )
     scanner = SCANNERS[arguments.scanner or "vlp16"][0]
     if arguments.rate is not None:
         scanner = dataclasses.replace(scanner, rate_hz=arguments.rate)
@@ -127,10 +243,18 @@ def run(arguments: argparse.Namespace) -> int:
     with console.status("sampling the planned flight") as status:
         prediction = predict(plan)
         facts: dict[str, Any] = {
-            "plan": {**dataclasses.asdict(pile), "flight_height_m": arguments.height, "scanner": dataclasses.asdict(scanner)},
-            **volume_dict(prediction.volume), "true_volume_m3": prediction.true_m3, "sigma_share": prediction.share,
-            "returns_per_m2": prediction.returns_per_m2, "duration_s": prediction.duration_s, "version": version(),
-        }  # fmt: skip
+            "plan": {
+                **dataclasses.asdict(pile),
+                "flight_height_m": arguments.height,
+                "scanner": dataclasses.asdict(scanner),
+            },
+            **volume_dict(prediction.volume),
+            "true_volume_m3": prediction.true_m3,
+            "sigma_share": prediction.share,
+            "returns_per_m2": prediction.returns_per_m2,
+            "duration_s": prediction.duration_s,
+            "version": version(),
+        }
         if arguments.compare:
             facts["sensors"] = []
             for choice in compare(plan):
@@ -141,8 +265,14 @@ def run(arguments: argparse.Namespace) -> int:
             for choice in over_heights(plan, path, heights):
                 status.update(f"height: {choice.name} m")
                 rows.append(choice_dict(choice))
-            shares = np.array([math.nan if r["sigma_share"] is None else r["sigma_share"] for r in rows])
-            facts |= {"heights": rows, "wanted_share": arguments.wanted, "maximum_height_m": highest(heights, shares, arguments.wanted)}
+            shares = np.array(
+                [math.nan if r["sigma_share"] is None else r["sigma_share"] for r in rows]
+            )
+            facts |= {
+                "heights": rows,
+                "wanted_share": arguments.wanted,
+                "maximum_height_m": highest(heights, shares, arguments.wanted),
+            }
     if arguments.json:
         print(json_text(facts), end="")
     else:
@@ -154,32 +284,67 @@ def choice_dict(choice: Any) -> dict[str, Any]:
     """One alternative as plain values."""
     p = choice.prediction
     if p is None:
-        return {"name": choice.name, "sigma_m3": None, "sigma_share": None, "largest_source": None, "reason": choice.reason}
-    return {"name": choice.name, "sigma_m3": p.volume.sigma_m3, "sigma_share": p.share, "largest_source": p.volume.largest_source,
-            "reason": ""}  # fmt: skip
+        return {
+            "name": choice.name,
+            "sigma_m3": None,
+            "sigma_share": None,
+            "largest_source": None,
+            "reason": choice.reason,
+        }
+    return {
+        "name": choice.name,
+        "sigma_m3": p.volume.sigma_m3,
+        "sigma_share": p.share,
+        "largest_source": p.volume.largest_source,
+        "reason": "",
+    }
 
 
 def show(console: Console, facts: dict[str, Any]) -> None:
     """Print a prediction."""
     head = Table(show_header=False, box=None, pad_edge=False)
     head.add_row("planned volume", f"{facts['true_volume_m3']:.1f} m³ on {facts['area_m2']:.0f} m²")
-    head.add_row("predicted sigma", f"[bold]{facts['sigma_m3']:.3f} m³[/bold] ({100 * facts['sigma_share']:.2f} %)")
-    head.add_row("scanning", f"{facts['duration_s']:.0f} s, {facts['returns_per_m2']:.0f} returns per m²")
+    head.add_row(
+        "predicted sigma",
+        f"[bold]{facts['sigma_m3']:.3f} m³[/bold] ({100 * facts['sigma_share']:.2f} %)",
+    )
+    head.add_row(
+        "scanning", f"{facts['duration_s']:.0f} s, {facts['returns_per_m2']:.0f} returns per m²"
+    )
     volume_rows(head, facts)
     console.print(head)
     console.print(budget_table(facts))
-    for key, title, first in (("sensors", "Scanner and IMU", "sensors"), ("heights", "Height of the flight", "height / m")):
+    for key, title, first in (
+        ("sensors", "Scanner and IMU", "sensors"),
+        ("heights", "Height of the flight", "height / m"),
+    ):
         if key in facts:
-            table = Table(first, "sigma / m³", "sigma / V", "largest source", title=title, title_justify="left")
+            table = Table(
+                first,
+                "sigma / m³",
+                "sigma / V",
+                "largest source",
+                title=title,
+                title_justify="left",
+            )
             for row in facts[key]:
                 if row["sigma_m3"] is None:
                     table.add_row(row["name"], "", "", row["reason"])
                 else:
                     largest = row["largest_source"].replace("_", " ")
-                    table.add_row(row["name"], f"{row['sigma_m3']:.3f}", f"{100 * row['sigma_share']:.2f} %", largest)
+                    table.add_row(
+                        row["name"],
+                        f"{row['sigma_m3']:.3f}",
+                        f"{100 * row['sigma_share']:.2f} %",
+                        largest,
+                    )
             console.print(table)
     if "wanted_share" in facts:
         height, wanted = facts["maximum_height_m"], f"{100 * facts['wanted_share']:g} %"
         highest = float(facts["heights"][-1]["name"])
-        reached = f"up to {height:.0f} m" + (" or more" if height >= highest else "") if math.isfinite(height) else "at no height tried"
+        reached = (
+            f"up to {height:.0f} m" + (" or more" if height >= highest else "")
+            if math.isfinite(height)
+            else "at no height tried"
+        )
         console.print(f"{wanted} is reached {reached}")

@@ -12,26 +12,54 @@ from rich.table import Table
 def show_result(console: Console, result: Mapping[str, Any]) -> None:
     """Print a result dictionary as tables."""
     low, high = result["interval_m3"]
-    share = 100.0 * result["sigma_m3"] / abs(result["volume_m3"]) if result["volume_m3"] else float("inf")
+    share = (
+        100.0 * result["sigma_m3"] / abs(result["volume_m3"])
+        if result["volume_m3"]
+        else float("inf")
+    )
     head = Table(show_header=False, box=None, pad_edge=False)
-    head.add_row("volume", f"[bold]{result['volume_m3']:.3f} ± {result['sigma_m3']:.3f} m³[/bold] (1 sigma, {share:.2f} %)")
-    head.add_row(f"{100 * result['confidence']:.0f} % interval", f"{low:.3f} to {high:.3f} m³ (k = {result['coverage_factor']:.2f})")
-    head.add_row("cut, fill", f"{result['cut_m3']:.3f} m³, {result['fill_m3']:.3f} m³ over {result['area_m2']:.1f} m²")
+    head.add_row(
+        "volume",
+        (
+            f"[bold]{result['volume_m3']:.3f} ± {result['sigma_m3']:.3f} m³[/bold] (1 sigma, "
+            f"{share:.2f} %)"
+        ),
+    )
+    head.add_row(
+        f"{100 * result['confidence']:.0f} % interval",
+        f"{low:.3f} to {high:.3f} m³ (k = {result['coverage_factor']:.2f})",
+    )
+    head.add_row(
+        "cut, fill",
+        f"{result['cut_m3']:.3f} m³, {result['fill_m3']:.3f} m³ over {result['area_m2']:.1f} m²",
+    )
     fix = result["correction"]
     if fix["name"]:
-        words = f"{fix['m3']:.3f} m³ taken from cut and from fill over {fix['near_area_m2']:.1f} m² near the base ({fix['name']})"
+        words = (
+            f"{fix['m3']:.3f} m³ taken from cut and from fill over {fix['near_area_m2']:.1f} "
+            f"m² near the base ({fix['name']})"
+        )
         head.add_row("corrected", words)
     chords = result["chord_m3"]
     if abs(chords) >= 5e-4:
-        words = f"{chords:+.3f} m³ of the mesh over hollows and under crests, taken out ({result['volume_m3'] + chords:.3f} m³ with them)"
+        words = (
+            f"{chords:+.3f} m³ of the mesh over hollows and under crests, taken out "
+            f"({result['volume_m3'] + chords:.3f} m³ with them)"
+        )
         head.add_row("chords", words)
     volume_rows(head, result)
     for number, body in enumerate(result["bodies"][1:], start=2):
         x, y, _ = body["centroid_map_m"]
-        head.add_row(f"body {number}", f"{body['volume_m3']:.3f} ± {body['sigma_m3']:.3f} m³ at {x:.1f}, {y:.1f} m")
+        head.add_row(
+            f"body {number}",
+            f"{body['volume_m3']:.3f} ± {body['sigma_m3']:.3f} m³ at {x:.1f}, {y:.1f} m",
+        )
     places = result.get("where_more_data_helps", {}).get("places", [])
     for number, place in enumerate(places):
-        words = f"at {place['x_m']:.1f}, {place['y_m']:.1f} m: sigma falls by {place['gain_m3']:.2g} m³ ({place['why']})"
+        words = (
+            f"at {place['x_m']:.1f}, {place['y_m']:.1f} m: sigma falls by "
+            f"{place['gain_m3']:.2g} m³ ({place['why']})"
+        )
         head.add_row("" if number else "another pass helps", words)
     console.print(head)
     console.print(budget_table(result))
@@ -44,31 +72,66 @@ def show_result(console: Console, result: Mapping[str, Any]) -> None:
 
 def volume_rows(head: Table, result: Mapping[str, Any]) -> None:
     """Base, largest source and the two sigmas printed beside, as rows of a table of two columns."""
-    head.add_row("above", f"{result['base']}{' (same survey)' if result['base_same_survey'] else ''}")
+    head.add_row(
+        "above", f"{result['base']}{' (same survey)' if result['base_same_survey'] else ''}"
+    )
     if source := result["largest_source"]:
         halved = result["sigma_if_halved_m3"][source]
-        head.add_row("largest source", f"{source.replace('_', ' ')}: half of it would make sigma {halved:.3f} m³")
+        head.add_row(
+            "largest source",
+            f"{source.replace('_', ' ')}: half of it would make sigma {halved:.3f} m³",
+        )
     if result["second_order"]["matters"]:
-        sigma = sum(line for name, line in result["budget_m6"].items() if "_second_order" in name) ** 0.5
+        sigma = (
+            sum(line for name, line in result["budget_m6"].items() if "_second_order" in name)
+            ** 0.5
+        )
         shift = result["second_order"]["shift_m3"]
-        words = f"of boresight and attitude: {sigma:.2g} m³, in the budget; it moves V by {shift:.2g} m³ on average, which is not corrected"
+        words = (
+            f"of boresight and attitude: {sigma:.2g} m³, in the budget; it moves V by "
+            f"{shift:.2g} m³ on average, which is not corrected"
+        )
         head.add_row("second order", words)
     tau = result["sigma_tau_range_m3"]
-    head.add_row("sigma if tau is off", f"{tau[0]:.3f} to {tau[1]:.3f} m³ (a third to three times the correlation times)")
-    head.add_row("naive sigma", f"{result['sigma_naive_m3']:.3f} m³ (all points independent: not to be used)")
+    head.add_row(
+        "sigma if tau is off",
+        f"{tau[0]:.3f} to {tau[1]:.3f} m³ (a third to three times the correlation times)",
+    )
+    head.add_row(
+        "naive sigma", f"{result['sigma_naive_m3']:.3f} m³ (all points independent: not to be used)"
+    )
 
 
 def budget_table(result: Mapping[str, Any]) -> Table:
-    """The budget: each source's own sigma and share, and the sigma of the volume if the source were halved."""
+    """The budget: each source's own sigma and share, and the sigma of the volume if the source were
+    halved.
+    """
     total = sum(result["budget_m6"].values()) or 1.0
     title = "Where the uncertainty comes from"
-    budget = Table("source", "sigma / m³", "share of variance", "sigma of V if halved / m³", title=title, title_justify="left")
+    budget = Table(
+        "source",
+        "sigma / m³",
+        "share of variance",
+        "sigma of V if halved / m³",
+        title=title,
+        title_justify="left",
+    )
     for source, variance in result["budget_m6"].items():
         if variance > 1e-4 * total:
             own, halved = max(variance, 0.0) ** 0.5, result["sigma_if_halved_m3"][source]
-            budget.add_row(source.replace("_", " "), f"{own:.4f}", f"{100 * variance / total:.1f} %", f"{halved:.4f}")
+            budget.add_row(
+                source.replace("_", " "),
+                f"{own:.4f}",
+                f"{100 * variance / total:.1f} %",
+                f"{halved:.4f}",
+            )
             within = result.get("budget_within_m6") or {}
             for part, marginal in within.items() if source == "calibration" else ():
                 if marginal > 1e-4 * total:
-                    budget.add_row(f"  {part.replace('_', ' ')} alone", f"{marginal**0.5:.4f}", "correlated", "")
+                    budget.add_row(
+                        f"  {part.replace('_', ' ')} alone",
+                        f"{marginal**0.5:.4f}",
+                        "correlated",
+                        "",
+                    )
     return budget

@@ -1,4 +1,6 @@
-"""``ladar_volume register``: the transform between two frames from the points measured on common reference spheres."""
+"""``ladar_volume register``: the transform between two frames from the points measured on common
+reference spheres.
+"""
 
 from __future__ import annotations
 
@@ -23,37 +25,79 @@ from ladar_volume.version import version
 def add_parser(subparsers: Any) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser(
-        "register", help="transform between two frames from reference spheres",
-        description="A and B hold points on the spheres, at least 12 each, with a column 'sphere' that numbers them alike in both, and "
-        "optionally 't' (seconds), by which it is tested that each stood still. The transform takes A's frame to B's.",
-    )  # fmt: skip
-    parser.add_argument("a", type=Path, help="points on spheres, source frame (say, the scanner's): CSV or any point cloud with the column")
-    parser.add_argument("b", type=Path, help="points on spheres, target frame (say, the tacheometer's)")
-    parser.add_argument("--radius", type=float, metavar="R", help="radius of the spheres in m (default: found, which costs accuracy)")
-    parser.add_argument("--noise-a", type=float, metavar="S", help="sigma of A's points in m (default: from the residuals)")
+        "register",
+        help="transform between two frames from reference spheres",
+        description="A and B hold points on the spheres, at least 12 each, with a column 'sphere' "
+        "that numbers them alike in both, and "
+        "optionally 't' (seconds), by which it is tested that each stood still. The "
+        "transform takes A's frame to B's.",
+    )
+    parser.add_argument(
+        "a",
+        type=Path,
+        help=(
+            "points on spheres, source frame (say, the scanner's): CSV or any point cloud "
+            "with the column"
+        ),
+    )
+    parser.add_argument(
+        "b", type=Path, help="points on spheres, target frame (say, the tacheometer's)"
+    )
+    parser.add_argument(
+        "--radius",
+        type=float,
+        metavar="R",
+        help="radius of the spheres in m (default: found, which costs accuracy)",
+    )
+    parser.add_argument(
+        "--noise-a",
+        type=float,
+        metavar="S",
+        help="sigma of A's points in m (default: from the residuals)",
+    )
     parser.add_argument("--noise-b", type=float, metavar="S", help="sigma of B's points in m")
-    parser.add_argument("--levelled", action="store_true", help="both instruments are levelled: rotation about Z only")
+    parser.add_argument(
+        "--levelled",
+        action="store_true",
+        help="both instruments are levelled: rotation about Z only",
+    )
     parser.add_argument("--free-scale", action="store_true", help="find the scale too")
-    parser.add_argument("--apply", type=Path, metavar="CLOUD", help="a cloud in A's frame to transform")
-    parser.add_argument("-o", "--output", type=Path, metavar="OUT", help="where the transformed cloud goes")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON to standard output")
+    parser.add_argument(
+        "--apply", type=Path, metavar="CLOUD", help="a cloud in A's frame to transform"
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="OUT", help="where the transformed cloud goes"
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print the result as JSON to standard output"
+    )
     parser.set_defaults(run=run)
 
 
-def read_spheres(path: Path, noise: float | None, radius: float | None) -> dict[int, tuple[Sphere, Stillness | None]]:
+def read_spheres(
+    path: Path, noise: float | None, radius: float | None
+) -> dict[int, tuple[Sphere, Stillness | None]]:
     """The spheres of one file by number, with the check of their rest where there are times."""
     cloud = read_cloud(path)
     if "sphere" not in cloud.columns:
-        raise RegistrationError(f"{path}: no column 'sphere' that numbers the spheres", reason="registration_column")
+        raise RegistrationError(
+            f"{path}: no column 'sphere' that numbers the spheres", reason="registration_column"
+        )
     number = np.asarray(cloud.columns["sphere"])
     out = {}
     for k in np.unique(number):
         rows = number == k
         try:
             sphere = fit_sphere(cloud.r[rows], noise, radius)
-            still = check_drift(cloud.r[rows], cloud.columns["t"][rows], sphere) if "t" in cloud.columns else None
+            still = (
+                check_drift(cloud.r[rows], cloud.columns["t"][rows], sphere)
+                if "t" in cloud.columns
+                else None
+            )
         except RegistrationError as error:
-            raise RegistrationError(f"{path}, sphere {int(k)}: {error}", reason=error.reason, value=error.value) from error
+            raise RegistrationError(
+                f"{path}, sphere {int(k)}: {error}", reason=error.reason, value=error.value
+            ) from error
         out[int(k)] = sphere, still
     return out
 
@@ -68,12 +112,19 @@ def run(arguments: argparse.Namespace) -> int:
     b = read_spheres(arguments.b, arguments.noise_b, arguments.radius)
     names = sorted(a.keys() & b.keys())
     found = register(
-        centres(a, names), centres(b, names), covariances(a, names), covariances(b, names), levelled=arguments.levelled,
+        centres(a, names),
+        centres(b, names),
+        covariances(a, names),
+        covariances(b, names),
+        levelled=arguments.levelled,
         scale=None if arguments.free_scale else 1.0,
-    )  # fmt: skip
+    )
     if arguments.apply is not None:
         cloud = read_cloud(arguments.apply)
-        turned = {name: c @ found.transform.R.T if name == "normal" else c for name, c in cloud.columns.items()}
+        turned = {
+            name: c @ found.transform.R.T if name == "normal" else c
+            for name, c in cloud.columns.items()
+        }
         write_cloud(arguments.output, found.transform.apply(cloud.r), turned)
     facts = facts_of(found, names, a, b)
     if arguments.json:
@@ -94,35 +145,68 @@ def covariances(spheres: dict[int, tuple[Sphere, Stillness | None]], names: list
 
 
 def facts_of(
-    found: Registration, names: list[int], a: dict[int, tuple[Sphere, Stillness | None]], b: dict[int, tuple[Sphere, Stillness | None]]
+    found: Registration,
+    names: list[int],
+    a: dict[int, tuple[Sphere, Stillness | None]],
+    b: dict[int, tuple[Sphere, Stillness | None]],
 ) -> dict[str, Any]:
     """The result as plain values: angles in rad, lengths in m."""
     T = found.transform
     spheres = [
         {
-            "sphere": k, "used": bool(found.used[i]), "residual_m": found.residuals[i].tolist(), "p_value": float(found.p_value[i]),
+            "sphere": k,
+            "used": bool(found.used[i]),
+            "residual_m": found.residuals[i].tolist(),
+            "p_value": float(found.p_value[i]),
             "radius_m": [a[k][0].radius, b[k][0].radius],
             "still": [None if s is None else s.still for s in (a[k][1], b[k][1])],
         }
         for i, k in enumerate(names)
-    ]  # fmt: skip
+    ]
     return {
-        "matrix": T.matrix().tolist(), "scale": T.scale, "pivot_m": T.pivot.tolist(), "covariance": T.C.tolist(),
-        "sigma_rotation_rad": np.sqrt(np.diag(T.C)[:3]).tolist(), "sigma_shift_m": np.sqrt(np.diag(T.C)[3:6]).tolist(),
-        "sigma0": found.sigma0, "p_global": found.p_global, "redundancy": found.redundancy, "consistent": found.consistent,
-        "spheres": spheres, "unmatched": sorted(a.keys() ^ b.keys()), "version": version(),
-    }  # fmt: skip
+        "matrix": T.matrix().tolist(),
+        "scale": T.scale,
+        "pivot_m": T.pivot.tolist(),
+        "covariance": T.C.tolist(),
+        "sigma_rotation_rad": np.sqrt(np.diag(T.C)[:3]).tolist(),
+        "sigma_shift_m": np.sqrt(np.diag(T.C)[3:6]).tolist(),
+        "sigma0": found.sigma0,
+        "p_global": found.p_global,
+        "redundancy": found.redundancy,
+        "consistent": found.consistent,
+        "spheres": spheres,
+        "unmatched": sorted(a.keys() ^ b.keys()),
+        "version": version(),
+    }
 
 
 def show(console: Console, facts: dict[str, Any]) -> None:
     """Print the facts as a short table."""
-    table = Table("sphere", "residual x, y, z (mm)", "p", "used", "stood still", box=None, pad_edge=False)
+    table = Table(
+        "sphere", "residual x, y, z (mm)", "p", "used", "stood still", box=None, pad_edge=False
+    )
     words = {True: "yes", False: "[bold]no[/bold]", None: "-"}
     for s in facts["spheres"]:
         residual = " ".join(f"{1e3 * v:8.1f}" for v in s["residual_m"])
-        table.add_row(str(s["sphere"]), residual, f"{s['p_value']:.3f}", words[s["used"]], " ".join(words[w] for w in s["still"]))
+        table.add_row(
+            str(s["sphere"]),
+            residual,
+            f"{s['p_value']:.3f}",
+            words[s["used"]],
+            " ".join(words[w] for w in s["still"]),
+        )
     console.print(table)
-    rotation, shift = (" ".join(f"{1e3 * v:.2f}" for v in facts[key]) for key in ("sigma_rotation_rad", "sigma_shift_m"))
-    console.print(f"sigma of the rotation {rotation} mrad, of the shift amid the spheres {shift} mm, scale {facts['scale']:.6f}")
-    verdict = "the spheres agree" if facts["consistent"] else "[bold]the spheres do not agree within their noise[/bold]"
+    rotation, shift = (
+        " ".join(f"{1e3 * v:.2f}" for v in facts[key])
+        for key in ("sigma_rotation_rad", "sigma_shift_m")
+    )
+    console.print(
+        f"sigma of the rotation {rotation} mrad, of the shift amid the spheres {shift} "
+        f"mm, scale {facts['scale']:.6f}"
+    )
+    verdict = (
+        "the spheres agree"
+        if facts["consistent"]
+        else "[bold]the spheres do not agree within their noise[/bold]"
+    )
     console.print(f"{verdict} (redundancy {facts['redundancy']}, sigma0 {facts['sigma0']:.2f})")

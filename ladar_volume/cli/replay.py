@@ -48,17 +48,26 @@ class Replay:
     def __post_init__(self) -> None:
         if self.poses is not None:  # the autopilot's log stands in for the recording's own poses
             self.topics = {role: topic for role, topic in self.topics.items() if role == "cloud"}
-        given = {} if self.poses is None else dict.fromkeys(("fix", "imu", "odometry"), self.poses.path.name)
+        given = (
+            {}
+            if self.poses is None
+            else dict.fromkeys(("fix", "imu", "odometry"), self.poses.path.name)
+        )
         self.bag.require({**self.topics, **given}, self.parameters.georeference.pose_source)
         self.engine = Engine(self.parameters)
         self.losses = Losses()
         self.returns = 0
 
     def run(self, progress: Callable[[float], None] = lambda share: None) -> Estimate:
-        """Feed every message, finish, and estimate. A bad message is counted and left out; the good data around it is kept."""
+        """Feed every message, finish, and estimate. A bad message is counted and left out; the good
+        data around it is kept.
+        """
         add: dict[str, Callable[[Any], None]] = {
-            "fix": self.engine.add_fix, "imu": self.engine.add_imu, "odometry": self.engine.add_odometry, "cloud": self._add_returns,
-        }  # fmt: skip
+            "fix": self.engine.add_fix,
+            "imu": self.engine.add_imu,
+            "odometry": self.engine.add_odometry,
+            "cloud": self._add_returns,
+        }
         for share, role, record in _ahead(self.records()):
             if role:
                 add[role](record)
@@ -70,7 +79,10 @@ class Replay:
         except (SurfaceError, GroundError, VolumeError) as error:
             lost = sorted(self.all_losses().items(), key=lambda item: -item[1])[:4]
             why = ", ".join(f"{reason} {count}" for reason, count in lost)
-            raise type(error)(f"{error} ({self.returns} returns read; not used: {why or 'nothing'})", reason=error.reason) from error
+            raise type(error)(
+                f"{error} ({self.returns} returns read; not used: {why or 'nothing'})",
+                reason=error.reason,
+            ) from error
 
     def all_losses(self) -> Losses:
         """What decoding and the stages dropped."""
@@ -83,18 +95,30 @@ class Replay:
         self.engine.add_returns(returns)
 
     def records(self) -> Iterator[tuple[float, str, Any]]:
-        """Share done, role and record of every usable message, in the order of the recording; role "" for nothing."""
+        """Share done, role and record of every usable message, in the order of the recording; role
+        "" for nothing.
+        """
         first = self.bag.start_ns + int(self.start_s * 1e9)
         span = min(self.duration_s, self.bag.duration_s - self.start_s)
         items = self._recorded(first, first + int(span * 1e9))
         if self.poses is not None:
-            items = heapq.merge(items, self._logged(self.poses, first, first + int(span * 1e9)), key=lambda item: item[0])
+            items = heapq.merge(
+                items,
+                self._logged(self.poses, first, first + int(span * 1e9)),
+                key=lambda item: item[0],
+            )
         for t_ns, role, record in items:
             yield (t_ns - first) * 1e-9 / max(span, 1e-9), role, record
 
     def _logged(self, poses: MavlinkLog, first: int, last: int) -> Iterator[tuple[int, str, Any]]:
-        """Records of an autopilot's log that the pose source takes, from a little before to a little after."""
-        wanted = ("odometry",) if self.parameters.georeference.pose_source == "odometry" else ("fix", "imu")
+        """Records of an autopilot's log that the pose source takes, from a little before to a
+        little after.
+        """
+        wanted = (
+            ("odometry",)
+            if self.parameters.georeference.pose_source == "odometry"
+            else ("fix", "imu")
+        )
         for record in poses.records():
             role = ROLE[type(record)]
             if role in wanted and first - POSE_MARGIN_NS <= record.t_ns <= last + POSE_MARGIN_NS:
@@ -104,9 +128,13 @@ class Replay:
     def _recorded(self, first: int, last: int) -> Iterator[tuple[int, str, Any]]:
         roles = {topic: role for role, topic in self.topics.items()}
         decode: dict[str, Callable[[Any], Any]] = {
-            "fix": fix_from_message, "imu": imu_from_message, "odometry": odometry_from_message,
-            "cloud": lambda message: returns_from_cloud(message, self.parameters.georeference, self.losses),
-        }  # fmt: skip
+            "fix": fix_from_message,
+            "imu": imu_from_message,
+            "odometry": odometry_from_message,
+            "cloud": lambda message: returns_from_cloud(
+                message, self.parameters.georeference, self.losses
+            ),
+        }
         try:
             for raw in self.bag.raw(set(roles)):
                 if not first <= raw.t_ns <= last:
@@ -117,7 +145,11 @@ class Replay:
                 except (InputError, BagError) as error:
                     if error.reason == "bag_truncated":
                         raise
-                    self.losses.add(f"{role}_{error.reason}" if not error.reason.startswith(role) else error.reason)
+                    self.losses.add(
+                        f"{role}_{error.reason}"
+                        if not error.reason.startswith(role)
+                        else error.reason
+                    )
         except BagError as error:
             if error.reason != "bag_truncated":
                 raise
@@ -125,16 +157,33 @@ class Replay:
 
     def result(self, estimate: Estimate) -> dict[str, Any]:
         """The result as plain values."""
-        points = {"returns": self.returns, "mapped": self.engine.points_mapped, **self.engine.filter.stats}
-        source = {"path": self.bag.path.name, "sha256": self.bag.digest(), "duration_s": self.bag.duration_s, "topics": self.topics}
+        points = {
+            "returns": self.returns,
+            "mapped": self.engine.points_mapped,
+            **self.engine.filter.stats,
+        }
+        source = {
+            "path": self.bag.path.name,
+            "sha256": self.bag.digest(),
+            "duration_s": self.bag.duration_s,
+            "topics": self.topics,
+        }
         if self.poses is not None:
             source |= {"poses": self.poses.path.name, "poses_sha256": self.poses.digest()}
-        result = results.result_dict(estimate, self.parameters, self.all_losses(), self.engine.datum, points, source)
-        return result | {"where_more_data_helps": results.more_data_dict(self.engine.estimator.more_data())}
+        result = results.result_dict(
+            estimate, self.parameters, self.all_losses(), self.engine.datum, points, source
+        )
+        return result | {
+            "where_more_data_helps": results.more_data_dict(self.engine.estimator.more_data())
+        }
 
 
-def _ahead(items: Iterator[tuple[float, str, Any]], depth: int = 64) -> Iterator[tuple[float, str, Any]]:
-    """Run an iterator in a thread, so that decoding and computing use both cores; errors arrive in order."""
+def _ahead(
+    items: Iterator[tuple[float, str, Any]], depth: int = 64
+) -> Iterator[tuple[float, str, Any]]:
+    """Run an iterator in a thread, so that decoding and computing use both cores; errors arrive in
+    order.
+    """
     buffer: queue.Queue[Any] = queue.Queue(depth)
     stop = threading.Event()
 
@@ -169,7 +218,12 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser("replay", help="volume of a recorded survey, offline")
     parser.add_argument("bag", type=Path, help="rosbag2 folder, .mcap, or ROS 1 .bag")
     add_common(parser)
-    parser.add_argument("--poses", type=Path, metavar="LOG", help="autopilot's .tlog or .bin to take the poses from (section mavlink)")
+    parser.add_argument(
+        "--poses",
+        type=Path,
+        metavar="LOG",
+        help="autopilot's .tlog or .bin to take the poses from (section mavlink)",
+    )
     parser.add_argument("--start", type=float, default=0.0, help="seconds into the recording")
     parser.add_argument("--duration", type=float, default=float("inf"), help="seconds")
     parser.add_argument("--no-figure", action="store_true", help="skip the picture")
@@ -178,10 +232,32 @@ def add_parser(subparsers: Any) -> None:
 
 def add_common(parser: argparse.ArgumentParser) -> None:
     """Options that replay and the nodes share."""
-    parser.add_argument("--config", type=Path, help="parameter file; default: config.yaml in the recording's folder, if any")
-    parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="override one parameter")
-    parser.add_argument("--topic", action="append", default=[], metavar="ROLE=TOPIC", help="cloud, fix, imu or odometry topic")
-    parser.add_argument("-o", "--output", type=Path, default=Path("out"), help="folder for result.json, result.mcap, mesh.ply, figure.png")
+    parser.add_argument(
+        "--config",
+        type=Path,
+        help="parameter file; default: config.yaml in the recording's folder, if any",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="SECTION.KEY=VALUE",
+        help="override one parameter",
+    )
+    parser.add_argument(
+        "--topic",
+        action="append",
+        default=[],
+        metavar="ROLE=TOPIC",
+        help="cloud, fix, imu or odometry topic",
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        default=Path("out"),
+        help="folder for result.json, result.mcap, mesh.ply, figure.png",
+    )
     parser.add_argument("--json", action="store_true", help="print result.json to standard output")
 
 
@@ -202,24 +278,50 @@ def run(arguments: argparse.Namespace) -> int:
     parameters = read_config(config_for(arguments.bag, arguments.config), arguments.set)
     folder = results.output_folder(arguments.output)
     with BagReader(arguments.bag) as bag:
-        poses = MavlinkLog(arguments.poses, parameters.mavlink) if arguments.poses is not None else None
-        replay = Replay(bag, parameters, bag.roles(topics_from(arguments.topic)), arguments.start, arguments.duration, poses)
+        poses = (
+            MavlinkLog(arguments.poses, parameters.mavlink) if arguments.poses is not None else None
+        )
+        replay = Replay(
+            bag,
+            parameters,
+            bag.roles(topics_from(arguments.topic)),
+            arguments.start,
+            arguments.duration,
+            poses,
+        )
         began = time.perf_counter()
         with Progress(console=console, transient=True) as bar:
             task = bar.add_task(f"replaying {arguments.bag.name}", total=1.0)
             estimate = replay.run(lambda share: bar.update(task, completed=share))
         seconds = time.perf_counter() - began
         result = replay.result(estimate)
-    write_outputs(folder, estimate, replay.engine.estimator.epoch(), result, arguments.bag.name, figure=not arguments.no_figure)
+    write_outputs(
+        folder,
+        estimate,
+        replay.engine.estimator.epoch(),
+        result,
+        arguments.bag.name,
+        figure=not arguments.no_figure,
+    )
     if arguments.json:
         print(results.json_text(result), end="")
     else:
         show_result(console, result)
-        console.print(f"{min(arguments.duration, result['input']['duration_s']) / seconds:.1f} x real time; written to {folder}/")
+        console.print(
+            f"{min(arguments.duration, result['input']['duration_s']) / seconds:.1f} x "
+            f"real time; written to {folder}/"
+        )
     return 0
 
 
-def write_outputs(folder: Path, estimate: Estimate, epoch: Epoch, result: dict[str, Any], title: str, figure: bool = True) -> None:
+def write_outputs(
+    folder: Path,
+    estimate: Estimate,
+    epoch: Epoch,
+    result: dict[str, Any],
+    title: str,
+    figure: bool = True,
+) -> None:
     """result.json, mesh.ply, result.mcap and, where wanted, figure.png."""
     results.write_text(folder / "result.json", results.json_text(result))
     results.write_ply(folder / "mesh.ply", estimate.tin, epoch.sigma_z())

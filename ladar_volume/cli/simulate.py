@@ -19,7 +19,12 @@ from ladar_volume.simulation.survey import Survey, SurveyOptions
 SUITED: dict[str, dict[str, dict[str, Any]]] = {
     "box": {
         "filter": {"radius_m": 0.08, "degree": 1, "min_points": 8, "cap_per_voxel": 12},
-        "volume": {"object_height_m": 0.1, "outline_margin_m": 0.3, "ground_ring_m": 2.5, "max_edge_m": 1.5},
+        "volume": {
+            "object_height_m": 0.1,
+            "outline_margin_m": 0.3,
+            "ground_ring_m": 2.5,
+            "max_edge_m": 1.5,
+        },
         "georeference": {"region_m": [-4.5, -4.0, -2.0, 4.5, 4.0, 5.0]},
     },
     "pile": {
@@ -31,19 +36,27 @@ SUITED: dict[str, dict[str, dict[str, Any]]] = {
         "volume": {"outline": "polygon", "ground_ring_m": 3.0, "max_edge_m": 1.5},
     },
 }
-KINDS = {name: "small" for name in ("nist_box", "kern_before", "kern_after", "sphere", "square")} | {"box": "box"}
+KINDS = {
+    name: "small" for name in ("nist_box", "kern_before", "kern_after", "sphere", "square")
+} | {"box": "box"}
 
 
 def suited(scene: Scene) -> dict[str, dict[str, Any]]:
-    """Settings a surveyor would choose for the scene: sections and keys. The region holds the outline and its ring of ground."""
-    chosen = {section: dict(values) for section, values in SUITED[KINDS.get(scene.name, "pile")].items()}
+    """Settings a surveyor would choose for the scene: sections and keys. The region holds the
+    outline and its ring of ground.
+    """
+    chosen = {
+        section: dict(values) for section, values in SUITED[KINDS.get(scene.name, "pile")].items()
+    }
     volume = chosen["volume"]
     if volume.get("outline") == "polygon":
         volume["polygon_m"] = [float(round(v, 3)) for v in scene.outline.ravel()]
     if "georeference" not in chosen:
         ring = volume["ground_ring_m"]
         (x0, y0), (x1, y1) = scene.outline.min(axis=0) - ring, scene.outline.max(axis=0) + ring
-        chosen["georeference"] = {"region_m": [float(round(v, 3)) for v in (x0, y0, -10.0, x1, y1, 30.0)]}
+        chosen["georeference"] = {
+            "region_m": [float(round(v, 3)) for v in (x0, y0, -10.0, x1, y1, 30.0)]
+        }
     return chosen
 
 
@@ -57,27 +70,66 @@ def _span(text: str) -> tuple[float, float]:
 
 def add_parser(subparsers: Any) -> None:
     """Declare the verb."""
-    parser = subparsers.add_parser("simulate", help="simulate a survey of a scene with a known volume")
-    parser.add_argument(
-        "scene", help="stockpile, cone, cone_100, frustum, stockpile_5000, box, nist_box, kern_before, kern_after, sphere, square"
+    parser = subparsers.add_parser(
+        "simulate", help="simulate a survey of a scene with a known volume"
     )
     parser.add_argument(
-        "--platform", choices=("uav", "lanes", "rover"), default="uav",
-        help="uav: a figure of eight; lanes: both ways in two directions, for calibrate strips (72 s or more); rover: two loops",
-    )  # fmt: skip
+        "scene",
+        help=(
+            "stockpile, cone, cone_100, frustum, stockpile_5000, box, nist_box, kern_before, "
+            "kern_after, sphere, square"
+        ),
+    )
+    parser.add_argument(
+        "--platform",
+        choices=("uav", "lanes", "rover"),
+        default="uav",
+        help=(
+            "uav: a figure of eight; lanes: both ways in two directions, for calibrate "
+            "strips (72 s or more); rover: two loops"
+        ),
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--duration", type=float, default=36.0, help="seconds")
-    parser.add_argument("--thin", type=int, default=1, help="keep every N-th firing cycle (1: the full rate)")
+    parser.add_argument(
+        "--thin", type=int, default=1, help="keep every N-th firing cycle (1: the full rate)"
+    )
     parser.add_argument("--gnss-hz", type=float, default=10.0)
     parser.add_argument("--imu-hz", type=float, default=100.0)
-    parser.add_argument("--outage", type=_span, action="append", default=[], metavar="FROM:TO", help="seconds without a fix; repeatable")
-    parser.add_argument("--float", type=_span, action="append", default=[], metavar="FROM:TO", help="seconds with a float fix; repeatable")
     parser.add_argument(
-        "--mixed", type=float, default=0.1, metavar="SHARE",
-        help="share of returns at a step in range that mix both sides (default 0.1); 0 with --thin: a neighbour is then many degrees away",
-    )  # fmt: skip
-    parser.add_argument("--config", type=Path, help="budget and parameters, written into the recording's config.yaml")
-    parser.add_argument("-o", "--output", type=Path, required=True, help="recording folder to create")
+        "--outage",
+        type=_span,
+        action="append",
+        default=[],
+        metavar="FROM:TO",
+        help="seconds without a fix; repeatable",
+    )
+    parser.add_argument(
+        "--float",
+        type=_span,
+        action="append",
+        default=[],
+        metavar="FROM:TO",
+        help="seconds with a float fix; repeatable",
+    )
+    parser.add_argument(
+        "--mixed",
+        type=float,
+        default=0.1,
+        metavar="SHARE",
+        help=(
+            "share of returns at a step in range that mix both sides (default 0.1); 0 with "
+            "--thin: a neighbour is then many degrees away"
+        ),
+    )
+    parser.add_argument(
+        "--config",
+        type=Path,
+        help="budget and parameters, written into the recording's config.yaml",
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, required=True, help="recording folder to create"
+    )
     parser.set_defaults(run=run)
 
 
@@ -85,9 +137,15 @@ def run(arguments: argparse.Namespace) -> int:
     """Simulate and write; prints the true volume."""
     console = Console(stderr=True)
     options = SurveyOptions(
-        arguments.duration, arguments.thin, arguments.gnss_hz, arguments.imu_hz, mixed_share=arguments.mixed,
-        outages_s=tuple(arguments.outage), float_spans_s=tuple(arguments.float), seed=arguments.seed,
-    )  # fmt: skip
+        arguments.duration,
+        arguments.thin,
+        arguments.gnss_hz,
+        arguments.imu_hz,
+        mixed_share=arguments.mixed,
+        outages_s=tuple(arguments.outage),
+        float_spans_s=tuple(arguments.float),
+        seed=arguments.seed,
+    )
     scene = make_scene(arguments.scene, arguments.seed)
     platform = platform_for(scene, arguments.platform, arguments.duration)
     parameters = read_config(arguments.config)
@@ -96,6 +154,8 @@ def run(arguments: argparse.Namespace) -> int:
     settings["budget"] = parameters.write()["budget"]
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("simulating", total=1.0)
-        write_bag(survey, arguments.output, settings, lambda share: bar.update(task, completed=share))
+        write_bag(
+            survey, arguments.output, settings, lambda share: bar.update(task, completed=share)
+        )
     console.print(f"{arguments.output}: {scene.name}, true volume {scene.volume_m3:.3f} m³")
     return 0

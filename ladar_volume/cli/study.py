@@ -19,19 +19,28 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser("study", help="repeat a published experiment on simulated data")
     studies = parser.add_subparsers(dest="study", required=True, metavar="STUDY")
     nist = studies.add_parser(
-        "nist", help="the plywood box in the corner of two screens (TINvolume, Experiments 1 to 4)",
-        description="Simulates the box experiment of Witzgall and Cheok, runs Experiments 1 to 4 as published and the package's own way, "
-        "and writes every table and figure beside the published values. About ten seconds per seed, and ten more for Experiment 1 "
+        "nist",
+        help="the plywood box in the corner of two screens (TINvolume, Experiments 1 to 4)",
+        description="Simulates the box experiment of Witzgall and Cheok, runs Experiments 1 to 4 "
+        "as "
+        "published and the package's own way, "
+        "and writes every table and figure beside the published values. About ten "
+        "seconds per seed, and ten more for Experiment 1 "
         "on each of the first eight.",
-    )  # fmt: skip
-    nist.add_argument("--seeds", type=int, default=24, metavar="N", help="simulated pairs of scans (default 24)")
+    )
+    nist.add_argument(
+        "--seeds", type=int, default=24, metavar="N", help="simulated pairs of scans (default 24)"
+    )
     add_outputs(nist, "the figures")
     nist.set_defaults(run=run_nist)
     stockpile = studies.add_parser(
-        "stockpile", help="precision of a surveyed point and a coal stockpile of 100 m³ (its Table 2)",
-        description="Recomputes the precision of an airborne LiDAR point and what a stockpile of 100 m³ asks for, published and "
+        "stockpile",
+        help="precision of a surveyed point and a coal stockpile of 100 m³ (its Table 2)",
+        description="Recomputes the precision of an airborne LiDAR point and what a stockpile of "
+        "100 "
+        "m³ asks for, published and "
         "corrected, side by side.",
-    )  # fmt: skip
+    )
     add_outputs(stockpile, "precision.png")
     stockpile.set_defaults(run=run_stockpile)
     add_studies(studies)
@@ -44,7 +53,9 @@ def run_nist(arguments: argparse.Namespace) -> int:
     from ladar_volume.studies.nist_figures import write_figures
     from ladar_volume.studies.nist_tables import tables
 
-    return carry_out(arguments, partial(run, arguments.seeds), summary, tables, write_figures, show_nist)
+    return carry_out(
+        arguments, partial(run, arguments.seeds), summary, tables, write_figures, show_nist
+    )
 
 
 def run_stockpile(arguments: argparse.Namespace) -> int:
@@ -58,15 +69,32 @@ def run_stockpile(arguments: argparse.Namespace) -> int:
             console.print(make(), end="", markup=False, highlight=False, soft_wrap=True)
 
     # nothing is simulated: all of it is computed from the printed figures
-    return carry_out(arguments, lambda _: None, lambda _: summary(), lambda _: tables(), lambda _, folder: [write_figure(folder)], show)
+    return carry_out(
+        arguments,
+        lambda _: None,
+        lambda _: summary(),
+        lambda _: tables(),
+        lambda _, folder: [write_figure(folder)],
+        show,
+    )
 
 
 def show_nist(console: Console, facts: dict[str, Any]) -> None:
     """Print the errors of every procedure as a table."""
     own = facts["own"]
-    table = Table("procedure", "mean error", "spread", title=f"Box of 1.6990 m³, {facts['seeds']} seeds", title_justify="left")
+    table = Table(
+        "procedure",
+        "mean error",
+        "spread",
+        title=f"Box of 1.6990 m³, {facts['seeds']} seeds",
+        title_justify="left",
+    )
     names = ("no filter, RMS", "no filter", "filter, RMS", "filter")
-    table.add_row("all points, scan direction, common footprint", f"{own['bias_pct']:.3f} %", f"{own['spread_pct']:.3f} %")
+    table.add_row(
+        "all points, scan direction, common footprint",
+        f"{own['bias_pct']:.3f} %",
+        f"{own['spread_pct']:.3f} %",
+    )
     table.add_row("  predicted sigma", "", f"{own['predicted_sigma_pct']:.3f} %")
     for k, name in enumerate(names):
         table.add_row(f"Experiment 3, {name}", f"{facts['experiment_3_pct']['mean'][k]:.2f} %", "")

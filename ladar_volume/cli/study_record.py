@@ -1,4 +1,6 @@
-"""What all studies share: their outputs, and the way from the simulation to tables, figures, JSON and the screen."""
+"""What all studies share: their outputs, and the way from the simulation to tables, figures, JSON
+and the screen.
+"""
 
 from __future__ import annotations
 
@@ -17,21 +19,36 @@ S = TypeVar("S")
 
 def add_outputs(study: argparse.ArgumentParser, pictures: str) -> None:
     """Declare where the results go; ``pictures`` names the figures."""
-    study.add_argument("-o", "--output", type=Path, metavar="FOLDER", help=f"tables.md, study.json and {pictures}")
-    study.add_argument("--json", action="store_true", help="print the numbers as JSON to standard output")
+    study.add_argument(
+        "-o", "--output", type=Path, metavar="FOLDER", help=f"tables.md, study.json and {pictures}"
+    )
+    study.add_argument(
+        "--json", action="store_true", help="print the numbers as JSON to standard output"
+    )
 
 
 def carry_out(
-    arguments: argparse.Namespace, simulate: Callable[[Callable[[str], None]], S], summary: Callable[[S], dict[str, Any]],
-    tables: Callable[[S], str], figures: Callable[[S, Path], list[str]], show: Callable[[Console, dict[str, Any]], None],
-) -> int:  # fmt: skip
-    """Simulate, measure, write where an output folder is given, print as JSON or by ``show``; returns the exit code."""
+    arguments: argparse.Namespace,
+    simulate: Callable[[Callable[[str], None]], S],
+    summary: Callable[[S], dict[str, Any]],
+    tables: Callable[[S], str],
+    figures: Callable[[S, Path], list[str]],
+    show: Callable[[Console, dict[str, Any]], None],
+) -> int:
+    """Simulate, measure, write where an output folder is given, print as JSON or by ``show``;
+    returns the exit code.
+    """
     folder = None if arguments.output is None else output_folder(arguments.output)
     console = Console(stderr=arguments.json)
     with console.status("simulating") as status:
         study = simulate(status.update)
         given = {"seeds": arguments.seeds} if hasattr(arguments, "seeds") else {}
-        facts: dict[str, Any] = {"study": arguments.study, **given, **summary(study), "version": version()}
+        facts: dict[str, Any] = {
+            "study": arguments.study,
+            **given,
+            **summary(study),
+            "version": version(),
+        }
         if folder is not None:
             status.update("writing")
             facts["figures"] = figures(study, folder)

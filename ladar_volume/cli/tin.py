@@ -34,13 +34,29 @@ from ladar_volume.version import version
 def add_parser(subparsers: Any) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser(
-        "tin", help="triangulate a point cloud file, with all of its points or the few that represent them",
-        description="A TIN over a point cloud by adaptive insertion, its heights adjusted to all points. Lengths in m.",
-    )  # fmt: skip
+        "tin",
+        help="triangulate a point cloud file, with all of its points or the few that "
+        "represent them",
+        description=(
+            "A TIN over a point cloud by adaptive insertion, its heights adjusted to all "
+            "points. Lengths in m."
+        ),
+    )
     parser.add_argument("cloud", type=Path, help=f"point cloud ({' '.join(ENCODINGS)})")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="TIN.ply", help="relevant triangles, vertices with sigma_z")
-    parser.add_argument("--all-triangles", action="store_true", help="write irrelevant triangles too, marked")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON to standard output")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="TIN.ply",
+        help="relevant triangles, vertices with sigma_z",
+    )
+    parser.add_argument(
+        "--all-triangles", action="store_true", help="write irrelevant triangles too, marked"
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print the result as JSON to standard output"
+    )
     add_surface_options(parser, "0.333")
     parser.set_defaults(run=run)
 
@@ -50,7 +66,9 @@ def run(arguments: argparse.Namespace) -> int:
     options = surface_options(arguments, SurfaceOptions())
     check_tin_output(arguments.output)
     if arguments.output.resolve() == arguments.cloud.resolve():
-        raise OutputError("the cloud and the output must be different files", value=str(arguments.output))
+        raise OutputError(
+            "the cloud and the output must be different files", value=str(arguments.output)
+        )
     console = Console(stderr=arguments.json)
     with console.status(f"reading {arguments.cloud.name}") as status:
         source = read_source(arguments.cloud)
@@ -64,13 +82,19 @@ def run(arguments: argparse.Namespace) -> int:
             sigma_z = np.sqrt(made.covariance(surface.sigma_m).diagonal())
         status.update("writing")
         tin = made.tin if frame is None else frame.tin_back(made.tin)
-        vertices, faces = write_tin(arguments.output, in_cloud(tin, surface.index), sigma_z, arguments.all_triangles)
+        vertices, faces = write_tin(
+            arguments.output, in_cloud(tin, surface.index), sigma_z, arguments.all_triangles
+        )
     facts = {
         **surface_facts(source, surface),
-        "sigma_z_median_m": None if sigma_z is None else float(np.median(sigma_z[made.tin.source >= 0])),
+        "sigma_z_median_m": None
+        if sigma_z is None
+        else float(np.median(sigma_z[made.tin.source >= 0])),
         "output": {"path": arguments.output.name, "vertices": vertices, "faces": faces},
-        "frame": frame_facts(frame), "options": option_facts(options), "version": version(),
-    }  # fmt: skip
+        "frame": frame_facts(frame),
+        "options": option_facts(options),
+        "version": version(),
+    }
     if arguments.json:
         print(json_text(facts), end="")
     else:
@@ -91,18 +115,34 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
         if facts[name]:
             table.add_row(f"  {name}", f"{facts[name]:,}")
     table.add_row("vertices", f"[bold]{facts['vertices']:,}[/bold]")
-    table.add_row("triangles", f"{facts['triangles']:,} ({facts['relevant_triangles']:,} relevant, {facts['area_m2']:.2f} m²)")
+    table.add_row(
+        "triangles",
+        (
+            f"{facts['triangles']:,} ({facts['relevant_triangles']:,} relevant, "
+            f"{facts['area_m2']:.2f} m²)"
+        ),
+    )
     if facts["adjust"] != "none":
-        table.add_row("heights", f"adjusted ({facts['adjust']}{'' if facts['converged'] else ', not converged'})")
+        table.add_row(
+            "heights",
+            f"adjusted ({facts['adjust']}{'' if facts['converged'] else ', not converged'})",
+        )
     if facts["exchanges"]:
         table.add_row("exchanged diagonals", f"{facts['exchanges']:,}")
-    table.add_row("fit to all points", f"RMS {1e3 * facts['rms_m']:.2f} mm, ASD {1e3 * facts['asd_m']:.2f} mm")
+    table.add_row(
+        "fit to all points", f"RMS {1e3 * facts['rms_m']:.2f} mm, ASD {1e3 * facts['asd_m']:.2f} mm"
+    )
     if facts["adjust"] != "none":
-        table.add_row("  as measured", f"RMS {1e3 * facts['rms_before_m']:.2f} mm, ASD {1e3 * facts['asd_before_m']:.2f} mm")
+        table.add_row(
+            "  as measured",
+            f"RMS {1e3 * facts['rms_before_m']:.2f} mm, ASD {1e3 * facts['asd_before_m']:.2f} mm",
+        )
     if facts["sigma_point_m"] is None:
         table.add_row("sigma of a point", facts["sigma_from"])
     else:
-        table.add_row("sigma of a point", f"{1e3 * facts['sigma_point_m']:.2f} mm ({facts['sigma_from']})")
+        table.add_row(
+            "sigma of a point", f"{1e3 * facts['sigma_point_m']:.2f} mm ({facts['sigma_from']})"
+        )
         table.add_row("sigma of a vertex", f"{1e3 * facts['sigma_z_median_m']:.2f} mm (median)")
     console.print(table)
     console.print(f"written to {facts['output']['path']}")

@@ -22,10 +22,21 @@ from ladar_volume.io.config import dump_config, read_config
 def add_parser(subparsers: Any) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser("up", help="run the nodes; with --play over a recording")
-    parser.add_argument("--play", type=Path, metavar="BAG", help="recording to play through the nodes; without it they run until stopped")
+    parser.add_argument(
+        "--play",
+        type=Path,
+        metavar="BAG",
+        help="recording to play through the nodes; without it they run until stopped",
+    )
     parser.add_argument("--rate", type=float, default=1.0, help="times real time")
-    parser.add_argument("--separate", action="store_true", help="every node in a process of its own")
-    parser.add_argument("--mavlink", metavar="URL", help="autopilot to take poses from: udpin:HOST:PORT, serial:DEVICE:BAUD, a .tlog")
+    parser.add_argument(
+        "--separate", action="store_true", help="every node in a process of its own"
+    )
+    parser.add_argument(
+        "--mavlink",
+        metavar="URL",
+        help="autopilot to take poses from: udpin:HOST:PORT, serial:DEVICE:BAUD, a .tlog",
+    )
     parser.add_argument("--log", type=Path, help="MCAP file to log all topics to")
     add_common(parser)
     parser.set_defaults(run=run)
@@ -42,11 +53,17 @@ def run(arguments: argparse.Namespace) -> int:
         overrides = ["node.input_reliability=reliable", "node.input_depth=2000", *overrides]
     if arguments.mavlink is not None:
         overrides.append(f"mavlink.url={arguments.mavlink}")
-    config = config_for(arguments.play, arguments.config) if arguments.play is not None else arguments.config
+    config = (
+        config_for(arguments.play, arguments.config)
+        if arguments.play is not None
+        else arguments.config
+    )
     parameters = read_config(config, overrides)
     folder = results.output_folder(arguments.output)
     console = Console(stderr=arguments.json)
-    from ladar_volume.nodes.graph import Graph  # the only way to ROS from here, paid for only by this verb
+    from ladar_volume.nodes.graph import (
+        Graph,
+    )  # the only way to ROS from here, paid for only by this verb
 
     with tempfile.TemporaryDirectory() as scratch:
         effective = Path(scratch) / "parameters.yaml"
@@ -61,10 +78,20 @@ def run(arguments: argparse.Namespace) -> int:
             with BagReader(arguments.play) as bag, Progress(console=console, transient=True) as bar:
                 topics = bag.roles(topics_from(arguments.topic))
                 bag.require(topics, parameters.georeference.pose_source)
-                task = bar.add_task(f"playing {arguments.play.name} at {arguments.rate:g}x through the nodes", total=1.0)
-                graph.play(bag, topics, arguments.rate, lambda share: bar.update(task, completed=share))
+                task = bar.add_task(
+                    f"playing {arguments.play.name} at {arguments.rate:g}x through the nodes",
+                    total=1.0,
+                )
+                graph.play(
+                    bag, topics, arguments.rate, lambda share: bar.update(task, completed=share)
+                )
                 result = graph.watcher.answer()
-                result["input"] = {"path": arguments.play.name, "sha256": bag.digest(), "duration_s": bag.duration_s, "topics": topics}
+                result["input"] = {
+                    "path": arguments.play.name,
+                    "sha256": bag.digest(),
+                    "duration_s": bag.duration_s,
+                    "topics": topics,
+                }
             result["losses"] = graph.losses()
         finally:
             graph.close()

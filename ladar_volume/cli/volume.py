@@ -1,4 +1,6 @@
-"""``ladar_volume volume``: cut and fill of a point cloud file above a base, or between two of them."""
+"""``ladar_volume volume``: cut and fill of a point cloud file above a base, or between two of
+them.
+"""
 
 from __future__ import annotations
 
@@ -34,55 +36,129 @@ from ladar_volume.surface.cloud import CloudSurface
 from ladar_volume.surface.frames import Frame
 from ladar_volume.surface.represent import SurfaceOptions
 from ladar_volume.version import version
-from ladar_volume.volume.cloud_levels import above_floor, events, folded_levels, level_list, sequence
+from ladar_volume.volume.cloud_levels import (
+    above_floor,
+    events,
+    folded_levels,
+    level_list,
+    sequence,
+)
 from ladar_volume.volume.cloud_volume import CloudVolume, above_base, between_clouds, own_footprints
 from ladar_volume.volume.floors import surface_offset
 from ladar_volume.volume.methods import zero_fill_level
 
 #: Parameters that options of their own give.
-OWN_OPTION = {"base": "--base", "level_m": "--level", "plane": "--plane", "relevant": "--relevant", "max_edge_m": "--max-edge",
-              "max_circumdiameter_m": "--max-circle", "vertex_ratio": "--vertices"}  # fmt: skip
+OWN_OPTION = {
+    "base": "--base",
+    "level_m": "--level",
+    "plane": "--plane",
+    "relevant": "--relevant",
+    "max_edge_m": "--max-edge",
+    "max_circumdiameter_m": "--max-circle",
+    "vertex_ratio": "--vertices",
+}
 
 
 def add_parser(subparsers: Any) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser(
-        "volume", help="cut and fill of a point cloud file above a base, or between two",
-        description="Cut, fill and net volume with their standard deviations from the noise of the points. Lengths in m.",
-    )  # fmt: skip
+        "volume",
+        help="cut and fill of a point cloud file above a base, or between two",
+        description=(
+            "Cut, fill and net volume with their standard deviations from the noise of the "
+            "points. Lengths in m."
+        ),
+    )
     parser.add_argument("cloud", type=Path, help=f"point cloud ({' '.join(ENCODINGS)})")
-    parser.add_argument("cloud_b", type=Path, nargs="?", help="second cloud: cut is where the first lies above it")
+    parser.add_argument(
+        "cloud_b", type=Path, nargs="?", help="second cloud: cut is where the first lies above it"
+    )
     g = parser.add_argument_group("base")
     g.add_argument("--level", type=number, metavar="Z", help="above this height")
-    g.add_argument("--base", choices=("level", "plane", "ground", "floor"),
-                   help="level (--level), plane (--plane), ground of the same cloud, or the floor that --levels shows")  # fmt: skip
-    g.add_argument("--plane", type=number, nargs=3, metavar=("C0", "C1", "C2"), help="above the plane z = C0 + C1 x + C2 y")
-    g.add_argument("--levels", type=number, nargs=3, metavar=("START", "STOP", "STEP"), help="cut and fill at levels, and their floors")
-    g.add_argument("--outline", choices=("auto", "all"), help="where the volume counts: the main body (default for ground), or everywhere")
-    g.add_argument("--footprint", choices=("common", "own"), default="common",
-                   help="two clouds: over their common footprint, or as published each over its own")  # fmt: skip
-    g.add_argument("--sigma-b", type=number, metavar="M", help="standard deviation of the second cloud's heights, where it differs")
-    g.add_argument("--no-correction", action="store_true", help="leave cut and fill as they are near the base")
-    g.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="override a parameter of volume or ground")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON to standard output")
+    g.add_argument(
+        "--base",
+        choices=("level", "plane", "ground", "floor"),
+        help=(
+            "level (--level), plane (--plane), ground of the same cloud, or the floor that "
+            "--levels shows"
+        ),
+    )
+    g.add_argument(
+        "--plane",
+        type=number,
+        nargs=3,
+        metavar=("C0", "C1", "C2"),
+        help="above the plane z = C0 + C1 x + C2 y",
+    )
+    g.add_argument(
+        "--levels",
+        type=number,
+        nargs=3,
+        metavar=("START", "STOP", "STEP"),
+        help="cut and fill at levels, and their floors",
+    )
+    g.add_argument(
+        "--outline",
+        choices=("auto", "all"),
+        help="where the volume counts: the main body (default for ground), or everywhere",
+    )
+    g.add_argument(
+        "--footprint",
+        choices=("common", "own"),
+        default="common",
+        help="two clouds: over their common footprint, or as published each over its own",
+    )
+    g.add_argument(
+        "--sigma-b",
+        type=number,
+        metavar="M",
+        help="standard deviation of the second cloud's heights, where it differs",
+    )
+    g.add_argument(
+        "--no-correction", action="store_true", help="leave cut and fill as they are near the base"
+    )
+    g.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="SECTION.KEY=VALUE",
+        help="override a parameter of volume or ground",
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print the result as JSON to standard output"
+    )
     add_surface_options(parser, "1: every point")
     parser.set_defaults(run=run)
 
 
 def parameters_of(arguments: argparse.Namespace) -> tuple[Parameters, str]:
-    """Parameters of base, outline and ground, and the base: "level", "plane", "ground", "floor", "cloud" (the second one), or "lowest" (the
-    highest level without fill). Raises :class:`ConfigurationError` for options that contradict one another."""
+    """Parameters of base, outline and ground, and the base: "level", "plane", "ground", "floor",
+    "cloud" (the second one), or "lowest" (the highest level without fill). Raises
+    :class:`ConfigurationError` for options that contradict one another.
+    """
     a, two = arguments, arguments.cloud_b is not None
-    inferred = "plane" if a.plane is not None else "level" if a.level is not None else "floor" if a.levels is not None else ""
+    inferred = (
+        "plane"
+        if a.plane is not None
+        else "level"
+        if a.level is not None
+        else "floor"
+        if a.levels is not None
+        else ""
+    )
     if two and a.footprint == "common":
         if a.level is not None or a.plane is not None or a.base is not None:
-            raise ConfigurationError("the second cloud is the base; a level or a plane goes with --footprint own")
+            raise ConfigurationError(
+                "the second cloud is the base; a level or a plane goes with --footprint own"
+            )
         return _read(a, "cloud"), "cloud"
     if not two and (a.footprint == "own" or a.sigma_b is not None):
         raise ConfigurationError("--footprint own and --sigma-b are for two clouds")
     base = a.base or ("lowest" if two and inferred in ("floor", "") else inferred)
     if not base:
-        raise ConfigurationError("above what? Give --level Z, --base plane, ground or floor, or a second cloud")
+        raise ConfigurationError(
+            "above what? Give --level Z, --base plane, ground or floor, or a second cloud"
+        )
     for name, value in (("level", a.level), ("plane", a.plane)):
         if (base == name) != (value is not None):
             raise ConfigurationError(f"--base {name} and --{name} go together", value=base)
@@ -98,14 +174,27 @@ def _read(a: argparse.Namespace, base: str) -> Parameters:
     for key in keys:
         section, _, name = key.partition(".")
         if section not in ("volume", "ground"):
-            raise ConfigurationError(f"--set {key}: this verb has parameters of the sections 'volume' and 'ground' only", value=key)
+            raise ConfigurationError(
+                f"--set {key}: this verb has parameters of the sections 'volume' and 'ground' only",
+                value=key,
+            )
         if section == "volume" and name in OWN_OPTION:
             raise ConfigurationError(f"--set {key}: use {OWN_OPTION[name]}", value=key)
     start = read_config(None, a.set)
-    chosen = a.outline or (start.volume.outline if "volume.outline" in keys else "auto" if base == "ground" else "all")
+    chosen = a.outline or (
+        start.volume.outline if "volume.outline" in keys else "auto" if base == "ground" else "all"
+    )
     if base == "cloud" and chosen != "all":
-        raise ConfigurationError("between two clouds the volume counts over their whole common footprint; crop with --window", value=chosen)
-    volume = dataclasses.replace(start.volume, base="ground" if base == "ground" else "level", outline=chosen)
+        raise ConfigurationError(
+            (
+                "between two clouds the volume counts over their whole common footprint; "
+                "crop with --window"
+            ),
+            value=chosen,
+        )
+    volume = dataclasses.replace(
+        start.volume, base="ground" if base == "ground" else "level", outline=chosen
+    )
     if base == "level":
         volume = dataclasses.replace(volume, level_m=a.level)
     if base == "plane":
@@ -115,12 +204,17 @@ def _read(a: argparse.Namespace, base: str) -> Parameters:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, triangulate, compute, print."""
-    (parameters, base), options = parameters_of(arguments), surface_options(arguments, SurfaceOptions(ratio=1.0))
+    (parameters, base), options = (
+        parameters_of(arguments),
+        surface_options(arguments, SurfaceOptions(ratio=1.0)),
+    )
     sigmas = (arguments.sigma, arguments.sigma if arguments.sigma_b is None else arguments.sigma_b)
     levels = None if arguments.levels is None else level_list(*arguments.levels)
     console = Console(stderr=arguments.json)
     with console.status("reading") as status:
-        sources = [read_source(path) for path in (arguments.cloud, arguments.cloud_b) if path is not None]
+        sources = [
+            read_source(path) for path in (arguments.cloud, arguments.cloud_b) if path is not None
+        ]
         if arguments.frame == "scan":
             status.update("turning into the scan frame")
         frame = frame_of(arguments, sources)
@@ -131,9 +225,14 @@ def run(arguments: argparse.Namespace) -> int:
         status.update("cut and fill")
         facts = computed(arguments, surfaces, parameters, base, levels, frame)
     facts |= {
-        "surfaces": [surface_facts(source, surface) for source, surface in zip(sources, surfaces, strict=True)],
-        "frame": frame_facts(frame), "options": option_facts(options), "version": version(),
-    }  # fmt: skip
+        "surfaces": [
+            surface_facts(source, surface)
+            for source, surface in zip(sources, surfaces, strict=True)
+        ],
+        "frame": frame_facts(frame),
+        "options": option_facts(options),
+        "version": version(),
+    }
     if arguments.json:
         print(json_text(facts), end="")
     else:
@@ -142,16 +241,25 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def computed(
-    a: argparse.Namespace, surfaces: list[CloudSurface], parameters: Parameters, base: str, levels: F64 | None, frame: Frame | None
+    a: argparse.Namespace,
+    surfaces: list[CloudSurface],
+    parameters: Parameters,
+    base: str,
+    levels: F64 | None,
+    frame: Frame | None,
 ) -> dict[str, Any]:
     """The volume, and where levels are asked for the sequence with its floors."""
     correct, first, more = not a.no_correction, surfaces[0], {}
     if base == "plane" and frame is not None:
         turned = tuple(frame.plane(np.array(a.plane)).tolist())
-        parameters = dataclasses.replace(parameters, volume=dataclasses.replace(parameters.volume, plane=turned))
+        parameters = dataclasses.replace(
+            parameters, volume=dataclasses.replace(parameters.volume, plane=turned)
+        )
     if base == "lowest":
         level = zero_fill_level(first.made.tin, surfaces[1].made.tin)
-        parameters = dataclasses.replace(parameters, volume=dataclasses.replace(parameters.volume, level_m=level))
+        parameters = dataclasses.replace(
+            parameters, volume=dataclasses.replace(parameters.volume, level_m=level)
+        )
     counted: Plane | None = None
     if base == "cloud":
         volume = between_clouds(first, surfaces[1], a.cloud_b.name, correct)
@@ -164,7 +272,9 @@ def computed(
         volume, found, _ = above_base(first, parameters, correct)
         counted = None if base == "level" else found
     if base == "plane" and frame is not None:
-        volume = dataclasses.replace(volume, base="given plane z = {:.6g} + {:.6g} x + {:.6g} y".format(*a.plane))
+        volume = dataclasses.replace(
+            volume, base="given plane z = {:.6g} + {:.6g} x + {:.6g} y".format(*a.plane)
+        )
     facts = volume_facts(volume, parameters)
     if levels is not None:
         more |= level_facts(surfaces, levels, counted, correct)
@@ -176,39 +286,69 @@ def volume_facts(volume: CloudVolume, parameters: Parameters) -> dict[str, Any]:
     k = NormalDist().inv_cdf(0.5 + parameters.volume.confidence / 2)
     half = k * volume.sigma_m3
     return {
-        "cut_m3": volume.cut_m3, "fill_m3": volume.fill_m3, "net_m3": volume.net_m3, "sigma_m3": volume.sigma_m3,
-        "interval_m3": [volume.net_m3 - half, volume.net_m3 + half], "confidence": parameters.volume.confidence, "coverage_factor": k,
-        "sigma_cut_m3": volume.sigma_cut_m3, "sigma_fill_m3": volume.sigma_fill_m3, "area_m2": volume.area_m2,
-        "base": volume.base, "base_same_survey": volume.base_same_survey,
+        "cut_m3": volume.cut_m3,
+        "fill_m3": volume.fill_m3,
+        "net_m3": volume.net_m3,
+        "sigma_m3": volume.sigma_m3,
+        "interval_m3": [volume.net_m3 - half, volume.net_m3 + half],
+        "confidence": parameters.volume.confidence,
+        "coverage_factor": k,
+        "sigma_cut_m3": volume.sigma_cut_m3,
+        "sigma_fill_m3": volume.sigma_fill_m3,
+        "area_m2": volume.area_m2,
+        "base": volume.base,
+        "base_same_survey": volume.base_same_survey,
         "correction": {
-            "name": "folded normal" if abs(volume.folded_m3) > 0.0 else None, "m3": volume.folded_m3, "near_area_m2": volume.near_area_m2,
-            "cut_raw_m3": volume.cut_raw_m3, "fill_raw_m3": volume.fill_raw_m3,
+            "name": "folded normal" if abs(volume.folded_m3) > 0.0 else None,
+            "m3": volume.folded_m3,
+            "near_area_m2": volume.near_area_m2,
+            "cut_raw_m3": volume.cut_raw_m3,
+            "fill_raw_m3": volume.fill_raw_m3,
         },
         "budget_m6": volume.budget_m6,
-    }  # fmt: skip
+    }
 
 
-def level_facts(surfaces: list[CloudSurface], levels: F64, base: Plane | None, correct: bool) -> dict[str, Any]:
-    """Sequences, events and, for two clouds, the offset between their sequences. Cut and fill are corrected near the levels where that is
-    wanted and the noise is known."""
+def level_facts(
+    surfaces: list[CloudSurface], levels: F64, base: Plane | None, correct: bool
+) -> dict[str, Any]:
+    """Sequences, events and, for two clouds, the offset between their sequences. Cut and fill are
+    corrected near the levels where that is wanted and the noise is known.
+    """
     out, found = [], [sequence(s, levels, base) for s in surfaces]
     for surface, each in zip(surfaces, found, strict=True):
         seen, sigma = events(surface, each, base)
         folded = folded_levels(surface, each, base) if correct else np.zeros(len(levels))
         taken = np.nan_to_num(folded)
-        out.append({
-            "level_m": each.level_m.tolist(), "cut_m3": (each.cut_m3 - taken).tolist(), "fill_m3": (each.fill_m3 - taken).tolist(),
-            "folded_m3": folded.tolist(), "above_m2": each.above_m2.tolist(),
-            "first_m3": np.diff(each.cut_m3).tolist(), "second_m3": np.diff(each.cut_m3, 2).tolist(),
-            "events": [{"level_m": e.level_m, "sigma_m": s, "area_m2": e.area_m2, "width_m": e.width_m}
-                       for e, s in zip(seen, sigma.tolist(), strict=True)],
-            "floor_m": seen[0].level_m if seen else None, "top_m": seen[-1].level_m if seen else None,
-        })  # fmt: skip
-    facts: dict[str, Any] = {"sequences": out, "levels_from": "the base" if base is not None else "zero height of the frame"}
+        out.append(
+            {
+                "level_m": each.level_m.tolist(),
+                "cut_m3": (each.cut_m3 - taken).tolist(),
+                "fill_m3": (each.fill_m3 - taken).tolist(),
+                "folded_m3": folded.tolist(),
+                "above_m2": each.above_m2.tolist(),
+                "first_m3": np.diff(each.cut_m3).tolist(),
+                "second_m3": np.diff(each.cut_m3, 2).tolist(),
+                "events": [
+                    {"level_m": e.level_m, "sigma_m": s, "area_m2": e.area_m2, "width_m": e.width_m}
+                    for e, s in zip(seen, sigma.tolist(), strict=True)
+                ],
+                "floor_m": seen[0].level_m if seen else None,
+                "top_m": seen[-1].level_m if seen else None,
+            }
+        )
+    facts: dict[str, Any] = {
+        "sequences": out,
+        "levels_from": "the base" if base is not None else "zero height of the frame",
+    }
     if len(surfaces) == 2:
         try:
             offset = surface_offset(surfaces[0].made.tin, surfaces[1].made.tin, levels)
-            facts["offset"] = {"offset_m": offset.offset_m, "sigma_m": offset.sigma_m, "levels": offset.levels}
+            facts["offset"] = {
+                "offset_m": offset.offset_m,
+                "sigma_m": offset.sigma_m,
+                "levels": offset.levels,
+            }
         except VolumeError as error:
             facts["offset"] = {"offset_m": None, "why": str(error)}
     return facts
@@ -219,20 +359,40 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
     k, (low, high), fix = facts["coverage_factor"], facts["interval_m3"], facts["correction"]
     known = bool(np.isfinite(facts["sigma_m3"]))
     table = Table(show_header=False, box=None, pad_edge=False)
-    spread = f" ± {facts['sigma_m3']:.4f} m³[/bold] (1 sigma, noise of the points)" if known else " m³[/bold]"
+    spread = (
+        f" ± {facts['sigma_m3']:.4f} m³[/bold] (1 sigma, noise of the points)"
+        if known
+        else " m³[/bold]"
+    )
     table.add_row("net volume", f"[bold]{facts['net_m3']:.4f}{spread}")
     if known:
-        table.add_row(f"{100 * facts['confidence']:.0f} % interval", f"{low:.4f} to {high:.4f} m³ (k = {k:.2f})")
+        table.add_row(
+            f"{100 * facts['confidence']:.0f} % interval",
+            f"{low:.4f} to {high:.4f} m³ (k = {k:.2f})",
+        )
     for name in ("cut", "fill"):
-        table.add_row(name, f"{facts[f'{name}_m3']:.4f}" + (f" ± {facts[f'sigma_{name}_m3']:.4f} m³" if known else " m³"))
+        table.add_row(
+            name,
+            f"{facts[f'{name}_m3']:.4f}"
+            + (f" ± {facts[f'sigma_{name}_m3']:.4f} m³" if known else " m³"),
+        )
     table.add_row("area", f"{facts['area_m2']:.3f} m²")
     table.add_row("above", facts["base"] + (" (same survey)" if facts["base_same_survey"] else ""))
     if fix["name"]:
-        words = f"{fix['m3']:.4f} m³ taken from cut and from fill over {fix['near_area_m2']:.2f} m² near the base"
+        words = (
+            f"{fix['m3']:.4f} m³ taken from cut and from fill over {fix['near_area_m2']:.2f} "
+            "m² near the base"
+        )
         table.add_row("corrected", f"{words} ({fix['name']})")
     for each in facts["surfaces"]:
         sigma = "" if each["sigma_point_m"] is None else f"{1e3 * each['sigma_point_m']:.2f} mm, "
-        table.add_row(each["path"], f"{each['used']:,} points, {each['vertices']:,} vertices; sigma {sigma}{each['sigma_from']}")
+        table.add_row(
+            each["path"],
+            (
+                f"{each['used']:,} points, {each['vertices']:,} vertices; sigma "
+                f"{sigma}{each['sigma_from']}"
+            ),
+        )
     console.print(table)
     for each in facts.get("sequences", []):
         show_levels(console, each)
@@ -245,7 +405,9 @@ def show_levels(console: Console, each: Mapping[str, Any], most: int = 20) -> No
     table = Table("level / m", "cut / m³", "fill / m³", "area above / m²")
     count = len(each["level_m"])
     for i in np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)).tolist():
-        table.add_row(*(f"{each[name][i]:.4f}" for name in ("level_m", "cut_m3", "fill_m3", "above_m2")))
+        table.add_row(
+            *(f"{each[name][i]:.4f}" for name in ("level_m", "cut_m3", "fill_m3", "above_m2"))
+        )
     console.print(table)
     for event in each["events"]:
         sigma = event["sigma_m"]

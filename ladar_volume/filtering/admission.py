@@ -1,4 +1,5 @@
-"""Which points the filter takes in, and the geometry kept with each: one compiled pass each over the points.
+"""Which points the filter takes in, and the geometry kept with each: one compiled pass each over
+the points.
 
 ``sensitivity.bracket`` and ``reference.geometry`` are the plain twins.
 """
@@ -16,7 +17,9 @@ TAKEN, NOT_FINITE, TOO_FAR, UNCOVERED = 0, 1, 2, 3
 
 @kernel
 def _before(knots: Any, t: Any, hint: Any) -> Any:
-    """Index of the last knot not after t, −1 before the first; points come nearly in order of time, so the last answer is tried first."""
+    """Index of the last knot not after t, −1 before the first; points come nearly in order of time,
+    so the last answer is tried first.
+    """
     n = len(knots)
     if hint >= 0 and knots[hint] <= t and (hint + 1 == n or t < knots[hint + 1]):
         return hint
@@ -24,8 +27,20 @@ def _before(knots: Any, t: Any, hint: Any) -> Any:
 
 
 @kernel
-def admit(t_ns: Any, r: Any, C: Any, limit: Any, knots: Any, segment: Any, verdict: Any, state: Any, fraction: Any) -> None:
-    """Verdict of each point, and where it lies between platform states (see ``sensitivity.bracket``)."""
+def admit(
+    t_ns: Any,
+    r: Any,
+    C: Any,
+    limit: Any,
+    knots: Any,
+    segment: Any,
+    verdict: Any,
+    state: Any,
+    fraction: Any,
+) -> None:
+    """Verdict of each point, and where it lies between platform states (see
+    ``sensitivity.bracket``).
+    """
     hint = -1
     last = len(knots) - 1
     for i in range(len(t_ns)):
@@ -48,7 +63,11 @@ def admit(t_ns: Any, r: Any, C: Any, limit: Any, knots: Any, segment: Any, verdi
         if knots[k] == t:
             verdict[i], state[i], fraction[i] = TAKEN, k, 0.0
         elif k < last and segment[k] == segment[k + 1]:
-            verdict[i], state[i], fraction[i] = TAKEN, k, (t - knots[k]) / max(knots[k + 1] - knots[k], 1)
+            verdict[i], state[i], fraction[i] = (
+                TAKEN,
+                k,
+                (t - knots[k]) / max(knots[k + 1] - knots[k], 1),
+            )
 
 
 @kernel
@@ -73,9 +92,20 @@ def _slerp(q0: Any, q1: Any, f: Any, out: Any) -> None:
 
 @kernel
 def geometry(
-    rows: Any, r: Any, state: Any, fraction: Any, p: Any, q: Any, v: Any, omega: Any, lever_laser: Any, out: Any
-) -> None:  # fmt: skip
-    """Attitude xyzw, v_body = B r_laser and motion with the platform (m/s, map) of points ``rows`` (n,) to out (n, 10)."""
+    rows: Any,
+    r: Any,
+    state: Any,
+    fraction: Any,
+    p: Any,
+    q: Any,
+    v: Any,
+    omega: Any,
+    lever_laser: Any,
+    out: Any,
+) -> None:
+    """Attitude xyzw, v_body = B r_laser and motion with the platform (m/s, map) of points ``rows``
+    (n,) to out (n, 10).
+    """
     g, d, m, w, s = np.empty(4), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for j in range(len(rows)):
         i = rows[j]

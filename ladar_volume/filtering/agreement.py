@@ -1,7 +1,9 @@
-"""The planes that neighbourhoods agree in: where more planes come together than any one of them told apart, together they know them all.
+"""The planes that neighbourhoods agree in: where more planes come together than any one of them
+told apart, together they know them all.
 
-Every cell chooses the planes that describe its own surroundings. Of three within a few widths of the noise it may miss one and lean the
-others, but then its neighbours, which see more of one and less of another, rarely err alike.
+Every cell chooses the planes that describe its own surroundings. Of three within a few widths of
+the noise it may miss one and lean the others, but then its neighbours, which see more of one and
+less of another, rarely err alike.
 """
 
 from __future__ import annotations
@@ -14,7 +16,8 @@ from ladar_volume.filtering.choice import CHANCE, among, description, same, samp
 from ladar_volume.filtering.pieces import MOST, distance, nearest_planes
 from ladar_volume.model.kernels import kernel, leaf_kernel
 
-#: Planes agree that are nowhere in half the neighbourhood farther apart than this, in sigma; within the second they are no two.
+#: Planes agree that are nowhere in half the neighbourhood farther apart than this, in sigma; within
+#: the second they are no two.
 AGREE, APART = 0.75, 1.5
 #: A plane that so many of the sets have, and one set of this many, is agreed in.
 VOTES, OF = 3, 4
@@ -34,7 +37,9 @@ def accepted(planes: Any, count: Any, lent: Any, sizes: Any, reach: Any, sigma: 
 
 @kernel
 def agreed(lent: Any, sizes: Any, reach: Any, sigma: Any, out: Any) -> Any:
-    """The planes that most of the sets (k, MOST, 4) agree in, to out (n, 4), the most frequent first; returns how many."""
+    """The planes that most of the sets (k, MOST, 4) agree in, to out (n, 4), the most frequent
+    first; returns how many.
+    """
     total, n, number = sizes.sum(), 0, 0
     each, votes = np.empty((total, 4)), np.ones(total, np.int64)
     for a in range(len(lent)):
@@ -60,7 +65,9 @@ def agreed(lent: Any, sizes: Any, reach: Any, sigma: Any, out: Any) -> Any:
 
 @kernel
 def populated(y: Any, n: Any, planes: Any, size: Any, need: Any, limit: Any, label: Any) -> Any:
-    """Drop planes to which fewer than ``need`` of the points (n, 3) are nearest, the one with fewest first; returns how many are left."""
+    """Drop planes to which fewer than ``need`` of the points (n, 3) are nearest, the one with
+    fewest first; returns how many are left.
+    """
     support = np.empty(MOST, np.int64)
     while size > 0:
         nearest_planes(y, n, planes, size, limit, label)
@@ -77,8 +84,9 @@ def populated(y: Any, n: Any, planes: Any, size: Any, need: Any, limit: Any, lab
 
 @leaf_kernel
 def without_each(y: Any, n: Any, planes: Any, size: Any, limit: Any, out: Any) -> None:
-    """Sum of the squared distances of points (n, 3) to the nearest of the planes but one, each at most the limit, to out (size,): for
-    every plane that is left out."""
+    """Sum of the squared distances of points (n, 3) to the nearest of the planes but one, each at
+    most the limit, to out (size,): for every plane that is left out.
+    """
     total = 0.0
     out[:size] = 0.0
     for i in range(n):
@@ -96,9 +104,21 @@ def without_each(y: Any, n: Any, planes: Any, size: Any, limit: Any, out: Any) -
 
 
 @kernel
-def thinned(y: Any, n: Any, planes: Any, size: Any, m: Any, sigma: Any, threshold: Any, side: Any, label: Any) -> Any:
-    """Drop planes one at a time, whichever shortens the description of m points, of which y (n, 3) are a sample, most, as long as one
-    does; returns how many are left. The sum of the squares to the unbounded planes is a lower bound; they come in its order."""
+def thinned(
+    y: Any,
+    n: Any,
+    planes: Any,
+    size: Any,
+    m: Any,
+    sigma: Any,
+    threshold: Any,
+    side: Any,
+    label: Any,
+) -> Any:
+    """Drop planes one at a time, whichever shortens the description of m points, of which y (n, 3)
+    are a sample, most, as long as one does; returns how many are left. The sum of the squares to
+    the unbounded planes is a lower bound; they come in its order.
+    """
     other, least, price = np.zeros((MOST, 4)), np.empty(MOST), 3.0 * np.log(m) * sigma * sigma
     length = description(y, n, planes, size, m, sigma, threshold, 0, np.inf, side, label)
     while size > 1:
@@ -119,14 +139,32 @@ def thinned(y: Any, n: Any, planes: Any, size: Any, m: Any, sigma: Any, threshol
 
 @kernel
 def common(
-    x: Any, m: Any, own: Any, reach: Any, lent: Any, sizes: Any, count: Any, cost: Any, sigma: Any, threshold: Any, least: Any, planes: Any,
-    side: Any, label: Any,
-) -> Any:  # fmt: skip
-    """The planes that the neighbours' sets (k, MOST, 4) agree in, without those that explain nothing here, where they describe the points
-    (m, 3) better than the ``count`` planes of the best single set, whose description has the length ``cost``. Returns their number.
+    x: Any,
+    m: Any,
+    own: Any,
+    reach: Any,
+    lent: Any,
+    sizes: Any,
+    count: Any,
+    cost: Any,
+    sigma: Any,
+    threshold: Any,
+    least: Any,
+    planes: Any,
+    side: Any,
+    label: Any,
+) -> Any:
+    """The planes that the neighbours' sets (k, MOST, 4) agree in, without those that explain
+    nothing here, where they describe the points (m, 3) better than the ``count`` planes of the best
+    single set, whose description has the length ``cost``. Returns their number.
 
-    Not asked where the neighbours agree in the planes of that set, and these leave no more than the noise."""
-    if accepted(planes, count, lent, sizes, reach, sigma) and steady(x, m, own, planes, count, sigma, threshold, side, label) == 2:
+    Not asked where the neighbours agree in the planes of that set, and these leave no more than the
+    noise.
+    """
+    if (
+        accepted(planes, count, lent, sizes, reach, sigma)
+        and steady(x, m, own, planes, count, sigma, threshold, side, label) == 2
+    ):
         return count
     y, need = sample(x, m, least)
     trial = np.zeros((MOST, 4))

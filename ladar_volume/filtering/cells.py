@@ -1,7 +1,9 @@
-"""One pass over a whole cloud: every cell finds its surface, one quadric or several planes, and projects its own points.
+"""One pass over a whole cloud: every cell finds its surface, one quadric or several planes, and
+projects its own points.
 
-The choice is by the Bayesian information criterion on residuals cut off at the outlier threshold: a quadric costs six
-parameters, a plane three. All residuals are distances to the surface along its normal.
+The choice is by the Bayesian information criterion on residuals cut off at the outlier threshold: a
+quadric costs six parameters, a plane three. All residuals are distances to the surface along its
+normal.
 """
 
 from __future__ import annotations
@@ -23,20 +25,23 @@ KEPT, OUTLIER, FEW_POINTS, NO_SURFACE, BEYOND_EDGE, UNSUPPORTED = 0, 1, 2, 3, 4,
 OFFERED = 3
 #: What lies within this many sigma of a plane found is not searched for the next one.
 EXPLAINED = 2.0
-#: Turns: leaders search their planes; the others take over what a neighbour found where it explains their points, and else search too;
-#: in the last one cells of several planes, and such as are not explained, choose again among what all around them found,
-#: or take the planes that these agree in.
+#: Turns: leaders search their planes; the others take over what a neighbour found where it explains
+#: their points, and else search too; in the last one cells of several planes, and such as are not
+#: explained, choose again among what all around them found, or take the planes that these agree in.
 TURNS = 3
 LAST = TURNS - 1
 #: A cell and those next to it.
 NEXT = 27
-#: Support of a projected point: this many points within the radius that holds PATCH of them on a full surface.
+#: Support of a projected point: this many points within the radius that holds PATCH of them on a
+#: full surface.
 SUPPORT, PATCH = 4, 20
 
 
 @kernel
 def gather(v: Any, keys: Any, table: Any, first: Any, r: Any, out: Any) -> Any:
-    """Indices of all points (sorted by voxel) in the voxels around voxel v; returns how many. With an empty ``out`` only counts."""
+    """Indices of all points (sorted by voxel) in the voxels around voxel v; returns how many. With
+    an empty ``out`` only counts.
+    """
     near, n = np.empty(AROUND, np.int64), 0
     for a in range(voxels_around(keys[v], keys, table, REACH, near)):
         for i in range(first[near[a]], first[near[a] + 1]):
@@ -48,7 +53,9 @@ def gather(v: Any, keys: Any, table: Any, first: Any, r: Any, out: Any) -> Any:
 
 @leaf_kernel
 def around(r: Any, first: Any, v: Any, slots: Any, n: Any, ball: Any, origin: Any, x: Any) -> Any:
-    """Mean of the cell's own points to origin (3,), and the gathered points within ``ball`` of it, about it, to x; returns how many."""
+    """Mean of the cell's own points to origin (3,), and the gathered points within ``ball`` of it,
+    about it, to x; returns how many.
+    """
     lo, hi = first[v], first[v + 1]
     origin[:] = 0.0
     for i in range(lo, hi):
@@ -67,7 +74,9 @@ def around(r: Any, first: Any, v: Any, slots: Any, n: Any, ball: Any, origin: An
 
 @leaf_kernel
 def supported(x: Any, m: Any, origin: Any, q: Any, square: Any) -> Any:
-    """Whether enough points (m, 3) about ``origin`` lie around q: planes end nowhere, surfaces do."""
+    """Whether enough points (m, 3) about ``origin`` lie around q: planes end nowhere, surfaces
+    do.
+    """
     near = 0
     for i in range(m):
         d = 0.0
@@ -81,12 +90,25 @@ def supported(x: Any, m: Any, origin: Any, q: Any, square: Any) -> Any:
 
 @kernel
 def main_planes(
-    which: Any, keys: Any, table: Any, first: Any, r: Any, ball: Any, noise: Any, limit: Any, trials: Any, least: Any, seed: Any,
-    planes: Any, found: Any,
-) -> None:  # fmt: skip
-    """The planes that the points near the cells ``which`` lie on, most points first, as ``n·x = o`` (v, OFFERED, 4) and their number (v,).
+    which: Any,
+    keys: Any,
+    table: Any,
+    first: Any,
+    r: Any,
+    ball: Any,
+    noise: Any,
+    limit: Any,
+    trials: Any,
+    least: Any,
+    seed: Any,
+    planes: Any,
+    found: Any,
+) -> None:
+    """The planes that the points near the cells ``which`` lie on, most points first, as ``n·x = o``
+    (v, OFFERED, 4) and their number (v,).
 
-    Each is sought among what the former ones do not explain. They are what a cell and its neighbours have to choose from.
+    Each is sought among what the former ones do not explain. They are what a cell and its
+    neighbours have to choose from.
     """
     for v in which:
         sigma, threshold = noise[v], limit[v]
@@ -96,19 +118,32 @@ def main_planes(
         gather(v, keys, table, first, r, slots)
         m = around(r, first, v, slots, n, ball, origin, x)
         found[v] = 0
-        state, label, mean, inverse = np.empty(1, np.uint64), np.full(m, -1), np.empty(3), np.empty((3, 3))
+        state, label, mean, inverse = (
+            np.empty(1, np.uint64),
+            np.full(m, -1),
+            np.empty(3),
+            np.empty((3, 3)),
+        )
         state[0] = _mix(np.uint64(keys[v]) ^ _mix(np.uint64(seed)))
         free = np.arange(m)
         left = m
         for _ in range(OFFERED):
             plane = planes[v, found[v]]
-            if left < least or pieces.best_plane(x, free, left, ball, pieces.SCORE_SIGMAS * sigma, trials, state, plane) <= 0.0:
+            if (
+                left < least
+                or pieces.best_plane(
+                    x, free, left, ball, pieces.SCORE_SIGMAS * sigma, trials, state, plane
+                )
+                <= 0.0
+            ):
                 break
             used = 0
             for _ in range(3):
                 label[:] = -1
                 for j in range(left):
-                    label[free[j]] = 0 if abs(pieces.distance(x[free[j]], plane)) <= threshold else -1
+                    label[free[j]] = (
+                        0 if abs(pieces.distance(x[free[j]], plane)) <= threshold else -1
+                    )
                 used = pieces.fit_plane(x, m, label, 0, plane, mean, inverse)
             if used < least:
                 break
@@ -135,8 +170,12 @@ def offers(v: Any, keys: Any, table: Any, planes: Any, found: Any, origin: Any, 
 
 
 @kernel
-def sets_around(v: Any, keys: Any, table: Any, sets: Any, sizes: Any, origin: Any, out: Any, out_sizes: Any) -> Any:
-    """The sets of several planes of the cells next to cell v and its own, about ``origin``; returns how many."""
+def sets_around(
+    v: Any, keys: Any, table: Any, sets: Any, sizes: Any, origin: Any, out: Any, out_sizes: Any
+) -> Any:
+    """The sets of several planes of the cells next to cell v and its own, about ``origin``; returns
+    how many.
+    """
     near, n = np.empty(NEXT, np.int64), 0
     for i in range(voxels_around(keys[v], keys, table, 1, near)):
         w = near[i]
@@ -144,17 +183,31 @@ def sets_around(v: Any, keys: Any, table: Any, sets: Any, sizes: Any, origin: An
             out_sizes[n] = sizes[w]
             for a in range(sizes[w]):
                 out[n, a] = sets[w, a]
-                out[n, a, 3] -= sets[w, a, 0] * origin[0] + sets[w, a, 1] * origin[1] + sets[w, a, 2] * origin[2]
+                out[n, a, 3] -= (
+                    sets[w, a, 0] * origin[0]
+                    + sets[w, a, 1] * origin[1]
+                    + sets[w, a, 2] * origin[2]
+                )
             n += 1
     return n
 
 
 @leaf_kernel
 def foot_on_planes(
-    x: Any, origin: Any, planes: Any, count: Any, side: Any, means: Any, inverses: Any, used: Any, q: Any, n_out: Any
-) -> Any:  # fmt: skip
-    """Foot point q and normal on the nearest piece of planes about ``origin``; returns (distance, variance of the plane there over
-    sigma², 0 inside the piece, 1 on an edge, 2 in a vertex)."""
+    x: Any,
+    origin: Any,
+    planes: Any,
+    count: Any,
+    side: Any,
+    means: Any,
+    inverses: Any,
+    used: Any,
+    q: Any,
+    n_out: Any,
+) -> Any:
+    """Foot point q and normal on the nearest piece of planes about ``origin``; returns (distance,
+    variance of the plane there over sigma², 0 inside the piece, 1 on an edge, 2 in a vertex).
+    """
     for k in range(3):
         n_out[k] = x[k] - origin[k]
     a, square, on = pieces.nearest_piece(n_out, planes, count, side, q)
@@ -167,30 +220,90 @@ def foot_on_planes(
 
 @kernel
 def surface_of(
-    v: Any, keys: Any, table: Any, sets: Any, sizes: Any, turn: Any, x: Any, m: Any, n: Any, r: Any, slots: Any, origin: Any, own: Any,
-    ball: Any, degree: Any, candidates: Any, offered: Any, sigma: Any, threshold: Any, least: Any, iterations: Any, quadric: Any,
-    planes: Any, side: Any, label: Any,
-) -> Any:  # fmt: skip
-    """Several planes for the cell, not yet refined, and its quadric. Returns (number of planes; sum of truncated squares of the quadric,
-    infinite where it is not wanted). What neighbours found comes first: it makes search and quadric superfluous where it
-    leaves no more than the noise."""
+    v: Any,
+    keys: Any,
+    table: Any,
+    sets: Any,
+    sizes: Any,
+    turn: Any,
+    x: Any,
+    m: Any,
+    n: Any,
+    r: Any,
+    slots: Any,
+    origin: Any,
+    own: Any,
+    ball: Any,
+    degree: Any,
+    candidates: Any,
+    offered: Any,
+    sigma: Any,
+    threshold: Any,
+    least: Any,
+    iterations: Any,
+    quadric: Any,
+    planes: Any,
+    side: Any,
+    label: Any,
+) -> Any:
+    """Several planes for the cell, not yet refined, and its quadric. Returns (number of planes; sum
+    of truncated squares of the quadric, infinite where it is not wanted). What neighbours found
+    comes first: it makes search and quadric superfluous where it leaves no more than the noise.
+    """
     lent, lent_sizes = np.empty((NEXT, pieces.MOST, 4)), np.empty(NEXT, np.int64)
     number = sets_around(v, keys, table, sets, sizes, origin, lent, lent_sizes)
     lent, lent_sizes, reach = lent[:number], lent_sizes[:number], 0.5 * ball
-    count, cost = choice.best_lent(x, m, reach, lent, lent_sizes, sigma, threshold, least, planes, side, label)
+    count, cost = choice.best_lent(
+        x, m, reach, lent, lent_sizes, sigma, threshold, least, planes, side, label
+    )
     if turn == LAST and count > 0 and sizes[v] > 1:
-        return agreement.common(x, m, own, reach, lent, lent_sizes, count, cost, sigma, threshold, least, planes, side, label), np.inf
-    well = choice.steady(x, m, own, planes, count, sigma, threshold, side, label) if count > 0 else 0
+        return agreement.common(
+            x,
+            m,
+            own,
+            reach,
+            lent,
+            lent_sizes,
+            count,
+            cost,
+            sigma,
+            threshold,
+            least,
+            planes,
+            side,
+            label,
+        ), np.inf
+    well = (
+        choice.steady(x, m, own, planes, count, sigma, threshold, side, label) if count > 0 else 0
+    )
     if well == 2:
         return count, np.inf
     curve, most = np.inf, pieces.MOST
     if degree == 2:
-        curve, most = bend(x, m, n, r, slots, origin, keys[v], candidates, offered, ball, sigma, threshold, least, iterations, quadric)
+        curve, most = bend(
+            x,
+            m,
+            n,
+            r,
+            slots,
+            origin,
+            keys[v],
+            candidates,
+            offered,
+            ball,
+            sigma,
+            threshold,
+            least,
+            iterations,
+            quadric,
+        )
     if most == 0:
         return 0, curve
     if turn < LAST and well == 0:
         found = np.empty((pieces.MOST, 4))
-        size, length = choice.found_planes(x, m, candidates, offered, sigma, threshold, least, most, found, side, label)
+        size, length = choice.found_planes(
+            x, m, candidates, offered, sigma, threshold, least, most, found, side, label
+        )
         if length < cost:
             count = size
             planes[:count] = found[:count]
@@ -199,12 +312,36 @@ def surface_of(
 
 @kernel
 def filter_cell(
-    v: Any, keys: Any, table: Any, main: Any, found: Any, sets: Any, sizes: Any, turn: Any, slots: Any, n: Any, r: Any, first: Any,
-    order: Any, mine: Any, ball: Any, degree: Any, sigma: Any, threshold: Any, least: Any, iterations: Any, snap: Any, q: Any, normals: Any,
-    variance: Any, reason: Any, chosen: Any,
-) -> Any:  # fmt: skip
-    """Surface of one cell, and its own points projected. Returns (number of planes, −1 for a quadric, 0 for none; mean truncated
-    square of all points near the cell over sigma²)."""
+    v: Any,
+    keys: Any,
+    table: Any,
+    main: Any,
+    found: Any,
+    sets: Any,
+    sizes: Any,
+    turn: Any,
+    slots: Any,
+    n: Any,
+    r: Any,
+    first: Any,
+    order: Any,
+    mine: Any,
+    ball: Any,
+    degree: Any,
+    sigma: Any,
+    threshold: Any,
+    least: Any,
+    iterations: Any,
+    snap: Any,
+    q: Any,
+    normals: Any,
+    variance: Any,
+    reason: Any,
+    chosen: Any,
+) -> Any:
+    """Surface of one cell, and its own points projected. Returns (number of planes, −1 for a
+    quadric, 0 for none; mean truncated square of all points near the cell over sigma²).
+    """
     lo, hi = first[v], first[v + 1]
     origin, x = np.zeros(3), np.empty((n + 1, 3))
     m = around(r, first, v, slots, n, ball, origin, x)
@@ -213,24 +350,73 @@ def filter_cell(
         return 0, 9.0
     candidates = np.empty((OFFERED * AROUND, 4))
     offered = offers(v, keys, table, main, found, origin, candidates)
-    planes, means, inverses = np.zeros((pieces.MOST, 4)), np.zeros((pieces.MOST, 3)), np.zeros((pieces.MOST, 3, 3))
-    used, label, side = np.zeros(pieces.MOST), np.empty(m, np.int64), np.zeros((pieces.MOST, pieces.MOST), np.int64)
+    planes, means, inverses = (
+        np.zeros((pieces.MOST, 4)),
+        np.zeros((pieces.MOST, 3)),
+        np.zeros((pieces.MOST, 3, 3)),
+    )
+    used, label, side = (
+        np.zeros(pieces.MOST),
+        np.empty(m, np.int64),
+        np.zeros((pieces.MOST, pieces.MOST), np.int64),
+    )
     quadric = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(6), np.zeros((6, 6))
     price, limit = sigma * sigma * np.log(m), threshold * threshold
     length, square, curve, count = limit * m, limit * m, np.inf, 0
     if offered > 0:
         planes[0] = candidates[nearest_to_origin(candidates, offered)]
         allowed = 3 * price if degree == 2 else np.inf
-        count, used[0], square = flat(x, m, ball, sigma, threshold, allowed, planes[0], means[0], inverses[0], label)
+        count, used[0], square = flat(
+            x, m, ball, sigma, threshold, allowed, planes[0], means[0], inverses[0], label
+        )
     if count == 0:
         count, curve = surface_of(
-            v, keys, table, sets, sizes, turn, x, m, n, r, slots, origin, r[lo:hi] - origin, ball, degree, candidates, offered, sigma,
-            threshold, least, iterations, quadric, planes, side, label,
-        )  # fmt: skip
+            v,
+            keys,
+            table,
+            sets,
+            sizes,
+            turn,
+            x,
+            m,
+            n,
+            r,
+            slots,
+            origin,
+            r[lo:hi] - origin,
+            ball,
+            degree,
+            candidates,
+            offered,
+            sigma,
+            threshold,
+            least,
+            iterations,
+            quadric,
+            planes,
+            side,
+            label,
+        )
         if count > 0:
             rounds = assignment.ROUNDS if turn == LAST or count == 1 else assignment.FIRST_ROUNDS
-            count = assignment.refine(x, m, ball, planes, means, inverses, used, count, sigma, threshold, rounds, side, label)
-            length, square = assignment.pieces_cost(x, m, planes, count, side, limit, sigma, np.inf, np.empty(pieces.MOST, np.int64))
+            count = assignment.refine(
+                x,
+                m,
+                ball,
+                planes,
+                means,
+                inverses,
+                used,
+                count,
+                sigma,
+                threshold,
+                rounds,
+                side,
+                label,
+            )
+            length, square = assignment.pieces_cost(
+                x, m, planes, count, side, limit, sigma, np.inf, np.empty(pieces.MOST, np.int64)
+            )
     curved = curve + 6 * price < length + 3 * count * price
     if not curved and count == 0:
         verdict(lo, hi, order, mine, NO_SURFACE, reason)
@@ -243,10 +429,14 @@ def filter_cell(
         if not mine[to]:
             continue
         if curved:
-            d, share = foot_on_quadric(r[i], centre, normal, tangent, across_t, beta, inverse, q[to], normals[to])
+            d, share = foot_on_quadric(
+                r[i], centre, normal, tangent, across_t, beta, inverse, q[to], normals[to]
+            )
             on = 0
         else:
-            d, share, on = foot_on_planes(r[i], origin, planes, count, side, means, inverses, used, q[to], normals[to])
+            d, share, on = foot_on_planes(
+                r[i], origin, planes, count, side, means, inverses, used, q[to], normals[to]
+            )
         variance[to] = share * sigma * sigma
         if d > threshold:
             reason[to] = OUTLIER
@@ -256,7 +446,9 @@ def filter_cell(
             reason[to] = KEPT if supported(x, m, origin, q[to], reach) else UNSUPPORTED
     for a in range(count):
         chosen[a] = planes[a]
-        chosen[a, 3] += planes[a, 0] * origin[0] + planes[a, 1] * origin[1] + planes[a, 2] * origin[2]
+        chosen[a, 3] += (
+            planes[a, 0] * origin[0] + planes[a, 1] * origin[1] + planes[a, 2] * origin[2]
+        )
     return -1 if curved else count, (curve if curved else square) / (m * sigma * sigma)
 
 
@@ -270,18 +462,67 @@ def verdict(lo: Any, hi: Any, order: Any, mine: Any, why: Any, reason: Any) -> N
 
 @kernel
 def filter_cells(
-    which: Any, keys: Any, table: Any, first: Any, r: Any, main: Any, found: Any, sets: Any, sizes: Any, turn: Any, order: Any, mine: Any,
-    ball: Any, degree: Any, noise: Any, limit: Any, least: Any, iterations: Any, snap: Any, q: Any, normals: Any, variance: Any,
-    reason: Any, kind: Any, misfit: Any, chosen: Any,
-) -> None:  # fmt: skip
-    """The cells ``which`` of points (n, 3) sorted by voxel, ``order`` (n,) the place of each among the points as given: that is where a
-    cell writes what becomes of those of its own points that are ``mine``."""
+    which: Any,
+    keys: Any,
+    table: Any,
+    first: Any,
+    r: Any,
+    main: Any,
+    found: Any,
+    sets: Any,
+    sizes: Any,
+    turn: Any,
+    order: Any,
+    mine: Any,
+    ball: Any,
+    degree: Any,
+    noise: Any,
+    limit: Any,
+    least: Any,
+    iterations: Any,
+    snap: Any,
+    q: Any,
+    normals: Any,
+    variance: Any,
+    reason: Any,
+    kind: Any,
+    misfit: Any,
+    chosen: Any,
+) -> None:
+    """The cells ``which`` of points (n, 3) sorted by voxel, ``order`` (n,) the place of each among
+    the points as given: that is where a cell writes what becomes of those of its own points that
+    are ``mine``.
+    """
     for v in which:
         empty = np.empty(0, np.int64)
         n = gather(v, keys, table, first, r, empty)
         slots = np.empty(n, np.int64)
         gather(v, keys, table, first, r, slots)
         kind[v], misfit[v] = filter_cell(
-            v, keys, table, main, found, sets, sizes, turn, slots, n, r, first, order, mine, ball, degree, noise[v], limit[v], least,
-            iterations, snap, q, normals, variance, reason, chosen[v],
-        )  # fmt: skip
+            v,
+            keys,
+            table,
+            main,
+            found,
+            sets,
+            sizes,
+            turn,
+            slots,
+            n,
+            r,
+            first,
+            order,
+            mine,
+            ball,
+            degree,
+            noise[v],
+            limit[v],
+            least,
+            iterations,
+            snap,
+            q,
+            normals,
+            variance,
+            reason,
+            chosen[v],
+        )

@@ -1,4 +1,6 @@
-"""Which planes, and how many, a neighbourhood consists of: the shortest description of its points."""
+"""Which planes, and how many, a neighbourhood consists of: the shortest description of its
+points.
+"""
 
 from __future__ import annotations
 
@@ -7,24 +9,39 @@ from typing import Any
 import numpy as np
 
 from ladar_volume.filtering.assignment import pieces_cost
-from ladar_volume.filtering.pieces import MOST, bounds, fit_plane, nearest_piece, nearest_pieces, nearest_planes, squares
+from ladar_volume.filtering.pieces import (
+    MOST,
+    bounds,
+    fit_plane,
+    nearest_piece,
+    nearest_pieces,
+    nearest_planes,
+    squares,
+)
 from ladar_volume.model.kernels import kernel, leaf_kernel
 
-#: Least share of the points a plane needs: outliers give this much to any slab. Half of it where a neighbour found the plane.
+#: Least share of the points a plane needs: outliers give this much to any slab. Half of it where a
+#: neighbour found the plane.
 CHANCE = 0.03
 #: Most points looked at to choose planes.
 SEEN = 250
-#: Mean truncated square over sigma² of a choice that needs no search: noise, and outliers of a few per cent.
+#: Mean truncated square over sigma² of a choice that needs no search: noise, and outliers of a few
+#: per cent.
 ENOUGH = 1.2
-#: Share of the points that planes must explain, with no more than the noise left, to need no comparison.
+#: Share of the points that planes must explain, with no more than the noise left, to need no
+#: comparison.
 EXPLAINS = 0.85
-#: Lent sets compared by all points: so many, none of them longer than the best by more than this factor on a sample.
+#: Lent sets compared by all points: so many, none of them longer than the best by more than this
+#: factor on a sample.
 TIGHT, NEARLY = 5, 1.1
-#: So many planes that still leave this mean truncated square over sigma² do not describe a surface: leaves, grass, cables.
+#: So many planes that still leave this mean truncated square over sigma² do not describe a surface:
+#: leaves, grass, cables.
 SEVERAL, CLUTTER = 3, 3.0
-#: Mean square over sigma² of the points within the threshold of a plane that has none of its own; evenly filled slabs give 3.
+#: Mean square over sigma² of the points within the threshold of a plane that has none of its own;
+#: evenly filled slabs give 3.
 HOPELESS = 2.0
-#: Planes nowhere in half the neighbourhood farther apart than this many sigma are one to start from: refitting makes them the same.
+#: Planes nowhere in half the neighbourhood farther apart than this many sigma are one to start
+#: from: refitting makes them the same.
 REPEATED = 0.3
 #: Most candidates tried, and how many of them in all combinations.
 TRIED, TOGETHER = 10, 3
@@ -32,7 +49,9 @@ TRIED, TOGETHER = 10, 3
 
 @leaf_kernel
 def sum_of_less(a: Any, b: Any, n: Any) -> Any:
-    """Sum of the lesser of two numbers over n pairs; in eight sums, so that one addition need not wait for the last."""
+    """Sum of the lesser of two numbers over n pairs; in eight sums, so that one addition need not
+    wait for the last.
+    """
     s0 = s1 = s2 = s3 = s4 = s5 = s6 = s7 = 0.0
     whole = n - n % 8
     for i in range(0, whole, 8):
@@ -50,11 +69,15 @@ def sum_of_less(a: Any, b: Any, n: Any) -> Any:
 
 
 @kernel
-def distinct(y: Any, n: Any, candidates: Any, offered: Any, limit: Any, worth: Any, out: Any) -> Any:
-    """A few candidates, each the one that explains most of what those before it leave, to out (k, 4); returns how many. One that lowers
-    the sum of squares by no more than it is ``worth`` is no other plane, but one of those before as another cell found it.
+def distinct(
+    y: Any, n: Any, candidates: Any, offered: Any, limit: Any, worth: Any, out: Any
+) -> Any:
+    """A few candidates, each the one that explains most of what those before it leave, to out (k,
+    4); returns how many. One that lowers the sum of squares by no more than it is ``worth`` is no
+    other plane, but one of those before as another cell found it.
 
-    What a candidate explains becomes less with every one before it, so it is computed anew only where it was the most so far.
+    What a candidate explains becomes less with every one before it, so it is computed anew only
+    where it was the most so far.
     """
     square, residual = np.empty((offered, n)), np.full(n, limit)
     squares(y, n, candidates, offered, square)
@@ -75,10 +98,22 @@ def distinct(y: Any, n: Any, candidates: Any, offered: Any, limit: Any, worth: A
 
 @kernel
 def description(
-    y: Any, n: Any, trial: Any, size: Any, m: Any, sigma: Any, threshold: Any, need: Any, most: Any, side: Any, label: Any
-) -> Any:  # fmt: skip
-    """Description length of m points, of which the n points y (n, 3) are a sample, with these planes; infinite where one of the
-    planes has less than ``need`` points of the sample, or where it exceeds ``most``."""
+    y: Any,
+    n: Any,
+    trial: Any,
+    size: Any,
+    m: Any,
+    sigma: Any,
+    threshold: Any,
+    need: Any,
+    most: Any,
+    side: Any,
+    label: Any,
+) -> Any:
+    """Description length of m points, of which the n points y (n, 3) are a sample, with these
+    planes; infinite where one of the planes has less than ``need`` points of the sample, or where
+    it exceeds ``most``.
+    """
     support = np.empty(MOST, np.int64)
     limit = threshold * threshold
     price = 3.0 * size * np.log(m) * sigma * sigma
@@ -92,12 +127,25 @@ def description(
 
 @kernel
 def few_planes(
-    y: Any, n: Any, few: Any, tried: Any, m: Any, sigma: Any, threshold: Any, need: Any, most: Any, planes: Any, side: Any, label: Any
-) -> Any:  # fmt: skip
-    """The best set of up to ``TOGETHER`` candidates, all sets compared. Returns (number of planes, description length).
+    y: Any,
+    n: Any,
+    few: Any,
+    tried: Any,
+    m: Any,
+    sigma: Any,
+    threshold: Any,
+    need: Any,
+    most: Any,
+    planes: Any,
+    side: Any,
+    label: Any,
+) -> Any:
+    """The best set of up to ``TOGETHER`` candidates, all sets compared. Returns (number of planes,
+    description length).
 
-    The sum over the points of the square to the nearest of the unbounded planes is a lower bound; sets come in its order. Where not one
-    is below what clutter leaves, and no plane's own points scatter about it less than its slab's width lets them, there is none.
+    The sum over the points of the square to the nearest of the unbounded planes is a lower bound;
+    sets come in its order. Where not one is below what clutter leaves, and no plane's own points
+    scatter about it less than its slab's width lets them, there is none.
     """
     limit = threshold * threshold
     square, clutter = np.empty((tried, n)), True
@@ -111,7 +159,11 @@ def few_planes(
             else:
                 square[c, i] = limit
         clutter = clutter and inside > HOPELESS * near * sigma * sigma
-    sets, least, number = np.empty((tried * (tried * tried + 5) // 6, TOGETHER), np.int64), np.empty(tried * (tried * tried + 5) // 6), 0
+    sets, least, number = (
+        np.empty((tried * (tried * tried + 5) // 6, TOGETHER), np.int64),
+        np.empty(tried * (tried * tried + 5) // 6),
+        0,
+    )
     price = 3.0 * np.log(m) * sigma * sigma
     pair = np.empty(n)
     for a in range(tried):
@@ -144,9 +196,21 @@ def few_planes(
 
 @kernel
 def polish(
-    y: Any, n: Any, count: Any, cost: Any, m: Any, sigma: Any, threshold: Any, need: Any, planes: Any, side: Any, label: Any
-) -> Any:  # fmt: skip
-    """Refit the planes to the points nearest to their pieces, where that shortens the description; returns its length."""
+    y: Any,
+    n: Any,
+    count: Any,
+    cost: Any,
+    m: Any,
+    sigma: Any,
+    threshold: Any,
+    need: Any,
+    planes: Any,
+    side: Any,
+    label: Any,
+) -> Any:
+    """Refit the planes to the points nearest to their pieces, where that shortens the description;
+    returns its length.
+    """
     trial, mean, inverse = np.empty((MOST, 4)), np.empty(3), np.empty((3, 3))
     limit = threshold * threshold
     nearest_planes(y, n, planes, count, limit, label)
@@ -164,7 +228,9 @@ def polish(
 
 @kernel
 def without(planes: Any, size: Any, k: Any, out: Any) -> Any:
-    """All of ``size`` planes but the one numbered k, to out, which may be ``planes``; returns how many."""
+    """All of ``size`` planes but the one numbered k, to out, which may be ``planes``; returns how
+    many.
+    """
     for a in range(size - 1):
         out[a] = planes[a + (a >= k)]
     return size - 1
@@ -172,10 +238,23 @@ def without(planes: Any, size: Any, k: Any, out: Any) -> Any:
 
 @kernel
 def search(
-    y: Any, n: Any, few: Any, tried: Any, m: Any, sigma: Any, threshold: Any, need: Any, most: Any, planes: Any, side: Any, label: Any
-) -> Any:  # fmt: skip
-    """At most ``most`` planes: the best few, then added, exchanged and dropped one at a time, whatever shortens the description most,
-    and refitted after every such move; none for clutter. Returns (number of planes, description length)."""
+    y: Any,
+    n: Any,
+    few: Any,
+    tried: Any,
+    m: Any,
+    sigma: Any,
+    threshold: Any,
+    need: Any,
+    most: Any,
+    planes: Any,
+    side: Any,
+    label: Any,
+) -> Any:
+    """At most ``most`` planes: the best few, then added, exchanged and dropped one at a time,
+    whatever shortens the description most, and refitted after every such move; none for clutter.
+    Returns (number of planes, description length).
+    """
     trial, best_set = np.empty((MOST, 4)), np.empty((MOST, 4))
     count, cost = few_planes(y, n, few, tried, m, sigma, threshold, need, most, planes, side, label)
     if count == 0:
@@ -195,7 +274,9 @@ def search(
                     size = without(planes, count, k, trial)
                 if size == 0:
                     continue
-                length = description(y, n, trial, size, m, sigma, threshold, need, best, side, label)
+                length = description(
+                    y, n, trial, size, m, sigma, threshold, need, best, side, label
+                )
                 if length < best:
                     best, best_count = length, size
                     best_set[:size] = trial[:size]
@@ -216,7 +297,9 @@ def sample(x: Any, m: Any, least: Any) -> Any:
 
 @leaf_kernel
 def same(a: Any, b: Any, reach: Any, limit: Any) -> Any:
-    """Whether two planes about an origin are nowhere within ``reach`` of it farther apart than the limit."""
+    """Whether two planes about an origin are nowhere within ``reach`` of it farther apart than the
+    limit.
+    """
     s = 1.0 if a[0] * b[0] + a[1] * b[1] + a[2] * b[2] > 0.0 else -1.0
     turn = (a[0] - s * b[0]) ** 2 + (a[1] - s * b[1]) ** 2 + (a[2] - s * b[2]) ** 2
     return abs(a[3] - s * b[3]) + reach * np.sqrt(turn) < limit
@@ -246,20 +329,46 @@ def repeated(lent: Any, sizes: Any, a: Any, reach: Any, limit: Any) -> Any:
 
 @kernel
 def best_lent(
-    x: Any, m: Any, reach: Any, lent: Any, sizes: Any, sigma: Any, threshold: Any, least: Any, planes: Any, side: Any, label: Any
-) -> Any:  # fmt: skip
-    """Of the sets (k, MOST, 4) that neighbours chose, the one with the shortest description of the points (m, 3), of the ``TIGHT`` best
-    different ones by a sample. Returns (number of planes, length); a plane that a neighbour found needs half as many points here."""
+    x: Any,
+    m: Any,
+    reach: Any,
+    lent: Any,
+    sizes: Any,
+    sigma: Any,
+    threshold: Any,
+    least: Any,
+    planes: Any,
+    side: Any,
+    label: Any,
+) -> Any:
+    """Of the sets (k, MOST, 4) that neighbours chose, the one with the shortest description of the
+    points (m, 3), of the ``TIGHT`` best different ones by a sample. Returns (number of planes,
+    length); a plane that a neighbour found needs half as many points here.
+    """
     y, need = sample(x, m, least)
     length, shortest = np.full(len(lent), np.inf), threshold * threshold * m
     for a in range(len(lent)):
         if not repeated(lent, sizes, a, reach, REPEATED * sigma):
-            length[a] = description(y, len(y), lent[a], sizes[a], m, sigma, threshold, max(need // 2, 1), NEARLY * shortest, side, label)
+            length[a] = description(
+                y,
+                len(y),
+                lent[a],
+                sizes[a],
+                m,
+                sigma,
+                threshold,
+                max(need // 2, 1),
+                NEARLY * shortest,
+                side,
+                label,
+            )
             shortest = min(shortest, length[a])
     count, cost, need = 0, threshold * threshold * m, max(least // 2, np.int64(0.5 * CHANCE * m))
     for a in np.argsort(length)[:TIGHT]:
         if length[a] < np.inf:
-            total = description(x, m, lent[a], sizes[a], m, sigma, threshold, need, cost, side, label)
+            total = description(
+                x, m, lent[a], sizes[a], m, sigma, threshold, need, cost, side, label
+            )
             if total < cost:
                 count, cost = sizes[a], total
                 planes[:count] = lent[a, :count]
@@ -267,9 +376,21 @@ def best_lent(
 
 
 @kernel
-def steady(x: Any, m: Any, own: Any, planes: Any, count: Any, sigma: Any, threshold: Any, side: Any, label: Any) -> Any:
-    """How well the pieces explain the points (m, 3), and the cell's ``own`` (k, 3) in particular: 2 where most lie on them and these
-    scatter no more than the noise, 1 where they need no further search, 0 where they leave more than that."""
+def steady(
+    x: Any,
+    m: Any,
+    own: Any,
+    planes: Any,
+    count: Any,
+    sigma: Any,
+    threshold: Any,
+    side: Any,
+    label: Any,
+) -> Any:
+    """How well the pieces explain the points (m, 3), and the cell's ``own`` (k, 3) in particular: 2
+    where most lie on them and these scatter no more than the noise, 1 where they need no further
+    search, 0 where they leave more than that.
+    """
     nearest_planes(x, m, planes, count, threshold * threshold, label)
     bounds(x, m, label, planes, count, sigma, side)
     q, left, near, square = np.empty(3), 0, 0, 0.0
@@ -289,14 +410,28 @@ def steady(x: Any, m: Any, own: Any, planes: Any, count: Any, sigma: Any, thresh
 
 @kernel
 def found_planes(
-    x: Any, m: Any, candidates: Any, offered: Any, sigma: Any, threshold: Any, least: Any, most: Any, planes: Any, side: Any, label: Any
-) -> Any:  # fmt: skip
-    """At most ``most`` planes among the ``offered`` candidates whose pieces together describe the points (m, 3) best.
+    x: Any,
+    m: Any,
+    candidates: Any,
+    offered: Any,
+    sigma: Any,
+    threshold: Any,
+    least: Any,
+    most: Any,
+    planes: Any,
+    side: Any,
+    label: Any,
+) -> Any:
+    """At most ``most`` planes among the ``offered`` candidates whose pieces together describe the
+    points (m, 3) best.
 
-    Returns (their number, length). A plane costs its three parameters (BIC) and needs more support than outliers give any slab.
+    Returns (their number, length). A plane costs its three parameters (BIC) and needs more support
+    than outliers give any slab.
     """
     y, need = sample(x, m, least)
     few = np.empty((TRIED, 4))
-    worth = 3.0 * np.log(m) * sigma * sigma * len(y) / m  # its price: what is explained by less cannot be added
+    worth = (
+        3.0 * np.log(m) * sigma * sigma * len(y) / m
+    )  # its price: what is explained by less cannot be added
     tried = distinct(y, len(y), candidates, offered, threshold * threshold, worth, few)
     return search(y, len(y), few, tried, m, sigma, threshold, need, most, planes, side, label)

@@ -1,8 +1,11 @@
-"""The order-independent cover: a grid of cells over the whole cloud, each with a surface of its own, in parallel.
+"""The order-independent cover: a grid of cells over the whole cloud, each with a surface of its
+own, in parallel.
 
-Points of one region share the radius of their neighbourhoods. A cell is a good half as wide as that radius; where regions of several radii
-meet, each is covered by its own grid over all points. A region's radius suits most of it: the points of a cell in which no surface is
-found, as where a thin part bends away on both sides or several curved surfaces meet, are covered once more with the next smaller radius.
+Points of one region share the radius of their neighbourhoods. A cell is a good half as wide as that
+radius; where regions of several radii meet, each is covered by its own grid over all points. A
+region's radius suits most of it: the points of a cell in which no surface is found, as where a thin
+part bends away on both sides or several curved surfaces meet, are covered once more with the next
+smaller radius.
 """
 
 from __future__ import annotations
@@ -24,17 +27,20 @@ from ladar_volume.model.records import F64, I32, I64, Bool
 
 I8 = npt.NDArray[np.int8]
 
-#: Width of a cell over the radius of its neighbourhood: from half on, the cells two away hold all of it.
+#: Width of a cell over the radius of its neighbourhood: from half on, the cells two away hold all
+#: of it.
 CELL = 0.7
-#: A cell looks for planes within the ball's radius over this; it is offered those of its neighbours too.
+#: A cell looks for planes within the ball's radius over this; it is offered those of its neighbours
+#: too.
 NARROWER = 2.5
 
 
 @dataclass(frozen=True)
 class Regions:
-    """ball_m : (l,), radius of the neighbourhoods of each level, ascending · level : (n,) level of each point · least : (n,) lowest
-    level it may have where no surface is found · sigma_m : (n,) noise along the normal · threshold_m : (n,) farthest a point lies from its
-    surface"""
+    """ball_m : (l,), radius of the neighbourhoods of each level, ascending · level : (n,) level of
+    each point · least : (n,) lowest level it may have where no surface is found · sigma_m : (n,)
+    noise along the normal · threshold_m : (n,) farthest a point lies from its surface
+    """
 
     ball_m: F64
     level: I64
@@ -45,8 +51,10 @@ class Regions:
 
 @dataclass(frozen=True)
 class Covered:
-    """Per point (n,): foot point q (n, 3) m, normal (n, 3), variance m² along it, reason, kind of its cell's surface (number of planes,
-    −1 for a quadric, 0 for none), mean truncated square of the residuals around that cell over sigma², and level of its radius."""
+    """Per point (n,): foot point q (n, 3) m, normal (n, 3), variance m² along it, reason, kind of
+    its cell's surface (number of planes, −1 for a quadric, 0 for none), mean truncated square of
+    the residuals around that cell over sigma², and level of its radius.
+    """
 
     q: F64
     normal: F64
@@ -58,12 +66,23 @@ class Covered:
     cells: int
 
 
-def cover(r: F64, regions: Regions, parameters: FilterParameters, degree: int, mine: Bool | None = None) -> Covered:
-    """Project points (n, 3) m, near the origin, onto the surfaces of their cells; only those that are ``mine`` (n,), by default all."""
+def cover(
+    r: F64, regions: Regions, parameters: FilterParameters, degree: int, mine: Bool | None = None
+) -> Covered:
+    """Project points (n, 3) m, near the origin, onto the surfaces of their cells; only those that
+    are ``mine`` (n,), by default all.
+    """
     n, count, at = len(r), 0, regions.level.copy()
     out = Covered(
-        np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.full(n, cells.NO_SURFACE, np.int8), np.zeros(n, np.int8), np.zeros(n), at, 0
-    )  # fmt: skip
+        np.zeros((n, 3)),
+        np.zeros((n, 3)),
+        np.zeros(n),
+        np.full(n, cells.NO_SURFACE, np.int8),
+        np.zeros(n, np.int8),
+        np.zeros(n),
+        at,
+        0,
+    )
     open_ = np.ones(n, np.bool_) if mine is None else mine
     part = np.arange(n)
     while open_.any():
@@ -71,7 +90,9 @@ def cover(r: F64, regions: Regions, parameters: FilterParameters, degree: int, m
         for level, ball in enumerate(regions.ball_m):
             own = open_ & (at == level)
             if own.any():
-                count += _cover_level(r, part, own, float(ball), regions, parameters, degree, out, around)
+                count += _cover_level(
+                    r, part, own, float(ball), regions, parameters, degree, out, around
+                )
         open_ = open_ & (out.reason == cells.NO_SURFACE) & (at > regions.least)
         at[open_] -= 1
         part = np.flatnonzero(around)
@@ -79,10 +100,20 @@ def cover(r: F64, regions: Regions, parameters: FilterParameters, degree: int, m
 
 
 def _cover_level(
-    r: F64, part: I64, own: Bool, ball: float, regions: Regions, parameters: FilterParameters, degree: int, out: Covered, around: Bool
-) -> int:  # fmt: skip
-    """Cover the points that are ``own`` (n,); returns the number of cells. part : the points that may count, all near enough. Those that
-    may count with a smaller radius where a cell found no surface are marked in ``around`` (n,)."""
+    r: F64,
+    part: I64,
+    own: Bool,
+    ball: float,
+    regions: Regions,
+    parameters: FilterParameters,
+    degree: int,
+    out: Covered,
+    around: Bool,
+) -> int:
+    """Cover the points that are ``own`` (n,); returns the number of cells. part : the points that
+    may count, all near enough. Those that may count with a smaller radius where a cell found no
+    surface are marked in ``around`` (n,).
+    """
     order, keys, first, table = sorted_by_voxel(r if len(part) == len(r) else r[part], CELL * ball)
     order = part[order]
     ordered = r[order]
@@ -94,26 +125,68 @@ def _cover_level(
     limit = np.add.reduceat(regions.threshold_m[order], first[:-1]) / size
     main, found = np.zeros((len(keys), cells.OFFERED, 4)), np.zeros(len(keys), np.int64)
     in_threads(
-        cells.main_planes, np.flatnonzero(near), keys, table, first, ordered, ball / NARROWER, noise, limit, parameters.trials,
-        parameters.min_points, parameters.seed, main, found,
-    )  # fmt: skip
+        cells.main_planes,
+        np.flatnonzero(near),
+        keys,
+        table,
+        first,
+        ordered,
+        ball / NARROWER,
+        noise,
+        limit,
+        parameters.trials,
+        parameters.min_points,
+        parameters.seed,
+        main,
+        found,
+    )
     kind, misfit = np.zeros(len(keys), np.int64), np.zeros(len(keys))
-    sets, sizes, chosen = np.zeros((len(keys), MOST, 4)), np.zeros(len(keys), np.int64), np.zeros((len(keys), MOST, 4))
+    sets, sizes, chosen = (
+        np.zeros((len(keys), MOST, 4)),
+        np.zeros(len(keys), np.int64),
+        np.zeros((len(keys), MOST, 4)),
+    )
     lead = _leaders(keys)
     for turn, some in enumerate((wanted & lead, wanted & ~lead, wanted)):
         if turn == cells.LAST:
             some = some & ((kind > 1) | (kind != 0) & (misfit > ENOUGH))
         in_threads(
-            cells.filter_cells, np.flatnonzero(some), keys, table, first, ordered, main, found, sets, sizes, turn, order, own, ball, degree,
-            noise, limit, parameters.min_points, parameters.refit_iterations, parameters.edge == "snap", out.q, out.normal, out.variance,
-            out.reason, kind, misfit, chosen,
-        )  # fmt: skip
+            cells.filter_cells,
+            np.flatnonzero(some),
+            keys,
+            table,
+            first,
+            ordered,
+            main,
+            found,
+            sets,
+            sizes,
+            turn,
+            order,
+            own,
+            ball,
+            degree,
+            noise,
+            limit,
+            parameters.min_points,
+            parameters.refit_iterations,
+            parameters.edge == "snap",
+            out.q,
+            out.normal,
+            out.variance,
+            out.reason,
+            kind,
+            misfit,
+            chosen,
+        )
         sets[some], sizes[some] = chosen[some], kind[some]
     of = np.repeat(np.arange(len(keys)), size)
     mine = own[order]
     out.kind[order[mine]], out.misfit[order[mine]] = kind[of[mine]], misfit[of[mine]]
     close = _near(wanted & (kind == 0), keys, table)  # these offer planes,
-    around[order[_near(close, keys, table)[of]]] = True  # and those near them are what their planes are told from
+    around[order[_near(close, keys, table)[of]]] = (
+        True  # and those near them are what their planes are told from
+    )
     return int(np.count_nonzero(wanted))
 
 

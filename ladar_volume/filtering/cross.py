@@ -1,6 +1,7 @@
 """Cross covariance blocks of patches that share raw points (UNCERTAINTY step 3).
 
-``C_ab = (X_aᵀX_a)⁻¹ (Σ_{j in a and b} x_j^a n_aᵀ C_ind,j n_b x_j^bᵀ) (X_bᵀX_b)⁻¹``, stored once with key_b >= key_a.
+``C_ab = (X_aᵀX_a)⁻¹ (Σ_{j in a and b} x_j^a n_aᵀ C_ind,j n_b x_j^bᵀ) (X_bᵀX_b)⁻¹``, stored once
+with key_b >= key_a.
 """
 
 from __future__ import annotations
@@ -21,16 +22,30 @@ SPAN = 4
 
 
 def chunks_of(rows: int) -> int:
-    """How many contiguous chunks rows are handled in, each with its own marks: two per thread, none tiny."""
+    """How many contiguous chunks rows are handled in, each with its own marks: two per thread, none
+    tiny.
+    """
     return min(2 * numba.get_num_threads(), 1 + rows // 64)
 
 
 @parallel_kernel
 def candidates(
-    rows: Any, good: Any, mine: Any, centre: Any, radius: Any, keys: Any, table: Any, fill: Any, offset: Any, out: Any, counts: Any
+    rows: Any,
+    good: Any,
+    mine: Any,
+    centre: Any,
+    radius: Any,
+    keys: Any,
+    table: Any,
+    fill: Any,
+    offset: Any,
+    out: Any,
+    counts: Any,
 ) -> None:
-    """Patches whose balls meet the ball of each of ``rows`` (voxel indices): those with key >= own, then those with a lower key that are
-    not ``mine``, each in order of their keys; counted, or with ``fill`` listed from ``offset`` on. ``good``: voxels with a patch."""
+    """Patches whose balls meet the ball of each of ``rows`` (voxel indices): those with key >= own,
+    then those with a lower key that are not ``mine``, each in order of their keys; counted, or with
+    ``fill`` listed from ``offset`` on. ``good``: voxels with a patch.
+    """
     mask = (1 << BITS) - 1
     for row in numba.prange(len(rows)):
         a = rows[row]
@@ -45,7 +60,11 @@ def candidates(
                         b = find_voxel(table, keys, other) if (other < key) == (lower == 1) else -1
                         if b < 0 or not good[b] or (lower == 1 and mine[b]):
                             continue
-                        d0, d1, d2 = centre[a, 0] - centre[b, 0], centre[a, 1] - centre[b, 1], centre[a, 2] - centre[b, 2]
+                        d0, d1, d2 = (
+                            centre[a, 0] - centre[b, 0],
+                            centre[a, 1] - centre[b, 1],
+                            centre[a, 2] - centre[b, 2],
+                        )
                         if d0 * d0 + d1 * d1 + d2 * d2 <= 16.0 * radius * radius:
                             if fill:
                                 out[offset[row] + n] = b
@@ -54,10 +73,23 @@ def candidates(
 
 
 @parallel_kernel
-def sharing(rows: Any, offset: Any, others: Any, first: Any, held: Any, entries: Any, voxels: Any, chunks: Any, out: Any) -> None:
-    """Whether each candidate pair shares an inlier, by their entries (see ``fits``). ``voxels``: how many there are."""
+def sharing(
+    rows: Any,
+    offset: Any,
+    others: Any,
+    first: Any,
+    held: Any,
+    entries: Any,
+    voxels: Any,
+    chunks: Any,
+    out: Any,
+) -> None:
+    """Whether each candidate pair shares an inlier, by their entries (see ``fits``). ``voxels``:
+    how many there are.
+    """
     for chunk in numba.prange(chunks):
-        # which patch last listed a voxel, and the number of its entry: one array per chunk of rows, never cleared
+        # which patch last listed a voxel, and the number of its entry: one array per chunk of rows,
+        # never cleared
         owner, entry = np.full(voxels, -1, np.int32), np.empty(voxels, np.int64)
         for row in range(chunk * len(rows) // chunks, (chunk + 1) * len(rows) // chunks):
             a = rows[row]
@@ -77,8 +109,10 @@ def sharing(rows: Any, offset: Any, others: Any, first: Any, held: Any, entries:
 
 @kernel
 def local_slots(members: Any, cap: Any, voxels: Any) -> Any:
-    """A number (n,) for the slot of each of the members (n,), from 0 on, the same for the same, and above all of them: few patches of a
-    large map have few slots, and marks for these stay in the cache. voxels : of the map."""
+    """A number (n,) for the slot of each of the members (n,), from 0 on, the same for the same, and
+    above all of them: few patches of a large map have few slots, and marks for these stay in the
+    cache. voxels : of the map.
+    """
     rank, out, used = np.full(voxels, -1, np.int32), np.empty(len(members), np.int32), 0
     for i in range(len(members)):
         v = members[i] // cap
@@ -98,7 +132,19 @@ def _noise_along(C: Any, n: Any, out: Any) -> None:
 
 
 @kernel
-def _rows_of(a: Any, start: Any, used: Any, members: Any, r: Any, C: Any, centre: Any, normal: Any, tangent: Any, p: Any, X: Any) -> None:
+def _rows_of(
+    a: Any,
+    start: Any,
+    used: Any,
+    members: Any,
+    r: Any,
+    C: Any,
+    centre: Any,
+    normal: Any,
+    tangent: Any,
+    p: Any,
+    X: Any,
+) -> None:
     """Of each inlier of patch a: its row in X[:, :6] and ``C n`` in X[:, 6:9]."""
     side = np.empty(3)
     across(normal[a], tangent[a], side)
@@ -150,11 +196,29 @@ def _sandwich(left: Any, S: Any, right: Any, p: Any, out: Any) -> None:
 
 @kernel
 def _shared(
-    a: Any, b: Any, swap: Any, owner: Any, place: Any, start: Any, used: Any, members: Any, local: Any, r: Any, C: Any, centre: Any,
-    normal: Any, tangent: Any, p: Any, X: Any, G: Any, Y: Any,
-) -> Any:  # fmt: skip
-    """Of each inlier that patch b shares with a: ``n_aᵀ C n_b`` times its row on the one patch to G, u, v, u², uv, v² on the other to Y;
-    returns how many. The row is that on a, with ``swap`` that on b: the same numbers as from the other patch's side."""
+    a: Any,
+    b: Any,
+    swap: Any,
+    owner: Any,
+    place: Any,
+    start: Any,
+    used: Any,
+    members: Any,
+    local: Any,
+    r: Any,
+    C: Any,
+    centre: Any,
+    normal: Any,
+    tangent: Any,
+    p: Any,
+    X: Any,
+    G: Any,
+    Y: Any,
+) -> Any:
+    """Of each inlier that patch b shares with a: ``n_aᵀ C n_b`` times its row on the one patch to
+    G, u, v, u², uv, v² on the other to Y; returns how many. The row is that on a, with ``swap``
+    that on b: the same numbers as from the other patch's side.
+    """
     side, x, w, na, nb = np.empty(3), np.empty(6), np.empty(3), normal[a], normal[b]
     across(nb, tangent[b], side)
     c0, c1, c2 = centre[b, 0], centre[b, 1], centre[b, 2]
@@ -184,11 +248,29 @@ def _shared(
 
 @parallel_kernel
 def cross_blocks(
-    rows: Any, offset: Any, others: Any, keys: Any, start: Any, used: Any, members: Any, local: Any, slots: Any, r: Any, C: Any,
-    centre: Any, normal: Any, tangent: Any, inverse: Any, p: Any, most: Any, chunks: Any, out: Any,
-) -> None:  # fmt: skip
-    """The blocks of the pairs that share points, the patch with the lower key first. local, slots : see :func:`local_slots` · most :
-    largest number of inliers of ``rows``."""
+    rows: Any,
+    offset: Any,
+    others: Any,
+    keys: Any,
+    start: Any,
+    used: Any,
+    members: Any,
+    local: Any,
+    slots: Any,
+    r: Any,
+    C: Any,
+    centre: Any,
+    normal: Any,
+    tangent: Any,
+    inverse: Any,
+    p: Any,
+    most: Any,
+    chunks: Any,
+    out: Any,
+) -> None:
+    """The blocks of the pairs that share points, the patch with the lower key first. local, slots :
+    see :func:`local_slots` · most : largest number of inliers of ``rows``.
+    """
     for chunk in numba.prange(chunks):
         owner, place = np.full(slots, -1, np.int32), np.empty(slots, np.int32)
         X, G, Y, S = np.zeros((most, 9)), np.zeros((most, 6)), np.zeros((most, 5)), np.zeros((6, 6))
@@ -201,7 +283,26 @@ def cross_blocks(
             for k in range(offset[row], offset[row + 1]):
                 b = others[k]
                 swap = keys[b] < keys[a]
-                m = _shared(a, b, swap, owner, place, start, used, members, local, r, C, centre, normal, tangent, p, X, G, Y)
+                m = _shared(
+                    a,
+                    b,
+                    swap,
+                    owner,
+                    place,
+                    start,
+                    used,
+                    members,
+                    local,
+                    r,
+                    C,
+                    centre,
+                    normal,
+                    tangent,
+                    p,
+                    X,
+                    G,
+                    Y,
+                )
                 _sum_products(G, Y, m, p, S)
                 if swap:
                     _sandwich(inverse[b], S, inverse[a], p, out[k])

@@ -1,10 +1,11 @@
 """Points put off while there is no time to refit all they touch, and whose turn it is.
 
-Points wait by tile, blocks of 8 x 8 x 8 voxels: taking in a whole tile refits its rim's neighbours once instead of once per voxel. What is
-taken in is a set of points like any other, so the surface stays exactly the surface of some points; what waits only makes it that of fewer.
-Turns alternate: to the tile that has waited longest, so that none waits for more than two rounds of the map, and to the one that would
-exchange the most voxels' worth of points: new ground comes at once. An update leaves no more than :data:`MOST_WAITING` points waiting,
-however long it takes then.
+Points wait by tile, blocks of 8 x 8 x 8 voxels: taking in a whole tile refits its rim's neighbours
+once instead of once per voxel. What is taken in is a set of points like any other, so the surface
+stays exactly the surface of some points; what waits only makes it that of fewer. Turns alternate:
+to the tile that has waited longest, so that none waits for more than two rounds of the map, and to
+the one that would exchange the most voxels' worth of points: new ground comes at once. An update
+leaves no more than :data:`MOST_WAITING` points waiting, however long it takes then.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ from ladar_volume.model.records import F64, I32, I64, Bool, select
 TILE_BITS = 3
 #: Points that may wait after an update, 106 bytes each.
 MOST_WAITING = 400_000
-#: Room for points that is kept however few wait, and how many times as much as is needed is given back.
+#: Room for points that is kept however few wait, and how many times as much as is needed is given
+#: back.
 ROOM, SPARE = 1 << 16, 4
 #: The time of a point that does not wait.
 NEVER = np.iinfo(np.int64).max
@@ -47,9 +49,11 @@ def tile_of(key: I64) -> I64:
 
 @kernel
 def tiles_within(start: Any, voxels: Any, keys: Any, table: Any, most: Any, marked: Any) -> Any:
-    """How many of the tiles, in their order, may be taken in until ``most`` voxels are to be refitted; at least one.
+    """How many of the tiles, in their order, may be taken in until ``most`` voxels are to be
+    refitted; at least one.
 
-    start : (k + 1,) first of each tile's voxels among ``voxels`` (n,) keys · marked : (used,) all False
+    start : (k + 1,) first of each tile's voxels among ``voxels`` (n,) keys · marked : (used,) all
+    False
     """
     near, n = np.empty((2 * REACH + 1) ** 3, np.int64), 0
     for k in range(len(start) - 1):
@@ -65,10 +69,23 @@ def tiles_within(start: Any, voxels: Any, keys: Any, table: Any, most: Any, mark
 
 @kernel
 def enqueue(
-    key: Any, h: Any, cap: Any, table: Any, keys: Any, count: Any, head: Any, after: Any, hashes: Any, ends: Any, start: Any, slot_of: Any
+    key: Any,
+    h: Any,
+    cap: Any,
+    table: Any,
+    keys: Any,
+    count: Any,
+    head: Any,
+    after: Any,
+    hashes: Any,
+    ends: Any,
+    start: Any,
+    slot_of: Any,
 ) -> Any:
-    """Put points from ``start`` on into the lists of their voxels, of each the ``cap`` of lowest hash; returns the next point, before the
-    end where the voxels' or the slots' arrays are full. ends : voxels used, slots used, first free slot; -1 ends a list."""
+    """Put points from ``start`` on into the lists of their voxels, of each the ``cap`` of lowest
+    hash; returns the next point, before the end where the voxels' or the slots' arrays are full.
+    ends : voxels used, slots used, first free slot; -1 ends a list.
+    """
     for i in range(start, len(key)):
         v = find_voxel(table, keys, key[i])
         if v < 0:
@@ -102,7 +119,9 @@ def enqueue(
 
 @kernel
 def dequeue(voxels: Any, count: Any, head: Any, after: Any, ends: Any, out: Any) -> None:
-    """Slots of all points of these voxels, one voxel after the other, to ``out``; their lists are empty then and the slots free."""
+    """Slots of all points of these voxels, one voxel after the other, to ``out``; their lists are
+    empty then and the slots free.
+    """
     n = 0
     for v in voxels:
         slot = head[v]
@@ -132,7 +151,9 @@ def note_oldest(key: Any, t_ns: Any, keys: Any, table: Any, oldest: Any) -> None
 
 
 class Deferred:
-    """The points that wait, of each voxel no more than could stay, in lists by voxel. Order and batching of what is added mean nothing."""
+    """The points that wait, of each voxel no more than could stay, in lists by voxel. Order and
+    batching of what is added mean nothing.
+    """
 
     def __init__(self, cap: int) -> None:
         self._cap = cap
@@ -147,9 +168,14 @@ class Deferred:
         self._after: I32 = np.zeros(64, np.int32)
         self._ends: I64 = np.array([0, 0, -1])
         self._points = Candidates(
-            np.zeros(64, np.int64), np.zeros(64, np.uint64), np.zeros(64, np.int64), np.zeros(64, np.uint16), np.zeros((64, 3)),
-            np.zeros((64, 6), np.float32), np.zeros((64, KEPT), np.int16),
-        )  # fmt: skip
+            np.zeros(64, np.int64),
+            np.zeros(64, np.uint64),
+            np.zeros(64, np.int64),
+            np.zeros(64, np.uint16),
+            np.zeros((64, 3)),
+            np.zeros((64, 6), np.float32),
+            np.zeros((64, KEPT), np.int16),
+        )
 
     def __len__(self) -> int:
         return int(self._count.sum())
@@ -163,9 +189,19 @@ class Deferred:
         slot_of, start = np.full(len(points), -1, np.int64), 0
         while True:
             start = enqueue(
-                points.key, points.hash, self._cap, self._table, self._keys, self._count, self._head, self._after, self._points.hash,
-                self._ends, start, slot_of,
-            )  # fmt: skip
+                points.key,
+                points.hash,
+                self._cap,
+                self._table,
+                self._keys,
+                self._count,
+                self._head,
+                self._after,
+                self._points.hash,
+                self._ends,
+                start,
+                slot_of,
+            )
             if start == len(points):
                 break
             self._grow()
@@ -177,13 +213,20 @@ class Deferred:
     def _grow(self) -> None:
         voxels, slots = len(self._keys), len(self._after)
         if self._ends[0] == voxels:
-            self._keys, self._count, self._head = (resized(a, 2 * voxels) for a in (self._keys, self._count, self._head))
+            self._keys, self._count, self._head = (
+                resized(a, 2 * voxels) for a in (self._keys, self._count, self._head)
+            )
             self._oldest = np.concatenate([self._oldest, np.full(voxels, NEVER)])
             self._table = np.full(8 * voxels, -1, np.int32)
             place_all(self._table, self._keys, self._ends[0])
         if self._ends[1] == slots:
             self._after = resized(self._after, 2 * slots)
-            self._points = Candidates(*(resized(getattr(self._points, field.name), 2 * slots) for field in fields(Candidates)))
+            self._points = Candidates(
+                *(
+                    resized(getattr(self._points, field.name), 2 * slots)
+                    for field in fields(Candidates)
+                )
+            )
 
     def take(self, store: VoxelStore, most: int | None, newest_ns: int) -> Candidates:
         """Points whose turn it is: all of them, or as many tiles as refit about ``most`` voxels."""
@@ -218,7 +261,9 @@ class Deferred:
         oldest = np.full(len(tiles), newest_ns)
         np.minimum.at(oldest, tile, self._oldest[voxels])
         exchanged = np.bincount(tile, weights=shares(store, key, new))
-        by_age, by_weight = (np.argsort(np.argsort(x, kind="stable"), kind="stable") for x in (oldest, -exchanged))
+        by_age, by_weight = (
+            np.argsort(np.argsort(x, kind="stable"), kind="stable") for x in (oldest, -exchanged)
+        )
         order = np.argsort(np.minimum(2 * by_age, 2 * by_weight + 1), kind="stable")
         rank = np.empty(len(order), np.int64)
         rank[order] = np.arange(len(order))
@@ -227,12 +272,17 @@ class Deferred:
         marked = np.zeros(max(store.used, 1), np.bool_)
         within = tiles_within(start, key[by_turn], store.keys, store.table, most, marked)
         left = new.sum() - np.cumsum(np.bincount(tile, weights=new)[order])
-        chosen: Bool = rank[tile] < max(within, int(np.searchsorted(-left, -MOST_WAITING)) + 1 if new.sum() > MOST_WAITING else 0)
+        chosen: Bool = rank[tile] < max(
+            within,
+            int(np.searchsorted(-left, -MOST_WAITING)) + 1 if new.sum() > MOST_WAITING else 0,
+        )
         return chosen
 
 
 def shares(store: VoxelStore, voxels: I64, new: I64 | I32) -> F64:
-    """Which share of a voxel's points (n,) would be new ones, at most, if all ``new`` (n,) of its points were taken in."""
+    """Which share of a voxel's points (n,) would be new ones, at most, if all ``new`` (n,) of its
+    points were taken in.
+    """
     held = np.zeros(len(voxels), np.int64)
     held_in(voxels, store.keys, store.table, store.count, held)
     out: F64 = new / np.minimum(held + new, store.cap)

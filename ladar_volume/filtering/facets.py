@@ -1,8 +1,10 @@
-"""Edges and corners as published (seed 002 section 4.2): up to three planes in one neighbourhood, each in what the last left over.
+"""Edges and corners as published (seed 002 section 4.2): up to three planes in one neighbourhood,
+each in what the last left over.
 
-Where the points off a plane are more than a share of the neighbourhood, they are fitted again. Two planes meet in a line, three
-in a vertex; of each plane only the half with more of its points counts. The source tells halves apart by octants of the map's
-axes; here they are the two sides of the other plane, so any orientation works.
+Where the points off a plane are more than a share of the neighbourhood, they are fitted again. Two
+planes meet in a line, three in a vertex; of each plane only the half with more of its points
+counts. The source tells halves apart by octants of the map's axes; here they are the two sides of
+the other plane, so any orientation works.
 """
 
 from __future__ import annotations
@@ -35,7 +37,9 @@ def nearest_distance(x: Any, planes: Any, count: Any) -> Any:
 
 @kernel
 def assign(x: Any, m: Any, planes: Any, count: Any, threshold: Any, label: Any) -> Any:
-    """Label points (m, 3) with their nearest plane, −1 beyond the threshold of all; returns whether any label changed."""
+    """Label points (m, 3) with their nearest plane, −1 beyond the threshold of all; returns whether
+    any label changed.
+    """
     changed = False
     for i in range(m):
         own, best = -1, threshold
@@ -50,11 +54,23 @@ def assign(x: Any, m: Any, planes: Any, count: Any, threshold: Any, label: Any) 
 
 @kernel
 def settle(
-    x: Any, m: Any, planes: Any, count: Any, sigma: Any, adapt: Any, rules: Any, label: Any, means: Any, inverses: Any, used: Any
+    x: Any,
+    m: Any,
+    planes: Any,
+    count: Any,
+    sigma: Any,
+    adapt: Any,
+    rules: Any,
+    label: Any,
+    means: Any,
+    inverses: Any,
+    used: Any,
 ) -> Any:
-    """Assign points and refit planes until no label changes. Returns (sigma, −1 where a plane lost its support; threshold).
+    """Assign points and refit planes until no label changes. Returns (sigma, −1 where a plane lost
+    its support; threshold).
 
-    adapt : the threshold follows the scatter of the inliers, else it stays with the ``sigma`` given.
+    adapt : the threshold follows the scatter of the inliers, else it stays with the ``sigma``
+    given.
     """
     label[:m] = -2
     threshold = limit_of(sigma, rules)
@@ -75,8 +91,11 @@ def settle(
 
 
 @kernel
-def next_facet(x: Any, xt: Any, free: Any, left: Any, rules: Any, state: Any, s: Any, plane: Any) -> Any:
-    """A plane, refitted to a fixed point, among the points free[:left] of x (m, 3), which become those it leaves over.
+def next_facet(
+    x: Any, xt: Any, free: Any, left: Any, rules: Any, state: Any, s: Any, plane: Any
+) -> Any:
+    """A plane, refitted to a fixed point, among the points free[:left] of x (m, 3), which become
+    those it leaves over.
 
     Returns (sigma, −1 for none; how many it leaves over; trials).
     """
@@ -84,14 +103,32 @@ def next_facet(x: Any, xt: Any, free: Any, left: Any, rules: Any, state: Any, s:
     for a in range(left):
         for k in range(3):
             some[a, k] = some_t[k, a] = x[free[a], k]
-    planes, means, inverses, used = np.zeros((1, 4)), np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros(1, np.int64)
+    planes, means, inverses, used = (
+        np.zeros((1, 4)),
+        np.zeros((1, 3)),
+        np.zeros((1, 3, 3)),
+        np.zeros(1, np.int64),
+    )
     sigma, made = sampled_plane(
-        some_t, left, rules.sample, rules.trials, rules.ransac, rules.ransac_threshold, rules.confidence, state, s.pick, s.work, planes[0]
+        some_t,
+        left,
+        rules.sample,
+        rules.trials,
+        rules.ransac,
+        rules.ransac_threshold,
+        rules.confidence,
+        state,
+        s.pick,
+        s.work,
+        planes[0],
     )
     if sigma < 0.0:
         return sigma, left, made
-    # no adaption yet: across an edge the scatter would grow with the threshold, and the threshold with it
-    sigma, threshold = settle(some, left, planes, 1, sigma, False, rules, label, means, inverses, used)
+    # no adaption yet: across an edge the scatter would grow with the threshold, and the threshold
+    # with it
+    sigma, threshold = settle(
+        some, left, planes, 1, sigma, False, rules, label, means, inverses, used
+    )
     if sigma < 0.0:
         return sigma, left, made
     plane[:] = planes[0]
@@ -105,12 +142,17 @@ def next_facet(x: Any, xt: Any, free: Any, left: Any, rules: Any, state: Any, s:
 
 @kernel
 def halves(x: Any, m: Any, label: Any, planes: Any, count: Any, side: Any) -> None:
-    """side (k, k): +1 or −1, the side of another plane on which more of a plane's points lie; 0 for no majority or no
-    intersection to speak of."""
+    """side (k, k): +1 or −1, the side of another plane on which more of a plane's points lie; 0 for
+    no majority or no intersection to speak of.
+    """
     for a in range(count):
         for b in range(count):
             side[a, b] = 0
-            c = planes[a, 0] * planes[b, 0] + planes[a, 1] * planes[b, 1] + planes[a, 2] * planes[b, 2]
+            c = (
+                planes[a, 0] * planes[b, 0]
+                + planes[a, 1] * planes[b, 1]
+                + planes[a, 2] * planes[b, 2]
+            )
             if a == b or 1.0 - c * c < PARALLEL * PARALLEL:
                 continue
             balance = 0
@@ -122,9 +164,20 @@ def halves(x: Any, m: Any, label: Any, planes: Any, count: Any, side: Any) -> No
 
 @kernel
 def fit_facets(
-    x: Any, xt: Any, m: Any, rules: Any, state: Any, s: Any, planes: Any, means: Any, inverses: Any, used: Any, side: Any
+    x: Any,
+    xt: Any,
+    m: Any,
+    rules: Any,
+    state: Any,
+    s: Any,
+    planes: Any,
+    means: Any,
+    inverses: Any,
+    used: Any,
+    side: Any,
 ) -> Any:
-    """One plane, or two or three where the ratio of outliers says so, fitted together to x (m, 3) with their halves.
+    """One plane, or two or three where the ratio of outliers says so, fitted together to x (m, 3)
+    with their halves.
 
     Returns (number of planes, sigma, threshold, trials).
     """
@@ -144,7 +197,9 @@ def fit_facets(
         left = rest
     while count > 0:  # together; where one of them starves, without the last
         planes[:count] = start[:count]
-        sigma, threshold = settle(x, m, planes, count, first_sigma, True, rules, s.label, means, inverses, used)
+        sigma, threshold = settle(
+            x, m, planes, count, first_sigma, True, rules, s.label, means, inverses, used
+        )
         if sigma >= 0.0:
             break
         count -= 1
@@ -155,10 +210,11 @@ def fit_facets(
 
 @kernel
 def project_on_facets(x: Any, planes: Any, count: Any, side: Any, snap: Any, q: Any) -> Any:
-    """Where a point (3,) goes, to q (3,). Returns (plane, distance, whether it is to be taken out as beyond an intersection).
+    """Where a point (3,) goes, to q (3,). Returns (plane, distance, whether it is to be taken out
+    as beyond an intersection).
 
-    snap : to the nearest point of the half planes, which may lie on an edge or in a vertex. Else to the nearest plane, if the foot
-    lies in its half.
+    snap : to the nearest point of the half planes, which may lie on an edge or in a vertex. Else to
+    the nearest plane, if the foot lies in its half.
     """
     p, square, _ = nearest_piece(x, planes, count, side, q)
     d = np.sqrt(square)

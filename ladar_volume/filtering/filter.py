@@ -1,8 +1,10 @@
-"""The filter stage: robust moving least squares on a stream (seed 002 chapter 4; UNCERTAINTY steps 3 and 4).
+"""The filter stage: robust moving least squares on a stream (seed 002 chapter 4; UNCERTAINTY steps
+3 and 4).
 
-Raw points go into capped voxels of edge r. Every occupied voxel has one patch, fitted over 2r; each raw point is
-projected once, by the patch of its own voxel. An update refits what new points touched and replaces the patches that are others
-then; one in a hurry puts off what new points would change least.
+Raw points go into capped voxels of edge r. Every occupied voxel has one patch, fitted over 2r; each
+raw point is projected once, by the patch of its own voxel. An update refits what new points touched
+and replaces the patches that are others then; one in a hurry puts off what new points would change
+least.
 """
 
 from __future__ import annotations
@@ -36,14 +38,20 @@ BLOCK = 4096
 
 
 class SurfaceFilter:
-    """See the module. Feed platform states and mapped points, ask for updates; order and batching do not matter."""
+    """See the module. Feed platform states and mapped points, ask for updates; order and batching
+    do not matter.
+    """
 
     def __init__(self, parameters: Parameters, deferring: bool = False) -> None:
-        """deferring : new points are put into the surface by updates alone, which may put them off."""
+        """deferring : new points are put into the surface by updates alone, which may put them
+        off.
+        """
         self.parameters = parameters.filter
         self._mount = mounting(parameters.calibration, parameters.georeference.pose_source)
         self._store = VoxelStore(self.parameters.radius_m, self.parameters.cap_per_voxel)
-        self._builder = PatchBuilder(self.parameters, self._store, self._mount, parameters.georeference.beams)
+        self._builder = PatchBuilder(
+            self.parameters, self._store, self._mount, parameters.georeference.beams
+        )
         self._fits = FitStore(FEW_POINTS, self.parameters.cap_per_voxel)
         self._states: PlatformStates | None = None
         self._waiting: list[MappedPoints] = []
@@ -66,7 +74,9 @@ class SurfaceFilter:
 
     @property
     def stats(self) -> dict[str, int]:
-        """Counts of the surface as it stands: voxels, points offered, kept, over the cap, put off, and waiting for a pose."""
+        """Counts of the surface as it stands: voxels, points offered, kept, over the cap, put off,
+        and waiting for a pose.
+        """
         return {
             "voxels": self._store.used,
             "points_offered": self._store.offered,
@@ -84,7 +94,9 @@ class SurfaceFilter:
 
     @property
     def deferred_s(self) -> float:
-        """How much older than the newest point the oldest one is that waits for its voxel's turn, s."""
+        """How much older than the newest point the oldest one is that waits for its voxel's turn,
+        s.
+        """
         return self._deferred.age_s(self._t_ns)
 
     def add_platform(self, states: PlatformStates) -> None:
@@ -115,7 +127,17 @@ class SurfaceFilter:
         n = len(points)
         verdict, state, fraction = np.zeros(n, np.int8), np.zeros(n, np.int64), np.zeros(n)
         limit = (HALF - 8) * self.parameters.radius_m
-        admission.admit(points.t_ns, points.r_map, points.C_ind, limit, states.t_ns, states.segment, verdict, state, fraction)
+        admission.admit(
+            points.t_ns,
+            points.r_map,
+            points.C_ind,
+            limit,
+            states.t_ns,
+            states.segment,
+            verdict,
+            state,
+            fraction,
+        )
         counts = np.bincount(verdict, minlength=4)
         self._losses.add("point_nan", int(counts[admission.NOT_FINITE]))
         self._losses.add("point_too_far", int(counts[admission.TOO_FAR]))
@@ -129,9 +151,17 @@ class SurfaceFilter:
         candidates, rows = self._store.offer(points.t_ns, points.ring, points.r_map, points.C_ind)
         seen = np.empty((len(rows), NUMBERS))
         admission.geometry(
-            rows, points.r_map, state, fraction, states.p_map_body, states.q_map_body, states.v_body, states.omega_body,
-            self._mount.lever_laser, seen,
-        )  # fmt: skip
+            rows,
+            points.r_map,
+            state,
+            fraction,
+            states.p_map_body,
+            states.q_map_body,
+            states.v_body,
+            states.omega_body,
+            self._mount.lever_laser,
+            seen,
+        )
         keep_each(seen, candidates.aux)
         if self._deferring:
             self._deferred.add(candidates)
@@ -141,15 +171,18 @@ class SurfaceFilter:
     def update(self, most: int | None = None) -> FilterUpdate | None:
         """What changed since the last update, or None.
 
-        most : patches to be refitted, about, where the filter is deferring: then points wait whose voxels change least (see ``deferral``),
-        and the surface is that of the points taken in so far. Without it nothing waits: the surface is that of all points.
+        most : patches to be refitted, about, where the filter is deferring: then points wait whose
+        voxels change least (see ``deferral``), and the surface is that of the points taken in so
+        far. Without it nothing waits: the surface is that of all points.
         """
         if self._deferring:
             self._store.insert(self._deferred.take(self._store, most, self._t_ns))
         return self._update()
 
     def finish(self) -> FilterUpdate | None:
-        """End of the data: points that still wait for a pose are lost and counted; the last update, or None where nothing changed."""
+        """End of the data: points that still wait for a pose are lost and counted; the last update,
+        or None where nothing changed.
+        """
         self._losses.add("point_platform_gap", sum(len(p) for p in self._waiting))
         self._waiting = []
         return self.update()
@@ -168,14 +201,22 @@ class SurfaceFilter:
         removed = s.keys[gone[self._published[gone]]]
         self._published[gone], self._published[rows] = False, True
         patches = self._builder.patches(self._fits, rows)
-        return FilterUpdate(self._t_ns, np.sort(removed), self._builder.points(self._fits, rows, patches), patches)
+        return FilterUpdate(
+            self._t_ns, np.sort(removed), self._builder.points(self._fits, rows, patches), patches
+        )
 
     def _refit(self, voxels: I64) -> I64:
-        """Fit these voxels, in order of their keys; returns those whose patch is another one now, in that order."""
+        """Fit these voxels, in order of their keys; returns those whose patch is another one now,
+        in that order.
+        """
         s, new = self._store, np.zeros(len(voxels), np.bool_)
         grow = s.used - len(self._published)
         for name in ("_published", "_outliers", "_unfitted"):
-            setattr(self, name, np.concatenate([getattr(self, name), np.zeros(grow, getattr(self, name).dtype)]))
+            setattr(
+                self,
+                name,
+                np.concatenate([getattr(self, name), np.zeros(grow, getattr(self, name).dtype)]),
+            )
         self._fits.grow(s.used)
         for i in range(0, len(voxels), BLOCK):
             block = voxels[i : i + BLOCK]

@@ -1,8 +1,9 @@
 """The robust fit of one patch (seed 002 Algorithm 1), as compiled kernels.
 
-Random planes through few points, best median of residuals (LMedS) or best truncated squared residuals (weighted RANSAC,
-MSAC) → tangent frame at the foot point → least-squares refit on its inliers, iterated to a fixed point (``frame``).
-Residuals are taken along the patch normal, never vertically, so that walls work as floors do.
+Random planes through few points, best median of residuals (LMedS) or best truncated squared
+residuals (weighted RANSAC, MSAC) → tangent frame at the foot point → least-squares refit on its
+inliers, iterated to a fixed point (``frame``). Residuals are taken along the patch normal, never
+vertically, so that walls work as floors do.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from ladar_volume.filtering.linear import select_kth
 from ladar_volume.filtering.store import _mix, voxels_around
 from ladar_volume.model.kernels import kernel
 
-#: A patch looks at the voxels up to this many away; a ball of radius 2r about a centre in the voxel needs two.
+#: A patch looks at the voxels up to this many away; a ball of radius 2r about a centre in the voxel
+#: needs two.
 REACH = 2
 #: Voxels it looks at, at most.
 AROUND = (2 * REACH + 1) ** 3
@@ -28,7 +30,9 @@ OK, FEW_POINTS, NO_PLANE, FEW_INLIERS, NOT_ON_PATCH = 0, 1, 2, 3, 4
 
 @kernel
 def gather(v: Any, keys: Any, table: Any, count: Any, order: Any, cap: Any, slots: Any) -> Any:
-    """Slots of all points in the voxels around voxel v, in canonical order (voxel, then hash); returns how many."""
+    """Slots of all points in the voxels around voxel v, in canonical order (voxel, then hash);
+    returns how many.
+    """
     near, n = np.empty(AROUND, np.int64), 0
     for a in range(voxels_around(keys[v], keys, table, REACH, near)):
         for q in range(count[near[a]]):
@@ -45,7 +49,9 @@ def _uniform(state: Any, n: Any) -> Any:
 
 @kernel
 def _sample_plane(r: Any, n: Any, size: Any, state: Any, pick: Any, plane: Any) -> Any:
-    """A plane (normal, offset) through three random points of r (3, n), or the mean plane of four; False where degenerate."""
+    """A plane (normal, offset) through three random points of r (3, n), or the mean plane of four;
+    False where degenerate.
+    """
     for a in range(size):
         pick[a] = _uniform(state, n)
         for b in range(a):
@@ -75,7 +81,9 @@ def _sample_plane(r: Any, n: Any, size: Any, state: Any, pick: Any, plane: Any) 
 
 @kernel
 def _median_if_better(r: Any, n: Any, plane: Any, best: Any, work: Any) -> Any:
-    """Median of the distances of r (3, n) to a plane; ``best`` as soon as it is known not to be below."""
+    """Median of the distances of r (3, n) to a plane; ``best`` as soon as it is known not to be
+    below.
+    """
     k = n // 2
     above = 0
     for block in range(0, n, BLOCK):
@@ -91,7 +99,9 @@ def _median_if_better(r: Any, n: Any, plane: Any, best: Any, work: Any) -> Any:
 
 @kernel
 def _truncated_square(r: Any, n: Any, plane: Any, best: Any, limit: Any) -> Any:
-    """Sum of squared distances of r (3, n) to a plane, each at most ``limit``; infinite as soon as it exceeds ``best``."""
+    """Sum of squared distances of r (3, n) to a plane, each at most ``limit``; infinite as soon as
+    it exceeds ``best``.
+    """
     score = 0.0
     for i in range(n):
         d = r[0, i] * plane[0] + r[1, i] * plane[1] + r[2, i] * plane[2] - plane[3]
@@ -102,8 +112,20 @@ def _truncated_square(r: Any, n: Any, plane: Any, best: Any, limit: Any) -> Any:
 
 
 @kernel
-def start_plane(r: Any, n: Any, size: Any, trials: Any, ransac: Any, threshold: Any, seed: Any, plane: Any, work: Any) -> Any:
-    """The best of ``trials`` random planes over r (3, n); returns its robust sigma, −1 where every sample was degenerate."""
+def start_plane(
+    r: Any,
+    n: Any,
+    size: Any,
+    trials: Any,
+    ransac: Any,
+    threshold: Any,
+    seed: Any,
+    plane: Any,
+    work: Any,
+) -> Any:
+    """The best of ``trials`` random planes over r (3, n); returns its robust sigma, −1 where every
+    sample was degenerate.
+    """
     state = np.empty(1, np.uint64)
     state[0] = seed
     trial, pick = np.empty(4), np.empty(4, np.int64)

@@ -1,7 +1,8 @@
-"""The fits of all voxels, kept from update to update: what new points did not reach need not be fitted, sent nor stored again.
+"""The fits of all voxels, kept from update to update: what new points did not reach need not be
+fitted, sent nor stored again.
 
-Which points are a fit's inliers is kept as one entry per voxel they lie in: its index and a bit for each of its slots. That is a tenth of
-their slots.
+Which points are a fit's inliers is kept as one entry per voxel they lie in: its index and a bit for
+each of its slots. That is a tenth of their slots.
 """
 
 from __future__ import annotations
@@ -25,10 +26,12 @@ COLUMNS = ("status", "used", "sigma", "time", "centre", "normal", "tangent", "be
 
 @dataclass
 class Fits:
-    """Fits by row; the slots of row a's inliers, where they are listed, are ``members[start[a] : start[a] + used[a]]``, in canonical order.
+    """Fits by row; the slots of row a's inliers, where they are listed, are ``members[start[a] :
+    start[a] + used[a]]``, in canonical order.
 
-    voxels : (m,) index of each row's voxel · status : see ``fit`` · sigma : (m,) m · time : (m,) mean time, ns · centre, normal, tangent :
-    (m, 3) · beta : (m, 6) · inverse : (m, 6, 6) of the normal matrix
+    voxels : (m,) index of each row's voxel · status : see ``fit`` · sigma : (m,) m · time : (m,)
+    mean time, ns · centre, normal, tangent : (m, 3) · beta : (m, 6) · inverse : (m, 6, 6) of the
+    normal matrix
     """
 
     voxels: I64
@@ -49,9 +52,19 @@ def blank(voxels: I64, start: I64, members: I32, status: int = OK) -> Fits:
     """Rows (m,) to be filled."""
     m = len(voxels)
     return Fits(
-        voxels, start, members, np.zeros(m, np.int64), np.full(m, status, np.int64), np.zeros(m), np.zeros(m, np.int64), np.zeros((m, 3)),
-        np.zeros((m, 3)), np.zeros((m, 3)), np.zeros((m, 6)), np.zeros((m, 6, 6)),
-    )  # fmt: skip
+        voxels,
+        start,
+        members,
+        np.zeros(m, np.int64),
+        np.full(m, status, np.int64),
+        np.zeros(m),
+        np.zeros(m, np.int64),
+        np.zeros((m, 3)),
+        np.zeros((m, 3)),
+        np.zeros((m, 3)),
+        np.zeros((m, 6)),
+        np.zeros((m, 6, 6)),
+    )
 
 
 @kernel
@@ -66,9 +79,21 @@ def count_entries(start: Any, used: Any, members: Any, cap: Any, out: Any) -> No
 
 
 @kernel
-def pack(voxels: Any, start: Any, used: Any, members: Any, fresh: Any, cap: Any, first: Any, entries: Any, new: Any, own: Any) -> None:
-    """The inliers of each row as ``entries`` (e, 1 + words) of zeros, from ``first[a]`` on; whether one of them is ``fresh``, and how many
-    lie in the voxel itself."""
+def pack(
+    voxels: Any,
+    start: Any,
+    used: Any,
+    members: Any,
+    fresh: Any,
+    cap: Any,
+    first: Any,
+    entries: Any,
+    new: Any,
+    own: Any,
+) -> None:
+    """The inliers of each row as ``entries`` (e, 1 + words) of zeros, from ``first[a]`` on; whether
+    one of them is ``fresh``, and how many lie in the voxel itself.
+    """
     for a in range(len(voxels)):
         last, e = -1, first[a] - 1
         new[a], own[a] = False, 0
@@ -84,8 +109,20 @@ def pack(voxels: Any, start: Any, used: Any, members: Any, fresh: Any, cap: Any,
 
 
 @kernel
-def unpack(voxels: Any, first: Any, held: Any, entries: Any, count: Any, order: Any, cap: Any, start: Any, members: Any) -> None:
-    """The slots of these voxels' inliers, in canonical order, to ``members`` from ``start[v]`` on."""
+def unpack(
+    voxels: Any,
+    first: Any,
+    held: Any,
+    entries: Any,
+    count: Any,
+    order: Any,
+    cap: Any,
+    start: Any,
+    members: Any,
+) -> None:
+    """The slots of these voxels' inliers, in canonical order, to ``members`` from ``start[v]``
+    on.
+    """
     for v in voxels:
         n = start[v]
         for e in range(first[v], first[v] + held[v]):
@@ -98,7 +135,16 @@ def unpack(voxels: Any, first: Any, held: Any, entries: Any, count: Any, order: 
 
 
 @kernel
-def same_entries(voxels: Any, first: Any, held: Any, entries: Any, old_first: Any, old_held: Any, old_entries: Any, same: Any) -> None:
+def same_entries(
+    voxels: Any,
+    first: Any,
+    held: Any,
+    entries: Any,
+    old_first: Any,
+    old_held: Any,
+    old_entries: Any,
+    same: Any,
+) -> None:
     """Whether the entries of each row are those kept for its voxel."""
     for a in range(len(voxels)):
         v = voxels[a]
@@ -118,8 +164,9 @@ def move_entries(rows: Any, first: Any, held: Any, entries: Any, to: Any, new: A
 
 
 class FitStore:
-    """One row per voxel of a store, by voxel index. The entries lie in one pool: a fit that needs more room than it had moves to its end,
-    and the pool is made anew when that is reached."""
+    """One row per voxel of a store, by voxel index. The entries lie in one pool: a fit that needs
+    more room than it had moves to its end, and the pool is made anew when that is reached.
+    """
 
     def __init__(self, never: int, cap: int) -> None:
         """never : status of voxels that have not been fitted yet · cap : slots of a voxel."""
@@ -135,28 +182,57 @@ class FitStore:
         """Make rows for new voxels."""
         more = voxels - len(self.fits.voxels)
         if more > 0:
-            new = blank(np.arange(voxels - more, voxels), np.zeros(more, np.int64), np.zeros(0, np.int32), self._never)
+            new = blank(
+                np.arange(voxels - more, voxels),
+                np.zeros(more, np.int64),
+                np.zeros(0, np.int32),
+                self._never,
+            )
             for name in ("voxels", "start", *COLUMNS):
-                setattr(self.fits, name, np.concatenate([getattr(self.fits, name), getattr(new, name)]))
-            self.first, self.held, self._room = (np.concatenate([a, np.zeros(more, np.int64)]) for a in (self.first, self.held, self._room))
+                setattr(
+                    self.fits, name, np.concatenate([getattr(self.fits, name), getattr(new, name)])
+                )
+            self.first, self.held, self._room = (
+                np.concatenate([a, np.zeros(more, np.int64)])
+                for a in (self.first, self.held, self._room)
+            )
 
     def listed(self, voxels: I64, store: VoxelStore) -> Fits:
         """The fits of all voxels, with the inliers of these ones listed."""
         start, used = np.zeros(len(self.fits.voxels), np.int64), self.fits.used[voxels]
         start[voxels] = np.cumsum(used) - used
         members = np.empty(int(used.sum()), np.int32)
-        unpack(voxels, self.first, self.held, self.entries, store.count, store.order, self._cap, start, members)
+        unpack(
+            voxels,
+            self.first,
+            self.held,
+            self.entries,
+            store.count,
+            store.order,
+            self._cap,
+            start,
+            members,
+        )
         return replace(self.fits, start=start, members=members)
 
     def keep(self, found: Fits, fresh: Bool) -> tuple[Bool, I64]:
-        """Take over fits; returns which of them are new (m,), by any number or any inlier, and how many inliers (m,) lie in the voxel.
+        """Take over fits; returns which of them are new (m,), by any number or any inlier, and how
+        many inliers (m,) lie in the voxel.
 
         fresh : slots filled since the last update.
         """
         kept, v, m = self.fits, found.voxels, len(found.voxels)
-        held, new, own, same = np.zeros(m, np.int64), np.zeros(m, np.bool_), np.zeros(m, np.int64), np.zeros(m, np.bool_)
+        held, new, own, same = (
+            np.zeros(m, np.int64),
+            np.zeros(m, np.bool_),
+            np.zeros(m, np.int64),
+            np.zeros(m, np.bool_),
+        )
         count_entries(found.start[:m], found.used, found.members, self._cap, held)
-        first, entries = np.cumsum(held) - held, np.zeros((int(held.sum()), self.entries.shape[1]), np.uint32)
+        first, entries = (
+            np.cumsum(held) - held,
+            np.zeros((int(held.sum()), self.entries.shape[1]), np.uint32),
+        )
         pack(v, found.start, found.used, found.members, fresh, self._cap, first, entries, new, own)
         same_entries(v, first, held, entries, self.first, self.held, self.entries, same)
         same &= ~new
@@ -172,15 +248,24 @@ class FitStore:
         return ~same, own
 
     def _place(self, voxels: I64, wanted: I64) -> None:
-        """Room for so many entries of each of these voxels, whose present ones are no longer needed."""
+        """Room for so many entries of each of these voxels, whose present ones are no longer
+        needed.
+        """
         room = wanted + wanted // 4
         self.held[voxels] = 0
         tight = wanted > self._room[voxels]
         if self._end + int(room[tight].sum()) > len(self.entries):
             first = np.concatenate([[0], np.cumsum(self.held)])
-            entries = np.empty(((int(first[-1]) + int(room.sum())) * 5 // 4, self.entries.shape[1]), np.uint32)
+            entries = np.empty(
+                ((int(first[-1]) + int(room.sum())) * 5 // 4, self.entries.shape[1]), np.uint32
+            )
             move_entries(self.fits.voxels, self.first, self.held, self.entries, first, entries)
-            self.first, self._room, self._end, self.entries = first[:-1].copy(), self.held.copy(), int(first[-1]), entries
+            self.first, self._room, self._end, self.entries = (
+                first[:-1].copy(),
+                self.held.copy(),
+                int(first[-1]),
+                entries,
+            )
             tight = wanted > self._room[voxels]
         ends = self._end + np.cumsum(room[tight])
         self.first[voxels[tight]], self._room[voxels[tight]] = ends - room[tight], room[tight]

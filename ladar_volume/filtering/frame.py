@@ -1,4 +1,6 @@
-"""Least squares of one patch in its tangent frame: coordinates once per frame, refits to a fixed point, the frame itself."""
+"""Least squares of one patch in its tangent frame: coordinates once per frame, refits to a fixed
+point, the frame itself.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +13,16 @@ from ladar_volume.model.kernels import kernel, leaf_kernel
 
 #: Square of the slope from which the arc term no longer grows.
 STEEPEST = 0.9
-#: A fit has settled when its quadratic terms move the rim of the neighbourhood by less than this share of sigma.
+#: A fit has settled when its quadratic terms move the rim of the neighbourhood by less than this
+#: share of sigma.
 SETTLED = 1e-3
 
 
 @leaf_kernel
 def tangent_of(normal: Any, tangent: Any) -> None:
-    """A unit vector across the normal: along map x where that is not nearly the normal, else along map y."""
+    """A unit vector across the normal: along map x where that is not nearly the normal, else along
+    map y.
+    """
     axis = 0 if abs(normal[0]) < 0.9 else 1
     d = normal[axis]
     length = np.sqrt(1.0 - d * d)
@@ -43,8 +48,12 @@ def row(r: Any, slot: Any, centre: Any, tangent: Any, side: Any, p: Any, x: Any)
 
 
 @leaf_kernel
-def coordinates(r: Any, n: Any, centre: Any, normal: Any, tangent: Any, ball: Any, uvw: Any, index: Any) -> Any:
-    """(u / ball, v / ball, w) of the points of r (n, 3) within ``ball`` of the centre, to uvw (3, m) and index (m,); returns m."""
+def coordinates(
+    r: Any, n: Any, centre: Any, normal: Any, tangent: Any, ball: Any, uvw: Any, index: Any
+) -> Any:
+    """(u / ball, v / ball, w) of the points of r (n, 3) within ``ball`` of the centre, to uvw (3,
+    m) and index (m,); returns m.
+    """
     n0, n1, n2 = normal[0], normal[1], normal[2]
     t0, t1, t2 = tangent[0], tangent[1], tangent[2]
     s0, s1, s2 = n1 * t2 - n2 * t1, n2 * t0 - n0 * t2, n0 * t1 - n1 * t0
@@ -70,12 +79,13 @@ def _rise(q: Any, t: Any) -> Any:
 
 @leaf_kernel
 def arc(u: Any, v: Any, a: Any, b: Any, c: Any) -> Any:
-    """How far a surface of constant curvature lies above its osculating quadric ``q = a u² + b uv + c v²``, and the slopes
-    along u and v of both together.
+    """How far a surface of constant curvature lies above its osculating quadric ``q = a u² + b uv +
+    c v²``, and the slopes along u and v of both together.
 
-    With g = grad q the height ``q · 2 (1 − √(1 − g²)) / g²`` is exact for a sphere and for a cylinder in any direction. A bare
-    quadric over a wide neighbourhood of a curved surface is biased at its centre by its missing fourth-order term. Steeper than
-    the limit the correction stays what it is there.
+    With g = grad q the height ``q · 2 (1 − √(1 − g²)) / g²`` is exact for a sphere and for a
+    cylinder in any direction. A bare quadric over a wide neighbourhood of a curved surface is
+    biased at its centre by its missing fourth-order term. Steeper than the limit the correction
+    stays what it is there.
     """
     q = a * u * u + b * u * v + c * v * v
     gu, gv = 2.0 * a * u + b * v, b * u + 2.0 * c * v
@@ -93,12 +103,16 @@ def arc(u: Any, v: Any, a: Any, b: Any, c: Any) -> Any:
 
 @leaf_kernel
 def _straighten(uvw: Any, m: Any, b: Any, ball: Any, straight: Any) -> None:
-    """Heights less the arc term of the present coefficients, to ``straight``: what is left is linear in the coefficients."""
+    """Heights less the arc term of the present coefficients, to ``straight``: what is left is
+    linear in the coefficients.
+    """
     k3, k4, k5 = b[3] / (ball * ball), b[4] / (ball * ball), b[5] / (ball * ball)
     for i in range(m):  # no branch: several points at once
         u, v = uvw[0, i] * ball, uvw[1, i] * ball
         gu, gv = 2.0 * k3 * u + k4 * v, k4 * u + 2.0 * k5 * v
-        straight[i] = uvw[2, i] - _rise(k3 * u * u + k4 * u * v + k5 * v * v, min(gu * gu + gv * gv, STEEPEST))
+        straight[i] = uvw[2, i] - _rise(
+            k3 * u * u + k4 * u * v + k5 * v * v, min(gu * gu + gv * gv, STEEPEST)
+        )
 
 
 @leaf_kernel
@@ -122,7 +136,8 @@ def _normal_plane(uvw: Any, m: Any, inside: Any, A: Any, b: Any) -> None:
 
 @leaf_kernel
 def _normal_quadric(uvw: Any, straight: Any, m: Any, inside: Any, A: Any, b: Any) -> None:
-    # one sum per monomial u^i v^j up to the fourth degree: the 21 entries of the matrix are only 15 different sums
+    # one sum per monomial u^i v^j up to the fourth degree: the 21 entries of the matrix are only 15
+    # different sums
     c, u1, v1, u2, uv, v2, u3, u2v, uv2, v3 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     u4 = u3v = u2v2 = uv3 = v4 = b0 = b1 = b2 = b3 = b4 = b5 = 0.0
     for i in range(m):
@@ -158,11 +173,23 @@ def _normal_quadric(uvw: Any, straight: Any, m: Any, inside: Any, A: Any, b: Any
 
 
 @leaf_kernel
-def _classify(uvw: Any, straight: Any, m: Any, p: Any, b: Any, ball: Any, threshold: Any, inside: Any, off: Any) -> Any:
-    """Mark the points within ``threshold`` of the model; returns (how many, sum of their squared residuals, any change).
+def _classify(
+    uvw: Any,
+    straight: Any,
+    m: Any,
+    p: Any,
+    b: Any,
+    ball: Any,
+    threshold: Any,
+    inside: Any,
+    off: Any,
+) -> Any:
+    """Mark the points within ``threshold`` of the model; returns (how many, sum of their squared
+    residuals, any change).
 
-    Residuals of a quadric are taken along its own normal, and its neighbourhood is a ball about the *foot points*: a ball
-    about the noisy points keeps more of those on the hollow side, which pulls a curved surface inwards.
+    Residuals of a quadric are taken along its own normal, and its neighbourhood is a ball about the
+    *foot points*: a ball about the noisy points keeps more of those on the hollow side, which pulls
+    a curved surface inwards.
     """
     used, square, changed = 0, 0.0, False
     reach = max(1.0 - threshold / ball, 0.5)
@@ -173,7 +200,11 @@ def _classify(uvw: Any, straight: Any, m: Any, p: Any, b: Any, ball: Any, thresh
             d = straight[i] - b0 - u * b1 - v * b2 - u * u * b3 - u * v * b4 - v * v * b5
             gu, gv = (b1 + 2.0 * u * b3 + v * b4) / ball, (b2 + u * b4 + 2.0 * v * b5) / ball
             slope = 1.0 + gu * gu + gv * gv
-            fu, fv, fw = u + d * gu / (slope * ball), v + d * gv / (slope * ball), (uvw[2, i] - d / slope) / ball
+            fu, fv, fw = (
+                u + d * gu / (slope * ball),
+                v + d * gv / (slope * ball),
+                (uvw[2, i] - d / slope) / ball,
+            )
             d = abs(d / np.sqrt(slope))
             off[i] = d if fu * fu + fv * fv + fw * fw <= reach * reach else np.inf
     else:
@@ -191,23 +222,38 @@ def _classify(uvw: Any, straight: Any, m: Any, p: Any, b: Any, ball: Any, thresh
 
 @kernel
 def refit(
-    uvw: Any, m: Any, ball: Any, p: Any, sigma: Any, sigmas: Any, floor: Any, iterations: Any, inside: Any, beta: Any, inverse: Any
+    uvw: Any,
+    m: Any,
+    ball: Any,
+    p: Any,
+    sigma: Any,
+    sigmas: Any,
+    floor: Any,
+    iterations: Any,
+    inside: Any,
+    beta: Any,
+    inverse: Any,
 ) -> Any:
-    """Least squares on the inliers, iterated until they stay the same. ``inside`` (m,) holds the start.
+    """Least squares on the inliers, iterated until they stay the same. ``inside`` (m,) holds the
+    start.
 
-    u and v are scaled by the ball's radius inside, so the pivots mean the same at every scale; ``beta`` and ``inverse`` =
-    (XᵀX)⁻¹ come back in metres. Returns (number of inliers, sigma); 0 inliers where the terms are not determined.
+    u and v are scaled by the ball's radius inside, so the pivots mean the same at every scale;
+    ``beta`` and ``inverse`` = (XᵀX)⁻¹ come back in metres. Returns (number of inliers, sigma); 0
+    inliers where the terms are not determined.
     """
     A, b, right = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
     straight, off = np.empty(m), np.empty(m)
     used, shift = 0, 0.0
     for step in range(iterations + 1):
         if step > 0:
-            threshold = max(sigmas * sigma, floor) if step == 1 else max(sigmas * sigma, floor, 1e-7 * ball)
+            threshold = (
+                max(sigmas * sigma, floor) if step == 1 else max(sigmas * sigma, floor, 1e-7 * ball)
+            )
             used, square, changed = _classify(uvw, straight, m, p, b, ball, threshold, inside, off)
             if used <= p:
                 return 0, sigma
-            # noise-free input: the threshold of the next step stays above the rounding of coordinates
+            # noise-free input: the threshold of the next step stays above the rounding of
+            # coordinates
             sigma = np.sqrt(square / (used - p))
             if step > 1 and not changed and shift <= SETTLED * sigma:
                 break
@@ -226,7 +272,8 @@ def refit(
             new = 0.0
             for l in range(p):
                 new += inverse[k, l] * right[l]
-            # only the arc term, which follows the quadratic terms, can still move when the inliers have settled
+            # only the arc term, which follows the quadratic terms, can still move when the inliers
+            # have settled
             shift = max(shift, abs(new - b[k]) if k > 2 else 0.0)
             b[k] = new
     unit = np.ones(6)
@@ -248,10 +295,24 @@ def mark_flat(uvw: Any, m: Any, threshold: Any, inside: Any) -> None:
 
 @kernel
 def level_frame(
-    r: Any, n: Any, origin: Any, plane: Any, sigma: Any, ball: Any, sigmas: Any, floor: Any, iterations: Any, uvw: Any, index: Any,
-    inside: Any, centre: Any, normal: Any, tangent: Any,
-) -> Any:  # fmt: skip
-    """Turn a start plane into a frame at the foot point of ``origin``: a plane refit and re-tilt until it lies flat.
+    r: Any,
+    n: Any,
+    origin: Any,
+    plane: Any,
+    sigma: Any,
+    ball: Any,
+    sigmas: Any,
+    floor: Any,
+    iterations: Any,
+    uvw: Any,
+    index: Any,
+    inside: Any,
+    centre: Any,
+    normal: Any,
+    tangent: Any,
+) -> Any:
+    """Turn a start plane into a frame at the foot point of ``origin``: a plane refit and re-tilt
+    until it lies flat.
 
     Returns the plane's sigma, −1 where no plane is determined.
     """
@@ -264,7 +325,9 @@ def level_frame(
         tangent_of(normal, tangent)
         m = coordinates(r, n, centre, normal, tangent, ball, uvw, index)
         mark_flat(uvw, m, max(sigmas * sigma, floor, 0.5e-7 * ball), inside)
-        used, sigma = refit(uvw, m, ball, 3, sigma, sigmas, floor, iterations, inside, beta, inverse)
+        used, sigma = refit(
+            uvw, m, ball, 3, sigma, sigmas, floor, iterations, inside, beta, inverse
+        )
         if used == 0:
             return -1.0
         t0, t1, t2 = tangent[0], tangent[1], tangent[2]
@@ -275,7 +338,8 @@ def level_frame(
         h = 0.0
         for k in range(3):
             new[k] /= length
-            # the plane passes through centre + beta0 normal; the foot point of origin on it is the new centre
+            # the plane passes through centre + beta0 normal; the foot point of origin on it is the
+            # new centre
             h += (origin[k] - centre[k] - beta[0] * normal[k]) * new[k]
         for k in range(3):
             centre[k] = origin[k] - h * new[k]

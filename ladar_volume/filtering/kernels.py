@@ -1,7 +1,8 @@
-"""Parallel kernels over voxels: which to refit, and the fits. Each iteration writes its own outputs.
+"""Parallel kernels over voxels: which to refit, and the fits. Each iteration writes its own
+outputs.
 
-Sums over points run in canonical order (voxel key, then hash), so the same points give the same bytes whatever the
-order of arrival, the batching or the number of threads.
+Sums over points run in canonical order (voxel key, then hash), so the same points give the same
+bytes whatever the order of arrival, the batching or the number of threads.
 """
 
 from __future__ import annotations
@@ -18,7 +19,13 @@ from ladar_volume.filtering.geometry import NUMBERS, recall, rotated
 from ladar_volume.filtering.store import _mix, voxels_around
 from ladar_volume.model.kernels import kernel, parallel_kernel
 
-OK, FEW_POINTS, NO_PLANE, FEW_INLIERS, NOT_ON_PATCH = fit.OK, fit.FEW_POINTS, fit.NO_PLANE, fit.FEW_INLIERS, fit.NOT_ON_PATCH
+OK, FEW_POINTS, NO_PLANE, FEW_INLIERS, NOT_ON_PATCH = (
+    fit.OK,
+    fit.FEW_POINTS,
+    fit.NO_PLANE,
+    fit.FEW_INLIERS,
+    fit.NOT_ON_PATCH,
+)
 
 
 @parallel_kernel
@@ -58,7 +65,9 @@ def _ball(pts: Any, n: Any, origin: Any, ball: Any, near: Any) -> Any:
 
 
 @kernel
-def _face_sensor(slots: Any, index: Any, m: Any, inside: Any, aux: Any, normal: Any, tangent: Any) -> None:
+def _face_sensor(
+    slots: Any, index: Any, m: Any, inside: Any, aux: Any, normal: Any, tangent: Any
+) -> None:
     """Turn the normal against the mean beam of the inliers."""
     facing = 0.0
     g = np.empty(NUMBERS)
@@ -75,11 +84,32 @@ def _face_sensor(slots: Any, index: Any, m: Any, inside: Any, aux: Any, normal: 
 
 @kernel
 def _fit_one(
-    voxel: Any, slots: Any, n: Any, r: Any, aux: Any, cap: Any, radius: Any, p: Any, size: Any, trials: Any, ransac: Any,
-    ransac_threshold: Any, sigmas: Any, floor: Any, min_points: Any, iterations: Any, seed: Any, centre: Any, normal: Any,
-    tangent: Any, beta: Any, inverse: Any,
-) -> Any:  # fmt: skip
-    """One patch; returns (status, inliers, sigma) and leaves the inliers' slots at the front of ``slots``."""
+    voxel: Any,
+    slots: Any,
+    n: Any,
+    r: Any,
+    aux: Any,
+    cap: Any,
+    radius: Any,
+    p: Any,
+    size: Any,
+    trials: Any,
+    ransac: Any,
+    ransac_threshold: Any,
+    sigmas: Any,
+    floor: Any,
+    min_points: Any,
+    iterations: Any,
+    seed: Any,
+    centre: Any,
+    normal: Any,
+    tangent: Any,
+    beta: Any,
+    inverse: Any,
+) -> Any:
+    """One patch; returns (status, inliers, sigma) and leaves the inliers' slots at the front of
+    ``slots``.
+    """
     ball = 2.0 * radius
     pts, near = np.empty((n, 3)), np.empty((3, n))
     for i in range(n):
@@ -91,12 +121,30 @@ def _fit_one(
     if m < min_points:
         return FEW_POINTS, 0, 0.0
     plane = np.empty(4)
-    sigma = fit.start_plane(near, m, size, trials, ransac, ransac_threshold, seed, plane, np.empty(m))
+    sigma = fit.start_plane(
+        near, m, size, trials, ransac, ransac_threshold, seed, plane, np.empty(m)
+    )
     if sigma < 0.0:
         return NO_PLANE, 0, 0.0
     plane[3] += plane[0] * origin[0] + plane[1] * origin[1] + plane[2] * origin[2]
     index, inside = np.empty(n, np.int64), np.empty(n, np.bool_)
-    sigma = level_frame(pts, n, origin, plane, sigma, ball, sigmas, floor, iterations, near, index, inside, centre, normal, tangent)
+    sigma = level_frame(
+        pts,
+        n,
+        origin,
+        plane,
+        sigma,
+        ball,
+        sigmas,
+        floor,
+        iterations,
+        near,
+        index,
+        inside,
+        centre,
+        normal,
+        tangent,
+    )
     if sigma < 0.0:
         return NO_PLANE, 0, 0.0
     threshold = max(sigmas * sigma, floor, 0.5e-7 * ball)
@@ -106,7 +154,8 @@ def _fit_one(
     m = coordinates(pts, n, centre, normal, tangent, ball, near, index)
     used, s = refit(near, m, ball, p, sigma, sigmas, floor, iterations, inside, beta, inverse)
     if used < min_points and p == 6:
-        # too few or too one-sided points for a quadric: the plane stands, its quadratic terms are zero with certainty
+        # too few or too one-sided points for a quadric: the plane stands, its quadratic terms are
+        # zero with certainty
         mark_flat(near, m, threshold, inside)
         beta[:] = 0.0
         inverse[:] = 0.0
@@ -124,20 +173,70 @@ def _fit_one(
 
 @parallel_kernel
 def fit_patches(
-    voxels: Any, start: Any, keys: Any, table: Any, count: Any, order: Any, r: Any, t_ns: Any, aux: Any, cap: Any, radius: Any, p: Any,
-    size: Any, trials: Any, ransac: Any, ransac_threshold: Any, sigmas: Any, floor: Any, min_points: Any, iterations: Any, seed: Any,
-    members: Any, status: Any, used: Any, sigma: Any, time: Any, centre: Any, normal: Any, tangent: Any, beta: Any, inverse: Any,
-) -> None:  # fmt: skip
-    """Fit every voxel of ``voxels``; inlier slots of patch a go to ``members[start[a]:start[a] + used[a]]``."""
+    voxels: Any,
+    start: Any,
+    keys: Any,
+    table: Any,
+    count: Any,
+    order: Any,
+    r: Any,
+    t_ns: Any,
+    aux: Any,
+    cap: Any,
+    radius: Any,
+    p: Any,
+    size: Any,
+    trials: Any,
+    ransac: Any,
+    ransac_threshold: Any,
+    sigmas: Any,
+    floor: Any,
+    min_points: Any,
+    iterations: Any,
+    seed: Any,
+    members: Any,
+    status: Any,
+    used: Any,
+    sigma: Any,
+    time: Any,
+    centre: Any,
+    normal: Any,
+    tangent: Any,
+    beta: Any,
+    inverse: Any,
+) -> None:
+    """Fit every voxel of ``voxels``; inlier slots of patch a go to ``members[start[a]:start[a] +
+    used[a]]``.
+    """
     for a in numba.prange(len(voxels)):
         v = voxels[a]
         slots = members[start[a] : start[a + 1]]
         n = fit.gather(v, keys, table, count, order, cap, slots)
         own_seed = _mix(np.uint64(keys[v]) ^ _mix(np.uint64(seed)))
         status[a], used[a], sigma[a] = _fit_one(
-            v, slots, n, r, aux, cap, radius, p, size, trials, ransac, ransac_threshold, sigmas, floor, min_points, iterations, own_seed,
-            centre[a], normal[a], tangent[a], beta[a], inverse[a],
-        )  # fmt: skip
+            v,
+            slots,
+            n,
+            r,
+            aux,
+            cap,
+            radius,
+            p,
+            size,
+            trials,
+            ransac,
+            ransac_threshold,
+            sigmas,
+            floor,
+            min_points,
+            iterations,
+            own_seed,
+            centre[a],
+            normal[a],
+            tangent[a],
+            beta[a],
+            inverse[a],
+        )
         if status[a] != OK:
             used[a] = 0
         else:

@@ -1,4 +1,6 @@
-"""Small dense algebra for the kernels: normal equations up to six unknowns and one-pass selection."""
+"""Small dense algebra for the kernels: normal equations up to six unknowns and one-pass
+selection.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,8 @@ import numpy as np
 
 from ladar_volume.model.kernels import kernel, leaf_kernel
 
-#: A pivot of the scaled normal matrix below this share of its diagonal means the points do not determine the term.
+#: A pivot of the scaled normal matrix below this share of its diagonal means the points do not
+#: determine the term.
 PIVOT = 1e-6
 #: Sweeps of the Jacobi iteration; it converges quadratically, three by three in four or five.
 SWEEPS = 12
@@ -28,7 +31,9 @@ def basis(u: Any, v: Any, p: Any, x: Any) -> None:
 
 @kernel
 def invert(A: Any, p: Any, inverse: Any) -> Any:
-    """Inverse of a symmetric positive (p, p) matrix by Cholesky; False where a pivot is too small."""
+    """Inverse of a symmetric positive (p, p) matrix by Cholesky; False where a pivot is too
+    small.
+    """
     L = np.zeros((6, 6))
     for j in range(p):
         s = A[j, j]
@@ -60,7 +65,9 @@ def invert(A: Any, p: Any, inverse: Any) -> Any:
 
 @leaf_kernel
 def rotate(S: Any, vector: Any, p: Any, q: Any) -> None:
-    """One Jacobi rotation: the symmetric S (3, 3) gets a zero at (p, q), the columns of ``vector`` turn with it."""
+    """One Jacobi rotation: the symmetric S (3, 3) gets a zero at (p, q), the columns of ``vector``
+    turn with it.
+    """
     if S[p, q] == 0.0:
         return
     theta = 0.5 * (S[q, q] - S[p, p]) / S[p, q]
@@ -80,8 +87,10 @@ def rotate(S: Any, vector: Any, p: Any, q: Any) -> None:
 
 @leaf_kernel
 def eigen(S: Any, value: Any, vector: Any) -> None:
-    """Eigenvalues (3,), ascending, and eigenvectors, the columns of ``vector`` (3, 3), of the symmetric S (3, 3), which is used up: by
-    cyclic Jacobi rotations (Golub and Van Loan, Matrix Computations, section 8.5), at this size far faster than LAPACK."""
+    """Eigenvalues (3,), ascending, and eigenvectors, the columns of ``vector`` (3, 3), of the
+    symmetric S (3, 3), which is used up: by cyclic Jacobi rotations (Golub and Van Loan, Matrix
+    Computations, section 8.5), at this size far faster than LAPACK.
+    """
     vector[:] = 0.0
     for k in range(3):
         vector[k, k] = 1.0

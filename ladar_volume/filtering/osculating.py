@@ -1,4 +1,6 @@
-"""A quadric by orthogonal least squares: distances along the local normal, design rows at the foot points."""
+"""A quadric by orthogonal least squares: distances along the local normal, design rows at the foot
+points.
+"""
 
 from __future__ import annotations
 
@@ -16,20 +18,32 @@ LEVELS = 3
 STEPS = 3
 #: Most reductions of what counts as an inlier.
 SHRINKS = 24
-#: Mean square over sigma² from which the inliers are no surface's: they fill the slab, which gives 3.
+#: Mean square over sigma² from which the inliers are no surface's: they fill the slab, which gives
+#: 3.
 LOST = 2.0
-#: Most steps of a point towards its foot, and the change, as a share of its distance, below which it has found it.
+#: Most steps of a point towards its foot, and the change, as a share of its distance, below which
+#: it has found it.
 FEET, FOUND = 4, 3e-3
 
 
 @kernel
-def geometric_refit(near: Any, m: Any, ball: Any, threshold: Any, iterations: Any, sigma: Any, beta: Any, inverse: Any) -> Any:
-    """Orthogonal least squares of a quadric from a start: distances along the local normal, design rows at the foot points.
+def geometric_refit(
+    near: Any,
+    m: Any,
+    ball: Any,
+    threshold: Any,
+    iterations: Any,
+    sigma: Any,
+    beta: Any,
+    inverse: Any,
+) -> Any:
+    """Orthogonal least squares of a quadric from a start: distances along the local normal, design
+    rows at the foot points.
 
-    A fit of heights over the points' own u and v is biased on a curved surface: noise moves a point across the slope and along
-    the surface at once (errors in variables). Rows at the foot points do not depend on the noise. near (4, m): u / ball,
-    v / ball, w. ``inverse`` comes back as ``(Σ x xᵀ / (1 + slope²))⁻¹``. Returns (number of inliers, their mean
-    square), 0 where undetermined.
+    A fit of heights over the points' own u and v is biased on a curved surface: noise moves a point
+    across the slope and along the surface at once (errors in variables). Rows at the foot points do
+    not depend on the noise. near (4, m): u / ball, v / ball, w. ``inverse`` comes back as ``(Σ x xᵀ
+    / (1 + slope²))⁻¹``. Returns (number of inliers, their mean square), 0 where undetermined.
     """
     A, b = np.zeros((6, 6)), np.zeros(6)
     reach = ball * max(1.0 - threshold / ball, 0.5)
@@ -59,9 +73,13 @@ def geometric_refit(near: Any, m: Any, ball: Any, threshold: Any, iterations: An
 
 
 @kernel
-def normal_equations(near: Any, m: Any, ball: Any, threshold: Any, reach: Any, beta: Any, A: Any, b: Any) -> Any:
-    """``A = Σ x xᵀ / (1 + slope²)`` and ``b = Σ x d / √(1 + slope²)`` of the points within threshold and reach of the surface, x in units
-    of the ball; returns (their number, sum of squared distances)."""
+def normal_equations(
+    near: Any, m: Any, ball: Any, threshold: Any, reach: Any, beta: Any, A: Any, b: Any
+) -> Any:
+    """``A = Σ x xᵀ / (1 + slope²)`` and ``b = Σ x d / √(1 + slope²)`` of the points within
+    threshold and reach of the surface, x in units of the ball; returns (their number, sum of
+    squared distances).
+    """
     x, used, square = np.zeros(6), 0, 0.0
     A[:] = 0.0
     b[:] = 0.0
@@ -88,12 +106,17 @@ def normal_equations(near: Any, m: Any, ball: Any, threshold: Any, reach: Any, b
 
 @leaf_kernel
 def foot_in_frame(u: Any, v: Any, w: Any, beta: Any) -> Any:
-    """(u, v, w of the foot point, slopes there, signed distance) of a point in a quadric's frame."""
+    """(u, v, w of the foot point, slopes there, signed distance) of a point in a quadric's
+    frame.
+    """
     fu, fv, gu, gv = u, v, 0.0, 0.0
     height, along = 0.0, 0.0
     for _ in range(FEET):  # the foot moves down the slope by what the distance says there
         height, gu, gv = height_at(fu, fv, beta)
-        before, along = along, (w - height + gu * (fu - u) + gv * (fv - v)) / (1.0 + gu * gu + gv * gv)
+        before, along = (
+            along,
+            (w - height + gu * (fu - u) + gv * (fv - v)) / (1.0 + gu * gu + gv * gv),
+        )
         fu, fv = u + along * gu, v + along * gv
         if abs(along - before) <= FOUND * abs(along):
             break
@@ -105,46 +128,116 @@ def foot_in_frame(u: Any, v: Any, w: Any, beta: Any) -> Any:
 def height_at(u: Any, v: Any, beta: Any) -> Any:
     """(height, slope along u, slope along v) of a quadric with its arc term."""
     extra, gu, gv = arc(u, v, beta[3], beta[4], beta[5])
-    height = beta[0] + u * beta[1] + v * beta[2] + u * u * beta[3] + u * v * beta[4] + v * v * beta[5] + extra
+    height = (
+        beta[0]
+        + u * beta[1]
+        + v * beta[2]
+        + u * u * beta[3]
+        + u * v * beta[4]
+        + v * v * beta[5]
+        + extra
+    )
     return height, beta[1] + gu, beta[2] + gv
 
 
 @kernel
 def quadric_from(
-    pts: Any, n: Any, origin: Any, start: Any, loose: Any, ball: Any, sigma: Any, threshold: Any, iterations: Any, levels: Any,
-    centre: Any, normal: Any, tangent: Any, beta: Any, inverse: Any,
-) -> Any:  # fmt: skip
-    """A quadric grown from a start plane over the ball; its frame touches it at the centre. Returns the number of inliers.
+    pts: Any,
+    n: Any,
+    origin: Any,
+    start: Any,
+    loose: Any,
+    ball: Any,
+    sigma: Any,
+    threshold: Any,
+    iterations: Any,
+    levels: Any,
+    centre: Any,
+    normal: Any,
+    tangent: Any,
+    beta: Any,
+    inverse: Any,
+) -> Any:
+    """A quadric grown from a start plane over the ball; its frame touches it at the centre. Returns
+    the number of inliers.
 
-    ``loose``: how far the points may lie from the start plane; what counts as an inlier shrinks from there to the threshold, as fast
-    as the quadric explains the points, so that a surface may bend by more than the threshold within the neighbourhood.
+    ``loose``: how far the points may lie from the start plane; what counts as an inlier shrinks
+    from there to the threshold, as fast as the quadric explains the points, so that a surface may
+    bend by more than the threshold within the neighbourhood.
     """
     near, index, inside = np.empty((4, n)), np.empty(n, np.int64), np.empty(n, np.bool_)
     plane = start.copy()
     plane[3] += plane[0] * origin[0] + plane[1] * origin[1] + plane[2] * origin[2]
     loose = max(loose, threshold)
     few = min(iterations, STEPS)  # a start; the fixed point is sought with the right distances
-    if level_frame(pts, n, origin, plane, sigma, ball, 0.0, loose, few, near, index, inside, centre, normal, tangent) < 0.0:
+    if (
+        level_frame(
+            pts,
+            n,
+            origin,
+            plane,
+            sigma,
+            ball,
+            0.0,
+            loose,
+            few,
+            near,
+            index,
+            inside,
+            centre,
+            normal,
+            tangent,
+        )
+        < 0.0
+    ):
         return 0
     m = coordinates(pts, n, centre, normal, tangent, ball, near, index)
     mark_flat(near, m, loose, inside)
     used, _ = refit(near, m, ball, 6, sigma, 0.0, loose, few, inside, beta, inverse)
     if used == 0:
         return 0
-    return settled(pts, n, loose, ball, sigma, threshold, iterations, levels, centre, normal, tangent, beta, inverse)
+    return settled(
+        pts,
+        n,
+        loose,
+        ball,
+        sigma,
+        threshold,
+        iterations,
+        levels,
+        centre,
+        normal,
+        tangent,
+        beta,
+        inverse,
+    )
 
 
 @kernel
 def settled(
-    pts: Any, n: Any, loose: Any, ball: Any, sigma: Any, threshold: Any, iterations: Any, levels: Any, centre: Any, normal: Any,
-    tangent: Any, beta: Any, inverse: Any,
-) -> Any:  # fmt: skip
-    """A quadric refitted to the points around it until ``loose`` is the threshold and its frame touches it, ``levels`` frames at most;
-    returns the number of inliers, 0 where it gets lost."""
+    pts: Any,
+    n: Any,
+    loose: Any,
+    ball: Any,
+    sigma: Any,
+    threshold: Any,
+    iterations: Any,
+    levels: Any,
+    centre: Any,
+    normal: Any,
+    tangent: Any,
+    beta: Any,
+    inverse: Any,
+) -> Any:
+    """A quadric refitted to the points around it until ``loose`` is the threshold and its frame
+    touches it, ``levels`` frames at most; returns the number of inliers, 0 where it gets lost.
+    """
     near, index, side, used = np.empty((4, n)), np.empty(n, np.int64), np.empty(3), 0
     for level in range(levels + SHRINKS):
         m = coordinates(pts, n, centre, normal, tangent, ball, near, index)
-        used, square = geometric_refit(near, m, ball, loose, min(iterations, STEPS), sigma, beta, inverse)
+        used, square = geometric_refit(
+            near, m, ball, loose, min(iterations, STEPS), sigma, beta, inverse
+        )
         if used == 0 or (loose == threshold and square > LOST * sigma * sigma):
             return 0
         level_now = abs(beta[1]) + abs(beta[2]) + abs(beta[0]) / ball <= 1e-3
@@ -166,8 +259,20 @@ def settled(
 
 
 @kernel
-def foot_on_quadric(x: Any, centre: Any, normal: Any, tangent: Any, side: Any, beta: Any, inverse: Any, q: Any, n_out: Any) -> Any:
-    """Foot point q and normal of the surface under x; returns (distance, variance of the surface there over sigma²)."""
+def foot_on_quadric(
+    x: Any,
+    centre: Any,
+    normal: Any,
+    tangent: Any,
+    side: Any,
+    beta: Any,
+    inverse: Any,
+    q: Any,
+    n_out: Any,
+) -> Any:
+    """Foot point q and normal of the surface under x; returns (distance, variance of the surface
+    there over sigma²).
+    """
     u = v = w = 0.0
     for k in range(3):
         d = x[k] - centre[k]
@@ -191,8 +296,12 @@ def foot_on_quadric(x: Any, centre: Any, normal: Any, tangent: Any, side: Any, b
 
 
 @kernel
-def quadric_cost(x: Any, m: Any, origin: Any, centre: Any, normal: Any, tangent: Any, beta: Any, limit: Any) -> Any:
-    """Sum of squared distances of points (m, 3) about ``origin``, each at most ``limit``; and how many are below it."""
+def quadric_cost(
+    x: Any, m: Any, origin: Any, centre: Any, normal: Any, tangent: Any, beta: Any, limit: Any
+) -> Any:
+    """Sum of squared distances of points (m, 3) about ``origin``, each at most ``limit``; and how
+    many are below it.
+    """
     side, cost, below = np.empty(3), 0.0, 0
     across(normal, tangent, side)
     for i in range(m):

@@ -1,7 +1,9 @@
-"""Sharp features: several planes in one neighbourhood, where they meet, and the piece of each that is surface.
+"""Sharp features: several planes in one neighbourhood, where they meet, and the piece of each that
+is surface.
 
-Seed 002 section 4.2 handles edges of two planes and corners of three; here any number of planes may meet, convex and
-concave, in any orientation. Planes are ``n·x = o`` in rows (n, o); all kernels work on points (m, 3) about a local origin.
+Seed 002 section 4.2 handles edges of two planes and corners of three; here any number of planes may
+meet, convex and concave, in any orientation. Planes are ``n·x = o`` in rows (n, o); all kernels
+work on points (m, 3) about a local origin.
 """
 
 from __future__ import annotations
@@ -16,9 +18,11 @@ from ladar_volume.model.kernels import kernel, leaf_kernel
 
 #: Most planes in one neighbourhood.
 MOST = 8
-#: A point scores for a plane within this many sigma: uniform noise ends at 1.73, a third of a plane tilted across an edge lies beyond.
+#: A point scores for a plane within this many sigma: uniform noise ends at 1.73, a third of a plane
+#: tilted across an edge lies beyond.
 SCORE_SIGMAS = 2.2
-#: A plane bounds another where no more of its points than this share, and this many besides, lie on the far side: outliers do.
+#: A plane bounds another where no more of its points than this share, and this many besides, lie on
+#: the far side: outliers do.
 STRAY, STRAYS = 0.03, 2
 #: Fewest points from which sides are told.
 CLEAR = 12
@@ -46,11 +50,15 @@ def plane_through(a: Any, b: Any, c: Any, plane: Any) -> Any:
 
 
 @kernel
-def best_plane(x: Any, free: Any, m: Any, reach: Any, threshold: Any, trials: Any, state: Any, plane: Any) -> Any:
-    """The plane through three of the points ``free[:m]`` within ``reach`` of each other with the best truncated score (MSAC).
+def best_plane(
+    x: Any, free: Any, m: Any, reach: Any, threshold: Any, trials: Any, state: Any, plane: Any
+) -> Any:
+    """The plane through three of the points ``free[:m]`` within ``reach`` of each other with the
+    best truncated score (MSAC).
 
-    Samples are local: where five planes meet, three random points lie on one of them once in twenty-five times, three
-    neighbours far more often. Returns the score, 0 where no sample was usable.
+    Samples are local: where five planes meet, three random points lie on one of them once in
+    twenty-five times, three neighbours far more often. Returns the score, 0 where no sample was
+    usable.
     """
     trial = np.empty(4)
     limit = threshold * threshold
@@ -88,11 +96,11 @@ def best_plane(x: Any, free: Any, m: Any, reach: Any, threshold: Any, trials: An
 
 @kernel
 def fit_shares(x: Any, m: Any, share: Any, plane: Any, mean: Any, inverse: Any) -> Any:
-    """Orthogonal least squares of points (m, 3) that count by their shares (m,); returns the sum of the shares, 0 where they
-    determine no plane.
+    """Orthogonal least squares of points (m, 3) that count by their shares (m,); returns the sum of
+    the shares, 0 where they determine no plane.
 
-    The inverse (3, 3) is that of the scatter about the mean with the normal's own direction set aside: the covariance
-    of the plane's two tilts is sigma² times its projection.
+    The inverse (3, 3) is that of the scatter about the mean with the normal's own direction set
+    aside: the covariance of the plane's two tilts is sigma² times its projection.
     """
     total = 0.0
     mean[:] = 0.0
@@ -130,13 +138,17 @@ def fit_shares(x: Any, m: Any, share: Any, plane: Any, mean: Any, inverse: Any) 
     plane[3] = n0 * mean[0] + n1 * mean[1] + n2 * mean[2]
     for i in range(3):
         for j in range(3):
-            inverse[i, j] = vector[i, 1] * vector[j, 1] / value[1] + vector[i, 2] * vector[j, 2] / value[2]
+            inverse[i, j] = (
+                vector[i, 1] * vector[j, 1] / value[1] + vector[i, 2] * vector[j, 2] / value[2]
+            )
     return total
 
 
 @kernel
 def fit_plane(x: Any, m: Any, label: Any, own: Any, plane: Any, mean: Any, inverse: Any) -> Any:
-    """Orthogonal least squares of the points labelled ``own``, as :func:`fit_shares`; returns their number, 0 for less than four."""
+    """Orthogonal least squares of the points labelled ``own``, as :func:`fit_shares`; returns their
+    number, 0 for less than four.
+    """
     share, n = np.zeros(m), 0
     for i in range(m):
         if label[i] == own:
@@ -167,8 +179,12 @@ def squares(x: Any, m: Any, planes: Any, count: Any, out: Any) -> None:
 
 
 @kernel
-def nearest_pieces(x: Any, m: Any, planes: Any, count: Any, side: Any, limit: Any, label: Any) -> None:
-    """Label every point with the plane of its nearest piece, −1 beyond the limit of squared distance."""
+def nearest_pieces(
+    x: Any, m: Any, planes: Any, count: Any, side: Any, limit: Any, label: Any
+) -> None:
+    """Label every point with the plane of its nearest piece, −1 beyond the limit of squared
+    distance.
+    """
     q = np.empty(3)
     for i in range(m):
         a, square, _ = nearest_piece(x[i], planes, count, side, q)
@@ -177,8 +193,9 @@ def nearest_pieces(x: Any, m: Any, planes: Any, count: Any, side: Any, limit: An
 
 @leaf_kernel
 def nearest_planes(x: Any, m: Any, planes: Any, count: Any, limit: Any, label: Any) -> Any:
-    """Label every point with its nearest plane, −1 beyond the limit of squared distance; returns the sum of squares, each at most the
-    limit: never more than that of the distances to the pieces."""
+    """Label every point with its nearest plane, −1 beyond the limit of squared distance; returns
+    the sum of squares, each at most the limit: never more than that of the distances to the pieces.
+    """
     square = 0.0
     for i in range(m):
         nearest = limit
@@ -194,7 +211,8 @@ def nearest_planes(x: Any, m: Any, planes: Any, count: Any, limit: Any, label: A
 
 @kernel
 def bounds(x: Any, m: Any, label: Any, planes: Any, count: Any, sigma: Any, side: Any) -> None:
-    """side (k, k): +1 or −1 where a plane's support lies on that side of another plane, 0 where it lies on both.
+    """side (k, k): +1 or −1 where a plane's support lies on that side of another plane, 0 where it
+    lies on both.
 
     Points within the noise of the other plane do not tell.
     """
@@ -211,8 +229,12 @@ def bounds(x: Any, m: Any, label: Any, planes: Any, count: Any, sigma: Any, side
 
 
 @leaf_kernel
-def _count_sides(x: Any, m: Any, label: Any, planes: Any, count: Any, doubt: Any, above: Any, total: Any) -> None:
-    """Of the points of each plane that lie farther than ``doubt`` from each other plane: all of them, and those above it."""
+def _count_sides(
+    x: Any, m: Any, label: Any, planes: Any, count: Any, doubt: Any, above: Any, total: Any
+) -> None:
+    """Of the points of each plane that lie farther than ``doubt`` from each other plane: all of
+    them, and those above it.
+    """
     for i in range(m):
         a = label[i]
         if a < 0:
@@ -225,8 +247,12 @@ def _count_sides(x: Any, m: Any, label: Any, planes: Any, count: Any, doubt: Any
 
 
 @leaf_kernel
-def _most_beyond(q0: Any, q1: Any, q2: Any, a: Any, planes: Any, count: Any, side: Any, skip: Any) -> Any:
-    """Of the planes that bound plane a, the one q lies farthest beyond; −1 where it lies beyond none."""
+def _most_beyond(
+    q0: Any, q1: Any, q2: Any, a: Any, planes: Any, count: Any, side: Any, skip: Any
+) -> Any:
+    """Of the planes that bound plane a, the one q lies farthest beyond; −1 where it lies beyond
+    none.
+    """
     worst, depth = -1, 1e-9
     for b in range(count):
         if b == skip or side[a, b] == 0:
@@ -239,7 +265,9 @@ def _most_beyond(q0: Any, q1: Any, q2: Any, a: Any, planes: Any, count: Any, sid
 
 @leaf_kernel
 def nearest_on_piece(x: Any, a: Any, planes: Any, count: Any, side: Any) -> Any:
-    """The nearest point of the bounded piece of plane a, as (q0, q1, q2, on): on = 0 inside it, 1 on an edge, 2 in a vertex."""
+    """The nearest point of the bounded piece of plane a, as (q0, q1, q2, on): on = 0 inside it, 1
+    on an edge, 2 in a vertex.
+    """
     n0, n1, n2 = planes[a, 0], planes[a, 1], planes[a, 2]
     d = distance(x, planes[a])
     q0, q1, q2 = x[0] - d * n0, x[1] - d * n1, x[2] - d * n2
@@ -266,7 +294,9 @@ def nearest_on_piece(x: Any, a: Any, planes: Any, count: Any, side: Any) -> Any:
 
 @leaf_kernel
 def nearest_piece(x: Any, planes: Any, count: Any, side: Any, q: Any) -> Any:
-    """(plane, squared distance, 0 | 1 | 2 as :func:`nearest_on_piece`) of the piece nearest to x, with the point q on it."""
+    """(plane, squared distance, 0 | 1 | 2 as :func:`nearest_on_piece`) of the piece nearest to x,
+    with the point q on it.
+    """
     best, which, kind = np.inf, -1, 0
     for a in range(count):
         if distance(x, planes[a]) ** 2 >= best:  # no piece is nearer than its plane

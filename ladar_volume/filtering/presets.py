@@ -1,8 +1,10 @@
-"""Published settings of the filter (seed 002 section 9.1 and 9.3), as keys and values of the section ``filter``.
+"""Published settings of the filter (seed 002 section 9.1 and 9.3), as keys and values of the
+section ``filter``.
 
-delta is the range r (fits reach over 2 r), polDeg the degree, T the trials, minPts = polDeg k the fewest points, sampling the grid
-before and after; residualsThreshold serves the RANSAC start, which section 4.3 recommends. outliersThreshold, the published 5 cm, is a
-floor of the inlier threshold, and with ``order: published`` the threshold itself. Not taken over is k = 20 or 10 points per random
+delta is the range r (fits reach over 2 r), polDeg the degree, T the trials, minPts = polDeg k the
+fewest points, sampling the grid before and after; residualsThreshold serves the RANSAC start, which
+section 4.3 recommends. outliersThreshold, the published 5 cm, is a floor of the inlier threshold,
+and with ``order: published`` the threshold itself. Not taken over is k = 20 or 10 points per random
 sample, which cannot survive the outliers it is meant for: samples are four points here.
 """
 
@@ -11,18 +13,35 @@ from __future__ import annotations
 from typing import Any
 
 _BENCH: dict[str, Any] = {
-    "radius_m": 0.2, "degree": 1, "trials": 200, "min_points": 20,
-    "sampling_m": 0.03, "grid_before_m": 0.03, "grid_after_m": 0.03, "outlier_sigmas": 3.0, "outlier_floor_m": 0.05,
-    "start": "ransac", "ransac_threshold_m": 0.02,
-}  # fmt: skip
+    "radius_m": 0.2,
+    "degree": 1,
+    "trials": 200,
+    "min_points": 20,
+    "sampling_m": 0.03,
+    "grid_before_m": 0.03,
+    "grid_after_m": 0.03,
+    "outlier_sigmas": 3.0,
+    "outlier_floor_m": 0.05,
+    "start": "ransac",
+    "ransac_threshold_m": 0.02,
+}
 _BOX: dict[str, Any] = {
-    "radius_m": 0.3, "degree": 1, "trials": 300, "min_points": 10,
-    "sampling_m": 0.02, "grid_before_m": 0.02, "grid_after_m": 0.02, "outlier_sigmas": 3.0, "outlier_floor_m": 0.05,
-    "start": "ransac", "ransac_threshold_m": 0.03,
-}  # fmt: skip
+    "radius_m": 0.3,
+    "degree": 1,
+    "trials": 300,
+    "min_points": 10,
+    "sampling_m": 0.02,
+    "grid_before_m": 0.02,
+    "grid_after_m": 0.02,
+    "outlier_sigmas": 3.0,
+    "outlier_floor_m": 0.05,
+    "start": "ransac",
+    "ransac_threshold_m": 0.03,
+}
 
-#: ``bench``: Table 9.1, bench and fountain, in metres. ``box``: Table 9.2, cardboard box, printed in centimetres, here in metres.
-#: ``sphere``: the same with degree 2, hence minPts 2 k. ``ground``: Table 9.1 with T = 1000 (section 9.3).
+#: ``bench``: Table 9.1, bench and fountain, in metres. ``box``: Table 9.2, cardboard box, printed
+#: in centimetres, here in metres. ``sphere``: the same with degree 2, hence minPts 2 k. ``ground``:
+#: Table 9.1 with T = 1000 (section 9.3).
 PRESETS: dict[str, dict[str, Any]] = {
     "bench": _BENCH,
     "box": _BOX,

@@ -14,11 +14,32 @@ from ladar_volume.model.kernels import kernel, parallel_kernel
 
 @parallel_kernel
 def project(
-    rows: Any, voxels: Any, start: Any, used: Any, members: Any, r: Any, C: Any, t_ns: Any, cap: Any, centre: Any, normal: Any,
-    tangent: Any, beta: Any, C_beta: Any, p: Any, cell: Any, r_out: Any, n_out: Any, var_out: Any, C_out: Any, t_out: Any, uv_out: Any,
+    rows: Any,
+    voxels: Any,
+    start: Any,
+    used: Any,
+    members: Any,
+    r: Any,
+    C: Any,
+    t_ns: Any,
+    cap: Any,
+    centre: Any,
+    normal: Any,
+    tangent: Any,
+    beta: Any,
+    C_beta: Any,
+    p: Any,
+    cell: Any,
+    r_out: Any,
+    n_out: Any,
+    var_out: Any,
+    C_out: Any,
+    t_out: Any,
+    uv_out: Any,
     counts: Any,
-) -> None:  # fmt: skip
-    """Project each patch's own inliers and replace those in one cell of its tangent plane by their mean.
+) -> None:
+    """Project each patch's own inliers and replace those in one cell of its tangent plane by their
+    mean.
 
     Row i of every output belongs to patch ``rows[k]`` with i = k * cap + cluster.
     """
@@ -78,9 +99,18 @@ def project(
 
 @kernel
 def tangential(total: Any, n: Any, size: Any, out: Any) -> None:
-    """``P C P / size²`` with P = I − n nᵀ: the noise of a mean of ``size`` points within the tangent plane, packed."""
+    """``P C P / size²`` with P = I − n nᵀ: the noise of a mean of ``size`` points within the
+    tangent plane, packed.
+    """
     C = np.empty((3, 3))
-    C[0, 0], C[0, 1], C[0, 2], C[1, 1], C[1, 2], C[2, 2] = total[0], total[1], total[2], total[3], total[4], total[5]
+    C[0, 0], C[0, 1], C[0, 2], C[1, 1], C[1, 2], C[2, 2] = (
+        total[0],
+        total[1],
+        total[2],
+        total[3],
+        total[4],
+        total[5],
+    )
     C[1, 0], C[2, 0], C[2, 1] = total[1], total[2], total[4]
     P = np.eye(3)
     for i in range(3):

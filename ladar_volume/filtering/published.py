@@ -1,13 +1,16 @@
-"""The published filter (seed 002 chapter 4, Algorithm 1), sequential and order dependent: the option ``order: published``.
+"""The published filter (seed 002 chapter 4, Algorithm 1), sequential and order dependent: the
+option ``order: published``.
 
-Beside the source: planes and quadrics lie over a local tangent plane, never over the map's, and the sampled model is only a start
-for a least-squares refit on its inliers. The published thresholds cut into the noise. That makes the scatter of the inliers smaller
-than the noise and the fit less sure than least squares would say, so sigmas are inflated by what the cut costs:
+Beside the source: planes and quadrics lie over a local tangent plane, never over the map's, and the
+sampled model is only a start for a least-squares refit on its inliers. The published thresholds cut
+into the noise. That makes the scatter of the inliers smaller than the noise and the fit less sure
+than least squares would say, so sigmas are inflated by what the cut costs:
 
     d fit / d (shift of the noise) = 1 − 2 threshold · f(threshold) / P(inlier)
 
-for a density f of the residuals, hence variances by one over its square (Huber's one-step estimate of a skipped mean). f comes from the
-residuals of all fits in a band about the threshold: normal noise cut at 1.73 sigma gives 2.3, at 3 sigma 1.06.
+for a density f of the residuals, hence variances by one over its square (Huber's one-step estimate
+of a skipped mean). f comes from the residuals of all fits in a band about the threshold: normal
+noise cut at 1.73 sigma gives 2.3, at 3 sigma 1.06.
 """
 
 from __future__ import annotations
@@ -28,7 +31,8 @@ from ladar_volume.model.errors import FilterError
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64
 
-#: Least factor of the sensitivity of a fit to its points: below, the cut takes all and the inflation stays at 100.
+#: Least factor of the sensitivity of a fit to its points: below, the cut takes all and the
+#: inflation stays at 100.
 LEAST_SENSITIVITY = 0.1
 
 
@@ -36,13 +40,16 @@ LEAST_SENSITIVITY = 0.1
 class PublishedParameters:
     """Names of the source in brackets; lengths in m.
 
-    radius_m (delta) : fits reach over twice this · degree (polDeg) · sample_size (k) : points per random sample, at least six for a
-    quadric · trials (T) · confidence : trials end once an outlier-free sample was drawn with it, 1 for never · start : ``lmeds`` or
-    ``ransac`` · ransac_threshold_m (residualsThreshold) · threshold_m (outliersThreshold) : 0 for ``outlier_sigmas`` robust sigma ·
-    edges_threshold (edgesThreshold) : ratio of outliers above which an edge is looked for · min_share : share of a neighbourhood
-    that has to lie on its surfaces: with more outliers than the breakdown point there is none (section 4.1) · min_points (minPts) :
-    fewest points within the radius that are not filtered yet · edge : points beyond an intersection are set onto it (``snap``) or
-    taken out (``remove``) · sort : visit points by the sum of their coordinates (section 4.3), else as they come
+    radius_m (delta) : fits reach over twice this · degree (polDeg) · sample_size (k) : points per
+    random sample, at least six for a quadric · trials (T) · confidence : trials end once an
+    outlier-free sample was drawn with it, 1 for never · start : ``lmeds`` or ``ransac`` ·
+    ransac_threshold_m (residualsThreshold) · threshold_m (outliersThreshold) : 0 for
+    ``outlier_sigmas`` robust sigma · edges_threshold (edgesThreshold) : ratio of outliers above
+    which an edge is looked for · min_share : share of a neighbourhood that has to lie on its
+    surfaces: with more outliers than the breakdown point there is none (section 4.1) · min_points
+    (minPts) : fewest points within the radius that are not filtered yet · edge : points beyond an
+    intersection are set onto it (``snap``) or taken out (``remove``) · sort : visit points by the
+    sum of their coordinates (section 4.3), else as they come
     """
 
     radius_m: float = 0.2
@@ -63,31 +70,53 @@ class PublishedParameters:
     seed: int = 1
 
     def __post_init__(self) -> None:
-        wrong = [f.name for f in dataclasses.fields(self) if f.name not in ("start", "edge", "sort") and not getattr(self, f.name) >= 0]
-        wrong += [name for name in ("radius_m", "trials", "ransac_threshold_m", "refit_iterations") if not getattr(self, name) > 0]
+        wrong = [
+            f.name
+            for f in dataclasses.fields(self)
+            if f.name not in ("start", "edge", "sort") and not getattr(self, f.name) >= 0
+        ]
+        wrong += [
+            name
+            for name in ("radius_m", "trials", "ransac_threshold_m", "refit_iterations")
+            if not getattr(self, name) > 0
+        ]
         wrong += ["sample_size"] * (self.sample_size < 3) + ["min_points"] * (self.min_points < 4)
-        wrong += ["degree"] * (self.degree not in (1, 2)) + ["start"] * (self.start not in ("lmeds", "ransac"))
-        wrong += ["edge"] * (self.edge not in ("snap", "remove")) + ["confidence"] * (not 0.0 <= self.confidence <= 1.0)
+        wrong += ["degree"] * (self.degree not in (1, 2)) + ["start"] * (
+            self.start not in ("lmeds", "ransac")
+        )
+        wrong += ["edge"] * (self.edge not in ("snap", "remove")) + ["confidence"] * (
+            not 0.0 <= self.confidence <= 1.0
+        )
         if wrong:
             value = getattr(self, wrong[0])
-            raise FilterError(f"{wrong[0]} cannot be {value!r}", reason="filter_parameter", value=value)
+            raise FilterError(
+                f"{wrong[0]} cannot be {value!r}", reason="filter_parameter", value=value
+            )
 
 
 def settings(parameters: FilterParameters, **changes: Any) -> PublishedParameters:
-    """From the section ``filter``. Its floor of the threshold, where there is one, is the published threshold itself."""
-    names = {f.name for f in dataclasses.fields(PublishedParameters)} & {f.name for f in dataclasses.fields(parameters)}
+    """From the section ``filter``. Its floor of the threshold, where there is one, is the published
+    threshold itself.
+    """
+    names = {f.name for f in dataclasses.fields(PublishedParameters)} & {
+        f.name for f in dataclasses.fields(parameters)
+    }
     values = {name: getattr(parameters, name) for name in names}
     return PublishedParameters(**{**values, "threshold_m": parameters.outlier_floor_m, **changes})
 
 
 def filter_published(r: F64, parameters: PublishedParameters) -> CloudResult:
-    """Algorithm 1 on points (n, 3), m, in any frame, without its reductions. Raises FilterError as ``cloud.filter_cloud``.
+    """Algorithm 1 on points (n, 3), m, in any frame, without its reductions. Raises FilterError as
+    ``cloud.filter_cloud``.
 
-    Points never projected keep their last reason: ``few_neighbours`` where no neighbourhood with enough new points reached them.
+    Points never projected keep their last reason: ``few_neighbours`` where no neighbourhood with
+    enough new points reached them.
     """
     points = checked(r)
     n, p = len(points), parameters
-    origin = points.mean(axis=0)  # digits: neighbourhoods work on offsets of the cloud's size, not on map coordinates
+    origin = points.mean(
+        axis=0
+    )  # digits: neighbourhoods work on offsets of the cloud's size, not on map coordinates
     local = points - origin
     order, keys, first, table = sorted_by_voxel(local, p.radius_m)
     ordered = local[order]
@@ -98,19 +127,42 @@ def filter_published(r: F64, parameters: PublishedParameters) -> CloudResult:
     q, normals, variance = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
     reason, tally = np.full(n, FEW_POINTS, np.int64), np.zeros(8)
     ints = [np.empty(n, np.int64) for _ in range(4)]
-    scratch = Scratch(ints[0], np.empty((n, 3)), np.empty((3, n)), ints[1], ints[2], ints[3], np.empty(n))
-    sweep(visit, home, keys, table, first, ordered, _rules(p), scratch, tally, q, normals, variance, reason)
+    scratch = Scratch(
+        ints[0], np.empty((n, 3)), np.empty((3, n)), ints[1], ints[2], ints[3], np.empty(n)
+    )
+    sweep(
+        visit,
+        home,
+        keys,
+        table,
+        first,
+        ordered,
+        _rules(p),
+        scratch,
+        tally,
+        q,
+        normals,
+        variance,
+        reason,
+    )
     index = np.flatnonzero(reason[back] == KEPT)
     rows, outliers = back[index], np.flatnonzero(reason[back] != KEPT)
     factor = inflation(tally[sweeps.INLIERS], tally[sweeps.IN_BAND])
     report = _report(p, tally, factor)
-    report |= {"points": n, "kept": len(index), **{name: int(np.count_nonzero(reason == i)) for i, name in enumerate(REASONS) if i}}
+    report |= {
+        "points": n,
+        "kept": len(index),
+        **{name: int(np.count_nonzero(reason == i)) for i, name in enumerate(REASONS) if i},
+    }
     sigma = np.sqrt(factor * variance[rows])
-    return CloudResult(q[rows] + origin, index, normals[rows], sigma, outliers, reason[back[outliers]], report)
+    return CloudResult(
+        q[rows] + origin, index, normals[rows], sigma, outliers, reason[back[outliers]], report
+    )
 
 
 def inflation(inliers: float, in_band: float) -> float:
-    """Variance of a fit that leaves out what lies beyond a threshold, over what least squares on its inliers says.
+    """Variance of a fit that leaves out what lies beyond a threshold, over what least squares on
+    its inliers says.
 
     in_band : residuals within ``BAND`` of the threshold, as a share of it, on either side.
     """
@@ -121,10 +173,22 @@ def inflation(inliers: float, in_band: float) -> float:
 def _rules(p: PublishedParameters) -> Rules:
     sigmas = 0.0 if p.threshold_m > 0.0 else p.outlier_sigmas
     return Rules(
-        float(p.radius_m), int(p.degree), int(p.sample_size), int(p.trials), p.start == "ransac", float(p.ransac_threshold_m),
-        float(p.confidence), float(sigmas), float(p.threshold_m), float(p.edges_threshold), float(p.min_share),
-        int(p.min_points), int(p.refit_iterations), p.edge == "snap", int(p.seed),
-    )  # fmt: skip
+        float(p.radius_m),
+        int(p.degree),
+        int(p.sample_size),
+        int(p.trials),
+        p.start == "ransac",
+        float(p.ransac_threshold_m),
+        float(p.confidence),
+        float(sigmas),
+        float(p.threshold_m),
+        float(p.edges_threshold),
+        float(p.min_share),
+        int(p.min_points),
+        int(p.refit_iterations),
+        p.edge == "snap",
+        int(p.seed),
+    )
 
 
 def _report(p: PublishedParameters, tally: F64, factor: float) -> dict[str, float | int | str]:
@@ -132,8 +196,16 @@ def _report(p: PublishedParameters, tally: F64, factor: float) -> dict[str, floa
     noise = float(np.sqrt(tally[sweeps.SQUARES] / max(tally[sweeps.INLIERS], 1.0)))
     threshold = p.threshold_m or float(tally[sweeps.THRESHOLDS] / fits)
     return {
-        "order": "published", "radius_m": p.radius_m, "fit_radius_m": 2 * p.radius_m, "degree": p.degree, "threshold_m": threshold,
-        "noise_m": noise, "threshold_over_noise": threshold / noise if noise > 0.0 else 0.0, "variance_inflation": factor,
-        "fits": int(tally[sweeps.FITS]), "fits_edge": int(tally[sweeps.EDGES]), "fits_corner": int(tally[sweeps.CORNERS]),
+        "order": "published",
+        "radius_m": p.radius_m,
+        "fit_radius_m": 2 * p.radius_m,
+        "degree": p.degree,
+        "threshold_m": threshold,
+        "noise_m": noise,
+        "threshold_over_noise": threshold / noise if noise > 0.0 else 0.0,
+        "variance_inflation": factor,
+        "fits": int(tally[sweeps.FITS]),
+        "fits_edge": int(tally[sweeps.EDGES]),
+        "fits_corner": int(tally[sweeps.CORNERS]),
         "trials_per_fit": float(tally[sweeps.TRIALS] / fits),
-    }  # fmt: skip
+    }

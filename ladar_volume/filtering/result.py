@@ -1,4 +1,6 @@
-"""The answer of a cloud filter: every input point is kept, stands behind one that is kept, or is named with a reason."""
+"""The answer of a cloud filter: every input point is kept, stands behind one that is kept, or is
+named with a reason.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +19,14 @@ REASONS = ("kept", "outlier", "few_neighbours", "no_surface", "beyond_edge", "un
 class CloudResult:
     """What became of a cloud.
 
-    r : (k, 3) m, filtered points in the order of their input · index : (k,) input point of each · normal : (k, 3), towards no
-    side in particular · sigma : (k,) m, standard deviation along the normal · outliers : (m,) input points taken out, ascending ·
-    reason : (m,) index into ``REASONS`` · report : what was chosen and what came of it · count : (k,) input points each filtered
-    point stands for, None where each stands for its own alone. ``sum(count) + m`` is the number of input points ·
-    noise, reach : (k,) m, standard deviation of one input point there and radius of its fit; curved : (k,) whether that was a quadric, not
-    planes; all None where points were reduced or the order was the published one.
+    r : (k, 3) m, filtered points in the order of their input · index : (k,) input point of each ·
+    normal : (k, 3), towards no side in particular · sigma : (k,) m, standard deviation along the
+    normal · outliers : (m,) input points taken out, ascending · reason : (m,) index into
+    ``REASONS`` · report : what was chosen and what came of it · count : (k,) input points each
+    filtered point stands for, None where each stands for its own alone. ``sum(count) + m`` is the
+    number of input points · noise, reach : (k,) m, standard deviation of one input point there and
+    radius of its fit; curved : (k,) whether that was a quadric, not planes; all None where points
+    were reduced or the order was the published one.
     """
 
     r: F64
@@ -39,11 +43,19 @@ class CloudResult:
 
 
 def checked(r: F64) -> F64:
-    """Points (n, 3) as contiguous float64; raises FilterError for a wrong shape, no points, or a coordinate that is not finite."""
+    """Points (n, 3) as contiguous float64; raises FilterError for a wrong shape, no points, or a
+    coordinate that is not finite.
+    """
     points = np.ascontiguousarray(r, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
-        raise FilterError(f"points are (n, 3), not {points.shape}", reason="filter_shape", value=points.shape)
+        raise FilterError(
+            f"points are (n, 3), not {points.shape}", reason="filter_shape", value=points.shape
+        )
     bad = int(np.count_nonzero(~np.isfinite(points).all(axis=1)))
     if bad:
-        raise FilterError(f"{bad} points with a coordinate that is not finite", reason="filter_not_finite", value=bad)
+        raise FilterError(
+            f"{bad} points with a coordinate that is not finite",
+            reason="filter_not_finite",
+            value=bad,
+        )
     return points

@@ -1,4 +1,6 @@
-"""What the kernels of the published filter share: its numbers, its working arrays and its threshold."""
+"""What the kernels of the published filter share: its numbers, its working arrays and its
+threshold.
+"""
 
 from __future__ import annotations
 

@@ -16,18 +16,21 @@ from ladar_volume.model.kernels import kernel, leaf_kernel
 
 #: A bent surface is sought from a plane over the ball's radius over this, the best of so many.
 BENT, TRIALS = 3.0, 60
-#: A quadric's centre is its own, not the cell's: it is fitted to points within the ball's radius times this.
+#: A quadric's centre is its own, not the cell's: it is fitted to points within the ball's radius
+#: times this.
 WIDE = 1.5
 #: Points that tell whether a quadric is worth a fit to all.
 SCREEN = 150
 #: Points about its start plane that it grows from.
 FROM = 50
-#: Mean square over sigma² of the points that a quadric explains from which it is no surface: in leaves they fill the slab, which gives
-#: 3; the noise may be a third larger than believed. Few points scatter by this over the root of their number.
+#: Mean square over sigma² of the points that a quadric explains from which it is no surface: in
+#: leaves they fill the slab, which gives 3; the noise may be a third larger than believed. Few
+#: points scatter by this over the root of their number.
 HOPELESS, SCATTER = 2.0, 5.0
 #: Most refits of a plane.
 STEADY = 6
-#: Share of the points that one surface must explain, with no more than the noise left, to need no further search.
+#: Share of the points that one surface must explain, with no more than the noise left, to need no
+#: further search.
 EXPLAINS = 0.85
 
 
@@ -43,18 +46,26 @@ def nearest_to_origin(planes: Any, count: Any) -> Any:
 
 @kernel
 def loose_plane(x: Any, m: Any, reach: Any, key: Any, plane: Any) -> Any:
-    """Least median of squares plane of the points (m, 3) within ``reach`` of the origin; returns its robust sigma, −1 for none."""
+    """Least median of squares plane of the points (m, 3) within ``reach`` of the origin; returns
+    its robust sigma, −1 for none.
+    """
     near, work, n = np.empty((3, m)), np.empty(m), 0
     for i in range(m):
         if x[i, 0] ** 2 + x[i, 1] ** 2 + x[i, 2] ** 2 <= reach * reach:
             near[:, n] = x[i]
             n += 1
-    return start_plane(near, n, 3, TRIALS, False, 0.0, _mix(np.uint64(key)), plane, work) if n > 8 else -1.0
+    return (
+        start_plane(near, n, 3, TRIALS, False, 0.0, _mix(np.uint64(key)), plane, work)
+        if n > 8
+        else -1.0
+    )
 
 
 @kernel
 def bent(x: Any, m: Any, label: Any, plane: Any, mean: Any, ball: Any) -> Any:
-    """By how much quadratic terms would lower the squares of the points labelled 0 about their plane."""
+    """By how much quadratic terms would lower the squares of the points labelled 0 about their
+    plane.
+    """
     A, inverted, b, row = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros(6), np.zeros(6)
     tangent, side = np.empty(3), np.empty(3)
     tangent_of(plane[:3], tangent)
@@ -84,10 +95,21 @@ def bent(x: Any, m: Any, label: Any, plane: Any, mean: Any, ball: Any) -> Any:
 
 @kernel
 def flat(
-    x: Any, m: Any, ball: Any, sigma: Any, threshold: Any, price: Any, plane: Any, mean: Any, inverse: Any, label: Any
-) -> Any:  # fmt: skip
-    """Whether one plane describes the points (m, 3): it explains most of them, leaves no more than the noise, and quadratic terms would
-    lower its squares by less than their price. Refits ``plane``; returns (1 or 0, number of its points, sum of truncated squares)."""
+    x: Any,
+    m: Any,
+    ball: Any,
+    sigma: Any,
+    threshold: Any,
+    price: Any,
+    plane: Any,
+    mean: Any,
+    inverse: Any,
+    label: Any,
+) -> Any:
+    """Whether one plane describes the points (m, 3): it explains most of them, leaves no more than
+    the noise, and quadratic terms would lower its squares by less than their price. Refits
+    ``plane``; returns (1 or 0, number of its points, sum of truncated squares).
+    """
     used, near, square = 0, -1, 0.0
     for _ in range(STEADY):
         count, square = 0, 0.0
@@ -127,40 +149,98 @@ def close_to(pts: Any, n: Any, origin: Any, plane: Any, width: Any) -> Any:
     offset = plane[3] + plane[0] * origin[0] + plane[1] * origin[1] + plane[2] * origin[2]
     near = 0
     for i in range(n):
-        near += abs(plane[0] * pts[i, 0] + plane[1] * pts[i, 1] + plane[2] * pts[i, 2] - offset) <= width
+        near += (
+            abs(plane[0] * pts[i, 0] + plane[1] * pts[i, 1] + plane[2] * pts[i, 2] - offset)
+            <= width
+        )
     return near
 
 
 @kernel
 def bend(
-    x: Any, m: Any, n: Any, r: Any, slots: Any, origin: Any, key: Any, candidates: Any, offered: Any, ball: Any, sigma: Any, threshold: Any,
-    least: Any, iterations: Any, quadric: Any,
-) -> Any:  # fmt: skip
-    """A ``quadric`` (centre, normal, tangent, beta, inverse) for the cell, to the arrays given. Returns (its sum of truncated squares,
-    infinite for none; how many planes may compete with it): where it leaves no more than the noise, none: several planes, which cost no
-    less than it, have nothing to gain."""
+    x: Any,
+    m: Any,
+    n: Any,
+    r: Any,
+    slots: Any,
+    origin: Any,
+    key: Any,
+    candidates: Any,
+    offered: Any,
+    ball: Any,
+    sigma: Any,
+    threshold: Any,
+    least: Any,
+    iterations: Any,
+    quadric: Any,
+) -> Any:
+    """A ``quadric`` (centre, normal, tangent, beta, inverse) for the cell, to the arrays given.
+    Returns (its sum of truncated squares, infinite for none; how many planes may compete with it):
+    where it leaves no more than the noise, none: several planes, which cost no less than it, have
+    nothing to gain.
+    """
     centre, normal, tangent, beta, inverse = quadric
     start, loose, most = np.empty(4), 0.0, least
     if offered > 0:
         start[:] = candidates[nearest_to_origin(candidates, offered)]
-    else:  # no plane within the threshold: a surface that bends by more than its noise, or none; half of the points must say so
+    # no plane within the threshold: a surface that bends by more than its noise, or none; half of
+    # the points must say so
+    else:
         loose, most = loose_plane(x, m, ball / BENT, key, start), m // 2
         if loose < 0.0:
             return np.inf, pieces.MOST
     pts, n = wider(r, slots, n, origin, WIDE * ball)
     every = max(m // SCREEN, 1)
-    thin = max(min(n // SCREEN, close_to(pts, n, origin, start, max(3.0 * loose, threshold)) // FROM), 1)
+    thin = max(
+        min(n // SCREEN, close_to(pts, n, origin, start, max(3.0 * loose, threshold)) // FROM), 1
+    )
     few = (n + thin - 1) // thin
     levels = LEVELS if thin == 1 else 1  # the fit to all points levels the frame
     inliers = quadric_from(
-        pts[:n:thin], few, origin, start, 3.0 * loose, ball, sigma, threshold, iterations, levels, centre, normal, tangent, beta, inverse
-    )  # fmt: skip
-    if thin > 1:  # most neighbourhoods that are not flat are sharp or clutter, and a few points say so
+        pts[:n:thin],
+        few,
+        origin,
+        start,
+        3.0 * loose,
+        ball,
+        sigma,
+        threshold,
+        iterations,
+        levels,
+        centre,
+        normal,
+        tangent,
+        beta,
+        inverse,
+    )
+    if (
+        thin > 1
+    ):  # most neighbourhoods that are not flat are sharp or clutter, and a few points say so
         some = (m + every - 1) // every
-        cost, near = quadric_cost(x[:m:every], some, origin, centre, normal, tangent, beta, threshold * threshold)
-        if inliers < 8 or 2 * near < some or cost - (some - near) * threshold * threshold > HOPELESS * near * sigma * sigma:
+        cost, near = quadric_cost(
+            x[:m:every], some, origin, centre, normal, tangent, beta, threshold * threshold
+        )
+        if (
+            inliers < 8
+            or 2 * near < some
+            or cost - (some - near) * threshold * threshold > HOPELESS * near * sigma * sigma
+        ):
             return np.inf, pieces.MOST
-        inliers = settled(pts, n, threshold, ball, sigma, threshold, iterations, LEVELS, centre, normal, tangent, beta, inverse)
+        inliers = settled(
+            pts,
+            n,
+            threshold,
+            ball,
+            sigma,
+            threshold,
+            iterations,
+            LEVELS,
+            centre,
+            normal,
+            tangent,
+            beta,
+            inverse,
+        )
     if inliers < max(most, 8):
         return np.inf, pieces.MOST
     cost, near = quadric_cost(x, m, origin, centre, normal, tangent, beta, threshold * threshold)

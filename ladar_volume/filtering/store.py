@@ -1,7 +1,8 @@
 """Raw points in voxels of edge r, capped by an order-independent rule: the lowest hashes stay.
 
-Which points a voxel holds depends only on the set of points offered, never on their order or batching, so streaming
-equals batch and memory follows the mapped area (seed 002 section 4.3 reduces by rounding; a hash keeps a fair sample).
+Which points a voxel holds depends only on the set of points offered, never on their order or
+batching, so streaming equals batch and memory follows the mapped area (seed 002 section 4.3 reduces
+by rounding; a hash keeps a fair sample).
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from ladar_volume.filtering.geometry import KEPT
 from ladar_volume.model.kernels import kernel, leaf_kernel
 from ladar_volume.model.records import F32, F64, I16, I32, I64, U16
 
-#: Bits and offset of one axis in a packed voxel key; 2**20 voxels to either side of the map's origin.
+#: Bits and offset of one axis in a packed voxel key; 2**20 voxels to either side of the map's
+#: origin.
 BITS = 21
 HALF = 1 << (BITS - 1)
 
@@ -31,7 +33,9 @@ def pack_key(ijk: I64) -> I64:
 def unpack_key(key: I64) -> I64:
     """Key (...,) → voxel indices (..., 3)."""
     mask = (1 << BITS) - 1
-    return np.stack([(key >> (2 * BITS)) - HALF, ((key >> BITS) & mask) - HALF, (key & mask) - HALF], axis=-1)
+    return np.stack(
+        [(key >> (2 * BITS)) - HALF, ((key >> BITS) & mask) - HALF, (key & mask) - HALF], axis=-1
+    )
 
 
 @leaf_kernel
@@ -56,14 +60,18 @@ def find_voxel(table: Any, keys: Any, key: Any) -> Any:
 
 @leaf_kernel
 def voxels_around(key: Any, keys: Any, table: Any, reach: Any, out: Any) -> Any:
-    """Indices of the voxels up to ``reach`` away from that of the key, itself included, in order of their keys; returns how many."""
+    """Indices of the voxels up to ``reach`` away from that of the key, itself included, in order of
+    their keys; returns how many.
+    """
     mask = (1 << BITS) - 1
     i0, j0, k0 = key >> (2 * BITS), (key >> BITS) & mask, key & mask
     n = 0
     for di in range(-reach, reach + 1):
         for dj in range(-reach, reach + 1):
             for dk in range(-reach, reach + 1):
-                w = find_voxel(table, keys, ((i0 + di) << (2 * BITS)) | ((j0 + dj) << BITS) | (k0 + dk))
+                w = find_voxel(
+                    table, keys, ((i0 + di) << (2 * BITS)) | ((j0 + dj) << BITS) | (k0 + dk)
+                )
                 if w >= 0:
                     out[n] = w
                     n += 1
@@ -90,11 +98,23 @@ def place_all(table: Any, keys: Any, used: Any) -> None:
 
 @kernel
 def would_stay(
-    t_ns: Any, ring: Any, r: Any, edge: Any, cap: Any, table: Any, keys: Any, count: Any, worst: Any, hashes: Any, key: Any, h: Any,
+    t_ns: Any,
+    ring: Any,
+    r: Any,
+    edge: Any,
+    cap: Any,
+    table: Any,
+    keys: Any,
+    count: Any,
+    worst: Any,
+    hashes: Any,
+    key: Any,
+    h: Any,
     stays: Any,
-) -> None:  # fmt: skip
-    """Voxel key and hash of each point, and whether it would stay were it alone. Voxels only fill up and their worst hash only falls:
-    a point that would not stay now never will."""
+) -> None:
+    """Voxel key and hash of each point, and whether it would stay were it alone. Voxels only fill
+    up and their worst hash only falls: a point that would not stay now never will.
+    """
     for i in range(len(t_ns)):
         ix = np.int64(np.floor(r[i, 0] / edge))
         iy = np.int64(np.floor(r[i, 1] / edge))
@@ -109,10 +129,22 @@ def would_stay(
 
 @kernel
 def _insert(
-    key: Any, h: Any, cap: Any, table: Any, keys: Any, count: Any, worst: Any, hashes: Any, changed: Any, used: Any, start: Any,
+    key: Any,
+    h: Any,
+    cap: Any,
+    table: Any,
+    keys: Any,
+    count: Any,
+    worst: Any,
+    hashes: Any,
+    changed: Any,
+    used: Any,
+    start: Any,
     slot_of: Any,
-) -> Any:  # fmt: skip
-    """Offer points from ``start`` on; returns (next point, voxels used). Stops early where the voxel arrays are full."""
+) -> Any:
+    """Offer points from ``start`` on; returns (next point, voxels used). Stops early where the
+    voxel arrays are full.
+    """
     for i in range(start, len(key)):
         v = find_voxel(table, keys, key[i])
         if v < 0:
@@ -160,7 +192,9 @@ def sort_voxels(voxels: Any, count: Any, hashes: Any, cap: Any, order: Any) -> N
 
 @dataclass(frozen=True)
 class Candidates:
-    """Points (n,) that may stay: key of their voxel, hash, and what is kept of each (see :class:`VoxelStore`)."""
+    """Points (n,) that may stay: key of their voxel, hash, and what is kept of each (see
+    :class:`VoxelStore`).
+    """
 
     key: I64
     hash: npt.NDArray[np.uint64]
@@ -175,10 +209,12 @@ class Candidates:
 
 
 class VoxelStore:
-    """Points by voxel. Slot ``v * cap + k`` holds the k-th point of voxel v; order within a voxel means nothing.
+    """Points by voxel. Slot ``v * cap + k`` holds the k-th point of voxel v; order within a voxel
+    means nothing.
 
-    keys : (used,) int64 · count : (used,) int32 · hashes, t_ns, ring, r, C, aux : per slot · order : slots of each voxel by hash ·
-    fresh : slots filled since :meth:`settle` · aux is the geometry as ``geometry`` keeps it
+    keys : (used,) int64 · count : (used,) int32 · hashes, t_ns, ring, r, C, aux : per slot · order
+    : slots of each voxel by hash · fresh : slots filled since :meth:`settle` · aux is the geometry
+    as ``geometry`` keeps it
     """
 
     def __init__(self, edge_m: float, cap: int, voxels: int = 1024) -> None:
@@ -205,12 +241,29 @@ class VoxelStore:
         return int(self.count[: self.used].sum())
 
     def offer(self, t_ns: I64, ring: U16, r: F64, C: F32) -> tuple[Candidates, I64]:
-        """The points that may stay, and their rows among those offered. The caller fills their ``aux`` and hands them to :meth:`insert`,
-        now or later."""
-        key, h, stays = np.empty(len(t_ns), np.int64), np.empty(len(t_ns), np.uint64), np.empty(len(t_ns), np.bool_)
+        """The points that may stay, and their rows among those offered. The caller fills their
+        ``aux`` and hands them to :meth:`insert`, now or later.
+        """
+        key, h, stays = (
+            np.empty(len(t_ns), np.int64),
+            np.empty(len(t_ns), np.uint64),
+            np.empty(len(t_ns), np.bool_),
+        )
         would_stay(
-            t_ns, ring, r, self.edge_m, self.cap, self.table, self.keys, self.count, self.worst, self.hashes, key, h, stays
-        )  # fmt: skip
+            t_ns,
+            ring,
+            r,
+            self.edge_m,
+            self.cap,
+            self.table,
+            self.keys,
+            self.count,
+            self.worst,
+            self.hashes,
+            key,
+            h,
+            stays,
+        )
         self.offered += len(t_ns)
         rows = np.flatnonzero(stays)
         aux = np.zeros((len(rows), KEPT), np.int16)
@@ -221,9 +274,19 @@ class VoxelStore:
         slot_of, start = np.full(len(points), -1, np.int64), 0
         while True:
             start, self.used = _insert(
-                points.key, points.hash, self.cap, self.table, self.keys, self.count, self.worst, self.hashes, self.changed, self.used,
-                start, slot_of,
-            )  # fmt: skip
+                points.key,
+                points.hash,
+                self.cap,
+                self.table,
+                self.keys,
+                self.count,
+                self.worst,
+                self.hashes,
+                self.changed,
+                self.used,
+                start,
+                slot_of,
+            )
             if start == len(points):
                 break
             self._grow()

@@ -1,7 +1,9 @@
-"""Random samples of k points and the polynomial through them (seed 002 sections 4.1.2 and 4.3): LMedS or weighted RANSAC.
+"""Random samples of k points and the polynomial through them (seed 002 sections 4.1.2 and 4.3):
+LMedS or weighted RANSAC.
 
-The best of T trials has the least median of residuals, or the least squared residuals cut off at a threshold (MSAC; the source
-leaves the weighting open). Trials end early once a sample without outliers was drawn with the confidence asked for.
+The best of T trials has the least median of residuals, or the least squared residuals cut off at a
+threshold (MSAC; the source leaves the weighting open). Trials end early once a sample without
+outliers was drawn with the confidence asked for.
 """
 
 from __future__ import annotations
@@ -15,16 +17,20 @@ from ladar_volume.filtering.linear import basis, invert, select_kth
 from ladar_volume.filtering.pieces import distance, fit_plane, plane_through
 from ladar_volume.model.kernels import kernel
 
-#: Residuals within this many robust sigma count as inliers of a trial by the median (Rousseeuw and Leroy 1987).
+#: Residuals within this many robust sigma count as inliers of a trial by the median (Rousseeuw and
+#: Leroy 1987).
 LMEDS_SIGMAS = 2.5
 
-#: A median below this share of the extent is rounding: the first sample with such a one is as good as any other.
+#: A median below this share of the extent is rounding: the first sample with such a one is as good
+#: as any other.
 ROUNDING = 1e-12
 
 
 @kernel
 def draw(state: Any, pick: Any, n: Any, k: Any) -> None:
-    """``pick[:k]`` becomes k different numbers of the permutation ``pick[:n]`` (a partial Fisher-Yates shuffle)."""
+    """``pick[:k]`` becomes k different numbers of the permutation ``pick[:n]`` (a partial
+    Fisher-Yates shuffle).
+    """
     for a in range(k):
         b = a + _uniform(state, n - a)
         pick[a], pick[b] = pick[b], pick[a]
@@ -32,7 +38,9 @@ def draw(state: Any, pick: Any, n: Any, k: Any) -> None:
 
 @kernel
 def trials_needed(share: Any, k: Any, confidence: Any) -> Any:
-    """Trials until one of them drew k inliers with the given confidence, where ``share`` of the points are inliers."""
+    """Trials until one of them drew k inliers with the given confidence, where ``share`` of the
+    points are inliers.
+    """
     if confidence >= 1.0:
         return np.inf
     good = share**k
@@ -42,8 +50,12 @@ def trials_needed(share: Any, k: Any, confidence: Any) -> Any:
 
 
 @kernel
-def plane_and_scatter(x: Any, m: Any, label: Any, own: Any, plane: Any, mean: Any, inverse: Any) -> Any:
-    """Least squares of the points labelled ``own``, see ``pieces.fit_plane``; returns (number, standard deviation of residuals)."""
+def plane_and_scatter(
+    x: Any, m: Any, label: Any, own: Any, plane: Any, mean: Any, inverse: Any
+) -> Any:
+    """Least squares of the points labelled ``own``, see ``pieces.fit_plane``; returns (number,
+    standard deviation of residuals).
+    """
     used = fit_plane(x, m, label, own, plane, mean, inverse)
     square = 0.0
     for i in range(m):
@@ -54,10 +66,17 @@ def plane_and_scatter(x: Any, m: Any, label: Any, own: Any, plane: Any, mean: An
 
 @kernel
 def plane_of(x: Any, pick: Any, k: Any, plane: Any) -> Any:
-    """The plane through three points, or the one nearest to k in least squares; False where they are in line."""
+    """The plane through three points, or the one nearest to k in least squares; False where they
+    are in line.
+    """
     if k == 3:
         return plane_through(x[:, pick[0]], x[:, pick[1]], x[:, pick[2]], plane)
-    some, label, mean, inverse = np.empty((k, 3)), np.zeros(k, np.int64), np.empty(3), np.empty((3, 3))
+    some, label, mean, inverse = (
+        np.empty((k, 3)),
+        np.zeros(k, np.int64),
+        np.empty(3),
+        np.empty((3, 3)),
+    )
     for a in range(k):
         for c in range(3):
             some[a, c] = x[c, pick[a]]
@@ -67,7 +86,9 @@ def plane_of(x: Any, pick: Any, k: Any, plane: Any) -> Any:
 
 @kernel
 def _robust_sigma(work: Any, n: Any, p: Any, ransac: Any, threshold: Any) -> Any:
-    """Standard deviation from the median of residuals, after RANSAC of those within its threshold only; reorders ``work``."""
+    """Standard deviation from the median of residuals, after RANSAC of those within its threshold
+    only; reorders ``work``.
+    """
     m = n
     if ransac:  # more than half of the points may lie on other surfaces
         m = 0
@@ -97,9 +118,21 @@ def plane_residuals(x: Any, n: Any, plane: Any, work: Any) -> None:
 
 @kernel
 def sampled_plane(
-    x: Any, n: Any, k: Any, trials: Any, ransac: Any, threshold: Any, confidence: Any, state: Any, pick: Any, work: Any, plane: Any
+    x: Any,
+    n: Any,
+    k: Any,
+    trials: Any,
+    ransac: Any,
+    threshold: Any,
+    confidence: Any,
+    state: Any,
+    pick: Any,
+    work: Any,
+    plane: Any,
 ) -> Any:
-    """The best plane of random samples of x (3, n). Returns (robust sigma, −1 where every sample was degenerate; trials made)."""
+    """The best plane of random samples of x (3, n). Returns (robust sigma, −1 where every sample
+    was degenerate; trials made).
+    """
     for i in range(n):
         pick[i] = i
     trial, rounding = np.zeros(4), 0.0
@@ -119,7 +152,9 @@ def sampled_plane(
             best = score
             plane[:] = trial
             plane_residuals(x, n, plane, work)
-            needed = trials_needed(_share(work, n, threshold if ransac else LMEDS_SIGMAS * MAD * best), k, confidence)
+            needed = trials_needed(
+                _share(work, n, threshold if ransac else LMEDS_SIGMAS * MAD * best), k, confidence
+            )
     if best == np.inf:
         return -1.0, made
     plane_residuals(x, n, plane, work)
@@ -128,7 +163,9 @@ def sampled_plane(
 
 @kernel
 def quadric_of(uvw: Any, pick: Any, k: Any, beta: Any) -> Any:
-    """Coefficients (6,) of the quadric over (u, v) through six points of uvw (3, m), or nearest to k; False where undetermined."""
+    """Coefficients (6,) of the quadric over (u, v) through six points of uvw (3, m), or nearest to
+    k; False where undetermined.
+    """
     A, right, inverse, row = np.zeros((6, 6)), np.zeros(6), np.empty((6, 6)), np.empty(6)
     for a in range(k):
         basis(uvw[0, pick[a]], uvw[1, pick[a]], 6, row)
@@ -150,15 +187,34 @@ def quadric_residuals(uvw: Any, m: Any, beta: Any, work: Any) -> None:
     """Heights uvw[2, :m] off a quadric over (u, v), without sign, to work (m,)."""
     for i in range(m):
         u, v = uvw[0, i], uvw[1, i]
-        h = beta[0] + u * beta[1] + v * beta[2] + u * u * beta[3] + u * v * beta[4] + v * v * beta[5]
+        h = (
+            beta[0]
+            + u * beta[1]
+            + v * beta[2]
+            + u * u * beta[3]
+            + u * v * beta[4]
+            + v * v * beta[5]
+        )
         work[i] = abs(uvw[2, i] - h)
 
 
 @kernel
 def sampled_quadric(
-    uvw: Any, m: Any, k: Any, trials: Any, ransac: Any, threshold: Any, confidence: Any, state: Any, pick: Any, work: Any, beta: Any
+    uvw: Any,
+    m: Any,
+    k: Any,
+    trials: Any,
+    ransac: Any,
+    threshold: Any,
+    confidence: Any,
+    state: Any,
+    pick: Any,
+    work: Any,
+    beta: Any,
 ) -> Any:
-    """As :func:`sampled_plane` for a quadric over the tangent plane; the plane itself is the first candidate."""
+    """As :func:`sampled_plane` for a quadric over the tangent plane; the plane itself is the first
+    candidate.
+    """
     for i in range(m):
         pick[i] = i
     trial = np.zeros(6)

@@ -1,6 +1,7 @@
 """The streaming stage: fixes, attitudes and returns in, mapped points and platform states out.
 
-Nothing here raises on bad data: a sample or return that cannot be used is counted in :attr:`Georeferencer.losses`.
+Nothing here raises on bad data: a sample or return that cannot be used is counted in
+:attr:`Georeferencer.losses`.
 """
 
 from __future__ import annotations
@@ -13,22 +14,47 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ladar_volume.georeference.admission import JUMP_S, TimeOrder, fix_covariance, imu_attitude, odometry_pose
+from ladar_volume.georeference.admission import (
+    JUMP_S,
+    TimeOrder,
+    fix_covariance,
+    imu_attitude,
+    odometry_pose,
+)
 from ladar_volume.georeference.budget import independent_sigmas
 from ladar_volume.georeference.clock import Lead, SweepTimes
 from ladar_volume.georeference.geodesy import LocalFrame
 from ladar_volume.georeference.lidar import mounting
-from ladar_volume.georeference.mapping import IN_VEHICLE, MAPPED, NO_POSE, OUTSIDE_REGION, map_returns, region_box, vehicle_box
+from ladar_volume.georeference.mapping import (
+    IN_VEHICLE,
+    MAPPED,
+    NO_POSE,
+    OUTSIDE_REGION,
+    map_returns,
+    region_box,
+    vehicle_box,
+)
 from ladar_volume.georeference.restart import Restart
 from ladar_volume.georeference.trajectory import Trajectory
 from ladar_volume.model import records as rec
 from ladar_volume.model.errors import InputError, ParameterValueError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import GeoreferenceParameters, Parameters
-from ladar_volume.model.records import F64, I64, Datum, Fix, ImuSample, MappedPoints, OdometrySample, PlatformStates, Returns
+from ladar_volume.model.records import (
+    F64,
+    I64,
+    Datum,
+    Fix,
+    ImuSample,
+    MappedPoints,
+    OdometrySample,
+    PlatformStates,
+    Returns,
+)
 from ladar_volume.model.se3 import quaternion_from_matrix
 
-#: The waiting clock advances with the clouds' own time, but by no more than this per cloud, so one corrupt stamp expires nothing.
+#: The waiting clock advances with the clouds' own time, but by no more than this per cloud, so one
+#: corrupt stamp expires nothing.
 _LARGEST_STEP_NS = 1_000_000_000
 #: Least share of what waits of a cloud that is mapped before the rest.
 WORTH_IT = 0.25
@@ -44,7 +70,9 @@ class _Waiting:
     arrived_ns: int  # on the waiting clock
 
     def parted(self, until_ns: int, least: float) -> tuple[_Waiting | None, _Waiting | None]:
-        """The returns up to a time, and those later. Where the former are less than a share ``least`` of all, they wait with the others."""
+        """The returns up to a time, and those later. Where the former are less than a share
+        ``least`` of all, they wait with the others.
+        """
         if self.last_ns <= until_ns:
             return self, None
         early = self.returns.t_ns <= until_ns
@@ -60,11 +88,13 @@ class _Waiting:
 class Georeferencer:
     """Turns returns into mapped points as soon as the trajectory covers them.
 
-    What comes out does not depend on how the topics are interleaved, as long as each is in order and none lags the clouds by more than
-    ``max_pending_s``. ``MappedPoints.t_ns`` is navigation time, ``t_lidar + clock_offset_s``.
+    What comes out does not depend on how the topics are interleaved, as long as each is in order
+    and none lags the clouds by more than ``max_pending_s``. ``MappedPoints.t_ns`` is navigation
+    time, ``t_lidar + clock_offset_s``.
 
-    Where the time of two topics goes back together (a looping recording), everything begins anew and :attr:`restarts` counts one more.
-    What the arrival of the messages tells of the clocks is in :attr:`cloud_lead`, :attr:`fix_lead` and :attr:`sweeps`.
+    Where the time of two topics goes back together (a looping recording), everything begins anew
+    and :attr:`restarts` counts one more. What the arrival of the messages tells of the clocks is in
+    :attr:`cloud_lead`, :attr:`fix_lead` and :attr:`sweeps`.
 
     Raises :class:`ParameterValueError` for a half-given datum or a malformed box.
     """
@@ -102,7 +132,9 @@ class Georeferencer:
 
     @property
     def datum(self) -> Datum | None:
-        """Origin of the map frame: from the parameters, else the first usable fix; None until then."""
+        """Origin of the map frame: from the parameters, else the first usable fix; None until
+        then.
+        """
         return self._frame.datum if self._frame is not None else None
 
     @property
@@ -111,8 +143,10 @@ class Georeferencer:
         return sum(len(w.returns) for w in self._waiting)
 
     def add_fix(self, fix: Fix) -> None:
-        """One GNSS fix. Refusals: fix_no_fix, fix_nan, fix_out_of_range, fix_unknown_covariance, fix_bad_covariance, fix_duplicate,
-        fix_time_backwards, fix_clock_back, fix_time_jump; fix_unused where odometry is the pose source."""
+        """One GNSS fix. Refusals: fix_no_fix, fix_nan, fix_out_of_range, fix_unknown_covariance,
+        fix_bad_covariance, fix_duplicate, fix_time_backwards, fix_clock_back, fix_time_jump;
+        fix_unused where odometry is the pose source.
+        """
         if self._p.pose_source != "gnss_imu":
             return self.losses.add("fix_unused")
         try:
@@ -131,11 +165,15 @@ class Georeferencer:
             self._frame = LocalFrame(Datum(fix.latitude_deg, fix.longitude_deg, fix.height_m))
         turn = self._frame.convergence(fix.latitude_deg, fix.longitude_deg)
         p_map = self._frame.to_map(fix.latitude_deg, fix.longitude_deg, fix.height_m)
-        self._trajectory.add_position(fix.t_ns, p_map, turn @ C_enu @ turn.T, quaternion_from_matrix(turn))
+        self._trajectory.add_position(
+            fix.t_ns, p_map, turn @ C_enu @ turn.T, quaternion_from_matrix(turn)
+        )
 
     def add_imu(self, imu: ImuSample) -> None:
-        """One attitude. Refusals: imu_no_orientation, imu_nan, imu_not_unit, imu_unknown_covariance, imu_bad_covariance,
-        imu_duplicate, imu_time_backwards, imu_clock_back, imu_time_jump; imu_unused where odometry is the pose source."""
+        """One attitude. Refusals: imu_no_orientation, imu_nan, imu_not_unit,
+        imu_unknown_covariance, imu_bad_covariance, imu_duplicate, imu_time_backwards,
+        imu_clock_back, imu_time_jump; imu_unused where odometry is the pose source.
+        """
         if self._p.pose_source != "gnss_imu":
             return self.losses.add("imu_unused")
         try:
@@ -150,7 +188,9 @@ class Georeferencer:
             self._refer(good.t_ns)
 
     def add_odometry(self, sample: OdometrySample) -> None:
-        """One pose: its own point takes the antenna's place and a = 0. Refusals as for the IMU, with ``odometry_``."""
+        """One pose: its own point takes the antenna's place and a = 0. Refusals as for the IMU,
+        with ``odometry_``.
+        """
         if self._p.pose_source != "odometry":
             return self.losses.add("odometry_unused")
         try:
@@ -162,7 +202,9 @@ class Georeferencer:
     def _take_odometry(self, sample: tuple[OdometrySample, F64, F64]) -> None:
         for good, q_good, C_good in self._in_order(self._odometry, sample[0].t_ns, sample):
             self._trajectory.add_position(good.t_ns, good.p_map_body, C_good[:3, :3])
-            self._trajectory.add_attitude(good.t_ns, q_good, good.omega_body, C_good[3:, 3:], C_good[:3, 3:])
+            self._trajectory.add_attitude(
+                good.t_ns, q_good, good.omega_body, C_good[3:, 3:], C_good[:3, 3:]
+            )
             self._refer(good.t_ns)
 
     def _refer(self, t_ns: int) -> None:
@@ -184,8 +226,11 @@ class Georeferencer:
 
     def _take(self, samples: list[tuple[str, Any]]) -> None:
         takers: dict[str, Callable[[Any], None]] = {
-            "fix": self._take_fix, "imu": self._take_imu, "odometry": self._take_odometry, "cloud": self._take_cloud,
-        }  # fmt: skip
+            "fix": self._take_fix,
+            "imu": self._take_imu,
+            "odometry": self._take_odometry,
+            "cloud": self._take_cloud,
+        }
         for kind, sample in samples:
             takers[kind](sample)
         self._advance()
@@ -197,8 +242,10 @@ class Georeferencer:
         return accepted
 
     def add_returns(self, returns: Returns) -> None:
-        """One cloud, laser frame and LiDAR time. Returns are refused as point_nan, point_range, point_intensity, point_ring, point_time
-        (a time far from all others of the cloud); the rest waits for the trajectory."""
+        """One cloud, laser frame and LiDAR time. Returns are refused as point_nan, point_range,
+        point_intensity, point_ring, point_time (a time far from all others of the cloud); the rest
+        waits for the trajectory.
+        """
         shapes = (np.shape(returns.r_laser), np.shape(returns.ring), np.shape(returns.intensity))
         n = len(returns)
         if shapes != ((n, 3), (n,), (n,)):
@@ -223,8 +270,10 @@ class Georeferencer:
         # written so that a cloud without intensity (NaN) passes
         bad = {
             "point_nan": nan,
-            "point_range": ~nan & ((range2 < p.range_min_m**2) | (range2 > p.range_max_m**2) | (range2 == 0.0)),
-            "point_intensity": (returns.intensity < p.intensity_min) | (returns.intensity > p.intensity_max),
+            "point_range": ~nan
+            & ((range2 < p.range_min_m**2) | (range2 > p.range_max_m**2) | (range2 == 0.0)),
+            "point_intensity": (returns.intensity < p.intensity_min)
+            | (returns.intensity > p.intensity_max),
             "point_ring": returns.ring >= p.beams,
         }
         late = self.sweeps.corrupt(returns.t_ns)
@@ -239,22 +288,30 @@ class Georeferencer:
 
     def _tick(self, cloud_ns: int) -> None:
         if self._newest_cloud_ns is not None:
-            self._waiting_clock_ns += min(max(cloud_ns - self._newest_cloud_ns, 0), _LARGEST_STEP_NS)
+            self._waiting_clock_ns += min(
+                max(cloud_ns - self._newest_cloud_ns, 0), _LARGEST_STEP_NS
+            )
         self._newest_cloud_ns = cloud_ns
 
     def _advance(self, least: float = WORTH_IT) -> None:
-        """Map what is known the fate of. A part of a cloud, at least such a share, need not wait for the rest."""
+        """Map what is known the fate of. A part of a cloud, at least such a share, need not wait
+        for the rest.
+        """
         if not self._waiting:
             return
         decided, begin = self._trajectory.decided_ns, self._trajectory.begin_ns
-        known_ns = max(t for t in (decided, None if begin is None else begin - 1, -1) if t is not None)
+        known_ns = max(
+            t for t in (decided, None if begin is None else begin - 1, -1) if t is not None
+        )
         oldest_ns = self._waiting_clock_ns - self._p.max_pending_s * 1e9
         if all(w.first_ns > known_ns and w.arrived_ns >= oldest_ns for w in self._waiting):
             return
         self._decide()
         waiting, self._waiting = self._waiting, []
         for cloud in waiting:
-            part, rest = cloud.parted(known_ns, least) if cloud.arrived_ns >= oldest_ns else (cloud, None)
+            part, rest = (
+                cloud.parted(known_ns, least) if cloud.arrived_ns >= oldest_ns else (cloud, None)
+            )
             if part is not None:
                 self._map(part, decided)
             if rest is not None:
@@ -268,12 +325,22 @@ class Georeferencer:
     def _map(self, cloud: _Waiting, decided_ns: int | None) -> None:
         returns = cloud.returns
         path = self._trajectory.window(cloud.first_ns, cloud.last_ns)
-        mapped = map_returns(returns.t_ns, returns.r_laser, path, self.mount, self._sigmas, self._vehicle, self._region)
+        mapped = map_returns(
+            returns.t_ns,
+            returns.r_laser,
+            path,
+            self.mount,
+            self._sigmas,
+            self._vehicle,
+            self._region,
+        )
         status = mapped.status
         self._count_uncovered(returns.t_ns[status == NO_POSE], decided_ns)
         self.losses.add("point_vehicle", int(np.count_nonzero(status == IN_VEHICLE)))
         self.losses.add("point_region", int(np.count_nonzero(status == OUTSIDE_REGION)))
-        points = MappedPoints(returns.t_ns, mapped.r_map, mapped.C_ind, returns.ring, returns.intensity)
+        points = MappedPoints(
+            returns.t_ns, mapped.r_map, mapped.C_ind, returns.ring, returns.intensity
+        )
         good: npt.NDArray[np.bool_] = status == MAPPED
         if not good.all():
             points = rec.select(points, good)
@@ -291,7 +358,9 @@ class Georeferencer:
         self.losses.add("point_pose_gap", int(np.count_nonzero(~before & ~after)))
 
     def take_points(self) -> list[MappedPoints]:
-        """What was decided since the last call, clouds or parts of them, in order of time; one of which nothing is left gives no record."""
+        """What was decided since the last call, clouds or parts of them, in order of time; one of
+        which nothing is left gives no record.
+        """
         out, self._points = self._points, []
         return out
 
@@ -302,7 +371,9 @@ class Georeferencer:
         return rec.concatenate(out) if out else None
 
     def finish(self) -> None:
-        """End of data: returns that still wait are lost as point_trajectory_end; nothing is extrapolated."""
+        """End of data: returns that still wait are lost as point_trajectory_end; nothing is
+        extrapolated.
+        """
         self._take(self._restart.finish())
         self._advance(0.0)
         self._lose_waiting()
@@ -320,14 +391,20 @@ def _datum(p: GeoreferenceParameters) -> Datum | None:
     if not any(given):
         return None
     if not all(given):
-        raise ParameterValueError("georeference.datum_*: latitude, longitude and height must be given together", value=values)
+        raise ParameterValueError(
+            "georeference.datum_*: latitude, longitude and height must be given together",
+            value=values,
+        )
     return Datum(*values)
 
 
 def _box(key: str, values: tuple[float, ...]) -> tuple[float, ...]:
     if values and (len(values) != 6 or any(not values[i] < values[i + 3] for i in range(3))):
         raise ParameterValueError(
-            f"georeference.{key}: {list(values)} is not xmin, ymin, zmin, xmax, ymax, zmax with each minimum below its maximum",
+            (
+                f"georeference.{key}: {list(values)} is not xmin, ymin, zmin, xmax, ymax, "
+                "zmax with each minimum below its maximum"
+            ),
             value=values,
         )
     return values

@@ -1,4 +1,6 @@
-"""A growing table of knots in time: columns of one length, appended at the end, forgotten at the front."""
+"""A growing table of knots in time: columns of one length, appended at the end, forgotten at the
+front.
+"""
 
 from __future__ import annotations
 
@@ -12,15 +14,18 @@ from ladar_volume.model.records import F64, I64
 class Knots:
     """Times ``t_ns`` (n,) int64, an integer ``tag`` (n,) and float columns of given row shapes.
 
-    Appending is amortised O(1). When more than ``2 limit`` knots are held, all but the newest ``limit`` are forgotten; where there is no
-    room for one more, those older than ``keep_ns`` before it are, if they are half of all.
+    Appending is amortised O(1). When more than ``2 limit`` knots are held, all but the newest
+    ``limit`` are forgotten; where there is no room for one more, those older than ``keep_ns``
+    before it are, if they are half of all.
     """
 
     def __init__(self, limit: int, keep_ns: int, **shapes: tuple[int, ...]) -> None:
         self._limit, self._keep_ns = limit, keep_ns
         self._size = 0
         self._capacity = 64
-        self._columns: dict[str, np.ndarray[Any, Any]] = {name: np.zeros((self._capacity, *shape)) for name, shape in shapes.items()}
+        self._columns: dict[str, np.ndarray[Any, Any]] = {
+            name: np.zeros((self._capacity, *shape)) for name, shape in shapes.items()
+        }
         self._columns["t_ns"] = np.zeros(self._capacity, np.int64)
         self._columns["tag"] = np.zeros(self._capacity, np.int64)
 

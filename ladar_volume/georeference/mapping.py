@@ -31,7 +31,9 @@ _NEAR = 1.0 - 1e-9  # there the sines cancel; linear interpolation is exact to 1
 
 @dataclass(frozen=True)
 class Mapped:
-    """r_map : (n, 3) m · C_ind : (n, 6) float32 m² · status : (n,) uint8, rows other than MAPPED hold NaN or are to be dropped."""
+    """r_map : (n, 3) m · C_ind : (n, 6) float32 m² · status : (n,) uint8, rows other than MAPPED
+    hold NaN or are to be dropped.
+    """
 
     r_map: F64
     C_ind: F32
@@ -40,7 +42,9 @@ class Mapped:
 
 @leaf_kernel
 def _at(t: Any, value: Any, hint: Any) -> Any:
-    """Index of the last knot not after ``value``, −1 where all are later; ``hint`` is tried first."""
+    """Index of the last knot not after ``value``, −1 where all are later; ``hint`` is tried
+    first.
+    """
     n = len(t)
     if hint >= 0 and t[hint] <= value:
         if hint + 1 >= n or value < t[hint + 1]:
@@ -69,8 +73,9 @@ def _moved(a: Vector, R: Rows, v: Vector) -> Vector:
 
 @leaf_kernel
 def _arc(sq: Any, k: Any) -> Any:
-    """Constants of the slerp from attitude k to the next: angle, one over its sine, sign of the second, and whether the two are so near
-    that it is linear."""
+    """Constants of the slerp from attitude k to the next: angle, one over its sine, sign of the
+    second, and whether the two are so near that it is linear.
+    """
     dot = 0.0
     for c in range(4):
         dot += sq[k, c] * sq[k + 1, c]
@@ -131,8 +136,9 @@ def _within(box: Any, v: Vector) -> Any:
 
 @leaf_kernel
 def _noise(r: Vector, sigmas: Any, B: Rows, R: Rows, out: Any) -> None:
-    """Packed covariance (6,) in the map of a return r in the laser frame: the noise of range, azimuth and vertical angle as three arrows,
-    turned into the map."""
+    """Packed covariance (6,) in the map of a return r in the laser frame: the noise of range,
+    azimuth and vertical angle as three arrows, turned into the map.
+    """
     x, y, z = r
     hor = np.sqrt(x * x + y * y)
     rho = np.sqrt(x * x + y * y + z * z)
@@ -151,9 +157,27 @@ def _noise(r: Vector, sigmas: Any, B: Rows, R: Rows, out: Any) -> None:
 
 @leaf_kernel
 def _map_part(
-    first: Any, last: Any, t_ns: Any, r_laser: Any, st: Any, sq: Any, sg: Any, pt: Any, pp: Any, pm: Any, hermite: Any, boresight: Any,
-    arm: Any, b: Any, sigmas: Any, vehicle: Any, region: Any, r_map: Any, C_ind: Any, status: Any,
-) -> None:  # fmt: skip
+    first: Any,
+    last: Any,
+    t_ns: Any,
+    r_laser: Any,
+    st: Any,
+    sq: Any,
+    sg: Any,
+    pt: Any,
+    pp: Any,
+    pm: Any,
+    hermite: Any,
+    boresight: Any,
+    arm: Any,
+    b: Any,
+    sigmas: Any,
+    vehicle: Any,
+    region: Any,
+    r_map: Any,
+    C_ind: Any,
+    status: Any,
+) -> None:
     """Returns from ``first`` to ``last``: along the knots, with a hint instead of a search."""
     ns = len(st)
     B = (
@@ -182,7 +206,9 @@ def _map_part(
         inside = _within(vehicle, (v[0] + b[0], v[1] + b[1], v[2] + b[2]))
         j = _at(pt, t, j)
         # LiDAR equation
-        m = _moved(_antenna(pt, pp, pm, hermite, j, t), R, (v[0] + arm[0], v[1] + arm[1], v[2] + arm[2]))
+        m = _moved(
+            _antenna(pt, pp, pm, hermite, j, t), R, (v[0] + arm[0], v[1] + arm[1], v[2] + arm[2])
+        )
         r_map[i, 0], r_map[i, 1], r_map[i, 2] = m
         status[i] = IN_VEHICLE if inside else (MAPPED if _within(region, m) else OUTSIDE_REGION)
         _noise(r, sigmas, B, R, C_ind[i])
@@ -190,15 +216,49 @@ def _map_part(
 
 @parallel_kernel
 def _map(
-    t_ns: Any, r_laser: Any, st: Any, sq: Any, sg: Any, pt: Any, pp: Any, pm: Any, hermite: Any, boresight: Any, arm: Any, b: Any,
-    sigmas: Any, vehicle: Any, region: Any, r_map: Any, C_ind: Any, status: Any,
-) -> None:  # fmt: skip
+    t_ns: Any,
+    r_laser: Any,
+    st: Any,
+    sq: Any,
+    sg: Any,
+    pt: Any,
+    pp: Any,
+    pm: Any,
+    hermite: Any,
+    boresight: Any,
+    arm: Any,
+    b: Any,
+    sigmas: Any,
+    vehicle: Any,
+    region: Any,
+    r_map: Any,
+    C_ind: Any,
+    status: Any,
+) -> None:
     n = len(t_ns)
     for chunk in numba.prange((n + _CHUNK - 1) // _CHUNK):
         _map_part(
-            chunk * _CHUNK, min(n, (chunk + 1) * _CHUNK), t_ns, r_laser, st, sq, sg, pt, pp, pm, hermite, boresight, arm, b, sigmas,
-            vehicle, region, r_map, C_ind, status,
-        )  # fmt: skip
+            chunk * _CHUNK,
+            min(n, (chunk + 1) * _CHUNK),
+            t_ns,
+            r_laser,
+            st,
+            sq,
+            sg,
+            pt,
+            pp,
+            pm,
+            hermite,
+            boresight,
+            arm,
+            b,
+            sigmas,
+            vehicle,
+            region,
+            r_map,
+            C_ind,
+            status,
+        )
 
 
 def vehicle_box(values: tuple[float, ...]) -> F64:
@@ -211,32 +271,68 @@ def region_box(values: tuple[float, ...]) -> F64:
     return np.array(values if values else (-np.inf,) * 3 + (np.inf,) * 3, dtype=np.float64)
 
 
-def map_returns(t_ns: I64, r_laser: F64, path: PathWindow, mount: Mounting, sigmas: F64, vehicle: F64, region: F64) -> Mapped:
+def map_returns(
+    t_ns: I64,
+    r_laser: F64,
+    path: PathWindow,
+    mount: Mounting,
+    sigmas: F64,
+    vehicle: F64,
+    region: F64,
+) -> Mapped:
     """Georeference returns.
 
-    t_ns : (n,) ns, navigation time · r_laser : (n, 3) m · path : the knots around · sigmas : (3,) range m, azimuth and vertical angle rad ·
-    vehicle : (6,) m, body frame, region : (6,) m, map frame: lower corner, upper corner
+    t_ns : (n,) ns, navigation time · r_laser : (n, 3) m · path : the knots around · sigmas : (3,)
+    range m, azimuth and vertical angle rad · vehicle : (6,) m, body frame, region : (6,) m, map
+    frame: lower corner, upper corner
     """
     n = len(t_ns)
     out = Mapped(np.zeros((n, 3)), np.zeros((n, 6), np.float32), np.zeros(n, np.uint8))
     arm = mount.lever_laser - mount.lever_antenna
     _map(
-        t_ns, np.ascontiguousarray(r_laser), path.state_t, path.state_q, path.state_segment, path.position_t, path.position, path.tangent,
-        path.hermite, np.ascontiguousarray(mount.R_body_laser), arm, mount.lever_laser, sigmas, vehicle, region,
-        out.r_map, out.C_ind, out.status,
-    )  # fmt: skip
+        t_ns,
+        np.ascontiguousarray(r_laser),
+        path.state_t,
+        path.state_q,
+        path.state_segment,
+        path.position_t,
+        path.position,
+        path.tangent,
+        path.hermite,
+        np.ascontiguousarray(mount.R_body_laser),
+        arm,
+        mount.lever_laser,
+        sigmas,
+        vehicle,
+        region,
+        out.r_map,
+        out.C_ind,
+        out.status,
+    )
     return out
 
 
-def map_returns_numpy(t_ns: I64, r_laser: F64, path: PathWindow, mount: Mounting, sigmas: F64, vehicle: F64, region: F64) -> Mapped:
+def map_returns_numpy(
+    t_ns: I64,
+    r_laser: F64,
+    path: PathWindow,
+    mount: Mounting,
+    sigmas: F64,
+    vehicle: F64,
+    region: F64,
+) -> Mapped:
     """The plain twin of :func:`map_returns`."""
     n = len(t_ns)
-    out = Mapped(np.full((n, 3), np.nan), np.full((n, 6), np.nan, np.float32), np.full(n, NO_POSE, np.uint8))
+    out = Mapped(
+        np.full((n, 3), np.nan), np.full((n, 6), np.nan, np.float32), np.full(n, NO_POSE, np.uint8)
+    )
     covered, k, f = bracket(t_ns, path.state_t, path.state_segment)
     if not covered.any():
         return out
     k, f, t, r = k[covered], f[covered], t_ns[covered], r_laser[covered]
-    R = matrix_from_quaternion(slerp(path.state_q[k], path.state_q[np.minimum(k + 1, len(path.state_t) - 1)], f))
+    R = matrix_from_quaternion(
+        slerp(path.state_q[k], path.state_q[np.minimum(k + 1, len(path.state_t) - 1)], f)
+    )
     j = np.searchsorted(path.position_t, t, side="right") - 1
     last = j == len(path.position_t) - 1  # only where the time is that of the last knot
     j = np.minimum(j, len(path.position_t) - 2)
@@ -249,5 +345,7 @@ def map_returns_numpy(t_ns: I64, r_laser: F64, path: PathWindow, mount: Mounting
     r_map = out.r_map[covered]
     in_vehicle = ((body >= vehicle[:3]) & (body <= vehicle[3:])).all(axis=1)
     in_region = ((r_map >= region[:3]) & (r_map <= region[3:])).all(axis=1)
-    out.status[covered] = np.where(in_vehicle, IN_VEHICLE, np.where(in_region, MAPPED, OUTSIDE_REGION))
+    out.status[covered] = np.where(
+        in_vehicle, IN_VEHICLE, np.where(in_region, MAPPED, OUTSIDE_REGION)
+    )
     return out

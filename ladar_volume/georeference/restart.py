@@ -1,7 +1,7 @@
 """When the time of a whole recording begins again: a looping bag, or a simulation started anew.
 
-One topic whose time goes back is a clock that was set, or late messages; where two topics go back by the same step, all that came
-before belongs to another pass.
+One topic whose time goes back is a clock that was set, or late messages; where two topics go back
+by the same step, all that came before belongs to another pass.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from typing import Any
 
 #: A sample older than its topic's newest by more than this is no longer merely late.
 BACK_NS = 2_000_000_000
-#: A step ahead longer than this is believed once the next sample follows it, so that one corrupt stamp makes no later one look old.
+#: A step ahead longer than this is believed once the next sample follows it, so that one corrupt
+#: stamp makes no later one look old.
 AHEAD_NS = 10_000_000_000
 #: Samples in order that confirm a step back, and how long they are held for another topic to agree.
 CONFIRM, HOLD_NS = 2, 2_000_000_000
@@ -22,12 +23,18 @@ CONFIRM, HOLD_NS = 2, 2_000_000_000
 class _Topic:
     newest: int | None = None
     ahead: int | None = None  # a step ahead that awaits its confirmation
-    held: list[tuple[int, int, Any]] = field(default_factory=list)  # time, number of arrival, sample
+    held: list[tuple[int, int, Any]] = field(
+        default_factory=list
+    )  # time, number of arrival, sample
     old: bool = False  # others began again, this one has not been seen to
 
     def advance(self, t_ns: int) -> None:
         """Follow the topic's time."""
-        if self.newest is None or t_ns <= self.newest + AHEAD_NS or (self.ahead is not None and 0 < t_ns - self.ahead <= AHEAD_NS):
+        if (
+            self.newest is None
+            or t_ns <= self.newest + AHEAD_NS
+            or (self.ahead is not None and 0 < t_ns - self.ahead <= AHEAD_NS)
+        ):
             self.newest, self.ahead = t_ns if self.newest is None else max(self.newest, t_ns), None
         else:
             self.ahead = t_ns
@@ -35,14 +42,20 @@ class _Topic:
     @property
     def back_ns(self) -> int | None:
         """How far a confirmed step went back."""
-        return self.newest - self.held[0][0] if self.newest is not None and len(self.held) >= CONFIRM else None
+        return (
+            self.newest - self.held[0][0]
+            if self.newest is not None and len(self.held) >= CONFIRM
+            else None
+        )
 
 
 class Restart:
-    """Stands before the stage: passes samples on, holds those that go back until it is known what they are.
+    """Stands before the stage: passes samples on, holds those that go back until it is known what
+    they are.
 
-    A held sample is passed on in the end in any case: to the stage as it is where nothing began again (which refuses what is out of
-    order), else to the stage begun anew, in the order of arrival.
+    A held sample is passed on in the end in any case: to the stage as it is where nothing began
+    again (which refuses what is out of order), else to the stage begun anew, in the order of
+    arrival.
     """
 
     def __init__(self) -> None:
@@ -50,13 +63,20 @@ class Restart:
         self._topics: dict[str, _Topic] = {}
         self._arrived = 0
 
-    def push(self, kind: str, t_ns: int, sample: Any) -> tuple[bool, list[tuple[str, Any]], list[str]]:
-        """One sample of topic ``kind`` at ``t_ns``. Returns whether time began again before the samples that follow, the samples to take
-        now as (kind, sample), and the reasons of those that are dropped: stragglers of the pass before."""
+    def push(
+        self, kind: str, t_ns: int, sample: Any
+    ) -> tuple[bool, list[tuple[str, Any]], list[str]]:
+        """One sample of topic ``kind`` at ``t_ns``. Returns whether time began again before the
+        samples that follow, the samples to take now as (kind, sample), and the reasons of those
+        that are dropped: stragglers of the pass before.
+        """
         self._arrived += 1
         topic = self._topics.setdefault(kind, _Topic())
         if topic.old:
-            newest = max((t.newest for t in self._topics.values() if not t.old and t.newest is not None), default=t_ns)
+            newest = max(
+                (t.newest for t in self._topics.values() if not t.old and t.newest is not None),
+                default=t_ns,
+            )
             if t_ns > newest + BACK_NS:
                 return False, [], [f"{kind}_before_restart"]
             topic.old, topic.newest = False, t_ns
@@ -79,7 +99,11 @@ class Restart:
 
     def _begin(self) -> list[tuple[str, Any]]:
         self.count += 1
-        held = [(number, kind, sample) for kind, topic in self._topics.items() for _, number, sample in topic.held]
+        held = [
+            (number, kind, sample)
+            for kind, topic in self._topics.items()
+            for _, number, sample in topic.held
+        ]
         for topic in self._topics.values():
             topic.old = not topic.held
             topic.newest = topic.held[-1][0] if topic.held else None
@@ -88,7 +112,11 @@ class Restart:
 
     def finish(self) -> list[tuple[str, Any]]:
         """End of data: what is still held, as it came."""
-        rest = [(number, kind, sample) for kind, topic in self._topics.items() for _, number, sample in topic.held]
+        rest = [
+            (number, kind, sample)
+            for kind, topic in self._topics.items()
+            for _, number, sample in topic.held
+        ]
         for topic in self._topics.values():
             topic.held = []
         return [(kind, sample) for _, kind, sample in sorted(rest, key=lambda h: h[0])]

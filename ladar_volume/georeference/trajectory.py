@@ -1,8 +1,10 @@
-"""The platform's path: antenna positions and attitudes as knots in time, interpolated, never extrapolated.
+"""The platform's path: antenna positions and attitudes as knots in time, interpolated, never
+extrapolated.
 
-An attitude knot becomes a *state* once the positions around it are known. A return is covered between two states of one segment;
-a segment ends where positions or attitudes are further apart than allowed. Every decision waits for the knots it needs, so it
-does not depend on the order in which topics arrive.
+An attitude knot becomes a *state* once the positions around it are known. A return is covered
+between two states of one segment; a segment ends where positions or attitudes are further apart
+than allowed. Every decision waits for the knots it needs, so it does not depend on the order in
+which topics arrive.
 """
 
 from __future__ import annotations
@@ -17,8 +19,8 @@ from ladar_volume.model.parameters import GeoreferenceParameters
 from ladar_volume.model.records import F64, I64, PlatformStates
 from ladar_volume.model.se3 import matrix_from_quaternion, multiply_quaternions
 
-#: Knots kept per topic, and for how long (s) at least, or for twice as long as returns may wait: bounds memory, and how far a topic may run
-#: ahead of the clouds.
+#: Knots kept per topic, and for how long (s) at least, or for twice as long as returns may wait:
+#: bounds memory, and how far a topic may run ahead of the clouds.
 KNOT_LIMIT, KNOTS_KEPT_S = 131_072, 120.0
 _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 
@@ -27,8 +29,9 @@ _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 class PathWindow:
     """The knots around one cloud, as the mapping kernel takes them.
 
-    state_t : (k,) ns, state_q : (k, 4) map from body, state_segment : (k,) with −1 for no state · position_t : (m,) ns, position : (m, 3) m
-    and tangent : (m, 3) m/s of the antenna · hermite : cubic instead of linear positions
+    state_t : (k,) ns, state_q : (k, 4) map from body, state_segment : (k,) with −1 for no state ·
+    position_t : (m,) ns, position : (m, 3) m and tangent : (m, 3) m/s of the antenna · hermite :
+    cubic instead of linear positions
     """
 
     state_t: I64
@@ -41,7 +44,8 @@ class PathWindow:
 
 
 def tangents(t_ns: I64, p: F64, gap_id: I64) -> F64:
-    """Catmull-Rom tangents (n, 3) m/s for uneven knots: the slope at the middle of the parabola through three knots.
+    """Catmull-Rom tangents (n, 3) m/s for uneven knots: the slope at the middle of the parabola
+    through three knots.
 
     At the ends of the data and of a segment, the slope of the one chord there is.
     """
@@ -61,7 +65,9 @@ def tangents(t_ns: I64, p: F64, gap_id: I64) -> F64:
 
 
 def interpolate_position(window: PathWindow, t_ns: I64, j: I64) -> tuple[F64, F64]:
-    """Antenna position (n, 3) m and velocity (n, 3) m/s at times inside ``[position_t[j], position_t[j + 1]]``."""
+    """Antenna position (n, 3) m and velocity (n, 3) m/s at times inside ``[position_t[j],
+    position_t[j + 1]]``.
+    """
     t0, t1 = window.position_t[j], window.position_t[j + 1]
     h = (t1 - t0)[:, None] * 1e-9
     f = ((t_ns - t0) / (t1 - t0))[:, None]
@@ -76,7 +82,9 @@ def interpolate_position(window: PathWindow, t_ns: I64, j: I64) -> tuple[F64, F6
 
 
 def rates_from_attitudes(t_ns: I64, q: F64, max_gap_ns: int) -> F64:
-    """Body rates (n, 3) rad/s from attitudes (n, 4): mean of the turns to both neighbours, or of the one within the gap limit; else NaN."""
+    """Body rates (n, 3) rad/s from attitudes (n, 4): mean of the turns to both neighbours, or of
+    the one within the gap limit; else NaN.
+    """
     out = np.full((len(t_ns), 3), np.nan)
     if len(t_ns) < 2:
         return out
@@ -88,40 +96,61 @@ def rates_from_attitudes(t_ns: I64, q: F64, max_gap_ns: int) -> F64:
     rate = np.where(sine > 0, turn[:, :3] * (angle / np.where(sine > 0, sine, 1.0)), 0.0) / seconds
     rate[np.diff(t_ns) > max_gap_ns] = np.nan
     before, after = np.vstack([out[:1], rate]), np.vstack([rate, out[:1]])
-    result: F64 = np.where(np.isnan(before), after, np.where(np.isnan(after), before, 0.5 * (before + after)))
+    result: F64 = np.where(
+        np.isnan(before), after, np.where(np.isnan(after), before, 0.5 * (before + after))
+    )
     return result
 
 
 class Trajectory:
-    """Streaming knots. Times must be strictly increasing per topic (see ``admission.TimeOrder``)."""
+    """Streaming knots. Times must be strictly increasing per topic (see
+    ``admission.TimeOrder``).
+    """
 
     def __init__(self, parameters: GeoreferenceParameters, lever_antenna: F64) -> None:
         self._position_gap_ns = round(parameters.max_position_gap_s * 1e9)
         self._attitude_gap_ns = round(parameters.max_attitude_gap_s * 1e9)
         self._hermite = parameters.position_interpolation == "hermite"
         self._lever_antenna = lever_antenna
-        # tag of a position: how many gaps lie before it; tag of an attitude: its segment, −1 until it is a state
+        # tag of a position: how many gaps lie before it; tag of an attitude: its segment, −1 until
+        # it is a state
         keep_ns = round(max(KNOTS_KEPT_S, 2.0 * parameters.max_pending_s) * 1e9)
         self._position = Knots(KNOT_LIMIT, keep_ns, p=(3,), C=(3, 3), convergence=(4,))
-        self._attitude = Knots(KNOT_LIMIT, keep_ns, q=(4,), q_map=(4,), omega=(3,), C=(3, 3), cross=(3, 3))
+        self._attitude = Knots(
+            KNOT_LIMIT, keep_ns, q=(4,), q_map=(4,), omega=(3,), C=(3, 3), cross=(3, 3)
+        )
         self._decided = 0
         self._segment = -1
-        self._previous: tuple[int, int] | None = None  # time and gap tag of the attitude before, if it is a state
+        self._previous: tuple[int, int] | None = (
+            None  # time and gap tag of the attitude before, if it is a state
+        )
         self._first_state_ns: int | None = None
 
     def add_position(self, t_ns: int, p_map: F64, C_map: F64, convergence: F64 = _IDENTITY) -> None:
-        """One antenna position: p_map (3,) m, C_map (3, 3) m²; ``convergence`` (4,) turns the local east, north, up into the map's."""
+        """One antenna position: p_map (3,) m, C_map (3, 3) m²; ``convergence`` (4,) turns the local
+        east, north, up into the map's.
+        """
         gaps = 0
         if len(self._position):
             gap = t_ns - int(self._position.t_ns[-1]) > self._position_gap_ns
             gaps = int(self._position.tag[-1]) + int(gap)
         self._position.append(t_ns, gaps, p=p_map, C=C_map, convergence=convergence)
 
-    def add_attitude(self, t_ns: int, q_local_body: F64, omega_body: F64, C_body: F64, cross: F64 | None = None) -> None:
-        """One attitude: quaternion (4,) to the local east, north, up, rate (3,) rad/s (NaN: from the attitudes
-        around), body rotation vector covariance (3, 3) rad², and its covariance with the position (3, 3) where the pose comes as one."""
+    def add_attitude(
+        self, t_ns: int, q_local_body: F64, omega_body: F64, C_body: F64, cross: F64 | None = None
+    ) -> None:
+        """One attitude: quaternion (4,) to the local east, north, up, rate (3,) rad/s (NaN: from
+        the attitudes around), body rotation vector covariance (3, 3) rad², and its covariance with
+        the position (3, 3) where the pose comes as one.
+        """
         forgotten = self._attitude.append(
-            t_ns, -1, q=q_local_body, q_map=q_local_body, omega=omega_body, C=C_body, cross=np.zeros((3, 3)) if cross is None else cross
+            t_ns,
+            -1,
+            q=q_local_body,
+            q_map=q_local_body,
+            omega=omega_body,
+            C=C_body,
+            cross=np.zeros((3, 3)) if cross is None else cross,
         )
         self._decided -= min(forgotten, self._decided)
 
@@ -135,7 +164,9 @@ class Trajectory:
 
     @property
     def decided_ns(self) -> int | None:
-        """Up to this time it is known what is covered (the newest attitude with positions around it); None at the start."""
+        """Up to this time it is known what is covered (the newest attitude with positions around
+        it); None at the start.
+        """
         count = self._decidable()
         return int(self._attitude.t_ns[count - 1]) if count else None
 
@@ -143,9 +174,20 @@ class Trajectory:
         need = 2 if self._hermite else 1
         if len(self._position) < need:
             return 0
-        # the interval after the attitude must be known; a Hermite tangent at its end needs one knot more, unless it has no weight there
-        count = int(np.searchsorted(self._attitude.t_ns, self._position.t_ns[-need], side="right" if self._hermite else "left"))
-        if count and count == len(self._attitude) and np.isnan(self._attitude["omega"][count - 1, 0]):
+        # the interval after the attitude must be known; a Hermite tangent at its end needs one knot
+        # more, unless it has no weight there
+        count = int(
+            np.searchsorted(
+                self._attitude.t_ns,
+                self._position.t_ns[-need],
+                side="right" if self._hermite else "left",
+            )
+        )
+        if (
+            count
+            and count == len(self._attitude)
+            and np.isnan(self._attitude["omega"][count - 1, 0])
+        ):
             return count - 1  # its rate needs the next attitude
         return count
 
@@ -182,7 +224,9 @@ class Trajectory:
         if missing.any():
             first = max(lo - 1, 0)
             around = slice(first, hi + 1)
-            rates = rates_from_attitudes(self._attitude.t_ns[around], self._attitude["q"][around], self._attitude_gap_ns)
+            rates = rates_from_attitudes(
+                self._attitude.t_ns[around], self._attitude["q"][around], self._attitude_gap_ns
+            )
             omega[lo:hi][missing] = rates[lo - first : hi - first][missing]
         known: npt.NDArray[np.bool_] = np.isfinite(omega[lo:hi, 0])
         return known
@@ -208,7 +252,9 @@ class Trajectory:
         p_antenna, v_map = interpolate_position(window, t, j - first)
         q, omega = self._attitude["q_map"][k], self._attitude["omega"][k]
         R = matrix_from_quaternion(q)
-        f = ((t - self._position.t_ns[j]) / (self._position.t_ns[j + 1] - self._position.t_ns[j]))[:, None, None]
+        f = ((t - self._position.t_ns[j]) / (self._position.t_ns[j + 1] - self._position.t_ns[j]))[
+            :, None, None
+        ]
         C = np.zeros((len(k), 6, 6))
         C[:, :3, :3] = (1.0 - f) * self._position["C"][j] + f * self._position["C"][j + 1]
         C[:, 3:, 3:] = self._attitude["C"][k]
@@ -232,7 +278,9 @@ class Trajectory:
         return PathWindow(empty, np.zeros((0, 4)), empty, t, p, m, self._hermite)
 
     def window(self, first_ns: int, last_ns: int) -> PathWindow:
-        """The decided knots that cover times from ``first_ns`` to ``last_ns``, with one to spare on either side."""
+        """The decided knots that cover times from ``first_ns`` to ``last_ns``, with one to spare on
+        either side.
+        """
         decided = self._attitude.t_ns[: self._decided]
         k0 = max(int(np.searchsorted(decided, first_ns, side="right")) - 1, 0)
         k1 = min(int(np.searchsorted(decided, last_ns, side="left")) + 1, self._decided)
@@ -244,5 +292,11 @@ class Trajectory:
             hi = int(np.searchsorted(self._position.t_ns, state_t[-1], side="right")) + 2
         path = self._position_window(lo, hi)
         return PathWindow(
-            state_t, self._attitude["q_map"][part], self._attitude.tag[part], path.position_t, path.position, path.tangent, self._hermite
+            state_t,
+            self._attitude["q_map"][part],
+            self._attitude.tag[part],
+            path.position_t,
+            path.position,
+            path.tangent,
+            self._hermite,
         )

@@ -1,4 +1,6 @@
-"""From the derivative of a result by a fitted ground to its gradient by the ground points (UNCERTAINTY step 2)."""
+"""From the derivative of a result by a fitted ground to its gradient by the ground points
+(UNCERTAINTY step 2).
+"""
 
 from __future__ import annotations
 
@@ -10,8 +12,9 @@ from ladar_volume.model.records import F64, I64, Plane
 
 
 def ground_inverse(points: F64, plane: Plane) -> F64:
-    """``N = (XᵀX)⁻¹`` (p, p) of the points (n, 3) ``plane.support``: coefficients follow heights by ``N Xᵀ``. Raises as
-    :func:`~ladar_volume.ground.polynomial.inverse_root`."""
+    """``N = (XᵀX)⁻¹`` (p, p) of the points (n, 3) ``plane.support``: coefficients follow heights by
+    ``N Xᵀ``. Raises as :func:`~ladar_volume.ground.polynomial.inverse_root`.
+    """
     degree = degree_of(plane)
     S = inverse_root(design(points[plane.support, :2], plane.origin_xy, degree), degree)
     out: F64 = S @ S.T
@@ -20,7 +23,9 @@ def ground_inverse(points: F64, plane: Plane) -> F64:
 
 @kernel
 def fill_rows(x: float, y: float, row: F64, east: F64, north: F64) -> None:
-    """The design row at (x, y) and its derivatives by both, each (p,): every power from the ones before."""
+    """The design row at (x, y) and its derivatives by both, each (p,): every power from the ones
+    before.
+    """
     row[0], east[0], north[0] = 1.0, 0.0, 0.0
     c, k = 1, 1
     while c < len(row):
@@ -35,9 +40,13 @@ def fill_rows(x: float, y: float, row: F64, east: F64, north: F64) -> None:
 
 
 @kernel
-def gradient_kernel(points: F64, support: I64, place: I64, origin: F64, beta: F64, by_sums: F64, out: F64) -> None:
-    """Adds to out (m, k, 3) the gradients of k results by the points (n, 3) ``support`` (s,), each at its place (n,) there, none below
-    zero. by_sums : (p, k) derivatives of the results by the sums ``Xᵀz``."""
+def gradient_kernel(
+    points: F64, support: I64, place: I64, origin: F64, beta: F64, by_sums: F64, out: F64
+) -> None:
+    """Adds to out (m, k, 3) the gradients of k results by the points (n, 3) ``support`` (s,), each
+    at its place (n,) there, none below zero. by_sums : (p, k) derivatives of the results by the
+    sums ``Xᵀz``.
+    """
     p, results = by_sums.shape
     row, east, north = np.empty(p), np.empty(p), np.empty(p)
     for s in support:
@@ -61,9 +70,13 @@ def gradient_kernel(points: F64, support: I64, place: I64, origin: F64, beta: F6
 
 
 @kernel
-def residual_kernel(points: F64, support: I64, origin: F64, beta: F64, by_sums: F64, xy: F64, weight: F64) -> F64:
-    """Heights (s,) m of the points (n, 3) ``support`` (s,) above a surface; their places into xy (s, 2), and the derivatives of a result
-    by their heights into weight (s,). by_sums : (p,) its derivatives by the sums ``Xᵀz``."""
+def residual_kernel(
+    points: F64, support: I64, origin: F64, beta: F64, by_sums: F64, xy: F64, weight: F64
+) -> F64:
+    """Heights (s,) m of the points (n, 3) ``support`` (s,) above a surface; their places into xy
+    (s, 2), and the derivatives of a result by their heights into weight (s,). by_sums : (p,) its
+    derivatives by the sums ``Xᵀz``.
+    """
     p = len(beta)
     row, east, north, residual = np.empty(p), np.empty(p), np.empty(p), np.empty(len(support))
     for i in range(len(support)):
@@ -77,33 +90,54 @@ def residual_kernel(points: F64, support: I64, origin: F64, beta: F64, by_sums: 
     return residual
 
 
-def ground_residuals(points: F64, plane: Plane, by_beta: F64, inverse: F64 | None = None) -> tuple[F64, F64, F64]:
-    """Of the points ``plane.support`` (s,) among (n, 3) m: their places (s, 2) m, heights above the plane (s,) m, and the derivatives (s,)
-    of a result by their heights, inliers held fixed: the vertical part of :func:`ground_gradient`.
+def ground_residuals(
+    points: F64, plane: Plane, by_beta: F64, inverse: F64 | None = None
+) -> tuple[F64, F64, F64]:
+    """Of the points ``plane.support`` (s,) among (n, 3) m: their places (s, 2) m, heights above the
+    plane (s,) m, and the derivatives (s,) of a result by their heights, inliers held fixed: the
+    vertical part of :func:`ground_gradient`.
 
-    by_beta : (p,) derivatives of the result by beta · inverse : :func:`ground_inverse`, where known.
+    by_beta : (p,) derivatives of the result by beta · inverse : :func:`ground_inverse`, where
+    known.
     """
     N, s = ground_inverse(points, plane) if inverse is None else inverse, plane.support
     xy, weight = np.empty((len(s), 2)), np.empty(len(s))
-    residual = residual_kernel(np.ascontiguousarray(points), s, plane.origin_xy, plane.beta, N @ by_beta, xy, weight)
+    residual = residual_kernel(
+        np.ascontiguousarray(points), s, plane.origin_xy, plane.beta, N @ by_beta, xy, weight
+    )
     return xy, np.asarray(residual), weight
 
 
-def add_ground_gradient(out: F64, place: I64, points: F64, plane: Plane, by_beta: F64, inverse: F64 | None = None) -> None:
-    """Adds to out (m, k, 3) the gradients of k results by the points ``plane.support`` (s,), inliers held fixed, each at its place (n,)
-    there, none below zero.
+def add_ground_gradient(
+    out: F64, place: I64, points: F64, plane: Plane, by_beta: F64, inverse: F64 | None = None
+) -> None:
+    """Adds to out (m, k, 3) the gradients of k results by the points ``plane.support`` (s,),
+    inliers held fixed, each at its place (n,) there, none below zero.
 
-    points : (n, 3) m that ``support`` indexes · by_beta : (p, k) derivatives of the results by beta · inverse : :func:`ground_inverse`,
-    where known. The vertical part is ``dV/dbeta H``, the horizontal one ``−slope`` times it plus the term in which the design moves under
-    the residual: with it a common shift or yaw cancels exactly.
+    points : (n, 3) m that ``support`` indexes · by_beta : (p, k) derivatives of the results by beta
+    · inverse : :func:`ground_inverse`, where known. The vertical part is ``dV/dbeta H``, the
+    horizontal one ``−slope`` times it plus the term in which the design moves under the residual:
+    with it a common shift or yaw cancels exactly.
     """
     if len(plane.support):
-        by_sums = np.ascontiguousarray((ground_inverse(points, plane) if inverse is None else inverse) @ by_beta)
-        gradient_kernel(np.ascontiguousarray(points), plane.support, place, plane.origin_xy, plane.beta, by_sums, out)
+        by_sums = np.ascontiguousarray(
+            (ground_inverse(points, plane) if inverse is None else inverse) @ by_beta
+        )
+        gradient_kernel(
+            np.ascontiguousarray(points),
+            plane.support,
+            place,
+            plane.origin_xy,
+            plane.beta,
+            by_sums,
+            out,
+        )
 
 
 def ground_gradient(points: F64, plane: Plane, by_beta: F64) -> F64:
-    """Gradients (s, k, 3) of k results by the points ``plane.support`` (s,): see :func:`add_ground_gradient`."""
+    """Gradients (s, k, 3) of k results by the points ``plane.support`` (s,): see
+    :func:`add_ground_gradient`.
+    """
     s = plane.support
     out, place = np.zeros((len(s), by_beta.shape[1], 3)), np.full(len(points), -1)
     place[s] = np.arange(len(s))

@@ -1,8 +1,10 @@
-"""Objects above the ground, and pits below it: found by themselves, or by regions or picked points (seed 002 section 7.3).
+"""Objects above the ground, and pits below it: found by themselves, or by regions or picked points
+(seed 002 section 7.3).
 
-A point belongs to an object where it rises above the ground by more than the least height and by more than ``sigmas`` standard deviations
-of the ground. Objects are clusters of such points. Bodies that touch are one cluster: ``split_m`` parts those with a saddle between them,
-regions and picked points part any.
+A point belongs to an object where it rises above the ground by more than the least height and by
+more than ``sigmas`` standard deviations of the ground. Objects are clusters of such points. Bodies
+that touch are one cluster: ``split_m`` parts those with a saddle between them, regions and picked
+points part any.
 """
 
 from __future__ import annotations
@@ -21,10 +23,13 @@ from ladar_volume.model.records import F64, I64, Bool, Plane
 
 @dataclass(frozen=True)
 class ObjectParameters:
-    """min_height_m, sigmas : a point is above the ground by more than both · distance_m : longest step between points of one object ·
-    min_points : fewest points of an object · split_m : bodies of a cluster are parted where each rises at least this far above the saddle
-    between them, 0 for never · step_m : reach of a terrace's edge, horizontally · pick_reach_m : an object is within this of a picked
-    point · pits : whether clusters below the ground are listed too, after the objects"""
+    """min_height_m, sigmas : a point is above the ground by more than both · distance_m : longest
+    step between points of one object · min_points : fewest points of an object · split_m : bodies
+    of a cluster are parted where each rises at least this far above the saddle between them, 0 for
+    never · step_m : reach of a terrace's edge, horizontally · pick_reach_m : an object is within
+    this of a picked point · pits : whether clusters below the ground are listed too, after the
+    objects
+    """
 
     min_height_m: float = 0.15
     sigmas: float = 3.5
@@ -36,17 +41,27 @@ class ObjectParameters:
     pits: bool = False
 
     def __post_init__(self) -> None:
-        if not (min(self.distance_m, self.step_m) > 0 and self.min_points >= 1 and min(self.min_height_m, self.sigmas, self.split_m) >= 0):
+        if not (
+            min(self.distance_m, self.step_m) > 0
+            and self.min_points >= 1
+            and min(self.min_height_m, self.sigmas, self.split_m) >= 0
+        ):
             raise ObjectError(
-                "objects need distance_m > 0, step_m > 0, min_points >= 1, and no negative height or sigmas", reason="object_parameters"
+                (
+                    "objects need distance_m > 0, step_m > 0, min_points >= 1, and no "
+                    "negative height or sigmas"
+                ),
+                reason="object_parameters",
             )
 
 
 @dataclass(frozen=True)
 class ObjectRecord:
-    """points : how many · low_m, high_m : (3,) corners of the extent · centroid_m : (3,) mean of the points · height_m : largest height
-    above the ground, for a pit the lowest (negative) · footprint_m : (k, 2) convex outline, counter-clockwise · footprint_m2 : its area ·
-    pit : whether it lies below the ground"""
+    """points : how many · low_m, high_m : (3,) corners of the extent · centroid_m : (3,) mean of
+    the points · height_m : largest height above the ground, for a pit the lowest (negative) ·
+    footprint_m : (k, 2) convex outline, counter-clockwise · footprint_m2 : its area · pit : whether
+    it lies below the ground
+    """
 
     points: int
     low_m: F64
@@ -60,7 +75,9 @@ class ObjectRecord:
 
 @dataclass(frozen=True)
 class Objects:
-    """label : (n,) index into ``records`` of each point, −1 for none · height_m : (n,) height of each point above the ground"""
+    """label : (n,) index into ``records`` of each point, −1 for none · height_m : (n,) height of
+    each point above the ground
+    """
 
     label: I64
     height_m: F64
@@ -72,8 +89,14 @@ class Objects:
         return out
 
 
-def find_objects(points: F64, grounds: Sequence[Plane], p: ObjectParameters | None = None, supports: F64 | None = None) -> Objects:
-    """Clusters of points (n, 3) m, z up, above the ground: the largest first, equal ones by position; none where nothing rises.
+def find_objects(
+    points: F64,
+    grounds: Sequence[Plane],
+    p: ObjectParameters | None = None,
+    supports: F64 | None = None,
+) -> Objects:
+    """Clusters of points (n, 3) m, z up, above the ground: the largest first, equal ones by
+    position; none where nothing rises.
 
     supports : the points that the ground's ``support`` indexes; default the points themselves.
     Raises :class:`ObjectError` without points or ground.
@@ -88,13 +111,17 @@ def find_objects(points: F64, grounds: Sequence[Plane], p: ObjectParameters | No
 
 
 def objects_in(
-    points: F64, grounds: Sequence[Plane], regions: Sequence[Bool], p: ObjectParameters | None = None, supports: F64 | None = None
+    points: F64,
+    grounds: Sequence[Plane],
+    regions: Sequence[Bool],
+    p: ObjectParameters | None = None,
+    supports: F64 | None = None,
 ) -> Objects:
-    """One object per region: its points (n,) that are above the ground (with ``pits``: or below it). A point in several regions belongs to
-    the first.
+    """One object per region: its points (n,) that are above the ground (with ``pits``: or below
+    it). A point in several regions belongs to the first.
 
-    Regions are masks as of :func:`regions.in_polygon` and :func:`regions.in_box`. Raises :class:`ObjectError` for a region in which
-    nothing rises.
+    Regions are masks as of :func:`regions.in_polygon` and :func:`regions.in_box`. Raises
+    :class:`ObjectError` for a region in which nothing rises.
     """
     p = p or ObjectParameters()
     height, above, below = rising(points, grounds, p, supports)
@@ -104,7 +131,10 @@ def objects_in(
         mine = region & free & (label < 0)
         if not mine.any():
             raise ObjectError(
-                f"nothing rises {p.min_height_m:g} m above the ground in region {number}: check its coordinates, or lower min_height_m",
+                (
+                    f"nothing rises {p.min_height_m:g} m above the ground in region {number}: "
+                    "check its coordinates, or lower min_height_m"
+                ),
                 reason="object_empty",
                 value=number,
             )
@@ -113,27 +143,44 @@ def objects_in(
 
 
 def objects_at(
-    points: F64, grounds: Sequence[Plane], picks: Sequence[F64], p: ObjectParameters | None = None, supports: F64 | None = None
+    points: F64,
+    grounds: Sequence[Plane],
+    picks: Sequence[F64],
+    p: ObjectParameters | None = None,
+    supports: F64 | None = None,
 ) -> Objects:
     """One object per group of picked points (k, 3) m: the clusters nearest to its points.
 
-    A cluster that several groups pick is shared: each of its points goes to the group with the nearest picked point. Raises
-    :class:`ObjectError` for an empty group, or where no cluster is within ``pick_reach_m``.
+    A cluster that several groups pick is shared: each of its points goes to the group with the
+    nearest picked point. Raises :class:`ObjectError` for an empty group, or where no cluster is
+    within ``pick_reach_m``.
     """
     p = p or ObjectParameters()
     groups = [np.atleast_2d(np.asarray(g, dtype=np.float64)) for g in picks]
-    if any(g.size == 0 or g.shape[1:] != (3,) or not np.isfinite(g).all() for g in groups) or not groups:
-        raise ObjectError("each object needs at least one picked point x, y, z", reason="object_pick", value=picks)
+    if (
+        any(g.size == 0 or g.shape[1:] != (3,) or not np.isfinite(g).all() for g in groups)
+        or not groups
+    ):
+        raise ObjectError(
+            "each object needs at least one picked point x, y, z", reason="object_pick", value=picks
+        )
     found = find_objects(points, grounds, p, supports)
     rows = np.flatnonzero(found.label >= 0)
     if len(rows) == 0:
-        raise ObjectError("nothing rises above the ground: lower min_height_m or min_points", reason="object_empty")
-    picked, group = np.concatenate(groups), np.repeat(np.arange(len(groups)), [len(g) for g in groups])
+        raise ObjectError(
+            "nothing rises above the ground: lower min_height_m or min_points",
+            reason="object_empty",
+        )
+    picked, group = (
+        np.concatenate(groups),
+        np.repeat(np.arange(len(groups)), [len(g) for g in groups]),
+    )
     away, nearest = (np.asarray(a) for a in cKDTree(points[rows]).query(picked))
     if away.max() > p.pick_reach_m:
         far = int(away.argmax())
         raise ObjectError(
-            f"the picked point {picked[far]} is {away[far]:.2f} m from the nearest object, more than {p.pick_reach_m:g} m: pick on it, or "
+            f"the picked point {picked[far]} is {away[far]:.2f} m from the nearest "
+            f"object, more than {p.pick_reach_m:g} m: pick on it, or "
             "raise pick_reach_m",
             reason="object_pick",
             value=picked[far],
@@ -153,13 +200,23 @@ def objects_at(
     return _objects(points, found.height_m, label)
 
 
-def rising(points: F64, grounds: Sequence[Plane], p: ObjectParameters, supports: F64 | None = None) -> tuple[F64, Bool, Bool]:
-    """Heights (n,) m above the ground, and which points are above and below it. Raises :class:`ObjectError` without points or ground."""
+def rising(
+    points: F64, grounds: Sequence[Plane], p: ObjectParameters, supports: F64 | None = None
+) -> tuple[F64, Bool, Bool]:
+    """Heights (n,) m above the ground, and which points are above and below it. Raises
+    :class:`ObjectError` without points or ground.
+    """
     if len(points) == 0 or not np.isfinite(points).all():
-        raise ObjectError("objects need points, all of them finite", reason="object_points", value=len(points))
+        raise ObjectError(
+            "objects need points, all of them finite", reason="object_points", value=len(points)
+        )
     if len(grounds) == 0:
-        raise ObjectError("objects need a ground: fit one, or give a level", reason="object_no_ground")
-    height, sigma = heights_above(points, grounds, points if supports is None else supports, p.step_m)
+        raise ObjectError(
+            "objects need a ground: fit one, or give a level", reason="object_no_ground"
+        )
+    height, sigma = heights_above(
+        points, grounds, points if supports is None else supports, p.step_m
+    )
     least = np.maximum(p.min_height_m, p.sigmas * sigma)
     return height, height > least, height < -least
 
@@ -168,7 +225,11 @@ def _clusters(points: F64, height: F64, chosen: Bool, p: ObjectParameters) -> I6
     label = clusters(points, p.distance_m, p.min_points, chosen)
     if p.split_m == 0.0:
         return label
-    cores = [core for number in range(label.max() + 1) for core in split(points, height, np.flatnonzero(label == number), p)]
+    cores = [
+        core
+        for number in range(label.max() + 1)
+        for core in split(points, height, np.flatnonzero(label == number), p)
+    ]
     sizes = [(-len(core), *points[core][np.lexsort(points[core].T[::-1])[0]]) for core in cores]
     out = np.full(len(points), -1, dtype=np.int64)
     for new, old in enumerate(sorted(range(len(cores)), key=lambda i: sizes[i])):
@@ -177,7 +238,9 @@ def _clusters(points: F64, height: F64, chosen: Bool, p: ObjectParameters) -> I6
 
 
 def split(points: F64, height: F64, rows: I64, p: ObjectParameters) -> list[I64]:
-    """Rows (k,) of one cluster, parted where the points above some level fall into clusters that each rise ``split_m`` above it."""
+    """Rows (k,) of one cluster, parted where the points above some level fall into clusters that
+    each rise ``split_m`` above it.
+    """
     levels = np.arange(height[rows].min(), height[rows].max() - p.split_m, p.split_m / 4)
     for level in levels:
         high = rows[height[rows] > level]
@@ -187,12 +250,19 @@ def split(points: F64, height: F64, rows: I64, p: ObjectParameters) -> list[I64]
         if len(cores) > 1:
             owner = np.repeat(np.arange(len(cores)), [len(core) for core in cores])
             nearest = owner[cKDTree(points[np.concatenate(cores)]).query(points[rows])[1]]
-            return [part for i in range(len(cores)) for part in split(points, height, rows[nearest == i], p)]
+            return [
+                part
+                for i in range(len(cores))
+                for part in split(points, height, rows[nearest == i], p)
+            ]
     return [rows]
 
 
 def _objects(points: F64, height: F64, label: I64) -> Objects:
-    records = tuple(_record(points[label == number], height[label == number]) for number in range(label.max() + 1))
+    records = tuple(
+        _record(points[label == number], height[label == number])
+        for number in range(label.max() + 1)
+    )
     return Objects(label, height, records)
 
 
@@ -204,4 +274,13 @@ def _record(p: F64, height: F64) -> ObjectRecord:
         order = np.lexsort((p[:, 1], p[:, 0]))
         ring, area = p[order[[0, -1]], :2], 0.0
     pit = bool(np.median(height) < 0)
-    return ObjectRecord(len(p), p.min(axis=0), p.max(axis=0), p.mean(axis=0), float(height.min() if pit else height.max()), ring, area, pit)
+    return ObjectRecord(
+        len(p),
+        p.min(axis=0),
+        p.max(axis=0),
+        p.mean(axis=0),
+        float(height.min() if pit else height.max()),
+        ring,
+        area,
+        pit,
+    )

@@ -1,4 +1,6 @@
-"""Polynomial surfaces ``z = x(dx, dy) @ beta`` about an origin, degree 0 (level), 1 (plane), 2 or 3 (seed 002 chapter 6)."""
+"""Polynomial surfaces ``z = x(dx, dy) @ beta`` about an origin, degree 0 (level), 1 (plane), 2 or 3
+(seed 002 chapter 6).
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,8 @@ from ladar_volume.model.records import F64, Plane
 
 #: Number of coefficients by degree.
 COEFFICIENTS = (1, 3, 6, 10)
-#: Where what a column of length 1 has of its own beside the others is more than this, products of columns keep twelve digits of it.
+#: Where what a column of length 1 has of its own beside the others is more than this, products of
+#: columns keep twelve digits of it.
 FIXED = 1e-2
 
 
@@ -22,7 +25,9 @@ def degree_of(plane: Plane) -> int:
 
 
 def exponents(degree: int) -> list[tuple[int, int]]:
-    """Powers of dx and dy of every coefficient: 1, dx, dy, dx², dx dy, dy², dx³, dx² dy, dx dy², dy³ up to the degree."""
+    """Powers of dx and dy of every coefficient: 1, dx, dy, dx², dx dy, dy², dx³, dx² dy, dx dy²,
+    dy³ up to the degree.
+    """
     return [(k - j, j) for k in range(degree + 1) for j in range(k + 1)]
 
 
@@ -31,12 +36,16 @@ def monomials(xy: F64, origin_xy: F64, degree: int) -> Iterator[F64]:
     x, y = xy[:, 0] - origin_xy[0], xy[:, 1] - origin_xy[1]
     last: list[F64] = []
     for k in range(1, degree + 1):
-        last = [*(column * x for column in last), last[-1] * y] if k > 1 else [x, y]  # all of one power less, times x
+        last = (
+            [*(column * x for column in last), last[-1] * y] if k > 1 else [x, y]
+        )  # all of one power less, times x
         yield from last
 
 
 def design(xy: F64, origin_xy: F64, degree: int) -> F64:
-    """Rows ``(1, dx, dy, dx², dx dy, dy², dx³, dx² dy, dx dy², dy³)`` up to the degree: (n, p) for points xy (n, 2), m."""
+    """Rows ``(1, dx, dy, dx², dx dy, dy², dx³, dx² dy, dx dy², dy³)`` up to the degree: (n, p) for
+    points xy (n, 2), m.
+    """
     out = np.empty((len(xy), COEFFICIENTS[degree]))
     out[:, 0] = 1.0
     for c, column in enumerate(monomials(xy, origin_xy, degree), 1):
@@ -59,7 +68,9 @@ def design_gradient(xy: F64, origin_xy: F64, degree: int) -> F64:
 def base_height(plane: Plane, xy: F64) -> F64:
     """Height (n,) m of a base surface at xy (n, 2)."""
     out = np.full(len(xy), plane.beta[0])
-    for b, column in zip(plane.beta[1:], monomials(xy, plane.origin_xy, degree_of(plane)), strict=True):
+    for b, column in zip(
+        plane.beta[1:], monomials(xy, plane.origin_xy, degree_of(plane)), strict=True
+    ):
         out += b * column
     return out
 
@@ -67,7 +78,9 @@ def base_height(plane: Plane, xy: F64) -> F64:
 def base_gradient(plane: Plane, xy: F64) -> F64:
     """Slope (n, 2) of a base surface at xy (n, 2)."""
     D = design_gradient(xy, plane.origin_xy, degree_of(plane))
-    out: F64 = (D.reshape(-1, D.shape[2]) @ plane.beta).reshape(-1, 2)  # as one product, not one for each point
+    out: F64 = (D.reshape(-1, D.shape[2]) @ plane.beta).reshape(
+        -1, 2
+    )  # as one product, not one for each point
     return out
 
 
@@ -77,25 +90,38 @@ def tilt_of(plane: Plane) -> float:
 
 
 def design_surface(beta: Sequence[float], origin_xy: tuple[float, float] = (0.0, 0.0)) -> Plane:
-    """A base surface known without error, such as a level or a given plane; degree by the number of coefficients."""
+    """A base surface known without error, such as a level or a given plane; degree by the number of
+    coefficients.
+    """
     if len(beta) not in COEFFICIENTS or not np.isfinite(beta).all():
         raise GroundError(
-            f"a base has 1, 3, 6 or 10 finite coefficients, not {tuple(beta)}", reason="ground_coefficients", value=tuple(beta)
+            f"a base has 1, 3, 6 or 10 finite coefficients, not {tuple(beta)}",
+            reason="ground_coefficients",
+            value=tuple(beta),
         )
     p = len(beta)
-    return Plane(np.asarray(origin_xy, dtype=np.float64), np.asarray(beta, dtype=np.float64), np.zeros((p, p)), np.zeros(0, np.int64))
+    return Plane(
+        np.asarray(origin_xy, dtype=np.float64),
+        np.asarray(beta, dtype=np.float64),
+        np.zeros((p, p)),
+        np.zeros(0, np.int64),
+    )
 
 
 def solve(X: F64, z: F64, degree: int) -> tuple[F64, F64]:
-    """Least-squares coefficients beta (p,) of design rows X (n, p) and heights z (n,), and ``N = (XᵀX)⁻¹`` (p, p): the coefficients follow
-    heights by ``N Xᵀ``. Raises :class:`GroundError` where the points do not fix the surface."""
+    """Least-squares coefficients beta (p,) of design rows X (n, p) and heights z (n,), and ``N =
+    (XᵀX)⁻¹`` (p, p): the coefficients follow heights by ``N Xᵀ``. Raises :class:`GroundError` where
+    the points do not fix the surface.
+    """
     S = inverse_root(X, degree)
     return S @ (S.T @ (X.T @ z)), S @ S.T
 
 
 def inverse_root(X: F64, degree: int) -> F64:
-    """S (p, p) with ``S Sᵀ = (XᵀX)⁻¹`` of design rows X (n, p): from that product, and from the rows where it has too few digits. Raises
-    :class:`GroundError` where the points do not fix the surface."""
+    """S (p, p) with ``S Sᵀ = (XᵀX)⁻¹`` of design rows X (n, p): from that product, and from the
+    rows where it has too few digits. Raises :class:`GroundError` where the points do not fix the
+    surface.
+    """
     square = X.T @ X
     scale = column_scale(len(X), square, degree)
     try:
@@ -111,12 +137,16 @@ def inverse_root(X: F64, degree: int) -> F64:
 
 
 def column_scale(count: int, square: F64, degree: int) -> F64:
-    """Lengths (p,) of the columns of ``count`` design rows from their products (p, p). Raises :class:`GroundError` for too few rows or an
-    empty column."""
+    """Lengths (p,) of the columns of ``count`` design rows from their products (p, p). Raises
+    :class:`GroundError` for too few rows or an empty column.
+    """
     scale: F64 = np.sqrt(square.diagonal())
     if count < len(scale) or (scale == 0).any():
         raise GroundError(
-            f"{count} points do not define a ground of degree {degree}: give more of the ground, or a lower ground.degree",
+            (
+                f"{count} points do not define a ground of degree {degree}: give more of the "
+                "ground, or a lower ground.degree"
+            ),
             reason="ground_too_few_points",
             value=count,
         )
@@ -124,11 +154,14 @@ def column_scale(count: int, square: F64, degree: int) -> F64:
 
 
 def check_rank(R: F64, degree: int) -> None:
-    """Raises :class:`GroundError` where a triangular factor R (p, p) of scaled columns shows that they do not fix the surface."""
+    """Raises :class:`GroundError` where a triangular factor R (p, p) of scaled columns shows that
+    they do not fix the surface.
+    """
     diagonal = np.abs(np.diag(R))
     if diagonal.min() < 1e-9 * diagonal.max():
         raise GroundError(
-            f"the points lie on a curve that does not define a ground of degree {degree}: give ground on all sides, or a lower "
+            f"the points lie on a curve that does not define a ground of degree {degree}: "
+            "give ground on all sides, or a lower "
             "ground.degree",
             reason="ground_degenerate",
         )

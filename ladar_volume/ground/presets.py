@@ -1,7 +1,9 @@
-"""Published settings of the ground (seed 002 section 9.3: those of the filter with T = 1000), as keys and values of the section ``ground``.
+"""Published settings of the ground (seed 002 section 9.3: those of the filter with T = 1000), as
+keys and values of the section ``ground``.
 
-T is the number of trials, k the points per random sample, polDeg the degree. A point belongs to a surface within the published
-outliersThreshold; the surface with most points wins, whatever lies below it. Lengths of Table 9.2 are printed in centimetres.
+T is the number of trials, k the points per random sample, polDeg the degree. A point belongs to a
+surface within the published outliersThreshold; the surface with most points wins, whatever lies
+below it. Lengths of Table 9.2 are printed in centimetres.
 """
 
 from __future__ import annotations

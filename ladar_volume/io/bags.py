@@ -1,4 +1,6 @@
-"""Recordings: rosbag2 (MCAP, sqlite3, split), ROS 1 bags and bare MCAP files in; rosbag2 MCAP out."""
+"""Recordings: rosbag2 (MCAP, sqlite3, split), ROS 1 bags and bare MCAP files in; rosbag2 MCAP
+out.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ TYPESTORE = get_typestore(Stores.ROS2_JAZZY)
 
 @dataclass(frozen=True)
 class Raw:
-    """One recorded message: receive time (ns), topic without leading slash, type, serialised bytes."""
+    """One recorded message: receive time (ns), topic without leading slash, type, serialised
+    bytes.
+    """
 
     t_ns: int
     topic: str
@@ -51,25 +55,44 @@ class BagReader:
             self._reader = AnyReader([self._target()], default_typestore=TYPESTORE)
             self._reader.open()
         except (AnyReaderError, Ros1Error, Ros2Error) as error:
-            raise BagError(f"{self.path}: not a readable recording: {error}", reason="bag_format", value=str(path)) from error
+            raise BagError(
+                f"{self.path}: not a readable recording: {error}",
+                reason="bag_format",
+                value=str(path),
+            ) from error
         except Exception as error:  # a damaged file fails anywhere inside the parsers
-            raise BagError(f"{self.path}: damaged or not a recording: {error!r}", reason="bag_format", value=str(path)) from error
+            raise BagError(
+                f"{self.path}: damaged or not a recording: {error!r}",
+                reason="bag_format",
+                value=str(path),
+            ) from error
         if self._reader.message_count == 0:
             self.close()
-            raise BagError(f"{self.path}: the recording holds no message", reason="bag_empty", value=str(path))
+            raise BagError(
+                f"{self.path}: the recording holds no message", reason="bag_empty", value=str(path)
+            )
 
     def _target(self) -> Path:
         if self.path.is_dir() and not (self.path / "metadata.yaml").exists():
             files = sorted(p for p in self.path.iterdir() if p.suffix in (".mcap", ".db3", ".bag"))
             if len(files) != 1:
-                raise BagError(f"{self.path}: a folder without metadata.yaml", reason="bag_format", value=str(self.path))
+                raise BagError(
+                    f"{self.path}: a folder without metadata.yaml",
+                    reason="bag_format",
+                    value=str(self.path),
+                )
             return files[0]
         return self.path
 
     def __enter__(self) -> BagReader:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self.close()
 
     def close(self) -> None:
@@ -104,25 +127,39 @@ class BagReader:
             candidates = [t for t, (k, _) in topics.items() if k == kind]
             name = (wanted or {}).get(role, "").lstrip("/")
             if name and name not in candidates:
-                raise BagError(f"{self.path}: no topic {name!r} of type {kind}", reason="bag_topic", value=name)
-            chosen = name or (usual if usual in candidates else candidates[0] if len(candidates) == 1 else "")
+                raise BagError(
+                    f"{self.path}: no topic {name!r} of type {kind}", reason="bag_topic", value=name
+                )
+            chosen = name or (
+                usual if usual in candidates else candidates[0] if len(candidates) == 1 else ""
+            )
             if chosen:
                 found[role] = chosen
         return found
 
     def require(self, roles: Mapping[str, str], pose_source: str) -> None:
-        """Check that the topics a volume needs are there; raises BagError (bag_topic) naming what is missing."""
+        """Check that the topics a volume needs are there; raises BagError (bag_topic) naming what
+        is missing.
+        """
         needed = ("cloud", "fix", "imu") if pose_source == "gnss_imu" else ("cloud", "odometry")
         missing = [f"{role} ({ROLES[role][0]})" for role in needed if role not in roles]
         if missing:
             raise BagError(
-                f"{self.path}: no topic for {', '.join(missing)}; the recording has {', '.join(self.topics())}",
-                reason="bag_topic", value=missing,
-            )  # fmt: skip
+                (
+                    f"{self.path}: no topic for {', '.join(missing)}; the recording has "
+                    f"{', '.join(self.topics())}"
+                ),
+                reason="bag_topic",
+                value=missing,
+            )
 
     def raw(self, topics: set[str] | None = None) -> Iterator[Raw]:
-        """Messages in receive order. Raises BagError (bag_truncated) where the file breaks off or holds fewer than it announces."""
-        connections = [c for c in self._reader.connections if topics is None or c.topic.lstrip("/") in topics]
+        """Messages in receive order. Raises BagError (bag_truncated) where the file breaks off or
+        holds fewer than it announces.
+        """
+        connections = [
+            c for c in self._reader.connections if topics is None or c.topic.lstrip("/") in topics
+        ]
         if not connections:
             return
         missing = sum(c.msgcount for c in connections)
@@ -130,22 +167,40 @@ class BagReader:
             for connection, t_ns, data in self._reader.messages(connections=connections):
                 missing -= 1
                 yield Raw(t_ns, connection.topic.lstrip("/"), connection.msgtype, data)
-        except Exception as error:  # as above: any parser error means the file is damaged from here on
-            raise BagError(f"{self.path}: the recording breaks off: {error!r}", reason="bag_truncated", value=str(self.path)) from error
+        except (
+            Exception
+        ) as error:  # as above: any parser error means the file is damaged from here on
+            raise BagError(
+                f"{self.path}: the recording breaks off: {error!r}",
+                reason="bag_truncated",
+                value=str(self.path),
+            ) from error
         if missing > 0:
-            raise BagError(f"{self.path}: {missing} announced messages cannot be read", reason="bag_truncated", value=missing)
+            raise BagError(
+                f"{self.path}: {missing} announced messages cannot be read",
+                reason="bag_truncated",
+                value=missing,
+            )
 
     def message(self, raw: Raw) -> Any:
         """Deserialise. Raises BagError (bag_message) for bytes that are not such a message."""
         try:
             return self._reader.deserialize(raw.data, raw.kind)
         except Exception as error:  # a damaged message can fail anywhere in the deserialiser
-            raise BagError(f"{raw.topic}: undecodable {raw.kind}: {error!r}", reason="bag_message", value=raw.topic) from error
+            raise BagError(
+                f"{raw.topic}: undecodable {raw.kind}: {error!r}",
+                reason="bag_message",
+                value=raw.topic,
+            ) from error
 
     def digest(self) -> str:
         """sha256 over the recording's data files in name order."""
         target = self._target()
-        files = [target] if target.is_file() else sorted(p for p in target.iterdir() if p.suffix in (".mcap", ".db3", ".bag"))
+        files = (
+            [target]
+            if target.is_file()
+            else sorted(p for p in target.iterdir() if p.suffix in (".mcap", ".db3", ".bag"))
+        )
         sha = hashlib.sha256()
         for file in files:
             with file.open("rb") as stream:
@@ -160,19 +215,28 @@ class BagWriter:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         if self.path.exists():
-            raise OutputError(f"{self.path} exists already", reason="output_exists", value=str(path))
+            raise OutputError(
+                f"{self.path} exists already", reason="output_exists", value=str(path)
+            )
         try:
             self._writer = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
             self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             self._writer.open()
         except OSError as error:
-            raise OutputError(f"{self.path}: cannot be written: {error}", value=str(path)) from error
+            raise OutputError(
+                f"{self.path}: cannot be written: {error}", value=str(path)
+            ) from error
         self._connections: dict[str, Any] = {}
 
     def __enter__(self) -> BagWriter:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self._writer.close()
 
     def write(self, topic: str, message: Any, t_ns: int) -> None:
@@ -183,5 +247,7 @@ class BagWriter:
     def write_raw(self, topic: str, kind: str, data: bytes, t_ns: int) -> None:
         """Append serialised bytes."""
         if topic not in self._connections:
-            self._connections[topic] = self._writer.add_connection("/" + topic.lstrip("/"), kind, typestore=TYPESTORE)
+            self._connections[topic] = self._writer.add_connection(
+                "/" + topic.lstrip("/"), kind, typestore=TYPESTORE
+            )
         self._writer.write(self._connections[topic], t_ns, data)

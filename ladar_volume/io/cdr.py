@@ -1,8 +1,8 @@
-"""Large map messages as CDR bytes straight from arrays: a Marker or a Mesh of a hundred thousand corners as message objects takes
-longer to pack than the volume takes to compute.
+"""Large map messages as CDR bytes straight from arrays: a Marker or a Mesh of a hundred thousand
+corners as message objects takes longer to pack than the volume takes to compute.
 
-XCDR version 1, little-endian, as rmw serialises: a member aligns to its own size, counted from behind the four-byte encapsulation
-header (OMG DDSI-RTPS 2.2, section 10.2).
+XCDR version 1, little-endian, as rmw serialises: a member aligns to its own size, counted from
+behind the four-byte encapsulation header (OMG DDSI-RTPS 2.2, section 10.2).
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ import numpy.typing as npt
 from ladar_volume.model.records import F64, I64, Bool, Estimate, Tin
 
 TRIANGLE_LIST = 11
-#: Triangles of a marker, about, at most: each takes 120 bytes, in this process, in that of every listener and in between.
+#: Triangles of a marker, about, at most: each takes 120 bytes, in this process, in that of every
+#: listener and in between.
 MOST_SHOWN = 100_000
 
 
@@ -25,7 +26,9 @@ class Writer:
     """Appends members in the order of the message definition."""
 
     def __init__(self) -> None:
-        self._parts: list[bytes | memoryview] = []  # put together once, at the end: a map is megabytes
+        self._parts: list[
+            bytes | memoryview
+        ] = []  # put together once, at the end: a map is megabytes
         self._length = 0
         self._add(b"\x00\x01\x00\x00")
 
@@ -66,26 +69,35 @@ class Writer:
 
 
 def shown(tin: Tin) -> I64:
-    """Triangles (k, 3) to be looked at: the relevant ones; of more than :data:`MOST_SHOWN`, those left when all vertices in one square of a
-    grid count as one of them."""
+    """Triangles (k, 3) to be looked at: the relevant ones; of more than :data:`MOST_SHOWN`, those
+    left when all vertices in one square of a grid count as one of them.
+    """
     triangles = tin.triangles[tin.relevant].astype(np.int64)
     if len(triangles) <= MOST_SHOWN:
         return triangles
     xy = tin.vertices[:, :2] - tin.vertices[:, :2].min(axis=0)
-    square = np.floor(xy / math.sqrt(float(np.prod(xy.max(axis=0))) / (0.5 * MOST_SHOWN))).astype(np.int64)
-    _, first, label = np.unique(square @ [int(square.max()) + 1, 1], return_index=True, return_inverse=True)
+    square = np.floor(xy / math.sqrt(float(np.prod(xy.max(axis=0))) / (0.5 * MOST_SHOWN))).astype(
+        np.int64
+    )
+    _, first, label = np.unique(
+        square @ [int(square.max()) + 1, 1], return_index=True, return_inverse=True
+    )
     triangles = first[label][triangles]
     whole: Bool = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
     return triangles[whole]
 
 
 def tin_marker(estimate: Estimate, value: F64) -> bytes:
-    """visualization_msgs/Marker: the triangles :func:`shown` as a TRIANGLE_LIST coloured by a value (n,) of each vertex."""
+    """visualization_msgs/Marker: the triangles :func:`shown` as a TRIANGLE_LIST coloured by a value
+    (n,) of each vertex.
+    """
     tin = estimate.tin
     corners = shown(tin).ravel()
     low, high = float(np.min(value)), float(np.max(value))
     s = (value - low) / max(high - low, 1e-12)
-    colour = np.column_stack([s, 0.6 * (1.0 - np.abs(2.0 * s - 1.0)) + 0.3, 1.0 - s, np.ones(len(s))]).astype(np.float32)
+    colour = np.column_stack(
+        [s, 0.6 * (1.0 - np.abs(2.0 * s - 1.0)) + 0.3, 1.0 - s, np.ones(len(s))]
+    ).astype(np.float32)
     w = Writer()
     w.header(estimate.volume.t_ns, "map")
     w.text("tin")  # ns

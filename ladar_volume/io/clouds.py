@@ -13,11 +13,13 @@ from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import GeoreferenceParameters
 from ladar_volume.model.records import I64, Returns, select
 
-#: Absolute `timestamp` values above this are nanoseconds, below it seconds (1e12 s is 30,000 years ahead).
+#: Absolute `timestamp` values above this are nanoseconds, below it seconds (1e12 s is 30,000 years
+#: ahead).
 NANOSECONDS_ABOVE = 1e12
 #: Names of the time of a return, in the order of preference.
 TIME_FIELDS = ("time", "t", "timestamp", "time_stamp")
-#: Offsets and absolute times beyond these (s) are no times of this age, and would not fit into nanoseconds.
+#: Offsets and absolute times beyond these (s) are no times of this age, and would not fit into
+#: nanoseconds.
 LONGEST_OFFSET_S, LATEST_S = 1e6, 9e9
 #: A cloud larger than this is no single firing: one time for all of its returns is none.
 ONE_TIME_RETURNS = 500
@@ -29,23 +31,38 @@ def stamp_ns(message: Any) -> int:
 
 
 def returns_from_cloud(message: Any, parameters: GeoreferenceParameters, losses: Losses) -> Returns:
-    """Decode a Velodyne (`time`), Ouster-style (`t`) or absolute (`timestamp`) cloud, organised or not.
+    """Decode a Velodyne (`time`), Ouster-style (`t`) or absolute (`timestamp`) cloud, organised or
+    not.
 
-    A row with a NaN coordinate is dropped with all its columns and counted (point_nan), as is one with a time that is
-    not finite (point_time). A missing `ring` reads as 0, a missing `intensity` as 0.
+    A row with a NaN coordinate is dropped with all its columns and counted (point_nan), as is one
+    with a time that is not finite (point_time). A missing `ring` reads as 0, a missing `intensity`
+    as 0.
 
     Raises
     ------
-    CloudError : layout reasons of :func:`ladar_volume.io.tables.decode`; cloud_no_xyz, cloud_no_time, cloud_one_time (a time field that
+    CloudError : layout reasons of :func:`ladar_volume.io.tables.decode`; cloud_no_xyz,
+        cloud_no_time, cloud_one_time (a time field that
         says the same for every return of a sweep), cloud_all_nan.
     """
     columns = decode(message)
     missing = [axis for axis in "xyz" if axis not in columns]
     if missing or any(columns[axis].ndim != 1 for axis in "xyz"):
-        raise CloudError(f"cloud without scalar field {', '.join(missing) or 'x, y, z'}", reason="cloud_no_xyz", value=missing)
-    vectors = [name for name in ("ring", "intensity", *TIME_FIELDS) if name in columns and columns[name].ndim != 1]
+        raise CloudError(
+            f"cloud without scalar field {', '.join(missing) or 'x, y, z'}",
+            reason="cloud_no_xyz",
+            value=missing,
+        )
+    vectors = [
+        name
+        for name in ("ring", "intensity", *TIME_FIELDS)
+        if name in columns and columns[name].ndim != 1
+    ]
     if vectors:
-        raise CloudError(f"several values per point in field {', '.join(vectors)}", reason="cloud_fields", value=vectors)
+        raise CloudError(
+            f"several values per point in field {', '.join(vectors)}",
+            reason="cloud_fields",
+            value=vectors,
+        )
     n = len(columns["x"])
     r_laser = np.empty((n, 3))
     for i, axis in enumerate("xyz"):
@@ -74,18 +91,31 @@ def _times(
         if parameters.untimed_clouds == "stamp":
             return np.full(n, stamp, np.int64), np.ones(n, np.bool_)
         raise CloudError(
-            "cloud without per-point time (time, t or timestamp); georeference.untimed_clouds: stamp accepts it",
+            (
+                "cloud without per-point time (time, t or timestamp); "
+                "georeference.untimed_clouds: stamp accepts it"
+            ),
             reason="cloud_no_time",
         )
     values = columns[name]
-    if n > ONE_TIME_RETURNS and parameters.untimed_clouds == "refuse" and bool((values == values[0]).all()):
+    if (
+        n > ONE_TIME_RETURNS
+        and parameters.untimed_clouds == "refuse"
+        and bool((values == values[0]).all())
+    ):
         raise CloudError(
-            f"field {name} holds one and the same time for {n} returns; georeference.untimed_clouds: stamp accepts it",
-            reason="cloud_one_time", value=n,
-        )  # fmt: skip
+            (
+                f"field {name} holds one and the same time for {n} returns; "
+                "georeference.untimed_clouds: stamp accepts it"
+            ),
+            reason="cloud_one_time",
+            value=n,
+        )
     if name.startswith("time") and name != "time":
         return _absolute(values)
-    ok = np.abs(values.astype(np.float64)) <= LONGEST_OFFSET_S * (1e9 if values.dtype.kind in "iu" else 1.0)  # NaN is not
+    ok = np.abs(values.astype(np.float64)) <= LONGEST_OFFSET_S * (
+        1e9 if values.dtype.kind in "iu" else 1.0
+    )  # NaN is not
     clean = values if ok.all() else np.where(ok, values, 0)
     if clean.dtype.kind == "f":
         offset = np.rint(clean.astype(np.float64) * 1e9).astype(np.int64)
@@ -105,5 +135,9 @@ def _absolute(values: npt.NDArray[Any]) -> tuple[I64, npt.NDArray[np.bool_]]:
     clean = values if ok.all() else np.where(ok, values, 0)
     if clean.dtype.kind in "iu":
         return clean.astype(np.int64) * int(scale), ok
-    whole = np.floor(clean)  # splitting keeps the nanoseconds that a product of 1e18 would round away
-    return whole.astype(np.int64) * int(scale) + np.rint((clean - whole) * scale).astype(np.int64), ok
+    whole = np.floor(
+        clean
+    )  # splitting keeps the nanoseconds that a product of 1e18 would round away
+    return whole.astype(np.int64) * int(scale) + np.rint((clean - whole) * scale).astype(
+        np.int64
+    ), ok

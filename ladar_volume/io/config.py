@@ -1,8 +1,9 @@
-"""Configuration files: strict YAML in the ROS layout, and the generated default file and parameter page.
+"""Configuration files: strict YAML in the ROS layout, and the generated default file and parameter
+page.
 
-``/**: ros__parameters: section: key: value`` is read alike by ``--params-file`` and by this package, which unlike
-rclpy refuses keys that nobody declares. Precedence: default < file < command line.
-``python -m ladar_volume.io.config`` regenerates config/default.yaml and docs/parameters.md.
+``/**: ros__parameters: section: key: value`` is read alike by ``--params-file`` and by this
+package, which unlike rclpy refuses keys that nobody declares. Precedence: default < file < command
+line. ``python -m ladar_volume.io.config`` regenerates config/default.yaml and docs/parameters.md.
 """
 
 from __future__ import annotations
@@ -26,15 +27,20 @@ class _StrictLoader(yaml.SafeLoader):
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=deep)
             if key in seen:
-                raise ConfigurationError(f"line {key_node.start_mark.line + 1}: key {key!r} is given twice", value=key)
+                raise ConfigurationError(
+                    f"line {key_node.start_mark.line + 1}: key {key!r} is given twice", value=key
+                )
             seen.add(key)
         return super().construct_mapping(node, deep)
 
 
-def read_config(path: str | Path | None, overrides: Sequence[str] = (), start: Parameters | None = None) -> Parameters:
+def read_config(
+    path: str | Path | None, overrides: Sequence[str] = (), start: Parameters | None = None
+) -> Parameters:
     """Parameters from defaults (or ``start``), then the file, then ``section.key=value`` overrides.
 
-    Raises ConfigurationError (or a leaf of it) naming file, key, value, range and the nearest known key.
+    Raises ConfigurationError (or a leaf of it) naming file, key, value, range and the nearest known
+    key.
     """
     parameters = Parameters() if start is None else start
     if path is not None:
@@ -67,7 +73,9 @@ def _mapping(path: Path) -> dict[str, Any]:
         raise ConfigurationError(layout, value=sections)
     for section, values in sections.items():
         if values is not None and not isinstance(values, dict):
-            raise ConfigurationError(f"section {section!r} must hold keys, not {values!r}", value=values)
+            raise ConfigurationError(
+                f"section {section!r} must hold keys, not {values!r}", value=values
+            )
     return sections
 
 
@@ -81,7 +89,11 @@ def _override(text: str) -> dict[str, dict[str, Any]]:
 
 def dump_config(parameters: Parameters) -> str:
     """The whole configuration as YAML text, every key with unit, range and help as a comment."""
-    lines = ["# Every parameter with its default. Keys carry their unit; angles are degrees.", "/**:", "  ros__parameters:"]
+    lines = [
+        "# Every parameter with its default. Keys carry their unit; angles are degrees.",
+        "/**:",
+        "  ros__parameters:",
+    ]
     for section, values in parameters.write().items():
         lines.append(f"    {section}:")
         for spec in specs(SECTIONS[section]):
@@ -90,16 +102,27 @@ def dump_config(parameters: Parameters) -> str:
     return "\n".join(lines) + "\n"
 
 
-def changed_config(parameters: Parameters, kept: Mapping[str, Mapping[str, Any]], comment: str) -> str:
-    """A configuration as YAML text with a comment above: what differs from the defaults, and the keys of ``kept`` in any case."""
+def changed_config(
+    parameters: Parameters, kept: Mapping[str, Mapping[str, Any]], comment: str
+) -> str:
+    """A configuration as YAML text with a comment above: what differs from the defaults, and the
+    keys of ``kept`` in any case.
+    """
     default, sections = Parameters().write(), {}
     for section, values in parameters.write().items():
-        wanted = {k: v for k, v in values.items() if k in kept.get(section, {}) or repr(v) != repr(default[section][k])}  # NaN equals NaN
+        wanted = {
+            k: v
+            for k, v in values.items()
+            if k in kept.get(section, {}) or repr(v) != repr(default[section][k])
+        }  # NaN equals NaN
         if wanted:
             sections[section] = wanted
     lines = [f"# {comment}", "/**:", "  ros__parameters:"]
     for section, values in sections.items():
-        lines += [f"    {section}:", *(f"      {key}: {_yaml(value)}" for key, value in values.items())]
+        lines += [
+            f"    {section}:",
+            *(f"      {key}: {_yaml(value)}" for key, value in values.items()),
+        ]
     return "\n".join(lines) + "\n"
 
 
@@ -115,11 +138,26 @@ def _bounds(spec: ParameterSpec) -> str:
 
 def parameters_markdown() -> str:
     """The parameter page of the documentation."""
-    lines = ["# Parameters", "", "Generated from `ladar_volume/model/parameters.py` by `make docs`.", ""]
+    lines = [
+        "# Parameters",
+        "",
+        "Generated from `ladar_volume/model/parameters.py` by `make docs`.",
+        "",
+    ]
     for section, cls in SECTIONS.items():
-        lines += [f"## {section}", "", (cls.__doc__ or "").strip(), "", "| key | default | range | meaning |", "|---|---|---|---|"]
+        lines += [
+            f"## {section}",
+            "",
+            (cls.__doc__ or "").strip(),
+            "",
+            "| key | default | range | meaning |",
+            "|---|---|---|---|",
+        ]
         values = Parameters().write()[section]
-        lines += [f"| `{s.key}` | `{_yaml(values[s.key])}` | {_bounds(s)} | {s.help} |" for s in specs(cls)]
+        lines += [
+            f"| `{s.key}` | `{_yaml(values[s.key])}` | {_bounds(s)} | {s.help} |"
+            for s in specs(cls)
+        ]
         lines.append("")
     return "\n".join(lines)
 

@@ -19,29 +19,50 @@ CHUNK_BYTES = 2**26
 
 
 def read_las(path: Path, columns: bool = True) -> Columns:
-    """x, y, z as float64 (scaled and shifted) and, where ``columns``, every other dimension of the points, (n,), in file order.
+    """x, y, z as float64 (scaled and shifted) and, where ``columns``, every other dimension of the
+    points, (n,), in file order.
 
     Raises :class:`CloudError` (cloud_header, cloud_short, cloud_values) and OSError.
     """
     _check_header(path)
     try:
         with laspy.open(path) as file:
-            names = [n for n in file.header.point_format.dimension_names if n not in ("X", "Y", "Z")] if columns else []
+            names = (
+                [n for n in file.header.point_format.dimension_names if n not in ("X", "Y", "Z")]
+                if columns
+                else []
+            )
             parts: dict[str, list[np.ndarray]] = {name: [] for name in ["x", "y", "z", *names]}
             for points in file.chunk_iterator(max(1, CHUNK_BYTES // file.header.point_format.size)):
                 for name, part in parts.items():
                     part.append(np.array(points[name]))
             announced = file.header.point_count
-    except (laspy.errors.LaspyException, RuntimeError, ValueError, EOFError, struct.error, MemoryError, KeyError) as error:
-        raise CloudError(f"cannot be decoded, damaged or cut short: {error}", reason="cloud_values") from error
+    except (
+        laspy.errors.LaspyException,
+        RuntimeError,
+        ValueError,
+        EOFError,
+        struct.error,
+        MemoryError,
+        KeyError,
+    ) as error:
+        raise CloudError(
+            f"cannot be decoded, damaged or cut short: {error}", reason="cloud_values"
+        ) from error
     out = {name: np.concatenate(part) if part else np.zeros(0) for name, part in parts.items()}
     if len(out["x"]) != announced:
-        raise CloudError(f"{len(out['x'])} points where {announced} are announced", reason="cloud_short", value=len(out["x"]))
+        raise CloudError(
+            f"{len(out['x'])} points where {announced} are announced",
+            reason="cloud_short",
+            value=len(out["x"]),
+        )
     return out
 
 
 def _check_header(path: Path) -> None:
-    """Offsets, record counts and sizes against the file's length: laspy takes them as they are, and a wrong one means an endless loop."""
+    """Offsets, record counts and sizes against the file's length: laspy takes them as they are, and
+    a wrong one means an endless loop.
+    """
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(375)
@@ -55,19 +76,27 @@ def _check_header(path: Path) -> None:
     if minor >= 4:
         if len(head) < 375:
             raise CloudError("the header ends early", reason="cloud_short")
-        (start, extended), (count,) = struct.unpack_from("<QI", head, 235), struct.unpack_from("<Q", head, 247)
+        (start, extended), (count,) = (
+            struct.unpack_from("<QI", head, 235),
+            struct.unpack_from("<Q", head, 247),
+        )
         good &= extended == 0 or (start <= size and extended * 60 <= size - start)
     if not good:
         raise CloudError("the header points beyond the file", reason="cloud_header")
     if not compressed and count * row_bytes > size - first:
-        raise CloudError(f"{size - first} bytes for {count} points of {row_bytes}: the file ends early", reason="cloud_short", value=count)
+        raise CloudError(
+            f"{size - first} bytes for {count} points of {row_bytes}: the file ends early",
+            reason="cloud_short",
+            value=count,
+        )
 
 
 def write_las(path: Path, columns: Columns, comments: list[str], encoding: str) -> None:
-    """Write LAS 1.4; columns other than x, y, z become extra bytes, comments a record of user "ladar_volume". LAZ by the file's ending.
+    """Write LAS 1.4; columns other than x, y, z become extra bytes, comments a record of user
+    "ladar_volume". LAZ by the file's ending.
 
-    Coordinates are integers of 0.1 mm about the cloud's middle (coarser only where the cloud is wider than 400 km). Raises OSError and
-    :class:`OutputError`.
+    Coordinates are integers of 0.1 mm about the cloud's middle (coarser only where the cloud is
+    wider than 400 km). Raises OSError and :class:`OutputError`.
     """
     header = laspy.LasHeader(point_format=6, version="1.4")
     columns = {name: narrow(c) for name, c in columns.items()}
@@ -76,11 +105,22 @@ def write_las(path: Path, columns: Columns, comments: list[str], encoding: str) 
     header.offsets = np.round(0.5 * (low + high))
     header.scales = np.maximum(SCALE_M, np.ceil((high - low) / 4.0e9 / SCALE_M) * SCALE_M)
     if any(len(name.encode()) > 32 for name in columns):
-        raise OutputError("a column's name is longer than the 32 bytes LAS has for it", value=list(columns))
-    header.add_extra_dims([laspy.ExtraBytesParams(name, c.dtype.str[1:]) for name, c in columns.items()])
+        raise OutputError(
+            "a column's name is longer than the 32 bytes LAS has for it", value=list(columns)
+        )
+    header.add_extra_dims(
+        [laspy.ExtraBytesParams(name, c.dtype.str[1:]) for name, c in columns.items()]
+    )
     if comments:
         text = json.dumps(comments).encode()
-        header.vlrs.append(laspy.VLR(user_id="ladar_volume", record_id=1, description="names of the codes", record_data=text))
+        header.vlrs.append(
+            laspy.VLR(
+                user_id="ladar_volume",
+                record_id=1,
+                description="names of the codes",
+                record_data=text,
+            )
+        )
     points = laspy.ScaleAwarePointRecord.zeros(len(r), header=header)
     points.x, points.y, points.z = r.T
     for name, c in columns.items():

@@ -1,4 +1,6 @@
-"""One MCAP file: raw CDR bytes in zstd chunks, flushed by time, that Foxglove and ``ros2 bag play`` open."""
+"""One MCAP file: raw CDR bytes in zstd chunks, flushed by time, that Foxglove and ``ros2 bag play``
+open.
+"""
 
 from __future__ import annotations
 
@@ -19,17 +21,27 @@ from ladar_volume.model.errors import OutputError
 from ladar_volume.model.parameters import LoggerParameters
 from ladar_volume.version import version
 
-COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
+COMPRESSION = {
+    "zstd": CompressionType.ZSTD,
+    "lz4": CompressionType.LZ4,
+    "none": CompressionType.NONE,
+}
 LIBRARY = "ladar_volume"
 
 
 def usual_definition(kind: str) -> str:
     """Message definition of a type of the common interfaces; empty where it is none of them."""
-    return str(TYPESTORE.generate_msgdef(kind, ros_version=2)[0]) if kind in TYPESTORE.fielddefs else ""
+    return (
+        str(TYPESTORE.generate_msgdef(kind, ros_version=2)[0])
+        if kind in TYPESTORE.fielddefs
+        else ""
+    )
 
 
 class _Syncer:
-    """Asks the disk to confirm, in a thread of its own: a slow confirmation must not hold up the next chunk."""
+    """Asks the disk to confirm, in a thread of its own: a slow confirmation must not hold up the
+    next chunk.
+    """
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
@@ -63,17 +75,22 @@ class _Syncer:
 
 
 class McapLog:
-    """A new file. Not thread-safe: one writer thread. Raises OutputError where the file exists or the disk refuses.
+    """A new file. Not thread-safe: one writer thread. Raises OutputError where the file exists or
+    the disk refuses.
 
     ``definition`` gives the ros2msg text of a message type.
     """
 
     def __init__(
-        self, parameters: LoggerParameters, path: str | Path | None = None, definition: Callable[[str], str] = usual_definition
+        self,
+        parameters: LoggerParameters,
+        path: str | Path | None = None,
+        definition: Callable[[str], str] = usual_definition,
     ) -> None:
         self.parameters = parameters
         self.path = Path(path if path is not None else parameters.path)
-        #: Messages per topic that were taken in, and those of them that are not in a written chunk yet.
+        #: Messages per topic that were taken in, and those of them that are not in a written chunk
+        #: yet.
         self.accepted: dict[str, int] = {}
         self.pending: dict[str, int] = {}
         self._definition = definition
@@ -85,23 +102,34 @@ class McapLog:
     def _open(self) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self._stream = self.path.open("xb")
-        fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # nobody repairs a file that is being written
+        fcntl.flock(
+            self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB
+        )  # nobody repairs a file that is being written
         self._syncer = _Syncer(self._stream.fileno()) if self.parameters.sync == "chunk" else None
-        self._writer = Writer(self._stream, chunk_size=2**31, compression=COMPRESSION[self.parameters.compression])
+        self._writer = Writer(
+            self._stream, chunk_size=2**31, compression=COMPRESSION[self.parameters.compression]
+        )
         self._writer.start(profile="ros2", library=f"{LIBRARY} {version()}")
         self._stream.flush()  # from here on a killed logger leaves a file that can be repaired
 
     def __enter__(self) -> McapLog:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self.close()
 
     def _disk(self, action: Callable[[], Any]) -> None:
         try:
             action()
         except OSError as error:
-            raise OutputError(f"{self.path}: cannot be written: {error}", value=str(self.path)) from error
+            raise OutputError(
+                f"{self.path}: cannot be written: {error}", value=str(self.path)
+            ) from error
 
     @property
     def size(self) -> int:
@@ -109,18 +137,32 @@ class McapLog:
         return self._stream.tell()
 
     def write(
-        self, topic: str, kind: str, data: bytes, t_ns: int, published_ns: int | None = None, sequence: int = 0, qos: str = ""
+        self,
+        topic: str,
+        kind: str,
+        data: bytes,
+        t_ns: int,
+        published_ns: int | None = None,
+        sequence: int = 0,
+        qos: str = "",
     ) -> None:
-        """Append one serialised message; ``kind`` as ``sensor_msgs/msg/Imu``, ``t_ns`` the receive time.
+        """Append one serialised message; ``kind`` as ``sensor_msgs/msg/Imu``, ``t_ns`` the receive
+        time.
 
-        A chunk is written before it spans more than ``chunk_s`` of receive time or of real time, or ``chunk_bytes``.
+        A chunk is written before it spans more than ``chunk_s`` of receive time or of real time, or
+        ``chunk_bytes``.
         """
-        if self._chunk_began is not None and abs(t_ns - self._chunk_began[1]) >= self.parameters.chunk_s * 1e9:
+        if (
+            self._chunk_began is not None
+            and abs(t_ns - self._chunk_began[1]) >= self.parameters.chunk_s * 1e9
+        ):
             self.flush()
         if self._chunk_began is None:
             self._chunk_began, self._chunk_bytes = (time.monotonic(), t_ns), 0
         published = t_ns if published_ns is None else published_ns
-        self._writer.add_message(self._channel(topic, kind, qos), t_ns, data, published, sequence & 0xFFFFFFFF)
+        self._writer.add_message(
+            self._channel(topic, kind, qos), t_ns, data, published, sequence & 0xFFFFFFFF
+        )
         self.accepted[topic] = self.accepted.get(topic, 0) + 1
         self.pending[topic] = self.pending.get(topic, 0) + 1
         self._chunk_bytes += len(data)
@@ -135,7 +177,10 @@ class McapLog:
 
     def tick(self) -> None:
         """Write the chunk if it is old enough; to be called when no message comes, too."""
-        if self._chunk_began is not None and time.monotonic() - self._chunk_began[0] >= self.parameters.chunk_s:
+        if (
+            self._chunk_began is not None
+            and time.monotonic() - self._chunk_began[0] >= self.parameters.chunk_s
+        ):
             self.flush()
 
     def flush(self) -> None:
@@ -181,14 +226,20 @@ class McapLog:
     def abandon(self) -> None:
         """Let go of a file the disk no longer takes; what it holds can be repaired."""
         self._end_sync()
-        with contextlib.suppress(OSError):  # the buffer could not be written; the descriptor is closed all the same
+        with contextlib.suppress(
+            OSError
+        ):  # the buffer could not be written; the descriptor is closed all the same
             self._stream.close()
 
     def _channel(self, topic: str, kind: str, qos: str) -> int:
         if topic not in self._channels:
             if kind not in self._schemas:
                 definition = self._definition(kind)
-                self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", definition.encode())
+                self._schemas[kind] = self._writer.register_schema(
+                    kind, "ros2msg", definition.encode()
+                )
             metadata = {"offered_qos_profiles": qos} if qos else {}
-            self._channels[topic] = self._writer.register_channel("/" + topic.lstrip("/"), "cdr", self._schemas[kind], metadata)
+            self._channels[topic] = self._writer.register_channel(
+                "/" + topic.lstrip("/"), "cdr", self._schemas[kind], metadata
+            )
         return self._channels[topic]

@@ -1,7 +1,8 @@
 """LZF, the compression inside PCD files (format of M. Lehmann's liblzf).
 
-A control byte c < 32 announces c + 1 plain bytes; a larger one a copy of 3 to 264 bytes that lie up to 8192 bytes back. Own code, since
-no library at hand does it safely: Open3D 0.20 corrupts the heap where it packs columns of different widths.
+A control byte c < 32 announces c + 1 plain bytes; a larger one a copy of 3 to 264 bytes that lie up
+to 8192 bytes back. Own code, since no library at hand does it safely: Open3D 0.20 corrupts the heap
+where it packs columns of different widths.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ HASH_BITS = 16
 
 @kernel
 def unpack(data: U8, size: int) -> tuple[int, U8]:
-    """Unpack ``data`` into exactly ``size`` bytes: (size, bytes), or (-1, what came out) where the data do not unpack to that."""
+    """Unpack ``data`` into exactly ``size`` bytes: (size, bytes), or (-1, what came out) where the
+    data do not unpack to that.
+    """
     out = np.zeros(size, np.uint8)
     i, o, n = 0, 0, len(data)
     while i < n:
@@ -66,7 +69,9 @@ def literals(data: U8, start: int, stop: int, out: U8, o: int) -> int:
 
 @kernel
 def pack(data: U8) -> U8:
-    """Packed bytes that :func:`unpack` turns into ``data`` again; up to a 32nd larger where nothing repeats."""
+    """Packed bytes that :func:`unpack` turns into ``data`` again; up to a 32nd larger where nothing
+    repeats.
+    """
     n = len(data)
     out = np.empty(n + n // 32 + 1, np.uint8)
     last = np.full(1 << HASH_BITS, -1, np.int64)
@@ -76,7 +81,13 @@ def pack(data: U8) -> U8:
         slot = ((word * 40503) >> 8) & ((1 << HASH_BITS) - 1)
         seen = last[slot]
         last[slot] = i
-        if seen < 0 or i - seen > 8192 or data[seen] != data[i] or data[seen + 1] != data[i + 1] or data[seen + 2] != data[i + 2]:
+        if (
+            seen < 0
+            or i - seen > 8192
+            or data[seen] != data[i]
+            or data[seen + 1] != data[i + 1]
+            or data[seen + 2] != data[i + 2]
+        ):
             i += 1
             continue
         length = 3

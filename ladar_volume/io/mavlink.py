@@ -1,7 +1,9 @@
-"""MAVLink messages → records, in the conventions of this package: east-north-up, forward-left-up, ellipsoidal heights, one clock.
+"""MAVLink messages → records, in the conventions of this package: east-north-up, forward-left-up,
+ellipsoidal heights, one clock.
 
-What cannot be used is refused with a reason and counted; an unknown covariance stays unknown. Message definitions: mavlink.io,
-common.xml. Where ArduPilot's habits matter (units of RAW_IMU, repeated fixes), the heartbeat tells that it is one.
+What cannot be used is refused with a reason and counted; an unknown covariance stays unknown.
+Message definitions: mavlink.io, common.xml. Where ArduPilot's habits matter (units of RAW_IMU,
+repeated fixes), the heartbeat tells that it is one.
 """
 
 from __future__ import annotations
@@ -23,19 +25,28 @@ from ladar_volume.io.mavlink_poses import (
     odometry_sample,
     unit_quaternion,
 )
-from ladar_volume.model.errors import AttitudeError, ConfigurationError, FixError, InputError, TimeOrderError
+from ladar_volume.model.errors import (
+    AttitudeError,
+    ConfigurationError,
+    FixError,
+    InputError,
+    TimeOrderError,
+)
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.mavlink_parameters import MavlinkParameters
 from ladar_volume.model.records import F64, Fix, ImuSample, OdometrySample
 
-#: Fix type → NavSatStatus: 3D; DGPS and PPP as augmented by satellites; RTK float, RTK fixed and a static base as ground-based.
+#: Fix type → NavSatStatus: 3D; DGPS and PPP as augmented by satellites; RTK float, RTK fixed and a
+#: static base as ground-based.
 STATUS = {3: 0, 4: 1, 5: 2, 6: 2, 7: 2, 8: 1}
 FIX_NAMES = ("no receiver", "no fix", "2D", "3D", "DGPS", "RTK float", "RTK fixed", "static", "PPP")
-#: A time in microseconds beyond this is UTC, below it is since boot (the message definitions' own rule).
+#: A time in microseconds beyond this is UTC, below it is since boot (the message definitions' own
+#: rule).
 UTC_US = 10**15
 #: What a ROS stamp can hold.
 LAST_NS = 2**31 * S
-#: Boot time that runs back by more than this, and stays there for a second, is a restart; else it is late packets.
+#: Boot time that runs back by more than this, and stays there for a second, is a restart; else it
+#: is late packets.
 RESTART_MS = 1000
 #: How long a value of another message stays current.
 CURRENT_NS = 2 * S
@@ -48,13 +59,19 @@ Record = Fix | ImuSample | OdometrySample | InertialSample
 
 
 def height_parameters(parameters: MavlinkParameters) -> None:
-    """Raises ConfigurationError where heights above mean sea level are asked for without the geoid."""
+    """Raises ConfigurationError where heights above mean sea level are asked for without the
+    geoid.
+    """
     if parameters.height == "msl" and math.isnan(parameters.geoid_undulation_m):
-        raise ConfigurationError("mavlink.height msl needs mavlink.geoid_undulation_m: heights here are ellipsoidal")
+        raise ConfigurationError(
+            "mavlink.height msl needs mavlink.geoid_undulation_m: heights here are ellipsoidal"
+        )
 
 
 class MavlinkDecoder:
-    """Takes the vehicle's messages with their time of receipt and gives records. ``losses`` has a reason for every refusal."""
+    """Takes the vehicle's messages with their time of receipt and gives records. ``losses`` has a
+    reason for every refusal.
+    """
 
     def __init__(self, parameters: MavlinkParameters) -> None:
         height_parameters(parameters)
@@ -80,14 +97,24 @@ class MavlinkDecoder:
         self._last_fix_us = -1
         self._reset_counter: int | None = None
         self._handlers: dict[str, Callable[[Any], Record | None]] = {
-            "HEARTBEAT": self._heartbeat, "SYSTEM_TIME": self._system_time, "GPS_RAW_INT": self._gps, "GPS2_RAW": self._gps,
-            "GLOBAL_POSITION_INT": self._global_position, "ATTITUDE": self._attitude, "ATTITUDE_QUATERNION": self._attitude_quaternion,
-            "ODOMETRY": self._odometry, "HIGHRES_IMU": self._highres_imu, "RAW_IMU": self._raw_imu,
-        }  # fmt: skip
+            "HEARTBEAT": self._heartbeat,
+            "SYSTEM_TIME": self._system_time,
+            "GPS_RAW_INT": self._gps,
+            "GPS2_RAW": self._gps,
+            "GLOBAL_POSITION_INT": self._global_position,
+            "ATTITUDE": self._attitude,
+            "ATTITUDE_QUATERNION": self._attitude_quaternion,
+            "ODOMETRY": self._odometry,
+            "HIGHRES_IMU": self._highres_imu,
+            "RAW_IMU": self._raw_imu,
+        }
 
     def accepts(self, system: int, component: int) -> bool:
         """Whether a sender is the vehicle's autopilot."""
-        return (self.system == 0 or system == self.system) and self.parameters.component in (0, component)
+        return (self.system == 0 or system == self.system) and self.parameters.component in (
+            0,
+            component,
+        )
 
     def take(self, message: Any, received_ns: int) -> Record | None:
         """One message; a record where it gives one. Never raises for its content."""
@@ -96,7 +123,11 @@ class MavlinkDecoder:
             self.losses.add("mavlink_other_sender")
             return None
         kind = message.get_type()
-        if self.system == 0 and kind == "HEARTBEAT" and message.autopilot != dialect.MAV_AUTOPILOT_INVALID:
+        if (
+            self.system == 0
+            and kind == "HEARTBEAT"
+            and message.autopilot != dialect.MAV_AUTOPILOT_INVALID
+        ):
             self.system = system
         handler = self._handlers.get(kind)
         if handler is None:
@@ -111,17 +142,22 @@ class MavlinkDecoder:
             self.losses.add(error.reason)
         return None
 
-    # clocks -------------------------------------------------------------------------------------------------------
+    # clocks
+    # ----------------------------------------------------------------------------------------------
     def _boot(self, boot_ms: int, received_ns: int) -> None:
         if self._boot_ms is not None and boot_ms < self._boot_ms - RESTART_MS:
             if self._behind_since is None:
                 self._behind_since = received_ns
             if 0 <= received_ns - self._behind_since < S:
-                raise TimeOrderError("far behind its predecessor", reason="mavlink_message_late", value=boot_ms)
+                raise TimeOrderError(
+                    "far behind its predecessor", reason="mavlink_message_late", value=boot_ms
+                )
             self._restarted()
         self._behind_since = None
         self._boot_ms = max(boot_ms, self._boot_ms or 0)
-        self.arrivals.add(boot_ms * 1_000_000, received_ns - round(self.parameters.link_delay_s * 1e9))
+        self.arrivals.add(
+            boot_ms * 1_000_000, received_ns - round(self.parameters.link_delay_s * 1e9)
+        )
 
     def _restarted(self) -> None:
         self.restarts += 1
@@ -132,7 +168,9 @@ class MavlinkDecoder:
 
     def round_trip(self, sent_ns: int, autopilot_ns: int, received_ns: int) -> None:
         """An answered TIMESYNC."""
-        self.round_trips.add(autopilot_ns, (sent_ns + received_ns) // 2, 0.5 * (received_ns - sent_ns))
+        self.round_trips.add(
+            autopilot_ns, (sent_ns + received_ns) // 2, 0.5 * (received_ns - sent_ns)
+        )
 
     @property
     def clock(self) -> ClockOffset:
@@ -144,7 +182,10 @@ class MavlinkDecoder:
     def _stamp(self, boot_ns: int, unit: str) -> int:
         clock = self.clock
         if clock.line is None or not clock.ready:
-            raise TimeOrderError("the clocks have not been compared for long enough", reason=f"{unit}_clock_unsettled")
+            raise TimeOrderError(
+                "the clocks have not been compared for long enough",
+                reason=f"{unit}_clock_unsettled",
+            )
         return time_in_range(self._in_use.local(boot_ns, clock.line), unit)
 
     def _stamp_us(self, time_us: int, unit: str) -> int:
@@ -157,8 +198,14 @@ class MavlinkDecoder:
             return time_in_range(time_us * 1000, unit)
         line = self.utc.line
         if line is None:
-            raise TimeOrderError("time in UTC, and no SYSTEM_TIME to relate it", reason=f"{unit}_clock_unsettled")
-        return self._stamp(time_us * 1000 - line.offset(self._boot_ms * 1_000_000 if self._boot_ms else line.at_ns), unit)
+            raise TimeOrderError(
+                "time in UTC, and no SYSTEM_TIME to relate it", reason=f"{unit}_clock_unsettled"
+            )
+        return self._stamp(
+            time_us * 1000
+            - line.offset(self._boot_ms * 1_000_000 if self._boot_ms else line.at_ns),
+            unit,
+        )
 
     def _heartbeat(self, m: Any) -> None:
         self.ardupilot = m.autopilot == dialect.MAV_AUTOPILOT_ARDUPILOTMEGA
@@ -167,7 +214,8 @@ class MavlinkDecoder:
         if m.time_unix_usec >= UTC_US:  # before the first fix it counts from somewhere else
             self.utc.add(m.time_boot_ms * 1_000_000, m.time_unix_usec * 1000)
 
-    # positions ----------------------------------------------------------------------------------------------------
+    # positions
+    # ----------------------------------------------------------------------------------------------
     def _gps(self, m: Any) -> Fix | None:
         if m.alt_ellipsoid:
             self._undulation_m = (m.alt_ellipsoid - m.alt) * 1e-3
@@ -202,13 +250,19 @@ class MavlinkDecoder:
         if height is None:
             raise FixError("no ellipsoidal height is sent", reason="fix_no_ellipsoidal_height")
         if abs(m.lat) > 900_000_000 or abs(m.lon) > 1_800_000_000 or (m.lat == 0 and m.lon == 0):
-            raise FixError("latitude or longitude out of range", reason="fix_range", value=(m.lat, m.lon))
+            raise FixError(
+                "latitude or longitude out of range", reason="fix_range", value=(m.lat, m.lon)
+            )
         return Fix(t_ns, m.lat * 1e-7, m.lon * 1e-7, height, C, status)
 
-    # attitudes ----------------------------------------------------------------------------------------------------
+    # attitudes
+    # ----------------------------------------------------------------------------------------------
     def _attitude(self, m: Any) -> ImuSample | None:
         chosen = self.parameters.attitude
-        recent = self._quaternion_ms is not None and m.time_boot_ms - self._quaternion_ms < CURRENT_NS // 1_000_000
+        recent = (
+            self._quaternion_ms is not None
+            and m.time_boot_ms - self._quaternion_ms < CURRENT_NS // 1_000_000
+        )
         if chosen == "ATTITUDE_QUATERNION" or (chosen == "auto" and recent):
             return None
         angles = (m.roll, m.pitch, m.yaw)
@@ -227,7 +281,9 @@ class MavlinkDecoder:
         t_ns = self._stamp(m.time_boot_ms * 1_000_000, "imu")
         rates = np.array([m.rollspeed, m.pitchspeed, m.yawspeed], dtype=np.float64)
         omega = flu_from_frd(rates) if np.all(np.isfinite(rates)) else np.full(3, np.nan)
-        return ImuSample(t_ns, enu_flu_from_ned_frd(q_ned_frd), omega, self._attitude_covariance(t_ns))
+        return ImuSample(
+            t_ns, enu_flu_from_ned_frd(q_ned_frd), omega, self._attitude_covariance(t_ns)
+        )
 
     def _attitude_covariance(self, t_ns: int) -> F64 | None:
         """About east, north, up; None unless roll, pitch and heading are all known."""
@@ -240,24 +296,40 @@ class MavlinkDecoder:
 
     def _odometry(self, m: Any) -> OdometrySample:
         north = m.frame_id == dialect.MAV_FRAME_LOCAL_NED
-        if not (north or m.frame_id == dialect.MAV_FRAME_LOCAL_FRD) or m.child_frame_id != dialect.MAV_FRAME_BODY_FRD:
-            raise AttitudeError("frames other than local NED or FRD and body FRD", reason="odometry_frame", value=m.frame_id)
+        if (
+            not (north or m.frame_id == dialect.MAV_FRAME_LOCAL_FRD)
+            or m.child_frame_id != dialect.MAV_FRAME_BODY_FRD
+        ):
+            raise AttitudeError(
+                "frames other than local NED or FRD and body FRD",
+                reason="odometry_frame",
+                value=m.frame_id,
+            )
         if m.quality < 0:
-            raise AttitudeError("the autopilot calls its odometry failed", reason="odometry_failed", value=m.quality)
+            raise AttitudeError(
+                "the autopilot calls its odometry failed", reason="odometry_failed", value=m.quality
+            )
         if self._reset_counter not in (None, m.reset_counter):
             self.losses.add("odometry_estimator_reset")
         self._reset_counter = m.reset_counter
         t_ns = self._stamp_us(m.time_usec, "odometry")
         return odometry_sample(t_ns, m, north)
 
-    # raw inertial data --------------------------------------------------------------------------------------------
+    # raw inertial data
+    # --------------------------------------------------------------------------------------------
     def _highres_imu(self, m: Any) -> InertialSample:
         if m.fields_updated & 0x3F != 0x3F:
-            raise InputError("rates or accelerations were not updated", reason="inertial_incomplete", value=m.fields_updated)
+            raise InputError(
+                "rates or accelerations were not updated",
+                reason="inertial_incomplete",
+                value=m.fields_updated,
+            )
         return self._inertial(m, 1.0, 1.0)
 
     def _raw_imu(self, m: Any) -> InertialSample:
-        if not self.ardupilot:  # the message has no unit; ArduPilot sends thousandths of g and of rad/s
+        if (
+            not self.ardupilot
+        ):  # the message has no unit; ArduPilot sends thousandths of g and of rad/s
             raise InputError("RAW_IMU of unknown scale", reason="inertial_unscaled")
         return self._inertial(m, 1e-3, 1e-3 * GRAVITY)
 
@@ -266,7 +338,11 @@ class MavlinkDecoder:
 
 
 def time_in_range(t_ns: int, unit: str) -> int:
-    """``t_ns`` where a ROS stamp can hold it; else raises TimeOrderError (``<unit>_time_range``)."""
+    """``t_ns`` where a ROS stamp can hold it; else raises TimeOrderError
+    (``<unit>_time_range``).
+    """
     if not 0 <= t_ns < LAST_NS:
-        raise TimeOrderError(f"time {t_ns} ns is out of range", reason=f"{unit}_time_range", value=t_ns)
+        raise TimeOrderError(
+            f"time {t_ns} ns is out of range", reason=f"{unit}_time_range", value=t_ns
+        )
     return t_ns

@@ -1,8 +1,10 @@
-"""The autopilot's clock against another: offset and drift from noisy pairs of readings, with a sigma.
+"""The autopilot's clock against another: offset and drift from noisy pairs of readings, with a
+sigma.
 
-Three kinds of pairs. *Arrivals* (boot time in a message, time of its receipt) are late by the link's delay, never early: the line
-below all of them is the offset plus the shortest delay (the convex-hull estimate of clock skew in network measurement). *Round trips*
-(TIMESYNC) bound the offset from both sides. *Readings* (SYSTEM_TIME: boot and UTC side by side) scatter to both sides.
+Three kinds of pairs. *Arrivals* (boot time in a message, time of its receipt) are late by the
+link's delay, never early: the line below all of them is the offset plus the shortest delay (the
+convex-hull estimate of clock skew in network measurement). *Round trips* (TIMESYNC) bound the
+offset from both sides. *Readings* (SYSTEM_TIME: boot and UTC side by side) scatter to both sides.
 Times are int64 nanoseconds, an offset is local minus remote.
 """
 
@@ -30,7 +32,9 @@ JAM_NS = 5 * S
 
 @dataclass(frozen=True)
 class ClockLine:
-    """``base_ns + rest_ns + drift · (remote − at_ns)`` and the sigma of that; the base keeps nanoseconds out of floating point."""
+    """``base_ns + rest_ns + drift · (remote − at_ns)`` and the sigma of that; the base keeps
+    nanoseconds out of floating point.
+    """
 
     at_ns: int
     rest_ns: float
@@ -54,10 +58,11 @@ def _median(values: list[float]) -> float:
 
 
 def lower_line(points: list[tuple[int, float]]) -> ClockLine:
-    """The line below all points that is nearest to them: the edge of the lower convex hull under their mean.
+    """The line below all points that is nearest to them: the edge of the lower convex hull under
+    their mean.
 
-    sigma: median height of the points above the line, which is how far a typical interval's fastest message still was from the
-    fastest of all.
+    sigma: median height of the points above the line, which is how far a typical interval's fastest
+    message still was from the fastest of all.
     """
     t0, base = points[0][0], points[0][1]
     mean = sum(t - t0 for t, _ in points) / len(points)
@@ -67,7 +72,9 @@ def lower_line(points: list[tuple[int, float]]) -> ClockLine:
         hull: list[tuple[float, float]] = []
         for t, v in points:
             x, y = float(t - t0), v - base
-            while len(hull) > 1 and (hull[-1][0] - hull[-2][0]) * (y - hull[-2][1]) <= (hull[-1][1] - hull[-2][1]) * (x - hull[-2][0]):
+            while len(hull) > 1 and (hull[-1][0] - hull[-2][0]) * (y - hull[-2][1]) <= (
+                hull[-1][1] - hull[-2][1]
+            ) * (x - hull[-2][0]):
                 hull.pop()
             hull.append((x, y))
         for (xa, ya), (xb, yb) in itertools.pairwise(hull):
@@ -75,16 +82,24 @@ def lower_line(points: list[tuple[int, float]]) -> ClockLine:
                 drift = (yb - ya) / (xb - xa)
                 line = ClockLine(t0, base + ya - drift * xa, drift, 0.0)
                 break
-    return ClockLine(line.at_ns, line.rest_ns, line.drift, _median([v - line.rest(t) for t, v in points]))
+    return ClockLine(
+        line.at_ns, line.rest_ns, line.drift, _median([v - line.rest(t) for t, v in points])
+    )
 
 
 def middle_line(points: list[tuple[int, float]]) -> ClockLine:
-    """The line through the middle: median of all slopes (Theil 1950, Sen 1968), median of the remainders; sigma of that median."""
+    """The line through the middle: median of all slopes (Theil 1950, Sen 1968), median of the
+    remainders; sigma of that median.
+    """
     t0 = points[0][0]
     drift = 0.0
     if points[-1][0] - t0 >= DRIFT_SPAN_NS:
         half = len(points) // 2  # slopes over half the window: pairs far apart, and not all of them
-        slopes = [(b[1] - a[1]) / (b[0] - a[0]) for a, b in zip(points[:half], points[-half:], strict=True) if b[0] > a[0]]
+        slopes = [
+            (b[1] - a[1]) / (b[0] - a[0])
+            for a, b in zip(points[:half], points[-half:], strict=True)
+            if b[0] > a[0]
+        ]
         drift = min(MAX_DRIFT, max(-MAX_DRIFT, _median(slopes))) if slopes else 0.0
     rest = [v - drift * (t - t0) for t, v in points]
     offset = _median(rest)
@@ -93,7 +108,9 @@ def middle_line(points: list[tuple[int, float]]) -> ClockLine:
 
 
 class ClockOffset:
-    """Online estimate. ``two_sided`` for readings and round trips, else arrivals. ``floor_ns`` is added to sigma in quadrature."""
+    """Online estimate. ``two_sided`` for readings and round trips, else arrivals. ``floor_ns`` is
+    added to sigma in quadrature.
+    """
 
     def __init__(self, window_s: float, settle_s: float, two_sided: bool, floor_ns: float) -> None:
         self._window, self._settle = int(window_s * S), int(settle_s * S)
@@ -115,7 +132,9 @@ class ClockOffset:
         self._clear()
 
     def add(self, remote_ns: int, local_ns: int, doubt_ns: float = 0.0) -> None:
-        """One pair of readings; ``doubt_ns`` half the round trip, where there is one. Of each interval the best is kept."""
+        """One pair of readings; ``doubt_ns`` half the round trip, where there is one. Of each
+        interval the best is kept.
+        """
         if not self._bins:
             self._base = local_ns - remote_ns
         offset = float(local_ns - remote_ns - self._base)
@@ -171,7 +190,11 @@ class ClockOffset:
     @property
     def ready(self) -> bool:
         """Whether the clocks have been compared for long enough."""
-        return self._first is not None and bool(self._bins) and self._bins[-1][0] - self._first >= self._settle
+        return (
+            self._first is not None
+            and bool(self._bins)
+            and self._bins[-1][0] - self._first >= self._settle
+        )
 
     @property
     def line(self) -> ClockLine | None:
@@ -180,8 +203,10 @@ class ClockOffset:
 
 
 class ClockInUse:
-    """The offset that stamps are made with: it follows an estimate slowly, so that a later remote time gives a later stamp even
-    where the estimate improves or another one takes over, and jumps only where a clock did."""
+    """The offset that stamps are made with: it follows an estimate slowly, so that a later remote
+    time gives a later stamp even where the estimate improves or another one takes over, and jumps
+    only where a clock did.
+    """
 
     def __init__(self) -> None:
         self._applied: tuple[int, int] | None = None

@@ -1,5 +1,6 @@
-"""Where MAVLink bytes come from: UDP, TCP or a serial port. A socket listens on the one address it is given,
-and on loopback where none is given; it talks to one peer at a time."""
+"""Where MAVLink bytes come from: UDP, TCP or a serial port. A socket listens on the one address it
+is given, and on loopback where none is given; it talks to one peer at a time.
+"""
 
 from __future__ import annotations
 
@@ -65,7 +66,9 @@ class UdpLink:
                 self._socket.connect(address)
         except OSError as error:
             self._socket.close()
-            raise ConfigurationError(f"mavlink.url: {address[0]}:{address[1]}: {error}", value=address) from error
+            raise ConfigurationError(
+                f"mavlink.url: {address[0]}:{address[1]}: {error}", value=address
+            ) from error
         self._socket.setblocking(False)
 
     @property
@@ -103,7 +106,9 @@ class UdpLink:
 
 
 class TcpLink:
-    """A connection: accepted one at a time on ``address``, or made to it and made again when it breaks."""
+    """A connection: accepted one at a time on ``address``, or made to it and made again when it
+    breaks.
+    """
 
     def __init__(self, address: tuple[str, int], listen: bool) -> None:
         self.losses = Losses()
@@ -115,7 +120,9 @@ class TcpLink:
             try:
                 self._server = socket.create_server(address, backlog=1)
             except OSError as error:
-                raise ConfigurationError(f"mavlink.url: {address[0]}:{address[1]}: {error}", value=address) from error
+                raise ConfigurationError(
+                    f"mavlink.url: {address[0]}:{address[1]}: {error}", value=address
+                ) from error
             self._server.setblocking(False)
 
     @property
@@ -181,7 +188,9 @@ class SerialLink:
         self._device, self._next = device, 0.0
         speed = getattr(termios, f"B{baud}", None)
         if speed is None:
-            raise ConfigurationError(f"mavlink.url: {baud} is no baud rate of this system", value=baud)
+            raise ConfigurationError(
+                f"mavlink.url: {baud} is no baud rate of this system", value=baud
+            )
         self._speed: int = speed
         self._fd: int | None = None
         self._open()
@@ -235,11 +244,16 @@ class SerialLink:
 
 
 def open_link(url: str) -> Link:
-    """A link for ``udpin:HOST:PORT`` and the others. Raises ConfigurationError naming what is wrong."""
+    """A link for ``udpin:HOST:PORT`` and the others. Raises ConfigurationError naming what is
+    wrong.
+    """
     scheme, _, rest = url.partition(":")
     host, _, number = rest.rpartition(":")
     if not number.isdigit() or int(number) > (10_000_000 if scheme == "serial" else 65535):
-        raise ConfigurationError(f"mavlink.url: {url!r}: the number after the last colon is missing or too large", value=url)
+        raise ConfigurationError(
+            f"mavlink.url: {url!r}: the number after the last colon is missing or too large",
+            value=url,
+        )
     if scheme == "serial":
         return SerialLink(host, int(number))
     address = (host or "127.0.0.1", int(number))
@@ -247,4 +261,7 @@ def open_link(url: str) -> Link:
         return UdpLink(address, scheme == "udpin")
     if scheme in ("tcp", "tcpin"):
         return TcpLink(address, scheme == "tcpin")
-    raise ConfigurationError(f"mavlink.url: {url!r}: one of udpin, udpout, tcp, tcpin, serial, or a .tlog or .bin file", value=url)
+    raise ConfigurationError(
+        f"mavlink.url: {url!r}: one of udpin, udpout, tcp, tcpin, serial, or a .tlog or .bin file",
+        value=url,
+    )

@@ -18,7 +18,12 @@ from ladar_volume.model.mavlink_parameters import MavlinkParameters
 from ladar_volume.model.records import Fix, ImuSample, OdometrySample
 
 #: What a record is to the pipeline; raw inertial data is nothing to it.
-ROLE: dict[type, str] = {Fix: "fix", ImuSample: "imu", OdometrySample: "odometry", InertialSample: ""}
+ROLE: dict[type, str] = {
+    Fix: "fix",
+    ImuSample: "imu",
+    OdometrySample: "odometry",
+    InertialSample: "",
+}
 
 
 def log_file(url: str) -> Path | None:
@@ -28,7 +33,9 @@ def log_file(url: str) -> Path | None:
 
 
 class MavlinkLog:
-    """A .tlog (stamps after ``mavlink.clock``) or a DataFlash .bin (stamps in UTC). Raises BagError: bag_missing, bag_format, bag_clock."""
+    """A .tlog (stamps after ``mavlink.clock``) or a DataFlash .bin (stamps in UTC). Raises
+    BagError: bag_missing, bag_format, bag_clock.
+    """
 
     def __init__(self, path: Path, parameters: MavlinkParameters) -> None:
         height_parameters(parameters)
@@ -61,7 +68,10 @@ class MavlinkLog:
         """The log in a few lines."""
         if self._dataflash is None:
             return self._session.status()
-        return {"clock": "UTC by GPS time", "clock_sigma_s": f"{self._dataflash.line.sigma_ns * 1e-9:.6f}"}
+        return {
+            "clock": "UTC by GPS time",
+            "clock_sigma_s": f"{self._dataflash.line.sigma_ns * 1e-9:.6f}",
+        }
 
     def digest(self) -> str:
         """sha256 of the file."""

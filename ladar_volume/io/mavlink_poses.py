@@ -36,7 +36,9 @@ class InertialSample:
 
 
 def accuracy_covariance(h_mm: int, v_mm: int, radial: bool) -> F64 | None:
-    """East, north, up covariance (3, 3) m² from h_acc and v_acc in mm; None where either is unknown (0 or all ones)."""
+    """East, north, up covariance (3, 3) m² from h_acc and v_acc in mm; None where either is unknown
+    (0 or all ones).
+    """
     if not (0 < h_mm < UNKNOWN_U32 and 0 < v_mm < UNKNOWN_U32):
         return None
     axis = (h_mm * 1e-3) ** 2 * (0.5 if radial else 1.0)
@@ -50,12 +52,15 @@ def unit_quaternion(xyzw: tuple[float, float, float, float], unit: str) -> F64:
     if not math.isfinite(norm):
         raise AttitudeError("quaternion is not finite", reason=f"{unit}_nan", value=xyzw)
     if abs(norm - 1.0) > NORM_TOLERANCE:
-        raise AttitudeError(f"quaternion norm is {norm:.4g}, not 1", reason=f"{unit}_not_unit", value=xyzw)
+        raise AttitudeError(
+            f"quaternion norm is {norm:.4g}, not 1", reason=f"{unit}_not_unit", value=xyzw
+        )
     return q / norm
 
 
 def odometry_sample(t_ns: int, m: Any, north: bool) -> OdometrySample:
-    """ODOMETRY in a local north-east-down frame (``north``) or a local forward-right-down frame, twist forward-right-down.
+    """ODOMETRY in a local north-east-down frame (``north``) or a local forward-right-down frame,
+    twist forward-right-down.
 
     Raises AttitudeError: odometry_nan, odometry_not_unit, odometry_covariance.
     """
@@ -70,7 +75,11 @@ def odometry_sample(t_ns: int, m: Any, north: bool) -> OdometrySample:
         roll, pitch, _ = euler_from_matrix(R)
         C = pose_covariance(upper, roll, pitch, R, parent)
         if np.any(np.diag(C) <= 0):
-            raise AttitudeError("pose covariance is not positive", reason="odometry_covariance", value=np.diag(C).tolist())
+            raise AttitudeError(
+                "pose covariance is not positive",
+                reason="odometry_covariance",
+                value=np.diag(C).tolist(),
+            )
     turned = enu_flu_from_ned_frd(q) if north else local_from_frd(q)
     return OdometrySample(t_ns, parent @ p, turned, flu_from_frd(v), flu_from_frd(w), C)
 

@@ -1,4 +1,6 @@
-"""A conversation with an autopilot: bytes in, records out, and what is asked of it. Knows no sockets and no clock but what it is told."""
+"""A conversation with an autopilot: bytes in, records out, and what is asked of it. Knows no
+sockets and no clock but what it is told.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,9 @@ class MavlinkSession:
             if not self.alive:
                 self.alive, self._asked = True, {}
         elif kind == "TIMESYNC" and message.tc1 > 0:
-            sent = self._sent.pop(message.ts1, None)  # the answer to somebody else's question says nothing
+            sent = self._sent.pop(
+                message.ts1, None
+            )  # the answer to somebody else's question says nothing
             if sent is not None and 0 <= received_ns - sent < ROUND_TRIP_NS:
                 self.decoder.round_trip(sent, message.tc1, received_ns)
         elif kind == "COMMAND_ACK" and message.command == dialect.MAV_CMD_SET_MESSAGE_INTERVAL:
@@ -70,14 +74,24 @@ class MavlinkSession:
             self.own.add("mavlink_heartbeat_lost")
 
     def due(self, now_ns: int) -> bytes:
-        """What is to be sent now: the own heartbeat and a TIMESYNC once a second, requests for rates as long as they are needed."""
+        """What is to be sent now: the own heartbeat and a TIMESYNC once a second, requests for
+        rates as long as they are needed.
+        """
         self._watch(now_ns)
         out = self.stream.out
         if self._spoken_ns is None or not 0 <= now_ns - self._spoken_ns < S:
             self._spoken_ns = now_ns
-            out.heartbeat_send(dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_AUTOPILOT_INVALID, 0, 0, dialect.MAV_STATE_ACTIVE)
+            out.heartbeat_send(
+                dialect.MAV_TYPE_ONBOARD_CONTROLLER,
+                dialect.MAV_AUTOPILOT_INVALID,
+                0,
+                0,
+                dialect.MAV_STATE_ACTIVE,
+            )
             if self.alive:
-                self._sent = {k: v for k, v in self._sent.items() if now_ns - v < ROUND_TRIP_NS} | {now_ns: now_ns}
+                self._sent = {k: v for k, v in self._sent.items() if now_ns - v < ROUND_TRIP_NS} | {
+                    now_ns: now_ns
+                }
                 out.timesync_send(0, now_ns)
         if self.alive:
             for number, hz in self._wanted().items():
@@ -87,10 +101,19 @@ class MavlinkSession:
     def _wanted(self) -> dict[int, float]:
         """Message number → rate."""
         p = self.parameters
-        number = {"GPS_RAW_INT": 24, "GPS2_RAW": 124, "GLOBAL_POSITION_INT": 33, "ATTITUDE": 30, "ATTITUDE_QUATERNION": 31, "auto": 31}
+        number = {
+            "GPS_RAW_INT": 24,
+            "GPS2_RAW": 124,
+            "GLOBAL_POSITION_INT": 33,
+            "ATTITUDE": 30,
+            "ATTITUDE_QUATERNION": 31,
+            "auto": 31,
+        }
         wanted = {number[p.position]: p.position_hz, number[p.attitude]: p.attitude_hz, 2: 1.0}
         if p.position == "GLOBAL_POSITION_INT" and p.height == "ellipsoidal":
-            wanted[24] = min(1.0, p.position_hz)  # the height of the ellipsoid is in the receiver's message alone
+            wanted[24] = min(
+                1.0, p.position_hz
+            )  # the height of the ellipsoid is in the receiver's message alone
         wanted[27 if self.decoder.ardupilot else 105] = p.imu_hz
         wanted[331] = p.odometry_hz
         return {k: hz for k, hz in wanted.items() if hz > 0}
@@ -105,7 +128,17 @@ class MavlinkSession:
         if asked is not None and count > before:
             return  # it comes
         self.stream.out.command_long_send(
-            self.decoder.system, self.parameters.component, dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 0, number, 1e6 / hz, 0, 0, 0, 0, 0
+            self.decoder.system,
+            self.parameters.component,
+            dialect.MAV_CMD_SET_MESSAGE_INTERVAL,
+            0,
+            number,
+            1e6 / hz,
+            0,
+            0,
+            0,
+            0,
+            0,
         )
 
     def losses(self) -> Losses:
@@ -122,13 +155,20 @@ class MavlinkSession:
         line = d.clock.line
         fix = FIX_NAMES[d.fix_type] if d.fix_type < len(FIX_NAMES) else str(d.fix_type)
         return {
-            "autopilot": "alive" if self.alive else "no heartbeat", "system": d.system, "packets": self.stream.packets, "fix_type": fix,
-            "satellites": d.satellites, "fixes_repeated": d.repeated, "clock": self.clock_name(),
-            "clock_offset_s": "unknown" if line is None else f"{line.offset(line.at_ns) * 1e-9:.6f}",
+            "autopilot": "alive" if self.alive else "no heartbeat",
+            "system": d.system,
+            "packets": self.stream.packets,
+            "fix_type": fix,
+            "satellites": d.satellites,
+            "fixes_repeated": d.repeated,
+            "clock": self.clock_name(),
+            "clock_offset_s": "unknown"
+            if line is None
+            else f"{line.offset(line.at_ns) * 1e-9:.6f}",
             "clock_drift_ppm": "unknown" if line is None else f"{line.drift * 1e6:.1f}",
             "clock_sigma_s": "unknown" if line is None else f"{line.sigma_ns * 1e-9:.6f}",
             **{f"received_{kind}": n for kind, n in sorted(d.counts.items())},
-        }  # fmt: skip
+        }
 
     def clock_name(self) -> str:
         """What the stamps rest on."""

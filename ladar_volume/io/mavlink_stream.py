@@ -1,4 +1,6 @@
-"""Bytes to MAVLink messages: pymavlink parses and checks, this finds back into the stream after noise and keeps the account."""
+"""Bytes to MAVLink messages: pymavlink parses and checks, this finds back into the stream after
+noise and keeps the account.
+"""
 
 from __future__ import annotations
 
@@ -27,9 +29,13 @@ def frame_is_good(frame: bytes) -> bool:
 
 
 class MavlinkStream:
-    """One direction in, one out. ``losses`` counts bytes of noise, packets that never came and packets that came twice."""
+    """One direction in, one out. ``losses`` counts bytes of noise, packets that never came and
+    packets that came twice.
+    """
 
-    def __init__(self, accepts: Callable[[int, int], bool], own_system: int, own_component: int) -> None:
+    def __init__(
+        self, accepts: Callable[[int, int], bool], own_system: int, own_component: int
+    ) -> None:
         self.losses = Losses()
         self.packets = 0
         self._accepts = accepts
@@ -78,7 +84,9 @@ class MavlinkStream:
         kind = message.get_type()
         if kind == "BAD_DATA":
             data = bytes(message.data)
-        elif kind.startswith("UNKNOWN"):  # no checksum can be verified: only the vehicle itself may send such
+        elif kind.startswith(
+            "UNKNOWN"
+        ):  # no checksum can be verified: only the vehicle itself may send such
             data = bytes(message.get_msgbuf())
             system, component = (data[5], data[6]) if data[0] == 0xFD else (data[3], data[4])
             if self._accepts(system, component):
@@ -86,7 +94,9 @@ class MavlinkStream:
                 self._count_sequence(system, component, data[4] if data[0] == 0xFD else data[2])
                 return True
         elif message.get_msgbuf()[0] == 0xFE and message.get_header().mlen > message.unpacker.size:
-            data = bytes(message.get_msgbuf())  # version 1 knows no longer messages: its checksum fits by chance
+            data = bytes(
+                message.get_msgbuf()
+            )  # version 1 knows no longer messages: its checksum fits by chance
         else:
             return False
         lost = len(data)

@@ -16,8 +16,10 @@ TLOG_GAP_US = 3 * 86400 * 1_000_000
 
 
 def tlog_frames(path: Path, losses: Losses) -> Iterator[tuple[int, bytes]]:
-    """(time of receipt in ns, frame) of a .tlog: eight bytes of microseconds, big-endian, before every frame. Bytes between are
-    counted as noise. Raises BagError (bag_missing) where there is no such file."""
+    """(time of receipt in ns, frame) of a .tlog: eight bytes of microseconds, big-endian, before
+    every frame. Bytes between are counted as noise. Raises BagError (bag_missing) where there is no
+    such file.
+    """
     try:
         with path.open("rb") as stream:
             if os.fstat(stream.fileno()).st_size == 0:
@@ -32,8 +34,14 @@ def _tlog_frames(data: mmap.mmap, losses: Losses) -> Iterator[tuple[int, bytes]]
     position, last_us, size = 0, None, len(data)
     while position + 8 < size:
         end = _frame_end(data, position)
-        # a frame is believed if the next one, or the end of the file, follows it, or its checksum fits
-        if end is not None and end + 9 <= size and data[end + 8] not in MARKERS and not frame_is_good(data[position + 8 : end]):
+        # a frame is believed if the next one, or the end of the file, follows it, or its checksum
+        # fits
+        if (
+            end is not None
+            and end + 9 <= size
+            and data[end + 8] not in MARKERS
+            and not frame_is_good(data[position + 8 : end])
+        ):
             end = None
         if end is None or not _is_timely(data, position, end, last_us):
             losses.add("mavlink_noise_byte")
@@ -50,7 +58,9 @@ def _stamp_us(data: mmap.mmap, position: int) -> int:
 
 
 def _is_timely(data: mmap.mmap, position: int, end: int, last_us: int | None) -> bool:
-    """Whether a time stamp agrees with the one before or the one after: a stamp can be damaged as well as a frame."""
+    """Whether a time stamp agrees with the one before or the one after: a stamp can be damaged as
+    well as a frame.
+    """
     us = _stamp_us(data, position)
     if last_us is not None and abs(us - last_us) <= TLOG_GAP_US:
         return True
@@ -60,7 +70,9 @@ def _is_timely(data: mmap.mmap, position: int, end: int, last_us: int | None) ->
 
 
 def _frame_end(data: mmap.mmap, position: int) -> int | None:
-    """Where the frame whose time stamp begins here ends; None where there is none, or not all of one."""
+    """Where the frame whose time stamp begins here ends; None where there is none, or not all of
+    one.
+    """
     if position + 11 > len(data) or data[position + 8] not in MARKERS:
         return None
     length = data[position + 9]

@@ -1,7 +1,8 @@
 """PLY vertex tables: ascii, binary little-endian and binary big-endian.
 
-Read here, with numpy, and not by Open3D: that prints ascii coordinates with six digits, which at map coordinates is metres, has no
-64-bit integers, and gives uninitialised memory for a file that ends early.
+Read here, with numpy, and not by Open3D: that prints ascii coordinates with six digits, which at
+map coordinates is metres, has no 64-bit integers, and gives uninitialised memory for a file that
+ends early.
 """
 
 from __future__ import annotations
@@ -19,12 +20,39 @@ from ladar_volume.model.errors import CloudError, OutputError
 Columns = dict[str, npt.NDArray[Any]]
 
 TYPES = {
-    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
-    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
-}  # fmt: skip
-NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float", "f8": "double"}
+    "char": "i1",
+    "int8": "i1",
+    "uchar": "u1",
+    "uint8": "u1",
+    "short": "i2",
+    "int16": "i2",
+    "ushort": "u2",
+    "uint16": "u2",
+    "int": "i4",
+    "int32": "i4",
+    "uint": "u4",
+    "uint32": "u4",
+    "float": "f4",
+    "float32": "f4",
+    "double": "f8",
+    "float64": "f8",
+}
+NAMES = {
+    "i1": "char",
+    "u1": "uchar",
+    "i2": "short",
+    "u2": "ushort",
+    "i4": "int",
+    "u4": "uint",
+    "f4": "float",
+    "f8": "double",
+}
 ENCODINGS = {"ascii": "", "binary": "<", "binary_big_endian": ">"}
-FORMATS = {"ascii": "ascii", "binary": "binary_little_endian", "binary_big_endian": "binary_big_endian"}
+FORMATS = {
+    "ascii": "ascii",
+    "binary": "binary_little_endian",
+    "binary_big_endian": "binary_big_endian",
+}
 HEADER_LIMIT = 1_000_000
 
 
@@ -37,7 +65,10 @@ class _Element:
 
     def dtype(self, order: str) -> np.dtype[Any]:
         if self.lists:
-            raise CloudError(f"element {self.name!r} has lists in or before the vertices, which is not read", reason="cloud_fields")
+            raise CloudError(
+                f"element {self.name!r} has lists in or before the vertices, which is not read",
+                reason="cloud_fields",
+            )
         return np.dtype([(name, order + code) for name, code in self.properties])
 
 
@@ -52,7 +83,11 @@ def read_ply(path: Path) -> Columns:
         for element in elements:
             if element.name == "vertex":
                 left = path.stat().st_size - file.tell()
-                return _ascii(file, before, element, left) if order == "" else _binary(file, before, element, order, left)
+                return (
+                    _ascii(file, before, element, left)
+                    if order == ""
+                    else _binary(file, before, element, order, left)
+                )
             before.append(element)
     raise CloudError("the header declares no vertices", reason="cloud_header")
 
@@ -77,7 +112,9 @@ def _header(file: IO[bytes]) -> tuple[str, list[_Element]]:
             elif words[:1] == ["property"]:
                 _property(elements[-1], words)
         except (KeyError, IndexError, ValueError) as error:
-            raise CloudError(f"header line {' '.join(words)!r} cannot be understood", reason="cloud_header") from error
+            raise CloudError(
+                f"header line {' '.join(words)!r} cannot be understood", reason="cloud_header"
+            ) from error
     if order is None or any(e.count < 0 for e in elements):
         raise CloudError("the header names no format, or a negative count", reason="cloud_header")
     return order, elements
@@ -87,12 +124,16 @@ def _property(element: _Element, words: list[str]) -> None:
     if words[1] == "list":
         element.lists = True
     elif words[2] in dict(element.properties):
-        raise CloudError(f"property {words[2]!r} appears twice", reason="cloud_fields", value=words[2])
+        raise CloudError(
+            f"property {words[2]!r} appears twice", reason="cloud_fields", value=words[2]
+        )
     else:
         element.properties.append((words[2], TYPES[words[1]]))
 
 
-def _binary(file: IO[bytes], before: list[_Element], vertex: _Element, order: str, left: int) -> Columns:
+def _binary(
+    file: IO[bytes], before: list[_Element], vertex: _Element, order: str, left: int
+) -> Columns:
     skip = sum(e.count * e.dtype(order).itemsize for e in before)
     dtype = vertex.dtype(order)
     check_size(vertex.count, dtype.itemsize, left - skip)
@@ -107,31 +148,50 @@ def _ascii(file: IO[bytes], before: list[_Element], vertex: _Element, left: int)
     check_size(vertex.count, 2 * len(names) - 1, left)  # a digit and a separator for each value
     values = text_rows(file, sum(e.count for e in before), vertex.count, len(names))
     # floats keep the digits they are written with, whatever type is declared
-    return {n: values[:, k].astype(dtype[n]) if dtype[n].kind in "iu" else values[:, k].copy() for k, n in enumerate(names)}
+    return {
+        n: values[:, k].astype(dtype[n]) if dtype[n].kind in "iu" else values[:, k].copy()
+        for k, n in enumerate(names)
+    }
 
 
 def text_rows(file: IO[bytes], skip: int, count: int, width: int) -> npt.NDArray[np.float64]:
-    """The next ``count`` rows of ``width`` numbers of a text body, after ``skip`` lines. Raises :class:`CloudError`."""
+    """The next ``count`` rows of ``width`` numbers of a text body, after ``skip`` lines. Raises
+    :class:`CloudError`.
+    """
     if count == 0:
         return np.zeros((0, width))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # no rows at all is refused below
-            rows = np.loadtxt(file, skiprows=skip, max_rows=count, ndmin=2, comments=None, encoding="latin-1")
+            rows = np.loadtxt(
+                file, skiprows=skip, max_rows=count, ndmin=2, comments=None, encoding="latin-1"
+            )
     except ValueError as error:
-        raise CloudError(f"a row that is not {width} numbers: {error}", reason="cloud_values") from error
+        raise CloudError(
+            f"a row that is not {width} numbers: {error}", reason="cloud_values"
+        ) from error
     if rows.shape != (count, width):
         raise CloudError(
-            f"{rows.shape[0]} rows of {rows.shape[1]} numbers where {count} of {width} are announced",
-            reason="cloud_short" if rows.shape[0] < count else "cloud_values", value=rows.shape[0],
-        )  # fmt: skip
+            (
+                f"{rows.shape[0]} rows of {rows.shape[1]} numbers where {count} of {width} "
+                "are announced"
+            ),
+            reason="cloud_short" if rows.shape[0] < count else "cloud_values",
+            value=rows.shape[0],
+        )
     return rows
 
 
 def check_size(count: int, row_bytes: int, left: int) -> None:
-    """Refuse a count that the rest of the file cannot hold, before anything is allocated. Raises :class:`CloudError` (cloud_short)."""
+    """Refuse a count that the rest of the file cannot hold, before anything is allocated. Raises
+    :class:`CloudError` (cloud_short).
+    """
     if count * row_bytes > left:
-        raise CloudError(f"{max(left, 0)} bytes for {count} points of {row_bytes}: the file ends early", reason="cloud_short", value=count)
+        raise CloudError(
+            f"{max(left, 0)} bytes for {count} points of {row_bytes}: the file ends early",
+            reason="cloud_short",
+            value=count,
+        )
 
 
 def native(column: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -140,7 +200,8 @@ def native(column: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def narrow(column: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """An integer column as 32 bits where its values allow, for formats and readers without 64; else as double, exact to 2^53.
+    """An integer column as 32 bits where its values allow, for formats and readers without 64; else
+    as double, exact to 2^53.
 
     Raises :class:`OutputError` for larger integers.
     """
@@ -156,17 +217,26 @@ def narrow(column: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def write_ply(path: Path, columns: Columns, comments: list[str], encoding: str) -> None:
-    """Write columns (n,) as vertices; ``encoding`` is ascii, binary or binary_big_endian. Raises OSError and :class:`OutputError`."""
+    """Write columns (n,) as vertices; ``encoding`` is ascii, binary or binary_big_endian. Raises
+    OSError and :class:`OutputError`.
+    """
     columns = {name: narrow(c) for name, c in columns.items()}
     rows = len(next(iter(columns.values())))
-    lines = ["ply", f"format {FORMATS[encoding]} 1.0", *(f"comment {c}" for c in comments), f"element vertex {rows}"]
+    lines = [
+        "ply",
+        f"format {FORMATS[encoding]} 1.0",
+        *(f"comment {c}" for c in comments),
+        f"element vertex {rows}",
+    ]
     lines += [f"property {NAMES[c.dtype.str[1:]]} {name}" for name, c in columns.items()]
     with path.open("wb") as file:
         file.write(("\n".join([*lines, "end_header"]) + "\n").encode())
         if encoding == "ascii":
             write_rows(file, columns, " ")
             return
-        table = np.empty(rows, [(name, ENCODINGS[encoding] + c.dtype.str[1:]) for name, c in columns.items()])
+        table = np.empty(
+            rows, [(name, ENCODINGS[encoding] + c.dtype.str[1:]) for name, c in columns.items()]
+        )
         for name, c in columns.items():
             table[name] = c
         file.write(table.data)
@@ -177,4 +247,6 @@ def write_rows(file: IO[bytes], columns: Columns, separator: str, chunk: int = 1
     rows = len(next(iter(columns.values())))
     for start in range(0, rows, chunk):
         parts = [[str(v) for v in c[start : start + chunk].tolist()] for c in columns.values()]
-        file.write(("\n".join(separator.join(row) for row in zip(*parts, strict=True)) + "\n").encode())
+        file.write(
+            ("\n".join(separator.join(row) for row in zip(*parts, strict=True)) + "\n").encode()
+        )

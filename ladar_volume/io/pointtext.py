@@ -1,4 +1,6 @@
-"""Point clouds as text: XYZ, TXT, ASC (white space) and CSV (comma), with or without header, with comments."""
+"""Point clouds as text: XYZ, TXT, ASC (white space) and CSV (comma), with or without header, with
+comments.
+"""
 
 from __future__ import annotations
 
@@ -28,9 +30,10 @@ class _Layout:
 def read_text(path: Path) -> Columns:
     """The columns (n,) of a table in file order, numbers as float64, anything else as text.
 
-    The separator is a semicolon, a comma, or white space, as the first row shows. Names come from a header, also one that is a comment;
-    without one they are x, y, z, c3, c4, ... Lines that begin with #, // or % before the table, and # after it, are comments. Raises
-    :class:`CloudError` (cloud_empty, cloud_fields, cloud_values) and OSError.
+    The separator is a semicolon, a comma, or white space, as the first row shows. Names come from a
+    header, also one that is a comment; without one they are x, y, z, c3, c4, ... Lines that begin
+    with #, // or % before the table, and # after it, are comments. Raises :class:`CloudError`
+    (cloud_empty, cloud_fields, cloud_values) and OSError.
     """
     layout = _layout(path)
     plain = all(layout.numeric)
@@ -38,16 +41,26 @@ def read_text(path: Path) -> Columns:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # no rows at all is refused by the caller
             table = np.loadtxt(
-                path, dtype=np.float64 if plain else np.str_, delimiter=layout.separator, skiprows=layout.skip, ndmin=2,
-                encoding="utf-8-sig", quotechar=None if plain else '"',
-            )  # fmt: skip
+                path,
+                dtype=np.float64 if plain else np.str_,
+                delimiter=layout.separator,
+                skiprows=layout.skip,
+                ndmin=2,
+                encoding="utf-8-sig",
+                quotechar=None if plain else '"',
+            )
             if table.size and table.shape[1] != len(layout.names):
-                raise CloudError(f"{table.shape[1]} columns under {len(layout.names)} names", reason="cloud_fields")
+                raise CloudError(
+                    f"{table.shape[1]} columns under {len(layout.names)} names",
+                    reason="cloud_fields",
+                )
             table = table.reshape(-1, len(layout.names))
             kinds = [np.float64 if numeric else np.str_ for numeric in layout.numeric]
             return {name: table[:, k].astype(kinds[k]) for k, name in enumerate(layout.names)}
     except ValueError as error:
-        raise CloudError(f"a row that does not fit the table: {error}", reason="cloud_values") from error
+        raise CloudError(
+            f"a row that does not fit the table: {error}", reason="cloud_values"
+        ) from error
 
 
 def _layout(path: Path) -> _Layout:
@@ -69,13 +82,21 @@ def _layout(path: Path) -> _Layout:
             separator = _separator(text)
             words = _words(text, separator)
             if _is_number(words[0]):
-                named = titled or (len(header) == len(words) and _has_xyz(header))  # a comment may be no header at all
+                named = titled or (
+                    len(header) == len(words) and _has_xyz(header)
+                )  # a comment may be no header at all
                 names = header if named else [*"xyz", *(f"c{k}" for k in range(3, len(words)))]
                 if len(words) < 3 or len(names) != len(words) or len(set(names)) < len(names):
-                    raise CloudError(f"the row {text[:80]!r} does not fit the columns {', '.join(names)}", reason="cloud_fields")
+                    raise CloudError(
+                        f"the row {text[:80]!r} does not fit the columns {', '.join(names)}",
+                        reason="cloud_fields",
+                    )
                 return _Layout(names, number, separator, [_is_number(w) or not w for w in words])
             if titled or not _has_xyz(words):
-                raise CloudError(f"the row {text[:80]!r} is neither numbers nor a header with x, y, z", reason="cloud_fields")
+                raise CloudError(
+                    f"the row {text[:80]!r} is neither numbers nor a header with x, y, z",
+                    reason="cloud_fields",
+                )
             header, titled = words, True
     raise AssertionError("unreachable")
 
@@ -101,13 +122,16 @@ def _has_xyz(words: list[str]) -> bool:
 
 
 def write_text(path: Path, columns: Columns, comments: list[str], encoding: str) -> None:
-    """Write columns (n,) with a header: ``encoding`` "csv" with commas, "text" with spaces and the header as a comment.
+    """Write columns (n,) with a header: ``encoding`` "csv" with commas, "text" with spaces and the
+    header as a comment.
 
     Raises OSError, and :class:`OutputError` for text that holds a separator.
     """
     separator = "," if encoding == "csv" else " "
     for name, c in columns.items():
-        if c.dtype.kind == "U" and any(set(v) & set(' ,;#"\n\t') or not v for v in np.unique(c).tolist()):
+        if c.dtype.kind == "U" and any(
+            set(v) & set(' ,;#"\n\t') or not v for v in np.unique(c).tolist()
+        ):
             raise OutputError(f"column {name!r} holds text with a separator, or none", value=name)
     with path.open("wb") as file:
         mark = "" if encoding == "csv" else "# "

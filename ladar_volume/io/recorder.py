@@ -1,5 +1,6 @@
-"""The flight log over days: numbered files, a disk that fills up, and an account of every message. It never raises for the disk's
-sake: what cannot be written is counted by topic and reason."""
+"""The flight log over days: numbered files, a disk that fills up, and an account of every message.
+It never raises for the disk's sake: what cannot be written is counted by topic and reason.
+"""
 
 from __future__ import annotations
 
@@ -26,8 +27,9 @@ RETRY_S = 1.0
 
 @dataclass
 class TopicAccount:
-    """Messages of one topic: written to the disk; lost by the middleware, by a full queue, by the disk; published before the log
-    listened; bytes offered."""
+    """Messages of one topic: written to the disk; lost by the middleware, by a full queue, by the
+    disk; published before the log listened; bytes offered.
+    """
 
     written: int = 0
     before: int = 0
@@ -45,9 +47,15 @@ def free_bytes(folder: Path) -> int:
 
 
 def log_files(base: Path) -> list[Path]:
-    """The files of a log, in the order of their running number: ``log.mcap``, ``log_1.mcap``, ..."""
+    """The files of a log, in the order of their running number: ``log.mcap``, ``log_1.mcap``,
+    ...
+    """
     pattern = re.compile(rf"{re.escape(base.stem)}(?:_(\d+))?{re.escape(base.suffix)}")
-    found = [(int(m[1] or 0), p) for p in base.parent.glob(f"{base.stem}*{base.suffix}") if (m := pattern.fullmatch(p.name))]
+    found = [
+        (int(m[1] or 0), p)
+        for p in base.parent.glob(f"{base.stem}*{base.suffix}")
+        if (m := pattern.fullmatch(p.name))
+    ]
     return [p for _, p in sorted(found)]
 
 
@@ -55,10 +63,18 @@ class Recorder:
     """Writes one log, split over as many files as it takes. Not thread-safe: one writer thread."""
 
     def __init__(
-        self, parameters: LoggerParameters, definition: Callable[[str], str] = usual_definition, free: Callable[[Path], int] = free_bytes
+        self,
+        parameters: LoggerParameters,
+        definition: Callable[[str], str] = usual_definition,
+        free: Callable[[Path], int] = free_bytes,
     ) -> None:
-        if parameters.disk_full == "delete_oldest" and not (parameters.split_bytes or parameters.split_s):
-            raise ConfigurationError("logger.disk_full delete_oldest needs logger.split_bytes or logger.split_s: it deletes finished files")
+        if parameters.disk_full == "delete_oldest" and not (
+            parameters.split_bytes or parameters.split_s
+        ):
+            raise ConfigurationError(
+                "logger.disk_full delete_oldest needs logger.split_bytes or "
+                "logger.split_s: it deletes finished files"
+            )
         self.parameters = parameters
         self.accounts: dict[str, TopicAccount] = {}
         self.deleted: list[str] = []
@@ -67,7 +83,9 @@ class Recorder:
         self._definition, self._free = definition, free
         self._metadata: dict[str, dict[str, str]] = {}
         self._attachments: dict[str, tuple[str, bytes]] = {}
-        self._latched: dict[str, tuple[str, bytes, int, str]] = {}  # packed: a map of a large site is megabytes
+        self._latched: dict[
+            str, tuple[str, bytes, int, str]
+        ] = {}  # packed: a map of a large site is megabytes
         self._packer = zstandard.ZstdCompressor(level=1)
         self._log: McapLog | None = None
         self._again = 0.0
@@ -79,7 +97,8 @@ class Recorder:
         else:
             self._wait_for_room()
 
-    # what every file holds ----------------------------------------------------------------------------------------
+    # what every file holds
+    # ----------------------------------------------------------------------------------------
     def metadata(self, name: str, values: dict[str, str]) -> None:
         """Named text values that every file of the log holds."""
         self._metadata[name] = values
@@ -90,23 +109,40 @@ class Recorder:
         self._attachments[name] = (media_type, data)
         self._try(lambda log: log.attach(name, media_type, data, t_ns))
 
-    # messages -----------------------------------------------------------------------------------------------------
+    # messages
+    # ----------------------------------------------------------------------------------------------
     def account(self, topic: str) -> TopicAccount:
         """The account of a topic."""
         return self.accounts.setdefault(topic, TopicAccount())
 
     def write(
-        self, topic: str, kind: str, data: bytes, t_ns: int, published_ns: int | None = None, sequence: int = 0, qos: str = "",
+        self,
+        topic: str,
+        kind: str,
+        data: bytes,
+        t_ns: int,
+        published_ns: int | None = None,
+        sequence: int = 0,
+        qos: str = "",
         latched: bool = False,
-    ) -> None:  # fmt: skip
-        """Append one serialised message. The last message of a ``latched`` topic opens every further file of the log."""
+    ) -> None:
+        """Append one serialised message. The last message of a ``latched`` topic opens every
+        further file of the log.
+        """
         self.account(topic).bytes += len(data)
         if latched:
-            self._latched[topic] = (kind, self._packer.compress(data), published_ns if published_ns is not None else t_ns, qos)
+            self._latched[topic] = (
+                kind,
+                self._packer.compress(data),
+                published_ns if published_ns is not None else t_ns,
+                qos,
+            )
         if self._log is None and not self._resume(t_ns):
             self.account(topic).disk += 1
             return
-        self._try(lambda log: log.write(topic, kind, data, t_ns, published_ns, sequence, qos), topic)
+        self._try(
+            lambda log: log.write(topic, kind, data, t_ns, published_ns, sequence, qos), topic
+        )
         self._after(t_ns)
 
     def tick(self, t_ns: int) -> None:
@@ -150,11 +186,16 @@ class Recorder:
                 self.account(topic).disk += 1
             self._failed(error)
 
-    # files --------------------------------------------------------------------------------------------------------
+    # files
+    # ----------------------------------------------------------------------------------------------
     def _open(self, t_ns: int) -> None:
         files = log_files(self._base)
         number = 0 if not files else 1 + int(files[-1].stem[len(self._base.stem) + 1 :] or 0)
-        path = self._base if not files else self._base.with_name(f"{self._base.stem}_{number}{self._base.suffix}")
+        path = (
+            self._base
+            if not files
+            else self._base.with_name(f"{self._base.stem}_{number}{self._base.suffix}")
+        )
         log = McapLog(self.parameters, path, self._definition)
         self._log, self.path, self._began, self._seen = log, path, time.monotonic(), 0
         self._settled = {}
@@ -179,7 +220,9 @@ class Recorder:
         try:
             log.flush()
             self._settle(log)
-            log.metadata("messages", {t: json.dumps(asdict(a)) for t, a in list(self.accounts.items())})
+            log.metadata(
+                "messages", {t: json.dumps(asdict(a)) for t, a in list(self.accounts.items())}
+            )
             log.close()
             self._log = None
         except OutputError as error:
@@ -189,9 +232,12 @@ class Recorder:
         """Finish the file with its index and the account of all topics."""
         self._finish()
 
-    # the disk -----------------------------------------------------------------------------------------------------
+    # the disk
+    # ----------------------------------------------------------------------------------------------
     def _failed(self, error: OutputError) -> None:
-        """The disk refused: what was in the chunk is lost and counted; the file is made whole if the disk takes an index."""
+        """The disk refused: what was in the chunk is lost and counted; the file is made whole if
+        the disk takes an index.
+        """
         log, self._log = self._log, None
         assert log is not None
         self.problem = str(error)
@@ -212,11 +258,16 @@ class Recorder:
             self._wait_for_room()
 
     def _wait_for_room(self) -> None:
-        self.problem = f"disk full: less than {self.parameters.disk_reserve_bytes} bytes free in {self._base.parent.absolute()}"
+        self.problem = (
+            f"disk full: less than {self.parameters.disk_reserve_bytes} bytes free in "
+            f"{self._base.parent.absolute()}"
+        )
         self._again = time.monotonic() + RETRY_S
 
     def _has_room(self, times: int) -> bool:
-        """Whether so many reserves are free, if need be after the oldest finished files were deleted, where the parameters say so."""
+        """Whether so many reserves are free, if need be after the oldest finished files were
+        deleted, where the parameters say so.
+        """
         enough = times * self.parameters.disk_reserve_bytes
         if self.parameters.disk_full == "delete_oldest":
             for old in log_files(self._base):
@@ -251,7 +302,9 @@ class Recorder:
         return True
 
     def repair_older(self) -> list[Recovery | OutputError]:
-        """Make whole what a killed run left behind; every file of this log but the one being written."""
+        """Make whole what a killed run left behind; every file of this log but the one being
+        written.
+        """
         done: list[Recovery | OutputError] = []
         for path in log_files(self._base):
             try:

@@ -1,7 +1,9 @@
-"""Repair of an MCAP file whose writer was killed: the records that are whole stay where they are, what is torn is cut off the end,
-and the index and footer the writer never came to write are added. Nothing in front of the tear is moved or rewritten.
+"""Repair of an MCAP file whose writer was killed: the records that are whole stay where they are,
+what is torn is cut off the end, and the index and footer the writer never came to write are added.
+Nothing in front of the tear is moved or rewritten.
 
-Format: MCAP specification, mcap.dev/spec. Every record is opcode (1 byte), length (8 bytes), content.
+Format: MCAP specification, mcap.dev/spec. Every record is opcode (1 byte), length (8 bytes),
+content.
 """
 
 from __future__ import annotations
@@ -25,13 +27,16 @@ from mcap.writer import MCAP0_MAGIC
 from ladar_volume.model.errors import OutputError
 
 HEAD = struct.Struct("<BQ")
-#: A tear at the end is at most the chunk that was being written. A longer rest means damage in the middle, which is not cut off.
+#: A tear at the end is at most the chunk that was being written. A longer rest means damage in the
+#: middle, which is not cut off.
 LONGEST_TAIL = 64_000_000
 
 
 @dataclass(frozen=True)
 class Recovery:
-    """What a repair found: messages kept, bytes cut off the end, chunks (and other records) whose content is damaged, last receive time."""
+    """What a repair found: messages kept, bytes cut off the end, chunks (and other records) whose
+    content is damaged, last receive time.
+    """
 
     path: Path
     messages: int
@@ -51,7 +56,8 @@ class _Contents:
     chunks: list[records.ChunkIndex] = field(default_factory=list)
     attachments: list[records.AttachmentIndex] = field(default_factory=list)
     metadata: list[records.MetadataIndex] = field(default_factory=list)
-    #: Message indexes of the last chunk, from its content, and the channels whose index is not in the file.
+    #: Message indexes of the last chunk, from its content, and the channels whose index is not in
+    #: the file.
     last: dict[int, records.MessageIndex] = field(default_factory=dict)
     missing: set[int] = field(default_factory=set)
     damaged: int = 0
@@ -61,7 +67,9 @@ class _Contents:
         """First and last receive time, zeros where there is no message."""
         if not self.chunks:
             return 0, 0
-        return min(c.message_start_time for c in self.chunks), max(c.message_end_time for c in self.chunks)
+        return min(c.message_start_time for c in self.chunks), max(
+            c.message_end_time for c in self.chunks
+        )
 
 
 def is_whole(path: Path) -> bool:
@@ -76,15 +84,18 @@ def is_whole(path: Path) -> bool:
 def recover(path: Path) -> Recovery:
     """Make a torn file whole, in place. A whole file is left as it is.
 
-    Raises OutputError: ``log_damaged`` for a file that is no MCAP or is damaged far before its end, ``log_in_use`` for one that is
-    being written, both of which are left alone; ``output`` where the disk refuses.
+    Raises OutputError: ``log_damaged`` for a file that is no MCAP or is damaged far before its end,
+    ``log_in_use`` for one that is being written, both of which are left alone; ``output`` where the
+    disk refuses.
     """
     try:
         with path.open("r+b") as stream:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return _recover(path, stream)
     except BlockingIOError as error:
-        raise OutputError(f"{path}: is being written", reason="log_in_use", value=str(path)) from error
+        raise OutputError(
+            f"{path}: is being written", reason="log_in_use", value=str(path)
+        ) from error
     except OSError as error:
         raise OutputError(f"{path}: cannot be repaired: {error}", value=str(path)) from error
 
@@ -101,19 +112,31 @@ def _recover(path: Path, stream: BinaryIO) -> Recovery:
     if not whole:
         if lost > LONGEST_TAIL and not _ends_here(stream, contents.end):
             raise OutputError(
-                f"{path}: damaged at byte {contents.end} of {size}, too far from its end to cut the rest off",
-                reason="log_damaged", value=contents.end,
-            )  # fmt: skip
+                (
+                    f"{path}: damaged at byte {contents.end} of {size}, too far from its end "
+                    "to cut the rest off"
+                ),
+                reason="log_damaged",
+                value=contents.end,
+            )
         stream.seek(contents.end)
         stream.truncate()
         stream.write(_ending(contents))
         stream.flush()
         os.fsync(stream.fileno())
-    return Recovery(path, sum(contents.counts.values()), 0 if whole else lost, contents.damaged, contents.span[1])
+    return Recovery(
+        path,
+        sum(contents.counts.values()),
+        0 if whole else lost,
+        contents.damaged,
+        contents.span[1],
+    )
 
 
 def _ends_here(stream: BinaryIO, offset: int) -> bool:
-    """Whether nothing but zeros follows (blocks a power cut left unwritten) or the end of the data is here."""
+    """Whether nothing but zeros follows (blocks a power cut left unwritten) or the end of the data
+    is here.
+    """
     stream.seek(offset)
     if stream.read(1) == bytes([Opcode.DATA_END]):
         return True
@@ -125,7 +148,9 @@ def _ends_here(stream: BinaryIO, offset: int) -> bool:
 
 
 def _records(stream: BinaryIO, offset: int, size: int) -> Iterator[tuple[int, int, int]]:
-    """(offset, opcode, content length) of the whole records, up to the tear or to the end of the data."""
+    """(offset, opcode, content length) of the whole records, up to the tear or to the end of the
+    data.
+    """
     while offset + HEAD.size <= size:
         stream.seek(offset)
         opcode, length = HEAD.unpack(stream.read(HEAD.size))
@@ -145,7 +170,8 @@ def _scan(stream: BinaryIO, size: int) -> _Contents:
         elif opcode == Opcode.MESSAGE_INDEX:
             _add_message_index(contents, stream.read(2), offset, after)
             if contents.missing:
-                continue  # should those that follow be torn, all of this chunk are written anew behind it
+                # should those that follow be torn, all of this chunk are written anew behind it
+                continue
         elif opcode in (Opcode.ATTACHMENT, Opcode.METADATA):
             _add_extra(contents, opcode, stream.read(length), offset)
         elif opcode != Opcode.HEADER:
@@ -160,14 +186,24 @@ def _add_chunk(contents: _Contents, content: bytes, offset: int) -> None:
         chunk = records.Chunk.read(ReadDataStream(BytesIO(content)))
         data, _ = get_chunk_data_stream(chunk, validate_crc=True)
         _read_chunk(contents, data.read(chunk.uncompressed_size))
-    except Exception:  # a damaged chunk fails anywhere in decompression or parsing; its neighbours are good
+    except (
+        Exception
+    ):  # a damaged chunk fails anywhere in decompression or parsing; its neighbours are good
         contents.damaged += 1
         return
-    contents.chunks.append(records.ChunkIndex(
-        chunk_length=HEAD.size + len(content), chunk_start_offset=offset, compression=chunk.compression, compressed_size=len(chunk.data),
-        message_start_time=chunk.message_start_time, message_end_time=chunk.message_end_time, message_index_length=0,
-        message_index_offsets={}, uncompressed_size=chunk.uncompressed_size,
-    ))  # fmt: skip
+    contents.chunks.append(
+        records.ChunkIndex(
+            chunk_length=HEAD.size + len(content),
+            chunk_start_offset=offset,
+            compression=chunk.compression,
+            compressed_size=len(chunk.data),
+            message_start_time=chunk.message_start_time,
+            message_end_time=chunk.message_end_time,
+            message_index_length=0,
+            message_index_offsets={},
+            uncompressed_size=chunk.uncompressed_size,
+        )
+    )
 
 
 def _read_chunk(contents: _Contents, data: bytes) -> None:
@@ -179,7 +215,9 @@ def _read_chunk(contents: _Contents, data: bytes) -> None:
         if opcode == Opcode.MESSAGE:
             (channel,) = struct.unpack_from("<H", data, body)
             (t_ns,) = struct.unpack_from("<Q", data, body + 6)
-            index.setdefault(channel, records.MessageIndex(channel, [])).records.append((t_ns, position))
+            index.setdefault(channel, records.MessageIndex(channel, [])).records.append(
+                (t_ns, position)
+            )
         elif opcode == Opcode.SCHEMA:
             schema = records.Schema.read(ReadDataStream(BytesIO(data[body : body + length])))
             contents.schemas[schema.id] = schema
@@ -212,14 +250,23 @@ def _add_extra(contents: _Contents, opcode: int, content: bytes, offset: int) ->
     if isinstance(a, records.Metadata):
         contents.metadata.append(records.MetadataIndex(offset=offset, length=length, name=a.name))
         return
-    contents.attachments.append(records.AttachmentIndex(
-        offset=offset, length=length, log_time=a.log_time, create_time=a.create_time, data_size=len(a.data), name=a.name,
-        media_type=a.media_type,
-    ))  # fmt: skip
+    contents.attachments.append(
+        records.AttachmentIndex(
+            offset=offset,
+            length=length,
+            log_time=a.log_time,
+            create_time=a.create_time,
+            data_size=len(a.data),
+            name=a.name,
+            media_type=a.media_type,
+        )
+    )
 
 
 def _ending(contents: _Contents) -> bytes:
-    """What belongs behind the last whole record: message indexes of the last chunk, DataEnd, summary, footer, magic."""
+    """What belongs behind the last whole record: message indexes of the last chunk, DataEnd,
+    summary, footer, magic.
+    """
     out = RecordBuilder()
     start = contents.end
     if start == 0:
@@ -230,10 +277,13 @@ def _ending(contents: _Contents) -> bytes:
     records.DataEnd(0).write(out)
     summary_start = start + out.count
     groups: list[tuple[Opcode, list[records.McapRecord]]] = [
-        (Opcode.SCHEMA, [*contents.schemas.values()]), (Opcode.CHANNEL, [*contents.channels.values()]),
-        (Opcode.STATISTICS, [_statistics(contents)]), (Opcode.CHUNK_INDEX, [*contents.chunks]),
-        (Opcode.ATTACHMENT_INDEX, [*contents.attachments]), (Opcode.METADATA_INDEX, [*contents.metadata]),
-    ]  # fmt: skip
+        (Opcode.SCHEMA, [*contents.schemas.values()]),
+        (Opcode.CHANNEL, [*contents.channels.values()]),
+        (Opcode.STATISTICS, [_statistics(contents)]),
+        (Opcode.CHUNK_INDEX, [*contents.chunks]),
+        (Opcode.ATTACHMENT_INDEX, [*contents.attachments]),
+        (Opcode.METADATA_INDEX, [*contents.metadata]),
+    ]
     summary = RecordBuilder()
     offsets = []
     for opcode, group in groups:
@@ -241,14 +291,20 @@ def _ending(contents: _Contents) -> bytes:
         for record in group:
             record.write(summary)
         if group:
-            offsets.append(records.SummaryOffset(opcode, summary_start + before, summary.count - before))
+            offsets.append(
+                records.SummaryOffset(opcode, summary_start + before, summary.count - before)
+            )
     offset_start = summary_start + summary.count
     for offset in offsets:
         offset.write(summary)
     text = bytes(summary.end())  # type: ignore[no-untyped-call]
-    crc = zlib.crc32(struct.pack("<BQQQ", Opcode.FOOTER, 20, summary_start, offset_start), zlib.crc32(text))
+    crc = zlib.crc32(
+        struct.pack("<BQQQ", Opcode.FOOTER, 20, summary_start, offset_start), zlib.crc32(text)
+    )
     out.write(text)
-    records.Footer(summary_start=summary_start, summary_offset_start=offset_start, summary_crc=crc).write(out)
+    records.Footer(
+        summary_start=summary_start, summary_offset_start=offset_start, summary_crc=crc
+    ).write(out)
     out.write(MCAP0_MAGIC)
     return bytes(out.end())  # type: ignore[no-untyped-call]
 
@@ -265,7 +321,13 @@ def _reindex_last_chunk(contents: _Contents, out: RecordBuilder) -> None:
 def _statistics(contents: _Contents) -> records.Statistics:
     first, last = contents.span
     return records.Statistics(
-        attachment_count=len(contents.attachments), channel_count=len(contents.channels), channel_message_counts=contents.counts,
-        chunk_count=len(contents.chunks), message_count=sum(contents.counts.values()), message_start_time=first, message_end_time=last,
-        metadata_count=len(contents.metadata), schema_count=len(contents.schemas),
-    )  # fmt: skip
+        attachment_count=len(contents.attachments),
+        channel_count=len(contents.channels),
+        channel_message_counts=contents.counts,
+        chunk_count=len(contents.chunks),
+        message_count=sum(contents.counts.values()),
+        message_start_time=first,
+        message_end_time=last,
+        metadata_count=len(contents.metadata),
+        schema_count=len(contents.schemas),
+    )

@@ -27,35 +27,65 @@ def volume_dict(volume: Volume) -> dict[str, Any]:
     """A volume as plain values."""
     low, high = volume.interval_m3
     return {
-        "volume_m3": volume.volume_m3, "sigma_m3": volume.sigma_m3, "interval_m3": [low, high], "confidence": volume.confidence,
-        "coverage_factor": volume.coverage_factor, "cut_m3": volume.cut_m3, "fill_m3": volume.fill_m3, "area_m2": volume.area_m2,
+        "volume_m3": volume.volume_m3,
+        "sigma_m3": volume.sigma_m3,
+        "interval_m3": [low, high],
+        "confidence": volume.confidence,
+        "coverage_factor": volume.coverage_factor,
+        "cut_m3": volume.cut_m3,
+        "fill_m3": volume.fill_m3,
+        "area_m2": volume.area_m2,
         "correction": {
-            "name": "folded normal" if volume.folded_m3 > 0.0 else None, "m3": volume.folded_m3, "near_area_m2": volume.near_area_m2,
-            "cut_raw_m3": volume.cut_m3 + volume.folded_m3, "fill_raw_m3": volume.fill_m3 + volume.folded_m3,
+            "name": "folded normal" if volume.folded_m3 > 0.0 else None,
+            "m3": volume.folded_m3,
+            "near_area_m2": volume.near_area_m2,
+            "cut_raw_m3": volume.cut_m3 + volume.folded_m3,
+            "fill_raw_m3": volume.fill_m3 + volume.folded_m3,
         },
-        "second_order": {"shift_m3": volume.second_order_m3, "matters": volume.second_order_matters}, "chord_m3": volume.chord_m3,
-        "base": volume.base, "base_same_survey": volume.base_same_survey, "centroid_map_m": list(volume.centroid_map),
+        "second_order": {
+            "shift_m3": volume.second_order_m3,
+            "matters": volume.second_order_matters,
+        },
+        "chord_m3": volume.chord_m3,
+        "base": volume.base,
+        "base_same_survey": volume.base_same_survey,
+        "centroid_map_m": list(volume.centroid_map),
         "budget_m6": dict(sorted(volume.budget_m6.items(), key=lambda item: -item[1])),
-        "largest_source": volume.largest_source, "sigma_if_halved_m3": volume.sigma_if_halved_m3,
+        "largest_source": volume.largest_source,
+        "sigma_if_halved_m3": volume.sigma_if_halved_m3,
         "budget_within_m6": volume.budget_within_m6,
-        "sigma_tau_range_m3": list(volume.sigma_tau_range_m3), "sigma_naive_m3": volume.sigma_naive_m3,
-        "vertices": volume.vertices, "triangles": volume.triangles, "t_ns": volume.t_ns,
-    }  # fmt: skip
+        "sigma_tau_range_m3": list(volume.sigma_tau_range_m3),
+        "sigma_naive_m3": volume.sigma_naive_m3,
+        "vertices": volume.vertices,
+        "triangles": volume.triangles,
+        "t_ns": volume.t_ns,
+    }
 
 
 def ground_dict(plane: Plane) -> dict[str, Any]:
     """A ground surface as plain values."""
     return {
-        "degree": degree_of(plane), "origin_xy_m": plane.origin_xy.tolist(), "beta": plane.beta.tolist(), "C_beta": plane.C_beta.tolist(),
-        "sigma_m": plane.rms_m, "support": len(plane.support), "tilt_deg": math.degrees(tilt_of(plane)),
-    }  # fmt: skip
+        "degree": degree_of(plane),
+        "origin_xy_m": plane.origin_xy.tolist(),
+        "beta": plane.beta.tolist(),
+        "C_beta": plane.C_beta.tolist(),
+        "sigma_m": plane.rms_m,
+        "support": len(plane.support),
+        "tilt_deg": math.degrees(tilt_of(plane)),
+    }
 
 
 def result_dict(
-    estimate: Estimate, parameters: Parameters, losses: Losses, datum: Datum | None, points: Mapping[str, int], source: Mapping[str, Any]
+    estimate: Estimate,
+    parameters: Parameters,
+    losses: Losses,
+    datum: Datum | None,
+    points: Mapping[str, int],
+    source: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """The whole result: volume of the main body, budget, every body with the covariance of all, ground surfaces, losses, effective
-    parameters, version and where it came from."""
+    """The whole result: volume of the main body, budget, every body with the covariance of all,
+    ground surfaces, losses, effective parameters, version and where it came from.
+    """
     joint = estimate.C_bodies_m6
     return {
         **volume_dict(estimate.volume),
@@ -72,16 +102,26 @@ def result_dict(
 
 
 def change_dict(found: EpochDifference) -> dict[str, Any]:
-    """A change between two epochs as plain values: the volume, its significance, and sigma if nothing were shared."""
+    """A change between two epochs as plain values: the volume, its significance, and sigma if
+    nothing were shared.
+    """
     return {
-        **volume_dict(found.volume), "z": found.z, "p_value": found.p_value, "significant": found.significant,
+        **volume_dict(found.volume),
+        "z": found.z,
+        "p_value": found.p_value,
+        "significant": found.significant,
         "sigma_if_nothing_shared_m3": found.budget.sigma_separate,
-    }  # fmt: skip
+    }
 
 
 def more_data_dict(found: MoreData) -> dict[str, Any]:
     """Where another pass would help most, as plain values."""
-    return {"places": found.best(), "sigma_m3": found.sigma_m3, "sigma_gaps_m3": found.sigma_gaps_m3, "cell_m": found.cell_m}
+    return {
+        "places": found.best(),
+        "sigma_m3": found.sigma_m3,
+        "sigma_gaps_m3": found.sigma_gaps_m3,
+        "cell_m": found.cell_m,
+    }
 
 
 def json_text(values: Mapping[str, Any]) -> str:
@@ -122,23 +162,32 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_ply(path: Path, tin: Tin, sigma_z: Any) -> None:
-    """The relevant triangles as binary PLY, double coordinates, with the sigma of each vertex's height (m)."""
+    """The relevant triangles as binary PLY, double coordinates, with the sigma of each vertex's
+    height (m).
+    """
     write_columns(path, tin, {"sigma_z": sigma_z})
 
 
 def write_columns(path: Path, tin: Tin, columns: Mapping[str, Any]) -> None:
-    """The relevant triangles as binary PLY, double coordinates, with columns (n,) of the vertices as float. Raises OutputError."""
+    """The relevant triangles as binary PLY, double coordinates, with columns (n,) of the vertices
+    as float. Raises OutputError.
+    """
     triangles = tin.triangles[tin.relevant]
     used, inverse = np.unique(triangles, return_inverse=True)
-    vertex = np.empty(len(used), [(axis, "<f8") for axis in "xyz"] + [(name, "<f4") for name in columns])
+    vertex = np.empty(
+        len(used), [(axis, "<f8") for axis in "xyz"] + [(name, "<f4") for name in columns]
+    )
     vertex["x"], vertex["y"], vertex["z"] = tin.vertices[used].T
     for name, values in columns.items():
         vertex[name] = np.asarray(values)[used]
     face = np.empty(len(triangles), [("n", "u1"), ("v", "<i4", 3)])
     face["n"], face["v"] = 3, inverse.reshape(-1, 3)
-    properties = [f"property double {axis}" for axis in "xyz"] + [f"property float {name}" for name in columns]
+    properties = [f"property double {axis}" for axis in "xyz"] + [
+        f"property float {name}" for name in columns
+    ]
     header = (
-        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertex)}\n{chr(10).join(properties)}\n"
+        "ply\nformat binary_little_endian 1.0\nelement vertex "
+        f"{len(vertex)}\n{chr(10).join(properties)}\n"
         f"element face {len(face)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
     try:

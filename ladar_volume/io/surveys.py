@@ -1,7 +1,9 @@
-"""A survey as a file: result.mcap, which Foxglove opens as tables and from which the volume to a later survey is computed.
+"""A survey as a file: result.mcap, which Foxglove opens as tables and from which the volume to a
+later survey is computed.
 
-Beside the tables a person looks at it holds what the nodes send each other, ``points_filtered`` and ``patches``, and in ``navigation`` the
-platform's covariance and mean pose per time bin: the surface comes back bit by bit, its covariances to 1e-7.
+Beside the tables a person looks at it holds what the nodes send each other, ``points_filtered`` and
+``patches``, and in ``navigation`` the platform's covariance and mean pose per time bin: the surface
+comes back bit by bit, its covariances to 1e-7.
 """
 
 from __future__ import annotations
@@ -40,8 +42,9 @@ SURVEY = ("points_filtered", "patches", "navigation")
 
 @dataclass(frozen=True)
 class Survey:
-    """path · epoch : the surface with its sources · datum : origin of its map frame, None where it is not known · result : as in
-    result.json"""
+    """path · epoch : the surface with its sources · datum : origin of its map frame, None where it
+    is not known · result : as in result.json
+    """
 
     path: Path
     epoch: Epoch
@@ -50,11 +53,16 @@ class Survey:
 
 
 def navigation_columns(bins: NavigationBins) -> wire.Columns:
-    """``navigation``: per time bin its index, number of platform states, sums of C_nav (36) and of position and R_map_body (12)."""
+    """``navigation``: per time bin its index, number of platform states, sums of C_nav (36) and of
+    position and R_map_body (12).
+    """
     index, count, C, pose = bins.sums()
     return {
-        "bin": index.astype(np.float64), "states": count.astype(np.uint32), "C_nav": C.reshape(-1, 36), "pose": pose.reshape(-1, 12),
-    }  # fmt: skip
+        "bin": index.astype(np.float64),
+        "states": count.astype(np.uint32),
+        "C_nav": C.reshape(-1, 36),
+        "pose": pose.reshape(-1, 12),
+    }
 
 
 def survey_tables(epoch: Epoch) -> Iterator[tuple[str, wire.Columns]]:
@@ -64,22 +72,36 @@ def survey_tables(epoch: Epoch) -> Iterator[tuple[str, wire.Columns]]:
         last = min(first + wire.PART, len(patches))
         mine = unpacked(patches, first, last)
         at = slice(*np.searchsorted(points.patch, [mine.key[0], mine.key[-1] + 1]))
-        part = FilterUpdate(epoch.t_ns, np.zeros(0, np.int64), select(points, at), mine, last == len(patches))
+        part = FilterUpdate(
+            epoch.t_ns, np.zeros(0, np.int64), select(points, at), mine, last == len(patches)
+        )
         yield "points_filtered", wire.filtered_columns(part.points)
         yield "patches", wire.patch_columns(part)
     yield "navigation", navigation_columns(epoch.sources.navigation)
 
 
 def write_survey(path: Path, estimate: Estimate, epoch: Epoch, result: Mapping[str, Any]) -> None:
-    """The tables of volumes and ground surfaces, the TIN's vertices, the survey and the whole result as MCAP. Raises OutputError."""
+    """The tables of volumes and ground surfaces, the TIN's vertices, the survey and the whole
+    result as MCAP. Raises OutputError.
+    """
     types = TYPESTORE.types
     t_ns = estimate.volume.t_ns
-    stamp = types["builtin_interfaces/msg/Time"](sec=t_ns // 1_000_000_000, nanosec=t_ns % 1_000_000_000)
+    stamp = types["builtin_interfaces/msg/Time"](
+        sec=t_ns // 1_000_000_000, nanosec=t_ns % 1_000_000_000
+    )
     header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="map")
     vertices = estimate.tin.vertices
     tables = [
         ("volumes", wire.volume_columns(list(estimate.bodies))),
-        ("tin_vertices", {"x": vertices[:, 0], "y": vertices[:, 1], "z": vertices[:, 2], "sigma_z": epoch.sigma_z()}),
+        (
+            "tin_vertices",
+            {
+                "x": vertices[:, 0],
+                "y": vertices[:, 1],
+                "z": vertices[:, 2],
+                "sigma_z": epoch.sigma_z(),
+            },
+        ),
     ]
     if estimate.grounds:
         tables.append(("grounds", wire.ground_columns(estimate.grounds)))
@@ -89,24 +111,39 @@ def write_survey(path: Path, estimate: Estimate, epoch: Epoch, result: Mapping[s
         for topic, columns in itertools.chain(tables, survey_tables(epoch)):
             table = encode(columns)
             fields = [
-                types["sensor_msgs/msg/PointField"](name=c.name, offset=c.offset, datatype=NUMBERS[c.code], count=c.count)
+                types["sensor_msgs/msg/PointField"](
+                    name=c.name, offset=c.offset, datatype=NUMBERS[c.code], count=c.count
+                )
                 for c in table.columns
-            ]  # fmt: skip
-            log.write_message(topic, types["sensor_msgs/msg/PointCloud2"](
-                header=header, height=1, width=table.rows, fields=fields, is_bigendian=False, point_step=table.row_bytes,
-                row_step=table.row_bytes * table.rows, data=table.data, is_dense=True,
-            ), t_ns)  # fmt: skip
+            ]
+            log.write_message(
+                topic,
+                types["sensor_msgs/msg/PointCloud2"](
+                    header=header,
+                    height=1,
+                    width=table.rows,
+                    fields=fields,
+                    is_bigendian=False,
+                    point_step=table.row_bytes,
+                    row_step=table.row_bytes * table.rows,
+                    data=table.data,
+                    is_dense=True,
+                ),
+                t_ns,
+            )
 
 
 def read_survey(path: str | Path) -> Survey:
     """A survey from result.mcap, or from the folder it lies in.
 
-    Raises :class:`InputError` (survey_missing; survey_file for a file that is none, or is of a version that did not keep the surface),
-    BagError and CloudError for a damaged one.
+    Raises :class:`InputError` (survey_missing; survey_file for a file that is none, or is of a
+    version that did not keep the surface), BagError and CloudError for a damaged one.
     """
     file = Path(path) / FILE if Path(path).is_dir() else Path(path)
     if not file.is_file():
-        raise InputError(f"{file}: no such file; replay writes it", reason="survey_missing", value=str(path))
+        raise InputError(
+            f"{file}: no such file; replay writes it", reason="survey_missing", value=str(path)
+        )
     result = read_result(file)
     tables: dict[str, list[Any]] = {topic: [] for topic in SURVEY}
     with BagReader(file) as bag:
@@ -114,16 +151,34 @@ def read_survey(path: str | Path) -> Survey:
             tables[raw.topic].append(decode(bag.message(raw)))
     points, patches, navigation = (tables[topic] for topic in SURVEY)
     if not points or len(points) != len(patches) or len(navigation) != 1:
-        raise InputError(f"{file}: holds no surface to compare with; replay the recording again", reason="survey_file", value=str(path))
+        raise InputError(
+            f"{file}: holds no surface to compare with; replay the recording again",
+            reason="survey_file",
+            value=str(path),
+        )
     try:
-        given = {s: {k: v for k, v in values.items() if v is not None} for s, values in result["parameters"].items()}
+        given = {
+            s: {k: v for k, v in values.items() if v is not None}
+            for s, values in result["parameters"].items()
+        }
         datum = None if result["datum"] is None else Datum(**result["datum"])
         n = navigation[0]
-        bins = n["bin"].astype(np.int64), n["states"].astype(np.int64), n["C_nav"].reshape(-1, 6, 6), n["pose"].reshape(-1, 4, 3)
+        bins = (
+            n["bin"].astype(np.int64),
+            n["states"].astype(np.int64),
+            n["C_nav"].reshape(-1, 6, 6),
+            n["pose"].reshape(-1, 4, 3),
+        )
     except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise InputError(f"{file}: not a result of this program: {error!r}", reason="survey_file", value=str(path)) from error
+        raise InputError(
+            f"{file}: not a result of this program: {error!r}",
+            reason="survey_file",
+            value=str(path),
+        ) from error
     parameters = Parameters.read(given)
-    estimator = VolumeEstimator(parameters, NavigationBins.from_sums(parameters.filter.nav_bin_s, *bins))
+    estimator = VolumeEstimator(
+        parameters, NavigationBins.from_sums(parameters.filter.nav_bin_s, *bins)
+    )
     for one, two in zip(points, patches, strict=True):
         estimator.add(wire.filter_update(wire.filtered_points(one), two))
     return Survey(file, estimator.epoch(), datum, result)
@@ -133,10 +188,18 @@ def read_result(file: Path) -> dict[str, Any]:
     """The whole result from the metadata of a file. Raises :class:`InputError` (survey_file)."""
     try:
         with file.open("rb") as stream:
-            found = [r.metadata["result"] for r in make_reader(stream).iter_metadata() if r.name == RECORD and "result" in r.metadata]
+            found = [
+                r.metadata["result"]
+                for r in make_reader(stream).iter_metadata()
+                if r.name == RECORD and "result" in r.metadata
+            ]
         result: dict[str, Any] = json.loads(found[-1])
     except (OSError, McapError, struct.error, IndexError, ValueError) as error:
-        raise InputError(f"{file}: not a result of this program: {error!r}", reason="survey_file", value=str(file)) from error
+        raise InputError(
+            f"{file}: not a result of this program: {error!r}",
+            reason="survey_file",
+            value=str(file),
+        ) from error
     return result
 
 

@@ -1,7 +1,8 @@
 """PointCloud2 as what it is: a self-describing table of typed columns.
 
-Works on any object with the attributes of sensor_msgs/PointCloud2, whichever library made it. Decoding checks the
-layout before it allocates and raises a :class:`CloudError` with a reason; encoding is bit-lossless.
+Works on any object with the attributes of sensor_msgs/PointCloud2, whichever library made it.
+Decoding checks the layout before it allocates and raises a :class:`CloudError` with a reason;
+encoding is bit-lossless.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ def encode(columns: dict[str, npt.NDArray[Any]]) -> Table:
 
 
 def decode(message: Any) -> dict[str, npt.NDArray[Any]]:
-    """Columns of a PointCloud2-like message, native byte order, row order kept; organised clouds are flattened.
+    """Columns of a PointCloud2-like message, native byte order, row order kept; organised clouds
+    are flattened.
 
     Raises
     ------
@@ -66,13 +68,31 @@ def decode(message: Any) -> dict[str, npt.NDArray[Any]]:
     width, height = int(message.width), int(message.height)
     point_step, row_step = int(message.point_step), int(message.row_step)
     if width <= 0 or height <= 0:
-        raise CloudError(f"cloud without points ({width} x {height})", reason="cloud_empty", value=(width, height))
+        raise CloudError(
+            f"cloud without points ({width} x {height})",
+            reason="cloud_empty",
+            value=(width, height),
+        )
     if row_step < width * point_step:
-        raise CloudError(f"row_step {row_step} < width {width} x point_step {point_step}", reason="cloud_row_step", value=row_step)
-    data = np.frombuffer(message.data, dtype=np.uint8) if not isinstance(message.data, np.ndarray) else message.data
+        raise CloudError(
+            f"row_step {row_step} < width {width} x point_step {point_step}",
+            reason="cloud_row_step",
+            value=row_step,
+        )
+    data = (
+        np.frombuffer(message.data, dtype=np.uint8)
+        if not isinstance(message.data, np.ndarray)
+        else message.data
+    )
     if data.size < row_step * (height - 1) + width * point_step:
-        raise CloudError(f"{data.size} bytes for {height} rows of {row_step}", reason="cloud_short", value=data.size)
-    dtype = _dtype(message, point_step)  # after the sizes: a row that does not fit the data may be too long for any type
+        raise CloudError(
+            f"{data.size} bytes for {height} rows of {row_step}",
+            reason="cloud_short",
+            value=data.size,
+        )
+    dtype = _dtype(
+        message, point_step
+    )  # after the sizes: a row that does not fit the data may be too long for any type
     if height == 1 or row_step == width * point_step:
         records = np.ascontiguousarray(data[: width * height * point_step]).view(dtype)
     else:
@@ -88,14 +108,26 @@ def _dtype(message: Any, point_step: int) -> np.dtype[Any]:
     for f in message.fields:
         code, count = DATATYPES.get(int(f.datatype)), max(int(f.count), 1)
         if code is None:
-            raise CloudError(f"field {f.name!r} has unknown datatype {f.datatype}", reason="cloud_fields", value=f.datatype)
+            raise CloudError(
+                f"field {f.name!r} has unknown datatype {f.datatype}",
+                reason="cloud_fields",
+                value=f.datatype,
+            )
         if int(f.offset) + count * np.dtype(code).itemsize > point_step:
-            raise CloudError(f"field {f.name!r} ends beyond point_step {point_step}", reason="cloud_point_step", value=point_step)
+            raise CloudError(
+                f"field {f.name!r} ends beyond point_step {point_step}",
+                reason="cloud_point_step",
+                value=point_step,
+            )
         if f.name in names:
             raise CloudError(f"field {f.name!r} appears twice", reason="cloud_fields", value=f.name)
         names.append(str(f.name))
         formats.append(f"{order}{code}" if count == 1 else f"({count},){order}{code}")
         offsets.append(int(f.offset))
     if point_step <= 0 or not names:
-        raise CloudError(f"no fields or point_step {point_step}", reason="cloud_point_step", value=point_step)
-    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": point_step})
+        raise CloudError(
+            f"no fields or point_step {point_step}", reason="cloud_point_step", value=point_step
+        )
+    return np.dtype(
+        {"names": names, "formats": formats, "offsets": offsets, "itemsize": point_step}
+    )

@@ -14,24 +14,46 @@ from ladar_volume.registration.transform import Transform
 def read_transform(path: str | Path) -> Transform:
     """Read a transform.
 
-    Raises :class:`InputError`: input_missing, input_unreadable, transform_file for what is no transform: keys matrix (4, 4), scale, pivot_m
-    (3,), covariance (7, 7), all finite, with a rotation in the matrix and a covariance without negative variances.
+    Raises :class:`InputError`: input_missing, input_unreadable, transform_file for what is no
+    transform: keys matrix (4, 4), scale, pivot_m (3,), covariance (7, 7), all finite, with a
+    rotation in the matrix and a covariance without negative variances.
     """
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file", reason="input_missing", value=str(path))
     try:
         facts = json.loads(path.read_text(encoding="utf-8"))
-        M, pivot, C = (np.asarray(facts[key], dtype=np.float64) for key in ("matrix", "pivot_m", "covariance"))
+        M, pivot, C = (
+            np.asarray(facts[key], dtype=np.float64) for key in ("matrix", "pivot_m", "covariance")
+        )
         scale = float(facts["scale"])
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error}", reason="input_unreadable", value=str(path)) from error
+        raise InputError(
+            f"{path}: cannot be read: {error}", reason="input_unreadable", value=str(path)
+        ) from error
     except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path}: not what 'register --json' prints: {error}", reason="transform_file", value=str(path)) from error
-    if M.shape != (4, 4) or pivot.shape != (3,) or C.shape != (7, 7) or not all(np.isfinite(x).all() for x in (M, pivot, C)) or scale <= 0:
-        raise InputError(f"{path}: matrix (4, 4), pivot_m (3,), covariance (7, 7), scale above 0", reason="transform_file", value=str(path))
+        raise InputError(
+            f"{path}: not what 'register --json' prints: {error}",
+            reason="transform_file",
+            value=str(path),
+        ) from error
+    if (
+        M.shape != (4, 4)
+        or pivot.shape != (3,)
+        or C.shape != (7, 7)
+        or not all(np.isfinite(x).all() for x in (M, pivot, C))
+        or scale <= 0
+    ):
+        raise InputError(
+            f"{path}: matrix (4, 4), pivot_m (3,), covariance (7, 7), scale above 0",
+            reason="transform_file",
+            value=str(path),
+        )
     R = M[:3, :3] / scale
     turns = np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0
     if not turns or np.linalg.eigvalsh(C)[0] < -1e-9 * max(float(np.trace(C)), 1e-300):
-        raise InputError(f"{path}: the matrix is no rotation times the scale, or the covariance none", reason="transform_file")
+        raise InputError(
+            f"{path}: the matrix is no rotation times the scale, or the covariance none",
+            reason="transform_file",
+        )
     return Transform(R, M[:3, 3] + M[:3, :3] @ pivot, pivot, scale, C)

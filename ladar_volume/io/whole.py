@@ -11,11 +11,14 @@ from ladar_volume.model.errors import OutputError
 
 @contextlib.contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """A path beside ``path``, with its ending, to write to; renamed to it when the block ends well, else removed.
+    """A path beside ``path``, with its ending, to write to; renamed to it when the block ends well,
+    else removed.
 
     Raises :class:`OutputError` where it cannot be written.
     """
-    part = path.with_name(f".{path.stem}.part{path.suffix.lower()}")  # the ending tells libraries the kind
+    part = path.with_name(
+        f".{path.stem}.part{path.suffix.lower()}"
+    )  # the ending tells libraries the kind
     try:
         yield part
         part.replace(path)

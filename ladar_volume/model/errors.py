@@ -15,7 +15,8 @@ class LadarVolumeError(Exception):
     Parameters
     ----------
     message : what is wrong and, where it helps, what to do.
-    reason : short machine-readable name (``snake_case``), used as the key when a node counts the drop.
+    reason : short machine-readable name (``snake_case``), used as the key when a node counts the
+        drop.
     value : the offending value, kept for the caller.
     """
 

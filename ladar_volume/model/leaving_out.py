@@ -9,7 +9,9 @@ from collections.abc import Iterator
 
 @contextlib.contextmanager
 def left_out(name: str) -> Iterator[None]:
-    """Within, module ``name`` counts as not installed; nothing changes where it is loaded already."""
+    """Within, module ``name`` counts as not installed; nothing changes where it is loaded
+    already.
+    """
     if name in sys.modules:
         yield
         return

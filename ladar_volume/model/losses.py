@@ -8,8 +8,9 @@ from collections.abc import Iterator, Mapping
 class Losses:
     """A counter of dropped things by reason.
 
-    Keys are ``snake_case`` reasons such as ``"point_nan"``, ``"fix_no_fix"``, ``"point_pose_gap"``; the first
-    word names the unit that is counted (point, cloud, fix, imu, odometry, message, patch).
+    Keys are ``snake_case`` reasons such as ``"point_nan"``, ``"fix_no_fix"``, ``"point_pose_gap"``;
+    the first word names the unit that is counted (point, cloud, fix, imu, odometry, message,
+    patch).
     """
 
     def __init__(self, counts: Mapping[str, int] | None = None) -> None:

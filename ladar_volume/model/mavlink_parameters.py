@@ -14,46 +14,108 @@ class MavlinkParameters:
 
     url: str = param(
         "udpin:127.0.0.1:14550",
-        "udpin:HOST:PORT (listen), udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT (listen), serial:DEVICE:BAUD, or a .tlog or .bin file.",
+        (
+            "udpin:HOST:PORT (listen), udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT "
+            "(listen), serial:DEVICE:BAUD, or a .tlog or .bin file."
+        ),
     )
-    system: int = param(1, "System id of the vehicle; 0 for the first autopilot that is heard.", low=0, high=255)
+    system: int = param(
+        1, "System id of the vehicle; 0 for the first autopilot that is heard.", low=0, high=255
+    )
     component: int = param(1, "Component id of the autopilot; 0 for any.", low=0, high=255)
     position: str = param(
-        "GPS_RAW_INT", "Where positions come from: a receiver (antenna, with accuracies), or the autopilot's filter (no accuracies).",
+        "GPS_RAW_INT",
+        (
+            "Where positions come from: a receiver (antenna, with accuracies), or the "
+            "autopilot's filter (no accuracies)."
+        ),
         choices=("GPS_RAW_INT", "GPS2_RAW", "GLOBAL_POSITION_INT"),
-    )  # fmt: skip
+    )
     attitude: str = param(
-        "auto", "Where attitudes come from; auto: the quaternion wherever it is sent.", choices=("auto", "ATTITUDE", "ATTITUDE_QUATERNION")
+        "auto",
+        "Where attitudes come from; auto: the quaternion wherever it is sent.",
+        choices=("auto", "ATTITUDE", "ATTITUDE_QUATERNION"),
     )
     height: str = param(
         "ellipsoidal",
-        "Which height is taken: the receiver's ellipsoidal one (a fix without it is refused), or mean sea level plus geoid_undulation_m.",
+        (
+            "Which height is taken: the receiver's ellipsoidal one (a fix without it is "
+            "refused), or mean sea level plus geoid_undulation_m."
+        ),
         choices=("ellipsoidal", "msl"),
     )
     geoid_undulation_m: float = param(
-        math.nan, "Geoid above the ellipsoid at the site; must be given with height msl.", unit="m", low=-200, high=200
+        math.nan,
+        "Geoid above the ellipsoid at the site; must be given with height msl.",
+        unit="m",
+        low=-200,
+        high=200,
     )
     horizontal_accuracy: str = param(
-        "per_axis", "What h_acc means: sigma of each axis (the careful reading), or of the distance.", choices=("per_axis", "radial")
+        "per_axis",
+        "What h_acc means: sigma of each axis (the careful reading), or of the distance.",
+        choices=("per_axis", "radial"),
     )
     gnss_delay_s: float = param(
-        0.0, "How much later than its epoch the autopilot stamps a receiver's fix; subtracted.", unit="s", low=-1, high=1
+        0.0,
+        "How much later than its epoch the autopilot stamps a receiver's fix; subtracted.",
+        unit="s",
+        low=-1,
+        high=1,
     )
-    roll_pitch_sigma_rad: float = param(0.0, "Sigma of roll and pitch; 0 for unknown: the covariance is then unknown.", low=0, high=90)
+    roll_pitch_sigma_rad: float = param(
+        0.0,
+        "Sigma of roll and pitch; 0 for unknown: the covariance is then unknown.",
+        low=0,
+        high=90,
+    )
     heading_sigma_rad: float = param(
-        0.0, "Sigma of the heading where the receiver gives none (yaw with hdg_acc); 0 for unknown.", low=0, high=90
+        0.0,
+        "Sigma of the heading where the receiver gives none (yaw with hdg_acc); 0 for unknown.",
+        low=0,
+        high=90,
     )
     clock: str = param(
-        "ros", "Clock of the stamps: this computer's, or UTC as the autopilot knows it (SYSTEM_TIME). A .bin is always UTC.",
+        "ros",
+        (
+            "Clock of the stamps: this computer's, or UTC as the autopilot knows it "
+            "(SYSTEM_TIME). A .bin is always UTC."
+        ),
         choices=("ros", "utc"),
-    )  # fmt: skip
-    clock_settle_s: float = param(2.0, "How long clocks are compared before the first stamp.", unit="s", low=0.1, high=60)
-    clock_window_s: float = param(60.0, "How far back the comparison of the clocks looks.", unit="s", low=2, high=3600)
-    link_delay_s: float = param(0.0, "Shortest delay of the link, where TIMESYNC does not measure it; subtracted.", unit="s", low=0, high=1)
+    )
+    clock_settle_s: float = param(
+        2.0, "How long clocks are compared before the first stamp.", unit="s", low=0.1, high=60
+    )
+    clock_window_s: float = param(
+        60.0, "How far back the comparison of the clocks looks.", unit="s", low=2, high=3600
+    )
+    link_delay_s: float = param(
+        0.0,
+        "Shortest delay of the link, where TIMESYNC does not measure it; subtracted.",
+        unit="s",
+        low=0,
+        high=1,
+    )
     link_delay_sigma_s: float = param(0.005, "Sigma of link_delay_s.", unit="s", low=0, high=1)
-    heartbeat_timeout_s: float = param(3.0, "Without a heartbeat for this long, the autopilot counts as lost.", unit="s", low=0.5, high=60)
-    position_hz: float = param(10.0, "Rate to ask for positions; 0 to ask for nothing.", unit="Hz", low=0, high=100)
-    attitude_hz: float = param(100.0, "Rate to ask for attitudes; 0 to ask for nothing.", unit="Hz", low=0, high=500)
-    imu_hz: float = param(0.0, "Rate to ask for raw inertial data; 0 to ask for nothing.", unit="Hz", low=0, high=1000)
-    odometry_hz: float = param(0.0, "Rate to ask for ODOMETRY; 0 to ask for nothing.", unit="Hz", low=0, high=200)
-    playback_rate: float = param(1.0, "A log file: times real time; 0 for as fast as possible.", low=0, high=1000)
+    heartbeat_timeout_s: float = param(
+        3.0,
+        "Without a heartbeat for this long, the autopilot counts as lost.",
+        unit="s",
+        low=0.5,
+        high=60,
+    )
+    position_hz: float = param(
+        10.0, "Rate to ask for positions; 0 to ask for nothing.", unit="Hz", low=0, high=100
+    )
+    attitude_hz: float = param(
+        100.0, "Rate to ask for attitudes; 0 to ask for nothing.", unit="Hz", low=0, high=500
+    )
+    imu_hz: float = param(
+        0.0, "Rate to ask for raw inertial data; 0 to ask for nothing.", unit="Hz", low=0, high=1000
+    )
+    odometry_hz: float = param(
+        0.0, "Rate to ask for ODOMETRY; 0 to ask for nothing.", unit="Hz", low=0, high=200
+    )
+    playback_rate: float = param(
+        1.0, "A log file: times real time; 0 for as fast as possible.", low=0, high=1000
+    )

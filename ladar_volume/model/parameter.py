@@ -1,8 +1,8 @@
 """One source for every parameter: what a parameter declaration is, and strict reading of mappings.
 
-A stage's parameters are a frozen dataclass whose fields come from :func:`param`. ROS declarations, YAML keys,
-``config/default.yaml``, the parameter page and command-line flags all derive from :func:`specs`. Angles are radians
-inside (``*_rad``) and degrees at the door (key ``*_deg``).
+A stage's parameters are a frozen dataclass whose fields come from :func:`param`. ROS declarations,
+YAML keys, ``config/default.yaml``, the parameter page and command-line flags all derive from
+:func:`specs`. Angles are radians inside (``*_rad``) and degrees at the door (key ``*_deg``).
 """
 
 from __future__ import annotations
@@ -61,8 +61,17 @@ def param(
     choices: tuple[str, ...] | None = None,
     vector: int | None = None,
 ) -> Any:
-    """Declare a parameter. Bounds of angles are given in degrees. ``vector``: length of a tuple, 0 for any length."""
-    metadata = {"unit": unit, "help": help, "low": low, "high": high, "choices": choices, "vector": vector}
+    """Declare a parameter. Bounds of angles are given in degrees. ``vector``: length of a tuple, 0
+    for any length.
+    """
+    metadata = {
+        "unit": unit,
+        "help": help,
+        "low": low,
+        "high": high,
+        "choices": choices,
+        "vector": vector,
+    }
     return dataclasses.field(default=default, metadata=metadata)
 
 
@@ -73,13 +82,18 @@ def _is_angle(name: str) -> bool:
 def _to_outside(name: str, value: Any) -> Any:
     if _is_angle(name):
         # 12 significant digits hide the rounding of the degree-radian-degree trip
-        degrees = [float(f"{math.degrees(v):.12g}") for v in (value if isinstance(value, tuple) else (value,))]
+        degrees = [
+            float(f"{math.degrees(v):.12g}")
+            for v in (value if isinstance(value, tuple) else (value,))
+        ]
         return tuple(degrees) if isinstance(value, tuple) else degrees[0]
     return value
 
 
 def specs(cls: type) -> tuple[ParameterSpec, ...]:
-    """The declarations of a parameter dataclass, in order, with keys, defaults and bounds as the outside sees them."""
+    """The declarations of a parameter dataclass, in order, with keys, defaults and bounds as the
+    outside sees them.
+    """
     hints = typing.get_type_hints(cls)
     out = []
     for f in dataclasses.fields(cls):
@@ -90,10 +104,18 @@ def specs(cls: type) -> tuple[ParameterSpec, ...]:
         unit = "deg" if angle else m["unit"]
         out.append(
             ParameterSpec(
-                f.name, key, kind, m["vector"], _to_outside(f.name, f.default), unit, m["help"],
-                m["low"], m["high"], m["choices"],
+                f.name,
+                key,
+                kind,
+                m["vector"],
+                _to_outside(f.name, f.default),
+                unit,
+                m["help"],
+                m["low"],
+                m["high"],
+                m["choices"],
             )
-        )  # fmt: skip
+        )
     return tuple(out)
 
 
@@ -108,14 +130,22 @@ def _scalar(section: str, spec: ParameterSpec, value: Any) -> bool | int | float
             return _bounded(where, spec, value)
     elif spec.kind is float:
         if isinstance(value, int | float) and not isinstance(value, bool):
-            if math.isnan(value) and not (isinstance(spec.default, float) and math.isnan(spec.default)):
-                raise ParameterValueError(f"{where}: NaN is not allowed (allowed: {spec.range_text})", value=value)
+            if math.isnan(value) and not (
+                isinstance(spec.default, float) and math.isnan(spec.default)
+            ):
+                raise ParameterValueError(
+                    f"{where}: NaN is not allowed (allowed: {spec.range_text})", value=value
+                )
             return _bounded(where, spec, float(value))
     elif isinstance(value, str):
         if spec.choices is not None and value not in spec.choices:
-            raise ParameterValueError(f"{where}: {value!r} is not allowed (allowed: {spec.range_text})", value=value)
+            raise ParameterValueError(
+                f"{where}: {value!r} is not allowed (allowed: {spec.range_text})", value=value
+            )
         return value
-    raise ParameterValueError(f"{where}: {value!r} is not a {expected} (allowed: {spec.range_text})", value=value)
+    raise ParameterValueError(
+        f"{where}: {value!r} is not a {expected} (allowed: {spec.range_text})", value=value
+    )
 
 
 def _bounded(where: str, spec: ParameterSpec, value: N) -> N:
@@ -123,7 +153,10 @@ def _bounded(where: str, spec: ParameterSpec, value: N) -> N:
     too_high = spec.high is not None and value > spec.high
     if too_low or too_high:
         unit = f" {spec.unit}" if spec.unit else ""
-        raise ParameterValueError(f"{where}: {value:g}{unit} is out of range (allowed: {spec.range_text}{unit})", value=value)
+        raise ParameterValueError(
+            f"{where}: {value:g}{unit} is out of range (allowed: {spec.range_text}{unit})",
+            value=value,
+        )
     return value
 
 
@@ -137,7 +170,10 @@ def convert(section: str, spec: ParameterSpec, value: Any) -> Any:
         return math.radians(float(inside)) if _is_angle(spec.name) else inside
     if not isinstance(value, list | tuple) or (spec.vector and len(value) != spec.vector):
         size = f"{spec.vector} " if spec.vector else ""
-        raise ParameterValueError(f"{section}.{spec.key}: {value!r} is not a list of {size}{spec.kind.__name__} values", value=value)
+        raise ParameterValueError(
+            f"{section}.{spec.key}: {value!r} is not a list of {size}{spec.kind.__name__} values",
+            value=value,
+        )
     items = tuple(_scalar(section, spec, v) for v in value)
     return tuple(math.radians(float(v)) for v in items) if _is_angle(spec.name) else items
 
@@ -156,8 +192,12 @@ def _unknown(section: str, key: str, known: list[str]) -> UnknownParameterError:
     return UnknownParameterError(f"unknown parameter {where!r}{hint}", value=key)
 
 
-def read_section(cls: type[P], section: str, mapping: Mapping[str, Any], start: P | None = None) -> P:
-    """A parameter object from outside keys and values, on top of ``start`` (default: the declared defaults)."""
+def read_section(
+    cls: type[P], section: str, mapping: Mapping[str, Any], start: P | None = None
+) -> P:
+    """A parameter object from outside keys and values, on top of ``start`` (default: the declared
+    defaults).
+    """
     by_key = {s.key: s for s in specs(cls)}
     changes = {}
     for key, value in mapping.items():

@@ -1,6 +1,8 @@
-"""The parameters of every stage. This file is the only source of a default, a unit, a bound or a help text.
+"""The parameters of every stage. This file is the only source of a default, a unit, a bound or a
+help text.
 
-Sigmas are one standard deviation. Defaults are a VLP-16 with an RTK receiver and a tactical-grade attitude source.
+Sigmas are one standard deviation. Defaults are a VLP-16 with an RTK receiver and a tactical-grade
+attitude source.
 """
 
 from __future__ import annotations
@@ -19,17 +21,39 @@ from ladar_volume.model.parameter import param, read_section, unknown_section, w
 class CalibrationParameters:
     """Where the sensors sit: the LiDAR equation's constants."""
 
-    boresight_roll_rad: float = param(0.0, "Nominal boresight roll of R_body_laser = Rz(yaw) Ry(pitch) Rx(roll).", low=-360, high=360)
+    boresight_roll_rad: float = param(
+        0.0,
+        "Nominal boresight roll of R_body_laser = Rz(yaw) Ry(pitch) Rx(roll).",
+        low=-360,
+        high=360,
+    )
     boresight_pitch_rad: float = param(0.0, "Nominal boresight pitch.", low=-360, high=360)
     boresight_yaw_rad: float = param(0.0, "Nominal boresight yaw.", low=-360, high=360)
     boresight_correction_rad: tuple[float, ...] = param(
-        (0.0, 0.0, 0.0), "Small body-side rotation vector applied to the nominal boresight.", low=-10, high=10, vector=3
+        (0.0, 0.0, 0.0),
+        "Small body-side rotation vector applied to the nominal boresight.",
+        low=-10,
+        high=10,
+        vector=3,
     )
-    lever_laser_m: tuple[float, ...] = param((0.0, 0.0, 0.0), "Laser origin in the body frame, b.", unit="m", low=-50, high=50, vector=3)
+    lever_laser_m: tuple[float, ...] = param(
+        (0.0, 0.0, 0.0), "Laser origin in the body frame, b.", unit="m", low=-50, high=50, vector=3
+    )
     lever_antenna_m: tuple[float, ...] = param(
-        (0.0, 0.0, 0.0), "Antenna phase centre in the body frame, a.", unit="m", low=-50, high=50, vector=3
+        (0.0, 0.0, 0.0),
+        "Antenna phase centre in the body frame, a.",
+        unit="m",
+        low=-50,
+        high=50,
+        vector=3,
     )
-    clock_offset_s: float = param(0.0, "dt: navigation time minus LiDAR time, t_nav = t_lidar + dt.", unit="s", low=-1e5, high=1e5)
+    clock_offset_s: float = param(
+        0.0,
+        "dt: navigation time minus LiDAR time, t_nav = t_lidar + dt.",
+        unit="s",
+        low=-1e5,
+        high=1e5,
+    )
 
 
 @dataclass(frozen=True)
@@ -37,14 +61,30 @@ class BudgetParameters:
     """The error budget: what is not known of sensor, navigation and calibration."""
 
     range_noise_m: float = param(0.010, "Range noise of one return.", unit="m", low=0, high=1)
-    azimuth_noise_rad: float = param(math.radians(0.01), "Azimuth noise of one return.", low=0, high=5)
-    vertical_noise_rad: float = param(math.radians(0.01), "Vertical angle noise of one return.", low=0, high=5)
-    beam_divergence_rad: float = param(
-        0.0015, "Full beam divergence; a quarter of it acts as angular noise, so range noise grows with incidence.", low=0, high=5
+    azimuth_noise_rad: float = param(
+        math.radians(0.01), "Azimuth noise of one return.", low=0, high=5
     )
-    beam_range_sigma_m: float = param(0.004, "Range offset of each beam, constant per beam (rho_k).", unit="m", low=0, high=1)
-    beam_vertical_sigma_rad: float = param(math.radians(0.01), "Vertical angle offset of each beam, constant (eps_k).", low=0, high=5)
-    range_bias_sigma_m: float = param(0.003, "Range bias common to all beams (rho_0).", unit="m", low=0, high=1)
+    vertical_noise_rad: float = param(
+        math.radians(0.01), "Vertical angle noise of one return.", low=0, high=5
+    )
+    beam_divergence_rad: float = param(
+        0.0015,
+        (
+            "Full beam divergence; a quarter of it acts as angular noise, so range noise "
+            "grows with incidence."
+        ),
+        low=0,
+        high=5,
+    )
+    beam_range_sigma_m: float = param(
+        0.004, "Range offset of each beam, constant per beam (rho_k).", unit="m", low=0, high=1
+    )
+    beam_vertical_sigma_rad: float = param(
+        math.radians(0.01), "Vertical angle offset of each beam, constant (eps_k).", low=0, high=5
+    )
+    range_bias_sigma_m: float = param(
+        0.003, "Range bias common to all beams (rho_0).", unit="m", low=0, high=1
+    )
     position_sigma_m: tuple[float, ...] = param(
         (0.014, 0.014, 0.021),
         "Antenna position east, north, up: stands in where the receiver gives no covariance.",
@@ -55,31 +95,60 @@ class BudgetParameters:
     )
     attitude_sigma_rad: tuple[float, ...] = param(
         (math.radians(0.02), math.radians(0.02), math.radians(0.05)),
-        "Roll, pitch, heading: stands in where the IMU gives no covariance.", low=0, high=90, vector=3,
-    )  # fmt: skip
-    position_bias_fraction: float = param(0.2, "Share of the position variance that is constant over the survey.", low=0, high=1)
+        "Roll, pitch, heading: stands in where the IMU gives no covariance.",
+        low=0,
+        high=90,
+        vector=3,
+    )
+    position_bias_fraction: float = param(
+        0.2, "Share of the position variance that is constant over the survey.", low=0, high=1
+    )
     position_white_fraction: float = param(
-        0.1, "Share of the position variance that is white per fix; the rest is Gauss-Markov.", low=0, high=1
+        0.1,
+        "Share of the position variance that is white per fix; the rest is Gauss-Markov.",
+        low=0,
+        high=1,
     )
-    attitude_bias_fraction: float = param(0.1, "Share of the attitude variance that is constant over the survey.", low=0, high=1)
+    attitude_bias_fraction: float = param(
+        0.1, "Share of the attitude variance that is constant over the survey.", low=0, high=1
+    )
     attitude_white_fraction: float = param(
-        0.1, "Share of the attitude variance that is white per sample; the rest is Gauss-Markov.", low=0, high=1
+        0.1,
+        "Share of the attitude variance that is white per sample; the rest is Gauss-Markov.",
+        low=0,
+        high=1,
     )
-    tau_position_s: float = param(300.0, "Correlation time of the position's Gauss-Markov part.", unit="s", low=0.1, high=1e6)
-    tau_attitude_s: float = param(20.0, "Correlation time of the attitude's Gauss-Markov part.", unit="s", low=0.1, high=1e6)
+    tau_position_s: float = param(
+        300.0, "Correlation time of the position's Gauss-Markov part.", unit="s", low=0.1, high=1e6
+    )
+    tau_attitude_s: float = param(
+        20.0, "Correlation time of the attitude's Gauss-Markov part.", unit="s", low=0.1, high=1e6
+    )
     boresight_sigma_rad: tuple[float, ...] = param(
-        (math.radians(0.02), math.radians(0.02), math.radians(0.04)), "Boresight, body rotation vector.", low=0, high=10, vector=3
+        (math.radians(0.02), math.radians(0.02), math.radians(0.04)),
+        "Boresight, body rotation vector.",
+        low=0,
+        high=10,
+        vector=3,
     )
-    lever_laser_sigma_m: tuple[float, ...] = param((0.002, 0.002, 0.003), "Laser lever arm.", unit="m", low=0, high=10, vector=3)
-    lever_antenna_sigma_m: tuple[float, ...] = param((0.002, 0.002, 0.003), "Antenna lever arm.", unit="m", low=0, high=10, vector=3)
+    lever_laser_sigma_m: tuple[float, ...] = param(
+        (0.002, 0.002, 0.003), "Laser lever arm.", unit="m", low=0, high=10, vector=3
+    )
+    lever_antenna_sigma_m: tuple[float, ...] = param(
+        (0.002, 0.002, 0.003), "Antenna lever arm.", unit="m", low=0, high=10, vector=3
+    )
     clock_sigma_s: float = param(0.0002, "Clock offset.", unit="s", low=0, high=100)
     calibration_correlation: tuple[float, ...] = param(
         (),
-        "Correlations of the calibration errors, as `calibrate strips` writes them: upper triangle, row by row, over range bias, "
-        "boresight, laser lever arm, antenna lever arm (x, y, z each), clock, and where given all beams' range and vertical offsets; "
+        "Correlations of the calibration errors, as `calibrate strips` writes them: "
+        "upper triangle, row by row, over range bias, "
+        "boresight, laser lever arm, antenna lever arm (x, y, z each), clock, and where "
+        "given all beams' range and vertical offsets; "
         "empty for none.",
-        low=-1, high=1, vector=0,
-    )  # fmt: skip
+        low=-1,
+        high=1,
+        vector=0,
+    )
 
 
 @dataclass(frozen=True)
@@ -87,32 +156,72 @@ class GeoreferenceParameters:
     """Trajectory and the selection of returns."""
 
     pose_source: str = param("gnss_imu", "Where poses come from.", choices=("gnss_imu", "odometry"))
-    position_interpolation: str = param("linear", "Antenna position between fixes.", choices=("linear", "hermite"))
+    position_interpolation: str = param(
+        "linear", "Antenna position between fixes.", choices=("linear", "hermite")
+    )
     max_position_gap_s: float = param(
-        0.6, "Largest interval between fixes that is bridged; returns in a longer one are lost.", unit="s", low=0.001, high=60
+        0.6,
+        "Largest interval between fixes that is bridged; returns in a longer one are lost.",
+        unit="s",
+        low=0.001,
+        high=60,
     )
-    max_attitude_gap_s: float = param(0.15, "Largest interval between attitudes that is bridged.", unit="s", low=0.001, high=60)
+    max_attitude_gap_s: float = param(
+        0.15, "Largest interval between attitudes that is bridged.", unit="s", low=0.001, high=60
+    )
     unknown_covariance: str = param(
-        "refuse", "Fix or attitude without covariance: refuse it, or take the budget's sigma.", choices=("refuse", "budget")
+        "refuse",
+        "Fix or attitude without covariance: refuse it, or take the budget's sigma.",
+        choices=("refuse", "budget"),
     )
-    stamp_refers_to: str = param("first", "What the stamp marks where `t` offsets count from the sweep's start.", choices=("first", "last"))
+    stamp_refers_to: str = param(
+        "first",
+        "What the stamp marks where `t` offsets count from the sweep's start.",
+        choices=("first", "last"),
+    )
     untimed_clouds: str = param(
-        "refuse", "Cloud without per-point time: refuse it, or give every return the stamp.", choices=("refuse", "stamp")
+        "refuse",
+        "Cloud without per-point time: refuse it, or give every return the stamp.",
+        choices=("refuse", "stamp"),
     )
     range_min_m: float = param(0.5, "Nearest range kept.", unit="m", low=0, high=1000)
     range_max_m: float = param(120.0, "Farthest range kept.", unit="m", low=0.1, high=10000)
     vehicle_box_m: tuple[float, ...] = param(
-        (), "Own-vehicle mask in the body frame: xmin, ymin, zmin, xmax, ymax, zmax; empty for none.", unit="m", vector=0
+        (),
+        "Own-vehicle mask in the body frame: xmin, ymin, zmin, xmax, ymax, zmax; empty for none.",
+        unit="m",
+        vector=0,
     )
-    region_m: tuple[float, ...] = param((), "Region of interest in the map frame, as vehicle_box_m; empty for all.", unit="m", vector=0)
+    region_m: tuple[float, ...] = param(
+        (),
+        "Region of interest in the map frame, as vehicle_box_m; empty for all.",
+        unit="m",
+        vector=0,
+    )
     intensity_min: float = param(0.0, "Lowest intensity kept.", low=0)
     intensity_max: float = param(math.inf, "Highest intensity kept.", low=0)
     beams: int = param(16, "Number of beams of the scanner.", low=1, high=128)
-    datum_latitude_deg: float = param(math.nan, "Latitude of the datum; NaN for the first fix.", unit="deg", low=-90, high=90)
-    datum_longitude_deg: float = param(math.nan, "Longitude of the datum.", unit="deg", low=-180, high=180)
-    datum_height_m: float = param(math.nan, "Ellipsoidal height of the datum.", unit="m", low=-1000, high=10000)
-    max_pending_s: float = param(5.0, "How long returns wait for the trajectory before they are lost.", unit="s", low=0.1, high=600)
-    covariance_output: str = param("independent", "What the covariance fields of points_mapped hold.", choices=("independent", "total"))
+    datum_latitude_deg: float = param(
+        math.nan, "Latitude of the datum; NaN for the first fix.", unit="deg", low=-90, high=90
+    )
+    datum_longitude_deg: float = param(
+        math.nan, "Longitude of the datum.", unit="deg", low=-180, high=180
+    )
+    datum_height_m: float = param(
+        math.nan, "Ellipsoidal height of the datum.", unit="m", low=-1000, high=10000
+    )
+    max_pending_s: float = param(
+        5.0,
+        "How long returns wait for the trajectory before they are lost.",
+        unit="s",
+        low=0.1,
+        high=600,
+    )
+    covariance_output: str = param(
+        "independent",
+        "What the covariance fields of points_mapped hold.",
+        choices=("independent", "total"),
+    )
 
 
 @dataclass(frozen=True)
@@ -121,36 +230,100 @@ class FilterParameters:
 
     order: str = param(
         "cover",
-        "Point cloud files: every cell its own surface, in any order; or the published sequential sweep (Algorithm 1).",
+        (
+            "Point cloud files: every cell its own surface, in any order; or the published "
+            "sequential sweep (Algorithm 1)."
+        ),
         choices=("cover", "published"),
     )
-    radius_m: float = param(0.5, "Range r: patches are r apart and are fitted over 2r.", unit="m", low=0.001, high=100)
+    radius_m: float = param(
+        0.5, "Range r: patches are r apart and are fitted over 2r.", unit="m", low=0.001, high=100
+    )
     degree: int = param(2, "Polynomial degree of a patch.", low=1, high=2)
     start: str = param("lmeds", "How the starting model is sampled.", choices=("lmeds", "ransac"))
     trials: int = param(40, "Random samples per patch.", low=1, high=10000)
     confidence: float = param(
-        0.999, "Published order: trials end once a sample without outliers was drawn with this probability; 1 for never.", low=0, high=1
+        0.999,
+        (
+            "Published order: trials end once a sample without outliers was drawn with this "
+            "probability; 1 for never."
+        ),
+        low=0,
+        high=1,
     )
-    sample_size: int = param(4, "Points per random sample: a plane through three, or the mean plane of four.", low=3, high=4)
-    ransac_threshold_m: float = param(0.02, "Residual threshold of the weighted RANSAC start.", unit="m", low=1e-6, high=10)
-    outlier_sigmas: float = param(3.5, "Inlier threshold in robust sigma; below 3 the printed variance would be too small.", low=3, high=20)
+    sample_size: int = param(
+        4,
+        "Points per random sample: a plane through three, or the mean plane of four.",
+        low=3,
+        high=4,
+    )
+    ransac_threshold_m: float = param(
+        0.02, "Residual threshold of the weighted RANSAC start.", unit="m", low=1e-6, high=10
+    )
+    outlier_sigmas: float = param(
+        3.5,
+        "Inlier threshold in robust sigma; below 3 the printed variance would be too small.",
+        low=3,
+        high=20,
+    )
     outlier_floor_m: float = param(
-        0.0, "The inlier threshold is never below this; in the published order it is this.", unit="m", low=0, high=10
+        0.0,
+        "The inlier threshold is never below this; in the published order it is this.",
+        unit="m",
+        low=0,
+        high=10,
     )
     min_points: int = param(12, "Fewest inliers of a patch.", low=4, high=100000)
     refit_iterations: int = param(30, "Most refits towards the fixed point.", low=1, high=1000)
-    cap_per_voxel: int = param(32, "Most raw points kept per voxel of edge r (those with the lowest hashes).", low=1, high=100000)
-    sampling_m: float = param(0.0, "Spacing of the filtered points; 0 for r / 2.", unit="m", low=0, high=100)
-    grid_before_m: float = param(0.0, "Point cloud files: grid of the reduction before the filter; 0 for none.", unit="m", low=0, high=100)
-    grid_after_m: float = param(0.0, "Point cloud files: grid of the reduction after the filter; 0 for none.", unit="m", low=0, high=100)
+    cap_per_voxel: int = param(
+        32,
+        "Most raw points kept per voxel of edge r (those with the lowest hashes).",
+        low=1,
+        high=100000,
+    )
+    sampling_m: float = param(
+        0.0, "Spacing of the filtered points; 0 for r / 2.", unit="m", low=0, high=100
+    )
+    grid_before_m: float = param(
+        0.0,
+        "Point cloud files: grid of the reduction before the filter; 0 for none.",
+        unit="m",
+        low=0,
+        high=100,
+    )
+    grid_after_m: float = param(
+        0.0,
+        "Point cloud files: grid of the reduction after the filter; 0 for none.",
+        unit="m",
+        low=0,
+        high=100,
+    )
     reduce: str = param(
         "published",
-        "What stands for the points of a grid cell: its middle, their mean, or as published the middle before and the mean after.",
+        (
+            "What stands for the points of a grid cell: its middle, their mean, or as "
+            "published the middle before and the mean after."
+        ),
         choices=("published", "round", "mean"),
     )
-    edge: str = param("snap", "Point cloud files: points beyond an edge are set onto it, or removed.", choices=("snap", "remove"))
-    nav_bin_s: float = param(2.0, "Length of a navigation time bin of the mean sensitivities.", unit="s", low=0.01, high=60)
-    seed: int = param(1, "Seed of the random samples; each patch derives its own from it and its key.", low=0, high=2**31 - 1)
+    edge: str = param(
+        "snap",
+        "Point cloud files: points beyond an edge are set onto it, or removed.",
+        choices=("snap", "remove"),
+    )
+    nav_bin_s: float = param(
+        2.0,
+        "Length of a navigation time bin of the mean sensitivities.",
+        unit="s",
+        low=0.01,
+        high=60,
+    )
+    seed: int = param(
+        1,
+        "Seed of the random samples; each patch derives its own from it and its key.",
+        low=0,
+        high=2**31 - 1,
+    )
 
 
 @dataclass(frozen=True)
@@ -159,19 +332,38 @@ class GroundParameters:
 
     trials: int = param(1000, "RANSAC trials (thesis: 1000).", low=1, high=1000000)
     sample_size: int = param(
-        0, "Points per random sample; 0 for the fewest that define the surface (thesis: k = 20 or 10).", low=0, high=1000
+        0,
+        "Points per random sample; 0 for the fewest that define the surface "
+        "(thesis: k = 20 or 10).",
+        low=0,
+        high=1000,
     )
-    threshold_m: float = param(0.0, "Inlier threshold; 0 for 3.5 robust sigma of the residuals.", unit="m", low=0, high=10)
+    threshold_m: float = param(
+        0.0, "Inlier threshold; 0 for 3.5 robust sigma of the residuals.", unit="m", low=0, high=10
+    )
     below_weight: float = param(
         4.0,
-        "How much a point below a candidate counts against it: 0 for the largest surface (thesis); with w a surface above the ground wins "
+        "How much a point below a candidate counts against it: 0 for the largest surface "
+        "(thesis); with w a surface above the ground wins "
         "only with more than 1 + w times its points.",
-        low=0, high=100,
-    )  # fmt: skip
-    max_tilt_rad: float = param(math.radians(30.0), "Largest tilt of the ground from the horizontal.", low=0, high=89)
-    degree: int = param(1, "Degree of the ground polynomial: 0 level, 1 plane, 2 quadric, 3 cubic.", low=0, high=3)
-    surfaces: int = param(1, "Most ground surfaces (terraces, steps); the volume stands on the first.", low=1, high=1000)
-    min_support: float = param(0.02, "Smallest share of the points that makes a ground surface.", low=0, high=1)
+        low=0,
+        high=100,
+    )
+    max_tilt_rad: float = param(
+        math.radians(30.0), "Largest tilt of the ground from the horizontal.", low=0, high=89
+    )
+    degree: int = param(
+        1, "Degree of the ground polynomial: 0 level, 1 plane, 2 quadric, 3 cubic.", low=0, high=3
+    )
+    surfaces: int = param(
+        1,
+        "Most ground surfaces (terraces, steps); the volume stands on the first.",
+        low=1,
+        high=1000,
+    )
+    min_support: float = param(
+        0.02, "Smallest share of the points that makes a ground surface.", low=0, high=1
+    )
     seed: int = param(1, "Seed of the random samples.", low=0, high=2**31 - 1)
 
 
@@ -180,36 +372,81 @@ class VolumeParameters:
     """Surface, base and volume."""
 
     base: str = param(
-        "ground", "What the volume stands on: ground of the same survey, a level, or a given plane.", choices=("ground", "level", "plane")
+        "ground",
+        "What the volume stands on: ground of the same survey, a level, or a given plane.",
+        choices=("ground", "level", "plane"),
     )
-    level_m: float = param(0.0, "Height of the level in the map frame.", unit="m", low=-10000, high=10000)
+    level_m: float = param(
+        0.0, "Height of the level in the map frame.", unit="m", low=-10000, high=10000
+    )
     plane: tuple[float, ...] = param(
-        (0.0, 0.0, 0.0), "The given plane z = c0 + c1 x + c2 y in the map frame.", low=-1e5, high=1e5, vector=3
+        (0.0, 0.0, 0.0),
+        "The given plane z = c0 + c1 x + c2 y in the map frame.",
+        low=-1e5,
+        high=1e5,
+        vector=3,
     )
     outline: str = param(
-        "auto", "Where the volume counts: the main body above the base, everything, or a polygon.", choices=("auto", "all", "polygon")
+        "auto",
+        "Where the volume counts: the main body above the base, everything, or a polygon.",
+        choices=("auto", "all", "polygon"),
     )
-    polygon_m: tuple[float, ...] = param((), "Outline x1, y1, x2, y2, ... in the map frame.", unit="m", vector=0)
+    polygon_m: tuple[float, ...] = param(
+        (), "Outline x1, y1, x2, y2, ... in the map frame.", unit="m", vector=0
+    )
     object_height_m: float = param(
-        0.15, "Auto outline: least height above the base that belongs to the body.", unit="m", low=0.001, high=100
+        0.15,
+        "Auto outline: least height above the base that belongs to the body.",
+        unit="m",
+        low=0.001,
+        high=100,
     )
     bodies: int = param(
-        1, "Auto outline: most bodies, the largest first; 1 for the main body alone, 0 for all.", low=0, high=10000
+        1,
+        "Auto outline: most bodies, the largest first; 1 for the main body alone, 0 for all.",
+        low=0,
+        high=10000,
     )
-    min_body_m3: float = param(0.1, "Auto outline: smallest volume of a further body.", unit="m3", low=0, high=1e9)
-    outline_margin_m: float = param(1.0, "Auto outline: margin around the body, so that the toe is inside.", unit="m", low=0, high=100)
+    min_body_m3: float = param(
+        0.1, "Auto outline: smallest volume of a further body.", unit="m3", low=0, high=1e9
+    )
+    outline_margin_m: float = param(
+        1.0,
+        "Auto outline: margin around the body, so that the toe is inside.",
+        unit="m",
+        low=0,
+        high=100,
+    )
     ground_ring_m: float = param(
-        10.0, "Ground is fitted to points within this distance outside the outline; 0 for all.", unit="m", low=0, high=10000
+        10.0,
+        "Ground is fitted to points within this distance outside the outline; 0 for all.",
+        unit="m",
+        low=0,
+        high=10000,
     )
     vertex_ratio: float = param(
         1.0,
-        "Part of the filtered points that become vertices: 1 for all; below it they are chosen by adaptive insertion, and their heights "
+        "Part of the filtered points that become vertices: 1 for all; below it they are "
+        "chosen by adaptive insertion, and their heights "
         "adjusted to all points (seed 000 chapters 2 and 3; a third is published as best).",
-        low=0.01, high=1,
-    )  # fmt: skip
-    relevant: str = param("edge", "Which triangles count (seed 000 section 3.1).", choices=("all", "corners", "edge", "circumcircle"))
-    max_edge_m: float = param(3.0, "Longest edge of a relevant triangle.", unit="m", low=0.001, high=10000)
-    max_circumdiameter_m: float = param(3.0, "Largest circumcircle diameter of a relevant triangle.", unit="m", low=0.001, high=10000)
+        low=0.01,
+        high=1,
+    )
+    relevant: str = param(
+        "edge",
+        "Which triangles count (seed 000 section 3.1).",
+        choices=("all", "corners", "edge", "circumcircle"),
+    )
+    max_edge_m: float = param(
+        3.0, "Longest edge of a relevant triangle.", unit="m", low=0.001, high=10000
+    )
+    max_circumdiameter_m: float = param(
+        3.0,
+        "Largest circumcircle diameter of a relevant triangle.",
+        unit="m",
+        low=0.001,
+        high=10000,
+    )
     confidence: float = param(0.95, "Confidence of the printed interval.", low=0.5, high=0.9999)
     tolerance: float = param(0.05, "Wanted sigma / V, for diagnostics.", low=1e-6, high=1)
 
@@ -218,11 +455,26 @@ class VolumeParameters:
 class NodeParameters:
     """What the nodes need beside their stage."""
 
-    update_period_s: float = param(0.1, "Pause between two updates of the filtered surface.", unit="s", low=0.05, high=60)
-    map_period_s: float = param(5.0, "How often tin and mesh are published, at most.", unit="s", low=0.05, high=600)
-    input_reliability: str = param("best_effort", "Reliability of the sensor subscriptions.", choices=("best_effort", "reliable"))
-    input_depth: int = param(500, "History depth of the sensor subscriptions; a longer burst overwrites its beginning.", low=1, high=10000)
-    diagnostics_period_s: float = param(1.0, "How often /diagnostics is published.", unit="s", low=0.1, high=60)
+    update_period_s: float = param(
+        0.1, "Pause between two updates of the filtered surface.", unit="s", low=0.05, high=60
+    )
+    map_period_s: float = param(
+        5.0, "How often tin and mesh are published, at most.", unit="s", low=0.05, high=600
+    )
+    input_reliability: str = param(
+        "best_effort",
+        "Reliability of the sensor subscriptions.",
+        choices=("best_effort", "reliable"),
+    )
+    input_depth: int = param(
+        500,
+        "History depth of the sensor subscriptions; a longer burst overwrites its beginning.",
+        low=1,
+        high=10000,
+    )
+    diagnostics_period_s: float = param(
+        1.0, "How often /diagnostics is published.", unit="s", low=0.1, high=60
+    )
     autostart: bool = param(True, "Configure and activate at start.")
     tin_colour: str = param("height", "Colour of the published TIN.", choices=("height", "sigma"))
     output_folder: str = param("out", "Where ~/save writes.")
@@ -232,28 +484,57 @@ class NodeParameters:
 class LoggerParameters:
     """The MCAP log."""
 
-    path: str = param("ladar_volume.mcap", "File to write; further files get a running number, an existing one is never overwritten.")
-    topics: tuple[str, ...] = param(("*",), "Topics to log, with shell wildcards; '*' for all of this graph.", vector=0)
+    path: str = param(
+        "ladar_volume.mcap",
+        "File to write; further files get a running number, an existing one is never overwritten.",
+    )
+    topics: tuple[str, ...] = param(
+        ("*",), "Topics to log, with shell wildcards; '*' for all of this graph.", vector=0
+    )
     chunk_s: float = param(
-        0.5, "Longest time before a chunk is written; a killed logger loses this and what it was writing.", unit="s", low=0.05, high=1
+        0.5,
+        (
+            "Longest time before a chunk is written; a killed logger loses this and what it "
+            "was writing."
+        ),
+        unit="s",
+        low=0.05,
+        high=1,
     )
     chunk_bytes: int = param(4_000_000, "Largest chunk.", unit="B", low=1000, high=2**31 - 1)
     compression: str = param("zstd", "Chunk compression.", choices=("zstd", "lz4", "none"))
     sync: str = param(
-        "chunk", "What the disk is asked to confirm: every chunk, against power cuts, or nothing; a killed process needs neither.",
+        "chunk",
+        (
+            "What the disk is asked to confirm: every chunk, against power cuts, or nothing; "
+            "a killed process needs neither."
+        ),
         choices=("chunk", "never"),
-    )  # fmt: skip
+    )
     split_bytes: int = param(0, "Start a new file beyond this size; 0 for never.", unit="B", low=0)
-    split_s: float = param(0.0, "Start a new file after this time; 0 for never.", unit="s", low=0, high=1e6)
+    split_s: float = param(
+        0.0, "Start a new file after this time; 0 for never.", unit="s", low=0, high=1e6
+    )
     queue_bytes: int = param(
-        64_000_000, "Most bytes that wait for a slow disk, six seconds at full rate; beyond, the newest message is dropped and counted.",
-        unit="B", low=1_000_000,
-    )  # fmt: skip
-    disk_reserve_bytes: int = param(200_000_000, "The disk counts as full when less than this is free.", unit="B", low=0)
+        64_000_000,
+        (
+            "Most bytes that wait for a slow disk, six seconds at full rate; beyond, the "
+            "newest message is dropped and counted."
+        ),
+        unit="B",
+        low=1_000_000,
+    )
+    disk_reserve_bytes: int = param(
+        200_000_000, "The disk counts as full when less than this is free.", unit="B", low=0
+    )
     disk_full: str = param(
-        "stop", "On a full disk: finish the file and wait for space, or delete the oldest finished file of this log.",
+        "stop",
+        (
+            "On a full disk: finish the file and wait for space, or delete the oldest "
+            "finished file of this log."
+        ),
         choices=("stop", "delete_oldest"),
-    )  # fmt: skip
+    )
 
 
 SECTIONS: dict[str, type] = {
@@ -284,14 +565,20 @@ class Parameters:
     mavlink: MavlinkParameters = field(default_factory=MavlinkParameters)
 
     @classmethod
-    def read(cls, mapping: Mapping[str, Mapping[str, Any]], start: Parameters | None = None) -> Parameters:
-        """From ``{section: {key: value}}`` on top of ``start``; raises a ConfigurationError naming key, value and range."""
+    def read(
+        cls, mapping: Mapping[str, Mapping[str, Any]], start: Parameters | None = None
+    ) -> Parameters:
+        """From ``{section: {key: value}}`` on top of ``start``; raises a ConfigurationError naming
+        key, value and range.
+        """
         base = start if start is not None else cls()
         changes = {}
         for section, values in mapping.items():
             if section not in SECTIONS:
                 raise unknown_section(str(section), list(SECTIONS))
-            changes[section] = read_section(SECTIONS[section], section, values or {}, getattr(base, section))
+            changes[section] = read_section(
+                SECTIONS[section], section, values or {}, getattr(base, section)
+            )
         return dataclasses.replace(base, **changes)
 
     def write(self) -> dict[str, dict[str, Any]]:

@@ -12,8 +12,13 @@ RAGGED = {"cross_start": ("cross_key", "cross"), "nav_start": ("nav_bin", "M_nav
 
 
 def patch_range(patches: Patches, first: int, last: int) -> dict[str, Any]:
-    """What :class:`Patches` holds of those from ``first`` to ``last``, by name; their CSR parts begin at 0."""
-    rows = {field.name: getattr(patches, field.name)[first:last] for field in dataclasses.fields(Patches)}
+    """What :class:`Patches` holds of those from ``first`` to ``last``, by name; their CSR parts
+    begin at 0.
+    """
+    rows = {
+        field.name: getattr(patches, field.name)[first:last]
+        for field in dataclasses.fields(Patches)
+    }
     for start, names in RAGGED.items():
         begin, end = getattr(patches, start)[[first, last]]
         rows[start] = getattr(patches, start)[first : last + 1] - begin

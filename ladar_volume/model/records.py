@@ -1,9 +1,9 @@
-"""The records that flow from stage to stage. A point and all that is known of it travel in one record,
-cut by one mask (:func:`select`); there are no parallel arrays across an interface.
+"""The records that flow from stage to stage. A point and all that is known of it travel in one
+record, cut by one mask (:func:`select`); there are no parallel arrays across an interface.
 
-Frames in names: ``r_map`` is a position in the map frame (local ENU at the datum), ``q_map_body`` rotates body (FLU)
-into map. Quaternions xyzw. Times are int64 nanoseconds. Symmetric 3x3 covariances are packed
-``(xx, xy, xz, yy, yz, zz)``.
+Frames in names: ``r_map`` is a position in the map frame (local ENU at the datum), ``q_map_body``
+rotates body (FLU) into map. Quaternions xyzw. Times are int64 nanoseconds. Symmetric 3x3
+covariances are packed ``(xx, xy, xz, yy, yz, zz)``.
 """
 
 from __future__ import annotations
@@ -25,14 +25,21 @@ I16 = npt.NDArray[np.int16]
 U16 = npt.NDArray[np.uint16]
 Bool = npt.NDArray[np.bool_]
 
-#: Columns of every calibration sensitivity: per-beam columns follow (rho_k for all beams, then eps_k).
+#: Columns of every calibration sensitivity: per-beam columns follow (rho_k for all beams, then
+#: eps_k).
 CAL_COLUMNS = (
     "range_bias",
-    "boresight_x", "boresight_y", "boresight_z",
-    "lever_laser_x", "lever_laser_y", "lever_laser_z",
-    "lever_antenna_x", "lever_antenna_y", "lever_antenna_z",
+    "boresight_x",
+    "boresight_y",
+    "boresight_z",
+    "lever_laser_x",
+    "lever_laser_y",
+    "lever_laser_z",
+    "lever_antenna_x",
+    "lever_antenna_y",
+    "lever_antenna_z",
     "clock",
-)  # fmt: skip
+)
 #: Columns of every navigation sensitivity: antenna position (map), attitude (body rotation vector).
 NAV_COLUMNS = ("east", "north", "up", "attitude_x", "attitude_y", "attitude_z")
 
@@ -61,7 +68,9 @@ def concatenate(records: list[R]) -> R:
 
 @dataclass(frozen=True)
 class Datum:
-    """Origin of the map frame: geodetic latitude and longitude (deg), ellipsoidal height (m), WGS 84."""
+    """Origin of the map frame: geodetic latitude and longitude (deg), ellipsoidal height (m), WGS
+    84.
+    """
 
     latitude_deg: float
     longitude_deg: float
@@ -72,8 +81,8 @@ class Datum:
 class Returns:
     """One cloud in the laser frame.
 
-    t_ns : (n,) int64, ns, time of each return · r_laser : (n, 3) float64, m · ring : (n,) uint16, beam 0..15
-    intensity : (n,) float32
+    t_ns : (n,) int64, ns, time of each return · r_laser : (n, 3) float64, m · ring : (n,) uint16,
+    beam 0..15 intensity : (n,) float32
     """
 
     t_ns: I64
@@ -87,7 +96,9 @@ class Returns:
 
 @dataclass(frozen=True)
 class Fix:
-    """One GNSS fix. ``C_enu`` (3, 3) m² is None where the receiver did not say. ``status`` as NavSatStatus."""
+    """One GNSS fix. ``C_enu`` (3, 3) m² is None where the receiver did not say. ``status`` as
+    NavSatStatus.
+    """
 
     t_ns: int
     latitude_deg: float
@@ -99,8 +110,9 @@ class Fix:
 
 @dataclass(frozen=True)
 class ImuSample:
-    """One attitude. ``q_map_body`` (4,) xyzw; ``omega_body`` (3,) rad/s; ``C_axes`` (3, 3) rad² about the map's fixed
-    axes as in sensor_msgs/Imu, None where the sensor did not say."""
+    """One attitude. ``q_map_body`` (4,) xyzw; ``omega_body`` (3,) rad/s; ``C_axes`` (3, 3) rad²
+    about the map's fixed axes as in sensor_msgs/Imu, None where the sensor did not say.
+    """
 
     t_ns: int
     q_map_body: F64
@@ -110,8 +122,9 @@ class ImuSample:
 
 @dataclass(frozen=True)
 class OdometrySample:
-    """One pose of the odometry source: position (m) in its world frame, attitude, twist in the body frame.
-    ``C_pose`` (6, 6): position, then rotation about fixed axes; None where unknown."""
+    """One pose of the odometry source: position (m) in its world frame, attitude, twist in the body
+    frame. ``C_pose`` (6, 6): position, then rotation about fixed axes; None where unknown.
+    """
 
     t_ns: int
     p_map_body: F64
@@ -123,12 +136,14 @@ class OdometrySample:
 
 @dataclass(frozen=True)
 class PlatformStates:
-    """Poses along the path, strictly increasing in time; what `platform` publishes and the filter interpolates.
+    """Poses along the path, strictly increasing in time; what `platform` publishes and the filter
+    interpolates.
 
-    t_ns : (n,) int64 · p_map_body : (n, 3) m, IMU origin · q_map_body : (n, 4) xyzw · v_body : (n, 3) m/s, velocity of
-    the IMU origin in the body frame · omega_body : (n, 3) rad/s · C_nav : (n, 6, 6), antenna position (map, m²) and attitude
-    (body rotation vector, rad²): the navigation's total covariance, before its split into bias, Markov and white parts ·
-    segment : (n,) int64, changes where a gap in the trajectory forbids interpolation.
+    t_ns : (n,) int64 · p_map_body : (n, 3) m, IMU origin · q_map_body : (n, 4) xyzw · v_body : (n,
+    3) m/s, velocity of the IMU origin in the body frame · omega_body : (n, 3) rad/s · C_nav : (n,
+    6, 6), antenna position (map, m²) and attitude (body rotation vector, rad²): the navigation's
+    total covariance, before its split into bias, Markov and white parts · segment : (n,) int64,
+    changes where a gap in the trajectory forbids interpolation.
     """
 
     t_ns: I64
@@ -147,8 +162,9 @@ class PlatformStates:
 class MappedPoints:
     """Georeferenced returns.
 
-    t_ns : (n,) int64 · r_map : (n, 3) float64, m · C_ind : (n, 6) float32, m², the independent part only (see
-    UNCERTAINTY: shared errors never enter here) · ring : (n,) uint16 · intensity : (n,) float32
+    t_ns : (n,) int64 · r_map : (n, 3) float64, m · C_ind : (n, 6) float32, m², the independent part
+    only (see UNCERTAINTY: shared errors never enter here) · ring : (n,) uint16 · intensity : (n,)
+    float32
     """
 
     t_ns: I64
@@ -165,9 +181,10 @@ class MappedPoints:
 class FilteredPoints:
     """Surface points projected onto their patch.
 
-    r_map : (n, 3) m · normal : (n, 3) unit, towards the sensor · variance : (n,) m², independent noise along the normal ·
-    C_tangent : (n, 6) float32 m², independent noise in the tangent plane · t_ns : (n,) mean time of the returns ·
-    patch : (n,) int64 key of the patch · local : (n, 2) m, tangent coordinates (u, v) in the patch frame
+    r_map : (n, 3) m · normal : (n, 3) unit, towards the sensor · variance : (n,) m², independent
+    noise along the normal · C_tangent : (n, 6) float32 m², independent noise in the tangent plane ·
+    t_ns : (n,) mean time of the returns · patch : (n,) int64 key of the patch · local : (n, 2) m,
+    tangent coordinates (u, v) in the patch frame
     """
 
     r_map: F64
@@ -186,16 +203,19 @@ class FilteredPoints:
 class Patches:
     """Local least-squares surfaces, one per voxel, sorted by key; ragged parts in CSR form.
 
-    Height over the tangent plane: ``w(u, v) = x(u, v) @ beta`` with ``x = (1, u, v)`` or ``(1, u, v, u², uv, v²)``; a point is
-    ``centre + u tangent + v (normal x tangent) + w normal``.
+    Height over the tangent plane: ``w(u, v) = x(u, v) @ beta`` with ``x = (1, u, v)`` or ``(1, u,
+    v, u², uv, v²)``; a point is ``centre + u tangent + v (normal x tangent) + w normal``.
 
-    key : (m,) int64, unique and stable · centre, normal, tangent : (m, 3) · beta : (m, p) · sigma : (m,) m, robust residual
-    scale · used : (m,) int32 inliers in the fit · t_ns : (m,) mean time ·
-    cross_start : (m + 1,), cross_key : (k,) keys of neighbours with key >= own key (own block first), cross : (k, p, p) float32 m²
-    the covariance blocks ``C_ab`` of UNCERTAINTY step 3 · M_cal : (m, p + 2, c) float32 mean sensitivities to the calibration columns: of
-    beta, then of the place along tangent and binormal, which moves with the returns · nav_start : (m + 1,), nav_bin : (l,) int64
-    ``floor(t / nav_bin)``, M_nav : (l, p + 2, 4) float32 the same per navigation time bin, or for some bins that stand for all: by the
-    platform's position along the normal (of beta), the tangent and the binormal, across which it does nothing, then by its attitude
+    key : (m,) int64, unique and stable · centre, normal, tangent : (m, 3) · beta : (m, p) · sigma :
+    (m,) m, robust residual scale · used : (m,) int32 inliers in the fit · t_ns : (m,) mean time ·
+    cross_start : (m + 1,), cross_key : (k,) keys of neighbours with key >= own key (own block
+    first), cross : (k, p, p) float32 m² the covariance blocks ``C_ab`` of UNCERTAINTY step 3 ·
+    M_cal : (m, p + 2, c) float32 mean sensitivities to the calibration columns: of beta, then of
+    the place along tangent and binormal, which moves with the returns · nav_start : (m + 1,),
+    nav_bin : (l,) int64 ``floor(t / nav_bin)``, M_nav : (l, p + 2, 4) float32 the same per
+    navigation time bin, or for some bins that stand for all: by the platform's position along the
+    normal (of beta), the tangent and the binormal, across which it does nothing, then by its
+    attitude
     """
 
     key: I64
@@ -220,12 +240,13 @@ class Patches:
 
 @dataclass(frozen=True)
 class HeldPatches(Patches):
-    """Patches as they are held, about half as large: the blocks ``factor_a cross_ab factor_bᵀ`` with cross int8; M_nav int16, each row
-    times its unit for position and for attitude; of M_cal only the columns that all beams share, those of single beams in M_beam as int16,
-    each row times its unit for their ranges and for their vertical angles (see ``volume.packing``).
+    """Patches as they are held, about half as large: the blocks ``factor_a cross_ab factor_bᵀ``
+    with cross int8; M_nav int16, each row times its unit for position and for attitude; of M_cal
+    only the columns that all beams share, those of single beams in M_beam as int16, each row times
+    its unit for their ranges and for their vertical angles (see ``volume.packing``).
 
-    factor : (m, p, p) float32 · nav_unit : (m, p + 2, 2) float32 · M_cal : (m, p + 2, 11) float32 · M_beam : (m, p + 2, 2 beams) int16 ·
-    beam_unit : (m, p + 2, 2) float32
+    factor : (m, p, p) float32 · nav_unit : (m, p + 2, 2) float32 · M_cal : (m, p + 2, 11) float32 ·
+    M_beam : (m, p + 2, 2 beams) int16 · beam_unit : (m, p + 2, 2) float32
     """
 
     cross: I8  # type: ignore[assignment]
@@ -238,10 +259,13 @@ class HeldPatches(Patches):
 
 @dataclass(frozen=True)
 class FilterUpdate:
-    """What changed in the filtered surface: every patch in ``removed`` or in ``patches.key`` is to be forgotten with its points and with
-    all its cross blocks, those held by other patches too; then the new ones added. A cross block with a patch that did not change and has
-    the lower key comes with the patch that did: its ``cross_key`` is then the lower one, the block itself is that patch's, ``C_ba``.
-    The union of all updates equals one update from the whole input. Not ``complete``, an update is continued by the next one."""
+    """What changed in the filtered surface: every patch in ``removed`` or in ``patches.key`` is to
+    be forgotten with its points and with all its cross blocks, those held by other patches too;
+    then the new ones added. A cross block with a patch that did not change and has the lower key
+    comes with the patch that did: its ``cross_key`` is then the lower one, the block itself is that
+    patch's, ``C_ba``. The union of all updates equals one update from the whole input. Not
+    ``complete``, an update is continued by the next one.
+    """
 
     t_ns: int
     removed: I64
@@ -254,9 +278,9 @@ class FilterUpdate:
 class Tin:
     """A triangulated surface over the map's horizontal plane.
 
-    vertices : (n, 3) m · triangles : (m, 3) int32, counter-clockwise from above · relevant : (m,) bool · source : (n,) int64, index of
-    each vertex in the points it was built from · neighbours : (m, 3) int32, triangle across the edge opposite each vertex, −1 at
-    the hull
+    vertices : (n, 3) m · triangles : (m, 3) int32, counter-clockwise from above · relevant : (m,)
+    bool · source : (n,) int64, index of each vertex in the points it was built from · neighbours :
+    (m, 3) int32, triangle across the edge opposite each vertex, −1 at the hull
     """
 
     vertices: F64
@@ -269,10 +293,12 @@ class Tin:
 
 @dataclass(frozen=True)
 class Plane:
-    """A base surface ``z = x(dx, dy) @ beta`` about ``origin_xy``: degree 0 (level), 1 (plane), 2 or 3.
+    """A base surface ``z = x(dx, dy) @ beta`` about ``origin_xy``: degree 0 (level), 1 (plane), 2
+    or 3.
 
-    origin_xy : (2,) m · beta : (p,) with x = (1, dx, dy[, dx², dx dy, dy²[, dx³, dx² dy, dx dy², dy³]]) · C_beta : (p, p) independent
-    part · support : (k,) int64 indices of the points that define it (empty for a design surface)
+    origin_xy : (2,) m · beta : (p,) with x = (1, dx, dy[, dx², dx dy, dy²[, dx³, dx² dy, dx dy²,
+    dy³]]) · C_beta : (p, p) independent part · support : (k,) int64 indices of the points that
+    define it (empty for a design surface)
     """
 
     origin_xy: F64
@@ -284,12 +310,15 @@ class Plane:
 
 @dataclass(frozen=True)
 class Volume:
-    """A volume with its budget. Net = cut − fill inside the outline. ``budget_m6`` adds up to ``sigma_m3 ** 2``. ``folded_m3`` : taken from
-    cut and from fill by the folded-normal correction, where the surface runs near its base, over ``near_area_m2``; net is not touched.
-    ``budget_within_m6`` : marginal variances inside the line ``calibration`` where its sources are correlated; they do not add up to it.
-    ``second_order_m3`` : mean second-order effect of the uncertain boresight and attitude, not corrected but in lines of the budget, and
-    whether that ``second_order_matters``. ``chord_m3`` : taken from the volume, and from cut and fill, for what the surface's chords span
-    above hollows and below crests."""
+    """A volume with its budget. Net = cut − fill inside the outline. ``budget_m6`` adds up to
+    ``sigma_m3 ** 2``. ``folded_m3`` : taken from cut and from fill by the folded-normal correction,
+    where the surface runs near its base, over ``near_area_m2``; net is not touched.
+    ``budget_within_m6`` : marginal variances inside the line ``calibration`` where its sources are
+    correlated; they do not add up to it. ``second_order_m3`` : mean second-order effect of the
+    uncertain boresight and attitude, not corrected but in lines of the budget, and whether that
+    ``second_order_matters``. ``chord_m3`` : taken from the volume, and from cut and fill, for what
+    the surface's chords span above hollows and below crests.
+    """
 
     volume_m3: float
     sigma_m3: float
@@ -324,21 +353,29 @@ class Volume:
     @property
     def largest_source(self) -> str:
         """The budget line with the largest variance; empty without a budget."""
-        return max(self.budget_m6, key=lambda source: self.budget_m6[source]) if self.budget_m6 else ""
+        return (
+            max(self.budget_m6, key=lambda source: self.budget_m6[source]) if self.budget_m6 else ""
+        )
 
     @property
     def sigma_if_halved_m3(self) -> dict[str, float]:
-        """By source: sigma of the volume if the standard deviations of that source alone were half as large."""
+        """By source: sigma of the volume if the standard deviations of that source alone were half
+        as large.
+        """
         total = sum(self.budget_m6.values())
-        return {source: math.sqrt(max(0.0, total - 0.75 * line)) for source, line in self.budget_m6.items()}
+        return {
+            source: math.sqrt(max(0.0, total - 0.75 * line))
+            for source, line in self.budget_m6.items()
+        }
 
 
 @dataclass(frozen=True)
 class Estimate:
     """What one estimation gives: the volume (of the main body), the surface, its base.
 
-    grounds : the ground surfaces, the base first; empty above a level or a given plane · bodies : every body's volume, the main one first ·
-    C_bodies_m6 : (k, k) their covariance, None for one body or very many
+    grounds : the ground surfaces, the base first; empty above a level or a given plane · bodies :
+    every body's volume, the main one first · C_bodies_m6 : (k, k) their covariance, None for one
+    body or very many
     """
 
     volume: Volume

@@ -1,4 +1,5 @@
-"""Rotations and rigid transforms. Quaternions are xyzw; every function works on stacks (leading axes).
+"""Rotations and rigid transforms. Quaternions are xyzw; every function works on stacks (leading
+axes).
 
 Perturbations are right (body-side): ``R_perturbed = R @ exp([delta]x)``.
 """
@@ -12,7 +13,9 @@ Array = npt.NDArray[np.float64]
 
 
 def skew(v: Array) -> Array:
-    """Cross-product matrices ``[v]x``. v : (..., 3) -> (..., 3, 3), with ``skew(a) @ b == cross(a, b)``."""
+    """Cross-product matrices ``[v]x``. v : (..., 3) -> (..., 3, 3), with ``skew(a) @ b == cross(a,
+    b)``.
+    """
     v = np.asarray(v)
     out = np.zeros((*v.shape[:-1], 3, 3), dtype=v.dtype)
     out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
@@ -23,7 +26,14 @@ def skew(v: Array) -> Array:
 
 def rotation_xyz(roll: float, pitch: float, yaw: float) -> Array:
     """``Rz(yaw) @ Ry(pitch) @ Rx(roll)``, angles in rad -> (3, 3)."""
-    cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
+    cr, sr, cp, sp, cy, sy = (
+        np.cos(roll),
+        np.sin(roll),
+        np.cos(pitch),
+        np.sin(pitch),
+        np.cos(yaw),
+        np.sin(yaw),
+    )
     return np.array(
         [
             [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
@@ -41,7 +51,9 @@ def exp_so3(rotvec: Array) -> Array:
     small = angle < 1e-4
     safe = np.where(small, 1.0, angle)
     a = np.where(small, 1.0 - angle2 / 6.0 + angle2 * angle2 / 120.0, np.sin(safe) / safe)
-    b = np.where(small, 0.5 - angle2 / 24.0 + angle2 * angle2 / 720.0, (1.0 - np.cos(safe)) / (safe * safe))
+    b = np.where(
+        small, 0.5 - angle2 / 24.0 + angle2 * angle2 / 720.0, (1.0 - np.cos(safe)) / (safe * safe)
+    )
     k = skew(rotvec)
     result: Array = np.eye(3) + a * k + b * (k @ k)
     return result
@@ -73,13 +85,16 @@ def quaternion_from_matrix(R: Array) -> Array:
             [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], R[0, 0] + R[1, 1] + R[2, 2]],
         ]
     )
-    # Bar-Itzhack's symmetric matrix: its dominant eigenvector is the quaternion, stable at every angle.
+    # Bar-Itzhack's symmetric matrix: its dominant eigenvector is the quaternion, stable at every
+    # angle.
     q: Array = np.linalg.eigh(k / 3.0)[1][:, -1]
     return -q if q[3] < 0 else q
 
 
 def multiply_quaternions(a: Array, b: Array) -> Array:
-    """Hamilton product of xyzw quaternions: the rotation ``R(a) @ R(b)``. (..., 4), (..., 4) -> (..., 4)."""
+    """Hamilton product of xyzw quaternions: the rotation ``R(a) @ R(b)``. (..., 4), (..., 4) ->
+    (..., 4).
+    """
     ax, ay, az, aw = np.moveaxis(np.asarray(a, dtype=np.float64), -1, 0)
     bx, by, bz, bw = np.moveaxis(np.asarray(b, dtype=np.float64), -1, 0)
     return np.stack(
@@ -94,7 +109,9 @@ def multiply_quaternions(a: Array, b: Array) -> Array:
 
 
 def slerp(q0: Array, q1: Array, fraction: Array) -> Array:
-    """Spherical linear interpolation on the shorter arc. q0, q1 : (..., 4) xyzw; fraction : (...) in [0, 1]."""
+    """Spherical linear interpolation on the shorter arc. q0, q1 : (..., 4) xyzw; fraction : (...)
+    in [0, 1].
+    """
     q0, q1 = np.asarray(q0, dtype=np.float64), np.asarray(q1, dtype=np.float64)
     f = np.asarray(fraction, dtype=np.float64)[..., None]
     dot = np.sum(q0 * q1, axis=-1, keepdims=True)
@@ -113,7 +130,8 @@ def slerp(q0: Array, q1: Array, fraction: Array) -> Array:
 def euler_rate_matrix(roll: float, pitch: float) -> Array:
     """Body rotation vector per small change of (roll, pitch, yaw) for ``Rz Ry Rx``: (3, 3).
 
-    ``delta_body = E @ (d_roll, d_pitch, d_yaw)``; used to map Euler-angle sigmas to the body rotation vector.
+    ``delta_body = E @ (d_roll, d_pitch, d_yaw)``; used to map Euler-angle sigmas to the body
+    rotation vector.
     """
     cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
     return np.array([[1.0, 0.0, -sp], [0.0, cr, sr * cp], [0.0, -sr, cr * cp]])

@@ -1,4 +1,6 @@
-"""How far a sender is ahead of its listener: what is on its way takes room in both and between them."""
+"""How far a sender is ahead of its listener: what is on its way takes room in both and between
+them.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +8,15 @@ import threading
 import time
 from collections import deque
 
-#: Bytes on their way from which on a sender waits, and how long without news, s: a listener may be gone, or busy for that long.
+#: Bytes on their way from which on a sender waits, and how long without news, s: a listener may be
+#: gone, or busy for that long.
 AHEAD_BYTES, NEWS_S = 16 << 20, 5.0
 
 
 class Ahead:
-    """Bytes sent, by stamp, that the listener has not taken yet. News come in another thread than what is sent."""
+    """Bytes sent, by stamp, that the listener has not taken yet. News come in another thread than
+    what is sent.
+    """
 
     def __init__(self) -> None:
         self._sent: deque[tuple[int, int]] = deque()
@@ -47,7 +52,9 @@ class Ahead:
             self._news.notify_all()
 
     def may_send(self, wait: bool = False) -> bool:
-        """Whether there is room for more, or no news for so long that one more is sent all the same; with ``wait``, as soon as so."""
+        """Whether there is room for more, or no news for so long that one more is sent all the
+        same; with ``wait``, as soon as so.
+        """
         with self._news:
             while self._total() > AHEAD_BYTES:
                 left = self._newest + NEWS_S - time.monotonic()

@@ -1,4 +1,6 @@
-"""What every node is: a lifecycle node with declared parameters, one worker thread, a counted queue and diagnostics."""
+"""What every node is: a lifecycle node with declared parameters, one worker thread, a counted queue
+and diagnostics.
+"""
 
 from __future__ import annotations
 
@@ -46,13 +48,15 @@ def _stamp(item: Any) -> int | None:
 
 
 class StageNode(LifecycleNode, ABC):
-    """Base of the nodes. A subclass names its sections, builds its stage in :meth:`build` and handles work items in
-    :meth:`work`, which runs in the one worker thread; callbacks only queue."""
+    """Base of the nodes. A subclass names its sections, builds its stage in :meth:`build` and
+    handles work items in :meth:`work`, which runs in the one worker thread; callbacks only queue.
+    """
 
     sections: tuple[str, ...] = ("node",)
     #: Sections whose parameters may change while the node runs.
     runtime_sections: tuple[str, ...] = ()
-    #: The stage whose compiled kernels must be ready before data comes; without one, no compiler is loaded.
+    #: The stage whose compiled kernels must be ready before data comes; without one, no compiler is
+    #: loaded.
     kernels: str | None = None
 
     def __init__(self, name: str, **options: Any) -> None:
@@ -70,26 +74,37 @@ class StageNode(LifecycleNode, ABC):
         self._jumps_back = 0
         self.parameters = self._declare()
         self.add_on_set_parameters_callback(self._on_set)
-        # a simulated clock that goes back is named here; what it means for the data, the data itself tells
-        back = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
+        # a simulated clock that goes back is named here; what it means for the data, the data
+        # itself tells
+        back = JumpThreshold(
+            min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
+        )
         self.get_clock().create_jump_callback(back, post_callback=self._jumped)
 
     def _jumped(self, jump: Any) -> None:
         self._jumps_back += 1
 
-    # parameters ---------------------------------------------------------------------------------------------------
+    # parameters
+    # ----------------------------------------------------------------------------------------------
     def _declare(self) -> Parameters:
-        read_once = ParameterDescriptor(description="Parameter file in the ROS layout, read at the start.", read_only=True)
+        read_once = ParameterDescriptor(
+            description="Parameter file in the ROS layout, read at the start.", read_only=True
+        )
         file = self.declare_parameter("config_file", "", read_once).value
         start = read_config(file or None)
         given = start.write()
         for section in self.sections:
             for spec in specs(SECTIONS[section]):
                 value = given[section][spec.key]
-                self.declare_parameter(f"{section}.{spec.key}", value if value != [] else [0.0][:0], descriptor(spec))
+                self.declare_parameter(
+                    f"{section}.{spec.key}", value if value != [] else [0.0][:0], descriptor(spec)
+                )
         values = {
-            s: {k.key: outside(self.get_parameter(f"{s}.{k.key}").value) for k in specs(SECTIONS[s])} for s in self.sections
-        }  # fmt: skip
+            s: {
+                k.key: outside(self.get_parameter(f"{s}.{k.key}").value) for k in specs(SECTIONS[s])
+            }
+            for s in self.sections
+        }
         return Parameters.read(values, start)
 
     def _on_set(self, changes: Sequence[Parameter]) -> SetParametersResult:
@@ -98,7 +113,11 @@ class StageNode(LifecycleNode, ABC):
             section, dot, key = change.name.partition(".")
             if not dot or section not in SECTIONS:
                 continue
-            reason = why_not_now(change.name, self.runtime_sections) if self._worker is not None else None
+            reason = (
+                why_not_now(change.name, self.runtime_sections)
+                if self._worker is not None
+                else None
+            )
             if reason is not None:
                 return SetParametersResult(successful=False, reason=reason)
             values.setdefault(section, {})[key] = outside(change.value)
@@ -117,7 +136,8 @@ class StageNode(LifecycleNode, ABC):
     def changed(self) -> None:
         """Take over run-time parameters; for subclasses."""
 
-    # lifecycle ----------------------------------------------------------------------------------------------------
+    # lifecycle
+    # ----------------------------------------------------------------------------------------------
     @abstractmethod
     def build(self) -> None:
         """Create stage, publishers, subscriptions and services."""
@@ -155,7 +175,10 @@ class StageNode(LifecycleNode, ABC):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # by a steady clock: a simulated one may stand still, and then one wants to see why
         self._timer = self.create_timer(
-            self.parameters.node.diagnostics_period_s, self.publish_diagnostics, self._group, Clock(clock_type=ClockType.STEADY_TIME)
+            self.parameters.node.diagnostics_period_s,
+            self.publish_diagnostics,
+            self._group,
+            Clock(clock_type=ClockType.STEADY_TIME),
         )
         self.create_service(Trigger, "~/reset", self._reset, callback_group=self._group)
         self._worker = threading.Thread(target=self._run, name=self.get_name(), daemon=True)
@@ -175,7 +198,9 @@ class StageNode(LifecycleNode, ABC):
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: Any) -> TransitionCallbackReturn:
-        """Finish the work in the queue, then take down what :meth:`on_configure` built; the node can be configured again."""
+        """Finish the work in the queue, then take down what :meth:`on_configure` built; the node
+        can be configured again.
+        """
         self.stop()
         self._take_down()
         self._worker = None
@@ -188,9 +213,12 @@ class StageNode(LifecycleNode, ABC):
 
     def _entities(self) -> list[tuple[Callable[[Any], Any], Any]]:
         kinds = (
-            (self.destroy_subscription, self.subscriptions), (self.destroy_publisher, self.publishers), (self.destroy_timer, self.timers),
-            (self.destroy_service, self.services), (self.destroy_client, self.clients),
-        )  # fmt: skip
+            (self.destroy_subscription, self.subscriptions),
+            (self.destroy_publisher, self.publishers),
+            (self.destroy_timer, self.timers),
+            (self.destroy_service, self.services),
+            (self.destroy_client, self.clients),
+        )
         return [(destroy, entity) for destroy, entities in kinds for entity in entities]
 
     def _take_down(self) -> None:
@@ -200,13 +228,17 @@ class StageNode(LifecycleNode, ABC):
         self._rests.clear()
 
     def take_all(self) -> None:
-        """Take in what the middleware holds for this node, before it stops: the sender was told that it came. In the executor's thread."""
+        """Take in what the middleware holds for this node, before it stops: the sender was told
+        that it came. In the executor's thread.
+        """
         for _ in range(STREAM.depth // AT_ONCE):
             if not sum([rest() for rest in self._rests.values()]):
                 break
 
     def stop(self) -> None:
-        """Work off the queue, finish, report for the last time, and wait until listeners have it; then the worker has ended."""
+        """Work off the queue, finish, report for the last time, and wait until listeners have it;
+        then the worker has ended.
+        """
         self._active = False
         if self._worker is None or not self._worker.is_alive():
             return
@@ -224,9 +256,12 @@ class StageNode(LifecycleNode, ABC):
         response.success, response.message = True, "reset"
         return response
 
-    # worker -------------------------------------------------------------------------------------------------------
+    # worker
+    # ----------------------------------------------------------------------------------------------
     def offer(self, kind: str, item: Any) -> bool:
-        """Queue an item for the worker; a full queue drops it and counts it. Returns whether it was queued."""
+        """Queue an item for the worker; a full queue drops it and counts it. Returns whether it was
+        queued.
+        """
         self.health.arrived(kind, time.monotonic(), _stamp(item))
         try:
             self._queue.put_nowait((kind, item))
@@ -236,11 +271,26 @@ class StageNode(LifecycleNode, ABC):
         return True
 
     def create_publisher(self, *arguments: Any, **options: Any) -> Any:
-        """A publisher that does not ask for warnings of a subscriber's QoS that does not match: each costs at every message."""
-        return super().create_publisher(*arguments, event_callbacks=PublisherEventCallbacks(use_default_callbacks=False), **options)
+        """A publisher that does not ask for warnings of a subscriber's QoS that does not match:
+        each costs at every message.
+        """
+        return super().create_publisher(
+            *arguments,
+            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+            **options,
+        )
 
-    def listen(self, kind: str, message_type: Any, topic: str, qos: QoSProfile, silent_s: float | None = None) -> None:
-        """Subscribe: messages go to the worker as ``kind``; what the middleware lost is counted, a silence beyond ``silent_s`` named."""
+    def listen(
+        self,
+        kind: str,
+        message_type: Any,
+        topic: str,
+        qos: QoSProfile,
+        silent_s: float | None = None,
+    ) -> None:
+        """Subscribe: messages go to the worker as ``kind``; what the middleware lost is counted, a
+        silence beyond ``silent_s`` named.
+        """
         if silent_s is not None:
             self.health.expect(kind, silent_s)
 
@@ -248,20 +298,42 @@ class StageNode(LifecycleNode, ABC):
             self.losses.add(f"message_lost_{kind}", max(int(event.total_count_change), 0))
 
         events = SubscriptionEventCallbacks(message_lost=lost)
-        self.subscribe(topic, message_type, qos, lambda data, _: self.receive(kind, message_type, data), events)
+        self.subscribe(
+            topic, message_type, qos, lambda data, _: self.receive(kind, message_type, data), events
+        )
 
-    def subscribe(self, topic: str, message_type: Any, qos: QoSProfile, receive: Callable[[bytes, Any], None], events: Any) -> Any:
-        """Have every message of a topic handed to ``receive`` as bytes, with what the middleware says of it."""
+    def subscribe(
+        self,
+        topic: str,
+        message_type: Any,
+        qos: QoSProfile,
+        receive: Callable[[bytes, Any], None],
+        events: Any,
+    ) -> Any:
+        """Have every message of a topic handed to ``receive`` as bytes, with what the middleware
+        says of it.
+        """
+
         def take(data: bytes, info: Any) -> None:
             receive(data, info)
             take_waiting(heard, receive)
 
         self._rests[topic] = lambda: take_waiting(heard, receive)
-        heard = self.create_subscription(message_type, topic, take, qos, raw=True, callback_group=self._group, event_callbacks=events)
+        heard = self.create_subscription(
+            message_type,
+            topic,
+            take,
+            qos,
+            raw=True,
+            callback_group=self._group,
+            event_callbacks=events,
+        )
         return heard
 
     def receive(self, kind: str, message_type: Any, data: bytes) -> None:
-        """Queue the message that came as ``data``, where the node is active; bytes that are none of its type are dropped and counted."""
+        """Queue the message that came as ``data``, where the node is active; bytes that are none of
+        its type are dropped and counted.
+        """
         if not self._active:
             return
         message = unpacked(data, message_type)
@@ -295,7 +367,9 @@ class StageNode(LifecycleNode, ABC):
             self._busy = False
 
     def _guarded(self, action: Callable[[], None]) -> None:
-        """No input may end a node: a refusal is counted by its reason, a defect is counted and logged."""
+        """No input may end a node: a refusal is counted by its reason, a defect is counted and
+        logged.
+        """
         try:
             action()
         except LadarVolumeError as error:
@@ -315,21 +389,35 @@ class StageNode(LifecycleNode, ABC):
         if self.executor is not None:
             self.executor.wake()
 
-    # diagnostics --------------------------------------------------------------------------------------------------
+    # diagnostics
+    # ----------------------------------------------------------------------------------------------
     def publish_diagnostics(self) -> None:
-        """One DiagnosticStatus with rates, ages, queue length, losses by reason, and the stage's own lines."""
-        values: dict[str, Any] = {"queue": self._queue.qsize() + int(self._busy), "queue_bytes": self._queue.bytes}
+        """One DiagnosticStatus with rates, ages, queue length, losses by reason, and the stage's
+        own lines.
+        """
+        values: dict[str, Any] = {
+            "queue": self._queue.qsize() + int(self._busy),
+            "queue_bytes": self._queue.bytes,
+        }
         now, clock = time.monotonic(), self.get_clock().now()
-        values |= self.health.lines(now, int(clock.nanoseconds)) | {"clock_jumps_back": self._jumps_back}
+        values |= self.health.lines(now, int(clock.nanoseconds)) | {
+            "clock_jumps_back": self._jumps_back
+        }
         wrong = self.health.silent(now) if self._active else []
-        with contextlib.suppress(RuntimeError):  # a dictionary of the worker's changed size under our eyes: next period
+        with contextlib.suppress(
+            RuntimeError
+        ):  # a dictionary of the worker's changed size under our eyes: next period
             values |= self.status()
             wrong += self.warnings()
         lost = self.all_losses()
         values |= {f"lost_{reason}": count for reason, count in lost.items()}
         wrong += self.health.newly_lost(lost.as_dict())
-        level, message = (DiagnosticStatus.WARN, "; ".join(wrong)) if wrong else (DiagnosticStatus.OK, "good")
-        status = DiagnosticStatus(level=level, name=self.get_name(), message=message, hardware_id="ladar_volume")
+        level, message = (
+            (DiagnosticStatus.WARN, "; ".join(wrong)) if wrong else (DiagnosticStatus.OK, "good")
+        )
+        status = DiagnosticStatus(
+            level=level, name=self.get_name(), message=message, hardware_id="ladar_volume"
+        )
         status.values = [KeyValue(key=k, value=str(v)) for k, v in values.items()]
         array = DiagnosticArray(status=[status])
         array.header.stamp = clock.to_msg()

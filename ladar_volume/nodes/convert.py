@@ -37,8 +37,13 @@ def header(t_ns: int, frame: str = "map") -> Header:
 def table_message(columns: Columns, t_ns: int, frame: str = "map") -> PointCloud2:
     """A table as PointCloud2."""
     table = encode(columns)
-    message = PointCloud2(header=header(t_ns, frame), height=1, width=table.rows, is_bigendian=False, is_dense=True)
-    message.fields = [PointField(name=c.name, offset=c.offset, datatype=NUMBERS[c.code], count=c.count) for c in table.columns]
+    message = PointCloud2(
+        header=header(t_ns, frame), height=1, width=table.rows, is_bigendian=False, is_dense=True
+    )
+    message.fields = [
+        PointField(name=c.name, offset=c.offset, datatype=NUMBERS[c.code], count=c.count)
+        for c in table.columns
+    ]
     message.point_step, message.row_step = table.row_bytes, table.row_bytes * table.rows
     data = array.array("B")
     data.frombytes(table.data.data)
@@ -48,7 +53,12 @@ def table_message(columns: Columns, t_ns: int, frame: str = "map") -> PointCloud
 
 def datum_message(datum: Datum, t_ns: int) -> NavSatFix:
     """The datum as NavSatFix."""
-    return NavSatFix(header=header(t_ns), latitude=datum.latitude_deg, longitude=datum.longitude_deg, altitude=datum.height_m)
+    return NavSatFix(
+        header=header(t_ns),
+        latitude=datum.latitude_deg,
+        longitude=datum.longitude_deg,
+        altitude=datum.height_m,
+    )
 
 
 def datum_of(message: NavSatFix) -> Datum:
@@ -57,8 +67,10 @@ def datum_of(message: NavSatFix) -> Datum:
 
 
 def platform_messages(states: PlatformStates, last_segment: int | None) -> list[Odometry]:
-    """One Odometry per state: pose of the IMU origin, twist in the body frame, pose covariance about fixed axes (its position
-    block is the antenna's). The first state after a gap has −1 in twist.covariance[0]: nothing ties it to the one before."""
+    """One Odometry per state: pose of the IMU origin, twist in the body frame, pose covariance
+    about fixed axes (its position block is the antenna's). The first state after a gap has −1 in
+    twist.covariance[0]: nothing ties it to the one before.
+    """
     R = matrix_from_quaternion(states.q_map_body)
     T = np.zeros((len(states), 6, 6))
     T[:, :3, :3], T[:, 3:, 3:] = np.eye(3), R
@@ -66,7 +78,12 @@ def platform_messages(states: PlatformStates, last_segment: int | None) -> list[
     messages = []
     for i in range(len(states)):
         m = Odometry(header=header(int(states.t_ns[i])), child_frame_id="base_link")
-        p, q, v, w = m.pose.pose.position, m.pose.pose.orientation, m.twist.twist.linear, m.twist.twist.angular
+        p, q, v, w = (
+            m.pose.pose.position,
+            m.pose.pose.orientation,
+            m.twist.twist.linear,
+            m.twist.twist.angular,
+        )
         p.x, p.y, p.z = states.p_map_body[i].tolist()
         q.x, q.y, q.z, q.w = states.q_map_body[i].tolist()
         v.x, v.y, v.z = states.v_body[i].tolist()
@@ -83,13 +100,29 @@ def platform_state(messages: list[Any], segment: int) -> tuple[PlatformStates, i
     """The inverse of :func:`platform_messages`; returns the states and the last segment number."""
     n = len(messages)
     segments = np.empty(n, np.int64)
-    p, q, v, w, C = np.empty((n, 3)), np.empty((n, 4)), np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 6, 6))
+    p, q, v, w, C = (
+        np.empty((n, 3)),
+        np.empty((n, 4)),
+        np.empty((n, 3)),
+        np.empty((n, 3)),
+        np.empty((n, 6, 6)),
+    )
     for i, m in enumerate(messages):
         if m.twist.covariance[0] == -1.0:
             segment += 1
         segments[i] = segment
-        a, b, c, d = m.pose.pose.position, m.pose.pose.orientation, m.twist.twist.linear, m.twist.twist.angular
-        p[i], q[i], v[i], w[i] = (a.x, a.y, a.z), (b.x, b.y, b.z, b.w), (c.x, c.y, c.z), (d.x, d.y, d.z)
+        a, b, c, d = (
+            m.pose.pose.position,
+            m.pose.pose.orientation,
+            m.twist.twist.linear,
+            m.twist.twist.angular,
+        )
+        p[i], q[i], v[i], w[i] = (
+            (a.x, a.y, a.z),
+            (b.x, b.y, b.z, b.w),
+            (c.x, c.y, c.z),
+            (d.x, d.y, d.z),
+        )
         C[i] = np.asarray(m.pose.covariance).reshape(6, 6)
     T = np.zeros((n, 6, 6))
     T[:, :3, :3], T[:, 3:, 3:] = np.eye(3), matrix_from_quaternion(q).transpose(0, 2, 1)
@@ -108,7 +141,11 @@ def ground_message(estimate: Estimate) -> PoseWithCovarianceStamped:
     x /= np.linalg.norm(x)
     q = quaternion_from_matrix(np.column_stack([x, np.cross(z, x), z]))
     pose = message.pose.pose
-    pose.position.x, pose.position.y, pose.position.z = float(base.origin_xy[0]), float(base.origin_xy[1]), float(base.beta[0])
+    pose.position.x, pose.position.y, pose.position.z = (
+        float(base.origin_xy[0]),
+        float(base.origin_xy[1]),
+        float(base.beta[0]),
+    )
     pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = q.tolist()
     covariance = np.zeros((6, 6))
     if len(base.beta) >= 3 and base.C_beta.shape[0] >= 3:

@@ -1,4 +1,6 @@
-"""Parameters as ROS sees them: descriptors with ranges from the one declaration, and which of them may change when."""
+"""Parameters as ROS sees them: descriptors with ranges from the one declaration, and which of them
+may change when.
+"""
 
 from __future__ import annotations
 
@@ -16,16 +18,27 @@ AT_START = frozenset({"node.input_reliability", "node.input_depth", "node.autost
 def descriptor(spec: ParameterSpec) -> ParameterDescriptor:
     """Help, unit and range of a parameter."""
     unit = f" [{spec.unit}]" if spec.unit else ""
-    d = ParameterDescriptor(description=f"{spec.help}{unit}", additional_constraints=spec.range_text)
-    # an empty list has no element type, and NaN fails every range check: these are checked by this package alone
+    d = ParameterDescriptor(
+        description=f"{spec.help}{unit}", additional_constraints=spec.range_text
+    )
+    # an empty list has no element type, and NaN fails every range check: these are checked by this
+    # package alone
     d.dynamic_typing = spec.vector == 0
     finite = not (isinstance(spec.default, float) and not math.isfinite(spec.default))
     if spec.vector is None and finite and (spec.low is not None or spec.high is not None):
         if spec.kind is float:
-            low, high = (-1e308 if spec.low is None else spec.low), (1e308 if spec.high is None else spec.high)
-            d.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high))]
+            low, high = (
+                (-1e308 if spec.low is None else spec.low),
+                (1e308 if spec.high is None else spec.high),
+            )
+            d.floating_point_range = [
+                FloatingPointRange(from_value=float(low), to_value=float(high))
+            ]
         elif spec.kind is int:
-            low, high = (-(2**62) if spec.low is None else spec.low), (2**62 if spec.high is None else spec.high)
+            low, high = (
+                (-(2**62) if spec.low is None else spec.low),
+                (2**62 if spec.high is None else spec.high),
+            )
             d.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
     return d
 
@@ -42,5 +55,8 @@ def why_not_now(name: str, runtime_sections: tuple[str, ...]) -> str | None:
     if name in AT_START:
         return f"{name} is read when the node is configured: clean the node up first, or restart it"
     if name.partition(".")[0] not in runtime_sections:
-        return f"{name} cannot change while the node is configured: data taken in so far was shaped by it; clean the node up first"
+        return (
+            f"{name} cannot change while the node is configured: data taken in so far was "
+            "shaped by it; clean the node up first"
+        )
     return None

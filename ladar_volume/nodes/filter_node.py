@@ -27,18 +27,21 @@ from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.running import spin
 from ladar_volume.nodes.taking import NextRound
 
-#: Patches refitted per second of an update, before any has been measured; updates with fewer than so many measure nothing.
+#: Patches refitted per second of an update, before any has been measured; updates with fewer than
+#: so many measure nothing.
 FIRST_RATE, LEAST_MEASURED = 2000.0, 50
-#: Time of an update as a share of the pause between two; how long no data must have come until an update need not wait for more, and until
-#: there is no hurry.
+#: Time of an update as a share of the pause between two; how long no data must have come until an
+#: update need not wait for more, and until there is no hurry.
 SHARE, BETWEEN_S, QUIET_S = 1.0 / 3.0, 0.15, 0.3
-#: Patches refitted by one update of a flush, about: all of a large site at once would take as much room as all of its patches, and small
-#: pieces are refitted again at their rims.
+#: Patches refitted by one update of a flush, about: all of a large site at once would take as much
+#: room as all of its patches, and small pieces are refitted again at their rims.
 MOST = 2000
 
 
 class FilterNode(StageNode):
-    """Wraps one SurfaceFilter; brings its surface up to date, with a pause of ``node.update_period_s`` between."""
+    """Wraps one SurfaceFilter; brings its surface up to date, with a pause of
+    ``node.update_period_s`` between.
+    """
 
     sections = ("calibration", "georeference", "filter", "node")
     kernels = "filter"
@@ -64,14 +67,24 @@ class FilterNode(StageNode):
         self._points = self.create_publisher(PointCloud2, "points_filtered", STREAM)
         self._patches = self.create_publisher(PointCloud2, "patches", STREAM)
         self._sent_ns, self._ahead = 0, Ahead()
-        self.create_subscription(Time, "taken", lambda m: self._ahead.taken(time_ns(m)), STREAM, callback_group=self._group)
-        self.create_service(Trigger, "~/flush", self._flush, callback_group=MutuallyExclusiveCallbackGroup())
+        self.create_subscription(
+            Time,
+            "taken",
+            lambda m: self._ahead.taken(time_ns(m)),
+            STREAM,
+            callback_group=self._group,
+        )
+        self.create_service(
+            Trigger, "~/flush", self._flush, callback_group=MutuallyExclusiveCallbackGroup()
+        )
         self.listen("points", PointCloud2, "points_mapped", STREAM)
         self.listen("platform", Odometry, "platform", STREAM)
         self.listen("datum", NavSatFix, "datum", LATCHED)
 
     async def _flush(self, request: Any, response: Any) -> Any:
-        """Send all that was put off; the answer, when it is sent, is the stamp (ns) of the last part."""
+        """Send all that was put off; the answer, when it is sent, is the stamp (ns) of the last
+        part.
+        """
         flushed = Future()
         if not self.offer("flush", flushed):
             response.success, response.message = False, "too much waits already"
@@ -104,7 +117,9 @@ class FilterNode(StageNode):
             self._start_over()
         if kind == "points":
             return self._add(item)
-        self._states.append(item)  # handed over in blocks: one small array operation per state would cost more
+        self._states.append(
+            item
+        )  # handed over in blocks: one small array operation per state would cost more
         if len(self._states) >= 10:
             self._hand_over()
         unsure, self._unsure = self._unsure, []
@@ -121,7 +136,9 @@ class FilterNode(StageNode):
 
     def _take_datum(self, datum: Datum) -> None:
         if self._datum not in (None, datum):
-            self.get_logger().warning("another datum: coordinates so far mean nothing in it, a new surface begins")
+            self.get_logger().warning(
+                "another datum: coordinates so far mean nothing in it, a new surface begins"
+            )
             self.losses.add("message_datum_changed")
             self._start_over()
         self._datum = datum
@@ -149,25 +166,42 @@ class FilterNode(StageNode):
         self._fresh = False
 
     def idle(self) -> None:
-        """Publish an update when its time has come and something is new. While data comes it begins with new points, takes about
-        :data:`SHARE` of the pause between two, and leaves for the next what changes least; once none comes there is no pause until nothing
-        is left. While messages wait, at most every third of the time goes into updates; while volume_node is behind, none."""
+        """Publish an update when its time has come and something is new. While data comes it begins
+        with new points, takes about :data:`SHARE` of the pause between two, and leaves for the next
+        what changes least; once none comes there is no pause until nothing is left. While messages
+        wait, at most every third of the time goes into updates; while volume_node is behind, none.
+        """
         now, period = time.monotonic(), self.parameters.node.update_period_s
-        waited, late, just_came, self._just_came = now - self._updated, not self._queue.empty(), self._just_came, False
+        waited, late, just_came, self._just_came = (
+            now - self._updated,
+            not self._queue.empty(),
+            self._just_came,
+            False,
+        )
         quiet = not late and now - self._came > QUIET_S
         # between two clouds an update would only be of older points than one with the next
         due = waited >= period and (just_came or now - self._came > BETWEEN_S)
-        if not self._fresh or not (due or quiet) or (late and waited < 2.0 * self._last_update_s) or not self._ahead.may_send():
+        if (
+            not self._fresh
+            or not (due or quiet)
+            or (late and waited < 2.0 * self._last_update_s)
+            or not self._ahead.may_send()
+        ):
             return
         self._hand_over()
-        update = self.stage.update(max(round((1.0 if quiet else SHARE) * period * self._patches_per_s), 1))
+        update = self.stage.update(
+            max(round((1.0 if quiet else SHARE) * period * self._patches_per_s), 1)
+        )
         self._fresh = self.stage.stats["points_deferred"] > 0
         self._send(update)
-        # the pause counts from the end: a slow machine spends at most its share on updates, and the estimate gets its turn
+        # the pause counts from the end: a slow machine spends at most its share on updates, and the
+        # estimate gets its turn
         self._updated = time.monotonic()
         self._last_update_s = self._updated - now
         if self.stage.refitted >= LEAST_MEASURED:
-            self._patches_per_s += 0.3 * (self.stage.refitted / self._last_update_s - self._patches_per_s)
+            self._patches_per_s += 0.3 * (
+                self.stage.refitted / self._last_update_s - self._patches_per_s
+            )
 
     def finish(self) -> None:
         """The last update."""
@@ -176,14 +210,22 @@ class FilterNode(StageNode):
 
     def _send(self, update: FilterUpdate | None) -> None:
         if update is not None:
-            # the stamp pairs the two tables: a nanosecond more where that of the data would come again
+            # the stamp pairs the two tables: a nanosecond more where that of the data would come
+            # again
             first, heard = max(update.t_ns, self._sent_ns + 1), self.count_publishers("taken") > 0
             if not heard:
                 self._ahead.forget()
             for self._sent_ns, part in enumerate(update_parts(update), start=first):
                 patches, points = patch_columns(part), filtered_columns(part.points)
                 if heard:
-                    self._ahead.sent(self._sent_ns, sum(column.nbytes for table in (patches, points) for column in table.values()))
+                    self._ahead.sent(
+                        self._sent_ns,
+                        sum(
+                            column.nbytes
+                            for table in (patches, points)
+                            for column in table.values()
+                        ),
+                    )
                 self._patches.publish(table_message(patches, self._sent_ns))
                 self._points.publish(table_message(points, self._sent_ns))
                 self.counts["parts"] += 1
@@ -192,11 +234,14 @@ class FilterNode(StageNode):
     def status(self) -> dict[str, Any]:
         """Size of the surface, what was sent, and whether something waits for the next update."""
         return {
-            **self.stage.stats, **{f"count_{k}": v for k, v in self.counts.items()},
+            **self.stage.stats,
+            **{f"count_{k}": v for k, v in self.counts.items()},
             "pending_update": int(self._fresh or bool(self._states)),
-            "last_update_s": f"{self._last_update_s:.2f}", "deferred_s": f"{self.stage.deferred_s:.2f}", "restarts": self._passes.begun,
+            "last_update_s": f"{self._last_update_s:.2f}",
+            "deferred_s": f"{self.stage.deferred_s:.2f}",
+            "restarts": self._passes.begun,
             "ahead_bytes": self._ahead.bytes,
-        }  # fmt: skip
+        }
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -1,4 +1,6 @@
-"""georeference_node: clouds, fixes and attitudes in; mapped points, platform states and the datum out."""
+"""georeference_node: clouds, fixes and attitudes in; mapped points, platform states and the datum
+out.
+"""
 
 from __future__ import annotations
 
@@ -69,7 +71,9 @@ class GeoreferenceNode(StageNode):
             "fix": lambda m: stage.add_fix(fix_from_message(m)),
             "imu": lambda m: stage.add_imu(imu_from_message(m)),
             "odometry": lambda m: stage.add_odometry(odometry_from_message(m)),
-            "cloud": lambda m: stage.add_returns(returns_from_cloud(m, self.parameters.georeference, self.losses)),
+            "cloud": lambda m: stage.add_returns(
+                returns_from_cloud(m, self.parameters.georeference, self.losses)
+            ),
         }
         if kind == "fix":
             self._fix_changes += self._fix_status not in (None, int(item.status.status))
@@ -78,7 +82,9 @@ class GeoreferenceNode(StageNode):
         decode[kind](item)
         if stage.restarts != self._restarts:
             self._restarts = stage.restarts
-            self.get_logger().warning("the time of the data began again: a new trajectory, a new surface")
+            self.get_logger().warning(
+                "the time of the data began again: a new trajectory, a new surface"
+            )
             self._start_over()
         self._publish()
 
@@ -104,39 +110,64 @@ class GeoreferenceNode(StageNode):
             if not len(points):
                 continue
             if self.parameters.georeference.covariance_output == "total" and states is not None:
-                points = dataclasses.replace(points, C_ind=total_covariance(points, states, self.parameters))
+                points = dataclasses.replace(
+                    points, C_ind=total_covariance(points, states, self.parameters)
+                )
             stamp, columns = mapped_columns(points)
             self._points.publish(table_message(columns, stamp))
             self.sent["points"] += len(points)
             self.sent["parts"] += 1
 
     def status(self) -> dict[str, Any]:
-        """Fix type, clocks, waiting returns, what was sent. ``clock_offset_estimate_s`` is the whole offset, the declared one included."""
-        offset, lead, fix = self.parameters.calibration.clock_offset_s, self.stage.cloud_lead, self.stage.fix_lead
+        """Fix type, clocks, waiting returns, what was sent. ``clock_offset_estimate_s`` is the
+        whole offset, the declared one included.
+        """
+        offset, lead, fix = (
+            self.parameters.calibration.clock_offset_s,
+            self.stage.cloud_lead,
+            self.stage.fix_lead,
+        )
         status = -1 if self._fix_status is None else self._fix_status
         lines: dict[str, Any] = {
-            "fix_status": status, "fix_type": FIX_TYPES.get(status, "unknown"), "fix_changes": self._fix_changes,
-            "clock_offset_s": offset, "clock_state": lead.state, "fix_clock_state": fix.state,
-            "sweeps_overlapping": self.stage.sweeps.overlapping, "restarts": self.stage.restarts, "returns_waiting": self.stage.pending,
+            "fix_status": status,
+            "fix_type": FIX_TYPES.get(status, "unknown"),
+            "fix_changes": self._fix_changes,
+            "clock_offset_s": offset,
+            "clock_state": lead.state,
+            "fix_clock_state": fix.state,
+            "sweeps_overlapping": self.stage.sweeps.overlapping,
+            "restarts": self.stage.restarts,
+            "returns_waiting": self.stage.pending,
             **{f"sent_{k}": v for k, v in self.sent.items()},
-        }  # fmt: skip
+        }
         if lead.estimate_s is not None:
-            lines |= {"clock_offset_estimate_s": f"{offset + lead.estimate_s[0]:.4f}", "clock_offset_sigma_s": f"{lead.estimate_s[1]:.4f}"}
+            lines |= {
+                "clock_offset_estimate_s": f"{offset + lead.estimate_s[0]:.4f}",
+                "clock_offset_sigma_s": f"{lead.estimate_s[1]:.4f}",
+            }
         if fix.estimate_s is not None:
             lines["fix_behind_s"] = f"{fix.estimate_s[0]:.4f}"
         return lines
 
     def warnings(self) -> list[str]:
-        """A LiDAR clock, or a receiver's, that does not tell the attitudes' time; a receiver without RTK fix."""
+        """A LiDAR clock, or a receiver's, that does not tell the attitudes' time; a receiver
+        without RTK fix.
+        """
         out = []
         lead, fix = self.stage.cloud_lead, self.stage.fix_lead
         if lead.estimate_s is not None and lead.state == "offset":
             seconds = self.parameters.calibration.clock_offset_s + lead.estimate_s[0]
-            out.append(f"the LiDAR's clock is off: calibration.clock_offset_s should be about {seconds:.3f}")
+            out.append(
+                "the LiDAR's clock is off: calibration.clock_offset_s should be about "
+                f"{seconds:.3f}"
+            )
         elif lead.state == "unsteady":
             out.append("the times of the clouds scatter against those of the poses")
         if fix.state in ("offset", "unsteady") and fix.estimate_s is not None:
-            out.append(f"fixes are {fix.estimate_s[0]:.2f} s older than attitudes when they come ({fix.state})")
+            out.append(
+                f"fixes are {fix.estimate_s[0]:.2f} s older than attitudes when they come "
+                f"({fix.state})"
+            )
         if self._fix_status is not None and self._fix_status < 0:
             out.append("the receiver has no fix")
         return out

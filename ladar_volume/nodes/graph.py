@@ -1,4 +1,6 @@
-"""The whole graph: nodes composed in one process or each in its own, watched until everything has drained."""
+"""The whole graph: nodes composed in one process or each in its own, watched until everything has
+drained.
+"""
 
 from __future__ import annotations
 
@@ -31,10 +33,14 @@ from ladar_volume.nodes.volume_node import VolumeNode
 from ladar_volume.warm import STAGES, warm_up
 
 FACTORIES: dict[str, Callable[..., StageNode]] = {
-    "georeference_node": GeoreferenceNode, "filter_node": FilterNode, "volume_node": VolumeNode, "logger_node": LoggerNode,
+    "georeference_node": GeoreferenceNode,
+    "filter_node": FilterNode,
+    "volume_node": VolumeNode,
+    "logger_node": LoggerNode,
     "mavlink_node": MavlinkNode,
-}  # fmt: skip
-#: Data flows from each to the next: in this order they end, so that each still hears what the one before it finishes.
+}
+#: Data flows from each to the next: in this order they end, so that each still hears what the one
+#: before it finishes.
 ENDING = ("mavlink_node", "georeference_node", "filter_node", "volume_node", "logger_node")
 #: The graph has drained when its counters have agreed and stood still this long.
 STILL_S = 1.5
@@ -64,23 +70,40 @@ class Watcher(Node):
         """Everything that moves while data is on its way."""
         n = self.number
         return (
-            n("georeference_node", "received_cloud"), n("georeference_node", "received_imu"), n("georeference_node", "queue"),
-            n("georeference_node", "sent_points"), n("georeference_node", "sent_states"), n("filter_node", "count_points"),
-            n("filter_node", "count_states"), n("filter_node", "pending_update"), n("filter_node", "queue"),
-            n("filter_node", "count_parts"), n("volume_node", "count_parts"), n("volume_node", "pending_estimate"),
+            n("georeference_node", "received_cloud"),
+            n("georeference_node", "received_imu"),
+            n("georeference_node", "queue"),
+            n("georeference_node", "sent_points"),
+            n("georeference_node", "sent_states"),
+            n("filter_node", "count_points"),
+            n("filter_node", "count_states"),
+            n("filter_node", "pending_update"),
+            n("filter_node", "queue"),
+            n("filter_node", "count_parts"),
+            n("volume_node", "count_parts"),
+            n("volume_node", "pending_estimate"),
             n("volume_node", "queue"),
-        )  # fmt: skip
+        )
 
     def drained(self) -> bool:
         """Whether every node has handed on all it got."""
         n = self.number
-        idle = all(n(node, "queue") == 0 for node in ("georeference_node", "filter_node", "volume_node"))
+        idle = all(
+            n(node, "queue") == 0 for node in ("georeference_node", "filter_node", "volume_node")
+        )
         done = n("filter_node", "pending_update") == 0 and n("volume_node", "pending_estimate") == 0
         passed = n("filter_node", "count_points") == n("georeference_node", "sent_points")
-        return idle and done and passed and n("volume_node", "count_parts") == n("filter_node", "count_parts")
+        return (
+            idle
+            and done
+            and passed
+            and n("volume_node", "count_parts") == n("filter_node", "count_parts")
+        )
 
     def answer(self, timeout_s: float = 60.0) -> dict[str, Any]:
-        """volume_node's ``~/compute`` as a dictionary. Raises VolumeError where there is no volume or no answer."""
+        """volume_node's ``~/compute`` as a dictionary. Raises VolumeError where there is no volume
+        or no answer.
+        """
         if not self._compute.wait_for_service(timeout_sec=10.0):
             raise VolumeError("volume_node does not answer", reason="volume_no_node")
         future = self._compute.call_async(Trigger.Request())
@@ -98,12 +121,16 @@ class Watcher(Node):
 class Graph:
     """Starts the nodes, plays a recording if asked, waits, answers, stops what it started."""
 
-    def __init__(self, config: Path, separate: bool, log: Path | None, mavlink: bool = False) -> None:
+    def __init__(
+        self, config: Path, separate: bool, log: Path | None, mavlink: bool = False
+    ) -> None:
         self._spinners: dict[str, Spinner] = {}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         wanted = {"logger_node": log is not None, "mavlink_node": mavlink}
         names = [n for n in FACTORIES if wanted.get(n, True)]
-        for stage in STAGES:  # once here, so that processes do not compile the same kernels beside each other
+        for stage in (
+            STAGES
+        ):  # once here, so that processes do not compile the same kernels beside each other
             warm_up(stage)
         before_ros()
         # no handler of its own: it would end the context before the nodes have finished
@@ -111,13 +138,17 @@ class Graph:
         self.watcher = Watcher()
         self._add(self.watcher)
         for name in names:
-            settings = {"config_file": str(config)} | ({"logger.path": str(log)} if name == "logger_node" else {})
+            settings = {"config_file": str(config)} | (
+                {"logger.path": str(log)} if name == "logger_node" else {}
+            )
             if separate:
                 words = [w for key, value in settings.items() for w in ("-p", f"{key}:={value}")]
                 command = [sys.executable, "-m", f"ladar_volume.nodes.{name}", "--ros-args", *words]
                 self._processes[name] = subprocess.Popen(command, env=os.environ)
             else:
-                node = FACTORIES[name](parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()])
+                node = FACTORIES[name](
+                    parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()]
+                )
                 node.autostart()
                 self._add(node)
 
@@ -128,21 +159,31 @@ class Graph:
         """Until every node reports. Raises VolumeError where one does not."""
         deadline = time.monotonic() + timeout_s
         wanted = {"georeference_node", "filter_node", "volume_node"}
-        while not wanted <= set(self.watcher.lines) or self.watcher.number("volume_node", "joined") != 1:
+        while (
+            not wanted <= set(self.watcher.lines)
+            or self.watcher.number("volume_node", "joined") != 1
+        ):
             dead = [p.args for p in self._processes.values() if p.poll() not in (None, 0)]
             if dead or time.monotonic() > deadline:
-                missing = sorted(wanted - set(self.watcher.lines)) or "volume_node and filter_node do not find each other"
+                missing = (
+                    sorted(wanted - set(self.watcher.lines))
+                    or "volume_node and filter_node do not find each other"
+                )
                 raise VolumeError(f"nodes did not start: {missing}", reason="volume_no_node")
             time.sleep(0.05)
 
-    def play(self, bag: BagReader, topics: dict[str, str], rate: float, progress: Callable[[float], None]) -> Player:
+    def play(
+        self, bag: BagReader, topics: dict[str, str], rate: float, progress: Callable[[float], None]
+    ) -> Player:
         """Play to the end and wait until the graph has drained."""
         player = Player(bag, topics, rate)
         self._add(player)
         deadline = time.monotonic() + 30.0
         while not player.ready():
             if time.monotonic() > deadline:
-                raise VolumeError("nobody listens to the recording's topics", reason="volume_no_node")
+                raise VolumeError(
+                    "nobody listens to the recording's topics", reason="volume_no_node"
+                )
             time.sleep(0.05)
         thread = threading.Thread(target=player.run, daemon=True)
         thread.start()
@@ -157,19 +198,27 @@ class Graph:
 
     def _wait_drained(self, player: Player, timeout_s: float = 120.0) -> None:
         # losses make the counters disagree for good: then standing still for long enough must do
-        seen, since, deadline = self.watcher.counters(), time.monotonic(), time.monotonic() + timeout_s
+        seen, since, deadline = (
+            self.watcher.counters(),
+            time.monotonic(),
+            time.monotonic() + timeout_s,
+        )
         while time.monotonic() < deadline:
             time.sleep(0.1)
             now = self.watcher.counters()
             if now != seen:
                 seen, since = now, time.monotonic()
             still = time.monotonic() - since
-            arrived = self.watcher.number("georeference_node", "received_cloud") == player.sent.get("cloud", 0)
+            arrived = self.watcher.number("georeference_node", "received_cloud") == player.sent.get(
+                "cloud", 0
+            )
             if (self.watcher.drained() and arrived and still > STILL_S) or still > 8 * STILL_S:
                 return
 
     def close(self) -> None:
-        """Stop the nodes and processes this graph started, each once those before it have handed on what they had; the log ends last."""
+        """Stop the nodes and processes this graph started, each once those before it have handed on
+        what they had; the log ends last.
+        """
         for name in (*ENDING, *(n for n in self._spinners if n not in ENDING)):
             process = self._processes.get(name)
             if process is not None:
@@ -190,4 +239,3 @@ class Graph:
                 if key.startswith("lost_"):
                     total[key[5:]] = total.get(key[5:], 0) + int(value)
         return dict(sorted(total.items()))
-

@@ -1,4 +1,6 @@
-"""What a node knows of its own state: rates and ages of its inputs, how far behind it is, whether it keeps up, what it lost lately."""
+"""What a node knows of its own state: rates and ages of its inputs, how far behind it is, whether
+it keeps up, what it lost lately.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,18 @@ from typing import Any
 
 #: Losses that belong to a good survey: what the gates and the filter are there to remove.
 ROUTINE = frozenset(
-    f"point_{reason}" for reason in ("nan", "range", "intensity", "ring", "vehicle", "region", "outlier", "few_neighbours", "over_cap")
+    f"point_{reason}"
+    for reason in (
+        "nan",
+        "range",
+        "intensity",
+        "ring",
+        "vehicle",
+        "region",
+        "outlier",
+        "few_neighbours",
+        "over_cap",
+    )
 )
 
 
@@ -24,7 +37,9 @@ class _Input:
 
 
 class Health:
-    """Times ``now_s`` are a steady clock's (s), ``ros_ns`` the node's clock's, stamps those of the messages (ns)."""
+    """Times ``now_s`` are a steady clock's (s), ``ros_ns`` the node's clock's, stamps those of the
+    messages (ns).
+    """
 
     def __init__(self) -> None:
         self._inputs: dict[str, _Input] = {}
@@ -52,20 +67,27 @@ class Health:
         self._busy_s += seconds
 
     def lines(self, now_s: float, ros_ns: int) -> dict[str, Any]:
-        """Per input ``received``, ``rate`` (Hz), ``age`` (s since it came), ``delay`` (s from its stamp to now); of the worker ``load``
-        (share of the time it was busy) and ``real_time_factor`` (data time worked off per time it was busy), since the last call."""
+        """Per input ``received``, ``rate`` (Hz), ``age`` (s since it came), ``delay`` (s from its
+        stamp to now); of the worker ``load`` (share of the time it was busy) and
+        ``real_time_factor`` (data time worked off per time it was busy), since the last call.
+        """
         out: dict[str, Any] = {}
         for kind, one in list(self._inputs.items()):
             if not one.count:
                 continue
             then, count = one.shown or (now_s, one.count)
             out[f"received_{kind}"] = one.count
-            out[f"rate_{kind}_hz"] = f"{(one.count - count) / (now_s - then):.1f}" if now_s > then else "0.0"
+            out[f"rate_{kind}_hz"] = (
+                f"{(one.count - count) / (now_s - then):.1f}" if now_s > then else "0.0"
+            )
             out[f"age_{kind}_s"] = f"{now_s - one.arrived_s:.2f}"
             if one.stamp_ns is not None:
                 out[f"delay_{kind}_s"] = f"{(ros_ns - one.stamp_ns) * 1e-9:.3f}"
             one.shown = (now_s, one.count)
-        busy, span = self._busy_s - self._busy_before_s, now_s - (self._shown_s if self._shown_s is not None else now_s)
+        busy, span = (
+            self._busy_s - self._busy_before_s,
+            now_s - (self._shown_s if self._shown_s is not None else now_s),
+        )
         progress = self._progress_s()
         out["load"] = f"{min(busy / span, 1.0):.3f}" if span > 0 else "0.000"
         out["real_time_factor"] = f"{progress / busy:.1f}" if busy > 0 and progress > 0 else "-"
@@ -94,6 +116,10 @@ class Health:
 
     def newly_lost(self, losses: Mapping[str, int]) -> list[str]:
         """What was lost since the last call and is no routine, in words."""
-        fresh = {k: n - self._lost.get(k, 0) for k, n in losses.items() if k not in ROUTINE and n > self._lost.get(k, 0)}
+        fresh = {
+            k: n - self._lost.get(k, 0)
+            for k, n in losses.items()
+            if k not in ROUTINE and n > self._lost.get(k, 0)
+        }
         self._lost = dict(losses)
         return [f"lost {n} {k}" for k, n in sorted(fresh.items(), key=lambda item: -item[1])]

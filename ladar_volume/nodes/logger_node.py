@@ -43,7 +43,9 @@ def message_class(kind: str) -> Any:
 
 
 def installed_definition(kind: str) -> str:
-    """ros2msg text of any installed message type, its parts behind it; of the common interfaces from the type store."""
+    """ros2msg text of any installed message type, its parts behind it; of the common interfaces
+    from the type store.
+    """
     text = usual_definition(kind)
     if text:
         return text
@@ -61,7 +63,9 @@ def installed_definition(kind: str) -> str:
         todo += [k for k in fresh if k not in seen]
         seen |= set(fresh)
     rule = "=" * 80
-    return parts[0][1] + "".join(f"{rule}\nMSG: {k.replace('/msg/', '/')}\n{text}" for k, text in parts[1:])
+    return parts[0][1] + "".join(
+        f"{rule}\nMSG: {k.replace('/msg/', '/')}\n{text}" for k, text in parts[1:]
+    )
 
 
 def _ros2msg(kind: str) -> str:
@@ -92,14 +96,19 @@ class Subscribed:
     def qos_text(self) -> str:
         """The publisher's QoS as rosbag2 stores it, so that a replay offers the same."""
         return (
-            f"- history: keep_last\n  depth: 1\n  reliability: {'reliable' if self.reliable else 'best_effort'}\n"
-            f"  durability: {'transient_local' if self.latched else 'volatile'}\n  deadline: {_FOREVER}\n  lifespan: {_FOREVER}\n"
-            f"  liveliness: automatic\n  liveliness_lease_duration: {_FOREVER}\n  avoid_ros_namespace_conventions: false"
+            "- history: keep_last\n  depth: 1\n  reliability: "
+            f"{'reliable' if self.reliable else 'best_effort'}\n"
+            f"  durability: {'transient_local' if self.latched else 'volatile'}\n  "
+            f"deadline: {_FOREVER}\n  lifespan: {_FOREVER}\n"
+            f"  liveliness: automatic\n  liveliness_lease_duration: {_FOREVER}\n  "
+            "avoid_ros_namespace_conventions: false"
         )
 
 
 class LoggerNode(StageNode):
-    """Looks for topics and subscribes to those wanted, with the publisher's own durability and reliability."""
+    """Looks for topics and subscribes to those wanted, with the publisher's own durability and
+    reliability.
+    """
 
     sections = ("logger", "node")
 
@@ -110,8 +119,12 @@ class LoggerNode(StageNode):
         """Open the log, begin to look for topics, make whole what a killed run left behind."""
         self._recorder = Recorder(self.parameters.logger, installed_definition)
         parameters = self.parameters
-        self._recorder.metadata("ladar_volume", {"version": version(), "parameters": json_text(parameters.write())})
-        self._recorder.attach("parameters.yaml", "application/yaml", dump_config(parameters).encode(), self._now())
+        self._recorder.metadata(
+            "ladar_volume", {"version": version(), "parameters": json_text(parameters.write())}
+        )
+        self._recorder.attach(
+            "parameters.yaml", "application/yaml", dump_config(parameters).encode(), self._now()
+        )
         self._known: dict[str, Subscribed | None] = {}
         self._offered, self._taken = 0, 0  # bytes; each counted by one thread alone
         self._rates: dict[str, tuple[float, int]] = {}
@@ -130,29 +143,43 @@ class LoggerNode(StageNode):
                 self.get_logger().error(str(done))
             else:
                 self.get_logger().warning(
-                    f"{done.path} was not finished: repaired with {done.messages} messages; {done.lost_bytes} bytes at its end were torn"
+                    f"{done.path} was not finished: repaired with {done.messages} "
+                    f"messages; {done.lost_bytes} bytes at its end were torn"
                 )
             self._repairs.append(done)
 
-    # topics -------------------------------------------------------------------------------------------------------
+    # topics
+    # ----------------------------------------------------------------------------------------------
     def _discover(self) -> None:
         for topic, kinds in self.get_topic_names_and_types():
             name = topic.lstrip("/")
-            if not any(fnmatch.fnmatch(name, pattern.lstrip("/")) for pattern in self.parameters.logger.topics):
+            if not any(
+                fnmatch.fnmatch(name, pattern.lstrip("/"))
+                for pattern in self.parameters.logger.topics
+            ):
                 continue
             publishers = self.get_publishers_info_by_topic(topic)
             if not publishers or (topic in self._known and self._known[topic] is None):
                 continue
-            # asking for more than a publisher offers would get nothing: take the weakest of what they offer
-            reliable = all(p.qos_profile.reliability == ReliabilityPolicy.RELIABLE for p in publishers)
-            latched = all(p.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in publishers)
+            # asking for more than a publisher offers would get nothing: take the weakest of what
+            # they offer
+            reliable = all(
+                p.qos_profile.reliability == ReliabilityPolicy.RELIABLE for p in publishers
+            )
+            latched = all(
+                p.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in publishers
+            )
             known = self._known.get(topic)
             if known is not None:
                 known.publishers = len(publishers)
                 if known.reliable <= reliable and known.latched <= latched:
                     continue
-                self.destroy_subscription(known.subscription)  # a newcomer offers less than was asked for
-            self._subscribe(topic, name, Subscribed(kinds[0], reliable, latched, publishers=len(publishers)))
+                self.destroy_subscription(
+                    known.subscription
+                )  # a newcomer offers less than was asked for
+            self._subscribe(
+                topic, name, Subscribed(kinds[0], reliable, latched, publishers=len(publishers))
+            )
 
     def _subscribe(self, topic: str, name: str, known: Subscribed) -> None:
         message_type = message_class(known.kind)
@@ -163,38 +190,62 @@ class LoggerNode(StageNode):
             return
         self._known[topic] = known
         qos = QoSProfile(
-            history=HistoryPolicy.KEEP_LAST, depth=1000,
-            reliability=ReliabilityPolicy.RELIABLE if known.reliable else ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL if known.latched else DurabilityPolicy.VOLATILE,
-        )  # fmt: skip
+            history=HistoryPolicy.KEEP_LAST,
+            depth=1000,
+            reliability=ReliabilityPolicy.RELIABLE
+            if known.reliable
+            else ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL
+            if known.latched
+            else DurabilityPolicy.VOLATILE,
+        )
 
         def lost(event: Any) -> None:
             known.events += max(int(event.total_count_change), 0)
             self._recorder.account(name).middleware = max(known.events, known.gaps)
 
-        # warnings of a QoS that does not match are not asked for: it is the publishers' own, and each costs at every message
+        # warnings of a QoS that does not match are not asked for: it is the publishers' own, and
+        # each costs at every message
         events = SubscriptionEventCallbacks(message_lost=lost, use_default_callbacks=False)
-        known.subscription = self.subscribe(topic, message_type, qos, lambda data, info: self._take(name, known, data, info), events)
+        known.subscription = self.subscribe(
+            topic, message_type, qos, lambda data, info: self._take(name, known, data, info), events
+        )
 
     def _take(self, name: str, known: Subscribed, data: bytes, info: Any) -> None:
         if not self._active:
             return
         account = self._recorder.account(name)
         sequence = int(info.get("publication_sequence_number") or 0)
-        if known.publishers == 1 and sequence > 0:  # the numbers of several publishers cannot be told apart
+        if (
+            known.publishers == 1 and sequence > 0
+        ):  # the numbers of several publishers cannot be told apart
             if known.sequence == 0:
                 account.before = sequence - 1
             elif sequence > known.sequence + 1:
                 known.gaps += sequence - known.sequence - 1
                 account.middleware = max(known.events, known.gaps)
         known.sequence = sequence
-        if self._queue.full() or self._offered - self._taken + len(data) > self.parameters.logger.queue_bytes:
+        if (
+            self._queue.full()
+            or self._offered - self._taken + len(data) > self.parameters.logger.queue_bytes
+        ):
             account.queue += 1
             return
         self._offered += len(data)
-        self.offer("message", (name, known, data, self._now(), int(info.get("source_timestamp") or 0) or None, sequence))
+        self.offer(
+            "message",
+            (
+                name,
+                known,
+                data,
+                self._now(),
+                int(info.get("source_timestamp") or 0) or None,
+                sequence,
+            ),
+        )
 
-    # the writing thread -------------------------------------------------------------------------------------------
+    # the writing thread
+    # -------------------------------------------------------------------------------------------
     def work(self, kind: str, item: Any) -> None:
         """Write one message, or split."""
         if kind == "split":
@@ -202,7 +253,9 @@ class LoggerNode(StageNode):
         elif kind == "message":
             name, known, data, t_ns, published_ns, sequence = item
             self._taken += len(data)
-            self._recorder.write(name, known.kind, data, t_ns, published_ns, sequence, known.qos_text, known.latched)
+            self._recorder.write(
+                name, known.kind, data, t_ns, published_ns, sequence, known.qos_text, known.latched
+            )
 
     def idle(self) -> None:
         """Write a chunk that is old enough even when nothing comes."""
@@ -210,7 +263,10 @@ class LoggerNode(StageNode):
 
     def _split(self, request: Any, response: Any) -> Any:
         self.offer("split", None)
-        response.success, response.message = True, json_text({"finishing": str(self._recorder.path)})
+        response.success, response.message = (
+            True,
+            json_text({"finishing": str(self._recorder.path)}),
+        )
         return response
 
     def stop(self) -> None:
@@ -231,11 +287,19 @@ class LoggerNode(StageNode):
         recorder, now = self._recorder, time.monotonic()
         accounts = dict(sorted(recorder.accounts.items()))
         lines: dict[str, Any] = {
-            "file": recorder.path, "messages_written": sum(a.written for a in accounts.values()), "topics": len(accounts),
-            "waiting_bytes": self._offered - self._taken, "disk": recorder.problem or "good", "disk_free_bytes": recorder.free(),
+            "file": recorder.path,
+            "messages_written": sum(a.written for a in accounts.values()),
+            "topics": len(accounts),
+            "waiting_bytes": self._offered - self._taken,
+            "disk": recorder.problem or "good",
+            "disk_free_bytes": recorder.free(),
             "deleted_files": len(recorder.deleted),
-            "repaired_files": ", ".join(f"{Path(r.path).name}: {r.lost_bytes} B torn" for r in self._repairs if isinstance(r, Recovery)),
-        }  # fmt: skip
+            "repaired_files": ", ".join(
+                f"{Path(r.path).name}: {r.lost_bytes} B torn"
+                for r in self._repairs
+                if isinstance(r, Recovery)
+            ),
+        }
         for topic, a in accounts.items():
             before, old = self._rates.get(topic, (now, a.written))
             self._rates[topic] = (now, a.written)

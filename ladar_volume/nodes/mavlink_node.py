@@ -30,7 +30,12 @@ AHEAD = 1000
 
 def fix_message(fix: Fix) -> NavSatFix:
     """A fix; without accuracies its covariance type is unknown."""
-    message = NavSatFix(header=header(fix.t_ns, "gnss"), latitude=fix.latitude_deg, longitude=fix.longitude_deg, altitude=fix.height_m)
+    message = NavSatFix(
+        header=header(fix.t_ns, "gnss"),
+        latitude=fix.latitude_deg,
+        longitude=fix.longitude_deg,
+        altitude=fix.height_m,
+    )
     message.status.status, message.status.service = fix.status, 1
     if fix.C_enu is not None:
         message.position_covariance = fix.C_enu.ravel()
@@ -45,7 +50,9 @@ def _set(target: Any, values: F64) -> None:
 
 
 def imu_message(sample: ImuSample) -> Imu:
-    """An attitude with its rates; what the autopilot does not say has −1 (absent) or zeros (unknown), as REP-145 has it."""
+    """An attitude with its rates; what the autopilot does not say has −1 (absent) or zeros
+    (unknown), as REP-145 has it.
+    """
     message = Imu(header=header(sample.t_ns, "base_link"))
     _set(message.orientation, sample.q_map_body)
     if sample.C_axes is not None:
@@ -100,18 +107,29 @@ class MavlinkNode(StageNode):
         self._out: dict[type, tuple[str, Any, Callable[[Any], Any]]] = {
             Fix: ("fix", self.create_publisher(NavSatFix, "gnss/fix", STREAM), fix_message),
             ImuSample: ("imu", self.create_publisher(Imu, "imu/data", STREAM), imu_message),
-            InertialSample: ("inertial", self.create_publisher(Imu, "imu/data_raw", STREAM), inertial_message),
-            OdometrySample: ("odometry", self.create_publisher(Odometry, "odometry", STREAM), odometry_message),
+            InertialSample: (
+                "inertial",
+                self.create_publisher(Imu, "imu/data_raw", STREAM),
+                inertial_message,
+            ),
+            OdometrySample: (
+                "odometry",
+                self.create_publisher(Odometry, "odometry", STREAM),
+                odometry_message,
+            ),
         }
         path = log_file(p.url)
         if path is None:
             self._link = open_link(p.url)
         else:
             self._log, self._playback = MavlinkLog(path, p), "waiting"
-        self._reader = threading.Thread(target=self._listen if path is None else self._play, name="mavlink", daemon=True)
+        self._reader = threading.Thread(
+            target=self._listen if path is None else self._play, name="mavlink", daemon=True
+        )
         self._reader.start()
 
-    # the reading thread -------------------------------------------------------------------------------------------
+    # the reading thread
+    # -------------------------------------------------------------------------------------------
     def _listen(self) -> None:
         assert self._link is not None
         while not self._ended.is_set():
@@ -128,7 +146,11 @@ class MavlinkNode(StageNode):
         for record in self._log.records():
             if first is None:
                 first, began = record.t_ns, time.monotonic()
-            wait = (record.t_ns - first) * 1e-9 / rate - (time.monotonic() - began) if rate > 0 else 0.0
+            wait = (
+                (record.t_ns - first) * 1e-9 / rate - (time.monotonic() - began)
+                if rate > 0
+                else 0.0
+            )
             if self._ended.wait(max(wait, 0.0)):
                 return
             while self._queue.qsize() > AHEAD and not self._ended.is_set():
@@ -136,7 +158,8 @@ class MavlinkNode(StageNode):
             self.offer("record", record)
         self._playback = "done"
 
-    # the worker ---------------------------------------------------------------------------------------------------
+    # the worker
+    # ----------------------------------------------------------------------------------------------
     def work(self, kind: str, item: Any) -> None:
         """Bytes to records to messages."""
         if kind == "reset":
@@ -188,7 +211,12 @@ class MavlinkNode(StageNode):
         """The link and what was made of it."""
         source = self._session if self._log is None else self._log
         playback = {"playback": self._playback} if self._playback else {}
-        return {"url": self.parameters.mavlink.url, **playback, **source.status(), **{f"sent_{k}": n for k, n in self.sent.items()}}
+        return {
+            "url": self.parameters.mavlink.url,
+            **playback,
+            **source.status(),
+            **{f"sent_{k}": n for k, n in self.sent.items()},
+        }
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -1,13 +1,17 @@
-"""Which pass of the data a message belongs to, where the time of georeference_node's outputs begins again (a looping recording).
+"""Which pass of the data a message belongs to, where the time of georeference_node's outputs begins
+again (a looping recording).
 
-Its outputs come on several topics, whose order among each other DDS does not keep. A *leader*'s stamps rise within a pass, so that a step
-back begins a new one. A *follower* (points of clouds that came late) may go back within a pass: whether it does is known with the next
-message of a leader. No follower is ahead of the leaders by more than moments, so one far ahead of a pass just begun is of the old one.
+Its outputs come on several topics, whose order among each other DDS does not keep. A *leader*'s
+stamps rise within a pass, so that a step back begins a new one. A *follower* (points of clouds that
+came late) may go back within a pass: whether it does is known with the next message of a leader. No
+follower is ahead of the leaders by more than moments, so one far ahead of a pass just begun is of
+the old one.
 """
 
 from __future__ import annotations
 
-#: Stamps further back than this are no matter of rounding; georeference_node begins anew only for steps of two seconds and more.
+#: Stamps further back than this are no matter of rounding; georeference_node begins anew only for
+#: steps of two seconds and more.
 BACK_NS = 1_000_000_000
 
 
@@ -21,7 +25,9 @@ class Passes:
         self._old: set[str] = set()
 
     def take(self, kind: str, t_ns: int) -> str:
-        """``same`` pass, ``new`` pass (begin anew, then take the message), ``old`` (drop it), or ``wait`` (until the next leader)."""
+        """``same`` pass, ``new`` pass (begin anew, then take the message), ``old`` (drop it), or
+        ``wait`` (until the next leader).
+        """
         if kind in self._old:
             if t_ns > max(self._newest.values()) + BACK_NS:
                 return "old"

@@ -18,7 +18,9 @@ from ladar_volume.io.bags import ROLES, BagReader
 from ladar_volume.model.errors import LadarVolumeError
 from ladar_volume.nodes.logger_node import message_class
 
-RELIABLE = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.RELIABLE)
+RELIABLE = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.RELIABLE
+)
 
 
 class Player(Node):
@@ -29,8 +31,9 @@ class Player(Node):
         self._bag, self._topics, self._rate = bag, topics, rate
         self._clock_out = self.create_publisher(Clock, "/clock", 10)
         self._out = {
-            topic: self.create_publisher(message_class(ROLES[role][0]), ROLES[role][1], RELIABLE) for role, topic in topics.items()
-        }  # fmt: skip
+            topic: self.create_publisher(message_class(ROLES[role][0]), ROLES[role][1], RELIABLE)
+            for role, topic in topics.items()
+        }
         self.sent: dict[str, int] = dict.fromkeys(topics, 0)
         self.share = 0.0
         self.done = threading.Event()
@@ -55,7 +58,13 @@ class Player(Node):
                 self._out[raw.topic].publish(bytes(raw.data))
                 self.sent[roles[raw.topic]] += 1
                 if roles[raw.topic] == "cloud":
-                    self._clock_out.publish(Clock(clock=Time(sec=raw.t_ns // 1_000_000_000, nanosec=raw.t_ns % 1_000_000_000)))
+                    self._clock_out.publish(
+                        Clock(
+                            clock=Time(
+                                sec=raw.t_ns // 1_000_000_000, nanosec=raw.t_ns % 1_000_000_000
+                            )
+                        )
+                    )
                     self.share = (raw.t_ns - first) * 1e-9 / max(self._bag.duration_s, 1e-9)
         except LadarVolumeError as error:
             self.get_logger().error(str(error))

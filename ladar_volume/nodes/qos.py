@@ -8,16 +8,22 @@ from ladar_volume.model.parameters import Parameters
 
 #: Maps, datum and volumes: whoever comes late still gets the last one.
 LATCHED = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 #: Between this package's nodes: nothing may be lost.
-STREAM = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.RELIABLE)
+STREAM = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.RELIABLE
+)
 
 
 def sensor_qos(parameters: Parameters) -> QoSProfile:
     """Sensor data QoS (REP-2003), reliability and depth as the parameters say."""
     reliable = parameters.node.input_reliability == "reliable"
     return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST, depth=parameters.node.input_depth,
+        history=HistoryPolicy.KEEP_LAST,
+        depth=parameters.node.input_depth,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-    )  # fmt: skip
+    )

@@ -15,8 +15,8 @@ from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.memory import few_arenas, free_buffers, without_blas
 
-#: How long a thread that waits for the interpreter lets another go on, s. The usual 5 ms are a tenth of an estimate for each message that
-#: comes in meanwhile, and for each of its two threads.
+#: How long a thread that waits for the interpreter lets another go on, s. The usual 5 ms are a
+#: tenth of an estimate for each message that comes in meanwhile, and for each of its two threads.
 TURN_S = 0.0005
 #: Pause after a round that raised, s: one that raises at every round takes no whole core.
 AFTER_DEFECT_S = 0.02
@@ -25,17 +25,26 @@ TAKE_S = 5.0
 
 
 class Spinner:
-    """One executor and one thread per node: callbacks only queue, and a service that computes delays no other node."""
+    """One executor and one thread per node: callbacks only queue, and a service that computes
+    delays no other node.
+    """
 
     def __init__(self, node: Any) -> None:
         self.node = node
-        self._executor, self._ended, self._taken = SingleThreadedExecutor(), threading.Event(), threading.Event()
+        self._executor, self._ended, self._taken = (
+            SingleThreadedExecutor(),
+            threading.Event(),
+            threading.Event(),
+        )
         self._executor.add_node(node)
-        self._thread = threading.Thread(target=self._spin, name=f"spin {node.get_name()}", daemon=True)
+        self._thread = threading.Thread(
+            target=self._spin, name=f"spin {node.get_name()}", daemon=True
+        )
         self._thread.start()
 
     def _spin(self) -> None:
-        # not until a future is done: each round would leave a callback with it, 20 MB an hour for every hundred messages a second
+        # not until a future is done: each round would leave a callback with it, 20 MB an hour for
+        # every hundred messages a second
         while not self._ended.is_set():
             try:
                 self._executor.spin_once()
@@ -59,7 +68,8 @@ class Spinner:
             self._executor.create_task(self._take_all)
             self._taken.wait(timeout=TAKE_S)
             self.node.stop()
-        # the thread first: the executor does not wait for a callback that runs as it is shut down, and takes away what that needs
+        # the thread first: the executor does not wait for a callback that runs as it is shut down,
+        # and takes away what that needs
         self._ended.set()
         self._executor.create_task(lambda: None)  # a round in which it is seen
         self._thread.join(timeout=2.0)
@@ -75,9 +85,14 @@ def before_ros() -> None:
 
 
 def spin(factory: Callable[[], StageNode], argv: Sequence[str] | None = None) -> int:
-    """Run one node in this process until SIGINT or SIGTERM, then let it finish its work. Returns an exit code."""
+    """Run one node in this process until SIGINT or SIGTERM, then let it finish its work. Returns an
+    exit code.
+    """
     before_ros()
-    rclpy.init(args=list(argv) if argv is not None else None, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+    rclpy.init(
+        args=list(argv) if argv is not None else None,
+        signal_handler_options=rclpy.signals.SignalHandlerOptions.NO,
+    )
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())

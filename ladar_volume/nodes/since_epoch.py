@@ -45,6 +45,8 @@ class SinceEpoch:
             return {"epoch_change_m3": self._why_not}
         d = self.change
         return {
-            "epoch_change_m3": f"{d.volume.volume_m3:.4f}", "epoch_sigma_m3": f"{d.volume.sigma_m3:.4f}", "epoch_z": f"{d.z:.2f}",
+            "epoch_change_m3": f"{d.volume.volume_m3:.4f}",
+            "epoch_sigma_m3": f"{d.volume.sigma_m3:.4f}",
+            "epoch_z": f"{d.z:.2f}",
             "epoch_p_value": f"{d.p_value:.2g}",
-        }  # fmt: skip
+        }

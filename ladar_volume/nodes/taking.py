@@ -1,4 +1,6 @@
-"""Rounds of the executor, which makes its list of all that may become ready anew for each: messages are taken with few, and read here."""
+"""Rounds of the executor, which makes its list of all that may become ready anew for each: messages
+are taken with few, and read here.
+"""
 
 from __future__ import annotations
 
@@ -13,15 +15,18 @@ AT_ONCE = 100
 
 
 class NextRound:
-    """Awaited in a service that answers later: the executor comes back to it whenever something wakes it."""
+    """Awaited in a service that answers later: the executor comes back to it whenever something
+    wakes it.
+    """
 
     def __await__(self) -> Generator[None]:
         yield
 
 
 def take_waiting(subscription: Any, receive: Callable[[Any, dict[str, Any]], None]) -> int:
-    """Hand over messages, with what the middleware says of them, that wait behind the one just taken: what comes in bursts costs one
-    round. Returns how many."""
+    """Hand over messages, with what the middleware says of them, that wait behind the one just
+    taken: what comes in bursts costs one round. Returns how many.
+    """
     for count in range(AT_ONCE):
         try:
             with subscription.handle:
@@ -35,8 +40,9 @@ def take_waiting(subscription: Any, receive: Callable[[Any, dict[str, Any]], Non
 
 
 def unpacked(data: bytes, message_type: Any) -> Any:
-    """The message that came as ``data``; None where these bytes are none of its type. A subscriber to messages in place of bytes is not
-    told of those."""
+    """The message that came as ``data``; None where these bytes are none of its type. A subscriber
+    to messages in place of bytes is not told of those.
+    """
     try:
         return deserialize_message(data, message_type)
     except RuntimeError:  # the client library's RMWError

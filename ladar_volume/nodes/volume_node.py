@@ -1,4 +1,6 @@
-"""volume_node: filtered points and patches in; TIN, mesh, ground and volumes out. It never holds a raw point."""
+"""volume_node: filtered points and patches in; TIN, mesh, ground and volumes out. It never holds a
+raw point.
+"""
 
 from __future__ import annotations
 
@@ -30,11 +32,17 @@ from ladar_volume.io.wire import (
     more_data_columns,
     no_filtered_points,
     volume_columns,
-)  # fmt: skip
+)
 from ladar_volume.model.errors import LadarVolumeError, VolumeError
 from ladar_volume.model.records import Datum, Estimate, FilterUpdate, Volume
 from ladar_volume.nodes.base import StageNode
-from ladar_volume.nodes.convert import datum_of, ground_message, platform_state, table_message, time_message
+from ladar_volume.nodes.convert import (
+    datum_of,
+    ground_message,
+    platform_state,
+    table_message,
+    time_message,
+)
 from ladar_volume.nodes.passes import Passes
 from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.running import spin
@@ -68,7 +76,9 @@ class VolumeNode(StageNode):
         self._segment = 0
         self._due = False
         self._mapped = float("-inf")
-        self._last: Volume | None = None  # no more of the last estimate: its surface would be held beside the new one
+        self._last: Volume | None = (
+            None  # no more of the last estimate: its surface would be held beside the new one
+        )
         self._why_not = "no surface yet"
         self._datum: Datum | None = None
         self._epoch = 0
@@ -93,16 +103,31 @@ class VolumeNode(StageNode):
         self._filter_flush = self.create_client(Trigger, "filter_node/flush")
         self._newest_part, self._awaited = 0, False
         self._joined = False
-        answers = MutuallyExclusiveCallbackGroup()  # they wait for messages, which have to come in meanwhile
+        answers = (
+            MutuallyExclusiveCallbackGroup()
+        )  # they wait for messages, which have to come in meanwhile
         for name, action in (
-            ("compute", self._answer), ("set_base", self._answer), ("save", self._save), ("start_epoch", self._start_epoch),
-        ):  # fmt: skip
+            ("compute", self._answer),
+            ("set_base", self._answer),
+            ("save", self._save),
+            ("start_epoch", self._start_epoch),
+        ):
             self.create_service(Trigger, f"~/{name}", self._service(action), callback_group=answers)
 
     def _start_over(self, stage: VolumeEstimator | None = None) -> None:
         self.losses.merge(self.stage.losses)
-        self.stage, self._half, self._parts = VolumeEstimator(self.parameters) if stage is None else stage, {}, []
-        self._states, self._due, self._why_not, self._last, self._more = [], False, "no surface yet", None, None
+        self.stage, self._half, self._parts = (
+            VolumeEstimator(self.parameters) if stage is None else stage,
+            {},
+            [],
+        )
+        self._states, self._due, self._why_not, self._last, self._more = (
+            [],
+            False,
+            "no surface yet",
+            None,
+            None,
+        )
 
     def changed(self) -> None:
         """New base, outline or ground: the next estimate uses it."""
@@ -110,7 +135,9 @@ class VolumeNode(StageNode):
             self.offer("parameters", self.parameters)
 
     def work(self, kind: str, item: Any) -> None:
-        """Pair the two tables of an update by their stamp, and hand updates and states to the stage."""
+        """Pair the two tables of an update by their stamp, and hand updates and states to the
+        stage.
+        """
         with self._lock:
             self._work(kind, item)
 
@@ -136,7 +163,9 @@ class VolumeNode(StageNode):
 
     def _take_datum(self, datum: Datum) -> None:
         if self._datum not in (None, datum):
-            self.get_logger().warning("another datum: coordinates so far mean nothing in it, a new surface begins")
+            self.get_logger().warning(
+                "another datum: coordinates so far mean nothing in it, a new surface begins"
+            )
             self.losses.add("message_datum_changed")
             self._since = SinceEpoch()
             self._start_over()
@@ -152,7 +181,11 @@ class VolumeNode(StageNode):
                 self.losses.add("message_unpaired_update")
             return
         del self._half[key]
-        points = filtered_points(decode(pair["points"])) if pair["points"].width else no_filtered_points()
+        points = (
+            filtered_points(decode(pair["points"]))
+            if pair["points"].width
+            else no_filtered_points()
+        )
         update = filter_update(points, decode(pair["patches"]))
         self.counts["parts"] += 1
         self._parts.append(update)
@@ -172,8 +205,9 @@ class VolumeNode(StageNode):
             self.stage.add_platform(states)
 
     def idle(self) -> None:
-        """Estimate when an update is complete: at once when nothing more waits, else at most half of the time, so that a late
-        estimator skips updates but does not fall behind."""
+        """Estimate when an update is complete: at once when nothing more waits, else at most half
+        of the time, so that a late estimator skips updates but does not fall behind.
+        """
         if not self._joined and self._filter_reset.service_is_ready():
             self._join()
         waited = time.monotonic() - self._estimate_began
@@ -182,8 +216,10 @@ class VolumeNode(StageNode):
                 self._compute()
 
     def _join(self) -> None:
-        """Have the filter begin anew: of a surface from before this node was there, patches and times of flight would be missing here.
-        The path so far stays: returns that the filter had not yet read when it began anew refer to it."""
+        """Have the filter begin anew: of a surface from before this node was there, patches and
+        times of flight would be missing here. The path so far stays: returns that the filter had
+        not yet read when it began anew refer to it.
+        """
         self._joined = True
         self._filter_reset.call_async(Trigger.Request())
         with self._lock:
@@ -197,7 +233,9 @@ class VolumeNode(StageNode):
                 self._compute()
         v = self._last
         if v is not None:
-            self.get_logger().info(f"volume at the end: {v.volume_m3:.4f} m3, sigma {v.sigma_m3:.4f} m3")
+            self.get_logger().info(
+                f"volume at the end: {v.volume_m3:.4f} m3, sigma {v.sigma_m3:.4f} m3"
+            )
 
     def _compute(self, naive: bool = False) -> Estimate:
         self._hand_over()
@@ -210,7 +248,9 @@ class VolumeNode(StageNode):
             estimate = self.stage.estimate(naive)
         except LadarVolumeError as error:
             self._why_not = str(error)
-            if error.reason == "volume_no_navigation":  # the filter held returns from before this node listened: once more
+            if (
+                error.reason == "volume_no_navigation"
+            ):  # the filter held returns from before this node listened: once more
                 self._joined = False
             self._publish_volumes([])  # a pit is no body above its ground, and yet a change
             raise
@@ -241,23 +281,43 @@ class VolumeNode(StageNode):
             self._more_data.publish(table_message(more_data_columns(self._more), v.t_ns))
             if self._tin.get_subscription_count():
                 by_sigma = self.parameters.node.tin_colour == "sigma"
-                self._tin.publish(cdr.tin_marker(estimate, self.stage.epoch().sigma_z() if by_sigma else estimate.tin.vertices[:, 2]))
+                self._tin.publish(
+                    cdr.tin_marker(
+                        estimate,
+                        self.stage.epoch().sigma_z() if by_sigma else estimate.tin.vertices[:, 2],
+                    )
+                )
             if self._mesh.get_subscription_count():
                 self._mesh.publish(cdr.mesh(estimate))
 
     def _result(self) -> tuple[Estimate, dict[str, Any]]:
         estimate = self._compute(naive=True)
         self._more = self.stage.more_data()
-        result = results.result_dict(estimate, self.parameters, self.all_losses(), self._datum, {}, {"node": self.get_name()})
+        result = results.result_dict(
+            estimate, self.parameters, self.all_losses(), self._datum, {}, {"node": self.get_name()}
+        )
         change = None if self._since.change is None else results.change_dict(self._since.change)
-        return estimate, result | {"where_more_data_helps": results.more_data_dict(self._more), "epoch": change}
+        return estimate, result | {
+            "where_more_data_helps": results.more_data_dict(self._more),
+            "epoch": change,
+        }
 
     async def _catch_up(self) -> None:
-        """Have the filter send what it put off, and wait for it, some seconds at most: without a filter the answer is from what is here."""
+        """Have the filter send what it put off, and wait for it, some seconds at most: without a
+        filter the answer is from what is here.
+        """
         if not self._filter_flush.service_is_ready():
             return
-        asked, deadline, self._awaited = self._filter_flush.call_async(Trigger.Request()), time.monotonic() + CATCH_UP_S, True
-        while not (asked.done() and asked.result().success and self._newest_part >= int(asked.result().message)):
+        asked, deadline, self._awaited = (
+            self._filter_flush.call_async(Trigger.Request()),
+            time.monotonic() + CATCH_UP_S,
+            True,
+        )
+        while not (
+            asked.done()
+            and asked.result().success
+            and self._newest_part >= int(asked.result().message)
+        ):
             if time.monotonic() > deadline or (asked.done() and not asked.result().success):
                 self.losses.add("message_filter_late")
                 break
@@ -272,10 +332,16 @@ class VolumeNode(StageNode):
                     response.message = json.dumps(results.finite(action()))
                 response.success = True
             except LadarVolumeError as error:
-                response.success, response.message = False, json.dumps({"error": str(error), "reason": error.reason})
+                response.success, response.message = (
+                    False,
+                    json.dumps({"error": str(error), "reason": error.reason}),
+                )
             except Exception as error:  # who asked is told, too
                 self.defect(error)
-                told = {"error": f"{type(error).__name__}: {error}", "reason": "message_internal_error"}
+                told = {
+                    "error": f"{type(error).__name__}: {error}",
+                    "reason": "message_internal_error",
+                }
                 response.success, response.message = False, json.dumps(told)
             return response
 
@@ -288,10 +354,17 @@ class VolumeNode(StageNode):
         estimate, result = self._result()
         folder = results.output_folder(self.parameters.node.output_folder)
         self._write(folder, estimate, result)
-        return {"folder": str(folder), "volume_m3": result["volume_m3"], "sigma_m3": result["sigma_m3"]}
+        return {
+            "folder": str(folder),
+            "volume_m3": result["volume_m3"],
+            "sigma_m3": result["sigma_m3"],
+        }
 
     def _write(self, folder: Path, estimate: Estimate, result: dict[str, Any]) -> None:
-        from ladar_volume.io.surveys import FILE, write_survey  # what bags need is loaded where one is written
+        from ladar_volume.io.surveys import (
+            FILE,
+            write_survey,
+        )  # what bags need is loaded where one is written
 
         results.write_text(folder / "result.json", results.json_text(result))
         epoch = self.stage.epoch()
@@ -300,7 +373,9 @@ class VolumeNode(StageNode):
 
     def _start_epoch(self) -> dict[str, Any]:
         if self._last is None:
-            raise VolumeError(f"nothing to keep as an epoch: {self._why_not}", reason="volume_no_estimate")
+            raise VolumeError(
+                f"nothing to keep as an epoch: {self._why_not}", reason="volume_no_estimate"
+            )
         folder = results.output_folder(f"{self.parameters.node.output_folder}/epoch_{self._epoch}")
         estimate, result = self._result()
         self._write(folder, estimate, result)
@@ -315,20 +390,28 @@ class VolumeNode(StageNode):
         """The present estimate against the wanted tolerance."""
         lines: dict[str, Any] = {f"count_{k}": v for k, v in self.counts.items()} | {
             "joined": int(self._joined),
-            "pending_estimate": int(self._due), "last_estimate_s": f"{self._last_estimate_s:.2f}", "restarts": self._passes.begun,
+            "pending_estimate": int(self._due),
+            "last_estimate_s": f"{self._last_estimate_s:.2f}",
+            "restarts": self._passes.begun,
             **self._since.lines(),
-        }  # fmt: skip
+        }
         for number, place in enumerate([] if self._more is None else self._more.best(), start=1):
-            lines[f"more_data_{number}"] = f"{place['x_m']:.2f} {place['y_m']:.2f} {place['gain_m3']:.4f} {place['why']}"
+            lines[f"more_data_{number}"] = (
+                f"{place['x_m']:.2f} {place['y_m']:.2f} {place['gain_m3']:.4f} {place['why']}"
+            )
         if self._last is None:
             return lines | {"estimate": self._why_not}
         v = self._last
         share = v.sigma_m3 / abs(v.volume_m3) if v.volume_m3 else float("inf")
         return lines | {
-            "volume_m3": f"{v.volume_m3:.4f}", "sigma_m3": f"{v.sigma_m3:.4f}", "sigma_share": f"{share:.4f}",
-            "tolerance": self.parameters.volume.tolerance, "within_tolerance": share <= self.parameters.volume.tolerance,
-            "coverage_m2": f"{v.area_m2:.1f}", "data_time_ns": v.t_ns,
-        }  # fmt: skip
+            "volume_m3": f"{v.volume_m3:.4f}",
+            "sigma_m3": f"{v.sigma_m3:.4f}",
+            "sigma_share": f"{share:.4f}",
+            "tolerance": self.parameters.volume.tolerance,
+            "within_tolerance": share <= self.parameters.volume.tolerance,
+            "coverage_m2": f"{v.area_m2:.1f}",
+            "data_time_ns": v.t_ns,
+        }
 
 
 def main(argv: Sequence[str] | None = None) -> int:

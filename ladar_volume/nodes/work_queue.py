@@ -15,8 +15,9 @@ def cloud_bytes(work: tuple[str, Any] | None) -> int:
 
 
 class WorkQueue(queue.Queue[tuple[str, Any] | None]):
-    """A queue of kinds with their items; None ends the work. What is beyond the bounds is refused with ``queue.Full``, but a cloud that
-    would be alone, however large."""
+    """A queue of kinds with their items; None ends the work. What is beyond the bounds is refused
+    with ``queue.Full``, but a cloud that would be alone, however large.
+    """
 
     def __init__(self) -> None:
         super().__init__(QUEUE)

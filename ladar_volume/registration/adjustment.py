@@ -1,9 +1,11 @@
-"""Transforms from common sphere centres: weighted least squares with full covariances of both sides, tests and outlying spheres.
+"""Transforms from common sphere centres: weighted least squares with full covariances of both
+sides, tests and outlying spheres.
 
-Source: seed 003 sections 2 and 4 (similarity transform from sphere centres; with a levelled scanner only a rotation about Z is estimated).
-Both sets of centres carry errors: the residual ``y − s R (x − pivot) − t`` has the covariance ``C_y + s² R C_x Rᵀ``, which follows R from
-step to step. Outliers after Baarda's data snooping: the test of sphere i, ``T_i = (Pv)_iᵀ [(P Q_v P)_ii]⁻¹ (Pv)_i``, equals that of its
-prediction by the others alone (leave-one-out), without refitting.
+Source: seed 003 sections 2 and 4 (similarity transform from sphere centres; with a levelled scanner
+only a rotation about Z is estimated). Both sets of centres carry errors: the residual ``y − s R (x
+− pivot) − t`` has the covariance ``C_y + s² R C_x Rᵀ``, which follows R from step to step. Outliers
+after Baarda's data snooping: the test of sphere i, ``T_i = (Pv)_iᵀ [(P Q_v P)_ii]⁻¹ (Pv)_i``,
+equals that of its prediction by the others alone (leave-one-out), without refitting.
 """
 
 from __future__ import annotations
@@ -15,7 +17,12 @@ from scipy import stats
 
 from ladar_volume.model.errors import RegistrationError
 from ladar_volume.model.records import F64, I64, Bool
-from ladar_volume.registration.transform import Transform, check_geometry, free_parameters, nearest_transform
+from ladar_volume.registration.transform import (
+    Transform,
+    check_geometry,
+    free_parameters,
+    nearest_transform,
+)
 
 #: A rotation less certain than this, rad, is refused: the linear covariance no longer holds.
 MAX_ROTATION_SIGMA = 0.1
@@ -26,10 +33,11 @@ MAX_STEPS = 50
 class Registration:
     """A transform from common centres.
 
-    transform · used : (n,) bool, spheres left after the outlier test · residuals : (n, 3) m, target frame, of all spheres ·
-    statistic, p_value : (n,), test of each sphere against the others; NaN where they do not control it · redundancy ·
-    sigma0 : root of the weighted sum of squares by the redundancy (NaN without redundancy) · p_global : of that sum; NaN without
-    redundancy or without stated covariances · consistent : nothing left stands out at the chosen risk
+    transform · used : (n,) bool, spheres left after the outlier test · residuals : (n, 3) m, target
+    frame, of all spheres · statistic, p_value : (n,), test of each sphere against the others; NaN
+    where they do not control it · redundancy · sigma0 : root of the weighted sum of squares by the
+    redundancy (NaN without redundancy) · p_global : of that sum; NaN without redundancy or without
+    stated covariances · consistent : nothing left stands out at the chosen risk
     """
 
     transform: Transform
@@ -44,7 +52,9 @@ class Registration:
 
 
 def joint_covariance(C: F64 | None, n: int) -> F64 | None:
-    """Covariance (3n, 3n) m² of n centres from (n, 3, 3) or (3n, 3n). Raises :class:`RegistrationError` for anything else."""
+    """Covariance (3n, 3n) m² of n centres from (n, 3, 3) or (3n, 3n). Raises
+    :class:`RegistrationError` for anything else.
+    """
     if C is None:
         return None
     c = np.asarray(C, dtype=np.float64)
@@ -53,9 +63,17 @@ def joint_covariance(C: F64 | None, n: int) -> F64 | None:
         for i in range(n):
             out[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = c[i]
         c = out
-    if c.shape != (3 * n, 3 * n) or not np.isfinite(c).all() or not np.allclose(c, c.T, rtol=1e-9, atol=1e-300):
+    if (
+        c.shape != (3 * n, 3 * n)
+        or not np.isfinite(c).all()
+        or not np.allclose(c, c.T, rtol=1e-9, atol=1e-300)
+    ):
         raise RegistrationError(
-            f"the covariance of {n} centres is ({n}, 3, 3) or ({3 * n}, {3 * n}), symmetric and finite", reason="registration_covariance"
+            (
+                f"the covariance of {n} centres is ({n}, 3, 3) or ({3 * n}, {3 * n}), "
+                "symmetric and finite"
+            ),
+            reason="registration_covariance",
         )
     return c
 
@@ -68,7 +86,9 @@ def rows(keep: I64) -> I64:
 
 @dataclass(frozen=True)
 class Solution:
-    """One least-squares solution: transform with C for unit variance · v : (3k,) · P : (3k, 3k) weights · Qv : (3k, 3k) of the residuals"""
+    """One least-squares solution: transform with C for unit variance · v : (3k,) · P : (3k, 3k)
+    weights · Qv : (3k, 3k) of the residuals
+    """
 
     transform: Transform
     v: F64
@@ -76,8 +96,12 @@ class Solution:
     Qv: F64
 
 
-def solve(x: F64, y: F64, Cx: F64 | None, Cy: F64 | None, free: list[int], start: Transform) -> Solution:
-    """Gauss-Newton from ``start`` between centres x, y (k, 3); covariances (3k, 3k) or None on both sides for unit weights."""
+def solve(
+    x: F64, y: F64, Cx: F64 | None, Cy: F64 | None, free: list[int], start: Transform
+) -> Solution:
+    """Gauss-Newton from ``start`` between centres x, y (k, 3); covariances (3k, 3k) or None on both
+    sides for unit weights.
+    """
     k, T = len(x), start
     for _ in range(MAX_STEPS):
         turn = np.kron(np.eye(k), T.scale * T.R)
@@ -87,7 +111,8 @@ def solve(x: F64, y: F64, Cx: F64 | None, Cy: F64 | None, free: list[int], start
             P = np.linalg.inv(np.linalg.cholesky(S))
         except np.linalg.LinAlgError as error:
             raise RegistrationError(
-                "the covariances of the centres are not positive definite", reason="registration_covariance"
+                "the covariances of the centres are not positive definite",
+                reason="registration_covariance",
             ) from error
         P = P.T @ P
         v = (y - T.apply(x)).ravel()
@@ -95,29 +120,37 @@ def solve(x: F64, y: F64, Cx: F64 | None, Cy: F64 | None, free: list[int], start
         N = J.T @ P @ J
         scaling = 1.0 / np.sqrt(np.diag(N))
         if not np.isfinite(scaling).all() or np.linalg.cond(N * np.outer(scaling, scaling)) > 1e13:
-            raise RegistrationError("the centres do not determine the transform", reason="registration_collinear")
+            raise RegistrationError(
+                "the centres do not determine the transform", reason="registration_collinear"
+            )
         Q = np.linalg.inv(N * np.outer(scaling, scaling)) * np.outer(scaling, scaling)
         step = np.zeros(7)
         step[free] = Q @ (J.T @ P @ v)
         C = np.zeros((7, 7))
         C[np.ix_(free, free)] = Q
         T = replace(T.perturbed(step), C=C)
-        if np.all(np.abs(step[free]) <= 1e-9 * np.sqrt(np.diag(Q)) + 1e-15 * (1.0 + np.abs(T.t).max())):
+        if np.all(
+            np.abs(step[free]) <= 1e-9 * np.sqrt(np.diag(Q)) + 1e-15 * (1.0 + np.abs(T.t).max())
+        ):
             break
     return Solution(T, (y - T.apply(x)).ravel(), P, S - J @ Q @ J.T)
 
 
 def snoop(s: Solution, redundancy: int, known: bool, floor_m2: float) -> tuple[F64, F64]:
-    """Test of every sphere: statistics and p-values (k,); NaN where a sphere is not controlled by the others.
+    """Test of every sphere: statistics and p-values (k,); NaN where a sphere is not controlled by
+    the others.
 
-    With stated covariances chi-square with 3 degrees of freedom, else the ratio to the variance of the others (F), which is at least
-    ``floor_m2``: exact centres differ by rounding alone.
+    With stated covariances chi-square with 3 degrees of freedom, else the ratio to the variance of
+    the others (F), which is at least ``floor_m2``: exact centres differ by rounding alone.
     """
     k = len(s.v) // 3
     value, p = np.full(k, np.nan), np.full(k, np.nan)
     w, M, total = s.P @ s.v, s.P @ s.Qv @ s.P, float(s.v @ s.P @ s.v)
     for i in range(k):
-        block, own = M[3 * i : 3 * i + 3, 3 * i : 3 * i + 3], s.P[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
+        block, own = (
+            M[3 * i : 3 * i + 3, 3 * i : 3 * i + 3],
+            s.P[3 * i : 3 * i + 3, 3 * i : 3 * i + 3],
+        )
         if np.linalg.eigvalsh(block)[0] <= 1e-9 * np.linalg.eigvalsh(own)[-1]:
             continue
         wi = w[3 * i : 3 * i + 3]
@@ -131,19 +164,29 @@ def snoop(s: Solution, redundancy: int, known: bool, floor_m2: float) -> tuple[F
 
 
 def register(
-    source: F64, target: F64, C_source: F64 | None = None, C_target: F64 | None = None, *,
-    levelled: bool = False, scale: float | None = 1.0, risk: float = 0.001,
-) -> Registration:  # fmt: skip
-    """The transform that takes common sphere centres of the source frame to those of the target frame.
+    source: F64,
+    target: F64,
+    C_source: F64 | None = None,
+    C_target: F64 | None = None,
+    *,
+    levelled: bool = False,
+    scale: float | None = 1.0,
+    risk: float = 0.001,
+) -> Registration:
+    """The transform that takes common sphere centres of the source frame to those of the target
+    frame.
 
-    source, target : (n, 3) m, in the same order · C_source, C_target : (n, 3, 3) or, where centres of one side are correlated,
-    (3n, 3n), m²; without both, weights are equal and the covariance is scaled by the residuals · levelled : rotation about Z only, from 2
-    centres that are not on one vertical; else from 3 that are not on one line · scale : None where it is to be found, else its value ·
-    risk : of calling a good sphere of this set an outlier. The worst sphere is left out while its test says so, fewer
-    than half are gone, and the rest determines and controls the transform.
+    source, target : (n, 3) m, in the same order · C_source, C_target : (n, 3, 3) or, where centres
+    of one side are correlated, (3n, 3n), m²; without both, weights are equal and the covariance is
+    scaled by the residuals · levelled : rotation about Z only, from 2 centres that are not on one
+    vertical; else from 3 that are not on one line · scale : None where it is to be found, else its
+    value · risk : of calling a good sphere of this set an outlier. The worst sphere is left out
+    while its test says so, fewer than half are gone, and the rest determines and controls the
+    transform.
 
-    Raises :class:`RegistrationError`: registration_shape, registration_not_finite, registration_too_few, registration_vertical,
-    registration_collinear, registration_covariance, registration_weak (a rotation uncertain by more than 0.1 rad), registration_scale.
+    Raises :class:`RegistrationError`: registration_shape, registration_not_finite,
+    registration_too_few, registration_vertical, registration_collinear, registration_covariance,
+    registration_weak (a rotation uncertain by more than 0.1 rad), registration_scale.
     """
     x, y = (np.asarray(r, dtype=np.float64) for r in (source, target))
     check_centres(x, y, scale)
@@ -157,13 +200,17 @@ def register(
         r = rows(np.flatnonzero(keep))
         start = nearest_transform(x[keep], y[keep], x[keep].mean(axis=0), levelled, scale)
         part = [None if c is None else c[np.ix_(r, r)] for c in (Cx, Cy)]
-        return solve(x[keep], y[keep], part[0], part[1], free, start), 3 * int(keep.sum()) - len(free)
+        return solve(x[keep], y[keep], part[0], part[1], free, start), 3 * int(keep.sum()) - len(
+            free
+        )
 
     s, redundancy = fit(used)
     while True:
         value, p = snoop(s, redundancy, known, (1e-12 * size) ** 2)
         suspicious = bool(np.nanmin(p, initial=1.0) < risk / n)
-        if not suspicious or 2 * (n - used.sum() + 1) >= n:  # half the spheres outlying: nobody can tell which half
+        if (
+            not suspicious or 2 * (n - used.sum() + 1) >= n
+        ):  # half the spheres outlying: nobody can tell which half
             break
         less = used.copy()
         less[np.flatnonzero(used)[int(np.nanargmax(value))]] = False
@@ -178,21 +225,37 @@ def register(
 
 
 def check_centres(x: F64, y: F64, scale: float | None) -> None:
-    """Raises :class:`RegistrationError` for centres that are not both (n, 3) and finite, or a scale that is not above zero."""
+    """Raises :class:`RegistrationError` for centres that are not both (n, 3) and finite, or a scale
+    that is not above zero.
+    """
     if x.shape != y.shape or x.ndim != 2 or x.shape[1:] != (3,):
         raise RegistrationError(
-            f"common centres are (n, 3) in both frames, not {x.shape} and {y.shape}", reason="registration_shape", value=x.shape
+            f"common centres are (n, 3) in both frames, not {x.shape} and {y.shape}",
+            reason="registration_shape",
+            value=x.shape,
         )
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
-        raise RegistrationError("a sphere centre with a coordinate that is not finite", reason="registration_not_finite")
+        raise RegistrationError(
+            "a sphere centre with a coordinate that is not finite", reason="registration_not_finite"
+        )
     if scale is not None and not (np.isfinite(scale) and scale > 0):
-        raise RegistrationError(f"a scale of {scale}; it must be above zero", reason="registration_scale", value=scale)
+        raise RegistrationError(
+            f"a scale of {scale}; it must be above zero", reason="registration_scale", value=scale
+        )
 
 
 def _assemble(
-    x: F64, y: F64, C: tuple[F64 | None, F64 | None], s: Solution, used: Bool, test: tuple[F64, F64], redundancy: int, suspicious: bool,
-    risk: float, known: bool,
-) -> Registration:  # fmt: skip
+    x: F64,
+    y: F64,
+    C: tuple[F64 | None, F64 | None],
+    s: Solution,
+    used: Bool,
+    test: tuple[F64, F64],
+    redundancy: int,
+    suspicious: bool,
+    risk: float,
+    known: bool,
+) -> Registration:
     total = float(s.v @ s.P @ s.v)
     variance = total / redundancy if redundancy > 0 else np.nan
     p_global = float(stats.chi2.sf(total, redundancy)) if known and redundancy > 0 else np.nan
@@ -202,19 +265,33 @@ def _assemble(
     worst = float(np.sqrt(np.max(np.diag(T.C)[:3])))
     if worst > MAX_ROTATION_SIGMA:
         raise RegistrationError(
-            f"the rotation is uncertain by {worst:.2g} rad: the spheres lie too near together or too near one line",
-            reason="registration_weak", value=worst,
-        )  # fmt: skip
+            (
+                f"the rotation is uncertain by {worst:.2g} rad: the spheres lie too near "
+                "together or too near one line"
+            ),
+            reason="registration_weak",
+            value=worst,
+        )
     statistic, p = np.full(len(x), np.nan), np.full(len(x), np.nan)
     statistic[used], p[used] = test
     residuals = y - T.apply(x)
     J = T.jacobian(x)
-    for i in np.flatnonzero(~used):  # what was left out is judged against the prediction of the rest
+    for i in np.flatnonzero(
+        ~used
+    ):  # what was left out is judged against the prediction of the rest
         own = sum(
-            f * c[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] @ f.T for c, f in zip(C, (T.scale * T.R, np.eye(3)), strict=True) if c is not None
+            f * c[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] @ f.T
+            for c, f in zip(C, (T.scale * T.R, np.eye(3)), strict=True)
+            if c is not None
         )
         S = (own if known else variance * np.eye(3)) + J[i] @ T.C @ J[i].T
         statistic[i] = float(residuals[i] @ np.linalg.solve(S, residuals[i]))
-        p[i] = stats.chi2.sf(statistic[i], 3) if known else stats.f.sf(statistic[i] / 3.0, 3, redundancy)
+        p[i] = (
+            stats.chi2.sf(statistic[i], 3)
+            if known
+            else stats.f.sf(statistic[i] / 3.0, 3, redundancy)
+        )
     consistent = not suspicious and not p_global < risk
-    return Registration(T, used, residuals, statistic, p, redundancy, float(np.sqrt(variance)), p_global, consistent)
+    return Registration(
+        T, used, residuals, statistic, p, redundancy, float(np.sqrt(variance)), p_global, consistent
+    )

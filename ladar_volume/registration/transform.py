@@ -1,7 +1,8 @@
 """Transforms between frames, with covariance: ``r_target = scale · R (r_source − pivot) + t``.
 
-Seven parameters in this order: rotation vector δ (rad, right perturbation ``R exp([δ]x)``, about the source's axes), t (m), scale. Those
-that are held fixed have zero rows in the covariance. The pivot lies amid the centres, so that rotation and shift are hardly correlated.
+Seven parameters in this order: rotation vector δ (rad, right perturbation ``R exp([δ]x)``, about
+the source's axes), t (m), scale. Those that are held fixed have zero rows in the covariance. The
+pivot lies amid the centres, so that rotation and shift are hardly correlated.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from ladar_volume.model.se3 import exp_so3, skew
 class Transform:
     """A similarity with its covariance.
 
-    R : (3, 3), source axes to target axes · t : (3,) m, image of the pivot in the target frame · pivot : (3,) m, source frame · scale ·
-    C : (7, 7), rotation (rad), t (m), scale
+    R : (3, 3), source axes to target axes · t : (3,) m, image of the pivot in the target frame ·
+    pivot : (3,) m, source frame · scale · C : (7, 7), rotation (rad), t (m), scale
     """
 
     R: F64
@@ -31,12 +32,16 @@ class Transform:
 
     def apply(self, r_source: F64) -> F64:
         """Points (n, 3) m of the source frame in the target frame."""
-        out: F64 = self.scale * (np.asarray(r_source, dtype=np.float64) - self.pivot) @ self.R.T + self.t
+        out: F64 = (
+            self.scale * (np.asarray(r_source, dtype=np.float64) - self.pivot) @ self.R.T + self.t
+        )
         return out
 
     def back(self, r_target: F64) -> F64:
         """Points (n, 3) m of the target frame in the source frame."""
-        out: F64 = (np.asarray(r_target, dtype=np.float64) - self.t) @ self.R / self.scale + self.pivot
+        out: F64 = (
+            np.asarray(r_target, dtype=np.float64) - self.t
+        ) @ self.R / self.scale + self.pivot
         return out
 
     def matrix(self) -> F64:
@@ -47,14 +52,18 @@ class Transform:
         return out
 
     def jacobian(self, r_source: F64) -> F64:
-        """Derivatives (n, 3, 7) of transformed points by the parameters, for points (n, 3) m of the source frame."""
+        """Derivatives (n, 3, 7) of transformed points by the parameters, for points (n, 3) m of the
+        source frame.
+        """
         d = np.asarray(r_source, dtype=np.float64) - self.pivot
         turn = -self.scale * self.R @ skew(d)
         shift = np.broadcast_to(np.eye(3), (len(d), 3, 3))
         return np.concatenate([turn, shift, (d @ self.R.T)[..., None]], axis=2)
 
     def covariances(self, r_source: F64, C_source: F64 | None = None) -> F64:
-        """Covariances (n, 3, 3) m² of transformed points: the transform's share, and the points' own (n, 3, 3) m² where given."""
+        """Covariances (n, 3, 3) m² of transformed points: the transform's share, and the points'
+        own (n, 3, 3) m² where given.
+        """
         J = self.jacobian(r_source)
         out: F64 = J @ self.C @ np.swapaxes(J, 1, 2)
         if C_source is not None:
@@ -62,22 +71,33 @@ class Transform:
         return out
 
     def variance(self, gradient_target: F64, r_source: F64) -> float:
-        """What the transform adds to the variance of a quantity with gradient (n, 3) by the transformed points; all points share it."""
-        j = np.einsum("ni,nik->k", np.asarray(gradient_target, dtype=np.float64), self.jacobian(r_source))
+        """What the transform adds to the variance of a quantity with gradient (n, 3) by the
+        transformed points; all points share it.
+        """
+        j = np.einsum(
+            "ni,nik->k", np.asarray(gradient_target, dtype=np.float64), self.jacobian(r_source)
+        )
         return float(j @ self.C @ j)
 
     def perturbed(self, x: F64) -> Transform:
         """The transform after a step x (7,) of its parameters."""
-        return Transform(self.R @ exp_so3(x[:3]), self.t + x[3:6], self.pivot, self.scale + float(x[6]), self.C)
+        return Transform(
+            self.R @ exp_so3(x[:3]), self.t + x[3:6], self.pivot, self.scale + float(x[6]), self.C
+        )
 
 
 def free_parameters(levelled: bool, free_scale: bool) -> list[int]:
-    """Indices of the parameters that are estimated: a levelled instrument turns about its vertical axis only."""
+    """Indices of the parameters that are estimated: a levelled instrument turns about its vertical
+    axis only.
+    """
     return ([2] if levelled else [0, 1, 2]) + [3, 4, 5] + ([6] if free_scale else [])
 
 
-def nearest_transform(source: F64, target: F64, pivot: F64, levelled: bool, scale: float | None) -> Transform:
-    """Closed-form transform of equal weights between centres (n, 3), after Umeyama 1991: a start, without covariance.
+def nearest_transform(
+    source: F64, target: F64, pivot: F64, levelled: bool, scale: float | None
+) -> Transform:
+    """Closed-form transform of equal weights between centres (n, 3), after Umeyama 1991: a start,
+    without covariance.
 
     ``scale`` None: found from both sizes. ``pivot`` (3,) m in the source frame.
     """
@@ -95,12 +115,16 @@ def nearest_transform(source: F64, target: F64, pivot: F64, levelled: bool, scal
 
 
 def check_geometry(source: F64, target: F64, levelled: bool) -> None:
-    """Raises :class:`RegistrationError` for too few centres, or centres on one line (on one vertical, where levelled)."""
+    """Raises :class:`RegistrationError` for too few centres, or centres on one line (on one
+    vertical, where levelled).
+    """
     need = 2 if levelled else 3
     if len(source) < need:
         kind = "levelled" if levelled else "full"
         raise RegistrationError(
-            f"a {kind} transform needs {need} common spheres, there are {len(source)}", reason="registration_too_few", value=len(source)
+            f"a {kind} transform needs {need} common spheres, there are {len(source)}",
+            reason="registration_too_few",
+            value=len(source),
         )
     for name, r in (("source", source), ("target", target)):
         spread = np.linalg.svd(r - r.mean(axis=0), compute_uv=False)
@@ -109,11 +133,19 @@ def check_geometry(source: F64, target: F64, levelled: bool) -> None:
             plan = np.linalg.svd((r - r.mean(axis=0))[:, :2], compute_uv=False)
             if plan[0] <= 1e-6 * size:
                 raise RegistrationError(
-                    f"the {name} centres lie on one vertical: the heading is undetermined; add a sphere aside of it",
-                    reason="registration_vertical", value=float(plan[0]),
-                )  # fmt: skip
+                    (
+                        f"the {name} centres lie on one vertical: the heading is "
+                        "undetermined; add a sphere aside of it"
+                    ),
+                    reason="registration_vertical",
+                    value=float(plan[0]),
+                )
         elif spread[1] <= 1e-6 * size:
             raise RegistrationError(
-                f"the {name} centres lie on one line: the turn about it is undetermined; add a sphere off the line",
-                reason="registration_collinear", value=float(spread[1]),
-            )  # fmt: skip
+                (
+                    f"the {name} centres lie on one line: the turn about it is undetermined; "
+                    "add a sphere off the line"
+                ),
+                reason="registration_collinear",
+                value=float(spread[1]),
+            )

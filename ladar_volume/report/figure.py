@@ -1,4 +1,6 @@
-"""The picture of a result: the surface seen from above with its outline, and where the uncertainty comes from."""
+"""The picture of a result: the surface seen from above with its outline, and where the uncertainty
+comes from.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ def draw(estimate: Estimate, title: str) -> Figure:
     _plan(plan, figure, estimate)
     _budget(bars, estimate)
     v = estimate.volume
-    figure.suptitle(f"{title}: V = {v.volume_m3:.2f} ± {v.sigma_m3:.2f} m³ (1 sigma), above the {v.base}")
+    figure.suptitle(
+        f"{title}: V = {v.volume_m3:.2f} ± {v.sigma_m3:.2f} m³ (1 sigma), above the {v.base}"
+    )
     return figure
 
 
@@ -31,10 +35,14 @@ def _plan(ax: Any, figure: Figure, estimate: Estimate) -> None:
     triangles = tin.triangles[tin.relevant]
     heights = tin.vertices[triangles, 2].mean(axis=1)
     corners = list(tin.vertices[triangles, :2])
-    faces = PolyCollection(corners, array=heights, cmap="viridis", edgecolors="face", linewidths=0.2)
+    faces = PolyCollection(
+        corners, array=heights, cmap="viridis", edgecolors="face", linewidths=0.2
+    )
     colours = faces.to_rgba(heights)
     colours[:, :3] *= (0.45 + 0.55 * _shade(tin))[:, None]
-    ax.add_collection(PolyCollection(corners, facecolors=colours, edgecolors=colours, linewidths=0.2))
+    ax.add_collection(
+        PolyCollection(corners, facecolors=colours, edgecolors=colours, linewidths=0.2)
+    )
     outline = np.vstack([estimate.volume.outline, estimate.volume.outline[:1]])
     ax.plot(outline[:, 0], outline[:, 1], color="crimson", lw=1.4, label="outline")
     ax.set(aspect="equal", xlabel="east / m", ylabel="north / m")
@@ -59,7 +67,10 @@ def _budget(ax: Any, estimate: Estimate) -> None:
     v = estimate.volume
     halved = v.sigma_if_halved_m3.get(v.largest_source, v.sigma_m3)
     ax.set(xlabel="standard deviation of V by source / m³")
-    ax.set_title(f"{v.largest_source.replace('_', ' ')} is the largest; half of it: ± {halved:.2f} m³", fontsize=9)
+    ax.set_title(
+        f"{v.largest_source.replace('_', ' ')} is the largest; half of it: ± {halved:.2f} m³",
+        fontsize=9,
+    )
     ax.grid(axis="x", alpha=0.3)
 
 

@@ -1,4 +1,5 @@
-"""A survey written as a recording: rosbag2 MCAP, ``config.yaml`` with nominal values, and ``truth.json``.
+"""A survey written as a recording: rosbag2 MCAP, ``config.yaml`` with nominal values, and
+``truth.json``.
 
 The pipeline never opens truth.json.
 """
@@ -26,13 +27,22 @@ FLOAT32, UINT16 = 7, 4
 
 
 def _header(t_ns: int, frame: str) -> Any:
-    stamp = T["builtin_interfaces/msg/Time"](sec=t_ns // 1_000_000_000, nanosec=t_ns % 1_000_000_000)
+    stamp = T["builtin_interfaces/msg/Time"](
+        sec=t_ns // 1_000_000_000, nanosec=t_ns % 1_000_000_000
+    )
     return T["std_msgs/msg/Header"](stamp=stamp, frame_id=frame)
 
 
 def cloud_message(sweep: Sweep) -> Any:
     """PointCloud2 with the Velodyne driver's fields x y z intensity ring time, 22 bytes a point."""
-    columns = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")]
+    columns = [
+        ("x", "<f4"),
+        ("y", "<f4"),
+        ("z", "<f4"),
+        ("intensity", "<f4"),
+        ("ring", "<u2"),
+        ("time", "<f4"),
+    ]
     layout = np.dtype(columns)
     packed = np.empty(len(sweep.time_s), layout)
     packed["x"], packed["y"], packed["z"] = sweep.xyz.T
@@ -40,27 +50,45 @@ def cloud_message(sweep: Sweep) -> Any:
     kinds = {"<f4": FLOAT32, "<u2": UINT16}
     fields, offset = [], 0
     for name, code in columns:
-        fields.append(T["sensor_msgs/msg/PointField"](name=name, offset=offset, datatype=kinds[code], count=1))
+        fields.append(
+            T["sensor_msgs/msg/PointField"](name=name, offset=offset, datatype=kinds[code], count=1)
+        )
         offset += np.dtype(code).itemsize
     return T["sensor_msgs/msg/PointCloud2"](
-        header=_header(sweep.stamp_ns, "velodyne"), height=1, width=len(packed), fields=fields, is_bigendian=False,
-        point_step=layout.itemsize, row_step=layout.itemsize * len(packed), data=packed.view(np.uint8), is_dense=True,
-    )  # fmt: skip
+        header=_header(sweep.stamp_ns, "velodyne"),
+        height=1,
+        width=len(packed),
+        fields=fields,
+        is_bigendian=False,
+        point_step=layout.itemsize,
+        row_step=layout.itemsize * len(packed),
+        data=packed.view(np.uint8),
+        is_dense=True,
+    )
 
 
 def _fix_messages(survey: Survey) -> Iterator[tuple[int, str, Any]]:
     frame = pyproj.Transformer.from_pipeline(
-        f"+proj=pipeline +step +proj=cart +ellps=WGS84 +step +proj=topocentric +ellps=WGS84 +lon_0={LONGITUDE_DEG} "
+        "+proj=pipeline +step +proj=cart +ellps=WGS84 +step +proj=topocentric "
+        f"+ellps=WGS84 +lon_0={LONGITUDE_DEG} "
         f"+lat_0={LATITUDE_DEG} +h_0={HEIGHT_M}"
     )
     t, p, sigma, status = survey.fixes()
     lon, lat, h = frame.transform(p[:, 0], p[:, 1], p[:, 2], direction="INVERSE")
     for i in range(len(t)):
-        yield int(t[i]), "/gnss/fix", T["sensor_msgs/msg/NavSatFix"](
-            header=_header(int(t[i]), "gnss"), status=T["sensor_msgs/msg/NavSatStatus"](status=int(status[i]), service=1),
-            latitude=float(lat[i]), longitude=float(lon[i]), altitude=float(h[i]),
-            position_covariance=np.diag(sigma[i] ** 2).ravel(), position_covariance_type=2,
-        )  # fmt: skip
+        yield (
+            int(t[i]),
+            "/gnss/fix",
+            T["sensor_msgs/msg/NavSatFix"](
+                header=_header(int(t[i]), "gnss"),
+                status=T["sensor_msgs/msg/NavSatStatus"](status=int(status[i]), service=1),
+                latitude=float(lat[i]),
+                longitude=float(lon[i]),
+                altitude=float(h[i]),
+                position_covariance=np.diag(sigma[i] ** 2).ravel(),
+                position_covariance_type=2,
+            ),
+        )
 
 
 def _imu_messages(survey: Survey) -> Iterator[tuple[int, str, Any]]:
@@ -68,32 +96,53 @@ def _imu_messages(survey: Survey) -> Iterator[tuple[int, str, Any]]:
     unknown = np.concatenate([[-1.0], np.zeros(8)])
     t, q, rates, covariance = survey.attitudes()
     for i in range(len(t)):
-        yield int(t[i]), "/imu/data", T["sensor_msgs/msg/Imu"](
-            header=_header(int(t[i]), "imu"), orientation=T["geometry_msgs/msg/Quaternion"](*(float(v) for v in q[i])),
-            orientation_covariance=covariance[i].ravel(), angular_velocity=vector(*(float(v) for v in rates[i])),
-            angular_velocity_covariance=np.diag([1e-6] * 3).ravel(), linear_acceleration=vector(0.0, 0.0, 0.0),
-            linear_acceleration_covariance=unknown,
-        )  # fmt: skip
+        yield (
+            int(t[i]),
+            "/imu/data",
+            T["sensor_msgs/msg/Imu"](
+                header=_header(int(t[i]), "imu"),
+                orientation=T["geometry_msgs/msg/Quaternion"](*(float(v) for v in q[i])),
+                orientation_covariance=covariance[i].ravel(),
+                angular_velocity=vector(*(float(v) for v in rates[i])),
+                angular_velocity_covariance=np.diag([1e-6] * 3).ravel(),
+                linear_acceleration=vector(0.0, 0.0, 0.0),
+                linear_acceleration_covariance=unknown,
+            ),
+        )
 
 
 def nominal_config(survey: Survey, extra: dict[str, dict[str, Any]]) -> str:
-    """The configuration a surveyor would have: nominal mounting and the budget, in the ROS layout."""
+    """The configuration a surveyor would have: nominal mounting and the budget, in the ROS
+    layout.
+    """
     p = survey.platform
     sections: dict[str, dict[str, Any]] = {
         "calibration": {
-            "boresight_roll_deg": p.boresight_deg[0], "boresight_pitch_deg": p.boresight_deg[1], "boresight_yaw_deg": p.boresight_deg[2],
-            "lever_laser_m": list(p.lever_laser_m), "lever_antenna_m": list(p.lever_antenna_m),
+            "boresight_roll_deg": p.boresight_deg[0],
+            "boresight_pitch_deg": p.boresight_deg[1],
+            "boresight_yaw_deg": p.boresight_deg[2],
+            "lever_laser_m": list(p.lever_laser_m),
+            "lever_antenna_m": list(p.lever_antenna_m),
         },
-        "georeference": {"datum_latitude_deg": LATITUDE_DEG, "datum_longitude_deg": LONGITUDE_DEG, "datum_height_m": HEIGHT_M},
-    }  # fmt: skip
+        "georeference": {
+            "datum_latitude_deg": LATITUDE_DEG,
+            "datum_longitude_deg": LONGITUDE_DEG,
+            "datum_height_m": HEIGHT_M,
+        },
+    }
     for section, values in extra.items():
         sections.setdefault(section, {}).update(values)
-    return yaml.safe_dump({"/**": {"ros__parameters": sections}}, sort_keys=False, default_flow_style=None)
+    return yaml.safe_dump(
+        {"/**": {"ros__parameters": sections}}, sort_keys=False, default_flow_style=None
+    )
 
 
-def write_bag(survey: Survey, path: Path, extra: dict[str, dict[str, Any]], progress: Callable[[float], None]) -> None:
-    """Write the recording folder; ``progress`` is told the share done. Raises OutputError where it cannot be
-    written; a recording broken off leaves nothing behind."""
+def write_bag(
+    survey: Survey, path: Path, extra: dict[str, dict[str, Any]], progress: Callable[[float], None]
+) -> None:
+    """Write the recording folder; ``progress`` is told the share done. Raises OutputError where it
+    cannot be written; a recording broken off leaves nothing behind.
+    """
     if path.exists():
         raise OutputError(f"{path} exists already", reason="output_exists", value=str(path))
     messages = sorted([*_fix_messages(survey), *_imu_messages(survey)], key=lambda m: m[0])
@@ -101,15 +150,26 @@ def write_bag(survey: Survey, path: Path, extra: dict[str, dict[str, Any]], prog
         writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
         writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         with writer:
-            kinds = {"/velodyne_points": "PointCloud2", "/gnss/fix": "NavSatFix", "/imu/data": "Imu"}
-            lines = {t: writer.add_connection(t, f"sensor_msgs/msg/{k}", typestore=STORE) for t, k in kinds.items()}
+            kinds = {
+                "/velodyne_points": "PointCloud2",
+                "/gnss/fix": "NavSatFix",
+                "/imu/data": "Imu",
+            }
+            lines = {
+                t: writer.add_connection(t, f"sensor_msgs/msg/{k}", typestore=STORE)
+                for t, k in kinds.items()
+            }
 
             def put(topic: str, message: Any, t_ns: int) -> None:
-                writer.write(lines[topic], t_ns, bytes(STORE.serialize_cdr(message, lines[topic].msgtype)))
+                writer.write(
+                    lines[topic], t_ns, bytes(STORE.serialize_cdr(message, lines[topic].msgtype))
+                )
 
             waiting, total = 0, max(1, int(survey.options.duration_s * 10))
             for done, sweep in enumerate(survey.sweeps()):
-                end = sweep.stamp_ns + int(float(sweep.time_s[-1]) * 1e9)  # a driver sends a sweep when it is complete
+                end = sweep.stamp_ns + int(
+                    float(sweep.time_s[-1]) * 1e9
+                )  # a driver sends a sweep when it is complete
                 while waiting < len(messages) and messages[waiting][0] <= end:
                     put(messages[waiting][1], messages[waiting][2], messages[waiting][0])
                     waiting += 1
@@ -117,7 +177,9 @@ def write_bag(survey: Survey, path: Path, extra: dict[str, dict[str, Any]], prog
                 progress(min(1.0, (done + 1) / total))
             for t_ns, topic, message in messages[waiting:]:
                 put(topic, message, t_ns)
-        (path / "truth.json").write_text(json.dumps(survey.truth, indent=1) + "\n", encoding="utf-8")
+        (path / "truth.json").write_text(
+            json.dumps(survey.truth, indent=1) + "\n", encoding="utf-8"
+        )
         (path / "config.yaml").write_text(nominal_config(survey, extra), encoding="utf-8")
     except BaseException as error:
         shutil.rmtree(path, ignore_errors=True)

@@ -1,4 +1,6 @@
-"""Errors in time: a survey-constant part, a Gauss-Markov part and a white part of one total variance."""
+"""Errors in time: a survey-constant part, a Gauss-Markov part and a white part of one total
+variance.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ F64 = npt.NDArray[np.float64]
 
 
 class Errors(NamedTuple):
-    """Drawn errors: the sum of all parts (n, k) at the asked times, and the constant part (k,) within it."""
+    """Drawn errors: the sum of all parts (n, k) at the asked times, and the constant part (k,)
+    within it.
+    """
 
     total: F64
     bias: F64
@@ -22,7 +26,9 @@ class Errors(NamedTuple):
 
 @kernel
 def markov(keep: F64, steps: F64) -> F64:
-    """A Gauss-Markov process (n, k) of unit variance from independent steps (n, k), of whose state ``keep`` (n,) is kept."""
+    """A Gauss-Markov process (n, k) of unit variance from independent steps (n, k), of whose state
+    ``keep`` (n,) is kept.
+    """
     out = steps.copy()
     for i in range(1, len(keep)):
         new = math.sqrt(1.0 - keep[i] ** 2)
@@ -31,8 +37,17 @@ def markov(keep: F64, steps: F64) -> F64:
     return out
 
 
-def draw_errors(t_s: F64, sigma: F64, bias_share: float, white_share: float, tau_s: float, rng: np.random.Generator) -> Errors:
-    """Errors at increasing times (n,) s with total sigmas (k,); the shares are of the variance, the rest is Gauss-Markov."""
+def draw_errors(
+    t_s: F64,
+    sigma: F64,
+    bias_share: float,
+    white_share: float,
+    tau_s: float,
+    rng: np.random.Generator,
+) -> Errors:
+    """Errors at increasing times (n,) s with total sigmas (k,); the shares are of the variance, the
+    rest is Gauss-Markov.
+    """
     n, k = len(t_s), len(sigma)
     markov_share = max(0.0, 1.0 - bias_share - white_share)
     bias = rng.normal(size=k) * np.sqrt(bias_share)
@@ -43,6 +58,13 @@ def draw_errors(t_s: F64, sigma: F64, bias_share: float, white_share: float, tau
     return Errors(total, bias * sigma)
 
 
-def error_series(t_s: F64, sigma: F64, bias_share: float, white_share: float, tau_s: float, rng: np.random.Generator) -> F64:
+def error_series(
+    t_s: F64,
+    sigma: F64,
+    bias_share: float,
+    white_share: float,
+    tau_s: float,
+    rng: np.random.Generator,
+) -> F64:
     """The sum of the parts alone, (n, k)."""
     return draw_errors(t_s, sigma, bias_share, white_share, tau_s, rng).total

@@ -1,7 +1,8 @@
 """Scenes with closed-form volumes, as triangle meshes for ray casting.
 
-A body stands on its own ground: its surface is ``ground(x, y) + h(x, y)`` meshed with the ground's own vertices, so
-the volume is the integral of h whatever the ground does. Meshes approximate circles by 1,440-gons (3e-6 of the volume).
+A body stands on its own ground: its surface is ``ground(x, y) + h(x, y)`` meshed with the ground's
+own vertices, so the volume is the integral of h whatever the ground does. Meshes approximate
+circles by 1,440-gons (3e-6 of the volume).
 """
 
 from __future__ import annotations
@@ -24,12 +25,13 @@ REPOSE = np.radians(35.0)
 
 @dataclass(frozen=True)
 class Scene:
-    """Vertices (n, 3) m, triangles (m, 3), exact volume of the body above its own ground, a suggested outline (k, 2) m
-    and the radius of the part of the scene that matters.
+    """Vertices (n, 3) m, triangles (m, 3), exact volume of the body above its own ground, a
+    suggested outline (k, 2) m and the radius of the part of the scene that matters.
 
-    ``platforms`` see enough of the body: a scanner on a low mast sees neither the top of a high pile nor the floor of a pit.
-    ``flight_m`` is half the length of a flight and its height; ``loop_m`` the rover's loop: radius, centre x, y, and +1 with the
-    body inside the loop or −1 with the body outside. What is not given follows from the extent. ``extra`` goes into the truth.
+    ``platforms`` see enough of the body: a scanner on a low mast sees neither the top of a high
+    pile nor the floor of a pit. ``flight_m`` is half the length of a flight and its height;
+    ``loop_m`` the rover's loop: radius, centre x, y, and +1 with the body inside the loop or −1
+    with the body outside. What is not given follows from the extent. ``extra`` goes into the truth.
     """
 
     name: str
@@ -46,8 +48,9 @@ class Scene:
 
 @dataclass(frozen=True)
 class Ground:
-    """``z = height + slope·(x, y) + roughness``: a sum of sinusoids of zero mean with sd ``rough_m`` and correlation
-    length about ``length_m``."""
+    """``z = height + slope·(x, y) + roughness``: a sum of sinusoids of zero mean with sd
+    ``rough_m`` and correlation length about ``length_m``.
+    """
 
     height_m: float = 0.0
     slope: tuple[float, float] = (0.0, 0.0)
@@ -60,7 +63,11 @@ class Ground:
         rng = np.random.default_rng(self.seed)
         count = 40
         k = rng.normal(0.0, 1.0 / self.length_m, (count, 2))
-        return k, rng.uniform(0, 2 * np.pi, count), np.full(count, self.rough_m * np.sqrt(2.0 / count))
+        return (
+            k,
+            rng.uniform(0, 2 * np.pi, count),
+            np.full(count, self.rough_m * np.sqrt(2.0 / count)),
+        )
 
     def __call__(self, x: F64, y: F64) -> F64:
         """Height at (x, y)."""
@@ -88,7 +95,9 @@ class Ground:
         if self.rough_m > 0:
             k, phase, amplitude = self.waves()
             kr = np.hypot(k[:, 0], k[:, 1]) * radius
-            total += float(np.sum(amplitude * 2 * j1(kr) / kr * np.sin(k[:, 0] * cx + k[:, 1] * cy + phase)))
+            total += float(
+                np.sum(amplitude * 2 * j1(kr) / kr * np.sin(k[:, 0] * cx + k[:, 1] * cy + phase))
+            )
         return total
 
 
@@ -98,12 +107,18 @@ def grid_mesh(x: F64, y: F64, height: Height) -> tuple[F64, I32]:
     vertices = np.column_stack([gx.ravel(), gy.ravel(), height(gx.ravel(), gy.ravel())])
     i = (np.arange(len(x) - 1)[:, None] * len(y) + np.arange(len(y) - 1)[None, :]).ravel()
     n = len(y)
-    triangles = np.concatenate([np.column_stack([i, i + n, i + n + 1]), np.column_stack([i, i + n + 1, i + 1])])
+    triangles = np.concatenate(
+        [np.column_stack([i, i + n, i + n + 1]), np.column_stack([i, i + n + 1, i + 1])]
+    )
     return vertices, triangles.astype(np.int32)
 
 
-def polar_mesh(rho: F64, a: float, b: float, profile: Callable[[F64], F64], ground: Height) -> tuple[F64, I32]:
-    """Rings at elliptic radii rho (rho = 1 is the ellipse with semi-axes a, b) with a common centre vertex."""
+def polar_mesh(
+    rho: F64, a: float, b: float, profile: Callable[[F64], F64], ground: Height
+) -> tuple[F64, I32]:
+    """Rings at elliptic radii rho (rho = 1 is the ellipse with semi-axes a, b) with a common centre
+    vertex.
+    """
     phi = 2 * np.pi * np.arange(SIDES) / SIDES
     x = np.concatenate([[0.0], (rho[:, None] * a * np.cos(phi)).ravel()])
     y = np.concatenate([[0.0], (rho[:, None] * b * np.sin(phi)).ravel()])
@@ -114,7 +129,10 @@ def polar_mesh(rho: F64, a: float, b: float, profile: Callable[[F64], F64], grou
     parts = [np.column_stack([np.zeros(SIDES, int), 1 + k, 1 + nxt])]
     for ring in range(len(rho) - 1):
         lo, hi = 1 + ring * SIDES, 1 + (ring + 1) * SIDES
-        parts += [np.column_stack([lo + k, hi + k, hi + nxt]), np.column_stack([lo + k, hi + nxt, lo + nxt])]
+        parts += [
+            np.column_stack([lo + k, hi + k, hi + nxt]),
+            np.column_stack([lo + k, hi + nxt, lo + nxt]),
+        ]
     return vertices, np.concatenate(parts).astype(np.int32)
 
 
@@ -142,8 +160,10 @@ def _ring_outline(a: float, b: float, margin: float) -> F64:
 
 
 def pile(name: str, a: float, b: float, top: float, ground: Ground, extent: float = 45.0) -> Scene:
-    """An elliptic pile with semi-axes a, b (m) at the toe, angle of repose along the minor axis, cut off at the
-    relative radius ``top`` (0: cone). Volume ``pi a b H (1 + top + top²)/3`` with H the frustum's height."""
+    """An elliptic pile with semi-axes a, b (m) at the toe, angle of repose along the minor axis,
+    cut off at the relative radius ``top`` (0: cone). Volume ``pi a b H (1 + top + top²)/3`` with H
+    the frustum's height.
+    """
     height = min(a, b) * np.tan(REPOSE) * (1.0 - top)
     inner = np.linspace(0, 1, 41)[1:]
     rho = np.unique(np.concatenate([inner, [top, 1.0] if top > 0 else [1.0]]))
@@ -158,7 +178,9 @@ def pile(name: str, a: float, b: float, top: float, ground: Ground, extent: floa
     return Scene(name, vertices, triangles, float(volume), _ring_outline(a, b, 1.0), extent)
 
 
-def box_scene(name: str, size: tuple[float, float, float], ground: Ground, extent: float = 20.0) -> Scene:
+def box_scene(
+    name: str, size: tuple[float, float, float], ground: Ground, extent: float = 20.0
+) -> Scene:
     """A box (length, width, height above the mean ground below it)."""
     lx, ly, lz = size
     step = np.arange(-extent, extent + 0.1, 0.2)
@@ -167,8 +189,15 @@ def box_scene(name: str, size: tuple[float, float, float], ground: Ground, exten
     vertices, triangles = join(grid_mesh(step, step, ground), body)
     outline = np.array([[-lx, -ly], [lx, -ly], [lx, ly], [-lx, ly]]) / 2 * 1.5
     return Scene(
-        name, vertices, triangles, lx * ly * lz, outline, extent, platforms=("uav", "rover"), flight_m=(6.0, 10.0)
-    )  # fmt: skip
+        name,
+        vertices,
+        triangles,
+        lx * ly * lz,
+        outline,
+        extent,
+        platforms=("uav", "rover"),
+        flight_m=(6.0, 10.0),
+    )
 
 
 def nist_box() -> Scene:
@@ -180,17 +209,30 @@ def nist_box() -> Scene:
     vertices, triangles = join(floor, *screens, body)
     outline = np.array([[0, 0], [2, 0], [2, 2], [0, 2.0]])
     loop = (0.9, 4.8, 4.8, -1.0)  # on the open side of the corner
-    return Scene("nist_box", vertices, triangles, float(np.prod(size)), outline, 3.0, platforms=("rover",), loop_m=loop)
+    return Scene(
+        "nist_box",
+        vertices,
+        triangles,
+        float(np.prod(size)),
+        outline,
+        3.0,
+        platforms=("rover",),
+        loop_m=loop,
+    )
 
 
 def kern_pit(after: bool) -> Scene:
-    """Seed 003: a landfill layer of 2 m and 16 m³, before and after excavation; a frustum with 80 degree walls."""
+    """Seed 003: a landfill layer of 2 m and 16 m³, before and after excavation; a frustum with 80
+    degree walls.
+    """
     depth, inset = 2.0, 2.0 / np.tan(np.radians(80.0))
     # pi depth (R² + R r + r²)/3 = 16 with r = R - inset
     radius = float(np.roots([3.0, -3.0 * inset, inset**2 - 48.0 / (np.pi * depth)]).max())
     top = (radius - inset) / radius
     ground = Ground(rough_m=0.03, length_m=0.8, seed=4)
-    rho = np.unique(np.concatenate([np.linspace(0, top, 30)[1:], [1.0], 1.0 + np.geomspace(0.02, 6.0, 50)]))
+    rho = np.unique(
+        np.concatenate([np.linspace(0, top, 30)[1:], [1.0], 1.0 + np.geomspace(0.02, 6.0, 50)])
+    )
 
     def profile(r: F64) -> F64:
         cut = np.clip((1.0 - r) / (1.0 - top), 0.0, 1.0)
@@ -199,23 +241,49 @@ def kern_pit(after: bool) -> Scene:
     vertices, triangles = polar_mesh(rho, radius, radius, profile, ground)
     outline = _ring_outline(radius, radius, 0.5)
     name = "kern_after" if after else "kern_before"
-    return Scene(name, vertices, triangles, -16.0 if after else 0.0, outline, 10.0, flight_m=(8.0, 15.0))
+    return Scene(
+        name, vertices, triangles, -16.0 if after else 0.0, outline, 10.0, flight_m=(8.0, 15.0)
+    )
 
 
 def sphere() -> Scene:
     """A sphere of 1 m standing on level ground; the mesh is scaled to the exact volume.
 
-    A surface seen from above closes it down to the ground: ``volume_25d_m3`` is the half sphere on its cylinder."""
+    A surface seen from above closes it down to the ground: ``volume_25d_m3`` is the half sphere on
+    its cylinder.
+    """
     theta, phi = np.linspace(0, np.pi, 181)[1:-1], 2 * np.pi * np.arange(360) / 360
-    body = np.concatenate([[[0, 0, 1.0]], np.stack(
-        [np.outer(np.sin(theta), np.cos(phi)), np.outer(np.sin(theta), np.sin(phi)), np.outer(np.cos(theta), np.ones(360))], -1
-    ).reshape(-1, 3), [[0, 0, -1.0]]])  # fmt: skip
+    body = np.concatenate(
+        [
+            [[0, 0, 1.0]],
+            np.stack(
+                [
+                    np.outer(np.sin(theta), np.cos(phi)),
+                    np.outer(np.sin(theta), np.sin(phi)),
+                    np.outer(np.cos(theta), np.ones(360)),
+                ],
+                -1,
+            ).reshape(-1, 3),
+            [[0, 0, -1.0]],
+        ]
+    )
     k, nxt = np.arange(360), (np.arange(360) + 1) % 360
     parts = [np.column_stack([np.zeros(360, int), 1 + k, 1 + nxt])]
     for ring in range(len(theta) - 1):
         lo, hi = 1 + ring * 360, 1 + (ring + 1) * 360
-        parts += [np.column_stack([lo + k, hi + k, hi + nxt]), np.column_stack([lo + k, hi + nxt, lo + nxt])]
-    parts.append(np.column_stack([1 + (len(theta) - 1) * 360 + k, np.full(360, len(body) - 1), 1 + (len(theta) - 1) * 360 + nxt]))
+        parts += [
+            np.column_stack([lo + k, hi + k, hi + nxt]),
+            np.column_stack([lo + k, hi + nxt, lo + nxt]),
+        ]
+    parts.append(
+        np.column_stack(
+            [
+                1 + (len(theta) - 1) * 360 + k,
+                np.full(360, len(body) - 1),
+                1 + (len(theta) - 1) * 360 + nxt,
+            ]
+        )
+    )
     triangles = np.concatenate(parts).astype(np.int32)
     volume = 4.0 / 3.0 * np.pi
     body = body * (volume / mesh_volume(body, triangles)) ** (1 / 3) + [0, 0, 1.0]
@@ -223,11 +291,15 @@ def sphere() -> Scene:
     vertices, triangles = join(grid_mesh(step, step, Ground()), (body, triangles))
     extra = {"volume_25d_m3": 5.0 / 3.0 * np.pi}
     outline = _ring_outline(1.0, 1.0, 0.5)
-    return Scene("sphere", vertices, triangles, volume, outline, 10.0, extra, ("uav",), flight_m=(6.0, 10.0))
+    return Scene(
+        "sphere", vertices, triangles, volume, outline, 10.0, extra, ("uav",), flight_m=(6.0, 10.0)
+    )
 
 
 def square() -> Scene:
-    """The thesis's square (seed 002 chapter 9): paving with benches, a fountain ring and trees; the volume is benches and ring."""
+    """The thesis's square (seed 002 chapter 9): paving with benches, a fountain ring and trees; the
+    volume is benches and ring.
+    """
     step = np.arange(-14.0, 14.01, 0.0625)
     paving = Ground(rough_m=0.004, length_m=0.5, seed=9)
     parts = [grid_mesh(step, step, paving)]
@@ -240,12 +312,20 @@ def square() -> Scene:
     means = [paving.mean_over_disc(0.0, -5.0, r) * r * r for r in (4.0, 3.6)]
     rim = (means[0] - means[1]) / (4.0**2 - 3.6**2) + 0.5
     profile = [(4.0, -0.1), (4.0, rim), (3.6, rim), (3.6, -0.1)]
-    ring = np.concatenate([np.column_stack([r * np.cos(phi), r * np.sin(phi) - 5.0, np.full(SIDES, z)]) for r, z in profile])
+    ring = np.concatenate(
+        [
+            np.column_stack([r * np.cos(phi), r * np.sin(phi) - 5.0, np.full(SIDES, z)])
+            for r, z in profile
+        ]
+    )
     k, nxt = np.arange(SIDES), (np.arange(SIDES) + 1) % SIDES
     faces = []
     for a in range(4):
         lo, hi = a * SIDES, ((a + 1) % 4) * SIDES
-        faces += [np.column_stack([lo + k, lo + nxt, hi + nxt]), np.column_stack([lo + k, hi + nxt, hi + k])]
+        faces += [
+            np.column_stack([lo + k, lo + nxt, hi + nxt]),
+            np.column_stack([lo + k, hi + nxt, hi + k]),
+        ]
     parts.append((ring, np.concatenate(faces).astype(np.int32)))
     volume += np.pi * (4.0**2 - 3.6**2) * 0.5
     for x, y in ((-9.0, 9.0), (9.0, 9.0)):
@@ -265,7 +345,9 @@ def mesh_volume(vertices: F64, triangles: I32) -> float:
 
 
 def make_scene(name: str, seed: int = 0) -> Scene:
-    """A scene by name; the seed chooses the ground's roughness. Raises SimulationError for an unknown name."""
+    """A scene by name; the seed chooses the ground's roughness. Raises SimulationError for an
+    unknown name.
+    """
     rough = Ground(slope=(0.012, -0.008), rough_m=0.010, length_m=1.0, seed=seed)
     makers: dict[str, Callable[[], Scene]] = {
         "stockpile": lambda: pile("stockpile", 11.0, 9.0, 0.25, rough),
@@ -273,7 +355,11 @@ def make_scene(name: str, seed: int = 0) -> Scene:
         "cone_100": lambda: pile("cone_100", 5.14, 5.14, 0.0, rough),
         "frustum": lambda: pile("frustum", 10.0, 10.0, 0.5, Ground(slope=(0.03, 0.0))),
         "stockpile_5000": lambda: pile("stockpile_5000", 22.0, 18.0, 0.2, rough, 60.0),
-        "box": lambda: box_scene("box", (3.0, 2.0, 1.0), Ground(slope=(0.01, 0.005), rough_m=0.003, length_m=0.7, seed=seed)),
+        "box": lambda: box_scene(
+            "box",
+            (3.0, 2.0, 1.0),
+            Ground(slope=(0.01, 0.005), rough_m=0.003, length_m=0.7, seed=seed),
+        ),
         "nist_box": nist_box,
         "kern_before": lambda: kern_pit(False),
         "kern_after": lambda: kern_pit(True),

@@ -1,7 +1,8 @@
-"""One simulated survey: true path, drawn errors, ray-cast sweeps, and the sensor samples that come of them.
+"""One simulated survey: true path, drawn errors, ray-cast sweeps, and the sensor samples that come
+of them.
 
-Everything wrong with the survey is drawn here from the budget, by this room's own code; the pipeline sees samples and nominal values
-only. ``Survey.truth`` names what was drawn.
+Everything wrong with the survey is drawn here from the budget, by this room's own code; the
+pipeline sees samples and nominal values only. ``Survey.truth`` names what was drawn.
 """
 
 from __future__ import annotations
@@ -34,10 +35,12 @@ LATITUDE_DEG, LONGITUDE_DEG, HEIGHT_M = 50.0755, 14.4378, 235.0
 
 @dataclass(frozen=True)
 class SurveyOptions:
-    """How the survey is flown and what goes wrong on the way. Raises SimulationError for what cannot be flown.
+    """How the survey is flown and what goes wrong on the way. Raises SimulationError for what
+    cannot be flown.
 
-    ``thin`` keeps every n-th firing cycle; in ``outages_s`` (from, to) the receiver has no fix, in ``float_spans_s`` a float one of ten
-    times the sigma; ``range_step_m`` 0 leaves ranges unrounded.
+    ``thin`` keeps every n-th firing cycle; in ``outages_s`` (from, to) the receiver has no fix, in
+    ``float_spans_s`` a float one of ten times the sigma; ``range_step_m`` 0 leaves ranges
+    unrounded.
     """
 
     duration_s: float = 36.0
@@ -54,18 +57,29 @@ class SurveyOptions:
 
     def __post_init__(self) -> None:
         limits = {
-            "duration_s": (velodyne.TURN_S, 86_400.0), "thin": (1, 1808), "gnss_hz": (0.1, 1000.0), "imu_hz": (1.0, 10_000.0),
-            "dropout_share": (0.0, 1.0), "mixed_share": (0.0, 1.0), "max_range_m": (0.3, 1000.0), "range_step_m": (0.0, 1.0),
+            "duration_s": (velodyne.TURN_S, 86_400.0),
+            "thin": (1, 1808),
+            "gnss_hz": (0.1, 1000.0),
+            "imu_hz": (1.0, 10_000.0),
+            "dropout_share": (0.0, 1.0),
+            "mixed_share": (0.0, 1.0),
+            "max_range_m": (0.3, 1000.0),
+            "range_step_m": (0.0, 1.0),
             "seed": (0, 2**63 - 1),
-        }  # fmt: skip
+        }
         for name, (low, high) in limits.items():
             value = getattr(self, name)
             if not low <= value <= high:  # NaN too
-                raise SimulationError(f"{name} is {value}; it must lie between {low} and {high}", value=value)
+                raise SimulationError(
+                    f"{name} is {value}; it must lie between {low} and {high}", value=value
+                )
         for name in ("outages_s", "float_spans_s"):
             for first, last in getattr(self, name):
                 if not first < last:
-                    raise SimulationError(f"{name}: a span must end after it begins, not {first} to {last}", value=(first, last))
+                    raise SimulationError(
+                        f"{name}: a span must end after it begins, not {first} to {last}",
+                        value=(first, last),
+                    )
 
 
 @dataclass(frozen=True)
@@ -93,33 +107,50 @@ class Survey:
         o, b = self.options, self.budget
         rng = np.random.default_rng([o.seed, 1])
         self._boresight = rng.normal(0, b.boresight_sigma_rad)
-        self._lever_laser = np.array(self.platform.lever_laser_m) + rng.normal(0, b.lever_laser_sigma_m)
-        self._lever_antenna = np.array(self.platform.lever_antenna_m) + rng.normal(0, b.lever_antenna_sigma_m)
+        self._lever_laser = np.array(self.platform.lever_laser_m) + rng.normal(
+            0, b.lever_laser_sigma_m
+        )
+        self._lever_antenna = np.array(self.platform.lever_antenna_m) + rng.normal(
+            0, b.lever_antenna_sigma_m
+        )
         self._clock_s = float(rng.normal(0, b.clock_sigma_s))
         self._beams = velodyne.BeamErrors.draw(b, rng)
         self.truth = {
-            "scene": self.scene.name, "volume_m3": self.scene.volume_m3, "seed": o.seed,
-            "boresight_error_rad": self._boresight.tolist(), "lever_laser_m": self._lever_laser.tolist(),
-            "lever_antenna_m": self._lever_antenna.tolist(), "clock_error_s": self._clock_s, "range_bias_m": self._beams.range_bias,
-            "beam_range_m": self._beams.rho.tolist(), "beam_vertical_rad": self._beams.eps.tolist(), **self.scene.extra,
-        }  # fmt: skip
+            "scene": self.scene.name,
+            "volume_m3": self.scene.volume_m3,
+            "seed": o.seed,
+            "boresight_error_rad": self._boresight.tolist(),
+            "lever_laser_m": self._lever_laser.tolist(),
+            "lever_antenna_m": self._lever_antenna.tolist(),
+            "clock_error_s": self._clock_s,
+            "range_bias_m": self._beams.range_bias,
+            "beam_range_m": self._beams.rho.tolist(),
+            "beam_vertical_rad": self._beams.eps.tolist(),
+            **self.scene.extra,
+        }
         nav_rng = np.random.default_rng([o.seed, 2])
         self._fixes = self._draw_fixes(nav_rng)
         self._attitudes = self._draw_attitudes(nav_rng)
 
     def fixes(self) -> Fixes:
-        """Times (ns), antenna positions in scene coordinates (n, 3), sigmas (n, 3) and status (−1 outage, 0 float, 2 fix)."""
+        """Times (ns), antenna positions in scene coordinates (n, 3), sigmas (n, 3) and status (−1
+        outage, 0 float, 2 fix).
+        """
         return self._fixes
 
     def attitudes(self) -> Attitudes:
-        """Times (ns), quaternions xyzw (n, 4), body rates (n, 3), covariances about the map's axes (n, 3, 3)."""
+        """Times (ns), quaternions xyzw (n, 4), body rates (n, 3), covariances about the map's axes
+        (n, 3, 3).
+        """
         return self._attitudes
 
     def _draw_fixes(self, rng: np.random.Generator) -> Fixes:
         o, b = self.options, self.budget
         t = np.arange(-0.5, o.duration_s + 0.6, 1.0 / o.gnss_hz)
         sigma = np.array(b.position_sigma_m)
-        error, bias = draw_errors(t, sigma, b.position_bias_fraction, b.position_white_fraction, b.tau_position_s, rng)
+        error, bias = draw_errors(
+            t, sigma, b.position_bias_fraction, b.position_white_fraction, b.tau_position_s, rng
+        )
         self.truth["position_bias_m"] = bias.tolist()
         status = np.full(len(t), 2)
         scale = np.ones(len(t))
@@ -135,13 +166,22 @@ class Survey:
         o, b = self.options, self.budget
         t = np.arange(-0.5, o.duration_s + 0.6, 1.0 / o.imu_hz)
         sigma = np.array(b.attitude_sigma_rad)
-        error, bias = draw_errors(t, sigma, b.attitude_bias_fraction, b.attitude_white_fraction, b.tau_attitude_s, rng)
+        error, bias = draw_errors(
+            t, sigma, b.attitude_bias_fraction, b.attitude_white_fraction, b.tau_attitude_s, rng
+        )
         self.truth["attitude_bias_rad"] = bias.tolist()
         angles = self.platform.angles(t)
         measured = angles + error
         q = Rotation.from_euler("ZYX", measured[:, ::-1]).as_quat()
-        axes = np.zeros((len(t), 3, 3))  # map-axis rotation per small roll, pitch, yaw: columns of the gimbal
-        cp, sp, cy, sy = np.cos(angles[:, 1]), np.sin(angles[:, 1]), np.cos(angles[:, 2]), np.sin(angles[:, 2])
+        axes = np.zeros(
+            (len(t), 3, 3)
+        )  # map-axis rotation per small roll, pitch, yaw: columns of the gimbal
+        cp, sp, cy, sy = (
+            np.cos(angles[:, 1]),
+            np.sin(angles[:, 1]),
+            np.cos(angles[:, 2]),
+            np.sin(angles[:, 2]),
+        )
         axes[:, :, 0] = np.column_stack([cp * cy, cp * sy, -sp])
         axes[:, :, 1] = np.column_stack([-sy, cy, np.zeros(len(t))])
         axes[:, 2, 2] = 1.0
@@ -150,12 +190,17 @@ class Survey:
         return _ns(t), q, rates, covariance
 
     def sweeps(self) -> Iterator[Sweep]:
-        """Clouds of one turn each, in laser coordinates, returns only; every call gives the same."""
-        o3d = importlib.import_module("open3d")  # loaded where rays are cast: half a second and 300 MB
+        """Clouds of one turn each, in laser coordinates, returns only; every call gives the
+        same.
+        """
+        o3d = importlib.import_module(
+            "open3d"
+        )  # loaded where rays are cast: half a second and 300 MB
 
         caster = o3d.t.geometry.RaycastingScene()
         caster.add_triangles(
-            o3d.core.Tensor(self.scene.vertices.astype(np.float32)), o3d.core.Tensor(self.scene.triangles.astype(np.uint32))
+            o3d.core.Tensor(self.scene.vertices.astype(np.float32)),
+            o3d.core.Tensor(self.scene.triangles.astype(np.uint32)),
         )
         nominal = Rotation.from_euler("ZYX", np.radians(self.platform.boresight_deg[::-1]))
         mounting = Rotation.from_rotvec(self._boresight) * nominal
@@ -165,7 +210,9 @@ class Survey:
             if len(sweep.time_s):
                 yield sweep
 
-    def _sweep(self, start_s: float, caster: Any, mounting: Rotation, o3d: Any, rng: np.random.Generator) -> Sweep:
+    def _sweep(
+        self, start_s: float, caster: Any, mounting: Rotation, o3d: Any, rng: np.random.Generator
+    ) -> Sweep:
         o = self.options
         f = velodyne.sweep(start_s, o.thin)
         body = mounting.apply(velodyne.true_directions(f, self._beams, self.budget, rng))
@@ -179,7 +226,9 @@ class Survey:
         normals = np.zeros((len(rays), 3))
         normals[down] = hit["primitive_normals"].numpy()
         true[~np.isfinite(true) | (true > o.max_range_m)] = np.nan
-        rho = velodyne.measured_ranges(true, f.ring, self._beams, self.budget, o.mixed_share, rng, o.range_step_m)
+        rho = velodyne.measured_ranges(
+            true, f.ring, self._beams, self.budget, o.mixed_share, rng, o.range_step_m
+        )
         keep = np.isfinite(rho) & (rho > 0.3) & (rng.random(len(rho)) >= o.dropout_share)
         xyz = rho[keep, None] * velodyne.directions(f.azimuth[keep], f.elevation[keep])
         facing = np.abs(np.sum(normals[keep] * rays[keep, 3:], axis=1))

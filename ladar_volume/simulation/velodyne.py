@@ -1,7 +1,9 @@
-"""A VLP-16 that fires as the real one: 16 beams in cycles of 55.296 µs, one every 2.304 µs, 10 turns a second.
+"""A VLP-16 that fires as the real one: 16 beams in cycles of 55.296 µs, one every 2.304 µs, 10
+turns a second.
 
-Every sweep starts a fresh cycle at azimuth zero; the real scanner's turn holds 1808.4 cycles, so that its azimuths shift by a part
-of a step from turn to turn and the 25 µs at the end of a turn are not idle.
+Every sweep starts a fresh cycle at azimuth zero; the real scanner's turn holds 1808.4 cycles, so
+that its azimuths shift by a part of a step from turn to turn and the 25 µs at the end of a turn are
+not idle.
 """
 
 from __future__ import annotations
@@ -24,7 +26,9 @@ RANGE_STEP_M = 0.002
 
 @dataclass(frozen=True)
 class Firings:
-    """One sweep: seconds since the start, azimuth and elevation as the driver will report them (rad), ring."""
+    """One sweep: seconds since the start, azimuth and elevation as the driver will report them
+    (rad), ring.
+    """
 
     time_s: F64
     azimuth: F64
@@ -37,7 +41,12 @@ def sweep(start_s: float, thin: int) -> Firings:
     cycles = np.arange(int(TURN_S / CYCLE_S))[::thin]
     t = start_s + cycles[:, None] * CYCLE_S + np.arange(16) * FIRING_S
     azimuth = -2 * np.pi * (t / TURN_S)  # clockwise seen from above
-    return Firings(t.ravel(), azimuth.ravel(), np.tile(np.radians(FIRING_ORDER_DEG), len(cycles)), np.tile(RINGS, len(cycles)))
+    return Firings(
+        t.ravel(),
+        azimuth.ravel(),
+        np.tile(np.radians(FIRING_ORDER_DEG), len(cycles)),
+        np.tile(RINGS, len(cycles)),
+    )
 
 
 def directions(azimuth: F64, elevation: F64) -> F64:
@@ -48,7 +57,9 @@ def directions(azimuth: F64, elevation: F64) -> F64:
 
 @dataclass(frozen=True)
 class BeamErrors:
-    """What is wrong with one instrument: range bias, and per ring a range offset (m) and a vertical offset (rad)."""
+    """What is wrong with one instrument: range bias, and per ring a range offset (m) and a vertical
+    offset (rad).
+    """
 
     range_bias: float
     rho: F64
@@ -58,16 +69,27 @@ class BeamErrors:
     def draw(budget: BudgetParameters, rng: np.random.Generator) -> BeamErrors:
         """One instrument of this budget."""
         return BeamErrors(
-            float(rng.normal(0, budget.range_bias_sigma_m)), rng.normal(0, budget.beam_range_sigma_m, 16),
+            float(rng.normal(0, budget.range_bias_sigma_m)),
+            rng.normal(0, budget.beam_range_sigma_m, 16),
             rng.normal(0, budget.beam_vertical_sigma_rad, 16),
-        )  # fmt: skip
+        )
 
 
-def true_directions(f: Firings, errors: BeamErrors, budget: BudgetParameters, rng: np.random.Generator) -> F64:
-    """Where the pulses really went: encoder noise, the beam's own vertical offset, and where in the footprint it was reflected."""
+def true_directions(
+    f: Firings, errors: BeamErrors, budget: BudgetParameters, rng: np.random.Generator
+) -> F64:
+    """Where the pulses really went: encoder noise, the beam's own vertical offset, and where in the
+    footprint it was reflected.
+    """
     spot = budget.beam_divergence_rad / 4.0
-    azimuth = f.azimuth + rng.normal(0, np.hypot(budget.azimuth_noise_rad, spot), len(f.azimuth)) / np.cos(f.elevation)
-    elevation = f.elevation + errors.eps[f.ring] + rng.normal(0, np.hypot(budget.vertical_noise_rad, spot), len(f.azimuth))
+    azimuth = f.azimuth + rng.normal(
+        0, np.hypot(budget.azimuth_noise_rad, spot), len(f.azimuth)
+    ) / np.cos(f.elevation)
+    elevation = (
+        f.elevation
+        + errors.eps[f.ring]
+        + rng.normal(0, np.hypot(budget.vertical_noise_rad, spot), len(f.azimuth))
+    )
     return directions(azimuth, elevation)
 
 
@@ -82,12 +104,20 @@ def measured_ranges(
 ) -> F64:
     """Ranges as the instrument reports them (m), NaN where there is no return.
 
-    A pulse whose neighbour in time of the same beam lies deeper by more than 0.2 m and less than 20 m may return a mixture of both.
-    ``step_m`` is the instrument's range resolution; 0 leaves ranges unrounded.
+    A pulse whose neighbour in time of the same beam lies deeper by more than 0.2 m and less than 20
+    m may return a mixture of both. ``step_m`` is the instrument's range resolution; 0 leaves ranges
+    unrounded.
     """
-    rho = true + errors.range_bias + errors.rho[ring] + rng.normal(0, budget.range_noise_m, len(true))
+    rho = (
+        true + errors.range_bias + errors.rho[ring] + rng.normal(0, budget.range_noise_m, len(true))
+    )
     after = np.roll(true, -16)
-    step = np.isfinite(after) & np.isfinite(true) & (np.abs(after - true) > 0.2) & (np.abs(after - true) < 20.0)
+    step = (
+        np.isfinite(after)
+        & np.isfinite(true)
+        & (np.abs(after - true) > 0.2)
+        & (np.abs(after - true) < 20.0)
+    )
     mixed = step & (rng.random(len(true)) < mixed_share)
     rho[mixed] += (after - true)[mixed] * rng.random(int(mixed.sum()))
     reported: F64 = np.round(rho / step_m) * step_m if step_m > 0 else rho

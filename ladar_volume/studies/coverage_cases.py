@@ -1,7 +1,9 @@
-"""What is surveyed in ``ladar_volume study coverage``, and what one survey gives: scenarios, variants, and the numbers of one seed.
+"""What is surveyed in ``ladar_volume study coverage``, and what one survey gives: scenarios,
+variants, and the numbers of one seed.
 
-A variant is a pair of budgets: the one the errors are drawn from and the one the propagation believes. ``all`` has both alike;
-``lines`` draws one source at a time; the others draw what the propagation does not know of.
+A variant is a pair of budgets: the one the errors are drawn from and the one the propagation
+believes. ``all`` has both alike; ``lines`` draws one source at a time; the others draw what the
+propagation does not know of.
 """
 
 from __future__ import annotations
@@ -12,12 +14,27 @@ from typing import Any
 
 import numpy as np
 
-from ladar_volume.model.parameters import BudgetParameters, FilterParameters, GeoreferenceParameters, Parameters, VolumeParameters
+from ladar_volume.model.parameters import (
+    BudgetParameters,
+    FilterParameters,
+    GeoreferenceParameters,
+    Parameters,
+    VolumeParameters,
+)
 from ladar_volume.model.records import Tin, Volume
 from ladar_volume.studies.coverage_box import BOX, BoxSite, ClosedBox, body_on_ground, closed_box
 from ladar_volume.studies.coverage_flight import FIX_HZ, ground_of
 from ladar_volume.studies.coverage_scene import FIELDS, Site, level_truth
-from ladar_volume.studies.coverage_survey import SOURCES, Flown, VertexSurvey, fly, surface_only, survey, vertices, without
+from ladar_volume.studies.coverage_survey import (
+    SOURCES,
+    Flown,
+    VertexSurvey,
+    fly,
+    surface_only,
+    survey,
+    vertices,
+    without,
+)
 from ladar_volume.surface.represent import SurfaceOptions, represent
 from ladar_volume.volume.base import base_and_outline, polygon_of
 from ladar_volume.volume.chords import chord_volumes
@@ -40,8 +57,10 @@ SITES: dict[str, Site | BoxSite] = {**FIELDS, BOX.name: BOX}
 
 @dataclass(frozen=True)
 class Row:
-    """One volume: error, its predicted sigma, the naive one (all points independent), those for a third of and three times the correlation
-    times, m³; and the variance of every line of the budget, m⁶."""
+    """One volume: error, its predicted sigma, the naive one (all points independent), those for a
+    third of and three times the correlation times, m³; and the variance of every line of the
+    budget, m⁶.
+    """
 
     error_m3: float
     sigma_m3: float
@@ -56,10 +75,15 @@ def scaled(budget: BudgetParameters, sigmas: float = 1.0, tau: float = 1.0) -> B
     for fields in SOURCES.values():
         for name, _ in fields:
             value = getattr(budget, name)
-            changes[name] = tuple(sigmas * v for v in value) if isinstance(value, tuple) else sigmas * value
+            changes[name] = (
+                tuple(sigmas * v for v in value) if isinstance(value, tuple) else sigmas * value
+            )
     return dataclasses.replace(
-        budget, **changes, tau_position_s=tau * budget.tau_position_s, tau_attitude_s=tau * budget.tau_attitude_s
-    )  # fmt: skip
+        budget,
+        **changes,
+        tau_position_s=tau * budget.tau_position_s,
+        tau_attitude_s=tau * budget.tau_attitude_s,
+    )
 
 
 DEFAULT = BudgetParameters()
@@ -72,7 +96,10 @@ VARIANTS: dict[str, tuple[BudgetParameters, BudgetParameters]] = {
     "tau a third": (scaled(DEFAULT, tau=1.0 / 3.0), DEFAULT),
     "sigmas 30 % larger": (scaled(DEFAULT, sigmas=1.3), DEFAULT),
     "sigmas 30 % smaller": (scaled(DEFAULT, sigmas=0.7), DEFAULT),
-    "beams not modelled": (DEFAULT, dataclasses.replace(DEFAULT, beam_range_sigma_m=0.0, beam_vertical_sigma_rad=0.0)),
+    "beams not modelled": (
+        DEFAULT,
+        dataclasses.replace(DEFAULT, beam_range_sigma_m=0.0, beam_vertical_sigma_rad=0.0),
+    ),
 }
 SCENARIOS = tuple(SITES)
 
@@ -85,21 +112,29 @@ def bases(site: Site | BoxSite) -> tuple[str, ...]:
 
 
 def believed_parameters(budget: BudgetParameters, site: Site, base: str) -> Parameters:
-    """Parameters of the estimation: the body's automatic outline above its own ground, or a rectangle above the level 0."""
+    """Parameters of the estimation: the body's automatic outline above its own ground, or a
+    rectangle above the level 0.
+    """
     volume = VolumeParameters(max_edge_m=site.max_edge_m)
     if base == LEVEL:
         x, y = level_half(site)
-        volume = dataclasses.replace(volume, base="level", outline="polygon", polygon_m=(-x, -y, x, -y, x, y, -x, y))
+        volume = dataclasses.replace(
+            volume, base="level", outline="polygon", polygon_m=(-x, -y, x, -y, x, y, -x, y)
+        )
     return dataclasses.replace(at_vertex_level(budget), volume=volume)
 
 
 def at_vertex_level(budget: BudgetParameters) -> Parameters:
-    """Parameters of a survey whose every return is a vertex. The rate of the fixes is known, by the longest gap that is bridged, and a time
-    bin is as long: a few returns for each fix do not see the same as those for the next one, as thousands would."""
+    """Parameters of a survey whose every return is a vertex. The rate of the fixes is known, by the
+    longest gap that is bridged, and a time bin is as long: a few returns for each fix do not see
+    the same as those for the next one, as thousands would.
+    """
     step_s = 1.0 / FIX_HZ
     return Parameters(
-        budget=budget, georeference=GeoreferenceParameters(max_position_gap_s=step_s), filter=FilterParameters(nav_bin_s=step_s)
-    )  # fmt: skip
+        budget=budget,
+        georeference=GeoreferenceParameters(max_position_gap_s=step_s),
+        filter=FilterParameters(nav_bin_s=step_s),
+    )
 
 
 def level_half(site: Site) -> tuple[float, float]:
@@ -114,14 +149,21 @@ def truth(site: Site | BoxSite, base: str, seed: int) -> float:
     return site.volume_m3
 
 
-def measured(site: Site | BoxSite, drawn: BudgetParameters, believed: BudgetParameters, seed: int) -> dict[str, Row]:
-    """One whole survey, or two for a difference: by base its error and what the propagation says of it."""
+def measured(
+    site: Site | BoxSite, drawn: BudgetParameters, believed: BudgetParameters, seed: int
+) -> dict[str, Row]:
+    """One whole survey, or two for a difference: by base its error and what the propagation says of
+    it.
+    """
     if isinstance(site, BoxSite):
         P = at_vertex_level(believed)
         return {CLOSED: box_row(site, survey(site, drawn, P, seed), P)}
     if site.height_m < 0:
         P = believed_parameters(believed, site, EPOCHS)
-        before, after = (estimator_of(VertexSurvey(vertices(f, P), f.states), P).epoch() for f in epochs(site, drawn, believed, seed))
+        before, after = (
+            estimator_of(VertexSurvey(vertices(f, P), f.states), P).epoch()
+            for f in epochs(site, drawn, believed, seed)
+        )
         return {EPOCHS: row_of(epoch_difference(after, before)[0].volume, site.volume_m3)}
     first, out = believed_parameters(believed, site, GROUND), {}
     estimator = estimator_of(survey(site, drawn, first, seed), first)
@@ -133,29 +175,48 @@ def measured(site: Site | BoxSite, drawn: BudgetParameters, believed: BudgetPara
 
 def row_of(v: Volume, true_m3: float) -> Row:
     """A volume as its error and what it says of itself."""
-    return Row(v.volume_m3 - true_m3, v.sigma_m3, v.sigma_naive_m3, v.sigma_tau_range_m3, by_source(v.budget_m6))
+    return Row(
+        v.volume_m3 - true_m3,
+        v.sigma_m3,
+        v.sigma_naive_m3,
+        v.sigma_tau_range_m3,
+        by_source(v.budget_m6),
+    )
 
 
 def box_row(site: BoxSite, flown: VertexSurvey, parameters: Parameters) -> Row:
     """The closed body of a survey of a box."""
     navigation = NavigationBins(parameters.filter.nav_bin_s)
     navigation.add(flown.states)
-    return closed_row(closed_box(flown.update.points, flown.update.patches, navigation, parameters), site.volume_m3)
+    return closed_row(
+        closed_box(flown.update.points, flown.update.patches, navigation, parameters),
+        site.volume_m3,
+    )
 
 
 def closed_row(found: ClosedBox, true_m3: float) -> Row:
     """A closed body as its error and what it says of itself."""
     return Row(
-        found.volume_m3 - true_m3, found.sigma_m3, found.sigma_naive_m3, found.sigma_tau_range_m3, by_source(found.budget_m6)
-    )  # fmt: skip
+        found.volume_m3 - true_m3,
+        found.sigma_m3,
+        found.sigma_naive_m3,
+        found.sigma_tau_range_m3,
+        by_source(found.budget_m6),
+    )
 
 
 #: Lines of the budget that are part of another one's source.
-PARTS = {"noise_tangential": "noise", "boresight_second_order": "boresight", "attitude_second_order": "attitude"}
+PARTS = {
+    "noise_tangential": "noise",
+    "boresight_second_order": "boresight",
+    "attitude_second_order": "attitude",
+}
 
 
 def by_source(budget_m6: dict[str, float]) -> dict[str, float]:
-    """The budget by source: what one source does in several lines, or in both of two epochs, in one."""
+    """The budget by source: what one source does in several lines, or in both of two epochs, in
+    one.
+    """
     out: dict[str, float] = {}
     for line, variance in budget_m6.items():
         own = line.removesuffix("_previous")
@@ -165,15 +226,23 @@ def by_source(budget_m6: dict[str, float]) -> dict[str, float]:
 
 
 def epochs(
-    site: Site, drawn: BudgetParameters, believed: BudgetParameters, seed: int, ground: int | None = None
-) -> tuple[Flown, Flown]:  # fmt: skip
+    site: Site,
+    drawn: BudgetParameters,
+    believed: BudgetParameters,
+    seed: int,
+    ground: int | None = None,
+) -> tuple[Flown, Flown]:
     """Before and after: one instrument and one ground, two flights."""
     before = dataclasses.replace(site, height_m=0.0)
-    return fly(before, drawn, believed, seed, 2 * seed, ground), fly(site, drawn, believed, seed, 2 * seed + 1, ground)
+    return fly(before, drawn, believed, seed, 2 * seed, ground), fly(
+        site, drawn, believed, seed, 2 * seed + 1, ground
+    )
 
 
 def full_tin(flown: Flown, parameters: Parameters) -> Tin:
-    """Every vertex of the survey in one TIN, with the triangles that the parameters call relevant."""
+    """Every vertex of the survey in one TIN, with the triangles that the parameters call
+    relevant.
+    """
     return represent(flown.points.r_map, options_of(parameters), measured=False).tin
 
 
@@ -181,8 +250,12 @@ def options_of(parameters: Parameters) -> SurfaceOptions:
     """A full TIN's options."""
     v = parameters.volume
     return SurfaceOptions(
-        ratio=1.0, adjust="none", relevant=v.relevant, max_edge_m=v.max_edge_m, max_circumdiameter_m=v.max_circumdiameter_m
-    )  # fmt: skip
+        ratio=1.0,
+        adjust="none",
+        relevant=v.relevant,
+        max_edge_m=v.max_edge_m,
+        max_circumdiameter_m=v.max_circumdiameter_m,
+    )
 
 
 def estimator_of(flown: VertexSurvey, parameters: Parameters) -> VolumeEstimator:
@@ -193,12 +266,23 @@ def estimator_of(flown: VertexSurvey, parameters: Parameters) -> VolumeEstimator
     return estimator
 
 
-def net_volumes(site: Site | BoxSite, drawn: BudgetParameters, seed: int, ground: int | None = None) -> dict[str, float]:
-    """By base the volume alone, m³, of a survey with other errors than believed, over the ground of ``seed`` or another."""
+def net_volumes(
+    site: Site | BoxSite, drawn: BudgetParameters, seed: int, ground: int | None = None
+) -> dict[str, float]:
+    """By base the volume alone, m³, of a survey with other errors than believed, over the ground of
+    ``seed`` or another.
+    """
     if isinstance(site, BoxSite):
-        return {CLOSED: body_on_ground(surface_only(fly(site, drawn, DEFAULT, seed, ground=ground)))[0].volume_m3}
+        return {
+            CLOSED: body_on_ground(surface_only(fly(site, drawn, DEFAULT, seed, ground=ground)))[
+                0
+            ].volume_m3
+        }
     if site.height_m < 0:
-        before, after = (full_tin(s, believed_parameters(DEFAULT, site, EPOCHS)) for s in epochs(site, drawn, DEFAULT, seed, ground))
+        before, after = (
+            full_tin(s, believed_parameters(DEFAULT, site, EPOCHS))
+            for s in epochs(site, drawn, DEFAULT, seed, ground)
+        )
         return {EPOCHS: between(after, before, gradients=False).net_m3}
     P = believed_parameters(DEFAULT, site, GROUND)
     flown = fly(site, drawn, DEFAULT, seed, ground=ground)
@@ -207,16 +291,24 @@ def net_volumes(site: Site | BoxSite, drawn: BudgetParameters, seed: int, ground
     weights = weights_inside(tin, polygon_of(believed_parameters(DEFAULT, site, LEVEL).volume))
     above_level = float((weights * tin.vertices[tin.triangles, 2]).sum())
     volumes = prismoids(tin, plane, inside > 0).net_m3, above_level
-    chords = (float(chord_volumes(tin, flown.normal[tin.source], area).sum()) for area in (inside, weights.sum(axis=1)))
-    return {base: volume - chord for base, volume, chord in zip((GROUND, LEVEL), volumes, chords, strict=True)}
+    chords = (
+        float(chord_volumes(tin, flown.normal[tin.source], area).sum())
+        for area in (inside, weights.sum(axis=1))
+    )
+    return {
+        base: volume - chord
+        for base, volume, chord in zip((GROUND, LEVEL), volumes, chords, strict=True)
+    }
 
 
 def alone(site: Site | BoxSite, seed: int) -> dict[str, dict[str, list[float]]]:
-    """By base and line of the budget: the changes of the volume (m³) when that source alone errs, the same errors over two grounds of
-    their own roughness; over one for noise, and for a box, on whose smooth ground little depends.
+    """By base and line of the budget: the changes of the volume (m³) when that source alone errs,
+    the same errors over two grounds of their own roughness; over one for noise, and for a box, on
+    whose smooth ground little depends.
 
-    The change is against the same survey without any error, so that what the sampling of the surface does is in both. The roughness of
-    the ground is what is left without any other error: its change is the error of that survey.
+    The change is against the same survey without any error, so that what the sampling of the
+    surface does is in both. The roughness of the ground is what is left without any other error:
+    its change is the error of that survey.
     """
     out: dict[str, dict[str, list[float]]] = {base: {} for base in bases(site)}
     for ground in (seed,) if isinstance(site, BoxSite) else (seed, seed + OTHER_GROUND):

@@ -1,5 +1,6 @@
-"""What errors do not change of a flight in ``ladar_volume study coverage``: its true path, its pulses and its ground, computed once for
-all surveys that share it."""
+"""What errors do not change of a flight in ``ladar_volume study coverage``: its true path, its
+pulses and its ground, computed once for all surveys that share it.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +22,8 @@ DURATION_S, FIX_HZ, ATTITUDE_HZ = 36.0, 10.0, 50.0
 BEAM_COUNT = 16
 #: Pulses that come so near a site, m, may hit it: no error turns or shifts them farther.
 NEAR_M = 2.0
-#: The streams of random numbers for a flight's pulses and for where in their footprint they are reflected.
+#: The streams of random numbers for a flight's pulses and for where in their footprint they are
+#: reflected.
 PULSES, SPOT = 0, 7
 
 
@@ -30,9 +32,17 @@ def sample_times(hz: float) -> F64:
     return np.arange(-0.5, DURATION_S + 0.6, 1.0 / hz)
 
 
-def pulses(platform: Platform, count: int, sector_rad: float, rng: np.random.Generator) -> velodyne.Firings:
-    """Random pulses of the flight within an angle about the scanner's axis from straight down, in order of time."""
-    down = Rotation.from_euler("ZYX", np.radians(platform.boresight_deg[::-1])).inv().apply([0.0, 0.0, -1.0])
+def pulses(
+    platform: Platform, count: int, sector_rad: float, rng: np.random.Generator
+) -> velodyne.Firings:
+    """Random pulses of the flight within an angle about the scanner's axis from straight down, in
+    order of time.
+    """
+    down = (
+        Rotation.from_euler("ZYX", np.radians(platform.boresight_deg[::-1]))
+        .inv()
+        .apply([0.0, 0.0, -1.0])
+    )
     straight = math.atan2(down[1], down[0])
     turn = rng.integers(0, int(DURATION_S / velodyne.TURN_S), count)
     azimuth = straight + rng.uniform(-sector_rad, sector_rad, count)
@@ -43,17 +53,29 @@ def pulses(platform: Platform, count: int, sector_rad: float, rng: np.random.Gen
 
 
 def turned(angles: F64) -> Rotation:
-    """Body → map rotations of roll, pitch and yaw (n, 3) rad, ``Rz Ry Rx``: scipy's own take ten times as long on many."""
+    """Body → map rotations of roll, pitch and yaw (n, 3) rad, ``Rz Ry Rx``: scipy's own take ten
+    times as long on many.
+    """
     (cr, cp, cy), (sr, sp, sy) = np.cos(0.5 * angles.T), np.sin(0.5 * angles.T)
     across, along = (cr * sp, sr * cp), (cr * cp, sr * sp)
-    return Rotation.from_quat(np.stack([
-        across[1] * cy - across[0] * sy, across[0] * cy + across[1] * sy, along[0] * sy - along[1] * cy, along[0] * cy + along[1] * sy
-    ], axis=1))  # fmt: skip
+    return Rotation.from_quat(
+        np.stack(
+            [
+                across[1] * cy - across[0] * sy,
+                across[0] * cy + across[1] * sy,
+                along[0] * sy - along[1] * cy,
+                along[0] * cy + along[1] * sy,
+            ],
+            axis=1,
+        )
+    )
 
 
 @dataclass(frozen=True)
 class Path:
-    """Where the platform truly is at times t_s (n,): position (n, 3) m, roll, pitch and yaw (n, 3) rad, and the rotations they are."""
+    """Where the platform truly is at times t_s (n,): position (n, 3) m, roll, pitch and yaw (n, 3)
+    rad, and the rotations they are.
+    """
 
     t_s: F64
     position: F64
@@ -77,7 +99,9 @@ class Path:
 
 @lru_cache(maxsize=2)
 def pulses_of(site: Site | BoxSite, flight: int) -> tuple[velodyne.Firings, Path]:
-    """The pulses of one flight that go near its site and the path at them: surveys with one source at a time share them."""
+    """The pulses of one flight that go near its site and the path at them: surveys with one source
+    at a time share them.
+    """
     platform = uav(*site.flight_m, DURATION_S)
     f = pulses(platform, site.pulses, site.sector_rad, np.random.default_rng([flight, PULSES]))
     near = aimed_at(site, platform, f)
@@ -86,23 +110,36 @@ def pulses_of(site: Site | BoxSite, flight: int) -> tuple[velodyne.Firings, Path
 
 
 def aimed_at(site: Site | BoxSite, platform: Platform, f: velodyne.Firings) -> I64:
-    """The pulses (k,) that come within :data:`NEAR_M` of the surveyed rectangle on their way through the heights of the site, seen from
-    the nearest sample of the path."""
+    """The pulses (k,) that come within :data:`NEAR_M` of the surveyed rectangle on their way
+    through the heights of the site, seen from the nearest sample of the path.
+    """
     path, _, _ = states_of(site)
     row = np.rint((f.time_s - path.t_s[0]) * ATTITUDE_HZ).astype(np.int64)
     boresight = turned(np.radians(np.array(platform.boresight_deg))[None])[0]
     ray = path.rotation[row].apply(boresight.apply(velodyne.directions(f.azimuth, f.elevation)))
-    ends = [path.position[row, :2] + ray[:, :2] * ((z - path.position[row, 2]) / ray[:, 2])[:, None] for z in site.heights_m]
+    ends = [
+        path.position[row, :2] + ray[:, :2] * ((z - path.position[row, 2]) / ray[:, 2])[:, None]
+        for z in site.heights_m
+    ]
     reach = np.array(site.half_m) + NEAR_M
-    return np.flatnonzero(((np.minimum(*ends) <= reach) & (np.maximum(*ends) >= -reach)).all(axis=1) & (ray[:, 2] < 0.0))
+    return np.flatnonzero(
+        ((np.minimum(*ends) <= reach) & (np.maximum(*ends) >= -reach)).all(axis=1)
+        & (ray[:, 2] < 0.0)
+    )
 
 
 @lru_cache(maxsize=4)
 def states_of(site: Site | BoxSite) -> tuple[Path, F64, F64]:
-    """The path at the times of the attitudes, the antenna's velocity and the body rates (n, 3) there."""
+    """The path at the times of the attitudes, the antenna's velocity and the body rates (n, 3)
+    there.
+    """
     platform, h = uav(*site.flight_m, DURATION_S), 1e-3
     t = sample_times(ATTITUDE_HZ)
-    return Path.at(platform, t), (platform.position(t + h) - platform.position(t - h)) / (2 * h), platform.rates(t)
+    return (
+        Path.at(platform, t),
+        (platform.position(t + h) - platform.position(t - h)) / (2 * h),
+        platform.rates(t),
+    )
 
 
 @lru_cache(maxsize=2)
@@ -113,8 +150,9 @@ def ground_of(site: Site | BoxSite, seed: int) -> RoughGround:
 
 @dataclass(frozen=True)
 class Aim:
-    """What decides where pulses go: laser → body quaternion, lever arm (m), vertical offsets of the beams (rad), noise of angles and
-    footprint (rad)."""
+    """What decides where pulses go: laser → body quaternion, lever arm (m), vertical offsets of the
+    beams (rad), noise of angles and footprint (rad).
+    """
 
     rotation: tuple[float, ...]
     lever: tuple[float, ...]
@@ -125,12 +163,18 @@ class Aim:
 
 
 @lru_cache(maxsize=8)
-def hits_of(site: Site | BoxSite, ground: int, flight: int, aim: Aim) -> tuple[velodyne.Firings, Path, F64, F64]:
-    """The pulses that become vertices, the path at them, their true ranges (k,) and hits (k, 3) m: most sources leave them as they are."""
+def hits_of(
+    site: Site | BoxSite, ground: int, flight: int, aim: Aim
+) -> tuple[velodyne.Firings, Path, F64, F64]:
+    """The pulses that become vertices, the path at them, their true ranges (k,) and hits (k, 3) m:
+    most sources leave them as they are.
+    """
     f, path = pulses_of(site, flight)
     budget = BudgetParameters(
-        azimuth_noise_rad=aim.azimuth_noise_rad, vertical_noise_rad=aim.vertical_noise_rad, beam_divergence_rad=aim.beam_divergence_rad
-    )  # fmt: skip
+        azimuth_noise_rad=aim.azimuth_noise_rad,
+        vertical_noise_rad=aim.vertical_noise_rad,
+        beam_divergence_rad=aim.beam_divergence_rad,
+    )
     beams = velodyne.BeamErrors(0.0, np.zeros(BEAM_COUNT), np.array(aim.vertical))
     local = velodyne.true_directions(f, beams, budget, np.random.default_rng([flight, SPOT]))
     ray = path.rotation.apply(Rotation.from_quat(aim.rotation).apply(local))

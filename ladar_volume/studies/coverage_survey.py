@@ -1,8 +1,10 @@
-"""One survey at vertex level: every return becomes a vertex of the surface, with all its sensitivities; no filter in between.
+"""One survey at vertex level: every return becomes a vertex of the surface, with all its
+sensitivities; no filter in between.
 
-What goes wrong is drawn by the simulation's own code (:mod:`ladar_volume.simulation`), each source from a stream of its own, so that a
-source can be left out without changing the others. What is believed of it is the product's: LiDAR equation, Jacobians and covariances of
-``georeference/``, records as the filter makes them, with one patch per return.
+What goes wrong is drawn by the simulation's own code (:mod:`ladar_volume.simulation`), each source
+from a stream of its own, so that a source can be left out without changing the others. What is
+believed of it is the product's: LiDAR equation, Jacobians and covariances of ``georeference/``,
+records as the filter makes them, with one patch per return.
 """
 
 from __future__ import annotations
@@ -29,7 +31,16 @@ from ladar_volume.georeference.sensitivity import (
     point_geometry,
 )
 from ladar_volume.model.parameters import BudgetParameters, CalibrationParameters, Parameters
-from ladar_volume.model.records import CAL_COLUMNS, F64, I64, FilteredPoints, FilterUpdate, MappedPoints, Patches, PlatformStates
+from ladar_volume.model.records import (
+    CAL_COLUMNS,
+    F64,
+    I64,
+    FilteredPoints,
+    FilterUpdate,
+    MappedPoints,
+    Patches,
+    PlatformStates,
+)
 from ladar_volume.simulation import velodyne
 from ladar_volume.simulation.errors import draw_errors
 from ladar_volume.simulation.platforms import Platform, uav
@@ -44,7 +55,7 @@ from ladar_volume.studies.coverage_flight import (
     hits_of,
     sample_times,
     states_of,
-)  # fmt: skip
+)
 from ladar_volume.studies.coverage_scene import Site
 
 #: Rows of a patch' sensitivities along its normal and both tangents.
@@ -55,7 +66,9 @@ CALIBRATION, BEAMS, CLOCK, POSITION, ATTITUDE, NOISE = range(1, 7)
 
 @dataclass(frozen=True)
 class VertexSurvey:
-    """update : vertices as the filter would hand them on · states : the platform as measured, with the believed C_nav"""
+    """update : vertices as the filter would hand them on · states : the platform as measured, with
+    the believed C_nav
+    """
 
     update: FilterUpdate
     states: PlatformStates
@@ -63,8 +76,10 @@ class VertexSurvey:
 
 @dataclass(frozen=True)
 class Flown:
-    """points : what is mapped · measured : gives the platform as measured, with the believed C_nav: a volume without
-    its sigma does not need it · mount : as known · normal : (n, 3) of the surface that each hit"""
+    """points : what is mapped · measured : gives the platform as measured, with the believed C_nav:
+    a volume without its sigma does not need it · mount : as known · normal : (n, 3) of the surface
+    that each hit
+    """
 
     points: MappedPoints
     measured: Callable[[], PlatformStates]
@@ -79,7 +94,9 @@ class Flown:
 
 @dataclass(frozen=True)
 class Drawn:
-    """What is wrong with one survey: boresight (3,) rad, lever arms (3,) m, clock s, beams, and errors of fixes and attitudes in time."""
+    """What is wrong with one survey: boresight (3,) rad, lever arms (3,) m, clock s, beams, and
+    errors of fixes and attitudes in time.
+    """
 
     boresight: F64
     lever_laser: F64
@@ -93,24 +110,42 @@ class Drawn:
 
     @classmethod
     def draw(cls, budget: BudgetParameters, instrument: int, flight: int) -> Drawn:
-        """Errors of this budget. Two surveys with one ``instrument`` share its calibration; each ``flight`` has its own clock offset
-        and navigation."""
+        """Errors of this budget. Two surveys with one ``instrument`` share its calibration; each
+        ``flight`` has its own clock offset and navigation.
+        """
         b = budget
-        calibration, clock = np.random.default_rng([instrument, CALIBRATION]), np.random.default_rng([flight, CLOCK])
+        calibration, clock = (
+            np.random.default_rng([instrument, CALIBRATION]),
+            np.random.default_rng([flight, CLOCK]),
+        )
         fix_s, attitude_s = sample_times(FIX_HZ), sample_times(ATTITUDE_HZ)
         position = draw_errors(
-            fix_s, np.array(b.position_sigma_m), b.position_bias_fraction, b.position_white_fraction, b.tau_position_s,
+            fix_s,
+            np.array(b.position_sigma_m),
+            b.position_bias_fraction,
+            b.position_white_fraction,
+            b.tau_position_s,
             np.random.default_rng([flight, POSITION]),
-        )  # fmt: skip
+        )
         attitude = draw_errors(
-            attitude_s, np.array(b.attitude_sigma_rad), b.attitude_bias_fraction, b.attitude_white_fraction, b.tau_attitude_s,
+            attitude_s,
+            np.array(b.attitude_sigma_rad),
+            b.attitude_bias_fraction,
+            b.attitude_white_fraction,
+            b.tau_attitude_s,
             np.random.default_rng([flight, ATTITUDE]),
-        )  # fmt: skip
+        )
         return cls(
-            calibration.normal(0, b.boresight_sigma_rad), calibration.normal(0, b.lever_laser_sigma_m),
-            calibration.normal(0, b.lever_antenna_sigma_m), float(clock.normal(0, b.clock_sigma_s)),
-            velodyne.BeamErrors.draw(b, np.random.default_rng([instrument, BEAMS])), fix_s, position.total, attitude_s, attitude.total,
-        )  # fmt: skip
+            calibration.normal(0, b.boresight_sigma_rad),
+            calibration.normal(0, b.lever_laser_sigma_m),
+            calibration.normal(0, b.lever_antenna_sigma_m),
+            float(clock.normal(0, b.clock_sigma_s)),
+            velodyne.BeamErrors.draw(b, np.random.default_rng([instrument, BEAMS])),
+            fix_s,
+            position.total,
+            attitude_s,
+            attitude.total,
+        )
 
     def position_at(self, t: F64) -> F64:
         """Position errors (n, 3) m at times (n,) s, linear between fixes."""
@@ -118,33 +153,50 @@ class Drawn:
 
     def attitude_at(self, t: F64) -> F64:
         """Errors (n, 3) rad of roll, pitch and yaw at times (n,) s."""
-        return np.stack([np.interp(t, self.attitude_s, self.attitude[:, k]) for k in range(3)], axis=1)
+        return np.stack(
+            [np.interp(t, self.attitude_s, self.attitude[:, k]) for k in range(3)], axis=1
+        )
 
 
 def nominal(platform: Platform) -> CalibrationParameters:
     """The mounting as the surveyor knows it."""
     roll, pitch, yaw = (math.radians(v) for v in platform.boresight_deg)
     return CalibrationParameters(
-        boresight_roll_rad=roll, boresight_pitch_rad=pitch, boresight_yaw_rad=yaw, lever_laser_m=platform.lever_laser_m,
+        boresight_roll_rad=roll,
+        boresight_pitch_rad=pitch,
+        boresight_yaw_rad=yaw,
+        lever_laser_m=platform.lever_laser_m,
         lever_antenna_m=platform.lever_antenna_m,
-    )  # fmt: skip
+    )
 
 
-def survey(site: Site | BoxSite, drawn_with: BudgetParameters, believed: Parameters, seed: int, flight: int | None = None) -> VertexSurvey:
-    """Fly over a site with errors drawn from one budget, and hand on what is measured as another budget believes it; the rest as in
-    :func:`fly`."""
+def survey(
+    site: Site | BoxSite,
+    drawn_with: BudgetParameters,
+    believed: Parameters,
+    seed: int,
+    flight: int | None = None,
+) -> VertexSurvey:
+    """Fly over a site with errors drawn from one budget, and hand on what is measured as another
+    budget believes it; the rest as in :func:`fly`.
+    """
     flown = fly(site, drawn_with, believed.budget, seed, flight)
     return VertexSurvey(vertices(flown, believed), flown.states)
 
 
 def fly(
-    site: Site | BoxSite, drawn_with: BudgetParameters, believed: BudgetParameters, seed: int, flight: int | None = None,
+    site: Site | BoxSite,
+    drawn_with: BudgetParameters,
+    believed: BudgetParameters,
+    seed: int,
+    flight: int | None = None,
     ground: int | None = None,
-) -> Flown:  # fmt: skip
-    """A flight over a site with errors drawn from one budget; the platform's covariance is that of another.
+) -> Flown:
+    """A flight over a site with errors drawn from one budget; the platform's covariance is that of
+    another.
 
-    ``flight`` numbers the flight where one instrument (``seed``) flies more than once; the roughness of the ground is that of ``seed``
-    unless ``ground`` names another.
+    ``flight`` numbers the flight where one instrument (``seed``) flies more than once; the
+    roughness of the ground is that of ``seed`` unless ``ground`` names another.
     """
     flight, ground = (seed if number is None else number for number in (flight, ground))
     platform = uav(*site.flight_m, DURATION_S)
@@ -153,17 +205,34 @@ def fly(
     b, noise = drawn_with, np.random.default_rng([flight, NOISE])
     boresight = Rotation.from_rotvec(drawn.boresight) * Rotation.from_matrix(mount.R_body_laser)
     aim = Aim(
-        tuple(boresight.as_quat()), tuple(mount.lever_laser + drawn.lever_laser), tuple(drawn.beams.eps), b.azimuth_noise_rad,
-        b.vertical_noise_rad, b.beam_divergence_rad,
-    )  # fmt: skip
+        tuple(boresight.as_quat()),
+        tuple(mount.lever_laser + drawn.lever_laser),
+        tuple(drawn.beams.eps),
+        b.azimuth_noise_rad,
+        b.vertical_noise_rad,
+        b.beam_divergence_rad,
+    )
     f, path, true, hit = hits_of(site, ground, flight, aim)
     rho = velodyne.measured_ranges(true, f.ring, drawn.beams, b, 0.0, noise, 0.0)
     t = f.time_s - drawn.clock_s  # the stamp that the recording gives the pulse
     stamped = Path.at(platform, t) if drawn.clock_s else path
-    antenna = stamped.position + stamped.rotation.apply(mount.lever_antenna + drawn.lever_antenna) + drawn.position_at(t)
-    r = map_point(antenna, stamped.measured_rotation(drawn.attitude_at(t)).as_matrix(), laser_vector(rho, f.azimuth, f.elevation), mount)
-    points = MappedPoints(nanoseconds(t), r, np.zeros((len(r), 6), np.float32), f.ring, np.ones(len(r), np.float32))
-    return Flown(points, lambda: platform_states(site, drawn, mount, believed), mount, site.normals_at(hit))
+    antenna = (
+        stamped.position
+        + stamped.rotation.apply(mount.lever_antenna + drawn.lever_antenna)
+        + drawn.position_at(t)
+    )
+    r = map_point(
+        antenna,
+        stamped.measured_rotation(drawn.attitude_at(t)).as_matrix(),
+        laser_vector(rho, f.azimuth, f.elevation),
+        mount,
+    )
+    points = MappedPoints(
+        nanoseconds(t), r, np.zeros((len(r), 6), np.float32), f.ring, np.ones(len(r), np.float32)
+    )
+    return Flown(
+        points, lambda: platform_states(site, drawn, mount, believed), mount, site.normals_at(hit)
+    )
 
 
 def nanoseconds(t: F64) -> I64:
@@ -171,7 +240,9 @@ def nanoseconds(t: F64) -> I64:
     return np.rint((t + 60.0) * 1e9).astype(np.int64)
 
 
-def platform_states(site: Site | BoxSite, drawn: Drawn, mount: Mounting, budget: BudgetParameters) -> PlatformStates:
+def platform_states(
+    site: Site | BoxSite, drawn: Drawn, mount: Mounting, budget: BudgetParameters
+) -> PlatformStates:
     """States at the rate of the attitudes, with the covariance that the budget claims."""
     path, velocity, rates = states_of(site)
     t, error = path.t_s, drawn.attitude_at(path.t_s)
@@ -179,16 +250,30 @@ def platform_states(site: Site | BoxSite, drawn: Drawn, mount: Mounting, budget:
     roll, pitch, _ = (path.angles + error).T
     antenna = path.position + path.rotation.apply(mount.lever_antenna) + drawn.position_at(t)
     zero, one = np.zeros(len(t)), np.ones(len(t))
-    E = np.moveaxis(np.array([  # body rotation vector per roll, pitch, yaw: se3.euler_rate_matrix, stacked
-        [one, zero, -np.sin(pitch)], [zero, np.cos(roll), np.sin(roll) * np.cos(pitch)],
-        [zero, -np.sin(roll), np.cos(roll) * np.cos(pitch)]]), 2, 0) * np.array(budget.attitude_sigma_rad)  # fmt: skip
+    E = np.moveaxis(
+        np.array(
+            [  # body rotation vector per roll, pitch, yaw: se3.euler_rate_matrix, stacked
+                [one, zero, -np.sin(pitch)],
+                [zero, np.cos(roll), np.sin(roll) * np.cos(pitch)],
+                [zero, -np.sin(roll), np.cos(roll) * np.cos(pitch)],
+            ]
+        ),
+        2,
+        0,
+    ) * np.array(budget.attitude_sigma_rad)
     C = np.zeros((len(t), 6, 6))
     C[:, :3, :3] = np.diag(np.array(budget.position_sigma_m) ** 2)
     C[:, 3:, 3:] = E @ np.swapaxes(E, 1, 2)
     position = antenna - R.apply(mount.lever_antenna)
     return PlatformStates(
-        nanoseconds(t), position, R.as_quat(), R.inv().apply(velocity), rates, C, np.zeros(len(t), np.int64)
-    )  # fmt: skip
+        nanoseconds(t),
+        position,
+        R.as_quat(),
+        R.inv().apply(velocity),
+        rates,
+        C,
+        np.zeros(len(t), np.int64),
+    )
 
 
 def surface_points(flown: Flown, geometry: PointGeometry, believed: Parameters) -> FilteredPoints:
@@ -205,21 +290,35 @@ def surface_only(flown: Flown) -> FilteredPoints:
     """Every return as a surface point without noise: enough for a volume without its sigma."""
     n = len(flown.points)
     return FilteredPoints(
-        flown.points.r_map, flown.normal, np.zeros(n), np.zeros((n, 6), np.float32), flown.points.t_ns, np.arange(n, dtype=np.int64),
+        flown.points.r_map,
+        flown.normal,
+        np.zeros(n),
+        np.zeros((n, 6), np.float32),
+        flown.points.t_ns,
+        np.arange(n, dtype=np.int64),
         np.zeros((n, 2)),
-    )  # fmt: skip
+    )
 
 
 def vertices(flown: Flown, believed: Parameters) -> FilterUpdate:
-    """Every return as a surface point with a patch of its own: its noise and sensitivities along the surface's normal."""
+    """Every return as a surface point with a patch of its own: its noise and sensitivities along
+    the surface's normal.
+    """
     points, normal, n = flown.points, flown.normal, len(flown.points)
     geometry = point_geometry(points, flown.states, flown.mount)
     surface = surface_points(flown, geometry, believed)
     tangent = np.stack([normal[:, 2], np.zeros(n), -normal[:, 0]], axis=1)
     tangent[np.abs(normal[:, 1]) > 0.99] = [1.0, 0.0, 0.0]  # walls that face along y
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    axes, shared, ring = np.stack([normal, tangent, np.cross(normal, tangent)], axis=1), len(CAL_COLUMNS), points.ring.astype(np.int64)
-    M_cal, M_nav = np.zeros((n, 5, shared + 2 * BEAM_COUNT), np.float32), np.zeros((n, 5, 4), np.float32)
+    axes, shared, ring = (
+        np.stack([normal, tangent, np.cross(normal, tangent)], axis=1),
+        len(CAL_COLUMNS),
+        points.ring.astype(np.int64),
+    )
+    M_cal, M_nav = (
+        np.zeros((n, 5, shared + 2 * BEAM_COUNT), np.float32),
+        np.zeros((n, 5, 4), np.float32),
+    )
     M_cal[:, ALONG, :shared] = axes @ calibration_jacobian(geometry)
     M_nav[:, ALONG, 0], M_nav[:, ALONG, 1:] = 1.0, axes @ navigation_jacobian(geometry)[..., 3:]
     own, every = axes @ beam_jacobian(geometry), np.arange(n)
@@ -229,26 +328,47 @@ def vertices(flown: Flown, believed: Parameters) -> FilterUpdate:
     cross[:, 0, 0] = surface.variance
     key, ends = np.arange(n, dtype=np.int64), np.arange(n + 1, dtype=np.int64)
     patches = Patches(
-        key, points.r_map, normal, tangent, np.zeros((n, 3)), np.sqrt(surface.variance),
-        np.ones(n, np.int32), points.t_ns, ends, key, cross, M_cal, ends, points.t_ns // round(believed.filter.nav_bin_s * 1e9), M_nav,
-    )  # fmt: skip
-    return FilterUpdate(int(points.t_ns[-1]), np.zeros(0, np.int64), surface, patches, complete=True)
+        key,
+        points.r_map,
+        normal,
+        tangent,
+        np.zeros((n, 3)),
+        np.sqrt(surface.variance),
+        np.ones(n, np.int32),
+        points.t_ns,
+        ends,
+        key,
+        cross,
+        M_cal,
+        ends,
+        points.t_ns // round(believed.filter.nav_bin_s * 1e9),
+        M_nav,
+    )
+    return FilterUpdate(
+        int(points.t_ns[-1]), np.zeros(0, np.int64), surface, patches, complete=True
+    )
 
 
 def without(budget: BudgetParameters, *kept: str) -> BudgetParameters:
     """The budget with every source at zero except the named lines."""
-    changes: dict[str, Any] = {name: zero for line, fields in SOURCES.items() if line not in kept for name, zero in fields}
+    changes: dict[str, Any] = {
+        name: zero for line, fields in SOURCES.items() if line not in kept for name, zero in fields
+    }
     return dataclasses.replace(budget, **changes)
 
 
 def _zeros(*names: str) -> tuple[tuple[str, float | tuple[float, ...]], ...]:
     default = BudgetParameters()
-    return tuple((n, (0.0, 0.0, 0.0) if isinstance(getattr(default, n), tuple) else 0.0) for n in names)
+    return tuple(
+        (n, (0.0, 0.0, 0.0) if isinstance(getattr(default, n), tuple) else 0.0) for n in names
+    )
 
 
 #: The fields of the budget behind each printed line.
 SOURCES = {
-    "noise": _zeros("range_noise_m", "azimuth_noise_rad", "vertical_noise_rad", "beam_divergence_rad"),
+    "noise": _zeros(
+        "range_noise_m", "azimuth_noise_rad", "vertical_noise_rad", "beam_divergence_rad"
+    ),
     "range_bias": _zeros("range_bias_sigma_m"),
     "beam_range": _zeros("beam_range_sigma_m"),
     "beam_vertical": _zeros("beam_vertical_sigma_rad"),

@@ -1,8 +1,10 @@
-"""The published values of seed 000 chapter 5 and 6, by the numbers of their tables; volumes in m³ unless said otherwise.
+"""The published values of seed 000 chapter 5 and 6, by the numbers of their tables; volumes in m³
+unless said otherwise.
 
-Printing errors are kept as printed and named where they stand: Table 5.4's first range is 0.0007, not 0.00700; the bound of the true
-volume for sides known to 1.6 mm is 0.0070 m³, not 0.0059; in Table 5.8b, subset 4, the first method's last volumes differ by 1.69689,
-printed 1.6970. Which half of Table 5.7 is with adjustment follows from the text (Method 1 worse with it, Method 2 better).
+Printing errors are kept as printed and named where they stand: Table 5.4's first range is 0.0007,
+not 0.00700; the bound of the true volume for sides known to 1.6 mm is 0.0070 m³, not 0.0059; in
+Table 5.8b, subset 4, the first method's last volumes differ by 1.69689, printed 1.6970. Which half
+of Table 5.7 is with adjustment follows from the text (Method 1 worse with it, Method 2 better).
 """
 
 from __future__ import annotations
@@ -18,7 +20,9 @@ def _grid(text: str) -> F64:
 
 
 def _pairs(text: str) -> F64:
-    """Volumes (subsets, method 1 and 2, five levels, with and without the box), cm³ in the text and m³ in the array."""
+    """Volumes (subsets, method 1 and 2, five levels, with and without the box), cm³ in the text and
+    m³ in the array.
+    """
     return _grid(text).reshape(-1, 2, 5, 2) * 1e-6
 
 
@@ -110,7 +114,8 @@ TABLE_5_5 = _grid("""
     1.664 1.668 1.661 1.658
     1.678 1.688 1.664 1.663
 """)
-#: Level, cm, and cut volumes with and without the box, cm³; the levels between -33 and -78.2 cm are not printed.
+#: Level, cm, and cut volumes with and without the box, cm³; the levels between -33 and -78.2 cm are
+#: not printed.
 TABLE_5_6 = _grid("""
     -30.0 70 53
     -30.2 80 58
@@ -146,8 +151,8 @@ OFFSETS_5_6 = _grid("""
     0.8 6552.811
     1.0 13630.473
 """)
-#: Levels with the box, cm, by method (those without are 0.6 lower), and volumes of the full set, with and without RMS adjustment; the
-#: last of Method 2 without is not printed.
+#: Levels with the box, cm, by method (those without are 0.6 lower), and volumes of the full set,
+#: with and without RMS adjustment; the last of Method 2 without is not printed.
 LEVELS_5_7 = _grid("""
     -54.4 -59.4 -64.4 -69.4 -74.4
     -284.4 -289.4 -294.4 -299.4 -304.4
@@ -160,7 +165,8 @@ TABLE_5_7B = _grid("""
     1.7012 1.7017 1.7021 1.7024 1.7027
     1.7093 1.7094 1.7096 1.7098 nan
 """)
-#: Volumes of the ten subsets with (a) and without (b) RMS adjustment: rows by method, columns with and without the box for five levels.
+#: Volumes of the ten subsets with (a) and without (b) RMS adjustment: rows by method, columns with
+#: and without the box for five levels.
 TABLE_5_8A = _pairs("""
     4261532 5962846 3999156 5701305 3740032 5442911 3484269 5187829 3231784 4935985
     8220953 6497933 8492063 6768563 8763173 7039194 9034283 7309825 9305393 7580455
@@ -219,8 +225,8 @@ TABLE_5_9 = _grid("""
     1.697 1.731 1.697 1.732
     1.705 1.714 1.706 1.715
 """)
-#: Experiment 1, Experiment 2 by density setting, Experiment 3 and Experiment 4 (Method 1): value and uncertainty with RMS adjustment
-#: (Experiment 2: over all options), then without.
+#: Experiment 1, Experiment 2 by density setting, Experiment 3 and Experiment 4 (Method 1): value
+#: and uncertainty with RMS adjustment (Experiment 2: over all options), then without.
 TABLE_6_1 = _grid("""
     1.6997 0.0023 1.701 0.00215
     1.69640 0.0070 nan nan
@@ -234,6 +240,10 @@ TABLE_6_1 = _grid("""
 
 
 def box_volumes(table: F64) -> F64:
-    """Volumes of the box (subsets, methods, levels) from Table 5.8a or b: fill without minus fill with, cut with minus cut without."""
-    out: F64 = np.stack([table[:, 0, :, 1] - table[:, 0, :, 0], table[:, 1, :, 0] - table[:, 1, :, 1]], axis=1)
+    """Volumes of the box (subsets, methods, levels) from Table 5.8a or b: fill without minus fill
+    with, cut with minus cut without.
+    """
+    out: F64 = np.stack(
+        [table[:, 0, :, 1] - table[:, 0, :, 0], table[:, 1, :, 0] - table[:, 1, :, 1]], axis=1
+    )
     return out

@@ -1,4 +1,6 @@
-"""Tables and the figure of ``ladar_volume study stockpile``: seed 004 as printed, and as corrected, side by side."""
+"""Tables and the figure of ``ladar_volume study stockpile``: seed 004 as printed, and as corrected,
+side by side.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +56,10 @@ def source_table() -> str:
     """What each source alone gives in the printed geometry."""
     head = ["source alone", *(f"{axis} at {h:.0f} m" for h in HEIGHTS_M for axis in "XYZ")]
     one = READINGS[0]
-    rows = [[s, *(c for h in HEIGHTS_M for c in metres(one.sigmas(h, alone(PRESETS[one.preset], s))))] for s in SOURCES]
+    rows = [
+        [s, *(c for h in HEIGHTS_M for c in metres(one.sigmas(h, alone(PRESETS[one.preset], s))))]
+        for s in SOURCES
+    ]
     return markdown(head, rows)
 
 
@@ -65,9 +70,17 @@ def cone_table() -> str:
         ["radius", "", f"{c['radius']:.4f}", f"{c['radius_exact']:.4f}"],
         ["width", "0.086", f"{c['width']:.4f}", f"{c['width_exact']:.4f}"],
         ["height", "0.060", f"{c['height']:.4f}", f"{c['height_exact']:.4f}"],
-        ["shift of the whole surface above a fixed base", "", f"{c['common_shift']:.4f}", f"{c['common_shift']:.4f}"],
+        [
+            "shift of the whole surface above a fixed base",
+            "",
+            f"{c['common_shift']:.4f}",
+            f"{c['common_shift']:.4f}",
+        ],
     ]
-    text = f"V = π D³ tan(35°) / 24 = {COAL.volume_m3:.0f} m³: width D = {COAL.width_m:.3f} m, height {COAL.height_m:.3f} m.\n\n"
+    text = (
+        f"V = π D³ tan(35°) / 24 = {COAL.volume_m3:.0f} m³: width D = {COAL.width_m:.3f} m, "
+        f"height {COAL.height_m:.3f} m.\n\n"
+    )
     return text + markdown(["change for 5 %", "printed / m", "first order / m", "exact / m"], rows)
 
 
@@ -80,19 +93,30 @@ def table_2() -> str:
         between = [v * INTERPOLATED for v in own] if k == 2 else own
         right = [last.sigmas(h)[k] for h in HEIGHTS_M]
         need = f"{c['height']:.4f}" if k == 2 else "none"
-        rows.append([axis, *(f"{v:.3f}" for v in row), *metres(between, ".3f"), *metres(right, ".3f"), need])
+        rows.append(
+            [axis, *(f"{v:.3f}" for v in row), *metres(between, ".3f"), *metres(right, ".3f"), need]
+        )
     head = [
-        "", "150 m, printed", "200 m, printed", "required, printed", "150 m, with the interpolation formula", "200 m, with it",
-        "150 m, corrected, one point", "200 m, corrected, one point", "required, corrected",
-    ]  # fmt: skip
+        "",
+        "150 m, printed",
+        "200 m, printed",
+        "required, printed",
+        "150 m, with the interpolation formula",
+        "200 m, with it",
+        "150 m, corrected, one point",
+        "200 m, corrected, one point",
+        "required, corrected",
+    ]
     return markdown(head, rows)
 
 
 TABLES = {
-    "Position of the platform (5.1.1)": position_table, "Precision of one point (5.2)": point_table,
-    "Which source it comes from, printed geometry": source_table, "A cone that changes by 5 %": cone_table,
+    "Position of the platform (5.1.1)": position_table,
+    "Precision of one point (5.2)": point_table,
+    "Which source it comes from, printed geometry": source_table,
+    "A cone that changes by 5 %": cone_table,
     "Table 2": table_2,
-}  # fmt: skip
+}
 
 
 def tables() -> str:
@@ -101,8 +125,9 @@ def tables() -> str:
 
 
 def write_figure(folder: Path) -> str:
-    """sigma_Z of one point over the range, by source, and for every published budget; returns the file's name. Raises
-    :class:`OutputError` where it cannot be written."""
+    """sigma_Z of one point over the range, by source, and for every published budget; returns the
+    file's name. Raises :class:`OutputError` where it cannot be written.
+    """
     figure, axes = panels(1, 2, 5.6, 4.2)
     reach, one = np.linspace(20.0, 250.0, 47), READINGS[0]
     for source in SOURCES:
@@ -111,14 +136,28 @@ def write_figure(folder: Path) -> str:
     axes[0, 0].plot(reach, [one.sigmas(r)[2] for r in reach], color="black", lw=1.6, label="all")
     axes[0, 0].plot(HEIGHTS_M, [p[2] for p in PRINTED], "kx", label="printed")
     for name, budget in PRESETS.items():
-        axes[0, 1].plot(reach, [one.sigmas(r, budget)[2] for r in reach], lw=1.2, label=name.replace("_", " "))
+        axes[0, 1].plot(
+            reach, [one.sigmas(r, budget)[2] for r in reach], lw=1.2, label=name.replace("_", " ")
+        )
     axes[0, 1].axhline(COAL.changes(SHARE)["height"], color="black", lw=0.6)
-    axes[0, 1].annotate("5 % of 100 m³", (25.0, COAL.changes(SHARE)["height"]), va="bottom", fontsize=8)
-    for ax, title in zip(axes[0], ("the printed survey, by source", "published budgets"), strict=True):
-        ax.set(xlabel="range / m", ylabel="sigma_Z of one point / m", title=title, yscale="log", ylim=(5e-4, 2.0))
+    axes[0, 1].annotate(
+        "5 % of 100 m³", (25.0, COAL.changes(SHARE)["height"]), va="bottom", fontsize=8
+    )
+    for ax, title in zip(
+        axes[0], ("the printed survey, by source", "published budgets"), strict=True
+    ):
+        ax.set(
+            xlabel="range / m",
+            ylabel="sigma_Z of one point / m",
+            title=title,
+            yscale="log",
+            ylim=(5e-4, 2.0),
+        )
         ax.legend(fontsize=7, ncols=2)
     try:
         figure.savefig(folder / FIGURE, dpi=110)
     except OSError as error:
-        raise OutputError(f"{folder / FIGURE} cannot be written: {error}", value=str(folder)) from error
+        raise OutputError(
+            f"{folder / FIGURE} cannot be written: {error}", value=str(folder)
+        ) from error
     return FIGURE

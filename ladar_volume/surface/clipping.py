@@ -23,7 +23,9 @@ def steepness(ground: Plane) -> F64:
 
 
 def clip_to_ground(skin: Skin, ground: Plane) -> Skin:
-    """The part of a mesh above a level or plane, with vertices of kind GROUND where its edges pierce it."""
+    """The part of a mesh above a level or plane, with vertices of kind GROUND where its edges
+    pierce it.
+    """
     v, t, n = skin.vertices, skin.triangles, len(skin.vertices)
     h = heights(v, ground)
     order, start, _ = edge_table(t)
@@ -43,18 +45,35 @@ def clip_to_ground(skin: Skin, ground: Plane) -> Skin:
     columns = np.stack([a, b], axis=1).ravel()
     share = np.stack([1.0 - s, s], axis=1)[..., None] * project[:, None]
     by_vertices = blocks(rows, columns, share.reshape(-1, 3, 3), (len(q), n))
-    by_ground = along[:, :, None] * design(q[:, :2], ground.origin_xy, 1)[:, None, :] / rate[:, None, None]
+    by_ground = (
+        along[:, :, None] * design(q[:, :2], ground.origin_xy, 1)[:, None, :] / rate[:, None, None]
+    )
     triangles, parent, corner = cut_triangles(t, middle, h)
     normals = skin.normals[parent[:, None], corner]
-    return extended(skin, q, GROUND, by_vertices, by_ground.reshape(-1, 3), triangles, normals, skin.face[parent])
+    return extended(
+        skin,
+        q,
+        GROUND,
+        by_vertices,
+        by_ground.reshape(-1, 3),
+        triangles,
+        normals,
+        skin.face[parent],
+    )
 
 
 def cut_triangles(t: np.ndarray, middle: I64, h: F64) -> tuple[np.ndarray, I64, I64]:
-    """Triangles (k, 3) above the ground, the one each comes from (k,), and of which of its corners each has the normal (k, 3)."""
+    """Triangles (k, 3) above the ground, the one each comes from (k,), and of which of its corners
+    each has the normal (k, 3).
+    """
     up = h[t] >= 0.0
     count = up.sum(axis=1)
     whole = np.flatnonzero(count == 3)
-    out, parent, corner = [t[whole].astype(np.int64)], [whole], [np.tile(np.arange(3), (len(whole), 1))]
+    out, parent, corner = (
+        [t[whole].astype(np.int64)],
+        [whole],
+        [np.tile(np.arange(3), (len(whole), 1))],
+    )
     for k in range(3):
         j, l = (k + 1) % 3, (k + 2) % 3
         one = np.flatnonzero((count == 1) & up[:, k])
@@ -62,8 +81,10 @@ def cut_triangles(t: np.ndarray, middle: I64, h: F64) -> tuple[np.ndarray, I64, 
         a, b, c = t[:, k].astype(np.int64), t[:, j].astype(np.int64), t[:, l].astype(np.int64)
         p, q = middle[:, k], middle[:, l]
         for rows, corners, normals in (
-            (one, (a, p, q), (k, k, k)), (two, (p, b, c), (j, j, l)), (two, (p, c, q), (j, l, l)),
-        ):  # fmt: skip
+            (one, (a, p, q), (k, k, k)),
+            (two, (p, b, c), (j, j, l)),
+            (two, (p, c, q), (j, l, l)),
+        ):
             out.append(np.stack([x[rows] for x in corners], axis=1))
             parent.append(rows)
             corner.append(np.tile(np.array(normals), (len(rows), 1)))

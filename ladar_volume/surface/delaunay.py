@@ -1,7 +1,8 @@
 """Delaunay triangulations of whole point sets, and the proof that one is valid.
 
-The points are sorted once into the order of insertion and inserted by the moves of :mod:`ladar_volume.surface.mesh`, with predicates
-that are exact where they have to be. Seed 000 sections 2.2 (empty circle) and 2.4.2 (insertion).
+The points are sorted once into the order of insertion and inserted by the moves of
+:mod:`ladar_volume.surface.mesh`, with predicates that are exact where they have to be. Seed 000
+sections 2.2 (empty circle) and 2.4.2 (insertion).
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ FAULTS = (
 
 @kernel
 def check_kernel(xy: F64, tri: I32, nb: I32, w: F64) -> int:
-    """0 where the triangulation is Delaunay with a convex hull, else a code that :data:`FAULTS` puts in words."""
+    """0 where the triangulation is Delaunay with a convex hull, else a code that :data:`FAULTS`
+    puts in words.
+    """
     for t in range(len(tri)):
         if turn(xy, tri[t, 0], tri[t, 1], tri[t, 2], w) <= 0.0:
             return 2
@@ -42,7 +45,11 @@ def check_kernel(xy: F64, tri: I32, nb: I32, w: F64) -> int:
             for m in range(3):
                 if nb[o, m] == t:
                     j = m
-            if j < 0 or tri[o, (j + 1) % 3] != tri[t, (k + 2) % 3] or tri[o, (j + 2) % 3] != tri[t, (k + 1) % 3]:
+            if (
+                j < 0
+                or tri[o, (j + 1) % 3] != tri[t, (k + 2) % 3]
+                or tri[o, (j + 2) % 3] != tri[t, (k + 1) % 3]
+            ):
                 return 1
             if o > t and incircle(xy, tri[t, 0], tri[t, 1], tri[t, 2], tri[o, j], w) > 0.0:
                 return 3
@@ -51,7 +58,9 @@ def check_kernel(xy: F64, tri: I32, nb: I32, w: F64) -> int:
 
 @kernel
 def check_hull_kernel(xy: F64, tri: I32, nb: I32, w: F64) -> int:
-    """0 where the edges without a neighbour are one convex loop, else a code as :func:`check_kernel` gives."""
+    """0 where the edges without a neighbour are one convex loop, else a code as
+    :func:`check_kernel` gives.
+    """
     after = np.full(len(xy), -1, np.int64)
     hull, last = 0, -1
     for t in range(len(tri)):
@@ -69,13 +78,25 @@ def check_hull_kernel(xy: F64, tri: I32, nb: I32, w: F64) -> int:
 
 
 def fault(xy: F64, triangles: I32, neighbours: I32) -> str:
-    """What is wrong with a triangulation of points xy (n, 2), in words; empty where it is a valid Delaunay triangulation.
+    """What is wrong with a triangulation of points xy (n, 2), in words; empty where it is a valid
+    Delaunay triangulation.
 
-    Checks that neighbours are mutual, triangles counter-clockwise, circumcircles empty, every vertex used, Euler's formula, and
-    the hull convex.
+    Checks that neighbours are mutual, triangles counter-clockwise, circumcircles empty, every
+    vertex used, Euler's formula, and the hull convex.
     """
-    points, tri, nb, w = np.ascontiguousarray(xy), triangles.astype(np.int32), neighbours.astype(np.int32), workspace()
-    if len(tri) == 0 or tri.min() < 0 or tri.max() >= len(points) or nb.min() < -1 or nb.max() >= len(tri):
+    points, tri, nb, w = (
+        np.ascontiguousarray(xy),
+        triangles.astype(np.int32),
+        neighbours.astype(np.int32),
+        workspace(),
+    )
+    if (
+        len(tri) == 0
+        or tri.min() < 0
+        or tri.max() >= len(points)
+        or nb.min() < -1
+        or nb.max() >= len(tri)
+    ):
         return "an index is out of range"
     code = int(check_kernel(points, tri, nb, w)) or int(check_hull_kernel(points, tri, nb, w))
     if code:
@@ -87,7 +108,9 @@ def fault(xy: F64, triangles: I32, neighbours: I32) -> str:
 
 
 def is_valid(xy: F64, triangles: I32, neighbours: I32) -> bool:
-    """Whether (triangles, neighbours), both (m, 3), is a Delaunay triangulation of all points xy (n, 2)."""
+    """Whether (triangles, neighbours), both (m, 3), is a Delaunay triangulation of all points xy
+    (n, 2).
+    """
     return not fault(xy, triangles, neighbours)
 
 
@@ -95,9 +118,10 @@ def is_valid(xy: F64, triangles: I32, neighbours: I32) -> bool:
 class Triangulated:
     """A Delaunay triangulation of points (n, 2).
 
-    triangles : (m, 3) counter-clockwise · neighbours : (m, 3), ``neighbours[t, k]`` lies across the edge opposite ``triangles[t, k]``, -1
-    at the hull · same : (n,) the first point at each point's position, which is the vertex there · exact_orientations, exact_incircles :
-    how many predicates the floating-point filter could not decide
+    triangles : (m, 3) counter-clockwise · neighbours : (m, 3), ``neighbours[t, k]`` lies across the
+    edge opposite ``triangles[t, k]``, -1 at the hull · same : (n,) the first point at each point's
+    position, which is the vertex there · exact_orientations, exact_incircles : how many predicates
+    the floating-point filter could not decide
     """
 
     triangles: I32
@@ -114,7 +138,9 @@ class Triangulated:
 
 @kernel
 def first_three(xy: F64, w: F64) -> tuple[int, int]:
-    """The first point that differs from point 0 and the first off the line through both; len(xy) where there is none."""
+    """The first point that differs from point 0 and the first off the line through both; len(xy)
+    where there is none.
+    """
     n = len(xy)
     second = 1
     while second < n and xy[second, 0] == xy[0, 0] and xy[second, 1] == xy[0, 1]:
@@ -132,27 +158,41 @@ def insertion_sequence(xy: F64, w: F64) -> I32:
     """
     order = insertion_order(xy)
     if len(order) < 3:
-        raise SurfaceError(f"a triangulation needs three points, there are {len(xy)}", reason="surface_too_few_points", value=len(xy))
+        raise SurfaceError(
+            f"a triangulation needs three points, there are {len(xy)}",
+            reason="surface_too_few_points",
+            value=len(xy),
+        )
     second, third = first_three(xy[order], w)
     if third == len(order):
         distinct = len(np.unique(xy, axis=0))
         if distinct < 3:
-            raise SurfaceError(f"a triangulation needs three points, there are {distinct}", reason="surface_too_few_points", value=distinct)
-        raise SurfaceError(f"all {distinct} points are collinear", reason="surface_collinear", value=distinct)
+            raise SurfaceError(
+                f"a triangulation needs three points, there are {distinct}",
+                reason="surface_too_few_points",
+                value=distinct,
+            )
+        raise SurfaceError(
+            f"all {distinct} points are collinear", reason="surface_collinear", value=distinct
+        )
     if (second, third) != (1, 2):
         order = np.concatenate([order[[0, second, third]], np.delete(order, [0, second, third])])
     return order
 
 
 def triangulate(xy: F64) -> Triangulated:
-    """Delaunay triangulation of points xy (n, 2), of which those at one position (bit by bit) become one vertex.
+    """Delaunay triangulation of points xy (n, 2), of which those at one position (bit by bit)
+    become one vertex.
 
-    Where four or more points are co-circular the choice of diagonals follows the (deterministic) insertion order. Raises
-    :class:`SurfaceError` for coordinates that are not finite, fewer than three distinct points, or when all are collinear.
+    Where four or more points are co-circular the choice of diagonals follows the (deterministic)
+    insertion order. Raises :class:`SurfaceError` for coordinates that are not finite, fewer than
+    three distinct points, or when all are collinear.
     """
     xy = np.asarray(xy, dtype=np.float64)
     if not np.isfinite(xy).all():
-        raise SurfaceError("a point with a coordinate that is not finite", reason="surface_not_finite")
+        raise SurfaceError(
+            "a point with a coordinate that is not finite", reason="surface_not_finite"
+        )
     n, w = len(xy), workspace()
     order = insertion_sequence(xy, w)
     s = xy[order]
@@ -163,12 +203,20 @@ def triangulate(xy: F64) -> Triangulated:
     del s
     name = first_names(order, same)
     triangles, neighbours = export(m[:size], name)
-    return Triangulated(triangles, neighbours, original_order(order, same, name), int(w[COUNTS, 0]), int(w[COUNTS, 1]))
+    return Triangulated(
+        triangles,
+        neighbours,
+        original_order(order, same, name),
+        int(w[COUNTS, 0]),
+        int(w[COUNTS, 1]),
+    )
 
 
 @kernel
 def first_names(order: I32, same: I32) -> I32:
-    """The smallest point index at the position of each vertex, by place in the order of insertion."""
+    """The smallest point index at the position of each vertex, by place in the order of
+    insertion.
+    """
     name = order.copy()
     for p in range(len(order)):
         name[same[p]] = min(name[same[p]], order[p])
@@ -185,13 +233,16 @@ def original_order(order: I32, same: I32, name: I32) -> I32:
 
 
 def delaunay(xy: F64) -> tuple[I32, I32]:
-    """Delaunay triangulation of distinct points xy (n, 2): triangles (m, 3) counter-clockwise and neighbours (m, 3), -1 at the hull.
+    """Delaunay triangulation of distinct points xy (n, 2): triangles (m, 3) counter-clockwise and
+    neighbours (m, 3), -1 at the hull.
 
-    ``neighbours[t, k]`` lies across the edge opposite ``triangles[t, k]``. Raises :class:`SurfaceError` as :func:`triangulate` does, and
-    where two points are at one position.
+    ``neighbours[t, k]`` lies across the edge opposite ``triangles[t, k]``. Raises
+    :class:`SurfaceError` as :func:`triangulate` does, and where two points are at one position.
     """
     out = triangulate(xy)
     if len(out.vertices) < len(xy):
         extra = int(len(xy) - len(out.vertices))
-        raise SurfaceError(f"{extra} points lie on others", reason="surface_duplicates", value=extra)
+        raise SurfaceError(
+            f"{extra} points lie on others", reason="surface_duplicates", value=extra
+        )
     return out.triangles, out.neighbours

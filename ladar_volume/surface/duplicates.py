@@ -19,7 +19,9 @@ def bucket(ix: float, iy: float, mask: int) -> int:
 
 @kernel
 def copies_kernel(xy: F64, tolerance: float, cell: F64, head: I64, after: I32, same: I32) -> None:
-    """``same[i]``: the first kept point within the tolerance of point i, or i, which is then kept; ``cell`` (n, 2) are whole numbers."""
+    """``same[i]``: the first kept point within the tolerance of point i, or i, which is then kept;
+    ``cell`` (n, 2) are whole numbers.
+    """
     mask = len(head) - 1
     reach = 1 if tolerance > 0.0 else 0
     for i in range(len(xy)):
@@ -38,14 +40,19 @@ def copies_kernel(xy: F64, tolerance: float, cell: F64, head: I64, after: I32, s
 
 
 def first_within(xy: F64, tolerance_m: float = 0.0) -> I32:
-    """For every point of xy (n, 2), m, the first kept point within the tolerance, (n,); points for which that is themselves are kept.
+    """For every point of xy (n, 2), m, the first kept point within the tolerance, (n,); points for
+    which that is themselves are kept.
 
-    Points are taken in their order, so every point lies within the tolerance of a kept one, and no two kept ones within it of each
-    other. Raises :class:`SurfaceError` for a tolerance that is not a number >= 0, or so small that cells of its size over the points'
-    extent cannot be numbered.
+    Points are taken in their order, so every point lies within the tolerance of a kept one, and no
+    two kept ones within it of each other. Raises :class:`SurfaceError` for a tolerance that is not
+    a number >= 0, or so small that cells of its size over the points' extent cannot be numbered.
     """
     if not (0.0 <= tolerance_m < np.inf):
-        raise SurfaceError(f"the tolerance is {tolerance_m} m; it must be 0 or more", reason="surface_tolerance", value=tolerance_m)
+        raise SurfaceError(
+            f"the tolerance is {tolerance_m} m; it must be 0 or more",
+            reason="surface_tolerance",
+            value=tolerance_m,
+        )
     n = len(xy)
     same, after = np.empty(n, np.int32), np.empty(n, np.int32)
     if n == 0:

@@ -1,9 +1,11 @@
-"""Triangulation adjustment (seed 000 section 3.3): diagonals are exchanged where the surface then follows the points better.
+"""Triangulation adjustment (seed 000 section 3.3): diagonals are exchanged where the surface then
+follows the points better.
 
-Wherever two relevant triangles form a strictly convex quadrangle, the other diagonal is tried; the measure of fit is the sum of
-sizes (ASD) or of squares (RMS) of the vertical residuals of the points within the quadrangle. The exchange with the biggest
-improvement comes first, then its surroundings are looked at anew. Every exchange lowers the sum over all points, so it ends; the
-result is in general no Delaunay triangulation.
+Wherever two relevant triangles form a strictly convex quadrangle, the other diagonal is tried; the
+measure of fit is the sum of sizes (ASD) or of squares (RMS) of the vertical residuals of the points
+within the quadrangle. The exchange with the biggest improvement comes first, then its surroundings
+are looked at anew. Every exchange lowers the sum over all points, so it ends; the result is in
+general no Delaunay triangulation.
 """
 
 from __future__ import annotations
@@ -23,14 +25,17 @@ from ladar_volume.surface.mesh import turn
 from ladar_volume.surface.predicates import workspace
 
 MEASURES = ("asd", "rms")
-#: An exchange has to lower the sum over all points by this share at least: below it rounding could turn it back and forth.
+#: An exchange has to lower the sum over all points by this share at least: below it rounding could
+#: turn it back and forth.
 LEAST_GAIN = 1e-13
 
 
 @dataclass(frozen=True)
 class Exchange:
-    """tin : the surface with exchanged diagonals, same vertices · exchanges : how many · rms_m, asd_m : measures of fit on all points
-    in relevant triangles afterwards · rms_before_m, asd_before_m : before"""
+    """tin : the surface with exchanged diagonals, same vertices · exchanges : how many · rms_m,
+    asd_m : measures of fit on all points in relevant triangles afterwards · rms_before_m,
+    asd_before_m : before
+    """
 
     tin: Tin
     exchanges: int
@@ -59,8 +64,9 @@ def put(tri: I64, nb: I64, t: int, v: tuple[int, int, int], n: tuple[int, int, i
 def residual(vertices: F64, a: int, b: int, c: int, p: F64) -> float:
     """Height of a point p (3,) of a triangle over the plane through its vertices.
 
-    The same whichever vertex is named first, and with coordinates kept within the triangle: what rounding makes of slivers must not let
-    two states of the surface each look better than the other, or the exchanges would not end.
+    The same whichever vertex is named first, and with coordinates kept within the triangle: what
+    rounding makes of slivers must not let two states of the surface each look better than the
+    other, or the exchanges would not end.
     """
     if b < a and b < c:
         a, b, c = b, c, a
@@ -87,10 +93,21 @@ def side(vertices: F64, a: int, b: int, p: F64) -> float:
 
 @kernel
 def gain(
-    vertices: F64, points: F64, tri: I64, nb: I64, relevant: Bool, first: I64, after: I64, t: int, k: int, square: bool, w: F64
+    vertices: F64,
+    points: F64,
+    tri: I64,
+    nb: I64,
+    relevant: Bool,
+    first: I64,
+    after: I64,
+    t: int,
+    k: int,
+    square: bool,
+    w: F64,
 ) -> float:
-    """By how much the sum over the points of triangle t and its neighbour across edge k falls when their diagonal is exchanged; 0
-    where it may not be."""
+    """By how much the sum over the points of triangle t and its neighbour across edge k falls when
+    their diagonal is exchanged; 0 where it may not be.
+    """
     o = nb[t, k]
     if o < 0 or not relevant[t] or not relevant[o]:
         return 0.0
@@ -106,7 +123,11 @@ def gain(
     for home in (t, o):
         p = first[home]
         while p >= 0:
-            old = residual(vertices, a, b, c, points[p]) if home == t else residual(vertices, d, c, b, points[p])
+            old = (
+                residual(vertices, a, b, c, points[p])
+                if home == t
+                else residual(vertices, d, c, b, points[p])
+            )
             if side(vertices, a, d, points[p]) >= 0.0:
                 new = residual(vertices, a, d, c, points[p])
             else:
@@ -118,15 +139,23 @@ def gain(
 
 
 @kernel
-def exchange_one(vertices: F64, points: F64, tri: I64, nb: I64, first: I64, after: I64, t: int, k: int) -> int:
-    """Exchange the diagonal at edge k of t: t becomes (a, b, d), its neighbour (a, d, c), and their points are shared out anew.
-    Returns the neighbour."""
+def exchange_one(
+    vertices: F64, points: F64, tri: I64, nb: I64, first: I64, after: I64, t: int, k: int
+) -> int:
+    """Exchange the diagonal at edge k of t: t becomes (a, b, d), its neighbour (a, d, c), and their
+    points are shared out anew. Returns the neighbour.
+    """
     o = int(nb[t, k])
     j = 0
     while nb[o, j] != t:
         j += 1
     a, b, c, d = tri[t, k], tri[t, (k + 1) % 3], tri[t, (k + 2) % 3], tri[o, j]
-    nca, nab, nbd, ndc = nb[t, (k + 1) % 3], nb[t, (k + 2) % 3], nb[o, (j + 1) % 3], nb[o, (j + 2) % 3]
+    nca, nab, nbd, ndc = (
+        nb[t, (k + 1) % 3],
+        nb[t, (k + 2) % 3],
+        nb[o, (j + 1) % 3],
+        nb[o, (j + 2) % 3],
+    )
     put(tri, nb, t, (a, b, d), (nbd, o, nab))
     put(tri, nb, o, (a, d, c), (ndc, nca, t))
     if nbd >= 0:
@@ -148,10 +177,20 @@ def exchange_one(vertices: F64, points: F64, tri: I64, nb: I64, first: I64, afte
 
 @kernel
 def exchange_kernel(
-    vertices: F64, points: F64, tri: I64, nb: I64, relevant: Bool, first: I64, after: I64, square: bool, least: float, w: F64
+    vertices: F64,
+    points: F64,
+    tri: I64,
+    nb: I64,
+    relevant: Bool,
+    first: I64,
+    after: I64,
+    square: bool,
+    least: float,
+    w: F64,
 ) -> int:
-    """Exchange diagonals, biggest improvement first; changes tri, nb, first, after and returns how many. Entries of the queue whose
-    triangles have changed since are skipped."""
+    """Exchange diagonals, biggest improvement first; changes tri, nb, first, after and returns how
+    many. Entries of the queue whose triangles have changed since are skipped.
+    """
     m = len(tri)
     version = np.zeros(m, np.int64)
     queue = [(0.0, 0, 0, 0, 0, 0)]
@@ -184,7 +223,9 @@ def exchange_kernel(
 
 
 def point_lists(triangle: I64, m: int) -> tuple[I64, I64]:
-    """Points by triangle as linked lists: the first point of each of m triangles (−1: none) and the one after each point."""
+    """Points by triangle as linked lists: the first point of each of m triangles (−1: none) and the
+    one after each point.
+    """
     first, after = np.full(m, -1, np.int64), np.full(len(triangle), -1, np.int64)
     order = np.argsort(triangle, kind="stable")
     same = triangle[order[1:]] == triangle[order[:-1]]
@@ -195,30 +236,58 @@ def point_lists(triangle: I64, m: int) -> tuple[I64, I64]:
 
 
 def exchange_diagonals(tin: Tin, points_map: F64, measure: str = "asd") -> Exchange:
-    """ASD or RMS triangulation adjustment of a surface to all points (n, 3), m, map frame; ``measure`` is "asd" or "rms".
+    """ASD or RMS triangulation adjustment of a surface to all points (n, 3), m, map frame;
+    ``measure`` is "asd" or "rms".
 
-    Heights, footprint and relevant area stay. Raises :class:`SurfaceError` for an unknown measure, points of a wrong shape or not
-    finite, or no point in a relevant triangle.
+    Heights, footprint and relevant area stay. Raises :class:`SurfaceError` for an unknown measure,
+    points of a wrong shape or not finite, or no point in a relevant triangle.
     """
     if measure not in MEASURES:
-        raise SurfaceError(f"the measure of fit is one of {MEASURES}, not {measure!r}", reason="surface_measure", value=measure)
+        raise SurfaceError(
+            f"the measure of fit is one of {MEASURES}, not {measure!r}",
+            reason="surface_measure",
+            value=measure,
+        )
     points = np.asarray(points_map, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
-        raise SurfaceError(f"points are (n, 3), not {points.shape}", reason="surface_shape", value=points.shape)
+        raise SurfaceError(
+            f"points are (n, 3), not {points.shape}", reason="surface_shape", value=points.shape
+        )
     if not np.isfinite(points).all():
-        raise SurfaceError("a point with a coordinate that is not finite", reason="surface_not_finite")
+        raise SurfaceError(
+            "a point with a coordinate that is not finite", reason="surface_not_finite"
+        )
     where = locate(triangle_index(tin, tin.relevant), points[:, :2])
     points, where = np.ascontiguousarray(points[where >= 0]), where[where >= 0]
     if len(points) == 0:
         raise SurfaceError("no point lies in a relevant triangle", reason="surface_no_point")
-    vertices, tri, nb = np.ascontiguousarray(tin.vertices), tin.triangles.astype(np.int64), tin.neighbours.astype(np.int64)
+    vertices, tri, nb = (
+        np.ascontiguousarray(tin.vertices),
+        tin.triangles.astype(np.int64),
+        tin.neighbours.astype(np.int64),
+    )
     first, after = point_lists(where, len(tri))
     before = list_residuals(vertices, points, tri, first, after)
     square = measure == "rms"
     total = float(np.sum(before**2 if square else np.abs(before)))
-    done = int(exchange_kernel(vertices, points, tri, nb, tin.relevant, first, after, square, LEAST_GAIN * total, workspace()))
+    done = int(
+        exchange_kernel(
+            vertices,
+            points,
+            tri,
+            nb,
+            tin.relevant,
+            first,
+            after,
+            square,
+            LEAST_GAIN * total,
+            workspace(),
+        )
+    )
     new = dataclasses.replace(tin, triangles=tri.astype(np.int32), neighbours=nb.astype(np.int32))
-    return Exchange(new, done, *measures(list_residuals(vertices, points, tri, first, after)), *measures(before))
+    return Exchange(
+        new, done, *measures(list_residuals(vertices, points, tri, first, after)), *measures(before)
+    )
 
 
 @kernel

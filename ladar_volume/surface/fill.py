@@ -1,8 +1,10 @@
-"""Triangles inside a closed loop: of least area in space, or by ears in a plane with holes. No vertex is added.
+"""Triangles inside a closed loop: of least area in space, or by ears in a plane with holes. No
+vertex is added.
 
-Least area: Barequet & Sharir 1995, by dynamic programming over the chords of the loop. Ears: a corner whose triangle holds no other vertex
-is cut off until three are left; holes are joined to their outer loop by a bridge passed twice. A loop that crosses itself still gets a
-triangulation, whose signed area is the loop's own.
+Least area: Barequet & Sharir 1995, by dynamic programming over the chords of the loop. Ears: a
+corner whose triangle holds no other vertex is cut off until three are left; holes are joined to
+their outer loop by a bridge passed twice. A loop that crosses itself still gets a triangulation,
+whose signed area is the loop's own.
 """
 
 from __future__ import annotations
@@ -12,13 +14,16 @@ import numpy as np
 from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, I64, Bool
 
-#: Share of a chord's square that counts as area: of fills of one area, as in a flat loop, the one with short chords is taken.
+#: Share of a chord's square that counts as area: of fills of one area, as in a flat loop, the one
+#: with short chords is taken.
 SHORTER = 1e-3
 
 
 @kernel
 def least_area_kernel(p: F64, taken: Bool, split: I64) -> float:
-    """Split of every chord i, j (n, n) of a loop (n, 3) for the least area, −1 where a chord is taken; returns the area, inf for none."""
+    """Split of every chord i, j (n, n) of a loop (n, 3) for the least area, −1 where a chord is
+    taken; returns the area, inf for none.
+    """
     n = len(p)
     cost = np.full((n, n), np.inf)
     for i in range(n - 1):
@@ -43,8 +48,9 @@ def least_area_kernel(p: F64, taken: Bool, split: I64) -> float:
 
 
 def least_area(p: F64, taken: Bool) -> I64:
-    """Triangles (n − 2, 3) of a loop (n, 3) with the least area, none of whose chords is ``taken`` (n, n), that is, an edge of the mesh
-    already; none (0, 3) where that cannot be."""
+    """Triangles (n − 2, 3) of a loop (n, 3) with the least area, none of whose chords is ``taken``
+    (n, n), that is, an edge of the mesh already; none (0, 3) where that cannot be.
+    """
     n = len(p)
     split = np.full((n, n), -1, np.int64)
     if not np.isfinite(least_area_kernel(p, taken, split)):
@@ -62,7 +68,9 @@ def least_area(p: F64, taken: Bool) -> I64:
 @kernel
 def twice_area(p: F64, a: int, b: int, c: int) -> float:
     """Twice the signed area of a triangle in the plane."""
-    return float((p[b, 0] - p[a, 0]) * (p[c, 1] - p[a, 1]) - (p[b, 1] - p[a, 1]) * (p[c, 0] - p[a, 0]))
+    return float(
+        (p[b, 0] - p[a, 0]) * (p[c, 1] - p[a, 1]) - (p[b, 1] - p[a, 1]) * (p[c, 0] - p[a, 0])
+    )
 
 
 @kernel
@@ -73,15 +81,21 @@ def blocked(p: F64, ring: I64, n: int, a: int, b: int, c: int) -> bool:
         at_corner = False
         for w in (a, b, c):
             at_corner = at_corner or (p[v, 0] == p[w, 0] and p[v, 1] == p[w, 1])
-        if not at_corner and twice_area(p, a, b, v) >= 0.0 and twice_area(p, b, c, v) >= 0.0 and twice_area(p, c, a, v) >= 0.0:
+        if (
+            not at_corner
+            and twice_area(p, a, b, v) >= 0.0
+            and twice_area(p, b, c, v) >= 0.0
+            and twice_area(p, c, a, v) >= 0.0
+        ):
             return True
     return False
 
 
 @kernel
 def ears_kernel(p: F64, ring: I64, out: I64) -> int:
-    """Triangles (n − 2, 3) of a ring (n,) of points in the plane, counter-clockwise; returns how many were cut although blocked or
-    turned."""
+    """Triangles (n − 2, 3) of a ring (n,) of points in the plane, counter-clockwise; returns how
+    many were cut although blocked or turned.
+    """
     n, made, forced = len(ring), 0, 0
     while n > 3:
         best, width = -1, -np.inf
@@ -102,7 +116,11 @@ def ears_kernel(p: F64, ring: I64, out: I64) -> int:
                 area = abs(twice_area(p, ring[(i + n - 1) % n], ring[i], ring[(i + 1) % n]))
                 if area < least:
                     best, least = i, area
-        out[made, 0], out[made, 1], out[made, 2] = ring[(best + n - 1) % n], ring[best], ring[(best + 1) % n]
+        out[made, 0], out[made, 1], out[made, 2] = (
+            ring[(best + n - 1) % n],
+            ring[best],
+            ring[(best + 1) % n],
+        )
         made += 1
         for i in range(best, n - 1):
             ring[i] = ring[i + 1]
@@ -127,7 +145,9 @@ def inside_loop(p: F64, at: F64) -> bool:
 
 
 def bridged(p: F64, outer: I64, holes: list[I64]) -> I64:
-    """One ring of an outer loop and its holes, indices into p (n, 2), each hole joined by the shortest bridge that crosses nothing."""
+    """One ring of an outer loop and its holes, indices into p (n, 2), each hole joined by the
+    shortest bridge that crosses nothing.
+    """
     ring = outer
     for hole in sorted(holes, key=lambda h: -float(p[h, 0].max())):
         distance = np.linalg.norm(p[ring][:, None] - p[hole][None], axis=2)
@@ -156,8 +176,9 @@ def _crosses(p: F64, a: int, b: int, rings: list[I64]) -> bool:
 
 
 def ears(p: F64, outer: I64, holes: list[I64]) -> tuple[I64, int]:
-    """Triangles (k, 3), indices into p (n, 2) m, of the area between a counter-clockwise loop and its clockwise holes; and how many overlap
-    because loops cross."""
+    """Triangles (k, 3), indices into p (n, 2) m, of the area between a counter-clockwise loop and
+    its clockwise holes; and how many overlap because loops cross.
+    """
     ring = bridged(p, outer, holes)
     out = np.empty((len(ring) - 2, 3), np.int64)
     forced = int(ears_kernel(np.ascontiguousarray(p), ring.copy(), out))

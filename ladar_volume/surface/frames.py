@@ -1,7 +1,9 @@
-"""Meshing in any direction (seed 000 section 5.4): a TIN needs one height per footprint, which a frame along the scan provides.
+"""Meshing in any direction (seed 000 section 5.4): a TIN needs one height per footprint, which a
+frame along the scan provides.
 
-In a scan frame the z axis points back at the instrument, against the general scan direction; vertical walls then have a footprint
-and heights. Volumes do not depend on the frame, gradients turn with it.
+In a scan frame the z axis points back at the instrument, against the general scan direction;
+vertical walls then have a footprint and heights. Volumes do not depend on the frame, gradients turn
+with it.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ SEARCH_POINTS, SEARCH_DIRECTIONS, SEARCH_ROUNDS = 20_000, 96, 4
 
 @dataclass(frozen=True)
 class Frame:
-    """A turned frame: ``r_frame = R_frame_map (r_map − origin_map)``. R_frame_map : (3, 3) rotation · origin_map : (3,) m"""
+    """A turned frame: ``r_frame = R_frame_map (r_map − origin_map)``. R_frame_map : (3, 3) rotation
+    · origin_map : (3,) m
+    """
 
     R_frame_map: F64
     origin_map: F64
@@ -47,39 +51,53 @@ class Frame:
         return out
 
     def plane(self, beta: F64) -> F64:
-        """The plane ``z = c0 + c1 x + c2 y`` of the map, beta (3,), in this frame, (3,). Raises :class:`SurfaceError` where it stands
-        upright in it."""
+        """The plane ``z = c0 + c1 x + c2 y`` of the map, beta (3,), in this frame, (3,). Raises
+        :class:`SurfaceError` where it stands upright in it.
+        """
         c0, c1, c2 = (float(c) for c in beta)
         upright = np.array([-c1, -c2, 1.0])
         a: F64 = self.R_frame_map @ upright
         if abs(a[2]) < 1e-6 * float(np.linalg.norm(a)):
             words = "the plane runs along the scan direction: no surface lies above it"
             raise SurfaceError(words, reason="surface_direction", value=(c0, c1, c2))
-        return np.array([float(c0 - upright @ self.origin_map), -a[0], -a[1]], dtype=np.float64) / float(a[2])
+        return np.array(
+            [float(c0 - upright @ self.origin_map), -a[0], -a[1]], dtype=np.float64
+        ) / float(a[2])
 
     def tin_back(self, tin: Tin) -> Tin:
-        """A TIN built in this frame with its vertices in the map: a mesh for export, no TIN over the map's plane."""
+        """A TIN built in this frame with its vertices in the map: a mesh for export, no TIN over
+        the map's plane.
+        """
         return dataclasses.replace(tin, vertices=self.points_back(tin.vertices))
 
 
 def frame_along(direction: F64, origin_map: F64 | None = None) -> Frame:
-    """The frame whose z axis points against ``direction`` (3,), its x axis horizontal in the map (east for a vertical direction).
+    """The frame whose z axis points against ``direction`` (3,), its x axis horizontal in the map
+    (east for a vertical direction).
 
     Raises :class:`SurfaceError` for a direction of length zero or not finite.
     """
     d = np.asarray(direction, dtype=np.float64)
     length = float(np.linalg.norm(d)) if d.shape == (3,) and np.isfinite(d).all() else 0.0
     if length == 0.0:
-        raise SurfaceError("a scan direction is three finite numbers, not all zero", reason="surface_direction", value=direction)
+        raise SurfaceError(
+            "a scan direction is three finite numbers, not all zero",
+            reason="surface_direction",
+            value=direction,
+        )
     z = -d / length
     x = np.array([-z[1], z[0], 0.0])
     steep = float(np.hypot(z[0], z[1]))
     x = x / steep if steep > 1e-12 else np.array([1.0, 0.0, 0.0])
-    return Frame(np.stack([x, np.cross(z, x), z]), np.zeros(3) if origin_map is None else np.asarray(origin_map, dtype=np.float64))
+    return Frame(
+        np.stack([x, np.cross(z, x), z]),
+        np.zeros(3) if origin_map is None else np.asarray(origin_map, dtype=np.float64),
+    )
 
 
 def mean_direction(points_map: F64, scanner_map: F64) -> F64:
-    """General scan direction (3,), unit: the mean of the directions from the scanner (3,) to the points (n, 3), all m, map frame.
+    """General scan direction (3,), unit: the mean of the directions from the scanner (3,) to the
+    points (n, 3), all m, map frame.
 
     Raises :class:`SurfaceError` where it is not defined: no points, or points all around.
     """
@@ -89,29 +107,45 @@ def mean_direction(points_map: F64, scanner_map: F64) -> F64:
     mean = ray.mean(axis=0) if len(ray) else np.zeros(3)
     size = float(np.linalg.norm(mean))
     if size < 0.1:
-        raise SurfaceError("the points lie all around the scanner: there is no general direction", reason="surface_direction", value=size)
+        raise SurfaceError(
+            "the points lie all around the scanner: there is no general direction",
+            reason="surface_direction",
+            value=size,
+        )
     out: F64 = mean / size
     return out
 
 
 def search_direction(points_map: F64, guess: F64 | None = None) -> F64:
-    """General scan direction (3,), unit, of points (n, 3) whose scanner is not known: the one along which they mesh best.
+    """General scan direction (3,), unit, of points (n, 3) whose scanner is not known: the one along
+    which they mesh best.
 
-    Seen from the scanner neighbours in the picture are neighbours in space; from elsewhere near and far surfaces interlace. The measure is
-    the mean log length in space of the edges of the Delaunay triangulation, over a hemisphere about ``guess`` (default: straight down,
-    as scanners mostly look down) and then ever closer; an even spread of at most 20,000 points is used. Where little is hidden, many
-    directions serve: the one found lies among them, not always near the mean direction. Some seconds for 10,000 points.
+    Seen from the scanner neighbours in the picture are neighbours in space; from elsewhere near and
+    far surfaces interlace. The measure is the mean log length in space of the edges of the Delaunay
+    triangulation, over a hemisphere about ``guess`` (default: straight down, as scanners mostly
+    look down) and then ever closer; an even spread of at most 20,000 points is used. Where little
+    is hidden, many directions serve: the one found lies among them, not always near the mean
+    direction. Some seconds for 10,000 points.
     """
     points = check_cloud(points_map, 4)
-    points = points[np.linspace(0, len(points) - 1, min(len(points), SEARCH_POINTS)).astype(np.int64)]
-    best = np.array([0.0, 0.0, -1.0]) if guess is None else np.asarray(guess, dtype=np.float64) / np.linalg.norm(guess)
+    points = points[
+        np.linspace(0, len(points) - 1, min(len(points), SEARCH_POINTS)).astype(np.int64)
+    ]
+    best = (
+        np.array([0.0, 0.0, -1.0])
+        if guess is None
+        else np.asarray(guess, dtype=np.float64) / np.linalg.norm(guess)
+    )
     lowest, width, count = np.inf, 1.0, SEARCH_DIRECTIONS
     for _ in range(SEARCH_ROUNDS):
         # a sunflower on the cap about the best direction so far; width 1 is the hemisphere
         k = np.arange(count)
         c, turn = 1.0 - width * (k + 0.5) / count, k * 2.399963229728653
         s = np.sqrt(1.0 - c * c)
-        cap = np.stack([s * np.cos(turn), s * np.sin(turn), c], axis=1) @ frame_along(-best).R_frame_map
+        cap = (
+            np.stack([s * np.cos(turn), s * np.sin(turn), c], axis=1)
+            @ frame_along(-best).R_frame_map
+        )
         cost = [mesh_cost(points, d) for d in cap]
         if min(cost) < lowest:
             lowest, best = min(cost), cap[int(np.argmin(cost))]
@@ -120,7 +154,9 @@ def search_direction(points_map: F64, guess: F64 | None = None) -> F64:
 
 
 def mesh_cost(points_map: F64, direction: F64) -> float:
-    """Mean log length in space of the edges of the Delaunay triangulation of points (n, 3) seen along a direction (3,)."""
+    """Mean log length in space of the edges of the Delaunay triangulation of points (n, 3) seen
+    along a direction (3,).
+    """
     turned = frame_along(direction).points(points_map)
     try:
         tin = build_tin(turned)
@@ -133,12 +169,22 @@ def mesh_cost(points_map: F64, direction: F64) -> float:
 
 
 def check_cloud(points_map: F64, least: int) -> F64:
-    """Points as (n, 3) float64. Raises :class:`SurfaceError` for another shape, too few, or a value that is not finite."""
+    """Points as (n, 3) float64. Raises :class:`SurfaceError` for another shape, too few, or a value
+    that is not finite.
+    """
     points = np.asarray(points_map, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
-        raise SurfaceError(f"points are (n, 3), not {points.shape}", reason="surface_shape", value=points.shape)
+        raise SurfaceError(
+            f"points are (n, 3), not {points.shape}", reason="surface_shape", value=points.shape
+        )
     if not np.isfinite(points).all():
-        raise SurfaceError("a point with a coordinate that is not finite", reason="surface_not_finite")
+        raise SurfaceError(
+            "a point with a coordinate that is not finite", reason="surface_not_finite"
+        )
     if len(points) < least:
-        raise SurfaceError(f"a direction needs {least} points, there are {len(points)}", reason="surface_too_few_points", value=len(points))
+        raise SurfaceError(
+            f"a direction needs {least} points, there are {len(points)}",
+            reason="surface_too_few_points",
+            value=len(points),
+        )
     return points

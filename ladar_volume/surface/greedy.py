@@ -1,8 +1,10 @@
-"""Greedy insertion (seed 000 section 2.4.1), compiled: always the point the current surface misses most, one at a time.
+"""Greedy insertion (seed 000 section 2.4.1), compiled: always the point the current surface misses
+most, one at a time.
 
-Every triangle keeps the list of its points that are not vertices (word 3 of its row in the triangle table is the first, ``after`` the next
-of each), its worst one, and its place in a heap over all triangles (word 7). An insertion changes the triangles round the new vertex and
-no others; only their points are dealt out anew, and only their scores computed again. The cost grows as n log n.
+Every triangle keeps the list of its points that are not vertices (word 3 of its row in the triangle
+table is the first, ``after`` the next of each), its worst one, and its place in a heap over all
+triangles (word 7). An insertion changes the triangles round the new vertex and no others; only
+their points are dealt out anew, and only their scores computed again. The cost grows as n log n.
 """
 
 from __future__ import annotations
@@ -27,8 +29,9 @@ from ladar_volume.surface.mesh import (
 class Cloud(NamedTuple):
     """The points, in an order along which neighbours are near, and the lists of the triangles.
 
-    xy : (n, 2) m · z : (n,) m · scale : (n,) factor of the size of the residual, 1 or 1 / sigma · rank : (n,) ties go to the smaller ·
-    open : (n,) whether the point may become a vertex · after : (n,) next point in the list of its triangle, -1 at the end
+    xy : (n, 2) m · z : (n,) m · scale : (n,) factor of the size of the residual, 1 or 1 / sigma ·
+    rank : (n,) ties go to the smaller · open : (n,) whether the point may become a vertex · after :
+    (n,) next point in the list of its triangle, -1 at the end
     """
 
     xy: F64
@@ -40,8 +43,9 @@ class Cloud(NamedTuple):
 
 
 class Heap(NamedTuple):
-    """Triangles by score. score : score of each place, -1 where the triangle has no point left to insert · triangle : triangle at each
-    place · worst : worst point of each triangle, -1 for none."""
+    """Triangles by score. score : score of each place, -1 where the triangle has no point left to
+    insert · triangle : triangle at each place · worst : worst point of each triangle, -1 for none.
+    """
 
     score: F64
     triangle: I32
@@ -50,11 +54,24 @@ class Heap(NamedTuple):
 
 @kernel
 def height(c: Cloud, m: MeshTable, t: int, q: int) -> float:
-    """Height of triangle t at point q of its list; the weights are clipped, so that rounding in a needle cannot throw it."""
+    """Height of triangle t at point q of its list; the weights are clipped, so that rounding in a
+    needle cannot throw it.
+    """
     xy, i, j, k = c.xy, m[t, 0], m[t, 1], m[t, 2]
     x, y = xy[q, 0], xy[q, 1]
-    ax, ay, bx, by, cx, cy = xy[i, 0] - x, xy[i, 1] - y, xy[j, 0] - x, xy[j, 1] - y, xy[k, 0] - x, xy[k, 1] - y
-    wa, wb, wc = max(bx * cy - by * cx, 0.0), max(cx * ay - cy * ax, 0.0), max(ax * by - ay * bx, 0.0)
+    ax, ay, bx, by, cx, cy = (
+        xy[i, 0] - x,
+        xy[i, 1] - y,
+        xy[j, 0] - x,
+        xy[j, 1] - y,
+        xy[k, 0] - x,
+        xy[k, 1] - y,
+    )
+    wa, wb, wc = (
+        max(bx * cy - by * cx, 0.0),
+        max(cx * ay - cy * ax, 0.0),
+        max(ax * by - ay * bx, 0.0),
+    )
     total = wa + wb + wc
     if total > 0.0:
         return float((wa * c.z[i] + wb * c.z[j] + wc * c.z[k]) / total)
@@ -66,12 +83,16 @@ def area(c: Cloud, m: MeshTable, t: int) -> float:
     """Horizontal area of triangle t."""
     i, j, k = m[t, 0], m[t, 1], m[t, 2]
     x, y = c.xy[i, 0], c.xy[i, 1]
-    return float(max(0.5 * ((c.xy[j, 0] - x) * (c.xy[k, 1] - y) - (c.xy[j, 1] - y) * (c.xy[k, 0] - x)), 0.0))
+    return float(
+        max(0.5 * ((c.xy[j, 0] - x) * (c.xy[k, 1] - y) - (c.xy[j, 1] - y) * (c.xy[k, 0] - x)), 0.0)
+    )
 
 
 @kernel
 def score(c: Cloud, m: MeshTable, t: int, by_area: bool, tolerance: float) -> tuple[float, int]:
-    """Score of triangle t and its worst point: the open point with the largest scaled residual above the tolerance; -1, -1 for none."""
+    """Score of triangle t and its worst point: the open point with the largest scaled residual
+    above the tolerance; -1, -1 for none.
+    """
     if is_ghost(m, t):
         return -1.0, -1
     best, worst = -1.0, -1
@@ -79,7 +100,9 @@ def score(c: Cloud, m: MeshTable, t: int, by_area: bool, tolerance: float) -> tu
     while q >= 0:
         if c.open[q]:
             value = abs(c.z[q] - height(c, m, t, q)) * c.scale[q]
-            if value > tolerance and (value > best or (value == best and c.rank[q] < c.rank[worst])):
+            if value > tolerance and (
+                value > best or (value == best and c.rank[q] < c.rank[worst])
+            ):
                 best, worst = value, q
         q = c.after[q]
     return (best * area(c, m, t), worst) if by_area and worst >= 0 else (best, worst)
@@ -95,7 +118,9 @@ def above(c: Cloud, h: Heap, s: float, t: int, r: float, u: int) -> bool:
 
 @kernel
 def sift(c: Cloud, h: Heap, m: MeshTable, size: int, at: int, s: float, t: int) -> None:
-    """Bring triangle t, now with score s, from place ``at`` to where it belongs in the heap of so many places."""
+    """Bring triangle t, now with score s, from place ``at`` to where it belongs in the heap of so
+    many places.
+    """
     while at > 0 and above(c, h, s, t, h.score[(at - 1) >> 1], h.triangle[(at - 1) >> 1]):
         up = (at - 1) >> 1
         h.score[at], h.triangle[at] = h.score[up], h.triangle[up]
@@ -103,7 +128,9 @@ def sift(c: Cloud, h: Heap, m: MeshTable, size: int, at: int, s: float, t: int) 
         at = up
     while True:
         down = 2 * at + 1
-        if down + 1 < size and above(c, h, h.score[down + 1], h.triangle[down + 1], h.score[down], h.triangle[down]):
+        if down + 1 < size and above(
+            c, h, h.score[down + 1], h.triangle[down + 1], h.score[down], h.triangle[down]
+        ):
             down += 1
         if down >= size or not above(c, h, h.score[down], h.triangle[down], s, t):
             break
@@ -128,7 +155,9 @@ def chain(c: Cloud, m: MeshTable, t: int, pool: int) -> int:
 
 @kernel
 def deal(c: Cloud, m: MeshTable, first: int, pool: int, w: F64) -> None:
-    """Give every point of the list ``pool`` to the triangle of the star round corner 0 of ``first`` that holds it."""
+    """Give every point of the list ``pool`` to the triangle of the star round corner 0 of ``first``
+    that holds it.
+    """
     p, t = m[first, 0], first
     while m[t, 1] == GHOST or m[t, 2] == GHOST:
         t = m[t, 5] >> 2
@@ -136,7 +165,8 @@ def deal(c: Cloud, m: MeshTable, first: int, pool: int, w: F64) -> None:
         q, pool = pool, c.after[pool]
         if q == p:
             continue
-        # round p by the shorter way; q is in the star, so a ghost next door means that q lies on the hull here
+        # round p by the shorter way; q is in the star, so a ghost next door means that q lies on
+        # the hull here
         while c.xy[q, 0] != c.xy[p, 0] or c.xy[q, 1] != c.xy[p, 1]:
             if turn(c.xy, p, m[t, 1], q, w) < 0.0:
                 beside = m[t, 6] >> 2
@@ -153,7 +183,9 @@ def deal(c: Cloud, m: MeshTable, first: int, pool: int, w: F64) -> None:
 
 @kernel
 def insert_worst(c: Cloud, m: MeshTable, size: int, t: int, p: int, w: F64) -> int:
-    """Make point p of triangle t's list a vertex and deal out the points of all triangles that change; returns a triangle of p's star."""
+    """Make point p of triangle t's list a vertex and deal out the points of all triangles that
+    change; returns a triangle of p's star.
+    """
     t, where = locate(c.xy, m, t, p, w)
     m[size, 3] = m[size + 1, 3] = -1
     if where < 0:
@@ -170,8 +202,11 @@ def insert_worst(c: Cloud, m: MeshTable, size: int, t: int, p: int, w: F64) -> i
 
 
 @kernel
-def start_kernel(c: Cloud, m: MeshTable, size: int, hint: int, initial: I32, w: F64) -> tuple[int, int]:
-    """Insert the ``initial`` points in their order, then hand every open or other point that is no vertex to its triangle.
+def start_kernel(
+    c: Cloud, m: MeshTable, size: int, hint: int, initial: I32, w: F64
+) -> tuple[int, int]:
+    """Insert the ``initial`` points in their order, then hand every open or other point that is no
+    vertex to its triangle.
 
     Returns the number of triangles and of vertices inserted.
     """
@@ -193,7 +228,9 @@ def start_kernel(c: Cloud, m: MeshTable, size: int, hint: int, initial: I32, w: 
 
 
 @kernel
-def heap_kernel(c: Cloud, h: Heap, m: MeshTable, size: int, by_area: bool, tolerance: float) -> None:
+def heap_kernel(
+    c: Cloud, h: Heap, m: MeshTable, size: int, by_area: bool, tolerance: float
+) -> None:
     """Score all triangles and build the heap."""
     for t in range(size):
         value, h.worst[t] = score(c, m, t, by_area, tolerance)
@@ -202,11 +239,22 @@ def heap_kernel(c: Cloud, h: Heap, m: MeshTable, size: int, by_area: bool, toler
 
 @kernel
 def greedy_kernel(
-    c: Cloud, h: Heap, m: MeshTable, size: int, limit: int, by_area: bool, tolerance: float, w: F64, taken: I32, scores: F64
+    c: Cloud,
+    h: Heap,
+    m: MeshTable,
+    size: int,
+    limit: int,
+    by_area: bool,
+    tolerance: float,
+    w: F64,
+    taken: I32,
+    scores: F64,
 ) -> tuple[int, int]:
-    """Insert the worst point again and again, up to ``limit`` points or until none is above the tolerance.
+    """Insert the worst point again and again, up to ``limit`` points or until none is above the
+    tolerance.
 
-    The points go into ``taken``, their scores into ``scores``. Returns the number of triangles and of points inserted.
+    The points go into ``taken``, their scores into ``scores``. Returns the number of triangles and
+    of points inserted.
     """
     count = 0
     while count < limit and h.worst[h.triangle[0]] >= 0:
@@ -230,9 +278,11 @@ def greedy_kernel(
 
 @kernel
 def fit_kernel(c: Cloud, m: MeshTable, triangle: I32, residual: F64) -> None:
-    """Triangle (row of the table) and residual of every point: from the lists, and zero at the vertices.
+    """Triangle (row of the table) and residual of every point: from the lists, and zero at the
+    vertices.
 
-    A vertex is given a triangle without artificial corners (vertices from len(triangle) on) where it has one.
+    A vertex is given a triangle without artificial corners (vertices from len(triangle) on) where
+    it has one.
     """
     n = len(triangle)
     triangle[:] = -1
@@ -247,4 +297,3 @@ def fit_kernel(c: Cloud, m: MeshTable, triangle: I32, residual: F64) -> None:
         while q >= 0:
             triangle[q], residual[q] = t, c.z[q] - height(c, m, t, q)
             q = c.after[q]
-

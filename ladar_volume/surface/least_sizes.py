@@ -1,7 +1,8 @@
-"""ASD elevation adjustment: the vertex heights with the least sum of sizes of the residuals (left open in seed 000 section 3.2).
+"""ASD elevation adjustment: the vertex heights with the least sum of sizes of the residuals (left
+open in seed 000 section 3.2).
 
-Minimises ``Σ w |z − B h|`` over the heights h, with the fit of :mod:`ladar_volume.surface.adjust`: by reweighted least squares, or
-as a linear program, which serves as its check.
+Minimises ``Σ w |z − B h|`` over the heights h, with the fit of :mod:`ladar_volume.surface.adjust`:
+by reweighted least squares, or as a linear program, which serves as its check.
 """
 
 from __future__ import annotations
@@ -18,12 +19,20 @@ from ladar_volume.surface.adjust import Adjustment, Fit, Normal, finish, fit_of
 MAX_STEPS = 80
 
 
-def adjust_asd(tin: Tin, points_map: F64, sigma_m: F64 | None = None, fit: Fit | None = None, tolerance: float = 1e-9) -> Adjustment:
-    """The heights with the least weighted sum of sizes of the vertical residuals (weights ``1 / sigma``), by reweighted least squares.
+def adjust_asd(
+    tin: Tin,
+    points_map: F64,
+    sigma_m: F64 | None = None,
+    fit: Fit | None = None,
+    tolerance: float = 1e-9,
+) -> Adjustment:
+    """The heights with the least weighted sum of sizes of the vertical residuals (weights ``1 /
+    sigma``), by reweighted least squares.
 
-    The weights are those of a primal-dual interior point with predictor and corrector (Portnoy & Koenker 1997, "The Gaussian hare
-    and the Laplacian tortoise"): the plain weights ``1 / |r|`` converge too slowly to trust. Ends when the duality gap, which bounds
-    the distance from the optimum, is below ``tolerance`` of the sum. See :func:`adjust_asd_exact`.
+    The weights are those of a primal-dual interior point with predictor and corrector (Portnoy &
+    Koenker 1997, "The Gaussian hare and the Laplacian tortoise"): the plain weights ``1 / |r|``
+    converge too slowly to trust. Ends when the duality gap, which bounds the distance from the
+    optimum, is below ``tolerance`` of the sum. See :func:`adjust_asd_exact`.
     """
     fit = fit_of(tin, points_map, sigma_m) if fit is None else fit
     old, w = tin.vertices[:, 2], np.sqrt(fit.weight)
@@ -38,8 +47,8 @@ def adjust_asd(tin: Tin, points_map: F64, sigma_m: F64 | None = None, fit: Fit |
 def least_sizes(B: Any, z: F64, w: F64, tolerance: float) -> tuple[F64, int, float]:
     """``argmin Σ w |z − B h|``: h (n,), the steps taken, and the duality gap relative to the sum.
 
-    Dual: multipliers a with ``0 ≤ a ≤ 2 w``, ``Bᵀa = Bᵀw``; lower, upper are the multipliers of its bounds, the two parts of the
-    residual. Every step is one matrix and two solves.
+    Dual: multipliers a with ``0 ≤ a ≤ 2 w``, ``Bᵀa = Bᵀw``; lower, upper are the multipliers of its
+    bounds, the two parts of the residual. Every step is one matrix and two solves.
     """
     a, s = w.copy(), w.copy()
     h = Normal(B, w, direct=True).solve(B.T @ (w * z))
@@ -69,18 +78,36 @@ def least_sizes(B: Any, z: F64, w: F64, tolerance: float) -> tuple[F64, int, flo
             dl = (mu - second_l - lower * da) / a - lower
             du = (mu - second_u + upper * da) / s - upper
             fp, fd = step_length((a, da), (s, -da)), step_length((lower, dl), (upper, du))
-        a, s, h, lower, upper = a + fp * da, s - fp * da, h + fd * dh, lower + fd * dl, upper + fd * du
+        a, s, h, lower, upper = (
+            a + fp * da,
+            s - fp * da,
+            h + fd * dh,
+            lower + fd * dl,
+            upper + fd * du,
+        )
     return h, MAX_STEPS, gap
 
 
 def step_length(*pairs: tuple[F64, F64]) -> float:
-    """The longest step, at most 1, that keeps every ``x + step dx`` of the pairs well above zero."""
-    return min(1.0, *(0.9995 * float(np.min(np.where(dx < 0, -x / np.minimum(dx, -1e-300), np.inf))) for x, dx in pairs))
+    """The longest step, at most 1, that keeps every ``x + step dx`` of the pairs well above
+    zero.
+    """
+    return min(
+        1.0,
+        *(
+            0.9995 * float(np.min(np.where(dx < 0, -x / np.minimum(dx, -1e-300), np.inf)))
+            for x, dx in pairs
+        ),
+    )
 
 
-def adjust_asd_exact(tin: Tin, points_map: F64, sigma_m: F64 | None = None, fit: Fit | None = None) -> Adjustment:
-    """ASD adjustment as a linear program ``min wᵀ(u + v)``, ``B h + u − v = z``, u, v ≥ 0 (HiGHS): exact, and slow beyond some
-    10,000 points. Raises :class:`SurfaceError` where the solver gives up."""
+def adjust_asd_exact(
+    tin: Tin, points_map: F64, sigma_m: F64 | None = None, fit: Fit | None = None
+) -> Adjustment:
+    """ASD adjustment as a linear program ``min wᵀ(u + v)``, ``B h + u − v = z``, u, v ≥ 0 (HiGHS):
+    exact, and slow beyond some 10,000 points. Raises :class:`SurfaceError` where the solver gives
+    up.
+    """
     fit = fit_of(tin, points_map, sigma_m) if fit is None else fit
     w, k, z = np.sqrt(fit.weight), len(fit.z), tin.vertices[:, 2]
     used = np.flatnonzero(fit.adjusted)
@@ -89,11 +116,17 @@ def adjust_asd_exact(tin: Tin, points_map: F64, sigma_m: F64 | None = None, fit:
     cost = np.r_[np.zeros(len(used)), w, w] / w.max()
     bounds = np.r_[np.tile([-np.inf, np.inf], (len(used), 1)), np.tile([0.0, np.inf], (2 * k, 1))]
     # as changes of the present heights: numbers near zero whatever the datum
-    from scipy.optimize import linprog  # a quarter of a second to load, and the online surface never needs it
+    from scipy.optimize import (
+        linprog,
+    )  # a quarter of a second to load, and the online surface never needs it
 
     found = linprog(cost, A_eq=A, b_eq=fit.residuals(z), bounds=bounds, method="highs")
     if found.status != 0 or found.x is None:
-        raise SurfaceError(f"the linear program was not solved: {found.message}", reason="surface_adjustment", value=found.status)
+        raise SurfaceError(
+            f"the linear program was not solved: {found.message}",
+            reason="surface_adjustment",
+            value=found.status,
+        )
     heights = z.copy()
     heights[used] += found.x[: len(used)]
     return finish(tin, fit, heights, int(found.nit), True)

@@ -1,9 +1,11 @@
-"""A triangle mesh through points of surfaces of any orientation (seed 002 chapter 5): local triangulations in tangent planes that agree.
+"""A triangle mesh through points of surfaces of any orientation (seed 002 chapter 5): local
+triangulations in tangent planes that agree.
 
-Every point triangulates its neighbours in its own tangent plane and keeps the triangles at itself, its star. A triangle that is in the
-stars of all three corners is taken; where stars disagree the surface grows by the triangles that fit, by votes and then the shortest
-first; what then still gapes is closed up to a stated size. The result is a manifold with one orientation. The published Algorithm 2, with
-its repairs, is the other method.
+Every point triangulates its neighbours in its own tangent plane and keeps the triangles at itself,
+its star. A triangle that is in the stars of all three corners is taken; where stars disagree the
+surface grows by the triangles that fit, by votes and then the shortest first; what then still gapes
+is closed up to a stated size. The result is a manifold with one orientation. The published
+Algorithm 2, with its repairs, is the other method.
 """
 
 from __future__ import annotations
@@ -16,17 +18,25 @@ import numpy as np
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64
 from ladar_volume.surface.frames import check_cloud
-from ladar_volume.surface.local_frames import PLANE, SLACK, by_place, consistent_normals, neighbours, plane_normals
+from ladar_volume.surface.local_frames import (
+    PLANE,
+    SLACK,
+    by_place,
+    consistent_normals,
+    neighbours,
+    plane_normals,
+)
 from ladar_volume.surface.local_grow import FAN, drop_fans, grow, spread_out
 from ladar_volume.surface.local_holes import fill, open_handles, rims
 from ladar_volume.surface.local_published import published, repaired
 from ladar_volume.surface.local_star import DEGREE, ballot, stars
 from ladar_volume.surface.topology import edge_table
 
-#: What a vertex is: inside the surface, on a rim, in no triangle, or at the place of an earlier point.
+#: What a vertex is: inside the surface, on a rim, in no triangle, or at the place of an earlier
+#: point.
 INSIDE, RIM, UNUSED, DUPLICATE = range(4)
-#: Neighbours that the spacing of the points is taken from (the median distance of this one), those a star is made of, and
-#: by how many times more where it stays open.
+#: Neighbours that the spacing of the points is taken from (the median distance of this one), those
+#: a star is made of, and by how many times more where it stays open.
 SPACING, NEIGHBOURS, WIDER = 6, 32, 4
 #: Longest edge and largest hole in spacings, where no lengths are given.
 REACH, HOLE = 4.0, 6.0
@@ -39,12 +49,15 @@ ROUNDS = 4
 
 @dataclass(frozen=True)
 class LocalMeshSettings:
-    """radius_m : longest edge, and reach of a point's neighbourhood, 0: from the spacing of the points · hole_m : diameter of the largest
-    hole that is closed, 0: 1.5 times the longest edge · signed : whether given normals point outward as they are; otherwise only their
-    lines count and signs are found from the cloud, which bodies that touch can mislead.
+    """radius_m : longest edge, and reach of a point's neighbourhood, 0: from the spacing of the
+    points · hole_m : diameter of the largest hole that is closed, 0: 1.5 times the longest edge ·
+    signed : whether given normals point outward as they are; otherwise only their lines count and
+    signs are found from the cloud, which bodies that touch can mislead.
 
-    method : "agreement", or "published" for Algorithm 2, which needs a radius · longest_m : longest edge of the published method, 0: its
-    radius · repair : what it does about false and empty triangles: "none", "empty", "false", "both" or "remove" (all suspicious)."""
+    method : "agreement", or "published" for Algorithm 2, which needs a radius · longest_m : longest
+    edge of the published method, 0: its radius · repair : what it does about false and empty
+    triangles: "none", "empty", "false", "both" or "remove" (all suspicious).
+    """
 
     radius_m: float = 0.0
     hole_m: float = 0.0
@@ -54,14 +67,22 @@ class LocalMeshSettings:
     repair: str = "both"
 
     def __post_init__(self) -> None:
-        """Raises :class:`SurfaceError` (mesh_settings) for lengths that are negative or not finite, and unknown names."""
+        """Raises :class:`SurfaceError` (mesh_settings) for lengths that are negative or not finite,
+        and unknown names.
+        """
         for length in (self.radius_m, self.hole_m, self.longest_m):
             if not (np.isfinite(length) and length >= 0.0):
                 raise SurfaceError(f"a length of {length} m", reason="mesh_settings", value=length)
         if self.method not in ("agreement", "published") or self.repair not in REPAIRS:
-            raise SurfaceError(f"no method {self.method!r} or repair {self.repair!r}", reason="mesh_settings", value=self.method)
+            raise SurfaceError(
+                f"no method {self.method!r} or repair {self.repair!r}",
+                reason="mesh_settings",
+                value=self.method,
+            )
         if self.method == "published" and self.radius_m == 0.0:
-            raise SurfaceError("the published method needs a radius", reason="mesh_settings", value=self.radius_m)
+            raise SurfaceError(
+                "the published method needs a radius", reason="mesh_settings", value=self.radius_m
+            )
 
 
 #: The thesis's three meshes (section 9.2): bench and fountain, cardboard box, sphere.
@@ -74,11 +95,13 @@ SPHERE = LocalMeshSettings(0.35, method="published")
 class LocalMesh:
     """A mesh through points, in their frame.
 
-    vertices : (n, 3) m, the input points in their order · normals : (n, 3), unit, on the side the triangles face · triangles : (m, 3)
-    int32, counter-clockwise as seen from the normals' side: outside of a closed body · votes : (m,) by how many of its corners a triangle
-    was proposed, 0 where it closes a hole · status : (n,) int32, INSIDE, RIM, UNUSED or DUPLICATE · rims : vertices of each open
-    rim, in their order with the gap on the left; the two ends of each open edge in the published method · over_full : (k, 2) edges that
-    have more than two triangles, none but in the published method · report : counts of what was found, closed and dropped, lengths used
+    vertices : (n, 3) m, the input points in their order · normals : (n, 3), unit, on the side the
+    triangles face · triangles : (m, 3) int32, counter-clockwise as seen from the normals' side:
+    outside of a closed body · votes : (m,) by how many of its corners a triangle was proposed, 0
+    where it closes a hole · status : (n,) int32, INSIDE, RIM, UNUSED or DUPLICATE · rims : vertices
+    of each open rim, in their order with the gap on the left; the two ends of each open edge in the
+    published method · over_full : (k, 2) edges that have more than two triangles, none but in the
+    published method · report : counts of what was found, closed and dropped, lengths used
     """
 
     vertices: F64
@@ -96,18 +119,25 @@ class LocalMesh:
         return not self.rims and not len(self.over_full)
 
 
-def mesh_cloud(points: F64, normals: F64 | None = None, settings: LocalMeshSettings | None = None) -> LocalMesh:
-    """A manifold mesh through points (n, 3), m, in any frame, with their normals (n, 3) of any length.
+def mesh_cloud(
+    points: F64, normals: F64 | None = None, settings: LocalMeshSettings | None = None
+) -> LocalMesh:
+    """A manifold mesh through points (n, 3), m, in any frame, with their normals (n, 3) of any
+    length.
 
-    Without normals, planes through the nearest points stand in, which round sharp edges off. Raises :class:`SurfaceError`:
-    surface_shape, surface_not_finite, mesh_points (fewer than three places), mesh_normals, mesh_empty (no triangle: collinear, or all
-    farther apart than the radius).
+    Without normals, planes through the nearest points stand in, which round sharp edges off. Raises
+    :class:`SurfaceError`: surface_shape, surface_not_finite, mesh_points (fewer than three places),
+    mesh_normals, mesh_empty (no triangle: collinear, or all farther apart than the radius).
     """
     settings = settings or LocalMeshSettings()
     given = check_cloud(points, 3)
     first = np.sort(np.unique(given + 0.0, axis=0, return_index=True)[1])
     if len(first) < 3:
-        raise SurfaceError(f"{len(first)} points at different places are no surface", reason="mesh_points", value=len(first))
+        raise SurfaceError(
+            f"{len(first)} points at different places are no surface",
+            reason="mesh_points",
+            value=len(first),
+        )
     if settings.method == "agreement":
         first = first[by_place(given[first])]
     # digits: offsets of the cloud's size, not map coordinates
@@ -116,7 +146,14 @@ def mesh_cloud(points: F64, normals: F64 | None = None, settings: LocalMeshSetti
     if spread[1] <= THIN * spread[0]:
         raise SurfaceError("no triangle: all points lie on one line", reason="mesh_empty")
     distance, index = neighbours(p, NEIGHBOURS)
-    n = unit_normals(p, index, None if normals is None else np.asarray(normals, np.float64), first, len(given), settings.signed)
+    n = unit_normals(
+        p,
+        index,
+        None if normals is None else np.asarray(normals, np.float64),
+        first,
+        len(given),
+        settings.signed,
+    )
     if settings.method == "published":
         return overlapping(given, first, p, n, settings)
     spacing = float(np.median(distance[:, min(SPACING, distance.shape[1]) - 1]))
@@ -128,12 +165,20 @@ def mesh_cloud(points: F64, normals: F64 | None = None, settings: LocalMeshSetti
     return finish(given, first, p, n, triangles, votes, {**lengths, **report})
 
 
-def unit_normals(p: F64, index: I64, normals: F64 | None, first: I64, given: int, signed: bool) -> F64:
-    """Normals of the points in use, of length 1 and with signs that agree; from planes where none are given."""
+def unit_normals(
+    p: F64, index: I64, normals: F64 | None, first: I64, given: int, signed: bool
+) -> F64:
+    """Normals of the points in use, of length 1 and with signs that agree; from planes where none
+    are given.
+    """
     if normals is None:
         return consistent_normals(p, plane_normals(p, index[:, :PLANE]), index)
     if normals.shape != (given, 3):
-        raise SurfaceError(f"normals are ({given}, 3), not {normals.shape}", reason="mesh_normals", value=normals.shape)
+        raise SurfaceError(
+            f"normals are ({given}, 3), not {normals.shape}",
+            reason="mesh_normals",
+            value=normals.shape,
+        )
     length = np.linalg.norm(normals, axis=1)
     if not np.all(np.isfinite(length) & (length > 0.0)):
         raise SurfaceError("a normal that is zero or not finite", reason="mesh_normals")
@@ -141,7 +186,9 @@ def unit_normals(p: F64, index: I64, normals: F64 | None, first: I64, given: int
     return unit if signed else consistent_normals(p, unit, index)
 
 
-def agree(p: F64, n: F64, index: I64, reach: float, slack: float) -> tuple[I32, I32, dict[str, float | int]]:
+def agree(
+    p: F64, n: F64, index: I64, reach: float, slack: float
+) -> tuple[I32, I32, dict[str, float | int]]:
     """Triangles of all stars in the order in which they are taken, their votes, and counts."""
     ring, closed = np.empty((len(p), DEGREE), np.int32), np.empty(len(p), np.int32)
     stars(p, n, index, np.arange(len(p)), reach, slack, ring, closed)
@@ -156,13 +203,24 @@ def agree(p: F64, n: F64, index: I64, reach: float, slack: float) -> tuple[I32, 
     order = np.lexsort((longest, -votes))
     count = np.bincount(votes, minlength=4)
     report: dict[str, float | int] = {
-        "agreed": int(count[3]), "of_two": int(count[2]), "of_one": int(count[1]), "edges_before": len(most),
+        "agreed": int(count[3]),
+        "of_two": int(count[2]),
+        "of_one": int(count[1]),
+        "edges_before": len(most),
         "over_full_before": int(np.sum(most > 2)),
-    }  # fmt: skip
+    }
     return triangles[order], votes[order], report
 
 
-def finish(given: F64, first: I64, p: F64, n: F64, triangles: I32, votes: I32, report: dict[str, float | int]) -> LocalMesh:
+def finish(
+    given: F64,
+    first: I64,
+    p: F64,
+    n: F64,
+    triangles: I32,
+    votes: I32,
+    report: dict[str, float | int],
+) -> LocalMesh:
     """Grow the surface, close its holes, and put the result in terms of the given points."""
     fan, size = np.zeros((len(p), FAN, 3), np.int32), np.zeros(len(p), np.int32)
     slack, hole = float(report["slack_m"]), float(report["hole_m"])
@@ -178,7 +236,11 @@ def finish(given: F64, first: I64, p: F64, n: F64, triangles: I32, votes: I32, r
     out = np.empty((int(size.sum()) // 3, 4), np.int32)
     if spread_out(fan, size, out) == 0:
         raise SurfaceError(
-            f"no triangle: the points lie on lines, or all farther apart than {report['radius_m']:.3g} m", reason="mesh_empty"
+            (
+                "no triangle: the points lie on lines, or all farther apart than "
+                f"{report['radius_m']:.3g} m"
+            ),
+            reason="mesh_empty",
         )
     rim, start, _ = rims(p, n, fan, size, slack)
     status = np.full(len(given), DUPLICATE, np.int32)
@@ -189,17 +251,33 @@ def finish(given: F64, first: I64, p: F64, n: F64, triangles: I32, votes: I32, r
     here = first.astype(np.int32)
     edges = tuple(here[rim[a:b]] for a, b in pairwise(start))
     report |= {
-        "closed_holes": holes, "closing_triangles": int(np.sum(out[:, 3] == 0)), "dropped": dropped,
-        "unused": int(np.sum(status == UNUSED)), "duplicates": len(given) - len(first),
-    }  # fmt: skip
-    return LocalMesh(given, normals, here[out[:, :3]], out[:, 3].copy(), status, edges, np.empty((0, 2), np.int32), report)
+        "closed_holes": holes,
+        "closing_triangles": int(np.sum(out[:, 3] == 0)),
+        "dropped": dropped,
+        "unused": int(np.sum(status == UNUSED)),
+        "duplicates": len(given) - len(first),
+    }
+    return LocalMesh(
+        given,
+        normals,
+        here[out[:, :3]],
+        out[:, 3].copy(),
+        status,
+        edges,
+        np.empty((0, 2), np.int32),
+        report,
+    )
 
 
 def overlapping(given: F64, first: I64, p: F64, n: F64, settings: LocalMeshSettings) -> LocalMesh:
-    """The mesh of the published method: each triangle faces the side of the normals at its corners; each open edge is a rim of its own."""
+    """The mesh of the published method: each triangle faces the side of the normals at its corners;
+    each open edge is a rim of its own.
+    """
     found = published(p, settings.radius_m, settings.longest_m or settings.radius_m)
     if len(found) == 0:
-        raise SurfaceError(f"no triangle with sides up to {settings.radius_m:.3g} m", reason="mesh_empty")
+        raise SurfaceError(
+            f"no triangle with sides up to {settings.radius_m:.3g} m", reason="mesh_empty"
+        )
     t = repaired(found, settings.repair)
     a, b, c = (p[t[:, k]] for k in range(3))
     back = np.einsum("ni,ni->n", np.cross(b - a, c - a), n[t].sum(axis=1)) < 0.0
@@ -215,8 +293,15 @@ def overlapping(given: F64, first: I64, p: F64, n: F64, settings: LocalMeshSetti
     normals = np.zeros_like(given)
     normals[first] = n
     report: dict[str, float | int] = {
-        "radius_m": settings.radius_m, "found": len(found), "repaired": len(t) - len(found), "open_edges": len(single),
-        "over_full": int(np.sum(uses > 2)), "unused": int(np.sum(status == UNUSED)), "duplicates": len(given) - len(first),
-    }  # fmt: skip
+        "radius_m": settings.radius_m,
+        "found": len(found),
+        "repaired": len(t) - len(found),
+        "open_edges": len(single),
+        "over_full": int(np.sum(uses > 2)),
+        "unused": int(np.sum(status == UNUSED)),
+        "duplicates": len(given) - len(first),
+    }
     votes = np.ones(len(t), np.int32)
-    return LocalMesh(given, normals, here[t], votes, status, tuple(single), here[ends[uses > 2]], report)
+    return LocalMesh(
+        given, normals, here[t], votes, status, tuple(single), here[ends[uses > 2]], report
+    )

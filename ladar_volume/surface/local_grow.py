@@ -1,8 +1,9 @@
 """A surface that grows triangle by triangle and is a manifold at every step.
 
-Every point keeps the triangles round it as pairs of its neighbours, counter-clockwise about its normal. A triangle is taken only if at
-each of its corners its sector overlaps no other, seen in the unfolded tangent plane of that corner: then every edge has at most two
-triangles, which run along it in opposite directions, and no corner is covered twice.
+Every point keeps the triangles round it as pairs of its neighbours, counter-clockwise about its
+normal. A triangle is taken only if at each of its corners its sector overlaps no other, seen in the
+unfolded tangent plane of that corner: then every edge has at most two triangles, which run along it
+in opposite directions, and no corner is covered twice.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ FAN = 32
 
 @kernel
 def add(fan: I32, size: I32, a: int, b: int, c: int, kind: int) -> None:
-    """Put a triangle into the fans (n, FAN, 3) of its corners: the next and the last corner, and what kind of triangle it is."""
+    """Put a triangle into the fans (n, FAN, 3) of its corners: the next and the last corner, and
+    what kind of triangle it is.
+    """
     p, q, r = np.int64(a), np.int64(b), np.int64(c)  # of one type, as a compiled tuple must be
     for i, j, k in ((p, q, r), (q, r, p), (r, p, q)):
         s = size[i]
@@ -64,7 +67,9 @@ def between(ax: float, ay: float, bx: float, by: float, qx: float, qy: float) ->
 
 
 @kernel
-def fits(points: F64, normals: F64, fan: I32, size: I32, i: int, a: int, b: int, slack: float) -> bool:
+def fits(
+    points: F64, normals: F64, fan: I32, size: I32, i: int, a: int, b: int, slack: float
+) -> bool:
     """Whether the sector of the triangle (i, a, b) is free at i."""
     if size[i] >= FAN:
         return False
@@ -78,16 +83,24 @@ def fits(points: F64, normals: F64, fan: I32, size: I32, i: int, a: int, b: int,
             return False
         cx, cy, _ = unfold(points, normals, i, c, slack)
         dx, dy, _ = unfold(points, normals, i, d, slack)
-        if (c != b and between(ax, ay, bx, by, cx, cy)) or (d != a and between(ax, ay, bx, by, dx, dy)):
+        if (c != b and between(ax, ay, bx, by, cx, cy)) or (
+            d != a and between(ax, ay, bx, by, dx, dy)
+        ):
             return False
-        if (a != d and between(cx, cy, dx, dy, ax, ay)) or (b != c and between(cx, cy, dx, dy, bx, by)):
+        if (a != d and between(cx, cy, dx, dy, ax, ay)) or (
+            b != c and between(cx, cy, dx, dy, bx, by)
+        ):
             return False
     return True
 
 
 @kernel
-def grow(points: F64, normals: F64, triangles: I32, votes: I32, slack: float, fan: I32, size: I32) -> int:
-    """Take triangles (m, 3) in their order where they fit; how many. Those with three votes fit each other: stars do not overlap."""
+def grow(
+    points: F64, normals: F64, triangles: I32, votes: I32, slack: float, fan: I32, size: I32
+) -> int:
+    """Take triangles (m, 3) in their order where they fit; how many. Those with three votes fit
+    each other: stars do not overlap.
+    """
     taken = 0
     for t in range(len(triangles)):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
@@ -104,7 +117,9 @@ def grow(points: F64, normals: F64, triangles: I32, votes: I32, slack: float, fa
 
 @kernel
 def spread_out(fan: I32, size: I32, out: I32) -> int:
-    """Write every triangle once, lowest corner first, with its kind in the fourth column; how many there are."""
+    """Write every triangle once, lowest corner first, with its kind in the fourth column; how many
+    there are.
+    """
     m = 0
     for i in range(len(size)):
         for s in range(size[i]):
@@ -117,7 +132,9 @@ def spread_out(fan: I32, size: I32, out: I32) -> int:
 
 @kernel
 def drop_fans(fan: I32, size: I32) -> int:
-    """Where the triangles round a point form several fans, keep the one with most triangles; how many triangles went."""
+    """Where the triangles round a point form several fans, keep the one with most triangles; how
+    many triangles went.
+    """
     gone, again = 0, True
     label = np.empty(FAN, np.int64)
     while again:

@@ -1,12 +1,15 @@
-"""Gaps of a growing surface: their rims, which of them are holes, and the cheapest triangulation of a hole.
+"""Gaps of a growing surface: their rims, which of them are holes, and the cheapest triangulation of
+a hole.
 
-A rim is followed with the gap on its left. Whether the gap is a hole in the surface or all that lies outside of it shows in the angles
-of the gap along the rim: a flat polygon of k corners has k - 2 half turns inside and k + 2 outside. A hole is closed by the
-triangulation of least area (Barequet and Sharir 1995), weighted by how far triangles turn away from the normals at their corners.
+A rim is followed with the gap on its left. Whether the gap is a hole in the surface or all that
+lies outside of it shows in the angles of the gap along the rim: a flat polygon of k corners has k -
+2 half turns inside and k + 2 outside. A hole is closed by the triangulation of least area (Barequet
+and Sharir 1995), weighted by how far triangles turn away from the normals at their corners.
 
-Where two strips of triangles cross, as they can at the end of a concave edge, they make a handle without the curvature of one, and their
-common rim misses four half turns for each (Gauss and Bonnet); a handle of the body itself misses none. No triangulation closes such a rim:
-all triangles round it go, and what then gapes is a hole like others.
+Where two strips of triangles cross, as they can at the end of a concave edge, they make a handle
+without the curvature of one, and their common rim misses four half turns for each (Gauss and
+Bonnet); a handle of the body itself misses none. No triangulation closes such a rim: all triangles
+round it go, and what then gapes is a hole like others.
 """
 
 from __future__ import annotations
@@ -22,13 +25,18 @@ from ladar_volume.surface.local_grow import FAN, add, follows, precedes, take_aw
 
 #: Longest rim that is closed; the work grows with its cube.
 LONGEST = 200
-#: By how many half turns a rim's angles differ from those of a hole at most; nearer to the next multiple of four it is of another kind.
+#: By how many half turns a rim's angles differ from those of a hole at most; nearer to the next
+#: multiple of four it is of another kind.
 OF_A_HOLE = 2.0
 
 
 @kernel
-def next_on_rim(points: F64, normals: F64, fan: I32, size: I32, slack: float, y: int, x: int) -> tuple[int, float]:
-    """Row of x's fan whose last neighbour follows x on the rim that comes from y, and the angle of the gap at x."""
+def next_on_rim(
+    points: F64, normals: F64, fan: I32, size: I32, slack: float, y: int, x: int
+) -> tuple[int, float]:
+    """Row of x's fan whose last neighbour follows x on the rim that comes from y, and the angle of
+    the gap at x.
+    """
     yx, yy, _ = unfold(points, normals, x, y, slack)
     best, least = -1, np.inf
     for s in range(size[x]):
@@ -44,9 +52,13 @@ def next_on_rim(points: F64, normals: F64, fan: I32, size: I32, slack: float, y:
 
 
 @kernel
-def trace(points: F64, normals: F64, fan: I32, size: I32, slack: float, rim: I32, start: I64, excess: F64) -> int:
-    """All rims one after the other: vertices in ``rim``, the first of each in ``start``, and by how many half turns their gap's angles
-    exceed those of a flat hole's polygon: near 0 for a hole, near 4 for what lies outside; how many rims."""
+def trace(
+    points: F64, normals: F64, fan: I32, size: I32, slack: float, rim: I32, start: I64, excess: F64
+) -> int:
+    """All rims one after the other: vertices in ``rim``, the first of each in ``start``, and by how
+    many half turns their gap's angles exceed those of a flat hole's polygon: near 0 for a hole,
+    near 4 for what lies outside; how many rims.
+    """
     seen = np.zeros((len(size), FAN), np.bool_)
     rims, n = 0, 0
     for first in range(len(size)):
@@ -83,7 +95,9 @@ def price(points: F64, normals: F64, a: int, b: int, c: int) -> float:
 
 @kernel
 def close_rim(points: F64, normals: F64, fan: I32, size: I32, rim: I32) -> int:
-    """Close one rim (k,) by its cheapest triangulation that uses no edge the surface already has; how many triangles, 0 where none is."""
+    """Close one rim (k,) by its cheapest triangulation that uses no edge the surface already has;
+    how many triangles, 0 where none is.
+    """
     k = len(rim)
     cost, split = np.full((k, k), np.inf), np.full((k, k), -1, np.int64)
     for i in range(k - 1):
@@ -93,7 +107,9 @@ def close_rim(points: F64, normals: F64, fan: I32, size: I32, rim: I32) -> int:
             j = i + width
             a, c = rim[i], rim[j]
             inner = not (i == 0 and j == k - 1)
-            if a == c or (inner and (follows(fan, size, a, c) >= 0 or precedes(fan, size, a, c) >= 0)):
+            if a == c or (
+                inner and (follows(fan, size, a, c) >= 0 or precedes(fan, size, a, c) >= 0)
+            ):
                 continue
             for m in range(i + 1, j):
                 if rim[m] == a or rim[m] == c or cost[i, m] + cost[m, j] >= cost[i, j]:
@@ -130,7 +146,9 @@ def write_rim(fan: I32, size: I32, rim: I32, split: I64) -> int:
 
 
 @kernel
-def close_holes(points: F64, normals: F64, fan: I32, size: I32, rim: I32, start: I64, chosen: I64) -> tuple[int, int]:
+def close_holes(
+    points: F64, normals: F64, fan: I32, size: I32, rim: I32, start: I64, chosen: I64
+) -> tuple[int, int]:
     """Close the chosen rims: how many holes, and with how many triangles."""
     holes, triangles = 0, 0
     for r in chosen:
@@ -140,19 +158,25 @@ def close_holes(points: F64, normals: F64, fan: I32, size: I32, rim: I32, start:
     return holes, triangles
 
 
-def fill(points: F64, normals: F64, fan: I32, size: I32, slack: float, largest_m: float, opened: Bool) -> tuple[int, int]:
-    """Close every hole whose rim is no longer than that of a circle of diameter ``largest_m``, or that was opened (n,) at one of its
-    vertices: how many, with how many triangles."""
+def fill(
+    points: F64, normals: F64, fan: I32, size: I32, slack: float, largest_m: float, opened: Bool
+) -> tuple[int, int]:
+    """Close every hole whose rim is no longer than that of a circle of diameter ``largest_m``, or
+    that was opened (n,) at one of its vertices: how many, with how many triangles.
+    """
     rim, start, excess = rims(points, normals, fan, size, slack)
     corners = np.diff(start)
     wanted = (rim_lengths(points, rim, start) <= math.pi * largest_m) | touching(rim, start, opened)
-    chosen = np.flatnonzero(wanted & (np.abs(excess) < OF_A_HOLE) & (corners >= 3) & (corners <= LONGEST))
+    chosen = np.flatnonzero(
+        wanted & (np.abs(excess) < OF_A_HOLE) & (corners >= 3) & (corners <= LONGEST)
+    )
     order = np.argsort(corners[chosen], kind="stable")
     return close_holes(points, normals, fan, size, rim, start, chosen[order])
 
 
 def open_handles(points: F64, normals: F64, fan: I32, size: I32, slack: float, opened: Bool) -> int:
-    """Take away all triangles round rims where strips of triangles cross, and mark what then is their rim ``opened`` (n,); how many went.
+    """Take away all triangles round rims where strips of triangles cross, and mark what then is
+    their rim ``opened`` (n,); how many went.
 
     Rims too long to be closed again stay.
     """
@@ -179,7 +203,9 @@ def rim_lengths(points: F64, rim: I32, start: I64) -> F64:
         return np.zeros(0)
     following = np.append(rim[1:], rim[0])
     following[start[1:] - 1] = rim[start[:-1]]
-    length: F64 = np.add.reduceat(np.linalg.norm(points[following] - points[rim], axis=1), start[:-1])
+    length: F64 = np.add.reduceat(
+        np.linalg.norm(points[following] - points[rim], axis=1), start[:-1]
+    )
     return length
 
 
@@ -190,7 +216,9 @@ def touching(rim: I32, start: I64, marked: Bool) -> Bool:
 
 
 def rims(points: F64, normals: F64, fan: I32, size: I32, slack: float) -> tuple[I32, I64, F64]:
-    """As :func:`trace`, cut to length: vertices of all rims, where each begins (and where the last ends), excess."""
+    """As :func:`trace`, cut to length: vertices of all rims, where each begins (and where the last
+    ends), excess.
+    """
     most = int(size.sum())
     rim, start, excess = np.empty(most, np.int32), np.zeros(most + 1, np.int64), np.empty(most)
     count = trace(points, normals, fan, size, slack, rim, start, excess)

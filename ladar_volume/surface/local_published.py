@@ -1,8 +1,11 @@
-"""Algorithm 2 as published (seed 002 section 5.3), with its check for false and empty triangles (Figures 5.5 and 5.6, Tables 9.3, 9.4).
+"""Algorithm 2 as published (seed 002 section 5.3), with its check for false and empty triangles
+(Figures 5.5 and 5.6, Tables 9.3, 9.4).
 
-Point by point, the neighbours within a radius are turned into the plane through them, and every triangle of them that has no long side and
-no other of them in its circumcircle is stored. A point round which stored triangles fill 360 degrees is final and leaves the search. The
-circumcircles of one ball know nothing of points beyond it, nor of those that have left, so triangles overlap: the checks find some.
+Point by point, the neighbours within a radius are turned into the plane through them, and every
+triangle of them that has no long side and no other of them in its circumcircle is stored. A point
+round which stored triangles fill 360 degrees is final and leaves the search. The circumcircles of
+one ball know nothing of points beyond it, nor of those that have left, so triangles overlap: the
+checks find some.
 """
 
 from __future__ import annotations
@@ -23,8 +26,12 @@ AROUND = 96
 
 
 def published(points: F64, radius: float, longest: float) -> I32:
-    """Triangles (m, 3) of points (n, 3) by Algorithm 2: neighbours within ``radius``, no side above ``longest``, m; in no orientation."""
-    moved = points + np.random.default_rng(0).uniform(-JITTER * radius, JITTER * radius, points.shape)
+    """Triangles (m, 3) of points (n, 3) by Algorithm 2: neighbours within ``radius``, no side above
+    ``longest``, m; in no orientation.
+    """
+    moved = points + np.random.default_rng(0).uniform(
+        -JITTER * radius, JITTER * radius, points.shape
+    )
     start, near = within(moved, radius)
     normals = ball_normals(moved, start, near)
     table = np.full(1 << int(64 * len(points)).bit_length(), -1, np.int64)
@@ -38,7 +45,10 @@ def ball_normals(points: F64, start: I64, near: I64) -> F64:
     own = np.repeat(np.arange(len(points)), np.diff(start))
     size = np.maximum(np.diff(start), 1)
     arm = points[near] - points[own]
-    mean = np.stack([np.bincount(own, arm[:, k], len(points)) for k in range(3)], axis=1) / size[:, None]
+    mean = (
+        np.stack([np.bincount(own, arm[:, k], len(points)) for k in range(3)], axis=1)
+        / size[:, None]
+    )
     arm -= mean[own]
     scatter = np.empty((len(points), 3, 3))
     for i in range(3):
@@ -48,8 +58,12 @@ def ball_normals(points: F64, start: I64, near: I64) -> F64:
 
 
 @kernel
-def search(points: F64, normals: F64, start: I64, near: I64, longest: float, table: I64, out: I32) -> int:
-    """The loop over all points: triangles into ``out``, each once; how many. It ends early where ``out`` is full."""
+def search(
+    points: F64, normals: F64, start: I64, near: I64, longest: float, table: I64, out: I32
+) -> int:
+    """The loop over all points: triangles into ``out``, each once; how many. It ends early where
+    ``out`` is full.
+    """
     final, many, m = np.zeros(len(points), np.bool_), np.zeros(len(points), np.int64), 0
     around = np.empty((len(points), AROUND, 2), np.int32)
     for i in range(len(points)):
@@ -68,16 +82,23 @@ def search(points: F64, normals: F64, start: I64, near: I64, longest: float, tab
             for k in range(3):
                 v = corner[k]
                 if many[v] < AROUND:
-                    around[v, many[v], 0], around[v, many[v], 1] = corner[(k + 1) % 3], corner[(k + 2) % 3]
+                    around[v, many[v], 0], around[v, many[v], 1] = (
+                        corner[(k + 1) % 3],
+                        corner[(k + 2) % 3],
+                    )
                 many[v] += 1
         for v in name:
-            final[v] = many[v] > AROUND or surrounded(points, normals[i], v, around[v, : min(many[v], AROUND)])
+            final[v] = many[v] > AROUND or surrounded(
+                points, normals[i], v, around[v, : min(many[v], AROUND)]
+            )
     return m
 
 
 @kernel
 def flatten(points: F64, n: F64, name: I64) -> tuple[F64, F64]:
-    """Coordinates of the named points in a plane with normal n, from the first of them (frame: Duff et al. 2017)."""
+    """Coordinates of the named points in a plane with normal n, from the first of them (frame: Duff
+    et al. 2017).
+    """
     g = math.copysign(1.0, n[2])
     h = -1.0 / (g + n[2])
     x, y = np.empty(len(name)), np.empty(len(name))
@@ -91,7 +112,9 @@ def flatten(points: F64, n: F64, name: I64) -> tuple[F64, F64]:
 
 @kernel
 def empty_circles(x: F64, y: F64, longest: float) -> I64:
-    """All triangles (m, 3) of the points without a long side whose circumcircle holds no other point."""
+    """All triangles (m, 3) of the points without a long side whose circumcircle holds no other
+    point.
+    """
     k = len(x)
     out, m = np.empty((4 * k + 8, 3), np.int64), 0
     far = longest * longest
@@ -100,7 +123,9 @@ def empty_circles(x: F64, y: F64, longest: float) -> I64:
             if (x[a] - x[b]) ** 2 + (y[a] - y[b]) ** 2 > far:
                 continue
             for c in range(b + 1, k):
-                if (x[a] - x[c]) ** 2 + (y[a] - y[c]) ** 2 > far or (x[b] - x[c]) ** 2 + (y[b] - y[c]) ** 2 > far:
+                if (x[a] - x[c]) ** 2 + (y[a] - y[c]) ** 2 > far or (x[b] - x[c]) ** 2 + (
+                    y[b] - y[c]
+                ) ** 2 > far:
                     continue
                 if m < len(out) and empty_circle(x, y, a, b, c):
                     out[m, 0], out[m, 1], out[m, 2] = a, b, c
@@ -110,16 +135,28 @@ def empty_circles(x: F64, y: F64, longest: float) -> I64:
 
 @kernel
 def empty_circle(x: F64, y: F64, a: int, b: int, c: int) -> bool:
-    """Whether a, b, c are no line and no other point lies in their circle, by the sign of the determinant of section 5.1."""
+    """Whether a, b, c are no line and no other point lies in their circle, by the sign of the
+    determinant of section 5.1.
+    """
     turn = (x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a])
     if turn == 0.0:
         return False
     for d in range(len(x)):
         if d == a or d == b or d == c:
             continue
-        ax, ay, bx, by, cx, cy = x[a] - x[d], y[a] - y[d], x[b] - x[d], y[b] - y[d], x[c] - x[d], y[c] - y[d]
+        ax, ay, bx, by, cx, cy = (
+            x[a] - x[d],
+            y[a] - y[d],
+            x[b] - x[d],
+            y[b] - y[d],
+            x[c] - x[d],
+            y[c] - y[d],
+        )
         aa, bb, cc = ax * ax + ay * ay, bx * bx + by * by, cx * cx + cy * cy
-        if turn * (ax * (by * cc - bb * cy) - ay * (bx * cc - bb * cx) + aa * (bx * cy - by * cx)) > 0.0:
+        if (
+            turn * (ax * (by * cc - bb * cy) - ay * (bx * cc - bb * cx) + aa * (bx * cy - by * cx))
+            > 0.0
+        ):
             return False
     return True
 
@@ -140,7 +177,9 @@ def remember(table: I64, corner: I64) -> bool:
 
 @kernel
 def surrounded(points: F64, n: F64, v: int, around: I32) -> bool:
-    """Whether the angles at v of its triangles, seen along n, add up to 360 degrees (or more, where they overlap)."""
+    """Whether the angles at v of its triangles, seen along n, add up to 360 degrees (or more, where
+    they overlap).
+    """
     total = 0.0
     name = np.empty(3, np.int64)
     for t in range(len(around)):
@@ -151,7 +190,9 @@ def surrounded(points: F64, n: F64, v: int, around: I32) -> bool:
 
 
 def without_false(triangles: I32) -> I32:
-    """Take out the triangle with the most neighbours, again and again, until none has more than three."""
+    """Take out the triangle with the most neighbours, again and again, until none has more than
+    three.
+    """
     order, start, _ = edge_table(triangles)
     edge = np.empty(len(order), np.int64)
     edge[order] = np.repeat(np.arange(len(start) - 1), np.diff(start))
@@ -162,7 +203,9 @@ def without_false(triangles: I32) -> I32:
 
 @kernel
 def take_most(edge: I64, uses: I64, of: I64, start: I64, alive: Bool) -> None:
-    """The loop of :func:`without_false`: edges (m, 3) of triangles, triangles ``of`` each edge from ``start`` on."""
+    """The loop of :func:`without_false`: edges (m, 3) of triangles, triangles ``of`` each edge from
+    ``start`` on.
+    """
     near = np.empty(len(edge), np.int64)
     for t in range(len(edge)):
         near[t] = uses[edge[t, 0]] + uses[edge[t, 1]] + uses[edge[t, 2]] - 3
@@ -203,7 +246,9 @@ def with_empty(triangles: I32) -> I32:
 
 
 def repaired(triangles: I32, repair: str) -> I32:
-    """The five modes of Tables 9.3 and 9.4: none, empty, false, both (false, then empty), remove (all that are suspicious)."""
+    """The five modes of Tables 9.3 and 9.4: none, empty, false, both (false, then empty), remove
+    (all that are suspicious).
+    """
     if repair == "remove":
         return without_suspicious(triangles)
     if repair in ("false", "both"):

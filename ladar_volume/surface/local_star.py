@@ -1,8 +1,10 @@
-"""Stars: the triangles of a local Delaunay triangulation about one point, and how far the stars of neighbours agree.
+"""Stars: the triangles of a local Delaunay triangulation about one point, and how far the stars of
+neighbours agree.
 
-Inversion about the point turns circles through it into lines: the neighbours that make its star are the corners of the convex hull of the
-inverted neighbours, and the star is open where the point itself is a corner. A triangle that all three of its corners have in their star
-has three votes (star splaying, Shewchuk 2005; localized triangulation with voting, Gopi et al. 2000).
+Inversion about the point turns circles through it into lines: the neighbours that make its star are
+the corners of the convex hull of the inverted neighbours, and the star is open where the point
+itself is a corner. A triangle that all three of its corners have in their star has three votes
+(star splaying, Shewchuk 2005; localized triangulation with voting, Gopi et al. 2000).
 """
 
 from __future__ import annotations
@@ -20,8 +22,10 @@ DEGREE = 32
 
 @kernel
 def star(x: F64, y: F64, count: int, out: I32) -> tuple[int, bool]:
-    """Local Delaunay star of the origin among ``count`` points: writes the points round the origin counter-clockwise into ``out``;
-    their number and whether the star is closed. An open star begins where the gap ends."""
+    """Local Delaunay star of the origin among ``count`` points: writes the points round the origin
+    counter-clockwise into ``out``; their number and whether the star is closed. An open star begins
+    where the gap ends.
+    """
     if count < 2:
         return 0, False
     first, least = 0, np.inf
@@ -50,8 +54,9 @@ def star(x: F64, y: F64, count: int, out: I32) -> tuple[int, bool]:
 
 @kernel
 def wrap(u: F64, v: F64, count: int, first: int, side: float, out: I64) -> bool:
-    """Corners of the convex hull of the points and the origin from ``first`` on, counter-clockwise for side 1; ends with -1. True where
-    it comes back to the first without meeting the origin."""
+    """Corners of the convex hull of the points and the origin from ``first`` on, counter-clockwise
+    for side 1; ends with -1. True where it comes back to the first without meeting the origin.
+    """
     at, n = first, 1
     out[:] = -1
     out[0] = first
@@ -73,12 +78,27 @@ def wrap(u: F64, v: F64, count: int, first: int, side: float, out: I64) -> bool:
 
 
 @parallel_kernel
-def stars(points: F64, normals: F64, index: I64, at: I64, reach: float, slack: float, out: I32, closed: I32) -> None:
-    """The stars of points ``at`` among their neighbours (m, k), nearest first: rows of ``out`` (n, DEGREE), -1 at the end, and
-    ``closed`` (n,), 1 where the triangles go all round. No side is longer than ``reach``."""
+def stars(
+    points: F64,
+    normals: F64,
+    index: I64,
+    at: I64,
+    reach: float,
+    slack: float,
+    out: I32,
+    closed: I32,
+) -> None:
+    """The stars of points ``at`` among their neighbours (m, k), nearest first: rows of ``out`` (n,
+    DEGREE), -1 at the end, and ``closed`` (n,), 1 where the triangles go all round. No side is
+    longer than ``reach``.
+    """
     for a in numba.prange(len(at)):
         i = at[a]
-        x, y, name = np.empty(index.shape[1]), np.empty(index.shape[1]), np.empty(index.shape[1], np.int32)
+        x, y, name = (
+            np.empty(index.shape[1]),
+            np.empty(index.shape[1]),
+            np.empty(index.shape[1], np.int32),
+        )
         count = 0
         for j in index[a]:
             px, py, same = unfold(points, normals, i, j, slack)
@@ -114,9 +134,12 @@ def after(ring: I32, closed: I32, i: int, k: int) -> int:
 
 
 @kernel
-def count_votes(points: F64, ring: I32, closed: I32, reach: float, triangles: I32, votes: I32) -> int:
-    """Write every triangle that is in a star and has no side longer than ``reach`` once, from the lowest corner that names it, and by
-    how many of its corners it is named; how many triangles."""
+def count_votes(
+    points: F64, ring: I32, closed: I32, reach: float, triangles: I32, votes: I32
+) -> int:
+    """Write every triangle that is in a star and has no side longer than ``reach`` once, from the
+    lowest corner that names it, and by how many of its corners it is named; how many triangles.
+    """
     n = 0
     for i in range(len(ring)):
         for k in range(DEGREE):
@@ -124,7 +147,11 @@ def count_votes(points: F64, ring: I32, closed: I32, reach: float, triangles: I3
             b = after(ring, closed, i, k) if a >= 0 else -1
             if b < 0:
                 break
-            x, y, z = points[a, 0] - points[b, 0], points[a, 1] - points[b, 1], points[a, 2] - points[b, 2]
+            x, y, z = (
+                points[a, 0] - points[b, 0],
+                points[a, 1] - points[b, 1],
+                points[a, 2] - points[b, 2],
+            )
             by_a, by_b = has(ring, closed, a, b, i), has(ring, closed, b, i, a)
             if x * x + y * y + z * z > reach * reach or (by_a and a < i) or (by_b and b < i):
                 continue
@@ -135,7 +162,9 @@ def count_votes(points: F64, ring: I32, closed: I32, reach: float, triangles: I3
 
 
 def ballot(points: F64, ring: I32, closed: I32, reach: float) -> tuple[I32, I32]:
-    """Every triangle that is in a star (m, 3), once, and by how many of its corners it is named (m,): 1 to 3."""
+    """Every triangle that is in a star (m, 3), once, and by how many of its corners it is named
+    (m,): 1 to 3.
+    """
     most = int(np.sum(ring >= 0))
     triangles, votes = np.empty((most, 3), np.int32), np.empty(most, np.int32)
     n = count_votes(points, ring, closed, reach, triangles, votes)

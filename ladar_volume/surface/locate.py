@@ -1,8 +1,9 @@
 """Where points lie in a triangulated surface: a box tree over the triangles' footprints.
 
-Unlike a walk from neighbour to neighbour the tree needs neither a convex hull nor a Delaunay triangulation, so it also serves
-surfaces whose diagonals were exchanged, surfaces with holes, and the overlay of two surfaces. Triangles are ordered along a
-Z-curve and grouped by fours; a complete binary tree of boxes stands above the groups.
+Unlike a walk from neighbour to neighbour the tree needs neither a convex hull nor a Delaunay
+triangulation, so it also serves surfaces whose diagonals were exchanged, surfaces with holes, and
+the overlay of two surfaces. Triangles are ordered along a Z-curve and grouped by fours; a complete
+binary tree of boxes stands above the groups.
 """
 
 from __future__ import annotations
@@ -21,14 +22,17 @@ from ladar_volume.surface.predicates import orientation, workspace
 LEAF = 4
 #: Steps of the curve's grid per axis, as a power of two.
 CURVE_BITS = 20
-#: Parts that are worked on independently; fixed, so that results do not depend on the number of threads.
+#: Parts that are worked on independently; fixed, so that results do not depend on the number of
+#: threads.
 CHUNKS = 32
 
 
 @dataclass(frozen=True)
 class TriangleIndex:
-    """order : (m,) int64 triangle numbers along the curve · corners : (m, 3, 2) m, their footprints in that order, counter-clockwise ·
-    boxes : (2 k, 4) low x, low y, high x, high y; node i has children 2 i and 2 i + 1, leaves are k to 2 k − 1"""
+    """order : (m,) int64 triangle numbers along the curve · corners : (m, 3, 2) m, their footprints
+    in that order, counter-clockwise · boxes : (2 k, 4) low x, low y, high x, high y; node i has
+    children 2 i and 2 i + 1, leaves are k to 2 k − 1
+    """
 
     order: I64
     corners: F64
@@ -37,7 +41,9 @@ class TriangleIndex:
 
 @kernel
 def curve_keys(centres: F64) -> I64:
-    """Position of points (m, 2) along a Z-curve over their bounding box: (m,), :data:`CURVE_BITS` bits per axis, int64."""
+    """Position of points (m, 2) along a Z-curve over their bounding box: (m,), :data:`CURVE_BITS`
+    bits per axis, int64.
+    """
     m = len(centres)
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for i in range(m):
@@ -101,8 +107,14 @@ def build_boxes(corners: F64, leaves: int) -> F64:
 
 
 def triangle_index(tin: Tin, mask: Bool | None = None) -> TriangleIndex:
-    """Index of the triangles in ``mask`` (m,) (default: all) of a surface. Raises :class:`SurfaceError` where there is none."""
-    chosen = np.arange(len(tin.triangles), dtype=np.int64) if mask is None else np.flatnonzero(mask).astype(np.int64)
+    """Index of the triangles in ``mask`` (m,) (default: all) of a surface. Raises
+    :class:`SurfaceError` where there is none.
+    """
+    chosen = (
+        np.arange(len(tin.triangles), dtype=np.int64)
+        if mask is None
+        else np.flatnonzero(mask).astype(np.int64)
+    )
     if len(chosen) == 0:
         raise SurfaceError("there is no triangle to look in", reason="surface_no_relevant")
     keys = curve_keys(centres_of(tin.vertices, tin.triangles, chosen))
@@ -116,8 +128,9 @@ def triangle_index(tin: Tin, mask: Bool | None = None) -> TriangleIndex:
 
 @kernel
 def search(boxes: F64, count: int, box: F64, stack: I64, found: I64) -> int:
-    """Positions of the triangles in leaves whose box meets ``box`` (4,) into ``found``; returns how many there are, which may exceed
-    the length of ``found``: the rest is then not written."""
+    """Positions of the triangles in leaves whose box meets ``box`` (4,) into ``found``; returns how
+    many there are, which may exceed the length of ``found``: the rest is then not written.
+    """
     leaves = len(boxes) // 2
     stack[0], top, n = 1, 1, 0
     while top > 0:
@@ -139,7 +152,9 @@ def search(boxes: F64, count: int, box: F64, stack: I64, found: I64) -> int:
 
 @parallel_kernel
 def locate_kernel(order: I64, corners: F64, boxes: F64, xy: F64) -> I64:
-    """Triangle (n,) that holds each point (n, 2), edges included and the lowest number where several do; −1 outside."""
+    """Triangle (n,) that holds each point (n, 2), edges included and the lowest number where
+    several do; −1 outside.
+    """
     n, m = len(xy), len(corners)
     out = np.full(n, -1, np.int64)
     for chunk in numba.prange(CHUNKS):
@@ -158,8 +173,12 @@ def locate_kernel(order: I64, corners: F64, boxes: F64, xy: F64) -> I64:
                 inside = best < 0 or number < best
                 for k in range(3):
                     a, b = (k + 1) % 3, (k + 2) % 3
-                    at_corner = (x == p[a, 0] and y == p[a, 1]) or (x == p[b, 0] and y == p[b, 1])  # zero, without the exact stage
-                    inside = inside and (at_corner or orientation(p[a, 0], p[a, 1], p[b, 0], p[b, 1], x, y, w) >= 0.0)
+                    at_corner = (x == p[a, 0] and y == p[a, 1]) or (
+                        x == p[b, 0] and y == p[b, 1]
+                    )  # zero, without the exact stage
+                    inside = inside and (
+                        at_corner or orientation(p[a, 0], p[a, 1], p[b, 0], p[b, 1], x, y, w) >= 0.0
+                    )
                 if inside:
                     best = number
             out[i] = best
@@ -174,24 +193,36 @@ def locate_plain(index: TriangleIndex, xy: F64) -> I64:
         holds = [
             int(number)
             for number, p in zip(index.order, index.corners, strict=True)
-            if all(orientation(p[k - 2, 0], p[k - 2, 1], p[k - 1, 0], p[k - 1, 1], x, y, w) >= 0.0 for k in range(3))
+            if all(
+                orientation(p[k - 2, 0], p[k - 2, 1], p[k - 1, 0], p[k - 1, 1], x, y, w) >= 0.0
+                for k in range(3)
+            )
         ]
         out[i] = min(holds, default=-1)
     return out
 
 
 def locate(index: TriangleIndex, xy: F64) -> I64:
-    """Triangle (n,) of each point xy (n, 2), m, map frame; −1 where no triangle holds it. Decided exactly: in a surface without
-    gaps no point falls between two triangles. Points near one another in the array are found faster."""
-    return np.asarray(locate_kernel(index.order, index.corners, index.boxes, np.ascontiguousarray(xy, dtype=np.float64)))
+    """Triangle (n,) of each point xy (n, 2), m, map frame; −1 where no triangle holds it. Decided
+    exactly: in a surface without gaps no point falls between two triangles. Points near one another
+    in the array are found faster.
+    """
+    return np.asarray(
+        locate_kernel(
+            index.order, index.corners, index.boxes, np.ascontiguousarray(xy, dtype=np.float64)
+        )
+    )
 
 
 def barycentric(tin: Tin, triangle: I64, xy: F64) -> F64:
-    """Barycentric coordinates (n, 3) of points xy (n, 2) in their triangles (n,); rows of NaN for triangle −1. In a sliver whose area
-    rounds to nothing the nearest corner has all the weight."""
+    """Barycentric coordinates (n, 3) of points xy (n, 2) in their triangles (n,); rows of NaN for
+    triangle −1. In a sliver whose area rounds to nothing the nearest corner has all the weight.
+    """
     p = tin.vertices[:, :2][tin.triangles[triangle]]
     a, b, c = (p[:, k] - xy for k in range(3))
-    area = np.stack([u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] for u, v in ((b, c), (c, a), (a, b))], axis=1)
+    area = np.stack(
+        [u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] for u, v in ((b, c), (c, a), (a, b))], axis=1
+    )
     total = area.sum(axis=1, keepdims=True)
     thin = total[:, 0] <= 0.0
     weights: F64 = area / np.where(thin[:, None], 1.0, total)
@@ -201,7 +232,9 @@ def barycentric(tin: Tin, triangle: I64, xy: F64) -> F64:
 
 
 def height_at(tin: Tin, xy: F64, index: TriangleIndex | None = None) -> F64:
-    """Height (n,) m of a surface at points xy (n, 2); NaN outside its relevant triangles (or outside ``index``)."""
+    """Height (n,) m of a surface at points xy (n, 2); NaN outside its relevant triangles (or
+    outside ``index``).
+    """
     where = locate(triangle_index(tin, tin.relevant) if index is None else index, xy)
     z: F64 = (barycentric(tin, where, xy) * tin.vertices[:, 2][tin.triangles[where]]).sum(axis=1)
     return z

@@ -1,11 +1,12 @@
 """The triangle table and its elementary moves: locate, split, flip.
 
-One row of eight 32-bit words per triangle, so that a triangle is half a cache line: words 0 to 2 are the vertices,
-counter-clockwise; words 4 to 6 the neighbours opposite them, each as ``4 t + k`` - the neighbour t and the corner k of it that lies
-across; words 3 and 7 are free for the caller. Outside the convex hull lie ghost triangles that share one vertex at infinity,
-:data:`GHOST`: every triangle has three neighbours, a point outside the hull falls into a ghost triangle, and the hull is the true
-convex hull. Seed 000 section 2.4.2 (insertion and exchange of diagonals, after Lawson 1977); ghost triangles after Shewchuk, lecture
-notes on Delaunay mesh generation.
+One row of eight 32-bit words per triangle, so that a triangle is half a cache line: words 0 to 2
+are the vertices, counter-clockwise; words 4 to 6 the neighbours opposite them, each as ``4 t + k``
+- the neighbour t and the corner k of it that lies across; words 3 and 7 are free for the caller.
+Outside the convex hull lie ghost triangles that share one vertex at infinity, :data:`GHOST`: every
+triangle has three neighbours, a point outside the hull falls into a ghost triangle, and the hull is
+the true convex hull. Seed 000 section 2.4.2 (insertion and exchange of diagonals, after Lawson
+1977); ghost triangles after Shewchuk, lecture notes on Delaunay mesh generation.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from ladar_volume.surface.predicates import INCIRCLE_BOUND, incircle_exact, orie
 MeshTable: TypeAlias = npt.NDArray[np.int32]
 #: The vertex at infinity, and "none" in the free words.
 GHOST = -1
-#: Where a point lies in its triangle: inside, outside the hull, on the edge opposite corner ``where``, or on corner ``where - VERTEX``.
+#: Where a point lies in its triangle: inside, outside the hull, on the edge opposite corner
+#: ``where``, or on corner ``where - VERTEX``.
 INSIDE, OUTSIDE, VERTEX = -1, -2, 4
 
 
@@ -55,7 +57,9 @@ def is_ghost(m: MeshTable, t: int) -> bool:
 
 @kernel
 def first_triangle(xy: F64, m: MeshTable, a: int, b: int, c: int, w: F64) -> None:
-    """Start a triangulation from three points that are not collinear: triangle 0 and its three ghosts, 1 to 3."""
+    """Start a triangulation from three points that are not collinear: triangle 0 and its three
+    ghosts, 1 to 3.
+    """
     if turn(xy, a, b, c, w) < 0.0:
         b, c = c, b
     put(m, 0, a, b, c)
@@ -81,7 +85,9 @@ def preceding(k: int) -> int:
 
 @kernel
 def locate(xy: F64, m: MeshTable, start: int, p: int, w: F64) -> tuple[int, int]:
-    """Triangle that holds point p, walking from the real triangle ``start``, and where in it p lies."""
+    """Triangle that holds point p, walking from the real triangle ``start``, and where in it p
+    lies.
+    """
     t, entry = start, -1
     while True:
         edge, zeros, leave = INSIDE, 0, -1
@@ -105,7 +111,9 @@ def locate(xy: F64, m: MeshTable, start: int, p: int, w: F64) -> tuple[int, int]
 
 @kernel
 def split_triangle(m: MeshTable, t: int, p: int, t1: int, t2: int) -> None:
-    """Replace triangle t by the three around p: t, t1, t2, counter-clockwise about p. p comes first in each."""
+    """Replace triangle t by the three around p: t, t1, t2, counter-clockwise about p. p comes first
+    in each.
+    """
     a, b, c = m[t, 0], m[t, 1], m[t, 2]
     n1, n2 = m[t, 5], m[t, 6]
     put(m, t, p, b, c)
@@ -120,7 +128,9 @@ def split_triangle(m: MeshTable, t: int, p: int, t1: int, t2: int) -> None:
 
 @kernel
 def split_edge(m: MeshTable, t: int, k: int, p: int, t1: int, t3: int) -> int:
-    """Replace the two triangles at edge k of t by the four around p: t, t1, t3 and the neighbour, which is returned."""
+    """Replace the two triangles at edge k of t by the four around p: t, t1, t3 and the neighbour,
+    which is returned.
+    """
     h = m[t, 4 + k]
     o, j = h >> 2, h & 3
     a, b, c, d = m[t, k], m[t, following(k)], m[t, preceding(k)], m[o, j]
@@ -143,7 +153,9 @@ def split_edge(m: MeshTable, t: int, k: int, p: int, t1: int, t3: int) -> int:
 
 @kernel
 def flip(m: MeshTable, t: int) -> int:
-    """Exchange the diagonal opposite corner 0 of t = (p, b, c) for the one from p: t = (p, b, d) and the neighbour (p, d, c), returned."""
+    """Exchange the diagonal opposite corner 0 of t = (p, b, c) for the one from p: t = (p, b, d)
+    and the neighbour (p, d, c), returned.
+    """
     h = m[t, 4]
     o, j = h >> 2, h & 3
     p, c, d = m[t, 0], m[t, 2], m[o, j]
@@ -159,7 +171,9 @@ def flip(m: MeshTable, t: int) -> int:
 
 @kernel
 def spoke(xy: F64, p: int, v: int) -> tuple[float, float, float]:
-    """The way from point p to vertex v and its squared length; zeros where v is the vertex at infinity."""
+    """The way from point p to vertex v and its squared length; zeros where v is the vertex at
+    infinity.
+    """
     if v == GHOST:
         return 0.0, 0.0, 0.0
     x, y = xy[v, 0] - xy[p, 0], xy[v, 1] - xy[p, 1]
@@ -167,10 +181,14 @@ def spoke(xy: F64, p: int, v: int) -> tuple[float, float, float]:
 
 
 @kernel
-def filtered(b: tuple[float, float, float], c: tuple[float, float, float], d: tuple[float, float, float]) -> float:
-    """The incircle determinant of p, b, c and d by the spokes from p, or NaN where its sign is not certain.
+def filtered(
+    b: tuple[float, float, float], c: tuple[float, float, float], d: tuple[float, float, float]
+) -> float:
+    """The incircle determinant of p, b, c and d by the spokes from p, or NaN where its sign is not
+    certain.
 
-    About p the spokes serve every test round the star, which makes a test half the work of one from scratch.
+    About p the spokes serve every test round the star, which makes a test half the work of one from
+    scratch.
     """
     bd, db = b[0] * d[1], b[1] * d[0]
     dc, cd = d[0] * c[1], d[1] * c[0]
@@ -182,7 +200,9 @@ def filtered(b: tuple[float, float, float], c: tuple[float, float, float], d: tu
 
 @kernel
 def hull_flip(xy: F64, p: int, b: int, c: int, d: int, w: F64) -> bool:
-    """Whether the edge b-c between (p, b, c) and (d, c, b) has to go where b or c is at infinity: the circle is a half plane."""
+    """Whether the edge b-c between (p, b, c) and (d, c, b) has to go where b or c is at infinity:
+    the circle is a half plane.
+    """
     if b == GHOST:
         return turn(xy, p, c, d, w) < 0.0
     return turn(xy, d, b, p, w) < 0.0
@@ -190,8 +210,10 @@ def hull_flip(xy: F64, p: int, b: int, c: int, d: int, w: F64) -> bool:
 
 @kernel
 def legalise(xy: F64, m: MeshTable, first: int, w: F64) -> int:
-    """Go once round the new point, corner 0 of triangle ``first`` and of its whole star, and flip every edge of the star's rim that must
-    go; returns a real triangle of the star. Words 3 and 7 of the rows stay."""
+    """Go once round the new point, corner 0 of triangle ``first`` and of its whole star, and flip
+    every edge of the star's rim that must go; returns a real triangle of the star. Words 3 and 7 of
+    the rows stay.
+    """
     t, real, p, b, c = first, -1, m[first, 0], m[first, 1], m[first, 2]
     to_b, to_c = spoke(xy, p, b), spoke(xy, p, c)
     while True:
@@ -221,11 +243,13 @@ def legalise(xy: F64, m: MeshTable, first: int, w: F64) -> int:
 
 
 @kernel
-def insert_point(xy: F64, m: MeshTable, size: int, hint: int, p: int, w: F64) -> tuple[int, int, int]:
+def insert_point(
+    xy: F64, m: MeshTable, size: int, hint: int, p: int, w: F64
+) -> tuple[int, int, int]:
     """Insert point p into the triangles m[:size], walking from the real triangle ``hint``.
 
-    Returns the new number of triangles (two more), a real triangle at p, and the vertex that lies at p already, which then stays
-    alone, or -1.
+    Returns the new number of triangles (two more), a real triangle at p, and the vertex that lies
+    at p already, which then stays alone, or -1.
     """
     t, where = locate(xy, m, hint, p, w)
     if where >= VERTEX:
@@ -238,8 +262,12 @@ def insert_point(xy: F64, m: MeshTable, size: int, hint: int, p: int, w: F64) ->
 
 
 @kernel
-def insert_kernel(xy: F64, m: MeshTable, size: int, hint: int, first: int, same: I32, w: F64) -> tuple[int, int]:
-    """Insert points xy[first:] in their order; ``same[p]`` becomes the earlier vertex at p's position, or p."""
+def insert_kernel(
+    xy: F64, m: MeshTable, size: int, hint: int, first: int, same: I32, w: F64
+) -> tuple[int, int]:
+    """Insert points xy[first:] in their order; ``same[p]`` becomes the earlier vertex at p's
+    position, or p.
+    """
     for p in range(first, len(xy)):
         size, hint, copy = insert_point(xy, m, size, hint, p, w)
         same[p] = copy if copy >= 0 else p
@@ -266,7 +294,9 @@ def number_real(m: MeshTable) -> int:
 
 @kernel
 def export_kernel(m: MeshTable, name: I32, triangles: I32, neighbours: I32) -> None:
-    """Write the real triangles as :func:`number_real` numbered them, vertex v as ``name[v]``, with their neighbours, -1 at the hull."""
+    """Write the real triangles as :func:`number_real` numbered them, vertex v as ``name[v]``, with
+    their neighbours, -1 at the hull.
+    """
     for t in range(len(m)):
         i = m[t, 3]
         if i >= 0:

@@ -1,7 +1,8 @@
 """The order in which points are inserted: few random rounds, each along a Hilbert curve.
 
-Along the curve the walk from one point to the next is short and its triangles are in the cache; the rounds (each a few times the one
-before) keep the number of flips low on any input (Amenta, Choi & Rote 2003, "Incremental constructions con BRIO").
+Along the curve the walk from one point to the next is short and its triangles are in the cache; the
+rounds (each a few times the one before) keep the number of flips low on any input (Amenta, Choi &
+Rote 2003, "Incremental constructions con BRIO").
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ import numpy.typing as npt
 from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, I64
 
-#: Bits of a cell number per axis: an outlier may be 2**16 times as far away as the points are wide before these share cells.
+#: Bits of a cell number per axis: an outlier may be 2**16 times as far away as the points are wide
+#: before these share cells.
 BITS = 26
 #: A round holds this many bits' share: 2**-SHARE of the points that are left over go before it.
 SHARE = 2
@@ -20,9 +22,11 @@ DIGIT = 11
 
 
 def hilbert_steps() -> I64:
-    """Steps of the curve by four levels at once: entry (state, 4 bits of x, 4 bits of y) is 8 bits of position and the next state, (1024,).
+    """Steps of the curve by four levels at once: entry (state, 4 bits of x, 4 bits of y) is 8 bits
+    of position and the next state, (1024,).
 
-    A state is how the quarter's own frame lies in the map: bit 0 says that x and y are swapped, bit 1 that both are mirrored.
+    A state is how the quarter's own frame lies in the map: bit 0 says that x and y are swapped, bit
+    1 that both are mirrored.
     """
     table = np.empty((4, 16, 16), np.int64)
     for state, qx, qy in np.ndindex(4, 16, 16):
@@ -50,7 +54,9 @@ def hilbert_kernel(xy: F64, x0: float, y0: float, scale: float) -> I64:
     for i in range(len(xy)):
         x, y = min(int((xy[i, 0] - x0) * scale), top), min(int((xy[i, 1] - y0) * scale), top)
         d, step = 0, 0
-        for bit in range(BITS - 2, -1, -4):  # the two levels above the first have 0 of both, which turns the frame there and back
+        for bit in range(
+            BITS - 2, -1, -4
+        ):  # the two levels above the first have 0 of both, which turns the frame there and back
             step = STEPS[((step & 3) << 8) | (((x >> bit) & 15) << 4) | ((y >> bit) & 15)]
             d = (d << 8) | (step >> 2)
         out[i] = d
@@ -85,7 +91,9 @@ def radix_order(key: npt.NDArray[np.uint64], bits: int) -> npt.NDArray[np.int32]
 
 @kernel
 def rounds(n: int) -> npt.NDArray[np.uint8]:
-    """Round of each of n points, (n,): about 4**-k of the points are in round k or higher; the highest round goes first."""
+    """Round of each of n points, (n,): about 4**-k of the points are in round k or higher; the
+    highest round goes first.
+    """
     out = np.zeros(n, np.uint8)
     last, left = 0, n
     while left > 64:
@@ -105,7 +113,9 @@ def rounds(n: int) -> npt.NDArray[np.uint8]:
 
 @kernel
 def by_rounds(order: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-    """The permutation regrouped by :func:`rounds` of the point, highest first, otherwise in its order."""
+    """The permutation regrouped by :func:`rounds` of the point, highest first, otherwise in its
+    order.
+    """
     level = rounds(len(order))
     at = np.zeros(66, np.int64)
     for i in range(len(level)):
@@ -123,7 +133,9 @@ def by_rounds(order: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
 
 def hilbert_index(xy: F64) -> I64:
     """Position of points xy (n, 2) along a Hilbert curve over their bounding square: (n,) int64."""
-    low, high = ([float(extreme(c)) for c in xy.T] for extreme in (np.min, np.max))  # by column: a twentieth of both at once
+    low, high = (
+        [float(extreme(c)) for c in xy.T] for extreme in (np.min, np.max)
+    )  # by column: a twentieth of both at once
     # a subnormal extent would make the scale infinite
     size = max(high[0] - low[0], high[1] - low[1], 1e-280)
     out: I64 = hilbert_kernel(xy, low[0], low[1], 2.0**BITS / size)
@@ -139,6 +151,8 @@ def hilbert_order(xy: F64) -> npt.NDArray[np.int32]:
 
 
 def insertion_order(xy: F64) -> npt.NDArray[np.int32]:
-    """Permutation (n,) of points xy (n, 2): rounds from few points to many, each along the Hilbert curve. Deterministic."""
+    """Permutation (n,) of points xy (n, 2): rounds from few points to many, each along the Hilbert
+    curve. Deterministic.
+    """
     out: npt.NDArray[np.int32] = by_rounds(hilbert_order(xy))
     return out

@@ -1,9 +1,9 @@
 """Exact signs of the two geometric predicates of a Delaunay triangulation, compiled.
 
-A floating-point filter decides almost always; where it cannot, the determinant is evaluated without rounding as a
-non-overlapping expansion (Shewchuk 1997, "Adaptive precision floating-point arithmetic and fast robust geometric
-predicates"). Exact as long as no product under- or overflows: coordinates and their differences are zero or lie within
-1e-60 to 1e60, which lengths in metres do.
+A floating-point filter decides almost always; where it cannot, the determinant is evaluated without
+rounding as a non-overlapping expansion (Shewchuk 1997, "Adaptive precision floating-point
+arithmetic and fast robust geometric predicates"). Exact as long as no product under- or overflows:
+coordinates and their differences are zero or lie within 1e-60 to 1e60, which lengths in metres do.
 """
 
 from __future__ import annotations
@@ -19,12 +19,15 @@ ORIENT_BOUND = (3.0 + 16.0 * EPSILON) * EPSILON
 INCIRCLE_BOUND = (10.0 + 96.0 * EPSILON) * EPSILON
 #: Longest expansion of the incircle determinant: three products of 16 by 16 components.
 WORKSPACE = (13, 1600)
-#: Row of the workspace that counts how many orientations and how many incircle tests reached the exact stage.
+#: Row of the workspace that counts how many orientations and how many incircle tests reached the
+#: exact stage.
 COUNTS = 12
 
 
 def workspace() -> F64:
-    """Scratch rows for the exact evaluation, to be allocated once per triangulation: (13, 1600) float64."""
+    """Scratch rows for the exact evaluation, to be allocated once per triangulation: (13, 1600)
+    float64.
+    """
     return np.zeros(WORKSPACE)
 
 
@@ -51,7 +54,9 @@ def two_product(a: float, b: float) -> tuple[float, float]:
 
 @kernel
 def expansion_sum(ne: int, e: F64, nf: int, f: F64, h: F64) -> int:
-    """Sum of two expansions into ``h`` without zero components; returns its length. ``h`` may not be ``e`` or ``f``."""
+    """Sum of two expansions into ``h`` without zero components; returns its length. ``h`` may not
+    be ``e`` or ``f``.
+    """
     i = j = n = 0
     q = 0.0
     for k in range(ne + nf):
@@ -76,7 +81,9 @@ def expansion_sum(ne: int, e: F64, nf: int, f: F64, h: F64) -> int:
 
 @kernel
 def expansion_scale(ne: int, e: F64, b: float, h: F64) -> int:
-    """Product of an expansion and one number into ``h`` without zero components; returns its length."""
+    """Product of an expansion and one number into ``h`` without zero components; returns its
+    length.
+    """
     n = 0
     if ne == 0 or b == 0.0:
         return 0
@@ -102,7 +109,9 @@ def expansion_scale(ne: int, e: F64, b: float, h: F64) -> int:
 
 @kernel
 def expansion_product(ne: int, e: F64, nf: int, f: F64, h: F64, s: F64, t: F64) -> int:
-    """Product of two expansions into ``h``, with scratch rows ``s`` and ``t``; returns its length."""
+    """Product of two expansions into ``h``, with scratch rows ``s`` and ``t``; returns its
+    length.
+    """
     n = 0
     for j in range(nf):
         ns = expansion_scale(ne, e, f[j], s)
@@ -128,8 +137,12 @@ def expansion_difference(a: float, b: float, h: F64) -> int:
 
 
 @kernel
-def minor_exact(n: int, ax: F64, nay: int, ay: F64, nbx: int, bx: F64, nby: int, by: F64, h: F64, w: F64) -> int:
-    """``ax by - bx ay`` of expansions into ``h``, with scratch rows ``w`` (4, ...); returns its length."""
+def minor_exact(
+    n: int, ax: F64, nay: int, ay: F64, nbx: int, bx: F64, nby: int, by: F64, h: F64, w: F64
+) -> int:
+    """``ax by - bx ay`` of expansions into ``h``, with scratch rows ``w`` (4, ...); returns its
+    length.
+    """
     n1 = expansion_product(n, ax, nby, by, w[2], w[0], w[1])
     n2 = expansion_product(nbx, bx, nay, ay, w[3], w[0], w[1])
     for i in range(n2):
@@ -139,7 +152,9 @@ def minor_exact(n: int, ax: F64, nay: int, ay: F64, nbx: int, bx: F64, nby: int,
 
 @kernel
 def orientation(ax: float, ay: float, bx: float, by: float, cx: float, cy: float, w: F64) -> float:
-    """Positive where a, b, c turn counter-clockwise, negative where clockwise, zero exactly where collinear."""
+    """Positive where a, b, c turn counter-clockwise, negative where clockwise, zero exactly where
+    collinear.
+    """
     left = (ax - cx) * (by - cy)
     right = (ay - cy) * (bx - cx)
     det = left - right
@@ -150,8 +165,12 @@ def orientation(ax: float, ay: float, bx: float, by: float, cx: float, cy: float
 
 
 @kernel
-def orientation_exact(ax: float, ay: float, bx: float, by: float, cx: float, cy: float, w: F64) -> float:
-    """A number of the sign of the orientation determinant, without rounding; counted in the workspace."""
+def orientation_exact(
+    ax: float, ay: float, bx: float, by: float, cx: float, cy: float, w: F64
+) -> float:
+    """A number of the sign of the orientation determinant, without rounding; counted in the
+    workspace.
+    """
     w[COUNTS, 0] += 1.0
     n0 = expansion_difference(ax, cx, w[4])
     n1 = expansion_difference(ay, cy, w[5])
@@ -163,7 +182,9 @@ def orientation_exact(ax: float, ay: float, bx: float, by: float, cx: float, cy:
 
 @kernel
 def incircle_exact(xy: F64, a: int, b: int, c: int, d: int, w: F64) -> float:
-    """A number of the sign of the incircle determinant of points a to d, without rounding; counted in the workspace."""
+    """A number of the sign of the incircle determinant of points a to d, without rounding; counted
+    in the workspace.
+    """
     w[COUNTS, 1] += 1.0
     if upright(xy, a, b, c, d) or upright(xy, a, c, b, d) or upright(xy, a, d, b, c):
         return 0.0
@@ -175,11 +196,24 @@ def incircle_exact(xy: F64, a: int, b: int, c: int, d: int, w: F64) -> float:
     n = np.empty(9, np.int64)
     for i, v in enumerate((a, b, c)):
         for k in range(2):
-            n[2 * i + k] = expansion_difference(xy[v, k], xy[d, k], e[8 * i + 4 * k : 8 * i + 4 * k + 4])
+            n[2 * i + k] = expansion_difference(
+                xy[v, k], xy[d, k], e[8 * i + 4 * k : 8 * i + 4 * k + 4]
+            )
     total = 0
     for i in range(3):
         j, k = 8 * ((i + 1) % 3), 8 * ((i + 2) % 3)
-        nm = minor_exact(n[j // 4], e[j:], n[j // 4 + 1], e[j + 4 :], n[k // 4], e[k:], n[k // 4 + 1], e[k + 4 :], w[4], w)
+        nm = minor_exact(
+            n[j // 4],
+            e[j:],
+            n[j // 4 + 1],
+            e[j + 4 :],
+            n[k // 4],
+            e[k:],
+            n[k // 4 + 1],
+            e[k + 4 :],
+            w[4],
+            w,
+        )
         x, y = e[8 * i : 8 * i + 4], e[8 * i + 4 : 8 * i + 8]
         nx = expansion_product(n[2 * i], x, n[2 * i], x, w[5], w[0], w[1])
         ny = expansion_product(n[2 * i + 1], y, n[2 * i + 1], y, w[6], w[0], w[1])
@@ -194,13 +228,17 @@ def incircle_exact(xy: F64, a: int, b: int, c: int, d: int, w: F64) -> float:
 
 @kernel
 def upright(xy: F64, a: int, b: int, c: int, d: int) -> bool:
-    """Whether a-b and c-d are the upright sides of an axis-parallel rectangle, whose corners are co-circular whatever their digits.
+    """Whether a-b and c-d are the upright sides of an axis-parallel rectangle, whose corners are
+    co-circular whatever their digits.
 
     This is the common case of the exact stage: heights on a raster.
     """
     if xy[a, 0] != xy[b, 0] or xy[c, 0] != xy[d, 0]:
         return False
-    return bool((xy[a, 1] == xy[c, 1] and xy[b, 1] == xy[d, 1]) or (xy[a, 1] == xy[d, 1] and xy[b, 1] == xy[c, 1]))
+    return bool(
+        (xy[a, 1] == xy[c, 1] and xy[b, 1] == xy[d, 1])
+        or (xy[a, 1] == xy[d, 1] and xy[b, 1] == xy[c, 1])
+    )
 
 
 @kernel
@@ -219,7 +257,9 @@ def exact_product(a: float, b: float) -> float:
 
 @kernel
 def incircle_short(xy: F64, a: int, b: int, c: int, d: int) -> float:
-    """The incircle determinant where no operation of it rounds (grids of short numbers), else NaN."""
+    """The incircle determinant where no operation of it rounds (grids of short numbers), else
+    NaN.
+    """
     adx, ady = exact_difference(xy[a, 0], xy[d, 0]), exact_difference(xy[a, 1], xy[d, 1])
     bdx, bdy = exact_difference(xy[b, 0], xy[d, 0]), exact_difference(xy[b, 1], xy[d, 1])
     cdx, cdy = exact_difference(xy[c, 0], xy[d, 0]), exact_difference(xy[c, 1], xy[d, 1])
@@ -237,7 +277,9 @@ def incircle_short(xy: F64, a: int, b: int, c: int, d: int) -> float:
 
 @kernel
 def incircle(xy: F64, a: int, b: int, c: int, d: int, w: F64) -> float:
-    """Positive where point d lies inside the circle through a, b, c (counter-clockwise), zero exactly on it."""
+    """Positive where point d lies inside the circle through a, b, c (counter-clockwise), zero
+    exactly on it.
+    """
     adx, ady = xy[a, 0] - xy[d, 0], xy[a, 1] - xy[d, 1]
     bdx, bdy = xy[b, 0] - xy[d, 0], xy[b, 1] - xy[d, 1]
     cdx, cdy = xy[c, 0] - xy[d, 0], xy[c, 1] - xy[d, 1]

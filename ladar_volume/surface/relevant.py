@@ -36,8 +36,9 @@ def edge_lengths(tin: Tin) -> F64:
 
 
 def circumdiameters(tin: Tin) -> F64:
-    """Diameters (m,) of the horizontal circumcircles, m: product of the edges over twice the area; infinite for a triangle so flat that its
-    area rounds to zero."""
+    """Diameters (m,) of the horizontal circumcircles, m: product of the edges over twice the area;
+    infinite for a triangle so flat that its area rounds to zero.
+    """
     (a, b, c), area = edge_lengths(tin).T, np.abs(footprint_areas(tin.vertices, tin.triangles))
     out: F64 = np.full(len(area), np.inf)
     np.divide(a * b * c, 2.0 * area, out=out, where=area > 0.0)
@@ -50,21 +51,35 @@ def artificial_vertices(tin: Tin) -> I64:
 
 
 def relevant_triangles(
-    tin: Tin, option: str, max_edge_m: float = np.inf, max_circumdiameter_m: float = np.inf, artificial: I64 | None = None
+    tin: Tin,
+    option: str,
+    max_edge_m: float = np.inf,
+    max_circumdiameter_m: float = np.inf,
+    artificial: I64 | None = None,
 ) -> Bool:
     """Mask (m,) by one of the four options of seed 000 section 3.1.
 
-    ``all``: every triangle · ``corners``: those that meet no artificial vertex (indices ``artificial``, by default those without a
-    source) · ``edge``: of these, those without an edge longer than ``max_edge_m`` · ``circumcircle``: of these, those whose circumcircle
-    is no wider than ``max_circumdiameter_m`` (the α-shape of the data points with α half of it). Horizontal measures.
+    ``all``: every triangle · ``corners``: those that meet no artificial vertex (indices
+    ``artificial``, by default those without a source) · ``edge``: of these, those without an edge
+    longer than ``max_edge_m`` · ``circumcircle``: of these, those whose circumcircle is no wider
+    than ``max_circumdiameter_m`` (the α-shape of the data points with α half of it). Horizontal
+    measures.
 
     Raises :class:`SurfaceError` for an unknown option or a limit that is not a number > 0.
     """
     if option not in OPTIONS:
-        raise SurfaceError(f"unknown choice of relevant triangles {option!r}", reason="surface_relevant", value=option)
+        raise SurfaceError(
+            f"unknown choice of relevant triangles {option!r}",
+            reason="surface_relevant",
+            value=option,
+        )
     limit = {"edge": max_edge_m, "circumcircle": max_circumdiameter_m}.get(option, 1.0)
     if not limit > 0.0:
-        raise SurfaceError(f"the limit of option {option!r} is {limit} m; it must be above 0", reason="surface_limit", value=limit)
+        raise SurfaceError(
+            f"the limit of option {option!r} is {limit} m; it must be above 0",
+            reason="surface_limit",
+            value=limit,
+        )
     mask = np.ones(len(tin.triangles), bool)
     if option == "all":
         return mask
@@ -79,13 +94,31 @@ def relevant_triangles(
     return mask
 
 
-def with_relevant(tin: Tin, option: str, max_edge_m: float, max_circumdiameter_m: float, artificial: I64 | None = None) -> Tin:
-    """The same TIN with its relevant triangles marked; raises :class:`SurfaceError` where none is left."""
-    return mark(tin, relevant_triangles(tin, option, max_edge_m, max_circumdiameter_m, artificial), f"option {option!r}")
+def with_relevant(
+    tin: Tin,
+    option: str,
+    max_edge_m: float,
+    max_circumdiameter_m: float,
+    artificial: I64 | None = None,
+) -> Tin:
+    """The same TIN with its relevant triangles marked; raises :class:`SurfaceError` where none is
+    left.
+    """
+    return mark(
+        tin,
+        relevant_triangles(tin, option, max_edge_m, max_circumdiameter_m, artificial),
+        f"option {option!r}",
+    )
 
 
 def mark(tin: Tin, mask: Bool, by: str) -> Tin:
-    """The same TIN with the triangles in ``mask`` (m,) relevant; the others stay in it. Raises :class:`SurfaceError` where none is left."""
+    """The same TIN with the triangles in ``mask`` (m,) relevant; the others stay in it. Raises
+    :class:`SurfaceError` where none is left.
+    """
     if not mask.any():
-        raise SurfaceError(f"no relevant triangle is left of {len(mask)} ({by})", reason="surface_no_relevant", value=by)
+        raise SurfaceError(
+            f"no relevant triangle is left of {len(mask)} ({by})",
+            reason="surface_no_relevant",
+            value=by,
+        )
     return dataclasses.replace(tin, relevant=mask)

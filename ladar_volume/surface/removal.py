@@ -1,8 +1,10 @@
-"""Taking vertices out of a triangulation, and the walks round a vertex that this and the search for the nearest vertex need.
+"""Taking vertices out of a triangulation, and the walks round a vertex that this and the search for
+the nearest vertex need.
 
-The hole that a vertex leaves is closed ear by ear: an ear is three consecutive vertices of the rim whose circle holds no other vertex
-of the rim, so every triangle is final (Devillers 2002, "On deletion in Delaunay triangulations", without its queue: rims are short).
-The vertex at infinity is a vertex of the rim like any other; its circles are half planes.
+The hole that a vertex leaves is closed ear by ear: an ear is three consecutive vertices of the rim
+whose circle holds no other vertex of the rim, so every triangle is final (Devillers 2002, "On
+deletion in Delaunay triangulations", without its queue: rims are short). The vertex at infinity is
+a vertex of the rim like any other; its circles are half planes.
 """
 
 from __future__ import annotations
@@ -11,13 +13,24 @@ import numpy as np
 
 from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, I32, I64
-from ladar_volume.surface.mesh import GHOST, VERTEX, MeshTable, insert_point, link, locate, put, turn
+from ladar_volume.surface.mesh import (
+    GHOST,
+    VERTEX,
+    MeshTable,
+    insert_point,
+    link,
+    locate,
+    put,
+    turn,
+)
 from ladar_volume.surface.predicates import incircle
 
 
 @kernel
 def around(m: MeshTable, t: int, k: int) -> tuple[int, int]:
-    """The next triangle counter-clockwise about corner k of t, and which of its corners that vertex is."""
+    """The next triangle counter-clockwise about corner k of t, and which of its corners that vertex
+    is.
+    """
     h = m[t, 4 + (k + 1) % 3]
     return h >> 2, ((h & 3) + 1) % 3
 
@@ -33,8 +46,9 @@ def real_beside(m: MeshTable, t: int) -> int:
 
 @kernel
 def nearest(xy: F64, m: MeshTable, t: int, x: float, y: float) -> tuple[int, float]:
-    """The vertex nearest to a position and the squared distance, going downhill from triangle t: in a Delaunay triangulation every vertex
-    but the nearest has a neighbour that is nearer."""
+    """The vertex nearest to a position and the squared distance, going downhill from triangle t: in
+    a Delaunay triangulation every vertex but the nearest has a neighbour that is nearer.
+    """
     least, at, corner = np.inf, t, 0
     for k in range(3):
         v = m[t, k]
@@ -60,7 +74,9 @@ def nearest(xy: F64, m: MeshTable, t: int, x: float, y: float) -> tuple[int, flo
 
 @kernel
 def conflict(xy: F64, a: int, b: int, c: int, q: int, w: F64) -> bool:
-    """Whether vertex q lies inside the circle of triangle a, b, c; at infinity: beyond its hull edge, or on it between the ends."""
+    """Whether vertex q lies inside the circle of triangle a, b, c; at infinity: beyond its hull
+    edge, or on it between the ends.
+    """
     if q == GHOST:
         return False
     if a != GHOST and b != GHOST and c != GHOST:
@@ -79,7 +95,9 @@ def conflict(xy: F64, a: int, b: int, c: int, q: int, w: F64) -> bool:
 
 @kernel
 def is_ear(xy: F64, rim: I64, n: int, i: int, w: F64) -> bool:
-    """Whether rim vertices i - 1, i, i + 1 of n form a triangle of the triangulation that is to fill the hole."""
+    """Whether rim vertices i - 1, i, i + 1 of n form a triangle of the triangulation that is to
+    fill the hole.
+    """
     h, j = (i + n - 1) % n, (i + 1) % n
     a, b, c = rim[h], rim[i], rim[j]
     if a != GHOST and b != GHOST and c != GHOST and turn(xy, a, b, c, w) <= 0.0:
@@ -118,7 +136,9 @@ def move_row(m: MeshTable, source: int, target: int) -> None:
 
 @kernel
 def fill(xy: F64, m: MeshTable, rim: I64, outer: I64, rows: I64, w: F64) -> int:
-    """Close the hole with this rim; ``outer[i]`` is the corner that faces the edge from rim vertex i on. Returns the last triangle."""
+    """Close the hole with this rim; ``outer[i]`` is the corner that faces the edge from rim vertex
+    i on. Returns the last triangle.
+    """
     n, i, used = len(rim), 0, 0
     while n > 3:
         if not is_ear(xy, rim, n, i, w):
@@ -143,7 +163,8 @@ def fill(xy: F64, m: MeshTable, rim: I64, outer: I64, rows: I64, w: F64) -> int:
 
 @kernel
 def remove_vertex(xy: F64, m: MeshTable, size: int, t: int, k: int, w: F64) -> tuple[int, int]:
-    """Remove corner k of triangle t from the triangles m[:size]: returns their new number (two fewer) and a real triangle near by.
+    """Remove corner k of triangle t from the triangles m[:size]: returns their new number (two
+    fewer) and a real triangle near by.
 
     Where nothing but a line would be left the table stays as it is and the number returned is -1.
     """
@@ -151,7 +172,11 @@ def remove_vertex(xy: F64, m: MeshTable, size: int, t: int, k: int, w: F64) -> t
     while s != t:
         s, c = around(m, s, c)
         degree += 1
-    rim, outer, rows = np.empty(degree, np.int64), np.empty(degree, np.int64), np.empty(degree, np.int64)
+    rim, outer, rows = (
+        np.empty(degree, np.int64),
+        np.empty(degree, np.int64),
+        np.empty(degree, np.int64),
+    )
     s, c = t, k
     for i in range(degree):
         rim[i], outer[i], rows[i] = m[s, (c + 1) % 3], m[s, 4 + c], s
@@ -170,8 +195,12 @@ def remove_vertex(xy: F64, m: MeshTable, size: int, t: int, k: int, w: F64) -> t
 
 
 @kernel
-def remove_kernel(xy: F64, m: MeshTable, size: int, hint: int, gone: I64, w: F64) -> tuple[int, int, int]:
-    """Remove the vertices ``gone`` one after the other; returns the number of triangles, a real one, and how many could be removed."""
+def remove_kernel(
+    xy: F64, m: MeshTable, size: int, hint: int, gone: I64, w: F64
+) -> tuple[int, int, int]:
+    """Remove the vertices ``gone`` one after the other; returns the number of triangles, a real
+    one, and how many could be removed.
+    """
     for i in range(len(gone)):
         t, where = locate(xy, m, hint, gone[i], w)
         less, hint = remove_vertex(xy, m, size, t, where - VERTEX, w)
@@ -183,10 +212,20 @@ def remove_kernel(xy: F64, m: MeshTable, size: int, hint: int, gone: I64, w: F64
 
 @kernel
 def insert_within(
-    xy: F64, m: MeshTable, size: int, hint: int, start: int, order: I32, square: float, same: I64, w: F64
+    xy: F64,
+    m: MeshTable,
+    size: int,
+    hint: int,
+    start: int,
+    order: I32,
+    square: float,
+    same: I64,
+    w: F64,
 ) -> tuple[int, int]:
-    """Insert the points ``start + order[i]`` one after the other; one whose squared distance to the nearest vertex is no more than
-    ``square`` stays out, and ``same[order[i]]`` is that vertex. Returns the number of triangles and a real one."""
+    """Insert the points ``start + order[i]`` one after the other; one whose squared distance to the
+    nearest vertex is no more than ``square`` stays out, and ``same[order[i]]`` is that vertex.
+    Returns the number of triangles and a real one.
+    """
     for i in range(len(order)):
         p = start + order[i]
         t, where = locate(xy, m, hint, p, w)

@@ -1,4 +1,6 @@
-"""The rims of an open mesh: its boundary as loops, with no vertex twice in one, and which of them look down to the ground."""
+"""The rims of an open mesh: its boundary as loops, with no vertex twice in one, and which of them
+look down to the ground.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +14,17 @@ from ladar_volume.model.records import F64, I32, I64
 from ladar_volume.surface.skin import Skin, blocks, extended
 from ladar_volume.surface.topology import edge_table, orient
 
-#: A rim looks down where the surface leaves the mesh across it with at least this mean slope (its sine); across a gap the mean is 0.
+#: A rim looks down where the surface leaves the mesh across it with at least this mean slope (its
+#: sine); across a gap the mean is 0.
 LEAVES = 0.15
 
 
 @dataclass(frozen=True)
 class Rim:
-    """vertices : (k,) int64, in the order in which a closing surface passes them, counter-clockwise from outside · size_m : twice the
-    largest distance of a vertex from their middle · middle : (3,) m"""
+    """vertices : (k,) int64, in the order in which a closing surface passes them, counter-clockwise
+    from outside · size_m : twice the largest distance of a vertex from their middle · middle : (3,)
+    m
+    """
 
     vertices: I64
     size_m: float
@@ -33,8 +38,9 @@ def place(p: F64) -> str:
 
 @kernel
 def fans(triangles: I32, one: I64, other: I64) -> I64:
-    """The first corner (3m,) of the fan that each corner of triangles (m, 3) is in, which edges join: half edges ``one`` and ``other``
-    (e,) of two triangles each."""
+    """The first corner (3m,) of the fan that each corner of triangles (m, 3) is in, which edges
+    join: half edges ``one`` and ``other`` (e,) of two triangles each.
+    """
     corner = triangles.ravel()
     root = np.arange(len(corner))
     for e in range(len(one)):
@@ -50,7 +56,9 @@ def fans(triangles: I32, one: I64, other: I64) -> I64:
 
 
 def split_fans(skin: Skin) -> Skin:
-    """One vertex per fan of triangles: where parts touch in one vertex only, each gets its own copy. No rim then passes a vertex twice."""
+    """One vertex per fan of triangles: where parts touch in one vertex only, each gets its own
+    copy. No rim then passes a vertex twice.
+    """
     t, n = skin.triangles, len(skin.vertices)
     order, start, _ = edge_table(t)
     pair = start[:-1][np.diff(start) == 2]
@@ -68,9 +76,23 @@ def split_fans(skin: Skin) -> Skin:
     number[more] = n + np.arange(len(more))
     new = number[fan].reshape(-1, 3).astype(np.int32)
     old = vertex[more]
-    copy = blocks(np.arange(len(more)), old.astype(np.int64), np.tile(np.eye(3), (len(more), 1, 1)), (len(more), n))
-    return extended(skin, skin.vertices[old], skin.kind[old], copy, np.zeros((3 * len(more), 3)), new, skin.normals, skin.face,
-                    skin.curved[old])  # fmt: skip
+    copy = blocks(
+        np.arange(len(more)),
+        old.astype(np.int64),
+        np.tile(np.eye(3), (len(more), 1, 1)),
+        (len(more), n),
+    )
+    return extended(
+        skin,
+        skin.vertices[old],
+        skin.kind[old],
+        copy,
+        np.zeros((3 * len(more), 3)),
+        new,
+        skin.normals,
+        skin.face,
+        skin.curved[old],
+    )
 
 
 def rims_of(skin: Skin) -> list[Rim]:
@@ -90,12 +112,20 @@ def rims_of(skin: Skin) -> list[Rim]:
         left -= set(loop)
         p = skin.vertices[loop]
         middle = p.mean(axis=0)
-        out.append(Rim(np.array(loop, np.int64), 2.0 * float(np.linalg.norm(p - middle, axis=1).max()), middle))
+        out.append(
+            Rim(
+                np.array(loop, np.int64),
+                2.0 * float(np.linalg.norm(p - middle, axis=1).max()),
+                middle,
+            )
+        )
     return out
 
 
 def descent(skin: Skin, rims: list[Rim], up: F64) -> F64:
-    """Mean (r,) of −up · (direction in which the surface leaves the mesh) along each rim: 1 down a wall, 0 across a gap."""
+    """Mean (r,) of −up · (direction in which the surface leaves the mesh) along each rim: 1 down a
+    wall, 0 across a gap.
+    """
     t, n = skin.triangles.astype(np.int64), len(skin.vertices)
     on = np.zeros(n, bool)
     for rim in rims:

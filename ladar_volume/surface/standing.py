@@ -1,4 +1,6 @@
-"""The unseen bottom of a body: rims that look down, drawn on to the ground and joined there (seed 002 section 7.3)."""
+"""The unseen bottom of a body: rims that look down, drawn on to the ground and joined there (seed
+002 section 7.3).
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ from ladar_volume.surface.skin import GROUND, KINDS, Skin, blocks, extended, ver
 
 #: Sine of the slope from which on a surface is drawn on along itself.
 STEEP = 0.5
-#: Eigenvalue, of trace 1, of the normals around a vertex below which a direction is in all their planes.
+#: Eigenvalue, of trace 1, of the normals around a vertex below which a direction is in all their
+#: planes.
 IN_PLANE = 0.05
 #: Straight down.
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -26,8 +29,10 @@ ON_GROUND = 1e-9
 
 @dataclass(frozen=True)
 class Closure:
-    """One closed rim. kind : GAP or GROUND · vertices : of the rim · size_m : width of a gap, diameter of a foot · closed_m3, doubt_m3 :
-    see :mod:`~ladar_volume.surface.closing` · overlaps : triangles that overlap because the foot of the rim crosses itself"""
+    """One closed rim. kind : GAP or GROUND · vertices : of the rim · size_m : width of a gap,
+    diameter of a foot · closed_m3, doubt_m3 : see :mod:`~ladar_volume.surface.closing` · overlaps :
+    triangles that overlap because the foot of the rim crosses itself
+    """
 
     kind: int
     vertices: int
@@ -49,7 +54,9 @@ def tetrahedra(v: F64, triangles: I64, pole: F64) -> float:
 
 
 def downward(skin: Skin, vertices: I64, normals: F64) -> F64:
-    """Directions (k, 3) in which the surface with corner normals (m, 3, 3) goes down at vertices; straight where flat or not known."""
+    """Directions (k, 3) in which the surface with corner normals (m, 3, 3) goes down at vertices;
+    straight where flat or not known.
+    """
     M, wanted = np.zeros((len(skin.vertices), 3, 3)), np.zeros(len(skin.vertices), bool)
     wanted[vertices] = True
     corner = np.flatnonzero(wanted[skin.triangles.ravel()])
@@ -59,27 +66,34 @@ def downward(skin: Skin, vertices: I64, normals: F64) -> F64:
     known = np.isfinite(M).all(axis=(1, 2)) & (np.trace(M, axis1=1, axis2=2) > 0.0)
     M[~known] = np.eye(3)
     value, vector = np.linalg.eigh(M / np.trace(M, axis1=1, axis2=2)[:, None, None])
-    along = np.einsum("kia,ka,kja,j->ki", vector, (value < IN_PLANE).astype(np.float64), vector, DOWN)
+    along = np.einsum(
+        "kia,ka,kja,j->ki", vector, (value < IN_PLANE).astype(np.float64), vector, DOWN
+    )
     length = np.linalg.norm(along, axis=1)
     steep = known & (length > STEEP)
     return np.where(steep[:, None], along / np.where(steep, length, 1.0)[:, None], DOWN)
 
 
 def feet(p: F64, along: F64, ground: Plane) -> tuple[F64, F64, F64]:
-    """Where lines from points (k, 3) meet the ground; derivative by the points (k, 3, 3) and by the ground's height and slopes (k, 3,
-    3)."""
+    """Where lines from points (k, 3) meet the ground; derivative by the points (k, 3, 3) and by the
+    ground's height and slopes (k, 3, 3).
+    """
     w = steepness(ground)
     rate = along @ w
     q = p - along * (heights(p, ground) / rate)[:, None]
     by_point = np.eye(3) - along[:, :, None] * w / rate[:, None, None]
-    by_ground = along[:, :, None] * design(q[:, :2], ground.origin_xy, 1)[:, None, :] / rate[:, None, None]
+    by_ground = (
+        along[:, :, None] * design(q[:, :2], ground.origin_xy, 1)[:, None, :] / rate[:, None, None]
+    )
     return q, by_point, by_ground
 
 
 def stand_on(skin: Skin, rims: list[Rim], ground: Plane, up: F64) -> tuple[Skin, list[Closure]]:
     """All rims that look down joined to the ground, and their feet to each other."""
     n, all_of = len(skin.vertices), np.concatenate([r.vertices for r in rims])
-    own = np.broadcast_to(vertex_normals(skin.vertices, skin.triangles)[skin.triangles], skin.normals.shape)
+    own = np.broadcast_to(
+        vertex_normals(skin.vertices, skin.triangles)[skin.triangles], skin.normals.shape
+    )
     tangent = downward(skin, all_of, np.where(np.isnan(skin.normals), own, skin.normals))
     known = known_at(skin, all_of)
     straight = np.broadcast_to(DOWN, tangent.shape)
@@ -107,16 +121,23 @@ def stand_on(skin: Skin, rims: list[Rim], ground: Plane, up: F64) -> tuple[Skin,
         made.append(Closure(GROUND, count, rims[outer].size_m, closed, doubt, forced))
     new = np.concatenate(triangles)
     skin = extended(
-        skin, q, GROUND, blocks(np.arange(len(q)), all_of, by_point, (len(q), n)), by_ground.reshape(-1, 3),
-        np.concatenate([skin.triangles, new.astype(np.int32)]), np.concatenate([skin.normals, np.full((len(new), 3, 3), np.nan)]),
+        skin,
+        q,
+        GROUND,
+        blocks(np.arange(len(q)), all_of, by_point, (len(q), n)),
+        by_ground.reshape(-1, 3),
+        np.concatenate([skin.triangles, new.astype(np.int32)]),
+        np.concatenate([skin.normals, np.full((len(new), 3, 3), np.nan)]),
         np.concatenate([skin.face, np.full(len(new), GROUND, np.int32)]),
-    )  # fmt: skip
+    )
     return skin, made
 
 
 def known_at(skin: Skin, vertices: I64) -> Bool:
     """Whether (k,) the normals at all corners of vertices are known."""
-    unknown = np.bincount(skin.triangles.ravel(), np.isnan(skin.normals[..., 0]).ravel(), len(skin.vertices))
+    unknown = np.bincount(
+        skin.triangles.ravel(), np.isnan(skin.normals[..., 0]).ravel(), len(skin.vertices)
+    )
     out: Bool = unknown[vertices] == 0
     return out
 
@@ -138,7 +159,9 @@ def in_plane(q: F64, up: F64) -> F64:
 
 
 def grouped(plane: F64, loops: list[I64], rims: list[Rim]) -> list[tuple[int, list[int]]]:
-    """Outer loops with the holes in them. Raises :class:`SurfaceError` (closing_inside_out) for a hole in nothing."""
+    """Outer loops with the holes in them. Raises :class:`SurfaceError` (closing_inside_out) for a
+    hole in nothing.
+    """
     area = [loop_area(plane[i]) for i in loops]
     outers = [k for k in range(len(loops)) if area[k] > 0]
     holes: dict[int, list[int]] = {k: [] for k in outers}
@@ -146,8 +169,11 @@ def grouped(plane: F64, loops: list[I64], rims: list[Rim]) -> list[tuple[int, li
         around = [o for o in outers if inside_loop(plane[loops[o]], plane[loops[k][0]])]
         if not around:
             raise SurfaceError(
-                f"the rim at {place(rims[k].middle)} encloses a hollow, not a body: compare a pit with another epoch (diff), or measure "
-                "it below a base (volume)", reason="closing_inside_out", value=rims[k].middle,
-            )  # fmt: skip
+                f"the rim at {place(rims[k].middle)} encloses a hollow, not a body: "
+                "compare a pit with another epoch (diff), or measure "
+                "it below a base (volume)",
+                reason="closing_inside_out",
+                value=rims[k].middle,
+            )
         holes[min(around, key=lambda o: area[o])].append(k)
     return list(holes.items())

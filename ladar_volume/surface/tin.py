@@ -11,21 +11,33 @@ from ladar_volume.surface.delaunay import triangulate
 
 
 def build_tin(points_map: F64) -> Tin:
-    """Delaunay TIN over the horizontal plane of points (n, 3), m, map frame; all triangles relevant.
+    """Delaunay TIN over the horizontal plane of points (n, 3), m, map frame; all triangles
+    relevant.
 
-    Of points with exactly equal x and y the first is kept; ``duplicates`` counts the others. Raises :class:`SurfaceError` for
-    NaN, fewer than three distinct points, or collinear ones.
+    Of points with exactly equal x and y the first is kept; ``duplicates`` counts the others. Raises
+    :class:`SurfaceError` for NaN, fewer than three distinct points, or collinear ones.
     """
     points = np.asarray(points_map, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
-        raise SurfaceError(f"points are (n, 3), not {points.shape}", reason="surface_shape", value=points.shape)
+        raise SurfaceError(
+            f"points are (n, 3), not {points.shape}", reason="surface_shape", value=points.shape
+        )
     if not np.isfinite(points).all():
-        raise SurfaceError("a point with a coordinate that is not finite", reason="surface_not_finite")
+        raise SurfaceError(
+            "a point with a coordinate that is not finite", reason="surface_not_finite"
+        )
     out = triangulate(points[:, :2])
     source, triangles = out.vertices, out.triangles
     if len(source) < len(points):
         triangles = number(source, len(points))[triangles]
-    return Tin(points[source], triangles, out.neighbours, np.ones(len(triangles), bool), source, len(points) - len(source))
+    return Tin(
+        points[source],
+        triangles,
+        out.neighbours,
+        np.ones(len(triangles), bool),
+        source,
+        len(points) - len(source),
+    )
 
 
 def number(source: I64, n: int) -> I32:
@@ -46,7 +58,9 @@ def area_kernel(vertices: F64, triangles: I32) -> F64:
 
 
 def footprint_areas(vertices: F64, triangles: I32) -> F64:
-    """Signed horizontal areas (m,) m² of triangles (m, 3) over vertices (n, 3); positive counter-clockwise from above."""
+    """Signed horizontal areas (m,) m² of triangles (m, 3) over vertices (n, 3); positive
+    counter-clockwise from above.
+    """
     return np.asarray(area_kernel(vertices, triangles))
 
 

@@ -1,4 +1,6 @@
-"""What a volume stands on and where it counts: base and outline, which define each other where the ground is the survey's own."""
+"""What a volume stands on and where it counts: base and outline, which define each other where the
+ground is the survey's own.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ from ladar_volume.surface.tin import footprint_areas, vertex_mask
 from ladar_volume.volume.outline import bodies, shares, surroundings, widened
 from ladar_volume.volume.polygon import areas_inside, check_polygon
 
-#: Base and outline settle in two or three rounds; where triangles come and go the first repetition ends it.
+#: Base and outline settle in two or three rounds; where triangles come and go the first repetition
+#: ends it.
 MAX_ROUNDS = 10
 #: Stands where no base is needed.
 ZERO = design_surface([0.0])
@@ -25,8 +28,8 @@ ZERO = design_surface([0.0])
 def base_and_outline(tin: Tin, height_variance: F64, parameters: Parameters) -> tuple[Plane, F64]:
     """The base, and the area (m,) m² of each triangle inside the outline.
 
-    height_variance : (n,) m², independent noise of the vertex heights. Raises :class:`GroundError` where no ground can be fitted and
-    :class:`VolumeError` where nothing lies inside the outline.
+    height_variance : (n,) m², independent noise of the vertex heights. Raises :class:`GroundError`
+    where no ground can be fitted and :class:`VolumeError` where nothing lies inside the outline.
     """
     p = parameters.volume
     if p.base == "level":
@@ -38,7 +41,9 @@ def base_and_outline(tin: Tin, height_variance: F64, parameters: Parameters) -> 
             used = surroundings(tin, area_inside(tin, ZERO, p) > 0, 0.0)
         else:
             used = np.flatnonzero(vertex_mask(tin, tin.relevant))
-        base = fit_ground(tin.vertices, height_variance, parameters.ground, p.object_height_m / 2, select=used)
+        base = fit_ground(
+            tin.vertices, height_variance, parameters.ground, p.object_height_m / 2, select=used
+        )
     known: dict[bytes, F64] = {}
     inside = area_inside(tin, base, p, known)
     if p.base != "ground" or p.outline == "all":
@@ -46,7 +51,9 @@ def base_and_outline(tin: Tin, height_variance: F64, parameters: Parameters) -> 
     seen = [inside]
     for _ in range(MAX_ROUNDS):
         ring = surroundings(tin, inside > 0, p.ground_ring_m)
-        refined = refine(tin.vertices[ring], height_variance[ring], base, parameters.ground, p.object_height_m)
+        refined = refine(
+            tin.vertices[ring], height_variance[ring], base, parameters.ground, p.object_height_m
+        )
         base = dataclasses.replace(refined, support=ring[refined.support])
         inside = area_inside(tin, base, p, known)
         if any(np.array_equal(inside, earlier) for earlier in seen):
@@ -55,13 +62,19 @@ def base_and_outline(tin: Tin, height_variance: F64, parameters: Parameters) -> 
     return base, inside
 
 
-def area_inside(tin: Tin, base: Plane, p: VolumeParameters, known: dict[bytes, F64] | None = None) -> F64:
-    """Area (m,) m² of each triangle inside the outline. Raises :class:`VolumeError` where there is none. known : by the bodies' triangles,
-    what was found on this surface before; a base that differs little has the same bodies."""
+def area_inside(
+    tin: Tin, base: Plane, p: VolumeParameters, known: dict[bytes, F64] | None = None
+) -> F64:
+    """Area (m,) m² of each triangle inside the outline. Raises :class:`VolumeError` where there is
+    none. known : by the bodies' triangles, what was found on this surface before; a base that
+    differs little has the same bodies.
+    """
     if p.outline == "polygon":
         inside = areas_inside(tin, polygon_of(p))
         if not inside.any():
-            raise VolumeError("no part of the surface lies inside the outline", reason="volume_no_triangle")
+            raise VolumeError(
+                "no part of the surface lies inside the outline", reason="volume_no_triangle"
+            )
         return inside
     area = footprint_areas(tin.vertices, tin.triangles)
     if p.outline == "all":
@@ -74,28 +87,44 @@ def area_inside(tin: Tin, base: Plane, p: VolumeParameters, known: dict[bytes, F
 
 
 def area_by_body(tin: Tin, base: Plane, inside: F64, p: VolumeParameters) -> list[F64]:
-    """The area (m,) m² of each triangle inside the outline, body by body, the main one first; they add up to ``inside``."""
+    """The area (m,) m² of each triangle inside the outline, body by body, the main one first; they
+    add up to ``inside``.
+    """
     if p.outline != "auto" or p.bodies == 1:
         return [inside]
     found = bodies(tin, base, p.object_height_m, p.bodies, p.min_body_m3)
     return [np.where(share, inside, 0.0) for share in shares(tin, inside > 0, found)]
 
 
-def all_grounds(tin: Tin, height_variance: F64, base: Plane, inside: F64, parameters: Parameters) -> tuple[Plane, ...]:
-    """The ground surfaces of the survey: the base, and up to ``ground.surfaces - 1`` others outside the outline. None above a design
-    surface."""
+def all_grounds(
+    tin: Tin, height_variance: F64, base: Plane, inside: F64, parameters: Parameters
+) -> tuple[Plane, ...]:
+    """The ground surfaces of the survey: the base, and up to ``ground.surfaces - 1`` others outside
+    the outline. None above a design surface.
+    """
     p = parameters.volume
     if p.base != "ground":
         return ()
     if parameters.ground.surfaces == 1:
         return (base,)
     outside = surroundings(tin, inside > 0, 0.0)
-    return (base, *further_grounds(tin.vertices, height_variance, base, parameters.ground, p.object_height_m / 2, outside))
+    return (
+        base,
+        *further_grounds(
+            tin.vertices, height_variance, base, parameters.ground, p.object_height_m / 2, outside
+        ),
+    )
 
 
 def polygon_of(p: VolumeParameters) -> F64:
-    """The outline (k, 2) m of the parameters. Raises :class:`VolumeError` for one that is no simple polygon."""
+    """The outline (k, 2) m of the parameters. Raises :class:`VolumeError` for one that is no simple
+    polygon.
+    """
     flat = np.asarray(p.polygon_m, dtype=np.float64)
     if len(flat) % 2:
-        raise VolumeError("polygon_m holds x, y pairs; its length is odd", reason="volume_polygon", value=len(flat))
+        raise VolumeError(
+            "polygon_m holds x, y pairs; its length is odd",
+            reason="volume_polygon",
+            value=len(flat),
+        )
     return check_polygon(flat.reshape(-1, 2))

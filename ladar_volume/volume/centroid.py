@@ -12,8 +12,9 @@ from ladar_volume.model.records import F64, I32, Plane, Tin
 def centroid(tin: Tin, base: Plane, inside_m2: F64) -> tuple[float, float, float]:
     """Centroid (x, y, z) m of the material above the base, map frame.
 
-    inside_m2 : (m,) area of each triangle inside the outline. Triangles whose mean height is not above the base do not count;
-    exact where the outline is made of whole triangles that lie above the base. Without any, the mean of the triangles.
+    inside_m2 : (m,) area of each triangle inside the outline. Triangles whose mean height is not
+    above the base do not count; exact where the outline is made of whole triangles that lie above
+    the base. Without any, the mean of the triangles.
     """
     low = base_height(base, tin.vertices[:, :2])
     x, y, z = moment_kernel(tin.vertices, tin.triangles, inside_m2, low)
@@ -30,13 +31,24 @@ def moment_kernel(vertices: F64, triangles: I32, inside_m2: F64, low: F64) -> F6
             continue
         count += 1
         for i in range(3):
-            corner[i], h[i] = vertices[triangles[t, i]], vertices[triangles[t, i], 2] - low[triangles[t, i]]
+            corner[i], h[i] = (
+                vertices[triangles[t, i]],
+                vertices[triangles[t, i], 2] - low[triangles[t, i]],
+            )
             mean += corner[i] / 3.0
             corner[i, 2] -= 0.5 * h[i]  # of what stands on the base there the middle
         whole = h[0] + h[1] + h[2]
         if whole > 0.0:
             total += inside_m2[t] * whole / 3.0
-            for c in range(3):  # the integral of a product of two linear functions: A / 12 (Σ a_i b_i + Σ a_i Σ b_i)
+            for c in range(
+                3
+                # the integral of a product of two linear functions: A / 12 (Σ a_i b_i + Σ a_i Σ
+                # b_i)
+            ):
                 a = corner[:, c]
-                moment[c] += inside_m2[t] / 12.0 * (a[0] * h[0] + a[1] * h[1] + a[2] * h[2] + (a[0] + a[1] + a[2]) * whole)
+                moment[c] += (
+                    inside_m2[t]
+                    / 12.0
+                    * (a[0] * h[0] + a[1] * h[1] + a[2] * h[2] + (a[0] + a[1] + a[2]) * whole)
+                )
     return moment / total if total > 0.0 else mean / count

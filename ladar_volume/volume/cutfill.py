@@ -1,8 +1,10 @@
-"""Cut and fill of a surface against a level, a plane or a second surface, and their sequences over many levels (seed 000 chapter 4).
+"""Cut and fill of a surface against a level, a plane or a second surface, and their sequences over
+many levels (seed 000 chapter 4).
 
-Over one triangle with heights z0 ≤ z1 ≤ z2 the cut volume is a cubic of the level on each side of z1, a line below z0 and zero above
-z2. The pieces of all triangles are collected on a binary tree over the sorted levels, each where its range of levels begins and
-ends, as polynomials about the middle of a node's own levels: O((n + m) log m) for n triangles and m levels, and without the
+Over one triangle with heights z0 ≤ z1 ≤ z2 the cut volume is a cubic of the level on each side of
+z1, a line below z0 and zero above z2. The pieces of all triangles are collected on a binary tree
+over the sorted levels, each where its range of levels begins and ends, as polynomials about the
+middle of a node's own levels: O((n + m) log m) for n triangles and m levels, and without the
 cancellation of powers about one origin.
 """
 
@@ -25,8 +27,9 @@ from ladar_volume.volume.prismoids import Prismoids, gather, positive_part, pris
 class Sequence:
     """Volumes of one surface over levels.
 
-    level_m : (m,), as given · cut_m3, fill_m3 : (m,), both positive · above_m2 : (m,) area where the surface is above the level, which
-    is minus the derivative of the cut volume by the level · below_m2 : (m,) where it is below · area_m2 : of the footprint
+    level_m : (m,), as given · cut_m3, fill_m3 : (m,), both positive · above_m2 : (m,) area where
+    the surface is above the level, which is minus the derivative of the cut volume by the level ·
+    below_m2 : (m,) where it is below · area_m2 : of the footprint
     """
 
     level_m: F64
@@ -42,20 +45,32 @@ class Sequence:
         return self.cut_m3 - self.fill_m3
 
 
-def cut_fill(tin: Tin, base: float | Plane | Tin, mask: Bool | None = None, gradients: bool = True) -> Prismoids | Between:
-    """Cut and fill above a level (m), a plane or polynomial base, or over a second surface's common footprint with ``tin``.
+def cut_fill(
+    tin: Tin, base: float | Plane | Tin, mask: Bool | None = None, gradients: bool = True
+) -> Prismoids | Between:
+    """Cut and fill above a level (m), a plane or polynomial base, or over a second surface's common
+    footprint with ``tin``.
 
-    ``mask`` (m,): triangles that count, by default the relevant ones. See :func:`prismoids.prismoids` and :func:`overlay.between`.
+    ``mask`` (m,): triangles that count, by default the relevant ones. See
+    :func:`prismoids.prismoids` and :func:`overlay.between`.
     """
     if isinstance(base, Tin):
-        chosen = tin if mask is None else Tin(tin.vertices, tin.triangles, tin.neighbours, mask, tin.source, tin.duplicates)
+        chosen = (
+            tin
+            if mask is None
+            else Tin(tin.vertices, tin.triangles, tin.neighbours, mask, tin.source, tin.duplicates)
+        )
         return between(chosen, base, gradients)
     return prismoids(tin, base if isinstance(base, Plane) else design_surface([float(base)]), mask)
 
 
 @kernel
-def add_piece(tree: F64, centre: F64, low: int, high: int, origin: float, c0: float, c1: float, c3: float) -> None:
-    """Adds ``c0 + c1 x + c3 x³``, x = level − origin, for the levels low..high−1 to the nodes of the tree (2 k, 4) that make them up."""
+def add_piece(
+    tree: F64, centre: F64, low: int, high: int, origin: float, c0: float, c1: float, c3: float
+) -> None:
+    """Adds ``c0 + c1 x + c3 x³``, x = level − origin, for the levels low..high−1 to the nodes of
+    the tree (2 k, 4) that make them up.
+    """
     leaves = len(tree) // 2
     i, j = low + leaves, high + leaves
     while i < j:
@@ -92,7 +107,9 @@ def count_below(levels: F64, z: float) -> int:
 
 @kernel
 def sequence_kernel(h: F64, area: F64, levels: F64) -> F64:
-    """Cut volumes and areas above (m, 2) at ascending levels (m,) of triangles with heights h (n, 3) and footprints area (n,)."""
+    """Cut volumes and areas above (m, 2) at ascending levels (m,) of triangles with heights h (n,
+    3) and footprints area (n,).
+    """
     m, leaves = len(levels), 1
     while leaves < m:
         leaves *= 2
@@ -103,7 +120,9 @@ def sequence_kernel(h: F64, area: F64, levels: F64) -> F64:
     for node in range(leaves - 1, 0, -1):
         first[node], last[node] = first[2 * node], last[2 * node + 1]
     for node in range(1, 2 * leaves):
-        centre[node] = first[node] if first[node] == last[node] else 0.5 * (first[node] + last[node])
+        centre[node] = (
+            first[node] if first[node] == last[node] else 0.5 * (first[node] + last[node])
+        )
     for t in range(len(h)):
         z0, z1, z2 = min(h[t, 0], h[t, 1], h[t, 2]), 0.0, max(h[t, 0], h[t, 1], h[t, 2])
         z1 = max(min(h[t, 0], h[t, 1]), min(max(h[t, 0], h[t, 1]), h[t, 2]))
@@ -138,26 +157,38 @@ def sequence_plain(h: F64, area: F64, levels: F64) -> F64:
 
 
 def triangle_heights(tin: Tin, base: Plane | None, mask: Bool | None) -> tuple[F64, F64, I32]:
-    """Heights (n, 3) above the base, footprints (n,) m² and vertices (n, 3) of the chosen triangles.
+    """Heights (n, 3) above the base, footprints (n,) m² and vertices (n, 3) of the chosen
+    triangles.
 
     Raises :class:`VolumeError` where there is none.
     """
     triangles = tin.triangles[tin.relevant if mask is None else mask]
     if len(triangles) == 0:
         raise VolumeError("there is no triangle to take a volume of", reason="volume_no_triangle")
-    z = tin.vertices[:, 2] if base is None else tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
+    z = (
+        tin.vertices[:, 2]
+        if base is None
+        else tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
+    )
     return np.ascontiguousarray(z[triangles]), footprint_areas(tin.vertices, triangles), triangles
 
 
-def cut_sequence(tin: Tin, levels_m: F64, base: Plane | None = None, mask: Bool | None = None) -> Sequence:
-    """Cut and fill at all levels (m,), m, in one pass; in any order, repeated or not. With ``base`` the levels count from it.
+def cut_sequence(
+    tin: Tin, levels_m: F64, base: Plane | None = None, mask: Bool | None = None
+) -> Sequence:
+    """Cut and fill at all levels (m,), m, in one pass; in any order, repeated or not. With ``base``
+    the levels count from it.
 
-    Cut and fill are exact zeros where the surface is wholly below or above. Raises :class:`VolumeError` without triangles, or for
-    levels that are not finite numbers.
+    Cut and fill are exact zeros where the surface is wholly below or above. Raises
+    :class:`VolumeError` without triangles, or for levels that are not finite numbers.
     """
     levels = np.asarray(levels_m, dtype=np.float64)
     if levels.ndim != 1 or len(levels) == 0 or not np.isfinite(levels).all():
-        raise VolumeError("levels are a list of at least one finite number", reason="volume_levels", value=levels_m)
+        raise VolumeError(
+            "levels are a list of at least one finite number",
+            reason="volume_levels",
+            value=levels_m,
+        )
     h, area, _ = triangle_heights(tin, base, mask)
     order = np.argsort(levels, kind="stable")
     back = np.empty_like(order)
@@ -170,8 +201,12 @@ def cut_sequence(tin: Tin, levels_m: F64, base: Plane | None = None, mask: Bool 
     return Sequence(levels, up[:, 0], down[:, 0], up[:, 1], down[:, 1], float(area.sum()))
 
 
-def sequence_gradient(tin: Tin, levels_m: F64, weights: F64, base: Plane | None = None, mask: Bool | None = None) -> F64:
-    """Derivatives (n,) by the vertex heights of ``Σ_k weights_k cut(level_k)``; the adjoint of whatever is read off a sequence."""
+def sequence_gradient(
+    tin: Tin, levels_m: F64, weights: F64, base: Plane | None = None, mask: Bool | None = None
+) -> F64:
+    """Derivatives (n,) by the vertex heights of ``Σ_k weights_k cut(level_k)``; the adjoint of
+    whatever is read off a sequence.
+    """
     h, area, triangles = triangle_heights(tin, base, mask)
     slope = np.zeros_like(h)
     for z, w in zip(levels_m, weights, strict=True):

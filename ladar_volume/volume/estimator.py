@@ -1,4 +1,6 @@
-"""The volume stage: keeps the current filtered surface and estimates base, outline, volume and its budget."""
+"""The volume stage: keeps the current filtered surface and estimates base, outline, volume and its
+budget.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +18,26 @@ from ladar_volume.model.at_once import at_once
 from ladar_volume.model.errors import SurfaceError, VolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, Estimate, FilteredPoints, FilterUpdate, Patches, Plane, PlatformStates, Tin, Volume
+from ladar_volume.model.records import (
+    F64,
+    Estimate,
+    FilteredPoints,
+    FilterUpdate,
+    Patches,
+    Plane,
+    PlatformStates,
+    Tin,
+    Volume,
+)
 from ladar_volume.surface.represent import Represented, SurfaceOptions, represent
 from ladar_volume.surface.tin import vertex_mask
-from ladar_volume.volume.assembly import base_name, ground_field, near_correction, result_gradients, vertex_variance
+from ladar_volume.volume.assembly import (
+    base_name,
+    ground_field,
+    near_correction,
+    result_gradients,
+    vertex_variance,
+)
 from ladar_volume.volume.base import all_grounds, area_by_body, base_and_outline, polygon_of
 from ladar_volume.volume.budget import Budget, Sources, vertical_sigma
 from ladar_volume.volume.centroid import centroid
@@ -42,14 +60,16 @@ MAX_JOINT = 8
 class VolumeEstimator:
     """From filtered points and patches to a volume with its budget.
 
-    Feed :meth:`add_platform` and :meth:`add` in the order they come; :meth:`estimate` depends only on their union. No raw point
-    is held: memory follows the surface.
+    Feed :meth:`add_platform` and :meth:`add` in the order they come; :meth:`estimate` depends only
+    on their union. No raw point is held: memory follows the surface.
     """
 
     def __init__(self, parameters: Parameters, navigation: NavigationBins | None = None) -> None:
         self.parameters = parameters
         self.losses = Losses()
-        self._navigation = NavigationBins(parameters.filter.nav_bin_s) if navigation is None else navigation
+        self._navigation = (
+            NavigationBins(parameters.filter.nav_bin_s) if navigation is None else navigation
+        )
         self._store = PatchStore()
         self._surface_now: Represented | None = None
         self._sources_now: Sources | None = None
@@ -68,17 +88,21 @@ class VolumeEstimator:
 
     def add(self, update: FilterUpdate) -> None:
         """What changed in the filtered surface."""
-        self._surface_now = self._sources_now = self._main = None  # the surface before would be held beside the new one
+        self._surface_now = self._sources_now = self._main = (
+            None  # the surface before would be held beside the new one
+        )
         self._store.replace(update)
         self.losses.merge(self._store.losses)
         self._store.losses = Losses()
         self._t_ns = max(self._t_ns, update.t_ns)
 
     def estimate(self, naive: bool = True) -> Estimate:
-        """The volume from everything so far; without ``naive``, which is printed beside it in results, that sigma is NaN.
+        """The volume from everything so far; without ``naive``, which is printed beside it in
+        results, that sigma is NaN.
 
-        Raises :class:`SurfaceError` where the points do not span a surface, :class:`GroundError` where no base can be fitted,
-        :class:`VolumeError` where nothing lies inside the outline or the platform's covariance is not yet known for all of the surface.
+        Raises :class:`SurfaceError` where the points do not span a surface, :class:`GroundError`
+        where no base can be fitted, :class:`VolumeError` where nothing lies inside the outline or
+        the platform's covariance is not yet known for all of the surface.
         """
         points, patches = self._current()
         surface = self._surface(points)
@@ -87,21 +111,29 @@ class VolumeEstimator:
         return self._result(surface, base, inside, points, patches, height_variance, naive)
 
     def epoch(self) -> Epoch:
-        """Everything so far as one survey, to be compared with another. Raises :class:`SurfaceError` where there is no surface."""
+        """Everything so far as one survey, to be compared with another. Raises
+        :class:`SurfaceError` where there is no surface.
+        """
         points, patches = self._current()
         return Epoch(self._surface(points), self._sources(points, patches), self._t_ns)
 
     def more_data(self) -> MoreData:
-        """Where another pass would make sigma of the present estimate's main body smaller. Raises :class:`VolumeError` without one."""
+        """Where another pass would make sigma of the present estimate's main body smaller. Raises
+        :class:`VolumeError` without one.
+        """
         if self._main is None:
             raise VolumeError("no estimate yet", reason="volume_no_estimate")
         surface, base, part, solid, budget, sources, variance = self._main
-        gradient = result_gradients(surface.tin, base, solid, len(sources.points), surface, coefficients=False)[:, 0]
+        gradient = result_gradients(
+            surface.tin, base, solid, len(sources.points), surface, coefficients=False
+        )[:, 0]
         sigma_z = vertical_sigma(sources, surface.tin.source)
         return more_data(surface.tin, part > 0, gradient, sources, sigma_z, variance, budget.sigma)
 
     def restarted(self) -> VolumeEstimator:
-        """An estimator without a surface that knows the platform's path so far: returns still on their way refer to it."""
+        """An estimator without a surface that knows the platform's path so far: returns still on
+        their way refer to it.
+        """
         return VolumeEstimator(self.parameters, copy.deepcopy(self._navigation))
 
     def _current(self) -> tuple[FilteredPoints, Patches]:
@@ -117,11 +149,16 @@ class VolumeEstimator:
     def _surface(self, points: FilteredPoints) -> Represented:
         if self._surface_now is None:
             v = self.parameters.volume
-            adjust = "none" if v.vertex_ratio == 1.0 else "rms"  # copies of a footprint stay out, as they always have
+            adjust = (
+                "none" if v.vertex_ratio == 1.0 else "rms"
+            )  # copies of a footprint stay out, as they always have
             options = SurfaceOptions(
-                ratio=v.vertex_ratio, adjust=adjust, relevant=v.relevant, max_edge_m=v.max_edge_m,
+                ratio=v.vertex_ratio,
+                adjust=adjust,
+                relevant=v.relevant,
+                max_edge_m=v.max_edge_m,
                 max_circumdiameter_m=v.max_circumdiameter_m,
-            )  # fmt: skip
+            )
             self._surface_now = represent(points.r_map, options, measured=False)
         return self._surface_now
 
@@ -134,7 +171,14 @@ class VolumeEstimator:
         return base_and_outline(tin, height_variance, self.parameters)
 
     def _result(
-        self, surface: Represented, base: Plane, inside: F64, points: FilteredPoints, patches: Patches, height_variance: F64, naive: bool
+        self,
+        surface: Represented,
+        base: Plane,
+        inside: F64,
+        points: FilteredPoints,
+        patches: Patches,
+        height_variance: F64,
+        naive: bool,
     ) -> Estimate:
         sources = self._sources(points, patches)
         parts = area_by_body(surface.tin, base, inside, self.parameters.volume)
@@ -144,7 +188,9 @@ class VolumeEstimator:
             solid = self._solid(surface.tin, base, part)
 
             def rough_m6() -> float:
-                field = ground_field(surface.tin, base, solid, part, height_variance, sources, inverse)
+                field = ground_field(
+                    surface.tin, base, solid, part, height_variance, sources, inverse
+                )
                 return 0.0 if field is None else field.variance_m6
 
             def gradients() -> F64:  # large: held for the naive sigma alone
@@ -152,7 +198,11 @@ class VolumeEstimator:
 
             held = gradients() if naive else None
             base_m6, (sensitivities, more) = at_once(
-                rough_m6, lambda: (sources.sensitivities(gradients() if held is None else held), beside(part))
+                rough_m6,
+                lambda: (
+                    sources.sensitivities(gradients() if held is None else held),
+                    beside(part),
+                ),
             )
             # afterwards: it uses and completes what the roughness knows of the patches' errors
             naive_m3 = math.nan if held is None else sources.naive_sigma(held[:, 0])
@@ -164,12 +214,18 @@ class VolumeEstimator:
         made = [solved(part, near) for part in parts]
         self._main = surface, base, parts[0], *made[0][:2], sources, height_variance
         normal = points.normal[surface.tin.source]
-        volumes = tuple(self._volume(surface.tin, normal, base, part, *one) for part, one in zip(parts, made, strict=True))
+        volumes = tuple(
+            self._volume(surface.tin, normal, base, part, *one)
+            for part, one in zip(parts, made, strict=True)
+        )
         grounds = all_grounds(surface.tin, height_variance, base, inside, self.parameters)
         if len(base.support):
             base = dataclasses.replace(base, C_beta=made[0][1].C_results[1:, 1:])
             grounds = (base, *grounds[1:])
-        joint = joint_covariance([v.sigma_m3**2 for v in volumes], lambda a, b: solved(parts[a] + parts[b], lambda _: None)[1].sigma ** 2)
+        joint = joint_covariance(
+            [v.sigma_m3**2 for v in volumes],
+            lambda a, b: solved(parts[a] + parts[b], lambda _: None)[1].sigma ** 2,
+        )
         return Estimate(volumes[0], surface.tin, base, grounds, volumes, joint)
 
     def _solid(self, tin: Tin, base: Plane, inside: F64) -> Prismoids:
@@ -178,8 +234,15 @@ class VolumeEstimator:
         return prismoids(tin, base, inside > 0)
 
     def _volume(
-        self, tin: Tin, normal: F64, base: Plane, inside: F64, solid: Prismoids, budget: Budget, near: Fold | None
-    ) -> Volume:  # fmt: skip
+        self,
+        tin: Tin,
+        normal: F64,
+        base: Plane,
+        inside: F64,
+        solid: Prismoids,
+        budget: Budget,
+        near: Fold | None,
+    ) -> Volume:
         p, mask = self.parameters, inside > 0
         above, below = cut_and_fill_chords(tin, normal, base, inside)
         folded = 0.0 if near is None else near.taken(solid.cut_m3, solid.fill_m3)
@@ -197,7 +260,9 @@ class VolumeEstimator:
             budget_m6=budget.lines,
             sigma_tau_range_m3=budget.sigma_tau_range,
             sigma_naive_m3=budget.sigma_naive,
-            outline=polygon_of(p.volume) if p.volume.outline == "polygon" else boundary_loop(tin, mask),
+            outline=polygon_of(p.volume)
+            if p.volume.outline == "polygon"
+            else boundary_loop(tin, mask),
             vertices=int(np.count_nonzero(vertex_mask(tin, mask))),
             triangles=int(np.count_nonzero(mask)),
             t_ns=self._t_ns,
@@ -211,8 +276,10 @@ class VolumeEstimator:
 
 
 def joint_covariance(variance: list[float], of_two: Callable[[int, int], float]) -> F64 | None:
-    """Covariance (k, k) m⁶ of k volumes from the variances of each and of any two together: every source is a quadratic form, so
-    ``2 C_ab = Var(a + b) − Var(a) − Var(b)``. None for one volume, and for more than eight."""
+    """Covariance (k, k) m⁶ of k volumes from the variances of each and of any two together: every
+    source is a quadratic form, so ``2 C_ab = Var(a + b) − Var(a) − Var(b)``. None for one volume,
+    and for more than eight.
+    """
     k = len(variance)
     if not 1 < k <= MAX_JOINT:
         return None

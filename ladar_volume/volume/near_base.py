@@ -1,15 +1,18 @@
-"""Where a surface runs within three sigma of its base, cut and fill are biased: the folded-normal correction (UNCERTAINTY step 7).
+"""Where a surface runs within three sigma of its base, cut and fill are biased: the folded-normal
+correction (UNCERTAINTY step 7).
 
-Noise of standard deviation s about a true height μ turns ``max(μ, 0)`` into ``g = μ Φ(μ/s) + s φ(μ/s)`` on average: flat ground at the
-level has cut and fill of 0.28 sigma per area each, though both are zero. With the node covariance C of a triangle,
-``s² = λᵀCλ`` at barycentric coordinates λ; the integrals over the triangle are by quadrature, on parts no taller than s.
+Noise of standard deviation s about a true height μ turns ``max(μ, 0)`` into ``g = μ Φ(μ/s) + s
+φ(μ/s)`` on average: flat ground at the level has cut and fill of 0.28 sigma per area each, though
+both are zero. With the node covariance C of a triangle, ``s² = λᵀCλ`` at barycentric coordinates λ;
+the integrals over the triangle are by quadrature, on parts no taller than s.
 
-The true height is not known; the noisy one would find two fifths of the bias only. It is estimated by a plane through each vertex'
-neighbourhood of several rings, whose own noise s' is allowed for to second order: the correction is ``2 b(s) − b(√(s² + s'²)) + b(s')``
-with ``b = g − max(μ, 0)``. It is the same for cut and fill: the net volume is left alone.
+The true height is not known; the noisy one would find two fifths of the bias only. It is estimated
+by a plane through each vertex' neighbourhood of several rings, whose own noise s' is allowed for to
+second order: the correction is ``2 b(s) − b(√(s² + s'²)) + b(s')`` with ``b = g − max(μ, 0)``. It
+is the same for cut and fill: the net volume is left alone.
 
-Variance: the noise acts through the mean slopes ``G = ∫ λ Φ`` and, since the fold is no line, through ``H = ∫ λ λᵀ φ / s``:
-``GᵀCG + ½ tr(HCHC)``.
+Variance: the noise acts through the mean slopes ``G = ∫ λ Φ`` and, since the fold is no line,
+through ``H = ∫ λ λᵀ φ / s``: ``GᵀCG + ½ tr(HCHC)``.
 """
 
 from __future__ import annotations
@@ -31,7 +34,8 @@ from ladar_volume.volume.folded import PACKED, folded, without_noise
 from ladar_volume.volume.neighbourhood import CHUNKS, Smooth
 from ladar_volume.volume.prismoids import gather, positive_part
 
-#: A triangle counts as near where its heights come within this many standard deviations of the base.
+#: A triangle counts as near where its heights come within this many standard deviations of the
+#: base.
 REACH = 3.0
 #: Triangles looked at at once: the means of a few numbers each take room.
 BLOCK = 1 << 18
@@ -39,8 +43,9 @@ BLOCK = 1 << 18
 
 @dataclass(frozen=True)
 class Fold:
-    """correction_m3 : what is to be taken from cut and from fill alike (the correction named "folded normal") · near_area_m2 : footprint of
-    the triangles it comes from"""
+    """correction_m3 : what is to be taken from cut and from fill alike (the correction named
+    "folded normal") · near_area_m2 : footprint of the triangles it comes from
+    """
 
     correction_m3: float
     near_area_m2: float
@@ -52,10 +57,12 @@ class Fold:
 
 @dataclass(frozen=True)
 class NearBase(Fold):
-    """near : (m,) bool, triangles the correction comes from, among the chosen ones · variance_cut_m6, variance_fill_m6, variance_net_m6 :
-    of the volumes of all chosen triangles, for the given covariance of the heights · curved_m6 : the second-order part of the first two ·
-    gradient_cut, gradient_net : (n,) m² mean derivatives by the vertex heights, to be used where first-order propagation would take a
-    triangle to be wholly cut or wholly fill"""
+    """near : (m,) bool, triangles the correction comes from, among the chosen ones ·
+    variance_cut_m6, variance_fill_m6, variance_net_m6 : of the volumes of all chosen triangles, for
+    the given covariance of the heights · curved_m6 : the second-order part of the first two ·
+    gradient_cut, gradient_net : (n,) m² mean derivatives by the vertex heights, to be used where
+    first-order propagation would take a triangle to be wholly cut or wholly fill
+    """
 
     near: Bool
     variance_cut_m6: float
@@ -83,7 +90,9 @@ def packed_kernel(start: I64, column: I64, value: F64, triangles: I32) -> F64:
 
 
 def node_covariances(C: Any, triangles: I32) -> F64:
-    """Packed node covariances (m, 6) of triangles (m, 3) from a sparse covariance (n, n) of the heights."""
+    """Packed node covariances (m, 6) of triangles (m, 3) from a sparse covariance (n, n) of the
+    heights.
+    """
     return np.asarray(packed_kernel(*csr(C), triangles))
 
 
@@ -94,32 +103,54 @@ def csr(C: Any) -> tuple[I64, I64, F64]:
 
 
 def near_triangles(tin: Tin, height: F64, variance: F64, mask: Bool) -> Bool:
-    """Which of the triangles of a mask (m,) come within reach of a base, (k,), for vertex heights (n,) above it with variances (n,)."""
+    """Which of the triangles of a mask (m,) come within reach of a base, (k,), for vertex heights
+    (n,) above it with variances (n,).
+    """
     t, reach = tin.triangles[mask], REACH * np.sqrt(variance)
-    return any_corner(t, height - reach <= 0) & any_corner(t, height + reach >= 0) & any_corner(t, reach > 0)
+    return (
+        any_corner(t, height - reach <= 0)
+        & any_corner(t, height + reach >= 0)
+        & any_corner(t, reach > 0)
+    )
 
 
-def fold(tin: Tin, height: F64, variance: F64, near: I32, packed: F64, rings: int, summed: F64) -> Fold:
+def fold(
+    tin: Tin, height: F64, variance: F64, near: I32, packed: F64, rings: int, summed: F64
+) -> Fold:
     """The correction of cut and fill alone, where the surface runs near its base.
 
-    height, variance : (n,) of the vertices above the base, m, and of their independent noise, m² · near : (k, 3) triangles in reach of the
-    base, packed : (k, 6) m² their node covariances · rings, summed : as in :func:`near_base`. Raises :class:`VolumeError` for bad
-    variances.
+    height, variance : (n,) of the vertices above the base, m, and of their independent noise, m² ·
+    near : (k, 3) triangles in reach of the base, packed : (k, 6) m² their node covariances · rings,
+    summed : as in :func:`near_base`. Raises :class:`VolumeError` for bad variances.
     """
-    smooth, area = smoothed(tin, height, checked(variance, len(height)), near, rings, summed), footprint_areas(tin.vertices, near)
-    total = sum(float(area[part] @ correction(*folds(*at, slopes=False))) for part, at in blocks(smooth, near, packed))
+    smooth, area = (
+        smoothed(tin, height, checked(variance, len(height)), near, rings, summed),
+        footprint_areas(tin.vertices, near),
+    )
+    total = sum(
+        float(area[part] @ correction(*folds(*at, slopes=False)))
+        for part, at in blocks(smooth, near, packed)
+    )
     return Fold(total, float(area.sum()))
 
 
 def near_base(
-    tin: Tin, base: Plane, C: Any, mask: Bool | None = None, rings: int = 4, summed: F64 | None = None
+    tin: Tin,
+    base: Plane,
+    C: Any,
+    mask: Bool | None = None,
+    rings: int = 4,
+    summed: F64 | None = None,
 ) -> NearBase:
-    """Correction of cut and fill above ``base`` where the surface runs near it, and the variances of both.
+    """Correction of cut and fill above ``base`` where the surface runs near it, and the variances
+    of both.
 
-    C : variances (n,) m², or sparse covariance (n, n), of the vertex heights above the base (independent noise; what base and surface
-    share cancels and does not belong here); of pairs that no edge joins nothing is needed · mask : triangles that count, by default the
-    relevant ones · rings : size of the neighbourhood from which true heights are estimated · summed : (n,) m² sums of each height's
-    covariances with all others, where they reach beyond the edges. Raises :class:`VolumeError` without triangles or for bad variances.
+    C : variances (n,) m², or sparse covariance (n, n), of the vertex heights above the base
+    (independent noise; what base and surface share cancels and does not belong here); of pairs that
+    no edge joins nothing is needed · mask : triangles that count, by default the relevant ones ·
+    rings : size of the neighbourhood from which true heights are estimated · summed : (n,) m² sums
+    of each height's covariances with all others, where they reach beyond the edges. Raises
+    :class:`VolumeError` without triangles or for bad variances.
     """
     chosen = tin.relevant if mask is None else mask
     t, n = tin.triangles[chosen], len(tin.vertices)
@@ -128,25 +159,51 @@ def near_base(
     joint: Any = C if sparse.issparse(C) else sparse.diags_array(np.asarray(C, dtype=np.float64))
     variance = joint.diagonal()
     h = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
-    area, near = footprint_areas(tin.vertices, t), near_triangles(tin, h, checked(variance, n), chosen)
+    area, near = (
+        footprint_areas(tin.vertices, t),
+        near_triangles(tin, h, checked(variance, n), chosen),
+    )
     close, close_area = t[near], area[near]
-    smooth = smoothed(tin, h, variance, close, rings, np.asarray(joint.sum(axis=1)).ravel() if summed is None else summed)
+    smooth = smoothed(
+        tin,
+        h,
+        variance,
+        close,
+        rings,
+        np.asarray(joint.sum(axis=1)).ravel() if summed is None else summed,
+    )
     found = np.empty((len(close), 13))
     for part, at in blocks(smooth, close, node_covariances(joint, close)):
         found[part] = moments(*at)
     slope = np.empty((len(t), 3))
     slope[~near], slope[near] = positive_part(h[t[~near]])[1], found[:, 1:4]
     cut = gather((slope * area[:, None])[..., None], t, n)[:, 0]
-    cut = cut - smooth.adjoint(gather((found[:, 4:7] * close_area[:, None])[..., None], close, n)[:, 0])
+    cut = cut - smooth.adjoint(
+        gather((found[:, 4:7] * close_area[:, None])[..., None], close, n)[:, 0]
+    )
     net = gather(np.repeat(area / 3.0, 3).reshape(-1, 3, 1), t, n)[:, 0]
-    curved = second_order(found[:, 7:] * close_area[:, None], close, smooth.start, smooth.link, joint)
+    curved = second_order(
+        found[:, 7:] * close_area[:, None], close, smooth.start, smooth.link, joint
+    )
     first = [float(g @ (joint @ g)) for g in (cut, cut - net, net)]
     total = float(close_area @ found[:, 0])
-    return NearBase(total, float(close_area.sum()), near, first[0] + curved, first[1] + curved, first[2], curved, cut, net)
+    return NearBase(
+        total,
+        float(close_area.sum()),
+        near,
+        first[0] + curved,
+        first[1] + curved,
+        first[2],
+        curved,
+        cut,
+        net,
+    )
 
 
 def checked(variance: F64, n: int) -> F64:
-    """Variances of n vertices. Raises :class:`VolumeError` where one is missing, negative or no number."""
+    """Variances of n vertices. Raises :class:`VolumeError` where one is missing, negative or no
+    number.
+    """
     if variance.shape != (n,) or not (np.isfinite(variance) & (variance >= 0)).all():
         raise VolumeError("every vertex needs a variance of 0 or more", reason="volume_variance")
     return variance
@@ -159,7 +216,9 @@ def smoothed(tin: Tin, height: F64, variance: F64, near: I32, rings: int, summed
     return Smooth(tin, height, variance, wanted, rings, summed)
 
 
-def blocks(smooth: Smooth, triangles: I32, packed: F64) -> Iterator[tuple[slice, tuple[F64, F64, F64]]]:
+def blocks(
+    smooth: Smooth, triangles: I32, packed: F64
+) -> Iterator[tuple[slice, tuple[F64, F64, F64]]]:
     """Some triangles at a time, and what :func:`folds` takes of them."""
     deviation = np.sqrt(smooth.variance)
     for i in range(0, len(triangles), BLOCK):
@@ -168,11 +227,14 @@ def blocks(smooth: Smooth, triangles: I32, packed: F64) -> Iterator[tuple[slice,
 
 
 def folds(mu: F64, s: F64, noise: F64, slopes: bool) -> tuple[F64, F64, F64, F64]:
-    """Means of the positive part of smoothed heights mu (m, 3) above the base: as they are, with the noise, packed (m, 6), with that and
-    the heights' own standard deviations s (m, 3), and with these alone; ``slopes`` as for
-    :func:`~ladar_volume.volume.folded.folded`."""
+    """Means of the positive part of smoothed heights mu (m, 3) above the base: as they are, with
+    the noise, packed (m, 6), with that and the heights' own standard deviations s (m, 3), and with
+    these alone; ``slopes`` as for :func:`~ladar_volume.volume.folded.folded`.
+    """
     plain = without_noise(mu)
-    own = np.stack([s[:, i] * s[:, j] for i, j in PACKED], axis=1)  # neighbouring planes share their points: as if fully correlated
+    own = np.stack(
+        [s[:, i] * s[:, j] for i, j in PACKED], axis=1
+    )  # neighbouring planes share their points: as if fully correlated
     once, twice, plane = (folded(mu, C, plain, slopes) for C in (noise, noise + own, own))
     return plain, once, twice, plane
 
@@ -184,38 +246,63 @@ def correction(plain: F64, once: F64, twice: F64, plane: F64) -> F64:
 
 
 def moments(mu: F64, s: F64, noise: F64) -> F64:
-    """Means (m, 13) over triangles, of what :func:`folds` takes: the correction, slopes of the cut (3), derivatives of the correction by
-    the smoothed heights (3), curvature (6)."""
+    """Means (m, 13) over triangles, of what :func:`folds` takes: the correction, slopes of the cut
+    (3), derivatives of the correction by the smoothed heights (3), curvature (6).
+    """
     out, (plain, once, twice, plane) = np.empty((len(mu), 13)), folds(mu, s, noise, slopes=True)
     out[:, 0] = correction(plain, once, twice, plane)
-    # how the correction follows the heights through the planes; its kink at zero is smoothed as the planes are
+    # how the correction follows the heights through the planes; its kink at zero is smoothed as the
+    # planes are
     out[:, 4:7] = 2.0 * once[:, 1:4] - twice[:, 1:4] - plane[:, 1:4]
     out[:, 1:4], out[:, 7:] = once[:, 1:4], once[:, 4:]
     return out
 
 
-def near_levels(tin: Tin, levels_m: F64, C: Any, base: Plane | None = None, mask: Bool | None = None, rings: int = 4) -> F64:
-    """Corrections (k,) m³ of cut and fill at levels (k,), m, in any order; with ``base`` they count from it. At each it is that of
-    :func:`near_base`, which see; the true heights are estimated once."""
+def near_levels(
+    tin: Tin,
+    levels_m: F64,
+    C: Any,
+    base: Plane | None = None,
+    mask: Bool | None = None,
+    rings: int = 4,
+) -> F64:
+    """Corrections (k,) m³ of cut and fill at levels (k,), m, in any order; with ``base`` they count
+    from it. At each it is that of :func:`near_base`, which see; the true heights are estimated
+    once.
+    """
     chosen = tin.relevant if mask is None else mask
     t, variance = tin.triangles[chosen], sparse.csr_array(C).diagonal()
-    h = tin.vertices[:, 2] if base is None else tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
+    h = (
+        tin.vertices[:, 2]
+        if base is None
+        else tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
+    )
     order, reach = np.argsort(levels_m, kind="stable"), REACH * np.sqrt(variance)
     level = np.asarray(levels_m, dtype=np.float64)[order]
     low, high = (h - reach)[t].min(axis=1), (h + reach)[t].max(axis=1)
     first = np.searchsorted(level, low)
-    count = np.where(any_corner(t, reach > 0), np.searchsorted(level, high, side="right") - first, 0)
+    count = np.where(
+        any_corner(t, reach > 0), np.searchsorted(level, high, side="right") - first, 0
+    )
     close, out = np.flatnonzero(count > 0), np.zeros(len(level))
     summed: F64 = np.asarray(sparse.csr_array(C).sum(axis=1), dtype=np.float64).ravel()
     smooth = smoothed(tin, h, variance, t[close], rings, summed)
     t, first, count = t[close], first[close], count[close]
-    area, packed, s = footprint_areas(tin.vertices, t), node_covariances(C, t), np.sqrt(smooth.variance)[t]
+    area, packed, s = (
+        footprint_areas(tin.vertices, t),
+        node_covariances(C, t),
+        np.sqrt(smooth.variance)[t],
+    )
     ends = np.cumsum(count)
     for i in range(0, int(ends[-1]) if len(ends) else 0, BLOCK):
         pair = np.arange(i, min(i + BLOCK, int(ends[-1])))
-        one = np.searchsorted(ends, pair, side="right")  # every triangle with every level it comes near
+        one = np.searchsorted(
+            ends, pair, side="right"
+        )  # every triangle with every level it comes near
         at = first[one] + pair - (ends[one] - count[one])
-        taken = correction(*folds(smooth.heights[t[one]] - level[at, None], s[one], packed[one], slopes=False))
+        taken = correction(
+            *folds(smooth.heights[t[one]] - level[at, None], s[one], packed[one], slopes=False)
+        )
         out += np.bincount(at, area[one] * taken, len(level))
     back = np.empty_like(out)
     back[order] = out
@@ -224,7 +311,9 @@ def near_levels(tin: Tin, levels_m: F64, C: Any, base: Plane | None = None, mask
 
 @kernel
 def edge_sums(curvature: F64, triangles: I32, start: I64, link: I64) -> tuple[F64, F64]:
-    """Packed curvatures (m, 6) of triangles added up by edge, as ``link`` lists them, and by vertex (n,)."""
+    """Packed curvatures (m, 6) of triangles added up by edge, as ``link`` lists them, and by vertex
+    (n,).
+    """
     edge, own = np.zeros(len(link)), np.zeros(len(start) - 1)
     for t in range(len(triangles)):
         k = 0
@@ -232,7 +321,10 @@ def edge_sums(curvature: F64, triangles: I32, start: I64, link: I64) -> tuple[F6
             own[triangles[t, a]] += curvature[t, k]
             k += 1
             for b in range(a + 1, 3):
-                for i, j in ((triangles[t, a], triangles[t, b]), (triangles[t, b], triangles[t, a])):
+                for i, j in (
+                    (triangles[t, a], triangles[t, b]),
+                    (triangles[t, b], triangles[t, a]),
+                ):
                     for e in range(start[i], start[i + 1]):
                         if link[e] == j:
                             edge[e] += curvature[t, k]
@@ -242,8 +334,12 @@ def edge_sums(curvature: F64, triangles: I32, start: I64, link: I64) -> tuple[F6
 
 
 @parallel_kernel
-def trace_kernel(start: I64, link: I64, edge: F64, own: F64, begin: I64, column: I64, value: F64) -> F64:
-    """Parts (chunks,) of ``tr(HCHC)``: H by edge and by vertex, C in CSR form; both symmetric. Row by row: ``Σ_j H_ij (CHC)_ij``."""
+def trace_kernel(
+    start: I64, link: I64, edge: F64, own: F64, begin: I64, column: I64, value: F64
+) -> F64:
+    """Parts (chunks,) of ``tr(HCHC)``: H by edge and by vertex, C in CSR form; both symmetric. Row
+    by row: ``Σ_j H_ij (CHC)_ij``.
+    """
     n = len(own)
     out = np.zeros(CHUNKS)
     for chunk in numba.prange(CHUNKS):
@@ -271,6 +367,8 @@ def trace_kernel(start: I64, link: I64, edge: F64, own: F64, begin: I64, column:
 
 
 def second_order(curvature: F64, triangles: I32, start: I64, link: I64, C: Any) -> float:
-    """``½ tr(HCHC)`` of packed curvatures (m, 6) summed over triangles, m⁶; start, link : edges of the triangulation in CSR form."""
+    """``½ tr(HCHC)`` of packed curvatures (m, 6) summed over triangles, m⁶; start, link : edges of
+    the triangulation in CSR form.
+    """
     edge, own = edge_sums(curvature, triangles, start, link)
     return 0.5 * float(trace_kernel(start, link, edge, own, *csr(C)).sum())

@@ -1,7 +1,9 @@
-"""True heights near a base, estimated by planes through the vertices' neighbourhoods (UNCERTAINTY step 7).
+"""True heights near a base, estimated by planes through the vertices' neighbourhoods (UNCERTAINTY
+step 7).
 
-A neighbourhood grows ring by ring, up to a number of rings, as long as the squares of its heights about its plane are what noise explains
-(three standard deviations of their sum): it ends where the ground ends or leaves the level.
+A neighbourhood grows ring by ring, up to a number of rings, as long as the squares of its heights
+about its plane are what noise explains (three standard deviations of their sum): it ends where the
+ground ends or leaves the level.
 """
 
 from __future__ import annotations
@@ -22,38 +24,65 @@ CHUNKS = 16
 
 
 class Smooth:
-    """Heights of the ``wanted`` (n,) vertices as those of planes through their neighbourhoods, the others' as they are.
+    """Heights of the ``wanted`` (n,) vertices as those of planes through their neighbourhoods, the
+    others' as they are.
 
-    start, link : edges of the triangulation in CSR form · heights : (n,) m · variance : (n,) m². h, variance : (n,) heights given and their
-    variances · summed : (n,) m², by default the variances: sums of each height's covariances, what it brings to the variance of a mean
+    start, link : edges of the triangulation in CSR form · heights : (n,) m · variance : (n,) m². h,
+    variance : (n,) heights given and their variances · summed : (n,) m², by default the variances:
+    sums of each height's covariances, what it brings to the variance of a mean
     """
 
-    def __init__(self, tin: Tin, h: F64, variance: F64, wanted: Bool, rings: int, summed: F64 | None = None) -> None:
+    def __init__(
+        self, tin: Tin, h: F64, variance: F64, wanted: Bool, rings: int, summed: F64 | None = None
+    ) -> None:
         self.start, self.link = edges(tin.triangles, tin.neighbours, len(h))
-        self._xy, rows = np.ascontiguousarray(tin.vertices[:, :2]), np.flatnonzero(wanted).astype(np.int64)
-        self._rows = rows[hilbert_order(self._xy[rows])]  # neighbours in turn share what the cache holds
+        self._xy, rows = (
+            np.ascontiguousarray(tin.vertices[:, :2]),
+            np.flatnonzero(wanted).astype(np.int64),
+        )
+        self._rows = rows[
+            hilbert_order(self._xy[rows])
+        ]  # neighbours in turn share what the cache holds
         self._ring, self._plane = np.zeros(len(rows), np.int64), np.zeros((len(rows), 3))
         self.heights, self.variance = h.copy(), variance.copy()
         if rings > 0 and len(rows):
             share = variance if summed is None else np.maximum(summed, 0.0)
-            self._ring, self._plane, level, spread = smooth_kernel(self.start, self.link, self._xy, h, variance, share, self._rows, rings)
+            self._ring, self._plane, level, spread = smooth_kernel(
+                self.start, self.link, self._xy, h, variance, share, self._rows, rings
+            )
             grown = self._ring > 0
-            self.heights[self._rows[grown]], self.variance[self._rows[grown]] = level[grown], spread[grown]
+            self.heights[self._rows[grown]], self.variance[self._rows[grown]] = (
+                level[grown],
+                spread[grown],
+            )
 
     def adjoint(self, gradient: F64) -> F64:
-        """From derivatives (n,) by the smoothed heights to those (n,) by the heights given; the neighbourhoods are held fixed."""
+        """From derivatives (n,) by the smoothed heights to those (n,) by the heights given; the
+        neighbourhoods are held fixed.
+        """
         used = np.flatnonzero((self._ring > 0) & (gradient[self._rows] != 0.0))
         rows = self._rows[used]
         out = gradient.copy()
         out[rows] = 0.0
-        parts = adjoint_kernel(self.start, self.link, self._xy, rows, self._ring[used], self._plane[used], gradient[rows])
+        parts = adjoint_kernel(
+            self.start,
+            self.link,
+            self._xy,
+            rows,
+            self._ring[used],
+            self._plane[used],
+            gradient[rows],
+        )
         return np.asarray(out + parts.sum(axis=0))
 
 
 @kernel
-def grow(start: I64, link: I64, member: I64, begin: int, count: int, mark: I32, stamp: int) -> tuple[I64, int]:
-    """Add the vertices an edge away from members begin..count; returns the members, which may have moved to a longer array, and how many
-    they are."""
+def grow(
+    start: I64, link: I64, member: I64, begin: int, count: int, mark: I32, stamp: int
+) -> tuple[I64, int]:
+    """Add the vertices an edge away from members begin..count; returns the members, which may have
+    moved to a longer array, and how many they are.
+    """
     end = count
     for i in range(begin, count):
         v = member[i]
@@ -71,8 +100,9 @@ def grow(start: I64, link: I64, member: I64, begin: int, count: int, mark: I32, 
 
 @kernel
 def add_moments(xy: F64, h: F64, share: F64, member: I64, begin: int, count: int, m: F64) -> None:
-    """Adds members begin..count to the moments m (15,) about the first of them: of 1, x, y, x², xy, y², then h, hx, hy, and those six
-    weighted with ``share``."""
+    """Adds members begin..count to the moments m (15,) about the first of them: of 1, x, y, x², xy,
+    y², then h, hx, hy, and those six weighted with ``share``.
+    """
     o = member[0]
     for i in range(begin, count):
         v = member[i]
@@ -96,8 +126,10 @@ def add_moments(xy: F64, h: F64, share: F64, member: I64, begin: int, count: int
 
 @kernel
 def plane_weights(m: F64, plane: F64) -> None:
-    """The weights ``a + b x + c y`` (plane: a, b, c) with which heights at (x, y) give the height of their plane at the origin, from their
-    moments; the same for all, which gives the mean, where they lie on a line."""
+    """The weights ``a + b x + c y`` (plane: a, b, c) with which heights at (x, y) give the height
+    of their plane at the origin, from their moments; the same for all, which gives the mean, where
+    they lie on a line.
+    """
     cx, cy = m[1] / m[0], m[2] / m[0]
     sxx, sxy, syy = m[3] - cx * m[1], m[4] - cx * m[2], m[5] - cy * m[2]
     det = sxx * syy - sxy * sxy
@@ -111,12 +143,18 @@ def plane_weights(m: F64, plane: F64) -> None:
 def smooth_kernel(
     start: I64, link: I64, xy: F64, h: F64, variance: F64, share: F64, rows: I64, rings: int
 ) -> tuple[I64, F64, F64, F64]:
-    """For vertices rows (r,): how many rings their neighbourhood has, the weights (r, 3) of its plane, and the plane's height there and
-    its variance."""
+    """For vertices rows (r,): how many rings their neighbourhood has, the weights (r, 3) of its
+    plane, and the plane's height there and its variance.
+    """
     r, n = len(rows), len(h)
     ring, planes, level, spread = np.zeros(r, np.int64), np.zeros((r, 3)), np.zeros(r), np.zeros(r)
     for chunk in numba.prange(CHUNKS):
-        mark, member, m, p = np.full(n, -1, np.int32), np.empty(256, np.int64), np.empty(15), np.empty(3)
+        mark, member, m, p = (
+            np.full(n, -1, np.int32),
+            np.empty(256, np.int64),
+            np.empty(15),
+            np.empty(3),
+        )
         for i in range(chunk * r // CHUNKS, (chunk + 1) * r // CHUNKS):
             member[0], mark[rows[i]] = rows[i], i
             begin, count = 0, 1
@@ -141,9 +179,13 @@ def smooth_kernel(
 
 
 @parallel_kernel
-def adjoint_kernel(start: I64, link: I64, xy: F64, rows: I64, ring: I64, planes: F64, gradient: F64) -> F64:
-    """Derivatives (chunks, n), to be summed, by the heights from those (r,) by the heights of planes with weights ``planes`` (r, 3) over
-    neighbourhoods of ``ring`` (r,) rings about rows (r,)."""
+def adjoint_kernel(
+    start: I64, link: I64, xy: F64, rows: I64, ring: I64, planes: F64, gradient: F64
+) -> F64:
+    """Derivatives (chunks, n), to be summed, by the heights from those (r,) by the heights of
+    planes with weights ``planes`` (r, 3) over neighbourhoods of ``ring`` (r,) rings about rows
+    (r,).
+    """
     r, n, chunks = len(rows), len(xy), CHUNKS // 2
     out = np.zeros((chunks, n))
     for chunk in numba.prange(chunks):
@@ -157,7 +199,11 @@ def adjoint_kernel(start: I64, link: I64, xy: F64, rows: I64, ring: I64, planes:
                 begin, count = count, more
             for j in range(count):
                 v = member[j]
-                weight = planes[i, 0] + planes[i, 1] * (xy[v, 0] - xy[o, 0]) + planes[i, 2] * (xy[v, 1] - xy[o, 1])
+                weight = (
+                    planes[i, 0]
+                    + planes[i, 1] * (xy[v, 0] - xy[o, 0])
+                    + planes[i, 2] * (xy[v, 1] - xy[o, 1])
+                )
                 out[chunk, v] += g * weight
     return out
 
@@ -173,35 +219,56 @@ def neighbourhoods(tin: Tin) -> Any:
 
 
 def plane_rows(member: Any, rows: I64, xy: F64) -> Any:
-    """Weights (r, n), sparse, with which the heights of a vertex' neighbourhood, ``member`` (r, n), give the plane's height at it."""
+    """Weights (r, n), sparse, with which the heights of a vertex' neighbourhood, ``member`` (r, n),
+    give the plane's height at it.
+    """
     x, y = xy.T
     sums = member @ np.c_[np.ones(len(x)), x, y, x * x, x * y, y * y]
     n, cx, cy = sums[:, 0], sums[:, 1] / sums[:, 0], sums[:, 2] / sums[:, 0]
-    sxx, sxy, syy = sums[:, 3] - cx * sums[:, 1], sums[:, 4] - cx * sums[:, 2], sums[:, 5] - cy * sums[:, 2]
+    sxx, sxy, syy = (
+        sums[:, 3] - cx * sums[:, 1],
+        sums[:, 4] - cx * sums[:, 2],
+        sums[:, 5] - cy * sums[:, 2],
+    )
     det, dx, dy = sxx * syy - sxy * sxy, x[rows] - cx, y[rows] - cy
     good = det > 1e-9 * (sxx + syy) ** 2
     det = np.where(good, det, 1.0)
-    px, py = np.where(good, (syy * dx - sxy * dy) / det, 0.0), np.where(good, (sxx * dy - sxy * dx) / det, 0.0)
+    px, py = (
+        np.where(good, (syy * dx - sxy * dy) / det, 0.0),
+        np.where(good, (sxx * dy - sxy * dx) / det, 0.0),
+    )
     S, own = member.copy(), np.repeat(np.arange(len(rows)), np.diff(member.indptr))
     S.data = (1.0 / n - px * cx - py * cy)[own] + px[own] * x[S.indices] + py[own] * y[S.indices]
     return S
 
 
 def smoother(tin: Tin, h: F64, variance: F64, wanted: Bool, rings: int) -> Any:
-    """The plain twin of :class:`Smooth`, sparse (n, n): smoothed heights are ``S h``, the adjoint is ``Sᵀ``."""
+    """The plain twin of :class:`Smooth`, sparse (n, n): smoothed heights are ``S h``, the adjoint
+    is ``Sᵀ``.
+    """
     rows, near = np.flatnonzero(wanted).astype(np.int64), neighbourhoods(tin)
     xy = tin.vertices[:, :2] - tin.vertices[:, :2].mean(axis=0)
-    S, member, alive = sparse.eye_array(len(h), format="csr"), sparse.eye_array(len(h), format="csr")[rows], np.ones(len(rows), bool)
+    S, member, alive = (
+        sparse.eye_array(len(h), format="csr"),
+        sparse.eye_array(len(h), format="csr")[rows],
+        np.ones(len(rows), bool),
+    )
     for _ in range(rings if len(rows) else 0):
         member = sparse.csr_array(member @ near)
         member.data[:] = 1.0
         new = plane_rows(member, rows, xy)
         level = new @ h
         own, count = np.repeat(np.arange(len(rows)), np.diff(member.indptr)), np.diff(member.indptr)
-        square = np.bincount(own, (h[member.indices] - level[own]) ** 2 / np.maximum(variance[member.indices], 1e-300), len(rows))
+        square = np.bincount(
+            own,
+            (h[member.indices] - level[own]) ** 2 / np.maximum(variance[member.indices], 1e-300),
+            len(rows),
+        )
         alive &= square <= count + 3.0 * np.sqrt(2.0 * count)
         keep = np.ones(len(h))
         keep[rows[alive]] = 0.0
-        lift = sparse.csr_array((np.ones(alive.sum()), (rows[alive], np.flatnonzero(alive))), shape=(len(h), len(rows)))
+        lift = sparse.csr_array(
+            (np.ones(alive.sum()), (rows[alive], np.flatnonzero(alive))), shape=(len(h), len(rows))
+        )
         S = sparse.csr_array(sparse.diags_array(keep) @ S + lift @ new)
     return S

@@ -1,4 +1,6 @@
-"""Where the volume counts: bodies above a base, widened so that their toes are inside, as sets of whole triangles."""
+"""Where the volume counts: bodies above a base, widened so that their toes are inside, as sets of
+whole triangles.
+"""
 
 from __future__ import annotations
 
@@ -18,30 +20,46 @@ def components(tin: Tin, mask: Bool) -> I64:
     return np.asarray(parts_kernel(tin.neighbours, mask))
 
 
-def bodies(tin: Tin, base: Plane, object_height_m: float, count: int = 1, least_m3: float = 0.0) -> list[Bool]:
-    """Triangles (m,) of the largest bodies by volume, ``count`` at most (0: all): connected relevant triangles whose three vertices rise
-    more than ``object_height_m`` above the base. The first always counts, the others with at least ``least_m3``.
+def bodies(
+    tin: Tin, base: Plane, object_height_m: float, count: int = 1, least_m3: float = 0.0
+) -> list[Bool]:
+    """Triangles (m,) of the largest bodies by volume, ``count`` at most (0: all): connected
+    relevant triangles whose three vertices rise more than ``object_height_m`` above the base. The
+    first always counts, the others with at least ``least_m3``.
 
     Raises :class:`VolumeError` where nothing rises that high.
     """
     height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
     rising = tin.relevant & ~any_corner(tin.triangles, ~(height > object_height_m))
     if not rising.any():
-        raise VolumeError(f"nothing rises more than {object_height_m:g} m above the base", reason="volume_no_body", value=object_height_m)
+        raise VolumeError(
+            f"nothing rises more than {object_height_m:g} m above the base",
+            reason="volume_no_body",
+            value=object_height_m,
+        )
     label = components(tin, rising)
     chosen = np.flatnonzero(rising)
     h = height[tin.triangles[chosen]]
-    volume = footprint_areas(tin.vertices, tin.triangles[chosen]) * ((h[:, 0] + h[:, 1] + h[:, 2]) / 3.0)
+    volume = footprint_areas(tin.vertices, tin.triangles[chosen]) * (
+        (h[:, 0] + h[:, 1] + h[:, 2]) / 3.0
+    )
     total = np.bincount(label[chosen], volume)
     order = np.argsort(-total, kind="stable")
-    kept = [int(k) for n, k in enumerate(order) if n == 0 or (total[k] > 0 and total[k] >= least_m3)]
+    kept = [
+        int(k) for n, k in enumerate(order) if n == 0 or (total[k] > 0 and total[k] >= least_m3)
+    ]
     return [label == k for k in (kept[:count] if count else kept)]
 
 
 def shares(tin: Tin, outline: Bool, found: list[Bool]) -> list[Bool]:
-    """The triangles (m,) of an outline around several bodies, each given to the body with the vertex nearest to its centroid."""
+    """The triangles (m,) of an outline around several bodies, each given to the body with the
+    vertex nearest to its centroid.
+    """
     middle = tin.vertices[tin.triangles, :2].mean(axis=1)
-    distance = [np.asarray(cKDTree(tin.vertices[vertex_mask(tin, body), :2]).query(middle)[0]) for body in found]
+    distance = [
+        np.asarray(cKDTree(tin.vertices[vertex_mask(tin, body), :2]).query(middle)[0])
+        for body in found
+    ]
     nearest = np.argmin(distance, axis=0)
     for number, body in enumerate(found):
         nearest[body] = number
@@ -49,17 +67,23 @@ def shares(tin: Tin, outline: Bool, found: list[Bool]) -> list[Bool]:
 
 
 def within(tin: Tin, mask: Bool, distance_m: float) -> Bool:
-    """Vertices (n,) within ``distance_m``, horizontally, of a vertex of the triangles in ``mask``; these themselves are."""
+    """Vertices (n,) within ``distance_m``, horizontally, of a vertex of the triangles in ``mask``;
+    these themselves are.
+    """
     some = vertex_mask(tin, mask)
     if not some.any():
         return some
-    out = np.asarray(reached(tin.triangles, tin.neighbours, tin.vertices, some, distance_m * (1.0 - 1e-9)))
+    out = np.asarray(
+        reached(tin.triangles, tin.neighbours, tin.vertices, some, distance_m * (1.0 - 1e-9))
+    )
     bound, rest = 1.001 * distance_m + 1e-6, ~out  # the search excludes its bound
     for c in tin.vertices.T[:2]:
         own = c[some]
         rest &= (c > own.min() - bound) & (c < own.max() + bound)
     if rest.any():
-        tree = cKDTree(tin.vertices[some, :2], balanced_tree=False, compact_nodes=False)  # built in half the time
+        tree = cKDTree(
+            tin.vertices[some, :2], balanced_tree=False, compact_nodes=False
+        )  # built in half the time
         distance, _ = tree.query(tin.vertices[rest, :2], distance_upper_bound=bound)
         out[rest] = np.asarray(distance) <= distance_m
     return out
@@ -67,8 +91,10 @@ def within(tin: Tin, mask: Bool, distance_m: float) -> Bool:
 
 @kernel
 def reached(triangles: I32, neighbours: I32, vertices: F64, some: Bool, distance_m: float) -> Bool:
-    """Vertices (n,) that lie within a distance, horizontally, of one of ``some`` (n,), as far as these show themselves on the way from
-    triangle to triangle: each vertex tries those that its neighbours found. That is most of them, for less than a search each."""
+    """Vertices (n,) that lie within a distance, horizontally, of one of ``some`` (n,), as far as
+    these show themselves on the way from triangle to triangle: each vertex tries those that its
+    neighbours found. That is most of them, for less than a search each.
+    """
     m, nearest = len(triangles), np.full(len(vertices), -1, np.int32)
     queue, queued, first, last = np.empty(m, np.int32), np.zeros(m, np.bool_), 0, 0
     for v in range(len(vertices)):
@@ -87,7 +113,9 @@ def reached(triangles: I32, neighbours: I32, vertices: F64, some: Bool, distance
                 for j in range(1, 3):
                     s = nearest[triangles[t, (k + j) % 3]]
                     if s >= 0:
-                        square = (vertices[s, 0] - vertices[v, 0]) ** 2 + (vertices[s, 1] - vertices[v, 1]) ** 2
+                        square = (vertices[s, 0] - vertices[v, 0]) ** 2 + (
+                            vertices[s, 1] - vertices[v, 1]
+                        ) ** 2
                         if square <= least:
                             least, nearest[v] = square, s
             found += nearest[v] >= 0
@@ -99,23 +127,31 @@ def reached(triangles: I32, neighbours: I32, vertices: F64, some: Bool, distance
 
 
 def widened(tin: Tin, body: Bool, margin_m: float) -> Bool:
-    """The body, the relevant triangles with a vertex within ``margin_m`` of it, and the holes these enclose."""
+    """The body, the relevant triangles with a vertex within ``margin_m`` of it, and the holes these
+    enclose.
+    """
     near = within(tin, body, margin_m)
     grown = tin.relevant & (body | any_corner(tin.triangles, near))
     return fill_holes(tin, grown)
 
 
 def fill_holes(tin: Tin, mask: Bool) -> Bool:
-    """``mask`` with the relevant triangles added that it encloses: those cut off from the hull and from irrelevant triangles."""
+    """``mask`` with the relevant triangles added that it encloses: those cut off from the hull and
+    from irrelevant triangles.
+    """
     return np.asarray(filled(tin.neighbours, tin.relevant, mask, components(tin, ~mask)))
 
 
 @kernel
 def filled(neighbours: I32, relevant: Bool, mask: Bool, part: I64) -> Bool:
-    """See :func:`fill_holes`; part : (m,) number of the component off the mask each triangle belongs to, -1 on it."""
+    """See :func:`fill_holes`; part : (m,) number of the component off the mask each triangle
+    belongs to, -1 on it.
+    """
     outside = np.zeros(part.max() + 1, np.bool_)
     for t in range(len(part)):
-        if part[t] >= 0 and (not relevant[t] or neighbours[t, 0] < 0 or neighbours[t, 1] < 0 or neighbours[t, 2] < 0):
+        if part[t] >= 0 and (
+            not relevant[t] or neighbours[t, 0] < 0 or neighbours[t, 1] < 0 or neighbours[t, 2] < 0
+        ):
             outside[part[t]] = True
     out = mask.copy()
     for t in range(len(part)):
@@ -133,7 +169,9 @@ def surroundings(tin: Tin, outline: Bool, ring_m: float) -> I64:
 
 
 def boundary_loop(tin: Tin, mask: Bool) -> F64:
-    """The boundary ring (k, 2) m of the triangles in ``mask`` with the largest area, counter-clockwise, not repeated at its end."""
+    """The boundary ring (k, 2) m of the triangles in ``mask`` with the largest area,
+    counter-clockwise, not repeated at its end.
+    """
     beyond = np.where(tin.neighbours >= 0, mask[tin.neighbours], False)
     t, k = np.nonzero(mask[:, None] & ~beyond)
     a, b = tin.triangles[t, (k + 1) % 3], tin.triangles[t, (k + 2) % 3]

@@ -1,9 +1,10 @@
 """Kernels of the overlay of two triangulations: pairs of triangles, clipped and integrated.
 
-For each triangle of one surface (the subject) those of the other that it meets are found from neighbour to neighbour: where a piece
-was cut off by an edge, the triangle beyond that edge comes next. What the pieces found so leave of the subject's area - at the rim of
-the other surface, over its holes, where very many small triangles lie below a large one - sends the subject to the other surface's
-tree instead, so nothing depends on the walk being complete.
+For each triangle of one surface (the subject) those of the other that it meets are found from
+neighbour to neighbour: where a piece was cut off by an edge, the triangle beyond that edge comes
+next. What the pieces found so leave of the subject's area - at the rim of the other surface, over
+its holes, where very many small triangles lie below a large one - sends the subject to the other
+surface's tree instead, so nothing depends on the walk being complete.
 """
 
 from __future__ import annotations
@@ -16,17 +17,21 @@ from ladar_volume.model.records import F64, I64
 from ladar_volume.surface.locate import CHUNKS, search
 from ladar_volume.volume.pieces import CORNERS, PAIR, ROWS, A, B, add_piece, clip_pair
 
-#: Steps of a walk to a triangle's centre and triangles met below one, beyond which the tree is asked.
+#: Steps of a walk to a triangle's centre and triangles met below one, beyond which the tree is
+#: asked.
 STEPS, FEW = 1024, 96
 #: Part of a triangle's area that pieces may miss by rounding.
 MISSED = 1e-9
-#: Pieces whose integrals wait to be added to the other surface's triangles, per chunk. Only one thread adds, always in the same order.
+#: Pieces whose integrals wait to be added to the other surface's triangles, per chunk. Only one
+#: thread adds, always in the same order.
 WAITING = 4096
 
 
 @kernel
 def walk(corners: F64, neighbours: I64, start: int, x: float, y: float) -> int:
-    """Triangle that holds a point, or borders it by rounding, walking from triangle ``start``; −1 where the walk ends elsewhere."""
+    """Triangle that holds a point, or borders it by rounding, walking from triangle ``start``; −1
+    where the walk ends elsewhere.
+    """
     t = start
     for _ in range(STEPS):
         if t < 0:
@@ -46,9 +51,15 @@ def walk(corners: F64, neighbours: I64, start: int, x: float, y: float) -> int:
 
 @kernel
 def shift(corners: F64, t: int, x0: float, y0: float, w: F64, row: int) -> None:
-    """Triangle t about a point into the scratch: differences of large map coordinates are exact or nearly so, their products are not."""
+    """Triangle t about a point into the scratch: differences of large map coordinates are exact or
+    nearly so, their products are not.
+    """
     for k in range(3):
-        w[row, k], w[row + 1, k], w[row + 2, k] = corners[t, k, 0] - x0, corners[t, k, 1] - y0, corners[t, k, 2]
+        w[row, k], w[row + 1, k], w[row + 2, k] = (
+            corners[t, k, 0] - x0,
+            corners[t, k, 1] - y0,
+            corners[t, k, 2],
+        )
 
 
 @kernel
@@ -57,17 +68,33 @@ def note(w: F64, o: int, ids: I64, rows: F64, chunk: int, used: int) -> int:
     ids[chunk, used] = o
     for side in range(2):
         rows[chunk, used, 3 * side] = w[PAIR + side, 0]
-        rows[chunk, used, 3 * side + 1], rows[chunk, used, 3 * side + 2] = w[PAIR + side, 4], w[PAIR + side, 5]
+        rows[chunk, used, 3 * side + 1], rows[chunk, used, 3 * side + 2] = (
+            w[PAIR + side, 4],
+            w[PAIR + side, 5],
+        )
     return used + 1
 
 
 @kernel
 def along_neighbours(
-    t: int, start: int, corners: F64, other: F64, neighbours: I64, sign: float, w: F64, found: I64, out: F64, ids: I64, rows: F64,
-    chunk: int, used: int,
-) -> tuple[float, int, int]:  # fmt: skip
-    """Adds the pieces of triangle t met from neighbour to neighbour, beginning with triangle ``start``, to ``out[t]``: their area, how many
-    pieces are kept now, and the last triangle with a piece, −1 for none."""
+    t: int,
+    start: int,
+    corners: F64,
+    other: F64,
+    neighbours: I64,
+    sign: float,
+    w: F64,
+    found: I64,
+    out: F64,
+    ids: I64,
+    rows: F64,
+    chunk: int,
+    used: int,
+) -> tuple[float, int, int]:
+    """Adds the pieces of triangle t met from neighbour to neighbour, beginning with triangle
+    ``start``, to ``out[t]``: their area, how many pieces are kept now, and the last triangle with a
+    piece, −1 for none.
+    """
     x0, y0 = corners[t, 0, 0], corners[t, 0, 1]
     covered, last, i, count = 0.0, -1, 0, 1
     found[0] = start
@@ -97,11 +124,24 @@ def along_neighbours(
 
 @kernel
 def from_tree(
-    t: int, entry: int, corners: F64, other: F64, tree: F64, sign: float, w: F64, found: I64, out: F64, ids: I64, rows: F64, chunk: int,
+    t: int,
+    entry: int,
+    corners: F64,
+    other: F64,
+    tree: F64,
+    sign: float,
+    w: F64,
+    found: I64,
+    out: F64,
+    ids: I64,
+    rows: F64,
+    chunk: int,
     used: int,
-) -> tuple[int, int, int]:  # fmt: skip
-    """Adds the pieces of triangle t with those whose boxes it meets, from the one numbered ``entry`` on: where to go on (−1: all done), how
-    many pieces are kept now, and the last triangle with a piece, −1 for none."""
+) -> tuple[int, int, int]:
+    """Adds the pieces of triangle t with those whose boxes it meets, from the one numbered
+    ``entry`` on: where to go on (−1: all done), how many pieces are kept now, and the last triangle
+    with a piece, −1 for none.
+    """
     stack, box, last = np.empty(128, np.int64), np.empty(4), -1
     for c in range(2):
         box[c] = min(corners[t, 0, c], corners[t, 1, c], corners[t, 2, c])
@@ -127,10 +167,22 @@ def from_tree(
 
 @kernel
 def chunk_kernel(
-    chunk: int, stop: int, state: I64, corners: F64, other: F64, neighbours: I64, tree: F64, sign: float, out: F64, ids: I64, rows: F64,
-) -> None:  # fmt: skip
-    """Works on the triangles of a chunk until they end or the pieces fill ``rows``. state[chunk] : next triangle, next entry of its tree
-    search (−1: not begun), where the last walk ended, pieces kept."""
+    chunk: int,
+    stop: int,
+    state: I64,
+    corners: F64,
+    other: F64,
+    neighbours: I64,
+    tree: F64,
+    sign: float,
+    out: F64,
+    ids: I64,
+    rows: F64,
+) -> None:
+    """Works on the triangles of a chunk until they end or the pieces fill ``rows``. state[chunk] :
+    next triangle, next entry of its tree search (−1: not begun), where the last walk ended, pieces
+    kept.
+    """
     found, w = np.empty(1024, np.int64), np.empty((ROWS, CORNERS))
     t, entry, last, used = state[chunk, 0], state[chunk, 1], state[chunk, 2], 0
     while t < stop and used + FEW <= WAITING:
@@ -142,15 +194,25 @@ def chunk_kernel(
             continue
         if entry < 0:
             before, covered, entry = used, -1.0, 0
-            at = walk(other, neighbours, last, x0 + (w[A, 1] + w[A, 2]) / 3.0, y0 + (w[A + 1, 1] + w[A + 1, 2]) / 3.0)
+            at = walk(
+                other,
+                neighbours,
+                last,
+                x0 + (w[A, 1] + w[A, 2]) / 3.0,
+                y0 + (w[A + 1, 1] + w[A + 1, 2]) / 3.0,
+            )
             if at >= 0:
-                covered, used, at = along_neighbours(t, at, corners, other, neighbours, sign, w, found, out, ids, rows, chunk, used)
+                covered, used, at = along_neighbours(
+                    t, at, corners, other, neighbours, sign, w, found, out, ids, rows, chunk, used
+                )
             if abs(covered - area) <= MISSED * area:
                 t, entry, last = t + 1, -1, at
                 continue
             used = before
             out[t] = 0.0
-        entry, used, at = from_tree(t, entry, corners, other, tree, sign, w, found, out, ids, rows, chunk, used)
+        entry, used, at = from_tree(
+            t, entry, corners, other, tree, sign, w, found, out, ids, rows, chunk, used
+        )
         last = at if at >= 0 else last
         if entry >= 0:
             break
@@ -170,13 +232,21 @@ def add_kept(state: I64, ids: I64, rows: F64, back: F64) -> None:
 
 
 @parallel_kernel
-def overlay_kernel(corners: F64, other: F64, neighbours: I64, tree: F64, sign: float, both: bool) -> tuple[F64, F64]:
-    """Integrals (m, 2, 4) over each triangle (m, 3, 3), x, y and height of its corners, above and below the other surface: area, those of
-    the second and third barycentric coordinate, and ∫|difference|; with ``both`` also (k, 2, 4) the first three by the triangles of the
-    other surface. Both are in the order of their trees; neighbours : (k, 3) of the other surface in that order, −1 for none."""
+def overlay_kernel(
+    corners: F64, other: F64, neighbours: I64, tree: F64, sign: float, both: bool
+) -> tuple[F64, F64]:
+    """Integrals (m, 2, 4) over each triangle (m, 3, 3), x, y and height of its corners, above and
+    below the other surface: area, those of the second and third barycentric coordinate, and
+    ∫|difference|; with ``both`` also (k, 2, 4) the first three by the triangles of the other
+    surface. Both are in the order of their trees; neighbours : (k, 3) of the other surface in that
+    order, −1 for none.
+    """
     m = len(corners)
     out, back = np.zeros((m, 2, 4)), np.zeros((len(other) if both else 0, 2, 4))
-    ids, rows = np.empty((CHUNKS if both else 0, WAITING), np.int64), np.empty((CHUNKS if both else 0, WAITING, 6))
+    ids, rows = (
+        np.empty((CHUNKS if both else 0, WAITING), np.int64),
+        np.empty((CHUNKS if both else 0, WAITING, 6)),
+    )
     state = np.zeros((CHUNKS, 4), np.int64)
     state[:, 1:3] = -1
     for chunk in range(CHUNKS):
@@ -184,7 +254,19 @@ def overlay_kernel(corners: F64, other: F64, neighbours: I64, tree: F64, sign: f
     left = CHUNKS
     while left > 0:
         for chunk in numba.prange(CHUNKS):
-            chunk_kernel(chunk, (chunk + 1) * m // CHUNKS, state, corners, other, neighbours, tree, sign, out, ids, rows)
+            chunk_kernel(
+                chunk,
+                (chunk + 1) * m // CHUNKS,
+                state,
+                corners,
+                other,
+                neighbours,
+                tree,
+                sign,
+                out,
+                ids,
+                rows,
+            )
         if both:
             add_kept(state, ids, rows, back)
         left = 0

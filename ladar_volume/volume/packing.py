@@ -1,13 +1,20 @@
-"""The large parts of a held surface in few bits: covariance blocks in 8, sensitivities to the navigation and to single beams in 16.
+"""The large parts of a held surface in few bits: covariance blocks in 8, sensitivities to the
+navigation and to single beams in 16.
 
-*Blocks.* Between parameters as they are, correlations would not do: those of one patch depend on one another, and what a result takes of
-them may be a small difference. So each patch has a factor ``F F^T = C_aa`` of its own block (Cholesky), and ``R_ab = F_a^-1 C_ab F_b^-T``
-is kept: correlations of parameters made independent within their patch, none beyond 1, to 1/254. With the loads ``y_a = F_a^T q_a``, whose
-squares add up to the variance if patches shared no returns, the variance errs by no more than ``(sum |y_a|_1)^2 / 254`` over pairs with a
+*Blocks.* Between parameters as they are, correlations would not do: those of one patch depend on
+    one another, and what a result takes of
+them may be a small difference. So each patch has a factor ``F F^T = C_aa`` of its own block
+    (Cholesky), and ``R_ab = F_a^-1 C_ab F_b^-T``
+is kept: correlations of parameters made independent within their patch, none beyond 1, to 1/254.
+    With the loads ``y_a = F_a^T q_a``, whose
+squares add up to the variance if patches shared no returns, the variance errs by no more than
+    ``(sum |y_a|_1)^2 / 254`` over pairs with a
 block, in truth by far less, since the errors have either sign.
 
-*Sensitivities.* Each row of a patch has a unit of its own for position and for attitude, for the beams' ranges and for their vertical
-angles: 2^-15 of its largest number there. Those to what all beams share stay float32: there is one of each, and in its sum over body and
+*Sensitivities.* Each row of a patch has a unit of its own for position and for attitude, for the
+    beams' ranges and for their vertical
+angles: 2^-15 of its largest number there. Those to what all beams share stay float32: there is one
+    of each, and in its sum over body and
 ground what is the same for both cancels.
 """
 
@@ -22,21 +29,25 @@ from ladar_volume.model.ragged import patch_range
 from ladar_volume.model.records import CAL_COLUMNS, F32, F64, I8, I16, I64, HeldPatches, Patches
 from ladar_volume.volume.patch_merge import holds, place_from
 
-#: Whole number for a correlation of 1, and what the factors are kept times: then a block is ``F_a R F_b^T`` of whole numbers R.
+#: Whole number for a correlation of 1, and what the factors are kept times: then a block is ``F_a R
+#: F_b^T`` of whole numbers R.
 ONE = 127.0
 SCALE = ONE**-0.5
 #: A pivot below this share of its diagonal is raised to it: there the block's own digits end.
 PIVOT = 1e-6
 #: Largest whole number of a sensitivity.
 LARGEST = 32767.0
-#: Calibration columns that all beams share; those of their ranges and of their vertical angles follow.
+#: Calibration columns that all beams share; those of their ranges and of their vertical angles
+#: follow.
 SHARED = len(CAL_COLUMNS)
 
 
 @kernel
 def factor_kernel(key: I64, start: I64, other: I64, cross: F32) -> F32:
-    """Lower factors (m, p, p), times :data:`SCALE`, of the own blocks of patches key (m,), among those from start (m + 1,) on, each with
-    the patch ``other``; zero where a parameter is certain, or where there is no such block."""
+    """Lower factors (m, p, p), times :data:`SCALE`, of the own blocks of patches key (m,), among
+    those from start (m + 1,) on, each with the patch ``other``; zero where a parameter is certain,
+    or where there is no such block.
+    """
     m, p = len(key), cross.shape[1]
     out, L = np.zeros((m, p, p), np.float32), np.zeros((p, p))
     for a in range(m):
@@ -80,8 +91,10 @@ def solve_left(F: F32, T: F64) -> None:
 
 @kernel
 def block_kernel(own: I64, start: I64, other: I64, cross: F32, keys: I64, factor: F32) -> I8:
-    """Blocks (k, p, p) of one part as whole numbers: own (m,) its keys, start, other in CSR form; zero where one of the two patches is not
-    among ascending keys with their factors. The lower key comes first."""
+    """Blocks (k, p, p) of one part as whole numbers: own (m,) its keys, start, other in CSR form;
+    zero where one of the two patches is not among ascending keys with their factors. The lower key
+    comes first.
+    """
     p, at, hint = cross.shape[1], 0, 0
     out, T, U = np.zeros(cross.shape, np.int8), np.empty((p, p)), np.empty((p, p))
     for i in range(len(own)):
@@ -107,8 +120,9 @@ def block_kernel(own: I64, start: I64, other: I64, cross: F32, keys: I64, factor
 
 @kernel
 def row_kernel(start: I64, M: F32) -> tuple[I16, F32]:
-    """Sensitivities M (l, rows, 4), those of each of m patches from start (m + 1,) on, as whole numbers (l, rows, 4), and the units
-    (m, rows, 2) of each row for position and attitude."""
+    """Sensitivities M (l, rows, 4), those of each of m patches from start (m + 1,) on, as whole
+    numbers (l, rows, 4), and the units (m, rows, 2) of each row for position and attitude.
+    """
     rows, m = M.shape[1], len(start) - 1
     out, unit = np.zeros(M.shape, np.int16), np.zeros((m, rows, 2), np.float32)
     for a in range(m):
@@ -126,8 +140,9 @@ def row_kernel(start: I64, M: F32) -> tuple[I16, F32]:
 
 @kernel
 def beam_kernel(M: F32) -> tuple[I16, F32]:
-    """Sensitivities M (m, rows, 2 beams) to the range of each beam, then to its vertical angle, as whole numbers, and the units
-    (m, rows, 2) of each row for both."""
+    """Sensitivities M (m, rows, 2 beams) to the range of each beam, then to its vertical angle, as
+    whole numbers, and the units (m, rows, 2) of each row for both.
+    """
     m, rows, beams = M.shape[0], M.shape[1], M.shape[2] // 2
     out, unit = np.zeros(M.shape, np.int16), np.zeros((m, rows, 2), np.float32)
     for a in range(m):
@@ -144,10 +159,15 @@ def beam_kernel(M: F32) -> tuple[I16, F32]:
 
 
 def factor_loads(q: F64, patches: Patches) -> F64:
-    """Loads (m, p, k) on that whose covariances the blocks are, of loads q (m, p or more, k) of which the first p are on the patches'
-    parameters."""
+    """Loads (m, p, k) on that whose covariances the blocks are, of loads q (m, p or more, k) of
+    which the first p are on the patches' parameters.
+    """
     p = patches.beta.shape[1]
-    return np.asarray(factor_load_kernel(patches.factor, q)) if isinstance(patches, HeldPatches) else np.ascontiguousarray(q[:, :p])
+    return (
+        np.asarray(factor_load_kernel(patches.factor, q))
+        if isinstance(patches, HeldPatches)
+        else np.ascontiguousarray(q[:, :p])
+    )
 
 
 @kernel
@@ -173,7 +193,9 @@ def factor_rows(X: F64, row: I64, patches: Patches) -> F64:
 
 @kernel
 def factor_row_kernel(factor: F32, X: F64, row: I64) -> None:
-    """``Lᵀ x`` in place of rows x (n, p), for lower triangles L (m, p, p), each with that of its patch row (n,)."""
+    """``Lᵀ x`` in place of rows x (n, p), for lower triangles L (m, p, p), each with that of its
+    patch row (n,).
+    """
     for i in range(len(X)):
         for s in range(X.shape[1]):
             total = 0.0
@@ -190,34 +212,59 @@ def navigation_units(patches: Patches) -> F32:
 
 
 def calibration_parts(patches: Patches) -> tuple[F32, F32 | I16, F32]:
-    """Sensitivities (m, p + 2, 11) to what all beams share, those (m, p + 2, 2 beams) to the range of each beam, then to its vertical
-    angle, and the units (m, p + 2, 2) of each row for both."""
+    """Sensitivities (m, p + 2, 11) to what all beams share, those (m, p + 2, 2 beams) to the range
+    of each beam, then to its vertical angle, and the units (m, p + 2, 2) of each row for both.
+    """
     if isinstance(patches, HeldPatches):
         return patches.M_cal, patches.M_beam, patches.beam_unit
     M = patches.M_cal
-    return np.ascontiguousarray(M[..., :SHARED]), np.ascontiguousarray(M[..., SHARED:]), np.ones((*M.shape[:2], 2), np.float32)
+    return (
+        np.ascontiguousarray(M[..., :SHARED]),
+        np.ascontiguousarray(M[..., SHARED:]),
+        np.ones((*M.shape[:2], 2), np.float32),
+    )
 
 
 def calibration_rows(patches: Patches, rows: I64 | slice, first: int | None = None) -> F32:
-    """Sensitivities (k, p + 2, 11 + 2 beams) of patches ``rows`` (k,) as they are sent; only the ``first`` of each, where asked for."""
+    """Sensitivities (k, p + 2, 11 + 2 beams) of patches ``rows`` (k,) as they are sent; only the
+    ``first`` of each, where asked for.
+    """
     if not isinstance(patches, HeldPatches):
         return patches.M_cal[rows, :first]
     unit = np.repeat(patches.beam_unit[rows, :first], patches.M_beam.shape[2] // 2, axis=2)
-    return np.concatenate([patches.M_cal[rows, :first], patches.M_beam[rows, :first] * unit], axis=2)
+    return np.concatenate(
+        [patches.M_cal[rows, :first], patches.M_beam[rows, :first] * unit], axis=2
+    )
 
 
 def beam_count(patches: Patches) -> int:
     """Beams that the patches have sensitivities to."""
-    return int(patches.M_beam.shape[2] if isinstance(patches, HeldPatches) else patches.M_cal.shape[2] - SHARED) // 2
+    return (
+        int(
+            patches.M_beam.shape[2]
+            if isinstance(patches, HeldPatches)
+            else patches.M_cal.shape[2] - SHARED
+        )
+        // 2
+    )
 
 
 def prepared(patches: Patches) -> HeldPatches:
-    """Patches as they were sent, ready to be held but for their blocks: those wait until the factors of all patches are known."""
+    """Patches as they were sent, ready to be held but for their blocks: those wait until the
+    factors of all patches are known.
+    """
     rows = {f.name: getattr(patches, f.name) for f in dataclasses.fields(Patches)}
     rows["M_nav"], rows["nav_unit"] = row_kernel(patches.nav_start, patches.M_nav)
     rows["M_cal"] = np.ascontiguousarray(patches.M_cal[..., :SHARED])
-    rows["M_beam"], rows["beam_unit"] = beam_kernel(np.ascontiguousarray(patches.M_cal[..., SHARED:]))
-    return HeldPatches(**rows, factor=np.asarray(factor_kernel(patches.key, patches.cross_start, patches.cross_key, patches.cross)))
+    rows["M_beam"], rows["beam_unit"] = beam_kernel(
+        np.ascontiguousarray(patches.M_cal[..., SHARED:])
+    )
+    return HeldPatches(
+        **rows,
+        factor=np.asarray(
+            factor_kernel(patches.key, patches.cross_start, patches.cross_key, patches.cross)
+        ),
+    )
 
 
 def unpacked(patches: Patches, first: int, last: int) -> Patches:
@@ -228,8 +275,12 @@ def unpacked(patches: Patches, first: int, last: int) -> Patches:
     left = np.repeat(np.arange(first, last), np.diff(rows["cross_start"]))
     right = np.minimum(np.searchsorted(patches.key, rows["cross_key"]), len(patches) - 1)
     F = patches.factor
-    rows["cross"] = np.einsum("brs,bst,but->bru", F[left].astype(np.float64), rows["cross"], F[right], optimize=True).astype(np.float32)
-    unit = np.repeat(np.repeat(patches.nav_unit[first:last], np.diff(rows["nav_start"]), axis=0), (1, 3), axis=2)
+    rows["cross"] = np.einsum(
+        "brs,bst,but->bru", F[left].astype(np.float64), rows["cross"], F[right], optimize=True
+    ).astype(np.float32)
+    unit = np.repeat(
+        np.repeat(patches.nav_unit[first:last], np.diff(rows["nav_start"]), axis=0), (1, 3), axis=2
+    )
     rows["M_nav"] = (rows["M_nav"] * unit.astype(np.float64)).astype(np.float32)
     rows["M_cal"] = calibration_rows(patches, slice(first, last))
     return Patches(**rows)

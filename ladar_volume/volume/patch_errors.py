@@ -1,4 +1,6 @@
-"""What all returns of a patch share, calibration and navigation, as errors of its parameters: computed for the patches asked for."""
+"""What all returns of a patch share, calibration and navigation, as errors of its parameters:
+computed for the patches asked for.
+"""
 
 from __future__ import annotations
 
@@ -11,28 +13,45 @@ from ladar_volume.volume.packing import calibration_parts, navigation_units
 
 
 class PatchErrors:
-    """Deviations and covariances of the parameters of m patches, in single precision as the sensitivities they come from. A volume needs
-    those inside its outline only.
+    """Deviations and covariances of the parameters of m patches, in single precision as the
+    sensitivities they come from. A volume needs those inside its outline only.
 
-    C_cal : (c, c) of the calibration · time_bins : bins (b,) of the navigation sensitivities, and the row (l,) of each one's own among them
+    C_cal : (c, c) of the calibration · time_bins : bins (b,) of the navigation sensitivities, and
+    the row (l,) of each one's own among them
     """
 
-    def __init__(self, patches: Patches, navigation: NavigationBins, C_cal: F64, time_bins: tuple[I64, I32]) -> None:
+    def __init__(
+        self, patches: Patches, navigation: NavigationBins, C_cal: F64, time_bins: tuple[I64, I32]
+    ) -> None:
         m, p = patches.beta.shape
         self._patches, self._index, self._units = patches, time_bins[1], navigation_units(patches)
         self._by_calibration = calibration_parts(patches)
         one, two = np.nonzero(C_cal)
         self._calibration = one, two, C_cal[one, two]
         self._roots = navigation.roots(time_bins[0])
-        self._deviation, self._covariance = np.zeros((m, p, 6), np.float32), np.zeros((m, p, p), np.float32)
+        self._deviation, self._covariance = (
+            np.zeros((m, p, 6), np.float32),
+            np.zeros((m, p, p), np.float32),
+        )
         self._deviates, self._varies = np.zeros(m, np.bool_), np.zeros(m, np.bool_)
 
     def deviation(self, rows: I64) -> F32:
-        """What one standard deviation of position and of attitude, each in three directions, does to the parameters: (m, p, 6), known for
-        patches ``rows`` (k,). The errors within one patch count as one."""
+        """What one standard deviation of position and of attitude, each in three directions, does
+        to the parameters: (m, p, 6), known for patches ``rows`` (k,). The errors within one patch
+        count as one.
+        """
         new = _missing(self._deviates, rows)
         p = self._patches
-        deviation_kernel(new, p.nav_start, self._index, p.M_nav, self._units, p.normal, *self._roots, self._deviation)
+        deviation_kernel(
+            new,
+            p.nav_start,
+            self._index,
+            p.M_nav,
+            self._units,
+            p.normal,
+            *self._roots,
+            self._deviation,
+        )
         return self._deviation
 
     def covariance(self, rows: I64) -> F32:

@@ -9,14 +9,19 @@ from ladar_volume.model.kernels import kernel, leaf_kernel
 
 @kernel
 def copy_rows(part: Any, to: Any, width: Any, out: Any) -> None:
-    """Rows of a part, c numbers each, to those of out that ``to`` (n,) says, -1 for none; part and out are flat."""
+    """Rows of a part, c numbers each, to those of out that ``to`` (n,) says, -1 for none; part and
+    out are flat.
+    """
     i, n = 0, len(to)
     while i < n:
         first, i = i, i + 1
         if to[first] >= 0:
             while i < n and to[i] == to[i - 1] + 1:  # what stays together is moved in one piece
                 i += 1
-            source, target = part[first * width : i * width], out[to[first] * width : to[first] * width + (i - first) * width]
+            source, target = (
+                part[first * width : i * width],
+                out[to[first] * width : to[first] * width + (i - first) * width],
+            )
             for k in range(len(source)):
                 target[k] = source[k]
 
@@ -35,8 +40,10 @@ def in_order(to: Any) -> Any:
 
 @kernel
 def move_rows(part: Any, width: Any, to: Any) -> None:
-    """Rows of a flat array, c numbers each, in place to those that ``to`` (n,) says, -1 for none, which are in order: those that move to
-    the right from the last, then those that move to the left from the first. So none is written over before it has moved."""
+    """Rows of a flat array, c numbers each, in place to those that ``to`` (n,) says, -1 for none,
+    which are in order: those that move to the right from the last, then those that move to the left
+    from the first. So none is written over before it has moved.
+    """
     for i in range(len(to) - 1, -1, -1):
         if to[i] > i:
             for k in range(width - 1, -1, -1):
@@ -49,7 +56,9 @@ def move_rows(part: Any, width: Any, to: Any) -> None:
 
 @leaf_kernel
 def place_from(keys: Any, key: Any, hint: Any) -> Any:
-    """Number of ascending keys below a key. ``hint`` : that number for the key before it, which is often next to it."""
+    """Number of ascending keys below a key. ``hint`` : that number for the key before it, which is
+    often next to it.
+    """
     low = hint if hint < len(keys) and keys[hint] <= key else 0
     high, step = low, 1
     while high < len(keys) and keys[high] < key:
@@ -71,11 +80,22 @@ def holds(keys: Any, key: Any, place: Any) -> Any:
 
 
 @kernel
-def block_rows(own: Any, start: Any, other: Any, turn: Any, said: Any, last: Any, keys: Any, row: Any, count: Any) -> None:
-    """Row among ``keys`` of each block of one part, -1 for one that no longer holds; ``count`` (rows,) grows by those that do.
+def block_rows(
+    own: Any,
+    start: Any,
+    other: Any,
+    turn: Any,
+    said: Any,
+    last: Any,
+    keys: Any,
+    row: Any,
+    count: Any,
+) -> None:
+    """Row among ``keys`` of each block of one part, -1 for one that no longer holds; ``count``
+    (rows,) grows by those that do.
 
-    own : (m,) keys of the part's patches · start, other : its blocks in CSR form · said, last : patches ever named and the turns of the
-    last word on them
+    own : (m,) keys of the part's patches · start, other : its blocks in CSR form · said, last :
+    patches ever named and the turns of the last word on them
     """
     spoken, at = 0, 0
     for i in range(len(own)):
@@ -97,11 +117,22 @@ def block_rows(own: Any, start: Any, other: Any, turn: Any, said: Any, last: Any
 
 @kernel
 def place_blocks(
-    own: Any, start: Any, other: Any, row: Any, number: Any, keys: Any, first: Any, filled: Any, key: Any, entry: Any
+    own: Any,
+    start: Any,
+    other: Any,
+    row: Any,
+    number: Any,
+    keys: Any,
+    first: Any,
+    filled: Any,
+    key: Any,
+    entry: Any,
 ) -> None:
-    """Put each block of one part into its row, by the key of the row's other patch: that to ``key``, the block's number to ``entry``.
+    """Put each block of one part into its row, by the key of the row's other patch: that to
+    ``key``, the block's number to ``entry``.
 
-    number : of the part's first block among all parts · first, filled : (rows,) begin of each row and how many it holds so far
+    number : of the part's first block among all parts · first, filled : (rows,) begin of each row
+    and how many it holds so far
     """
     for i in range(len(own)):
         for e in range(start[i], start[i + 1]):
@@ -128,7 +159,9 @@ def before(r: Any, i: Any, j: Any) -> Any:
 
 @kernel
 def sort_runs(patch: Any, r: Any, order: Any) -> None:
-    """Put points ``order`` (k,), which lie together by patch, in order of their positions r (n, 3) within each patch."""
+    """Put points ``order`` (k,), which lie together by patch, in order of their positions r (n, 3)
+    within each patch.
+    """
     first = 0
     while first < len(order):
         end = first + 1

@@ -1,8 +1,10 @@
-"""What two triangles have in common: clipped (Sutherland & Hodgman 1974) and integrated in closed form.
+"""What two triangles have in common: clipped (Sutherland & Hodgman 1974) and integrated in closed
+form.
 
-Scratch ``w`` (ROWS, CORNERS): the ring in rows 0, 1 or 2, 3 (x and y), distances from the clipping line in row 4, at the ring's corners
-the difference of heights and the barycentric coordinates in both triangles in rows 5 to 9; the two triangles in rows A, B (x, y and
-height each); the integrals of a piece above and below in rows PAIR and PAIR + 1. One array, since each costs at every call.
+Scratch ``w`` (ROWS, CORNERS): the ring in rows 0, 1 or 2, 3 (x and y), distances from the clipping
+line in row 4, at the ring's corners the difference of heights and the barycentric coordinates in
+both triangles in rows 5 to 9; the two triangles in rows A, B (x, y and height each); the integrals
+of a piece above and below in rows PAIR and PAIR + 1. One array, since each costs at every call.
 """
 
 from __future__ import annotations
@@ -17,9 +19,12 @@ A, B, PAIR, ROWS = 10, 13, 16, 18
 
 
 @kernel
-def clip_line(w: F64, s: int, n: int, ux: float, uy: float, px: float, py: float) -> tuple[int, int, bool]:
-    """The part of the ring of n corners in rows s, s + 1 to the left of the line through p along u: its row, its length, and whether
-    something was cut off."""
+def clip_line(
+    w: F64, s: int, n: int, ux: float, uy: float, px: float, py: float
+) -> tuple[int, int, bool]:
+    """The part of the ring of n corners in rows s, s + 1 to the left of the line through p along u:
+    its row, its length, and whether something was cut off.
+    """
     below = above = False
     for i in range(n):
         f = ux * (w[s + 1, i] - py) - uy * (w[s, i] - px)
@@ -47,14 +52,17 @@ def clip_line(w: F64, s: int, n: int, ux: float, uy: float, px: float, py: float
 
 @kernel
 def clip_pair(w: F64) -> tuple[int, int, int]:
-    """The common part of the two triangles, counter-clockwise: its row in ``w``, its number of corners, and in bits 0 to 2 which edges
-    of b, by the corner opposite, cut something off."""
+    """The common part of the two triangles, counter-clockwise: its row in ``w``, its number of
+    corners, and in bits 0 to 2 which edges of b, by the corner opposite, cut something off.
+    """
     for i in range(3):
         w[0, i], w[1, i] = w[A, i], w[A + 1, i]
     s, n, cut = 0, 3, 0
     for k in range(3):
         i, j = (k + 1 if k < 2 else 0), (k - 1 if k > 0 else 2)
-        s, n, off = clip_line(w, s, n, w[B, j] - w[B, i], w[B + 1, j] - w[B + 1, i], w[B, i], w[B + 1, i])
+        s, n, off = clip_line(
+            w, s, n, w[B, j] - w[B, i], w[B + 1, j] - w[B + 1, i], w[B, i], w[B + 1, i]
+        )
         if n < 3:
             return s, 0, 0
         if off:
@@ -64,8 +72,10 @@ def clip_pair(w: F64) -> tuple[int, int, int]:
 
 @kernel
 def tip(d0: float, d1: float, d2: float) -> tuple[float, float, float, float]:
-    """Over the tip of a triangle at its corner 0, cut off by the zero line of the linear function with corner values d: means over the
-    whole triangle of the function and of the three barycentric coordinates, each counted on the tip only (seed 000 section 4.1)."""
+    """Over the tip of a triangle at its corner 0, cut off by the zero line of the linear function
+    with corner values d: means over the whole triangle of the function and of the three barycentric
+    coordinates, each counted on the tip only (seed 000 section 4.1).
+    """
     s, t = d0 / (d0 - d1), d0 / (d0 - d2)
     share = s * t
     one, two = share * s / 3.0, share * t / 3.0
@@ -74,8 +84,9 @@ def tip(d0: float, d1: float, d2: float) -> tuple[float, float, float, float]:
 
 @kernel
 def add_fan(area: float, w: F64, i: int) -> None:
-    """Adds the fan triangle of a ring's corners 0, i, i + 1 to the integrals above and below the zero of the difference d: area, ∫p, ∫q,
-    ∫|d|, ∫r, ∫s, with d, p, q, r, s in rows 5 to 9 of w."""
+    """Adds the fan triangle of a ring's corners 0, i, i + 1 to the integrals above and below the
+    zero of the difference d: area, ∫p, ∫q, ∫|d|, ∫r, ∫s, with d, p, q, r, s in rows 5 to 9 of w.
+    """
     j = i + 1
     d0, d1, d2 = w[5, 0], w[5, i], w[5, j]
     if d0 >= 0.0 and d1 >= 0.0 and d2 >= 0.0:
@@ -126,16 +137,23 @@ def add_same_sign(w: F64, s: int, n: int, side: int) -> None:
         r += share * (w[8, 0] + w[8, i] + w[8, i + 1])
         u += share * (w[9, 0] + w[9, i] + w[9, i + 1])
         ex, ey = fx, fy
-    w[PAIR + side, 0], w[PAIR + side, 1], w[PAIR + side, 2], w[PAIR + side, 3] = area, p / 3.0, q / 3.0, abs(d) / 3.0
+    w[PAIR + side, 0], w[PAIR + side, 1], w[PAIR + side, 2], w[PAIR + side, 3] = (
+        area,
+        p / 3.0,
+        q / 3.0,
+        abs(d) / 3.0,
+    )
     w[PAIR + side, 4], w[PAIR + side, 5] = r / 3.0, u / 3.0
 
 
 @kernel
 def add_piece(t: int, sign: float, w: F64, s: int, n: int, out: F64) -> float:
-    """Integrates the ring of n corners in rows s, s + 1, the common part of the two triangles, of which A has its corner 0 at the origin.
-    Adds area, ∫p, ∫q, ∫|d| to ``out[t]`` (2, 4), leaves these and ∫r, ∫s in rows PAIR, PAIR + 1; returns the area.
+    """Integrates the ring of n corners in rows s, s + 1, the common part of the two triangles, of
+    which A has its corner 0 at the origin. Adds area, ∫p, ∫q, ∫|d| to ``out[t]`` (2, 4), leaves
+    these and ∫r, ∫s in rows PAIR, PAIR + 1; returns the area.
 
-    The coordinates p, q in the triangle A and r, s in B, kept within them, give the difference of heights d.
+    The coordinates p, q in the triangle A and r, s in B, kept within them, give the difference of
+    heights d.
     """
     for c in range(6):
         w[PAIR, c] = w[PAIR + 1, c] = 0.0
@@ -164,7 +182,9 @@ def add_piece(t: int, sign: float, w: F64, s: int, n: int, out: F64) -> float:
     else:
         for i in range(1, n - 1):
             ex, ey = w[s, i] - w[s, 0], w[s + 1, i] - w[s + 1, 0]
-            add_fan(0.5 * (ex * (w[s + 1, i + 1] - w[s + 1, 0]) - ey * (w[s, i + 1] - w[s, 0])), w, i)
+            add_fan(
+                0.5 * (ex * (w[s + 1, i + 1] - w[s + 1, 0]) - ey * (w[s, i + 1] - w[s, 0])), w, i
+            )
     for side in range(2):
         for c in range(4):
             out[t, side, c] += w[PAIR + side, c]

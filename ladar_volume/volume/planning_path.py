@@ -13,11 +13,12 @@ from ladar_volume.model.records import F64, PlatformStates
 
 @dataclass(frozen=True)
 class Lanes:
-    """Parallel lanes over the origin, along x, each the other way round; the scanner is off in the turns.
+    """Parallel lanes over the origin, along x, each the other way round; the scanner is off in the
+    turns.
 
-    height_m : of the IMU above the ground · lanes, spacing_m, length_m : number, distance and length · speed_mps · turn_s : of a turn ·
-    cross : whether the same lanes are flown once more along y · rate_hz : of the attitudes · aside_m : distance of the lanes' middle from
-    the origin
+    height_m : of the IMU above the ground · lanes, spacing_m, length_m : number, distance and
+    length · speed_mps · turn_s : of a turn · cross : whether the same lanes are flown once more
+    along y · rate_hz : of the attitudes · aside_m : distance of the lanes' middle from the origin
     """
 
     height_m: float
@@ -32,10 +33,17 @@ class Lanes:
 
     def __post_init__(self) -> None:
         numbers = (self.length_m, self.speed_mps, self.rate_hz)
-        good = all(math.isfinite(v) and v > 0 for v in numbers) and self.lanes >= 1 and math.isfinite(self.height_m + self.aside_m)
+        good = (
+            all(math.isfinite(v) and v > 0 for v in numbers)
+            and self.lanes >= 1
+            and math.isfinite(self.height_m + self.aside_m)
+        )
         if not good or not 0.0 <= self.spacing_m < math.inf or not 0.0 <= self.turn_s < math.inf:
             raise VolumeError(
-                f"lanes need a number of 1 or more, length, speed and rate above 0, spacing and turns of 0 or more, not {self}",
+                (
+                    "lanes need a number of 1 or more, length, speed and rate above 0, "
+                    f"spacing and turns of 0 or more, not {self}"
+                ),
                 reason="plan_path",
                 value=self,
             )
@@ -63,4 +71,6 @@ class Lanes:
         v_body = np.tile([self.speed_mps, 0.0, 0.0], (n, 1))
         t_ns = np.rint(np.concatenate(t) * 1e9).astype(np.int64)
         segment = np.repeat(np.arange(len(t)), steps).astype(np.int64)
-        return PlatformStates(t_ns, np.concatenate(p), q, v_body, np.zeros((n, 3)), np.zeros((n, 6, 6)), segment)
+        return PlatformStates(
+            t_ns, np.concatenate(p), q, v_body, np.zeros((n, 3)), np.zeros((n, 6, 6)), segment
+        )

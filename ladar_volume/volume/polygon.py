@@ -1,8 +1,9 @@
 """Volumes within a polygon that is fixed in the map: triangles are clipped exactly.
 
-The polygon, convex or not, is clipped by each triangle's three half planes and by the side of the base (Sutherland & Hodgman
-1974; the window is convex, and the bridges it leaves in a non-convex polygon enclose no area). Volume and gradient need only
-the integrals of the three barycentric coordinates over what is left: ``V = Σ h_i ∫λ_i`` and ``g_i = ∫λ_i (−grad s, 1)``.
+The polygon, convex or not, is clipped by each triangle's three half planes and by the side of the
+base (Sutherland & Hodgman 1974; the window is convex, and the bridges it leaves in a non-convex
+polygon enclose no area). Volume and gradient need only the integrals of the three barycentric
+coordinates over what is left: ``V = Σ h_i ∫λ_i`` and ``g_i = ∫λ_i (−grad s, 1)``.
 """
 
 from __future__ import annotations
@@ -17,10 +18,16 @@ from ladar_volume.volume.prismoids import Prismoids, gather
 
 
 def check_polygon(polygon: F64) -> F64:
-    """The polygon (k, 2) counter-clockwise. Raises :class:`VolumeError` for fewer than three corners, no area, or crossing edges."""
+    """The polygon (k, 2) counter-clockwise. Raises :class:`VolumeError` for fewer than three
+    corners, no area, or crossing edges.
+    """
     p = np.asarray(polygon, dtype=np.float64)
     if p.ndim != 2 or p.shape[1] != 2 or len(p) < 3 or not np.isfinite(p).all():
-        raise VolumeError(f"an outline needs at least three finite corners x, y; got an array {p.shape}", reason="volume_polygon", value=p)
+        raise VolumeError(
+            f"an outline needs at least three finite corners x, y; got an array {p.shape}",
+            reason="volume_polygon",
+            value=p,
+        )
     if np.array_equal(p[0], p[-1]):
         return check_polygon(p[:-1])
     d, e = p - p[0], np.roll(p, -1, axis=0) - p
@@ -33,15 +40,19 @@ def check_polygon(polygon: F64) -> F64:
                 e[a, 0] * (q[1] - p[a, 1]) - e[a, 1] * (q[0] - p[a, 0])
                 for a, b in ((i, j), (j, i))
                 for q in (p[b], p[(b + 1) % len(p)])
-            ]  # fmt: skip
+            ]
             if sides[0] * sides[1] < 0 and sides[2] * sides[3] < 0:
-                raise VolumeError(f"edges {i} and {j} of the outline cross", reason="volume_polygon", value=p)
+                raise VolumeError(
+                    f"edges {i} and {j} of the outline cross", reason="volume_polygon", value=p
+                )
     return p if area > 0 else p[::-1].copy()
 
 
 @kernel
 def clip(source: F64, n: int, a: float, bx: float, by: float, target: F64) -> int:
-    """The part of a ring (n, 2) where ``a + bx x + by y >= 0`` into ``target``; returns its length."""
+    """The part of a ring (n, 2) where ``a + bx x + by y >= 0`` into ``target``; returns its
+    length.
+    """
     m = 0
     for i in range(n):
         j = (i + 1) % n
@@ -101,22 +112,31 @@ def holds(polygon: F64, points: F64) -> bool:
 
 @kernel
 def clipped_weights(corners: F64, heights: F64, polygon: F64) -> F64:
-    """Integrals of the barycentric coordinates over each triangle inside the polygon: above and below the base.
+    """Integrals of the barycentric coordinates over each triangle inside the polygon: above and
+    below the base.
 
-    corners : (m, 3, 2) counter-clockwise · heights : (m, 3) above the base · polygon : (k, 2). Returns (m, 2, 3) m².
+    corners : (m, 3, 2) counter-clockwise · heights : (m, 3) above the base · polygon : (k, 2).
+    Returns (m, 2, 3) m².
     """
     out = np.zeros((len(corners), 2, 3))
     size = 8 * len(polygon) + 64
     one, two, three = np.empty((size, 2)), np.empty((size, 2)), np.empty((size, 2))
     line, convex = np.empty((3, 3)), is_convex(polygon)
-    west, east, south, north = polygon[:, 0].min(), polygon[:, 0].max(), polygon[:, 1].min(), polygon[:, 1].max()
+    west, east, south, north = (
+        polygon[:, 0].min(),
+        polygon[:, 0].max(),
+        polygon[:, 1].min(),
+        polygon[:, 1].max(),
+    )
     for t in range(len(corners)):
         p = corners[t]
         if max(p[0, 0], p[1, 0], p[2, 0]) < west or min(p[0, 0], p[1, 0], p[2, 0]) > east:
             continue
         if max(p[0, 1], p[1, 1], p[2, 1]) < south or min(p[0, 1], p[1, 1], p[2, 1]) > north:
             continue
-        area2 = (p[1, 0] - p[0, 0]) * (p[2, 1] - p[0, 1]) - (p[1, 1] - p[0, 1]) * (p[2, 0] - p[0, 0])
+        area2 = (p[1, 0] - p[0, 0]) * (p[2, 1] - p[0, 1]) - (p[1, 1] - p[0, 1]) * (
+            p[2, 0] - p[0, 0]
+        )
         for i in range(3):  # barycentric coordinates as linear functions about corner 0
             j, k = (i + 1) % 3, (i + 2) % 3
             line[i, 1], line[i, 2] = (p[j, 1] - p[k, 1]) / area2, (p[k, 0] - p[j, 0]) / area2
@@ -145,9 +165,11 @@ def clipped_weights(corners: F64, heights: F64, polygon: F64) -> F64:
 
 
 def clipped_prismoids(tin: Tin, base: Plane, polygon: F64, mask: Bool | None = None) -> Prismoids:
-    """Volumes of the triangles in ``mask`` (default: the relevant ones) above ``base`` within a polygon (k, 2) of the map.
+    """Volumes of the triangles in ``mask`` (default: the relevant ones) above ``base`` within a
+    polygon (k, 2) of the map.
 
-    As :func:`prismoids.prismoids`, with the outline fixed in the map. Raises :class:`VolumeError` where no surface lies inside.
+    As :func:`prismoids.prismoids`, with the outline fixed in the map. Raises :class:`VolumeError`
+    where no surface lies inside.
     """
     ring = check_polygon(polygon)
     chosen = tin.relevant if mask is None else mask
@@ -158,12 +180,15 @@ def clipped_prismoids(tin: Tin, base: Plane, polygon: F64, mask: Bool | None = N
     X = design(xy, base.origin_xy, degree_of(base))
     corners, h = np.ascontiguousarray(xy[triangles]), np.ascontiguousarray(height[triangles])
     weights = clipped_weights(corners, h, np.ascontiguousarray(ring))
-    # where the surface is exactly at the base both sides hold it: the area is taken from the signed parts once
+    # where the surface is exactly at the base both sides hold it: the area is taken from the signed
+    # parts once
     flat = (h == 0).all(axis=1)
     weights[flat, 1] = 0.0
     area = float(weights.sum())
     if area <= 0.0:
-        raise VolumeError("no part of the surface lies inside the outline", reason="volume_no_triangle")
+        raise VolumeError(
+            "no part of the surface lies inside the outline", reason="volume_no_triangle"
+        )
     slope_h = height_slopes(corners, h)
     parts = []
     for side, sign in ((0, 1.0), (1, -1.0)):
@@ -179,16 +204,21 @@ def clipped_prismoids(tin: Tin, base: Plane, polygon: F64, mask: Bool | None = N
 
 
 def weights_inside(tin: Tin, polygon: F64) -> F64:
-    """Integrals (m, 3) m² of the barycentric coordinates of each relevant triangle over what lies within a counter-clockwise polygon
-    (k, 2); 0 for the others."""
+    """Integrals (m, 3) m² of the barycentric coordinates of each relevant triangle over what lies
+    within a counter-clockwise polygon (k, 2); 0 for the others.
+    """
     corners = np.ascontiguousarray(tin.vertices[tin.triangles[tin.relevant], :2])
     out = np.zeros((len(tin.triangles), 3))
-    out[tin.relevant] = clipped_weights(corners, np.ones((len(corners), 3)), np.ascontiguousarray(polygon))[:, 0]
+    out[tin.relevant] = clipped_weights(
+        corners, np.ones((len(corners), 3)), np.ascontiguousarray(polygon)
+    )[:, 0]
     return out
 
 
 def areas_inside(tin: Tin, polygon: F64) -> F64:
-    """Area (m,) m² of each relevant triangle within a counter-clockwise polygon (k, 2); 0 for the others."""
+    """Area (m,) m² of each relevant triangle within a counter-clockwise polygon (k, 2); 0 for the
+    others.
+    """
     out: F64 = np.maximum(weights_inside(tin, polygon).sum(axis=1), 0.0)
     return out
 
@@ -198,5 +228,7 @@ def height_slopes(corners: F64, h: F64) -> F64:
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     p, q = h[:, 1] - h[:, 0], h[:, 2] - h[:, 0]
     det = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    out: F64 = np.stack([(p * b[:, 1] - q * a[:, 1]) / det, (q * a[:, 0] - p * b[:, 0]) / det], axis=1)
+    out: F64 = np.stack(
+        [(p * b[:, 1] - q * a[:, 1]) / det, (q * a[:, 0] - p * b[:, 0]) / det], axis=1
+    )
     return out

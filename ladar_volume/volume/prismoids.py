@@ -1,8 +1,10 @@
-"""Cut, fill and net volume of a TIN above a base by exact prismoids, with their gradients (seed 000 section 4.1).
+"""Cut, fill and net volume of a TIN above a base by exact prismoids, with their gradients (seed 000
+section 4.1).
 
-Over a triangle the height above the base is linear (a base of degree 2 or 3 is taken at the vertices). Where it changes sign the
-triangle is cut along the zero line: the prismoid at the single vertex i on its side has the volume
-``A h_i³ / (3 (h_i − h_j)(h_i − h_k))``. Gradients hold the triangulation fixed; the footprint moves with the vertices.
+Over a triangle the height above the base is linear (a base of degree 2 or 3 is taken at the
+vertices). Where it changes sign the triangle is cut along the zero line: the prismoid at the single
+vertex i on its side has the volume ``A h_i³ / (3 (h_i − h_j)(h_i − h_k))``. Gradients hold the
+triangulation fixed; the footprint moves with the vertices.
 """
 
 from __future__ import annotations
@@ -21,8 +23,9 @@ from ladar_volume.model.records import F64, I32, Bool, Plane, Tin
 class CutFill:
     """Volumes of a surface over something else.
 
-    cut_m3 : above it, fill_m3 : below it, both positive; net = cut − fill · area_m2 : footprint · gradient_cut, gradient_fill : (n, 3) m²,
-    by the vertices of the surface in the map frame, the triangulation held fixed.
+    cut_m3 : above it, fill_m3 : below it, both positive; net = cut − fill · area_m2 : footprint ·
+    gradient_cut, gradient_fill : (n, 3) m², by the vertices of the surface in the map frame, the
+    triangulation held fixed.
     """
 
     cut_m3: float
@@ -44,7 +47,9 @@ class CutFill:
 
 @dataclass(frozen=True)
 class Prismoids(CutFill):
-    """Volumes above a base. base_cut, base_fill : (p,), derivatives by the base's coefficients; the other gradients follow its formula."""
+    """Volumes above a base. base_cut, base_fill : (p,), derivatives by the base's coefficients; the
+    other gradients follow its formula.
+    """
 
     base_cut: F64
     base_fill: F64
@@ -57,7 +62,9 @@ class Prismoids(CutFill):
 
 @leaf_kernel
 def mean_above(h: F64, slope: F64) -> float:
-    """Mean over a triangle of ``max(height, 0)`` for heights h (3,) of its vertices; its derivatives by them into slope (3,)."""
+    """Mean over a triangle of ``max(height, 0)`` for heights h (3,) of its vertices; its
+    derivatives by them into slope (3,).
+    """
     above = int(h[0] > 0.0) + int(h[1] > 0.0) + int(h[2] > 0.0)
     for c in range(3):
         slope[c] = 1.0 / 3.0 if above == 3 else 0.0
@@ -71,7 +78,11 @@ def mean_above(h: F64, slope: F64) -> float:
     j, k = (i + 1) % 3, (i + 2) % 3
     dj, dk = h[i] - h[j], h[i] - h[k]
     tip: float = h[i] * (h[i] / dj) * (h[i] / dk) / 3.0
-    slope[i], slope[j], slope[k] = (h[i] / dj) * (h[i] / dk) - tip / dj - tip / dk, tip / dj, tip / dk
+    slope[i], slope[j], slope[k] = (
+        (h[i] / dj) * (h[i] / dk) - tip / dj - tip / dk,
+        tip / dj,
+        tip / dk,
+    )
     if above == 1:
         return tip
     for c in range(3):  # mean of the positive part = signed mean + size of the tip below
@@ -89,15 +100,21 @@ def means_above(h: F64) -> tuple[F64, F64]:
 
 
 def positive_part(h: F64) -> tuple[F64, F64]:
-    """Mean over a triangle of ``max(height, 0)`` for vertex heights h (m, 3): means (m,) and derivatives (m, 3) by h."""
+    """Mean over a triangle of ``max(height, 0)`` for vertex heights h (m, 3): means (m,) and
+    derivatives (m, 3) by h.
+    """
     mean, slope = means_above(np.ascontiguousarray(h))
     return mean, slope
 
 
 @kernel
-def prismoid_kernel(vertices: F64, triangles: I32, chosen: Bool, height: F64) -> tuple[F64, F64, F64]:
-    """Cut, fill, footprint (3,) of the ``chosen`` triangles (m,) over vertices (n, 3) that stand so high (n,) above a base, and the
-    gradients (n, 3) of cut and net volume by the vertices, the base held fixed at each."""
+def prismoid_kernel(
+    vertices: F64, triangles: I32, chosen: Bool, height: F64
+) -> tuple[F64, F64, F64]:
+    """Cut, fill, footprint (3,) of the ``chosen`` triangles (m,) over vertices (n, 3) that stand so
+    high (n,) above a base, and the gradients (n, 3) of cut and net volume by the vertices, the base
+    held fixed at each.
+    """
     cut, net, total = np.zeros((len(vertices), 3)), np.zeros((len(vertices), 3)), np.zeros(3)
     h, below, slope, other = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for t in range(len(triangles)):
@@ -113,8 +130,15 @@ def prismoid_kernel(vertices: F64, triangles: I32, chosen: Bool, height: F64) ->
         total[1] += area * mean_above(below, other)
         total[2] += area
         for c in range(3):
-            v, one, two = triangles[t, c], vertices[triangles[t, (c + 1) % 3]], vertices[triangles[t, (c + 2) % 3]]
-            east, north = 0.5 * (one[1] - two[1]), 0.5 * (two[0] - one[0])  # of the area, by the corner's x and y
+            v, one, two = (
+                triangles[t, c],
+                vertices[triangles[t, (c + 1) % 3]],
+                vertices[triangles[t, (c + 2) % 3]],
+            )
+            east, north = (
+                0.5 * (one[1] - two[1]),
+                0.5 * (two[0] - one[0]),
+            )  # of the area, by the corner's x and y
             cut[v, 0] += up * east
             cut[v, 1] += up * north
             cut[v, 2] += slope[c] * area
@@ -134,17 +158,24 @@ def prismoids(tin: Tin, base: Plane, mask: Bool | None = None) -> Prismoids:
         raise VolumeError("no triangle lies inside the outline", reason="volume_no_triangle")
     v, xy = tin.vertices, tin.vertices[:, :2]
     X = design(xy, base.origin_xy, degree_of(base))
-    (cut, fill, area), g_cut, g_net = prismoid_kernel(v, tin.triangles, chosen, v[:, 2] - X @ base.beta)
+    (cut, fill, area), g_cut, g_net = prismoid_kernel(
+        v, tin.triangles, chosen, v[:, 2] - X @ base.beta
+    )
     slope_base = base_gradient(base, xy)
     for gradient in (g_cut, g_net):
         gradient[:, :2] -= gradient[:, 2:] * slope_base
     b_cut, b_net = -(X.T @ g_cut[:, 2]), -(X.T @ g_net[:, 2])
-    # fill = cut − net: at a height of exactly zero, where neither has a derivative, the net volume keeps its own
-    return Prismoids(float(cut), float(fill), float(area), g_cut, g_cut - g_net, b_cut, b_cut - b_net)
+    # fill = cut − net: at a height of exactly zero, where neither has a derivative, the net volume
+    # keeps its own
+    return Prismoids(
+        float(cut), float(fill), float(area), g_cut, g_cut - g_net, b_cut, b_cut - b_net
+    )
 
 
 def gather(corner: F64, triangles: I32, n: int) -> F64:
-    """Sum per-corner rows (m, 3, k) at their vertices: (n, k); the order of the sum is that of the triangles."""
+    """Sum per-corner rows (m, 3, k) at their vertices: (n, k); the order of the sum is that of the
+    triangles.
+    """
     index = triangles.ravel()
     rows = corner.reshape(len(index), corner.shape[-1])
     return np.stack([np.bincount(index, rows[:, c], n) for c in range(rows.shape[1])], axis=1)

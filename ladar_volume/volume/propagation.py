@@ -1,9 +1,10 @@
 """From a gradient per surface point to a variance per source (UNCERTAINTY steps 3 and 4).
 
-A point is ``centre + u tangent + v binormal + (x·beta) normal`` of its patch, so a result with gradients ``g_i`` has the load
-``q_patch = Σ_i (g_i · normal) x_i`` on the patch's parameters. Patches share raw points: the stored blocks C_ab carry that. What all
-returns of a patch share moves its points along the surface too, where the result has the loads ``Σ_i g_i · tangent`` and
-``Σ_i g_i · binormal``.
+A point is ``centre + u tangent + v binormal + (x·beta) normal`` of its patch, so a result with
+gradients ``g_i`` has the load ``q_patch = Σ_i (g_i · normal) x_i`` on the patch's parameters.
+Patches share raw points: the stored blocks C_ab carry that. What all returns of a patch share moves
+its points along the surface too, where the result has the loads ``Σ_i g_i · tangent`` and ``Σ_i g_i
+· binormal``.
 """
 
 from __future__ import annotations
@@ -26,7 +27,15 @@ from ladar_volume.volume.load_kernels import (
 from ladar_volume.volume.packing import calibration_parts, factor_loads, navigation_units
 
 #: Lines of the budget from the calibration, in order.
-CALIBRATION_GROUPS = ("range_bias", "beam_range", "beam_vertical", "boresight", "lever_laser", "lever_antenna", "clock")
+CALIBRATION_GROUPS = (
+    "range_bias",
+    "beam_range",
+    "beam_vertical",
+    "boresight",
+    "lever_laser",
+    "lever_antenna",
+    "clock",
+)
 #: Longest survey, in time bins, whose bins are looked up in a table.
 LONGEST = 1 << 22
 
@@ -35,8 +44,9 @@ LONGEST = 1 << 22
 class SurfaceGeometry:
     """What every result on one filtered surface shares.
 
-    row : (n,) index of each point's patch · local : (n, 2) m, its tangent coordinates there · parameters : of a patch, p · start : (m + 1,)
-    first block of each patch · right : (k,) the other patch of each block, -1 where it is not in the store (such blocks count as zero)
+    row : (n,) index of each point's patch · local : (n, 2) m, its tangent coordinates there ·
+    parameters : of a patch, p · start : (m + 1,) first block of each patch · right : (k,) the other
+    patch of each block, -1 where it is not in the store (such blocks count as zero)
     """
 
     row: I64
@@ -70,28 +80,46 @@ def design_rows(local: F64, p: int) -> F64:
 
 
 def surface_geometry(points: FilteredPoints, patches: Patches) -> SurfaceGeometry:
-    """Index the points and cross blocks of patches sorted by key. Raises :class:`VolumeError` (volume_patches) for patches of neither 3 nor
-    6 parameters, and for sensitivities that are not those of the parameters and two tangents."""
+    """Index the points and cross blocks of patches sorted by key. Raises :class:`VolumeError`
+    (volume_patches) for patches of neither 3 nor 6 parameters, and for sensitivities that are not
+    those of the parameters and two tangents.
+    """
     p = patches.beta.shape[1]
     if p not in (3, 6):
-        raise VolumeError(f"patches have 3 or 6 parameters, not {p}", reason="volume_patches", value=p)
+        raise VolumeError(
+            f"patches have 3 or 6 parameters, not {p}", reason="volume_patches", value=p
+        )
     for M in (patches.M_cal, patches.M_nav):
         if M.shape[1] != p + 2:
-            raise VolumeError(f"patches of {p} parameters with sensitivities in {M.shape[1]} rows, not {p + 2}", reason="volume_patches")
+            raise VolumeError(
+                f"patches of {p} parameters with sensitivities in {M.shape[1]} rows, not {p + 2}",
+                reason="volume_patches",
+            )
     row = np.searchsorted(patches.key, points.patch)
     right = neighbour_kernel(patches.key, patches.cross_start, patches.cross_key)
     return SurfaceGeometry(row, points.local, p, patches.cross_start, right)
 
 
 def patch_loads(gradient: F64, patches: Patches, geometry: SurfaceGeometry) -> F64:
-    """Loads q (m, p + 2, k) of k results with gradients (n, k, 3): on the patch parameters, then on the patch's place along its tangent and
-    binormal."""
-    return np.asarray(load_kernel(gradient, patches.normal, patches.tangent, geometry.local, geometry.row, geometry.parameters))
+    """Loads q (m, p + 2, k) of k results with gradients (n, k, 3): on the patch parameters, then on
+    the patch's place along its tangent and binormal.
+    """
+    return np.asarray(
+        load_kernel(
+            gradient,
+            patches.normal,
+            patches.tangent,
+            geometry.local,
+            geometry.row,
+            geometry.parameters,
+        )
+    )
 
 
 def independent_covariance(q: F64, patches: Patches, geometry: SurfaceGeometry) -> F64:
-    """Covariance (k, k) of k results from the independent noise of the returns: ``Σ_ab q_aᵀ C_ab q_b`` over all pairs of patches, with the
-    loads on their parameters."""
+    """Covariance (k, k) of k results from the independent noise of the returns: ``Σ_ab q_aᵀ C_ab
+    q_b`` over all pairs of patches, with the loads on their parameters.
+    """
     k = q.shape[2]
     q = factor_loads(q, patches)
     if k % 4:
@@ -99,7 +127,9 @@ def independent_covariance(q: F64, patches: Patches, geometry: SurfaceGeometry) 
     half = np.empty((q.shape[2], q.shape[2]))
     for j in range(0, k, 4):
         four = np.ascontiguousarray(q[:, :, j : j + 4])
-        half[:, j : j + 4] = cross_kernel(q, four, patches.cross_start, geometry.right, patches.cross)
+        half[:, j : j + 4] = cross_kernel(
+            q, four, patches.cross_start, geometry.right, patches.cross
+        )
     out: F64 = 0.5 * (half + half.T)[:k, :k]  # the transposed pairs
     return out
 
@@ -118,16 +148,30 @@ def tangential_variance(gradient: F64, points: FilteredPoints) -> float:
 def calibration_groups(columns: int) -> dict[str, I64]:
     """Indices of each group's columns among ``columns`` = 11 + 2 beams."""
     names = calibration_columns((columns - 11) // 2)
-    groups = {g: np.array([i for i, n in enumerate(names) if n == g or n.rsplit("_", 1)[0] == g], np.int64) for g in CALIBRATION_GROUPS}
+    groups = {
+        g: np.array(
+            [i for i, n in enumerate(names) if n == g or n.rsplit("_", 1)[0] == g], np.int64
+        )
+        for g in CALIBRATION_GROUPS
+    }
     if sum(len(g) for g in groups.values()) != columns:
-        raise VolumeError(f"{columns} calibration columns cannot be grouped", reason="volume_calibration", value=columns)
+        raise VolumeError(
+            f"{columns} calibration columns cannot be grouped",
+            reason="volume_calibration",
+            value=columns,
+        )
     return groups
 
 
 def calibration_variance(J: F64, C_cal: F64) -> dict[str, float]:
-    """Variance by group of a sensitivity J (c,); one line ``calibration`` where C_cal (c, c) correlates groups."""
+    """Variance by group of a sensitivity J (c,); one line ``calibration`` where C_cal (c, c)
+    correlates groups.
+    """
     if J.shape[0] != C_cal.shape[0]:
-        raise VolumeError(f"patches have {J.shape[0]} calibration columns, the budget {C_cal.shape[0]}", reason="volume_calibration")
+        raise VolumeError(
+            f"patches have {J.shape[0]} calibration columns, the budget {C_cal.shape[0]}",
+            reason="volume_calibration",
+        )
     groups = calibration_groups(len(J))
     label = np.empty(len(J), np.int64)
     for number, index in enumerate(groups.values()):
@@ -138,7 +182,9 @@ def calibration_variance(J: F64, C_cal: F64) -> dict[str, float]:
 
 
 def calibration_marginals(J: F64, C_cal: F64) -> dict[str, float]:
-    """Variance of each group by itself, of a sensitivity J (c,): within a correlated block they do not add up to its variance."""
+    """Variance of each group by itself, of a sensitivity J (c,): within a correlated block they do
+    not add up to its variance.
+    """
     groups = calibration_groups(len(J))
     return {name: float(J[i] @ C_cal[np.ix_(i, i)] @ J[i]) for name, i in groups.items()}
 
@@ -148,24 +194,40 @@ def calibration_sensitivity(q: F64, patches: Patches) -> F64:
     return np.asarray(calibration_kernel(q, *calibration_parts(patches)))
 
 
-def navigation_sensitivity(q: F64, patches: Patches, listed: tuple[I64, I32] | None = None) -> tuple[F64, I64]:
-    """Sensitivities ``J_e = Σ_patches qᵀ M_nav[e]`` (b, 6) to position and attitude, and their ascending bins (b,) of loads q (m, p + 2).
+def navigation_sensitivity(
+    q: F64, patches: Patches, listed: tuple[I64, I32] | None = None
+) -> tuple[F64, I64]:
+    """Sensitivities ``J_e = Σ_patches qᵀ M_nav[e]`` (b, 6) to position and attitude, and their
+    ascending bins (b,) of loads q (m, p + 2).
 
     listed : :func:`time_bins`, where known.
     """
     bins, index = time_bins(patches) if listed is None else listed
     J = navigation_kernel(
-        q, patches.nav_start, index, patches.M_nav, navigation_units(patches), patches.normal, patches.tangent, len(bins)
-    )  # fmt: skip
+        q,
+        patches.nav_start,
+        index,
+        patches.M_nav,
+        navigation_units(patches),
+        patches.normal,
+        patches.tangent,
+        len(bins),
+    )
     used = np.flatnonzero(J.any(axis=1))
     return J[used], bins[used]
 
 
 def time_bins(patches: Patches) -> tuple[I64, I32]:
-    """Bins (b,) of all navigation sensitivities, ascending, and the row (l,) of each sensitivity's own among them."""
+    """Bins (b,) of all navigation sensitivities, ascending, and the row (l,) of each sensitivity's
+    own among them.
+    """
     low = int(patches.nav_bin.min()) if len(patches.nav_bin) else 0
-    if len(patches.nav_bin) and int(patches.nav_bin.max()) - low > LONGEST:  # a table of all between would be larger than the data
+    if (
+        len(patches.nav_bin) and int(patches.nav_bin.max()) - low > LONGEST
+    ):  # a table of all between would be larger than the data
         bins = np.unique(patches.nav_bin)
         return bins, np.searchsorted(bins, patches.nav_bin).astype(np.int32)
     seen = np.bincount(patches.nav_bin - low)
-    return np.flatnonzero(seen) + low, (np.cumsum(seen > 0) - 1).astype(np.int32)[patches.nav_bin - low]
+    return np.flatnonzero(seen) + low, (np.cumsum(seen > 0) - 1).astype(np.int32)[
+        patches.nav_bin - low
+    ]

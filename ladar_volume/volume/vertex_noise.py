@@ -1,8 +1,9 @@
-"""What neighbouring vertices of a filtered surface have in common of the noise of the returns (UNCERTAINTY steps 3 and 7).
+"""What neighbouring vertices of a filtered surface have in common of the noise of the returns
+(UNCERTAINTY steps 3 and 7).
 
-A filtered height is ``x·beta`` of its patch, and patches share returns: ``cov(h_i, h_j) = x_iᵀ C_ab x_j``, divided by the vertical
-components of both normals. An adjusted height of a partial TIN is taken as that of its own point: the points it is a mean of lie on the
-same patches.
+A filtered height is ``x·beta`` of its patch, and patches share returns: ``cov(h_i, h_j) = x_iᵀ C_ab
+x_j``, divided by the vertical components of both normals. An adjusted height of a partial TIN is
+taken as that of its own point: the points it is a mean of lie on the same patches.
 """
 
 from __future__ import annotations
@@ -24,8 +25,12 @@ STEEPEST = 0.01
 RINGS, MOST_RINGS = 4, 12
 
 
-def vertex_rows(tin: Tin, points: FilteredPoints, patches: Patches, geometry: SurfaceGeometry) -> tuple[F64, I64]:
-    """Rows (n, p) that give each vertex' height from that of its patch whose covariances the blocks are, and that patch (n,)."""
+def vertex_rows(
+    tin: Tin, points: FilteredPoints, patches: Patches, geometry: SurfaceGeometry
+) -> tuple[F64, I64]:
+    """Rows (n, p) that give each vertex' height from that of its patch whose covariances the blocks
+    are, and that patch (n,).
+    """
     up = np.maximum(np.abs(points.normal[tin.source, 2]), STEEPEST)
     row = geometry.row[tin.source]
     X = geometry.design(tin.source)
@@ -33,29 +38,51 @@ def vertex_rows(tin: Tin, points: FilteredPoints, patches: Patches, geometry: Su
     return factor_rows(X, row, patches), row
 
 
-def corner_covariances(patches: Patches, geometry: SurfaceGeometry, X: F64, row: I64, variance: F64, triangles: I32) -> F64:
-    """Packed covariances (k, 6) m² of the heights at the corners of ``triangles`` (k, 3), for their variances (n,).
+def corner_covariances(
+    patches: Patches, geometry: SurfaceGeometry, X: F64, row: I64, variance: F64, triangles: I32
+) -> F64:
+    """Packed covariances (k, 6) m² of the heights at the corners of ``triangles`` (k, 3), for their
+    variances (n,).
 
     X, row : see :func:`vertex_rows`.
     """
-    return np.asarray(corner_kernel(triangles, variance, row, X, patches.cross_start, geometry.right, patches.cross))
+    return np.asarray(
+        corner_kernel(
+            triangles, variance, row, X, patches.cross_start, geometry.right, patches.cross
+        )
+    )
 
 
-def height_pairs(tin: Tin, patches: Patches, geometry: SurfaceGeometry, X: F64, row: I64, variance: F64, triangles: I32) -> Any:
-    """Covariance (n, n), sparse, m², of the vertex heights: their variances (n,), and the pairs that edges of ``triangles`` (m, 3) join.
+def height_pairs(
+    tin: Tin,
+    patches: Patches,
+    geometry: SurfaceGeometry,
+    X: F64,
+    row: I64,
+    variance: F64,
+    triangles: I32,
+) -> Any:
+    """Covariance (n, n), sparse, m², of the vertex heights: their variances (n,), and the pairs
+    that edges of ``triangles`` (m, 3) join.
 
     X, row : see :func:`vertex_rows`.
     """
     n = len(tin.vertices)
-    pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).astype(np.int64)
+    pairs = np.concatenate(
+        [triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]
+    ).astype(np.int64)
     one, two = np.divmod(np.unique(pairs.min(axis=1) * n + pairs.max(axis=1)), n)
-    value, shared = pair_kernel(one, two, row, X, patches.cross_start, geometry.right, patches.cross)
+    value, shared = pair_kernel(
+        one, two, row, X, patches.cross_start, geometry.right, patches.cross
+    )
     upper = sparse.coo_array((value[shared], (one[shared], two[shared])), shape=(n, n)).tocsr()
     return sparse.csr_array(upper + upper.T + sparse.diags_array(variance))
 
 
 @leaf_kernel
-def pair(i: int, j: int, row: I64, X: F64, start: I64, right: I32, cross: F32 | I8) -> tuple[float, bool]:
+def pair(
+    i: int, j: int, row: I64, X: F64, start: I64, right: I32, cross: F32 | I8
+) -> tuple[float, bool]:
     """``x_i C x_j`` of two vertices, and whether there is such a block: see :func:`pair_kernel`."""
     if row[i] > row[j]:
         i, j = j, i
@@ -73,9 +100,11 @@ def pair(i: int, j: int, row: I64, X: F64, start: I64, right: I32, cross: F32 | 
 def pair_kernel(
     one: I64, two: I64, row: I64, X: F64, start: I64, right: I32, cross: F32 | I8
 ) -> tuple[F64, Bool]:
-    """``x_i C x_j`` (k,) of vertices one and two (k,) on patches row (n,) by design rows X (n, p), and whether there is such a block.
+    """``x_i C x_j`` (k,) of vertices one and two (k,) on patches row (n,) by design rows X (n, p),
+    and whether there is such a block.
 
-    start : (m + 1,) of each patch's blocks · right : (b,) the other patch of each, -1 where that is not known
+    start : (m + 1,) of each patch's blocks · right : (b,) the other patch of each, -1 where that is
+    not known
     """
     value, shared = np.zeros(len(one)), np.zeros(len(one), np.bool_)
     for e in range(len(one)):
@@ -84,7 +113,9 @@ def pair_kernel(
 
 
 @kernel
-def corner_kernel(triangles: I32, variance: F64, row: I64, X: F64, start: I64, right: I32, cross: F32 | I8) -> F64:
+def corner_kernel(
+    triangles: I32, variance: F64, row: I64, X: F64, start: I64, right: I32, cross: F32 | I8
+) -> F64:
     """See :func:`corner_covariances`; the rest as in :func:`pair_kernel`."""
     out = np.empty((len(triangles), 6))
     for t in range(len(triangles)):
@@ -92,7 +123,9 @@ def corner_kernel(triangles: I32, variance: F64, row: I64, X: F64, start: I64, r
         for a in range(3):
             out[t, k] = variance[triangles[t, a]]
             for b in range(a + 1, 3):
-                out[t, k + b - a] = pair(triangles[t, a], triangles[t, b], row, X, start, right, cross)[0]
+                out[t, k + b - a] = pair(
+                    triangles[t, a], triangles[t, b], row, X, start, right, cross
+                )[0]
             k += 3 - a
     return out
 
@@ -100,15 +133,23 @@ def corner_kernel(triangles: I32, variance: F64, row: I64, X: F64, start: I64, r
 def height_sums(
     patches: Patches, geometry: SurfaceGeometry, X: F64, row: I64, chosen: I64, variance: F64
 ) -> tuple[F64, float]:
-    """Sums (n,) m² of the covariances of each of the ``chosen`` (k,) vertices' heights with all heights, and how many heights share their
-    noise: the median of sum over variance, which stands for the vertices that are not chosen."""
+    """Sums (n,) m² of the covariances of each of the ``chosen`` (k,) vertices' heights with all
+    heights, and how many heights share their noise: the median of sum over variance, which stands
+    for the vertices that are not chosen.
+    """
     m, p = len(patches), X.shape[1]
-    load: F64 = np.stack([np.bincount(row, X[:, k], m) for k in range(p)], axis=1).astype(np.float64)
+    load: F64 = np.stack([np.bincount(row, X[:, k], m) for k in range(p)], axis=1).astype(
+        np.float64
+    )
     touched = np.zeros(m, bool)
     touched[row[chosen]] = True
     total = sum_kernel(patches.cross_start, geometry.right, patches.cross, load, touched)
     own = np.maximum((X[chosen] * total[row[chosen]]).sum(axis=1), 0.0)
-    alike = max(1.0, float(np.median(own / np.maximum(variance[chosen], 1e-300)))) if len(chosen) else 1.0
+    alike = (
+        max(1.0, float(np.median(own / np.maximum(variance[chosen], 1e-300))))
+        if len(chosen)
+        else 1.0
+    )
     out = alike * variance
     out[chosen] = own
     return out, alike
@@ -116,7 +157,9 @@ def height_sums(
 
 @kernel
 def sum_kernel(start: I64, right: I32, cross: F32 | I8, load: F64, touched: Bool) -> F64:
-    """``Σ_b C_ab f_b`` (m, p) over all patches b of those ``touched`` (m,), for loads f (m, p) and the blocks of :func:`pair_kernel`."""
+    """``Σ_b C_ab f_b`` (m, p) over all patches b of those ``touched`` (m,), for loads f (m, p) and
+    the blocks of :func:`pair_kernel`.
+    """
     p, out = load.shape[1], np.zeros(load.shape)
     for a in range(len(load)):
         for e in range(start[a], start[a + 1]):
@@ -135,5 +178,7 @@ def sum_kernel(start: I64, right: I32, cross: F32 | I8, load: F64, touched: Bool
 
 
 def rings_for(alike: float) -> int:
-    """Rings of a neighbourhood where ``alike`` heights share their noise: for nearly as many independent heights as :data:`RINGS` hold."""
+    """Rings of a neighbourhood where ``alike`` heights share their noise: for nearly as many
+    independent heights as :data:`RINGS` hold.
+    """
     return int(min(MOST_RINGS, max(RINGS, math.ceil(0.75 * RINGS * math.sqrt(alike)))))

@@ -1,4 +1,6 @@
-"""The two epochs of the benchmark: their exact volume, their density, and what the measurement returns."""
+"""The two epochs of the benchmark: their exact volume, their density, and what the measurement
+returns.
+"""
 
 from __future__ import annotations
 

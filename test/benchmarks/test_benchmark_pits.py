@@ -18,6 +18,9 @@ def test_four_pits_within_two_hundredths_of_a_percent_about_any_pole():
 def test_half_seen_spheres():
     figures = spheres.run(200)
     for name in ("free", "known"):
-        rms, error = figures[f"radius {name}: RMS of the centre, mm"], figures[f"radius {name}: its standard error, mm"]
+        rms, error = (
+            figures[f"radius {name}: RMS of the centre, mm"],
+            figures[f"radius {name}: its standard error, mm"],
+        )
         assert rms <= figures[f"radius {name}: measured elsewhere, mm"] + 2 * error
         assert abs(figures[f"radius {name}: predicted over empirical sigma"] - 1) <= 0.10

@@ -1,4 +1,6 @@
-"""The synthetic sets: distances against dense samples and closed forms, labels, and the figures of results that are known."""
+"""The synthetic sets: distances against dense samples and closed forms, labels, and the figures of
+results that are known.
+"""
 
 from types import SimpleNamespace
 
@@ -56,11 +58,15 @@ def test_distance_to_a_cube_has_a_closed_form_inside_and_outside():
 
 
 def test_the_sign_is_right_around_an_acute_edge():
-    """In front of a 60 degree edge one of the two faces is seen from behind: the point is outside all the same."""
+    """In front of a 60 degree edge one of the two faces is seen from behind: the point is outside
+    all the same.
+    """
     shape = shapes.dihedral(5, 60)
     a = shape.normal[0]
     b = shape.normal[np.argmin(shape.normal @ a)]
-    edge = shape.points[0] - shape.foot(shape.points[:1])[0][0]  # any vector: only its part along the edge is used
+    edge = (
+        shape.points[0] - shape.foot(shape.points[:1])[0][0]
+    )  # any vector: only its part along the edge is used
     along = np.cross(a, b) / np.linalg.norm(np.cross(a, b))
     at = along * (edge @ along)
     for out in (a, b, a + b, a + 0.05 * b, b + 0.05 * a):
@@ -81,9 +87,15 @@ def test_distance_to_polygons_agrees_with_a_dense_sample(shape):
 def test_perfect_result_scores_perfectly():
     shape = shapes.cube(1)
     index = np.flatnonzero(shape.from_surface)
-    figures = shapes.score(shape, result(shape.foot(shape.points)[0][index], index, len(shape.points)))
+    figures = shapes.score(
+        shape, result(shape.foot(shape.points)[0][index], index, len(shape.points))
+    )
     assert figures["rms_mm"] < 1e-9 and figures["edge_rms_mm"] < 1e-9
-    assert figures["false_removed_pct"] == 0 and figures["far_removed_pct"] == 100 and figures["unaccounted"] == 0
+    assert (
+        figures["false_removed_pct"] == 0
+        and figures["far_removed_pct"] == 100
+        and figures["unaccounted"] == 0
+    )
 
 
 def test_raw_points_score_the_noise():
@@ -106,9 +118,16 @@ def test_a_shrunk_sphere_has_that_bias():
 def test_a_point_kept_twice_or_kept_and_removed_is_refused():
     shape = shapes.sphere(2)
     with pytest.raises(ValueError):
-        shapes.score(shape, SimpleNamespace(r=shape.points[[0, 0]], index=np.array([0, 0]), outliers=np.zeros(0, int)))
+        shapes.score(
+            shape,
+            SimpleNamespace(
+                r=shape.points[[0, 0]], index=np.array([0, 0]), outliers=np.zeros(0, int)
+            ),
+        )
     with pytest.raises(ValueError):
-        shapes.score(shape, SimpleNamespace(r=shape.points[:1], index=np.array([0]), outliers=np.array([0])))
+        shapes.score(
+            shape, SimpleNamespace(r=shape.points[:1], index=np.array([0]), outliers=np.array([0]))
+        )
 
 
 def test_samples_are_uniform_by_area():

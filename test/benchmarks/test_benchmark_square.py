@@ -1,4 +1,6 @@
-"""The synthetic square: counts, classes, exact distances and the figures of a result that is known."""
+"""The synthetic square: counts, classes, exact distances and the figures of a result that is
+known.
+"""
 
 from types import SimpleNamespace
 
@@ -28,7 +30,9 @@ def test_noise_stays_in_its_range_and_is_uniform_in_every_class():
 
 def test_skipping_far_bodies_changes_no_distance():
     rng = np.random.default_rng(0)
-    points = np.concatenate([WHOLE.points[:1000], rng.uniform([-15, -15, -1], [15, 15, 7], (1000, 3))])
+    points = np.concatenate(
+        [WHOLE.points[:1000], rng.uniform([-15, -15, -1], [15, 15, 7], (1000, 3))]
+    )
     p = WHOLE.level(points)
     plain = np.abs(p[:, 2])
     for body in sq.BODIES:
@@ -57,7 +61,9 @@ def test_areas_have_closed_forms():
 
 def test_distance_to_a_post_and_into_the_fountain():
     x, y = sq.LAMPS[0]
-    points = np.array([[x + 0.3, y, 2.0], [x, y, 4.7], [0.0, -5.0, 0.3], [3.8, -5.0, 0.7], [3.8, -5.0, 0.2]])
+    points = np.array(
+        [[x + 0.3, y, 2.0], [x, y, 4.7], [0.0, -5.0, 0.3], [3.8, -5.0, 0.7], [3.8, -5.0, 0.2]]
+    )
     expected = [0.2, 0.7, 0.3, 0.2, 0.2]
     np.testing.assert_allclose(WHOLE.distance(points @ sq.TILT.T), expected, atol=1e-9)
 
@@ -71,7 +77,11 @@ def test_a_perfect_and_a_raised_paving():
         figures = sq.score(WHOLE, SimpleNamespace(r=flat @ sq.TILT.T, index=ground, outliers=rest))
         assert figures["ground_bias_mm"] == pytest.approx(1e3 * height, abs=1e-9)
         assert figures["ground_rms_mm"] == pytest.approx(1e3 * height, abs=0.01)
-        assert figures["ground_kept_pct"] == 100 and figures["crown_kept_pct"] == 0 and figures["far_removed_pct"] == 100
+        assert (
+            figures["ground_kept_pct"] == 100
+            and figures["crown_kept_pct"] == 0
+            and figures["far_removed_pct"] == 100
+        )
 
 
 def test_windows_keep_density_and_labels():

@@ -1,4 +1,6 @@
-"""Correlations of the calibration in the budget: read, written, refused, and one line of the volume's budget."""
+"""Correlations of the calibration in the budget: read, written, refused, and one line of the
+volume's budget.
+"""
 
 import dataclasses
 
@@ -24,7 +26,9 @@ def correlated(size, seed=1):
 @pytest.mark.parametrize("size", [11, 11 + 2 * BEAMS])
 def test_a_covariance_survives_the_file(size, tmp_path):
     C = correlated(size)
-    budget = dataclasses.replace(BudgetParameters(), calibration_correlation=correlation_triangle(C))
+    budget = dataclasses.replace(
+        BudgetParameters(), calibration_correlation=correlation_triangle(C)
+    )
     file = tmp_path / "c.yaml"
     file.write_text(changed_config(dataclasses.replace(Parameters(), budget=budget), {}, "test"))
     found = calibration_covariance(read_config(file).budget, BEAMS)
@@ -32,7 +36,9 @@ def test_a_covariance_survives_the_file(size, tmp_path):
     assert not found[:size, size:].any() and (np.linalg.eigvalsh(found) > 0).all()
     J = np.linspace(1.0, 2.0, 11 + 2 * BEAMS)
     boresight = calibration_marginals(J, found)["boresight"]
-    assert boresight == pytest.approx(J[1:4] @ found[1:4, 1:4] @ J[1:4]) and boresight != pytest.approx(J @ found @ J)
+    assert boresight == pytest.approx(
+        J[1:4] @ found[1:4, 1:4] @ J[1:4]
+    ) and boresight != pytest.approx(J @ found @ J)
     assert calibration_variance(J, found) == {"calibration": pytest.approx(J @ found @ J)}
 
 
@@ -43,7 +49,9 @@ def test_without_correlations_it_is_diagonal():
 
 
 def test_odometry_has_no_antenna_whatever_the_correlations():
-    budget = dataclasses.replace(BudgetParameters(), calibration_correlation=correlation_triangle(correlated(11)))
+    budget = dataclasses.replace(
+        BudgetParameters(), calibration_correlation=correlation_triangle(correlated(11))
+    )
     C = calibration_covariance(budget, BEAMS, "odometry")
     assert not C[7:10].any() and not C[:, 7:10].any() and C[1, 4] != 0
 
@@ -52,7 +60,12 @@ def test_zero_variance_correlates_with_nothing():
     assert correlation_triangle(np.diag([1.0, 0.0, 2.0])) == (0.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize(("values", "words"), [((0.1,) * 54, "54 values; 55 or 136"), ((0.99, -0.99, *[0.99] * 53), "eigenvalue")])
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [((0.1,) * 54, "54 values; 55 or 136"), ((0.99, -0.99, *[0.99] * 53), "eigenvalue")],
+)
 def test_impossible_correlations_are_refused(values, words):
     with pytest.raises(ParameterValueError, match=words):
-        calibration_covariance(dataclasses.replace(BudgetParameters(), calibration_correlation=values), BEAMS)
+        calibration_covariance(
+            dataclasses.replace(BudgetParameters(), calibration_correlation=values), BEAMS
+        )

@@ -1,9 +1,17 @@
-"""Sigmas from repeated measurements: closed forms, and whether the intervals hold what they promise."""
+"""Sigmas from repeated measurements: closed forms, and whether the intervals hold what they
+promise.
+"""
 
 import numpy as np
 import pytest
 
-from ladar_volume.calibration.repeats import boresight_vectors, budget_sigma, components, correction_of, spread
+from ladar_volume.calibration.repeats import (
+    boresight_vectors,
+    budget_sigma,
+    components,
+    correction_of,
+    spread,
+)
 from ladar_volume.model.errors import CalibrationError
 from ladar_volume.model.se3 import exp_so3, rotation_xyz
 
@@ -12,8 +20,12 @@ def test_three_values_by_hand():
     s = spread([1.0, 2.0, 3.0])
     assert (s.count, s.mean, s.sigma_single, s.freedom) == (3, 2.0, 1.0, 2)
     assert s.sigma_mean == pytest.approx(1 / np.sqrt(3))
-    assert s.mean_interval == pytest.approx((2 - 4.302653 / np.sqrt(3), 2 + 4.302653 / np.sqrt(3)), rel=1e-6)
-    assert s.single_interval == pytest.approx((1 / np.sqrt(7.377759 / 2), 1 / np.sqrt(0.0506356 / 2)), rel=1e-5)
+    assert s.mean_interval == pytest.approx(
+        (2 - 4.302653 / np.sqrt(3), 2 + 4.302653 / np.sqrt(3)), rel=1e-6
+    )
+    assert s.single_interval == pytest.approx(
+        (1 / np.sqrt(7.377759 / 2), 1 / np.sqrt(0.0506356 / 2)), rel=1e-5
+    )
 
 
 def test_thirty_tape_measurements_give_a_much_better_mean():
@@ -25,8 +37,11 @@ def test_thirty_tape_measurements_give_a_much_better_mean():
 
 def test_two_mountings_by_hand():
     c = components([1.0, 3.0, 7.0, 9.0], ["a", "a", "b", "b"])
-    # within: (1 + 1 + 1 + 1) / 2; means 2 and 8 with variance 18, of which 2 / 2 is the calibration's
-    assert c.sigma_within == pytest.approx(np.sqrt(2)) and c.sigma_between == pytest.approx(np.sqrt(18 - 1))
+    # within: (1 + 1 + 1 + 1) / 2; means 2 and 8 with variance 18, of which 2 / 2 is the
+    # calibration's
+    assert c.sigma_within == pytest.approx(np.sqrt(2)) and c.sigma_between == pytest.approx(
+        np.sqrt(18 - 1)
+    )
     assert (c.mean, c.sigma_mean) == (5.0, 3.0) and (c.last_mean, c.last_count) == (8.0, 2)
     assert budget_sigma(c, "single") == c.sigma_within
     assert budget_sigma(c, "mean") == pytest.approx(1.0)
@@ -39,22 +54,36 @@ def test_order_and_labels_of_the_mountings_do_not_matter():
     y = rng.normal(size=4)[label] + 0.2 * rng.normal(size=14)
     a, order = components(y, label), rng.permutation(13)  # the last row stays the last
     b = components(np.append(y[order], y[13]), [f"m{9 - k}" for k in (*label[order], label[13])])
-    assert np.array(list(vars(a).values()), object)[[0, 10]].tolist() == np.array(list(vars(b).values()), object)[[0, 10]].tolist()
-    assert (a.sigma_within, a.sigma_between, a.sigma_mean, a.last_mean) == pytest.approx((b.sigma_within, b.sigma_between, b.sigma_mean, b.last_mean))
+    assert (
+        np.array(list(vars(a).values()), object)[[0, 10]].tolist()
+        == np.array(list(vars(b).values()), object)[[0, 10]].tolist()
+    )
+    assert (a.sigma_within, a.sigma_between, a.sigma_mean, a.last_mean) == pytest.approx(
+        (b.sigma_within, b.sigma_between, b.sigma_mean, b.last_mean)
+    )
 
 
 @pytest.mark.parametrize("counts", [[3] * 8, [1, 1, 2, 3, 5, 8]])
 def test_the_intervals_hold_the_truth(counts):
-    rng, label, inside, runs = np.random.default_rng(3), np.repeat(np.arange(len(counts)), counts), np.zeros(4), 800
+    rng, label, inside, runs = (
+        np.random.default_rng(3),
+        np.repeat(np.arange(len(counts)), counts),
+        np.zeros(4),
+        800,
+    )
     for _ in range(runs):
         y = 5.0 + 0.8 * rng.normal(size=len(counts))[label] + 0.5 * rng.normal(size=len(label))
         c, s = components(y, label), spread(rng.normal(1.0, 2.0, 6))
         inside += [
-            c.within_interval[0] <= 0.5 <= c.within_interval[1], c.between_interval[0] <= 0.8 <= c.between_interval[1],
-            s.single_interval[0] <= 2.0 <= s.single_interval[1], s.mean_interval[0] <= 1.0 <= s.mean_interval[1],
+            c.within_interval[0] <= 0.5 <= c.within_interval[1],
+            c.between_interval[0] <= 0.8 <= c.between_interval[1],
+            s.single_interval[0] <= 2.0 <= s.single_interval[1],
+            s.mean_interval[0] <= 1.0 <= s.mean_interval[1],
         ]
     assert inside[[0, 2, 3]] / runs == pytest.approx(0.95, abs=0.025)
-    assert 0.93 <= inside[1] / runs <= 0.985  # Tukey and Williams' interval is on the safe side; unequal counts are an approximation
+    assert (
+        0.93 <= inside[1] / runs <= 0.985
+    )  # Tukey and Williams' interval is on the safe side; unequal counts are an approximation
 
 
 def test_no_variation_between_mountings_is_said():
@@ -82,11 +111,15 @@ def test_boresights_are_averaged_as_rotations(pitch):
 @pytest.mark.parametrize(
     ("values", "label", "reason"),
     [
-        ([1.0], None, "calibration_too_few"), ([1.0, np.nan], None, "calibration_values"), ([2.0, 2.0], None, "calibration_no_spread"),
-        ([1.0, 2.0], [0, 0], "calibration_mountings"), ([1.0, 2.0], [0, 1], "calibration_no_repeats"), ([1.0, 2.0], [0], "calibration_values"),
+        ([1.0], None, "calibration_too_few"),
+        ([1.0, np.nan], None, "calibration_values"),
+        ([2.0, 2.0], None, "calibration_no_spread"),
+        ([1.0, 2.0], [0, 0], "calibration_mountings"),
+        ([1.0, 2.0], [0, 1], "calibration_no_repeats"),
+        ([1.0, 2.0], [0], "calibration_values"),
         ([[1.0, 2.0]], None, "calibration_too_few"),
     ],
-)  # fmt: skip
+)
 def test_bad_values_are_refused(values, label, reason):
     with pytest.raises(CalibrationError) as error:
         spread(values) if label is None else components(values, label)

@@ -46,7 +46,11 @@ def test_two_cubes_on_the_ground(cloud, tmp_path, capsys):
     assert len(facts["bodies"]) == 2 and facts["watertight"] is True
     for body in facts["bodies"]:
         assert body["volume_m3"] == pytest.approx(1.0, abs=0.02) and body["euler"] == 2
-        assert 0.0 < body["sigma_m3"] < 0.01 and body["closed_m3"] > 0.0 and body["closures"][0]["on"] == "ground"
+        assert (
+            0.0 < body["sigma_m3"] < 0.01
+            and body["closed_m3"] > 0.0
+            and body["closures"][0]["on"] == "ground"
+        )
         assert abs(body["pole_spread_m3"]) < 1e-12 and body["mesh"]["points"] > 500
     assert facts["volume_m3"] == pytest.approx(sum(b["volume_m3"] for b in facts["bodies"]))
     assert facts["uncorrected_m3"] < facts["volume_m3"] and facts["ground"]["points"] > 1000
@@ -64,9 +68,14 @@ def test_one_body_by_region_or_pick(cloud, tmp_path, capsys):
     assert len(whole["bodies"]) == len(pick["bodies"]) == 1
     assert whole["volume_m3"] == pytest.approx(pick["volume_m3"]) == pytest.approx(1.0, abs=0.02)
     given = answer(capsys, cloud, "-o", out, "--pick=0,0,1", "--ground", "0")
-    assert given["volume_m3"] == pytest.approx(whole["volume_m3"], abs=0.005) and given["ground"]["points"] == 0
+    assert (
+        given["volume_m3"] == pytest.approx(whole["volume_m3"], abs=0.005)
+        and given["ground"]["points"] == 0
+    )
     polygon = answer(capsys, cloud, "-o", out, "--polygon", "2,-1", "4,-1", "4,1", "2,1")
-    assert len(polygon["bodies"]) == 1 and polygon["bodies"][0]["centroid_map_m"][0] == pytest.approx(3.0, abs=0.02)
+    assert len(polygon["bodies"]) == 1 and polygon["bodies"][0]["centroid_map_m"][
+        0
+    ] == pytest.approx(3.0, abs=0.02)
 
 
 def test_filtered_points_as_they_are(tmp_path, capsys):
@@ -75,7 +84,9 @@ def test_filtered_points_as_they_are(tmp_path, capsys):
     write_cloud(path, v, {"normal": v, "sigma": np.full(len(v), 0.001)})
     facts = answer(capsys, path, "-o", out, "--no-filter", "--ground", "none")
     assert facts["volume_m3"] == pytest.approx(4 / 3 * np.pi, rel=1e-4) and facts["filter"] is None
-    assert facts["uncorrected_m3"] < facts["volume_m3"] and facts["sigma_m3"] == pytest.approx(0.001 * 4 * np.pi / np.sqrt(1500), rel=0.1)
+    assert facts["uncorrected_m3"] < facts["volume_m3"] and facts["sigma_m3"] == pytest.approx(
+        0.001 * 4 * np.pi / np.sqrt(1500), rel=0.1
+    )
     assert read_mesh(out).triangles.shape == (2996, 3)
 
 
@@ -84,10 +95,18 @@ def test_meshes_closed_open_and_refused(tmp_path, capsys):
     write_mesh(whole, CUBE_V, CUBE_T)
     write_mesh(hollow, CUBE_V, CUBE_T[2:])
     facts = answer(capsys, whole, "-o", out, "--pole=5,5,5", "--sigma", "0.001")
-    assert facts["volume_m3"] == pytest.approx(1.0) and facts["closed_m3"] == 0 and facts["sigma_m3"] > 0
+    assert (
+        facts["volume_m3"] == pytest.approx(1.0)
+        and facts["closed_m3"] == 0
+        and facts["sigma_m3"] > 0
+    )
     assert facts["bodies"][0]["pole_map_m"] == [5, 5, 5]
     facts = answer(capsys, hollow, "-o", out, "--ground=-0.1", "--close", "0.2")
-    assert facts["volume_m3"] == pytest.approx(1.1) and facts["closed_m3"] == pytest.approx(0.1) and facts["sigma_m3"] is None
+    assert (
+        facts["volume_m3"] == pytest.approx(1.1)
+        and facts["closed_m3"] == pytest.approx(0.1)
+        and facts["sigma_m3"] is None
+    )
     again = answer(capsys, out, "-o", tmp_path / "again.ply")
     assert again["volume_m3"] == pytest.approx(1.1) and holds_faces(out)
     for words, say in (
@@ -107,7 +126,13 @@ def test_what_a_person_sees(cloud, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     assert main(["body", str(cloud), "-o", str(tmp_path / "o.ply")]) == 0
     seen = capsys.readouterr().out
-    for words in ("uncorrected", "closed on the ground", "edges completed", "watertight: yes", "all"):
+    for words in (
+        "uncorrected",
+        "closed on the ground",
+        "edges completed",
+        "watertight: yes",
+        "all",
+    ):
         assert words in seen
 
 
@@ -153,18 +178,28 @@ def test_bad_meshes_are_refused_in_one_line(tmp_path, capsys):
 
 def test_clouds_without_a_body_are_refused_in_one_line(cloud, tmp_path, capsys):
     rng = np.random.default_rng(7)
-    blob, few, flat, out = (tmp_path / name for name in ("blob.ply", "few.xyz", "flat.ply", "o.ply"))
+    blob, few, flat, out = (
+        tmp_path / name for name in ("blob.ply", "few.xyz", "flat.ply", "o.ply")
+    )
     write_cloud(blob, rng.normal(size=(3000, 3)))
     write_cloud(few, CUBE_V[:3])
-    write_cloud(flat, np.column_stack([rng.uniform(-2, 2, (3000, 2)), 0.01 * rng.normal(size=3000)]))
+    write_cloud(
+        flat, np.column_stack([rng.uniform(-2, 2, (3000, 2)), 0.01 * rng.normal(size=3000)])
+    )
     error = refusal(capsys, blob, "-o", out, "--no-filter")
     assert "show no ground" in error and "--ground none" in error and "blob.ply" in error
     for words, say in (
-        ((blob,), "blob.ply"), ((blob, "--no-filter", "--ground", "none"), "close more"), ((few,), "few.xyz"),
-        ((few, "--no-filter"), "no point stands above the ground"), ((few, "--no-filter", "--ground", "none"), "no bod"),
-        ((flat,), "no point stands above the ground"), ((flat, "--ground", "5"), "no point stands above the ground"),
-        ((cloud, "--polygon", "9,9", "10,9", "10,10"), "nothing rises"), ((cloud, "--polygon", "0,0", "1,1"), "three"),
-        ((cloud, "--polygon", "0,0", "1,1", "2,2"), "no area"), ((cloud, "--pick=30,0,0"), "pick on it"),
-    ):  # fmt: skip
+        ((blob,), "blob.ply"),
+        ((blob, "--no-filter", "--ground", "none"), "close more"),
+        ((few,), "few.xyz"),
+        ((few, "--no-filter"), "no point stands above the ground"),
+        ((few, "--no-filter", "--ground", "none"), "no bod"),
+        ((flat,), "no point stands above the ground"),
+        ((flat, "--ground", "5"), "no point stands above the ground"),
+        ((cloud, "--polygon", "9,9", "10,9", "10,10"), "nothing rises"),
+        ((cloud, "--polygon", "0,0", "1,1"), "three"),
+        ((cloud, "--polygon", "0,0", "1,1", "2,2"), "no area"),
+        ((cloud, "--pick=30,0,0"), "pick on it"),
+    ):
         assert say in refusal(capsys, words[0], "-o", out, *words[1:])
     assert not out.exists()

@@ -1,4 +1,6 @@
-"""``ladar_volume diff``: pits and bodies from files, registration, region, density, and every refusal in one line."""
+"""``ladar_volume diff``: pits and bodies from files, registration, region, density, and every
+refusal in one line.
+"""
 
 from __future__ import annotations
 
@@ -49,17 +51,47 @@ def test_an_overhanging_pit_from_two_files(scans, capsys):
     facts = answer(capsys, *words, "--published", "-o", folder / "body.ply")
     assert facts["volume_m3"] == pytest.approx(truth, rel=2e-4) and facts["watertight"] is True
     assert facts["pole_spread_m3"] < 1e-9 * truth and facts["closed_m3"] < 1e-9
-    assert facts["sigma_m3"] == pytest.approx(np.sqrt(sum(facts["budget_m6"].values()))) and 0.005 < facts["sigma_m3"] < 0.05
-    assert facts["size_classes"]["offset"] == pytest.approx(0.01 * facts["area_m2"] / facts["volume_m3"])
+    assert (
+        facts["sigma_m3"] == pytest.approx(np.sqrt(sum(facts["budget_m6"].values())))
+        and 0.005 < facts["sigma_m3"] < 0.05
+    )
+    assert facts["size_classes"]["offset"] == pytest.approx(
+        0.01 * facts["area_m2"] / facts["volume_m3"]
+    )
     assert len(facts["size_rule"]) == 2 and facts["published_m3"] != pytest.approx(truth, rel=1e-3)
     body = read_mesh(folder / "body.ply")
     assert len(body.triangles) * 3 % 2 == 0
     # another pole, the scanner as it was: the same volume, another published value
-    other = answer(capsys, *words[:2], "--pole=-7,20,30", "--scanner", EYE, *REGION, "--sigma", "0.01", "--published")
+    other = answer(
+        capsys,
+        *words[:2],
+        "--pole=-7,20,30",
+        "--scanner",
+        EYE,
+        *REGION,
+        "--sigma",
+        "0.01",
+        "--published",
+    )
     assert other["volume_m3"] == pytest.approx(facts["volume_m3"], rel=1e-12)
     assert abs(other["published_m3"] / facts["published_m3"] - 1) > 0.01
     # and as a person sees it
-    assert main(["diff", *map(str, words), "--mass", "12600", "--mass-sigma", "60", "--resolution", "0.5", "0.7"]) == 0
+    assert (
+        main(
+            [
+                "diff",
+                *map(str, words),
+                "--mass",
+                "12600",
+                "--mass-sigma",
+                "60",
+                "--resolution",
+                "0.5",
+                "0.7",
+            ]
+        )
+        == 0
+    )
     text = capsys.readouterr().out
     assert "density" in text and "any pole" in text and "100 m³" in text and "dimension" in text
 
@@ -73,10 +105,32 @@ def test_without_a_polygon_the_region_is_the_outline_of_a_less_its_margin(scans,
     assert corners.min(axis=0) == pytest.approx(before[:, :2].min(axis=0) + 0.7)
     # picked points in place of the polygon
     write_cloud(folder / "picked.csv", np.column_stack([rim(OPENING, 0.4), np.zeros(4)]))
-    facts = answer(capsys, folder / "a.ply", folder / "b.npy", "--scanner", EYE, "--selection", folder / "picked.csv", "--margin", 1.5)
-    assert np.array(sorted(facts["region"]["corners_m"])) == pytest.approx(np.array(sorted(rim(OPENING, 0.4).tolist())))
+    facts = answer(
+        capsys,
+        folder / "a.ply",
+        folder / "b.npy",
+        "--scanner",
+        EYE,
+        "--selection",
+        folder / "picked.csv",
+        "--margin",
+        1.5,
+    )
+    assert np.array(sorted(facts["region"]["corners_m"])) == pytest.approx(
+        np.array(sorted(rim(OPENING, 0.4).tolist()))
+    )
     (folder / "corners.txt").write_text("".join(f"{x} {y}\n" for x, y in rim(OPENING, 0.4)))
-    again = answer(capsys, folder / "a.ply", folder / "b.npy", "--scanner", EYE, "--polygon", folder / "corners.txt", "--margin", 1.5)
+    again = answer(
+        capsys,
+        folder / "a.ply",
+        folder / "b.npy",
+        "--scanner",
+        EYE,
+        "--polygon",
+        folder / "corners.txt",
+        "--margin",
+        1.5,
+    )
     assert again["volume_m3"] == pytest.approx(facts["volume_m3"], rel=1e-9)
 
 
@@ -87,18 +141,41 @@ def test_registration_from_the_verb_brings_b_home_and_enters_sigma(scans, tmp_pa
     rng, rows = np.random.default_rng(3), []
     for k, centre in enumerate([[-2.0, -2, 0.5], [5, -2, 1.5], [5, 5, 0.4], [-2, 5, 1.0]]):
         u = rng.standard_normal((40, 3))
-        rows.append(np.column_stack([centre + 0.1 * u / np.linalg.norm(u, axis=1)[:, None], np.full(40, k)]))
+        rows.append(
+            np.column_stack([centre + 0.1 * u / np.linalg.norm(u, axis=1)[:, None], np.full(40, k)])
+        )
     map_points = np.concatenate(rows)
     for name, points in (("map", map_points[:, :3]), ("scan", (map_points[:, :3] - shift) @ R)):
         noisy = points + 0.002 * rng.standard_normal(points.shape)
         write_cloud(tmp_path / f"{name}.csv", noisy, {"sphere": map_points[:, 3].astype(np.int32)})
-    options = ["--radius", "0.1", "--noise-a", "0.002", "--noise-b", "0.002", "--levelled", "--json"]
+    options = [
+        "--radius",
+        "0.1",
+        "--noise-a",
+        "0.002",
+        "--noise-b",
+        "0.002",
+        "--levelled",
+        "--json",
+    ]
     assert main(["register", str(tmp_path / "scan.csv"), str(tmp_path / "map.csv"), *options]) == 0
     (tmp_path / "T.json").write_text(capsys.readouterr().out)
     eye_b = ",".join(f"{v:.9f}" for v in (np.array(SCANNER) - shift) @ R)
-    words = [folder / "a.ply", tmp_path / "b.ply", "--scanner", EYE, f"--scanner-b={eye_b}", "--transform-b", tmp_path / "T.json", *REGION]
+    words = [
+        folder / "a.ply",
+        tmp_path / "b.ply",
+        "--scanner",
+        EYE,
+        f"--scanner-b={eye_b}",
+        "--transform-b",
+        tmp_path / "T.json",
+        *REGION,
+    ]
     facts = answer(capsys, *words, "--sigma", "0.002")
-    assert facts["budget_m6"]["registration_b"] > 0 and abs(facts["volume_m3"] - truth) < 4 * facts["sigma_m3"] < 0.1
+    assert (
+        facts["budget_m6"]["registration_b"] > 0
+        and abs(facts["volume_m3"] - truth) < 4 * facts["sigma_m3"] < 0.1
+    )
     assert facts["size_classes"]["height"] > 0
 
 
@@ -110,13 +187,30 @@ def test_epochs_are_refined_by_the_ground_around_the_pit(tmp_path, capsys):
 
     def roll(r):
         far = np.clip(np.maximum(np.abs(r[:, 0] - 2.5) - 3.0, np.abs(r[:, 1] - 2.0) - 2.5), 0, None)
-        return r + np.array([0, 0, 1.0]) * (0.6 * far * np.sin(1.7 * r[:, 0] + 0.6 * r[:, 1]) * (r[:, 2] > -1e-9))[:, None]
+        return (
+            r
+            + np.array([0, 0, 1.0])
+            * (0.6 * far * np.sin(1.7 * r[:, 0] + 0.6 * r[:, 1]) * (r[:, 2] > -1e-9))[:, None]
+        )
 
-    before, after = roll(before) + 0.003 * rng.standard_normal(before.shape), roll(after) + 0.003 * rng.standard_normal(after.shape)
+    before, after = (
+        roll(before) + 0.003 * rng.standard_normal(before.shape),
+        roll(after) + 0.003 * rng.standard_normal(after.shape),
+    )
     off = (after - [2.5, 2, 0]) @ exp_so3(np.array([0.0015, -0.001, 0.0035])).T + [2.5, 2, 0.02]
     for name, r in (("a", before), ("b", after), ("off", off)):
         write_cloud(tmp_path / f"{name}.ply", r)
-    words = ["--pole", "2.5,2,3", "--polygon", "-.4,-.4", "5.4,-.4", "5.4,4.4", "-.4,4.4", "--margin", "3"]
+    words = [
+        "--pole",
+        "2.5,2,3",
+        "--polygon",
+        "-.4,-.4",
+        "5.4,-.4",
+        "5.4,4.4",
+        "-.4,4.4",
+        "--margin",
+        "3",
+    ]
     true, wrong, refined = (
         answer(capsys, tmp_path / "a.ply", tmp_path / name, *words, *more)
         for name, more in (("b.ply", []), ("off.ply", []), ("off.ply", ["--icp", "0.15"]))
@@ -136,28 +230,80 @@ def test_a_polygon_on_a_wall_is_cut_along_sight_lines(tmp_path, capsys):
     write_cloud(tmp_path / "b.ply", after @ R.T)
     eye = ",".join(f"{v:.9f}" for v in R @ np.array(scanner))
     words = [",".join(f"{v:.9f}" for v in c) for c in corners]
-    facts = answer(capsys, tmp_path / "a.ply", tmp_path / "b.ply", f"--scanner={eye}", "--polygon", *words, "--margin", "0.5")
+    facts = answer(
+        capsys,
+        tmp_path / "a.ply",
+        tmp_path / "b.ply",
+        f"--scanner={eye}",
+        "--polygon",
+        *words,
+        "--margin",
+        "0.5",
+    )
     assert facts["volume_m3"] == pytest.approx(truth, rel=2e-4)
 
 
 def test_closed_meshes_are_compared_as_bodies(tmp_path, capsys):
     cube = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
-    faces = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]])
+    faces = np.array(
+        [
+            [0, 1, 3],
+            [0, 3, 2],
+            [4, 6, 7],
+            [4, 7, 5],
+            [0, 4, 5],
+            [0, 5, 1],
+            [2, 3, 7],
+            [2, 7, 6],
+            [0, 2, 6],
+            [0, 6, 4],
+            [1, 5, 7],
+            [1, 7, 3],
+        ]
+    )
     for name, size in (("big.obj", 2.0), ("small.stl", 1.0), ("open.off", 1.0)):
-        write_mesh(tmp_path / name, cube * size, faces[: 11 if "open" in name else 12].astype(np.int32))
-    facts = answer(capsys, tmp_path / "big.obj", tmp_path / "small.stl", "--pole=-3,1e1,7", "--mass", "2000", "--mass-sigma", "10", "--sigma", "0.01")
-    assert facts["volume_m3"] == pytest.approx(7.0, rel=1e-6) and facts["watertight"] is True and facts["pole_spread_m3"] < 1e-9
+        write_mesh(
+            tmp_path / name, cube * size, faces[: 11 if "open" in name else 12].astype(np.int32)
+        )
+    facts = answer(
+        capsys,
+        tmp_path / "big.obj",
+        tmp_path / "small.stl",
+        "--pole=-3,1e1,7",
+        "--mass",
+        "2000",
+        "--mass-sigma",
+        "10",
+        "--sigma",
+        "0.01",
+    )
+    assert (
+        facts["volume_m3"] == pytest.approx(7.0, rel=1e-6)
+        and facts["watertight"] is True
+        and facts["pole_spread_m3"] < 1e-9
+    )
     assert facts["density"]["density_kg_m3"] == pytest.approx(2000 / 7) and facts["sigma_m3"] > 0
     assert answer(capsys, tmp_path / "big.obj", tmp_path / "small.stl")["sigma_m3"] is None
     assert main(["diff", str(tmp_path / "big.obj"), str(tmp_path / "small.stl")]) == 0
     assert "closed bodies" in capsys.readouterr().out
     assert "closed body" in refusal(capsys, tmp_path / "big.obj", tmp_path / "open.off")
-    assert "for scans" in refusal(capsys, tmp_path / "big.obj", tmp_path / "small.stl", "--scanner", "0,0,0")
-    assert "sigma" in refusal(capsys, tmp_path / "big.obj", tmp_path / "small.stl", "--mass", "1", "--mass-sigma", "1")
+    assert "for scans" in refusal(
+        capsys, tmp_path / "big.obj", tmp_path / "small.stl", "--scanner", "0,0,0"
+    )
+    assert "sigma" in refusal(
+        capsys, tmp_path / "big.obj", tmp_path / "small.stl", "--mass", "1", "--mass-sigma", "1"
+    )
     for name, v, t, say in (
-        ("flat.off", cube * [1, 1, 0], faces, "encloses no volume"), ("double.off", cube, np.r_[faces, faces[:1]], "remove double"),
-        ("strip.off", *moebius(), "not orientable"), ("crossed.off", np.r_[cube, cube + np.array([0.4, 0.3, 0.2])], np.r_[faces, faces + 8], "repair it"),
-    ):  # fmt: skip
+        ("flat.off", cube * [1, 1, 0], faces, "encloses no volume"),
+        ("double.off", cube, np.r_[faces, faces[:1]], "remove double"),
+        ("strip.off", *moebius(), "not orientable"),
+        (
+            "crossed.off",
+            np.r_[cube, cube + np.array([0.4, 0.3, 0.2])],
+            np.r_[faces, faces + 8],
+            "repair it",
+        ),
+    ):
         write_mesh(tmp_path / name, v, t.astype(np.int32))
         error = refusal(capsys, tmp_path / "big.obj", tmp_path / name)
         assert say in error and name in error
@@ -169,13 +315,17 @@ def test_refusals(scans, tmp_path, capsys):
     assert "--pole" in refusal(capsys, *good[:2])
     assert "no such file" in refusal(capsys, folder / "c.ply", *good[1:])
     assert "together" in refusal(capsys, *good, "--mass", "3")
-    assert "choose one" in refusal(capsys, *good, "--polygon", *POLYGON, "--selection", folder / "a.ply")
+    assert "choose one" in refusal(
+        capsys, *good, "--polygon", *POLYGON, "--selection", folder / "a.ply"
+    )
     assert "three corners" in refusal(capsys, *good, "--polygon", "0,0", "1,1")
     assert "--polygon" in refusal(capsys, *good, "--polygon", tmp_path / "none.txt")
     assert "no point of scan A" in refusal(capsys, *good, "--polygon", "50,50", "51,50", "51,51")
     assert "margin" in refusal(capsys, *good, "--polygon", *POLYGON, "--margin", "-1")
     assert "margin" in refusal(capsys, *good, "--margin", "30")
-    assert "miss surface" in refusal(capsys, *good, "--polygon", "-9,-9", "9,-9", "9,9", "-9,9", "--spacing", "1")
+    assert "miss surface" in refusal(
+        capsys, *good, "--polygon", "-9,-9", "9,-9", "9,9", "-9,9", "--spacing", "1"
+    )
     assert "no area" in refusal(capsys, *good, "--polygon", "0,0", "1,1", "2,2")
     assert "mesh file" in refusal(capsys, *good, "-o", tmp_path / "x.csv")
     assert "--icp" in refusal(capsys, *good, "--icp-cell", "1")
@@ -183,8 +333,23 @@ def test_refusals(scans, tmp_path, capsys):
     (tmp_path / "T.json").write_text('{"matrix": 3}')
     assert "register" in refusal(capsys, *good, "--transform", tmp_path / "T.json")
     I = np.eye(4).tolist()
-    for change in ({"scale": 0}, {"covariance": (-np.eye(7)).tolist()}, {"matrix": np.diag([1, 1, -1, 1]).tolist()}, {"pivot_m": [1, 2]}):
-        (tmp_path / "T.json").write_text(json.dumps({"matrix": I, "scale": 1, "pivot_m": [0, 0, 0], "covariance": np.zeros((7, 7)).tolist()} | change))
+    for change in (
+        {"scale": 0},
+        {"covariance": (-np.eye(7)).tolist()},
+        {"matrix": np.diag([1, 1, -1, 1]).tolist()},
+        {"pivot_m": [1, 2]},
+    ):
+        (tmp_path / "T.json").write_text(
+            json.dumps(
+                {
+                    "matrix": I,
+                    "scale": 1,
+                    "pivot_m": [0, 0, 0],
+                    "covariance": np.zeros((7, 7)).tolist(),
+                }
+                | change
+            )
+        )
         assert "T.json" in refusal(capsys, *good, "--transform", tmp_path / "T.json")
     with pytest.raises(SystemExit) as caught:
         main(["diff", *map(str, good[:2]), "--pole", "1,2"])

@@ -46,19 +46,61 @@ def test_a_preset_in_the_published_order(ending, points, capsys, tmp_path):
     assert len(kept) == facts["output"]["points"] < 0.6 * len(points)
     report = facts["report"]
     assert report["order"] == facts["parameters"]["order"] == "published" and not facts["auto"]
-    # the published 5 cm is less than three times the noise, and the printed sigma says what that costs
-    assert report["threshold_m"] == 0.05 and report["threshold_over_noise"] < 3 and report["variance_inflation"] > 1.05
-    result = filter_cloud(points, Parameters.read({"filter": {**PRESETS["bench"], "order": "published"}}).filter)
-    assert np.allclose(kept.r, result.r, atol=1e-4) and np.array_equal(kept.columns["index"], result.index)
+    # the published 5 cm is less than three times the noise, and the printed sigma says what that
+    # costs
+    assert (
+        report["threshold_m"] == 0.05
+        and report["threshold_over_noise"] < 3
+        and report["variance_inflation"] > 1.05
+    )
+    result = filter_cloud(
+        points, Parameters.read({"filter": {**PRESETS["bench"], "order": "published"}}).filter
+    )
+    assert np.allclose(kept.r, result.r, atol=1e-4) and np.array_equal(
+        kept.columns["index"], result.index
+    )
 
 
 def test_the_published_order_with_what_the_cloud_says_and_a_table(points, capsys, tmp_path):
     write_cloud(tmp_path / "in.ply", points)
-    words = [str(tmp_path / "in.ply"), "-o", str(tmp_path / "out.ply"), "--set", "filter.order=published", "--set", "filter.edge=remove"]
+    words = [
+        str(tmp_path / "in.ply"),
+        "-o",
+        str(tmp_path / "out.ply"),
+        "--set",
+        "filter.order=published",
+        "--set",
+        "filter.edge=remove",
+    ]
     assert main(["filter", *words]) == 0
     shown = capsys.readouterr().out
-    assert "published" in shown and "variance inflation" in shown and "(estimated)" in shown and len(shown.splitlines()) < 30
+    assert (
+        "published" in shown
+        and "variance inflation" in shown
+        and "(estimated)" in shown
+        and len(shown.splitlines()) < 30
+    )
     assert "count" not in read_cloud(tmp_path / "out.ply").columns
-    for wrong in ("filter.order=sideways", "filter.edge=keep", "filter.reduce=half", "filter.grid_before_m=-1", "filter.confidence=2"):
-        assert main(["filter", str(tmp_path / "in.ply"), "-o", str(tmp_path / "x.ply"), "--radius", "0.2", "--set", wrong]) == 2
+    for wrong in (
+        "filter.order=sideways",
+        "filter.edge=keep",
+        "filter.reduce=half",
+        "filter.grid_before_m=-1",
+        "filter.confidence=2",
+    ):
+        assert (
+            main(
+                [
+                    "filter",
+                    str(tmp_path / "in.ply"),
+                    "-o",
+                    str(tmp_path / "x.ply"),
+                    "--radius",
+                    "0.2",
+                    "--set",
+                    wrong,
+                ]
+            )
+            == 2
+        )
         assert "allowed" in capsys.readouterr().err

@@ -1,4 +1,6 @@
-"""``ladar_volume plan``: its numbers, its refusals, and the bundled survey predicted before it was flown."""
+"""``ladar_volume plan``: its numbers, its refusals, and the bundled survey predicted before it was
+flown.
+"""
 
 from __future__ import annotations
 
@@ -20,42 +22,107 @@ def run(capsys, *words):
 def test_the_bundled_survey_is_predicted(capsys, tmp_path):
     # the true scene and path of the recording: what a planner knows
     height = 9.0 * math.tan(math.radians(35.0)) * 0.75
-    pile = ("--pile", "22", "18", f"{height}", "--top", "0.25", "--rough", "0.01", "--rough-length", "1.414")
-    code, plan = run(capsys, *pile, "--eight", "36", "--length", "45", "--rate", "50000", "--config", f"{BUNDLED}/config.yaml")
+    pile = (
+        "--pile",
+        "22",
+        "18",
+        f"{height}",
+        "--top",
+        "0.25",
+        "--rough",
+        "0.01",
+        "--rough-length",
+        "1.414",
+    )
+    code, plan = run(
+        capsys,
+        *pile,
+        "--eight",
+        "36",
+        "--length",
+        "45",
+        "--rate",
+        "50000",
+        "--config",
+        f"{BUNDLED}/config.yaml",
+    )
     assert code == 0 and plan["true_volume_m3"] == pytest.approx(643.12, abs=0.01)
     assert cli.main(["replay", BUNDLED, "--json", "--no-figure", "-o", str(tmp_path)]) == 0
     survey = json.loads(capsys.readouterr().out)
-    # the survey tells the ground's roughness and how far it is alike from the ground it sees: that line scatters from survey to survey
+    # the survey tells the ground's roughness and how far it is alike from the ground it sees: that
+    # line scatters from survey to survey
     known, found = (f["sigma_m3"] ** 2 - f["budget_m6"]["base_surface"] for f in (plan, survey))
     assert math.sqrt(known) == pytest.approx(math.sqrt(found), rel=0.15)
-    assert 0.5 < math.sqrt(plan["budget_m6"]["base_surface"] / survey["budget_m6"]["base_surface"]) < 2.0
-    # nearly all of the rest; what the base cancels to a hundredth hangs on single triangles of the outline
+    assert (
+        0.5
+        < math.sqrt(plan["budget_m6"]["base_surface"] / survey["budget_m6"]["base_surface"])
+        < 2.0
+    )
+    # nearly all of the rest; what the base cancels to a hundredth hangs on single triangles of the
+    # outline
     for source in ("position", "attitude", "noise", "beam_vertical"):
-        assert math.sqrt(plan["budget_m6"][source]) == pytest.approx(math.sqrt(survey["budget_m6"][source]), rel=0.15), source
+        assert math.sqrt(plan["budget_m6"][source]) == pytest.approx(
+            math.sqrt(survey["budget_m6"][source]), rel=0.15
+        ), source
     assert plan["largest_source"] == survey["largest_source"] == "base_surface"
     for facts in (plan, survey):
         total = sum(facts["budget_m6"].values())
         assert total == pytest.approx(facts["sigma_m3"] ** 2, rel=1e-9)
         for source, sigma in facts["sigma_if_halved_m3"].items():
-            assert sigma == pytest.approx(math.sqrt(total - 0.75 * facts["budget_m6"][source]), rel=1e-9)
+            assert sigma == pytest.approx(
+                math.sqrt(total - 0.75 * facts["budget_m6"][source]), rel=1e-9
+            )
 
 
 def test_a_cone_compared_and_its_greatest_height(capsys):
-    words = ("--volume", "30", "--rate", "30000", "--set", "volume.base=level", "--set", "volume.ground_ring_m=0.5", "--set",
-             "filter.cap_per_voxel=6", "--lanes", "1")  # fmt: skip
-    code, plan = run(capsys, *words, "--compare", "--wanted", "0.02", "--budget", "survey", "--imu", "tactical")
+    words = (
+        "--volume",
+        "30",
+        "--rate",
+        "30000",
+        "--set",
+        "volume.base=level",
+        "--set",
+        "volume.ground_ring_m=0.5",
+        "--set",
+        "filter.cap_per_voxel=6",
+        "--lanes",
+        "1",
+    )
+    code, plan = run(
+        capsys, *words, "--compare", "--wanted", "0.02", "--budget", "survey", "--imu", "tactical"
+    )
     assert code == 0 and plan["true_volume_m3"] == pytest.approx(30.0)
-    assert [row["name"] for row in plan["sensors"]] == [f"{s} + {i}" for s in ("vlp16", "line") for i in ("survey", "tactical", "mems")]
+    assert [row["name"] for row in plan["sensors"]] == [
+        f"{s} + {i}" for s in ("vlp16", "line") for i in ("survey", "tactical", "mems")
+    ]
     assert len(plan["heights"]) == 8
-    below = [float(r["name"]) for r in plan["heights"] if r["sigma_share"] is not None and r["sigma_share"] <= 0.02]
-    assert plan["maximum_height_m"] is None if not below else plan["maximum_height_m"] >= max(below) - 0.05
+    below = [
+        float(r["name"])
+        for r in plan["heights"]
+        if r["sigma_share"] is not None and r["sigma_share"] <= 0.02
+    ]
+    assert (
+        plan["maximum_height_m"] is None
+        if not below
+        else plan["maximum_height_m"] >= max(below) - 0.05
+    )
     assert cli.main(["plan", *words, "--wanted", "1e-9"]) == 0
     text = capsys.readouterr().out
     assert "at no height tried" in text and "largest source" in text and "if halved" in text
 
 
-@pytest.mark.parametrize("words", [("--imu", "best"), ("--scanner", "best"), ("--budget", "best"), ("--volume", "-5"), ("--lanes", "0"),
-                                   ("--set", "volume.bse=level")])  # fmt: skip
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--imu", "best"),
+        ("--scanner", "best"),
+        ("--budget", "best"),
+        ("--volume", "-5"),
+        ("--lanes", "0"),
+        ("--set", "volume.bse=level"),
+    ],
+)
 def test_refusals_are_one_line(words, capsys):
     assert cli.main(["plan", *words]) == 2
     assert capsys.readouterr().err.count("\n") == 1

@@ -1,4 +1,6 @@
-"""The command line on the bundled recordings: the truth within the interval, the same bytes every time, errors in one line."""
+"""The command line on the bundled recordings: the truth within the interval, the same bytes every
+time, errors in one line.
+"""
 
 import json
 import shutil
@@ -32,18 +34,32 @@ def test_the_true_volume_lies_in_the_interval_of_the_bundled_surveys(name, capsy
     assert sum(result["budget_m6"].values()) == pytest.approx(result["sigma_m3"] ** 2, rel=1e-9)
     assert result["base_same_survey"] and result["version"] and result["input"]["sha256"]
     points, lost = result["points"], result["losses"]
-    assert points["returns"] == points["mapped"] + sum(v for k, v in lost.items() if k in GEOREFERENCE_LOSSES)
-    assert (tmp_path / "mesh.ply").stat().st_size > 1000 and (tmp_path / "result.mcap").stat().st_size > 1000
+    assert points["returns"] == points["mapped"] + sum(
+        v for k, v in lost.items() if k in GEOREFERENCE_LOSSES
+    )
+    assert (tmp_path / "mesh.ply").stat().st_size > 1000 and (
+        tmp_path / "result.mcap"
+    ).stat().st_size > 1000
     show_result(Console(width=200), result)
     printed, chords = " ".join(capsys.readouterr().out.split()), result["chord_m3"]
     assert f"{result['volume_m3']:.3f} ±" in printed
-    assert (f"({result['volume_m3'] + chords:.3f} m³ with them)" in printed) == (abs(chords) >= 5e-4) == (name == "stockpile")
+    assert (
+        (f"({result['volume_m3'] + chords:.3f} m³ with them)" in printed)
+        == (abs(chords) >= 5e-4)
+        == (name == "stockpile")
+    )
 
 
 GEOREFERENCE_LOSSES = {
-    "point_region", "point_range", "point_vehicle", "point_intensity", "point_pose_gap", "point_before_trajectory",
-    "point_trajectory_end", "point_pose_timeout",
-}  # fmt: skip
+    "point_region",
+    "point_range",
+    "point_vehicle",
+    "point_intensity",
+    "point_pose_gap",
+    "point_before_trajectory",
+    "point_trajectory_end",
+    "point_pose_timeout",
+}
 
 
 def test_replay_is_deterministic_whatever_the_number_of_threads(capsys, tmp_path):
@@ -69,10 +85,24 @@ def test_the_truth_is_never_read(capsys, tmp_path):
     )
 
 
-def test_the_real_recording_replays_and_unknown_covariances_are_refused_without_the_budget(capsys, tmp_path):
+def test_the_real_recording_replays_and_unknown_covariances_are_refused_without_the_budget(
+    capsys, tmp_path
+):
     result = replayed(capsys, BAGS / "leo_cut", tmp_path)
     assert result["points"]["mapped"] > 50_000 and np.isfinite(result["volume_m3"])
-    assert main(["replay", str(BAGS / "leo_cut"), "--set", "georeference.unknown_covariance=refuse", "-o", str(tmp_path)]) == 2
+    assert (
+        main(
+            [
+                "replay",
+                str(BAGS / "leo_cut"),
+                "--set",
+                "georeference.unknown_covariance=refuse",
+                "-o",
+                str(tmp_path),
+            ]
+        )
+        == 2
+    )
     assert "fix_unknown_covariance" in capsys.readouterr().err
 
 
@@ -81,7 +111,10 @@ def test_errors_are_one_line_and_a_code(capsys, tmp_path):
     blocked.write_text("")
     cases = [
         (["replay", str(tmp_path / "none")], "no such recording"),
-        (["replay", str(BAGS / "stockpile"), "--set", "filter.radus_m=1"], "did you mean 'radius_m'"),
+        (
+            ["replay", str(BAGS / "stockpile"), "--set", "filter.radus_m=1"],
+            "did you mean 'radius_m'",
+        ),
         (["replay", str(BAGS / "stockpile"), "-o", str(blocked / "out")], "cannot be written"),
         (["replay", str(BAGS / "stockpile"), "--topic", "cloud=other"], "no topic 'other'"),
         (["info", str(blocked)], "not a readable recording"),
@@ -97,7 +130,16 @@ def test_a_truncated_recording_keeps_its_good_beginning(capsys, tmp_path):
     whole = (BAGS / "stockpile" / "stockpile.mcap").read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole[: len(whole) // 2])
-    code = main(["replay", str(cut), "--config", str(BAGS / "stockpile" / "config.yaml"), "-o", str(tmp_path / "out")])
+    code = main(
+        [
+            "replay",
+            str(cut),
+            "--config",
+            str(BAGS / "stockpile" / "config.yaml"),
+            "-o",
+            str(tmp_path / "out"),
+        ]
+    )
     shown = capsys.readouterr()
     assert code == 2 and "Traceback" not in shown.err and "cut.mcap" in shown.err
 

@@ -18,7 +18,9 @@ SECONDS = 14.0
 
 
 def tlog_of(bag_path, path):
-    """The recording's fixes and attitudes as an autopilot would have sent them: whole units, single precision, boot time."""
+    """The recording's fixes and attitudes as an autopilot would have sent them: whole units, single
+    precision, boot time.
+    """
     frames = []
 
     class Wire:
@@ -38,8 +40,29 @@ def tlog_of(bag_path, path):
             t = stamp_ns(m) - boot
             if raw.topic == "gnss/fix":
                 h, v = np.sqrt(m.position_covariance[[0, 8]]) * 1e3
-                lat, lon, up = round(m.latitude * 1e7), round(m.longitude * 1e7), round(m.altitude * 1e3)
-                mav.gps_raw_int_send(t // 1000, 6, lat, lon, up - 45_000, 80, 90, 0, 0, 17, up, round(h), round(v), 0, 0, 0)
+                lat, lon, up = (
+                    round(m.latitude * 1e7),
+                    round(m.longitude * 1e7),
+                    round(m.altitude * 1e3),
+                )
+                mav.gps_raw_int_send(
+                    t // 1000,
+                    6,
+                    lat,
+                    lon,
+                    up - 45_000,
+                    80,
+                    90,
+                    0,
+                    0,
+                    17,
+                    up,
+                    round(h),
+                    round(v),
+                    0,
+                    0,
+                    0,
+                )
             else:
                 q = m.orientation
                 R = ned @ Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix() @ frd
@@ -54,11 +77,24 @@ def test_poses_of_a_tlog_give_the_recordings_volume(tmp_path, capsys):
 
     def replayed(*words):
         coarse = ["--set", "filter.radius_m=1.0", "--set", "filter.trials=10"]
-        common = ["--json", "--no-figure", "--duration", str(SECONDS), "-o", str(tmp_path / "out"), *coarse]
+        common = [
+            "--json",
+            "--no-figure",
+            "--duration",
+            str(SECONDS),
+            "-o",
+            str(tmp_path / "out"),
+            *coarse,
+        ]
         assert main(["replay", str(BAG), *common, *words]) == 0
         return json.loads(capsys.readouterr().out)
 
-    sigmas = ["--set", "mavlink.roll_pitch_sigma_deg=0.02", "--set", "mavlink.heading_sigma_deg=0.05"]
+    sigmas = [
+        "--set",
+        "mavlink.roll_pitch_sigma_deg=0.02",
+        "--set",
+        "mavlink.heading_sigma_deg=0.05",
+    ]
     own, logged = replayed(), replayed("--poses", str(tmp_path / "flight.tlog"), *sigmas)
     # the log's latitudes are whole 1e-7 degrees, 11 mm: a little noise, and nothing else
     assert abs(logged["volume_m3"] - own["volume_m3"]) < 0.3 * own["sigma_m3"]
@@ -73,5 +109,8 @@ def test_poses_of_a_tlog_give_the_recordings_volume(tmp_path, capsys):
 def test_a_missing_or_foreign_log_is_an_error_in_one_line(tmp_path, capsys):
     (tmp_path / "notes.txt").write_text("hello")
     for name in ("absent.tlog", "notes.txt"):
-        assert main(["replay", str(BAG), "--poses", str(tmp_path / name), "-o", str(tmp_path / "out")]) == 2
+        assert (
+            main(["replay", str(BAG), "--poses", str(tmp_path / name), "-o", str(tmp_path / "out")])
+            == 2
+        )
         assert name in capsys.readouterr().err

@@ -1,4 +1,6 @@
-"""The tin verb end to end: what is written, what is said, every format, and wrong words in one line."""
+"""The tin verb end to end: what is written, what is said, every format, and wrong words in one
+line.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +29,14 @@ def faces(path):
     lines = head.decode().splitlines()
     rows = {line.split()[1]: int(line.split()[2]) for line in lines if line.startswith("element")}
     sizes = {"double": 8, "int": 4}
-    width = sum(sizes[line.split()[1]] for line in lines if line.startswith("property") and line.split()[1] in sizes)
-    dtype = [("n", "u1"), ("v", "<i4", 3)] + ([("relevant", "u1")] if "property uchar relevant" in lines else [])
+    width = sum(
+        sizes[line.split()[1]]
+        for line in lines
+        if line.startswith("property") and line.split()[1] in sizes
+    )
+    dtype = [("n", "u1"), ("v", "<i4", 3)] + (
+        [("relevant", "u1")] if "property uchar relevant" in lines else []
+    )
     table = np.frombuffer(body, dtype, rows["face"], rows["vertex"] * width)
     return table["v"], table["relevant"] if "relevant" in table.dtype.names else None
 
@@ -37,7 +45,11 @@ def faces(path):
 def tin(capsys, tmp_path):
     def call(*words):
         assert main(["tin", *map(str, words), "-o", str(tmp_path / "tin.ply"), "--json"]) == 0
-        return json.loads(capsys.readouterr().out), read_cloud(tmp_path / "tin.ply"), *faces(tmp_path / "tin.ply")
+        return (
+            json.loads(capsys.readouterr().out),
+            read_cloud(tmp_path / "tin.ply"),
+            *faces(tmp_path / "tin.ply"),
+        )
 
     return call
 
@@ -59,26 +71,45 @@ def area(r, f):
 def test_a_third_of_the_points_with_adjusted_heights_by_default(save, tin):
     points = cloud()
     facts, out, f, _ = tin(save(points))
-    assert facts["vertices"] == len(out) == 1000 and facts["adjust"] == "rms" and facts["options"]["criterion"] == "residual-area"
+    assert (
+        facts["vertices"] == len(out) == 1000
+        and facts["adjust"] == "rms"
+        and facts["options"]["criterion"] == "residual-area"
+    )
     expected = adjust_rms(adaptive_tin(points, ratio=1 / 3).tin, points).tin
     rank = np.argsort(out.columns["source"])
     assert np.array_equal(np.sort(expected.source), out.columns["source"][rank])
     assert out.r[rank] == pytest.approx(expected.vertices[np.argsort(expected.source)], abs=1e-9)
     assert np.array_equal(out.r[:, :2], points[out.columns["source"], :2])
-    assert (area(out.r, f) > 0).all() and area(out.r, f).sum() == pytest.approx(60.0) == facts["area_m2"]
+    assert (area(out.r, f) > 0).all() and area(out.r, f).sum() == pytest.approx(60.0) == facts[
+        "area_m2"
+    ]
     assert facts["rms_m"] < facts["rms_before_m"] and facts["fitted_points"] == 3000
     # a vertex stands for three points: its height is better than a point's on average
     assert facts["sigma_point_m"] == pytest.approx(0.02, rel=0.1)
-    assert np.median(out.columns["sigma_z"]) == facts["sigma_z_median_m"] and 0 < facts["sigma_z_median_m"] < 0.02
-    assert facts["output"] == {"path": "tin.ply", "vertices": 1000, "faces": len(f)} and facts["version"]
+    assert (
+        np.median(out.columns["sigma_z"]) == facts["sigma_z_median_m"]
+        and 0 < facts["sigma_z_median_m"] < 0.02
+    )
+    assert (
+        facts["output"] == {"path": "tin.ply", "vertices": 1000, "faces": len(f)}
+        and facts["version"]
+    )
 
 
 @pytest.mark.parametrize("ending", list(ENCODINGS))
 def test_every_kind_of_file(ending, save, tin):
     points = np.round(cloud(300), 4)
     facts, out, f, _ = tin(save(points, f"in{ending}"), "--vertices", 1)
-    assert facts["points"] == facts["vertices"] == 300 and facts["adjust"] == "none" and facts["rms_m"] == 0.0
-    assert out.r == pytest.approx(points[out.columns["source"]], abs=1e-9) and len(f) == facts["triangles"]
+    assert (
+        facts["points"] == facts["vertices"] == 300
+        and facts["adjust"] == "none"
+        and facts["rms_m"] == 0.0
+    )
+    assert (
+        out.r == pytest.approx(points[out.columns["source"]], abs=1e-9)
+        and len(f) == facts["triangles"]
+    )
 
 
 @pytest.mark.parametrize("criterion", ["residual", "residual-area", "residual-sigma"])
@@ -87,13 +118,30 @@ def test_vertices_criteria_and_tolerance(criterion, save, tin):
     facts, out, _, _ = tin(path, "--vertices", 250, "--criterion", criterion, "--sigma", 0.01)
     assert facts["vertices"] == len(out) == 250
     tolerance = 5 if criterion == "residual-sigma" else 0.05
-    facts, _, _, _ = tin(path, "--tolerance", tolerance, "--criterion", criterion, "--sigma", 0.01, "--adjust", "none")
-    assert facts["vertices"] < 400 and facts["rms_m"] < 0.05 and facts["options"]["tolerance"] == tolerance
+    facts, _, _, _ = tin(
+        path,
+        "--tolerance",
+        tolerance,
+        "--criterion",
+        criterion,
+        "--sigma",
+        0.01,
+        "--adjust",
+        "none",
+    )
+    assert (
+        facts["vertices"] < 400
+        and facts["rms_m"] < 0.05
+        and facts["options"]["tolerance"] == tolerance
+    )
 
 
 def test_adjustments_and_exchange_fit_ever_better(save, tin):
     path = save(cloud(1500))
-    fits = {a: tin(path, "--vertices", 0.1, "--adjust", a)[0] for a in ("none", "rms", "rms-iterated", "asd")}
+    fits = {
+        a: tin(path, "--vertices", 0.1, "--adjust", a)[0]
+        for a in ("none", "rms", "rms-iterated", "asd")
+    }
     assert fits["rms"]["rms_m"] < fits["asd"]["rms_m"] < fits["none"]["rms_m"]
     assert fits["asd"]["asd_m"] < fits["rms"]["asd_m"] < fits["none"]["asd_m"]
     assert fits["rms-iterated"]["rms_m"] == pytest.approx(fits["rms"]["rms_m"], rel=1e-3)
@@ -102,15 +150,24 @@ def test_adjustments_and_exchange_fit_ever_better(save, tin):
     coarse = tin(path, "--vertices", 0.1, "--adjust", "rms-iterated", "--height-tolerance", 0.01)[0]
     assert not once["converged"] and coarse["converged"] and once["options"]["max_iterations"] == 1
     assert fits["none"]["rms_m"] > once["rms_m"] > coarse["rms_m"] > fits["rms"]["rms_m"]
-    assert fits["asd"]["sigma_factor"] == pytest.approx(math.sqrt(math.pi / 2)) and fits["rms"]["sigma_factor"] == 1.0
+    assert (
+        fits["asd"]["sigma_factor"] == pytest.approx(math.sqrt(math.pi / 2))
+        and fits["rms"]["sigma_factor"] == 1.0
+    )
     assert fits["rms"]["sigma_held_fixed"] == ["triangulation", "choice of vertices"]
     turned = tin(path, "--vertices", 0.1, "--exchange", "rms")[0]
     assert turned["exchanges"] > 0 and turned["sigma_held_fixed"][-1] == "exchanged diagonals"
     assert tin(path, "--vertices", 1)[0]["sigma_held_fixed"] == ["triangulation"]
     assert fits["none"]["rms_m"] == fits["none"]["rms_before_m"] == fits["rms"]["rms_before_m"]
-    assert fits["asd"]["sigma_z_median_m"] == pytest.approx(math.sqrt(math.pi / 2) * fits["rms"]["sigma_z_median_m"], rel=1e-6)
+    assert fits["asd"]["sigma_z_median_m"] == pytest.approx(
+        math.sqrt(math.pi / 2) * fits["rms"]["sigma_z_median_m"], rel=1e-6
+    )
     better = tin(path, "--vertices", 0.1, "--exchange", "rms")[0]
-    assert better["exchanges"] > 0 and better["rms_m"] < fits["rms"]["rms_m"] and better["area_m2"] == pytest.approx(60.0)
+    assert (
+        better["exchanges"] > 0
+        and better["rms_m"] < fits["rms"]["rms_m"]
+        and better["area_m2"] == pytest.approx(60.0)
+    )
 
 
 def test_relevant_triangles_and_the_boundary(save, tin):
@@ -124,9 +181,14 @@ def test_relevant_triangles_and_the_boundary(save, tin):
     filled = tin(path, "--vertices", 1, "--max-edge", 0.8, "--max-hole", 10)[0]
     assert filled["area_m2"] == pytest.approx(every["area_m2"] + math.pi, abs=0.6)
     assert 54 < tin(path, "--vertices", 1, "--max-circle", 0.9)[0]["area_m2"] < 60 - math.pi + 0.5
-    rough, smooth = (tin(path, "--vertices", 1, "--max-edge", 0.35, *ear)[0] for ear in ((), ("--max-ear", 0.1)))
+    rough, smooth = (
+        tin(path, "--vertices", 1, "--max-edge", 0.35, *ear)[0] for ear in ((), ("--max-ear", 0.1))
+    )
     assert smooth["area_m2"] < rough["area_m2"]
-    assert tin(path, "--vertices", 1, "--max-edge", 0.3, "--min-island", 0.5)[0]["area_m2"] < tin(path, "--vertices", 1, "--max-edge", 0.3)[0]["area_m2"]
+    assert (
+        tin(path, "--vertices", 1, "--max-edge", 0.3, "--min-island", 0.5)[0]["area_m2"]
+        < tin(path, "--vertices", 1, "--max-edge", 0.3)[0]["area_m2"]
+    )
     inner = points[(points[:, 0] > 1) & (np.abs(points[:, 1] - 3) < 2)]
     corners, whole = (tin(save(inner), "--relevant", r)[0] for r in ("corners", "all"))
     assert whole["area_m2"] > corners["area_m2"] and whole["triangles"] > corners["triangles"]
@@ -139,30 +201,48 @@ def test_screen_median_window_and_duplicates(save, tin):
     path = save(points)
     screened, out, _, _ = tin(path, "--vertices", 1, "--screen", 2.0)
     # ten spikes, and perhaps a point half of whose neighbours are spikes
-    assert 10 <= screened["outliers"] <= 11 and not set(spikes) & set(out.columns["source"].tolist()) and out.r[:, 2].max() < 3
+    assert (
+        10 <= screened["outliers"] <= 11
+        and not set(spikes) & set(out.columns["source"].tolist())
+        and out.r[:, 2].max() < 3
+    )
     # rows of the file, though some of them are gone
     assert np.array_equal(out.r, points[out.columns["source"]])
     levelled, out, _, _ = tin(path, "--vertices", 1, "--median", 2.0)
-    assert levelled["outliers"] == screened["outliers"] and levelled["vertices"] == 2000 and out.r[:, 2].max() < 3
+    assert (
+        levelled["outliers"] == screened["outliers"]
+        and levelled["vertices"] == 2000
+        and out.r[:, 2].max() < 3
+    )
     for ratio in (1, 0.5):
         cut, out, _, _ = tin(path, "--vertices", ratio, "--window", 2, 1, 8, 5)
         inside = (np.abs(points[:, 0] - 5) <= 3) & (np.abs(points[:, 1] - 3) <= 2)
         assert cut["cropped"] == 2000 - inside.sum() and cut["used"] == inside.sum()
         assert out.r[:, 0].min() >= 2 and out.r[:, 1].max() <= 5
     thinned = tin(path, "--vertices", 1, "--duplicates", 0.1)[0]
-    assert thinned["duplicates"] > 100 and thinned["vertices"] == 2000 - thinned["duplicates"] and thinned["adjust"] == "rms"
+    assert (
+        thinned["duplicates"] > 100
+        and thinned["vertices"] == 2000 - thinned["duplicates"]
+        and thinned["adjust"] == "rms"
+    )
     twice = tin(save(np.r_[points, points + np.array([0, 0, 0.1])]), "--vertices", 1)
     assert twice[0]["duplicates"] == 2000 and twice[0]["rms_m"] == pytest.approx(0.05, rel=1e-6)
     own = np.argsort(twice[1].columns["source"])
-    assert twice[1].r[own, 2] == pytest.approx(points[:, 2] + 0.05, abs=1e-9)  # the mean of two at one footprint
+    assert twice[1].r[own, 2] == pytest.approx(
+        points[:, 2] + 0.05, abs=1e-9
+    )  # the mean of two at one footprint
 
 
 def test_a_wall_in_its_scan_frame_comes_back_in_the_map(save, tin):
     p = cloud(1000)
     wall = np.c_[p[:, 0], p[:, 2], p[:, 1]] + np.array([10.0, 20.0, 30.0])
     facts, out, _, _ = tin(save(wall), "--vertices", 1, "--frame", "scan", "--direction", 0, 1, 0)
-    assert facts["frame"]["name"] == "scan" and out.r == pytest.approx(wall[out.columns["source"]], abs=1e-9)
-    assert facts["area_m2"] == pytest.approx(60.0) and facts["sigma_point_m"] == pytest.approx(0.02, rel=0.2)
+    assert facts["frame"]["name"] == "scan" and out.r == pytest.approx(
+        wall[out.columns["source"]], abs=1e-9
+    )
+    assert facts["area_m2"] == pytest.approx(60.0) and facts["sigma_point_m"] == pytest.approx(
+        0.02, rel=0.2
+    )
     found = tin(save(wall), "--vertices", 1, "--frame", "scan")[0]
     assert abs(np.array(found["frame"]["axes_map"])[2, 1]) > 0.3
 
@@ -173,7 +253,13 @@ def test_a_person_sees_a_short_table_and_the_run_repeats_to_the_byte(save, tmp_p
         assert main(["tin", str(path), "-o", str(tmp_path / name)]) == 0
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
     shown = capsys.readouterr().out
-    assert "vertices" in shown and "333" in shown and "RMS" in shown and "residuals of local quadrics" in shown and "written to" in shown
+    assert (
+        "vertices" in shown
+        and "333" in shown
+        and "RMS" in shown
+        and "residuals of local quadrics" in shown
+        and "written to" in shown
+    )
 
 
 def test_wrong_words_are_one_line_and_leave_no_file(save, tmp_path, capsys):
@@ -198,14 +284,24 @@ def test_wrong_words_are_one_line_and_leave_no_file(save, tmp_path, capsys):
         ([path, "-o", out, "--max-ear", -1], "0 or more"),
         ([path, "-o", out, "--window", 5, 5, 1, 1], "no area"),
         ([path, "-o", out, "--frame", "scan", "--direction", 0, 0, 0], "not all zero"),
-        ([path, "-o", out, "--frame", "scan", "--direction", 0, 0, 1, "--scanner", 0, 0, 0], "choose one"),
-        ([path, "-o", out, "--criterion", "residual-sigma", "--sigma", 0], "positive standard deviation"),
+        (
+            [path, "-o", out, "--frame", "scan", "--direction", 0, 0, 1, "--scanner", 0, 0, 0],
+            "choose one",
+        ),
+        (
+            [path, "-o", out, "--criterion", "residual-sigma", "--sigma", 0],
+            "positive standard deviation",
+        ),
     ]
     for words, text in cases:
         assert main(["tin", *map(str, words)]) == 2, words
         err = capsys.readouterr().err
         assert text in err and "Traceback" not in err and err.count("\n") == 1, (words, err)
-    for words in ([path], [path, "-o", out, "--adjust", "best"], [path, "-o", out, "--vertices", "some"]):
+    for words in (
+        [path],
+        [path, "-o", out, "--adjust", "best"],
+        [path, "-o", out, "--vertices", "some"],
+    ):
         with pytest.raises(SystemExit):
             main(["tin", *map(str, words)])
     assert sorted(p.name for p in tmp_path.iterdir()) == before

@@ -1,4 +1,6 @@
-"""A bundled recording with a third of its filtered points as vertices: the same volume within sigma, the truth within the interval."""
+"""A bundled recording with a third of its filtered points as vertices: the same volume within
+sigma, the truth within the interval.
+"""
 
 import dataclasses
 import json
@@ -18,7 +20,9 @@ def test_a_third_of_the_vertices_on_the_bundled_recording():
     with BagReader(BAG) as bag:
         replay = Replay(bag, parameters, bag.roles())
         full = replay.run()
-    one_third = dataclasses.replace(parameters, volume=dataclasses.replace(parameters.volume, vertex_ratio=1 / 3))
+    one_third = dataclasses.replace(
+        parameters, volume=dataclasses.replace(parameters.volume, vertex_ratio=1 / 3)
+    )
     replay.engine.estimator.set_parameters(one_third)
     part = replay.engine.estimator.estimate()
     assert len(part.tin.vertices) == pytest.approx(len(full.tin.vertices) / 3, rel=0.01)
@@ -28,4 +32,7 @@ def test_a_third_of_the_vertices_on_the_bundled_recording():
     # and back: the surface of the full ratio again, to the last bit
     replay.engine.estimator.set_parameters(parameters)
     again = replay.engine.estimator.estimate()
-    assert again.volume.volume_m3 == full.volume.volume_m3 and again.tin.vertices.tobytes() == full.tin.vertices.tobytes()
+    assert (
+        again.volume.volume_m3 == full.volume.volume_m3
+        and again.tin.vertices.tobytes() == full.tin.vertices.tobytes()
+    )

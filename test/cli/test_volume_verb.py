@@ -1,4 +1,6 @@
-"""The volume verb end to end: closed forms in every format, two clouds, floors, frames, and wrong words in one line."""
+"""The volume verb end to end: closed forms in every format, two clouds, floors, frames, and wrong
+words in one line.
+"""
 
 from __future__ import annotations
 
@@ -43,14 +45,22 @@ def volume(capsys):
     return call
 
 
-@pytest.mark.parametrize("level,cut,fill", [(0, 49 / 3, 1 / 3), (1, 20 / 3, 8 / 3), (2, 1, 9), (2.5, 0.125, 14.125)])
+@pytest.mark.parametrize(
+    "level,cut,fill", [(0, 49 / 3, 1 / 3), (1, 20 / 3, 8 / 3), (2, 1, 9), (2.5, 0.125, 14.125)]
+)
 def test_the_roof_at_four_levels(level, cut, fill, save, volume):
     facts = volume(save("roof.csv", ROOF), "--level", level)
     assert (facts["cut_m3"], facts["fill_m3"]) == pytest.approx((cut, fill), abs=1e-12)
-    assert facts["net_m3"] == pytest.approx(cut - fill, abs=1e-12) and facts["area_m2"] == pytest.approx(12.0)
+    assert facts["net_m3"] == pytest.approx(cut - fill, abs=1e-12) and facts[
+        "area_m2"
+    ] == pytest.approx(12.0)
     assert facts["base"] == f"level {level:.3f} m" and not facts["base_same_survey"]
     # five points do not show their noise: no number is made up
-    assert facts["sigma_m3"] is None and facts["correction"]["name"] is None and "too few" in facts["surfaces"][0]["sigma_from"]
+    assert (
+        facts["sigma_m3"] is None
+        and facts["correction"]["name"] is None
+        and "too few" in facts["surfaces"][0]["sigma_from"]
+    )
 
 
 @pytest.mark.parametrize("ending", list(ENCODINGS))
@@ -64,15 +74,44 @@ def test_every_kind_of_file(ending, save, volume):
 
 def test_the_json_says_what_a_program_needs(save, volume):
     facts = volume(save("c.ply", scattered(3000, 0, cone, 0.01)), "--level", 0.5)
-    numbers = {"cut_m3", "fill_m3", "net_m3", "sigma_m3", "sigma_cut_m3", "sigma_fill_m3", "area_m2", "confidence", "coverage_factor"}
+    numbers = {
+        "cut_m3",
+        "fill_m3",
+        "net_m3",
+        "sigma_m3",
+        "sigma_cut_m3",
+        "sigma_fill_m3",
+        "area_m2",
+        "confidence",
+        "coverage_factor",
+    }
     assert all(isinstance(facts[key], float) for key in numbers) and isinstance(facts["base"], str)
-    assert set(facts) >= numbers | {"interval_m3", "correction", "budget_m6", "surfaces", "frame", "options", "version"}
-    assert facts["net_m3"] == facts["cut_m3"] - facts["fill_m3"] and facts["cut_m3"] > 0 and facts["fill_m3"] > 0
+    assert set(facts) >= numbers | {
+        "interval_m3",
+        "correction",
+        "budget_m6",
+        "surfaces",
+        "frame",
+        "options",
+        "version",
+    }
+    assert (
+        facts["net_m3"] == facts["cut_m3"] - facts["fill_m3"]
+        and facts["cut_m3"] > 0
+        and facts["fill_m3"] > 0
+    )
     assert sum(facts["budget_m6"].values()) == pytest.approx(facts["sigma_m3"] ** 2, rel=1e-12)
-    assert facts["interval_m3"] == pytest.approx([facts["net_m3"] + s * 1.959963985 * facts["sigma_m3"] for s in (-1, 1)])
+    assert facts["interval_m3"] == pytest.approx(
+        [facts["net_m3"] + s * 1.959963985 * facts["sigma_m3"] for s in (-1, 1)]
+    )
     surface = facts["surfaces"][0]
-    assert surface["points"] == surface["used"] == surface["vertices"] == 3000 and surface["path"] == "c.ply"
-    assert surface["sigma_from"] == "residuals of local quadrics" and surface["sigma_point_m"] == pytest.approx(0.01, rel=0.1)
+    assert (
+        surface["points"] == surface["used"] == surface["vertices"] == 3000
+        and surface["path"] == "c.ply"
+    )
+    assert surface["sigma_from"] == "residuals of local quadrics" and surface[
+        "sigma_point_m"
+    ] == pytest.approx(0.01, rel=0.1)
     assert facts["frame"] == {"name": "level"} and facts["options"]["ratio"] == 1.0
 
 
@@ -80,9 +119,17 @@ def test_flat_ground_at_the_level_is_neither_cut_nor_fill(save, volume):
     cloud = save("c.npy", scattered(4000, 1, cone, 0.03))
     raw, facts = volume(cloud, "--level", 0, "--no-correction"), volume(cloud, "--level", 0)
     fix = facts["correction"]
-    assert fix["name"] == "folded normal" and (fix["cut_raw_m3"], fix["fill_raw_m3"]) == (raw["cut_m3"], raw["fill_m3"])
-    assert facts["net_m3"] == pytest.approx(raw["net_m3"], abs=1e-12) and facts["sigma_m3"] == raw["sigma_m3"]
-    assert facts["fill_m3"] < 0.25 * raw["fill_m3"] and raw["fill_m3"] == pytest.approx(0.28 * 0.03 * (144 - CONE), rel=0.1)
+    assert fix["name"] == "folded normal" and (fix["cut_raw_m3"], fix["fill_raw_m3"]) == (
+        raw["cut_m3"],
+        raw["fill_m3"],
+    )
+    assert (
+        facts["net_m3"] == pytest.approx(raw["net_m3"], abs=1e-12)
+        and facts["sigma_m3"] == raw["sigma_m3"]
+    )
+    assert facts["fill_m3"] < 0.25 * raw["fill_m3"] and raw["fill_m3"] == pytest.approx(
+        0.28 * 0.03 * (144 - CONE), rel=0.1
+    )
     assert facts["net_m3"] == pytest.approx(CONE, abs=4 * facts["sigma_m3"] + 0.005 * CONE)
     assert abs(facts["cut_m3"] - CONE) < abs(raw["cut_m3"] - CONE)
 
@@ -94,40 +141,63 @@ def test_a_box_with_its_ramps(save, volume):
     facts = volume(save("box.csv", np.c_[x, y, np.where(inside, 0.9, 0.0)]), "--level", 0)
     sides = 2.0 * 1.5 * 0.9 + 7.0 * 0.9 * s / 2
     # a corner of the ramp is a pyramid or its complement, as its diagonal lies
-    assert sides + 4 * 0.9 * s * s / 6 - 1e-9 <= facts["net_m3"] <= sides + 4 * 0.9 * s * s / 3 + 1e-9
+    assert (
+        sides + 4 * 0.9 * s * s / 6 - 1e-9 <= facts["net_m3"] <= sides + 4 * 0.9 * s * s / 3 + 1e-9
+    )
     assert facts["fill_m3"] == 0.0 and facts["area_m2"] == pytest.approx(16.0)
 
 
 @pytest.mark.parametrize("vertices", [1, 0.3333, 700])
 def test_a_stockpile_between_two_epochs(vertices, save, volume):
-    after, before = save("after.ply", scattered(4000, 2, cone, 0.02)), save("before.laz", scattered(5000, 3, sigma=0.02))
+    after, before = (
+        save("after.ply", scattered(4000, 2, cone, 0.02)),
+        save("before.laz", scattered(5000, 3, sigma=0.02)),
+    )
     facts = volume(after, before, "--vertices", vertices)
     assert facts["net_m3"] == pytest.approx(CONE, abs=4 * facts["sigma_m3"] + 0.004 * CONE)
-    assert "before.laz" in facts["base"] and facts["footprint"] == "common" and len(facts["surfaces"]) == 2
+    assert (
+        "before.laz" in facts["base"]
+        and facts["footprint"] == "common"
+        and len(facts["surfaces"]) == 2
+    )
     back = volume(before, after, "--vertices", vertices)
-    assert back["net_m3"] == pytest.approx(-facts["net_m3"], abs=1e-9) and back["sigma_m3"] == pytest.approx(facts["sigma_m3"], rel=1e-9)
+    assert back["net_m3"] == pytest.approx(-facts["net_m3"], abs=1e-9) and back[
+        "sigma_m3"
+    ] == pytest.approx(facts["sigma_m3"], rel=1e-9)
     assert back["fill_m3"] == pytest.approx(facts["cut_m3"], rel=1e-6)
     assert facts["correction"]["m3"] > 0 and facts["fill_m3"] < facts["correction"]["fill_raw_m3"]
 
 
 def test_own_footprints_carry_their_difference_to_the_level(save, volume):
-    one, two = save("one.csv", scattered(3000, 4, cone)), save("two.csv", scattered(3000, 5, half=5.0))
+    one, two = (
+        save("one.csv", scattered(3000, 4, cone)),
+        save("two.csv", scattered(3000, 5, half=5.0)),
+    )
     common, own = volume(one, two), volume(one, two, "--footprint", "own", "--level", -10)
     assert common["net_m3"] == pytest.approx(CONE, rel=0.005)
     areas = [s["area_m2"] for s in own["surfaces"]]
     assert own["net_m3"] == pytest.approx(common["net_m3"] + 10 * (areas[0] - areas[1]), rel=1e-3)
-    assert len(own["each"]) == 2 and own["each"][0]["net_m3"] - own["each"][1]["net_m3"] == pytest.approx(own["net_m3"])
+    assert len(own["each"]) == 2 and own["each"][0]["net_m3"] - own["each"][1][
+        "net_m3"
+    ] == pytest.approx(own["net_m3"])
     lowest = volume(one, two, "--footprint", "own")
     assert lowest["base"].startswith("level 0.000") and lowest["fill_m3"] == 0.0
 
 
 def test_the_ground_of_the_cloud_itself(save, volume):
-    cloud = save("c.pcd", scattered(8000, 6, lambda xy: cone(xy) + 100 + 0.05 * xy[:, 0] - 0.02 * xy[:, 1], 0.01, half=9.0))
+    cloud = save(
+        "c.pcd",
+        scattered(
+            8000, 6, lambda xy: cone(xy) + 100 + 0.05 * xy[:, 0] - 0.02 * xy[:, 1], 0.01, half=9.0
+        ),
+    )
     facts = volume(cloud, "--base", "ground", "--set", "volume.outline_margin_m=1.5")
     assert facts["net_m3"] == pytest.approx(CONE, abs=4 * facts["sigma_m3"] + 0.003 * CONE)
     assert facts["base_same_survey"] and set(facts["budget_m6"]) == {"noise", "base_surface"}
     plane = volume(cloud, "--base", "plane", "--plane", 100, 0.05, -0.02)
-    assert plane["net_m3"] == pytest.approx(CONE, abs=4 * plane["sigma_m3"] + 0.003 * CONE) and plane["base"].startswith("given plane")
+    assert plane["net_m3"] == pytest.approx(
+        CONE, abs=4 * plane["sigma_m3"] + 0.003 * CONE
+    ) and plane["base"].startswith("given plane")
     assert plane == volume(cloud, "--plane", 100, 0.05, -0.02)
 
 
@@ -138,21 +208,38 @@ def test_levels_find_floor_and_top(save, volume):
     cloud = save("c.csv", scattered(20000, 7, step, 0.01))
     facts = volume(cloud, "--levels", -0.3, 1.3, 0.02)
     found = facts["sequences"][0]
-    assert found["floor_m"] == pytest.approx(0.0, abs=0.003) and found["top_m"] == pytest.approx(1.0, abs=0.003)
-    assert len(found["level_m"]) == len(found["cut_m3"]) == 81 and found["level_m"][-1] == pytest.approx(1.3)
+    assert found["floor_m"] == pytest.approx(0.0, abs=0.003) and found["top_m"] == pytest.approx(
+        1.0, abs=0.003
+    )
+    assert len(found["level_m"]) == len(found["cut_m3"]) == 81 and found["level_m"][
+        -1
+    ] == pytest.approx(1.3)
     assert all(0 < e["sigma_m"] < 0.001 for e in found["events"])
-    assert np.diff(found["first_m3"]) == pytest.approx(found["second_m3"], abs=1e-9) and len(found["first_m3"]) == 80
+    assert (
+        np.diff(found["first_m3"]) == pytest.approx(found["second_m3"], abs=1e-9)
+        and len(found["first_m3"]) == 80
+    )
     assert facts["base"].startswith("floor of the same cloud") and facts["base_same_survey"]
     fixed = volume(cloud, "--level", found["floor_m"])
     # the noise of the ground is in the volume and in the floor, and cancels between them
-    assert facts["net_m3"] == pytest.approx(fixed["net_m3"], abs=1e-9) and facts["sigma_m3"] < 0.6 * fixed["sigma_m3"]
+    assert (
+        facts["net_m3"] == pytest.approx(fixed["net_m3"], abs=1e-9)
+        and facts["sigma_m3"] < 0.6 * fixed["sigma_m3"]
+    )
     at = volume(cloud, "--level", 0.5, "--levels", 0.5, 0.5, 1)
     # near the levels the sequence has the same correction as the volume
     row = at["sequences"][0]
-    assert row["cut_m3"] == pytest.approx([at["cut_m3"]], rel=1e-9) and row["fill_m3"] == pytest.approx([at["fill_m3"]], rel=1e-9)
-    assert row["folded_m3"] == pytest.approx([at["correction"]["m3"]], rel=1e-9) and row["folded_m3"][0] > 0
+    assert row["cut_m3"] == pytest.approx([at["cut_m3"]], rel=1e-9) and row[
+        "fill_m3"
+    ] == pytest.approx([at["fill_m3"]], rel=1e-9)
+    assert (
+        row["folded_m3"] == pytest.approx([at["correction"]["m3"]], rel=1e-9)
+        and row["folded_m3"][0] > 0
+    )
     raw = volume(cloud, "--level", 0.5, "--levels", 0.5, 0.5, 1, "--no-correction")
-    assert raw["sequences"][0]["cut_m3"] == pytest.approx([at["correction"]["cut_raw_m3"]], rel=1e-9)
+    assert raw["sequences"][0]["cut_m3"] == pytest.approx(
+        [at["correction"]["cut_raw_m3"]], rel=1e-9
+    )
     # shift identity
     two = volume(cloud, "--level", 0.2)
     assert two["net_m3"] - at["net_m3"] == pytest.approx(at["area_m2"] * 0.3, rel=1e-9)
@@ -160,19 +247,29 @@ def test_levels_find_floor_and_top(save, volume):
 
 def test_the_offset_of_two_sequences(save, volume):
     one = scattered(3000, 8, cone)
-    facts = volume(save("a.csv", one + np.array([0, 0, 0.05])), save("b.csv", one), "--levels", 0.5, 2.5, 0.25)
-    assert facts["offset"]["offset_m"] == pytest.approx(0.05, abs=1e-9) and facts["net_m3"] == pytest.approx(0.05 * facts["area_m2"], rel=1e-9)
-    high = volume(save("a.csv", one), save("b.csv", one + np.array([0, 0, 0.1])), "--levels", 90, 91, 0.25)
+    facts = volume(
+        save("a.csv", one + np.array([0, 0, 0.05])), save("b.csv", one), "--levels", 0.5, 2.5, 0.25
+    )
+    assert facts["offset"]["offset_m"] == pytest.approx(0.05, abs=1e-9) and facts[
+        "net_m3"
+    ] == pytest.approx(0.05 * facts["area_m2"], rel=1e-9)
+    high = volume(
+        save("a.csv", one), save("b.csv", one + np.array([0, 0, 0.1])), "--levels", 90, 91, 0.25
+    )
     assert high["offset"]["offset_m"] is None and "above the surface" in high["offset"]["why"]
 
 
 def test_a_wall_is_meshed_against_the_scan_direction(save, volume):
     bump, flat = scattered(4000, 9, cone, 0.01), scattered(4000, 10, sigma=0.01)
-    wall = [np.c_[p[:, 0], -p[:, 2], p[:, 1]] + [1000.0, 2000.0, 50.0] for p in (bump, flat)]  # bulges towards −y
+    wall = [
+        np.c_[p[:, 0], -p[:, 2], p[:, 1]] + [1000.0, 2000.0, 50.0] for p in (bump, flat)
+    ]  # bulges towards −y
     one, two = save("bump.ply", wall[0]), save("flat.ply", wall[1])
     facts = volume(one, two, "--frame", "scan", "--direction", 0, 1, 0)
     assert facts["net_m3"] == pytest.approx(CONE, abs=4 * facts["sigma_m3"] + 0.004 * CONE)
-    assert facts["frame"]["name"] == "scan" and np.allclose(facts["frame"]["axes_map"][2], [0, -1, 0])
+    assert facts["frame"]["name"] == "scan" and np.allclose(
+        facts["frame"]["axes_map"][2], [0, -1, 0]
+    )
     seen = volume(one, two, "--frame", "scan", "--scanner", 1000, 1970, 50)
     assert seen["net_m3"] == pytest.approx(CONE, abs=4 * seen["sigma_m3"] + 0.004 * CONE)
     # 30 m before the scanner, along the axis that points back at it
@@ -183,7 +280,9 @@ def test_a_wall_is_meshed_against_the_scan_direction(save, volume):
 def test_a_plane_means_the_same_in_every_frame(save, volume):
     cloud = save("c.csv", scattered(4000, 11, lambda xy: cone(xy) + 0.1 * xy[:, 0] + 2))
     turned = volume(cloud, "--plane", 2, 0.1, 0, "--frame", "scan", "--direction", 0.2, -0.1, -1)
-    assert turned["net_m3"] == pytest.approx(volume(cloud, "--plane", 2, 0.1, 0)["net_m3"], rel=2e-3)
+    assert turned["net_m3"] == pytest.approx(
+        volume(cloud, "--plane", 2, 0.1, 0)["net_m3"], rel=2e-3
+    )
     assert turned["base"] == "given plane z = 2 + 0.1 x + 0 y"
 
 
@@ -193,33 +292,59 @@ def test_sigma_comes_from_the_option_the_column_or_the_residuals(save, volume):
     cloud = save("c.ply", r, {"sigma": np.full(2000, 0.04), "normal": tilted})
     column, given = volume(cloud, "--level", -1), volume(cloud, "--level", -1, "--sigma", 0.05)
     assert column["surfaces"][0]["sigma_from"] == "column 'sigma' along the normals"
-    assert column["sigma_m3"] == pytest.approx(given["sigma_m3"], rel=1e-6) and given["surfaces"][0]["sigma_from"] == "given"
+    assert (
+        column["sigma_m3"] == pytest.approx(given["sigma_m3"], rel=1e-6)
+        and given["surfaces"][0]["sigma_from"] == "given"
+    )
     own = volume(save("z.ply", r, {"sigma_z": np.full(2000, 0.05)}), "--level", -1)
-    assert own["surfaces"][0]["sigma_from"] == "column 'sigma_z'" and own["sigma_m3"] == pytest.approx(given["sigma_m3"], rel=1e-9)
+    assert own["surfaces"][0]["sigma_from"] == "column 'sigma_z'" and own[
+        "sigma_m3"
+    ] == pytest.approx(given["sigma_m3"], rel=1e-9)
     free = volume(save("n.ply", r), "--level", -1)
     assert free["sigma_m3"] == pytest.approx(0.4 * given["sigma_m3"], rel=0.1)
-    pair = volume(save("n.ply", r), save("z.ply", r + np.array([0, 0, 1.0])), "--sigma", 0.03, "--sigma-b", 0.0)
+    pair = volume(
+        save("n.ply", r),
+        save("z.ply", r + np.array([0, 0, 1.0])),
+        "--sigma",
+        0.03,
+        "--sigma-b",
+        0.0,
+    )
     assert pair["sigma_m3"] == pytest.approx(0.6 * given["sigma_m3"], rel=1e-6)
 
 
 def test_far_coordinates_change_nothing(save, volume):
     r = np.round(scattered(2000, 13, cone, 0.01), 4)
-    near, far = volume(save("a.csv", r), "--level", 0.5), volume(save("b.csv", r + np.array([499_000, 5_432_000, 250])), "--level", 250.5)
-    assert far["net_m3"] == pytest.approx(near["net_m3"], rel=1e-6) and far["sigma_m3"] == pytest.approx(near["sigma_m3"], rel=1e-3)
+    near, far = (
+        volume(save("a.csv", r), "--level", 0.5),
+        volume(save("b.csv", r + np.array([499_000, 5_432_000, 250])), "--level", 250.5),
+    )
+    assert far["net_m3"] == pytest.approx(near["net_m3"], rel=1e-6) and far[
+        "sigma_m3"
+    ] == pytest.approx(near["sigma_m3"], rel=1e-3)
 
 
 def test_a_person_sees_a_short_table(save, capsys):
     cloud = save("c.csv", scattered(2000, 14, cone, 0.02))
     assert main(["volume", str(cloud), "--level", "0", "--levels", "-0.2", "3", "0.1"]) == 0
     shown = capsys.readouterr().out
-    assert "net volume" in shown and "±" in shown and "folded normal" in shown and "level 0.000 m" in shown and "flat part" in shown
+    assert (
+        "net volume" in shown
+        and "±" in shown
+        and "folded normal" in shown
+        and "level 0.000 m" in shown
+        and "flat part" in shown
+    )
     assert main(["volume", str(save("r.csv", ROOF)), "--level", "0"]) == 0
     shown = capsys.readouterr().out
     assert "16.0000" in shown and "nan" not in shown and "too few" in shown
 
 
 def test_wrong_words_are_one_line(save, tmp_path, capsys):
-    cloud, other = save("c.csv", scattered(200, 15)), save("d.csv", scattered(200, 16) + np.array([100, 0, 0]))
+    cloud, other = (
+        save("c.csv", scattered(200, 15)),
+        save("d.csv", scattered(200, 16) + np.array([100, 0, 0])),
+    )
     bad, flat = save("bad.csv", scattered(3, 17)), tmp_path / "line.csv"
     bad.write_text("x,y,z\n1,2,nan\n")
     flat.write_text("x,y,z\n" + "\n".join(f"{k},{k},0" for k in range(50)))
@@ -259,6 +384,12 @@ def test_wrong_words_are_one_line(save, tmp_path, capsys):
         assert main(["volume", *map(str, words)]) == 2, words
         err = capsys.readouterr().err
         assert text in err and "Traceback" not in err and err.count("\n") == 1, (words, err)
-    for words in ([], [cloud, "--level", "nan"], [cloud, "--level", "inf"], [cloud, "--base", "sea"], [cloud, "--level", 0, "--criterion", "best"]):
+    for words in (
+        [],
+        [cloud, "--level", "nan"],
+        [cloud, "--level", "inf"],
+        [cloud, "--base", "sea"],
+        [cloud, "--level", 0, "--criterion", "best"],
+    ):
         with pytest.raises(SystemExit):
             main(["volume", *map(str, words)])

@@ -1,4 +1,6 @@
-"""The planes that neighbourhoods agree in: kernels against plain numpy, and a ledge of which no single set has all three faces."""
+"""The planes that neighbourhoods agree in: kernels against plain numpy, and a ledge of which no
+single set has all three faces.
+"""
 
 import numpy as np
 import pytest
@@ -14,7 +16,9 @@ def normalised(planes):
 
 
 def some_sets(rng, planes, number):
-    """Sets (number, MOST, 4) of two or three of the planes, each seen a little differently and facing either way, and their sizes."""
+    """Sets (number, MOST, 4) of two or three of the planes, each seen a little differently and
+    facing either way, and their sizes.
+    """
     sets, sizes = np.zeros((number, pieces.MOST, 4)), rng.integers(2, 4, number)
     for a, size in enumerate(sizes):
         chosen = rng.permutation(len(planes))[:size]
@@ -24,14 +28,18 @@ def some_sets(rng, planes, number):
 
 
 def ledge(rng, n=900):
-    """Points within half a metre of two parallel faces 0.2 m apart and of the riser between them, and the three planes."""
+    """Points within half a metre of two parallel faces 0.2 m apart and of the riser between them,
+    and the three planes.
+    """
     planes = np.array([[0, -1.0, 0, 0], [1.0, 0, 0, 0], [0, 1.0, 0, 0.2]])
     which = rng.choice(3, n, p=[0.42, 0.16, 0.42])
     x = np.column_stack([rng.uniform(0, 0.5, n), rng.uniform(0, 0.2, n), rng.uniform(-0.4, 0.4, n)])
     x[which == 0, 0] *= -1
     for k, plane in enumerate(planes):
         own = which == k
-        x[own] += (plane[3] - x[own] @ plane[:3] + rng.uniform(-1.7, 1.7, own.sum()) * SIGMA)[:, None] * plane[:3]
+        x[own] += (plane[3] - x[own] @ plane[:3] + rng.uniform(-1.7, 1.7, own.sum()) * SIGMA)[
+            :, None
+        ] * plane[:3]
     return np.ascontiguousarray(x), planes
 
 
@@ -53,7 +61,9 @@ def has(planes, wanted):
 def test_planes_that_are_the_same_are_nowhere_farther_apart(seed):
     rng = np.random.default_rng(seed)
     a = normalised(rng.normal(size=(40, 4)) * [1, 1, 1, 0.1])
-    b = normalised(a + rng.normal(0, [0.05, 0.05, 0.05, 0.02], (40, 4))) * rng.choice([-1.0, 1.0], (40, 1))
+    b = normalised(a + rng.normal(0, [0.05, 0.05, 0.05, 0.02], (40, 4))) * rng.choice(
+        [-1.0, 1.0], (40, 1)
+    )
     found = [choice.same(p, q, REACH, 0.04) for p, q in zip(a, b, strict=True)]
     assert found == [like(p, q, 0.04) for p, q in zip(a, b, strict=True)] and 0 < sum(found) < 40
     for p, q in ((p, q) for p, q, s in zip(a, b, found, strict=True) if s):
@@ -70,19 +80,31 @@ def test_repeated_sets_and_votes_against_plain_loops(seed):
     wide = 0.03
     for a in range(12):
         plain = any(
-            sizes[b] == sizes[a] and all(any(like(p, q, wide) for q in sets[b, : sizes[b]]) for p in sets[a, : sizes[a]]) for b in range(a)
+            sizes[b] == sizes[a]
+            and all(any(like(p, q, wide) for q in sets[b, : sizes[b]]) for p in sets[a, : sizes[a]])
+            for b in range(a)
         )
         assert choice.repeated(sets, sizes, a, REACH, wide) == plain
     each = np.concatenate([s[:n] for s, n in zip(sets, sizes, strict=True)])
-    votes = np.array([sum(like(p, q, agreement.AGREE * SIGMA) or p is q for q in each) for p in each])
+    votes = np.array(
+        [sum(like(p, q, agreement.AGREE * SIGMA) or p is q for q in each) for p in each]
+    )
     expected = []
     while len(expected) < pieces.MOST and votes.any():
         expected.append(each[np.argmax(votes)])
         votes[[like(p, expected[-1], agreement.APART * SIGMA) for p in each]] = 0
     out = np.zeros((pieces.MOST, 4))
-    assert agreement.agreed(sets, sizes, REACH, SIGMA, out) == len(expected) and np.array_equal(out[: len(expected)], expected)
+    assert agreement.agreed(sets, sizes, REACH, SIGMA, out) == len(expected) and np.array_equal(
+        out[: len(expected)], expected
+    )
     planes = np.concatenate([expected[:1], normalised(rng.normal(size=(1, 4)))])
-    share = [sum(any(like(p, q, agreement.AGREE * SIGMA) for q in s[:n]) for s, n in zip(sets, sizes, strict=True)) for p in planes]
+    share = [
+        sum(
+            any(like(p, q, agreement.AGREE * SIGMA) for q in s[:n])
+            for s, n in zip(sets, sizes, strict=True)
+        )
+        for p in planes
+    ]
     for count in (1, 2):
         plain = min(share[:count]) >= max(agreement.VOTES, 12 / agreement.OF)
         assert agreement.accepted(planes, count, sets, sizes, REACH, SIGMA) == plain
@@ -97,7 +119,10 @@ def test_what_is_left_without_each_plane(seed):
     for size in (1, 2, 5):
         out = np.full(size, np.nan)
         agreement.without_each(x, len(x), planes, size, limit, out)
-        expected = [np.delete(square[:, :size], k, axis=1).min(axis=1, initial=limit).sum() for k in range(size)]
+        expected = [
+            np.delete(square[:, :size], k, axis=1).min(axis=1, initial=limit).sum()
+            for k in range(size)
+        ]
         assert out == pytest.approx(expected, rel=1e-12)
     for n in (0, 1, 7, 8, 203):
         total = choice.sum_of_less(square[:n, 0].copy(), square[:n, 1].copy(), n)
@@ -110,15 +135,21 @@ def test_planes_that_explain_nothing_go_one_at_a_time(seed):
     x, true = ledge(rng)
     side, label = room(x)
     planes = np.zeros((pieces.MOST, 4))
-    planes[:6] = np.concatenate([true, normalised(rng.normal(size=(2, 4)) * [1, 1, 1, 0.1]), [[0, 0, 1.0, 5.0]]])
+    planes[:6] = np.concatenate(
+        [true, normalised(rng.normal(size=(2, 4)) * [1, 1, 1, 0.1]), [[0, 0, 1.0, 5.0]]]
+    )
     given = planes.copy()
-    assert agreement.populated(x, len(x), planes, 6, 5, THRESHOLD**2, label) == 5 and np.array_equal(planes[:5], given[:5])
+    assert agreement.populated(
+        x, len(x), planes, 6, 5, THRESHOLD**2, label
+    ) == 5 and np.array_equal(planes[:5], given[:5])
     left, length = list(range(5)), None
 
     def cost(rows):
         trial = np.zeros((pieces.MOST, 4))
         trial[: len(rows)] = given[rows]
-        return choice.description(x, len(x), trial, len(rows), len(x), SIGMA, THRESHOLD, 0, np.inf, side, label)
+        return choice.description(
+            x, len(x), trial, len(rows), len(x), SIGMA, THRESHOLD, 0, np.inf, side, label
+        )
 
     length = cost(left)
     while len(left) > 1:
@@ -128,7 +159,9 @@ def test_planes_that_explain_nothing_go_one_at_a_time(seed):
         length = min(lengths)
         left.pop(int(np.argmin(lengths)))
     size = agreement.thinned(x, len(x), planes, 5, len(x), SIGMA, THRESHOLD, side, label)
-    assert size == len(left) == 3 and np.array_equal(planes[:size], given[left]) and left == [0, 1, 2]
+    assert (
+        size == len(left) == 3 and np.array_equal(planes[:size], given[left]) and left == [0, 1, 2]
+    )
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -141,13 +174,45 @@ def test_a_ledge_of_which_every_neighbour_sees_two_faces(seed):
     for a, pair in enumerate(pairs):
         lent[a, :2] = normalised(true[pair] + rng.normal(0, [0.005, 0.005, 0.005, 0.001], (2, 4)))
     planes, own = np.zeros((pieces.MOST, 4)), x[:60]
-    count, cost = choice.best_lent(x, len(x), REACH, lent, sizes, SIGMA, THRESHOLD, LEAST, planes, side, label)
+    count, cost = choice.best_lent(
+        x, len(x), REACH, lent, sizes, SIGMA, THRESHOLD, LEAST, planes, side, label
+    )
     assert count == 2
-    count = agreement.common(x, len(x), own, REACH, lent, sizes, count, cost, SIGMA, THRESHOLD, LEAST, planes, side, label)
+    count = agreement.common(
+        x,
+        len(x),
+        own,
+        REACH,
+        lent,
+        sizes,
+        count,
+        cost,
+        SIGMA,
+        THRESHOLD,
+        LEAST,
+        planes,
+        side,
+        label,
+    )
     assert count == 3 and has(planes[:3], true)
     # where all agree and nothing is left to explain, nothing changes
     whole = np.zeros((6, pieces.MOST, 4))
     whole[:, :3] = true
     before = planes.copy()
-    again = agreement.common(x, len(x), own, REACH, whole, np.full(6, 3), 3, np.inf, SIGMA, THRESHOLD, LEAST, planes, side, label)
+    again = agreement.common(
+        x,
+        len(x),
+        own,
+        REACH,
+        whole,
+        np.full(6, 3),
+        3,
+        np.inf,
+        SIGMA,
+        THRESHOLD,
+        LEAST,
+        planes,
+        side,
+        label,
+    )
     assert again == 3 and np.array_equal(planes, before)

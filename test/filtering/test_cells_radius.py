@@ -15,7 +15,11 @@ def test_a_cell_without_a_surface_takes_a_smaller_radius():
     n = rng.normal(size=(3000, 3))
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     r = n * (0.3 + rng.normal(0.0, 0.005, (3000, 1)))
-    balls, sigma, top = 0.8 * 2.0 ** np.array([-2.0, -1.5, -1.0, -0.5, 0.0]), np.full(3000, 0.005), np.full(3000, 4)
+    balls, sigma, top = (
+        0.8 * 2.0 ** np.array([-2.0, -1.5, -1.0, -0.5, 0.0]),
+        np.full(3000, 0.005),
+        np.full(3000, 4),
+    )
     for least, kept in ((top, 0.0), (0 * top, 0.98)):
         done = cover(r, Regions(balls, top, least, sigma, 3.0 * sigma), FilterParameters(), 2)
         good = done.reason == cells.KEPT
@@ -25,7 +29,9 @@ def test_a_cell_without_a_surface_takes_a_smaller_radius():
 
 
 def test_no_part_of_a_mushroom_is_left_out():
-    """Where the stem bends away on both sides within the radius that suits the cap, a smaller one does."""
+    """Where the stem bends away on both sides within the radius that suits the cap, a smaller one
+    does.
+    """
     case = CASES["mushroom"]
     f = filter_cloud(cloud(case, 0), FilterParameters(), auto=True)
     assert f.report["no_surface"] == 0 and f.report["kept"] > 0.995 * 8000

@@ -23,7 +23,9 @@ def some_planes(rng, count):
 
 
 def scene(seed, count=3, n=300):
-    """Points about the pieces of planes on one side of each other each, and outliers; (x, planes (MOST, 4), side (MOST, MOST))."""
+    """Points about the pieces of planes on one side of each other each, and outliers; (x, planes
+    (MOST, 4), side (MOST, MOST)).
+    """
     rng = np.random.default_rng(seed)
     planes = np.zeros((pieces.MOST, 4))
     planes[:count] = some_planes(rng, count)
@@ -34,7 +36,9 @@ def scene(seed, count=3, n=300):
     which = rng.integers(0, count + 1, n)
     for a in range(count):
         own = which == a
-        x[own] -= (x[own] @ planes[a, :3] - planes[a, 3] - rng.normal(0, SIGMA, own.sum()))[:, None] * planes[a, :3]
+        x[own] -= (x[own] @ planes[a, :3] - planes[a, 3] - rng.normal(0, SIGMA, own.sum()))[
+            :, None
+        ] * planes[a, :3]
     return x, planes, side
 
 
@@ -52,7 +56,13 @@ def test_the_nearest_point_of_a_half_plane_is_that_of_an_optimiser(seed):
             {"type": "eq", "fun": lambda y: y @ planes[0, :3] - planes[0, 3]},
             {"type": "ineq", "fun": lambda y: y @ planes[1, :3] - planes[1, 3]},
         ]
-        best = minimize(lambda y, p=p: 100 * np.sum((y - p) ** 2), p, constraints=rules, method="SLSQP", options={"ftol": 1e-14}).x
+        best = minimize(
+            lambda y, p=p: 100 * np.sum((y - p) ** 2),
+            p,
+            constraints=rules,
+            method="SLSQP",
+            options={"ftol": 1e-14},
+        ).x
         assert np.abs(np.array(q) - best).max() < 1e-5
         assert on == int(abs(np.array(q) @ planes[1, :3] - planes[1, 3]) < 1e-9)
 
@@ -64,11 +74,23 @@ def test_the_nearest_point_of_an_octant_s_face_is_clipped():
     rng = np.random.default_rng(1)
     for p in rng.uniform(-1, 1, (200, 3)):
         *q, on = pieces.nearest_on_piece(p, 2, planes, 3, side)
-        assert np.abs(np.array(q) - [max(p[0], 0), max(p[1], 0), 0]).max() < 1e-12 and on == (p[:2] < 0).sum()
+        assert (
+            np.abs(np.array(q) - [max(p[0], 0), max(p[1], 0), 0]).max() < 1e-12
+            and on == (p[:2] < 0).sum()
+        )
         q = np.empty(3)
         which, square, _ = pieces.nearest_piece(p, planes, 3, side, q)
-        feet = np.array([[0, max(p[1], 0), max(p[2], 0)], [max(p[0], 0), 0, max(p[2], 0)], [max(p[0], 0), max(p[1], 0), 0]])
-        assert square == pytest.approx(((feet - p) ** 2).sum(axis=1).min()) and np.abs(feet[which] - q).max() < 1e-12
+        feet = np.array(
+            [
+                [0, max(p[1], 0), max(p[2], 0)],
+                [max(p[0], 0), 0, max(p[2], 0)],
+                [max(p[0], 0), max(p[1], 0), 0],
+            ]
+        )
+        assert (
+            square == pytest.approx(((feet - p) ** 2).sum(axis=1).min())
+            and np.abs(feet[which] - q).max() < 1e-12
+        )
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -81,7 +103,10 @@ def test_sides_are_told_by_the_points_clear_of_the_other_plane(seed):
     for a, b in itertools.permutations(range(3), 2):
         clear = d[(label == a) & (np.abs(d[:, b]) > 2 * SIGMA), b]
         above, below = (clear > 0).sum(), (clear <= 0).sum()
-        told = len(clear) >= pieces.CLEAR and min(above, below) <= pieces.STRAY * len(clear) + pieces.STRAYS
+        told = (
+            len(clear) >= pieces.CLEAR
+            and min(above, below) <= pieces.STRAY * len(clear) + pieces.STRAYS
+        )
         assert side[a, b] == (int(np.sign(above - below)) if told else 0)
 
 
@@ -95,16 +120,24 @@ def cost(x, planes, count, side):
     within = (inside & (d2 < THRESHOLD**2)).sum(axis=1)
     saying = 2 * SIGMA**2 * np.log(np.maximum(within, 1)).sum()
     near = d2.min(axis=1) < THRESHOLD**2
-    return np.minimum(d2.min(axis=1), THRESHOLD**2).sum(), saying, np.bincount(d2.argmin(axis=1)[near], minlength=count)
+    return (
+        np.minimum(d2.min(axis=1), THRESHOLD**2).sum(),
+        saying,
+        np.bincount(d2.argmin(axis=1)[near], minlength=count),
+    )
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_description_length(seed):
     x, planes, side = scene(seed)
     support = np.zeros(pieces.MOST, np.int64)
-    length, square = assignment.pieces_cost(x, len(x), planes, 3, side, THRESHOLD**2, SIGMA, np.inf, support)
+    length, square = assignment.pieces_cost(
+        x, len(x), planes, 3, side, THRESHOLD**2, SIGMA, np.inf, support
+    )
     truncated, saying, near = cost(x, planes, 3, side)
-    assert square == pytest.approx(truncated, rel=1e-12) and length == pytest.approx(truncated + saying, rel=1e-12)
+    assert square == pytest.approx(truncated, rel=1e-12) and length == pytest.approx(
+        truncated + saying, rel=1e-12
+    )
     assert np.array_equal(support[:3], near)
 
 
@@ -116,18 +149,23 @@ def test_shares_are_the_likelihoods(seed):
     d = off(x, planes[:3])
     feet = x[:, None] - d[:, :, None] * planes[None, :3, :3]
     heights = np.einsum("nak,bk->nab", feet, planes[:3, :3]) - planes[:3, 3]
-    own = ((side[None, :3, :3] * heights >= 0) | (side[None, :3, :3] == 0)).all(axis=2) & (np.abs(d) <= THRESHOLD)
+    own = ((side[None, :3, :3] * heights >= 0) | (side[None, :3, :3] == 0)).all(axis=2) & (
+        np.abs(d) <= THRESHOLD
+    )
     weight = np.where(own, np.exp(-0.5 * (d / SIGMA) ** 2), 0.0)
     none = np.exp(-0.5 * (THRESHOLD / SIGMA) ** 2)
-    expected = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300) * weight / (weight + none)
+    expected = (
+        weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300) * weight / (weight + none)
+    )
     assert np.abs(share[:3].T - expected).max() < 1e-12
     assert np.array_equal(label, np.where(weight.max(axis=1) > none, weight.argmax(axis=1), -1))
 
 
 @pytest.mark.parametrize(("count", "inward"), [(2, -1), (2, 1), (3, -1)])
 def test_shares_pull_no_plane_off_where_planes_meet(count, inward):
-    """Planes x_a = 0 that end at each other, normal noise: the expected sum of shares times distances vanishes for each, by quadrature,
-    but for what the threshold cuts off."""
+    """Planes x_a = 0 that end at each other, normal noise: the expected sum of shares times
+    distances vanishes for each, by quadrature, but for what the threshold cuts off.
+    """
     planes, side = np.zeros((pieces.MOST, 4)), np.zeros((pieces.MOST, pieces.MOST), np.int64)
     planes[:count, :count] = np.eye(count)
     side[:count, :count] = inward * (1 - np.eye(count, dtype=np.int64))
@@ -146,17 +184,35 @@ def test_shares_pull_no_plane_off_where_planes_meet(count, inward):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_two_planes_in_one_slab_become_one(seed):
-    """Also where the noise is uniform and six per cent larger than believed; what is left is the plane of its points."""
+    """Also where the noise is uniform and six per cent larger than believed; what is left is the
+    plane of its points.
+    """
     rng = np.random.default_rng(seed)
-    x = np.column_stack([rng.uniform(-0.5, 0.5, (600, 2)), rng.uniform(-1, 1, 600) * np.sqrt(3) * 1.06 * SIGMA])
+    x = np.column_stack(
+        [rng.uniform(-0.5, 0.5, (600, 2)), rng.uniform(-1, 1, 600) * np.sqrt(3) * 1.06 * SIGMA]
+    )
     planes = np.zeros((pieces.MOST, 4))
     for k, tilt in enumerate(rng.uniform(0.02, 0.15, 2) * [1, -1]):
         planes[k] = np.sin(tilt), 0.0, np.cos(tilt), rng.uniform(-0.5, 0.5) * SIGMA
-    means, inverses, used = np.zeros((pieces.MOST, 3)), np.zeros((pieces.MOST, 3, 3)), np.zeros(pieces.MOST)
+    means, inverses, used = (
+        np.zeros((pieces.MOST, 3)),
+        np.zeros((pieces.MOST, 3, 3)),
+        np.zeros(pieces.MOST),
+    )
     side, label = np.zeros((pieces.MOST, pieces.MOST), np.int64), np.empty(len(x), np.int64)
-    assert assignment.refine(x, len(x), 0.7, planes, means, inverses, used, 2, SIGMA, THRESHOLD, 8, side, label) == 1
-    height, *slope = np.linalg.lstsq(np.column_stack([np.ones(len(x)), x[:, :2]]), x[:, 2], rcond=None)[0]
-    assert np.abs(planes[0, :2] / planes[0, 2] + slope).max() < 3e-3 and abs(planes[0, 3] / planes[0, 2] - height) < 1e-3
+    assert (
+        assignment.refine(
+            x, len(x), 0.7, planes, means, inverses, used, 2, SIGMA, THRESHOLD, 8, side, label
+        )
+        == 1
+    )
+    height, *slope = np.linalg.lstsq(
+        np.column_stack([np.ones(len(x)), x[:, :2]]), x[:, 2], rcond=None
+    )[0]
+    assert (
+        np.abs(planes[0, :2] / planes[0, 2] + slope).max() < 3e-3
+        and abs(planes[0, 3] / planes[0, 2] - height) < 1e-3
+    )
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -176,11 +232,19 @@ def test_weighted_planes_are_those_of_a_singular_value_decomposition(seed):
 def test_few_planes_are_the_best_of_all_sets(seed):
     x, planes, _ = scene(seed, 3, 240)
     rng = np.random.default_rng([seed, 9])
-    few = np.concatenate([planes[:3] + rng.normal(0, [0.01, 0.01, 0.01, 0.004], (3, 4)), some_planes(rng, 3)])
+    few = np.concatenate(
+        [planes[:3] + rng.normal(0, [0.01, 0.01, 0.01, 0.004], (3, 4)), some_planes(rng, 3)]
+    )
     few[:, :3] /= np.linalg.norm(few[:, :3], axis=1, keepdims=True)
-    out, side, label = np.zeros((pieces.MOST, 4)), np.zeros((pieces.MOST, pieces.MOST), np.int64), np.empty(len(x), np.int64)
+    out, side, label = (
+        np.zeros((pieces.MOST, 4)),
+        np.zeros((pieces.MOST, pieces.MOST), np.int64),
+        np.empty(len(x), np.int64),
+    )
     m, need = len(x), 8
-    count, length = choice.few_planes(x, m, few, len(few), m, SIGMA, THRESHOLD, need, 3, out, side, label)
+    count, length = choice.few_planes(
+        x, m, few, len(few), m, SIGMA, THRESHOLD, need, 3, out, side, label
+    )
     best = (THRESHOLD**2 * m, 0, None)
     for size in (1, 2, 3):
         for chosen in itertools.combinations(range(len(few)), size):
@@ -218,9 +282,16 @@ def test_distinct_candidates_are_taken_greedily_while_they_pay(seed):
 def test_evenly_filled_space_is_clutter_and_a_plane_among_as_many_outliers_is_not():
     rng = np.random.default_rng(2)
     x = rng.uniform(-0.5, 0.5, (400, 3))
-    out, side, label = np.zeros((pieces.MOST, 4)), np.zeros((pieces.MOST, pieces.MOST), np.int64), np.empty(400, np.int64)
+    out, side, label = (
+        np.zeros((pieces.MOST, 4)),
+        np.zeros((pieces.MOST, pieces.MOST), np.int64),
+        np.empty(400, np.int64),
+    )
     few = some_planes(rng, 5)
-    assert choice.few_planes(x, 400, few, 5, 400, SIGMA, THRESHOLD, 12, 3, out, side, label) == (0, np.inf)
+    assert choice.few_planes(x, 400, few, 5, 400, SIGMA, THRESHOLD, 12, 3, out, side, label) == (
+        0,
+        np.inf,
+    )
     x[:200] -= (off(x[:200], few[:1]) - rng.normal(0, SIGMA, (200, 1))) * few[:1, :3]
     count, _ = choice.few_planes(x, 400, few, 5, 400, SIGMA, THRESHOLD, 12, 3, out, side, label)
     assert count >= 1 and np.array_equal(out[0], few[0])
@@ -228,12 +299,16 @@ def test_evenly_filled_space_is_clutter_and_a_plane_among_as_many_outliers_is_no
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_quadric_by_orthogonal_distances_is_that_of_an_optimiser(seed):
-    """On a paraboloid of little curvature, where the height of the arc over its quadric is below a micrometre."""
+    """On a paraboloid of little curvature, where the height of the arc over its quadric is below a
+    micrometre.
+    """
     rng = np.random.default_rng(seed)
     n, ball = 200, 1.0
     true = np.array([0.01, 0.02, -0.03, 0.03, 0.01, -0.02])
     u, v = rng.uniform(-0.6, 0.6, (2, n))
-    x = np.column_stack([u, v, np.stack([np.ones(n), u, v, u * u, u * v, v * v]).T @ true]) + rng.normal(0, 0.005, (n, 3))
+    x = np.column_stack(
+        [u, v, np.stack([np.ones(n), u, v, u * u, u * v, v * v]).T @ true]
+    ) + rng.normal(0, 0.005, (n, 3))
     near = np.vstack([x[:, 0] / ball, x[:, 1] / ball, x[:, 2], np.zeros(n)])
     beta, inverse = true * 0.5, np.zeros((6, 6))
     used, square = osculating.geometric_refit(near, n, ball, 0.1, 50, 0.005, beta, inverse)
@@ -266,10 +341,17 @@ def test_the_gain_of_bending_is_that_of_a_regression(seed):
     rng = np.random.default_rng(seed)
     x = np.column_stack([rng.uniform(-1, 1, (80, 2)), rng.normal(0, 0.02, 80)])
     x[:, 2] += 0.02 * x[:, 0] ** 2
-    plane, mean, inverse, label = np.array([0.0, 0, 1, 0]), np.empty(3), np.empty((3, 3)), np.zeros(80, np.int64)
+    plane, mean, inverse, label = (
+        np.array([0.0, 0, 1, 0]),
+        np.empty(3),
+        np.empty((3, 3)),
+        np.zeros(80, np.int64),
+    )
     pieces.fit_plane(x, 80, label, 0, plane, mean, inverse)
     d, e = x @ plane[:3] - plane[3], np.linalg.svd(plane[None, :3])[2][1:]
     u, v = (x - mean) @ e.T @ np.eye(2)[0], (x - mean) @ e.T @ np.eye(2)[1]
     X = np.stack([np.ones(80), u, v, u * u, u * v, v * v]).T
     left = d - X @ np.linalg.lstsq(X, d, rcond=None)[0]
-    assert single.bent(x, 80, label, plane, mean, 1.0) == pytest.approx(d @ d - left @ left, rel=1e-8)
+    assert single.bent(x, 80, label, plane, mean, 1.0) == pytest.approx(
+        d @ d - left @ left, rel=1e-8
+    )

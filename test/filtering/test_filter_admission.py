@@ -32,7 +32,18 @@ def test_admission_and_geometry_are_those_of_the_twins(scene):
 
     rows = np.flatnonzero(taken)
     seen, laser = np.zeros((len(rows), NUMBERS)), np.array([0.1, -0.2, 0.3])
-    admission.geometry(rows, r, state, fraction, states.p_map_body, states.q_map_body, states.v_body, states.omega_body, laser, seen)
+    admission.geometry(
+        rows,
+        r,
+        state,
+        fraction,
+        states.p_map_body,
+        states.q_map_body,
+        states.v_body,
+        states.omega_body,
+        laser,
+        seen,
+    )
     expected = reference.geometry(r[rows], states, k[rows], f[rows], laser)
     same = np.where((seen[:, :4] * expected[:, :4]).sum(axis=1) < 0, -1.0, 1.0)
     assert np.abs(seen[:, :4] * same[:, None] - expected[:, :4]).max() < 1e-9
@@ -54,15 +65,25 @@ def test_kept_geometry_is_rounded_to_its_own_units():
     for part in (slice(4, 7), slice(7, 10)):
         largest = np.abs(g[:, part]).max(axis=1, keepdims=True)
         unit = 2.0 ** (np.floor(np.log2(np.maximum(largest, 1e-300))) - 14)
-        assert np.abs(back[:, part] - np.minimum(np.rint(g[:, part] / unit), 32767) * unit).max() <= 1e-12
+        assert (
+            np.abs(back[:, part] - np.minimum(np.rint(g[:, part] / unit), 32767) * unit).max()
+            <= 1e-12
+        )
         assert (np.abs(back[:, part] - g[:, part]) <= 2.0**-15 * largest).all()
     R, twin = matrix_from_quaternion(back[:, :4]), matrix_from_quaternion(g[:, :4])
-    assert np.arccos(np.clip((np.einsum("nii->n", np.swapaxes(R, 1, 2) @ twin) - 1) / 2, -1, 1)).max() < 6.2e-5
+    assert (
+        np.arccos(np.clip((np.einsum("nii->n", np.swapaxes(R, 1, 2) @ twin) - 1) / 2, -1, 1)).max()
+        < 6.2e-5
+    )
     g[0, 5], g[1, 9] = np.nan, np.inf
     keep_each(g[:2], kept[:2])
     recall(kept[0], back[0])
     recall(kept[1], back[1])
-    assert np.isnan(back[0, 4:7]).all() and np.isnan(back[1, 7:]).all() and np.isfinite(back[0, 7:]).all()
+    assert (
+        np.isnan(back[0, 4:7]).all()
+        and np.isnan(back[1, 7:]).all()
+        and np.isfinite(back[0, 7:]).all()
+    )
 
 
 def test_verdicts_name_the_reason(scene):
@@ -72,4 +93,8 @@ def test_verdicts_name_the_reason(scene):
     r[1, 2] = np.inf  # opposite infinities do not cancel
     verdict, state, fraction = np.zeros(6, np.int8), np.zeros(6, np.int64), np.zeros(6)
     admission.admit(t, r, C, 1e6, states.t_ns, states.segment, verdict, state, fraction)
-    assert verdict.tolist() == [admission.NOT_FINITE] * 3 + [admission.TOO_FAR, admission.UNCOVERED, admission.TAKEN]
+    assert verdict.tolist() == [admission.NOT_FINITE] * 3 + [
+        admission.TOO_FAR,
+        admission.UNCOVERED,
+        admission.TAKEN,
+    ]

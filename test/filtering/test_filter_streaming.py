@@ -1,4 +1,6 @@
-"""The surface is a function of the set of points: not of their order, batching, updates or the number of threads."""
+"""The surface is a function of the set of points: not of their order, batching, updates or the
+number of threads.
+"""
 
 import numba
 import numpy as np
@@ -13,14 +15,22 @@ PARAMETERS = Parameters.read({"filter": {"radius_m": 0.5, "cap_per_voxel": 12}})
 
 
 def surface(update):
-    """One update as {patch: bytes of everything} and {pair of patches, the lower key first: bytes of its block}."""
+    """One update as {patch: bytes of everything} and {pair of patches, the lower key first: bytes
+    of its block}.
+    """
     out, pairs = {}, {}
     p, q = update.patches, update.points
     for j, key in enumerate(p.key):
-        rows = [getattr(p, name)[j].tobytes() for name in ("centre", "normal", "tangent", "beta", "sigma", "used", "t_ns", "M_cal")]
+        rows = [
+            getattr(p, name)[j].tobytes()
+            for name in ("centre", "normal", "tangent", "beta", "sigma", "used", "t_ns", "M_cal")
+        ]
         nav, own = slice(p.nav_start[j], p.nav_start[j + 1]), q.patch == key
         rows += [p.nav_bin[nav].tobytes(), p.M_nav[nav].tobytes()]
-        rows += [getattr(q, name)[own].tobytes() for name in ("r_map", "normal", "variance", "C_tangent", "t_ns", "local")]
+        rows += [
+            getattr(q, name)[own].tobytes()
+            for name in ("r_map", "normal", "variance", "C_tangent", "t_ns", "local")
+        ]
         out[int(key)] = tuple(rows)
         for k in range(p.cross_start[j], p.cross_start[j + 1]):
             pair = tuple(sorted((int(key), int(p.cross_key[k]))))
@@ -40,7 +50,9 @@ def follow(world, update):
         del patches[int(key)]
     for pair in [p for p in pairs if p[0] in new or p[1] in new or not set(p) <= set(patches)]:
         del pairs[pair]
-    assert all(patches.get(key) != rows for key, rows in new.items())  # nothing comes again that did not change
+    assert all(
+        patches.get(key) != rows for key, rows in new.items()
+    )  # nothing comes again that did not change
     patches.update(new)
     pairs.update(new_pairs)
     assert all(p[0] in patches and p[1] in patches for p in pairs)
@@ -63,7 +75,9 @@ def run(scene, points, order, batches, updates, most=None):
         f.add_platform(states)
     for i, part in enumerate(parts):
         if updates:
-            f.add_platform(select(states, slice(i * len(states) // batches, (i + 1) * len(states) // batches)))
+            f.add_platform(
+                select(states, slice(i * len(states) // batches, (i + 1) * len(states) // batches))
+            )
         f.add(select(points, part))
         if updates:
             follow(world, f.update(most))
@@ -91,7 +105,11 @@ def test_what_was_put_off_changes_nothing_in_the_end(scene):
     points = scene_points(scene)
     whole, expected = run(scene, points, np.arange(len(points)), 1, False)
     shuffled = np.random.default_rng(7).permutation(len(points))
-    for order, batches, most in ((np.arange(len(points)), 11, 150), (shuffled, 6, 40), (shuffled, 3, 1)):
+    for order, batches, most in (
+        (np.arange(len(points)), 11, 150),
+        (shuffled, 6, 40),
+        (shuffled, 3, 1),
+    ):
         f, world = run(scene, points, order, batches, True, most)
         assert world == expected
         assert f.losses.as_dict() == whole.losses.as_dict()
@@ -107,7 +125,12 @@ def test_a_hurried_surface_is_that_of_the_points_taken_in(scene):
         f.add(select(points, part))
         follow(world, f.update(120))
         put_off.append(f.stats["points_deferred"])
-        held = np.concatenate([np.arange(v * f._store.cap, v * f._store.cap + n) for v, n in enumerate(f._store.count[: f._store.used])])
+        held = np.concatenate(
+            [
+                np.arange(v * f._store.cap, v * f._store.cap + n)
+                for v, n in enumerate(f._store.count[: f._store.used])
+            ]
+        )
         there = {(int(t), *r) for t, r in zip(f._store.t_ns[held], f._store.r[held], strict=True)}
         taken = [j for j in range(part[-1] + 1) if (int(points.t_ns[j]), *points.r_map[j]) in there]
         alone = SurfaceFilter(PARAMETERS)
@@ -136,7 +159,9 @@ def test_no_more_than_so_many_wait(scene, monkeypatch):
 
 
 def test_no_tile_is_passed_over_for_ever(scene):
-    """New points everywhere before every update: what waits is never older than a few turns of the map."""
+    """New points everywhere before every update: what waits is never older than a few turns of the
+    map.
+    """
     points = scene_points(scene, 12_000)
     f, oldest, tiles = SurfaceFilter(PARAMETERS, deferring=True), [], 27
     f.add_platform(scene.platform())
@@ -169,7 +194,9 @@ def test_of_those_that_wait_a_voxel_holds_what_could_stay(scene, monkeypatch):
         assert len(waiting) == left - len(took) < left
         left = len(waiting)
     assert len(hashes) > 3 and store.kept == full.kept and waiting.age_s(newest) == 0.0
-    slots = np.concatenate([np.arange(v * 8, v * 8 + n) for v, n in enumerate(full.count[: full.used])])
+    slots = np.concatenate(
+        [np.arange(v * 8, v * 8 + n) for v, n in enumerate(full.count[: full.used])]
+    )
     assert np.array_equal(np.sort(np.concatenate(hashes)), np.sort(full.hashes[slots]))
     assert len(waiting.take(store, None, newest)) == 0
     assert len(waiting._after) <= 500  # the room of those that waited is given back
@@ -199,20 +226,29 @@ def test_voxels_near_others():
     rng = np.random.default_rng(1)
     store = VoxelStore(1.0, 2)
     r = rng.uniform(-6.0, 6.0, (700, 3))
-    store.insert(store.offer(np.arange(700), np.zeros(700, np.uint16), r, np.zeros((700, 6), np.float32))[0])
+    store.insert(
+        store.offer(np.arange(700), np.zeros(700, np.uint16), r, np.zeros((700, 6), np.float32))[0]
+    )
     ijk = unpack_key(store.keys[: store.used])
     for count in (0, 1, 9, store.used):
         chosen = rng.permutation(store.used)[:count]
         found = np.zeros(store.used, bool)
         kernels.mark_around(chosen, store.keys, store.table, 2, found)
-        assert np.array_equal(found, (np.abs(ijk[:, None] - ijk[None, chosen]).max(axis=2) <= 2).any(axis=1))
+        assert np.array_equal(
+            found, (np.abs(ijk[:, None] - ijk[None, chosen]).max(axis=2) <= 2).any(axis=1)
+        )
 
 
 def test_a_patch_that_loses_its_ground_is_removed(scene):
-    # more points can turn a patch of the upper sheet into outliers of the lower one: consumers are told
+    # more points can turn a patch of the upper sheet into outliers of the lower one: consumers are
+    # told
     rng = np.random.default_rng(6)
-    low = np.column_stack([scene.sheet(3000, seed=8), np.full(3000, 0.40) + 0.002 * rng.normal(size=3000)])
-    high = np.column_stack([scene.sheet(160, seed=9), np.full(160, 0.62) + 0.002 * rng.normal(size=160)])
+    low = np.column_stack(
+        [scene.sheet(3000, seed=8), np.full(3000, 0.40) + 0.002 * rng.normal(size=3000)]
+    )
+    high = np.column_stack(
+        [scene.sheet(160, seed=9), np.full(160, 0.62) + 0.002 * rng.normal(size=160)]
+    )
     points = scene.mapped(np.concatenate([high, low]))
     f = SurfaceFilter(Parameters.read({"filter": {"radius_m": 0.5, "cap_per_voxel": 100}}))
     f.add_platform(scene.platform())
@@ -252,18 +288,36 @@ def test_cap_keeps_the_same_points_in_any_order(scene):
             p = select(points, part)
             store.insert(store.offer(p.t_ns, p.ring, p.r_map, p.C_ind)[0])
         held = (np.arange(store.used * 8) % 8) < np.repeat(store.count[: store.used], 8)
-        kept.append({row.tobytes() for row in np.column_stack([store.t_ns[: len(held)][held], store.r[: len(held)][held]])})
-        assert store.kept == len(kept[-1]) and store.count.max() == 8 and store.offered == len(points)
+        kept.append(
+            {
+                row.tobytes()
+                for row in np.column_stack(
+                    [store.t_ns[: len(held)][held], store.r[: len(held)][held]]
+                )
+            }
+        )
+        assert (
+            store.kept == len(kept[-1]) and store.count.max() == 8 and store.offered == len(points)
+        )
     assert kept[0] == kept[1] == kept[2] == kept[3]
 
 
 def test_cap_is_a_fair_sample_of_the_voxel():
     rng = np.random.default_rng(1)
     n = 40_000
-    r = rng.uniform(0, 0.5, (n, 3)) + np.repeat(np.arange(10), n // 10)[:, None] * np.array([0.5, 0, 0])
+    r = rng.uniform(0, 0.5, (n, 3)) + np.repeat(np.arange(10), n // 10)[:, None] * np.array(
+        [0.5, 0, 0]
+    )
     store = VoxelStore(0.5, 400)
-    store.insert(store.offer(np.arange(n), np.zeros(n, np.uint16), r, np.zeros((n, 6), np.float32))[0])
-    mean = np.stack([store.r[v * 400 : (v + 1) * 400].mean(axis=0) - 0.5 * unpack_key(store.keys[v]) for v in range(10)])
+    store.insert(
+        store.offer(np.arange(n), np.zeros(n, np.uint16), r, np.zeros((n, 6), np.float32))[0]
+    )
+    mean = np.stack(
+        [
+            store.r[v * 400 : (v + 1) * 400].mean(axis=0) - 0.5 * unpack_key(store.keys[v])
+            for v in range(10)
+        ]
+    )
     # sd of a mean of 400 uniforms over 0.5 m is 7.2 mm
     assert np.abs(mean - 0.25).max() < 4 * 0.5 / np.sqrt(12 * 400)
     times = np.stack([store.t_ns[v * 400 : (v + 1) * 400].mean() - v * 4000 for v in range(10)])
@@ -274,4 +328,8 @@ def test_keys_round_trip_and_sort_by_axis():
     ijk = np.array([[0, 0, 0], [-1, 5, 7], [1000, -1000, 3], [-(2**20), 2**20 - 1, 0]])
     key = pack_key(ijk)
     assert np.array_equal(unpack_key(key), ijk) and (key >= 0).all()
-    assert pack_key(np.array([1, 0, 0])) > pack_key(np.array([0, 5, 5])) > pack_key(np.array([0, 4, 9]))
+    assert (
+        pack_key(np.array([1, 0, 0]))
+        > pack_key(np.array([0, 5, 5]))
+        > pack_key(np.array([0, 4, 9]))
+    )

@@ -8,8 +8,12 @@ from ladar_volume.filtering.filter import SurfaceFilter
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import MappedPoints, select
 
-ORIENTATIONS = [Rotation.identity(), Rotation.from_euler("x", 90, degrees=True), Rotation.from_euler("y", 90, degrees=True),
-                *Rotation.random(3, random_state=7)]  # fmt: skip
+ORIENTATIONS = [
+    Rotation.identity(),
+    Rotation.from_euler("x", 90, degrees=True),
+    Rotation.from_euler("y", 90, degrees=True),
+    *Rotation.random(3, random_state=7),
+]
 SHIFT = np.array([412.3, -777.1, 35.2])
 
 
@@ -28,7 +32,8 @@ def test_plane_without_noise_is_recovered_in_any_orientation(scene, turn, degree
 @pytest.mark.parametrize("turn", ORIENTATIONS)
 @pytest.mark.parametrize("bend", ["sphere", "cylinder", "saddle"])
 def test_curved_surface_without_noise_is_recovered_in_the_patch_frame(scene, turn, bend):
-    # one patch whose plane is horizontal by symmetry; spheres and cylinders are exact, other shapes to the fourth order
+    # one patch whose plane is horizontal by symmetry; spheres and cylinders are exact, other shapes
+    # to the fourth order
     a = np.linspace(-0.22, 0.22, 7)
     xy = np.stack(np.meshgrid(a, a), -1).reshape(-1, 2)
     true = {
@@ -37,7 +42,9 @@ def test_curved_surface_without_noise_is_recovered_in_the_patch_frame(scene, tur
         "saddle": lambda x, y: 0.3 * x**2 - 0.2 * y**2 + 0.1 * x * y,
     }[bend]
     # the rotated cloud must lie in one voxel, about its centre, whatever the turn
-    r = turn.apply(np.column_stack([xy, true(*xy.T) - true(0.0, 0.0)]) * 0.7) + np.array([100.25, 200.25, 10.25])
+    r = turn.apply(np.column_stack([xy, true(*xy.T) - true(0.0, 0.0)]) * 0.7) + np.array(
+        [100.25, 200.25, 10.25]
+    )
     _, u = scene.filtered(scene.mapped(r), cap_per_voxel=100, outlier_floor_m=0.2)
     assert len(u.patches) == 1
     back = turn.inv().apply(u.points.r_map - np.array([100.25, 200.25, 10.25])) / 0.7
@@ -62,7 +69,9 @@ def test_outliers_leave_the_surface_in_its_noise(scene, share, start):
     z[bad] = rng.uniform(-0.9, 0.9, bad.sum())
     r = np.column_stack([scene.sheet(n), z])
     f, u = scene.filtered(scene.mapped(r), start=start, cap_per_voxel=200, trials=200)
-    inside = (np.abs(u.points.r_map[:, :2]) < 1.2).all(axis=1) & (np.abs(u.points.r_map[:, 2]) < 0.3)
+    inside = (np.abs(u.points.r_map[:, :2]) < 1.2).all(axis=1) & (
+        np.abs(u.points.r_map[:, 2]) < 0.3
+    )
     error = u.points.r_map[inside, 2]
     assert inside.sum() > 80
     assert np.sqrt(np.mean(error**2)) < 0.01
@@ -72,7 +81,9 @@ def test_outliers_leave_the_surface_in_its_noise(scene, share, start):
 def test_two_sheets_nearer_than_the_radius_keep_to_points_of_one(scene):
     xy = scene.sheet(6000)
     top = np.arange(6000) < 4000
-    r = np.column_stack([xy, np.where(top, 0.1, 0.3) + 0.001 * np.random.default_rng(2).normal(size=6000)])
+    r = np.column_stack(
+        [xy, np.where(top, 0.1, 0.3) + 0.001 * np.random.default_rng(2).normal(size=6000)]
+    )
     f, u = scene.filtered(scene.mapped(r), cap_per_voxel=300, trials=100)
     distance = np.minimum(np.abs(u.points.r_map[:, 2] - 0.1), np.abs(u.points.r_map[:, 2] - 0.3))
     assert distance.max() < 0.005
@@ -91,7 +102,13 @@ def test_duplicated_points_do_not_bend_the_surface(scene):
     r = np.column_stack([scene.sheet(600), np.zeros(600)])
     points = scene.mapped(np.repeat(r, 3, axis=0))
     once = scene.mapped(r)
-    points = MappedPoints(np.repeat(once.t_ns, 3), points.r_map, points.C_ind, np.repeat(once.ring, 3), points.intensity)
+    points = MappedPoints(
+        np.repeat(once.t_ns, 3),
+        points.r_map,
+        points.C_ind,
+        np.repeat(once.ring, 3),
+        points.intensity,
+    )
     _, u = scene.filtered(points)
     assert len(u.points) and np.abs(u.points.r_map[:, 2]).max() < 1e-9
     assert len(scene.filtered(select(points, slice(0, 0)))[0].losses.as_dict()) == 0
@@ -119,7 +136,9 @@ def test_points_wait_for_the_platform_and_are_lost_without_it(scene):
     assert f.stats["points_waiting"] == 500
     f.add_platform(select(states, slice(500, None)))
     assert f.stats["points_waiting"] == 0 and f.update() is not None
-    late = MappedPoints(points.t_ns + 60 * scene.SECOND, points.r_map, points.C_ind, points.ring, points.intensity)
+    late = MappedPoints(
+        points.t_ns + 60 * scene.SECOND, points.r_map, points.C_ind, points.ring, points.intensity
+    )
     f.add(late)
     f.finish()
     assert f.losses["point_platform_gap"] == 500 and f.stats["points_waiting"] == 0

@@ -1,4 +1,6 @@
-"""The kernels against their plain numpy twins, and the sensitivities against the Jacobians of the georeference."""
+"""The kernels against their plain numpy twins, and the sensitivities against the Jacobians of the
+georeference.
+"""
 
 import numpy as np
 import pytest
@@ -23,10 +25,18 @@ def fitted(scene, request):
     A = rng.normal(size=(n, 3, 3)) * 0.01
     C = A @ A.transpose(0, 2, 1) + 1e-6 * np.eye(3)
     points.C_ind[:] = C[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
-    f = SurfaceFilter(Parameters.read({
-        "filter": {"radius_m": 0.5, "degree": request.param, "nav_bin_s": 2.0},
-        "calibration": {"boresight_pitch_deg": 25.0, "lever_laser_m": [0.1, -0.2, 0.3], "lever_antenna_m": [-0.3, 0.1, 0.8]},
-    }))  # fmt: skip
+    f = SurfaceFilter(
+        Parameters.read(
+            {
+                "filter": {"radius_m": 0.5, "degree": request.param, "nav_bin_s": 2.0},
+                "calibration": {
+                    "boresight_pitch_deg": 25.0,
+                    "lever_laser_m": [0.1, -0.2, 0.3],
+                    "lever_antenna_m": [-0.3, 0.1, 0.8],
+                },
+            }
+        )
+    )
     states = scene.platform()
     f.add_platform(states)
     f.add(points)
@@ -42,7 +52,9 @@ def fitted(scene, request):
 
 def rows(f, update, slots, j, degree):
     p = update.patches
-    return reference.design(f._store.r[slots[int(p.key[j])]], p.centre[j], p.normal[j], p.tangent[j], degree)
+    return reference.design(
+        f._store.r[slots[int(p.key[j])]], p.centre[j], p.normal[j], p.tangent[j], degree
+    )
 
 
 def test_refit_is_least_squares_on_the_inliers(fitted):
@@ -52,13 +64,21 @@ def test_refit_is_least_squares_on_the_inliers(fitted):
     for j in range(len(p)):
         X, w = rows(f, update, slots, j, degree)
         assert p.used[j] == len(w)
-        columns = np.count_nonzero(p.beta[j])  # a neighbourhood that does not determine a quadric got a plane
+        columns = np.count_nonzero(
+            p.beta[j]
+        )  # a neighbourhood that does not determine a quadric got a plane
         extra, gu, gv = reference.arc(X, p.beta[j])
         beta, inverse = reference.least_squares(X[:, :columns], w - extra)
-        # the arc term follows the quadratic terms: it has settled to a thousandth of sigma, all else is exact
-        assert (np.abs(beta - p.beta[j][:columns]) <= 1e-8 + 2e-3 * p.sigma[j] * np.sqrt(np.diag(inverse)) * (degree == 2)).all()
+        # the arc term follows the quadratic terms: it has settled to a thousandth of sigma, all
+        # else is exact
+        assert (
+            np.abs(beta - p.beta[j][:columns])
+            <= 1e-8 + 2e-3 * p.sigma[j] * np.sqrt(np.diag(inverse)) * (degree == 2)
+        ).all()
         residual = (w - extra - X @ p.beta[j]) / np.sqrt(1 + gu**2 + gv**2)
-        assert p.sigma[j] == pytest.approx(np.sqrt(residual @ residual / (len(w) - columns)), rel=2e-3)
+        assert p.sigma[j] == pytest.approx(
+            np.sqrt(residual @ residual / (len(w) - columns)), rel=2e-3
+        )
         assert np.abs(residual).max() <= 3.5 * p.sigma[j] * (1 + 2e-3)  # a fixed point
         assert p.normal[j] @ p.tangent[j] == pytest.approx(0, abs=1e-12)
 
@@ -74,7 +94,10 @@ def test_points_left_out_are_beyond_threshold_or_ball(fitted):
         threshold = 3.5 * p.sigma[j]
         reach = 1.0 if np.count_nonzero(p.beta[j]) == 3 else 1.0 - threshold
         foot = np.stack([X[:, 1] + d * gu / slope, X[:, 2] + d * gv / slope, w - d / slope], axis=1)
-        assert ((np.linalg.norm(foot, axis=1) > reach * (1 - 2e-3)) | (np.abs(d) / np.sqrt(slope) > threshold * (1 - 2e-3))).all()
+        assert (
+            (np.linalg.norm(foot, axis=1) > reach * (1 - 2e-3))
+            | (np.abs(d) / np.sqrt(slope) > threshold * (1 - 2e-3))
+        ).all()
 
 
 def test_cross_blocks_of_every_pair_that_shares_points(fitted):
@@ -83,16 +106,27 @@ def test_cross_blocks_of_every_pair_that_shares_points(fitted):
     at = {int(k): i for i, k in enumerate(p.key)}
     seen = 0
     for a in range(len(p)):
-        stored = {int(k): p.cross[i] for i, k in enumerate(p.cross_key[p.cross_start[a] : p.cross_start[a + 1]], p.cross_start[a])}
+        stored = {
+            int(k): p.cross[i]
+            for i, k in enumerate(
+                p.cross_key[p.cross_start[a] : p.cross_start[a + 1]], p.cross_start[a]
+            )
+        }
         assert p.cross_key[p.cross_start[a]] == p.key[a]
-        sharing = {k for k in at if k >= p.key[a] and np.intersect1d(slots[int(p.key[a])], slots[k]).size}
+        sharing = {
+            k for k in at if k >= p.key[a] and np.intersect1d(slots[int(p.key[a])], slots[k]).size
+        }
         assert set(stored) == sharing
         X_a, _ = rows(f, update, slots, a, degree)
         for key, block in stored.items():
             b = at[key]
             X_b, _ = rows(f, update, slots, b, degree)
-            C = reference.shared_covariance(X_a, X_b, p.normal[a], p.normal[b], slots[int(p.key[a])], slots[key], f._store.C)
-            scale = np.sqrt(np.outer(np.diag(p.cross[p.cross_start[a]]), np.diag(p.cross[p.cross_start[b]])))
+            C = reference.shared_covariance(
+                X_a, X_b, p.normal[a], p.normal[b], slots[int(p.key[a])], slots[key], f._store.C
+            )
+            scale = np.sqrt(
+                np.outer(np.diag(p.cross[p.cross_start[a]]), np.diag(p.cross[p.cross_start[b]]))
+            )
             assert (np.abs(C - block) <= 1e-6 * scale).all()
             seen += a != b
     assert seen > 30
@@ -103,21 +137,43 @@ def test_sensitivities_are_those_of_the_lidar_equation(fitted):
     p, s = update.patches, f._store
     for j in range(0, len(p), 3):
         inliers = slots[int(p.key[j])]
-        points = MappedPoints(s.t_ns[inliers], s.r[inliers], s.C[inliers], s.ring[inliers], np.zeros(len(inliers), np.float32))
+        points = MappedPoints(
+            s.t_ns[inliers],
+            s.r[inliers],
+            s.C[inliers],
+            s.ring[inliers],
+            np.zeros(len(inliers), np.float32),
+        )
         X, _ = rows(f, update, slots, j, degree)
-        calibration = Parameters.read({
-            "calibration": {"boresight_pitch_deg": 25.0, "lever_laser_m": [0.1, -0.2, 0.3], "lever_antenna_m": [-0.3, 0.1, 0.8]}
-        }).calibration  # fmt: skip
+        calibration = Parameters.read(
+            {
+                "calibration": {
+                    "boresight_pitch_deg": 25.0,
+                    "lever_laser_m": [0.1, -0.2, 0.3],
+                    "lever_antenna_m": [-0.3, 0.1, 0.8],
+                }
+            }
+        ).calibration
         M_cal, bins, M_nav = reference.mean_sensitivities(
-            X, p.normal[j], p.tangent[j], points, states, calibration, f._builder.beams, 2_000_000_000
-        )  # fmt: skip
+            X,
+            p.normal[j],
+            p.tangent[j],
+            points,
+            states,
+            calibration,
+            f._builder.beams,
+            2_000_000_000,
+        )
         nav = slice(p.nav_start[j], p.nav_start[j + 1])
         assert np.array_equal(bins, p.nav_bin[nav])
-        # the geometry of each return is kept in 16 bits (see ``geometry``); means of many err by less
+        # the geometry of each return is kept in 16 bits (see ``geometry``); means of many err by
+        # less
         scale = np.append(np.abs(np.linalg.pinv(X)).sum(axis=1), [1.0, 1.0])[:, None] * 20.0
         assert (np.abs(M_cal - p.M_cal[j]) < 1e-5 * scale).all()
         assert (np.abs(M_nav - p.M_nav[nav])[..., 1:] < 1e-5 * scale).all()
-        assert (np.abs(M_nav - p.M_nav[nav])[..., :1] < 1e-6 * scale).all()  # the position's need none of it
+        assert (
+            np.abs(M_nav - p.M_nav[nav])[..., :1] < 1e-6 * scale
+        ).all()  # the position's need none of it
 
 
 def test_common_shift_moves_only_the_constant_term(fitted):
@@ -135,7 +191,9 @@ def test_points_lie_on_their_patch_with_its_variance(fitted):
     j = np.searchsorted(p.key, q.patch)
     assert np.array_equal(p.key[j], q.patch)
     for i in range(len(q)):
-        X, w = reference.design(q.r_map[i : i + 1], p.centre[j[i]], p.normal[j[i]], p.tangent[j[i]], degree)
+        X, w = reference.design(
+            q.r_map[i : i + 1], p.centre[j[i]], p.normal[j[i]], p.tangent[j[i]], degree
+        )
         extra, _, _ = reference.arc(X, p.beta[j[i]])
         assert w[0] == pytest.approx(X[0] @ p.beta[j[i]] + extra[0], abs=1e-10)
         cosine = q.normal[i] @ p.normal[j[i]]
@@ -167,13 +225,23 @@ def test_eigenvectors_of_small_matrices():
     for case in range(300):
         A = rng.normal(size=(3, 3))
         turn = np.linalg.qr(A)[0]
-        S = [A @ A.T * 10.0 ** rng.uniform(-8, 8), turn @ np.diag([1e-14, 1.0, 1.0]) @ turn.T, np.diag(rng.integers(0, 3, 3) * 1.0)][case % 3]
+        S = [
+            A @ A.T * 10.0 ** rng.uniform(-8, 8),
+            turn @ np.diag([1e-14, 1.0, 1.0]) @ turn.T,
+            np.diag(rng.integers(0, 3, 3) * 1.0),
+        ][case % 3]
         S = 0.5 * (S + S.T)
         value, vector = np.empty(3), np.empty((3, 3))
         linear.eigen(S.copy(), value, vector)
         scale = max(np.abs(S).max(), 1e-300)
-        assert np.abs(value - np.linalg.eigvalsh(S)).max() < 1e-14 * scale and (np.diff(value) >= 0).all()
-        assert np.abs(vector.T @ vector - np.eye(3)).max() < 1e-14 and np.abs(S @ vector - vector * value).max() < 1e-14 * scale
+        assert (
+            np.abs(value - np.linalg.eigvalsh(S)).max() < 1e-14 * scale
+            and (np.diff(value) >= 0).all()
+        )
+        assert (
+            np.abs(vector.T @ vector - np.eye(3)).max() < 1e-14
+            and np.abs(S @ vector - vector * value).max() < 1e-14 * scale
+        )
 
 
 def test_noise_within_the_tangent_plane_beside_matrices():
@@ -188,9 +256,18 @@ def test_noise_within_the_tangent_plane_beside_matrices():
 
 def test_slots_by_numbers_of_their_own():
     rng = np.random.default_rng(8)
-    members = rng.choice([7, 8, 23, 60, 61, 62, 119], 40).astype(np.int32) * 5 + rng.integers(0, 5, 40).astype(np.int32)
+    members = rng.choice([7, 8, 23, 60, 61, 62, 119], 40).astype(np.int32) * 5 + rng.integers(
+        0, 5, 40
+    ).astype(np.int32)
     local, slots = cross.local_slots(members, 5, 120)
     assert slots == 5 * len(np.unique(members // 5)) and local.min() >= 0 and local.max() < slots
-    assert len(np.unique(local)) == len(np.unique(members)) == len(np.unique(np.c_[local, members], axis=0))
+    assert (
+        len(np.unique(local))
+        == len(np.unique(members))
+        == len(np.unique(np.c_[local, members], axis=0))
+    )
     assert (local % 5 == members % 5).all()
-    assert all(np.array_equal(a, b) for a, b in zip(cross.local_slots.py_func(members, 5, 120), (local, slots), strict=True))
+    assert all(
+        np.array_equal(a, b)
+        for a, b in zip(cross.local_slots.py_func(members, 5, 120), (local, slots), strict=True)
+    )

@@ -1,4 +1,6 @@
-"""Predicted against empirical variance over many surveys at once: islands out of each other's reach are independent surveys."""
+"""Predicted against empirical variance over many surveys at once: islands out of each other's reach
+are independent surveys.
+"""
 
 import numpy as np
 import pytest
@@ -52,11 +54,14 @@ def test_predicted_variance_is_the_empirical_one(scene, degree):
 
     # single points: some 50 000, of which those of one island are alike
     ratio = np.mean(error**2 / q.variance)
-    spread = np.std(np.bincount(island, error**2 / q.variance) / np.bincount(island)) / np.sqrt(ISLANDS)
+    spread = np.std(np.bincount(island, error**2 / q.variance) / np.bincount(island)) / np.sqrt(
+        ISLANDS
+    )
     assert spread < 0.03
     assert 0.9 < ratio < 1.1
 
-    # the mean height of each survey: 1500 draws of a chi-square with one degree, so the ratio's sd is 3.7 %
+    # the mean height of each survey: 1500 draws of a chi-square with one degree, so the ratio's sd
+    # is 3.7 %
     n = np.bincount(island, minlength=ISLANDS)
     assert n.min() > 10
     rows = np.stack([np.ones(len(q)), *q.local.T], axis=1)

@@ -1,11 +1,18 @@
-"""The published filter on surfaces whose answer is known, on degenerate input, and its printed variance against the true one."""
+"""The published filter on surfaces whose answer is known, on degenerate input, and its printed
+variance against the true one.
+"""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scipy.special import erf
 
-from ladar_volume.filtering.published import PublishedParameters, filter_published, inflation, settings
+from ladar_volume.filtering.published import (
+    PublishedParameters,
+    filter_published,
+    inflation,
+    settings,
+)
 from ladar_volume.filtering.result import REASONS
 from ladar_volume.filtering.sweep import BAND
 from ladar_volume.model.errors import FilterError
@@ -23,7 +30,9 @@ FAR = np.array([499_000.0, 5_432_000.0, 250.0])
 
 
 def published(**changes):
-    return PublishedParameters(**{"radius_m": 0.2, "threshold_m": 0.05, "min_points": 10, **changes})
+    return PublishedParameters(
+        **{"radius_m": 0.2, "threshold_m": 0.05, "min_points": 10, **changes}
+    )
 
 
 def square(n=2500, half=0.5, seed=1):
@@ -48,7 +57,9 @@ def test_a_plane_in_any_orientation_stays_where_it_is(turn, start, degree, thres
     r = turn.apply(square())
     result = filter_published(r, published(start=start, degree=degree, threshold_m=threshold))
     accounted(result, len(r))
-    assert len(result.index) >= 0.99 * len(r)  # a corner with fewer points than minPts is left over, as published
+    assert len(result.index) >= 0.99 * len(
+        r
+    )  # a corner with fewer points than minPts is left over, as published
     assert np.abs(result.r - r[result.index]).max() < 1e-9
     assert np.abs(np.abs(result.normal @ turn.apply([0.0, 0.0, 1.0])) - 1).max() < 1e-9
 
@@ -66,12 +77,18 @@ def test_curved_patches_without_noise_are_recovered(turn, start, bend):
     r = turn.apply(np.column_stack([x, y, z]))
     result = filter_published(r, published(start=start, degree=2, min_points=20))
     assert len(result.index) >= 0.98 * len(r)
-    # spheres are of the model; so are cylinders, but the frame is laid only three times; a saddle has other terms of the fourth order
-    assert np.linalg.norm(result.r - r[result.index], axis=1).max() < {"sphere": 2e-8, "cylinder": 2e-6, "saddle": 6e-4}[bend]
+    # spheres are of the model; so are cylinders, but the frame is laid only three times; a saddle
+    # has other terms of the fourth order
+    assert (
+        np.linalg.norm(result.r - r[result.index], axis=1).max()
+        < {"sphere": 2e-8, "cylinder": 2e-6, "saddle": 6e-4}[bend]
+    )
 
 
 def two_faces(angle, turn, n=1500, seed=2):
-    """Unit squares that meet along an edge through the origin at ``angle`` of material, and the face of each point."""
+    """Unit squares that meet along an edge through the origin at ``angle`` of material, and the
+    face of each point.
+    """
     rng = np.random.default_rng(seed)
     half = np.radians(angle) / 2
     face = np.arange(n) % 2
@@ -85,7 +102,9 @@ def two_faces(angle, turn, n=1500, seed=2):
 @pytest.mark.parametrize("edge", ["snap", "remove"])
 def test_an_edge_without_noise_is_recovered(turn, angle, edge):
     r, _ = two_faces(angle, turn)
-    result = filter_published(r, published(start="ransac", ransac_threshold_m=0.01, threshold_m=0.0, edge=edge))
+    result = filter_published(
+        r, published(start="ransac", ransac_threshold_m=0.01, threshold_m=0.0, edge=edge)
+    )
     accounted(result, len(r))
     assert result.report["fits_edge"] > 0
     assert len(result.index) >= 0.98 * len(r) and np.abs(result.r - r[result.index]).max() < 1e-9
@@ -93,11 +112,14 @@ def test_an_edge_without_noise_is_recovered(turn, angle, edge):
 
 @pytest.mark.parametrize("angle", [60, 90, 120])
 def test_a_fixed_threshold_takes_a_strip_of_the_other_face_along(angle):
-    # without a second plane, where the ratio of outliers is low, the strip within the threshold tilts the fit: the published price
+    # without a second plane, where the ratio of outliers is low, the strip within the threshold
+    # tilts the fit: the published price
     r, _ = two_faces(angle, TURNS[3])
     moved = []
     for threshold in (0.05, 0.01):
-        result = filter_published(r, published(start="ransac", ransac_threshold_m=0.01, threshold_m=threshold))
+        result = filter_published(
+            r, published(start="ransac", ransac_threshold_m=0.01, threshold_m=threshold)
+        )
         moved.append(np.linalg.norm(result.r - r[result.index], axis=1).max())
         assert moved[-1] < 0.2 * threshold
     assert moved[1] <= moved[0]
@@ -111,25 +133,41 @@ def test_a_corner_without_noise_is_recovered(turn, inward):
     r = rng.uniform(0, 0.6, (n, 3)) * inward
     r[np.arange(n), np.arange(n) % 3] = 0.0
     r = turn.apply(r)
-    result = filter_published(r, published(start="ransac", ransac_threshold_m=0.01, threshold_m=0.0, min_points=12))
+    result = filter_published(
+        r, published(start="ransac", ransac_threshold_m=0.01, threshold_m=0.0, min_points=12)
+    )
     assert result.report["fits_corner"] > 0
     assert len(result.index) >= 0.98 * len(r) and np.abs(result.r - r[result.index]).max() < 1e-9
 
 
 def test_points_beyond_an_edge_are_set_onto_it_or_taken_out():
-    """Floor z = 0, x < 0 and wall x = 0, z < 0; 20 points of the wall stand up to 3 cm above the floor."""
+    """Floor z = 0, x < 0 and wall x = 0, z < 0; 20 points of the wall stand up to 3 cm above the
+    floor.
+    """
     r, _ = two_faces(90, Rotation.from_euler("y", 45, degrees=True))
     rng = np.random.default_rng(4)
-    beyond = np.column_stack([np.zeros(20), rng.uniform(-0.4, 0.4, 20), rng.uniform(0.005, 0.03, 20)])
+    beyond = np.column_stack(
+        [np.zeros(20), rng.uniform(-0.4, 0.4, 20), rng.uniform(0.005, 0.03, 20)]
+    )
     assert np.minimum(abs(r[:, 0]), abs(r[:, 2])).max() < 1e-9 and r[:, [0, 2]].max() < 1e-9
     both = np.concatenate([r, beyond])
     late = np.arange(len(r), len(both))
     for threshold in (0.05, 0.035):
-        snapped = filter_published(both, published(start="ransac", ransac_threshold_m=0.01, threshold_m=threshold))
+        snapped = filter_published(
+            both, published(start="ransac", ransac_threshold_m=0.01, threshold_m=threshold)
+        )
         moved = snapped.r[snapped.index >= len(r)]
         assert np.isin(late, snapped.index).all()
-        assert np.abs(moved[:, [0, 2]]).max() < 5e-4 and np.abs(moved[:, 1] - beyond[:, 1]).max() < 5e-4  # straight onto the edge
-        removed = filter_published(both, published(start="ransac", ransac_threshold_m=0.01, threshold_m=threshold, edge="remove"))
+        assert (
+            np.abs(moved[:, [0, 2]]).max() < 5e-4
+            and np.abs(moved[:, 1] - beyond[:, 1]).max() < 5e-4
+        )  # straight onto the edge
+        removed = filter_published(
+            both,
+            published(
+                start="ransac", ransac_threshold_m=0.01, threshold_m=threshold, edge="remove"
+            ),
+        )
         names = accounted(removed, len(both))
         assert np.isin(late, removed.outliers).all() and names["beyond_edge"] >= 20
         assert len(removed.index) > 0.95 * len(r)
@@ -150,7 +188,16 @@ def test_a_plane_survives_one_outlier_in_two(start):
         r = np.column_stack([rng.uniform(-0.5, 0.5, (n, 2)), rng.normal(0, 0.004, n)])
         bad = np.arange(n) < share * n
         r[bad, 2] = rng.uniform(-0.4, 0.4, bad.sum())
-        result = filter_published(r, published(start=start, threshold_m=0.014, ransac_threshold_m=0.008, trials=300, edges_threshold=1.0))
+        result = filter_published(
+            r,
+            published(
+                start=start,
+                threshold_m=0.014,
+                ransac_threshold_m=0.008,
+                trials=300,
+                edges_threshold=1.0,
+            ),
+        )
         accounted(result, n)
         good = ~bad[result.index]
         assert good.sum() > 0.99 * (~bad).sum()
@@ -163,16 +210,26 @@ def test_more_outliers_than_the_breakdown_point_are_no_surface(degree):
     # a tree crown: points anywhere, of which many lie near some plane or other
     r = np.random.default_rng(5).uniform(-0.4, 0.4, (1500, 3))
     p = published(degree=degree, threshold_m=0.015, trials=50)
-    assert len(filter_published(r, p).index) < 0.05 * len(r)  # along the rim a neighbourhood may be thin enough for a surface
-    assert len(filter_published(r, published(degree=degree, threshold_m=0.015, trials=50, min_share=0.0)).index) > 0.2 * len(r)
+    assert len(filter_published(r, p).index) < 0.05 * len(
+        r
+    )  # along the rim a neighbourhood may be thin enough for a surface
+    assert len(
+        filter_published(
+            r, published(degree=degree, threshold_m=0.015, trials=50, min_share=0.0)
+        ).index
+    ) > 0.2 * len(r)
 
 
 @pytest.mark.parametrize("degree", [1, 2])
 def test_two_sheets_nearer_than_the_radius_stay_two(degree):
     rng = np.random.default_rng(6)
     lower, upper = square(2500, seed=6), square(2500, seed=7) + np.array([0, 0, 0.12])
-    r = np.concatenate([lower, upper]) + np.column_stack([np.zeros((5000, 2)), rng.normal(0, 0.003, 5000)])
-    result = filter_published(r, published(start="ransac", threshold_m=0.012, ransac_threshold_m=0.006, degree=degree))
+    r = np.concatenate([lower, upper]) + np.column_stack(
+        [np.zeros((5000, 2)), rng.normal(0, 0.003, 5000)]
+    )
+    result = filter_published(
+        r, published(start="ransac", threshold_m=0.012, ransac_threshold_m=0.006, degree=degree)
+    )
     accounted(result, len(r))
     sheet = np.where(result.index < 2500, 0.0, 0.12)
     assert len(result.index) > 0.98 * len(r)
@@ -196,17 +253,34 @@ def test_degenerate_clouds_are_named_not_guessed(degree):
             assert names[reason] == len(r), (name, names)
     twice = np.repeat(square(600), 3, axis=0)
     result = filter_published(twice, p)
-    assert len(result.index) > 0.98 * len(twice) and np.abs(result.r - twice[result.index]).max() < 1e-9
+    assert (
+        len(result.index) > 0.98 * len(twice)
+        and np.abs(result.r - twice[result.index]).max() < 1e-9
+    )
 
 
 def test_wrong_input_is_refused():
-    for r in (np.array([[0.0, 1.0, np.nan]]), np.array([[0.0, np.inf, 1.0]]), np.zeros((0, 3)), np.zeros((5, 2)), np.zeros(3)):
+    for r in (
+        np.array([[0.0, 1.0, np.nan]]),
+        np.array([[0.0, np.inf, 1.0]]),
+        np.zeros((0, 3)),
+        np.zeros((5, 2)),
+        np.zeros(3),
+    ):
         with pytest.raises(FilterError):
             filter_published(r, published())
     for wrong in (
-        {"degree": 3}, {"start": "best"}, {"edge": "keep"}, {"radius_m": 0.0}, {"radius_m": float("nan")}, {"sample_size": 2},
-        {"min_points": 3}, {"confidence": 1.5}, {"threshold_m": -1.0}, {"trials": 0},
-    ):  # fmt: skip
+        {"degree": 3},
+        {"start": "best"},
+        {"edge": "keep"},
+        {"radius_m": 0.0},
+        {"radius_m": float("nan")},
+        {"sample_size": 2},
+        {"min_points": 3},
+        {"confidence": 1.5},
+        {"threshold_m": -1.0},
+        {"trials": 0},
+    ):
         with pytest.raises(FilterError, match=next(iter(wrong))):
             published(**wrong)
 
@@ -219,14 +293,23 @@ def noisy(seed=8, n=3000):
 @pytest.mark.parametrize("degree", [1, 2])
 def test_the_seed_decides_and_nothing_else(degree):
     r = noisy()
-    one, two = (filter_published(r, published(start="ransac", degree=degree, seed=3, threshold_m=0.012)) for _ in range(2))
-    assert all(np.array_equal(getattr(one, k), getattr(two, k)) for k in ("r", "index", "normal", "sigma", "outliers", "reason"))
+    one, two = (
+        filter_published(r, published(start="ransac", degree=degree, seed=3, threshold_m=0.012))
+        for _ in range(2)
+    )
+    assert all(
+        np.array_equal(getattr(one, k), getattr(two, k))
+        for k in ("r", "index", "normal", "sigma", "outliers", "reason")
+    )
     # another seed starts elsewhere and ends, mostly, at the same fixed points
     other = filter_published(r, published(start="ransac", degree=degree, seed=4, threshold_m=0.012))
     assert other.report["trials_per_fit"] != one.report["trials_per_fit"]
     both = np.intersect1d(one.index, other.index)
     assert len(both) > 0.95 * len(r)
-    same = np.abs(one.r[np.isin(one.index, both)] - other.r[np.isin(other.index, both)]).max(axis=1) < 1e-9
+    same = (
+        np.abs(one.r[np.isin(one.index, both)] - other.r[np.isin(other.index, both)]).max(axis=1)
+        < 1e-9
+    )
     assert same.mean() > 0.8
 
 
@@ -238,7 +321,9 @@ def test_the_order_of_the_input_decides_only_where_the_sweep_is_not_sorted():
         one, two = filter_published(r, p), filter_published(r[order], p)
         there = np.full((len(r), 3), np.nan)
         there[order[two.index]] = two.r
-        same = np.array_equal(np.sort(order[two.index]), one.index) and np.allclose(there[one.index], one.r, atol=1e-9)
+        same = np.array_equal(np.sort(order[two.index]), one.index) and np.allclose(
+            there[one.index], one.r, atol=1e-9
+        )
         assert same == sort
 
 
@@ -259,9 +344,16 @@ def test_every_point_is_projected_once_and_lies_within_the_threshold_of_where_it
 def test_confidence_ends_the_trials_early_and_one_never():
     r = noisy()
     few, many, all_of_them = (
-        filter_published(r, published(start="ransac", ransac_threshold_m=0.01, trials=400, edges_threshold=1.0, confidence=c)).report[
-            "trials_per_fit"
-        ]
+        filter_published(
+            r,
+            published(
+                start="ransac",
+                ransac_threshold_m=0.01,
+                trials=400,
+                edges_threshold=1.0,
+                confidence=c,
+            ),
+        ).report["trials_per_fit"]
         for c in (0.9, 0.999, 1.0)
     )
     assert few < many < 100 and all_of_them == 400
@@ -269,7 +361,9 @@ def test_confidence_ends_the_trials_early_and_one_never():
 
 @pytest.mark.parametrize("cut", [1.73, 2.5, 3.5])
 def test_the_printed_variance_is_the_true_one_whatever_the_cut(cut):
-    """One patch, 2,000 times: the height of its middle point scatters as printed, because what the cut costs is put back."""
+    """One patch, 2,000 times: the height of its middle point scatters as printed, because what the
+    cut costs is put back.
+    """
     rng = np.random.default_rng(11)
     xy = square(200, half=0.12, seed=12)
     xy[0] = 0.0
@@ -279,12 +373,28 @@ def test_the_printed_variance_is_the_true_one_whatever_the_cut(cut):
         r = xy.copy()
         r[1:, 2] = rng.normal(0, sigma, len(xy) - 1)
         result = filter_published(
-            r, published(radius_m=0.25, threshold_m=cut * sigma, start="ransac", ransac_threshold_m=sigma, edges_threshold=1.0, trials=50)
+            r,
+            published(
+                radius_m=0.25,
+                threshold_m=cut * sigma,
+                start="ransac",
+                ransac_threshold_m=sigma,
+                edges_threshold=1.0,
+                trials=50,
+            ),
         )
         at = np.searchsorted(result.index, 0)
-        z[i], printed[i], factor[i] = result.r[at, 2], result.sigma[at] ** 2, result.report["variance_inflation"]
-    assert np.mean(z**2) / np.mean(printed) == pytest.approx(1.0, abs=0.1)  # 2,000 heights tell it to 3 %
-    assert np.mean(z**2) / np.mean(printed / factor) > {1.73: 1.7, 2.5: 1.1, 3.5: 0.9}[cut]  # what plain least squares would have said
+        z[i], printed[i], factor[i] = (
+            result.r[at, 2],
+            result.sigma[at] ** 2,
+            result.report["variance_inflation"],
+        )
+    assert np.mean(z**2) / np.mean(printed) == pytest.approx(
+        1.0, abs=0.1
+    )  # 2,000 heights tell it to 3 %
+    assert (
+        np.mean(z**2) / np.mean(printed / factor) > {1.73: 1.7, 2.5: 1.1, 3.5: 0.9}[cut]
+    )  # what plain least squares would have said
 
 
 @pytest.mark.parametrize("degree", [1, 2])
@@ -295,7 +405,13 @@ def test_the_printed_variance_holds_over_many_patches(degree, cut):
     for _ in range(3):
         r = np.column_stack([rng.uniform(0, 5, (25_000, 2)), rng.normal(0, 0.01, 25_000)])
         p = published(
-            degree=degree, threshold_m=0.01 * cut, start="ransac", ransac_threshold_m=0.01, edges_threshold=1.0, trials=20, min_points=20
+            degree=degree,
+            threshold_m=0.01 * cut,
+            start="ransac",
+            ransac_threshold_m=0.01,
+            edges_threshold=1.0,
+            trials=20,
+            min_points=20,
         )
         result = filter_published(r, p)
         true.append(np.mean(result.r[:, 2] ** 2))
@@ -310,10 +426,15 @@ def test_the_inflation_is_that_of_a_cut_normal_distribution():
         exact = (1 - 2 * cut * np.exp(-(cut**2) / 2) / np.sqrt(2 * np.pi) / inside) ** -2
         assert inflation(inside, band) == pytest.approx(exact, rel=0.05)
     assert inflation(0.0, 0.0) == 1.0 and inflation(1.0, 0.0) == 1.0
-    assert inflation(1.0, 1.0) == pytest.approx(100.0)  # a flat density across the threshold says nothing of where the surface is
+    assert inflation(1.0, 1.0) == pytest.approx(
+        100.0
+    )  # a flat density across the threshold says nothing of where the surface is
 
 
 def test_the_section_filter_becomes_the_published_settings():
     p = settings(FilterParameters(radius_m=0.3, degree=1, outlier_floor_m=0.05, trials=7, seed=5))
     assert (p.radius_m, p.degree, p.threshold_m, p.trials, p.seed) == (0.3, 1, 0.05, 7, 5)
-    assert settings(FilterParameters(), radius_m=0.7).radius_m == 0.7 and settings(FilterParameters()).threshold_m == 0.0
+    assert (
+        settings(FilterParameters(), radius_m=0.7).radius_m == 0.7
+        and settings(FilterParameters()).threshold_m == 0.0
+    )

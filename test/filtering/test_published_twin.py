@@ -1,4 +1,6 @@
-"""The sweep, its random samples and its edges against plain numpy written from the description, point by point."""
+"""The sweep, its random samples and its edges against plain numpy written from the description,
+point by point.
+"""
 
 import numpy as np
 import pytest
@@ -39,7 +41,9 @@ class Draws:
 
 
 def plane_through(x):
-    """(normal, offset) by cross product for three points, by the least singular direction for more; None where they are in line."""
+    """(normal, offset) by cross product for three points, by the least singular direction for more;
+    None where they are in line.
+    """
     if len(x) == 3:
         u, v = x[1] - x[0], x[2] - x[0]
         n = np.cross(u, v)
@@ -66,12 +70,22 @@ def sampled(x, p, draws):
         if plane is None:
             continue
         d = np.abs(off(x, plane))
-        score = max(np.sort(d)[len(d) // 2], 1e-12 * np.abs(x).sum(axis=1).max()) if p.start == "lmeds" else np.minimum(d**2, p.ransac_threshold_m**2).sum()
+        score = (
+            max(np.sort(d)[len(d) // 2], 1e-12 * np.abs(x).sum(axis=1).max())
+            if p.start == "lmeds"
+            else np.minimum(d**2, p.ransac_threshold_m**2).sum()
+        )
         if score < best:
             best, found = score, plane
             share = np.mean(d <= (2.5 * MAD * best if p.start == "lmeds" else p.ransac_threshold_m))
             good = share**p.sample_size
-            needed = np.inf if p.confidence == 1 or good == 0 else 1 if good == 1 else np.log(1 - p.confidence) / np.log1p(-good)
+            needed = (
+                np.inf
+                if p.confidence == 1 or good == 0
+                else 1
+                if good == 1
+                else np.log(1 - p.confidence) / np.log1p(-good)
+            )
     if found is None:
         return None, -1.0, made
     d = np.sort(np.abs(off(x, found)))
@@ -109,7 +123,11 @@ def settled(x, planes, sigma, adapt, p):
 
 def facets(x, p, draws):
     rest, start, first, made = np.arange(len(x)), [], None, 0
-    while len(start) < 3 and len(rest) >= p.min_points and (not start or len(rest) > p.edges_threshold * len(x)):
+    while (
+        len(start) < 3
+        and len(rest) >= p.min_points
+        and (not start or len(rest) > p.edges_threshold * len(x))
+    ):
         plane, sigma, more = sampled(x[rest], p, draws)
         made += more
         fit = None if sigma < 0 else settled(x[rest], [plane], sigma, False, p)
@@ -141,20 +159,27 @@ def halves(x, planes, label):
 
 
 def on_half_plane(x, a, planes, side):
-    """The nearest point to x of plane a within the halves, by trying its foot, the feet on its edges and its vertices."""
+    """The nearest point to x of plane a within the halves, by trying its foot, the feet on its
+    edges and its vertices.
+    """
     others = [b for b in range(len(planes)) if side[a, b]]
     best, where = np.inf, None
     for active in [[], *([b] for b in others), others if len(others) == 2 else []]:
         N = np.array([planes[k][0] for k in [a, *active]])
         o = np.array([planes[k][1] for k in [a, *active]])
         q = x - np.linalg.pinv(N) @ (N @ x - o)
-        if all(side[a, b] * off(q, planes[b]) > -1e-7 for b in others) and np.linalg.norm(q - x) < best:
+        if (
+            all(side[a, b] * off(q, planes[b]) > -1e-7 for b in others)
+            and np.linalg.norm(q - x) < best
+        ):
             best, where = np.linalg.norm(q - x), q
     return best, where
 
 
 def goes_to(x, planes, side, snap):
-    """(plane, distance, place, beyond, whether two planes share the place and may both claim it)."""
+    """(plane, distance, place, beyond, whether two planes share the place and may both claim
+    it).
+    """
     pieces = [on_half_plane(x, a, planes, side) for a in range(len(planes))]
     a = int(np.argmin([d for d, _ in pieces]))
     d, at = pieces[a]
@@ -167,11 +192,15 @@ def goes_to(x, planes, side, snap):
 
 
 def twin(r, p):
-    """Algorithm 1 for degree 1: (positions, variances without inflation, NaN on edges, reasons, inflation, trials, fits)."""
+    """Algorithm 1 for degree 1: (positions, variances without inflation, NaN on edges, reasons,
+    inflation, trials, fits).
+    """
     n = len(r)
     local = r - r.mean(axis=0)
     cell = np.floor(local / p.radius_m)
-    order = np.lexsort((local[:, 2], local[:, 1], local[:, 0], cell[:, 2], cell[:, 1], cell[:, 0]))  # the order neighbours are listed in
+    order = np.lexsort(
+        (local[:, 2], local[:, 1], local[:, 0], cell[:, 2], cell[:, 1], cell[:, 0])
+    )  # the order neighbours are listed in
     place = np.argsort(order)
     tree = cKDTree(local[order])
     q, variance, reason = np.zeros((n, 3)), np.zeros(n), np.full(n, FEW)
@@ -182,7 +211,11 @@ def twin(r, p):
             continue
         near = order[np.sort(tree.query_ball_point(local[order][place[at]], 2 * p.radius_m))]
         x = local[near] - local[at]
-        fresh = [i for i, y in zip(near, x, strict=True) if y @ y <= p.radius_m**2 and reason[i] not in (KEPT, BEYOND)]
+        fresh = [
+            i
+            for i, y in zip(near, x, strict=True)
+            if y @ y <= p.radius_m**2 and reason[i] not in (KEPT, BEYOND)
+        ]
         if len(fresh) < p.min_points:
             continue
         fit, more = facets(x, p, Draws(mix(rank ^ mix(p.seed))))
@@ -201,7 +234,9 @@ def twin(r, p):
         band += np.count_nonzero(np.abs(d - threshold) <= BAND * threshold)
         side = halves(x, planes, label)
         for i in fresh:
-            a, away, to, beyond, shared = goes_to(local[i] - local[at], planes, side, p.edge == "snap")
+            a, away, to, beyond, shared = goes_to(
+                local[i] - local[at], planes, side, p.edge == "snap"
+            )
             reason[i] = OUTLIER if away > threshold else BEYOND if beyond else KEPT
             if reason[i] == KEPT:
                 q[i] = to + local[at]
@@ -213,7 +248,9 @@ def twin(r, p):
 
 
 def tangential(x, plane):
-    """Coordinates (n, 2) along a plane: the variance of its height there is that of a linear regression."""
+    """Coordinates (n, 2) along a plane: the variance of its height there is that of a linear
+    regression.
+    """
     return x @ np.linalg.svd(plane[0][None])[2][1:].T
 
 
@@ -231,7 +268,13 @@ def scene(kind):
         r[::2, 2] += np.abs(r[::2, 0])
         r[::2, 0] = rng.normal(0, 0.004, len(r[::2]))
     else:
-        r = np.concatenate([rng.uniform(-1, 1, (150, 3)), np.linspace(0, 0.4, 60)[:, None] * [[1, 1, 1]], np.zeros((30, 3))])
+        r = np.concatenate(
+            [
+                rng.uniform(-1, 1, (150, 3)),
+                np.linspace(0, 0.4, 60)[:, None] * [[1, 1, 1]],
+                np.zeros((30, 3)),
+            ]
+        )
     return Rotation.from_rotvec([0.3, 0.5, -0.8]).apply(r) + np.array([100.0, -50.0, 7.0])
 
 
@@ -248,21 +291,37 @@ def scene(kind):
 )
 def test_the_sweep_is_its_twin(kind, start, changes):
     r = scene(kind)
-    p = PublishedParameters(**{
-        "radius_m": 0.2, "threshold_m": 0.015, "ransac_threshold_m": 0.008, "trials": 25, "min_points": 8, "start": start, "seed": 3, **changes
-    })  # fmt: skip
+    p = PublishedParameters(
+        **{
+            "radius_m": 0.2,
+            "threshold_m": 0.015,
+            "ransac_threshold_m": 0.008,
+            "trials": 25,
+            "min_points": 8,
+            "start": start,
+            "seed": 3,
+            **changes,
+        }
+    )
     result = filter_published(r, p)
     q, variance, reason, factor, made, fits = twin(r, p)
     assert np.array_equal(result.index, np.flatnonzero(reason == KEPT))
     assert np.array_equal(result.reason, reason[reason != KEPT])
     assert np.abs(result.r - q[result.index]).max(initial=0.0) < 1e-8
     assert result.report["fits"] == fits
-    if kind != "junk":  # where all residuals are rounding, so is the share of inliers that ends the trials
+    if (
+        kind != "junk"
+    ):  # where all residuals are rounding, so is the share of inliers that ends the trials
         assert result.report["trials_per_fit"] == pytest.approx(made / fits)
     assert result.report["variance_inflation"] == pytest.approx(factor)
-    clear = ~np.isnan(variance[result.index])  # on an edge the variance is that of one of its two planes
-    # duplicates and points on a line lie exactly on their plane: only rounding is left of the variance
-    assert np.allclose(result.sigma[clear] ** 2, factor * variance[result.index][clear], rtol=1e-6, atol=1e-24)
+    clear = ~np.isnan(
+        variance[result.index]
+    )  # on an edge the variance is that of one of its two planes
+    # duplicates and points on a line lie exactly on their plane: only rounding is left of the
+    # variance
+    assert np.allclose(
+        result.sigma[clear] ** 2, factor * variance[result.index][clear], rtol=1e-6, atol=1e-24
+    )
     assert clear.mean() > 0.9
     assert fits > 2 and len(result.index) > 0.3 * len(r)
 
@@ -293,7 +352,9 @@ def test_sampled_quadrics_are_their_twin(ransac, confidence):
     m, k, threshold = 120, 7, 0.02
     uvw = np.zeros((4, m))
     uvw[:2] = rng.uniform(-1, 1, (2, m))
-    basis = np.stack([np.ones(m), uvw[0], uvw[1], uvw[0] ** 2, uvw[0] * uvw[1], uvw[1] ** 2], axis=1)
+    basis = np.stack(
+        [np.ones(m), uvw[0], uvw[1], uvw[0] ** 2, uvw[0] * uvw[1], uvw[1] ** 2], axis=1
+    )
     uvw[2] = basis @ [0.01, 0.02, -0.03, 0.2, 0.1, -0.15] + rng.normal(0, 0.005, m)
     uvw[2, :40] += rng.uniform(0, 1, 40)
     best, needed, made, found = np.inf, np.inf, -1, None
@@ -311,7 +372,19 @@ def test_sampled_quadrics_are_their_twin(ransac, confidence):
     d = np.sort(np.abs(uvw[2] - basis @ found))
     d = d[d <= threshold] if ransac else d
     beta, state = np.zeros(6), np.array([77], np.uint64)
-    sigma, count = trials.sampled_quadric(uvw, m, k, 60, ransac, threshold, confidence, state, np.empty(m, np.int64), np.empty(m), beta)
+    sigma, count = trials.sampled_quadric(
+        uvw,
+        m,
+        k,
+        60,
+        ransac,
+        threshold,
+        confidence,
+        state,
+        np.empty(m, np.int64),
+        np.empty(m),
+        beta,
+    )
     assert count == made and np.allclose(beta, found, atol=1e-9)
     assert sigma == pytest.approx(MAD * (1 + 5 / (len(d) - 6)) * d[len(d) // 2])
 
@@ -328,5 +401,9 @@ def test_draws_are_uniform_and_without_repeats():
 
 def test_trials_follow_the_share_of_inliers():
     assert trials.trials_needed(0.5, 4, 0.99) == pytest.approx(np.log(0.01) / np.log(1 - 0.5**4))
-    assert trials.trials_needed(0.5, 20, 0.99) > 1e6  # twenty points per sample cannot survive one outlier in two
-    assert trials.trials_needed(1.0, 4, 0.99) == 1 and trials.trials_needed(0.0, 4, 0.99) == np.inf == trials.trials_needed(0.9, 4, 1.0)
+    assert (
+        trials.trials_needed(0.5, 20, 0.99) > 1e6
+    )  # twenty points per sample cannot survive one outlier in two
+    assert trials.trials_needed(1.0, 4, 0.99) == 1 and trials.trials_needed(
+        0.0, 4, 0.99
+    ) == np.inf == trials.trials_needed(0.9, 4, 1.0)

@@ -19,14 +19,34 @@ def _ecef(lat, lon, h):
     lat, lon = np.radians(lat), np.radians(lon)
     e2 = F * (2 - F)
     n = A / np.sqrt(1 - e2 * np.sin(lat) ** 2)
-    return np.stack([(n + h) * np.cos(lat) * np.cos(lon), (n + h) * np.cos(lat) * np.sin(lon), (n * (1 - e2) + h) * np.sin(lat)], axis=-1)
+    return np.stack(
+        [
+            (n + h) * np.cos(lat) * np.cos(lon),
+            (n + h) * np.cos(lat) * np.sin(lon),
+            (n * (1 - e2) + h) * np.sin(lat),
+        ],
+        axis=-1,
+    )
 
 
-@pytest.mark.parametrize("place", [(50.1, 14.4, 250.0), (-33.9, 18.4, 10.0), (0.0, 0.0, 0.0), (89.99, -120.0, 5.0), (10.0, 180.0, -20.0)])
+@pytest.mark.parametrize(
+    "place",
+    [
+        (50.1, 14.4, 250.0),
+        (-33.9, 18.4, 10.0),
+        (0.0, 0.0, 0.0),
+        (89.99, -120.0, 5.0),
+        (10.0, 180.0, -20.0),
+    ],
+)
 def test_equals_the_closed_form_and_inverts(place):
     rng = np.random.default_rng(1)
     frame = LocalFrame(Datum(*place))
-    lat, lon, h = place[0] + rng.uniform(-0.009, 0.009, 20), place[1] + rng.uniform(-0.01, 0.01, 20), place[2] + rng.uniform(-50, 50, 20)
+    lat, lon, h = (
+        place[0] + rng.uniform(-0.009, 0.009, 20),
+        place[1] + rng.uniform(-0.01, 0.01, 20),
+        place[2] + rng.uniform(-50, 50, 20),
+    )
     r = frame.to_map(lat, lon, h)
     expected = (_ecef(lat, lon, h) - _ecef(*place)) @ rotation_enu_ecef(place[0], place[1]).T
     np.testing.assert_allclose(r, expected, atol=5e-9)

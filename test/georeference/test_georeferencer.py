@@ -1,4 +1,6 @@
-"""The streaming stage: what comes out, in any interleaving, and everything that can be wrong with what goes in."""
+"""The streaming stage: what comes out, in any interleaving, and everything that can be wrong with
+what goes in.
+"""
 
 from __future__ import annotations
 
@@ -16,44 +18,74 @@ from ladar_volume.georeference.georeferencer import Georeferencer
 from ladar_volume.georeference.knots import Knots
 from ladar_volume.model.errors import ParameterValueError
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import Datum, Fix, ImuSample, MappedPoints, OdometrySample, PlatformStates, Returns, concatenate, select
+from ladar_volume.model.records import (
+    Datum,
+    Fix,
+    ImuSample,
+    MappedPoints,
+    OdometrySample,
+    PlatformStates,
+    Returns,
+    concatenate,
+    select,
+)
 
 DATUM = Datum(50.0, 14.0, 200.0)
 FRAME = LocalFrame(DATUM)
 T0 = 1_700_000_000_000_000_000
 LEVER_LASER, LEVER_ANTENNA = np.array([0.1, 0.02, -0.2]), np.array([-0.3, 0.1, 0.5])
-START, SPEED, RATE = np.array([3.0, -2.0, 20.0]), np.array([4.0, 1.0, -0.5]), np.array([0.1, -0.2, 0.4])
+START, SPEED, RATE = (
+    np.array([3.0, -2.0, 20.0]),
+    np.array([4.0, 1.0, -0.5]),
+    np.array([0.1, -0.2, 0.4]),
+)
 
 
 def _parameters(**georeference):
-    settings = {"datum_latitude_deg": 50.0, "datum_longitude_deg": 14.0, "datum_height_m": 200.0} | georeference
+    settings = {
+        "datum_latitude_deg": 50.0,
+        "datum_longitude_deg": 14.0,
+        "datum_height_m": 200.0,
+    } | georeference
     return Parameters.read(
         {
-            "calibration": {"boresight_pitch_deg": 90.0, "boresight_roll_deg": 5.0, "lever_laser_m": LEVER_LASER.tolist(),
-                            "lever_antenna_m": LEVER_ANTENNA.tolist()},
+            "calibration": {
+                "boresight_pitch_deg": 90.0,
+                "boresight_roll_deg": 5.0,
+                "lever_laser_m": LEVER_LASER.tolist(),
+                "lever_antenna_m": LEVER_ANTENNA.tolist(),
+            },
             "georeference": settings,
         }
-    )  # fmt: skip
+    )
 
 
 def _rotation(seconds):
     """Constant body rate: slerp is exact."""
-    return Rotation.from_rotvec([0.1, 0.2, 0.3]) * Rotation.from_rotvec(np.multiply.outer(seconds, RATE))
+    return Rotation.from_rotvec([0.1, 0.2, 0.3]) * Rotation.from_rotvec(
+        np.multiply.outer(seconds, RATE)
+    )
 
 
 def _fix(seconds, **changes):
     lat, lon, h = FRAME.to_geodetic(START + SPEED * seconds)
-    return dataclasses.replace(Fix(T0 + round(seconds * 1e9), lat, lon, h, np.diag([1e-4, 2e-4, 4e-4])), **changes)
+    return dataclasses.replace(
+        Fix(T0 + round(seconds * 1e9), lat, lon, h, np.diag([1e-4, 2e-4, 4e-4])), **changes
+    )
 
 
 def _imu(seconds, **changes):
-    sample = ImuSample(T0 + round(seconds * 1e9), _rotation(seconds).as_quat(), RATE, np.diag([1e-7, 1e-7, 4e-7]))
+    sample = ImuSample(
+        T0 + round(seconds * 1e9), _rotation(seconds).as_quat(), RATE, np.diag([1e-7, 1e-7, 4e-7])
+    )
     return dataclasses.replace(sample, **changes)
 
 
 def _odometry(seconds, **changes):
     q = _rotation(seconds).as_quat()
-    sample = OdometrySample(T0 + round(seconds * 1e9), START + SPEED * seconds, q, np.zeros(3), RATE, np.eye(6) * 1e-4)
+    sample = OdometrySample(
+        T0 + round(seconds * 1e9), START + SPEED * seconds, q, np.zeros(3), RATE, np.eye(6) * 1e-4
+    )
     return dataclasses.replace(sample, **changes)
 
 
@@ -62,7 +94,9 @@ def _cloud(start, n=40, length=0.1, seed=0):
     t = T0 + round(start * 1e9) + np.linspace(0, length * 1e9, n, endpoint=False).astype(np.int64)
     r = rng.normal(size=(n, 3))
     r *= rng.uniform(5, 60, (n, 1)) / np.linalg.norm(r, axis=1, keepdims=True)
-    return Returns(t, r, rng.integers(0, 16, n).astype(np.uint16), rng.uniform(1, 100, n).astype(np.float32))
+    return Returns(
+        t, r, rng.integers(0, 16, n).astype(np.uint16), rng.uniform(1, 100, n).astype(np.float32)
+    )
 
 
 def _truth(cloud, parameters):
@@ -74,7 +108,12 @@ def _truth(cloud, parameters):
 
 def _feed(stage, events):
     for event in events:
-        {Fix: stage.add_fix, ImuSample: stage.add_imu, OdometrySample: stage.add_odometry, Returns: stage.add_returns}[type(event)](event)
+        {
+            Fix: stage.add_fix,
+            ImuSample: stage.add_imu,
+            OdometrySample: stage.add_odometry,
+            Returns: stage.add_returns,
+        }[type(event)](event)
     return stage
 
 
@@ -102,7 +141,12 @@ def test_points_and_states_are_the_closed_form(interpolation):
     parameters = _parameters(position_interpolation=interpolation)
     fixes, imus, clouds = _survey()
     stage, points, states = _run(parameters, _by_time(fixes, imus, clouds))
-    assert not stage.losses and stage.pending == 0 and stage.datum == DATUM and len(points) > len(clouds)  # in parts
+    assert (
+        not stage.losses
+        and stage.pending == 0
+        and stage.datum == DATUM
+        and len(points) > len(clouds)
+    )  # in parts
     whole = concatenate(points)
     assert len(whole) == sum(len(c) for c in clouds)
     for number, cloud in enumerate(clouds):
@@ -113,13 +157,21 @@ def test_points_and_states_are_the_closed_form(interpolation):
         np.testing.assert_allclose(got.r_map, _truth(cloud, parameters), atol=3e-4)
     s = (states.t_ns - T0) * 1e-9
     assert (np.diff(states.t_ns) > 0).all() and (states.segment == 0).all()
-    np.testing.assert_allclose(states.p_map_body, START + s[:, None] * SPEED - _rotation(s).apply(LEVER_ANTENNA), atol=5e-6)
+    np.testing.assert_allclose(
+        states.p_map_body, START + s[:, None] * SPEED - _rotation(s).apply(LEVER_ANTENNA), atol=5e-6
+    )
     v_map = SPEED - _rotation(s).apply(np.cross(RATE, LEVER_ANTENNA))
     np.testing.assert_allclose(_rotation(s).apply(states.v_body), v_map, atol=5e-5)
-    np.testing.assert_allclose(states.C_nav[:, :3, :3], np.tile(np.diag([1e-4, 2e-4, 4e-4]), (len(states), 1, 1)), atol=1e-8)
+    np.testing.assert_allclose(
+        states.C_nav[:, :3, :3],
+        np.tile(np.diag([1e-4, 2e-4, 4e-4]), (len(states), 1, 1)),
+        atol=1e-8,
+    )
     R = _rotation(s).as_matrix()
     C_axes = np.tile(np.diag([1e-7, 1e-7, 4e-7]), (len(s), 1, 1))
-    np.testing.assert_allclose(R @ states.C_nav[:, 3:, 3:] @ np.swapaxes(R, 1, 2), C_axes, atol=1e-20)
+    np.testing.assert_allclose(
+        R @ states.C_nav[:, 3:, 3:] @ np.swapaxes(R, 1, 2), C_axes, atol=1e-20
+    )
 
 
 @pytest.mark.parametrize("order", ["time", "attitudes_first", "attitudes_last"])
@@ -128,8 +180,10 @@ def test_missing_rates_come_from_the_attitudes(order):
     imus = [m for m in imus if not T0 + 300_000_000 < m.t_ns < T0 + 500_000_000]
     imus = [dataclasses.replace(m, omega_body=np.full(3, np.nan)) for m in imus]
     events = {
-        "time": _by_time(fixes, imus, clouds), "attitudes_first": imus + clouds + fixes, "attitudes_last": fixes + clouds + imus,
-    }[order]  # fmt: skip
+        "time": _by_time(fixes, imus, clouds),
+        "attitudes_first": imus + clouds + fixes,
+        "attitudes_last": fixes + clouds + imus,
+    }[order]
     stage, points, states = _run(_parameters(), events)
     assert set(stage.losses.as_dict()) == {"point_pose_gap"}
     np.testing.assert_allclose(states.omega_body, np.tile(RATE, (len(states), 1)), atol=1e-7)
@@ -143,7 +197,10 @@ def test_an_attitude_alone_has_no_rate():
     q = Rotation.from_rotvec(np.multiply.outer(t * 1e-9, RATE)).as_quat()
     rates = trajectory.rates_from_attitudes(t, q, 100 * 10**6)
     np.testing.assert_allclose(rates[:3], np.tile(RATE, (3, 1)), rtol=1e-9)
-    assert np.isnan(rates[3:]).all() and np.isnan(trajectory.rates_from_attitudes(t[:1], q[:1], 1)).all()
+    assert (
+        np.isnan(rates[3:]).all()
+        and np.isnan(trajectory.rates_from_attitudes(t[:1], q[:1], 1)).all()
+    )
     assert not trajectory.rates_from_attitudes(t[:2], q[[0, 0]], 10**9).any()
 
 
@@ -154,7 +211,9 @@ def test_attitude_is_turned_from_the_local_vertical_into_the_map():
     for i in range(4):
         stage.add_fix(Fix(T0 + i * 10**8, *place, np.eye(3) * 1e-4))
     for i in range(30):
-        stage.add_imu(ImuSample(T0 + i * 10**7, np.array([0.0, 0, 0, 1]), np.zeros(3), np.eye(3) * 1e-7))
+        stage.add_imu(
+            ImuSample(T0 + i * 10**7, np.array([0.0, 0, 0, 1]), np.zeros(3), np.eye(3) * 1e-7)
+        )
     states = stage.take_platform()
     up = Rotation.from_quat(states.q_map_body[5]).apply([0, 0, 1.0])
     np.testing.assert_allclose(up, FRAME.convergence(place[0], place[1])[:, 2], atol=1e-12)
@@ -171,7 +230,9 @@ def _assert_same(a, b):
 def test_result_does_not_depend_on_interleaving(interpolation):
     parameters = _parameters(position_interpolation=interpolation)
     fixes, imus, clouds = _survey()
-    fixes = [f for f in fixes if not T0 + 700_000_000 < f.t_ns < T0 + 1_500_000_000]  # a gap of 0.8 s
+    fixes = [
+        f for f in fixes if not T0 + 700_000_000 < f.t_ns < T0 + 1_500_000_000
+    ]  # a gap of 0.8 s
     imus = [m for m in imus if not T0 + 300_000_000 < m.t_ns < T0 + 500_000_000]
     reference = _run(parameters, _by_time(fixes, imus, clouds))
     assert reference[0].losses["point_pose_gap"] > 0
@@ -206,7 +267,9 @@ def test_taking_often_equals_taking_once():
 
 
 def test_every_mapped_point_has_its_platform_states():
-    """The filter interpolates between published states: what is mapped must lie between two of one segment."""
+    """The filter interpolates between published states: what is mapped must lie between two of one
+    segment.
+    """
     fixes, imus, clouds = _survey()
     fixes = [f for f in fixes if not T0 + 700_000_000 < f.t_ns < T0 + 1_500_000_000]
     parameters = _parameters()
@@ -215,7 +278,9 @@ def test_every_mapped_point_has_its_platform_states():
     geometry = sensitivity.point_geometry(everything, states, parameters.calibration)
     assert geometry.covered.all()
     distance = np.linalg.norm(geometry.v_body, axis=1)
-    by_time = {int(t): np.linalg.norm(r) for c in clouds for t, r in zip(c.t_ns, c.r_laser, strict=True)}
+    by_time = {
+        int(t): np.linalg.norm(r) for c in clouds for t, r in zip(c.t_ns, c.r_laser, strict=True)
+    }
     np.testing.assert_allclose(distance, [by_time[int(t)] for t in everything.t_ns], atol=1e-4)
     # and the kernel's C_ind is the one of the numpy Jacobian
     stage = Georeferencer(parameters)
@@ -246,7 +311,11 @@ def test_gap_in_attitudes_and_a_wider_limit_bridges_it():
     assert stage.losses["point_pose_gap"] > 0 and set(states.segment) == {0, 1}
     stage, points, states = _run(_parameters(max_attitude_gap_s=0.5), _by_time(fixes, imus, clouds))
     assert not stage.losses and set(states.segment) == {0}
-    np.testing.assert_allclose(concatenate(points).r_map, np.concatenate([_truth(c, _parameters()) for c in clouds]), atol=3e-4)
+    np.testing.assert_allclose(
+        concatenate(points).r_map,
+        np.concatenate([_truth(c, _parameters()) for c in clouds]),
+        atol=3e-4,
+    )
 
 
 def test_no_extrapolation_at_either_end():
@@ -254,11 +323,17 @@ def test_no_extrapolation_at_either_end():
     stage, points, _ = _run(_parameters(), [*fixes, *imus, _cloud(-0.05), _cloud(1.95)])
     first, last = points
     assert (first.t_ns > T0).all() and stage.losses["point_before_trajectory"] + len(first) == 40
-    assert (last.t_ns < T0 + 2 * 10**9).all() and 0 < len(last) and stage.losses["point_trajectory_end"] + len(last) == 40
+    assert (
+        (last.t_ns < T0 + 2 * 10**9).all()
+        and 0 < len(last)
+        and stage.losses["point_trajectory_end"] + len(last) == 40
+    )
 
 
 @pytest.mark.parametrize("interpolation,fixes_later", [("linear", 1), ("hermite", 2)])
-def test_a_return_waits_for_the_fixes_its_position_is_made_of_and_no_longer(interpolation, fixes_later):
+def test_a_return_waits_for_the_fixes_its_position_is_made_of_and_no_longer(
+    interpolation, fixes_later
+):
     fixes, imus, _ = _survey()
     stage, cloud = Georeferencer(_parameters(position_interpolation=interpolation)), _cloud(0.45)
     _feed(stage, [*fixes[:5], *imus, cloud])
@@ -266,8 +341,12 @@ def test_a_return_waits_for_the_fixes_its_position_is_made_of_and_no_longer(inte
     for after, fix in enumerate(fixes[5:8], start=1):
         _feed(stage, [fix])
         got += stage.take_points()
-        first, last = (T0 + round(1e8 * (4 + after + k - fixes_later)) for k in (0, 1))  # of the interval that is known now, and its end
-        sent = cloud.t_ns[(cloud.t_ns >= first) & (cloud.t_ns < last - 10_000_000)]  # but for the attitude before the end
+        first, last = (
+            T0 + round(1e8 * (4 + after + k - fixes_later)) for k in (0, 1)
+        )  # of the interval that is known now, and its end
+        sent = cloud.t_ns[
+            (cloud.t_ns >= first) & (cloud.t_ns < last - 10_000_000)
+        ]  # but for the attitude before the end
         new = concatenate(got).t_ns if got else np.zeros(0, np.int64)
         assert np.isin(sent, new).all() and (new <= last).all()
     assert len(got) == 2 and stage.pending == 0
@@ -281,7 +360,9 @@ def test_small_parts_wait_for_the_rest():
     for i in range(1, 20):
         _feed(stage, [_odometry(i * 0.01)])
         sizes += [len(p) for p in stage.take_points()]
-    assert sum(sizes) == 400 and stage.pending == 0 and len(imus) > len(sizes) and 1 < len(sizes) < 8
+    assert (
+        sum(sizes) == 400 and stage.pending == 0 and len(imus) > len(sizes) and 1 < len(sizes) < 8
+    )
 
 
 @pytest.mark.parametrize("hours", [-1, 1])
@@ -304,7 +385,9 @@ def test_one_cloud_with_a_corrupt_stamp_harms_no_other():
     events = _by_time(fixes, imus, clouds)
     reference = _run(_parameters(), events)[1]
     for hours, reason in ((-1, "point_before_trajectory"), (1, "point_trajectory_end")):
-        stage, points, _ = _run(_parameters(), [*events[:100], _cloud(hours * 3600.0), *events[100:]])
+        stage, points, _ = _run(
+            _parameters(), [*events[:100], _cloud(hours * 3600.0), *events[100:]]
+        )
         assert stage.losses.as_dict() == {reason: 40}
         _assert_same(points, reference)
 
@@ -312,12 +395,17 @@ def test_one_cloud_with_a_corrupt_stamp_harms_no_other():
 def test_bad_fixes_are_refused_by_name_and_the_rest_is_kept():
     fixes, imus, clouds = _survey()
     bad = [
-        ({"status": -1}, "fix_no_fix"), ({"latitude_deg": math.nan}, "fix_nan"), ({"height_m": math.inf}, "fix_nan"),
-        ({"latitude_deg": 95.0}, "fix_out_of_range"), ({"C_enu": None}, "fix_unknown_covariance"),
-        ({"C_enu": np.zeros((3, 3))}, "fix_unknown_covariance"), ({"C_enu": np.full((3, 3), np.nan)}, "fix_bad_covariance"),
-        ({"C_enu": np.diag([1.0, -1.0, 1.0])}, "fix_bad_covariance"), ({"t_ns": T0 + 5}, "fix_time_backwards"),
+        ({"status": -1}, "fix_no_fix"),
+        ({"latitude_deg": math.nan}, "fix_nan"),
+        ({"height_m": math.inf}, "fix_nan"),
+        ({"latitude_deg": 95.0}, "fix_out_of_range"),
+        ({"C_enu": None}, "fix_unknown_covariance"),
+        ({"C_enu": np.zeros((3, 3))}, "fix_unknown_covariance"),
+        ({"C_enu": np.full((3, 3), np.nan)}, "fix_bad_covariance"),
+        ({"C_enu": np.diag([1.0, -1.0, 1.0])}, "fix_bad_covariance"),
+        ({"t_ns": T0 + 5}, "fix_time_backwards"),
         ({"t_ns": fixes[3].t_ns}, "fix_duplicate"),
-    ]  # fmt: skip
+    ]
     reference = _run(_parameters(), fixes + imus + clouds)
     for changes, reason in bad:
         spoiled = [*fixes[:4], _fix(0.35, **changes), *fixes[4:]]
@@ -330,15 +418,24 @@ def test_bad_attitudes_are_refused_by_name_and_the_rest_is_kept():
     fixes, imus, clouds = _survey()
     q = imus[50].q_map_body
     bad = [
-        ({"q_map_body": np.full(4, np.nan)}, "imu_no_orientation"), ({"q_map_body": np.array([0, 0, math.nan, 1])}, "imu_nan"),
-        ({"q_map_body": q * 1.1}, "imu_not_unit"), ({"q_map_body": np.zeros(4)}, "imu_not_unit"),
-        ({"omega_body": np.array([0, math.nan, 0])}, "imu_nan"), ({"C_axes": None}, "imu_unknown_covariance"),
-        ({"C_axes": np.zeros((3, 3))}, "imu_unknown_covariance"), ({"C_axes": np.eye(2)}, "imu_bad_covariance"),
-        ({"t_ns": imus[5].t_ns}, "imu_time_backwards"), ({"t_ns": imus[50].t_ns}, "imu_duplicate"),
-    ]  # fmt: skip
+        ({"q_map_body": np.full(4, np.nan)}, "imu_no_orientation"),
+        ({"q_map_body": np.array([0, 0, math.nan, 1])}, "imu_nan"),
+        ({"q_map_body": q * 1.1}, "imu_not_unit"),
+        ({"q_map_body": np.zeros(4)}, "imu_not_unit"),
+        ({"omega_body": np.array([0, math.nan, 0])}, "imu_nan"),
+        ({"C_axes": None}, "imu_unknown_covariance"),
+        ({"C_axes": np.zeros((3, 3))}, "imu_unknown_covariance"),
+        ({"C_axes": np.eye(2)}, "imu_bad_covariance"),
+        ({"t_ns": imus[5].t_ns}, "imu_time_backwards"),
+        ({"t_ns": imus[50].t_ns}, "imu_duplicate"),
+    ]
     reference = _run(_parameters(), fixes + imus + clouds)
     for changes, reason in bad:
-        spoiled = [*imus[:51], dataclasses.replace(imus[50], **({"t_ns": imus[50].t_ns + 7} | changes)), *imus[51:]]
+        spoiled = [
+            *imus[:51],
+            dataclasses.replace(imus[50], **({"t_ns": imus[50].t_ns + 7} | changes)),
+            *imus[51:],
+        ]
         stage, points, _ = _run(_parameters(), fixes + spoiled + clouds)
         assert stage.losses.as_dict() == {reason: 1}
         _assert_same(points, reference[1])
@@ -389,7 +486,9 @@ def test_time_order_takes_what_follows_late_messages():
     order.push(50 * tenth, "a")
     assert [order.push(k * tenth, k)[1] for k in (30, 31, 32)] == [["fix_time_backwards"]] * 3
     assert order.push(51 * tenth, "b") == (["b"], [])
-    assert order.push(0, "c")[1] == ["fix_time_backwards"] and order.push(-tenth, "d")[1] == ["fix_time_backwards"]
+    assert order.push(0, "c")[1] == ["fix_time_backwards"] and order.push(-tenth, "d")[1] == [
+        "fix_time_backwards"
+    ]
     assert order.push(52 * tenth, "e") == (["e"], [])
 
 
@@ -399,12 +498,16 @@ def test_unknown_covariances_take_the_budget_only_when_told():
     clouds = _survey()[2]
     stage, points, states = _run(_parameters(), fixes + imus + clouds)
     assert points == [] and states is None and stage.datum == DATUM
-    assert stage.losses["fix_unknown_covariance"] == len(fixes) and stage.losses["imu_unknown_covariance"] == len(imus)
+    assert stage.losses["fix_unknown_covariance"] == len(fixes) and stage.losses[
+        "imu_unknown_covariance"
+    ] == len(imus)
     parameters = _parameters(unknown_covariance="budget")
     stage, points, states = _run(parameters, fixes + imus + clouds)
     assert not stage.losses and len(points) == len(clouds)
     sigma = np.array(parameters.budget.position_sigma_m)
-    np.testing.assert_allclose(states.C_nav[:, :3, :3], np.tile(np.diag(sigma**2), (len(states), 1, 1)), atol=1e-9)
+    np.testing.assert_allclose(
+        states.C_nav[:, :3, :3], np.tile(np.diag(sigma**2), (len(states), 1, 1)), atol=1e-9
+    )
     assert (np.linalg.eigvalsh(states.C_nav)[:, 0] > 0).all()
 
 
@@ -416,20 +519,34 @@ def test_gates_are_counted_and_cut_every_column_alike():
     intensity[4], intensity[5], ring[6] = 200, 0.5, 16
     r[7] = np.array([0.9, 0.0, 0.0])  # pitched by 90 degrees: 0.9 m below the body
     spoiled = Returns(cloud.t_ns, r, ring, intensity)
-    parameters = _parameters(intensity_min=0.9, intensity_max=150.0, vehicle_box_m=[-2.0, -2.0, -2.0, 2.0, 2.0, 2.0])
+    parameters = _parameters(
+        intensity_min=0.9, intensity_max=150.0, vehicle_box_m=[-2.0, -2.0, -2.0, 2.0, 2.0, 2.0]
+    )
     stage, points, _ = _run(parameters, [*fixes, *imus, spoiled])
-    assert stage.losses.as_dict() == {"point_nan": 1, "point_range": 3, "point_intensity": 2, "point_ring": 1, "point_vehicle": 1}
+    assert stage.losses.as_dict() == {
+        "point_nan": 1,
+        "point_range": 3,
+        "point_intensity": 2,
+        "point_ring": 1,
+        "point_vehicle": 1,
+    }
     np.testing.assert_array_equal(points[0].t_ns, cloud.t_ns[8:])
     np.testing.assert_array_equal(points[0].intensity, cloud.intensity[8:])
     np.testing.assert_allclose(points[0].r_map, _truth(cloud, parameters)[8:], atol=3e-4)
     truth = _truth(cloud, parameters)
-    stage, points, _ = _run(_parameters(region_m=[-1e3, -1e3, 20.0, 1e3, 1e3, 1e3]), [*fixes, *imus, cloud])
-    assert stage.losses["point_region"] == np.count_nonzero(truth[:, 2] < 20.0) and len(points[0]) == np.count_nonzero(truth[:, 2] >= 20.0)
+    stage, points, _ = _run(
+        _parameters(region_m=[-1e3, -1e3, 20.0, 1e3, 1e3, 1e3]), [*fixes, *imus, cloud]
+    )
+    assert stage.losses["point_region"] == np.count_nonzero(truth[:, 2] < 20.0) and len(
+        points[0]
+    ) == np.count_nonzero(truth[:, 2] >= 20.0)
 
 
 def test_clouds_that_hold_nothing():
     fixes, imus, clouds = _survey()
-    empty = Returns(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0, np.uint16), np.zeros(0, np.float32))
+    empty = Returns(
+        np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0, np.uint16), np.zeros(0, np.float32)
+    )
     nothing = dataclasses.replace(clouds[0], r_laser=np.full((40, 3), np.nan))
     short = dataclasses.replace(clouds[0], ring=clouds[0].ring[:5])
     stage, points, _ = _run(_parameters(), [empty, nothing, short, *fixes, *imus, clouds[1]])
@@ -446,11 +563,21 @@ def test_odometry_is_a_pose_source_of_its_own():
         np.testing.assert_allclose(got.r_map, _truth(cloud, parameters), atol=1e-9)
     s = (states.t_ns - T0) * 1e-9
     np.testing.assert_allclose(states.p_map_body, START + s[:, None] * SPEED, atol=1e-12)
-    np.testing.assert_allclose(_rotation(s).apply(states.v_body), np.tile(SPEED, (len(s), 1)), atol=1e-9)
+    np.testing.assert_allclose(
+        _rotation(s).apply(states.v_body), np.tile(SPEED, (len(s), 1)), atol=1e-9
+    )
     np.testing.assert_allclose(states.C_nav, np.tile(np.eye(6) * 1e-4, (len(s), 1, 1)), atol=1e-18)
-    bad = [_odometry(0.0, C_pose=None), _odometry(0.1, q_map_body=np.zeros(4)), _odometry(0.1, p_map_body=np.full(3, np.nan))]
+    bad = [
+        _odometry(0.0, C_pose=None),
+        _odometry(0.1, q_map_body=np.zeros(4)),
+        _odometry(0.1, p_map_body=np.full(3, np.nan)),
+    ]
     refused = _run(parameters, bad)
-    assert refused[0].losses.as_dict() == {"odometry_unknown_covariance": 1, "odometry_not_unit": 1, "odometry_nan": 1}
+    assert refused[0].losses.as_dict() == {
+        "odometry_unknown_covariance": 1,
+        "odometry_not_unit": 1,
+        "odometry_nan": 1,
+    }
 
 
 def test_odometry_carries_cross_covariance():
@@ -468,7 +595,9 @@ def test_clock_offset_moves_returns_to_navigation_time():
     fixes, imus, clouds = _survey()
     reference = _run(_parameters(), fixes + imus + clouds)[1]
     base = _parameters()
-    shifted = dataclasses.replace(base, calibration=dataclasses.replace(base.calibration, clock_offset_s=1.25))
+    shifted = dataclasses.replace(
+        base, calibration=dataclasses.replace(base.calibration, clock_offset_s=1.25)
+    )
     early = [dataclasses.replace(c, t_ns=c.t_ns - 1_250_000_000) for c in clouds]
     _assert_same(_run(shifted, fixes + imus + early)[1], reference)
 
@@ -495,7 +624,11 @@ def test_missing_topics_lose_everything_and_say_so():
     fixes, imus, clouds = _survey()
     for events in (fixes + clouds, imus + clouds, clouds):
         stage, points, states = _run(_parameters(), events)
-        assert points == [] and states is None and stage.losses.as_dict() == {"point_trajectory_end": 40 * len(clouds)}
+        assert (
+            points == []
+            and states is None
+            and stage.losses.as_dict() == {"point_trajectory_end": 40 * len(clouds)}
+        )
 
 
 def test_knots_forget_the_oldest_and_keep_the_rest():
@@ -518,7 +651,10 @@ def test_knots_forget_what_is_too_old_and_keep_what_is_not():
     np.testing.assert_array_equal(knots["p"][:, 0], knots.t_ns)
     assert max(held) == 128  # the power of two of which half is old
     everything = Knots(10_000, 10**9, p=(3,))
-    assert sum(everything.append(i, i, p=(i, 0, 0)) for i in range(1000)) == 0 and len(everything) == 1000
+    assert (
+        sum(everything.append(i, i, p=(i, 0, 0)) for i in range(1000)) == 0
+        and len(everything) == 1000
+    )
 
 
 @pytest.mark.parametrize(("name", "value"), [("KNOT_LIMIT", 60), ("KNOTS_KEPT_S", 0.0)])
@@ -538,9 +674,17 @@ def test_records_are_the_contract():
     fixes, imus, clouds = _survey()
     _, points, states = _run(_parameters(), fixes + imus + clouds)
     assert isinstance(points[0], MappedPoints) and isinstance(states, PlatformStates)
-    assert points[0].C_ind.dtype == np.float32 and points[0].r_map.dtype == np.float64 and points[0].t_ns.dtype == np.int64
+    assert (
+        points[0].C_ind.dtype == np.float32
+        and points[0].r_map.dtype == np.float64
+        and points[0].t_ns.dtype == np.int64
+    )
     assert points[0].ring.dtype == np.uint16 and points[0].intensity.dtype == np.float32
-    assert states.t_ns.dtype == np.int64 and states.segment.dtype == np.int64 and states.C_nav.shape == (len(states), 6, 6)
+    assert (
+        states.t_ns.dtype == np.int64
+        and states.segment.dtype == np.int64
+        and states.C_nav.shape == (len(states), 6, 6)
+    )
 
 
 def test_total_covariance_adds_the_shared_errors_to_the_independent_ones():

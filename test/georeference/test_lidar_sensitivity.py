@@ -1,4 +1,6 @@
-"""The LiDAR equation and its Jacobians against an independent complex-step twin, and C_point's values against Monte Carlo."""
+"""The LiDAR equation and its Jacobians against an independent complex-step twin, and C_point's
+values against Monte Carlo.
+"""
 
 from __future__ import annotations
 
@@ -16,9 +18,14 @@ from ladar_volume.model.se3 import rotation_xyz, skew
 
 BEAMS = 4
 CALIBRATION = CalibrationParameters(
-    boresight_roll_rad=0.3, boresight_pitch_rad=1.4, boresight_yaw_rad=-0.7, boresight_correction_rad=(0.01, -0.02, 0.03),
-    lever_laser_m=(0.11, -0.22, 0.33), lever_antenna_m=(-0.4, 0.15, 0.9), clock_offset_s=0.003,
-)  # fmt: skip
+    boresight_roll_rad=0.3,
+    boresight_pitch_rad=1.4,
+    boresight_yaw_rad=-0.7,
+    boresight_correction_rad=(0.01, -0.02, 0.03),
+    lever_laser_m=(0.11, -0.22, 0.33),
+    lever_antenna_m=(-0.4, 0.15, 0.9),
+    clock_offset_s=0.003,
+)
 
 
 def _exp(rotvec):
@@ -34,9 +41,21 @@ def _exp(rotvec):
 
 
 def plain_lidar_equation(pose, r_az_w, errors):
-    """Independent of the package: every error enters where it physically acts. errors: dict name -> number or vector."""
-    e = {"p": np.zeros(3), "att": np.zeros(3), "bore": np.zeros(3), "b": np.zeros(3), "a": np.zeros(3), "meas": np.zeros(3), "bias": 0.0,
-         "rho_k": 0.0, "eps_k": 0.0, "dt": 0.0} | errors  # fmt: skip
+    """Independent of the package: every error enters where it physically acts. errors: dict name ->
+    number or vector.
+    """
+    e = {
+        "p": np.zeros(3),
+        "att": np.zeros(3),
+        "bore": np.zeros(3),
+        "b": np.zeros(3),
+        "a": np.zeros(3),
+        "meas": np.zeros(3),
+        "bias": 0.0,
+        "rho_k": 0.0,
+        "eps_k": 0.0,
+        "dt": 0.0,
+    } | errors
     rho = r_az_w[0] + e["meas"][0] + e["bias"] + e["rho_k"]
     az = r_az_w[1] + e["meas"][1]
     w = r_az_w[2] + e["meas"][2] + e["eps_k"]
@@ -51,21 +70,38 @@ def plain_lidar_equation(pose, r_az_w, errors):
 def _case(seed):
     rng = np.random.default_rng(seed)
     q = rng.normal(size=4)
-    pose = {"R": Rotation.from_quat(q / np.linalg.norm(q)).as_matrix(), "q": q / np.linalg.norm(q), "p": rng.normal(size=3) * 50,
-            "v": rng.normal(size=3) * 5, "omega": rng.normal(size=3)}  # fmt: skip
+    pose = {
+        "R": Rotation.from_quat(q / np.linalg.norm(q)).as_matrix(),
+        "q": q / np.linalg.norm(q),
+        "p": rng.normal(size=3) * 50,
+        "v": rng.normal(size=3) * 5,
+        "omega": rng.normal(size=3),
+    }
     return pose, np.array([rng.uniform(1, 100), rng.uniform(-3, 3), rng.uniform(-1.3, 1.3)])
 
 
 def _geometry(pose, measured):
-    """Through the public door: a mapped point and two platform states around it, a frozen platform apart from its rates."""
+    """Through the public door: a mapped point and two platform states around it, a frozen platform
+    apart from its rates.
+    """
     r_map = plain_lidar_equation(pose, measured, {}).real
     a = np.array(CALIBRATION.lever_antenna_m)
     states = PlatformStates(
-        t_ns=np.array([0, 100]), p_map_body=np.tile(pose["p"] - pose["R"] @ a, (2, 1)), q_map_body=np.tile(pose["q"], (2, 1)),
-        v_body=np.tile(pose["R"].T @ pose["v"] - np.cross(pose["omega"], a), (2, 1)), omega_body=np.tile(pose["omega"], (2, 1)),
-        C_nav=np.zeros((2, 6, 6)), segment=np.zeros(2, np.int64),
-    )  # fmt: skip
-    points = MappedPoints(np.array([50]), r_map[None], np.zeros((1, 6), np.float32), np.array([2], np.uint16), np.zeros(1, np.float32))
+        t_ns=np.array([0, 100]),
+        p_map_body=np.tile(pose["p"] - pose["R"] @ a, (2, 1)),
+        q_map_body=np.tile(pose["q"], (2, 1)),
+        v_body=np.tile(pose["R"].T @ pose["v"] - np.cross(pose["omega"], a), (2, 1)),
+        omega_body=np.tile(pose["omega"], (2, 1)),
+        C_nav=np.zeros((2, 6, 6)),
+        segment=np.zeros(2, np.int64),
+    )
+    points = MappedPoints(
+        np.array([50]),
+        r_map[None],
+        np.zeros((1, 6), np.float32),
+        np.array([2], np.uint16),
+        np.zeros(1, np.float32),
+    )
     return sensitivity.point_geometry(points, states, CALIBRATION), points
 
 
@@ -81,8 +117,15 @@ def _complex_step(pose, measured, name, size):
 def test_jacobians_equal_complex_steps(seed):
     pose, measured = _case(seed)
     geometry, points = _geometry(pose, measured)
-    nav = np.hstack([_complex_step(pose, measured, "p", 3), _complex_step(pose, measured, "att", 3)])
-    cal = np.hstack([_complex_step(pose, measured, n, s) for n, s in (("bias", 0), ("bore", 3), ("b", 3), ("a", 3), ("dt", 0))])
+    nav = np.hstack(
+        [_complex_step(pose, measured, "p", 3), _complex_step(pose, measured, "att", 3)]
+    )
+    cal = np.hstack(
+        [
+            _complex_step(pose, measured, n, s)
+            for n, s in (("bias", 0), ("bore", 3), ("b", 3), ("a", 3), ("dt", 0))
+        ]
+    )
     beam = np.hstack([_complex_step(pose, measured, n, 0) for n in ("rho_k", "eps_k")])
     measurement = _complex_step(pose, measured, "meas", 3)
     for analytic, numeric in (
@@ -97,7 +140,9 @@ def test_jacobians_equal_complex_steps(seed):
     full = sensitivity.full_calibration_jacobian(geometry, points.ring, BEAMS)[0]
     assert full.shape == (3, len(bud.calibration_columns(BEAMS)))
     shared = len(CAL_COLUMNS)
-    np.testing.assert_array_equal(full[:, [shared + 2, shared + BEAMS + 2]], sensitivity.beam_jacobian(geometry)[0])
+    np.testing.assert_array_equal(
+        full[:, [shared + 2, shared + BEAMS + 2]], sensitivity.beam_jacobian(geometry)[0]
+    )
     assert not np.delete(full, [*range(shared), shared + 2, shared + BEAMS + 2], axis=1).any()
 
 
@@ -105,8 +150,15 @@ def test_package_equation_is_complex_capable_and_equals_the_plain_one():
     pose, measured = _case(11)
     mount = lidar.mounting(CALIBRATION)
     got = lidar.map_point(pose["p"], pose["R"], lidar.laser_vector(*measured), mount)
-    np.testing.assert_allclose(got, plain_lidar_equation(pose, measured, {}).real, rtol=0, atol=1e-11)
-    step = lidar.map_point(pose["p"], pose["R"], lidar.laser_vector(measured[0] + 1e-30j, *measured[1:]), mount).imag / 1e-30
+    np.testing.assert_allclose(
+        got, plain_lidar_equation(pose, measured, {}).real, rtol=0, atol=1e-11
+    )
+    step = (
+        lidar.map_point(
+            pose["p"], pose["R"], lidar.laser_vector(measured[0] + 1e-30j, *measured[1:]), mount
+        ).imag
+        / 1e-30
+    )
     np.testing.assert_allclose(step, _complex_step(pose, measured, "bias", 0)[:, 0], rtol=1e-12)
 
 
@@ -118,9 +170,12 @@ def test_point_covariance_values_equal_monte_carlo():
     L = rng.normal(size=(6, 6)) * np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 9e-4])[:, None]
     C_nav = L @ L.T
     budget = BudgetParameters(
-        boresight_sigma_rad=(4e-4, 3e-4, 7e-4), lever_laser_sigma_m=(0.01, 0.02, 0.03), lever_antenna_sigma_m=(0.03, 0.01, 0.02),
-        clock_sigma_s=0.002, beam_vertical_sigma_rad=3e-4,
-    )  # fmt: skip
+        boresight_sigma_rad=(4e-4, 3e-4, 7e-4),
+        lever_laser_sigma_m=(0.01, 0.02, 0.03),
+        lever_antenna_sigma_m=(0.03, 0.01, 0.02),
+        clock_sigma_s=0.002,
+        beam_vertical_sigma_rad=3e-4,
+    )
     C_cal, sigmas = bud.calibration_covariance(budget, BEAMS), bud.independent_sigmas(budget)
     C_ind = sensitivity.independent_covariance(geometry, sigmas)
     C = sensitivity.point_covariance(geometry, points.ring, C_ind, C_nav[None], C_cal)[0]
@@ -132,28 +187,52 @@ def test_point_covariance_values_equal_monte_carlo():
     meas[:, 0] += cal[:, 0] + rng.normal(size=n) * budget.beam_range_sigma_m
     meas[:, 2] += rng.normal(size=n) * budget.beam_vertical_sigma_rad
     rho, az, w = meas.T
-    r = np.stack([rho * np.cos(w) * np.cos(az), rho * np.cos(w) * np.sin(az), rho * np.sin(w)], axis=-1)
+    r = np.stack(
+        [rho * np.cos(w) * np.cos(az), rho * np.cos(w) * np.sin(az), rho * np.sin(w)], axis=-1
+    )
     r = Rotation.from_euler("ZYX", [-0.7, 1.4, 0.3]).apply(r)
     r = Rotation.from_rotvec(cal[:, 1:4]).apply(Rotation.from_rotvec([0.01, -0.02, 0.03]).apply(r))
-    body = r + np.array(CALIBRATION.lever_laser_m) + cal[:, 4:7] - np.array(CALIBRATION.lever_antenna_m) - cal[:, 7:10]
-    body = Rotation.from_rotvec(cal[:, 10:] * pose["omega"]).apply(Rotation.from_rotvec(nav[:, 3:]).apply(body))
+    body = (
+        r
+        + np.array(CALIBRATION.lever_laser_m)
+        + cal[:, 4:7]
+        - np.array(CALIBRATION.lever_antenna_m)
+        - cal[:, 7:10]
+    )
+    body = Rotation.from_rotvec(cal[:, 10:] * pose["omega"]).apply(
+        Rotation.from_rotvec(nav[:, 3:]).apply(body)
+    )
     drawn = pose["p"] + cal[:, 10:] * pose["v"] + nav[:, :3] + body @ pose["R"].T
     empirical = np.cov(drawn.T)
-    # a variance from n draws has a relative sd of sqrt(2 / n) = 0.22 %; four of these, and second-order terms below 0.1 %
+    # a variance from n draws has a relative sd of sqrt(2 / n) = 0.22 %; four of these, and
+    # second-order terms below 0.1 %
     scale = np.sqrt(np.outer(np.diag(C), np.diag(C)))
     assert np.abs((empirical - C) / scale).max() < 0.01
 
 
 def _reference_sigmas(preset, distance, beam):
-    """Seed 004 section 5 in the geometry that reproduces it: level platform, lever arms zero, range along ``beam``."""
+    """Seed 004 section 5 in the geometry that reproduces it: level platform, lever arms zero, range
+    along ``beam``.
+    """
     budget = bud.PRESETS[preset]
     beam = np.asarray(beam) * distance
     mount = lidar.mounting(CalibrationParameters())
     one = np.zeros((1, 3))
-    geometry = sensitivity.PointGeometry(np.ones(1, bool), np.eye(3)[None], beam[None], one, one, np.zeros(1, np.int64), np.zeros(1), mount)
+    geometry = sensitivity.PointGeometry(
+        np.ones(1, bool),
+        np.eye(3)[None],
+        beam[None],
+        one,
+        one,
+        np.zeros(1, np.int64),
+        np.zeros(1),
+        mount,
+    )
     C_nav = bud.navigation_covariance(budget, np.array([0.0, 0, 0, 1]))[None]
     C_ind = sensitivity.independent_covariance(geometry, bud.independent_sigmas(budget))
-    C = sensitivity.point_covariance(geometry, np.zeros(1, np.uint16), C_ind, C_nav, bud.calibration_covariance(budget, 1))[0]
+    C = sensitivity.point_covariance(
+        geometry, np.zeros(1, np.uint16), C_ind, C_nav, bud.calibration_covariance(budget, 1)
+    )[0]
     return np.sqrt(np.diag(C))
 
 
@@ -168,15 +247,23 @@ def test_reference_case_of_the_published_survey():
 
 
 def test_reference_case_tilted_across_as_a_scanner_would_be():
-    np.testing.assert_allclose(_reference_sigmas("survey", 150.0, ACROSS), (0.399, 0.355, 0.206), atol=0.0005)
+    np.testing.assert_allclose(
+        _reference_sigmas("survey", 150.0, ACROSS), (0.399, 0.355, 0.206), atol=0.0005
+    )
 
 
 def test_corrected_position_sigma_is_a_quadrature():
-    corrected, printed = bud.PRESETS["survey_corrected"].position_sigma_m, bud.PRESETS["survey"].position_sigma_m
+    corrected, printed = (
+        bud.PRESETS["survey_corrected"].position_sigma_m,
+        bud.PRESETS["survey"].position_sigma_m,
+    )
     assert math.isclose(math.sqrt(sum(s * s for s in corrected)), 0.05, rel_tol=1e-12)
     assert abs(corrected[0] - 0.02425) < 5e-6
     # what that changes in the reference case: exactly the difference of the position variances
-    change = _reference_sigmas("survey_corrected", 150.0, ALONG) ** 2 - _reference_sigmas("survey", 150.0, ALONG) ** 2
+    change = (
+        _reference_sigmas("survey_corrected", 150.0, ALONG) ** 2
+        - _reference_sigmas("survey", 150.0, ALONG) ** 2
+    )
     np.testing.assert_allclose(change, np.array(corrected) ** 2 - np.array(printed) ** 2, rtol=1e-9)
 
 
@@ -200,12 +287,16 @@ def test_fixed_axes_and_euler_maps_agree_with_small_rotations():
         e[i] += h
         columns.append(Rotation.from_matrix(R.T @ rotation_xyz(*e)).as_rotvec() / h)
     E = np.stack(columns, axis=-1)
-    np.testing.assert_allclose(bud.attitude_covariance_from_euler(q, sigma), E @ np.diag(sigma**2) @ E.T, atol=1e-11)
+    np.testing.assert_allclose(
+        bud.attitude_covariance_from_euler(q, sigma), E @ np.diag(sigma**2) @ E.T, atol=1e-11
+    )
     C_axes = np.diag([1e-6, 4e-6, 9e-6])
     C_body = bud.attitude_covariance_from_axes(q, C_axes)
     d_map = np.array([1e-8, 2e-8, -3e-8])
     d_body = R.T @ d_map
-    np.testing.assert_allclose((np.eye(3) + skew(d_map)) @ R, R @ (np.eye(3) + skew(d_body)), atol=1e-15)
+    np.testing.assert_allclose(
+        (np.eye(3) + skew(d_map)) @ R, R @ (np.eye(3) + skew(d_body)), atol=1e-15
+    )
     np.testing.assert_allclose(R @ C_body @ R.T, C_axes, atol=1e-18)
     C6 = np.arange(36.0).reshape(6, 6)
     C6 = C6 @ C6.T
@@ -224,11 +315,22 @@ def test_odometry_has_no_antenna_lever():
 def test_uncovered_points_are_nan_and_never_extrapolated():
     n = 4
     states = PlatformStates(
-        np.array([0, 100, 200, 300]), np.zeros((n, 3)), np.tile([0.0, 0, 0, 1], (n, 1)), np.zeros((n, 3)), np.zeros((n, 3)),
-        np.zeros((n, 6, 6)), np.array([0, 0, 1, 1]),
-    )  # fmt: skip
+        np.array([0, 100, 200, 300]),
+        np.zeros((n, 3)),
+        np.tile([0.0, 0, 0, 1], (n, 1)),
+        np.zeros((n, 3)),
+        np.zeros((n, 3)),
+        np.zeros((n, 6, 6)),
+        np.array([0, 0, 1, 1]),
+    )
     t = np.array([-1, 0, 50, 100, 150, 200, 300, 301])
-    many = MappedPoints(t, np.ones((8, 3)), np.zeros((8, 6), np.float32), np.zeros(8, np.uint16), np.zeros(8, np.float32))
+    many = MappedPoints(
+        t,
+        np.ones((8, 3)),
+        np.zeros((8, 6), np.float32),
+        np.zeros(8, np.uint16),
+        np.zeros(8, np.float32),
+    )
     g = sensitivity.point_geometry(many, states, CALIBRATION)
     np.testing.assert_array_equal(g.covered, [False, True, True, True, False, True, True, False])
     assert np.isnan(g.v_body[~g.covered]).all() and np.isfinite(g.v_body[g.covered]).all()

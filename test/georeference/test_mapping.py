@@ -13,7 +13,11 @@ from ladar_volume.model.parameters import CalibrationParameters
 from ladar_volume.model.records import select
 
 CALIBRATION = CalibrationParameters(
-    boresight_roll_rad=0.2, boresight_pitch_rad=1.5, boresight_yaw_rad=0.4, lever_laser_m=(0.1, 0.2, -0.3), lever_antenna_m=(0.3, -0.1, 0.8)
+    boresight_roll_rad=0.2,
+    boresight_pitch_rad=1.5,
+    boresight_yaw_rad=0.4,
+    lever_laser_m=(0.1, 0.2, -0.3),
+    lever_antenna_m=(0.3, -0.1, 0.8),
 )
 SIGMAS = np.array([0.02, 3e-4, 4e-4])
 
@@ -40,11 +44,19 @@ def test_kernel_equals_its_plain_twin(hermite):
     t[200:220] = path.position_t[1:21]
     r = rng.normal(size=(n, 3)) * 20
     r[300] = (0, 0, 4.0)
-    vehicle, region = mapping.vehicle_box((-5, -5, -5, 5, 5, 5)), mapping.region_box((-30, -30, -20, 30, 30, 50))
+    vehicle, region = (
+        mapping.vehicle_box((-5, -5, -5, 5, 5, 5)),
+        mapping.region_box((-30, -30, -20, 30, 30, 50)),
+    )
     args = (t, r, path, mounting(CALIBRATION), SIGMAS, vehicle, region)
     fast, plain = mapping.map_returns(*args), mapping.map_returns_numpy(*args)
     np.testing.assert_array_equal(fast.status, plain.status)
-    assert set(np.unique(fast.status)) == {mapping.MAPPED, mapping.NO_POSE, mapping.IN_VEHICLE, mapping.OUTSIDE_REGION}
+    assert set(np.unique(fast.status)) == {
+        mapping.MAPPED,
+        mapping.NO_POSE,
+        mapping.IN_VEHICLE,
+        mapping.OUTSIDE_REGION,
+    }
     np.testing.assert_allclose(fast.r_map, plain.r_map, rtol=0, atol=1e-11)
     np.testing.assert_allclose(fast.C_ind, plain.C_ind, rtol=1e-5, atol=1e-12)
     # any order and any cut of the cloud gives the same bits
@@ -56,35 +68,71 @@ def test_kernel_equals_its_plain_twin(hermite):
 
 def test_no_states_no_pose():
     none = select(_path(False), slice(0, 0))
-    args = (np.arange(5), np.ones((5, 3)), none, mounting(CALIBRATION), SIGMAS, mapping.vehicle_box(()), mapping.region_box(()))
+    args = (
+        np.arange(5),
+        np.ones((5, 3)),
+        none,
+        mounting(CALIBRATION),
+        SIGMAS,
+        mapping.vehicle_box(()),
+        mapping.region_box(()),
+    )
     for result in (mapping.map_returns(*args), mapping.map_returns_numpy(*args)):
         assert (result.status == mapping.NO_POSE).all() and np.isnan(result.r_map).all()
 
 
 def test_covariance_of_a_return_straight_ahead_is_the_closed_form():
     t = np.array([0, 100])
-    path = PathWindow(t, np.tile([0.0, 0, 0, 1], (2, 1)), np.zeros(2, np.int64), t, np.zeros((2, 3)), np.zeros((2, 3)), False)
+    path = PathWindow(
+        t,
+        np.tile([0.0, 0, 0, 1], (2, 1)),
+        np.zeros(2, np.int64),
+        t,
+        np.zeros((2, 3)),
+        np.zeros((2, 3)),
+        False,
+    )
     mount = mounting(CalibrationParameters())
     got = mapping.map_returns(
-        np.array([50]), np.array([[30.0, 0, 0]]), path, mount, SIGMAS, mapping.vehicle_box(()), mapping.region_box(())
-    )  # fmt: skip
-    np.testing.assert_allclose(got.C_ind[0], [0.02**2, 0, 0, (30 * 3e-4) ** 2, 0, (30 * 4e-4) ** 2], rtol=1e-6)
+        np.array([50]),
+        np.array([[30.0, 0, 0]]),
+        path,
+        mount,
+        SIGMAS,
+        mapping.vehicle_box(()),
+        mapping.region_box(()),
+    )
+    np.testing.assert_allclose(
+        got.C_ind[0], [0.02**2, 0, 0, (30 * 3e-4) ** 2, 0, (30 * 4e-4) ** 2], rtol=1e-6
+    )
     np.testing.assert_array_equal(got.r_map[0], [30.0, 0, 0])
 
 
 def test_hermite_reproduces_a_parabola_on_uneven_knots_and_linear_a_line():
     t = np.array([0, 100, 230, 300, 420, 500], np.int64) * 1_000_000
     seconds = t[:, None] * 1e-9
-    p = np.array([1.0, 2, 3]) + seconds * np.array([4.0, -5, 6]) + seconds**2 * np.array([7.0, 8, -9])
+    p = (
+        np.array([1.0, 2, 3])
+        + seconds * np.array([4.0, -5, 6])
+        + seconds**2 * np.array([7.0, 8, -9])
+    )
     m = trajectory.tangents(t, p, np.zeros(6, np.int64))
     empty = np.zeros(0, np.int64)
-    query = np.linspace(101, 419, 50).astype(np.int64) * 1_000_000  # inside, where both tangents come from three knots
+    query = (
+        np.linspace(101, 419, 50).astype(np.int64) * 1_000_000
+    )  # inside, where both tangents come from three knots
     j = np.searchsorted(t, query, side="right") - 1
     s = query[:, None] * 1e-9
     window = PathWindow(empty, np.zeros((0, 4)), empty, t, p, m, True)
     got, velocity = trajectory.interpolate_position(window, query, j)
-    np.testing.assert_allclose(got, np.array([1.0, 2, 3]) + s * np.array([4.0, -5, 6]) + s**2 * np.array([7.0, 8, -9]), atol=1e-12)
-    np.testing.assert_allclose(velocity, np.array([4.0, -5, 6]) + 2 * s * np.array([7.0, 8, -9]), atol=1e-10)
+    np.testing.assert_allclose(
+        got,
+        np.array([1.0, 2, 3]) + s * np.array([4.0, -5, 6]) + s**2 * np.array([7.0, 8, -9]),
+        atol=1e-12,
+    )
+    np.testing.assert_allclose(
+        velocity, np.array([4.0, -5, 6]) + 2 * s * np.array([7.0, 8, -9]), atol=1e-10
+    )
     line = PathWindow(empty, np.zeros((0, 4)), empty, t, seconds * np.array([1.0, 2, 3]), m, False)
     got, velocity = trajectory.interpolate_position(line, query, j)
     np.testing.assert_allclose(got, s * np.array([1.0, 2, 3]), atol=1e-14)

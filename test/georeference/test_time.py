@@ -17,7 +17,9 @@ T0 = 1_700_000_000 * S
 
 
 def survey(seconds, start=0.0, lidar_s=0.0):
-    """Events (arrival, kind, sample) of a platform over a plane; a cloud arrives when its turn is complete."""
+    """Events (arrival, kind, sample) of a platform over a plane; a cloud arrives when its turn is
+    complete.
+    """
     rng = np.random.default_rng(3)
     events = []
     for k in range(round(seconds * 10) + 6):
@@ -25,12 +27,19 @@ def survey(seconds, start=0.0, lidar_s=0.0):
         events.append((t, "fix", Fix(t, 50.0, 14.0 + 1e-6 * k, 20.0, np.eye(3) * 1e-4)))
     for k in range(round(seconds * 50) + 26):
         t = T0 + round((start + k * 0.02) * S)
-        events.append((t, "imu", ImuSample(t, np.array([0.0, 0, 0, 1]), np.zeros(3), np.eye(3) * 1e-6)))
+        events.append(
+            (t, "imu", ImuSample(t, np.array([0.0, 0, 0, 1]), np.zeros(3), np.eye(3) * 1e-6))
+        )
     for k in range(round(seconds * 10)):
         t = T0 + round((start + k * 0.1) * S) + np.arange(60) * 1_600_000 - round(lidar_s * S)
         r = np.column_stack([rng.uniform(-4, 4, (60, 2)), np.full(60, -20.0)])
-        events.append((int(t[-1]) + round(lidar_s * S) + 3_000_000, "cloud",
-                       Returns(t, r, rng.integers(0, 16, 60).astype(np.uint16), np.ones(60, np.float32))))  # fmt: skip
+        events.append(
+            (
+                int(t[-1]) + round(lidar_s * S) + 3_000_000,
+                "cloud",
+                Returns(t, r, rng.integers(0, 16, 60).astype(np.uint16), np.ones(60, np.float32)),
+            )
+        )
     return [e[1:] for e in sorted(events, key=lambda e: e[0])]
 
 
@@ -41,12 +50,23 @@ def feed(stage, events):
 
 
 def parameters(**calibration):
-    return Parameters.read({"georeference": {"datum_latitude_deg": 50.0, "datum_longitude_deg": 14.0, "datum_height_m": 0.0},
-                            "calibration": calibration, "filter": {"radius_m": 2.0}})  # fmt: skip
+    return Parameters.read(
+        {
+            "georeference": {
+                "datum_latitude_deg": 50.0,
+                "datum_longitude_deg": 14.0,
+                "datum_height_m": 0.0,
+            },
+            "calibration": calibration,
+            "filter": {"radius_m": 2.0},
+        }
+    )
 
 
 def same(a, b):
-    return all(np.array_equal(getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(a))
+    return all(
+        np.array_equal(getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(a)
+    )
 
 
 def test_a_looping_recording_begins_anew_and_the_second_pass_equals_the_first():
@@ -56,8 +76,12 @@ def test_a_looping_recording_begins_anew_and_the_second_pass_equals_the_first():
     feed(looped, events)
     first = concatenate(looped.take_points())
     feed(looped, events)
-    assert looped.restarts == 1 and not looped.losses.total("fix") and not looped.losses.total("imu")
-    assert same(first, concatenate(once.take_points())) and same(first, concatenate(looped.take_points()))
+    assert (
+        looped.restarts == 1 and not looped.losses.total("fix") and not looped.losses.total("imu")
+    )
+    assert same(first, concatenate(once.take_points())) and same(
+        first, concatenate(looped.take_points())
+    )
     assert same(looped.take_platform(), once.take_platform())
 
 
@@ -87,14 +111,20 @@ def test_one_topic_whose_clock_is_set_back_restarts_nothing_and_is_counted():
     stage = Georeferencer(parameters())
     events = survey(12.0)
     step = T0 + 6 * S
-    shifted = [(k, dataclasses.replace(s, t_ns=s.t_ns - 5 * S) if k == "fix" and s.t_ns >= step else s) for k, s in events]
+    shifted = [
+        (k, dataclasses.replace(s, t_ns=s.t_ns - 5 * S) if k == "fix" and s.t_ns >= step else s)
+        for k, s in events
+    ]
     feed(stage, shifted)
     stage.finish()
     lost = stage.losses.as_dict()
     assert stage.restarts == 0
-    # every fix that claims to be older than the last one before the step, and the one that repeats its time
+    # every fix that claims to be older than the last one before the step, and the one that repeats
+    # its time
     assert lost["fix_time_backwards"] + lost["fix_duplicate"] == 50
-    assert stage.fix_lead.state == "offset" and stage.fix_lead.estimate_s[0] == pytest.approx(5.0, abs=0.02)
+    assert stage.fix_lead.state == "offset" and stage.fix_lead.estimate_s[0] == pytest.approx(
+        5.0, abs=0.02
+    )
     assert stage.cloud_lead.state == "good"
 
 
@@ -146,7 +176,9 @@ def test_a_constant_offset_of_the_lidar_clock_is_estimated(offset):
 def test_a_declared_offset_is_taken_off():
     stage = Georeferencer(parameters(clock_offset_s=0.5))
     feed(stage, survey(5.0, lidar_s=0.5))
-    assert stage.cloud_lead.state == "good" and stage.cloud_lead.estimate_s[0] == pytest.approx(0.0, abs=0.011)
+    assert stage.cloud_lead.state == "good" and stage.cloud_lead.estimate_s[0] == pytest.approx(
+        0.0, abs=0.011
+    )
 
 
 def test_stamps_that_scatter_are_named_and_too_few_are_no_verdict():

@@ -32,7 +32,9 @@ COEFFICIENTS[3] = [*COEFFICIENTS[2], 2e-4, -1e-4, 1e-4, -2e-4]
 def ground(n=400, degree=1, noise=0.0, seed=0, half=20.0):
     rng = np.random.default_rng(seed)
     xy = rng.uniform(-half, half, (n, 2))
-    return np.c_[xy, base_height(design_surface(COEFFICIENTS[degree]), xy) + noise * rng.standard_normal(n)]
+    return np.c_[
+        xy, base_height(design_surface(COEFFICIENTS[degree]), xy) + noise * rng.standard_normal(n)
+    ]
 
 
 def fitted(points, origin, degree):
@@ -40,7 +42,11 @@ def fitted(points, origin, degree):
 
 
 def fit(points, degree=1, **kwargs):
-    return fit_ground(points, np.full(len(points), 1e-4), GroundParameters(degree=degree, trials=300 if degree < 3 else 1000, **kwargs))
+    return fit_ground(
+        points,
+        np.full(len(points), 1e-4),
+        GroundParameters(degree=degree, trials=300 if degree < 3 else 1000, **kwargs),
+    )
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -48,7 +54,9 @@ def test_exact_ground_is_recovered(degree):
     points = ground(degree=degree)
     plane = fit(points, degree)
     xy = np.random.default_rng(1).uniform(-30, 30, (50, 2))
-    assert base_height(plane, xy) == pytest.approx(base_height(design_surface(COEFFICIENTS[degree]), xy), abs=1e-10)
+    assert base_height(plane, xy) == pytest.approx(
+        base_height(design_surface(COEFFICIENTS[degree]), xy), abs=1e-10
+    )
     assert len(plane.support) == 400 and plane.rms_m < 1e-12
 
 
@@ -62,9 +70,15 @@ def test_a_pile_and_outliers_do_not_move_it(degree):
     clean = np.flatnonzero((r > 14.0) & (np.arange(1500) % 50 != 0))
     assert len(np.intersect1d(plane.support, clean)) > 0.97 * len(clean)
     sigma = np.sqrt(
-        np.diag(design(points[:, :2], plane.origin_xy, degree) @ plane.C_beta @ design(points[:, :2], plane.origin_xy, degree).T)
+        np.diag(
+            design(points[:, :2], plane.origin_xy, degree)
+            @ plane.C_beta
+            @ design(points[:, :2], plane.origin_xy, degree).T
+        )
     )
-    error = base_height(plane, points[:, :2]) - base_height(design_surface(COEFFICIENTS[degree]), points[:, :2])
+    error = base_height(plane, points[:, :2]) - base_height(
+        design_surface(COEFFICIENTS[degree]), points[:, :2]
+    )
     assert np.sqrt(np.mean(error**2)) < 3 * np.sqrt(np.mean(sigma**2))
 
 
@@ -88,9 +102,13 @@ def test_scores_of_candidates_by_their_plain_twin():
     rng = np.random.default_rng(3)
     points = rng.normal(size=(300, 3)) * 0.2
     X, beta = design(points[:, :2], np.zeros(2), 2), rng.normal(size=(40, 6)) * 0.1
-    within, below = score_kernel(np.ascontiguousarray(X.T), np.ascontiguousarray(points[:, 2]), beta, 0.1)
+    within, below = score_kernel(
+        np.ascontiguousarray(X.T), np.ascontiguousarray(points[:, 2]), beta, 0.1
+    )
     r = points[:, 2] - beta @ X.T
-    assert np.array_equal(within, (np.abs(r) <= 0.1).sum(axis=1)) and np.array_equal(below, (r < -0.1).sum(axis=1))
+    assert np.array_equal(within, (np.abs(r) <= 0.1).sum(axis=1)) and np.array_equal(
+        below, (r < -0.1).sum(axis=1)
+    )
     assert 0 < within.max() < 300 and 0 < below.max()
 
 
@@ -123,7 +141,9 @@ def test_same_input_same_bits_and_shift_equivariance():
     assert a.beta.tobytes() == b.beta.tobytes() and np.array_equal(a.support, b.support)
     moved = fit(points + np.array([1000.0, -2000.0, 300.0]))
     xy = points[:, :2]
-    assert base_height(moved, xy + np.array([1000.0, -2000.0])) - 300.0 == pytest.approx(base_height(a, xy), abs=1e-8)
+    assert base_height(moved, xy + np.array([1000.0, -2000.0])) - 300.0 == pytest.approx(
+        base_height(a, xy), abs=1e-8
+    )
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -134,8 +154,12 @@ def test_gradients_of_the_surface_and_of_the_design(degree):
         step = np.eye(2)[axis] * h
         numeric = (base_height(plane, xy + step) - base_height(plane, xy - step)) / (2 * h)
         assert base_gradient(plane, xy)[:, axis] == pytest.approx(numeric, abs=1e-9)
-        numeric = (design(xy + step, plane.origin_xy, degree) - design(xy - step, plane.origin_xy, degree)) / (2 * h)
-        assert np.allclose(design_gradient(xy, plane.origin_xy, degree)[:, axis], numeric, atol=1e-8)
+        numeric = (
+            design(xy + step, plane.origin_xy, degree) - design(xy - step, plane.origin_xy, degree)
+        ) / (2 * h)
+        assert np.allclose(
+            design_gradient(xy, plane.origin_xy, degree)[:, axis], numeric, atol=1e-8
+        )
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -152,7 +176,9 @@ def test_adjoint_equals_central_differences(degree):
             up, down = points.copy(), points.copy()
             up[i, axis] += h
             down[i, axis] -= h
-            numeric = (fitted(up, origin, degree) - fitted(down, origin, degree)) @ by_beta / (2 * h)
+            numeric = (
+                (fitted(up, origin, degree) - fitted(down, origin, degree)) @ by_beta / (2 * h)
+            )
             assert got[i, :, axis] == pytest.approx(numeric, rel=1e-6, abs=1e-8)
 
 
@@ -173,11 +199,26 @@ def test_refusals(points, degree, reason):
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-@pytest.mark.parametrize("options", [{}, {"degree": 0}, {"degree": 2}, {"threshold_m": 0.1}, {"below_weight": 0.0, "threshold_m": 0.2}])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"degree": 0},
+        {"degree": 2},
+        {"threshold_m": 0.1},
+        {"below_weight": 0.0, "threshold_m": 0.2},
+    ],
+)
 def test_points_that_fill_space_show_no_ground(seed, options):
     rng = np.random.default_rng(seed)
     ball = rng.standard_normal((4000, 3))
-    for points in (ball, 3.0 * ball, rng.uniform(-1, 1, (4000, 3)), ball * [8.0, 1.0, 1.0], np.r_[ball, ball + np.array([7.0, 0, 0])]):
+    for points in (
+        ball,
+        3.0 * ball,
+        rng.uniform(-1, 1, (4000, 3)),
+        ball * [8.0, 1.0, 1.0],
+        np.r_[ball, ball + np.array([7.0, 0, 0])],
+    ):
         with pytest.raises(GroundError) as caught:
             fit(points, **options)
         assert caught.value.reason in ("ground_no_surface", "ground_no_consensus", "ground_tilt")
@@ -188,9 +229,15 @@ def test_what_a_surface_may_be_like():
     assert fit(narrow).rms_m == pytest.approx(0.03, rel=0.1)
     slope = ground(2000, noise=0.01) * [1, 0.1, 1]
     slope[:, 2] = 0.3 * slope[:, 0]
-    assert fit(slope, 0).rms_m > slope[:, 1].std()  # a level does not follow it, but it is a surface
+    assert (
+        fit(slope, 0).rms_m > slope[:, 1].std()
+    )  # a level does not follow it, but it is a surface
     stairs = ground(3000, noise=0.005)
-    stairs[:, 2] = 0.17 * np.floor(stairs[:, 0] / 8.0) + stairs[:, 2] - base_height(design_surface(COEFFICIENTS[1]), stairs[:, :2])
+    stairs[:, 2] = (
+        0.17 * np.floor(stairs[:, 0] / 8.0)
+        + stairs[:, 2]
+        - base_height(design_surface(COEFFICIENTS[1]), stairs[:, :2])
+    )
     assert fit(stairs, 0, threshold_m=0.02).rms_m < 0.01
 
 
@@ -205,11 +252,16 @@ def test_a_conic_does_not_define_a_quadric():
 @pytest.mark.parametrize("narrow", [1.0, 1e-1, 1e-3])
 def test_roots_of_well_and_badly_fixed_surfaces(narrow):
     rng = np.random.default_rng(3)
-    xy = rng.normal(size=(300, 2)) @ [[1.0, 1.0], [-narrow, narrow]]  # from a disc to a strip a thousandth as wide
+    xy = rng.normal(size=(300, 2)) @ [
+        [1.0, 1.0],
+        [-narrow, narrow],
+    ]  # from a disc to a strip a thousandth as wide
     for degree in (0, 1, 2):
         X = design(xy, np.zeros(2), degree)
         root, S = np.linalg.inv(np.linalg.qr(X, mode="r")), inverse_root(X, degree)
-        assert S @ S.T == pytest.approx(root @ root.T, rel=1e-9, abs=1e-9 * np.abs(root @ root.T).max())
+        assert S @ S.T == pytest.approx(
+            root @ root.T, rel=1e-9, abs=1e-9 * np.abs(root @ root.T).max()
+        )
 
 
 def test_gravity_prior():
@@ -239,10 +291,17 @@ def test_fixed_threshold_and_bad_coefficients():
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_gradients_in_place_are_whole_array_sums(degree):
     points = np.concatenate([ground(40, degree, noise=0.2), np.full((3, 3), 9.0)])
-    rng, origin, support = np.random.default_rng(4), np.array([1.0, 2.0]), np.sort(np.random.default_rng(5).choice(40, 30, replace=False))
+    rng, origin, support = (
+        np.random.default_rng(4),
+        np.array([1.0, 2.0]),
+        np.sort(np.random.default_rng(5).choice(40, 30, replace=False)),
+    )
     X = design(points[support, :2], origin, degree)
     beta, N = solve(X, points[support, 2], degree)
-    plane, by_beta = Plane(origin, beta, np.zeros((len(beta), len(beta))), support), rng.standard_normal((len(beta), 4))
+    plane, by_beta = (
+        Plane(origin, beta, np.zeros((len(beta), len(beta))), support),
+        rng.standard_normal((len(beta), 4)),
+    )
     xy, residual, weight = ground_residuals(points, plane, by_beta[:, 0])
     assert xy.tobytes() == points[support, :2].tobytes()
     assert residual == pytest.approx(points[support, 2] - X @ beta, abs=1e-12)
@@ -254,6 +313,10 @@ def test_gradients_in_place_are_whole_array_sums(degree):
     place[support[3]] = -1  # a corner of the surface that is no point
     twin = out.copy()
     kept = np.arange(30) != 3
-    np.add.at(twin, place[support[kept]], np.concatenate([across, vertical[:, None]], axis=1).swapaxes(1, 2)[kept])
+    np.add.at(
+        twin,
+        place[support[kept]],
+        np.concatenate([across, vertical[:, None]], axis=1).swapaxes(1, 2)[kept],
+    )
     add_ground_gradient(out, place, points, plane, by_beta)
     assert out == pytest.approx(twin, rel=1e-9, abs=1e-11)

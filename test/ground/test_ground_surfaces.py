@@ -1,4 +1,6 @@
-"""Several ground surfaces, curved ground under clutter, roofs larger than the ground, and heights above all of them."""
+"""Several ground surfaces, curved ground under clutter, roofs larger than the ground, and heights
+above all of them.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,13 @@ from ladar_volume.ground.polynomial import base_height, design_surface
 from ladar_volume.ground.presets import PRESETS
 from ladar_volume.ground.robust import bottom_layer, fit_ground
 from ladar_volume.ground.sampling import best_candidate, sample_polynomials
-from ladar_volume.ground.surfaces import find_grounds, further_grounds, heights_above, repeats, surface_sigma
+from ladar_volume.ground.surfaces import (
+    find_grounds,
+    further_grounds,
+    heights_above,
+    repeats,
+    surface_sigma,
+)
 from ladar_volume.model.errors import GroundError
 from ladar_volume.model.parameters import GroundParameters, Parameters
 from ladar_volume.surface.frames import frame_along
@@ -51,7 +59,10 @@ def test_a_cubic_ground_is_found_under_clutter(clutter):
     assert np.sqrt(np.mean(error**2)) < 0.002 and len(found.support) > 0.99 * len(clean)
 
 
-@pytest.mark.parametrize("share,weight,wins", [(0.6, 0.0, 3.0), (0.6, 4.0, 0.0), (0.78, 4.0, 0.0), (0.6, 1.0, 0.0), (0.7, 1.0, 3.0)])
+@pytest.mark.parametrize(
+    "share,weight,wins",
+    [(0.6, 0.0, 3.0), (0.6, 4.0, 0.0), (0.78, 4.0, 0.0), (0.6, 1.0, 0.0), (0.7, 1.0, 3.0)],
+)
 def test_a_roof_wins_only_with_more_than_one_plus_weight_times_the_ground(share, weight, wins):
     points = scattered(noise=0.02)
     points[: int(share * 4000), 2] += 3.0
@@ -60,13 +71,16 @@ def test_a_roof_wins_only_with_more_than_one_plus_weight_times_the_ground(share,
     assert found.beta == pytest.approx([wins, 0.02, 0.0], abs=0.005)
 
 
-@pytest.mark.parametrize("share,threshold", [(0.3, 0.0), (0.5, 0.0), (0.7, 0.0), (0.8, 0.0), (0.9, 0.0), (0.9, 0.05)])
+@pytest.mark.parametrize(
+    "share,threshold", [(0.3, 0.0), (0.5, 0.0), (0.7, 0.0), (0.8, 0.0), (0.9, 0.0), (0.9, 0.05)]
+)
 def test_ground_under_vegetation(share, threshold):
     points = scattered(noise=0.02, n=5000)
     count = int(share * 5000)
     points[:count, 2] += np.random.default_rng(2).uniform(0, 1, count)
     found = fit_ground(points, variance(points), GroundParameters(threshold_m=threshold))
-    # plants within the threshold lift the ground, by a fifth of the search threshold of 0.1 m at most
+    # plants within the threshold lift the ground, by a fifth of the search threshold of 0.1 m at
+    # most
     assert -0.002 < found.beta[0] < 0.025 and found.beta[1:] == pytest.approx([0.02, 0.0], abs=2e-3)
 
 
@@ -97,7 +111,11 @@ def test_one_surface_is_the_first_of_several_and_their_number_is_bounded():
     alone = fit_ground(points, variance(points), GroundParameters())
     for k in (1, 2, 3):
         found = grounds(points, surfaces=k)
-        assert len(found) == k and found[0].beta.tobytes() == alone.beta.tobytes() and np.array_equal(found[0].support, alone.support)
+        assert (
+            len(found) == k
+            and found[0].beta.tobytes() == alone.beta.tobytes()
+            and np.array_equal(found[0].support, alone.support)
+        )
     assert further_grounds(points, variance(points), alone, GroundParameters()) == ()
 
 
@@ -112,14 +130,18 @@ def test_clutter_small_patches_and_repetitions_are_no_further_surfaces():
     assert len(grounds(step, min_support=0.04)) == 2 and len(grounds(step, min_support=0.06)) == 1
     main = grounds(flat)[0]
     again = dataclasses.replace(main, beta=main.beta + np.array([0.02, 0, 0]))
-    assert repeats(again, main, flat) and not repeats(dataclasses.replace(main, beta=main.beta + np.array([0.05, 0, 0])), main, flat)
+    assert repeats(again, main, flat) and not repeats(
+        dataclasses.replace(main, beta=main.beta + np.array([0.05, 0, 0])), main, flat
+    )
 
 
 def test_the_order_of_the_surfaces_does_not_hang_on_where_the_scene_is():
     points = terraces()
     moved = grounds(points + np.array([1000.0, -3000.0, 250.0]))
     for a, b in zip(grounds(points), moved, strict=True):
-        assert base_height(b, points[:, :2] + np.array([1000.0, -3000.0])) - 250.0 == pytest.approx(base_height(a, points[:, :2]), abs=1e-8)
+        assert base_height(b, points[:, :2] + np.array([1000.0, -3000.0])) - 250.0 == pytest.approx(
+            base_height(a, points[:, :2]), abs=1e-8
+        )
 
 
 def test_a_tilted_up_direction_by_a_frame():
@@ -131,13 +153,25 @@ def test_a_tilted_up_direction_by_a_frame():
         fit_ground(turned, variance(turned), GroundParameters())
     assert caught.value.reason in ("ground_tilt", "ground_no_consensus")
     found = fit_ground(frame.points(turned), variance(turned), GroundParameters())
-    assert found.beta == pytest.approx(fit_ground(upright, variance(upright), GroundParameters()).beta, abs=1e-9)
+    assert found.beta == pytest.approx(
+        fit_ground(upright, variance(upright), GroundParameters()).beta, abs=1e-9
+    )
 
 
 def test_heights_above_terraces_and_the_face_of_a_step():
     points = terraces(noise=0.0)
     found = grounds(points)
-    probe = np.array([[-9.0, 0, 0.0], [-3.0, 0, 0.0], [3.0, 0, -0.2], [9.0, 0, 0.5], [0.0, 0, -0.25], [0.02, 0, 0.4], [-0.02, 0, -0.9]])
+    probe = np.array(
+        [
+            [-9.0, 0, 0.0],
+            [-3.0, 0, 0.0],
+            [3.0, 0, -0.2],
+            [9.0, 0, 0.5],
+            [0.0, 0, -0.25],
+            [0.02, 0, 0.4],
+            [-0.02, 0, -0.9],
+        ]
+    )
     height, sigma = heights_above(probe, found, points, 0.3)
     assert height == pytest.approx([1.0, 0.5, -0.2, 0.0, 0.0, 0.4, -0.4], abs=1e-9)
     assert (sigma >= 0).all() and sigma.max() < 1e-3
@@ -160,13 +194,16 @@ def test_published_settings_take_the_largest_plane():
     for name, preset in PRESETS.items():
         p = Parameters.read({"ground": preset}).ground
         assert p.trials == 1000 and p.threshold_m == 0.05, name
-    # a sample of k points is clean with probability share**k: the published k serves clouds without large bodies
+    # a sample of k points is clean with probability share**k: the published k serves clouds without
+    # large bodies
     p = dataclasses.replace(Parameters.read({"ground": PRESETS["box"]}).ground, sample_size=4)
     assert fit_ground(points, variance(points), p).beta[0] == pytest.approx(2.0, abs=0.01)
     flat = scattered(noise=0.01)
     flat[:400, 2] += 1.0
     for preset in PRESETS.values():
-        assert fit_ground(flat, variance(flat), Parameters.read({"ground": preset}).ground).beta[0] == pytest.approx(0.0, abs=0.01)
+        assert fit_ground(flat, variance(flat), Parameters.read({"ground": preset}).ground).beta[
+            0
+        ] == pytest.approx(0.0, abs=0.01)
 
 
 @pytest.mark.parametrize("degree,size", [(0, 5), (1, 3), (1, 8), (2, 0), (3, 0), (3, 25)])
@@ -179,7 +216,9 @@ def test_samples_of_an_exact_surface_give_it_back(degree, size):
     p = GroundParameters(degree=degree, sample_size=size, trials=50, max_tilt_rad=math.radians(60))
     found = sample_polynomials(points, np.zeros(2), p)
     assert len(found) > 25
-    assert np.median(np.abs(found - beta) / np.abs(beta), axis=0) == pytest.approx(np.zeros(count), abs=1e-6)
+    assert np.median(np.abs(found - beta) / np.abs(beta), axis=0) == pytest.approx(
+        np.zeros(count), abs=1e-6
+    )
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
@@ -187,7 +226,9 @@ def test_no_ground_says_what_to_do(degree):
     cloud = np.random.default_rng(0).uniform(-20, 20, (3000, 3))
     with pytest.raises(GroundError) as caught:
         fit_ground(cloud, variance(cloud), GroundParameters(degree=degree, trials=200))
-    assert caught.value.reason == "ground_no_consensus" and "ground.threshold_m" in str(caught.value)
+    assert caught.value.reason == "ground_no_consensus" and "ground.threshold_m" in str(
+        caught.value
+    )
     assert 0 < caught.value.value < 0.02
     wall = cloud * [0.0, 1.0, 1.0]
     with pytest.raises(GroundError) as caught:

@@ -20,12 +20,21 @@ STAMP = 1_700_000_000_123_456_789
 def message(columns, **changes):
     """A PointCloud2-like message of the columns, with anything changed."""
     table = encode(columns)
-    fields = [Message(name=c.name, offset=c.offset, datatype=NUMBERS[c.code], count=c.count) for c in table.columns]
+    fields = [
+        Message(name=c.name, offset=c.offset, datatype=NUMBERS[c.code], count=c.count)
+        for c in table.columns
+    ]
     stamp = Message(sec=STAMP // 10**9, nanosec=STAMP % 10**9)
     m = Message(
-        header=Message(stamp=stamp), height=1, width=table.rows, fields=fields, is_bigendian=False, point_step=table.row_bytes,
-        row_step=table.row_bytes * table.rows, data=table.data.tobytes(),
-    )  # fmt: skip
+        header=Message(stamp=stamp),
+        height=1,
+        width=table.rows,
+        fields=fields,
+        is_bigendian=False,
+        point_step=table.row_bytes,
+        row_step=table.row_bytes * table.rows,
+        data=table.data.tobytes(),
+    )
     for name, value in changes.items():
         setattr(m, name, value)
     return m
@@ -34,7 +43,12 @@ def message(columns, **changes):
 def columns(n=5, **more):
     rng = np.random.default_rng(1)
     xyz = {axis: rng.normal(size=n).astype(np.float32) for axis in "xyz"}
-    return {**xyz, "intensity": np.ones(n, np.float32), "ring": np.arange(n, dtype=np.uint16), **more}
+    return {
+        **xyz,
+        "intensity": np.ones(n, np.float32),
+        "ring": np.arange(n, dtype=np.uint16),
+        **more,
+    }
 
 
 def timed(n=5):
@@ -48,7 +62,9 @@ def read(m, **parameters):
 
 def test_velodyne_time_counts_from_the_stamp_whatever_its_sign():
     returns, losses = read(message(timed()))
-    expected = STAMP + np.rint(np.linspace(-0.1, 0.0, 5).astype(np.float32).astype(float) * 1e9).astype(np.int64)
+    expected = STAMP + np.rint(
+        np.linspace(-0.1, 0.0, 5).astype(np.float32).astype(float) * 1e9
+    ).astype(np.int64)
     np.testing.assert_array_equal(returns.t_ns, expected)
     assert not losses and returns.ring.tolist() == [0, 1, 2, 3, 4]
 
@@ -66,7 +82,9 @@ def test_absolute_timestamps_in_seconds_or_nanoseconds(scale):
     seconds = 1_700_000_000.0 + np.array([0.25, 0.5, 0.75])
     returns, _ = read(message(columns(3, timestamp=seconds * scale)))
     # a float64 of nanoseconds since 1970 resolves 256 ns, one of seconds 238 ns
-    assert (returns.t_ns - 1_700_000_000_000_000_000).tolist() == pytest.approx([250e6, 500e6, 750e6], abs=256)
+    assert (returns.t_ns - 1_700_000_000_000_000_000).tolist() == pytest.approx(
+        [250e6, 500e6, 750e6], abs=256
+    )
 
 
 def test_untimed_clouds_are_refused_unless_told_otherwise():
@@ -82,8 +100,12 @@ def test_one_time_for_a_whole_sweep_is_none():
     with pytest.raises(CloudError, match="same time") as caught:
         read(message(still))
     assert caught.value.reason == "cloud_one_time"
-    assert set(read(message(still), untimed_clouds="stamp")[0].t_ns.tolist()) == {STAMP + 50_000_001}  # 0.05 as float32
-    read(message(columns(16, time=np.zeros(16, np.float32))))  # one firing of all beams is at one time
+    assert set(read(message(still), untimed_clouds="stamp")[0].t_ns.tolist()) == {
+        STAMP + 50_000_001
+    }  # 0.05 as float32
+    read(
+        message(columns(16, time=np.zeros(16, np.float32)))
+    )  # one firing of all beams is at one time
 
 
 def test_nan_rows_go_with_all_their_columns_and_are_counted():
@@ -91,7 +113,10 @@ def test_nan_rows_go_with_all_their_columns_and_are_counted():
     c["y"][2] = np.nan
     c["time"][4] = np.inf
     returns, losses = read(message(c))
-    assert returns.ring.tolist() == [0, 1, 3] and losses.as_dict() == {"point_nan": 1, "point_time": 1}
+    assert returns.ring.tolist() == [0, 1, 3] and losses.as_dict() == {
+        "point_nan": 1,
+        "point_time": 1,
+    }
 
 
 def test_organised_clouds_with_padded_rows_read_like_flat_ones():
@@ -105,12 +130,21 @@ def test_organised_clouds_with_padded_rows_read_like_flat_ones():
 def test_big_endian_clouds_are_decoded():
     c = timed()
     table = encode(c)
-    layout = np.dtype({"names": [k.name for k in table.columns], "formats": [">" + k.code for k in table.columns],
-                       "offsets": [k.offset for k in table.columns], "itemsize": table.row_bytes})  # fmt: skip
+    layout = np.dtype(
+        {
+            "names": [k.name for k in table.columns],
+            "formats": [">" + k.code for k in table.columns],
+            "offsets": [k.offset for k in table.columns],
+            "itemsize": table.row_bytes,
+        }
+    )
     swapped = np.empty(table.rows, layout)
     for name, values in c.items():
         swapped[name] = values
-    np.testing.assert_array_equal(read(message(c, is_bigendian=True, data=swapped.tobytes()))[0].r_laser, read(message(c))[0].r_laser)
+    np.testing.assert_array_equal(
+        read(message(c, is_bigendian=True, data=swapped.tobytes()))[0].r_laser,
+        read(message(c))[0].r_laser,
+    )
 
 
 def nan_cloud():
@@ -125,8 +159,12 @@ BAD = {
     "cloud_point_step": lambda: message(timed(), point_step=4),
     "cloud_empty": lambda: message(timed(), width=0),
     "cloud_all_nan": nan_cloud,
-    "cloud_short": lambda: message(timed(), width=2**31, row_step=2**31 * message(timed()).point_step),
-    "cloud_fields": lambda: message(timed(), fields=[Message(name="x", offset=0, datatype=99, count=1)]),
+    "cloud_short": lambda: message(
+        timed(), width=2**31, row_step=2**31 * message(timed()).point_step
+    ),
+    "cloud_fields": lambda: message(
+        timed(), fields=[Message(name="x", offset=0, datatype=99, count=1)]
+    ),
 }
 
 
@@ -141,9 +179,11 @@ def test_bad_clouds_are_refused_by_name_before_anything_is_allocated(reason):
 @given(st.integers(1, 40), st.data())
 def test_tables_keep_every_bit(n, data):
     written = {
-        "a": data.draw(arrays(np.float64, n)), "b": data.draw(arrays(np.uint8, n)), "c": data.draw(arrays(np.float32, (n, 3))),
+        "a": data.draw(arrays(np.float64, n)),
+        "b": data.draw(arrays(np.uint8, n)),
+        "c": data.draw(arrays(np.float32, (n, 3))),
         "d": data.draw(arrays(np.uint32, n)),
-    }  # fmt: skip
+    }
     back = decode(message(written))
     for name, values in written.items():
         assert back[name].tobytes() == values.tobytes()

@@ -30,12 +30,23 @@ def test_marker(estimate):
     data = cdr.tin_marker(estimate, value)
     marker = TYPES.deserialize_cdr(data, kind)
     corners = tin.vertices[tin.triangles[tin.relevant].ravel()]
-    assert marker.type == 11 and marker.action == 0 and marker.ns == "tin" and marker.header.frame_id == "map"
+    assert (
+        marker.type == 11
+        and marker.action == 0
+        and marker.ns == "tin"
+        and marker.header.frame_id == "map"
+    )
     assert marker.header.stamp.sec * 10**9 + marker.header.stamp.nanosec == estimate.volume.t_ns
     assert np.array_equal([[p.x, p.y, p.z] for p in marker.points], corners)
-    assert len(marker.colors) == len(corners) and marker.pose.orientation.w == 1.0 and marker.scale.z == 1.0
+    assert (
+        len(marker.colors) == len(corners)
+        and marker.pose.orientation.w == 1.0
+        and marker.scale.z == 1.0
+    )
     red = np.array([c.r for c in marker.colors])
-    assert (np.diff(red[np.argsort(value[tin.triangles[tin.relevant].ravel()], kind="stable")]) >= 0).all() and all(c.a == 1.0 for c in marker.colors)
+    assert (
+        np.diff(red[np.argsort(value[tin.triangles[tin.relevant].ravel()], kind="stable")]) >= 0
+    ).all() and all(c.a == 1.0 for c in marker.colors)
     assert marker.text == marker.mesh_file.filename == marker.texture.format == ""
     assert bytes(TYPES.serialize_cdr(marker, kind)) == data
 
@@ -50,14 +61,18 @@ def test_a_large_surface_is_shown_coarser(estimate, monkeypatch):
     a, b, c = (tin.vertices[fewer[:, k], :2] for k in range(3))
     area = 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
     span = np.ptp(tin.vertices[:, :2], axis=0)
-    assert (area >= -1e-9).mean() > 0.95 and area.sum() == pytest.approx(float(np.prod(span)), rel=0.25)  # but for the rim, all is covered
+    assert (area >= -1e-9).mean() > 0.95 and area.sum() == pytest.approx(
+        float(np.prod(span)), rel=0.25
+    )  # but for the rim, all is covered
 
 
 def test_mesh(estimate):
     kind = "shape_msgs/msg/Mesh"
     data = cdr.mesh(estimate)
     mesh = TYPES.deserialize_cdr(data, kind)
-    assert np.array_equal([t.vertex_indices for t in mesh.triangles], estimate.tin.triangles[estimate.tin.relevant])
+    assert np.array_equal(
+        [t.vertex_indices for t in mesh.triangles], estimate.tin.triangles[estimate.tin.relevant]
+    )
     assert np.array_equal([[p.x, p.y, p.z] for p in mesh.vertices], estimate.tin.vertices)
     assert bytes(TYPES.serialize_cdr(mesh, kind)) == data
 
@@ -68,4 +83,10 @@ def test_members_align_to_their_own_size():
     w.numbers("d", math.pi)
     w.text("abc")
     w.numbers("I", 7)
-    assert w.bytes()[4:] == b"\x01" + bytes(7) + np.float64(math.pi).tobytes() + b"\x04\x00\x00\x00abc\x00\x07\x00\x00\x00"
+    assert (
+        w.bytes()[4:]
+        == b"\x01"
+        + bytes(7)
+        + np.float64(math.pi).tobytes()
+        + b"\x04\x00\x00\x00abc\x00\x07\x00\x00\x00"
+    )

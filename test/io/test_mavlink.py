@@ -53,9 +53,23 @@ class Vehicle:
 
     def gps(self, ms, **changes):
         values = dict(
-            time_usec=ms * 1000, fix_type=6, lat=501234567, lon=141234567, alt=250_000, eph=80, epv=90, vel=0, cog=0,
-            satellites_visible=17, alt_ellipsoid=295_000, h_acc=14, v_acc=20, vel_acc=50, hdg_acc=0, yaw=0,
-        )  # fmt: skip
+            time_usec=ms * 1000,
+            fix_type=6,
+            lat=501234567,
+            lon=141234567,
+            alt=250_000,
+            eph=80,
+            epv=90,
+            vel=0,
+            cog=0,
+            satellites_visible=17,
+            alt_ellipsoid=295_000,
+            h_acc=14,
+            v_acc=20,
+            vel_acc=50,
+            hdg_acc=0,
+            yaw=0,
+        )
         self.mav.gps_raw_int_send(**(values | changes))
 
     def attitude(self, ms, roll=0.1, pitch=-0.2, yaw=1.0):
@@ -63,9 +77,22 @@ class Vehicle:
 
     def odometry(self, ms, **changes):
         values = dict(
-            time_usec=ms * 1000, frame_id=1, child_frame_id=12, x=1.0, y=2.0, z=-3.0, q=[1.0, 0.0, 0.0, 0.0], vx=4.0, vy=5.0, vz=6.0,
-            rollspeed=0.1, pitchspeed=0.2, yawspeed=0.3, pose_covariance=NAN21, velocity_covariance=NAN21,
-        )  # fmt: skip
+            time_usec=ms * 1000,
+            frame_id=1,
+            child_frame_id=12,
+            x=1.0,
+            y=2.0,
+            z=-3.0,
+            q=[1.0, 0.0, 0.0, 0.0],
+            vx=4.0,
+            vy=5.0,
+            vz=6.0,
+            rollspeed=0.1,
+            pitchspeed=0.2,
+            yawspeed=0.3,
+            pose_covariance=NAN21,
+            velocity_covariance=NAN21,
+        )
         self.mav.odometry_send(**(values | changes))
 
 
@@ -94,7 +121,10 @@ def one(ms=5100, session_changes=None, **changes):
 
 def test_a_fix_has_its_height_accuracy_status_and_time():
     fix, losses = one()
-    assert (fix.latitude_deg, fix.longitude_deg) == (pytest.approx(50.1234567), pytest.approx(14.1234567)) and not losses
+    assert (fix.latitude_deg, fix.longitude_deg) == (
+        pytest.approx(50.1234567),
+        pytest.approx(14.1234567),
+    ) and not losses
     assert fix.height_m == 295.0 and fix.status == 2 and fix.t_ns == START + 5100 * 10**6
     np.testing.assert_allclose(np.diag(fix.C_enu), [1.96e-4, 1.96e-4, 4e-4])
     assert one(h_acc=0)[0].C_enu is None and one(v_acc=2**32 - 1)[0].C_enu is None
@@ -132,7 +162,9 @@ def test_mean_sea_level_without_the_geoid_is_refused_at_the_start():
 def test_the_fused_position_takes_the_receivers_undulation():
     session, vehicle = settled(position="GLOBAL_POSITION_INT")
     vehicle.mav.global_position_int_send(5050, 501234567, 141234567, 251_000, 0, 0, 0, 0, 0)
-    assert fed(session, vehicle, 5050) == [] and session.losses().as_dict() == {"fix_no_ellipsoidal_height": 1}
+    assert fed(session, vehicle, 5050) == [] and session.losses().as_dict() == {
+        "fix_no_ellipsoidal_height": 1
+    }
     vehicle.gps(5060)
     vehicle.mav.global_position_int_send(5100, 501234567, 141234567, 251_000, 0, 0, 0, 0, 0)
     (fix,) = fed(session, vehicle, 5100)
@@ -143,17 +175,44 @@ def test_the_second_receiver_and_repeated_fixes():
     session, vehicle = settled(position="GPS2_RAW")
     vehicle.gps(5100)
     for _ in range(3):
-        vehicle.mav.gps2_raw_send(5_100_000, 5, 501234567, 141234567, 250_000, 80, 90, 0, 0, 12, 0, 0, 0, 296_000, 20, 30, 0, 0)
+        vehicle.mav.gps2_raw_send(
+            5_100_000,
+            5,
+            501234567,
+            141234567,
+            250_000,
+            80,
+            90,
+            0,
+            0,
+            12,
+            0,
+            0,
+            0,
+            296_000,
+            20,
+            30,
+            0,
+            0,
+        )
     (fix,) = fed(session, vehicle, 5100)
-    assert fix.height_m == 296.0 and session.decoder.repeated == 2 and session.status()["fix_type"] == "RTK float"
+    assert (
+        fix.height_m == 296.0
+        and session.decoder.repeated == 2
+        and session.status()["fix_type"] == "RTK float"
+    )
 
 
 def test_attitudes_and_their_covariance():
     session, vehicle = settled(roll_pitch_sigma_rad=0.01)
     vehicle.attitude(5100, 0.0, 0.0, math.pi / 2)
     (imu,) = fed(session, vehicle, 5100)
-    assert imu.C_axes is None and imu.t_ns == START + 5100 * 10**6  # the heading's accuracy is not known
-    np.testing.assert_allclose(np.abs(imu.q_map_body), [0, 0, 0, 1], atol=1e-7)  # east is where x points
+    assert (
+        imu.C_axes is None and imu.t_ns == START + 5100 * 10**6
+    )  # the heading's accuracy is not known
+    np.testing.assert_allclose(
+        np.abs(imu.q_map_body), [0, 0, 0, 1], atol=1e-7
+    )  # east is where x points
     np.testing.assert_allclose(imu.omega_body, [0.01, -0.02, -0.03], rtol=1e-6)
     vehicle.gps(5150, yaw=9000, hdg_acc=50_000)  # half a degree
     vehicle.attitude(5200)
@@ -176,31 +235,55 @@ def test_odometry_in_both_frames_and_its_refusals():
     session, vehicle = settled()
     vehicle.odometry(5100)
     (o,) = fed(session, vehicle, 5100)
-    assert o.p_map_body.tolist() == [2.0, 1.0, 3.0] and o.v_body.tolist() == [4.0, -5.0, -6.0] and o.C_pose is None
+    assert (
+        o.p_map_body.tolist() == [2.0, 1.0, 3.0]
+        and o.v_body.tolist() == [4.0, -5.0, -6.0]
+        and o.C_pose is None
+    )
     np.testing.assert_allclose(o.omega_body, [0.1, -0.2, -0.3], rtol=1e-6)
     upper = np.zeros((6, 6))
     np.fill_diagonal(upper, [1, 2, 3, 4e-4, 5e-4, 6e-4])
     vehicle.odometry(5200, frame_id=20, pose_covariance=upper[np.triu_indices(6)].tolist())
     (o,) = fed(session, vehicle, 5200)
-    assert o.p_map_body.tolist() == [1.0, -2.0, 3.0] and np.abs(o.q_map_body).tolist() == [0, 0, 0, 1]
+    assert o.p_map_body.tolist() == [1.0, -2.0, 3.0] and np.abs(o.q_map_body).tolist() == [
+        0,
+        0,
+        0,
+        1,
+    ]
     np.testing.assert_allclose(np.diag(o.C_pose), [1, 2, 3, 4e-4, 5e-4, 6e-4], rtol=1e-6)
     vehicle.odometry(5300, reset_counter=1)
     assert len(fed(session, vehicle, 5300)) == 1
-    bad = ({"frame_id": 0}, {"child_frame_id": 1}, {"quality": -1}, {"q": [0.0] * 4}, {"x": math.inf}, {"pose_covariance": [-1.0] * 21})
+    bad = (
+        {"frame_id": 0},
+        {"child_frame_id": 1},
+        {"quality": -1},
+        {"q": [0.0] * 4},
+        {"x": math.inf},
+        {"pose_covariance": [-1.0] * 21},
+    )
     for i, changes in enumerate(bad):
         vehicle.odometry(5400 + i, reset_counter=1, **changes)
     assert fed(session, vehicle, 5500) == []
     assert session.losses().as_dict() == {
-        "odometry_frame": 2, "odometry_failed": 1, "odometry_not_unit": 1, "odometry_nan": 1, "odometry_covariance": 1,
+        "odometry_frame": 2,
+        "odometry_failed": 1,
+        "odometry_not_unit": 1,
+        "odometry_nan": 1,
+        "odometry_covariance": 1,
         "odometry_estimator_reset": 1,
-    }  # fmt: skip
+    }
 
 
 def test_raw_inertial_data_in_its_units():
     session, vehicle = settled()
-    vehicle.mav.highres_imu_send(5_100_000, 1.0, 2.0, -9.8, 0.1, 0.2, 0.3, 0, 0, 0, 0, 0, 0, 0, 0x3F)
+    vehicle.mav.highres_imu_send(
+        5_100_000, 1.0, 2.0, -9.8, 0.1, 0.2, 0.3, 0, 0, 0, 0, 0, 0, 0, 0x3F
+    )
     vehicle.mav.raw_imu_send(5_150_000, 100, 200, -1000, 10, 20, 30, 0, 0, 0)
-    vehicle.mav.highres_imu_send(5_200_000, 1.0, 2.0, -9.8, 0.1, 0.2, 0.3, 0, 0, 0, 0, 0, 0, 0, 0x07)
+    vehicle.mav.highres_imu_send(
+        5_200_000, 1.0, 2.0, -9.8, 0.1, 0.2, 0.3, 0, 0, 0, 0, 0, 0, 0, 0x07
+    )
     a, b = fed(session, vehicle, 5200)
     np.testing.assert_allclose(a.acceleration_body, [1.0, -2.0, 9.8], rtol=1e-6)
     np.testing.assert_allclose(b.acceleration_body, [0.980665, -1.96133, 9.80665])
@@ -217,7 +300,11 @@ def test_before_the_clocks_agree_nothing_is_stamped():
     vehicle.gps(1000)
     vehicle.odometry(1000)
     assert fed(session, vehicle, 1000) == []
-    assert session.losses().as_dict() == {"fix_clock_unsettled": 1, "imu_clock_unsettled": 1, "odometry_clock_unsettled": 1}
+    assert session.losses().as_dict() == {
+        "fix_clock_unsettled": 1,
+        "imu_clock_unsettled": 1,
+        "odometry_clock_unsettled": 1,
+    }
 
 
 def test_a_restart_is_told_from_late_packets():
@@ -235,7 +322,10 @@ def test_a_restart_is_told_from_late_packets():
         records += fed(session, boot, 10_000 + ms)
     assert session.decoder.restarts == 1 and session.losses()["mavlink_restart"] == 1
     # the clocks are compared anew, and the stamps go on in the receiver's time
-    assert abs(records[-1].t_ns - (START + 14_900 * 10**6)) < 10**7 and records[0].t_ns > START + 12 * S
+    assert (
+        abs(records[-1].t_ns - (START + 14_900 * 10**6)) < 10**7
+        and records[0].t_ns > START + 12 * S
+    )
     assert session.losses()["mavlink_packet_late"] < 20
 
 
@@ -254,15 +344,22 @@ def test_heartbeat_loss_other_senders_and_gaps_are_counted():
     session.due(START + 9 * S)
     assert not session.alive
     assert session.losses().as_dict() == {
-        "mavlink_other_sender": 2, "mavlink_packet_lost": 2, "mavlink_packet_twice": 1, "mavlink_heartbeat_lost": 1,
-    }  # fmt: skip
+        "mavlink_other_sender": 2,
+        "mavlink_packet_lost": 2,
+        "mavlink_packet_twice": 1,
+        "mavlink_heartbeat_lost": 1,
+    }
     vehicle.heartbeat()
     fed(session, vehicle, 9500)
     assert session.alive
 
 
 def test_any_system_means_the_first_autopilot():
-    session, one_vehicle, other = MavlinkSession(MavlinkParameters(system=0)), Vehicle(system=7), Vehicle(system=8)
+    session, one_vehicle, other = (
+        MavlinkSession(MavlinkParameters(system=0)),
+        Vehicle(system=7),
+        Vehicle(system=8),
+    )
     one_vehicle.heartbeat()
     other.heartbeat()
     for frame in one_vehicle.take() + other.take():
@@ -292,7 +389,8 @@ def test_rates_are_asked_for_until_they_come():
     assert session.losses().as_dict() == {"mavlink_rate_refused": 1}
 
 
-# noise ------------------------------------------------------------------------------------------------------------
+# noise
+# --------------------------------------------------------------------------------------------------
 def stream_of(n, seed=1):
     vehicle = Vehicle()
     r = random.Random(seed)
@@ -305,11 +403,16 @@ def test_noise_between_packets_is_counted_and_costs_no_packet():
     r, frames = random.Random(4), stream_of(400)
     session, noise = MavlinkSession(MavlinkParameters()), 0
     for frame in frames:
-        junk = bytes(r.choice([0x00, 0x55, 0xFE, 0xFD, r.randrange(256)]) for _ in range(r.randrange(12)))
+        junk = bytes(
+            r.choice([0x00, 0x55, 0xFE, 0xFD, r.randrange(256)]) for _ in range(r.randrange(12))
+        )
         noise += len(junk)
         session.feed(junk + frame, START)
     session.feed(b"\x00" * 300, START)  # push out what a false marker still waits for
-    assert session.stream.packets == len(frames) and "mavlink_packet_lost" not in session.losses().as_dict()
+    assert (
+        session.stream.packets == len(frames)
+        and "mavlink_packet_lost" not in session.losses().as_dict()
+    )
     assert abs(session.losses()["mavlink_noise_byte"] - noise - 300) <= 300
 
 
@@ -332,7 +435,10 @@ def test_five_thousand_mutated_packets_crash_nothing_and_noise_is_counted():
         for _ in range(r.randrange(1, 6)):
             data[r.randrange(len(data))] = r.randrange(256)
         session.feed(bytes(data[: r.randrange(len(data) + 1)]), START + i * 10**7)
-    assert session.losses()["mavlink_noise_byte"] > 1000 and session.losses()["mavlink_parser_error"] == 0
+    assert (
+        session.losses()["mavlink_noise_byte"] > 1000
+        and session.losses()["mavlink_parser_error"] == 0
+    )
 
 
 class Booked(MavlinkStream):
@@ -360,19 +466,44 @@ def test_of_five_thousand_mutated_packets_every_byte_is_part_of_a_message_or_noi
         stream.feed(bytes(data))
         fed_bytes += len(data)
         assert stream.taken + stream.losses["mavlink_noise_byte"] + len(stream._in.buf) == fed_bytes
-    assert stream.packets > 200 and stream.losses["mavlink_noise_byte"] > 1000 and stream.losses["mavlink_parser_error"] == 0
+    assert (
+        stream.packets > 200
+        and stream.losses["mavlink_noise_byte"] > 1000
+        and stream.losses["mavlink_parser_error"] == 0
+    )
 
 
 def wild(r, cls, vehicle):
     """A message of a kind the decoder reads with any values its fields can hold."""
     values = {}
-    for name, kind, array in zip(cls.fieldnames, cls.fieldtypes, [cls.array_lengths[cls.ordered_fieldnames.index(n)] for n in cls.fieldnames], strict=True):
+    for name, kind, array in zip(
+        cls.fieldnames,
+        cls.fieldtypes,
+        [cls.array_lengths[cls.ordered_fieldnames.index(n)] for n in cls.fieldnames],
+        strict=True,
+    ):
+
         def value(kind=kind):
             if kind in ("float", "double"):
-                return r.choice([0.0, 1.0, -1.0, math.nan, math.inf, -math.inf, 3e38, 1e-40, r.gauss(0, 1)])
-            bits = {"8": 8, "1": 16, "3": 32, "6": 64}[kind.lstrip("uint_")[0]] if kind != "char" else 8
-            low, high = (0, 2**bits - 1) if kind.startswith("uint") else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
-            return r.choice([low, high, 0, 1, r.randrange(low, high + 1)] if low == 0 else [low, high, 0, 1, -1, r.randrange(low, high + 1)])
+                return r.choice(
+                    [0.0, 1.0, -1.0, math.nan, math.inf, -math.inf, 3e38, 1e-40, r.gauss(0, 1)]
+                )
+            bits = (
+                {"8": 8, "1": 16, "3": 32, "6": 64}[kind.lstrip("uint_")[0]]
+                if kind != "char"
+                else 8
+            )
+            low, high = (
+                (0, 2**bits - 1)
+                if kind.startswith("uint")
+                else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+            )
+            return r.choice(
+                [low, high, 0, 1, r.randrange(low, high + 1)]
+                if low == 0
+                else [low, high, 0, 1, -1, r.randrange(low, high + 1)]
+            )
+
         values[name] = [value() for _ in range(array)] if array else value()
     vehicle.mav.send(cls(**values))
 
@@ -380,8 +511,20 @@ def wild(r, cls, vehicle):
 def test_five_thousand_wild_but_valid_messages_each_give_a_record_or_a_reason():
     session, vehicle = settled(roll_pitch_sigma_rad=0.01)
     r = random.Random(8)
-    names = {"GPS_RAW_INT", "ATTITUDE", "ATTITUDE_QUATERNION", "ODOMETRY", "HIGHRES_IMU", "RAW_IMU", "SYSTEM_TIME", "TIMESYNC", "HEARTBEAT"}
-    kinds = sorted((c for c in dialect.mavlink_map.values() if c.msgname in names), key=lambda c: c.id)
+    names = {
+        "GPS_RAW_INT",
+        "ATTITUDE",
+        "ATTITUDE_QUATERNION",
+        "ODOMETRY",
+        "HIGHRES_IMU",
+        "RAW_IMU",
+        "SYSTEM_TIME",
+        "TIMESYNC",
+        "HEARTBEAT",
+    }
+    kinds = sorted(
+        (c for c in dialect.mavlink_map.values() if c.msgname in names), key=lambda c: c.id
+    )
     assert len(kinds) == len(names)
     records = 0
     silent = ("HEARTBEAT", "SYSTEM_TIME", "TIMESYNC")
@@ -393,20 +536,34 @@ def test_five_thousand_wild_but_valid_messages_each_give_a_record_or_a_reason():
         for record in found:
             assert 0 <= record.t_ns < 2**31 * S
             if isinstance(record, Fix):
-                assert abs(record.latitude_deg) <= 90 and (record.C_enu is None or np.all(np.diag(record.C_enu) > 0))
+                assert abs(record.latitude_deg) <= 90 and (
+                    record.C_enu is None or np.all(np.diag(record.C_enu) > 0)
+                )
             if isinstance(record, ImuSample):
                 assert np.linalg.norm(record.q_map_body) == pytest.approx(1.0)
             if isinstance(record, OdometrySample):
                 assert record.C_pose is None or np.all(np.diag(record.C_pose) > 0)
         records += len(found)
         preferred = cls.msgname == "ATTITUDE"  # given way to the quaternion
-        assert found or session.losses().total() > before or session.decoder.repeated > repeated or cls.msgname in silent or preferred
+        assert (
+            found
+            or session.losses().total() > before
+            or session.decoder.repeated > repeated
+            or cls.msgname in silent
+            or preferred
+        )
     assert records > 0
 
 
-# logs -------------------------------------------------------------------------------------------------------------
+# logs
+# --------------------------------------------------------------------------------------------------
 def tlog(frames, path, noise=b""):
-    path.write_bytes(b"".join(struct.pack(">Q", (START // 1000) + 20_000 * i) + f + noise for i, f in enumerate(frames)))
+    path.write_bytes(
+        b"".join(
+            struct.pack(">Q", (START // 1000) + 20_000 * i) + f + noise
+            for i, f in enumerate(frames)
+        )
+    )
     return path
 
 
@@ -414,7 +571,11 @@ def test_a_tlog_gives_its_frames_and_counts_what_is_between(tmp_path):
     frames = stream_of(50)
     losses = Losses()
     found = list(tlog_frames(tlog(frames, tmp_path / "a.tlog"), losses))
-    assert [f for _, f in found] == frames and [t for t, _ in found] == [START + 20_000_000 * i for i in range(50)] and not losses
+    assert (
+        [f for _, f in found] == frames
+        and [t for t, _ in found] == [START + 20_000_000 * i for i in range(50)]
+        and not losses
+    )
     found = list(tlog_frames(tlog(frames, tmp_path / "b.tlog", b"\xfejunk"), losses))
     assert [f for _, f in found] == frames and losses["mavlink_noise_byte"] == 250
     whole = (tmp_path / "a.tlog").read_bytes()
@@ -434,12 +595,21 @@ def test_a_tlog_gives_its_frames_and_counts_what_is_between(tmp_path):
 
 def dataflash(latency=0.12, und=-44.0):
     """A small log: GPS and GPA at 5 Hz, ATT at 10 Hz; boot clock against GPS time by hand."""
-    def fmt(number, name, letters, columns, size):
-        return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", number, size + 3, name, letters, columns)
 
-    gps, gpa, att = struct.Struct("<QBBIHBhLLef".replace("L", "i").replace("e", "i")), struct.Struct("<QBHHf"), struct.Struct("<Qhhh")
+    def fmt(number, name, letters, columns, size):
+        return b"\xa3\x95\x80" + struct.pack(
+            "<BB4s16s64s", number, size + 3, name, letters, columns
+        )
+
+    gps, gpa, att = (
+        struct.Struct("<QBBIHBhLLef".replace("L", "i").replace("e", "i")),
+        struct.Struct("<QBHHf"),
+        struct.Struct("<Qhhh"),
+    )
     out = fmt(128, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns", 86)
-    out += fmt(130, b"GPS", b"QBBIHBcLLef", b"TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd", gps.size)
+    out += fmt(
+        130, b"GPS", b"QBBIHBcLLef", b"TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd", gps.size
+    )
     out += fmt(131, b"GPA", b"QBCCf", b"TimeUS,I,HAcc,VAcc,Und", gpa.size)
     out += fmt(132, b"ATT", b"Qccc", b"TimeUS,Roll,Pitch,Yaw", att.size)
     for i in range(100):
@@ -447,7 +617,19 @@ def dataflash(latency=0.12, und=-44.0):
         if i % 2 == 0:
             logged = boot_us + int(latency * 1e6) + (i % 6) * 3000
             for instance in (0, 1):
-                out += b"\xa3\x95\x82" + gps.pack(logged, instance, 6, 100_000 * 1000 + 100 * i, 2300, 17, 80, 501234567, 141234567 + instance, 25_000, 0.0)
+                out += b"\xa3\x95\x82" + gps.pack(
+                    logged,
+                    instance,
+                    6,
+                    100_000 * 1000 + 100 * i,
+                    2300,
+                    17,
+                    80,
+                    501234567,
+                    141234567 + instance,
+                    25_000,
+                    0.0,
+                )
                 out += b"\xa3\x95\x83" + gpa.pack(logged, instance, 2, 3, und)
         out += b"\xa3\x95\x84" + att.pack(boot_us, 0, 0, 9000)
     return out
@@ -458,18 +640,31 @@ def test_a_dataflash_log_is_related_to_utc_by_its_fixes(tmp_path):
     path.write_bytes(dataflash())
     log = DataFlashLog(path, MavlinkParameters(gnss_delay_s=0.12))
     records = list(log.records())
-    fixes, imus = [r for r in records if isinstance(r, Fix)], [r for r in records if isinstance(r, ImuSample)]
+    fixes, imus = (
+        [r for r in records if isinstance(r, Fix)],
+        [r for r in records if isinstance(r, ImuSample)],
+    )
     epoch = (315_964_800 - 18 + 2300 * 604_800 + 100_000) * S
-    assert [f.t_ns for f in fixes] == [epoch + 200_000_000 * i for i in range(50)] and not log.losses
+    assert [f.t_ns for f in fixes] == [
+        epoch + 200_000_000 * i for i in range(50)
+    ] and not log.losses
     assert fixes[0].height_m == 250.0 + 44.0 and fixes[0].status == 2
     np.testing.assert_allclose(np.diag(fixes[0].C_enu), [4e-4, 4e-4, 9e-4])
-    assert len(imus) == 100 and all(abs(m.t_ns - epoch - 100_000_000 * i) < 2_000_000 for i, m in enumerate(imus))
+    assert len(imus) == 100 and all(
+        abs(m.t_ns - epoch - 100_000_000 * i) < 2_000_000 for i, m in enumerate(imus)
+    )
     np.testing.assert_allclose(np.abs(imus[0].q_map_body), [0, 0, 0, 1], atol=1e-9)
-    second = [r for r in DataFlashLog(path, MavlinkParameters(position="GPS2_RAW")).records() if isinstance(r, Fix)]
+    second = [
+        r
+        for r in DataFlashLog(path, MavlinkParameters(position="GPS2_RAW")).records()
+        if isinstance(r, Fix)
+    ]
     assert len(second) == 50 and second[0].longitude_deg == pytest.approx(14.1234568)
     path.write_bytes(dataflash(und=0.0))
     log = DataFlashLog(path, MavlinkParameters())
-    assert not [r for r in log.records() if isinstance(r, Fix)] and log.losses.as_dict() == {"fix_no_ellipsoidal_height": 50}
+    assert not [r for r in log.records() if isinstance(r, Fix)] and log.losses.as_dict() == {
+        "fix_no_ellipsoidal_height": 50
+    }
 
 
 def test_both_kinds_of_log_are_read_alike(tmp_path):
@@ -479,14 +674,32 @@ def test_both_kinds_of_log_are_read_alike(tmp_path):
         vehicle.attitude(ms)
     frames = vehicle.take()
     path = tmp_path / "a.tlog"
-    path.write_bytes(b"".join(struct.pack(">Q", START // 1000 + 1_000_000 + 50_000 * i) + f for i, f in enumerate(frames)) + b"\x00")
+    path.write_bytes(
+        b"".join(
+            struct.pack(">Q", START // 1000 + 1_000_000 + 50_000 * i) + f
+            for i, f in enumerate(frames)
+        )
+        + b"\x00"
+    )
     log = MavlinkLog(path, MavlinkParameters())
     kinds = [type(r) for r in log.records()]
-    assert (kinds.count(Fix), kinds.count(ImuSample)) == (59, 60)  # the first two seconds compare the clocks
-    assert log.losses().as_dict() == {"fix_clock_unsettled": 21, "imu_clock_unsettled": 20, "mavlink_noise_byte": 1}
+    assert (kinds.count(Fix), kinds.count(ImuSample)) == (
+        59,
+        60,
+    )  # the first two seconds compare the clocks
+    assert log.losses().as_dict() == {
+        "fix_clock_unsettled": 21,
+        "imu_clock_unsettled": 20,
+        "mavlink_noise_byte": 1,
+    }
     (tmp_path / "a.BIN").write_bytes(dataflash())
     log = MavlinkLog(tmp_path / "a.BIN", MavlinkParameters())
-    assert len(list(log.records())) == 150 and not log.losses() and log.status()["clock"] == "UTC by GPS time" and len(log.digest()) == 64
+    assert (
+        len(list(log.records())) == 150
+        and not log.losses()
+        and log.status()["clock"] == "UTC by GPS time"
+        and len(log.digest()) == 64
+    )
 
 
 def test_damaged_dataflash_logs_never_crash_and_always_end(tmp_path):
@@ -514,19 +727,42 @@ def test_damaged_dataflash_logs_never_crash_and_always_end(tmp_path):
 def test_the_real_tlog():
     losses = Losses()
     for clock, jitter in (("utc", 5e-3), ("ros", 2.0)):
-        session = MavlinkSession(MavlinkParameters(height="msl", geoid_undulation_m=19.0, clock=clock))
-        records = [r for t, f in tlog_frames(LOGS / "vtol.tlog", losses) for r in session.feed(f, t)]
-        fixes, imus = [r for r in records if isinstance(r, Fix)], [r for r in records if isinstance(r, ImuSample)]
-        assert session.stream.packets == 23894 and len(imus) > 860 and len(fixes) > 780 and not losses
-        assert all(f.C_enu is None for f in fixes) and {f.status for f in fixes} <= set(STATUS.values())  # it sends no accuracies
-        east = [(f.longitude_deg - fixes[0].longitude_deg) * math.cos(math.radians(fixes[0].latitude_deg)) * 111_320 for f in fixes]
+        session = MavlinkSession(
+            MavlinkParameters(height="msl", geoid_undulation_m=19.0, clock=clock)
+        )
+        records = [
+            r for t, f in tlog_frames(LOGS / "vtol.tlog", losses) for r in session.feed(f, t)
+        ]
+        fixes, imus = (
+            [r for r in records if isinstance(r, Fix)],
+            [r for r in records if isinstance(r, ImuSample)],
+        )
+        assert (
+            session.stream.packets == 23894 and len(imus) > 860 and len(fixes) > 780 and not losses
+        )
+        assert all(f.C_enu is None for f in fixes) and {f.status for f in fixes} <= set(
+            STATUS.values()
+        )  # it sends no accuracies
+        east = [
+            (f.longitude_deg - fixes[0].longitude_deg)
+            * math.cos(math.radians(fixes[0].latitude_deg))
+            * 111_320
+            for f in fixes
+        ]
         assert 100 < max(east) - min(east) < 5000 and all(550 < f.height_m < 800 for f in fixes)
         # nothing is silent: every attitude and fix that came is a record or has a reason
         seen, lost = session.decoder.counts, session.losses().as_dict()
         late = lost.get("mavlink_message_late", 0)
         assert len(imus) + lost["imu_clock_unsettled"] + late >= seen["ATTITUDE"] >= len(imus)
-        assert len(fixes) + lost["fix_clock_unsettled"] + session.decoder.repeated == seen["GPS_RAW_INT"]
-        assert lost["mavlink_packet_lost"] > 500 and "mavlink_restart" not in lost and "mavlink_noise_byte" not in lost
+        assert (
+            len(fixes) + lost["fix_clock_unsettled"] + session.decoder.repeated
+            == seen["GPS_RAW_INT"]
+        )
+        assert (
+            lost["mavlink_packet_lost"] > 500
+            and "mavlink_restart" not in lost
+            and "mavlink_noise_byte" not in lost
+        )
         assert session.decoder.clock.line.sigma_ns * 1e-9 < jitter
 
 
@@ -535,19 +771,34 @@ def test_the_real_truncated_dataflash_log():
     log = DataFlashLog(LOGS / "test.BIN", MavlinkParameters(height="msl", geoid_undulation_m=19.0))
     records = list(log.records())
     kinds = [type(r).__name__ for r in records]
-    assert (kinds.count("Fix"), kinds.count("ImuSample"), kinds.count("InertialSample")) == (5, 24, 45)
+    assert (kinds.count("Fix"), kinds.count("ImuSample"), kinds.count("InertialSample")) == (
+        5,
+        24,
+        45,
+    )
     assert log.losses["mavlink_noise_byte"] < 100  # the torn message at its end
     assert all(abs(r.t_ns - records[0].t_ns) < 5 * S for r in records)
     up = [r.acceleration_body[2] for r in records if type(r).__name__ == "InertialSample"]
     assert 9 < np.mean(up) < 10.5  # specific force of a vehicle at rest points up
 
 
-# links ------------------------------------------------------------------------------------------------------------
+# links
+# --------------------------------------------------------------------------------------------------
 def test_urls_are_read_or_refused():
-    for url in ("udpin:127.0.0.1", "carrier:pigeon:1", "udpin:127.0.0.1:70000", "", "serial:/dev/null:12345"):
+    for url in (
+        "udpin:127.0.0.1",
+        "carrier:pigeon:1",
+        "udpin:127.0.0.1:70000",
+        "",
+        "serial:/dev/null:12345",
+    ):
         with pytest.raises(ConfigurationError):
             open_link(url)
-    assert log_file("file:/a/b.tlog") == Path("/a/b.tlog") and log_file("x.BIN") == Path("x.BIN") and log_file("udpin:1.2.3.4:5") is None
+    assert (
+        log_file("file:/a/b.tlog") == Path("/a/b.tlog")
+        and log_file("x.BIN") == Path("x.BIN")
+        and log_file("udpin:1.2.3.4:5") is None
+    )
     link = open_link("udpin::0")  # no host: loopback, and nothing else
     assert link.address[0] == "127.0.0.1"
     with pytest.raises(ConfigurationError):
@@ -612,11 +863,15 @@ def test_a_serial_port():
 
 
 class Peer(threading.Thread):
-    """A real pymavlink autopilot over UDP: answers TIMESYNC, obeys rates; its clock began some time ago."""
+    """A real pymavlink autopilot over UDP: answers TIMESYNC, obeys rates; its clock began some time
+    ago.
+    """
 
     def __init__(self, address):
         super().__init__(daemon=True)
-        self.link = mavutil.mavlink_connection(f"udpout:{address[0]}:{address[1]}", source_system=1, source_component=1)
+        self.link = mavutil.mavlink_connection(
+            f"udpout:{address[0]}:{address[1]}", source_system=1, source_component=1
+        )
         self.boot = time.time_ns() - 100 * S
         self.rates, self.stop = {}, threading.Event()
 
@@ -647,10 +902,15 @@ def test_a_real_peer_over_udp_is_asked_answers_and_is_timed():
     peer.start()
     try:
         records, deadline = [], time.monotonic() + 8.0
-        while time.monotonic() < deadline and not (session.decoder.round_trips.ready and len(records) > 30):
+        while time.monotonic() < deadline and not (
+            session.decoder.round_trips.ready and len(records) > 30
+        ):
             records += session.feed(link.read(0.02), time.time_ns())
             link.write(session.due(time.time_ns()))
-        assert session.decoder.round_trips.ready and session.status()["clock"] == "round trips of TIMESYNC"
+        assert (
+            session.decoder.round_trips.ready
+            and session.status()["clock"] == "round trips of TIMESYNC"
+        )
         line = session.decoder.clock.line
         error = line.offset(time.time_ns() - peer.boot) - peer.boot
         assert abs(error) < 5 * line.sigma_ns + 10**6 and line.sigma_ns < 5e7

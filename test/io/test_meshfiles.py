@@ -10,9 +10,23 @@ from ladar_volume.model.errors import InputError, OutputError
 from ladar_volume.volume.tetrahedra import closed_volume
 
 V = np.array([[x, y, z] for z in (0.0, 1) for y in (0.0, 1) for x in (0.0, 1)])
-T = np.array([
-    [0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4], [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5],
-], np.int32)  # fmt: skip
+T = np.array(
+    [
+        [0, 2, 1],
+        [1, 2, 3],
+        [4, 5, 6],
+        [5, 7, 6],
+        [0, 1, 4],
+        [1, 5, 4],
+        [2, 6, 3],
+        [3, 6, 7],
+        [0, 4, 2],
+        [2, 4, 6],
+        [1, 3, 5],
+        [3, 7, 5],
+    ],
+    np.int32,
+)
 QUADS = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
 
 
@@ -27,18 +41,39 @@ def test_there_and_back_to_the_last_bit(tmp_path, ending):
 def test_stl_is_welded(tmp_path):
     write_mesh(tmp_path / "m.stl", V, T)
     m = read_mesh(tmp_path / "m.stl")
-    assert len(m.vertices) == 8 and closed_volume(m.vertices, m.triangles).volume_m3 == pytest.approx(1.0)
+    assert len(m.vertices) == 8 and closed_volume(
+        m.vertices, m.triangles
+    ).volume_m3 == pytest.approx(1.0)
     text = "solid cube\n" + "".join(
-        "facet normal 0 0 0\nouter loop\n" + "".join(f"  vertex {x} {y} {z}\n" for x, y, z in V[t]) + "endloop\nendfacet\n" for t in T
+        "facet normal 0 0 0\nouter loop\n"
+        + "".join(f"  vertex {x} {y} {z}\n" for x, y, z in V[t])
+        + "endloop\nendfacet\n"
+        for t in T
     )
-    (tmp_path / "a.STL").write_text(text + "facet normal 0 0 0\nouter loop\nvertex 1 1 1\nvertex 1 1 1\nvertex 0 0 0\nendloop\nendfacet\nendsolid\n")
+    (tmp_path / "a.STL").write_text(
+        text
+        + (
+            "facet normal 0 0 0\nouter loop\nvertex 1 1 1\nvertex 1 1 1\nvertex 0 0 "
+            "0\nendloop\nendfacet\nendsolid\n"
+        )
+    )
     a = read_mesh(tmp_path / "a.STL")
-    assert len(a.vertices) == 8 and a.dropped == 1 and closed_volume(a.vertices, a.triangles).volume_m3 == pytest.approx(1.0)
+    assert (
+        len(a.vertices) == 8
+        and a.dropped == 1
+        and closed_volume(a.vertices, a.triangles).volume_m3 == pytest.approx(1.0)
+    )
 
 
 def ply(fmt, faces, more=""):
-    head = f"ply\nformat {fmt} 1.0\ncomment c\nelement vertex 8\nproperty float x\nproperty float y\nproperty float z\nproperty uchar red\n"
-    return (head + f"element face {len(faces)}\n{more}property list uchar int vertex_index\nend_header\n").encode()
+    head = (
+        f"ply\nformat {fmt} 1.0\ncomment c\nelement vertex 8\nproperty float x\nproperty "
+        "float y\nproperty float z\nproperty uchar red\n"
+    )
+    return (
+        head
+        + f"element face {len(faces)}\n{more}property list uchar int vertex_index\nend_header\n"
+    ).encode()
 
 
 @pytest.mark.parametrize("order", ["<", ">", ""])
@@ -49,20 +84,32 @@ def test_ply_of_quads_and_of_mixed_faces(tmp_path, order, mixed):
     if order:
         rows = np.zeros(8, [("p", order + "f4", 3), ("red", "u1")])
         rows["p"] = V
-        body = rows.tobytes() + b"".join(np.uint8(len(f)).tobytes() + np.array(f, order + "i4").tobytes() for f in faces)
+        body = rows.tobytes() + b"".join(
+            np.uint8(len(f)).tobytes() + np.array(f, order + "i4").tobytes() for f in faces
+        )
     else:
-        body = "".join(f"{x} {y} {z} 9\n" for x, y, z in V).encode() + "".join(f"{len(f)} {' '.join(map(str, f))}\n" for f in faces).encode()
+        body = (
+            "".join(f"{x} {y} {z} 9\n" for x, y, z in V).encode()
+            + "".join(f"{len(f)} {' '.join(map(str, f))}\n" for f in faces).encode()
+        )
     (tmp_path / "m.ply").write_bytes(ply(fmt, faces) + body)
     m = read_mesh(tmp_path / "m.ply")
-    assert len(m.triangles) == 12 and closed_volume(m.vertices, m.triangles).volume_m3 == pytest.approx(1.0)
+    assert len(m.triangles) == 12 and closed_volume(
+        m.vertices, m.triangles
+    ).volume_m3 == pytest.approx(1.0)
 
 
 def test_what_others_write(tmp_path):
     obj = "# cube\nmtllib a.mtl\n" + "".join(f"v {x} {y} {z} 1.0\nvn 0 0 1\n" for x, y, z in V)
-    (tmp_path / "q.obj").write_text(obj + "".join("f " + " ".join(f"{i + 1}//{i + 1}" for i in q) + "\n" for q in QUADS[:3])
-                                    + "".join("f " + " ".join(str(i - 8) for i in q) + " # relative\n" for q in QUADS[3:]))  # fmt: skip
+    (tmp_path / "q.obj").write_text(
+        obj
+        + "".join("f " + " ".join(f"{i + 1}//{i + 1}" for i in q) + "\n" for q in QUADS[:3])
+        + "".join("f " + " ".join(str(i - 8) for i in q) + " # relative\n" for q in QUADS[3:])
+    )
     off = "COFF 8 6 0\n# colours follow\n" + "".join(f"{x} {y} {z} 255 0 0\n\n" for x, y, z in V)
-    (tmp_path / "q.off").write_text(off + "".join(f"4 {' '.join(map(str, q))} 0.5 0.5 0.5\n" for q in QUADS))
+    (tmp_path / "q.off").write_text(
+        off + "".join(f"4 {' '.join(map(str, q))} 0.5 0.5 0.5\n" for q in QUADS)
+    )
     for name in ("q.obj", "q.off"):
         m = read_mesh(tmp_path / name)
         assert closed_volume(m.vertices, m.triangles).volume_m3 == pytest.approx(1.0)
@@ -74,7 +121,9 @@ def test_open3d_reads_what_is_written(tmp_path):
         write_mesh(tmp_path / f"m.{ending}", V, T)
         mesh = o3d.io.read_triangle_mesh(str(tmp_path / f"m.{ending}"))
         assert len(mesh.triangles) == 12
-        assert o3d.io.write_triangle_mesh(str(tmp_path / f"o.{ending}"), mesh.compute_triangle_normals())
+        assert o3d.io.write_triangle_mesh(
+            str(tmp_path / f"o.{ending}"), mesh.compute_triangle_normals()
+        )
         back = read_mesh(tmp_path / f"o.{ending}")
         assert len(back.triangles) == 12 and np.abs(back.vertices).max() == 1.0
 
@@ -97,19 +146,35 @@ def test_refused_files(tmp_path):
         write_mesh(tmp_path / f"g.{ending}", V, T)
         good[ending] = (tmp_path / f"g.{ending}").read_bytes()
     cases = {
-        "e.ply": (b"", "mesh_file_header"), "e.off": (b"", "mesh_file_header"), "e.obj": (b"", "mesh_file_empty"),
-        "e.stl": (b"", "mesh_file_short"), "s.ply": (good["ply"][:-5], "mesh_file_short"), "s.stl": (good["stl"][:-5], "mesh_file_short"),
-        "s.off": (good["off"][:-20], "mesh_file_short"), "n.obj": (b"v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "mesh_file_values"),
-        "i.obj": (b"v 0 0 0\nf 1 2 3\n", "mesh_file_index"), "z.obj": (b"v 0 0 0\nf 0 1 1\n", "mesh_file_index"),
-        "w.obj": (b"v 0 0\n", "mesh_file_values"), "t.obj": (b"v a b c\n", "mesh_file_values"), "d.obj": (b"v 0 0 0\nf 1 1\n", "mesh_file_values"),
-        "h.off": (b"OFF\n-1 2 0\n", "mesh_file_header"), "huge.off": (b"OFF\n99999999999 2 0\n", "mesh_file_short"),
-        "c.ply": (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n", "mesh_file_fields"),
+        "e.ply": (b"", "mesh_file_header"),
+        "e.off": (b"", "mesh_file_header"),
+        "e.obj": (b"", "mesh_file_empty"),
+        "e.stl": (b"", "mesh_file_short"),
+        "s.ply": (good["ply"][:-5], "mesh_file_short"),
+        "s.stl": (good["stl"][:-5], "mesh_file_short"),
+        "s.off": (good["off"][:-20], "mesh_file_short"),
+        "n.obj": (b"v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "mesh_file_values"),
+        "i.obj": (b"v 0 0 0\nf 1 2 3\n", "mesh_file_index"),
+        "z.obj": (b"v 0 0 0\nf 0 1 1\n", "mesh_file_index"),
+        "w.obj": (b"v 0 0\n", "mesh_file_values"),
+        "t.obj": (b"v a b c\n", "mesh_file_values"),
+        "d.obj": (b"v 0 0 0\nf 1 1\n", "mesh_file_values"),
+        "h.off": (b"OFF\n-1 2 0\n", "mesh_file_header"),
+        "huge.off": (b"OFF\n99999999999 2 0\n", "mesh_file_short"),
+        "c.ply": (
+            b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n",
+            "mesh_file_fields",
+        ),
         "f.ply": (b"ply\nformat other 1.0\nend_header\n", "mesh_file_header"),
         "b.ply": (ply("ascii", QUADS) + b"x " * 32, "mesh_file_values"),
         "l.ply": (ply("ascii", QUADS) + b"1 " * 32 + b"-3 0 0 0", "mesh_file_short"),
-        "huge.ply": (good["ply"].replace(b"element face 12", b"element face 1200000000"), "mesh_file_short"),
-        "0.stl": (bytes(84), "mesh_file_empty"), "x.stl": (b"solid\nfacet\nvertex 0 0 0\nendsolid", "mesh_file_short"),
-    }  # fmt: skip
+        "huge.ply": (
+            good["ply"].replace(b"element face 12", b"element face 1200000000"),
+            "mesh_file_short",
+        ),
+        "0.stl": (bytes(84), "mesh_file_empty"),
+        "x.stl": (b"solid\nfacet\nvertex 0 0 0\nendsolid", "mesh_file_short"),
+    }
     for name, (data, expected) in cases.items():
         (tmp_path / name).write_bytes(data)
         assert reason(tmp_path / name) == expected, name
@@ -129,11 +194,18 @@ def test_damaged_files_raise_typed_errors_or_read(tmp_path, seed):
             m = read_mesh(path)
         except InputError:
             continue
-        assert np.isfinite(m.vertices).all() and 0 <= m.triangles.min() and m.triangles.max() < len(m.vertices)
+        assert (
+            np.isfinite(m.vertices).all()
+            and 0 <= m.triangles.min()
+            and m.triangles.max() < len(m.vertices)
+        )
 
 
 def test_fans_and_output_errors(tmp_path):
-    assert fans(np.array([[0, 1, 2, 3]])).tolist() == [[0, 1, 2], [0, 2, 3]] and fans([]).shape == (0, 3)
+    assert fans(np.array([[0, 1, 2, 3]])).tolist() == [[0, 1, 2], [0, 2, 3]] and fans([]).shape == (
+        0,
+        3,
+    )
     with pytest.raises(OutputError):
         write_mesh(tmp_path / "m.xyz", V, T)
     with pytest.raises(OutputError):

@@ -21,18 +21,26 @@ STAMP = Message(stamp=Message(sec=1, nanosec=5))
 
 def fix(**changes):
     m = Message(
-        header=STAMP, status=Message(status=2), latitude=50.0, longitude=14.0, altitude=200.0,
-        position_covariance=np.diag([1e-4, 1e-4, 4e-4]).ravel(), position_covariance_type=2,
-    )  # fmt: skip
+        header=STAMP,
+        status=Message(status=2),
+        latitude=50.0,
+        longitude=14.0,
+        altitude=200.0,
+        position_covariance=np.diag([1e-4, 1e-4, 4e-4]).ravel(),
+        position_covariance_type=2,
+    )
     vars(m).update(changes)
     return m
 
 
 def imu(**changes):
     m = Message(
-        header=STAMP, orientation=Message(x=0.0, y=0.0, z=0.0, w=1.0), orientation_covariance=np.diag([1e-6] * 3).ravel(),
-        angular_velocity=Message(x=0.0, y=0.0, z=0.1), angular_velocity_covariance=np.zeros(9),
-    )  # fmt: skip
+        header=STAMP,
+        orientation=Message(x=0.0, y=0.0, z=0.0, w=1.0),
+        orientation_covariance=np.diag([1e-6] * 3).ravel(),
+        angular_velocity=Message(x=0.0, y=0.0, z=0.1),
+        angular_velocity_covariance=np.zeros(9),
+    )
     vars(m).update(changes)
     return m
 
@@ -87,7 +95,9 @@ def test_recordings_round_trip_and_a_topic_of_the_wrong_kind_is_named(tmp_path):
         for i in range(10):
             bag.write("chat", text(f"line {i}"), i * 10**9)
     with BagReader(tmp_path / "bag") as bag:
-        assert bag.topics() == {"chat": ("std_msgs/msg/String", 10)} and bag.duration_s == pytest.approx(9.0)
+        assert bag.topics() == {
+            "chat": ("std_msgs/msg/String", 10)
+        } and bag.duration_s == pytest.approx(9.0)
         assert [bag.message(r).data for r in bag.raw()] == [f"line {i}" for i in range(10)]
         with pytest.raises(BagError, match="no topic for cloud"):
             bag.require(bag.roles(), "gnss_imu")
@@ -119,7 +129,10 @@ def test_the_odd_recordings():
         with BagReader(odd / f"rosbag2_py/test/resources/{storage}/wbag") as bag:
             assert sum(1 for _ in bag.raw()) == sum(n for _, n in bag.topics().values()) > 3000
     # its topic table does not fit its messages: saying nothing would lose all of them in silence
-    with BagReader(odd / "rosbag2_py/test/resources/sqlite3/talker") as bag, pytest.raises(BagError, match="20 announced messages"):
+    with (
+        BagReader(odd / "rosbag2_py/test/resources/sqlite3/talker") as bag,
+        pytest.raises(BagError, match="20 announced messages"),
+    ):
         list(bag.raw())
     with pytest.raises(BagError, match="holds no message"):
         BagReader(odd / "ros2bag/test/resources/empty_bag")
@@ -133,7 +146,9 @@ def test_unwritable_output_is_an_error_not_a_traceback(tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("")
     for action in (
-        lambda: BagWriter(blocked / "bag"), lambda: output_folder(blocked / "out"), lambda: McapLog(LoggerParameters(), blocked / "a.mcap"),
-    ):  # fmt: skip
+        lambda: BagWriter(blocked / "bag"),
+        lambda: output_folder(blocked / "out"),
+        lambda: McapLog(LoggerParameters(), blocked / "a.mcap"),
+    ):
         with pytest.raises(OutputError):
             action()

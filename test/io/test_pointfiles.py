@@ -1,4 +1,6 @@
-"""Point cloud files: round trips in every format, the layouts of other programs, and files that must be refused."""
+"""Point cloud files: round trips in every format, the layouts of other programs, and files that
+must be refused.
+"""
 
 import struct
 
@@ -38,7 +40,9 @@ def test_round_trip_keeps_every_bit_and_the_order(ending, encoding, tmp_path):
     else:
         assert np.array_equal(back.r, r)
     assert back.r.dtype == np.float64 and back.r.flags.c_contiguous and len(back) == 57
-    assert np.array_equal(back.columns["normal"], columns["normal"]) and np.array_equal(back.columns["sigma"], columns["sigma"])
+    assert np.array_equal(back.columns["normal"], columns["normal"]) and np.array_equal(
+        back.columns["sigma"], columns["sigma"]
+    )
     assert np.array_equal(back.columns["index"], columns["index"])
     worded = ending in (".csv", ".txt", ".xyz", ".asc", ".npy")
     expected = np.array(REASONS)[columns["reason"]] if worded else columns["reason"]
@@ -53,14 +57,22 @@ def test_positions_alone_and_a_single_point(ending, encoding, tmp_path):
     for r in (np.array([[1.0, -2.0, 3.5]]), np.array([[1e-5, 0.0, -0.0], [0.1, 1 / 3, 2e5]])):
         write_cloud(tmp_path / f"c{ending}", r, encoding=encoding)
         back = read_cloud(tmp_path / f"c{ending}")
-        np.testing.assert_allclose(back.r, r, rtol=0, atol=0.5001e-4 if ending in (".las", ".laz") else 0)
+        np.testing.assert_allclose(
+            back.r, r, rtol=0, atol=0.5001e-4 if ending in (".las", ".laz") else 0
+        )
         assert ending in (".las", ".laz") or not back.columns
 
 
 @pytest.mark.parametrize("ending,encoding", EVERY)
 def test_no_point_is_written_and_read_as_none(ending, encoding, tmp_path):
     r, columns = cloud(3)
-    write_cloud(tmp_path / f"c{ending}", r[:0], {k: v[:0] for k, v in columns.items()}, {"reason": REASONS}, encoding)
+    write_cloud(
+        tmp_path / f"c{ending}",
+        r[:0],
+        {k: v[:0] for k, v in columns.items()},
+        {"reason": REASONS},
+        encoding,
+    )
     with pytest.raises(CloudError) as caught:
         read_cloud(tmp_path / f"c{ending}")
     assert caught.value.reason == "cloud_empty"
@@ -72,10 +84,14 @@ def test_open3d_reads_what_is_written(ending, encoding, tmp_path):
     r, columns = cloud()
     write_cloud(tmp_path / f"c{ending}", r, columns, {"reason": REASONS}, encoding)
     seen = o3d.t.io.read_point_cloud(str(tmp_path / f"c{ending}")).point
-    assert np.array_equal(seen["positions"].numpy(), r) and np.array_equal(seen["normals"].numpy(), columns["normal"])
+    assert np.array_equal(seen["positions"].numpy(), r) and np.array_equal(
+        seen["normals"].numpy(), columns["normal"]
+    )
 
 
-@pytest.mark.parametrize("name,options", [("c.pcd", {"compressed": True}), ("c.pcd", {}), ("c.ply", {})])
+@pytest.mark.parametrize(
+    "name,options", [("c.pcd", {"compressed": True}), ("c.pcd", {}), ("c.ply", {})]
+)
 def test_what_open3d_writes_is_read(name, options, tmp_path):
     o3d = pytest.importorskip("open3d")
     r, columns = cloud(3000)
@@ -98,12 +114,16 @@ def test_what_open3d_writes_is_read(name, options, tmp_path):
         ("a.txt", "\n# made by hand\n  1\t2   3 \n\n# again\n4 5 6", {}),
         ("a.csv", "1,2,3\n4, 5 ,6\r\n", {}),
         ("a.csv", "X;Y;Z\r\n1;2;3\r\n4;5;6\r\n", {}),
-        ("a.csv", '\ufeff"z","x","y","class"\n3,1,2,tree\n6,4,5,"bench, small"\n', {"class": ["tree", "bench, small"]}),
+        (
+            "a.csv",
+            '\ufeff"z","x","y","class"\n3,1,2,tree\n6,4,5,"bench, small"\n',
+            {"class": ["tree", "bench, small"]},
+        ),
         ("a.asc", "//X Y Z Intensity\n1 2 3 7\n4 5 6 8\n", {"Intensity": [7, 8]}),
         ("a.xyz", "1 2 3 0.5 9\n4 5 6 1e-3 -1\n", {"c3": [0.5, 1e-3], "c4": [9, -1]}),
         ("a.txt", "x y z nx ny nz\n1 2 3 0 0 1\n4 5 6 0 1 0\n", {"normal": [[0, 0, 1], [0, 1, 0]]}),
     ],
-)  # fmt: skip
+)
 def test_the_tables_of_other_programs(name, text, columns, tmp_path):
     (tmp_path / name).write_bytes(text.encode())
     back = read_cloud(tmp_path / name)
@@ -121,25 +141,45 @@ def test_arrays_without_names(tmp_path):
 
 
 def test_ply_with_faces_comments_and_elements_before_the_vertices(tmp_path):
-    head = "ply\r\nformat ascii 1.0\r\ncomment x\r\nelement camera 1\r\nproperty float f\r\nelement vertex 2\r\nproperty float x\r\nproperty float y\r\n"
-    body = "property float z\r\nproperty uchar red\r\nelement face 1\r\nproperty list uchar int vertex_indices\r\nend_header\r\n50\r\n1 2 3.1 255\r\n4 5 6 0\r\n3 0 1 0\r\n"
+    head = (
+        "ply\r\nformat ascii 1.0\r\ncomment x\r\nelement camera 1\r\nproperty float "
+        "f\r\nelement vertex 2\r\nproperty float x\r\nproperty float y\r\n"
+    )
+    body = (
+        "property float z\r\nproperty uchar red\r\nelement face 1\r\nproperty list uchar int "
+        "vertex_indices\r\nend_header\r\n50\r\n1 2 3.1 255\r\n4 5 6 0\r\n3 0 1 0\r\n"
+    )
     (tmp_path / "a.ply").write_bytes((head + body).encode())
     back = read_cloud(tmp_path / "a.ply")
     assert back.r.tolist() == [[1, 2, 3.1], [4, 5, 6]] and back.columns["red"].tolist() == [255, 0]
     vertices = struct.pack("<dffffB", 9.0, 1, 2, 3, 0.5, 7)
-    head = "ply\nformat binary_little_endian 1.0\nelement camera 1\nproperty double f\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nproperty float q\nproperty uchar red\nelement face 1\nproperty list uchar int v\nend_header\n"
+    head = (
+        "ply\nformat binary_little_endian 1.0\nelement camera 1\nproperty double f\nelement "
+        "vertex 1\nproperty float x\nproperty float y\nproperty float z\nproperty float "
+        "q\nproperty uchar red\nelement face 1\nproperty list uchar int v\nend_header\n"
+    )
     (tmp_path / "a.ply").write_bytes(head.encode() + vertices + b"\x03" + bytes(12))
     back = read_cloud(tmp_path / "a.ply")
-    assert back.r.tolist() == [[1, 2, 3]] and back.columns["q"].tolist() == [0.5] and back.columns["red"].tolist() == [7]
+    assert (
+        back.r.tolist() == [[1, 2, 3]]
+        and back.columns["q"].tolist() == [0.5]
+        and back.columns["red"].tolist() == [7]
+    )
 
 
 def test_organised_pcd_with_padding_and_vectors(tmp_path):
-    head = "# .PCD v.7\nVERSION .7\nFIELDS x y z _ hist _\nSIZE 4 4 4 1 4 1\nTYPE F F F U F U\nCOUNT 1 1 1 4 2 2\nWIDTH 2\nHEIGHT 2\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 4\nDATA binary\n"
+    head = (
+        "# .PCD v.7\nVERSION .7\nFIELDS x y z _ hist _\nSIZE 4 4 4 1 4 1\nTYPE F F F U F "
+        "U\nCOUNT 1 1 1 4 2 2\nWIDTH 2\nHEIGHT 2\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 4\nDATA "
+        "binary\n"
+    )
     rows = b"".join(struct.pack("<3f4x2f2x", i, i + 1, i + 2, 10 * i, 20 * i) for i in range(4))
     (tmp_path / "a.pcd").write_bytes(head.encode() + rows)
     back = read_cloud(tmp_path / "a.pcd")
     assert back.r.tolist() == [[i, i + 1, i + 2] for i in range(4)]
-    assert back.columns["hist"].tolist() == [[10 * i, 20 * i] for i in range(4)] and list(back.columns) == ["hist"]
+    assert back.columns["hist"].tolist() == [[10 * i, 20 * i] for i in range(4)] and list(
+        back.columns
+    ) == ["hist"]
     write_cloud(tmp_path / "b.csv", back.r, back.columns)
     assert list(read_cloud(tmp_path / "b.csv").columns) == ["hist_0", "hist_1"]
 
@@ -169,7 +209,8 @@ def test_a_file_cut_anywhere_never_passes_for_a_whole_one(ending, encoding, tmp_
         except CloudError as error:
             assert "cut" in str(error)
         else:
-            # a table does not say how long it is, and a last number may have lost digits without a trace; what is there keeps its row
+            # a table does not say how long it is, and a last number may have lost digits without a
+            # trace; what is there keeps its row
             assert text or encoding == "ascii"
             k = len(back) - 1
             assert np.array_equal(back.r[:k], r[:k]) and (text or len(back) == 20)
@@ -182,7 +223,8 @@ def test_damaged_bytes_give_a_typed_error_or_points(ending, encoding, tmp_path):
     write_cloud(path, r, columns, {"reason": REASONS}, encoding)
     whole = path.read_bytes()
     rng = np.random.default_rng(1)
-    # sizes inside the packed points of LAZ make its decompressor ask for gigabytes, if only for a moment: not in a test
+    # sizes inside the packed points of LAZ make its decompressor ask for gigabytes, if only for a
+    # moment: not in a test
     head = min(400, len(whole))
     reach = head if ending == ".laz" else len(whole)
     for k in range(150):
@@ -208,7 +250,15 @@ def test_missing_empty_and_foreign_files(ending, tmp_path):
     with pytest.raises(CloudError) as caught:
         read_cloud(path)
     assert caught.value.reason == "cloud_empty"
-    for garbage in (b"\x00" * 500, b"\xff\xfe\x00" * 3000, b"\n" * 50, b"ply\n", b"hello\nworld\n", b"LASF" + b"\xff" * 600, b"x" * 300_000):
+    for garbage in (
+        b"\x00" * 500,
+        b"\xff\xfe\x00" * 3000,
+        b"\n" * 50,
+        b"ply\n",
+        b"hello\nworld\n",
+        b"LASF" + b"\xff" * 600,
+        b"x" * 300_000,
+    ):
         path.write_bytes(garbage)
         with pytest.raises(CloudError):
             read_cloud(path)
@@ -235,17 +285,37 @@ PCD = "FIELDS {}\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH {}\nHEIGHT 1\nPOINT
         ("a.ply", PLY.format("binary_little_endian", 10**15, XYZ, "1 2 3\n"), "cloud_short"),
         ("a.ply", PLY.format("binary_little_endian", -1, XYZ, ""), "cloud_header"),
         ("a.ply", PLY.format("binary", 1, XYZ, ""), "cloud_header"),
-        ("a.ply", PLY.format("ascii", 1, "property float x\nproperty float y\n", "1 2\n"), "cloud_fields"),
+        (
+            "a.ply",
+            PLY.format("ascii", 1, "property float x\nproperty float y\n", "1 2\n"),
+            "cloud_fields",
+        ),
         ("a.ply", PLY.format("ascii", 1, XYZ + "property float x\n", "1 2 3 4\n"), "cloud_fields"),
-        ("a.ply", PLY.format("ascii", 1, XYZ + "property list uchar int v\n", "1 2 3 1 4\n"), "cloud_fields"),
+        (
+            "a.ply",
+            PLY.format("ascii", 1, XYZ + "property list uchar int v\n", "1 2 3 1 4\n"),
+            "cloud_fields",
+        ),
         ("a.ply", PLY.format("ascii", 1, XYZ + "property quad v\n", "1 2 3 4\n"), "cloud_header"),
         ("a.ply", "ply\nformat ascii 1.0\nelement face 0\nend_header\n", "cloud_header"),
         ("a.pcd", PCD.format("x y z", 0, 0, "ascii", ""), "cloud_empty"),
         ("a.pcd", PCD.format("x y z", 2, 3, "ascii", "1 2 3\n"), "cloud_header"),
         ("a.pcd", PCD.format("x y z", 10**14, 10**14, "binary", "1 2 3\n"), "cloud_short"),
-        ("a.pcd", PCD.format("x y z", 10**9, 10**9, "binary_compressed", "\1\0\0\0\0\0\0\0\0"), "cloud_header"),
-        ("a.pcd", PCD.format("x y z", 1, 1, "binary_compressed", "\x0f\0\0\0\x0c\0\0\0ab"), "cloud_short"),
-        ("a.pcd", PCD.format("x y z", 1, 1, "binary_compressed", "\2\0\0\0\x0c\0\0\0\x41\x42"), "cloud_values"),
+        (
+            "a.pcd",
+            PCD.format("x y z", 10**9, 10**9, "binary_compressed", "\1\0\0\0\0\0\0\0\0"),
+            "cloud_header",
+        ),
+        (
+            "a.pcd",
+            PCD.format("x y z", 1, 1, "binary_compressed", "\x0f\0\0\0\x0c\0\0\0ab"),
+            "cloud_short",
+        ),
+        (
+            "a.pcd",
+            PCD.format("x y z", 1, 1, "binary_compressed", "\2\0\0\0\x0c\0\0\0\x41\x42"),
+            "cloud_values",
+        ),
         ("a.pcd", PCD.format("x y w", 1, 1, "ascii", "1 2 3\n"), "cloud_fields"),
         ("a.pcd", PCD.format("x y x", 1, 1, "ascii", "1 2 3\n"), "cloud_fields"),
         ("a.pcd", PCD.format("x y", 1, 1, "ascii", "1 2\n"), "cloud_header"),
@@ -272,7 +342,14 @@ def test_contents_that_make_no_sense(name, text, reason, tmp_path):
 
 
 def test_arrays_that_make_no_cloud(tmp_path):
-    arrays = [np.zeros(3), np.zeros((3, 2)), np.zeros((2, 3), complex), np.array([["a", "b", "c"]]), np.zeros((0, 3)), np.zeros(2, [("x", "f8")])]
+    arrays = [
+        np.zeros(3),
+        np.zeros((3, 2)),
+        np.zeros((2, 3), complex),
+        np.array([["a", "b", "c"]]),
+        np.zeros((0, 3)),
+        np.zeros(2, [("x", "f8")]),
+    ]
     for array in [*arrays, np.array([[1, 2, None]], object)]:
         np.save(tmp_path / "a.npy", array, allow_pickle=True)
         with pytest.raises(CloudError):
@@ -295,14 +372,20 @@ def test_unknown_kinds_and_what_cannot_be_written(tmp_path):
                 function(path)
     assert check_output(tmp_path / "a.laz") == tmp_path / "a.laz"
     bad = [
-        {"r": r[:, :2]}, {"r": r, "columns": {"s": np.zeros(3)}}, {"r": r, "columns": {"a b": np.zeros(4)}},
-        {"r": r, "columns": {"s": np.array(list("abcd"))}}, {"r": r, "columns": {"s": np.full(4, 2**60)}}, {"r": r, "encoding": "zip"},
-    ]  # fmt: skip
+        {"r": r[:, :2]},
+        {"r": r, "columns": {"s": np.zeros(3)}},
+        {"r": r, "columns": {"a b": np.zeros(4)}},
+        {"r": r, "columns": {"s": np.array(list("abcd"))}},
+        {"r": r, "columns": {"s": np.full(4, 2**60)}},
+        {"r": r, "encoding": "zip"},
+    ]
     for options in bad:
         with pytest.raises(OutputError):
             write_cloud(tmp_path / "a.ply", **options)
     with pytest.raises(OutputError, match="separator"):
-        write_cloud(tmp_path / "a.csv", r, {"reason": np.zeros(4, int)}, {"reason": ("too far, really",)})
+        write_cloud(
+            tmp_path / "a.csv", r, {"reason": np.zeros(4, int)}, {"reason": ("too far, really",)}
+        )
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder.ply"]
 
 
@@ -328,7 +411,10 @@ def packable():
 def test_compression_is_lossless_and_its_kernels_equal_their_plain_twins():
     for data in packable():
         packed = lzf.pack(data)
-        assert np.array_equal(packed, lzf.pack.py_func(data)) and len(packed) <= len(data) * 33 // 32 + 1
+        assert (
+            np.array_equal(packed, lzf.pack.py_func(data))
+            and len(packed) <= len(data) * 33 // 32 + 1
+        )
         size, out = lzf.unpack(packed, len(data))
         assert size == len(data) and np.array_equal(out, data)
         for wrong in (len(data) + 1, max(len(data) - 1, 0)):
@@ -345,7 +431,9 @@ def test_codes_are_explained_where_words_cannot_be_kept(tmp_path):
     r, columns = cloud(4)
     for name in ("a.ply", "a.pcd", "a.las"):
         write_cloud(tmp_path / name, r, columns, {"reason": REASONS})
-        assert b"reason: 0 outlier, 1 few_neighbours, 2 beyond_edge" in (tmp_path / name).read_bytes()
+        assert (
+            b"reason: 0 outlier, 1 few_neighbours, 2 beyond_edge" in (tmp_path / name).read_bytes()
+        )
     assert set(PCD_ENCODINGS) == set(ENCODINGS[".pcd"])
 
 

@@ -30,7 +30,10 @@ def cdr(words):
 def read(path):
     """Messages by both readers, which must agree: (topic, log time, text)."""
     with path.open("rb") as stream:
-        mine = [(c.topic, m.log_time, bytes(m.data)) for _, c, m in make_reader(stream, validate_crcs=True).iter_messages()]
+        mine = [
+            (c.topic, m.log_time, bytes(m.data))
+            for _, c, m in make_reader(stream, validate_crcs=True).iter_messages()
+        ]
     with AnyReader([path], default_typestore=TYPESTORE) as bag:
         theirs = [(c.topic, t, bytes(data)) for c, t, data in bag.messages()]
     assert sorted(mine) == sorted(theirs)
@@ -40,11 +43,17 @@ def read(path):
 def summary(path):
     with path.open("rb") as stream:
         reader = make_reader(stream)
-        return reader.get_summary(), {m.name: m.metadata for m in reader.iter_metadata()}, {a.name: a.data for a in reader.iter_attachments()}
+        return (
+            reader.get_summary(),
+            {m.name: m.metadata for m in reader.iter_metadata()},
+            {a.name: a.data for a in reader.iter_attachments()},
+        )
 
 
 def parameters(tmp_path, **changes):
-    return LoggerParameters(**{"path": str(tmp_path / "log.mcap"), "disk_reserve_bytes": 0, "sync": "never"} | changes)
+    return LoggerParameters(
+        **{"path": str(tmp_path / "log.mcap"), "disk_reserve_bytes": 0, "sync": "never"} | changes
+    )
 
 
 def fill(recorder, n, size=50, topic="chat", step=S // 10, first=0):
@@ -60,17 +69,28 @@ def test_a_log_splits_by_size_and_every_file_explains_itself(tmp_path):
     fill(recorder, 100)
     recorder.close()
     files = log_files(tmp_path / "log.mcap")
-    assert len(files) > 2 and [f.name for f in files[:3]] == ["log.mcap", "log_1.mcap", "log_2.mcap"]
+    assert len(files) > 2 and [f.name for f in files[:3]] == [
+        "log.mcap",
+        "log_1.mcap",
+        "log_2.mcap",
+    ]
     seen = []
     for file in files:
         messages = read(file)
         assert [m[2] for m in messages if m[0] == "/datum"] == [cdr("here")]
         seen += [m for m in messages if m[0] == "/chat"]
         _, metadata, attachments = summary(file)
-        assert metadata["ladar_volume"] == {"parameters": "{}"} and attachments["parameters.yaml"] == b"a: 1"
+        assert (
+            metadata["ladar_volume"] == {"parameters": "{}"}
+            and attachments["parameters.yaml"] == b"a: 1"
+        )
     assert [m[1] for m in seen] == [i * S // 10 for i in range(100)]
     assert '"written": 100' in summary(files[-1])[1]["messages"]["chat"]
-    assert recorder.account("chat").written == 100 and recorder.account("datum").written == 1 and not recorder.losses()
+    assert (
+        recorder.account("chat").written == 100
+        and recorder.account("datum").written == 1
+        and not recorder.losses()
+    )
 
 
 def test_an_existing_log_is_never_overwritten(tmp_path):
@@ -104,7 +124,9 @@ def test_a_chunk_spans_no_more_than_chunk_s(tmp_path):
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """A log with metadata, an attachment, three topics and eight chunks; and where its records begin."""
+    """A log with metadata, an attachment, three topics and eight chunks; and where its records
+    begin.
+    """
     folder = tmp_path_factory.mktemp("finished")
     recorder = Recorder(parameters(folder, chunk_s=0.5))
     recorder.metadata("ladar_volume", {"a": "b"})
@@ -121,7 +143,13 @@ def test_a_log_cut_anywhere_opens_again_with_every_whole_chunk(finished, tmp_pat
     found, _, _ = summary(finished)
     ends = [c.chunk_start_offset + c.chunk_length for c in found.chunk_indexes]
     times = [c.message_end_time for c in found.chunk_indexes]
-    for cut in sorted({*range(0, 200, 7), *range(200, len(data), 61), *(e + d for e in ends for d in (-1, 0, 1, 40))}):
+    for cut in sorted(
+        {
+            *range(0, 200, 7),
+            *range(200, len(data), 61),
+            *(e + d for e in ends for d in (-1, 0, 1, 40)),
+        }
+    ):
         path = tmp_path / f"{cut}.mcap"
         path.write_bytes(data[:cut])
         assert not is_whole(path)
@@ -136,9 +164,14 @@ def test_a_log_cut_anywhere_opens_again_with_every_whole_chunk(finished, tmp_pat
                 assert sum(1 for _ in bag.raw()) == len(expected)
         if cut > 400:
             _, metadata, attachments = summary(path)
-            assert metadata["ladar_volume"] == {"a": "b"} and attachments["parameters.yaml"] == b"x" * 99
+            assert (
+                metadata["ladar_volume"] == {"a": "b"}
+                and attachments["parameters.yaml"] == b"x" * 99
+            )
         before = path.read_bytes()
-        assert recover(path).lost_bytes == 0 and path.read_bytes() == before  # a whole file stays as it is
+        assert (
+            recover(path).lost_bytes == 0 and path.read_bytes() == before
+        )  # a whole file stays as it is
 
 
 def test_a_repair_that_was_itself_killed_is_repaired(finished, tmp_path):
@@ -164,7 +197,11 @@ def test_a_damaged_chunk_costs_its_own_messages_alone(finished, tmp_path):
     result = recover(path)
     assert result.damaged == 1
     kept = read(path)
-    assert sorted(kept) == sorted(m for m in read(finished) if not victim.message_start_time <= m[1] <= victim.message_end_time)
+    assert sorted(kept) == sorted(
+        m
+        for m in read(finished)
+        if not victim.message_start_time <= m[1] <= victim.message_end_time
+    )
 
 
 def test_what_is_not_a_torn_log_is_left_alone(finished, tmp_path):
@@ -172,8 +209,13 @@ def test_what_is_not_a_torn_log_is_left_alone(finished, tmp_path):
     noise.write_bytes(b"something else entirely" * 9)
     with pytest.raises(OutputError) as caught:
         recover(noise)
-    assert caught.value.reason == "log_damaged" and noise.read_bytes() == b"something else entirely" * 9
-    early = tmp_path / "early.mcap"  # a tear near the beginning of a long file is damage, not an end
+    assert (
+        caught.value.reason == "log_damaged"
+        and noise.read_bytes() == b"something else entirely" * 9
+    )
+    early = (
+        tmp_path / "early.mcap"
+    )  # a tear near the beginning of a long file is damage, not an end
     with early.open("wb") as stream:
         stream.write(finished.read_bytes()[:600] + b"\xee" * 100)
         stream.truncate(80_000_000)
@@ -227,7 +269,9 @@ def test_the_next_start_repairs_what_a_killed_run_left(tmp_path):
 def test_a_full_disk_finishes_the_file_waits_and_goes_on(tmp_path, monkeypatch):
     free = [10_000]
     monkeypatch.setattr("ladar_volume.io.recorder.RETRY_S", 0.0)
-    recorder = Recorder(parameters(tmp_path, disk_reserve_bytes=1000, chunk_s=0.1), free=lambda folder: free[0])
+    recorder = Recorder(
+        parameters(tmp_path, disk_reserve_bytes=1000, chunk_s=0.1), free=lambda folder: free[0]
+    )
     fill(recorder, 10)
     free[0] = 500
     fill(recorder, 10, first=10)
@@ -240,17 +284,27 @@ def test_a_full_disk_finishes_the_file_waits_and_goes_on(tmp_path, monkeypatch):
     free[0] = 3000
     fill(recorder, 10, first=25)
     recorder.close()
-    assert recorder.problem == "" and sum(len(read(f)) for f in log_files(tmp_path / "log.mcap")) == 35 - lost - 5
+    assert (
+        recorder.problem == ""
+        and sum(len(read(f)) for f in log_files(tmp_path / "log.mcap")) == 35 - lost - 5
+    )
     assert recorder.account("chat").written == 30 - lost
 
 
 def test_a_disk_that_is_full_from_the_start_is_waited_for(tmp_path, monkeypatch):
     free = [0]
     monkeypatch.setattr("ladar_volume.io.recorder.RETRY_S", 0.0)
-    recorder = Recorder(parameters(tmp_path / "new" / "folder", disk_reserve_bytes=1000), free=lambda folder: free[0])
+    recorder = Recorder(
+        parameters(tmp_path / "new" / "folder", disk_reserve_bytes=1000),
+        free=lambda folder: free[0],
+    )
     recorder.metadata("ladar_volume", {"a": "b"})
     fill(recorder, 3)
-    assert "disk full" in recorder.problem and not (tmp_path / "new").exists() and recorder.account("chat").disk == 3
+    assert (
+        "disk full" in recorder.problem
+        and not (tmp_path / "new").exists()
+        and recorder.account("chat").disk == 3
+    )
     free[0] = 5000
     fill(recorder, 4, first=3)
     recorder.close()
@@ -264,7 +318,14 @@ def test_a_full_disk_takes_the_oldest_file_where_that_is_wanted(tmp_path):
     with pytest.raises(ConfigurationError, match="split"):
         Recorder(parameters(tmp_path, disk_full="delete_oldest"))
     used = lambda folder: sum(f.stat().st_size for f in folder.iterdir())  # noqa: E731
-    p = parameters(tmp_path, disk_full="delete_oldest", split_bytes=2000, disk_reserve_bytes=1000, chunk_s=0.1, compression="none")
+    p = parameters(
+        tmp_path,
+        disk_full="delete_oldest",
+        split_bytes=2000,
+        disk_reserve_bytes=1000,
+        chunk_s=0.1,
+        compression="none",
+    )
     recorder = Recorder(p, free=lambda folder: 12_000 - used(folder))
     fill(recorder, 400)
     recorder.close()
@@ -289,7 +350,13 @@ print(a.written, a.disk, r.problem)
 
 def test_a_write_the_system_refuses_costs_the_chunk_and_is_counted(tmp_path):
     path = tmp_path / "log.mcap"
-    done = subprocess.run([sys.executable, "-c", LIMITED, str(path)], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED, str(path)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
     assert done.returncode == 0, done.stderr
     written, lost, problem = done.stdout.split(maxsplit=2)
     assert int(written) + int(lost) == 100 and int(lost) > 0 and "cannot be written" in problem
@@ -302,7 +369,21 @@ def test_a_write_the_system_refuses_costs_the_chunk_and_is_counted(tmp_path):
 
 def test_kill_nine_loses_at_most_a_second(tmp_path):
     done = subprocess.run(
-        [sys.executable, "-m", "benchmarks.kill_logger", "--runs", "4", "--bare", "--json", "--folder", str(tmp_path)],
-        cwd=ROOT, capture_output=True, text=True, timeout=120, env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "benchmarks.kill_logger",
+            "--runs",
+            "4",
+            "--bare",
+            "--json",
+            "--folder",
+            str(tmp_path),
+        ],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
     assert done.returncode == 0, done.stderr + done.stdout

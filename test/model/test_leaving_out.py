@@ -1,4 +1,6 @@
-"""A module that is left out counts as not installed, for as long as wanted and where it is not loaded already."""
+"""A module that is left out counts as not installed, for as long as wanted and where it is not
+loaded already.
+"""
 
 import importlib
 import subprocess

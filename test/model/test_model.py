@@ -1,4 +1,6 @@
-"""Rotations against closed forms and an independent library; records, losses and the exception tree."""
+"""Rotations against closed forms and an independent library; records, losses and the exception
+tree.
+"""
 
 import inspect
 from dataclasses import dataclass
@@ -36,7 +38,9 @@ def test_skew_is_the_cross_product(a, b):
 @given(angles, angles, angles)
 def test_rotation_and_quaternion_agree_with_scipy(roll, pitch, yaw):
     R = rotation_xyz(roll, pitch, yaw)
-    np.testing.assert_allclose(R, Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix(), atol=1e-14)
+    np.testing.assert_allclose(
+        R, Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix(), atol=1e-14
+    )
     np.testing.assert_allclose(matrix_from_quaternion(quaternion_from_matrix(R)), R, atol=1e-14)
 
 
@@ -72,7 +76,9 @@ def test_euler_rates_map_to_the_body_rotation_vector():
     for i, step in enumerate(np.eye(3) * h):
         plus, minus = (rotation_xyz(*(np.array([roll, pitch, yaw]) + s * step)) for s in (1, -1))
         d = R.T @ (plus - minus) / (2 * h)
-        np.testing.assert_allclose([d[2, 1], d[0, 2], d[1, 0]], euler_rate_matrix(roll, pitch)[:, i], atol=1e-9)
+        np.testing.assert_allclose(
+            [d[2, 1], d[0, 2], d[1, 0]], euler_rate_matrix(roll, pitch)[:, i], atol=1e-9
+        )
 
 
 @dataclass(frozen=True)

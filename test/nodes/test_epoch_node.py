@@ -1,4 +1,6 @@
-"""volume_node over DDS: an epoch is kept, and what changed since then is published beside the volumes."""
+"""volume_node over DDS: an epoch is kept, and what changed since then is published beside the
+volumes.
+"""
 
 import json
 import os
@@ -10,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 
-SCRIPT = '''
+SCRIPT = """
 import json, sys, time
 import numpy as np, rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -83,7 +85,7 @@ print(json.dumps({
     "rows": [t["base"].tolist() for t in (first, tables[-1])], "volumes": tables[-1]["volume"].tolist(), "lines": lines,
     "cells": len(more[-1]["gain"]), "saved": saved, "failed": failed, "again": again["volume_m3"], "columns": sorted(more[-1]),
 }))
-'''
+"""
 
 
 @pytest.fixture(scope="module")
@@ -92,11 +94,18 @@ def seen(tmp_path_factory):
     script = folder / "epoch.py"
     script.write_text(SCRIPT)
     environment = os.environ | {
-        "ROS_DOMAIN_ID": str((os.getpid() + 5) % 90 + 10), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_DOMAIN_ID": str((os.getpid() + 5) % 90 + 10),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "PYTHONPATH": f"{ROOT}:{ROOT / 'test' / 'volume'}",
-    }  # fmt: skip
-    done = subprocess.run([sys.executable, str(script), str(folder / "out")], env=environment, cwd=ROOT, capture_output=True, text=True,
-                          timeout=300)  # fmt: skip
+    }
+    done = subprocess.run(
+        [sys.executable, str(script), str(folder / "out")],
+        env=environment,
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     assert done.returncode == 0, done.stderr
     return folder / "out", json.loads(done.stdout.splitlines()[-1])
 
@@ -107,8 +116,13 @@ def test_the_change_since_the_epoch_is_a_row_of_the_volumes(seen):
     assert found["rows"] == [[1], [1, 3]]  # above a level; and since the epoch
     assert found["before"] is None and found["after"]["base"].startswith("epoch")
     assert found["after"]["volume_m3"] == pytest.approx(-50.265, rel=0.01)
-    assert found["volumes"][1] == pytest.approx(found["after"]["volume_m3"]) and found["after"]["significant"]
-    assert found["after"]["budget_m6"]["lever_laser"] < 1.0  # shared: above a level it is (1.1 m³)² for either surface
+    assert (
+        found["volumes"][1] == pytest.approx(found["after"]["volume_m3"])
+        and found["after"]["significant"]
+    )
+    assert (
+        found["after"]["budget_m6"]["lever_laser"] < 1.0
+    )  # shared: above a level it is (1.1 m³)² for either surface
     assert float(found["lines"]["epoch_z"]) == pytest.approx(found["after"]["z"], abs=0.01)
 
 
@@ -117,12 +131,17 @@ def test_where_more_data_helps_is_published(seen):
     places = found["helps"]["places"]
     assert len(places) == 3 and places[0]["gain_m3"] >= places[1]["gain_m3"] > 0.0
     assert found["lines"]["more_data_1"].split()[-1] == places[0]["why"]
-    assert found["cells"] > 20 and {"gain", "sigma", "side", "fall_gap", "fall_noise"} <= set(found["columns"])
+    assert found["cells"] > 20 and {"gain", "sigma", "side", "fall_gap", "fall_noise"} <= set(
+        found["columns"]
+    )
 
 
 def test_who_asks_is_told_of_a_defect_and_may_ask_again(seen):
     _, found = seen
-    assert found["failed"] == {"error": "IndexError: list index out of range", "reason": "message_internal_error"}
+    assert found["failed"] == {
+        "error": "IndexError: list index out of range",
+        "reason": "message_internal_error",
+    }
     assert found["again"] == found["saved"]["volume_m3"]
 
 
@@ -130,7 +149,20 @@ def test_what_the_node_keeps_can_be_compared_offline(seen, capsys):
     from ladar_volume.cli.main import main
 
     out, found = seen
-    assert main(["epochs", str(out / "epoch_0"), str(out), "-o", str(out / "change"), "--json", "--no-figure"]) == 0
+    assert (
+        main(
+            [
+                "epochs",
+                str(out / "epoch_0"),
+                str(out),
+                "-o",
+                str(out / "change"),
+                "--json",
+                "--no-figure",
+            ]
+        )
+        == 0
+    )
     facts = json.loads(capsys.readouterr().out)
     assert facts["volume_m3"] == pytest.approx(found["after"]["volume_m3"], rel=1e-9)
     assert facts["sigma_m3"] == pytest.approx(found["after"]["sigma_m3"], rel=1e-5)

@@ -1,4 +1,6 @@
-"""filter_node puts off what changes least while data comes, and hands on all of it when asked: the surface is then that of every point."""
+"""filter_node puts off what changes least while data comes, and hands on all of it when asked: the
+surface is then that of every point.
+"""
 
 import json
 import os
@@ -8,7 +10,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 
-SCRIPT = '''
+SCRIPT = """
 import json, queue, time
 import numpy as np, rclpy
 from nav_msgs.msg import Odometry
@@ -103,23 +105,39 @@ for s in spinners:
 rclpy.try_shutdown()
 print(json.dumps({"nothing": nothing, "put_off": put_off, "sent": sent, "equal": equal, "repeated": got["repeated"], "losses": losses,
                   "parts": node.counts["parts"], "refused": refused, "afterwards": afterwards}))
-'''
+"""
 
 
 def test_a_flush_hands_on_all_points_that_came(tmp_path):
     script = tmp_path / "flush.py"
     script.write_text(SCRIPT)
     environment = os.environ | {
-        "ROS_DOMAIN_ID": str((os.getpid() + 7) % 90 + 10), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_DOMAIN_ID": str((os.getpid() + 7) % 90 + 10),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "PYTHONPATH": f"{ROOT}:{ROOT / 'test' / 'filtering'}",
-    }  # fmt: skip
-    done = subprocess.run([sys.executable, str(script)], env=environment, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    }
+    done = subprocess.run(
+        [sys.executable, str(script)],
+        env=environment,
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
     assert found["nothing"] == 0  # nothing sent yet, and nothing to wait for
     assert found["equal"] == [True, True, True]  # the offline surface of the same prefix
-    assert max(found["put_off"]) > 500 and max(found["sent"]) > 1  # what a whole site put off comes in several updates
-    assert found["repeated"] == 0 and found["parts"] > 6  # several updates without new data in between do not share a stamp
+    assert (
+        max(found["put_off"]) > 500 and max(found["sent"]) > 1
+    )  # what a whole site put off comes in several updates
+    assert (
+        found["repeated"] == 0 and found["parts"] > 6
+    )  # several updates without new data in between do not share a stamp
     assert not {k for k in found["losses"] if k.startswith("message_")}
-    assert found["refused"] == [False, "too much waits already", 1]  # an answer all the same: the next one must not wait for it
+    assert found["refused"] == [
+        False,
+        "too much waits already",
+        1,
+    ]  # an answer all the same: the next one must not wait for it
     assert found["afterwards"][0] and int(found["afterwards"][1]) > 0

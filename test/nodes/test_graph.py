@@ -22,8 +22,10 @@ ROOT = Path(__file__).parents[2]
 def environment(offset):
     """A private domain on loopback."""
     return os.environ | {
-        "ROS_DOMAIN_ID": str((os.getpid() + offset) % 90 + 10), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONPATH": str(ROOT),
-    }  # fmt: skip
+        "ROS_DOMAIN_ID": str((os.getpid() + offset) % 90 + 10),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "PYTHONPATH": str(ROOT),
+    }
 
 
 @pytest.fixture(scope="module")
@@ -31,19 +33,43 @@ def flight(tmp_path_factory):
     """Twelve seconds over a stockpile, thinned."""
     path = tmp_path_factory.mktemp("flight") / "bag"
     scene = make_scene("stockpile", 5)
-    survey = Survey(scene, make_platform("uav", scene.extent_m, 12.0), BudgetParameters(), SurveyOptions(12.0, 20, seed=5))
+    survey = Survey(
+        scene,
+        make_platform("uav", scene.extent_m, 12.0),
+        BudgetParameters(),
+        SurveyOptions(12.0, 20, seed=5),
+    )
     suited = {s: dict(v) for s, v in SUITED["pile"].items()}
     write_bag(survey, path, suited, lambda share: None)
     return path
 
 
 def test_four_processes_give_the_offline_volume_and_a_log(flight, tmp_path, capsys):
-    assert main(["replay", str(flight), "--json", "--no-figure", "-o", str(tmp_path / "offline")]) == 0
+    assert (
+        main(["replay", str(flight), "--json", "--no-figure", "-o", str(tmp_path / "offline")]) == 0
+    )
     offline = json.loads(capsys.readouterr().out)
     log = tmp_path / "log.mcap"
-    words = ["up", "--play", str(flight), "--separate", "--rate", "1", "--json", "--log", str(log), "-o", str(tmp_path / "online")]
+    words = [
+        "up",
+        "--play",
+        str(flight),
+        "--separate",
+        "--rate",
+        "1",
+        "--json",
+        "--log",
+        str(log),
+        "-o",
+        str(tmp_path / "online"),
+    ]
     done = subprocess.run(
-        [sys.executable, "-m", "ladar_volume.cli.main", *words], env=environment(1), cwd=ROOT, capture_output=True, text=True, timeout=300
+        [sys.executable, "-m", "ladar_volume.cli.main", *words],
+        env=environment(1),
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=300,
     )
     assert done.returncode == 0, done.stderr
     online = json.loads(done.stdout)
@@ -55,18 +81,36 @@ def test_four_processes_give_the_offline_volume_and_a_log(flight, tmp_path, caps
 
     with log.open("rb") as stream:
         topics = _counts(make_reader(stream))
-    assert topics["/velodyne_points"] > 50 and topics["/volumes"] >= 1 and topics["/grounds"] >= 1 and "/diagnostics" in topics
-    words = ["replay", str(log), "--config", str(flight / "config.yaml"), "--json", "--no-figure", "-o", str(tmp_path / "again")]
+    assert (
+        topics["/velodyne_points"] > 50
+        and topics["/volumes"] >= 1
+        and topics["/grounds"] >= 1
+        and "/diagnostics" in topics
+    )
+    words = [
+        "replay",
+        str(log),
+        "--config",
+        str(flight / "config.yaml"),
+        "--json",
+        "--no-figure",
+        "-o",
+        str(tmp_path / "again"),
+    ]
     assert main(words) == 0
-    assert json.loads(capsys.readouterr().out)["volume_m3"] == pytest.approx(offline["volume_m3"], rel=1e-6)
+    assert json.loads(capsys.readouterr().out)["volume_m3"] == pytest.approx(
+        offline["volume_m3"], rel=1e-6
+    )
 
 
 def _counts(reader):
     summary = reader.get_summary()
-    return {summary.channels[k].topic: n for k, n in summary.statistics.channel_message_counts.items()}
+    return {
+        summary.channels[k].topic: n for k, n in summary.statistics.channel_message_counts.items()
+    }
 
 
-BAD_INPUT = '''
+BAD_INPUT = """
 import array, json, sys, time
 import numpy as np, rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -151,19 +195,36 @@ print(json.dumps({
     "refused": [refused.successful, refused.reason], "accepted": accepted.successful, "level": volume.parameters.volume.level_m,
     "outside": outside.successful, "compute": [answer.success, json.loads(answer.message)],
 }))
-'''
+"""
 
 
 def test_no_input_ends_a_node_and_every_refusal_is_named(tmp_path):
     script = tmp_path / "bad_input.py"
     script.write_text(BAD_INPUT)
-    done = subprocess.run([sys.executable, str(script)], env=environment(2), cwd=ROOT, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(
+        [sys.executable, str(script)],
+        env=environment(2),
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     assert done.returncode == 0, done.stderr
     seen = json.loads(done.stdout.splitlines()[-1])
     for reason in (
-        "cloud_no_xyz", "cloud_row_step", "cloud_point_step", "cloud_empty", "cloud_all_nan", "cloud_no_time", "cloud_short",
-        "fix_no_fix", "fix_nan", "fix_unknown_covariance", "imu_no_orientation", "imu_not_unit",
-    ):  # fmt: skip
+        "cloud_no_xyz",
+        "cloud_row_step",
+        "cloud_point_step",
+        "cloud_empty",
+        "cloud_all_nan",
+        "cloud_no_time",
+        "cloud_short",
+        "fix_no_fix",
+        "fix_nan",
+        "fix_unknown_covariance",
+        "imu_no_orientation",
+        "imu_not_unit",
+    ):
         assert seen["lost"].get(reason) == 1, (reason, seen["lost"])
     assert sum(seen["mapped"]) == 50  # the good cloud among them, in parts as poses come
     assert seen["refused"][0] is False and "georeference.range_min_m" in seen["refused"][1]
@@ -174,11 +235,31 @@ def test_no_input_ends_a_node_and_every_refusal_is_named(tmp_path):
 def test_a_node_ends_cleanly_on_sigterm_and_on_a_bad_configuration(tmp_path):
     bad = tmp_path / "bad.yaml"
     bad.write_text("/**:\n  ros__parameters:\n    filter: {radus_m: 1.0}\n")
-    command = [sys.executable, "-m", "ladar_volume.nodes.filter_node", "--ros-args", "-p", f"config_file:={bad}"]
-    done = subprocess.run(command, env=environment(3), cwd=ROOT, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 2 and "did you mean 'radius_m'" in done.stderr and "Traceback" not in done.stderr
+    command = [
+        sys.executable,
+        "-m",
+        "ladar_volume.nodes.filter_node",
+        "--ros-args",
+        "-p",
+        f"config_file:={bad}",
+    ]
+    done = subprocess.run(
+        command, env=environment(3), cwd=ROOT, capture_output=True, text=True, timeout=300
+    )
+    assert (
+        done.returncode == 2
+        and "did you mean 'radius_m'" in done.stderr
+        and "Traceback" not in done.stderr
+    )
     log = tmp_path / "log.mcap"
-    command = [sys.executable, "-m", "ladar_volume.nodes.logger_node", "--ros-args", "-p", f"logger.path:={log}"]
+    command = [
+        sys.executable,
+        "-m",
+        "ladar_volume.nodes.logger_node",
+        "--ros-args",
+        "-p",
+        f"logger.path:={log}",
+    ]
     node = subprocess.Popen(command, env=environment(4), cwd=ROOT)
     try:
         for _ in range(200):

@@ -17,7 +17,19 @@ ROOT = Path(__file__).parents[2]
         ("mavlink_node", ("numba", "scipy", "ladar_volume.filtering")),
         ("georeference_node", ("scipy", "ladar_volume.filtering", "ladar_volume.volume")),
         ("filter_node", ("pyproj", "ladar_volume.volume", "ladar_volume.surface")),
-        ("volume_node", ("open3d", "matplotlib", "rich", "scipy.optimize", "rosbags", "mcap", "numpy.f2py", "numpy.testing")),
+        (
+            "volume_node",
+            (
+                "open3d",
+                "matplotlib",
+                "rich",
+                "scipy.optimize",
+                "rosbags",
+                "mcap",
+                "numpy.f2py",
+                "numpy.testing",
+            ),
+        ),
     ],
 )
 def test_a_node_loads_no_more_than_its_stage(node, banned):
@@ -34,7 +46,10 @@ def kernels(path):
     """The compiled functions of a module."""
     for node in ast.walk(ast.parse(path.read_text())):
         marks = getattr(node, "decorator_list", [])
-        if any(isinstance(mark, ast.Name) and mark.id in ("kernel", "parallel_kernel") for mark in marks):
+        if any(
+            isinstance(mark, ast.Name) and mark.id in ("kernel", "parallel_kernel")
+            for mark in marks
+        ):
             yield node
 
 
@@ -52,5 +67,8 @@ def test_no_kernel_takes_matrix_products_from_scipy():
 
 
 def test_what_numpy_does_not_load_unasked_is_there_for_who_asks():
-    code = "import ladar_volume.nodes, numpy as np; assert np.testing.assert_equal and np.f2py.get_include and 'f2py' not in np.__all__"
+    code = (
+        "import ladar_volume.nodes, numpy as np; assert np.testing.assert_equal and "
+        "np.f2py.get_include and 'f2py' not in np.__all__"
+    )
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)

@@ -1,5 +1,6 @@
-"""Lifecycle over real ROS: configured, cleaned up and configured again; parameters accepted or refused with the reason; a simulated
-clock; a looping recording; the last estimate before the end."""
+"""Lifecycle over real ROS: configured, cleaned up and configured again; parameters accepted or
+refused with the reason; a simulated clock; a looping recording; the last estimate before the end.
+"""
 
 import json
 import os
@@ -9,7 +10,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 
-SCRIPT = '''
+SCRIPT = """
 import json, time
 import numpy as np, rclpy
 from nav_msgs.msg import Odometry
@@ -78,29 +79,48 @@ out["ended"] = [not n._worker.is_alive() for n in (geo, filter_, volume)] + [fil
 out["lost"] = {k: v for n in (geo, filter_, volume) for k, v in n.all_losses().items()}
 rclpy.try_shutdown()
 print(json.dumps(out))
-'''
+"""
 
 
 def test_lifecycle_parameters_and_a_looping_recording(tmp_path):
     script = tmp_path / "lifecycle.py"
     script.write_text(SCRIPT)
     environment = os.environ | {
-        "ROS_DOMAIN_ID": str((os.getpid() + 7) % 90 + 10), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONPATH": str(ROOT),
-    }  # fmt: skip
-    done = subprocess.run([sys.executable, str(script)], env=environment, cwd=ROOT, capture_output=True, text=True, timeout=300)
+        "ROS_DOMAIN_ID": str((os.getpid() + 7) % 90 + 10),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "PYTHONPATH": str(ROOT),
+    }
+    done = subprocess.run(
+        [sys.executable, str(script)],
+        env=environment,
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     assert done.returncode == 0, done.stderr
     seen = json.loads(done.stdout.splitlines()[-1])
     configured, cleaned = seen["counts"][::2], seen["counts"][1::2]
-    assert all("SUCCESS" in c[0] for c in configured) and all(c[1:] == configured[0][1:] for c in configured)
-    assert all(c == [configured[0][1] - 4, True] for c in cleaned)  # points, platform, datum and diagnostics are gone
+    assert all("SUCCESS" in c[0] for c in configured) and all(
+        c[1:] == configured[0][1:] for c in configured
+    )
+    assert all(
+        c == [configured[0][1] - 4, True] for c in cleaned
+    )  # points, platform, datum and diagnostics are gone
     assert seen["unconfigured"] == [True, 0.7]
     tried = seen["tried"]
     accepted = {name for name, (ok, _) in tried.items() if ok}
     assert accepted == {"node.diagnostics_period_s", "node.update_period_s", "volume.level_m"}
-    assert "data taken in so far" in tried["georeference.range_min_m"][1] and "data taken in so far" in tried["filter.radius_m"][1]
+    assert (
+        "data taken in so far" in tried["georeference.range_min_m"][1]
+        and "data taken in so far" in tried["filter.radius_m"][1]
+    )
     assert "when the node is configured" in tried["node.input_depth"][1]
     assert seen["timer_s"] == 0.25
     first, second, filter_passes, volume_passes = seen["passes"]
     assert first[1] == 0 and second[1] == 1 and filter_passes == 1 and volume_passes == 1
     assert abs(second[0] - first[0]) < 0.2 * first[0]  # a new surface, not twice the points
-    assert seen["ended"] == [True, True, True, False, False] and "message_internal_error" not in seen["lost"]
+    assert (
+        seen["ended"] == [True, True, True, False, False]
+        and "message_internal_error" not in seen["lost"]
+    )

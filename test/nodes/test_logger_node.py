@@ -1,4 +1,6 @@
-"""logger_node over DDS: everything published is in the file, latched topics in every file, and what is not is accounted for."""
+"""logger_node over DDS: everything published is in the file, latched topics in every file, and what
+is not is accounted for.
+"""
 
 import json
 import os
@@ -18,7 +20,7 @@ from ladar_volume.nodes.logger_node import installed_definition
 
 ROOT = Path(__file__).parents[2]
 
-SCRIPT = '''
+SCRIPT = """
 import json, sys, time
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -64,43 +66,78 @@ for s in spinners:
     s.close()
 rclpy.try_shutdown()
 print(json.dumps({"answer": json.loads(future.result().message), "lines": lines["logger_node"]}))
-'''
+"""
 
 
 def test_everything_published_is_in_the_files(tmp_path):
     script, log = tmp_path / "script.py", tmp_path / "log.mcap"
     script.write_text(SCRIPT)
     environment = os.environ | {
-        "ROS_DOMAIN_ID": str((os.getpid() + 21) % 90 + 10), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONPATH": str(ROOT),
-    }  # fmt: skip
-    done = subprocess.run([sys.executable, str(script), str(log)], env=environment, cwd=ROOT, capture_output=True, text=True, timeout=300)
+        "ROS_DOMAIN_ID": str((os.getpid() + 21) % 90 + 10),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "PYTHONPATH": str(ROOT),
+    }
+    done = subprocess.run(
+        [sys.executable, str(script), str(log)],
+        env=environment,
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     assert done.returncode == 0, done.stderr
     seen = json.loads(done.stdout.splitlines()[-1])
-    assert seen["answer"]["finishing"].endswith("log.mcap") and not [k for k in seen["lines"] if k.startswith("lost_")]
+    assert seen["answer"]["finishing"].endswith("log.mcap") and not [
+        k for k in seen["lines"] if k.startswith("lost_")
+    ]
     assert seen["lines"]["before_number"] == "7" and seen["lines"]["disk"] == "good"
     files = log_files(log)
     assert len(files) == 2
     texts, sequences = [], []
     for file in files:
         with AnyReader([file]) as bag:
-            datum = [bag.deserialize(data, c.msgtype) for c, _, data in bag.messages() if c.topic == "/datum"]
+            datum = [
+                bag.deserialize(data, c.msgtype)
+                for c, _, data in bag.messages()
+                if c.topic == "/datum"
+            ]
             assert [m.latitude for m in datum] == [50.0]  # in every file
-            texts += [bag.deserialize(data, c.msgtype).data for c, _, data in bag.messages() if c.topic == "/chat"]
-            assert {c.topic: c.ext.offered_qos_profiles[0].durability.name for c in bag.connections}["/datum"] == "TRANSIENT_LOCAL"
+            texts += [
+                bag.deserialize(data, c.msgtype).data
+                for c, _, data in bag.messages()
+                if c.topic == "/chat"
+            ]
+            assert {
+                c.topic: c.ext.offered_qos_profiles[0].durability.name for c in bag.connections
+            }["/datum"] == "TRANSIENT_LOCAL"
         with file.open("rb") as stream:
             reader = make_reader(stream)
             sequences += [m.sequence for _, c, m in reader.iter_messages(topics=["/chat"])]
-            assert "filter" in json.loads({m.name: m.metadata for m in reader.iter_metadata()}["ladar_volume"]["parameters"])
+            assert "filter" in json.loads(
+                {m.name: m.metadata for m in reader.iter_metadata()}["ladar_volume"]["parameters"]
+            )
             assert [a.name for a in reader.iter_attachments()] == ["parameters.yaml"]
     assert texts == [*(f"line {i}" for i in range(500)), "last"]
-    assert sequences == list(range(sequences[0], sequences[0] + 501))  # the publisher's own numbers: a gap would be a loss
+    assert sequences == list(
+        range(sequences[0], sequences[0] + 501)
+    )  # the publisher's own numbers: a gap would be a loss
 
 
-@pytest.mark.parametrize("kind", [
-    "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Imu", "diagnostic_msgs/msg/DiagnosticArray", "rcl_interfaces/msg/ParameterEvent",
-    "visualization_msgs/msg/Marker", "lifecycle_msgs/msg/TransitionEvent", "shape_msgs/msg/SolidPrimitive",
-])  # fmt: skip
-def test_a_definition_made_from_an_installed_type_says_what_the_published_one_does(kind, monkeypatch):
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "sensor_msgs/msg/PointCloud2",
+        "sensor_msgs/msg/Imu",
+        "diagnostic_msgs/msg/DiagnosticArray",
+        "rcl_interfaces/msg/ParameterEvent",
+        "visualization_msgs/msg/Marker",
+        "lifecycle_msgs/msg/TransitionEvent",
+        "shape_msgs/msg/SolidPrimitive",
+    ],
+)
+def test_a_definition_made_from_an_installed_type_says_what_the_published_one_does(
+    kind, monkeypatch
+):
     monkeypatch.setattr("ladar_volume.nodes.logger_node.usual_definition", lambda kind: "")
     made = get_types_from_msg(installed_definition(kind), kind)
     for name, (_, fields) in made.items():

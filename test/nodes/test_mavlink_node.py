@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 
-SCRIPT = '''
+SCRIPT = """
 import json, math, socket, sys, threading, time
 import numpy as np, rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -78,33 +78,55 @@ print(json.dumps({
         fix_from_message(b).t_ns > fix_from_message(a).t_ns for a, b in zip(got["fix"], got["fix"][1:])),
     "odometry": [odometry.p_map_body.tolist(), odometry.C_pose is None], "lines": lines["mavlink_node"],
 }))
-'''
+"""
 
 
 def environment(offset):
     return os.environ | {
-        "ROS_DOMAIN_ID": str((os.getpid() + offset) % 90 + 10), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONPATH": str(ROOT),
+        "ROS_DOMAIN_ID": str((os.getpid() + offset) % 90 + 10),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "PYTHONPATH": str(ROOT),
         "MAVLINK20": "1",
-    }  # fmt: skip
+    }
 
 
 def test_a_peer_on_loopback_becomes_ros_messages(tmp_path):
     script = tmp_path / "peer.py"
     script.write_text(SCRIPT)
-    done = subprocess.run([sys.executable, str(script)], env=environment(11), cwd=ROOT, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(
+        [sys.executable, str(script)],
+        env=environment(11),
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     assert done.returncode == 0, done.stderr
     seen = json.loads(done.stdout.splitlines()[-1])
-    assert seen["fix"][:3] == pytest.approx([50.1234567, 14.1234567, 295.0]) and seen["fix"][4] == 2 and seen["order"]
+    assert (
+        seen["fix"][:3] == pytest.approx([50.1234567, 14.1234567, 295.0])
+        and seen["fix"][4] == 2
+        and seen["order"]
+    )
     np.testing.assert_allclose(np.sqrt(np.diag(seen["fix"][3])), [0.014, 0.014, 0.020])
     q, omega, sigma = seen["forward"]
     np.testing.assert_allclose(np.abs(q), [0, 0, 0, 1], atol=1e-6)  # heading east
     np.testing.assert_allclose(omega, [0, 0, -0.1], atol=1e-7)
     np.testing.assert_allclose(sigma, np.radians([0.5, 0.5, 0.5]), rtol=1e-6)
-    assert seen["raw"] == [-1.0, pytest.approx(9.81)] and seen["odometry"] == [[2.0, 1.0, 3.0], True]
+    assert seen["raw"] == [-1.0, pytest.approx(9.81)] and seen["odometry"] == [
+        [2.0, 1.0, 3.0],
+        True,
+    ]
     assert all(n > 5 for n in seen["counts"].values()) and seen["commands"] >= 3
-    assert 0 < seen["age"] < 30  # stamped with this computer's clock, not with fifty seconds since boot
+    assert (
+        0 < seen["age"] < 30
+    )  # stamped with this computer's clock, not with fifty seconds since boot
     lines = seen["lines"]
-    assert lines["fix_type"] == "RTK fixed" and int(lines["lost_mavlink_noise_byte"]) >= 50 and int(lines["lost_mavlink_heartbeat_lost"]) == 1
+    assert (
+        lines["fix_type"] == "RTK fixed"
+        and int(lines["lost_mavlink_noise_byte"]) >= 50
+        and int(lines["lost_mavlink_heartbeat_lost"]) == 1
+    )
     assert lines["autopilot"] == "no heartbeat" and int(lines["lost_imu_clock_unsettled"]) > 5
     assert math.isfinite(float(lines["clock_sigma_s"])) and float(lines["clock_sigma_s"]) < 0.1
     assert seen["refused"] != 0  # mean sea level without the geoid: not configured

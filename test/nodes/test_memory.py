@@ -77,9 +77,14 @@ def test_kernels_compile_for_good_after_the_modules_of_those_they_call_were_pack
         assert sum(twice.stats.cache_hits.values()) == (sys.argv[1] == "alone")
     """
     env = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
-    warm = "from ladar_volume.volume.navigation import markov_sum; import numpy as np; markov_sum(np.arange(3.0), np.ones((3, 2)), 1.0)"
+    warm = (
+        "from ladar_volume.volume.navigation import markov_sum; import numpy as np; "
+        "markov_sum(np.arange(3.0), np.ones((3, 2)), 1.0)"
+    )
     for arguments in (["-c", warm], ["-c", code, "packed"], ["-c", code, "alone"]):
-        done = subprocess.run([sys.executable, *arguments], cwd=ROOT, env=env, capture_output=True, text=True)
+        done = subprocess.run(
+            [sys.executable, *arguments], cwd=ROOT, env=env, capture_output=True, text=True
+        )
         assert done.returncode == 0, done.stderr
 
 
@@ -118,7 +123,9 @@ def test_what_a_large_process_frees_goes_back_at_once():
     """
     freed = {}
     for size in ("small", "large"):
-        done = subprocess.run([sys.executable, "-c", code, size], cwd=ROOT, capture_output=True, text=True)
+        done = subprocess.run(
+            [sys.executable, "-c", code, size], cwd=ROOT, capture_output=True, text=True
+        )
         assert done.returncode == 0, done.stderr
         freed[size] = int(done.stdout)
     assert freed["large"] > 90_000_000 > 45_000_000 > freed["small"], freed
@@ -159,8 +166,13 @@ SENT = """if True:
 def sent(how):
     """What messages of 60 MB take while they wait, and once they are taken (MB)."""
     environment = {k: v for k, v in os.environ.items() if k not in (PROFILES, FROM_PROFILES)}
-    environment |= {"ROS_DOMAIN_ID": str((os.getpid() + 11) % 90 + 10), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    done = subprocess.run([sys.executable, "-c", SENT, how], cwd=ROOT, env=environment, capture_output=True, text=True)
+    environment |= {
+        "ROS_DOMAIN_ID": str((os.getpid() + 11) % 90 + 10),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", SENT, how], cwd=ROOT, env=environment, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr
     return [float(word) for word in done.stdout.split()]
 

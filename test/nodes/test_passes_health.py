@@ -12,7 +12,11 @@ def test_a_leader_that_goes_back_begins_a_new_pass_and_the_rest_of_the_old_one_i
         assert p.take("platform", k * S) == "same" and p.take("points", k * S) == "same"
     assert p.take("platform", 0) == "new" and p.begun == 1
     assert p.take("points", 9 * S) == "old"
-    assert p.take("points", 0) == "same" and p.take("points", S) == "same" and p.take("platform", S) == "same"
+    assert (
+        p.take("points", 0) == "same"
+        and p.take("points", S) == "same"
+        and p.take("platform", S) == "same"
+    )
     assert p.begun == 1
 
 
@@ -38,14 +42,23 @@ def test_health_counts_rates_delays_and_whether_the_worker_keeps_up():
         h.arrived("cloud", 0.1 * k, 100 * S + k * S // 10)
         h.worked("cloud", 0.02, 100 * S + k * S // 10)
     lines = h.lines(1.0, 101 * S + S // 4)
-    assert lines["rate_cloud_hz"] == "10.0" and lines["delay_cloud_s"] == "0.250" and lines["received_cloud"] == 11
-    assert lines["load"] == "0.200" and lines["real_time_factor"] == "5.0"  # a second of data in 0.2 s of work
+    assert (
+        lines["rate_cloud_hz"] == "10.0"
+        and lines["delay_cloud_s"] == "0.250"
+        and lines["received_cloud"] == 11
+    )
+    assert (
+        lines["load"] == "0.200" and lines["real_time_factor"] == "5.0"
+    )  # a second of data in 0.2 s of work
     assert h.silent(1.5) == [] and h.silent(3.5) == ["no cloud for 2.5 s"]
     assert h.lines(2.0, 102 * S)["real_time_factor"] == "-"
 
 
 def test_only_new_losses_that_are_no_routine_are_named():
     h = Health()
-    assert h.newly_lost({"fix_nan": 2, "point_region": 500, "cloud_short": 7}) == ["lost 7 cloud_short", "lost 2 fix_nan"]
+    assert h.newly_lost({"fix_nan": 2, "point_region": 500, "cloud_short": 7}) == [
+        "lost 7 cloud_short",
+        "lost 2 fix_nan",
+    ]
     assert h.newly_lost({"fix_nan": 2, "point_region": 900, "cloud_short": 7}) == []
     assert h.newly_lost({"fix_nan": 3, "point_region": 900, "cloud_short": 7}) == ["lost 1 fix_nan"]

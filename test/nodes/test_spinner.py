@@ -1,5 +1,6 @@
-"""A node that is closed while its callbacks run: its thread ends first, without an exception. One that runs keeps nothing of its rounds, and
-hears on after a callback that raised."""
+"""A node that is closed while its callbacks run: its thread ends first, without an exception. One
+that runs keeps nothing of its rounds, and hears on after a callback that raised.
+"""
 
 import json
 import os
@@ -120,8 +121,19 @@ rclpy.try_shutdown()
 
 
 def result_of(script, *arguments):
-    environment = os.environ | {"ROS_DOMAIN_ID": str((os.getpid() + 3) % 90 + 10), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    run = subprocess.run([sys.executable, "-c", script, *arguments], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120, check=True)
+    environment = os.environ | {
+        "ROS_DOMAIN_ID": str((os.getpid() + 3) % 90 + 10),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    }
+    run = subprocess.run(
+        [sys.executable, "-c", script, *arguments],
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
     return json.loads(run.stdout)
 
 

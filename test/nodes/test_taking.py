@@ -1,4 +1,6 @@
-"""Messages that wait behind the one taken come in the same round, in order, none twice; bytes that are no message are counted."""
+"""Messages that wait behind the one taken come in the same round, in order, none twice; bytes that
+are no message are counted.
+"""
 
 import json
 import os
@@ -84,8 +86,19 @@ rclpy.try_shutdown()
 
 
 def result_of(script):
-    environment = os.environ | {"ROS_DOMAIN_ID": str(os.getpid() % 90 + 10), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    run = subprocess.run([sys.executable, "-c", script], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120, check=True)
+    environment = os.environ | {
+        "ROS_DOMAIN_ID": str(os.getpid() % 90 + 10),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    }
+    run = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
     return json.loads(run.stdout)
 
 

@@ -25,10 +25,21 @@ ROOT = Path(__file__).parents[2]
 def sent(columns):
     """Columns through a message and back."""
     t = encode(columns)
-    fields = [Message(name=c.name, offset=c.offset, datatype=NUMBERS[c.code], count=c.count) for c in t.columns]
-    return decode(Message(
-        width=t.rows, height=1, point_step=t.row_bytes, row_step=t.row_bytes * t.rows, is_bigendian=False, fields=fields, data=t.data.tobytes()
-    ))  # fmt: skip
+    fields = [
+        Message(name=c.name, offset=c.offset, datatype=NUMBERS[c.code], count=c.count)
+        for c in t.columns
+    ]
+    return decode(
+        Message(
+            width=t.rows,
+            height=1,
+            point_step=t.row_bytes,
+            row_step=t.row_bytes * t.rows,
+            is_bigendian=False,
+            fields=fields,
+            data=t.data.tobytes(),
+        )
+    )
 
 
 def samples(seconds):
@@ -47,8 +58,14 @@ def feed(stage, parameters, topic, message):
 
 
 def test_every_intermediate_volume_is_that_of_the_offline_prefix():
-    parameters = read_config(ROOT / "bags" / "stockpile" / "config.yaml", ["filter.radius_m=1.0", "filter.trials=10"])
-    georeferencer, surface, estimator = Georeferencer(parameters), SurfaceFilter(parameters), VolumeEstimator(parameters)
+    parameters = read_config(
+        ROOT / "bags" / "stockpile" / "config.yaml", ["filter.radius_m=1.0", "filter.trials=10"]
+    )
+    georeferencer, surface, estimator = (
+        Georeferencer(parameters),
+        SurfaceFilter(parameters),
+        VolumeEstimator(parameters),
+    )
     messages = samples(16.0)
     prefixes = (len(messages) * 5 // 8, len(messages))
     for i, (topic, message) in enumerate(messages, 1):
@@ -64,7 +81,12 @@ def test_every_intermediate_volume_is_that_of_the_offline_prefix():
             continue
         for part in wire.update_parts(surface.update(), 300):
             rows = sent(wire.filtered_columns(part.points)) if len(part.points) else None
-            estimator.add(wire.filter_update(wire.filtered_points(rows) if rows else wire.no_filtered_points(), sent(wire.patch_columns(part))))
+            estimator.add(
+                wire.filter_update(
+                    wire.filtered_points(rows) if rows else wire.no_filtered_points(),
+                    sent(wire.patch_columns(part)),
+                )
+            )
         online = estimator.estimate().volume
         engine = Engine(parameters)
         for t, m in messages[:i]:
@@ -76,7 +98,9 @@ def test_every_intermediate_volume_is_that_of_the_offline_prefix():
 
 def test_launch_files_name_the_nodes_that_exist():
     tree = ast.parse((ROOT / "launch" / "online.launch.py").read_text())
-    words = {n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)}
+    words = {
+        n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)
+    }
     for node in ("georeference_node", "filter_node", "volume_node", "logger_node", "mavlink_node"):
         assert node in words and (ROOT / "ladar_volume" / "nodes" / f"{node}.py").is_file()
     assert np.all([w != "rosbag2_py" for w in words])

@@ -1,4 +1,6 @@
-"""Refinement of epochs: Monte Carlo of its covariance, agreement with Open3D, surfaces that slide, hostile input."""
+"""Refinement of epochs: Monte Carlo of its covariance, agreement with Open3D, surfaces that slide,
+hostile input.
+"""
 
 from __future__ import annotations
 
@@ -47,18 +49,29 @@ def test_covariance_by_monte_carlo(levelled, cell_m):
     T = start([0, 0, 0.004] if levelled else [0.002, -0.003, 0.004], [0.02, 0.01, -0.02])
     errors, C = [], []
     for _ in range(60):
-        r = refine(T.back(x + 0.01 * rng.standard_normal(x.shape)), y, n, reach_m=0.6, levelled=levelled, cell_m=cell_m).transform
+        r = refine(
+            T.back(x + 0.01 * rng.standard_normal(x.shape)),
+            y,
+            n,
+            reach_m=0.6,
+            levelled=levelled,
+            cell_m=cell_m,
+        ).transform
         D = T.R.T @ r.R
         errors.append([D[2, 1], D[0, 2], D[1, 0], *(r.t - T.apply(r.pivot[None])[0])])
         C.append(np.diag(r.C)[:6])
     free = [2, 3, 4, 5] if levelled else list(range(6))
     ratio = np.std(errors, axis=0)[free] / np.sqrt(np.mean(C, axis=0))[free]
-    assert ratio == pytest.approx(1.0, abs=0.25) and np.sqrt(np.mean(ratio**2)) == pytest.approx(1.0, abs=0.12)
+    assert ratio == pytest.approx(1.0, abs=0.25) and np.sqrt(np.mean(ratio**2)) == pytest.approx(
+        1.0, abs=0.12
+    )
     assert np.delete(np.mean(C, axis=0), free).sum() == 0
 
 
 def test_clusters_see_the_correlation_that_the_plain_formula_misses():
-    """Residuals that are common within 1 m: the plain sigma is several times too small, that of cells is not."""
+    """Residuals that are common within 1 m: the plain sigma is several times too small, that of
+    cells is not.
+    """
     rng = np.random.default_rng(3)
     y, n = corner(20_000, rng)
     x = inner(corner(3000, rng)[0])
@@ -74,7 +87,9 @@ def test_clusters_see_the_correlation_that_the_plain_formula_misses():
         plain.append(np.diag(a.C)[3:6])
         cells.append(np.diag(b.C)[3:6])
     spread = np.sqrt(np.mean(np.square(errors)))
-    assert spread > 2.0 * np.sqrt(np.mean(plain)) and np.sqrt(np.mean(cells)) / spread == pytest.approx(1.0, abs=0.25)
+    assert spread > 2.0 * np.sqrt(np.mean(plain)) and np.sqrt(
+        np.mean(cells)
+    ) / spread == pytest.approx(1.0, abs=0.25)
 
 
 def test_what_changed_between_the_epochs_is_left_out():
@@ -83,7 +98,10 @@ def test_what_changed_between_the_epochs_is_left_out():
     dug = (x[:, 2] == 0) & (x[:, 0] > 6)
     x[dug, 2] -= 0.3
     r = refine(x + 0.003 * rng.standard_normal(x.shape), y, n, reach_m=0.6)
-    assert np.abs(r.transform.t - r.transform.pivot).max() < 0.001 and not np.isin(np.flatnonzero(dug), r.pairs[:, 0]).any()
+    assert (
+        np.abs(r.transform.t - r.transform.pivot).max() < 0.001
+        and not np.isin(np.flatnonzero(dug), r.pairs[:, 0]).any()
+    )
 
 
 def test_open3d_finds_the_same():

@@ -1,4 +1,6 @@
-"""Reference spheres: closed-form covariances, Monte Carlo, outliers, and every degenerate set refused."""
+"""Reference spheres: closed-form covariances, Monte Carlo, outliers, and every degenerate set
+refused.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ def sphere_points(n, rng, radius=0.1, sigma=0.0, lowest=-1.0, centre=CENTRE):
 @pytest.mark.parametrize("noise", [None, 0.001])
 def test_exact_points_give_the_exact_sphere(radius, noise):
     s = fit_sphere(sphere_points(40, np.random.default_rng(1), lowest=0.2), noise, radius)
-    assert s.centre == pytest.approx(CENTRE, abs=1e-11) and s.radius == pytest.approx(0.1, abs=1e-11)
+    assert s.centre == pytest.approx(CENTRE, abs=1e-11) and s.radius == pytest.approx(
+        0.1, abs=1e-11
+    )
     assert s.inside.all() and np.abs(s.residuals).max() < 1e-12
 
 
@@ -39,7 +43,9 @@ def test_covariance_has_its_closed_form_on_the_whole_sphere():
     p = sphere_points(n, np.random.default_rng(2), sigma=sigma)
     free, known = fit_sphere(p, sigma), fit_sphere(p, sigma, 0.1)
     for s in (free, known):
-        assert s.C_centre == pytest.approx(3 * sigma**2 / n * np.eye(3), rel=0.05, abs=0.05 * 3 * sigma**2 / n)
+        assert s.C_centre == pytest.approx(
+            3 * sigma**2 / n * np.eye(3), rel=0.05, abs=0.05 * 3 * sigma**2 / n
+        )
         assert s.sigma0 == pytest.approx(1.0, abs=0.02)
     assert free.C[3, 3] == pytest.approx(sigma**2 / n, rel=0.05)
     assert (known.C[3] == 0).all() and known.radius == 0.1
@@ -48,17 +54,29 @@ def test_covariance_has_its_closed_form_on_the_whole_sphere():
 def test_covariance_over_a_half_sphere_four_times_along_the_axis_with_a_free_radius():
     n, sigma = 20_000, 0.002
     p = sphere_points(n, np.random.default_rng(3), sigma=sigma, lowest=0.0)
-    assert np.diag(fit_sphere(p, sigma).C_centre) * n / sigma**2 == pytest.approx([3, 3, 12], rel=0.06)
-    assert np.diag(fit_sphere(p, sigma, 0.1).C_centre) * n / sigma**2 == pytest.approx([3, 3, 3], rel=0.06)
+    assert np.diag(fit_sphere(p, sigma).C_centre) * n / sigma**2 == pytest.approx(
+        [3, 3, 12], rel=0.06
+    )
+    assert np.diag(fit_sphere(p, sigma, 0.1).C_centre) * n / sigma**2 == pytest.approx(
+        [3, 3, 3], rel=0.06
+    )
 
 
 @pytest.mark.parametrize(("radius", "limit"), [(None, 0.0077), (0.1, 0.0049)])
 def test_half_seen_sphere_of_twelve_points_by_monte_carlo(radius, limit):
-    """R = 0.1 m, 5 mm noise: centre RMS as published elsewhere or better, the predicted one within 10 %."""
+    """R = 0.1 m, 5 mm noise: centre RMS as published elsewhere or better, the predicted one within
+    10 %.
+    """
     rng = np.random.default_rng(4)
     error2, predicted, ratio = [], [], []
     for k in range(250):
-        s = fit_sphere(sphere_points(12, rng, sigma=0.005, lowest=0.0, centre=np.zeros(3)), 0.005, radius, instrument=np.array([0, 0, 9.0]), seed=k)
+        s = fit_sphere(
+            sphere_points(12, rng, sigma=0.005, lowest=0.0, centre=np.zeros(3)),
+            0.005,
+            radius,
+            instrument=np.array([0, 0, 9.0]),
+            seed=k,
+        )
         error2.append(s.centre @ s.centre)
         predicted.append(np.trace(s.C_centre))
         ratio.append(s.centre @ np.linalg.solve(s.C_centre, s.centre) / 3)
@@ -68,7 +86,9 @@ def test_half_seen_sphere_of_twelve_points_by_monte_carlo(radius, limit):
 
 
 def test_monte_carlo_with_point_covariances_along_the_beam():
-    """A scanner's noise lies along the beam: points at the limb carry less of it along their normal."""
+    """A scanner's noise lies along the beam: points at the limb carry less of it along their
+    normal.
+    """
     rng = np.random.default_rng(5)
     eye, sigma = np.array([0.0, 0.0, 10.0]), 0.004
     errors, C = [], []
@@ -90,14 +110,19 @@ def test_unknown_noise_is_estimated():
     s = [fit_sphere(sphere_points(50, rng, sigma=0.003, lowest=0.0), seed=k) for k in range(60)]
     assert np.mean([f.sigma[0] for f in s]) == pytest.approx(0.003, rel=0.05)
     error2 = np.mean([np.sum((f.centre - CENTRE) ** 2) for f in s])
-    assert np.sqrt(np.mean([np.trace(f.C_centre) for f in s]) / error2) == pytest.approx(1.0, abs=0.15)
+    assert np.sqrt(np.mean([np.trace(f.C_centre) for f in s]) / error2) == pytest.approx(
+        1.0, abs=0.15
+    )
 
 
 @pytest.mark.parametrize("radius", [None, 0.1])
 @pytest.mark.parametrize("noise", [None, 0.002])
 def test_outliers_are_left_out(radius, noise):
     rng = np.random.default_rng(7)
-    good, stand = sphere_points(60, rng, sigma=0.002, lowest=0.0), CENTRE + [0, 0, -0.1] + rng.uniform(-0.2, 0.2, (40, 3)) * [0.1, 0.1, 1]
+    good, stand = (
+        sphere_points(60, rng, sigma=0.002, lowest=0.0),
+        CENTRE + [0, 0, -0.1] + rng.uniform(-0.2, 0.2, (40, 3)) * [0.1, 0.1, 1],
+    )
     s = fit_sphere(np.concatenate([good, stand]), noise, radius)
     assert np.linalg.norm(s.centre - CENTRE) < 0.0025
     assert s.inside[:60].sum() >= 58 and s.inside[60:].sum() <= 6
@@ -142,7 +167,10 @@ def test_refusals():
     assert reason(p, radius=-1.0) == "sphere_radius"
     assert reason(p, 0.0) == "sphere_noise" and reason(p, np.ones(3)) == "sphere_noise"
     assert reason(rng.uniform(-1, 1, (60, 3)), 0.001) == "sphere_no_consensus"
-    assert reason(rng.uniform(-100, 100, (60, 3)), 0.001, 0.1) in ("sphere_none", "sphere_no_consensus")
+    assert reason(rng.uniform(-100, 100, (60, 3)), 0.001, 0.1) in (
+        "sphere_none",
+        "sphere_no_consensus",
+    )
 
 
 def test_a_circle_on_a_known_sphere_is_resolved_by_the_instrument():
@@ -164,7 +192,9 @@ def test_minimal_spheres_pass_through_their_points():
 
 def moving(rng, displacement, sigma=0.002):
     tau = np.linspace(-0.5, 0.5, 200)
-    return sphere_points(200, rng, sigma=sigma, lowest=0.0) + tau[:, None] * displacement, 1e9 + 900 * tau
+    return sphere_points(200, rng, sigma=sigma, lowest=0.0) + tau[
+        :, None
+    ] * displacement, 1e9 + 900 * tau
 
 
 @pytest.mark.parametrize("radius", [None, 0.1])
@@ -179,13 +209,20 @@ def test_drift_is_found_measured_and_not_invented(radius):
     truth = np.array([0.006, -0.003, 0.001])
     p, t = moving(rng, truth)
     d = check_drift(p, t, fit_sphere(p, 0.002, radius))
-    assert not d.still and np.linalg.norm(d.displacement_m - truth) < 4 * np.sqrt(np.trace(d.C)) and d.detectable_m < 0.006
+    assert (
+        not d.still
+        and np.linalg.norm(d.displacement_m - truth) < 4 * np.sqrt(np.trace(d.C))
+        and d.detectable_m < 0.006
+    )
 
 
 def test_two_measurements_of_a_sphere():
     rng = np.random.default_rng(13)
     a, b = (fit_sphere(sphere_points(50, rng, sigma=0.002, lowest=0.0), 0.002) for _ in range(2))
-    c = fit_sphere(sphere_points(50, rng, sigma=0.002, lowest=0.0, centre=CENTRE + np.array([0.01, 0, 0])), 0.002)
+    c = fit_sphere(
+        sphere_points(50, rng, sigma=0.002, lowest=0.0, centre=CENTRE + np.array([0.01, 0, 0])),
+        0.002,
+    )
     assert check_moved(a, b).still and not check_moved(a, c).still
 
 

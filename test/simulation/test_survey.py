@@ -32,9 +32,16 @@ ZERO = {
 def test_firing_pattern_is_the_vlp_16s():
     f = velodyne.sweep(0.0, 1)
     assert len(f.time_s) == 16 * 1808
-    assert np.diff(f.time_s[:16]) == pytest.approx(2.304e-6) and f.time_s[16] - f.time_s[0] == pytest.approx(55.296e-6)
+    assert np.diff(f.time_s[:16]) == pytest.approx(2.304e-6) and f.time_s[16] - f.time_s[
+        0
+    ] == pytest.approx(55.296e-6)
     assert np.degrees(f.elevation[:4]).tolist() == pytest.approx([-15, 1, -13, 3])
-    assert f.ring[:4].tolist() == [0, 8, 1, 9]  # the driver's ring numbers count elevations from below
+    assert f.ring[:4].tolist() == [
+        0,
+        8,
+        1,
+        9,
+    ]  # the driver's ring numbers count elevations from below
     assert np.degrees(f.azimuth[16] - f.azimuth[0]) == pytest.approx(-0.199, abs=1e-3)
     assert len(velodyne.sweep(0.0, 6).time_s) == 16 * 302
 
@@ -49,14 +56,19 @@ def test_error_series_has_its_total_variance_and_its_correlation():
     r = np.mean(markov[:, :-lag] * markov[:, lag:]) / np.mean(markov**2)
     assert r == pytest.approx(np.exp(-1), abs=0.06)
     bias = np.stack([error_series(t[:50], sigma, 1.0, 0.0, 20.0, rng) for _ in range(2000)])
-    assert np.ptp(bias, axis=1).max() == 0.0 and bias[:, 0].std(axis=0) == pytest.approx(sigma, rel=0.06)
+    assert np.ptp(bias, axis=1).max() == 0.0 and bias[:, 0].std(axis=0) == pytest.approx(
+        sigma, rel=0.06
+    )
 
 
 def _flawless(platform, seed=1, **options):
     scene = make_scene("cone")
     budget = BudgetParameters(**ZERO)
     return Survey(
-        scene, make_platform(platform, scene.extent_m, 20.0), budget, SurveyOptions(0.4, 12, mixed_share=0.0, seed=seed, **options)
+        scene,
+        make_platform(platform, scene.extent_m, 20.0),
+        budget,
+        SurveyOptions(0.4, 12, mixed_share=0.0, seed=seed, **options),
     )
 
 
@@ -89,7 +101,12 @@ def test_the_seed_decides_everything_and_outages_show():
 
 def test_a_recording_says_nothing_of_the_truth(tmp_path):
     scene = make_scene("cone")
-    survey = Survey(scene, make_platform("uav", scene.extent_m, 20.0), BudgetParameters(), SurveyOptions(0.5, 20, seed=3))
+    survey = Survey(
+        scene,
+        make_platform("uav", scene.extent_m, 20.0),
+        BudgetParameters(),
+        SurveyOptions(0.5, 20, seed=3),
+    )
     write_bag(survey, tmp_path / "bag", {"filter": {"radius_m": 0.5}}, lambda share: None)
     truth = json.loads((tmp_path / "bag" / "truth.json").read_text())
     assert truth["volume_m3"] == scene.volume_m3

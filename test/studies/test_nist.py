@@ -1,4 +1,6 @@
-"""The simulated box experiment: rays in closed form, the experiments on few points, tables and figures, the printed values."""
+"""The simulated box experiment: rays in closed form, the experiments on few points, tables and
+figures, the printed values.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ from ladar_volume.volume.overlay import between
 
 
 def march(ray, with_box, step=2e-4):
-    """Distance by small steps: the first at which the ray is behind a screen, under the floor or in the box."""
+    """Distance by small steps: the first at which the ray is behind a screen, under the floor or in
+    the box.
+    """
     t = np.arange(0.5, 7.0, step)
     p = SCANNER_M + t[:, None] * ray
     solid = (p <= 0).any(axis=1) | (with_box & (p < BOX_M).all(axis=1))
@@ -50,12 +54,19 @@ def test_rays_against_marching(with_box):
     at = rng.uniform([0, 0, 0], [2.2, 2.2, 1.9], (300, 3)) * (rng.random((300, 3)) > 0.3)
     ray = (at - SCANNER_M) / np.linalg.norm(at - SCANNER_M, axis=1)[:, None]
     distance, met = cast(ray, with_box)
-    assert {FLOOR, SCREEN_X, SCREEN_Y, *([BOX] if with_box else [])} <= set(met.tolist()) <= {-1, FLOOR, SCREEN_X, SCREEN_Y, BOX}
+    assert (
+        {FLOOR, SCREEN_X, SCREEN_Y, *([BOX] if with_box else [])}
+        <= set(met.tolist())
+        <= {-1, FLOOR, SCREEN_X, SCREEN_Y, BOX}
+    )
     for r, d, m in zip(ray, distance, met, strict=True):
         expected = march(r, with_box)
         end = SCANNER_M + expected * r
         if m < 0:
-            assert np.isinf(d) and (end > np.array([SCREEN_M[0], SCREEN_M[0], SCREEN_M[1]]) - 1e-3).any()
+            assert (
+                np.isinf(d)
+                and (end > np.array([SCREEN_M[0], SCREEN_M[0], SCREEN_M[1]]) - 1e-3).any()
+            )
         else:
             assert d == pytest.approx(expected, abs=3e-4)
 
@@ -71,9 +82,14 @@ def test_a_scan_is_on_the_surfaces_with_noise_along_the_rays():
     a = scan(True, 0.01, np.random.default_rng(3), 0.02, 0.0)
     along = ((a.points - a.true) * a.ray).sum(axis=1)
     assert np.cross(a.points - a.true, a.ray) == pytest.approx(np.zeros_like(a.true), abs=1e-12)
-    assert along.std() == pytest.approx(0.02, rel=5.0 / np.sqrt(2 * len(along))) and abs(along.mean()) < 5 * 0.02 / np.sqrt(len(along))
+    assert along.std() == pytest.approx(0.02, rel=5.0 / np.sqrt(2 * len(along))) and abs(
+        along.mean()
+    ) < 5 * 0.02 / np.sqrt(len(along))
     on_box = a.true[a.met == BOX]
-    assert np.abs(on_box - BOX_M).min(axis=1) == pytest.approx(np.zeros(len(on_box)), abs=1e-12) and (on_box < BOX_M + 1e-12).all()
+    assert (
+        np.abs(on_box - BOX_M).min(axis=1) == pytest.approx(np.zeros(len(on_box)), abs=1e-12)
+        and (on_box < BOX_M + 1e-12).all()
+    )
     for code, axis in ((SCREEN_X, 0), (SCREEN_Y, 1), (FLOOR, 2)):
         assert a.true[a.met == code, axis] == pytest.approx(0.0, abs=1e-12)
     b = scan(True, 0.01, np.random.default_rng(3), 0.02, 0.001)
@@ -94,8 +110,13 @@ def test_no_edge_hides_anything():
 def test_sizes_and_truth():
     for density, sizes in enumerate(DENSITIES, 1):
         a, b = pair(density, 0)
-        assert abs(len(a.points) - sizes[0]) < 0.02 * sizes[0] and abs(len(b.points) - sizes[1]) < 0.02 * sizes[1]
-    assert TRUE_M3 == pytest.approx(1.6990, abs=5e-5) and TRUE_BOUND_M3 == pytest.approx(0.0070, abs=5e-5)
+        assert (
+            abs(len(a.points) - sizes[0]) < 0.02 * sizes[0]
+            and abs(len(b.points) - sizes[1]) < 0.02 * sizes[1]
+        )
+    assert TRUE_M3 == pytest.approx(1.6990, abs=5e-5) and TRUE_BOUND_M3 == pytest.approx(
+        0.0070, abs=5e-5
+    )
     assert step_for(4000) == pytest.approx(2 * step_for(16000))
     for bad in ((0.0, 0.02), (0.01, -1.0)):
         with pytest.raises(SimulationError):
@@ -112,20 +133,26 @@ def test_without_noise_the_own_way_finds_the_box_and_its_sigma_is_that_of_the_no
     assert abs(nist_experiments.error_pct(clean.volume_m3)) < 0.1
     frame, rng, volumes = nist_experiments.scan_frame(b), np.random.default_rng(0), []
     tins = [build_tin(frame.points(s.points)) for s in (a, b)]
-    for _ in range(60):  # heights and positions move, the triangulation stays: what first order means
+    for _ in range(
+        60
+    ):  # heights and positions move, the triangulation stays: what first order means
         moved = []
         for s, tin in zip((a, b), tins, strict=True):
             noisy = s.points + 0.002 * rng.standard_normal((len(s.points), 1)) * s.ray
             moved.append(dataclasses.replace(tin, vertices=frame.points(noisy)[tin.source]))
         volumes.append(between(*moved, gradients=False).net_m3)
-    assert np.std(volumes, ddof=1) * 10.0 == pytest.approx(clean.sigma_m3, rel=4.0 / np.sqrt(2 * 59))
+    assert np.std(volumes, ddof=1) * 10.0 == pytest.approx(
+        clean.sigma_m3, rel=4.0 / np.sqrt(2 * 59)
+    )
 
 
 def test_the_own_way_is_unbiased_and_knows_its_sigma():
     own = [nist_experiments.own_way(*pair(3, seed)) for seed in range(8)]
     n = nist.own_numbers(own)
     assert abs(n["bias_pct"]) < 4 * n["predicted_sigma_pct"] / np.sqrt(8)
-    assert 0.4 < n["predicted_sigma_pct"] / n["spread_pct"] < 2.5  # eight seeds: 0.4 to 2.5 holds all but one in a thousand
+    assert (
+        0.4 < n["predicted_sigma_pct"] / n["spread_pct"] < 2.5
+    )  # eight seeds: 0.4 to 2.5 holds all but one in a thousand
 
 
 def test_volumes_over_two_footprints_follow_their_difference():
@@ -146,7 +173,9 @@ def test_exchanges_end_on_walls_rounded_to_millimetres():
         tin = nist_experiments.adjusted(points, nist_experiments.adaptive(points, 2500).tin)
         for measure in ("asd", "rms"):
             e = exchange_diagonals(tin, points, measure)
-            assert (e.asd_m if measure == "asd" else e.rms_m) <= (e.asd_before_m if measure == "asd" else e.rms_before_m)
+            assert (e.asd_m if measure == "asd" else e.rms_m) <= (
+                e.asd_before_m if measure == "asd" else e.rms_before_m
+            )
 
 
 def test_the_same_seed_gives_the_same_digits():
@@ -156,7 +185,11 @@ def test_the_same_seed_gives_the_same_digits():
 
 def test_bins_that_hold_too_many_points_leave_a_gap():
     volumes = nist_experiments.experiment_one(0, (300,), (10, 200))
-    assert volumes.shape == (2, 1, 2) and np.isfinite(volumes[:, 0, 0]).all() and np.isnan(volumes[:, 0, 1]).all()
+    assert (
+        volumes.shape == (2, 1, 2)
+        and np.isfinite(volumes[:, 0, 0]).all()
+        and np.isnan(volumes[:, 0, 1]).all()
+    )
 
 
 def test_printed_tables_agree_with_one_another():
@@ -164,7 +197,9 @@ def test_printed_tables_agree_with_one_another():
     for table, first in ((p.TABLE_5_8A, 2), (p.TABLE_5_8B, 0)):
         volume = p.box_volumes(table)
         assert volume.shape == (10, 2, 5)
-        assert np.c_[volume[:, 0, 4], volume[:, 1, 0]] == pytest.approx(p.TABLE_5_9[:, first : first + 2], abs=6e-4)
+        assert np.c_[volume[:, 0, 4], volume[:, 1, 0]] == pytest.approx(
+            p.TABLE_5_9[:, first : first + 2], abs=6e-4
+        )
     assert p.TABLE_5_5.mean(axis=0) == pytest.approx([1.678, 1.681, 1.669, 1.667], abs=6e-4)
     assert 100 * (p.TABLE_5_4[:, :4] / 1.699 - 1) == pytest.approx(p.TABLE_5_3A, abs=0.04)
     assert p.TABLE_5_2.shape == p.TABLE_5_2_RMS.shape == (10, 8)
@@ -183,11 +218,19 @@ def small(tmp_path_factory):
     patch = pytest.MonkeyPatch()
     sizes = tuple((n // 8, n // 8) for n, _ in DENSITIES)
     for module in (nist_experiments, nist_riddles, nist):
-        patch.setattr(module, "pair", lambda density, seed, *rest: small_pair(sizes[density - 1][0], seed, density, *rest))
+        patch.setattr(
+            module,
+            "pair",
+            lambda density, seed, *rest: small_pair(sizes[density - 1][0], seed, density, *rest),
+        )
     patch.setattr(nist_experiments, "VERTICES_5_3", (600, 400, 300, 180, 100))
     patch.setattr(nist_experiments, "SUBSETS", 10)
     one = nist_experiments.experiment_one
-    patch.setattr(nist, "experiment_one", lambda seed: np.repeat(one(seed, nist_experiments.COUNTS, (10,)), 7, axis=2))
+    patch.setattr(
+        nist,
+        "experiment_one",
+        lambda seed: np.repeat(one(seed, nist_experiments.COUNTS, (10,)), 7, axis=2),
+    )
     for name in ("SUBSET_VERTICES", "FULL_VERTICES"):
         patch.setattr(nist_experiments, name, 400)
     patch.setattr(nist_riddles, "SUBSET_VERTICES", 400)
@@ -214,13 +257,26 @@ def test_the_verb_writes_every_table_and_figure(small):
     for name in facts["figures"]:
         assert (folder / name).read_bytes()[:4] == b"\x89PNG"
     assert text == tables(study)
-    for key in ("own", "experiment_3_pct", "experiment_4_pct", "filter_change_pct", "sensitivity_pct", "densities", "vertices", "levels"):
+    for key in (
+        "own",
+        "experiment_3_pct",
+        "experiment_4_pct",
+        "filter_change_pct",
+        "sensitivity_pct",
+        "densities",
+        "vertices",
+        "levels",
+    ):
         assert facts[key]
 
 
 def test_more_vertices_than_points_is_the_full_surface(small):
     _, study = small
-    assert np.array_equal(study.one[:, 0, -1], study.one[:, 0, -2]) and study.methods().shape == (2, 11, 4)
+    assert np.array_equal(study.one[:, 0, -1], study.one[:, 0, -2]) and study.methods().shape == (
+        2,
+        11,
+        4,
+    )
     assert np.isnan(nist.spread(np.zeros(1)))  # one seed has no spread
 
 

@@ -1,4 +1,6 @@
-"""Seed 004 section 5 and Table 2: printed values reproduced, corrected ones by independent arithmetic."""
+"""Seed 004 section 5 and Table 2: printed values reproduced, corrected ones by independent
+arithmetic.
+"""
 
 from __future__ import annotations
 
@@ -50,23 +52,41 @@ def test_position_added_and_in_quadrature():
 def test_sources_add_up_and_follow_plane_geometry(beam):
     budget, r = PRESETS["survey"], 150.0
     each = {s: point_sigmas(alone(budget, s), beam, r) for s in SOURCES}
-    assert sum(v**2 for v in each.values()) == pytest.approx(point_sigmas(budget, beam, r) ** 2, rel=1e-12)
+    assert sum(v**2 for v in each.values()) == pytest.approx(
+        point_sigmas(budget, beam, r) ** 2, rel=1e-12
+    )
     # by hand: a rotation w moves a point at v by w x v
     w, v = np.array(budget.boresight_sigma_rad), np.asarray(beam) * r
-    by_hand = np.sqrt([(w[1] * v[2]) ** 2 + (w[2] * v[1]) ** 2, (w[2] * v[0]) ** 2 + (w[0] * v[2]) ** 2,
-                       (w[0] * v[1]) ** 2 + (w[1] * v[0]) ** 2])  # fmt: skip
+    by_hand = np.sqrt(
+        [
+            (w[1] * v[2]) ** 2 + (w[2] * v[1]) ** 2,
+            (w[2] * v[0]) ** 2 + (w[0] * v[2]) ** 2,
+            (w[0] * v[1]) ** 2 + (w[1] * v[0]) ** 2,
+        ]
+    )
     assert each["boresight"] == pytest.approx(by_hand, rel=1e-12)
     assert each["range"] == pytest.approx(np.abs(beam) * budget.range_noise_m, rel=1e-12, abs=1e-15)
 
 
 def test_the_cone():
-    assert math.pi * COAL.width_m**3 * math.tan(math.radians(35.0)) / 24.0 == pytest.approx(100.0, rel=1e-14)
+    assert math.pi * COAL.width_m**3 * math.tan(math.radians(35.0)) / 24.0 == pytest.approx(
+        100.0, rel=1e-14
+    )
     assert COAL.area_m2 * COAL.height_m / 3.0 == pytest.approx(100.0, rel=1e-14)
     change = COAL.changes(0.05)
     # the printed 0.086 m "width" is the change of the radius; the width changes by twice that
-    assert round(change["radius"], 4) == 0.0858 and round(change["width"], 3) == 0.172 and round(change["height"], 4) == 0.0601
+    assert (
+        round(change["radius"], 4) == 0.0858
+        and round(change["width"], 3) == 0.172
+        and round(change["height"], 4) == 0.0601
+    )
     assert change["common_shift"] == pytest.approx(change["height"], rel=1e-14)
-    grown = math.pi * (COAL.width_m + change["width_exact"]) ** 2 * (COAL.height_m + change["height_exact"]) / 12.0
+    grown = (
+        math.pi
+        * (COAL.width_m + change["width_exact"]) ** 2
+        * (COAL.height_m + change["height_exact"])
+        / 12.0
+    )
     assert grown == pytest.approx(105.0, rel=1e-14)
 
 
@@ -89,7 +109,10 @@ def test_tables_figure_and_verb(tmp_path, capsys):
         assert number in text
     assert cli.main(["study", "stockpile", "-o", str(tmp_path / "out"), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
-    assert facts["figures"] == ["precision.png"] and (tmp_path / "out" / "precision.png").stat().st_size > 10_000
+    assert (
+        facts["figures"] == ["precision.png"]
+        and (tmp_path / "out" / "precision.png").stat().st_size > 10_000
+    )
     assert json.loads((tmp_path / "out" / "study.json").read_text()) == facts
     assert (tmp_path / "out" / "tables.md").read_text() == text
     assert cli.main(["study", "stockpile"]) == 0 and "in quadrature" in capsys.readouterr().out

@@ -1,4 +1,6 @@
-"""Adaptive insertion: against choosing by brute force, closed forms, invariances, and input that must be refused."""
+"""Adaptive insertion: against choosing by brute force, closed forms, invariances, and input that
+must be refused.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ from ladar_volume.surface.tin import footprint_areas
 def hills(n, seed=0, noise=0.05):
     rng = np.random.default_rng(seed)
     xy = rng.random((n, 2)) * [40.0, 25.0]
-    return np.column_stack([xy, 3.0 * np.sin(xy[:, 0] / 4.0) * np.cos(xy[:, 1] / 5.0) + rng.normal(0.0, noise, n)])
+    return np.column_stack(
+        [xy, 3.0 * np.sin(xy[:, 0] / 4.0) * np.cos(xy[:, 1] / 5.0) + rng.normal(0.0, noise, n)]
+    )
 
 
 def surface_at(vertices, triangles, xy):
@@ -28,7 +32,13 @@ def surface_at(vertices, triangles, xy):
     heights, areas = np.empty(len(xy)), np.empty(len(xy))
     for i, p in enumerate(xy):
         d = np.stack([v[:, :2] - p for v in (a, b, c)])
-        w = np.stack([d[(k + 1) % 3, :, 0] * d[(k + 2) % 3, :, 1] - d[(k + 1) % 3, :, 1] * d[(k + 2) % 3, :, 0] for k in range(3)])
+        w = np.stack(
+            [
+                d[(k + 1) % 3, :, 0] * d[(k + 2) % 3, :, 1]
+                - d[(k + 1) % 3, :, 1] * d[(k + 2) % 3, :, 0]
+                for k in range(3)
+            ]
+        )
         t = int(np.argmax(w.min(axis=0) / (2.0 * area)))
         heights[i] = (w[:, t] * [a[t, 2], b[t, 2], c[t, 2]]).sum() / w[:, t].sum()
         areas[i] = area[t]
@@ -36,14 +46,18 @@ def surface_at(vertices, triangles, xy):
 
 
 def by_brute_force(points, out, steps, criterion, sigma):
-    """The next ``steps`` choices after the initial vertices, each from a triangulation made anew."""
+    """The next ``steps`` choices after the initial vertices, each from a triangulation made
+    anew.
+    """
     chosen = list(out.inserted[: out.initial])
     corners = out.tin.vertices[out.artificial]
     for _ in range(steps):
         vertices = np.concatenate([points[chosen], corners])
         heights, areas = surface_at(vertices, delaunay(vertices[:, :2])[0], points[:, :2])
         size = np.abs(points[:, 2] - heights)
-        value = {"residual": size, "residual-area": size * areas, "residual-sigma": size / sigma}[criterion]
+        value = {"residual": size, "residual-area": size * areas, "residual-sigma": size / sigma}[
+            criterion
+        ]
         value[chosen] = -1.0
         yield int(np.argmax(value)), float(value.max())
         chosen.append(int(np.argmax(value)))
@@ -67,26 +81,54 @@ def test_the_result_is_delaunay_and_its_residuals_are_those_of_its_surface(crite
     out = adaptive_tin(points, criterion=criterion, sigma_m=np.ones(1000))
     tin = out.tin
     assert fault(tin.vertices[:, :2], tin.triangles, tin.neighbours) == ""
-    assert len(out.inserted) == 333 and np.array_equal(np.sort(out.inserted), tin.source[:333]) and len(tin.vertices) == 337
-    assert np.array_equal(tin.vertices[:333], points[tin.source[:333]]) and (tin.source[333:] == -1).all()
-    assert np.array_equal(tin.relevant, (tin.triangles < 333).all(axis=1)) and out.artificial.tolist() == [333, 334, 335, 336]
+    assert (
+        len(out.inserted) == 333
+        and np.array_equal(np.sort(out.inserted), tin.source[:333])
+        and len(tin.vertices) == 337
+    )
+    assert (
+        np.array_equal(tin.vertices[:333], points[tin.source[:333]])
+        and (tin.source[333:] == -1).all()
+    )
+    assert np.array_equal(
+        tin.relevant, (tin.triangles < 333).all(axis=1)
+    ) and out.artificial.tolist() == [333, 334, 335, 336]
     heights, _ = surface_at(tin.vertices, tin.triangles, points[:, :2])
     np.testing.assert_allclose(out.residual, points[:, 2] - heights, rtol=0, atol=1e-12)
     assert (out.residual[out.inserted] == 0.0).all()
     rms, asd, count = out.fit(relevant_only=False)
-    assert count == 1000 and rms == pytest.approx(np.sqrt(np.mean(out.residual**2))) and asd == pytest.approx(np.abs(out.residual).mean())
+    assert (
+        count == 1000
+        and rms == pytest.approx(np.sqrt(np.mean(out.residual**2)))
+        and asd == pytest.approx(np.abs(out.residual).mean())
+    )
     over = tin.relevant[out.triangle]
-    assert out.fit() == (pytest.approx(np.sqrt(np.mean(out.residual[over] ** 2))), pytest.approx(np.abs(out.residual[over]).mean()), over.sum())
+    assert out.fit() == (
+        pytest.approx(np.sqrt(np.mean(out.residual[over] ** 2))),
+        pytest.approx(np.abs(out.residual[over]).mean()),
+        over.sum(),
+    )
 
 
 def test_a_full_triangulation_has_every_point_and_no_residual():
     points = hills(500, 4)
     out = adaptive_tin(points, ratio=1.0)
     relevant = np.unique(out.tin.triangles[out.tin.relevant])
-    assert len(out.inserted) == out.initial == 500 and (out.residual == 0.0).all() and out.fit() == (0.0, 0.0, len(relevant))
-    corners = [[out.window[0], out.window[1]], [out.window[2], out.window[1]], [out.window[2], out.window[3]], [out.window[0], out.window[3]]]
+    assert (
+        len(out.inserted) == out.initial == 500
+        and (out.residual == 0.0).all()
+        and out.fit() == (0.0, 0.0, len(relevant))
+    )
+    corners = [
+        [out.window[0], out.window[1]],
+        [out.window[2], out.window[1]],
+        [out.window[2], out.window[3]],
+        [out.window[0], out.window[3]],
+    ]
     triangles, _ = delaunay(np.concatenate([points[:, :2], corners]))
-    assert {tuple(sorted(t)) for t in triangles.tolist()} == {tuple(sorted(t)) for t in out.tin.triangles.tolist()}
+    assert {tuple(sorted(t)) for t in triangles.tolist()} == {
+        tuple(sorted(t)) for t in out.tin.triangles.tolist()
+    }
 
 
 def test_the_tolerance_ends_the_insertion_and_holds():
@@ -104,7 +146,12 @@ def test_a_plane_needs_no_more_than_its_corners():
     points = np.column_stack([x.ravel(), y.ravel(), (2.0 * x - y).ravel()])
     out = adaptive_tin(points, tolerance=0.0, bins_per_row=1)
     # a grid's corners are data: nothing is artificial, everything relevant
-    assert len(out.artificial) == 0 and out.tin.relevant.all() and len(out.inserted) == 5 and (out.residual == 0.0).all()
+    assert (
+        len(out.artificial) == 0
+        and out.tin.relevant.all()
+        and len(out.inserted) == 5
+        and (out.residual == 0.0).all()
+    )
     assert footprint_areas(out.tin.vertices, out.tin.triangles).sum() == 88.0
     spike = points.copy()
     spike[37, 2] += 1.0
@@ -115,16 +162,38 @@ def test_a_plane_needs_no_more_than_its_corners():
 def test_ties_go_to_the_first_point_whatever_the_grid(criterion):
     x, y = np.meshgrid(np.arange(9.0), np.arange(9.0))
     points = np.column_stack([x.ravel(), y.ravel(), np.zeros(81)])
-    out = adaptive_tin(points, vertices=30, criterion=criterion, sigma_m=np.ones(81), bins_per_row=1)
-    assert out.inserted[out.initial :].tolist() == [k for k in range(81) if k not in out.inserted[: out.initial]][: 30 - out.initial]
+    out = adaptive_tin(
+        points, vertices=30, criterion=criterion, sigma_m=np.ones(81), bins_per_row=1
+    )
+    assert (
+        out.inserted[out.initial :].tolist()
+        == [k for k in range(81) if k not in out.inserted[: out.initial]][: 30 - out.initial]
+    )
     assert (out.score[out.initial :] == 0.0).all()
     assert fault(out.tin.vertices[:, :2], out.tin.triangles, out.tin.neighbours) == ""
 
 
 def test_binning_takes_the_point_nearest_each_centre_column_by_column():
-    points = np.array([[0.0, 0, 1], [4, 0, 2], [4, 4, 3], [0, 4, 4], [1.1, 1, 5], [1.0, 1.0, 6], [1, 3.2, 7], [3, 0.7, 8], [3.4, 3, 9], [3.2, 3.3, 9]])
+    points = np.array(
+        [
+            [0.0, 0, 1],
+            [4, 0, 2],
+            [4, 4, 3],
+            [0, 4, 4],
+            [1.1, 1, 5],
+            [1.0, 1.0, 6],
+            [1, 3.2, 7],
+            [3, 0.7, 8],
+            [3.4, 3, 9],
+            [3.2, 3.3, 9],
+        ]
+    )
     out = adaptive_tin(points, vertices=8, bins_per_row=2)
-    assert sorted(out.inserted[:4].tolist()) == [0, 1, 2, 3] and out.inserted[4:].tolist() == [5, 6, 7, 9] and out.initial == 8
+    assert (
+        sorted(out.inserted[:4].tolist()) == [0, 1, 2, 3]
+        and out.inserted[4:].tolist() == [5, 6, 7, 9]
+        and out.initial == 8
+    )
     with pytest.raises(SurfaceError) as caught:
         adaptive_tin(points, vertices=7, bins_per_row=2)
     assert caught.value.reason == "surface_bins"
@@ -136,10 +205,18 @@ def test_cropping_to_a_window_equals_cropping_before():
     window = (8.0, 5.0, 30.0, 20.0)
     out = adaptive_tin(points, window=window)
     keep = (points[:, 0] >= 8) & (points[:, 0] <= 30) & (points[:, 1] >= 5) & (points[:, 1] <= 20)
-    assert out.cropped == (~keep).sum() and np.isnan(out.residual[~keep]).all() and (out.triangle[~keep] == -1).all()
+    assert (
+        out.cropped == (~keep).sum()
+        and np.isnan(out.residual[~keep]).all()
+        and (out.triangle[~keep] == -1).all()
+    )
     before = adaptive_tin(points[keep], window=window)
-    assert np.array_equal(out.inserted, np.flatnonzero(keep)[before.inserted]) and np.array_equal(out.tin.triangles, before.tin.triangles)
-    assert np.array_equal(out.residual[keep], before.residual) and len(out.inserted) == round(keep.sum() / 3)
+    assert np.array_equal(out.inserted, np.flatnonzero(keep)[before.inserted]) and np.array_equal(
+        out.tin.triangles, before.tin.triangles
+    )
+    assert np.array_equal(out.residual[keep], before.residual) and len(out.inserted) == round(
+        keep.sum() / 3
+    )
     assert out.tin.vertices[:, :2].min(axis=0).tolist() == [8.0, 5.0] and out.window == window
 
 
@@ -194,7 +271,9 @@ def test_one_to_three_points_on_a_given_map(count):
     assert fault(out.tin.vertices[:, :2], out.tin.triangles, out.tin.neighbours) == ""
     if count < 3:
         with pytest.raises(SurfaceError, match="no point"):
-            adaptive_tin(points, window=(0.0, 0.0, 3.0, 3.0), vertices=1, duplicate_tolerance_m=2.0).fit()
+            adaptive_tin(
+                points, window=(0.0, 0.0, 3.0, 3.0), vertices=1, duplicate_tolerance_m=2.0
+            ).fit()
 
 
 def test_hostile_clouds_stay_valid():
@@ -207,7 +286,12 @@ def test_hostile_clouds_stay_valid():
         np.column_stack([rng.random((200, 2)) * [1.0, 1e-13], rng.normal(size=200)]),
         np.column_stack([rng.random((200, 2)) * [1e-7, 1.0], rng.normal(size=200)]),
         np.column_stack([rng.integers(0, 15, (400, 2)) * 0.1 + 1000.1, rng.normal(size=400)]),
-        np.concatenate([np.column_stack([rng.random((200, 2)) * 1e-6, rng.normal(size=200)]), [[1e6, 1e6, 0.0], [-1e6, 3e5, 1.0]]]),
+        np.concatenate(
+            [
+                np.column_stack([rng.random((200, 2)) * 1e-6, rng.normal(size=200)]),
+                [[1e6, 1e6, 0.0], [-1e6, 3e5, 1.0]],
+            ]
+        ),
     ]
     for points in clouds:
         for ratio in (0.3, 1.0):
@@ -260,7 +344,14 @@ def test_compiled_kernels_equal_their_plain_twins(grid, monkeypatch):
 
     def run():
         open_ = np.isin(np.arange(n), first)
-        cloud = Cloud(every, np.r_[z, np.zeros(4)], np.ones(n), np.arange(n, dtype=np.int32), open_, np.full(n, -1, np.int32))
+        cloud = Cloud(
+            every,
+            np.r_[z, np.zeros(4)],
+            np.ones(n),
+            np.arange(n, dtype=np.int32),
+            open_,
+            np.full(n, -1, np.int32),
+        )
         m = triangle_table(n + 4)
         m[:] = 0
         first_triangle(every, m, n, n + 1, n + 2, w)
@@ -272,7 +363,17 @@ def test_compiled_kernels_equal_their_plain_twins(grid, monkeypatch):
         size, count = greedy.greedy_kernel(cloud, heap, m, size, 15, True, -1.0, w, taken, scores)
         triangle, residual = np.zeros(n, np.int32), np.zeros(n)
         greedy.fit_kernel(cloud, m[:size], triangle, residual)
-        return [m[:size], inserted, count, taken, scores, triangle, residual, heap.score[:size], heap.worst[:size]]
+        return [
+            m[:size],
+            inserted,
+            count,
+            taken,
+            scores,
+            triangle,
+            residual,
+            heap.score[:size],
+            heap.worst[:size],
+        ]
 
     compiled = run()
     for name in names:

@@ -1,4 +1,6 @@
-"""The adjoint of the adjustment in three directions, and the covariance of adjusted heights, against differences and dense inverses."""
+"""The adjoint of the adjustment in three directions, and the covariance of adjusted heights,
+against differences and dense inverses.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ladar_volume.surface.adjoint import entries, height_covariance, raw_gradients, selected_inverse, triangle_slopes
+from ladar_volume.surface.adjoint import (
+    entries,
+    height_covariance,
+    raw_gradients,
+    selected_inverse,
+    triangle_slopes,
+)
 from ladar_volume.surface.adjust import adjust_rms, fit_of, raw_gradient
 from ladar_volume.surface.tin import build_tin
 
@@ -44,14 +52,20 @@ def test_gradients_against_differences_in_all_directions():
         return np.einsum("nkc,nc->k", g, heights)
 
     step = 1e-6
-    inner = [i for i in range(4, 120, 5)]  # the corners may not move: a point on the hull would leave it
+    inner = [
+        i for i in range(4, 120, 5)
+    ]  # the corners may not move: a point on the hull would leave it
     for i in inner:
         for c in range(3):
             up, down = points.copy(), points.copy()
             up[i, c] += step
             down[i, c] -= step
-            assert G[i, :, c] == pytest.approx((value(up) - value(down)) / (2 * step), rel=2e-4, abs=2e-5)
-    assert G[:, :, 2] == pytest.approx(raw_gradient(a.tin, a.fit, g[:, :, 2], len(points)), abs=1e-12)
+            assert G[i, :, c] == pytest.approx(
+                (value(up) - value(down)) / (2 * step), rel=2e-4, abs=2e-5
+            )
+    assert G[:, :, 2] == pytest.approx(
+        raw_gradient(a.tin, a.fit, g[:, :, 2], len(points)), abs=1e-12
+    )
 
 
 def test_a_common_shift_moves_the_result_as_the_vertices_do():
@@ -67,7 +81,9 @@ def test_vertices_without_data_and_artificial_ones():
     tin = build_tin(points[:40])
     far = np.flatnonzero(tin.vertices[:, 0] > 5.0)
     mask = ~np.isin(tin.triangles, far).any(axis=1)
-    tin = dataclasses.replace(tin, relevant=mask, source=np.where(tin.source == far[0], -1, tin.source))
+    tin = dataclasses.replace(
+        tin, relevant=mask, source=np.where(tin.source == far[0], -1, tin.source)
+    )
     a = adjust_rms(tin, points)
     held = np.flatnonzero(~a.fit.adjusted)
     assert set(far) <= set(held)
@@ -77,10 +93,15 @@ def test_vertices_without_data_and_artificial_ones():
         if tin.source[v] >= 0:
             assert G[tin.source[v], 0] == pytest.approx(g[v, 0], abs=1e-12)
     C = height_covariance(a.tin, a.fit, np.full(40, 7.0)).toarray()
-    assert np.diag(C)[held] == pytest.approx(np.full(len(held), 7.0)) and not np.any(C[held] - np.diag(np.diag(C))[held])
+    assert np.diag(C)[held] == pytest.approx(np.full(len(held), 7.0)) and not np.any(
+        C[held] - np.diag(np.diag(C))[held]
+    )
 
 
-@pytest.mark.parametrize("points,chosen", [(cloud(seed=7), np.arange(30)), (grid(), np.arange(0, 81, 2)), (grid(5), np.arange(25))])
+@pytest.mark.parametrize(
+    "points,chosen",
+    [(cloud(seed=7), np.arange(30)), (grid(), np.arange(0, 81, 2)), (grid(5), np.arange(25))],
+)
 def test_covariances_of_edges_are_those_of_the_dense_inverse(points, chosen):
     sigma = np.random.default_rng(8).uniform(0.5, 2.0, len(points))
     a = adjusted(points, chosen, sigma)
@@ -114,7 +135,9 @@ def test_the_compiled_kernel_equals_its_plain_twin_and_a_dense_inverse():
 def test_slopes_of_planes_and_slivers():
     tin = build_tin(np.array([[0, 0, 0], [4, 0, 2], [4, 3, 5], [0, 3, 3]], float))
     assert triangle_slopes(tin, tin.vertices[:, 2]) == pytest.approx(np.tile([0.5, 1.0], (2, 1)))
-    flat = dataclasses.replace(tin, vertices=np.c_[tin.vertices[:, :1], np.zeros(4), tin.vertices[:, 2]])
+    flat = dataclasses.replace(
+        tin, vertices=np.c_[tin.vertices[:, :1], np.zeros(4), tin.vertices[:, 2]]
+    )
     assert not triangle_slopes(flat, flat.vertices[:, 2]).any()
     fit = fit_of(tin, tin.vertices)
     assert set(fit.triangle.tolist()) <= {0, 1}

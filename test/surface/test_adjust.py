@@ -1,4 +1,6 @@
-"""Elevation adjustment: the direct solve, the published iteration, the least sizes, and what all of them may not touch."""
+"""Elevation adjustment: the direct solve, the published iteration, the least sizes, and what all of
+them may not touch.
+"""
 
 from __future__ import annotations
 
@@ -49,12 +51,20 @@ def test_direct_equals_dense_least_squares_and_the_iteration_agrees():
     direct = adjust_rms(tin, points)
     assert direct.tin.vertices[:, 2] == pytest.approx(dense_solution(tin, points), abs=1e-9)
     swept = adjust_rms_iterated(tin, points, 2000, 1e-13)
-    assert swept.converged and swept.tin.vertices[:, 2] == pytest.approx(direct.tin.vertices[:, 2], abs=1e-9)
-    assert direct.rms_m < direct.rms_before_m and direct.rms_m == pytest.approx(swept.rms_m, rel=1e-10)
+    assert swept.converged and swept.tin.vertices[:, 2] == pytest.approx(
+        direct.tin.vertices[:, 2], abs=1e-9
+    )
+    assert direct.rms_m < direct.rms_before_m and direct.rms_m == pytest.approx(
+        swept.rms_m, rel=1e-10
+    )
     r = points[:, 2] - height_at(direct.tin, points[:, :2])
-    assert (direct.rms_m, direct.asd_m) == pytest.approx((math.sqrt((r**2).mean()), np.abs(r).mean()), rel=1e-12)
+    assert (direct.rms_m, direct.asd_m) == pytest.approx(
+        (math.sqrt((r**2).mean()), np.abs(r).mean()), rel=1e-12
+    )
     # triangulation, footprint and data are untouched
-    assert direct.tin.triangles is tin.triangles and np.array_equal(direct.tin.vertices[:, :2], tin.vertices[:, :2])
+    assert direct.tin.triangles is tin.triangles and np.array_equal(
+        direct.tin.vertices[:, :2], tin.vertices[:, :2]
+    )
     assert np.array_equal(points, cloud())
 
 
@@ -67,14 +77,18 @@ def test_the_two_stopping_rules():
     assert loose.converged and loose.iterations < 1000
     rms = [adjust_rms_iterated(tin, points, k, 0.0).rms_m for k in range(6)]
     assert rms[0] == adjust_rms(tin, points).rms_before_m
-    assert all(b <= a for a, b in itertools.pairwise(rms)) and rms[-1] >= adjust_rms(tin, points).rms_m
+    assert (
+        all(b <= a for a, b in itertools.pairwise(rms)) and rms[-1] >= adjust_rms(tin, points).rms_m
+    )
     assert loose.rms_m == pytest.approx(adjust_rms(tin, points).rms_m, rel=1e-3)
 
 
 def test_sigmas_weight_the_points():
     points = cloud(seed=2, noise=0.2)
     tin, sigma = partial(points), np.random.default_rng(0).uniform(0.01, 0.3, 400)
-    assert adjust_rms(tin, points, sigma).tin.vertices[:, 2] == pytest.approx(dense_solution(tin, points, sigma), abs=1e-8)
+    assert adjust_rms(tin, points, sigma).tin.vertices[:, 2] == pytest.approx(
+        dense_solution(tin, points, sigma), abs=1e-8
+    )
     same = adjust_rms(tin, points, np.full(400, 0.7)).tin.vertices
     assert same == pytest.approx(adjust_rms(tin, points).tin.vertices, abs=1e-10)
 
@@ -84,9 +98,15 @@ def test_mean_and_median_where_every_point_sits_at_a_vertex():
     tin = build_tin(corners)
     offsets = np.array([0.0, 0.1, 0.2, 3.0, -0.05])
     points = np.concatenate([corners + np.array([0, 0, d]) for d in offsets])
-    assert adjust_rms(tin, points).tin.vertices[:, 2] - corners[:, 2] == pytest.approx(np.full(4, offsets.mean()), abs=1e-11)
-    assert adjust_asd(tin, points).tin.vertices[:, 2] - corners[:, 2] == pytest.approx(np.full(4, 0.1), abs=1e-7)
-    assert adjust_asd_exact(tin, points).tin.vertices[:, 2] - corners[:, 2] == pytest.approx(np.full(4, 0.1), abs=1e-9)
+    assert adjust_rms(tin, points).tin.vertices[:, 2] - corners[:, 2] == pytest.approx(
+        np.full(4, offsets.mean()), abs=1e-11
+    )
+    assert adjust_asd(tin, points).tin.vertices[:, 2] - corners[:, 2] == pytest.approx(
+        np.full(4, 0.1), abs=1e-7
+    )
+    assert adjust_asd_exact(tin, points).tin.vertices[:, 2] - corners[:, 2] == pytest.approx(
+        np.full(4, 0.1), abs=1e-9
+    )
 
 
 @pytest.mark.parametrize("seed", [3, 4, 5])
@@ -97,7 +117,9 @@ def test_least_sizes_agree_with_the_linear_program(seed):
     fast, exact = adjust_asd(tin, points), adjust_asd_exact(tin, points)
     assert fast.converged and exact.asd_m <= fast.asd_m * (1 + 1e-12)
     assert fast.asd_m == pytest.approx(exact.asd_m, rel=1e-8)
-    assert exact.asd_m < adjust_rms(tin, points).asd_m and exact.rms_m > adjust_rms(tin, points).rms_m
+    assert (
+        exact.asd_m < adjust_rms(tin, points).asd_m and exact.rms_m > adjust_rms(tin, points).rms_m
+    )
     # at an optimum of the program as many residuals vanish as there are heights
     assert (np.abs(exact.fit.residuals(exact.tin.vertices[:, 2])) < 1e-9).sum() >= len(tin.vertices)
 
@@ -110,12 +132,17 @@ def test_least_sizes_with_sigmas():
     assert total[1] <= total[0] * (1 + 1e-12) and total[0] == pytest.approx(total[1], rel=1e-8)
 
 
-@pytest.mark.parametrize("method", [adjust_rms, lambda t, p: adjust_rms_iterated(t, p, 3000, 1e-13), adjust_asd, adjust_asd_exact])
+@pytest.mark.parametrize(
+    "method",
+    [adjust_rms, lambda t, p: adjust_rms_iterated(t, p, 3000, 1e-13), adjust_asd, adjust_asd_exact],
+)
 def test_a_plane_is_found_from_wrong_heights_and_kept(method):
     points = cloud(seed=7)
     points[:, 2] = 1.0 + 0.3 * points[:, 0] - 0.2 * points[:, 1]
     tin = partial(points)
-    wrong = dataclasses.replace(tin, vertices=tin.vertices + [0, 0, 1] * np.random.default_rng(0).normal(size=(60, 1)))
+    wrong = dataclasses.replace(
+        tin, vertices=tin.vertices + [0, 0, 1] * np.random.default_rng(0).normal(size=(60, 1))
+    )
     assert method(wrong, points).tin.vertices[:, 2] == pytest.approx(tin.vertices[:, 2], abs=1e-5)
     again = method(tin, points)
     assert again.tin.vertices == pytest.approx(tin.vertices, abs=1e-12) and again.rms_m < 1e-12
@@ -141,7 +168,12 @@ def test_vertices_without_data_keep_their_heights():
     marked = dataclasses.replace(tin, relevant=keep)
     untouched = ~np.isin(np.arange(len(tin.vertices)), tin.triangles[keep])
     assert untouched.any()
-    for method in (adjust_rms, lambda t, p: adjust_rms_iterated(t, p, 50), adjust_asd, adjust_asd_exact):
+    for method in (
+        adjust_rms,
+        lambda t, p: adjust_rms_iterated(t, p, 50),
+        adjust_asd,
+        adjust_asd_exact,
+    ):
         new = method(marked, points).tin.vertices[:, 2]
         assert np.array_equal(new[untouched], tin.vertices[untouched, 2]) and not np.array_equal(
             new[~untouched], tin.vertices[~untouched, 2]
@@ -170,12 +202,17 @@ def test_adjoint_against_differences_and_dense_algebra():
         up, down = (adjust_rms(tin, points + e * h, sigma).tin.vertices[:, 2] for e in (1, -1))
         assert g.T @ (up - down) / 2e-3 == pytest.approx(s[j], abs=1e-7)
     # heights shift with the data: the sensitivities of one height add up to one
-    assert raw_gradient(tin, fit, np.eye(60), len(points)).sum(axis=0) == pytest.approx(np.ones(60), abs=1e-9)
+    assert raw_gradient(tin, fit, np.eye(60), len(points)).sum(axis=0) == pytest.approx(
+        np.ones(60), abs=1e-9
+    )
 
 
 def test_adjoint_of_vertices_that_were_not_adjusted():
     points = cloud(seed=11)
-    tin = dataclasses.replace(partial(points), relevant=(partial(points).vertices[partial(points).triangles, 0] < 6).all(axis=1))
+    tin = dataclasses.replace(
+        partial(points),
+        relevant=(partial(points).vertices[partial(points).triangles, 0] < 6).all(axis=1),
+    )
     fit = fit_of(tin, points)
     held = np.flatnonzero(~fit.adjusted)[0]
     g = np.zeros(60)
@@ -213,12 +250,21 @@ def test_compiled_sweep_equals_its_plain_twin():
     results = []
     for run in (sweep, sweep.py_func):
         heights, residual = tin.vertices[:, 2].copy(), fit.residuals(tin.vertices[:, 2])
-        moved = run(columns.indptr.astype(np.int64), columns.indices.astype(np.int64), columns.data, fit.weight, residual, heights)
+        moved = run(
+            columns.indptr.astype(np.int64),
+            columns.indices.astype(np.int64),
+            columns.data,
+            fit.weight,
+            residual,
+            heights,
+        )
         results.append((moved, heights, residual))
     heights, residual = tin.vertices[:, 2].copy(), fit.residuals(tin.vertices[:, 2])
     plain = sweep_plain(fit.B.toarray(), fit.weight, residual, heights)
     assert results[0][0] == results[1][0] and np.array_equal(results[0][1], results[1][1])
-    assert results[0][0] == pytest.approx(plain, rel=1e-12) and results[0][1] == pytest.approx(heights, abs=1e-13)
+    assert results[0][0] == pytest.approx(plain, rel=1e-12) and results[0][1] == pytest.approx(
+        heights, abs=1e-13
+    )
     assert measures(results[0][2]) == pytest.approx(measures(residual), rel=1e-12)
 
 

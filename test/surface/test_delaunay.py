@@ -47,7 +47,13 @@ def exact_orientation(a, b, c):
 
 
 def exact_incircle(p):
-    rows = [(Fraction(float(x)) - Fraction(float(p[3][0])), Fraction(float(y)) - Fraction(float(p[3][1]))) for x, y in p[:3]]
+    rows = [
+        (
+            Fraction(float(x)) - Fraction(float(p[3][0])),
+            Fraction(float(y)) - Fraction(float(p[3][1])),
+        )
+        for x, y in p[:3]
+    ]
     total = Fraction(0)
     for i in range(3):
         (ax, ay), (bx, by), (cx, cy) = rows[i], rows[(i + 1) % 3], rows[(i + 2) % 3]
@@ -76,9 +82,15 @@ def test_predicates_have_the_sign_of_rational_arithmetic():
 
 def test_exact_branch_alone_agrees_with_rational_arithmetic():
     w = workspace()
-    for p in np.random.default_rng(1).random((100, 4, 2)) * 10.0 ** np.random.default_rng(2).integers(-6, 7, (100, 4, 1)):
-        assert np.sign(predicates.incircle_exact(np.ascontiguousarray(p), 0, 1, 2, 3, w)) == exact_incircle(p)
-        assert np.sign(predicates.orientation_exact(*p[0], *p[1], *p[2], w)) == exact_orientation(p[0], p[1], p[2])
+    for p in np.random.default_rng(1).random((100, 4, 2)) * 10.0 ** np.random.default_rng(
+        2
+    ).integers(-6, 7, (100, 4, 1)):
+        assert np.sign(
+            predicates.incircle_exact(np.ascontiguousarray(p), 0, 1, 2, 3, w)
+        ) == exact_incircle(p)
+        assert np.sign(predicates.orientation_exact(*p[0], *p[1], *p[2], w)) == exact_orientation(
+            p[0], p[1], p[2]
+        )
     assert w[COUNTS, :2].tolist() == [100.0, 100.0]
 
 
@@ -88,7 +100,12 @@ def test_the_short_branch_answers_where_nothing_rounds_and_only_there():
         assert np.sign(predicates.incircle_short(p, 0, 1, 2, 3)) == exact_incircle(p)
     for p in rng.random((100, 4, 2)):
         assert np.isnan(predicates.incircle_short(p, 0, 1, 2, 3))
-    assert predicates.incircle_short(np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]) * 2.0**-30 + 2.0**20, 0, 1, 2, 3) == 0.0
+    assert (
+        predicates.incircle_short(
+            np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]) * 2.0**-30 + 2.0**20, 0, 1, 2, 3
+        )
+        == 0.0
+    )
 
 
 def test_corners_of_an_upright_rectangle_are_cocircular_in_any_order():
@@ -97,14 +114,24 @@ def test_corners_of_an_upright_rectangle_are_cocircular_in_any_order():
     for order in permutations(range(4)):
         p = corners[list(order)]
         assert incircle(p, 0, 1, 2, 3, w) == 0.0 == exact_incircle(p)
-        assert sum(predicates.upright(p, *q) for q in ((0, 1, 2, 3), (0, 2, 1, 3), (0, 3, 1, 2))) == 1
+        assert (
+            sum(predicates.upright(p, *q) for q in ((0, 1, 2, 3), (0, 2, 1, 3), (0, 3, 1, 2))) == 1
+        )
         p[0, 1] += 1e-9
-        assert not any(predicates.upright(p, *q) or predicates.upright.py_func(p, *q) for q in ((0, 1, 2, 3), (0, 2, 1, 3), (0, 3, 1, 2)))
+        assert not any(
+            predicates.upright(p, *q) or predicates.upright.py_func(p, *q)
+            for q in ((0, 1, 2, 3), (0, 2, 1, 3), (0, 3, 1, 2))
+        )
 
 
 def test_compiled_predicates_equal_their_plain_twins():
     w = workspace()
-    for p in np.concatenate([nearly_degenerate(10, np.random.default_rng(3)), np.random.default_rng(3).random((10, 4, 2))]):
+    for p in np.concatenate(
+        [
+            nearly_degenerate(10, np.random.default_rng(3)),
+            np.random.default_rng(3).random((10, 4, 2)),
+        ]
+    ):
         assert incircle(p, 0, 1, 2, 3, w) == incircle.py_func(p, 0, 1, 2, 3, w)
         assert orientation(*p[0], *p[1], *p[2], w) == orientation.py_func(*p[0], *p[1], *p[2], w)
 
@@ -121,11 +148,15 @@ def test_general_position_gives_the_peers_triangles(n):
 
 @pytest.mark.parametrize("step,offset", [(1.0, 0.0), (0.1, 0.0), (0.1, 1000.3), (1 / 3, 5e5)])
 def test_grid_is_valid_and_complete(step, offset):
-    g = np.stack(np.meshgrid(np.arange(31.0), np.arange(17.0)), axis=-1).reshape(-1, 2) * step + offset
+    g = (
+        np.stack(np.meshgrid(np.arange(31.0), np.arange(17.0)), axis=-1).reshape(-1, 2) * step
+        + offset
+    )
     xy = np.random.default_rng(4).permutation(g)
     triangles, neighbours = delaunay(xy)
     assert fault(xy, triangles, neighbours) == ""
-    # at some offsets rounding bends the grid's sides; the hull then has slivers or lacks them, Euler's formula holds anyway
+    # at some offsets rounding bends the grid's sides; the hull then has slivers or lacks them,
+    # Euler's formula holds anyway
     if offset == 0.0 and step == 1.0:
         assert len(triangles) == 2 * 30 * 16
 
@@ -133,7 +164,23 @@ def test_grid_is_valid_and_complete(step, offset):
 def test_cocircular_points():
     a = np.arange(24) * (2 * np.pi / 24)
     xy = np.round(np.stack([np.cos(a), np.sin(a)], axis=1) * 65) / 65
-    exact = np.array([(5, 0), (4, 3), (3, 4), (0, 5), (-3, 4), (-4, 3), (-5, 0), (-4, -3), (-3, -4), (0, -5), (3, -4), (4, -3)], float)
+    exact = np.array(
+        [
+            (5, 0),
+            (4, 3),
+            (3, 4),
+            (0, 5),
+            (-3, 4),
+            (-4, 3),
+            (-5, 0),
+            (-4, -3),
+            (-3, -4),
+            (0, -5),
+            (3, -4),
+            (4, -3),
+        ],
+        float,
+    )
     for points in (np.unique(xy, axis=0), exact, np.concatenate([exact, [[0.0, 0.0]]])):
         triangles, neighbours = delaunay(points)
         assert fault(points, triangles, neighbours) == ""
@@ -148,10 +195,19 @@ def test_collinear_points_with_one_beside_them():
 
 def test_needles_and_clusters():
     rng = np.random.default_rng(5)
-    flat = np.concatenate([rng.random((300, 2)) * [1.0, 1e-13], rng.random((300, 2)) * [1e-9, 1.0], rng.random((100, 2)) * 1e6])
+    flat = np.concatenate(
+        [
+            rng.random((300, 2)) * [1.0, 1e-13],
+            rng.random((300, 2)) * [1e-9, 1.0],
+            rng.random((100, 2)) * 1e6,
+        ]
+    )
     triangles, neighbours = delaunay(flat)
     assert fault(flat, triangles, neighbours) == ""
-    corner = np.array([[0.5 + i * 2.0**-53, 0.5 + j * 2.0**-53] for i in range(16) for j in range(16)] + [[12.0, 12.0], [24.0, 24.0]])
+    corner = np.array(
+        [[0.5 + i * 2.0**-53, 0.5 + j * 2.0**-53] for i in range(16) for j in range(16)]
+        + [[12.0, 12.0], [24.0, 24.0]]
+    )
     triangles, neighbours = delaunay(corner)
     assert fault(corner, triangles, neighbours) == ""
 
@@ -177,7 +233,9 @@ def test_first_copy_is_kept_and_signed_zeros_are_one():
     xy = np.array([[0.0, 1], [2, 2], [-0.0, 1], [0, 1], [2, 2], [3, 0]])
     out = triangulate(xy)
     assert out.same.tolist() == [0, 1, 0, 0, 1, 5] and out.vertices.tolist() == [0, 1, 5]
-    assert sorted(out.triangles[0].tolist()) == [0, 1, 5] and out.neighbours.tolist() == [[-1, -1, -1]]
+    assert sorted(out.triangles[0].tolist()) == [0, 1, 5] and out.neighbours.tolist() == [
+        [-1, -1, -1]
+    ]
     with pytest.raises(SurfaceError) as caught:
         delaunay(xy)
     assert caught.value.reason == "surface_duplicates" and caught.value.value == 3
@@ -218,7 +276,11 @@ def test_order_of_input_does_not_matter_in_general_position():
 
 def test_scaling_by_a_power_of_two_keeps_the_triangles():
     xy = np.random.default_rng(8).random((200, 2))
-    assert as_set(delaunay(xy)[0]) == as_set(delaunay(xy * 2.0**20)[0]) == as_set(delaunay(xy * 2.0**-20)[0])
+    assert (
+        as_set(delaunay(xy)[0])
+        == as_set(delaunay(xy * 2.0**20)[0])
+        == as_set(delaunay(xy * 2.0**-20)[0])
+    )
 
 
 def test_is_valid_sees_faults():
@@ -228,11 +290,17 @@ def test_is_valid_sees_faults():
     assert not is_valid(xy, triangles[:, ::-1], neighbours[:, ::-1])
     assert not is_valid(np.concatenate([xy, [[1.0, 1.0]]]), triangles, neighbours)
     assert not is_valid(xy[[1, 0, 2, 3]], triangles, neighbours)
-    assert not is_valid(xy, triangles + 2, neighbours) and not is_valid(xy, triangles[:0], neighbours[:0])
+    assert not is_valid(xy, triangles + 2, neighbours) and not is_valid(
+        xy, triangles[:0], neighbours[:0]
+    )
     broken = neighbours.copy()
     broken[broken >= 0] = -1
     assert not is_valid(xy, triangles, broken)
-    wrong = {(0, 1, 2), (0, 2, 3)} if as_set(triangles) != {(0, 1, 2), (0, 2, 3)} else {(0, 1, 3), (1, 2, 3)}
+    wrong = (
+        {(0, 1, 2), (0, 2, 3)}
+        if as_set(triangles) != {(0, 1, 2), (0, 2, 3)}
+        else {(0, 1, 3), (1, 2, 3)}
+    )
     t = np.array(sorted(wrong), np.int32)
     shared = np.flatnonzero(~np.isin(t[0], t[1]))[0], np.flatnonzero(~np.isin(t[1], t[0]))[0]
     n = np.full((2, 3), -1, np.int32)
@@ -253,10 +321,18 @@ def test_compiled_kernels_equal_their_plain_twins(lattice, monkeypatch):
         m[:] = 0
         mesh.first_triangle(xy, m, 0, 1, 2, w)
         size, hint = mesh.insert_kernel(xy, m, 4, 0, 3, same, w)
-        return [size, hint, same, m[:size].copy(), *mesh.export(m[:size], np.arange(n, dtype=np.int32))]
+        return [
+            size,
+            hint,
+            same,
+            m[:size].copy(),
+            *mesh.export(m[:size], np.arange(n, dtype=np.int32)),
+        ]
 
     compiled = run()
-    with monkeypatch.context() as patch:  # nothing may be compiled for the first time while the plain ones stand in
+    with (
+        monkeypatch.context() as patch
+    ):  # nothing may be compiled for the first time while the plain ones stand in
         for name in [k for k, v in vars(mesh).items() if hasattr(v, "py_func")]:
             patch.setattr(mesh, name, getattr(mesh, name).py_func)
         plain = run()
@@ -267,15 +343,25 @@ def test_compiled_kernels_equal_their_plain_twins(lattice, monkeypatch):
     number = np.searchsorted(used, triangles).astype(np.int32)
     for check in (check_kernel, check_kernel.py_func, check_hull_kernel, check_hull_kernel.py_func):
         assert check(xy[used], number, neighbours, w) == 0
-    for one, other in ((first_three, first_three.py_func), (first_names, first_names.py_func), (original_order, original_order.py_func)):
+    for one, other in (
+        (first_three, first_three.py_func),
+        (first_names, first_names.py_func),
+        (original_order, original_order.py_func),
+    ):
         order = np.random.default_rng(1).permutation(n).astype(np.int32)
-        arguments = {first_three: (xy, w), first_names: (order, compiled[2]), original_order: (order, compiled[2], order)}[one]
+        arguments = {
+            first_three: (xy, w),
+            first_names: (order, compiled[2]),
+            original_order: (order, compiled[2], order),
+        }[one]
         assert np.array_equal(one(*arguments), other(*arguments))
 
 
 def test_plain_twins_of_the_ordering():
     xy = np.random.default_rng(13).random((300, 2))
-    assert np.array_equal(hilbert_kernel(xy, 0.0, 0.0, 2.0**BITS), hilbert_kernel.py_func(xy, 0.0, 0.0, 2.0**BITS))
+    assert np.array_equal(
+        hilbert_kernel(xy, 0.0, 0.0, 2.0**BITS), hilbert_kernel.py_func(xy, 0.0, 0.0, 2.0**BITS)
+    )
     key = hilbert_index(np.repeat(xy, 2, axis=0))
     with np.errstate(over="ignore"):
         assert np.array_equal(rounds(300), rounds.py_func(300))
@@ -283,7 +369,9 @@ def test_plain_twins_of_the_ordering():
     assert np.array_equal(radix_order(key.view(np.uint64).copy(), 2 * BITS), plain)
     assert np.array_equal(radix_order.py_func(key.view(np.uint64).copy(), 2 * BITS), plain)
     order = plain.astype(np.int32)
-    assert np.array_equal(by_rounds(order), plain[np.argsort(-rounds(600)[plain].astype(int), kind="stable")])
+    assert np.array_equal(
+        by_rounds(order), plain[np.argsort(-rounds(600)[plain].astype(int), kind="stable")]
+    )
     assert np.array_equal(by_rounds.py_func(order), by_rounds(order))
     assert len(hilbert_order(np.zeros((0, 2)))) == len(insertion_order(np.zeros((0, 2)))) == 0
 

@@ -7,7 +7,15 @@ import pytest
 
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.surface.duplicates import bucket, copies_kernel, first_within
-from ladar_volume.surface.window import MOST, central_kernel, central_points, default_bins, grid, inside, map_window
+from ladar_volume.surface.window import (
+    MOST,
+    central_kernel,
+    central_points,
+    default_bins,
+    grid,
+    inside,
+    map_window,
+)
 
 
 def first_within_plain(xy, tolerance):
@@ -27,13 +35,18 @@ def test_the_first_kept_point_within_the_tolerance(tolerance):
     xy = np.concatenate([rng.random((150, 2)), rng.integers(-3, 3, (150, 2)) * 0.1])
     xy = rng.permutation(np.concatenate([xy, xy[:40], -xy[:5] * 0.0]))
     assert np.array_equal(first_within(xy, tolerance), first_within_plain(xy, tolerance))
-    assert len(first_within(xy[:0], tolerance)) == 0 and first_within(xy[:1], tolerance).tolist() == [0]
+    assert len(first_within(xy[:0], tolerance)) == 0 and first_within(
+        xy[:1], tolerance
+    ).tolist() == [0]
 
 
 def test_plain_twins_of_the_hashing():
     xy = np.random.default_rng(1).random((60, 2))
     with np.errstate(over="ignore"):
-        assert all(bucket(a, b, 63) == bucket.py_func(a, b, 63) for a, b in ((0.0, 0.0), (-1.0, 1.0), (5.0, 123.0)))
+        assert all(
+            bucket(a, b, 63) == bucket.py_func(a, b, 63)
+            for a, b in ((0.0, 0.0), (-1.0, 1.0), (5.0, 123.0))
+        )
     head, after, same = np.full(128, -1), np.empty(60, np.int32), np.empty(60, np.int32)
     copies_kernel.py_func(xy, 0.1, np.floor(xy / 0.1), head, after, same)
     assert np.array_equal(same, first_within_plain(xy, 0.1))
@@ -48,22 +61,38 @@ def test_tolerances_that_are_refused(tolerance):
 
 def test_the_map_is_the_bounding_box_or_what_is_asked():
     xy = np.array([[1.0, 5.0], [3.0, 2.0]])
-    assert map_window(xy) == (1.0, 2.0, 3.0, 5.0) and map_window(xy, (0, 0, 2, 9)) == (0.0, 0.0, 2.0, 9.0)
-    assert inside(xy, (1.0, 2.0, 3.0, 5.0)).all() and inside(xy, (0.0, 0.0, 2.0, 9.0)).tolist() == [True, False]
+    assert map_window(xy) == (1.0, 2.0, 3.0, 5.0) and map_window(xy, (0, 0, 2, 9)) == (
+        0.0,
+        0.0,
+        2.0,
+        9.0,
+    )
+    assert inside(xy, (1.0, 2.0, 3.0, 5.0)).all() and inside(xy, (0.0, 0.0, 2.0, 9.0)).tolist() == [
+        True,
+        False,
+    ]
     for window in ((0.0, 0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 1.0), (0.0, 0.0, np.inf, 1.0)):
         with pytest.raises(SurfaceError):
             map_window(xy, window)
 
 
 def test_bins_are_as_square_as_can_be():
-    assert grid((0.0, 0.0, 10.0, 5.0), 10) == (10, 5) and grid((0.0, 0.0, 10.0, 0.1), 4) == (4, 1) and grid((0.0, 0.0, 1.0, 3.0), 2) == (2, 6)
+    assert (
+        grid((0.0, 0.0, 10.0, 5.0), 10) == (10, 5)
+        and grid((0.0, 0.0, 10.0, 0.1), 4) == (4, 1)
+        and grid((0.0, 0.0, 1.0, 3.0), 2) == (2, 6)
+    )
     for vertices in (1, 2, 10, 5000, 333_333):
         nx, ny = grid((0.0, 0.0, 7.0, 3.0), default_bins((0.0, 0.0, 7.0, 3.0), vertices))
         assert nx * ny <= max(1, vertices) and (vertices < 100 or 0.07 < nx * ny / vertices < 0.12)
     for height in (1e12, 1e-12):
         assert default_bins((0.0, 0.0, 1.0, height), 100) == (1 if height > 1.0 else 100)
     assert grid((0.0, 0.0, 1.0, 1e300), 1) == (1, MOST)
-    for window, bins in (((0.0, 0.0, 1.0, 1e12), 5), ((0.0, 0.0, 1.0, 1.0), 10**5), ((0.0, 0.0, 1.0, 1.0), 0)):
+    for window, bins in (
+        ((0.0, 0.0, 1.0, 1e12), 5),
+        ((0.0, 0.0, 1.0, 1.0), 10**5),
+        ((0.0, 0.0, 1.0, 1.0), 0),
+    ):
         with pytest.raises(SurfaceError):
             grid(window, bins)
 
@@ -83,4 +112,6 @@ def test_central_points_against_sorting_by_distance():
     assert got.tolist() == expected
     plain = central_kernel.py_func(xy, open_, 0.0, 0.0, 0.75, 0.75, 8, 4)
     assert plain[plain >= 0].tolist() == expected
-    assert central_points(np.array([[6.0, 3.0], [0.0, 0.0]]), np.ones(2, bool), window, 8).tolist() == [1, 0]
+    assert central_points(
+        np.array([[6.0, 3.0], [0.0, 0.0]]), np.ones(2, bool), window, 8
+    ).tolist() == [1, 0]

@@ -1,4 +1,6 @@
-"""Triangulation adjustment: the valley of the source's figure, monotone measures, order of exchanges, topology, an honest twin."""
+"""Triangulation adjustment: the valley of the source's figure, monotone measures, order of
+exchanges, topology, an honest twin.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ def sound(tin):
 
 
 def valley():
-    """Two triangles whose common edge crosses a valley along y = 0, and points on the valley's sides."""
+    """Two triangles whose common edge crosses a valley along y = 0, and points on the valley's
+    sides.
+    """
     vertices = np.array([[-3, 0, 0.0], [3, 0, 0], [0, -2, 2], [0, 2, 2]])
     triangles = np.array([[0, 2, 3], [1, 3, 2]], np.int32)
     neighbours = np.array([[1, -1, -1], [0, -1, -1]], np.int32)
@@ -60,7 +64,10 @@ def test_the_valley_is_retained(measure):
     tin, points = valley()
     e = exchange_diagonals(tin, points, measure)
     assert e.exchanges == 1 and e.asd_m == pytest.approx(0, abs=1e-15) and e.asd_before_m > 0.3
-    assert {frozenset(t) for t in e.tin.triangles.tolist()} == {frozenset((0, 1, 2)), frozenset((0, 1, 3))}
+    assert {frozenset(t) for t in e.tin.triangles.tolist()} == {
+        frozenset((0, 1, 2)),
+        frozenset((0, 1, 3)),
+    }
     sound(e.tin)
     again = exchange_diagonals(e.tin, points, measure)
     assert again.exchanges == 0 and np.array_equal(again.tin.triangles, e.tin.triangles)
@@ -75,7 +82,9 @@ def test_the_fit_improves_until_no_exchange_helps(measure, seed):
     sound(e.tin)
     assert getattr(e, f"{measure}_m") < getattr(e, f"{measure}_before_m")
     r = points[:, 2] - height_at(e.tin, points[:, :2])
-    assert (e.rms_m, e.asd_m) == pytest.approx((math.sqrt((r**2).mean()), np.abs(r).mean()), rel=1e-9)
+    assert (e.rms_m, e.asd_m) == pytest.approx(
+        (math.sqrt((r**2).mean()), np.abs(r).mean()), rel=1e-9
+    )
     assert exchange_diagonals(e.tin, points, measure).exchanges == 0
     assert footprint_areas(e.tin.vertices, e.tin.triangles).sum() == pytest.approx(100.0, rel=1e-12)
     assert np.array_equal(e.tin.vertices, tin.vertices)
@@ -90,9 +99,14 @@ def brute(tin, points, square):
     least = exchange.LEAST_GAIN * float(np.sum(sums**2 if square else np.abs(sums)))
     while True:
         gains = [
-            (-gain(tin.vertices, points, tri, nb, tin.relevant, first, after, t, k, square, w), t, k)
-            for t in range(len(tri)) for k in range(3)
-        ]  # fmt: skip
+            (
+                -gain(tin.vertices, points, tri, nb, tin.relevant, first, after, t, k, square, w),
+                t,
+                k,
+            )
+            for t in range(len(tri))
+            for k in range(3)
+        ]
         best = min(gains)
         if -best[0] <= least:
             return tri, done
@@ -113,7 +127,11 @@ def test_quadrangles_that_are_not_strictly_convex_are_left():
     # (0, 0) (2, 0) (4, 0) in line: exchanging would make a flat triangle
     vertices = np.array([[0, 0, 0.0], [4, 0, 0], [2, 2, 5], [2, 0, 9]])
     tin = Tin(
-        vertices, np.array([[0, 3, 2], [3, 1, 2]], np.int32), np.array([[1, -1, -1], [-1, 0, -1]], np.int32), np.ones(2, bool), np.arange(4)
+        vertices,
+        np.array([[0, 3, 2], [3, 1, 2]], np.int32),
+        np.array([[1, -1, -1], [-1, 0, -1]], np.int32),
+        np.ones(2, bool),
+        np.arange(4),
     )
     points = np.array([[2, 0.5, 0.0], [1.5, 0.3, 0], [2.5, 0.3, 0]])
     assert exchange_diagonals(tin, points).exchanges == 0
@@ -131,7 +149,9 @@ def test_the_relevant_area_stays():
     e = exchange_diagonals(dataclasses.replace(tin, relevant=keep), points)
     assert e.exchanges > 0 and np.array_equal(e.tin.triangles[~keep], tin.triangles[~keep])
     area = footprint_areas(tin.vertices, tin.triangles)[keep].sum()
-    assert footprint_areas(e.tin.vertices, e.tin.triangles)[e.tin.relevant].sum() == pytest.approx(area, rel=1e-12)
+    assert footprint_areas(e.tin.vertices, e.tin.triangles)[e.tin.relevant].sum() == pytest.approx(
+        area, rel=1e-12
+    )
 
 
 def test_turning_the_scene_turns_the_result():
@@ -140,7 +160,9 @@ def test_turning_the_scene_turns_the_result():
     R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     moved = dataclasses.replace(tin, vertices=tin.vertices @ R.T + [50, 20, 5])
     a, b = exchange_diagonals(tin, points), exchange_diagonals(moved, points @ R.T + [50, 20, 5])
-    assert np.array_equal(a.tin.triangles, b.tin.triangles) and b.asd_m == pytest.approx(a.asd_m, rel=1e-9)
+    assert np.array_equal(a.tin.triangles, b.tin.triangles) and b.asd_m == pytest.approx(
+        a.asd_m, rel=1e-9
+    )
 
 
 def test_a_plane_needs_no_exchange():
@@ -166,13 +188,35 @@ def test_compiled_kernels_equal_their_plain_twins():
     assert results[0] == results[1] and results[0][0] > 0
     for t in range(len(tin.triangles)):
         tri, nb = tin.triangles.astype(np.int64), tin.neighbours.astype(np.int64)
-        args = (tin.vertices, points, tri, nb, tin.relevant, *point_lists(where, len(tri)), t, 1, True, w)
+        args = (
+            tin.vertices,
+            points,
+            tri,
+            nb,
+            tin.relevant,
+            *point_lists(where, len(tri)),
+            t,
+            1,
+            True,
+            w,
+        )
         assert gain(*args) == gain.py_func(*args)
-    assert residual(tin.vertices, 0, 1, 5, points[9]) == residual.py_func(tin.vertices, 0, 1, 5, points[9])
+    assert residual(tin.vertices, 0, 1, 5, points[9]) == residual.py_func(
+        tin.vertices, 0, 1, 5, points[9]
+    )
     assert side(tin.vertices, 0, 1, points[9]) == side.py_func(tin.vertices, 0, 1, points[9])
-    a, b = ([tin.triangles.astype(np.int64), tin.neighbours.astype(np.int64), *point_lists(where, len(tin.triangles))] for _ in range(2))
+    a, b = (
+        [
+            tin.triangles.astype(np.int64),
+            tin.neighbours.astype(np.int64),
+            *point_lists(where, len(tin.triangles)),
+        ]
+        for _ in range(2)
+    )
     t, k = next((t, k) for t in range(len(tri)) for k in range(3) if tin.neighbours[t, k] >= 0)
-    assert exchange_one(tin.vertices, points, *a, t, k) == exchange_one.py_func(tin.vertices, points, *b, t, k)
+    assert exchange_one(tin.vertices, points, *a, t, k) == exchange_one.py_func(
+        tin.vertices, points, *b, t, k
+    )
     assert all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
 
 

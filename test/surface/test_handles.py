@@ -1,4 +1,6 @@
-"""Handles that noise makes at the ends of concave edges, and faces that one bad connection turns inside out."""
+"""Handles that noise makes at the ends of concave edges, and faces that one bad connection turns
+inside out.
+"""
 
 import numpy as np
 import pytest
@@ -13,13 +15,31 @@ from ladar_volume.surface.local_holes import clear, fill, open_handles, rim_leng
 from ladar_volume.surface.topology import orient
 
 SLACK = 0.05
-#: Twelve vertices round a hole of 2 x 2 m, counter-clockwise, and the ends of a level and an upright strip across it.
-HOLE = np.array([(1, -0.3), (1, 0.3), (1, 1), (0.3, 1), (-0.3, 1), (-1, 1), (-1, 0.3), (-1, -0.3), (-1, -1), (-0.3, -1), (0.3, -1), (1, -1)])
+#: Twelve vertices round a hole of 2 x 2 m, counter-clockwise, and the ends of a level and an
+#: upright strip across it.
+HOLE = np.array(
+    [
+        (1, -0.3),
+        (1, 0.3),
+        (1, 1),
+        (0.3, 1),
+        (-0.3, 1),
+        (-1, 1),
+        (-1, 0.3),
+        (-1, -0.3),
+        (-1, -1),
+        (-0.3, -1),
+        (0.3, -1),
+        (1, -1),
+    ]
+)
 LEVEL, UPRIGHT = (7, 0, 1, 6), (9, 10, 3, 4)
 
 
 def sheet(*across):
-    """Two rings of triangles in a plane round a hole, and quads across it that know nothing of each other: points, normals, fans."""
+    """Two rings of triangles in a plane round a hole, and quads across it that know nothing of each
+    other: points, normals, fans.
+    """
     points = np.c_[np.concatenate([HOLE, 2 * HOLE, 3 * HOLE]), np.zeros(36)]
     fan, size = np.zeros((36, FAN, 3), np.int32), np.zeros(36, np.int32)
     for ring in (0, 12):
@@ -58,7 +78,11 @@ def test_lengths_of_rims_and_which_of_them_pass_a_vertex():
     marked = np.zeros(36, bool)
     marked[30] = True
     assert touching(rim, start, marked)[order].tolist() == [False, True]
-    assert rim_lengths(points, rim[:0], start[:1]).shape == (0,) == touching(rim[:0], start[:1], marked).shape
+    assert (
+        rim_lengths(points, rim[:0], start[:1]).shape
+        == (0,)
+        == touching(rim[:0], start[:1], marked).shape
+    )
 
 
 def test_crossing_strips_are_taken_away_and_their_gap_is_closed_as_one_hole():
@@ -90,15 +114,21 @@ def test_clearing_compiled_and_plain():
         touched = np.zeros(36, bool)
         gone = one(fan, size, np.array([1, 0, 14], np.int32), touched)
         results.append((gone, touched.tolist(), size.tolist(), triangles(fan, size).tolist()))
-    assert results[0] == results[1] and results[0][2][0] == results[0][2][1] == results[0][2][14] == 0
+    assert (
+        results[0] == results[1] and results[0][2][0] == results[0][2][1] == results[0][2][14] == 0
+    )
     assert results[0][0] == 50 - len(results[0][3])
 
 
 def test_a_body_s_own_handle_is_none_of_noise():
-    # two strips of a torus that cross, one round its hole and one round its tube: its curvature is that of its handle
+    # two strips of a torus that cross, one round its hole and one round its tube: its curvature is
+    # that of its handle
     i, j = np.divmod(np.arange(36 * 24), 24)
     a, b = 2 * np.pi * i / 36, 2 * np.pi * j / 24
-    points = np.stack([(2 + 0.8 * np.cos(b)) * np.cos(a), (2 + 0.8 * np.cos(b)) * np.sin(a), 0.8 * np.sin(b)], axis=1)
+    points = np.stack(
+        [(2 + 0.8 * np.cos(b)) * np.cos(a), (2 + 0.8 * np.cos(b)) * np.sin(a), 0.8 * np.sin(b)],
+        axis=1,
+    )
     kept = np.minimum(i, 36 - i) < 3
     kept |= np.abs(j - 6) < 3
     mesh = mesh_cloud(points[kept])
@@ -108,7 +138,11 @@ def test_a_body_s_own_handle_is_none_of_noise():
 
 def test_faces_turn_where_most_of_their_connections_say_so():
     # a tree would hear the strongest connection of face 3 only
-    a, b, vote = np.array([0, 1, 0, 0, 1, 2]), np.array([1, 2, 2, 3, 3, 3]), np.array([9.0, 9, 9, 5, -3, -3])
+    a, b, vote = (
+        np.array([0, 1, 0, 0, 1, 2]),
+        np.array([1, 2, 2, 3, 3, 3]),
+        np.array([9.0, 9, 9, 5, -3, -3]),
+    )
     assert agreed(np.ones(4), a, b, vote).tolist() == [1, 1, 1, -1]
     assert agreed(np.array([-1.0, -1, -1, 1]), a, b, vote).tolist() == [-1, -1, -1, 1]
     assert agreed(np.ones(3), a[:0], b[:0], vote[:0]).tolist() == [1, 1, 1]
@@ -121,7 +155,9 @@ def test_no_face_is_left_with_more_against_it_and_the_sum_only_grows():
     out = agreed(start, a, b, vote)
     share = vote * out[a] * out[b]
     assert (np.bincount(a, share, 30) + np.bincount(b, share, 30)).min() >= 0.0
-    assert share.sum() > vote @ (start[a] * start[b]) and np.array_equal(agreed(out, a, b, vote), out)
+    assert share.sum() > vote @ (start[a] * start[b]) and np.array_equal(
+        agreed(out, a, b, vote), out
+    )
 
 
 @pytest.mark.parametrize(("name", "seed"), [("L-block", 2), ("two boxes that touch", 7)])
@@ -132,4 +168,6 @@ def test_bodies_with_concave_edges_have_no_handle(name, seed):
     assert whole.euler + len(mesh.rims) == 2 * (int(whole.part.max()) + 1)
     # a face turned inside out would take a tenth of the volume or more
     a, b, c = (mesh.vertices[mesh.triangles[:, k]] - mesh.vertices.mean(axis=0) for k in range(3))
-    assert np.einsum("ni,ni->", a, np.cross(b, c)) / 6 == pytest.approx(CASES[name].volume_m3, rel=0.03)
+    assert np.einsum("ni,ni->", a, np.cross(b, c)) / 6 == pytest.approx(
+        CASES[name].volume_m3, rel=0.03
+    )

@@ -21,11 +21,16 @@ def test_overlapping_bodies_are_refused_and_told_why():
     v, t = two([0.5, 0.4, 0.3])
     with pytest.raises(SurfaceError, match="cross") as caught:
         closed_volume(v, t)
-    assert caught.value.reason == "mesh_self_intersecting" and len(caught.value.value) == len(crossings(v, t))
+    assert caught.value.reason == "mesh_self_intersecting" and len(caught.value.value) == len(
+        crossings(v, t)
+    )
     assert closed_volume(v, t, allow_crossings=True).volume_m3 == pytest.approx(2.0)
 
 
-@pytest.mark.parametrize("shift", [[0.5, 0.5, 0.5], [0.4, 0.4, 0.4], [0.5, 0.5, -0.5], [0.5, 0.25, 0.25], [-0.3, 0.3, 0.3]])
+@pytest.mark.parametrize(
+    "shift",
+    [[0.5, 0.5, 0.5], [0.4, 0.4, 0.4], [0.5, 0.5, -0.5], [0.5, 0.25, 0.25], [-0.3, 0.3, 0.3]],
+)
 def test_edges_that_meet_the_edges_of_the_other_body_pierce_it(shift):
     v, given = two(shift)
     for t in (given, given[:, [0, 2, 1]]):
@@ -37,11 +42,26 @@ def test_edges_that_meet_the_edges_of_the_other_body_pierce_it(shift):
 def test_the_corner_beyond_each_edge():
     beyond = corners_beyond(CUBE_T.astype(np.int32))
     edges = {(t[k], t[(k + 1) % 3]): t[(k + 2) % 3] for t in CUBE_T.tolist() for k in range(3)}
-    assert beyond.tolist() == [[edges[t[(k + 1) % 3], t[k]] for k in range(3)] for t in CUBE_T.tolist()]
+    assert beyond.tolist() == [
+        [edges[t[(k + 1) % 3], t[k]] for k in range(3)] for t in CUBE_T.tolist()
+    ]
     assert (corners_beyond(CUBE_T[:1].astype(np.int32)) == -1).all()
 
 
-@pytest.mark.parametrize("shift", [[1, 0, 0], [1, 0, 0.5], [1, 0.5, 0.5], [0.5, 0.5, 1], [1, 0, -0.25], [1, 1, 0], [1, 1, 1], [1, 0.3, 0.2], [3, 0, 0]])
+@pytest.mark.parametrize(
+    "shift",
+    [
+        [1, 0, 0],
+        [1, 0, 0.5],
+        [1, 0.5, 0.5],
+        [0.5, 0.5, 1],
+        [1, 0, -0.25],
+        [1, 1, 0],
+        [1, 1, 1],
+        [1, 0.3, 0.2],
+        [3, 0, 0],
+    ],
+)
 def test_touching_is_not_crossing(shift):
     v, t = two(shift)
     check_simple(v, t)
@@ -53,7 +73,12 @@ def test_against_a_plain_search_and_turned():
     v = rng.uniform(0, 1, (90, 3))
     t = np.arange(90, dtype=np.int32).reshape(-1, 3)
     t[20:, 0] = t[:10, 1]  # some share a vertex
-    plain = {(i, j) for i in range(30) for j in range(i + 1, 30) if cross.py_func(v, t, corners_beyond(t), i, j)}
+    plain = {
+        (i, j)
+        for i in range(30)
+        for j in range(i + 1, 30)
+        if cross.py_func(v, t, corners_beyond(t), i, j)
+    }
     assert {tuple(p) for p in crossings(v, t).tolist()} == plain and len(plain) > 20
     R = exp_so3(np.array([1.0, 2, 3]))
     assert {tuple(p) for p in crossings(v @ R.T, t).tolist()} == plain
@@ -67,7 +92,9 @@ def tube(rows=120, columns=12, lift=0.0):
         a, b = 2 * np.pi * i / rows, 2 * np.pi * j / columns
         along = np.array([np.cos(a), 2 * np.cos(2 * a), 0])
         across = np.array([-along[1], along[0], 0]) / np.linalg.norm(along)
-        return 2 * np.array([np.sin(a), np.sin(2 * a), lift * np.cos(a)]) + 0.15 * (np.cos(b) * across + np.sin(b) * np.array([0, 0, 1]))
+        return 2 * np.array([np.sin(a), np.sin(2 * a), lift * np.cos(a)]) + 0.15 * (
+            np.cos(b) * across + np.sin(b) * np.array([0, 0, 1])
+        )
 
     return grid_mesh(rows, columns, place)
 

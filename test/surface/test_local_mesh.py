@@ -101,12 +101,19 @@ def test_a_block_is_closed_across_its_edges(seed):
 
 def test_bodies_with_dents_handles_and_overhangs_turned_anyhow():
     rng = np.random.default_rng(4)
-    mushroom = np.pi / 3 * np.sum(
-        np.diff(MUSHROOM[:, 1]) * (MUSHROOM[1:, 0] ** 2 + MUSHROOM[:-1, 0] ** 2 + MUSHROOM[1:, 0] * MUSHROOM[:-1, 0])
+    mushroom = (
+        np.pi
+        / 3
+        * np.sum(
+            np.diff(MUSHROOM[:, 1])
+            * (MUSHROOM[1:, 0] ** 2 + MUSHROOM[:-1, 0] ** 2 + MUSHROOM[1:, 0] * MUSHROOM[:-1, 0])
+        )
     )
     cases = [
-        (ell(5000, rng), 0.45, 2), (torus(5000, rng), 2 * np.pi**2 * 0.16, 0), (revolved(MUSHROOM, 5000, rng), mushroom, 2),
-    ]  # fmt: skip
+        (ell(5000, rng), 0.45, 2),
+        (torus(5000, rng), 2 * np.pi**2 * 0.16, 0),
+        (revolved(MUSHROOM, 5000, rng), mushroom, 2),
+    ]
     for (points, normals), true, euler in cases:
         R = rotation(rng)
         mesh = mesh_cloud(points @ R.T, normals @ R.T)
@@ -122,16 +129,23 @@ def test_the_unseen_bottom_stays_open_and_is_one_rim():
     rim = mesh.rims[0]
     assert np.all(points[rim, 2] < -0.4) and np.all(mesh.status[rim] == RIM)
     # the rim runs with the gap on its left: its edges are those of the boundary the other way round
-    assert set(zip(np.roll(rim, -1).tolist(), rim.tolist(), strict=True)) == set(map(tuple, whole.boundary.tolist()))
+    assert set(zip(np.roll(rim, -1).tolist(), rim.tolist(), strict=True)) == set(
+        map(tuple, whole.boundary.tolist())
+    )
 
 
 def test_a_hole_is_closed_up_to_the_stated_size():
     points, normals = ball(3000, np.random.default_rng(2))
     keep = points[:, 2] < 0.95  # 62 cm across
-    small, large = (mesh_cloud(points[keep], normals[keep], LocalMeshSettings(hole_m=h)) for h in (0.4, 1.0))
+    small, large = (
+        mesh_cloud(points[keep], normals[keep], LocalMeshSettings(hole_m=h)) for h in (0.4, 1.0)
+    )
     assert len(small.rims) == 1 and orient(small.vertices, small.triangles).euler == 1
     assert closed(large) == 2
-    assert large.report["closing_triangles"] >= len(small.rims[0]) - 2 and np.sum(large.votes == 0) == large.report["closing_triangles"]
+    assert (
+        large.report["closing_triangles"] >= len(small.rims[0]) - 2
+        and np.sum(large.votes == 0) == large.report["closing_triangles"]
+    )
 
 
 def test_a_plate_is_not_bridged_but_closed_round_its_rim():
@@ -143,7 +157,9 @@ def test_a_plate_is_not_bridged_but_closed_round_its_rim():
 
 def test_two_sheets_one_over_the_other_stay_two():
     rng = np.random.default_rng(5)
-    points = np.concatenate([np.c_[rng.uniform(0, 1, (1000, 2)), z + rng.normal(0, 0.002, 1000)] for z in (0.0, 0.15)])
+    points = np.concatenate(
+        [np.c_[rng.uniform(0, 1, (1000, 2)), z + rng.normal(0, 0.002, 1000)] for z in (0.0, 0.15)]
+    )
     mesh = mesh_cloud(points, np.tile([0.0, 0.0, -1.0], (2000, 1)))
     whole = orient(mesh.vertices, mesh.triangles)
     assert whole.part.max() == 1 and whole.euler == 2 and len(mesh.rims) == 2
@@ -156,7 +172,11 @@ def test_bodies_apart_and_bodies_that_touch_with_trusted_normals():
     a, b = block(3000, rng, signed=True), ball(2200, rng, signed=True)
     apart = mesh_cloud(np.concatenate([a[0], a[0] + [1.12, 0, 0]]), np.concatenate([a[1], -a[1]]))
     assert closed(apart, 2) == 4 and volume(apart) == pytest.approx(2.0, rel=0.01)
-    touching = mesh_cloud(np.concatenate([b[0], b[0] + [2, 0, 0]]), np.concatenate([b[1], b[1]]), LocalMeshSettings(signed=True))
+    touching = mesh_cloud(
+        np.concatenate([b[0], b[0] + [2, 0, 0]]),
+        np.concatenate([b[1], b[1]]),
+        LocalMeshSettings(signed=True),
+    )
     assert closed(touching, 2) == 4 and volume(touching) == pytest.approx(8 / 3 * np.pi, rel=0.01)
 
 
@@ -181,14 +201,22 @@ def test_the_same_bytes_on_one_thread():
         one = mesh_cloud(points, normals)
     finally:
         numba.set_num_threads(threads)
-    assert one.triangles.tobytes() == both.triangles.tobytes() and one.normals.tobytes() == both.normals.tobytes()
+    assert (
+        one.triangles.tobytes() == both.triangles.tobytes()
+        and one.normals.tobytes() == both.normals.tobytes()
+    )
 
 
-@pytest.mark.parametrize("settings", [LocalMeshSettings(), LocalMeshSettings(0.35, method="published")])
+@pytest.mark.parametrize(
+    "settings", [LocalMeshSettings(), LocalMeshSettings(0.35, method="published")]
+)
 def test_compiled_and_plain_make_the_same_mesh(monkeypatch, settings):
     rng = np.random.default_rng(9)
     points, normals = block(90, rng)
-    points, normals = np.concatenate([points, points[:20] * 0.98]), np.concatenate([normals, normals[:20]])
+    points, normals = (
+        np.concatenate([points, points[:20] * 0.98]),
+        np.concatenate([normals, normals[:20]]),
+    )
     compiled = mesh_cloud(points, normals, settings)
     for name in MODULES:
         module = importlib.import_module(f"ladar_volume.surface.{name}")
@@ -196,8 +224,12 @@ def test_compiled_and_plain_make_the_same_mesh(monkeypatch, settings):
             if hasattr(value, "py_func"):
                 monkeypatch.setattr(module, key, value.py_func)
     plain = mesh_cloud(points, normals, settings)
-    assert np.array_equal(plain.triangles, compiled.triangles) and np.array_equal(plain.votes, compiled.votes)
-    assert np.allclose(plain.normals, compiled.normals) and plain.report == pytest.approx(compiled.report)
+    assert np.array_equal(plain.triangles, compiled.triangles) and np.array_equal(
+        plain.votes, compiled.votes
+    )
+    assert np.allclose(plain.normals, compiled.normals) and plain.report == pytest.approx(
+        compiled.report
+    )
 
 
 def test_points_twice_and_points_alone_are_named():
@@ -248,7 +280,14 @@ def test_what_is_no_surface_is_refused(points, normals, reason):
 
 
 @pytest.mark.parametrize(
-    "settings", [{"radius_m": -1.0}, {"hole_m": np.nan}, {"method": "ball"}, {"repair": "all"}, {"method": "published"}]
+    "settings",
+    [
+        {"radius_m": -1.0},
+        {"hole_m": np.nan},
+        {"method": "ball"},
+        {"repair": "all"},
+        {"method": "published"},
+    ],
 )
 def test_settings_that_make_no_sense_are_refused(settings):
     with pytest.raises(SurfaceError) as caught:
@@ -259,5 +298,7 @@ def test_settings_that_make_no_sense_are_refused(settings):
 def test_points_farther_apart_than_the_radius_have_no_triangle():
     for method in ("agreement", "published"):
         with pytest.raises(SurfaceError) as caught:
-            mesh_cloud(ball(50, np.random.default_rng(11))[0], None, LocalMeshSettings(1e-4, method=method))
+            mesh_cloud(
+                ball(50, np.random.default_rng(11))[0], None, LocalMeshSettings(1e-4, method=method)
+            )
         assert caught.value.reason == "mesh_empty"

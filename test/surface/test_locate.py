@@ -1,4 +1,6 @@
-"""Points in triangles: the tree against asking every triangle, edges, holes, and what lies outside."""
+"""Points in triangles: the tree against asking every triangle, edges, holes, and what lies
+outside.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ def surface(n=200, seed=0, integer=False):
 def test_the_tree_equals_asking_every_triangle(integer):
     tin = surface(integer=integer)
     rng = np.random.default_rng(1)
-    xy = np.r_[rng.uniform(-12, 13, (150, 2)), tin.vertices[:, :2], rng.integers(-1, 13, (100, 2)) / 2.0]
+    xy = np.r_[
+        rng.uniform(-12, 13, (150, 2)), tin.vertices[:, :2], rng.integers(-1, 13, (100, 2)) / 2.0
+    ]
     index = triangle_index(tin)
     found = locate(index, xy)
     assert np.array_equal(found, locate_plain(index, xy))
@@ -69,7 +73,9 @@ def test_barycentric_coordinates():
     where = locate(triangle_index(tin), xy)
     w = barycentric(tin, where, xy)
     assert w.sum(axis=1) == pytest.approx(np.ones(80)) and w.min() > -1e-12
-    assert np.einsum("nk,nkc->nc", w, tin.vertices[tin.triangles[where], :2]) == pytest.approx(xy, abs=1e-12)
+    assert np.einsum("nk,nkc->nc", w, tin.vertices[tin.triangles[where], :2]) == pytest.approx(
+        xy, abs=1e-12
+    )
 
 
 def test_one_triangle_and_no_points():
@@ -88,7 +94,9 @@ def test_the_kernels_equal_their_plain_twins():
     centres = index.corners.mean(axis=1)
     for f, expected in ((centres_of, centres), (corners_of, index.corners)):
         compiled = f(tin.vertices, tin.triangles, index.order)
-        assert np.array_equal(compiled, f.py_func(tin.vertices, tin.triangles, index.order)) and compiled == pytest.approx(expected, abs=1e-15)
+        assert np.array_equal(
+            compiled, f.py_func(tin.vertices, tin.triangles, index.order)
+        ) and compiled == pytest.approx(expected, abs=1e-15)
     assert np.array_equal(curve_keys(centres), curve_keys.py_func(centres)) and np.array_equal(
         curve_keys(centres), np.sort(curve_keys(centres))
     )
@@ -98,8 +106,12 @@ def test_the_kernels_equal_their_plain_twins():
     box = np.array([-1.0, -1, 1, 1])
     a, b = np.full(200, -1, np.int64), np.full(200, -1, np.int64)
     n = search(index.boxes, len(centres), box, np.empty(128, np.int64), a)
-    assert n == search.py_func(index.boxes, len(centres), box, np.empty(128, np.int64), b) and np.array_equal(a, b)
+    assert n == search.py_func(
+        index.boxes, len(centres), box, np.empty(128, np.int64), b
+    ) and np.array_equal(a, b)
     low, high = index.corners.min(axis=1), index.corners.max(axis=1)
     meets = np.flatnonzero((low <= 1).all(axis=1) & (high >= -1).all(axis=1))
     assert set(meets) <= set(a[:n])
-    assert search(index.boxes, len(centres), box, np.empty(128, np.int64), np.empty(1, np.int64)) == n
+    assert (
+        search(index.boxes, len(centres), box, np.empty(128, np.int64), np.empty(1, np.int64)) == n
+    )

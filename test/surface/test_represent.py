@@ -1,4 +1,6 @@
-"""From a cloud to its surface: what the options do, where errors come from, and how a result goes back to the points."""
+"""From a cloud to its surface: what the options do, where errors come from, and how a result goes
+back to the points.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +26,15 @@ def test_without_artificial_corners_only_data_is_left():
     tin = adaptive_tin(cloud(), ratio=0.3).tin
     assert (tin.source < 0).sum() == 4
     small = without_artificial(tin)
-    assert (small.source >= 0).all() and len(small.triangles) == tin.relevant.sum() and small.relevant.all()
+    assert (
+        (small.source >= 0).all()
+        and len(small.triangles) == tin.relevant.sum()
+        and small.relevant.all()
+    )
     assert np.array_equal(small.vertices, tin.vertices[tin.source >= 0])
-    assert np.array_equal(small.vertices[small.triangles], tin.vertices[tin.triangles[tin.relevant]])
+    assert np.array_equal(
+        small.vertices[small.triangles], tin.vertices[tin.triangles[tin.relevant]]
+    )
     t, k = np.nonzero(small.neighbours >= 0)
     o = small.neighbours[t, k]
     for a, edge, b in zip(t.tolist(), k.tolist(), o.tolist(), strict=True):
@@ -44,14 +52,19 @@ def test_full_surfaces_are_delaunay_and_unadjusted_ones_give_their_gradient_to_t
         made = represent(points, options)
         g = np.random.default_rng(1).normal(size=(len(made.tin.vertices), 2, 3))
         G = made.by_points(g, 600)
-        assert np.array_equal(G[made.tin.source], g) and G.sum(axis=0) == pytest.approx(g.sum(axis=0))
+        assert np.array_equal(G[made.tin.source], g) and G.sum(axis=0) == pytest.approx(
+            g.sum(axis=0)
+        )
         sigma = np.random.default_rng(2).uniform(0.01, 0.1, 600)
         assert made.covariance(sigma).diagonal() == pytest.approx(sigma[made.tin.source] ** 2)
 
 
 @pytest.mark.parametrize("weighted", [True, False])
 def test_the_covariance_is_that_of_the_adjoint(weighted):
-    points, sigma = cloud(200), np.random.default_rng(3).uniform(0.01, 0.1, 200) if weighted else np.full(200, 0.05)
+    points, sigma = (
+        cloud(200),
+        np.random.default_rng(3).uniform(0.01, 0.1, 200) if weighted else np.full(200, 0.05),
+    )
     made = represent(points, SurfaceOptions(ratio=0.2), sigma if weighted else None)
     n = len(made.tin.vertices)
     unit = np.zeros((n, n, 3))
@@ -68,7 +81,11 @@ def test_exchanged_and_edited_surfaces_keep_their_area():
     points = cloud(noise=0.1)
     plain = represent(points, SurfaceOptions(ratio=0.1))
     better = represent(points, SurfaceOptions(ratio=0.1, exchange="rms"))
-    assert better.exchanges > 0 and better.rms_m < plain.rms_m and len(better.tin.triangles) == len(plain.tin.triangles)
+    assert (
+        better.exchanges > 0
+        and better.rms_m < plain.rms_m
+        and len(better.tin.triangles) == len(plain.tin.triangles)
+    )
     loose = represent(points, SurfaceOptions(ratio=0.1, adjust="rms-iterated", max_iterations=1))
     assert not loose.converged and plain.rms_m < loose.rms_m < loose.rms_before_m
 
@@ -76,10 +93,16 @@ def test_exchanged_and_edited_surfaces_keep_their_area():
 def test_wrong_options():
     points = cloud(50)
     for wrong in (
-        SurfaceOptions(adjust="best"), SurfaceOptions(exchange="best"), SurfaceOptions(relevant="none"), SurfaceOptions(vertices=5, ratio=0.5),
-        SurfaceOptions(criterion="residual-sigma"), SurfaceOptions(ratio=0.0), SurfaceOptions(relevant="edge", max_edge_m=1e-9),
-        SurfaceOptions(ratio=1.0, window=(50.0, 50.0, 60.0, 60.0)), SurfaceOptions(tolerance=-1.0),
-    ):  # fmt: skip
+        SurfaceOptions(adjust="best"),
+        SurfaceOptions(exchange="best"),
+        SurfaceOptions(relevant="none"),
+        SurfaceOptions(vertices=5, ratio=0.5),
+        SurfaceOptions(criterion="residual-sigma"),
+        SurfaceOptions(ratio=0.0),
+        SurfaceOptions(relevant="edge", max_edge_m=1e-9),
+        SurfaceOptions(ratio=1.0, window=(50.0, 50.0, 60.0, 60.0)),
+        SurfaceOptions(tolerance=-1.0),
+    ):
         with pytest.raises(SurfaceError):
             represent(points, wrong)
     for bad in (points[:2], points[:, :2], np.where(points > 9, np.nan, points)):
@@ -88,7 +111,9 @@ def test_wrong_options():
 
 
 def test_a_plane_in_a_turned_frame_holds_the_same_points():
-    frame = dataclasses.replace(frame_along(np.array([0.3, -0.2, -1.0])), origin_map=np.array([5.0, 6.0, 7.0]))
+    frame = dataclasses.replace(
+        frame_along(np.array([0.3, -0.2, -1.0])), origin_map=np.array([5.0, 6.0, 7.0])
+    )
     xy = cloud(20)[:, :2]
     turned = frame.points(np.c_[xy, 2.0 + 0.1 * xy[:, 0] - 0.3 * xy[:, 1]])
     c = frame.plane(np.array([2.0, 0.1, -0.3]))

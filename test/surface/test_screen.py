@@ -1,11 +1,20 @@
-"""TINscreen and TINfilter: closed forms first, then invariances, then input that must be refused."""
+"""TINscreen and TINfilter: closed forms first, then invariances, then input that must be
+refused.
+"""
 
 import numpy as np
 import pytest
 
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.surface.delaunay import delaunay
-from ladar_volume.surface.screen import edges, medians_kernel, medians_plain, neighbour_medians, tin_filter, tin_screen
+from ladar_volume.surface.screen import (
+    edges,
+    medians_kernel,
+    medians_plain,
+    neighbour_medians,
+    tin_filter,
+    tin_screen,
+)
 
 
 def level(n=400, seed=0, height=2.5):
@@ -14,7 +23,9 @@ def level(n=400, seed=0, height=2.5):
 
 def hexagon(centre_height, heights):
     a = np.arange(6) * (np.pi / 3)
-    return np.concatenate([[[0.0, 0.0, centre_height]], np.column_stack([np.cos(a), np.sin(a), heights])])
+    return np.concatenate(
+        [[[0.0, 0.0, centre_height]], np.column_stack([np.cos(a), np.sin(a), heights])]
+    )
 
 
 @pytest.mark.parametrize("spike", [5.0, -5.0])
@@ -25,8 +36,13 @@ def test_spikes_on_a_level_are_deleted_or_put_back_whichever_way_they_point(spik
     screened, filtered = tin_screen(points, 0.1), tin_filter(points, 0.1)
     assert screened.outliers.tolist() == filtered.outliers.tolist() == spikes.tolist()
     assert screened.count == 3 and len(screened.points_map) == len(screened.index) == 397
-    assert np.array_equal(screened.points_map, points[screened.index]) and (screened.points_map[:, 2] == 2.5).all()
-    assert np.array_equal(filtered.index, np.arange(400)) and (filtered.points_map[:, 2] == 2.5).all()
+    assert (
+        np.array_equal(screened.points_map, points[screened.index])
+        and (screened.points_map[:, 2] == 2.5).all()
+    )
+    assert (
+        np.array_equal(filtered.index, np.arange(400)) and (filtered.points_map[:, 2] == 2.5).all()
+    )
     assert np.array_equal(filtered.points_map[:, :2], points[:, :2])
     assert points[7, 2] == 2.5 + spike  # the input is left alone
 
@@ -50,7 +66,8 @@ def test_a_sloping_plane_on_a_grid_is_kept_inside():
     x, y = np.meshgrid(np.arange(20.0), np.arange(15.0))
     points = np.column_stack([x.ravel(), y.ravel(), (2.0 * x - 3.0 * y).ravel()])
     inside = (points[:, 0] > 0) & (points[:, 0] < 19) & (points[:, 1] > 0) & (points[:, 1] < 14)
-    # no neighbour on a unit grid is higher or lower by more than a step in each axis; the median of the ring is the height up to half of it
+    # no neighbour on a unit grid is higher or lower by more than a step in each axis; the median of
+    # the ring is the height up to half of it
     assert np.abs(neighbour_medians(points) - points[:, 2])[inside].max() <= 2.5
     points[137, 2] += 40.0
     assert tin_screen(points, 6.0).outliers.tolist() == [137]
@@ -67,13 +84,17 @@ def test_the_order_of_the_points_changes_nothing(grid):
     rng = np.random.default_rng(1)
     points = level(300, 2)
     if grid:  # every cell is co-circular: the diagonals are free to choose
-        points[:, :2] = np.stack(np.meshgrid(np.arange(20.0), np.arange(15.0)), axis=-1).reshape(-1, 2)
+        points[:, :2] = np.stack(np.meshgrid(np.arange(20.0), np.arange(15.0)), axis=-1).reshape(
+            -1, 2
+        )
     points[:, 2] = rng.normal(size=300)
     points = np.concatenate([points, points[:40] + np.array([0.0, 0.0, 1.0])])
     order = rng.permutation(len(points))
     one, two = tin_filter(points, 0.8), tin_filter(points[order], 0.8)
     assert 10 < one.count < 330
-    assert np.array_equal(one.points_map[order], two.points_map) and np.array_equal(one.medians[order], two.medians)
+    assert np.array_equal(one.points_map[order], two.points_map) and np.array_equal(
+        one.medians[order], two.medians
+    )
     assert np.array_equal(one.outliers, np.sort(order[two.outliers]))
 
 
@@ -82,13 +103,17 @@ def test_rigid_motion_in_height_and_scale_by_a_power_of_two_change_nothing():
     points[:, 2] = np.random.default_rng(4).normal(size=200)
     medians = neighbour_medians(points)
     assert np.array_equal(neighbour_medians(points * 4.0), medians * 4.0)
-    np.testing.assert_allclose(neighbour_medians(points + np.array([0.0, 0.0, 100.0])), medians + 100.0, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        neighbour_medians(points + np.array([0.0, 0.0, 100.0])), medians + 100.0, rtol=0, atol=1e-12
+    )
     np.testing.assert_array_equal(neighbour_medians(points * [1.0, 1.0, -1.0]), -medians)
 
 
 def test_points_over_one_footprint_are_all_compared_and_all_count_as_neighbours():
     points = hexagon(0.0, [0.0] * 6)
-    points = np.concatenate([points, [[0.0, 0.0, 7.0]], [[-0.0, 0.0, 0.25]], [points[1] + [0, 0, 4.0]]])
+    points = np.concatenate(
+        [points, [[0.0, 0.0, 7.0]], [[-0.0, 0.0, 0.25]], [points[1] + [0, 0, 4.0]]]
+    )
     medians = neighbour_medians(points)
     assert medians[0] == medians[7] == medians[8] == 0.0  # six zeros and one 4
     # rim vertex 2: centre 0, 7, 0.25; rim 0, 4 and 0
@@ -113,7 +138,10 @@ def test_huge_heights_do_not_overflow():
         (np.zeros((0, 3)), "surface_too_few_points"),
         (np.zeros((2, 3)), "surface_too_few_points"),
         (np.zeros((9, 3)), "surface_too_few_points"),
-        (np.column_stack([np.arange(5.0), np.arange(5.0), np.random.default_rng(0).random(5)]), "surface_collinear"),
+        (
+            np.column_stack([np.arange(5.0), np.arange(5.0), np.random.default_rng(0).random(5)]),
+            "surface_collinear",
+        ),
         (np.array([[0, 0, 0], [1, 0, np.nan], [0, 1, 0.0]]), "surface_not_finite"),
         (np.array([[0, 0, 0], [1, np.inf, 1], [0, 1, 0.0]]), "surface_not_finite"),
         (np.zeros((4, 2)), "surface_shape"),
@@ -137,7 +165,9 @@ def test_a_tolerance_that_is_none_is_refused(tolerance):
 def test_the_kernels_equal_their_plain_twins():
     rng = np.random.default_rng(6)
     for n in (3, 4, 10, 120):
-        xy = np.unique(rng.integers(0, 12, (n, 2)).astype(float) if n > 10 else rng.random((n, 2)), axis=0)
+        xy = np.unique(
+            rng.integers(0, 12, (n, 2)).astype(float) if n > 10 else rng.random((n, 2)), axis=0
+        )
         triangles, neighbours = delaunay(xy)
         footprint = np.concatenate([np.arange(len(xy)), rng.integers(0, len(xy), n)])
         points = np.column_stack([xy[footprint], rng.normal(size=len(footprint))])

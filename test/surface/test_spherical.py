@@ -1,4 +1,6 @@
-"""Spherical projection: empty circles on the sphere, any gap, turning, overhangs, and clouds that are refused."""
+"""Spherical projection: empty circles on the sphere, any gap, turning, overhangs, and clouds that
+are refused.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +10,20 @@ import pytest
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.se3 import exp_so3
 from ladar_volume.surface.delaunay import is_valid
-from ladar_volume.surface.spherical import build_spherical, stereographic, unit_directions, widest_gap
+from ladar_volume.surface.spherical import (
+    build_spherical,
+    stereographic,
+    unit_directions,
+    widest_gap,
+)
 
 SCANNER = np.array([4.0, -3.0, 2.0])
 
 
 def bowl(n, seed=0, highest=0.5, undercut=0.4):
-    """Points on a cave about the scanner: range depends on direction, walls bend over the head where ``highest`` is above 0."""
+    """Points on a cave about the scanner: range depends on direction, walls bend over the head
+    where ``highest`` is above 0.
+    """
     rng = np.random.default_rng(seed)
     z, a = rng.uniform(-1, highest, n), rng.uniform(0, 2 * np.pi, n)
     s = np.sqrt(1 - z * z)
@@ -49,14 +58,21 @@ def test_triangles_face_the_scanner_and_fill_all_but_the_gap():
 
 def test_the_triangulation_turns_with_the_scan_and_does_not_depend_on_range():
     p, R = bowl(500), exp_so3(np.array([0.5, 1.0, -2.0]))
-    one, other = build_spherical(p, SCANNER), build_spherical((p - SCANNER) @ R.T + 1e3, np.full(3, 1e3))
-    stretched = build_spherical(SCANNER + (p - SCANNER) * np.random.default_rng(1).uniform(1, 5, (500, 1)), SCANNER)
+    one, other = (
+        build_spherical(p, SCANNER),
+        build_spherical((p - SCANNER) @ R.T + 1e3, np.full(3, 1e3)),
+    )
+    stretched = build_spherical(
+        SCANNER + (p - SCANNER) * np.random.default_rng(1).uniform(1, 5, (500, 1)), SCANNER
+    )
 
     def faces(tin, rows):
         return {tuple(sorted(t)) for t in tin.triangles[rows]}
 
     inner = (one.tin.neighbours >= 0).all(axis=1)
-    assert faces(one.tin, inner) <= faces(other.tin, slice(None)) and faces(one.tin, inner) <= faces(stretched.tin, slice(None))
+    assert faces(one.tin, inner) <= faces(other.tin, slice(None)) and faces(
+        one.tin, inner
+    ) <= faces(stretched.tin, slice(None))
 
 
 def test_all_round_the_gap_moves_to_the_widest_hole():
@@ -73,7 +89,11 @@ def test_all_round_the_gap_moves_to_the_widest_hole():
 
 def test_limits_of_angle_and_edge():
     p = bowl(2000)
-    whole, angle, edge = build_spherical(p, SCANNER), build_spherical(p, SCANNER, max_angle_rad=0.3), build_spherical(p, SCANNER, max_edge_m=0.8)
+    whole, angle, edge = (
+        build_spherical(p, SCANNER),
+        build_spherical(p, SCANNER, max_angle_rad=0.3),
+        build_spherical(p, SCANNER, max_edge_m=0.8),
+    )
     assert whole.tin.relevant.all() and 0 < angle.tin.relevant.sum() < len(p) * 2
     corner = edge.tin.vertices[edge.tin.triangles[edge.tin.relevant]]
     assert np.linalg.norm(corner - corner[:, [1, 2, 0]], axis=2).max() <= 0.8
@@ -85,10 +105,16 @@ def test_points_in_one_direction_and_refusals():
     p = bowl(200)
     double = np.concatenate([p, SCANNER + 2.0 * (p[:7] - SCANNER)])
     s = build_spherical(double, SCANNER)
-    assert len(s.tin.vertices) + s.tin.duplicates == 207 and s.tin.source[:7].tolist() == list(range(7))
+    assert len(s.tin.vertices) + s.tin.duplicates == 207 and s.tin.source[:7].tolist() == list(
+        range(7)
+    )
     for bad, scanner in (
-        (p[:2], SCANNER), (np.concatenate([p, SCANNER[None]]), SCANNER), (p * np.nan, SCANNER), (p, np.full(3, np.nan)), (p[:, :2], SCANNER),
+        (p[:2], SCANNER),
+        (np.concatenate([p, SCANNER[None]]), SCANNER),
+        (p * np.nan, SCANNER),
+        (p, np.full(3, np.nan)),
+        (p[:, :2], SCANNER),
         (SCANNER + np.outer(np.arange(1.0, 9), [1, 2, 3]), SCANNER),
-    ):  # fmt: skip
+    ):
         with pytest.raises(SurfaceError):
             build_spherical(bad, scanner)

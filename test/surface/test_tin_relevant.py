@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from ladar_volume.model.errors import SurfaceError
-from ladar_volume.surface.relevant import circumdiameters, edge_lengths, relevant_triangles, with_relevant
+from ladar_volume.surface.relevant import (
+    circumdiameters,
+    edge_lengths,
+    relevant_triangles,
+    with_relevant,
+)
 from ladar_volume.surface.tin import build_tin, footprint_areas, vertex_mask
 
 
@@ -14,7 +19,11 @@ def test_duplicates_are_reported_and_the_first_kept():
     points = np.array([[0, 0, 1.0], [2, 0, 2], [0, 2, 3], [2, 0, 99], [0, 0, 98]])
     tin = build_tin(points)
     assert tin.duplicates == 2 and tin.source.tolist() == [0, 1, 2]
-    assert tin.vertices[:, 2].tolist() == [1, 2, 3] and len(tin.triangles) == 1 and tin.neighbours.tolist() == [[-1, -1, -1]]
+    assert (
+        tin.vertices[:, 2].tolist() == [1, 2, 3]
+        and len(tin.triangles) == 1
+        and tin.neighbours.tolist() == [[-1, -1, -1]]
+    )
 
 
 def test_areas_add_up_to_the_hull_and_are_counter_clockwise():
@@ -27,7 +36,14 @@ def test_areas_add_up_to_the_hull_and_are_counter_clockwise():
 
 
 @pytest.mark.parametrize(
-    "points", [np.zeros((5, 3)), np.zeros((0, 3)), np.zeros((4, 2)), np.full((4, 3), np.nan), np.arange(12.0).reshape(4, 3)]
+    "points",
+    [
+        np.zeros((5, 3)),
+        np.zeros((0, 3)),
+        np.zeros((4, 2)),
+        np.full((4, 3), np.nan),
+        np.arange(12.0).reshape(4, 3),
+    ],
 )
 def test_refusals(points):
     with pytest.raises(SurfaceError):
@@ -52,7 +68,12 @@ def test_the_four_options():
     assert inner.sum() == 32 and not np.isin(tin.triangles[inner], artificial).any()
     assert relevant_triangles(tin, "edge", max_edge_m=1.5).sum() == 32
     assert not relevant_triangles(tin, "edge", max_edge_m=1.2).any()
-    assert relevant_triangles(tin, "circumcircle", max_circumdiameter_m=1.42, artificial=artificial).sum() == 32
+    assert (
+        relevant_triangles(
+            tin, "circumcircle", max_circumdiameter_m=1.42, artificial=artificial
+        ).sum()
+        == 32
+    )
     with pytest.raises(SurfaceError, match="no relevant triangle"):
         with_relevant(tin, "circumcircle", 9.0, 1.0)
     with pytest.raises(SurfaceError):

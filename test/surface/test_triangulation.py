@@ -1,4 +1,6 @@
-"""Insertion and removal: the triangulation is proved valid after every step, and equals one made anew."""
+"""Insertion and removal: the triangulation is proved valid after every step, and equals one made
+anew.
+"""
 
 from __future__ import annotations
 
@@ -65,7 +67,9 @@ def test_degenerate_sets_survive_removal_and_return(kind):
     a, s = np.arange(48) * (np.pi / 24), np.arange(25.0)
     xy = {
         "circle": np.concatenate([np.column_stack([np.cos(a), np.sin(a)]), [[0.0, 0.0]]]),
-        "two lines": np.concatenate([np.column_stack([s * 0.1, s * 0.3]), np.column_stack([s * 0.1 + 1.0, s * 0.3])]),
+        "two lines": np.concatenate(
+            [np.column_stack([s * 0.1, s * 0.3]), np.column_stack([s * 0.1 + 1.0, s * 0.3])]
+        ),
         "fan": np.concatenate([np.column_stack([s, np.zeros(25)]), [[12.0, 5.0], [12.0, -4.0]]]),
         "nearly flat": rng.random((50, 2)) * [1.0, 1e-14],
         "huge offset": rng.integers(0, 6, (40, 2)) * 0.1 + [4.5e6, 5.4e6],
@@ -87,7 +91,11 @@ def test_degenerate_sets_survive_removal_and_return(kind):
 
 def test_a_vertex_with_a_thousand_neighbours():
     a = np.sort(np.random.default_rng(2).random(1000)) * 2.0 * np.pi
-    t = Triangulation(np.concatenate([np.column_stack([np.cos(a), np.sin(a)]) * (1.0 + 0.2 * a[:, None]), [[0.0, 0.0]]]))
+    t = Triangulation(
+        np.concatenate(
+            [np.column_stack([np.cos(a), np.sin(a)]) * (1.0 + 0.2 * a[:, None]), [[0.0, 0.0]]]
+        )
+    )
     t.remove(1000)
     assert t.fault() == "" and t.alive.sum() == 1000
 
@@ -110,13 +118,18 @@ def test_points_within_the_tolerance_are_reported_and_stay_out():
     t = Triangulation(xy, tolerance_m=0.05)
     kept = np.flatnonzero(t.alive)
     assert t.is_valid() and cKDTree(xy[kept]).query(xy[kept], k=2)[0][:, 1].min() > 0.05
-    assert np.array_equal(t.same, first_within(xy, 0.05)) and np.array_equal(kept, np.unique(t.same)) and np.linalg.norm(xy - xy[t.same], axis=1).max() <= 0.05
+    assert (
+        np.array_equal(t.same, first_within(xy, 0.05))
+        and np.array_equal(kept, np.unique(t.same))
+        and np.linalg.norm(xy - xy[t.same], axis=1).max() <= 0.05
+    )
     extra = rng.random((300, 2)) * 1.5
     ids = t.insert(extra)
     assert t.is_valid() and np.linalg.norm(extra - t.xy[ids], axis=1).max() <= 0.05
     kept = np.flatnonzero(t.alive)
     assert cKDTree(t.xy[kept]).query(t.xy[kept], k=2)[0][:, 1].min() > 0.05
-    # each that stayed out lies at the vertex nearest to it then; all vertices of before are still there
+    # each that stayed out lies at the vertex nearest to it then; all vertices of before are still
+    # there
     assert t.insert(t.xy[kept]).tolist() == kept.tolist()
 
 
@@ -131,7 +144,10 @@ def test_a_map_and_its_points():
     assert t.is_valid() and len(t.triangles()[0]) == 2
     ids = t.insert(np.array([[4.0, 2.0], [1.0, 1.0], [2.0, 0.0], [0.0, 1.0]]))
     assert ids.tolist() == [2, 5, 6, 7] and t.is_valid()
-    for points, reason in ((np.array([[5.0, 1.0]]), "surface_off_map"), (np.array([[np.nan, 1.0]]), "surface_not_finite")):
+    for points, reason in (
+        (np.array([[5.0, 1.0]]), "surface_off_map"),
+        (np.array([[np.nan, 1.0]]), "surface_not_finite"),
+    ):
         with pytest.raises(SurfaceError) as caught:
             t.insert(points)
         assert caught.value.reason == reason
@@ -153,7 +169,9 @@ def test_location():
         c = t.xy[triangles]
         d = np.roll(c, -1, axis=1) - c
         holds = (d[..., 0] * (p[1] - c[..., 1]) - d[..., 1] * (p[0] - c[..., 0]) >= 0).all(axis=1)
-        assert (v[0] < 0) == (not holds.any()) and (v[0] < 0 or tuple(sorted(v)) in as_set(triangles[holds]))
+        assert (v[0] < 0) == (not holds.any()) and (
+            v[0] < 0 or tuple(sorted(v)) in as_set(triangles[holds])
+        )
 
 
 @pytest.mark.parametrize(
@@ -177,7 +195,13 @@ def test_refusals(options, reason):
 
 def test_compiled_kernels_equal_their_plain_twins(monkeypatch):
     rng = np.random.default_rng(5)
-    xy = np.concatenate([[[0.0, 0], [7, 0], [0, 7]], rng.integers(0, 7, (40, 2)).astype(float), rng.random((10, 2)) * 9.0])
+    xy = np.concatenate(
+        [
+            [[0.0, 0], [7, 0], [0, 7]],
+            rng.integers(0, 7, (40, 2)).astype(float),
+            rng.random((10, 2)) * 9.0,
+        ]
+    )
     names = [k for k, v in vars(removal).items() if hasattr(v, "py_func")]
 
     def run(square):

@@ -19,7 +19,9 @@ def normals(slope):
 def quadratic(xy):
     """Heights and slopes of a surface that is a hollow along x and a crest along y."""
     x, y = xy.T
-    return 0.3 + 0.1 * x - 0.2 * y + 0.07 * x**2 - 0.04 * y**2 + 0.05 * x * y, np.c_[0.1 + 0.14 * x + 0.05 * y, -0.2 - 0.08 * y + 0.05 * x]
+    return 0.3 + 0.1 * x - 0.2 * y + 0.07 * x**2 - 0.04 * y**2 + 0.05 * x * y, np.c_[
+        0.1 + 0.14 * x + 0.05 * y, -0.2 - 0.08 * y + 0.05 * x
+    ]
 
 
 def test_exact_on_a_quadratic():
@@ -28,8 +30,12 @@ def test_exact_on_a_quadratic():
     tin = build_tin(np.c_[xy, z])
     v, t = tin.vertices, tin.triangles
     area = footprint_areas(v, t)
-    middle = [quadratic(0.5 * (v[t[:, a], :2] + v[t[:, b], :2]))[0] for a, b in ((0, 1), (1, 2), (2, 0))]
-    excess = area * (v[t, 2].mean(axis=1) - np.mean(middle, axis=0))  # midpoints of sides integrate a quadratic exactly
+    middle = [
+        quadratic(0.5 * (v[t[:, a], :2] + v[t[:, b], :2]))[0] for a, b in ((0, 1), (1, 2), (2, 0))
+    ]
+    excess = area * (
+        v[t, 2].mean(axis=1) - np.mean(middle, axis=0)
+    )  # midpoints of sides integrate a quadratic exactly
     normal = normals(slope)[tin.source]
     assert chord_volumes(tin, normal, area) == pytest.approx(excess, abs=1e-12)
     assert chord_volumes(tin, -normal, area) == pytest.approx(excess, abs=1e-12)
@@ -55,14 +61,19 @@ def test_exact_on_average_over_all_places_of_a_kink():
             area = footprint_areas(tin.vertices, tin.triangles)
             true = s * positive_part((u - c)[tin.source][tin.triangles])[0]
             excess.append(float(area[0] * (z.mean() - true[0])))
-            chord.append(float(chord_volumes(tin, normals(s * np.outer(u > c, n))[tin.source], area)[0]))
+            chord.append(
+                float(chord_volumes(tin, normals(s * np.outer(u > c, n))[tin.source], area)[0])
+            )
         assert np.mean(chord) == pytest.approx(np.mean(excess), rel=2e-3)
 
 
 def test_plane_and_wall():
     xy = np.random.default_rng(3).uniform(-5, 5, (50, 2))
     tin = build_tin(np.c_[xy, xy @ [0.3, -0.4]])
-    area, normal = footprint_areas(tin.vertices, tin.triangles), np.tile(normals(np.array([[0.3, -0.4]])), (50, 1))
+    area, normal = (
+        footprint_areas(tin.vertices, tin.triangles),
+        np.tile(normals(np.array([[0.3, -0.4]])), (50, 1)),
+    )
     assert chord_volumes(tin, normal, area) == pytest.approx(np.zeros(len(area)), abs=1e-15)
     normal[7] = [1.0, 0.0, 0.0]
     assert chord_volumes(tin, normal, area) == pytest.approx(np.zeros(len(area)), abs=1e-15)

@@ -1,4 +1,6 @@
-"""Volumes of bodies: corrections, what hangs on the closing, and uncertainty against independent computation and repeated clouds."""
+"""Volumes of bodies: corrections, what hangs on the closing, and uncertainty against independent
+computation and repeated clouds.
+"""
 
 import numpy as np
 import pytest
@@ -22,7 +24,9 @@ RADIUS = 0.3
 
 
 def ball_on_ground(rng, count=2500, noise=0.01):
-    """A ball that is cut by its ground at a third of its radius, and the ground around it, with noise along the normals."""
+    """A ball that is cut by its ground at a third of its radius, and the ground around it, with
+    noise along the normals.
+    """
     n = rng.normal(size=(count, 3))
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     n = n[n[:, 2] > -0.3]
@@ -50,7 +54,9 @@ def measured(points, stands=False):
     label = np.zeros(len(f.r), np.int64)
     if stands:
         ground = fit_ground(f.r, f.sigma**2, GroundParameters())
-        label = np.where((f.r[:, 2] > -0.3 * RADIUS + 0.02) & (np.linalg.norm(f.r, axis=1) < 1.2 * RADIUS), 0, -1)
+        label = np.where(
+            (f.r[:, 2] > -0.3 * RADIUS + 0.02) & (np.linalg.norm(f.r, axis=1) < 1.2 * RADIUS), 0, -1
+        )
     made = cloud_bodies(f.r, f.normal, f.curved, label, ground)
     return made, cloud_uncertainty(made.bodies, made.sources, points, f, ground), f
 
@@ -62,7 +68,11 @@ def test_a_cloud_of_a_cube_gives_its_volume_with_a_sigma():
         body = made.bodies[0]
         error.append(body.volume_m3 - 1.0)
         sigma.append(float(uncertain.sigma_m3[0]))
-        assert body.uncorrected_m3 < body.volume_m3 and body.edge_m3 > 0.002 and abs(body.curvature_m3) < 1e-4
+        assert (
+            body.uncorrected_m3 < body.volume_m3
+            and body.edge_m3 > 0.002
+            and abs(body.curvature_m3) < 1e-4
+        )
         assert orient(body.skin.vertices, body.skin.triangles).euler == 2
         assert np.allclose(body.centroid_map, 0.0, atol=0.01)
         assert sum(uncertain.budget_m6[0].values()) == pytest.approx(float(uncertain.C_m6[0, 0]))
@@ -87,7 +97,9 @@ def test_a_ball_on_its_ground_is_closed_and_its_sigma_knows_the_ground():
 
 
 def test_the_influence_of_raw_points_is_that_of_repeated_clouds():
-    """The mean height of a noisy plane: every raw point has its share, and the spread over clouds is what the shares say."""
+    """The mean height of a noisy plane: every raw point has its share, and the spread over clouds
+    is what the shares say.
+    """
     heights, predicted = [], []
     for seed in range(25):
         rng = np.random.default_rng(seed)
@@ -106,9 +118,21 @@ def test_influence_counts_along_normals_of_either_sign():
     p = np.column_stack([rng.uniform(0, 1, (300, 2)), 0.005 * rng.normal(size=300)])
     f = filter_cloud(p, FilterParameters(), auto=True)
     sign = rng.choice([-1.0, 1.0], len(f.r))
-    other = CloudResult(f.r, f.index, f.normal * sign[:, None], f.sigma, f.outliers, f.reason, f.report, noise=f.noise, reach=f.reach)
+    other = CloudResult(
+        f.r,
+        f.index,
+        f.normal * sign[:, None],
+        f.sigma,
+        f.outliers,
+        f.reason,
+        f.report,
+        noise=f.noise,
+        reach=f.reach,
+    )
     w = rng.uniform(size=(len(f.r), 2))
-    assert np.allclose(influence(p, other, w * sign[:, None]), influence(p, f, w) * sign[:, None], atol=1e-12)
+    assert np.allclose(
+        influence(p, other, w * sign[:, None]), influence(p, f, w) * sign[:, None], atol=1e-12
+    )
     bare = CloudResult(f.r, f.index, f.normal, f.sigma, f.outliers, f.reason, f.report)
     with pytest.raises(FilterError) as error:
         influence(p, bare, w)
@@ -120,7 +144,9 @@ def test_a_mesh_with_independent_vertices_has_the_variance_of_its_tetrahedra():
     body = body_of(v, t)
     plain = closed_variance(v, body.closed, 0.01)
     found = mesh_uncertainty([body], 0.01)
-    assert found.sigma_m3[0] == pytest.approx(plain.sigma_m3) and body.volume_m3 == body.uncorrected_m3
+    assert (
+        found.sigma_m3[0] == pytest.approx(plain.sigma_m3) and body.volume_m3 == body.uncorrected_m3
+    )
 
 
 def test_sigma_of_an_open_mesh_on_an_uncertain_ground_matches_repetition():
@@ -135,7 +161,15 @@ def test_sigma_of_an_open_mesh_on_an_uncertain_ground_matches_repetition():
     volumes = []
     for _ in range(150):
         plane = design_surface(rng.multivariate_normal(ground.beta, C))
-        volumes.append(body_of(v + 0.004 * rng.normal(size=v.shape), t, close_m=0.5, ground=plane, allow_crossings=True).volume_m3)
+        volumes.append(
+            body_of(
+                v + 0.004 * rng.normal(size=v.shape),
+                t,
+                close_m=0.5,
+                ground=plane,
+                allow_crossings=True,
+            ).volume_m3
+        )
     predicted = np.sqrt(found.C_m6[0, 0] - found.budget_m6[0]["closing"])
     assert np.std(volumes) == pytest.approx(predicted, rel=0.2)
 
@@ -151,7 +185,9 @@ def test_cavities_count_negative_and_lose_their_bulge():
 def test_the_centre_of_a_body_does_not_depend_on_where_it_is():
     v, t = torus()
     far = np.array([4e5, 5e6, 300.0])
-    assert np.allclose(body_of(v + far, t).centroid_map - far, body_of(v, t).centroid_map, atol=1e-6)
+    assert np.allclose(
+        body_of(v + far, t).centroid_map - far, body_of(v, t).centroid_map, atol=1e-6
+    )
 
 
 def test_bodies_have_a_joint_covariance():
@@ -171,18 +207,35 @@ def test_stray_pieces_are_left_out_and_reported():
     rng = np.random.default_rng(10)
     flake = np.array([[3.0, 0, 0], [3.05, 0, 0], [3.0, 0.05, 0], [3.05, 0.05, 0.0]])
     v = sphere(1500, rng=rng)[0]
-    made = cloud_bodies(np.concatenate([v, flake]), np.concatenate([v, np.tile([0, 0, 1.0], (4, 1))]), None, np.zeros(1504, np.int64), None)
+    made = cloud_bodies(
+        np.concatenate([v, flake]),
+        np.concatenate([v, np.tile([0, 0, 1.0], (4, 1))]),
+        None,
+        np.zeros(1504, np.int64),
+        None,
+    )
     assert made.stray[0] == 2 and made.bodies[0].volume_m3 == pytest.approx(4 / 3 * np.pi, rel=1e-3)
 
 
 def test_a_closed_speck_is_left_out_and_a_second_body_is_not():
     v, t = sphere(1500)
-    speck, tetra = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]), np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    speck, tetra = (
+        np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]),
+        np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]),
+    )
     for size, left in ((0.1, 4), (0.5, 0)):
         vertices = np.concatenate([v, 3.0 + size * speck])
         faces = np.concatenate([t, tetra + len(v)]).astype(np.int32)
-        mesh = LocalMesh(vertices, np.zeros_like(vertices), faces, np.zeros(len(faces), np.int32), np.zeros(len(vertices), np.int32), (),
-                         np.zeros((0, 2), np.int32), {"hole_m": 0.2})  # fmt: skip
+        mesh = LocalMesh(
+            vertices,
+            np.zeros_like(vertices),
+            faces,
+            np.zeros(len(faces), np.int32),
+            np.zeros(len(vertices), np.int32),
+            (),
+            np.zeros((0, 2), np.int32),
+            {"hole_m": 0.2},
+        )
         kept, many = without_stray(mesh)
         assert many == left and np.array_equal(kept, faces[: len(faces) - left])
 
@@ -195,10 +248,22 @@ def test_what_is_no_body_is_refused():
     label = np.repeat([0, 1], 200)
     steps = []
     with pytest.raises(SurfaceError, match="body 1: a gap") as gap:
-        cloud_bodies(flat, np.tile([0, 0, 1.0], (400, 1)), None, label, None, BodyOptions(), lambda k, many: steps.append((k, many)))
+        cloud_bodies(
+            flat,
+            np.tile([0, 0, 1.0], (400, 1)),
+            None,
+            label,
+            None,
+            BodyOptions(),
+            lambda k, many: steps.append((k, many)),
+        )
     assert gap.value.reason == "closing_gap" and steps == [(0, 2)]
     corner = np.array([[0, 0, 1.0], [1, 0, 1], [0, 1, 1], [0, 0, 1]])
-    for points, ground in ((corner, design_surface([0.0])), (corner[:3], None), (np.ones((50, 3)), None)):
+    for points, ground in (
+        (corner, design_surface([0.0])),
+        (corner[:3], None),
+        (np.ones((50, 3)), None),
+    ):
         with pytest.raises(SurfaceError) as few:
             cloud_bodies(points, None, None, np.zeros(len(points), np.int64), ground)
         assert few.value.reason == "mesh_points" and few.value.value < 4

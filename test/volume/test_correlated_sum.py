@@ -1,4 +1,6 @@
-"""The correlated sum against all pairs, its limits, and variograms found again in simulated ground."""
+"""The correlated sum against all pairs, its limits, and variograms found again in simulated
+ground.
+"""
 
 from __future__ import annotations
 
@@ -9,36 +11,67 @@ import pytest
 
 from benchmarks.correlated_sum import double_sum, lag_sum, maps
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.volume.correlated_sum import Variogram, empirical_variogram, estimate_variogram, fit_variogram, sum_variance
+from ladar_volume.volume.correlated_sum import (
+    Variogram,
+    empirical_variogram,
+    estimate_variogram,
+    fit_variogram,
+    sum_variance,
+)
 
 
 def field(shape, cell_m, v, seed, count=1):
-    """Fields (count, r, c) of unit sigma times s, by the Cholesky factor of all cells' covariance."""
+    """Fields (count, r, c) of unit sigma times s, by the Cholesky factor of all cells'
+    covariance.
+    """
     y, x = (a.ravel() * cell_m for a in np.mgrid[: shape[0], : shape[1]])
     d = np.hypot(y[:, None] - y, x[:, None] - x)
     C = v.variance * ((1 - v.nugget) * np.exp(-d / v.length_m) + v.nugget * np.eye(len(y)))
-    return (np.random.default_rng(seed).standard_normal((count, len(y))) @ np.linalg.cholesky(C).T).reshape(count, *shape)
+    return (
+        np.random.default_rng(seed).standard_normal((count, len(y))) @ np.linalg.cholesky(C).T
+    ).reshape(count, *shape)
 
 
-@pytest.mark.parametrize(("shape", "v"), [((37, 52), Variogram(1.3, 0.25, 4.0)), ((1, 90), Variogram(0.7, 0.0, 1.0)), ((50, 20), Variogram(1.0, 0.9, 60.0))])
+@pytest.mark.parametrize(
+    ("shape", "v"),
+    [
+        ((37, 52), Variogram(1.3, 0.25, 4.0)),
+        ((1, 90), Variogram(0.7, 0.0, 1.0)),
+        ((50, 20), Variogram(1.0, 0.9, 60.0)),
+    ],
+)
 def test_the_sum_over_all_pairs(shape, v):
     sigma, weight = maps(shape)
-    weight = weight * np.random.default_rng(2).choice([-1.0, 1.0, 2.0], shape)  # signs too: one area less another
-    assert sum_variance(sigma, weight, 0.5, v) == pytest.approx(double_sum(sigma, weight, 0.5, v), rel=1e-11)
+    weight = weight * np.random.default_rng(2).choice(
+        [-1.0, 1.0, 2.0], shape
+    )  # signs too: one area less another
+    assert sum_variance(sigma, weight, 0.5, v) == pytest.approx(
+        double_sum(sigma, weight, 0.5, v), rel=1e-11
+    )
     unknown = np.where(weight == 0.0, np.nan, sigma)
     assert sum_variance(unknown, weight, 0.5, v) == sum_variance(sigma, weight, 0.5, v)
-    assert sum_variance(sigma.T.copy(), weight.T.copy(), 0.5, v) == pytest.approx(sum_variance(sigma, weight, 0.5, v), rel=1e-12)
+    assert sum_variance(sigma.T.copy(), weight.T.copy(), 0.5, v) == pytest.approx(
+        sum_variance(sigma, weight, 0.5, v), rel=1e-12
+    )
 
 
 def test_limits():
     sigma, weight = maps((40, 30))
     load = weight * sigma
-    assert sum_variance(sigma, weight, 0.5, Variogram(1.0, 1.0, 5.0)) == pytest.approx((load**2).sum(), rel=1e-12)
-    assert sum_variance(sigma, weight, 0.5, Variogram(1.0, 0.0, 1e9)) == pytest.approx(load.sum() ** 2, rel=1e-6)
-    assert sum_variance(sigma, weight, 0.5, Variogram(1.0, 0.0, 1e-6)) == pytest.approx((load**2).sum(), rel=1e-12)
+    assert sum_variance(sigma, weight, 0.5, Variogram(1.0, 1.0, 5.0)) == pytest.approx(
+        (load**2).sum(), rel=1e-12
+    )
+    assert sum_variance(sigma, weight, 0.5, Variogram(1.0, 0.0, 1e9)) == pytest.approx(
+        load.sum() ** 2, rel=1e-6
+    )
+    assert sum_variance(sigma, weight, 0.5, Variogram(1.0, 0.0, 1e-6)) == pytest.approx(
+        (load**2).sum(), rel=1e-12
+    )
     assert sum_variance(sigma, 0.0 * weight, 0.5, Variogram(1.0, 0.0, 5.0)) == 0.0
     equal, v = np.full((300, 200), 0.02), Variogram(1.2, 0.3, 9.0)
-    assert sum_variance(equal, np.full((300, 200), 0.25), 0.5, v) == pytest.approx(lag_sum((300, 200), 0.02, 0.5, v), rel=1e-11)
+    assert sum_variance(equal, np.full((300, 200), 0.25), 0.5, v) == pytest.approx(
+        lag_sum((300, 200), 0.02, 0.5, v), rel=1e-11
+    )
 
 
 def test_the_empirical_variogram_is_that_of_all_pairs():
@@ -87,14 +120,21 @@ def test_the_sigma_of_a_mean_is_its_spread():
 
 
 def test_constant_ground_and_refusals():
-    flat = estimate_variogram(np.full((20, 20), 0.3), np.full((20, 20), 0.1), np.ones((20, 20), bool), 1.0)
+    flat = estimate_variogram(
+        np.full((20, 20), 0.3), np.full((20, 20), 0.1), np.ones((20, 20), bool), 1.0
+    )
     assert flat.variance == 0.0 and flat.nugget == 1.0
     sigma, v = np.full((20, 20), 0.1), Variogram(1.0, 0.1, 2.0)
     bad = [
-        (sigma, sigma[:-1], 1.0, v), (sigma[0], sigma[0], 1.0, v), (-sigma, sigma, 1.0, v), (sigma * np.nan, sigma, 1.0, v),
-        (sigma, sigma, 0.0, v), (sigma, sigma, 1.0, Variogram(-1.0, 0.1, 2.0)), (sigma, sigma, 1.0, Variogram(1.0, 1.1, 2.0)),
+        (sigma, sigma[:-1], 1.0, v),
+        (sigma[0], sigma[0], 1.0, v),
+        (-sigma, sigma, 1.0, v),
+        (sigma * np.nan, sigma, 1.0, v),
+        (sigma, sigma, 0.0, v),
+        (sigma, sigma, 1.0, Variogram(-1.0, 0.1, 2.0)),
+        (sigma, sigma, 1.0, Variogram(1.0, 1.1, 2.0)),
         (sigma, sigma, 1.0, Variogram(1.0, 0.1, 0.0)),
-    ]  # fmt: skip
+    ]
     for words in bad:
         with pytest.raises(VolumeError):
             sum_variance(*words)

@@ -1,4 +1,6 @@
-"""Sequences over levels against one level at a time, closed forms, flat and touching triangles, large datums."""
+"""Sequences over levels against one level at a time, closed forms, flat and touching triangles,
+large datums.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,16 @@ from ladar_volume.volume.cutfill import (
 from ladar_volume.volume.overlay import Between
 from ladar_volume.volume.prismoids import prismoids
 
-ROOF = {0: (49 / 3, 1 / 3), 1: (20 / 3, 8 / 3), 2: (1, 9), 2.5: (0.125, 14.125), 3: (0, 20), 5: (0, 44), -1: (28, 0), -2: (40, 0)}
+ROOF = {
+    0: (49 / 3, 1 / 3),
+    1: (20 / 3, 8 / 3),
+    2: (1, 9),
+    2.5: (0.125, 14.125),
+    3: (0, 20),
+    5: (0, 44),
+    -1: (28, 0),
+    -2: (40, 0),
+}
 
 
 def roof():
@@ -50,7 +61,9 @@ def test_the_roof_in_one_pass():
     p = cut_fill(roof(), lower)
     assert isinstance(p, Between) and (p.cut_m3, p.fill_m3) == pytest.approx(ROOF[1], abs=1e-12)
     one = np.array([True, False, False, False])
-    assert cut_fill(roof(), lower, one).net_m3 == pytest.approx(cut_fill(roof(), 1.0, one).net_m3, abs=1e-12)
+    assert cut_fill(roof(), lower, one).net_m3 == pytest.approx(
+        cut_fill(roof(), 1.0, one).net_m3, abs=1e-12
+    )
 
 
 @pytest.mark.parametrize("steps", [False, True])
@@ -68,7 +81,8 @@ def test_sequences_equal_one_level_at_a_time(steps, count):
 
 
 def test_small_cuts_keep_their_digits():
-    # a spike over a wide plain and near-flat triangles: the last cubic millimetres are a difference of nothing
+    # a spike over a wide plain and near-flat triangles: the last cubic millimetres are a difference
+    # of nothing
     tin = random_tin(seed=1)
     v = tin.vertices.copy()
     v[:, 2] = 1e-9 * v[:, 2]
@@ -94,8 +108,12 @@ def test_order_repetition_datum_and_parts():
     tin = random_tin(seed=3)
     z = np.array([0.5, -1.0, 0.5, 2.0, 0.0])
     s, ordered = cut_sequence(tin, z), cut_sequence(tin, np.unique(z))
-    assert s.cut_m3 == pytest.approx(ordered.cut_m3[[2, 0, 2, 3, 1]], rel=1e-13) and np.array_equal(s.level_m, z)
-    high = cut_sequence(dataclasses.replace(tin, vertices=tin.vertices + np.array([4e5, 5e6, 1000.0])), z + 1000.0)
+    assert s.cut_m3 == pytest.approx(ordered.cut_m3[[2, 0, 2, 3, 1]], rel=1e-13) and np.array_equal(
+        s.level_m, z
+    )
+    high = cut_sequence(
+        dataclasses.replace(tin, vertices=tin.vertices + np.array([4e5, 5e6, 1000.0])), z + 1000.0
+    )
     assert high.cut_m3 == pytest.approx(s.cut_m3, abs=1e-6)
     part = np.random.default_rng(0).random(len(tin.triangles)) < 0.3
     one, two = cut_sequence(tin, z, mask=part), cut_sequence(tin, z, mask=~part)
@@ -103,13 +121,17 @@ def test_order_repetition_datum_and_parts():
     marked = cut_sequence(dataclasses.replace(tin, relevant=part), z)
     assert np.array_equal(marked.fill_m3, one.fill_m3)
     plane = design_surface([0.2, 0.1, -0.05])
-    assert cut_sequence(tin, np.array([0.0, 0.3]), plane).cut_m3[0] == pytest.approx(prismoids(tin, plane).cut_m3, rel=1e-12)
+    assert cut_sequence(tin, np.array([0.0, 0.3]), plane).cut_m3[0] == pytest.approx(
+        prismoids(tin, plane).cut_m3, rel=1e-12
+    )
 
 
 def test_a_surface_flat_at_the_level():
     flat = build_tin(np.array([[0, 0, 1], [2, 0, 1], [2, 2, 1], [0, 2, 1.0]]))
     s = cut_sequence(flat, np.array([0.5, 1.0, 1.5]))
-    assert s.cut_m3 == pytest.approx([2, 0, 0], abs=1e-15) and s.fill_m3 == pytest.approx([0, 0, 2], abs=1e-15)
+    assert s.cut_m3 == pytest.approx([2, 0, 0], abs=1e-15) and s.fill_m3 == pytest.approx(
+        [0, 0, 2], abs=1e-15
+    )
     assert s.cut_m3[1] == s.fill_m3[1] == s.above_m2[1] == s.below_m2[1] == 0.0
 
 
@@ -120,7 +142,10 @@ def test_gradient_of_a_weighted_sequence():
     for i in range(0, 40, 7):
         step = np.zeros_like(tin.vertices)
         step[i, 2] = h
-        up, down = (w @ cut_sequence(dataclasses.replace(tin, vertices=tin.vertices + e * step), z).cut_m3 for e in (1, -1))
+        up, down = (
+            w @ cut_sequence(dataclasses.replace(tin, vertices=tin.vertices + e * step), z).cut_m3
+            for e in (1, -1)
+        )
         assert g[i] == pytest.approx((up - down) / (2 * h), abs=1e-6)
 
 
@@ -140,9 +165,13 @@ def test_no_triangles():
 def test_compiled_kernels_equal_their_plain_twins():
     h, area, _ = triangle_heights(random_tin(20, seed=5), None, None)
     levels = np.linspace(-1, 1, 11)
-    assert np.array_equal(sequence_kernel(h, area, levels), sequence_kernel.py_func(h, area, levels))
+    assert np.array_equal(
+        sequence_kernel(h, area, levels), sequence_kernel.py_func(h, area, levels)
+    )
     for z in (-5.0, 0.0, 0.2, 9.0):
-        assert count_below(levels, z) == count_below.py_func(levels, z) == np.searchsorted(levels, z)
+        assert (
+            count_below(levels, z) == count_below.py_func(levels, z) == np.searchsorted(levels, z)
+        )
     trees = np.zeros((2, 32, 4))
     for run, tree in zip((add_piece, add_piece.py_func), trees, strict=True):
         run(tree, np.linspace(0, 1, 32), 3, 13, 0.2, 1.0, -2.0, 0.5)

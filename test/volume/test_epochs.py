@@ -1,4 +1,6 @@
-"""Two surveys of one place: what they share cancels, what they do not adds up, and the interval holds."""
+"""Two surveys of one place: what they share cancels, what they do not adds up, and the interval
+holds.
+"""
 
 from __future__ import annotations
 
@@ -49,8 +51,13 @@ def test_volume_of_a_pit_and_its_significance():
     d, _ = epoch_difference(new, old)
     assert d.volume.volume_m3 == pytest.approx(PIT, rel=1e-3)
     assert d.volume.fill_m3 - d.volume.cut_m3 == pytest.approx(-d.volume.volume_m3, rel=1e-12)
-    assert sum(d.volume.budget_m6.values()) == pytest.approx(d.volume.sigma_m3**2, rel=1e-12) and min(d.budget.lines.values()) >= 0.0
-    assert d.z == d.volume.volume_m3 / d.volume.sigma_m3 and d.p_value == pytest.approx(math.erfc(abs(d.z) / math.sqrt(2)))
+    assert (
+        sum(d.volume.budget_m6.values()) == pytest.approx(d.volume.sigma_m3**2, rel=1e-12)
+        and min(d.budget.lines.values()) >= 0.0
+    )
+    assert d.z == d.volume.volume_m3 / d.volume.sigma_m3 and d.p_value == pytest.approx(
+        math.erfc(abs(d.z) / math.sqrt(2))
+    )
     assert d.volume.sigma_tau_range_m3[0] <= d.volume.sigma_m3 <= d.volume.sigma_tau_range_m3[1]
     assert d.volume.centroid_map[:2] == pytest.approx((0.0, 0.0), abs=0.01)
     back, _ = epoch_difference(old, new)
@@ -71,37 +78,57 @@ def test_a_shared_calibration_cancels_and_a_separate_one_does_not():
     assert shared.lines["clock"] == pytest.approx(apart.lines["clock"])
     for line in ("noise", "noise_previous", "position", "position_previous", "attitude"):
         assert shared.lines[line] == apart.lines[line]
-    assert shared.sigma_separate == pytest.approx(apart.sigma, rel=1e-9) and apart.sigma_separate == pytest.approx(apart.sigma, rel=1e-9)
+    assert shared.sigma_separate == pytest.approx(
+        apart.sigma, rel=1e-9
+    ) and apart.sigma_separate == pytest.approx(apart.sigma, rel=1e-9)
 
 
 def turned(update, theta):
-    """The same survey with a boresight error theta (3,) rad: every patch with its points moves in three dimensions."""
+    """The same survey with a boresight error theta (3,) rad: every patch with its points moves in
+    three dimensions.
+    """
     p, row = update.patches, np.searchsorted(update.patches.key, update.points.patch)
     axes = np.stack([p.normal, p.tangent, np.cross(p.normal, p.tangent)], axis=1)
     shift = np.einsum("mkc,c,mki->mi", p.M_cal[:, [0, 3, 4], 1:4], theta, axes)[row]
-    return dataclasses.replace(update, points=dataclasses.replace(update.points, r_map=update.points.r_map + shift))
+    return dataclasses.replace(
+        update, points=dataclasses.replace(update.points, r_map=update.points.r_map + shift)
+    )
 
 
 def test_a_simulated_boresight_error_common_to_both_epochs_leaves_the_difference_alone():
     theta = np.array([0.002, -0.003, 0.001])
     # a thousandth of the error breaks the ties among the diagonals of a regular grid
-    updates = tuple(turned(u, 1e-3 * theta) for u in (surface_update(pit, spacing=0.25), surface_update(flat)))
+    updates = tuple(
+        turned(u, 1e-3 * theta) for u in (surface_update(pit, spacing=0.25), surface_update(flat))
+    )
     truth = epoch_difference(*(epoch(u) for u in updates))[0]
     both = [turned(u, theta) for u in updates]
     one = [both[0], updates[1]]
-    common, single = (epoch_difference(*(epoch(u) for u in pair))[0].volume.volume_m3 - truth.volume.volume_m3 for pair in (both, one))
+    common, single = (
+        epoch_difference(*(epoch(u) for u in pair))[0].volume.volume_m3 - truth.volume.volume_m3
+        for pair in (both, one)
+    )
     assert abs(common) < 0.05 * abs(single)
     budget = {"boresight_sigma_deg": [math.degrees(abs(t)) for t in theta]}
     lines = epoch_difference(*(epoch(u, budget=budget) for u in updates))[0].budget.lines
-    alone = epoch_difference(*(epoch(u, budget=budget) for u in updates), ("boresight",))[0].budget.lines
+    alone = epoch_difference(*(epoch(u, budget=budget) for u in updates), ("boresight",))[
+        0
+    ].budget.lines
     assert abs(common) < 3.0 * math.sqrt(lines["boresight"]) + 1e-3 * abs(single)
     assert abs(single) < 3.0 * math.sqrt(alone["boresight"])
 
 
 def test_sigma_of_the_difference_against_sampling():
     rng = np.random.default_rng(11)
-    budget = {"position_bias_fraction": 1.0, "position_white_fraction": 0.0, "lever_laser_sigma_m": [0.0, 0.0, 0.02]}
-    updates = [surface_update(f, half=5.0, spacing=0.5, noise=0.05) for f in (lambda x, y: flat(x, y) - cone(x, y, 3.0), flat)]
+    budget = {
+        "position_bias_fraction": 1.0,
+        "position_white_fraction": 0.0,
+        "lever_laser_sigma_m": [0.0, 0.0, 0.02],
+    }
+    updates = [
+        surface_update(f, half=5.0, spacing=0.5, noise=0.05)
+        for f in (lambda x, y: flat(x, y) - cone(x, y, 3.0), flat)
+    ]
     epochs = [epoch(u, budget=budget) for u in updates]
     d, _ = epoch_difference(*epochs)
     quiet = {"lever_laser", "noise", "noise_previous", "position", "position_previous"}
@@ -114,20 +141,33 @@ def test_sigma_of_the_difference_against_sampling():
             X = np.c_[np.ones(len(row)), u.points.local]
             sd = np.sqrt(np.diagonal(patches.cross, axis1=1, axis2=2))
             shift = (X * (sd * rng.standard_normal(sd.shape))[row]).sum(axis=1)
-            shift += patches.normal[row] @ (np.array([0.0, 0.0, lever]) + rng.normal(0.0, 0.02, 3))  # shared, and each survey's own
-            order = np.lexsort((u.points.r_map[:, 2], u.points.r_map[:, 1], u.points.r_map[:, 0], u.points.patch))  # as the store keeps them
+            shift += patches.normal[row] @ (
+                np.array([0.0, 0.0, lever]) + rng.normal(0.0, 0.02, 3)
+            )  # shared, and each survey's own
+            order = np.lexsort(
+                (u.points.r_map[:, 2], u.points.r_map[:, 1], u.points.r_map[:, 0], u.points.patch)
+            )  # as the store keeps them
             move = (shift[:, None] * u.points.normal)[order][e.tin.source]
             surfaces.append(dataclasses.replace(e.tin, vertices=e.tin.vertices + move))
         net.append(between(*surfaces, gradients=False).net_m3)
     assert np.mean(net) == pytest.approx(d.volume.volume_m3, abs=4.0 * predicted / math.sqrt(300))
-    assert np.std(net) == pytest.approx(predicted, rel=0.13)  # three standard errors of a sigma from 300 samples
+    assert np.std(net) == pytest.approx(
+        predicted, rel=0.13
+    )  # three standard errors of a sigma from 300 samples
 
 
 def test_registration_enters_with_its_covariance():
     plain = epoch(surface_update(flat))
-    tilt = Transform(exp_so3(np.array([0.0, 0.0, 0.4])), np.array([1.0, 2.0, 0.5]), np.zeros(3), 1.0, np.diag([0, 0, 0, 0, 0, 1e-4, 0.0]))
+    tilt = Transform(
+        exp_so3(np.array([0.0, 0.0, 0.4])),
+        np.array([1.0, 2.0, 0.5]),
+        np.zeros(3),
+        1.0,
+        np.diag([0, 0, 0, 0, 0, 1e-4, 0.0]),
+    )
     turned = dataclasses.replace(
-        plain.surface, tin=dataclasses.replace(plain.surface.tin, vertices=tilt.back(plain.surface.tin.vertices))
+        plain.surface,
+        tin=dataclasses.replace(plain.surface.tin, vertices=tilt.back(plain.surface.tin.vertices)),
     )
     away = dataclasses.replace(plain, surface=turned, transform=tilt)
     d, _ = epoch_difference(away, plain)
@@ -176,15 +216,24 @@ def test_refusals():
             epoch_difference(new, old, separate)
         assert caught.value.reason == reason
     with pytest.raises(VolumeError) as caught:
-        epoch_difference(new, epoch(surface_update(flat), budget={"boresight_sigma_deg": [1.0, 1.0, 1.0]}))
+        epoch_difference(
+            new, epoch(surface_update(flat), budget={"boresight_sigma_deg": [1.0, 1.0, 1.0]})
+        )
     assert caught.value.reason == "epochs_calibration"
     far = surface_update(flat)
-    far = dataclasses.replace(far, points=dataclasses.replace(far.points, r_map=far.points.r_map + np.array([100.0, 0.0, 0.0])))
+    far = dataclasses.replace(
+        far,
+        points=dataclasses.replace(
+            far.points, r_map=far.points.r_map + np.array([100.0, 0.0, 0.0])
+        ),
+    )
     with pytest.raises(VolumeError) as caught:
         epoch_difference(new, epoch(far))
     assert caught.value.reason == "volume_no_common_footprint"
     u = surface_update(flat)
-    fewer = dataclasses.replace(u, patches=dataclasses.replace(u.patches, M_cal=u.patches.M_cal[:, :, :15]))
+    fewer = dataclasses.replace(
+        u, patches=dataclasses.replace(u.patches, M_cal=u.patches.M_cal[:, :, :15])
+    )
     with pytest.raises(VolumeError) as caught:
         epoch_difference(new, epoch(fewer))
     assert caught.value.reason == "epochs_sensor"
@@ -195,9 +244,13 @@ def test_a_polygon_keeps_the_rest_out():
     new, old = epoch(surface_update(pit, spacing=0.25)), epoch(surface_update(flat))
     square = np.array([[-5.0, -5.0], [5.0, -5.0], [5.0, 5.0], [-5.0, 5.0]])
     d = epoch_difference(new, old, polygon=square)[0]
-    assert d.volume.area_m2 == pytest.approx(100.0, rel=0.05) and d.volume.volume_m3 == pytest.approx(PIT, rel=1e-3)
+    assert d.volume.area_m2 == pytest.approx(
+        100.0, rel=0.05
+    ) and d.volume.volume_m3 == pytest.approx(PIT, rel=1e-3)
     assert d.volume.sigma_m3 < epoch_difference(new, old)[0].volume.sigma_m3
-    nothing = epoch_budget(new, old, np.zeros_like(new.tin.vertices), np.zeros_like(old.tin.vertices))
+    nothing = epoch_budget(
+        new, old, np.zeros_like(new.tin.vertices), np.zeros_like(old.tin.vertices)
+    )
     assert nothing.sigma == 0.0
 
 
@@ -208,5 +261,7 @@ def test_a_partial_tin_goes_through_its_adjustment():
     one, two = (epoch_difference(e, old)[0] for e in (part, whole))
     assert len(part.tin.vertices) < 0.5 * len(whole.tin.vertices)
     assert one.volume.volume_m3 == pytest.approx(PIT, rel=5e-3)
-    assert one.volume.sigma_m3 / one.volume.area_m2 == pytest.approx(two.volume.sigma_m3 / two.volume.area_m2, rel=0.01)
+    assert one.volume.sigma_m3 / one.volume.area_m2 == pytest.approx(
+        two.volume.sigma_m3 / two.volume.area_m2, rel=0.01
+    )
     assert one.budget.lines["noise"] == pytest.approx(two.budget.lines["noise"], rel=0.2)

@@ -60,12 +60,22 @@ def test_cone_on_a_slope():
     assert v.volume_m3 == pytest.approx(CONE, rel=2e-3)
     assert r.base.beta[1:] == pytest.approx([0.02, -0.05], abs=1e-6)
     assert v.volume_m3 == pytest.approx(v.cut_m3 - v.fill_m3, rel=1e-12) and v.folded_m3 >= 0.0
-    assert sum(v.budget_m6.values()) == pytest.approx(v.sigma_m3**2, rel=1e-12) and min(v.budget_m6.values()) >= 0.0
-    assert v.interval_m3 == (v.volume_m3 - v.coverage_factor * v.sigma_m3, v.volume_m3 + v.coverage_factor * v.sigma_m3)
+    assert (
+        sum(v.budget_m6.values()) == pytest.approx(v.sigma_m3**2, rel=1e-12)
+        and min(v.budget_m6.values()) >= 0.0
+    )
+    assert v.interval_m3 == (
+        v.volume_m3 - v.coverage_factor * v.sigma_m3,
+        v.volume_m3 + v.coverage_factor * v.sigma_m3,
+    )
     assert v.coverage_factor == pytest.approx(1.959964, abs=1e-6)
     assert v.centroid_map == pytest.approx((0, 0, 3.0 + 0.75), abs=0.02)
     assert v.sigma_tau_range_m3[0] <= v.sigma_m3 <= v.sigma_tau_range_m3[1]
-    assert v.base == "ground of the same survey (plane)" and v.base_same_survey and v.t_ns == T0 + 100 * BIN_NS
+    assert (
+        v.base == "ground of the same survey (plane)"
+        and v.base_same_survey
+        and v.t_ns == T0 + 100 * BIN_NS
+    )
     radius = np.hypot(*v.outline.T)
     assert 4.5 < radius.min() and radius.max() < 6.0
     assert v.area_m2 == pytest.approx(polygon_area(v.outline), rel=1e-9)
@@ -110,11 +120,20 @@ def test_the_history_of_updates_does_not_matter():
     same(whole, e)
     extra = dataclasses.replace(
         piece(stale, np.arange(3)),
-        patches=dataclasses.replace(take_patches(stale.patches, np.arange(3)), key=np.array([1, 2, 4]), cross_key=np.array([1, 2, 4])),
+        patches=dataclasses.replace(
+            take_patches(stale.patches, np.arange(3)),
+            key=np.array([1, 2, 4]),
+            cross_key=np.array([1, 2, 4]),
+        ),
     )
-    extra = dataclasses.replace(extra, points=dataclasses.replace(extra.points, patch=np.repeat([1, 2, 4], 4)))
+    extra = dataclasses.replace(
+        extra, points=dataclasses.replace(extra.points, patch=np.repeat([1, 2, 4], 4))
+    )
     e.add(extra)
-    assert e.estimate().tin.vertices.shape[0] == len(whole.estimate().tin.vertices) and e.estimate().tin.duplicates == 12
+    assert (
+        e.estimate().tin.vertices.shape[0] == len(whole.estimate().tin.vertices)
+        and e.estimate().tin.duplicates == 12
+    )
     nothing = piece(update, np.zeros(0, np.int64))
     e.add(dataclasses.replace(nothing, removed=np.array([1, 2, 4])))
     same(whole, e)
@@ -139,41 +158,76 @@ def test_common_shift_and_yaw_cancel_above_the_surveys_own_ground_only():
         assert np.abs(G.sum(axis=0)).max() < 1e-11 * scale
         assert abs((G * yaw).sum()) < 1e-10 * scale
     r = estimator(update, parameters(volume={"base": "level", "level_m": 2.0, "outline": "all"}))
-    solid = prismoids(tin, (base2 := r._base_and_outline(tin, np.full(len(tin.vertices), 1e-4)))[0], base2[1] > 0)
+    solid = prismoids(
+        tin, (base2 := r._base_and_outline(tin, np.full(len(tin.vertices), 1e-4)))[0], base2[1] > 0
+    )
     assert solid.gradient_net.sum(axis=0)[2] == pytest.approx(solid.area_m2, rel=1e-12)
 
 
 def test_the_base_decides_what_a_constant_error_does():
-    budget = {"position_bias_fraction": 1.0, "position_white_fraction": 0.0, "attitude_bias_fraction": 1.0, "attitude_white_fraction": 0.0}
+    budget = {
+        "position_bias_fraction": 1.0,
+        "position_white_fraction": 0.0,
+        "attitude_bias_fraction": 1.0,
+        "attitude_white_fraction": 0.0,
+    }
     update = surface_update(sloped, spacing=0.25)
     own = estimator(update, parameters(budget=budget)).estimate().volume
-    fixed = estimator(update, parameters(budget=budget, volume={"base": "plane", "plane": [3.0, 0.02, -0.05]})).estimate().volume
+    fixed = (
+        estimator(
+            update, parameters(budget=budget, volume={"base": "plane", "plane": [3.0, 0.02, -0.05]})
+        )
+        .estimate()
+        .volume
+    )
     assert own.budget_m6["position"] < 1e-3 * fixed.budget_m6["position"]
     assert fixed.sigma_naive_m3 < fixed.sigma_m3 / 5
-    assert not fixed.base_same_survey and fixed.budget_m6["base_surface"] == 0.0 and fixed.base.startswith("given plane")
+    assert (
+        not fixed.base_same_survey
+        and fixed.budget_m6["base_surface"] == 0.0
+        and fixed.base.startswith("given plane")
+    )
 
 
 def test_a_constant_position_error_above_a_given_plane_has_a_closed_form():
     budget = {"position_bias_fraction": 1.0, "position_white_fraction": 0.0}
     volume = {"base": "plane", "plane": [1.0, 0.1, 0.2], "outline": "all"}
-    v = estimator(surface_update(lambda x, y: 3.0 + 0.1 * x + 0.2 * y), parameters(budget=budget, volume=volume)).estimate().volume
+    v = (
+        estimator(
+            surface_update(lambda x, y: 3.0 + 0.1 * x + 0.2 * y),
+            parameters(budget=budget, volume=volume),
+        )
+        .estimate()
+        .volume
+    )
     assert v.volume_m3 == pytest.approx(2.0 * v.area_m2, rel=1e-12)
-    # an east error e lifts the surface by -0.1 e, a north error n by -0.2 n, an up error u by u; sensitivities are held to 2^-16 of the largest
-    assert v.budget_m6["position"] == pytest.approx((0.02 * v.area_m2) ** 2 * (1 + 0.1**2 + 0.2**2), rel=1e-5)
+    # an east error e lifts the surface by -0.1 e, a north error n by -0.2 n, an up error u by u;
+    # sensitivities are held to 2^-16 of the largest
+    assert v.budget_m6["position"] == pytest.approx(
+        (0.02 * v.area_m2) ** 2 * (1 + 0.1**2 + 0.2**2), rel=1e-5
+    )
     # the same holds for a lever arm on a sensor that never turns
-    assert v.budget_m6["lever_laser"] == pytest.approx(v.area_m2**2 * (0.003**2 + (0.002 * 0.1) ** 2 + (0.002 * 0.2) ** 2), rel=3e-7)
+    assert v.budget_m6["lever_laser"] == pytest.approx(
+        v.area_m2**2 * (0.003**2 + (0.002 * 0.1) ** 2 + (0.002 * 0.2) ** 2), rel=3e-7
+    )
 
 
 @pytest.mark.parametrize("line", ["position", "lever_laser", "lever_antenna"])
 def test_a_common_shift_vanishes_above_the_surveys_own_ground_at_every_edge(line):
-    """At toe and rim the triangles of a point lie on both faces and its normal is that of one: the movement along it alone leaves a part
-    of the shift, a tenth of a metre times the length of the edge."""
+    """At toe and rim the triangles of a point lie on both faces and its normal is that of one: the
+    movement along it alone leaves a part of the shift, a tenth of a metre times the length of the
+    edge.
+    """
     budget = {"position_bias_fraction": 1.0, "position_white_fraction": 0.0}
     update = surface_update(lambda x, y: np.clip(3.0 - np.hypot(x, y), 0.0, 1.5), spacing=0.25)
-    flat = dataclasses.replace(update.patches, M_cal=update.patches.M_cal.copy(), M_nav=update.patches.M_nav.copy())
+    flat = dataclasses.replace(
+        update.patches, M_cal=update.patches.M_cal.copy(), M_nav=update.patches.M_nav.copy()
+    )
     flat.M_cal[:, 3:] = flat.M_nav[:, 3:] = 0.0
     along_normal = dataclasses.replace(update, patches=flat)
-    found, partial = (estimator(u, parameters(budget=budget)).estimate().volume for u in (update, along_normal))
+    found, partial = (
+        estimator(u, parameters(budget=budget)).estimate().volume for u in (update, along_normal)
+    )
     assert math.sqrt(found.budget_m6[line]) < 1e-6 * found.volume_m3
     assert partial.budget_m6[line] > 1e4 * found.budget_m6[line]
 
@@ -185,14 +239,26 @@ def test_the_sigma_of_some_heights_is_that_of_all():
     whole = vertical_sigma(once, every)
     for part in np.array_split(np.random.default_rng(2).permutation(every), 5):
         assert np.array_equal(vertical_sigma(bit_by_bit, part), whole[part])
-    assert np.array_equal(vertical_sigma(bit_by_bit, every), whole) and len(vertical_sigma(once, every[:0])) == 0
+    assert (
+        np.array_equal(vertical_sigma(bit_by_bit, every), whole)
+        and len(vertical_sigma(once, every[:0])) == 0
+    )
 
 
 def test_what_heights_share():
-    """On level ground seen by a sensor that never turns: the height of the position, constant, wandering and white, and of a lever arm."""
-    budget = {"position_bias_fraction": 0.2, "position_white_fraction": 0.1, "tau_position_s": 5.0, "lever_laser_sigma_m": [0.0, 0.0, 0.003]}
+    """On level ground seen by a sensor that never turns: the height of the position, constant,
+    wandering and white, and of a lever arm.
+    """
+    budget = {
+        "position_bias_fraction": 0.2,
+        "position_white_fraction": 0.1,
+        "tau_position_s": 5.0,
+        "lever_laser_sigma_m": [0.0, 0.0, 0.003],
+    }
     zero = ("range_bias_sigma_m", "beam_range_sigma_m", "beam_vertical_sigma_deg", "clock_sigma_s")
-    budget |= dict.fromkeys(zero, 0.0) | {name: [0.0, 0.0, 0.0] for name in ("boresight_sigma_deg", "lever_antenna_sigma_m")}
+    budget |= dict.fromkeys(zero, 0.0) | {
+        name: [0.0, 0.0, 0.0] for name in ("boresight_sigma_deg", "lever_antenna_sigma_m")
+    }
     e = VolumeEstimator(parameters(budget=budget, georeference={"max_position_gap_s": 0.25}))
     e.add_platform(platform(position=0.02, attitude=0.0))
     e.add(surface_update(lambda x, y: 3.0 + 0.0 * x, spacing=0.5))
@@ -203,7 +269,11 @@ def test_what_heights_share():
     lag = np.abs(t[:, None] - t)
     white = np.where(np.eye(len(some), dtype=bool), 2.0 / 3.0, (lag == 0) / (1.0 / 0.25))
     expected = 0.003**2 + 0.02**2 * (0.2 + 0.7 * np.exp(-lag / 5.0) + 0.1 * white)
-    assert (lag > 0).any() and (np.diff(t) >= 0).all() and np.triu(C) == pytest.approx(np.triu(expected), rel=1e-6)
+    assert (
+        (lag > 0).any()
+        and (np.diff(t) >= 0).all()
+        and np.triu(C) == pytest.approx(np.triu(expected), rel=1e-6)
+    )
 
 
 def test_noise_line_and_base_covariance_against_sampling():
@@ -217,7 +287,9 @@ def test_noise_line_and_base_covariance_against_sampling():
     volumes, betas = [], []
     for _ in range(100):
         error = (X * (sd * rng.standard_normal(sd.shape))[row]).sum(axis=1)
-        moved = dataclasses.replace(update.points, r_map=update.points.r_map + error[:, None] * patches.normal[row])
+        moved = dataclasses.replace(
+            update.points, r_map=update.points.r_map + error[:, None] * patches.normal[row]
+        )
         r = estimator(dataclasses.replace(update, points=moved), quiet).estimate()
         volumes.append(r.volume.volume_m3)
         betas.append(r.base.beta)
@@ -230,15 +302,36 @@ def test_noise_line_and_base_covariance_against_sampling():
 @pytest.mark.parametrize(
     "volume,expected,tolerance",
     [
-        ({"base": "level", "level_m": 3.0, "outline": "polygon", "polygon_m": [-5, -5, 5, -5, 5, 5, -5, 5]}, CONE, 0.01),
-        ({"base": "level", "level_m": 2.0, "outline": "all", "relevant": "all"}, CONE + 19.5**2, 0.01),
-        ({"base": "ground", "outline": "polygon", "polygon_m": [-5, -5, 5, -5, 5, 5, -5, 5]}, CONE, 0.01),
+        (
+            {
+                "base": "level",
+                "level_m": 3.0,
+                "outline": "polygon",
+                "polygon_m": [-5, -5, 5, -5, 5, 5, -5, 5],
+            },
+            CONE,
+            0.01,
+        ),
+        (
+            {"base": "level", "level_m": 2.0, "outline": "all", "relevant": "all"},
+            CONE + 19.5**2,
+            0.01,
+        ),
+        (
+            {"base": "ground", "outline": "polygon", "polygon_m": [-5, -5, 5, -5, 5, 5, -5, 5]},
+            CONE,
+            0.01,
+        ),
         ({"base": "ground", "outline": "all"}, CONE, 0.01),
         ({"base": "level", "level_m": 3.0}, CONE, 0.01),
     ],
 )
 def test_bases_and_outlines(volume, expected, tolerance):
-    v = estimator(surface_update(lambda x, y: cone(x, y) + 3.0), parameters(volume=volume)).estimate().volume
+    v = (
+        estimator(surface_update(lambda x, y: cone(x, y) + 3.0), parameters(volume=volume))
+        .estimate()
+        .volume
+    )
     assert v.volume_m3 == pytest.approx(expected, rel=tolerance)
 
 
@@ -256,7 +349,9 @@ def test_bad_points_are_counted_and_the_rest_kept():
     r[5, 2] = np.nan
     patch = update.points.patch.copy()
     patch[9:12] = 1
-    e = estimator(dataclasses.replace(update, points=dataclasses.replace(update.points, r_map=r, patch=patch)))
+    e = estimator(
+        dataclasses.replace(update, points=dataclasses.replace(update.points, r_map=r, patch=patch))
+    )
     assert e.estimate().volume.volume_m3 == pytest.approx(CONE, rel=0.01)
     assert e.losses.as_dict() == {"point_nan": 1, "point_without_patch": 3}
 
@@ -276,10 +371,17 @@ def test_refusals():
     with pytest.raises(SurfaceError):
         estimator(piece(update, np.zeros(0, np.int64))).estimate()
     with pytest.raises(SurfaceError):
-        estimator(piece(update, np.arange(1, 30)), parameters(volume={"max_edge_m": 0.01})).estimate()
+        estimator(
+            piece(update, np.arange(1, 30)), parameters(volume={"max_edge_m": 0.01})
+        ).estimate()
     with pytest.raises(GroundError):
         estimator(surface_update(lambda x, y: 1.5 * x)).estimate()
-    for polygon, reason in (([0, 0, 1], "volume_polygon"), ([50, 50, 60, 50, 60, 60], "volume_no_triangle")):
+    for polygon, reason in (
+        ([0, 0, 1], "volume_polygon"),
+        ([50, 50, 60, 50, 60, 60], "volume_no_triangle"),
+    ):
         with pytest.raises(VolumeError) as caught:
-            estimator(update, parameters(volume={"outline": "polygon", "polygon_m": polygon})).estimate()
+            estimator(
+                update, parameters(volume={"outline": "polygon", "polygon_m": polygon})
+            ).estimate()
         assert caught.value.reason == reason

@@ -1,4 +1,6 @@
-"""The folded-normal correction in the volume stage: what is left of the bias by simulation, signs, and the noise vertices share."""
+"""The folded-normal correction in the volume stage: what is left of the bias by simulation, signs,
+and the noise vertices share.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ def flat(x, y):
 
 def noisy_update(rng, height=flat, per_patch=2, noise=0.06):
     """An update whose patches err as their covariance says."""
-    update = surface_update(height, half=6.0, spacing=SIDE / per_patch, per_patch=per_patch, noise=noise)
+    update = surface_update(
+        height, half=6.0, spacing=SIDE / per_patch, per_patch=per_patch, noise=noise
+    )
     root = np.linalg.cholesky(update.patches.cross)
     beta = np.einsum("mab,mb->ma", root, rng.standard_normal((len(root), 3)))
     row = np.searchsorted(update.patches.key, update.points.patch)
@@ -44,7 +48,12 @@ def noisy_update(rng, height=flat, per_patch=2, noise=0.06):
 
 
 def estimated(update, level=0.0, **volume):
-    p = Parameters.read({"filter": {"nav_bin_s": 1.0}, "volume": {"base": "level", "level_m": level, "outline": "all", **volume}})
+    p = Parameters.read(
+        {
+            "filter": {"nav_bin_s": 1.0},
+            "volume": {"base": "level", "level_m": level, "outline": "all", **volume},
+        }
+    )
     e = VolumeEstimator(p)
     e.add_platform(platform())
     e.add(update)
@@ -57,7 +66,10 @@ def test_flat_ground_at_the_level_is_neither_cut_nor_fill(per_patch, ratio, left
     for _ in range(12):
         v = estimated(noisy_update(rng, per_patch=per_patch), vertex_ratio=ratio)
         rows.append([v.cut_m3 + v.folded_m3, v.cut_m3, v.fill_m3, v.volume_m3])
-        assert v.cut_m3 - v.fill_m3 == pytest.approx(v.volume_m3, abs=1e-12) and 0.9 < v.near_area_m2 / v.area_m2 <= 1.0
+        assert (
+            v.cut_m3 - v.fill_m3 == pytest.approx(v.volume_m3, abs=1e-12)
+            and 0.9 < v.near_area_m2 / v.area_m2 <= 1.0
+        )
     raw, cut, fill, net = np.mean(rows, axis=0)
     sigma = 0.02  # of a patch' level
     if per_patch == 1:  # every vertex errs alone
@@ -71,18 +83,30 @@ def test_sign_conventions():
     up = estimated(update, 0.01)
     turned = update.points.r_map * [1.0, 1.0, -1.0]
     normal = update.points.normal * [-1.0, -1.0, 1.0]
-    down = estimated(dataclasses.replace(update, points=dataclasses.replace(update.points, r_map=turned, normal=normal)), -0.01)
+    down = estimated(
+        dataclasses.replace(
+            update, points=dataclasses.replace(update.points, r_map=turned, normal=normal)
+        ),
+        -0.01,
+    )
     assert up.folded_m3 == pytest.approx(down.folded_m3, rel=1e-9) and up.folded_m3 > 0
     assert (up.cut_m3, up.fill_m3) == pytest.approx((down.fill_m3, down.cut_m3), rel=1e-9)
     facts = volume_dict(up)
-    assert facts["correction"]["name"] == "folded normal" and facts["correction"]["m3"] == up.folded_m3
+    assert (
+        facts["correction"]["name"] == "folded normal" and facts["correction"]["m3"] == up.folded_m3
+    )
     assert facts["correction"]["cut_raw_m3"] == up.cut_m3 + up.folded_m3
-    assert facts["correction"]["fill_raw_m3"] - facts["fill_m3"] == pytest.approx(facts["correction"]["m3"], rel=1e-12)
+    assert facts["correction"]["fill_raw_m3"] - facts["fill_m3"] == pytest.approx(
+        facts["correction"]["m3"], rel=1e-12
+    )
 
 
 def test_far_from_the_base_nothing_is_corrected():
     v = estimated(noisy_update(np.random.default_rng(5)), level=-1.0)
-    assert v.folded_m3 == v.near_area_m2 == v.fill_m3 == 0.0 and volume_dict(v)["correction"]["name"] is None
+    assert (
+        v.folded_m3 == v.near_area_m2 == v.fill_m3 == 0.0
+        and volume_dict(v)["correction"]["name"] is None
+    )
 
 
 def test_triangles_that_the_outline_cuts_are_left_alone():
@@ -108,7 +132,9 @@ def test_covariances_of_vertices_against_dense_ones():
     start = np.concatenate([[0], np.cumsum([2] * (m - 1) + [1])])
     other = np.concatenate([[a, a + 1] for a in range(m)])[:-1]
     own = np.repeat(np.arange(m), np.diff(start))
-    patches = dataclasses.replace(patches, cross_start=start, cross_key=patches.key[other], cross=dense[own, :, other])
+    patches = dataclasses.replace(
+        patches, cross_start=start, cross_key=patches.key[other], cross=dense[own, :, other]
+    )
     tin, geometry = build_tin(points.r_map), surface_geometry(points, patches)
     X, row = vertex_rows(tin, points, patches, geometry)
     n = len(tin.vertices)
@@ -122,11 +148,15 @@ def test_covariances_of_vertices_against_dense_ones():
         joined[chosen[:, i], chosen[:, j]] = joined[chosen[:, j], chosen[:, i]] = True
     assert found == pytest.approx(np.where(joined, C, 0.0), rel=1e-12, abs=1e-16)
     corners = corner_covariances(patches, geometry, X, row, np.diag(C), chosen)
-    assert corners == pytest.approx(np.stack([C[chosen[:, i], chosen[:, j]] for i, j in PACKED], axis=1), rel=1e-12, abs=1e-16)
+    assert corners == pytest.approx(
+        np.stack([C[chosen[:, i], chosen[:, j]] for i, j in PACKED], axis=1), rel=1e-12, abs=1e-16
+    )
     kernel_arguments = np.diag(C), row, X, patches.cross_start, geometry.right, patches.cross
     assert corner_kernel.py_func(chosen, *kernel_arguments) == pytest.approx(corners, rel=1e-12)
     some = np.arange(0, n, 3)
     sums, alike = height_sums(patches, geometry, X, row, some, np.diag(C))
-    assert sums[some] == pytest.approx(np.maximum(C.sum(axis=1), 0.0)[some], rel=1e-9) and alike >= 1.0
+    assert (
+        sums[some] == pytest.approx(np.maximum(C.sum(axis=1), 0.0)[some], rel=1e-9) and alike >= 1.0
+    )
     assert sums[1] == pytest.approx(alike * C[1, 1])
     assert (rings_for(1.0), rings_for(4.0), rings_for(1e9)) == (4, 6, MOST_RINGS)

@@ -1,4 +1,6 @@
-"""The volume stage on partial TINs: a ratio of 1 changes nothing, below it heights are adjusted and the variance goes through that."""
+"""The volume stage on partial TINs: a ratio of 1 changes nothing, below it heights are adjusted and
+the variance goes through that.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,9 @@ def test_a_ratio_of_one_is_the_full_tin_to_the_last_bit():
     assert surface.fit is None and vertex_variance(surface, points).tobytes() == variance.tobytes()
     base, inside = e._base_and_outline(plain, variance)
     solid = prismoids(plain, base, inside > 0)
-    assert estimate.volume.volume_m3 + estimate.volume.chord_m3 == pytest.approx(solid.net_m3, rel=1e-14)
+    assert estimate.volume.volume_m3 + estimate.volume.chord_m3 == pytest.approx(
+        solid.net_m3, rel=1e-14
+    )
     with_surface = result_gradients(plain, base, solid, len(points), surface)
     assert with_surface.tobytes() == result_gradients(plain, base, solid, len(points)).tobytes()
 
@@ -60,7 +64,9 @@ def test_partial_tins_hold_the_same_volume_within_sigma(ratio):
     assert part.volume.volume_m3 == pytest.approx(CONE, rel=3e-3)
     assert part.volume.sigma_m3 == pytest.approx(full.volume.sigma_m3, rel=0.1)
     assert sum(part.volume.budget_m6.values()) == pytest.approx(part.volume.sigma_m3**2, rel=1e-12)
-    assert (part.tin.source >= 0).all() and of_part.epoch().sigma_z().shape == (len(part.tin.vertices),)
+    assert (part.tin.source >= 0).all() and of_part.epoch().sigma_z().shape == (
+        len(part.tin.vertices),
+    )
 
 
 def test_common_shift_and_yaw_cancel_through_the_adjustment():
@@ -70,7 +76,9 @@ def test_common_shift_and_yaw_cancel_through_the_adjustment():
         surface = e._surface(e._store.points)
         base, inside = e._base_and_outline(surface.tin, vertex_variance(surface, e._store.points))
         position = e._store.points.r_map
-        G = result_gradients(surface.tin, base, prismoids(surface.tin, base, inside > 0), len(position), surface)[:, 0]
+        G = result_gradients(
+            surface.tin, base, prismoids(surface.tin, base, inside > 0), len(position), surface
+        )[:, 0]
         yaw = np.c_[-position[:, 1], position[:, 0], np.zeros(len(position))]
         assert np.abs(G.sum(axis=0)).max() < 1e-9 * np.abs(G).sum()
         assert abs((G * yaw).sum()) < 1e-8 * np.abs(G * np.abs(yaw)).sum()
@@ -78,7 +86,10 @@ def test_common_shift_and_yaw_cancel_through_the_adjustment():
 
 def test_the_noise_line_against_sampling_with_its_own_choice_of_vertices():
     update = surface_update(sloped, spacing=0.5, noise=0.03)
-    quiet = {"budget": {"position_bias_fraction": 0.0}, "volume": {"outline": "polygon", "polygon_m": [-6, -6, 6, -6, 6, 6, -6, 6]}}
+    quiet = {
+        "budget": {"position_bias_fraction": 0.0},
+        "volume": {"outline": "polygon", "polygon_m": [-6, -6, 6, -6, 6, 6, -6, 6]},
+    }
     first = estimator(update, 1 / 3, **quiet).estimate()
     patches, rng = update.patches, np.random.default_rng(7)
     row = np.searchsorted(patches.key, update.points.patch)
@@ -87,9 +98,16 @@ def test_the_noise_line_against_sampling_with_its_own_choice_of_vertices():
     volumes = []
     for _ in range(100):
         error = (X * (sd * rng.standard_normal(sd.shape))[row]).sum(axis=1)
-        moved = dataclasses.replace(update.points, r_map=update.points.r_map + error[:, None] * patches.normal[row])
-        volumes.append(estimator(dataclasses.replace(update, points=moved), 1 / 3, **quiet).estimate().volume.volume_m3)
-    # 100 samples: the standard error of a sigma is 7 %; every sample chooses its own vertices, which the gradient holds fixed
+        moved = dataclasses.replace(
+            update.points, r_map=update.points.r_map + error[:, None] * patches.normal[row]
+        )
+        volumes.append(
+            estimator(dataclasses.replace(update, points=moved), 1 / 3, **quiet)
+            .estimate()
+            .volume.volume_m3
+        )
+    # 100 samples: the standard error of a sigma is 7 %; every sample chooses its own vertices,
+    # which the gradient holds fixed
     assert np.std(volumes) == pytest.approx(math.sqrt(first.volume.budget_m6["noise"]), rel=0.25)
 
 

@@ -1,4 +1,6 @@
-"""Floors, tops and offsets: exact steps, noise, printed sums, and the two methods on a body that is known."""
+"""Floors, tops and offsets: exact steps, noise, printed sums, and the two methods on a body that is
+known.
+"""
 
 from __future__ import annotations
 
@@ -12,26 +14,75 @@ from ladar_volume.model.errors import VolumeError
 from ladar_volume.surface.frames import frame_along
 from ladar_volume.surface.tin import build_tin
 from ladar_volume.volume.cutfill import cut_sequence
-from ladar_volume.volume.floors import event_gradient, floors, offset_sums, parabola_minimum, reach, sequence_offset, spikes, surface_offset
-from ladar_volume.volume.methods import front_level, level_pairs, method_one, method_two, zero_fill_level
+from ladar_volume.volume.floors import (
+    event_gradient,
+    floors,
+    offset_sums,
+    parabola_minimum,
+    reach,
+    sequence_offset,
+    spikes,
+    surface_offset,
+)
+from ladar_volume.volume.methods import (
+    front_level,
+    level_pairs,
+    method_one,
+    method_two,
+    zero_fill_level,
+)
 from ladar_volume.volume.overlay import between
 
 #: Table 5.6: levels (cm) and cut volumes (cm³) with and without the box.
-TABLE = np.array([
-    (-30, 70, 53), (-30.2, 80, 58), (-30.4, 87, 65), (-30.6, 94, 73), (-30.8, 105, 80), (-31, 114, 89), (-31.2, 124, 97), (-31.4, 138, 107),
-    (-31.6, 148, 116), (-31.8, 159, 126), (-32, 172, 139), (-32.2, 187, 151), (-32.4, 200, 165), (-32.6, 214, 175), (-32.8, 231, 189), (-33, 246, 205),
-    (-78.2, 84954, 81639), (-78.4, 85906, 82549), (-78.6, 86872, 83466), (-78.8, 87845, 84380), (-79, 88825, 85300), (-79.2, 89808, 86230),
-    (-79.4, 90818, 87162), (-79.6, 91813, 88096), (-79.8, 92823, 89043), (-80, 93844, 89983),
-])  # fmt: skip
+TABLE = np.array(
+    [
+        (-30, 70, 53),
+        (-30.2, 80, 58),
+        (-30.4, 87, 65),
+        (-30.6, 94, 73),
+        (-30.8, 105, 80),
+        (-31, 114, 89),
+        (-31.2, 124, 97),
+        (-31.4, 138, 107),
+        (-31.6, 148, 116),
+        (-31.8, 159, 126),
+        (-32, 172, 139),
+        (-32.2, 187, 151),
+        (-32.4, 200, 165),
+        (-32.6, 214, 175),
+        (-32.8, 231, 189),
+        (-33, 246, 205),
+        (-78.2, 84954, 81639),
+        (-78.4, 85906, 82549),
+        (-78.6, 86872, 83466),
+        (-78.8, 87845, 84380),
+        (-79, 88825, 85300),
+        (-79.2, 89808, 86230),
+        (-79.4, 90818, 87162),
+        (-79.6, 91813, 88096),
+        (-79.8, 92823, 89043),
+        (-80, 93844, 89983),
+    ]
+)
 
 
 def box(floor=0.1234, top=1.0571, noise=0.0, n=41, seed=0, shift=0.0, wall=1e-3):
-    """A block of 2 by 2 on a floor of 4 by 4, its walls ``wall`` wide, on a grid that has them as edges."""
+    """A block of 2 by 2 on a floor of 4 by 4, its walls ``wall`` wide, on a grid that has them as
+    edges.
+    """
     rng = np.random.default_rng(seed)
-    ticks = np.unique(np.r_[np.linspace(0, 1, n // 4), np.linspace(1 + wall, 3 - wall, n // 2), np.linspace(3, 4, n // 4)])
+    ticks = np.unique(
+        np.r_[
+            np.linspace(0, 1, n // 4),
+            np.linspace(1 + wall, 3 - wall, n // 2),
+            np.linspace(3, 4, n // 4),
+        ]
+    )
     x, y = (a.ravel() for a in np.meshgrid(ticks, ticks))
     on = (np.abs(x - 2) < 1 - wall / 2) & (np.abs(y - 2) < 1 - wall / 2)
-    return build_tin(np.c_[x, y, np.where(on, top, floor) + shift + noise * rng.normal(size=len(x))])
+    return build_tin(
+        np.c_[x, y, np.where(on, top, floor) + shift + noise * rng.normal(size=len(x))]
+    )
 
 
 @pytest.mark.parametrize("step", [0.005, 0.01, 0.03])
@@ -39,9 +90,15 @@ def test_floor_and_top_between_the_levels(step):
     f = floors(box(), step)
     assert len(f.events) == 2 and f.floor is f.events[0] and f.top is f.events[1]
     # the walls' own area leans on the spikes by less than their share
-    assert f.floor.level_m == pytest.approx(0.1234, abs=0.002 * step) and f.top.level_m == pytest.approx(1.0571, abs=0.002 * step)
-    assert f.floor.area_m2 == pytest.approx(12.0, rel=0.01) and f.top.area_m2 == pytest.approx(4.0, rel=0.01)
-    assert np.array_equal(f.second_m3, np.diff(f.first_m3)) and len(f.first_m3) == len(f.level_m) - 1
+    assert f.floor.level_m == pytest.approx(
+        0.1234, abs=0.002 * step
+    ) and f.top.level_m == pytest.approx(1.0571, abs=0.002 * step)
+    assert f.floor.area_m2 == pytest.approx(12.0, rel=0.01) and f.top.area_m2 == pytest.approx(
+        4.0, rel=0.01
+    )
+    assert (
+        np.array_equal(f.second_m3, np.diff(f.first_m3)) and len(f.first_m3) == len(f.level_m) - 1
+    )
     shifted = floors(box(shift=0.0037), step)
     assert shifted.top.level_m - f.top.level_m == pytest.approx(0.0037, abs=0.002 * step)
 
@@ -67,15 +124,22 @@ def test_gradient_of_a_floor_is_its_share_of_the_area():
         step[i, 2] = h
         levels = []
         for e in (1, -1):
-            cut = cut_sequence(dataclasses.replace(tin, vertices=tin.vertices + e * step), f.level_m).cut_m3
-            area = np.diff(cut, 2)[f.floor.first - 1 : f.floor.last] / 0.005 - np.median(f.second_m3) / 0.005
+            cut = cut_sequence(
+                dataclasses.replace(tin, vertices=tin.vertices + e * step), f.level_m
+            ).cut_m3
+            area = (
+                np.diff(cut, 2)[f.floor.first - 1 : f.floor.last] / 0.005
+                - np.median(f.second_m3) / 0.005
+            )
             z = f.level_m[f.floor.first : f.floor.last + 1]
             levels.append((area * (z - f.floor.level_m)).sum() / f.floor.area_m2)
         assert g[i] == pytest.approx((levels[0] - levels[1]) / (2 * h), abs=1e-5)
 
 
 def test_one_event_slopes_and_bad_levels():
-    flat = floors(build_tin(np.array([[0, 0, 1.013], [2, 0, 1.013], [2, 2, 1.013], [0, 2, 1.013]])), 0.01)
+    flat = floors(
+        build_tin(np.array([[0, 0, 1.013], [2, 0, 1.013], [2, 2, 1.013], [0, 2, 1.013]])), 0.01
+    )
     assert (
         flat.floor is flat.top
         and flat.floor.level_m == pytest.approx(1.013, abs=1e-12)
@@ -100,15 +164,16 @@ def test_one_event_slopes_and_bad_levels():
 
 def test_the_printed_sums_have_their_minimum_at_0_64():
     # printed are square roots of sums of squares
-    assert parabola_minimum(np.array([0.4, 0.6, 0.8, 1.0]), np.array([9652.648, 3336.779, 6552.811, 13630.473]) ** 2) == pytest.approx(
-        0.644, abs=5e-4
-    )
+    assert parabola_minimum(
+        np.array([0.4, 0.6, 0.8, 1.0]), np.array([9652.648, 3336.779, 6552.811, 13630.473]) ** 2
+    ) == pytest.approx(0.644, abs=5e-4)
 
 
 def test_the_printed_rows_are_offset_by_0_6_cm():
     level, a, b = TABLE[:16].T
     sums = offset_sums(level, a, b, np.array([0.4, 0.6, 0.8, 1.0]))
-    # printed numbers, paired by hand: a(z + 0.6) − b(z) for z from −31.0, where all four offsets stay inside
+    # printed numbers, paired by hand: a(z + 0.6) − b(z) for z from −31.0, where all four offsets
+    # stay inside
     by_hand = [(a[i - 3] - b[i]) ** 2 for i in range(5, 16)]
     assert np.argmin(sums) == 1 and sums[1] == pytest.approx(sum(by_hand), rel=1e-9)
     # a(z + d) = b(z): level -74.4 with the box goes with -75.0 without
@@ -125,11 +190,17 @@ def test_offset_of_shifted_surfaces():
     b = dataclasses.replace(a, vertices=a.vertices - [0, 0, 0.0064])
     z = np.linspace(-0.5, 0.4, 200)
     exact = surface_offset(a, b, z)
-    assert exact.offset_m == pytest.approx(0.0064, abs=1e-10) and exact.sigma_m < 1e-9 and exact.levels == 200
+    assert (
+        exact.offset_m == pytest.approx(0.0064, abs=1e-10)
+        and exact.sigma_m < 1e-9
+        and exact.levels == 200
+    )
     wide = np.linspace(-0.6, 0.5, 400)
     found = sequence_offset(wide, cut_sequence(a, wide).cut_m3, cut_sequence(b, wide).cut_m3, 0.05)
     assert found.offset_m == pytest.approx(0.0064, abs=1e-6)
-    back = sequence_offset(wide[::-1], cut_sequence(b, wide[::-1]).cut_m3, cut_sequence(a, wide[::-1]).cut_m3, 0.05)
+    back = sequence_offset(
+        wide[::-1], cut_sequence(b, wide[::-1]).cut_m3, cut_sequence(a, wide[::-1]).cut_m3, 0.05
+    )
     assert back.offset_m == pytest.approx(-0.0064, abs=1e-6)
     with pytest.raises(VolumeError):
         surface_offset(a, b, z + 100.0)
@@ -159,23 +230,33 @@ def test_both_methods_and_the_overlay_find_a_known_body_in_any_frame():
         # signed areas: the body's shadow, where the surface folds over itself, counts with its sign
         assert second.volume_m3 == pytest.approx(np.full(1, true), rel=1e-9)
         assert first.volume_m3 == pytest.approx(np.full(3, true), rel=1e-9)
-        assert first.slope_m2 == pytest.approx(0.0, abs=1e-9) and first.areas_m2[0] == pytest.approx(first.areas_m2[1], rel=1e-9)
+        assert first.slope_m2 == pytest.approx(0.0, abs=1e-9) and first.areas_m2[
+            0
+        ] == pytest.approx(first.areas_m2[1], rel=1e-9)
         assert np.isnan(second.slope_m2)
 
 
 def test_offset_slope_and_front_of_the_methods():
     body = box(floor=0.0, top=0.9, shift=0.006)
-    bare = dataclasses.replace(box(floor=0.0, top=0.0), vertices=box(floor=0.0, top=0.0).vertices * [1, 1, 1])
+    bare = dataclasses.replace(
+        box(floor=0.0, top=0.0), vertices=box(floor=0.0, top=0.0).vertices * [1, 1, 1]
+    )
     aligned = method_two(body, bare, offset_m=0.006)
-    assert aligned.volume_m3[0] == pytest.approx(3.6, rel=2e-3) and aligned.level_without_m == pytest.approx(aligned.level_with_m - 0.006)
-    assert method_two(body, bare).volume_m3[0] - aligned.volume_m3[0] == pytest.approx(16 * 0.006, rel=1e-9)
+    assert aligned.volume_m3[0] == pytest.approx(
+        3.6, rel=2e-3
+    ) and aligned.level_without_m == pytest.approx(aligned.level_with_m - 0.006)
+    assert method_two(body, bare).volume_m3[0] - aligned.volume_m3[0] == pytest.approx(
+        16 * 0.006, rel=1e-9
+    )
     # footprints that differ make a linear trend: Method 2 over the level, seed 000 section 5.4
     wide = dataclasses.replace(body, vertices=body.vertices * [1.01, 1, 1])
     trend = method_two(wide, bare, np.array([-1.0, -2.0, -3.0]))
     assert trend.slope_m2 == pytest.approx(-0.01 * 16.0, rel=1e-9)
     front = front_level(body, bare, 0.01, 0.006)
     assert 0.89 < front < 0.93 and zero_fill_level(body, bare, 0.006) == pytest.approx(0.006)
-    assert method_one(body, bare, np.array([front]), 0.006).volume_m3[0] == pytest.approx(3.6, rel=5e-3)
+    assert method_one(body, bare, np.array([front]), 0.006).volume_m3[0] == pytest.approx(
+        3.6, rel=5e-3
+    )
     with pytest.raises(VolumeError) as caught:
         method_two(body, bare, np.array([0.5]))
     assert caught.value.reason == "volume_fill"

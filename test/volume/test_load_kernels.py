@@ -1,4 +1,6 @@
-"""The kernels of the propagation against whole-array sums, and time bins and neighbours against searches."""
+"""The kernels of the propagation against whole-array sums, and time bins and neighbours against
+searches.
+"""
 
 from __future__ import annotations
 
@@ -44,19 +46,41 @@ def close(value):
 @pytest.mark.parametrize("p,results", [(3, 3), (6, 3), (6, 7)])
 def test_loads_and_their_pairs(p, results):
     points, patches, _, _ = random_surface(p, seed=3)
-    geometry, g = surface_geometry(points, patches), np.random.default_rng(4).standard_normal((len(points), results, 3))
+    geometry, g = (
+        surface_geometry(points, patches),
+        np.random.default_rng(4).standard_normal((len(points), results, 3)),
+    )
     g[::3] = 0.0
     q = patch_loads(g, patches, geometry)
-    n, t, X = patches.normal[geometry.row], patches.tangent[geometry.row], design_rows(points.local, p)
-    along, twin = [np.einsum("nkc,nc->nk", g, axis) for axis in (n, t, np.cross(n, t))], np.zeros_like(q)
-    np.add.at(twin, geometry.row, np.concatenate([X[:, :, None] * along[0][:, None], np.stack(along[1:], axis=1)], axis=1))
+    n, t, X = (
+        patches.normal[geometry.row],
+        patches.tangent[geometry.row],
+        design_rows(points.local, p),
+    )
+    along, twin = (
+        [np.einsum("nkc,nc->nk", g, axis) for axis in (n, t, np.cross(n, t))],
+        np.zeros_like(q),
+    )
+    np.add.at(
+        twin,
+        geometry.row,
+        np.concatenate([X[:, :, None] * along[0][:, None], np.stack(along[1:], axis=1)], axis=1),
+    )
     assert q == close(twin)
     q[2] = 0.0
     left, right = q[geometry.left, :p], q[geometry.right, :p]
-    half = np.einsum("npa,npq,nqb,n->ab", left, patches.cross, right, np.where(geometry.left == geometry.right, 1.0, 2.0))
+    half = np.einsum(
+        "npa,npq,nqb,n->ab",
+        left,
+        patches.cross,
+        right,
+        np.where(geometry.left == geometry.right, 1.0, 2.0),
+    )
     assert independent_covariance(q, patches, geometry) == close(0.5 * (half + half.T))
     packed = points.C_tangent.astype(np.float64)
-    assert quadratic_kernel(g[:, 1], points.C_tangent) == close(np.einsum("ni,nij,nj->", g[:, 1], unpack(packed), g[:, 1]))
+    assert quadratic_kernel(g[:, 1], points.C_tangent) == close(
+        np.einsum("ni,nij,nj->", g[:, 1], unpack(packed), g[:, 1])
+    )
 
 
 def test_neighbours_are_found_whatever_their_order():
@@ -75,11 +99,17 @@ def test_neighbours_are_found_whatever_their_order():
 def test_time_bins(monkeypatch):
     _, patches, _, _ = random_surface(seed=6)
     for far in (0, 1 << 30):
-        spread = dataclasses.replace(patches, nav_bin=patches.nav_bin * 7 - 3 + np.where(patches.nav_bin > 3, far, 0))
+        spread = dataclasses.replace(
+            patches, nav_bin=patches.nav_bin * 7 - 3 + np.where(patches.nav_bin > 3, far, 0)
+        )
         bins, index = time_bins(spread)
-        assert np.array_equal(bins, np.unique(spread.nav_bin)) and np.array_equal(bins[index], spread.nav_bin)
+        assert np.array_equal(bins, np.unique(spread.nav_bin)) and np.array_equal(
+            bins[index], spread.nav_bin
+        )
         monkeypatch.setattr(propagation, "LONGEST", -1)  # by a search
-        assert all(np.array_equal(a, b) for a, b in zip((bins, index), time_bins(spread), strict=True))
+        assert all(
+            np.array_equal(a, b) for a, b in zip((bins, index), time_bins(spread), strict=True)
+        )
         monkeypatch.undo()
     none = dataclasses.replace(patches, nav_bin=patches.nav_bin[:0])
     assert [len(part) for part in time_bins(none)] == [0, 0]
@@ -98,7 +128,17 @@ def test_what_is_shared(p):
     np.add.at(twin, owner, rows)
     every, deviation = np.arange(m), np.full((m, p, 6), np.nan)
     for part in (every[::2], every[1::2]):
-        deviation_kernel(part, patches.nav_start, index, patches.M_nav, navigation_units(patches), patches.normal, P, A, deviation)
+        deviation_kernel(
+            part,
+            patches.nav_start,
+            index,
+            patches.M_nav,
+            navigation_units(patches),
+            patches.normal,
+            P,
+            A,
+            deviation,
+        )
     assert deviation == close(twin)
     root = rng.standard_normal((COLUMNS, COLUMNS)) * (rng.random((COLUMNS, COLUMNS)) < 0.1)
     C = root @ root.T
@@ -106,12 +146,17 @@ def test_what_is_shared(p):
     shared = np.full((m, p, p), np.nan)
     for part in (every[::2], every[1::2]):
         shared_kernel(part, *calibration_parts(patches), one, two, C[one, two], deviation, shared)
-    assert shared == close(patches.M_cal[:, :p] @ C @ np.swapaxes(patches.M_cal[:, :p], 1, 2) + deviation @ np.swapaxes(deviation, 1, 2))
+    assert shared == close(
+        patches.M_cal[:, :p] @ C @ np.swapaxes(patches.M_cal[:, :p], 1, 2)
+        + deviation @ np.swapaxes(deviation, 1, 2)
+    )
     geometry = surface_geometry(points, patches)
     some = rng.permutation(len(points))[:9]
     X = design_rows(points.local, p)
     assert geometry.design(some).tobytes() == X[some].tobytes()
-    assert height_kernel(X[some], geometry.row[some], shared) == close(np.einsum("np,npq,nq->n", X, shared[geometry.row], X)[some])
+    assert height_kernel(X[some], geometry.row[some], shared) == close(
+        np.einsum("np,npq,nq->n", X, shared[geometry.row], X)[some]
+    )
     g = rng.standard_normal((len(points), 3)) * (rng.random((len(points), 1)) < 0.5)
     which, square = naive_kernel(g, patches.normal, geometry.row)
     assert np.array_equal(which, np.flatnonzero(g.any(axis=1)))
@@ -132,24 +177,44 @@ def test_sums_by_cell():
     cell[cell == 2] = 1  # a cell without patches
     q[cell == 3] = 0.0  # and one without loads
     found = cell_kernel(
-        q, patches.nav_start, index, patches.M_nav, navigation_units(patches), patches.normal, patches.tangent,
-        np.argsort(cell, kind="stable"), cell, 4, len(bins),
-    )  # fmt: skip
+        q,
+        patches.nav_start,
+        index,
+        patches.M_nav,
+        navigation_units(patches),
+        patches.normal,
+        patches.tangent,
+        np.argsort(cell, kind="stable"),
+        cell,
+        4,
+        len(bins),
+    )
     owner, twin = np.repeat(np.arange(m), np.diff(patches.nav_start)), np.zeros((4 * len(bins), 6))
-    np.add.at(twin, cell[owner] * len(bins) + index, np.einsum("lp,lpc->lc", q[owner], by_position_and_attitude(patches)))
+    np.add.at(
+        twin,
+        cell[owner] * len(bins) + index,
+        np.einsum("lp,lpc->lc", q[owner], by_position_and_attitude(patches)),
+    )
     used = np.unique((cell[owner] * len(bins) + index)[cell[owner] != 3])
     assert np.array_equal(found[0], np.searchsorted(used, np.arange(5) * len(bins)))
     assert np.array_equal(found[1], used % len(bins)) and found[2] == close(twin[used])
     geometry = surface_geometry(points, patches)
     whole = independent_covariance(q[:, :, None], patches, geometry)
-    falls = pair_falls_kernel(q, geometry.start, geometry.right, patches.cross, np.zeros(m, np.int64), 1)
+    falls = pair_falls_kernel(
+        q, geometry.start, geometry.right, patches.cross, np.zeros(m, np.int64), 1
+    )
     assert falls == close(0.5 * whole.ravel())  # all in one cell: half of the variance
 
 
 def curvature_twin(q, patches, known):
     """H by whole arrays: every term for every sensitivity, those of a pass by its number."""
     owner = np.repeat(np.arange(len(patches)), np.diff(patches.nav_start))
-    bins, M, n, load = patches.nav_bin, by_position_and_attitude(patches), patches.normal[owner], q[owner, 0]
+    bins, M, n, load = (
+        patches.nav_bin,
+        by_position_and_attitude(patches),
+        patches.normal[owner],
+        q[owner, 0],
+    )
     label = np.concatenate([[0], np.cumsum((owner[1:] != owner[:-1]) | (bins[1:] > bins[:-1] + 1))])
     position, R = known.mean_pose(bins)
     part = np.einsum("kc,kc->k", M[:, 0, :3], n)
@@ -157,9 +222,14 @@ def curvature_twin(q, patches, known):
     m, v = (np.einsum("kji,kj->ki", R, x) for x in (n, patches.centre[owner] - position))
     upright = np.copysign(np.maximum(np.abs(n[:, 2]), STEEPEST), n[:, 2])
     half = 0.5 * np.einsum("k,ki,kj->ij", share, m, v)
-    for number, along in enumerate((patches.tangent[owner], np.cross(n, patches.tangent[owner])), start=1):
+    for number, along in enumerate(
+        (patches.tangent[owner], np.cross(n, patches.tangent[owner])), start=1
+    ):
         body = np.einsum("kji,kj->ki", R, along)
-        shift, standing = np.cross(v, body) - (along[:, 2] / upright)[:, None] * np.cross(v, m), np.cross(body, m)
+        shift, standing = (
+            np.cross(v, body) - (along[:, 2] / upright)[:, None] * np.cross(v, m),
+            np.cross(body, m),
+        )
         moving, mean = np.zeros((2, label[-1] + 1, 3))
         np.add.at(moving, label, load[:, None] * (M[:, number, 3:] - part[:, None] * standing))
         np.add.at(mean, label, weight[:, None] * shift)
@@ -183,10 +253,16 @@ def test_the_curvature(p):
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     patches = dataclasses.replace(patches, tangent=tangent, beta=rng.standard_normal((30, p)))
     known, t = NavigationBins(1.0), np.arange(70, dtype=np.int64) * 100_000_000
-    turn = np.repeat(rng.standard_normal((7, 4)), 10, axis=0)  # one attitude in each bin: its mean is a rotation
+    turn = np.repeat(
+        rng.standard_normal((7, 4)), 10, axis=0
+    )  # one attitude in each bin: its mean is a rotation
     turn /= np.linalg.norm(turn, axis=1, keepdims=True)
     zero = np.zeros((70, 3))
-    known.add(PlatformStates(t, 10.0 * rng.standard_normal((70, 3)), turn, zero, zero, np.zeros((70, 6, 6)), t))
+    known.add(
+        PlatformStates(
+            t, 10.0 * rng.standard_normal((70, 3)), turn, zero, zero, np.zeros((70, 6, 6)), t
+        )
+    )
     q = rng.standard_normal((30, p))
     q[::5] = 0.0
     assert curvatures(q, patches, known).sum(axis=0) == close(curvature_twin(q, patches, known))
@@ -195,12 +271,25 @@ def test_the_curvature(p):
 
 def test_what_is_correlated_in_time():
     rng, k = np.random.default_rng(12), 23
-    d, t, C = rng.standard_normal((k, 3)), np.sort(rng.uniform(0.0, 9.0, k)), rng.standard_normal((k, k))
+    d, t, C = (
+        rng.standard_normal((k, 3)),
+        np.sort(rng.uniform(0.0, 9.0, k)),
+        rng.standard_normal((k, k)),
+    )
     bins, (constant, markov, same, own) = np.floor(t).astype(np.int64), (0.2, 0.5, 0.1, 0.3)
-    share = constant + markov * np.exp(-np.abs(t[:, None] - t)) + same * (bins[:, None] == bins) + (own - same) * np.eye(k)
+    share = (
+        constant
+        + markov * np.exp(-np.abs(t[:, None] - t))
+        + same * (bins[:, None] == bins)
+        + (own - same) * np.eye(k)
+    )
     found = C.copy()
-    correlated_kernel(d, np.exp(-np.diff(t, append=t[-1])), bins, (constant, markov, same, own), found)
-    assert np.triu(found) == close(np.triu(C + d @ d.T * share)) and np.array_equal(np.tril(found, -1), np.tril(C, -1))
+    correlated_kernel(
+        d, np.exp(-np.diff(t, append=t[-1])), bins, (constant, markov, same, own), found
+    )
+    assert np.triu(found) == close(np.triu(C + d @ d.T * share)) and np.array_equal(
+        np.tril(found, -1), np.tril(C, -1)
+    )
 
 
 @pytest.mark.parametrize("k", [0, 1, 128, 300])

@@ -23,7 +23,9 @@ LEVEL = {"base": "level", "level_m": 0.0, "outline": "all"}
 
 
 def estimator(update, volume=LEVEL, **sections):
-    e = VolumeEstimator(Parameters.read({"filter": {"nav_bin_s": 1.0}, "volume": volume, **sections}))
+    e = VolumeEstimator(
+        Parameters.read({"filter": {"nav_bin_s": 1.0}, "volume": volume, **sections})
+    )
     e.add_platform(platform())
     e.add(update)
     return e
@@ -36,7 +38,12 @@ def hill(x, y):
 def without(update, drop):
     """The survey without the patches of a mask (m,)."""
     patches = take_patches(update.patches, np.flatnonzero(~drop))
-    return FilterUpdate(update.t_ns, update.removed, select(update.points, np.isin(update.points.patch, patches.key)), patches)
+    return FilterUpdate(
+        update.t_ns,
+        update.removed,
+        select(update.points, np.isin(update.points.patch, patches.key)),
+        patches,
+    )
 
 
 def test_needs_an_estimate_first():
@@ -53,7 +60,10 @@ def test_what_is_enclosed(share):
     inside = rng.random(len(tin.triangles)) < share
     t, side = np.nonzero(~inside[:, None] & (tin.neighbours >= 0))
     joined = ~inside[tin.neighbours[t, side]]
-    graph = coo_matrix((np.ones(joined.sum()), (t[joined], tin.neighbours[t, side][joined])), shape=(len(inside),) * 2)
+    graph = coo_matrix(
+        (np.ones(joined.sum()), (t[joined], tin.neighbours[t, side][joined])),
+        shape=(len(inside),) * 2,
+    )
     label = connected_components(graph, directed=False)[1]
     open_ended = label[~inside & (tin.neighbours < 0).any(axis=1)]
     assert np.array_equal(enclosed(tin, inside), ~inside & ~np.isin(label, open_ended))
@@ -73,32 +83,46 @@ def test_a_cell_with_noisy_returns_is_where_to_fly_and_by_how_much():
 
     def with_noise(factor):
         cross = np.where(noisy[:, None, None], factor * update.patches.cross, update.patches.cross)
-        return estimator(dataclasses.replace(update, patches=dataclasses.replace(update.patches, cross=cross)))
+        return estimator(
+            dataclasses.replace(update, patches=dataclasses.replace(update.patches, cross=cross))
+        )
 
     e = with_noise(4e6)
     before = e.estimate().volume
     found = e.more_data()
     first = found.best(1)[0]
-    assert abs(first["x_m"] - 6.0) < 2.0 and abs(first["y_m"] + 4.0) < 2.0 and first["why"] == "noise"
+    assert (
+        abs(first["x_m"] - 6.0) < 2.0 and abs(first["y_m"] + 4.0) < 2.0 and first["why"] == "noise"
+    )
     # flown again, the independent variance of all those patches is half of what it was
     after = with_noise(2e6).estimate().volume
     cells = (np.abs(found.centre_map[:, :2] - [6.0, -4.0]) < 2.6).all(axis=1)
     fall = found.falls_m6[cells, SOURCES.index("noise")].sum()
     assert fall == pytest.approx(before.budget_m6["noise"] - after.budget_m6["noise"], rel=1e-3)
-    assert found.sigma_m3 == before.sigma_m3 and found.sigma_gaps_m3 == 0.0 and len(found.best()) == 3
+    assert (
+        found.sigma_m3 == before.sigma_m3 and found.sigma_gaps_m3 == 0.0 and len(found.best()) == 3
+    )
     assert (found.sigma_m > 0.02).all()  # what one position's sigma does to every height
 
 
 def test_falls_of_navigation_against_the_closed_form():
-    budget = {"position_bias_fraction": 0.0, "position_white_fraction": 1.0, "attitude_bias_fraction": 1.0, "attitude_white_fraction": 0.0}
+    budget = {
+        "position_bias_fraction": 0.0,
+        "position_white_fraction": 1.0,
+        "attitude_bias_fraction": 1.0,
+        "attitude_white_fraction": 0.0,
+    }
     e = estimator(surface_update(hill), budget=budget)
     v = e.estimate().volume
     found = e.more_data().falls_m6
-    # cells share time bins across the flight, so what one pass takes is more than half of the cell's own; all cells together, a second
-    # survey, would take half of the variance: Σ Cov(T, a) = Var(T)
+    # cells share time bins across the flight, so what one pass takes is more than half of the
+    # cell's own; all cells together, a second survey, would take half of the variance: Σ Cov(T, a)
+    # = Var(T)
     share = found[:, SOURCES.index("position")].sum()
     assert 0.5 * v.budget_m6["position"] < share < v.budget_m6["position"]
-    assert np.allclose(found[:, SOURCES.index("attitude")], 0.0)  # constant over the survey: no pass takes it away
+    assert np.allclose(
+        found[:, SOURCES.index("attitude")], 0.0
+    )  # constant over the survey: no pass takes it away
 
 
 def test_a_gap_is_found_and_its_size_is_that_of_the_relief():
@@ -117,13 +141,18 @@ def test_a_gap_is_found_and_its_size_is_that_of_the_relief():
     errors = []
     for x, y in ((-5, -5), (-5, 5), (5, -5), (0, 0), (-2, 6), (6, 1), (1, -6), (-7, 0)):
         drop = np.hypot(*(update.patches.centre[:, :2] - [x, y]).T) < 1.5
-        errors.append(estimator(without(update, drop), wide).estimate().volume.volume_m3 - full.estimate().volume.volume_m3)
+        errors.append(
+            estimator(without(update, drop), wide).estimate().volume.volume_m3
+            - full.estimate().volume.volume_m3
+        )
     rms = math.sqrt(np.mean(np.square(errors)))
     assert rms / 4.0 < found.sigma_gaps_m3 < 4.0 * rms
     quiet = dataclasses.replace(found, falls_m6=found.falls_m6 * [0.0, 0.0, 0.0, 1.0])
     best = quiet.best(1)[0]
     assert math.hypot(best["x_m"] - 4.0, best["y_m"] - 5.0) < 2.0 and best["why"] == "gap"
-    open_hole = estimator(without(update, hole))  # too wide for triangles that count, but enclosed by them
+    open_hole = estimator(
+        without(update, hole)
+    )  # too wide for triangles that count, but enclosed by them
     assert open_hole.estimate().volume.area_m2 < e.estimate().volume.area_m2 - 5.0
     assert open_hole.more_data().sigma_gaps_m3 == pytest.approx(found.sigma_gaps_m3, rel=0.3)
 
@@ -133,7 +162,9 @@ def test_relief_of_known_surfaces():
     x, y = (a.ravel() for a in np.meshgrid(g, g))
     quadric = np.c_[x, y, 0.5 * 0.3 * (x**2 + y**2)]
     lengths = np.array([1.0, 2.0, 4.0])
-    assert relief(quadric, np.zeros(len(x)), lengths) == pytest.approx(0.3 * lengths**2 / 8.0, rel=0.02)  # neighbours within a tenth
+    assert relief(quadric, np.zeros(len(x)), lengths) == pytest.approx(
+        0.3 * lengths**2 / 8.0, rel=0.02
+    )  # neighbours within a tenth
     plane = np.c_[x, y, 0.1 * x]
     assert relief(plane, np.zeros(len(x)), lengths) == pytest.approx(0.0, abs=1e-9)
     rough = plane + np.c_[np.zeros((len(x), 2)), np.random.default_rng(1).normal(0.0, 0.05, len(x))]
@@ -145,5 +176,9 @@ def test_above_the_surveys_own_ground_the_places_are_where_it_counts():
     e = estimator(surface_update(hill), volume={})
     v = e.estimate().volume
     found = e.more_data()
-    assert (found.gain_m3 >= 0.0).all() and found.gain_m3.max() < v.sigma_m3 and len(found.best(5)) == 5
+    assert (
+        (found.gain_m3 >= 0.0).all()
+        and found.gain_m3.max() < v.sigma_m3
+        and len(found.best(5)) == 5
+    )
     assert T0 // BIN_NS > 0 and found.cell_m < 3.0

@@ -1,4 +1,6 @@
-"""Navigation errors over time: the recursion against the dense sum, and the three parts in their limits."""
+"""Navigation errors over time: the recursion against the dense sum, and the three parts in their
+limits.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,14 @@ from volume_surfaces import BIN_NS, T0, platform
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.records import select
-from ladar_volume.volume.navigation import NavigationBins, markov_sum, matrix_root, navigation_loads, navigation_variance, part_variance
+from ladar_volume.volume.navigation import (
+    NavigationBins,
+    markov_sum,
+    matrix_root,
+    navigation_loads,
+    navigation_variance,
+    part_variance,
+)
 
 
 def random_covariances(n, seed=0):
@@ -40,7 +49,9 @@ def test_roots():
 
 def test_roots_are_made_anew_where_states_come():
     states, bin_s = platform(60), BIN_NS * 1e-9
-    states = dataclasses.replace(states, C_nav=states.C_nav * (1.0 + np.arange(len(states)) / 100)[:, None, None])
+    states = dataclasses.replace(
+        states, C_nav=states.C_nav * (1.0 + np.arange(len(states)) / 100)[:, None, None]
+    )
     known, half = NavigationBins(bin_s), len(states) // 2 + 1  # in the middle of a bin
     for part in (np.arange(len(states)) < half, np.arange(len(states)) >= half):
         known.add(select(states, part))
@@ -49,7 +60,10 @@ def test_roots_are_made_anew_where_states_come():
         for _ in range(2):
             for root, C in zip(known.roots(bins), (mean[:, :3, :3], mean[:, 3:, 3:]), strict=True):
                 assert np.array_equal(root, matrix_root(C))
-    assert np.array_equal(NavigationBins.from_sums(bin_s, *known.sums()).roots(bins[::-1])[1], known.roots(bins)[1][::-1])
+    assert np.array_equal(
+        NavigationBins.from_sums(bin_s, *known.sums()).roots(bins[::-1])[1],
+        known.roots(bins)[1][::-1],
+    )
     with pytest.raises(VolumeError):
         known.roots(bins[-1:] + 1)
 
@@ -77,7 +91,10 @@ def test_variance_against_a_dense_matrix_with_changing_covariance():
     known.add(states)
     J = np.random.default_rng(2).standard_normal((4, 6)) * [1, 1, 1, 30, 30, 30]
     budget = BudgetParameters(
-        position_bias_fraction=0.3, position_white_fraction=0.2, attitude_bias_fraction=0.1, attitude_white_fraction=0.4
+        position_bias_fraction=0.3,
+        position_white_fraction=0.2,
+        attitude_bias_fraction=0.1,
+        attitude_white_fraction=0.4,
     )
     got = navigation_variance(navigation_loads(J, bins, known, 0.5), budget)
     index = states.t_ns // BIN_NS
@@ -89,15 +106,27 @@ def test_variance_against_a_dense_matrix_with_changing_covariance():
         value = 0.0
         for e in range(4):
             for f in range(4):
-                rho = bias + (1 - bias - white) * np.exp(-abs(float(bins[e] - bins[f])) / tau) + (white / n if e == f else 0.0)
-                value += rho * J[e, block] @ np.sqrt(C[e, block, block]) @ np.sqrt(C[f, block, block]) @ J[f, block]
+                rho = (
+                    bias
+                    + (1 - bias - white) * np.exp(-abs(float(bins[e] - bins[f])) / tau)
+                    + (white / n if e == f else 0.0)
+                )
+                value += (
+                    rho
+                    * J[e, block]
+                    @ np.sqrt(C[e, block, block])
+                    @ np.sqrt(C[f, block, block])
+                    @ J[f, block]
+                )
         assert got[name] == pytest.approx(value, rel=1e-10)
 
 
 def test_means_do_not_depend_on_batches():
     states = platform(20)
     rng = np.random.default_rng(3)
-    states = dataclasses.replace(states, C_nav=states.C_nav * rng.uniform(0.5, 2, (len(states), 1, 1)))
+    states = dataclasses.replace(
+        states, C_nav=states.C_nav * rng.uniform(0.5, 2, (len(states), 1, 1))
+    )
     whole, pieces = NavigationBins(1.0), NavigationBins(1.0)
     whole.add(states)
     for part in np.array_split(np.arange(len(states)), 17):

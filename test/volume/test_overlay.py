@@ -1,4 +1,6 @@
-"""Two surfaces: rational brute force, closed forms, invariances, gradients against differences, degenerate overlays."""
+"""Two surfaces: rational brute force, closed forms, invariances, gradients against differences,
+degenerate overlays.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +17,27 @@ from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import Tin
 from ladar_volume.surface.locate import triangle_index
 from ladar_volume.surface.tin import build_tin, footprint_areas
-from ladar_volume.volume.overlay import between, integrals, placed_corners, placed_neighbours, vertex_gradients
+from ladar_volume.volume.overlay import (
+    between,
+    integrals,
+    placed_corners,
+    placed_neighbours,
+    vertex_gradients,
+)
 from ladar_volume.volume.overlay_kernel import WAITING, overlay_kernel, walk
-from ladar_volume.volume.pieces import CORNERS, PAIR, ROWS, A, B, add_fan, add_piece, add_same_sign, clip_line, clip_pair, tip
+from ladar_volume.volume.pieces import (
+    CORNERS,
+    PAIR,
+    ROWS,
+    A,
+    B,
+    add_fan,
+    add_piece,
+    add_same_sign,
+    clip_line,
+    clip_pair,
+    tip,
+)
 from ladar_volume.volume.prismoids import positive_part, prismoids
 
 
@@ -29,7 +49,9 @@ def random_tin(n=30, seed=0, half=3.0, bump=1.0):
 
 
 def flat(z, half=3.0):
-    return build_tin(np.array([[-half, -half, z], [half, -half, z], [half, half, z], [-half, half, z]], float))
+    return build_tin(
+        np.array([[-half, -half, z], [half, -half, z], [half, half, z], [-half, half, z]], float)
+    )
 
 
 def roof():
@@ -63,7 +85,13 @@ def plane_through(p):
 
 def exact(upper, lower):
     """Cut, fill and area by clipping every triangle with every other, without rounding."""
-    rows = [[[tuple(Fraction(float(c)) for c in s.vertices[v]) for v in t] for t in s.triangles[s.relevant]] for s in (upper, lower)]
+    rows = [
+        [
+            [tuple(Fraction(float(c)) for c in s.vertices[v]) for v in t]
+            for t in s.triangles[s.relevant]
+        ]
+        for s in (upper, lower)
+    ]
     total = [Fraction(0)] * 3
     for a in rows[0]:
         pa = plane_through(a)
@@ -71,11 +99,19 @@ def exact(upper, lower):
             ring = [p[:2] for p in a]
             for k in range(3):
                 (x0, y0), (x1, y1) = b[k][:2], b[(k + 1) % 3][:2]
-                ring = exact_clip(ring, lambda p: (x1 - x0) * (p[1] - y0) - (y1 - y0) * (p[0] - x0)) if ring else ring  # noqa: B023
+                ring = (
+                    exact_clip(ring, lambda p: (x1 - x0) * (p[1] - y0) - (y1 - y0) * (p[0] - x0))  # noqa: B023
+                    if ring
+                    else ring
+                )
             pb = plane_through(b)
             d = [u - v for u, v in zip(pa, pb, strict=True)]
             for side, sign in ((0, 1), (1, -1)):
-                part = exact_clip(ring, lambda p: sign * (d[0] + d[1] * p[0] + d[2] * p[1])) if ring else []  # noqa: B023
+                part = (
+                    exact_clip(ring, lambda p: sign * (d[0] + d[1] * p[0] + d[2] * p[1]))  # noqa: B023
+                    if ring
+                    else []
+                )
                 for i in range(1, len(part) - 1):
                     p, q, r = part[0], part[i], part[i + 1]
                     area = ((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])) / 2
@@ -93,7 +129,17 @@ def test_random_surfaces_against_rational_clipping(seed):
     assert (r.cut_m3, r.fill_m3, r.area_m2) == pytest.approx(exact(a, b), rel=1e-12, abs=1e-13)
 
 
-@pytest.mark.parametrize("z,cut,fill", [(0, 49 / 3, 1 / 3), (1, 20 / 3, 8 / 3), (2, 1, 9), (2.5, 0.125, 14.125), (5, 0, 44), (-2, 40, 0)])
+@pytest.mark.parametrize(
+    "z,cut,fill",
+    [
+        (0, 49 / 3, 1 / 3),
+        (1, 20 / 3, 8 / 3),
+        (2, 1, 9),
+        (2.5, 0.125, 14.125),
+        (5, 0, 44),
+        (-2, 40, 0),
+    ],
+)
 def test_the_roof_above_a_flat_surface(z, cut, fill):
     r = between(roof(), flat(z, half=7.0))
     assert (r.cut_m3, r.fill_m3, r.area_m2) == pytest.approx((cut, fill, 12.0), abs=1e-12)
@@ -105,10 +151,14 @@ def test_a_flat_or_tilted_lower_surface_gives_the_prismoids():
     a = random_tin(seed=3)
     low = flat(0.0, half=4.0)
     low = dataclasses.replace(
-        low, vertices=low.vertices + np.c_[np.zeros((4, 2)), 0.3 + 0.2 * low.vertices[:, 0] - 0.1 * low.vertices[:, 1]]
+        low,
+        vertices=low.vertices
+        + np.c_[np.zeros((4, 2)), 0.3 + 0.2 * low.vertices[:, 0] - 0.1 * low.vertices[:, 1]],
     )
     r, p = between(a, low), prismoids(a, design_surface([0.3, 0.2, -0.1]))
-    assert (r.cut_m3, r.fill_m3, r.area_m2) == pytest.approx((p.cut_m3, p.fill_m3, p.area_m2), rel=1e-12)
+    assert (r.cut_m3, r.fill_m3, r.area_m2) == pytest.approx(
+        (p.cut_m3, p.fill_m3, p.area_m2), rel=1e-12
+    )
     assert r.gradient_cut[:, 2] == pytest.approx(p.gradient_cut[:, 2], abs=1e-12)
     assert r.lower_net[:, 2].sum() == pytest.approx(p.base_net[0], rel=1e-12)
 
@@ -116,14 +166,20 @@ def test_a_flat_or_tilted_lower_surface_gives_the_prismoids():
 def test_swapping_adding_and_shifting():
     a, b = random_tin(seed=4), random_tin(seed=5, half=2.0)
     r, back = between(a, b), between(b, a)
-    assert (r.cut_m3, r.fill_m3, r.area_m2) == pytest.approx((back.fill_m3, back.cut_m3, back.area_m2), rel=1e-12)
-    assert r.gradient_cut == pytest.approx(back.lower_fill, abs=1e-12) and r.lower_cut == pytest.approx(back.gradient_fill, abs=1e-12)
+    assert (r.cut_m3, r.fill_m3, r.area_m2) == pytest.approx(
+        (back.fill_m3, back.cut_m3, back.area_m2), rel=1e-12
+    )
+    assert r.gradient_cut == pytest.approx(
+        back.lower_fill, abs=1e-12
+    ) and r.lower_cut == pytest.approx(back.gradient_fill, abs=1e-12)
     part = np.random.default_rng(0).random(len(a.triangles)) < 0.4
     halves = [between(dataclasses.replace(a, relevant=m), b) for m in (part, ~part)]
     for name in ("cut_m3", "fill_m3", "area_m2"):
         assert sum(getattr(h, name) for h in halves) == pytest.approx(getattr(r, name), rel=1e-12)
     up = between(dataclasses.replace(a, vertices=a.vertices + np.array([0, 0, 0.25])), b)
-    assert up.net_m3 - r.net_m3 == pytest.approx(0.25 * r.area_m2, rel=1e-12) and r.area_m2 == pytest.approx(16.0, rel=1e-12)
+    assert up.net_m3 - r.net_m3 == pytest.approx(
+        0.25 * r.area_m2, rel=1e-12
+    ) and r.area_m2 == pytest.approx(16.0, rel=1e-12)
     c = random_tin(seed=6, half=2.0)
     assert between(a, c).net_m3 + between(c, b).net_m3 == pytest.approx(r.net_m3, rel=1e-11)
 
@@ -135,9 +191,13 @@ def test_turning_shifting_and_scaling():
     R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     moved = [dataclasses.replace(t, vertices=t.vertices @ R.T + [500.0, -300, 20]) for t in (a, b)]
     m = between(*moved)
-    assert (m.cut_m3, m.fill_m3, m.area_m2) == pytest.approx((r.cut_m3, r.fill_m3, r.area_m2), rel=1e-10)
+    assert (m.cut_m3, m.fill_m3, m.area_m2) == pytest.approx(
+        (r.cut_m3, r.fill_m3, r.area_m2), rel=1e-10
+    )
     assert m.gradient_cut == pytest.approx(r.gradient_cut @ R.T, abs=1e-9)
-    far = between(*(dataclasses.replace(t, vertices=t.vertices + np.array([5e5, 5e6, 0])) for t in (a, b)))
+    far = between(
+        *(dataclasses.replace(t, vertices=t.vertices + np.array([5e5, 5e6, 0])) for t in (a, b))
+    )
     assert far.net_m3 == pytest.approx(r.net_m3, abs=1e-6)
     scaled = between(*(dataclasses.replace(t, vertices=3.0 * t.vertices) for t in (a, b)))
     assert scaled.cut_m3 == pytest.approx(27 * r.cut_m3, rel=1e-12)
@@ -148,7 +208,11 @@ def test_gradients_against_central_differences():
     r, h = between(a, b), 1e-6
     for which, cut, fill in ((0, r.gradient_cut, r.gradient_fill), (1, r.lower_cut, r.lower_fill)):
         tin = (a, b)[which]
-        hull = set(tin.triangles[np.flatnonzero((tin.neighbours < 0).any(axis=1))].ravel().tolist()) if which else set()
+        hull = (
+            set(tin.triangles[np.flatnonzero((tin.neighbours < 0).any(axis=1))].ravel().tolist())
+            if which
+            else set()
+        )
         for i in range(0, len(tin.vertices), 2):
             for axis in range(3):
                 if axis < 2 and i in hull:
@@ -156,25 +220,39 @@ def test_gradients_against_central_differences():
                 step = np.zeros_like(tin.vertices)
                 step[i, axis] = h
                 up, down = (
-                    between(*[dataclasses.replace(t, vertices=t.vertices + e * step) if t is tin else t for t in (a, b)], gradients=False)
+                    between(
+                        *[
+                            dataclasses.replace(t, vertices=t.vertices + e * step)
+                            if t is tin
+                            else t
+                            for t in (a, b)
+                        ],
+                        gradients=False,
+                    )
                     for e in (1, -1)
                 )
                 assert cut[i, axis] == pytest.approx((up.cut_m3 - down.cut_m3) / (2 * h), abs=3e-7)
-                assert fill[i, axis] == pytest.approx((up.fill_m3 - down.fill_m3) / (2 * h), abs=3e-7)
+                assert fill[i, axis] == pytest.approx(
+                    (up.fill_m3 - down.fill_m3) / (2 * h), abs=3e-7
+                )
 
 
 def test_the_same_surface_twice_and_a_lattice_on_a_lattice():
     a = random_tin(seed=11)
     r = between(a, a)
     assert (
-        r.cut_m3 == pytest.approx(0, abs=1e-13) and r.fill_m3 == pytest.approx(0, abs=1e-13) and r.area_m2 == pytest.approx(36, rel=1e-12)
+        r.cut_m3 == pytest.approx(0, abs=1e-13)
+        and r.fill_m3 == pytest.approx(0, abs=1e-13)
+        and r.area_m2 == pytest.approx(36, rel=1e-12)
     )
     x, y = (g.ravel().astype(float) for g in np.meshgrid(np.arange(6), np.arange(6)))
     one, two = build_tin(np.c_[x, y, x * y]), build_tin(np.c_[y, x, x * y - 1.0])
     assert between(one, two).area_m2 == pytest.approx(25.0, rel=1e-14)
     level = between(flat(2.0), flat(2.0))
     assert level.cut_m3 == level.fill_m3 == 0.0 and level.net_m3 == 0.0
-    assert level.gradient_net[:, 2].sum() == pytest.approx(36.0) and level.lower_net[:, 2].sum() == pytest.approx(-36.0)
+    assert level.gradient_net[:, 2].sum() == pytest.approx(36.0) and level.lower_net[
+        :, 2
+    ].sum() == pytest.approx(-36.0)
 
 
 def test_touching_vertices_edges_and_empty_overlap():
@@ -202,24 +280,35 @@ def test_walls_and_slivers():
         between(build_tin(np.c_[xy[[0, 1, 4, 5]], np.zeros(4)]), shallow).net_m3
         + between(build_tin(np.c_[xy[[1, 3, 5, 7]], np.full(4, 2.0)]), shallow).net_m3
     )
-    assert r.area_m2 == pytest.approx(4.0, rel=1e-12) and r.net_m3 == pytest.approx(expected - 2e-6, abs=1e-9)
+    assert r.area_m2 == pytest.approx(4.0, rel=1e-12) and r.net_m3 == pytest.approx(
+        expected - 2e-6, abs=1e-9
+    )
 
 
 def test_compiled_kernels_equal_their_plain_twins():
     a, b = random_tin(6, seed=13), random_tin(5, seed=14)
     one, two = triangle_index(a), triangle_index(b)
-    high, low = placed_corners(a.vertices, a.triangles, one.order), placed_corners(b.vertices, b.triangles, two.order)
+    high, low = (
+        placed_corners(a.vertices, a.triangles, one.order),
+        placed_corners(b.vertices, b.triangles, two.order),
+    )
     neighbours = placed_neighbours(b.neighbours, two.order)
     args = (high, low, neighbours, two.boxes, -1.0, True)
     for compiled, plain, direct in zip(
-        overlay_kernel(*args), overlay_kernel.py_func(*args), integrals(high, b, low, two, -1.0, True), strict=True
+        overlay_kernel(*args),
+        overlay_kernel.py_func(*args),
+        integrals(high, b, low, two, -1.0, True),
+        strict=True,
     ):
         assert np.array_equal(compiled, plain) and np.array_equal(compiled, direct)
     assert np.array_equal(high, placed_corners.py_func(a.vertices, a.triangles, one.order))
     assert np.array_equal(high[..., :2], one.corners)
     assert np.array_equal(neighbours, placed_neighbours.py_func(b.neighbours, two.order))
     parts = overlay_kernel(*args)[0]
-    grads = [f(len(a.vertices), a.triangles, one.order, high, parts, 1.0) for f in (vertex_gradients, vertex_gradients.py_func)]
+    grads = [
+        f(len(a.vertices), a.triangles, one.order, high, parts, 1.0)
+        for f in (vertex_gradients, vertex_gradients.py_func)
+    ]
     assert np.array_equal(*grads)
     for x, y in np.random.default_rng(3).uniform(-3.5, 3.5, (50, 2)):
         assert walk(low, neighbours, 0, x, y) == walk.py_func(low, neighbours, 0, x, y)
@@ -234,7 +323,10 @@ def test_pieces_equal_their_plain_twins():
         rings = [f(w) for f, w in zip((clip_pair, clip_pair.py_func), scratch, strict=True)]
         assert rings[0] == rings[1] and np.array_equal(*scratch)
         if rings[0][1] >= 3:
-            areas = [f(0, 1.0, w, *rings[0][:2], o) for f, w, o in zip((add_piece, add_piece.py_func), scratch, outs, strict=True)]
+            areas = [
+                f(0, 1.0, w, *rings[0][:2], o)
+                for f, w, o in zip((add_piece, add_piece.py_func), scratch, outs, strict=True)
+            ]
             assert areas[0] == areas[1] and np.array_equal(*scratch) and np.array_equal(*outs)
 
 
@@ -242,8 +334,15 @@ def test_clipping_and_fans_equal_their_plain_twins():
     ring = np.random.default_rng(0).normal(size=(2, 7))
     scratch = np.zeros((2, ROWS, CORNERS))
     scratch[:, :2, :7] = ring
-    found = [f(w, 0, 7, 1.0, 0.5, 0.1, 0.2) for f, w in zip((clip_line, clip_line.py_func), scratch, strict=True)]
-    assert found[0] == found[1] and np.array_equal(*scratch) and tip(1.0, -0.3, -2.0) == tip.py_func(1.0, -0.3, -2.0)
+    found = [
+        f(w, 0, 7, 1.0, 0.5, 0.1, 0.2)
+        for f, w in zip((clip_line, clip_line.py_func), scratch, strict=True)
+    ]
+    assert (
+        found[0] == found[1]
+        and np.array_equal(*scratch)
+        and tip(1.0, -0.3, -2.0) == tip.py_func(1.0, -0.3, -2.0)
+    )
     scratch[:, 6:10, :3] = [[0.1, 0.5, 0.4], [0.3, 0.0, 0.6], [0.2, 0.7, 0.1], [0.5, 0.2, 0.0]]
     scratch[:, 0, :3], scratch[:, 1, :3] = [0.0, 1.4, 0.0], [0.0, 0.0, 1.0]  # area 0.7
     for d in np.random.default_rng(1).integers(-2, 3, (60, 3)).astype(float):
@@ -252,7 +351,9 @@ def test_clipping_and_fans_equal_their_plain_twins():
             f(0.7, w, 1)
         assert np.array_equal(*scratch)
         fan = scratch[0, PAIR:].copy()
-        assert fan[:, 3] == pytest.approx([0.7 * positive_part(s * d[None])[0][0] for s in (1, -1)], abs=1e-15)
+        assert fan[:, 3] == pytest.approx(
+            [0.7 * positive_part(s * d[None])[0][0] for s in (1, -1)], abs=1e-15
+        )
         if (d >= 0).all() or (d <= 0).all():  # the same by the way for one sign
             scratch[:, PAIR:] = 0.0
             for f, w in zip((add_same_sign, add_same_sign.py_func), scratch, strict=True):
@@ -261,7 +362,9 @@ def test_clipping_and_fans_equal_their_plain_twins():
 
 
 def test_the_walk_from_neighbour_to_neighbour_and_the_tree_agree():
-    """Without neighbours every triangle is looked up in the tree: the same pieces, in another order."""
+    """Without neighbours every triangle is looked up in the tree: the same pieces, in another
+    order.
+    """
     rng = np.random.default_rng(7)
     for n, k in ((40, 900), (900, 40), (300, 300)):
         a, b = random_tin(n, seed=n), random_tin(k, seed=k + 1, half=2.5)
@@ -269,7 +372,9 @@ def test_the_walk_from_neighbour_to_neighbour_and_the_tree_agree():
         for other in (b, holes):
             alone = dataclasses.replace(other, neighbours=np.full_like(other.neighbours, -1))
             one, two = between(a, other), between(a, alone)
-            assert (one.cut_m3, one.fill_m3, one.area_m2) == pytest.approx((two.cut_m3, two.fill_m3, two.area_m2), rel=1e-12)
+            assert (one.cut_m3, one.fill_m3, one.area_m2) == pytest.approx(
+                (two.cut_m3, two.fill_m3, two.area_m2), rel=1e-12
+            )
             for name in ("gradient_cut", "gradient_fill", "lower_cut", "lower_fill"):
                 assert getattr(one, name) == pytest.approx(getattr(two, name), abs=1e-12)
 
@@ -278,16 +383,26 @@ def test_wrong_neighbours_cost_time_but_no_volume():
     a, b = random_tin(200, seed=21), random_tin(150, seed=22)
     mixed = dataclasses.replace(b, neighbours=np.random.default_rng(5).permutation(b.neighbours))
     one, two = between(a, b), between(a, mixed)
-    assert (one.cut_m3, one.fill_m3, one.area_m2) == pytest.approx((two.cut_m3, two.fill_m3, two.area_m2), rel=1e-9)
+    assert (one.cut_m3, one.fill_m3, one.area_m2) == pytest.approx(
+        (two.cut_m3, two.fill_m3, two.area_m2), rel=1e-9
+    )
 
 
 def test_one_triangle_over_more_than_can_wait_at_once():
-    """A pair of triangles above a lattice of 12,800: the tree's list is taken up again where the kept pieces were full."""
+    """A pair of triangles above a lattice of 12,800: the tree's list is taken up again where the
+    kept pieces were full.
+    """
     x, y = (g.ravel() for g in np.meshgrid(np.linspace(-1, 1, 81), np.linspace(-1, 1, 81)))
     fine = build_tin(np.c_[x, y, 0.1 * x - 0.2 * y])
     r = between(flat(1.0), fine)
-    assert len(fine.triangles) > 2 * WAITING and r.area_m2 == pytest.approx(4.0, rel=1e-12) and r.net_m3 == pytest.approx(4.0, rel=1e-12)
-    thirds = np.bincount(fine.triangles.ravel(), np.repeat(footprint_areas(fine.vertices, fine.triangles) / 3.0, 3))
+    assert (
+        len(fine.triangles) > 2 * WAITING
+        and r.area_m2 == pytest.approx(4.0, rel=1e-12)
+        and r.net_m3 == pytest.approx(4.0, rel=1e-12)
+    )
+    thirds = np.bincount(
+        fine.triangles.ravel(), np.repeat(footprint_areas(fine.vertices, fine.triangles) / 3.0, 3)
+    )
     assert r.lower_net[:, 2] == pytest.approx(-thirds, abs=1e-15)
     back = between(fine, flat(1.0))
     assert back.gradient_net == pytest.approx(-r.lower_net, abs=1e-12)

@@ -1,4 +1,6 @@
-"""What is held in few bits: the kernels against plain algebra, and what the fewer digits do to a variance."""
+"""What is held in few bits: the kernels against plain algebra, and what the fewer digits do to a
+variance.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ from ladar_volume.volume.propagation import (
 @pytest.fixture(scope="module")
 def surface():
     """A rough, stepped sheet as the filter sends it, and as it is held."""
-    f = SurfaceFilter(Parameters.read({"filter": {"radius_m": 0.5, "cap_per_voxel": 8, "trials": 10}}))
+    f = SurfaceFilter(
+        Parameters.read({"filter": {"radius_m": 0.5, "cap_per_voxel": 8, "trials": 10}})
+    )
     f.add_platform(still(np.arange(11) * 1_000_000_000))
     f.add(rough(4000, 3))
     update, store = f.finish(), PatchStore()
@@ -58,9 +62,14 @@ def test_blocks_against_plain_algebra(surface):
         C = own[key]
         quadric = bool((np.diag(C) > 0.0).all())
         if quadric and (np.diag(np.linalg.cholesky(C)) ** 2 > 2.0 * PIVOT * np.diag(C)).all():
-            assert held.factor[i] / SCALE == pytest.approx(np.linalg.cholesky(C), rel=1e-6, abs=1e-12)
+            assert held.factor[i] / SCALE == pytest.approx(
+                np.linalg.cholesky(C), rel=1e-6, abs=1e-12
+            )
             clear += 1
-        F, others = held.factor[i].astype(np.float64), dict(zip(*by_patch(sent, int(np.flatnonzero(sent.key == key)[0])), strict=True))
+        F, others = (
+            held.factor[i].astype(np.float64),
+            dict(zip(*by_patch(sent, int(np.flatnonzero(sent.key == key)[0])), strict=True)),
+        )
         live = np.diag(F) > 0.0
         for other, R in zip(*by_patch(held, i), strict=True):
             G = held.factor[row[other]].astype(np.float64)
@@ -68,7 +77,9 @@ def test_blocks_against_plain_algebra(surface):
             twin = np.zeros((p, p))
             twin[np.ix_(live, alive)] = np.linalg.solve(
                 F[np.ix_(live, live)],
-                np.linalg.solve(G[np.ix_(alive, alive)], others[other].astype(np.float64)[np.ix_(live, alive)].T).T,
+                np.linalg.solve(
+                    G[np.ix_(alive, alive)], others[other].astype(np.float64)[np.ix_(live, alive)].T
+                ).T,
             )
             assert np.abs(R - twin).max() <= 0.5 + 1e-6 and np.abs(R.astype(int)).max() <= ONE
     assert clear > 100
@@ -84,20 +95,31 @@ def test_a_variance_errs_by_less_than_the_bound_and_hardly_at_all(surface):
     for gradient in (smooth, rng.standard_normal(smooth.shape)):
         q = patch_loads(gradient, sent, plain)
         assert patch_loads(gradient, held, packed).tobytes() == q.tobytes()
-        before, after = (float(independent_covariance(q, patches, g)[0, 0]) for patches, g in ((sent, plain), (held, packed)))
+        before, after = (
+            float(independent_covariance(q, patches, g)[0, 0])
+            for patches, g in ((sent, plain), (held, packed))
+        )
         turned = factor_loads(q, held)
-        assert turned == pytest.approx(np.einsum("mrs,mrk->msk", held.factor, q[:, :6]), rel=1e-12, abs=1e-15)
-        assert turned == pytest.approx(packing.factor_load_kernel.py_func(held.factor, q), rel=1e-12, abs=1e-15)
+        assert turned == pytest.approx(
+            np.einsum("mrs,mrk->msk", held.factor, q[:, :6]), rel=1e-12, abs=1e-15
+        )
+        assert turned == pytest.approx(
+            packing.factor_load_kernel.py_func(held.factor, q), rel=1e-12, abs=1e-15
+        )
         row = rng.permutation(len(held))
         X = np.ascontiguousarray(q[row, : held.factor.shape[1], 0])
         twin = X.copy()
         packing.factor_row_kernel.py_func(held.factor, twin, row)
         for rows in (packing.factor_rows(X.copy(), row, held), twin):
-            assert rows == pytest.approx(np.einsum("nr,nrs->ns", X, held.factor[row]), rel=1e-12, abs=1e-15)
+            assert rows == pytest.approx(
+                np.einsum("nr,nrs->ns", X, held.factor[row]), rel=1e-12, abs=1e-15
+            )
         assert np.array_equal(factor_loads(q, sent), q[:, :6])
         y = np.abs(turned[:, :, 0]).sum(axis=1)  # of half a whole number
         weight = np.where(packed.left == packed.right, 0.5, 1.0)
-        assert abs(after - before) <= float((weight * y[packed.left] * y[packed.right]).sum()) * (1 + 1e-6)
+        assert abs(after - before) <= float((weight * y[packed.left] * y[packed.right]).sum()) * (
+            1 + 1e-6
+        )
         assert after == pytest.approx(before, rel=1e-3)  # and its root to a twentieth of a percent
 
 
@@ -112,10 +134,16 @@ def test_sensitivities_keep_fifteen_bits_of_the_largest(surface):
     assert (error <= np.abs(mine).max(axis=3) / (2 * LARGEST) * 1.01).all() and error.max() > 0.0
     loads = np.random.default_rng(2).standard_normal((len(held), 8))
     assert calibration_sensitivity(loads, held) == pytest.approx(
-        np.einsum("mr,mrc->c", loads, back.M_cal.astype(np.float64)), rel=1e-6, abs=1e-6 * float(np.abs(back.M_cal).max())
+        np.einsum("mr,mrc->c", loads, back.M_cal.astype(np.float64)),
+        rel=1e-6,
+        abs=1e-6 * float(np.abs(back.M_cal).max()),
     )
     kernel = packing.beam_kernel(np.ascontiguousarray(sent.M_cal[:5, :, SHARED:]))
-    for found, twin in zip(kernel, packing.beam_kernel.py_func(np.ascontiguousarray(sent.M_cal[:5, :, SHARED:])), strict=True):
+    for found, twin in zip(
+        kernel,
+        packing.beam_kernel.py_func(np.ascontiguousarray(sent.M_cal[:5, :, SHARED:])),
+        strict=True,
+    ):
         assert found.tobytes() == twin.tobytes()
     owner = np.repeat(rows, np.diff(sent.nav_start))
     for kind in range(2):
@@ -127,7 +155,9 @@ def test_sensitivities_keep_fifteen_bits_of_the_largest(surface):
         assert (error <= most[owner] / (2 * LARGEST) * 1.01).all()
     q = np.abs(np.random.default_rng(3).standard_normal((len(held), 8)))
     (J, bins), (twin, same) = navigation_sensitivity(q, held), navigation_sensitivity(q, sent)
-    total = np.einsum("lr,lrc->c", q[owner], np.abs(by_position_and_attitude(sent))).reshape(2, 3).max(axis=1).repeat(3) / len(bins)
+    total = np.einsum("lr,lrc->c", q[owner], np.abs(by_position_and_attitude(sent))).reshape(
+        2, 3
+    ).max(axis=1).repeat(3) / len(bins)
     assert np.array_equal(bins, same) and (np.abs(J - twin) <= 1e-5 * total).all()
 
 
@@ -139,7 +169,9 @@ def test_what_is_sent_again_is_held_the_same(surface):
         part = unpacked(held, first, last)
         store.replace(FilterUpdate(update.t_ns, part.key[:0], update.points, part, last == m))
     again = store.patches
-    assert (np.abs(again.cross.astype(int) - held.cross) <= 1).all() and np.mean(again.cross == held.cross) > 0.999
+    assert (np.abs(again.cross.astype(int) - held.cross) <= 1).all() and np.mean(
+        again.cross == held.cross
+    ) > 0.999
     assert again.factor == pytest.approx(held.factor, rel=1e-4, abs=1e-6 * float(held.factor.max()))
     assert (np.abs(again.M_nav.astype(int) - held.M_nav) <= 1).all()
 
@@ -147,9 +179,16 @@ def test_what_is_sent_again_is_held_the_same(surface):
 def test_a_patch_without_a_block_and_one_nobody_knows():
     cross = np.diag([4.0, 0.0, 1.0]).astype(np.float32)[None].repeat(2, axis=0)
     blocks = np.concatenate([9 * cross[:1], cross])  # of 5 with 9, its own, and of 6 with 5
-    factor = packing.factor_kernel(np.array([5, 6]), np.array([0, 2, 3]), np.array([9, 5, 5]), blocks)
-    assert np.array_equal(factor[0], (np.diag([2.0, 0.0, 1.0]) * SCALE).astype(np.float32)) and not factor[1].any()
-    found = packing.block_kernel(np.array([7]), np.array([0, 2]), np.array([7, 9]), cross, np.array([7]), factor[:1])
+    factor = packing.factor_kernel(
+        np.array([5, 6]), np.array([0, 2, 3]), np.array([9, 5, 5]), blocks
+    )
+    assert (
+        np.array_equal(factor[0], (np.diag([2.0, 0.0, 1.0]) * SCALE).astype(np.float32))
+        and not factor[1].any()
+    )
+    found = packing.block_kernel(
+        np.array([7]), np.array([0, 2]), np.array([7, 9]), cross, np.array([7]), factor[:1]
+    )
     assert np.array_equal(found[0], np.diag([127, 0, 127])) and not found[1].any()
 
 

@@ -1,4 +1,6 @@
-"""Planned surveys: the scene against marching, the path, closed forms of single sources, comparisons."""
+"""Planned surveys: the scene against marching, the path, closed forms of single sources,
+comparisons.
+"""
 
 from __future__ import annotations
 
@@ -12,28 +14,54 @@ from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.se3 import matrix_from_quaternion
 from ladar_volume.volume.planning import Plan, Scanner, cast, predict, with_budget
-from ladar_volume.volume.planning_choice import compare, equipped, height_steps, highest, over_heights
+from ladar_volume.volume.planning_choice import (
+    compare,
+    equipped,
+    height_steps,
+    highest,
+    over_heights,
+)
 from ladar_volume.volume.planning_path import Lanes
 from ladar_volume.volume.planning_scene import Pile
 
 QUIET = {
-    "range_noise_m": 1e-4, "azimuth_noise_deg": 0.0, "vertical_noise_deg": 0.0, "beam_divergence_deg": 0.0, "beam_range_sigma_m": 0.0,
-    "beam_vertical_sigma_deg": 0.0, "range_bias_sigma_m": 0.0, "position_sigma_m": [0.0, 0.0, 0.0], "attitude_sigma_deg": [0.0, 0.0, 0.0],
-    "boresight_sigma_deg": [0.0, 0.0, 0.0], "lever_laser_sigma_m": [0.0, 0.0, 0.0], "lever_antenna_sigma_m": [0.0, 0.0, 0.0],
-    "clock_sigma_s": 0.0, "position_bias_fraction": 1.0, "position_white_fraction": 0.0,
-}  # fmt: skip
+    "range_noise_m": 1e-4,
+    "azimuth_noise_deg": 0.0,
+    "vertical_noise_deg": 0.0,
+    "beam_divergence_deg": 0.0,
+    "beam_range_sigma_m": 0.0,
+    "beam_vertical_sigma_deg": 0.0,
+    "range_bias_sigma_m": 0.0,
+    "position_sigma_m": [0.0, 0.0, 0.0],
+    "attitude_sigma_deg": [0.0, 0.0, 0.0],
+    "boresight_sigma_deg": [0.0, 0.0, 0.0],
+    "lever_laser_sigma_m": [0.0, 0.0, 0.0],
+    "lever_antenna_sigma_m": [0.0, 0.0, 0.0],
+    "clock_sigma_s": 0.0,
+    "position_bias_fraction": 1.0,
+    "position_white_fraction": 0.0,
+}
 SMALL = Pile(8.0, 6.0, 2.0, 0.2, 0.0)
 
 
 def parameters(budget, **volume):
-    return Parameters.read({
-        "calibration": {"boresight_pitch_deg": 90.0}, "filter": {"radius_m": 0.5, "cap_per_voxel": 8},
-        "volume": {"ground_ring_m": 3.0, **volume}, "budget": {**QUIET, **budget},
-    })  # fmt: skip
+    return Parameters.read(
+        {
+            "calibration": {"boresight_pitch_deg": 90.0},
+            "filter": {"radius_m": 0.5, "cap_per_voxel": 8},
+            "volume": {"ground_ring_m": 3.0, **volume},
+            "budget": {**QUIET, **budget},
+        }
+    )
 
 
 def plan(budget, pile=SMALL, height=20.0, **volume):
-    return Plan(pile, Lanes(height, 2, 6.0, 30.0).states(), Scanner(rate_hz=60_000.0), parameters(budget, **volume))
+    return Plan(
+        pile,
+        Lanes(height, 2, 6.0, 30.0).states(),
+        Scanner(rate_hz=60_000.0),
+        parameters(budget, **volume),
+    )
 
 
 def surface(pile, x, y):
@@ -45,7 +73,9 @@ def surface(pile, x, y):
 def test_rays_against_marching(pile):
     rng = np.random.default_rng(1)
     n, step = 400, 1e-3
-    origin = np.stack([rng.uniform(-12, 12, n), rng.uniform(-12, 12, n), rng.uniform(4, 9, n)], axis=1)
+    origin = np.stack(
+        [rng.uniform(-12, 12, n), rng.uniform(-12, 12, n), rng.uniform(4, 9, n)], axis=1
+    )
     at = np.stack([rng.uniform(-5, 5, n), rng.uniform(-5, 5, n), np.zeros(n)], axis=1)
     ray = (at - origin) / np.linalg.norm(at - origin, axis=1)[:, None]
     ray[:20, 2] = np.abs(ray[:20, 2])  # upwards: nothing is hit
@@ -54,7 +84,9 @@ def test_rays_against_marching(pile):
     t = np.arange(0.0, 40.0, step)
     for o, d, r in zip(origin[20:], ray[20:], found[20:], strict=True):
         p = o + t[:, None] * d
-        assert r == pytest.approx(t[np.argmax(p[:, 2] <= surface(pile, p[:, 0], p[:, 1]))], abs=1.5 * step)
+        assert r == pytest.approx(
+            t[np.argmax(p[:, 2] <= surface(pile, p[:, 0], p[:, 1]))], abs=1.5 * step
+        )
 
 
 def test_volume_of_the_scene_and_its_roughness():
@@ -66,7 +98,9 @@ def test_volume_of_the_scene_and_its_roughness():
     xy = np.random.default_rng(0).uniform(-200, 200, (20_000, 2))
     z = np.stack([rough.roughness(xy, seed) for seed in range(8)])
     beside = np.stack([rough.roughness(xy + np.array([1.5, 0.0]), seed) for seed in range(8)])
-    assert z.std() == pytest.approx(0.02, rel=0.02) and (z * beside).mean() / z.var() == pytest.approx(math.exp(-1.0), abs=0.06)
+    assert z.std() == pytest.approx(0.02, rel=0.02) and (
+        z * beside
+    ).mean() / z.var() == pytest.approx(math.exp(-1.0), abs=0.06)
     assert not SMALL.roughness(xy, 1).any()
 
 
@@ -88,27 +122,45 @@ def test_lanes():
 def test_returns_lie_on_the_scene():
     points, distance = cast(plan({}), 20_000, np.random.default_rng(0))
     z = surface(SMALL, points.r_map[:, 0], points.r_map[:, 1])
-    assert len(points) > 1000 and (distance > 10.0).all() and np.abs(points.r_map[:, 2] - z).max() < 1e-3
-    assert (points.C_ind[:, 5] <= 1.1e-8).all() and (points.C_ind[:, [0, 3, 5]].sum(axis=1) == pytest.approx(1e-8, rel=1e-3))
+    assert (
+        len(points) > 1000
+        and (distance > 10.0).all()
+        and np.abs(points.r_map[:, 2] - z).max() < 1e-3
+    )
+    assert (points.C_ind[:, 5] <= 1.1e-8).all() and (
+        points.C_ind[:, [0, 3, 5]].sum(axis=1) == pytest.approx(1e-8, rel=1e-3)
+    )
 
 
 def test_a_common_height_error_has_a_closed_form_above_a_level_and_vanishes_above_own_ground():
     up = {"position_sigma_m": [0.0, 0.0, 0.05]}
-    flat = dataclasses.replace(SMALL, height_m=0.8)  # at a steep toe the patches' slopes are not those of the triangles
+    flat = dataclasses.replace(
+        SMALL, height_m=0.8
+    )  # at a steep toe the patches' slopes are not those of the triangles
     level = predict(plan(up, flat, base="level", level_m=0.0)).volume
     assert level.budget_m6["position"] == pytest.approx((0.05 * level.area_m2) ** 2, rel=0.02)
-    assert level.sigma_m3 == pytest.approx(0.05 * level.area_m2, rel=0.02) and level.largest_source == "position"
+    assert (
+        level.sigma_m3 == pytest.approx(0.05 * level.area_m2, rel=0.02)
+        and level.largest_source == "position"
+    )
     own = predict(plan(up, flat)).volume
     assert own.budget_m6["position"] < 1e-5 * level.budget_m6["position"] and own.base_same_survey
 
 
 def test_roughness_of_the_ground_is_the_planned_one():
     rough = dataclasses.replace(SMALL, rough_m=0.02, rough_length_m=1.0)
-    first, other = (predict(dataclasses.replace(plan({}, rough), seed=seed)).volume.budget_m6["base_surface"] for seed in (1, 2))
+    first, other = (
+        predict(dataclasses.replace(plan({}, rough), seed=seed)).volume.budget_m6["base_surface"]
+        for seed in (1, 2)
+    )
     assert math.sqrt(other) == pytest.approx(math.sqrt(first), rel=0.1)
     twice = predict(plan({}, dataclasses.replace(rough, rough_m=0.04))).volume
-    assert math.sqrt(twice.budget_m6["base_surface"]) == pytest.approx(2.0 * math.sqrt(first), rel=0.1)
-    assert twice.largest_source == "base_surface" and sum(twice.budget_m6.values()) == pytest.approx(twice.sigma_m3**2, rel=1e-9)
+    assert math.sqrt(twice.budget_m6["base_surface"]) == pytest.approx(
+        2.0 * math.sqrt(first), rel=0.1
+    )
+    assert twice.largest_source == "base_surface" and sum(
+        twice.budget_m6.values()
+    ) == pytest.approx(twice.sigma_m3**2, rel=1e-9)
 
 
 def test_a_pit_and_the_same_twice():
@@ -120,22 +172,35 @@ def test_a_pit_and_the_same_twice():
 
 
 def test_halving_a_source_is_propagating_half_of_it():
-    budget = {"position_sigma_m": [0.02, 0.02, 0.03], "attitude_sigma_deg": [0.02, 0.02, 0.05], "position_bias_fraction": 0.0,
-              "boresight_sigma_deg": [0.0, 0.0, 0.0]}  # fmt: skip
+    budget = {
+        "position_sigma_m": [0.02, 0.02, 0.03],
+        "attitude_sigma_deg": [0.02, 0.02, 0.05],
+        "position_bias_fraction": 0.0,
+        "boresight_sigma_deg": [0.0, 0.0, 0.0],
+    }
     whole = predict(plan(budget)).volume
     half = predict(plan({**budget, "attitude_sigma_deg": [0.01, 0.01, 0.025]})).volume
     # its second order, a line of its own, falls with the fourth power
-    square = whole.sigma_if_halved_m3["attitude"] ** 2 - 15.0 / 16.0 * whole.budget_m6["attitude_second_order"]
+    square = (
+        whole.sigma_if_halved_m3["attitude"] ** 2
+        - 15.0 / 16.0 * whole.budget_m6["attitude_second_order"]
+    )
     assert half.sigma_m3 == pytest.approx(math.sqrt(square), rel=1e-9)
-    assert set(whole.sigma_if_halved_m3) == set(whole.budget_m6) and max(whole.sigma_if_halved_m3.values()) <= whole.sigma_m3 * (1 + 1e-12)
+    assert set(whole.sigma_if_halved_m3) == set(whole.budget_m6) and max(
+        whole.sigma_if_halved_m3.values()
+    ) <= whole.sigma_m3 * (1 + 1e-12)
 
 
 def test_sensors_compared():
-    base = plan({"attitude_sigma_deg": [0.1, 0.1, 0.1]}, base="level", level_m=0.0, ground_ring_m=0.5)
+    base = plan(
+        {"attitude_sigma_deg": [0.1, 0.1, 0.1]}, base="level", level_m=0.0, ground_ring_m=0.5
+    )
     found = {c.name: c.prediction for c in compare(base)}
     assert len(found) == 6 and all(found.values())
     for scanner in ("vlp16", "line"):
-        sigma = [found[f"{scanner} + {imu}"].volume.sigma_m3 for imu in ("survey", "tactical", "mems")]
+        sigma = [
+            found[f"{scanner} + {imu}"].volume.sigma_m3 for imu in ("survey", "tactical", "mems")
+        ]
         assert sigma == sorted(sigma)
     assert equipped(base.parameters).budget == base.parameters.budget
     with pytest.raises(VolumeError) as caught:
@@ -144,13 +209,21 @@ def test_sensors_compared():
 
 
 def test_heights():
-    base = plan({"azimuth_noise_deg": 0.2, "vertical_noise_deg": 0.2}, base="level", level_m=0.0, ground_ring_m=0.5)
+    base = plan(
+        {"azimuth_noise_deg": 0.2, "vertical_noise_deg": 0.2},
+        base="level",
+        level_m=0.0,
+        ground_ring_m=0.5,
+    )
     rows = list(over_heights(base, lambda h: Lanes(h, 2, 6.0, 30.0).states(), (15.0, 30.0, 300.0)))
     assert rows[0].prediction.volume.sigma_m3 < rows[1].prediction.volume.sigma_m3
     assert rows[2].prediction is None and "no pulse" in rows[2].reason
     h = np.array([10.0, 20.0, 40.0])
     assert highest(h, np.array([0.01, 0.02, 0.06]), 0.04) == pytest.approx(30.0)
-    assert highest(h, np.array([0.01, 0.02, np.nan]), 0.04) == 20.0 and highest(h, np.array([0.01, 0.02, 0.03]), 0.04) == 40.0
+    assert (
+        highest(h, np.array([0.01, 0.02, np.nan]), 0.04) == 20.0
+        and highest(h, np.array([0.01, 0.02, 0.03]), 0.04) == 40.0
+    )
     assert math.isnan(highest(h, np.full(3, np.nan), 0.04))
     steps = height_steps(base)
     assert steps[0] == pytest.approx(6.0) and steps[-1] == pytest.approx(90.0)
@@ -159,7 +232,13 @@ def test_heights():
 
 
 def test_refusals():
-    for bad in ((0.0, 1.0, 1.0), (1.0, 1.0, 0.0), (1.0, math.nan, 1.0), (1.0, 1.0, 1.0, 1.0), (1.0, 1.0, 1.0, 0.0, -0.1)):
+    for bad in (
+        (0.0, 1.0, 1.0),
+        (1.0, 1.0, 0.0),
+        (1.0, math.nan, 1.0),
+        (1.0, 1.0, 1.0, 1.0),
+        (1.0, 1.0, 1.0, 0.0, -0.1),
+    ):
         with pytest.raises(VolumeError):
             Pile(*bad)
     with pytest.raises(VolumeError):
@@ -167,11 +246,20 @@ def test_refusals():
     for bad in ({"lanes": 0}, {"speed_mps": 0.0}, {"spacing_m": -1.0}, {"turn_s": math.inf}):
         with pytest.raises(VolumeError):
             Lanes(20.0, **bad)
-    far = dataclasses.replace(plan({}), path=dataclasses.replace(Lanes(20.0).states(), p_map_body=Lanes(20.0).states().p_map_body + 500.0))
+    far = dataclasses.replace(
+        plan({}),
+        path=dataclasses.replace(
+            Lanes(20.0).states(), p_map_body=Lanes(20.0).states().p_map_body + 500.0
+        ),
+    )
     with pytest.raises(VolumeError) as caught:
         predict(far)
     assert caught.value.reason == "plan_no_returns"
     alone = Lanes(20.0).states()
     with pytest.raises(VolumeError) as caught:
-        predict(dataclasses.replace(plan({}), path=dataclasses.replace(alone, segment=np.arange(len(alone)))))
+        predict(
+            dataclasses.replace(
+                plan({}), path=dataclasses.replace(alone, segment=np.arange(len(alone)))
+            )
+        )
     assert caught.value.reason == "plan_path"

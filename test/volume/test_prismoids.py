@@ -1,4 +1,6 @@
-"""Prismoids: the printed example, closed forms, invariances, gradients against central differences, clipping."""
+"""Prismoids: the printed example, closed forms, invariances, gradients against central differences,
+clipping.
+"""
 
 from __future__ import annotations
 
@@ -49,10 +51,31 @@ BASES = {
     "plane": design_surface([0.3, 0.2, -0.1], (0.5, 0.25)),
     "quadric": design_surface([0.3, 0.2, -0.1, 0.05, -0.03, 0.02], (0.5, 0.25)),
 }
-STAR = np.array([[2.5, 0.1], [0.6, 0.5], [0.2, 2.7], [-0.5, 0.4], [-2.6, -0.2], [-0.4, -0.6], [0.1, -2.4], [0.7, -0.5]])
+STAR = np.array(
+    [
+        [2.5, 0.1],
+        [0.6, 0.5],
+        [0.2, 2.7],
+        [-0.5, 0.4],
+        [-2.6, -0.2],
+        [-0.4, -0.6],
+        [0.1, -2.4],
+        [0.7, -0.5],
+    ]
+)
 
 
-@pytest.mark.parametrize("z,cut,fill", [(0, 49 / 3, 1 / 3), (1, 20 / 3, 8 / 3), (2, 1, 9), (2.5, 0.125, 14.125), (5, 0, 44), (-2, 40, 0)])
+@pytest.mark.parametrize(
+    "z,cut,fill",
+    [
+        (0, 49 / 3, 1 / 3),
+        (1, 20 / 3, 8 / 3),
+        (2, 1, 9),
+        (2.5, 0.125, 14.125),
+        (5, 0, 44),
+        (-2, 40, 0),
+    ],
+)
 def test_roof(z, cut, fill):
     p = prismoids(roof(), level(z))
     assert p.cut_m3 == pytest.approx(cut, abs=1e-12) and p.fill_m3 == pytest.approx(fill, abs=1e-12)
@@ -75,13 +98,18 @@ def test_cut_minus_fill_is_the_signed_volume_and_parts_add():
     part = np.random.default_rng(2).random(len(tin.triangles)) < 0.4
     one, two = prismoids(tin, BASES["plane"], part), prismoids(tin, BASES["plane"], ~part)
     for name in ("cut_m3", "fill_m3", "area_m2"):
-        assert getattr(one, name) + getattr(two, name) == pytest.approx(getattr(whole, name), rel=1e-12)
+        assert getattr(one, name) + getattr(two, name) == pytest.approx(
+            getattr(whole, name), rel=1e-12
+        )
     assert np.allclose(one.gradient_cut + two.gradient_cut, whole.gradient_cut, atol=1e-12)
 
 
 def test_positive_part_against_subdivision():
     rng = np.random.default_rng(3)
-    h = np.r_[rng.uniform(-1, 1, (50, 3)), [[0, 0, 0], [0, 1, 2], [0, -1, 2], [0, 0, 1], [0, -1, -1], [1, 1, -1e-14]]]
+    h = np.r_[
+        rng.uniform(-1, 1, (50, 3)),
+        [[0, 0, 0], [0, 1, 2], [0, -1, 2], [0, 0, 1], [0, -1, -1], [1, 1, -1e-14]],
+    ]
     k = 200
     i, j = np.meshgrid(np.arange(k), np.arange(k), indexing="ij")
     up, down = (i + j) < k, (i + j) < k - 1
@@ -108,11 +136,18 @@ def test_gradients_against_central_differences(base, outline):
             step = np.zeros_like(tin.vertices)
             step[i, axis] = h
             a, b = run(tin.vertices + step), run(tin.vertices - step)
-            assert p.gradient_cut[i, axis] == pytest.approx((a.cut_m3 - b.cut_m3) / (2 * h), abs=2e-7)
-            assert p.gradient_fill[i, axis] == pytest.approx((a.fill_m3 - b.fill_m3) / (2 * h), abs=2e-7)
+            assert p.gradient_cut[i, axis] == pytest.approx(
+                (a.cut_m3 - b.cut_m3) / (2 * h), abs=2e-7
+            )
+            assert p.gradient_fill[i, axis] == pytest.approx(
+                (a.fill_m3 - b.fill_m3) / (2 * h), abs=2e-7
+            )
     for k in range(len(plane.beta)):
         step = np.eye(len(plane.beta))[k] * h
-        a, b = (run(tin.vertices, dataclasses.replace(plane, beta=plane.beta + s * step)) for s in (1, -1))
+        a, b = (
+            run(tin.vertices, dataclasses.replace(plane, beta=plane.beta + s * step))
+            for s in (1, -1)
+        )
         assert p.base_cut[k] == pytest.approx((a.cut_m3 - b.cut_m3) / (2 * h), abs=2e-6)
         assert p.base_fill[k] == pytest.approx((a.fill_m3 - b.fill_m3) / (2 * h), abs=2e-6)
 
@@ -124,7 +159,10 @@ def test_compiled_passes_equal_their_plain_twins():
     for t in range(len(h)):
         own = np.empty(3)
         assert mean_above.py_func(h[t], own) == mean[t] and np.array_equal(own, slope[t])
-    height, inside = tin.vertices[:, 2] - 0.4, np.where(rng.random(len(tin.triangles)) < 0.7, 0.3, 0.0)
+    height, inside = (
+        tin.vertices[:, 2] - 0.4,
+        np.where(rng.random(len(tin.triangles)) < 0.7, 0.3, 0.0),
+    )
     for compiled, words in (
         (prismoid_kernel, (tin.vertices, tin.triangles, inside > 0, height)),
         (moment_kernel, (tin.vertices, tin.triangles, inside, np.full(len(height), 0.4))),
@@ -135,7 +173,10 @@ def test_compiled_passes_equal_their_plain_twins():
 
 def test_net_gradient_survives_heights_of_exactly_zero():
     tin = build_tin(np.array([[0, 0, 1.0], [1, 0, 1], [1, 1, 1], [0, 1, 1], [2, 0, 1.5]]))
-    for run in (prismoids, lambda t, b: clipped_prismoids(t, b, np.array([[-1.0, -1], [3, -1], [3, 3], [-1, 3]]))):
+    for run in (
+        prismoids,
+        lambda t, b: clipped_prismoids(t, b, np.array([[-1.0, -1], [3, -1], [3, 3], [-1, 3]])),
+    ):
         p = run(tin, level(1))
         assert p.fill_m3 == 0.0 and p.base_net[0] == pytest.approx(-p.area_m2, rel=1e-12)
 
@@ -148,16 +189,22 @@ def test_vertical_gradient_is_a_third_of_the_incident_footprint():
     incident = np.flatnonzero((tin.triangles == one).any(axis=1))
     mask = np.zeros(len(tin.triangles), bool)
     mask[incident] = True
-    assert p.gradient_net[one, 2] == pytest.approx(prismoids(tin, level(-50), mask).area_m2 / 3, rel=1e-12)
+    assert p.gradient_net[one, 2] == pytest.approx(
+        prismoids(tin, level(-50), mask).area_m2 / 3, rel=1e-12
+    )
 
 
 def test_a_polygon_around_everything_is_the_whole():
     tin, square = random_tin(seed=6), np.array([[-9.0, -9], [9, -9], [9, 9], [-9, 9]])
     for base in BASES.values():
         a, b = prismoids(tin, base), clipped_prismoids(tin, base, square)
-        assert (a.cut_m3, a.fill_m3, a.area_m2) == pytest.approx((b.cut_m3, b.fill_m3, b.area_m2), rel=1e-12)
+        assert (a.cut_m3, a.fill_m3, a.area_m2) == pytest.approx(
+            (b.cut_m3, b.fill_m3, b.area_m2), rel=1e-12
+        )
         assert np.allclose(a.base_net, b.base_net, rtol=1e-11)
-        inner = ~np.isin(np.arange(len(tin.vertices)), tin.triangles[(tin.neighbours < 0).any(axis=1)])
+        inner = ~np.isin(
+            np.arange(len(tin.vertices)), tin.triangles[(tin.neighbours < 0).any(axis=1)]
+        )
         # at the hull the footprint moves with the vertices in one case and not in the other
         assert np.allclose(a.gradient_net[inner], b.gradient_net[inner], atol=1e-11)
 
@@ -166,7 +213,8 @@ def test_polygons_add_and_orientation_does_not_matter():
     tin = random_tin(seed=7)
     whole = clipped_prismoids(tin, BASES["plane"], STAR)
     gate = [[3.0, 0.1]]
-    # clockwise around the square, in through the gate, counter-clockwise around the star: everything but the star, negative
+    # clockwise around the square, in through the gate, counter-clockwise around the star:
+    # everything but the star, negative
     rest_ring = np.r_[[[3.0, 3.0]], gate, STAR, STAR[:1], gate, [[3.0, -3], [-3, -3], [-3, 3]]]
     corners = np.ascontiguousarray(tin.vertices[tin.triangles, :2])
     rest = clipped_weights(corners, np.ones((len(corners), 3)), rest_ring)[:, 0].sum()
@@ -181,23 +229,42 @@ def test_polygons_add_and_orientation_does_not_matter():
 
 def test_compiled_clipping_equals_its_plain_twin():
     tin = random_tin(n=6, seed=8)
-    corners, h = np.ascontiguousarray(tin.vertices[tin.triangles, :2]), np.ascontiguousarray(tin.vertices[tin.triangles, 2])
+    corners, h = (
+        np.ascontiguousarray(tin.vertices[tin.triangles, :2]),
+        np.ascontiguousarray(tin.vertices[tin.triangles, 2]),
+    )
     hexagon = np.stack([np.cos(np.arange(6) * np.pi / 3), np.sin(np.arange(6) * np.pi / 3)], axis=1)
-    for ring, convex in ((STAR, False), (hexagon, True), (9.0 * hexagon, True), (hexagon[::-1].copy(), False)):
-        assert np.array_equal(clipped_weights(corners, h, ring), clipped_weights.py_func(corners, h, ring))
+    for ring, convex in (
+        (STAR, False),
+        (hexagon, True),
+        (9.0 * hexagon, True),
+        (hexagon[::-1].copy(), False),
+    ):
+        assert np.array_equal(
+            clipped_weights(corners, h, ring), clipped_weights.py_func(corners, h, ring)
+        )
         assert is_convex(ring) == is_convex.py_func(ring) == convex
         for points in (corners[0], 0.1 * corners[0]):
             assert holds(ring, points) == holds.py_func(ring, points)
-            assert leftward(ring[0], ring[1], points[0]) == leftward.py_func(ring[0], ring[1], points[0])
+            assert leftward(ring[0], ring[1], points[0]) == leftward.py_func(
+                ring[0], ring[1], points[0]
+            )
 
 
 def test_triangles_within_a_convex_polygon_are_taken_whole():
     tin = random_tin(seed=5)
     square = 3.5 * np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
-    notched = np.r_[square[:2], [[3.5, -0.1], [3.4, 0.0], [3.5, 0.1]], square[2:]]  # not convex, and holds the same
-    corners, h = np.ascontiguousarray(tin.vertices[tin.triangles, :2]), np.ascontiguousarray(tin.vertices[tin.triangles, 2])
+    notched = np.r_[
+        square[:2], [[3.5, -0.1], [3.4, 0.0], [3.5, 0.1]], square[2:]
+    ]  # not convex, and holds the same
+    corners, h = (
+        np.ascontiguousarray(tin.vertices[tin.triangles, :2]),
+        np.ascontiguousarray(tin.vertices[tin.triangles, 2]),
+    )
     assert is_convex(square) and not is_convex(notched)
-    assert clipped_weights(corners, h, square) == pytest.approx(clipped_weights(corners, h, notched), abs=1e-13)
+    assert clipped_weights(corners, h, square) == pytest.approx(
+        clipped_weights(corners, h, notched), abs=1e-13
+    )
 
 
 def test_compiled_moments_equal_their_plain_twin():
@@ -209,9 +276,15 @@ def test_compiled_moments_equal_their_plain_twin():
 
 @pytest.mark.parametrize(
     "polygon",
-    [np.zeros((0, 2)), [[0, 0], [1, 1]], [[0, 0], [1, 1], [2, 2]], [[0, 0], [2, 2], [2, 0], [0, 2.5]],
-     [[0, 0], [1, np.nan], [1, 1]], [0, 1, 2]],
-)  # fmt: skip
+    [
+        np.zeros((0, 2)),
+        [[0, 0], [1, 1]],
+        [[0, 0], [1, 1], [2, 2]],
+        [[0, 0], [2, 2], [2, 0], [0, 2.5]],
+        [[0, 0], [1, np.nan], [1, 1]],
+        [0, 1, 2],
+    ],
+)
 def test_bad_polygons(polygon):
     with pytest.raises(VolumeError) as caught:
         check_polygon(polygon)
@@ -232,14 +305,16 @@ def test_rigid_motion_and_scale():
     v = prismoids(tin, plane).net_m3
     c, s = math.cos(0.7), math.sin(0.7)
     R = np.array([[c, -s], [s, c]])
-    turned = dataclasses.replace(tin, vertices=np.c_[tin.vertices[:, :2] @ R.T + [100, -50], tin.vertices[:, 2] + 7])
+    turned = dataclasses.replace(
+        tin, vertices=np.c_[tin.vertices[:, :2] @ R.T + [100, -50], tin.vertices[:, 2] + 7]
+    )
     beta = np.r_[plane.beta[0] + 7, R @ plane.beta[1:]]
     base = Plane(R @ plane.origin_xy + [100, -50], beta, np.zeros((3, 3)), np.zeros(0, np.int64))
     assert prismoids(turned, base).net_m3 == pytest.approx(v, rel=1e-9)
     scaled = dataclasses.replace(tin, vertices=3 * tin.vertices)
-    assert prismoids(scaled, Plane(3 * plane.origin_xy, plane.beta * [3, 1, 1], np.zeros((3, 3)), plane.support)).net_m3 == pytest.approx(
-        27 * v
-    )
+    assert prismoids(
+        scaled, Plane(3 * plane.origin_xy, plane.beta * [3, 1, 1], np.zeros((3, 3)), plane.support)
+    ).net_m3 == pytest.approx(27 * v)
 
 
 def test_centroid_of_a_pyramid_and_of_a_prism():

@@ -28,7 +28,9 @@ COLUMNS = 11 + 2 * BEAMS
 
 
 def random_surface(p=3, m=9, n=40, seed=0):
-    """Patches fitted to shared raw points: returns records and the dense covariance (m p, m p) of all their parameters."""
+    """Patches fitted to shared raw points: returns records and the dense covariance (m p, m p) of
+    all their parameters.
+    """
     rng = np.random.default_rng(seed)
     raw = 30
     noise = rng.uniform(0.5, 2.0, raw)
@@ -51,19 +53,38 @@ def random_surface(p=3, m=9, n=40, seed=0):
     normal = rng.standard_normal((m, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     nav_count = rng.integers(1, 4, m)
-    nav_bin = np.concatenate([np.sort(rng.choice(6, c, replace=False)) for c in nav_count]).astype(np.int64)
+    nav_bin = np.concatenate([np.sort(rng.choice(6, c, replace=False)) for c in nav_count]).astype(
+        np.int64
+    )
     patches = Patches(
-        key, rng.standard_normal((m, 3)), normal, normal_frame(normal)[0], np.zeros((m, p)), np.ones(m), np.full(m, 9, np.int32),
-        np.zeros(m, np.int64), np.array(start), np.array(cross_key), np.array(cross), rng.standard_normal((m, p + 2, COLUMNS)).astype(np.float32),
-        np.concatenate([[0], np.cumsum(nav_count)]), nav_bin, rng.standard_normal((len(nav_bin), p + 2, 4)).astype(np.float32),
-    )  # fmt: skip
+        key,
+        rng.standard_normal((m, 3)),
+        normal,
+        normal_frame(normal)[0],
+        np.zeros((m, p)),
+        np.ones(m),
+        np.full(m, 9, np.int32),
+        np.zeros(m, np.int64),
+        np.array(start),
+        np.array(cross_key),
+        np.array(cross),
+        rng.standard_normal((m, p + 2, COLUMNS)).astype(np.float32),
+        np.concatenate([[0], np.cumsum(nav_count)]),
+        nav_bin,
+        rng.standard_normal((len(nav_bin), p + 2, 4)).astype(np.float32),
+    )
     row = np.sort(rng.integers(0, m, n))
     T = rng.standard_normal((n, 3, 3))
     C = (T @ np.swapaxes(T, 1, 2)).astype(np.float32)
     points = FilteredPoints(
-        rng.standard_normal((n, 3)), normal[row], np.ones(n), C[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]], np.zeros(n, np.int64), key[row],
+        rng.standard_normal((n, 3)),
+        normal[row],
+        np.ones(n),
+        C[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]],
+        np.zeros(n, np.int64),
+        key[row],
         rng.uniform(-1, 1, (n, 2)),
-    )  # fmt: skip
+    )
     return points, patches, dense, row
 
 
@@ -78,13 +99,17 @@ def dense_map(points, patches, row):
 
 
 def movements(points, patches, row):
-    """How all point coordinates (3 n) move with the parameters of all patches and their places along tangent and binormal, m (p + 2)."""
+    """How all point coordinates (3 n) move with the parameters of all patches and their places
+    along tangent and binormal, m (p + 2).
+    """
     p, m = patches.beta.shape[1], len(patches)
     B = dense_map(points, patches, row).reshape(-1, m, p)
     places = np.zeros((3 * len(points), m, 2))
     for i in range(len(points)):
         places[3 * i : 3 * i + 3, row[i], 0] = patches.tangent[row[i]]
-        places[3 * i : 3 * i + 3, row[i], 1] = np.cross(patches.normal[row[i]], patches.tangent[row[i]])
+        places[3 * i : 3 * i + 3, row[i], 1] = np.cross(
+            patches.normal[row[i]], patches.tangent[row[i]]
+        )
     return np.concatenate([B, places], axis=2).reshape(len(B), -1)
 
 
@@ -98,9 +123,13 @@ def test_every_part_equals_the_dense_oracle(p, seed):
     geometry = surface_geometry(points, patches)
     assert geometry.missing == 0
     q = patch_loads(gradient, patches, geometry)
-    assert independent_covariance(q, patches, geometry) == pytest.approx(g @ B @ dense @ B.T @ g.T, rel=1e-10)
+    assert independent_covariance(q, patches, geometry) == pytest.approx(
+        g @ B @ dense @ B.T @ g.T, rel=1e-10
+    )
     M, moved = patches.M_cal.reshape(-1, COLUMNS), movements(points, patches, row)
-    assert calibration_sensitivity(q[:, :, 0], patches) == pytest.approx(g[0] @ moved @ M, rel=1e-10, abs=1e-12)
+    assert calibration_sensitivity(q[:, :, 0], patches) == pytest.approx(
+        g[0] @ moved @ M, rel=1e-10, abs=1e-12
+    )
     J, bins = navigation_sensitivity(np.ascontiguousarray(q[:, :, 0]), patches)
     owner = np.repeat(np.arange(len(patches)), np.diff(patches.nav_start))
     M_nav = by_position_and_attitude(patches)
@@ -123,8 +152,12 @@ def test_cross_blocks_matter_and_missing_neighbours_are_counted():
     unknown = patches.cross_key.copy()
     unknown[1] = 5000
     assert surface_geometry(points, dataclasses.replace(patches, cross_key=unknown)).missing == 1
-    alone = dataclasses.replace(geometry, right=np.where(geometry.left == geometry.right, geometry.right, np.int32(-1)))
-    assert independent_covariance(q, patches, alone)[0, 0] != pytest.approx(independent_covariance(q, patches, geometry)[0, 0], rel=0.05)
+    alone = dataclasses.replace(
+        geometry, right=np.where(geometry.left == geometry.right, geometry.right, np.int32(-1))
+    )
+    assert independent_covariance(q, patches, alone)[0, 0] != pytest.approx(
+        independent_covariance(q, patches, geometry)[0, 0], rel=0.05
+    )
 
 
 def test_calibration_lines_add_up():
@@ -138,7 +171,9 @@ def test_calibration_lines_add_up():
     lines = calibration_variance(J, np.diag(variances))
     assert sum(lines.values()) == pytest.approx(float(J @ np.diag(variances) @ J), rel=1e-12)
     A = rng.standard_normal((COLUMNS, COLUMNS))
-    assert calibration_variance(J, A @ A.T) == {"calibration": pytest.approx(float(J @ A @ A.T @ J))}
+    assert calibration_variance(J, A @ A.T) == {
+        "calibration": pytest.approx(float(J @ A @ A.T @ J))
+    }
     block = np.diag(variances)
     block[1, 2] = block[2, 1] = 0.05  # within one group: still a line per group
     assert set(calibration_variance(J, block)) == set(groups)

@@ -1,4 +1,6 @@
-"""Slivers whose area rounds to nothing: valid triangles to the exact predicates, zero to every product."""
+"""Slivers whose area rounds to nothing: valid triangles to the exact predicates, zero to every
+product.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ from ladar_volume.volume.overlay import between
 
 
 def surface():
-    """A square with a fold along its diagonal: the middle vertex is next to the line between two corners by less than rounding."""
+    """A square with a fold along its diagonal: the middle vertex is next to the line between two
+    corners by less than rounding.
+    """
     tiny = np.nextafter(0.5, 0.0)
     xy = np.array([[0, 0], [1, 1], [0.5, tiny], [1, 0], [0, 1]]) + 1e6
     xy[2, 1] = np.nextafter(xy[2, 0], 0.0)
@@ -24,11 +28,22 @@ def surface():
 
 def test_slivers_neither_break_nor_hold_volume():
     tin = surface()
-    flat = Tin(tin.vertices[[0, 3, 1, 4]] * [1, 1, 0], np.array([[0, 1, 2], [0, 2, 3]], np.int32),
-               np.array([[-1, 1, -1], [-1, -1, 0]], np.int32), np.ones(2, bool), np.arange(4))  # fmt: skip
+    flat = Tin(
+        tin.vertices[[0, 3, 1, 4]] * [1, 1, 0],
+        np.array([[0, 1, 2], [0, 2, 3]], np.int32),
+        np.array([[-1, 1, -1], [-1, -1, 0]], np.int32),
+        np.ones(2, bool),
+        np.arange(4),
+    )
     for zero in (
         tin,
-        Tin(tin.vertices, np.r_[tin.triangles, [[0, 1, 1]]].astype(np.int32), np.full((5, 3), -1, np.int32), np.ones(5, bool), tin.source),
+        Tin(
+            tin.vertices,
+            np.r_[tin.triangles, [[0, 1, 1]]].astype(np.int32),
+            np.full((5, 3), -1, np.int32),
+            np.ones(5, bool),
+            tin.source,
+        ),
     ):
         areas = footprint_areas(zero.vertices, zero.triangles)
         r = between(zero, flat)

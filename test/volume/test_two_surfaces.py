@@ -1,4 +1,6 @@
-"""Two surfaces and a pole: exact pits, overhangs, the cost of a missing boundary ring, gradient, Monte Carlo, regions, refusals."""
+"""Two surfaces and a pole: exact pits, overhangs, the cost of a missing boundary ring, gradient,
+Monte Carlo, regions, refusals.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,13 @@ from ladar_volume.registration.adjustment import register
 from ladar_volume.registration.transform import Transform
 from ladar_volume.surface.spherical import build_spherical
 from ladar_volume.volume.ring import cast, cast_kernel, densify, ring_over, ring_through, target
-from ladar_volume.volume.two_surfaces import cone_volume, published_difference, select_regions, two_surface_budget, two_surfaces
+from ladar_volume.volume.two_surfaces import (
+    cone_volume,
+    published_difference,
+    select_regions,
+    two_surface_budget,
+    two_surfaces,
+)
 
 
 @pytest.fixture(scope="module", params=list(PITS))
@@ -24,7 +32,9 @@ def case(request):
 
 def difference(case, h=0.2, **kwargs):
     before, after, _, opening, scanner = case
-    return two_surfaces(before, after, ring_over(rim(opening, 0.4), 3.0, h), scanner, scanner, **kwargs)
+    return two_surfaces(
+        before, after, ring_over(rim(opening, 0.4), 3.0, h), scanner, scanner, **kwargs
+    )
 
 
 def test_four_pits_two_of_them_overhanging(case):
@@ -34,7 +44,14 @@ def test_four_pits_two_of_them_overhanging(case):
     assert np.abs(d.gap_m).max() < 1e-9 and d.bridged_m2 == (0.0, 0.0)
     # the other way round it is added
     before, after, _, opening, scanner = case
-    back = two_surfaces(after, before, ring_over(rim(opening, 0.4), 3.0, 0.2), scanner, scanner, pole_map=np.array([50.0, -20, 9]))
+    back = two_surfaces(
+        after,
+        before,
+        ring_over(rim(opening, 0.4), 3.0, 0.2),
+        scanner,
+        scanner,
+        pole_map=np.array([50.0, -20, 9]),
+    )
     assert back.removed_m3 == pytest.approx(-d.removed_m3, rel=1e-9)
 
 
@@ -48,26 +65,39 @@ def test_each_scan_from_its_own_scanner_and_the_ring_either_way_round(case):
 
 @pytest.mark.parametrize("lean", [0.0, 0.3])
 def test_a_pocket_in_a_leaning_wall_seen_from_in_front(lean):
-    """The rock face hangs over the scanner by ``lean``, rad; heights over a plan do not exist here."""
+    """The rock face hangs over the scanner by ``lean``, rad; heights over a plan do not exist
+    here.
+    """
     opening, floor, depth, scanner = PITS["frustum"]
     before, after, truth = pit(opening, floor, depth, 0.2)
     R, shift = exp_so3(np.array([0.0, np.pi / 2 + lean, 0.0])), np.array([1000.0, 2000, 100])
     eye = R @ np.array(scanner) + shift
     corners = np.concatenate([rim(opening, 0.4), np.zeros((4, 1))], axis=1) @ R.T + shift
-    d = two_surfaces(before @ R.T + shift, after @ R.T + shift, ring_through(corners, eye, 0.2), eye, eye)
+    d = two_surfaces(
+        before @ R.T + shift, after @ R.T + shift, ring_through(corners, eye, 0.2), eye, eye
+    )
     assert d.removed_m3 == pytest.approx(truth, rel=2e-5) and d.pole_spread_m3 < 1e-8 * truth
 
 
 def test_what_a_missing_boundary_ring_costs_and_that_the_common_ring_costs_nothing(case):
     before, after, truth, opening, scanner = case
-    whole, part = build_spherical(after, scanner), build_spherical(without_ring(after, opening), scanner)
+    whole, part = (
+        build_spherical(after, scanner),
+        build_spherical(without_ring(after, opening), scanner),
+    )
     a = build_spherical(before, scanner)
     assert published_difference(a, whole, scanner) == pytest.approx(truth, rel=5e-5)
     cost = published_difference(a, part, scanner) / truth - 1
     assert -0.14 < cost < -0.02
     # and then the pole matters: three metres higher it is more
     assert published_difference(a, part, scanner + np.array([0.0, 0, 3])) / truth - 1 < 2 * cost
-    d = two_surfaces(before, without_ring(after, opening), ring_over(rim(opening, 0.4), 3.0, 0.2), scanner, scanner)
+    d = two_surfaces(
+        before,
+        without_ring(after, opening),
+        ring_over(rim(opening, 0.4), 3.0, 0.2),
+        scanner,
+        scanner,
+    )
     assert d.removed_m3 == pytest.approx(truth, rel=5e-5)
 
 
@@ -79,7 +109,9 @@ def test_a_cone_has_its_closed_form():
 
 def noisy(case, sigma, rng):
     before, after, *_ = case
-    return before + sigma * rng.standard_normal(before.shape), after + sigma * rng.standard_normal(after.shape)
+    return before + sigma * rng.standard_normal(before.shape), after + sigma * rng.standard_normal(
+        after.shape
+    )
 
 
 def test_gradient_against_differences(case):
@@ -89,7 +121,9 @@ def test_gradient_against_differences(case):
     ring = ring_over(rim(opening, 0.43), 3.0, 0.2)
     d = two_surfaces(a, b, ring, scanner, scanner)
     for points, g, which in ((a, d.gradient_a, 0), (b, d.gradient_b, 1)):
-        edge = np.argsort(np.abs(points[:, 0] - opening[0] + 0.43) + 9 * (points[:, 2] < -0.1))[:2]  # some hang on the ring
+        edge = np.argsort(np.abs(points[:, 0] - opening[0] + 0.43) + 9 * (points[:, 2] < -0.1))[
+            :2
+        ]  # some hang on the ring
         for i in [*edge, *rng.choice(np.flatnonzero(np.abs(g).sum(axis=1) > 0), 2)]:
             u = rng.standard_normal(3)
             volume = []
@@ -104,7 +138,8 @@ def test_gradient_against_differences(case):
 def test_shifting_both_scans_changes_nothing_but_where_the_ring_is(case):
     d = difference(case)
     assert d.gradient_a.sum(axis=0) + d.gradient_b.sum(axis=0) == pytest.approx(0, abs=1e-6)
-    # B alone: lowering it by 1 m adds the area within the ring, so the budget sees a registration's height error
+    # B alone: lowering it by 1 m adds the area within the ring, so the budget sees a registration's
+    # height error
     area = (rim(case[3], 0.4)[2] - rim(case[3], 0.4)[0]).prod()
     assert d.gradient_b[:, 2].sum() == pytest.approx(-area, rel=1e-6)
 
@@ -141,21 +176,38 @@ def test_registration_enters_with_its_covariance(name):
     for _ in range(50):
         x = np.zeros(7)
         x[free] = L @ rng.standard_normal(4)
-        volumes.append(two_surfaces(before, T.perturbed(x).apply(after), ring, scanner, scanner).removed_m3)
+        volumes.append(
+            two_surfaces(before, T.perturbed(x).apply(after), ring, scanner, scanner).removed_m3
+        )
     assert np.std(volumes) / np.sqrt(budget["registration_b"]) == pytest.approx(1.0, abs=0.2)
     assert budget["registration_b"] > 10 * budget["noise_b"]  # what is common does not average out
     with pytest.raises(VolumeError):
         two_surface_budget(d, 0.01, 0.01, T)
-    assert "registration_a" in two_surface_budget(d, 0.01, 0.01, transform_a=Transform(np.eye(3), np.zeros(3), np.zeros(3), 1.0, T.C), source_a=before)
+    assert "registration_a" in two_surface_budget(
+        d,
+        0.01,
+        0.01,
+        transform_a=Transform(np.eye(3), np.zeros(3), np.zeros(3), 1.0, T.C),
+        source_a=before,
+    )
 
 
 def test_wide_triangles_are_counted():
     opening, floor, depth, scanner = PITS["frustum"]
-    scanner = np.array(scanner) + np.array([0.0, 0, 1.5])  # from high up no triangle of the ground is long
+    scanner = np.array(scanner) + np.array(
+        [0.0, 0, 1.5]
+    )  # from high up no triangle of the ground is long
     before, after, truth = pit(opening, floor, depth, 0.2)
     x = 0.5 * (opening[0] + opening[1])
     hole = (np.abs(before[:, 0] - x) < 0.5) & (np.abs(before[:, 1] - 2.0) < 0.5)
-    d = two_surfaces(before[~hole], after, ring_over(rim(opening, 0.4), 3.0, 0.2), scanner, scanner, max_edge_m=0.7)
+    d = two_surfaces(
+        before[~hole],
+        after,
+        ring_over(rim(opening, 0.4), 3.0, 0.2),
+        scanner,
+        scanner,
+        max_edge_m=0.7,
+    )
     assert d.removed_m3 == pytest.approx(truth, rel=5e-5) and d.bridged_m2[0] > 0.8
 
 
@@ -165,7 +217,12 @@ def test_regions():
     in_a, in_b = select_regions(a, b, np.array([[-2.5, -2.5], [2.5, -2.5], [-2.5, 2.5]]), 1.0)
     assert in_a[(grid == [0, -1]).all(axis=1)].all() and in_a[(grid == [-3, -3]).all(axis=1)].all()
     assert not in_a[(grid == [2, 2]).all(axis=1)].any() and in_a.sum() < in_b.sum() == 49
-    for polygon, margin in ((np.zeros((0, 2)), 1.0), (np.full((3, 2), np.nan), 1.0), (grid[:3], -1.0), (grid[:3] + 100, 1.0)):
+    for polygon, margin in (
+        (np.zeros((0, 2)), 1.0),
+        (np.full((3, 2), np.nan), 1.0),
+        (grid[:3], -1.0),
+        (grid[:3] + 100, 1.0),
+    ):
         with pytest.raises(VolumeError):
             select_regions(a, b, polygon, margin)
     with pytest.raises(VolumeError):
@@ -173,18 +230,27 @@ def test_regions():
 
 
 def test_the_compiled_rays_do_what_their_python_does():
-    surface = target(build_spherical(pit((0, 2, 0, 2), (0, 2, 0, 2), 1.0, 0.5)[1], np.array([1.0, 1, 1])).tin)
+    surface = target(
+        build_spherical(pit((0, 2, 0, 2), (0, 2, 0, 2), 1.0, 0.5)[1], np.array([1.0, 1, 1])).tin
+    )
     ring = ring_over(rim((0, 2, 0, 2), 0.3), 2.0, 0.7)
     hits = cast(ring, surface, "A")
-    assert hits.point[:, 2] == pytest.approx(0, abs=1e-12) and hits.weight.sum(axis=1) == pytest.approx(1)
+    assert hits.point[:, 2] == pytest.approx(0, abs=1e-12) and hits.weight.sum(
+        axis=1
+    ) == pytest.approx(1)
     out = np.zeros(len(ring), np.int64), np.zeros((len(ring), 3)), np.zeros(len(ring))
     everything = surface.balls + np.array([0.0, 0.0, 0.0, 99.0])  # no group is passed over
     cast_kernel.py_func(surface.corners, everything, ring.origin, ring.direction, *out)
-    assert out[2] == pytest.approx(hits.distance) and (surface.triangles[out[0]] == hits.corner).mean() > 0.9
+    assert (
+        out[2] == pytest.approx(hits.distance)
+        and (surface.triangles[out[0]] == hits.corner).mean() > 0.9
+    )
 
 
 def test_a_ring_on_planes_through_the_points_around():
-    """Exact on plane ground; its gradient is that of the planes; and noise that folds the surface does not tear it."""
+    """Exact on plane ground; its gradient is that of the planes; and noise that folds the surface
+    does not tear it.
+    """
     opening, floor, depth, scanner = PITS["frustum"]
     before, after, truth = pit(opening, floor, depth, 0.1)
     eye, ring = np.array(scanner), ring_over(rim(opening, 0.45), 3.0, 0.1)
@@ -202,7 +268,9 @@ def test_a_ring_on_planes_through_the_points_around():
             moved = a.copy()
             moved[i] += sign * u
             volume.append(two_surfaces(moved, b, ring, eye, eye, ring_radius_m=0.3).removed_m3)
-        assert (volume[0] - volume[1]) / 2e-6 == pytest.approx(d.gradient_a[i, 2], rel=0.02, abs=2e-5)
+        assert (volume[0] - volume[1]) / 2e-6 == pytest.approx(
+            d.gradient_a[i, 2], rel=0.02, abs=2e-5
+        )
     a, b = (p + 0.03 * rng.standard_normal(p.shape) for p in (before, after))
     d = two_surfaces(a, b, ring, eye, eye, ring_radius_m=0.24)
     assert d.removed_m3 == pytest.approx(truth, rel=0.01) and d.pole_spread_m3 < 1e-9 * truth
@@ -213,7 +281,9 @@ def test_too_few_points_around_leave_the_ring_on_the_triangles():
     surface = target(build_spherical(pit(opening, floor, depth, 0.4)[1], np.array(scanner)).tin)
     ring = ring_over(rim(opening, 0.4), 3.0, 0.5)
     exact, fitted = cast(ring, surface, "B"), cast(ring, surface, "B", 0.05)
-    assert fitted.point == pytest.approx(exact.point) and fitted.weight.sum(axis=1) == pytest.approx(1)
+    assert fitted.point == pytest.approx(exact.point) and fitted.weight.sum(
+        axis=1
+    ) == pytest.approx(1)
 
 
 def reason(*args, **kwargs):
@@ -229,11 +299,19 @@ def test_refusals():
     ring = ring_over(rim(opening, 0.4), 3.0, 0.3)
     assert reason(a, b, ring_over(rim(opening, 5.0), 3.0, 0.3), s, s) == "ring_off_surface"
     eight = np.array([[-0.5, -0.5], [4.5, 2.5], [4.5, -0.5], [-0.5, 2.5]])
-    assert reason(a, b, ring_over(eight, 3.0, 0.3), s, s) in ("ring_touches", "ring_lost", "ring_sides")
+    assert reason(a, b, ring_over(eight, 3.0, 0.3), s, s) in (
+        "ring_touches",
+        "ring_lost",
+        "ring_sides",
+    )
     assert reason(a, b, ring, s, s * [1, 1, -1]) in ("ring_sides", "ring_touches", "ring_lost")
     assert reason(a[:2], b, ring, s, s) == "surface_too_few_points"
     assert reason(a * np.nan, b, ring, s, s) == "surface_not_finite"
-    for corners, spacing in ((rim(opening, 1)[:2], 0.1), (rim(opening, 1) * np.nan, 0.1), (rim(opening, 1), 0.0)):
+    for corners, spacing in (
+        (rim(opening, 1)[:2], 0.1),
+        (rim(opening, 1) * np.nan, 0.1),
+        (rim(opening, 1), 0.0),
+    ):
         with pytest.raises(VolumeError):
             densify(corners, spacing)
     with pytest.raises(VolumeError):

@@ -1,4 +1,6 @@
-"""Synthetic filtered surfaces: patches of a known height function with chosen covariances and sensitivities."""
+"""Synthetic filtered surfaces: patches of a known height function with chosen covariances and
+sensitivities.
+"""
 
 from __future__ import annotations
 
@@ -34,10 +36,14 @@ def take_patches(patches, rows):
     changes = {name: getattr(patches, name)[rows] for name in ROWS}
     return Patches(
         **changes,
-        cross_start=np.concatenate([[0], np.cumsum(np.diff(patches.cross_start)[rows])]).astype(np.int64),
+        cross_start=np.concatenate([[0], np.cumsum(np.diff(patches.cross_start)[rows])]).astype(
+            np.int64
+        ),
         cross_key=patches.cross_key[cross],
         cross=patches.cross[cross],
-        nav_start=np.concatenate([[0], np.cumsum(np.diff(patches.nav_start)[rows])]).astype(np.int64),
+        nav_start=np.concatenate([[0], np.cumsum(np.diff(patches.nav_start)[rows])]).astype(
+            np.int64
+        ),
         nav_bin=patches.nav_bin[nav],
         M_nav=patches.M_nav[nav],
     )
@@ -54,11 +60,11 @@ def surface_update(
     speed: float = 1.0,
     perturb: float = 0.0,
 ) -> FilterUpdate:
-    """Grid of points over a square of half side ``half``, in square patches of ``per_patch`` points a side; degree-1 patches,
-    own blocks only.
+    """Grid of points over a square of half side ``half``, in square patches of ``per_patch`` points
+    a side; degree-1 patches, own blocks only.
 
-    Sensitivities are those of a sensor without rotation that flies along x at ``speed`` and looks at every patch from straight
-    above at height ``sensor[2]``.
+    Sensitivities are those of a sensor without rotation that flies along x at ``speed`` and looks
+    at every patch from straight above at height ``sensor[2]``.
     """
     rng = np.random.default_rng(seed)
     side = spacing * per_patch
@@ -66,7 +72,10 @@ def surface_update(
     centres = (np.arange(count) + 0.5) * side - half
     cx, cy = (a.ravel() for a in np.meshgrid(centres, centres, indexing="ij"))
     eps = 1e-4
-    slope = np.stack([height(cx + eps, cy) - height(cx - eps, cy), height(cx, cy + eps) - height(cx, cy - eps)], axis=1) / (2 * eps)
+    slope = np.stack(
+        [height(cx + eps, cy) - height(cx - eps, cy), height(cx, cy + eps) - height(cx, cy - eps)],
+        axis=1,
+    ) / (2 * eps)
     normal = np.concatenate([-slope, np.ones((len(cx), 1))], axis=1)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     tangent, binormal = normal_frame(normal)
@@ -81,9 +90,14 @@ def surface_update(
     local = np.stack([(d * tangent[patch]).sum(1), (d * binormal[patch]).sum(1)], axis=1)
     key = np.arange(m, dtype=np.int64) * 7 + 3
     C = np.zeros((m, 3, 3))
-    C[:, 0, 0], C[:, 1, 1], C[:, 2, 2] = noise**2 / 9, noise**2 / 9 / side**2, noise**2 / 9 / side**2
+    C[:, 0, 0], C[:, 1, 1], C[:, 2, 2] = (
+        noise**2 / 9,
+        noise**2 / 9 / side**2,
+        noise**2 / 9 / side**2,
+    )
     variance = C[patch, 0, 0] + C[patch, 1, 1] * (local**2).sum(1)
-    # sensitivities of the three coordinates at the centre, n . dr/dtheta and so on, zero for the slopes
+    # sensitivities of the three coordinates at the centre, n . dr/dtheta and so on, zero for the
+    # slopes
     beams = 16
     M_cal, M_nav = np.zeros((m, 5, 11 + 2 * beams), np.float32), np.zeros((m, 5, 4), np.float32)
     ray = centre - np.stack([cx, cy, np.full(m, sensor[2])], axis=1)
@@ -97,10 +111,31 @@ def surface_update(
         M_nav[:, k, 0], M_nav[:, k, 1:] = 1.0, np.cross(ray, axis)
     bins = T0 // BIN_NS + np.floor((cx + half) / speed).astype(np.int64)
     patches = Patches(
-        key, centre, normal, tangent, np.zeros((m, 3)), np.full(m, noise), np.full(m, 9, np.int32), bins * BIN_NS,
-        np.arange(m + 1), key.copy(), C, M_cal, np.arange(m + 1), bins, M_nav,
-    )  # fmt: skip
-    points = FilteredPoints(r, normal[patch], variance, np.zeros((len(r), 6), np.float32), bins[patch] * BIN_NS, key[patch], local)
+        key,
+        centre,
+        normal,
+        tangent,
+        np.zeros((m, 3)),
+        np.full(m, noise),
+        np.full(m, 9, np.int32),
+        bins * BIN_NS,
+        np.arange(m + 1),
+        key.copy(),
+        C,
+        M_cal,
+        np.arange(m + 1),
+        bins,
+        M_nav,
+    )
+    points = FilteredPoints(
+        r,
+        normal[patch],
+        variance,
+        np.zeros((len(r), 6), np.float32),
+        bins[patch] * BIN_NS,
+        key[patch],
+        local,
+    )
     return FilterUpdate(T0 + 100 * BIN_NS, np.zeros(0, np.int64), points, patches)
 
 
@@ -111,7 +146,9 @@ def platform(seconds: int = 100, rate: int = 10, position=0.02, attitude=2e-4) -
     C = np.zeros((n, 6, 6))
     C[:, range(3), range(3)], C[:, range(3, 6), range(3, 6)] = position**2, attitude**2
     q = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
-    return PlatformStates(t, np.zeros((n, 3)), q, np.zeros((n, 3)), np.zeros((n, 3)), C, np.zeros(n, np.int64))
+    return PlatformStates(
+        t, np.zeros((n, 3)), q, np.zeros((n, 3)), np.zeros((n, 3)), C, np.zeros(n, np.int64)
+    )
 
 
 def cone(x, y, radius=4.0, top=3.0, slope=(0.0, 0.0)):
