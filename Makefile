@@ -13,6 +13,7 @@ test: .venv/ready
 
 lint: .venv/ready
 	$(PY) -m ruff check .
+	$(PY) -m ruff format --check .
 	$(PY) -m mypy
 
 bench: .venv/ready

@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.truth import F64, I64
-from ladar_volume.io.pointfiles import read_cloud
+from ladar_volume.change.spherical_tin import build_spherical, unit_directions
+from ladar_volume.clouds.cloud_surface import CloudSurface, cloud_surface
+from ladar_volume.clouds.cloud_volume import own_footprints
+from ladar_volume.io.pointfiles.cloud_files import read_cloud
+from ladar_volume.mesh.tetrahedra import closed_volume
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.surface.cloud import CloudSurface, cloud_surface
-from ladar_volume.surface.represent import SurfaceOptions
-from ladar_volume.surface.spherical import build_spherical, unit_directions
-from ladar_volume.volume.cloud_volume import own_footprints
-from ladar_volume.volume.tetrahedra import closed_volume
+from ladar_volume.tin.represent import SurfaceOptions
 
 FOLDER = (
     Path(os.environ.get("LADAR_SHARED_DATA", Path(__file__).parents[2] / "shared" / "data"))

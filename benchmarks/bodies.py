@@ -18,14 +18,14 @@ import numpy as np
 
 from benchmarks.shapes import NOISE_M, OUTLIERS, frame_faces
 from benchmarks.truth import F64, box_faces, rotation, sample_polygons
-from ladar_volume.filtering.cloud import filter_cloud
+from ladar_volume.clouds.body_volume import Uncertain, cloud_uncertainty
+from ladar_volume.clouds.cloud_bodies import CLEAR, CloudBodies, cloud_bodies
+from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.ground.objects import ObjectParameters, find_objects
-from ladar_volume.ground.robust import fit_ground
+from ladar_volume.ground.robust_ground import fit_ground
+from ladar_volume.mesh.topology import edge_table
 from ladar_volume.model.errors import LadarVolumeError
 from ladar_volume.model.parameters import FilterParameters, GroundParameters
-from ladar_volume.surface.topology import edge_table
-from ladar_volume.volume.bodies import Uncertain, cloud_uncertainty
-from ladar_volume.volume.cloud_bodies import CLEAR, CloudBodies, cloud_bodies
 
 SEEDS = 20
 Sample = tuple[F64, F64]

@@ -8,7 +8,7 @@ import tracemalloc
 import numpy as np
 import numpy.typing as npt
 
-from ladar_volume.volume.correlated_sum import Variogram, sum_variance
+from ladar_volume.uncertainty.correlated_sum import Variogram, sum_variance
 
 F64 = npt.NDArray[np.float64]
 SMALL, LARGE = (100, 100), (1000, 1000)

@@ -18,7 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from ladar_volume.model.records import F64
-from ladar_volume.surface.tin import build_tin
+from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.volume.overlay import Between, between
 
 VOLUME_M3, HEIGHT_M, HALF_M, SIGMA_M = 5000.0, 8.0, 32.0, 0.03

@@ -12,10 +12,10 @@ import time
 import numba
 import numpy as np
 
-from ladar_volume.filtering.filter import SurfaceFilter
-from ladar_volume.filtering.store import VoxelStore
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import FilterUpdate, MappedPoints, PlatformStates, select
+from ladar_volume.rmls.surface_filter import SurfaceFilter
+from ladar_volume.rmls.voxel_store import VoxelStore
 
 POINTS, PER_CLOUD, SECONDS, REPEATS = 370_000, 30_000, 40, 5
 PARAMETERS = Parameters.read({"filter": {"radius_m": 0.6, "degree": 2, "cap_per_voxel": 32}})

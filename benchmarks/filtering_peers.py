@@ -36,7 +36,7 @@ Figures = dict[str, float]
 
 def own(points: F64) -> Result:
     """The filter at hand, parameters set by itself."""
-    cloud = importlib.import_module("ladar_volume.filtering.cloud")
+    cloud = importlib.import_module("ladar_volume.clouds.filter_cloud")
     result: Result = cloud.filter_cloud(points, FilterParameters(), auto=True)
     return result
 

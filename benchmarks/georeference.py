@@ -12,9 +12,9 @@ from collections.abc import Callable
 import numba
 import numpy as np
 
-from ladar_volume.georeference.budget import independent_sigmas
+from ladar_volume.georeference.error_budget import independent_sigmas
 from ladar_volume.georeference.georeferencer import Georeferencer
-from ladar_volume.georeference.lidar import mounting
+from ladar_volume.georeference.lidar_equation import mounting
 from ladar_volume.georeference.mapping import (
     Mapped,
     map_returns,

@@ -30,8 +30,8 @@ from mcap.reader import NonSeekingReader, make_reader
 from rosbags.highlevel import AnyReader
 
 from ladar_volume.io.bags import TYPESTORE
+from ladar_volume.io.mcap_recovery import is_whole
 from ladar_volume.io.recorder import Recorder, log_files
-from ladar_volume.io.recover import is_whole
 from ladar_volume.model.parameters import LoggerParameters
 
 ROOT = Path(__file__).parents[1]

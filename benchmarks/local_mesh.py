@@ -15,12 +15,12 @@ import numpy as np
 
 from benchmarks import shapes, square
 from benchmarks.truth import F64
-from ladar_volume.filtering.cloud import filter_cloud
+from ladar_volume.clouds.filter_cloud import filter_cloud
+from ladar_volume.mesh.edge_completion import sharpen
+from ladar_volume.mesh.linear_mesh import Skin, skin_of
+from ladar_volume.mesh.local_mesh import BOX, REPAIRS, LocalMesh, LocalMeshSettings, mesh_cloud
+from ladar_volume.mesh.topology import orient
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.surface.local import BOX, REPAIRS, LocalMesh, LocalMeshSettings, mesh_cloud
-from ladar_volume.surface.sharpen import sharpen
-from ladar_volume.surface.skin import Skin, skin_of
-from ladar_volume.surface.topology import orient
 
 SEEDS, COUNT = range(20), 300_000
 TRUE = {"sphere": 4 / 3 * np.pi, "cube": 1.0}

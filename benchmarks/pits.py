@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.truth import F64
-from ladar_volume.surface.spherical import build_spherical
-from ladar_volume.volume.ring import ring_over
-from ladar_volume.volume.two_surfaces import published_difference, two_surfaces
+from ladar_volume.change.sight_ring import ring_over
+from ladar_volume.change.spherical_tin import build_spherical
+from ladar_volume.change.two_surfaces import published_difference, two_surfaces
 
 
 def quad(corners: Any, h: float) -> F64:

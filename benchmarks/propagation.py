@@ -24,15 +24,15 @@ from unittest import mock
 
 import numpy as np
 
-from ladar_volume.cli.replay import Replay
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.config import read_config
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, FilteredPoints, FilterUpdate, Patches
+from ladar_volume.replay import Replay
+from ladar_volume.uncertainty.navigation_sum import NavigationBins
+from ladar_volume.uncertainty.packing import unpacked
 from ladar_volume.volume import estimator as stage
 from ladar_volume.volume.estimator import VolumeEstimator
-from ladar_volume.volume.navigation import NavigationBins
-from ladar_volume.volume.packing import unpacked
 
 BAG = Path(__file__).parents[1] / "bags" / "stockpile"
 POINTS = 1_000_000

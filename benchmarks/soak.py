@@ -42,7 +42,6 @@ from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 from std_srvs.srv import Trigger
 
 from benchmarks.footprint import cpu_seconds, proportional_mb, resident_mb
-from ladar_volume.cli.simulate import suited
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.tables import decode
 from ladar_volume.model.parameters import BudgetParameters
@@ -51,6 +50,7 @@ from ladar_volume.nodes.running import Spinner
 from ladar_volume.simulation.bag import write_bag
 from ladar_volume.simulation.platforms import make_platform, platform_for
 from ladar_volume.simulation.scenes import Ground, make_scene, pile
+from ladar_volume.simulation.suited_parameters import suited
 from ladar_volume.simulation.survey import Survey, SurveyOptions
 
 ROOT = Path(__file__).parents[1]

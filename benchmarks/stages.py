@@ -23,22 +23,22 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.soak import TYPES, full_rate_flight
-from ladar_volume.engine import Engine
-from ladar_volume.filtering.filter import SurfaceFilter
-from ladar_volume.filtering.fits import FitStore
-from ladar_volume.filtering.patches import PatchBuilder
-from ladar_volume.io import wire
+from ladar_volume.compile_kernels import STAGES, warm_up
+from ladar_volume.io import message_tables
 from ladar_volume.io.bags import BagReader
-from ladar_volume.io.clouds import returns_from_cloud
+from ladar_volume.io.cloud_messages import returns_from_cloud
 from ladar_volume.io.config import read_config
-from ladar_volume.io.messages import fix_from_message, imu_from_message
+from ladar_volume.io.sensor_messages import fix_from_message, imu_from_message
 from ladar_volume.io.tables import encode
 from ladar_volume.model.errors import LadarVolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
+from ladar_volume.pipeline import Engine
+from ladar_volume.rmls.fit_store import FitStore
+from ladar_volume.rmls.patch_builder import PatchBuilder
+from ladar_volume.rmls.surface_filter import SurfaceFilter
+from ladar_volume.uncertainty.patch_table import PatchStore
 from ladar_volume.volume import estimator
-from ladar_volume.volume.patch_store import PatchStore
-from ladar_volume.warm import STAGES, warm_up
 
 SECONDS, S = 60.0, 1_000_000_000
 Record = tuple[int, str, Any]
@@ -115,17 +115,22 @@ def again_and_again(
 def over_the_wire(update: Any) -> list[Any]:
     """An update as its tables and back."""
     tables = [
-        (wire.patch_columns(part), wire.filtered_columns(part.points))
-        for part in wire.update_parts(update)
+        (message_tables.patch_columns(part), message_tables.filtered_columns(part.points))
+        for part in message_tables.update_parts(update)
     ]
     for pair in tables:
         for table in pair:
             encode(table)
     points = [
-        wire.filtered_points(p) if len(p["variance"]) else wire.no_filtered_points()
+        message_tables.filtered_points(p)
+        if len(p["variance"])
+        else message_tables.no_filtered_points()
         for _, p in tables
     ]
-    return [wire.filter_update(p, patches) for p, (patches, _) in zip(points, tables, strict=True)]
+    return [
+        message_tables.filter_update(p, patches)
+        for p, (patches, _) in zip(points, tables, strict=True)
+    ]
 
 
 def brought_up_to_date(engine: Engine, times: Times) -> tuple[int, float, float]:
@@ -161,8 +166,8 @@ def stream(bag: Path, seconds: float) -> dict[str, float]:
             for points in times.call("georeference, points taken in", engine.step):
                 times.call(
                     "points over the wire",
-                    lambda p: wire.mapped_points(p[0], p[1]),
-                    wire.mapped_columns(points),
+                    lambda p: message_tables.mapped_points(p[0], p[1]),
+                    message_tables.mapped_columns(points),
                 )
         if at > due:
             due += 1.0

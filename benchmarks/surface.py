@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import Delaunay
 
-from ladar_volume.cli.replay import Replay
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.config import read_config
-from ladar_volume.surface.tin import build_tin
+from ladar_volume.replay import Replay
+from ladar_volume.tin.full_tin import build_tin
 
 BAG = Path(__file__).parents[1] / "bags" / "stockpile"
 

@@ -23,9 +23,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ladar_volume.surface.adaptive import adaptive_tin
-from ladar_volume.surface.delaunay import Triangulated, triangulate
-from ladar_volume.surface.ordering import hilbert_order
+from ladar_volume.tin.adaptive import adaptive_tin
+from ladar_volume.tin.delaunay import Triangulated, triangulate
+from ladar_volume.tin.insertion_order import hilbert_order
 
 Points = npt.NDArray[np.float64]
 
@@ -159,7 +159,7 @@ def bytes_per_point(n: int) -> float:
     triangulation, over n.
     """
     code = (
-        "import re, numpy as np; from ladar_volume.surface.delaunay import triangulate; r = "
+        "import re, numpy as np; from ladar_volume.tin.delaunay import triangulate; r = "
         "np.random.default_rng(0)\n"
         # the peak that getrusage gives is inherited from the parent; this one begins with the
         # program

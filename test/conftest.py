@@ -13,7 +13,7 @@ import ladar_volume  # noqa: F401 - before NumPy, which reads then how many thre
 HERE = Path(__file__).parent
 TOGETHER = {
     "online": ("nodes", "io", "georeference"),
-    "clouds": ("cli", "filtering"),
+    "clouds": ("cli", "clouds", "rmls"),
 }
 GROUP = {folder: name for name, folders in TOGETHER.items() for folder in folders}
 

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ladar_volume.georeference.lidar import Mounting
+from ladar_volume.georeference.lidar_equation import Mounting
 from ladar_volume.georeference.mapping import MAPPED, map_returns, region_box, vehicle_box
-from ladar_volume.georeference.sensitivity import PointGeometry, point_geometry
+from ladar_volume.georeference.point_jacobian import PointGeometry, point_geometry
 from ladar_volume.georeference.trajectory import PathWindow
+from ladar_volume.math.se3 import exp_so3, matrix_from_quaternion
 from ladar_volume.model.errors import CalibrationError
 from ladar_volume.model.records import F64, I64, MappedPoints, PlatformStates, select
-from ladar_volume.model.se3 import exp_so3, matrix_from_quaternion
 
 #: A strip ends where heading or course has turned by this much from its beginning (rad) ...
 STRIP_TURN_RAD = np.radians(30.0)

@@ -16,9 +16,9 @@ import numpy.typing as npt
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
+from ladar_volume.math.se3 import rotation_xyz
 from ladar_volume.model.errors import CalibrationError
 from ladar_volume.model.records import F64, I64
-from ladar_volume.model.se3 import rotation_xyz
 
 Interval = tuple[float, float]
 

@@ -14,7 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.calibration.adjustment import (
+from ladar_volume.calibration.flight import Flight, remapped
+from ladar_volume.calibration.navigation_drift import Drift, drift
+from ladar_volume.calibration.strip_adjustment import (
     Observations,
     Solution,
     observations,
@@ -22,11 +24,9 @@ from ladar_volume.calibration.adjustment import (
     solve,
     without,
 )
-from ladar_volume.calibration.drift import Drift, drift
-from ladar_volume.calibration.flight import Flight, remapped
-from ladar_volume.calibration.patches import OUTLIER_SIGMAS, fitted, overlap
-from ladar_volume.georeference.budget import calibration_columns, independent_sigmas
-from ladar_volume.georeference.sensitivity import unpack
+from ladar_volume.calibration.strip_patches import OUTLIER_SIGMAS, fitted, overlap
+from ladar_volume.georeference.error_budget import calibration_columns, independent_sigmas
+from ladar_volume.georeference.point_jacobian import unpack
 from ladar_volume.model.errors import CalibrationError
 from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.records import CAL_COLUMNS, F64, I64

@@ -12,8 +12,16 @@ from rich.console import Console
 
 from ladar_volume.cli.body_facts import cloud_facts, mesh_facts, show
 from ladar_volume.cli.surface_options import Source, read_source
-from ladar_volume.filtering.cloud import filter_cloud
-from ladar_volume.filtering.result import CloudResult
+from ladar_volume.clouds.body_volume import (
+    Body,
+    Uncertain,
+    body_of,
+    cloud_uncertainty,
+    mesh_uncertainty,
+)
+from ladar_volume.clouds.cloud_bodies import CLEAR, BodyOptions, cloud_bodies
+from ladar_volume.clouds.filter.filter_result import CloudResult
+from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.ground.objects import (
     ObjectParameters,
     Objects,
@@ -23,10 +31,11 @@ from ladar_volume.ground.objects import (
 )
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.ground.regions import in_box, in_polygon
-from ladar_volume.ground.robust import fit_ground
-from ladar_volume.io.meshfiles import ENDINGS, holds_faces, read_mesh, write_mesh
-from ladar_volume.io.pointfiles import ENCODINGS
+from ladar_volume.ground.robust_ground import fit_ground
+from ladar_volume.io.meshfiles.mesh_files import ENDINGS, holds_faces, read_mesh, write_mesh
+from ladar_volume.io.pointfiles.cloud_files import ENCODINGS
 from ladar_volume.io.results import json_text
+from ladar_volume.mesh.local_mesh import REPAIRS, LocalMeshSettings
 from ladar_volume.model.errors import (
     ConfigurationError,
     GroundError,
@@ -36,9 +45,6 @@ from ladar_volume.model.errors import (
 )
 from ladar_volume.model.parameters import FilterParameters, GroundParameters
 from ladar_volume.model.records import F64, I64, Bool, Plane
-from ladar_volume.surface.local import REPAIRS, LocalMeshSettings
-from ladar_volume.volume.bodies import Body, Uncertain, body_of, cloud_uncertainty, mesh_uncertainty
-from ladar_volume.volume.cloud_bodies import CLEAR, BodyOptions, cloud_bodies
 
 
 def numbers(*counts: int) -> Callable[[str], tuple[float, ...]]:

@@ -9,13 +9,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from ladar_volume.filtering.result import CloudResult
+from ladar_volume.clouds.body_volume import Body, Uncertain
+from ladar_volume.clouds.cloud_bodies import CloudBodies
+from ladar_volume.clouds.filter.filter_result import CloudResult
 from ladar_volume.ground.objects import Objects
-from ladar_volume.io.meshfiles import MeshFile
-from ladar_volume.surface.topology import edge_table
+from ladar_volume.io.meshfiles.mesh_files import MeshFile
+from ladar_volume.mesh.topology import edge_table
 from ladar_volume.version import version
-from ladar_volume.volume.bodies import Body, Uncertain
-from ladar_volume.volume.cloud_bodies import CloudBodies
 
 
 def body_facts(body: Body) -> dict[str, Any]:

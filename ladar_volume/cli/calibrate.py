@@ -23,14 +23,14 @@ from ladar_volume.calibration.repeats import (
     spread,
 )
 from ladar_volume.cli import calibrate_strips
+from ladar_volume.io.atomic_write import whole_file
 from ladar_volume.io.config import changed_config, read_config
 from ladar_volume.io.measurements import Measurements, read_measurements
 from ladar_volume.io.results import json_text
-from ladar_volume.io.whole import whole_file
+from ladar_volume.math.se3 import exp_so3, rotation_xyz
 from ladar_volume.model.errors import CalibrationError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64
-from ladar_volume.model.se3 import exp_so3, rotation_xyz
 from ladar_volume.version import version
 
 ANGLES = ("boresight_roll_deg", "boresight_pitch_deg", "boresight_yaw_deg")

@@ -18,15 +18,16 @@ from rich.table import Table
 from ladar_volume.calibration.flight import Flight, flight, turned
 from ladar_volume.calibration.repeats import correction_of
 from ladar_volume.calibration.selfcal import CORRECTED, StripCalibration, StripOptions, calibrate
-from ladar_volume.cli.replay import Replay, config_for, topics_from
-from ladar_volume.georeference.budget import calibration_covariance, correlation_triangle
-from ladar_volume.georeference.lidar import mounting
+from ladar_volume.cli.replay import config_for, topics_from
+from ladar_volume.georeference.error_budget import calibration_covariance, correlation_triangle
+from ladar_volume.georeference.lidar_equation import mounting
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.config import changed_config, read_config
 from ladar_volume.io.results import json_text, write_text
 from ladar_volume.model.errors import CalibrationError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import CAL_COLUMNS, F64, MappedPoints, concatenate, select
+from ladar_volume.replay import Replay
 from ladar_volume.version import version
 
 

@@ -12,6 +12,15 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from ladar_volume.change.density import density, relative_errors, size_rule
+from ladar_volume.change.excavation import (
+    Excavation,
+    Region,
+    Scan,
+    by_resolution,
+    excavate,
+    region_of,
+)
 from ladar_volume.cli.diff_input import (
     Part,
     given_corners,
@@ -23,21 +32,12 @@ from ladar_volume.cli.diff_input import (
 )
 from ladar_volume.cli.diff_show import show
 from ladar_volume.cli.surface_options import number
-from ladar_volume.io.meshfiles import ENDINGS, write_mesh
+from ladar_volume.io.meshfiles.mesh_files import ENDINGS, write_mesh
 from ladar_volume.io.results import json_text
+from ladar_volume.mesh.tetrahedra import closed_variance, closed_volume
+from ladar_volume.mesh.topology import watertight
 from ladar_volume.model.errors import ConfigurationError, OutputError, SurfaceError
-from ladar_volume.surface.topology import watertight
 from ladar_volume.version import version
-from ladar_volume.volume.density import density, relative_errors, size_rule
-from ladar_volume.volume.excavation import (
-    Excavation,
-    Region,
-    Scan,
-    by_resolution,
-    excavate,
-    region_of,
-)
-from ladar_volume.volume.tetrahedra import closed_variance, closed_volume
 
 
 def add_parser(subparsers: Any) -> None:

@@ -13,22 +13,22 @@ from typing import Any
 
 import numpy as np
 
-from ladar_volume.io.meshfiles import ENDINGS, read_mesh
-from ladar_volume.io.pointfiles import read_cloud
-from ladar_volume.io.transforms import read_transform
-from ladar_volume.model.errors import ConfigurationError, InputError, SurfaceError, VolumeError
-from ladar_volume.model.records import F64, I32
-from ladar_volume.registration.transform import Transform
-from ladar_volume.surface.cloud import local_sigma
-from ladar_volume.surface.spherical import (
+from ladar_volume.change.excavation import Region, Scan, beam_noise, hull_polygon, select
+from ladar_volume.change.spherical_tin import (
     build_spherical,
     normals_towards,
     stereographic,
     unit_directions,
     widest_gap,
 )
-from ladar_volume.surface.topology import orient
-from ladar_volume.volume.excavation import Region, Scan, beam_noise, hull_polygon, select
+from ladar_volume.clouds.cloud_surface import local_sigma
+from ladar_volume.io.meshfiles.mesh_files import ENDINGS, read_mesh
+from ladar_volume.io.pointfiles.cloud_files import read_cloud
+from ladar_volume.io.transforms import read_transform
+from ladar_volume.mesh.topology import orient
+from ladar_volume.model.errors import ConfigurationError, InputError, SurfaceError, VolumeError
+from ladar_volume.model.records import F64, I32
+from ladar_volume.registration.transform import Transform
 
 #: The cell of the refinement's covariance, as a part of A's larger side.
 ICP_CELLS = 12.0
@@ -179,7 +179,7 @@ def refine_by_ground(
     Raises :class:`RegistrationError` as :func:`ladar_volume.registration.icp.refine` does,
     :class:`VolumeError` without ground.
     """
-    from ladar_volume.io.epochs import register_epochs  # Open3D only where asked for
+    from ladar_volume.io.epoch_registration import register_epochs  # Open3D only where asked for
 
     outside = (
         ~select(a, a, region, 0.0)[0],

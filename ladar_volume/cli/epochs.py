@@ -13,18 +13,18 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from ladar_volume.change.change_detection import ChangeMap, Thresholded, change_map, thresholded
+from ladar_volume.change.epoch_change import EpochDifference, epoch_difference
 from ladar_volume.cli.diff_input import given_corners
-from ladar_volume.cli.present import budget_table, volume_rows
+from ladar_volume.cli.result_table import budget_table, volume_rows
 from ladar_volume.io import results
 from ladar_volume.io.surveys import Survey, between_datums, read_survey
 from ladar_volume.io.transforms import read_transform
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.records import F64
+from ladar_volume.uncertainty.epoch_budget import Epoch
+from ladar_volume.uncertainty.propagation import CALIBRATION_GROUPS
 from ladar_volume.version import version
-from ladar_volume.volume.detection import ChangeMap, Thresholded, change_map, thresholded
-from ladar_volume.volume.epoch_budget import Epoch
-from ladar_volume.volume.epochs import EpochDifference, epoch_difference
-from ladar_volume.volume.propagation import CALIBRATION_GROUPS
 
 
 def add_parser(subparsers: Any) -> None:

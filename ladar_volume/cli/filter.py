@@ -11,10 +11,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from ladar_volume.filtering.cloud import REASONS, CloudResult, filter_cloud
-from ladar_volume.filtering.presets import PRESETS
+from ladar_volume.clouds.filter_cloud import REASONS, CloudResult, filter_cloud
+from ladar_volume.clouds.published.filter_presets import PRESETS
 from ladar_volume.io.config import read_config
-from ladar_volume.io.pointfiles import ENCODINGS, check_output, read_cloud, write_cloud
+from ladar_volume.io.pointfiles.cloud_files import ENCODINGS, check_output, read_cloud, write_cloud
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import ConfigurationError, FilterError, OutputError
 from ladar_volume.model.parameters import FilterParameters, Parameters

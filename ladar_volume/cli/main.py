@@ -27,7 +27,7 @@ MODULES = {
     "simulate": "ladar_volume.cli.simulate",
     "tin": "ladar_volume.cli.tin",
     "volume": "ladar_volume.cli.volume",
-    "study": "ladar_volume.cli.study",
+    "study": "ladar_volume.cli.studies.study",
     "up": "ladar_volume.cli.up",
     "register": "ladar_volume.cli.register",
     "body": "ladar_volume.cli.body",

@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from ladar_volume.cli.present import budget_table, volume_rows
+from ladar_volume.cli.result_table import budget_table, volume_rows
 from ladar_volume.io.config import read_config
 from ladar_volume.io.results import json_text, volume_dict
 from ladar_volume.model.parameters import Parameters
@@ -143,10 +143,10 @@ def parameters_of(arguments: argparse.Namespace) -> Parameters:
     """The parameters: what suits a pile, the file, a published budget, sensors by name, single
     values; later ones win.
     """
-    from ladar_volume.cli.simulate import SUITED
-    from ladar_volume.georeference.budget import PRESETS
+    from ladar_volume.georeference.error_budget import PRESETS
     from ladar_volume.model.errors import ParameterValueError
-    from ladar_volume.volume.planning_choice import equipped
+    from ladar_volume.planning.sensor_choice import equipped
+    from ladar_volume.simulation.suited_parameters import SUITED
 
     if arguments.config is None:
         # a scanner that spins about the direction of flight
@@ -171,7 +171,7 @@ def flown(
     arguments: argparse.Namespace, length_m: float, width_m: float
 ) -> Callable[[float], PlatformStates]:
     """The path for a height."""
-    from ladar_volume.volume.planning_path import Lanes
+    from ladar_volume.planning.planned_path import Lanes
 
     length = length_m + 20.0 if arguments.length is None else arguments.length
     if arguments.eight is not None:
@@ -215,15 +215,15 @@ def eight(
 
 def run(arguments: argparse.Namespace) -> int:
     """Predict, compare, print."""
-    from ladar_volume.volume.planning import Plan, predict
-    from ladar_volume.volume.planning_choice import (
+    from ladar_volume.planning.planned_scene import Pile
+    from ladar_volume.planning.prediction import Plan, predict
+    from ladar_volume.planning.sensor_choice import (
         SCANNERS,
         compare,
         height_steps,
         highest,
         over_heights,
     )
-    from ladar_volume.volume.planning_scene import Pile
 
     console = Console(stderr=arguments.json)
     parameters = parameters_of(arguments)

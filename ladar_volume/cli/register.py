@@ -12,11 +12,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from ladar_volume.io.pointfiles import check_output, read_cloud, write_cloud
+from ladar_volume.io.pointfiles.cloud_files import check_output, read_cloud, write_cloud
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import RegistrationError
 from ladar_volume.model.records import F64
-from ladar_volume.registration.adjustment import Registration, register
+from ladar_volume.registration.sphere_adjustment import Registration, register
 from ladar_volume.registration.spheres import Sphere, fit_sphere
 from ladar_volume.registration.stillness import Stillness, check_drift
 from ladar_volume.version import version

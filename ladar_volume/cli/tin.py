@@ -22,12 +22,12 @@ from ladar_volume.cli.surface_options import (
     surface_facts,
     surface_options,
 )
-from ladar_volume.io.pointfiles import ENCODINGS
+from ladar_volume.io.meshfiles.tin_files import check_tin_output, write_tin
+from ladar_volume.io.pointfiles.cloud_files import ENCODINGS
 from ladar_volume.io.results import json_text
-from ladar_volume.io.tinfiles import check_tin_output, write_tin
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.records import I64, Tin
-from ladar_volume.surface.represent import SurfaceOptions
+from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.version import version
 
 

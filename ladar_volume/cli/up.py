@@ -12,8 +12,8 @@ from typing import Any
 from rich.console import Console
 from rich.progress import Progress
 
-from ladar_volume.cli.present import show_result
 from ladar_volume.cli.replay import add_common, config_for, topics_from
+from ladar_volume.cli.result_table import show_result
 from ladar_volume.io import results
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.config import dump_config, read_config

@@ -26,26 +26,26 @@ from ladar_volume.cli.surface_options import (
     surface_facts,
     surface_options,
 )
-from ladar_volume.io.config import read_config
-from ladar_volume.io.pointfiles import ENCODINGS
-from ladar_volume.io.results import json_text
-from ladar_volume.model.errors import ConfigurationError, VolumeError
-from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, Plane
-from ladar_volume.surface.cloud import CloudSurface
-from ladar_volume.surface.frames import Frame
-from ladar_volume.surface.represent import SurfaceOptions
-from ladar_volume.version import version
-from ladar_volume.volume.cloud_levels import (
+from ladar_volume.clouds.cloud_levels import (
     above_floor,
     events,
     folded_levels,
     level_list,
     sequence,
 )
-from ladar_volume.volume.cloud_volume import CloudVolume, above_base, between_clouds, own_footprints
+from ladar_volume.clouds.cloud_surface import CloudSurface
+from ladar_volume.clouds.cloud_volume import CloudVolume, above_base, between_clouds, own_footprints
+from ladar_volume.io.config import read_config
+from ladar_volume.io.pointfiles.cloud_files import ENCODINGS
+from ladar_volume.io.results import json_text
+from ladar_volume.model.errors import ConfigurationError, VolumeError
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import F64, Plane
+from ladar_volume.tin.represent import SurfaceOptions
+from ladar_volume.tin.scan_frame import Frame
+from ladar_volume.version import version
 from ladar_volume.volume.floors import surface_offset
-from ladar_volume.volume.methods import zero_fill_level
+from ladar_volume.volume.published_methods import zero_fill_level
 
 #: Parameters that options of their own give.
 OWN_OPTION = {

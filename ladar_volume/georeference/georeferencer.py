@@ -14,17 +14,11 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ladar_volume.georeference.admission import (
-    JUMP_S,
-    TimeOrder,
-    fix_covariance,
-    imu_attitude,
-    odometry_pose,
-)
-from ladar_volume.georeference.budget import independent_sigmas
-from ladar_volume.georeference.clock import Lead, SweepTimes
+from ladar_volume.georeference.clock_check import Lead, SweepTimes
+from ladar_volume.georeference.clock_restart import Restart
+from ladar_volume.georeference.error_budget import independent_sigmas
 from ladar_volume.georeference.geodesy import LocalFrame
-from ladar_volume.georeference.lidar import mounting
+from ladar_volume.georeference.lidar_equation import mounting
 from ladar_volume.georeference.mapping import (
     IN_VEHICLE,
     MAPPED,
@@ -34,8 +28,15 @@ from ladar_volume.georeference.mapping import (
     region_box,
     vehicle_box,
 )
-from ladar_volume.georeference.restart import Restart
+from ladar_volume.georeference.sample_admission import (
+    JUMP_S,
+    TimeOrder,
+    fix_covariance,
+    imu_attitude,
+    odometry_pose,
+)
 from ladar_volume.georeference.trajectory import Trajectory
+from ladar_volume.math.se3 import quaternion_from_matrix
 from ladar_volume.model import records as rec
 from ladar_volume.model.errors import InputError, ParameterValueError
 from ladar_volume.model.losses import Losses
@@ -51,7 +52,6 @@ from ladar_volume.model.records import (
     PlatformStates,
     Returns,
 )
-from ladar_volume.model.se3 import quaternion_from_matrix
 
 #: The waiting clock advances with the clouds' own time, but by no more than this per cloud, so one
 #: corrupt stamp expires nothing.

@@ -12,12 +12,12 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from ladar_volume.georeference.lidar import Mounting, angle_derivatives
-from ladar_volume.georeference.sensitivity import bracket, pack
+from ladar_volume.georeference.lidar_equation import Mounting, angle_derivatives
+from ladar_volume.georeference.point_jacobian import bracket, pack
 from ladar_volume.georeference.trajectory import PathWindow, interpolate_position
-from ladar_volume.model.kernels import leaf_kernel, parallel_kernel
+from ladar_volume.math.kernels import leaf_kernel, parallel_kernel
+from ladar_volume.math.se3 import matrix_from_quaternion, slerp
 from ladar_volume.model.records import F32, F64, I64
-from ladar_volume.model.se3 import matrix_from_quaternion, slerp
 
 #: What became of a return.
 MAPPED, NO_POSE, IN_VEHICLE, OUTSIDE_REGION = 0, 1, 2, 3

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ladar_volume.georeference.knots import Knots
+from ladar_volume.georeference.knot_table import Knots
+from ladar_volume.math.se3 import matrix_from_quaternion, multiply_quaternions
 from ladar_volume.model.parameters import GeoreferenceParameters
 from ladar_volume.model.records import F64, I64, PlatformStates
-from ladar_volume.model.se3 import matrix_from_quaternion, multiply_quaternions
 
 #: Knots kept per topic, and for how long (s) at least, or for twice as long as returns may wait:
 #: bounds memory, and how far a topic may run ahead of the clouds.

@@ -12,8 +12,8 @@ import itertools
 
 import numpy as np
 
+from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import ObjectError
-from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, I64, Bool
 
 #: Bits of a packed cell number per axis.

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from ladar_volume.ground.clusters import clusters
 from ladar_volume.ground.polynomial import base_height, degree_of, design
-from ladar_volume.ground.robust import COARSE_M, THRESHOLD_SIGMAS, fit_ground
+from ladar_volume.ground.robust_ground import COARSE_M, THRESHOLD_SIGMAS, fit_ground
 from ladar_volume.model.errors import GroundError
 from ladar_volume.model.parameters import GroundParameters
 from ladar_volume.model.records import F64, I64, Plane

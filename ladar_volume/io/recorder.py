@@ -15,8 +15,8 @@ from typing import Any
 
 import zstandard
 
-from ladar_volume.io.log import McapLog, usual_definition
-from ladar_volume.io.recover import Recovery, is_whole, recover
+from ladar_volume.io.mcap_log import McapLog, usual_definition
+from ladar_volume.io.mcap_recovery import Recovery, is_whole, recover
 from ladar_volume.model.errors import ConfigurationError, OutputError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import LoggerParameters

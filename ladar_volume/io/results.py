@@ -19,7 +19,7 @@ from ladar_volume.model.records import Datum, Estimate, Plane, Tin, Volume
 from ladar_volume.version import version
 
 if TYPE_CHECKING:  # for names of types alone: a stage's kernels are loaded by the node that runs it
-    from ladar_volume.volume.epochs import EpochDifference
+    from ladar_volume.change.epoch_change import EpochDifference
     from ladar_volume.volume.more_data import MoreData
 
 

@@ -21,18 +21,18 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from ladar_volume.georeference.geodesy import LocalFrame
-from ladar_volume.io import results, wire
+from ladar_volume.io import message_tables, results
 from ladar_volume.io.bags import TYPESTORE, BagReader
-from ladar_volume.io.log import McapLog
+from ladar_volume.io.mcap_log import McapLog
 from ladar_volume.io.tables import NUMBERS, decode, encode
 from ladar_volume.model.errors import InputError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import Datum, Estimate, FilterUpdate, select
 from ladar_volume.registration.transform import Transform
-from ladar_volume.volume.epoch_budget import Epoch
+from ladar_volume.uncertainty.epoch_budget import Epoch
+from ladar_volume.uncertainty.navigation_sum import NavigationBins
+from ladar_volume.uncertainty.packing import unpacked
 from ladar_volume.volume.estimator import VolumeEstimator
-from ladar_volume.volume.navigation import NavigationBins
-from ladar_volume.volume.packing import unpacked
 
 #: Name of the file in a results folder, and of its metadata record.
 FILE, RECORD = "result.mcap", "ladar_volume"
@@ -52,7 +52,7 @@ class Survey:
     result: Mapping[str, Any]
 
 
-def navigation_columns(bins: NavigationBins) -> wire.Columns:
+def navigation_columns(bins: NavigationBins) -> message_tables.Columns:
     """``navigation``: per time bin its index, number of platform states, sums of C_nav (36) and of
     position and R_map_body (12).
     """
@@ -65,18 +65,18 @@ def navigation_columns(bins: NavigationBins) -> wire.Columns:
     }
 
 
-def survey_tables(epoch: Epoch) -> Iterator[tuple[str, wire.Columns]]:
+def survey_tables(epoch: Epoch) -> Iterator[tuple[str, message_tables.Columns]]:
     """Topics and columns of everything a survey is compared by, large ones in several messages."""
     points, patches = epoch.sources.points, epoch.sources.patches
-    for first in range(0, len(patches), wire.PART):
-        last = min(first + wire.PART, len(patches))
+    for first in range(0, len(patches), message_tables.PART):
+        last = min(first + message_tables.PART, len(patches))
         mine = unpacked(patches, first, last)
         at = slice(*np.searchsorted(points.patch, [mine.key[0], mine.key[-1] + 1]))
         part = FilterUpdate(
             epoch.t_ns, np.zeros(0, np.int64), select(points, at), mine, last == len(patches)
         )
-        yield "points_filtered", wire.filtered_columns(part.points)
-        yield "patches", wire.patch_columns(part)
+        yield "points_filtered", message_tables.filtered_columns(part.points)
+        yield "patches", message_tables.patch_columns(part)
     yield "navigation", navigation_columns(epoch.sources.navigation)
 
 
@@ -92,7 +92,7 @@ def write_survey(path: Path, estimate: Estimate, epoch: Epoch, result: Mapping[s
     header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="map")
     vertices = estimate.tin.vertices
     tables = [
-        ("volumes", wire.volume_columns(list(estimate.bodies))),
+        ("volumes", message_tables.volume_columns(list(estimate.bodies))),
         (
             "tin_vertices",
             {
@@ -104,7 +104,7 @@ def write_survey(path: Path, estimate: Estimate, epoch: Epoch, result: Mapping[s
         ),
     ]
     if estimate.grounds:
-        tables.append(("grounds", wire.ground_columns(estimate.grounds)))
+        tables.append(("grounds", message_tables.ground_columns(estimate.grounds)))
     path.unlink(missing_ok=True)
     with McapLog(Parameters().logger, path) as log:
         log.metadata(RECORD, {"result": results.json_text(result)})
@@ -180,7 +180,7 @@ def read_survey(path: str | Path) -> Survey:
         parameters, NavigationBins.from_sums(parameters.filter.nav_bin_s, *bins)
     )
     for one, two in zip(points, patches, strict=True):
-        estimator.add(wire.filter_update(wire.filtered_points(one), two))
+        estimator.add(message_tables.filter_update(message_tables.filtered_points(one), two))
     return Survey(file, estimator.epoch(), datum, result)
 
 

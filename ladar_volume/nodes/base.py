@@ -24,18 +24,18 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
 
-from ladar_volume.io.clouds import stamp_ns
+from ladar_volume.io.cloud_messages import stamp_ns
 from ladar_volume.io.config import read_config
 from ladar_volume.model.errors import ConfigurationError, LadarVolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameter import specs
 from ladar_volume.model.parameters import SECTIONS, Parameters
-from ladar_volume.nodes import memory
-from ladar_volume.nodes.declared import descriptor, outside, why_not_now
-from ladar_volume.nodes.defects import Defects
+from ladar_volume.nodes import process_memory
+from ladar_volume.nodes.declared_parameters import descriptor, outside, why_not_now
+from ladar_volume.nodes.defect_reports import Defects
+from ladar_volume.nodes.executor_rounds import AT_ONCE, take_waiting, unpacked
 from ladar_volume.nodes.health import Health
 from ladar_volume.nodes.qos import STREAM
-from ladar_volume.nodes.taking import AT_ONCE, take_waiting, unpacked
 from ladar_volume.nodes.work_queue import WorkQueue
 
 #: How long a node may take to finish its work.
@@ -166,7 +166,7 @@ class StageNode(LifecycleNode, ABC):
         self._before_build = {id(e) for _, e in self._entities()}
         try:
             if self.kernels is not None:
-                importlib.import_module("ladar_volume.warm").warm_up(self.kernels)
+                importlib.import_module("ladar_volume.compile_kernels").warm_up(self.kernels)
             self.build()
         except LadarVolumeError as error:
             self.get_logger().error(str(error))
@@ -189,7 +189,7 @@ class StageNode(LifecycleNode, ABC):
         """Begin to take in data."""
         self._active = True
         if self.kernels is not None:
-            memory.tidy()
+            process_memory.tidy()
         return super().on_activate(state)
 
     def on_deactivate(self, state: Any) -> TransitionCallbackReturn:
@@ -345,8 +345,8 @@ class StageNode(LifecycleNode, ABC):
     def _run(self) -> None:
         given_back = time.monotonic()
         while True:
-            if time.monotonic() - given_back > memory.GIVE_BACK_S:
-                memory.give_back()
+            if time.monotonic() - given_back > process_memory.GIVE_BACK_S:
+                process_memory.give_back()
                 given_back = time.monotonic()
             try:
                 item = self._queue.get(timeout=0.05)

@@ -12,11 +12,11 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import NavSatFix, PointCloud2, PointField
 from std_msgs.msg import Header
 
-from ladar_volume.io.clouds import stamp_ns
+from ladar_volume.io.cloud_messages import stamp_ns
+from ladar_volume.io.message_tables import Columns
 from ladar_volume.io.tables import NUMBERS, encode
-from ladar_volume.io.wire import Columns
+from ladar_volume.math.se3 import matrix_from_quaternion, quaternion_from_matrix
 from ladar_volume.model.records import Datum, Estimate, PlatformStates
-from ladar_volume.model.se3 import matrix_from_quaternion, quaternion_from_matrix
 
 
 def time_message(t_ns: int) -> Time:

@@ -14,18 +14,23 @@ from rclpy.task import Future
 from sensor_msgs.msg import NavSatFix, PointCloud2
 from std_srvs.srv import Trigger
 
-from ladar_volume.filtering.filter import SurfaceFilter
-from ladar_volume.io.clouds import stamp_ns
+from ladar_volume.io.cloud_messages import stamp_ns
+from ladar_volume.io.message_tables import (
+    filtered_columns,
+    mapped_points,
+    patch_columns,
+    update_parts,
+)
 from ladar_volume.io.tables import decode
-from ladar_volume.io.wire import filtered_columns, mapped_points, patch_columns, update_parts
 from ladar_volume.model.records import Datum, FilterUpdate
-from ladar_volume.nodes.ahead import Ahead
 from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.convert import datum_of, platform_state, table_message, time_ns
-from ladar_volume.nodes.passes import Passes
+from ladar_volume.nodes.executor_rounds import NextRound
+from ladar_volume.nodes.flow_control import Ahead
 from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.running import spin
-from ladar_volume.nodes.taking import NextRound
+from ladar_volume.nodes.stream_passes import Passes
+from ladar_volume.rmls.surface_filter import SurfaceFilter
 
 #: Patches refitted per second of an update, before any has been measured; updates with fewer than
 #: so many measure nothing.

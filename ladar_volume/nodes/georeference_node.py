@@ -13,10 +13,14 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 
 from ladar_volume.georeference.georeferencer import Georeferencer
-from ladar_volume.georeference.sensitivity import total_covariance
-from ladar_volume.io.clouds import returns_from_cloud, stamp_ns
-from ladar_volume.io.messages import fix_from_message, imu_from_message, odometry_from_message
-from ladar_volume.io.wire import mapped_columns
+from ladar_volume.georeference.point_jacobian import total_covariance
+from ladar_volume.io.cloud_messages import returns_from_cloud, stamp_ns
+from ladar_volume.io.message_tables import mapped_columns
+from ladar_volume.io.sensor_messages import (
+    fix_from_message,
+    imu_from_message,
+    odometry_from_message,
+)
 from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.convert import datum_message, platform_messages, table_message
 from ladar_volume.nodes.qos import LATCHED, STREAM, sensor_qos

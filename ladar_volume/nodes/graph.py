@@ -20,6 +20,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
+from ladar_volume.compile_kernels import STAGES, warm_up
 from ladar_volume.io.bags import BagReader
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.nodes.base import STOP_S, StageNode
@@ -30,7 +31,6 @@ from ladar_volume.nodes.mavlink_node import MavlinkNode
 from ladar_volume.nodes.player import Player
 from ladar_volume.nodes.running import TAKE_S, Spinner, before_ros
 from ladar_volume.nodes.volume_node import VolumeNode
-from ladar_volume.warm import STAGES, warm_up
 
 FACTORIES: dict[str, Callable[..., StageNode]] = {
     "georeference_node": GeoreferenceNode,

@@ -18,9 +18,9 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from std_srvs.srv import Trigger
 
 from ladar_volume.io.config import dump_config
-from ladar_volume.io.log import usual_definition
+from ladar_volume.io.mcap_log import usual_definition
+from ladar_volume.io.mcap_recovery import Recovery
 from ladar_volume.io.recorder import Recorder
-from ladar_volume.io.recover import Recovery
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.losses import Losses

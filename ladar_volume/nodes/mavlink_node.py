@@ -12,11 +12,11 @@ import numpy as np
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu, NavSatFix
 
-from ladar_volume.io.mavlink import Record
-from ladar_volume.io.mavlink_links import Link, open_link
-from ladar_volume.io.mavlink_log import MavlinkLog, log_file
-from ladar_volume.io.mavlink_poses import InertialSample
-from ladar_volume.io.mavlink_session import MavlinkSession
+from ladar_volume.io.mavlink.mavlink_links import Link, open_link
+from ladar_volume.io.mavlink.mavlink_log import MavlinkLog, log_file
+from ladar_volume.io.mavlink.mavlink_poses import InertialSample
+from ladar_volume.io.mavlink.mavlink_records import Record
+from ladar_volume.io.mavlink.mavlink_session import MavlinkSession
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.records import F64, Fix, ImuSample, OdometrySample
 from ladar_volume.nodes.base import StageNode

@@ -13,7 +13,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.nodes.base import StageNode
-from ladar_volume.nodes.memory import few_arenas, free_buffers, without_blas
+from ladar_volume.nodes.process_memory import few_arenas, free_buffers, without_blas
 
 #: How long a thread that waits for the interpreter lets another go on, s. The usual 5 ms are a
 #: tenth of an estimate for each message that comes in meanwhile, and for each of its two threads.

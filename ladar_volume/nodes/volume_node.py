@@ -23,9 +23,8 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker
 
 from ladar_volume.io import cdr, results
-from ladar_volume.io.clouds import stamp_ns
-from ladar_volume.io.tables import decode
-from ladar_volume.io.wire import (
+from ladar_volume.io.cloud_messages import stamp_ns
+from ladar_volume.io.message_tables import (
     filter_update,
     filtered_points,
     ground_columns,
@@ -33,6 +32,7 @@ from ladar_volume.io.wire import (
     no_filtered_points,
     volume_columns,
 )
+from ladar_volume.io.tables import decode
 from ladar_volume.model.errors import LadarVolumeError, VolumeError
 from ladar_volume.model.records import Datum, Estimate, FilterUpdate, Volume
 from ladar_volume.nodes.base import StageNode
@@ -43,11 +43,11 @@ from ladar_volume.nodes.convert import (
     table_message,
     time_message,
 )
-from ladar_volume.nodes.passes import Passes
+from ladar_volume.nodes.executor_rounds import NextRound
+from ladar_volume.nodes.previous_epoch import SinceEpoch
 from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.running import spin
-from ladar_volume.nodes.since_epoch import SinceEpoch
-from ladar_volume.nodes.taking import NextRound
+from ladar_volume.nodes.stream_passes import Passes
 from ladar_volume.volume.estimator import VolumeEstimator
 from ladar_volume.volume.more_data import MoreData
 

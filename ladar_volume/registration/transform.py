@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ladar_volume.math.se3 import exp_so3, skew
 from ladar_volume.model.errors import RegistrationError
 from ladar_volume.model.records import F64
-from ladar_volume.model.se3 import exp_so3, skew
 
 
 @dataclass(frozen=True)

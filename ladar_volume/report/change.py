@@ -12,9 +12,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
+from ladar_volume.change.change_detection import ChangeMap
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.records import F64, Volume
-from ladar_volume.volume.detection import ChangeMap
 
 #: Colour of what does not exceed the level of detection, and lines of the budget that are shown.
 GREY, LINES = "0.85", 9

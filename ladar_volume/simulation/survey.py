@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from ladar_volume.model.errors import SimulationError
 from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.simulation import velodyne
-from ladar_volume.simulation.errors import draw_errors
+from ladar_volume.simulation.drawn_errors import draw_errors
 from ladar_volume.simulation.platforms import Platform
 from ladar_volume.simulation.scenes import Scene
 

@@ -9,12 +9,12 @@ import dataclasses
 import numpy as np
 
 from ladar_volume.ground.polynomial import design_surface
-from ladar_volume.ground.robust import fit_ground, refine
+from ladar_volume.ground.robust_ground import fit_ground, refine
 from ladar_volume.ground.surfaces import further_grounds
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters, VolumeParameters
 from ladar_volume.model.records import F64, Plane, Tin
-from ladar_volume.surface.tin import footprint_areas, vertex_mask
+from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
 from ladar_volume.volume.outline import bodies, shares, surroundings, widened
 from ladar_volume.volume.polygon import areas_inside, check_polygon
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.ground.polynomial import base_height
-from ladar_volume.model.kernels import kernel
+from ladar_volume.math.kernels import kernel
 from ladar_volume.model.records import F64, I32, Plane, Tin
 
 

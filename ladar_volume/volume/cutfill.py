@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladar_volume.ground.polynomial import base_height, design_surface
+from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, I32, Bool, Plane, Tin
-from ladar_volume.surface.tin import footprint_areas
+from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.volume.overlay import Between, between
 from ladar_volume.volume.prismoids import Prismoids, gather, positive_part, prismoids
 

@@ -13,8 +13,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from ladar_volume.ground.adjoint import ground_inverse
-from ladar_volume.model.at_once import at_once
+from ladar_volume.ground.ground_adjoint import ground_inverse
+from ladar_volume.math.run_concurrently import at_once
 from ladar_volume.model.errors import SurfaceError, VolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
@@ -29,27 +29,27 @@ from ladar_volume.model.records import (
     Tin,
     Volume,
 )
-from ladar_volume.surface.represent import Represented, SurfaceOptions, represent
-from ladar_volume.surface.tin import vertex_mask
-from ladar_volume.volume.assembly import (
+from ladar_volume.tin.full_tin import vertex_mask
+from ladar_volume.tin.represent import Represented, SurfaceOptions, represent
+from ladar_volume.uncertainty.epoch_budget import Epoch
+from ladar_volume.uncertainty.navigation_sum import NavigationBins
+from ladar_volume.uncertainty.patch_table import PatchStore
+from ladar_volume.uncertainty.volume_budget import Budget, Sources, vertical_sigma
+from ladar_volume.volume.base import all_grounds, area_by_body, base_and_outline, polygon_of
+from ladar_volume.volume.centroid import centroid
+from ladar_volume.volume.chord_bias import cut_and_fill_chords
+from ladar_volume.volume.more_data import MoreData, more_data
+from ladar_volume.volume.near_base import Fold
+from ladar_volume.volume.outline import boundary_loop
+from ladar_volume.volume.polygon import clipped_prismoids
+from ladar_volume.volume.prismoids import Prismoids, prismoids
+from ladar_volume.volume.volume_loads import (
     base_name,
     ground_field,
     near_correction,
     result_gradients,
     vertex_variance,
 )
-from ladar_volume.volume.base import all_grounds, area_by_body, base_and_outline, polygon_of
-from ladar_volume.volume.budget import Budget, Sources, vertical_sigma
-from ladar_volume.volume.centroid import centroid
-from ladar_volume.volume.chords import cut_and_fill_chords
-from ladar_volume.volume.epoch_budget import Epoch
-from ladar_volume.volume.more_data import MoreData, more_data
-from ladar_volume.volume.navigation import NavigationBins
-from ladar_volume.volume.near_base import Fold
-from ladar_volume.volume.outline import boundary_loop
-from ladar_volume.volume.patch_store import PatchStore
-from ladar_volume.volume.polygon import clipped_prismoids
-from ladar_volume.volume.prismoids import Prismoids, prismoids
 
 B = TypeVar("B")
 

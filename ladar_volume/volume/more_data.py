@@ -22,13 +22,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ladar_volume.model.records import F64, I64, Bool, Tin
-from ladar_volume.surface.tin import footprint_areas
-from ladar_volume.volume.budget import Sources
-from ladar_volume.volume.load_kernels import cell_kernel, pair_falls_kernel
-from ladar_volume.volume.navigation import markov_sum, navigation_loads
+from ladar_volume.tin.full_tin import footprint_areas
+from ladar_volume.uncertainty.load_kernels import cell_kernel, pair_falls_kernel
+from ladar_volume.uncertainty.navigation_sum import markov_sum, navigation_loads
+from ladar_volume.uncertainty.packing import factor_loads, navigation_units
+from ladar_volume.uncertainty.propagation import patch_loads
+from ladar_volume.uncertainty.volume_budget import Sources
 from ladar_volume.volume.outline import components, filled
-from ladar_volume.volume.packing import factor_loads, navigation_units
-from ladar_volume.volume.propagation import patch_loads
 
 #: Cells along the side of a square as large as the surface, and triangles with an edge so many
 #: times the usual one are gaps.

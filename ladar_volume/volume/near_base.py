@@ -26,11 +26,11 @@ import numpy as np
 from scipy import sparse
 
 from ladar_volume.ground.polynomial import base_height
+from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.model.kernels import kernel, parallel_kernel
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
-from ladar_volume.surface.tin import any_corner, footprint_areas
-from ladar_volume.volume.folded import PACKED, folded, without_noise
+from ladar_volume.tin.full_tin import any_corner, footprint_areas
+from ladar_volume.volume.folded_normal import PACKED, folded, without_noise
 from ladar_volume.volume.neighbourhood import CHUNKS, Smooth
 from ladar_volume.volume.prismoids import gather, positive_part
 
@@ -229,7 +229,7 @@ def blocks(
 def folds(mu: F64, s: F64, noise: F64, slopes: bool) -> tuple[F64, F64, F64, F64]:
     """Means of the positive part of smoothed heights mu (m, 3) above the base: as they are, with
     the noise, packed (m, 6), with that and the heights' own standard deviations s (m, 3), and with
-    these alone; ``slopes`` as for :func:`~ladar_volume.volume.folded.folded`.
+    these alone; ``slopes`` as for :func:`~ladar_volume.volume.folded_normal.folded`.
     """
     plain = without_noise(mu)
     own = np.stack(

@@ -14,10 +14,10 @@ import numba
 import numpy as np
 from scipy import sparse
 
-from ladar_volume.model.kernels import kernel, parallel_kernel
+from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
-from ladar_volume.surface.ordering import hilbert_order
-from ladar_volume.surface.screen import edges
+from ladar_volume.tin.insertion_order import hilbert_order
+from ladar_volume.tin.median_screen import edges
 
 #: Pieces of work shared over the cores; the result does not depend on it.
 CHUNKS = 16

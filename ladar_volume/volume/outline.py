@@ -8,11 +8,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ladar_volume.ground.polynomial import base_height
+from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
-from ladar_volume.surface.boundary import parts_kernel
-from ladar_volume.surface.tin import any_corner, footprint_areas, vertex_mask
+from ladar_volume.tin.boundary import parts_kernel
+from ladar_volume.tin.full_tin import any_corner, footprint_areas, vertex_mask
 
 
 def components(tin: Tin, mask: Bool) -> I64:

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.model.kernels import kernel
 from ladar_volume.model.records import F64, I32, I64, Tin
-from ladar_volume.surface.locate import TriangleIndex, triangle_index
+from ladar_volume.tin.locate import TriangleIndex, triangle_index
 from ladar_volume.volume.overlay_kernel import overlay_kernel
 from ladar_volume.volume.prismoids import CutFill
 

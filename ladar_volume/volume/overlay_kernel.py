@@ -12,10 +12,10 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from ladar_volume.model.kernels import kernel, parallel_kernel
+from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.model.records import F64, I64
-from ladar_volume.surface.locate import CHUNKS, search
-from ladar_volume.volume.pieces import CORNERS, PAIR, ROWS, A, B, add_piece, clip_pair
+from ladar_volume.tin.locate import CHUNKS, search
+from ladar_volume.volume.triangle_clipping import CORNERS, PAIR, ROWS, A, B, add_piece, clip_pair
 
 #: Steps of a walk to a triangle's centre and triangles met below one, beyond which the tree is
 #: asked.

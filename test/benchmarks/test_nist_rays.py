@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-from ladar_volume.studies import nist_experiments as e
-from ladar_volume.studies.nist_scene import pair
-from ladar_volume.volume.overlay import between
-
-sys.path.insert(0, str(Path(__file__).parent))
 from nist_rays import Surface, cut_difference, fill_difference
+
+from ladar_volume.experiments.nist import nist_experiments as e
+from ladar_volume.experiments.nist.nist_scene import pair
+from ladar_volume.volume.overlay import between
 
 #: Coordinates are not rounded here: on a lattice of millimetres many points are co-circular, and
 #: two valid triangulations differ.

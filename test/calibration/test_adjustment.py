@@ -1,22 +1,22 @@
 """The pieces of self-calibration: each against an independent computation or a closed form."""
 
 import dataclasses
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from pyramid_flight import CALIBRATION, SPEED, fly
 
-from ladar_volume.calibration.adjustment import observations, off_plane, solve, without
-from ladar_volume.calibration.drift import drift
 from ladar_volume.calibration.flight import flight, remapped, steady, strips, turned
-from ladar_volume.calibration.patches import averaged, cells, medians, overlap
-from ladar_volume.georeference.budget import calibration_covariance, independent_sigmas
-from ladar_volume.georeference.lidar import mounting
-from ladar_volume.georeference.sensitivity import calibration_jacobian, navigation_jacobian, unpack
+from ladar_volume.calibration.navigation_drift import drift
+from ladar_volume.calibration.strip_adjustment import observations, off_plane, solve, without
+from ladar_volume.calibration.strip_patches import averaged, cells, medians, overlap
+from ladar_volume.georeference.error_budget import calibration_covariance, independent_sigmas
+from ladar_volume.georeference.lidar_equation import mounting
+from ladar_volume.georeference.point_jacobian import (
+    calibration_jacobian,
+    navigation_jacobian,
+    unpack,
+)
 from ladar_volume.model.errors import CalibrationError
 from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.records import MappedPoints

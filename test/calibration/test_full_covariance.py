@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ladar_volume.georeference.budget import calibration_covariance, correlation_triangle
+from ladar_volume.georeference.error_budget import calibration_covariance, correlation_triangle
 from ladar_volume.io.config import changed_config, read_config
 from ladar_volume.model.errors import ParameterValueError
 from ladar_volume.model.parameters import BudgetParameters, Parameters
-from ladar_volume.volume.propagation import calibration_marginals, calibration_variance
+from ladar_volume.uncertainty.propagation import calibration_marginals, calibration_variance
 
 BEAMS = 3
 

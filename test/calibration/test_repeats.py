@@ -12,8 +12,8 @@ from ladar_volume.calibration.repeats import (
     correction_of,
     spread,
 )
+from ladar_volume.math.se3 import exp_so3, rotation_xyz
 from ladar_volume.model.errors import CalibrationError
-from ladar_volume.model.se3 import exp_so3, rotation_xyz
 
 
 def test_three_values_by_hand():

@@ -1,18 +1,14 @@
 """Self-calibration on flights whose errors are known, made without the simulator."""
 
 import dataclasses
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from pyramid_flight import fly
 
 from ladar_volume.calibration.flight import remapped
 from ladar_volume.calibration.selfcal import CORRECTED, StripOptions, calibrate
-from ladar_volume.georeference.budget import calibration_covariance
+from ladar_volume.georeference.error_budget import calibration_covariance
 from ladar_volume.model.errors import CalibrationError
 from ladar_volume.model.parameters import BudgetParameters
 

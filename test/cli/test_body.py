@@ -7,10 +7,10 @@ import pytest
 from closed_meshes import CUBE_T, CUBE_V, moebius, sphere
 
 from ladar_volume.cli.main import main
-from ladar_volume.io.meshfiles import holds_faces, read_mesh, write_mesh
-from ladar_volume.io.meshply import parse_header
-from ladar_volume.io.pointfiles import write_cloud
-from ladar_volume.surface.topology import orient
+from ladar_volume.io.meshfiles.mesh_files import holds_faces, read_mesh, write_mesh
+from ladar_volume.io.meshfiles.ply_mesh import parse_header
+from ladar_volume.io.pointfiles.cloud_files import write_cloud
+from ladar_volume.mesh.topology import orient
 
 
 def boxes(rng, places, count=3500, noise=0.01):

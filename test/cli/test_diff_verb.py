@@ -12,9 +12,9 @@ from closed_meshes import moebius
 
 from benchmarks.pits import PITS, pit, rim
 from ladar_volume.cli.main import main
-from ladar_volume.io.meshfiles import read_mesh, write_mesh
-from ladar_volume.io.pointfiles import write_cloud
-from ladar_volume.model.se3 import exp_so3, rotation_xyz
+from ladar_volume.io.meshfiles.mesh_files import read_mesh, write_mesh
+from ladar_volume.io.pointfiles.cloud_files import write_cloud
+from ladar_volume.math.se3 import exp_so3, rotation_xyz
 
 OPENING, FLOOR, DEPTH, SCANNER = PITS["overhang"]
 EYE = ",".join(map(str, SCANNER))

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from ladar_volume.cli.main import main
-from ladar_volume.filtering.cloud import REASONS, filter_cloud
-from ladar_volume.filtering.presets import PRESETS
-from ladar_volume.io.pointfiles import ENCODINGS, read_cloud, write_cloud
+from ladar_volume.clouds.filter_cloud import REASONS, filter_cloud
+from ladar_volume.clouds.published.filter_presets import PRESETS
+from ladar_volume.io.pointfiles.cloud_files import ENCODINGS, read_cloud, write_cloud
 from ladar_volume.model.parameters import FilterParameters, Parameters
 
 SIGMA = 0.005

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ladar_volume.cli.main import main
-from ladar_volume.io.pointfiles import read_cloud, write_cloud
-from ladar_volume.model.se3 import exp_so3
+from ladar_volume.io.pointfiles.cloud_files import read_cloud, write_cloud
+from ladar_volume.math.se3 import exp_so3
 
 CENTRES = np.array([[10, 0, 1], [4, 9, 3.0], [-6, 8, 0.5], [-11, -1, 2], [-5, -9, 4], [6, -8, 1.5]])
 R, T = exp_so3(np.array([0, 0, 1.2])), np.array([500_000.0, 5_600_000.0, 120.0])

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ladar_volume.cli.main import main
 from ladar_volume.io.bags import BagReader
-from ladar_volume.io.clouds import stamp_ns
+from ladar_volume.io.cloud_messages import stamp_ns
 
 BAG = Path(__file__).parents[2] / "bags" / "stockpile"
 SECONDS = 14.0

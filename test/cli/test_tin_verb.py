@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from ladar_volume.cli.main import main
-from ladar_volume.io.pointfiles import ENCODINGS, read_cloud, write_cloud
-from ladar_volume.surface.adaptive import adaptive_tin
-from ladar_volume.surface.adjust import adjust_rms
+from ladar_volume.io.pointfiles.cloud_files import ENCODINGS, read_cloud, write_cloud
+from ladar_volume.tin.adaptive import adaptive_tin
+from ladar_volume.tin.elevation_adjustment import adjust_rms
 
 
 def cloud(n=3000, sigma=0.02, seed=0):

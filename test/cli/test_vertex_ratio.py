@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from ladar_volume.cli.replay import Replay
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.config import read_config
+from ladar_volume.replay import Replay
 
 BAG = Path(__file__).parents[2] / "bags" / "box"
 

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ladar_volume.georeference import sensitivity, trajectory
-from ladar_volume.georeference.admission import TimeOrder
+from ladar_volume.georeference import point_jacobian, trajectory
 from ladar_volume.georeference.geodesy import LocalFrame
 from ladar_volume.georeference.georeferencer import Georeferencer
-from ladar_volume.georeference.knots import Knots
+from ladar_volume.georeference.knot_table import Knots
+from ladar_volume.georeference.sample_admission import TimeOrder
 from ladar_volume.model.errors import ParameterValueError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import (
@@ -275,7 +275,7 @@ def test_every_mapped_point_has_its_platform_states():
     parameters = _parameters()
     _, points, states = _run(parameters, _by_time(fixes, imus, clouds))
     everything = concatenate(points)
-    geometry = sensitivity.point_geometry(everything, states, parameters.calibration)
+    geometry = point_jacobian.point_geometry(everything, states, parameters.calibration)
     assert geometry.covered.all()
     distance = np.linalg.norm(geometry.v_body, axis=1)
     by_time = {
@@ -284,7 +284,7 @@ def test_every_mapped_point_has_its_platform_states():
     np.testing.assert_allclose(distance, [by_time[int(t)] for t in everything.t_ns], atol=1e-4)
     # and the kernel's C_ind is the one of the numpy Jacobian
     stage = Georeferencer(parameters)
-    C = sensitivity.pack(sensitivity.independent_covariance(geometry, stage._sigmas))
+    C = point_jacobian.pack(point_jacobian.independent_covariance(geometry, stage._sigmas))
     scale = np.abs(C).max(axis=1, keepdims=True)
     assert np.abs((everything.C_ind - C) / scale).max() < 1e-4
     assert set(np.unique(states.segment)) == {0, 1}
@@ -692,10 +692,10 @@ def test_total_covariance_adds_the_shared_errors_to_the_independent_ones():
     parameters = _parameters()
     _, points, states = _run(parameters, fixes + imus + clouds)
     cloud = points[3]
-    total = sensitivity.unpack(sensitivity.total_covariance(cloud, states, parameters))
-    shared = total - sensitivity.unpack(cloud.C_ind)
+    total = point_jacobian.unpack(point_jacobian.total_covariance(cloud, states, parameters))
+    shared = total - point_jacobian.unpack(cloud.C_ind)
     assert (np.linalg.eigvalsh(shared)[:, 0] > 0).all()
     # the position error enters every point in full
     assert (shared[:, 0, 0] > 1e-4).all() and (shared[:, 2, 2] > 4e-4).all()
     far = dataclasses.replace(cloud, t_ns=cloud.t_ns + 3600 * 10**9)
-    assert np.isnan(sensitivity.total_covariance(far, states, parameters)).all()
+    assert np.isnan(point_jacobian.total_covariance(far, states, parameters)).all()

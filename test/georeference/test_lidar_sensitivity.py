@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ladar_volume.georeference import budget as bud
-from ladar_volume.georeference import lidar, sensitivity
+from ladar_volume.georeference import error_budget as bud
+from ladar_volume.georeference import lidar_equation, point_jacobian
+from ladar_volume.math.se3 import rotation_xyz, skew
 from ladar_volume.model.parameters import BudgetParameters, CalibrationParameters
 from ladar_volume.model.records import CAL_COLUMNS, MappedPoints, PlatformStates, select
-from ladar_volume.model.se3 import rotation_xyz, skew
 
 BEAMS = 4
 CALIBRATION = CalibrationParameters(
@@ -102,7 +102,7 @@ def _geometry(pose, measured):
         np.array([2], np.uint16),
         np.zeros(1, np.float32),
     )
-    return sensitivity.point_geometry(points, states, CALIBRATION), points
+    return point_jacobian.point_geometry(points, states, CALIBRATION), points
 
 
 def _complex_step(pose, measured, name, size):
@@ -129,33 +129,38 @@ def test_jacobians_equal_complex_steps(seed):
     beam = np.hstack([_complex_step(pose, measured, n, 0) for n in ("rho_k", "eps_k")])
     measurement = _complex_step(pose, measured, "meas", 3)
     for analytic, numeric in (
-        (sensitivity.navigation_jacobian(geometry)[0], nav),
-        (sensitivity.calibration_jacobian(geometry)[0], cal),
-        (sensitivity.beam_jacobian(geometry)[0], beam),
-        (sensitivity.measurement_jacobian(geometry)[0], measurement),
+        (point_jacobian.navigation_jacobian(geometry)[0], nav),
+        (point_jacobian.calibration_jacobian(geometry)[0], cal),
+        (point_jacobian.beam_jacobian(geometry)[0], beam),
+        (point_jacobian.measurement_jacobian(geometry)[0], measurement),
     ):
         for column in range(numeric.shape[1]):
             scale = np.linalg.norm(numeric[:, column])
             assert np.abs(analytic[:, column] - numeric[:, column]).max() <= 1e-8 * scale
-    full = sensitivity.full_calibration_jacobian(geometry, points.ring, BEAMS)[0]
+    full = point_jacobian.full_calibration_jacobian(geometry, points.ring, BEAMS)[0]
     assert full.shape == (3, len(bud.calibration_columns(BEAMS)))
     shared = len(CAL_COLUMNS)
     np.testing.assert_array_equal(
-        full[:, [shared + 2, shared + BEAMS + 2]], sensitivity.beam_jacobian(geometry)[0]
+        full[:, [shared + 2, shared + BEAMS + 2]], point_jacobian.beam_jacobian(geometry)[0]
     )
     assert not np.delete(full, [*range(shared), shared + 2, shared + BEAMS + 2], axis=1).any()
 
 
 def test_package_equation_is_complex_capable_and_equals_the_plain_one():
     pose, measured = _case(11)
-    mount = lidar.mounting(CALIBRATION)
-    got = lidar.map_point(pose["p"], pose["R"], lidar.laser_vector(*measured), mount)
+    mount = lidar_equation.mounting(CALIBRATION)
+    got = lidar_equation.map_point(
+        pose["p"], pose["R"], lidar_equation.laser_vector(*measured), mount
+    )
     np.testing.assert_allclose(
         got, plain_lidar_equation(pose, measured, {}).real, rtol=0, atol=1e-11
     )
     step = (
-        lidar.map_point(
-            pose["p"], pose["R"], lidar.laser_vector(measured[0] + 1e-30j, *measured[1:]), mount
+        lidar_equation.map_point(
+            pose["p"],
+            pose["R"],
+            lidar_equation.laser_vector(measured[0] + 1e-30j, *measured[1:]),
+            mount,
         ).imag
         / 1e-30
     )
@@ -177,8 +182,8 @@ def test_point_covariance_values_equal_monte_carlo():
         beam_vertical_sigma_rad=3e-4,
     )
     C_cal, sigmas = bud.calibration_covariance(budget, BEAMS), bud.independent_sigmas(budget)
-    C_ind = sensitivity.independent_covariance(geometry, sigmas)
-    C = sensitivity.point_covariance(geometry, points.ring, C_ind, C_nav[None], C_cal)[0]
+    C_ind = point_jacobian.independent_covariance(geometry, sigmas)
+    C = point_jacobian.point_covariance(geometry, points.ring, C_ind, C_nav[None], C_cal)[0]
     n = 400_000
     nav = rng.normal(size=(n, 6)) @ L.T
     s = np.sqrt(np.diag(C_cal))
@@ -216,9 +221,9 @@ def _reference_sigmas(preset, distance, beam):
     """
     budget = bud.PRESETS[preset]
     beam = np.asarray(beam) * distance
-    mount = lidar.mounting(CalibrationParameters())
+    mount = lidar_equation.mounting(CalibrationParameters())
     one = np.zeros((1, 3))
-    geometry = sensitivity.PointGeometry(
+    geometry = point_jacobian.PointGeometry(
         np.ones(1, bool),
         np.eye(3)[None],
         beam[None],
@@ -229,8 +234,8 @@ def _reference_sigmas(preset, distance, beam):
         mount,
     )
     C_nav = bud.navigation_covariance(budget, np.array([0.0, 0, 0, 1]))[None]
-    C_ind = sensitivity.independent_covariance(geometry, bud.independent_sigmas(budget))
-    C = sensitivity.point_covariance(
+    C_ind = point_jacobian.independent_covariance(geometry, bud.independent_sigmas(budget))
+    C = point_jacobian.point_covariance(
         geometry, np.zeros(1, np.uint16), C_ind, C_nav, bud.calibration_covariance(budget, 1)
     )[0]
     return np.sqrt(np.diag(C))
@@ -270,8 +275,10 @@ def test_corrected_position_sigma_is_a_quadrature():
 def test_angles_invert_and_the_axis_is_finite():
     rng = np.random.default_rng(5)
     r = rng.normal(size=(100, 3)) * 20
-    np.testing.assert_allclose(lidar.laser_vector(*lidar.laser_angles(r)), r, atol=1e-12)
-    J = lidar.angle_derivatives(np.array([[0.0, 0.0, 5.0]]))[0]
+    np.testing.assert_allclose(
+        lidar_equation.laser_vector(*lidar_equation.laser_angles(r)), r, atol=1e-12
+    )
+    J = lidar_equation.angle_derivatives(np.array([[0.0, 0.0, 5.0]]))[0]
     np.testing.assert_array_equal(J, [[0, 0, -5], [0, 0, 0], [1, 0, 0]])
 
 
@@ -305,7 +312,7 @@ def test_fixed_axes_and_euler_maps_agree_with_small_rotations():
 
 
 def test_odometry_has_no_antenna_lever():
-    assert not lidar.mounting(CALIBRATION, "odometry").lever_antenna.any()
+    assert not lidar_equation.mounting(CALIBRATION, "odometry").lever_antenna.any()
     C = bud.calibration_covariance(BudgetParameters(), 2, "odometry")
     names = bud.calibration_columns(2)
     assert C.shape == (15, 15)
@@ -331,9 +338,9 @@ def test_uncovered_points_are_nan_and_never_extrapolated():
         np.zeros(8, np.uint16),
         np.zeros(8, np.float32),
     )
-    g = sensitivity.point_geometry(many, states, CALIBRATION)
+    g = point_jacobian.point_geometry(many, states, CALIBRATION)
     np.testing.assert_array_equal(g.covered, [False, True, True, True, False, True, True, False])
     assert np.isnan(g.v_body[~g.covered]).all() and np.isfinite(g.v_body[g.covered]).all()
     empty = select(states, slice(0, 0))
-    assert not sensitivity.point_geometry(many, empty, CALIBRATION).covered.any()
-    assert np.array_equal(sensitivity.unpack(sensitivity.pack(np.eye(3)[None]))[0], np.eye(3))
+    assert not point_jacobian.point_geometry(many, empty, CALIBRATION).covered.any()
+    assert np.array_equal(point_jacobian.unpack(point_jacobian.pack(np.eye(3)[None]))[0], np.eye(3))

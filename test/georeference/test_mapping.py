@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ladar_volume.georeference import mapping, trajectory
-from ladar_volume.georeference.lidar import mounting
+from ladar_volume.georeference.lidar_equation import mounting
 from ladar_volume.georeference.trajectory import PathWindow
 from ladar_volume.model.parameters import CalibrationParameters
 from ladar_volume.model.records import select

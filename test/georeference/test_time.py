@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ladar_volume.engine import Engine
-from ladar_volume.georeference.clock import Lead, SweepTimes
+from ladar_volume.georeference.clock_check import Lead, SweepTimes
+from ladar_volume.georeference.clock_restart import Restart
 from ladar_volume.georeference.georeferencer import Georeferencer
-from ladar_volume.georeference.restart import Restart
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import Fix, ImuSample, Returns, concatenate
+from ladar_volume.pipeline import Engine
 
 S = 1_000_000_000
 T0 = 1_700_000_000 * S

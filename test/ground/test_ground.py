@@ -8,7 +8,12 @@ import math
 import numpy as np
 import pytest
 
-from ladar_volume.ground.adjoint import add_ground_gradient, ground_gradient, ground_residuals
+from ladar_volume.ground.ground_adjoint import (
+    add_ground_gradient,
+    ground_gradient,
+    ground_residuals,
+)
+from ladar_volume.ground.ground_sampling import score_kernel
 from ladar_volume.ground.polynomial import (
     base_gradient,
     base_height,
@@ -19,8 +24,7 @@ from ladar_volume.ground.polynomial import (
     inverse_root,
     solve,
 )
-from ladar_volume.ground.robust import fit_ground, robust_sigma
-from ladar_volume.ground.sampling import score_kernel
+from ladar_volume.ground.robust_ground import fit_ground, robust_sigma
 from ladar_volume.model.errors import GroundError
 from ladar_volume.model.parameters import GroundParameters
 from ladar_volume.model.records import Plane

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from ladar_volume.io.clouds import returns_from_cloud
+from ladar_volume.io.cloud_messages import returns_from_cloud
 from ladar_volume.io.tables import NUMBERS, decode, encode
 from ladar_volume.model.errors import CloudError
 from ladar_volume.model.losses import Losses

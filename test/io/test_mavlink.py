@@ -15,13 +15,13 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import all as dialect
 
-from ladar_volume.io.mavlink import STATUS
-from ladar_volume.io.mavlink_dataflash import DataFlashLog
-from ladar_volume.io.mavlink_links import SerialLink, TcpLink, UdpLink, open_link
-from ladar_volume.io.mavlink_log import MavlinkLog, log_file
-from ladar_volume.io.mavlink_session import MavlinkSession
-from ladar_volume.io.mavlink_stream import MavlinkStream
-from ladar_volume.io.mavlink_tlog import tlog_frames
+from ladar_volume.io.mavlink.mavlink_dataflash import DataFlashLog
+from ladar_volume.io.mavlink.mavlink_links import SerialLink, TcpLink, UdpLink, open_link
+from ladar_volume.io.mavlink.mavlink_log import MavlinkLog, log_file
+from ladar_volume.io.mavlink.mavlink_records import STATUS
+from ladar_volume.io.mavlink.mavlink_session import MavlinkSession
+from ladar_volume.io.mavlink.mavlink_stream import MavlinkStream
+from ladar_volume.io.mavlink.mavlink_tlog import tlog_frames
 from ladar_volume.model.errors import BagError, ConfigurationError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.mavlink_parameters import MavlinkParameters

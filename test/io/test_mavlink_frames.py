@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ladar_volume.io.mavlink_clock import ClockInUse, ClockOffset, S, lower_line, middle_line
-from ladar_volume.io.mavlink_frames import (
+from ladar_volume.io.mavlink.mavlink_clock import (
+    ClockInUse,
+    ClockOffset,
+    S,
+    lower_line,
+    middle_line,
+)
+from ladar_volume.io.mavlink.mavlink_frames import (
     D,
     enu_flu_from_ned_frd,
     euler_from_matrix,
@@ -16,8 +22,8 @@ from ladar_volume.io.mavlink_frames import (
     pose_covariance,
     quaternion_from_euler,
 )
-from ladar_volume.io.mavlink_frames import S as NED_TO_ENU
-from ladar_volume.io.mavlink_poses import accuracy_covariance
+from ladar_volume.io.mavlink.mavlink_frames import S as NED_TO_ENU
+from ladar_volume.io.mavlink.mavlink_poses import accuracy_covariance
 
 rng = np.random.default_rng(3)
 ANGLES = [

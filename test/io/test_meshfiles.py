@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ladar_volume.io.meshfiles import fans, read_mesh, write_mesh
+from ladar_volume.io.meshfiles.mesh_files import fans, read_mesh, write_mesh
+from ladar_volume.mesh.tetrahedra import closed_volume
 from ladar_volume.model.errors import InputError, OutputError
-from ladar_volume.volume.tetrahedra import closed_volume
 
 V = np.array([[x, y, z] for z in (0.0, 1) for y in (0.0, 1) for x in (0.0, 1)])
 T = np.array(

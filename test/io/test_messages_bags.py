@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from ladar_volume.io.bags import TYPESTORE, BagReader, BagWriter
-from ladar_volume.io.log import McapLog
-from ladar_volume.io.messages import fix_from_message, imu_from_message
+from ladar_volume.io.mcap_log import McapLog
 from ladar_volume.io.results import output_folder
+from ladar_volume.io.sensor_messages import fix_from_message, imu_from_message
 from ladar_volume.model.errors import AttitudeError, BagError, FixError, OutputError
 from ladar_volume.model.parameters import LoggerParameters
 

@@ -7,9 +7,14 @@ import struct
 import numpy as np
 import pytest
 
-from ladar_volume.io import lzf
-from ladar_volume.io.pcd import ENCODINGS as PCD_ENCODINGS
-from ladar_volume.io.pointfiles import ENCODINGS, check_output, read_cloud, write_cloud
+from ladar_volume.io.pointfiles import lzf
+from ladar_volume.io.pointfiles.cloud_files import (
+    ENCODINGS,
+    check_output,
+    read_cloud,
+    write_cloud,
+)
+from ladar_volume.io.pointfiles.pcd import ENCODINGS as PCD_ENCODINGS
 from ladar_volume.model.errors import CloudError, InputError, LadarVolumeError, OutputError
 
 EVERY = [(ending, encoding) for ending, encodings in ENCODINGS.items() for encoding in encodings]

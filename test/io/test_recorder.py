@@ -12,9 +12,9 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from ladar_volume.io.bags import TYPESTORE, BagReader
-from ladar_volume.io.log import McapLog
+from ladar_volume.io.mcap_log import McapLog
+from ladar_volume.io.mcap_recovery import is_whole, recover
 from ladar_volume.io.recorder import Recorder, log_files
-from ladar_volume.io.recover import is_whole, recover
 from ladar_volume.model.errors import ConfigurationError, OutputError
 from ladar_volume.model.parameters import LoggerParameters
 

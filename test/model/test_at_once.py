@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from ladar_volume.model.at_once import at_once
+from ladar_volume.math.run_concurrently import at_once
 from ladar_volume.model.errors import VolumeError
 
 

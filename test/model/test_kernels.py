@@ -7,7 +7,7 @@ import numba
 import numpy as np
 import pytest
 
-from ladar_volume.model.kernels import in_threads, kernel, leaf_kernel
+from ladar_volume.math.kernels import in_threads, kernel, leaf_kernel
 
 
 @leaf_kernel

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from ladar_volume.model.leaving_out import left_out
+from ladar_volume.math.import_guard import left_out
 
 #: Part of the standard library, and of nothing else.
 ONE = "this"
@@ -38,5 +38,5 @@ def test_what_is_loaded_stays():
 
 
 def test_kernels_load_no_tool_for_coverage():
-    code = "import sys, ladar_volume.model.kernels; sys.exit('coverage' in sys.modules)"
+    code = "import sys, ladar_volume.math.kernels; sys.exit('coverage' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

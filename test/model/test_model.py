@@ -12,10 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation, Slerp
 
-from ladar_volume.model import errors
-from ladar_volume.model.losses import Losses
-from ladar_volume.model.records import concatenate, select
-from ladar_volume.model.se3 import (
+from ladar_volume.math.se3 import (
     euler_rate_matrix,
     exp_so3,
     matrix_from_quaternion,
@@ -25,6 +22,9 @@ from ladar_volume.model.se3 import (
     skew,
     slerp,
 )
+from ladar_volume.model import errors
+from ladar_volume.model.losses import Losses
+from ladar_volume.model.records import concatenate, select
 
 angles = st.floats(-np.pi, np.pi)
 vectors = arrays(np.float64, 3, elements=st.floats(-3, 3))

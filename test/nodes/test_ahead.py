@@ -3,8 +3,8 @@
 import threading
 import time
 
-from ladar_volume.nodes import ahead
-from ladar_volume.nodes.ahead import AHEAD_BYTES, Ahead
+from ladar_volume.nodes import flow_control
+from ladar_volume.nodes.flow_control import AHEAD_BYTES, Ahead
 
 
 def test_what_was_taken_makes_room():
@@ -39,7 +39,7 @@ def test_waiting_ends_with_the_news():
 
 
 def test_without_news_one_at_a_time_goes_on(monkeypatch):
-    monkeypatch.setattr(ahead, "NEWS_S", 0.2)
+    monkeypatch.setattr(flow_control, "NEWS_S", 0.2)
     one, began = Ahead(), time.monotonic()
     one.sent(1, AHEAD_BYTES + 1)
     assert one.may_send(wait=True) and time.monotonic() - began >= 0.15

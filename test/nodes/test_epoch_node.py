@@ -22,7 +22,7 @@ from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 from volume_surfaces import BIN_NS, cone, platform, surface_update
 from ladar_volume.io.tables import decode
-from ladar_volume.io.wire import filtered_columns, patch_columns, update_parts
+from ladar_volume.io.message_tables import filtered_columns, patch_columns, update_parts
 from ladar_volume.nodes.convert import platform_messages, table_message
 from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.running import Spinner

@@ -18,16 +18,16 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 from conftest import mapped, platform, sheet
-from ladar_volume.filtering.filter import SurfaceFilter
+from ladar_volume.rmls.surface_filter import SurfaceFilter
 from ladar_volume.io.tables import decode
-from ladar_volume.io.wire import filter_update, filtered_columns, filtered_points, mapped_columns, no_filtered_points, patch_columns
+from ladar_volume.io.message_tables import filter_update, filtered_columns, filtered_points, mapped_columns, no_filtered_points, patch_columns
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import select
 from ladar_volume.nodes import filter_node
 from ladar_volume.nodes.convert import platform_messages, table_message
 from ladar_volume.nodes.qos import STREAM
 from ladar_volume.nodes.running import Spinner
-from ladar_volume.volume.patch_store import PatchStore
+from ladar_volume.uncertainty.patch_table import PatchStore
 
 filter_node.FIRST_RATE, filter_node.LEAST_MEASURED, filter_node.MOST = 1.0, 10**9, 200  # one tile at a time, few by a flush
 rclpy.init(args=[])
@@ -114,7 +114,7 @@ def test_a_flush_hands_on_all_points_that_came(tmp_path):
     environment = os.environ | {
         "ROS_DOMAIN_ID": str((os.getpid() + 7) % 90 + 10),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "PYTHONPATH": f"{ROOT}:{ROOT / 'test' / 'filtering'}",
+        "PYTHONPATH": f"{ROOT}:{ROOT / 'test' / 'rmls'}",
     }
     done = subprocess.run(
         [sys.executable, str(script)],

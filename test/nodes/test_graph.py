@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from ladar_volume.cli.main import main
-from ladar_volume.cli.simulate import SUITED
 from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.simulation.bag import write_bag
 from ladar_volume.simulation.platforms import make_platform
 from ladar_volume.simulation.scenes import make_scene
+from ladar_volume.simulation.suited_parameters import SUITED
 from ladar_volume.simulation.survey import Survey, SurveyOptions
 
 ROOT = Path(__file__).parents[2]

@@ -20,7 +20,7 @@ from nav_msgs.msg import Odometry
 from pymavlink import mavutil
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu, NavSatFix
-from ladar_volume.io.messages import fix_from_message, imu_from_message, odometry_from_message
+from ladar_volume.io.sensor_messages import fix_from_message, imu_from_message, odometry_from_message
 from ladar_volume.nodes.mavlink_node import MavlinkNode
 from ladar_volume.nodes.qos import STREAM
 from ladar_volume.nodes.running import Spinner

@@ -5,7 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from ladar_volume.nodes.memory import FROM_PROFILES, PROFILES, free_buffers, unchanged_pages
+from ladar_volume.nodes.process_memory import FROM_PROFILES, PROFILES, free_buffers, unchanged_pages
 
 ROOT = Path(__file__).parents[2]
 
@@ -37,8 +37,8 @@ def test_only_what_is_as_in_the_file_is_given_back():
 def test_kernels_run_and_compile_after_the_libraries_were_given_back():
     code = """if True:
         import numba, numpy as np
-        from ladar_volume.nodes import memory
-        from ladar_volume.volume.navigation import markov_sum
+        from ladar_volume.nodes import process_memory
+        from ladar_volume.uncertainty.navigation_sum import markov_sum
         memory.few_arenas()
         t, y = np.arange(3.0), np.ones((3, 2))
         first = markov_sum(t, y, 1.0)
@@ -55,15 +55,15 @@ def test_kernels_run_and_compile_after_the_libraries_were_given_back():
 
 def test_kernels_compile_for_good_after_the_modules_of_those_they_call_were_packed(tmp_path):
     (tmp_path / "caller.py").write_text(
-        "import numba\nfrom ladar_volume.volume.navigation import markov_sum\n"
+        "import numba\nfrom ladar_volume.uncertainty.navigation_sum import markov_sum\n"
         "@numba.njit(cache=True)\ndef twice(t, y):\n    return 2.0 * markov_sum(t, y, 1.0)\n"
     )
     code = """if True:
         import gc, sys
         import numpy as np
         from numba.core.codegen import CPUCodeLibrary
-        from ladar_volume.nodes import memory
-        from ladar_volume.volume.navigation import markov_sum
+        from ladar_volume.nodes import process_memory
+        from ladar_volume.uncertainty.navigation_sum import markov_sum
         t, y = np.arange(3.0), np.ones((3, 2))
         held = lambda: sum(getattr(x, "_shared_module", None) is not None for x in gc.get_objects() if isinstance(x, CPUCodeLibrary))
         if sys.argv[1] == "packed":
@@ -78,7 +78,7 @@ def test_kernels_compile_for_good_after_the_modules_of_those_they_call_were_pack
     """
     env = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
     warm = (
-        "from ladar_volume.volume.navigation import markov_sum; import numpy as np; "
+        "from ladar_volume.uncertainty.navigation_sum import markov_sum; import numpy as np; "
         "markov_sum(np.arange(3.0), np.ones((3, 2)), 1.0)"
     )
     for arguments in (["-c", warm], ["-c", code, "packed"], ["-c", code, "alone"]):
@@ -91,8 +91,8 @@ def test_kernels_compile_for_good_after_the_modules_of_those_they_call_were_pack
 def test_kernels_of_a_node_need_no_linear_algebra_of_scipy():
     code = """if True:
         import sys
-        from ladar_volume.nodes import memory
-        from ladar_volume.warm import warm_up
+        from ladar_volume.nodes import process_memory
+        from ladar_volume.compile_kernels import warm_up
         memory.without_blas()
         warm_up("georeference")
         warm_up("filter")
@@ -109,7 +109,7 @@ def test_what_a_large_process_frees_goes_back_at_once():
     code = """if True:
         import sys
         import numpy as np
-        from ladar_volume.nodes import memory
+        from ladar_volume.nodes import process_memory
         memory.few_arenas()
         memory.LARGE_BYTES = 0 if sys.argv[1] == "large" else 1 << 60
         memory.give_back()
@@ -136,7 +136,7 @@ SENT = """if True:
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
     from sensor_msgs.msg import PointCloud2
-    from ladar_volume.nodes import memory
+    from ladar_volume.nodes import process_memory
     from ladar_volume.nodes.qos import STREAM
     memory.few_arenas()
     if sys.argv[1] == "free":

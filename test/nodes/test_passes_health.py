@@ -1,7 +1,7 @@
 """Passes of a looping recording seen from its outputs, and what a node says of itself; without ROS."""
 
 from ladar_volume.nodes.health import Health
-from ladar_volume.nodes.passes import Passes
+from ladar_volume.nodes.stream_passes import Passes
 
 S = 1_000_000_000
 

@@ -16,7 +16,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import Float64
 from ladar_volume.nodes.qos import STREAM
-from ladar_volume.nodes.taking import AT_ONCE, take_waiting
+from ladar_volume.nodes.executor_rounds import AT_ONCE, take_waiting
 
 rclpy.init(args=[])
 node = rclpy.create_node("taker")

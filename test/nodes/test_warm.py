@@ -13,10 +13,10 @@ def test_a_survey_needs_no_kernel_that_was_not_ready():
         from pathlib import Path
         from numba.core.caching import Cache
         from ladar_volume import warm
-        from ladar_volume.cli.replay import Replay
+        from ladar_volume.replay import Replay
         from ladar_volume.io.bags import BagReader
         from ladar_volume.io.config import read_config
-        from ladar_volume.volume.epochs import epoch_difference
+        from ladar_volume.change.epoch_change import epoch_difference
         for stage in warm.STAGES:
             warm.warm_up(stage)
         late, load = [], Cache.load_overload

@@ -7,16 +7,16 @@ from types import SimpleNamespace as Message
 import numpy as np
 import pytest
 
-from ladar_volume.engine import Engine
-from ladar_volume.filtering.filter import SurfaceFilter
 from ladar_volume.georeference.georeferencer import Georeferencer
-from ladar_volume.io import wire
+from ladar_volume.io import message_tables
 from ladar_volume.io.bags import BagReader
-from ladar_volume.io.clouds import returns_from_cloud
+from ladar_volume.io.cloud_messages import returns_from_cloud
 from ladar_volume.io.config import read_config
-from ladar_volume.io.messages import fix_from_message, imu_from_message
+from ladar_volume.io.sensor_messages import fix_from_message, imu_from_message
 from ladar_volume.io.tables import NUMBERS, decode, encode
 from ladar_volume.model.losses import Losses
+from ladar_volume.pipeline import Engine
+from ladar_volume.rmls.surface_filter import SurfaceFilter
 from ladar_volume.volume.estimator import VolumeEstimator
 
 ROOT = Path(__file__).parents[2]
@@ -75,16 +75,18 @@ def test_every_intermediate_volume_is_that_of_the_offline_prefix():
             surface.add_platform(states)
             estimator.add_platform(states)
         for points in georeferencer.take_points():
-            stamp, columns = wire.mapped_columns(points)
-            surface.add(wire.mapped_points(stamp, sent(columns)))
+            stamp, columns = message_tables.mapped_columns(points)
+            surface.add(message_tables.mapped_points(stamp, sent(columns)))
         if i not in prefixes:
             continue
-        for part in wire.update_parts(surface.update(), 300):
-            rows = sent(wire.filtered_columns(part.points)) if len(part.points) else None
+        for part in message_tables.update_parts(surface.update(), 300):
+            rows = sent(message_tables.filtered_columns(part.points)) if len(part.points) else None
             estimator.add(
-                wire.filter_update(
-                    wire.filtered_points(rows) if rows else wire.no_filtered_points(),
-                    sent(wire.patch_columns(part)),
+                message_tables.filter_update(
+                    message_tables.filtered_points(rows)
+                    if rows
+                    else message_tables.no_filtered_points(),
+                    sent(message_tables.patch_columns(part)),
                 )
             )
         online = estimator.estimate().volume

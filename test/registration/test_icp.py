@@ -7,8 +7,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ladar_volume.math.se3 import exp_so3
 from ladar_volume.model.errors import RegistrationError
-from ladar_volume.model.se3 import exp_so3
 from ladar_volume.registration.icp import refine
 from ladar_volume.registration.transform import Transform
 
@@ -106,7 +106,7 @@ def test_what_changed_between_the_epochs_is_left_out():
 
 def test_open3d_finds_the_same():
     pytest.importorskip("open3d")
-    from ladar_volume.io.epochs import register_epochs
+    from ladar_volume.io.epoch_registration import register_epochs
 
     rng = np.random.default_rng(5)
     (y, n), x = corner(20_000, rng), inner(corner(3000, rng)[0])

@@ -7,8 +7,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ladar_volume.math.se3 import exp_so3
 from ladar_volume.model.errors import RegistrationError
-from ladar_volume.model.se3 import exp_so3
 from ladar_volume.registration.sphere_start import spheres_through_four, spheres_through_three
 from ladar_volume.registration.spheres import fit_sphere
 from ladar_volume.registration.stillness import check_drift, check_moved

@@ -7,9 +7,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ladar_volume.math.se3 import exp_so3
 from ladar_volume.model.errors import RegistrationError
-from ladar_volume.model.se3 import exp_so3
-from ladar_volume.registration.adjustment import register
+from ladar_volume.registration.sphere_adjustment import register
 from ladar_volume.registration.transform import Transform
 
 KINDS = [(False, 1.0), (False, None), (True, 1.0), (True, None)]

@@ -10,13 +10,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ladar_volume.io.bags import BagReader
-from ladar_volume.io.clouds import returns_from_cloud
+from ladar_volume.io.cloud_messages import returns_from_cloud
 from ladar_volume.model.errors import OutputError, SimulationError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import BudgetParameters, GeoreferenceParameters
 from ladar_volume.simulation import velodyne
 from ladar_volume.simulation.bag import write_bag
-from ladar_volume.simulation.errors import error_series
+from ladar_volume.simulation.drawn_errors import error_series
 from ladar_volume.simulation.platforms import make_platform
 from ladar_volume.simulation.scenes import make_scene
 from ladar_volume.simulation.survey import EPOCH_NS, Survey, SurveyOptions

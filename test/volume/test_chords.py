@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ladar_volume.ground.polynomial import design_surface
-from ladar_volume.surface.tin import build_tin, footprint_areas
-from ladar_volume.volume.chords import chord_kernel, chord_volumes, cut_and_fill_chords
+from ladar_volume.tin.full_tin import build_tin, footprint_areas
+from ladar_volume.volume.chord_bias import chord_kernel, chord_volumes, cut_and_fill_chords
 from ladar_volume.volume.prismoids import positive_part
 
 

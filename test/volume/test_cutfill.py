@@ -12,7 +12,7 @@ import pytest
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import Tin
-from ladar_volume.surface.tin import build_tin
+from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.volume.cutfill import (
     add_piece,
     count_below,

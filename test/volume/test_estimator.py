@@ -13,7 +13,7 @@ from volume_surfaces import BIN_NS, T0, cone, platform, surface_update, take_pat
 from ladar_volume.model.errors import GroundError, SurfaceError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import FilterUpdate, select
-from ladar_volume.volume.budget import vertical_sigma
+from ladar_volume.uncertainty.volume_budget import vertical_sigma
 from ladar_volume.volume.estimator import VolumeEstimator
 
 CONE = math.pi * 16.0
@@ -140,8 +140,8 @@ def test_the_history_of_updates_does_not_matter():
 
 
 def test_common_shift_and_yaw_cancel_above_the_surveys_own_ground_only():
-    from ladar_volume.volume.assembly import result_gradients
     from ladar_volume.volume.prismoids import prismoids
+    from ladar_volume.volume.volume_loads import result_gradients
 
     update = surface_update(sloped, perturb=0.01)
     for degree in (0, 1, 2):

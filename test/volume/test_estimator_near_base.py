@@ -12,12 +12,9 @@ from volume_surfaces import platform, surface_update
 
 from ladar_volume.io.results import volume_dict
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.surface.tin import build_tin
-from ladar_volume.volume.assembly import whole_triangles
-from ladar_volume.volume.estimator import VolumeEstimator
-from ladar_volume.volume.folded import PACKED
-from ladar_volume.volume.propagation import design_rows, surface_geometry
-from ladar_volume.volume.vertex_noise import (
+from ladar_volume.tin.full_tin import build_tin
+from ladar_volume.uncertainty.propagation import design_rows, surface_geometry
+from ladar_volume.uncertainty.vertex_noise import (
     MOST_RINGS,
     corner_covariances,
     corner_kernel,
@@ -26,6 +23,9 @@ from ladar_volume.volume.vertex_noise import (
     rings_for,
     vertex_rows,
 )
+from ladar_volume.volume.estimator import VolumeEstimator
+from ladar_volume.volume.folded_normal import PACKED
+from ladar_volume.volume.volume_loads import whole_triangles
 
 SIDE = 1.0
 

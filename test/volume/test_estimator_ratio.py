@@ -13,11 +13,11 @@ from volume_surfaces import cone, platform, surface_update
 
 from ladar_volume.model.errors import ParameterValueError
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.surface.relevant import with_relevant
-from ladar_volume.surface.tin import build_tin
-from ladar_volume.volume.assembly import result_gradients, vertex_variance
+from ladar_volume.tin.full_tin import build_tin
+from ladar_volume.tin.relevant import with_relevant
 from ladar_volume.volume.estimator import VolumeEstimator
 from ladar_volume.volume.prismoids import prismoids
+from ladar_volume.volume.volume_loads import result_gradients, vertex_variance
 
 CONE = math.pi * 16.0
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.surface.frames import frame_along
-from ladar_volume.surface.tin import build_tin
+from ladar_volume.tin.full_tin import build_tin
+from ladar_volume.tin.scan_frame import frame_along
 from ladar_volume.volume.cutfill import cut_sequence
 from ladar_volume.volume.floors import (
     event_gradient,
@@ -24,14 +24,14 @@ from ladar_volume.volume.floors import (
     spikes,
     surface_offset,
 )
-from ladar_volume.volume.methods import (
+from ladar_volume.volume.overlay import between
+from ladar_volume.volume.published_methods import (
     front_level,
     level_pairs,
     method_one,
     method_two,
     zero_fill_level,
 )
-from ladar_volume.volume.overlay import between
 
 #: Table 5.6: levels (cm) and cut volumes (cm³) with and without the box.
 TABLE = np.array(

@@ -14,10 +14,10 @@ from volume_surfaces import BIN_NS, T0, cone, platform, surface_update, take_pat
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import FilterUpdate, select
-from ladar_volume.surface.tin import build_tin
+from ladar_volume.tin.full_tin import build_tin
+from ladar_volume.uncertainty.navigation_sum import markov_sum
 from ladar_volume.volume.estimator import VolumeEstimator
 from ladar_volume.volume.more_data import SOURCES, enclosed, markov_product, relief
-from ladar_volume.volume.navigation import markov_sum
 
 LEVEL = {"base": "level", "level_m": 0.0, "outline": "all"}
 

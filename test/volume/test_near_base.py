@@ -14,9 +14,9 @@ from scipy import sparse, special
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import Plane
-from ladar_volume.surface.screen import edges
-from ladar_volume.surface.tin import build_tin
-from ladar_volume.volume.folded import (
+from ladar_volume.tin.full_tin import build_tin
+from ladar_volume.tin.median_screen import edges
+from ladar_volume.volume.folded_normal import (
     NODES,
     PACKED,
     add_far,

@@ -17,7 +17,8 @@ import pytest
 from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
-from ladar_volume.georeference.lidar import mounting
+from ladar_volume.experiments.coverage.coverage_survey import Flown, vertices
+from ladar_volume.georeference.lidar_equation import mounting
 from ladar_volume.model.parameters import (
     BudgetParameters,
     CalibrationParameters,
@@ -27,7 +28,6 @@ from ladar_volume.model.parameters import (
     VolumeParameters,
 )
 from ladar_volume.model.records import MappedPoints, PlatformStates
-from ladar_volume.studies.coverage_survey import Flown, vertices
 from ladar_volume.volume.estimator import VolumeEstimator
 
 BEAMS, BIN_S, RATE = 16, 2.0, 200.0

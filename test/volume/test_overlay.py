@@ -15,8 +15,8 @@ import pytest
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import Tin
-from ladar_volume.surface.locate import triangle_index
-from ladar_volume.surface.tin import build_tin, footprint_areas
+from ladar_volume.tin.full_tin import build_tin, footprint_areas
+from ladar_volume.tin.locate import triangle_index
 from ladar_volume.volume.overlay import (
     between,
     integrals,
@@ -25,7 +25,8 @@ from ladar_volume.volume.overlay import (
     vertex_gradients,
 )
 from ladar_volume.volume.overlay_kernel import WAITING, overlay_kernel, walk
-from ladar_volume.volume.pieces import (
+from ladar_volume.volume.prismoids import positive_part, prismoids
+from ladar_volume.volume.triangle_clipping import (
     CORNERS,
     PAIR,
     ROWS,
@@ -38,7 +39,6 @@ from ladar_volume.volume.pieces import (
     clip_pair,
     tip,
 )
-from ladar_volume.volume.prismoids import positive_part, prismoids
 
 
 def random_tin(n=30, seed=0, half=3.0, bump=1.0):

@@ -13,7 +13,7 @@ import pytest
 from ladar_volume.ground.polynomial import base_height, design_surface
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import Plane, Tin
-from ladar_volume.surface.tin import build_tin
+from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.volume.centroid import centroid, moment_kernel
 from ladar_volume.volume.polygon import (
     areas_inside,

@@ -7,9 +7,9 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.model.records import Tin
-from ladar_volume.surface.exchange import exchange_diagonals
-from ladar_volume.surface.locate import barycentric, height_at, locate, triangle_index
-from ladar_volume.surface.tin import footprint_areas
+from ladar_volume.tin.diagonal_exchange import exchange_diagonals
+from ladar_volume.tin.full_tin import footprint_areas
+from ladar_volume.tin.locate import barycentric, height_at, locate, triangle_index
 from ladar_volume.volume.overlay import between
 
 

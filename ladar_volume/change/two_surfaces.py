@@ -1,0 +1,392 @@
+"""Volume between two surfaces by tetrahedra to a free pole (seed 003 section 3).
+
+The published way: both surfaces are triangulated in spherical projection, each about its scanner;
+the tetrahedra of a surface and a pole add up to a volume with a constant defect, and the difference
+of both is free of it. That holds only where both end at the same boundary: where one lacks the
+outermost ring of points, the difference is off by the cone over the ring, and depends on the pole.
+
+Here the boundary is common by construction: a ring of sight lines is cut into both triangulations,
+what lies within it is kept, and the two rims are joined by a wall. The result is a closed body,
+whose volume no pole changes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from ladar_volume.change.sight_ring import Hits, Ring, Target, cast, pull, target
+from ladar_volume.change.spherical_tin import (
+    SphericalTin,
+    build_spherical,
+    stereographic,
+    unit_directions,
+)
+from ladar_volume.mesh.tetrahedra import (
+    other_poles,
+    signed_tetrahedra,
+    surface_area,
+    tetrahedra_gradient,
+    vertex_covariances,
+)
+from ladar_volume.mesh.topology import check_closed, orient
+from ladar_volume.model.errors import VolumeError
+from ladar_volume.model.records import F64, I32, I64, Bool, Tin
+from ladar_volume.registration.transform import Transform
+
+#: Rounds of refinement of the ring until its edges are in both triangulations, and the size at
+#: which that is given up.
+MAX_ROUNDS, MAX_RING = 40, 50_000
+#: A point this near to an edge of the ring, in lengths of that edge, lies on it.
+ON_RING = 0.05
+
+
+@dataclass(frozen=True)
+class TwoSurfaces:
+    """What lies between two surfaces.
+
+    removed_m3 : positive where B lies beyond A as seen from the scanner: material taken away;
+    negative: material added · gradient_a, gradient_b : (na, 3), (nb, 3) m², by the points of both
+    scans · vertices, triangles : the closed body, outward where removed · pole_spread_m3 : largest
+    change over nine other poles · gap_m : (k,) from A to B along each line of the ring; the ring
+    lies on unchanged ground where it is within the noise · area_a_m2, area_b_m2 : surfaces within
+    the ring · bridged_m2 : (of A, of B) where no triangle was within the limits
+    """
+
+    removed_m3: float
+    gradient_a: F64
+    gradient_b: F64
+    vertices: F64
+    triangles: I32
+    pole_map: F64
+    pole_spread_m3: float
+    gap_m: F64
+    area_a_m2: float
+    area_b_m2: float
+    bridged_m2: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A surface with the ring in it: tin of ring points and points · inside : (m,) triangles within
+    the ring · missing : (j,) ring edges that are no edges of the triangulation
+    """
+
+    tin: Tin
+    inside: Bool
+    missing: I64
+
+
+def ring_turn(points: F64, s: SphericalTin) -> float:
+    """Twice the signed area of a ring of points (k, 3) in a scanner's projection: positive
+    counter-clockwise.
+    """
+    q = stereographic(unit_directions(points, s.scanner_map)[0], s.gap_map)
+    q, after = q - q[0], np.roll(q - q[0], -1, axis=0)
+    return float((q[:, 0] * after[:, 1] - q[:, 1] * after[:, 0]).sum())
+
+
+def near_ring(hits: Hits, s: SphericalTin) -> I64:
+    """Vertices that lie on the ring as seen from the scanner, within a twentieth of the length of
+    its edge there.
+    """
+    q = stereographic(unit_directions(hits.point, s.scanner_map)[0], s.gap_map)
+    e = np.roll(q, -1, axis=0) - q
+    length = np.linalg.norm(e, axis=1)
+    found = cKDTree(s.projected).query_ball_point(q + 0.5 * e, 0.6 * length)
+    row = np.repeat(np.arange(len(q)), [len(f) for f in found])
+    vertex = np.concatenate([np.asarray(f, np.int64) for f in found])
+    d = s.projected[vertex] - q[row]
+    share = np.clip((d * e[row]).sum(axis=1) / np.maximum(length[row] ** 2, 1e-300), 0.0, 1.0)
+    on = np.linalg.norm(d - share[:, None] * e[row], axis=1) <= ON_RING * length[row]
+    return np.unique(vertex[on])
+
+
+def cut_surface(
+    points: F64, drop: Bool, hits: Hits, s: SphericalTin, max_angle_rad: float, max_edge_m: float
+) -> Cut:
+    """Triangulate points (n, 3) together with the ring's points on their surface and find what lies
+    within the ring.
+
+    Points on the ring itself are left out, which ``drop`` (n,) remembers from round to round: the
+    ring's own points stand for them.
+    """
+    k = len(hits.point)
+    drop[s.tin.source[near_ring(hits, s)]] = True
+    left = np.flatnonzero(~drop)
+    tin = build_spherical(
+        np.concatenate([hits.point, points[left]]),
+        s.scanner_map,
+        max_angle_rad,
+        max_edge_m,
+        s.gap_map,
+    ).tin
+    tin = dataclasses.replace(tin, source=np.concatenate([np.arange(k), left + k])[tin.source])
+    if len(tin.source) < k or not np.array_equal(tin.source[:k], np.arange(k)):
+        raise VolumeError(
+            "two lines of the ring meet in one direction of the scanner: the ring touches itself",
+            reason="ring_touches",
+        )
+    first, second = (
+        tin.triangles[:, [1, 2, 0]],
+        tin.triangles[:, [2, 0, 1]],
+    )  # edge opposite each corner, directed
+    forward = (first < k) & (second < k) & (second == (first + 1) % k)
+    backward = (first < k) & (second < k) & (first == (second + 1) % k)
+    missing = np.setdiff1d(np.arange(k), first[forward])
+    if len(missing):
+        return Cut(tin, np.zeros(len(tin.triangles), bool), missing)
+    t, corner = np.nonzero((tin.neighbours >= 0) & ~forward & ~backward)
+    graph = coo_matrix(
+        (np.ones(len(t), np.int8), (t, tin.neighbours[t, corner])), shape=(len(tin.triangles),) * 2
+    )
+    label = connected_components(graph, directed=False)[1]
+    within, beyond = label[forward.any(axis=1)], label[backward.any(axis=1)]
+    if np.isin(within, beyond).any() or len(np.unique(within)) != 1:
+        raise VolumeError("the ring crosses itself as seen from the scanner", reason="ring_touches")
+    return Cut(tin, np.asarray(label == within[0]), missing)
+
+
+def two_surfaces(
+    points_a: F64,
+    points_b: F64,
+    ring: Ring,
+    scanner_a: F64,
+    scanner_b: F64,
+    *,
+    max_angle_rad: float = np.inf,
+    max_edge_m: float = np.inf,
+    pole_map: F64 | None = None,
+    ring_radius_m: float = 0.0,
+) -> TwoSurfaces:
+    """Volume between surfaces A (before) and B (after) within a ring.
+
+    points_a, points_b : (n, 3) m, both in the map frame (register first), reaching a margin beyond
+    the ring · scanner_a, scanner_b : (3,) m · max_angle_rad, max_edge_m : limits of a triangle;
+    wider ones still close the surface, and are counted in ``bridged_m2`` · pole_map : (3,) m,
+    default scanner B · ring_radius_m : the ring lies on planes through the points so near to it; 0:
+    on the triangles, which serves exact points.
+
+    Raises :class:`SurfaceError` for points that cannot be triangulated and :class:`VolumeError`:
+    ring_off_surface, ring_touches, ring_sides (the scanners see the ring from opposite sides),
+    ring_lost (points too near the ring).
+    """
+    a, b = (np.asarray(p, dtype=np.float64) for p in (points_a, points_b))
+    limits = (max_angle_rad, max_edge_m)
+    s_a, s_b = build_spherical(a, scanner_a, *limits), build_spherical(b, scanner_b, *limits)
+    aims = target(s_a.tin), target(s_b.tin)
+    hits_a, hits_b = (
+        cast(ring, aim, name, ring_radius_m) for aim, name in zip(aims, "AB", strict=True)
+    )
+    if ring_turn(hits_a.point, s_a) < 0.0:
+        ring, hits_a, hits_b = ring.reversed(), hits_a.reversed(), hits_b.reversed()
+    if ring_turn(hits_b.point, s_b) < 0.0:
+        raise VolumeError(
+            "the scanners see the ring from opposite sides of the surface", reason="ring_sides"
+        )
+    ring, hits, cuts = cut_both(
+        (a, b), (s_a, s_b), aims, ring, (hits_a, hits_b), limits, ring_radius_m
+    )
+    vertices, triangles = join(*cuts, len(ring))
+    pole = np.asarray(scanner_b if pole_map is None else pole_map, dtype=np.float64)
+    check_closed(orient(vertices, triangles))
+    total = float(signed_tetrahedra(vertices, triangles, pole).sum())
+    poles = other_poles(vertices)
+    spread = max(abs(float(signed_tetrahedra(vertices, triangles, q).sum()) - total) for q in poles)
+    g = tetrahedra_gradient(vertices, triangles, poles[0])
+    na = len(cuts[0].tin.vertices)
+    gradients = [
+        by_points(part, cut, s, ring, hit, len(points))
+        for part, cut, s, hit, points in zip(
+            (g[:na], g[na:]), cuts, (s_a, s_b), hits, (a, b), strict=True
+        )
+    ]
+    area = [surface_area(c.tin.vertices, c.tin.triangles[c.inside]) for c in cuts]
+    bridged = [
+        surface_area(c.tin.vertices, c.tin.triangles[c.inside & ~c.tin.relevant]) for c in cuts
+    ]
+    return TwoSurfaces(
+        total,
+        gradients[0],
+        gradients[1],
+        vertices,
+        triangles,
+        pole,
+        spread,
+        hits[1].distance - hits[0].distance,
+        area[0],
+        area[1],
+        (bridged[0], bridged[1]),
+    )
+
+
+def cut_both(
+    points: tuple[F64, F64],
+    scans: tuple[SphericalTin, SphericalTin],
+    aims: tuple[Target, Target],
+    ring: Ring,
+    hits: tuple[Hits, Hits],
+    limits: tuple[float, float],
+    radius_m: float,
+) -> tuple[Ring, tuple[Hits, Hits], tuple[Cut, Cut]]:
+    """Cut the ring into both surfaces; where an edge of it is in one of them no edge, both get a
+    line midway, until all are.
+
+    Raises :class:`VolumeError` (ring_lost) where that does not end.
+    """
+    (a, b), (s_a, s_b), (hits_a, hits_b) = points, scans, hits
+    drop_a, drop_b = np.zeros(len(a), bool), np.zeros(len(b), bool)
+    for _ in range(MAX_ROUNDS):
+        cut_a, cut_b = (
+            cut_surface(a, drop_a, hits_a, s_a, *limits),
+            cut_surface(b, drop_b, hits_b, s_b, *limits),
+        )
+        missing = np.union1d(cut_a.missing, cut_b.missing)
+        if len(missing) == 0:
+            return ring, (hits_a, hits_b), (cut_a, cut_b)
+        middles = ring.middles(missing)
+        hits_a, hits_b = (
+            h.insert(missing, cast(middles, aim, name, radius_m))
+            for h, aim, name in zip((hits_a, hits_b), aims, "AB", strict=True)
+        )
+        ring = ring.insert(missing, middles)
+        if len(ring) > MAX_RING:
+            break
+    raise VolumeError(
+        (
+            f"{len(missing)} edges of the ring cannot be cut into the surfaces: points lie "
+            "too near the ring; move it"
+        ),
+        reason="ring_lost",
+        value=len(missing),
+    )
+
+
+def join(a: Cut, b: Cut, k: int) -> tuple[F64, I32]:
+    """The closed body between two cut surfaces: A as it is, B turned round, and the wall between
+    their rims.
+    """
+    n = len(a.tin.vertices)
+    here, after = np.arange(k), (np.arange(k) + 1) % k
+    wall = np.concatenate(
+        [np.stack([after, here, n + here], axis=1), np.stack([after, n + here, n + after], axis=1)]
+    )
+    triangles = np.concatenate(
+        [a.tin.triangles[a.inside], n + b.tin.triangles[b.inside][:, [0, 2, 1]], wall]
+    )
+    return np.concatenate([a.tin.vertices, b.tin.vertices]), triangles.astype(np.int32)
+
+
+def by_points(gradient: F64, cut: Cut, s: SphericalTin, ring: Ring, hits: Hits, n: int) -> F64:
+    """Gradient (n, 3) by the points of a scan from that by the vertices of its cut surface, the
+    ring's among them.
+    """
+    k = len(ring)
+    out, at_vertices = np.zeros((n, 3)), np.zeros(s.tin.vertices.shape)
+    own = cut.tin.source >= k
+    out[cut.tin.source[own] - k] = gradient[own]
+    pull(gradient[:k], ring, hits, at_vertices)
+    out[s.tin.source] += at_vertices
+    return out
+
+
+def two_surface_budget(
+    result: TwoSurfaces,
+    noise_a: float | F64,
+    noise_b: float | F64,
+    transform_b: Transform | None = None,
+    source_b: F64 | None = None,
+    transform_a: Transform | None = None,
+    source_a: F64 | None = None,
+) -> dict[str, float]:
+    """Variance of the volume by source, m⁶: ``noise_a`` and ``noise_b`` of independent points (a
+    sigma, sigmas (n,), m, or covariances (n, 3, 3)), ``registration_a`` and ``registration_b`` from
+    the transforms and the points as they were before them, (n, 3) m.
+    """
+    out = {}
+    for name, g, noise in (
+        ("noise_a", result.gradient_a, noise_a),
+        ("noise_b", result.gradient_b, noise_b),
+    ):
+        out[name] = float(np.einsum("ni,nij,nj->", g, vertex_covariances(noise, len(g)), g))
+    for name, g, T, source in (
+        ("registration_a", result.gradient_a, transform_a, source_a),
+        ("registration_b", result.gradient_b, transform_b, source_b),
+    ):
+        if T is not None:
+            if source is None or len(source) != len(g):
+                raise VolumeError(
+                    "a registration's share needs the points as they were before it",
+                    reason="volume_registration",
+                )
+            out[name] = T.variance(g, source)
+    return out
+
+
+def cone_volume(s: SphericalTin, pole_map: F64) -> float:
+    """Published: the volume, m³, of the tetrahedra of a surface's relevant triangles and a pole; of
+    no meaning by itself.
+    """
+    return -float(
+        signed_tetrahedra(
+            s.tin.vertices, s.tin.triangles[s.tin.relevant], np.asarray(pole_map, dtype=np.float64)
+        ).sum()
+    )
+
+
+def published_difference(a: SphericalTin, b: SphericalTin, pole_map: F64) -> float:
+    """Published: the volume, m³, taken away between surfaces A and B, each over its own
+    boundary.
+    """
+    return cone_volume(b, pole_map) - cone_volume(a, pole_map)
+
+
+def select_regions(
+    points_a: F64, points_b: F64, polygon_xy: F64, margin_m: float
+) -> tuple[Bool, Bool]:
+    """Points of scan A within a polygon (c, 2) or ``margin_m`` of it, and those of scan B within
+    the box of these in plan.
+
+    The box has no bottom and no top: what was dug lies below all of A's points. Raises
+    :class:`VolumeError` (region_empty).
+    """
+    a, b, p = (np.asarray(x, dtype=np.float64) for x in (points_a, points_b, polygon_xy))
+    if (
+        p.ndim != 2
+        or p.shape[1:] != (2,)
+        or len(p) < 3
+        or not np.isfinite(p).all()
+        or not margin_m >= 0.0
+    ):
+        raise VolumeError(
+            "a region is a polygon of at least three finite corners x, y and a margin of 0 or more",
+            reason="region_polygon",
+        )
+    box = ((a[:, :2] >= p.min(axis=0) - margin_m) & (a[:, :2] <= p.max(axis=0) + margin_m)).all(
+        axis=1
+    )
+    r = a[box, :2]
+    inside, near = np.zeros(len(r), bool), np.full(len(r), np.inf)
+    for q, after in zip(p, np.roll(p, -1, axis=0), strict=True):
+        d, e = r - q, after - q
+        crosses = (q[1] > r[:, 1]) != (after[1] > r[:, 1])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inside ^= crosses & (d[:, 0] < e[0] * d[:, 1] / e[1])
+        share = np.clip((d @ e) / max(float(e @ e), 1e-300), 0.0, 1.0)
+        near = np.minimum(near, np.linalg.norm(d - share[:, None] * e, axis=1))
+    in_a = box.copy()
+    in_a[box] = inside | (near <= margin_m)
+    if not in_a.any():
+        raise VolumeError("no point of scan A lies within the region", reason="region_empty")
+    low, high = a[in_a, :2].min(axis=0), a[in_a, :2].max(axis=0)
+    in_b: Bool = ((b[:, :2] >= low) & (b[:, :2] <= high)).all(axis=1)
+    if not in_b.any():
+        raise VolumeError(
+            "no point of scan B lies within the box of scan A's region", reason="region_empty"
+        )
+    return in_a, in_b

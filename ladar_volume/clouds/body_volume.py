@@ -1,0 +1,236 @@
+"""The volume of a body: edges completed, closed, by signed tetrahedra, corrected for curvature; and
+what its uncertainty is made of.
+
+The correction for edges and that for curvature are printed apart, and the volume of the mesh as it
+is beside. The gradient goes through all that was made out of measured points: completed edges, feet
+on the ground, fills. The sources of variance (UNCERTAINTY steps 1 to 3):
+
+- ``noise``: of the points. Filtered points share raw ones; the sum is over the raw points, each
+  with all it moves, in this body and in
+  the ground under it.
+- ``ground``: the part of it, or of the ground's own covariance, by which the plane moves.
+- ``closing``: what the volume changes where the closing surface is drawn the other plausible way
+  (:mod:`~ladar_volume.mesh.closing`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ladar_volume.clouds.filter.filter_adjoint import influence
+from ladar_volume.clouds.filter.filter_result import CloudResult
+from ladar_volume.ground.ground_adjoint import ground_gradient
+from ladar_volume.mesh.bottom_closing import Closure
+from ladar_volume.mesh.chord_curvature import bulge_volumes
+from ladar_volume.mesh.closing import close
+from ladar_volume.mesh.edge_completion import SHARP_RAD, sharpen
+from ladar_volume.mesh.intersections import crossings
+from ladar_volume.mesh.linear_mesh import Skin, skin_of
+from ladar_volume.mesh.tetrahedra import (
+    ClosedVolume,
+    closed_variance,
+    closed_volume,
+    signed_tetrahedra,
+)
+from ladar_volume.model.records import F64, I32, I64, Bool, Plane
+
+
+@dataclass(frozen=True)
+class Body:
+    """A closed body.
+
+    volume_m3 : corrected · uncorrected_m3 : of the closed mesh as it is, its edges cut off and its
+    curves chords · edge_m3, curvature_m3 : the corrections · closed_m3 : between the rims, spanned
+    from their middles, and what closes them · centroid_map : (3,) m · skin : the closed mesh ·
+    closed : its volume without curvature, gradient, parts, independence of the pole · closures :
+    what was closed · edge_vertices : how many vertices complete edges · may_cross : whether
+    triangles may cross · gradient : (k, 3) m², by the measured vertices · by_ground : (3,), by the
+    ground's height and slopes
+    """
+
+    volume_m3: float
+    uncorrected_m3: float
+    edge_m3: float
+    curvature_m3: float
+    closed_m3: float
+    centroid_map: F64
+    skin: Skin
+    closed: ClosedVolume
+    closures: tuple[Closure, ...]
+    edge_vertices: int
+    may_cross: bool
+    gradient: F64
+    by_ground: F64
+
+    @cached_property
+    def crossing(self) -> int:
+        """Pairs of triangles that cross, at most 1,000."""
+        return len(crossings(self.skin.vertices, self.skin.triangles)) if self.may_cross else 0
+
+    @property
+    def area_m2(self) -> float:
+        """Area of the closed mesh."""
+        return self.closed.area_m2
+
+
+def body_of(
+    vertices: F64,
+    triangles: I32,
+    normals: F64 | None = None,
+    curved: Bool | None = None,
+    close_m: float = 0.0,
+    ground: Plane | None = None,
+    sharp_rad: float | None = SHARP_RAD,
+    pole_map: F64 | None = None,
+    allow_crossings: bool = False,
+) -> Body:
+    """The body within a mesh (n, 3), (m, 3), open or closed.
+
+    normals : (n, 3) of the surface at the vertices, of either sign; without them nothing is
+    corrected · curved : (n,) whether it is curved there · close_m, ground : see
+    :func:`~ladar_volume.mesh.closing.close` · sharp_rad : faces whose normals enclose more meet
+    in an edge; None: no edge is completed. Raises :class:`SurfaceError` as
+    :func:`~ladar_volume.mesh.closing.close` and
+    :func:`~ladar_volume.mesh.tetrahedra.closed_volume`.
+    """
+    start = skin_of(vertices, triangles, normals, curved)
+    blunt, closures = close(start, close_m, ground)
+    sharp, added = sharpen(start, sharp_rad) if sharp_rad is not None else (start, 0)
+    skin = blunt
+    if added:
+        skin, closures = close(sharp, close_m, ground)
+    closed = closed_volume(skin.vertices, skin.triangles, pole_map, allow_crossings)
+    cut_off = (
+        closed_volume(blunt.vertices, blunt.triangles, pole_map, True).volume_m3
+        if added
+        else closed.volume_m3
+    )
+    # a cavity is turned round: what its surface bulges is lost to the body
+    side = np.where(closed.flipped, -1.0, 1.0)
+    curvature = float(bulge_volumes(skin, SHARP_RAD if sharp_rad is None else sharp_rad) @ side)
+    by_measured = np.asarray(closed.gradient.ravel() @ skin.by_measured).reshape(-1, 3)
+    return Body(
+        closed.volume_m3 + curvature,
+        cut_off,
+        closed.volume_m3 - cut_off,
+        curvature,
+        sum(c.closed_m3 for c in closures),
+        solid_centroid(skin.vertices, closed),
+        skin,
+        closed,
+        tuple(closures),
+        added,
+        allow_crossings,
+        by_measured,
+        closed.gradient.ravel() @ skin.by_ground,
+    )
+
+
+def solid_centroid(vertices: F64, closed: ClosedVolume) -> F64:
+    """Centroid (3,) m of a closed body, that of its tetrahedra weighted by their volumes."""
+    pole = vertices[closed.mesh.triangles[0, 0]]
+    share = signed_tetrahedra(vertices, closed.mesh.triangles, pole)
+    out: F64 = pole + share @ (vertices[closed.mesh.triangles] - pole).sum(axis=1) / (
+        4.0 * share.sum()
+    )
+    return out
+
+
+@dataclass(frozen=True)
+class Uncertain:
+    """C_m6 : (b, b) m⁶, covariance of the bodies' volumes · budget_m6 : variances of each body by
+    source, which add up to the diagonal
+    """
+
+    C_m6: F64
+    budget_m6: tuple[dict[str, float], ...]
+
+    @property
+    def sigma_m3(self) -> F64:
+        """Standard deviations (b,) m³."""
+        return np.sqrt(np.diagonal(self.C_m6))
+
+
+def closing_m6(body: Body) -> float:
+    """Variance of a body from how it was closed, m⁶."""
+    return sum(c.doubt_m3**2 for c in body.closures)
+
+
+def cloud_uncertainty(
+    bodies: Sequence[Body],
+    sources: Sequence[I64],
+    r: F64,
+    filtered: CloudResult,
+    ground: Plane | None,
+) -> Uncertain:
+    """Of bodies whose measured vertices are the filtered points ``sources`` (k,) each.
+
+    r : (n, 3) m, the raw points · ground : with a support, that of filtered points, which it moves
+    with; without, a plane with a covariance of its own.
+    """
+    b = len(bodies)
+    weight = np.zeros((len(filtered.r), 2 * b))
+    own = np.zeros((b, b))
+    for k, (body, source) in enumerate(zip(bodies, sources, strict=True)):
+        np.add.at(
+            weight[:, k], source, np.einsum("ni,ni->n", body.gradient, filtered.normal[source])
+        )
+        if ground is not None and len(ground.support):
+            by_point = ground_gradient(
+                filtered.r, ground, body.by_ground[: len(ground.beta), None]
+            )[:, 0]
+            np.add.at(
+                weight[:, b + k],
+                ground.support,
+                np.einsum("ni,ni->n", by_point, filtered.normal[ground.support]),
+            )
+    if ground is not None and not len(ground.support):
+        J = np.stack([body.by_ground[: len(ground.beta)] for body in bodies])
+        own = J @ ground.C_beta @ J.T
+    noise = np.ones(1) if filtered.noise is None else filtered.noise
+    s = influence(r, filtered, weight) * noise[:, None]
+    joint = s.T @ s
+    by_ground = joint[b:, b:] + own
+    both = joint[:b, :b] + joint[:b, b:] + joint[b:, :b] + joint[b:, b:]
+    closing = np.array([closing_m6(body) for body in bodies])
+    budget = tuple(
+        {
+            "noise": float(both[k, k] - joint[b + k, b + k]),
+            "ground": float(by_ground[k, k]),
+            "closing": float(closing[k]),
+        }
+        for k in range(b)
+    )
+    return Uncertain(both + own + np.diag(closing), budget)
+
+
+def mesh_uncertainty(
+    bodies: Sequence[Body], sigma_m: float | Sequence[F64], ground: Plane | None = None
+) -> Uncertain:
+    """Of bodies whose measured vertices err independently and in every direction: by ``sigma_m``,
+    one for all or (k,) for each body.
+
+    The second-order part is that of the closed mesh with the mean variance.
+    """
+    C = np.zeros((len(bodies), len(bodies)))
+    if ground is not None:
+        J = np.stack([body.by_ground[: len(ground.beta)] for body in bodies])
+        C = J @ ground.C_beta @ J.T
+    budget = []
+    for k, body in enumerate(bodies):
+        sigma = np.broadcast_to(
+            sigma_m[k] if isinstance(sigma_m, Sequence) else sigma_m, len(body.gradient)
+        )
+        first = float((body.gradient**2).sum(axis=1) @ sigma**2)
+        second = closed_variance(
+            body.skin.vertices, body.closed, float(np.sqrt(np.mean(sigma**2)))
+        ).second_m6
+        budget.append(
+            {"noise": first + second, "ground": float(C[k, k]), "closing": closing_m6(body)}
+        )
+        C[k, k] = sum(budget[-1].values())
+    return Uncertain(C, tuple(budget))

@@ -1,0 +1,153 @@
+"""From a filtered cloud to its bodies: ground, objects, mesh, edges, closing, volume, uncertainty
+(seed 002 chapters 5 to 7 in one line).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ladar_volume.clouds.body_volume import Body, body_of
+from ladar_volume.mesh.edge_completion import SHARP_RAD
+from ladar_volume.mesh.local_mesh import LocalMesh, LocalMeshSettings, mesh_cloud
+from ladar_volume.mesh.topology import orient
+from ladar_volume.model.errors import SurfaceError, VolumeError
+from ladar_volume.model.records import F64, I32, I64, Bool, Plane
+
+#: A gap is closed, and a rim drawn on to the ground, over this many longest edges where no size is
+#: given.
+CLOSE = 2.0
+#: Least height of an object's points in sigmas of the raw noise: ground points within it can come
+#: to lie on a wall drawn on beyond its end.
+CLEAR = 2.0
+#: Fewest points at different places that are a body.
+FEWEST = 4
+#: A part of the mesh that has fewer triangles than this share of all, and is open or tiny, is a
+#: stray piece.
+STRAY = 0.02
+
+
+@dataclass(frozen=True)
+class BodyOptions:
+    """mesh : of the local meshes · close_m : largest gap, and distance of a rim from the ground,
+    that are closed; 0: twice the mesh's longest edge · sharp_rad : faces whose normals enclose more
+    meet in an edge, None: no edge is completed · pole_map : (3,) m, of the tetrahedra
+    """
+
+    mesh: LocalMeshSettings = field(default_factory=LocalMeshSettings)
+    close_m: float = 0.0
+    sharp_rad: float | None = SHARP_RAD
+    pole_map: F64 | None = None
+
+
+@dataclass(frozen=True)
+class CloudBodies:
+    """bodies · sources : (k,) of each, the point of each measured vertex · meshes : as built,
+    before edges and closing · stray : triangles left out, per body · ground : where they stand,
+    None for bodies seen from all sides
+    """
+
+    bodies: tuple[Body, ...]
+    sources: tuple[I64, ...]
+    meshes: tuple[LocalMesh, ...]
+    stray: tuple[int, ...]
+    ground: Plane | None
+
+
+def cloud_bodies(
+    points: F64,
+    normals: F64 | None,
+    curved: Bool | None,
+    label: I64,
+    ground: Plane | None,
+    options: BodyOptions | None = None,
+    step: Callable[[int, int], None] = lambda number, many: None,
+) -> CloudBodies:
+    """The bodies of a filtered cloud.
+
+    points : (n, 3) m · normals : (n, 3), of either sign, or None · curved : (n,) whether the
+    surface there is curved, None where normals tell · label : (n,) body of each point, −1 for none
+    · ground : None where bodies are seen from all sides · step : called with the number of each
+    body and how many there are, before it is made. Raises :class:`VolumeError` (volume_no_body)
+    where no point is in a body and :class:`SurfaceError` for a body that cannot be meshed or
+    closed, naming it.
+    """
+    o = options or BodyOptions()
+    many = int(label.max(initial=-1)) + 1
+    if many == 0:
+        raise VolumeError(
+            (
+                "no body: no point stands above the ground; give the ground, or ask for less "
+                "height or fewer points of an object"
+            ),
+            reason="volume_no_body",
+        )
+    made = []
+    for number in range(many):
+        step(number, many)
+        rows = np.flatnonzero(label == number).astype(np.int64)
+        try:
+            made.append((*_body(points, normals, curved, rows, ground, o), rows))
+        except SurfaceError as error:
+            name = f"body {number + 1}: " if many > 1 else ""
+            raise SurfaceError(f"{name}{error}", reason=error.reason, value=error.value) from error
+    bodies, meshes, stray, sources = zip(*made, strict=True)
+    return CloudBodies(bodies, sources, meshes, stray, ground)
+
+
+def _body(
+    points: F64,
+    normals: F64 | None,
+    curved: Bool | None,
+    rows: I64,
+    ground: Plane | None,
+    o: BodyOptions,
+) -> tuple[Body, LocalMesh, int]:
+    """The body of some of the points, its mesh, and how many triangles were left out."""
+    mesh = mesh_cloud(points[rows], None if normals is None else normals[rows], o.mesh)
+    places = len(rows) - int(mesh.report["duplicates"])
+    if places < FEWEST:
+        raise SurfaceError(
+            (
+                f"{places} points at different places are no body: scan it more densely, or "
+                "ask for more points of an object (--min-points)"
+            ),
+            reason="mesh_points",
+            value=places,
+        )
+    close_m = o.close_m or CLOSE * float(mesh.report["radius_m"])
+    triangles, left = without_stray(mesh)
+    body = body_of(
+        mesh.vertices,
+        triangles,
+        None if normals is None else mesh.normals,
+        None if curved is None else curved[rows],
+        close_m,
+        ground,
+        o.sharp_rad,
+        o.pole_map,
+        allow_crossings=True,
+    )
+    return body, mesh, left
+
+
+def without_stray(mesh: LocalMesh) -> tuple[I32, int]:
+    """The triangles of a mesh without parts too small to be bodies: open ones of few triangles,
+    closed ones that would fit through the largest hole that is closed. And how many were left out.
+    """
+    found = orient(mesh.vertices, mesh.triangles)
+    size = np.bincount(found.part)
+    is_open = np.zeros(len(size), bool)
+    is_open[found.part[np.isin(mesh.triangles, found.boundary).any(axis=1)]] = True
+    small = size < STRAY * len(mesh.triangles)
+    rows = np.flatnonzero(small[found.part])
+    at, part = mesh.vertices[mesh.triangles[rows]], found.part[rows]
+    low, high = np.full((len(size), 3), np.inf), np.full((len(size), 3), -np.inf)
+    np.minimum.at(low, part, at.min(axis=1))
+    np.maximum.at(high, part, at.max(axis=1))
+    narrow = np.linalg.norm(high - low, axis=1) < float(mesh.report["hole_m"])
+    few = small & (is_open | narrow)
+    keep = ~few[found.part]
+    return mesh.triangles[keep], int(np.count_nonzero(~keep))

@@ -1,0 +1,287 @@
+"""Volumes of point clouds: above a base, or between two surfaces, with the standard deviation that
+the noise of the points gives them.
+
+Every result goes back to the points through the adjustment of the heights (UNCERTAINTY step 5).
+Where a surface runs near its base, cut and fill are corrected for the noise that folds into both
+(step 7, "folded normal"); the net volume is not touched. What all points of a cloud share, such as
+calibration and navigation, a file does not tell: it is not in these standard deviations.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ladar_volume.change.surface_difference import along_curve, difference
+from ladar_volume.clouds.cloud_surface import CloudSurface
+from ladar_volume.ground.ground_adjoint import ground_gradient
+from ladar_volume.ground.polynomial import base_height, degree_of, design, design_surface
+from ladar_volume.model.errors import VolumeError
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import F64, Bool, Plane, Tin
+from ladar_volume.tin.full_tin import any_corner
+from ladar_volume.volume.base import base_and_outline, polygon_of
+from ladar_volume.volume.near_base import REACH, NearBase, near_base
+from ladar_volume.volume.overlay import between
+from ladar_volume.volume.polygon import clipped_prismoids
+from ladar_volume.volume.prismoids import prismoids
+from ladar_volume.volume.volume_loads import base_name, ground_field, whole_triangles
+
+#: A level of zero, above which differences stand.
+ZERO = design_surface([0.0])
+
+
+@dataclass(frozen=True)
+class Solid:
+    """One volume before its noise: raw cut and fill m³, area m² · gradients : (n, 2) by the vertex
+    heights, of net and cut, for every surface it hangs on · correction : near the base, None where
+    the noise is not known or nothing is near · curved_m6 : second-order variance of cut and fill ·
+    extra : further variances m⁶ of the net volume, by source
+    """
+
+    cut_m3: float
+    fill_m3: float
+    area_m2: float
+    gradients: tuple[tuple[CloudSurface, F64], ...]
+    correction: NearBase | None
+    curved_m6: float
+    extra: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class CloudVolume:
+    """cut_m3, fill_m3 : corrected, both 0 or more for one base · cut_raw_m3, fill_raw_m3 : of the
+    surface as it is · folded_m3 : what was taken from both (NaN where the noise is not known), over
+    near_area_m2 · sigma_* : standard deviations from the noise of the points, NaN where it is not
+    known · budget_m6 : variances of the net volume by source · base : in words · base_same_survey :
+    whether it comes from the cloud itself
+    """
+
+    cut_m3: float
+    fill_m3: float
+    cut_raw_m3: float
+    fill_raw_m3: float
+    folded_m3: float
+    near_area_m2: float
+    sigma_m3: float
+    sigma_cut_m3: float
+    sigma_fill_m3: float
+    area_m2: float
+    base: str
+    base_same_survey: bool
+    budget_m6: dict[str, float]
+
+    @property
+    def net_m3(self) -> float:
+        """Cut minus fill, m³."""
+        return self.cut_m3 - self.fill_m3
+
+
+def finished(solid: Solid, base: str, same_survey: bool) -> CloudVolume:
+    """The volume with its correction and standard deviations."""
+    total = np.zeros(3)
+    for surface, gradient in solid.gradients:
+        total += surface.variance(np.c_[gradient, gradient[:, 1] - gradient[:, 0]])
+    extra = sum(solid.extra.values())
+    net, cut, fill = np.sqrt(
+        np.maximum(total + extra + [0.0, solid.curved_m6, solid.curved_m6], 0.0)
+    ).tolist()
+    near = solid.correction
+    folded = (
+        math.nan
+        if math.isnan(net)
+        else 0.0
+        if near is None
+        else near.taken(solid.cut_m3, solid.fill_m3)
+    )
+    taken = 0.0 if math.isnan(folded) else folded
+    return CloudVolume(
+        solid.cut_m3 - taken,
+        solid.fill_m3 - taken,
+        solid.cut_m3,
+        solid.fill_m3,
+        folded,
+        0.0 if near is None else near.near_area_m2,
+        net,
+        cut,
+        fill,
+        solid.area_m2,
+        base,
+        same_survey,
+        {"noise": float(total[0]), **solid.extra},
+    )
+
+
+def comes_near(tin: Tin, height: F64, sigma_m: F64 | None, mask: Bool) -> bool:
+    """Whether any triangle of the mask (m,) with vertex heights (n,) above the base could lie
+    within reach of the noise.
+    """
+    if sigma_m is None or not sigma_m.any():
+        return False
+    reach, t = REACH * float(sigma_m.max()), tin.triangles[mask]
+    return bool((any_corner(t, height <= reach) & any_corner(t, height >= -reach)).any())
+
+
+def above_base(
+    surface: CloudSurface, parameters: Parameters, correct: bool = True
+) -> tuple[CloudVolume, Plane, Bool]:
+    """Cut and fill above the base and within the outline of the parameters; also that base and the
+    triangles (m,) that count. Not ``correct``, cut and fill stay as they are near the base, and
+    their variances first order.
+
+    Raises :class:`GroundError` where no ground can be fitted, :class:`VolumeError` where nothing
+    lies inside the outline.
+    """
+    tin = surface.made.tin
+    hang = parameters.volume.base == "ground" and surface.sigma_m is not None
+    variance = (
+        surface.made.covariance(surface.sigma_m).diagonal()
+        if hang and surface.sigma_m is not None
+        else np.zeros(len(tin.vertices))
+    )
+    base, inside = base_and_outline(tin, variance, parameters)
+    solid = solid_above(surface, base, inside, parameters, variance, correct)
+    return (
+        finished(solid, base_name(parameters), parameters.volume.base == "ground"),
+        base,
+        inside > 0,
+    )
+
+
+def solid_above(
+    surface: CloudSurface,
+    base: Plane,
+    inside: F64,
+    parameters: Parameters,
+    variance: F64,
+    correct: bool = True,
+) -> Solid:
+    """The solid above a base; ``inside`` (m,) m² is the area of each triangle within the
+    outline.
+    """
+    tin, mask = surface.made.tin, inside > 0
+    by_polygon = parameters.volume.outline == "polygon"
+    found = (
+        clipped_prismoids(tin, base, polygon_of(parameters.volume), mask)
+        if by_polygon
+        else prismoids(tin, base, mask)
+    )
+    cut, near, curved = found.gradient_cut[:, 2], None, 0.0
+    whole = (
+        whole_triangles(tin, inside) if by_polygon else mask
+    )  # a triangle that the outline cuts is left uncorrected
+    height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
+    if correct and surface.sigma_m is not None and comes_near(tin, height, surface.sigma_m, whole):
+        C = surface.made.covariance(surface.sigma_m)
+        near = near_base(tin, base, C, whole)
+        curved = near.curved_m6
+        cut = cut if by_polygon else near.gradient_cut
+    gradient = np.stack([found.gradient_net[:, 2], cut], axis=1)
+    extra: dict[str, float] = {}
+    if len(base.support):
+        # the base moves with the points that define it
+        by_beta = np.stack(
+            [found.base_net, -design(tin.vertices[:, :2], base.origin_xy, degree_of(base)).T @ cut],
+            axis=1,
+        )
+        gradient[base.support] += ground_gradient(tin.vertices, base, by_beta)[..., 2]
+        field = ground_field(tin, base, found, inside, variance)
+        if field is not None:
+            extra["base_surface"] = field.variance_m6
+    return Solid(
+        found.cut_m3, found.fill_m3, found.area_m2, ((surface, gradient),), near, curved, extra
+    )
+
+
+def between_clouds(
+    upper: CloudSurface, lower: CloudSurface, lower_name: str, correct: bool = True
+) -> CloudVolume:
+    """Cut where ``upper`` is above ``lower``, fill where it is below, over their common footprint.
+
+    Raises :class:`VolumeError` where the two have no area in common.
+    """
+    one, two = upper.made.tin, lower.made.tin
+    found, near, curved = between(one, two), None, 0.0
+    net, cut = (
+        [found.gradient_net[:, 2], found.lower_net[:, 2]],
+        [found.gradient_cut[:, 2], found.lower_cut[:, 2]],
+    )
+    if correct and upper.sigma_m is not None and lower.sigma_m is not None:
+        near, shares = near_difference(upper, lower)
+        if near is not None:
+            curved = near.curved_m6
+            cut = [
+                np.where(np.isfinite(share), share * g, c)
+                for share, g, c in zip(shares, net, cut, strict=True)
+            ]
+    gradients = tuple(
+        (s, np.stack(g, axis=1)) for s, *g in zip((upper, lower), net, cut, strict=True)
+    )
+    solid = Solid(found.cut_m3, found.fill_m3, found.area_m2, gradients, near, curved)
+    return finished(solid, f"surface of {lower_name} over the common footprint", False)
+
+
+def near_difference(
+    upper: CloudSurface, lower: CloudSurface
+) -> tuple[NearBase | None, tuple[F64, ...]]:
+    """The correction between two surfaces, None where they are nowhere near one another, and what
+    part of each vertex' derivative of the net volume that of the cut is.
+    """
+    if upper.sigma_m is None or lower.sigma_m is None:
+        return None, ()
+    (one, first), (two, second) = along_curve(upper.made.tin), along_curve(lower.made.tin)
+    apart = difference(one, two)
+    sigma = np.array([math.hypot(upper.sigma_m.max(), lower.sigma_m.max())])
+    if not comes_near(apart.tin, apart.tin.vertices[:, 2], sigma, apart.tin.relevant):
+        return None, ()
+    C_one, C_two = (
+        upper.made.covariance(upper.sigma_m)[first][:, first],
+        lower.made.covariance(lower.sigma_m)[second][:, second],
+    )
+    own, other, below = (C_one, C_two, two) if apart.upper_carries else (C_two, C_one, one)
+    near = near_base(apart.tin, ZERO, apart.covariance(own, below, other))
+    carried, rest = apart.shares(near.gradient_cut, near.gradient_net, len(below.vertices))
+    ordered = (carried, rest) if apart.upper_carries else (rest, carried)
+    return near, tuple(
+        share[np.argsort(order)] for share, order in zip(ordered, (first, second), strict=True)
+    )
+
+
+def own_footprints(
+    one: CloudSurface, two: CloudSurface, parameters: Parameters, correct: bool = True
+) -> tuple[CloudVolume, CloudVolume, CloudVolume]:
+    """The published way (seed 000 chapter 5): each surface above the same level over its own
+    footprint. Their difference, and both.
+
+    Where the footprints differ, their difference times the distance to the level is in it.
+    """
+    if parameters.volume.base == "ground":
+        raise VolumeError(
+            "own footprints are compared above a level or a given plane", reason="volume_base"
+        )
+    (a, _, _), (b, _, _) = (
+        above_base(one, parameters, correct),
+        above_base(two, parameters, correct),
+    )
+    budget = {key: a.budget_m6[key] + b.budget_m6[key] for key in a.budget_m6}
+    return (
+        CloudVolume(
+            a.cut_m3 - b.cut_m3,
+            a.fill_m3 - b.fill_m3,
+            a.cut_raw_m3 - b.cut_raw_m3,
+            a.fill_raw_m3 - b.fill_raw_m3,
+            a.folded_m3 - b.folded_m3,
+            a.near_area_m2 + b.near_area_m2,
+            math.hypot(a.sigma_m3, b.sigma_m3),
+            math.hypot(a.sigma_cut_m3, b.sigma_cut_m3),
+            math.hypot(a.sigma_fill_m3, b.sigma_fill_m3),
+            a.area_m2,
+            f"{a.base}, each surface over its own footprint",
+            False,
+            budget,
+        ),
+        a,
+        b,
+    )

@@ -1,0 +1,205 @@
+"""The order-independent cover: a grid of cells over the whole cloud, each with a surface of its
+own, in parallel.
+
+Points of one region share the radius of their neighbourhoods. A cell is a good half as wide as that
+radius; where regions of several radii meet, each is covered by its own grid over all points. A
+region's radius suits most of it: the points of a cell in which no surface is found, as where a thin
+part bends away on both sides or several curved surfaces meet, are covered once more with the next
+smaller radius.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from ladar_volume.clouds.filter import cell_surface
+from ladar_volume.clouds.filter.plane_set_selection import ENOUGH
+from ladar_volume.clouds.filter.point_reduction import sorted_by_voxel
+from ladar_volume.clouds.filter.sharp_planes import MOST
+from ladar_volume.math.kernels import in_threads
+from ladar_volume.model.parameters import FilterParameters
+from ladar_volume.model.records import F64, I32, I64, Bool
+from ladar_volume.rmls import refit_kernels
+from ladar_volume.rmls.patch_fit import REACH
+from ladar_volume.rmls.voxel_store import BITS
+
+I8 = npt.NDArray[np.int8]
+
+#: Width of a cell over the radius of its neighbourhood: from half on, the cells two away hold all
+#: of it.
+CELL = 0.7
+#: A cell looks for planes within the ball's radius over this; it is offered those of its neighbours
+#: too.
+NARROWER = 2.5
+
+
+@dataclass(frozen=True)
+class Regions:
+    """ball_m : (l,), radius of the neighbourhoods of each level, ascending · level : (n,) level of
+    each point · least : (n,) lowest level it may have where no surface is found · sigma_m : (n,)
+    noise along the normal · threshold_m : (n,) farthest a point lies from its surface
+    """
+
+    ball_m: F64
+    level: I64
+    least: I64
+    sigma_m: F64
+    threshold_m: F64
+
+
+@dataclass(frozen=True)
+class Covered:
+    """Per point (n,): foot point q (n, 3) m, normal (n, 3), variance m² along it, reason, kind of
+    its cell's surface (number of planes, −1 for a quadric, 0 for none), mean truncated square of
+    the residuals around that cell over sigma², and level of its radius.
+    """
+
+    q: F64
+    normal: F64
+    variance: F64
+    reason: I8
+    kind: I8
+    misfit: F64
+    level: I64
+    cells: int
+
+
+def cover(
+    r: F64, regions: Regions, parameters: FilterParameters, degree: int, mine: Bool | None = None
+) -> Covered:
+    """Project points (n, 3) m, near the origin, onto the surfaces of their cells; only those that
+    are ``mine`` (n,), by default all.
+    """
+    n, count, at = len(r), 0, regions.level.copy()
+    out = Covered(
+        np.zeros((n, 3)),
+        np.zeros((n, 3)),
+        np.zeros(n),
+        np.full(n, cell_surface.NO_SURFACE, np.int8),
+        np.zeros(n, np.int8),
+        np.zeros(n),
+        at,
+        0,
+    )
+    open_ = np.ones(n, np.bool_) if mine is None else mine
+    part = np.arange(n)
+    while open_.any():
+        around = np.zeros(n, np.bool_)
+        for level, ball in enumerate(regions.ball_m):
+            own = open_ & (at == level)
+            if own.any():
+                count += _cover_level(
+                    r, part, own, float(ball), regions, parameters, degree, out, around
+                )
+        open_ = open_ & (out.reason == cell_surface.NO_SURFACE) & (at > regions.least)
+        at[open_] -= 1
+        part = np.flatnonzero(around)
+    return replace(out, cells=count)
+
+
+def _cover_level(
+    r: F64,
+    part: I64,
+    own: Bool,
+    ball: float,
+    regions: Regions,
+    parameters: FilterParameters,
+    degree: int,
+    out: Covered,
+    around: Bool,
+) -> int:
+    """Cover the points that are ``own`` (n,); returns the number of cells. part : the points that
+    may count, all near enough. Those that may count with a smaller radius where a cell found no
+    surface are marked in ``around`` (n,).
+    """
+    order, keys, first, table = sorted_by_voxel(r if len(part) == len(r) else r[part], CELL * ball)
+    order = part[order]
+    ordered = r[order]
+    wanted = np.add.reduceat(own[order], first[:-1], dtype=np.int64) > 0
+    near = _near(wanted, keys, table)
+    # noise of a cell: that of its points, which differ only where regions meet
+    size = np.diff(first)
+    noise = np.add.reduceat(regions.sigma_m[order], first[:-1]) / size
+    limit = np.add.reduceat(regions.threshold_m[order], first[:-1]) / size
+    main, found = np.zeros((len(keys), cell_surface.OFFERED, 4)), np.zeros(len(keys), np.int64)
+    in_threads(
+        cell_surface.main_planes,
+        np.flatnonzero(near),
+        keys,
+        table,
+        first,
+        ordered,
+        ball / NARROWER,
+        noise,
+        limit,
+        parameters.trials,
+        parameters.min_points,
+        parameters.seed,
+        main,
+        found,
+    )
+    kind, misfit = np.zeros(len(keys), np.int64), np.zeros(len(keys))
+    sets, sizes, chosen = (
+        np.zeros((len(keys), MOST, 4)),
+        np.zeros(len(keys), np.int64),
+        np.zeros((len(keys), MOST, 4)),
+    )
+    lead = _leaders(keys)
+    for turn, some in enumerate((wanted & lead, wanted & ~lead, wanted)):
+        if turn == cell_surface.LAST:
+            some = some & ((kind > 1) | (kind != 0) & (misfit > ENOUGH))
+        in_threads(
+            cell_surface.filter_cells,
+            np.flatnonzero(some),
+            keys,
+            table,
+            first,
+            ordered,
+            main,
+            found,
+            sets,
+            sizes,
+            turn,
+            order,
+            own,
+            ball,
+            degree,
+            noise,
+            limit,
+            parameters.min_points,
+            parameters.refit_iterations,
+            parameters.edge == "snap",
+            out.q,
+            out.normal,
+            out.variance,
+            out.reason,
+            kind,
+            misfit,
+            chosen,
+        )
+        sets[some], sizes[some] = chosen[some], kind[some]
+    of = np.repeat(np.arange(len(keys)), size)
+    mine = own[order]
+    out.kind[order[mine]], out.misfit[order[mine]] = kind[of[mine]], misfit[of[mine]]
+    close = _near(wanted & (kind == 0), keys, table)  # these offer planes,
+    around[order[_near(close, keys, table)[of]]] = (
+        True  # and those near them are what their planes are told from
+    )
+    return int(np.count_nonzero(wanted))
+
+
+def _near(marked: Bool, keys: I64, table: I32) -> Bool:
+    """Which voxels (n,) lie near one that is ``marked`` (n,)."""
+    near = np.zeros(len(keys), np.bool_)
+    refit_kernels.mark_around(np.flatnonzero(marked), keys, table, REACH, near)
+    return near
+
+
+def _leaders(keys: I64) -> Bool:
+    """One cell of each block of two by two by two."""
+    one = np.int64(1)
+    lead: Bool = ((keys >> (2 * BITS) | keys >> BITS | keys) & one) == 0
+    return lead

@@ -1,0 +1,257 @@
+"""One surface for a neighbourhood: the plane or quadric that needs no company, if there is one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ladar_volume.clouds.filter import sharp_planes
+from ladar_volume.clouds.filter.orthogonal_quadric import (
+    LEVELS,
+    quadric_cost,
+    quadric_from,
+    settled,
+)
+from ladar_volume.math.kernels import kernel, leaf_kernel
+from ladar_volume.math.normal_equations import basis, invert
+from ladar_volume.rmls.patch_fit import start_plane
+from ladar_volume.rmls.tangent_frame import across, tangent_of
+from ladar_volume.rmls.voxel_store import _mix
+
+#: A bent surface is sought from a plane over the ball's radius over this, the best of so many.
+BENT, TRIALS = 3.0, 60
+#: A quadric's centre is its own, not the cell's: it is fitted to points within the ball's radius
+#: times this.
+WIDE = 1.5
+#: Points that tell whether a quadric is worth a fit to all.
+SCREEN = 150
+#: Points about its start plane that it grows from.
+FROM = 50
+#: Mean square over sigma² of the points that a quadric explains from which it is no surface: in
+#: leaves they fill the slab, which gives 3; the noise may be a third larger than believed. Few
+#: points scatter by this over the root of their number.
+HOPELESS, SCATTER = 2.0, 5.0
+#: Most refits of a plane.
+STEADY = 6
+#: Share of the points that one surface must explain, with no more than the noise left, to need no
+#: further search.
+EXPLAINS = 0.85
+
+
+@leaf_kernel
+def nearest_to_origin(planes: Any, count: Any) -> Any:
+    """The plane that passes the origin most closely."""
+    best = 0
+    for a in range(count):
+        if abs(planes[a, 3]) < abs(planes[best, 3]):
+            best = a
+    return best
+
+
+@kernel
+def loose_plane(x: Any, m: Any, reach: Any, key: Any, plane: Any) -> Any:
+    """Least median of squares plane of the points (m, 3) within ``reach`` of the origin; returns
+    its robust sigma, −1 for none.
+    """
+    near, work, n = np.empty((3, m)), np.empty(m), 0
+    for i in range(m):
+        if x[i, 0] ** 2 + x[i, 1] ** 2 + x[i, 2] ** 2 <= reach * reach:
+            near[:, n] = x[i]
+            n += 1
+    return (
+        start_plane(near, n, 3, TRIALS, False, 0.0, _mix(np.uint64(key)), plane, work)
+        if n > 8
+        else -1.0
+    )
+
+
+@kernel
+def bent(x: Any, m: Any, label: Any, plane: Any, mean: Any, ball: Any) -> Any:
+    """By how much quadratic terms would lower the squares of the points labelled 0 about their
+    plane.
+    """
+    A, inverted, b, row = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros(6), np.zeros(6)
+    tangent, side = np.empty(3), np.empty(3)
+    tangent_of(plane[:3], tangent)
+    across(plane[:3], tangent, side)
+    for i in range(m):
+        if label[i] == 0:
+            u = v = 0.0
+            for k in range(3):
+                u += (x[i, k] - mean[k]) * tangent[k] / ball
+                v += (x[i, k] - mean[k]) * side[k] / ball
+            basis(u, v, 6, row)
+            d = sharp_planes.distance(x[i], plane)
+            for k in range(6):
+                b[k] += row[k] * d
+                for l in range(k + 1):
+                    A[k, l] += row[k] * row[l]
+    for k in range(6):
+        for l in range(k):
+            A[l, k] = A[k, l]
+    gain = 0.0
+    if invert(A, 6, inverted):
+        for k in range(6):
+            for l in range(6):
+                gain += b[k] * inverted[k, l] * b[l]
+    return gain
+
+
+@kernel
+def flat(
+    x: Any,
+    m: Any,
+    ball: Any,
+    sigma: Any,
+    threshold: Any,
+    price: Any,
+    plane: Any,
+    mean: Any,
+    inverse: Any,
+    label: Any,
+) -> Any:
+    """Whether one plane describes the points (m, 3): it explains most of them, leaves no more than
+    the noise, and quadratic terms would lower its squares by less than their price. Refits
+    ``plane``; returns (1 or 0, number of its points, sum of truncated squares).
+    """
+    used, near, square = 0, -1, 0.0
+    for _ in range(STEADY):
+        count, square = 0, 0.0
+        for i in range(m):
+            d = sharp_planes.distance(x[i], plane)
+            label[i] = 0 if abs(d) <= threshold else -1
+            count += label[i] == 0
+            square += d * d if label[i] == 0 else 0.0
+        if count == near:
+            break
+        near = count
+        used = sharp_planes.fit_plane(x, m, label, 0, plane, mean, inverse)
+        if used < EXPLAINS * m:
+            return 0, used, 0.0
+    if square > used * sigma * sigma * (1.0 + 2.0 / np.sqrt(used)):
+        return 0, used, 0.0
+    gain = bent(x, m, label, plane, mean, ball)
+    return np.int64(gain < price), used, square + (m - used) * threshold * threshold
+
+
+@kernel
+def wider(r: Any, slots: Any, n: Any, origin: Any, reach: Any) -> Any:
+    """The gathered points within ``reach`` of the origin (n, 3), and how many."""
+    pts, m = np.empty((n, 3)), 0
+    for i in range(n):
+        square = 0.0
+        for k in range(3):
+            pts[m, k] = r[slots[i], k]
+            square += (pts[m, k] - origin[k]) ** 2
+        m += square <= reach * reach
+    return pts, m
+
+
+@leaf_kernel
+def close_to(pts: Any, n: Any, origin: Any, plane: Any, width: Any) -> Any:
+    """How many of the points (n, 3) lie within ``width`` of a plane about ``origin``."""
+    offset = plane[3] + plane[0] * origin[0] + plane[1] * origin[1] + plane[2] * origin[2]
+    near = 0
+    for i in range(n):
+        near += (
+            abs(plane[0] * pts[i, 0] + plane[1] * pts[i, 1] + plane[2] * pts[i, 2] - offset)
+            <= width
+        )
+    return near
+
+
+@kernel
+def bend(
+    x: Any,
+    m: Any,
+    n: Any,
+    r: Any,
+    slots: Any,
+    origin: Any,
+    key: Any,
+    candidates: Any,
+    offered: Any,
+    ball: Any,
+    sigma: Any,
+    threshold: Any,
+    least: Any,
+    iterations: Any,
+    quadric: Any,
+) -> Any:
+    """A ``quadric`` (centre, normal, tangent, beta, inverse) for the cell, to the arrays given.
+    Returns (its sum of truncated squares, infinite for none; how many planes may compete with it):
+    where it leaves no more than the noise, none: several planes, which cost no less than it, have
+    nothing to gain.
+    """
+    centre, normal, tangent, beta, inverse = quadric
+    start, loose, most = np.empty(4), 0.0, least
+    if offered > 0:
+        start[:] = candidates[nearest_to_origin(candidates, offered)]
+    # no plane within the threshold: a surface that bends by more than its noise, or none; half of
+    # the points must say so
+    else:
+        loose, most = loose_plane(x, m, ball / BENT, key, start), m // 2
+        if loose < 0.0:
+            return np.inf, sharp_planes.MOST
+    pts, n = wider(r, slots, n, origin, WIDE * ball)
+    every = max(m // SCREEN, 1)
+    thin = max(
+        min(n // SCREEN, close_to(pts, n, origin, start, max(3.0 * loose, threshold)) // FROM), 1
+    )
+    few = (n + thin - 1) // thin
+    levels = LEVELS if thin == 1 else 1  # the fit to all points levels the frame
+    inliers = quadric_from(
+        pts[:n:thin],
+        few,
+        origin,
+        start,
+        3.0 * loose,
+        ball,
+        sigma,
+        threshold,
+        iterations,
+        levels,
+        centre,
+        normal,
+        tangent,
+        beta,
+        inverse,
+    )
+    if (
+        thin > 1
+    ):  # most neighbourhoods that are not flat are sharp or clutter, and a few points say so
+        some = (m + every - 1) // every
+        cost, near = quadric_cost(
+            x[:m:every], some, origin, centre, normal, tangent, beta, threshold * threshold
+        )
+        if (
+            inliers < 8
+            or 2 * near < some
+            or cost - (some - near) * threshold * threshold > HOPELESS * near * sigma * sigma
+        ):
+            return np.inf, sharp_planes.MOST
+        inliers = settled(
+            pts,
+            n,
+            threshold,
+            ball,
+            sigma,
+            threshold,
+            iterations,
+            LEVELS,
+            centre,
+            normal,
+            tangent,
+            beta,
+            inverse,
+        )
+    if inliers < max(most, 8):
+        return np.inf, sharp_planes.MOST
+    cost, near = quadric_cost(x, m, origin, centre, normal, tangent, beta, threshold * threshold)
+    leaves = (cost - (m - near) * threshold * threshold) / (max(near, 1) * sigma * sigma)
+    if near < m // 2 or leaves > max(HOPELESS, 1.0 + SCATTER / np.sqrt(near)):
+        return np.inf, sharp_planes.MOST
+    return cost, 0 if near > EXPLAINS * m and leaves < 1.0 + 2.0 / np.sqrt(
+        near
+    ) else sharp_planes.MOST

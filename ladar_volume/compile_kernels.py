@@ -1,0 +1,194 @@
+"""Compile the kernels, or load them from their cache, before data arrives that would have to wait
+for it.
+
+A made-up survey of a mound from a platform that stands still above it, four seconds long, goes
+through the stage that is asked for, or through the volume the surface that a filter would make of
+it. Only the modules of that stage are loaded: each node holds no more than it runs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+from collections.abc import Iterator
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ladar_volume.model.errors import LadarVolumeError
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import (
+    F64,
+    I64,
+    FilteredPoints,
+    FilterUpdate,
+    Fix,
+    ImuSample,
+    MappedPoints,
+    Patches,
+    PlatformStates,
+    Returns,
+)
+
+if TYPE_CHECKING:
+    from ladar_volume.rmls.surface_filter import SurfaceFilter
+    from ladar_volume.volume.estimator import VolumeEstimator
+
+HEIGHT_M, SECONDS, RETURNS_PER_CLOUD = 5.0, 4, 600
+STAGES = ("georeference", "filter", "volume", "epochs")
+START_NS, BIN_NS = 1_000_000_000_000, round(Parameters().filter.nav_bin_s * 1e9)
+SQUARE = [-1.5, -1.5, 1.5, -1.5, 1.5, 1.5, -1.5, 1.5]
+
+
+@cache
+def warm_up(stage: str) -> None:
+    """Run one of :data:`STAGES` on the made-up survey; the second call for it in a process does
+    nothing.
+    """
+    parameters = Parameters.read({"filter": {"radius_m": 0.15}, "volume": {"object_height_m": 0.1}})
+    if stage == "georeference":
+        _georeference(parameters)
+    elif stage == "filter":
+        _filter(parameters)
+    elif stage == "volume":
+        _volume(parameters)
+    else:
+        _epochs(parameters)
+
+
+def _clouds() -> Iterator[tuple[int, I64, F64, Returns]]:
+    """Stamp, times (n,), points in the map (n, 3) and the same as returns, ten clouds a second."""
+    rng = np.random.default_rng(1)
+    for step in range(SECONDS * 10):
+        stamp = START_NS + step * 100_000_000
+        xy = rng.uniform(-3.0, 3.0, (RETURNS_PER_CLOUD, 2))
+        mound = np.maximum(0.0, 0.6 - 0.5 * np.hypot(xy[:, 0], xy[:, 1]))
+        xyz = np.column_stack([xy, mound + rng.normal(0.0, 0.005, len(xy))])
+        t = stamp + np.arange(len(xy), dtype=np.int64) * 100_000
+        ring = rng.integers(0, 16, len(xy)).astype(np.uint16)
+        yield (
+            stamp,
+            t,
+            xyz,
+            Returns(t, xyz - [0.0, 0.0, HEIGHT_M], ring, np.ones(len(xy), np.float32)),
+        )
+
+
+def _georeference(parameters: Parameters) -> None:
+    stage = importlib.import_module("ladar_volume.georeference.georeferencer").Georeferencer(
+        parameters
+    )
+    for stamp, _, _, returns in _clouds():
+        stage.add_fix(Fix(stamp, 50.0, 14.0, HEIGHT_M, np.eye(3) * 1e-4))
+        stage.add_imu(
+            ImuSample(stamp, np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.eye(3) * 1e-6)
+        )
+        stage.add_returns(returns)
+
+
+def _still(t: I64) -> PlatformStates:
+    n, zero = len(t), np.zeros((len(t), 3))
+    q = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
+    C = np.tile(np.diag([1e-4] * 3 + [1e-6] * 3), (n, 1, 1))
+    return PlatformStates(
+        t, np.tile([0.0, 0.0, HEIGHT_M], (n, 1)), q, zero, zero, C, np.zeros(n, np.int64)
+    )
+
+
+def _filter(parameters: Parameters) -> None:
+    surface: SurfaceFilter = importlib.import_module(
+        "ladar_volume.rmls.surface_filter"
+    ).SurfaceFilter(parameters, deferring=True)
+    C_ind = np.tile(np.array([1e-4, 0, 0, 1e-4, 0, 1e-4], np.float32), (RETURNS_PER_CLOUD, 1))
+    for step, (stamp, t, xyz, returns) in enumerate(_clouds()):
+        surface.add_platform(_still(np.array([stamp, stamp + 99_999_999], np.int64)))
+        surface.add(MappedPoints(t, xyz, C_ind, returns.ring, returns.intensity))
+        if step in (SECONDS * 5, SECONDS * 10 - 1):
+            surface.update(50)
+    surface.finish()
+
+
+def _made_up_surface(side: int, beams: int, seed: int = 1) -> FilterUpdate:
+    """The mound as a filter would send it: (side, side) patches of 15 cm, each with four points and
+    a block with the next.
+    """
+    rng, edge, m, p = np.random.default_rng(seed), 0.15, side * side, 6
+    key, ones = np.arange(m, dtype=np.int64), np.ones(m)
+    xy = (
+        np.stack(np.meshgrid(np.arange(side), np.arange(side), indexing="ij"), axis=-1).reshape(
+            -1, 2
+        )
+        - side / 2
+    ) * edge
+    axes = np.eye(3)[[2, 0]]
+    next_one = np.minimum(key + 1, m - 1)[:, None]
+    cross_key = np.hstack([key[:, None], next_one]).ravel()[:-1]
+    blocks = np.tile(1e-6 * np.eye(p, dtype=np.float32), (len(cross_key), 1, 1))
+    patches = Patches(
+        key,
+        np.c_[xy, 0.0 * ones],
+        np.tile(axes[0], (m, 1)),
+        np.tile(axes[1], (m, 1)),
+        np.zeros((m, p)),
+        0.005 * ones,
+        np.full(m, 40, np.int32),
+        np.full(m, START_NS),
+        np.append(2 * key, 2 * m - 1),
+        cross_key,
+        blocks,
+        np.full((m, p + 2, 11 + 2 * beams), 0.1, np.float32),
+        np.arange(m + 1),
+        START_NS // BIN_NS + key % 2,
+        np.full((m, p + 2, 4), 0.1, np.float32),
+    )
+    local = np.tile(
+        [[-0.04, -0.04], [0.04, -0.04], [-0.04, 0.04], [0.04, 0.04]], (m, 1)
+    ) + rng.uniform(-0.02, 0.02, (4 * m, 2))
+    at = np.repeat(xy, 4, axis=0) + local
+    z = np.maximum(0.0, 0.6 - 0.5 * np.hypot(at[:, 0], at[:, 1])) + rng.normal(0.0, 0.002, 4 * m)
+    points = FilteredPoints(
+        np.c_[at, z],
+        np.tile(axes[0], (4 * m, 1)),
+        np.full(4 * m, 1e-6),
+        np.zeros((4 * m, 6), np.float32),
+        np.full(4 * m, START_NS),
+        np.repeat(key, 4),
+        local,
+    )
+    return FilterUpdate(START_NS, key[:0], points, patches)
+
+
+def _volume(parameters: Parameters) -> None:
+    estimator: VolumeEstimator = importlib.import_module(
+        "ladar_volume.volume.estimator"
+    ).VolumeEstimator(parameters)
+    estimator.add_platform(_still(np.array([START_NS, START_NS + BIN_NS], np.int64)))
+    for _ in range(2):  # the second update is merged with the first
+        estimator.add(_made_up_surface(24, parameters.georeference.beams))
+        _estimate(estimator)
+    estimator.set_parameters(
+        Parameters.read({"volume": {"outline": "polygon", "polygon_m": SQUARE}}, parameters)
+    )
+    _estimate(estimator)
+
+
+def _epochs(parameters: Parameters) -> None:
+    stage, epochs = (
+        importlib.import_module(f"ladar_volume.volume.{name}") for name in ("estimator", "epochs")
+    )
+    kept = []
+    for seed in (1, 2):
+        estimator: VolumeEstimator = stage.VolumeEstimator(parameters)
+        estimator.add_platform(_still(np.array([START_NS, START_NS + BIN_NS], np.int64)))
+        estimator.add(_made_up_surface(24, parameters.georeference.beams, seed))
+        kept.append(estimator.epoch())
+    epochs.epoch_difference(kept[1], kept[0])
+
+
+def _estimate(estimator: VolumeEstimator) -> None:
+    # a volume is not what this is for: whatever the stage says of this little survey, its kernels
+    # are ready
+    with contextlib.suppress(LadarVolumeError):
+        estimator.estimate()
+        estimator.more_data()

@@ -1,0 +1,215 @@
+"""PLY meshes: vertices and faces, ascii and both binary orders, lists of any length.
+
+Every element is read row after row from one stream; where all rows of an element are alike, as
+triangles are, in one piece.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ladar_volume.io.pointfiles.ply import ENCODINGS, FORMATS, HEADER_LIMIT, TYPES
+from ladar_volume.model.errors import InputError
+from ladar_volume.model.records import F64, I32
+
+INDEX_NAMES = ("vertex_indices", "vertex_index")
+Column = npt.NDArray[Any] | list[npt.NDArray[Any]]
+
+
+@dataclass
+class Property:
+    """name · code : type of a value · count : type of the length, empty where the property is no
+    list
+    """
+
+    name: str
+    code: str
+    count: str = ""
+
+
+@dataclass
+class Element:
+    """name · rows · properties"""
+
+    name: str
+    rows: int
+    properties: list[Property] = field(default_factory=list)
+
+
+def bad(words: str, reason: str = "mesh_file_header") -> InputError:
+    """The error of this reader."""
+    return InputError(words, reason=reason)
+
+
+def parse_header(data: bytes) -> tuple[str, list[Element], int]:
+    """Byte order ('' for ascii), elements and the length of the header. Raises :class:`InputError`
+    (mesh_file_header).
+    """
+    end = data.find(b"end_header", 0, HEADER_LIMIT)
+    newline = data.find(b"\n", end)
+    if not data.startswith(b"ply") or end < 0 or newline < 0:
+        raise bad("not a PLY file, or its header has no end")
+    order: str | None = None
+    elements: list[Element] = []
+    for line in data[:end].decode("latin-1").splitlines():
+        words = line.split()
+        try:
+            if words[:1] == ["format"]:
+                order = {name: ENCODINGS[key] for key, name in FORMATS.items()}[words[1]]
+            elif words[:1] == ["element"]:
+                elements.append(Element(words[1], int(words[2])))
+            elif words[:2] == ["property", "list"]:
+                elements[-1].properties.append(Property(words[4], TYPES[words[3]], TYPES[words[2]]))
+            elif words[:1] == ["property"]:
+                elements[-1].properties.append(Property(words[2], TYPES[words[1]]))
+        except (KeyError, IndexError, ValueError) as error:
+            raise bad(f"header line {line.strip()!r} cannot be understood") from error
+    if order is None or any(e.rows < 0 for e in elements):
+        raise bad("the header names no format, or a negative count")
+    return order, elements, newline + 1
+
+
+class Stream:
+    """The body of the file: bytes of one order, or in ascii numbers that stand for any type."""
+
+    def __init__(self, data: bytes, order: str) -> None:
+        self.order, self.at = order, 0
+        if order:
+            self.body: npt.NDArray[Any] = np.frombuffer(data, np.uint8)
+        else:
+            try:
+                self.body = np.array(data.split(), dtype=np.float64)
+            except ValueError as error:
+                raise bad(f"a value that is no number: {error}", "mesh_file_values") from error
+
+    def take(self, code: str, count: int) -> npt.NDArray[Any]:
+        """The next values of one type."""
+        size = np.dtype(code).itemsize if self.order else 1
+        part = self.body[self.at : self.at + size * count]
+        if count < 0 or len(part) < size * count:
+            raise bad("the file ends early", "mesh_file_short")
+        self.at += size * count
+        return part.view(self.order + code) if self.order else part
+
+    def table(self, fields: list[tuple[str, str, int]], rows: int) -> dict[str, npt.NDArray[Any]]:
+        """``rows`` rows of the fields (name, type, how many values): arrays (rows, how many),
+        without moving on.
+        """
+        if self.order:
+            dtype = np.dtype(
+                [(f"{i}", self.order + code, (n,)) for i, (_, code, n) in enumerate(fields)]
+            )
+            part = self.body[self.at : self.at + dtype.itemsize * rows]
+            if len(part) < dtype.itemsize * rows:
+                return {}
+            records = part.view(dtype)
+            return {name: records[f"{i}"] for i, (name, _, _) in enumerate(fields)}
+        width = sum(n for _, _, n in fields)
+        part = self.body[self.at : self.at + width * rows]
+        if len(part) < width * rows:
+            return {}
+        columns = np.split(
+            part.reshape(rows, width), np.cumsum([n for _, _, n in fields])[:-1], axis=1
+        )
+        return {name: c for (name, _, _), c in zip(fields, columns, strict=True)}
+
+
+def read_element(stream: Stream, element: Element) -> dict[str, Column]:
+    """The columns of one element: arrays (rows, 1), for lists (rows, length) where all are alike,
+    else one array per row.
+    """
+    if element.rows == 0 or not element.properties:
+        return {}
+    start = stream.at
+    lengths: dict[str, int] = {}
+    for p in element.properties:  # the first row tells how long the lists are
+        lengths[p.name] = int(stream.take(p.count, 1)[0]) if p.count else 1
+        stream.take(p.code, lengths[p.name])
+    row = stream.at - start
+    stream.at = start
+    fields: list[tuple[str, str, int]] = []
+    for p in element.properties:
+        fields += ([(f"#{p.name}", p.count, 1)] if p.count else []) + [
+            (p.name, p.code, lengths[p.name])
+        ]
+    table = stream.table(fields, element.rows)
+    if table and all(
+        (table[f"#{p.name}"] == lengths[p.name]).all() for p in element.properties if p.count
+    ):
+        stream.at = start + row * element.rows
+        return {p.name: table[p.name] for p in element.properties}
+    columns: dict[str, list[npt.NDArray[Any]]] = {p.name: [] for p in element.properties}
+    for _ in range(element.rows):
+        for p in element.properties:
+            columns[p.name].append(
+                stream.take(p.code, int(stream.take(p.count, 1)[0]) if p.count else 1)
+            )
+    return dict(columns)
+
+
+def read_ply_mesh(path: Path) -> tuple[F64, list[I32] | I32]:
+    """Vertices (n, 3) and faces, (m, k) where all have k corners, else one array each.
+
+    Raises :class:`InputError` (mesh_file_header, mesh_file_short, mesh_file_values,
+    mesh_file_fields) and OSError.
+    """
+    data = path.read_bytes()
+    order, elements, start = parse_header(data)
+    stream = Stream(data[start:], order)
+    found = {e.name: read_element(stream, e) for e in elements}
+    vertex, face = found.get("vertex", {}), found.get("face", {})
+    name = next((n for n in INDEX_NAMES if n in face), None)
+    if not all(axis in vertex for axis in "xyz") or name is None:
+        raise bad("no vertices with x, y, z, or no faces: is it a point cloud?", "mesh_file_fields")
+    xyz = np.concatenate(
+        [np.asarray(vertex[axis], dtype=np.float64).reshape(-1, 1) for axis in "xyz"], axis=1
+    )
+    faces = face[name]
+    return xyz, faces.astype(np.int32) if isinstance(faces, np.ndarray) else [
+        f.astype(np.int32) for f in faces
+    ]
+
+
+def write_ply_mesh(
+    path: Path,
+    vertices: F64,
+    triangles: I32,
+    comments: list[str],
+    vertex: Mapping[str, npt.NDArray[Any]] | None = None,
+    face: Mapping[str, npt.NDArray[Any]] | None = None,
+) -> None:
+    """Write a binary PLY with double coordinates; ``vertex`` and ``face`` are small numbers (0 to
+    255) beside each. Raises OSError.
+    """
+    vertex, face = vertex or {}, face or {}
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        *(f"comment {c}" for c in comments),
+        f"element vertex {len(vertices)}",
+    ]
+    lines += [f"property double {axis}" for axis in "xyz"] + [
+        f"property uchar {name}" for name in vertex
+    ]
+    lines += [
+        f"element face {len(triangles)}",
+        "property list uchar int vertex_indices",
+        *(f"property uchar {name}" for name in face),
+    ]
+    points = np.empty(len(vertices), [("r", "<f8", (3,)), *((name, "u1") for name in vertex)])
+    table = np.empty(
+        len(triangles), [("n", "u1"), ("v", "<i4", (3,)), *((name, "u1") for name in face)]
+    )
+    points["r"], table["n"], table["v"] = vertices, 3, triangles
+    for rows, columns in ((points, vertex), (table, face)):
+        for name, values in columns.items():
+            rows[name] = values
+    path.write_bytes(
+        ("\n".join([*lines, "end_header"]) + "\n").encode() + points.tobytes() + table.tobytes()
+    )

@@ -1,0 +1,149 @@
+"""The rims of an open mesh: its boundary as loops, with no vertex twice in one, and which of them
+look down to the ground.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ladar_volume.ground.clusters import root_of, to_roots
+from ladar_volume.math.kernels import kernel
+from ladar_volume.mesh.linear_mesh import Skin, blocks, extended
+from ladar_volume.mesh.topology import edge_table, orient
+from ladar_volume.model.records import F64, I32, I64
+
+#: A rim looks down where the surface leaves the mesh across it with at least this mean slope (its
+#: sine); across a gap the mean is 0.
+LEAVES = 0.15
+
+
+@dataclass(frozen=True)
+class Rim:
+    """vertices : (k,) int64, in the order in which a closing surface passes them, counter-clockwise
+    from outside · size_m : twice the largest distance of a vertex from their middle · middle : (3,)
+    m
+    """
+
+    vertices: I64
+    size_m: float
+    middle: F64
+
+
+def place(p: F64) -> str:
+    """A place in words."""
+    return f"({p[0]:.2f}, {p[1]:.2f}, {p[2]:.2f})"
+
+
+@kernel
+def fans(triangles: I32, one: I64, other: I64) -> I64:
+    """The first corner (3m,) of the fan that each corner of triangles (m, 3) is in, which edges
+    join: half edges ``one`` and ``other`` (e,) of two triangles each.
+    """
+    corner = triangles.ravel()
+    root = np.arange(len(corner))
+    for e in range(len(one)):
+        i, t = one[e], other[e] // 3 * 3
+        for a in (i, i // 3 * 3 + (i + 1) % 3):
+            b = t
+            while corner[b] != corner[a]:
+                b += 1
+            p, q = root_of(root, a), root_of(root, b)
+            root[max(p, q)] = min(p, q)
+    to_roots(root)
+    return root
+
+
+def split_fans(skin: Skin) -> Skin:
+    """One vertex per fan of triangles: where parts touch in one vertex only, each gets its own
+    copy. No rim then passes a vertex twice.
+    """
+    t, n = skin.triangles, len(skin.vertices)
+    order, start, _ = edge_table(t)
+    pair = start[:-1][np.diff(start) == 2]
+    root = np.asarray(fans(t, order[pair], order[pair + 1]))
+    # fans in the order of their first corner; the first one of each vertex keeps it
+    begins = root == np.arange(len(root))
+    first, fan = np.flatnonzero(begins), (np.cumsum(begins) - 1)[root]
+    vertex = t.ravel()[first]
+    _, earliest = np.unique(vertex, return_index=True)
+    number = np.full(len(first), -1, np.int64)
+    number[earliest] = vertex[earliest]
+    more = np.flatnonzero(number < 0)
+    if len(more) == 0:
+        return skin
+    number[more] = n + np.arange(len(more))
+    new = number[fan].reshape(-1, 3).astype(np.int32)
+    old = vertex[more]
+    copy = blocks(
+        np.arange(len(more)),
+        old.astype(np.int64),
+        np.tile(np.eye(3), (len(more), 1, 1)),
+        (len(more), n),
+    )
+    return extended(
+        skin,
+        skin.vertices[old],
+        skin.kind[old],
+        copy,
+        np.zeros((3 * len(more), 3)),
+        new,
+        skin.normals,
+        skin.face,
+        skin.curved[old],
+    )
+
+
+def rims_of(skin: Skin) -> list[Rim]:
+    """The rims of a mesh without common vertices (:func:`split_fans`), by their first vertex.
+
+    Raises :class:`SurfaceError` as :func:`~ladar_volume.mesh.topology.orient`.
+    """
+    edges = orient(skin.vertices, skin.triangles).boundary
+    before = {int(b): int(a) for a, b in edges}
+    left, out = set(before), []
+    for first in sorted(before):
+        if first not in left:
+            continue
+        loop = [first]
+        while before[loop[-1]] != first:
+            loop.append(before[loop[-1]])
+        left -= set(loop)
+        p = skin.vertices[loop]
+        middle = p.mean(axis=0)
+        out.append(
+            Rim(
+                np.array(loop, np.int64),
+                2.0 * float(np.linalg.norm(p - middle, axis=1).max()),
+                middle,
+            )
+        )
+    return out
+
+
+def descent(skin: Skin, rims: list[Rim], up: F64) -> F64:
+    """Mean (r,) of −up · (direction in which the surface leaves the mesh) along each rim: 1 down a
+    wall, 0 across a gap.
+    """
+    t, n = skin.triangles.astype(np.int64), len(skin.vertices)
+    on = np.zeros(n, bool)
+    for rim in rims:
+        on[rim.vertices] = True
+    along_rim = on[t] & on[t[:, [1, 2, 0]]]
+    half = (t * n + t[:, [1, 2, 0]])[along_rim]
+    order = np.argsort(half)
+    half, opposite = half[order], t[:, [2, 0, 1]][along_rim][order]
+    out = np.zeros(len(rims))
+    for number, rim in enumerate(rims):
+        a, b = np.roll(rim.vertices, -1), rim.vertices
+        c = opposite[np.searchsorted(half, a * n + b)]
+        along = skin.vertices[b] - skin.vertices[a]
+        length = np.linalg.norm(along, axis=1)
+        unit = along / np.where(length > 0.0, length, 1.0)[:, None]
+        leave = skin.vertices[a] - skin.vertices[c]
+        leave -= np.einsum("ki,ki->k", leave, unit)[:, None] * unit
+        size = np.linalg.norm(leave, axis=1)
+        down = -(leave @ up) / np.where(size > 0.0, size, 1.0)
+        out[number] = float((down * length).sum() / max(float(length.sum()), 1e-300))
+    return out

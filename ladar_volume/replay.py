@@ -1,0 +1,207 @@
+"""A recording through the pipeline, offline: decoded ahead in a thread, fed in recorded order."""
+
+from __future__ import annotations
+
+import heapq
+import queue
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from ladar_volume.io import results
+from ladar_volume.io.bags import BagReader
+from ladar_volume.io.cloud_messages import returns_from_cloud
+from ladar_volume.io.mavlink.mavlink_log import ROLE, MavlinkLog
+from ladar_volume.io.sensor_messages import (
+    fix_from_message,
+    imu_from_message,
+    odometry_from_message,
+)
+from ladar_volume.model.errors import BagError, GroundError, InputError, SurfaceError, VolumeError
+from ladar_volume.model.losses import Losses
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import Estimate
+from ladar_volume.pipeline import Engine
+
+#: Poses of an autopilot's log this far outside the recording still bridge its ends.
+POSE_MARGIN_NS = 2_000_000_000
+
+
+@dataclass
+class Replay:
+    """A recording and what it is replayed with."""
+
+    bag: BagReader
+    parameters: Parameters
+    topics: dict[str, str]
+    start_s: float = 0.0
+    duration_s: float = float("inf")
+    poses: MavlinkLog | None = None
+
+    def __post_init__(self) -> None:
+        if self.poses is not None:  # the autopilot's log stands in for the recording's own poses
+            self.topics = {role: topic for role, topic in self.topics.items() if role == "cloud"}
+        given = (
+            {}
+            if self.poses is None
+            else dict.fromkeys(("fix", "imu", "odometry"), self.poses.path.name)
+        )
+        self.bag.require({**self.topics, **given}, self.parameters.georeference.pose_source)
+        self.engine = Engine(self.parameters)
+        self.losses = Losses()
+        self.returns = 0
+
+    def run(self, progress: Callable[[float], None] = lambda share: None) -> Estimate:
+        """Feed every message, finish, and estimate. A bad message is counted and left out; the good
+        data around it is kept.
+        """
+        add: dict[str, Callable[[Any], None]] = {
+            "fix": self.engine.add_fix,
+            "imu": self.engine.add_imu,
+            "odometry": self.engine.add_odometry,
+            "cloud": self._add_returns,
+        }
+        for share, role, record in read_ahead(self.records()):
+            if role:
+                add[role](record)
+            if role in ("", "cloud"):
+                self.engine.step()
+                progress(share)
+        try:
+            return self.engine.finish()
+        except (SurfaceError, GroundError, VolumeError) as error:
+            lost = sorted(self.all_losses().items(), key=lambda item: -item[1])[:4]
+            why = ", ".join(f"{reason} {count}" for reason, count in lost)
+            raise type(error)(
+                f"{error} ({self.returns} returns read; not used: {why or 'nothing'})",
+                reason=error.reason,
+            ) from error
+
+    def all_losses(self) -> Losses:
+        """What decoding and the stages dropped."""
+        losses = Losses(self.losses.as_dict())
+        losses.merge(self.engine.losses)
+        return losses
+
+    def _add_returns(self, returns: Any) -> None:
+        self.returns += len(returns)
+        self.engine.add_returns(returns)
+
+    def records(self) -> Iterator[tuple[float, str, Any]]:
+        """Share done, role and record of every usable message, in the order of the recording; role
+        "" for nothing.
+        """
+        first = self.bag.start_ns + int(self.start_s * 1e9)
+        span = min(self.duration_s, self.bag.duration_s - self.start_s)
+        items = self._recorded(first, first + int(span * 1e9))
+        if self.poses is not None:
+            items = heapq.merge(
+                items,
+                self._logged(self.poses, first, first + int(span * 1e9)),
+                key=lambda item: item[0],
+            )
+        for t_ns, role, record in items:
+            yield (t_ns - first) * 1e-9 / max(span, 1e-9), role, record
+
+    def _logged(self, poses: MavlinkLog, first: int, last: int) -> Iterator[tuple[int, str, Any]]:
+        """Records of an autopilot's log that the pose source takes, from a little before to a
+        little after.
+        """
+        wanted = (
+            ("odometry",)
+            if self.parameters.georeference.pose_source == "odometry"
+            else ("fix", "imu")
+        )
+        for record in poses.records():
+            role = ROLE[type(record)]
+            if role in wanted and first - POSE_MARGIN_NS <= record.t_ns <= last + POSE_MARGIN_NS:
+                yield record.t_ns, role, record
+        self.losses.merge(poses.losses())
+
+    def _recorded(self, first: int, last: int) -> Iterator[tuple[int, str, Any]]:
+        roles = {topic: role for role, topic in self.topics.items()}
+        decode: dict[str, Callable[[Any], Any]] = {
+            "fix": fix_from_message,
+            "imu": imu_from_message,
+            "odometry": odometry_from_message,
+            "cloud": lambda message: returns_from_cloud(
+                message, self.parameters.georeference, self.losses
+            ),
+        }
+        try:
+            for raw in self.bag.raw(set(roles)):
+                if not first <= raw.t_ns <= last:
+                    continue
+                role = roles[raw.topic]
+                try:
+                    yield raw.t_ns, role, decode[role](self.bag.message(raw))
+                except (InputError, BagError) as error:
+                    if error.reason == "bag_truncated":
+                        raise
+                    self.losses.add(
+                        f"{role}_{error.reason}"
+                        if not error.reason.startswith(role)
+                        else error.reason
+                    )
+        except BagError as error:
+            if error.reason != "bag_truncated":
+                raise
+            self.losses.add("bag_truncated")  # what came before the break is good data
+
+    def result(self, estimate: Estimate) -> dict[str, Any]:
+        """The result as plain values."""
+        points = {
+            "returns": self.returns,
+            "mapped": self.engine.points_mapped,
+            **self.engine.filter.stats,
+        }
+        source = {
+            "path": self.bag.path.name,
+            "sha256": self.bag.digest(),
+            "duration_s": self.bag.duration_s,
+            "topics": self.topics,
+        }
+        if self.poses is not None:
+            source |= {"poses": self.poses.path.name, "poses_sha256": self.poses.digest()}
+        result = results.result_dict(
+            estimate, self.parameters, self.all_losses(), self.engine.datum, points, source
+        )
+        return result | {
+            "where_more_data_helps": results.more_data_dict(self.engine.estimator.more_data())
+        }
+
+
+def read_ahead(
+    items: Iterator[tuple[float, str, Any]], depth: int = 64
+) -> Iterator[tuple[float, str, Any]]:
+    """Run an iterator in a thread, so that decoding and computing use both cores; errors arrive in
+    order.
+    """
+    buffer: queue.Queue[Any] = queue.Queue(depth)
+    stop = threading.Event()
+
+    def pump() -> None:
+        try:
+            for item in items:
+                while not stop.is_set():
+                    try:
+                        buffer.put(item, timeout=0.2)
+                        break
+                    except queue.Full:
+                        continue
+                if stop.is_set():
+                    return
+            buffer.put(None)
+        except BaseException as error:  # handed to the consumer, which raises it
+            buffer.put(error)
+
+    thread = threading.Thread(target=pump, daemon=True)
+    thread.start()
+    try:
+        while (item := buffer.get()) is not None:
+            if isinstance(item, BaseException):
+                raise item
+            yield item
+    finally:
+        stop.set()

@@ -1,0 +1,310 @@
+"""Cross covariance blocks of patches that share raw points (UNCERTAINTY step 3).
+
+``C_ab = (X_aᵀX_a)⁻¹ (Σ_{j in a and b} x_j^a n_aᵀ C_ind,j n_b x_j^bᵀ) (X_bᵀX_b)⁻¹``, stored once
+with key_b >= key_a.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+
+from ladar_volume.math.kernels import kernel, parallel_kernel
+from ladar_volume.math.normal_equations import basis
+from ladar_volume.rmls.tangent_frame import across
+from ladar_volume.rmls.tangent_frame import row as row_of
+from ladar_volume.rmls.voxel_store import BITS, find_voxel
+
+#: Balls of radius 2r about centres in voxels more than this apart do not meet.
+SPAN = 4
+
+
+def chunks_of(rows: int) -> int:
+    """How many contiguous chunks rows are handled in, each with its own marks: two per thread, none
+    tiny.
+    """
+    return min(2 * numba.get_num_threads(), 1 + rows // 64)
+
+
+@parallel_kernel
+def candidates(
+    rows: Any,
+    good: Any,
+    mine: Any,
+    centre: Any,
+    radius: Any,
+    keys: Any,
+    table: Any,
+    fill: Any,
+    offset: Any,
+    out: Any,
+    counts: Any,
+) -> None:
+    """Patches whose balls meet the ball of each of ``rows`` (voxel indices): those with key >= own,
+    then those with a lower key that are not ``mine``, each in order of their keys; counted, or with
+    ``fill`` listed from ``offset`` on. ``good``: voxels with a patch.
+    """
+    mask = (1 << BITS) - 1
+    for row in numba.prange(len(rows)):
+        a = rows[row]
+        key = keys[a]
+        i0, j0, k0 = key >> (2 * BITS), (key >> BITS) & mask, key & mask
+        n = 0
+        for lower in range(2):
+            for di in range(-SPAN * lower, SPAN * (1 - lower) + 1):
+                for dj in range(-SPAN, SPAN + 1):
+                    for dk in range(-SPAN, SPAN + 1):
+                        other = ((i0 + di) << (2 * BITS)) | ((j0 + dj) << BITS) | (k0 + dk)
+                        b = find_voxel(table, keys, other) if (other < key) == (lower == 1) else -1
+                        if b < 0 or not good[b] or (lower == 1 and mine[b]):
+                            continue
+                        d0, d1, d2 = (
+                            centre[a, 0] - centre[b, 0],
+                            centre[a, 1] - centre[b, 1],
+                            centre[a, 2] - centre[b, 2],
+                        )
+                        if d0 * d0 + d1 * d1 + d2 * d2 <= 16.0 * radius * radius:
+                            if fill:
+                                out[offset[row] + n] = b
+                            n += 1
+        counts[row] = n
+
+
+@parallel_kernel
+def sharing(
+    rows: Any,
+    offset: Any,
+    others: Any,
+    first: Any,
+    held: Any,
+    entries: Any,
+    voxels: Any,
+    chunks: Any,
+    out: Any,
+) -> None:
+    """Whether each candidate pair shares an inlier, by their entries (see ``fits``). ``voxels``:
+    how many there are.
+    """
+    for chunk in numba.prange(chunks):
+        # which patch last listed a voxel, and the number of its entry: one array per chunk of rows,
+        # never cleared
+        owner, entry = np.full(voxels, -1, np.int32), np.empty(voxels, np.int64)
+        for row in range(chunk * len(rows) // chunks, (chunk + 1) * len(rows) // chunks):
+            a = rows[row]
+            for e in range(first[a], first[a] + held[a]):
+                owner[entries[e, 0]], entry[entries[e, 0]] = a, e
+            for k in range(offset[row], offset[row + 1]):
+                b = others[k]
+                out[k] = False
+                for e in range(first[b], first[b] + held[b]):
+                    if owner[entries[e, 0]] == a:
+                        mine = entries[entry[entries[e, 0]]]
+                        for word in range(1, entries.shape[1]):
+                            out[k] |= (mine[word] & entries[e, word]) != 0
+                    if out[k]:
+                        break
+
+
+@kernel
+def local_slots(members: Any, cap: Any, voxels: Any) -> Any:
+    """A number (n,) for the slot of each of the members (n,), from 0 on, the same for the same, and
+    above all of them: few patches of a large map have few slots, and marks for these stay in the
+    cache. voxels : of the map.
+    """
+    rank, out, used = np.full(voxels, -1, np.int32), np.empty(len(members), np.int32), 0
+    for i in range(len(members)):
+        v = members[i] // cap
+        if rank[v] < 0:
+            rank[v] = used
+            used += 1
+        out[i] = rank[v] * cap + members[i] - v * cap
+    return out, used * cap
+
+
+@kernel
+def _noise_along(C: Any, n: Any, out: Any) -> None:
+    """``C n`` of a packed covariance."""
+    out[0] = C[0] * n[0] + C[1] * n[1] + C[2] * n[2]
+    out[1] = C[1] * n[0] + C[3] * n[1] + C[4] * n[2]
+    out[2] = C[2] * n[0] + C[4] * n[1] + C[5] * n[2]
+
+
+@kernel
+def _rows_of(
+    a: Any,
+    start: Any,
+    used: Any,
+    members: Any,
+    r: Any,
+    C: Any,
+    centre: Any,
+    normal: Any,
+    tangent: Any,
+    p: Any,
+    X: Any,
+) -> None:
+    """Of each inlier of patch a: its row in X[:, :6] and ``C n`` in X[:, 6:9]."""
+    side = np.empty(3)
+    across(normal[a], tangent[a], side)
+    for i in range(used[a]):
+        slot = members[start[a] + i]
+        row_of(r, slot, centre[a], tangent[a], side, p, X[i, :6])
+        _noise_along(C[slot], normal[a], X[i, 6:9])
+
+
+@kernel
+def _sum_products(G: Any, Y: Any, m: Any, p: Any, S: Any) -> None:
+    """``S[:p, :p] = Σ_j G[j] Y[j]ᵀ`` over m rows, one row of S at a time in registers."""
+    for l in range(p):
+        s0 = s1 = s2 = s3 = s4 = s5 = 0.0
+        if p == 6:
+            for j in range(m):
+                g = G[j, l]
+                s0 += g
+                s1 += g * Y[j, 0]
+                s2 += g * Y[j, 1]
+                s3 += g * Y[j, 2]
+                s4 += g * Y[j, 3]
+                s5 += g * Y[j, 4]
+        else:
+            for j in range(m):
+                g = G[j, l]
+                s0 += g
+                s1 += g * Y[j, 0]
+                s2 += g * Y[j, 1]
+        S[l, 0], S[l, 1], S[l, 2], S[l, 3], S[l, 4], S[l, 5] = s0, s1, s2, s3, s4, s5
+
+
+@kernel
+def _sandwich(left: Any, S: Any, right: Any, p: Any, out: Any) -> None:
+    """``left S right`` of (p, p) matrices."""
+    T = np.zeros((6, 6))
+    for l in range(p):
+        for e in range(p):
+            g = left[l, e]
+            for m in range(p):
+                T[l, m] += g * S[e, m]
+    for l in range(p):
+        for m in range(p):
+            total = 0.0
+            for e in range(p):
+                total += T[l, e] * right[e, m]
+            out[l, m] = total
+
+
+@kernel
+def _shared(
+    a: Any,
+    b: Any,
+    swap: Any,
+    owner: Any,
+    place: Any,
+    start: Any,
+    used: Any,
+    members: Any,
+    local: Any,
+    r: Any,
+    C: Any,
+    centre: Any,
+    normal: Any,
+    tangent: Any,
+    p: Any,
+    X: Any,
+    G: Any,
+    Y: Any,
+) -> Any:
+    """Of each inlier that patch b shares with a: ``n_aᵀ C n_b`` times its row on the one patch to
+    G, u, v, u², uv, v² on the other to Y; returns how many. The row is that on a, with ``swap``
+    that on b: the same numbers as from the other patch's side.
+    """
+    side, x, w, na, nb = np.empty(3), np.empty(6), np.empty(3), normal[a], normal[b]
+    across(nb, tangent[b], side)
+    c0, c1, c2 = centre[b, 0], centre[b, 1], centre[b, 2]
+    t0, t1, t2 = tangent[b, 0], tangent[b, 1], tangent[b, 2]
+    m = 0
+    for j in range(start[b], start[b] + used[b]):
+        if owner[local[j]] != a:
+            continue
+        slot, i = members[j], place[local[j]]
+        x0, x1, x2 = r[slot, 0] - c0, r[slot, 1] - c1, r[slot, 2] - c2
+        u, v = x0 * t0 + x1 * t1 + x2 * t2, x0 * side[0] + x1 * side[1] + x2 * side[2]
+        if swap:
+            _noise_along(C[slot], nb, w)
+            variance = w[0] * na[0] + w[1] * na[1] + w[2] * na[2]
+            basis(u, v, p, x)
+            for l in range(p):
+                G[m, l] = variance * x[l]
+            u, v = X[i, 1], X[i, 2]
+        else:
+            variance = X[i, 6] * nb[0] + X[i, 7] * nb[1] + X[i, 8] * nb[2]
+            for l in range(p):
+                G[m, l] = variance * X[i, l]
+        Y[m, 0], Y[m, 1], Y[m, 2], Y[m, 3], Y[m, 4] = u, v, u * u, u * v, v * v
+        m += 1
+    return m
+
+
+@parallel_kernel
+def cross_blocks(
+    rows: Any,
+    offset: Any,
+    others: Any,
+    keys: Any,
+    start: Any,
+    used: Any,
+    members: Any,
+    local: Any,
+    slots: Any,
+    r: Any,
+    C: Any,
+    centre: Any,
+    normal: Any,
+    tangent: Any,
+    inverse: Any,
+    p: Any,
+    most: Any,
+    chunks: Any,
+    out: Any,
+) -> None:
+    """The blocks of the pairs that share points, the patch with the lower key first. local, slots :
+    see :func:`local_slots` · most : largest number of inliers of ``rows``.
+    """
+    for chunk in numba.prange(chunks):
+        owner, place = np.full(slots, -1, np.int32), np.empty(slots, np.int32)
+        X, G, Y, S = np.zeros((most, 9)), np.zeros((most, 6)), np.zeros((most, 5)), np.zeros((6, 6))
+        for row in range(chunk * len(rows) // chunks, (chunk + 1) * len(rows) // chunks):
+            a = rows[row]
+            _rows_of(a, start, used, members, r, C, centre, normal, tangent, p, X)
+            for i in range(used[a]):
+                owner[local[start[a] + i]] = a
+                place[local[start[a] + i]] = i
+            for k in range(offset[row], offset[row + 1]):
+                b = others[k]
+                swap = keys[b] < keys[a]
+                m = _shared(
+                    a,
+                    b,
+                    swap,
+                    owner,
+                    place,
+                    start,
+                    used,
+                    members,
+                    local,
+                    r,
+                    C,
+                    centre,
+                    normal,
+                    tangent,
+                    p,
+                    X,
+                    G,
+                    Y,
+                )
+                _sum_products(G, Y, m, p, S)
+                if swap:
+                    _sandwich(inverse[b], S, inverse[a], p, out[k])
+                else:
+                    _sandwich(inverse[a], S, inverse[b], p, out[k])

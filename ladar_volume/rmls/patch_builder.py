@@ -1,0 +1,235 @@
+"""Patches of a set of voxels: fits, cross blocks, sensitivities and projected points, assembled
+from the kernels.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ladar_volume.georeference.lidar_equation import Mounting
+from ladar_volume.model.parameters import FilterParameters
+from ladar_volume.model.records import F32, I64, FilteredPoints, Patches, select
+from ladar_volume.rmls import cross_covariance, patch_sensitivity, projection, refit_kernels
+from ladar_volume.rmls.fit_store import Fits, FitStore, blank
+from ladar_volume.rmls.patch_fit import OK
+from ladar_volume.rmls.voxel_store import VoxelStore
+
+
+class PatchBuilder:
+    """Fits the voxels of a store and assembles what is published. Holds no state of its own."""
+
+    def __init__(
+        self, parameters: FilterParameters, store: VoxelStore, mount: Mounting, beams: int
+    ) -> None:
+        self.parameters, self.store, self.mount, self.beams = parameters, store, mount, beams
+        self.most_bins = patch_sensitivity.MOST_BINS
+
+    def fit(self, voxels: I64) -> Fits:
+        """Fit the patches of these voxels (indices)."""
+        s, f = self.store, self.parameters
+        p, bound = 6 if f.degree == 2 else 3, np.zeros(len(voxels), np.int64)
+        refit_kernels.count_candidates(voxels, s.keys, s.table, s.count, bound)
+        start = np.concatenate([[0], np.cumsum(bound)])
+        fits = blank(voxels, start, np.empty(start[-1], np.int32))
+        refit_kernels.fit_patches(
+            voxels,
+            start,
+            s.keys,
+            s.table,
+            s.count,
+            s.order,
+            s.r,
+            s.t_ns,
+            s.aux,
+            s.cap,
+            f.radius_m,
+            p,
+            f.sample_size,
+            f.trials,
+            f.start == "ransac",
+            f.ransac_threshold_m,
+            f.outlier_sigmas,
+            f.outlier_floor_m,
+            f.min_points,
+            f.refit_iterations,
+            f.seed,
+            fits.members,
+            fits.status,
+            fits.used,
+            fits.sigma,
+            fits.time,
+            fits.centre,
+            fits.normal,
+            fits.tangent,
+            fits.beta,
+            fits.inverse,
+        )
+        return fits
+
+    def patches(self, kept: FitStore, rows: I64) -> Patches:
+        """The record of patches ``rows`` of the fits of all voxels; pairs with a patch of a lower
+        key are listed, after the others, where that patch is not among the rows.
+        """
+        s, p = self.store, 6 if self.parameters.degree == 2 else 3
+        offset, others = self._pairs(kept, rows)
+        fits = kept.listed(np.union1d(rows, others), s)
+        blocks = np.zeros((offset[-1], p, p), np.float32)
+        local, slots = cross_covariance.local_slots(fits.members, s.cap, s.used)
+        cross_covariance.cross_blocks(
+            rows,
+            offset,
+            others,
+            s.keys,
+            fits.start,
+            fits.used,
+            fits.members,
+            local,
+            slots,
+            s.r,
+            s.C,
+            fits.centre,
+            fits.normal,
+            fits.tangent,
+            fits.inverse,
+            p,
+            int(fits.used[rows].max(initial=0)),
+            cross_covariance.chunks_of(len(rows)),
+            blocks,
+        )
+        nav_start, nav_bin, M_cal, M_nav = self._sensitivities(fits, rows, p)
+        return Patches(
+            s.keys[rows],
+            fits.centre[rows],
+            fits.normal[rows],
+            fits.tangent[rows],
+            fits.beta[rows, :p],
+            fits.sigma[rows],
+            fits.used[rows].astype(np.int32),
+            fits.time[rows],
+            offset,
+            s.keys[others],
+            blocks,
+            M_cal,
+            nav_start,
+            nav_bin,
+            M_nav,
+        )
+
+    def _pairs(self, kept: FitStore, rows: I64) -> tuple[I64, I64]:
+        """Pairs of patches that share raw points, in CSR form: (offset, other patch)."""
+        fits = kept.fits
+        s, counts, mine = (
+            self.store,
+            np.zeros(len(rows), np.int64),
+            np.zeros(len(fits.voxels), np.bool_),
+        )
+        mine[rows] = True
+        good = fits.status == OK
+
+        def listed(fill: bool, offset: I64, out: I64) -> None:
+            cross_covariance.candidates(
+                rows,
+                good,
+                mine,
+                fits.centre,
+                self.parameters.radius_m,
+                s.keys,
+                s.table,
+                fill,
+                offset,
+                out,
+                counts,
+            )
+
+        listed(False, np.zeros(len(rows) + 1, np.int64), np.empty(0, np.int64))
+        offset = np.concatenate([[0], np.cumsum(counts)])
+        others = np.empty(offset[-1], np.int64)
+        listed(True, offset, others)
+        shared = np.zeros(len(others), np.bool_)
+        cross_covariance.sharing(
+            rows,
+            offset,
+            others,
+            kept.first,
+            kept.held,
+            kept.entries,
+            len(fits.voxels),
+            cross_covariance.chunks_of(len(rows)),
+            shared,
+        )
+        return np.concatenate([[0], np.cumsum(shared)])[offset], others[shared]
+
+    def _sensitivities(self, fits: Fits, rows: I64, p: int) -> tuple[I64, I64, F32, F32]:
+        s, bin_ns = self.store, np.int64(self.parameters.nav_bin_s * 1e9)
+        bins = np.zeros(len(rows), np.int64)
+        patch_sensitivity.count_bins(
+            rows, fits.start, fits.used, fits.members, s.t_ns, bin_ns, self.most_bins, bins
+        )
+        nav_start = np.concatenate([[0], np.cumsum(bins)])
+        nav_bin = np.zeros(nav_start[-1], np.int64)
+        M_cal = np.zeros((len(rows), p + 2, 11 + 2 * self.beams), np.float32)
+        M_nav = np.zeros((nav_start[-1], p + 2, 4), np.float32)
+        patch_sensitivity.sensitivities(
+            rows,
+            fits.start,
+            fits.used,
+            fits.members,
+            s.keys,
+            s.r,
+            s.t_ns,
+            s.ring,
+            s.aux,
+            fits.centre,
+            fits.normal,
+            fits.tangent,
+            fits.inverse,
+            p,
+            self.beams,
+            self.mount.lever_laser,
+            self.mount.lever_antenna,
+            np.ascontiguousarray(self.mount.R_body_laser[:, 2]),
+            bin_ns,
+            nav_start,
+            nav_bin,
+            M_cal,
+            M_nav,
+        )
+        return nav_start, nav_bin, M_cal, M_nav
+
+    def points(self, kept: FitStore, rows: I64, patches: Patches) -> FilteredPoints:
+        """The filtered points of patches ``rows``."""
+        s, p, fits = self.store, patches.beta.shape[1], kept.listed(rows, self.store)
+        n = len(rows) * s.cap
+        r, normal, variance = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
+        C, t_ns, uv = np.zeros((n, 6), np.float32), np.zeros(n, np.int64), np.zeros((n, 2))
+        counts = np.zeros(len(rows), np.int64)
+        spacing = self.parameters.sampling_m or self.parameters.radius_m / 2
+        projection.project(
+            rows,
+            fits.voxels,
+            fits.start,
+            fits.used,
+            fits.members,
+            s.r,
+            s.C,
+            s.t_ns,
+            s.cap,
+            fits.centre,
+            fits.normal,
+            fits.tangent,
+            fits.beta,
+            np.ascontiguousarray(patches.cross[patches.cross_start[:-1]]),
+            p,
+            spacing,
+            r,
+            normal,
+            variance,
+            C,
+            t_ns,
+            uv,
+            counts,
+        )
+        slot = np.arange(n) % max(s.cap, 1)
+        keep = slot < np.repeat(counts, s.cap)
+        patch = np.repeat(patches.key, s.cap)
+        return select(FilteredPoints(r, normal, variance, C, t_ns, patch, uv), keep)

@@ -1,0 +1,268 @@
+"""Mean sensitivities of the patches to calibration and navigation (UNCERTAINTY step 4), as compiled
+kernels.
+
+A shared error moves the returns, and with them the patch, in three dimensions. Along the normal the
+movement changes over the patch as a fit of the returns' own movements does; along the tangents the
+mean of them counts. On a smooth surface the latter changes no volume, but where a point's triangles
+do not all lie on its patch, as along an edge, it does.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+
+from ladar_volume.math.kernels import kernel, leaf_kernel, parallel_kernel
+from ladar_volume.rmls.tangent_frame import across, row
+from ladar_volume.rmls.viewing_geometry import NUMBERS, recall, rotated
+from ladar_volume.rmls.voxel_store import BITS
+
+#: Navigation time bins of a patch, at most: those of forty seconds. A patch that is seen for an
+#: hour has inliers in hundreds.
+MOST_BINS = 20
+
+
+@kernel
+def distinct_bins(members: Any, n: Any, t_ns: Any, bin_ns: Any, bins: Any) -> Any:
+    """Sorted distinct time bins of a patch's inliers; returns how many."""
+    m = 0
+    for i in range(n):
+        b = np.int64(np.floor_divide(t_ns[members[i]], bin_ns))
+        lo = m
+        while lo > 0 and bins[lo - 1] > b:
+            lo -= 1
+        if lo > 0 and bins[lo - 1] == b:
+            continue
+        for k in range(m, lo, -1):
+            bins[k] = bins[k - 1]
+        bins[lo] = b
+        m += 1
+    return m
+
+
+@parallel_kernel
+def count_bins(
+    rows: Any, start: Any, used: Any, members: Any, t_ns: Any, bin_ns: Any, most: Any, out: Any
+) -> None:
+    """Navigation time bins each patch will have: its distinct ones, or ``most`` that stand for
+    them.
+    """
+    for i_row in numba.prange(len(rows)):
+        a = rows[i_row]
+        bins = np.empty(used[a] + 1, np.int64)
+        out[i_row] = min(
+            distinct_bins(members[start[a] : start[a] + used[a]], used[a], t_ns, bin_ns, bins), most
+        )
+
+
+#: Columns of a return's sensitivities: place of the laser, that of the antenna, clock, the beam's
+#: vertical angle, attitude; its range is column 0, the boresight follows.
+LASER, ANTENNA, CLOCK, SHARED, VERTICAL, ATTITUDE, ALL = 4, 7, 10, 11, 11, 12, 15
+
+
+@leaf_kernel
+def sight(g: Any, axis_body: Any) -> Any:
+    """Of a return with geometry g (10,): the beam's direction in the body (3), its length, sine and
+    cosine of its vertical angle.
+    """
+    v0, v1, v2 = g[4], g[5], g[6]
+    length = np.sqrt(v0 * v0 + v1 * v1 + v2 * v2)
+    u0, u1, u2 = v0 / length, v1 / length, v2 / length
+    sine = u0 * axis_body[0] + u1 * axis_body[1] + u2 * axis_body[2]
+    return u0, u1, u2, length, sine, np.sqrt(max(1.0 - sine * sine, 1e-12))
+
+
+@leaf_kernel
+def along_axis(g: Any, beam: Any, axis: Any, shift: Any, axis_body: Any, h: Any) -> None:
+    """``axis·∂r/∂theta`` (15,) of one return for a unit vector of the map, with its geometry g
+    (10,): attitude xyzw, v_body, motion with the platform; ``beam`` : its :func:`sight`. What it is
+    by the antenna's place is left out, as it is that by the laser's with the other sign; by the
+    platform's position along the axis it is 1.
+
+    With m = Rᵀaxis and arm = v + b − a, ``shift`` = b − a: range u·m, boresight v x m, b m, a −m,
+    clock axis·motion, vertical angle m·(range (z − u sin eps)/cos eps) with z, ``axis_body``, the
+    laser's z axis; attitude arm x m.
+    """
+    m0, m1, m2 = rotated(-g[0], -g[1], -g[2], g[3], axis)
+    u0, u1, u2, length, sine, cosine = beam
+    v0, v1, v2 = g[4], g[5], g[6]
+    w0, w1, w2 = v0 + shift[0], v1 + shift[1], v2 + shift[2]
+    h[0] = u0 * m0 + u1 * m1 + u2 * m2
+    h[1], h[2], h[3] = v1 * m2 - v2 * m1, v2 * m0 - v0 * m2, v0 * m1 - v1 * m0
+    h[LASER], h[LASER + 1], h[LASER + 2] = m0, m1, m2
+    h[CLOCK] = axis[0] * g[7] + axis[1] * g[8] + axis[2] * g[9]
+    h[VERTICAL] = (
+        length * (axis_body[0] * m0 + axis_body[1] * m1 + axis_body[2] * m2 - sine * h[0]) / cosine
+    )
+    h[ATTITUDE], h[ATTITUDE + 1], h[ATTITUDE + 2] = (
+        w1 * m2 - w2 * m1,
+        w2 * m0 - w0 * m2,
+        w0 * m1 - w1 * m0,
+    )
+
+
+@leaf_kernel
+def add_return(h: Any, weight: Any, beam: Any, beams: Any, cal: Any, nav: Any) -> None:
+    """Adds a return's sensitivities h (15,), weighted, to rows cal (11 + 2 beams,) but those by the
+    antenna's place, and to nav (4,).
+    """
+    for c in range(ANTENNA):
+        cal[c] += weight * h[c]
+    cal[CLOCK] += weight * h[CLOCK]
+    cal[SHARED + beam] += weight * h[0]
+    cal[SHARED + beams + beam] += weight * h[VERTICAL]
+    nav[0] += weight
+    for c in range(3):
+        nav[1 + c] += weight * h[ATTITUDE + c]
+
+
+@leaf_kernel
+def solved(inverse: Any, p: Any, count: Any, rows: Any, out: Any) -> None:
+    """Sums ``rows`` (p + 2, c) to sensitivities: ``inverse`` (p, p) times those along the normal,
+    the mean over ``count`` of the others.
+    """
+    for c in range(rows.shape[1]):
+        for k in range(p):
+            s = 0.0
+            for l in range(p):
+                s += inverse[k, l] * rows[l, c]
+            out[k, c] = s
+        out[p, c], out[p + 1, c] = rows[p, c] / count, rows[p + 1, c] / count
+
+
+@leaf_kernel
+def fraction_of(key: Any) -> Any:
+    """A number in [0, 1) for a voxel: those of neighbours, of any square of them, lie evenly (a
+    Kronecker sequence along each axis, with powers of the inverses of the numbers with x³ = x + 1
+    and, for z, x⁴ = x + 1).
+    """
+    mask = (1 << BITS) - 1
+    x = (
+        (key >> (2 * BITS)) * 0.7548776662466927
+        + ((key >> BITS) & mask) * 0.5698402909980532
+        + (key & mask) * 0.8191725133961645
+    )
+    return x - np.floor(x)
+
+
+@kernel
+def draw(run: Any, runs: Any, u: Any, drawn: Any) -> None:
+    """The inlier (runs,) that is drawn from each run, for the run (n,) of each inlier and a
+    fraction u, another one for each run.
+    """
+    held, turn = np.zeros(runs, np.int64), np.empty(runs, np.int64)
+    for i in range(len(run)):
+        held[run[i]] += 1
+    for g in range(runs):
+        x = u + g * 0.6180339887498949
+        turn[g] = np.int64((x - np.floor(x)) * held[g])
+    for i in range(len(run)):
+        if turn[run[i]] == 0:
+            drawn[run[i]] = i
+        turn[run[i]] -= 1
+
+
+@leaf_kernel
+def seen_from(g: Any, r: Any, other: Any, axis: Any, shift: Any, h: Any) -> None:
+    """To h the attitude's part of ``axis·∂r/∂theta`` of a point r (3,), had it been seen when that
+    of ``other`` (3,) was, whose geometry is g (10,). See :func:`along_axis`.
+    """
+    m0, m1, m2 = rotated(-g[0], -g[1], -g[2], g[3], axis)
+    v0, v1, v2 = rotated(
+        -g[0], -g[1], -g[2], g[3], (r[0] - other[0], r[1] - other[1], r[2] - other[2])
+    )
+    w0, w1, w2 = v0 + g[4] + shift[0], v1 + g[5] + shift[1], v2 + g[6] + shift[2]
+    h[ATTITUDE], h[ATTITUDE + 1], h[ATTITUDE + 2] = (
+        w1 * m2 - w2 * m1,
+        w2 * m0 - w0 * m2,
+        w0 * m1 - w1 * m0,
+    )
+
+
+@parallel_kernel
+def sensitivities(
+    rows: Any,
+    start: Any,
+    used: Any,
+    members: Any,
+    keys: Any,
+    r: Any,
+    t_ns: Any,
+    ring: Any,
+    aux: Any,
+    centre: Any,
+    normal: Any,
+    tangent: Any,
+    inverse: Any,
+    p: Any,
+    beams: Any,
+    lever_laser: Any,
+    lever_antenna: Any,
+    axis_body: Any,
+    bin_ns: Any,
+    nav_start: Any,
+    nav_bin: Any,
+    M_cal: Any,
+    M_nav: Any,
+) -> None:
+    """Mean sensitivities M_cal (m, p + 2, 11 + 2 beams) over all inliers, and M_nav (l, p + 2, 4)
+    per time bin: of beta, ``(XᵀX)⁻¹ Σ_j x_j n·∂r_j/∂theta``, and of the place along tangent and
+    binormal, the mean of ``tangent·∂r_j/∂theta``.
+
+    A patch with inliers in more bins than it has room for gets runs of bins instead: of each run
+    one inlier is drawn, and all count as if they had been seen when that one was. A common shift
+    stays what it is. Averages over the run would be no substitute: a turn of the platform acts the
+    other way round on what it has on its other side. Over patches, whose draws differ evenly, all
+    bins have their say.
+    """
+    shift = lever_laser - lever_antenna
+    for i_row in numba.prange(len(rows)):
+        a = rows[i_row]
+        first, runs = nav_start[i_row], nav_start[i_row + 1] - nav_start[i_row]
+        mine = members[start[a] : start[a] + used[a]]
+        bins, run, drawn = (
+            np.empty(used[a] + 1, np.int64),
+            np.empty(used[a], np.int64),
+            np.empty(runs, np.int64),
+        )
+        nb = distinct_bins(mine, used[a], t_ns, bin_ns, bins)
+        for i in range(used[a]):
+            b = np.searchsorted(bins[:nb], np.int64(np.floor_divide(t_ns[mine[i]], bin_ns)))
+            run[i] = ((b + 1) * runs - 1) // nb
+        draw(run, runs, fraction_of(keys[a]), drawn)
+        for g in range(runs):
+            nav_bin[first + g] = np.int64(np.floor_divide(t_ns[mine[drawn[g]]], bin_ns))
+        cal, nav, x, h, axes = (
+            np.zeros((p + 2, 11 + 2 * beams)),
+            np.zeros((runs, p + 2, 4)),
+            np.zeros(6),
+            np.empty(ALL),
+            np.empty((3, 3)),
+        )
+        own, others = np.empty(NUMBERS), np.empty((runs, NUMBERS))
+        for k in range(runs):
+            recall(aux[mine[drawn[k]]], others[k])
+        axes[0], axes[1] = normal[a], tangent[a]
+        across(normal[a], tangent[a], axes[2])
+        for i in range(used[a]):
+            slot, other = mine[i], mine[drawn[run[i]]]
+            row(r, slot, centre[a], tangent[a], axes[2], p, x)
+            beam = min(np.int64(ring[slot]), beams - 1)
+            recall(aux[slot], own)
+            looked = sight(own, axis_body)
+            for k in range(3):
+                along_axis(own, looked, axes[k], shift, axis_body, h)
+                if runs < nb:
+                    seen_from(others[run[i]], r[slot], r[other], axes[k], shift, h)
+                if k == 0:
+                    for l in range(p):
+                        add_return(h, x[l], beam, beams, cal[l], nav[run[i], l])
+                else:
+                    add_return(h, 1.0, beam, beams, cal[p + k - 1], nav[run[i], p + k - 1])
+        for c in range(3):
+            cal[:, ANTENNA + c] = -cal[:, LASER + c]
+        solved(inverse[a], p, used[a], cal, M_cal[i_row])
+        for g in range(runs):
+            solved(inverse[a], p, used[a], nav[g], M_nav[first + g])

@@ -1,0 +1,134 @@
+"""Which points the filter takes in, and the geometry kept with each: one compiled pass each over
+the points.
+
+``sensitivity.bracket`` and ``reference.geometry`` are the plain twins.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ladar_volume.math.kernels import kernel
+
+TAKEN, NOT_FINITE, TOO_FAR, UNCOVERED = 0, 1, 2, 3
+
+
+@kernel
+def _before(knots: Any, t: Any, hint: Any) -> Any:
+    """Index of the last knot not after t, −1 before the first; points come nearly in order of time,
+    so the last answer is tried first.
+    """
+    n = len(knots)
+    if hint >= 0 and knots[hint] <= t and (hint + 1 == n or t < knots[hint + 1]):
+        return hint
+    return np.searchsorted(knots, t, side="right") - 1
+
+
+@kernel
+def admit(
+    t_ns: Any,
+    r: Any,
+    C: Any,
+    limit: Any,
+    knots: Any,
+    segment: Any,
+    verdict: Any,
+    state: Any,
+    fraction: Any,
+) -> None:
+    """Verdict of each point, and where it lies between platform states (see
+    ``sensitivity.bracket``).
+    """
+    hint = -1
+    last = len(knots) - 1
+    for i in range(len(t_ns)):
+        size = max(abs(r[i, 0]), abs(r[i, 1]), abs(r[i, 2]))
+        total = r[i, 0] + r[i, 1] + r[i, 2]
+        for k in range(6):
+            total += C[i, k]
+        if not np.isfinite(total):
+            verdict[i] = NOT_FINITE
+            continue
+        if not size < limit:
+            verdict[i] = TOO_FAR
+            continue
+        t = t_ns[i]
+        k = _before(knots, t, hint)
+        hint = k
+        verdict[i] = UNCOVERED
+        if k < 0 or segment[k] < 0:
+            continue
+        if knots[k] == t:
+            verdict[i], state[i], fraction[i] = TAKEN, k, 0.0
+        elif k < last and segment[k] == segment[k + 1]:
+            verdict[i], state[i], fraction[i] = (
+                TAKEN,
+                k,
+                (t - knots[k]) / max(knots[k + 1] - knots[k], 1),
+            )
+
+
+@kernel
+def _slerp(q0: Any, q1: Any, f: Any, out: Any) -> None:
+    """Between two unit quaternions xyzw, the short way."""
+    dot = q0[0] * q1[0] + q0[1] * q1[1] + q0[2] * q1[2] + q0[3] * q1[3]
+    sign = -1.0 if dot < 0.0 else 1.0
+    dot = min(abs(dot), 1.0)
+    angle = np.arccos(dot)
+    if angle < 1e-4:
+        a, b = 1.0 - f, f
+    else:
+        a, b = np.sin((1.0 - f) * angle) / np.sin(angle), np.sin(f * angle) / np.sin(angle)
+    length = 0.0
+    for k in range(4):
+        out[k] = a * q0[k] + sign * b * q1[k]
+        length += out[k] * out[k]
+    length = np.sqrt(length)
+    for k in range(4):
+        out[k] /= length
+
+
+@kernel
+def geometry(
+    rows: Any,
+    r: Any,
+    state: Any,
+    fraction: Any,
+    p: Any,
+    q: Any,
+    v: Any,
+    omega: Any,
+    lever_laser: Any,
+    out: Any,
+) -> None:
+    """Attitude xyzw, v_body = B r_laser and motion with the platform (m/s, map) of points ``rows``
+    (n,) to out (n, 10).
+    """
+    g, d, m, w, s = np.empty(4), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for j in range(len(rows)):
+        i = rows[j]
+        k, f = state[i], fraction[i]
+        l = min(k + 1, len(p) - 1)
+        _slerp(q[k], q[l], f, g)
+        x, y, z, e = g[0], g[1], g[2], g[3]
+        for c in range(3):
+            d[c] = r[i, c] - (p[k, c] + f * (p[l, c] - p[k, c]))
+            m[c] = v[k, c] + f * (v[l, c] - v[k, c])
+            w[c] = omega[k, c] + f * (omega[l, c] - omega[k, c])
+        r00, r01, r02 = 1 - 2 * (y * y + z * z), 2 * (x * y - z * e), 2 * (x * z + y * e)
+        r10, r11, r12 = 2 * (x * y + z * e), 1 - 2 * (x * x + z * z), 2 * (y * z - x * e)
+        r20, r21, r22 = 2 * (x * z - y * e), 2 * (y * z + x * e), 1 - 2 * (x * x + y * y)
+        s[0] = r00 * d[0] + r10 * d[1] + r20 * d[2]
+        s[1] = r01 * d[0] + r11 * d[1] + r21 * d[2]
+        s[2] = r02 * d[0] + r12 * d[1] + r22 * d[2]
+        m[0] += w[1] * s[2] - w[2] * s[1]
+        m[1] += w[2] * s[0] - w[0] * s[2]
+        m[2] += w[0] * s[1] - w[1] * s[0]
+        out[j, 0], out[j, 1], out[j, 2], out[j, 3] = x, y, z, e
+        for c in range(3):
+            out[j, 4 + c] = s[c] - lever_laser[c]
+        out[j, 7] = r00 * m[0] + r01 * m[1] + r02 * m[2]
+        out[j, 8] = r10 * m[0] + r11 * m[1] + r12 * m[2]
+        out[j, 9] = r20 * m[0] + r21 * m[1] + r22 * m[2]

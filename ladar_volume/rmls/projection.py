@@ -1,0 +1,126 @@
+"""Projection of raw points onto the patch of their voxel, thinned to cells of its tangent plane."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+
+from ladar_volume.math.kernels import kernel, parallel_kernel
+from ladar_volume.math.normal_equations import basis
+from ladar_volume.rmls.tangent_frame import across, arc, row
+
+
+@parallel_kernel
+def project(
+    rows: Any,
+    voxels: Any,
+    start: Any,
+    used: Any,
+    members: Any,
+    r: Any,
+    C: Any,
+    t_ns: Any,
+    cap: Any,
+    centre: Any,
+    normal: Any,
+    tangent: Any,
+    beta: Any,
+    C_beta: Any,
+    p: Any,
+    cell: Any,
+    r_out: Any,
+    n_out: Any,
+    var_out: Any,
+    C_out: Any,
+    t_out: Any,
+    uv_out: Any,
+    counts: Any,
+) -> None:
+    """Project each patch's own inliers and replace those in one cell of its tangent plane by their
+    mean.
+
+    Row i of every output belongs to patch ``rows[k]`` with i = k * cap + cluster.
+    """
+    for i_row in numba.prange(len(rows)):
+        a = rows[i_row]
+        n = normal[a]
+        x, t, s = np.zeros(6), tangent[a], np.empty(3)
+        across(n, t, s)
+        cells = np.empty((cap, 2), np.int64)
+        size = np.zeros(cap, np.int64)
+        mean = np.zeros((cap, 2))
+        noise = np.zeros((cap, 6))
+        time0 = np.zeros(cap, np.int64)
+        time = np.zeros(cap, np.int64)
+        m = 0
+        for i in range(start[a], start[a] + used[a]):
+            slot = members[i]
+            if slot // cap != voxels[a]:
+                continue
+            row(r, slot, centre[a], t, s, p, x)
+            cu, cv = np.int64(np.floor(x[1] / cell)), np.int64(np.floor(x[2] / cell))
+            k = 0
+            while k < m and (cells[k, 0] != cu or cells[k, 1] != cv):
+                k += 1
+            if k == m:
+                cells[k, 0], cells[k, 1] = cu, cv
+                time0[k] = t_ns[slot]
+                m += 1
+            size[k] += 1
+            mean[k, 0] += x[1]
+            mean[k, 1] += x[2]
+            time[k] += t_ns[slot] - time0[k]
+            for c in range(6):
+                noise[k, c] += C[slot, c]
+        counts[i_row] = m
+        for k in range(m):
+            i = i_row * cap + k
+            u, v = mean[k, 0] / size[k], mean[k, 1] / size[k]
+            basis(u, v, p, x)
+            w, wu, wv, variance = 0.0, beta[a, 1], beta[a, 2], 0.0
+            if p == 6:
+                extra, gu, gv = arc(u, v, beta[a, 3], beta[a, 4], beta[a, 5])
+                w, wu, wv = w + extra, wu + gu, wv + gv
+            for e in range(p):
+                w += x[e] * beta[a, e]
+                for f in range(p):
+                    variance += x[e] * C_beta[i_row, e, f] * x[f]
+            slope = np.sqrt(1.0 + wu * wu + wv * wv)
+            for c in range(3):
+                r_out[i, c] = centre[a, c] + u * t[c] + v * s[c] + w * n[c]
+                n_out[i, c] = (n[c] - wu * t[c] - wv * s[c]) / slope
+            uv_out[i, 0], uv_out[i, 1] = u, v
+            var_out[i] = variance / (slope * slope)
+            t_out[i] = time0[k] + time[k] // size[k]
+            tangential(noise[k], n, size[k], C_out[i])
+
+
+@kernel
+def tangential(total: Any, n: Any, size: Any, out: Any) -> None:
+    """``P C P / size²`` with P = I − n nᵀ: the noise of a mean of ``size`` points within the
+    tangent plane, packed.
+    """
+    C = np.empty((3, 3))
+    C[0, 0], C[0, 1], C[0, 2], C[1, 1], C[1, 2], C[2, 2] = (
+        total[0],
+        total[1],
+        total[2],
+        total[3],
+        total[4],
+        total[5],
+    )
+    C[1, 0], C[2, 0], C[2, 1] = total[1], total[2], total[4]
+    P = np.eye(3)
+    for i in range(3):
+        for j in range(3):
+            P[i, j] -= n[i] * n[j]
+    D, e = np.empty((3, 3)), 0  # D = P C
+    for i in range(3):
+        for j in range(3):
+            D[i, j] = P[i, 0] * C[0, j] + P[i, 1] * C[1, j] + P[i, 2] * C[2, j]
+    for i in range(3):
+        for j in range(i, 3):
+            out[e] = (D[i, 0] * P[0, j] + D[i, 1] * P[1, j] + D[i, 2] * P[2, j]) / (size * size)
+            e += 1

@@ -1,0 +1,256 @@
+"""Parallel kernels over voxels: which to refit, and the fits. Each iteration writes its own
+outputs.
+
+Sums over points run in canonical order (voxel key, then hash), so the same points give the same
+bytes whatever the order of arrival, the batching or the number of threads.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+
+from ladar_volume.math.kernels import kernel, parallel_kernel
+from ladar_volume.rmls import patch_fit
+from ladar_volume.rmls.patch_fit import REACH
+from ladar_volume.rmls.tangent_frame import coordinates, level_frame, mark_flat, refit, tangent_of
+from ladar_volume.rmls.viewing_geometry import NUMBERS, recall, rotated
+from ladar_volume.rmls.voxel_store import _mix, voxels_around
+
+OK, FEW_POINTS, NO_PLANE, FEW_INLIERS, NOT_ON_PATCH = (
+    patch_fit.OK,
+    patch_fit.FEW_POINTS,
+    patch_fit.NO_PLANE,
+    patch_fit.FEW_INLIERS,
+    patch_fit.NOT_ON_PATCH,
+)
+
+
+@parallel_kernel
+def count_candidates(voxels: Any, keys: Any, table: Any, count: Any, out: Any) -> None:
+    """Points in the voxels around each of ``voxels``: an upper bound of its inliers."""
+    for a in numba.prange(len(voxels)):
+        near, n = np.empty(patch_fit.AROUND, np.int64), 0
+        for i in range(voxels_around(keys[voxels[a]], keys, table, REACH, near)):
+            n += count[near[i]]
+        out[a] = n
+
+
+@kernel
+def _centroid(pts: Any, slots: Any, n: Any, cap: Any, voxel: Any, origin: Any) -> None:
+    """Mean of the voxel's own points."""
+    own = 0
+    for i in range(n):
+        if slots[i] // cap == voxel:
+            own += 1
+            for k in range(3):
+                origin[k] += pts[i, k]
+    for k in range(3):
+        origin[k] /= own
+
+
+@kernel
+def _ball(pts: Any, n: Any, origin: Any, ball: Any, near: Any) -> Any:
+    """Points within ``ball`` of ``origin`` to near (3, m); returns m."""
+    m = 0
+    for i in range(n):
+        # relative to the centroid: offsets of planes keep their digits far from the map's origin
+        x, y, z = pts[i, 0] - origin[0], pts[i, 1] - origin[1], pts[i, 2] - origin[2]
+        if x * x + y * y + z * z <= ball * ball:
+            near[0, m], near[1, m], near[2, m] = x, y, z
+            m += 1
+    return m
+
+
+@kernel
+def _face_sensor(
+    slots: Any, index: Any, m: Any, inside: Any, aux: Any, normal: Any, tangent: Any
+) -> None:
+    """Turn the normal against the mean beam of the inliers."""
+    facing = 0.0
+    g = np.empty(NUMBERS)
+    for i in range(m):
+        if inside[i]:
+            recall(aux[slots[index[i]]], g)
+            beam = rotated(g[0], g[1], g[2], g[3], g[4:7])
+            facing += beam[0] * normal[0] + beam[1] * normal[1] + beam[2] * normal[2]
+    if facing > 0.0:
+        for k in range(3):
+            normal[k] = -normal[k]
+        tangent_of(normal, tangent)
+
+
+@kernel
+def _fit_one(
+    voxel: Any,
+    slots: Any,
+    n: Any,
+    r: Any,
+    aux: Any,
+    cap: Any,
+    radius: Any,
+    p: Any,
+    size: Any,
+    trials: Any,
+    ransac: Any,
+    ransac_threshold: Any,
+    sigmas: Any,
+    floor: Any,
+    min_points: Any,
+    iterations: Any,
+    seed: Any,
+    centre: Any,
+    normal: Any,
+    tangent: Any,
+    beta: Any,
+    inverse: Any,
+) -> Any:
+    """One patch; returns (status, inliers, sigma) and leaves the inliers' slots at the front of
+    ``slots``.
+    """
+    ball = 2.0 * radius
+    pts, near = np.empty((n, 3)), np.empty((3, n))
+    for i in range(n):
+        for k in range(3):
+            pts[i, k] = r[slots[i], k]
+    origin = np.zeros(3)
+    _centroid(pts, slots, n, cap, voxel, origin)
+    m = _ball(pts, n, origin, ball, near)
+    if m < min_points:
+        return FEW_POINTS, 0, 0.0
+    plane = np.empty(4)
+    sigma = patch_fit.start_plane(
+        near, m, size, trials, ransac, ransac_threshold, seed, plane, np.empty(m)
+    )
+    if sigma < 0.0:
+        return NO_PLANE, 0, 0.0
+    plane[3] += plane[0] * origin[0] + plane[1] * origin[1] + plane[2] * origin[2]
+    index, inside = np.empty(n, np.int64), np.empty(n, np.bool_)
+    sigma = level_frame(
+        pts,
+        n,
+        origin,
+        plane,
+        sigma,
+        ball,
+        sigmas,
+        floor,
+        iterations,
+        near,
+        index,
+        inside,
+        centre,
+        normal,
+        tangent,
+    )
+    if sigma < 0.0:
+        return NO_PLANE, 0, 0.0
+    threshold = max(sigmas * sigma, floor, 0.5e-7 * ball)
+    m = coordinates(pts, n, centre, normal, tangent, ball, near, index)
+    mark_flat(near, m, threshold, inside)
+    _face_sensor(slots, index, m, inside, aux, normal, tangent)
+    m = coordinates(pts, n, centre, normal, tangent, ball, near, index)
+    used, s = refit(near, m, ball, p, sigma, sigmas, floor, iterations, inside, beta, inverse)
+    if used < min_points and p == 6:
+        # too few or too one-sided points for a quadric: the plane stands, its quadratic terms are
+        # zero with certainty
+        mark_flat(near, m, threshold, inside)
+        beta[:] = 0.0
+        inverse[:] = 0.0
+        used, s = refit(near, m, ball, 3, sigma, sigmas, floor, iterations, inside, beta, inverse)
+    if used < min_points:
+        return FEW_INLIERS, used, s
+    k, own = 0, False
+    for i in range(m):
+        if inside[i]:
+            slots[k] = slots[index[i]]
+            own |= slots[k] // cap == voxel
+            k += 1
+    return OK if own else NOT_ON_PATCH, used, s
+
+
+@parallel_kernel
+def fit_patches(
+    voxels: Any,
+    start: Any,
+    keys: Any,
+    table: Any,
+    count: Any,
+    order: Any,
+    r: Any,
+    t_ns: Any,
+    aux: Any,
+    cap: Any,
+    radius: Any,
+    p: Any,
+    size: Any,
+    trials: Any,
+    ransac: Any,
+    ransac_threshold: Any,
+    sigmas: Any,
+    floor: Any,
+    min_points: Any,
+    iterations: Any,
+    seed: Any,
+    members: Any,
+    status: Any,
+    used: Any,
+    sigma: Any,
+    time: Any,
+    centre: Any,
+    normal: Any,
+    tangent: Any,
+    beta: Any,
+    inverse: Any,
+) -> None:
+    """Fit every voxel of ``voxels``; inlier slots of patch a go to ``members[start[a]:start[a] +
+    used[a]]``.
+    """
+    for a in numba.prange(len(voxels)):
+        v = voxels[a]
+        slots = members[start[a] : start[a + 1]]
+        n = patch_fit.gather(v, keys, table, count, order, cap, slots)
+        own_seed = _mix(np.uint64(keys[v]) ^ _mix(np.uint64(seed)))
+        status[a], used[a], sigma[a] = _fit_one(
+            v,
+            slots,
+            n,
+            r,
+            aux,
+            cap,
+            radius,
+            p,
+            size,
+            trials,
+            ransac,
+            ransac_threshold,
+            sigmas,
+            floor,
+            min_points,
+            iterations,
+            own_seed,
+            centre[a],
+            normal[a],
+            tangent[a],
+            beta[a],
+            inverse[a],
+        )
+        if status[a] != OK:
+            used[a] = 0
+        else:
+            first = t_ns[slots[0]]
+            total = np.int64(0)
+            for i in range(used[a]):
+                total += t_ns[slots[i]] - first
+            time[a] = first + total // used[a]
+
+
+@kernel
+def mark_around(voxels: Any, keys: Any, table: Any, reach: Any, out: Any) -> None:
+    """Mark those within ``reach`` voxels of each of ``voxels``."""
+    near = np.empty((2 * reach + 1) ** 3, np.int64)
+    for v in voxels:
+        for i in range(voxels_around(keys[v], keys, table, reach, near)):
+            out[near[i]] = True

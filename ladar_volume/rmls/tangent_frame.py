@@ -1,0 +1,350 @@
+"""Least squares of one patch in its tangent frame: coordinates once per frame, refits to a fixed
+point, the frame itself.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ladar_volume.math.kernels import kernel, leaf_kernel
+from ladar_volume.math.normal_equations import basis, invert
+
+#: Square of the slope from which the arc term no longer grows.
+STEEPEST = 0.9
+#: A fit has settled when its quadratic terms move the rim of the neighbourhood by less than this
+#: share of sigma.
+SETTLED = 1e-3
+
+
+@leaf_kernel
+def tangent_of(normal: Any, tangent: Any) -> None:
+    """A unit vector across the normal: along map x where that is not nearly the normal, else along
+    map y.
+    """
+    axis = 0 if abs(normal[0]) < 0.9 else 1
+    d = normal[axis]
+    length = np.sqrt(1.0 - d * d)
+    for k in range(3):
+        tangent[k] = ((1.0 if k == axis else 0.0) - d * normal[k]) / length
+
+
+@leaf_kernel
+def across(normal: Any, tangent: Any, side: Any) -> None:
+    """The second tangent vector, normal x tangent."""
+    side[0] = normal[1] * tangent[2] - normal[2] * tangent[1]
+    side[1] = normal[2] * tangent[0] - normal[0] * tangent[2]
+    side[2] = normal[0] * tangent[1] - normal[1] * tangent[0]
+
+
+@leaf_kernel
+def row(r: Any, slot: Any, centre: Any, tangent: Any, side: Any, p: Any, x: Any) -> None:
+    """``x[:p] = (1, u, v[, u², uv, v²])`` of one point in metres."""
+    x0, x1, x2 = r[slot, 0] - centre[0], r[slot, 1] - centre[1], r[slot, 2] - centre[2]
+    u = x0 * tangent[0] + x1 * tangent[1] + x2 * tangent[2]
+    v = x0 * side[0] + x1 * side[1] + x2 * side[2]
+    basis(u, v, p, x)
+
+
+@leaf_kernel
+def coordinates(
+    r: Any, n: Any, centre: Any, normal: Any, tangent: Any, ball: Any, uvw: Any, index: Any
+) -> Any:
+    """(u / ball, v / ball, w) of the points of r (n, 3) within ``ball`` of the centre, to uvw (3,
+    m) and index (m,); returns m.
+    """
+    n0, n1, n2 = normal[0], normal[1], normal[2]
+    t0, t1, t2 = tangent[0], tangent[1], tangent[2]
+    s0, s1, s2 = n1 * t2 - n2 * t1, n2 * t0 - n0 * t2, n0 * t1 - n1 * t0
+    m = 0
+    for i in range(n):
+        x, y, z = r[i, 0] - centre[0], r[i, 1] - centre[1], r[i, 2] - centre[2]
+        u = x * t0 + y * t1 + z * t2
+        v = x * s0 + y * s1 + z * s2
+        w = x * n0 + y * n1 + z * n2
+        if u * u + v * v + w * w <= ball * ball:
+            uvw[0, m], uvw[1, m], uvw[2, m] = u / ball, v / ball, w
+            index[m] = i
+            m += 1
+    return m
+
+
+@leaf_kernel
+def _rise(q: Any, t: Any) -> Any:
+    """The height of :func:`arc` for a quadric's height q and the square t of its slope."""
+    exact = q * (2.0 * (1.0 - np.sqrt(1.0 - t)) / t - 1.0)
+    return 0.25 * q * t if t < 1e-6 else exact
+
+
+@leaf_kernel
+def arc(u: Any, v: Any, a: Any, b: Any, c: Any) -> Any:
+    """How far a surface of constant curvature lies above its osculating quadric ``q = a u² + b uv +
+    c v²``, and the slopes along u and v of both together.
+
+    With g = grad q the height ``q · 2 (1 − √(1 − g²)) / g²`` is exact for a sphere and for a
+    cylinder in any direction. A bare quadric over a wide neighbourhood of a curved surface is
+    biased at its centre by its missing fourth-order term. Steeper than the limit the correction
+    stays what it is there.
+    """
+    q = a * u * u + b * u * v + c * v * v
+    gu, gv = 2.0 * a * u + b * v, b * u + 2.0 * c * v
+    square = gu * gu + gv * gv
+    t = min(square, STEEPEST)
+    if t < 1e-6:
+        return _rise(q, t), gu, gv
+    s = np.sqrt(1.0 - t)
+    factor = 2.0 * (1.0 - s) / t
+    # d factor / dt times dt: zero where the limit holds
+    rate = q * (1.0 / s - factor) / t if square < STEEPEST else 0.0
+    tu, tv = 2.0 * (2.0 * a * gu + b * gv), 2.0 * (b * gu + 2.0 * c * gv)
+    return _rise(q, t), gu * factor + rate * tu, gv * factor + rate * tv
+
+
+@leaf_kernel
+def _straighten(uvw: Any, m: Any, b: Any, ball: Any, straight: Any) -> None:
+    """Heights less the arc term of the present coefficients, to ``straight``: what is left is
+    linear in the coefficients.
+    """
+    k3, k4, k5 = b[3] / (ball * ball), b[4] / (ball * ball), b[5] / (ball * ball)
+    for i in range(m):  # no branch: several points at once
+        u, v = uvw[0, i] * ball, uvw[1, i] * ball
+        gu, gv = 2.0 * k3 * u + k4 * v, k4 * u + 2.0 * k5 * v
+        straight[i] = uvw[2, i] - _rise(
+            k3 * u * u + k4 * u * v + k5 * v * v, min(gu * gu + gv * gv, STEEPEST)
+        )
+
+
+@leaf_kernel
+def _normal_plane(uvw: Any, m: Any, inside: Any, A: Any, b: Any) -> None:
+    a00 = a10 = a20 = a11 = a21 = a22 = b0 = b1 = b2 = 0.0
+    for i in range(m):
+        if inside[i]:
+            u, v, w = uvw[0, i], uvw[1, i], uvw[2, i]
+            a00 += 1.0
+            a10 += u
+            a20 += v
+            a11 += u * u
+            a21 += v * u
+            a22 += v * v
+            b0 += w
+            b1 += u * w
+            b2 += v * w
+    A[0, 0], A[1, 0], A[2, 0], A[1, 1], A[2, 1], A[2, 2] = a00, a10, a20, a11, a21, a22
+    b[0], b[1], b[2] = b0, b1, b2
+
+
+@leaf_kernel
+def _normal_quadric(uvw: Any, straight: Any, m: Any, inside: Any, A: Any, b: Any) -> None:
+    # one sum per monomial u^i v^j up to the fourth degree: the 21 entries of the matrix are only 15
+    # different sums
+    c, u1, v1, u2, uv, v2, u3, u2v, uv2, v3 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    u4 = u3v = u2v2 = uv3 = v4 = b0 = b1 = b2 = b3 = b4 = b5 = 0.0
+    for i in range(m):
+        if inside[i]:
+            u, v, w = uvw[0, i], uvw[1, i], straight[i]
+            uu, q, vv = u * u, u * v, v * v
+            c += 1.0
+            u1 += u
+            v1 += v
+            u2 += uu
+            uv += q
+            v2 += vv
+            u3 += uu * u
+            u2v += uu * v
+            uv2 += u * vv
+            v3 += vv * v
+            u4 += uu * uu
+            u3v += uu * q
+            u2v2 += uu * vv
+            uv3 += q * vv
+            v4 += vv * vv
+            b0 += w
+            b1 += u * w
+            b2 += v * w
+            b3 += uu * w
+            b4 += q * w
+            b5 += vv * w
+    A[0, 0], A[1, 0], A[2, 0], A[3, 0], A[4, 0], A[5, 0] = c, u1, v1, u2, uv, v2
+    A[1, 1], A[2, 1], A[3, 1], A[4, 1], A[5, 1] = u2, uv, u3, u2v, uv2
+    A[2, 2], A[3, 2], A[4, 2], A[5, 2] = v2, u2v, uv2, v3
+    A[3, 3], A[4, 3], A[5, 3], A[4, 4], A[5, 4], A[5, 5] = u4, u3v, u2v2, u2v2, uv3, v4
+    b[0], b[1], b[2], b[3], b[4], b[5] = b0, b1, b2, b3, b4, b5
+
+
+@leaf_kernel
+def _classify(
+    uvw: Any,
+    straight: Any,
+    m: Any,
+    p: Any,
+    b: Any,
+    ball: Any,
+    threshold: Any,
+    inside: Any,
+    off: Any,
+) -> Any:
+    """Mark the points within ``threshold`` of the model; returns (how many, sum of their squared
+    residuals, any change).
+
+    Residuals of a quadric are taken along its own normal, and its neighbourhood is a ball about the
+    *foot points*: a ball about the noisy points keeps more of those on the hollow side, which pulls
+    a curved surface inwards.
+    """
+    used, square, changed = 0, 0.0, False
+    reach = max(1.0 - threshold / ball, 0.5)
+    b0, b1, b2, b3, b4, b5 = b[0], b[1], b[2], b[3], b[4], b[5]
+    if p == 6:
+        for i in range(m):  # no branch and no sum: several points at once
+            u, v = uvw[0, i], uvw[1, i]
+            d = straight[i] - b0 - u * b1 - v * b2 - u * u * b3 - u * v * b4 - v * v * b5
+            gu, gv = (b1 + 2.0 * u * b3 + v * b4) / ball, (b2 + u * b4 + 2.0 * v * b5) / ball
+            slope = 1.0 + gu * gu + gv * gv
+            fu, fv, fw = (
+                u + d * gu / (slope * ball),
+                v + d * gv / (slope * ball),
+                (uvw[2, i] - d / slope) / ball,
+            )
+            d = abs(d / np.sqrt(slope))
+            off[i] = d if fu * fu + fv * fv + fw * fw <= reach * reach else np.inf
+    else:
+        for i in range(m):
+            off[i] = abs(uvw[2, i] - b0 - uvw[0, i] * b1 - uvw[1, i] * b2)
+    for i in range(m):
+        near = off[i] <= threshold
+        if near:
+            square += off[i] * off[i]
+            used += 1
+        changed |= near != inside[i]
+        inside[i] = near
+    return used, square, changed
+
+
+@kernel
+def refit(
+    uvw: Any,
+    m: Any,
+    ball: Any,
+    p: Any,
+    sigma: Any,
+    sigmas: Any,
+    floor: Any,
+    iterations: Any,
+    inside: Any,
+    beta: Any,
+    inverse: Any,
+) -> Any:
+    """Least squares on the inliers, iterated until they stay the same. ``inside`` (m,) holds the
+    start.
+
+    u and v are scaled by the ball's radius inside, so the pivots mean the same at every scale;
+    ``beta`` and ``inverse`` = (XᵀX)⁻¹ come back in metres. Returns (number of inliers, sigma); 0
+    inliers where the terms are not determined.
+    """
+    A, b, right = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
+    straight, off = np.empty(m), np.empty(m)
+    used, shift = 0, 0.0
+    for step in range(iterations + 1):
+        if step > 0:
+            threshold = (
+                max(sigmas * sigma, floor) if step == 1 else max(sigmas * sigma, floor, 1e-7 * ball)
+            )
+            used, square, changed = _classify(uvw, straight, m, p, b, ball, threshold, inside, off)
+            if used <= p:
+                return 0, sigma
+            # noise-free input: the threshold of the next step stays above the rounding of
+            # coordinates
+            sigma = np.sqrt(square / (used - p))
+            if step > 1 and not changed and shift <= SETTLED * sigma:
+                break
+        if p == 6:
+            _straighten(uvw, m, b, ball, straight)
+            _normal_quadric(uvw, straight, m, inside, A, right)
+        else:
+            _normal_plane(uvw, m, inside, A, right)
+        for k in range(p):
+            for l in range(k):
+                A[l, k] = A[k, l]
+        if not invert(A, p, inverse):
+            return 0, sigma
+        shift = 0.0
+        for k in range(p):
+            new = 0.0
+            for l in range(p):
+                new += inverse[k, l] * right[l]
+            # only the arc term, which follows the quadratic terms, can still move when the inliers
+            # have settled
+            shift = max(shift, abs(new - b[k]) if k > 2 else 0.0)
+            b[k] = new
+    unit = np.ones(6)
+    unit[1] = unit[2] = 1.0 / ball
+    unit[3] = unit[4] = unit[5] = 1.0 / (ball * ball)
+    for k in range(p):
+        beta[k] = b[k] * unit[k]
+        for l in range(p):
+            inverse[k, l] *= unit[k] * unit[l]
+    return used, sigma
+
+
+@leaf_kernel
+def mark_flat(uvw: Any, m: Any, threshold: Any, inside: Any) -> None:
+    """Mark the points within ``threshold`` of the tangent plane."""
+    for i in range(m):
+        inside[i] = abs(uvw[2, i]) <= threshold
+
+
+@kernel
+def level_frame(
+    r: Any,
+    n: Any,
+    origin: Any,
+    plane: Any,
+    sigma: Any,
+    ball: Any,
+    sigmas: Any,
+    floor: Any,
+    iterations: Any,
+    uvw: Any,
+    index: Any,
+    inside: Any,
+    centre: Any,
+    normal: Any,
+    tangent: Any,
+) -> Any:
+    """Turn a start plane into a frame at the foot point of ``origin``: a plane refit and re-tilt
+    until it lies flat.
+
+    Returns the plane's sigma, −1 where no plane is determined.
+    """
+    beta, inverse, new = np.zeros(6), np.zeros((6, 6)), np.empty(3)
+    normal[:] = plane[:3]
+    height = origin[0] * normal[0] + origin[1] * normal[1] + origin[2] * normal[2] - plane[3]
+    for k in range(3):
+        centre[k] = origin[k] - height * normal[k]
+    for _ in range(3):
+        tangent_of(normal, tangent)
+        m = coordinates(r, n, centre, normal, tangent, ball, uvw, index)
+        mark_flat(uvw, m, max(sigmas * sigma, floor, 0.5e-7 * ball), inside)
+        used, sigma = refit(
+            uvw, m, ball, 3, sigma, sigmas, floor, iterations, inside, beta, inverse
+        )
+        if used == 0:
+            return -1.0
+        t0, t1, t2 = tangent[0], tangent[1], tangent[2]
+        new[0] = normal[0] - beta[1] * t0 - beta[2] * (normal[1] * t2 - normal[2] * t1)
+        new[1] = normal[1] - beta[1] * t1 - beta[2] * (normal[2] * t0 - normal[0] * t2)
+        new[2] = normal[2] - beta[1] * t2 - beta[2] * (normal[0] * t1 - normal[1] * t0)
+        length = np.sqrt(new[0] * new[0] + new[1] * new[1] + new[2] * new[2])
+        h = 0.0
+        for k in range(3):
+            new[k] /= length
+            # the plane passes through centre + beta0 normal; the foot point of origin on it is the
+            # new centre
+            h += (origin[k] - centre[k] - beta[0] * normal[k]) * new[k]
+        for k in range(3):
+            centre[k] = origin[k] - h * new[k]
+            normal[k] = new[k]
+        if abs(beta[1]) + abs(beta[2]) < 1e-6:
+            break
+    tangent_of(normal, tangent)
+    return sigma

@@ -1,0 +1,153 @@
+"""Editing the boundary of the relevant area (seed 000 section 3.1): ears go by the length of their
+edges, islands and holes by their area.
+
+Triangles are marked, never lost: an edit changes which of them are relevant and nothing else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ladar_volume.math.kernels import kernel
+from ladar_volume.model.errors import SurfaceError
+from ladar_volume.model.records import F64, I32, I64, Bool, Tin
+from ladar_volume.tin.full_tin import footprint_areas
+from ladar_volume.tin.relevant import artificial_vertices, edge_lengths, mark
+
+
+@dataclass(frozen=True)
+class Edited:
+    """tin : the surface with its new relevant triangles · ears, islands, holes : (m,) bool, the
+    triangles each step changed
+    """
+
+    tin: Tin
+    ears: Bool
+    islands: Bool
+    holes: Bool
+
+
+@kernel
+def open_sides(neighbours: I32, mask: Bool, lengths: F64, t: int) -> tuple[int, float]:
+    """How many sides of triangle t border no triangle of the mask, and the longest of them, m."""
+    count, longest = 0, 0.0
+    for k in range(3):
+        o = neighbours[t, k]
+        if o < 0 or not mask[o]:
+            count, longest = count + 1, max(longest, lengths[t, k])
+    return count, longest
+
+
+@kernel
+def ears_kernel(neighbours: I32, lengths: F64, mask: Bool, limit: float) -> None:
+    """Take ears out of ``mask`` until none is left: triangles with two or three open sides, one of
+    them longer than the limit.
+
+    A triangle that is such an ear stays one while others go, so the result does not depend on the
+    order.
+    """
+    stack = np.empty(len(mask) + 3, np.int64)
+    for first in range(len(mask)):
+        stack[0], top = first, 1
+        while top > 0:
+            top -= 1
+            t = stack[top]
+            if not mask[t]:
+                continue
+            count, longest = open_sides(neighbours, mask, lengths, t)
+            if count >= 2 and longest > limit:
+                mask[t] = False
+                # one side at most was closed: one neighbour to look at again
+                for k in range(3):
+                    o = neighbours[t, k]
+                    if o >= 0 and mask[o]:
+                        stack[top] = o
+                        top += 1
+
+
+@kernel
+def parts_kernel(neighbours: I32, mask: Bool) -> I64:
+    """Number (m,) of the part each triangle of the mask belongs to, parts joined by edges, numbered
+    by their first triangle; -1 off it.
+    """
+    part, stack, parts = np.full(len(mask), -1, np.int64), np.empty(len(mask), np.int64), 0
+    for first in range(len(mask)):
+        if not mask[first] or part[first] >= 0:
+            continue
+        part[first], stack[0], top = parts, first, 1
+        while top > 0:
+            top -= 1
+            t = stack[top]
+            for k in range(3):
+                o = neighbours[t, k]
+                if o >= 0 and mask[o] and part[o] < 0:
+                    part[o], stack[top] = parts, o
+                    top += 1
+        parts += 1
+    return part
+
+
+def ears(tin: Tin, mask: Bool, max_edge_m: float) -> Bool:
+    """Triangles (m,) of the mask that are ears with an open side longer than ``max_edge_m``, or
+    become one when others go.
+    """
+    left = mask.copy()
+    ears_kernel(tin.neighbours, edge_lengths(tin), left, float(max_edge_m))
+    return mask & ~left
+
+
+def islands(tin: Tin, mask: Bool, min_area_m2: float) -> Bool:
+    """Triangles (m,) in parts of the mask, joined by edges, whose horizontal area is below
+    ``min_area_m2``.
+    """
+    part = parts_kernel(tin.neighbours, mask)
+    area = np.bincount(part[mask], footprint_areas(tin.vertices, tin.triangles)[mask])
+    out = mask.copy()
+    out[mask] = area[part[mask]] < min_area_m2
+    return out
+
+
+def holes(tin: Tin, mask: Bool, max_area_m2: float) -> Bool:
+    """Triangles (m,) off the mask in parts, joined by edges, that the mask encloses and whose
+    horizontal area is no more than ``max_area_m2``; parts that reach the hull or an artificial
+    vertex are no holes.
+    """
+    off: Bool = np.logical_not(mask)
+    part = parts_kernel(tin.neighbours, off)[off]
+    if len(part) == 0:
+        return off
+    area = np.bincount(part, footprint_areas(tin.vertices, tin.triangles)[off])
+    outside: Bool = np.any(
+        (tin.neighbours < 0) | np.isin(tin.triangles, artificial_vertices(tin)), axis=1
+    )
+    closed = np.bincount(part, outside[off]) == 0
+    fill: Bool = np.logical_and(area <= max_area_m2, closed)
+    off[off] = fill[part]
+    return off
+
+
+def edit_boundary(
+    tin: Tin, max_ear_edge_m: float = np.inf, min_island_m2: float = 0.0, max_hole_m2: float = 0.0
+) -> Edited:
+    """Smooth the outline of the relevant area: first ears go (:func:`ears`), then islands
+    (:func:`islands`), then holes are filled.
+
+    By default nothing changes. Raises :class:`SurfaceError` for a limit that is not a number >= 0,
+    or where no triangle is left.
+    """
+    for limit in (max_ear_edge_m, min_island_m2, max_hole_m2):
+        if not limit >= 0.0:
+            raise SurfaceError(
+                f"the limit {limit} of an edit must be 0 or more",
+                reason="surface_limit",
+                value=limit,
+            )
+    mask: Bool = tin.relevant.copy()
+    gone = ears(tin, mask, max_ear_edge_m)
+    mask &= ~gone
+    small = islands(tin, mask, min_island_m2)
+    mask &= ~small
+    filled = holes(tin, mask, max_hole_m2) if max_hole_m2 > 0.0 else np.zeros(len(mask), bool)
+    return Edited(mark(tin, mask | filled, "boundary editing"), gone, small, filled)

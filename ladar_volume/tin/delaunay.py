@@ -1,0 +1,254 @@
+"""Delaunay triangulations of whole point sets, and the proof that one is valid.
+
+The points are sorted once into the order of insertion and inserted by the moves of
+:mod:`ladar_volume.tin.triangle_table`, with predicates that are exact where they have to be. Seed
+000 sections 2.2 (empty circle) and 2.4.2 (insertion).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ladar_volume.math.kernels import kernel
+from ladar_volume.model.errors import SurfaceError
+from ladar_volume.model.records import F64, I32, I64
+from ladar_volume.tin.insertion_order import insertion_order
+from ladar_volume.tin.predicates import COUNTS, incircle, workspace
+from ladar_volume.tin.triangle_table import (
+    export,
+    first_triangle,
+    insert_kernel,
+    triangle_table,
+    turn,
+)
+
+#: Words of the codes of :func:`check_kernel`.
+FAULTS = (
+    "",
+    "a neighbour does not point back",
+    "a triangle is not counter-clockwise",
+    "a vertex lies inside a circumcircle",
+    "the hull is not convex",
+    "the hull is not one loop",
+)
+
+
+@kernel
+def check_kernel(xy: F64, tri: I32, nb: I32, w: F64) -> int:
+    """0 where the triangulation is Delaunay with a convex hull, else a code that :data:`FAULTS`
+    puts in words.
+    """
+    for t in range(len(tri)):
+        if turn(xy, tri[t, 0], tri[t, 1], tri[t, 2], w) <= 0.0:
+            return 2
+        for k in range(3):
+            o = nb[t, k]
+            if o < 0:
+                continue
+            j = -1
+            for m in range(3):
+                if nb[o, m] == t:
+                    j = m
+            if (
+                j < 0
+                or tri[o, (j + 1) % 3] != tri[t, (k + 2) % 3]
+                or tri[o, (j + 2) % 3] != tri[t, (k + 1) % 3]
+            ):
+                return 1
+            if o > t and incircle(xy, tri[t, 0], tri[t, 1], tri[t, 2], tri[o, j], w) > 0.0:
+                return 3
+    return 0
+
+
+@kernel
+def check_hull_kernel(xy: F64, tri: I32, nb: I32, w: F64) -> int:
+    """0 where the edges without a neighbour are one convex loop, else a code as
+    :func:`check_kernel` gives.
+    """
+    after = np.full(len(xy), -1, np.int64)
+    hull, last = 0, -1
+    for t in range(len(tri)):
+        for k in range(3):
+            if nb[t, k] < 0:
+                last, hull = tri[t, (k + 1) % 3], hull + 1
+                after[last] = tri[t, (k + 2) % 3]
+    at, steps = last, 0
+    while steps <= hull and at >= 0 and (steps == 0 or at != last):
+        b = after[at]
+        if b < 0 or after[b] < 0 or turn(xy, at, b, after[b], w) < 0.0:
+            return 4
+        at, steps = b, steps + 1
+    return 0 if steps == hull and hull > 0 else 5
+
+
+def fault(xy: F64, triangles: I32, neighbours: I32) -> str:
+    """What is wrong with a triangulation of points xy (n, 2), in words; empty where it is a valid
+    Delaunay triangulation.
+
+    Checks that neighbours are mutual, triangles counter-clockwise, circumcircles empty, every
+    vertex used, Euler's formula, and the hull convex.
+    """
+    points, tri, nb, w = (
+        np.ascontiguousarray(xy),
+        triangles.astype(np.int32),
+        neighbours.astype(np.int32),
+        workspace(),
+    )
+    if (
+        len(tri) == 0
+        or tri.min() < 0
+        or tri.max() >= len(points)
+        or nb.min() < -1
+        or nb.max() >= len(tri)
+    ):
+        return "an index is out of range"
+    code = int(check_kernel(points, tri, nb, w)) or int(check_hull_kernel(points, tri, nb, w))
+    if code:
+        return FAULTS[code]
+    if not np.array_equal(np.unique(triangles), np.arange(len(xy))):
+        return "a vertex is in no triangle"
+    hull = int(np.count_nonzero(neighbours < 0))
+    return "" if len(triangles) == 2 * len(xy) - 2 - hull else "Euler's formula does not hold"
+
+
+def is_valid(xy: F64, triangles: I32, neighbours: I32) -> bool:
+    """Whether (triangles, neighbours), both (m, 3), is a Delaunay triangulation of all points xy
+    (n, 2).
+    """
+    return not fault(xy, triangles, neighbours)
+
+
+@dataclass(frozen=True)
+class Triangulated:
+    """A Delaunay triangulation of points (n, 2).
+
+    triangles : (m, 3) counter-clockwise · neighbours : (m, 3), ``neighbours[t, k]`` lies across the
+    edge opposite ``triangles[t, k]``, -1 at the hull · same : (n,) the first point at each point's
+    position, which is the vertex there · exact_orientations, exact_incircles : how many predicates
+    the floating-point filter could not decide
+    """
+
+    triangles: I32
+    neighbours: I32
+    same: I32
+    exact_orientations: int
+    exact_incircles: int
+
+    @property
+    def vertices(self) -> I64:
+        """Indices (k,), ascending, of the points that are vertices."""
+        return np.flatnonzero(self.same == np.arange(len(self.same), dtype=np.int32))
+
+
+@kernel
+def first_three(xy: F64, w: F64) -> tuple[int, int]:
+    """The first point that differs from point 0 and the first off the line through both; len(xy)
+    where there is none.
+    """
+    n = len(xy)
+    second = 1
+    while second < n and xy[second, 0] == xy[0, 0] and xy[second, 1] == xy[0, 1]:
+        second += 1
+    third = second + 1
+    while third < n and turn(xy, 0, second, third, w) == 0.0:
+        third += 1
+    return second, min(third, n)
+
+
+def insertion_sequence(xy: F64, w: F64) -> I32:
+    """Permutation (n,) in which points xy (n, 2) are inserted; its first three are not collinear.
+
+    Raises :class:`SurfaceError` for fewer than three distinct points, or when all are collinear.
+    """
+    order = insertion_order(xy)
+    if len(order) < 3:
+        raise SurfaceError(
+            f"a triangulation needs three points, there are {len(xy)}",
+            reason="surface_too_few_points",
+            value=len(xy),
+        )
+    second, third = first_three(xy[order], w)
+    if third == len(order):
+        distinct = len(np.unique(xy, axis=0))
+        if distinct < 3:
+            raise SurfaceError(
+                f"a triangulation needs three points, there are {distinct}",
+                reason="surface_too_few_points",
+                value=distinct,
+            )
+        raise SurfaceError(
+            f"all {distinct} points are collinear", reason="surface_collinear", value=distinct
+        )
+    if (second, third) != (1, 2):
+        order = np.concatenate([order[[0, second, third]], np.delete(order, [0, second, third])])
+    return order
+
+
+def triangulate(xy: F64) -> Triangulated:
+    """Delaunay triangulation of points xy (n, 2), of which those at one position (bit by bit)
+    become one vertex.
+
+    Where four or more points are co-circular the choice of diagonals follows the (deterministic)
+    insertion order. Raises :class:`SurfaceError` for coordinates that are not finite, fewer than
+    three distinct points, or when all are collinear.
+    """
+    xy = np.asarray(xy, dtype=np.float64)
+    if not np.isfinite(xy).all():
+        raise SurfaceError(
+            "a point with a coordinate that is not finite", reason="surface_not_finite"
+        )
+    n, w = len(xy), workspace()
+    order = insertion_sequence(xy, w)
+    s = xy[order]
+    m, same = triangle_table(n), np.empty(n, np.int32)
+    first_triangle(s, m, 0, 1, 2, w)
+    same[:3] = 0, 1, 2
+    size, _ = insert_kernel(s, m, 4, 0, 3, same, w)
+    del s
+    name = first_names(order, same)
+    triangles, neighbours = export(m[:size], name)
+    return Triangulated(
+        triangles,
+        neighbours,
+        original_order(order, same, name),
+        int(w[COUNTS, 0]),
+        int(w[COUNTS, 1]),
+    )
+
+
+@kernel
+def first_names(order: I32, same: I32) -> I32:
+    """The smallest point index at the position of each vertex, by place in the order of
+    insertion.
+    """
+    name = order.copy()
+    for p in range(len(order)):
+        name[same[p]] = min(name[same[p]], order[p])
+    return name
+
+
+@kernel
+def original_order(order: I32, same: I32, name: I32) -> I32:
+    """``same`` by point index instead of by place in the order."""
+    out = np.empty_like(order)
+    for p in range(len(order)):
+        out[order[p]] = name[same[p]]
+    return out
+
+
+def delaunay(xy: F64) -> tuple[I32, I32]:
+    """Delaunay triangulation of distinct points xy (n, 2): triangles (m, 3) counter-clockwise and
+    neighbours (m, 3), -1 at the hull.
+
+    ``neighbours[t, k]`` lies across the edge opposite ``triangles[t, k]``. Raises
+    :class:`SurfaceError` as :func:`triangulate` does, and where two points are at one position.
+    """
+    out = triangulate(xy)
+    if len(out.vertices) < len(xy):
+        extra = int(len(xy) - len(out.vertices))
+        raise SurfaceError(
+            f"{extra} points lie on others", reason="surface_duplicates", value=extra
+        )
+    return out.triangles, out.neighbours

@@ -1,0 +1,259 @@
+"""Elevation adjustment of a partial TIN (seed 000 section 3.2): the heights of its vertices that
+fit all points best.
+
+With ``B`` the barycentric coordinates of the points in their (fixed) triangles, the surface at the
+points is ``B h``. *RMS* adjustment minimises ``Σ w (z − B h)²``: by one sparse solve, or by the
+published iteration, in which every vertex in turn takes the height that is best over its own
+triangles (Gauss-Seidel on the same equations). The ASD adjustment stands in ``least_sizes``.
+
+A vertex that no point in a relevant triangle depends on keeps its height. The data themselves are
+never changed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import cg, splu
+
+from ladar_volume.math.kernels import kernel
+from ladar_volume.model.errors import SurfaceError
+from ladar_volume.model.records import F64, I64, Bool, Tin
+from ladar_volume.tin.insertion_order import hilbert_order
+from ladar_volume.tin.locate import barycentric, locate, triangle_index
+
+#: Above this number of vertices the factors of a direct solve outgrow the matrix; conjugate
+#: gradients then reach the same digits.
+MAX_DIRECT = 20_000
+#: Relative weight that holds a height to its old value where the points leave it undetermined.
+RIDGE = 1e-12
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How a surface follows the points it represents.
+
+    B : (k, n) sparse, barycentric coordinates of the k points inside relevant triangles · point :
+    (k,) int64, their indices in the cloud · triangle : (k,) int64, triangle of each · z : (k,) m ·
+    weight : (k,) · adjusted : (n,) bool, vertices that some point depends on
+    """
+
+    B: Any
+    point: I64
+    triangle: I64
+    z: F64
+    weight: F64
+    adjusted: Bool
+
+    def residuals(self, heights: F64) -> F64:
+        """Vertical residuals (k,) m, data minus surface, for vertex heights (n,)."""
+        out: F64 = self.z - self.B @ heights
+        return out
+
+
+@dataclass(frozen=True)
+class Adjustment:
+    """tin : the surface with its new heights · fit : what it was adjusted to · iterations : sweeps
+    or reweightings (0 for a direct solve) · converged : whether the tolerance was reached · rms_m,
+    asd_m : measures of fit (unweighted) after the adjustment · rms_before_m, asd_before_m : before
+    """
+
+    tin: Tin
+    fit: Fit
+    iterations: int
+    converged: bool
+    rms_m: float
+    asd_m: float
+    rms_before_m: float
+    asd_before_m: float
+
+
+def fit_of(tin: Tin, points_map: F64, sigma_m: F64 | None = None) -> Fit:
+    """The points (m, 3), m, map frame, in the relevant triangles of a surface; weights ``1 /
+    sigma²`` where ``sigma_m`` (m,) is given.
+
+    Raises :class:`SurfaceError` for a wrong shape, a value that is not finite, a sigma that is not
+    positive, or no point inside.
+    """
+    points = np.asarray(points_map, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise SurfaceError(
+            f"points are (n, 3), not {points.shape}", reason="surface_shape", value=points.shape
+        )
+    if not np.isfinite(points).all():
+        raise SurfaceError(
+            "a point with a coordinate that is not finite", reason="surface_not_finite"
+        )
+    sigma = np.ones(len(points)) if sigma_m is None else np.asarray(sigma_m, dtype=np.float64)
+    if sigma.shape != (len(points),) or not (np.isfinite(sigma) & (sigma > 0)).all():
+        raise SurfaceError(
+            "every point needs a positive standard deviation", reason="surface_sigma"
+        )
+    order, where = hilbert_order(points[:, :2]), np.empty(len(points), np.int64)
+    where[order] = locate(
+        triangle_index(tin, tin.relevant), points[order, :2]
+    )  # neighbours in turn are found faster
+    point = np.flatnonzero(where >= 0)
+    if len(point) == 0:
+        raise SurfaceError("no point lies in a relevant triangle", reason="surface_no_point")
+    weights = barycentric(tin, where[point], points[point, :2])
+    corner = tin.triangles[where[point]]
+    row = np.repeat(np.arange(len(point)), 3)
+    B = sparse.csr_array(
+        (weights.ravel(), (row, corner.ravel())), shape=(len(point), len(tin.vertices))
+    )
+    B.eliminate_zeros()
+    adjusted = np.bincount(B.indices, B.data**2, len(tin.vertices)) > 0
+    return Fit(B, point, where[point], points[point, 2], sigma[point] ** -2.0, adjusted)
+
+
+def measures(residuals: F64) -> tuple[float, float]:
+    """Measures of fit (seed 000 section 2.3): root mean square and average size of residuals (k,),
+    m.
+    """
+    return float(np.sqrt(np.mean(residuals**2))), float(np.mean(np.abs(residuals)))
+
+
+class Normal:
+    """The normal equations ``BᵀWB`` of a fit, ready to be solved for any right-hand side. The
+    factors have room for ``pairs`` (k, 2) of vertices too, whether a point joins them or not.
+    """
+
+    def __init__(self, B: Any, weight: F64, direct: bool = False, pairs: Any = None) -> None:
+        N = (B.T @ sparse.diags_array(weight) @ B).tocsc()
+        diagonal = N.diagonal()
+        self.free: Bool = diagonal > 0
+        self.scale = np.where(self.free, diagonal, 1.0) ** -0.5
+        S = sparse.diags_array(self.scale)
+        self.matrix = (S @ N @ S + sparse.diags_array(np.where(self.free, RIDGE, 1.0))).tocsc()
+        if pairs is not None:  # entries too small to matter, but there
+            room = sparse.coo_array(
+                (np.full(len(pairs), 1e-280), (pairs[:, 0], pairs[:, 1])), shape=N.shape
+            )
+            self.matrix = (self.matrix + room + room.T).tocsc()
+        options = {"SymmetricMode": True}
+        direct = direct or len(diagonal) <= MAX_DIRECT
+        self.factor = (
+            splu(self.matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+            if direct
+            else None
+        )
+
+    def solve(self, right: F64) -> F64:
+        """Solution (n,) for a right-hand side (n,); zero at vertices without data."""
+        b = np.where(self.free, right * self.scale, 0.0)
+        if self.factor is not None:
+            x = self.factor.solve(b)
+        else:
+            x, info = cg(self.matrix, b, rtol=1e-14, atol=0.0, maxiter=5000)
+            if info != 0:
+                raise SurfaceError(
+                    "the adjustment did not converge", reason="surface_adjustment", value=info
+                )
+        out: F64 = self.scale * x
+        return out
+
+
+def finish(tin: Tin, fit: Fit, heights: F64, iterations: int, converged: bool) -> Adjustment:
+    """The record of an adjustment."""
+    new = dataclasses.replace(tin, vertices=np.c_[tin.vertices[:, :2], heights])
+    after, before = measures(fit.residuals(heights)), measures(fit.residuals(tin.vertices[:, 2]))
+    return Adjustment(new, fit, iterations, converged, *after, *before)
+
+
+def adjust_rms(
+    tin: Tin, points_map: F64, sigma_m: F64 | None = None, fit: Fit | None = None
+) -> Adjustment:
+    """The heights with the least weighted sum of squared vertical residuals, by one sparse solve
+    (see :func:`fit_of`).
+    """
+    fit = fit_of(tin, points_map, sigma_m) if fit is None else fit
+    z = tin.vertices[:, 2]
+    change = Normal(fit.B, fit.weight).solve(fit.B.T @ (fit.weight * fit.residuals(z)))
+    return finish(tin, fit, z + change, 0, True)
+
+
+@kernel
+def sweep(start: I64, row: I64, value: F64, weight: F64, residual: F64, heights: F64) -> float:
+    """One step of the published iteration: every vertex in turn takes its best height. Points of
+    vertex v are entries start[v] to start[v + 1] of ``row``, ``value``. Changes ``residual`` and
+    ``heights``; returns the largest change, m.
+    """
+    largest = 0.0
+    for v in range(len(heights)):
+        top = bottom = 0.0
+        for i in range(start[v], start[v + 1]):
+            wb = weight[row[i]] * value[i]
+            top += wb * residual[row[i]]
+            bottom += wb * value[i]
+        if bottom > 0.0:
+            change = top / bottom
+            heights[v] += change
+            for i in range(start[v], start[v + 1]):
+                residual[row[i]] -= value[i] * change
+            largest = max(largest, abs(change))
+    return largest
+
+
+def sweep_plain(B: F64, weight: F64, residual: F64, heights: F64) -> float:
+    """The plain numpy twin of :func:`sweep`, with dense B (k, n)."""
+    largest = 0.0
+    for v in np.flatnonzero((B != 0).any(axis=0)):
+        b = B[:, v]
+        change = float((weight * b) @ residual / ((weight * b) @ b))
+        heights[v] += change
+        residual -= b * change
+        largest = max(largest, abs(change))
+    return largest
+
+
+def adjust_rms_iterated(
+    tin: Tin,
+    points_map: F64,
+    max_iterations: int = 100,
+    tolerance_m: float = 1e-4,
+    sigma_m: F64 | None = None,
+    fit: Fit | None = None,
+) -> Adjustment:
+    """RMS adjustment by the published iteration. It ends after ``max_iterations`` steps, or when no
+    height changed by as much as ``tolerance_m`` (m) during a step; ``converged`` tells which.
+    """
+    if max_iterations < 0 or not tolerance_m >= 0:
+        raise SurfaceError(
+            "iterations and tolerance must be 0 or more",
+            reason="surface_tolerance",
+            value=(max_iterations, tolerance_m),
+        )
+    fit = fit_of(tin, points_map, sigma_m) if fit is None else fit
+    columns = fit.B.tocsc()
+    start, row = columns.indptr.astype(np.int64), columns.indices.astype(np.int64)
+    heights = tin.vertices[:, 2].copy()
+    residual = fit.residuals(heights)
+    done, converged = 0, False
+    while done < max_iterations and not converged:
+        converged = sweep(start, row, columns.data, fit.weight, residual, heights) < tolerance_m
+        done += 1
+    return finish(tin, fit, heights, done, converged)
+
+
+def raw_gradient(tin: Tin, fit: Fit, gradient_z: F64, points: int) -> F64:
+    """From a gradient by the adjusted heights to one by the raw heights: the adjoint of the RMS
+    adjustment, one sparse solve.
+
+    gradient_z : (n,) or (n, r), derivatives of r results by the vertex heights · points : number of
+    points in the cloud. Returns (points,) or (points, r): ``W B (BᵀWB)⁻¹ g``, and for a vertex that
+    was not adjusted g at the point it came from. The variance of a result is then ``Σ_j s_j²
+    sigma_j²`` for independent raw heights (UNCERTAINTY step 5).
+    """
+    g = np.asarray(gradient_z, dtype=np.float64).reshape(len(tin.vertices), -1)
+    normal = Normal(fit.B, fit.weight)
+    out = np.zeros((points, g.shape[1]))
+    held = ~fit.adjusted & (tin.source >= 0)
+    for c in range(g.shape[1]):
+        out[fit.point, c] = fit.weight * (fit.B @ normal.solve(g[:, c]))
+        np.add.at(out[:, c], tin.source[held], g[held, c])
+    return out if np.ndim(gradient_z) == 2 else out[:, 0]

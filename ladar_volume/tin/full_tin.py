@@ -1,0 +1,94 @@
+"""A full TIN: every point is a vertex (seed 000 section 2, "full triangulation")."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ladar_volume.math.kernels import kernel
+from ladar_volume.model.errors import SurfaceError
+from ladar_volume.model.records import F64, I32, I64, Bool, Tin
+from ladar_volume.tin.delaunay import triangulate
+
+
+def build_tin(points_map: F64) -> Tin:
+    """Delaunay TIN over the horizontal plane of points (n, 3), m, map frame; all triangles
+    relevant.
+
+    Of points with exactly equal x and y the first is kept; ``duplicates`` counts the others. Raises
+    :class:`SurfaceError` for NaN, fewer than three distinct points, or collinear ones.
+    """
+    points = np.asarray(points_map, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise SurfaceError(
+            f"points are (n, 3), not {points.shape}", reason="surface_shape", value=points.shape
+        )
+    if not np.isfinite(points).all():
+        raise SurfaceError(
+            "a point with a coordinate that is not finite", reason="surface_not_finite"
+        )
+    out = triangulate(points[:, :2])
+    source, triangles = out.vertices, out.triangles
+    if len(source) < len(points):
+        triangles = number(source, len(points))[triangles]
+    return Tin(
+        points[source],
+        triangles,
+        out.neighbours,
+        np.ones(len(triangles), bool),
+        source,
+        len(points) - len(source),
+    )
+
+
+def number(source: I64, n: int) -> I32:
+    """Place in ``source`` (k,) of each of n points, (n,); -1 where it is not there."""
+    out = np.full(n, -1, np.int32)
+    out[source] = np.arange(len(source), dtype=np.int32)
+    return out
+
+
+@kernel
+def area_kernel(vertices: F64, triangles: I32) -> F64:
+    """See :func:`footprint_areas`."""
+    out = np.empty(len(triangles))
+    for t in range(len(triangles)):
+        a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
+        out[t] = 0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+    return out
+
+
+def footprint_areas(vertices: F64, triangles: I32) -> F64:
+    """Signed horizontal areas (m,) m² of triangles (m, 3) over vertices (n, 3); positive
+    counter-clockwise from above.
+    """
+    return np.asarray(area_kernel(vertices, triangles))
+
+
+@kernel
+def corner_kernel(triangles: I32, mask: Bool, n: int) -> Bool:
+    """See :func:`vertex_mask`."""
+    out = np.zeros(n, np.bool_)
+    for t in range(len(triangles)):
+        if mask[t]:
+            for k in range(3):
+                out[triangles[t, k]] = True
+    return out
+
+
+def vertex_mask(tin: Tin, mask: Bool) -> Bool:
+    """Vertices (n,) of the triangles chosen by ``mask`` (m,)."""
+    return np.asarray(corner_kernel(tin.triangles, mask, len(tin.vertices)))
+
+
+@kernel
+def any_kernel(triangles: I32, chosen: Bool) -> Bool:
+    """See :func:`any_corner`."""
+    out = np.empty(len(triangles), np.bool_)
+    for t in range(len(triangles)):
+        out[t] = chosen[triangles[t, 0]] or chosen[triangles[t, 1]] or chosen[triangles[t, 2]]
+    return out
+
+
+def any_corner(triangles: I32, chosen: Bool) -> Bool:
+    """Which of triangles (m, 3) have a vertex among the ``chosen`` (n,)."""
+    return np.asarray(any_kernel(triangles, chosen))

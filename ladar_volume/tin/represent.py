@@ -1,0 +1,279 @@
+"""From a cloud to the surface that represents it: full or partial TIN, relevant triangles,
+boundary, adjustment, exchange of diagonals.
+
+The order is that of seed 000 chapters 2 and 3. Where diagonals are exchanged, the heights are
+adjusted before, since the choice of diagonals hangs on them, and again after.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from ladar_volume.model.errors import SurfaceError
+from ladar_volume.model.records import F64, I64, Bool, Tin
+from ladar_volume.tin.adaptive import RATIO, adaptive_tin
+from ladar_volume.tin.adjustment_adjoint import height_covariance, raw_gradients
+from ladar_volume.tin.asd_adjustment import adjust_asd
+from ladar_volume.tin.boundary import edit_boundary
+from ladar_volume.tin.diagonal_exchange import MEASURES, exchange_diagonals
+from ladar_volume.tin.elevation_adjustment import (
+    Adjustment,
+    Fit,
+    adjust_rms,
+    adjust_rms_iterated,
+    fit_of,
+    measures,
+)
+from ladar_volume.tin.full_tin import build_tin
+from ladar_volume.tin.relevant import with_relevant
+from ladar_volume.tin.window import Window, inside, map_window
+
+#: Elevation adjustments: least squares by one solve, by the published iteration, least sizes, or
+#: heights as measured.
+ADJUST = ("rms", "rms-iterated", "asd", "none")
+#: Variance of least sizes over that of least squares for Gaussian noise, in the limit of many
+#: points per vertex.
+ASD_VARIANCE = math.pi / 2.0
+
+
+@dataclass(frozen=True)
+class SurfaceOptions:
+    """How a cloud becomes a surface (see the functions of ``adaptive``, ``relevant`` and
+    ``boundary``).
+
+    vertices, ratio, tolerance : where insertion stops (ratio 1: every point is a vertex; with none
+    of them a third) · adjust : one of :data:`ADJUST` · exchange : "rms", "asd" or "none" · lengths
+    in m, areas in m², in the frame the points are given in
+    """
+
+    vertices: int | None = None
+    ratio: float | None = None
+    tolerance: float | None = None
+    criterion: str = "residual-area"
+    adjust: str = "rms"
+    exchange: str = "none"
+    relevant: str = "corners"
+    max_edge_m: float = math.inf
+    max_circumdiameter_m: float = math.inf
+    max_ear_edge_m: float = math.inf
+    min_island_m2: float = 0.0
+    max_hole_m2: float = 0.0
+    window: Window | None = None
+    duplicate_tolerance_m: float = 0.0
+    bins_per_row: int | None = None
+    max_iterations: int = 100
+    height_tolerance_m: float = 1e-4
+
+    @property
+    def full(self) -> bool:
+        """Whether every point is a vertex, without artificial corners."""
+        return (
+            self.ratio == 1.0
+            and self.vertices is None
+            and self.tolerance is None
+            and self.duplicate_tolerance_m == 0.0
+        )
+
+
+@dataclass(frozen=True)
+class Represented:
+    """A surface and what its heights are made of.
+
+    tin : vertices with ``source``, their rows among the points given; -1 for artificial corners,
+    which are there for the relevant triangles "all" only · fit : the points the heights were
+    adjusted to; None where the heights are those of the points · adjust : how · converged : whether
+    the adjustment reached its tolerance · exchanges : of diagonals · initial : vertices from
+    binning · cropped : points off the map · rms_m, asd_m, fitted : measures of fit in the end, and
+    over how many points; rms_before_m, asd_before_m : with the heights as measured
+    """
+
+    tin: Tin
+    fit: Fit | None
+    adjust: str
+    converged: bool
+    exchanges: int
+    initial: int
+    cropped: int
+    rms_m: float
+    asd_m: float
+    fitted: int
+    rms_before_m: float
+    asd_before_m: float
+
+    def by_points(self, gradient: F64, points: int) -> F64:
+        """From gradients (n, k, 3) of k results by the vertices to gradients (points, k, 3) by the
+        points given.
+        """
+        if self.fit is not None:
+            return raw_gradients(self.tin, self.fit, gradient, points)
+        out = np.zeros((points, gradient.shape[1], 3))
+        own = self.tin.source >= 0
+        out[self.tin.source[own]] = gradient[own]
+        return out
+
+    @property
+    def variance_factor(self) -> float:
+        """What the variance from the adjoint of least squares is to be multiplied with: above 1 for
+        least sizes.
+        """
+        return ASD_VARIANCE if self.adjust == "asd" else 1.0
+
+    def covariance(self, sigma_m: F64) -> Any:
+        """Covariance (n, n), sparse, m², of the vertex heights for standard deviations (points,) m
+        of the points: for adjusted heights the diagonal and the pairs joined by an edge. Artificial
+        corners have none.
+        """
+        own = np.where(self.tin.source >= 0, sigma_m[self.tin.source] ** 2, 0.0)
+        if self.fit is None:
+            return sparse.csr_array(sparse.diags_array(own))
+        scale = float(np.median(self.fit.weight * sigma_m[self.fit.point] ** 2))
+        return (
+            self.variance_factor
+            * scale
+            * height_covariance(self.tin, self.fit, own / (self.variance_factor * scale or 1.0))
+        )
+
+
+def represent(
+    points_map: F64, options: SurfaceOptions, sigma_m: F64 | None = None, measured: bool = True
+) -> Represented:
+    """The surface of points (n, 3), m; their standard deviations (n,), where known, weight the
+    adjustment. Not ``measured``, a surface that nothing is adjusted on has NaN for its measures of
+    fit, and costs no search for its points.
+
+    Raises :class:`SurfaceError` for options that contradict one another and for points that make no
+    surface.
+    """
+    if options.adjust not in ADJUST:
+        raise SurfaceError(
+            f"the adjustment is one of {ADJUST}, not {options.adjust!r}",
+            reason="surface_adjustment",
+            value=options.adjust,
+        )
+    if options.exchange not in (*MEASURES, "none"):
+        raise SurfaceError(
+            f"diagonals are exchanged by {MEASURES} or 'none', not {options.exchange!r}",
+            reason="surface_measure",
+        )
+    points = np.asarray(points_map, dtype=np.float64)
+    tin, initial, cropped = triangulated(points, options, sigma_m)
+    tin = with_relevant(tin, options.relevant, options.max_edge_m, options.max_circumdiameter_m)
+    if (
+        math.isfinite(options.max_ear_edge_m)
+        or options.min_island_m2 > 0.0
+        or options.max_hole_m2 > 0.0
+    ):
+        tin = edit_boundary(
+            tin, options.max_ear_edge_m, options.min_island_m2, options.max_hole_m2
+        ).tin
+    if options.relevant != "all":
+        tin = without_artificial(tin)
+    if not measured and (options.adjust, options.exchange) == ("none", "none"):
+        return Represented(
+            tin, None, "none", True, 0, initial, cropped, math.nan, math.nan, 0, math.nan, math.nan
+        )
+    return adjusted(tin, points, options, sigma_m, initial, cropped)
+
+
+def triangulated(points: F64, options: SurfaceOptions, sigma_m: F64 | None) -> tuple[Tin, int, int]:
+    """The triangulation, how many of its vertices are from binning, and how many points lie off the
+    map.
+    """
+    if options.full:
+        if options.window is None:
+            return build_tin(points), 0, 0
+        keep = np.flatnonzero(inside(points[:, :2], map_window(points[:, :2], options.window)))
+        tin = build_tin(points[keep])
+        return dataclasses.replace(tin, source=keep[tin.source]), 0, len(points) - len(keep)
+    o = options
+    ratio = RATIO if (o.vertices, o.ratio, o.tolerance) == (None, None, None) else o.ratio
+    found = adaptive_tin(
+        points,
+        vertices=o.vertices,
+        ratio=ratio,
+        tolerance=o.tolerance,
+        criterion=o.criterion,
+        sigma_m=sigma_m,
+        window=o.window,
+        bins_per_row=o.bins_per_row,
+        duplicate_tolerance_m=o.duplicate_tolerance_m,
+    )
+    return found.tin, found.initial, found.cropped
+
+
+def without_artificial(tin: Tin) -> Tin:
+    """The same surface without its artificial corners and the triangles that meet them: nothing
+    that is not data is left.
+    """
+    if (tin.source >= 0).all():
+        return tin
+    keep: Bool = np.all(tin.source[tin.triangles] >= 0, axis=1)
+    vertex, number = np.full(len(tin.source), -1, np.int32), np.full(len(keep) + 1, -1, np.int32)
+    own: I64 = np.flatnonzero(tin.source >= 0)
+    vertex[own] = np.arange(len(own))
+    number[np.flatnonzero(keep)] = np.arange(
+        np.count_nonzero(keep)
+    )  # the last entry stays -1, for the hull
+    neighbours = number[tin.neighbours[keep]]
+    return Tin(
+        tin.vertices[own],
+        vertex[tin.triangles[keep]],
+        neighbours,
+        tin.relevant[keep],
+        tin.source[own],
+        tin.duplicates,
+    )
+
+
+def adjusted(
+    tin: Tin, points: F64, options: SurfaceOptions, sigma_m: F64 | None, initial: int, cropped: int
+) -> Represented:
+    """The surface with its heights adjusted and diagonals exchanged, as the options say."""
+    # a surface through all points has nothing to be adjusted to
+    through_all = options.full and tin.duplicates == 0
+    if through_all:
+        return Represented(
+            tin, None, "none", True, 0, initial, cropped, 0.0, 0.0, len(points) - cropped, 0.0, 0.0
+        )
+    usable = sigma_m is not None and bool((sigma_m > 0).all())
+    sigma = sigma_m if usable else None
+    raw, exchanges = fit_of(tin, points, sigma), 0
+    before = measures(raw.residuals(tin.vertices[:, 2]))
+    done = heights(tin, points, options, raw)
+    if options.exchange != "none":
+        exchange = exchange_diagonals(
+            done.tin if done is not None else tin, points, options.exchange
+        )
+        tin, exchanges, raw = exchange.tin, exchange.exchanges, fit_of(exchange.tin, points, sigma)
+        done = heights(tin, points, options, raw)
+    tin = tin if done is None else done.tin
+    after = measures(raw.residuals(tin.vertices[:, 2]))
+    return Represented(
+        tin,
+        None if done is None else raw,
+        options.adjust,
+        done is None or done.converged,
+        exchanges,
+        initial,
+        cropped,
+        *after,
+        len(raw.point),
+        *before,
+    )
+
+
+def heights(tin: Tin, points: F64, options: SurfaceOptions, fit: Fit) -> Adjustment | None:
+    """The elevation adjustment asked for; None where there is none."""
+    if options.adjust == "rms":
+        return adjust_rms(tin, points, fit=fit)
+    if options.adjust == "rms-iterated":
+        return adjust_rms_iterated(
+            tin, points, options.max_iterations, options.height_tolerance_m, fit=fit
+        )
+    return adjust_asd(tin, points, fit=fit) if options.adjust == "asd" else None

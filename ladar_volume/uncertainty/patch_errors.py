@@ -1,0 +1,70 @@
+"""What all returns of a patch share, calibration and navigation, as errors of its parameters:
+computed for the patches asked for.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ladar_volume.model.records import F32, F64, I32, I64, Bool, Patches
+from ladar_volume.uncertainty.load_kernels import deviation_kernel, shared_kernel
+from ladar_volume.uncertainty.navigation_sum import NavigationBins
+from ladar_volume.uncertainty.packing import calibration_parts, navigation_units
+
+
+class PatchErrors:
+    """Deviations and covariances of the parameters of m patches, in single precision as the
+    sensitivities they come from. A volume needs those inside its outline only.
+
+    C_cal : (c, c) of the calibration · time_bins : bins (b,) of the navigation sensitivities, and
+    the row (l,) of each one's own among them
+    """
+
+    def __init__(
+        self, patches: Patches, navigation: NavigationBins, C_cal: F64, time_bins: tuple[I64, I32]
+    ) -> None:
+        m, p = patches.beta.shape
+        self._patches, self._index, self._units = patches, time_bins[1], navigation_units(patches)
+        self._by_calibration = calibration_parts(patches)
+        one, two = np.nonzero(C_cal)
+        self._calibration = one, two, C_cal[one, two]
+        self._roots = navigation.roots(time_bins[0])
+        self._deviation, self._covariance = (
+            np.zeros((m, p, 6), np.float32),
+            np.zeros((m, p, p), np.float32),
+        )
+        self._deviates, self._varies = np.zeros(m, np.bool_), np.zeros(m, np.bool_)
+
+    def deviation(self, rows: I64) -> F32:
+        """What one standard deviation of position and of attitude, each in three directions, does
+        to the parameters: (m, p, 6), known for patches ``rows`` (k,). The errors within one patch
+        count as one.
+        """
+        new = _missing(self._deviates, rows)
+        p = self._patches
+        deviation_kernel(
+            new,
+            p.nav_start,
+            self._index,
+            p.M_nav,
+            self._units,
+            p.normal,
+            *self._roots,
+            self._deviation,
+        )
+        return self._deviation
+
+    def covariance(self, rows: I64) -> F32:
+        """Covariance of the parameters: (m, p, p), known for patches ``rows`` (k,)."""
+        deviation, new = self.deviation(rows), _missing(self._varies, rows)
+        shared_kernel(new, *self._by_calibration, *self._calibration, deviation, self._covariance)
+        return self._covariance
+
+
+def _missing(known: Bool, rows: I64) -> I64:
+    """Those of ``rows`` (k,) that are not ``known`` (m,) yet, each once; marks them."""
+    wanted = np.zeros(len(known), np.bool_)
+    wanted[rows] = True
+    new = np.flatnonzero(wanted & ~known)
+    known[new] = True
+    return new

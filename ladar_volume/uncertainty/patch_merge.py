@@ -1,0 +1,181 @@
+"""Rows and blocks of several updates as one: the compiled passes of ``patch_store``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ladar_volume.math.kernels import kernel, leaf_kernel
+
+
+@kernel
+def copy_rows(part: Any, to: Any, width: Any, out: Any) -> None:
+    """Rows of a part, c numbers each, to those of out that ``to`` (n,) says, -1 for none; part and
+    out are flat.
+    """
+    i, n = 0, len(to)
+    while i < n:
+        first, i = i, i + 1
+        if to[first] >= 0:
+            while i < n and to[i] == to[i - 1] + 1:  # what stays together is moved in one piece
+                i += 1
+            source, target = (
+                part[first * width : i * width],
+                out[to[first] * width : to[first] * width + (i - first) * width],
+            )
+            for k in range(len(source)):
+                target[k] = source[k]
+
+
+@kernel
+def in_order(to: Any) -> Any:
+    """Whether the rows that stay, those of ``to`` (n,) that are not -1, do so in their order."""
+    last = -1
+    for row in to:
+        if row >= 0:
+            if row < last:
+                return False
+            last = row
+    return True
+
+
+@kernel
+def move_rows(part: Any, width: Any, to: Any) -> None:
+    """Rows of a flat array, c numbers each, in place to those that ``to`` (n,) says, -1 for none,
+    which are in order: those that move to the right from the last, then those that move to the left
+    from the first. So none is written over before it has moved.
+    """
+    for i in range(len(to) - 1, -1, -1):
+        if to[i] > i:
+            for k in range(width - 1, -1, -1):
+                part[to[i] * width + k] = part[i * width + k]
+    for i in range(len(to)):
+        if 0 <= to[i] < i:
+            for k in range(width):
+                part[to[i] * width + k] = part[i * width + k]
+
+
+@leaf_kernel
+def place_from(keys: Any, key: Any, hint: Any) -> Any:
+    """Number of ascending keys below a key. ``hint`` : that number for the key before it, which is
+    often next to it.
+    """
+    low = hint if hint < len(keys) and keys[hint] <= key else 0
+    high, step = low, 1
+    while high < len(keys) and keys[high] < key:
+        low, high, step = high, high + step, 2 * step
+    high = min(high, len(keys))
+    while low < high:
+        middle = (low + high) // 2
+        if keys[middle] < key:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@leaf_kernel
+def holds(keys: Any, key: Any, place: Any) -> Any:
+    """Whether ascending keys hold a key, given its :func:`place_from`."""
+    return place < len(keys) and keys[place] == key
+
+
+@kernel
+def block_rows(
+    own: Any,
+    start: Any,
+    other: Any,
+    turn: Any,
+    said: Any,
+    last: Any,
+    keys: Any,
+    row: Any,
+    count: Any,
+) -> None:
+    """Row among ``keys`` of each block of one part, -1 for one that no longer holds; ``count``
+    (rows,) grows by those that do.
+
+    own : (m,) keys of the part's patches · start, other : its blocks in CSR form · said, last :
+    patches ever named and the turns of the last word on them
+    """
+    spoken, at = 0, 0
+    for i in range(len(own)):
+        spoken, at = place_from(said, own[i], spoken), place_from(keys, own[i], at)
+        mine = last[spoken] if holds(said, own[i], spoken) else -1
+        here = at if holds(keys, own[i], at) else -1
+        hint, below = 0, 0
+        for e in range(start[i], start[i + 1]):
+            hint = place_from(said, other[e], hint)
+            row[e] = -1
+            if turn == max(mine, last[hint] if holds(said, other[e], hint) else -1):
+                row[e] = here  # also that of a block with a patch of a lower key that never came
+                if other[e] < own[i]:
+                    below = place_from(keys, other[e], below)
+                    row[e] = below if holds(keys, other[e], below) else here
+                if row[e] >= 0:
+                    count[row[e]] += 1
+
+
+@kernel
+def place_blocks(
+    own: Any,
+    start: Any,
+    other: Any,
+    row: Any,
+    number: Any,
+    keys: Any,
+    first: Any,
+    filled: Any,
+    key: Any,
+    entry: Any,
+) -> None:
+    """Put each block of one part into its row, by the key of the row's other patch: that to
+    ``key``, the block's number to ``entry``.
+
+    number : of the part's first block among all parts · first, filled : (rows,) begin of each row
+    and how many it holds so far
+    """
+    for i in range(len(own)):
+        for e in range(start[i], start[i + 1]):
+            k = row[e]
+            if k < 0:
+                continue
+            high = other[e] if keys[k] == own[i] else own[i]
+            m = first[k] + filled[k]
+            filled[k] += 1
+            while m > first[k] and key[m - 1] > high:
+                key[m], entry[m] = key[m - 1], entry[m - 1]
+                m -= 1
+            key[m], entry[m] = high, number + e
+
+
+@leaf_kernel
+def before(r: Any, i: Any, j: Any) -> Any:
+    """Whether point i comes before point j: by x, y and z, then by number."""
+    for c in range(3):
+        if r[i, c] != r[j, c]:
+            return r[i, c] < r[j, c]
+    return i < j
+
+
+@kernel
+def sort_runs(patch: Any, r: Any, order: Any) -> None:
+    """Put points ``order`` (k,), which lie together by patch, in order of their positions r (n, 3)
+    within each patch.
+    """
+    first = 0
+    while first < len(order):
+        end = first + 1
+        while end < len(order) and patch[order[end]] == patch[order[first]]:
+            end += 1
+        gap = 1
+        while gap < (end - first) // 3:
+            gap = 3 * gap + 1
+        while gap > 0:  # Shell's method
+            for k in range(first + gap, end):
+                one, m = order[k], k
+                while m >= first + gap and before(r, one, order[m - gap]):
+                    order[m] = order[m - gap]
+                    m -= gap
+                order[m] = one
+            gap //= 3
+        first = end

@@ -1,0 +1,72 @@
+"""What chords do to the volume under a TIN: its triangles lie above a hollow and below a crest
+(UNCERTAINTY step 6).
+
+A surface that is quadratic over a triangle of footprint A lies below it by ``A / 24 Σ e · (p_j −
+p_i)`` m³, summed over the sides e from i to j, with p the slopes of the surface at the corners. The
+same holds on average where the surface has a kink, as at the toe of a pile, and the vertices lie at
+random beside it: for every triangle the mean over all places of the kink is exact. The slopes come
+from the normals that the filter gives its points, not from the mesh.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ladar_volume.ground.polynomial import base_height
+from ladar_volume.math.kernels import kernel
+from ladar_volume.model.records import F64, I32, Plane, Tin
+
+#: Least vertical component of a normal that says what its surroundings do to a height: steeper
+#: walls are not looked at.
+LEAST_UP = 0.3
+
+
+@kernel
+def chord_kernel(xy: F64, normal: F64, triangles: I32, inside_m2: F64) -> F64:
+    """:func:`chord_volumes` of triangles (m, 3) of vertices at xy (n, 2)."""
+    out, slope = np.zeros(len(triangles)), np.full(xy.shape, math.nan)
+    for i in range(len(xy)):
+        if abs(normal[i, 2]) >= LEAST_UP:
+            slope[i, 0], slope[i, 1] = -normal[i, 0] / normal[i, 2], -normal[i, 1] / normal[i, 2]
+    for t in range(len(triangles)):
+        if inside_m2[t] > 0.0:
+            total = 0.0
+            for k in range(3):
+                i, j = triangles[t, k], triangles[t, (k + 1) % 3]
+                total += (xy[j, 0] - xy[i, 0]) * (slope[j, 0] - slope[i, 0]) + (
+                    xy[j, 1] - xy[i, 1]
+                ) * (slope[j, 1] - slope[i, 1])
+            if not math.isnan(total):
+                out[t] = inside_m2[t] / 24.0 * total
+    return out
+
+
+def chord_volumes(tin: Tin, normal: F64, inside_m2: F64) -> F64:
+    """Volume (m,) m³ by which each triangle lies above the surface, negative where below, over its
+    area inside_m2 (m,) m² that counts.
+
+    normal : (n, 3) of the surface at the vertices, of either sign. A triangle with a corner on a
+    wall steeper than 70° counts as flat.
+    """
+    xy = np.ascontiguousarray(tin.vertices[:, :2])
+    return np.asarray(
+        chord_kernel(
+            xy, np.ascontiguousarray(normal), tin.triangles, np.ascontiguousarray(inside_m2)
+        )
+    )
+
+
+def cut_and_fill_chords(tin: Tin, normal: F64, base: Plane, inside_m2: F64) -> tuple[float, float]:
+    """The sums, m³, of :func:`chord_volumes` over the triangles that lie above a base, with their
+    middle, and over those below.
+    """
+    volume = chord_volumes(tin, normal, inside_m2)
+    height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
+    above = (
+        height[tin.triangles[:, 0]] + height[tin.triangles[:, 1]] + height[tin.triangles[:, 2]]
+        > 0.0
+    )
+    cut = float(volume @ above)
+    return cut, float(volume.sum()) - cut

@@ -1,0 +1,164 @@
+"""What ties a solid to its points: the gradients of volume and base, the ground's roughness under
+it, and the name of the base.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ladar_volume.ground.ground_adjoint import add_ground_gradient, ground_residuals
+from ladar_volume.ground.polynomial import base_height
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, Patches, Plane, Tin
+from ladar_volume.tin.adjustment_adjoint import height_covariance
+from ladar_volume.tin.full_tin import footprint_areas
+from ladar_volume.tin.represent import Represented
+from ladar_volume.uncertainty.ground_field import GroundField
+from ladar_volume.uncertainty.load_kernels import place_kernel
+from ladar_volume.uncertainty.propagation import SurfaceGeometry
+from ladar_volume.uncertainty.roughness import estimate_roughness
+from ladar_volume.uncertainty.vertex_noise import (
+    STEEPEST,
+    corner_covariances,
+    height_sums,
+    rings_for,
+    vertex_rows,
+)
+from ladar_volume.uncertainty.volume_budget import Sources
+from ladar_volume.volume.near_base import Fold, fold, near_triangles
+from ladar_volume.volume.prismoids import Prismoids
+
+
+def base_name(parameters: Parameters) -> str:
+    """The base in words, for every printed result."""
+    v, degree = parameters.volume, parameters.ground.degree
+    if v.base == "level":
+        return f"level {v.level_m:.3f} m"
+    if v.base == "plane":
+        return "given plane z = {:.6g} + {:.6g} x + {:.6g} y".format(*v.plane)
+    return f"ground of the same survey ({('level', 'plane', 'quadric', 'cubic')[degree]})"
+
+
+def vertex_variance(surface: Represented, points: FilteredPoints) -> F64:
+    """Independent variance (n,) m² of each vertex' height: of its point, or of the mean of points
+    that the adjustment makes of it.
+    """
+    tin = surface.tin
+    height = points.variance / np.maximum(points.normal[:, 2] ** 2, 1e-4)
+    own: F64 = height[tin.source]
+    if surface.fit is None:
+        return own
+    B, unit = surface.fit.B, height_covariance(tin, surface.fit, np.ones(len(own))).diagonal()
+    weight = np.asarray(B.sum(axis=0)).ravel()
+    around = B.T @ height[surface.fit.point] / np.maximum(weight, 1e-300)
+    return np.where(surface.fit.adjusted, unit * around, own)
+
+
+def result_gradients(
+    tin: Tin,
+    base: Plane,
+    solid: Prismoids,
+    points: int,
+    surface: Represented | None = None,
+    inverse: F64 | None = None,
+    coefficients: bool = True,
+) -> F64:
+    """Gradients (points, k, 3) by the points the TIN was built from: of the net volume and, where
+    the base was fitted and its ``coefficients`` are asked for, of each of these; for a partial TIN,
+    ``surface``, through the adjustment of its heights (UNCERTAINTY step 5).
+
+    The volume's gradient holds both ways in: through the surface, and through the points that
+    define the base (step 2). inverse : :func:`~ladar_volume.ground.ground_adjoint.ground_inverse`,
+    where known.
+    """
+    adjusted = surface is not None and surface.fit is not None
+    place, rows = (
+        (np.arange(len(tin.vertices)), len(tin.vertices)) if adjusted else (tin.source, points)
+    )
+    fitted = len(base.support) > 0
+    by_beta = np.concatenate([solid.base_net[:, None], np.eye(len(base.beta))], axis=1)[
+        :, : None if fitted and coefficients else 1
+    ]
+    out = np.zeros((rows, by_beta.shape[1], 3))
+    place_kernel(solid.gradient_cut, solid.gradient_fill, place, out)
+    if fitted:
+        add_ground_gradient(out, place, tin.vertices, base, by_beta, inverse)
+    return out if surface is None or not adjusted else surface.by_points(out, points)
+
+
+def near_correction(
+    surface: Represented,
+    base: Plane,
+    inside_m2: F64,
+    points: FilteredPoints,
+    patches: Patches,
+    geometry: SurfaceGeometry,
+) -> Fold | None:
+    """The correction of cut and fill where the surface runs near its base (UNCERTAINTY step 7),
+    None where it nowhere does.
+
+    inside_m2 : (m,) area of each triangle within the outline; one that the outline cuts is left
+    uncorrected. The noise is that of the returns: what the whole survey shares lifts or lowers the
+    surface as one and does not fold.
+    """
+    tin, whole = surface.tin, whole_triangles(surface.tin, inside_m2)
+    height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
+    X, row = vertex_rows(tin, points, patches, geometry)
+    variance = (
+        points.variance[tin.source]
+        / np.maximum(np.abs(points.normal[tin.source, 2]), STEEPEST) ** 2
+    )
+    close = tin.triangles[whole][near_triangles(tin, height, variance, whole)]
+    if not len(close):
+        return None
+    packed = corner_covariances(patches, geometry, X, row, variance, close)
+    sums, alike = height_sums(
+        patches, geometry, X, row, np.unique(close).astype(np.int64), variance
+    )
+    del X, row
+    return fold(tin, height, variance, close, packed, rings_for(alike), sums)
+
+
+def whole_triangles(tin: Tin, inside_m2: F64) -> Bool:
+    """Triangles (m,) that lie wholly within an outline, from their areas within it."""
+    out: Bool = (inside_m2 > 0) & (
+        inside_m2 >= footprint_areas(tin.vertices, tin.triangles) * (1.0 - 1e-9)
+    )
+    return out
+
+
+def shared_by(sources: Sources, points: I64) -> Callable[[I64], tuple[I64, F64]]:
+    """For k among points (n,), by their place there, :meth:`Sources.shared_covariance`: their order
+    in time, and the covariance.
+    """
+    return lambda some: sources.shared_covariance(points[some])
+
+
+def ground_field(
+    tin: Tin,
+    base: Plane,
+    solid: Prismoids,
+    inside_m2: F64,
+    height_variance: F64,
+    sources: Sources | None = None,
+    inverse: F64 | None = None,
+) -> GroundField | None:
+    """How the deviation of the ground from the fitted base enters the volume; None above a design
+    surface.
+
+    It enters with the area (inside_m2 (m,)) inside the outline, and with the fit's weights at the
+    ground points. height_variance (n,) m²: independent noise of the vertices, which is not
+    roughness; nor is what calibration and navigation did to the points of ``sources`` that the TIN
+    was built from. inverse : :func:`~ladar_volume.ground.ground_adjoint.ground_inverse`, where
+    known.
+    """
+    if len(base.support) == 0:
+        return None
+    ground, residual, fit = ground_residuals(tin.vertices, base, solid.base_net, inverse)
+    shared = None if sources is None else shared_by(sources, tin.source[base.support])
+    rough = estimate_roughness(
+        ground, residual, height_variance[base.support], len(base.beta), shared
+    )
+    return GroundField(tin.vertices, tin.triangles, inside_m2, ground, fit, rough)

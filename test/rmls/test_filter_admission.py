@@ -1,0 +1,100 @@
+"""Admission of points against the plain twins."""
+
+import numpy as np
+
+from ladar_volume.georeference.point_jacobian import bracket
+from ladar_volume.math.se3 import matrix_from_quaternion
+from ladar_volume.model.records import select
+from ladar_volume.rmls import patch_twin, point_admission
+from ladar_volume.rmls.viewing_geometry import KEPT, NUMBERS, keep_each, recall
+
+
+def test_admission_and_geometry_are_those_of_the_twins(scene):
+    rng = np.random.default_rng(0)
+    states = scene.platform()
+    states.q_map_body[::3] *= -1  # the same attitude
+    states.segment[400:] = 1
+    states.segment[700:710] = -1
+    states.segment[710:] = 2
+    states = select(states, rng.random(len(states)) < 0.8)
+    n = 4000
+    t = rng.integers(-100_000_000, 10_100_000_000, n)
+    t[:1000] = np.sort(t[:1000])
+    t[1000:1200] = rng.choice(states.t_ns, 200)
+    t[1200:1202] = states.t_ns[[0, -1]]
+    r, C = rng.normal(size=(n, 3)) * 10, np.ones((n, 6), np.float32)
+    verdict, state, fraction = np.zeros(n, np.int8), np.zeros(n, np.int64), np.zeros(n)
+    point_admission.admit(t, r, C, 1e6, states.t_ns, states.segment, verdict, state, fraction)
+    covered, k, f = bracket(t, states.t_ns, states.segment)
+    taken = verdict == point_admission.TAKEN
+    assert np.array_equal(taken, covered) and 1000 < taken.sum() < n
+    assert np.array_equal(state[taken], k[taken]) and np.array_equal(fraction[taken], f[taken])
+
+    rows = np.flatnonzero(taken)
+    seen, laser = np.zeros((len(rows), NUMBERS)), np.array([0.1, -0.2, 0.3])
+    point_admission.geometry(
+        rows,
+        r,
+        state,
+        fraction,
+        states.p_map_body,
+        states.q_map_body,
+        states.v_body,
+        states.omega_body,
+        laser,
+        seen,
+    )
+    expected = patch_twin.geometry(r[rows], states, k[rows], f[rows], laser)
+    same = np.where((seen[:, :4] * expected[:, :4]).sum(axis=1) < 0, -1.0, 1.0)
+    assert np.abs(seen[:, :4] * same[:, None] - expected[:, :4]).max() < 1e-9
+    assert np.abs(seen[:, 4:] - expected[:, 4:]).max() < 1e-7
+
+
+def test_kept_geometry_is_rounded_to_its_own_units():
+    """Against the numbers rounded one by one, from specks to beams of kilometres; NaN stays NaN."""
+    rng = np.random.default_rng(1)
+    g = rng.normal(size=(500, NUMBERS)) * 10.0 ** rng.uniform(-6, 4, (500, 1))
+    g[:, :4] /= np.linalg.norm(g[:, :4], axis=1, keepdims=True)
+    g[0, :4], g[1, 4:7], g[2, 7:] = [0, 0, 0, -1], 0.0, [-8.0, 0.1, 8.0]
+    kept, back = np.empty((len(g), KEPT), np.int16), np.empty_like(g)
+    keep_each(g, kept)
+    for i in range(len(g)):
+        recall(kept[i], back[i])
+    q = np.rint(g[:, :4] * 32767)
+    assert np.abs(back[:, :4] - q / np.linalg.norm(q, axis=1, keepdims=True)).max() < 1e-15
+    for part in (slice(4, 7), slice(7, 10)):
+        largest = np.abs(g[:, part]).max(axis=1, keepdims=True)
+        unit = 2.0 ** (np.floor(np.log2(np.maximum(largest, 1e-300))) - 14)
+        assert (
+            np.abs(back[:, part] - np.minimum(np.rint(g[:, part] / unit), 32767) * unit).max()
+            <= 1e-12
+        )
+        assert (np.abs(back[:, part] - g[:, part]) <= 2.0**-15 * largest).all()
+    R, twin = matrix_from_quaternion(back[:, :4]), matrix_from_quaternion(g[:, :4])
+    assert (
+        np.arccos(np.clip((np.einsum("nii->n", np.swapaxes(R, 1, 2) @ twin) - 1) / 2, -1, 1)).max()
+        < 6.2e-5
+    )
+    g[0, 5], g[1, 9] = np.nan, np.inf
+    keep_each(g[:2], kept[:2])
+    recall(kept[0], back[0])
+    recall(kept[1], back[1])
+    assert (
+        np.isnan(back[0, 4:7]).all()
+        and np.isnan(back[1, 7:]).all()
+        and np.isfinite(back[0, 7:]).all()
+    )
+
+
+def test_verdicts_name_the_reason(scene):
+    states = scene.platform()
+    r, C, t = np.zeros((6, 3)), np.zeros((6, 6), np.float32), np.full(6, 5_000_000_000)
+    r[0, 0], r[1, 1], C[2, 5], r[3, 2], t[4] = np.nan, -np.inf, np.nan, -2e6, -1
+    r[1, 2] = np.inf  # opposite infinities do not cancel
+    verdict, state, fraction = np.zeros(6, np.int8), np.zeros(6, np.int64), np.zeros(6)
+    point_admission.admit(t, r, C, 1e6, states.t_ns, states.segment, verdict, state, fraction)
+    assert verdict.tolist() == [point_admission.NOT_FINITE] * 3 + [
+        point_admission.TOO_FAR,
+        point_admission.UNCOVERED,
+        point_admission.TAKEN,
+    ]

@@ -1,0 +1,276 @@
+"""The kernels against their plain numpy twins, and the sensitivities against the Jacobians of the
+georeference.
+"""
+
+import numpy as np
+import pytest
+
+from ladar_volume.math import normal_equations
+from ladar_volume.math.normal_equations import invert, select_kth
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import MappedPoints
+from ladar_volume.rmls import cross_covariance, patch_twin, projection
+from ladar_volume.rmls.patch_fit import OK
+from ladar_volume.rmls.surface_filter import SurfaceFilter
+
+
+@pytest.fixture(params=[1, 2])
+def fitted(scene, request):
+    """A filter with everything switched on, its update and, per patch key, the inlier slots."""
+    rng = np.random.default_rng(2)
+    n = 900
+    r = np.column_stack([scene.sheet(n, half=1.2), 0.01 * rng.normal(size=n)])
+    r[:, 2] += 0.2 * r[:, 0] + 0.05 * r[:, 1] ** 2
+    r[:60, 2] += 0.4
+    points = scene.mapped(r)
+    A = rng.normal(size=(n, 3, 3)) * 0.01
+    C = A @ A.transpose(0, 2, 1) + 1e-6 * np.eye(3)
+    points.C_ind[:] = C[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+    f = SurfaceFilter(
+        Parameters.read(
+            {
+                "filter": {"radius_m": 0.5, "degree": request.param, "nav_bin_s": 2.0},
+                "calibration": {
+                    "boresight_pitch_deg": 25.0,
+                    "lever_laser_m": [0.1, -0.2, 0.3],
+                    "lever_antenna_m": [-0.3, 0.1, 0.8],
+                },
+            }
+        )
+    )
+    states = scene.platform()
+    f.add_platform(states)
+    f.add(points)
+    update = f.finish()
+    fits = f._builder.fit(f._around(np.arange(f._store.used)))
+    slots = {
+        int(f._store.keys[v]): np.sort(fits.members[fits.start[a] : fits.start[a] + fits.used[a]])
+        for a, v in enumerate(fits.voxels)
+        if fits.status[a] == OK
+    }
+    return f, update, slots, states, request.param
+
+
+def rows(f, update, slots, j, degree):
+    p = update.patches
+    return patch_twin.design(
+        f._store.r[slots[int(p.key[j])]], p.centre[j], p.normal[j], p.tangent[j], degree
+    )
+
+
+def test_refit_is_least_squares_on_the_inliers(fitted):
+    f, update, slots, _, degree = fitted
+    p = update.patches
+    assert len(p) > 15 and list(slots) == list(p.key)
+    for j in range(len(p)):
+        X, w = rows(f, update, slots, j, degree)
+        assert p.used[j] == len(w)
+        columns = np.count_nonzero(
+            p.beta[j]
+        )  # a neighbourhood that does not determine a quadric got a plane
+        extra, gu, gv = patch_twin.arc(X, p.beta[j])
+        beta, inverse = patch_twin.least_squares(X[:, :columns], w - extra)
+        # the arc term follows the quadratic terms: it has settled to a thousandth of sigma, all
+        # else is exact
+        assert (
+            np.abs(beta - p.beta[j][:columns])
+            <= 1e-8 + 2e-3 * p.sigma[j] * np.sqrt(np.diag(inverse)) * (degree == 2)
+        ).all()
+        residual = (w - extra - X @ p.beta[j]) / np.sqrt(1 + gu**2 + gv**2)
+        assert p.sigma[j] == pytest.approx(
+            np.sqrt(residual @ residual / (len(w) - columns)), rel=2e-3
+        )
+        assert np.abs(residual).max() <= 3.5 * p.sigma[j] * (1 + 2e-3)  # a fixed point
+        assert p.normal[j] @ p.tangent[j] == pytest.approx(0, abs=1e-12)
+
+
+def test_points_left_out_are_beyond_threshold_or_ball(fitted):
+    f, update, slots, _, degree = fitted
+    p, held = update.patches, np.flatnonzero(f._store.t_ns > 0)
+    for j in range(len(p)):
+        out = np.setdiff1d(held, slots[int(p.key[j])])
+        X, w = patch_twin.design(f._store.r[out], p.centre[j], p.normal[j], p.tangent[j], degree)
+        extra, gu, gv = patch_twin.arc(X, p.beta[j])
+        d, slope = w - extra - X @ p.beta[j], 1 + gu**2 + gv**2
+        threshold = 3.5 * p.sigma[j]
+        reach = 1.0 if np.count_nonzero(p.beta[j]) == 3 else 1.0 - threshold
+        foot = np.stack([X[:, 1] + d * gu / slope, X[:, 2] + d * gv / slope, w - d / slope], axis=1)
+        assert (
+            (np.linalg.norm(foot, axis=1) > reach * (1 - 2e-3))
+            | (np.abs(d) / np.sqrt(slope) > threshold * (1 - 2e-3))
+        ).all()
+
+
+def test_cross_blocks_of_every_pair_that_shares_points(fitted):
+    f, update, slots, _, degree = fitted
+    p = update.patches
+    at = {int(k): i for i, k in enumerate(p.key)}
+    seen = 0
+    for a in range(len(p)):
+        stored = {
+            int(k): p.cross[i]
+            for i, k in enumerate(
+                p.cross_key[p.cross_start[a] : p.cross_start[a + 1]], p.cross_start[a]
+            )
+        }
+        assert p.cross_key[p.cross_start[a]] == p.key[a]
+        sharing = {
+            k for k in at if k >= p.key[a] and np.intersect1d(slots[int(p.key[a])], slots[k]).size
+        }
+        assert set(stored) == sharing
+        X_a, _ = rows(f, update, slots, a, degree)
+        for key, block in stored.items():
+            b = at[key]
+            X_b, _ = rows(f, update, slots, b, degree)
+            C = patch_twin.shared_covariance(
+                X_a, X_b, p.normal[a], p.normal[b], slots[int(p.key[a])], slots[key], f._store.C
+            )
+            scale = np.sqrt(
+                np.outer(np.diag(p.cross[p.cross_start[a]]), np.diag(p.cross[p.cross_start[b]]))
+            )
+            assert (np.abs(C - block) <= 1e-6 * scale).all()
+            seen += a != b
+    assert seen > 30
+
+
+def test_sensitivities_are_those_of_the_lidar_equation(fitted):
+    f, update, slots, states, degree = fitted
+    p, s = update.patches, f._store
+    for j in range(0, len(p), 3):
+        inliers = slots[int(p.key[j])]
+        points = MappedPoints(
+            s.t_ns[inliers],
+            s.r[inliers],
+            s.C[inliers],
+            s.ring[inliers],
+            np.zeros(len(inliers), np.float32),
+        )
+        X, _ = rows(f, update, slots, j, degree)
+        calibration = Parameters.read(
+            {
+                "calibration": {
+                    "boresight_pitch_deg": 25.0,
+                    "lever_laser_m": [0.1, -0.2, 0.3],
+                    "lever_antenna_m": [-0.3, 0.1, 0.8],
+                }
+            }
+        ).calibration
+        M_cal, bins, M_nav = patch_twin.mean_sensitivities(
+            X,
+            p.normal[j],
+            p.tangent[j],
+            points,
+            states,
+            calibration,
+            f._builder.beams,
+            2_000_000_000,
+        )
+        nav = slice(p.nav_start[j], p.nav_start[j + 1])
+        assert np.array_equal(bins, p.nav_bin[nav])
+        # the geometry of each return is kept in 16 bits (see ``geometry``); means of many err by
+        # less
+        scale = np.append(np.abs(np.linalg.pinv(X)).sum(axis=1), [1.0, 1.0])[:, None] * 20.0
+        assert (np.abs(M_cal - p.M_cal[j]) < 1e-5 * scale).all()
+        assert (np.abs(M_nav - p.M_nav[nav])[..., 1:] < 1e-5 * scale).all()
+        assert (
+            np.abs(M_nav - p.M_nav[nav])[..., :1] < 1e-6 * scale
+        ).all()  # the position's need none of it
+
+
+def test_common_shift_moves_only_the_constant_term(fitted):
+    _, update, _, _, _ = fitted
+    p = update.patches
+    for j in range(len(p)):
+        total = p.M_nav[p.nav_start[j] : p.nav_start[j + 1], :, 0].sum(axis=0)
+        assert total[[0, -2, -1]] == pytest.approx(1.0, abs=1e-6)
+        assert np.abs(total[1:-2]).max() < 2e-6
+
+
+def test_points_lie_on_their_patch_with_its_variance(fitted):
+    _, update, _, _, degree = fitted
+    p, q = update.patches, update.points
+    j = np.searchsorted(p.key, q.patch)
+    assert np.array_equal(p.key[j], q.patch)
+    for i in range(len(q)):
+        X, w = patch_twin.design(
+            q.r_map[i : i + 1], p.centre[j[i]], p.normal[j[i]], p.tangent[j[i]], degree
+        )
+        extra, _, _ = patch_twin.arc(X, p.beta[j[i]])
+        assert w[0] == pytest.approx(X[0] @ p.beta[j[i]] + extra[0], abs=1e-10)
+        cosine = q.normal[i] @ p.normal[j[i]]
+        C = p.cross[p.cross_start[j[i]]]
+        assert q.variance[i] == pytest.approx(X[0] @ C @ X[0] * cosine**2, rel=1e-8)
+
+
+def test_small_algebra_against_numpy():
+    rng = np.random.default_rng(9)
+    for p in (3, 6):
+        A = rng.normal(size=(20, p))
+        N = A.T @ A
+        padded, inverse = np.zeros((6, 6)), np.zeros((6, 6))
+        padded[:p, :p] = N
+        assert invert(padded, p, inverse)
+        assert np.allclose(inverse[:p, :p], np.linalg.inv(N), rtol=1e-9)
+        padded[:p, 1] = padded[:p, 0]
+        padded[1, :p] = padded[0, :p]
+        padded[1, 1] = padded[0, 0]
+        assert not invert(padded, p, inverse)
+    for n in (1, 2, 7, 50):
+        a = rng.integers(0, 9, n).astype(float)
+        for k in range(n):
+            assert select_kth(a.copy(), n, k) == np.sort(a)[k]
+
+
+def test_eigenvectors_of_small_matrices():
+    rng = np.random.default_rng(0)
+    for case in range(300):
+        A = rng.normal(size=(3, 3))
+        turn = np.linalg.qr(A)[0]
+        S = [
+            A @ A.T * 10.0 ** rng.uniform(-8, 8),
+            turn @ np.diag([1e-14, 1.0, 1.0]) @ turn.T,
+            np.diag(rng.integers(0, 3, 3) * 1.0),
+        ][case % 3]
+        S = 0.5 * (S + S.T)
+        value, vector = np.empty(3), np.empty((3, 3))
+        normal_equations.eigen(S.copy(), value, vector)
+        scale = max(np.abs(S).max(), 1e-300)
+        assert (
+            np.abs(value - np.linalg.eigvalsh(S)).max() < 1e-14 * scale
+            and (np.diff(value) >= 0).all()
+        )
+        assert (
+            np.abs(vector.T @ vector - np.eye(3)).max() < 1e-14
+            and np.abs(S @ vector - vector * value).max() < 1e-14 * scale
+        )
+
+
+def test_noise_within_the_tangent_plane_beside_matrices():
+    rng = np.random.default_rng(8)
+    for size in (1, 7):
+        A, n = rng.normal(size=(3, 3)), rng.normal(size=3)
+        n /= np.linalg.norm(n)
+        C, P, out = A @ A.T, np.eye(3) - np.outer(n, n), np.zeros(6)
+        projection.tangential(C[np.triu_indices(3)], n, size, out)
+        assert np.allclose(out, (P @ C @ P)[np.triu_indices(3)] / size**2, rtol=1e-12, atol=1e-15)
+
+
+def test_slots_by_numbers_of_their_own():
+    rng = np.random.default_rng(8)
+    members = rng.choice([7, 8, 23, 60, 61, 62, 119], 40).astype(np.int32) * 5 + rng.integers(
+        0, 5, 40
+    ).astype(np.int32)
+    local, slots = cross_covariance.local_slots(members, 5, 120)
+    assert slots == 5 * len(np.unique(members // 5)) and local.min() >= 0 and local.max() < slots
+    assert (
+        len(np.unique(local))
+        == len(np.unique(members))
+        == len(np.unique(np.c_[local, members], axis=0))
+    )
+    assert (local % 5 == members % 5).all()
+    assert all(
+        np.array_equal(a, b)
+        for a, b in zip(
+            cross_covariance.local_slots.py_func(members, 5, 120), (local, slots), strict=True
+        )
+    )

@@ -1,0 +1,117 @@
+"""Points in triangles: the tree against asking every triangle, edges, holes, and what lies
+outside.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from ladar_volume.model.errors import SurfaceError
+from ladar_volume.tin.full_tin import build_tin
+from ladar_volume.tin.locate import (
+    barycentric,
+    build_boxes,
+    centres_of,
+    corners_of,
+    curve_keys,
+    height_at,
+    locate,
+    locate_kernel,
+    locate_plain,
+    search,
+    triangle_index,
+)
+
+
+def surface(n=200, seed=0, integer=False):
+    rng = np.random.default_rng(seed)
+    xy = rng.integers(0, 12, (n, 2)).astype(float) if integer else rng.normal(0, 3, (n, 2))
+    return build_tin(np.c_[xy, rng.normal(size=n)])
+
+
+@pytest.mark.parametrize("integer", [False, True])
+def test_the_tree_equals_asking_every_triangle(integer):
+    tin = surface(integer=integer)
+    rng = np.random.default_rng(1)
+    xy = np.r_[
+        rng.uniform(-12, 13, (150, 2)), tin.vertices[:, :2], rng.integers(-1, 13, (100, 2)) / 2.0
+    ]
+    index = triangle_index(tin)
+    found = locate(index, xy)
+    assert np.array_equal(found, locate_plain(index, xy))
+    if integer:
+        inside = ((xy >= 0) & (xy <= 11)).all(axis=1)
+        assert np.array_equal(found >= 0, inside)
+
+
+def test_every_vertex_and_edge_point_is_inside_and_keeps_its_height():
+    tin = surface(seed=2)
+    p = tin.vertices[tin.triangles]
+    assert height_at(tin, tin.vertices[:, :2]) == pytest.approx(tin.vertices[:, 2], abs=1e-12)
+    third = p.mean(axis=1)
+    assert height_at(tin, third[:, :2]) == pytest.approx(third[:, 2], abs=1e-12)
+    assert np.isnan(height_at(tin, np.array([[1e3, 0.0], [-1e3, 5.0]]))).all()
+
+
+def test_irrelevant_triangles_are_holes():
+    tin = surface(seed=3)
+    keep = np.random.default_rng(0).random(len(tin.triangles)) < 0.5
+    holes = dataclasses.replace(tin, relevant=keep)
+    centre = tin.vertices[tin.triangles].mean(axis=1)[:, :2]
+    assert np.array_equal(np.isnan(height_at(holes, centre)), ~keep)
+    assert np.array_equal(locate(triangle_index(holes, keep), centre)[keep], np.flatnonzero(keep))
+    with pytest.raises(SurfaceError):
+        triangle_index(tin, np.zeros(len(tin.triangles), bool))
+
+
+def test_barycentric_coordinates():
+    tin = surface(seed=4)
+    xy = np.random.default_rng(1).normal(0, 2, (80, 2))
+    where = locate(triangle_index(tin), xy)
+    w = barycentric(tin, where, xy)
+    assert w.sum(axis=1) == pytest.approx(np.ones(80)) and w.min() > -1e-12
+    assert np.einsum("nk,nkc->nc", w, tin.vertices[tin.triangles[where], :2]) == pytest.approx(
+        xy, abs=1e-12
+    )
+
+
+def test_one_triangle_and_no_points():
+    tin = build_tin(np.array([[0, 0, 1.0], [1, 0, 2], [0, 1, 3]]))
+    index = triangle_index(tin)
+    assert locate(index, np.array([[0.2, 0.2], [0.5, 0.5], [0.6, 0.6]])).tolist() == [0, 0, -1]
+    assert locate(index, np.zeros((0, 2))).shape == (0,)
+
+
+def test_the_kernels_equal_their_plain_twins():
+    tin = surface(40, seed=5)
+    index = triangle_index(tin)
+    xy = np.random.default_rng(3).normal(0, 3, (30, 2))
+    args = (index.order, index.corners, index.boxes, xy)
+    assert np.array_equal(locate_kernel(*args), locate_kernel.py_func(*args))
+    centres = index.corners.mean(axis=1)
+    for f, expected in ((centres_of, centres), (corners_of, index.corners)):
+        compiled = f(tin.vertices, tin.triangles, index.order)
+        assert np.array_equal(
+            compiled, f.py_func(tin.vertices, tin.triangles, index.order)
+        ) and compiled == pytest.approx(expected, abs=1e-15)
+    assert np.array_equal(curve_keys(centres), curve_keys.py_func(centres)) and np.array_equal(
+        curve_keys(centres), np.sort(curve_keys(centres))
+    )
+    leaves = len(index.boxes) // 2
+    plain = build_boxes.py_func(index.corners, leaves)
+    assert np.array_equal(plain[1:], index.boxes[1:])
+    box = np.array([-1.0, -1, 1, 1])
+    a, b = np.full(200, -1, np.int64), np.full(200, -1, np.int64)
+    n = search(index.boxes, len(centres), box, np.empty(128, np.int64), a)
+    assert n == search.py_func(
+        index.boxes, len(centres), box, np.empty(128, np.int64), b
+    ) and np.array_equal(a, b)
+    low, high = index.corners.min(axis=1), index.corners.max(axis=1)
+    meets = np.flatnonzero((low <= 1).all(axis=1) & (high >= -1).all(axis=1))
+    assert set(meets) <= set(a[:n])
+    assert (
+        search(index.boxes, len(centres), box, np.empty(128, np.int64), np.empty(1, np.int64)) == n
+    )

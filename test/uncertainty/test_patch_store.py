@@ -1,0 +1,170 @@
+"""Merging many updates at once is the same as replacing patch by patch."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from volume_surfaces import cone, surface_update, take_patches
+
+from ladar_volume.io.message_tables import update_parts
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import FilterUpdate, MappedPoints, PlatformStates, select
+from ladar_volume.rmls.surface_filter import SurfaceFilter
+from ladar_volume.uncertainty import patch_table
+from ladar_volume.uncertainty.packing import unpacked
+from ladar_volume.uncertainty.patch_table import PatchStore
+
+
+def random_updates(rng, n):
+    """Updates that set, replace and remove patches of one surface; a patch's version shows in its
+    sigma and its points' time.
+    """
+    whole = surface_update(cone, spacing=1.0, half=4.0)
+    out = []
+    for version in range(n):
+        m = len(whole.patches)
+        rows = np.flatnonzero(rng.random(m) < 0.3)
+        rng.shuffle(rows)
+        patches = take_patches(whole.patches, rows)
+        patches = dataclasses.replace(patches, sigma=np.full(len(rows), float(version)))
+        points = select(whole.points, np.isin(whole.points.patch, patches.key))
+        points = dataclasses.replace(points, t_ns=np.full(len(points), version, np.int64))
+        removed = whole.patches.key[rng.random(m) < 0.1]
+        out.append(FilterUpdate(version, removed, points, patches))
+    return out
+
+
+def twin(updates):
+    """Key -> version, the plain way."""
+    held = {}
+    for update in updates:
+        for key in update.removed.tolist():
+            held.pop(key, None)
+        for key, version in zip(
+            update.patches.key.tolist(), update.patches.sigma.tolist(), strict=True
+        ):
+            held[key] = version
+    return held
+
+
+@pytest.mark.parametrize(
+    ("look_every", "pending"), [(1, 10**6), (3, 10**6), (100, 10**6), (100, 40)]
+)
+def test_merge(look_every, pending, monkeypatch):
+    monkeypatch.setattr(patch_table, "PENDING", pending)
+    updates = random_updates(np.random.default_rng(5), 9)
+    store = PatchStore()
+    for number, update in enumerate(updates):
+        store.replace(update)
+        if number % look_every == 0:
+            assert store.patches is not None
+    held = twin(updates)
+    assert store.patches is not None and store.points is not None
+    assert store.patches.key.tolist() == sorted(held) and 0 < len(held)
+    assert store.patches.sigma.tolist() == [held[key] for key in sorted(held)]
+    assert (np.diff(store.points.patch) >= 0).all()
+    assert store.points.t_ns.tolist() == [held[key] for key in store.points.patch.tolist()]
+    last = updates[-1].patches
+    row, mine = int(np.flatnonzero(store.patches.key == last.key[0])[0]), store.patches
+    found = unpacked(mine, row, row + 1)
+    assert found.cross == pytest.approx(
+        last.cross[: last.cross_start[1]], rel=1e-6
+    )  # own blocks alone
+    sent = last.M_nav[: last.nav_start[1]]
+    assert found.M_nav == pytest.approx(sent, abs=2**-16 * float(np.abs(sent).max()))
+
+
+def test_nothing_yet():
+    store = PatchStore()
+    assert store.patches is None and store.points is None
+
+
+def still(t_ns):
+    """States of a platform that stands 20 m above the origin."""
+    n, zero = len(t_ns), np.zeros((len(t_ns), 3))
+    p, q = np.tile([0.0, 0.0, 20.0], (n, 1)), np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
+    return PlatformStates(
+        t_ns, p, q, zero, zero, np.tile(np.eye(6) * 1e-4, (n, 1, 1)), np.zeros(n, np.int64)
+    )
+
+
+def rough(n, seed):
+    """Returns (n,) of a rough, stepped sheet in ten seconds."""
+    rng = np.random.default_rng(seed)
+    r = np.column_stack([rng.uniform(-3.0, 3.0, (n, 2)), 0.02 * rng.normal(size=n)])
+    r[:, 2] += np.where(r[:, 0] > 1.0, 0.4, 0.0)
+    r[: n // 10, 2] += rng.uniform(0.0, 2.0, n // 10)
+    C = np.tile(np.array([1e-4, 0, 0, 1e-4, 0, 1e-4], np.float32), (n, 1))
+    t_ns = np.sort(rng.integers(0, 10_000_000_000, n))
+    return MappedPoints(
+        t_ns, r, C, rng.integers(0, 16, n).astype(np.uint16), np.zeros(n, np.float32)
+    )
+
+
+def flown(points, order, batches, parts_of, look_every):
+    """What a store holds after the points came in batches, every update in parts of so many
+    patches.
+    """
+    f, store = (
+        SurfaceFilter(
+            Parameters.read({"filter": {"radius_m": 0.5, "cap_per_voxel": 8, "trials": 10}})
+        ),
+        PatchStore(),
+    )
+    f.add_platform(still(np.array([0, 5_000_000_000, 10_000_000_000])))
+    sent = 0
+    for number, batch in enumerate(np.array_split(order, batches)):
+        f.add(select(points, batch))
+        update = f.finish() if number == batches - 1 else f.update()
+        for part in [] if update is None else update_parts(update, parts_of):
+            store.replace(part)
+            sent += len(part.patches)
+        if number % look_every == 0:
+            assert store.patches is not None
+    return store, sent
+
+
+def test_a_streamed_surface_is_held_as_the_whole_one_to_the_bit():
+    points = rough(4000, 3)
+    straight = np.arange(len(points))
+    whole, _ = flown(points, straight, 1, 10_000, 1)
+    pairs = np.repeat(whole.patches.key, np.diff(whole.patches.cross_start))
+    assert len(pairs) > 5 * len(whole.patches) > 500 and (whole.patches.cross_key >= pairs).all()
+    for order, batches, parts_of, look_every in (
+        (straight, 12, 30, 1),
+        (straight, 12, 1000, 4),
+        (np.random.default_rng(1).permutation(straight), 7, 50, 100),
+    ):
+        store, _ = flown(points, order, batches, parts_of, look_every)
+        for record, expected in ((store.patches, whole.patches), (store.points, whole.points)):
+            for field in dataclasses.fields(record):
+                assert (
+                    getattr(record, field.name).tobytes() == getattr(expected, field.name).tobytes()
+                ), field.name
+
+
+def test_a_change_in_one_place_is_no_news_elsewhere():
+    points = rough(4000, 3)
+    west = np.flatnonzero(points.r_map[:, 0] < 2.5)
+    east = np.flatnonzero(points.r_map[:, 0] >= 2.5)
+    f = SurfaceFilter(Parameters.read({"filter": {"radius_m": 0.5, "cap_per_voxel": 100}}))
+    f.add_platform(still(np.array([0, 10_000_000_000])))
+    f.add(select(points, west))
+    first = f.update().patches
+    f.add(select(points, east))
+    second = f.update().patches
+    assert (
+        len(second) < len(first) / 3 and second.centre[:, 0].min() > 0.9
+    )  # a patch looks two voxels far
+    lower = np.repeat(second.key, np.diff(second.cross_start)) > second.cross_key
+    assert (
+        lower.any()
+        and np.isin(second.cross_key[lower], first.key).all()
+        and not np.isin(second.cross_key[lower], second.key).any()
+    )
+    f.add(
+        select(points, east[:3])
+    )  # the same returns again: the cap takes them, and the patches there change
+    assert f.update() is not None and f.update() is None
