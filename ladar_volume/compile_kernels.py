@@ -175,7 +175,8 @@ def _volume(parameters: Parameters) -> None:
 
 def _epochs(parameters: Parameters) -> None:
     stage, epochs = (
-        importlib.import_module(f"ladar_volume.volume.{name}") for name in ("estimator", "epochs")
+        importlib.import_module(f"ladar_volume.{name}")
+        for name in ("volume.estimator", "change.epoch_change")
     )
     kept = []
     for seed in (1, 2):

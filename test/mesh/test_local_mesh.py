@@ -19,7 +19,14 @@ from ladar_volume.mesh.local_mesh import (
 from ladar_volume.mesh.topology import check_closed, orient
 from ladar_volume.model.errors import SurfaceError
 
-MODULES = ("local_frames", "local_star", "local_grow", "local_holes", "local_published", "local")
+MODULES = (
+    "local_frames",
+    "local_star",
+    "local_growth",
+    "local_holes",
+    "local_published",
+    "local_mesh",
+)
 #: A stem under a hat that overhangs, as radius and height.
 MUSHROOM = np.array([(0, 0), (0.2, 0), (0.2, 0.8), (0.6, 0.9), (0.5, 1.2), (0, 1.3)])
 
@@ -226,7 +233,7 @@ def test_compiled_and_plain_make_the_same_mesh(monkeypatch, settings):
     )
     compiled = mesh_cloud(points, normals, settings)
     for name in MODULES:
-        module = importlib.import_module(f"ladar_volume.surface.{name}")
+        module = importlib.import_module(f"ladar_volume.mesh.{name}")
         for key, value in vars(module).copy().items():
             if hasattr(value, "py_func"):
                 monkeypatch.setattr(module, key, value.py_func)

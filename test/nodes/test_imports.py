@@ -13,10 +13,13 @@ ROOT = Path(__file__).parents[2]
 @pytest.mark.parametrize(
     ("node", "banned"),
     [
-        ("logger_node", ("numba", "scipy", "ladar_volume.filtering")),
-        ("mavlink_node", ("numba", "scipy", "ladar_volume.filtering")),
-        ("georeference_node", ("scipy", "ladar_volume.filtering", "ladar_volume.volume")),
-        ("filter_node", ("pyproj", "ladar_volume.volume", "ladar_volume.surface")),
+        ("logger_node", ("numba", "scipy", "ladar_volume.rmls")),
+        ("mavlink_node", ("numba", "scipy", "ladar_volume.rmls")),
+        (
+            "georeference_node",
+            ("scipy", "ladar_volume.rmls", "ladar_volume.volume", "ladar_volume.uncertainty"),
+        ),
+        ("filter_node", ("pyproj", "ladar_volume.volume", "ladar_volume.tin")),
         (
             "volume_node",
             (
