@@ -15,9 +15,9 @@ import numpy.typing as npt
 from ladar_volume.georeference.lidar_equation import Mounting, angle_derivatives
 from ladar_volume.georeference.point_jacobian import bracket, pack
 from ladar_volume.georeference.trajectory import PathWindow, interpolate_position
+from ladar_volume.math.array_types import F32, F64, I64, U8
 from ladar_volume.math.kernels import leaf_kernel, parallel_kernel
 from ladar_volume.math.se3 import matrix_from_quaternion, slerp
-from ladar_volume.model.records import F32, F64, I64
 
 #: What became of a return.
 MAPPED, NO_POSE, IN_VEHICLE, OUTSIDE_REGION = 0, 1, 2, 3
@@ -41,7 +41,7 @@ class Mapped:
 
 
 @leaf_kernel
-def _at(t: Any, value: Any, hint: Any) -> Any:
+def _at(t: I64, value: int, hint: int) -> Any:
     """Index of the last knot not after ``value``, −1 where all are later; ``hint`` is tried
     first.
     """
@@ -72,7 +72,7 @@ def _moved(a: Vector, R: Rows, v: Vector) -> Vector:
 
 
 @leaf_kernel
-def _arc(sq: Any, k: Any) -> Any:
+def _arc(sq: F64, k: int) -> Any:
     """Constants of the slerp from attitude k to the next: angle, one over its sine, sign of the
     second, and whether the two are so near that it is linear.
     """
@@ -85,7 +85,7 @@ def _arc(sq: Any, k: Any) -> Any:
 
 
 @leaf_kernel
-def _attitude(sq: Any, k: Any, f: Any, arc: Any) -> Any:
+def _attitude(sq: F64, k: int, f: float, arc: tuple[float, float, float, bool]) -> Any:
     """The unit quaternion a share f of the way from attitude k to the next."""
     theta, inv_sine, sign, near = arc
     if near:
@@ -99,7 +99,7 @@ def _attitude(sq: Any, k: Any, f: Any, arc: Any) -> Any:
 
 
 @leaf_kernel
-def _rotation(q: Any) -> Rows:
+def _rotation(q: tuple[float, float, float, float]) -> Rows:
     """Rows of the rotation of a unit quaternion."""
     x, y, z, w = q
     return (
@@ -110,7 +110,7 @@ def _rotation(q: Any) -> Rows:
 
 
 @leaf_kernel
-def _antenna(pt: Any, pp: Any, pm: Any, hermite: Any, j: Any, t: Any) -> Vector:
+def _antenna(pt: I64, pp: F64, pm: F64, hermite: bool, j: int, t: int) -> Vector:
     """The antenna at a time from position j on, not after the next."""
     x, y, z = pp[j, 0], pp[j, 1], pp[j, 2]
     if pt[j] != t:
@@ -129,13 +129,13 @@ def _antenna(pt: Any, pp: Any, pm: Any, hermite: Any, j: Any, t: Any) -> Vector:
 
 
 @leaf_kernel
-def _within(box: Any, v: Vector) -> Any:
+def _within(box: F64, v: Vector) -> Any:
     """Whether a box (6,) holds a place."""
     return box[0] <= v[0] <= box[3] and box[1] <= v[1] <= box[4] and box[2] <= v[2] <= box[5]
 
 
 @leaf_kernel
-def _noise(r: Vector, sigmas: Any, B: Rows, R: Rows, out: Any) -> None:
+def _noise(r: Vector, sigmas: F64, B: Rows, R: Rows, out: F32) -> None:
     """Packed covariance (6,) in the map of a return r in the laser frame: the noise of range,
     azimuth and vertical angle as three arrows, turned into the map.
     """
@@ -157,26 +157,26 @@ def _noise(r: Vector, sigmas: Any, B: Rows, R: Rows, out: Any) -> None:
 
 @leaf_kernel
 def _map_part(
-    first: Any,
-    last: Any,
-    t_ns: Any,
-    r_laser: Any,
-    st: Any,
-    sq: Any,
-    sg: Any,
-    pt: Any,
-    pp: Any,
-    pm: Any,
-    hermite: Any,
-    boresight: Any,
-    arm: Any,
-    b: Any,
-    sigmas: Any,
-    vehicle: Any,
-    region: Any,
-    r_map: Any,
-    C_ind: Any,
-    status: Any,
+    first: int,
+    last: int,
+    t_ns: I64,
+    r_laser: F64,
+    st: I64,
+    sq: F64,
+    sg: I64,
+    pt: I64,
+    pp: F64,
+    pm: F64,
+    hermite: bool,
+    boresight: F64,
+    arm: F64,
+    b: F64,
+    sigmas: F64,
+    vehicle: F64,
+    region: F64,
+    r_map: F64,
+    C_ind: F32,
+    status: U8,
 ) -> None:
     """Returns from ``first`` to ``last``: along the knots, with a hint instead of a search."""
     ns = len(st)
@@ -216,24 +216,24 @@ def _map_part(
 
 @parallel_kernel
 def _map(
-    t_ns: Any,
-    r_laser: Any,
-    st: Any,
-    sq: Any,
-    sg: Any,
-    pt: Any,
-    pp: Any,
-    pm: Any,
-    hermite: Any,
-    boresight: Any,
-    arm: Any,
-    b: Any,
-    sigmas: Any,
-    vehicle: Any,
-    region: Any,
-    r_map: Any,
-    C_ind: Any,
-    status: Any,
+    t_ns: I64,
+    r_laser: F64,
+    st: I64,
+    sq: F64,
+    sg: I64,
+    pt: I64,
+    pp: F64,
+    pm: F64,
+    hermite: bool,
+    boresight: F64,
+    arm: F64,
+    b: F64,
+    sigmas: F64,
+    vehicle: F64,
+    region: F64,
+    r_map: F64,
+    C_ind: F32,
+    status: U8,
 ) -> None:
     n = len(t_ns)
     for chunk in numba.prange((n + _CHUNK - 1) // _CHUNK):

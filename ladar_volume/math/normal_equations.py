@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ladar_volume.math.array_types import F64
 from ladar_volume.math.kernels import kernel, leaf_kernel
 
 #: A pivot of the scaled normal matrix below this share of its diagonal means the points do not
@@ -18,7 +19,7 @@ SWEEPS = 12
 
 
 @leaf_kernel
-def basis(u: Any, v: Any, p: Any, x: Any) -> None:
+def basis(u: float, v: float, p: int, x: F64) -> None:
     """``x[:p] = (1, u, v[, u², uv, v²])``."""
     x[0] = 1.0
     x[1] = u
@@ -30,7 +31,7 @@ def basis(u: Any, v: Any, p: Any, x: Any) -> None:
 
 
 @kernel
-def invert(A: Any, p: Any, inverse: Any) -> Any:
+def invert(A: F64, p: int, inverse: F64) -> Any:
     """Inverse of a symmetric positive (p, p) matrix by Cholesky; False where a pivot is too
     small.
     """
@@ -64,7 +65,7 @@ def invert(A: Any, p: Any, inverse: Any) -> Any:
 
 
 @leaf_kernel
-def rotate(S: Any, vector: Any, p: Any, q: Any) -> None:
+def rotate(S: F64, vector: F64, p: int, q: int) -> None:
     """One Jacobi rotation: the symmetric S (3, 3) gets a zero at (p, q), the columns of ``vector``
     turn with it.
     """
@@ -86,7 +87,7 @@ def rotate(S: Any, vector: Any, p: Any, q: Any) -> None:
 
 
 @leaf_kernel
-def eigen(S: Any, value: Any, vector: Any) -> None:
+def eigen(S: F64, value: F64, vector: F64) -> None:
     """Eigenvalues (3,), ascending, and eigenvectors, the columns of ``vector`` (3, 3), of the
     symmetric S (3, 3), which is used up: by cyclic Jacobi rotations (Golub and Van Loan, Matrix
     Computations, section 8.5), at this size far faster than LAPACK.
@@ -111,7 +112,7 @@ def eigen(S: Any, value: Any, vector: Any) -> None:
 
 
 @kernel
-def select_kth(a: Any, n: Any, k: Any) -> Any:
+def select_kth(a: F64, n: int, k: int) -> Any:
     """The k-th smallest of ``a[:n]`` (k from 0); reorders ``a``."""
     lo, hi = 0, n - 1
     while lo < hi:

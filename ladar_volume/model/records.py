@@ -14,16 +14,15 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
-F64 = npt.NDArray[np.float64]
-F32 = npt.NDArray[np.float32]
-I64 = npt.NDArray[np.int64]
-I32 = npt.NDArray[np.int32]
-I8 = npt.NDArray[np.int8]
-I16 = npt.NDArray[np.int16]
-U16 = npt.NDArray[np.uint16]
-Bool = npt.NDArray[np.bool_]
+from ladar_volume.math.array_types import F32 as F32
+from ladar_volume.math.array_types import F64 as F64
+from ladar_volume.math.array_types import I8 as I8
+from ladar_volume.math.array_types import I16 as I16
+from ladar_volume.math.array_types import I32 as I32
+from ladar_volume.math.array_types import I64 as I64
+from ladar_volume.math.array_types import U16 as U16
+from ladar_volume.math.array_types import Bool as Bool
 
 #: Columns of every calibration sensitivity: per-beam columns follow (rho_k for all beams, then
 #: eps_k).

@@ -11,6 +11,7 @@ from typing import Any
 import numba
 import numpy as np
 
+from ladar_volume.math.array_types import F32, F64, I32, I64, Bool
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.math.normal_equations import basis
 from ladar_volume.rmls.tangent_frame import across
@@ -30,17 +31,17 @@ def chunks_of(rows: int) -> int:
 
 @parallel_kernel
 def candidates(
-    rows: Any,
-    good: Any,
-    mine: Any,
-    centre: Any,
-    radius: Any,
-    keys: Any,
-    table: Any,
-    fill: Any,
-    offset: Any,
-    out: Any,
-    counts: Any,
+    rows: I64,
+    good: Bool,
+    mine: Bool,
+    centre: F64,
+    radius: float,
+    keys: I64,
+    table: I32,
+    fill: bool,
+    offset: I64,
+    out: I64,
+    counts: I64,
 ) -> None:
     """Patches whose balls meet the ball of each of ``rows`` (voxel indices): those with key >= own,
     then those with a lower key that are not ``mine``, each in order of their keys; counted, or with
@@ -74,15 +75,15 @@ def candidates(
 
 @parallel_kernel
 def sharing(
-    rows: Any,
-    offset: Any,
-    others: Any,
-    first: Any,
-    held: Any,
+    rows: I64,
+    offset: I64,
+    others: I64,
+    first: I64,
+    held: I64,
     entries: Any,
-    voxels: Any,
-    chunks: Any,
-    out: Any,
+    voxels: int,
+    chunks: int,
+    out: Bool,
 ) -> None:
     """Whether each candidate pair shares an inlier, by their entries (see ``fits``). ``voxels``:
     how many there are.
@@ -108,7 +109,7 @@ def sharing(
 
 
 @kernel
-def local_slots(members: Any, cap: Any, voxels: Any) -> Any:
+def local_slots(members: I32, cap: int, voxels: int) -> Any:
     """A number (n,) for the slot of each of the members (n,), from 0 on, the same for the same, and
     above all of them: few patches of a large map have few slots, and marks for these stay in the
     cache. voxels : of the map.
@@ -124,7 +125,7 @@ def local_slots(members: Any, cap: Any, voxels: Any) -> Any:
 
 
 @kernel
-def _noise_along(C: Any, n: Any, out: Any) -> None:
+def _noise_along(C: F32, n: F64, out: F64) -> None:
     """``C n`` of a packed covariance."""
     out[0] = C[0] * n[0] + C[1] * n[1] + C[2] * n[2]
     out[1] = C[1] * n[0] + C[3] * n[1] + C[4] * n[2]
@@ -133,17 +134,17 @@ def _noise_along(C: Any, n: Any, out: Any) -> None:
 
 @kernel
 def _rows_of(
-    a: Any,
-    start: Any,
-    used: Any,
-    members: Any,
-    r: Any,
-    C: Any,
-    centre: Any,
-    normal: Any,
-    tangent: Any,
-    p: Any,
-    X: Any,
+    a: int,
+    start: I64,
+    used: I64,
+    members: I32,
+    r: F64,
+    C: F32,
+    centre: F64,
+    normal: F64,
+    tangent: F64,
+    p: int,
+    X: F64,
 ) -> None:
     """Of each inlier of patch a: its row in X[:, :6] and ``C n`` in X[:, 6:9]."""
     side = np.empty(3)
@@ -155,7 +156,7 @@ def _rows_of(
 
 
 @kernel
-def _sum_products(G: Any, Y: Any, m: Any, p: Any, S: Any) -> None:
+def _sum_products(G: F64, Y: F64, m: int, p: int, S: F64) -> None:
     """``S[:p, :p] = Σ_j G[j] Y[j]ᵀ`` over m rows, one row of S at a time in registers."""
     for l in range(p):
         s0 = s1 = s2 = s3 = s4 = s5 = 0.0
@@ -178,7 +179,7 @@ def _sum_products(G: Any, Y: Any, m: Any, p: Any, S: Any) -> None:
 
 
 @kernel
-def _sandwich(left: Any, S: Any, right: Any, p: Any, out: Any) -> None:
+def _sandwich(left: F64, S: F64, right: F64, p: int, out: F32) -> None:
     """``left S right`` of (p, p) matrices."""
     T = np.zeros((6, 6))
     for l in range(p):
@@ -196,24 +197,24 @@ def _sandwich(left: Any, S: Any, right: Any, p: Any, out: Any) -> None:
 
 @kernel
 def _shared(
-    a: Any,
-    b: Any,
-    swap: Any,
-    owner: Any,
-    place: Any,
-    start: Any,
-    used: Any,
-    members: Any,
-    local: Any,
-    r: Any,
-    C: Any,
-    centre: Any,
-    normal: Any,
-    tangent: Any,
-    p: Any,
-    X: Any,
-    G: Any,
-    Y: Any,
+    a: int,
+    b: int,
+    swap: bool,
+    owner: I32,
+    place: I32,
+    start: I64,
+    used: I64,
+    members: I32,
+    local: I32,
+    r: F64,
+    C: F32,
+    centre: F64,
+    normal: F64,
+    tangent: F64,
+    p: int,
+    X: F64,
+    G: F64,
+    Y: F64,
 ) -> Any:
     """Of each inlier that patch b shares with a: ``n_aᵀ C n_b`` times its row on the one patch to
     G, u, v, u², uv, v² on the other to Y; returns how many. The row is that on a, with ``swap``
@@ -248,25 +249,25 @@ def _shared(
 
 @parallel_kernel
 def cross_blocks(
-    rows: Any,
-    offset: Any,
-    others: Any,
-    keys: Any,
-    start: Any,
-    used: Any,
-    members: Any,
-    local: Any,
-    slots: Any,
-    r: Any,
-    C: Any,
-    centre: Any,
-    normal: Any,
-    tangent: Any,
-    inverse: Any,
-    p: Any,
-    most: Any,
-    chunks: Any,
-    out: Any,
+    rows: I64,
+    offset: I64,
+    others: I64,
+    keys: I64,
+    start: I64,
+    used: I64,
+    members: I32,
+    local: I32,
+    slots: int,
+    r: F64,
+    C: F32,
+    centre: F64,
+    normal: F64,
+    tangent: F64,
+    inverse: F64,
+    p: int,
+    most: int,
+    chunks: int,
+    out: F32,
 ) -> None:
     """The blocks of the pairs that share points, the patch with the lower key first. local, slots :
     see :func:`local_slots` · most : largest number of inliers of ``rows``.

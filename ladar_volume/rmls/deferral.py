@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from ladar_volume.math.array_types import F64, I32, I64, U64, Bool
 from ladar_volume.math.kernels import kernel
-from ladar_volume.model.records import F64, I32, I64, Bool, select
+from ladar_volume.model.records import select
 from ladar_volume.rmls.patch_fit import REACH
 from ladar_volume.rmls.viewing_geometry import KEPT
 from ladar_volume.rmls.voxel_store import (
@@ -48,7 +49,7 @@ def tile_of(key: I64) -> I64:
 
 
 @kernel
-def tiles_within(start: Any, voxels: Any, keys: Any, table: Any, most: Any, marked: Any) -> Any:
+def tiles_within(start: I64, voxels: I64, keys: I64, table: I32, most: int, marked: Bool) -> Any:
     """How many of the tiles, in their order, may be taken in until ``most`` voxels are to be
     refitted; at least one.
 
@@ -69,18 +70,18 @@ def tiles_within(start: Any, voxels: Any, keys: Any, table: Any, most: Any, mark
 
 @kernel
 def enqueue(
-    key: Any,
-    h: Any,
-    cap: Any,
-    table: Any,
-    keys: Any,
-    count: Any,
-    head: Any,
-    after: Any,
-    hashes: Any,
-    ends: Any,
-    start: Any,
-    slot_of: Any,
+    key: I64,
+    h: U64,
+    cap: int,
+    table: I32,
+    keys: I64,
+    count: I32,
+    head: I32,
+    after: I32,
+    hashes: U64,
+    ends: I64,
+    start: int,
+    slot_of: I64,
 ) -> Any:
     """Put points from ``start`` on into the lists of their voxels, of each the ``cap`` of lowest
     hash; returns the next point, before the end where the voxels' or the slots' arrays are full.
@@ -118,7 +119,7 @@ def enqueue(
 
 
 @kernel
-def dequeue(voxels: Any, count: Any, head: Any, after: Any, ends: Any, out: Any) -> None:
+def dequeue(voxels: I64, count: I32, head: I32, after: I32, ends: I64, out: I64) -> None:
     """Slots of all points of these voxels, one voxel after the other, to ``out``; their lists are
     empty then and the slots free.
     """
@@ -135,7 +136,7 @@ def dequeue(voxels: Any, count: Any, head: Any, after: Any, ends: Any, out: Any)
 
 
 @kernel
-def held_in(voxels: Any, keys: Any, table: Any, count: Any, out: Any) -> None:
+def held_in(voxels: I64, keys: I64, table: I32, count: I32, out: I64) -> None:
     """Points that each voxel of these keys (n,) holds."""
     for a in range(len(voxels)):
         v = find_voxel(table, keys, voxels[a])
@@ -143,7 +144,7 @@ def held_in(voxels: Any, keys: Any, table: Any, count: Any, out: Any) -> None:
 
 
 @kernel
-def note_oldest(key: Any, t_ns: Any, keys: Any, table: Any, oldest: Any) -> None:
+def note_oldest(key: I64, t_ns: I64, keys: I64, table: I32, oldest: I64) -> None:
     """Lower ``oldest`` (used,) to the times of points in voxels that the table holds."""
     for i in range(len(key)):
         v = find_voxel(table, keys, key[i])

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ladar_volume.math.array_types import F64, I32, I64, Bool
 from ladar_volume.math.kernels import kernel
-from ladar_volume.model.records import F64, I32, I64, Bool
 from ladar_volume.rmls.patch_fit import OK
 from ladar_volume.rmls.voxel_store import VoxelStore
 
@@ -68,7 +68,7 @@ def blank(voxels: I64, start: I64, members: I32, status: int = OK) -> Fits:
 
 
 @kernel
-def count_entries(start: Any, used: Any, members: Any, cap: Any, out: Any) -> None:
+def count_entries(start: I64, used: I64, members: I32, cap: int, out: I64) -> None:
     """Voxels that the inliers of each row lie in."""
     for a in range(len(start)):
         last, out[a] = -1, 0
@@ -80,16 +80,16 @@ def count_entries(start: Any, used: Any, members: Any, cap: Any, out: Any) -> No
 
 @kernel
 def pack(
-    voxels: Any,
-    start: Any,
-    used: Any,
-    members: Any,
-    fresh: Any,
-    cap: Any,
-    first: Any,
+    voxels: I64,
+    start: I64,
+    used: I64,
+    members: I32,
+    fresh: Bool,
+    cap: int,
+    first: I64,
     entries: Any,
-    new: Any,
-    own: Any,
+    new: Bool,
+    own: I64,
 ) -> None:
     """The inliers of each row as ``entries`` (e, 1 + words) of zeros, from ``first[a]`` on; whether
     one of them is ``fresh``, and how many lie in the voxel itself.
@@ -110,15 +110,15 @@ def pack(
 
 @kernel
 def unpack(
-    voxels: Any,
-    first: Any,
-    held: Any,
+    voxels: I64,
+    first: I64,
+    held: I64,
     entries: Any,
-    count: Any,
-    order: Any,
-    cap: Any,
-    start: Any,
-    members: Any,
+    count: I32,
+    order: I32,
+    cap: int,
+    start: I64,
+    members: I32,
 ) -> None:
     """The slots of these voxels' inliers, in canonical order, to ``members`` from ``start[v]``
     on.
@@ -136,14 +136,14 @@ def unpack(
 
 @kernel
 def same_entries(
-    voxels: Any,
-    first: Any,
-    held: Any,
+    voxels: I64,
+    first: I64,
+    held: I64,
     entries: Any,
-    old_first: Any,
-    old_held: Any,
+    old_first: I64,
+    old_held: I64,
     old_entries: Any,
-    same: Any,
+    same: Bool,
 ) -> None:
     """Whether the entries of each row are those kept for its voxel."""
     for a in range(len(voxels)):
@@ -156,7 +156,7 @@ def same_entries(
 
 
 @kernel
-def move_entries(rows: Any, first: Any, held: Any, entries: Any, to: Any, new: Any) -> None:
+def move_entries(rows: I64, first: I64, held: I64, entries: Any, to: I64, new: Any) -> None:
     """Copy the entries of chosen rows to ``new``, from ``to[k]`` on for the k-th."""
     for k in range(len(rows)):
         for e in range(held[rows[k]]):

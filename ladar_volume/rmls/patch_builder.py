@@ -160,7 +160,7 @@ class PatchBuilder:
         return np.concatenate([[0], np.cumsum(shared)])[offset], others[shared]
 
     def _sensitivities(self, fits: Fits, rows: I64, p: int) -> tuple[I64, I64, F32, F32]:
-        s, bin_ns = self.store, np.int64(self.parameters.nav_bin_s * 1e9)
+        s, bin_ns = self.store, int(self.parameters.nav_bin_s * 1e9)
         bins = np.zeros(len(rows), np.int64)
         patch_sensitivity.count_bins(
             rows, fits.start, fits.used, fits.members, s.t_ns, bin_ns, self.most_bins, bins

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ladar_volume.math.array_types import F64, I32, I64, U64
 from ladar_volume.math.kernels import kernel
 from ladar_volume.math.normal_equations import select_kth
 from ladar_volume.rmls.voxel_store import _mix, voxels_around
@@ -29,7 +30,7 @@ OK, FEW_POINTS, NO_PLANE, FEW_INLIERS, NOT_ON_PATCH = 0, 1, 2, 3, 4
 
 
 @kernel
-def gather(v: Any, keys: Any, table: Any, count: Any, order: Any, cap: Any, slots: Any) -> Any:
+def gather(v: int, keys: I64, table: I32, count: I32, order: I32, cap: int, slots: I32) -> Any:
     """Slots of all points in the voxels around voxel v, in canonical order (voxel, then hash);
     returns how many.
     """
@@ -42,13 +43,13 @@ def gather(v: Any, keys: Any, table: Any, count: Any, order: Any, cap: Any, slot
 
 
 @kernel
-def _uniform(state: Any, n: Any) -> Any:
+def _uniform(state: U64, n: int) -> Any:
     state[0] += np.uint64(0x9E3779B97F4A7C15)
     return np.int64(_mix(state[0]) % np.uint64(n))
 
 
 @kernel
-def _sample_plane(r: Any, n: Any, size: Any, state: Any, pick: Any, plane: Any) -> Any:
+def _sample_plane(r: F64, n: int, size: int, state: U64, pick: I64, plane: F64) -> Any:
     """A plane (normal, offset) through three random points of r (3, n), or the mean plane of four;
     False where degenerate.
     """
@@ -80,7 +81,7 @@ def _sample_plane(r: Any, n: Any, size: Any, state: Any, pick: Any, plane: Any) 
 
 
 @kernel
-def _median_if_better(r: Any, n: Any, plane: Any, best: Any, work: Any) -> Any:
+def _median_if_better(r: F64, n: int, plane: F64, best: float, work: F64) -> Any:
     """Median of the distances of r (3, n) to a plane; ``best`` as soon as it is known not to be
     below.
     """
@@ -98,7 +99,7 @@ def _median_if_better(r: Any, n: Any, plane: Any, best: Any, work: Any) -> Any:
 
 
 @kernel
-def _truncated_square(r: Any, n: Any, plane: Any, best: Any, limit: Any) -> Any:
+def _truncated_square(r: F64, n: int, plane: F64, best: float, limit: float) -> Any:
     """Sum of squared distances of r (3, n) to a plane, each at most ``limit``; infinite as soon as
     it exceeds ``best``.
     """
@@ -113,15 +114,15 @@ def _truncated_square(r: Any, n: Any, plane: Any, best: Any, limit: Any) -> Any:
 
 @kernel
 def start_plane(
-    r: Any,
-    n: Any,
-    size: Any,
-    trials: Any,
-    ransac: Any,
-    threshold: Any,
-    seed: Any,
-    plane: Any,
-    work: Any,
+    r: F64,
+    n: int,
+    size: int,
+    trials: int,
+    ransac: bool,
+    threshold: float,
+    seed: int,
+    plane: F64,
+    work: F64,
 ) -> Any:
     """The best of ``trials`` random planes over r (3, n); returns its robust sigma, −1 where every
     sample was degenerate.

@@ -14,6 +14,7 @@ from typing import Any
 import numba
 import numpy as np
 
+from ladar_volume.math.array_types import F32, F64, I16, I32, I64, U16
 from ladar_volume.math.kernels import kernel, leaf_kernel, parallel_kernel
 from ladar_volume.rmls.tangent_frame import across, row
 from ladar_volume.rmls.viewing_geometry import NUMBERS, recall, rotated
@@ -25,7 +26,7 @@ MOST_BINS = 20
 
 
 @kernel
-def distinct_bins(members: Any, n: Any, t_ns: Any, bin_ns: Any, bins: Any) -> Any:
+def distinct_bins(members: I32, n: int, t_ns: I64, bin_ns: int, bins: I64) -> Any:
     """Sorted distinct time bins of a patch's inliers; returns how many."""
     m = 0
     for i in range(n):
@@ -44,7 +45,7 @@ def distinct_bins(members: Any, n: Any, t_ns: Any, bin_ns: Any, bins: Any) -> An
 
 @parallel_kernel
 def count_bins(
-    rows: Any, start: Any, used: Any, members: Any, t_ns: Any, bin_ns: Any, most: Any, out: Any
+    rows: I64, start: I64, used: I64, members: I32, t_ns: I64, bin_ns: int, most: int, out: I64
 ) -> None:
     """Navigation time bins each patch will have: its distinct ones, or ``most`` that stand for
     them.
@@ -62,8 +63,12 @@ def count_bins(
 LASER, ANTENNA, CLOCK, SHARED, VERTICAL, ATTITUDE, ALL = 4, 7, 10, 11, 11, 12, 15
 
 
+#: Direction in the body (3), length, sine and cosine of the vertical angle of a return's beam.
+Beam = tuple[float, float, float, float, float, float]
+
+
 @leaf_kernel
-def sight(g: Any, axis_body: Any) -> Any:
+def sight(g: F64, axis_body: F64) -> Beam:
     """Of a return with geometry g (10,): the beam's direction in the body (3), its length, sine and
     cosine of its vertical angle.
     """
@@ -75,7 +80,14 @@ def sight(g: Any, axis_body: Any) -> Any:
 
 
 @leaf_kernel
-def along_axis(g: Any, beam: Any, axis: Any, shift: Any, axis_body: Any, h: Any) -> None:
+def along_axis(
+    g: F64,
+    beam: Beam,
+    axis: F64,
+    shift: F64,
+    axis_body: F64,
+    h: F64,
+) -> None:
     """``axis·∂r/∂theta`` (15,) of one return for a unit vector of the map, with its geometry g
     (10,): attitude xyzw, v_body, motion with the platform; ``beam`` : its :func:`sight`. What it is
     by the antenna's place is left out, as it is that by the laser's with the other sign; by the
@@ -104,7 +116,7 @@ def along_axis(g: Any, beam: Any, axis: Any, shift: Any, axis_body: Any, h: Any)
 
 
 @leaf_kernel
-def add_return(h: Any, weight: Any, beam: Any, beams: Any, cal: Any, nav: Any) -> None:
+def add_return(h: F64, weight: float, beam: int, beams: int, cal: F64, nav: F64) -> None:
     """Adds a return's sensitivities h (15,), weighted, to rows cal (11 + 2 beams,) but those by the
     antenna's place, and to nav (4,).
     """
@@ -119,7 +131,7 @@ def add_return(h: Any, weight: Any, beam: Any, beams: Any, cal: Any, nav: Any) -
 
 
 @leaf_kernel
-def solved(inverse: Any, p: Any, count: Any, rows: Any, out: Any) -> None:
+def solved(inverse: F64, p: int, count: int, rows: F64, out: F32) -> None:
     """Sums ``rows`` (p + 2, c) to sensitivities: ``inverse`` (p, p) times those along the normal,
     the mean over ``count`` of the others.
     """
@@ -133,7 +145,7 @@ def solved(inverse: Any, p: Any, count: Any, rows: Any, out: Any) -> None:
 
 
 @leaf_kernel
-def fraction_of(key: Any) -> Any:
+def fraction_of(key: int) -> Any:
     """A number in [0, 1) for a voxel: those of neighbours, of any square of them, lie evenly (a
     Kronecker sequence along each axis, with powers of the inverses of the numbers with x³ = x + 1
     and, for z, x⁴ = x + 1).
@@ -148,7 +160,7 @@ def fraction_of(key: Any) -> Any:
 
 
 @kernel
-def draw(run: Any, runs: Any, u: Any, drawn: Any) -> None:
+def draw(run: I64, runs: int, u: float, drawn: I64) -> None:
     """The inlier (runs,) that is drawn from each run, for the run (n,) of each inlier and a
     fraction u, another one for each run.
     """
@@ -165,7 +177,7 @@ def draw(run: Any, runs: Any, u: Any, drawn: Any) -> None:
 
 
 @leaf_kernel
-def seen_from(g: Any, r: Any, other: Any, axis: Any, shift: Any, h: Any) -> None:
+def seen_from(g: F64, r: F64, other: F64, axis: F64, shift: F64, h: F64) -> None:
     """To h the attitude's part of ``axis·∂r/∂theta`` of a point r (3,), had it been seen when that
     of ``other`` (3,) was, whose geometry is g (10,). See :func:`along_axis`.
     """
@@ -183,29 +195,29 @@ def seen_from(g: Any, r: Any, other: Any, axis: Any, shift: Any, h: Any) -> None
 
 @parallel_kernel
 def sensitivities(
-    rows: Any,
-    start: Any,
-    used: Any,
-    members: Any,
-    keys: Any,
-    r: Any,
-    t_ns: Any,
-    ring: Any,
-    aux: Any,
-    centre: Any,
-    normal: Any,
-    tangent: Any,
-    inverse: Any,
-    p: Any,
-    beams: Any,
-    lever_laser: Any,
-    lever_antenna: Any,
-    axis_body: Any,
-    bin_ns: Any,
-    nav_start: Any,
-    nav_bin: Any,
-    M_cal: Any,
-    M_nav: Any,
+    rows: I64,
+    start: I64,
+    used: I64,
+    members: I32,
+    keys: I64,
+    r: F64,
+    t_ns: I64,
+    ring: U16,
+    aux: I16,
+    centre: F64,
+    normal: F64,
+    tangent: F64,
+    inverse: F64,
+    p: int,
+    beams: int,
+    lever_laser: F64,
+    lever_antenna: F64,
+    axis_body: F64,
+    bin_ns: int,
+    nav_start: I64,
+    nav_bin: I64,
+    M_cal: F32,
+    M_nav: F32,
 ) -> None:
     """Mean sensitivities M_cal (m, p + 2, 11 + 2 beams) over all inliers, and M_nav (l, p + 2, 4)
     per time bin: of beta, ``(XᵀX)⁻¹ Σ_j x_j n·∂r_j/∂theta``, and of the place along tangent and
@@ -249,7 +261,7 @@ def sensitivities(
         for i in range(used[a]):
             slot, other = mine[i], mine[drawn[run[i]]]
             row(r, slot, centre[a], tangent[a], axes[2], p, x)
-            beam = min(np.int64(ring[slot]), beams - 1)
+            beam = min(int(ring[slot]), beams - 1)
             recall(aux[slot], own)
             looked = sight(own, axis_body)
             for k in range(3):

@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 
+from ladar_volume.math.array_types import F32, F64, I8, I64
 from ladar_volume.math.kernels import kernel
 
 TAKEN, NOT_FINITE, TOO_FAR, UNCOVERED = 0, 1, 2, 3
 
 
 @kernel
-def _before(knots: Any, t: Any, hint: Any) -> Any:
+def _before(knots: I64, t: int, hint: int) -> Any:
     """Index of the last knot not after t, −1 before the first; points come nearly in order of time,
     so the last answer is tried first.
     """
@@ -28,15 +29,15 @@ def _before(knots: Any, t: Any, hint: Any) -> Any:
 
 @kernel
 def admit(
-    t_ns: Any,
-    r: Any,
-    C: Any,
-    limit: Any,
-    knots: Any,
-    segment: Any,
-    verdict: Any,
-    state: Any,
-    fraction: Any,
+    t_ns: I64,
+    r: F64,
+    C: F32,
+    limit: float,
+    knots: I64,
+    segment: I64,
+    verdict: I8,
+    state: I64,
+    fraction: F64,
 ) -> None:
     """Verdict of each point, and where it lies between platform states (see
     ``sensitivity.bracket``).
@@ -71,7 +72,7 @@ def admit(
 
 
 @kernel
-def _slerp(q0: Any, q1: Any, f: Any, out: Any) -> None:
+def _slerp(q0: F64, q1: F64, f: float, out: F64) -> None:
     """Between two unit quaternions xyzw, the short way."""
     dot = q0[0] * q1[0] + q0[1] * q1[1] + q0[2] * q1[2] + q0[3] * q1[3]
     sign = -1.0 if dot < 0.0 else 1.0
@@ -92,16 +93,16 @@ def _slerp(q0: Any, q1: Any, f: Any, out: Any) -> None:
 
 @kernel
 def geometry(
-    rows: Any,
-    r: Any,
-    state: Any,
-    fraction: Any,
-    p: Any,
-    q: Any,
-    v: Any,
-    omega: Any,
-    lever_laser: Any,
-    out: Any,
+    rows: I64,
+    r: F64,
+    state: I64,
+    fraction: F64,
+    p: F64,
+    q: F64,
+    v: F64,
+    omega: F64,
+    lever_laser: F64,
+    out: F64,
 ) -> None:
     """Attitude xyzw, v_body = B r_laser and motion with the platform (m/s, map) of points ``rows``
     (n,) to out (n, 10).

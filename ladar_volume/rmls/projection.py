@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numba
 import numpy as np
 
+from ladar_volume.math.array_types import F32, F64, I32, I64
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.math.normal_equations import basis
 from ladar_volume.rmls.tangent_frame import across, arc, row
@@ -14,29 +13,29 @@ from ladar_volume.rmls.tangent_frame import across, arc, row
 
 @parallel_kernel
 def project(
-    rows: Any,
-    voxels: Any,
-    start: Any,
-    used: Any,
-    members: Any,
-    r: Any,
-    C: Any,
-    t_ns: Any,
-    cap: Any,
-    centre: Any,
-    normal: Any,
-    tangent: Any,
-    beta: Any,
-    C_beta: Any,
-    p: Any,
-    cell: Any,
-    r_out: Any,
-    n_out: Any,
-    var_out: Any,
-    C_out: Any,
-    t_out: Any,
-    uv_out: Any,
-    counts: Any,
+    rows: I64,
+    voxels: I64,
+    start: I64,
+    used: I64,
+    members: I32,
+    r: F64,
+    C: F32,
+    t_ns: I64,
+    cap: int,
+    centre: F64,
+    normal: F64,
+    tangent: F64,
+    beta: F64,
+    C_beta: F32,
+    p: int,
+    cell: float,
+    r_out: F64,
+    n_out: F64,
+    var_out: F64,
+    C_out: F32,
+    t_out: I64,
+    uv_out: F64,
+    counts: I64,
 ) -> None:
     """Project each patch's own inliers and replace those in one cell of its tangent plane by their
     mean.
@@ -98,7 +97,7 @@ def project(
 
 
 @kernel
-def tangential(total: Any, n: Any, size: Any, out: Any) -> None:
+def tangential(total: F64, n: F64, size: int, out: F32) -> None:
     """``P C P / size²`` with P = I − n nᵀ: the noise of a mean of ``size`` points within the
     tangent plane, packed.
     """

@@ -12,6 +12,7 @@ from typing import Any
 import numba
 import numpy as np
 
+from ladar_volume.math.array_types import F64, I16, I32, I64, Bool
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.rmls import patch_fit
 from ladar_volume.rmls.patch_fit import REACH
@@ -29,7 +30,7 @@ OK, FEW_POINTS, NO_PLANE, FEW_INLIERS, NOT_ON_PATCH = (
 
 
 @parallel_kernel
-def count_candidates(voxels: Any, keys: Any, table: Any, count: Any, out: Any) -> None:
+def count_candidates(voxels: I64, keys: I64, table: I32, count: I32, out: I64) -> None:
     """Points in the voxels around each of ``voxels``: an upper bound of its inliers."""
     for a in numba.prange(len(voxels)):
         near, n = np.empty(patch_fit.AROUND, np.int64), 0
@@ -39,7 +40,7 @@ def count_candidates(voxels: Any, keys: Any, table: Any, count: Any, out: Any) -
 
 
 @kernel
-def _centroid(pts: Any, slots: Any, n: Any, cap: Any, voxel: Any, origin: Any) -> None:
+def _centroid(pts: F64, slots: I32, n: int, cap: int, voxel: int, origin: F64) -> None:
     """Mean of the voxel's own points."""
     own = 0
     for i in range(n):
@@ -52,7 +53,7 @@ def _centroid(pts: Any, slots: Any, n: Any, cap: Any, voxel: Any, origin: Any) -
 
 
 @kernel
-def _ball(pts: Any, n: Any, origin: Any, ball: Any, near: Any) -> Any:
+def _ball(pts: F64, n: int, origin: F64, ball: float, near: F64) -> Any:
     """Points within ``ball`` of ``origin`` to near (3, m); returns m."""
     m = 0
     for i in range(n):
@@ -66,7 +67,7 @@ def _ball(pts: Any, n: Any, origin: Any, ball: Any, near: Any) -> Any:
 
 @kernel
 def _face_sensor(
-    slots: Any, index: Any, m: Any, inside: Any, aux: Any, normal: Any, tangent: Any
+    slots: I32, index: I64, m: int, inside: Bool, aux: I16, normal: F64, tangent: F64
 ) -> None:
     """Turn the normal against the mean beam of the inliers."""
     facing = 0.0
@@ -84,28 +85,28 @@ def _face_sensor(
 
 @kernel
 def _fit_one(
-    voxel: Any,
-    slots: Any,
-    n: Any,
-    r: Any,
-    aux: Any,
-    cap: Any,
-    radius: Any,
-    p: Any,
-    size: Any,
-    trials: Any,
-    ransac: Any,
-    ransac_threshold: Any,
-    sigmas: Any,
-    floor: Any,
-    min_points: Any,
-    iterations: Any,
-    seed: Any,
-    centre: Any,
-    normal: Any,
-    tangent: Any,
-    beta: Any,
-    inverse: Any,
+    voxel: int,
+    slots: I32,
+    n: int,
+    r: F64,
+    aux: I16,
+    cap: int,
+    radius: float,
+    p: int,
+    size: int,
+    trials: int,
+    ransac: bool,
+    ransac_threshold: float,
+    sigmas: float,
+    floor: float,
+    min_points: int,
+    iterations: int,
+    seed: int,
+    centre: F64,
+    normal: F64,
+    tangent: F64,
+    beta: F64,
+    inverse: F64,
 ) -> Any:
     """One patch; returns (status, inliers, sigma) and leaves the inliers' slots at the front of
     ``slots``.
@@ -173,37 +174,37 @@ def _fit_one(
 
 @parallel_kernel
 def fit_patches(
-    voxels: Any,
-    start: Any,
-    keys: Any,
-    table: Any,
-    count: Any,
-    order: Any,
-    r: Any,
-    t_ns: Any,
-    aux: Any,
-    cap: Any,
-    radius: Any,
-    p: Any,
-    size: Any,
-    trials: Any,
-    ransac: Any,
-    ransac_threshold: Any,
-    sigmas: Any,
-    floor: Any,
-    min_points: Any,
-    iterations: Any,
-    seed: Any,
-    members: Any,
-    status: Any,
-    used: Any,
-    sigma: Any,
-    time: Any,
-    centre: Any,
-    normal: Any,
-    tangent: Any,
-    beta: Any,
-    inverse: Any,
+    voxels: I64,
+    start: I64,
+    keys: I64,
+    table: I32,
+    count: I32,
+    order: I32,
+    r: F64,
+    t_ns: I64,
+    aux: I16,
+    cap: int,
+    radius: float,
+    p: int,
+    size: int,
+    trials: int,
+    ransac: bool,
+    ransac_threshold: float,
+    sigmas: float,
+    floor: float,
+    min_points: int,
+    iterations: int,
+    seed: int,
+    members: I32,
+    status: I64,
+    used: I64,
+    sigma: F64,
+    time: I64,
+    centre: F64,
+    normal: F64,
+    tangent: F64,
+    beta: F64,
+    inverse: F64,
 ) -> None:
     """Fit every voxel of ``voxels``; inlier slots of patch a go to ``members[start[a]:start[a] +
     used[a]]``.
@@ -248,7 +249,7 @@ def fit_patches(
 
 
 @kernel
-def mark_around(voxels: Any, keys: Any, table: Any, reach: Any, out: Any) -> None:
+def mark_around(voxels: I64, keys: I64, table: I32, reach: int, out: Bool) -> None:
     """Mark those within ``reach`` voxels of each of ``voxels``."""
     near = np.empty((2 * reach + 1) ** 3, np.int64)
     for v in voxels:

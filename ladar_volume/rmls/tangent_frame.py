@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ladar_volume.math.array_types import F64, I64, Bool
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.math.normal_equations import basis, invert
 
@@ -19,7 +20,7 @@ SETTLED = 1e-3
 
 
 @leaf_kernel
-def tangent_of(normal: Any, tangent: Any) -> None:
+def tangent_of(normal: F64, tangent: F64) -> None:
     """A unit vector across the normal: along map x where that is not nearly the normal, else along
     map y.
     """
@@ -31,7 +32,7 @@ def tangent_of(normal: Any, tangent: Any) -> None:
 
 
 @leaf_kernel
-def across(normal: Any, tangent: Any, side: Any) -> None:
+def across(normal: F64, tangent: F64, side: F64) -> None:
     """The second tangent vector, normal x tangent."""
     side[0] = normal[1] * tangent[2] - normal[2] * tangent[1]
     side[1] = normal[2] * tangent[0] - normal[0] * tangent[2]
@@ -39,7 +40,7 @@ def across(normal: Any, tangent: Any, side: Any) -> None:
 
 
 @leaf_kernel
-def row(r: Any, slot: Any, centre: Any, tangent: Any, side: Any, p: Any, x: Any) -> None:
+def row(r: F64, slot: int, centre: F64, tangent: F64, side: F64, p: int, x: F64) -> None:
     """``x[:p] = (1, u, v[, u², uv, v²])`` of one point in metres."""
     x0, x1, x2 = r[slot, 0] - centre[0], r[slot, 1] - centre[1], r[slot, 2] - centre[2]
     u = x0 * tangent[0] + x1 * tangent[1] + x2 * tangent[2]
@@ -49,7 +50,7 @@ def row(r: Any, slot: Any, centre: Any, tangent: Any, side: Any, p: Any, x: Any)
 
 @leaf_kernel
 def coordinates(
-    r: Any, n: Any, centre: Any, normal: Any, tangent: Any, ball: Any, uvw: Any, index: Any
+    r: F64, n: int, centre: F64, normal: F64, tangent: F64, ball: float, uvw: F64, index: I64
 ) -> Any:
     """(u / ball, v / ball, w) of the points of r (n, 3) within ``ball`` of the centre, to uvw (3,
     m) and index (m,); returns m.
@@ -71,14 +72,14 @@ def coordinates(
 
 
 @leaf_kernel
-def _rise(q: Any, t: Any) -> Any:
+def _rise(q: float, t: float) -> Any:
     """The height of :func:`arc` for a quadric's height q and the square t of its slope."""
     exact = q * (2.0 * (1.0 - np.sqrt(1.0 - t)) / t - 1.0)
     return 0.25 * q * t if t < 1e-6 else exact
 
 
 @leaf_kernel
-def arc(u: Any, v: Any, a: Any, b: Any, c: Any) -> Any:
+def arc(u: float, v: float, a: float, b: float, c: float) -> Any:
     """How far a surface of constant curvature lies above its osculating quadric ``q = a u² + b uv +
     c v²``, and the slopes along u and v of both together.
 
@@ -102,7 +103,7 @@ def arc(u: Any, v: Any, a: Any, b: Any, c: Any) -> Any:
 
 
 @leaf_kernel
-def _straighten(uvw: Any, m: Any, b: Any, ball: Any, straight: Any) -> None:
+def _straighten(uvw: F64, m: int, b: F64, ball: float, straight: F64) -> None:
     """Heights less the arc term of the present coefficients, to ``straight``: what is left is
     linear in the coefficients.
     """
@@ -116,7 +117,7 @@ def _straighten(uvw: Any, m: Any, b: Any, ball: Any, straight: Any) -> None:
 
 
 @leaf_kernel
-def _normal_plane(uvw: Any, m: Any, inside: Any, A: Any, b: Any) -> None:
+def _normal_plane(uvw: F64, m: int, inside: Bool, A: F64, b: F64) -> None:
     a00 = a10 = a20 = a11 = a21 = a22 = b0 = b1 = b2 = 0.0
     for i in range(m):
         if inside[i]:
@@ -135,7 +136,7 @@ def _normal_plane(uvw: Any, m: Any, inside: Any, A: Any, b: Any) -> None:
 
 
 @leaf_kernel
-def _normal_quadric(uvw: Any, straight: Any, m: Any, inside: Any, A: Any, b: Any) -> None:
+def _normal_quadric(uvw: F64, straight: F64, m: int, inside: Bool, A: F64, b: F64) -> None:
     # one sum per monomial u^i v^j up to the fourth degree: the 21 entries of the matrix are only 15
     # different sums
     c, u1, v1, u2, uv, v2, u3, u2v, uv2, v3 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -174,15 +175,15 @@ def _normal_quadric(uvw: Any, straight: Any, m: Any, inside: Any, A: Any, b: Any
 
 @leaf_kernel
 def _classify(
-    uvw: Any,
-    straight: Any,
-    m: Any,
-    p: Any,
-    b: Any,
-    ball: Any,
-    threshold: Any,
-    inside: Any,
-    off: Any,
+    uvw: F64,
+    straight: F64,
+    m: int,
+    p: int,
+    b: F64,
+    ball: float,
+    threshold: float,
+    inside: Bool,
+    off: F64,
 ) -> Any:
     """Mark the points within ``threshold`` of the model; returns (how many, sum of their squared
     residuals, any change).
@@ -222,17 +223,17 @@ def _classify(
 
 @kernel
 def refit(
-    uvw: Any,
-    m: Any,
-    ball: Any,
-    p: Any,
-    sigma: Any,
-    sigmas: Any,
-    floor: Any,
-    iterations: Any,
-    inside: Any,
-    beta: Any,
-    inverse: Any,
+    uvw: F64,
+    m: int,
+    ball: float,
+    p: int,
+    sigma: float,
+    sigmas: float,
+    floor: float,
+    iterations: int,
+    inside: Bool,
+    beta: F64,
+    inverse: F64,
 ) -> Any:
     """Least squares on the inliers, iterated until they stay the same. ``inside`` (m,) holds the
     start.
@@ -287,7 +288,7 @@ def refit(
 
 
 @leaf_kernel
-def mark_flat(uvw: Any, m: Any, threshold: Any, inside: Any) -> None:
+def mark_flat(uvw: F64, m: int, threshold: float, inside: Bool) -> None:
     """Mark the points within ``threshold`` of the tangent plane."""
     for i in range(m):
         inside[i] = abs(uvw[2, i]) <= threshold
@@ -295,21 +296,21 @@ def mark_flat(uvw: Any, m: Any, threshold: Any, inside: Any) -> None:
 
 @kernel
 def level_frame(
-    r: Any,
-    n: Any,
-    origin: Any,
-    plane: Any,
-    sigma: Any,
-    ball: Any,
-    sigmas: Any,
-    floor: Any,
-    iterations: Any,
-    uvw: Any,
-    index: Any,
-    inside: Any,
-    centre: Any,
-    normal: Any,
-    tangent: Any,
+    r: F64,
+    n: int,
+    origin: F64,
+    plane: F64,
+    sigma: float,
+    ball: float,
+    sigmas: float,
+    floor: float,
+    iterations: int,
+    uvw: F64,
+    index: I64,
+    inside: Bool,
+    centre: F64,
+    normal: F64,
+    tangent: F64,
 ) -> Any:
     """Turn a start plane into a frame at the foot point of ``origin``: a plane refit and re-tilt
     until it lies flat.

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from ladar_volume.math.array_types import F64, I16
 from ladar_volume.math.kernels import kernel, leaf_kernel
 
 #: Numbers of a return's geometry, and of what is kept of it.
@@ -26,7 +27,7 @@ VECTORS = ((4, 4), (7, 8))
 
 
 @kernel
-def keep_each(g: Any, kept: Any) -> None:
+def keep_each(g: F64, kept: I16) -> None:
     """Geometry (n, 10) as it is kept, (n, 12) int16. What is not finite comes back as NaN."""
     for i in range(len(g)):
         for k in range(4):
@@ -48,7 +49,7 @@ def keep_each(g: Any, kept: Any) -> None:
 
 
 @leaf_kernel
-def rotated(x: Any, y: Any, z: Any, w: Any, v: Any) -> Any:
+def rotated(x: float, y: float, z: float, w: float, v: F64 | tuple[float, float, float]) -> Any:
     """``R v`` (3) of a vector (3,) by a unit quaternion; with x, y and z negated, ``Rᵀ v``.
     Numbers, not arrays: they stay in registers.
     """
@@ -62,7 +63,7 @@ def rotated(x: Any, y: Any, z: Any, w: Any, v: Any) -> Any:
 
 
 @leaf_kernel
-def recall(kept: Any, g: Any) -> None:
+def recall(kept: I16, g: F64) -> None:
     """The geometry (10,) of one return from what is kept (12,); the attitude is of unit length."""
     length = 0.0
     for k in range(4):

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ladar_volume.math.array_types import F32, F64, I16, I32, I64, U16, U64, Bool
 from ladar_volume.math.kernels import kernel, leaf_kernel
-from ladar_volume.model.records import F32, F64, I16, I32, I64, U16
 from ladar_volume.rmls.viewing_geometry import KEPT
 
 #: Bits and offset of one axis in a packed voxel key; 2**20 voxels to either side of the map's
@@ -39,7 +39,7 @@ def unpack_key(key: I64) -> I64:
 
 
 @leaf_kernel
-def _mix(x: Any) -> Any:
+def _mix(x: np.uint64) -> Any:
     # splitmix64's finaliser: every input bit reaches every output bit
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -47,7 +47,7 @@ def _mix(x: Any) -> Any:
 
 
 @leaf_kernel
-def find_voxel(table: Any, keys: Any, key: Any) -> Any:
+def find_voxel(table: I32, keys: I64, key: int) -> Any:
     """Index of a voxel in the open-addressing table, −1 where it is not there."""
     mask = np.uint64(len(table) - 1)
     at = _mix(np.uint64(key)) & mask
@@ -59,7 +59,7 @@ def find_voxel(table: Any, keys: Any, key: Any) -> Any:
 
 
 @leaf_kernel
-def voxels_around(key: Any, keys: Any, table: Any, reach: Any, out: Any) -> Any:
+def voxels_around(key: int, keys: I64, table: I32, reach: int, out: I64) -> Any:
     """Indices of the voxels up to ``reach`` away from that of the key, itself included, in order of
     their keys; returns how many.
     """
@@ -79,7 +79,7 @@ def voxels_around(key: Any, keys: Any, table: Any, reach: Any, out: Any) -> Any:
 
 
 @kernel
-def place(table: Any, keys: Any, index: Any) -> None:
+def place(table: I32, keys: I64, index: int) -> None:
     """Enter a voxel, by its index, that the table does not hold."""
     mask = np.uint64(len(table) - 1)
     at = _mix(np.uint64(keys[index])) & mask
@@ -89,7 +89,7 @@ def place(table: Any, keys: Any, index: Any) -> None:
 
 
 @kernel
-def place_all(table: Any, keys: Any, used: Any) -> None:
+def place_all(table: I32, keys: I64, used: int) -> None:
     """Fill the table anew with the first ``used`` keys."""
     table[:] = -1
     for i in range(used):
@@ -98,19 +98,19 @@ def place_all(table: Any, keys: Any, used: Any) -> None:
 
 @kernel
 def would_stay(
-    t_ns: Any,
-    ring: Any,
-    r: Any,
-    edge: Any,
-    cap: Any,
-    table: Any,
-    keys: Any,
-    count: Any,
-    worst: Any,
-    hashes: Any,
-    key: Any,
-    h: Any,
-    stays: Any,
+    t_ns: I64,
+    ring: U16,
+    r: F64,
+    edge: float,
+    cap: int,
+    table: I32,
+    keys: I64,
+    count: I32,
+    worst: I32,
+    hashes: U64,
+    key: I64,
+    h: U64,
+    stays: Bool,
 ) -> None:
     """Voxel key and hash of each point, and whether it would stay were it alone. Voxels only fill
     up and their worst hash only falls: a point that would not stay now never will.
@@ -129,18 +129,18 @@ def would_stay(
 
 @kernel
 def _insert(
-    key: Any,
-    h: Any,
-    cap: Any,
-    table: Any,
-    keys: Any,
-    count: Any,
-    worst: Any,
-    hashes: Any,
-    changed: Any,
-    used: Any,
-    start: Any,
-    slot_of: Any,
+    key: I64,
+    h: U64,
+    cap: int,
+    table: I32,
+    keys: I64,
+    count: I32,
+    worst: I32,
+    hashes: U64,
+    changed: Bool,
+    used: int,
+    start: int,
+    slot_of: I64,
 ) -> Any:
     """Offer points from ``start`` on; returns (next point, voxels used). Stops early where the
     voxel arrays are full.
@@ -177,7 +177,7 @@ def _insert(
 
 
 @kernel
-def sort_voxels(voxels: Any, count: Any, hashes: Any, cap: Any, order: Any) -> None:
+def sort_voxels(voxels: I64, count: I32, hashes: U64, cap: int, order: I32) -> None:
     """Slots of each voxel by rising hash, to ``order[v * cap:v * cap + count[v]]``."""
     for v in voxels:
         first = v * cap

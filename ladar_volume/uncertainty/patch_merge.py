@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from ladar_volume.math.array_types import F64, I32, I64
 from ladar_volume.math.kernels import kernel, leaf_kernel
 
 
 @kernel
-def copy_rows(part: Any, to: Any, width: Any, out: Any) -> None:
+def copy_rows(part: I64 | I32, to: I64, width: int, out: I64 | I32) -> None:
     """Rows of a part, c numbers each, to those of out that ``to`` (n,) says, -1 for none; part and
     out are flat.
     """
@@ -27,7 +28,7 @@ def copy_rows(part: Any, to: Any, width: Any, out: Any) -> None:
 
 
 @kernel
-def in_order(to: Any) -> Any:
+def in_order(to: I64) -> Any:
     """Whether the rows that stay, those of ``to`` (n,) that are not -1, do so in their order."""
     last = -1
     for row in to:
@@ -39,7 +40,7 @@ def in_order(to: Any) -> Any:
 
 
 @kernel
-def move_rows(part: Any, width: Any, to: Any) -> None:
+def move_rows(part: I64 | I32, width: int, to: I64) -> None:
     """Rows of a flat array, c numbers each, in place to those that ``to`` (n,) says, -1 for none,
     which are in order: those that move to the right from the last, then those that move to the left
     from the first. So none is written over before it has moved.
@@ -55,7 +56,7 @@ def move_rows(part: Any, width: Any, to: Any) -> None:
 
 
 @leaf_kernel
-def place_from(keys: Any, key: Any, hint: Any) -> Any:
+def place_from(keys: I64, key: int, hint: int) -> Any:
     """Number of ascending keys below a key. ``hint`` : that number for the key before it, which is
     often next to it.
     """
@@ -74,22 +75,22 @@ def place_from(keys: Any, key: Any, hint: Any) -> Any:
 
 
 @leaf_kernel
-def holds(keys: Any, key: Any, place: Any) -> Any:
+def holds(keys: I64, key: int, place: int) -> Any:
     """Whether ascending keys hold a key, given its :func:`place_from`."""
     return place < len(keys) and keys[place] == key
 
 
 @kernel
 def block_rows(
-    own: Any,
-    start: Any,
-    other: Any,
-    turn: Any,
-    said: Any,
-    last: Any,
-    keys: Any,
-    row: Any,
-    count: Any,
+    own: I64,
+    start: I64,
+    other: I64,
+    turn: int,
+    said: I64,
+    last: I64,
+    keys: I64,
+    row: I64,
+    count: I64,
 ) -> None:
     """Row among ``keys`` of each block of one part, -1 for one that no longer holds; ``count``
     (rows,) grows by those that do.
@@ -117,16 +118,16 @@ def block_rows(
 
 @kernel
 def place_blocks(
-    own: Any,
-    start: Any,
-    other: Any,
-    row: Any,
-    number: Any,
-    keys: Any,
-    first: Any,
-    filled: Any,
-    key: Any,
-    entry: Any,
+    own: I64,
+    start: I64,
+    other: I64,
+    row: I64,
+    number: int,
+    keys: I64,
+    first: I64,
+    filled: I64,
+    key: I64,
+    entry: I64,
 ) -> None:
     """Put each block of one part into its row, by the key of the row's other patch: that to
     ``key``, the block's number to ``entry``.
@@ -149,7 +150,7 @@ def place_blocks(
 
 
 @leaf_kernel
-def before(r: Any, i: Any, j: Any) -> Any:
+def before(r: F64, i: int, j: int) -> Any:
     """Whether point i comes before point j: by x, y and z, then by number."""
     for c in range(3):
         if r[i, c] != r[j, c]:
@@ -158,7 +159,7 @@ def before(r: Any, i: Any, j: Any) -> Any:
 
 
 @kernel
-def sort_runs(patch: Any, r: Any, order: Any) -> None:
+def sort_runs(patch: I64, r: F64, order: I64) -> None:
     """Put points ``order`` (k,), which lie together by patch, in order of their positions r (n, 3)
     within each patch.
     """
