@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from test_epochs import PIT, epoch, flat, moved, pit
+from epoch_surfaces import PIT, epoch, flat, moved, pit
 from volume_surfaces import platform, surface_update
 
 from ladar_volume.change.change_detection import change_map, thresholded, weighted_sigma

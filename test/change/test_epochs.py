@@ -9,41 +9,16 @@ import math
 
 import numpy as np
 import pytest
-from volume_surfaces import cone, platform, surface_update
+from epoch_surfaces import PIT, epoch, flat, pit
+from volume_surfaces import cone, surface_update
 
 from ladar_volume.change.epoch_change import epoch_difference
 from ladar_volume.math.se3 import exp_so3
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.model.parameters import Parameters
 from ladar_volume.registration.transform import Transform
 from ladar_volume.uncertainty.epoch_budget import cross_covariance, epoch_budget, shared_columns
 from ladar_volume.uncertainty.propagation import CALIBRATION_GROUPS, calibration_groups
-from ladar_volume.volume.estimator import VolumeEstimator
 from ladar_volume.volume.overlay import between
-
-PIT = -math.pi * 16.0
-
-
-def epoch(update, navigation=True, **sections):
-    """A synthetic surface as an epoch."""
-    e = VolumeEstimator(Parameters.read({"filter": {"nav_bin_s": 1.0}, **sections}))
-    e.add_platform(platform() if navigation else platform(position=0.0, attitude=0.0))
-    e.add(update)
-    return e.epoch()
-
-
-def flat(x, y):
-    return 3.0 + 0.02 * x
-
-
-def pit(x, y):
-    return flat(x, y) - cone(x, y)
-
-
-def moved(update, shift):
-    """The same survey with its points displaced along their normals by shift (n,) m."""
-    r = update.points.r_map + shift[:, None] * update.points.normal
-    return dataclasses.replace(update, points=dataclasses.replace(update.points, r_map=r))
 
 
 def test_volume_of_a_pit_and_its_significance():

@@ -96,7 +96,7 @@ def seen(tmp_path_factory):
     environment = os.environ | {
         "ROS_DOMAIN_ID": str((os.getpid() + 5) % 90 + 10),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "PYTHONPATH": f"{ROOT}:{ROOT / 'test' / 'volume'}",
+        "PYTHONPATH": f"{ROOT}:{ROOT / 'test' / 'scenes'}",
     }
     done = subprocess.run(
         [sys.executable, str(script), str(folder / "out")],

@@ -39,12 +39,12 @@ def test_kernels_run_and_compile_after_the_libraries_were_given_back():
         import numba, numpy as np
         from ladar_volume.nodes import process_memory
         from ladar_volume.uncertainty.navigation_sum import markov_sum
-        memory.few_arenas()
+        process_memory.few_arenas()
         t, y = np.arange(3.0), np.ones((3, 2))
         first = markov_sum(t, y, 1.0)
         size = lambda: next(int(l.split()[1]) for l in open("/proc/self/status") if l.startswith("RssFile"))
         before = size()
-        memory.tidy()
+        process_memory.tidy()
         assert size() < before - 20_000, (before, size())
         assert markov_sum(t, y, 1.0) == first
         assert numba.njit(lambda x: x + 1)(1) == 2
@@ -69,7 +69,7 @@ def test_kernels_compile_for_good_after_the_modules_of_those_they_call_were_pack
         if sys.argv[1] == "packed":
             once = markov_sum(t, y, 1.0)
             before = held()
-            memory.pack_modules()
+            process_memory.pack_modules()
             assert before > 0 and held() == 0, before
         from caller import twice
         value = twice(t, y)
@@ -93,10 +93,10 @@ def test_kernels_of_a_node_need_no_linear_algebra_of_scipy():
         import sys
         from ladar_volume.nodes import process_memory
         from ladar_volume.compile_kernels import warm_up
-        memory.without_blas()
+        process_memory.without_blas()
         warm_up("georeference")
         warm_up("filter")
-        assert "scipy.linalg" not in sys.modules and memory.BLAS not in sys.modules
+        assert "scipy.linalg" not in sys.modules and process_memory.BLAS not in sys.modules
         warm_up("volume")
         from scipy.linalg import cython_blas
     """
@@ -110,16 +110,16 @@ def test_what_a_large_process_frees_goes_back_at_once():
         import sys
         import numpy as np
         from ladar_volume.nodes import process_memory
-        memory.few_arenas()
-        memory.LARGE_BYTES = 0 if sys.argv[1] == "large" else 1 << 60
-        memory.give_back()
+        process_memory.few_arenas()
+        process_memory.LARGE_BYTES = 0 if sys.argv[1] == "large" else 1 << 60
+        process_memory.give_back()
         blocks, stay = [], []
         for _ in range(300):
             blocks.append(np.ones(40_000))
             stay.append(np.ones(500))
-        before = memory.resident_bytes()
+        before = process_memory.resident_bytes()
         del blocks
-        print(before - memory.resident_bytes())
+        print(before - process_memory.resident_bytes())
     """
     freed = {}
     for size in ("small", "large"):
@@ -138,9 +138,9 @@ SENT = """if True:
     from sensor_msgs.msg import PointCloud2
     from ladar_volume.nodes import process_memory
     from ladar_volume.nodes.qos import STREAM
-    memory.few_arenas()
+    process_memory.few_arenas()
     if sys.argv[1] == "free":
-        memory.free_buffers()
+        process_memory.free_buffers()
     size = lambda: next(int(l.split()[1]) for l in open("/proc/self/status") if l.startswith("VmRSS")) / 1024
     rclpy.init(args=[])
     node, executor, got = rclpy.create_node("both"), SingleThreadedExecutor(), []
@@ -156,7 +156,7 @@ SENT = """if True:
     while len(got) < 30 and time.monotonic() < deadline:
         executor.spin_once(timeout_sec=0.1)
     assert got == [2_000_000] * 30
-    memory.give_back()
+    process_memory.give_back()
     print(waiting - before, size() - before)
     node.destroy_node()
     rclpy.shutdown()

@@ -12,13 +12,13 @@ def test_a_survey_needs_no_kernel_that_was_not_ready():
         import sys
         from pathlib import Path
         from numba.core.caching import Cache
-        from ladar_volume import warm
+        from ladar_volume import compile_kernels
         from ladar_volume.replay import Replay
         from ladar_volume.io.bags import BagReader
         from ladar_volume.io.config import read_config
         from ladar_volume.change.epoch_change import epoch_difference
-        for stage in warm.STAGES:
-            warm.warm_up(stage)
+        for stage in compile_kernels.STAGES:
+            compile_kernels.warm_up(stage)
         late, load = [], Cache.load_overload
         Cache.load_overload = lambda self, sig, context: (late.append((self._py_func.__qualname__, sig)), load(self, sig, context))[1]
         with BagReader(Path("bags/stockpile")) as bag:

@@ -8,7 +8,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from test_propagation import COLUMNS, random_surface
+from random_surfaces import COLUMNS, random_surface
 from volume_surfaces import by_position_and_attitude
 
 from ladar_volume.model.records import PlatformStates

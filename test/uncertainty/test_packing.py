@@ -8,7 +8,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from test_patch_store import rough, still
+from rough_sheet import rough, still
 from volume_surfaces import by_position_and_attitude
 
 from ladar_volume.model.parameters import Parameters

@@ -6,11 +6,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from rough_sheet import rough, still
 from volume_surfaces import cone, surface_update, take_patches
 
 from ladar_volume.io.message_tables import update_parts
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import FilterUpdate, MappedPoints, PlatformStates, select
+from ladar_volume.model.records import FilterUpdate, select
 from ladar_volume.rmls.surface_filter import SurfaceFilter
 from ladar_volume.uncertainty import patch_table
 from ladar_volume.uncertainty.packing import unpacked
@@ -79,28 +80,6 @@ def test_merge(look_every, pending, monkeypatch):
 def test_nothing_yet():
     store = PatchStore()
     assert store.patches is None and store.points is None
-
-
-def still(t_ns):
-    """States of a platform that stands 20 m above the origin."""
-    n, zero = len(t_ns), np.zeros((len(t_ns), 3))
-    p, q = np.tile([0.0, 0.0, 20.0], (n, 1)), np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
-    return PlatformStates(
-        t_ns, p, q, zero, zero, np.tile(np.eye(6) * 1e-4, (n, 1, 1)), np.zeros(n, np.int64)
-    )
-
-
-def rough(n, seed):
-    """Returns (n,) of a rough, stepped sheet in ten seconds."""
-    rng = np.random.default_rng(seed)
-    r = np.column_stack([rng.uniform(-3.0, 3.0, (n, 2)), 0.02 * rng.normal(size=n)])
-    r[:, 2] += np.where(r[:, 0] > 1.0, 0.4, 0.0)
-    r[: n // 10, 2] += rng.uniform(0.0, 2.0, n // 10)
-    C = np.tile(np.array([1e-4, 0, 0, 1e-4, 0, 1e-4], np.float32), (n, 1))
-    t_ns = np.sort(rng.integers(0, 10_000_000_000, n))
-    return MappedPoints(
-        t_ns, r, C, rng.integers(0, 16, n).astype(np.uint16), np.zeros(n, np.float32)
-    )
 
 
 def flown(points, order, batches, parts_of, look_every):

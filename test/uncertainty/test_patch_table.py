@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from test_propagation import random_surface
+from random_surfaces import random_surface
 
 from ladar_volume.io import message_tables
 from ladar_volume.model.errors import CloudError
