@@ -6,6 +6,10 @@ enter parallel kernels at once. Parallel kernels write each output element from 
 iteration and never reduce a float over iterations, so results do not depend on the number of
 threads.
 
+A parallel kernel that takes a record (a NamedTuple of arrays) writes to its arrays only through a
+kernel of one thread that its loop calls: numba's parallel pass does not see that a field is one of
+the arguments, and drops a write to it in the loop itself as dead.
+
 ``kernel.py_func`` of a decorated function is its plain Python twin.
 """
 

@@ -6,7 +6,7 @@ with key_b >= key_a.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -14,12 +14,41 @@ import numpy as np
 from ladar_volume.math.array_types import F32, F64, I32, I64, Bool
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.math.normal_equations import basis
+from ladar_volume.rmls.fit_store import Fits
 from ladar_volume.rmls.tangent_frame import across
 from ladar_volume.rmls.tangent_frame import row as row_of
-from ladar_volume.rmls.voxel_store import BITS, find_voxel
+from ladar_volume.rmls.voxel_store import BITS, VoxelArrays, find_voxel
 
 #: Balls of radius 2r about centres in voxels more than this apart do not meet.
 SPAN = 4
+
+
+class Pairs(NamedTuple):
+    """Pairs of patches in CSR form: ``rows[i]`` and ``others[offset[i] : offset[i + 1]]``."""
+
+    rows: I64
+    offset: I64
+    others: I64
+
+
+class Marks(NamedTuple):
+    """Which patch marked a local slot last, as which of its inliers; the local slot of each of the
+    members (see :func:`local_slots`).
+    """
+
+    owner: I32
+    place: I32
+    local: I32
+
+
+class Work(NamedTuple):
+    """Rows of the inliers of one patch: X (n, 9), and of those shared with another G (n, 6), Y
+    (n, 5).
+    """
+
+    X: F64
+    G: F64
+    Y: F64
 
 
 def chunks_of(rows: int) -> int:
@@ -29,65 +58,75 @@ def chunks_of(rows: int) -> int:
     return min(2 * numba.get_num_threads(), 1 + rows // 64)
 
 
-@parallel_kernel
-def candidates(
-    rows: I64,
+@kernel
+def _candidates_of(
+    row: int,
+    pairs: Pairs,
     good: Bool,
     mine: Bool,
     centre: F64,
     radius: float,
-    keys: I64,
-    table: I32,
+    store: VoxelArrays,
     fill: bool,
-    offset: I64,
-    out: I64,
+    counts: I64,
+) -> None:
+    """The candidates of ``pairs.rows[row]``."""
+    mask, keys = (1 << BITS) - 1, store.keys
+    a = pairs.rows[row]
+    key = keys[a]
+    i0, j0, k0 = key >> (2 * BITS), (key >> BITS) & mask, key & mask
+    n = 0
+    for lower in range(2):
+        for di in range(-SPAN * lower, SPAN * (1 - lower) + 1):
+            for dj in range(-SPAN, SPAN + 1):
+                for dk in range(-SPAN, SPAN + 1):
+                    other = ((i0 + di) << (2 * BITS)) | ((j0 + dj) << BITS) | (k0 + dk)
+                    b = (
+                        find_voxel(store.table, keys, other)
+                        if (other < key) == (lower == 1)
+                        else -1
+                    )
+                    if b < 0 or not good[b] or (lower == 1 and mine[b]):
+                        continue
+                    d0, d1, d2 = (
+                        centre[a, 0] - centre[b, 0],
+                        centre[a, 1] - centre[b, 1],
+                        centre[a, 2] - centre[b, 2],
+                    )
+                    if d0 * d0 + d1 * d1 + d2 * d2 <= 16.0 * radius * radius:
+                        if fill:
+                            pairs.others[pairs.offset[row] + n] = b
+                        n += 1
+    counts[row] = n
+
+
+@parallel_kernel
+def candidates(
+    pairs: Pairs,
+    good: Bool,
+    mine: Bool,
+    centre: F64,
+    radius: float,
+    store: VoxelArrays,
+    fill: bool,
     counts: I64,
 ) -> None:
     """Patches whose balls meet the ball of each of ``rows`` (voxel indices): those with key >= own,
     then those with a lower key that are not ``mine``, each in order of their keys; counted, or with
     ``fill`` listed from ``offset`` on. ``good``: voxels with a patch.
     """
-    mask = (1 << BITS) - 1
-    for row in numba.prange(len(rows)):
-        a = rows[row]
-        key = keys[a]
-        i0, j0, k0 = key >> (2 * BITS), (key >> BITS) & mask, key & mask
-        n = 0
-        for lower in range(2):
-            for di in range(-SPAN * lower, SPAN * (1 - lower) + 1):
-                for dj in range(-SPAN, SPAN + 1):
-                    for dk in range(-SPAN, SPAN + 1):
-                        other = ((i0 + di) << (2 * BITS)) | ((j0 + dj) << BITS) | (k0 + dk)
-                        b = find_voxel(table, keys, other) if (other < key) == (lower == 1) else -1
-                        if b < 0 or not good[b] or (lower == 1 and mine[b]):
-                            continue
-                        d0, d1, d2 = (
-                            centre[a, 0] - centre[b, 0],
-                            centre[a, 1] - centre[b, 1],
-                            centre[a, 2] - centre[b, 2],
-                        )
-                        if d0 * d0 + d1 * d1 + d2 * d2 <= 16.0 * radius * radius:
-                            if fill:
-                                out[offset[row] + n] = b
-                            n += 1
-        counts[row] = n
+    for row in numba.prange(len(pairs.rows)):
+        _candidates_of(row, pairs, good, mine, centre, radius, store, fill, counts)
 
 
 @parallel_kernel
 def sharing(
-    rows: I64,
-    offset: I64,
-    others: I64,
-    first: I64,
-    held: I64,
-    entries: Any,
-    voxels: int,
-    chunks: int,
-    out: Bool,
+    pairs: Pairs, first: I64, held: I64, entries: Any, voxels: int, chunks: int, out: Bool
 ) -> None:
     """Whether each candidate pair shares an inlier, by their entries (see ``fits``). ``voxels``:
     how many there are.
     """
+    rows, offset, others = pairs.rows, pairs.offset, pairs.others
     for chunk in numba.prange(chunks):
         # which patch last listed a voxel, and the number of its entry: one array per chunk of rows,
         # never cleared
@@ -133,26 +172,14 @@ def _noise_along(C: F32, n: F64, out: F64) -> None:
 
 
 @kernel
-def _rows_of(
-    a: int,
-    start: I64,
-    used: I64,
-    members: I32,
-    r: F64,
-    C: F32,
-    centre: F64,
-    normal: F64,
-    tangent: F64,
-    p: int,
-    X: F64,
-) -> None:
+def _rows_of(a: int, store: VoxelArrays, fits: Fits, p: int, X: F64) -> None:
     """Of each inlier of patch a: its row in X[:, :6] and ``C n`` in X[:, 6:9]."""
     side = np.empty(3)
-    across(normal[a], tangent[a], side)
-    for i in range(used[a]):
-        slot = members[start[a] + i]
-        row_of(r, slot, centre[a], tangent[a], side, p, X[i, :6])
-        _noise_along(C[slot], normal[a], X[i, 6:9])
+    across(fits.normal[a], fits.tangent[a], side)
+    for i in range(fits.used[a]):
+        slot = fits.members[fits.start[a] + i]
+        row_of(store.r, slot, fits.centre[a], fits.tangent[a], side, p, X[i, :6])
+        _noise_along(store.C[slot], fits.normal[a], X[i, 6:9])
 
 
 @kernel
@@ -197,42 +224,27 @@ def _sandwich(left: F64, S: F64, right: F64, p: int, out: F32) -> None:
 
 @kernel
 def _shared(
-    a: int,
-    b: int,
-    swap: bool,
-    owner: I32,
-    place: I32,
-    start: I64,
-    used: I64,
-    members: I32,
-    local: I32,
-    r: F64,
-    C: F32,
-    centre: F64,
-    normal: F64,
-    tangent: F64,
-    p: int,
-    X: F64,
-    G: F64,
-    Y: F64,
+    a: int, b: int, swap: bool, store: VoxelArrays, fits: Fits, p: int, marks: Marks, work: Work
 ) -> Any:
     """Of each inlier that patch b shares with a: ``n_aᵀ C n_b`` times its row on the one patch to
     G, u, v, u², uv, v² on the other to Y; returns how many. The row is that on a, with ``swap``
     that on b: the same numbers as from the other patch's side.
     """
-    side, x, w, na, nb = np.empty(3), np.empty(6), np.empty(3), normal[a], normal[b]
+    side, x, w, na, nb = np.empty(3), np.empty(6), np.empty(3), fits.normal[a], fits.normal[b]
+    centre, tangent, r = fits.centre, fits.tangent, store.r
+    X, G, Y = work
     across(nb, tangent[b], side)
     c0, c1, c2 = centre[b, 0], centre[b, 1], centre[b, 2]
     t0, t1, t2 = tangent[b, 0], tangent[b, 1], tangent[b, 2]
     m = 0
-    for j in range(start[b], start[b] + used[b]):
-        if owner[local[j]] != a:
+    for j in range(fits.start[b], fits.start[b] + fits.used[b]):
+        if marks.owner[marks.local[j]] != a:
             continue
-        slot, i = members[j], place[local[j]]
+        slot, i = fits.members[j], marks.place[marks.local[j]]
         x0, x1, x2 = r[slot, 0] - c0, r[slot, 1] - c1, r[slot, 2] - c2
         u, v = x0 * t0 + x1 * t1 + x2 * t2, x0 * side[0] + x1 * side[1] + x2 * side[2]
         if swap:
-            _noise_along(C[slot], nb, w)
+            _noise_along(store.C[slot], nb, w)
             variance = w[0] * na[0] + w[1] * na[1] + w[2] * na[2]
             basis(u, v, p, x)
             for l in range(p):
@@ -247,65 +259,56 @@ def _shared(
     return m
 
 
-@parallel_kernel
-def cross_blocks(
-    rows: I64,
-    offset: I64,
-    others: I64,
-    keys: I64,
-    start: I64,
-    used: I64,
-    members: I32,
+@kernel
+def _blocks_of(
+    chunk: int,
+    chunks: int,
+    pairs: Pairs,
+    store: VoxelArrays,
+    fits: Fits,
     local: I32,
     slots: int,
-    r: F64,
-    C: F32,
-    centre: F64,
-    normal: F64,
-    tangent: F64,
-    inverse: F64,
     p: int,
-    most: int,
+    out: F32,
+) -> None:
+    """The blocks of one of so many chunks of the rows."""
+    rows, offset, others = pairs.rows, pairs.offset, pairs.others
+    most = 0
+    for a in rows:
+        most = max(most, fits.used[a])
+    marks = Marks(np.full(slots, -1, np.int32), np.empty(slots, np.int32), local)
+    work = Work(np.zeros((most, 9)), np.zeros((most, 6)), np.zeros((most, 5)))
+    S = np.zeros((6, 6))
+    for row in range(chunk * len(rows) // chunks, (chunk + 1) * len(rows) // chunks):
+        a = rows[row]
+        _rows_of(a, store, fits, p, work.X)
+        for i in range(fits.used[a]):
+            marks.owner[local[fits.start[a] + i]] = a
+            marks.place[local[fits.start[a] + i]] = i
+        for k in range(offset[row], offset[row + 1]):
+            b = others[k]
+            swap = store.keys[b] < store.keys[a]
+            m = _shared(a, b, swap, store, fits, p, marks, work)
+            _sum_products(work.G, work.Y, m, p, S)
+            if swap:
+                _sandwich(fits.inverse[b], S, fits.inverse[a], p, out[k])
+            else:
+                _sandwich(fits.inverse[a], S, fits.inverse[b], p, out[k])
+
+
+@parallel_kernel
+def cross_blocks(
+    pairs: Pairs,
+    store: VoxelArrays,
+    fits: Fits,
+    local: I32,
+    slots: int,
+    p: int,
     chunks: int,
     out: F32,
 ) -> None:
     """The blocks of the pairs that share points, the patch with the lower key first. local, slots :
-    see :func:`local_slots` · most : largest number of inliers of ``rows``.
+    see :func:`local_slots`
     """
     for chunk in numba.prange(chunks):
-        owner, place = np.full(slots, -1, np.int32), np.empty(slots, np.int32)
-        X, G, Y, S = np.zeros((most, 9)), np.zeros((most, 6)), np.zeros((most, 5)), np.zeros((6, 6))
-        for row in range(chunk * len(rows) // chunks, (chunk + 1) * len(rows) // chunks):
-            a = rows[row]
-            _rows_of(a, start, used, members, r, C, centre, normal, tangent, p, X)
-            for i in range(used[a]):
-                owner[local[start[a] + i]] = a
-                place[local[start[a] + i]] = i
-            for k in range(offset[row], offset[row + 1]):
-                b = others[k]
-                swap = keys[b] < keys[a]
-                m = _shared(
-                    a,
-                    b,
-                    swap,
-                    owner,
-                    place,
-                    start,
-                    used,
-                    members,
-                    local,
-                    r,
-                    C,
-                    centre,
-                    normal,
-                    tangent,
-                    p,
-                    X,
-                    G,
-                    Y,
-                )
-                _sum_products(G, Y, m, p, S)
-                if swap:
-                    _sandwich(inverse[b], S, inverse[a], p, out[k])
-                else:
-                    _sandwich(inverse[a], S, inverse[b], p, out[k])
+        _blocks_of(chunk, chunks, pairs, store, fits, local, slots, p, out)

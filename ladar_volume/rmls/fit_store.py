@@ -7,8 +7,7 @@ each of its slots. That is a tenth of their slots.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +15,7 @@ import numpy.typing as npt
 from ladar_volume.math.array_types import F64, I32, I64, Bool
 from ladar_volume.math.kernels import kernel
 from ladar_volume.rmls.patch_fit import OK
-from ladar_volume.rmls.voxel_store import VoxelStore
+from ladar_volume.rmls.voxel_store import VoxelArrays, VoxelStore
 
 #: Bits of one word of an entry.
 WORD = 32
@@ -24,8 +23,7 @@ WORD = 32
 COLUMNS = ("status", "used", "sigma", "time", "centre", "normal", "tangent", "beta", "inverse")
 
 
-@dataclass
-class Fits:
+class Fits(NamedTuple):
     """Fits by row; the slots of row a's inliers, where they are listed, are ``members[start[a] :
     start[a] + used[a]]``, in canonical order.
 
@@ -79,25 +77,15 @@ def count_entries(start: I64, used: I64, members: I32, cap: int, out: I64) -> No
 
 
 @kernel
-def pack(
-    voxels: I64,
-    start: I64,
-    used: I64,
-    members: I32,
-    fresh: Bool,
-    cap: int,
-    first: I64,
-    entries: Any,
-    new: Bool,
-    own: I64,
-) -> None:
+def pack(fits: Fits, fresh: Bool, cap: int, first: I64, entries: Any, new: Bool, own: I64) -> None:
     """The inliers of each row as ``entries`` (e, 1 + words) of zeros, from ``first[a]`` on; whether
     one of them is ``fresh``, and how many lie in the voxel itself.
     """
-    for a in range(len(voxels)):
+    members = fits.members
+    for a in range(len(fits.voxels)):
         last, e = -1, first[a] - 1
         new[a], own[a] = False, 0
-        for i in range(start[a], start[a] + used[a]):
+        for i in range(fits.start[a], fits.start[a] + fits.used[a]):
             v = members[i] // cap
             k = members[i] - v * cap
             if v != last:
@@ -105,29 +93,22 @@ def pack(
                 entries[e, 0] = v
             entries[e, 1 + k // WORD] |= np.uint32(1 << (k % WORD))
             new[a] |= fresh[members[i]]
-            own[a] += v == voxels[a]
+            own[a] += v == fits.voxels[a]
 
 
 @kernel
 def unpack(
-    voxels: I64,
-    first: I64,
-    held: I64,
-    entries: Any,
-    count: I32,
-    order: I32,
-    cap: int,
-    start: I64,
-    members: I32,
+    voxels: I64, first: I64, held: I64, entries: Any, store: VoxelArrays, start: I64, members: I32
 ) -> None:
     """The slots of these voxels' inliers, in canonical order, to ``members`` from ``start[v]``
     on.
     """
+    cap, order = store.cap, store.order
     for v in voxels:
         n = start[v]
         for e in range(first[v], first[v] + held[v]):
             w = np.int64(entries[e, 0]) * cap
-            for q in range(count[entries[e, 0]]):
+            for q in range(store.counts[entries[e, 0]]):
                 k = order[w + q] - w
                 if (entries[e, 1 + k // WORD] >> np.uint32(k % WORD)) & np.uint32(1):
                     members[n] = order[w + q]
@@ -188,10 +169,11 @@ class FitStore:
                 np.zeros(0, np.int32),
                 self._never,
             )
-            for name in ("voxels", "start", *COLUMNS):
-                setattr(
-                    self.fits, name, np.concatenate([getattr(self.fits, name), getattr(new, name)])
-                )
+            joined = {
+                name: np.concatenate([getattr(self.fits, name), getattr(new, name)])
+                for name in ("voxels", "start", *COLUMNS)
+            }
+            self.fits = self.fits._replace(**joined)
             self.first, self.held, self._room = (
                 np.concatenate([a, np.zeros(more, np.int64)])
                 for a in (self.first, self.held, self._room)
@@ -202,18 +184,8 @@ class FitStore:
         start, used = np.zeros(len(self.fits.voxels), np.int64), self.fits.used[voxels]
         start[voxels] = np.cumsum(used) - used
         members = np.empty(int(used.sum()), np.int32)
-        unpack(
-            voxels,
-            self.first,
-            self.held,
-            self.entries,
-            store.count,
-            store.order,
-            self._cap,
-            start,
-            members,
-        )
-        return replace(self.fits, start=start, members=members)
+        unpack(voxels, self.first, self.held, self.entries, store.arrays, start, members)
+        return self.fits._replace(start=start, members=members)
 
     def keep(self, found: Fits, fresh: Bool) -> tuple[Bool, I64]:
         """Take over fits; returns which of them are new (m,), by any number or any inlier, and how
@@ -233,7 +205,7 @@ class FitStore:
             np.cumsum(held) - held,
             np.zeros((int(held.sum()), self.entries.shape[1]), np.uint32),
         )
-        pack(v, found.start, found.used, found.members, fresh, self._cap, first, entries, new, own)
+        pack(found, fresh, self._cap, first, entries, new, own)
         same_entries(v, first, held, entries, self.first, self.held, self.entries, same)
         same &= ~new
         for name in COLUMNS:

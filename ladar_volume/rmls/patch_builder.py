@@ -28,20 +28,10 @@ class PatchBuilder:
         """Fit the patches of these voxels (indices)."""
         s, f = self.store, self.parameters
         p, bound = 6 if f.degree == 2 else 3, np.zeros(len(voxels), np.int64)
-        refit_kernels.count_candidates(voxels, s.keys, s.table, s.count, bound)
+        refit_kernels.count_candidates(voxels, s.arrays, bound)
         start = np.concatenate([[0], np.cumsum(bound)])
         fits = blank(voxels, start, np.empty(start[-1], np.int32))
-        refit_kernels.fit_patches(
-            voxels,
-            start,
-            s.keys,
-            s.table,
-            s.count,
-            s.order,
-            s.r,
-            s.t_ns,
-            s.aux,
-            s.cap,
+        rule = refit_kernels.FitRule(
             f.radius_m,
             p,
             f.sample_size,
@@ -53,17 +43,8 @@ class PatchBuilder:
             f.min_points,
             f.refit_iterations,
             f.seed,
-            fits.members,
-            fits.status,
-            fits.used,
-            fits.sigma,
-            fits.time,
-            fits.centre,
-            fits.normal,
-            fits.tangent,
-            fits.beta,
-            fits.inverse,
         )
+        refit_kernels.fit_patches(s.arrays, rule, fits)
         return fits
 
     def patches(self, kept: FitStore, rows: I64) -> Patches:
@@ -75,27 +56,11 @@ class PatchBuilder:
         fits = kept.listed(np.union1d(rows, others), s)
         blocks = np.zeros((offset[-1], p, p), np.float32)
         local, slots = cross_covariance.local_slots(fits.members, s.cap, s.used)
-        cross_covariance.cross_blocks(
-            rows,
-            offset,
-            others,
-            s.keys,
-            fits.start,
-            fits.used,
-            fits.members,
-            local,
-            slots,
-            s.r,
-            s.C,
-            fits.centre,
-            fits.normal,
-            fits.tangent,
-            fits.inverse,
-            p,
-            int(fits.used[rows].max(initial=0)),
+        pairs, chunks = (
+            cross_covariance.Pairs(rows, offset, others),
             cross_covariance.chunks_of(len(rows)),
-            blocks,
         )
+        cross_covariance.cross_blocks(pairs, s.arrays, fits, local, slots, p, chunks, blocks)
         nav_start, nav_bin, M_cal, M_nav = self._sensitivities(fits, rows, p)
         return Patches(
             s.keys[rows],
@@ -128,16 +93,13 @@ class PatchBuilder:
 
         def listed(fill: bool, offset: I64, out: I64) -> None:
             cross_covariance.candidates(
-                rows,
+                cross_covariance.Pairs(rows, offset, out),
                 good,
                 mine,
                 fits.centre,
                 self.parameters.radius_m,
-                s.keys,
-                s.table,
+                s.arrays,
                 fill,
-                offset,
-                out,
                 counts,
             )
 
@@ -147,9 +109,7 @@ class PatchBuilder:
         listed(True, offset, others)
         shared = np.zeros(len(others), np.bool_)
         cross_covariance.sharing(
-            rows,
-            offset,
-            others,
+            cross_covariance.Pairs(rows, offset, others),
             kept.first,
             kept.held,
             kept.entries,
@@ -162,74 +122,39 @@ class PatchBuilder:
     def _sensitivities(self, fits: Fits, rows: I64, p: int) -> tuple[I64, I64, F32, F32]:
         s, bin_ns = self.store, int(self.parameters.nav_bin_s * 1e9)
         bins = np.zeros(len(rows), np.int64)
-        patch_sensitivity.count_bins(
-            rows, fits.start, fits.used, fits.members, s.t_ns, bin_ns, self.most_bins, bins
-        )
+        patch_sensitivity.count_bins(rows, fits, s.t_ns, bin_ns, self.most_bins, bins)
         nav_start = np.concatenate([[0], np.cumsum(bins)])
         nav_bin = np.zeros(nav_start[-1], np.int64)
         M_cal = np.zeros((len(rows), p + 2, 11 + 2 * self.beams), np.float32)
         M_nav = np.zeros((nav_start[-1], p + 2, 4), np.float32)
-        patch_sensitivity.sensitivities(
-            rows,
-            fits.start,
-            fits.used,
-            fits.members,
-            s.keys,
-            s.r,
-            s.t_ns,
-            s.ring,
-            s.aux,
-            fits.centre,
-            fits.normal,
-            fits.tangent,
-            fits.inverse,
-            p,
-            self.beams,
+        mount = patch_sensitivity.MountArrays(
             self.mount.lever_laser,
             self.mount.lever_antenna,
             np.ascontiguousarray(self.mount.R_body_laser[:, 2]),
-            bin_ns,
-            nav_start,
-            nav_bin,
-            M_cal,
-            M_nav,
         )
+        out = patch_sensitivity.SensitivityArrays(nav_start, nav_bin, M_cal, M_nav)
+        patch_sensitivity.sensitivities(rows, s.arrays, fits, p, self.beams, mount, bin_ns, out)
         return nav_start, nav_bin, M_cal, M_nav
 
     def points(self, kept: FitStore, rows: I64, patches: Patches) -> FilteredPoints:
         """The filtered points of patches ``rows``."""
         s, p, fits = self.store, patches.beta.shape[1], kept.listed(rows, self.store)
         n = len(rows) * s.cap
-        r, normal, variance = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
-        C, t_ns, uv = np.zeros((n, 6), np.float32), np.zeros(n, np.int64), np.zeros((n, 2))
-        counts = np.zeros(len(rows), np.int64)
-        spacing = self.parameters.sampling_m or self.parameters.radius_m / 2
-        projection.project(
-            rows,
-            fits.voxels,
-            fits.start,
-            fits.used,
-            fits.members,
-            s.r,
-            s.C,
-            s.t_ns,
-            s.cap,
-            fits.centre,
-            fits.normal,
-            fits.tangent,
-            fits.beta,
-            np.ascontiguousarray(patches.cross[patches.cross_start[:-1]]),
-            p,
-            spacing,
-            r,
-            normal,
-            variance,
-            C,
-            t_ns,
-            uv,
-            counts,
+        out = projection.ProjectedArrays(
+            np.zeros((n, 3)),
+            np.zeros((n, 3)),
+            np.zeros(n),
+            np.zeros((n, 6), np.float32),
+            np.zeros(n, np.int64),
+            np.zeros((n, 2)),
+            np.zeros(len(rows), np.int64),
         )
+        spacing = self.parameters.sampling_m or self.parameters.radius_m / 2
+        C_beta = np.ascontiguousarray(patches.cross[patches.cross_start[:-1]])
+        projection.project(rows, s.arrays, fits, C_beta, p, spacing, out)
         slot = np.arange(n) % max(s.cap, 1)
-        keep = slot < np.repeat(counts, s.cap)
+        keep = slot < np.repeat(out.counts, s.cap)
         patch = np.repeat(patches.key, s.cap)
-        return select(FilteredPoints(r, normal, variance, C, t_ns, patch, uv), keep)
+        return select(
+            FilteredPoints(out.r, out.normal, out.variance, out.C, out.t_ns, patch, out.uv), keep
+        )

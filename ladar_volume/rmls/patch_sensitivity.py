@@ -9,16 +9,37 @@ do not all lie on its patch, as along an edge, it does.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 
-from ladar_volume.math.array_types import F32, F64, I16, I32, I64, U16
+from ladar_volume.math.array_types import F32, F64, I32, I64
 from ladar_volume.math.kernels import kernel, leaf_kernel, parallel_kernel
+from ladar_volume.rmls.fit_store import Fits
 from ladar_volume.rmls.tangent_frame import across, row
 from ladar_volume.rmls.viewing_geometry import NUMBERS, recall, rotated
-from ladar_volume.rmls.voxel_store import BITS
+from ladar_volume.rmls.voxel_store import BITS, VoxelArrays
+
+
+class MountArrays(NamedTuple):
+    """lever_laser, lever_antenna : (3,) m, body · axis_body : (3,) the laser's z axis there."""
+
+    lever_laser: F64
+    lever_antenna: F64
+    axis_body: F64
+
+
+class SensitivityArrays(NamedTuple):
+    """Of m patches with l time bins in all: nav_start (m + 1,), nav_bin (l,), and the mean
+    sensitivities M_cal (m, p + 2, 11 + 2 beams), M_nav (l, p + 2, 4).
+    """
+
+    nav_start: I64
+    nav_bin: I64
+    M_cal: F32
+    M_nav: F32
+
 
 #: Navigation time bins of a patch, at most: those of forty seconds. A patch that is seen for an
 #: hour has inliers in hundreds.
@@ -44,17 +65,22 @@ def distinct_bins(members: I32, n: int, t_ns: I64, bin_ns: int, bins: I64) -> An
 
 
 @parallel_kernel
-def count_bins(
-    rows: I64, start: I64, used: I64, members: I32, t_ns: I64, bin_ns: int, most: int, out: I64
-) -> None:
+def count_bins(rows: I64, fits: Fits, t_ns: I64, bin_ns: int, most: int, out: I64) -> None:
     """Navigation time bins each patch will have: its distinct ones, or ``most`` that stand for
     them.
     """
     for i_row in numba.prange(len(rows)):
         a = rows[i_row]
-        bins = np.empty(used[a] + 1, np.int64)
+        bins = np.empty(fits.used[a] + 1, np.int64)
         out[i_row] = min(
-            distinct_bins(members[start[a] : start[a] + used[a]], used[a], t_ns, bin_ns, bins), most
+            distinct_bins(
+                fits.members[fits.start[a] : fits.start[a] + fits.used[a]],
+                fits.used[a],
+                t_ns,
+                bin_ns,
+                bins,
+            ),
+            most,
         )
 
 
@@ -193,31 +219,79 @@ def seen_from(g: F64, r: F64, other: F64, axis: F64, shift: F64, h: F64) -> None
     )
 
 
+@kernel
+def _sensitivities_of(
+    i_row: int,
+    a: int,
+    store: VoxelArrays,
+    fits: Fits,
+    p: int,
+    beams: int,
+    mount: MountArrays,
+    bin_ns: int,
+    out: SensitivityArrays,
+) -> None:
+    """The mean sensitivities of patch a, to row ``i_row``."""
+    shift, axis_body = mount.lever_laser - mount.lever_antenna, mount.axis_body
+    t_ns, nav_start = store.t_ns, out.nav_start
+    first, runs = nav_start[i_row], nav_start[i_row + 1] - nav_start[i_row]
+    mine = fits.members[fits.start[a] : fits.start[a] + fits.used[a]]
+    bins, run, drawn = (
+        np.empty(fits.used[a] + 1, np.int64),
+        np.empty(fits.used[a], np.int64),
+        np.empty(runs, np.int64),
+    )
+    nb = distinct_bins(mine, fits.used[a], t_ns, bin_ns, bins)
+    for i in range(fits.used[a]):
+        b = np.searchsorted(bins[:nb], np.int64(np.floor_divide(t_ns[mine[i]], bin_ns)))
+        run[i] = ((b + 1) * runs - 1) // nb
+    draw(run, runs, fraction_of(store.keys[a]), drawn)
+    for g in range(runs):
+        out.nav_bin[first + g] = np.int64(np.floor_divide(t_ns[mine[drawn[g]]], bin_ns))
+    cal, nav, x, h, axes = (
+        np.zeros((p + 2, 11 + 2 * beams)),
+        np.zeros((runs, p + 2, 4)),
+        np.zeros(6),
+        np.empty(ALL),
+        np.empty((3, 3)),
+    )
+    own, others = np.empty(NUMBERS), np.empty((runs, NUMBERS))
+    for k in range(runs):
+        recall(store.aux[mine[drawn[k]]], others[k])
+    axes[0], axes[1] = fits.normal[a], fits.tangent[a]
+    across(fits.normal[a], fits.tangent[a], axes[2])
+    for i in range(fits.used[a]):
+        slot, other = mine[i], mine[drawn[run[i]]]
+        row(store.r, slot, fits.centre[a], fits.tangent[a], axes[2], p, x)
+        beam = min(int(store.ring[slot]), beams - 1)
+        recall(store.aux[slot], own)
+        looked = sight(own, axis_body)
+        for k in range(3):
+            along_axis(own, looked, axes[k], shift, axis_body, h)
+            if runs < nb:
+                seen_from(others[run[i]], store.r[slot], store.r[other], axes[k], shift, h)
+            if k == 0:
+                for l in range(p):
+                    add_return(h, x[l], beam, beams, cal[l], nav[run[i], l])
+            else:
+                add_return(h, 1.0, beam, beams, cal[p + k - 1], nav[run[i], p + k - 1])
+    for c in range(3):
+        cal[:, ANTENNA + c] = -cal[:, LASER + c]
+    solved(fits.inverse[a], p, fits.used[a], cal, out.M_cal[i_row])
+    for g in range(runs):
+        solved(fits.inverse[a], p, fits.used[a], nav[g], out.M_nav[first + g])
+
+
 @parallel_kernel
 def sensitivities(
     rows: I64,
-    start: I64,
-    used: I64,
-    members: I32,
-    keys: I64,
-    r: F64,
-    t_ns: I64,
-    ring: U16,
-    aux: I16,
-    centre: F64,
-    normal: F64,
-    tangent: F64,
-    inverse: F64,
+    store: VoxelArrays,
+    fits: Fits,
     p: int,
     beams: int,
-    lever_laser: F64,
-    lever_antenna: F64,
-    axis_body: F64,
+    mount: MountArrays,
     bin_ns: int,
-    nav_start: I64,
-    nav_bin: I64,
-    M_cal: F32,
-    M_nav: F32,
+    out: SensitivityArrays,
 ) -> None:
     """Mean sensitivities M_cal (m, p + 2, 11 + 2 beams) over all inliers, and M_nav (l, p + 2, 4)
     per time bin: of beta, ``(XᵀX)⁻¹ Σ_j x_j n·∂r_j/∂theta``, and of the place along tangent and
@@ -229,52 +303,5 @@ def sensitivities(
     other way round on what it has on its other side. Over patches, whose draws differ evenly, all
     bins have their say.
     """
-    shift = lever_laser - lever_antenna
     for i_row in numba.prange(len(rows)):
-        a = rows[i_row]
-        first, runs = nav_start[i_row], nav_start[i_row + 1] - nav_start[i_row]
-        mine = members[start[a] : start[a] + used[a]]
-        bins, run, drawn = (
-            np.empty(used[a] + 1, np.int64),
-            np.empty(used[a], np.int64),
-            np.empty(runs, np.int64),
-        )
-        nb = distinct_bins(mine, used[a], t_ns, bin_ns, bins)
-        for i in range(used[a]):
-            b = np.searchsorted(bins[:nb], np.int64(np.floor_divide(t_ns[mine[i]], bin_ns)))
-            run[i] = ((b + 1) * runs - 1) // nb
-        draw(run, runs, fraction_of(keys[a]), drawn)
-        for g in range(runs):
-            nav_bin[first + g] = np.int64(np.floor_divide(t_ns[mine[drawn[g]]], bin_ns))
-        cal, nav, x, h, axes = (
-            np.zeros((p + 2, 11 + 2 * beams)),
-            np.zeros((runs, p + 2, 4)),
-            np.zeros(6),
-            np.empty(ALL),
-            np.empty((3, 3)),
-        )
-        own, others = np.empty(NUMBERS), np.empty((runs, NUMBERS))
-        for k in range(runs):
-            recall(aux[mine[drawn[k]]], others[k])
-        axes[0], axes[1] = normal[a], tangent[a]
-        across(normal[a], tangent[a], axes[2])
-        for i in range(used[a]):
-            slot, other = mine[i], mine[drawn[run[i]]]
-            row(r, slot, centre[a], tangent[a], axes[2], p, x)
-            beam = min(int(ring[slot]), beams - 1)
-            recall(aux[slot], own)
-            looked = sight(own, axis_body)
-            for k in range(3):
-                along_axis(own, looked, axes[k], shift, axis_body, h)
-                if runs < nb:
-                    seen_from(others[run[i]], r[slot], r[other], axes[k], shift, h)
-                if k == 0:
-                    for l in range(p):
-                        add_return(h, x[l], beam, beams, cal[l], nav[run[i], l])
-                else:
-                    add_return(h, 1.0, beam, beams, cal[p + k - 1], nav[run[i], p + k - 1])
-        for c in range(3):
-            cal[:, ANTENNA + c] = -cal[:, LASER + c]
-        solved(inverse[a], p, used[a], cal, M_cal[i_row])
-        for g in range(runs):
-            solved(inverse[a], p, used[a], nav[g], M_nav[first + g])
+        _sensitivities_of(i_row, rows[i_row], store, fits, p, beams, mount, bin_ns, out)

@@ -6,7 +6,7 @@ the points.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,24 @@ from ladar_volume.math.array_types import F32, F64, I8, I64
 from ladar_volume.math.kernels import kernel
 
 TAKEN, NOT_FINITE, TOO_FAR, UNCOVERED = 0, 1, 2, 3
+
+
+class Bracket(NamedTuple):
+    """Where points lie between platform states: index (n,) of the state before, and the share (n,)
+    of the way to the next.
+    """
+
+    state: I64
+    fraction: F64
+
+
+class StateArrays(NamedTuple):
+    """Platform states: place, attitude xyzw, velocity, turn rate; map frame and body frame."""
+
+    p: F64
+    q: F64
+    v: F64
+    omega: F64
 
 
 @kernel
@@ -36,8 +54,7 @@ def admit(
     knots: I64,
     segment: I64,
     verdict: I8,
-    state: I64,
-    fraction: F64,
+    at: Bracket,
 ) -> None:
     """Verdict of each point, and where it lies between platform states (see
     ``sensitivity.bracket``).
@@ -62,9 +79,9 @@ def admit(
         if k < 0 or segment[k] < 0:
             continue
         if knots[k] == t:
-            verdict[i], state[i], fraction[i] = TAKEN, k, 0.0
+            verdict[i], at.state[i], at.fraction[i] = TAKEN, k, 0.0
         elif k < last and segment[k] == segment[k + 1]:
-            verdict[i], state[i], fraction[i] = (
+            verdict[i], at.state[i], at.fraction[i] = (
                 TAKEN,
                 k,
                 (t - knots[k]) / max(knots[k + 1] - knots[k], 1),
@@ -93,24 +110,16 @@ def _slerp(q0: F64, q1: F64, f: float, out: F64) -> None:
 
 @kernel
 def geometry(
-    rows: I64,
-    r: F64,
-    state: I64,
-    fraction: F64,
-    p: F64,
-    q: F64,
-    v: F64,
-    omega: F64,
-    lever_laser: F64,
-    out: F64,
+    rows: I64, r: F64, at: Bracket, states: StateArrays, lever_laser: F64, out: F64
 ) -> None:
     """Attitude xyzw, v_body = B r_laser and motion with the platform (m/s, map) of points ``rows``
     (n,) to out (n, 10).
     """
+    p, q, v, omega = states
     g, d, m, w, s = np.empty(4), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for j in range(len(rows)):
         i = rows[j]
-        k, f = state[i], fraction[i]
+        k, f = at.state[i], at.fraction[i]
         l = min(k + 1, len(p) - 1)
         _slerp(q[k], q[l], f, g)
         x, y, z, e = g[0], g[1], g[2], g[3]

@@ -2,40 +2,108 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
-from ladar_volume.math.array_types import F32, F64, I32, I64
+from ladar_volume.math.array_types import F32, F64, I64
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.math.normal_equations import basis
+from ladar_volume.rmls.fit_store import Fits
 from ladar_volume.rmls.tangent_frame import across, arc, row
+from ladar_volume.rmls.voxel_store import VoxelArrays
+
+
+class ProjectedArrays(NamedTuple):
+    """Filtered points by row: place, normal, variance along it, noise within the tangent plane,
+    time, place on the patch; ``counts`` (m,) is how many each patch has.
+    """
+
+    r: F64
+    normal: F64
+    variance: F64
+    C: F32
+    t_ns: I64
+    uv: F64
+    counts: I64
+
+
+@kernel
+def _project_row(
+    i_row: int,
+    rows: I64,
+    store: VoxelArrays,
+    fits: Fits,
+    C_beta: F32,
+    p: int,
+    cell: float,
+    out: ProjectedArrays,
+) -> None:
+    """The filtered points of patch ``rows[i_row]``."""
+    cap = store.cap
+    a = rows[i_row]
+    n, beta = fits.normal[a], fits.beta[a]
+    x, t, s = np.zeros(6), fits.tangent[a], np.empty(3)
+    across(n, t, s)
+    cells = np.empty((cap, 2), np.int64)
+    size = np.zeros(cap, np.int64)
+    mean = np.zeros((cap, 2))
+    noise = np.zeros((cap, 6))
+    time0 = np.zeros(cap, np.int64)
+    time = np.zeros(cap, np.int64)
+    m = 0
+    for i in range(fits.start[a], fits.start[a] + fits.used[a]):
+        slot = fits.members[i]
+        if slot // cap != fits.voxels[a]:
+            continue
+        row(store.r, slot, fits.centre[a], t, s, p, x)
+        cu, cv = np.int64(np.floor(x[1] / cell)), np.int64(np.floor(x[2] / cell))
+        k = 0
+        while k < m and (cells[k, 0] != cu or cells[k, 1] != cv):
+            k += 1
+        if k == m:
+            cells[k, 0], cells[k, 1] = cu, cv
+            time0[k] = store.t_ns[slot]
+            m += 1
+        size[k] += 1
+        mean[k, 0] += x[1]
+        mean[k, 1] += x[2]
+        time[k] += store.t_ns[slot] - time0[k]
+        for c in range(6):
+            noise[k, c] += store.C[slot, c]
+    out.counts[i_row] = m
+    for k in range(m):
+        i = i_row * cap + k
+        u, v = mean[k, 0] / size[k], mean[k, 1] / size[k]
+        basis(u, v, p, x)
+        w, wu, wv, variance = 0.0, beta[1], beta[2], 0.0
+        if p == 6:
+            extra, gu, gv = arc(u, v, beta[3], beta[4], beta[5])
+            w, wu, wv = w + extra, wu + gu, wv + gv
+        for e in range(p):
+            w += x[e] * beta[e]
+            for f in range(p):
+                variance += x[e] * C_beta[i_row, e, f] * x[f]
+        slope = np.sqrt(1.0 + wu * wu + wv * wv)
+        for c in range(3):
+            out.r[i, c] = fits.centre[a, c] + u * t[c] + v * s[c] + w * n[c]
+            out.normal[i, c] = (n[c] - wu * t[c] - wv * s[c]) / slope
+        out.uv[i, 0], out.uv[i, 1] = u, v
+        out.variance[i] = variance / (slope * slope)
+        out.t_ns[i] = time0[k] + time[k] // size[k]
+        tangential(noise[k], n, size[k], out.C[i])
 
 
 @parallel_kernel
 def project(
     rows: I64,
-    voxels: I64,
-    start: I64,
-    used: I64,
-    members: I32,
-    r: F64,
-    C: F32,
-    t_ns: I64,
-    cap: int,
-    centre: F64,
-    normal: F64,
-    tangent: F64,
-    beta: F64,
+    store: VoxelArrays,
+    fits: Fits,
     C_beta: F32,
     p: int,
     cell: float,
-    r_out: F64,
-    n_out: F64,
-    var_out: F64,
-    C_out: F32,
-    t_out: I64,
-    uv_out: F64,
-    counts: I64,
+    out: ProjectedArrays,
 ) -> None:
     """Project each patch's own inliers and replace those in one cell of its tangent plane by their
     mean.
@@ -43,57 +111,7 @@ def project(
     Row i of every output belongs to patch ``rows[k]`` with i = k * cap + cluster.
     """
     for i_row in numba.prange(len(rows)):
-        a = rows[i_row]
-        n = normal[a]
-        x, t, s = np.zeros(6), tangent[a], np.empty(3)
-        across(n, t, s)
-        cells = np.empty((cap, 2), np.int64)
-        size = np.zeros(cap, np.int64)
-        mean = np.zeros((cap, 2))
-        noise = np.zeros((cap, 6))
-        time0 = np.zeros(cap, np.int64)
-        time = np.zeros(cap, np.int64)
-        m = 0
-        for i in range(start[a], start[a] + used[a]):
-            slot = members[i]
-            if slot // cap != voxels[a]:
-                continue
-            row(r, slot, centre[a], t, s, p, x)
-            cu, cv = np.int64(np.floor(x[1] / cell)), np.int64(np.floor(x[2] / cell))
-            k = 0
-            while k < m and (cells[k, 0] != cu or cells[k, 1] != cv):
-                k += 1
-            if k == m:
-                cells[k, 0], cells[k, 1] = cu, cv
-                time0[k] = t_ns[slot]
-                m += 1
-            size[k] += 1
-            mean[k, 0] += x[1]
-            mean[k, 1] += x[2]
-            time[k] += t_ns[slot] - time0[k]
-            for c in range(6):
-                noise[k, c] += C[slot, c]
-        counts[i_row] = m
-        for k in range(m):
-            i = i_row * cap + k
-            u, v = mean[k, 0] / size[k], mean[k, 1] / size[k]
-            basis(u, v, p, x)
-            w, wu, wv, variance = 0.0, beta[a, 1], beta[a, 2], 0.0
-            if p == 6:
-                extra, gu, gv = arc(u, v, beta[a, 3], beta[a, 4], beta[a, 5])
-                w, wu, wv = w + extra, wu + gu, wv + gv
-            for e in range(p):
-                w += x[e] * beta[a, e]
-                for f in range(p):
-                    variance += x[e] * C_beta[i_row, e, f] * x[f]
-            slope = np.sqrt(1.0 + wu * wu + wv * wv)
-            for c in range(3):
-                r_out[i, c] = centre[a, c] + u * t[c] + v * s[c] + w * n[c]
-                n_out[i, c] = (n[c] - wu * t[c] - wv * s[c]) / slope
-            uv_out[i, 0], uv_out[i, 1] = u, v
-            var_out[i] = variance / (slope * slope)
-            t_out[i] = time0[k] + time[k] // size[k]
-            tangential(noise[k], n, size[k], C_out[i])
+        _project_row(i_row, rows, store, fits, C_beta, p, cell, out)
 
 
 @kernel

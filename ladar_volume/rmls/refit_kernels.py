@@ -7,7 +7,7 @@ bytes whatever the order of arrival, the batching or the number of threads.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -15,10 +15,11 @@ import numpy as np
 from ladar_volume.math.array_types import F64, I16, I32, I64, Bool
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.rmls import patch_fit
+from ladar_volume.rmls.fit_store import Fits
 from ladar_volume.rmls.patch_fit import REACH
 from ladar_volume.rmls.tangent_frame import coordinates, level_frame, mark_flat, refit, tangent_of
 from ladar_volume.rmls.viewing_geometry import NUMBERS, recall, rotated
-from ladar_volume.rmls.voxel_store import _mix, voxels_around
+from ladar_volume.rmls.voxel_store import VoxelArrays, _mix, voxels_around
 
 OK, FEW_POINTS, NO_PLANE, FEW_INLIERS, NOT_ON_PATCH = (
     patch_fit.OK,
@@ -29,13 +30,32 @@ OK, FEW_POINTS, NO_PLANE, FEW_INLIERS, NOT_ON_PATCH = (
 )
 
 
+class FitRule(NamedTuple):
+    """How a patch is fitted: range r and parameters p of the surface; points per random sample,
+    samples, and whether truncated squares choose the start; threshold in robust sigma with its
+    floor; fewest inliers; refits; seed. Lengths in m.
+    """
+
+    radius: float
+    p: int
+    sample_size: int
+    trials: int
+    ransac: bool
+    ransac_threshold: float
+    sigmas: float
+    floor: float
+    min_points: int
+    iterations: int
+    seed: int
+
+
 @parallel_kernel
-def count_candidates(voxels: I64, keys: I64, table: I32, count: I32, out: I64) -> None:
+def count_candidates(voxels: I64, store: VoxelArrays, out: I64) -> None:
     """Points in the voxels around each of ``voxels``: an upper bound of its inliers."""
     for a in numba.prange(len(voxels)):
         near, n = np.empty(patch_fit.AROUND, np.int64), 0
-        for i in range(voxels_around(keys[voxels[a]], keys, table, REACH, near)):
-            n += count[near[i]]
+        for i in range(voxels_around(store.keys[voxels[a]], store.keys, store.table, REACH, near)):
+            n += store.counts[near[i]]
         out[a] = n
 
 
@@ -85,33 +105,15 @@ def _face_sensor(
 
 @kernel
 def _fit_one(
-    voxel: int,
-    slots: I32,
-    n: int,
-    r: F64,
-    aux: I16,
-    cap: int,
-    radius: float,
-    p: int,
-    size: int,
-    trials: int,
-    ransac: bool,
-    ransac_threshold: float,
-    sigmas: float,
-    floor: float,
-    min_points: int,
-    iterations: int,
-    seed: int,
-    centre: F64,
-    normal: F64,
-    tangent: F64,
-    beta: F64,
-    inverse: F64,
+    a: int, slots: I32, n: int, store: VoxelArrays, rule: FitRule, seed: int, fits: Fits
 ) -> Any:
-    """One patch; returns (status, inliers, sigma) and leaves the inliers' slots at the front of
-    ``slots``.
+    """The patch of row a; returns (status, inliers, sigma) and leaves the inliers' slots at the
+    front of ``slots``.
     """
-    ball = 2.0 * radius
+    voxel, cap, r, ball = fits.voxels[a], store.cap, store.r, 2.0 * rule.radius
+    centre, normal, tangent = fits.centre[a], fits.normal[a], fits.tangent[a]
+    beta, inverse = fits.beta[a], fits.inverse[a]
+    sigmas, floor, iterations = rule.sigmas, rule.floor, rule.iterations
     pts, near = np.empty((n, 3)), np.empty((3, n))
     for i in range(n):
         for k in range(3):
@@ -119,11 +121,19 @@ def _fit_one(
     origin = np.zeros(3)
     _centroid(pts, slots, n, cap, voxel, origin)
     m = _ball(pts, n, origin, ball, near)
-    if m < min_points:
+    if m < rule.min_points:
         return FEW_POINTS, 0, 0.0
     plane = np.empty(4)
     sigma = patch_fit.start_plane(
-        near, m, size, trials, ransac, ransac_threshold, seed, plane, np.empty(m)
+        near,
+        m,
+        rule.sample_size,
+        rule.trials,
+        rule.ransac,
+        rule.ransac_threshold,
+        seed,
+        plane,
+        np.empty(m),
     )
     if sigma < 0.0:
         return NO_PLANE, 0, 0.0
@@ -151,17 +161,17 @@ def _fit_one(
     threshold = max(sigmas * sigma, floor, 0.5e-7 * ball)
     m = coordinates(pts, n, centre, normal, tangent, ball, near, index)
     mark_flat(near, m, threshold, inside)
-    _face_sensor(slots, index, m, inside, aux, normal, tangent)
+    _face_sensor(slots, index, m, inside, store.aux, normal, tangent)
     m = coordinates(pts, n, centre, normal, tangent, ball, near, index)
-    used, s = refit(near, m, ball, p, sigma, sigmas, floor, iterations, inside, beta, inverse)
-    if used < min_points and p == 6:
+    used, s = refit(near, m, ball, rule.p, sigma, sigmas, floor, iterations, inside, beta, inverse)
+    if used < rule.min_points and rule.p == 6:
         # too few or too one-sided points for a quadric: the plane stands, its quadratic terms are
         # zero with certainty
         mark_flat(near, m, threshold, inside)
         beta[:] = 0.0
         inverse[:] = 0.0
         used, s = refit(near, m, ball, 3, sigma, sigmas, floor, iterations, inside, beta, inverse)
-    if used < min_points:
+    if used < rule.min_points:
         return FEW_INLIERS, used, s
     k, own = 0, False
     for i in range(m):
@@ -172,80 +182,32 @@ def _fit_one(
     return OK if own else NOT_ON_PATCH, used, s
 
 
+@kernel
+def _fit_row(a: int, store: VoxelArrays, rule: FitRule, fits: Fits) -> None:
+    """Fit row a."""
+    v = fits.voxels[a]
+    slots = fits.members[fits.start[a] : fits.start[a + 1]]
+    n = patch_fit.gather(v, store.keys, store.table, store.counts, store.order, store.cap, slots)
+    own_seed = _mix(np.uint64(store.keys[v]) ^ _mix(np.uint64(rule.seed)))
+    status, used, sigma = _fit_one(a, slots, n, store, rule, own_seed, fits)
+    fits.status[a], fits.sigma[a] = status, sigma
+    if status == OK:
+        first = store.t_ns[slots[0]]
+        total = np.int64(0)
+        for i in range(used):
+            total += store.t_ns[slots[i]] - first
+        fits.used[a], fits.time[a] = used, first + total // used
+    else:
+        fits.used[a] = 0
+
+
 @parallel_kernel
-def fit_patches(
-    voxels: I64,
-    start: I64,
-    keys: I64,
-    table: I32,
-    count: I32,
-    order: I32,
-    r: F64,
-    t_ns: I64,
-    aux: I16,
-    cap: int,
-    radius: float,
-    p: int,
-    size: int,
-    trials: int,
-    ransac: bool,
-    ransac_threshold: float,
-    sigmas: float,
-    floor: float,
-    min_points: int,
-    iterations: int,
-    seed: int,
-    members: I32,
-    status: I64,
-    used: I64,
-    sigma: F64,
-    time: I64,
-    centre: F64,
-    normal: F64,
-    tangent: F64,
-    beta: F64,
-    inverse: F64,
-) -> None:
-    """Fit every voxel of ``voxels``; inlier slots of patch a go to ``members[start[a]:start[a] +
-    used[a]]``.
+def fit_patches(store: VoxelArrays, rule: FitRule, fits: Fits) -> None:
+    """Fit every voxel of ``fits.voxels``; inlier slots of patch a go to
+    ``members[start[a] : start[a] + used[a]]``. start : (m + 1,) room for the candidates of each.
     """
-    for a in numba.prange(len(voxels)):
-        v = voxels[a]
-        slots = members[start[a] : start[a + 1]]
-        n = patch_fit.gather(v, keys, table, count, order, cap, slots)
-        own_seed = _mix(np.uint64(keys[v]) ^ _mix(np.uint64(seed)))
-        status[a], used[a], sigma[a] = _fit_one(
-            v,
-            slots,
-            n,
-            r,
-            aux,
-            cap,
-            radius,
-            p,
-            size,
-            trials,
-            ransac,
-            ransac_threshold,
-            sigmas,
-            floor,
-            min_points,
-            iterations,
-            own_seed,
-            centre[a],
-            normal[a],
-            tangent[a],
-            beta[a],
-            inverse[a],
-        )
-        if status[a] != OK:
-            used[a] = 0
-        else:
-            first = t_ns[slots[0]]
-            total = np.int64(0)
-            for i in range(used[a]):
-                total += t_ns[slots[i]] - first
-            time[a] = first + total // used[a]
+    for a in numba.prange(len(fits.voxels)):
+        _fit_row(a, store, rule, fits)
 
 
 @kernel

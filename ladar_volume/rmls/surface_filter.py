@@ -125,7 +125,8 @@ class SurfaceFilter:
 
     def _take_in(self, points: MappedPoints, states: PlatformStates) -> None:
         n = len(points)
-        verdict, state, fraction = np.zeros(n, np.int8), np.zeros(n, np.int64), np.zeros(n)
+        verdict = np.zeros(n, np.int8)
+        at = point_admission.Bracket(np.zeros(n, np.int64), np.zeros(n))
         limit = (HALF - 8) * self.parameters.radius_m
         point_admission.admit(
             points.t_ns,
@@ -135,8 +136,7 @@ class SurfaceFilter:
             states.t_ns,
             states.segment,
             verdict,
-            state,
-            fraction,
+            at,
         )
         counts = np.bincount(verdict, minlength=4)
         self._losses.add("point_nan", int(counts[point_admission.NOT_FINITE]))
@@ -144,24 +144,17 @@ class SurfaceFilter:
         self._losses.add("point_platform_gap", int(counts[point_admission.UNCOVERED]))
         if counts[point_admission.TAKEN] < n:
             keep = verdict == point_admission.TAKEN
-            points, state, fraction = select(points, keep), state[keep], fraction[keep]
+            points = select(points, keep)
+            at = point_admission.Bracket(at.state[keep], at.fraction[keep])
         if len(points) == 0:
             return
         self._t_ns = max(self._t_ns, int(points.t_ns.max()))
         candidates, rows = self._store.offer(points.t_ns, points.ring, points.r_map, points.C_ind)
         seen = np.empty((len(rows), NUMBERS))
-        point_admission.geometry(
-            rows,
-            points.r_map,
-            state,
-            fraction,
-            states.p_map_body,
-            states.q_map_body,
-            states.v_body,
-            states.omega_body,
-            self._mount.lever_laser,
-            seen,
+        moving = point_admission.StateArrays(
+            states.p_map_body, states.q_map_body, states.v_body, states.omega_body
         )
+        point_admission.geometry(rows, points.r_map, at, moving, self._mount.lever_laser, seen)
         keep_each(seen, candidates.aux)
         if self._deferring:
             self._deferred.add(candidates)

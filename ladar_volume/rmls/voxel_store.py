@@ -8,7 +8,7 @@ by rounding; a hash keeps a fair sample).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,37 @@ from ladar_volume.rmls.viewing_geometry import KEPT
 #: origin.
 BITS = 21
 HALF = 1 << (BITS - 1)
+
+
+class VoxelArrays(NamedTuple):
+    """What kernels read of a store: keys (used,) and hash table of the voxels, points in each, and
+    by slot their order and what is kept of a point (see :class:`VoxelStore`).
+    """
+
+    keys: I64
+    table: I32
+    counts: I32
+    order: I32
+    t_ns: I64
+    ring: U16
+    r: F64
+    C: F32
+    aux: I16
+    cap: int
+
+
+class CappedVoxels(NamedTuple):
+    """What decides which points stay: the voxels, and the hashes of their points by slot; ``worst``
+    is the slot of a voxel's highest hash, ``changed`` marks voxels that took a point in.
+    """
+
+    keys: I64
+    table: I32
+    counts: I32
+    worst: I32
+    hashes: U64
+    changed: Bool
+    cap: int
 
 
 def pack_key(ijk: I64) -> I64:
@@ -98,19 +129,7 @@ def place_all(table: I32, keys: I64, used: int) -> None:
 
 @kernel
 def would_stay(
-    t_ns: I64,
-    ring: U16,
-    r: F64,
-    edge: float,
-    cap: int,
-    table: I32,
-    keys: I64,
-    count: I32,
-    worst: I32,
-    hashes: U64,
-    key: I64,
-    h: U64,
-    stays: Bool,
+    t_ns: I64, ring: U16, r: F64, edge: float, held: CappedVoxels, key: I64, h: U64, stays: Bool
 ) -> None:
     """Voxel key and hash of each point, and whether it would stay were it alone. Voxels only fill
     up and their worst hash only falls: a point that would not stay now never will.
@@ -123,28 +142,17 @@ def would_stay(
         # the position (to the micrometre) tells apart the two returns of one firing
         place = np.uint64(np.int64(r[i, 0] * 1e6)) ^ _mix(np.uint64(np.int64(r[i, 1] * 1e6)))
         h[i] = _mix(np.uint64(t_ns[i]) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(ring[i]) + place)
-        v = find_voxel(table, keys, key[i])
-        stays[i] = v < 0 or count[v] < cap or h[i] < hashes[v * cap + worst[v]]
+        v = find_voxel(held.table, held.keys, key[i])
+        full = v >= 0 and held.counts[v] >= held.cap
+        stays[i] = not full or h[i] < held.hashes[v * held.cap + held.worst[v]]
 
 
 @kernel
-def _insert(
-    key: I64,
-    h: U64,
-    cap: int,
-    table: I32,
-    keys: I64,
-    count: I32,
-    worst: I32,
-    hashes: U64,
-    changed: Bool,
-    used: int,
-    start: int,
-    slot_of: I64,
-) -> Any:
+def _insert(key: I64, h: U64, held: CappedVoxels, used: int, start: int, slot_of: I64) -> Any:
     """Offer points from ``start`` on; returns (next point, voxels used). Stops early where the
     voxel arrays are full.
     """
+    keys, table, count, worst, hashes, changed, cap = held
     for i in range(start, len(key)):
         v = find_voxel(table, keys, key[i])
         if v < 0:
@@ -236,6 +244,28 @@ class VoxelStore:
         self.offered = 0
 
     @property
+    def arrays(self) -> VoxelArrays:
+        """What kernels read; a view of the present arrays, which a growing store replaces."""
+        return VoxelArrays(
+            self.keys,
+            self.table,
+            self.count,
+            self.order,
+            self.t_ns,
+            self.ring,
+            self.r,
+            self.C,
+            self.aux,
+            self.cap,
+        )
+
+    @property
+    def _capped(self) -> CappedVoxels:
+        return CappedVoxels(
+            self.keys, self.table, self.count, self.worst, self.hashes, self.changed, self.cap
+        )
+
+    @property
     def kept(self) -> int:
         """Points held."""
         return int(self.count[: self.used].sum())
@@ -249,21 +279,7 @@ class VoxelStore:
             np.empty(len(t_ns), np.uint64),
             np.empty(len(t_ns), np.bool_),
         )
-        would_stay(
-            t_ns,
-            ring,
-            r,
-            self.edge_m,
-            self.cap,
-            self.table,
-            self.keys,
-            self.count,
-            self.worst,
-            self.hashes,
-            key,
-            h,
-            stays,
-        )
+        would_stay(t_ns, ring, r, self.edge_m, self._capped, key, h, stays)
         self.offered += len(t_ns)
         rows = np.flatnonzero(stays)
         aux = np.zeros((len(rows), KEPT), np.int16)
@@ -274,18 +290,7 @@ class VoxelStore:
         slot_of, start = np.full(len(points), -1, np.int64), 0
         while True:
             start, self.used = _insert(
-                points.key,
-                points.hash,
-                self.cap,
-                self.table,
-                self.keys,
-                self.count,
-                self.worst,
-                self.hashes,
-                self.changed,
-                self.used,
-                start,
-                slot_of,
+                points.key, points.hash, self._capped, self.used, start, slot_of
             )
             if start == len(points):
                 break

@@ -24,7 +24,8 @@ def test_admission_and_geometry_are_those_of_the_twins(scene):
     t[1200:1202] = states.t_ns[[0, -1]]
     r, C = rng.normal(size=(n, 3)) * 10, np.ones((n, 6), np.float32)
     verdict, state, fraction = np.zeros(n, np.int8), np.zeros(n, np.int64), np.zeros(n)
-    point_admission.admit(t, r, C, 1e6, states.t_ns, states.segment, verdict, state, fraction)
+    at = point_admission.Bracket(state, fraction)
+    point_admission.admit(t, r, C, 1e6, states.t_ns, states.segment, verdict, at)
     covered, k, f = bracket(t, states.t_ns, states.segment)
     taken = verdict == point_admission.TAKEN
     assert np.array_equal(taken, covered) and 1000 < taken.sum() < n
@@ -35,12 +36,10 @@ def test_admission_and_geometry_are_those_of_the_twins(scene):
     point_admission.geometry(
         rows,
         r,
-        state,
-        fraction,
-        states.p_map_body,
-        states.q_map_body,
-        states.v_body,
-        states.omega_body,
+        at,
+        point_admission.StateArrays(
+            states.p_map_body, states.q_map_body, states.v_body, states.omega_body
+        ),
         laser,
         seen,
     )
@@ -91,8 +90,8 @@ def test_verdicts_name_the_reason(scene):
     r, C, t = np.zeros((6, 3)), np.zeros((6, 6), np.float32), np.full(6, 5_000_000_000)
     r[0, 0], r[1, 1], C[2, 5], r[3, 2], t[4] = np.nan, -np.inf, np.nan, -2e6, -1
     r[1, 2] = np.inf  # opposite infinities do not cancel
-    verdict, state, fraction = np.zeros(6, np.int8), np.zeros(6, np.int64), np.zeros(6)
-    point_admission.admit(t, r, C, 1e6, states.t_ns, states.segment, verdict, state, fraction)
+    verdict, at = np.zeros(6, np.int8), point_admission.Bracket(np.zeros(6, np.int64), np.zeros(6))
+    point_admission.admit(t, r, C, 1e6, states.t_ns, states.segment, verdict, at)
     assert verdict.tolist() == [point_admission.NOT_FINITE] * 3 + [
         point_admission.TOO_FAR,
         point_admission.UNCOVERED,
