@@ -1,0 +1,11 @@
+"""Small mathematics that every room may use: no records, no parameters, no I/O.
+
+Public:
+
+- ``array_types``: names of NumPy array types for annotations (``F64``, ``I64``, ``Bool``).
+- ``kernels``: decorators for compiled functions, and work shared out to threads.
+- ``se3``: rotations, quaternions (xyzw) and rigid transforms.
+- ``normal_equations``: least squares with up to six unknowns, for kernels.
+- ``run_concurrently``: two pieces of work at a time.
+- ``import_guard``: libraries that others load only where these are installed.
+"""

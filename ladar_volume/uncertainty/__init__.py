@@ -1,0 +1,14 @@
+"""From a gradient per surface point to a variance per error source.
+
+Public:
+
+- ``patch_table``: the current filtered surface, patch by patch, with what patches share.
+- ``propagation``, ``load_kernels``: sums over points, pairs of patches and time bins.
+- ``navigation_sum``: errors correlated in time, added up in one pass.
+- ``volume_budget``, ``epoch_budget``: variances by source of one volume, and of a change.
+- ``second_order``: where the first order is not enough.
+- ``roughness``, ``ground_field``: the ground between its points as a random field.
+- ``correlated_sum``: the sigma of a sum over correlated height differences.
+
+The mathematics is in docs/uncertainty.md.
+"""

@@ -1,0 +1,1 @@
+"""``ladar_volume study``: the published experiments, one command each."""

@@ -1,0 +1,1 @@
+"""Monte Carlo of whole surveys: do the printed intervals hold the truth?"""
