@@ -31,7 +31,9 @@ from ladar_volume.model.records import F64, FilteredPoints, FilterUpdate, Patche
 from ladar_volume.replay import Replay
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
 from ladar_volume.uncertainty.packing import unpacked
+from ladar_volume.uncertainty.volume_budget import Sources
 from ladar_volume.volume import estimator as stage
+from ladar_volume.volume import measured_body
 from ladar_volume.volume.estimator import VolumeEstimator
 
 BAG = Path(__file__).parents[1] / "bags" / "stockpile"
@@ -140,22 +142,28 @@ def stopwatch(spent: dict[str, float]) -> Iterator[None]:
 
         return call
 
-    class Timed(stage.Sources):
-        budget = measured("budget", stage.Sources.budget)
-        sensitivities = measured("sensitivities", stage.Sources.sensitivities)
-        naive_sigma = measured("naive_sigma", stage.Sources.naive_sigma)
+    class Timed(Sources):
+        budget = measured("budget", Sources.budget)
+        sensitivities = measured("sensitivities", Sources.sensitivities)
+        naive_sigma = measured("naive_sigma", Sources.naive_sigma)
 
-    replaced = {
-        name: measured(name, getattr(stage, name))
-        for name in (*PROPAGATION, *REST)
-        if hasattr(stage, name)
-    }
+    def named_in(module: Any) -> dict[str, Any]:
+        return {
+            name: measured(name, getattr(module, name))
+            for name in (*PROPAGATION, *REST)
+            if hasattr(module, name)
+        }
+
+    replaced, steps = named_in(stage), named_in(measured_body)
     replaced["Sources"] = measured("Sources", Timed)
-    replaced["at_once"] = lambda one, two: (
+    steps["at_once"] = lambda one, two: (
         one(),
         two(),
     )  # one after the other, so that each part's time is its own
-    with mock.patch.multiple(stage, **replaced):
+    with (
+        mock.patch.multiple(stage, **replaced),
+        mock.patch.multiple(measured_body, **steps),
+    ):
         yield
 
 

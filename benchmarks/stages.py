@@ -38,7 +38,8 @@ from ladar_volume.rmls.fit_store import FitStore
 from ladar_volume.rmls.patch_builder import PatchBuilder
 from ladar_volume.rmls.surface_filter import SurfaceFilter
 from ladar_volume.uncertainty.patch_table import PatchStore
-from ladar_volume.volume import estimator
+from ladar_volume.uncertainty.volume_budget import Sources
+from ladar_volume.volume import estimator, measured_body
 
 SECONDS, S = 60.0, 1_000_000_000
 Record = tuple[int, str, Any]
@@ -53,11 +54,11 @@ TIMED: tuple[tuple[str, Any, str], ...] = (
     ("filter", SurfaceFilter, "update"),
     ("estimate: merge of the update", PatchStore, "_merge"),
     ("estimate: TIN", estimator.VolumeEstimator, "_surface"),
-    ("estimate: ground and outline", estimator, "base_and_outline"),
-    ("estimate: prismoids", estimator.VolumeEstimator, "_solid"),
-    ("estimate: budget", estimator.Sources, "budget"),
-    ("estimate: ground's roughness", estimator, "ground_field"),
-    ("estimate: surface near its base", estimator, "near_correction"),
+    ("estimate: ground and outline", measured_body, "base_and_outline"),
+    ("estimate: prismoids", measured_body, "solid_of"),
+    ("estimate: budget", Sources, "budget"),
+    ("estimate: ground's roughness", measured_body, "ground_field"),
+    ("estimate: surface near its base", measured_body, "near_correction"),
     ("estimate", estimator.VolumeEstimator, "estimate"),
 )
 

@@ -5,8 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numba
 import numpy as np
@@ -15,7 +14,7 @@ import numpy.typing as npt
 from ladar_volume.georeference.lidar_equation import Mounting, angle_derivatives
 from ladar_volume.georeference.point_jacobian import bracket, pack
 from ladar_volume.georeference.trajectory import PathWindow, interpolate_position
-from ladar_volume.math.array_types import F32, F64, I64, U8
+from ladar_volume.math.array_types import F32, F64, I64
 from ladar_volume.math.kernels import leaf_kernel, parallel_kernel
 from ladar_volume.math.se3 import matrix_from_quaternion, slerp
 
@@ -29,8 +28,7 @@ _ZERO = (0.0, 0.0, 0.0)
 _NEAR = 1.0 - 1e-9  # there the sines cancel; linear interpolation is exact to 1e-14
 
 
-@dataclass(frozen=True)
-class Mapped:
+class Mapped(NamedTuple):
     """r_map : (n, 3) m · C_ind : (n, 6) float32 m² · status : (n,) uint8, rows other than MAPPED
     hold NaN or are to be dropped.
     """
@@ -38,6 +36,24 @@ class Mapped:
     r_map: F64
     C_ind: F32
     status: npt.NDArray[np.uint8]
+
+
+class Device(NamedTuple):
+    """boresight : (3, 3), body from laser · arm : (3,) m from antenna to laser · lever : (3,) m of
+    the laser · sigmas : (3,) range m, azimuth and vertical angle rad. All in the body frame.
+    """
+
+    boresight: F64
+    arm: F64
+    lever: F64
+    sigmas: F64
+
+
+class Boxes(NamedTuple):
+    """vehicle : (6,) m, body frame, region : (6,) m, map frame: lower corner, upper corner."""
+
+    vehicle: F64
+    region: F64
 
 
 @leaf_kernel
@@ -110,8 +126,9 @@ def _rotation(q: tuple[float, float, float, float]) -> Rows:
 
 
 @leaf_kernel
-def _antenna(pt: I64, pp: F64, pm: F64, hermite: bool, j: int, t: int) -> Vector:
+def _antenna(path: PathWindow, j: int, t: int) -> Vector:
     """The antenna at a time from position j on, not after the next."""
+    pt, pp, pm, hermite = path.position_t, path.position, path.tangent, path.hermite
     x, y, z = pp[j, 0], pp[j, 1], pp[j, 2]
     if pt[j] != t:
         h = (pt[j + 1] - pt[j]) * 1e-9
@@ -161,25 +178,15 @@ def _map_part(
     last: int,
     t_ns: I64,
     r_laser: F64,
-    st: I64,
-    sq: F64,
-    sg: I64,
-    pt: I64,
-    pp: F64,
-    pm: F64,
-    hermite: bool,
-    boresight: F64,
-    arm: F64,
-    b: F64,
-    sigmas: F64,
-    vehicle: F64,
-    region: F64,
-    r_map: F64,
-    C_ind: F32,
-    status: U8,
+    path: PathWindow,
+    device: Device,
+    boxes: Boxes,
+    out: Mapped,
 ) -> None:
     """Returns from ``first`` to ``last``: along the knots, with a hint instead of a search."""
-    ns = len(st)
+    st, sq, sg, pt = path.state_t, path.state_q, path.state_segment, path.position_t
+    boresight, arm, b = device.boresight, device.arm, device.lever
+    r_map, C_ind, status, ns = out.r_map, out.C_ind, out.status, len(st)
     B = (
         (boresight[0, 0], boresight[0, 1], boresight[0, 2]),
         (boresight[1, 0], boresight[1, 1], boresight[1, 2]),
@@ -203,62 +210,25 @@ def _map_part(
         R = _rotation(q if st[k] == t else _attitude(sq, k, (t - st[k]) / (st[k + 1] - st[k]), arc))
         r = (r_laser[i, 0], r_laser[i, 1], r_laser[i, 2])
         v = _moved(_ZERO, B, r)
-        inside = _within(vehicle, (v[0] + b[0], v[1] + b[1], v[2] + b[2]))
+        inside = _within(boxes.vehicle, (v[0] + b[0], v[1] + b[1], v[2] + b[2]))
         j = _at(pt, t, j)
         # LiDAR equation
-        m = _moved(
-            _antenna(pt, pp, pm, hermite, j, t), R, (v[0] + arm[0], v[1] + arm[1], v[2] + arm[2])
-        )
+        m = _moved(_antenna(path, j, t), R, (v[0] + arm[0], v[1] + arm[1], v[2] + arm[2]))
         r_map[i, 0], r_map[i, 1], r_map[i, 2] = m
-        status[i] = IN_VEHICLE if inside else (MAPPED if _within(region, m) else OUTSIDE_REGION)
-        _noise(r, sigmas, B, R, C_ind[i])
+        status[i] = (
+            IN_VEHICLE if inside else (MAPPED if _within(boxes.region, m) else OUTSIDE_REGION)
+        )
+        _noise(r, device.sigmas, B, R, C_ind[i])
 
 
 @parallel_kernel
 def _map(
-    t_ns: I64,
-    r_laser: F64,
-    st: I64,
-    sq: F64,
-    sg: I64,
-    pt: I64,
-    pp: F64,
-    pm: F64,
-    hermite: bool,
-    boresight: F64,
-    arm: F64,
-    b: F64,
-    sigmas: F64,
-    vehicle: F64,
-    region: F64,
-    r_map: F64,
-    C_ind: F32,
-    status: U8,
+    t_ns: I64, r_laser: F64, path: PathWindow, device: Device, boxes: Boxes, out: Mapped
 ) -> None:
     n = len(t_ns)
     for chunk in numba.prange((n + _CHUNK - 1) // _CHUNK):
-        _map_part(
-            chunk * _CHUNK,
-            min(n, (chunk + 1) * _CHUNK),
-            t_ns,
-            r_laser,
-            st,
-            sq,
-            sg,
-            pt,
-            pp,
-            pm,
-            hermite,
-            boresight,
-            arm,
-            b,
-            sigmas,
-            vehicle,
-            region,
-            r_map,
-            C_ind,
-            status,
-        )
+        first, last = chunk * _CHUNK, min(n, (chunk + 1) * _CHUNK)
+        _map_part(first, last, t_ns, r_laser, path, device, boxes, out)
 
 
 def vehicle_box(values: tuple[float, ...]) -> F64:
@@ -289,26 +259,10 @@ def map_returns(
     n = len(t_ns)
     out = Mapped(np.zeros((n, 3)), np.zeros((n, 6), np.float32), np.zeros(n, np.uint8))
     arm = mount.lever_laser - mount.lever_antenna
-    _map(
-        t_ns,
-        np.ascontiguousarray(r_laser),
-        path.state_t,
-        path.state_q,
-        path.state_segment,
-        path.position_t,
-        path.position,
-        path.tangent,
-        path.hermite,
-        np.ascontiguousarray(mount.R_body_laser),
-        arm,
-        mount.lever_laser,
-        sigmas,
-        vehicle,
-        region,
-        out.r_map,
-        out.C_ind,
-        out.status,
+    device = Device(
+        np.ascontiguousarray(mount.R_body_laser), arm, mount.lever_laser, np.asarray(sigmas)
     )
+    _map(t_ns, np.ascontiguousarray(r_laser), path, device, Boxes(vehicle, region), out)
     return out
 
 

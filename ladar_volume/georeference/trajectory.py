@@ -9,7 +9,7 @@ which topics arrive.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,8 +25,7 @@ KNOT_LIMIT, KNOTS_KEPT_S = 131_072, 120.0
 _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 
 
-@dataclass(frozen=True)
-class PathWindow:
+class PathWindow(NamedTuple):
     """The knots around one cloud, as the mapping kernel takes them.
 
     state_t : (k,) ns, state_q : (k, 4) map from body, state_segment : (k,) with −1 for no state ·

@@ -6,15 +6,11 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import math
 from collections.abc import Callable
-from statistics import NormalDist
 from typing import TypeVar
 
 import numpy as np
 
-from ladar_volume.ground.ground_adjoint import ground_inverse
-from ladar_volume.math.run_concurrently import at_once
 from ladar_volume.model.errors import SurfaceError, VolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
@@ -26,29 +22,26 @@ from ladar_volume.model.records import (
     Patches,
     Plane,
     PlatformStates,
-    Tin,
-    Volume,
 )
-from ladar_volume.tin.full_tin import vertex_mask
 from ladar_volume.tin.represent import Represented, SurfaceOptions, represent
 from ladar_volume.uncertainty.epoch_budget import Epoch
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
 from ladar_volume.uncertainty.patch_table import PatchStore
-from ladar_volume.uncertainty.volume_budget import Budget, Sources, vertical_sigma
-from ladar_volume.volume.base import all_grounds, area_by_body, base_and_outline, polygon_of
-from ladar_volume.volume.centroid import centroid
-from ladar_volume.volume.chord_bias import cut_and_fill_chords
+from ladar_volume.uncertainty.volume_budget import Sources, vertical_sigma
+from ladar_volume.volume.base import all_grounds
+from ladar_volume.volume.measured_body import (
+    Footing,
+    MeasuredBody,
+    SurveyedSurface,
+    footing_of,
+    joint_sigma,
+    measure_body,
+    surveyed_surface,
+    volume_of,
+)
 from ladar_volume.volume.more_data import MoreData, more_data
-from ladar_volume.volume.near_base import Fold
-from ladar_volume.volume.outline import boundary_loop
-from ladar_volume.volume.polygon import clipped_prismoids
-from ladar_volume.volume.prismoids import Prismoids, prismoids
 from ladar_volume.volume.volume_loads import (
-    base_name,
-    ground_field,
-    near_correction,
     result_gradients,
-    vertex_variance,
 )
 
 B = TypeVar("B")
@@ -73,7 +66,7 @@ class VolumeEstimator:
         self._store = PatchStore()
         self._surface_now: Represented | None = None
         self._sources_now: Sources | None = None
-        self._main: tuple[Represented, Plane, F64, Prismoids, Budget, Sources, F64] | None = None
+        self._main: tuple[SurveyedSurface, Footing, MeasuredBody] | None = None
         self._t_ns = 0
 
     def set_parameters(self, parameters: Parameters) -> None:
@@ -104,11 +97,21 @@ class VolumeEstimator:
         where no base can be fitted, :class:`VolumeError` where nothing lies inside the outline or
         the platform's covariance is not yet known for all of the surface.
         """
-        points, patches = self._current()
-        surface = self._surface(points)
-        height_variance = vertex_variance(surface, points)
-        base, inside = self._base_and_outline(surface.tin, height_variance)
-        return self._result(surface, base, inside, points, patches, height_variance, naive)
+        survey = self._survey()
+        footing = footing_of(survey, self.parameters)
+        bodies = [
+            measure_body(survey, footing, part, self.parameters, naive) for part in footing.parts
+        ]
+        self._main = survey, footing, bodies[0]
+        volumes = tuple(
+            volume_of(survey, footing, body, self.parameters, self._t_ns) for body in bodies
+        )
+        joint = joint_covariance(
+            [v.sigma_m3**2 for v in volumes],
+            lambda a, b: joint_sigma(survey, footing, (a, b), self.parameters) ** 2,
+        )
+        base, grounds = self._grounds(survey, footing, bodies[0])
+        return Estimate(volumes[0], survey.tin, base, grounds, volumes, joint)
 
     def epoch(self) -> Epoch:
         """Everything so far as one survey, to be compared with another. Raises
@@ -123,12 +126,21 @@ class VolumeEstimator:
         """
         if self._main is None:
             raise VolumeError("no estimate yet", reason="volume_no_estimate")
-        surface, base, part, solid, budget, sources, variance = self._main
+        survey, footing, body = self._main
+        sources, surface = survey.sources, survey.surface
         gradient = result_gradients(
-            surface.tin, base, solid, len(sources.points), surface, coefficients=False
+            survey.tin, footing.base, body.solid, len(sources.points), surface, coefficients=False
         )[:, 0]
-        sigma_z = vertical_sigma(sources, surface.tin.source)
-        return more_data(surface.tin, part > 0, gradient, sources, sigma_z, variance, budget.sigma)
+        sigma_z = vertical_sigma(sources, survey.tin.source)
+        return more_data(
+            survey.tin,
+            body.part > 0,
+            gradient,
+            sources,
+            sigma_z,
+            survey.height_variance,
+            body.budget.sigma,
+        )
 
     def restarted(self) -> VolumeEstimator:
         """An estimator without a surface that knows the platform's path so far: returns still on
@@ -167,112 +179,25 @@ class VolumeEstimator:
             self._sources_now = Sources(points, patches, self._navigation, self.parameters)
         return self._sources_now
 
-    def _base_and_outline(self, tin: Tin, height_variance: F64) -> tuple[Plane, F64]:
-        return base_and_outline(tin, height_variance, self.parameters)
+    def _survey(self) -> SurveyedSurface:
+        points, patches = self._current()
+        surface = self._surface(points)
+        return surveyed_surface(surface, points, patches, self._sources(points, patches))
 
-    def _result(
-        self,
-        surface: Represented,
-        base: Plane,
-        inside: F64,
-        points: FilteredPoints,
-        patches: Patches,
-        height_variance: F64,
-        naive: bool,
-    ) -> Estimate:
-        sources = self._sources(points, patches)
-        parts = area_by_body(surface.tin, base, inside, self.parameters.volume)
-        inverse = ground_inverse(surface.tin.vertices, base) if len(base.support) else None
-
-        def solved(part: F64, beside: Callable[[F64], B]) -> tuple[Prismoids, Budget, B]:
-            solid = self._solid(surface.tin, base, part)
-
-            def rough_m6() -> float:
-                field = ground_field(
-                    surface.tin, base, solid, part, height_variance, sources, inverse
-                )
-                return 0.0 if field is None else field.variance_m6
-
-            def gradients() -> F64:  # large: held for the naive sigma alone
-                return result_gradients(surface.tin, base, solid, len(points), surface, inverse)
-
-            held = gradients() if naive else None
-            base_m6, (sensitivities, more) = at_once(
-                rough_m6,
-                lambda: (
-                    sources.sensitivities(gradients() if held is None else held),
-                    beside(part),
-                ),
-            )
-            # afterwards: it uses and completes what the roughness knows of the patches' errors
-            naive_m3 = math.nan if held is None else sources.naive_sigma(held[:, 0])
-            return solid, sources.budget(sensitivities, base_m6, naive_m3), more
-
-        def near(part: F64) -> Fold | None:
-            return near_correction(surface, base, part, points, patches, sources.geometry)
-
-        made = [solved(part, near) for part in parts]
-        self._main = surface, base, parts[0], *made[0][:2], sources, height_variance
-        normal = points.normal[surface.tin.source]
-        volumes = tuple(
-            self._volume(surface.tin, normal, base, part, *one)
-            for part, one in zip(parts, made, strict=True)
+    def _grounds(
+        self, survey: SurveyedSurface, footing: Footing, main: MeasuredBody
+    ) -> tuple[Plane, tuple[Plane, ...]]:
+        """The base with the covariance that the returns' noise gives it, and all ground surfaces
+        with it.
+        """
+        base = footing.base
+        grounds = all_grounds(
+            survey.tin, survey.height_variance, base, footing.inside, self.parameters
         )
-        grounds = all_grounds(surface.tin, height_variance, base, inside, self.parameters)
-        if len(base.support):
-            base = dataclasses.replace(base, C_beta=made[0][1].C_results[1:, 1:])
-            grounds = (base, *grounds[1:])
-        joint = joint_covariance(
-            [v.sigma_m3**2 for v in volumes],
-            lambda a, b: solved(parts[a] + parts[b], lambda _: None)[1].sigma ** 2,
-        )
-        return Estimate(volumes[0], surface.tin, base, grounds, volumes, joint)
-
-    def _solid(self, tin: Tin, base: Plane, inside: F64) -> Prismoids:
-        if self.parameters.volume.outline == "polygon":
-            return clipped_prismoids(tin, base, polygon_of(self.parameters.volume), inside > 0)
-        return prismoids(tin, base, inside > 0)
-
-    def _volume(
-        self,
-        tin: Tin,
-        normal: F64,
-        base: Plane,
-        inside: F64,
-        solid: Prismoids,
-        budget: Budget,
-        near: Fold | None,
-    ) -> Volume:
-        p, mask = self.parameters, inside > 0
-        above, below = cut_and_fill_chords(tin, normal, base, inside)
-        folded = 0.0 if near is None else near.taken(solid.cut_m3, solid.fill_m3)
-        return Volume(
-            volume_m3=solid.net_m3 - above - below,
-            sigma_m3=budget.sigma,
-            confidence=p.volume.confidence,
-            coverage_factor=NormalDist().inv_cdf(0.5 + p.volume.confidence / 2),
-            cut_m3=solid.cut_m3 - folded - above,
-            fill_m3=solid.fill_m3 - folded + below,
-            area_m2=solid.area_m2,
-            base=base_name(p),
-            base_same_survey=p.volume.base == "ground",
-            centroid_map=centroid(tin, base, inside),
-            budget_m6=budget.lines,
-            sigma_tau_range_m3=budget.sigma_tau_range,
-            sigma_naive_m3=budget.sigma_naive,
-            outline=polygon_of(p.volume)
-            if p.volume.outline == "polygon"
-            else boundary_loop(tin, mask),
-            vertices=int(np.count_nonzero(vertex_mask(tin, mask))),
-            triangles=int(np.count_nonzero(mask)),
-            t_ns=self._t_ns,
-            folded_m3=folded,
-            budget_within_m6=budget.within,
-            near_area_m2=0.0 if near is None else near.near_area_m2,
-            second_order_m3=budget.second.shift_m3,
-            second_order_matters=budget.second.matters,
-            chord_m3=above + below,
-        )
+        if not len(base.support):
+            return base, grounds
+        base = dataclasses.replace(base, C_beta=main.budget.C_results[1:, 1:])
+        return base, (base, *grounds[1:])
 
 
 def joint_covariance(variance: list[float], of_two: Callable[[int, int], float]) -> F64 | None:

@@ -91,7 +91,9 @@ def test_two_threads_find_what_one_finds(monkeypatch):
         return astuple(e.volume), e.base.C_beta.tobytes()
 
     several = [repr(found()) for _ in range(8)]
-    monkeypatch.setattr("ladar_volume.volume.estimator.at_once", lambda one, two: (one(), two()))
+    monkeypatch.setattr(
+        "ladar_volume.volume.measured_body.at_once", lambda one, two: (one(), two())
+    )
     assert set(several) == {repr(found())}
 
 
@@ -140,6 +142,7 @@ def test_the_history_of_updates_does_not_matter():
 
 
 def test_common_shift_and_yaw_cancel_above_the_surveys_own_ground_only():
+    from ladar_volume.volume.base import base_and_outline
     from ladar_volume.volume.prismoids import prismoids
     from ladar_volume.volume.volume_loads import result_gradients
 
@@ -147,7 +150,7 @@ def test_common_shift_and_yaw_cancel_above_the_surveys_own_ground_only():
     for degree in (0, 1, 2):
         r = estimator(update, parameters(ground={"degree": degree}))
         tin = r._surface(r._store.points).tin
-        base, inside = r._base_and_outline(tin, np.full(len(tin.vertices), 1e-4))
+        base, inside = base_and_outline(tin, np.full(len(tin.vertices), 1e-4), r.parameters)
         solid = prismoids(tin, base, inside > 0)
         G = result_gradients(tin, base, solid, len(r._store.points))[:, 0]
         alone = result_gradients(tin, base, solid, len(r._store.points), coefficients=False)
@@ -159,7 +162,9 @@ def test_common_shift_and_yaw_cancel_above_the_surveys_own_ground_only():
         assert abs((G * yaw).sum()) < 1e-10 * scale
     r = estimator(update, parameters(volume={"base": "level", "level_m": 2.0, "outline": "all"}))
     solid = prismoids(
-        tin, (base2 := r._base_and_outline(tin, np.full(len(tin.vertices), 1e-4)))[0], base2[1] > 0
+        tin,
+        (base2 := base_and_outline(tin, np.full(len(tin.vertices), 1e-4), r.parameters))[0],
+        base2[1] > 0,
     )
     assert solid.gradient_net.sum(axis=0)[2] == pytest.approx(solid.area_m2, rel=1e-12)
 

@@ -15,6 +15,7 @@ from ladar_volume.model.errors import ParameterValueError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.tin.relevant import with_relevant
+from ladar_volume.volume.base import base_and_outline
 from ladar_volume.volume.estimator import VolumeEstimator
 from ladar_volume.volume.prismoids import prismoids
 from ladar_volume.volume.volume_loads import result_gradients, vertex_variance
@@ -45,7 +46,7 @@ def test_a_ratio_of_one_is_the_full_tin_to_the_last_bit():
     surface = e._surface(points)
     variance = points.variance[plain.source] / np.maximum(points.normal[plain.source, 2] ** 2, 1e-4)
     assert surface.fit is None and vertex_variance(surface, points).tobytes() == variance.tobytes()
-    base, inside = e._base_and_outline(plain, variance)
+    base, inside = base_and_outline(plain, variance, e.parameters)
     solid = prismoids(plain, base, inside > 0)
     assert estimate.volume.volume_m3 + estimate.volume.chord_m3 == pytest.approx(
         solid.net_m3, rel=1e-14
@@ -74,7 +75,9 @@ def test_common_shift_and_yaw_cancel_through_the_adjustment():
     for degree in (0, 1, 2):
         e = estimator(update, 1 / 3, ground={"degree": degree})
         surface = e._surface(e._store.points)
-        base, inside = e._base_and_outline(surface.tin, vertex_variance(surface, e._store.points))
+        base, inside = base_and_outline(
+            surface.tin, vertex_variance(surface, e._store.points), e.parameters
+        )
         position = e._store.points.r_map
         G = result_gradients(
             surface.tin, base, prismoids(surface.tin, base, inside > 0), len(position), surface

@@ -1,0 +1,214 @@
+"""From a surface and its base to the volume of each body with its budget, step by step.
+
+Every step is a function of the records it names: :func:`footing_of` → :func:`measure_body` →
+:func:`volume_of`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from statistics import NormalDist
+
+import numpy as np
+
+from ladar_volume.ground.ground_adjoint import ground_inverse
+from ladar_volume.math.run_concurrently import at_once
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import F64, FilteredPoints, Patches, Plane, Tin, Volume
+from ladar_volume.tin.full_tin import vertex_mask
+from ladar_volume.tin.represent import Represented
+from ladar_volume.uncertainty.volume_budget import Budget, Sources
+from ladar_volume.volume.base import area_by_body, base_and_outline, polygon_of
+from ladar_volume.volume.centroid import centroid
+from ladar_volume.volume.chord_bias import cut_and_fill_chords
+from ladar_volume.volume.near_base import Fold
+from ladar_volume.volume.outline import boundary_loop
+from ladar_volume.volume.polygon import clipped_prismoids
+from ladar_volume.volume.prismoids import Prismoids, prismoids
+from ladar_volume.volume.volume_loads import (
+    base_name,
+    ground_field,
+    near_correction,
+    result_gradients,
+    vertex_variance,
+)
+
+
+@dataclass(frozen=True)
+class SurveyedSurface:
+    """The surface of a survey and what is known of its errors.
+
+    points, patches : the filtered surface it is made from · height_variance : (v,) m² of the
+    vertices, noise alone
+    """
+
+    surface: Represented
+    points: FilteredPoints
+    patches: Patches
+    sources: Sources
+    height_variance: F64
+
+    @property
+    def tin(self) -> Tin:
+        """The surface's triangles."""
+        return self.surface.tin
+
+
+@dataclass(frozen=True)
+class Footing:
+    """What the bodies stand on, and where each counts.
+
+    inside : (t,) area of each triangle that counts, m² · parts : the same by body, the main body
+    first · inverse : of the ground's normal equations, None for a base that is given
+    """
+
+    base: Plane
+    inside: F64
+    parts: tuple[F64, ...]
+    inverse: F64 | None
+
+
+@dataclass(frozen=True)
+class MeasuredBody:
+    """One body: area of each triangle that counts (t,) m², prismoids, budget, and what noise does
+    to cut and fill near the base, where that matters.
+    """
+
+    part: F64
+    solid: Prismoids
+    budget: Budget
+    near: Fold | None
+
+
+def surveyed_surface(
+    surface: Represented, points: FilteredPoints, patches: Patches, sources: Sources
+) -> SurveyedSurface:
+    """A surface with the noise of its vertices."""
+    return SurveyedSurface(surface, points, patches, sources, vertex_variance(surface, points))
+
+
+def footing_of(survey: SurveyedSurface, parameters: Parameters) -> Footing:
+    """Base, outline and bodies. Raises :class:`GroundError` where no base can be fitted and
+    :class:`VolumeError` where nothing lies inside the outline.
+    """
+    base, inside = base_and_outline(survey.tin, survey.height_variance, parameters)
+    parts = area_by_body(survey.tin, base, inside, parameters.volume)
+    inverse = ground_inverse(survey.tin.vertices, base) if len(base.support) else None
+    return Footing(base, inside, tuple(parts), inverse)
+
+
+def solid_of(tin: Tin, base: Plane, part: F64, parameters: Parameters) -> Prismoids:
+    """Cut, fill and net of the triangles that count."""
+    if parameters.volume.outline == "polygon":
+        return clipped_prismoids(tin, base, polygon_of(parameters.volume), part > 0)
+    return prismoids(tin, base, part > 0)
+
+
+def measure_body(
+    survey: SurveyedSurface, footing: Footing, part: F64, parameters: Parameters, naive: bool
+) -> MeasuredBody:
+    """Volume and budget of the triangles that count (t,) m², and the correction near the base.
+
+    naive : also the sigma that all points independent would give.
+    """
+    solid = solid_of(survey.tin, footing.base, part, parameters)
+    near = partial(_near_base, survey, footing, part)
+    return _measured(survey, footing, part, solid, naive, near)
+
+
+def joint_sigma(
+    survey: SurveyedSurface, footing: Footing, pair: tuple[int, int], parameters: Parameters
+) -> float:
+    """Standard deviation m³ of the sum of two bodies, by number."""
+    part = footing.parts[pair[0]] + footing.parts[pair[1]]
+    solid = solid_of(survey.tin, footing.base, part, parameters)
+    return _measured(survey, footing, part, solid, False, lambda: None).budget.sigma
+
+
+def volume_of(
+    survey: SurveyedSurface, footing: Footing, body: MeasuredBody, parameters: Parameters, t_ns: int
+) -> Volume:
+    """The record of one body: net, cut and fill with the chords' bias and the fold near the base
+    taken out.
+    """
+    tin, base, part, mask = survey.tin, footing.base, body.part, body.part > 0
+    solid, budget, near = body.solid, body.budget, body.near
+    normal = survey.points.normal[tin.source]
+    above, below = cut_and_fill_chords(tin, normal, base, part)
+    folded = 0.0 if near is None else near.taken(solid.cut_m3, solid.fill_m3)
+    v = parameters.volume
+    return Volume(
+        volume_m3=solid.net_m3 - above - below,
+        sigma_m3=budget.sigma,
+        confidence=v.confidence,
+        coverage_factor=NormalDist().inv_cdf(0.5 + v.confidence / 2),
+        cut_m3=solid.cut_m3 - folded - above,
+        fill_m3=solid.fill_m3 - folded + below,
+        area_m2=solid.area_m2,
+        base=base_name(parameters),
+        base_same_survey=v.base == "ground",
+        centroid_map=centroid(tin, base, part),
+        budget_m6=budget.lines,
+        sigma_tau_range_m3=budget.sigma_tau_range,
+        sigma_naive_m3=budget.sigma_naive,
+        outline=polygon_of(v) if v.outline == "polygon" else boundary_loop(tin, mask),
+        vertices=int(np.count_nonzero(vertex_mask(tin, mask))),
+        triangles=int(np.count_nonzero(mask)),
+        t_ns=t_ns,
+        folded_m3=folded,
+        budget_within_m6=budget.within,
+        near_area_m2=0.0 if near is None else near.near_area_m2,
+        second_order_m3=budget.second.shift_m3,
+        second_order_matters=budget.second.matters,
+        chord_m3=above + below,
+    )
+
+
+def _near_base(survey: SurveyedSurface, footing: Footing, part: F64) -> Fold | None:
+    geometry = survey.sources.geometry
+    return near_correction(
+        survey.surface, footing.base, part, survey.points, survey.patches, geometry
+    )
+
+
+def _roughness_m6(survey: SurveyedSurface, footing: Footing, part: F64, solid: Prismoids) -> float:
+    """Variance from the ground between its points."""
+    field = ground_field(
+        survey.tin,
+        footing.base,
+        solid,
+        part,
+        survey.height_variance,
+        survey.sources,
+        footing.inverse,
+    )
+    return 0.0 if field is None else field.variance_m6
+
+
+def _measured(
+    survey: SurveyedSurface,
+    footing: Footing,
+    part: F64,
+    solid: Prismoids,
+    naive: bool,
+    near: Callable[[], Fold | None],
+) -> MeasuredBody:
+    """The budget of a solid: the ground's roughness in one thread, sensitivities in another."""
+    sources = survey.sources
+
+    def gradients() -> F64:  # large: held for the naive sigma alone
+        return result_gradients(
+            survey.tin, footing.base, solid, len(survey.points), survey.surface, footing.inverse
+        )
+
+    held = gradients() if naive else None
+    base_m6, (sensitivities, fold) = at_once(
+        partial(_roughness_m6, survey, footing, part, solid),
+        lambda: (sources.sensitivities(gradients() if held is None else held), near()),
+    )
+    # afterwards: it uses and completes what the roughness knows of the patches' errors
+    naive_m3 = math.nan if held is None else sources.naive_sigma(held[:, 0])
+    return MeasuredBody(part, solid, sources.budget(sensitivities, base_m6, naive_m3), fold)
