@@ -15,6 +15,7 @@ from ladar_volume.georeference.lidar_equation import Mounting, angle_derivatives
 from ladar_volume.georeference.point_jacobian import bracket, pack
 from ladar_volume.georeference.trajectory import PathWindow, interpolate_position
 from ladar_volume.math.array_types import F32, F64, I64
+from ladar_volume.math.interpolation import arc_between, knot_before, on_arc
 from ladar_volume.math.kernels import leaf_kernel, parallel_kernel
 from ladar_volume.math.se3 import matrix_from_quaternion, slerp
 
@@ -25,7 +26,6 @@ _CHUNK = 1024
 Vector: TypeAlias = tuple[float, float, float]
 Rows: TypeAlias = tuple[Vector, Vector, Vector]
 _ZERO = (0.0, 0.0, 0.0)
-_NEAR = 1.0 - 1e-9  # there the sines cancel; linear interpolation is exact to 1e-14
 
 
 class Mapped(NamedTuple):
@@ -57,27 +57,6 @@ class Boxes(NamedTuple):
 
 
 @leaf_kernel
-def _at(t: I64, value: int, hint: int) -> Any:
-    """Index of the last knot not after ``value``, −1 where all are later; ``hint`` is tried
-    first.
-    """
-    n = len(t)
-    if hint >= 0 and t[hint] <= value:
-        if hint + 1 >= n or value < t[hint + 1]:
-            return hint
-        if hint + 2 >= n or value < t[hint + 2]:
-            return hint + 1
-    lo, hi = 0, n
-    while lo < hi:
-        mid = (lo + hi) >> 1
-        if t[mid] <= value:
-            lo = mid + 1
-        else:
-            hi = mid
-    return lo - 1
-
-
-@leaf_kernel
 def _moved(a: Vector, R: Rows, v: Vector) -> Vector:
     """``a + R v``. Vectors and rows of matrices are numbers, not arrays: they stay in registers."""
     return (
@@ -85,33 +64,6 @@ def _moved(a: Vector, R: Rows, v: Vector) -> Vector:
         a[1] + R[1][0] * v[0] + R[1][1] * v[1] + R[1][2] * v[2],
         a[2] + R[2][0] * v[0] + R[2][1] * v[1] + R[2][2] * v[2],
     )
-
-
-@leaf_kernel
-def _arc(sq: F64, k: int) -> Any:
-    """Constants of the slerp from attitude k to the next: angle, one over its sine, sign of the
-    second, and whether the two are so near that it is linear.
-    """
-    dot = 0.0
-    for c in range(4):
-        dot += sq[k, c] * sq[k + 1, c]
-    sign, dot = -1.0 if dot < 0.0 else 1.0, min(abs(dot), 1.0)
-    theta, near = np.arccos(dot), dot > _NEAR
-    return theta, 1.0 if near else 1.0 / np.sin(theta), sign, near
-
-
-@leaf_kernel
-def _attitude(sq: F64, k: int, f: float, arc: tuple[float, float, float, bool]) -> Any:
-    """The unit quaternion a share f of the way from attitude k to the next."""
-    theta, inv_sine, sign, near = arc
-    if near:
-        w0, w1 = 1.0 - f, sign * f
-    else:
-        w0, w1 = np.sin((1.0 - f) * theta) * inv_sine, sign * np.sin(f * theta) * inv_sine
-    x, y = w0 * sq[k, 0] + w1 * sq[k + 1, 0], w0 * sq[k, 1] + w1 * sq[k + 1, 1]
-    z, w = w0 * sq[k, 2] + w1 * sq[k + 1, 2], w0 * sq[k, 3] + w1 * sq[k + 1, 3]
-    s = 1.0 / np.sqrt(x * x + y * y + z * z + w * w)
-    return x * s, y * s, z * s, w * s
 
 
 @leaf_kernel
@@ -195,7 +147,7 @@ def _map_part(
     k, j, arc = -1, -1, (0.0, 1.0, 1.0, True)
     for i in range(first, last):
         t, before = t_ns[i], k
-        k = _at(st, t, k)
+        k = knot_before(st, t, k)
         covered = k >= 0 and sg[k] >= 0
         if covered and st[k] != t:
             covered = k + 1 < ns and sg[k] == sg[k + 1]
@@ -205,13 +157,15 @@ def _map_part(
             C_ind[i, :] = np.nan
             continue
         if k != before and k + 1 < ns:  # once per interval
-            arc = _arc(sq, k)
+            arc = arc_between(sq, k, k + 1)
         q = (sq[k, 0], sq[k, 1], sq[k, 2], sq[k, 3])
-        R = _rotation(q if st[k] == t else _attitude(sq, k, (t - st[k]) / (st[k + 1] - st[k]), arc))
+        R = _rotation(
+            q if st[k] == t else on_arc(sq, k, k + 1, (t - st[k]) / (st[k + 1] - st[k]), arc)
+        )
         r = (r_laser[i, 0], r_laser[i, 1], r_laser[i, 2])
         v = _moved(_ZERO, B, r)
         inside = _within(boxes.vehicle, (v[0] + b[0], v[1] + b[1], v[2] + b[2]))
-        j = _at(pt, t, j)
+        j = knot_before(pt, t, j)
         # LiDAR equation
         m = _moved(_antenna(path, j, t), R, (v[0] + arm[0], v[1] + arm[1], v[2] + arm[2]))
         r_map[i, 0], r_map[i, 1], r_map[i, 2] = m

@@ -6,11 +6,12 @@ the points.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ladar_volume.math.array_types import F32, F64, I8, I64
+from ladar_volume.math.interpolation import arc_between, knot_before, on_arc
 from ladar_volume.math.kernels import kernel
 
 TAKEN, NOT_FINITE, TOO_FAR, UNCOVERED = 0, 1, 2, 3
@@ -32,17 +33,6 @@ class StateArrays(NamedTuple):
     q: F64
     v: F64
     omega: F64
-
-
-@kernel
-def _before(knots: I64, t: int, hint: int) -> Any:
-    """Index of the last knot not after t, −1 before the first; points come nearly in order of time,
-    so the last answer is tried first.
-    """
-    n = len(knots)
-    if hint >= 0 and knots[hint] <= t and (hint + 1 == n or t < knots[hint + 1]):
-        return hint
-    return np.searchsorted(knots, t, side="right") - 1
 
 
 @kernel
@@ -73,7 +63,7 @@ def admit(
             verdict[i] = TOO_FAR
             continue
         t = t_ns[i]
-        k = _before(knots, t, hint)
+        k = knot_before(knots, t, hint)
         hint = k
         verdict[i] = UNCOVERED
         if k < 0 or segment[k] < 0:
@@ -89,26 +79,6 @@ def admit(
 
 
 @kernel
-def _slerp(q0: F64, q1: F64, f: float, out: F64) -> None:
-    """Between two unit quaternions xyzw, the short way."""
-    dot = q0[0] * q1[0] + q0[1] * q1[1] + q0[2] * q1[2] + q0[3] * q1[3]
-    sign = -1.0 if dot < 0.0 else 1.0
-    dot = min(abs(dot), 1.0)
-    angle = np.arccos(dot)
-    if angle < 1e-4:
-        a, b = 1.0 - f, f
-    else:
-        a, b = np.sin((1.0 - f) * angle) / np.sin(angle), np.sin(f * angle) / np.sin(angle)
-    length = 0.0
-    for k in range(4):
-        out[k] = a * q0[k] + sign * b * q1[k]
-        length += out[k] * out[k]
-    length = np.sqrt(length)
-    for k in range(4):
-        out[k] /= length
-
-
-@kernel
 def geometry(
     rows: I64, r: F64, at: Bracket, states: StateArrays, lever_laser: F64, out: F64
 ) -> None:
@@ -116,13 +86,12 @@ def geometry(
     (n,) to out (n, 10).
     """
     p, q, v, omega = states
-    g, d, m, w, s = np.empty(4), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    d, m, w, s = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for j in range(len(rows)):
         i = rows[j]
         k, f = at.state[i], at.fraction[i]
         l = min(k + 1, len(p) - 1)
-        _slerp(q[k], q[l], f, g)
-        x, y, z, e = g[0], g[1], g[2], g[3]
+        x, y, z, e = on_arc(q, k, l, f, arc_between(q, k, l))
         for c in range(3):
             d[c] = r[i, c] - (p[k, c] + f * (p[l, c] - p[k, c]))
             m[c] = v[k, c] + f * (v[l, c] - v[k, c])
