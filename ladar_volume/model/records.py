@@ -24,6 +24,11 @@ from ladar_volume.math.array_types import I64 as I64
 from ladar_volume.math.array_types import U16 as U16
 from ladar_volume.math.array_types import Bool as Bool
 
+#: Least upward component of a normal along which a height's error is told: a face within 3° of the
+#: vertical counts as one of 3°, since the height of a wall is any height. Two places differ:
+#: ``second_order`` (curvature grows with its cube) and ``chord_bias`` (no chord over a plan there).
+LEAST_UPWARD = 0.05
+
 #: Columns of every calibration sensitivity: per-beam columns follow (rho_k for all beams, then
 #: eps_k).
 CAL_COLUMNS = (

@@ -46,7 +46,8 @@ BORESIGHT = slice(1, 4)
 #: boresight sigma (rad) beyond this.
 SHARE, SIGMA_RAD = 0.01, math.radians(0.1)
 Vector: TypeAlias = tuple[float, float, float]
-#: Walls count as no steeper than this vertical component of their normal.
+#: Walls count as no steeper than this vertical component of their normal: a second derivative grows
+#: with its inverse cube, and would be noise beyond. (First-order terms use LEAST_UPWARD.)
 STEEPEST = 0.2
 
 

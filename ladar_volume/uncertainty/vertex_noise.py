@@ -15,12 +15,21 @@ import numpy as np
 from scipy import sparse
 
 from ladar_volume.math.kernels import kernel, leaf_kernel
-from ladar_volume.model.records import F32, F64, I8, I32, I64, Bool, FilteredPoints, Patches, Tin
+from ladar_volume.model.records import (
+    F32,
+    F64,
+    I8,
+    I32,
+    I64,
+    LEAST_UPWARD,
+    Bool,
+    FilteredPoints,
+    Patches,
+    Tin,
+)
 from ladar_volume.uncertainty.packing import factor_rows
 from ladar_volume.uncertainty.propagation import SurfaceGeometry
 
-#: Least vertical component of a normal.
-STEEPEST = 0.01
 #: Rings of a neighbourhood of independent heights, and the most for heights that share noise.
 RINGS, MOST_RINGS = 4, 12
 
@@ -31,7 +40,7 @@ def vertex_rows(
     """Rows (n, p) that give each vertex' height from that of its patch whose covariances the blocks
     are, and that patch (n,).
     """
-    up = np.maximum(np.abs(points.normal[tin.source, 2]), STEEPEST)
+    up = np.maximum(np.abs(points.normal[tin.source, 2]), LEAST_UPWARD)
     row = geometry.row[tin.source]
     X = geometry.design(tin.source)
     X /= up[:, None]

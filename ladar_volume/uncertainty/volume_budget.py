@@ -11,7 +11,7 @@ import numpy as np
 
 from ladar_volume.georeference.error_budget import calibration_covariance
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, I32, I64, FilteredPoints, Patches
+from ladar_volume.model.records import F64, I32, I64, LEAST_UPWARD, FilteredPoints, Patches
 from ladar_volume.uncertainty.load_kernels import correlated_kernel, height_kernel, naive_kernel
 from ladar_volume.uncertainty.navigation_sum import (
     NavigationBins,
@@ -44,9 +44,9 @@ from ladar_volume.uncertainty.second_order import (
     together,
 )
 
-#: Least vertical component of a normal; and the share of their variance that independent errors of
-#: two samples keep, on average, where one is interpolated between them.
-LEAST_UP, BETWEEN = 0.05, 2.0 / 3.0
+#: Share of their variance that independent errors of two samples keep, on average, where one is
+#: interpolated between them.
+BETWEEN = 2.0 / 3.0
 #: Rows of a symmetric matrix that are computed at a time.
 ROWS = 128
 
@@ -207,7 +207,7 @@ class Sources:
         points = points[order]
         row, up = (
             self.geometry.row[points],
-            np.maximum(np.abs(self.points.normal[points, 2]), LEAST_UP),
+            np.maximum(np.abs(self.points.normal[points, 2]), LEAST_UPWARD),
         )
         X = self.geometry.design(points) / up[:, None]
         J = np.einsum("kp,kpc->kc", X, calibration_rows(self.patches, row, X.shape[1]))
@@ -255,6 +255,6 @@ def vertical_sigma(sources: Sources, points: I64) -> F64:
     normal's vertical component, of which no less than 0.05 is taken (walls).
     """
     out: F64 = np.sqrt(sources.variance(points)) / np.maximum(
-        np.abs(sources.points.normal[points, 2]), LEAST_UP
+        np.abs(sources.points.normal[points, 2]), LEAST_UPWARD
     )
     return out

@@ -11,7 +11,16 @@ import numpy as np
 from ladar_volume.ground.ground_adjoint import add_ground_gradient, ground_residuals
 from ladar_volume.ground.polynomial import base_height
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, Patches, Plane, Tin
+from ladar_volume.model.records import (
+    F64,
+    I64,
+    LEAST_UPWARD,
+    Bool,
+    FilteredPoints,
+    Patches,
+    Plane,
+    Tin,
+)
 from ladar_volume.tin.adjustment_adjoint import height_covariance
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.tin.represent import Represented
@@ -20,7 +29,6 @@ from ladar_volume.uncertainty.load_kernels import place_kernel
 from ladar_volume.uncertainty.propagation import SurfaceGeometry
 from ladar_volume.uncertainty.roughness import estimate_roughness
 from ladar_volume.uncertainty.vertex_noise import (
-    STEEPEST,
     corner_covariances,
     height_sums,
     rings_for,
@@ -46,7 +54,7 @@ def vertex_variance(surface: Represented, points: FilteredPoints) -> F64:
     that the adjustment makes of it.
     """
     tin = surface.tin
-    height = points.variance / np.maximum(points.normal[:, 2] ** 2, 1e-4)
+    height = points.variance / np.maximum(points.normal[:, 2] ** 2, LEAST_UPWARD**2)
     own: F64 = height[tin.source]
     if surface.fit is None:
         return own
@@ -108,7 +116,7 @@ def near_correction(
     X, row = vertex_rows(tin, points, patches, geometry)
     variance = (
         points.variance[tin.source]
-        / np.maximum(np.abs(points.normal[tin.source, 2]), STEEPEST) ** 2
+        / np.maximum(np.abs(points.normal[tin.source, 2]), LEAST_UPWARD) ** 2
     )
     close = tin.triangles[whole][near_triangles(tin, height, variance, whole)]
     if not len(close):

@@ -13,6 +13,7 @@ from volume_surfaces import cone, platform, surface_update
 
 from ladar_volume.model.errors import ParameterValueError
 from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import LEAST_UPWARD
 from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.tin.relevant import with_relevant
 from ladar_volume.volume.base import base_and_outline
@@ -44,7 +45,9 @@ def test_a_ratio_of_one_is_the_full_tin_to_the_last_bit():
     for name in ("vertices", "triangles", "neighbours", "relevant", "source"):
         assert getattr(estimate.tin, name).tobytes() == getattr(plain, name).tobytes()
     surface = e._surface(points)
-    variance = points.variance[plain.source] / np.maximum(points.normal[plain.source, 2] ** 2, 1e-4)
+    variance = points.variance[plain.source] / np.maximum(
+        points.normal[plain.source, 2] ** 2, LEAST_UPWARD**2
+    )
     assert surface.fit is None and vertex_variance(surface, points).tobytes() == variance.tobytes()
     base, inside = base_and_outline(plain, variance, e.parameters)
     solid = prismoids(plain, base, inside > 0)
