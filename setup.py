@@ -33,7 +33,8 @@ setup(
         (f"share/{PACKAGE}/launch", sorted(glob("launch/*.launch.py"))),
         (f"share/{PACKAGE}/config", sorted(glob("config/*.yaml") + glob("config/*.json"))),
     ],
-    python_requires=">=3.11",
+    python_requires=">=3.11, <3.14",
+    extras_require={"test": ["pytest"]},  # by this colcon knows that pytest runs the tests
     zip_safe=True,
     entry_points={
         "console_scripts": [
