@@ -26,7 +26,7 @@ setup(
     maintainer=manifest("maintainer"),
     maintainer_email=MANIFEST.find("maintainer").attrib["email"],
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={PACKAGE: ["py.typed", "nodes/fastdds.xml"]},
+    package_data={PACKAGE: ["py.typed", "process/fastdds.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -39,7 +39,7 @@ setup(
     entry_points={
         "console_scripts": [
             "ladar_volume = ladar_volume.cli.main:main",
-            *(f"{node} = ladar_volume.nodes.{node}:main" for node in NODES),
+            *(f"{node} = ladar_volume.nodes.programs:{node}" for node in NODES),
         ],
     },
 )

@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ladar_volume.model.errors import LadarVolumeError
+from ladar_volume.process.switch import own_process
 from ladar_volume.version import version
 
 #: Verbs in modules of their own, loaded only when asked for: name → module with
@@ -130,6 +131,7 @@ def orderly_end() -> Iterator[None]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; returns the exit code."""
+    own_process()
     words = list(sys.argv[1:] if argv is None else argv)
     verb = next((w for w in words if not w.startswith("-")), None)
     arguments: Any = _parser(verb).parse_args(words)

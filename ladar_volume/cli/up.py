@@ -17,6 +17,7 @@ from ladar_volume.cli.result_table import show_result
 from ladar_volume.io import results
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.config import dump_config, read_config
+from ladar_volume.process.numpy_names import leave_out_tools
 
 
 def add_parser(subparsers: Any) -> None:
@@ -61,9 +62,9 @@ def run(arguments: argparse.Namespace) -> int:
     parameters = read_config(config, overrides)
     folder = results.output_folder(arguments.output)
     console = Console(stderr=arguments.json)
-    from ladar_volume.nodes.graph import (
-        Graph,
-    )  # the only way to ROS from here, paid for only by this verb
+    leave_out_tools()
+    # the only way to ROS from here, paid for only by this verb
+    from ladar_volume.nodes.graph import Graph
 
     with tempfile.TemporaryDirectory() as scratch:
         effective = Path(scratch) / "parameters.yaml"

@@ -12,7 +12,7 @@ def test_a_survey_needs_no_kernel_that_was_not_ready():
         import sys
         from pathlib import Path
         from numba.core.caching import Cache
-        from ladar_volume import warm
+        from ladar_volume import compile_kernels as warm
         from ladar_volume.replay import Replay
         from ladar_volume.io.bags import BagReader
         from ladar_volume.io.config import read_config

@@ -5,7 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from ladar_volume.nodes.process_memory import FROM_PROFILES, PROFILES, free_buffers, unchanged_pages
+from ladar_volume.process.memory import FROM_PROFILES, PROFILES, free_buffers, unchanged_pages
 
 ROOT = Path(__file__).parents[2]
 
@@ -37,7 +37,7 @@ def test_only_what_is_as_in_the_file_is_given_back():
 def test_kernels_run_and_compile_after_the_libraries_were_given_back():
     code = """if True:
         import numba, numpy as np
-        from ladar_volume.nodes import process_memory as memory
+        from ladar_volume.process import memory
         from ladar_volume.uncertainty.navigation_sum import markov_sum
         memory.few_arenas()
         t, y = np.arange(3.0), np.ones((3, 2))
@@ -62,7 +62,7 @@ def test_kernels_compile_for_good_after_the_modules_of_those_they_call_were_pack
         import gc, sys
         import numpy as np
         from numba.core.codegen import CPUCodeLibrary
-        from ladar_volume.nodes import process_memory as memory
+        from ladar_volume.process import memory
         from ladar_volume.uncertainty.navigation_sum import markov_sum
         t, y = np.arange(3.0), np.ones((3, 2))
         held = lambda: sum(getattr(x, "_shared_module", None) is not None for x in gc.get_objects() if isinstance(x, CPUCodeLibrary))
@@ -91,7 +91,7 @@ def test_kernels_compile_for_good_after_the_modules_of_those_they_call_were_pack
 def test_kernels_of_a_node_need_no_linear_algebra_of_scipy():
     code = """if True:
         import sys
-        from ladar_volume.nodes import process_memory as memory
+        from ladar_volume.process import memory
         from ladar_volume.compile_kernels import warm_up
         memory.without_blas()
         warm_up("georeference")
@@ -109,7 +109,7 @@ def test_what_a_large_process_frees_goes_back_at_once():
     code = """if True:
         import sys
         import numpy as np
-        from ladar_volume.nodes import process_memory as memory
+        from ladar_volume.process import memory
         memory.few_arenas()
         memory.LARGE_BYTES = 0 if sys.argv[1] == "large" else 1 << 60
         memory.give_back()
@@ -136,7 +136,7 @@ SENT = """if True:
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
     from sensor_msgs.msg import PointCloud2
-    from ladar_volume.nodes import process_memory as memory
+    from ladar_volume.process import memory
     from ladar_volume.nodes.qos import STREAM
     memory.few_arenas()
     if sys.argv[1] == "free":
