@@ -35,7 +35,8 @@ from ladar_volume.ground.robust_ground import fit_ground
 from ladar_volume.io.meshfiles.mesh_files import ENDINGS, holds_faces, read_mesh, write_mesh
 from ladar_volume.io.pointfiles.cloud_files import ENCODINGS
 from ladar_volume.io.results import json_text
-from ladar_volume.mesh.local_mesh import REPAIRS, LocalMeshSettings
+from ladar_volume.mesh.local_mesh import LocalMeshSettings
+from ladar_volume.model.choices import REPAIRS
 from ladar_volume.model.errors import (
     ConfigurationError,
     GroundError,

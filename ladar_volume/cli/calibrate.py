@@ -13,7 +13,6 @@ from rich.console import Console
 from rich.table import Table
 
 from ladar_volume.calibration.repeats import (
-    USES,
     Components,
     Spread,
     boresight_vectors,
@@ -28,6 +27,7 @@ from ladar_volume.io.config import changed_config, read_config
 from ladar_volume.io.measurements import Measurements, read_measurements
 from ladar_volume.io.results import json_text
 from ladar_volume.math.se3 import exp_so3, rotation_xyz
+from ladar_volume.model.choices import USES
 from ladar_volume.model.errors import CalibrationError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64

@@ -20,10 +20,10 @@ from ladar_volume.cli.result_table import budget_table, volume_rows
 from ladar_volume.io import results
 from ladar_volume.io.surveys import Survey, between_datums, read_survey
 from ladar_volume.io.transforms import read_transform
+from ladar_volume.model.choices import CALIBRATION_GROUPS
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.records import F64
 from ladar_volume.uncertainty.epoch_budget import Epoch
-from ladar_volume.uncertainty.propagation import CALIBRATION_GROUPS
 from ladar_volume.version import version
 
 

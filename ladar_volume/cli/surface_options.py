@@ -15,12 +15,11 @@ import numpy as np
 
 from ladar_volume.clouds.cloud_surface import CloudSurface, cloud_surface
 from ladar_volume.io.pointfiles.cloud_files import PointFile, read_cloud
+from ladar_volume.model.choices import ADJUST, CRITERIA, MEASURES
 from ladar_volume.model.errors import ConfigurationError, InputError, SurfaceError
 from ladar_volume.model.records import F64
-from ladar_volume.tin.adaptive import CRITERIA
-from ladar_volume.tin.diagonal_exchange import MEASURES
 from ladar_volume.tin.full_tin import footprint_areas
-from ladar_volume.tin.represent import ADJUST, Represented, SurfaceOptions
+from ladar_volume.tin.represent import Represented, SurfaceOptions
 from ladar_volume.tin.scan_frame import Frame, frame_along, mean_direction, search_direction
 
 #: Columns that hold a standard deviation, in order of preference.
