@@ -6,6 +6,7 @@ import contextlib
 import io
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -112,6 +113,7 @@ def test_short_commands_of_the_readme_run(start, folder, capsys):
     assert SHORT[start] in capsys.readouterr().out
 
 
+@pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
 def test_make_targets_that_are_named_are_listed_by_make_help():
     done = subprocess.run(["make", "-s", "help"], cwd=ROOT, capture_output=True, text=True)
     listed = {line.split()[0] for line in done.stdout.splitlines()}

@@ -11,16 +11,21 @@ from pathlib import Path
 
 from ladar_volume.model.errors import BagError, InputError, LadarVolumeError
 
-#: Arguments that name a file or folder to read, by verb.
+#: Arguments that name a file to read, by verb.
 FILES = {
+    "diff": ("transform", "transform_b"),
+    "register": ("apply",),
+    "calibrate": ("file",),
+    "epochs": ("previous", "new", "transform"),
+}
+#: Arguments that name a point cloud or a mesh, by verb.
+CLOUDS = {
     "volume": ("cloud", "cloud_b"),
     "tin": ("cloud",),
     "filter": ("cloud",),
     "body": ("source",),
-    "diff": ("a", "b", "transform", "transform_b"),
-    "register": ("a", "b", "apply"),
-    "calibrate": ("file",),
-    "epochs": ("previous", "new", "transform"),
+    "diff": ("a", "b"),
+    "register": ("a", "b"),
 }
 #: Arguments that name a recording, by verb.
 RECORDINGS = {"replay": ("bag",), "up": ("play",), "calibrate": ("bag",)}
@@ -46,13 +51,24 @@ def refusals(arguments: argparse.Namespace) -> Iterator[LadarVolumeError]:
 
         read_config(config_of(arguments), arguments.set)
     verb, given = arguments.verb, vars(arguments)
-    for path in (given.get(name) for name in FILES.get(verb, ())):
+    clouds = [given.get(name) for name in CLOUDS.get(verb, ())]
+    # an ending that nobody knows is the reader's to refuse: it names those it knows
+    files = [path for path in clouds if path is not None and of_known_kind(path)]
+    for path in (*files, *(given.get(name) for name in FILES.get(verb, ()))):
         if path is not None and not path.exists():
             hint = "; replay writes it" if verb == "epochs" else ""
             yield InputError(f"{path}: no such file{hint}", reason="input_missing", value=str(path))
     for path in (given.get(name) for name in RECORDINGS.get(verb, ())):
         if path is not None and not path.exists():
             yield BagError(f"{path}: no such recording", reason="bag_missing", value=str(path))
+
+
+def of_known_kind(path: Path) -> bool:
+    """Whether point clouds or meshes are read from files with this ending."""
+    from ladar_volume.io.meshfiles.mesh_files import ENDINGS
+    from ladar_volume.io.pointfiles.cloud_files import ENCODINGS
+
+    return path.suffix.lower() in (*ENCODINGS, *ENDINGS)
 
 
 def config_of(arguments: argparse.Namespace) -> Path | None:
