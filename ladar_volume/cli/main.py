@@ -137,6 +137,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     own_process()
     words = list(sys.argv[1:] if argv is None else argv)
     verb = next((w for w in words if not w.startswith("-")), None)
+    if words == ["--version"]:
+        verb = ""  # no verb's options are needed for it
     arguments: Any = make_parser(verb).parse_args(words)
     try:
         with orderly_end():
