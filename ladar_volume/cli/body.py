@@ -31,7 +31,8 @@ from ladar_volume.ground.objects import (
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.ground.regions import in_box, in_polygon
 from ladar_volume.ground.robust_ground import fit_ground
-from ladar_volume.io.meshfiles.mesh_files import ENDINGS, holds_faces, read_mesh, write_mesh
+from ladar_volume.io.endings import ENDINGS
+from ladar_volume.io.meshfiles.mesh_files import holds_faces, read_mesh, write_mesh
 from ladar_volume.io.results import json_text
 from ladar_volume.mesh.local_mesh import LocalMeshSettings
 from ladar_volume.model.errors import (

@@ -28,7 +28,8 @@ from ladar_volume.cli.diff_input import (
     sigma_of,
 )
 from ladar_volume.cli.diff_show import show
-from ladar_volume.io.meshfiles.mesh_files import ENDINGS, write_mesh
+from ladar_volume.io.endings import ENDINGS
+from ladar_volume.io.meshfiles.mesh_files import write_mesh
 from ladar_volume.io.results import json_text
 from ladar_volume.mesh.tetrahedra import closed_variance, closed_volume
 from ladar_volume.mesh.topology import watertight

@@ -21,7 +21,8 @@ from ladar_volume.change.spherical_tin import (
 )
 from ladar_volume.cli.arguments.diff_input import numbers
 from ladar_volume.clouds.cloud_surface import local_sigma
-from ladar_volume.io.meshfiles.mesh_files import ENDINGS, read_mesh
+from ladar_volume.io.endings import ENDINGS
+from ladar_volume.io.meshfiles.mesh_files import read_mesh
 from ladar_volume.io.pointfiles.cloud_files import read_cloud
 from ladar_volume.io.transforms import read_transform
 from ladar_volume.mesh.topology import orient

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ladar_volume.cli.arguments.work import work
-from ladar_volume.io.meshfiles.mesh_files import ENDINGS
-from ladar_volume.io.pointfiles.cloud_files import ENCODINGS
+from ladar_volume.io.endings import ENCODINGS, ENDINGS
 from ladar_volume.model.choices import REPAIRS
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from ladar_volume.cli.arguments.surface_options import add_surface_options
 from ladar_volume.cli.arguments.work import work
-from ladar_volume.io.pointfiles.cloud_files import ENCODINGS
+from ladar_volume.io.endings import ENCODINGS
 
 
 def add_parser(subparsers: Any) -> None:

@@ -9,6 +9,7 @@ import importlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from ladar_volume.io.endings import ENCODINGS, ENDINGS
 from ladar_volume.model.errors import BagError, InputError, LadarVolumeError
 
 #: Arguments that name a file to read, by verb.
@@ -65,9 +66,6 @@ def refusals(arguments: argparse.Namespace) -> Iterator[LadarVolumeError]:
 
 def of_known_kind(path: Path) -> bool:
     """Whether point clouds or meshes are read from files with this ending."""
-    from ladar_volume.io.meshfiles.mesh_files import ENDINGS
-    from ladar_volume.io.pointfiles.cloud_files import ENCODINGS
-
     return path.suffix.lower() in (*ENCODINGS, *ENDINGS)
 
 

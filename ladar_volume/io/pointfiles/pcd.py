@@ -14,6 +14,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from ladar_volume.io.pointfiles.lzf import RATIO, pack, unpack
 from ladar_volume.io.pointfiles.ply import (
     Columns,
     check_size,
@@ -114,8 +115,6 @@ def _ascii(file: IO[bytes], header: _Header, left: int) -> Columns:
 
 
 def _compressed(file: IO[bytes], header: _Header, left: int) -> Columns:
-    from ladar_volume.io.pointfiles.lzf import RATIO, unpack  # compiled
-
     # column after column, without the padding, as the Point Cloud Library packs it
     dtype = np.dtype([d for d in header.dtype.descr if not d[0].startswith("_@")])
     sizes = np.frombuffer(file.read(8), "<u4").astype(np.int64)
@@ -166,8 +165,6 @@ def write_pcd(path: Path, columns: Columns, comments: list[str], encoding: str) 
             write_rows(file, columns, " ")
             return
         if encoding == "binary_compressed":
-            from ladar_volume.io.pointfiles.lzf import pack  # compiled
-
             data = np.frombuffer(
                 b"".join(c.astype(c.dtype.newbyteorder("<")).tobytes() for c in columns.values()),
                 np.uint8,
