@@ -1,32 +1,35 @@
-# make run: replay the bundled surveys through the real nodes. make test: the whole test suite.
+# make help lists what there is; each target sets .venv up first.
 SOURCES := $(shell find ladar_volume launch config -name '*.py' -o -name '*.yaml') package.xml setup.py setup.cfg
 PY := .venv/bin/python
 
-.PHONY: run test lint bench docs colcon clean
+.PHONY: help run test lint bench docs colcon clean
 
-run: .venv/ready
+help:  ## list the targets
+	@sed -n 's/^\([a-z]*\):[^#]*## /\1\t/p' Makefile | expand -t 10
+
+run: .venv/ready  ## play the bundled surveys through the real nodes, print volume ± sigma
 	.venv/bin/ladar_volume up --play bags/stockpile --rate 4 -o out/stockpile
 	.venv/bin/ladar_volume up --play bags/box --rate 4 -o out/box
 
-test: .venv/ready
+test: .venv/ready  ## run the whole test suite
 	$(PY) -m pytest -q -n auto
 
-lint: .venv/ready
+lint: .venv/ready  ## ruff, its formatter and mypy
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
 	$(PY) -m mypy
 
-bench: .venv/ready
+bench: .venv/ready  ## measure on this machine, write benchmarks/RESULTS.md
 	$(PY) -m benchmarks
 
-docs: .venv/ready
+docs: .venv/ready  ## regenerate config/default.yaml and docs/parameters.md
 	$(PY) -m ladar_volume.io.config
 
-colcon: .venv/ready
+colcon: .venv/ready  ## build the package as a ROS workspace does
 	$(PY) -m colcon build --merge-install
 
-clean:
+clean:  ## remove .venv and everything that was made
 	rm -rf .venv build install log out
 
-.venv/ready: requirements.txt requirements-dev.txt tools/setup.sh $(SOURCES)
+.venv/ready: requirements.txt requirements-dev.txt tools/setup.sh tools/system_libraries.txt $(SOURCES)
 	tools/setup.sh

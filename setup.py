@@ -26,19 +26,20 @@ setup(
     maintainer=manifest("maintainer"),
     maintainer_email=MANIFEST.find("maintainer").attrib["email"],
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={PACKAGE: ["py.typed", "nodes/fastdds.xml"]},
+    package_data={PACKAGE: ["py.typed", "process/fastdds.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
         (f"share/{PACKAGE}/launch", sorted(glob("launch/*.launch.py"))),
         (f"share/{PACKAGE}/config", sorted(glob("config/*.yaml") + glob("config/*.json"))),
     ],
-    python_requires=">=3.11",
+    python_requires=">=3.11, <3.14",
+    extras_require={"test": ["pytest"]},  # by this colcon knows that pytest runs the tests
     zip_safe=True,
     entry_points={
         "console_scripts": [
             "ladar_volume = ladar_volume.cli.main:main",
-            *(f"{node} = ladar_volume.nodes.{node}:main" for node in NODES),
+            *(f"{node} = ladar_volume.nodes.programs:{node}" for node in NODES),
         ],
     },
 )

@@ -1,1 +1,3 @@
-import ladar_volume  # noqa: F401 - before NumPy, which reads then how many threads it may use
+from ladar_volume.process.switch import own_process
+
+own_process()  # before NumPy, which reads then how many threads it may use

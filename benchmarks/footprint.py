@@ -59,6 +59,9 @@ def imported(name: str, environment: dict[str, str]) -> tuple[float, float]:
     """Seconds to import a node's module in a fresh interpreter, and its resident size then (MB)."""
     code = (
         "import time; began = time.perf_counter()\n"
+        "from ladar_volume.nodes import programs\n"
+        "programs.own_process()\n"
+        "programs.leave_out_tools()\n"
         f"import ladar_volume.nodes.{name}\n"
         "print(time.perf_counter() - began, next(l for l in open('/proc/self/status') if "
         "l.startswith('VmRSS')).split()[1])"
@@ -95,6 +98,9 @@ def active(name: str, environment: dict[str, str], folder: str) -> float:
     """Seconds from the start of the process until the node is active."""
     code = (
         "import sys, time\n"
+        "from ladar_volume.nodes import programs\n"
+        "programs.own_process()\n"
+        "programs.leave_out_tools()\n"
         f"from ladar_volume.nodes import base, {name} as module\n"
         "plain = base.StageNode.on_activate\n"
         "def told(self, state):\n"
@@ -132,7 +138,7 @@ def heard(name: str, environment: dict[str, str], folder: str) -> tuple[float, f
         DiagnosticArray, "/diagnostics", lambda m: seen.extend(s.name for s in m.status), 10
     )
     began = time.monotonic()
-    command = [sys.executable, "-m", f"ladar_volume.nodes.{name}", *words_for(name, folder)]
+    command = [sys.executable, "-m", "ladar_volume.nodes.programs", name, *words_for(name, folder)]
     process = subprocess.Popen(command, env=environment, cwd=ROOT, stderr=subprocess.DEVNULL)
     try:
         while name not in seen:

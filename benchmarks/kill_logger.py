@@ -165,7 +165,7 @@ def kill_often(runs: int, bare: bool, folder: Path) -> list[dict[str, Any]]:
     command = (
         [*python, "benchmarks.kill_logger", "--write", str(base), *shared]
         if bare
-        else [*python, "ladar_volume.nodes.logger_node", "--ros-args", *settings]
+        else [*python, "ladar_volume.nodes.programs", "logger_node", "--ros-args", *settings]
     )
     load = (
         None

@@ -18,8 +18,9 @@ from benchmarks.truth import F64
 from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.mesh.edge_completion import sharpen
 from ladar_volume.mesh.linear_mesh import Skin, skin_of
-from ladar_volume.mesh.local_mesh import BOX, REPAIRS, LocalMesh, LocalMeshSettings, mesh_cloud
+from ladar_volume.mesh.local_mesh import BOX, LocalMesh, LocalMeshSettings, mesh_cloud
 from ladar_volume.mesh.topology import orient
+from ladar_volume.model.choices import REPAIRS
 from ladar_volume.model.parameters import Parameters
 
 SEEDS, COUNT = range(20), 300_000

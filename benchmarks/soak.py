@@ -323,7 +323,8 @@ class Soak:
         command = [
             sys.executable,
             "-m",
-            f"ladar_volume.nodes.{name}",
+            "ladar_volume.nodes.programs",
+            name,
             "--ros-args",
             "--log-level",
             "error",

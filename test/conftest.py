@@ -8,11 +8,13 @@ from typing import Any
 
 import pytest
 
-import ladar_volume  # noqa: F401 - before NumPy, which reads then how many threads it may use
+from ladar_volume.process.switch import own_process
+
+own_process()  # before NumPy, which reads then how many threads it may use
 
 HERE = Path(__file__).parent
 TOGETHER = {
-    "online": ("nodes", "io", "georeference"),
+    "online": ("nodes", "process", "io", "georeference"),
     "clouds": ("cli", "clouds", "rmls"),
 }
 GROUP = {folder: name for name, folders in TOGETHER.items() for folder in folders}

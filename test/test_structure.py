@@ -27,8 +27,9 @@ CORE = [
     "calibration",
     "pipeline",
 ]
-#: The version comes from package.xml; everything may print it.
-ORDER = ["version", *CORE, "simulation", "compile_kernels", "io", "replay", "report"]
+#: The version comes from package.xml; everything may print it. What the process is set up with
+#: comes before everything that it is set up for.
+ORDER = ["version", "process", *CORE, "simulation", "compile_kernels", "io", "replay", "report"]
 ORDER += ["experiments", "nodes", "cli"]
 FILES = sorted(PACKAGE.rglob("*.py"))
 #: Most modules in a folder, its face not counted.

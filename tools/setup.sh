@@ -5,11 +5,13 @@ cd "$(dirname "$0")/.."
 python="${PYTHON:-python3}"
 
 missing_system() {
-    # Open3D and the OpenMP layer of numba load these; a minimal image lacks them
-    local need=()
-    ldconfig -p | grep -q 'libusb-1\.0\.so\.0' || need+=(libusb-1.0-0)
-    ldconfig -p | grep -q 'libGL\.so\.1' || need+=(libgl1)
-    ldconfig -p | grep -q 'libgomp\.so\.1' || need+=(libgomp1)
+    # ldconfig lies where an ordinary user does not look
+    local need=() known soname package rest
+    known="$(PATH="$PATH:/usr/sbin:/sbin" ldconfig -p)"
+    while read -r soname package rest; do
+        case "$soname" in '' | '#'*) continue ;; esac
+        grep -qF "$soname (" <<<"$known" || need+=("$package")
+    done <tools/system_libraries.txt
     "$python" -c 'import ensurepip, venv' 2>/dev/null || need+=(python3-venv)
     echo "${need[@]}"
 }
@@ -34,8 +36,8 @@ if [ "${#need[@]}" -gt 0 ]; then
     fi
 fi
 
-"$python" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' || {
-    echo "Python 3.11 or 3.12 is needed (PYTHON=python3.12 make run chooses one)" >&2
+"$python" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' || {
+    echo "Python 3.11, 3.12 or 3.13 is needed (PYTHON=python3.12 make run chooses one)" >&2
     exit 1
 }
 [ -x .venv/bin/python ] || "$python" -m venv .venv

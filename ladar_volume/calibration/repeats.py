@@ -17,6 +17,7 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from ladar_volume.math.se3 import rotation_xyz
+from ladar_volume.model.choices import USES
 from ladar_volume.model.errors import CalibrationError
 from ladar_volume.model.records import F64, I64
 
@@ -194,11 +195,6 @@ def _between_interval(
         for q in (1.0 - tail, tail)
     ]
     return math.sqrt(max(0.0, squares[0])), math.sqrt(max(0.0, squares[1]))
-
-
-#: What a survey uses for a constant: one value measured in the present mounting, the mean of those,
-#: or the mean of earlier mountings after the sensor was mounted anew and not calibrated.
-USES = ("single", "mean", "remounted")
 
 
 def budget_sigma(found: Spread | Components, use: str) -> float:

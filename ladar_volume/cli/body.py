@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -32,10 +31,10 @@ from ladar_volume.ground.objects import (
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.ground.regions import in_box, in_polygon
 from ladar_volume.ground.robust_ground import fit_ground
-from ladar_volume.io.meshfiles.mesh_files import ENDINGS, holds_faces, read_mesh, write_mesh
-from ladar_volume.io.pointfiles.cloud_files import ENCODINGS
+from ladar_volume.io.endings import ENDINGS
+from ladar_volume.io.meshfiles.mesh_files import holds_faces, read_mesh, write_mesh
 from ladar_volume.io.results import json_text
-from ladar_volume.mesh.local_mesh import REPAIRS, LocalMeshSettings
+from ladar_volume.mesh.local_mesh import LocalMeshSettings
 from ladar_volume.model.errors import (
     ConfigurationError,
     GroundError,
@@ -45,164 +44,6 @@ from ladar_volume.model.errors import (
 )
 from ladar_volume.model.parameters import FilterParameters, GroundParameters
 from ladar_volume.model.records import F64, I64, Bool, Plane
-
-
-def numbers(*counts: int) -> Callable[[str], tuple[float, ...]]:
-    """A parser of finite numbers with commas between, as many as one of the counts."""
-
-    def parse(text: str) -> tuple[float, ...]:
-        values = tuple(float(word) for word in text.split(","))
-        if len(values) not in counts or not np.isfinite(values).all():
-            raise argparse.ArgumentTypeError(
-                f"{text}: {' or '.join(map(str, counts))} numbers with commas between"
-            )
-        return values
-
-    return parse
-
-
-def ground_word(text: str) -> str | tuple[float, ...]:
-    """``auto``, ``none``, a level Z, or a plane Z,SX,SY."""
-    return text if text in ("auto", "none") else numbers(1, 3)(text)
-
-
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Declare the verb."""
-    kinds = " ".join(dict.fromkeys([*ENCODINGS, *ENDINGS]))
-    parser = subparsers.add_parser(
-        "body",
-        help="volumes of closed bodies, from a point cloud or a mesh file",
-        description="A cloud is filtered, its ground found, each object on it meshed, its edges "
-        "completed and its unseen bottom closed on "
-        "the ground; a mesh file is taken as it is, and closed where it is open. Lengths "
-        "in m. Values that begin with a minus need =: "
-        "--pick=-1,0,2.",
-    )
-    parser.add_argument(
-        "source", type=Path, metavar="CLOUD|MESH", help=f"point cloud or mesh ({kinds})"
-    )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="MESH",
-        help=f"the closed bodies ({' '.join(ENDINGS)})",
-    )
-    parser.add_argument(
-        "--ground",
-        type=ground_word,
-        metavar="auto|none|Z|Z,SX,SY",
-        help=(
-            "found in the cloud (its default), none (a mesh's default: bodies seen from all "
-            "sides), a level, or a plane Z + SX x + SY y"
-        ),
-    )
-    g = parser.add_argument_group("objects on the ground (by default all that are found)")
-    g.add_argument(
-        "--polygon",
-        type=numbers(2),
-        nargs="+",
-        action="append",
-        default=[],
-        metavar="X,Y",
-        help="one body in this outline",
-    )
-    g.add_argument(
-        "--box",
-        type=numbers(6),
-        action="append",
-        default=[],
-        metavar="X0,Y0,Z0,X1,Y1,Z1",
-        help="one body in this box",
-    )
-    g.add_argument(
-        "--pick",
-        type=numbers(3),
-        action="append",
-        default=[],
-        metavar="X,Y,Z",
-        help="one body at this point",
-    )
-    g.add_argument(
-        "--min-height",
-        type=float,
-        metavar="M",
-        help="least height above the ground (default: twice the cloud's noise)",
-    )
-    g.add_argument("--min-points", type=int, metavar="N", help="fewest points of an object")
-    g.add_argument(
-        "--distance", type=float, metavar="M", help="longest step between points of one object"
-    )
-    g.add_argument(
-        "--split",
-        type=float,
-        metavar="M",
-        help="part objects that rise this far above the saddle between them",
-    )
-    g = parser.add_argument_group("filter and mesh")
-    g.add_argument(
-        "--no-filter",
-        action="store_true",
-        help="the points lie on the surface already; a column 'normal' is used",
-    )
-    g.add_argument(
-        "--radius", type=float, metavar="R", help="radius of the filter (default: from the cloud)"
-    )
-    g.add_argument(
-        "--seed",
-        type=int,
-        default=0,
-        metavar="N",
-        help="seed of the filter and of the search of the ground",
-    )
-    g.add_argument(
-        "--mesh-radius",
-        type=float,
-        default=0.0,
-        metavar="M",
-        help="longest edge of the mesh (default: from the spacing)",
-    )
-    g.add_argument(
-        "--repair",
-        choices=REPAIRS,
-        help="mesh by the published Algorithm 2 with this repair (needs --mesh-radius)",
-    )
-    g.add_argument(
-        "--close",
-        type=float,
-        metavar="M",
-        help="widest gap, and distance to the ground, to close (default: two longest edges)",
-    )
-    g.add_argument(
-        "--sharp",
-        type=float,
-        default=30.0,
-        metavar="DEG",
-        help="faces at more than this meet in an edge; 0: complete no edges",
-    )
-    g = parser.add_argument_group("volume")
-    g.add_argument(
-        "--pole",
-        type=numbers(3),
-        metavar="X,Y,Z",
-        help="common corner of the tetrahedra (any gives the same volume)",
-    )
-    g.add_argument(
-        "--sigma",
-        type=float,
-        metavar="M",
-        help="standard deviation of each vertex, of a mesh or with --no-filter",
-    )
-    g.add_argument(
-        "--allow-crossings",
-        action="store_true",
-        help="do not refuse a mesh file whose triangles cross",
-    )
-    parser.add_argument(
-        "--json", action="store_true", help="print the result as JSON to standard output"
-    )
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

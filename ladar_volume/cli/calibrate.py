@@ -13,7 +13,6 @@ from rich.console import Console
 from rich.table import Table
 
 from ladar_volume.calibration.repeats import (
-    USES,
     Components,
     Spread,
     boresight_vectors,
@@ -22,7 +21,7 @@ from ladar_volume.calibration.repeats import (
     correction_of,
     spread,
 )
-from ladar_volume.cli import calibrate_strips
+from ladar_volume.cli.arguments.calibrate import ANGLES, COLUMNS
 from ladar_volume.io.atomic_write import whole_file
 from ladar_volume.io.config import changed_config, read_config
 from ladar_volume.io.measurements import Measurements, read_measurements
@@ -33,15 +32,6 @@ from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64
 from ladar_volume.version import version
 
-ANGLES = ("boresight_roll_deg", "boresight_pitch_deg", "boresight_yaw_deg")
-#: Column → where its sigma goes in the budget, and which axis; lengths in m, angles in degrees,
-#: times in s.
-COLUMNS: dict[str, tuple[str, int]] = {
-    **{f"boresight_{axis}_deg": ("boresight_sigma_deg", i) for i, axis in enumerate("xyz")},
-    **{f"lever_laser_{axis}_m": ("lever_laser_sigma_m", i) for i, axis in enumerate("xyz")},
-    **{f"lever_antenna_{axis}_m": ("lever_antenna_sigma_m", i) for i, axis in enumerate("xyz")},
-    "clock_offset_s": ("clock_sigma_s", -1),
-}
 #: The constant that belongs to a sigma.
 VALUES = {
     "boresight_sigma_deg": "boresight_correction_deg",
@@ -49,60 +39,6 @@ VALUES = {
     "lever_antenna_sigma_m": "lever_antenna_m",
     "clock_sigma_s": "clock_offset_s",
 }
-
-
-def add_parser(subparsers: Any) -> None:
-    """Declare the verb and its modes."""
-    parser = subparsers.add_parser(
-        "calibrate", help="calibration constants and their sigmas, as a parameter file"
-    )
-    modes = parser.add_subparsers(dest="mode", required=True, metavar="MODE")
-    repeats = modes.add_parser(
-        "repeats",
-        help="sigmas from repeated calibrations or measurements",
-        description="FILE holds one measurement per row. Columns: "
-        + ", ".join(ANGLES)
-        + " (together, as calibrations give them; any "
-        "angles), or small rotations "
-        + ", ".join(c for c in COLUMNS if c.startswith("boresight"))
-        + "; "
-        + ", ".join(c for c in COLUMNS if not c.startswith("boresight"))
-        + "; and 'mounting', a name that changes when the sensor was "
-        "taken off and put back.",
-    )
-    repeats.add_argument("file", type=Path, help="CSV with a header")
-    repeats.add_argument(
-        "--uses",
-        choices=USES,
-        default="single",
-        help="what the survey uses: one value of its own mounting (default), the mean of that "
-        "mounting's values, or the mean of earlier "
-        "mountings after the sensor was put on anew and not calibrated; with the last "
-        "two the mean is written too",
-    )
-    repeats.add_argument(
-        "--confidence", type=float, default=0.95, help="of the printed intervals (default 0.95)"
-    )
-    add_output(repeats)
-    repeats.set_defaults(run=run_repeats)
-    calibrate_strips.add_parser(modes)
-
-
-def add_output(parser: argparse.ArgumentParser) -> None:
-    """The options both modes share."""
-    parser.add_argument(
-        "--config", type=Path, help="parameter file on top of which the result is written"
-    )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="FILE.yaml",
-        help="parameter file to write, for replay --config and the nodes",
-    )
-    parser.add_argument(
-        "--json", action="store_true", help="print the result as JSON to standard output"
-    )
 
 
 def run_repeats(arguments: argparse.Namespace) -> int:

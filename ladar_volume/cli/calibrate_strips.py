@@ -7,7 +7,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,8 @@ from rich.table import Table
 from ladar_volume.calibration.flight import Flight, flight, turned
 from ladar_volume.calibration.repeats import correction_of
 from ladar_volume.calibration.selfcal import CORRECTED, StripCalibration, StripOptions, calibrate
-from ladar_volume.cli.replay import config_for, topics_from
+from ladar_volume.cli.arguments.work import config_for
+from ladar_volume.cli.replay import topics_from
 from ladar_volume.georeference.error_budget import calibration_covariance, correlation_triangle
 from ladar_volume.georeference.lidar_equation import mounting
 from ladar_volume.io.bags import BagReader
@@ -29,64 +29,6 @@ from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import CAL_COLUMNS, F64, MappedPoints, concatenate, select
 from ladar_volume.replay import Replay
 from ladar_volume.version import version
-
-
-def add_parser(modes: Any) -> None:
-    """Declare the mode."""
-    parser = modes.add_parser(
-        "strips",
-        help="self-calibration from overlapping strips of a recording",
-        description="Estimates boresight, lever arms and clock offset from surfaces that several "
-        "strips saw. Every prior is the budget's: "
-        "what the strips cannot tell stays there. Fly lanes in two directions, both "
-        "ways, over ground with slopes.",
-    )
-    parser.add_argument("bag", type=Path, help="rosbag2 folder, .mcap, or ROS 1 .bag")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="SECTION.KEY=VALUE",
-        help="override one parameter",
-    )
-    parser.add_argument(
-        "--topic",
-        action="append",
-        default=[],
-        metavar="ROLE=TOPIC",
-        help="cloud, fix, imu or odometry topic",
-    )
-    parser.add_argument("--start", type=float, default=0.0, help="seconds into the recording")
-    parser.add_argument("--duration", type=float, default=float("inf"), help="seconds")
-    parser.add_argument(
-        "--returns",
-        type=int,
-        default=300_000,
-        help="most returns used, chosen evenly (default 300000)",
-    )
-    parser.add_argument(
-        "--edge",
-        type=float,
-        default=1.0,
-        metavar="M",
-        help="edge of a planar patch in m (default 1)",
-    )
-    parser.add_argument(
-        "--config",
-        type=Path,
-        help="parameter file; default: config.yaml in the recording's folder, if any",
-    )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="FILE.yaml",
-        help="parameter file to write: the one read, recalibrated",
-    )
-    parser.add_argument(
-        "--json", action="store_true", help="print the result as JSON to standard output"
-    )
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

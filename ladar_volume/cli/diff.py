@@ -5,8 +5,6 @@ pole.
 from __future__ import annotations
 
 import argparse
-import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,155 +24,17 @@ from ladar_volume.cli.diff_input import (
     given_corners,
     load,
     make_scan,
-    point,
     refine_by_ground,
     sigma_of,
 )
 from ladar_volume.cli.diff_show import show
-from ladar_volume.cli.surface_options import number
-from ladar_volume.io.meshfiles.mesh_files import ENDINGS, write_mesh
+from ladar_volume.io.endings import ENDINGS
+from ladar_volume.io.meshfiles.mesh_files import write_mesh
 from ladar_volume.io.results import json_text
 from ladar_volume.mesh.tetrahedra import closed_variance, closed_volume
 from ladar_volume.mesh.topology import watertight
 from ladar_volume.model.errors import ConfigurationError, OutputError, SurfaceError
 from ladar_volume.version import version
-
-
-def add_parser(subparsers: Any) -> None:
-    """Declare the verb."""
-    parser = subparsers.add_parser(
-        "diff",
-        help=(
-            "volume between two scans by tetrahedra to a pole, for pits with steep and "
-            "overhanging walls"
-        ),
-        description="What was taken away from A (before) to B (after), as Kern does it: both scans "
-        "are triangulated about their scanners "
-        "and cut by one common ring; the tetrahedra of both and a pole are summed. "
-        "Closed meshes are compared as bodies. Lengths in m.",
-    )
-    parser._negative_number_matcher = re.compile(
-        r"^-(\d|\.\d)[\d.,eE+-]*$"
-    )  # argparse takes -1,2,3 for an option
-    parser.add_argument(
-        "a", type=Path, help="scan or mesh before: PLY XYZ CSV NPY PCD LAS OBJ STL OFF ..."
-    )
-    parser.add_argument("b", type=Path, help="scan or mesh after")
-    parser.add_argument(
-        "--pole",
-        type=point,
-        metavar="X,Y,Z",
-        help="pole, map frame (default: scanner B); it also stands for a scanner",
-    )
-    parser.add_argument(
-        "--scanner",
-        type=point,
-        metavar="X,Y,Z",
-        help="where A was scanned from, in the file's own frame",
-    )
-    parser.add_argument(
-        "--scanner-b", type=point, metavar="X,Y,Z", help="the same for B (default: as A)"
-    )
-    g = parser.add_argument_group("registration")
-    g.add_argument(
-        "--transform",
-        type=Path,
-        metavar="JSON",
-        help="brings A into the map frame: what 'register A B --json' printed",
-    )
-    g.add_argument("--transform-b", type=Path, metavar="JSON", help="the same for B")
-    g.add_argument(
-        "--icp",
-        type=number,
-        metavar="REACH",
-        help="refine B by the ground around the region, partners up to this far",
-    )
-    g.add_argument(
-        "--icp-cell",
-        type=number,
-        metavar="M",
-        help="its errors may be correlated within so much (default: a twelfth of A)",
-    )
-    g = parser.add_argument_group("region")
-    g.add_argument(
-        "--polygon",
-        nargs="+",
-        metavar="X,Y|FILE",
-        help="corners x,y in plan, x,y,z of a polygon on a wall, or a file of them",
-    )
-    g.add_argument(
-        "--selection",
-        type=Path,
-        metavar="CLOUD",
-        help="points picked from A: their hull in plan is the polygon",
-    )
-    g.add_argument(
-        "--margin",
-        type=number,
-        metavar="M",
-        help="ground around the polygon that is used (default: a tenth of its width)",
-    )
-    g.add_argument(
-        "--spacing",
-        type=number,
-        metavar="M",
-        help="of the boundary ring (default: twice that of A's points)",
-    )
-    g.add_argument(
-        "--max-edge",
-        type=number,
-        metavar="M",
-        default=np.inf,
-        help="wider triangles count as closed, not as seen",
-    )
-    g = parser.add_argument_group("accuracy")
-    g.add_argument(
-        "--sigma",
-        type=number,
-        metavar="M",
-        help="standard deviation of a point of A (default: estimated from its ranges)",
-    )
-    g.add_argument(
-        "--sigma-b", type=number, metavar="M", help="the same for B (default: as given for A)"
-    )
-    g.add_argument(
-        "--beam",
-        action="store_true",
-        help="that sigma is along the beam only; otherwise in every direction",
-    )
-    g.add_argument(
-        "--offset",
-        type=number,
-        metavar="M",
-        default=0.01,
-        help="offset of the whole surface for the size rule (default 0.01)",
-    )
-    g.add_argument("--mass", type=number, metavar="KG", help="weighed mass, for the density")
-    g.add_argument("--mass-sigma", type=number, metavar="KG", help="its standard deviation")
-    g.add_argument(
-        "--published",
-        action="store_true",
-        help="print the published value too: each surface over its own boundary",
-    )
-    g.add_argument(
-        "--resolution",
-        type=number,
-        nargs="+",
-        metavar="M",
-        help="volume and surface of clouds thinned to these cells",
-    )
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="MESH", help="the closed body between both"
-    )
-    parser.add_argument(
-        "--allow-crossings",
-        action="store_true",
-        help="closed meshes may pierce themselves: such space counts twice",
-    )
-    parser.add_argument(
-        "--json", action="store_true", help="print the result as JSON to standard output"
-    )
-    parser.set_defaults(run=run)
 
 
 def check_options(a: argparse.Namespace) -> None:

@@ -4,8 +4,6 @@ ground around the region.
 
 from __future__ import annotations
 
-import argparse
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,8 +19,10 @@ from ladar_volume.change.spherical_tin import (
     unit_directions,
     widest_gap,
 )
+from ladar_volume.cli.arguments.diff_input import numbers
 from ladar_volume.clouds.cloud_surface import local_sigma
-from ladar_volume.io.meshfiles.mesh_files import ENDINGS, read_mesh
+from ladar_volume.io.endings import ENDINGS
+from ladar_volume.io.meshfiles.mesh_files import read_mesh
 from ladar_volume.io.pointfiles.cloud_files import read_cloud
 from ladar_volume.io.transforms import read_transform
 from ladar_volume.mesh.topology import orient
@@ -57,23 +57,6 @@ class Noise:
     noise: float | F64
     typical_m: float
     words: str
-
-
-def point(text: str) -> F64:
-    """Three finite numbers with commas, from the command line."""
-    values = numbers(text)
-    if len(values) != 3:
-        raise argparse.ArgumentTypeError(f"{text!r} is not X,Y,Z")
-    return np.array(values)
-
-
-def numbers(text: str) -> list[float]:
-    """Finite numbers with commas; none where the text is anything else."""
-    try:
-        values = [float(w) for w in text.split(",")]
-    except ValueError:
-        return []
-    return values if all(math.isfinite(v) for v in values) else []
 
 
 def load(path: Path, transform: Path | None) -> Part:

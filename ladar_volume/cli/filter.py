@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,59 +13,11 @@ from rich.table import Table
 from ladar_volume.clouds.filter_cloud import REASONS, CloudResult, filter_cloud
 from ladar_volume.clouds.published.filter_presets import PRESETS
 from ladar_volume.io.config import read_config
-from ladar_volume.io.pointfiles.cloud_files import ENCODINGS, check_output, read_cloud, write_cloud
+from ladar_volume.io.pointfiles.cloud_files import check_output, read_cloud, write_cloud
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import ConfigurationError, FilterError, OutputError
 from ladar_volume.model.parameters import FilterParameters, Parameters
 from ladar_volume.version import version
-
-
-def add_parser(subparsers: Any) -> None:
-    """Declare the verb."""
-    kinds = " ".join(ENCODINGS)
-    parser = subparsers.add_parser(
-        "filter",
-        help="filter a point cloud file: outliers out, noise down, edges kept",
-        description="Robust moving least squares on a point cloud file. Without --radius, --preset "
-        "or --set filter.radius_m=..., radius, "
-        "degree and threshold are estimated from the cloud (--auto).",
-    )
-    parser.add_argument("cloud", type=Path, help=f"point cloud ({kinds})")
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="OUT",
-        help="filtered points with normal, sigma and input index",
-    )
-    parser.add_argument(
-        "--radius", type=float, metavar="R", help="range r in m; fits reach over 2 r"
-    )
-    parser.add_argument("--degree", type=int, choices=(1, 2), help="degree of the local surfaces")
-    parser.add_argument("--preset", choices=sorted(PRESETS), help="published settings")
-    parser.add_argument(
-        "--auto",
-        action="store_true",
-        help="estimate radius, degree and threshold from the cloud (the default)",
-    )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="filter.KEY=VALUE",
-        help="override one parameter",
-    )
-    parser.add_argument(
-        "--outliers",
-        type=Path,
-        metavar="FILE",
-        help="points taken out, with input index and reason",
-    )
-    parser.add_argument(
-        "--json", action="store_true", help="print the result as JSON to standard output"
-    )
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -13,28 +13,26 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-
 from ladar_volume.model.errors import LadarVolumeError
+from ladar_volume.process.switch import own_process
 from ladar_volume.version import version
 
-#: Verbs in modules of their own, loaded only when asked for: name → module with
-#: add_parser(subparsers).
+#: Verbs: name → module with add_parser(subparsers), loaded only when asked for. What a verb does
+#: is loaded when it does it.
 MODULES = {
-    "replay": "ladar_volume.cli.replay",
-    "filter": "ladar_volume.cli.filter",
-    "simulate": "ladar_volume.cli.simulate",
-    "tin": "ladar_volume.cli.tin",
-    "volume": "ladar_volume.cli.volume",
+    "replay": "ladar_volume.cli.arguments.replay",
+    "filter": "ladar_volume.cli.arguments.filter",
+    "simulate": "ladar_volume.cli.arguments.simulate",
+    "tin": "ladar_volume.cli.arguments.tin",
+    "volume": "ladar_volume.cli.arguments.volume",
     "study": "ladar_volume.cli.studies.study",
-    "up": "ladar_volume.cli.up",
-    "register": "ladar_volume.cli.register",
-    "body": "ladar_volume.cli.body",
-    "calibrate": "ladar_volume.cli.calibrate",
-    "diff": "ladar_volume.cli.diff",
-    "plan": "ladar_volume.cli.plan",
-    "epochs": "ladar_volume.cli.epochs",
+    "up": "ladar_volume.cli.arguments.up",
+    "register": "ladar_volume.cli.arguments.register",
+    "body": "ladar_volume.cli.arguments.body",
+    "calibrate": "ladar_volume.cli.arguments.calibrate",
+    "diff": "ladar_volume.cli.arguments.diff",
+    "plan": "ladar_volume.cli.arguments.plan",
+    "epochs": "ladar_volume.cli.arguments.epochs",
 }
 
 
@@ -54,6 +52,9 @@ def _info(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(facts, indent=1))
         return 0
+    from rich.console import Console
+    from rich.table import Table
+
     table = Table(
         "topic",
         "type",
@@ -80,7 +81,10 @@ def _check_config(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _parser(wanted: str | None) -> argparse.ArgumentParser:
+def make_parser(wanted: str | None) -> argparse.ArgumentParser:
+    """The parser of the command line; of the verbs only ``wanted`` has its options, or all for
+    None.
+    """
     parser = argparse.ArgumentParser(
         prog="ladar_volume", description="Volumes measured by LiDAR, with error bars one can trust."
     )
@@ -130,9 +134,12 @@ def orderly_end() -> Iterator[None]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; returns the exit code."""
+    own_process()
     words = list(sys.argv[1:] if argv is None else argv)
     verb = next((w for w in words if not w.startswith("-")), None)
-    arguments: Any = _parser(verb).parse_args(words)
+    if words == ["--version"]:
+        verb = ""  # no verb's options are needed for it
+    arguments: Any = make_parser(verb).parse_args(words)
     try:
         with orderly_end():
             return int(arguments.run(arguments))

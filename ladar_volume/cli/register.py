@@ -22,58 +22,6 @@ from ladar_volume.registration.stillness import Stillness, check_drift
 from ladar_volume.version import version
 
 
-def add_parser(subparsers: Any) -> None:
-    """Declare the verb."""
-    parser = subparsers.add_parser(
-        "register",
-        help="transform between two frames from reference spheres",
-        description="A and B hold points on the spheres, at least 12 each, with a column 'sphere' "
-        "that numbers them alike in both, and "
-        "optionally 't' (seconds), by which it is tested that each stood still. The "
-        "transform takes A's frame to B's.",
-    )
-    parser.add_argument(
-        "a",
-        type=Path,
-        help=(
-            "points on spheres, source frame (say, the scanner's): CSV or any point cloud "
-            "with the column"
-        ),
-    )
-    parser.add_argument(
-        "b", type=Path, help="points on spheres, target frame (say, the tacheometer's)"
-    )
-    parser.add_argument(
-        "--radius",
-        type=float,
-        metavar="R",
-        help="radius of the spheres in m (default: found, which costs accuracy)",
-    )
-    parser.add_argument(
-        "--noise-a",
-        type=float,
-        metavar="S",
-        help="sigma of A's points in m (default: from the residuals)",
-    )
-    parser.add_argument("--noise-b", type=float, metavar="S", help="sigma of B's points in m")
-    parser.add_argument(
-        "--levelled",
-        action="store_true",
-        help="both instruments are levelled: rotation about Z only",
-    )
-    parser.add_argument("--free-scale", action="store_true", help="find the scale too")
-    parser.add_argument(
-        "--apply", type=Path, metavar="CLOUD", help="a cloud in A's frame to transform"
-    )
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="OUT", help="where the transformed cloud goes"
-    )
-    parser.add_argument(
-        "--json", action="store_true", help="print the result as JSON to standard output"
-    )
-    parser.set_defaults(run=run)
-
-
 def read_spheres(
     path: Path, noise: float | None, radius: float | None
 ) -> dict[int, tuple[Sphere, Stillness | None]]:

@@ -10,6 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import Progress
 
+from ladar_volume.cli.arguments.work import config_for
 from ladar_volume.cli.result_table import show_result
 from ladar_volume.io import results
 from ladar_volume.io.bags import BagReader
@@ -19,60 +20,6 @@ from ladar_volume.io.surveys import FILE, write_survey
 from ladar_volume.model.records import Estimate
 from ladar_volume.replay import Replay
 from ladar_volume.uncertainty.epoch_budget import Epoch
-
-
-def add_parser(subparsers: Any) -> None:
-    """Declare the verb."""
-    parser = subparsers.add_parser("replay", help="volume of a recorded survey, offline")
-    parser.add_argument("bag", type=Path, help="rosbag2 folder, .mcap, or ROS 1 .bag")
-    add_common(parser)
-    parser.add_argument(
-        "--poses",
-        type=Path,
-        metavar="LOG",
-        help="autopilot's .tlog or .bin to take the poses from (section mavlink)",
-    )
-    parser.add_argument("--start", type=float, default=0.0, help="seconds into the recording")
-    parser.add_argument("--duration", type=float, default=float("inf"), help="seconds")
-    parser.add_argument("--no-figure", action="store_true", help="skip the picture")
-    parser.set_defaults(run=run)
-
-
-def add_common(parser: argparse.ArgumentParser) -> None:
-    """Options that replay and the nodes share."""
-    parser.add_argument(
-        "--config",
-        type=Path,
-        help="parameter file; default: config.yaml in the recording's folder, if any",
-    )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="SECTION.KEY=VALUE",
-        help="override one parameter",
-    )
-    parser.add_argument(
-        "--topic",
-        action="append",
-        default=[],
-        metavar="ROLE=TOPIC",
-        help="cloud, fix, imu or odometry topic",
-    )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        default=Path("out"),
-        help="folder for result.json, result.mcap, mesh.ply, figure.png",
-    )
-    parser.add_argument("--json", action="store_true", help="print result.json to standard output")
-
-
-def config_for(bag: Path, config: Path | None) -> Path | None:
-    """The given file, else the one in the recording's folder."""
-    beside = bag / "config.yaml"
-    return config if config is not None else beside if beside.is_file() else None
 
 
 def topics_from(words: list[str]) -> dict[str, str]:

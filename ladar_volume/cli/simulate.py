@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.progress import Progress
@@ -15,79 +13,6 @@ from ladar_volume.simulation.platforms import platform_for
 from ladar_volume.simulation.scenes import make_scene
 from ladar_volume.simulation.suited_parameters import suited
 from ladar_volume.simulation.survey import Survey, SurveyOptions
-
-
-def _span(text: str) -> tuple[float, float]:
-    first, _, last = text.partition(":")
-    try:
-        return float(first), float(last)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not FROM:TO in seconds") from None
-
-
-def add_parser(subparsers: Any) -> None:
-    """Declare the verb."""
-    parser = subparsers.add_parser(
-        "simulate", help="simulate a survey of a scene with a known volume"
-    )
-    parser.add_argument(
-        "scene",
-        help=(
-            "stockpile, cone, cone_100, frustum, stockpile_5000, box, nist_box, kern_before, "
-            "kern_after, sphere, square"
-        ),
-    )
-    parser.add_argument(
-        "--platform",
-        choices=("uav", "lanes", "rover"),
-        default="uav",
-        help=(
-            "uav: a figure of eight; lanes: both ways in two directions, for calibrate "
-            "strips (72 s or more); rover: two loops"
-        ),
-    )
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--duration", type=float, default=36.0, help="seconds")
-    parser.add_argument(
-        "--thin", type=int, default=1, help="keep every N-th firing cycle (1: the full rate)"
-    )
-    parser.add_argument("--gnss-hz", type=float, default=10.0)
-    parser.add_argument("--imu-hz", type=float, default=100.0)
-    parser.add_argument(
-        "--outage",
-        type=_span,
-        action="append",
-        default=[],
-        metavar="FROM:TO",
-        help="seconds without a fix; repeatable",
-    )
-    parser.add_argument(
-        "--float",
-        type=_span,
-        action="append",
-        default=[],
-        metavar="FROM:TO",
-        help="seconds with a float fix; repeatable",
-    )
-    parser.add_argument(
-        "--mixed",
-        type=float,
-        default=0.1,
-        metavar="SHARE",
-        help=(
-            "share of returns at a step in range that mix both sides (default 0.1); 0 with "
-            "--thin: a neighbour is then many degrees away"
-        ),
-    )
-    parser.add_argument(
-        "--config",
-        type=Path,
-        help="budget and parameters, written into the recording's config.yaml",
-    )
-    parser.add_argument(
-        "-o", "--output", type=Path, required=True, help="recording folder to create"
-    )
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,154 +16,12 @@ from ladar_volume.clouds.cloud_surface import CloudSurface, cloud_surface
 from ladar_volume.io.pointfiles.cloud_files import PointFile, read_cloud
 from ladar_volume.model.errors import ConfigurationError, InputError, SurfaceError
 from ladar_volume.model.records import F64
-from ladar_volume.tin.adaptive import CRITERIA
-from ladar_volume.tin.diagonal_exchange import MEASURES
 from ladar_volume.tin.full_tin import footprint_areas
-from ladar_volume.tin.represent import ADJUST, Represented, SurfaceOptions
+from ladar_volume.tin.represent import Represented, SurfaceOptions
 from ladar_volume.tin.scan_frame import Frame, frame_along, mean_direction, search_direction
 
 #: Columns that hold a standard deviation, in order of preference.
 SIGMAS = ("sigma_z", "sigma")
-#: Ways to choose relevant triangles on the command line.
-RELEVANT = ("all", "corners", "edge", "circumcircle")
-
-
-def number(text: str) -> float:
-    """A finite number from the command line."""
-    value = float(text)
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text} is not a finite number")
-    return value
-
-
-def add_surface_options(parser: argparse.ArgumentParser, default_vertices: str) -> None:
-    """Declare the options."""
-    # argparse takes -1 for a number, but -1e-3 for an option
-    parser._negative_number_matcher = re.compile(r"^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
-    g = parser.add_argument_group("surface")
-    g.add_argument(
-        "--vertices",
-        type=number,
-        metavar="RATIO|COUNT",
-        help=(
-            "vertices of the TIN: up to 1 a part of the points (1: every point), above 1 a "
-            f"number (default {default_vertices})"
-        ),
-    )
-    g.add_argument(
-        "--tolerance",
-        type=number,
-        metavar="M",
-        help="insert points until no residual is larger (in sigmas for residual-sigma)",
-    )
-    g.add_argument(
-        "--criterion",
-        choices=CRITERIA,
-        default="residual-area",
-        help="what the next vertex maximises",
-    )
-    g.add_argument(
-        "--adjust",
-        choices=ADJUST,
-        default="rms",
-        help="elevation adjustment of a partial TIN (default rms)",
-    )
-    g.add_argument(
-        "--iterations",
-        type=int,
-        metavar="N",
-        help="rms-iterated ends after this many steps (default 100)",
-    )
-    g.add_argument(
-        "--height-tolerance",
-        type=number,
-        metavar="M",
-        help="or when no height changes by as much in a step (default 0.0001)",
-    )
-    g.add_argument(
-        "--exchange",
-        choices=(*MEASURES, "none"),
-        default="none",
-        help="exchange diagonals for a better fit",
-    )
-    g.add_argument(
-        "--relevant",
-        choices=RELEVANT,
-        help="which triangles count (default: those that meet no artificial corner)",
-    )
-    g.add_argument(
-        "--max-edge", type=number, metavar="M", help="longest edge of a relevant triangle"
-    )
-    g.add_argument(
-        "--max-circle",
-        type=number,
-        metavar="M",
-        help="widest circumcircle of a relevant triangle, diameter",
-    )
-    g.add_argument(
-        "--max-ear",
-        type=number,
-        metavar="M",
-        help="boundary: cut ears with an open edge longer than this",
-    )
-    g.add_argument(
-        "--min-island", type=number, metavar="M2", help="boundary: drop islands smaller than this"
-    )
-    g.add_argument(
-        "--max-hole", type=number, metavar="M2", help="boundary: fill holes up to this size"
-    )
-    g.add_argument(
-        "--screen",
-        type=number,
-        metavar="M",
-        help="delete points farther than this from the median of their neighbours",
-    )
-    g.add_argument(
-        "--median", type=number, metavar="M", help="give such points that median instead"
-    )
-    g.add_argument(
-        "--window",
-        type=number,
-        nargs=4,
-        metavar=("X0", "Y0", "X1", "Y1"),
-        help="map to which the points are cropped",
-    )
-    g.add_argument(
-        "--duplicates",
-        type=number,
-        metavar="M",
-        default=0.0,
-        help="points this near an earlier one become no vertices",
-    )
-    g.add_argument(
-        "--bins", type=int, metavar="N", help="bins per row of the initial triangulation"
-    )
-    g.add_argument(
-        "--sigma",
-        type=number,
-        metavar="M",
-        help="standard deviation of the heights; else a column, else estimated",
-    )
-    g.add_argument(
-        "--frame",
-        choices=("level", "scan"),
-        default="level",
-        help="mesh over the horizontal plane, or against the scan direction",
-    )
-    g.add_argument(
-        "--scanner",
-        type=number,
-        nargs=3,
-        metavar=("X", "Y", "Z"),
-        help="where it stood; else the direction is searched",
-    )
-    g.add_argument(
-        "--direction",
-        type=number,
-        nargs=3,
-        metavar=("X", "Y", "Z"),
-        help="the scan direction itself",
-    )
 
 
 def surface_options(arguments: argparse.Namespace, default: SurfaceOptions) -> SurfaceOptions:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from rich.console import Console
 from rich.table import Table
 
 from ladar_volume.cli.surface_options import (
-    add_surface_options,
     frame_facts,
     frame_of,
     make_surface,
@@ -23,42 +21,11 @@ from ladar_volume.cli.surface_options import (
     surface_options,
 )
 from ladar_volume.io.meshfiles.tin_files import check_tin_output, write_tin
-from ladar_volume.io.pointfiles.cloud_files import ENCODINGS
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.records import I64, Tin
 from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.version import version
-
-
-def add_parser(subparsers: Any) -> None:
-    """Declare the verb."""
-    parser = subparsers.add_parser(
-        "tin",
-        help="triangulate a point cloud file, with all of its points or the few that "
-        "represent them",
-        description=(
-            "A TIN over a point cloud by adaptive insertion, its heights adjusted to all "
-            "points. Lengths in m."
-        ),
-    )
-    parser.add_argument("cloud", type=Path, help=f"point cloud ({' '.join(ENCODINGS)})")
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="TIN.ply",
-        help="relevant triangles, vertices with sigma_z",
-    )
-    parser.add_argument(
-        "--all-triangles", action="store_true", help="write irrelevant triangles too, marked"
-    )
-    parser.add_argument(
-        "--json", action="store_true", help="print the result as JSON to standard output"
-    )
-    add_surface_options(parser, "0.333")
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -7,39 +7,17 @@ import os
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.progress import Progress
 
-from ladar_volume.cli.replay import add_common, config_for, topics_from
+from ladar_volume.cli.arguments.work import config_for
+from ladar_volume.cli.replay import topics_from
 from ladar_volume.cli.result_table import show_result
 from ladar_volume.io import results
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.config import dump_config, read_config
-
-
-def add_parser(subparsers: Any) -> None:
-    """Declare the verb."""
-    parser = subparsers.add_parser("up", help="run the nodes; with --play over a recording")
-    parser.add_argument(
-        "--play",
-        type=Path,
-        metavar="BAG",
-        help="recording to play through the nodes; without it they run until stopped",
-    )
-    parser.add_argument("--rate", type=float, default=1.0, help="times real time")
-    parser.add_argument(
-        "--separate", action="store_true", help="every node in a process of its own"
-    )
-    parser.add_argument(
-        "--mavlink",
-        metavar="URL",
-        help="autopilot to take poses from: udpin:HOST:PORT, serial:DEVICE:BAUD, a .tlog",
-    )
-    parser.add_argument("--log", type=Path, help="MCAP file to log all topics to")
-    add_common(parser)
-    parser.set_defaults(run=run)
+from ladar_volume.process.numpy_names import leave_out_tools
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -61,9 +39,9 @@ def run(arguments: argparse.Namespace) -> int:
     parameters = read_config(config, overrides)
     folder = results.output_folder(arguments.output)
     console = Console(stderr=arguments.json)
-    from ladar_volume.nodes.graph import (
-        Graph,
-    )  # the only way to ROS from here, paid for only by this verb
+    leave_out_tools()
+    # the only way to ROS from here, paid for only by this verb
+    from ladar_volume.nodes.graph import Graph
 
     with tempfile.TemporaryDirectory() as scratch:
         effective = Path(scratch) / "parameters.yaml"

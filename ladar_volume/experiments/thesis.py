@@ -26,7 +26,6 @@ from ladar_volume.ground.robust_ground import fit_ground
 from ladar_volume.mesh.local_mesh import (
     BOX,
     FOUNTAIN,
-    REPAIRS,
     SPHERE,
     LocalMesh,
     LocalMeshSettings,
@@ -34,6 +33,7 @@ from ladar_volume.mesh.local_mesh import (
 )
 from ladar_volume.mesh.tetrahedra import signed_tetrahedra
 from ladar_volume.mesh.topology import edge_table, orient
+from ladar_volume.model.choices import REPAIRS
 from ladar_volume.model.errors import SimulationError
 from ladar_volume.model.parameters import FilterParameters, GroundParameters, Parameters
 from ladar_volume.model.records import F64

@@ -11,7 +11,7 @@ from ladar_volume.experiments.nist.nist_figures import panels
 from ladar_volume.experiments.nist.nist_tables import markdown, with_spread
 from ladar_volume.experiments.thesis import Body, Field, Study, errors_pct
 from ladar_volume.experiments.thesis_scene import BOX_M3, SPHERE_M3, SQUARE_POINTS
-from ladar_volume.mesh.local_mesh import REPAIRS
+from ladar_volume.model.choices import REPAIRS
 from ladar_volume.model.errors import OutputError
 
 #: Names of the ways to repair as printed.

@@ -22,9 +22,9 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ladar_volume.math.import_guard import left_out
+from ladar_volume.process.import_guard import unwanted
 
-with left_out("coverage"):  # 5 MB, and nothing to measure where it does not run yet
+with unwanted("coverage"):  # 5 MB, and nothing to measure where it does not run yet
     import numba
 
 numba.config.THREADING_LAYER = "omp"  # type: ignore[attr-defined]

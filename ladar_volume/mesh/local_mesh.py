@@ -28,6 +28,7 @@ from ladar_volume.mesh.local_holes import fill, open_handles, rims
 from ladar_volume.mesh.local_published import published, repaired
 from ladar_volume.mesh.local_star import DEGREE, ballot, stars
 from ladar_volume.mesh.topology import edge_table
+from ladar_volume.model.choices import REPAIRS
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64
 from ladar_volume.tin.scan_frame import check_cloud
@@ -42,7 +43,6 @@ SPACING, NEIGHBOURS, WIDER = 6, 32, 4
 REACH, HOLE = 4.0, 6.0
 #: A cloud this much thinner than it is long is a line.
 THIN = 1e-9
-REPAIRS = ("none", "empty", "false", "both", "remove")
 #: Rounds of closing holes and of dropping what hangs on a single vertex.
 ROUNDS = 4
 

@@ -30,13 +30,14 @@ from ladar_volume.model.errors import ConfigurationError, LadarVolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameter import specs
 from ladar_volume.model.parameters import SECTIONS, Parameters
-from ladar_volume.nodes import process_memory
 from ladar_volume.nodes.declared_parameters import descriptor, outside, why_not_now
 from ladar_volume.nodes.defect_reports import Defects
 from ladar_volume.nodes.executor_rounds import AT_ONCE, take_waiting, unpacked
 from ladar_volume.nodes.health import Health
 from ladar_volume.nodes.qos import STREAM
 from ladar_volume.nodes.work_queue import WorkQueue
+from ladar_volume.process import memory
+from ladar_volume.process.switch import is_own_process
 
 #: How long a node may take to finish its work.
 STOP_S = 30.0
@@ -188,8 +189,8 @@ class StageNode(LifecycleNode, ABC):
     def on_activate(self, state: Any) -> TransitionCallbackReturn:
         """Begin to take in data."""
         self._active = True
-        if self.kernels is not None:
-            process_memory.tidy()
+        if self.kernels is not None and is_own_process():
+            memory.tidy()
         return super().on_activate(state)
 
     def on_deactivate(self, state: Any) -> TransitionCallbackReturn:
@@ -345,8 +346,8 @@ class StageNode(LifecycleNode, ABC):
     def _run(self) -> None:
         given_back = time.monotonic()
         while True:
-            if time.monotonic() - given_back > process_memory.GIVE_BACK_S:
-                process_memory.give_back()
+            if is_own_process() and time.monotonic() - given_back > memory.GIVE_BACK_S:
+                memory.give_back()
                 given_back = time.monotonic()
             try:
                 item = self._queue.get(timeout=0.05)

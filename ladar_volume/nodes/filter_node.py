@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -252,7 +251,3 @@ class FilterNode(StageNode):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the node alone."""
     return spin(FilterNode, argv)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -5,7 +5,6 @@ out.
 from __future__ import annotations
 
 import dataclasses
-import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -180,7 +179,3 @@ class GeoreferenceNode(StageNode):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the node alone."""
     return spin(GeoreferenceNode, argv)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -143,7 +143,14 @@ class Graph:
             )
             if separate:
                 words = [w for key, value in settings.items() for w in ("-p", f"{key}:={value}")]
-                command = [sys.executable, "-m", f"ladar_volume.nodes.{name}", "--ros-args", *words]
+                command = [
+                    sys.executable,
+                    "-m",
+                    "ladar_volume.nodes.programs",
+                    name,
+                    "--ros-args",
+                    *words,
+                ]
                 self._processes[name] = subprocess.Popen(command, env=os.environ)
             else:
                 node = FACTORIES[name](

@@ -5,7 +5,6 @@ from __future__ import annotations
 import fnmatch
 import importlib
 import re
-import sys
 import threading
 import time
 from collections.abc import Sequence
@@ -313,7 +312,3 @@ class LoggerNode(StageNode):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the node alone."""
     return spin(LoggerNode, argv)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

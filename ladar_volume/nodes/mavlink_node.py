@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -222,7 +221,3 @@ class MavlinkNode(StageNode):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the node alone."""
     return spin(MavlinkNode, argv)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

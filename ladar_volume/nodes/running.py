@@ -13,7 +13,8 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.nodes.base import StageNode
-from ladar_volume.nodes.process_memory import few_arenas, free_buffers, without_blas
+from ladar_volume.process.memory import few_arenas, free_buffers, without_blas
+from ladar_volume.process.switch import is_own_process
 
 #: How long a thread that waits for the interpreter lets another go on, s. The usual 5 ms are a
 #: tenth of an estimate for each message that comes in meanwhile, and for each of its two threads.
@@ -78,7 +79,11 @@ class Spinner:
 
 
 def before_ros() -> None:
-    """What a process of nodes asks of allocator, middleware and interpreter before ROS starts."""
+    """What a process of nodes asks of allocator, middleware and interpreter before ROS starts;
+    nothing in a process of others.
+    """
+    if not is_own_process():
+        return
     few_arenas()
     free_buffers()
     sys.setswitchinterval(TURN_S)
@@ -98,7 +103,7 @@ def spin(factory: Callable[[], StageNode], argv: Sequence[str] | None = None) ->
         signal.signal(number, lambda *_: stop.set())
     try:
         node = factory()
-        if node.kernels is not None:
+        if node.kernels is not None and is_own_process():
             without_blas()
         node.autostart()
         spinner = Spinner(node)

@@ -5,7 +5,6 @@ raw point.
 from __future__ import annotations
 
 import json
-import sys
 import threading
 import time
 from collections.abc import Sequence
@@ -417,7 +416,3 @@ class VolumeNode(StageNode):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the node alone."""
     return spin(VolumeNode, argv)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ladar_volume.model.choices import CRITERIA
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.duplicates import first_within
@@ -43,9 +44,6 @@ from ladar_volume.tin.window import (
     map_window,
 )
 
-#: What the next vertex maximises: the size of its residual, that times the area of its triangle, or
-#: that over its standard deviation.
-CRITERIA = ("residual", "residual-area", "residual-sigma")
 #: Part of the points that become vertices where nothing else is asked (seed 000 section 5.1: about
 #: a third gave the best volumes).
 RATIO = 1.0 / 3.0

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladar_volume.math.kernels import kernel
+from ladar_volume.model.choices import MEASURES
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I64, Bool, Tin
 from ladar_volume.tin.elevation_adjustment import measures
@@ -24,7 +25,6 @@ from ladar_volume.tin.locate import locate, triangle_index
 from ladar_volume.tin.predicates import workspace
 from ladar_volume.tin.triangle_table import turn
 
-MEASURES = ("asd", "rms")
 #: An exchange has to lower the sum over all points by this share at least: below it rounding could
 #: turn it back and forth.
 LEAST_GAIN = 1e-13

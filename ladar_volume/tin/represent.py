@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
+from ladar_volume.model.choices import ADJUST, MEASURES
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I64, Bool, Tin
 from ladar_volume.tin.adaptive import RATIO, adaptive_tin
 from ladar_volume.tin.adjustment_adjoint import height_covariance, raw_gradients
 from ladar_volume.tin.asd_adjustment import adjust_asd
 from ladar_volume.tin.boundary import edit_boundary
-from ladar_volume.tin.diagonal_exchange import MEASURES, exchange_diagonals
+from ladar_volume.tin.diagonal_exchange import exchange_diagonals
 from ladar_volume.tin.elevation_adjustment import (
     Adjustment,
     Fit,
@@ -34,9 +35,6 @@ from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.tin.relevant import with_relevant
 from ladar_volume.tin.window import Window, inside, map_window
 
-#: Elevation adjustments: least squares by one solve, by the published iteration, least sizes, or
-#: heights as measured.
-ADJUST = ("rms", "rms-iterated", "asd", "none")
 #: Variance of least sizes over that of least squares for Gaussian noise, in the limit of many
 #: points per vertex.
 ASD_VARIANCE = math.pi / 2.0

@@ -16,12 +16,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ladar_volume.model.choices import CALIBRATION_GROUPS
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, Bool, Tin
 from ladar_volume.registration.transform import Transform
 from ladar_volume.tin.represent import Represented
 from ladar_volume.uncertainty.navigation_sum import navigation_variance
-from ladar_volume.uncertainty.propagation import CALIBRATION_GROUPS, calibration_groups
+from ladar_volume.uncertainty.propagation import calibration_groups
 from ladar_volume.uncertainty.second_order import (
     BORESIGHT,
     SecondOrder,

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladar_volume.georeference.error_budget import calibration_columns
+from ladar_volume.model.choices import CALIBRATION_GROUPS
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I32, I64, FilteredPoints, Patches
 from ladar_volume.uncertainty.load_kernels import (
@@ -26,16 +27,6 @@ from ladar_volume.uncertainty.load_kernels import (
 )
 from ladar_volume.uncertainty.packing import calibration_parts, factor_loads, navigation_units
 
-#: Lines of the budget from the calibration, in order.
-CALIBRATION_GROUPS = (
-    "range_bias",
-    "beam_range",
-    "beam_vertical",
-    "boresight",
-    "lever_laser",
-    "lever_antenna",
-    "clock",
-)
 #: Longest survey, in time bins, whose bins are looked up in a table.
 LONGEST = 1 << 22
 

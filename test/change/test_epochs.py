@@ -14,10 +14,11 @@ from volume_surfaces import cone, surface_update
 
 from ladar_volume.change.epoch_change import epoch_difference
 from ladar_volume.math.se3 import exp_so3
+from ladar_volume.model.choices import CALIBRATION_GROUPS
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.registration.transform import Transform
 from ladar_volume.uncertainty.epoch_budget import cross_covariance, epoch_budget, shared_columns
-from ladar_volume.uncertainty.propagation import CALIBRATION_GROUPS, calibration_groups
+from ladar_volume.uncertainty.propagation import calibration_groups
 from ladar_volume.volume.overlay import between
 
 

@@ -10,7 +10,8 @@ import pytest
 from ladar_volume.cli.main import main
 from ladar_volume.clouds.filter_cloud import REASONS, filter_cloud
 from ladar_volume.clouds.published.filter_presets import PRESETS
-from ladar_volume.io.pointfiles.cloud_files import ENCODINGS, read_cloud, write_cloud
+from ladar_volume.io.endings import ENCODINGS
+from ladar_volume.io.pointfiles.cloud_files import read_cloud, write_cloud
 from ladar_volume.model.parameters import FilterParameters, Parameters
 
 SIGMA = 0.005

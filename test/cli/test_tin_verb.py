@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from ladar_volume.cli.main import main
-from ladar_volume.io.pointfiles.cloud_files import ENCODINGS, read_cloud, write_cloud
+from ladar_volume.io.endings import ENCODINGS
+from ladar_volume.io.pointfiles.cloud_files import read_cloud, write_cloud
 from ladar_volume.tin.adaptive import adaptive_tin
 from ladar_volume.tin.elevation_adjustment import adjust_rms
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from ladar_volume.cli.main import main
-from ladar_volume.io.pointfiles.cloud_files import ENCODINGS, write_cloud
+from ladar_volume.io.endings import ENCODINGS
+from ladar_volume.io.pointfiles.cloud_files import write_cloud
 
 ROOF = np.array([(0, 0, 0), (4, 0, 1), (4, 3, 2), (0, 3, -1), (2, 1.5, 3)], float)
 CONE = 16.0 * math.pi

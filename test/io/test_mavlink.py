@@ -843,7 +843,10 @@ def test_tcp_both_ways_and_again_after_a_break():
 
 
 def test_a_serial_port():
-    ours, theirs = os.openpty()
+    try:
+        ours, theirs = os.openpty()
+    except OSError as error:  # a minimal root has no /dev/pts
+        pytest.skip(f"there is no pseudo terminal here: {error}")
     link = SerialLink(os.ttyname(theirs), 57600)
     os.write(ours, bytes(range(256)))
     data = b""

@@ -238,7 +238,8 @@ def test_a_node_ends_cleanly_on_sigterm_and_on_a_bad_configuration(tmp_path):
     command = [
         sys.executable,
         "-m",
-        "ladar_volume.nodes.filter_node",
+        "ladar_volume.nodes.programs",
+        "filter_node",
         "--ros-args",
         "-p",
         f"config_file:={bad}",
@@ -255,7 +256,8 @@ def test_a_node_ends_cleanly_on_sigterm_and_on_a_bad_configuration(tmp_path):
     command = [
         sys.executable,
         "-m",
-        "ladar_volume.nodes.logger_node",
+        "ladar_volume.nodes.programs",
+        "logger_node",
         "--ros-args",
         "-p",
         f"logger.path:={log}",

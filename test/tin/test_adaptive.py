@@ -7,9 +7,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ladar_volume.model.choices import CRITERIA
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.tin import greedy
-from ladar_volume.tin.adaptive import CRITERIA, adaptive_tin
+from ladar_volume.tin.adaptive import adaptive_tin
 from ladar_volume.tin.delaunay import delaunay, fault
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.tin.greedy import Cloud, Heap

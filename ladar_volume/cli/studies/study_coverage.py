@@ -10,7 +10,6 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ladar_volume.io.results import json_text, output_folder, write_text
 from ladar_volume.version import version
 
 #: Surveys through the whole engine where no number is given.
@@ -83,6 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
     from ladar_volume.experiments.coverage import coverage
     from ladar_volume.experiments.coverage.coverage_cases import SCENARIOS
     from ladar_volume.experiments.coverage.coverage_tables import tables
+    from ladar_volume.io.results import json_text, output_folder, write_text
 
     counts = coverage.REDUCED if arguments.reduced else coverage.FULL
     if arguments.surveys is not None:

@@ -11,7 +11,6 @@ from typing import Any, TypeVar
 
 from rich.console import Console
 
-from ladar_volume.io.results import json_text, output_folder, write_text
 from ladar_volume.version import version
 
 S = TypeVar("S")
@@ -38,6 +37,8 @@ def carry_out(
     """Simulate, measure, write where an output folder is given, print as JSON or by ``show``;
     returns the exit code.
     """
+    from ladar_volume.io.results import json_text, output_folder, write_text
+
     folder = None if arguments.output is None else output_folder(arguments.output)
     console = Console(stderr=arguments.json)
     with console.status("simulating") as status:

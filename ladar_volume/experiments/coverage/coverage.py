@@ -10,7 +10,6 @@ import dataclasses
 import json
 import math
 import multiprocessing
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
@@ -34,6 +33,7 @@ from ladar_volume.experiments.coverage.coverage_cases import (
 )
 from ladar_volume.experiments.coverage.coverage_engine import measured_by_engine
 from ladar_volume.model.errors import ConfigurationError, OutputError, SurfaceError, VolumeError
+from ladar_volume.process.switch import children_of_one_thread
 from ladar_volume.version import version
 
 #: Surveys of a scenario with all sources on, with each source alone, and of each variant whose
@@ -187,10 +187,8 @@ def results(todo: Sequence[Task], workers: int) -> Iterator[dict[str, Any]]:
     if workers <= 1:
         yield from map(do, todo)
         return
-    os.environ["NUMBA_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = (
-        "1"  # for the processes about to start
-    )
-    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+    spawn = multiprocessing.get_context("spawn")
+    with children_of_one_thread(), ProcessPoolExecutor(workers, mp_context=spawn) as pool:
         waiting: set[Future[list[dict[str, Any]]]] = set()
         try:
             while True:

@@ -30,6 +30,7 @@ from ladar_volume.experiments.coverage.coverage_cases import (
 from ladar_volume.experiments.coverage.coverage_scene import SLOPE, Site
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.config import read_config
+from ladar_volume.model.choices import CALIBRATION_GROUPS
 from ladar_volume.model.records import select
 from ladar_volume.replay import Replay
 from ladar_volume.simulation.bag import write_bag
@@ -37,7 +38,6 @@ from ladar_volume.simulation.platforms import Platform, platform_for, uav
 from ladar_volume.simulation.scenes import Ground, Scene, box_scene, make_scene, polar_mesh
 from ladar_volume.simulation.suited_parameters import suited
 from ladar_volume.simulation.survey import Survey, SurveyOptions
-from ladar_volume.uncertainty.propagation import CALIBRATION_GROUPS
 
 #: Scenes of stockpiles, by scenario.
 SCENES = {"stockpile_100": "cone_100", "stockpile_5000": "stockpile_5000"}

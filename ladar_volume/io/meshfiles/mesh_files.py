@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
+from ladar_volume.io.endings import ENDINGS
 from ladar_volume.io.meshfiles.ply_mesh import parse_header, read_ply_mesh, write_ply_mesh
 from ladar_volume.io.pointfiles.ply import HEADER_LIMIT
 from ladar_volume.mesh.topology import weld
 from ladar_volume.model.errors import InputError, OutputError
 from ladar_volume.model.records import F64, I32
 
-ENDINGS = (".ply", ".obj", ".stl", ".off")
 Faces = I32 | Sequence[Any]
 
 

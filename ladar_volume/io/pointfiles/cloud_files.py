@@ -16,23 +16,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ladar_volume.io.atomic_write import whole_file
+from ladar_volume.io.endings import ENCODINGS
 from ladar_volume.io.pointfiles import pcd, ply, text
 from ladar_volume.io.pointfiles.ply import Columns
 from ladar_volume.model.errors import CloudError, InputError, LadarVolumeError, OutputError
 from ladar_volume.model.records import F64
 
-#: Ending → encodings that can be written, the default first.
-ENCODINGS: dict[str, tuple[str, ...]] = {
-    ".ply": ("binary", "ascii", "binary_big_endian"),
-    ".pcd": ("binary", "ascii", "binary_compressed"),
-    ".csv": ("csv",),
-    ".xyz": ("text",),
-    ".txt": ("text",),
-    ".asc": ("text",),
-    ".npy": ("npy",),
-    ".las": ("las",),
-    ".laz": ("laz",),
-}
 #: What the three components of a normal are called; written as the first (PCD and LAS: see
 #: NORMALS_OF).
 NORMALS = (

@@ -5,7 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from ladar_volume.nodes.process_memory import FROM_PROFILES, PROFILES, free_buffers, unchanged_pages
+from ladar_volume.process.memory import FROM_PROFILES, PROFILES, free_buffers, unchanged_pages
 
 ROOT = Path(__file__).parents[2]
 
@@ -37,14 +37,14 @@ def test_only_what_is_as_in_the_file_is_given_back():
 def test_kernels_run_and_compile_after_the_libraries_were_given_back():
     code = """if True:
         import numba, numpy as np
-        from ladar_volume.nodes import process_memory
+        from ladar_volume.process import memory
         from ladar_volume.uncertainty.navigation_sum import markov_sum
-        process_memory.few_arenas()
+        memory.few_arenas()
         t, y = np.arange(3.0), np.ones((3, 2))
         first = markov_sum(t, y, 1.0)
         size = lambda: next(int(l.split()[1]) for l in open("/proc/self/status") if l.startswith("RssFile"))
         before = size()
-        process_memory.tidy()
+        memory.tidy()
         assert size() < before - 20_000, (before, size())
         assert markov_sum(t, y, 1.0) == first
         assert numba.njit(lambda x: x + 1)(1) == 2
@@ -62,14 +62,14 @@ def test_kernels_compile_for_good_after_the_modules_of_those_they_call_were_pack
         import gc, sys
         import numpy as np
         from numba.core.codegen import CPUCodeLibrary
-        from ladar_volume.nodes import process_memory
+        from ladar_volume.process import memory
         from ladar_volume.uncertainty.navigation_sum import markov_sum
         t, y = np.arange(3.0), np.ones((3, 2))
         held = lambda: sum(getattr(x, "_shared_module", None) is not None for x in gc.get_objects() if isinstance(x, CPUCodeLibrary))
         if sys.argv[1] == "packed":
             once = markov_sum(t, y, 1.0)
             before = held()
-            process_memory.pack_modules()
+            memory.pack_modules()
             assert before > 0 and held() == 0, before
         from caller import twice
         value = twice(t, y)
@@ -91,12 +91,12 @@ def test_kernels_compile_for_good_after_the_modules_of_those_they_call_were_pack
 def test_kernels_of_a_node_need_no_linear_algebra_of_scipy():
     code = """if True:
         import sys
-        from ladar_volume.nodes import process_memory
+        from ladar_volume.process import memory
         from ladar_volume.compile_kernels import warm_up
-        process_memory.without_blas()
+        memory.without_blas()
         warm_up("georeference")
         warm_up("filter")
-        assert "scipy.linalg" not in sys.modules and process_memory.BLAS not in sys.modules
+        assert "scipy.linalg" not in sys.modules and memory.BLAS not in sys.modules
         warm_up("volume")
         from scipy.linalg import cython_blas
     """
@@ -109,17 +109,17 @@ def test_what_a_large_process_frees_goes_back_at_once():
     code = """if True:
         import sys
         import numpy as np
-        from ladar_volume.nodes import process_memory
-        process_memory.few_arenas()
-        process_memory.LARGE_BYTES = 0 if sys.argv[1] == "large" else 1 << 60
-        process_memory.give_back()
+        from ladar_volume.process import memory
+        memory.few_arenas()
+        memory.LARGE_BYTES = 0 if sys.argv[1] == "large" else 1 << 60
+        memory.give_back()
         blocks, stay = [], []
         for _ in range(300):
             blocks.append(np.ones(40_000))
             stay.append(np.ones(500))
-        before = process_memory.resident_bytes()
+        before = memory.resident_bytes()
         del blocks
-        print(before - process_memory.resident_bytes())
+        print(before - memory.resident_bytes())
     """
     freed = {}
     for size in ("small", "large"):
@@ -136,11 +136,11 @@ SENT = """if True:
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
     from sensor_msgs.msg import PointCloud2
-    from ladar_volume.nodes import process_memory
+    from ladar_volume.process import memory
     from ladar_volume.nodes.qos import STREAM
-    process_memory.few_arenas()
+    memory.few_arenas()
     if sys.argv[1] == "free":
-        process_memory.free_buffers()
+        memory.free_buffers()
     size = lambda: next(int(l.split()[1]) for l in open("/proc/self/status") if l.startswith("VmRSS")) / 1024
     rclpy.init(args=[])
     node, executor, got = rclpy.create_node("both"), SingleThreadedExecutor(), []
@@ -156,7 +156,7 @@ SENT = """if True:
     while len(got) < 30 and time.monotonic() < deadline:
         executor.spin_once(timeout_sec=0.1)
     assert got == [2_000_000] * 30
-    process_memory.give_back()
+    memory.give_back()
     print(waiting - before, size() - before)
     node.destroy_node()
     rclpy.shutdown()

@@ -5,6 +5,9 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
+
+from ladar_volume.process.switch import is_own_process
 
 
 @contextlib.contextmanager
@@ -20,3 +23,8 @@ def left_out(name: str) -> Iterator[None]:
         yield
     finally:
         del sys.modules[name]
+
+
+def unwanted(name: str) -> AbstractContextManager[None]:
+    """:func:`left_out` in a process of our own; in one of others nothing."""
+    return left_out(name) if is_own_process() else nullcontext()

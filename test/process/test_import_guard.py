@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from ladar_volume.math.import_guard import left_out
+from ladar_volume.process.import_guard import left_out
 
 #: Part of the standard library, and of nothing else.
 ONE = "this"
@@ -38,5 +38,11 @@ def test_what_is_loaded_stays():
 
 
 def test_kernels_load_no_tool_for_coverage():
-    code = "import sys, ladar_volume.math.kernels; sys.exit('coverage' in sys.modules)"
+    code = (
+        "import sys\n"
+        "from ladar_volume.process.switch import own_process\n"
+        "own_process()\n"
+        "import ladar_volume.math.kernels\n"
+        "sys.exit('coverage' in sys.modules)"
+    )
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

@@ -16,7 +16,7 @@ import os
 import sys
 from pathlib import Path
 
-from ladar_volume.math.import_guard import left_out
+from ladar_volume.process.import_guard import left_out
 
 #: mallopt's numbers for what may stay free at a heap's end, for the size from which a block is a
 #: mapping of its own, and for the greatest number of arenas (malloc.h).

@@ -1,0 +1,61 @@
+"""Options of ``ladar_volume epochs``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ladar_volume.cli.arguments.work import work
+from ladar_volume.model.choices import CALIBRATION_GROUPS
+
+
+def add_parser(subparsers: Any) -> None:
+    """Declare the verb."""
+    parser = subparsers.add_parser(
+        "epochs",
+        help="change between two surveys, with level of detection",
+        description="NEW minus PREVIOUS over the common footprint. Both are folders that "
+        "'replay' or "
+        "volume_node's ~/save wrote. The "
+        "calibration counts as common to both, but for the clock offset.",
+    )
+    parser.add_argument(
+        "previous", type=Path, help="results of the earlier survey: a folder, or its result.mcap"
+    )
+    parser.add_argument("new", type=Path, help="results of the later survey")
+    parser.add_argument(
+        "--separate",
+        action="append",
+        default=[],
+        metavar="GROUP",
+        choices=[*CALIBRATION_GROUPS, "all"],
+        help=(
+            "calibrated anew between the two, may be given again: "
+            f"{', '.join(CALIBRATION_GROUPS)}, or all"
+        ),
+    )
+    parser.add_argument(
+        "--transform",
+        type=Path,
+        metavar="FILE",
+        help=(
+            "JSON of 'register NEW PREVIOUS': lays the new survey on the previous one, with "
+            "its covariance"
+        ),
+    )
+    parser.add_argument(
+        "--polygon",
+        nargs="+",
+        metavar="X,Y",
+        help="only within these corners, or a file of rows x y",
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        default=Path("change"),
+        help="folder for epochs.json, change.ply, change.png",
+    )
+    parser.add_argument("--json", action="store_true", help="print epochs.json to standard output")
+    parser.add_argument("--no-figure", action="store_true", help="skip the picture")
+    parser.set_defaults(run=work("ladar_volume.cli.epochs"))

@@ -1,0 +1,58 @@
+"""Options of ``ladar_volume filter``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ladar_volume.cli.arguments.work import work
+from ladar_volume.clouds.published.filter_presets import PRESETS
+from ladar_volume.io.endings import ENCODINGS
+
+
+def add_parser(subparsers: Any) -> None:
+    """Declare the verb."""
+    kinds = " ".join(ENCODINGS)
+    parser = subparsers.add_parser(
+        "filter",
+        help="filter a point cloud file: outliers out, noise down, edges kept",
+        description="Robust moving least squares on a point cloud file. Without --radius, --preset "
+        "or --set filter.radius_m=..., radius, "
+        "degree and threshold are estimated from the cloud (--auto).",
+    )
+    parser.add_argument("cloud", type=Path, help=f"point cloud ({kinds})")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="OUT",
+        help="filtered points with normal, sigma and input index",
+    )
+    parser.add_argument(
+        "--radius", type=float, metavar="R", help="range r in m; fits reach over 2 r"
+    )
+    parser.add_argument("--degree", type=int, choices=(1, 2), help="degree of the local surfaces")
+    parser.add_argument("--preset", choices=sorted(PRESETS), help="published settings")
+    parser.add_argument(
+        "--auto",
+        action="store_true",
+        help="estimate radius, degree and threshold from the cloud (the default)",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="filter.KEY=VALUE",
+        help="override one parameter",
+    )
+    parser.add_argument(
+        "--outliers",
+        type=Path,
+        metavar="FILE",
+        help="points taken out, with input index and reason",
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print the result as JSON to standard output"
+    )
+    parser.set_defaults(run=work("ladar_volume.cli.filter"))

@@ -1,0 +1,57 @@
+"""Options of ``ladar_volume replay``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from ladar_volume.cli.arguments.work import work
+
+
+def add_parser(subparsers: Any) -> None:
+    """Declare the verb."""
+    parser = subparsers.add_parser("replay", help="volume of a recorded survey, offline")
+    parser.add_argument("bag", type=Path, help="rosbag2 folder, .mcap, or ROS 1 .bag")
+    add_common(parser)
+    parser.add_argument(
+        "--poses",
+        type=Path,
+        metavar="LOG",
+        help="autopilot's .tlog or .bin to take the poses from (section mavlink)",
+    )
+    parser.add_argument("--start", type=float, default=0.0, help="seconds into the recording")
+    parser.add_argument("--duration", type=float, default=float("inf"), help="seconds")
+    parser.add_argument("--no-figure", action="store_true", help="skip the picture")
+    parser.set_defaults(run=work("ladar_volume.cli.replay"))
+
+
+def add_common(parser: argparse.ArgumentParser) -> None:
+    """Options that replay and the nodes share."""
+    parser.add_argument(
+        "--config",
+        type=Path,
+        help="parameter file; default: config.yaml in the recording's folder, if any",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="SECTION.KEY=VALUE",
+        help="override one parameter",
+    )
+    parser.add_argument(
+        "--topic",
+        action="append",
+        default=[],
+        metavar="ROLE=TOPIC",
+        help="cloud, fix, imu or odometry topic",
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        default=Path("out"),
+        help="folder for result.json, result.mcap, mesh.ply, figure.png",
+    )
+    parser.add_argument("--json", action="store_true", help="print result.json to standard output")

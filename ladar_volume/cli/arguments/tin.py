@@ -1,0 +1,40 @@
+"""Options of ``ladar_volume tin``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ladar_volume.cli.arguments.surface_options import add_surface_options
+from ladar_volume.cli.arguments.work import work
+from ladar_volume.io.endings import ENCODINGS
+
+
+def add_parser(subparsers: Any) -> None:
+    """Declare the verb."""
+    parser = subparsers.add_parser(
+        "tin",
+        help="triangulate a point cloud file, with all of its points or the few that "
+        "represent them",
+        description=(
+            "A TIN over a point cloud by adaptive insertion, its heights adjusted to all "
+            "points. Lengths in m."
+        ),
+    )
+    parser.add_argument("cloud", type=Path, help=f"point cloud ({' '.join(ENCODINGS)})")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="TIN.ply",
+        help="relevant triangles, vertices with sigma_z",
+    )
+    parser.add_argument(
+        "--all-triangles", action="store_true", help="write irrelevant triangles too, marked"
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print the result as JSON to standard output"
+    )
+    add_surface_options(parser, "0.333")
+    parser.set_defaults(run=work("ladar_volume.cli.tin"))

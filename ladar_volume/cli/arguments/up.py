@@ -1,0 +1,32 @@
+"""Options of ``ladar_volume up``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ladar_volume.cli.arguments.replay import add_common
+from ladar_volume.cli.arguments.work import work
+
+
+def add_parser(subparsers: Any) -> None:
+    """Declare the verb."""
+    parser = subparsers.add_parser("up", help="run the nodes; with --play over a recording")
+    parser.add_argument(
+        "--play",
+        type=Path,
+        metavar="BAG",
+        help="recording to play through the nodes; without it they run until stopped",
+    )
+    parser.add_argument("--rate", type=float, default=1.0, help="times real time")
+    parser.add_argument(
+        "--separate", action="store_true", help="every node in a process of its own"
+    )
+    parser.add_argument(
+        "--mavlink",
+        metavar="URL",
+        help="autopilot to take poses from: udpin:HOST:PORT, serial:DEVICE:BAUD, a .tlog",
+    )
+    parser.add_argument("--log", type=Path, help="MCAP file to log all topics to")
+    add_common(parser)
+    parser.set_defaults(run=work("ladar_volume.cli.up"))

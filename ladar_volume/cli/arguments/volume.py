@@ -1,0 +1,82 @@
+"""Options of ``ladar_volume volume``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ladar_volume.cli.arguments.surface_options import add_surface_options, number
+from ladar_volume.cli.arguments.work import work
+from ladar_volume.io.endings import ENCODINGS
+
+
+def add_parser(subparsers: Any) -> None:
+    """Declare the verb."""
+    parser = subparsers.add_parser(
+        "volume",
+        help="cut and fill of a point cloud file above a base, or between two",
+        description=(
+            "Cut, fill and net volume with their standard deviations from the noise of the "
+            "points. Lengths in m."
+        ),
+    )
+    parser.add_argument("cloud", type=Path, help=f"point cloud ({' '.join(ENCODINGS)})")
+    parser.add_argument(
+        "cloud_b", type=Path, nargs="?", help="second cloud: cut is where the first lies above it"
+    )
+    g = parser.add_argument_group("base")
+    g.add_argument("--level", type=number, metavar="Z", help="above this height")
+    g.add_argument(
+        "--base",
+        choices=("level", "plane", "ground", "floor"),
+        help=(
+            "level (--level), plane (--plane), ground of the same cloud, or the floor that "
+            "--levels shows"
+        ),
+    )
+    g.add_argument(
+        "--plane",
+        type=number,
+        nargs=3,
+        metavar=("C0", "C1", "C2"),
+        help="above the plane z = C0 + C1 x + C2 y",
+    )
+    g.add_argument(
+        "--levels",
+        type=number,
+        nargs=3,
+        metavar=("START", "STOP", "STEP"),
+        help="cut and fill at levels, and their floors",
+    )
+    g.add_argument(
+        "--outline",
+        choices=("auto", "all"),
+        help="where the volume counts: the main body (default for ground), or everywhere",
+    )
+    g.add_argument(
+        "--footprint",
+        choices=("common", "own"),
+        default="common",
+        help="two clouds: over their common footprint, or as published each over its own",
+    )
+    g.add_argument(
+        "--sigma-b",
+        type=number,
+        metavar="M",
+        help="standard deviation of the second cloud's heights, where it differs",
+    )
+    g.add_argument(
+        "--no-correction", action="store_true", help="leave cut and fill as they are near the base"
+    )
+    g.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="SECTION.KEY=VALUE",
+        help="override a parameter of volume or ground",
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print the result as JSON to standard output"
+    )
+    add_surface_options(parser, "1: every point")
+    parser.set_defaults(run=work("ladar_volume.cli.volume"))

@@ -1,0 +1,29 @@
+"""Words that options and records choose from, apart from the work that they choose: who only reads
+a command line loads no kernel for them.
+"""
+
+from __future__ import annotations
+
+#: What the next vertex maximises: the size of its residual, that times the area of its triangle, or
+#: that over its standard deviation.
+CRITERIA = ("residual", "residual-area", "residual-sigma")
+#: Elevation adjustments: least squares by one solve, by the published iteration, least sizes, or
+#: heights as measured.
+ADJUST = ("rms", "rms-iterated", "asd", "none")
+#: Misfits that an exchange of diagonals may lower: average size, root mean square.
+MEASURES = ("asd", "rms")
+#: Repairs of a mesh by the published Algorithm 2.
+REPAIRS = ("none", "empty", "false", "both", "remove")
+#: What a survey uses for a constant: one value measured in the present mounting, the mean of those,
+#: or the mean of earlier mountings after the sensor was mounted anew and not calibrated.
+USES = ("single", "mean", "remounted")
+#: Lines of the budget from the calibration, in order.
+CALIBRATION_GROUPS = (
+    "range_bias",
+    "beam_range",
+    "beam_vertical",
+    "boresight",
+    "lever_laser",
+    "lever_antenna",
+    "clock",
+)
