@@ -12,21 +12,26 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from ladar_volume.cli.inputs.mesh_source import add_mesh_options, mesh_words
 from ladar_volume.cli.surface_options import (
     add_surface_options,
     frame_facts,
     frame_of,
     make_surface,
     option_facts,
-    read_source,
+    read_surface,
+    surface_doubts,
     surface_facts,
     surface_options,
 )
+from ladar_volume.cli.verdict_lines import add_strict_option, add_verdict_rows, exit_code
+from ladar_volume.io.meshfiles.mesh_files import READ_ENDINGS
 from ladar_volume.io.meshfiles.tin_files import check_tin_output, write_tin
 from ladar_volume.io.pointfiles.cloud_files import ENCODINGS
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.records import I64, Tin
+from ladar_volume.model.verdict import Verdict
 from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.version import version
 
@@ -42,7 +47,8 @@ def add_parser(subparsers: Any) -> None:
             "points. Lengths in m."
         ),
     )
-    parser.add_argument("cloud", type=Path, help=f"point cloud ({' '.join(ENCODINGS)})")
+    kinds = " ".join(dict.fromkeys([*ENCODINGS, *READ_ENDINGS]))
+    parser.add_argument("cloud", type=Path, help=f"point cloud, or mesh with faces ({kinds})")
     parser.add_argument(
         "-o",
         "--output",
@@ -57,7 +63,9 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
-    add_surface_options(parser, "0.333")
+    add_surface_options(parser, "0.333; of a mesh the faces as they are")
+    add_mesh_options(parser)
+    add_strict_option(parser)
     parser.set_defaults(run=run)
 
 
@@ -71,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
     console = Console(stderr=arguments.json)
     with console.status(f"reading {arguments.cloud.name}") as status:
-        source = read_source(arguments.cloud)
+        source = read_surface(arguments.cloud, arguments)
         status.update("searching the scan direction" if arguments.frame == "scan" else "")
         frame = frame_of(arguments, [source])
         status.update(f"triangulating {len(source.cloud.r):,} points")
@@ -93,13 +101,14 @@ def run(arguments: argparse.Namespace) -> int:
         "output": {"path": arguments.output.name, "vertices": vertices, "faces": faces},
         "frame": frame_facts(frame),
         "options": option_facts(options),
+        "verdict": Verdict(surface_doubts([source], [surface])).as_dict(),
         "version": version(),
     }
     if arguments.json:
         print(json_text(facts), end="")
     else:
         show(console, facts)
-    return 0
+    return exit_code(arguments, facts["verdict"])
 
 
 def in_cloud(tin: Tin, index: I64) -> Tin:
@@ -114,6 +123,8 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
     for name in ("cropped", "outliers", "duplicates"):
         if facts[name]:
             table.add_row(f"  {name}", f"{facts[name]:,}")
+    if facts["mesh"] is not None:
+        table.add_row("mesh", mesh_words(facts["mesh"]))
     table.add_row("vertices", f"[bold]{facts['vertices']:,}[/bold]")
     table.add_row(
         "triangles",
@@ -144,5 +155,6 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
             "sigma of a point", f"{1e3 * facts['sigma_point_m']:.2f} mm ({facts['sigma_from']})"
         )
         table.add_row("sigma of a vertex", f"{1e3 * facts['sigma_z_median_m']:.2f} mm (median)")
+    add_verdict_rows(table, facts["verdict"])
     console.print(table)
     console.print(f"written to {facts['output']['path']}")

@@ -15,6 +15,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from ladar_volume.cli.inputs.mesh_source import add_mesh_options, mesh_words
 from ladar_volume.cli.surface_options import (
     add_surface_options,
     frame_facts,
@@ -22,10 +23,12 @@ from ladar_volume.cli.surface_options import (
     make_surface,
     number,
     option_facts,
-    read_source,
+    read_surface,
+    surface_doubts,
     surface_facts,
     surface_options,
 )
+from ladar_volume.cli.verdict_lines import add_strict_option, add_verdict_rows, exit_code
 from ladar_volume.clouds.cloud_levels import (
     above_floor,
     events,
@@ -36,11 +39,13 @@ from ladar_volume.clouds.cloud_levels import (
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.cloud_volume import CloudVolume, above_base, between_clouds, own_footprints
 from ladar_volume.io.config import read_config
+from ladar_volume.io.meshfiles.mesh_files import READ_ENDINGS
 from ladar_volume.io.pointfiles.cloud_files import ENCODINGS
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import ConfigurationError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Plane
+from ladar_volume.model.verdict import Verdict
 from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.tin.scan_frame import Frame
 from ladar_volume.version import version
@@ -69,9 +74,10 @@ def add_parser(subparsers: Any) -> None:
             "points. Lengths in m."
         ),
     )
-    parser.add_argument("cloud", type=Path, help=f"point cloud ({' '.join(ENCODINGS)})")
+    kinds = " ".join(dict.fromkeys([*ENCODINGS, *READ_ENDINGS]))
+    parser.add_argument("cloud", type=Path, help=f"point cloud, or mesh with faces ({kinds})")
     parser.add_argument(
-        "cloud_b", type=Path, nargs="?", help="second cloud: cut is where the first lies above it"
+        "cloud_b", type=Path, nargs="?", help="second one: cut is where the first lies above it"
     )
     g = parser.add_argument_group("base")
     g.add_argument("--level", type=number, metavar="Z", help="above this height")
@@ -128,6 +134,8 @@ def add_parser(subparsers: Any) -> None:
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
     add_surface_options(parser, "1: every point")
+    add_mesh_options(parser, second=True)
+    add_strict_option(parser)
     parser.set_defaults(run=run)
 
 
@@ -213,7 +221,9 @@ def run(arguments: argparse.Namespace) -> int:
     console = Console(stderr=arguments.json)
     with console.status("reading") as status:
         sources = [
-            read_source(path) for path in (arguments.cloud, arguments.cloud_b) if path is not None
+            read_surface(path, arguments, second)
+            for path, second in ((arguments.cloud, False), (arguments.cloud_b, True))
+            if path is not None
         ]
         if arguments.frame == "scan":
             status.update("turning into the scan frame")
@@ -231,13 +241,14 @@ def run(arguments: argparse.Namespace) -> int:
         ],
         "frame": frame_facts(frame),
         "options": option_facts(options),
+        "verdict": Verdict(surface_doubts(sources, surfaces)).as_dict(),
         "version": version(),
     }
     if arguments.json:
         print(json_text(facts), end="")
     else:
         show(console, facts)
-    return 0
+    return exit_code(arguments, facts["verdict"])
 
 
 def computed(
@@ -393,6 +404,9 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
                 f"{sigma}{each['sigma_from']}"
             ),
         )
+        if each["mesh"] is not None:
+            table.add_row("", mesh_words(each["mesh"]))
+    add_verdict_rows(table, facts["verdict"])
     console.print(table)
     for each in facts.get("sequences", []):
         show_levels(console, each)

@@ -1,45 +1,71 @@
-"""Mesh files: PLY, OBJ, STL, OFF, by the ending of their name, read here so that coordinates keep
-every digit and bad files are refused.
+"""Mesh files: PLY, OBJ, STL, OFF and LandXML, by the ending of their name, read here so that
+coordinates keep every digit and bad files are refused.
 
 Polygons are cut into fans of triangles, which keeps the volume of a plane polygon of any shape. STL
-has no shared vertices: those at one position become one.
+has no shared vertices: those at one position become one. Vertices along open edges that differ in
+their last digits only are joined (:func:`~ladar_volume.mesh.topology.weld_open`), triangles without
+area by a vertex that they have twice are left out, and of faces that are there twice one counts.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from ladar_volume.io.meshfiles.landxml import read_landxml
 from ladar_volume.io.meshfiles.ply_mesh import parse_header, read_ply_mesh, write_ply_mesh
 from ladar_volume.io.pointfiles.ply import HEADER_LIMIT
-from ladar_volume.mesh.topology import weld
+from ladar_volume.mesh.topology import vertices_of, weld, weld_open
 from ladar_volume.model.errors import InputError, OutputError
-from ladar_volume.model.records import F64, I32
+from ladar_volume.model.records import F64, I32, I64
+from ladar_volume.model.verdict import Doubt
 
+#: Endings that are written, and those that are read.
 ENDINGS = (".ply", ".obj", ".stl", ".off")
+LANDXML = (".xml", ".landxml")
+READ_ENDINGS = (*ENDINGS, *LANDXML)
+#: Single-precision coordinates whose steps are wider than this part of the median edge are a doubt.
+COARSE = 1e-3
 Faces = I32 | Sequence[Any]
 
 
 @dataclass(frozen=True)
 class MeshFile:
-    """A mesh as its file holds it: vertices (n, 3) float64, m, all finite · triangles (m, 3) int32
-    · dropped : triangles with a corner twice, as welding an STL leaves them
+    """A mesh as its file holds it.
+
+    vertices : (n, 3) float64, m, all finite · triangles : (m, 3) int32 · dropped : triangles with a
+    corner twice, as they are or as joining vertices leaves them · twice : triangles that were there
+    already · joined, joined_m : vertices that were joined along open edges, and how far apart they
+    were at most · invisible : faces of a LandXML that do not count · columns : of the vertices,
+    (n,), from a PLY · surface : name in a LandXML · unit : linear unit that a LandXML names · epsg
+    : code of its frame · doubts : what makes it doubtful
     """
 
     vertices: F64
     triangles: I32
     dropped: int = 0
+    twice: int = 0
+    joined: int = 0
+    joined_m: float = 0.0
+    invisible: int = 0
+    columns: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
+    surface: str = ""
+    unit: str = ""
+    epsg: str = ""
+    doubts: tuple[Doubt, ...] = ()
 
 
 def holds_faces(path: str | Path) -> bool:
     """Whether a file is a mesh: by its ending, and a PLY by whether its header announces faces."""
     path = Path(path)
     if path.suffix.lower() != ".ply":
-        return path.suffix.lower() in ENDINGS
+        return path.suffix.lower() in READ_ENDINGS
     try:
         with path.open("rb") as file:
             elements = parse_header(file.read(HEADER_LIMIT))[1]
@@ -48,33 +74,39 @@ def holds_faces(path: str | Path) -> bool:
     return any(e.name == "face" and e.rows > 0 for e in elements)
 
 
-def read_mesh(path: str | Path) -> MeshFile:
-    """Read a mesh file.
+def read_mesh(path: str | Path, surface: str | None = None) -> MeshFile:
+    """Read a mesh file; of a LandXML with several surfaces that of a name.
 
     Raises :class:`InputError`: input_missing, input_unreadable, input_format (unknown ending),
     mesh_file_header, mesh_file_short, mesh_file_values, mesh_file_fields, mesh_file_empty (no
-    face), mesh_file_index (a face names a vertex that is not there).
+    face), mesh_file_index (a face names a vertex that is not there), landxml_units,
+    landxml_surface.
     """
     path = Path(path)
-    if path.suffix.lower() not in ENDINGS:
+    ending = path.suffix.lower()
+    if ending not in READ_ENDINGS:
         raise InputError(
-            f"{path}: no known kind of mesh file ({', '.join(ENDINGS)})",
+            f"{path}: no known kind of mesh file ({', '.join(READ_ENDINGS)})",
             reason="input_format",
             value=str(path),
         )
     if not path.exists():
         raise InputError(f"{path}: no such file", reason="input_missing", value=str(path))
     try:
-        if path.suffix.lower() == ".stl":
+        if ending in LANDXML:
+            return _read_land(path, surface)
+        if surface is not None:
+            raise InputError("only a LandXML has surfaces with names", reason="landxml_surface")
+        if ending == ".stl":
             soup = _read_stl(path)
             vertices, triangles, dropped = weld(
                 soup, np.arange(len(soup), dtype=np.int32).reshape(-1, 3)
             )
-            return MeshFile(_finite(vertices), triangles, dropped)
-        found = {".ply": read_ply_mesh, ".obj": _read_obj, ".off": _read_off}[path.suffix.lower()](
-            path
-        )
-        return _assemble(*found)
+            return _mended(MeshFile(vertices, triangles, dropped), True)
+        if ending == ".ply":
+            vertices, faces, columns = read_ply_mesh(path)
+            return _assemble(vertices, faces, columns)
+        return _assemble(*(_read_obj if ending == ".obj" else _read_off)(path))
     except OSError as error:
         raise InputError(
             f"{path}: cannot be read: {error}", reason="input_unreadable", value=str(path)
@@ -83,13 +115,34 @@ def read_mesh(path: str | Path) -> MeshFile:
         raise InputError(f"{path}: {error}", reason=error.reason, value=error.value) from error
 
 
+def _read_land(path: Path, surface: str | None) -> MeshFile:
+    land = read_landxml(path, surface)
+    mesh = _assemble(land.vertices, land.faces)
+    doubts = mesh.doubts
+    if not land.unit:
+        text = (
+            "the LandXML names no units: its numbers are taken for metres; give it a Units element"
+        )
+        doubts += (Doubt("mesh_units", text),)
+    return dataclasses.replace(
+        mesh,
+        invisible=land.invisible,
+        surface=land.name,
+        unit=land.unit,
+        epsg=land.epsg,
+        doubts=doubts,
+    )
+
+
 def _finite(vertices: F64) -> F64:
     if not np.isfinite(vertices).all():
         raise InputError("a coordinate that is not finite", reason="mesh_file_values")
     return vertices
 
 
-def _assemble(vertices: F64, faces: Faces) -> MeshFile:
+def _assemble(
+    vertices: F64, faces: Faces, columns: Mapping[str, npt.NDArray[Any]] | None = None
+) -> MeshFile:
     triangles = fans(faces)
     if len(triangles) == 0:
         raise InputError("no face", reason="mesh_file_empty")
@@ -100,7 +153,60 @@ def _assemble(vertices: F64, faces: Faces) -> MeshFile:
             reason="mesh_file_index",
             value=high,
         )
-    return MeshFile(_finite(vertices), triangles)
+    return _mended(MeshFile(_finite(vertices), triangles, columns=columns or {}), False)
+
+
+def _mended(mesh: MeshFile, single: bool) -> MeshFile:
+    """The mesh without triangles that have a corner twice or are there twice, its open edges
+    joined. ``single``: its coordinates have 24 bits.
+    """
+    t = mesh.triangles
+    good = (t[:, 0] != t[:, 1]) & (t[:, 1] != t[:, 2]) & (t[:, 2] != t[:, 0])
+    welded = weld_open(mesh.vertices, t[good])
+    first = distinct(welded.triangles)
+    out = welded.triangles[first]
+    if len(out) == 0:
+        raise InputError("no face with three corners at different places", reason="mesh_file_empty")
+    twice = len(welded.triangles) - len(first)
+    doubts: tuple[Doubt, ...] = ()
+    if twice:
+        text = f"{twice} faces are in the file twice and count once; check how it was exported"
+        doubts += (Doubt("mesh_duplicate_faces", text, twice),)
+    return dataclasses.replace(
+        mesh,
+        triangles=out,
+        dropped=mesh.dropped + int(np.count_nonzero(~good)) + welded.dropped,
+        twice=twice,
+        joined=welded.joined,
+        joined_m=welded.farthest_m,
+        doubts=doubts + coarse(mesh.vertices, out, single),
+    )
+
+
+def distinct(triangles: I32) -> I64:
+    """Rows (k,) of the first of all triangles (m, 3) with the same corners, in order."""
+    corners = np.sort(triangles, axis=1)
+    first: I64 = np.sort(np.unique(corners, axis=0, return_index=True)[1]).astype(np.int64)
+    return first
+
+
+def coarse(vertices: F64, triangles: I32, single: bool) -> tuple[Doubt, ...]:
+    """The doubt about coordinates (n, 3) of single precision, by their kind or as all of them show,
+    whose steps are wide against the edges of the mesh.
+    """
+    used = vertices[vertices_of(triangles)]
+    whole = bool((used == np.round(used)).all())  # given to the metre, which any number holds
+    if not single and (whole or not (used == used.astype(np.float32)).all()):
+        return ()
+    step = float(np.spacing(np.abs(used).max().astype(np.float32)))
+    edge = float(np.median(np.linalg.norm(np.diff(vertices[triangles][:, :2], axis=1), axis=2)))
+    if step <= COARSE * edge:
+        return ()
+    text = (
+        f"coordinates are rounded to {step:.2g} m (24 bits), edges are {edge:.2g} m: write the "
+        "mesh with double coordinates, or about an origin near it"
+    )
+    return (Doubt("mesh_rounded", text, step),)
 
 
 def fans(faces: Faces) -> I32:
