@@ -12,6 +12,7 @@ from rich.console import Console
 
 from ladar_volume.cli.body_facts import cloud_facts, mesh_facts, show
 from ladar_volume.cli.surface_options import Source, read_source
+from ladar_volume.cli.verdict_lines import add_strict_option, exit_code
 from ladar_volume.clouds.body_volume import (
     Body,
     Uncertain,
@@ -32,7 +33,13 @@ from ladar_volume.ground.objects import (
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.ground.regions import in_box, in_polygon
 from ladar_volume.ground.robust_ground import fit_ground
-from ladar_volume.io.meshfiles.mesh_files import ENDINGS, holds_faces, read_mesh, write_mesh
+from ladar_volume.io.meshfiles.mesh_files import (
+    ENDINGS,
+    READ_ENDINGS,
+    holds_faces,
+    read_mesh,
+    write_mesh,
+)
 from ladar_volume.io.pointfiles.cloud_files import ENCODINGS
 from ladar_volume.io.results import json_text
 from ladar_volume.mesh.local_mesh import REPAIRS, LocalMeshSettings
@@ -68,7 +75,7 @@ def ground_word(text: str) -> str | tuple[float, ...]:
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Declare the verb."""
-    kinds = " ".join(dict.fromkeys([*ENCODINGS, *ENDINGS]))
+    kinds = " ".join(dict.fromkeys([*ENCODINGS, *READ_ENDINGS]))
     parser = subparsers.add_parser(
         "body",
         help="volumes of closed bodies, from a point cloud or a mesh file",
@@ -199,6 +206,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         action="store_true",
         help="do not refuse a mesh file whose triangles cross",
     )
+    parser.add_argument("--surface", metavar="NAME", help="which surface of a LandXML with several")
+    add_strict_option(parser)
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
@@ -219,7 +228,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(json_text(facts), end="")
     else:
         show(console, facts)
-    return 0
+    return exit_code(arguments, facts["verdict"])
 
 
 def check(arguments: argparse.Namespace) -> None:
@@ -277,7 +286,7 @@ def of_mesh(
     """The body in a mesh file."""
     a = arguments
     with console.status(f"reading {a.source.name}") as status:
-        mesh = read_mesh(a.source)
+        mesh = read_mesh(a.source, a.surface)
         status.update("closing and adding up")
         try:
             body = body_of(

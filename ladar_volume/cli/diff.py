@@ -60,6 +60,9 @@ def add_parser(subparsers: Any) -> None:
         "a", type=Path, help="scan or mesh before: PLY XYZ CSV NPY PCD LAS OBJ STL OFF ..."
     )
     parser.add_argument("b", type=Path, help="scan or mesh after")
+    for option, which in (("--surface", "A"), ("--surface-b", "B")):
+        words = f"which surface of {which}, a LandXML with several"
+        parser.add_argument(option, metavar="NAME", help=words)
     parser.add_argument(
         "--pole",
         type=point,
@@ -203,7 +206,8 @@ def run(arguments: argparse.Namespace) -> int:
     check_options(arguments)
     console = Console(stderr=arguments.json)
     with console.status("reading") as status:
-        a, b = load(arguments.a, arguments.transform), load(arguments.b, arguments.transform_b)
+        a = load(arguments.a, arguments.transform, arguments.surface)
+        b = load(arguments.b, arguments.transform_b, arguments.surface_b)
         status.update("computing")
         if a.closed and b.closed:
             facts = bodies(arguments, a, b)
@@ -392,6 +396,7 @@ def bodies(arguments: argparse.Namespace, a: Part, b: Part) -> dict[str, Any]:
                 "area_m2": body.area_m2,
                 "parts": len(body.volumes_m3),
                 "turned_triangles": int(body.flipped.sum()),
+                "crossing_m3": 0.0 if body.crossing is None else body.crossing.volume_m3,
             }
         )
     volume, sigma = volumes[0] - volumes[1], float(np.sqrt(sum(budget.values())))

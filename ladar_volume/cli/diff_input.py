@@ -22,7 +22,7 @@ from ladar_volume.change.spherical_tin import (
     widest_gap,
 )
 from ladar_volume.clouds.cloud_surface import local_sigma
-from ladar_volume.io.meshfiles.mesh_files import ENDINGS, read_mesh
+from ladar_volume.io.meshfiles.mesh_files import READ_ENDINGS, read_mesh
 from ladar_volume.io.pointfiles.cloud_files import read_cloud
 from ladar_volume.io.transforms import read_transform
 from ladar_volume.mesh.topology import orient
@@ -76,10 +76,12 @@ def numbers(text: str) -> list[float]:
     return values if all(math.isfinite(v) for v in values) else []
 
 
-def load(path: Path, transform: Path | None) -> Part:
-    """Read a cloud or a mesh and bring it into the map frame."""
+def load(path: Path, transform: Path | None, surface: str | None = None) -> Part:
+    """Read a cloud or a mesh (of a LandXML the surface of that name) and bring it into the map
+    frame.
+    """
     T = None if transform is None else read_transform(transform)
-    r, triangles, sigma = read_any(path)
+    r, triangles, sigma = read_any(path, surface)
     closed = False
     if len(triangles):
         try:
@@ -91,13 +93,13 @@ def load(path: Path, transform: Path | None) -> Part:
     return Part(path, r if T is None else T.apply(r), triangles, closed, sigma, T)
 
 
-def read_any(path: Path) -> tuple[F64, I32, F64 | None]:
+def read_any(path: Path, surface: str | None = None) -> tuple[F64, I32, F64 | None]:
     """Points (n, 3), triangles (m, 3) and the column ``sigma`` (n,), where there is one. A PLY file
     without faces is a cloud.
     """
-    if path.suffix.lower() in ENDINGS:
+    if path.suffix.lower() in READ_ENDINGS:
         try:
-            mesh = read_mesh(path)
+            mesh = read_mesh(path, surface)
             return mesh.vertices, mesh.triangles, None
         except InputError as error:
             if path.suffix.lower() != ".ply" or error.reason not in (

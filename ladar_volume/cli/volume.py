@@ -273,7 +273,7 @@ def computed(
         )
     counted: Plane | None = None
     if base == "cloud":
-        volume = between_clouds(first, surfaces[1], a.cloud_b.name, correct)
+        volume = between_clouds(first, surfaces[1], second_name(a), correct)
     elif len(surfaces) == 2:
         volume, one, two = own_footprints(first, surfaces[1], parameters, correct)
         more["each"] = [volume_facts(v, parameters) for v in (one, two)]
@@ -290,6 +290,12 @@ def computed(
     if levels is not None:
         more |= level_facts(surfaces, levels, counted, correct)
     return {**facts, "footprint": a.footprint if len(surfaces) == 2 else None, **more}
+
+
+def second_name(a: argparse.Namespace) -> str:
+    """What the second surface is called."""
+    name = str(a.cloud_b.name)
+    return name if a.surface_b is None else f"{a.surface_b} in {name}"
 
 
 def volume_facts(volume: CloudVolume, parameters: Parameters) -> dict[str, Any]:

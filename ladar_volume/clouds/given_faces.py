@@ -31,8 +31,8 @@ NOTHING = 1e-9
 
 @dataclass(frozen=True)
 class GivenSurface:
-    """tin : the faces, all relevant, ``source`` numbering the vertices in use · index : (n,) rows of
-    these in the file · vertical : faces without footprint · turned : faces given clockwise from
+    """tin : the faces, all relevant, ``source`` numbering the vertices in use · index : (n,) rows
+    of these in the file · vertical : faces without footprint · turned : faces given clockwise from
     above · unused : vertices in no face · parts : that no edge joins · overlap : of the faces
     """
 

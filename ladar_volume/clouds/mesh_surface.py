@@ -53,12 +53,13 @@ def thinned(
         )
     tin = dataclasses.replace(tin, relevant=tin.relevant & over)
     apart, area = between(tin, given, gradients=False), total_area(given)
-    lost = area - apart.area_m2
+    lost, more = area - apart.area_m2, total_area(tin) - apart.area_m2
     depth = (apart.cut_m3 + apart.fill_m3) / apart.area_m2
     text = (
         f"thinned from {len(given.vertices):,} to {len(tin.vertices):,} vertices: {depth:.3g} m "
         f"from the given faces on the mean (net {apart.cut_m3 - apart.fill_m3:+.4g} m³), "
-        f"{lost:.4g} m² of their footprint lost; keep more vertices where that matters"
+        f"{lost:.4g} m² of their footprint lost and {more:.4g} m² added; keep more vertices where "
+        "that matters"
     )
     made = dataclasses.replace(made, tin=tin)
     return made, (Doubt("mesh_thinned", text, apart.cut_m3 - apart.fill_m3),)
