@@ -6,6 +6,7 @@ import argparse
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -280,9 +281,7 @@ def given_ground(arguments: argparse.Namespace) -> Plane | None:
     return design_surface(list(arguments.ground)) if isinstance(arguments.ground, tuple) else None
 
 
-def of_mesh(
-    arguments: argparse.Namespace, console: Console
-) -> tuple[dict[str, object], list[Body]]:
+def of_mesh(arguments: argparse.Namespace, console: Console) -> tuple[dict[str, Any], list[Body]]:
     """The body in a mesh file."""
     a = arguments
     with console.status(f"reading {a.source.name}") as status:
@@ -308,9 +307,7 @@ def of_mesh(
     return mesh_facts(a.source.name, mesh, body, uncertain), [body]
 
 
-def of_cloud(
-    arguments: argparse.Namespace, console: Console
-) -> tuple[dict[str, object], list[Body]]:
+def of_cloud(arguments: argparse.Namespace, console: Console) -> tuple[dict[str, Any], list[Body]]:
     """The bodies of a point cloud file."""
     a = arguments
     with console.status(f"reading {a.source.name}") as status:

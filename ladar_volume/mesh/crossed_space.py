@@ -140,10 +140,9 @@ def cluster_volumes(triangles: I32, pairs: I64, pieces: F64, owner: I64) -> F64:
         / np.maximum(count, 1)[:, None]
     )
     p = pieces - middle[cluster][:, None]
-    out: F64 = np.bincount(
+    return np.bincount(
         cluster, np.einsum("ki,ki->k", p[:, 0], np.cross(p[:, 1], p[:, 2])) / 6.0
-    )
-    return out
+    ).astype(np.float64)
 
 
 def crossing_of(vertices: F64, triangles: I32) -> Crossing:

@@ -127,7 +127,8 @@ GAPS = (1e-8, 1e-7, 1e-6)
 def open_edges(triangles: I32) -> I64:
     """Half edges (b,) ``3 t + k`` that no other triangle shares."""
     order, start, _ = edge_table(triangles)
-    return order[start[:-1][np.diff(start) == 1]]
+    out: I64 = order[start[:-1][np.diff(start) == 1]]
+    return out
 
 
 def joined_within(vertices: F64, triangles: I32, tolerance_m: float) -> Welded:
