@@ -33,6 +33,25 @@ class Overlap:
 
 
 @kernel
+def apart(p: F64, q: F64) -> bool:
+    """Whether two triangles (3, 3) have no area in common by their boxes, or by an edge that they
+    share from its two sides.
+    """
+    for c in range(2):
+        if max(p[0, c], p[1, c], p[2, c]) <= min(q[0, c], q[1, c], q[2, c]):
+            return True
+        if max(q[0, c], q[1, c], q[2, c]) <= min(p[0, c], p[1, c], p[2, c]):
+            return True
+    for i in range(3):
+        a, b = p[i], p[(i + 1) % 3]
+        for j in range(3):
+            c, d = q[j], q[(j + 1) % 3]
+            if a[0] == d[0] and a[1] == d[1] and b[0] == c[0] and b[1] == c[1]:
+                return True
+    return False
+
+
+@kernel
 def overlap_kernel(corners: F64, boxes: F64, rounding_m: float) -> tuple[float, int, F64]:
     """See :func:`overlaps`; corners (m, 3, 3) counter-clockwise in the order of the boxes."""
     m = len(corners)
@@ -54,7 +73,7 @@ def overlap_kernel(corners: F64, boxes: F64, rounding_m: float) -> tuple[float, 
             w[A, k], w[A + 1, k] = corners[t, k, 0] - x0, corners[t, k, 1] - y0
         for i in range(count):
             o = found[i]
-            if o <= t:
+            if o <= t or apart(corners[t], corners[o]):
                 continue
             for k in range(3):
                 w[B, k], w[B + 1, k] = corners[o, k, 0] - x0, corners[o, k, 1] - y0

@@ -101,8 +101,8 @@ def test_faces_are_the_surface_in_every_format(ending, tmp_path, run):
     assert (mesh["faces"], mesh["parts"], mesh["overlap_m2"]) == (6, 1, 0.0)
     assert facts["verdict"]["status"] == "sound"
     hull = run("volume", tmp_path / f"l{ending}", "--level", 1, "--no-faces")
-        wide = 14.0 if ending == ".stl" else 16.0  # a vertex in no face is a point
-        assert hull["area_m2"] == pytest.approx(wide) and hull["surfaces"][0]["mesh"] is None
+    wide = 14.0 if ending == ".stl" else 16.0  # a vertex in no face is a point
+    assert hull["area_m2"] == pytest.approx(wide) and hull["surfaces"][0]["mesh"] is None
 
 
 def test_a_landxml_surface_above_a_level(run, refused):

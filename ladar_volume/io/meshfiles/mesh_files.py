@@ -22,8 +22,9 @@ from ladar_volume.io.meshfiles.landxml import read_landxml
 from ladar_volume.io.meshfiles.ply_mesh import parse_header, read_ply_mesh, write_ply_mesh
 from ladar_volume.io.pointfiles.ply import HEADER_LIMIT
 from ladar_volume.mesh.topology import vertices_of, weld, weld_open
+from ladar_volume.mesh.touching_sheets import distinct, split_edges
 from ladar_volume.model.errors import InputError, OutputError
-from ladar_volume.model.records import F64, I32, I64
+from ladar_volume.model.records import F64, I32
 from ladar_volume.model.verdict import Doubt
 
 #: Endings that are written, and those that are read.
@@ -163,31 +164,27 @@ def _mended(mesh: MeshFile, single: bool) -> MeshFile:
     t = mesh.triangles
     good = (t[:, 0] != t[:, 1]) & (t[:, 1] != t[:, 2]) & (t[:, 2] != t[:, 0])
     welded = weld_open(mesh.vertices, t[good])
-    first = distinct(welded.triangles)
-    out = welded.triangles[first]
-    if len(out) == 0:
+    once = distinct(welded.triangles)
+    if len(once) == 0:
         raise InputError("no face with three corners at different places", reason="mesh_file_empty")
-    twice = len(welded.triangles) - len(first)
+    vertices, out, source = split_edges(mesh.vertices, once)
+    columns = {name: np.asarray(c)[source] for name, c in mesh.columns.items()}
+    twice = len(welded.triangles) - len(once)
     doubts: tuple[Doubt, ...] = ()
     if twice:
         text = f"{twice} faces are in the file twice and count once; check how it was exported"
         doubts += (Doubt("mesh_duplicate_faces", text, twice),)
     return dataclasses.replace(
         mesh,
+        vertices=vertices,
         triangles=out,
+        columns=columns,
         dropped=mesh.dropped + int(np.count_nonzero(~good)) + welded.dropped,
         twice=twice,
         joined=welded.joined,
         joined_m=welded.farthest_m,
-        doubts=doubts + coarse(mesh.vertices, out, single),
+        doubts=doubts + coarse(vertices, out, single),
     )
-
-
-def distinct(triangles: I32) -> I64:
-    """Rows (k,) of the first of all triangles (m, 3) with the same corners, in order."""
-    corners = np.sort(triangles, axis=1)
-    first: I64 = np.sort(np.unique(corners, axis=0, return_index=True)[1]).astype(np.int64)
-    return first
 
 
 def coarse(vertices: F64, triangles: I32, single: bool) -> tuple[Doubt, ...]:

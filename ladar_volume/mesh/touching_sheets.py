@@ -1,0 +1,118 @@
+"""Sheets of a mesh that touch along edges or whole faces, as vertices by their position join them:
+parted again.
+
+A file that lists each triangle with its own corners (STL) cannot say that two bodies touch along an
+edge: that edge then has four triangles. Sorted by their angle about the edge they come in pairs
+that have the body between them, and each pair is a sheet of its own. Two faces with the same
+corners that look at one another have nothing between them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from ladar_volume.mesh.topology import edge_table
+from ladar_volume.model.records import F64, I32, I64
+
+
+def distinct(triangles: I32) -> I32:
+    """Triangles (m, 3), in order, of which each set of corners is there once; none of two that look
+    at one another and whose edges have an even number of triangles without them, for these are the
+    two sides of nothing. Where half of a mesh and more is there both ways, it was written with two
+    sides, and one of them stays.
+    """
+    corners = np.sort(triangles, axis=1)
+    order = np.lexsort((corners[:, 2], corners[:, 1], corners[:, 0]))
+    new = np.ones(len(order), bool)
+    new[1:] = (corners[order[1:]] != corners[order[:-1]]).any(axis=1)
+    if new.all():
+        return triangles
+    group = np.empty(len(order), np.int64)
+    group[order] = np.cumsum(new) - 1
+    count = np.bincount(group)
+    up = (triangles[:, 0] < triangles[:, 1]).astype(np.int64)
+    up += triangles[:, 1] < triangles[:, 2]
+    up += triangles[:, 2] < triangles[:, 0]
+    net = np.bincount(group, np.where(up == 2, 1, -1))
+    both_ways = (count == 2) & (net == 0)
+    gone = np.zeros(len(count), bool)
+    if 4 * np.count_nonzero(both_ways) < len(triangles):
+        sides, start, _ = edge_table(triangles)
+        uses = np.empty(len(sides), np.int64)
+        uses[sides] = np.repeat(np.diff(start), np.diff(start))
+        even = (uses.reshape(-1, 3) % 2 == 0).all(axis=1)
+        gone = both_ways & (np.bincount(group, ~even) == 0)
+    keep = np.zeros(len(triangles), bool)
+    # lexsort is stable: the first of each group is its first in the file
+    keep[order[new]] = ~gone[group[order[new]]]
+    return triangles[keep]
+
+
+def split_edges(vertices: F64, triangles: I32) -> tuple[F64, I32, I64]:
+    """Vertices, triangles (m, 3) in which an edge with an even number of triangles, more than two,
+    is parted into pairs where their orientation says which belong together; and the row (n,) that
+    each vertex was. Nothing changes where there is no such edge.
+    """
+    same = np.arange(len(vertices), dtype=np.int64)
+    order, start, _ = edge_table(triangles)
+    uses = np.diff(start)
+    if not (uses > 2).any():
+        return vertices, triangles, same
+    one, two = start[:-1][uses == 2], start[:-1][uses == 2] + 1
+    pairs = [np.stack([order[one], order[two]], axis=1)]
+    for e in np.flatnonzero(uses > 2):
+        found = paired(vertices, triangles, order[start[e] : start[e + 1]])
+        if found is None:
+            return vertices, triangles, same  # whoever needs a manifold refuses it
+        pairs.append(found)
+    return parted(vertices, triangles, np.concatenate(pairs))
+
+
+def paired(vertices: F64, triangles: I32, half: I64) -> I64 | None:
+    """Half edges (k,) ``3 t + c`` of one edge in pairs (k / 2, 2) with the body between; None where
+    their orientations do not alternate round the edge.
+    """
+    if len(half) % 2:
+        return None
+    a, b = triangles.ravel()[half], triangles[:, [1, 2, 0]].ravel()[half]
+    low, high = min(a[0], b[0]), max(a[0], b[0])
+    axis = vertices[high] - vertices[low]
+    d = vertices[triangles[:, [2, 0, 1]].ravel()[half]] - vertices[low]
+    d -= np.outer(d @ axis, axis) / (axis @ axis)
+    u = d[0] / max(float(np.linalg.norm(d[0])), 1e-300)
+    w = np.cross(axis, u) / np.linalg.norm(axis)
+    turn = np.arctan2(d @ w, d @ u)
+    along = a == low
+    by_angle = np.lexsort((along, turn))
+    way = along[by_angle]
+    if (way == np.roll(way, 1)).any():
+        return None
+    # the body lies clockwise of a triangle that runs along the edge, counter-clockwise of the other
+    first = np.flatnonzero(~way)
+    return np.stack([half[by_angle[first]], half[by_angle[(first + 1) % len(half)]]], axis=1)
+
+
+def parted(vertices: F64, triangles: I32, pairs: I64) -> tuple[F64, I32, I64]:
+    """The mesh in which only the pairs (k, 2) of half edges hang together: each fan of triangles
+    round a vertex has a copy of its own.
+    """
+    m = len(triangles)
+    nxt = np.arange(3 * m).reshape(-1, 3)[:, [1, 2, 0]].ravel()
+    i, j = pairs[:, 0], pairs[:, 1]
+    t = triangles.ravel()
+    opposite = t[i] != t[j]  # as they run in a mesh of one orientation
+    start, end = np.where(opposite, nxt[j], j), np.where(opposite, j, nxt[j])
+    rows, columns = np.concatenate([i, nxt[i]]), np.concatenate([start, end])
+    graph = coo_array((np.ones(len(rows), np.int8), (rows, columns)), shape=(3 * m, 3 * m))
+    fan = connected_components(graph, directed=False)[1]
+    fans, first = np.unique(fan, return_index=True)
+    # the first fan of a vertex keeps its number, the others are new
+    owner = t[first]
+    kept = np.zeros(len(fans), bool)
+    kept[np.unique(owner, return_index=True)[1]] = True
+    name = np.where(kept, owner, 0).astype(np.int64)
+    name[~kept] = len(vertices) + np.arange(np.count_nonzero(~kept))
+    source = np.concatenate([np.arange(len(vertices)), owner[~kept]]).astype(np.int64)
+    return vertices[source], name[fan].reshape(-1, 3).astype(np.int32), source
