@@ -19,7 +19,6 @@ from ladar_volume.io.meshfiles.mesh_files import MeshFile
 from ladar_volume.io.pointfiles.cloud_files import PointFile, read_cloud
 from ladar_volume.model.errors import ConfigurationError, InputError, SurfaceError
 from ladar_volume.model.records import F64
-from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.adaptive import CRITERIA
 from ladar_volume.tin.diagonal_exchange import MEASURES
 from ladar_volume.tin.full_tin import footprint_areas
@@ -365,18 +364,6 @@ def surface_facts(source: Source, surface: CloudSurface) -> dict[str, Any]:
         "sigma_factor": math.sqrt(made.variance_factor),
         "sigma_point_m": None if surface.sigma_m is None else float(np.median(surface.sigma_m)),
     }
-
-
-def surface_doubts(sources: list[Source], surfaces: list[CloudSurface]) -> tuple[Doubt, ...]:
-    """What is doubtful about surfaces and the files they are from, by name where there are
-    several.
-    """
-    out: list[Doubt] = []
-    for source, surface in zip(sources, surfaces, strict=True):
-        name = f"{source.path.name}: " if len(sources) > 1 else ""
-        own = () if source.mesh is None else source.mesh.doubts
-        out += [Doubt(d.name, name + d.text, d.value) for d in (*own, *surface.doubts)]
-    return tuple(out)
 
 
 def held_fixed(made: Represented) -> list[str]:

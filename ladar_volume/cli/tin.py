@@ -12,7 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from ladar_volume.cli.inputs.mesh_source import add_mesh_options, mesh_words
+from ladar_volume.cli.inputs.mesh_source import add_mesh_options, mesh_doubts, mesh_words
 from ladar_volume.cli.surface_options import (
     add_surface_options,
     frame_facts,
@@ -20,7 +20,6 @@ from ladar_volume.cli.surface_options import (
     make_surface,
     option_facts,
     read_surface,
-    surface_doubts,
     surface_facts,
     surface_options,
 )
@@ -101,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
         "output": {"path": arguments.output.name, "vertices": vertices, "faces": faces},
         "frame": frame_facts(frame),
         "options": option_facts(options),
-        "verdict": Verdict(surface_doubts([source], [surface])).as_dict(),
+        "verdict": Verdict(mesh_doubts([source.path], [source.mesh], [surface])).as_dict(),
         "version": version(),
     }
     if arguments.json:

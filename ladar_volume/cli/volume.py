@@ -15,7 +15,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from ladar_volume.cli.inputs.mesh_source import add_mesh_options, mesh_words
+from ladar_volume.cli.inputs.mesh_source import add_mesh_options, mesh_doubts, mesh_words
 from ladar_volume.cli.surface_options import (
     add_surface_options,
     frame_facts,
@@ -24,7 +24,6 @@ from ladar_volume.cli.surface_options import (
     number,
     option_facts,
     read_surface,
-    surface_doubts,
     surface_facts,
     surface_options,
 )
@@ -241,7 +240,9 @@ def run(arguments: argparse.Namespace) -> int:
         ],
         "frame": frame_facts(frame),
         "options": option_facts(options),
-        "verdict": Verdict(surface_doubts(sources, surfaces)).as_dict(),
+        "verdict": Verdict(
+            mesh_doubts([s.path for s in sources], [s.mesh for s in sources], surfaces)
+        ).as_dict(),
         "version": version(),
     }
     if arguments.json:

@@ -25,7 +25,8 @@ def as_given(tin: Tin, options: SurfaceOptions) -> Represented:
     """The faces as they are, with the limits of the options on which of them count. Their heights
     are those of the vertices, which nothing is adjusted to.
     """
-    tin = with_relevant(tin, options.relevant, options.max_edge_m, options.max_circumdiameter_m)
+    by = options.relevant if options.relevant in ("edge", "circumcircle") else "all"
+    tin = with_relevant(tin, by, options.max_edge_m, options.max_circumdiameter_m)
     limits = options.max_ear_edge_m, options.min_island_m2, options.max_hole_m2
     if limits != (np.inf, 0.0, 0.0):
         tin = edit_boundary(tin, *limits).tin
@@ -94,6 +95,6 @@ def mesh_surface(
         words,
         np.zeros(0, np.int64),
         made,
-        found,
-        doubts_of(found) + more,
+        given=found,
+        doubts=doubts_of(found) + more,
     )

@@ -17,18 +17,18 @@ from ladar_volume.mesh.topology import edge_table
 from ladar_volume.model.records import F64, I32, I64
 
 
-def distinct(triangles: I32) -> I32:
-    """Triangles (m, 3), in order, of which each set of corners is there once; none of two that look
-    at one another and whose edges have an even number of triangles without them, for these are the
-    two sides of nothing. Where half of a mesh and more is there both ways, it was written with two
-    sides, and one of them stays.
+def distinct(triangles: I32) -> tuple[I32, int]:
+    """Triangles (m, 3), in order, of which each set of corners is there once, and how many were
+    copies; none of two that look at one another and whose edges have an even number of triangles
+    without them, for these are the two sides of nothing. Where half of a mesh and more is there
+    both ways, it was written with two sides, and one of them stays.
     """
     corners = np.sort(triangles, axis=1)
     order = np.lexsort((corners[:, 2], corners[:, 1], corners[:, 0]))
     new = np.ones(len(order), bool)
     new[1:] = (corners[order[1:]] != corners[order[:-1]]).any(axis=1)
     if new.all():
-        return triangles
+        return triangles, 0
     group = np.empty(len(order), np.int64)
     group[order] = np.cumsum(new) - 1
     count = np.bincount(group)
@@ -47,7 +47,7 @@ def distinct(triangles: I32) -> I32:
     keep = np.zeros(len(triangles), bool)
     # lexsort is stable: the first of each group is its first in the file
     keep[order[new]] = ~gone[group[order[new]]]
-    return triangles[keep]
+    return triangles[keep], int((count - 1)[~gone].sum())
 
 
 def split_edges(vertices: F64, triangles: I32) -> tuple[F64, I32, I64]:
@@ -72,26 +72,32 @@ def split_edges(vertices: F64, triangles: I32) -> tuple[F64, I32, I64]:
 
 def paired(vertices: F64, triangles: I32, half: I64) -> I64 | None:
     """Half edges (k,) ``3 t + c`` of one edge in pairs (k / 2, 2) with the body between; None where
-    their orientations do not alternate round the edge.
+    as many do not run along the edge as against it.
+
+    Folds of no width have triangles at one angle, which rounding puts in any order: pairs then nest
+    as brackets do.
     """
-    if len(half) % 2:
-        return None
     a, b = triangles.ravel()[half], triangles[:, [1, 2, 0]].ravel()[half]
     low, high = min(a[0], b[0]), max(a[0], b[0])
+    along = a == low
+    if 2 * np.count_nonzero(along) != len(half):
+        return None
     axis = vertices[high] - vertices[low]
     d = vertices[triangles[:, [2, 0, 1]].ravel()[half]] - vertices[low]
     d -= np.outer(d @ axis, axis) / (axis @ axis)
     u = d[0] / max(float(np.linalg.norm(d[0])), 1e-300)
     w = np.cross(axis, u) / np.linalg.norm(axis)
-    turn = np.arctan2(d @ w, d @ u)
-    along = a == low
-    by_angle = np.lexsort((along, turn))
-    way = along[by_angle]
-    if (way == np.roll(way, 1)).any():
-        return None
-    # the body lies clockwise of a triangle that runs along the edge, counter-clockwise of the other
-    first = np.flatnonzero(~way)
-    return np.stack([half[by_angle[first]], half[by_angle[(first + 1) % len(half)]]], axis=1)
+    by_angle = np.lexsort((along, np.arctan2(d @ w, d @ u)))
+    # the body lies counter-clockwise of a triangle that runs against the edge, up to one along it
+    step = np.where(along[by_angle], -1, 1)
+    by_angle = np.roll(by_angle, -int(np.argmin(np.cumsum(step)) + 1))
+    out, opened = [], []
+    for h in by_angle:
+        if along[h]:
+            out.append((half[opened.pop()], half[h]))
+        else:
+            opened.append(h)
+    return np.array(out, dtype=np.int64)
 
 
 def parted(vertices: F64, triangles: I32, pairs: I64) -> tuple[F64, I32, I64]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from ladar_volume.clouds.mesh_surface import mesh_surface
 from ladar_volume.io.meshfiles.mesh_files import MeshFile, holds_faces, read_mesh
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.records import F64
+from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.tin.scan_frame import Frame
 
@@ -118,6 +120,20 @@ def face_facts(mesh: MeshFile, surface: CloudSurface) -> dict[str, Any]:
         "parts": found.parts,
         "overlap_m2": found.overlap.area_m2,
     }
+
+
+def mesh_doubts(
+    paths: Sequence[Path], meshes: Sequence[MeshFile | None], surfaces: Sequence[CloudSurface]
+) -> tuple[Doubt, ...]:
+    """What is doubtful about meshes as surfaces and the files they are from, by name where there
+    are several; nothing of point clouds, whose mesh is None.
+    """
+    out: list[Doubt] = []
+    for path, mesh, surface in zip(paths, meshes, surfaces, strict=True):
+        name = f"{path.name}: " if len(paths) > 1 else ""
+        own = () if mesh is None else (*mesh.doubts, *surface.doubts)
+        out += [Doubt(d.name, name + d.text, d.value) for d in own]
+    return tuple(out)
 
 
 def mesh_words(facts: dict[str, Any]) -> str:

@@ -41,7 +41,7 @@ class MeshFile:
     """A mesh as its file holds it.
 
     vertices : (n, 3) float64, m, all finite · triangles : (m, 3) int32 · dropped : triangles with a
-    corner twice, as they are or as joining vertices leaves them · twice : triangles that were there
+    corner twice, as they are or as joining vertices leaves them, and both sides of nothing · twice : triangles that were there
     already · joined, joined_m : vertices that were joined along open edges, and how far apart they
     were at most · invisible : faces of a LandXML that do not count · columns : of the vertices,
     (n,), from a PLY · surface : name in a LandXML · unit : linear unit that a LandXML names · epsg
@@ -164,12 +164,12 @@ def _mended(mesh: MeshFile, single: bool) -> MeshFile:
     t = mesh.triangles
     good = (t[:, 0] != t[:, 1]) & (t[:, 1] != t[:, 2]) & (t[:, 2] != t[:, 0])
     welded = weld_open(mesh.vertices, t[good])
-    once = distinct(welded.triangles)
+    once, twice = distinct(welded.triangles)
+    flat = len(welded.triangles) - len(once) - twice
     if len(once) == 0:
         raise InputError("no face with three corners at different places", reason="mesh_file_empty")
     vertices, out, source = split_edges(mesh.vertices, once)
     columns = {name: np.asarray(c)[source] for name, c in mesh.columns.items()}
-    twice = len(welded.triangles) - len(once)
     doubts: tuple[Doubt, ...] = ()
     if twice:
         text = f"{twice} faces are in the file twice and count once; check how it was exported"
@@ -179,7 +179,7 @@ def _mended(mesh: MeshFile, single: bool) -> MeshFile:
         vertices=vertices,
         triangles=out,
         columns=columns,
-        dropped=mesh.dropped + int(np.count_nonzero(~good)) + welded.dropped,
+        dropped=mesh.dropped + int(np.count_nonzero(~good)) + welded.dropped + flat,
         twice=twice,
         joined=welded.joined,
         joined_m=welded.farthest_m,
