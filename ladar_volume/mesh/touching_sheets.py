@@ -91,10 +91,11 @@ def paired(vertices: F64, triangles: I32, half: I64) -> I64 | None:
     # the body lies counter-clockwise of a triangle that runs against the edge, up to one along it
     step = np.where(along[by_angle], -1, 1)
     by_angle = np.roll(by_angle, -int(np.argmin(np.cumsum(step)) + 1))
-    out, opened = [], []
-    for h in by_angle:
+    out: list[tuple[int, int]] = []
+    opened: list[int] = []
+    for h in by_angle.tolist():
         if along[h]:
-            out.append((half[opened.pop()], half[h]))
+            out.append((int(half[opened.pop()]), int(half[h])))
         else:
             opened.append(h)
     return np.array(out, dtype=np.int64)

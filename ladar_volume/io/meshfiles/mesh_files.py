@@ -41,11 +41,11 @@ class MeshFile:
     """A mesh as its file holds it.
 
     vertices : (n, 3) float64, m, all finite · triangles : (m, 3) int32 · dropped : triangles with a
-    corner twice, as they are or as joining vertices leaves them, and both sides of nothing · twice : triangles that were there
-    already · joined, joined_m : vertices that were joined along open edges, and how far apart they
-    were at most · invisible : faces of a LandXML that do not count · columns : of the vertices,
-    (n,), from a PLY · surface : name in a LandXML · unit : linear unit that a LandXML names · epsg
-    : code of its frame · doubts : what makes it doubtful
+    corner twice, as they are or as joining vertices leaves them, and both sides of nothing · twice
+    : triangles that were there already · joined, joined_m : vertices that were joined along open
+    edges, and how far apart they were at most · invisible : faces of a LandXML that do not count ·
+    columns : of the vertices, (n,), from a PLY · surface : name in a LandXML · unit : linear unit
+    that a LandXML names · epsg : code of its frame · doubts : what makes it doubtful
     """
 
     vertices: F64
