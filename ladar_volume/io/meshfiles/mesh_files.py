@@ -1,10 +1,10 @@
 """Mesh files: PLY, OBJ, STL, OFF and LandXML, by the ending of their name, read here so that
 coordinates keep every digit and bad files are refused.
 
-Polygons are cut into fans of triangles, which keeps the volume of a plane polygon of any shape. STL
-has no shared vertices: those at one position become one. Vertices along open edges that differ in
-their last digits only are joined (:func:`~ladar_volume.mesh.topology.weld_open`), triangles without
-area by a vertex that they have twice are left out, and of faces that are there twice one counts.
+Polygons are cut into triangles (:mod:`~ladar_volume.io.meshfiles.polygons`). STL has no shared
+vertices: those at one position become one. Vertices along open edges that differ in their last
+digits only are joined (:func:`~ladar_volume.mesh.topology.weld_open`), triangles without area by a
+vertex that they have twice are left out, and of faces that are there twice one counts.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from ladar_volume.io.meshfiles.landxml import read_landxml
 from ladar_volume.io.meshfiles.ply_mesh import parse_header, read_ply_mesh, write_ply_mesh
+from ladar_volume.io.meshfiles.polygons import Faces, triangulated
 from ladar_volume.io.pointfiles.ply import HEADER_LIMIT
 from ladar_volume.mesh.topology import vertices_of, weld, weld_open
 from ladar_volume.mesh.touching_sheets import distinct, split_edges
@@ -33,7 +34,6 @@ LANDXML = (".xml", ".landxml")
 READ_ENDINGS = (*ENDINGS, *LANDXML)
 #: Single-precision coordinates whose steps are wider than this part of the median edge are a doubt.
 COARSE = 1e-3
-Faces = I32 | Sequence[Any]
 
 
 @dataclass(frozen=True)
@@ -144,17 +144,9 @@ def _finite(vertices: F64) -> F64:
 def _assemble(
     vertices: F64, faces: Faces, columns: Mapping[str, npt.NDArray[Any]] | None = None
 ) -> MeshFile:
-    triangles = fans(faces)
-    if len(triangles) == 0:
-        raise InputError("no face", reason="mesh_file_empty")
-    low, high = int(triangles.min()), int(triangles.max())
-    if low < 0 or high >= len(vertices):
-        raise InputError(
-            f"a face names vertex {low if low < 0 else high} of {len(vertices)}",
-            reason="mesh_file_index",
-            value=high,
-        )
-    return _mended(MeshFile(_finite(vertices), triangles, columns=columns or {}), False)
+    triangles, bent = triangulated(_finite(vertices), faces)
+    mesh = MeshFile(vertices, triangles, columns=columns or {}, doubts=bent)
+    return _mended(mesh, False)
 
 
 def _mended(mesh: MeshFile, single: bool) -> MeshFile:
@@ -183,7 +175,7 @@ def _mended(mesh: MeshFile, single: bool) -> MeshFile:
         twice=twice,
         joined=welded.joined,
         joined_m=welded.farthest_m,
-        doubts=doubts + coarse(vertices, out, single),
+        doubts=mesh.doubts + doubts + coarse(vertices, out, single),
     )
 
 
@@ -204,26 +196,6 @@ def coarse(vertices: F64, triangles: I32, single: bool) -> tuple[Doubt, ...]:
         "mesh with double coordinates, or about an origin near it"
     )
     return (Doubt("mesh_rounded", text, step),)
-
-
-def fans(faces: Faces) -> I32:
-    """Triangles (m, 3) int32 of polygons: the first corner with each edge that does not touch it.
-    Raises for fewer than three corners.
-    """
-    if isinstance(faces, np.ndarray):
-        if faces.shape[1] == 3 or len(faces) == 0:
-            return np.ascontiguousarray(faces, dtype=np.int32).reshape(-1, 3)
-        groups: Sequence[Any] = [faces]
-    else:
-        groups = faces
-    out = []
-    for f in groups:
-        p = np.atleast_2d(np.asarray(f, dtype=np.int64))
-        if p.shape[1] < 3:
-            raise InputError(f"a face with {p.shape[1]} corners", reason="mesh_file_values")
-        for k in range(1, p.shape[1] - 1):
-            out.append(p[:, [0, k, k + 1]])
-    return np.concatenate(out).astype(np.int32) if out else np.zeros((0, 3), np.int32)
 
 
 def _numbers(words: Sequence[str | bytes], kind: type = float) -> list[Any]:
