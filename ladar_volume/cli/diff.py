@@ -32,11 +32,14 @@ from ladar_volume.cli.diff_input import (
 )
 from ladar_volume.cli.diff_show import show
 from ladar_volume.cli.surface_options import number
+from ladar_volume.cli.verdict_lines import add_strict_option, exit_code
 from ladar_volume.io.meshfiles.mesh_files import ENDINGS, write_mesh
 from ladar_volume.io.results import json_text
+from ladar_volume.mesh.crossed_space import crossing_doubts
 from ladar_volume.mesh.tetrahedra import closed_variance, closed_volume
 from ladar_volume.mesh.topology import watertight
 from ladar_volume.model.errors import ConfigurationError, OutputError, SurfaceError
+from ladar_volume.model.verdict import Verdict
 from ladar_volume.version import version
 
 
@@ -174,6 +177,7 @@ def add_parser(subparsers: Any) -> None:
         action="store_true",
         help="closed meshes may pierce themselves: such space counts twice",
     )
+    add_strict_option(parser)
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
@@ -217,6 +221,7 @@ def run(arguments: argparse.Namespace) -> int:
             )
         else:
             facts = surfaces(arguments, a, b)
+    facts["verdict"] = facts["verdict"].as_dict()
     facts |= {"size_rule": size_rule(arguments.offset), "version": version()}
     if arguments.mass is not None:
         facts["density"] = weighed(arguments, facts)
@@ -224,7 +229,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(json_text(facts), end="")
     else:
         show(console, facts)
-    return 0
+    return exit_code(arguments, facts["verdict"])
 
 
 def weighed(arguments: argparse.Namespace, facts: dict[str, Any]) -> dict[str, Any]:
@@ -295,7 +300,9 @@ def surfaces(arguments: argparse.Namespace, part_a: Part, part_b: Part) -> dict[
         for p, m, n in zip((part_a, part_b), (found.in_a, found.in_b), noise, strict=True)
     ]
     return (
-        facts_of(found, region, noise[0].typical_m, arguments.offset) | {"surfaces": points} | more
+        facts_of(found, region, noise[0].typical_m, arguments.offset)
+        | {"surfaces": points, "verdict": part_a.verdict + part_b.verdict}
+        | more
     )
 
 
@@ -366,6 +373,7 @@ def bodies(arguments: argparse.Namespace, a: Part, b: Part) -> dict[str, Any]:
     sigmas = arguments.sigma, arguments.sigma if arguments.sigma_b is None else arguments.sigma_b
     budget: dict[str, float] = {}
     volumes, spread, area, points, closed = [], 0.0, 0.0, 0, []
+    verdict = a.verdict + b.verdict
     for name, part, sigma in zip("ab", (a, b), sigmas, strict=True):
         try:
             body = closed_volume(
@@ -383,6 +391,8 @@ def bodies(arguments: argparse.Namespace, a: Part, b: Part) -> dict[str, Any]:
             budget[f"registration_{name}"] = part.transform.variance(
                 body.gradient, part.transform.back(part.points)
             )
+        if body.crossing is not None:
+            verdict += Verdict(crossing_doubts(body.crossing, body.volume_m3))
         volumes.append(body.volume_m3)
         spread, area, points = (
             max(spread, body.pole_spread_m3),
@@ -413,6 +423,7 @@ def bodies(arguments: argparse.Namespace, a: Part, b: Part) -> dict[str, Any]:
         "pole_m": body.pole_map.tolist(),
         "pole_spread_m3": spread,
         "bodies": closed,
+        "verdict": verdict,
         "size_classes": None
         if volume == 0.0
         else relative_errors(

@@ -27,7 +27,7 @@ from ladar_volume.ground.ground_adjoint import ground_gradient
 from ladar_volume.mesh.bottom_closing import Closure
 from ladar_volume.mesh.chord_curvature import bulge_volumes
 from ladar_volume.mesh.closing import close
-from ladar_volume.mesh.crossed_space import SMALL, Crossing, crossing_of
+from ladar_volume.mesh.crossed_space import Crossing, crossing_doubts, crossing_of
 from ladar_volume.mesh.edge_completion import SHARP_RAD, sharpen
 from ladar_volume.mesh.linear_mesh import Skin, skin_of
 from ladar_volume.mesh.tetrahedra import (
@@ -81,14 +81,7 @@ class Body:
     @property
     def doubts(self) -> tuple[Doubt, ...]:
         """What makes the volume doubtful."""
-        wrong, share = self.crossed.volume_m3, self.crossed.volume_m3 / abs(self.volume_m3)
-        if share <= SMALL:
-            return ()
-        text = (
-            f"{self.crossing:,} pairs of triangles cross: about {wrong:.2g} m³ ({100 * share:.2g} "
-            "%) count twice or not at all; mend the mesh, or scan more densely where faces meet"
-        )
-        return (Doubt("mesh_crossings", text, wrong),)
+        return crossing_doubts(self.crossed, self.volume_m3)
 
     @property
     def area_m2(self) -> float:

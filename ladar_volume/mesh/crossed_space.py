@@ -21,6 +21,7 @@ from ladar_volume.mesh.intersections import crossings
 from ladar_volume.mesh.topology import edge_table
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool
+from ladar_volume.model.verdict import Doubt
 
 #: Share of a body that may count wrongly: up to here its volume is doubtful, above refused.
 REFUSED = 1e-2
@@ -160,7 +161,19 @@ def check_crossing(found: Crossing, volume_m3: float) -> None:
         raise SurfaceError(
             f"{many} pairs of triangles cross, first {found.pairs[0].tolist()}: the mesh counts "
             f"about {found.volume_m3:.3g} m³ of {abs(volume_m3):.4g} m³ twice or not at all; "
-            "repair it, join the bodies, or let it count twice (--allow-crossings)",
+            "repair it, or join the bodies (--allow-crossings lets such space count twice)",
             reason="mesh_self_intersecting",
             value=found.pairs,
         )
+
+
+def crossing_doubts(found: Crossing, volume_m3: float) -> tuple[Doubt, ...]:
+    """The doubt about a volume of which more than :data:`SMALL` counts wrongly."""
+    wrong, share = found.volume_m3, found.volume_m3 / max(abs(volume_m3), 1e-300)
+    if share <= SMALL:
+        return ()
+    text = (
+        f"{len(found.pairs):,} pairs of triangles cross: about {wrong:.2g} m³ "
+        f"({100 * share:.2g} %) count twice or not at all; mend the mesh, or scan more densely where faces meet"
+    )
+    return (Doubt("mesh_crossings", text, wrong),)

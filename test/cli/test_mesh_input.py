@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from closed_meshes import CUBE_T, CUBE_V, sphere
 
+from ladar_volume.cli.diff_input import load
 from ladar_volume.cli.main import main
 from ladar_volume.io.meshfiles.mesh_files import ENDINGS, read_mesh, write_mesh
 from ladar_volume.io.pointfiles.cloud_files import write_cloud
@@ -226,5 +227,29 @@ def test_bodies_that_share_space_are_refused_with_how_much(tmp_path, refused, ru
     assert facts["volume_m3"] == pytest.approx(2.0) and facts["verdict"]["status"] == "doubtful"
 
 
+def test_what_can_be_repaired_in_a_body_is_named(tmp_path, run):
+    write_mesh(tmp_path / "double.off", CUBE_V, np.r_[CUBE_T, CUBE_T[:1]])
+    facts = run("body", tmp_path / "double.off", "-o", tmp_path / "o.ply", "--strict", code=3)
+    assert facts["volume_m3"] == pytest.approx(1.0) and facts["input"]["duplicate_faces"] == 1
+    write_mesh(tmp_path / "cut.off", CUBE_V, np.where(CUBE_T == 7, 6, CUBE_T))
+    cut = run("body", tmp_path / "cut.off", "-o", tmp_path / "o.ply")
+    assert cut["input"]["dropped_faces"] == 2 and cut["watertight"] and cut["volume_m3"] < 1.0
+    write_mesh(tmp_path / "big.ply", 2 * CUBE_V, CUBE_T)
+    facts = run("diff", tmp_path / "big.ply", tmp_path / "double.off", "--strict", code=3)
+    assert facts["volume_m3"] == pytest.approx(7.0)
+    assert facts["verdict"]["reasons"][0]["name"] == "mesh_duplicate_faces"
+
+
 def test_diff_chooses_its_surfaces(tmp_path, run, refused):
     assert "'Highest', 'Lowest'" in refused("diff", CROP, CROP, "--pole", "0,0,0")
+
+
+def test_faces_that_diff_does_not_use_are_a_doubt(tmp_path):
+    write_mesh(tmp_path / "l.ply", L_V, L_T)
+    (doubt,) = load(tmp_path / "l.ply", None).verdict.doubts
+    assert (doubt.name, doubt.value) == (
+        "mesh_faces_unused",
+        6,
+    ) and "ladar_volume volume" in doubt.text
+    write_mesh(tmp_path / "cube.ply", CUBE_V, CUBE_T)
+    assert load(tmp_path / "cube.ply", None).verdict.sound

@@ -11,7 +11,7 @@ from closed_meshes import CUBE_T, CUBE_V, sphere
 from ladar_volume.io.meshfiles.mesh_files import read_mesh, write_mesh
 from ladar_volume.math.se3 import exp_so3
 from ladar_volume.mesh.tetrahedra import closed_volume
-from ladar_volume.mesh.topology import open_edges, weld_open
+from ladar_volume.mesh.welding import open_edges, weld_open
 
 PART = Path(__file__).parents[1] / "data" / "featuretype.STL"
 UTM = np.array([500_000.1, 5_600_000.2, 300.3])

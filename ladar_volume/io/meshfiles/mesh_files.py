@@ -3,7 +3,7 @@ coordinates keep every digit and bad files are refused.
 
 Polygons are cut into triangles (:mod:`~ladar_volume.io.meshfiles.polygons`). STL has no shared
 vertices: those at one position become one. Vertices along open edges that differ in their last
-digits only are joined (:func:`~ladar_volume.mesh.topology.weld_open`), triangles without area by a
+digits only are joined (:func:`~ladar_volume.mesh.welding.weld_open`), triangles without area by a
 vertex that they have twice are left out, and of faces that are there twice one counts.
 """
 
@@ -19,11 +19,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ladar_volume.io.meshfiles.landxml import read_landxml
+from ladar_volume.io.meshfiles.plain_meshes import read_obj, read_off, read_stl
 from ladar_volume.io.meshfiles.ply_mesh import parse_header, read_ply_mesh, write_ply_mesh
 from ladar_volume.io.meshfiles.polygons import Faces, triangulated
 from ladar_volume.io.pointfiles.ply import HEADER_LIMIT
-from ladar_volume.mesh.topology import vertices_of, weld, weld_open
-from ladar_volume.mesh.touching_sheets import distinct, split_edges
+from ladar_volume.mesh.topology import vertices_of
+from ladar_volume.mesh.welding import distinct, split_edges, weld, weld_open
 from ladar_volume.model.errors import InputError, OutputError
 from ladar_volume.model.records import F64, I32
 from ladar_volume.model.verdict import Doubt
@@ -99,7 +100,7 @@ def read_mesh(path: str | Path, surface: str | None = None) -> MeshFile:
         if surface is not None:
             raise InputError("only a LandXML has surfaces with names", reason="landxml_surface")
         if ending == ".stl":
-            soup = _read_stl(path)
+            soup = _finite(read_stl(path))
             vertices, triangles, dropped = weld(
                 soup, np.arange(len(soup), dtype=np.int32).reshape(-1, 3)
             )
@@ -107,7 +108,7 @@ def read_mesh(path: str | Path, surface: str | None = None) -> MeshFile:
         if ending == ".ply":
             vertices, faces, columns = read_ply_mesh(path)
             return _assemble(vertices, faces, columns)
-        return _assemble(*(_read_obj if ending == ".obj" else _read_off)(path))
+        return _assemble(*(read_obj if ending == ".obj" else read_off)(path))
     except OSError as error:
         raise InputError(
             f"{path}: cannot be read: {error}", reason="input_unreadable", value=str(path)
@@ -196,90 +197,6 @@ def coarse(vertices: F64, triangles: I32, single: bool) -> tuple[Doubt, ...]:
         "mesh with double coordinates, or about an origin near it"
     )
     return (Doubt("mesh_rounded", text, step),)
-
-
-def _numbers(words: Sequence[str | bytes], kind: type = float) -> list[Any]:
-    try:
-        return [kind(w) for w in words]
-    except ValueError as error:
-        raise InputError(
-            f"a value that is no number: {error}", reason="mesh_file_values"
-        ) from error
-
-
-def _read_obj(path: Path) -> tuple[F64, Faces]:
-    vertices: list[list[float]] = []
-    faces: list[list[int]] = []
-    for line in path.read_text("latin-1").replace("\\\n", " ").splitlines():
-        words = line.split("#")[0].split()
-        if words[:1] == ["v"]:
-            vertices.append(_numbers(words[1:4]))
-            if len(vertices[-1]) < 3:
-                raise InputError(
-                    "a vertex with fewer than three coordinates", reason="mesh_file_values"
-                )
-        elif words[:1] == ["f"]:
-            index = _numbers([w.split("/")[0] for w in words[1:]], int)
-            if 0 in index:
-                raise InputError(
-                    "a face names vertex 0; they count from 1", reason="mesh_file_index", value=0
-                )
-            faces.append([i - 1 if i > 0 else len(vertices) + i for i in index])
-    return np.array(vertices, dtype=np.float64).reshape(-1, 3), faces
-
-
-def _read_off(path: Path) -> tuple[F64, Faces]:
-    lines = [
-        words
-        for line in path.read_text("latin-1").splitlines()
-        if (words := line.split("#")[0].split())
-    ]
-    if not lines or not lines[0][0].upper().endswith("OFF"):
-        raise InputError("does not begin with OFF", reason="mesh_file_header")
-    rest = lines[0][1:]
-    lines = [rest, *lines[1:]] if rest else lines[1:]
-    count = _numbers(lines[0][:2], int) if lines else []
-    if len(count) < 2 or min(count) < 0:
-        raise InputError("no counts of vertices and faces", reason="mesh_file_header")
-    if len(lines) - 1 < sum(count):
-        raise InputError(
-            f"{len(lines) - 1} rows where {sum(count)} are announced", reason="mesh_file_short"
-        )
-    rows = [_numbers(words[:3]) for words in lines[1 : 1 + count[0]]]
-    if any(len(r) < 3 for r in rows):
-        raise InputError("a vertex with fewer than three coordinates", reason="mesh_file_values")
-    faces = []
-    for words in lines[1 + count[0] : 1 + sum(count)]:
-        corners = int(_numbers(words[:1], int)[0])
-        faces.append(_numbers(words[1 : 1 + max(corners, 0)], int))
-        if len(faces[-1]) != corners:
-            raise InputError("a face shorter than announced", reason="mesh_file_short")
-    return np.array(rows, dtype=np.float64).reshape(-1, 3), faces
-
-
-def _read_stl(path: Path) -> F64:
-    data = path.read_bytes()
-    count = int.from_bytes(data[80:84], "little") if len(data) >= 84 else -1
-    if count >= 0 and len(data) == 84 + 50 * count:
-        records = np.frombuffer(
-            data, [("normal", "<f4", (3,)), ("v", "<f4", (3, 3)), ("attribute", "<u2")], count, 84
-        )
-        soup = records["v"].astype(np.float64).reshape(-1, 3)
-    elif data[:5].lower() == b"solid" and b"facet" in data[:2000].lower():
-        rows = [line.split()[1:4] for line in data.splitlines() if line.split()[:1] == [b"vertex"]]
-        if any(len(r) < 3 for r in rows) or len(rows) % 3 or b"endsolid" not in data[-400:].lower():
-            raise InputError(
-                "a facet that is not three vertices, or no end", reason="mesh_file_short"
-            )
-        soup = np.array(_numbers([w for r in rows for w in r]), dtype=np.float64).reshape(-1, 3)
-    else:
-        raise InputError(
-            f"neither ascii STL nor binary with {max(count, 0)} triangles in {len(data)} bytes",
-            reason="mesh_file_short",
-        )
-    if len(soup) == 0:
-        raise InputError("no face", reason="mesh_file_empty")
-    return _finite(soup)
 
 
 def write_mesh(

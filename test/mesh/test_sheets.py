@@ -9,8 +9,8 @@ from closed_meshes import CUBE_T, CUBE_V
 from ladar_volume.io.meshfiles.mesh_files import read_mesh, write_mesh
 from ladar_volume.math.se3 import exp_so3
 from ladar_volume.mesh.tetrahedra import closed_volume
-from ladar_volume.mesh.topology import edge_table, weld
-from ladar_volume.mesh.touching_sheets import distinct, paired, split_edges
+from ladar_volume.mesh.topology import edge_table
+from ladar_volume.mesh.welding import distinct, paired, split_edges, weld
 
 TURN = exp_so3(np.array([0.4, 1.1, -0.7]))
 

@@ -1,5 +1,5 @@
-"""Sheets of a mesh that touch along edges or whole faces, as vertices by their position join them:
-parted again.
+"""Which corners of triangles are one vertex: those at one position or, along open edges, that
+differ in their last digits; and not those of sheets that touch.
 
 A file that lists each triangle with its own corners (STL) cannot say that two bodies touch along an
 edge: that edge then has four triangles. Sorted by their angle about the edge they come in pairs
@@ -9,12 +9,118 @@ corners that look at one another have nothing between them.
 
 from __future__ import annotations
 
-import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from dataclasses import dataclass
 
-from ladar_volume.mesh.topology import edge_table
+import numpy as np
+from scipy.sparse import coo_array, coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from ladar_volume.mesh.topology import edge_table, vertices_of
 from ladar_volume.model.records import F64, I32, I64
+
+
+def weld(vertices: F64, triangles: I32, tolerance_m: float = 0.0) -> tuple[F64, I32, int]:
+    """One vertex for all at one position, or joined by steps within the tolerance: vertices,
+    triangles, and how many triangles collapsed and were dropped. The first vertex of each group
+    stands for it; those in no triangle go.
+    """
+    v, t = np.asarray(vertices, dtype=np.float64), np.asarray(triangles, dtype=np.int64)
+    _, first, group = np.unique(v + 0.0, axis=0, return_index=True, return_inverse=True)
+    if tolerance_m > 0.0:
+        near = cKDTree(v[first]).query_pairs(tolerance_m, output_type="ndarray")
+        graph = coo_matrix(
+            (np.ones(len(near), np.int8), (near[:, 0], near[:, 1])), shape=(len(first), len(first))
+        )
+        label = connected_components(graph, directed=False)[1]
+        earliest = np.full(int(label.max()) + 1, len(v), np.int64)
+        np.minimum.at(earliest, label, first)
+        first = earliest[label]
+    t = first[group.ravel()][t]
+    good = (t[:, 0] != t[:, 1]) & (t[:, 1] != t[:, 2]) & (t[:, 2] != t[:, 0])
+    used, index = np.unique(t[good], return_inverse=True)
+    return v[used], index.reshape(-1, 3).astype(np.int32), int((~good).sum())
+
+
+@dataclass(frozen=True)
+class Welded:
+    """triangles : (m, 3) with one name for each vertex that was joined · dropped : triangles that
+    collapsed · joined : vertices that another one stands for · farthest_m : between two of them
+    """
+
+    triangles: I32
+    dropped: int
+    joined: int
+    farthest_m: float
+
+
+#: What vertices along open edges may be apart in a mesh that was written vertex by vertex, as parts
+#: of its size: what double, single and few printed digits leave, tried in this order.
+GAPS = (1e-8, 1e-7, 1e-6)
+
+
+def open_edges(triangles: I32) -> I64:
+    """Half edges (b,) ``3 t + k`` that no other triangle shares."""
+    order, start, _ = edge_table(triangles)
+    out: I64 = order[start[:-1][np.diff(start) == 1]]
+    return out
+
+
+def joined_within(vertices: F64, triangles: I32, tolerance_m: float) -> Welded:
+    """The vertices along open edges that lie within the tolerance of one another, by steps, become
+    one; all others stay as they are. The first stands for each group.
+    """
+    half = open_edges(triangles)
+    ends = np.unique(
+        np.concatenate([triangles.ravel()[half], triangles[:, [1, 2, 0]].ravel()[half]])
+    )
+    _, first, place = np.unique(
+        vertices[ends] + 0.0, axis=0, return_index=True, return_inverse=True
+    )
+    at = vertices[ends[first]]
+    near = cKDTree(at).query_pairs(tolerance_m, output_type="ndarray")
+    graph = coo_matrix(
+        (np.ones(len(near), np.int8), (near[:, 0], near[:, 1])), shape=(len(at), len(at))
+    )
+    label = connected_components(graph, directed=False)[1][place.ravel()]
+    earliest = np.full(int(label.max(initial=-1)) + 1, len(vertices), np.int64)
+    np.minimum.at(earliest, label, ends)
+    name = np.arange(len(vertices), dtype=np.int64)
+    name[ends] = earliest[label]
+    t = name[triangles]
+    good = (t[:, 0] != t[:, 1]) & (t[:, 1] != t[:, 2]) & (t[:, 2] != t[:, 0])
+    apart = np.linalg.norm(vertices[ends] - vertices[name[ends]], axis=1)
+    return Welded(
+        t[good].astype(np.int32),
+        int(np.count_nonzero(~good)),
+        int(np.count_nonzero(name[ends] != ends)),
+        float(apart.max(initial=0.0)),
+    )
+
+
+def weld_open(vertices: F64, triangles: I32) -> Welded:
+    """A mesh whose triangles were written with vertices of their own, or with coordinates that
+    differ in the last digits, joined along its open edges.
+
+    vertices : (n, 3) m · triangles : (m, 3) without a vertex twice. Of :data:`GAPS` that one is
+    taken which leaves the fewest edges open without more triangles collapsing, the smallest where
+    several do. Rounding of coordinates far from their origin widens them: 4 steps of a double.
+    """
+    if len(triangles) == 0 or len(open_edges(triangles)) == 0:
+        return Welded(triangles, 0, 0, 0.0)
+    used = vertices[vertices_of(triangles)]
+    size = float(np.linalg.norm(np.ptp(used, axis=0)))
+    least = 4.0 * float(np.spacing(np.abs(used).max()))
+    best: Welded | None = None
+    fewest = len(open_edges(triangles)) + 1
+    for share in GAPS:
+        found = joined_within(vertices, triangles, max(share * size, least))
+        left = len(open_edges(found.triangles))
+        if left < fewest and (best is None or found.dropped <= best.dropped):
+            best, fewest = found, left
+        if fewest == 0:
+            break
+    return best or Welded(triangles, 0, 0, 0.0)
 
 
 def distinct(triangles: I32) -> tuple[I32, int]:
