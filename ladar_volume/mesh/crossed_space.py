@@ -174,6 +174,7 @@ def crossing_doubts(found: Crossing, volume_m3: float) -> tuple[Doubt, ...]:
         return ()
     text = (
         f"{len(found.pairs):,} pairs of triangles cross: about {wrong:.2g} m³ "
-        f"({100 * share:.2g} %) count twice or not at all; mend the mesh, or scan more densely where faces meet"
+        f"({100 * share:.2g} %) count twice or not at all; mend the mesh, or scan more densely "
+        "where faces meet"
     )
     return (Doubt("mesh_crossings", text, wrong),)
