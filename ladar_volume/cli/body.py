@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 
 from ladar_volume.cli.body_facts import cloud_facts, mesh_facts, show
 from ladar_volume.cli.surface_options import Source, read_source
+from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.clouds.body_volume import (
     Body,
     Uncertain,
@@ -60,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(json_text(facts), end="")
     else:
         show(console, facts)
-    return 0
+    return exit_code(arguments, facts["verdict"])
 
 
 def check(arguments: argparse.Namespace) -> None:
@@ -112,13 +114,11 @@ def given_ground(arguments: argparse.Namespace) -> Plane | None:
     return design_surface(list(arguments.ground)) if isinstance(arguments.ground, tuple) else None
 
 
-def of_mesh(
-    arguments: argparse.Namespace, console: Console
-) -> tuple[dict[str, object], list[Body]]:
+def of_mesh(arguments: argparse.Namespace, console: Console) -> tuple[dict[str, Any], list[Body]]:
     """The body in a mesh file."""
     a = arguments
     with console.status(f"reading {a.source.name}") as status:
-        mesh = read_mesh(a.source)
+        mesh = read_mesh(a.source, a.surface)
         status.update("closing and adding up")
         try:
             body = body_of(
@@ -140,9 +140,7 @@ def of_mesh(
     return mesh_facts(a.source.name, mesh, body, uncertain), [body]
 
 
-def of_cloud(
-    arguments: argparse.Namespace, console: Console
-) -> tuple[dict[str, object], list[Body]]:
+def of_cloud(arguments: argparse.Namespace, console: Console) -> tuple[dict[str, Any], list[Body]]:
     """The bodies of a point cloud file."""
     a = arguments
     with console.status(f"reading {a.source.name}") as status:

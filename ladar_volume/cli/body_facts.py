@@ -9,12 +9,15 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from ladar_volume.cli.inputs.mesh_source import mesh_facts as mesh_of_file
+from ladar_volume.cli.verdict_lines import add_verdict_rows
 from ladar_volume.clouds.body_volume import Body, Uncertain
 from ladar_volume.clouds.cloud_bodies import CloudBodies
 from ladar_volume.clouds.filter.filter_result import CloudResult
 from ladar_volume.ground.objects import Objects
 from ladar_volume.io.meshfiles.mesh_files import MeshFile
 from ladar_volume.mesh.topology import edge_table
+from ladar_volume.model.verdict import Verdict
 from ladar_volume.version import version
 
 
@@ -37,6 +40,7 @@ def body_facts(body: Body) -> dict[str, Any]:
         "parts": len(body.closed.volumes_m3),
         "turned_triangles": int(np.count_nonzero(body.closed.flipped)),
         "crossing_pairs": body.crossing,
+        "crossing_m3": body.crossed.volume_m3,
         "edge_vertices": body.edge_vertices,
         "pole_map_m": body.closed.pole_map.tolist(),
         "pole_spread_m3": body.closed.pole_spread_m3,
@@ -77,11 +81,12 @@ def mesh_facts(
     """The body of a mesh file."""
     source = {
         "path": name,
-        "vertices": len(mesh.vertices),
         "triangles": len(mesh.triangles),
         "dropped_triangles": mesh.dropped,
+        **mesh_of_file(mesh),
     }
-    return {**all_facts([body], uncertain), "input": source}
+    verdict = Verdict(mesh.doubts + body.doubts).as_dict()
+    return {**all_facts([body], uncertain), "input": source, "verdict": verdict}
 
 
 def cloud_facts(
@@ -105,6 +110,7 @@ def cloud_facts(
     ground = made.ground
     return {
         **facts,
+        "verdict": Verdict(tuple(d for b in made.bodies for d in b.doubts)).as_dict(),
         "input": {"path": name, "points": points},
         "filter": None if filtered is None else dict(filtered.report),
         "ground": None
@@ -161,6 +167,9 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
         console.print(f"body {k + 1}: {details(b)}")
     if facts["sigma_m3"] is None:
         console.print("sigma is not known: give --sigma, the standard deviation of each vertex")
+    verdict = Table(show_header=False, box=None, pad_edge=False)
+    add_verdict_rows(verdict, facts["verdict"])
+    console.print(verdict)
     console.print(
         f"watertight: {'yes' if facts['watertight'] else 'no'}; written to "
         f"{facts['output']['path']}"
@@ -192,5 +201,8 @@ def details(b: Mapping[str, Any]) -> str:
     if b["turned_triangles"]:
         parts.append(f"{b['turned_triangles']} triangles turned round")
     if b["crossing_pairs"]:
-        parts.append(f"{b['crossing_pairs']} pairs of triangles cross")
+        parts.append(
+            f"{b['crossing_pairs']} pairs of triangles cross ({b['crossing_m3']:.2g} m³ count "
+            "twice or not at all)"
+        )
     return "; ".join(parts)

@@ -28,12 +28,15 @@ from ladar_volume.cli.diff_input import (
     sigma_of,
 )
 from ladar_volume.cli.diff_show import show
+from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.io.endings import ENDINGS
 from ladar_volume.io.meshfiles.mesh_files import write_mesh
 from ladar_volume.io.results import json_text
+from ladar_volume.mesh.crossed_space import crossing_doubts
 from ladar_volume.mesh.tetrahedra import closed_variance, closed_volume
 from ladar_volume.mesh.topology import watertight
 from ladar_volume.model.errors import ConfigurationError, OutputError, SurfaceError
+from ladar_volume.model.verdict import Verdict
 from ladar_volume.version import version
 
 
@@ -63,7 +66,8 @@ def run(arguments: argparse.Namespace) -> int:
     check_options(arguments)
     console = Console(stderr=arguments.json)
     with console.status("reading") as status:
-        a, b = load(arguments.a, arguments.transform), load(arguments.b, arguments.transform_b)
+        a = load(arguments.a, arguments.transform, arguments.surface)
+        b = load(arguments.b, arguments.transform_b, arguments.surface_b)
         status.update("computing")
         if a.closed and b.closed:
             facts = bodies(arguments, a, b)
@@ -73,6 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
             )
         else:
             facts = surfaces(arguments, a, b)
+    facts["verdict"] = facts["verdict"].as_dict()
     facts |= {"size_rule": size_rule(arguments.offset), "version": version()}
     if arguments.mass is not None:
         facts["density"] = weighed(arguments, facts)
@@ -80,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(json_text(facts), end="")
     else:
         show(console, facts)
-    return 0
+    return exit_code(arguments, facts["verdict"])
 
 
 def weighed(arguments: argparse.Namespace, facts: dict[str, Any]) -> dict[str, Any]:
@@ -151,7 +156,9 @@ def surfaces(arguments: argparse.Namespace, part_a: Part, part_b: Part) -> dict[
         for p, m, n in zip((part_a, part_b), (found.in_a, found.in_b), noise, strict=True)
     ]
     return (
-        facts_of(found, region, noise[0].typical_m, arguments.offset) | {"surfaces": points} | more
+        facts_of(found, region, noise[0].typical_m, arguments.offset)
+        | {"surfaces": points, "verdict": part_a.verdict + part_b.verdict}
+        | more
     )
 
 
@@ -222,6 +229,7 @@ def bodies(arguments: argparse.Namespace, a: Part, b: Part) -> dict[str, Any]:
     sigmas = arguments.sigma, arguments.sigma if arguments.sigma_b is None else arguments.sigma_b
     budget: dict[str, float] = {}
     volumes, spread, area, points, closed = [], 0.0, 0.0, 0, []
+    verdict = a.verdict + b.verdict
     for name, part, sigma in zip("ab", (a, b), sigmas, strict=True):
         try:
             body = closed_volume(
@@ -239,6 +247,8 @@ def bodies(arguments: argparse.Namespace, a: Part, b: Part) -> dict[str, Any]:
             budget[f"registration_{name}"] = part.transform.variance(
                 body.gradient, part.transform.back(part.points)
             )
+        if body.crossing is not None:
+            verdict += Verdict(crossing_doubts(body.crossing, body.volume_m3))
         volumes.append(body.volume_m3)
         spread, area, points = (
             max(spread, body.pole_spread_m3),
@@ -252,6 +262,7 @@ def bodies(arguments: argparse.Namespace, a: Part, b: Part) -> dict[str, Any]:
                 "area_m2": body.area_m2,
                 "parts": len(body.volumes_m3),
                 "turned_triangles": int(body.flipped.sum()),
+                "crossing_m3": 0.0 if body.crossing is None else body.crossing.volume_m3,
             }
         )
     volume, sigma = volumes[0] - volumes[1], float(np.sqrt(sum(budget.values())))
@@ -268,6 +279,7 @@ def bodies(arguments: argparse.Namespace, a: Part, b: Part) -> dict[str, Any]:
         "pole_m": body.pole_map.tolist(),
         "pole_spread_m3": spread,
         "bodies": closed,
+        "verdict": verdict,
         "size_classes": None
         if volume == 0.0
         else relative_errors(

@@ -5,7 +5,7 @@ ground around the region.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +21,14 @@ from ladar_volume.change.spherical_tin import (
 )
 from ladar_volume.cli.arguments.diff_input import numbers
 from ladar_volume.clouds.cloud_surface import local_sigma
-from ladar_volume.io.endings import ENDINGS
+from ladar_volume.io.endings import READ_ENDINGS
 from ladar_volume.io.meshfiles.mesh_files import read_mesh
 from ladar_volume.io.pointfiles.cloud_files import read_cloud
 from ladar_volume.io.transforms import read_transform
 from ladar_volume.mesh.topology import orient
 from ladar_volume.model.errors import ConfigurationError, InputError, SurfaceError, VolumeError
 from ladar_volume.model.records import F64, I32
+from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.registration.transform import Transform
 
 #: The cell of the refinement's covariance, as a part of A's larger side.
@@ -37,7 +38,8 @@ ICP_CELLS = 12.0
 @dataclass(frozen=True)
 class Part:
     """A file: points (n, 3) m in the map frame · triangles (m, 3), none for a cloud · closed : a
-    mesh without boundary · sigma : (n,) m of the file, or None · transform : that was applied
+    mesh without boundary · sigma : (n,) m of the file, or None · transform : that was applied ·
+    verdict : on the file
     """
 
     path: Path
@@ -46,6 +48,7 @@ class Part:
     closed: bool
     sigma: F64 | None
     transform: Transform | None
+    verdict: Verdict = field(default_factory=Verdict)
 
 
 @dataclass(frozen=True)
@@ -59,10 +62,12 @@ class Noise:
     words: str
 
 
-def load(path: Path, transform: Path | None) -> Part:
-    """Read a cloud or a mesh and bring it into the map frame."""
+def load(path: Path, transform: Path | None, surface: str | None = None) -> Part:
+    """Read a cloud or a mesh (of a LandXML the surface of that name) and bring it into the map
+    frame.
+    """
     T = None if transform is None else read_transform(transform)
-    r, triangles, sigma = read_any(path)
+    r, triangles, sigma, doubts = read_any(path, surface)
     closed = False
     if len(triangles):
         try:
@@ -71,17 +76,31 @@ def load(path: Path, transform: Path | None) -> Part:
             raise SurfaceError(
                 f"{path}: {error}", reason=error.reason, value=error.value
             ) from error
-    return Part(path, r if T is None else T.apply(r), triangles, closed, sigma, T)
+    if len(triangles) and not closed:
+        doubts += (unused_faces(path, len(triangles)),)
+    points = r if T is None else T.apply(r)
+    return Part(path, points, triangles, closed, sigma, T, verdict=Verdict(doubts))
 
 
-def read_any(path: Path) -> tuple[F64, I32, F64 | None]:
-    """Points (n, 3), triangles (m, 3) and the column ``sigma`` (n,), where there is one. A PLY file
-    without faces is a cloud.
+def unused_faces(path: Path, many: int) -> Doubt:
+    """The doubt about an open mesh, of which the points alone are used."""
+    text = (
+        f"{path.name}: its {many:,} faces are not used, its points are triangulated about the "
+        "scanner; surfaces over the map are compared by their faces with `ladar_volume volume`"
+    )
+    return Doubt("mesh_faces_unused", text, many)
+
+
+def read_any(
+    path: Path, surface: str | None = None
+) -> tuple[F64, I32, F64 | None, tuple[Doubt, ...]]:
+    """Points (n, 3), triangles (m, 3), the column ``sigma`` (n,), where there is one, and doubts.
+    A PLY file without faces is a cloud.
     """
-    if path.suffix.lower() in ENDINGS:
+    if path.suffix.lower() in READ_ENDINGS:
         try:
-            mesh = read_mesh(path)
-            return mesh.vertices, mesh.triangles, None
+            mesh = read_mesh(path, surface)
+            return mesh.vertices, mesh.triangles, None, mesh.doubts
         except InputError as error:
             if path.suffix.lower() != ".ply" or error.reason not in (
                 "mesh_file_fields",
@@ -96,7 +115,7 @@ def read_any(path: Path) -> tuple[F64, I32, F64 | None]:
         and sigma.ndim == 1
         and bool((np.isfinite(sigma) & (sigma >= 0)).all())
     )
-    return cloud.r, np.zeros((0, 3), np.int32), np.asarray(sigma, np.float64) if good else None
+    return cloud.r, np.zeros((0, 3), np.int32), np.asarray(sigma, np.float64) if good else None, ()
 
 
 def given_corners(polygon: Sequence[str] | None, selection: Path | None) -> F64 | None:

@@ -9,6 +9,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from ladar_volume.cli.verdict_lines import add_verdict_rows
+
 
 def show(console: Console, facts: Mapping[str, Any]) -> None:
     """Print the facts as short tables."""
@@ -45,6 +47,7 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
             f"to {high:.1f} kg/m³; "
             f"{100 * shares['volume']:.0f} % of the variance from the volume",
         )
+    add_verdict_rows(table, facts["verdict"])
     console.print(table)
     budget(console, facts)
     if "resolution" in facts:

@@ -12,7 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from ladar_volume.cli.inputs.mesh_source import face_facts, read_faces, surface_of_mesh
 from ladar_volume.clouds.cloud_surface import CloudSurface, cloud_surface
+from ladar_volume.io.meshfiles.mesh_files import MeshFile
 from ladar_volume.io.pointfiles.cloud_files import PointFile, read_cloud
 from ladar_volume.model.errors import ConfigurationError, InputError, SurfaceError
 from ladar_volume.model.records import F64
@@ -83,15 +85,28 @@ def surface_options(arguments: argparse.Namespace, default: SurfaceOptions) -> S
 
 @dataclass(frozen=True)
 class Source:
-    """A point cloud file as read: its name and what is in it."""
+    """A file as read: its name and what is in it; of a mesh whose faces count these too, its
+    vertices being the cloud.
+    """
 
     path: Path
     cloud: PointFile
+    mesh: MeshFile | None = None
 
 
 def read_source(path: Path) -> Source:
     """Read a cloud file with its columns."""
     return Source(path, read_cloud(path))
+
+
+def read_surface(path: Path, arguments: argparse.Namespace, second: bool = False) -> Source:
+    """Read a file whose faces, where it has any, are the surface."""
+    mesh = read_faces(path, arguments, second)
+    if mesh is None:
+        return read_source(path)
+    if arguments.no_faces:
+        return Source(path, PointFile(mesh.vertices, dict(mesh.columns)))
+    return Source(path, PointFile(mesh.vertices, dict(mesh.columns)), mesh)
 
 
 def frame_of(arguments: argparse.Namespace, sources: list[Source]) -> Frame | None:
@@ -158,6 +173,15 @@ def make_surface(
 ) -> CloudSurface:
     """The surface of one file. Errors name it."""
     values, words = sigma_of(source, sigma, frame)
+    if source.mesh is not None:
+        try:
+            return surface_of_mesh(
+                arguments, source.mesh, source.path, options, frame, (values, words)
+            )
+        except SurfaceError as error:
+            raise SurfaceError(
+                f"{source.path}: {error}", reason=error.reason, value=error.value
+            ) from error
     r = source.cloud.r if frame is None else frame.points(source.cloud.r)
     try:
         return cloud_surface(r, options, values, words, arguments.screen, arguments.median)
@@ -170,8 +194,10 @@ def make_surface(
 def surface_facts(source: Source, surface: CloudSurface) -> dict[str, Any]:
     """What the JSON says of one surface."""
     made, tin = surface.made, surface.made.tin
+    faces = None if source.mesh is None else face_facts(source.mesh, surface)
     return {
         "path": source.path.name,
+        "mesh": faces,
         "points": len(source.cloud.r),
         "used": len(surface.points) - made.cropped,
         "cropped": made.cropped,

@@ -11,19 +11,22 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from ladar_volume.cli.inputs.mesh_source import mesh_doubts, mesh_words
 from ladar_volume.cli.surface_options import (
     frame_facts,
     frame_of,
     make_surface,
     option_facts,
-    read_source,
+    read_surface,
     surface_facts,
     surface_options,
 )
+from ladar_volume.cli.verdict_lines import add_verdict_rows, exit_code
 from ladar_volume.io.meshfiles.tin_files import check_tin_output, write_tin
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.records import I64, Tin
+from ladar_volume.model.verdict import Verdict
 from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.version import version
 
@@ -38,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
     console = Console(stderr=arguments.json)
     with console.status(f"reading {arguments.cloud.name}") as status:
-        source = read_source(arguments.cloud)
+        source = read_surface(arguments.cloud, arguments)
         status.update("searching the scan direction" if arguments.frame == "scan" else "")
         frame = frame_of(arguments, [source])
         status.update(f"triangulating {len(source.cloud.r):,} points")
@@ -60,13 +63,14 @@ def run(arguments: argparse.Namespace) -> int:
         "output": {"path": arguments.output.name, "vertices": vertices, "faces": faces},
         "frame": frame_facts(frame),
         "options": option_facts(options),
+        "verdict": Verdict(mesh_doubts([source.path], [source.mesh], [surface])).as_dict(),
         "version": version(),
     }
     if arguments.json:
         print(json_text(facts), end="")
     else:
         show(console, facts)
-    return 0
+    return exit_code(arguments, facts["verdict"])
 
 
 def in_cloud(tin: Tin, index: I64) -> Tin:
@@ -81,6 +85,8 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
     for name in ("cropped", "outliers", "duplicates"):
         if facts[name]:
             table.add_row(f"  {name}", f"{facts[name]:,}")
+    if facts["mesh"] is not None:
+        table.add_row("mesh", mesh_words(facts["mesh"]))
     table.add_row("vertices", f"[bold]{facts['vertices']:,}[/bold]")
     table.add_row(
         "triangles",
@@ -111,5 +117,6 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
             "sigma of a point", f"{1e3 * facts['sigma_point_m']:.2f} mm ({facts['sigma_from']})"
         )
         table.add_row("sigma of a vertex", f"{1e3 * facts['sigma_z_median_m']:.2f} mm (median)")
+    add_verdict_rows(table, facts["verdict"])
     console.print(table)
     console.print(f"written to {facts['output']['path']}")

@@ -1,4 +1,4 @@
-"""The verdict on the command line: rows of the table, ``--strict`` and its exit code."""
+"""The verdict on the command line: rows of the table and the exit code."""
 
 from __future__ import annotations
 
@@ -8,17 +8,7 @@ from typing import Any
 
 from rich.table import Table
 
-#: Exit code of ``--strict`` for a doubtful result.
-DOUBTFUL = 3
-
-
-def add_strict_option(parser: argparse.ArgumentParser) -> None:
-    """Declare ``--strict``."""
-    parser.add_argument(
-        "--strict",
-        action="store_true",
-        help=f"exit with code {DOUBTFUL} for a doubtful result",
-    )
+from ladar_volume.cli.arguments.strict import DOUBTFUL
 
 
 def add_verdict_rows(table: Table, verdict: Mapping[str, Any]) -> None:

@@ -14,15 +14,17 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from ladar_volume.cli.inputs.mesh_source import mesh_doubts, mesh_words
 from ladar_volume.cli.surface_options import (
     frame_facts,
     frame_of,
     make_surface,
     option_facts,
-    read_source,
+    read_surface,
     surface_facts,
     surface_options,
 )
+from ladar_volume.cli.verdict_lines import add_verdict_rows, exit_code
 from ladar_volume.clouds.cloud_levels import (
     above_floor,
     events,
@@ -37,6 +39,7 @@ from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import ConfigurationError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Plane
+from ladar_volume.model.verdict import Verdict
 from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.tin.scan_frame import Frame
 from ladar_volume.version import version
@@ -137,7 +140,9 @@ def run(arguments: argparse.Namespace) -> int:
     console = Console(stderr=arguments.json)
     with console.status("reading") as status:
         sources = [
-            read_source(path) for path in (arguments.cloud, arguments.cloud_b) if path is not None
+            read_surface(path, arguments, second)
+            for path, second in ((arguments.cloud, False), (arguments.cloud_b, True))
+            if path is not None
         ]
         if arguments.frame == "scan":
             status.update("turning into the scan frame")
@@ -155,13 +160,16 @@ def run(arguments: argparse.Namespace) -> int:
         ],
         "frame": frame_facts(frame),
         "options": option_facts(options),
+        "verdict": Verdict(
+            mesh_doubts([s.path for s in sources], [s.mesh for s in sources], surfaces)
+        ).as_dict(),
         "version": version(),
     }
     if arguments.json:
         print(json_text(facts), end="")
     else:
         show(console, facts)
-    return 0
+    return exit_code(arguments, facts["verdict"])
 
 
 def computed(
@@ -186,7 +194,7 @@ def computed(
         )
     counted: Plane | None = None
     if base == "cloud":
-        volume = between_clouds(first, surfaces[1], a.cloud_b.name, correct)
+        volume = between_clouds(first, surfaces[1], second_name(a), correct)
     elif len(surfaces) == 2:
         volume, one, two = own_footprints(first, surfaces[1], parameters, correct)
         more["each"] = [volume_facts(v, parameters) for v in (one, two)]
@@ -203,6 +211,12 @@ def computed(
     if levels is not None:
         more |= level_facts(surfaces, levels, counted, correct)
     return {**facts, "footprint": a.footprint if len(surfaces) == 2 else None, **more}
+
+
+def second_name(a: argparse.Namespace) -> str:
+    """What the second surface is called."""
+    name = str(a.cloud_b.name)
+    return name if a.surface_b is None else f"{a.surface_b} in {name}"
 
 
 def volume_facts(volume: CloudVolume, parameters: Parameters) -> dict[str, Any]:
@@ -317,6 +331,9 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
                 f"{sigma}{each['sigma_from']}"
             ),
         )
+        if each["mesh"] is not None:
+            table.add_row("", mesh_words(each["mesh"]))
+    add_verdict_rows(table, facts["verdict"])
     console.print(table)
     for each in facts.get("sequences", []):
         show_levels(console, each)

@@ -27,8 +27,8 @@ from ladar_volume.ground.ground_adjoint import ground_gradient
 from ladar_volume.mesh.bottom_closing import Closure
 from ladar_volume.mesh.chord_curvature import bulge_volumes
 from ladar_volume.mesh.closing import close
+from ladar_volume.mesh.crossed_space import Crossing, crossing_doubts, crossing_of
 from ladar_volume.mesh.edge_completion import SHARP_RAD, sharpen
-from ladar_volume.mesh.intersections import crossings
 from ladar_volume.mesh.linear_mesh import Skin, skin_of
 from ladar_volume.mesh.tetrahedra import (
     ClosedVolume,
@@ -37,6 +37,7 @@ from ladar_volume.mesh.tetrahedra import (
     signed_tetrahedra,
 )
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane
+from ladar_volume.model.verdict import Doubt
 
 
 @dataclass(frozen=True)
@@ -67,9 +68,20 @@ class Body:
     by_ground: F64
 
     @cached_property
+    def crossed(self) -> Crossing:
+        """Triangles that cross, and how much space that counts wrongly."""
+        found = self.closed.crossing
+        return found or crossing_of(self.skin.vertices, self.closed.mesh.triangles)
+
+    @property
     def crossing(self) -> int:
-        """Pairs of triangles that cross, at most 1,000."""
-        return len(crossings(self.skin.vertices, self.skin.triangles)) if self.may_cross else 0
+        """Pairs of triangles that cross."""
+        return len(self.crossed.pairs)
+
+    @property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """What makes the volume doubtful."""
+        return crossing_doubts(self.crossed, self.volume_m3)
 
     @property
     def area_m2(self) -> float:

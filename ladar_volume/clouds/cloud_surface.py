@@ -11,8 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ladar_volume.clouds.given_faces import GivenSurface
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I64
+from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.median_screen import tin_filter, tin_screen
 from ladar_volume.tin.represent import Represented, SurfaceOptions, represent
 
@@ -28,6 +30,7 @@ class CloudSurface:
     cloud · sigma_m : (n,) m standard deviations of their heights, None where they are not known ·
     sigma_from : where these come from, in words · outliers : (k,) rows of the cloud that the screen
     deleted or the median filter changed · made : the surface, its ``source`` numbering ``points``
+    · given : the faces of a mesh that it is, None for a cloud · doubts : what makes it doubtful
     """
 
     points: F64
@@ -36,6 +39,8 @@ class CloudSurface:
     sigma_from: str
     outliers: I64
     made: Represented
+    given: GivenSurface | None = None
+    doubts: tuple[Doubt, ...] = ()
 
     def variance(self, gradient_z: F64) -> F64:
         """Variances (k,) of k results with gradients (n, k) by the vertex heights, through the

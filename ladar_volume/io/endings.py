@@ -14,5 +14,7 @@ ENCODINGS: dict[str, tuple[str, ...]] = {
     ".las": ("las",),
     ".laz": ("laz",),
 }
-#: Meshes.
+#: Meshes: endings that are written, and those that are read.
 ENDINGS = (".ply", ".obj", ".stl", ".off")
+LANDXML = (".xml", ".landxml")
+READ_ENDINGS = (*ENDINGS, *LANDXML)

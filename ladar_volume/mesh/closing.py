@@ -119,9 +119,10 @@ def fill_gap(skin: Skin, rim: Rim, close_m: float, hint: str) -> tuple[Skin, Clo
     fan = len(inner) == 0
     width = rim.size_m if fan else gap_width(skin.vertices[loop], inner)
     if width > close_m:
+        wide = f"{width:.3f}" if width >= 0.1 else f"{width:.3g}"
         raise SurfaceError(
             (
-                f"a gap {width:.3f} m wide at {place(rim.middle)}, more than {close_m:g} m: "
+                f"a gap {wide} m wide at {place(rim.middle)}, more than {close_m:g} m: "
                 f"close more (--close), scan that side{hint}"
             ),
             reason="closing_gap",

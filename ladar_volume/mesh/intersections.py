@@ -3,7 +3,9 @@ but counts some space twice or negative.
 
 Found are proper crossings: an edge of one triangle passes through the inside of another, or through
 an edge of it into the body. Triangles that only touch (bodies standing on each other, a fold of no
-width) are not crossings. Signs within rounding count as touching.
+width) are not crossings. Signs within rounding count as touching, and so does an edge of which one
+end lies no deeper behind the other triangle than coordinates round: vertices that were computed to
+lie in one plane do so within their last digits only.
 """
 
 from __future__ import annotations
@@ -17,6 +19,9 @@ from ladar_volume.model.records import F64, I32, I64
 
 #: Relative rounding of a 3 x 3 determinant, generously.
 ROUNDING = 1e-13
+#: An end of an edge lies in a plane where it is no farther than so many roundings of the
+#: coordinates.
+TOUCH = 16.0
 #: Where an edge passes through a triangle, beside the numbers of its edges.
 NOWHERE, INSIDE = -1, 3
 
@@ -68,7 +73,19 @@ def within(p: F64, a: F64, b: F64, c: F64, d: F64) -> int:
 
 
 @kernel
-def cross(v: F64, triangles: I32, beyond: I32, s: int, t: int) -> bool:
+def shallow(p: F64, q: F64, a: F64, b: F64, c: F64, touch_m: float) -> bool:
+    """Whether p or q lies within ``touch_m`` of the plane a, b, c."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    length = np.sqrt(x * x + y * y + z * z)
+    one = abs((p[0] - a[0]) * x + (p[1] - a[1]) * y + (p[2] - a[2]) * z)
+    two = abs((q[0] - a[0]) * x + (q[1] - a[1]) * y + (q[2] - a[2]) * z)
+    return bool(min(one, two) <= touch_m * length)
+
+
+@kernel
+def cross(v: F64, triangles: I32, beyond: I32, s: int, t: int, touch_m: float = 0.0) -> bool:
     """Whether an edge of triangle s pierces triangle t, or the other way; edges that end in a
     common vertex only touch.
 
@@ -83,9 +100,11 @@ def cross(v: F64, triangles: I32, beyond: I32, s: int, t: int) -> bool:
             if i == a or i == b or i == c or j == a or j == b or j == c:
                 continue
             where = pierces(v[i], v[j], v[a], v[b], v[c])
+            if where == NOWHERE or shallow(v[i], v[j], v[a], v[b], v[c], touch_m):
+                continue
             if where == INSIDE:
                 return True
-            if where >= 0 and beyond[other, where] >= 0:
+            if beyond[other, where] >= 0:
                 e, f, g = (
                     triangles[other, where],
                     triangles[other, (where + 1) % 3],
@@ -112,12 +131,20 @@ def corners_beyond(triangles: I32) -> I32:
 
 @kernel
 def sweep_kernel(
-    v: F64, triangles: I32, beyond: I32, low: F64, high: F64, order: I64, axis: int, found: I64
+    v: F64,
+    triangles: I32,
+    beyond: I32,
+    boxes: tuple[F64, F64],
+    order: I64,
+    axis: int,
+    touch_m: float,
+    found: I64,
 ) -> int:
     """Crossing pairs into ``found`` (k, 2), boxes sorted by their low side on one axis; returns how
     many there are at least.
     """
     count, u, w = 0, (axis + 1) % 3, (axis + 2) % 3
+    low, high = boxes
     for i in range(len(order)):
         s = order[i]
         for j in range(i + 1, len(order)):
@@ -131,7 +158,7 @@ def sweep_kernel(
                 or low[s, w] > high[t, w]
             ):
                 continue
-            if cross(v, triangles, beyond, s, t):
+            if cross(v, triangles, beyond, s, t, touch_m):
                 found[count, 0], found[count, 1] = s, t
                 count += 1
                 if count == len(found):
@@ -159,10 +186,10 @@ def crossings(vertices: F64, triangles: I32, most: int = 1000) -> I64:
             v,
             t,
             corners_beyond(t),
-            low,
-            high,
+            (low, high),
             np.argsort(low[:, axis], kind="stable").astype(np.int64),
             axis,
+            TOUCH * float(np.spacing(np.abs(v[t]).max())),
             found,
         )
     )

@@ -17,7 +17,12 @@ import numpy as np
 
 from ladar_volume.math.kernels import kernel
 from ladar_volume.math.se3 import skew
-from ladar_volume.mesh.intersections import check_simple
+from ladar_volume.mesh.crossed_space import (
+    Crossing,
+    check_crossing,
+    crossing_of,
+    winding_kernel,
+)
 from ladar_volume.mesh.topology import (
     Oriented,
     check_closed,
@@ -41,7 +46,8 @@ class ClosedVolume:
     volume_m3 · volumes_m3 : (k,), of each part; cavities are negative · gradient : (n, 3) m², by
     the vertices · area_m2 : of the surface · pole_map : (3,) m · pole_spread_m3 : largest change of
     the volume over nine other poles · mesh : the triangles as used, with parts · flipped : (m,)
-    bool, triangles whose given orientation was not used
+    bool, triangles whose given orientation was not used · crossing : triangles that cross, None
+    where no one looked for them
     """
 
     volume_m3: float
@@ -52,6 +58,7 @@ class ClosedVolume:
     pole_spread_m3: float
     mesh: Oriented
     flipped: Bool
+    crossing: Crossing | None = None
 
 
 def signed_tetrahedra(vertices: F64, triangles: I32, pole_map: F64) -> F64:
@@ -100,30 +107,6 @@ def surface_area(vertices: F64, triangles: I32) -> float:
     return 0.5 * float(np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1).sum())
 
 
-@kernel
-def winding_kernel(vertices: F64, triangles: I32, points: F64) -> F64:
-    """Winding number (k,) of a mesh about points (k, 3): solid angles over 4 pi (Van Oosterom &
-    Strackee 1983).
-    """
-    out = np.zeros(len(points))
-    for i in range(len(points)):
-        total = 0.0
-        for t in range(len(triangles)):
-            a = vertices[triangles[t, 0]] - points[i]
-            b = vertices[triangles[t, 1]] - points[i]
-            c = vertices[triangles[t, 2]] - points[i]
-            la, lb, lc = np.sqrt((a * a).sum()), np.sqrt((b * b).sum()), np.sqrt((c * c).sum())
-            up = (
-                a[0] * (b[1] * c[2] - b[2] * c[1])
-                + a[1] * (b[2] * c[0] - b[0] * c[2])
-                + a[2] * (b[0] * c[1] - b[1] * c[0])
-            )
-            low = la * lb * lc + (a * b).sum() * lc + (b * c).sum() * la + (c * a).sum() * lb
-            total += np.arctan2(up, low)
-        out[i] = total / (2.0 * np.pi)
-    return out
-
-
 def part_signs(vertices: F64, mesh: Oriented, volumes: F64) -> F64:
     """Sign (k,) that each part's volume has to have: −1 for a cavity, which lies within an odd
     number of others, else +1.
@@ -139,7 +122,9 @@ def part_signs(vertices: F64, mesh: Oriented, volumes: F64) -> F64:
         for o in around[around != k]:
             # the median over a few points: one of them may lie on the other part where the two
             # touch
-            turns = winding_kernel(vertices, mesh.triangles[rows[o]], probe)
+            turns = winding_kernel(
+                vertices, mesh.triangles[rows[o]], probe, np.full(len(probe), -1)
+            )
             depth[k] += bool(np.median(np.abs(turns)) > 0.75)
     return np.where(depth % 2 == 1, -1.0, 1.0)
 
@@ -159,8 +144,6 @@ def closed_volume(
     v, _ = check_mesh(vertices, triangles)
     mesh = orient(v, triangles)
     check_closed(mesh)
-    if not allow_crossings:
-        check_simple(v, mesh.triangles)
     used = v[vertices_of(mesh.triangles)]
     poles = other_poles(used)
     pole = poles[0] if pole_map is None else np.asarray(pole_map, dtype=np.float64)
@@ -174,10 +157,13 @@ def closed_volume(
     mesh = Oriented(out, mesh.flipped ^ turn, mesh.part, mesh.boundary, mesh.edges, mesh.vertices)
     volumes = part_sums(mesh, signed_tetrahedra(v, out, pole))
     total = float(volumes.sum())
+    crossing = None if allow_crossings else crossing_of(v, out)
+    if crossing is not None:
+        check_crossing(crossing, total)
     spread = max(abs(float(signed_tetrahedra(v, out, q).sum()) - total) for q in poles)
     gradient = tetrahedra_gradient(v, out, poles[0])
     return ClosedVolume(
-        total, volumes, gradient, surface_area(v, out), pole, spread, mesh, mesh.flipped
+        total, volumes, gradient, surface_area(v, out), pole, spread, mesh, mesh.flipped, crossing
     )
 
 

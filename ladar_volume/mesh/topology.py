@@ -12,9 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import SurfaceError
@@ -83,28 +80,6 @@ def check_mesh(vertices: F64, triangles: npt.ArrayLike) -> tuple[F64, I32]:
             value=np.flatnonzero(twice),
         )
     return v, t.astype(np.int32)
-
-
-def weld(vertices: F64, triangles: I32, tolerance_m: float = 0.0) -> tuple[F64, I32, int]:
-    """One vertex for all at one position, or joined by steps within the tolerance: vertices,
-    triangles, and how many triangles collapsed and were dropped. The first vertex of each group
-    stands for it; those in no triangle go.
-    """
-    v, t = np.asarray(vertices, dtype=np.float64), np.asarray(triangles, dtype=np.int64)
-    _, first, group = np.unique(v + 0.0, axis=0, return_index=True, return_inverse=True)
-    if tolerance_m > 0.0:
-        near = cKDTree(v[first]).query_pairs(tolerance_m, output_type="ndarray")
-        graph = coo_matrix(
-            (np.ones(len(near), np.int8), (near[:, 0], near[:, 1])), shape=(len(first), len(first))
-        )
-        label = connected_components(graph, directed=False)[1]
-        earliest = np.full(int(label.max()) + 1, len(v), np.int64)
-        np.minimum.at(earliest, label, first)
-        first = earliest[label]
-    t = first[group.ravel()][t]
-    good = (t[:, 0] != t[:, 1]) & (t[:, 1] != t[:, 2]) & (t[:, 2] != t[:, 0])
-    used, index = np.unique(t[good], return_inverse=True)
-    return v[used], index.reshape(-1, 3).astype(np.int32), int((~good).sum())
 
 
 def vertices_of(triangles: I32) -> I64:

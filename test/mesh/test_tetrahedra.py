@@ -23,8 +23,8 @@ from ladar_volume.mesh.topology import (
     orient,
     spread_kernel,
     watertight,
-    weld,
 )
+from ladar_volume.mesh.welding import weld
 from ladar_volume.model.errors import SurfaceError, VolumeError
 
 
@@ -169,8 +169,11 @@ def test_even_noise_on_a_sphere_has_its_closed_form():
 def test_the_compiled_kernels_do_what_their_python_does():
     v, t = torus(8, 6)
     points = np.array([[2.0, 0, 0.1], [0, 0, 0], [9, 9, 9]])
-    out = winding_kernel(v, t.astype(np.int32), points)
-    assert out == pytest.approx(winding_kernel.py_func(v, t.astype(np.int32), points), abs=1e-12)
+    out, none = winding_kernel(v, t.astype(np.int32), points, np.array([-1, 3, -1])), [-1, 3, -1]
+    assert out == pytest.approx(
+        winding_kernel.py_func(v, t.astype(np.int32), points, none), abs=1e-12
+    )
+    out = winding_kernel(v, t.astype(np.int32), points, np.full(3, -1))
     assert np.abs(out) == pytest.approx([1, 0, 0], abs=1e-9)
     neighbour = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]], np.int32)
     agrees = np.random.default_rng(2).random((4, 3)) < 2  # all agree

@@ -2,7 +2,8 @@
 
 from argparse import ArgumentParser
 
-from ladar_volume.cli.verdict_lines import DOUBTFUL, add_strict_option, exit_code
+from ladar_volume.cli.arguments.strict import DOUBTFUL, add_strict_option
+from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.model.verdict import Doubt, Verdict
 
 HOLE = Doubt("unseen", "3 % of the outline was not seen: fly a pass over (3, 4)", 0.03)

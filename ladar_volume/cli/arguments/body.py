@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
-from ladar_volume.io.endings import ENCODINGS, ENDINGS
+from ladar_volume.io.endings import ENCODINGS, ENDINGS, READ_ENDINGS
 from ladar_volume.model.choices import REPAIRS
 
 
@@ -34,7 +35,7 @@ def ground_word(text: str) -> str | tuple[float, ...]:
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Declare the verb."""
-    kinds = " ".join(dict.fromkeys([*ENCODINGS, *ENDINGS]))
+    kinds = " ".join(dict.fromkeys([*ENCODINGS, *READ_ENDINGS]))
     parser = subparsers.add_parser(
         "body",
         help="volumes of closed bodies, from a point cloud or a mesh file",
@@ -165,6 +166,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         action="store_true",
         help="do not refuse a mesh file whose triangles cross",
     )
+    parser.add_argument("--surface", metavar="NAME", help="which surface of a LandXML with several")
+    add_strict_option(parser)
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ladar_volume.cli.arguments.diff_input import point
+from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.surface_options import number
 from ladar_volume.cli.arguments.work import work
 
@@ -33,6 +34,9 @@ def add_parser(subparsers: Any) -> None:
         "a", type=Path, help="scan or mesh before: PLY XYZ CSV NPY PCD LAS OBJ STL OFF ..."
     )
     parser.add_argument("b", type=Path, help="scan or mesh after")
+    for option, which in (("--surface", "A"), ("--surface-b", "B")):
+        words = f"which surface of {which}, a LandXML with several"
+        parser.add_argument(option, metavar="NAME", help=words)
     parser.add_argument(
         "--pole",
         type=point,
@@ -144,6 +148,7 @@ def add_parser(subparsers: Any) -> None:
         action="store_true",
         help="closed meshes may pierce themselves: such space counts twice",
     )
+    add_strict_option(parser)
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )

@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from ladar_volume.cli.arguments.mesh_options import add_mesh_options
+from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.surface_options import add_surface_options
 from ladar_volume.cli.arguments.work import work
-from ladar_volume.io.endings import ENCODINGS
+from ladar_volume.io.endings import ENCODINGS, READ_ENDINGS
 
 
 def add_parser(subparsers: Any) -> None:
@@ -21,7 +23,8 @@ def add_parser(subparsers: Any) -> None:
             "points. Lengths in m."
         ),
     )
-    parser.add_argument("cloud", type=Path, help=f"point cloud ({' '.join(ENCODINGS)})")
+    kinds = " ".join(dict.fromkeys([*ENCODINGS, *READ_ENDINGS]))
+    parser.add_argument("cloud", type=Path, help=f"point cloud, or mesh with faces ({kinds})")
     parser.add_argument(
         "-o",
         "--output",
@@ -36,5 +39,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
-    add_surface_options(parser, "0.333")
+    add_surface_options(parser, "0.333; of a mesh the faces as they are")
+    add_mesh_options(parser)
+    add_strict_option(parser)
     parser.set_defaults(run=work("ladar_volume.cli.tin"))

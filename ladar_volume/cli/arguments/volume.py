@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from ladar_volume.cli.arguments.mesh_options import add_mesh_options
+from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.surface_options import add_surface_options, number
 from ladar_volume.cli.arguments.work import work
-from ladar_volume.io.endings import ENCODINGS
+from ladar_volume.io.endings import ENCODINGS, READ_ENDINGS
 
 
 def add_parser(subparsers: Any) -> None:
@@ -20,9 +22,10 @@ def add_parser(subparsers: Any) -> None:
             "points. Lengths in m."
         ),
     )
-    parser.add_argument("cloud", type=Path, help=f"point cloud ({' '.join(ENCODINGS)})")
+    kinds = " ".join(dict.fromkeys([*ENCODINGS, *READ_ENDINGS]))
+    parser.add_argument("cloud", type=Path, help=f"point cloud, or mesh with faces ({kinds})")
     parser.add_argument(
-        "cloud_b", type=Path, nargs="?", help="second cloud: cut is where the first lies above it"
+        "cloud_b", type=Path, nargs="?", help="second one: cut is where the first lies above it"
     )
     g = parser.add_argument_group("base")
     g.add_argument("--level", type=number, metavar="Z", help="above this height")
@@ -79,4 +82,6 @@ def add_parser(subparsers: Any) -> None:
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
     add_surface_options(parser, "1: every point")
+    add_mesh_options(parser, second=True)
+    add_strict_option(parser)
     parser.set_defaults(run=work("ladar_volume.cli.volume"))

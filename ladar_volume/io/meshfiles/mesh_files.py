@@ -1,45 +1,70 @@
-"""Mesh files: PLY, OBJ, STL, OFF, by the ending of their name, read here so that coordinates keep
-every digit and bad files are refused.
+"""Mesh files: PLY, OBJ, STL, OFF and LandXML, by the ending of their name, read here so that
+coordinates keep every digit and bad files are refused.
 
-Polygons are cut into fans of triangles, which keeps the volume of a plane polygon of any shape. STL
-has no shared vertices: those at one position become one.
+Polygons are cut into triangles (:mod:`~ladar_volume.io.meshfiles.polygons`). STL has no shared
+vertices: those at one position become one. Vertices along open edges that differ in their last
+digits only are joined (:func:`~ladar_volume.mesh.welding.weld_open`), triangles without area by a
+vertex that they have twice are left out, and of faces that are there twice one counts.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from ladar_volume.io.endings import ENDINGS
+from ladar_volume.io.endings import ENDINGS, LANDXML, READ_ENDINGS
+from ladar_volume.io.meshfiles.landxml import read_landxml
+from ladar_volume.io.meshfiles.plain_meshes import read_obj, read_off, read_stl
 from ladar_volume.io.meshfiles.ply_mesh import parse_header, read_ply_mesh, write_ply_mesh
+from ladar_volume.io.meshfiles.polygons import Faces, triangulated
 from ladar_volume.io.pointfiles.ply import HEADER_LIMIT
-from ladar_volume.mesh.topology import weld
+from ladar_volume.mesh.topology import vertices_of
+from ladar_volume.mesh.welding import distinct, split_edges, weld, weld_open
 from ladar_volume.model.errors import InputError, OutputError
 from ladar_volume.model.records import F64, I32
+from ladar_volume.model.verdict import Doubt
 
-Faces = I32 | Sequence[Any]
+#: Single-precision coordinates whose steps are wider than this part of the median edge are a doubt.
+COARSE = 1e-3
 
 
 @dataclass(frozen=True)
 class MeshFile:
-    """A mesh as its file holds it: vertices (n, 3) float64, m, all finite · triangles (m, 3) int32
-    · dropped : triangles with a corner twice, as welding an STL leaves them
+    """A mesh as its file holds it.
+
+    vertices : (n, 3) float64, m, all finite · triangles : (m, 3) int32 · dropped : triangles with a
+    corner twice, as they are or as joining vertices leaves them, and both sides of nothing · twice
+    : triangles that were there already · joined, joined_m : vertices that were joined along open
+    edges, and how far apart they were at most · invisible : faces of a LandXML that do not count ·
+    columns : of the vertices, (n,), from a PLY · surface : name in a LandXML · unit : linear unit
+    that a LandXML names · epsg : code of its frame · doubts : what makes it doubtful
     """
 
     vertices: F64
     triangles: I32
     dropped: int = 0
+    twice: int = 0
+    joined: int = 0
+    joined_m: float = 0.0
+    invisible: int = 0
+    columns: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
+    surface: str = ""
+    unit: str = ""
+    epsg: str = ""
+    doubts: tuple[Doubt, ...] = ()
 
 
 def holds_faces(path: str | Path) -> bool:
     """Whether a file is a mesh: by its ending, and a PLY by whether its header announces faces."""
     path = Path(path)
     if path.suffix.lower() != ".ply":
-        return path.suffix.lower() in ENDINGS
+        return path.suffix.lower() in READ_ENDINGS
     try:
         with path.open("rb") as file:
             elements = parse_header(file.read(HEADER_LIMIT))[1]
@@ -48,33 +73,39 @@ def holds_faces(path: str | Path) -> bool:
     return any(e.name == "face" and e.rows > 0 for e in elements)
 
 
-def read_mesh(path: str | Path) -> MeshFile:
-    """Read a mesh file.
+def read_mesh(path: str | Path, surface: str | None = None) -> MeshFile:
+    """Read a mesh file; of a LandXML with several surfaces that of a name.
 
     Raises :class:`InputError`: input_missing, input_unreadable, input_format (unknown ending),
     mesh_file_header, mesh_file_short, mesh_file_values, mesh_file_fields, mesh_file_empty (no
-    face), mesh_file_index (a face names a vertex that is not there).
+    face), mesh_file_index (a face names a vertex that is not there), landxml_units,
+    landxml_surface.
     """
     path = Path(path)
-    if path.suffix.lower() not in ENDINGS:
+    ending = path.suffix.lower()
+    if ending not in READ_ENDINGS:
         raise InputError(
-            f"{path}: no known kind of mesh file ({', '.join(ENDINGS)})",
+            f"{path}: no known kind of mesh file ({', '.join(READ_ENDINGS)})",
             reason="input_format",
             value=str(path),
         )
     if not path.exists():
         raise InputError(f"{path}: no such file", reason="input_missing", value=str(path))
     try:
-        if path.suffix.lower() == ".stl":
-            soup = _read_stl(path)
+        if ending in LANDXML:
+            return _read_land(path, surface)
+        if surface is not None:
+            raise InputError("only a LandXML has surfaces with names", reason="landxml_surface")
+        if ending == ".stl":
+            soup = _finite(read_stl(path))
             vertices, triangles, dropped = weld(
                 soup, np.arange(len(soup), dtype=np.int32).reshape(-1, 3)
             )
-            return MeshFile(_finite(vertices), triangles, dropped)
-        found = {".ply": read_ply_mesh, ".obj": _read_obj, ".off": _read_off}[path.suffix.lower()](
-            path
-        )
-        return _assemble(*found)
+            return _mended(MeshFile(vertices, triangles, dropped), True)
+        if ending == ".ply":
+            vertices, faces, columns = read_ply_mesh(path)
+            return _assemble(vertices, faces, columns)
+        return _assemble(*(read_obj if ending == ".obj" else read_off)(path))
     except OSError as error:
         raise InputError(
             f"{path}: cannot be read: {error}", reason="input_unreadable", value=str(path)
@@ -83,128 +114,86 @@ def read_mesh(path: str | Path) -> MeshFile:
         raise InputError(f"{path}: {error}", reason=error.reason, value=error.value) from error
 
 
+def _read_land(path: Path, surface: str | None) -> MeshFile:
+    land = read_landxml(path, surface)
+    mesh = _assemble(land.vertices, land.faces)
+    doubts = mesh.doubts
+    if not land.unit:
+        text = (
+            "the LandXML names no units: its numbers are taken for metres; give it a Units element"
+        )
+        doubts += (Doubt("mesh_units", text),)
+    return dataclasses.replace(
+        mesh,
+        invisible=land.invisible,
+        surface=land.name,
+        unit=land.unit,
+        epsg=land.epsg,
+        doubts=doubts,
+    )
+
+
 def _finite(vertices: F64) -> F64:
     if not np.isfinite(vertices).all():
         raise InputError("a coordinate that is not finite", reason="mesh_file_values")
     return vertices
 
 
-def _assemble(vertices: F64, faces: Faces) -> MeshFile:
-    triangles = fans(faces)
-    if len(triangles) == 0:
-        raise InputError("no face", reason="mesh_file_empty")
-    low, high = int(triangles.min()), int(triangles.max())
-    if low < 0 or high >= len(vertices):
-        raise InputError(
-            f"a face names vertex {low if low < 0 else high} of {len(vertices)}",
-            reason="mesh_file_index",
-            value=high,
-        )
-    return MeshFile(_finite(vertices), triangles)
+def _assemble(
+    vertices: F64, faces: Faces, columns: Mapping[str, npt.NDArray[Any]] | None = None
+) -> MeshFile:
+    triangles, bent = triangulated(_finite(vertices), faces)
+    mesh = MeshFile(vertices, triangles, columns=columns or {}, doubts=bent)
+    return _mended(mesh, False)
 
 
-def fans(faces: Faces) -> I32:
-    """Triangles (m, 3) int32 of polygons: the first corner with each edge that does not touch it.
-    Raises for fewer than three corners.
+def _mended(mesh: MeshFile, single: bool) -> MeshFile:
+    """The mesh without triangles that have a corner twice or are there twice, its open edges
+    joined. ``single``: its coordinates have 24 bits.
     """
-    if isinstance(faces, np.ndarray):
-        if faces.shape[1] == 3 or len(faces) == 0:
-            return np.ascontiguousarray(faces, dtype=np.int32).reshape(-1, 3)
-        groups: Sequence[Any] = [faces]
-    else:
-        groups = faces
-    out = []
-    for f in groups:
-        p = np.atleast_2d(np.asarray(f, dtype=np.int64))
-        if p.shape[1] < 3:
-            raise InputError(f"a face with {p.shape[1]} corners", reason="mesh_file_values")
-        for k in range(1, p.shape[1] - 1):
-            out.append(p[:, [0, k, k + 1]])
-    return np.concatenate(out).astype(np.int32) if out else np.zeros((0, 3), np.int32)
+    t = mesh.triangles
+    good = (t[:, 0] != t[:, 1]) & (t[:, 1] != t[:, 2]) & (t[:, 2] != t[:, 0])
+    welded = weld_open(mesh.vertices, t[good])
+    once, twice = distinct(welded.triangles)
+    flat = len(welded.triangles) - len(once) - twice
+    if len(once) == 0:
+        raise InputError("no face with three corners at different places", reason="mesh_file_empty")
+    vertices, out, source = split_edges(mesh.vertices, once)
+    columns = {name: np.asarray(c)[source] for name, c in mesh.columns.items()}
+    doubts: tuple[Doubt, ...] = ()
+    if twice:
+        text = f"{twice} faces are in the file twice and count once; check how it was exported"
+        doubts += (Doubt("mesh_duplicate_faces", text, twice),)
+    return dataclasses.replace(
+        mesh,
+        vertices=vertices,
+        triangles=out,
+        columns=columns,
+        dropped=mesh.dropped + int(np.count_nonzero(~good)) + welded.dropped + flat,
+        twice=twice,
+        joined=welded.joined,
+        joined_m=welded.farthest_m,
+        doubts=mesh.doubts + doubts + coarse(vertices, out, single),
+    )
 
 
-def _numbers(words: Sequence[str | bytes], kind: type = float) -> list[Any]:
-    try:
-        return [kind(w) for w in words]
-    except ValueError as error:
-        raise InputError(
-            f"a value that is no number: {error}", reason="mesh_file_values"
-        ) from error
-
-
-def _read_obj(path: Path) -> tuple[F64, Faces]:
-    vertices: list[list[float]] = []
-    faces: list[list[int]] = []
-    for line in path.read_text("latin-1").replace("\\\n", " ").splitlines():
-        words = line.split("#")[0].split()
-        if words[:1] == ["v"]:
-            vertices.append(_numbers(words[1:4]))
-            if len(vertices[-1]) < 3:
-                raise InputError(
-                    "a vertex with fewer than three coordinates", reason="mesh_file_values"
-                )
-        elif words[:1] == ["f"]:
-            index = _numbers([w.split("/")[0] for w in words[1:]], int)
-            if 0 in index:
-                raise InputError(
-                    "a face names vertex 0; they count from 1", reason="mesh_file_index", value=0
-                )
-            faces.append([i - 1 if i > 0 else len(vertices) + i for i in index])
-    return np.array(vertices, dtype=np.float64).reshape(-1, 3), faces
-
-
-def _read_off(path: Path) -> tuple[F64, Faces]:
-    lines = [
-        words
-        for line in path.read_text("latin-1").splitlines()
-        if (words := line.split("#")[0].split())
-    ]
-    if not lines or not lines[0][0].upper().endswith("OFF"):
-        raise InputError("does not begin with OFF", reason="mesh_file_header")
-    rest = lines[0][1:]
-    lines = [rest, *lines[1:]] if rest else lines[1:]
-    count = _numbers(lines[0][:2], int) if lines else []
-    if len(count) < 2 or min(count) < 0:
-        raise InputError("no counts of vertices and faces", reason="mesh_file_header")
-    if len(lines) - 1 < sum(count):
-        raise InputError(
-            f"{len(lines) - 1} rows where {sum(count)} are announced", reason="mesh_file_short"
-        )
-    rows = [_numbers(words[:3]) for words in lines[1 : 1 + count[0]]]
-    if any(len(r) < 3 for r in rows):
-        raise InputError("a vertex with fewer than three coordinates", reason="mesh_file_values")
-    faces = []
-    for words in lines[1 + count[0] : 1 + sum(count)]:
-        corners = int(_numbers(words[:1], int)[0])
-        faces.append(_numbers(words[1 : 1 + max(corners, 0)], int))
-        if len(faces[-1]) != corners:
-            raise InputError("a face shorter than announced", reason="mesh_file_short")
-    return np.array(rows, dtype=np.float64).reshape(-1, 3), faces
-
-
-def _read_stl(path: Path) -> F64:
-    data = path.read_bytes()
-    count = int.from_bytes(data[80:84], "little") if len(data) >= 84 else -1
-    if count >= 0 and len(data) == 84 + 50 * count:
-        records = np.frombuffer(
-            data, [("normal", "<f4", (3,)), ("v", "<f4", (3, 3)), ("attribute", "<u2")], count, 84
-        )
-        soup = records["v"].astype(np.float64).reshape(-1, 3)
-    elif data[:5].lower() == b"solid" and b"facet" in data[:2000].lower():
-        rows = [line.split()[1:4] for line in data.splitlines() if line.split()[:1] == [b"vertex"]]
-        if any(len(r) < 3 for r in rows) or len(rows) % 3 or b"endsolid" not in data[-400:].lower():
-            raise InputError(
-                "a facet that is not three vertices, or no end", reason="mesh_file_short"
-            )
-        soup = np.array(_numbers([w for r in rows for w in r]), dtype=np.float64).reshape(-1, 3)
-    else:
-        raise InputError(
-            f"neither ascii STL nor binary with {max(count, 0)} triangles in {len(data)} bytes",
-            reason="mesh_file_short",
-        )
-    if len(soup) == 0:
-        raise InputError("no face", reason="mesh_file_empty")
-    return _finite(soup)
+def coarse(vertices: F64, triangles: I32, single: bool) -> tuple[Doubt, ...]:
+    """The doubt about coordinates (n, 3) of single precision, by their kind or as all of them show,
+    whose steps are wide against the edges of the mesh.
+    """
+    used = vertices[vertices_of(triangles)]
+    whole = bool((used == np.round(used)).all())  # given to the metre, which any number holds
+    if not single and (whole or not (used == used.astype(np.float32)).all()):
+        return ()
+    step = float(np.spacing(np.abs(used).max().astype(np.float32)))
+    edge = float(np.median(np.linalg.norm(np.diff(vertices[triangles][:, :2], axis=1), axis=2)))
+    if step <= COARSE * edge:
+        return ()
+    text = (
+        f"coordinates are rounded to {step:.2g} m (24 bits), edges are {edge:.2g} m: write the "
+        "mesh with double coordinates, or about an origin near it"
+    )
+    return (Doubt("mesh_rounded", text, step),)
 
 
 def write_mesh(

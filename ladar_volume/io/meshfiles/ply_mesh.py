@@ -153,8 +153,19 @@ def read_element(stream: Stream, element: Element) -> dict[str, Column]:
     return dict(columns)
 
 
-def read_ply_mesh(path: Path) -> tuple[F64, list[I32] | I32]:
-    """Vertices (n, 3) and faces, (m, k) where all have k corners, else one array each.
+def scalars(found: Mapping[str, Column]) -> dict[str, npt.NDArray[Any]]:
+    """The columns (rows,) of an element that hold one value per row."""
+    return {
+        name: np.asarray(c)[:, 0]
+        for name, c in found.items()
+        if isinstance(c, np.ndarray) and c.ndim == 2 and c.shape[1] == 1
+    }
+
+
+def read_ply_mesh(path: Path) -> tuple[F64, list[I32] | I32, dict[str, npt.NDArray[Any]]]:
+    """Vertices (n, 3), faces, (m, k) where all have k corners, else one array each, and the other
+    columns (n,) of the vertices. Faces whose property ``relevant`` is 0 do not count: so a TIN that
+    was written with all its triangles comes back as it was.
 
     Raises :class:`InputError` (mesh_file_header, mesh_file_short, mesh_file_values,
     mesh_file_fields) and OSError.
@@ -170,10 +181,12 @@ def read_ply_mesh(path: Path) -> tuple[F64, list[I32] | I32]:
     xyz = np.concatenate(
         [np.asarray(vertex[axis], dtype=np.float64).reshape(-1, 1) for axis in "xyz"], axis=1
     )
-    faces = face[name]
-    return xyz, faces.astype(np.int32) if isinstance(faces, np.ndarray) else [
-        f.astype(np.int32) for f in faces
-    ]
+    columns = {k: c for k, c in scalars(vertex).items() if k not in "xyz"}
+    faces, keep = face[name], scalars(face).get("relevant")
+    counts = np.ones(len(faces), bool) if keep is None else keep != 0
+    if isinstance(faces, np.ndarray):
+        return xyz, faces[counts].astype(np.int32), columns
+    return xyz, [f.astype(np.int32) for f, c in zip(faces, counts, strict=True) if c], columns
 
 
 def write_ply_mesh(
