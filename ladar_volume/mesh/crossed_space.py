@@ -27,8 +27,9 @@ from ladar_volume.model.verdict import Doubt
 REFUSED = 1e-2
 #: Share that is small beside whatever else is in a volume: named, without a doubt.
 SMALL = 1e-3
-#: Most pairs that are looked for.
-MOST = 100_000
+#: Most pairs that are looked for, and most solid angles that are summed: beyond, every so many of
+#: the crossing triangles stand for the others, and small patches are left out.
+MOST, WORK = 100_000, 2_000_000_000
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,15 @@ def quarters(corners: F64) -> F64:
     return np.stack([np.stack(r, axis=1) for r in rows], axis=1)
 
 
+def standing_for(corners: F64, patch: I64) -> I64:
+    """The largest triangle of each patch (m,), these by their size downwards; corners (m, 3, 3)."""
+    sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(sides, axis=1)
+    order = np.lexsort((-area, patch))
+    out = order[np.unique(patch[order], return_index=True)[1]]
+    return out[np.argsort(-area[out], kind="stable")].astype(np.int64)
+
+
 def counted_wrongly(vertices: F64, triangles: I32, pairs: I64) -> float:
     """Volume, m³, that a closed mesh with the crossing pairs (k, 2) counts more or less than once,
     about. triangles : (m, 3), outward.
@@ -100,14 +110,12 @@ def counted_wrongly(vertices: F64, triangles: I32, pairs: I64) -> float:
     cut = np.zeros(len(triangles), bool)
     cut[pairs] = True
     patch = patches(triangles, cut)
-    sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(sides, axis=1)
-    # the largest triangle of each patch stands for it
-    largest = np.lexsort((-area, patch))
-    first = np.unique(patch[largest], return_index=True)[1]
-    stands = largest[first]
-    stands = stands[~cut[stands]]
+    room = max(WORK // (2 * len(triangles)), 100)
+    stands = standing_for(corners, patch)
+    stands = stands[~cut[stands]][:room]
     crossing = np.flatnonzero(cut)
+    step = -(-4 * len(crossing) // room)
+    crossing = crossing[::step]
     parts = quarters(corners[crossing]).reshape(-1, 3, 3)
     probes = np.concatenate([corners[stands].mean(axis=1), parts.mean(axis=1)])
     own = np.concatenate([stands, np.repeat(crossing, 4)])
@@ -118,31 +126,37 @@ def counted_wrongly(vertices: F64, triangles: I32, pairs: I64) -> float:
     late = outside[len(stands) :] != 0
     pieces = np.concatenate([corners[rows], parts[late]])
     owner = np.concatenate([rows, np.repeat(crossing, 4)[late]])
-    return float(np.abs(cluster_volumes(triangles, pairs, pieces, owner)).sum())
-
-
-def cluster_volumes(triangles: I32, pairs: I64, pieces: F64, owner: I64) -> F64:
-    """Volumes of pieces (k, 3, 3) of the triangles ``owner`` (k,), by clusters that edges or
-    crossings join, each about its own middle.
-    """
-    if len(pieces) == 0:
-        return np.zeros(0)
-    member = np.zeros(len(triangles), bool)
+    weight = np.concatenate([np.ones(len(rows)), np.full(int(late.sum()), float(step))])
+    member = cut & (step > 1)  # those that were not asked hang together with their neighbours
     member[owner] = True
+    cluster = clusters(triangles, pairs, member)[owner]
+    return float(np.abs(cluster_volumes(pieces, cluster, weight)).sum())
+
+
+def clusters(triangles: I32, pairs: I64, member: Bool) -> I64:
+    """The cluster (m,) of each triangle: what edges or crossing pairs (k, 2) join among the
+    members (m,).
+    """
     order, start, _ = edge_table(triangles)
     pair = start[:-1][np.diff(start) == 2]
     i = np.concatenate([order[pair] // 3, pairs[:, 0]])
     j = np.concatenate([order[pair + 1] // 3, pairs[:, 1]])
     both = member[i] & member[j]
-    cluster = together(i[both], j[both], len(triangles))[owner]
-    count = np.bincount(cluster)
-    middle = (
-        np.stack([np.bincount(cluster, pieces.mean(axis=1)[:, k]) for k in range(3)], axis=1)
-        / np.maximum(count, 1)[:, None]
-    )
+    return together(i[both], j[both], len(triangles))
+
+
+def cluster_volumes(pieces: F64, cluster: I64, weight: F64) -> F64:
+    """Volumes, m³, of pieces of a surface (k, 3, 3), each ``weight`` (k,) times, by clusters (k,),
+    each about its own middle.
+    """
+    if len(pieces) == 0:
+        return np.zeros(0)
+    total = np.maximum(np.bincount(cluster, weight), 1e-300)
+    centre = pieces.mean(axis=1) * weight[:, None]
+    middle = np.stack([np.bincount(cluster, centre[:, k]) / total for k in range(3)], axis=1)
     p = pieces - middle[cluster][:, None]
     return np.bincount(
-        cluster, np.einsum("ki,ki->k", p[:, 0], np.cross(p[:, 1], p[:, 2])) / 6.0
+        cluster, weight * np.einsum("ki,ki->k", p[:, 0], np.cross(p[:, 1], p[:, 2])) / 6.0
     ).astype(np.float64)
 
 

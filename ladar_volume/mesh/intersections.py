@@ -14,7 +14,6 @@ import numpy as np
 
 from ladar_volume.math.kernels import kernel
 from ladar_volume.mesh.topology import edge_table
-from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64
 
 #: Relative rounding of a 3 x 3 determinant, generously.
@@ -194,20 +193,3 @@ def crossings(vertices: F64, triangles: I32, most: int = 1000) -> I64:
         )
     )
     return np.sort(found[:count], axis=1)
-
-
-def check_simple(vertices: F64, triangles: I32) -> None:
-    """Raises :class:`SurfaceError` (mesh_self_intersecting; value: up to 1,000 pairs (k, 2) of
-    triangles) where a mesh crosses itself.
-    """
-    pairs = crossings(vertices, triangles)
-    if len(pairs):
-        many = f"{len(pairs)}" if len(pairs) < 1000 else "1,000 or more"
-        raise SurfaceError(
-            (
-                f"{many} pairs of triangles cross, first {pairs[0].tolist()}: the mesh counts "
-                "space twice; repair it, or join the bodies"
-            ),
-            reason="mesh_self_intersecting",
-            value=pairs,
-        )

@@ -31,16 +31,16 @@ def joined(*meshes):
 
 @pytest.mark.parametrize("apart", [1.9, 1.5, 1.0])
 def test_what_two_balls_have_in_common(apart):
-    ball = outward(3000)
+    ball = outward(1200)
     for at in (np.zeros(3), np.array([5e5, 5.6e6, 300.0])):
         v, t = joined(ball, (ball[0] @ TURN.T + [apart, 0, 0], ball[1]))
         found = crossing_of(v + at, t)
         lens = math.pi / 12 * (4 + apart) * (2 - apart) ** 2
-        assert found.volume_m3 == pytest.approx(lens, rel=0.05, abs=0.003) and len(found.pairs) > 20
+        assert found.volume_m3 == pytest.approx(lens, rel=0.08, abs=0.004) and len(found.pairs) > 20
 
 
 def test_a_fine_mesh_has_shallow_crossings_and_is_refused_all_the_same():
-    ball = outward(3000)
+    ball = outward(1200)
     v, t = joined(ball, (ball[0] @ TURN.T + [1.0, 0, 0], ball[1]))
     with pytest.raises(SurfaceError, match="twice or not at all") as error:
         closed_volume(v, t)
@@ -116,3 +116,11 @@ def test_winding_against_plain_solid_angles():
         assert winding_kernel(v, t, points[k : k + 1], np.array([own_k]))[0] == pytest.approx(
             plain[k][rows].sum(), abs=1e-12
         )
+
+
+def test_few_probes_give_nearly_the_same(monkeypatch):
+    ball = outward(1200)
+    v, t = joined(ball, (ball[0] @ TURN.T + [1.5, 0, 0], ball[1]))
+    whole = crossing_of(v, t).volume_m3
+    monkeypatch.setattr("ladar_volume.mesh.crossed_space.WORK", 0)
+    assert crossing_of(v, t).volume_m3 == pytest.approx(whole, rel=0.15)
