@@ -6,12 +6,23 @@ import argparse
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.table import Table
 
+from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.cli.body_facts import cloud_facts, mesh_facts, show
-from ladar_volume.cli.surface_options import Source, read_source
+from ladar_volume.cli.inputs.reading import (
+    Source,
+    add_reading_rows,
+    cloud_facts_of,
+    read_source,
+    reading_doubts,
+    vertices_in_metres,
+)
+from ladar_volume.cli.verdict_lines import add_strict_option, add_verdict_rows, exit_code
 from ladar_volume.clouds.body_volume import (
     Body,
     Uncertain,
@@ -45,6 +56,7 @@ from ladar_volume.model.errors import (
 )
 from ladar_volume.model.parameters import FilterParameters, GroundParameters
 from ladar_volume.model.records import F64, I64, Bool, Plane
+from ladar_volume.model.verdict import Verdict
 
 
 def numbers(*counts: int) -> Callable[[str], tuple[float, ...]]:
@@ -202,6 +214,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
+    add_reading_options(parser)
+    add_strict_option(parser)
     parser.set_defaults(run=run)
 
 
@@ -219,7 +233,18 @@ def run(arguments: argparse.Namespace) -> int:
         print(json_text(facts), end="")
     else:
         show(console, facts)
-    return 0
+        show_reading(console, facts)
+    return exit_code(arguments, facts.get("verdict", Verdict().as_dict()))
+
+
+def show_reading(console: Console, facts: dict[str, Any]) -> None:
+    """Print how the cloud was read, and what is doubtful."""
+    table = Table(show_header=False, box=None, pad_edge=False)
+    if "coordinates" in facts["input"]:
+        add_reading_rows(table, facts["input"])
+    if "verdict" in facts:
+        add_verdict_rows(table, facts["verdict"])
+    console.print(table)
 
 
 def check(arguments: argparse.Namespace) -> None:
@@ -271,13 +296,12 @@ def given_ground(arguments: argparse.Namespace) -> Plane | None:
     return design_surface(list(arguments.ground)) if isinstance(arguments.ground, tuple) else None
 
 
-def of_mesh(
-    arguments: argparse.Namespace, console: Console
-) -> tuple[dict[str, object], list[Body]]:
+def of_mesh(arguments: argparse.Namespace, console: Console) -> tuple[dict[str, Any], list[Body]]:
     """The body in a mesh file."""
     a = arguments
     with console.status(f"reading {a.source.name}") as status:
         mesh = read_mesh(a.source)
+        mesh = dataclasses.replace(mesh, vertices=vertices_in_metres(mesh.vertices, a))
         status.update("closing and adding up")
         try:
             body = body_of(
@@ -299,13 +323,11 @@ def of_mesh(
     return mesh_facts(a.source.name, mesh, body, uncertain), [body]
 
 
-def of_cloud(
-    arguments: argparse.Namespace, console: Console
-) -> tuple[dict[str, object], list[Body]]:
+def of_cloud(arguments: argparse.Namespace, console: Console) -> tuple[dict[str, Any], list[Body]]:
     """The bodies of a point cloud file."""
     a = arguments
     with console.status(f"reading {a.source.name}") as status:
-        source = read_source(a.source)
+        source = read_source(a.source, a)
         filtered: CloudResult | None = None
         points, normals, curved, sigma = given_points(source, a.sigma)
         if not a.no_filter:
@@ -346,9 +368,10 @@ def of_cloud(
             uncertain = mesh_uncertainty(
                 made.bodies, [sigma[rows] for rows in made.sources], ground
             )
-    return cloud_facts(a.source.name, len(source.cloud.r), filtered, made, found, uncertain), list(
-        made.bodies
-    )
+    facts = cloud_facts(a.source.name, len(source.cloud.r), filtered, made, found, uncertain)
+    facts["input"] |= cloud_facts_of(source.cloud)
+    facts["verdict"] = Verdict(reading_doubts([source.cloud])).as_dict()
+    return facts, list(made.bodies)
 
 
 def given_points(

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.table import Table
 
 from ladar_volume.change.density import density, relative_errors, size_rule
 from ladar_volume.change.excavation import (
@@ -21,6 +22,7 @@ from ladar_volume.change.excavation import (
     excavate,
     region_of,
 )
+from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.cli.diff_input import (
     Part,
     given_corners,
@@ -31,12 +33,15 @@ from ladar_volume.cli.diff_input import (
     sigma_of,
 )
 from ladar_volume.cli.diff_show import show
+from ladar_volume.cli.inputs.reading import add_reading_rows, cloud_facts_of, reading_doubts
 from ladar_volume.cli.surface_options import number
+from ladar_volume.cli.verdict_lines import add_strict_option, add_verdict_rows, exit_code
 from ladar_volume.io.meshfiles.mesh_files import ENDINGS, write_mesh
 from ladar_volume.io.results import json_text
 from ladar_volume.mesh.tetrahedra import closed_variance, closed_volume
 from ladar_volume.mesh.topology import watertight
 from ladar_volume.model.errors import ConfigurationError, OutputError, SurfaceError
+from ladar_volume.model.verdict import Verdict
 from ladar_volume.version import version
 
 
@@ -174,6 +179,8 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
+    add_reading_options(parser)
+    add_strict_option(parser)
     parser.set_defaults(run=run)
 
 
@@ -203,7 +210,11 @@ def run(arguments: argparse.Namespace) -> int:
     check_options(arguments)
     console = Console(stderr=arguments.json)
     with console.status("reading") as status:
-        a, b = load(arguments.a, arguments.transform), load(arguments.b, arguments.transform_b)
+        a = load(arguments.a, arguments.transform, arguments)
+        b = load(arguments.b, arguments.transform_b, arguments)
+        # a transform brings a cloud into the other's system, whatever its own is
+        clouds = [p.cloud for p in (a, b) if p.cloud is not None and p.transform is None]
+        doubts = reading_doubts(clouds)
         status.update("computing")
         if a.closed and b.closed:
             facts = bodies(arguments, a, b)
@@ -214,13 +225,27 @@ def run(arguments: argparse.Namespace) -> int:
         else:
             facts = surfaces(arguments, a, b)
     facts |= {"size_rule": size_rule(arguments.offset), "version": version()}
+    facts["files"] = [
+        {"path": p.path.name, **cloud_facts_of(p.cloud)} for p in (a, b) if p.cloud is not None
+    ]
+    facts["verdict"] = Verdict(doubts).as_dict()
     if arguments.mass is not None:
         facts["density"] = weighed(arguments, facts)
     if arguments.json:
         print(json_text(facts), end="")
     else:
         show(console, facts)
-    return 0
+        show_files(console, facts)
+    return exit_code(arguments, facts["verdict"])
+
+
+def show_files(console: Console, facts: dict[str, Any]) -> None:
+    """Print how the clouds were read, and what is doubtful."""
+    table = Table(show_header=False, box=None, pad_edge=False)
+    for each in facts["files"]:
+        add_reading_rows(table, each, each["path"])
+    add_verdict_rows(table, facts["verdict"])
+    console.print(table)
 
 
 def weighed(arguments: argparse.Namespace, facts: dict[str, Any]) -> dict[str, Any]:

@@ -21,9 +21,10 @@ from ladar_volume.change.spherical_tin import (
     unit_directions,
     widest_gap,
 )
+from ladar_volume.cli.inputs.reading import read_source, vertices_in_metres
 from ladar_volume.clouds.cloud_surface import local_sigma
 from ladar_volume.io.meshfiles.mesh_files import ENDINGS, read_mesh
-from ladar_volume.io.pointfiles.cloud_files import read_cloud
+from ladar_volume.io.pointfiles.cloud_files import PointFile, read_cloud
 from ladar_volume.io.transforms import read_transform
 from ladar_volume.mesh.topology import orient
 from ladar_volume.model.errors import ConfigurationError, InputError, SurfaceError, VolumeError
@@ -37,7 +38,8 @@ ICP_CELLS = 12.0
 @dataclass(frozen=True)
 class Part:
     """A file: points (n, 3) m in the map frame · triangles (m, 3), none for a cloud · closed : a
-    mesh without boundary · sigma : (n,) m of the file, or None · transform : that was applied
+    mesh without boundary · sigma : (n,) m of the file, or None · transform : that was applied ·
+    cloud : as its file holds it, None for a mesh
     """
 
     path: Path
@@ -46,6 +48,7 @@ class Part:
     closed: bool
     sigma: F64 | None
     transform: Transform | None
+    cloud: PointFile | None = None
 
 
 @dataclass(frozen=True)
@@ -76,10 +79,10 @@ def numbers(text: str) -> list[float]:
     return values if all(math.isfinite(v) for v in values) else []
 
 
-def load(path: Path, transform: Path | None) -> Part:
+def load(path: Path, transform: Path | None, arguments: argparse.Namespace) -> Part:
     """Read a cloud or a mesh and bring it into the map frame."""
     T = None if transform is None else read_transform(transform)
-    r, triangles, sigma = read_any(path)
+    r, triangles, sigma, cloud = read_any(path, arguments)
     closed = False
     if len(triangles):
         try:
@@ -88,24 +91,26 @@ def load(path: Path, transform: Path | None) -> Part:
             raise SurfaceError(
                 f"{path}: {error}", reason=error.reason, value=error.value
             ) from error
-    return Part(path, r if T is None else T.apply(r), triangles, closed, sigma, T)
+    return Part(path, r if T is None else T.apply(r), triangles, closed, sigma, T, cloud)
 
 
-def read_any(path: Path) -> tuple[F64, I32, F64 | None]:
-    """Points (n, 3), triangles (m, 3) and the column ``sigma`` (n,), where there is one. A PLY file
-    without faces is a cloud.
+def read_any(
+    path: Path, arguments: argparse.Namespace
+) -> tuple[F64, I32, F64 | None, PointFile | None]:
+    """Points (n, 3), m, triangles (m, 3), the column ``sigma`` (n,), where there is one, and the
+    cloud, where it is one. A PLY file without faces is a cloud.
     """
     if path.suffix.lower() in ENDINGS:
         try:
             mesh = read_mesh(path)
-            return mesh.vertices, mesh.triangles, None
+            return vertices_in_metres(mesh.vertices, arguments), mesh.triangles, None, None
         except InputError as error:
             if path.suffix.lower() != ".ply" or error.reason not in (
                 "mesh_file_fields",
                 "mesh_file_empty",
             ):
                 raise
-    cloud = read_cloud(path)
+    cloud = read_source(path, arguments).cloud
     sigma = cloud.columns.get("sigma")
     good = (
         sigma is not None
@@ -113,7 +118,8 @@ def read_any(path: Path) -> tuple[F64, I32, F64 | None]:
         and sigma.ndim == 1
         and bool((np.isfinite(sigma) & (sigma >= 0)).all())
     )
-    return cloud.r, np.zeros((0, 3), np.int32), np.asarray(sigma, np.float64) if good else None
+    values = np.asarray(sigma, np.float64) if good else None
+    return cloud.r, np.zeros((0, 3), np.int32), values, cloud
 
 
 def given_corners(polygon: Sequence[str] | None, selection: Path | None) -> F64 | None:

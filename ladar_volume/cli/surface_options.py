@@ -7,14 +7,13 @@ from __future__ import annotations
 import argparse
 import math
 import re
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ladar_volume.cli.arguments.reading import add_reading_options
+from ladar_volume.cli.inputs.reading import Source, cloud_facts_of
 from ladar_volume.clouds.cloud_surface import CloudSurface, cloud_surface
-from ladar_volume.io.pointfiles.cloud_files import PointFile, read_cloud
 from ladar_volume.model.errors import ConfigurationError, InputError, SurfaceError
 from ladar_volume.model.records import F64
 from ladar_volume.tin.adaptive import CRITERIA
@@ -39,6 +38,7 @@ def number(text: str) -> float:
 
 def add_surface_options(parser: argparse.ArgumentParser, default_vertices: str) -> None:
     """Declare the options."""
+    add_reading_options(parser)
     # argparse takes -1 for a number, but -1e-3 for an option
     parser._negative_number_matcher = re.compile(r"^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
     g = parser.add_argument_group("surface")
@@ -224,19 +224,6 @@ def surface_options(arguments: argparse.Namespace, default: SurfaceOptions) -> S
     )
 
 
-@dataclass(frozen=True)
-class Source:
-    """A point cloud file as read: its name and what is in it."""
-
-    path: Path
-    cloud: PointFile
-
-
-def read_source(path: Path) -> Source:
-    """Read a cloud file with its columns."""
-    return Source(path, read_cloud(path))
-
-
 def frame_of(arguments: argparse.Namespace, sources: list[Source]) -> Frame | None:
     """The frame of all clouds; None for the map's own. Raises :class:`ConfigurationError` for
     options without their frame.
@@ -316,6 +303,7 @@ def surface_facts(source: Source, surface: CloudSurface) -> dict[str, Any]:
     return {
         "path": source.path.name,
         "points": len(source.cloud.r),
+        **cloud_facts_of(source.cloud),
         "used": len(surface.points) - made.cropped,
         "cropped": made.cropped,
         "outliers": len(surface.outliers),

@@ -12,21 +12,27 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from ladar_volume.cli.inputs.reading import (
+    add_reading_rows,
+    read_source,
+    reading_doubts,
+)
 from ladar_volume.cli.surface_options import (
     add_surface_options,
     frame_facts,
     frame_of,
     make_surface,
     option_facts,
-    read_source,
     surface_facts,
     surface_options,
 )
+from ladar_volume.cli.verdict_lines import add_strict_option, add_verdict_rows, exit_code
 from ladar_volume.io.meshfiles.tin_files import check_tin_output, write_tin
 from ladar_volume.io.pointfiles.cloud_files import ENCODINGS
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.records import I64, Tin
+from ladar_volume.model.verdict import Verdict
 from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.version import version
 
@@ -58,6 +64,7 @@ def add_parser(subparsers: Any) -> None:
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
     add_surface_options(parser, "0.333")
+    add_strict_option(parser)
     parser.set_defaults(run=run)
 
 
@@ -71,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
     console = Console(stderr=arguments.json)
     with console.status(f"reading {arguments.cloud.name}") as status:
-        source = read_source(arguments.cloud)
+        source = read_source(arguments.cloud, arguments)
         status.update("searching the scan direction" if arguments.frame == "scan" else "")
         frame = frame_of(arguments, [source])
         status.update(f"triangulating {len(source.cloud.r):,} points")
@@ -83,7 +90,11 @@ def run(arguments: argparse.Namespace) -> int:
         status.update("writing")
         tin = made.tin if frame is None else frame.tin_back(made.tin)
         vertices, faces = write_tin(
-            arguments.output, in_cloud(tin, surface.index), sigma_z, arguments.all_triangles
+            arguments.output,
+            in_cloud(tin, source.cloud.rows[surface.index]),
+            sigma_z,
+            arguments.all_triangles,
+            source.cloud.coordinates.notes(),
         )
     facts = {
         **surface_facts(source, surface),
@@ -93,13 +104,14 @@ def run(arguments: argparse.Namespace) -> int:
         "output": {"path": arguments.output.name, "vertices": vertices, "faces": faces},
         "frame": frame_facts(frame),
         "options": option_facts(options),
+        "verdict": Verdict(reading_doubts([source.cloud])).as_dict(),
         "version": version(),
     }
     if arguments.json:
         print(json_text(facts), end="")
     else:
         show(console, facts)
-    return 0
+    return exit_code(arguments, facts["verdict"])
 
 
 def in_cloud(tin: Tin, index: I64) -> Tin:
@@ -111,6 +123,7 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
     """Print the facts as a short table."""
     table = Table(show_header=False, box=None, pad_edge=False)
     table.add_row("points", f"{facts['points']:,} ({facts['used']:,} used)")
+    add_reading_rows(table, facts)
     for name in ("cropped", "outliers", "duplicates"):
         if facts[name]:
             table.add_row(f"  {name}", f"{facts[name]:,}")
@@ -144,5 +157,6 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
             "sigma of a point", f"{1e3 * facts['sigma_point_m']:.2f} mm ({facts['sigma_from']})"
         )
         table.add_row("sigma of a vertex", f"{1e3 * facts['sigma_z_median_m']:.2f} mm (median)")
+    add_verdict_rows(table, facts["verdict"])
     console.print(table)
     console.print(f"written to {facts['output']['path']}")

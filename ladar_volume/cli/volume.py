@@ -15,6 +15,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from ladar_volume.cli.inputs.reading import (
+    add_reading_rows,
+    read_source,
+    reading_doubts,
+)
 from ladar_volume.cli.surface_options import (
     add_surface_options,
     frame_facts,
@@ -22,10 +27,10 @@ from ladar_volume.cli.surface_options import (
     make_surface,
     number,
     option_facts,
-    read_source,
     surface_facts,
     surface_options,
 )
+from ladar_volume.cli.verdict_lines import add_strict_option, add_verdict_rows, exit_code
 from ladar_volume.clouds.cloud_levels import (
     above_floor,
     events,
@@ -41,6 +46,7 @@ from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import ConfigurationError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Plane
+from ladar_volume.model.verdict import Verdict
 from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.tin.scan_frame import Frame
 from ladar_volume.version import version
@@ -128,6 +134,7 @@ def add_parser(subparsers: Any) -> None:
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
     add_surface_options(parser, "1: every point")
+    add_strict_option(parser)
     parser.set_defaults(run=run)
 
 
@@ -213,8 +220,11 @@ def run(arguments: argparse.Namespace) -> int:
     console = Console(stderr=arguments.json)
     with console.status("reading") as status:
         sources = [
-            read_source(path) for path in (arguments.cloud, arguments.cloud_b) if path is not None
+            read_source(path, arguments)
+            for path in (arguments.cloud, arguments.cloud_b)
+            if path is not None
         ]
+        doubts = reading_doubts([source.cloud for source in sources])
         if arguments.frame == "scan":
             status.update("turning into the scan frame")
         frame = frame_of(arguments, sources)
@@ -231,13 +241,14 @@ def run(arguments: argparse.Namespace) -> int:
         ],
         "frame": frame_facts(frame),
         "options": option_facts(options),
+        "verdict": Verdict(doubts).as_dict(),
         "version": version(),
     }
     if arguments.json:
         print(json_text(facts), end="")
     else:
         show(console, facts)
-    return 0
+    return exit_code(arguments, facts["verdict"])
 
 
 def computed(
@@ -393,6 +404,8 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
                 f"{sigma}{each['sigma_from']}"
             ),
         )
+        add_reading_rows(table, each)
+    add_verdict_rows(table, facts["verdict"])
     console.print(table)
     for each in facts.get("sequences", []):
         show_levels(console, each)
