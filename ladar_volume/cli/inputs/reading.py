@@ -17,6 +17,7 @@ from rich.table import Table
 
 from ladar_volume.io.pointfiles.cloud_files import PointFile, Reading, read_cloud
 from ladar_volume.io.pointfiles.crs import parts_of, reading_units, same_crs
+from ladar_volume.io.pointfiles.raw_table import WAVES
 from ladar_volume.model.errors import ConfigurationError, InputError
 from ladar_volume.model.records import F64
 from ladar_volume.model.verdict import Doubt
@@ -144,6 +145,8 @@ def carried_columns(
         )
         if new.lower() in {t.lower() for t in taken} and name in taken:
             continue  # made anew
+        if ending == ".laz" and cloud.las is not None and name in WAVES:
+            words = True  # not kept by the compression
         if (
             words
             or column.dtype.kind not in "fiuU"

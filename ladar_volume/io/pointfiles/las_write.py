@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ladar_volume.io.pointfiles.ply import narrow
-from ladar_volume.io.pointfiles.raw_table import Columns
+from ladar_volume.io.pointfiles.raw_table import WAVES, Columns
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.records import F64
 
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 SCALE_M = 1e-4
 #: Dimensions that ask for a richer point format than 6.
 COLOURS, INFRARED = {"red", "green", "blue"}, {"nir"}
+#: Point formats with wave packets, and the same ones without.
+WITHOUT_WAVES = {4: 1, 5: 3, 9: 6, 10: 8}
 #: Records that laspy writes itself, and those that hold for the old file alone.
 OWN_RECORDS = {("laszip encoded", 22204), ("LASF_Spec", 4), ("copc", 1), ("copc", 1000)}
 PROJECTION = "LASF_Projection"
@@ -46,6 +48,11 @@ def write_las(
     whole part of ``like``'s step (coarser only where the cloud is wider than 400 km). ``comments``
     become a record of user "ladar_volume". Raises OSError and :class:`OutputError`.
     """
+    if path.suffix.lower() == ".laz" and like is not None and set(columns) & WAVES:
+        raise OutputError(
+            "the compression of wave packets loses places in files of several channels: write .las",
+            value=sorted(set(columns) & WAVES),
+        )
     columns = {name: narrow(c) for name, c in columns.items()}
     r = np.column_stack([columns.pop(axis) for axis in "xyz"])
     header = _header(like, columns, crs, same_system)
@@ -79,7 +86,9 @@ def _header(
     else:
         # WKT has its place in 1.4, which holds every point format
         version = "1.4" if crs is not None and not same_system else str(like.version)
-        header = laspy.LasHeader(point_format=like.point_format.id, version=version)
+        kind = like.point_format.id
+        kind = kind if set(columns) & WAVES else WITHOUT_WAVES.get(kind, kind)
+        header = laspy.LasHeader(point_format=kind, version=version)
         header.global_encoding.gps_time_type = like.global_encoding.gps_time_type
         header.file_source_id, header.uuid = like.file_source_id, like.uuid
         header.system_identifier = like.system_identifier

@@ -41,6 +41,8 @@ NOISE = (7, 18)
 CLASSES = ("classification", "class", "scalar_classification")
 #: Steps of float32 from this on, m, are a doubt; from COARSE_M on they are compared to the spacing.
 FINE_M, COARSE_M = 0.005, 0.05
+#: Fewer numbers than these do not show to how many decimals they were written.
+FEW = 100
 
 
 @dataclass(frozen=True)
@@ -205,13 +207,19 @@ def _too_coarse(r: F64, step: F64, single: bool) -> list[Doubt]:
     where their steps put the points on lines.
     """
     worst = float(step[:2].max())
+    if not single and len(r) < FEW:
+        return []
     if worst < COARSE_M and not (single and float(step.max()) >= FINE_M):
         return []
     k = int(np.argmax(step[:2]))
     wide = np.maximum(np.ptp(r, axis=0), step)
     spacing = float(np.sqrt(wide[0] * wide[1] / len(r)))
     raster = on_lattice(r[:, 1 - k] - r[0, 1 - k], worst)
-    cells = len(np.unique(r[:, :2], axis=0)) if worst > 0.5 * spacing else len(r)
+    coarse = worst >= COARSE_M and worst > 0.5 * spacing
+    lines = single or worst >= 5.0 * float(step[:2].min())  # unlike steps in x and y
+    if coarse:
+        apart = len(np.unique(r[:, :2] if lines else r, axis=0)) / len(r)
+        coarse = not (raster and apart > 0.9) if lines else apart < 0.5
     what = (
         f"at {np.abs(r[:, k]).max():,.0f} m float32 has"
         if single
@@ -222,10 +230,10 @@ def _too_coarse(r: F64, step: F64, single: bool) -> list[Doubt]:
         if single
         else "export with more decimals"
     )
-    if worst >= COARSE_M and worst > 0.5 * spacing and not (raster and cells >= 0.9 * len(r)):
+    if coarse:
         raise CloudError(
             f"{what} steps of {worst:.3g} m in {'xy'[k]}, points are {spacing:.2g} m apart: they "
-            f"lie on lines; {how}",
+            f"lie on {'lines' if lines else 'one another'}; {how}",
             reason="cloud_resolution",
             value=worst,
         )

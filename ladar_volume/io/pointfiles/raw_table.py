@@ -30,6 +30,16 @@ AXES = {
     ),
 }
 DEGREES = {"x": ("longitude", "lon", "long", "lng"), "y": ("latitude", "lat")}
+#: Dimensions of LAS points that belong to a waveform.
+WAVES = {
+    "wavepacket_index",
+    "wavepacket_offset",
+    "wavepacket_size",
+    "return_point_wave_location",
+    "x_t",
+    "y_t",
+    "z_t",
+}
 #: A name with its unit: ``X[m]``, ``Northing (us-ft)``.
 UNIT = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]$")
 
