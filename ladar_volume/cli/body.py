@@ -240,8 +240,8 @@ def run(arguments: argparse.Namespace) -> int:
 def show_reading(console: Console, facts: dict[str, Any]) -> None:
     """Print how the cloud was read, and what is doubtful."""
     table = Table(show_header=False, box=None, pad_edge=False)
-    if "coordinates" in facts["input"]:
-        add_reading_rows(table, facts["input"])
+    if "reading" in facts:
+        add_reading_rows(table, facts["reading"])
     if "verdict" in facts:
         add_verdict_rows(table, facts["verdict"])
     console.print(table)
@@ -369,7 +369,7 @@ def of_cloud(arguments: argparse.Namespace, console: Console) -> tuple[dict[str,
                 made.bodies, [sigma[rows] for rows in made.sources], ground
             )
     facts = cloud_facts(a.source.name, len(source.cloud.r), filtered, made, found, uncertain)
-    facts["input"] |= cloud_facts_of(source.cloud)
+    facts["reading"] = cloud_facts_of(source.cloud)
     facts["verdict"] = Verdict(reading_doubts([source.cloud])).as_dict()
     return facts, list(made.bodies)
 

@@ -17,6 +17,7 @@ from ladar_volume.cli.inputs.reading import (
     add_reading_rows,
     carried_columns,
     cloud_facts_of,
+    left_out_words,
     read_source,
     reading_doubts,
 )
@@ -99,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
         if not len(result.index):
             why = ", ".join(f"{name} {count}" for name, count in outliers.items())
             raise FilterError(
-                f"{arguments.cloud}: no point is left of {len(r)} ({why})",
+                f"{arguments.cloud}: no point is left of {len(r)} ({why}){left_out_words(cloud)}",
                 reason="filter_nothing_left",
                 value=outliers,
             )
@@ -114,12 +115,13 @@ def run(arguments: argparse.Namespace) -> int:
             where = result.outliers
             write_points(arguments.outliers, cloud, where, r[where], taken)
     facts = {
-        "input": {"path": arguments.cloud.name, "points": len(r), **cloud_facts_of(cloud)},
+        "input": {"path": arguments.cloud.name, "points": len(r)},
         "output": {
             "path": arguments.output.name,
             "points": len(result.index),
-            "columns_lost": lost,
         },
+        "columns_lost": lost,
+        "reading": cloud_facts_of(cloud),
         "outliers": outliers,
         **_facts(result, len(r), auto),
         "parameters": Parameters(filter=parameters).write()["filter"],
@@ -203,7 +205,7 @@ def show(console: Console, facts: Mapping[str, Any], reasons: set[str]) -> None:
     """Print the facts as a short table."""
     table = Table(show_header=False, box=None, pad_edge=False)
     table.add_row("points in", f"{facts['input']['points']:,}")
-    add_reading_rows(table, facts["input"])
+    add_reading_rows(table, facts["reading"])
     table.add_row(
         "points out",
         f"[bold]{facts['output']['points']:,}[/bold] ({100 * facts['reduction']:.1f} % fewer)",
@@ -217,8 +219,8 @@ def show(console: Console, facts: Mapping[str, Any], reasons: set[str]) -> None:
     for name, value in facts["report"].items():
         if name not in reasons | {"points", "kept"}:  # said above
             table.add_row(*_line(name, value, facts["auto"]))
-    if facts["output"]["columns_lost"]:
-        table.add_row("columns not kept", ", ".join(facts["output"]["columns_lost"]))
+    if facts["columns_lost"]:
+        table.add_row("columns not kept", ", ".join(facts["columns_lost"]))
     add_verdict_rows(table, facts["verdict"])
     console.print(table)
     console.print(f"written to {facts['output']['path']}")

@@ -72,7 +72,7 @@ def test_every_attribute_survives_the_filter(kind, ending, tmp_path, capsys):
     words = ["filter", source, "-o", out, "--outliers", rest, "--radius", 0.5, "--degree", 1]
     assert main([*map(str, words), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
-    lost = set(facts["output"]["columns_lost"])
+    lost = set(facts["columns_lost"])
     assert lost == (WAVES if kind == 10 and ending == ".laz" else set())
     before, after = laspy.read(source), laspy.read(out)
     index = np.asarray(after["index"])
@@ -163,7 +163,7 @@ def test_feet_come_out_as_metres_with_their_system(kind, tmp_path, capsys):
     words = ["filter", tmp_path / "f.las", "-o", tmp_path / "m.laz", "--radius", 1, "--json"]
     assert main([*map(str, words)]) == 0
     facts = json.loads(capsys.readouterr().out)
-    assert facts["input"]["coordinates"]["units_read"] == "US survey foot"
+    assert facts["reading"]["coordinates"]["units_read"] == "US survey foot"
     assert facts["verdict"]["reasons"][0]["name"] == "height_unit"
     out = laspy.read(tmp_path / "m.laz")
     factor = 1200.0 / 3937.0

@@ -151,7 +151,7 @@ def test_missing_returns_and_the_index_of_the_filter(ending, tmp_path, capsys):
     write_cloud(tmp_path / f"a{ending}", r, {"ring": np.arange(600)})
     words = ["filter", tmp_path / f"a{ending}", "-o", tmp_path / "o.ply", "--radius", 0.5, "--json"]
     assert main([str(w) for w in words]) == 0
-    assert json.loads(capsys.readouterr().out)["input"]["left_out"] == {"no return (NaN)": 120}
+    assert json.loads(capsys.readouterr().out)["reading"]["left_out"] == {"no return (NaN)": 120}
     back = read_cloud(tmp_path / "o.ply")
     index = back.columns["index"]
     assert np.array_equal(back.columns["ring"], index) and not (index % 5 == 0).any()
@@ -254,3 +254,13 @@ def test_any_bytes_are_points_or_one_typed_line(data, ending, tmp_path_factory):
         assert np.isfinite(read_cloud(path).r).all()
     except LadarVolumeError as error:
         assert "\n" not in str(error) and len(str(error)) <= 300
+
+
+@pytest.mark.parametrize("length", ["nan", "-1", "1e300", "2.5", "inf"])
+def test_lists_of_impossible_length_in_a_mesh(length, tmp_path, capsys):
+    head = "ply\nformat ascii 1.0\nelement vertex 3\n"
+    head += "".join(f"property float {a}\n" for a in "xyz")
+    head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    path = written(tmp_path / "a.ply", head + f"0 0 0\n1 0 0\n0 1 0\n{length} 0 1 2\n")
+    assert main(["body", str(path), "-o", str(tmp_path / "o.ply")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1

@@ -108,6 +108,13 @@ def _together(a: PointFile, b: PointFile) -> list[Doubt]:
     return []
 
 
+def left_out_words(cloud: PointFile) -> str:
+    """What of a file was left out, to end a sentence with; empty for nothing."""
+    count = sum(cloud.left_out.values())
+    why = ", ".join(f"{reason} {n}" for reason, n in cloud.left_out.items())
+    return f"; {count} of {count + len(cloud)} points were not read: {why}" if count else ""
+
+
 def add_reading_rows(table: Table, facts: Mapping[str, Any], words: str = "") -> None:
     """Rows that say how a cloud was read; of ``facts`` as from :func:`cloud_facts_of`."""
     at = facts["coordinates"]

@@ -144,5 +144,8 @@ def rows_without_return(r: F64) -> Bool:
         )
     missing = np.isnan(r).any(axis=1)
     if missing.all():
-        raise CloudError(f"all {len(r)} points are without a return (NaN)", reason="cloud_empty")
+        raise CloudError(
+            f"all {len(r)} points are without a return: coordinates not finite (NaN)",
+            reason="cloud_empty",
+        )
     return np.asarray(missing)
