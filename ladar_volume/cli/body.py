@@ -9,10 +9,18 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.table import Table
 
 from ladar_volume.cli.body_facts import cloud_facts, mesh_facts, show
-from ladar_volume.cli.surface_options import Source, read_source
-from ladar_volume.cli.verdict_lines import exit_code
+from ladar_volume.cli.inputs.reading import (
+    Source,
+    add_reading_rows,
+    cloud_facts_of,
+    mesh_in_metres,
+    read_source,
+    reading_doubts,
+)
+from ladar_volume.cli.verdict_lines import add_verdict_rows, exit_code
 from ladar_volume.clouds.body_volume import (
     Body,
     Uncertain,
@@ -46,6 +54,7 @@ from ladar_volume.model.errors import (
 )
 from ladar_volume.model.parameters import FilterParameters, GroundParameters
 from ladar_volume.model.records import F64, I64, Bool, Plane
+from ladar_volume.model.verdict import Verdict
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -62,7 +71,18 @@ def run(arguments: argparse.Namespace) -> int:
         print(json_text(facts), end="")
     else:
         show(console, facts)
-    return exit_code(arguments, facts["verdict"])
+        show_reading(console, facts)
+    return exit_code(arguments, facts.get("verdict", Verdict().as_dict()))
+
+
+def show_reading(console: Console, facts: dict[str, Any]) -> None:
+    """Print how the cloud was read, and what is doubtful."""
+    table = Table(show_header=False, box=None, pad_edge=False)
+    if "reading" in facts:
+        add_reading_rows(table, facts["reading"])
+    if "verdict" in facts:
+        add_verdict_rows(table, facts["verdict"])
+    console.print(table)
 
 
 def check(arguments: argparse.Namespace) -> None:
@@ -118,7 +138,7 @@ def of_mesh(arguments: argparse.Namespace, console: Console) -> tuple[dict[str, 
     """The body in a mesh file."""
     a = arguments
     with console.status(f"reading {a.source.name}") as status:
-        mesh = read_mesh(a.source, a.surface)
+        mesh = mesh_in_metres(read_mesh(a.source, a.surface), a)
         status.update("closing and adding up")
         try:
             body = body_of(
@@ -144,7 +164,7 @@ def of_cloud(arguments: argparse.Namespace, console: Console) -> tuple[dict[str,
     """The bodies of a point cloud file."""
     a = arguments
     with console.status(f"reading {a.source.name}") as status:
-        source = read_source(a.source)
+        source = read_source(a.source, a)
         filtered: CloudResult | None = None
         points, normals, curved, sigma = given_points(source, a.sigma)
         if not a.no_filter:
@@ -185,9 +205,10 @@ def of_cloud(arguments: argparse.Namespace, console: Console) -> tuple[dict[str,
             uncertain = mesh_uncertainty(
                 made.bodies, [sigma[rows] for rows in made.sources], ground
             )
-    return cloud_facts(a.source.name, len(source.cloud.r), filtered, made, found, uncertain), list(
-        made.bodies
-    )
+    facts = cloud_facts(a.source.name, len(source.cloud.r), filtered, made, found, uncertain)
+    facts["reading"] = cloud_facts_of(source.cloud)
+    facts["verdict"] = Verdict(reading_doubts([source.cloud])).as_dict()
+    return facts, list(made.bodies)
 
 
 def given_points(

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.table import Table
 
 from ladar_volume.change.density import density, relative_errors, size_rule
 from ladar_volume.change.excavation import (
@@ -28,7 +29,8 @@ from ladar_volume.cli.diff_input import (
     sigma_of,
 )
 from ladar_volume.cli.diff_show import show
-from ladar_volume.cli.verdict_lines import exit_code
+from ladar_volume.cli.inputs.reading import add_reading_rows, cloud_facts_of, reading_doubts
+from ladar_volume.cli.verdict_lines import add_verdict_rows, exit_code
 from ladar_volume.io.endings import ENDINGS
 from ladar_volume.io.meshfiles.mesh_files import write_mesh
 from ladar_volume.io.results import json_text
@@ -66,8 +68,11 @@ def run(arguments: argparse.Namespace) -> int:
     check_options(arguments)
     console = Console(stderr=arguments.json)
     with console.status("reading") as status:
-        a = load(arguments.a, arguments.transform, arguments.surface)
-        b = load(arguments.b, arguments.transform_b, arguments.surface_b)
+        a = load(arguments.a, arguments.transform, arguments, arguments.surface)
+        b = load(arguments.b, arguments.transform_b, arguments, arguments.surface_b)
+        # a transform brings a cloud into the other's system, whatever its own is
+        clouds = [p.cloud for p in (a, b) if p.cloud is not None and p.transform is None]
+        doubts = Verdict(reading_doubts(clouds))
         status.update("computing")
         if a.closed and b.closed:
             facts = bodies(arguments, a, b)
@@ -77,15 +82,28 @@ def run(arguments: argparse.Namespace) -> int:
             )
         else:
             facts = surfaces(arguments, a, b)
-    facts["verdict"] = facts["verdict"].as_dict()
+    facts["verdict"] = (facts["verdict"] + doubts).as_dict()
     facts |= {"size_rule": size_rule(arguments.offset), "version": version()}
+    facts["files"] = [
+        {"path": p.path.name, **cloud_facts_of(p.cloud)} for p in (a, b) if p.cloud is not None
+    ]
     if arguments.mass is not None:
         facts["density"] = weighed(arguments, facts)
     if arguments.json:
         print(json_text(facts), end="")
     else:
         show(console, facts)
+        show_files(console, facts)
     return exit_code(arguments, facts["verdict"])
+
+
+def show_files(console: Console, facts: dict[str, Any]) -> None:
+    """Print how the clouds were read, and what is doubtful."""
+    table = Table(show_header=False, box=None, pad_edge=False)
+    for each in facts["files"]:
+        add_reading_rows(table, each, each["path"])
+    add_verdict_rows(table, facts["verdict"])
+    console.print(table)
 
 
 def weighed(arguments: argparse.Namespace, facts: dict[str, Any]) -> dict[str, Any]:

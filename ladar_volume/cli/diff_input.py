@@ -4,6 +4,7 @@ ground around the region.
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,10 +21,11 @@ from ladar_volume.change.spherical_tin import (
     widest_gap,
 )
 from ladar_volume.cli.arguments.diff_input import numbers
+from ladar_volume.cli.inputs.reading import mesh_in_metres, read_source
 from ladar_volume.clouds.cloud_surface import local_sigma
 from ladar_volume.io.endings import READ_ENDINGS
-from ladar_volume.io.meshfiles.mesh_files import read_mesh
-from ladar_volume.io.pointfiles.cloud_files import read_cloud
+from ladar_volume.io.meshfiles.mesh_files import MeshFile, read_mesh
+from ladar_volume.io.pointfiles.cloud_files import PointFile, read_cloud
 from ladar_volume.io.transforms import read_transform
 from ladar_volume.mesh.topology import orient
 from ladar_volume.model.errors import ConfigurationError, InputError, SurfaceError, VolumeError
@@ -39,7 +41,7 @@ ICP_CELLS = 12.0
 class Part:
     """A file: points (n, 3) m in the map frame · triangles (m, 3), none for a cloud · closed : a
     mesh without boundary · sigma : (n,) m of the file, or None · transform : that was applied ·
-    verdict : on the file
+    verdict : on the file · cloud : as its file holds it, None for a mesh
     """
 
     path: Path
@@ -49,6 +51,7 @@ class Part:
     sigma: F64 | None
     transform: Transform | None
     verdict: Verdict = field(default_factory=Verdict)
+    cloud: PointFile | None = None
 
 
 @dataclass(frozen=True)
@@ -62,12 +65,15 @@ class Noise:
     words: str
 
 
-def load(path: Path, transform: Path | None, surface: str | None = None) -> Part:
+def load(
+    path: Path, transform: Path | None, arguments: argparse.Namespace, surface: str | None = None
+) -> Part:
     """Read a cloud or a mesh (of a LandXML the surface of that name) and bring it into the map
     frame.
     """
     T = None if transform is None else read_transform(transform)
-    r, triangles, sigma, doubts = read_any(path, surface)
+    r, triangles, sigma, found = read_any(path, arguments, surface)
+    doubts = found.doubts if isinstance(found, MeshFile) else ()
     closed = False
     if len(triangles):
         try:
@@ -78,8 +84,9 @@ def load(path: Path, transform: Path | None, surface: str | None = None) -> Part
             ) from error
     if len(triangles) and not closed:
         doubts += (unused_faces(path, len(triangles)),)
+    cloud = None if isinstance(found, MeshFile) else found
     points = r if T is None else T.apply(r)
-    return Part(path, points, triangles, closed, sigma, T, verdict=Verdict(doubts))
+    return Part(path, points, triangles, closed, sigma, T, Verdict(doubts), cloud)
 
 
 def unused_faces(path: Path, many: int) -> Doubt:
@@ -92,22 +99,22 @@ def unused_faces(path: Path, many: int) -> Doubt:
 
 
 def read_any(
-    path: Path, surface: str | None = None
-) -> tuple[F64, I32, F64 | None, tuple[Doubt, ...]]:
-    """Points (n, 3), triangles (m, 3), the column ``sigma`` (n,), where there is one, and doubts.
-    A PLY file without faces is a cloud.
+    path: Path, arguments: argparse.Namespace, surface: str | None = None
+) -> tuple[F64, I32, F64 | None, MeshFile | PointFile]:
+    """Points (n, 3), m, triangles (m, 3), the column ``sigma`` (n,), where there is one, and the
+    file. A PLY file without faces is a cloud.
     """
     if path.suffix.lower() in READ_ENDINGS:
         try:
-            mesh = read_mesh(path, surface)
-            return mesh.vertices, mesh.triangles, None, mesh.doubts
+            mesh = mesh_in_metres(read_mesh(path, surface), arguments)
+            return mesh.vertices, mesh.triangles, None, mesh
         except InputError as error:
             if path.suffix.lower() != ".ply" or error.reason not in (
                 "mesh_file_fields",
                 "mesh_file_empty",
             ):
                 raise
-    cloud = read_cloud(path)
+    cloud = read_source(path, arguments).cloud
     sigma = cloud.columns.get("sigma")
     good = (
         sigma is not None
@@ -115,7 +122,8 @@ def read_any(
         and sigma.ndim == 1
         and bool((np.isfinite(sigma) & (sigma >= 0)).all())
     )
-    return cloud.r, np.zeros((0, 3), np.int32), np.asarray(sigma, np.float64) if good else None, ()
+    values = np.asarray(sigma, np.float64) if good else None
+    return cloud.r, np.zeros((0, 3), np.int32), values, cloud
 
 
 def given_corners(polygon: Sequence[str] | None, selection: Path | None) -> F64 | None:

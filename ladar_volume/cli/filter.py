@@ -4,19 +4,33 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from rich.console import Console
 from rich.table import Table
 
+from ladar_volume.cli.inputs.reading import (
+    add_reading_rows,
+    carried_columns,
+    cloud_facts_of,
+    left_out_words,
+    read_source,
+    reading_doubts,
+)
+from ladar_volume.cli.verdict_lines import add_verdict_rows, exit_code
 from ladar_volume.clouds.filter_cloud import REASONS, CloudResult, filter_cloud
 from ladar_volume.clouds.published.filter_presets import PRESETS
 from ladar_volume.io.config import read_config
-from ladar_volume.io.pointfiles.cloud_files import check_output, read_cloud, write_cloud
+from ladar_volume.io.pointfiles.cloud_files import check_output, write_cloud
+from ladar_volume.io.pointfiles.point_file import NORMALS, PointFile
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import ConfigurationError, FilterError, OutputError
 from ladar_volume.model.parameters import FilterParameters, Parameters
+from ladar_volume.model.records import F64, I64
+from ladar_volume.model.verdict import Verdict
 from ladar_volume.version import version
 
 
@@ -26,7 +40,8 @@ def run(arguments: argparse.Namespace) -> int:
     _check_outputs(arguments)
     console = Console(stderr=arguments.json)
     with console.status(f"reading {arguments.cloud.name}") as status:
-        r = read_cloud(arguments.cloud, columns=False).r
+        cloud = read_source(arguments.cloud, arguments).cloud
+        r = cloud.r
         status.update(f"filtering {len(r):,} points")
         result = filter_cloud(r, parameters, auto)
         counts = np.bincount(result.reason, minlength=len(REASONS))
@@ -34,30 +49,52 @@ def run(arguments: argparse.Namespace) -> int:
         if not len(result.index):
             why = ", ".join(f"{name} {count}" for name, count in outliers.items())
             raise FilterError(
-                f"{arguments.cloud}: no point is left of {len(r)} ({why})",
+                f"{arguments.cloud}: no point is left of {len(r)} ({why}){left_out_words(cloud)}",
                 reason="filter_nothing_left",
                 value=outliers,
             )
         status.update("writing")
-        columns = {"normal": result.normal, "sigma": result.sigma, "index": result.index}
+        index = cloud.rows[result.index]
+        columns = {"normal": result.normal, "sigma": result.sigma, "index": index}
         if result.count is not None:
             columns["count"] = result.count
-        write_cloud(arguments.output, result.r, columns)
+        lost = write_points(arguments.output, cloud, result.index, result.r, columns)
         if arguments.outliers is not None:
-            taken = {"index": result.outliers, "reason": result.reason}
-            write_cloud(arguments.outliers, r[result.outliers], taken, {"reason": REASONS})
+            taken = {"index": cloud.rows[result.outliers], "reason": result.reason}
+            where = result.outliers
+            write_points(arguments.outliers, cloud, where, r[where], taken)
     facts = {
         "input": {"path": arguments.cloud.name, "points": len(r)},
-        "output": {"path": arguments.output.name, "points": len(result.index)},
+        "output": {
+            "path": arguments.output.name,
+            "points": len(result.index),
+        },
+        "columns_lost": lost,
+        "reading": cloud_facts_of(cloud),
         "outliers": outliers,
         **_facts(result, len(r), auto),
         "parameters": Parameters(filter=parameters).write()["filter"],
+        "verdict": Verdict(reading_doubts([cloud])).as_dict(),
     }
     if arguments.json:
         print(json_text(facts), end="")
     else:
         show(console, facts, set(REASONS))
-    return 0
+    return exit_code(arguments, facts["verdict"])
+
+
+def write_points(
+    path: Path, cloud: PointFile, index: I64, r: F64, columns: dict[str, npt.NDArray[Any]]
+) -> list[str]:
+    """Write points (k, 3) that come of the points ``index`` of a cloud, with its attributes; the
+    names of those that the file cannot hold.
+    """
+    kept, lost = carried_columns(cloud, path, [*columns, *NORMALS[0], *NORMALS[1], *NORMALS[2]])
+    names = {"reason": REASONS} if "reason" in columns else None
+    write_cloud(
+        path, r, {**{name: c[index] for name, c in kept.items()}, **columns}, names, like=cloud
+    )
+    return lost
 
 
 def _facts(result: CloudResult, points: int, auto: bool) -> dict[str, Any]:
@@ -117,6 +154,7 @@ def show(console: Console, facts: Mapping[str, Any], reasons: set[str]) -> None:
     """Print the facts as a short table."""
     table = Table(show_header=False, box=None, pad_edge=False)
     table.add_row("points in", f"{facts['input']['points']:,}")
+    add_reading_rows(table, facts["reading"])
     table.add_row(
         "points out",
         f"[bold]{facts['output']['points']:,}[/bold] ({100 * facts['reduction']:.1f} % fewer)",
@@ -130,6 +168,9 @@ def show(console: Console, facts: Mapping[str, Any], reasons: set[str]) -> None:
     for name, value in facts["report"].items():
         if name not in reasons | {"points", "kept"}:  # said above
             table.add_row(*_line(name, value, facts["auto"]))
+    if facts["columns_lost"]:
+        table.add_row("columns not kept", ", ".join(facts["columns_lost"]))
+    add_verdict_rows(table, facts["verdict"])
     console.print(table)
     console.print(f"written to {facts['output']['path']}")
 

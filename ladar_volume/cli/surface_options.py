@@ -6,16 +6,15 @@ from __future__ import annotations
 
 import argparse
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ladar_volume.cli.inputs.mesh_source import face_facts, read_faces, surface_of_mesh
+from ladar_volume.cli.inputs.reading import Source, cloud_facts_of, mesh_in_metres, read_source
 from ladar_volume.clouds.cloud_surface import CloudSurface, cloud_surface
-from ladar_volume.io.meshfiles.mesh_files import MeshFile
-from ladar_volume.io.pointfiles.cloud_files import PointFile, read_cloud
+from ladar_volume.io.pointfiles.cloud_files import PointFile
 from ladar_volume.model.errors import ConfigurationError, InputError, SurfaceError
 from ladar_volume.model.records import F64
 from ladar_volume.tin.full_tin import footprint_areas
@@ -83,30 +82,14 @@ def surface_options(arguments: argparse.Namespace, default: SurfaceOptions) -> S
     )
 
 
-@dataclass(frozen=True)
-class Source:
-    """A file as read: its name and what is in it; of a mesh whose faces count these too, its
-    vertices being the cloud.
-    """
-
-    path: Path
-    cloud: PointFile
-    mesh: MeshFile | None = None
-
-
-def read_source(path: Path) -> Source:
-    """Read a cloud file with its columns."""
-    return Source(path, read_cloud(path))
-
-
 def read_surface(path: Path, arguments: argparse.Namespace, second: bool = False) -> Source:
-    """Read a file whose faces, where it has any, are the surface."""
+    """Read a file whose faces, where it has any, are the surface; in metres."""
     mesh = read_faces(path, arguments, second)
     if mesh is None:
-        return read_source(path)
-    if arguments.no_faces:
-        return Source(path, PointFile(mesh.vertices, dict(mesh.columns)))
-    return Source(path, PointFile(mesh.vertices, dict(mesh.columns)), mesh)
+        return read_source(path, arguments)
+    mesh = mesh_in_metres(mesh, arguments)
+    cloud = PointFile(mesh.vertices, dict(mesh.columns))
+    return Source(path, cloud, None if arguments.no_faces else mesh)
 
 
 def frame_of(arguments: argparse.Namespace, sources: list[Source]) -> Frame | None:
@@ -199,6 +182,7 @@ def surface_facts(source: Source, surface: CloudSurface) -> dict[str, Any]:
         "path": source.path.name,
         "mesh": faces,
         "points": len(source.cloud.r),
+        **cloud_facts_of(source.cloud),
         "used": len(surface.points) - made.cropped,
         "cropped": made.cropped,
         "outliers": len(surface.outliers),

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ladar_volume.cli.inputs.mesh_source import mesh_doubts, mesh_words
+from ladar_volume.cli.inputs.reading import add_reading_rows, clouds_of, reading_doubts
 from ladar_volume.cli.surface_options import (
     frame_facts,
     frame_of,
@@ -53,7 +54,11 @@ def run(arguments: argparse.Namespace) -> int:
         status.update("writing")
         tin = made.tin if frame is None else frame.tin_back(made.tin)
         vertices, faces = write_tin(
-            arguments.output, in_cloud(tin, surface.index), sigma_z, arguments.all_triangles
+            arguments.output,
+            in_cloud(tin, source.cloud.rows[surface.index]),
+            sigma_z,
+            arguments.all_triangles,
+            source.cloud.coordinates.notes(),
         )
     facts = {
         **surface_facts(source, surface),
@@ -63,7 +68,10 @@ def run(arguments: argparse.Namespace) -> int:
         "output": {"path": arguments.output.name, "vertices": vertices, "faces": faces},
         "frame": frame_facts(frame),
         "options": option_facts(options),
-        "verdict": Verdict(mesh_doubts([source.path], [source.mesh], [surface])).as_dict(),
+        "verdict": Verdict(
+            reading_doubts(clouds_of([source]))
+            + mesh_doubts([source.path], [source.mesh], [surface])
+        ).as_dict(),
         "version": version(),
     }
     if arguments.json:
@@ -82,6 +90,7 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
     """Print the facts as a short table."""
     table = Table(show_header=False, box=None, pad_edge=False)
     table.add_row("points", f"{facts['points']:,} ({facts['used']:,} used)")
+    add_reading_rows(table, facts)
     for name in ("cropped", "outliers", "duplicates"):
         if facts[name]:
             table.add_row(f"  {name}", f"{facts[name]:,}")

@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ladar_volume.cli.inputs.mesh_source import mesh_doubts, mesh_words
+from ladar_volume.cli.inputs.reading import add_reading_rows, clouds_of, reading_doubts
 from ladar_volume.cli.surface_options import (
     frame_facts,
     frame_of,
@@ -144,6 +145,7 @@ def run(arguments: argparse.Namespace) -> int:
             for path, second in ((arguments.cloud, False), (arguments.cloud_b, True))
             if path is not None
         ]
+        doubts = reading_doubts(clouds_of(sources))
         if arguments.frame == "scan":
             status.update("turning into the scan frame")
         frame = frame_of(arguments, sources)
@@ -161,7 +163,7 @@ def run(arguments: argparse.Namespace) -> int:
         "frame": frame_facts(frame),
         "options": option_facts(options),
         "verdict": Verdict(
-            mesh_doubts([s.path for s in sources], [s.mesh for s in sources], surfaces)
+            doubts + mesh_doubts([s.path for s in sources], [s.mesh for s in sources], surfaces)
         ).as_dict(),
         "version": version(),
     }
@@ -333,6 +335,8 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
         )
         if each["mesh"] is not None:
             table.add_row("", mesh_words(each["mesh"]))
+        else:
+            add_reading_rows(table, each)
     add_verdict_rows(table, facts["verdict"])
     console.print(table)
     for each in facts.get("sequences", []):

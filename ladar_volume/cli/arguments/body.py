@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
 from ladar_volume.io.endings import ENCODINGS, ENDINGS, READ_ENDINGS
@@ -171,4 +172,5 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
+    add_reading_options(parser)
     parser.set_defaults(run=work("ladar_volume.cli.body"))

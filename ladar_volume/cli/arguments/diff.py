@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ladar_volume.cli.arguments.diff_input import point
+from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.surface_options import number
 from ladar_volume.cli.arguments.work import work
@@ -152,4 +153,5 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
+    add_reading_options(parser)
     parser.set_defaults(run=work("ladar_volume.cli.diff"))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from ladar_volume.cli.arguments.reading import add_reading_options
+from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
 from ladar_volume.clouds.published.filter_presets import PRESETS
 from ladar_volume.io.endings import ENCODINGS
@@ -55,4 +57,6 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
+    add_reading_options(parser)
+    add_strict_option(parser)
     parser.set_defaults(run=work("ladar_volume.cli.filter"))

@@ -6,6 +6,7 @@ import argparse
 import math
 import re
 
+from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.model.choices import ADJUST, CRITERIA, MEASURES
 
 #: Ways to choose relevant triangles on the command line.
@@ -22,6 +23,7 @@ def number(text: str) -> float:
 
 def add_surface_options(parser: argparse.ArgumentParser, default_vertices: str) -> None:
     """Declare the options."""
+    add_reading_options(parser)
     # argparse takes -1 for a number, but -1e-3 for an option
     parser._negative_number_matcher = re.compile(r"^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
     g = parser.add_argument_group("surface")

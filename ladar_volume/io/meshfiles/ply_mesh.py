@@ -97,6 +97,14 @@ class Stream:
         self.at += size * count
         return part.view(self.order + code) if self.order else part
 
+    def length(self, code: str) -> int:
+        """The next value as the length of a list."""
+        value = float(self.take(code, 1)[0])
+        if not value.is_integer() or value < 0:
+            reason = "mesh_file_short" if value < 0 else "mesh_file_values"
+            raise bad(f"a list of {value:g} values", reason)
+        return int(value)
+
     def table(self, fields: list[tuple[str, str, int]], rows: int) -> dict[str, npt.NDArray[Any]]:
         """``rows`` rows of the fields (name, type, how many values): arrays (rows, how many),
         without moving on.
@@ -129,7 +137,7 @@ def read_element(stream: Stream, element: Element) -> dict[str, Column]:
     start = stream.at
     lengths: dict[str, int] = {}
     for p in element.properties:  # the first row tells how long the lists are
-        lengths[p.name] = int(stream.take(p.count, 1)[0]) if p.count else 1
+        lengths[p.name] = stream.length(p.count) if p.count else 1
         stream.take(p.code, lengths[p.name])
     row = stream.at - start
     stream.at = start
@@ -147,9 +155,7 @@ def read_element(stream: Stream, element: Element) -> dict[str, Column]:
     columns: dict[str, list[npt.NDArray[Any]]] = {p.name: [] for p in element.properties}
     for _ in range(element.rows):
         for p in element.properties:
-            columns[p.name].append(
-                stream.take(p.code, int(stream.take(p.count, 1)[0]) if p.count else 1)
-            )
+            columns[p.name].append(stream.take(p.code, stream.length(p.count) if p.count else 1))
     return dict(columns)
 
 

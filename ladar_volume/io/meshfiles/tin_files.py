@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -33,15 +34,19 @@ def check_tin_output(path: str | Path) -> Path:
 
 
 def write_tin(
-    path: str | Path, tin: Tin, sigma_z: F64 | None = None, every: bool = False
+    path: str | Path,
+    tin: Tin,
+    sigma_z: F64 | None = None,
+    every: bool = False,
+    notes: Sequence[str] = (),
 ) -> tuple[int, int]:
     """Write a surface as binary PLY, double coordinates; whole, or not at all. Returns the numbers
     of vertices and faces written.
 
     Every vertex has ``source``, the row of its point in the cloud (-1: an artificial corner), and
     where ``sigma_z`` (n,), m, is given the standard deviation of its height. Faces are the relevant
-    triangles; with ``every`` all of them, marked by ``relevant``. Raises :class:`OutputError` for
-    files that cannot be written.
+    triangles; with ``every`` all of them, marked by ``relevant``. ``notes`` become
+    comments. Raises :class:`OutputError` for files that cannot be written.
     """
     path = check_tin_output(path)
     triangles = tin.triangles if every else tin.triangles[tin.relevant]
@@ -57,7 +62,8 @@ def write_tin(
         len(triangles), [("n", "u1"), ("v", "<i4", 3)] + ([("relevant", "u1")] if every else [])
     )
     face["n"], face["v"] = 3, inverse.reshape(-1, 3)
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertex)}"]
+    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {n}" for n in notes)]
+    lines.append(f"element vertex {len(vertex)}")
     lines += [f"property {NAMES[c.dtype.str[1:]]} {name}" for name, c in columns.items()]
     lines += [f"element face {len(face)}", "property list uchar int vertex_indices"]
     if every:

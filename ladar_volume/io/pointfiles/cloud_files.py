@@ -1,16 +1,17 @@
 """Point cloud files: PLY, XYZ/TXT/ASC/CSV, NPY, PCD, LAS, LAZ, by the ending of their name.
 
-Points keep the order of the file, and none is left out: an index into the array is the row of the
-file. What cannot be used is refused with a typed error that names the file.
+Coordinates come in metres, whatever the file holds. Points keep the order of the file; those left
+out (no return, noise classes, withheld) are counted, and ``PointFile.rows`` tells the row of each
+other one. What cannot be used is refused with a typed error that names the file.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from tokenize import TokenError
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -18,44 +19,31 @@ import numpy.typing as npt
 from ladar_volume.io.atomic_write import whole_file
 from ladar_volume.io.endings import ENCODINGS
 from ladar_volume.io.pointfiles import pcd, ply, text
-from ladar_volume.io.pointfiles.ply import Columns
+from ladar_volume.io.pointfiles.crs import Reading
+from ladar_volume.io.pointfiles.point_file import NORMALS, PointFile, assemble
+from ladar_volume.io.pointfiles.raw_table import Columns, RawTable
 from ladar_volume.model.errors import CloudError, InputError, LadarVolumeError, OutputError
 from ladar_volume.model.records import F64
 
-#: What the three components of a normal are called; written as the first (PCD and LAS: see
-#: NORMALS_OF).
-NORMALS = (
-    ("nx", "ny", "nz"),
-    ("normal_x", "normal_y", "normal_z"),
-    ("NormalX", "NormalY", "NormalZ"),
-)
+__all__ = ["ENCODINGS", "PointFile", "Reading", "check_output", "read_cloud", "write_cloud"]
+
+#: What the components of a normal are called, where not as the first of ``NORMALS``.
 NORMALS_OF = {".pcd": NORMALS[1], ".las": NORMALS[2], ".laz": NORMALS[2]}
+#: Most characters of an error that names a file.
+MESSAGE = 300
 
 
-@dataclass(frozen=True)
-class PointFile:
-    """A point cloud as its file holds it.
-
-    r : (n, 3) float64, m, in file order, all finite · columns : everything else by name, (n,) or
-    (n, count); the components of a normal are one column "normal" (n, 3), whatever the file calls
-    them
-    """
-
-    r: F64
-    columns: dict[str, npt.NDArray[Any]] = field(default_factory=dict)
-
-    def __len__(self) -> int:
-        return len(self.r)
-
-
-def read_cloud(path: str | Path, columns: bool = True) -> PointFile:
-    """Read a point cloud file; without ``columns`` the positions alone.
+def read_cloud(path: str | Path, columns: bool = True, reading: Reading | None = None) -> PointFile:
+    """Read a point cloud file, in metres; without ``columns`` the positions alone. ``reading``:
+    what the user says of CRS, units and classes.
 
     Raises :class:`InputError` for a file that is missing, unreadable or of unknown ending
-    (input_missing, input_unreadable, input_format) and :class:`CloudError` for what is in it: no
-    points (cloud_empty), cut short (cloud_short), no x, y, z (cloud_fields), a header or a row that
-    makes no sense (cloud_header, cloud_values), coordinates that are not finite (cloud_not_finite,
-    value: their count).
+    (input_missing, input_unreadable, input_format), for a CRS or units that cannot be understood or
+    contradict the options (input_crs, input_units), for what looks like degrees (input_degrees);
+    and :class:`CloudError` for what is in it: no points (cloud_empty), cut short (cloud_short), no
+    x, y, z (cloud_fields), a header or a row that makes no sense (cloud_header, cloud_values),
+    infinite coordinates (cloud_not_finite, value: how many), coordinates whose steps are coarser
+    than the points are apart (cloud_resolution, value: m).
     """
     path = Path(path)
     ending = _ending(path, InputError)
@@ -64,18 +52,25 @@ def read_cloud(path: str | Path, columns: bool = True) -> PointFile:
     try:
         if path.is_file() and path.stat().st_size == 0:
             raise CloudError("the file is empty", reason="cloud_empty")
-        found = _reader(ending, columns)(path)
-        return _assemble(found, columns)
+        return assemble(_reader(ending, columns)(path), columns, reading or Reading())
     except OSError as error:
         raise InputError(
-            f"{path}: cannot be read: {error}", reason="input_unreadable", value=str(path)
+            _brief(path, f"cannot be read: {error}"), reason="input_unreadable", value=str(path)
         ) from error
     except MemoryError as error:
         raise CloudError(
             f"{path}: larger than the memory", reason="cloud_values", value=str(path)
         ) from error
-    except CloudError as error:
-        raise CloudError(f"{path}: {error}", reason=error.reason, value=error.value) from error
+    except InputError as error:  # CloudError among them
+        raise type(error)(
+            _brief(path, str(error)), reason=error.reason, value=error.value
+        ) from error
+
+
+def _brief(path: Path, words: str) -> str:
+    """One line that names the file, of at most 300 characters where the path leaves room."""
+    words, room = " ".join(words.split()), max(120, MESSAGE - len(str(path)) - 2)
+    return f"{path}: {words if len(words) <= room else words[: room - 1] + '…'}"
 
 
 def _ending(path: Path, error: type[LadarVolumeError]) -> str:
@@ -89,19 +84,19 @@ def _ending(path: Path, error: type[LadarVolumeError]) -> str:
     return ending
 
 
-def _reader(ending: str, columns: bool) -> Callable[[Path], Columns]:
+def _reader(ending: str, columns: bool) -> Callable[[Path], RawTable]:
     if ending in (".las", ".laz"):
         from ladar_volume.io.pointfiles.las import (
             read_las,  # laspy and its decompressor only where needed
         )
 
         return lambda path: read_las(path, columns)
-    return {".ply": ply.read_ply, ".pcd": pcd.read_pcd, ".npy": _read_npy}.get(
-        ending, text.read_text
+    return {".ply": ply.ply_table, ".pcd": pcd.pcd_table, ".npy": _read_npy}.get(
+        ending, text.text_table
     )
 
 
-def _read_npy(path: Path) -> Columns:
+def _read_npy(path: Path) -> RawTable:
     try:
         # mapped, so that a header that promises more than the file holds is found before anything
         # is allocated
@@ -115,6 +110,9 @@ def _read_npy(path: Path) -> Columns:
         KeyError,
         OverflowError,
         RecursionError,
+        BadZipFile,
+        AttributeError,
+        NotImplementedError,
     ) as error:
         raise CloudError(
             f"no plain array, damaged or cut short: {error}", reason="cloud_values"
@@ -123,46 +121,15 @@ def _read_npy(path: Path) -> Columns:
         raise CloudError("an archive of arrays, not one array", reason="cloud_fields")
     if table.dtype.names:
         flat = table.reshape(-1)
-        return {name: ply.native(flat[name]) for name in table.dtype.names}
+        return RawTable({name: ply.native(flat[name]) for name in table.dtype.names})
     if table.ndim != 2 or table.shape[1] < 3:
         raise CloudError(
             f"an array (n, 3) or wider is needed, not {table.shape}",
             reason="cloud_fields",
             value=table.shape,
         )
-    return {
-        name: ply.native(table[:, k])
-        for k, name in enumerate([*"xyz", *(f"c{k}" for k in range(3, table.shape[1]))])
-    }
-
-
-def _assemble(found: Columns, columns: bool) -> PointFile:
-    lower = {name.lower(): name for name in reversed(found)}
-    axes = [found.pop(lower[axis]) for axis in "xyz" if axis in lower]
-    if len(axes) < 3:
-        raise CloudError(
-            f"there are no columns x, y, z among {', '.join(found) or 'none'}",
-            reason="cloud_fields",
-            value=list(found),
-        )
-    if any(a.dtype.kind not in "fiu" or a.ndim != 1 for a in axes):
-        raise CloudError("x, y, z are not numbers", reason="cloud_fields")
-    r = np.column_stack([a.astype(np.float64) for a in axes])
-    if not len(r):
-        raise CloudError("there is no point in it", reason="cloud_empty")
-    bad = int(np.count_nonzero(~np.isfinite(r).all(axis=1)))
-    if bad:
-        raise CloudError(
-            f"{bad} of {len(r)} points have a coordinate that is not finite",
-            reason="cloud_not_finite",
-            value=bad,
-        )
-    if not columns:
-        return PointFile(r)
-    for triple in NORMALS:
-        if set(triple) <= set(found):
-            found = {"normal": np.column_stack([found.pop(name) for name in triple]), **found}
-    return PointFile(r, found)
+    names = [*"xyz", *(f"c{k}" for k in range(3, table.shape[1]))]
+    return RawTable({name: ply.native(table[:, k]) for k, name in enumerate(names)})
 
 
 def write_cloud(
@@ -171,13 +138,16 @@ def write_cloud(
     columns: Mapping[str, npt.NDArray[Any]] | None = None,
     names: Mapping[str, Sequence[str]] | None = None,
     encoding: str | None = None,
+    like: PointFile | None = None,
 ) -> None:
     """Write points (n, 3), m, and columns, (n,) or (n, count), as the kind of file its name ends
     in; whole, or not at all. There may be none: the file then holds its columns' names.
 
     ``names`` gives words to the codes of an integer column: text and NPY hold the words, the others
     the codes, and the words in a comment (LAS: in a record). ``encoding`` chooses among
-    :data:`ENCODINGS`. LAS rounds coordinates to 0.1 mm; the others are lossless. Raises
+    :data:`ENCODINGS`. ``like`` is the file that the points come from: its CRS and units are
+    written (not to CSV and NPY, which have no place for them), to LAS also its point format,
+    offsets and records. LAS rounds coordinates to 0.1 mm; the others are lossless. Raises
     :class:`OutputError` for an unknown ending or encoding, columns that do not fit, and files that
     cannot be written.
     """
@@ -190,7 +160,17 @@ def write_cloud(
         )
     flat, comments = _flatten(np.asarray(r, np.float64), dict(columns or {}), names or {}, ending)
     with whole_file(path) as part:
-        _writer(ending)(part, flat, comments, encoding)
+        if ending in (".las", ".laz"):
+            from ladar_volume.io.pointfiles.las_write import write_las
+
+            if like is None:
+                write_las(part, flat, comments)
+            else:
+                at = like.coordinates
+                write_las(part, flat, comments, like.las, at.crs, at.unchanged)
+        else:
+            notes = [] if like is None else like.coordinates.notes()
+            _writer(ending)(part, flat, [*notes, *comments], encoding)
 
 
 def check_output(path: str | Path) -> Path:
@@ -243,7 +223,8 @@ def _flatten(
     strange = [
         n
         for n, c in flat.items()
-        if c.dtype.kind not in ("fiuU" if worded else "fiu") or not n.isidentifier()
+        if c.dtype.kind not in ("fiuU" if worded else "fiu")
+        or not (n.isidentifier() or (ending in (".las", ".laz") and n.strip() and n.isprintable()))
     ]
     if strange:
         raise OutputError(f"columns {', '.join(strange)} cannot be kept in {ending}", value=strange)
@@ -251,10 +232,6 @@ def _flatten(
 
 
 def _writer(ending: str) -> Callable[[Path, Columns, list[str], str], None]:
-    if ending in (".las", ".laz"):
-        from ladar_volume.io.pointfiles.las import write_las
-
-        return write_las
     return {".ply": ply.write_ply, ".pcd": pcd.write_pcd, ".npy": _write_npy}.get(
         ending, text.write_text
     )

@@ -1,42 +1,44 @@
-"""LAS and LAZ, by laspy, with the header checked against the file before laspy believes it."""
+"""LAS and LAZ read by laspy, with the header checked against the file before laspy believes it."""
 
 from __future__ import annotations
 
-import json
 import struct
 from pathlib import Path
 
 import laspy
 import numpy as np
 
-from ladar_volume.io.pointfiles.ply import Columns, narrow
-from ladar_volume.model.errors import CloudError, OutputError
+from ladar_volume.io.pointfiles.geokeys import coordinates_of_records
+from ladar_volume.io.pointfiles.raw_table import RawTable
+from ladar_volume.model.errors import CloudError
 
-#: Finest step of the stored integers, m: rounding of 0.05 mm is far below any sensor's noise.
-SCALE_M = 1e-4
 #: Bytes unpacked at a time: a damaged header must not ask for all memory at once.
 CHUNK_BYTES = 2**26
+#: Dimensions that say which points count, read always.
+MARKS = ("classification", "withheld")
 
 
-def read_las(path: Path, columns: bool = True) -> Columns:
-    """x, y, z as float64 (scaled and shifted) and, where ``columns``, every other dimension of the
-    points, (n,), in file order.
+def read_las(path: Path, columns: bool = True) -> RawTable:
+    """x, y, z as float64 (scaled and shifted), class and withheld flag, and where ``columns``,
+    every other dimension of the points, (n,) or (n, count), in file order; the header's CRS.
 
-    Raises :class:`CloudError` (cloud_header, cloud_short, cloud_values) and OSError.
+    Raises :class:`CloudError` (cloud_header, cloud_short, cloud_values), :class:`InputError`
+    (input_crs, input_units) and OSError.
     """
     _check_header(path)
     try:
         with laspy.open(path) as file:
-            names = (
-                [n for n in file.header.point_format.dimension_names if n not in ("X", "Y", "Z")]
-                if columns
-                else []
-            )
+            header = file.header
+            names = [
+                n
+                for n in header.point_format.dimension_names
+                if n not in ("X", "Y", "Z") and (columns or n in MARKS)
+            ]
             parts: dict[str, list[np.ndarray]] = {name: [] for name in ["x", "y", "z", *names]}
-            for points in file.chunk_iterator(max(1, CHUNK_BYTES // file.header.point_format.size)):
+            for points in file.chunk_iterator(max(1, CHUNK_BYTES // header.point_format.size)):
                 for name, part in parts.items():
                     part.append(np.array(points[name]))
-            announced = file.header.point_count
+            announced, records = header.point_count, [*header.vlrs, *(header.evlrs or [])]
     except (
         laspy.errors.LaspyException,
         RuntimeError,
@@ -45,6 +47,9 @@ def read_las(path: Path, columns: bool = True) -> Columns:
         struct.error,
         MemoryError,
         KeyError,
+        OverflowError,
+        TypeError,
+        IndexError,
     ) as error:
         raise CloudError(
             f"cannot be decoded, damaged or cut short: {error}", reason="cloud_values"
@@ -56,12 +61,15 @@ def read_las(path: Path, columns: bool = True) -> Columns:
             reason="cloud_short",
             value=len(out["x"]),
         )
-    return out
+    x, y, z = (float(abs(s)) for s in header.scales)
+    return RawTable(
+        out, coordinates_of_records(records, bool(header.global_encoding.wkt)), (x, y, z), header
+    )
 
 
 def _check_header(path: Path) -> None:
     """Offsets, record counts and sizes against the file's length: laspy takes them as they are, and
-    a wrong one means an endless loop.
+    a wrong one means an endless loop, or points that are left out without a word.
     """
     size = path.stat().st_size
     with path.open("rb") as file:
@@ -73,57 +81,85 @@ def _check_header(path: Path) -> None:
         struct.unpack_from(f, head, at) for f, at in (("<HI", 94), ("<I", 100), ("<HI", 105))
     )
     good = header_bytes <= first <= size and records * 54 <= first - header_bytes
+    end = size
+    if minor >= 3 and len(head) >= 235:
+        (waveforms,) = struct.unpack_from("<Q", head, 227)
+        end = waveforms if first <= waveforms < end and waveforms > 0 else end
     if minor >= 4:
         if len(head) < 375:
             raise CloudError("the header ends early", reason="cloud_short")
+        legacy = count
         (start, extended), (count,) = (
             struct.unpack_from("<QI", head, 235),
             struct.unpack_from("<Q", head, 247),
         )
         good &= extended == 0 or (start <= size and extended * 60 <= size - start)
+        end = start if extended and first <= start < end else end
+        if legacy not in (0, count):
+            raise CloudError(
+                f"the header announces {legacy} points and {count} points",
+                reason="cloud_header",
+                value=[legacy, count],
+            )
     if not good:
         raise CloudError("the header points beyond the file", reason="cloud_header")
-    if not compressed and count * row_bytes > size - first:
+    if compressed:
+        _check_chunks(path, first, count)
+        return
+    if count * row_bytes > end - first:
         raise CloudError(
-            f"{size - first} bytes for {count} points of {row_bytes}: the file ends early",
+            f"{end - first} bytes for {count} points of {row_bytes}: the file ends early",
             reason="cloud_short",
             value=count,
         )
-
-
-def write_las(path: Path, columns: Columns, comments: list[str], encoding: str) -> None:
-    """Write LAS 1.4; columns other than x, y, z become extra bytes, comments a record of user
-    "ladar_volume". LAZ by the file's ending.
-
-    Coordinates are integers of 0.1 mm about the cloud's middle (coarser only where the cloud is
-    wider than 400 km). Raises OSError and :class:`OutputError`.
-    """
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    columns = {name: narrow(c) for name, c in columns.items()}
-    r = np.column_stack([columns.pop(axis) for axis in "xyz"])
-    low, high = (r.min(axis=0), r.max(axis=0)) if len(r) else (np.zeros(3), np.zeros(3))
-    header.offsets = np.round(0.5 * (low + high))
-    header.scales = np.maximum(SCALE_M, np.ceil((high - low) / 4.0e9 / SCALE_M) * SCALE_M)
-    if any(len(name.encode()) > 32 for name in columns):
-        raise OutputError(
-            "a column's name is longer than the 32 bytes LAS has for it", value=list(columns)
+    held = (end - first) // row_bytes if row_bytes else count
+    if held != count:
+        raise CloudError(
+            f"the header announces {count} points, the file holds {held}: one of them is wrong",
+            reason="cloud_header",
+            value=[count, held],
         )
-    header.add_extra_dims(
-        [laspy.ExtraBytesParams(name, c.dtype.str[1:]) for name, c in columns.items()]
-    )
-    if comments:
-        text = json.dumps(comments).encode()
-        header.vlrs.append(
-            laspy.VLR(
-                user_id="ladar_volume",
-                record_id=1,
-                description="names of the codes",
-                record_data=text,
-            )
+
+
+def _check_chunks(path: Path, first: int, count: int) -> None:
+    """The announced count against the number of chunks of a LAZ file, where all have one size."""
+    data = _packing(path)
+    if len(data) < 16:
+        return
+    (chunk,) = struct.unpack_from("<I", data, 12)
+    with path.open("rb") as raw:
+        raw.seek(first)
+        at = raw.read(8)
+        (table,) = struct.unpack("<q", at) if len(at) == 8 else (-1,)
+        if table < 0:  # written to a stream: the place is at the end of the file
+            raw.seek(-8, 2)
+            (table,) = struct.unpack("<q", raw.read(8))
+        raw.seek(max(table, 0))
+        words = raw.read(8)
+    if len(words) < 8 or chunk in (0, 2**32 - 1):
+        return
+    many = struct.unpack("<II", words)[1]
+    if not (many - 1) * chunk < count <= many * chunk and (many or count):
+        raise CloudError(
+            f"the header announces {count} points, the file holds {many} chunks of {chunk}: one of "
+            "them is wrong",
+            reason="cloud_header",
+            value=[count, many],
         )
-    points = laspy.ScaleAwarePointRecord.zeros(len(r), header=header)
-    points.x, points.y, points.z = r.T
-    for name, c in columns.items():
-        points[name] = c
-    las = laspy.LasData(header, points)
-    las.write(str(path))
+
+
+def _packing(path: Path) -> bytes:
+    """The record that says how a LAZ file is packed; empty where there is none."""
+    with path.open("rb") as file:
+        head = file.read(227)
+        (at,), (records,) = struct.unpack_from("<H", head, 94), struct.unpack_from("<I", head, 100)
+        for _ in range(records):
+            file.seek(at)
+            record = file.read(54)
+            if len(record) < 54:
+                break
+            (size,) = struct.unpack_from("<H", record, 20)
+            if record[2:18].rstrip(b"\0") == b"laszip encoded":
+                return file.read(size)
+            at += 54 + size
+    return b""

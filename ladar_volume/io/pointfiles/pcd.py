@@ -14,21 +14,27 @@ from typing import IO, Any
 
 import numpy as np
 
+from ladar_volume.io.pointfiles.crs import of_comments
 from ladar_volume.io.pointfiles.lzf import RATIO, pack, unpack
 from ladar_volume.io.pointfiles.ply import (
-    Columns,
     check_size,
     narrow,
     native,
     text_rows,
     write_rows,
 )
+from ladar_volume.io.pointfiles.raw_table import Columns, RawTable
 from ladar_volume.model.errors import CloudError, OutputError
 
 ENCODINGS = ("ascii", "binary", "binary_compressed")
 KINDS = {"F": "f", "I": "i", "U": "u"}
 CODES = {"f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8"}
 HEADER_LIMIT = 100_000
+#: Largest row, bytes: a count beyond it is no measurement (the largest descriptors have 2 kB).
+ROW_LIMIT = 2**20
+#: Packed data of points stand for two to four times their size; more than this, in more than that
+#: many bytes, is refused before it is unpacked.
+MOST_PACKED, UNPACKED_LIMIT = 20, 2**28
 
 
 @dataclass(frozen=True)
@@ -36,6 +42,7 @@ class _Header:
     fields: tuple[tuple[str, str, int], ...]  # name, numpy code, count
     points: int
     data: str
+    comments: list[str]
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -52,32 +59,37 @@ class _Header:
         )
 
 
-def read_pcd(path: Path) -> Columns:
+def pcd_table(path: Path) -> RawTable:
     """The fields as columns (n,) or (n, count), native byte order, in file order; organised clouds
-    row by row.
+    row by row; what comments say of CRS and units.
 
     Raises :class:`CloudError` (cloud_header, cloud_fields, cloud_short, cloud_values) and OSError.
     """
     with path.open("rb") as file:
         header = _header(file)
         dtype, left = header.dtype, path.stat().st_size - file.tell()
+        said = of_comments(header.comments)
         if header.data == "binary_compressed":
-            return _compressed(file, header, left)
+            return RawTable(_compressed(file, header, left), said)
         if header.data == "ascii":
-            return _ascii(file, header, left)
+            return RawTable(_ascii(file, header, left), said)
         check_size(header.points, dtype.itemsize, left)
         table = np.fromfile(file, dtype, header.points)
-        return {n: native(table[n]) for n in dtype.names or () if not n.startswith("_@")}
+        columns = {n: native(table[n]) for n in dtype.names or () if not n.startswith("_@")}
+        return RawTable(columns, said)
 
 
 def _header(file: IO[bytes]) -> _Header:
     entries: dict[str, list[str]] = {}
+    comments: list[str] = []
     while "DATA" not in entries:
         line = file.readline(HEADER_LIMIT)
         if not line.endswith(b"\n") or file.tell() > HEADER_LIMIT:
             raise CloudError("the header has no end", reason="cloud_header")
         words = line.decode("latin-1").split()
-        if words and not words[0].startswith("#"):
+        if words and words[0].startswith("#"):
+            comments.append(line.decode("utf-8", "replace").strip().lstrip("# "))
+        elif words:
             entries[{"COLUMNS": "FIELDS"}.get(words[0], words[0])] = words[1:]
     try:
         names, sizes, kinds = entries["FIELDS"], entries["SIZE"], entries["TYPE"]
@@ -99,7 +111,10 @@ def _header(file: IO[bytes]) -> _Header:
         or not {f[1] for f in fields} <= CODES
     ):
         raise CloudError("the header contradicts itself", reason="cloud_header", value=entries)
-    return _Header(fields, points, data)
+    row = sum(int(code[1]) * count for _, code, count in fields)
+    if row > ROW_LIMIT:
+        raise CloudError(f"a row of {row} bytes is no point", reason="cloud_header", value=row)
+    return _Header(fields, points, data, comments)
 
 
 def _ascii(file: IO[bytes], header: _Header, left: int) -> Columns:
@@ -126,6 +141,12 @@ def _compressed(file: IO[bytes], header: _Header, left: int) -> Columns:
             f"{sizes[1]} bytes to unpack where the header asks for {size}",
             reason="cloud_header",
             value=int(sizes[1]),
+        )
+    if size > UNPACKED_LIMIT and size > MOST_PACKED * int(sizes[0]):
+        raise CloudError(
+            f"{sizes[0]} packed bytes claim to be {size}, more than points give: refused unread",
+            reason="cloud_header",
+            value=size,
         )
     done, data = unpack(np.fromfile(file, np.uint8, int(sizes[0])), size)
     if done != size:

@@ -15,9 +15,9 @@ from typing import IO, Any
 import numpy as np
 import numpy.typing as npt
 
+from ladar_volume.io.pointfiles.crs import of_comments
+from ladar_volume.io.pointfiles.raw_table import Columns, RawTable
 from ladar_volume.model.errors import CloudError, OutputError
-
-Columns = dict[str, npt.NDArray[Any]]
 
 TYPES = {
     "char": "i1",
@@ -77,26 +77,36 @@ def read_ply(path: Path) -> Columns:
 
     Raises :class:`CloudError` (cloud_header, cloud_fields, cloud_short, cloud_values) and OSError.
     """
+    return ply_table(path).columns
+
+
+def ply_table(path: Path) -> RawTable:
+    """The columns of :func:`read_ply`, and what comments of the header say of CRS and units.
+
+    Raises :class:`CloudError` (cloud_header, cloud_fields, cloud_short, cloud_values) and OSError.
+    """
     with path.open("rb") as file:
-        order, elements = _header(file)
+        order, elements, comments = _header(file)
         before: list[_Element] = []
         for element in elements:
             if element.name == "vertex":
                 left = path.stat().st_size - file.tell()
-                return (
+                columns = (
                     _ascii(file, before, element, left)
                     if order == ""
                     else _binary(file, before, element, order, left)
                 )
+                return RawTable(columns, of_comments(comments))
             before.append(element)
     raise CloudError("the header declares no vertices", reason="cloud_header")
 
 
-def _header(file: IO[bytes]) -> tuple[str, list[_Element]]:
+def _header(file: IO[bytes]) -> tuple[str, list[_Element], list[str]]:
     if file.readline(16).strip() != b"ply":
         raise CloudError("does not begin with 'ply'", reason="cloud_header")
     order: str | None = None
     elements: list[_Element] = []
+    comments: list[str] = []
     while True:
         line = file.readline(HEADER_LIMIT)
         if not line.endswith(b"\n") or file.tell() > HEADER_LIMIT:
@@ -104,6 +114,8 @@ def _header(file: IO[bytes]) -> tuple[str, list[_Element]]:
         words = line.decode("latin-1").split()
         if words[:1] == ["end_header"]:
             break
+        if words[:1] == ["comment"]:
+            comments.append(line.decode("utf-8", "replace").strip()[len("comment") :].strip())
         try:
             if words[:1] == ["format"]:
                 order = {name: ENCODINGS[key] for key, name in FORMATS.items()}[words[1]]
@@ -117,7 +129,7 @@ def _header(file: IO[bytes]) -> tuple[str, list[_Element]]:
             ) from error
     if order is None or any(e.count < 0 for e in elements):
         raise CloudError("the header names no format, or a negative count", reason="cloud_header")
-    return order, elements
+    return order, elements, comments
 
 
 def _property(element: _Element, words: list[str]) -> None:
@@ -166,7 +178,7 @@ def text_rows(file: IO[bytes], skip: int, count: int, width: int) -> npt.NDArray
             rows = np.loadtxt(
                 file, skiprows=skip, max_rows=count, ndmin=2, comments=None, encoding="latin-1"
             )
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:
         raise CloudError(
             f"a row that is not {width} numbers: {error}", reason="cloud_values"
         ) from error
