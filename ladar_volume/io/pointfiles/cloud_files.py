@@ -35,7 +35,8 @@ MESSAGE = 300
 
 def read_cloud(path: str | Path, columns: bool = True, reading: Reading | None = None) -> PointFile:
     """Read a point cloud file, in metres; without ``columns`` the positions alone. ``reading``:
-    what the user says of CRS, units and classes.
+    what the user says of CRS, units and classes; without it, a file that names no CRS is taken to
+    be in metres even where its coordinates look like degrees.
 
     Raises :class:`InputError` for a file that is missing, unreadable or of unknown ending
     (input_missing, input_unreadable, input_format), for a CRS or units that cannot be understood or
@@ -52,7 +53,9 @@ def read_cloud(path: str | Path, columns: bool = True, reading: Reading | None =
     try:
         if path.is_file() and path.stat().st_size == 0:
             raise CloudError("the file is empty", reason="cloud_empty")
-        return assemble(_reader(ending, columns)(path), columns, reading or Reading())
+        return assemble(
+            _reader(ending, columns)(path), columns, reading or Reading(refuse_degrees=False)
+        )
     except OSError as error:
         raise InputError(
             _brief(path, f"cannot be read: {error}"), reason="input_unreadable", value=str(path)

@@ -45,13 +45,15 @@ class Coordinates:
 @dataclass(frozen=True)
 class Reading:
     """Options of reading: crs : what pyproj understands, say "EPSG:25832" · across, up : units of
-    x, y and of z · classes : those that are read; None: all but noise; empty: all
+    x, y and of z · classes : those that are read; None: all but noise; empty: all ·
+    refuse_degrees : of a file that names no CRS, where its coordinates look so
     """
 
     crs: str | None = None
     across: Unit | None = None
     up: Unit | None = None
     classes: tuple[int, ...] | None = None
+    refuse_degrees: bool = True
 
 
 def reading_units(text: str) -> tuple[Unit, Unit]:

@@ -101,7 +101,8 @@ def to_metres(
             "with --units"
         )
         doubts.append(Doubt("height_unit", words, 1.0 / across.metres))
-    if not said.degrees and reading.across is None:
+    asked = reading.refuse_degrees or said.crs is not None
+    if not said.degrees and reading.across is None and asked:
         refuse_degrees(r, said)
     if up.metres != 1.0:
         r[:, 2] *= up.metres
