@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,26 +19,36 @@ from ladar_volume.change.excavation import (
     Region,
     Scan,
     by_resolution,
-    excavate,
     region_of,
 )
+from ladar_volume.change.ring_budget import CORRECTIONS, Checked, checked_excavation
 from ladar_volume.cli.diff_input import (
     Part,
     given_corners,
+    icp_doubts,
+    isolated_doubts,
     load,
     make_scan,
     point,
     refine_by_ground,
     sigma_of,
+    without_isolated,
 )
 from ladar_volume.cli.diff_show import show
 from ladar_volume.cli.surface_options import number
+from ladar_volume.cli.verdict_lines import add_strict_option, exit_code
 from ladar_volume.io.meshfiles.mesh_files import ENDINGS, write_mesh
 from ladar_volume.io.results import json_text
 from ladar_volume.mesh.tetrahedra import closed_variance, closed_volume
 from ladar_volume.mesh.topology import watertight
 from ladar_volume.model.errors import ConfigurationError, OutputError, SurfaceError
+from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.version import version
+
+#: The doubt of a volume whose noise nobody stated.
+NO_SIGMA = Doubt(
+    "no_sigma", "the volume has no standard deviation: give --sigma, the points' noise"
+)
 
 
 def add_parser(subparsers: Any) -> None:
@@ -95,6 +106,13 @@ def add_parser(subparsers: Any) -> None:
         metavar="M",
         help="its errors may be correlated within so much (default: a twelfth of A)",
     )
+    g.add_argument(
+        "--ring-correction",
+        choices=list(CORRECTIONS),
+        default="none",
+        help="move B so that the ring, the unchanged boundary, lies on A: by its offset or rigidly "
+        "(default none: what the ring differs by enters sigma and the verdict)",
+    )
     g = parser.add_argument_group("region")
     g.add_argument(
         "--polygon",
@@ -126,6 +144,11 @@ def add_parser(subparsers: Any) -> None:
         metavar="M",
         default=np.inf,
         help="wider triangles count as closed, not as seen",
+    )
+    g.add_argument(
+        "--keep-isolated",
+        action="store_true",
+        help="keep returns that stand alone, off every surface (default: left out and counted)",
     )
     g = parser.add_argument_group("accuracy")
     g.add_argument(
@@ -174,6 +197,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
+    add_strict_option(parser)
     parser.set_defaults(run=run)
 
 
@@ -213,6 +237,9 @@ def run(arguments: argparse.Namespace) -> int:
             )
         else:
             facts = surfaces(arguments, a, b)
+    if not np.isfinite(facts["sigma_m3"]):
+        facts["verdict"] = facts["verdict"] + Verdict((NO_SIGMA,))
+    facts["verdict"] = facts["verdict"].as_dict()
     facts |= {"size_rule": size_rule(arguments.offset), "version": version()}
     if arguments.mass is not None:
         facts["density"] = weighed(arguments, facts)
@@ -220,7 +247,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(json_text(facts), end="")
     else:
         show(console, facts)
-    return 0
+    return exit_code(arguments, facts["verdict"])
 
 
 def weighed(arguments: argparse.Namespace, facts: dict[str, Any]) -> dict[str, Any]:
@@ -250,6 +277,9 @@ def surfaces(arguments: argparse.Namespace, part_a: Part, part_b: Part) -> dict[
     a, b = (
         make_scan(part, where, arguments.pole) for part, where in ((part_a, eye), (part_b, other))
     )
+    if not arguments.keep_isolated:
+        part_a, part_b = without_isolated(part_a, a), without_isolated(part_b, b)
+        a, b = replace(a, points=part_a.points), replace(b, points=part_b.points)
     sigma = arguments.sigma, arguments.sigma if arguments.sigma_b is None else arguments.sigma_b
     noise = [
         sigma_of(scan, part, given, arguments.beam)
@@ -266,9 +296,22 @@ def surfaces(arguments: argparse.Namespace, part_a: Part, part_b: Part) -> dict[
         arguments.spacing,
     )
     more: dict[str, Any] = {}
+    verdict = part_a.verdict + part_b.verdict
+    verdict += Verdict(tuple(isolated_doubts((part_a, part_b))))
     if arguments.icp is not None:
+        before = b
         b, more["icp"] = refine_by_ground(a, b, region, arguments.icp, arguments.icp_cell)
-    found = excavate(a, b, region, pole_map=arguments.pole, max_edge_m=arguments.max_edge)
+        verdict += Verdict(tuple(icp_doubts(more["icp"], before)))
+    checked = checked_excavation(
+        a,
+        b,
+        region,
+        arguments.ring_correction,
+        pole_map=arguments.pole,
+        max_edge_m=arguments.max_edge,
+    )
+    found, b = checked.found, checked.b
+    verdict += checked.verdict
     if arguments.output is not None:
         write_mesh(arguments.output, found.between.vertices, found.between.triangles, ["metres"])
     if arguments.resolution is not None:
@@ -287,12 +330,28 @@ def surfaces(arguments: argparse.Namespace, part_a: Part, part_b: Part) -> dict[
             "in_region": int(m.sum()),
             "sigma_m": n.typical_m,
             "sigma_from": n.words,
+            "isolated": p.isolated,
         }
         for p, m, n in zip((part_a, part_b), (found.in_a, found.in_b), noise, strict=True)
     ]
-    return (
-        facts_of(found, region, noise[0].typical_m, arguments.offset) | {"surfaces": points} | more
-    )
+    facts = facts_of(found, region, noise[0].typical_m, arguments.offset)
+    facts["ring"] |= ring_facts(checked)
+    return facts | {"surfaces": points, "verdict": verdict} | more
+
+
+def ring_facts(checked: Checked) -> dict[str, Any]:
+    """What the ring says of the registration, as plain values: before any correction."""
+    fit = checked.fit
+    return {
+        "offset_m": fit.offset_m,
+        "offset_sigma_m": fit.offset_sigma_m,
+        "tilt_rad": fit.tilt_rad,
+        "effect_m3": fit.effect_m3,
+        "effect_sigma_m3": fit.effect_sigma_m3,
+        "scatter_m": fit.scatter_m,
+        "changed_share": fit.changed_share,
+        "correction": checked.correction,
+    }
 
 
 def facts_of(found: Excavation, region: Region, noise_m: float, offset_m: float) -> dict[str, Any]:
@@ -408,6 +467,7 @@ def bodies(arguments: argparse.Namespace, a: Part, b: Part) -> dict[str, Any]:
         "pole_m": body.pole_map.tolist(),
         "pole_spread_m3": spread,
         "bodies": closed,
+        "verdict": a.verdict + b.verdict,
         "size_classes": None
         if volume == 0.0
         else relative_errors(

@@ -9,6 +9,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from ladar_volume.cli.verdict_lines import add_verdict_rows
+
 
 def show(console: Console, facts: Mapping[str, Any]) -> None:
     """Print the facts as short tables."""
@@ -45,6 +47,7 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
             f"to {high:.1f} kg/m³; "
             f"{100 * shares['volume']:.0f} % of the variance from the volume",
         )
+    add_verdict_rows(table, facts["verdict"])
     console.print(table)
     budget(console, facts)
     if "resolution" in facts:
@@ -68,11 +71,19 @@ def surface_rows(table: Table, facts: Mapping[str, Any]) -> None:
         f"{ring['points']} points; from A to B {1e3 * ring['mean_gap_m']:.1f} mm in the mean, "
         f"{1e3 * ring['rms_gap_m']:.1f} mm RMS, {1e3 * ring['largest_gap_m']:.1f} mm at most",
     )
+    words = "" if ring["correction"] == "none" else f"; taken out ({ring['correction']})"
+    table.add_row(
+        "registration by it",
+        f"{1e3 * ring['offset_m']:+.1f} ± {1e3 * ring['offset_sigma_m']:.1f} mm, tilt "
+        f"{1e3 * ring['tilt_rad']:.2f} mrad: {ring['effect_m3']:+.4f} ± "
+        f"{ring['effect_sigma_m3']:.4f} m³{words}",
+    )
     for each in facts["surfaces"]:
         spread = f"sigma {1e3 * each['sigma_m']:.2f} mm, {each['sigma_from']}"
         table.add_row(
             each["path"],
-            f"{each['in_region']:,} of {each['points']:,} points in the region; {spread}",
+            f"{each['in_region']:,} of {each['points']:,} points in the region; {spread}"
+            + (f"; {each['isolated']:,} that stood alone left out" if each["isolated"] else ""),
         )
     if "icp" in facts:
         icp = facts["icp"]
