@@ -35,7 +35,8 @@ def isolated_returns(points: F64, scanner: F64) -> Bool:
     if len(direction) <= AROUND:
         return np.zeros(len(direction), bool)
     r = np.asarray(points, dtype=np.float64)
-    spacing = cKDTree(r).query(r, NEIGHBOUR + 1)[0][:, NEIGHBOUR] / distance
+    far, _ = cKDTree(r).query(r, NEIGHBOUR + 1)
+    spacing: F64 = np.asarray(far, dtype=np.float64)[:, NEIGHBOUR] / distance
     alone: Bool = spacing > SPARSE * float(np.median(spacing))
     for _ in range(ROUNDS):
         left = np.flatnonzero(~alone)
@@ -54,7 +55,7 @@ def among(direction: F64, distance: F64) -> Bool:
     own, sigma, company = np.empty(n), np.empty(n), np.empty(n, np.int64)
     for first in range(0, n, BLOCK):
         rows = np.arange(first, min(first + BLOCK, n))
-        near = tree.query(direction[rows], AROUND + 1)[1]
+        near = np.asarray(tree.query(direction[rows], AROUND + 1)[1], dtype=np.int64)
         # a return in exactly the same direction may come first: the return itself is left out
         near = np.where(near == rows[:, None], near[:, -1:], near)[:, :AROUND]
         at = slice(first, first + len(rows))

@@ -16,8 +16,9 @@ from ladar_volume.model.verdict import Doubt, Verdict
 
 #: Ways to take the ring's misregistration out of B, and the parameters they fit.
 CORRECTIONS = {"none": 0, "offset": 1, "rigid": 6}
-#: A misregistration stands out beyond so many of its sigmas.
-STANDS_OUT = 3.0
+#: A misregistration stands out beyond so many of its sigmas: 0.3 % of Student's distribution with
+#: the nine degrees of freedom that twelve stretches leave of three parameters.
+STANDS_OUT = 4.1
 #: Share of the ring's lines on changed ground that is named, and at which nothing is left to fit.
 CHANGED_SHARE, LOST_SHARE = 0.05, 0.4
 #: An edge so many times the median one bridges what was not seen, and the share of the volume

@@ -127,7 +127,7 @@ def fit_ring(d: TwoSurfaces, points_b: F64, parameters: int = 6) -> RingFit:
     x = np.concatenate([x, np.zeros(A.shape[1] - len(x))])
     for _ in range(STEPS):
         x, sigma, weight, N = step(A, g, x, penalty, floor)
-    Q = np.linalg.inv(N)
+    Q: F64 = np.asarray(np.linalg.inv(N), dtype=np.float64)
     v = g - A @ x
     C = larger(Q, sandwich(A * (weight * v)[:, None] / sigma**2, Q), model.effect[free])
     full, Cx = np.zeros(6), np.zeros((6, 6))
@@ -149,9 +149,10 @@ def fit_ring(d: TwoSurfaces, points_b: F64, parameters: int = 6) -> RingFit:
 def start(A: F64, g: F64, floor: float) -> tuple[F64, float]:
     """Least median of squares (p,) of gaps g (k,) and the robust sigma, m, from random samples."""
     rng, p = np.random.default_rng(SEED), A.shape[1]
-    best, least = np.linalg.lstsq(A, g, rcond=None)[0], np.inf
+    best: F64 = np.zeros(p)
+    least = np.inf
     for rows in [np.arange(len(g)), *rng.integers(0, len(g), (TRIALS, p + 1))]:
-        x = np.linalg.lstsq(A[rows], g[rows], rcond=1e-3)[0]
+        x: F64 = np.asarray(np.linalg.lstsq(A[rows], g[rows], rcond=1e-3)[0], dtype=np.float64)
         middle = float(np.median(np.abs(g - A @ x)))
         if middle < least:
             best, least = x, middle
