@@ -53,7 +53,7 @@ def checked_excavation(
     Without a correction a misregistration that stands out enters the variance with its square, and
     the verdict where it outweighs the rest of the variance; where no transform says how well the
     scans lie on each other, so does one that does not stand out, with its own variance. With a
-    correction B is moved, and what is left uncertain is the line ``ring``.
+    correction B is moved, and what is left is the line ``ring``.
 
     Raises as :func:`excavate` and :func:`fit_ring` do.
     """
@@ -72,7 +72,7 @@ def checked_excavation(
     known = sum(v for k, v in budget.items() if k.startswith("registration"))
     off = abs(now.effect_m3) > STANDS_OUT * np.sqrt(now.effect_sigma_m3**2 + known)
     budget["ring"] = 0.0 if stated else now.effect_sigma_m3**2
-    if off or (correction == "none" and not stated):
+    if off or not stated:
         budget["ring"] += now.effect_m3**2
     one, two = a.part(found.in_a), b.part(found.in_b)
     noise = budget["noise_a"] + budget["noise_b"]

@@ -53,10 +53,11 @@ def test_the_effect_of_a_rigid_motion_is_on_the_ring(seed):
     fit = fit_ring(found.between, off[found.in_b])
     effect = found.removed_m3 - before.removed_m3
     assert abs(fit.effect_m3 - effect) < 4.0 * fit.effect_sigma_m3 and fit.changed_share < 0.05
-    home = fit_ring(
-        excavate(scan(a), scan(fit.home.apply(off)), REGION).between, fit.home.apply(off)
-    )
-    assert abs(home.effect_m3) < 0.5 * fit.effect_sigma_m3
+    back = fit.home.apply(off)
+    again = excavate(scan(a), scan(back), REGION)
+    home = fit_ring(again.between, back[again.in_b])
+    # B's triangles meet other lines now: the noise of the gaps is drawn anew
+    assert abs(home.effect_m3) < 3.0 * fit.effect_sigma_m3
 
 
 def test_exact_motion_and_its_way_home():
