@@ -11,10 +11,13 @@ import pytest
 from closed_meshes import moebius
 
 from benchmarks.pits import PITS, pit, rim
+from ladar_volume.change.excavation import Scan
+from ladar_volume.cli.diff_input import icp_doubts
 from ladar_volume.cli.main import main
 from ladar_volume.io.meshfiles.mesh_files import read_mesh, write_mesh
 from ladar_volume.io.pointfiles.cloud_files import write_cloud
 from ladar_volume.math.se3 import exp_so3, rotation_xyz
+from ladar_volume.registration.transform import Transform
 
 OPENING, FLOOR, DEPTH, SCANNER = PITS["overhang"]
 EYE = ",".join(map(str, SCANNER))
@@ -421,3 +424,28 @@ def test_a_transform_of_doubt_and_a_volume_without_sigma_are_doubtful(scans, tmp
     found = answer(capsys, *words, "--transform-b", tmp_path / "T.json")
     assert "left_out" in {r["name"] for r in found["verdict"]["reasons"]}
     assert "T.json" in found["verdict"]["reasons"][0]["text"]
+
+
+def test_a_refinement_that_wandered_or_did_not_settle_is_doubtful():
+    r = np.random.default_rng(1).uniform(-3.0, 3.0, (50, 3))
+    C = np.zeros((7, 7))
+    C[3:6, 3:6] = 0.002**2 * np.eye(3)
+    stated = Transform(np.eye(3), np.zeros(3), np.zeros(3), 1.0, C)
+    icp = {"converged": True, "rounds": 9, "reach_m": 0.15, "sigma_m": 0.004, "moved_m": 0.05}
+    free, bound = Scan(r, ABOVE, 0.003), Scan(r, ABOVE, 0.003, stated)
+    assert icp_doubts(icp, free) == []
+    assert [d.name for d in icp_doubts(icp, bound)] == ["icp_moved"]
+    assert [d.name for d in icp_doubts(icp | {"moved_m": 0.2}, free)] == ["icp_moved"]
+    lost = icp_doubts(icp | {"converged": False}, free)
+    assert [d.name for d in lost] == ["icp_not_converged"] and "9 steps" in lost[0].text
+
+
+def test_a_surface_that_was_not_seen_and_a_part_of_the_region(tmp_path, capsys):
+    rng = np.random.default_rng(5)
+    a, b = ground(rng, False, 5000), ground(rng, True, 5000)
+    hole = b[np.abs(b[:, :2]).max(axis=1) > 0.8]
+    _, facts, names = compared(capsys, tmp_path, a, hole)
+    assert "unseen" in names or abs(facts["volume_m3"] - HOLLOW) < 3.0 * facts["sigma_m3"]
+    write_cloud(tmp_path / "half.ply", b[b[:, 0] < 1.0])
+    text = refusal(capsys, tmp_path / "a.ply", tmp_path / "half.ply", *SQUARE)
+    assert "miss surface B" in text
