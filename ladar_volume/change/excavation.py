@@ -40,6 +40,8 @@ MARGIN_SHARE, RING_SPACINGS = 0.1, 2.0
 #: The ring lies on planes through the points within so many sigma: where noise folds the surface,
 #: its triangles would tear the ring.
 RING_SIGMAS = 8.0
+#: Where the ring tears, the points within so many of its spacings serve.
+TORN_SPACINGS = 1.5
 
 
 @dataclass(frozen=True)
@@ -234,16 +236,7 @@ def excavate(
     pole = b.scanner if pole_map is None else np.asarray(pole_map, dtype=np.float64)
     if pole.shape != (3,) or not np.isfinite(pole).all():
         raise VolumeError("a pole is three finite numbers", reason="volume_pole", value=pole_map)
-    between = two_surfaces(
-        one.points,
-        two.points,
-        ring_of(region, one, two),
-        one.scanner,
-        two.scanner,
-        max_edge_m=max_edge_m,
-        pole_map=pole,
-        ring_radius_m=RING_SIGMAS * max(one.sigma(), two.sigma()),
-    )
+    between = between_scans(one, two, region, pole, max_edge_m)
     budget = two_surface_budget(
         between,
         one.noise,
@@ -268,6 +261,32 @@ def excavate(
         in_b,
         surface_area(between.vertices, between.triangles),
     )
+
+
+def between_scans(
+    one: Scan, two: Scan, region: Region, pole: F64, max_edge_m: float = np.inf
+) -> TwoSurfaces:
+    """What lies between the points of two scans, all within their regions. Where single points
+    tear the ring it is laid on planes through more of the points around.
+    """
+    radius, ring = RING_SIGMAS * max(one.sigma(), two.sigma()), ring_of(region, one, two)
+    for wider in (radius, max(2.0 * radius, TORN_SPACINGS * region.spacing_m)):
+        try:
+            return two_surfaces(
+                one.points,
+                two.points,
+                ring,
+                one.scanner,
+                two.scanner,
+                max_edge_m=max_edge_m,
+                pole_map=pole,
+                ring_radius_m=wider,
+            )
+        except VolumeError as error:
+            if error.reason not in ("ring_lost", "ring_touches"):
+                raise
+            torn = error
+    raise torn
 
 
 def closed_volume_share(d: TwoSurfaces, max_edge_m: float = np.inf) -> float:

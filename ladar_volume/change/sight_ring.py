@@ -320,6 +320,17 @@ def settle(ring: Ring, hits: Hits, surface: Target, radius_m: float) -> Hits:
     )
 
 
+def slide(ring: Ring, hits: Hits) -> F64:
+    """Derivatives (k, 3) of the distances along the lines by a displacement of the surface: ``n /
+    (n·d)``.
+    """
+    along = (hits.normal * ring.direction).sum(axis=1)
+    length = np.linalg.norm(hits.normal, axis=1)
+    safe = np.where(np.abs(along) > 1e-9 * length, along, 1e-9 * np.maximum(length, 1e-300))
+    out: F64 = hits.normal / safe[:, None]
+    return out
+
+
 def pull(gradient: F64, ring: Ring, hits: Hits, into: F64) -> None:
     """Add to ``into`` (n, 3) what a gradient (k, 3) by the ring's points on a surface means for the
     vertices (n, 3) they hang on.

@@ -20,7 +20,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ladar_volume.change.sight_ring import Hits, Ring, Target, cast, pull, target
+from ladar_volume.change.sight_ring import Hits, Ring, Target, cast, pull, slide, target
 from ladar_volume.change.spherical_tin import (
     SphericalTin,
     build_spherical,
@@ -55,7 +55,9 @@ class TwoSurfaces:
     scans · vertices, triangles : the closed body, outward where removed · pole_spread_m3 : largest
     change over nine other poles · gap_m : (k,) from A to B along each line of the ring; the ring
     lies on unchanged ground where it is within the noise · area_a_m2, area_b_m2 : surfaces within
-    the ring · bridged_m2 : (of A, of B) where no triangle was within the limits
+    the ring · bridged_m2 : (of A, of B) where no triangle was within the limits · ring_direction :
+    (k, 3) of its lines · ring_b : (k, 3) m, where they meet B · ring_slide : (k, 3), derivative of
+    each gap by where B's surface is
     """
 
     removed_m3: float
@@ -69,6 +71,9 @@ class TwoSurfaces:
     area_a_m2: float
     area_b_m2: float
     bridged_m2: tuple[float, float]
+    ring_direction: F64
+    ring_b: F64
+    ring_slide: F64
 
 
 @dataclass(frozen=True)
@@ -222,6 +227,9 @@ def two_surfaces(
         area[0],
         area[1],
         (bridged[0], bridged[1]),
+        ring.direction,
+        hits[1].point,
+        slide(ring, hits[1]),
     )
 
 
@@ -259,8 +267,9 @@ def cut_both(
             break
     raise VolumeError(
         (
-            f"{len(missing)} edges of the ring cannot be cut into the surfaces: points lie "
-            "too near the ring; move it"
+            f"{len(missing)} edges of the ring cannot be cut into the surfaces: returns off the "
+            "surface or two surfaces one behind the other tear it; filter the scans "
+            "(ladar_volume filter), give a wider --spacing, or lay the ring elsewhere (--polygon)"
         ),
         reason="ring_lost",
         value=len(missing),

@@ -5,6 +5,7 @@ pole.
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,20 +18,23 @@ from ladar_volume.change.excavation import (
     Region,
     Scan,
     by_resolution,
-    excavate,
     region_of,
 )
+from ladar_volume.change.ring_budget import Checked, checked_excavation
 from ladar_volume.cli.diff_input import (
     Part,
     given_corners,
+    icp_doubts,
+    isolated_doubts,
     load,
     make_scan,
     refine_by_ground,
     sigma_of,
+    without_isolated,
 )
 from ladar_volume.cli.diff_show import show
 from ladar_volume.cli.inputs.reading import add_reading_rows, cloud_facts_of, reading_doubts
-from ladar_volume.cli.verdict_lines import add_verdict_rows, exit_code
+from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.io.endings import ENDINGS
 from ladar_volume.io.meshfiles.mesh_files import write_mesh
 from ladar_volume.io.results import json_text
@@ -38,8 +42,13 @@ from ladar_volume.mesh.crossed_space import crossing_doubts
 from ladar_volume.mesh.tetrahedra import closed_variance, closed_volume
 from ladar_volume.mesh.topology import watertight
 from ladar_volume.model.errors import ConfigurationError, OutputError, SurfaceError
-from ladar_volume.model.verdict import Verdict
+from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.version import version
+
+#: The doubt of a volume whose noise nobody stated.
+NO_SIGMA = Doubt(
+    "no_sigma", "the volume has no standard deviation: give --sigma, the points' noise"
+)
 
 
 def check_options(a: argparse.Namespace) -> None:
@@ -82,7 +91,10 @@ def run(arguments: argparse.Namespace) -> int:
             )
         else:
             facts = surfaces(arguments, a, b)
-    facts["verdict"] = (facts["verdict"] + doubts).as_dict()
+    facts["verdict"] = facts["verdict"] + doubts
+    if not np.isfinite(facts["sigma_m3"]):
+        facts["verdict"] = facts["verdict"] + Verdict((NO_SIGMA,))
+    facts["verdict"] = facts["verdict"].as_dict()
     facts |= {"size_rule": size_rule(arguments.offset), "version": version()}
     facts["files"] = [
         {"path": p.path.name, **cloud_facts_of(p.cloud)} for p in (a, b) if p.cloud is not None
@@ -98,11 +110,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def show_files(console: Console, facts: dict[str, Any]) -> None:
-    """Print how the clouds were read, and what is doubtful."""
+    """Print how the clouds were read."""
     table = Table(show_header=False, box=None, pad_edge=False)
     for each in facts["files"]:
         add_reading_rows(table, each, each["path"])
-    add_verdict_rows(table, facts["verdict"])
     console.print(table)
 
 
@@ -133,6 +144,9 @@ def surfaces(arguments: argparse.Namespace, part_a: Part, part_b: Part) -> dict[
     a, b = (
         make_scan(part, where, arguments.pole) for part, where in ((part_a, eye), (part_b, other))
     )
+    if not arguments.keep_isolated:
+        part_a, part_b = without_isolated(part_a, a), without_isolated(part_b, b)
+        a, b = replace(a, points=part_a.points), replace(b, points=part_b.points)
     sigma = arguments.sigma, arguments.sigma if arguments.sigma_b is None else arguments.sigma_b
     noise = [
         sigma_of(scan, part, given, arguments.beam)
@@ -149,9 +163,22 @@ def surfaces(arguments: argparse.Namespace, part_a: Part, part_b: Part) -> dict[
         arguments.spacing,
     )
     more: dict[str, Any] = {}
+    verdict = part_a.verdict + part_b.verdict
+    verdict += Verdict(tuple(isolated_doubts((part_a, part_b))))
     if arguments.icp is not None:
+        before = b
         b, more["icp"] = refine_by_ground(a, b, region, arguments.icp, arguments.icp_cell)
-    found = excavate(a, b, region, pole_map=arguments.pole, max_edge_m=arguments.max_edge)
+        verdict += Verdict(tuple(icp_doubts(more["icp"], before)))
+    checked = checked_excavation(
+        a,
+        b,
+        region,
+        arguments.ring_correction,
+        pole_map=arguments.pole,
+        max_edge_m=arguments.max_edge,
+    )
+    found, b = checked.found, checked.b
+    verdict += checked.verdict
     if arguments.output is not None:
         write_mesh(arguments.output, found.between.vertices, found.between.triangles, ["metres"])
     if arguments.resolution is not None:
@@ -170,14 +197,28 @@ def surfaces(arguments: argparse.Namespace, part_a: Part, part_b: Part) -> dict[
             "in_region": int(m.sum()),
             "sigma_m": n.typical_m,
             "sigma_from": n.words,
+            "isolated": p.isolated,
         }
         for p, m, n in zip((part_a, part_b), (found.in_a, found.in_b), noise, strict=True)
     ]
-    return (
-        facts_of(found, region, noise[0].typical_m, arguments.offset)
-        | {"surfaces": points, "verdict": part_a.verdict + part_b.verdict}
-        | more
-    )
+    facts = facts_of(found, region, noise[0].typical_m, arguments.offset)
+    facts["ring"] |= ring_facts(checked)
+    return facts | {"surfaces": points, "verdict": verdict} | more
+
+
+def ring_facts(checked: Checked) -> dict[str, Any]:
+    """What the ring says of the registration, as plain values: before any correction."""
+    fit = checked.fit
+    return {
+        "offset_m": fit.offset_m,
+        "offset_sigma_m": fit.offset_sigma_m,
+        "tilt_rad": fit.tilt_rad,
+        "effect_m3": fit.effect_m3,
+        "effect_sigma_m3": fit.effect_sigma_m3,
+        "scatter_m": fit.scatter_m,
+        "changed_share": fit.changed_share,
+        "correction": checked.correction,
+    }
 
 
 def facts_of(found: Excavation, region: Region, noise_m: float, offset_m: float) -> dict[str, Any]:

@@ -6,13 +6,14 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ladar_volume.change.excavation import Region, Scan, beam_noise, hull_polygon, select
+from ladar_volume.change.isolated_returns import isolated_returns
 from ladar_volume.change.spherical_tin import (
     build_spherical,
     normals_towards,
@@ -26,7 +27,7 @@ from ladar_volume.clouds.cloud_surface import local_sigma
 from ladar_volume.io.endings import READ_ENDINGS
 from ladar_volume.io.meshfiles.mesh_files import MeshFile, read_mesh
 from ladar_volume.io.pointfiles.cloud_files import PointFile, read_cloud
-from ladar_volume.io.transforms import read_transform
+from ladar_volume.io.transforms import read_transform, read_transform_verdict
 from ladar_volume.mesh.topology import orient
 from ladar_volume.model.errors import ConfigurationError, InputError, SurfaceError, VolumeError
 from ladar_volume.model.records import F64, I32
@@ -35,13 +36,16 @@ from ladar_volume.registration.transform import Transform
 
 #: The cell of the refinement's covariance, as a part of A's larger side.
 ICP_CELLS = 12.0
+#: Share of returns that stand alone at which a scan is doubtful.
+ISOLATED_SHARE = 0.02
 
 
 @dataclass(frozen=True)
 class Part:
     """A file: points (n, 3) m in the map frame · triangles (m, 3), none for a cloud · closed : a
     mesh without boundary · sigma : (n,) m of the file, or None · transform : that was applied ·
-    verdict : on the file · cloud : as its file holds it, None for a mesh
+    isolated : returns left out since they stand alone · verdict : on the file and the transform ·
+    cloud : as its file holds it, None for a mesh
     """
 
     path: Path
@@ -50,6 +54,7 @@ class Part:
     closed: bool
     sigma: F64 | None
     transform: Transform | None
+    isolated: int = 0
     verdict: Verdict = field(default_factory=Verdict)
     cloud: PointFile | None = None
 
@@ -72,6 +77,7 @@ def load(
     frame.
     """
     T = None if transform is None else read_transform(transform)
+    verdict = Verdict() if transform is None else read_transform_verdict(transform)
     r, triangles, sigma, found = read_any(path, arguments, surface)
     doubts = found.doubts if isinstance(found, MeshFile) else ()
     closed = False
@@ -86,7 +92,7 @@ def load(
         doubts += (unused_faces(path, len(triangles)),)
     cloud = None if isinstance(found, MeshFile) else found
     points = r if T is None else T.apply(r)
-    return Part(path, points, triangles, closed, sigma, T, Verdict(doubts), cloud)
+    return Part(path, points, triangles, closed, sigma, T, 0, verdict + Verdict(doubts), cloud)
 
 
 def unused_faces(path: Path, many: int) -> Doubt:
@@ -162,6 +168,33 @@ def make_scan(part: Part, scanner: F64 | None, pole: F64 | None) -> Scan:
     return Scan(part.points, eye, np.nan, part.transform)
 
 
+def without_isolated(part: Part, scan: Scan) -> Part:
+    """The part without the returns that stand alone, off every surface."""
+    stays = ~isolated_returns(part.points, scan.scanner)
+    if stays.all() or len(part.triangles):
+        return part
+    sigma = None if part.sigma is None else part.sigma[stays]
+    return replace(part, points=part.points[stays], sigma=sigma, isolated=int((~stays).sum()))
+
+
+def isolated_doubts(parts: Sequence[Part]) -> list[Doubt]:
+    """The doubts of scans with many returns that stood alone."""
+    out = []
+    for name, part in zip("AB", parts, strict=True):
+        share = part.isolated / max(part.isolated + len(part.points), 1)
+        if share > ISOLATED_SHARE:
+            out.append(
+                Doubt(
+                    "isolated",
+                    f"{100.0 * share:.1f} % of the returns of {name} stood alone, off every "
+                    "surface, and were left out (--keep-isolated keeps them): some that lie near "
+                    "the surface may be left; clean the scan (ladar_volume filter)",
+                    share,
+                )
+            )
+    return out
+
+
 def sigma_of(scan: Scan, part: Part, given: float | None, beam: bool) -> Noise:
     """Noise of a scan: as given, of the file's column, or from what local quadrics leave of its
     ranges, which lies along the beam.
@@ -179,6 +212,35 @@ def sigma_of(scan: Scan, part: Part, given: float | None, beam: bool) -> Noise:
         )
     typical = float(np.median(sigma))
     return Noise(beam_noise(scan.points, scan.scanner, sigma) if beam else sigma, typical, words)
+
+
+def icp_doubts(icp: dict[str, Any], b: Scan) -> list[Doubt]:
+    """The doubts of a refinement of scan B (as it was before) by the ground."""
+    out = []
+    if not icp["converged"]:
+        out.append(
+            Doubt(
+                "icp_not_converged",
+                f"the refinement did not settle in {icp['rounds']} steps: choose another reach "
+                "(--icp), or register with spheres",
+                icp["rounds"],
+            )
+        )
+    budget = icp["reach_m"]
+    if b.transform is not None:
+        own = b.transform.covariances(b.transform.back(b.points))
+        sigma = float(np.sqrt(np.trace(own, axis1=1, axis2=2).mean()))
+        budget = min(budget, max(3.0 * sigma, 3.0 * icp["sigma_m"]))
+    if icp["moved_m"] > budget:
+        out.append(
+            Doubt(
+                "icp_moved",
+                f"the refinement moved B by {icp['moved_m']:.3g} m, further than the "
+                f"{budget:.3g} m that its registration and the reach allow: check the registration",
+                icp["moved_m"],
+            )
+        )
+    return out
 
 
 def refine_by_ground(
@@ -212,8 +274,13 @@ def refine_by_ground(
     T = found.transform
     noise = b.noise if np.ndim(b.noise) < 3 else T.R @ np.asarray(b.noise) @ T.R.T
     moved = Scan(T.apply(b.points), T.apply(b.scanner[None])[0], noise, T)
+    shift = T.apply(b.points) - b.points
     facts = {
         "matrix": T.matrix().tolist(),
+        "converged": found.converged,
+        "moved_m": float(np.sqrt((shift**2).sum(axis=1).mean())),
+        "reach_m": reach_m,
+        "rounds": found.rounds,
         "pairs": len(found.pairs),
         "sigma_m": found.sigma_m,
         "overlap": found.overlap,

@@ -71,11 +71,19 @@ def surface_rows(table: Table, facts: Mapping[str, Any]) -> None:
         f"{ring['points']} points; from A to B {1e3 * ring['mean_gap_m']:.1f} mm in the mean, "
         f"{1e3 * ring['rms_gap_m']:.1f} mm RMS, {1e3 * ring['largest_gap_m']:.1f} mm at most",
     )
+    words = "" if ring["correction"] == "none" else f"; taken out ({ring['correction']})"
+    table.add_row(
+        "registration by it",
+        f"{1e3 * ring['offset_m']:+.1f} ± {1e3 * ring['offset_sigma_m']:.1f} mm, tilt "
+        f"{1e3 * ring['tilt_rad']:.2f} mrad: {ring['effect_m3']:+.4f} ± "
+        f"{ring['effect_sigma_m3']:.4f} m³{words}",
+    )
     for each in facts["surfaces"]:
         spread = f"sigma {1e3 * each['sigma_m']:.2f} mm, {each['sigma_from']}"
         table.add_row(
             each["path"],
-            f"{each['in_region']:,} of {each['points']:,} points in the region; {spread}",
+            f"{each['in_region']:,} of {each['points']:,} points in the region; {spread}"
+            + (f"; {each['isolated']:,} that stood alone left out" if each["isolated"] else ""),
         )
     if "icp" in facts:
         icp = facts["icp"]

@@ -15,14 +15,22 @@ from rich.table import Table
 
 from ladar_volume.change.change_detection import ChangeMap, Thresholded, change_map, thresholded
 from ladar_volume.change.epoch_change import EpochDifference, epoch_difference
+from ladar_volume.change.stable_ground import (
+    StableGround,
+    epoch_verdict,
+    stable_ground,
+    with_stable_ground,
+)
 from ladar_volume.cli.diff_input import given_corners
 from ladar_volume.cli.result_table import budget_table, volume_rows
+from ladar_volume.cli.verdict_lines import add_verdict_rows, exit_code
 from ladar_volume.io import results
 from ladar_volume.io.surveys import Survey, between_datums, read_survey
-from ladar_volume.io.transforms import read_transform
+from ladar_volume.io.transforms import read_transform, read_transform_verdict
 from ladar_volume.model.choices import CALIBRATION_GROUPS
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.records import F64
+from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.uncertainty.epoch_budget import Epoch
 from ladar_volume.version import version
 
@@ -31,17 +39,18 @@ def run(arguments: argparse.Namespace) -> int:
     """Read both surveys, compare, print, write the output folder."""
     console = Console(stderr=arguments.json)
     folder = results.output_folder(arguments.output)
-    corners = given_corners(arguments.polygon, None)
+    corners, stable = plan_of(arguments.polygon), plan_of(arguments.stable)
     separate = CALIBRATION_GROUPS if "all" in arguments.separate else tuple(arguments.separate)
     with console.status("reading") as status:
         previous, new = read_survey(arguments.previous), read_survey(arguments.new)
         later = laid_on(new, previous, arguments.transform)
         status.update("comparing")
-        found, change, kept = compared(
-            later, previous.epoch, separate, None if corners is None else corners[:, :2]
-        )
+        found, change, kept, ground = compared(later, previous.epoch, separate, corners, stable)
+        verdict = epoch_verdict(ground) + inherited(previous, new, arguments.transform)
     facts = {
         **epoch_dict(found, kept, separate),
+        "stable_ground": dataclasses.asdict(ground) | {"effect_m3": ground.effect_m3},
+        "verdict": verdict.as_dict(),
         "previous": source_of(previous),
         "new": source_of(new),
         "frame": frame_words(later, arguments.transform),
@@ -73,7 +82,25 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         show(console, facts)
         console.print(f"written to {folder}/")
-    return 0
+    return exit_code(arguments, facts["verdict"])
+
+
+def plan_of(corners: list[str] | None) -> F64 | None:
+    """Corners (c, 2) m in plan from the command line or a file; None without."""
+    given = given_corners(corners, None)
+    return None if given is None else given[:, :2]
+
+
+def inherited(previous: Survey, new: Survey, transform: Path | None) -> Verdict:
+    """What the surveys' own verdicts and that of the transform say."""
+    out = Verdict() if transform is None else read_transform_verdict(transform)
+    for name, survey in (("previous", previous), ("new", new)):
+        own = survey.result.get("verdict")
+        reasons = own.get("reasons", []) if isinstance(own, Mapping) else []
+        out += Verdict(
+            tuple(Doubt(r["name"], f"{name}: {r['text']}", r.get("value")) for r in reasons)
+        )
+    return out
 
 
 def laid_on(new: Survey, previous: Survey, transform: Path | None) -> Epoch:
@@ -97,13 +124,19 @@ def frame_words(new: Epoch, transform: Path | None) -> str:
 
 
 def compared(
-    new: Epoch, previous: Epoch, separate: Collection[str], polygon: F64 | None
-) -> tuple[EpochDifference, ChangeMap, Thresholded]:
-    """Difference, map, and volumes with the threshold."""
+    new: Epoch,
+    previous: Epoch,
+    separate: Collection[str],
+    polygon: F64 | None = None,
+    stable: F64 | None = None,
+) -> tuple[EpochDifference, ChangeMap, Thresholded, StableGround]:
+    """Difference, map, volumes with the threshold, and what unchanged ground says."""
     found, apart = epoch_difference(new, previous, separate, polygon)
     k = found.volume.coverage_factor
     change = change_map(new, previous, apart, k, separate)
-    return found, change, thresholded(new, previous, apart, change, k, separate)
+    ground = stable_ground(new, previous, apart, change, separate, stable, polygon)
+    kept = thresholded(new, previous, apart, change, k, separate)
+    return with_stable_ground(found, ground), change, kept, ground
 
 
 def epoch_dict(
@@ -158,7 +191,15 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
         "threshold's bias",
         f"{lod['bias_m3']:+.3f} ± {lod['bias_sigma_m3']:.3f} m³ of the net volume",
     )
+    ground = facts["stable_ground"]
+    head.add_row(
+        "stable ground",
+        f"{100.0 * ground['share']:.0f} % of the common area, "
+        f"{'named' if ground['named'] else 'found'}: {1e3 * ground['offset_m']:+.1f} mm in the "
+        f"mean, the budgets allow {1e3 * ground['sigma_m']:.1f} mm (1 sigma)",
+    )
     head.add_row("if nothing were shared", f"sigma {facts['sigma_if_nothing_shared_m3']:.3f} m³")
     volume_rows(head, facts)
+    add_verdict_rows(head, facts["verdict"])
     console.print(head)
     console.print(budget_table(facts))

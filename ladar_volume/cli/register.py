@@ -12,19 +12,22 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from ladar_volume.cli.verdict_lines import add_verdict_rows, exit_code
 from ladar_volume.io.pointfiles.cloud_files import check_output, read_cloud, write_cloud
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import RegistrationError
 from ladar_volume.model.records import F64
-from ladar_volume.registration.sphere_adjustment import Registration, register
-from ladar_volume.registration.spheres import Sphere, fit_sphere
-from ladar_volume.registration.stillness import Stillness, check_drift
+from ladar_volume.registration.correspondence import Centres, Corresponding, correspond
+from ladar_volume.registration.sphere_verdict import Measured, sphere_verdict
+from ladar_volume.registration.spheres import fit_sphere
+from ladar_volume.registration.stillness import check_drift
 from ladar_volume.version import version
 
+#: A radius that differs from the given one by more than this share is refused.
+WRONG_RADIUS = 0.1
 
-def read_spheres(
-    path: Path, noise: float | None, radius: float | None
-) -> dict[int, tuple[Sphere, Stillness | None]]:
+
+def read_spheres(path: Path, noise: float | None, radius: float | None) -> dict[int, Measured]:
     """The spheres of one file by number, with the check of their rest where there are times."""
     cloud = read_cloud(path)
     if "sphere" not in cloud.columns:
@@ -35,19 +38,37 @@ def read_spheres(
     out = {}
     for k in np.unique(number):
         rows = number == k
+        t = cloud.columns["t"][rows] if "t" in cloud.columns else None
         try:
-            sphere = fit_sphere(cloud.r[rows], noise, radius)
-            still = (
-                check_drift(cloud.r[rows], cloud.columns["t"][rows], sphere)
-                if "t" in cloud.columns
-                else None
-            )
+            out[int(k)] = measured(cloud.r[rows], t, noise, radius)
         except RegistrationError as error:
             raise RegistrationError(
                 f"{path}, sphere {int(k)}: {error}", reason=error.reason, value=error.value
             ) from error
-        out[int(k)] = sphere, still
     return out
+
+
+def measured(points: F64, t_s: F64 | None, noise: float | None, radius: float | None) -> Measured:
+    """One sphere from its points (n, 3); where a radius is given, also without it.
+
+    Raises :class:`RegistrationError` as ``fit_sphere`` and ``check_drift`` do, and sphere_radius
+    where the points clearly have another radius.
+    """
+    try:
+        free = None if radius is None else fit_sphere(points, noise)
+    except RegistrationError:  # the points do not bear a free radius
+        free = None
+    if free is not None and radius is not None and radius > 0.0:
+        off = abs(free.radius - radius)
+        if off > max(WRONG_RADIUS * radius, 5.0 * float(np.sqrt(free.C[3, 3]))):
+            raise RegistrationError(
+                f"its points have a radius of {free.radius:.4g}, not {radius:.4g}: give the "
+                "right --radius, or check the units of the file",
+                reason="sphere_radius",
+                value=free.radius,
+            )
+    sphere = fit_sphere(points, noise, radius)
+    return Measured(sphere, free, None if t_s is None else check_drift(points, t_s, sphere))
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -58,59 +79,57 @@ def run(arguments: argparse.Namespace) -> int:
         check_output(arguments.output)
     a = read_spheres(arguments.a, arguments.noise_a, arguments.radius)
     b = read_spheres(arguments.b, arguments.noise_b, arguments.radius)
-    names = sorted(a.keys() & b.keys())
-    found = register(
-        centres(a, names),
-        centres(b, names),
-        covariances(a, names),
-        covariances(b, names),
+    one, two = centres(a), centres(b)
+    found = correspond(
+        one,
+        two,
         levelled=arguments.levelled,
         scale=None if arguments.free_scale else 1.0,
     )
+    parts = [
+        (a[int(i)], b[int(j)])
+        for i, j in zip(one.number[found.rows_a], two.number[found.rows_b], strict=True)
+    ]
+    verdict = sphere_verdict(found, one, two, parts)
     if arguments.apply is not None:
-        cloud = read_cloud(arguments.apply)
-        turned = {
-            name: c @ found.transform.R.T if name == "normal" else c
-            for name, c in cloud.columns.items()
-        }
-        write_cloud(arguments.output, found.transform.apply(cloud.r), turned)
-    facts = facts_of(found, names, a, b)
+        cloud, T = read_cloud(arguments.apply), found.found.transform
+        turned = {name: c @ T.R.T if name == "normal" else c for name, c in cloud.columns.items()}
+        write_cloud(arguments.output, T.apply(cloud.r), turned)
+    facts = facts_of(found, one, two, parts) | {"verdict": verdict.as_dict()}
     if arguments.json:
         print(json_text(facts), end="")
     else:
         show(Console(), facts)
-    return 0
+    return exit_code(arguments, facts["verdict"])
 
 
-def centres(spheres: dict[int, tuple[Sphere, Stillness | None]], names: list[int]) -> F64:
-    """Centres (n, 3) m, by number."""
-    return np.array([spheres[k][0].centre for k in names]).reshape(-1, 3)
-
-
-def covariances(spheres: dict[int, tuple[Sphere, Stillness | None]], names: list[int]) -> F64:
-    """Covariances (n, 3, 3) m² of the centres, by number."""
-    return np.array([spheres[k][0].C_centre for k in names]).reshape(-1, 3, 3)
+def centres(spheres: dict[int, Measured]) -> Centres:
+    """The centres by number."""
+    number = sorted(spheres)
+    r = np.array([spheres[k].sphere.centre for k in number]).reshape(-1, 3)
+    C = np.array([spheres[k].sphere.C_centre for k in number]).reshape(-1, 3, 3)
+    return Centres(np.array(number, np.int64), r, C)
 
 
 def facts_of(
-    found: Registration,
-    names: list[int],
-    a: dict[int, tuple[Sphere, Stillness | None]],
-    b: dict[int, tuple[Sphere, Stillness | None]],
+    c: Corresponding, one: Centres, two: Centres, parts: list[tuple[Measured, Measured]]
 ) -> dict[str, Any]:
     """The result as plain values: angles in rad, lengths in m."""
-    T = found.transform
+    found = c.found
+    T, number, number_b = found.transform, one.number[c.rows_a], two.number[c.rows_b]
     spheres = [
         {
-            "sphere": k,
+            "sphere": int(number[i]),
+            "sphere_b": int(number_b[i]),
             "used": bool(found.used[i]),
             "residual_m": found.residuals[i].tolist(),
             "p_value": float(found.p_value[i]),
-            "radius_m": [a[k][0].radius, b[k][0].radius],
-            "still": [None if s is None else s.still for s in (a[k][1], b[k][1])],
+            "radius_m": [m.sphere.radius for m in pair],
+            "still": [None if m.still is None else m.still.still for m in pair],
         }
-        for i, k in enumerate(names)
+        for i, pair in enumerate(parts)
     ]
+    alone = (set(one.number) - set(number)) | (set(two.number) - set(number_b))
     return {
         "matrix": T.matrix().tolist(),
         "scale": T.scale,
@@ -122,8 +141,9 @@ def facts_of(
         "p_global": found.p_global,
         "redundancy": found.redundancy,
         "consistent": found.consistent,
+        "renumbered": c.renumbered,
         "spheres": spheres,
-        "unmatched": sorted(a.keys() ^ b.keys()),
+        "unmatched": sorted(int(k) for k in alone),
         "version": version(),
     }
 
@@ -136,8 +156,9 @@ def show(console: Console, facts: dict[str, Any]) -> None:
     words = {True: "yes", False: "[bold]no[/bold]", None: "-"}
     for s in facts["spheres"]:
         residual = " ".join(f"{1e3 * v:8.1f}" for v in s["residual_m"])
+        own, other = s["sphere"], s["sphere_b"]
         table.add_row(
-            str(s["sphere"]),
+            str(own) if own == other else f"{own} = {other}",
             residual,
             f"{s['p_value']:.3f}",
             words[s["used"]],
@@ -152,9 +173,7 @@ def show(console: Console, facts: dict[str, Any]) -> None:
         f"sigma of the rotation {rotation} mrad, of the shift amid the spheres {shift} "
         f"mm, scale {facts['scale']:.6f}"
     )
-    verdict = (
-        "the spheres agree"
-        if facts["consistent"]
-        else "[bold]the spheres do not agree within their noise[/bold]"
-    )
-    console.print(f"{verdict} (redundancy {facts['redundancy']}, sigma0 {facts['sigma0']:.2f})")
+    console.print(f"redundancy {facts['redundancy']}, sigma0 {facts['sigma0']:.2f}")
+    table = Table(show_header=False, box=None, pad_edge=False)
+    add_verdict_rows(table, facts["verdict"])
+    console.print(table)

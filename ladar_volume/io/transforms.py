@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ladar_volume.model.errors import InputError
+from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.registration.transform import Transform
 
 
@@ -57,3 +58,27 @@ def read_transform(path: str | Path) -> Transform:
             reason="transform_file",
         )
     return Transform(R, M[:3, 3] + M[:3, :3] @ pivot, pivot, scale, C)
+
+
+def read_transform_verdict(path: str | Path) -> Verdict:
+    """What ``register`` said against a transform; sound for a file without a verdict that does not
+    say the spheres were inconsistent. Raises :class:`InputError` (transform_file) as
+    :func:`read_transform` does.
+    """
+    path = Path(path)
+    try:
+        facts = json.loads(path.read_text(encoding="utf-8"))
+        reasons = facts.get("verdict", {}).get("reasons", [])
+        doubts = [
+            Doubt(str(r["name"]), f"{path.name}: {r['text']}", r.get("value")) for r in reasons
+        ]
+        if not doubts and facts.get("consistent") is False:
+            words = f"{path.name}: its spheres do not agree within their noise; register again"
+            doubts = [Doubt("inconsistent", words)]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(
+            f"{path}: not what 'register --json' prints: {error!r}",
+            reason="transform_file",
+            value=str(path),
+        ) from error
+    return Verdict(tuple(doubts))

@@ -27,3 +27,5 @@ CALIBRATION_GROUPS = (
     "lever_antenna",
     "clock",
 )
+#: Ways to take the ring's misregistration out of B, and the parameters they fit.
+CORRECTIONS = {"none": 0, "offset": 1, "rigid": 6}

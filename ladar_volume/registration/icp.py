@@ -35,6 +35,8 @@ MAX_ROUNDS = 60
 #: A direction less certain than this share of the search reach is not determined: the surfaces
 #: slide on each other.
 MAX_RELATIVE_SIGMA = 0.25
+#: A last step below this share of its standard deviation has converged.
+SETTLED = 0.3
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,8 @@ class Refined:
 
     transform · pairs : (k, 2) int64, indices of source and target points used · sigma_m : robust
     scale of their distances along the normal · overlap : share of the source points used · rounds :
-    how many steps were needed
+    how many steps were made · converged : whether the last one changed nothing to
+    speak of
     """
 
     transform: Transform
@@ -51,6 +54,7 @@ class Refined:
     sigma_m: float
     overlap: float
     rounds: int
+    converged: bool
 
 
 def check_clouds(source: F64, target: F64, normals: F64, reach_m: float) -> tuple[F64, F64, F64]:
@@ -203,25 +207,24 @@ def refine(
     free, tree = free_parameters(levelled, False), cKDTree(y)
     size = np.sqrt(float(np.mean(np.sum((x - pivot) ** 2, axis=1))))
     scale = np.array([T.scale * size if k < 3 else 1.0 for k in free])
-    before, rounds = np.zeros((0, 2), np.int64), 0
-    while rounds < MAX_ROUNDS:
+    before, rounds, settled = np.zeros((0, 2), np.int64), 0, False
+    while rounds < MAX_ROUNDS and not settled:
         rounds += 1
         pairs, sigma = find_pairs(T.apply(x), y, tree, n, reach_m)
         i, j = pairs.T
         A, r = normal_rows(T, x[i], n[j], free), ((y[j] - T.apply(x[i])) * n[j]).sum(axis=1)
         step, Q = solve_step(A, r, scale)
-        if np.array_equal(pairs, before) and np.abs(step * scale).max() <= 1e-6 * max(
-            sigma, 1e-9 * size
-        ):
+        small = float(np.abs(step * scale).max()) <= 1e-6 * max(sigma, 1e-9 * size)
+        settled = small and np.array_equal(pairs, before)
+        if settled:
             break
         full = np.zeros(7)
         full[free] = step
         T, before = T.perturbed(full), pairs
-    C = (
-        Q * float(r @ r) / (len(r) - len(free))
-        if cell_m == 0.0
-        else clustered(A, r, Q, x[i], cell_m)
-    )
+    plain = Q * float(r @ r) / (len(r) - len(free))
+    # pairs at the threshold may come and go for ever, by less than what noise does
+    settled = settled or bool((np.abs(step) <= SETTLED * np.sqrt(np.diag(plain))).all())
+    C = plain if cell_m == 0.0 else clustered(A, r, Q, x[i], cell_m)
     worst = float((np.sqrt(np.diag(C)) * scale).max())
     if worst > MAX_RELATIVE_SIGMA * reach_m:
         raise RegistrationError(
@@ -234,4 +237,4 @@ def refine(
         )
     whole = np.zeros((7, 7))
     whole[np.ix_(free, free)] = C
-    return Refined(replace(T, C=whole), pairs, sigma, len(pairs) / len(x), rounds)
+    return Refined(replace(T, C=whole), pairs, sigma, len(pairs) / len(x), rounds, settled)

@@ -11,10 +11,13 @@ import pytest
 from closed_meshes import moebius
 
 from benchmarks.pits import PITS, pit, rim
+from ladar_volume.change.excavation import Scan
+from ladar_volume.cli.diff_input import icp_doubts
 from ladar_volume.cli.main import main
 from ladar_volume.io.meshfiles.mesh_files import read_mesh, write_mesh
 from ladar_volume.io.pointfiles.cloud_files import write_cloud
 from ladar_volume.math.se3 import exp_so3, rotation_xyz
+from ladar_volume.registration.transform import Transform
 
 OPENING, FLOOR, DEPTH, SCANNER = PITS["overhang"]
 EYE = ",".join(map(str, SCANNER))
@@ -353,3 +356,95 @@ def test_refusals(scans, tmp_path, capsys):
     with pytest.raises(SystemExit) as caught:
         main(["diff", *map(str, good[:2]), "--pole", "1,2"])
     assert caught.value.code == 2
+
+
+def ground(rng, hollow, n=2500):
+    """Points of sloping ground of 6 m, noise along the beam of a scanner above it."""
+    x, y = rng.uniform(-3.0, 3.0, (2, n))
+    z = 0.04 * x - 0.03 * y
+    if hollow:
+        z -= np.clip((1.5 - np.maximum(np.abs(x), np.abs(y))) / 0.6, 0.0, 1.0)
+    r = np.column_stack([x, y, z])
+    u = (r - ABOVE) / np.linalg.norm(r - ABOVE, axis=1)[:, None]
+    return r + 0.003 * rng.standard_normal((n, 1)) * u
+
+
+ABOVE = np.array([0.2, 0.1, 4.0])
+HOLLOW = 4.0 / 3.0 * (1.5**2 + 1.5 * 0.9 + 0.9**2)
+SQUARE = "--scanner 0.2,0.1,4 --polygon -2.2,-2.2 2.2,-2.2 2.2,2.2 -2.2,2.2 --margin 0.6".split()
+
+
+def compared(capsys, folder, a, b, *words):
+    write_cloud(folder / "a.ply", a)
+    write_cloud(folder / "b.ply", b)
+    code = main(["diff", str(folder / "a.ply"), str(folder / "b.ply"), *SQUARE, *words, "--json"])
+    facts = json.loads(capsys.readouterr().out)
+    return code, facts, {r["name"] for r in facts["verdict"]["reasons"]}
+
+
+@pytest.mark.parametrize(("seed", "up"), [(0, 0.05), (1, -0.02), (2, 0.1), (3, 0.005)])
+def test_a_scan_too_high_is_said_and_taken_out(tmp_path, capsys, seed, up):
+    rng = np.random.default_rng(seed)
+    a, b = ground(rng, False), ground(rng, True)
+    off = b @ exp_so3(rng.normal(0.0, 0.1 * abs(up), 3)).T + [0.0, 0.0, up]
+    code, facts, names = compared(capsys, tmp_path, a, off, "--strict")
+    assert code == 3 and names == {"registration"}
+    assert abs(facts["volume_m3"] - HOLLOW) < 3.0 * facts["sigma_m3"]
+    assert facts["ring"]["effect_m3"] == pytest.approx(facts["volume_m3"] - HOLLOW, abs=0.06)
+    text = facts["verdict"]["reasons"][0]["text"]
+    assert "the ring differs by" in text and "--ring-correction" in text
+    code, facts, names = compared(
+        capsys, tmp_path, a, off, "--strict", "--ring-correction", "rigid"
+    )
+    assert code == 0 and not names and facts["ring"]["correction"] == "rigid"
+    assert abs(facts["volume_m3"] - HOLLOW) < 3.0 * facts["sigma_m3"] < 0.15
+
+
+@pytest.mark.parametrize(("seed", "share"), [(0, 0.005), (1, 0.02), (2, 0.05)])
+def test_returns_that_stand_alone_do_not_tear_the_ring(tmp_path, capsys, seed, share):
+    rng = np.random.default_rng(10 + seed)
+    clouds = ground(rng, False), ground(rng, True)
+    for r in clouds:
+        rows = rng.choice(len(r), int(share * len(r)), replace=False)
+        r[rows] = ABOVE + (r[rows] - ABOVE) * rng.uniform(0.2, 1.5, (len(rows), 1))
+    _, facts, names = compared(capsys, tmp_path, *clouds)
+    assert abs(facts["volume_m3"] - HOLLOW) < 3.0 * facts["sigma_m3"]
+    assert ("isolated" in names) == (share > 0.02) and facts["surfaces"][0]["isolated"] > 0
+
+
+def test_a_transform_of_doubt_and_a_volume_without_sigma_are_doubtful(scans, tmp_path, capsys):
+    reason = {"name": "left_out", "text": "sphere 2 is 54.0 mm off", "value": 0.054}
+    facts = {"matrix": np.eye(4).tolist(), "pivot_m": [0, 0, 0], "scale": 1.0,
+             "covariance": np.zeros((7, 7)).tolist(),
+             "verdict": {"status": "doubtful", "reasons": [reason]}}  # fmt: skip
+    (tmp_path / "T.json").write_text(json.dumps(facts))
+    folder = scans[0]
+    words = [folder / "a.ply", folder / "b.npy", "--pole", EYE, *REGION, "--sigma", "0.01"]
+    found = answer(capsys, *words, "--transform-b", tmp_path / "T.json")
+    assert "left_out" in {r["name"] for r in found["verdict"]["reasons"]}
+    assert "T.json" in found["verdict"]["reasons"][0]["text"]
+
+
+def test_a_refinement_that_wandered_or_did_not_settle_is_doubtful():
+    r = np.random.default_rng(1).uniform(-3.0, 3.0, (50, 3))
+    C = np.zeros((7, 7))
+    C[3:6, 3:6] = 0.002**2 * np.eye(3)
+    stated = Transform(np.eye(3), np.zeros(3), np.zeros(3), 1.0, C)
+    icp = {"converged": True, "rounds": 9, "reach_m": 0.15, "sigma_m": 0.004, "moved_m": 0.05}
+    free, bound = Scan(r, ABOVE, 0.003), Scan(r, ABOVE, 0.003, stated)
+    assert icp_doubts(icp, free) == []
+    assert [d.name for d in icp_doubts(icp, bound)] == ["icp_moved"]
+    assert [d.name for d in icp_doubts(icp | {"moved_m": 0.2}, free)] == ["icp_moved"]
+    lost = icp_doubts(icp | {"converged": False}, free)
+    assert [d.name for d in lost] == ["icp_not_converged"] and "9 steps" in lost[0].text
+
+
+def test_a_surface_that_was_not_seen_and_a_part_of_the_region(tmp_path, capsys):
+    rng = np.random.default_rng(5)
+    a, b = ground(rng, False, 5000), ground(rng, True, 5000)
+    hole = b[np.abs(b[:, :2]).max(axis=1) > 0.8]
+    _, facts, names = compared(capsys, tmp_path, a, hole)
+    assert "unseen" in names or abs(facts["volume_m3"] - HOLLOW) < 3.0 * facts["sigma_m3"]
+    write_cloud(tmp_path / "half.ply", b[b[:, 0] < 1.0])
+    text = refusal(capsys, tmp_path / "a.ply", tmp_path / "half.ply", *SQUARE)
+    assert "miss surface B" in text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +39,10 @@ def refused(capsys):
         return line
 
     return call
+
+
+#: What no reading option says.
+READ = Namespace(crs=None, units=None, classes=None)
 
 
 def above(vertices, triangles, level):
@@ -247,10 +252,10 @@ def test_diff_chooses_its_surfaces(tmp_path, run, refused):
 
 def test_faces_that_diff_does_not_use_are_a_doubt(tmp_path):
     write_mesh(tmp_path / "l.ply", L_V, L_T)
-    (doubt,) = load(tmp_path / "l.ply", None).verdict.doubts
+    (doubt,) = load(tmp_path / "l.ply", None, READ).verdict.doubts
     assert (doubt.name, doubt.value) == (
         "mesh_faces_unused",
         6,
     ) and "ladar_volume volume" in doubt.text
     write_mesh(tmp_path / "cube.ply", CUBE_V, CUBE_T)
-    assert load(tmp_path / "cube.ply", None).verdict.sound
+    assert load(tmp_path / "cube.ply", None, READ).verdict.sound

@@ -111,3 +111,71 @@ def test_errors_are_one_line(files, tmp_path, capsys):
         assert main(["register", *map(str, pair), *extra]) == 2
         error = capsys.readouterr().err
         assert text in error and error.count("\n") == 1
+
+
+def run(capsys, *words):
+    code = main(["register", *map(str, words), "--json"])
+    out = capsys.readouterr().out
+    return code, json.loads(out) if out else None
+
+
+def numbered(path, centres, seed, numbers, radius=0.1):
+    """Points on spheres with the given numbers."""
+    rng = np.random.default_rng(seed)
+    u = rng.standard_normal((len(centres), 60, 3))
+    u[:, :, 2] = np.abs(u[:, :, 2])
+    u /= np.linalg.norm(u, axis=2, keepdims=True)
+    r = radius * (1.0 + 0.02 * rng.standard_normal((len(centres), 60, 1)))
+    write_cloud(path, (centres[:, None] + r * u).reshape(-1, 3), {"sphere": np.repeat(numbers, 60)})
+    return path
+
+
+def names(facts):
+    return {reason["name"] for reason in facts["verdict"]["reasons"]}
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_swapped_numbers_are_found_and_named(tmp_path, capsys, seed):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(4, 7))
+    i, j = rng.choice(n, 2, replace=False)
+    number = np.arange(n)
+    number[[i, j]] = number[[j, i]]
+    a = numbered(tmp_path / "a.csv", CENTRES[:n], seed, np.arange(n))
+    b = numbered(tmp_path / "b.csv", CENTRES[:n] @ R.T + T, seed + 50, number)
+    code, facts = run(capsys, a, b)
+    assert code == 0 and facts["verdict"]["status"] == "doubtful" and names(facts) == {"renumbered"}
+    assert (
+        f"spheres {min(i, j)} and {max(i, j)} were swapped"
+        in facts["verdict"]["reasons"][0]["text"]
+    )
+    M = np.array(facts["matrix"])
+    assert CENTRES @ M[:3, :3].T + M[:3, 3] == pytest.approx(CENTRES @ R.T + T, abs=0.008)
+    assert run(capsys, a, b, "--strict")[0] == 3
+    assert main(["register", str(a), str(b)]) == 0
+    assert "were swapped" in " ".join(capsys.readouterr().out.split())
+
+
+def test_the_verdict_of_good_and_of_bad_spheres(files, tmp_path, capsys):
+    good = numbered(tmp_path / "good.csv", CENTRES @ R.T + T, 9, np.arange(6))
+    code, facts = run(capsys, files[0], good, "--strict")
+    assert code == 0 and facts["verdict"] == {"status": "sound", "reasons": []}
+    code, facts = run(capsys, *files, "--strict")
+    assert code == 3 and names(facts) == {"left_out"} and facts["consistent"]
+    line = np.outer(np.linspace(-10.0, 10.0, 5), [1.0, 0.3, 0.05])
+    line[:, 1] += np.array([0.1, -0.2, 0.15, -0.1, 0.12])
+    pair = [numbered(tmp_path / f"l{k}.csv", line + k, k, np.arange(5)) for k in range(2)]
+    assert "near_line" in names(run(capsys, *pair)[1])
+
+
+def test_a_wrong_radius_and_wrong_units_are_named(files, tmp_path, capsys):
+    other = numbered(tmp_path / "r.csv", CENTRES @ R.T + T, 9, np.arange(6), radius=0.12)
+    assert "radii" in names(run(capsys, files[0], other)[1])
+    mm = numbered(tmp_path / "mm.csv", 1e3 * CENTRES, 9, np.arange(6), radius=100.0)
+    for words, text in (
+        ((files[0], other, "--radius", "0.1"), "radius of 0.12"),
+        ((files[0], mm), "millimetres"),
+    ):
+        assert main(["register", *map(str, words)]) == 2
+        error = capsys.readouterr().err
+        assert text in error and error.count("\n") == 1

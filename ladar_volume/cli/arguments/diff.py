@@ -13,6 +13,7 @@ from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.surface_options import number
 from ladar_volume.cli.arguments.work import work
+from ladar_volume.model.choices import CORRECTIONS
 
 
 def add_parser(subparsers: Any) -> None:
@@ -73,6 +74,13 @@ def add_parser(subparsers: Any) -> None:
         metavar="M",
         help="its errors may be correlated within so much (default: a twelfth of A)",
     )
+    g.add_argument(
+        "--ring-correction",
+        choices=list(CORRECTIONS),
+        default="none",
+        help="move B so that the ring, the unchanged boundary, lies on A: by its offset or rigidly "
+        "(default none: what the ring differs by enters sigma and the verdict)",
+    )
     g = parser.add_argument_group("region")
     g.add_argument(
         "--polygon",
@@ -104,6 +112,11 @@ def add_parser(subparsers: Any) -> None:
         metavar="M",
         default=np.inf,
         help="wider triangles count as closed, not as seen",
+    )
+    g.add_argument(
+        "--keep-isolated",
+        action="store_true",
+        help="keep returns that stand alone, off every surface (default: left out and counted)",
     )
     g = parser.add_argument_group("accuracy")
     g.add_argument(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
 from ladar_volume.model.choices import CALIBRATION_GROUPS
 
@@ -19,6 +20,9 @@ def add_parser(subparsers: Any) -> None:
         "volume_node's ~/save wrote. The "
         "calibration counts as common to both, but for the clock offset.",
     )
+    parser._negative_number_matcher = re.compile(
+        r"^-(\d|\.\d)[\d.,eE+-]*$"
+    )  # argparse takes -1,2 for an option
     parser.add_argument(
         "previous", type=Path, help="results of the earlier survey: a folder, or its result.mcap"
     )
@@ -50,6 +54,13 @@ def add_parser(subparsers: Any) -> None:
         help="only within these corners, or a file of rows x y",
     )
     parser.add_argument(
+        "--stable",
+        nargs="+",
+        metavar="X,Y",
+        help="ground within these corners (or a file of them) did not change: the surveys must "
+        "agree there (default: the ground that does not differ by more than its noise)",
+    )
+    parser.add_argument(
         "-o",
         "--output",
         type=Path,
@@ -58,4 +69,5 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("--json", action="store_true", help="print epochs.json to standard output")
     parser.add_argument("--no-figure", action="store_true", help="skip the picture")
+    add_strict_option(parser)
     parser.set_defaults(run=work("ladar_volume.cli.epochs"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
 
 
@@ -14,8 +15,8 @@ def add_parser(subparsers: Any) -> None:
         "register",
         help="transform between two frames from reference spheres",
         description="A and B hold points on the spheres, at least 12 each, with a column 'sphere' "
-        "that numbers them alike in both, and "
-        "optionally 't' (seconds), by which it is tested that each stood still. The "
+        "that numbers them alike in both (wrong numbers are found by the distances between the "
+        "centres), and optionally 't' (seconds), by which it is tested that each stood still. The "
         "transform takes A's frame to B's.",
     )
     parser.add_argument(
@@ -57,4 +58,5 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
+    add_strict_option(parser)
     parser.set_defaults(run=work("ladar_volume.cli.register"))
