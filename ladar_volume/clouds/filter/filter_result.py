@@ -12,7 +12,17 @@ from ladar_volume.model.errors import FilterError
 from ladar_volume.model.records import F64, I64, Bool
 
 #: Names of the reasons, by the numbers of ``CloudResult.reason``.
-REASONS = ("kept", "outlier", "few_neighbours", "no_surface", "beyond_edge", "unsupported")
+REASONS = (
+    "kept",
+    "outlier",
+    "few_neighbours",
+    "no_surface",
+    "beyond_edge",
+    "unsupported",
+    "clutter",
+)
+#: What may be kept as it is although it lies on no surface, on request.
+KEEPABLE = ("clutter",)
 
 
 @dataclass(frozen=True)
@@ -26,7 +36,8 @@ class CloudResult:
     filtered point stands for, None where each stands for its own alone. ``sum(count) + m`` is the
     number of input points · noise, reach : (k,) m, standard deviation of one input point there and
     radius of its fit; curved : (k,) whether that was a quadric, not planes; all None where points
-    were reduced or the order was the published one.
+    were reduced or the order was the published one · sparse : (k,) which points are as they came,
+    since too few lie around them for a surface; None where all lie on one.
     """
 
     r: F64
@@ -40,6 +51,7 @@ class CloudResult:
     noise: F64 | None = None
     reach: F64 | None = None
     curved: Bool | None = None
+    sparse: Bool | None = None
 
 
 def checked(r: F64) -> F64:
