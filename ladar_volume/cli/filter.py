@@ -11,6 +11,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from ladar_volume.cli.verdict_lines import add_strict_option, add_verdict_rows, exit_code
+from ladar_volume.clouds.filter.filter_result import FLAGS, KEEPABLE
 from ladar_volume.clouds.filter_cloud import REASONS, CloudResult, filter_cloud
 from ladar_volume.clouds.published.filter_presets import PRESETS
 from ladar_volume.io.config import read_config
@@ -66,6 +68,14 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
+    parser.add_argument(
+        "--keep",
+        action="append",
+        default=[],
+        choices=KEEPABLE,
+        help="keep these points as they are although they lie on no surface",
+    )
+    add_strict_option(parser)
     parser.set_defaults(run=run)
 
 
@@ -77,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
     with console.status(f"reading {arguments.cloud.name}") as status:
         r = read_cloud(arguments.cloud, columns=False).r
         status.update(f"filtering {len(r):,} points")
-        result = filter_cloud(r, parameters, auto)
+        result = filter_cloud(r, parameters, auto, frozenset(arguments.keep))
         counts = np.bincount(result.reason, minlength=len(REASONS))
         outliers = {name: int(count) for name, count in zip(REASONS, counts, strict=True) if count}
         if not len(result.index):
@@ -88,25 +98,33 @@ def run(arguments: argparse.Namespace) -> int:
                 value=outliers,
             )
         status.update("writing")
-        columns = {"normal": result.normal, "sigma": result.sigma, "index": result.index}
-        if result.count is not None:
-            columns["count"] = result.count
-        write_cloud(arguments.output, result.r, columns)
+        _write(arguments.output, result)
         if arguments.outliers is not None:
             taken = {"index": result.outliers, "reason": result.reason}
             write_cloud(arguments.outliers, r[result.outliers], taken, {"reason": REASONS})
+    verdict = result.verdict.as_dict()
     facts = {
         "input": {"path": arguments.cloud.name, "points": len(r)},
         "output": {"path": arguments.output.name, "points": len(result.index)},
         "outliers": outliers,
         **_facts(result, len(r), auto),
+        "verdict": verdict,
         "parameters": Parameters(filter=parameters).write()["filter"],
     }
     if arguments.json:
         print(json_text(facts), end="")
     else:
         show(console, facts, set(REASONS))
-    return 0
+    return exit_code(arguments, verdict)
+
+
+def _write(path: Path, result: CloudResult) -> None:
+    """The points that stay, with all that is known about each."""
+    flag = np.zeros(len(result.index), np.int64) if result.flag is None else result.flag
+    columns = {"normal": result.normal, "sigma": result.sigma, "index": result.index, "flag": flag}
+    if result.count is not None:
+        columns["count"] = result.count
+    write_cloud(path, result.r, columns, {"flag": FLAGS})
 
 
 def _facts(result: CloudResult, points: int, auto: bool) -> dict[str, Any]:
@@ -179,6 +197,7 @@ def show(console: Console, facts: Mapping[str, Any], reasons: set[str]) -> None:
     for name, value in facts["report"].items():
         if name not in reasons | {"points", "kept"}:  # said above
             table.add_row(*_line(name, value, facts["auto"]))
+    add_verdict_rows(table, facts["verdict"])
     console.print(table)
     console.print(f"written to {facts['output']['path']}")
 

@@ -11,13 +11,14 @@ import numpy as np
 from ladar_volume.clouds.filter import cell_surface
 from ladar_volume.clouds.filter.cell_cover import Covered, Regions, cover
 from ladar_volume.clouds.filter.distinct_points import distinct, repeated
+from ladar_volume.clouds.filter.filter_doubts import doubts
 from ladar_volume.clouds.filter.filter_result import REASONS as REASONS
 from ladar_volume.clouds.filter.filter_result import CloudResult as CloudResult
 from ladar_volume.clouds.filter.filter_result import checked
 from ladar_volume.clouds.filter.point_reduction import expanded, merged, reduce_points
 from ladar_volume.clouds.filter.rounding_step import rounding_steps, shared_rounding
 from ladar_volume.clouds.filter.self_tuning import Tuned, choose
-from ladar_volume.clouds.filter.sparse_points import Sparse, name_the_rest
+from ladar_volume.clouds.filter.sparse_points import CLUTTER, Sparse, name_the_rest
 from ladar_volume.clouds.filter.surface_noise import settled
 from ladar_volume.clouds.published.published_filter import filter_published, settings
 from ladar_volume.model.parameters import FilterParameters
@@ -101,6 +102,7 @@ def _result(
     stays = (done.reason == cell_surface.KEPT) | sparse.stays
     index, outliers = np.flatnonzero(stays), np.flatnonzero(~stays)
     flag = sparse.stays[index]
+    flags = np.where(flag, np.where(done.reason[index] == CLUTTER, 2, 1), 0)
     report: dict[str, float | int | str] = {
         **tuned.report(factor),
         "points": len(local),
@@ -113,7 +115,7 @@ def _result(
     for number, name in enumerate(REASONS[1:], 1):
         report[name] = int(np.count_nonzero(done.reason[outliers] == number))
     if tuned.lines is not None:
-        report["sparse"] = int(np.count_nonzero(flag))
+        report["sparse"] = int(np.count_nonzero(flags == 1))
     if steps.any():
         report["rounded_to_m"] = float(steps.max())
     noise = factor * tuned.regions.sigma_m[index]
@@ -131,7 +133,8 @@ def _result(
         noise=np.where(flag, sparse.sigma_m, noise),
         reach=np.where(flag, sparse.reach_m, tuned.regions.ball_m[done.level[index]]),
         curved=(done.kind[index] == -1) & ~flag,
-        sparse=flag if flag.any() else None,
+        flag=flags if flag.any() else None,
+        verdict=doubts(report, tuned.told),
     )
 
 

@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from ladar_volume.clouds.filter.filter_result import REASONS, CloudResult
+from ladar_volume.clouds.filter.filter_result import FLAGS, REASONS, CloudResult
 from ladar_volume.clouds.filter.noise_estimate import hashes
 from ladar_volume.clouds.filter.point_reduction import Reduced
 from ladar_volume.model.records import F64
+
+SPARSE = FLAGS.index("sparse")
 
 
 def distinct(r: F64) -> Reduced:
@@ -56,8 +58,8 @@ def repeated(result: CloudResult, once: Reduced) -> CloudResult:
         "kept": len(index),
     }
     report |= {name: int(np.count_nonzero(reasons == i)) for i, name in enumerate(REASONS) if i}
-    if result.sparse is not None:
-        report["sparse"] = int(np.count_nonzero(result.sparse[of]))
+    if result.flag is not None:
+        report["sparse"] = int(np.count_nonzero(result.flag[of] == SPARSE))
     copies = np.sqrt(once.count[once.cell[index]])
     return replace(
         result,
@@ -71,5 +73,5 @@ def repeated(result: CloudResult, once: Reduced) -> CloudResult:
         noise=None if result.noise is None else result.noise[of] * copies,
         reach=None if result.reach is None else result.reach[of],
         curved=None if result.curved is None else result.curved[of],
-        sparse=None if result.sparse is None else result.sparse[of],
+        flag=None if result.flag is None else result.flag[of],
     )

@@ -1,8 +1,8 @@
 """Which points that lie on no surface belong to the survey, and which lie by themselves.
 
 What is dense about a place is told from the points next to it that are known to belong: at most
-some times their spacing. Points that pass belong too, and tell the spacing further on; so rings that
-widen with the range are followed outwards, in any unit and without a sensor's place.
+some times their spacing. Points that pass belong too, and tell the spacing further on; so rings
+that widen with the range are followed outwards, in any unit and without a sensor's place.
 """
 
 from __future__ import annotations

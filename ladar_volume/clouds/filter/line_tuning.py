@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ladar_volume.clouds.filter.cell_cover import Covered, Regions
-from ladar_volume.clouds.filter.noise_estimate import scatter
-from ladar_volume.clouds.filter.sampling_lines import Lines
+from ladar_volume.clouds.filter.sampling_lines import OVER, Lines
+from ladar_volume.clouds.filter.trimmed_noise import trimmed_noise
 from ladar_volume.model.records import F64, I64, Bool
 
 #: Neighbourhoods over the distance at which lines come together: that which tells noise, that of
@@ -23,6 +23,8 @@ THICK, FITS_THICK, LEAST_THICK = 6.0, 10.0, 5.0
 FINE, POINTS = 12.0, 250
 #: Fewest points of such a neighbourhood.
 FEWEST = 20
+#: A plane's points are a line where they are less wide than this share of the radius.
+ACROSS = 0.1
 #: Neighbouring radii differ by this factor.
 STEP = float(np.sqrt(2.0))
 #: Noise is the median of so many samples' values.
@@ -65,10 +67,8 @@ def places(r: F64, at: I64, lines: Lines, reach_m: F64) -> Places:
     return Places(at, near, np.asarray(of, np.int64).reshape(len(r), -1))
 
 
-def first_noise(
-    r: F64, spread_r: F64, at: I64, lines: Lines, seed: int
-) -> tuple[F64, Places] | None:
-    """Noise (n,) m, from robust quadrics across lines, and the places that tell it; None where no
+def first_noise(r: F64, spread_r: F64, at: I64, lines: Lines) -> tuple[F64, Places] | None:
+    """Noise (n,) m, from trimmed fits across lines, and the places that tell it; None where no
     place does.
 
     spread_r : (n, 3), the points spread evenly over the steps to which they were rounded.
@@ -79,8 +79,7 @@ def first_noise(
         where = places(r, at, lines, np.maximum(TELLS * lines.reach_m[at], THICK * whole))
         if not len(where.at):
             return None
-        each = np.empty(len(where.at))
-        scatter(spread_r, where.near, seed, each)
+        each = trimmed_noise(spread_r, where.near)
         if not np.isfinite(each).any():
             return None
         whole = float(np.nanmedian(each))
@@ -98,13 +97,16 @@ def line_regions(r: F64, lines: Lines, sigma: F64, threshold: F64) -> Regions:
     """Radii of the fits: several lines, and clearly wider than the noise. Points that see no
     surface get the widest.
     """
-    reach = np.where(np.isfinite(lines.reach_m), lines.reach_m, np.nanmax(lines.reach_m))
+    known = np.isfinite(lines.reach_m)
+    widest = lines.reach_m[known].max() if known.any() else OVER * lines.levels[-1].edge_m
+    reach = np.where(known, lines.reach_m, widest)
     wide = np.maximum(FITS * reach, FITS_THICK * sigma)
     narrow = np.minimum(np.maximum(LEAST * reach, LEAST_THICK * sigma), wide)
     low = float(narrow.min())
     level = np.rint(np.log(wide / low) / np.log(STEP)).astype(np.int64)
     least = np.minimum(np.ceil(np.log(narrow / low) / np.log(STEP)).astype(np.int64), level)
-    return Regions(low * STEP ** np.arange(level.max() + 1), level, least, sigma, threshold)
+    balls = low * STEP ** np.arange(level.max() + 1)
+    return Regions(balls, level, least, sigma, threshold, ACROSS)
 
 
 def surface_noise(distance: F64, share: F64, found: Bool, sigma: F64, where: Places) -> F64:

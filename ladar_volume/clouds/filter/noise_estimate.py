@@ -35,16 +35,10 @@ def hashes(numbers: Any) -> Any:
 @parallel_kernel
 def scatter(r: Any, near: Any, seed: Any, sigma: Any) -> None:
     """Standard deviation (s,) m along the normal of the points ``near`` (s, k), indices into r (n,
-    3), from a robust quadric, a plane where they are too few; NaN where they have no extent. Fewer
-    than k points end with −1.
+    3), from a robust quadric, a plane where they are too few; NaN where they have no extent.
     """
     for s in numba.prange(len(near)):
-        k = 0
-        while k < near.shape[1] and near[s, k] >= 0:
-            k += 1
-        sigma[s] = np.nan
-        if k == 0:
-            continue
+        k = near.shape[1]
         pts, across_points, plane, work = (
             np.empty((k, 3)),
             np.empty((3, k)),
@@ -59,6 +53,7 @@ def scatter(r: Any, near: Any, seed: Any, sigma: Any) -> None:
                 across_points[c, i] = pts[i, c]
                 square += pts[i, c] * pts[i, c]
             ball = max(ball, np.sqrt(square) * 1.0001)
+        sigma[s] = np.nan
         if ball == 0.0:
             continue
         guess = start_plane(

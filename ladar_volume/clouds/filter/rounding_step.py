@@ -21,6 +21,8 @@ DIGITS = (1.0, 2.0, 2.5, 5.0)
 UNITS = (1.0, 0.3048, 1200.0 / 3937.0)
 #: A surface lies along the grid where its normal's cosine to an axis is above this.
 ALONG = 0.9999
+#: Noise over the step from which on rounding shifts nothing.
+LOUD = 1.5
 #: Steps are sought within these shares of a cloud's width.
 FINEST, COARSEST = 1e-9, 0.1
 
@@ -90,8 +92,10 @@ def shared_rounding(normal: F64, steps: F64, noise: F64) -> F64 | float:
     if not steps.any():
         return 0.0
     out = np.zeros(len(normal))
-    quiet = float(np.median(noise)) if len(noise) else 0.0
-    for axis in range(3):
+    for axis in np.flatnonzero(steps):
+        step = float(steps[axis])
         along = np.abs(normal[:, axis]) > ALONG
-        out[along] += rounding_variance(float(steps[axis]), quiet)
+        known = np.linspace(0.0, LOUD, 64)
+        table = [rounding_variance(step, step * float(k)) for k in known]
+        out[along] += np.interp(noise[along] / step, known, table)
     return out

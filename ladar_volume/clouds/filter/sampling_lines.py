@@ -21,6 +21,8 @@ LINE = 0.1
 #: Share of neighbourhoods that are lines from which on a cloud counts as sampled along lines, and
 #: points of such a neighbourhood.
 LINED, LOOK = 0.05, 30
+#: Spacing that differs by this factor from the densest tenth to the sparsest.
+UNEVEN = 2.5
 #: A neighbourhood reaches over so many voxels; points that it must hold to be a line, or more.
 OVER, FEW, FULL = 4.0, 5, 10
 #: Neighbours asked for.
@@ -71,11 +73,21 @@ def thin(r: F64, edge_m: float) -> Thinned:
 
 
 def lined(r: F64, near: I64) -> bool:
-    """Whether the cloud (n, 3) is sampled along lines, from neighbourhoods (s, k), nearest first."""
+    """Whether points (n, 3) lie along lines, from neighbourhoods (s, k), nearest first."""
     if near.shape[1] < LOOK:
         return False
     values = _eigenvalues(r[near[:, :LOOK]], np.ones((len(near), LOOK), np.bool_))
     return bool(np.mean(values[:, 1] < LINE * values[:, 2]) >= LINED)
+
+
+def uneven(distance: F64) -> bool:
+    """Whether the spacing differs from place to place, from distances (s, k) to the neighbours of
+    samples.
+    """
+    if distance.shape[1] < LOOK:
+        return False
+    low, high = np.quantile(distance[:, FEW], (0.1, 0.9))
+    return bool(high > UNEVEN * low)
 
 
 def find_lines(r: F64, spacing_m: float) -> Lines:

@@ -19,7 +19,7 @@ from ladar_volume.clouds.filter.cell_cover import Regions, cover
 from ladar_volume.clouds.filter.line_tuning import Places, first_noise, line_regions
 from ladar_volume.clouds.filter.noise_estimate import hashes, scatter
 from ladar_volume.clouds.filter.rounding_step import spread, without_spread
-from ladar_volume.clouds.filter.sampling_lines import Lines, find_lines, lined
+from ladar_volume.clouds.filter.sampling_lines import Lines, find_lines, lined, uneven
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64, I64, Bool
 
@@ -29,6 +29,8 @@ SAMPLES, TRIED, SMOOTH = 400, 40, 60
 #: Points at which a cloud sampled along lines is looked at; quantile of its spacing that starts the
 #: search for lines.
 PLACES, FINEST = 2000, 0.05
+#: Noise over the spacing along a line where nothing tells it.
+DEFAULT = 0.5
 #: Neighbours in the largest neighbourhood, and in those from which noise is told.
 MOST = 1000
 LADDER = (30, 60, 120, 250, 500, MOST)
@@ -116,10 +118,8 @@ def choose(r: F64, parameters: FilterParameters, auto: bool, steps: F64) -> Tune
     distance, near = _query(tree, r[at], MOST)
     smooth = _nearest(r[at], r[at], SMOOTH)
     evenly = spread(r, steps, parameters.seed)
-    if lined(r, near):
-        found = _along_lines(r, evenly, steps, distance, parameters, auto)
-        if found is not None:
-            return found
+    if lined(r, near) or uneven(distance):
+        return _along_lines(r, evenly, steps, distance, parameters, auto)
     noise, narrow = _noise(evenly, distance, near, smooth, parameters.seed)
     noise = without_spread(noise, steps)
     regional = noise[:, 0] * np.median(noise[:, 1] / noise[:, 0])
@@ -153,21 +153,23 @@ def choose(r: F64, parameters: FilterParameters, auto: bool, steps: F64) -> Tune
 
 def _along_lines(
     r: F64, evenly: F64, steps: F64, distance: F64, parameters: FilterParameters, auto: bool
-) -> Tuned | None:
-    """Regions for a cloud sampled along lines; None where no place holds several of them."""
-    lines = find_lines(r, float(np.quantile(distance[:, min(4, distance.shape[1] - 1)], FINEST)))
-    found = first_noise(r, evenly, _samples(r, parameters.seed, PLACES), lines, parameters.seed)
+) -> Tuned:
+    """Regions for a cloud sampled along lines or unevenly."""
+    lines = find_lines(r, float(np.quantile(distance[:, 4], FINEST)))
+    found = first_noise(r, evenly, _samples(r, parameters.seed, PLACES), lines)
     if found is None:
-        return None
-    sigma, where = without_spread(found[0], steps), found[1]
+        sigma, where = np.full(len(r), DEFAULT * float(np.median(distance[:, 1]))), None
+    else:
+        sigma, where = without_spread(found[0], steps), found[1]
     if not auto:
         whole = float(np.median(sigma))
         limit = max(parameters.outlier_sigmas * whole, parameters.outlier_floor_m)
         balls, zero = np.array([2.0 * parameters.radius_m]), np.zeros(len(r), np.int64)
         regions = Regions(balls, zero, zero, np.full(len(r), whole), np.full(len(r), limit))
-        return Tuned(regions, parameters.degree, lines, where)
+        return Tuned(regions, parameters.degree, lines, where, where is not None)
     threshold = np.maximum(SIGMAS * sigma, parameters.outlier_floor_m)
-    return Tuned(line_regions(r, lines, sigma, threshold), 2, lines, where)
+    regions = line_regions(r, lines, sigma, threshold)
+    return Tuned(regions, 2, lines, where, where is not None)
 
 
 def _samples(r: F64, seed: int, most: int = SAMPLES) -> I64:

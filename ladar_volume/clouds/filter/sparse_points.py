@@ -39,8 +39,14 @@ def name_the_rest(r: F64, done: Covered, tuned: Tuned, auto: bool, keep: frozens
     reason, n = done.reason, len(r)
     stays = np.zeros(n, np.bool_)
     kept = reason == cell_surface.KEPT
-    if auto and tuned.lines is not None and kept.any():
+    if auto and not tuned.told:
+        own = spacing(r, r)
+        reason[kept] = cell_surface.FEW_POINTS
+        kept = own <= np.median(own)
+        stays = kept | belonging(r, kept, own, ~kept)
+    elif auto and tuned.lines is not None and kept.any():
         stays = _sparse(r, done, tuned)
+        stays |= _beside(r, done, tuned)
     leaves = ~stays & (reason == cell_surface.NO_SURFACE)
     if tuned.lines is not None:
         reason[leaves & np.isfinite(tuned.lines.reach_m)] = CLUTTER
@@ -72,6 +78,23 @@ def _sparse(r: F64, done: Covered, tuned: Tuned) -> Bool:
         among[alone] = spacing(r[alone], r[alone])
         stays |= belonging(r, kept | stays, among, off)
     return stays
+
+
+def _beside(r: F64, done: Covered, tuned: Tuned) -> Bool:
+    """Which points (n,) whose cells found no surface lie on that of the points next to them."""
+    kept = np.flatnonzero(done.reason == cell_surface.KEPT)
+    open_ = np.flatnonzero(done.reason == cell_surface.NO_SURFACE)
+    out = np.zeros(len(r), np.bool_)
+    if len(open_):
+        k = min(LINE, len(kept))
+        tree = cKDTree(r[kept], balanced_tree=False)
+        distance, near = tree.query(r[open_], k=k, workers=-1)
+        near, distance = kept[near.reshape(-1, k)], distance.reshape(-1, k)
+        off = np.abs(np.einsum("ski,ski->sk", r[open_, None] - done.q[near], done.normal[near]))
+        reach = tuned.regions.ball_m[done.level[near]]
+        fits = (off <= tuned.regions.threshold_m[near]) & (distance <= reach)
+        out[open_] = fits.any(axis=1)
+    return out
 
 
 def _normals(r: F64, which: Bool) -> F64:

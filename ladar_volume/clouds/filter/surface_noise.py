@@ -28,6 +28,8 @@ def settled(
     """The cover (of ``r``, (n, 3) m) once more with the noise that the first one's surfaces show;
     sigma and variance as the last surfaces show them.
     """
+    if not tuned.told:
+        return tuned, done
     for _ in range(PASSES):
         sigma = _shown(r, tuned, done, steps)
         threshold = np.maximum(SIGMAS * sigma, parameters.outlier_floor_m)
