@@ -85,12 +85,12 @@ def _filter(
     local = points - origin
     steps = rounding_steps(points)
     tuned = choose(local, parameters, auto, steps)
-    done = cover(local, tuned.regions, parameters, tuned.degree)
     factor = 1.0
     if auto and tuned.lines is not None:
-        tuned, done = settled(local, tuned, done, steps, parameters)
-    elif auto:
-        factor = judge(local, done, tuned.regions)
+        tuned, done = settled(local, tuned, steps, parameters)
+    else:
+        done = cover(local, tuned.regions, parameters, tuned.degree)
+        factor = judge(local, done, tuned.regions) if auto else 1.0
     sparse = name_the_rest(local, done, tuned, auto, keep)
     return _result(local, origin, tuned, done, sparse, factor, steps)
 
@@ -114,7 +114,7 @@ def _result(
     }
     for number, name in enumerate(REASONS[1:], 1):
         report[name] = int(np.count_nonzero(done.reason[outliers] == number))
-    if tuned.lines is not None:
+    if tuned.lines is not None or flag.any():
         report["sparse"] = int(np.count_nonzero(flags == 1))
     if steps.any():
         report["rounded_to_m"] = float(steps.max())

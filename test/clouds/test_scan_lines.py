@@ -121,7 +121,7 @@ def test_a_single_ring_is_kept_and_its_noise_is_said_to_be_unknown():
     r = np.concatenate([r, [[0.0, 0.0, 30.0]]])
     result = filter_cloud(r, FilterParameters(), auto=True)
     assert np.array_equal(result.index, np.arange(400)) and result.sparse.all()
-    assert [doubt.name for doubt in result.verdict.doubts][0] == "filter_noise_unknown"
+    assert result.verdict.doubts[0].name == "filter_noise_unknown"
     assert (result.sigma > 0).all()
 
 
@@ -147,14 +147,14 @@ def test_a_quiet_plane_along_the_grid_may_be_off_by_half_a_step():
 
 @pytest.mark.parametrize("step", [1e-6, 0.001, 0.0025, 0.01, 0.01 * 0.3048])
 def test_the_step_of_rounding_is_found(step):
-    x = np.random.default_rng(0).uniform(-50, 50, (3000, 3)) + [4e5, 0, 100]
+    x = np.random.default_rng(0).uniform(-50, 50, (3000, 3)) + np.array([4e5, 0, 100])
     found = rounding_steps(np.round(x / step) * step)
     assert found[1:] == pytest.approx([step, step], rel=1e-6)
     assert (rounding_steps(x) == 0.0).all()
 
 
 def test_single_precision_of_map_coordinates_is_a_step():
-    x = np.random.default_rng(0).uniform(-50, 50, (3000, 3)) + [4e5, 5.4e6, 100]
+    x = np.random.default_rng(0).uniform(-50, 50, (3000, 3)) + np.array([4e5, 5.4e6, 100])
     found = rounding_steps(x.astype(np.float32).astype(np.float64))
     assert found[:2] == pytest.approx([2.0**-5, 0.5])
     moved = spread(x, np.array([0.1, 0.0, 0.0]), 1) - x

@@ -31,8 +31,6 @@ I8 = npt.NDArray[np.int8]
 #: Width of a cell over the radius of its neighbourhood: from half on, the cells two away hold all
 #: of it.
 CELL = 0.7
-#: Points within so many sigma of a line are one, whatever the radius.
-THICK = 2.5
 #: A cell looks for planes within the ball's radius over this; it is offered those of its neighbours
 #: too.
 NARROWER = 2.5
@@ -129,7 +127,7 @@ def _cover_level(
     size = np.diff(first)
     noise = np.add.reduceat(regions.sigma_m[order], first[:-1]) / size
     limit = np.add.reduceat(regions.threshold_m[order], first[:-1]) / size
-    across = np.maximum(regions.across * ball, THICK * noise) * (regions.across > 0.0)
+    across = np.full(len(keys), regions.across * ball)
     main, found = np.zeros((len(keys), cell_surface.OFFERED, 4)), np.zeros(len(keys), np.int64)
     in_threads(
         cell_surface.main_planes,

@@ -18,7 +18,7 @@ from ladar_volume.model.records import F64, I64, Bool
 #: the fits, and the least of a fit.
 TELLS, FITS, LEAST = 2.3, 3.0, 1.6
 #: The same over the noise.
-THICK, FITS_THICK, LEAST_THICK = 6.0, 10.0, 5.0
+THICK, FITS_THICK, LEAST_THICK = 6.0, 7.0, 5.0
 #: A neighbourhood that tells noise is thinned to voxels of its radius over this, and to so many.
 FINE, POINTS = 12.0, 250
 #: Fewest points of such a neighbourhood.

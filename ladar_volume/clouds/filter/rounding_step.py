@@ -16,6 +16,8 @@ from ladar_volume.model.records import F64
 
 #: Coordinates that tell the step; the share of them that must be its multiples, and how closely.
 LOOKED_AT, SHARE, NEAR = 4000, 0.995, 0.05
+#: Fewest different values that tell a step.
+DIFFERENT = 8
 #: Significant digits of steps in metres, international and US survey feet.
 DIGITS = (1.0, 2.0, 2.5, 5.0)
 UNITS = (1.0, 0.3048, 1200.0 / 3937.0)
@@ -29,15 +31,18 @@ FINEST, COARSEST = 1e-9, 0.1
 
 def rounding_steps(r: F64) -> F64:
     """Step (3,) m of each coordinate of points (n, 3); 0 where there is none that matters."""
-    return np.array([_step(r[:, axis]) for axis in range(3)])
+    steps = [_step(r[:, axis]) for axis in range(3)]
+    coarsest = max((step for step in steps if step is not None), default=0.0)
+    # what says nothing, such as one height for all, was rounded as the others
+    return np.array([coarsest if step is None else step for step in steps])
 
 
-def _step(x: F64) -> float:
-    """The largest step of which the differences of x (n,) are multiples."""
+def _step(x: F64) -> float | None:
+    """The largest step that divides the differences of x (n,); None for too few values."""
     some = np.unique(x[:: max(len(x) // LOOKED_AT, 1)])
     width = float(some[-1] - some[0])
-    if len(some) < 8:
-        return 0.0
+    if len(some) < DIFFERENT:
+        return None
     resolution = 2.0 ** np.floor(np.log2(np.abs(some).max()))  # of the leading digit
     single = bool((some == some.astype(np.float32)).all())
     precision = float(resolution * (2.0**-23 if single else 2.0**-52))

@@ -21,10 +21,11 @@ LINE = 0.1
 #: Share of neighbourhoods that are lines from which on a cloud counts as sampled along lines, and
 #: points of such a neighbourhood.
 LINED, LOOK = 0.05, 30
-#: Spacing that differs by this factor from the densest tenth to the sparsest.
-UNEVEN = 2.5
 #: A neighbourhood reaches over so many voxels; points that it must hold to be a line, or more.
 OVER, FEW, FULL = 4.0, 5, 10
+#: Neighbours whose distance differs by this factor from the densest tenth to the sparsest; few show
+#: points in bunches, many show places of another density.
+UNEVEN = ((FEW + 1, 4.0), (LOOK, 3.0))
 #: Neighbours asked for.
 ASKED = 32
 #: Voxels grow by this factor; a place where lines are told apart must stay one over so many steps.
@@ -86,8 +87,10 @@ def uneven(distance: F64) -> bool:
     """
     if distance.shape[1] < LOOK:
         return False
-    low, high = np.quantile(distance[:, FEW], (0.1, 0.9))
-    return bool(high > UNEVEN * low)
+    return any(
+        bool(np.quantile(distance[:, k - 1], 0.9) > times * np.quantile(distance[:, k - 1], 0.1))
+        for k, times in UNEVEN
+    )
 
 
 def find_lines(r: F64, spacing_m: float) -> Lines:

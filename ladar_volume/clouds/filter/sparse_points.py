@@ -44,9 +44,10 @@ def name_the_rest(r: F64, done: Covered, tuned: Tuned, auto: bool, keep: frozens
         reason[kept] = cell_surface.FEW_POINTS
         kept = own <= np.median(own)
         stays = kept | belonging(r, kept, own, ~kept)
-    elif auto and tuned.lines is not None and kept.any():
-        stays = _sparse(r, done, tuned)
-        stays |= _beside(r, done, tuned)
+    elif auto and kept.any():
+        stays = _beside(r, done, tuned)
+        if tuned.lines is not None:
+            stays |= _sparse(r, done, tuned)
     leaves = ~stays & (reason == cell_surface.NO_SURFACE)
     if tuned.lines is not None:
         reason[leaves & np.isfinite(tuned.lines.reach_m)] = CLUTTER

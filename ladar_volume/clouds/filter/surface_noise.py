@@ -15,36 +15,51 @@ from ladar_volume.clouds.filter.self_tuning import SIGMAS, Tuned
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64
 
-#: Passes over the cloud after the first.
-PASSES = 1
+#: Offset of the first cover's grid over its largest radius.
+SET_OFF = np.array([0.35, 0.2289, 0.4127])
 #: Where a surface is known no better than to this share of the noise it was carried on beyond what
 #: supports it.
 KNOWN = 0.7
 
 
 def settled(
-    r: F64, tuned: Tuned, done: Covered, steps: F64, parameters: FilterParameters
+    r: F64, tuned: Tuned, steps: F64, parameters: FilterParameters
 ) -> tuple[Tuned, Covered]:
-    """The cover (of ``r``, (n, 3) m) once more with the noise that the first one's surfaces show;
-    sigma and variance as the last surfaces show them.
+    """The cover of points (n, 3) m twice: with the noise believed, on a grid set off, and with the
+    noise that the surfaces then show; sigma and variance as the last surfaces show them.
     """
     if not tuned.told:
-        return tuned, done
-    for _ in range(PASSES):
-        sigma = _shown(r, tuned, done, steps)
-        threshold = np.maximum(SIGMAS * sigma, parameters.outlier_floor_m)
-        assert tuned.lines is not None
-        tuned = replace(tuned, regions=line_regions(r, tuned.lines, sigma, threshold))
-        done = cover(r, tuned.regions, parameters, tuned.degree)
+        return tuned, cover(r, tuned.regions, parameters, tuned.degree)
+    off = tuned.regions.ball_m[-1] * SET_OFF
+    before = cover(r + off, tuned.regions, parameters, tuned.degree)
+    before = replace(before, q=before.q - off)
+    sigma = _shown(r, tuned, before, steps)
+    threshold = np.maximum(SIGMAS * sigma, parameters.outlier_floor_m)
+    assert tuned.lines is not None
+    tuned = replace(tuned, regions=line_regions(r, tuned.lines, sigma, threshold))
+    done = cover(r, tuned.regions, parameters, tuned.degree)
     believed = tuned.regions.sigma_m
     sigma = _shown(r, tuned, done, steps)
     share = done.variance / believed**2
     kept = done.reason == cell_surface.KEPT
     done.reason[kept & (share > KNOWN**2)] = cell_surface.UNSUPPORTED
+    variance = done.variance * (sigma / believed) ** 2
+    variance += disagreement(before, done, variance)
     return (
         replace(tuned, regions=replace(tuned.regions, sigma_m=sigma)),
-        replace(done, variance=done.variance * (sigma / believed) ** 2),
+        replace(done, variance=variance),
     )
+
+
+def disagreement(one: Covered, two: Covered, variance: F64) -> F64:
+    """Variance (n,) m² that two covers on different grids show beyond ``variance``, that of the
+    noise: where a surface bends or ends between few lines, each cell draws it its own way.
+    """
+    both = (one.reason == cell_surface.KEPT) & (two.reason == cell_surface.KEPT)
+    between = two.q - one.q
+    along = [np.abs(np.einsum("ni,ni->n", between, c.normal)) for c in (one, two)]
+    square = np.maximum(*along) ** 2
+    return np.asarray(np.where(both, 0.5 * np.maximum(square - 2.0 * variance, 0.0), 0.0))
 
 
 def _shown(r: F64, tuned: Tuned, done: Covered, steps: F64) -> F64:
