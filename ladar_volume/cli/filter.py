@@ -21,6 +21,7 @@ from ladar_volume.cli.inputs.reading import (
     reading_doubts,
 )
 from ladar_volume.cli.verdict_lines import add_verdict_rows, exit_code
+from ladar_volume.clouds.filter.filter_result import FLAGS
 from ladar_volume.clouds.filter_cloud import REASONS, CloudResult, filter_cloud
 from ladar_volume.clouds.published.filter_presets import PRESETS
 from ladar_volume.io.config import read_config
@@ -43,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
         cloud = read_source(arguments.cloud, arguments).cloud
         r = cloud.r
         status.update(f"filtering {len(r):,} points")
-        result = filter_cloud(r, parameters, auto)
+        result = filter_cloud(r, parameters, auto, frozenset(arguments.keep))
         counts = np.bincount(result.reason, minlength=len(REASONS))
         outliers = {name: int(count) for name, count in zip(REASONS, counts, strict=True) if count}
         if not len(result.index):
@@ -55,7 +56,8 @@ def run(arguments: argparse.Namespace) -> int:
             )
         status.update("writing")
         index = cloud.rows[result.index]
-        columns = {"normal": result.normal, "sigma": result.sigma, "index": index}
+        flag = np.zeros(len(index), np.int64) if result.flag is None else result.flag
+        columns = {"normal": result.normal, "sigma": result.sigma, "index": index, "flag": flag}
         if result.count is not None:
             columns["count"] = result.count
         lost = write_points(arguments.output, cloud, result.index, result.r, columns)
@@ -74,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
         "outliers": outliers,
         **_facts(result, len(r), auto),
         "parameters": Parameters(filter=parameters).write()["filter"],
-        "verdict": Verdict(reading_doubts([cloud])).as_dict(),
+        "verdict": (Verdict(reading_doubts([cloud])) + result.verdict).as_dict(),
     }
     if arguments.json:
         print(json_text(facts), end="")
@@ -90,9 +92,14 @@ def write_points(
     names of those that the file cannot hold.
     """
     kept, lost = carried_columns(cloud, path, [*columns, *NORMALS[0], *NORMALS[1], *NORMALS[2]])
-    names = {"reason": REASONS} if "reason" in columns else None
+    words = {"reason": REASONS, "flag": FLAGS}
+    names = {name: words[name] for name in words if name in columns}
     write_cloud(
-        path, r, {**{name: c[index] for name, c in kept.items()}, **columns}, names, like=cloud
+        path,
+        r,
+        {**{name: c[index] for name, c in kept.items()}, **columns},
+        names or None,
+        like=cloud,
     )
     return lost
 

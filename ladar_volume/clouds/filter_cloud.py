@@ -10,11 +10,16 @@ import numpy as np
 
 from ladar_volume.clouds.filter import cell_surface
 from ladar_volume.clouds.filter.cell_cover import Covered, Regions, cover
+from ladar_volume.clouds.filter.distinct_points import distinct, repeated
+from ladar_volume.clouds.filter.filter_doubts import doubts
 from ladar_volume.clouds.filter.filter_result import REASONS as REASONS
 from ladar_volume.clouds.filter.filter_result import CloudResult as CloudResult
 from ladar_volume.clouds.filter.filter_result import checked
 from ladar_volume.clouds.filter.point_reduction import expanded, merged, reduce_points
-from ladar_volume.clouds.filter.self_tuning import choose
+from ladar_volume.clouds.filter.rounding_step import rounding_steps, shared_rounding
+from ladar_volume.clouds.filter.self_tuning import Tuned, choose
+from ladar_volume.clouds.filter.sparse_points import CLUTTER, Sparse, name_the_rest
+from ladar_volume.clouds.filter.surface_noise import settled
 from ladar_volume.clouds.published.published_filter import filter_published, settings
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64
@@ -27,17 +32,23 @@ REDUCE = {"published": ("round", "mean"), "round": ("round", "round"), "mean": (
 KNOWN, SURE, NARROWER, WIDER = 0.4, 0.25, 0.8, 1.25
 
 
-def filter_cloud(r: F64, parameters: FilterParameters, auto: bool = False) -> CloudResult:
+def filter_cloud(
+    r: F64, parameters: FilterParameters, auto: bool = False, keep: frozenset[str] = frozenset()
+) -> CloudResult:
     """Robust moving least squares on points (n, 3), m, in any frame.
 
     auto : estimate noise, radius and degree from the cloud instead of taking them from the
-    parameters. Raises :class:`FilterError` for a wrong shape, a coordinate that is not finite, or
-    no points.
+    parameters · keep : reasons of ``KEEPABLE`` for which a point stays as it is. Raises
+    :class:`FilterError` for a wrong shape, a coordinate that is not finite, or no points.
     """
     points = checked(r)
     how_before, how_after = REDUCE[parameters.reduce]
     before = reduce_points(points, parameters.grid_before_m, how_before)
-    result = _filter(before.r, parameters, auto)
+    if parameters.order == "published":
+        result = _published(before.r, parameters, auto)
+    else:
+        once = distinct(before.r)
+        result = repeated(_filter(once.r, parameters, auto, keep), once)
     if parameters.grid_before_m > 0.0:
         result = expanded(
             result, before, parameters.grid_before_m if how_before == "round" else 0.0
@@ -45,31 +56,56 @@ def filter_cloud(r: F64, parameters: FilterParameters, auto: bool = False) -> Cl
     return merged(result, parameters.grid_after_m, how_after)
 
 
-def _filter(points: F64, parameters: FilterParameters, auto: bool) -> CloudResult:
-    """The points that are left after the first reduction, in the order asked for."""
-    # digits: cells work on offsets of the cloud's size, not on map coordinates; a mean would depend
-    # on the order of the points
-    origin = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    local = points - origin
-    if parameters.order == "published" and not auto:
+def _centre(points: F64) -> F64:
+    """Origin (3,) of the cells. Digits: they work on offsets of the cloud's size, not on map
+    coordinates; a mean would depend on the order of the points.
+    """
+    return np.asarray(0.5 * (points.min(axis=0) + points.max(axis=0)))
+
+
+def _published(points: F64, parameters: FilterParameters, auto: bool) -> CloudResult:
+    """The published order."""
+    if not auto:
         return filter_published(points, settings(parameters))
-    tuned = choose(local, parameters, auto)
-    if parameters.order == "published":
-        own = settings(
-            parameters,
-            radius_m=tuned.ball_m / 2,
-            degree=tuned.degree,
-            threshold_m=tuned.threshold_m,
-        )
-        return filter_published(points, own)
-    n = len(local)
-    done = cover(local, tuned.regions, parameters, tuned.degree)
-    factor = judge(local, done, tuned.regions) if auto else 1.0
-    kept = done.reason == cell_surface.KEPT
-    index, outliers = np.flatnonzero(kept), np.flatnonzero(~kept)
+    tuned = choose(points - _centre(points), parameters, auto, rounding_steps(points))
+    own = settings(
+        parameters,
+        radius_m=tuned.ball_m / 2,
+        degree=tuned.degree,
+        threshold_m=tuned.threshold_m,
+    )
+    return filter_published(points, own)
+
+
+def _filter(
+    points: F64, parameters: FilterParameters, auto: bool, keep: frozenset[str]
+) -> CloudResult:
+    """The distinct points that are left after the first reduction."""
+    origin = _centre(points)
+    local = points - origin
+    steps = rounding_steps(points)
+    tuned = choose(local, parameters, auto, steps)
+    factor = 1.0
+    if auto and tuned.lines is not None:
+        tuned, done = settled(local, tuned, steps, parameters)
+    else:
+        done = cover(local, tuned.regions, parameters, tuned.degree)
+        factor = judge(local, done, tuned.regions) if auto else 1.0
+    sparse = name_the_rest(local, done, tuned, auto, keep)
+    return _result(local, origin, tuned, done, sparse, factor, steps)
+
+
+def _result(
+    local: F64, origin: F64, tuned: Tuned, done: Covered, sparse: Sparse, factor: float, steps: F64
+) -> CloudResult:
+    """What became of each point, and the report."""
+    stays = (done.reason == cell_surface.KEPT) | sparse.stays
+    index, outliers = np.flatnonzero(stays), np.flatnonzero(~stays)
+    flag = sparse.stays[index]
+    flags = np.where(flag, np.where(done.reason[index] == CLUTTER, 2, 1), 0)
     report: dict[str, float | int | str] = {
         **tuned.report(factor),
-        "points": n,
+        "points": len(local),
         "kept": len(index),
         "cells": done.cells,
         "on_quadrics": int(np.count_nonzero(done.kind == -1)),
@@ -77,18 +113,28 @@ def _filter(points: F64, parameters: FilterParameters, auto: bool) -> CloudResul
         "on_sharp": int(np.count_nonzero(done.kind > 1)),
     }
     for number, name in enumerate(REASONS[1:], 1):
-        report[name] = int(np.count_nonzero(done.reason == number))
+        report[name] = int(np.count_nonzero(done.reason[outliers] == number))
+    if tuned.lines is not None or flag.any():
+        report["sparse"] = int(np.count_nonzero(flags == 1))
+    if steps.any():
+        report["rounded_to_m"] = float(steps.max())
+    noise = factor * tuned.regions.sigma_m[index]
+    sigma = np.sqrt(
+        factor**2 * done.variance[index] + shared_rounding(done.normal[index], steps, noise)
+    )
     return CloudResult(
-        done.q[index] + origin,
+        np.where(flag[:, None], local[index], done.q[index]) + origin,
         index,
-        done.normal[index],
-        factor * np.sqrt(done.variance[index]),
+        np.where(flag[:, None], sparse.normal[index], done.normal[index]),
+        np.where(flag, sparse.sigma_m, sigma),
         outliers,
         done.reason[outliers].astype(np.int64),
         report,
-        noise=factor * tuned.regions.sigma_m[index],
-        reach=tuned.regions.ball_m[done.level[index]],
-        curved=done.kind[index] == -1,
+        noise=np.where(flag, sparse.sigma_m, noise),
+        reach=np.where(flag, sparse.reach_m, tuned.regions.ball_m[done.level[index]]),
+        curved=(done.kind[index] == -1) & ~flag,
+        flag=flags if flag.any() else None,
+        verdict=doubts(report, tuned.told),
     )
 
 

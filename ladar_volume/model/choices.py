@@ -29,3 +29,5 @@ CALIBRATION_GROUPS = (
 )
 #: Ways to take the ring's misregistration out of B, and the parameters they fit.
 CORRECTIONS = {"none": 0, "offset": 1, "rigid": 6}
+#: What may be kept as it is although it lies on no surface, on request.
+KEEPABLE = ("clutter",)

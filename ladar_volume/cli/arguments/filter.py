@@ -10,6 +10,7 @@ from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
 from ladar_volume.clouds.published.filter_presets import PRESETS
 from ladar_volume.io.endings import ENCODINGS
+from ladar_volume.model.choices import KEEPABLE
 
 
 def add_parser(subparsers: Any) -> None:
@@ -56,6 +57,13 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
+    )
+    parser.add_argument(
+        "--keep",
+        action="append",
+        default=[],
+        choices=KEEPABLE,
+        help="keep these points as they are although they lie on no surface",
     )
     add_reading_options(parser)
     add_strict_option(parser)

@@ -40,7 +40,9 @@ NARROWER = 2.5
 class Regions:
     """ball_m : (l,), radius of the neighbourhoods of each level, ascending · level : (n,) level of
     each point · least : (n,) lowest level it may have where no surface is found · sigma_m : (n,)
-    noise along the normal · threshold_m : (n,) farthest a point lies from its surface
+    noise along the normal · threshold_m : (n,) farthest a point lies from its surface ·
+    across : second extent of the points of a plane, over the radius, below which they are a line
+    and no plane
     """
 
     ball_m: F64
@@ -48,6 +50,7 @@ class Regions:
     least: I64
     sigma_m: F64
     threshold_m: F64
+    across: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -124,6 +127,7 @@ def _cover_level(
     size = np.diff(first)
     noise = np.add.reduceat(regions.sigma_m[order], first[:-1]) / size
     limit = np.add.reduceat(regions.threshold_m[order], first[:-1]) / size
+    across = np.full(len(keys), regions.across * ball)
     main, found = np.zeros((len(keys), cell_surface.OFFERED, 4)), np.zeros(len(keys), np.int64)
     in_threads(
         cell_surface.main_planes,
@@ -140,6 +144,7 @@ def _cover_level(
         parameters.seed,
         main,
         found,
+        across,
     )
     kind, misfit = np.zeros(len(keys), np.int64), np.zeros(len(keys))
     sets, sizes, chosen = (
@@ -179,6 +184,7 @@ def _cover_level(
             kind,
             misfit,
             chosen,
+            across,
         )
         sets[some], sizes[some] = chosen[some], kind[some]
     of = np.repeat(np.arange(len(keys)), size)

@@ -103,12 +103,13 @@ def main_planes(
     seed: Any,
     planes: Any,
     found: Any,
+    width: Any,
 ) -> None:
     """The planes that the points near the cells ``which`` lie on, most points first, as ``n·x = o``
     (v, OFFERED, 4) and their number (v,).
 
     Each is sought among what the former ones do not explain. They are what a cell and its
-    neighbours have to choose from.
+    neighbours have to choose from. Points on a line less than ``width`` (v,) wide tell none.
     """
     for v in which:
         sigma, threshold = noise[v], limit[v]
@@ -153,6 +154,8 @@ def main_planes(
                     free[rest] = free[j]
                     rest += 1
             left = rest
+            if sharp_planes.on_line(used, inverse, width[v]):
+                continue
             plane[3] += plane[0] * origin[0] + plane[1] * origin[1] + plane[2] * origin[2]
             found[v] += 1
 
@@ -340,6 +343,7 @@ def filter_cell(
     variance: Any,
     reason: Any,
     chosen: Any,
+    width: Any,
 ) -> Any:
     """Surface of one cell, and its own points projected. Returns (number of planes, −1 for a
     quadric, 0 for none; mean truncated square of all points near the cell over sigma²).
@@ -415,6 +419,7 @@ def filter_cell(
                 rounds,
                 side,
                 label,
+                width,
             )
             length, square = plane_em.pieces_cost(
                 x,
@@ -498,6 +503,7 @@ def filter_cells(
     kind: Any,
     misfit: Any,
     chosen: Any,
+    width: Any,
 ) -> None:
     """The cells ``which`` of points (n, 3) sorted by voxel, ``order`` (n,) the place of each among
     the points as given: that is where a cell writes what becomes of those of its own points that
@@ -535,4 +541,5 @@ def filter_cells(
             variance,
             reason,
             chosen[v],
+            width[v],
         )

@@ -4,15 +4,26 @@ named with a reason.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ladar_volume.model.errors import FilterError
 from ladar_volume.model.records import F64, I64, Bool
+from ladar_volume.model.verdict import Verdict
 
 #: Names of the reasons, by the numbers of ``CloudResult.reason``.
-REASONS = ("kept", "outlier", "few_neighbours", "no_surface", "beyond_edge", "unsupported")
+REASONS = (
+    "kept",
+    "outlier",
+    "few_neighbours",
+    "no_surface",
+    "beyond_edge",
+    "unsupported",
+    "clutter",
+)
+#: What a point that is kept is, by the numbers of ``CloudResult.flag``.
+FLAGS = ("surface", "sparse", "clutter")
 
 
 @dataclass(frozen=True)
@@ -26,7 +37,8 @@ class CloudResult:
     filtered point stands for, None where each stands for its own alone. ``sum(count) + m`` is the
     number of input points · noise, reach : (k,) m, standard deviation of one input point there and
     radius of its fit; curved : (k,) whether that was a quadric, not planes; all None where points
-    were reduced or the order was the published one.
+    were reduced or the order was the published one · flag : (k,) index into ``FLAGS``, None where
+    all lie on a surface · verdict : what speaks against the answer.
     """
 
     r: F64
@@ -40,6 +52,13 @@ class CloudResult:
     noise: F64 | None = None
     reach: F64 | None = None
     curved: Bool | None = None
+    flag: I64 | None = None
+    verdict: Verdict = field(default_factory=Verdict)
+
+    @property
+    def sparse(self) -> Bool | None:
+        """Which points (k,) are as they came, since they lie on no surface; None where none is."""
+        return None if self.flag is None else self.flag > 0
 
 
 def checked(r: F64) -> F64:

@@ -15,6 +15,7 @@ from ladar_volume.clouds.filter.sharp_planes import (
     fit_shares,
     nearest_on_piece,
     nearest_planes,
+    on_line,
 )
 from ladar_volume.math.kernels import kernel, leaf_kernel
 
@@ -222,12 +223,14 @@ def refine(
     rounds: Any,
     side: Any,
     label: Any,
+    across: Any = 0.0,
 ) -> Any:
     """Share out the points (m, 3) within ``reach`` and refit all planes, in turn until none moves
     (expectation and maximisation), for ``rounds`` at most, and as many again after a plane is
     dropped.
 
-    Returns the number of planes; ``used``, ``means`` and ``inverses`` give their covariance.
+    Planes whose points lie on a line less than ``across`` wide are dropped. Returns the number of
+    planes; ``used``, ``means`` and ``inverses`` give their covariance.
     """
     share, before, start, at_first = np.zeros((MOST, m)), np.empty(4), planes.copy(), count
     support, limit, price = (
@@ -247,7 +250,7 @@ def refine(
         while k >= 0:
             before[:] = planes[k]
             used[k] = fit_shares(x, m, share[k], planes[k], means[k], inverses[k])
-            if used[k] < FEWEST:
+            if used[k] < FEWEST or (count > 1 and on_line(used[k], inverses[k], across)):
                 count, lost = drop_plane(planes, means, inverses, used, count, k), True
             else:
                 turn = (

@@ -145,7 +145,16 @@ def expanded(result: CloudResult, before: Reduced, rounded_m: float) -> CloudRes
     sigma = np.sqrt(result.sigma**2 + rounding_variance(rounded_m, float(result.report["noise_m"])))
     index, count = before.index[result.index], before.count[result.index]
     return CloudResult(
-        result.r, index, result.normal, sigma, outliers, all_reasons[outliers], report, count
+        result.r,
+        index,
+        result.normal,
+        sigma,
+        outliers,
+        all_reasons[outliers],
+        report,
+        count,
+        flag=result.flag,
+        verdict=result.verdict,
     )
 
 
@@ -178,5 +187,14 @@ def merged(result: CloudResult, step_m: float, how: str) -> CloudResult:
         sigma = np.sqrt(sigma**2 + step_m**2 / 12)
     report = {**result.report, "kept_merged": len(first)}
     return CloudResult(
-        cells.r, result.index[first], normal, sigma, result.outliers, result.reason, report, total
+        cells.r,
+        result.index[first],
+        normal,
+        sigma,
+        result.outliers,
+        result.reason,
+        report,
+        total,
+        flag=None if result.flag is None else result.flag[first],
+        verdict=result.verdict,
     )

@@ -16,13 +16,21 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ladar_volume.clouds.filter.cell_cover import Regions, cover
+from ladar_volume.clouds.filter.line_tuning import Places, first_noise, line_regions
 from ladar_volume.clouds.filter.noise_estimate import hashes, scatter
+from ladar_volume.clouds.filter.rounding_step import spread, without_spread
+from ladar_volume.clouds.filter.sampling_lines import Lines, find_lines, lined, uneven
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64, I64, Bool
 
 #: Points at which the cloud is looked at; those at which the filter is tried; neighbours whose
 #: median makes a region's value.
 SAMPLES, TRIED, SMOOTH = 400, 40, 60
+#: Points at which a cloud sampled along lines is looked at; quantile of its spacing that starts the
+#: search for lines.
+PLACES, FINEST = 2000, 0.05
+#: Noise over the spacing along a line where nothing tells it.
+DEFAULT = 0.5
 #: Neighbours in the largest neighbourhood, and in those from which noise is told.
 MOST = 1000
 LADDER = (30, 60, 120, 250, 500, MOST)
@@ -49,10 +57,16 @@ WIDEST = 0.25
 
 @dataclass(frozen=True)
 class Tuned:
-    """regions as the cover wants them · degree of the surfaces"""
+    """regions as the cover wants them · degree of the surfaces · lines : along which the cloud was
+    sampled, None for an even one · places : that tell the noise of such a cloud · told : whether
+    the cloud tells its noise; if not, a default stands in
+    """
 
     regions: Regions
     degree: int
+    lines: Lines | None = None
+    places: Places | None = None
+    told: bool = True
 
     @property
     def ball_m(self) -> float:
@@ -93,17 +107,21 @@ class Tuned:
         return out
 
 
-def choose(r: F64, parameters: FilterParameters, auto: bool) -> Tuned:
+def choose(r: F64, parameters: FilterParameters, auto: bool, steps: F64) -> Tuned:
     """Regions and degree for points (n, 3) m near the origin. Without ``auto`` radius and degree
     are the parameters', fits reach over 2 r, and only the noise is estimated, one for the whole
-    cloud.
+    cloud. steps : (3,) m, to which the coordinates were rounded.
     """
     n = len(r)
     at = _samples(r, parameters.seed)
     tree = cKDTree(r, balanced_tree=False, compact_nodes=False)
     distance, near = _query(tree, r[at], MOST)
     smooth = _nearest(r[at], r[at], SMOOTH)
-    noise, narrow = _noise(r, distance, near, smooth, parameters.seed)
+    evenly = spread(r, steps, parameters.seed)
+    if lined(r, near) or uneven(distance):
+        return _along_lines(r, evenly, steps, distance, parameters, auto)
+    noise, narrow = _noise(evenly, distance, near, smooth, parameters.seed)
+    noise = without_spread(noise, steps)
     regional = noise[:, 0] * np.median(noise[:, 1] / noise[:, 0])
     whole = float(np.median(regional))
     if not auto:
@@ -133,14 +151,35 @@ def choose(r: F64, parameters: FilterParameters, auto: bool) -> Tuned:
     )
 
 
-def _samples(r: F64, seed: int) -> I64:
+def _along_lines(
+    r: F64, evenly: F64, steps: F64, distance: F64, parameters: FilterParameters, auto: bool
+) -> Tuned:
+    """Regions for a cloud sampled along lines or unevenly."""
+    lines = find_lines(r, float(np.quantile(distance[:, 4], FINEST)))
+    found = first_noise(r, evenly, _samples(r, parameters.seed, PLACES), lines)
+    if found is None:
+        sigma, where = np.full(len(r), DEFAULT * float(np.median(distance[:, 1]))), None
+    else:
+        sigma, where = without_spread(found[0], steps), found[1]
+    if not auto:
+        whole = float(np.median(sigma))
+        limit = max(parameters.outlier_sigmas * whole, parameters.outlier_floor_m)
+        balls, zero = np.array([2.0 * parameters.radius_m]), np.zeros(len(r), np.int64)
+        regions = Regions(balls, zero, zero, np.full(len(r), whole), np.full(len(r), limit))
+        return Tuned(regions, parameters.degree, lines, where, where is not None)
+    threshold = np.maximum(SIGMAS * sigma, parameters.outlier_floor_m)
+    regions = line_regions(r, lines, sigma, threshold)
+    return Tuned(regions, 2, lines, where, where is not None)
+
+
+def _samples(r: F64, seed: int, most: int = SAMPLES) -> I64:
     """Random points in random order, the same ones in whatever order the cloud comes: those with
     the lowest hashes.
     """
     mixed = np.full(len(r), seed, np.uint64)
     for axis in range(3):
         mixed = hashes(mixed ^ (r[:, axis] + 0.0).view(np.uint64))  # + 0.0: one zero
-    few = min(SAMPLES, len(r))
+    few = min(most, len(r))
     lowest = np.argpartition(mixed, few - 1)[:few]
     out: I64 = lowest[np.argsort(mixed[lowest], kind="stable")]
     return out

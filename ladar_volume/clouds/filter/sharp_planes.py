@@ -160,6 +160,15 @@ def fit_plane(x: Any, m: Any, label: Any, own: Any, plane: Any, mean: Any, inver
 
 
 @leaf_kernel
+def on_line(used: Any, inverse: Any, across: Any) -> Any:
+    """Whether the points of a plane, ``used`` in number, lie on a line: their second extent is
+    below ``across`` (with equal extents, 1.4 times that). One ring of a rotating scanner is such a
+    line, and its cone a plane that any noise of the ranges fits.
+    """
+    return used * (inverse[0, 0] + inverse[1, 1] + inverse[2, 2]) * across * across > 1.0
+
+
+@leaf_kernel
 def plane_share(x: Any, used: Any, mean: Any, inverse: Any) -> Any:
     """Variance of a plane at x (3,) on it over the noise's, from what :func:`fit_plane` gave."""
     share = 1.0 / used

@@ -1,0 +1,146 @@
+"""How a cloud was sampled: evenly, or along lines as by the rings of a rotating scanner.
+
+The points of one ring lie on an exact cone through the scanner, whatever the noise of the ranges: a
+neighbourhood within one ring has no noise across the surface. Neighbourhoods that tell noise or
+carry a fit hold several lines. The distance over which they do is told per point, from the cloud
+thinned to one point per voxel: while a voxel's neighbours lie on a line, it is too short.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ladar_volume.clouds.filter.point_reduction import sorted_by_voxel
+from ladar_volume.model.records import F64, I64
+
+#: A neighbourhood is a line where its second eigenvalue is below this share of the first.
+LINE = 0.1
+#: Share of neighbourhoods that are lines from which on a cloud counts as sampled along lines, and
+#: points of such a neighbourhood.
+LINED, LOOK = 0.05, 30
+#: A neighbourhood reaches over so many voxels; points that it must hold to be a line, or more.
+OVER, FEW, FULL = 4.0, 5, 10
+#: Neighbours whose distance differs by this factor from the densest tenth to the sparsest; few show
+#: points in bunches, many show places of another density.
+UNEVEN = ((FEW + 1, 4.0), (LOOK, 3.0))
+#: Neighbours asked for.
+ASKED = 32
+#: Voxels grow by this factor; a place where lines are told apart must stay one over so many steps.
+STEP, STAYS = float(np.sqrt(2.0)), 4
+#: Widest neighbourhood over the cloud's diagonal; most voxels of the finest level.
+WIDEST, MOST_VOXELS = 0.1, 200_000
+#: States of a point at a level.
+ALONE, ON_LINE, ON_SURFACE = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class Thinned:
+    """One point for each voxel: edge_m · first : (v,) its row · voxel : (n,) voxel of each point ·
+    tree : of the points ``first``
+    """
+
+    edge_m: float
+    first: I64
+    voxel: I64
+    tree: cKDTree
+
+
+@dataclass(frozen=True)
+class Lines:
+    """reach_m : (n,) radius within which the neighbourhood of a point holds several lines, NaN
+    where none does · levels : the thinned clouds, ascending by √2
+    """
+
+    reach_m: F64
+    levels: tuple[Thinned, ...]
+
+    def thinned(self, edge_m: float) -> int:
+        """The level whose edge is next to the one wanted."""
+        low = self.levels[0].edge_m
+        level = round(float(np.log(max(edge_m / low, 1.0)) / np.log(STEP)))
+        return min(level, len(self.levels) - 1)
+
+
+def thin(r: F64, edge_m: float) -> Thinned:
+    """Points (n, 3) m near the origin thinned to one for each voxel of an edge."""
+    order, keys, start, _ = sorted_by_voxel(r, edge_m)
+    voxel = np.empty(len(r), np.int64)
+    voxel[order] = np.repeat(np.arange(len(keys)), np.diff(start))
+    first = order[start[:-1]]
+    return Thinned(edge_m, first, voxel, cKDTree(r[first], balanced_tree=False))
+
+
+def lined(r: F64, near: I64) -> bool:
+    """Whether points (n, 3) lie along lines, from neighbourhoods (s, k), nearest first."""
+    if near.shape[1] < LOOK:
+        return False
+    values = _eigenvalues(r[near[:, :LOOK]], np.ones((len(near), LOOK), np.bool_))
+    return bool(np.mean(values[:, 1] < LINE * values[:, 2]) >= LINED)
+
+
+def uneven(distance: F64) -> bool:
+    """Whether the spacing differs from place to place, from distances (s, k) to the neighbours of
+    samples.
+    """
+    if distance.shape[1] < LOOK:
+        return False
+    return any(
+        bool(np.quantile(distance[:, k - 1], 0.9) > times * np.quantile(distance[:, k - 1], 0.1))
+        for k, times in UNEVEN
+    )
+
+
+def find_lines(r: F64, spacing_m: float) -> Lines:
+    """Lines of points (n, 3) m near the origin; spacing_m : of near points where they are dense."""
+    widest = WIDEST * float(np.linalg.norm(np.ptp(r, axis=0)))
+    edge = spacing_m
+    level = thin(r, edge)
+    while len(level.first) > MOST_VOXELS:
+        edge *= STEP
+        level = thin(r, edge)
+    levels, states = [], []
+    while OVER * edge <= widest * STEP:
+        levels.append(level)
+        states.append(_state(r, level)[level.voxel])
+        edge *= STEP
+        level = thin(r, edge)
+    if not levels:
+        return Lines(np.full(len(r), np.nan), (level,))
+    return Lines(_first_surface(np.array(states), levels), tuple(levels))
+
+
+def _state(r: F64, level: Thinned) -> I64:
+    """State (v,) of each voxel: its neighbourhood is empty, a line, or a surface."""
+    points = r[level.first]
+    distance, near = level.tree.query(
+        points, k=min(ASKED, len(points)), distance_upper_bound=OVER * level.edge_m
+    )
+    distance = np.reshape(distance, (len(points), -1))
+    near = np.reshape(near, (len(points), -1))
+    found = np.isfinite(distance)
+    count = found.sum(axis=1)
+    values = _eigenvalues(points[np.where(found, near, 0)], found)
+    line = values[:, 1] < LINE * values[:, 2]
+    state = np.where(count < FEW, ALONE, np.where(line, ON_LINE, ON_SURFACE))
+    return np.where((state == ON_SURFACE) & (count < FULL), ALONE, state)
+
+
+def _eigenvalues(points: F64, found: np.typing.NDArray[np.bool_]) -> F64:
+    """Eigenvalues (s, 3), ascending, of the covariance of points (s, k, 3) that were found."""
+    weight = found / np.maximum(found.sum(axis=1, keepdims=True), 1)
+    middle = np.einsum("sk,ski->si", weight, points)
+    x = (points - middle[:, None]) * np.sqrt(weight)[:, :, None]
+    return np.asarray(np.linalg.eigvalsh(np.einsum("ski,skj->sij", x, x)))
+
+
+def _first_surface(states: I64, levels: list[Thinned]) -> F64:
+    """Radius (n,) of the first level from which on a point's neighbourhood stays a surface."""
+    out = np.full(states.shape[1], np.nan)
+    for i in range(len(levels) - 1, -1, -1):
+        later = states[i + 1 : i + STAYS]
+        stays = (states[i] == ON_SURFACE) & ~(later == ON_LINE).any(axis=0)
+        out[stays] = OVER * levels[i].edge_m
+    return out

@@ -1,0 +1,74 @@
+"""Noise from the surfaces themselves, where a cloud was sampled along lines: the scatter across a
+surface changes with the angle at which beams meet it, and surfaces show it place by place.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ladar_volume.clouds.filter import cell_surface
+from ladar_volume.clouds.filter.cell_cover import Covered, cover
+from ladar_volume.clouds.filter.line_tuning import line_regions, of_points, residuals, surface_noise
+from ladar_volume.clouds.filter.self_tuning import SIGMAS, Tuned
+from ladar_volume.model.parameters import FilterParameters
+from ladar_volume.model.records import F64
+
+#: Offset of the first cover's grid over its largest radius.
+SET_OFF = np.array([0.35, 0.2289, 0.4127])
+#: Where a surface is known no better than to this share of the noise it was carried on beyond what
+#: supports it.
+KNOWN = 0.7
+
+
+def settled(
+    r: F64, tuned: Tuned, steps: F64, parameters: FilterParameters
+) -> tuple[Tuned, Covered]:
+    """The cover of points (n, 3) m twice: with the noise believed, on a grid set off, and with the
+    noise that the surfaces then show; sigma and variance as the last surfaces show them.
+    """
+    if not tuned.told:
+        return tuned, cover(r, tuned.regions, parameters, tuned.degree)
+    off = tuned.regions.ball_m[-1] * SET_OFF
+    before = cover(r + off, tuned.regions, parameters, tuned.degree)
+    before = replace(before, q=before.q - off)
+    sigma = _shown(r, tuned, before, steps)
+    threshold = np.maximum(SIGMAS * sigma, parameters.outlier_floor_m)
+    assert tuned.lines is not None
+    tuned = replace(tuned, regions=line_regions(r, tuned.lines, sigma, threshold))
+    done = cover(r, tuned.regions, parameters, tuned.degree)
+    believed = tuned.regions.sigma_m
+    sigma = _shown(r, tuned, done, steps)
+    share = done.variance / believed**2
+    kept = done.reason == cell_surface.KEPT
+    done.reason[kept & (share > KNOWN**2)] = cell_surface.UNSUPPORTED
+    variance = done.variance * (sigma / believed) ** 2
+    variance += disagreement(before, done, variance)
+    return (
+        replace(tuned, regions=replace(tuned.regions, sigma_m=sigma)),
+        replace(done, variance=variance),
+    )
+
+
+def disagreement(one: Covered, two: Covered, variance: F64) -> F64:
+    """Variance (n,) m² that two covers on different grids show beyond ``variance``, that of the
+    noise: where a surface bends or ends between few lines, each cell draws it its own way.
+    """
+    both = (one.reason == cell_surface.KEPT) & (two.reason == cell_surface.KEPT)
+    between = two.q - one.q
+    along = [np.abs(np.einsum("ni,ni->n", between, c.normal)) for c in (one, two)]
+    square = np.maximum(*along) ** 2
+    return np.asarray(np.where(both, 0.5 * np.maximum(square - 2.0 * variance, 0.0), 0.0))
+
+
+def _shown(r: F64, tuned: Tuned, done: Covered, steps: F64) -> F64:
+    """Noise (n,) m as the surfaces show it."""
+    believed, where = tuned.regions.sigma_m, tuned.places
+    assert where is not None
+    distance, found = residuals(r, done, cell_surface.KEPT, cell_surface.OUTLIER)
+    each = surface_noise(distance, done.variance / believed**2, found, believed, where)
+    if not np.isfinite(each).any():
+        return believed
+    floor = np.sqrt(np.mean(steps**2) / 12.0)
+    return np.asarray(np.maximum(of_points(each, where, float(np.nanmedian(each))), floor))

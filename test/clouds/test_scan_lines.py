@@ -1,0 +1,192 @@
+"""The cloud filter on what scanners deliver: rings, rounded coordinates, points that come twice."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ladar_volume.clouds.filter.distinct_points import distinct
+from ladar_volume.clouds.filter.rounding_step import rounding_steps, spread
+from ladar_volume.clouds.filter.sampling_lines import find_lines, lined
+from ladar_volume.clouds.filter.trimmed_noise import trimmed_noise
+from ladar_volume.clouds.filter_cloud import REASONS, filter_cloud
+from ladar_volume.model.parameters import FilterParameters
+
+NOISE = 0.01
+
+
+def sweep(seed=0, noise=NOISE, stray=0.01, rings=16, step_deg=0.6):
+    """One turn of a scanner 1.5 m above the ground in a court of 18 m by 22 m: points (n, 3),
+    distance (n,) from the nearest surface, which are strays (n,).
+    """
+    rng = np.random.default_rng(seed)
+    elevation, azimuth = np.meshgrid(
+        np.radians(np.linspace(-15, 15, rings)), np.radians(np.arange(0, 360, step_deg))
+    )
+    e, a = elevation.ravel(), azimuth.ravel()
+    d = np.column_stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    with np.errstate(divide="ignore"):
+        to = np.column_stack(
+            [-1.5 / d[:, 2], 7 / d[:, 0], -11 / d[:, 0], 13 / d[:, 1], -9 / d[:, 1]]
+        )
+    to = np.where(to > 0, to, np.inf).min(axis=1)
+    beam = to + noise * rng.normal(size=len(to))
+    far = rng.random(len(to)) < stray
+    beam[far] = rng.uniform(1.0, 1.0 + 0.7 * (to[far] - 1.0))
+    r = beam[:, None] * d
+    walls = np.abs([r[:, 2] + 1.5, r[:, 0] - 7, r[:, 0] + 11, r[:, 1] - 13, r[:, 1] + 9])
+    off = walls.min(axis=0)
+    return r, off, far & (off > 0.3)
+
+
+def distance(r):
+    """From the nearest surface of the court."""
+    walls = [r[:, 2] + 1.5, r[:, 0] - 7, r[:, 0] + 11, r[:, 1] - 13, r[:, 1] + 9]
+    return np.abs(walls).min(axis=0)
+
+
+def figures(result, off, far):
+    """Share of surface points taken out, of strays taken out, and printed over empirical sigma."""
+    kept = np.zeros(len(off), bool)
+    kept[result.index] = True
+    good = off < 5 * NOISE
+    use = good[result.index] & ~(False if result.sparse is None else result.sparse)
+    error = distance(result.r[use])
+    ratio = np.sqrt(np.mean(result.sigma[use] ** 2) / np.mean(error**2))
+    return 1 - kept[good].mean(), 1 - kept[far].mean(), ratio
+
+
+@pytest.fixture(scope="module")
+def court():
+    """A sweep and what the filter makes of it."""
+    r, off, far = sweep()
+    return r, off, far, filter_cloud(r, FilterParameters(), auto=True)
+
+
+def test_one_sweep_is_kept_and_its_noise_is_not_zero(court):
+    _, off, far, result = court
+    lost, gone, ratio = figures(result, off, far)
+    assert lost < 0.01 and gone >= 0.98 and 0.7 < ratio < 1.3
+    assert 0.5 * NOISE < result.report["noise_m"] < 1.3 * NOISE
+    assert result.verdict.sound
+
+
+def test_what_is_too_sparse_stays_as_it_came(court):
+    r, _, _, result = court
+    assert result.report["sparse"] == np.count_nonzero(result.sparse) > 0
+    sparse = result.sparse
+    assert np.allclose(result.r[sparse], r[result.index[sparse]], atol=1e-12)
+    assert (result.sigma[sparse] > 0.5 * NOISE).all()
+    assert np.allclose(np.linalg.norm(result.normal, axis=1), 1.0)
+    assert len(result.index) + len(result.outliers) == len(r)
+
+
+def test_points_that_come_three_times_count_once(court):
+    r, _, _, one = court
+    order = np.random.default_rng(1).permutation(np.tile(np.arange(len(r)), 3))
+    many = filter_cloud(r[order], FilterParameters(), auto=True)
+    sigma = np.full(len(r), np.nan)
+    sigma[one.index] = one.sigma
+    assert len(many.index) == 3 * len(one.index)
+    assert np.array_equal(many.sigma, sigma[order[many.index]])
+    assert many.report["distinct_points"] == len(r)
+
+
+def test_a_sweep_in_millimetres_turned_and_far_away_is_the_same(court):
+    r, off, far, one = court
+    turn = Rotation.random(random_state=1)
+    two = filter_cloud(1e3 * turn.apply(r) + [4e8, 5e9, 1e5], FilterParameters(), auto=True)
+    assert two.report["noise_m"] == pytest.approx(1e3 * one.report["noise_m"], rel=0.1)
+    kept = np.isin(np.arange(len(r)), two.index)
+    assert kept[off < 5 * NOISE].mean() > 0.99 and kept[far].mean() <= 0.02
+
+
+def test_clutter_stays_on_request():
+    rng = np.random.default_rng(3)
+    r, _, _ = sweep(stray=0.0)
+    leaves = rng.uniform([3, -2, -0.5], [6, 1, 2.5], (3000, 3))
+    cloud = np.concatenate([r, leaves])
+    result = filter_cloud(cloud, FilterParameters(), auto=True)
+    kept = filter_cloud(cloud, FilterParameters(), auto=True, keep=frozenset({"clutter"}))
+    assert result.report["clutter"] > 1000
+    assert kept.report["clutter"] == 0
+    assert len(kept.index) == len(result.index) + result.report["clutter"]
+    taken = result.outliers[result.reason == REASONS.index("clutter")]
+    assert np.mean(taken >= len(r)) > 0.95
+
+
+def test_a_single_ring_is_kept_and_its_noise_is_said_to_be_unknown():
+    angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    r = np.column_stack([8 * np.cos(angle), 8 * np.sin(angle), np.full(400, -1.0)])
+    r += 0.01 * np.random.default_rng(0).normal(size=r.shape)
+    r = np.concatenate([r, [[0.0, 0.0, 30.0]]])
+    result = filter_cloud(r, FilterParameters(), auto=True)
+    assert np.array_equal(result.index, np.arange(400)) and result.sparse.all()
+    assert result.verdict.doubts[0].name == "filter_noise_unknown"
+    assert (result.sigma > 0).all()
+
+
+@pytest.mark.parametrize("step", [0.005, 0.01])
+def test_rounded_noise_is_told_with_what_rounding_adds(step):
+    rng = np.random.default_rng(6)
+    xy = rng.uniform(-2, 2, (6000, 2))
+    r = np.column_stack([xy, 0.3 * xy[:, 0] + 0.005 * rng.normal(size=6000)])
+    r = np.round(r / step) * step
+    result = filter_cloud(r, FilterParameters(), auto=True)
+    expected = np.sqrt(0.005**2 / (1 + 0.3**2) + step**2 / 12)
+    assert result.report["noise_m"] == pytest.approx(expected, rel=0.12)
+    assert len(result.index) > 0.98 * len(r)
+
+
+def test_a_quiet_plane_along_the_grid_may_be_off_by_half_a_step():
+    rng = np.random.default_rng(7)
+    xy = rng.uniform(-2, 2, (4000, 2))
+    r = np.round(np.column_stack([xy, 0.104 + 1e-4 * rng.normal(size=4000)]) / 0.01) * 0.01
+    result = filter_cloud(r, FilterParameters(), auto=True)
+    assert np.sqrt(np.mean((result.r[:, 2] - 0.104) ** 2)) < 2 * np.sqrt(np.mean(result.sigma**2))
+
+
+@pytest.mark.parametrize("step", [1e-6, 0.001, 0.0025, 0.01, 0.01 * 0.3048])
+def test_the_step_of_rounding_is_found(step):
+    x = np.random.default_rng(0).uniform(-50, 50, (3000, 3)) + np.array([4e5, 0, 100])
+    found = rounding_steps(np.round(x / step) * step)
+    assert found[1:] == pytest.approx([step, step], rel=1e-6)
+    assert (rounding_steps(x) == 0.0).all()
+
+
+def test_single_precision_of_map_coordinates_is_a_step():
+    x = np.random.default_rng(0).uniform(-50, 50, (3000, 3)) + np.array([4e5, 5.4e6, 100])
+    found = rounding_steps(x.astype(np.float32).astype(np.float64))
+    assert found[:2] == pytest.approx([2.0**-5, 0.5])
+    moved = spread(x, np.array([0.1, 0.0, 0.0]), 1) - x
+    assert np.abs(moved[:, 0]).max() <= 0.05 and not moved[:, 1:].any()
+    assert np.std(moved[:, 0]) == pytest.approx(0.1 / np.sqrt(12), rel=0.05)
+
+
+def test_distinct_points_keep_their_order():
+    r = np.array([[1.0, 2, 3], [0, 0, 0], [1, 2, 3], [-0.0, 0, 0], [5, 5, 5]])
+    once = distinct(r)
+    assert np.array_equal(once.index, [0, 1, 4]) and np.array_equal(once.count, [2, 2, 1])
+    assert np.array_equal(once.cell, [0, 1, 0, 1, 2])
+
+
+def test_lines_come_together_at_their_distance():
+    rng = np.random.default_rng(0)
+    y, x = np.meshgrid(np.arange(12) * 1.0, np.arange(0, 12, 0.02))
+    r = np.column_stack([x.ravel(), y.ravel(), 1e-3 * rng.normal(size=x.size)])
+    r -= r.mean(axis=0)
+    distance_m = np.linalg.norm(r[:40, None] - r[None], axis=2)
+    assert lined(r, np.argsort(distance_m, axis=1)[:, :60])
+    reach = find_lines(r, 0.04).reach_m
+    assert 0.9 < np.nanmedian(reach) < 1.9
+
+
+def test_lines_off_each_other_by_the_noise_tell_it():
+    """A fit to the best half of the points would choose the lines that agree."""
+    rng = np.random.default_rng(5)
+    each = []
+    for _ in range(40):
+        y = np.repeat(np.arange(7.0), 20)
+        z = np.repeat(rng.normal(size=7), 20) + 0.3 * rng.normal(size=140)
+        r = np.column_stack([10 * rng.uniform(0, 7, 140), 10 * y, z])
+        each.append(trimmed_noise(r, np.arange(140)[None])[0])
+    assert np.median(each) == pytest.approx(np.hypot(1.0, 0.3) * np.sqrt(5 / 7), rel=0.25)
