@@ -7,13 +7,15 @@ from __future__ import annotations
 import argparse
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.table import Table
 
-from ladar_volume.clouds.cloud_surface import CloudSurface, cloud_surface
+from ladar_volume.clouds.cloud_surface import CLEAN, CloudSurface, cloud_surface
 from ladar_volume.io.pointfiles.cloud_files import PointFile, read_cloud
 from ladar_volume.model.errors import ConfigurationError, InputError, SurfaceError
 from ladar_volume.model.records import F64
@@ -26,7 +28,7 @@ from ladar_volume.tin.scan_frame import Frame, frame_along, mean_direction, sear
 #: Columns that hold a standard deviation, in order of preference.
 SIGMAS = ("sigma_z", "sigma")
 #: Ways to choose relevant triangles on the command line.
-RELEVANT = ("all", "corners", "edge", "circumcircle")
+RELEVANT = ("sampled", "all", "corners", "edge", "circumcircle")
 
 
 def number(text: str) -> float:
@@ -90,7 +92,10 @@ def add_surface_options(parser: argparse.ArgumentParser, default_vertices: str) 
     g.add_argument(
         "--relevant",
         choices=RELEVANT,
-        help="which triangles count (default: those that meet no artificial corner)",
+        help=(
+            "which triangles count (default sampled: where points were measured, open notches and "
+            "gaps left out; corners: up to the convex hull)"
+        ),
     )
     g.add_argument(
         "--max-edge", type=number, metavar="M", help="longest edge of a relevant triangle"
@@ -112,6 +117,15 @@ def add_surface_options(parser: argparse.ArgumentParser, default_vertices: str) 
     )
     g.add_argument(
         "--max-hole", type=number, metavar="M2", help="boundary: fill holes up to this size"
+    )
+    g.add_argument(
+        "--clean",
+        choices=CLEAN,
+        default="auto",
+        help=(
+            "stray points: auto leaves out those off the surface (default), off none, filter "
+            "those that the filter takes out"
+        ),
     )
     g.add_argument(
         "--screen",
@@ -189,7 +203,7 @@ def surface_options(arguments: argparse.Namespace, default: SurfaceOptions) -> S
         if a.max_edge is not None
         else "circumcircle"
         if a.max_circle is not None
-        else "corners"
+        else "sampled"
     )
     for option, limit, word in (
         ("edge", a.max_edge, "--max-edge"),
@@ -298,12 +312,21 @@ def make_surface(
     options: SurfaceOptions,
     frame: Frame | None,
     sigma: float | None,
+    how: str | None = None,
 ) -> CloudSurface:
-    """The surface of one file. Errors name it."""
+    """The surface of one file, cleaned as the arguments say, or ``how``. Errors name it."""
     values, words = sigma_of(source, sigma, frame)
     r = source.cloud.r if frame is None else frame.points(source.cloud.r)
     try:
-        return cloud_surface(r, options, values, words, arguments.screen, arguments.median)
+        return cloud_surface(
+            r,
+            options,
+            values,
+            words,
+            arguments.screen,
+            arguments.median,
+            arguments.clean if how is None else how,
+        )
     except SurfaceError as error:
         raise SurfaceError(
             f"{source.path}: {error}", reason=error.reason, value=error.value
@@ -318,7 +341,10 @@ def surface_facts(source: Source, surface: CloudSurface) -> dict[str, Any]:
         "points": len(source.cloud.r),
         "used": len(surface.points) - made.cropped,
         "cropped": made.cropped,
+        "clean": {"strays": len(surface.strays), "share": stray_share(source, surface)},
+        "copies": surface.copies,
         "outliers": len(surface.outliers),
+        "sampled": sampled_facts(made),
         "duplicates": tin.duplicates,
         "vertices": int(np.count_nonzero(tin.source >= 0)),
         "vertices_from_bins": made.initial,
@@ -338,6 +364,50 @@ def surface_facts(source: Source, surface: CloudSurface) -> dict[str, Any]:
         "sigma_factor": math.sqrt(made.variance_factor),
         "sigma_point_m": None if surface.sigma_m is None else float(np.median(surface.sigma_m)),
     }
+
+
+def stray_share(source: Source, surface: CloudSurface) -> float:
+    """Share of the points that are strays; each counts once."""
+    return len(surface.strays) / max(len(source.cloud.r) - surface.copies, 1)
+
+
+def sampled_facts(made: Represented) -> dict[str, Any] | None:
+    """The area that was sampled, against the convex hull; None where it was not asked for."""
+    found = made.sampled
+    if found is None:
+        return None
+    return {
+        "by": "convex hull" if math.isnan(found.spacing_m) else "spacing of the points",
+        "area_m2": found.area_m2,
+        "hull_m2": found.hull_m2,
+        "spacing_m": None if math.isnan(found.spacing_m) else found.spacing_m,
+        "holes": found.holes,
+        "hole_m2": found.hole_m2,
+        "parts": found.parts,
+    }
+
+
+def add_surface_rows(table: Table, each: Mapping[str, Any]) -> None:
+    """Rows on strays, copies and the sampled area of one surface (:func:`surface_facts`)."""
+    clean, sampled = each["clean"], each["sampled"]
+    if clean["strays"]:
+        table.add_row("  strays", f"{clean['strays']:,} left out ({100 * clean['share']:.2f} %)")
+    if each["copies"]:
+        table.add_row("  copies", f"{each['copies']:,} points with the same coordinates left out")
+    if sampled is None:
+        return
+    if sampled["spacing_m"] is None:
+        words = f"{sampled['hull_m2']:.6g} m², the convex hull (too few points to tell more)"
+    else:
+        words = (
+            f"{sampled['area_m2']:.6g} m² of {sampled['hull_m2']:.6g} m² within the convex hull, "
+            f"spacing {sampled['spacing_m']:.3g} m"
+        )
+    table.add_row("  sampled", words)
+    if sampled["holes"]:
+        table.add_row("  holes", f"{sampled['holes']} bridged, {sampled['hole_m2']:.4g} m²")
+    if sampled["parts"] > 1:
+        table.add_row("  parts", f"{sampled['parts']} that do not touch")
 
 
 def held_fixed(made: Represented) -> list[str]:

@@ -14,6 +14,7 @@ from rich.table import Table
 
 from ladar_volume.cli.surface_options import (
     add_surface_options,
+    add_surface_rows,
     frame_facts,
     frame_of,
     make_surface,
@@ -22,11 +23,15 @@ from ladar_volume.cli.surface_options import (
     surface_facts,
     surface_options,
 )
+from ladar_volume.cli.verdict_lines import add_strict_option, add_verdict_rows, exit_code
+from ladar_volume.clouds.cloud_surface import CloudSurface
+from ladar_volume.clouds.volume_verdict import area_counted, stray_doubts, surface_doubts
 from ladar_volume.io.meshfiles.tin_files import check_tin_output, write_tin
 from ladar_volume.io.pointfiles.cloud_files import ENCODINGS
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.records import I64, Tin
+from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.version import version
 
@@ -57,6 +62,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
+    add_strict_option(parser)
     add_surface_options(parser, "0.333")
     parser.set_defaults(run=run)
 
@@ -95,11 +101,20 @@ def run(arguments: argparse.Namespace) -> int:
         "options": option_facts(options),
         "version": version(),
     }
+    verdict = Verdict(tuple(surface_verdict(facts, surface)))
+    facts["verdict"] = verdict.as_dict()
     if arguments.json:
         print(json_text(facts), end="")
     else:
         show(console, facts)
-    return 0
+    return exit_code(arguments, facts["verdict"])
+
+
+def surface_verdict(facts: Mapping[str, Any], surface: CloudSurface) -> list[Doubt]:
+    """What speaks against the surface: strays, and holes that were bridged."""
+    tin = surface.made.tin
+    found = stray_doubts(facts["clean"]["strays"], facts["points"] - facts["copies"])
+    return found + surface_doubts(surface, area_counted(surface, tin.relevant))
 
 
 def in_cloud(tin: Tin, index: I64) -> Tin:
@@ -114,6 +129,7 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
     for name in ("cropped", "outliers", "duplicates"):
         if facts[name]:
             table.add_row(f"  {name}", f"{facts[name]:,}")
+    add_surface_rows(table, facts)
     table.add_row("vertices", f"[bold]{facts['vertices']:,}[/bold]")
     table.add_row(
         "triangles",
@@ -144,5 +160,6 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
             "sigma of a point", f"{1e3 * facts['sigma_point_m']:.2f} mm ({facts['sigma_from']})"
         )
         table.add_row("sigma of a vertex", f"{1e3 * facts['sigma_z_median_m']:.2f} mm (median)")
+    add_verdict_rows(table, facts["verdict"])
     console.print(table)
     console.print(f"written to {facts['output']['path']}")

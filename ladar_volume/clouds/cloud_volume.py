@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -135,14 +136,12 @@ def above_base(
     lies inside the outline.
     """
     tin = surface.made.tin
-    hang = parameters.volume.base == "ground" and surface.sigma_m is not None
-    variance = (
-        surface.made.covariance(surface.sigma_m).diagonal()
-        if hang and surface.sigma_m is not None
-        else np.zeros(len(tin.vertices))
-    )
+    C = None
+    if parameters.volume.base == "ground" and surface.sigma_m is not None:
+        C = surface.made.covariance(surface.sigma_m)
+    variance = np.zeros(len(tin.vertices)) if C is None else C.diagonal()
     base, inside = base_and_outline(tin, variance, parameters)
-    solid = solid_above(surface, base, inside, parameters, variance, correct)
+    solid = solid_above(surface, base, inside, parameters, variance, correct, C)
     return (
         finished(solid, base_name(parameters), parameters.volume.base == "ground"),
         base,
@@ -157,9 +156,10 @@ def solid_above(
     parameters: Parameters,
     variance: F64,
     correct: bool = True,
+    covariance: Any = None,
 ) -> Solid:
-    """The solid above a base; ``inside`` (m,) m² is the area of each triangle within the
-    outline.
+    """The solid above a base; ``inside`` (m,) m² is the area of each triangle within the outline,
+    covariance (n, n) m² that of the heights, where it is known already.
     """
     tin, mask = surface.made.tin, inside > 0
     by_polygon = parameters.volume.outline == "polygon"
@@ -174,7 +174,7 @@ def solid_above(
     )  # a triangle that the outline cuts is left uncorrected
     height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
     if correct and surface.sigma_m is not None and comes_near(tin, height, surface.sigma_m, whole):
-        C = surface.made.covariance(surface.sigma_m)
+        C = surface.made.covariance(surface.sigma_m) if covariance is None else covariance
         near = near_base(tin, base, C, whole)
         curved = near.curved_m6
         cut = cut if by_polygon else near.gradient_cut
