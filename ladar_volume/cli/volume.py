@@ -280,7 +280,8 @@ def computed(
     frame: Frame | None,
 ) -> tuple[dict[str, Any], CloudVolume]:
     """The volume with its verdict, and where levels are asked for the sequence with its floors."""
-    correct, more = not a.no_correction, {}
+    correct = not a.no_correction
+    more: dict[str, Any] = {}
     parameters = in_frame(a, surfaces, parameters, base, frame)
     volume, parameters, counted, masks, each = answer(surfaces, parameters, base, levels, correct)
     if each:
@@ -299,7 +300,7 @@ def computed(
         if base == "ground" and counted is not None:
             readings = ground_readings(surfaces[0], counted, areas[0], parameters)
         by_body = parameters.volume.outline == "auto"
-        volume, verdict = judged(volume, surfaces[0], areas[0], readings, by_body)
+        volume, verdict = judged(volume, surfaces[0], areas[0], readings, by_body, counted)
         more["readings"] = None if readings is None else dataclasses.asdict(readings)
     else:
         for surface, area in zip(surfaces, areas, strict=True):
@@ -345,7 +346,13 @@ def answer(
     """
     first, masks = surfaces[0], [s.made.tin.relevant for s in surfaces]
     if base == "cloud":
-        return between_clouds(first, surfaces[1], "the second", correct), parameters, None, masks, []
+        return (
+            between_clouds(first, surfaces[1], "the second", correct),
+            parameters,
+            None,
+            masks,
+            [],
+        )
     if len(surfaces) == 2:
         volume, one, two = own_footprints(first, surfaces[1], parameters, correct)
         return volume, parameters, None, masks, [one, two]
@@ -365,7 +372,7 @@ def effect_of_strays(
     levels: F64 | None,
     frame: Frame | None,
 ) -> tuple[float | None, str]:
-    """The net volume, m³, with the points that were left out; None, and why, where that gives none."""
+    """The net volume, m³, with the points that were left out; None, and why, for none."""
     try:
         raw = [make_surface(a, s, options, frame, 0.0, "off") for s in sources]
         own = in_frame(a, raw, parameters, base, frame)
@@ -455,9 +462,7 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
     known = bool(np.isfinite(facts["sigma_m3"]))
     table = Table(show_header=False, box=None, pad_edge=False)
     spread = (
-        f" ± {facts['sigma_m3']:.4f} m³[/bold] (1 sigma, noise only)"
-        if known
-        else " m³[/bold]"
+        f" ± {facts['sigma_m3']:.4f} m³[/bold] (1 sigma, noise only)" if known else " m³[/bold]"
     )
     table.add_row("net volume", f"[bold]{facts['net_m3']:.4f}{spread}")
     if known:

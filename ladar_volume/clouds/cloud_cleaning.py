@@ -1,5 +1,4 @@
-"""Stray points of a cloud, told from its surface: what neither lies on the surface around it nor has
-company where it is.
+"""Stray points of a cloud: what neither lies on the surface around it nor has company where it is.
 
 A point is isolated where its eighth neighbour in space is far for the points around it. It is a
 stray where it is also off the plane through those around it that are not isolated; one that is not
@@ -31,6 +30,8 @@ OFF_ISOLATED, OFF, AGREE = 4.0, 6.0, 3.5
 MAJORITY, OWN = 0.75, 2
 #: Passes: strays hide one another. Share of neighbours on lines above which they are taken across.
 PASSES, LINES = 3, 0.02
+#: Reweightings of a plane, and fewest points through which one is laid.
+STEPS, LEAST = 10, 6
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,67 @@ class Cleaned:
     kept: I64
     strays: I64
     isolated: int
+
+
+@kernel
+def solve_plane(d: F64, weight: F64, count: int) -> tuple[float, float, float]:
+    """Height and slopes of the plane of least weighted squares through the first ``count`` of
+    points (m, 3). Points on one line show no slope across it.
+    """
+    a00 = a01 = a02 = a11 = a12 = a22 = b0 = b1 = b2 = 0.0
+    for j in range(count):
+        w, x, y, z = weight[j], d[j, 0], d[j, 1], d[j, 2]
+        a00, a01, a02 = a00 + w, a01 + w * x, a02 + w * y
+        a11, a12, a22 = a11 + w * x * x, a12 + w * x * y, a22 + w * y * y
+        b0, b1, b2 = b0 + w * z, b1 + w * x * z, b2 + w * y * z
+    ridge = 1e-6 * (a11 + a22) + 1e-300
+    a11, a22 = a11 + ridge, a22 + ridge
+    c00, c01, c02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
+    det = a00 * c00 + a01 * c01 + a02 * c02
+    if not det > 0.0:
+        return b0 / a00, 0.0, 0.0
+    c11, c12, c22 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
+    return (
+        (c00 * b0 + c01 * b1 + c02 * b2) / det,
+        (c01 * b0 + c11 * b1 + c12 * b2) / det,
+        (c02 * b0 + c12 * b1 + c22 * b2) / det,
+    )
+
+
+@kernel
+def least_sizes(d: F64, r: F64, size: F64, count: int, sigma: float) -> tuple[float, float]:
+    """The plane of least sizes through the first ``count`` of points (m, 3), by reweighting: its
+    height, and the spread about it, at least ``sigma``. r : (m,) becomes the residuals.
+    """
+    h, gx, gy, spread = float(np.median(d[:count, 2])), 0.0, 0.0, sigma
+    for step in range(STEPS + 1):
+        for j in range(count):
+            r[j] = d[j, 2] - h - gx * d[j, 0] - gy * d[j, 1]
+            size[j] = abs(r[j])
+        spread = max(1.4826 * np.median(size[:count]), sigma)
+        if step < STEPS:
+            for j in range(count):
+                size[j] = 1.0 / max(size[j], 0.3 * spread)
+            h, gx, gy = solve_plane(d, size, count)
+    return h, spread
+
+
+@kernel
+def off_plane(
+    d: F64, r: F64, size: F64, count: int, sigma: float, isolated: bool, limits: F64
+) -> bool:
+    """Whether the origin is a stray beside the first ``count`` of points d (m, 3) around it."""
+    h, spread = least_sizes(d, r, size, count, sigma)
+    agreeing, own = 0, 0
+    for j in range(count):
+        agreeing += abs(r[j]) <= limits[2] * spread
+        # the point itself lies at -h about the plane
+        own += abs(r[j] + h) <= limits[2] * spread
+    if own >= limits[4]:
+        return False
+    if isolated:
+        return bool(abs(h) > limits[0] * spread)
+    return bool(abs(h) > limits[1] * spread and agreeing >= limits[3] * count)
 
 
 @kernel
@@ -55,76 +117,24 @@ def plane_kernel(
     d, r, size = np.empty((m, 3)), np.empty(m), np.empty(m)
     for i in range(len(chosen)):
         p, count = points[chosen[i]], 0
-        scale = 0.0
         for j in range(m):
             if near[i, j] >= 0 and near[i, j] != chosen[i]:
-                for c in range(3):
-                    d[count, c] = points[near[i, j], c] - p[c]
-                scale += d[count, 0] ** 2 + d[count, 1] ** 2
+                d[count] = points[near[i, j]] - p
+                size[count] = 1.0
                 count += 1
-        if count < 6:
+        if count < LEAST:
             continue
-        # ridge: neighbours on one line show no slope across it
-        ridge = 1e-6 * scale + 1e-300
-        h, gx, gy = 0.0, 0.0, 0.0
-        for j in range(count):
-            r[j] = d[j, 2]
-        spread = 0.0
-        for step in range(10):
-            if step > 0:
-                for j in range(count):
-                    r[j] = d[j, 2] - h - gx * d[j, 0] - gy * d[j, 1]
-                    size[j] = abs(r[j])
-            else:
-                middle = np.median(r[:count])
-                for j in range(count):
-                    size[j] = abs(r[j] - middle)
-            spread = max(1.4826 * np.median(size[:count]), sigma)
-            a00 = a01 = a02 = a11 = a12 = a22 = b0 = b1 = b2 = 0.0
-            for j in range(count):
-                w = 1.0 / max(size[j], 0.3 * spread)
-                x, y, z = d[j, 0], d[j, 1], d[j, 2]
-                a00 += w
-                a01 += w * x
-                a02 += w * y
-                a11 += w * x * x
-                a12 += w * x * y
-                a22 += w * y * y
-                b0 += w * z
-                b1 += w * x * z
-                b2 += w * y * z
-            extra = ridge * a00 / count
-            a11 += extra
-            a22 += extra
-            c00, c01, c02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
-            det = a00 * c00 + a01 * c01 + a02 * c02
-            if not det > 0.0:
-                break
-            c11, c12, c22 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
-            h = (c00 * b0 + c01 * b1 + c02 * b2) / det
-            gx = (c01 * b0 + c11 * b1 + c12 * b2) / det
-            gy = (c02 * b0 + c12 * b1 + c22 * b2) / det
-        agreeing, own = 0, 0
-        for j in range(count):
-            r[j] = d[j, 2] - h - gx * d[j, 0] - gy * d[j, 1]
-            size[j] = abs(r[j])
-        spread = max(1.4826 * np.median(size[:count]), sigma)
-        for j in range(count):
-            agreeing += size[j] <= limits[2] * spread
-            # the point itself lies at -h about the plane
-            own += abs(r[j] + h) <= limits[2] * spread
-        if own >= limits[4]:
+        alone = isolated[chosen[i]]
+        # most points lie on any plane through those around them
+        if not alone and abs(solve_plane(d, size, count)[0]) <= limits[2] * sigma:
             continue
-        if isolated[chosen[i]]:
-            out[i] = abs(h) > limits[0] * spread
-        else:
-            out[i] = abs(h) > limits[1] * spread and agreeing >= limits[3] * count
+        out[i] = off_plane(d, r, size, count, sigma, alone, limits)
     return out
 
 
 def isolated_points(points: F64) -> Bool:
     """Points (n,) whose neighbours in space are far for the points around them."""
-    distance = cKDTree(points).query(points, COMPANY + 1)[0][:, -1]
+    distance = np.asarray(cKDTree(points).query(points, COMPANY + 1)[0])[:, -1]
     _, around = cKDTree(points[:, :2]).query(points[:, :2], AROUND)
     usual = np.partition(distance[np.asarray(around)], AROUND // 4, axis=1)[:, AROUND // 4]
     out: Bool = distance > ISOLATED * usual

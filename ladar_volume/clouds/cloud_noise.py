@@ -2,7 +2,7 @@
 
 A return's nearest neighbours lie on its own scan line, an exact cone through the scanner, which
 local fits go through whatever the noise. Neighbours are therefore taken one from each cell of the
-size at which the raster of the footprints is filled (:func:`ladar_volume.tin.sampled_area.spacings`).
+size at which the raster of the footprints is filled (see :mod:`ladar_volume.tin.sampled_area`).
 Copies of a point count once; coordinates rounded to steps of q have at least the variance q²/12.
 """
 
@@ -72,11 +72,11 @@ def rounding_step(z: F64) -> float:
     return step if bool((off <= 4.0 * precision + 1e-3 * step).all()) else 0.0
 
 
-def thinned(points: F64, cell_m: float) -> I64:
-    """Rows (k,) of points (n, 3): in every cell of the horizontal plane the one nearest to its
-    middle.
+def thinned(points: F64, cell_m: float, shift: tuple[float, float] = (0.0, 0.0)) -> I64:
+    """Rows (k,) of points (n, 3): in every cell of the horizontal plane, shifted by so many cells,
+    the one nearest to its middle.
     """
-    place = (points[:, :2] - points[:, :2].min(axis=0)) / cell_m
+    place = (points[:, :2] - points[:, :2].min(axis=0)) / cell_m + np.array(shift)
     cell = np.floor(place).astype(np.int64)
     off = ((place - cell - 0.5) ** 2).sum(axis=1)
     order = np.lexsort((off, cell[:, 1], cell[:, 0]))
@@ -102,12 +102,15 @@ def fit_residuals(points: F64, near: F64, chosen: I64) -> tuple[F64, F64]:
     return level / np.sqrt(1.0 + np.maximum(first[:, 0], 0.0)), narrow
 
 
-def neighbours(points: F64, chosen: I64) -> F64:
-    """The nearest (k, NEIGHBOURS, 3) of points (n, 3) to those ``chosen`` (k,), themselves not."""
-    _, near = cKDTree(points[:, :2]).query(points[chosen, :2], NEIGHBOURS + 1)
-    own = np.asarray(near) == chosen[:, None]
+def neighbours(points: F64, kept: I64, chosen: I64) -> F64:
+    """Of the points ``kept``, rows (k,) of (n, 3), the nearest (m, NEIGHBOURS, 3) to those
+    ``chosen`` (m,), themselves not.
+    """
+    _, found = cKDTree(points[kept, :2]).query(points[chosen, :2], NEIGHBOURS + 1)
+    near = kept[np.asarray(found)]
+    own = near == chosen[:, None]
     own[~own.any(axis=1), -1] = True
-    out: F64 = points[np.asarray(near)[~own].reshape(len(chosen), NEIGHBOURS)]
+    out: F64 = points[near[~own].reshape(len(chosen), NEIGHBOURS)]
     return out
 
 
@@ -143,7 +146,7 @@ def cloud_noise(points: F64) -> CloudNoise:
         raise SurfaceError(words, reason="surface_too_few_points", value=len(own))
     floor = step / math.sqrt(12.0)
     chosen = np.unique(np.linspace(0, len(own) - 1, min(len(own), MOST_FITS)).astype(np.int64))
-    residual, narrow = fit_residuals(own, neighbours(own, chosen), chosen)
+    residual, narrow = fit_residuals(own, neighbours(own, np.arange(len(own)), chosen), chosen)
     spacing = spacings(own[:, :2])[chosen]
     cells = CELL * spacing
     lines = 0.0
@@ -152,21 +155,9 @@ def cloud_noise(points: F64) -> CloudNoise:
         if len(kept) < FEWEST:
             continue
         at = np.flatnonzero(cells == cell)
-        across, wide = fit_residuals(own, nearest(own, kept, chosen[at], cell), chosen[at])
+        across, wide = fit_residuals(own, neighbours(own, kept, chosen[at]), chosen[at])
         # where neighbours lie along a line, those across it tell more
         on_line = narrow[at] < NARROW * np.minimum(1.0, wide / NARROW)
-        lines += np.count_nonzero(on_line)
+        lines += float(np.count_nonzero(on_line))
         residual[at] = np.where(np.isfinite(across), across, residual[at])
     return CloudNoise(robust_sigma(residual, floor), step, copies, lines / len(chosen))
-
-
-def nearest(points: F64, kept: I64, chosen: I64, cell_m: float) -> F64:
-    """Of the points ``kept`` (k,) the nearest to each of ``chosen`` (m,) that are not in its own
-    cell's place: (m, NEIGHBOURS, 3).
-    """
-    _, near = cKDTree(points[kept, :2]).query(points[chosen, :2], NEIGHBOURS + 1)
-    near = kept[np.asarray(near)]
-    own = near == chosen[:, None]
-    own[~own.any(axis=1), -1] = True
-    out: F64 = points[near[~own].reshape(len(chosen), NEIGHBOURS)]
-    return out

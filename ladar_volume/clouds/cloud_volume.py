@@ -19,7 +19,7 @@ from ladar_volume.change.surface_difference import along_curve, difference
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.ground.ground_adjoint import ground_gradient
 from ladar_volume.ground.polynomial import base_height, degree_of, design, design_surface
-from ladar_volume.model.errors import VolumeError
+from ladar_volume.model.errors import GroundError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.tin.full_tin import any_corner
@@ -140,7 +140,16 @@ def above_base(
     if parameters.volume.base == "ground" and surface.sigma_m is not None:
         C = surface.made.covariance(surface.sigma_m)
     variance = np.zeros(len(tin.vertices)) if C is None else C.diagonal()
-    base, inside = base_and_outline(tin, variance, parameters)
+    try:
+        base, inside = base_and_outline(tin, variance, parameters)
+    except GroundError as error:
+        if parameters.volume.outline != "auto" or error.reason != "ground_too_few_points":
+            raise
+        words = (
+            "no ground is left around what rises above it: the body takes up the survey; take more "
+            "of its surroundings, or give --level, --plane or a second cloud"
+        )
+        raise GroundError(words, reason="ground_none_around", value=0) from error
     solid = solid_above(surface, base, inside, parameters, variance, correct, C)
     return (
         finished(solid, base_name(parameters), parameters.volume.base == "ground"),

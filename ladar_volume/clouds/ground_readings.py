@@ -61,7 +61,9 @@ def ground_readings(
     own = prismoids(tin, base, mask)
     other, sigma = higher(surface, base, inside, parameters, variance, ring)
     body = float(inside.sum())
-    uneven = unevenness(tin.vertices[ring], base, variance[ring], 0.5 * math.sqrt(body), p.object_height_m)
+    uneven = unevenness(
+        tin.vertices[ring], base, variance[ring], 0.5 * math.sqrt(body), p.object_height_m
+    )
     degree = parameters.ground.degree
     net = own.cut_m3 - own.fill_m3
     return GroundReadings(len(ring), support, degree, net, other, sigma, uneven, uneven * body)
@@ -75,8 +77,8 @@ def higher(
     variance: F64,
     ring: I64,
 ) -> tuple[float, float]:
-    """The volume above a ground of the next degree through the ring (k,), and its standard deviation
-    from the noise of the ground; NaN where there is none.
+    """The volume above a ground of the next degree through the ring (k,), and its standard
+    deviation from the noise of the ground; NaN where there is none.
     """
     tin, ground = surface.made.tin, parameters.ground
     if ground.degree >= 2:

@@ -9,18 +9,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.clouds.between_points import BetweenPoints, between_points, in_holes
+from ladar_volume.clouds.between_points import BetweenPoints, between_points, bridges
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.cloud_volume import CloudVolume
 from ladar_volume.clouds.ground_readings import GroundReadings
-from ladar_volume.model.records import F64, Bool
+from ladar_volume.ground.polynomial import base_height
+from ladar_volume.model.records import F64, Bool, Plane
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.boundary import parts_kernel
 from ladar_volume.tin.full_tin import footprint_areas
 
 #: Share of the points that are strays, of the area that is holes, of the outline that lies on the
 #: edge of the survey, above which there is doubt.
-STRAYS, UNSEEN, OPEN = 0.05, 0.05, 0.1
+STRAYS, UNSEEN, OPEN = 0.04, 0.1, 0.1
 #: Share of the points around a body below which the base has little support.
 SUPPORT = 0.5
 #: Readings of the ground, and its unevenness, differ by more than so many standard deviations.
@@ -90,13 +91,11 @@ def stray_doubts(strays: int, points: int) -> list[Doubt]:
 def surface_doubts(surface: CloudSurface, inside: F64) -> list[Doubt]:
     """What the surface itself says: unseen area, noise that cannot be told."""
     out = []
-    mask = inside > 0
-    hole, area = in_holes(surface, mask), float(inside.sum())
+    hole, area = float(inside[bridges(surface)].sum()), float(inside.sum())
     if hole > UNSEEN * area:
         words = (
-            f"{hole:.4g} m² of the {area:.4g} m² that count ({100 * hole / area:.0f} %) lie in "
-            "holes without points and are bridged by long triangles; scan them, or cut them out "
-            "with --max-edge"
+            f"{hole:.4g} m² of the {area:.4g} m² that count ({100 * hole / area:.0f} %) have no "
+            "points and are bridged by long triangles; scan them, or leave them out with --max-edge"
         )
         out.append(Doubt("unseen", words, hole / area))
     if surface.sigma_m is None:
@@ -118,19 +117,25 @@ def outline_doubts(surface: CloudSurface, inside: F64) -> list[Doubt]:
     return [Doubt("outline_open", words, share)]
 
 
-def coarse_doubts(volume: CloudVolume, between: BetweenPoints | None) -> list[Doubt]:
+def coarse_doubts(volume: CloudVolume, between: BetweenPoints) -> list[Doubt]:
     """The surface is too coarse for the shape."""
-    if between is None:
-        return []
     size = max(volume.cut_m3 + volume.fill_m3, 1e-300)
+    out = []
+    if between.unseen_m3 > COARSE * size:
+        words = (
+            f"{between.unseen_m3:.3g} m³ ({100 * between.unseen_m3 / size:.1f} %) hang on long "
+            "triangles between corners of unlike heights, where nothing was measured; scan these "
+            "places, as behind and at the foot of a pile"
+        )
+        out.append(Doubt("unseen_steps", words, between.unseen_m3))
     if between.drift_m3 <= COARSE * size:
-        return []
+        return out
     words = (
         f"left out point by point the surface gives other volumes: {between.drift_m3:.3g} m³ "
         f"({100 * between.drift_m3 / size:.1f} %) may be missing between the points; scan more "
         "densely, or from more places"
     )
-    return [Doubt("coarse", words, between.drift_m3 / size)]
+    return [*out, Doubt("coarse", words, between.drift_m3 / size)]
 
 
 def base_doubts(readings: GroundReadings | None, volume: CloudVolume) -> list[Doubt]:
@@ -165,11 +170,11 @@ def base_doubts(readings: GroundReadings | None, volume: CloudVolume) -> list[Do
     return out
 
 
-def with_between(volume: CloudVolume, between: BetweenPoints | None) -> CloudVolume:
+def with_between(volume: CloudVolume, between: BetweenPoints) -> CloudVolume:
     """The volume with what lies between the points in its standard deviations."""
-    if between is None or math.isnan(volume.sigma_m3):
+    if math.isnan(volume.sigma_m3):
         return volume
-    more = between.variance_m6
+    more = between.variance_m6 + between.unseen_m3**2
     net, cut, fill = (
         math.sqrt(s**2 + more) for s in (volume.sigma_m3, volume.sigma_cut_m3, volume.sigma_fill_m3)
     )
@@ -179,7 +184,11 @@ def with_between(volume: CloudVolume, between: BetweenPoints | None) -> CloudVol
             "sigma_m3": net,
             "sigma_cut_m3": cut,
             "sigma_fill_m3": fill if volume.fill_raw_m3 > 0 else volume.sigma_fill_m3,
-            "budget_m6": {**volume.budget_m6, "between_points": more},
+            "budget_m6": {
+                **volume.budget_m6,
+                "between_points": between.variance_m6,
+                "unseen": between.unseen_m3**2,
+            },
         }
     )
 
@@ -190,12 +199,15 @@ def judged(
     inside: F64,
     readings: GroundReadings | None,
     by_body: bool,
+    base: Plane | None = None,
 ) -> tuple[CloudVolume, Verdict]:
     """A volume with what lies between its points, and its verdict. inside (m,) m² : area of each
     triangle that counts · readings : of the ground, where it is the cloud's own · by_body : whether
-    the outline is that of a body.
+    the outline is that of a body · base : that heights count from.
     """
-    between = between_points(surface, inside)
+    r = surface.made.tin.vertices
+    height = r[:, 2] if base is None else r[:, 2] - base_height(base, r[:, :2])
+    between = between_points(surface, inside, height)
     found = with_between(volume, between)
     doubts = surface_doubts(surface, inside)
     doubts += outline_doubts(surface, inside) if by_body else []

@@ -12,6 +12,7 @@ holes that the sampled area encloses stay in it, and are counted.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -35,8 +36,9 @@ MOST_CELLS, LARGEST = 4_000_000, 0.25
 #: An open side is long above this many spacings; what lies behind it is deep above as many in the
 #: mean.
 LONG, DEEP = 2.5, 1.0
-#: An enclosed hole is one whose circumcircles are wider than this many spacings (diameter).
-HOLE = 2.5
+#: Circumcircles in an enclosed hole are wider than so many spacings of every corner (diameter), and
+#: than so many of one where the surface is bridged: evenly scattered points make none such.
+HOLE, BRIDGE = 2.5, 3.5
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,8 @@ class SampledArea:
     """mask : (m,) triangles that count · area_m2, hull_m2 : of these, and of all · spacing_m : that
     of the points, by the median; NaN where they do not show it, and the hull stands in · holes,
     hole_m2 : enclosed holes that are bridged, and their area · parts : that the sampled area has ·
-    in_hole : (m,) triangles in such holes
+    bridged : (m,) triangles that count and are wide for the spacing at one of their corners, in
+    such holes or not
     """
 
     mask: Bool
@@ -54,7 +57,7 @@ class SampledArea:
     holes: int
     hole_m2: float
     parts: int
-    in_hole: Bool
+    bridged: Bool
 
 
 def filled_at(cells: I64, size: I64) -> Bool:
@@ -78,7 +81,7 @@ def spacings(xy: F64) -> F64:
         return out
     low, extent = xy.min(axis=0), np.maximum(np.ptp(xy, axis=0), 1e-300)
     some = np.unique(xy[:: max(1, len(xy) // 20_000)], axis=0)
-    near = cKDTree(some).query(some[:2000], 2)[0][:, 1] if len(some) > 2 else np.zeros(1)
+    near = np.asarray(cKDTree(some).query(some[:2000], 2)[0])[:, 1] if len(some) > 2 else extent
     least = float(np.median(near)) * math.sqrt(len(some) / len(xy))
     cell = max(least, math.sqrt(float(extent.prod()) / MOST_CELLS), float(extent.max()) * 1e-4)
     sizes = [cell]
@@ -161,8 +164,9 @@ def sampled_area(tin: Tin) -> SampledArea:
     # a part of two or three triangles is no area that was sampled
     size = np.bincount(part[mask], minlength=1)
     mask[mask] = size[part[mask]] > FEWEST // 10
-    at = np.where(known, spacing, 0.0)[tin.triangles].max(axis=1)
-    gap = mask & (circumdiameters(tin) > HOLE * at)
+    corner, wide = np.where(known, spacing, 0.0)[tin.triangles], circumdiameters(tin)
+    at = corner.max(axis=1)
+    gap = mask & (wide > HOLE * at)
     number = parts_kernel(tin.neighbours, gap)
     hole = np.bincount(number[gap], area[gap], minlength=1)
     mean = np.bincount(number[gap], (at**2)[gap], minlength=1) / np.maximum(
@@ -178,21 +182,24 @@ def sampled_area(tin: Tin) -> SampledArea:
         int(np.count_nonzero(large)) if gap.any() else 0,
         float(area[gap].sum()),
         int(np.count_nonzero(size > FEWEST // 10)),
-        gap,
+        mask & (wide > BRIDGE * corner.min(axis=1)),
     )
 
 
 def within_sampled(tin: Tin, points: F64) -> tuple[Bool, SampledArea]:
     """Which triangles (m,) of a partial TIN lie where points (n, 3) m sampled, by half of four
-    places in each; also that area, with the triangles of the full TIN.
+    places in each; also that area, with the triangles of the partial TIN that bridge it.
     """
     full = build_tin(points)
     found = sampled_area(full)
     index = triangle_index(full, found.mask)
     p = tin.vertices[tin.triangles, :2]
     weights = [(1, 1, 1), (4, 1, 1), (1, 4, 1), (1, 1, 4)]
-    hits = np.zeros(len(p), np.int64)
+    hits, wide = np.zeros(len(p), np.int64), np.zeros(len(p), np.int64)
     for w in weights:
         place = np.einsum("k,mkc->mc", np.array(w, dtype=np.float64) / sum(w), p)
-        hits += locate(index, place) >= 0
-    return hits >= 2, found
+        where = locate(index, place)
+        hits += where >= 0
+        wide += (where >= 0) & found.bridged[where]
+    mask = hits >= 2
+    return mask, dataclasses.replace(found, mask=mask, bridged=mask & (wide >= 2))

@@ -199,7 +199,11 @@ def test_screen_median_window_and_duplicates(save, tin):
     spikes = np.arange(100, 110)
     points[spikes, 2] += 5.0
     path = save(points)
-    screened, out, _, _ = tin(path, "--vertices", 1, "--screen", 2.0)
+    cleaned, out, _, _ = tin(path, "--vertices", 1)
+    assert 10 <= cleaned["clean"]["strays"] <= 11 and not set(spikes) & set(
+        out.columns["source"].tolist()
+    )
+    screened, out, _, _ = tin(path, "--vertices", 1, "--clean", "off", "--screen", 2.0)
     # ten spikes, and perhaps a point half of whose neighbours are spikes
     assert (
         10 <= screened["outliers"] <= 11
@@ -208,7 +212,7 @@ def test_screen_median_window_and_duplicates(save, tin):
     )
     # rows of the file, though some of them are gone
     assert np.array_equal(out.r, points[out.columns["source"]])
-    levelled, out, _, _ = tin(path, "--vertices", 1, "--median", 2.0)
+    levelled, out, _, _ = tin(path, "--vertices", 1, "--clean", "off", "--median", 2.0)
     assert (
         levelled["outliers"] == screened["outliers"]
         and levelled["vertices"] == 2000
