@@ -26,6 +26,8 @@ STRAYS, UNSEEN, OPEN = 0.04, 0.1, 0.1
 SUPPORT = 0.5
 #: Readings of the ground, and its unevenness, differ by more than so many standard deviations.
 SIGMAS = 2.0
+#: The same in shares of the volume, even where sigma holds it.
+ROUGH = 0.05
 #: What curvature between the points may do, in shares of the volume.
 COARSE = 0.02
 
@@ -151,7 +153,9 @@ def base_doubts(readings: GroundReadings | None, volume: CloudVolume) -> list[Do
         )
         out.append(Doubt("base_support", words, r.support))
     limit = SIGMAS * volume.sigma_m3
-    if math.isfinite(r.uneven_m3) and r.uneven_m3 > limit:
+    noise = SIGMAS * math.sqrt(volume.budget_m6["noise"])
+    part = ROUGH * (volume.cut_m3 + volume.fill_m3)
+    if math.isfinite(r.uneven_m3) and r.uneven_m3 > min(limit, part) and r.uneven_m3 > noise:
         words = (
             f"the ground is off the base by {1e3 * r.uneven_m:.3g} mm (RMS) over stretches as "
             f"long as half the body, {r.uneven_m3:.3g} m³ under it, against a sigma of "
