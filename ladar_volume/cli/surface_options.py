@@ -6,10 +6,12 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.table import Table
 
 from ladar_volume.cli.inputs.mesh_source import face_facts, read_faces, surface_of_mesh
 from ladar_volume.cli.inputs.reading import Source, cloud_facts_of, mesh_in_metres, read_source
@@ -47,7 +49,7 @@ def surface_options(arguments: argparse.Namespace, default: SurfaceOptions) -> S
         if a.max_edge is not None
         else "circumcircle"
         if a.max_circle is not None
-        else "corners"
+        else "sampled"
     )
     for option, limit, word in (
         ("edge", a.max_edge, "--max-edge"),
@@ -153,8 +155,9 @@ def make_surface(
     options: SurfaceOptions,
     frame: Frame | None,
     sigma: float | None,
+    how: str | None = None,
 ) -> CloudSurface:
-    """The surface of one file. Errors name it."""
+    """The surface of one file, cleaned as the arguments say, or ``how``. Errors name it."""
     values, words = sigma_of(source, sigma, frame)
     if source.mesh is not None:
         try:
@@ -167,7 +170,15 @@ def make_surface(
             ) from error
     r = source.cloud.r if frame is None else frame.points(source.cloud.r)
     try:
-        return cloud_surface(r, options, values, words, arguments.screen, arguments.median)
+        return cloud_surface(
+            r,
+            options,
+            values,
+            words,
+            arguments.screen,
+            arguments.median,
+            arguments.clean if how is None else how,
+        )
     except SurfaceError as error:
         raise SurfaceError(
             f"{source.path}: {error}", reason=error.reason, value=error.value
@@ -185,7 +196,10 @@ def surface_facts(source: Source, surface: CloudSurface) -> dict[str, Any]:
         **cloud_facts_of(source.cloud),
         "used": len(surface.points) - made.cropped,
         "cropped": made.cropped,
+        "clean": {"strays": len(surface.strays), "share": stray_share(source, surface)},
+        "copies": surface.copies,
         "outliers": len(surface.outliers),
+        "sampled": sampled_facts(made),
         "duplicates": tin.duplicates,
         "vertices": int(np.count_nonzero(tin.source >= 0)),
         "vertices_from_bins": made.initial,
@@ -205,6 +219,50 @@ def surface_facts(source: Source, surface: CloudSurface) -> dict[str, Any]:
         "sigma_factor": math.sqrt(made.variance_factor),
         "sigma_point_m": None if surface.sigma_m is None else float(np.median(surface.sigma_m)),
     }
+
+
+def stray_share(source: Source, surface: CloudSurface) -> float:
+    """Share of the points that are strays; each counts once."""
+    return len(surface.strays) / max(len(source.cloud.r) - surface.copies, 1)
+
+
+def sampled_facts(made: Represented) -> dict[str, Any] | None:
+    """The area that was sampled, against the convex hull; None where it was not asked for."""
+    found = made.sampled
+    if found is None:
+        return None
+    return {
+        "by": "convex hull" if math.isnan(found.spacing_m) else "spacing of the points",
+        "area_m2": found.area_m2,
+        "hull_m2": found.hull_m2,
+        "spacing_m": None if math.isnan(found.spacing_m) else found.spacing_m,
+        "holes": found.holes,
+        "hole_m2": found.hole_m2,
+        "parts": found.parts,
+    }
+
+
+def add_surface_rows(table: Table, each: Mapping[str, Any]) -> None:
+    """Rows on strays, copies and the sampled area of one surface (:func:`surface_facts`)."""
+    clean, sampled = each["clean"], each["sampled"]
+    if clean["strays"]:
+        table.add_row("  strays", f"{clean['strays']:,} left out ({100 * clean['share']:.2f} %)")
+    if each["copies"]:
+        table.add_row("  copies", f"{each['copies']:,} points with the same coordinates left out")
+    if sampled is None:
+        return
+    if sampled["spacing_m"] is None:
+        words = f"{sampled['hull_m2']:.6g} m², the convex hull (too few points to tell more)"
+    else:
+        words = (
+            f"{sampled['area_m2']:.6g} m² of {sampled['hull_m2']:.6g} m² within the convex hull, "
+            f"spacing {sampled['spacing_m']:.3g} m"
+        )
+    table.add_row("  sampled", words)
+    if sampled["holes"]:
+        table.add_row("  holes", f"{sampled['holes']} bridged, {sampled['hole_m2']:.4g} m²")
+    if sampled["parts"] > 1:
+        table.add_row("  parts", f"{sampled['parts']} that do not touch")
 
 
 def held_fixed(made: Represented) -> list[str]:

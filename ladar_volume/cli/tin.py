@@ -14,6 +14,7 @@ from rich.table import Table
 from ladar_volume.cli.inputs.mesh_source import mesh_doubts, mesh_words
 from ladar_volume.cli.inputs.reading import add_reading_rows, clouds_of, reading_doubts
 from ladar_volume.cli.surface_options import (
+    add_surface_rows,
     frame_facts,
     frame_of,
     make_surface,
@@ -23,11 +24,13 @@ from ladar_volume.cli.surface_options import (
     surface_options,
 )
 from ladar_volume.cli.verdict_lines import add_verdict_rows, exit_code
+from ladar_volume.clouds.cloud_surface import CloudSurface
+from ladar_volume.clouds.volume_verdict import area_counted, stray_doubts, surface_doubts
 from ladar_volume.io.meshfiles.tin_files import check_tin_output, write_tin
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.records import I64, Tin
-from ladar_volume.model.verdict import Verdict
+from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.version import version
 
@@ -68,17 +71,26 @@ def run(arguments: argparse.Namespace) -> int:
         "output": {"path": arguments.output.name, "vertices": vertices, "faces": faces},
         "frame": frame_facts(frame),
         "options": option_facts(options),
-        "verdict": Verdict(
-            reading_doubts(clouds_of([source]))
-            + mesh_doubts([source.path], [source.mesh], [surface])
-        ).as_dict(),
         "version": version(),
     }
+    doubts = reading_doubts(clouds_of([source]))
+    doubts += mesh_doubts([source.path], [source.mesh], [surface])
+    doubts += tuple(surface_verdict(facts, surface))
+    facts["verdict"] = Verdict(doubts).as_dict()
     if arguments.json:
         print(json_text(facts), end="")
     else:
         show(console, facts)
     return exit_code(arguments, facts["verdict"])
+
+
+def surface_verdict(facts: Mapping[str, Any], surface: CloudSurface) -> list[Doubt]:
+    """What speaks against the surface of points: strays, and holes that were bridged."""
+    if surface.given is not None:
+        return []
+    tin = surface.made.tin
+    found = stray_doubts(facts["clean"]["strays"], facts["points"] - facts["copies"])
+    return found + surface_doubts(surface, area_counted(surface, tin.relevant))
 
 
 def in_cloud(tin: Tin, index: I64) -> Tin:
@@ -96,6 +108,8 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
             table.add_row(f"  {name}", f"{facts[name]:,}")
     if facts["mesh"] is not None:
         table.add_row("mesh", mesh_words(facts["mesh"]))
+    else:
+        add_surface_rows(table, facts)
     table.add_row("vertices", f"[bold]{facts['vertices']:,}[/bold]")
     table.add_row(
         "triangles",

@@ -15,8 +15,9 @@ from rich.console import Console
 from rich.table import Table
 
 from ladar_volume.cli.inputs.mesh_source import mesh_doubts, mesh_words
-from ladar_volume.cli.inputs.reading import add_reading_rows, clouds_of, reading_doubts
+from ladar_volume.cli.inputs.reading import Source, add_reading_rows, clouds_of, reading_doubts
 from ladar_volume.cli.surface_options import (
+    add_surface_rows,
     frame_facts,
     frame_of,
     make_surface,
@@ -35,11 +36,19 @@ from ladar_volume.clouds.cloud_levels import (
 )
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.cloud_volume import CloudVolume, above_base, between_clouds, own_footprints
+from ladar_volume.clouds.ground_readings import ground_readings
+from ladar_volume.clouds.volume_verdict import (
+    area_counted,
+    judged,
+    places,
+    stray_doubts,
+    surface_doubts,
+)
 from ladar_volume.io.config import read_config
 from ladar_volume.io.results import json_text
-from ladar_volume.model.errors import ConfigurationError, VolumeError
+from ladar_volume.model.errors import ConfigurationError, LadarVolumeError, VolumeError
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, Plane
+from ladar_volume.model.records import F64, Bool, Plane
 from ladar_volume.model.verdict import Verdict
 from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.tin.scan_frame import Frame
@@ -154,17 +163,32 @@ def run(arguments: argparse.Namespace) -> int:
             status.update(f"triangulating {len(source.cloud.r):,} points of {source.path.name}")
             surfaces.append(make_surface(arguments, source, options, frame, sigma))
         status.update("cut and fill")
-        facts = computed(arguments, surfaces, parameters, base, levels, frame)
+        facts, volume = computed(arguments, surfaces, parameters, base, levels, frame)
+        strays = sum(len(s.strays) for s in surfaces)
+        with_all, why = None, ""
+        if strays:
+            status.update("the same with the points that were left out")
+            with_all, why = effect_of_strays(
+                arguments, sources, options, parameters, base, levels, frame
+            )
+    points = sum(len(s.cloud.r) for s in sources) - sum(s.copies for s in surfaces)
+    doubts += mesh_doubts([s.path for s in sources], [s.mesh for s in sources], surfaces)
+    doubts += tuple(stray_doubts(strays, points))
+    facts["verdict"] = (Verdict(doubts) + facts.pop("verdict")).as_dict()
     facts |= {
+        "clean": {
+            "how": arguments.clean,
+            "strays": strays,
+            "share": strays / max(points, 1),
+            "effect_m3": None if with_all is None else volume.net_m3 - with_all,
+            "why": why or None,
+        },
         "surfaces": [
             surface_facts(source, surface)
             for source, surface in zip(sources, surfaces, strict=True)
         ],
         "frame": frame_facts(frame),
         "options": option_facts(options),
-        "verdict": Verdict(
-            doubts + mesh_doubts([s.path for s in sources], [s.mesh for s in sources], surfaces)
-        ).as_dict(),
         "version": version(),
     }
     if arguments.json:
@@ -181,38 +205,108 @@ def computed(
     base: str,
     levels: F64 | None,
     frame: Frame | None,
-) -> dict[str, Any]:
-    """The volume, and where levels are asked for the sequence with its floors."""
-    correct, first, more = not a.no_correction, surfaces[0], {}
-    if base == "plane" and frame is not None:
-        turned = tuple(frame.plane(np.array(a.plane)).tolist())
-        parameters = dataclasses.replace(
-            parameters, volume=dataclasses.replace(parameters.volume, plane=turned)
-        )
-    if base == "lowest":
-        level = zero_fill_level(first.made.tin, surfaces[1].made.tin)
-        parameters = dataclasses.replace(
-            parameters, volume=dataclasses.replace(parameters.volume, level_m=level)
-        )
-    counted: Plane | None = None
+) -> tuple[dict[str, Any], CloudVolume]:
+    """The volume with its verdict, and where levels are asked for the sequence with its floors."""
+    correct = not a.no_correction
+    more: dict[str, Any] = {}
+    parameters = in_frame(a, surfaces, parameters, base, frame)
+    volume, parameters, counted, masks, each = answer(surfaces, parameters, base, levels, correct)
+    if each:
+        more["each"] = [volume_facts(v, parameters) for v in each]
     if base == "cloud":
-        volume = between_clouds(first, surfaces[1], second_name(a), correct)
-    elif len(surfaces) == 2:
-        volume, one, two = own_footprints(first, surfaces[1], parameters, correct)
-        more["each"] = [volume_facts(v, parameters) for v in (one, two)]
-    elif base == "floor" and levels is not None:
-        volume, parameters = above_floor(first, sequence(first, levels), parameters, correct)
-    else:
-        volume, found, _ = above_base(first, parameters, correct)
-        counted = None if base == "level" else found
+        volume = dataclasses.replace(
+            volume, base=f"surface of {second_name(a)} over the common footprint"
+        )
     if base == "plane" and frame is not None:
         volume = dataclasses.replace(
             volume, base="given plane z = {:.6g} + {:.6g} x + {:.6g} y".format(*a.plane)
         )
+    verdict, areas = Verdict(), [area_counted(s, m) for s, m in zip(surfaces, masks, strict=True)]
+    if len(surfaces) == 1 and surfaces[0].given is None:
+        readings = None
+        if base == "ground" and counted is not None:
+            readings = ground_readings(surfaces[0], counted, areas[0], parameters)
+        by_body = parameters.volume.outline == "auto"
+        volume, verdict = judged(volume, surfaces[0], areas[0], readings, by_body, counted)
+        more["readings"] = None if readings is None else dataclasses.asdict(readings)
+    else:
+        sampled = [(s, a) for s, a in zip(surfaces, areas, strict=True) if s.given is None]
+        for surface, area in sampled:  # a mesh has no sampling
+            verdict += Verdict(tuple(surface_doubts(surface, area)))
+    more["outline_parts"] = [dataclasses.asdict(p) for p in places(surfaces[0], areas[0])]
     facts = volume_facts(volume, parameters)
     if levels is not None:
-        more |= level_facts(surfaces, levels, counted, correct)
-    return {**facts, "footprint": a.footprint if len(surfaces) == 2 else None, **more}
+        more |= level_facts(surfaces, levels, None if base == "level" else counted, correct)
+    facts |= {"footprint": a.footprint if len(surfaces) == 2 else None, **more}
+    return {**facts, "verdict": verdict}, volume
+
+
+def in_frame(
+    a: argparse.Namespace,
+    surfaces: list[CloudSurface],
+    parameters: Parameters,
+    base: str,
+    frame: Frame | None,
+) -> Parameters:
+    """The parameters with a given plane in the frame of the surfaces, and the lowest level."""
+    if base == "plane" and frame is not None:
+        turned = tuple(frame.plane(np.array(a.plane)).tolist())
+        return dataclasses.replace(
+            parameters, volume=dataclasses.replace(parameters.volume, plane=turned)
+        )
+    if base == "lowest":
+        level = zero_fill_level(surfaces[0].made.tin, surfaces[1].made.tin)
+        return dataclasses.replace(
+            parameters, volume=dataclasses.replace(parameters.volume, level_m=level)
+        )
+    return parameters
+
+
+def answer(
+    surfaces: list[CloudSurface],
+    parameters: Parameters,
+    base: str,
+    levels: F64 | None,
+    correct: bool,
+) -> tuple[CloudVolume, Parameters, Plane | None, list[Bool], list[CloudVolume]]:
+    """The volume, the parameters with the floor where that is the base, the base from which levels
+    count, the triangles of each surface that count, and where each has a volume of its own these.
+    """
+    first, masks = surfaces[0], [s.made.tin.relevant for s in surfaces]
+    if base == "cloud":
+        return (
+            between_clouds(first, surfaces[1], "the second", correct),
+            parameters,
+            None,
+            masks,
+            [],
+        )
+    if len(surfaces) == 2:
+        volume, one, two = own_footprints(first, surfaces[1], parameters, correct)
+        return volume, parameters, None, masks, [one, two]
+    if base == "floor" and levels is not None:
+        volume, parameters = above_floor(first, sequence(first, levels), parameters, correct)
+        return volume, parameters, None, masks, []
+    volume, found, mask = above_base(first, parameters, correct)
+    return volume, parameters, found, [mask], []
+
+
+def effect_of_strays(
+    a: argparse.Namespace,
+    sources: list[Source],
+    options: SurfaceOptions,
+    parameters: Parameters,
+    base: str,
+    levels: F64 | None,
+    frame: Frame | None,
+) -> tuple[float | None, str]:
+    """The net volume, m³, with the points that were left out; None, and why, for none."""
+    try:
+        raw = [make_surface(a, s, options, frame, 0.0, "off") for s in sources]
+        own = in_frame(a, raw, parameters, base, frame)
+        return answer(raw, own, base, levels, False)[0].net_m3, ""
+    except LadarVolumeError as error:
+        return None, str(error)
 
 
 def second_name(a: argparse.Namespace) -> str:
@@ -246,6 +340,8 @@ def volume_facts(volume: CloudVolume, parameters: Parameters) -> dict[str, Any]:
             "fill_raw_m3": volume.fill_raw_m3,
         },
         "budget_m6": volume.budget_m6,
+        "sigma_holds": "noise of the points and what lies between them only",
+        "centimetre_m3": 0.01 * volume.area_m2,
     }
 
 
@@ -300,9 +396,7 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
     known = bool(np.isfinite(facts["sigma_m3"]))
     table = Table(show_header=False, box=None, pad_edge=False)
     spread = (
-        f" ± {facts['sigma_m3']:.4f} m³[/bold] (1 sigma, noise of the points)"
-        if known
-        else " m³[/bold]"
+        f" ± {facts['sigma_m3']:.4f} m³[/bold] (1 sigma, noise only)" if known else " m³[/bold]"
     )
     table.add_row("net volume", f"[bold]{facts['net_m3']:.4f}{spread}")
     if known:
@@ -316,7 +410,18 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
             f"{facts[f'{name}_m3']:.4f}"
             + (f" ± {facts[f'sigma_{name}_m3']:.4f} m³" if known else " m³"),
         )
+    table.add_row(
+        "not in it",
+        f"what all points share; 1 cm of height is {facts['centimetre_m3']:.4g} m³",
+    )
     table.add_row("area", f"{facts['area_m2']:.3f} m²")
+    for part in facts["outline_parts"][:5]:
+        x0, y0, x1, y1 = part["extent_m"]
+        table.add_row(
+            "  at",
+            f"{part['x_m']:.2f} {part['y_m']:.2f}, {x1 - x0:.4g} m by {y1 - y0:.4g} m, heights "
+            f"{part['bottom_m']:.3f} to {part['top_m']:.3f} m",
+        )
     table.add_row("above", facts["base"] + (" (same survey)" if facts["base_same_survey"] else ""))
     if fix["name"]:
         words = (
@@ -337,6 +442,14 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
             table.add_row("", mesh_words(each["mesh"]))
         else:
             add_reading_rows(table, each)
+            add_surface_rows(table, each)
+    clean = facts["clean"]
+    if clean["effect_m3"] is not None:
+        table.add_row(
+            "without strays", f"{clean['effect_m3']:+.4f} m³ against all points (--clean off)"
+        )
+    elif clean["strays"]:
+        table.add_row("with strays", f"no volume: {clean['why']}".replace("[", r"\["))
     add_verdict_rows(table, facts["verdict"])
     console.print(table)
     for each in facts.get("sequences", []):

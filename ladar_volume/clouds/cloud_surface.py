@@ -6,22 +6,20 @@ given for all, given for each, or estimated from what local quadrics leave.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from ladar_volume.clouds.cloud_cleaning import Cleaned, clean
+from ladar_volume.clouds.cloud_noise import cloud_noise
+from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.clouds.given_faces import GivenSurface
 from ladar_volume.model.errors import SurfaceError
+from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64, I64
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.median_screen import tin_filter, tin_screen
 from ladar_volume.tin.represent import Represented, SurfaceOptions, represent
-
-#: Neighbours of a local fit with six coefficients, and the most points at which one is made.
-NEIGHBOURS, MOST_FITS = 18, 20_000
-#: Fewest points from which the noise is estimated.
-FEWEST = 2 * NEIGHBOURS
 
 
 @dataclass(frozen=True)
@@ -29,8 +27,10 @@ class CloudSurface:
     """points : (n, 3) m, those used, in the frame of the surface · index : (n,) their rows in the
     cloud · sigma_m : (n,) m standard deviations of their heights, None where they are not known ·
     sigma_from : where these come from, in words · outliers : (k,) rows of the cloud that the screen
-    deleted or the median filter changed · made : the surface, its ``source`` numbering ``points``
-    · given : the faces of a mesh that it is, None for a cloud · doubts : what makes it doubtful
+    deleted or the median filter changed · made : the surface, its ``source`` numbering ``points`` ·
+    strays : (s,) rows of the cloud that are none of its surface, left out · copies : points left
+    out because another has the same coordinates · given : the faces of a mesh that it is, None for
+    a cloud · doubts : what makes it doubtful
     """
 
     points: F64
@@ -39,6 +39,8 @@ class CloudSurface:
     sigma_from: str
     outliers: I64
     made: Represented
+    strays: I64 = field(default_factory=lambda: np.zeros(0, np.int64))
+    copies: int = 0
     given: GivenSurface | None = None
     doubts: tuple[Doubt, ...] = ()
 
@@ -56,35 +58,19 @@ class CloudSurface:
 
 
 def local_sigma(points: F64) -> float:
-    """Standard deviation, m, of the heights of points (n, 3): what quadrics through each point's
-    neighbours miss it by, by the median.
+    """Standard deviation, m, of the heights of points (n, 3): see :func:`cloud_noise`."""
+    return cloud_noise(points).sigma_m
 
-    Every residual is divided by the standard deviation that it has for noise of 1, so few or badly
-    spread neighbours do not count for more. Roughness finer than the neighbourhood counts as noise.
-    Raises :class:`SurfaceError` below :data:`FEWEST` points.
-    """
-    if len(points) < FEWEST:
-        words = f"{len(points)} points are too few to estimate their noise ({FEWEST} are needed)"
-        raise SurfaceError(words, reason="surface_too_few_points", value=len(points))
-    chosen = np.unique(
-        np.linspace(0, len(points) - 1, min(len(points), MOST_FITS)).astype(np.int64)
-    )
-    _, near = cKDTree(points[:, :2]).query(points[chosen, :2], NEIGHBOURS + 1)
-    own = np.asarray(near) == chosen[:, None]
-    own[~own.any(axis=1), -1] = (
-        True  # among many copies of a footprint the point itself may be missing: one neighbour less
-    )
-    near = np.asarray(near)[~own].reshape(len(chosen), NEIGHBOURS)
-    d = points[near] - points[chosen, None]
-    size = np.sqrt((d[..., :2] ** 2).sum(axis=2).mean(axis=1))
-    u, v = (d[..., k] / np.where(size > 0, size, 1.0)[:, None] for k in (0, 1))
-    X = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=2)
-    N = np.einsum("nki,nkj->nij", X, X) + 1e-9 * np.eye(6)
-    first = np.linalg.solve(N, np.broadcast_to(np.eye(6)[:, :1], (len(N), 6, 1)))[..., 0]
-    level = np.einsum(
-        "nki,ni,nk->n", X, first, d[..., 2]
-    )  # the quadric's height over the point itself
-    return float(1.4826 * np.median(np.abs(level) / np.sqrt(1.0 + first[:, 0])))
+
+def without_strays(points: F64, how: str) -> Cleaned:
+    """Which points (n, 3), m, are the surface; ``how`` is one of :data:`CLEAN`."""
+    everything = np.arange(len(points), dtype=np.int64)
+    if how == "auto":
+        return clean(points)
+    if how == "off":
+        return Cleaned(everything, everything[:0], 0)
+    kept = np.sort(filter_cloud(points, FilterParameters(), auto=True).index)
+    return Cleaned(kept, np.setdiff1d(everything, kept), 0)
 
 
 def cloud_surface(
@@ -94,20 +80,28 @@ def cloud_surface(
     sigma_from: str = "",
     screen_m: float | None = None,
     median_m: float | None = None,
+    how: str = "off",
 ) -> CloudSurface:
     """The surface of a cloud (n, 3), m, in the frame the points are given in.
 
     sigma_m : standard deviation of the heights, one for all or (n,); estimated by
     :func:`local_sigma` where it is None · screen_m, median_m : tolerances of the median screen,
-    which deletes outliers, and of the median filter, which levels them; the screen comes first.
+    which deletes outliers, and of the median filter, which levels them; the screen comes first ·
+    how : what is done about stray points before, one of :data:`CLEAN`. Of points with the same
+    three coordinates one is used.
     Raises :class:`SurfaceError` for bad sigmas and whatever :func:`represent` refuses.
     """
-    cloud, index = np.asarray(points, dtype=np.float64), np.arange(len(points), dtype=np.int64)
+    cloud = np.asarray(points, dtype=np.float64)
+    index = distinct(cloud)
+    copies = len(cloud) - len(index)
+    cleaned = without_strays(cloud[index], how)
+    strays, index = index[cleaned.strays], index[cleaned.kept]
+    cloud = cloud[index]
     outliers = [np.zeros(0, np.int64)]
     if screen_m is not None:
         screened = tin_screen(cloud, screen_m)
-        cloud, index = screened.points_map, screened.index
-        outliers.append(screened.outliers)
+        outliers.append(index[screened.outliers])
+        cloud, index = screened.points_map, index[screened.index]
     if median_m is not None:
         levelled = tin_filter(cloud, median_m)
         cloud = levelled.points_map
@@ -118,14 +112,25 @@ def cloud_surface(
         sigma_from,
     )
     made = represent(cloud, options, sigma)
-    return CloudSurface(cloud, index, sigma, words, np.unique(np.concatenate(outliers)), made)
+    changed = np.unique(np.concatenate(outliers))
+    return CloudSurface(cloud, index, sigma, words, changed, made, np.sort(strays), copies)
+
+
+def distinct(points: F64) -> I64:
+    """Rows (k,), ascending, of points (n, 3): the first of those with the same coordinates."""
+    if points.ndim != 2 or points.shape[1] != 3:
+        return np.arange(len(points), dtype=np.int64)  # refused where it is triangulated
+    order = np.lexsort(points.T[::-1])
+    same = (np.diff(points[order], axis=0) == 0).all(axis=1)
+    return np.sort(order[np.r_[True, ~same][: len(order)]])
 
 
 def noise(points: F64, sigma_m: F64 | float | None, sigma_from: str) -> tuple[F64 | None, str]:
     """Standard deviations (n,) m and where they come from."""
     if sigma_m is None:
         try:
-            return np.full(len(points), local_sigma(points)), "residuals of local quadrics"
+            found = cloud_noise(points)
+            return np.full(len(points), found.sigma_m), found.words
         except SurfaceError as error:
             return None, f"unknown: {error}"
     sigma = np.broadcast_to(np.asarray(sigma_m, dtype=np.float64), (len(points),)).copy()

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from ladar_volume.change.surface_difference import along_curve, difference
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.ground.ground_adjoint import ground_gradient
 from ladar_volume.ground.polynomial import base_height, degree_of, design, design_surface
-from ladar_volume.model.errors import VolumeError
+from ladar_volume.model.errors import GroundError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.tin.full_tin import any_corner
@@ -135,14 +136,21 @@ def above_base(
     lies inside the outline.
     """
     tin = surface.made.tin
-    hang = parameters.volume.base == "ground" and surface.sigma_m is not None
-    variance = (
-        surface.made.covariance(surface.sigma_m).diagonal()
-        if hang and surface.sigma_m is not None
-        else np.zeros(len(tin.vertices))
-    )
-    base, inside = base_and_outline(tin, variance, parameters)
-    solid = solid_above(surface, base, inside, parameters, variance, correct)
+    C = None
+    if parameters.volume.base == "ground" and surface.sigma_m is not None:
+        C = surface.made.covariance(surface.sigma_m)
+    variance = np.zeros(len(tin.vertices)) if C is None else C.diagonal()
+    try:
+        base, inside = base_and_outline(tin, variance, parameters)
+    except GroundError as error:
+        if parameters.volume.outline != "auto" or error.reason != "ground_too_few_points":
+            raise
+        words = (
+            "no ground is left around what rises above it: the body takes up the survey; take more "
+            "of its surroundings, or give --level, --plane or a second cloud"
+        )
+        raise GroundError(words, reason="ground_none_around", value=0) from error
+    solid = solid_above(surface, base, inside, parameters, variance, correct, C)
     return (
         finished(solid, base_name(parameters), parameters.volume.base == "ground"),
         base,
@@ -157,9 +165,10 @@ def solid_above(
     parameters: Parameters,
     variance: F64,
     correct: bool = True,
+    covariance: Any = None,
 ) -> Solid:
-    """The solid above a base; ``inside`` (m,) m² is the area of each triangle within the
-    outline.
+    """The solid above a base; ``inside`` (m,) m² is the area of each triangle within the outline,
+    covariance (n, n) m² that of the heights, where it is known already.
     """
     tin, mask = surface.made.tin, inside > 0
     by_polygon = parameters.volume.outline == "polygon"
@@ -174,7 +183,7 @@ def solid_above(
     )  # a triangle that the outline cuts is left uncorrected
     height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
     if correct and surface.sigma_m is not None and comes_near(tin, height, surface.sigma_m, whole):
-        C = surface.made.covariance(surface.sigma_m)
+        C = surface.made.covariance(surface.sigma_m) if covariance is None else covariance
         near = near_base(tin, base, C, whole)
         curved = near.curved_m6
         cut = cut if by_polygon else near.gradient_cut

@@ -31,3 +31,6 @@ CALIBRATION_GROUPS = (
 CORRECTIONS = {"none": 0, "offset": 1, "rigid": 6}
 #: What may be kept as it is although it lies on no surface, on request.
 KEEPABLE = ("clutter",)
+#: What is done about stray points: those off the surface go, none do, or those that the filter
+#: takes out.
+CLEAN = ("auto", "off", "filter")

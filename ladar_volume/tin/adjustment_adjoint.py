@@ -100,6 +100,10 @@ def height_covariance(tin: Tin, fit: Fit, unadjusted_m2: F64) -> Any:
     Raises :class:`SurfaceError` where the equations cannot be factored.
     """
     t, n = tin.triangles, len(tin.vertices)
+    if int(np.diff(fit.B.indptr).max(initial=0)) <= 1:  # every point at a vertex: means of points
+        N = np.asarray(fit.B.power(2).T @ fit.weight).reshape(-1)
+        known = np.where(fit.adjusted, 1.0 / np.where(N > 0, N, 1.0), unadjusted_m2)
+        return sparse.csr_array(sparse.diags_array(known))
     pairs = np.unique(
         np.sort(np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]]), axis=1), axis=0
     )

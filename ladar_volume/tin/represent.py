@@ -32,7 +32,8 @@ from ladar_volume.tin.elevation_adjustment import (
     measures,
 )
 from ladar_volume.tin.full_tin import build_tin
-from ladar_volume.tin.relevant import with_relevant
+from ladar_volume.tin.relevant import mark, with_relevant
+from ladar_volume.tin.sampled_area import SampledArea, sampled_area, within_sampled
 from ladar_volume.tin.window import Window, inside, map_window
 
 #: Variance of least sizes over that of least squares for Gaussian noise, in the limit of many
@@ -47,7 +48,8 @@ class SurfaceOptions:
 
     vertices, ratio, tolerance : where insertion stops (ratio 1: every point is a vertex; with none
     of them a third) · adjust : one of :data:`ADJUST` · exchange : "rms", "asd" or "none" · lengths
-    in m, areas in m², in the frame the points are given in
+    in m, areas in m², in the frame the points are given in · relevant : an option of
+    :mod:`ladar_volume.tin.relevant`, or "sampled": where the points sampled, not their hull
     """
 
     vertices: int | None = None
@@ -88,7 +90,8 @@ class Represented:
     adjusted to; None where the heights are those of the points · adjust : how · converged : whether
     the adjustment reached its tolerance · exchanges : of diagonals · initial : vertices from
     binning · cropped : points off the map · rms_m, asd_m, fitted : measures of fit in the end, and
-    over how many points; rms_before_m, asd_before_m : with the heights as measured
+    over how many points; rms_before_m, asd_before_m : with the heights as measured · sampled : the
+    sampled area, where it tells the relevant triangles
     """
 
     tin: Tin
@@ -103,6 +106,7 @@ class Represented:
     fitted: int
     rms_before_m: float
     asd_before_m: float
+    sampled: SampledArea | None = None
 
     def by_points(self, gradient: F64, points: int) -> F64:
         """From gradients (n, k, 3) of k results by the vertices to gradients (points, k, 3) by the
@@ -161,7 +165,16 @@ def represent(
         )
     points = np.asarray(points_map, dtype=np.float64)
     tin, initial, cropped = triangulated(points, options, sigma_m)
-    tin = with_relevant(tin, options.relevant, options.max_edge_m, options.max_circumdiameter_m)
+    by_area = options.relevant == "sampled"
+    tin = with_relevant(
+        tin,
+        "corners" if by_area else options.relevant,
+        options.max_edge_m,
+        options.max_circumdiameter_m,
+    )
+    found: SampledArea | None = None
+    if by_area:
+        tin, found = sampled_only(tin, points, options)
     if (
         math.isfinite(options.max_ear_edge_m)
         or options.min_island_m2 > 0.0
@@ -173,10 +186,23 @@ def represent(
     if options.relevant != "all":
         tin = without_artificial(tin)
     if not measured and (options.adjust, options.exchange) == ("none", "none"):
-        return Represented(
-            tin, None, "none", True, 0, initial, cropped, math.nan, math.nan, 0, math.nan, math.nan
-        )
-    return adjusted(tin, points, options, sigma_m, initial, cropped)
+        nan = math.nan
+        made = Represented(tin, None, "none", True, 0, initial, cropped, nan, nan, 0, nan, nan)
+    else:
+        made = adjusted(tin, points, options, sigma_m, initial, cropped)
+    return made if found is None else dataclasses.replace(made, sampled=found)
+
+
+def sampled_only(tin: Tin, points: F64, options: SurfaceOptions) -> tuple[Tin, SampledArea]:
+    """The surface with the triangles relevant that lie where the points sampled, and that area."""
+    if options.full:
+        found = sampled_area(tin)
+        mask = found.mask
+    else:
+        if options.window is not None:
+            points = points[inside(points[:, :2], map_window(points[:, :2], options.window))]
+        mask, found = within_sampled(tin, points)
+    return mark(tin, tin.relevant & mask, "option 'sampled'"), found
 
 
 def triangulated(points: F64, options: SurfaceOptions, sigma_m: F64 | None) -> tuple[Tin, int, int]:

@@ -200,7 +200,11 @@ def test_screen_median_window_and_duplicates(save, tin):
     spikes = np.arange(100, 110)
     points[spikes, 2] += 5.0
     path = save(points)
-    screened, out, _, _ = tin(path, "--vertices", 1, "--screen", 2.0)
+    cleaned, out, _, _ = tin(path, "--vertices", 1)
+    assert 10 <= cleaned["clean"]["strays"] <= 11 and not set(spikes) & set(
+        out.columns["source"].tolist()
+    )
+    screened, out, _, _ = tin(path, "--vertices", 1, "--clean", "off", "--screen", 2.0)
     # ten spikes, and perhaps a point half of whose neighbours are spikes
     assert (
         10 <= screened["outliers"] <= 11
@@ -209,24 +213,26 @@ def test_screen_median_window_and_duplicates(save, tin):
     )
     # rows of the file, though some of them are gone
     assert np.array_equal(out.r, points[out.columns["source"]])
-    levelled, out, _, _ = tin(path, "--vertices", 1, "--median", 2.0)
+    levelled, out, _, _ = tin(path, "--vertices", 1, "--clean", "off", "--median", 2.0)
     assert (
         levelled["outliers"] == screened["outliers"]
         and levelled["vertices"] == 2000
         and out.r[:, 2].max() < 3
     )
     for ratio in (1, 0.5):
-        cut, out, _, _ = tin(path, "--vertices", ratio, "--window", 2, 1, 8, 5)
+        cut, out, _, _ = tin(path, "--clean", "off", "--vertices", ratio, "--window", 2, 1, 8, 5)
         inside = (np.abs(points[:, 0] - 5) <= 3) & (np.abs(points[:, 1] - 3) <= 2)
         assert cut["cropped"] == 2000 - inside.sum() and cut["used"] == inside.sum()
         assert out.r[:, 0].min() >= 2 and out.r[:, 1].max() <= 5
-    thinned = tin(path, "--vertices", 1, "--duplicates", 0.1)[0]
+    thinned = tin(path, "--clean", "off", "--vertices", 1, "--duplicates", 0.1)[0]
     assert (
         thinned["duplicates"] > 100
         and thinned["vertices"] == 2000 - thinned["duplicates"]
         and thinned["adjust"] == "rms"
     )
-    twice = tin(save(np.r_[points, points + np.array([0, 0, 0.1])]), "--vertices", 1)
+    twice = tin(
+        save(np.r_[points, points + np.array([0, 0, 0.1])]), "--clean", "off", "--vertices", 1
+    )
     assert twice[0]["duplicates"] == 2000 and twice[0]["rms_m"] == pytest.approx(0.05, rel=1e-6)
     own = np.argsort(twice[1].columns["source"])
     assert twice[1].r[own, 2] == pytest.approx(

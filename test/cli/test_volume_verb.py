@@ -194,7 +194,12 @@ def test_the_ground_of_the_cloud_itself(save, volume):
     )
     facts = volume(cloud, "--base", "ground", "--set", "volume.outline_margin_m=1.5")
     assert facts["net_m3"] == pytest.approx(CONE, abs=4 * facts["sigma_m3"] + 0.003 * CONE)
-    assert facts["base_same_survey"] and set(facts["budget_m6"]) == {"noise", "base_surface"}
+    assert facts["base_same_survey"] and set(facts["budget_m6"]) == {
+        "noise",
+        "base_surface",
+        "between_points",
+        "unseen",
+    }
     plane = volume(cloud, "--base", "plane", "--plane", 100, 0.05, -0.02)
     assert plane["net_m3"] == pytest.approx(
         CONE, abs=4 * plane["sigma_m3"] + 0.003 * CONE
@@ -225,7 +230,7 @@ def test_levels_find_floor_and_top(save, volume):
     # the noise of the ground is in the volume and in the floor, and cancels between them
     assert (
         facts["net_m3"] == pytest.approx(fixed["net_m3"], abs=1e-9)
-        and facts["sigma_m3"] < 0.6 * fixed["sigma_m3"]
+        and facts["budget_m6"]["noise"] < 0.6**2 * fixed["budget_m6"]["noise"]
     )
     at = volume(cloud, "--level", 0.5, "--levels", 0.5, 0.5, 1)
     # near the levels the sequence has the same correction as the volume
@@ -311,7 +316,7 @@ def test_sigma_comes_from_the_option_the_column_or_the_residuals(save, volume):
         "--sigma-b",
         0.0,
     )
-    assert pair["sigma_m3"] == pytest.approx(0.6 * given["sigma_m3"], rel=1e-6)
+    assert pair["sigma_m3"] == pytest.approx(0.6 * math.sqrt(given["budget_m6"]["noise"]), rel=1e-6)
 
 
 def test_far_coordinates_change_nothing(save, volume):

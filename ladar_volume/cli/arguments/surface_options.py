@@ -7,10 +7,10 @@ import math
 import re
 
 from ladar_volume.cli.arguments.reading import add_reading_options
-from ladar_volume.model.choices import ADJUST, CRITERIA, MEASURES
+from ladar_volume.model.choices import ADJUST, CLEAN, CRITERIA, MEASURES
 
 #: Ways to choose relevant triangles on the command line.
-RELEVANT = ("all", "corners", "edge", "circumcircle")
+RELEVANT = ("sampled", "all", "corners", "edge", "circumcircle")
 
 
 def number(text: str) -> float:
@@ -75,7 +75,10 @@ def add_surface_options(parser: argparse.ArgumentParser, default_vertices: str) 
     g.add_argument(
         "--relevant",
         choices=RELEVANT,
-        help="which triangles count (default: those that meet no artificial corner)",
+        help=(
+            "which triangles count (default sampled: where points were measured, open notches and "
+            "gaps left out; corners: up to the convex hull)"
+        ),
     )
     g.add_argument(
         "--max-edge", type=number, metavar="M", help="longest edge of a relevant triangle"
@@ -97,6 +100,15 @@ def add_surface_options(parser: argparse.ArgumentParser, default_vertices: str) 
     )
     g.add_argument(
         "--max-hole", type=number, metavar="M2", help="boundary: fill holes up to this size"
+    )
+    g.add_argument(
+        "--clean",
+        choices=CLEAN,
+        default="auto",
+        help=(
+            "stray points: auto leaves out those off the surface (default), off none, filter "
+            "those that the filter takes out"
+        ),
     )
     g.add_argument(
         "--screen",

@@ -23,6 +23,7 @@ OF_POINTS = {
     "window": None,
     "duplicates": 0.0,
     "bins": None,
+    "clean": "auto",
 }
 #: Options that thinning needs.
 OF_THINNING = {

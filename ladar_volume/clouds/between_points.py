@@ -1,0 +1,163 @@
+"""What lies between the points: how far a surface may be from the truth where nothing was measured,
+told from what becomes of it when points are left out.
+
+One point is kept of each cell that is wider than the spacing; the volume of the coarser surface
+differs, cell by cell. Where a step crosses the cells at random the differences are independent and
+their variance goes with the cube of the spacing (as for pixel counts along an edge); where the
+surface is curved they add up, with its square (the chord of a parabola). Both are taken back to the
+spacing of all points. What the noise of the points does to the differences is taken off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ladar_volume.clouds.cloud_noise import thinned
+from ladar_volume.clouds.cloud_surface import CloudSurface
+from ladar_volume.model.records import F64, I64, Bool, Tin
+from ladar_volume.tin.full_tin import build_tin
+from ladar_volume.tin.locate import barycentric, locate, triangle_index
+from ladar_volume.tin.relevant import circumdiameters
+from ladar_volume.tin.sampled_area import FEWEST, spacings
+
+#: Cells of the coarser surface, in spacings; blocks of differences, in such cells.
+CELL, BLOCK = 1.5, 3.0
+#: The coarser surface is made as often, its cells shifted by so many.
+SHIFTS = ((0.0, 0.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5))
+#: A sum of differences above this many times the root of its squares is no chance.
+CHANCE = 2.5
+#: Places in a triangle, and their weights: exact for quadratics.
+PLACES = np.array([(1, 1, 1), (3, 0, 0), (0, 3, 0), (0, 0, 3)]) / 3.0
+WEIGHTS = np.array([9, 1, 1, 1]) / 12.0
+
+
+@dataclass(frozen=True)
+class BetweenPoints:
+    """random_m6 : variance of the volume from steps between points · drift_m3 : what curvature
+    between them may do to it, all in one direction · unseen_m3 : how far it may be off where
+    triangles bridge what was not sampled
+    """
+
+    random_m6: float
+    drift_m3: float
+    unseen_m3: float
+
+    @property
+    def variance_m6(self) -> float:
+        """Steps and curvature, as a variance."""
+        return self.random_m6 + self.drift_m3**2
+
+
+def thinned_by_spacing(points: F64, spacing: F64, shift: tuple[float, float]) -> I64:
+    """Rows (k,) of points (n, 3): one of each cell of 1.5 spacings (n,), shifted by so many."""
+    out = []
+    for size in np.unique(spacing[np.isfinite(spacing)]).tolist():
+        own = np.flatnonzero(spacing == size)
+        out.append(own[thinned(points[own], CELL * size, shift)])
+    return np.concatenate(out) if out else np.zeros(0, np.int64)
+
+
+def wide(tin: Tin, area: F64) -> float:
+    """Circumdiameter, m, that half of an area (m,) m² of triangles is below."""
+    size = circumdiameters(tin)
+    order = np.argsort(size)
+    share = np.cumsum(area[order])
+    return float(size[order][min(np.searchsorted(share, share[-1] / 2), len(size) - 1)])
+
+
+def between_points(surface: CloudSurface, inside: F64, height: F64) -> BetweenPoints:
+    """What lies between the points of a surface within an outline; ``inside`` (m,) m² is the area
+    of each triangle in it, height (n,) m that of the vertices above the base. Steps and curvature
+    are 0 where the points are too few to tell.
+    """
+    tin, hidden = surface.made.tin, unseen(surface, inside, height)
+    spacing = spacings(tin.vertices[:, :2])
+    bridged = bridges(surface)
+    if np.count_nonzero(inside[~bridged]) < FEWEST:
+        return BetweenPoints(0.0, 0.0, hidden)
+    seen = np.where(bridged, 0.0, inside)
+    finest = wide(tin, seen)
+    squares, totals, noises, ratios, few = [], [], [], [], []
+    for shift in SHIFTS:
+        kept = thinned_by_spacing(tin.vertices, spacing, shift)
+        if len(kept) < FEWEST // 4:
+            return BetweenPoints(0.0, 0.0, hidden)
+        blocks, noise, size = coarser(surface, seen, kept)
+        ratios.append(size / max(finest, 1e-300))
+        squares.append(float((blocks**2).sum()))
+        # a variance from few blocks is itself uncertain
+        few.append(2.0 * float((blocks**4).sum()) / max(squares[-1] ** 2, 1e-300))
+        totals.append(float(blocks.sum()))
+        noises.append(noise)
+    ratio, square = float(np.median(ratios)), float(np.mean(squares))
+    if not ratio > 1.2:
+        return BetweenPoints(0.0, 0.0, hidden)
+    more = 1.0 + float(np.mean(few))
+    random = more * max(square - float(np.mean(noises)), 0.0) / (ratio**3 - 1.0)
+    # chance alone makes a sum of twice the root of its squares
+    total = float(np.mean(totals))
+    excess = total**2 - CHANCE**2 * max(square, float(np.mean(noises)))
+    drift = abs(total) / (ratio**2 - 1.0) if excess > 0 else 0.0
+    return BetweenPoints(random, drift, hidden)
+
+
+def coarser(surface: CloudSurface, inside: F64, kept: I64) -> tuple[F64, float, float]:
+    """What the volume within an outline loses where only the vertices ``kept`` (k,) stay: by
+    blocks, m³; the variance, m⁶, that the noise gives to the whole; and how wide the triangles then
+    are, m.
+    """
+    tin = surface.made.tin
+    coarse = build_tin(tin.vertices[kept])
+    own = np.flatnonzero(inside > 0)
+    corners = tin.triangles[own]
+    index = triangle_index(coarse, np.ones(len(coarse.triangles), bool))
+    differences, gradient = np.zeros(len(own)), np.zeros(len(tin.vertices))
+    covered = np.zeros(len(coarse.triangles))
+    for place, weight in zip(PLACES, WEIGHTS, strict=True):
+        p = np.einsum("k,mkc->mc", place, tin.vertices[corners])
+        where = locate(index, p[:, :2])
+        some = np.flatnonzero(where >= 0)
+        b = barycentric(coarse, where[some], p[some, :2])
+        vertex = kept[coarse.source[coarse.triangles[where[some]]]]
+        part = weight * inside[own[some]]
+        differences[some] += part * (p[some, 2] - (b * tin.vertices[vertex, 2]).sum(axis=1))
+        gradient += np.bincount(vertex.ravel(), (-part[:, None] * b).ravel(), len(gradient))
+        np.add.at(gradient, corners[some], part[:, None] * place)
+        covered += np.bincount(where[some], part, len(covered))
+    size = wide(coarse, covered)
+    middle = tin.vertices[corners, :2].mean(axis=1)
+    cell = np.floor((middle - middle.min(axis=0)) / (BLOCK * size)).astype(np.int64)
+    number = np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
+    blocks: F64 = np.bincount(number, differences).astype(np.float64)
+    return blocks, noise_of(surface, gradient), size
+
+
+def noise_of(surface: CloudSurface, gradient: F64) -> float:
+    """Variance, m⁶, that the noise gives a result with a gradient (n,) by the vertex heights, each
+    with the noise of its own point.
+    """
+    if surface.sigma_m is None:
+        return 0.0
+    source = surface.made.tin.source
+    sigma = np.where(source >= 0, surface.sigma_m[source], 0.0)
+    return float(((gradient * sigma) ** 2).sum())
+
+
+def unseen(surface: CloudSurface, inside: F64, height: F64) -> float:
+    """How far, m³, the volume may be off where triangles bridge what was not sampled: a third of
+    the difference in height between their corners, in all of them alike. The truth is some step or
+    hollow between the corners; a triangle holds a third or two thirds of it.
+    """
+    tin, own = surface.made.tin, bridges(surface) & (inside > 0)
+    corner = height[tin.triangles[own]]
+    return float((inside[own] * np.ptp(corner, axis=1)).sum()) / 3.0
+
+
+def bridges(surface: CloudSurface) -> Bool:
+    """The triangles (m,) that bridge what was not sampled."""
+    found, count = surface.made.sampled, len(surface.made.tin.triangles)
+    if found is None or len(found.bridged) != count:
+        return np.zeros(count, bool)
+    return found.bridged

@@ -1,0 +1,193 @@
+"""Stray points of a cloud: what neither lies on the surface around it nor has company where it is.
+
+A point is isolated where its eighth neighbour in space is far for the points around it. It is a
+stray where it is also off the plane through those around it that are not isolated; one that is not
+isolated where three quarters of its neighbours agree on a plane, it is far off that, and fewer
+than two of them are where it is: corners and edges of bodies have company on their own level.
+Neighbours are taken across scan lines (see ``cloud_noise``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ladar_volume.clouds.cloud_noise import CELL, cloud_noise, thinned
+from ladar_volume.math.kernels import kernel
+from ladar_volume.model.errors import SurfaceError
+from ladar_volume.model.records import F64, I64, Bool
+from ladar_volume.tin.sampled_area import FEWEST, spacings
+
+#: Neighbours in space, those in the plane whose distances are compared, those of a plane.
+COMPANY, AROUND, PLANE = 8, 24, 16
+#: Isolated above this many times the lower quartile of the distances around.
+ISOLATED = 3.0
+#: Off the surface above so many standard deviations, isolated or not; in agreement below.
+OFF_ISOLATED, OFF, AGREE = 4.0, 6.0, 3.5
+#: Share of the neighbours that agree on a plane; fewest that a point has where it is.
+MAJORITY, OWN = 0.75, 2
+#: Passes: strays hide one another. Share of neighbours on lines above which they are taken across.
+PASSES, LINES = 3, 0.02
+#: Reweightings of a plane, and fewest points through which one is laid.
+STEPS, LEAST = 10, 6
+
+
+@dataclass(frozen=True)
+class Cleaned:
+    """kept, strays : (k,), (s,) rows of the cloud · isolated : how many of the strays are so"""
+
+    kept: I64
+    strays: I64
+    isolated: int
+
+
+@kernel
+def solve_plane(d: F64, weight: F64, count: int) -> tuple[float, float, float]:
+    """Height and slopes of the plane of least weighted squares through the first ``count`` of
+    points (m, 3). Points on one line show no slope across it.
+    """
+    a00 = a01 = a02 = a11 = a12 = a22 = b0 = b1 = b2 = 0.0
+    for j in range(count):
+        w, x, y, z = weight[j], d[j, 0], d[j, 1], d[j, 2]
+        a00, a01, a02 = a00 + w, a01 + w * x, a02 + w * y
+        a11, a12, a22 = a11 + w * x * x, a12 + w * x * y, a22 + w * y * y
+        b0, b1, b2 = b0 + w * z, b1 + w * x * z, b2 + w * y * z
+    ridge = 1e-6 * (a11 + a22) + 1e-300
+    a11, a22 = a11 + ridge, a22 + ridge
+    c00, c01, c02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
+    det = a00 * c00 + a01 * c01 + a02 * c02
+    if not det > 0.0:
+        return b0 / a00, 0.0, 0.0
+    c11, c12, c22 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
+    return (
+        (c00 * b0 + c01 * b1 + c02 * b2) / det,
+        (c01 * b0 + c11 * b1 + c12 * b2) / det,
+        (c02 * b0 + c12 * b1 + c22 * b2) / det,
+    )
+
+
+@kernel
+def least_sizes(d: F64, r: F64, size: F64, count: int, sigma: float) -> tuple[float, float]:
+    """The plane of least sizes through the first ``count`` of points (m, 3), by reweighting: its
+    height, and the spread about it, at least ``sigma``. r : (m,) becomes the residuals.
+    """
+    h, gx, gy, spread = float(np.median(d[:count, 2])), 0.0, 0.0, sigma
+    for step in range(STEPS + 1):
+        for j in range(count):
+            r[j] = d[j, 2] - h - gx * d[j, 0] - gy * d[j, 1]
+            size[j] = abs(r[j])
+        spread = max(1.4826 * np.median(size[:count]), sigma)
+        if step < STEPS:
+            for j in range(count):
+                size[j] = 1.0 / max(size[j], 0.3 * spread)
+            h, gx, gy = solve_plane(d, size, count)
+    return h, spread
+
+
+@kernel
+def off_plane(
+    d: F64, r: F64, size: F64, count: int, sigma: float, isolated: bool, limits: F64
+) -> bool:
+    """Whether the origin is a stray beside the first ``count`` of points d (m, 3) around it."""
+    h, spread = least_sizes(d, r, size, count, sigma)
+    agreeing, own = 0, 0
+    for j in range(count):
+        agreeing += abs(r[j]) <= limits[2] * spread
+        # the point itself lies at -h about the plane
+        own += abs(r[j] + h) <= limits[2] * spread
+    if own >= limits[4]:
+        return False
+    if isolated:
+        return bool(abs(h) > limits[0] * spread)
+    return bool(abs(h) > limits[1] * spread and agreeing >= limits[3] * count)
+
+
+@kernel
+def plane_kernel(
+    points: F64, chosen: I64, near: I64, sigma: float, isolated: Bool, limits: F64
+) -> Bool:
+    """Which of the points ``chosen`` (k,), rows of (n, 3), are strays beside the planes of least
+    sizes through their neighbours near (k, m), rows, -1 for none. limits : off where isolated, off,
+    agreement (in sigmas), majority (share), own company (count).
+    """
+    out = np.zeros(len(chosen), np.bool_)
+    m = near.shape[1]
+    d, r, size = np.empty((m, 3)), np.empty(m), np.empty(m)
+    for i in range(len(chosen)):
+        p, count = points[chosen[i]], 0
+        for j in range(m):
+            if near[i, j] >= 0 and near[i, j] != chosen[i]:
+                d[count] = points[near[i, j]] - p
+                size[count] = 1.0
+                count += 1
+        if count < LEAST:
+            continue
+        alone = isolated[chosen[i]]
+        # most points lie on any plane through those around them
+        if not alone and abs(solve_plane(d, size, count)[0]) <= limits[2] * sigma:
+            continue
+        out[i] = off_plane(d, r, size, count, sigma, alone, limits)
+    return out
+
+
+def isolated_points(points: F64) -> Bool:
+    """Points (n,) whose neighbours in space are far for the points around them."""
+    distance = np.asarray(cKDTree(points).query(points, COMPANY + 1)[0])[:, -1]
+    _, around = cKDTree(points[:, :2]).query(points[:, :2], AROUND)
+    usual = np.partition(distance[np.asarray(around)], AROUND // 4, axis=1)[:, AROUND // 4]
+    out: Bool = distance > ISOLATED * usual
+    return out
+
+
+def plane_neighbours(points: F64, good: Bool, chosen: I64, cells: F64 | None) -> I64:
+    """Rows (k, PLANE + 1) of the good points nearest to those ``chosen`` (k,) over the plane; with
+    cells (n,) m, of those that are left when one point is taken from each.
+    """
+    rows = np.flatnonzero(good)
+    out = np.full((len(chosen), PLANE + 1), -1, np.int64)
+    groups = [(0.0, np.arange(len(chosen)))]
+    if cells is not None:
+        of = np.where(np.isfinite(cells), cells, 0.0)[chosen]
+        groups = [(c, np.flatnonzero(of == c)) for c in np.unique(of).tolist()]
+    for cell, at in groups:
+        kept = rows if cell == 0.0 else rows[thinned(points[rows], cell)]
+        if len(kept) <= PLANE:
+            kept = rows
+        _, near = cKDTree(points[kept, :2]).query(points[chosen[at], :2], PLANE + 1)
+        out[at] = kept[np.asarray(near)]
+    return out
+
+
+def clean(points: F64) -> Cleaned:
+    """The points (n, 3), m, that are no strays. Fewer than :data:`FEWEST` are left as they are."""
+    n = len(points)
+    everything = np.arange(n, dtype=np.int64)
+    try:
+        noise = cloud_noise(points) if n >= FEWEST else None
+    except SurfaceError:
+        noise = None
+    if noise is None:
+        return Cleaned(everything, everything[:0], 0)
+    centre = np.round(points.mean(axis=0))
+    r = points - centre
+    isolated = isolated_points(r)
+    cells = CELL * spacings(r[:, :2]) if noise.on_lines > LINES else None
+    sigma = max(noise.sigma_m, 1e-9 * float(np.ptp(r, axis=0).max()))
+    limits = np.array([OFF_ISOLATED, OFF, AGREE, MAJORITY, OWN])
+    good, chosen = np.ones(n, bool), everything
+    for _ in range(PASSES):
+        near = plane_neighbours(r, good & ~isolated, chosen, cells)
+        stray = chosen[plane_kernel(r, chosen, near, sigma, isolated, limits)]
+        stray = stray[good[stray]]
+        if not len(stray):
+            break
+        good[stray] = False
+        # only points beside a stray see another plane the next time
+        touched = np.isin(near, stray).any(axis=1) & good[chosen]
+        chosen = chosen[touched]
+        if not len(chosen):
+            break
+    strays = np.flatnonzero(~good)
+    return Cleaned(np.flatnonzero(good), strays, int(np.count_nonzero(isolated[strays])))

@@ -1,0 +1,163 @@
+"""The noise of a cloud's heights, from neighbours that lie across scan lines as well as along them.
+
+A return's nearest neighbours lie on its own scan line, an exact cone through the scanner, which
+local fits go through whatever the noise. Neighbours are therefore taken one from each cell of the
+size at which the raster of the footprints is filled (see :mod:`ladar_volume.tin.sampled_area`).
+Copies of a point count once; coordinates rounded to steps of q have at least the variance q²/12.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ladar_volume.model.errors import SurfaceError
+from ladar_volume.model.records import F64, I64
+from ladar_volume.tin.sampled_area import spacings
+
+#: Neighbours of a local fit with six coefficients, and the most points at which one is made.
+NEIGHBOURS, MOST_FITS = 18, 20_000
+#: Fewest points from which the noise is estimated.
+FEWEST = 2 * NEIGHBOURS
+#: Cells from which neighbours are taken, in spacings; neighbours at even sampling need none.
+CELL = 0.5
+#: Residuals beyond this many standard deviations do not count; the variance that this cuts off.
+CUT, KEPT = 3.0, 0.9733
+#: Neighbours whose footprints are this much narrower than they are long lie on one line.
+NARROW = 0.2
+
+
+@dataclass(frozen=True)
+class CloudNoise:
+    """sigma_m : standard deviation of the heights, m · step_m : to which heights are rounded, 0
+    where they are not · copies : points that stand where another does · on_lines : share of the
+    points whose nearest neighbours do not show the noise, since they lie on one scan line
+    """
+
+    sigma_m: float
+    step_m: float
+    copies: int
+    on_lines: float
+
+    @property
+    def words(self) -> str:
+        """Where the noise comes from."""
+        rounded = self.step_m / math.sqrt(12.0) >= 0.5 * self.sigma_m > 0.0
+        return (
+            "residuals of local quadrics"
+            + (" across scan lines" if self.on_lines > 0.5 else "")
+            + (f", with the rounding to {1e3 * self.step_m:g} mm" if rounded else "")
+        )
+
+
+def rounding_step(z: F64) -> float:
+    """The step that values (n,) are multiples of, apart from a common offset; 0 where there is
+    none: fewer than a tenth of them would then be the same.
+    """
+    levels = np.unique(z)
+    if len(levels) < 2 or len(levels) > 0.9 * len(z):
+        return 0.0
+    precision = 8.0 * np.spacing(np.abs(levels).max())
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > precision]
+    if not len(gaps):
+        return 0.0
+    step = float(gaps.min())
+    # the mean of gaps of one step is better known than the smallest
+    step = float(gaps[gaps < 1.5 * step].mean())
+    off = np.abs(gaps / step - np.round(gaps / step)) * step
+    return step if bool((off <= 4.0 * precision + 1e-3 * step).all()) else 0.0
+
+
+def thinned(points: F64, cell_m: float, shift: tuple[float, float] = (0.0, 0.0)) -> I64:
+    """Rows (k,) of points (n, 3): in every cell of the horizontal plane, shifted by so many cells,
+    the one nearest to its middle.
+    """
+    place = (points[:, :2] - points[:, :2].min(axis=0)) / cell_m + np.array(shift)
+    cell = np.floor(place).astype(np.int64)
+    off = ((place - cell - 0.5) ** 2).sum(axis=1)
+    order = np.lexsort((off, cell[:, 1], cell[:, 0]))
+    same = (np.diff(cell[order], axis=0) == 0).all(axis=1)
+    return order[np.r_[True, ~same]]
+
+
+def fit_residuals(points: F64, near: F64, chosen: I64) -> tuple[F64, F64]:
+    """What quadrics through the neighbours ``near`` (k, m, 3) miss the points ``chosen`` (k,) by,
+    m, each divided by the standard deviation it has for noise of 1; and how narrow the neighbours'
+    footprints are for their length.
+    """
+    d = near - points[chosen, None]
+    size = np.sqrt((d[..., :2] ** 2).sum(axis=2).mean(axis=1))
+    u, v = (d[..., k] / np.where(size > 0, size, 1.0)[:, None] for k in (0, 1))
+    X = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=2)
+    N = np.einsum("nki,nkj->nij", X, X) + 1e-9 * np.eye(6)
+    first = np.linalg.solve(N, np.broadcast_to(np.eye(6)[:, :1], (len(N), 6, 1)))[..., 0]
+    # the quadric's height over the point itself
+    level = np.einsum("nki,ni,nk->n", X, first, d[..., 2])
+    s = np.linalg.svd(d[..., :2] - d[..., :2].mean(axis=1, keepdims=True), compute_uv=False)
+    narrow = s[:, 1] / np.maximum(s[:, 0], 1e-300)
+    return level / np.sqrt(1.0 + np.maximum(first[:, 0], 0.0)), narrow
+
+
+def neighbours(points: F64, kept: I64, chosen: I64) -> F64:
+    """Of the points ``kept``, rows (k,) of (n, 3), the nearest (m, NEIGHBOURS, 3) to those
+    ``chosen`` (m,), themselves not.
+    """
+    _, found = cKDTree(points[kept, :2]).query(points[chosen, :2], NEIGHBOURS + 1)
+    near = kept[np.asarray(found)]
+    own = near == chosen[:, None]
+    own[~own.any(axis=1), -1] = True
+    out: F64 = points[near[~own].reshape(len(chosen), NEIGHBOURS)]
+    return out
+
+
+def robust_sigma(residuals: F64, floor: float) -> float:
+    """Root mean square of residuals (k,) within three of itself, as for Gaussian noise; where most
+    of them are the same, as rounding makes them, the median says nothing.
+    """
+    size = np.abs(residuals[np.isfinite(residuals)])
+    if not len(size):
+        return floor
+    sigma = max(1.4826 * float(np.median(size)), floor)
+    for _ in range(20):
+        inside = size[size <= CUT * sigma]
+        new = max(math.sqrt(float((inside**2).mean()) / KEPT), floor) if len(inside) else sigma
+        if abs(new - sigma) <= 1e-6 * sigma:
+            break
+        sigma = new
+    return sigma
+
+
+def cloud_noise(points: F64) -> CloudNoise:
+    """The noise of the heights of points (n, 3), m.
+
+    Roughness finer than the neighbourhood counts as noise. Raises :class:`SurfaceError` below
+    :data:`FEWEST` distinct footprints.
+    """
+    step = rounding_step(points[:, 2])
+    _, first = np.unique(points[:, :2], axis=0, return_index=True)
+    copies = len(points) - len(first)
+    own = points[np.sort(first)]
+    if len(own) < FEWEST:
+        words = f"{len(own)} points are too few to estimate their noise ({FEWEST} are needed)"
+        raise SurfaceError(words, reason="surface_too_few_points", value=len(own))
+    floor = step / math.sqrt(12.0)
+    chosen = np.unique(np.linspace(0, len(own) - 1, min(len(own), MOST_FITS)).astype(np.int64))
+    residual, narrow = fit_residuals(own, neighbours(own, np.arange(len(own)), chosen), chosen)
+    spacing = spacings(own[:, :2])[chosen]
+    cells = CELL * spacing
+    lines = 0.0
+    for cell in np.unique(cells[np.isfinite(cells)]).tolist():
+        kept = thinned(own, cell)
+        if len(kept) < FEWEST:
+            continue
+        at = np.flatnonzero(cells == cell)
+        across, wide = fit_residuals(own, neighbours(own, kept, chosen[at]), chosen[at])
+        # where neighbours lie along a line, those across it tell more
+        on_line = narrow[at] < NARROW * np.minimum(1.0, wide / NARROW)
+        lines += float(np.count_nonzero(on_line))
+        residual[at] = np.where(np.isfinite(across), across, residual[at])
+    return CloudNoise(robust_sigma(residual, floor), step, copies, lines / len(chosen))

@@ -1,0 +1,225 @@
+"""Whether the volume of a cloud can be believed: what speaks against its base, its outline, its
+points and their noise, each with a number and what to do.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ladar_volume.clouds.between_points import BetweenPoints, between_points, bridges
+from ladar_volume.clouds.cloud_surface import CloudSurface
+from ladar_volume.clouds.cloud_volume import CloudVolume
+from ladar_volume.clouds.ground_readings import GroundReadings
+from ladar_volume.ground.polynomial import base_height
+from ladar_volume.model.records import F64, Bool, Plane
+from ladar_volume.model.verdict import Doubt, Verdict
+from ladar_volume.tin.boundary import parts_kernel
+from ladar_volume.tin.full_tin import footprint_areas
+
+#: Share of the points that are strays, of the area that is holes, of the outline that lies on the
+#: edge of the survey, above which there is doubt.
+STRAYS, UNSEEN, OPEN = 0.04, 0.1, 0.1
+#: Share of the points around a body below which the base has little support.
+SUPPORT = 0.5
+#: Readings of the ground, and its unevenness, differ by more than so many standard deviations.
+SIGMAS = 2.0
+#: The same in shares of the volume, even where sigma holds it.
+ROUGH = 0.05
+#: What curvature between the points may do, in shares of the volume.
+COARSE = 0.02
+
+
+@dataclass(frozen=True)
+class Place:
+    """One part of the outline: x, y of its centroid, m · extent_m : (x0, y0, x1, y1) · area_m2 ·
+    net_m3 : above the base · top_m, bottom_m : highest and lowest vertex
+    """
+
+    x_m: float
+    y_m: float
+    extent_m: tuple[float, float, float, float]
+    area_m2: float
+    top_m: float
+    bottom_m: float
+
+
+def places(surface: CloudSurface, inside: F64, most: int = 10) -> list[Place]:
+    """The parts (joined by edges) of an outline, the largest by area first, ``most`` of them;
+    inside (m,) m² is the area of each triangle in it.
+    """
+    tin, mask = surface.made.tin, inside > 0
+    part = parts_kernel(tin.neighbours, mask)
+    area = np.bincount(part[mask], inside[mask], minlength=1)
+    out = []
+    for k in np.argsort(-area, kind="stable")[:most].tolist():
+        own = np.flatnonzero(part == k)
+        if not len(own):
+            break
+        p = tin.vertices[tin.triangles[own]]
+        x, y = (inside[own] @ p.mean(axis=1)[:, :2] / area[k]).tolist()
+        low, high = p.min(axis=(0, 1)).tolist(), p.max(axis=(0, 1)).tolist()
+        extent = (low[0], low[1], high[0], high[1])
+        out.append(Place(x, y, extent, float(area[k]), high[2], low[2]))
+    return out
+
+
+def open_share(surface: CloudSurface, mask: Bool) -> float:
+    """Share of the boundary of triangles (m,), by length, beyond which there is no surface."""
+    tin = surface.made.tin
+    p = tin.vertices[tin.triangles, :2]
+    length = np.stack([np.hypot(*(p[:, (k + 2) % 3] - p[:, (k + 1) % 3]).T) for k in range(3)], 1)
+    beyond = tin.neighbours
+    border = mask[:, None] & ~np.where(beyond >= 0, mask[beyond], False)
+    none = ~np.where(beyond >= 0, tin.relevant[beyond], False)
+    total = float(length[border].sum())
+    return float(length[border & none].sum()) / total if total > 0 else 0.0
+
+
+def stray_doubts(strays: int, points: int) -> list[Doubt]:
+    """Too many points were left out."""
+    share = strays / max(points, 1)
+    if share <= STRAYS:
+        return []
+    words = (
+        f"{100 * share:.1f} % of the points ({strays:,}) lie off the surface and are left out; "
+        "look at them, clean the cloud by hand, or compare with --clean off"
+    )
+    return [Doubt("outliers", words, share)]
+
+
+def surface_doubts(surface: CloudSurface, inside: F64) -> list[Doubt]:
+    """What the surface itself says: unseen area, noise that cannot be told."""
+    out = []
+    hole, area = float(inside[bridges(surface)].sum()), float(inside.sum())
+    if hole > UNSEEN * area:
+        words = (
+            f"{hole:.4g} m² of the {area:.4g} m² that count ({100 * hole / area:.0f} %) have no "
+            "points and are bridged by long triangles; scan them, or leave them out with --max-edge"
+        )
+        out.append(Doubt("unseen", words, hole / area))
+    if surface.sigma_m is None:
+        words = f"the noise of the points is {surface.sigma_from}; give --sigma"
+        out.append(Doubt("noise_unknown", words, float(len(surface.points))))
+    return out
+
+
+def outline_doubts(surface: CloudSurface, inside: F64) -> list[Doubt]:
+    """A body that runs out of the survey is not whole, and has no ground on that side."""
+    share = open_share(surface, inside > 0)
+    if share <= OPEN:
+        return []
+    words = (
+        f"{100 * share:.0f} % of the outline of the body lie on the edge of what was sampled: "
+        "part of it may be missing, and its ground there is not seen; take more of the "
+        "surroundings, or give --level or --plane with --outline all"
+    )
+    return [Doubt("outline_open", words, share)]
+
+
+def coarse_doubts(volume: CloudVolume, between: BetweenPoints) -> list[Doubt]:
+    """The surface is too coarse for the shape."""
+    size = max(volume.cut_m3 + volume.fill_m3, 1e-300)
+    out = []
+    if between.unseen_m3 > COARSE * size:
+        words = (
+            f"{between.unseen_m3:.3g} m³ ({100 * between.unseen_m3 / size:.1f} %) hang on long "
+            "triangles between corners of unlike heights, where nothing was measured; scan these "
+            "places, as behind and at the foot of a pile"
+        )
+        out.append(Doubt("unseen_steps", words, between.unseen_m3))
+    if between.drift_m3 <= COARSE * size:
+        return out
+    words = (
+        f"left out point by point the surface gives other volumes: {between.drift_m3:.3g} m³ "
+        f"({100 * between.drift_m3 / size:.1f} %) may be missing between the points; scan more "
+        "densely, or from more places"
+    )
+    return [*out, Doubt("coarse", words, between.drift_m3 / size)]
+
+
+def base_doubts(readings: GroundReadings | None, volume: CloudVolume) -> list[Doubt]:
+    """What speaks against the ground of the same cloud."""
+    if readings is None:
+        return []
+    out, r = [], readings
+    if r.support < SUPPORT:
+        words = (
+            f"the base is supported by {100 * r.support:.0f} % of the {r.ring:,} points around "
+            "the body: the ground is no plane there, or covered; give --level, --plane, "
+            "--set ground.degree=2, or classified ground as a second cloud"
+        )
+        out.append(Doubt("base_support", words, r.support))
+    limit = SIGMAS * volume.sigma_m3
+    noise = SIGMAS * math.sqrt(volume.budget_m6["noise"])
+    part = ROUGH * (volume.cut_m3 + volume.fill_m3)
+    if math.isfinite(r.uneven_m3) and r.uneven_m3 > min(limit, part) and r.uneven_m3 > noise:
+        words = (
+            f"the ground is off the base by {1e3 * r.uneven_m:.3g} mm (RMS) over stretches as "
+            f"long as half the body, {r.uneven_m3:.3g} m³ under it, against a sigma of "
+            f"{volume.sigma_m3:.3g} m³; survey the ground before, or narrow "
+            "--set volume.ground_ring_m"
+        )
+        out.append(Doubt("base_uneven", words, r.uneven_m3))
+    apart = abs(r.quadric_m3 - r.plane_m3)
+    if math.isfinite(apart) and apart > max(limit, 3.0 * r.quadric_sigma_m3):
+        words = (
+            f"two readings of the ground differ: {r.plane_m3:.5g} m³ above a surface of degree "
+            f"{r.degree}, {r.quadric_m3:.5g} m³ above one of degree {r.degree + 1}; look which one "
+            "the ground follows (--set ground.degree), or survey the ground before"
+        )
+        out.append(Doubt("ground_readings", words, r.quadric_m3))
+    return out
+
+
+def with_between(volume: CloudVolume, between: BetweenPoints) -> CloudVolume:
+    """The volume with what lies between the points in its standard deviations."""
+    if math.isnan(volume.sigma_m3):
+        return volume
+    more = between.variance_m6 + between.unseen_m3**2
+    net, cut, fill = (
+        math.sqrt(s**2 + more) for s in (volume.sigma_m3, volume.sigma_cut_m3, volume.sigma_fill_m3)
+    )
+    return CloudVolume(
+        **{
+            **volume.__dict__,
+            "sigma_m3": net,
+            "sigma_cut_m3": cut,
+            "sigma_fill_m3": fill if volume.fill_raw_m3 > 0 else volume.sigma_fill_m3,
+            "budget_m6": {
+                **volume.budget_m6,
+                "between_points": between.variance_m6,
+                "unseen": between.unseen_m3**2,
+            },
+        }
+    )
+
+
+def judged(
+    volume: CloudVolume,
+    surface: CloudSurface,
+    inside: F64,
+    readings: GroundReadings | None,
+    by_body: bool,
+    base: Plane | None = None,
+) -> tuple[CloudVolume, Verdict]:
+    """A volume with what lies between its points, and its verdict. inside (m,) m² : area of each
+    triangle that counts · readings : of the ground, where it is the cloud's own · by_body : whether
+    the outline is that of a body · base : that heights count from.
+    """
+    r = surface.made.tin.vertices
+    height = r[:, 2] if base is None else r[:, 2] - base_height(base, r[:, :2])
+    between = between_points(surface, inside, height)
+    found = with_between(volume, between)
+    doubts = surface_doubts(surface, inside)
+    doubts += outline_doubts(surface, inside) if by_body else []
+    doubts += base_doubts(readings, found) + coarse_doubts(found, between)
+    return found, Verdict(tuple(doubts))
+
+
+def area_counted(surface: CloudSurface, mask: Bool) -> F64:
+    """Area (m,) m² of the triangles in the mask (m,), 0 elsewhere."""
+    tin = surface.made.tin
+    return np.where(mask, footprint_areas(tin.vertices, tin.triangles), 0.0)

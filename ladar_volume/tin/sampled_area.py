@@ -1,0 +1,205 @@
+"""Which part of a triangulation was sampled: the convex hull of the points is not taken for the
+boundary of what was measured.
+
+How far apart points may lie is told from the points themselves, place by place: the smallest cell
+at which a raster of the footprints is filled, so that a block of three by three cells has points in
+each (a morphological opening), there and at the doubled cell. Along one scan line no such block
+fits: the spacing is that *across* lines, however dense they are and however it grows with range.
+From the hull inwards triangles are then taken off whose open side is long against that spacing, as
+in the characteristic shapes of Duckham et al. 2008, where what goes behind that side is deep;
+holes that the sampled area encloses stay in it, and are counted.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from ladar_volume.math.kernels import kernel
+from ladar_volume.model.records import F64, I32, I64, Bool, Tin
+from ladar_volume.tin.boundary import parts_kernel
+from ladar_volume.tin.full_tin import build_tin, footprint_areas
+from ladar_volume.tin.locate import locate, triangle_index
+from ladar_volume.tin.relevant import circumdiameters, edge_lengths
+
+#: Fewest footprints that show a spacing.
+FEWEST = 100
+#: Cells grow by this factor; the raster is filled at a cell where it is two steps on as well.
+STEP, PERSISTS = math.sqrt(2.0), 2
+#: Most cells of a raster, and the largest cell in shares of the extent.
+MOST_CELLS, LARGEST = 4_000_000, 0.25
+#: An open side is long above this many spacings; what lies behind it is deep above as many in the
+#: mean.
+LONG, DEEP = 2.5, 1.0
+#: Circumcircles in an enclosed hole are wider than so many spacings of every corner (diameter), and
+#: than so many of one where the surface is bridged: evenly scattered points make none such.
+HOLE, BRIDGE = 2.5, 3.5
+
+
+@dataclass(frozen=True)
+class SampledArea:
+    """mask : (m,) triangles that count · area_m2, hull_m2 : of these, and of all · spacing_m : that
+    of the points, by the median; NaN where they do not show it, and the hull stands in · holes,
+    hole_m2 : enclosed holes that are bridged, and their area · parts : that the sampled area has ·
+    bridged : (m,) triangles that count and are wide for the spacing at one of their corners, in
+    such holes or not
+    """
+
+    mask: Bool
+    area_m2: float
+    hull_m2: float
+    spacing_m: float
+    holes: int
+    hole_m2: float
+    parts: int
+    bridged: Bool
+
+
+def filled_at(cells: I64, size: I64) -> Bool:
+    """Whether each of cells (n, 2) of a raster of ``size`` cells lies in, or beside, a block of
+    three by three cells that all hold one of them.
+    """
+    raster = np.zeros((size[0] + 4, size[1] + 4), bool)
+    raster[cells[:, 0] + 2, cells[:, 1] + 2] = True
+    block = np.ones((3, 3), bool)
+    opened = ndimage.binary_dilation(ndimage.binary_erosion(raster, block), block, iterations=2)
+    out: Bool = opened[cells[:, 0] + 2, cells[:, 1] + 2]
+    return out
+
+
+def spacings(xy: F64) -> F64:
+    """How far apart points (n, 2) m lie around each, across scan lines as along them, (n,) m:
+    infinite where nothing around them is filled, and for fewer than :data:`FEWEST`.
+    """
+    out = np.full(len(xy), np.inf)
+    if len(xy) < FEWEST:
+        return out
+    low, extent = xy.min(axis=0), np.maximum(np.ptp(xy, axis=0), 1e-300)
+    some = np.unique(xy[:: max(1, len(xy) // 20_000)], axis=0)
+    near = np.asarray(cKDTree(some).query(some[:2000], 2)[0])[:, 1] if len(some) > 2 else extent
+    least = float(np.median(near)) * math.sqrt(len(some) / len(xy))
+    cell = max(least, math.sqrt(float(extent.prod()) / MOST_CELLS), float(extent.max()) * 1e-4)
+    sizes = [cell]
+    while sizes[-1] * STEP <= LARGEST * float(extent.max()):
+        sizes.append(sizes[-1] * STEP)
+    # a long and narrow strip has no block of three cells at its width
+    filled = []
+    for size in sizes:
+        cells = np.floor((xy - low) / size).astype(np.int64)
+        filled.append(filled_at(cells, cells.max(axis=0) + 1))
+    for k in reversed(range(len(sizes))):
+        out[filled[k]] = sizes[k]
+    lasting = np.full(len(xy), np.inf)
+    for k in reversed(range(len(sizes) - PERSISTS)):
+        lasting[filled[k] & filled[k + PERSISTS]] = sizes[k]
+    return np.where(np.isfinite(lasting), lasting, out)
+
+
+@kernel
+def peel_kernel(neighbours: I32, lengths: F64, limit: F64, area: F64, depth: F64) -> I64:
+    """See :func:`peeled`: the side of the hull (a number from 0) behind which each triangle (m,)
+    goes, -1 where it stays.
+    """
+    m = len(neighbours)
+    out, stack = np.full(m, -1, np.int64), np.empty(3 * m + 3, np.int64)
+    sides = 0
+    for first in range(m):
+        for k in range(3):
+            if neighbours[first, k] >= 0 or out[first] >= 0 or not lengths[first, k] > limit[first]:
+                continue
+            out[first], stack[0], top, taken, done = sides, first, 1, 0, 0
+            queue = [first]
+            while top > 0:
+                top -= 1
+                t = stack[top]
+                taken += 1
+                for j in range(3):
+                    o = neighbours[t, j]
+                    if o >= 0 and out[o] < 0 and lengths[t, j] > limit[o]:
+                        out[o], stack[top] = sides, o
+                        queue.append(o)
+                        top += 1
+            total, deep = 0.0, 0.0
+            for t in queue:
+                total += area[t]
+                deep += area[t] * depth[t]
+            if not total * total > deep * lengths[first, k]:
+                for t in queue:
+                    out[t] = -2 - sides  # too shallow: another side may still reach it
+            sides += 1
+            done += 1
+    return out
+
+
+def peeled(tin: Tin, spacing_m: F64) -> Bool:
+    """Triangles (m,) of a full TIN that are open notches and gaps: reached from a side of the hull
+    through sides that are long against the spacing, where what lies behind that side of the hull is
+    in the mean deeper than the spacing. spacing_m : (n,) of the vertices.
+    """
+    # between points that show no spacing nothing stands in the way
+    at = np.where(np.isfinite(spacing_m), spacing_m, 0.0)[tin.triangles].min(axis=1)
+    area = np.maximum(footprint_areas(tin.vertices, tin.triangles), 0.0)
+    side = peel_kernel(tin.neighbours, edge_lengths(tin), LONG * at, area, DEEP * at)
+    out: Bool = side >= 0
+    return out
+
+
+def sampled_area(tin: Tin) -> SampledArea:
+    """The sampled part of a full TIN, whose vertices are all footprints."""
+    area = np.maximum(footprint_areas(tin.vertices, tin.triangles), 0.0)
+    spacing = spacings(tin.vertices[:, :2])
+    known = np.isfinite(spacing)
+    everything = np.ones(len(tin.triangles), bool)
+    if np.count_nonzero(known) < 0.5 * len(spacing):
+        return SampledArea(
+            everything, float(area.sum()), float(area.sum()), math.nan, 0, 0.0, 1, ~everything
+        )
+    mask = ~peeled(tin, spacing)
+    part = parts_kernel(tin.neighbours, mask)
+    # a part of two or three triangles is no area that was sampled
+    size = np.bincount(part[mask], minlength=1)
+    mask[mask] = size[part[mask]] > FEWEST // 10
+    corner, wide = np.where(known, spacing, 0.0)[tin.triangles], circumdiameters(tin)
+    at = corner.max(axis=1)
+    gap = mask & (wide > HOLE * at)
+    number = parts_kernel(tin.neighbours, gap)
+    hole = np.bincount(number[gap], area[gap], minlength=1)
+    mean = np.bincount(number[gap], (at**2)[gap], minlength=1) / np.maximum(
+        np.bincount(number[gap], minlength=1), 1
+    )
+    large = hole > (2.0 * HOLE) ** 2 * mean
+    gap[gap] = large[number[gap]]
+    return SampledArea(
+        mask,
+        float(area[mask].sum()),
+        float(area.sum()),
+        float(np.median(spacing[known])),
+        int(np.count_nonzero(large)) if gap.any() else 0,
+        float(area[gap].sum()),
+        int(np.count_nonzero(size > FEWEST // 10)),
+        mask & (wide > BRIDGE * corner.min(axis=1)),
+    )
+
+
+def within_sampled(tin: Tin, points: F64) -> tuple[Bool, SampledArea]:
+    """Which triangles (m,) of a partial TIN lie where points (n, 3) m sampled, by half of four
+    places in each; also that area, with the triangles of the partial TIN that bridge it.
+    """
+    full = build_tin(points)
+    found = sampled_area(full)
+    index = triangle_index(full, found.mask)
+    p = tin.vertices[tin.triangles, :2]
+    weights = [(1, 1, 1), (4, 1, 1), (1, 4, 1), (1, 1, 4)]
+    hits, wide = np.zeros(len(p), np.int64), np.zeros(len(p), np.int64)
+    for w in weights:
+        place = np.einsum("k,mkc->mc", np.array(w, dtype=np.float64) / sum(w), p)
+        where = locate(index, place)
+        hits += where >= 0
+        wide += (where >= 0) & found.bridged[where]
+    mask = hits >= 2
+    return mask, dataclasses.replace(found, mask=mask, bridged=mask & (wide >= 2))
