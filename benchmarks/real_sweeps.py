@@ -10,7 +10,7 @@ The ball of the check is max(0.25 m, 3 % of the range) and the tolerance 6 cm. R
 2 degrees apart, 3.5 % of the range across the beam and a metre and more on ground under a low
 sensor: about 12 to 21 % of the points of ``leo_rover`` have three rings in that ball. So it is
 widened point by point, as little as will do, to 1.25 times the distance of the third ring, and
-confirms 68 to 96 %. ``strict`` is what the ball without that confirms, and what is kept of it.
+confirms 66 to 96 %. ``strict`` is what the ball without that confirms, and what is kept of it.
 Clouds from above have no rings; there the inliers must not lie on one line, and ball and tolerance
 go by the spacing: 12 and 6 mm for the ball boxes (1.5 mm), 4 m and 0.3 m for airborne ones (1 m).
 """
