@@ -3,7 +3,7 @@ for what a filter must keep, and for the noise that it believes.
 
 Around a point the neighbours in a ball are searched for the plane with the most of them within a
 tolerance (RANSAC, Fischler and Bolles 1981). The point is *confirmed* where it is one of them, they
-are more than half of at least 20 and come from at least three rings: along one ring a cloud is
+are more than half of at least 15 and come from at least three rings: along one ring a cloud is
 smooth whatever its noise, across rings it is not. The root mean square of their distances from
 their least squares plane is the noise there.
 """
@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from benchmarks.truth import F64, I64, Mask
 
 RINGS, SHARE = 3, 0.5
-TRIES, MOST, FEWEST = 64, 400, 20
+TRIES, MOST, FEWEST = 64, 400, 15
 #: Rings are told apart where sorted elevations leave a gap of this, degrees.
 RING_GAP_DEG = 0.1
 #: Without rings the inliers must not lie on one line: their second extent over the first.

@@ -146,7 +146,7 @@ def kept_of(index: Any, sample: Any) -> Any:
 
 def judge(cloud: Cloud, found: Checked, result: CloudResult) -> dict[str, float]:
     """Shares and noise. ``noise`` is the filter's over the check's, as root mean squares over the
-    confirmed points that are kept and lie on a surface.
+    confirmed points that are kept and lie on a surface, ``typical`` the median of the points' own.
     """
     sure = found.sample[found.confirmed]
     kept = kept_of(result.index, sure)
@@ -167,6 +167,7 @@ def judge(cloud: Cloud, found: Checked, result: CloudResult) -> dict[str, float]
     believed, rms = noise[found.sample[both]], found.rms_m[both]
     out["believed_mm"] = 1e3 * float(np.sqrt(np.mean(believed**2))) if both.any() else np.nan
     out["noise"] = float(np.sqrt(np.mean(believed**2) / np.mean(rms**2))) if both.any() else np.nan
+    out["typical"] = float(np.median(believed / rms)) if both.any() else np.nan
     return out
 
 
@@ -188,7 +189,8 @@ def line(figures: dict[str, float], open3d: str, report: dict[str, float | int |
         f"{'' if good else '**not met** '}confirmed {100 * f['confirmed']:.1f} %, of these kept "
         f"{100 * f['confirmed_kept']:.1f} %{strict}; kept of all "
         f"{100 * f['kept']:.1f} % (Open3D {open3d}); noise believed {f['believed_mm']:.2f} mm over "
-        f"{f['check_mm']:.2f} mm of the check: {f['noise']:.2f}; {named or 'nothing taken out'}"
+        f"{f['check_mm']:.2f} mm of the check: {f['noise']:.2f} (median over points "
+        f"{f['typical']:.2f}); {named or 'nothing taken out'}"
     )
 
 

@@ -5,7 +5,8 @@ Root mean squares over the points of surfaces that are kept. ``sigma``: distance
 points from the true surface over the printed sigma, 0.8 to 1.25 wanted. ``lost``: surface points
 taken out, at most 1 %. ``far``: outliers more than 0.5 m from everything that are taken out, at
 least 98 %. ``noise``: what the filter believes over the distances of the points as they came, 1/1.5
-to 1.5. Points flagged sparse are as they came, and are no part of the first and the last.
+to 1.5. Points flagged sparse are as they came, and are no part of the first and the last;
+``flagged`` is how far they are off over their printed sigma.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import time
 import numpy as np
 
 from benchmarks.scanner_scene import SURFACE, Case, Scan, scan, to_surface
+from benchmarks.truth import F64
 from ladar_volume.clouds.filter_cloud import CloudResult, filter_cloud
 from ladar_volume.model.parameters import FilterParameters
 
@@ -44,7 +46,7 @@ CASES = (
 )
 
 
-def own(points: np.typing.NDArray[np.float64]) -> CloudResult:
+def own(points: F64) -> CloudResult:
     """The filter at hand, parameters set by itself."""
     return filter_cloud(points, FilterParameters(), auto=True)
 
@@ -57,8 +59,11 @@ def measure(made: Scan, result: CloudResult) -> dict[str, float]:
     sparse = getattr(result, "sparse", None)
     flag = np.zeros(len(result.index), bool) if sparse is None else np.asarray(sparse)
     use = good[result.index] & ~flag
+    lone = good[result.index] & flag
     after = to_surface(made.scene, result.r[use])
-    noise = np.full(use.sum(), np.nan) if result.noise is None else result.noise[use]
+    noise = np.full(use.sum(), np.nan)
+    if result.noise is not None:  # of copies it is larger by the root of their number
+        noise = result.noise[use] / np.sqrt(copies(made.r)[result.index[use]])
     return {
         "sigma": rms(after) / rms(result.sigma[use]),
         "lost": float(np.mean(~kept[good])),
@@ -67,12 +72,17 @@ def measure(made: Scan, result: CloudResult) -> dict[str, float]:
         "sparse": float(np.mean(flag)),
         "after_mm": 1e3 * rms(after),
         "before_mm": 1e3 * rms(made.distance[result.index[use]]),
-        "flagged": rms(made.distance[result.index[flag & good[result.index]]])
-        / rms(result.sigma[flag & good[result.index]]),
+        "flagged": rms(made.distance[result.index[lone]]) / rms(result.sigma[lone]),
     }
 
 
-def rms(x: np.typing.NDArray[np.float64]) -> float:
+def copies(r: F64) -> F64:
+    """How often (n,) each point (n, 3) is there."""
+    _, which, count = np.unique(r, axis=0, return_inverse=True, return_counts=True)
+    return np.asarray(count[which.ravel()], np.float64)
+
+
+def rms(x: F64) -> float:
     """Root mean square, NaN of nothing."""
     return float(np.sqrt(np.mean(x**2))) if len(x) else np.nan
 
@@ -92,7 +102,7 @@ def line(f: dict[str, float]) -> str:
     return (
         f"{'' if met(f) else '**not met** '}sigma {f['sigma']:.2f}, lost {100 * f['lost']:.2f} %, "
         f"far {100 * f['far']:.1f} %, noise {f['noise']:.2f}; sparse {100 * f['sparse']:.1f} %, "
-        f"{f['before_mm']:.2f} mm before, {f['after_mm']:.2f} mm after"
+        f"{f['before_mm']:.2f} mm before, {f['after_mm']:.2f} mm after, flagged {f['flagged']:.2f}"
     )
 
 
