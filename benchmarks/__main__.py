@@ -21,6 +21,8 @@ NAMES = (
     "filtering",
     "filtering_peers",
     "filtering_square",
+    "real_sweeps",
+    "rotating_scanners",
     "surface",
     "surface_peers",
     "epochs",

@@ -1,0 +1,84 @@
+"""The cloud filter, parameters set by itself, on clouds of real sensors and of simulated rotating
+ones: it keeps the survey, and the noise it believes is that across the rings.
+
+Real clouds come from ``bags/leo_cut`` and ``test/data``. What should be kept, and how noisy it is,
+is told by a check of its own (``benchmarks.plane_check``).
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import real_sweeps
+from benchmarks.plane_check import Cloud, check, rings_by_elevation
+from benchmarks.rotating_scanners import measure
+from benchmarks.scanner_scene import Case, scan
+from benchmarks.velodyne_packets import pcap_packets, sweeps
+from ladar_volume.clouds.filter_cloud import CloudResult, filter_cloud
+from ladar_volume.io.pointfiles.cloud_files import read_cloud
+from ladar_volume.model.parameters import FilterParameters
+
+REPO = Path(__file__).parents[2]
+DATA = REPO / "test" / "data"
+SAMPLES = 400
+
+
+def leo() -> Cloud:
+    return real_sweeps.bag_sweeps(REPO / "bags" / "leo_cut", (4,), "leo_cut")[0]
+
+
+def vlp16() -> Cloud:
+    turn = sweeps(pcap_packets(DATA / "vlp16_gps.pcap"), "VLP-16")[1]
+    return Cloud("VLP-16", turn.r, turn.ring, real_sweeps.SWEPT)
+
+
+def swept(name: str) -> Callable[[], Cloud]:
+    return lambda: real_sweeps.swept(DATA / name, name)[0]
+
+
+def airborne() -> Cloud:
+    r = read_cloud(DATA / "isprs_samp41.pcd", columns=False).r
+    return Cloud("airborne", r, None, real_sweeps.AIRBORNE)
+
+
+REAL = {
+    "leo_cut": leo,
+    "vlp16": vlp16,
+    "vlp32": swept("vlp32.pcd"),
+    "automotive": swept("automotive.ply"),
+    "airborne": airborne,
+}
+SIMULATED = (
+    Case(16, "standing", 0.010, 0.02),
+    Case(16, "standing", 0.020, copies=2),
+    Case(32, "standing", 0.003, 0.0, 0.005),
+)
+
+
+def filtered(points: np.ndarray) -> CloudResult:
+    return filter_cloud(points, FilterParameters(), auto=True)
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_what_lies_on_a_plane_is_kept_and_its_noise_is_believed(name: str) -> None:
+    cloud = REAL[name]()
+    figures = real_sweeps.judge(cloud, check(cloud, SAMPLES), filtered(cloud.r))
+    assert figures["confirmed"] >= 0.66
+    assert figures["confirmed_kept"] >= 0.95
+    assert 1 / 1.5 <= figures["noise"] <= 1.5
+
+
+@pytest.mark.parametrize("case", SIMULATED, ids=lambda case: case.name)
+def test_a_simulated_scanner_s_sigma_is_its_distance_from_the_truth(case: Case) -> None:
+    made = scan(case, 0)
+    figures = measure(made, filtered(made.r))
+    assert 0.8 <= figures["sigma"] <= 1.25
+    assert figures["lost"] <= 0.01
+    assert figures["far"] >= 0.98
+    assert 1 / 1.5 <= figures["noise"] <= 1.5
+
+
+def test_rings_are_told_apart_by_their_elevations() -> None:
+    assert len(np.unique(rings_by_elevation(read_cloud(DATA / "vlp32.pcd").r))) == 32
