@@ -6,12 +6,21 @@ import argparse
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 
 from ladar_volume.cli.body_facts import cloud_facts, mesh_facts, show
 from ladar_volume.cli.surface_options import Source, read_source
+from ladar_volume.cli.verdict_lines import add_strict_option, exit_code
+from ladar_volume.clouds.body_verdict import (
+    Missed,
+    bodies_verdict,
+    check_missed,
+    missed_points,
+    step_between,
+)
 from ladar_volume.clouds.body_volume import (
     Body,
     Uncertain,
@@ -28,6 +37,7 @@ from ladar_volume.ground.objects import (
     find_objects,
     objects_at,
     objects_in,
+    rising,
 )
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.ground.regions import in_box, in_polygon
@@ -132,7 +142,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     g.add_argument("--min-points", type=int, metavar="N", help="fewest points of an object")
     g.add_argument(
-        "--distance", type=float, metavar="M", help="longest step between points of one object"
+        "--distance",
+        type=float,
+        metavar="M",
+        help="longest step between points of one object (default: from the spacing)",
     )
     g.add_argument(
         "--split",
@@ -166,7 +179,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     g.add_argument(
         "--repair",
         choices=REPAIRS,
-        help="mesh by the published Algorithm 2 with this repair (needs --mesh-radius)",
+        help="mesh by the published Algorithm 2 with this repair, of bodies seen from all sides "
+        "(needs --mesh-radius; the ground is none)",
     )
     g.add_argument(
         "--close",
@@ -202,6 +216,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
+    add_strict_option(parser)
     parser.set_defaults(run=run)
 
 
@@ -219,7 +234,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(json_text(facts), end="")
     else:
         show(console, facts)
-    return 0
+    return exit_code(arguments, facts["verdict"])
 
 
 def check(arguments: argparse.Namespace) -> None:
@@ -247,6 +262,12 @@ def check(arguments: argparse.Namespace) -> None:
         raise ConfigurationError(f"--sharp {a.sharp}: degrees from 0 to 180", value=a.sharp)
     if a.no_filter and a.radius is not None:
         raise ConfigurationError("--radius is the filter's, which --no-filter leaves out")
+    if a.repair is not None and not a.mesh_radius > 0.0:
+        raise ConfigurationError("--repair needs --mesh-radius, the radius of Algorithm 2 in m")
+    if a.repair is not None and a.ground not in (None, "none"):
+        raise ConfigurationError(
+            "--repair is for bodies seen from all sides: --ground none, or leave --repair out"
+        )
     if holds_faces(a.source) and (
         a.ground == "auto" or a.polygon or a.box or a.pick or a.no_filter or a.radius or a.repair
     ):
@@ -271,9 +292,7 @@ def given_ground(arguments: argparse.Namespace) -> Plane | None:
     return design_surface(list(arguments.ground)) if isinstance(arguments.ground, tuple) else None
 
 
-def of_mesh(
-    arguments: argparse.Namespace, console: Console
-) -> tuple[dict[str, object], list[Body]]:
+def of_mesh(arguments: argparse.Namespace, console: Console) -> tuple[dict[str, Any], list[Body]]:
     """The body in a mesh file."""
     a = arguments
     with console.status(f"reading {a.source.name}") as status:
@@ -299,9 +318,7 @@ def of_mesh(
     return mesh_facts(a.source.name, mesh, body, uncertain), [body]
 
 
-def of_cloud(
-    arguments: argparse.Namespace, console: Console
-) -> tuple[dict[str, object], list[Body]]:
+def of_cloud(arguments: argparse.Namespace, console: Console) -> tuple[dict[str, Any], list[Body]]:
     """The bodies of a point cloud file."""
     a = arguments
     with console.status(f"reading {a.source.name}") as status:
@@ -324,7 +341,7 @@ def of_cloud(
             )
         status.update("looking for the ground and what stands on it")
         ground = ground_of(a, points, np.zeros(len(points)) if sigma is None else sigma)
-        found = None if ground is None else objects_of(a, points, ground, filtered)
+        found, missed = (None, None) if ground is None else objects_of(a, points, ground, filtered)
         label = np.zeros(len(points), np.int64) if found is None else found.label
         options = BodyOptions(mesh_settings(a), a.close or 0.0, sharp_rad(a), pole(a))
         made = cloud_bodies(
@@ -346,9 +363,10 @@ def of_cloud(
             uncertain = mesh_uncertainty(
                 made.bodies, [sigma[rows] for rows in made.sources], ground
             )
-    return cloud_facts(a.source.name, len(source.cloud.r), filtered, made, found, uncertain), list(
-        made.bodies
-    )
+    facts = cloud_facts(a.source.name, len(source.cloud.r), filtered, made, found, uncertain)
+    facts["above_ground"] = None if missed is None else dataclasses.asdict(missed)
+    facts["verdict"] = bodies_verdict(made, points, missed).as_dict()
+    return facts, list(made.bodies)
 
 
 def given_points(
@@ -372,7 +390,7 @@ def given_points(
 
 def ground_of(arguments: argparse.Namespace, points: F64, sigma: F64) -> Plane | None:
     """The ground asked for; found by default."""
-    if arguments.ground == "none":
+    if arguments.ground == "none" or (arguments.repair is not None and arguments.ground is None):
         return None
     given = given_ground(arguments)
     if given is not None:
@@ -388,20 +406,27 @@ def ground_of(arguments: argparse.Namespace, points: F64, sigma: F64) -> Plane |
 
 def objects_of(
     arguments: argparse.Namespace, points: F64, ground: Plane, filtered: CloudResult | None
-) -> Objects:
-    """The objects asked for; all that are found by default."""
+) -> tuple[Objects, Missed | None]:
+    """The objects asked for; all that are found by default, and what is in none of them."""
     a = arguments
     least = 0.0 if filtered is None else CLEAR * float(filtered.report["noise_m"])
     p = ObjectParameters(min_height_m=least if a.min_height is None else a.min_height)
     given = {"min_points": a.min_points, "distance_m": a.distance, "split_m": a.split}
     p = dataclasses.replace(p, **{key: value for key, value in given.items() if value is not None})
+    if a.distance is None:
+        step_m = step_between(points[rising(points, [ground], p)[1]])
+        p = dataclasses.replace(p, distance_m=step_m or p.distance_m)
     if a.pick:
-        return objects_at(points, [ground], [np.array(at)[None] for at in a.pick], p)
+        return objects_at(points, [ground], [np.array(at)[None] for at in a.pick], p), None
     regions = [in_polygon(points, np.array(ring)) for ring in a.polygon]
     regions += [in_box(points, np.array(box[:3]), np.array(box[3:])) for box in a.box]
-    return (
-        objects_in(points, [ground], regions, p) if regions else find_objects(points, [ground], p)
-    )
+    if regions:
+        return objects_in(points, [ground], regions, p), None
+    found = find_objects(points, [ground], p)
+    missed = missed_points(points, ground, found, p)
+    if found.records:
+        check_missed(missed)
+    return found, missed
 
 
 def mesh_settings(arguments: argparse.Namespace) -> LocalMeshSettings:
