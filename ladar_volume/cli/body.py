@@ -20,7 +20,14 @@ from ladar_volume.cli.inputs.reading import (
     read_source,
     reading_doubts,
 )
-from ladar_volume.cli.verdict_lines import add_verdict_rows, exit_code
+from ladar_volume.cli.verdict_lines import exit_code
+from ladar_volume.clouds.body_verdict import (
+    Missed,
+    bodies_verdict,
+    check_missed,
+    missed_points,
+    step_between,
+)
 from ladar_volume.clouds.body_volume import (
     Body,
     Uncertain,
@@ -37,6 +44,7 @@ from ladar_volume.ground.objects import (
     find_objects,
     objects_at,
     objects_in,
+    rising,
 )
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.ground.regions import in_box, in_polygon
@@ -72,17 +80,15 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         show(console, facts)
         show_reading(console, facts)
-    return exit_code(arguments, facts.get("verdict", Verdict().as_dict()))
+    return exit_code(arguments, facts["verdict"])
 
 
 def show_reading(console: Console, facts: dict[str, Any]) -> None:
-    """Print how the cloud was read, and what is doubtful."""
+    """Print how the cloud was read."""
     table = Table(show_header=False, box=None, pad_edge=False)
     if "reading" in facts:
         add_reading_rows(table, facts["reading"])
-    if "verdict" in facts:
-        add_verdict_rows(table, facts["verdict"])
-    console.print(table)
+        console.print(table)
 
 
 def check(arguments: argparse.Namespace) -> None:
@@ -110,6 +116,12 @@ def check(arguments: argparse.Namespace) -> None:
         raise ConfigurationError(f"--sharp {a.sharp}: degrees from 0 to 180", value=a.sharp)
     if a.no_filter and a.radius is not None:
         raise ConfigurationError("--radius is the filter's, which --no-filter leaves out")
+    if a.repair is not None and not a.mesh_radius > 0.0:
+        raise ConfigurationError("--repair needs --mesh-radius, the radius of Algorithm 2 in m")
+    if a.repair is not None and a.ground not in (None, "none"):
+        raise ConfigurationError(
+            "--repair is for bodies seen from all sides: --ground none, or leave --repair out"
+        )
     if holds_faces(a.source) and (
         a.ground == "auto" or a.polygon or a.box or a.pick or a.no_filter or a.radius or a.repair
     ):
@@ -183,7 +195,7 @@ def of_cloud(arguments: argparse.Namespace, console: Console) -> tuple[dict[str,
             )
         status.update("looking for the ground and what stands on it")
         ground = ground_of(a, points, np.zeros(len(points)) if sigma is None else sigma)
-        found = None if ground is None else objects_of(a, points, ground, filtered)
+        found, missed = (None, None) if ground is None else objects_of(a, points, ground, filtered)
         label = np.zeros(len(points), np.int64) if found is None else found.label
         options = BodyOptions(mesh_settings(a), a.close or 0.0, sharp_rad(a), pole(a))
         made = cloud_bodies(
@@ -207,7 +219,11 @@ def of_cloud(arguments: argparse.Namespace, console: Console) -> tuple[dict[str,
             )
     facts = cloud_facts(a.source.name, len(source.cloud.r), filtered, made, found, uncertain)
     facts["reading"] = cloud_facts_of(source.cloud)
-    facts["verdict"] = Verdict(reading_doubts([source.cloud])).as_dict()
+    facts["above_ground"] = None if missed is None else dataclasses.asdict(missed)
+    verdict = bodies_verdict(made, points, missed)
+    for body in made.bodies:
+        verdict += Verdict(body.doubts)
+    facts["verdict"] = (Verdict(reading_doubts([source.cloud])) + verdict).as_dict()
     return facts, list(made.bodies)
 
 
@@ -232,7 +248,7 @@ def given_points(
 
 def ground_of(arguments: argparse.Namespace, points: F64, sigma: F64) -> Plane | None:
     """The ground asked for; found by default."""
-    if arguments.ground == "none":
+    if arguments.ground == "none" or (arguments.repair is not None and arguments.ground is None):
         return None
     given = given_ground(arguments)
     if given is not None:
@@ -248,20 +264,27 @@ def ground_of(arguments: argparse.Namespace, points: F64, sigma: F64) -> Plane |
 
 def objects_of(
     arguments: argparse.Namespace, points: F64, ground: Plane, filtered: CloudResult | None
-) -> Objects:
-    """The objects asked for; all that are found by default."""
+) -> tuple[Objects, Missed | None]:
+    """The objects asked for; all that are found by default, and what is in none of them."""
     a = arguments
     least = 0.0 if filtered is None else CLEAR * float(filtered.report["noise_m"])
     p = ObjectParameters(min_height_m=least if a.min_height is None else a.min_height)
     given = {"min_points": a.min_points, "distance_m": a.distance, "split_m": a.split}
     p = dataclasses.replace(p, **{key: value for key, value in given.items() if value is not None})
+    if a.distance is None:
+        step_m = step_between(points[rising(points, [ground], p)[1]])
+        p = dataclasses.replace(p, distance_m=step_m or p.distance_m)
     if a.pick:
-        return objects_at(points, [ground], [np.array(at)[None] for at in a.pick], p)
+        return objects_at(points, [ground], [np.array(at)[None] for at in a.pick], p), None
     regions = [in_polygon(points, np.array(ring)) for ring in a.polygon]
     regions += [in_box(points, np.array(box[:3]), np.array(box[3:])) for box in a.box]
-    return (
-        objects_in(points, [ground], regions, p) if regions else find_objects(points, [ground], p)
-    )
+    if regions:
+        return objects_in(points, [ground], regions, p), None
+    found = find_objects(points, [ground], p)
+    missed = missed_points(points, ground, found, p)
+    if found.records:
+        check_missed(missed)
+    return found, missed
 
 
 def mesh_settings(arguments: argparse.Namespace) -> LocalMeshSettings:

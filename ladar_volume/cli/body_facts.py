@@ -32,6 +32,8 @@ def body_facts(body: Body) -> dict[str, Any]:
         "curvature_m3": body.curvature_m3,
         "closed_m3": body.closed_m3,
         "area_m2": body.area_m2,
+        "low_m": skin.vertices[skin.triangles].min(axis=(0, 1)).tolist(),
+        "high_m": skin.vertices[skin.triangles].max(axis=(0, 1)).tolist(),
         "centroid_map_m": body.centroid_map.tolist(),
         "watertight": bool((uses == 2).all()),
         "euler": len(np.unique(skin.triangles)) - len(uses) + len(skin.triangles),
@@ -71,6 +73,8 @@ def all_facts(bodies: Sequence[Body], uncertain: Uncertain | None) -> dict[str, 
         "watertight": all(f["watertight"] for f in each),
         "bodies": each,
         "covariance_m6": None if uncertain is None else uncertain.C_m6.tolist(),
+        "failed": [],
+        "verdict": Verdict().as_dict(),
         "version": version(),
     }
 
@@ -106,7 +110,18 @@ def cloud_facts(
             "points": len(made.sources[k]),
         }
         if found is not None:
-            body["height_m"] = found.records[k].height_m
+            body["height_m"] = found.records[made.numbers[k]].height_m
+    facts["failed"] = [
+        {
+            "object": f.number + 1,
+            "points": f.points,
+            "middle_m": f.middle_m.tolist(),
+            "low_m": f.low_m.tolist(),
+            "high_m": f.high_m.tolist(),
+            "reason": f.reason,
+        }
+        for f in made.failed
+    ]
     ground = made.ground
     return {
         **facts,
@@ -126,54 +141,71 @@ def cloud_facts(
 
 def show(console: Console, facts: Mapping[str, Any]) -> None:
     """Print the bodies, where their uncertainty comes from, and what was closed."""
-    table = Table(
-        "body",
-        "volume / m³",
-        "sigma / m³",
-        "uncorrected / m³",
-        "closed / m³",
-        "V − E + F",
-        "centre",
-    )
+    table = Table("body", "volume", "sigma", "uncorrected", "closed", "V − E + F", "centre", "size")
     for k, b in enumerate(facts["bodies"]):
-        share = (
-            ""
-            if b["sigma_m3"] is None
-            else f"{b['sigma_m3']:.4g} ({100 * b['sigma_m3'] / abs(b['volume_m3']):.2f} %)"
-        )
-        centre = ", ".join(f"{x:.2f}" for x in b["centroid_map_m"])
-        table.add_row(
-            str(k + 1),
-            f"[bold]{b['volume_m3']:.5g}[/bold]",
-            share or "not known",
-            f"{b['uncorrected_m3']:.5g}",
-            f"{b['closed_m3']:.3g}",
-            str(b["euler"]),
-            centre,
-        )
+        size = [high - low for low, high in zip(b["low_m"], b["high_m"], strict=True)]
+        places = (", ".join(f"{x:.7g}" for x in b["centroid_map_m"]), three(size))
+        table.add_row(str(k + 1), *volumes(b), str(b["euler"]), *places)
+    for f in facts["failed"]:
+        place = ", ".join(f"{x:.7g}" for x in f["middle_m"])
+        extent = three([high - low for low, high in zip(f["low_m"], f["high_m"], strict=True)])
+        table.add_row(f"object {f['object']}", "failed", "", "", "", "", place, extent)
     if len(facts["bodies"]) > 1:
-        sigma = "not known" if facts["sigma_m3"] is None else f"{facts['sigma_m3']:.4g}"
-        table.add_row(
-            "all",
-            f"{facts['volume_m3']:.5g}",
-            sigma,
-            f"{facts['uncorrected_m3']:.5g}",
-            f"{facts['closed_m3']:.3g}",
-            "",
-            "",
-        )
+        table.add_row("all", *volumes(facts), "", "", "")
     console.print(table)
     for k, b in enumerate(facts["bodies"]):
         console.print(f"body {k + 1}: {details(b)}")
     if facts["sigma_m3"] is None:
         console.print("sigma is not known: give --sigma, the standard deviation of each vertex")
-    verdict = Table(show_header=False, box=None, pad_edge=False)
-    add_verdict_rows(verdict, facts["verdict"])
-    console.print(verdict)
+    above = facts.get("above_ground")
+    if above is not None and above["missed"]:
+        console.print(
+            f"{above['missed']:,} of {above['above']:,} points above the ground are in no body "
+            f"({above['small']:,} clusters too small to be one)"
+        )
+    rows = Table(show_header=False)
+    add_verdict_rows(rows, facts["verdict"])
+    console.print(rows)
     console.print(
         f"watertight: {'yes' if facts['watertight'] else 'no'}; written to "
         f"{facts['output']['path']}"
     )
+
+
+def three(size_m: Sequence[float]) -> str:
+    """Extent as length × width × height, three digits."""
+    return " × ".join(f"{x:.3g}" for x in size_m) + " m"
+
+
+def volumes(b: Mapping[str, Any]) -> tuple[str, str, str, str]:
+    """Volume, sigma, uncorrected and closed volume of one body."""
+    volume, sigma = quantity(b["volume_m3"], b["sigma_m3"])
+    share = "not known"
+    if b["sigma_m3"] is not None:
+        share = f"{sigma} ({100 * b['sigma_m3'] / abs(b['volume_m3']):.2g} %)"
+    uncorrected = quantity(b["uncorrected_m3"], b["sigma_m3"], abs(b["volume_m3"]))[0]
+    closed = quantity(b["closed_m3"], b["sigma_m3"], abs(b["volume_m3"]))[0]
+    return f"[bold]{volume}[/bold]", share, uncorrected, closed
+
+
+#: Units of volume, in m³, the largest first.
+UNITS = (("m³", 1.0), ("L", 1e-3), ("cm³", 1e-6), ("mm³", 1e-9))
+
+
+def quantity(
+    value_m3: float, sigma_m3: float | None, like_m3: float | None = None
+) -> tuple[str, str]:
+    """A volume and its sigma in the unit that fits it (or ``like_m3``): two digits of sigma, the
+    volume to the same place; five digits of the volume where sigma is not known or zero.
+    """
+    size = abs(value_m3) if like_m3 is None else like_m3
+    unit, scale = next((u for u in UNITS if size >= 0.1 * u[1]), UNITS[-1])
+    if not sigma_m3 or not np.isfinite(sigma_m3):
+        return f"{value_m3 / scale:.5g} {unit}", "0"
+    sigma = float(f"{sigma_m3 / scale:.1e}")
+    places = 1 - int(np.floor(np.log10(sigma)))
+    shown = [f"{round(x, places):,.{max(places, 0)}f} {unit}" for x in (value_m3 / scale, sigma)]
+    return shown[0], shown[1]
 
 
 def details(b: Mapping[str, Any]) -> str:

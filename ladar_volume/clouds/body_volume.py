@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import identity
 
 from ladar_volume.clouds.filter.filter_adjoint import influence
 from ladar_volume.clouds.filter.filter_result import CloudResult
@@ -30,12 +31,17 @@ from ladar_volume.mesh.closing import close
 from ladar_volume.mesh.crossed_space import Crossing, crossing_doubts, crossing_of
 from ladar_volume.mesh.edge_completion import SHARP_RAD, sharpen
 from ladar_volume.mesh.linear_mesh import Skin, skin_of
+from ladar_volume.mesh.local_mesh import LocalMesh
 from ladar_volume.mesh.tetrahedra import (
     ClosedVolume,
     closed_variance,
     closed_volume,
+    other_poles,
     signed_tetrahedra,
+    surface_area,
+    tetrahedra_gradient,
 )
+from ladar_volume.mesh.topology import Oriented, edge_table
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane
 from ladar_volume.model.verdict import Doubt
 
@@ -140,6 +146,35 @@ def body_of(
         by_measured,
         closed.gradient.ravel() @ skin.by_ground,
     )
+
+
+def published_body(mesh: LocalMesh, pole_map: F64 | None = None) -> Body:
+    """The sum of signed tetrahedra of a mesh as published (seed 002 section 7.2), closed or not,
+    about the middle of its points: nothing is completed, closed or corrected.
+
+    Where the mesh is open the volume depends on the pole, and ``closed.pole_spread_m3`` says by
+    how much.
+    """
+    v, t = mesh.vertices, mesh.triangles
+    pole = v.mean(axis=0) if pole_map is None else np.asarray(pole_map, dtype=np.float64)
+    volume = float(signed_tetrahedra(v, t, pole).sum())
+    spread = max(abs(float(signed_tetrahedra(v, t, q).sum()) - volume) for q in other_poles(v))
+    ends = np.array([rim for rim in mesh.rims], np.int32).reshape(-1, 2)
+    turned, part = np.zeros(len(t), bool), np.zeros(len(t), np.int32)
+    edges = len(edge_table(t)[1]) - 1
+    used = Oriented(t, turned, part, ends, edges, len(np.unique(t)))
+    gradient = tetrahedra_gradient(v, t, pole)
+    closed = ClosedVolume(
+        volume, np.array([volume]), gradient, surface_area(v, t), pole, spread, used, turned
+    )
+    kind, face = np.zeros(len(v), np.int32), np.zeros(len(t), np.int32)
+    unknown = np.full((len(t), 3, 3), np.nan)
+    still, by_ground = np.zeros(len(v), bool), np.zeros((3 * len(v), 3))
+    direct = identity(3 * len(v), format="csr")
+    skin = Skin(v, t, unknown, kind, still, face, direct, by_ground)
+    none = np.zeros(3)
+    centre = solid_centroid(v, closed)
+    return Body(volume, volume, 0.0, 0.0, 0.0, centre, skin, closed, (), 0, False, gradient, none)
 
 
 def solid_centroid(vertices: F64, closed: ClosedVolume) -> F64:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ladar_volume.clouds.body_volume import Body, body_of
+from ladar_volume.clouds.body_volume import Body, body_of, published_body
 from ladar_volume.mesh.edge_completion import SHARP_RAD
 from ladar_volume.mesh.local_mesh import LocalMesh, LocalMeshSettings, mesh_cloud
 from ladar_volume.mesh.topology import orient
@@ -43,10 +43,25 @@ class BodyOptions:
 
 
 @dataclass(frozen=True)
+class FailedBody:
+    """number : its label · points : how many · middle_m, low_m, high_m : (3,) mean and corners of
+    its points · reason : one sentence
+    """
+
+    number: int
+    points: int
+    middle_m: F64
+    low_m: F64
+    high_m: F64
+    reason: str
+
+
+@dataclass(frozen=True)
 class CloudBodies:
     """bodies · sources : (k,) of each, the point of each measured vertex · meshes : as built,
     before edges and closing · stray : triangles left out, per body · ground : where they stand,
-    None for bodies seen from all sides
+    None for bodies seen from all sides · numbers : label of each body · failed : labels of which
+    no body came
     """
 
     bodies: tuple[Body, ...]
@@ -54,6 +69,8 @@ class CloudBodies:
     meshes: tuple[LocalMesh, ...]
     stray: tuple[int, ...]
     ground: Plane | None
+    numbers: tuple[int, ...] = ()
+    failed: tuple[FailedBody, ...] = ()
 
 
 def cloud_bodies(
@@ -71,8 +88,8 @@ def cloud_bodies(
     surface there is curved, None where normals tell · label : (n,) body of each point, −1 for none
     · ground : None where bodies are seen from all sides · step : called with the number of each
     body and how many there are, before it is made. Raises :class:`VolumeError` (volume_no_body)
-    where no point is in a body and :class:`SurfaceError` for a body that cannot be meshed or
-    closed, naming it.
+    where no point is in a body and :class:`SurfaceError` where none can be meshed and closed; the
+    others are ``failed``.
     """
     o = options or BodyOptions()
     many = int(label.max(initial=-1)) + 1
@@ -84,17 +101,24 @@ def cloud_bodies(
             ),
             reason="volume_no_body",
         )
-    made = []
+    made, numbers, failed, errors = [], [], [], []
     for number in range(many):
         step(number, many)
         rows = np.flatnonzero(label == number).astype(np.int64)
         try:
             made.append((*_body(points, normals, curved, rows, ground, o), rows))
+            numbers.append(number)
         except SurfaceError as error:
-            name = f"body {number + 1}: " if many > 1 else ""
-            raise SurfaceError(f"{name}{error}", reason=error.reason, value=error.value) from error
+            errors.append(error)
+            at = points[rows]
+            place = (at.mean(axis=0), at.min(axis=0), at.max(axis=0))
+            failed.append(FailedBody(number, len(rows), *place, str(error)))
+    if not made:
+        name = f"none of {many} bodies can be made; body 1: " if many > 1 else ""
+        first = errors[0]
+        raise SurfaceError(f"{name}{first}", reason=first.reason, value=first.value) from first
     bodies, meshes, stray, sources = zip(*made, strict=True)
-    return CloudBodies(bodies, sources, meshes, stray, ground)
+    return CloudBodies(bodies, sources, meshes, stray, ground, tuple(numbers), tuple(failed))
 
 
 def _body(
@@ -117,6 +141,13 @@ def _body(
             reason="mesh_points",
             value=places,
         )
+    if o.mesh.method == "published":
+        if ground is not None:
+            raise SurfaceError(
+                "the published mesh is not closed on a ground: --ground none, or no --repair",
+                reason="mesh_settings",
+            )
+        return published_body(mesh, o.pole_map), mesh, 0
     close_m = o.close_m or CLOSE * float(mesh.report["radius_m"])
     triangles, left = without_stray(mesh)
     body = body_of(
@@ -130,6 +161,14 @@ def _body(
         o.pole_map,
         allow_crossings=True,
     )
+    size_m, spacing_m = float(np.cbrt(abs(body.volume_m3))), float(mesh.report["spacing_m"])
+    if size_m < spacing_m:
+        raise SurfaceError(
+            f"its size of {size_m:.2g} m (cube root of the volume) is less than the spacing of its "
+            f"points, {spacing_m:.2g} m: scan it more densely",
+            reason="body_small",
+            value=size_m,
+        )
     return body, mesh, left
 
 

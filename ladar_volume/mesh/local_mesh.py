@@ -293,6 +293,7 @@ def overlapping(given: F64, first: I64, p: F64, n: F64, settings: LocalMeshSetti
     normals = np.zeros_like(given)
     normals[first] = n
     report: dict[str, float | int] = {
+        "method_published": 1,
         "radius_m": settings.radius_m,
         "found": len(found),
         "repaired": len(t) - len(found),

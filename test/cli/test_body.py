@@ -6,11 +6,24 @@ import numpy as np
 import pytest
 from closed_meshes import CUBE_T, CUBE_V, moebius, sphere
 
+from ladar_volume.cli.body_facts import quantity
 from ladar_volume.cli.main import main
+from ladar_volume.clouds.body_verdict import (
+    at_the_edge,
+    bodies_verdict,
+    check_missed,
+    missed_points,
+    step_between,
+)
+from ladar_volume.clouds.cloud_bodies import cloud_bodies
+from ladar_volume.experiments import thesis_scene
+from ladar_volume.ground.objects import ObjectParameters, find_objects
+from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.io.meshfiles.mesh_files import holds_faces, read_mesh, write_mesh
 from ladar_volume.io.meshfiles.ply_mesh import parse_header
 from ladar_volume.io.pointfiles.cloud_files import write_cloud
 from ladar_volume.mesh.topology import orient
+from ladar_volume.model.errors import ObjectError
 
 
 def boxes(rng, places, count=3500, noise=0.01):
@@ -219,3 +232,102 @@ def test_clouds_without_a_body_are_refused_in_one_line(cloud, tmp_path, capsys):
     ):
         assert say in refusal(capsys, words[0], "-o", out, *words[1:])
     assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("repair", "low", "high"),
+    [
+        ("none", 1.02, 1.12),
+        ("empty", 1.02, 1.13),
+        ("false", 0.99, 1.07),
+        ("both", 0.99, 1.08),
+        ("remove", 0.8, 1.0),
+    ],
+)
+def test_published_repairs_of_the_cube(published, repair, low, high, tmp_path, capsys):
+    out = tmp_path / "o.ply"
+    words = (published, "-o", out, "--no-filter", "--mesh-radius", "0.2", "--repair", repair)
+    facts = answer(capsys, *words)
+    assert low < facts["volume_m3"] < high and out.exists()
+    assert facts["verdict"]["status"] == "doubtful"
+    assert [r["name"] for r in facts["verdict"]["reasons"]] == ["mesh_published"]
+    assert main(["body", *map(str, words), "--strict", "--json"]) == 3
+    capsys.readouterr()
+
+
+@pytest.fixture(scope="module")
+def published(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("published")
+    raw, out = folder / "cube.ply", folder / "filtered.ply"
+    write_cloud(raw, thesis_scene.box(0))
+    assert main(["filter", str(raw), "-o", str(out), "--preset", "box"]) == 0
+    return out
+
+
+def test_repair_says_what_it_needs(published, tmp_path, capsys):
+    out = tmp_path / "o.ply"
+    words = (published, "-o", out, "--no-filter", "--repair", "both")
+    assert "--mesh-radius" in refusal(capsys, *words)
+    assert "--ground none" in refusal(capsys, *words, "--mesh-radius", "0.2", "--ground", "0")
+
+
+def grid_piles(spacing, size=1.0):
+    """Two pyramids of 8 and 4 m on a ground of 30 x 16 m, times ``size``; exact points."""
+    x, y = np.meshgrid(np.arange(0, 30, spacing), np.arange(0, 16, spacing))
+    rng = np.random.default_rng(3)
+    x, y = (a.ravel() + 0.2 * spacing * rng.uniform(-1, 1, a.size) for a in (x, y))
+    z = np.maximum(3 - np.maximum(abs(x - 8), abs(y - 8)) * 0.75, 0)
+    z = np.maximum(z, 1.5 - np.maximum(abs(x - 22), abs(y - 8)) * 0.75)
+    return size * np.column_stack([x, y, np.maximum(z, 0)])
+
+
+@pytest.mark.parametrize("spacing", [0.2, 0.5])
+def test_objects_step_by_the_spacing(spacing):
+    # 0.3 m between points of one object found nothing at 0.5 m
+    p = grid_piles(spacing)
+    step = step_between(p)
+    found = find_objects(p, [design_surface([0.0])], ObjectParameters(distance_m=step))
+    assert len(found.records) == 2
+    assert step_between(1000.0 * p) == pytest.approx(1000.0 * step, rel=1e-9)
+
+
+def test_points_in_no_body_are_counted_and_refused():
+    p, ground = grid_piles(0.2), design_surface([0.0])
+    q = ObjectParameters(distance_m=0.5, min_points=1000)
+    missed = missed_points(p, ground, find_objects(p, [ground], q), q)
+    assert 0.05 < missed.share < 0.5 and missed.small == 1
+    with pytest.raises(ObjectError, match="are in no body"):
+        check_missed(missed)
+
+
+def test_one_failed_body_does_not_lose_the_others():
+    v, _ = sphere(1500)
+    sheet = np.column_stack([np.random.default_rng(1).uniform(-1, 1, (400, 2)), np.zeros(400)])
+    points = np.concatenate([v, sheet + np.array([10.0, 0.0, 0.0])])
+    label = np.repeat([0, 1], [len(v), 400])
+    made = cloud_bodies(points, None, None, label, None)
+    assert made.numbers == (0,) and [f.number for f in made.failed] == [1]
+    assert made.failed[0].points == 400 and made.failed[0].middle_m[0] == pytest.approx(10, abs=0.1)
+    verdict = bodies_verdict(made, points, None)
+    assert [d.name for d in verdict.doubts] == ["body_failed"] and "at 9.99" in verdict.doubts[
+        0
+    ].text
+
+
+def test_a_body_at_the_edge_of_the_data():
+    p = grid_piles(0.2)
+    assert at_the_edge(p, p[p[:, 0] < 2], 0.3)
+    assert not at_the_edge(p, p[(abs(p[:, 0] - 8) < 4) & (abs(p[:, 1] - 8) < 4)], 0.3)
+
+
+@pytest.mark.parametrize(
+    ("value", "sigma", "shown"),
+    [
+        (1.23456, 0.0123, ("1.235 m³", "0.012 m³")),
+        (1.23456e9, 4.56e6, ("1,234,600,000 m³", "4,600,000 m³")),
+        (1.23456e-6, 2e-9, ("1.2346 cm³", "0.0020 cm³")),
+        (0.0123456, 0.000099999, ("12.35 L", "0.10 L")),
+    ],
+)
+def test_digits_follow_sigma(value, sigma, shown):
+    assert quantity(value, sigma) == shown

@@ -100,7 +100,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     g.add_argument("--min-points", type=int, metavar="N", help="fewest points of an object")
     g.add_argument(
-        "--distance", type=float, metavar="M", help="longest step between points of one object"
+        "--distance",
+        type=float,
+        metavar="M",
+        help="longest step between points of one object (default: from the spacing)",
     )
     g.add_argument(
         "--split",
@@ -134,7 +137,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     g.add_argument(
         "--repair",
         choices=REPAIRS,
-        help="mesh by the published Algorithm 2 with this repair (needs --mesh-radius)",
+        help="mesh by the published Algorithm 2 with this repair, of bodies seen from all sides "
+        "(needs --mesh-radius; the ground is none)",
     )
     g.add_argument(
         "--close",
