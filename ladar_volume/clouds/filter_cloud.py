@@ -119,9 +119,9 @@ def _result(
     if steps.any():
         report["rounded_to_m"] = float(steps.max())
     noise = factor * tuned.regions.sigma_m[index]
-    sigma = np.sqrt(
-        factor**2 * done.variance[index] + shared_rounding(done.normal[index], steps, noise)
-    )
+    reach = tuned.regions.ball_m[done.level[index]]
+    rounding = shared_rounding(done.normal[index], steps, noise, reach)
+    sigma = np.sqrt(factor**2 * done.variance[index] + rounding)
     return CloudResult(
         np.where(flag[:, None], local[index], done.q[index]) + origin,
         index,
@@ -131,7 +131,7 @@ def _result(
         done.reason[outliers].astype(np.int64),
         report,
         noise=np.where(flag, sparse.sigma_m, noise),
-        reach=np.where(flag, sparse.reach_m, tuned.regions.ball_m[done.level[index]]),
+        reach=np.where(flag, sparse.reach_m, reach),
         curved=(done.kind[index] == -1) & ~flag,
         flag=flags if flag.any() else None,
         verdict=doubts(report, tuned.told),
