@@ -10,17 +10,17 @@ import numpy as np
 
 from ladar_volume.clouds.filter import cell_surface
 from ladar_volume.clouds.filter.cell_cover import Covered, Regions, cover
-from ladar_volume.clouds.filter.distinct_points import distinct, repeated
 from ladar_volume.clouds.filter.filter_doubts import doubts
 from ladar_volume.clouds.filter.filter_result import REASONS as REASONS
 from ladar_volume.clouds.filter.filter_result import CloudResult as CloudResult
 from ladar_volume.clouds.filter.filter_result import checked
 from ladar_volume.clouds.filter.point_reduction import expanded, merged, reduce_points
-from ladar_volume.clouds.filter.rounding_step import rounding_steps, shared_rounding
 from ladar_volume.clouds.filter.self_tuning import Tuned, choose
 from ladar_volume.clouds.filter.sparse_points import CLUTTER, Sparse, name_the_rest
 from ladar_volume.clouds.filter.surface_noise import settled
 from ladar_volume.clouds.published.published_filter import filter_published, settings
+from ladar_volume.clouds.sampling.distinct_points import distinct, repeated
+from ladar_volume.clouds.sampling.rounding_step import rounding_steps, shared_rounding
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64
 

@@ -1,5 +1,5 @@
 """Parameters that set themselves where a cloud was sampled along lines: noise and radii from
-neighbourhoods across several lines (:mod:`~ladar_volume.clouds.filter.sampling_lines`).
+neighbourhoods across several lines (:mod:`~ladar_volume.clouds.sampling.sampling_lines`).
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ladar_volume.clouds.filter.cell_cover import Covered, Regions
-from ladar_volume.clouds.filter.sampling_lines import OVER, Lines
-from ladar_volume.clouds.filter.trimmed_noise import trimmed_noise
+from ladar_volume.clouds.sampling.sampling_lines import OVER, Lines
+from ladar_volume.clouds.sampling.trimmed_noise import trimmed_noise
 from ladar_volume.model.records import F64, I64, Bool
 
 #: Neighbourhoods over the distance at which lines come together: that which tells noise, that of

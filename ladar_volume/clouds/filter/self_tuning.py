@@ -18,8 +18,8 @@ from scipy.spatial import cKDTree
 from ladar_volume.clouds.filter.cell_cover import Regions, cover
 from ladar_volume.clouds.filter.line_tuning import Places, first_noise, line_regions
 from ladar_volume.clouds.filter.noise_estimate import hashes, scatter
-from ladar_volume.clouds.filter.rounding_step import spread, without_spread
-from ladar_volume.clouds.filter.sampling_lines import Lines, find_lines, lined, uneven
+from ladar_volume.clouds.sampling.rounding_step import spread, without_spread
+from ladar_volume.clouds.sampling.sampling_lines import Lines, find_lines, lined, uneven
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64, I64, Bool
 

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 from ladar_volume.clouds.filter import cell_surface
 from ladar_volume.clouds.filter.cell_cover import Covered
 from ladar_volume.clouds.filter.filter_result import REASONS
-from ladar_volume.clouds.filter.isolation import belonging, spacing
 from ladar_volume.clouds.filter.self_tuning import Tuned
+from ladar_volume.clouds.sampling.isolation import belonging, spacing
 from ladar_volume.model.records import F64, Bool
 
 CLUTTER = REASONS.index("clutter")
