@@ -35,7 +35,7 @@ QUIET, CLUTTER = 0.05, 5.0
 #: how often that is settled. Real lines have tails, which a closer cut would hide.
 CUT, MISSED, ROUNDS = 3.5, 0.9939, 3
 #: They are sought from this share of the noise believed on.
-FROM = 0.6
+FROM = 0.8
 
 
 @dataclass(frozen=True)

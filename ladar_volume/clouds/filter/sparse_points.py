@@ -90,7 +90,7 @@ def _beside(r: F64, done: Covered, tuned: Tuned) -> Bool:
         k = min(LINE, len(kept))
         tree = cKDTree(r[kept], balanced_tree=False)
         distance, near = tree.query(r[open_], k=k, workers=-1)
-        near, distance = kept[near.reshape(-1, k)], distance.reshape(-1, k)
+        near, distance = kept[near.reshape(-1, k)], np.asarray(distance).reshape(-1, k)
         off = np.abs(np.einsum("ski,ski->sk", r[open_, None] - done.q[near], done.normal[near]))
         reach = tuned.regions.ball_m[done.level[near]]
         fits = (off <= tuned.regions.threshold_m[near]) & (distance <= reach)
