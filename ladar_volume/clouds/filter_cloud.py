@@ -10,17 +10,17 @@ import numpy as np
 
 from ladar_volume.clouds.filter import cell_surface
 from ladar_volume.clouds.filter.cell_cover import Covered, Regions, cover
-from ladar_volume.clouds.filter.distinct_points import distinct, repeated
 from ladar_volume.clouds.filter.filter_doubts import doubts
 from ladar_volume.clouds.filter.filter_result import REASONS as REASONS
 from ladar_volume.clouds.filter.filter_result import CloudResult as CloudResult
 from ladar_volume.clouds.filter.filter_result import checked
 from ladar_volume.clouds.filter.point_reduction import expanded, merged, reduce_points
-from ladar_volume.clouds.filter.rounding_step import rounding_steps, shared_rounding
 from ladar_volume.clouds.filter.self_tuning import Tuned, choose
 from ladar_volume.clouds.filter.sparse_points import CLUTTER, Sparse, name_the_rest
 from ladar_volume.clouds.filter.surface_noise import settled
 from ladar_volume.clouds.published.published_filter import filter_published, settings
+from ladar_volume.clouds.sampling.distinct_points import distinct, repeated
+from ladar_volume.clouds.sampling.rounding_step import rounding_steps, shared_rounding
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64
 
@@ -119,9 +119,9 @@ def _result(
     if steps.any():
         report["rounded_to_m"] = float(steps.max())
     noise = factor * tuned.regions.sigma_m[index]
-    sigma = np.sqrt(
-        factor**2 * done.variance[index] + shared_rounding(done.normal[index], steps, noise)
-    )
+    reach = tuned.regions.ball_m[done.level[index]]
+    rounding = shared_rounding(done.normal[index], steps, noise, reach)
+    sigma = np.sqrt(factor**2 * done.variance[index] + rounding)
     return CloudResult(
         np.where(flag[:, None], local[index], done.q[index]) + origin,
         index,
@@ -131,7 +131,7 @@ def _result(
         done.reason[outliers].astype(np.int64),
         report,
         noise=np.where(flag, sparse.sigma_m, noise),
-        reach=np.where(flag, sparse.reach_m, tuned.regions.ball_m[done.level[index]]),
+        reach=np.where(flag, sparse.reach_m, reach),
         curved=(done.kind[index] == -1) & ~flag,
         flag=flags if flag.any() else None,
         verdict=doubts(report, tuned.told),

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ladar_volume.clouds.filter.distinct_points import distinct
-from ladar_volume.clouds.filter.rounding_step import rounding_steps, spread
-from ladar_volume.clouds.filter.sampling_lines import find_lines, lined
-from ladar_volume.clouds.filter.trimmed_noise import trimmed_noise
 from ladar_volume.clouds.filter_cloud import REASONS, filter_cloud
+from ladar_volume.clouds.sampling.distinct_points import distinct
+from ladar_volume.clouds.sampling.rounding_step import rounding_steps, spread
+from ladar_volume.clouds.sampling.sampling_lines import find_lines, lined
+from ladar_volume.clouds.sampling.trimmed_noise import trimmed_noise
 from ladar_volume.model.parameters import FilterParameters
 
 NOISE = 0.01

@@ -1,5 +1,5 @@
 """Parameters that set themselves where a cloud was sampled along lines: noise and radii from
-neighbourhoods across several lines (:mod:`~ladar_volume.clouds.filter.sampling_lines`).
+neighbourhoods across several lines (:mod:`~ladar_volume.clouds.sampling.sampling_lines`).
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ladar_volume.clouds.filter.cell_cover import Covered, Regions
-from ladar_volume.clouds.filter.sampling_lines import OVER, Lines
-from ladar_volume.clouds.filter.trimmed_noise import trimmed_noise
+from ladar_volume.clouds.sampling.sampling_lines import OVER, Lines
+from ladar_volume.clouds.sampling.trimmed_noise import trimmed_noise
 from ladar_volume.model.records import F64, I64, Bool
 
 #: Neighbourhoods over the distance at which lines come together: that which tells noise, that of
@@ -28,11 +28,14 @@ ACROSS = 0.1
 #: Neighbouring radii differ by this factor.
 STEP = float(np.sqrt(2.0))
 #: Noise is the median of so many samples' values.
-SMOOTH = 9
+SMOOTH = 5
 #: Noise of a place lies within these shares of the cloud's; above it it is leaves and branches.
 QUIET, CLUTTER = 0.05, 5.0
-#: Residuals that tell the noise of a place lie within so many sigma; what their squares miss.
-CUT, MISSED = 3.0, 0.9733
+#: Residuals that tell the noise of a place lie within so many sigma; what their squares miss, and
+#: how often that is settled. Real lines have tails, which a closer cut would hide.
+CUT, MISSED, ROUNDS = 3.5, 0.9939, 3
+#: They are sought from this share of the noise believed on.
+FROM = 0.8
 
 
 @dataclass(frozen=True)
@@ -121,8 +124,8 @@ def surface_noise(distance: F64, share: F64, found: Bool, sigma: F64, where: Pla
     )
     enough = inside.sum(axis=1) >= FEWEST
     d[~enough] = 0.0
-    each = np.maximum(1.4826 * np.nanmedian(d, axis=1), 0.3 * sigma[where.at])
-    for _ in range(4):
+    each = np.maximum(1.4826 * np.nanmedian(d, axis=1), FROM * sigma[where.at])
+    for _ in range(ROUNDS):
         cut = np.where(d <= CUT * each[:, None], d, np.nan)
         each = np.sqrt(np.nanmean(cut**2, axis=1) / MISSED)
         each = np.where(np.isfinite(each), each, 0.0)

@@ -18,8 +18,8 @@ from scipy.spatial import cKDTree
 from ladar_volume.clouds.filter.cell_cover import Regions, cover
 from ladar_volume.clouds.filter.line_tuning import Places, first_noise, line_regions
 from ladar_volume.clouds.filter.noise_estimate import hashes, scatter
-from ladar_volume.clouds.filter.rounding_step import spread, without_spread
-from ladar_volume.clouds.filter.sampling_lines import Lines, find_lines, lined, uneven
+from ladar_volume.clouds.sampling.rounding_step import spread, without_spread
+from ladar_volume.clouds.sampling.sampling_lines import Lines, find_lines, lined, uneven
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64, I64, Bool
 
@@ -118,7 +118,7 @@ def choose(r: F64, parameters: FilterParameters, auto: bool, steps: F64) -> Tune
     distance, near = _query(tree, r[at], MOST)
     smooth = _nearest(r[at], r[at], SMOOTH)
     evenly = spread(r, steps, parameters.seed)
-    if lined(r, near) or uneven(distance):
+    if lined(r, near) or uneven(distance, smooth):
         return _along_lines(r, evenly, steps, distance, parameters, auto)
     noise, narrow = _noise(evenly, distance, near, smooth, parameters.seed)
     noise = without_spread(noise, steps)

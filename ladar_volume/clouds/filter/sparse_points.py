@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 from ladar_volume.clouds.filter import cell_surface
 from ladar_volume.clouds.filter.cell_cover import Covered
 from ladar_volume.clouds.filter.filter_result import REASONS
-from ladar_volume.clouds.filter.isolation import belonging, spacing
 from ladar_volume.clouds.filter.self_tuning import Tuned
+from ladar_volume.clouds.sampling.isolation import belonging, spacing
 from ladar_volume.model.records import F64, Bool
 
 CLUTTER = REASONS.index("clutter")
@@ -90,7 +90,11 @@ def _beside(r: F64, done: Covered, tuned: Tuned) -> Bool:
         k = min(LINE, len(kept))
         tree = cKDTree(r[kept], balanced_tree=False)
         distance, near = tree.query(r[open_], k=k, workers=-1)
+<<<<<<< HEAD
         near, distance = kept[np.reshape(near, (-1, k))], np.reshape(distance, (-1, k))
+=======
+        near, distance = kept[near.reshape(-1, k)], np.asarray(distance).reshape(-1, k)
+>>>>>>> filter
         off = np.abs(np.einsum("ski,ski->sk", r[open_, None] - done.q[near], done.normal[near]))
         reach = tuned.regions.ball_m[done.level[near]]
         fits = (off <= tuned.regions.threshold_m[near]) & (distance <= reach)

@@ -21,8 +21,6 @@ DIFFERENT = 8
 #: Significant digits of steps in metres, international and US survey feet.
 DIGITS = (1.0, 2.0, 2.5, 5.0)
 UNITS = (1.0, 0.3048, 1200.0 / 3937.0)
-#: A surface lies along the grid where its normal's cosine to an axis is above this.
-ALONG = 0.9999
 #: Noise over the step from which on rounding shifts nothing.
 LOUD = 1.5
 #: Steps are sought within these shares of a cloud's width.
@@ -90,16 +88,17 @@ def without_spread(noise: F64, steps: F64) -> F64:
     return np.asarray(np.sqrt(np.maximum(noise**2 - added, added)))
 
 
-def shared_rounding(normal: F64, steps: F64, noise: F64) -> F64 | float:
+def shared_rounding(normal: F64, steps: F64, noise: F64, reach: F64) -> F64 | float:
     """Variance (k,) m² that rounding leaves in surfaces with normals (k, 3), and that no residual
-    shows: a quiet surface along the grid moves as a whole.
+    shows: a quiet surface that rises by less than a step within its ``reach`` (k,) moves as one.
     """
     if not steps.any():
         return 0.0
     out = np.zeros(len(normal))
     for axis in np.flatnonzero(steps):
         step = float(steps[axis])
-        along = np.abs(normal[:, axis]) > ALONG
+        rise = reach * np.sqrt(np.maximum(1.0 - normal[:, axis] ** 2, 0.0))
+        along = rise < step
         known = np.linspace(0.0, LOUD, 64)
         table = [rounding_variance(step, step * float(k)) for k in known]
         out[along] += np.interp(noise[along] / step, known, table)

@@ -23,9 +23,9 @@ LINE = 0.1
 LINED, LOOK = 0.05, 30
 #: A neighbourhood reaches over so many voxels; points that it must hold to be a line, or more.
 OVER, FEW, FULL = 4.0, 5, 10
-#: Neighbours whose distance differs by this factor from the densest tenth to the sparsest; few show
-#: points in bunches, many show places of another density.
-UNEVEN = ((FEW + 1, 4.0), (LOOK, 3.0))
+#: Spacing that differs by this factor from the densest tenth to the sparsest; samples that tell the
+#: spacing of a place, and their quantile.
+UNEVEN, PLACE, USUAL = 2.6, 20, 0.3
 #: Neighbours asked for.
 ASKED = 32
 #: Voxels grow by this factor; a place where lines are told apart must stay one over so many steps.
@@ -81,16 +81,15 @@ def lined(r: F64, near: I64) -> bool:
     return bool(np.mean(values[:, 1] < LINE * values[:, 2]) >= LINED)
 
 
-def uneven(distance: F64) -> bool:
+def uneven(distance: F64, near: I64) -> bool:
     """Whether the spacing differs from place to place, from distances (s, k) to the neighbours of
-    samples.
+    samples, and the samples ``near`` (s, m) each: strays have another spacing, places do not.
     """
     if distance.shape[1] < LOOK:
         return False
-    return any(
-        bool(np.quantile(distance[:, k - 1], 0.9) > times * np.quantile(distance[:, k - 1], 0.1))
-        for k, times in UNEVEN
-    )
+    spacing = np.quantile(distance[:, LOOK - 1][near[:, :PLACE]], USUAL, axis=1)
+    low, high = np.quantile(spacing, (0.1, 0.9))
+    return bool(high > UNEVEN * low)
 
 
 def find_lines(r: F64, spacing_m: float) -> Lines:
@@ -118,8 +117,13 @@ def _state(r: F64, level: Thinned) -> I64:
     distance, near = level.tree.query(
         points, k=min(ASKED, len(points)), distance_upper_bound=OVER * level.edge_m
     )
+<<<<<<< HEAD:ladar_volume/clouds/filter/sampling_lines.py
     distance = np.reshape(distance, (len(points), -1))
     near = np.reshape(near, (len(points), -1))
+=======
+    distance = np.asarray(distance).reshape(len(points), -1)
+    near = np.asarray(near).reshape(len(points), -1)
+>>>>>>> filter:ladar_volume/clouds/sampling/sampling_lines.py
     found = np.isfinite(distance)
     count = found.sum(axis=1)
     values = _eigenvalues(points[np.where(found, near, 0)], found)

@@ -14,7 +14,7 @@ from ladar_volume.model.records import F64, Bool
 
 #: Neighbours whose distance is the spacing; points next to one that tell what is usual; how many
 #: times that a spacing may be; rounds of growth.
-NEXT, USUAL, TIMES, ROUNDS = 3, 5, 3.0, 12
+NEXT, USUAL, TIMES, ROUNDS = 3, 5, 2.0, 12
 
 
 def spacing(r: F64, among: F64) -> F64:
