@@ -247,7 +247,7 @@ class HeldPatches(Patches):
     """Patches as they are held, about half as large: the blocks ``factor_a cross_ab factor_bᵀ``
     with cross int8; M_nav int16, each row times its unit for position and for attitude; of M_cal
     only the columns that all beams share, those of single beams in M_beam as int16, each row times
-    its unit for their ranges and for their vertical angles (see ``volume.packing``).
+    its unit for their ranges and for their vertical angles (see ``uncertainty.packing``).
 
     factor : (m, p, p) float32 · nav_unit : (m, p + 2, 2) float32 · M_cal : (m, p + 2, 11) float32 ·
     M_beam : (m, p + 2, 2 beams) int16 · beam_unit : (m, p + 2, 2) float32

@@ -3,8 +3,8 @@ covariance from its normal equations.
 
 Source: seed 003 (registered scans A and B); normal equations after Chen & Medioni 1992, their
 covariance as in Censi 2007 without the derivative of the correspondences. Another program's
-iteration (Open3D's: ``io.epochs``) may find the way; the last steps and the covariance are done
-here, at fixed correspondences, so that both agree.
+iteration (Open3D's: ``io.epoch_registration``) may find the way; the last steps and the covariance
+are done here, at fixed correspondences, so that both agree.
 
 Residuals of neighbouring points are not independent: roughness, shared target points and the filter
 correlate them. With ``cell_m`` the covariance sums each cell's score first (a sandwich by
