@@ -81,7 +81,6 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
-    add_strict_option(parser)
     add_surface_options(parser, "1: every point")
     add_mesh_options(parser, second=True)
     add_strict_option(parser)
