@@ -11,7 +11,15 @@ import numpy as np
 from ladar_volume.ground.polynomial import design
 from ladar_volume.mesh.ground_clipping import heights, steepness
 from ladar_volume.mesh.hole_filling import ears, inside_loop, loop_area
-from ladar_volume.mesh.linear_mesh import GROUND, KINDS, Skin, blocks, extended, vertex_normals
+from ladar_volume.mesh.linear_mesh import (
+    GROUND,
+    KINDS,
+    Faces,
+    Skin,
+    blocks,
+    extended,
+    vertex_normals,
+)
 from ladar_volume.mesh.rims import Rim, place
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I64, Bool, Plane
@@ -126,9 +134,11 @@ def stand_on(skin: Skin, rims: list[Rim], ground: Plane, up: F64) -> tuple[Skin,
         GROUND,
         blocks(np.arange(len(q)), all_of, by_point, (len(q), n)),
         by_ground.reshape(-1, 3),
-        np.concatenate([skin.triangles, new.astype(np.int32)]),
-        np.concatenate([skin.normals, np.full((len(new), 3, 3), np.nan)]),
-        np.concatenate([skin.face, np.full(len(new), GROUND, np.int32)]),
+        Faces(
+            np.concatenate([skin.triangles, new.astype(np.int32)]),
+            np.concatenate([skin.normals, np.full((len(new), 3, 3), np.nan)]),
+            np.concatenate([skin.face, np.full(len(new), GROUND, np.int32)]),
+        ),
     )
     return skin, made
 

@@ -23,7 +23,7 @@ from ladar_volume.mesh.bottom_closing import IN_PLANE, Closure, stand_on, tetrah
 from ladar_volume.mesh.chord_curvature import bulge_volumes
 from ladar_volume.mesh.ground_clipping import clip_to_ground, heights, steepness
 from ladar_volume.mesh.hole_filling import least_area
-from ladar_volume.mesh.linear_mesh import GAP, Skin, blocks, extended, vertex_normals
+from ladar_volume.mesh.linear_mesh import GAP, Faces, Skin, blocks, extended, vertex_normals
 from ladar_volume.mesh.rims import LEAVES, Rim, descent, place, rims_of, split_fans
 from ladar_volume.mesh.topology import edge_table
 from ladar_volume.model.errors import SurfaceError
@@ -145,9 +145,11 @@ def fill_gap(skin: Skin, rim: Rim, close_m: float, hint: str) -> tuple[Skin, Clo
         GAP,
         blocks(rows, rim.vertices[: len(rows)], share, (len(new), n)),
         np.zeros((3 * len(new), 3)),
-        np.concatenate([skin.triangles, loop[inner].astype(np.int32)]),
-        np.concatenate([skin.normals, known[inner]]),
-        np.concatenate([skin.face, np.full(len(inner), GAP, np.int32)]),
+        Faces(
+            np.concatenate([skin.triangles, loop[inner].astype(np.int32)]),
+            np.concatenate([skin.normals, known[inner]]),
+            np.concatenate([skin.face, np.full(len(inner), GAP, np.int32)]),
+        ),
     )
     return skin, Closure(
         GAP, k, width, tetrahedra(skin.vertices, loop[inner], rim.middle), bulge_of(skin, before)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.mesh.linear_mesh import EDGE, Skin, blocks, extended
+from ladar_volume.mesh.linear_mesh import EDGE, Faces, Skin, blocks, extended
 from ladar_volume.mesh.topology import edge_table
 from ladar_volume.model.records import F64, I32, I64, Bool
 
@@ -112,9 +112,7 @@ def sharpen(skin: Skin, angle_rad: float = SHARP_RAD) -> tuple[Skin, int]:
         EDGE,
         by_vertices,
         np.zeros((3 * len(new), 3)),
-        triangles,
-        normals,
-        skin.face[parent],
+        Faces(triangles, normals, skin.face[parent]),
     )
     return made, len(new)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.ground.polynomial import base_height, design
-from ladar_volume.mesh.linear_mesh import GROUND, Skin, blocks, extended
+from ladar_volume.mesh.linear_mesh import GROUND, Faces, Skin, blocks, extended
 from ladar_volume.mesh.topology import edge_table
 from ladar_volume.model.records import F64, I64, Plane
 
@@ -56,9 +56,7 @@ def clip_to_ground(skin: Skin, ground: Plane) -> Skin:
         GROUND,
         by_vertices,
         by_ground.reshape(-1, 3),
-        triangles,
-        normals,
-        skin.face[parent],
+        Faces(triangles, normals, skin.face[parent]),
     )
 
 

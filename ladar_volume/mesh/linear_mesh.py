@@ -10,6 +10,7 @@ was measured (UNCERTAINTY step 1) and no made vertex is taken for an observation
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import bmat, csr_matrix, identity
@@ -129,19 +130,26 @@ def blocks(rows: I64, columns: I64, values: F64, shape: tuple[int, int]) -> csr_
     return csr_matrix((values.ravel(), (i.ravel(), j.ravel())), shape=(3 * shape[0], 3 * shape[1]))
 
 
+class Faces(NamedTuple):
+    """triangles : (m, 3) · normals : (m, 3, 3) at their corners · face : (m,) what each is, all as
+    in :class:`Skin`
+    """
+
+    triangles: I32
+    normals: F64
+    face: I32
+
+
 def extended(
     skin: Skin,
     new: F64,
     kind: int | I32,
     by_vertices: csr_matrix,
     by_ground: F64,
-    triangles: I32,
-    normals: F64,
-    face: I32,
+    faces: Faces,
     curved: Bool | None = None,
 ) -> Skin:
-    """The skin with new vertices (a, 3) of one kind, or (a,) kinds, and other triangles (m, 3),
-    corner normals (m, 3, 3) and faces (m,).
+    """The skin with new vertices (a, 3) of one kind, or (a,) kinds, and other faces.
 
     by_vertices : (3a, 3n), derivative of the new vertices by the old ones · by_ground : (3a, 3), by
     the ground at fixed old vertices · curved : (a,), by default not.
@@ -153,11 +161,11 @@ def extended(
     bends = np.concatenate([skin.curved, np.zeros(len(new), bool) if curved is None else curved])
     return Skin(
         np.concatenate([skin.vertices, new]),
-        triangles,
-        normals,
+        faces.triangles,
+        faces.normals,
         kinds,
         bends,
-        face,
+        faces.face,
         by_measured,
         by_all,
     )

@@ -10,7 +10,7 @@ import numpy as np
 
 from ladar_volume.ground.clusters import root_of, to_roots
 from ladar_volume.math.kernels import kernel
-from ladar_volume.mesh.linear_mesh import Skin, blocks, extended
+from ladar_volume.mesh.linear_mesh import Faces, Skin, blocks, extended
 from ladar_volume.mesh.topology import edge_table, orient
 from ladar_volume.model.records import F64, I32, I64
 
@@ -88,9 +88,7 @@ def split_fans(skin: Skin) -> Skin:
         skin.kind[old],
         copy,
         np.zeros((3 * len(more), 3)),
-        new,
-        skin.normals,
-        skin.face,
+        Faces(new, skin.normals, skin.face),
         skin.curved[old],
     )
 

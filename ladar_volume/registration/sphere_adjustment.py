@@ -11,6 +11,7 @@ equals that of its prediction by the others alone (leave-one-out), without refit
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -221,7 +222,9 @@ def register(
         if trial[1] < 1:  # what is left would agree with anything
             break
         used, (s, redundancy) = less, trial
-    return _assemble(x, y, (Cx, Cy), s, used, (value, p), redundancy, suspicious, risk, known)
+    return _assemble(
+        Centres(x, y, (Cx, Cy)), s, used, (value, p), redundancy, suspicious, risk, known
+    )
 
 
 def check_centres(x: F64, y: F64, scale: float | None) -> None:
@@ -244,10 +247,16 @@ def check_centres(x: F64, y: F64, scale: float | None) -> None:
         )
 
 
+class Centres(NamedTuple):
+    """Common centres x, y (n, 3) m in both frames and their covariances (3n, 3n), where stated."""
+
+    x: F64
+    y: F64
+    C: tuple[F64 | None, F64 | None]
+
+
 def _assemble(
-    x: F64,
-    y: F64,
-    C: tuple[F64 | None, F64 | None],
+    centres: Centres,
     s: Solution,
     used: Bool,
     test: tuple[F64, F64],
@@ -256,6 +265,7 @@ def _assemble(
     risk: float,
     known: bool,
 ) -> Registration:
+    x, y, C = centres
     total = float(s.v @ s.P @ s.v)
     variance = total / redundancy if redundancy > 0 else np.nan
     p_global = float(stats.chi2.sf(total, redundancy)) if known and redundancy > 0 else np.nan

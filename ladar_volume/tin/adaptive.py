@@ -21,6 +21,7 @@ from ladar_volume.tin.elevation_adjustment import measures
 from ladar_volume.tin.greedy import (
     Cloud,
     Heap,
+    Inserted,
     fit_kernel,
     greedy_kernel,
     heap_kernel,
@@ -288,7 +289,14 @@ class Insertion:
         taken, score = np.empty(left, np.int32), np.empty(left)
         heap_kernel(self.cloud, heap, self.mesh, self.size, by_area, tolerance)
         self.size, count = greedy_kernel(
-            self.cloud, heap, self.mesh, self.size, left, by_area, tolerance, self.w, taken, score
+            self.cloud,
+            heap,
+            self.mesh,
+            self.size,
+            by_area,
+            tolerance,
+            self.w,
+            Inserted(taken, score),
         )
         self.taken, self.score = np.concatenate([self.taken, taken[:count]]), score[:count]
 

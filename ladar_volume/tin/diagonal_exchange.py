@@ -13,6 +13,7 @@ from __future__ import annotations
 import dataclasses
 import heapq
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,6 +44,21 @@ class Exchange:
     asd_m: float
     rms_before_m: float
     asd_before_m: float
+
+
+class ListedSurface(NamedTuple):
+    """A surface with its points in lists by triangle. vertices : (n, 3) m · points : (k, 3) m ·
+    tri, nb : (m, 3) vertices and neighbours of the triangles · relevant : (m,) · first : (m,) first
+    point of each triangle · after : (k,) the one after each point; −1 ends a list
+    """
+
+    vertices: F64
+    points: F64
+    tri: I64
+    nb: I64
+    relevant: Bool
+    first: I64
+    after: I64
 
 
 @kernel
@@ -92,22 +108,12 @@ def side(vertices: F64, a: int, b: int, p: F64) -> float:
 
 
 @kernel
-def gain(
-    vertices: F64,
-    points: F64,
-    tri: I64,
-    nb: I64,
-    relevant: Bool,
-    first: I64,
-    after: I64,
-    t: int,
-    k: int,
-    square: bool,
-    w: F64,
-) -> float:
+def gain(s: ListedSurface, t: int, k: int, square: bool, w: F64) -> float:
     """By how much the sum over the points of triangle t and its neighbour across edge k falls when
     their diagonal is exchanged; 0 where it may not be.
     """
+    vertices, points, tri, nb = s.vertices, s.points, s.tri, s.nb
+    relevant, first, after = s.relevant, s.first, s.after
     o = nb[t, k]
     if o < 0 or not relevant[t] or not relevant[o]:
         return 0.0
@@ -139,12 +145,12 @@ def gain(
 
 
 @kernel
-def exchange_one(
-    vertices: F64, points: F64, tri: I64, nb: I64, first: I64, after: I64, t: int, k: int
-) -> int:
+def exchange_one(s: ListedSurface, t: int, k: int) -> int:
     """Exchange the diagonal at edge k of t: t becomes (a, b, d), its neighbour (a, d, c), and their
     points are shared out anew. Returns the neighbour.
     """
+    vertices, points, tri, nb = s.vertices, s.points, s.tri, s.nb
+    first, after = s.first, s.after
     o = int(nb[t, k])
     j = 0
     while nb[o, j] != t:
@@ -176,29 +182,18 @@ def exchange_one(
 
 
 @kernel
-def exchange_kernel(
-    vertices: F64,
-    points: F64,
-    tri: I64,
-    nb: I64,
-    relevant: Bool,
-    first: I64,
-    after: I64,
-    square: bool,
-    least: float,
-    w: F64,
-) -> int:
+def exchange_kernel(s: ListedSurface, square: bool, least: float, w: F64) -> int:
     """Exchange diagonals, biggest improvement first; changes tri, nb, first, after and returns how
     many. Entries of the queue whose triangles have changed since are skipped.
     """
-    m = len(tri)
+    nb, m = s.nb, len(s.tri)
     version = np.zeros(m, np.int64)
     queue = [(0.0, 0, 0, 0, 0, 0)]
     queue.pop()
     for t in range(m):
         for k in range(3):
             if nb[t, k] > t:
-                g = gain(vertices, points, tri, nb, relevant, first, after, t, k, square, w)
+                g = gain(s, t, k, square, w)
                 if g > least:
                     queue.append((-g, t, k, nb[t, k], 0, 0))
     heapq.heapify(queue)
@@ -207,7 +202,7 @@ def exchange_kernel(
         _, t, k, other, vt, vo = heapq.heappop(queue)
         if nb[t, k] != other or version[t] != vt or version[other] != vo:
             continue
-        o = exchange_one(vertices, points, tri, nb, first, after, t, k)
+        o = exchange_one(s, t, k)
         version[t] += 1
         version[o] += 1
         done += 1
@@ -216,7 +211,7 @@ def exchange_kernel(
                 other = nb[one, edge]
                 if other == o and one == t:
                     continue  # the new diagonal: exchanging it again cannot gain
-                g = gain(vertices, points, tri, nb, relevant, first, after, one, edge, square, w)
+                g = gain(s, one, edge, square, w)
                 if g > least:
                     heapq.heappush(queue, (-g, one, edge, other, version[one], version[other]))
     return done
@@ -272,13 +267,7 @@ def exchange_diagonals(tin: Tin, points_map: F64, measure: str = "asd") -> Excha
     total = float(np.sum(before**2 if square else np.abs(before)))
     done = int(
         exchange_kernel(
-            vertices,
-            points,
-            tri,
-            nb,
-            tin.relevant,
-            first,
-            after,
+            ListedSurface(vertices, points, tri, nb, tin.relevant, first, after),
             square,
             LEAST_GAIN * total,
             workspace(),

@@ -52,6 +52,13 @@ class Heap(NamedTuple):
     worst: I32
 
 
+class Inserted(NamedTuple):
+    """What a run inserts, at most as many as there is room for: point (k,), score (k,)."""
+
+    point: I32
+    score: F64
+
+
 @kernel
 def height(c: Cloud, m: MeshTable, t: int, q: int) -> float:
     """Height of triangle t at point q of its list; the weights are clipped, so that rounding in a
@@ -243,21 +250,19 @@ def greedy_kernel(
     h: Heap,
     m: MeshTable,
     size: int,
-    limit: int,
     by_area: bool,
     tolerance: float,
     w: F64,
-    taken: I32,
-    scores: F64,
+    inserted: Inserted,
 ) -> tuple[int, int]:
-    """Insert the worst point again and again, up to ``limit`` points or until none is above the
+    """Insert the worst point again and again, until ``inserted`` is full or none is above the
     tolerance.
 
-    The points go into ``taken``, their scores into ``scores``. Returns the number of triangles and
+    Returns the number of triangles and
     of points inserted.
     """
-    count = 0
-    while count < limit and h.worst[h.triangle[0]] >= 0:
+    taken, scores, count = inserted.point, inserted.score, 0
+    while count < len(taken) and h.worst[h.triangle[0]] >= 0:
         t = h.triangle[0]
         p = h.worst[t]
         taken[count], scores[count] = p, h.score[0]

@@ -8,6 +8,8 @@ coordinates and their differences are zero or lie within 1e-60 to 1e60, which le
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ladar_volume.math.kernels import kernel
@@ -22,6 +24,13 @@ WORKSPACE = (13, 1600)
 #: Row of the workspace that counts how many orientations and how many incircle tests reached the
 #: exact stage.
 COUNTS = 12
+
+
+class Expansion(NamedTuple):
+    """The first n components (k,) of a number without rounding, the smallest first."""
+
+    n: int
+    x: F64
 
 
 def workspace() -> F64:
@@ -137,14 +146,12 @@ def expansion_difference(a: float, b: float, h: F64) -> int:
 
 
 @kernel
-def minor_exact(
-    n: int, ax: F64, nay: int, ay: F64, nbx: int, bx: F64, nby: int, by: F64, h: F64, w: F64
-) -> int:
+def minor_exact(ax: Expansion, ay: Expansion, bx: Expansion, by: Expansion, h: F64, w: F64) -> int:
     """``ax by - bx ay`` of expansions into ``h``, with scratch rows ``w`` (4, ...); returns its
     length.
     """
-    n1 = expansion_product(n, ax, nby, by, w[2], w[0], w[1])
-    n2 = expansion_product(nbx, bx, nay, ay, w[3], w[0], w[1])
+    n1 = expansion_product(ax.n, ax.x, by.n, by.x, w[2], w[0], w[1])
+    n2 = expansion_product(bx.n, bx.x, ay.n, ay.x, w[3], w[0], w[1])
     for i in range(n2):
         w[3, i] = -w[3, i]
     return expansion_sum(n1, w[2], n2, w[3], h)
@@ -176,7 +183,9 @@ def orientation_exact(
     n1 = expansion_difference(ay, cy, w[5])
     n2 = expansion_difference(bx, cx, w[6])
     n3 = expansion_difference(by, cy, w[7])
-    n = minor_exact(n0, w[4], n1, w[5], n2, w[6], n3, w[7], w[8], w)
+    n = minor_exact(
+        Expansion(n0, w[4]), Expansion(n1, w[5]), Expansion(n2, w[6]), Expansion(n3, w[7]), w[8], w
+    )
     return float(w[8, n - 1]) if n else 0.0
 
 
@@ -203,14 +212,10 @@ def incircle_exact(xy: F64, a: int, b: int, c: int, d: int, w: F64) -> float:
     for i in range(3):
         j, k = 8 * ((i + 1) % 3), 8 * ((i + 2) % 3)
         nm = minor_exact(
-            n[j // 4],
-            e[j:],
-            n[j // 4 + 1],
-            e[j + 4 :],
-            n[k // 4],
-            e[k:],
-            n[k // 4 + 1],
-            e[k + 4 :],
+            Expansion(n[j // 4], e[j:]),
+            Expansion(n[j // 4 + 1], e[j + 4 :]),
+            Expansion(n[k // 4], e[k:]),
+            Expansion(n[k // 4 + 1], e[k + 4 :]),
             w[4],
             w,
         )

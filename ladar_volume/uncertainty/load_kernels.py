@@ -6,11 +6,45 @@ They add up in the order of the records, so a result does not depend on the numb
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.model.records import F32, F64, I8, I16, I32, I64
 from ladar_volume.uncertainty.patch_merge import place_from
+
+
+class BinRows(NamedTuple):
+    """Sensitivities of patches to the navigation, listed by patch. start : (m + 1,) of each patch's
+    rows · bins : (l,) time bin of each row · M : (l, p + 2, 4) · unit : (m, p + 2, 2) for position
+    and attitude · normal, tangent : (m, 3) of the patches
+    """
+
+    start: I64
+    bins: I32
+    M: F32 | I16
+    unit: F32
+    normal: F64
+    tangent: F64
+
+
+class CalibrationRows(NamedTuple):
+    """Sensitivities of patches to the calibration. M : (m, p or more, s) to what all beams share ·
+    by_beam : (m, p or more, 2 beams) to ranges, then vertical angles · unit : (m, p or more, 2)
+    """
+
+    M: F32
+    by_beam: F32 | I16
+    unit: F32
+
+
+class Entries(NamedTuple):
+    """Entries (z,) of a matrix that are not zero: rows one, columns two and values."""
+
+    one: I64
+    two: I64
+    value: F64
 
 
 @kernel
@@ -233,21 +267,12 @@ def navigation_kernel(
 
 
 @kernel
-def deviation_kernel(
-    which: I64,
-    start: I64,
-    index: I32,
-    M: F32 | I16,
-    unit: F32,
-    normal: F64,
-    position: F64,
-    attitude: F64,
-    out: F32,
-) -> None:
+def deviation_kernel(which: I64, rows: BinRows, position: F64, attitude: F64, out: F32) -> None:
     """What one standard deviation of position and attitude, in three directions each, does to the p
     parameters of patches ``which`` (k,), to out (m, p, 6). position, attitude : (bins, 3, 3) roots
-    of their covariances; the rest as in :func:`navigation_kernel`.
+    of their covariances.
     """
+    start, index, M, unit, normal = rows.start, rows.bins, rows.M, rows.unit, rows.normal
     own, along = np.empty(out.shape[1:]), np.empty(3)
     for a in which:
         own[:] = 0.0
@@ -268,22 +293,13 @@ def deviation_kernel(
 
 
 @kernel
-def shared_kernel(
-    which: I64,
-    M_cal: F32,
-    by_beam: F32 | I16,
-    unit: F32,
-    one: I64,
-    two: I64,
-    value: F64,
-    deviation: F32,
-    out: F32,
-) -> None:
+def shared_kernel(which: I64, parts: CalibrationRows, C: Entries, deviation: F32, out: F32) -> None:
     """Covariance of the parameters of patches ``which`` (k,) from all that is shared, to out (m, p,
-    p): sensitivities in parts, M_cal (m, p or more, s), by_beam (m, p or more, 2 beams) and its
-    units, of which the first p rows count, with the covariances ``value`` (z,) of columns one and
-    two (z,), those that are not zero, and deviations (m, p, d) of unit variance.
+    p): sensitivities in parts, of which the first p rows count, with the covariances C of their
+    columns, and deviations (m, p, d) of unit variance.
     """
+    M_cal, by_beam, unit = parts.M, parts.by_beam, parts.unit
+    one, two, value = C.one, C.two, C.value
     (p, d), columns = deviation.shape[1:], M_cal.shape[2] + by_beam.shape[2]
     turned, M, fours = np.zeros((p, columns)), np.empty((p, columns)), columns // 4 * 4
     for a in which:
@@ -340,22 +356,14 @@ def naive_kernel(gradient: F64, normal: F64, row: I64) -> tuple[I64, F64]:
 
 @kernel
 def cell_kernel(
-    q: F64,
-    start: I64,
-    index: I32,
-    M: F32 | I16,
-    unit: F32,
-    normal: F64,
-    tangent: F64,
-    order: I64,
-    cell: I64,
-    cells: int,
-    bins: int,
+    q: F64, rows: BinRows, order: I64, cell: I64, cells: int, bins: int
 ) -> tuple[I64, I64, F64]:
     """``Σ qᵀ M`` as in :func:`navigation_kernel`, by cell of the patches: first (cells + 1,) of
     each cell's bins, these bins (k,) in order, and the sums (k, 6). order : (m,) patches by cell
     (m,).
     """
+    start, index, M, unit = rows.start, rows.bins, rows.M, rows.unit
+    normal, tangent = rows.normal, rows.tangent
     first, seen, sums = (
         np.zeros(cells + 1, np.int64),
         np.full(bins, -1, np.int64),

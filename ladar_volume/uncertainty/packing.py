@@ -26,7 +26,18 @@ import numpy as np
 
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.ragged_ranges import patch_range
-from ladar_volume.model.records import CAL_COLUMNS, F32, F64, I8, I16, I64, HeldPatches, Patches
+from ladar_volume.model.records import (
+    CAL_COLUMNS,
+    F32,
+    F64,
+    I8,
+    I16,
+    I32,
+    I64,
+    HeldPatches,
+    Patches,
+)
+from ladar_volume.uncertainty.load_kernels import BinRows
 from ladar_volume.uncertainty.patch_merge import holds, place_from
 
 #: Whole number for a correlation of 1, and what the factors are kept times: then a block is ``F_a R
@@ -209,6 +220,12 @@ def navigation_units(patches: Patches) -> F32:
     if isinstance(patches, HeldPatches):
         return patches.nav_unit
     return np.ones((len(patches), patches.M_nav.shape[1], 2), np.float32)
+
+
+def bin_rows(patches: Patches, bins: I32) -> BinRows:
+    """The patches' sensitivities to the navigation, for kernels. bins : (l,) time bin of each."""
+    p = patches
+    return BinRows(p.nav_start, bins, p.M_nav, navigation_units(p), p.normal, p.tangent)
 
 
 def calibration_parts(patches: Patches) -> tuple[F32, F32 | I16, F32]:

@@ -7,9 +7,14 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.model.records import F32, F64, I32, I64, Bool, Patches
-from ladar_volume.uncertainty.load_kernels import deviation_kernel, shared_kernel
+from ladar_volume.uncertainty.load_kernels import (
+    CalibrationRows,
+    Entries,
+    deviation_kernel,
+    shared_kernel,
+)
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
-from ladar_volume.uncertainty.packing import calibration_parts, navigation_units
+from ladar_volume.uncertainty.packing import bin_rows, calibration_parts
 
 
 class PatchErrors:
@@ -24,10 +29,10 @@ class PatchErrors:
         self, patches: Patches, navigation: NavigationBins, C_cal: F64, time_bins: tuple[I64, I32]
     ) -> None:
         m, p = patches.beta.shape
-        self._patches, self._index, self._units = patches, time_bins[1], navigation_units(patches)
-        self._by_calibration = calibration_parts(patches)
+        self._rows = bin_rows(patches, time_bins[1])
+        self._by_calibration = CalibrationRows(*calibration_parts(patches))
         one, two = np.nonzero(C_cal)
-        self._calibration = one, two, C_cal[one, two]
+        self._calibration = Entries(one, two, C_cal[one, two])
         self._roots = navigation.roots(time_bins[0])
         self._deviation, self._covariance = (
             np.zeros((m, p, 6), np.float32),
@@ -41,23 +46,13 @@ class PatchErrors:
         count as one.
         """
         new = _missing(self._deviates, rows)
-        p = self._patches
-        deviation_kernel(
-            new,
-            p.nav_start,
-            self._index,
-            p.M_nav,
-            self._units,
-            p.normal,
-            *self._roots,
-            self._deviation,
-        )
+        deviation_kernel(new, self._rows, *self._roots, self._deviation)
         return self._deviation
 
     def covariance(self, rows: I64) -> F32:
         """Covariance of the parameters: (m, p, p), known for patches ``rows`` (k,)."""
         deviation, new = self.deviation(rows), _missing(self._varies, rows)
-        shared_kernel(new, *self._by_calibration, *self._calibration, deviation, self._covariance)
+        shared_kernel(new, self._by_calibration, self._calibration, deviation, self._covariance)
         return self._covariance
 
 

@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from ladar_volume.math.array_types import F64, I32, I64
 from ladar_volume.math.kernels import kernel, leaf_kernel
+
+
+class PartBlocks(NamedTuple):
+    """Blocks of one part. own : (m,) keys of its patches · start, other : its blocks in CSR form,
+    by the key of the other patch
+    """
+
+    own: I64
+    start: I64
+    other: I64
 
 
 @kernel
@@ -82,22 +92,14 @@ def holds(keys: I64, key: int, place: int) -> Any:
 
 @kernel
 def block_rows(
-    own: I64,
-    start: I64,
-    other: I64,
-    turn: int,
-    said: I64,
-    last: I64,
-    keys: I64,
-    row: I64,
-    count: I64,
+    part: PartBlocks, turn: int, said: I64, last: I64, keys: I64, row: I64, count: I64
 ) -> None:
     """Row among ``keys`` of each block of one part, -1 for one that no longer holds; ``count``
     (rows,) grows by those that do.
 
-    own : (m,) keys of the part's patches · start, other : its blocks in CSR form · said, last :
-    patches ever named and the turns of the last word on them
+    said, last : patches ever named and the turns of the last word on them
     """
+    own, start, other = part.own, part.start, part.other
     spoken, at = 0, 0
     for i in range(len(own)):
         spoken, at = place_from(said, own[i], spoken), place_from(keys, own[i], at)
@@ -118,9 +120,7 @@ def block_rows(
 
 @kernel
 def place_blocks(
-    own: I64,
-    start: I64,
-    other: I64,
+    part: PartBlocks,
     row: I64,
     number: int,
     keys: I64,
@@ -135,6 +135,7 @@ def place_blocks(
     number : of the part's first block among all parts · first, filled : (rows,) begin of each row
     and how many it holds so far
     """
+    own, start, other = part.own, part.start, part.other
     for i in range(len(own)):
         for e in range(start[i], start[i + 1]):
             k = row[e]

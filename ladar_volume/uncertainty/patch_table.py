@@ -27,6 +27,7 @@ from ladar_volume.model.records import (
 )
 from ladar_volume.uncertainty.packing import block_kernel, prepared
 from ladar_volume.uncertainty.patch_merge import (
+    PartBlocks,
     block_rows,
     copy_rows,
     in_order,
@@ -278,7 +279,8 @@ def block_entries(
     rows = [np.empty(len(keys_there), np.int64) for keys_there in other]
     count = np.zeros(len(keys), np.int64)
     for mine, first, theirs, turn, row in zip(own, start, other, turns, rows, strict=True):
-        block_rows(mine, first, theirs, turn, last.keys, last.turns, keys, row, count)
+        part = PartBlocks(mine, first, theirs)
+        block_rows(part, turn, last.keys, last.turns, keys, row, count)
     begin = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
     key, entry, filled, number = (
         np.empty(begin[-1], np.int64),
@@ -287,6 +289,7 @@ def block_entries(
         0,
     )
     for mine, first, theirs, row in zip(own, start, other, rows, strict=True):
-        place_blocks(mine, first, theirs, row, number, keys, begin, filled, key, entry)
+        part = PartBlocks(mine, first, theirs)
+        place_blocks(part, row, number, keys, begin, filled, key, entry)
         number += len(row)
     return begin, key, entry

@@ -35,9 +35,10 @@ import numpy as np
 
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.model.parameters import BudgetParameters
-from ladar_volume.model.records import F32, F64, I16, I32, I64, Patches
+from ladar_volume.model.records import F64, I32, I64, Patches
+from ladar_volume.uncertainty.load_kernels import BinRows
 from ladar_volume.uncertainty.navigation_sum import NavigationBins, markov_sum
-from ladar_volume.uncertainty.packing import navigation_units
+from ladar_volume.uncertainty.packing import bin_rows
 from ladar_volume.uncertainty.propagation import time_bins
 
 #: Columns of M_cal and C_cal that hold the boresight.
@@ -97,22 +98,19 @@ def add_outer(out: F64, factor: float, a: Vector, b: Vector) -> None:
 @kernel
 def curvature_kernel(
     q: F64,
-    start: I64,
-    index: I32,
+    rows: BinRows,
     bins: I64,
-    M_nav: F32 | I16,
-    unit: F32,
     position: F64,
     R: F64,
-    normal: F64,
-    tangent: F64,
     centre: F64,
     slope: F64,
 ) -> F64:
-    """H (b, 3, 3) of :func:`curvatures`: loads q (m, p) of patches with frames (m, 3) and slopes
-    (m, 2) against their mean; sensitivities M_nav (l, p + 2, 4) in units (m, p + 2, 2) from start
-    (m + 1,) in rows index (l,) of ascending bins (b,), whose mean poses are (b, 3) and (b, 3, 3).
+    """H (b, 3, 3) of :func:`curvatures`: loads q (m, p) of patches with centres (m, 3) and slopes
+    (m, 2) against their mean; their sensitivities by row of ascending bins (b,), whose mean poses
+    are (b, 3) and (b, 3, 3).
     """
+    start, index, M_nav, unit = rows.start, rows.bins, rows.M, rows.unit
+    normal, tangent = rows.normal, rows.tangent
     H, mean, moving, weight = np.zeros((len(bins), 3, 3)), np.zeros((2, 3)), np.zeros((2, 3)), 0.0
     for a in np.flatnonzero(q[:, 0]):
         n, t = (
@@ -189,15 +187,10 @@ def curvatures(
     slope -= weight @ slope / max(float(weight.sum()), 1e-300)
     found = curvature_kernel(
         q,
-        p.nav_start,
-        index,
+        bin_rows(p, index),
         bins,
-        p.M_nav,
-        navigation_units(p),
         position,
         np.ascontiguousarray(R),
-        n,
-        p.tangent,
         p.centre,
         slope,
     )

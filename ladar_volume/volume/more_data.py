@@ -25,7 +25,7 @@ from ladar_volume.model.records import F64, I64, Bool, Tin
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.uncertainty.load_kernels import cell_kernel, pair_falls_kernel
 from ladar_volume.uncertainty.navigation_sum import markov_sum, navigation_loads
-from ladar_volume.uncertainty.packing import factor_loads, navigation_units
+from ladar_volume.uncertainty.packing import bin_rows, factor_loads
 from ladar_volume.uncertainty.propagation import patch_loads
 from ladar_volume.uncertainty.volume_budget import Sources
 from ladar_volume.volume.outline import components, filled
@@ -130,19 +130,7 @@ def navigation_falls(q: F64, sources: Sources, patch_cell: I64, cells: int) -> F
     patches, out = sources.patches, np.zeros((cells, 2))
     bins, index = sources.time_bins
     order = np.argsort(patch_cell, kind="stable")
-    starts, at, J = cell_kernel(
-        q,
-        patches.nav_start,
-        index,
-        patches.M_nav,
-        navigation_units(patches),
-        patches.normal,
-        patches.tangent,
-        order,
-        patch_cell,
-        cells,
-        len(bins),
-    )
+    starts, at, J = cell_kernel(q, bin_rows(patches, index), order, patch_cell, cells, len(bins))
     loads = navigation_loads(J, bins[at], sources.navigation, gap)
     t_s = (bins - (bins[0] if len(bins) else 0)) * (sources.navigation.bin_ns * 1e-9)
     for k, (y, n, bias, white, tau) in enumerate(

@@ -9,6 +9,8 @@ surface's tree instead, so nothing depends on the walk being complete.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
@@ -25,6 +27,37 @@ MISSED = 1e-9
 #: Pieces whose integrals wait to be added to the other surface's triangles, per chunk. Only one
 #: thread adds, always in the same order.
 WAITING = 4096
+
+
+class Overlaid(NamedTuple):
+    """Two surfaces. corners : (m, 3, 3) x, y and height of the subject's triangles, m · other : (k,
+    3, 3) of the other surface, in the order of its tree · neighbours : (k, 3) in that order, −1 for
+    none · tree : its boxes · sign : 1 where the subject is the upper one, else −1
+    """
+
+    corners: F64
+    other: F64
+    neighbours: I64
+    tree: F64
+    sign: float
+
+
+class Integrals(NamedTuple):
+    """Where pieces go. out : (m, 2, 4) integrals by triangle of the subject · ids, rows : (chunks,
+    waiting) and (chunks, waiting, 6) triangles of the other surface and what waits to be added to
+    them; of no chunk where that is not wanted
+    """
+
+    out: F64
+    ids: I64
+    rows: F64
+
+
+class Scratch(NamedTuple):
+    """Of one chunk. w : (rows, corners) of the clipping · found : (n,) triangles met."""
+
+    w: F64
+    found: I64
 
 
 @kernel
@@ -79,15 +112,9 @@ def note(w: F64, o: int, ids: I64, rows: F64, chunk: int, used: int) -> int:
 def along_neighbours(
     t: int,
     start: int,
-    corners: F64,
-    other: F64,
-    neighbours: I64,
-    sign: float,
-    w: F64,
-    found: I64,
-    out: F64,
-    ids: I64,
-    rows: F64,
+    pair: Overlaid,
+    into: Integrals,
+    scratch: Scratch,
     chunk: int,
     used: int,
 ) -> tuple[float, int, int]:
@@ -95,22 +122,23 @@ def along_neighbours(
     ``start``, to ``out[t]``: their area, how many pieces are kept now, and the last triangle with a
     piece, −1 for none.
     """
-    x0, y0 = corners[t, 0, 0], corners[t, 0, 1]
+    w, found, ids = scratch.w, scratch.found, into.ids
+    x0, y0 = pair.corners[t, 0, 0], pair.corners[t, 0, 1]
     covered, last, i, count = 0.0, -1, 0, 1
     found[0] = start
     while i < count and count <= FEW - 3:
         o = found[i]
         i += 1
-        shift(other, o, x0, y0, w, B)
+        shift(pair.other, o, x0, y0, w, B)
         s, n, cut = clip_pair(w)
         if n < 3:
             continue
-        covered += add_piece(t, sign, w, s, n, out)
+        covered += add_piece(t, pair.sign, w, s, n, into.out)
         last = o
         if len(ids) > 0:
-            used = note(w, o, ids, rows, chunk, used)
+            used = note(w, o, ids, into.rows, chunk, used)
         for k in range(3):
-            beyond = neighbours[o, k]
+            beyond = pair.neighbours[o, k]
             if (cut >> k) & 1 == 0 or beyond < 0:
                 continue
             known = False
@@ -126,15 +154,9 @@ def along_neighbours(
 def from_tree(
     t: int,
     entry: int,
-    corners: F64,
-    other: F64,
-    tree: F64,
-    sign: float,
-    w: F64,
-    found: I64,
-    out: F64,
-    ids: I64,
-    rows: F64,
+    pair: Overlaid,
+    into: Integrals,
+    scratch: Scratch,
     chunk: int,
     used: int,
 ) -> tuple[int, int, int]:
@@ -142,14 +164,15 @@ def from_tree(
     ``entry`` on: where to go on (−1: all done), how many pieces are kept now, and the last triangle
     with a piece, −1 for none.
     """
+    corners, other, w, found, ids = pair.corners, pair.other, scratch.w, scratch.found, into.ids
     stack, box, last = np.empty(128, np.int64), np.empty(4), -1
     for c in range(2):
         box[c] = min(corners[t, 0, c], corners[t, 1, c], corners[t, 2, c])
         box[2 + c] = max(corners[t, 0, c], corners[t, 1, c], corners[t, 2, c])
-    count = search(tree, len(other), box, stack, found)
+    count = search(pair.tree, len(other), box, stack, found)
     if count > len(found):
         found = np.empty(count, np.int64)
-        search(tree, len(other), box, stack, found)
+        search(pair.tree, len(other), box, stack, found)
     while entry < count:
         if len(ids) > 0 and used == WAITING:
             return entry, used, last
@@ -158,32 +181,21 @@ def from_tree(
         shift(other, o, corners[t, 0, 0], corners[t, 0, 1], w, B)
         s, n, _ = clip_pair(w)
         if n >= 3:
-            add_piece(t, sign, w, s, n, out)
+            add_piece(t, pair.sign, w, s, n, into.out)
             last = o
             if len(ids) > 0:
-                used = note(w, o, ids, rows, chunk, used)
+                used = note(w, o, ids, into.rows, chunk, used)
     return -1, used, last
 
 
 @kernel
-def chunk_kernel(
-    chunk: int,
-    stop: int,
-    state: I64,
-    corners: F64,
-    other: F64,
-    neighbours: I64,
-    tree: F64,
-    sign: float,
-    out: F64,
-    ids: I64,
-    rows: F64,
-) -> None:
+def chunk_kernel(chunk: int, stop: int, state: I64, pair: Overlaid, into: Integrals) -> None:
     """Works on the triangles of a chunk until they end or the pieces fill ``rows``. state[chunk] :
     next triangle, next entry of its tree search (−1: not begun), where the last walk ended, pieces
     kept.
     """
-    found, w = np.empty(1024, np.int64), np.empty((ROWS, CORNERS))
+    corners, scratch = pair.corners, Scratch(np.empty((ROWS, CORNERS)), np.empty(1024, np.int64))
+    w = scratch.w
     t, entry, last, used = state[chunk, 0], state[chunk, 1], state[chunk, 2], 0
     while t < stop and used + FEW <= WAITING:
         x0, y0 = corners[t, 0, 0], corners[t, 0, 1]
@@ -195,24 +207,20 @@ def chunk_kernel(
         if entry < 0:
             before, covered, entry = used, -1.0, 0
             at = walk(
-                other,
-                neighbours,
+                pair.other,
+                pair.neighbours,
                 last,
                 x0 + (w[A, 1] + w[A, 2]) / 3.0,
                 y0 + (w[A + 1, 1] + w[A + 1, 2]) / 3.0,
             )
             if at >= 0:
-                covered, used, at = along_neighbours(
-                    t, at, corners, other, neighbours, sign, w, found, out, ids, rows, chunk, used
-                )
+                covered, used, at = along_neighbours(t, at, pair, into, scratch, chunk, used)
             if abs(covered - area) <= MISSED * area:
                 t, entry, last = t + 1, -1, at
                 continue
             used = before
-            out[t] = 0.0
-        entry, used, at = from_tree(
-            t, entry, corners, other, tree, sign, w, found, out, ids, rows, chunk, used
-        )
+            into.out[t] = 0.0
+        entry, used, at = from_tree(t, entry, pair, into, scratch, chunk, used)
         last = at if at >= 0 else last
         if entry >= 0:
             break
@@ -247,6 +255,8 @@ def overlay_kernel(
         np.empty((CHUNKS if both else 0, WAITING), np.int64),
         np.empty((CHUNKS if both else 0, WAITING, 6)),
     )
+    pair = Overlaid(corners, other, neighbours, tree, sign)
+    into = Integrals(out, ids, rows)
     state = np.zeros((CHUNKS, 4), np.int64)
     state[:, 1:3] = -1
     for chunk in range(CHUNKS):
@@ -254,19 +264,7 @@ def overlay_kernel(
     left = CHUNKS
     while left > 0:
         for chunk in numba.prange(CHUNKS):
-            chunk_kernel(
-                chunk,
-                (chunk + 1) * m // CHUNKS,
-                state,
-                corners,
-                other,
-                neighbours,
-                tree,
-                sign,
-                out,
-                ids,
-                rows,
-            )
+            chunk_kernel(chunk, (chunk + 1) * m // CHUNKS, state, pair, into)
         if both:
             add_kept(state, ids, rows, back)
         left = 0

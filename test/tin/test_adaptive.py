@@ -361,7 +361,9 @@ def test_compiled_kernels_equal_their_plain_twins(grid, monkeypatch):
         heap = Heap(np.zeros(len(m)), np.zeros(len(m), np.int32), np.zeros(len(m), np.int32))
         greedy.heap_kernel(cloud, heap, m, size, True, -1.0)
         taken, scores = np.zeros(15, np.int32), np.zeros(15)
-        size, count = greedy.greedy_kernel(cloud, heap, m, size, 15, True, -1.0, w, taken, scores)
+        size, count = greedy.greedy_kernel(
+            cloud, heap, m, size, True, -1.0, w, greedy.Inserted(taken, scores)
+        )
         triangle, residual = np.zeros(n, np.int32), np.zeros(n)
         greedy.fit_kernel(cloud, m[:size], triangle, residual)
         return [

@@ -14,6 +14,7 @@ from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import Tin
 from ladar_volume.tin import diagonal_exchange
 from ladar_volume.tin.diagonal_exchange import (
+    ListedSurface,
     exchange_diagonals,
     exchange_kernel,
     exchange_one,
@@ -95,12 +96,13 @@ def brute(tin, points, square):
     tri, nb = tin.triangles.astype(np.int64), tin.neighbours.astype(np.int64)
     where, w, done = locate(triangle_index(tin), points[:, :2]), workspace(), 0
     first, after = point_lists(where, len(tri))
+    surface = ListedSurface(tin.vertices, points, tri, nb, tin.relevant, first, after)
     sums = list_residuals(tin.vertices, points, tri, first, after)
     least = diagonal_exchange.LEAST_GAIN * float(np.sum(sums**2 if square else np.abs(sums)))
     while True:
         gains = [
             (
-                -gain(tin.vertices, points, tri, nb, tin.relevant, first, after, t, k, square, w),
+                -gain(surface, t, k, square, w),
                 t,
                 k,
             )
@@ -110,7 +112,7 @@ def brute(tin, points, square):
         best = min(gains)
         if -best[0] <= least:
             return tri, done
-        exchange_one(tin.vertices, points, tri, nb, first, after, best[1], best[2])
+        exchange_one(surface, best[1], best[2])
         done += 1
 
 
@@ -179,7 +181,8 @@ def test_compiled_kernels_equal_their_plain_twins():
     for run in (exchange_kernel, exchange_kernel.py_func):
         tri, nb = tin.triangles.astype(np.int64), tin.neighbours.astype(np.int64)
         first, after = point_lists(where, len(tri))
-        done = run(tin.vertices, points, tri, nb, tin.relevant, first, after, False, 1e-12, w)
+        surface = ListedSurface(tin.vertices, points, tri, nb, tin.relevant, first, after)
+        done = run(surface, False, 1e-12, w)
         results.append((done, tri.tolist(), nb.tolist(), first.tolist(), after.tolist()))
         assert list_residuals(tin.vertices, points, tri, first, after) == pytest.approx(
             list_residuals.py_func(tin.vertices, points, tri, first, after), abs=1e-15
@@ -189,12 +192,9 @@ def test_compiled_kernels_equal_their_plain_twins():
     for t in range(len(tin.triangles)):
         tri, nb = tin.triangles.astype(np.int64), tin.neighbours.astype(np.int64)
         args = (
-            tin.vertices,
-            points,
-            tri,
-            nb,
-            tin.relevant,
-            *point_lists(where, len(tri)),
+            ListedSurface(
+                tin.vertices, points, tri, nb, tin.relevant, *point_lists(where, len(tri))
+            ),
             t,
             1,
             True,
@@ -214,9 +214,8 @@ def test_compiled_kernels_equal_their_plain_twins():
         for _ in range(2)
     )
     t, k = next((t, k) for t in range(len(tri)) for k in range(3) if tin.neighbours[t, k] >= 0)
-    assert exchange_one(tin.vertices, points, *a, t, k) == exchange_one.py_func(
-        tin.vertices, points, *b, t, k
-    )
+    one, two = (ListedSurface(tin.vertices, points, *x[:2], tin.relevant, *x[2:]) for x in (a, b))
+    assert exchange_one(one, t, k) == exchange_one.py_func(two, t, k)
     assert all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
 
 

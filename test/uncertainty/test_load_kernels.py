@@ -14,6 +14,8 @@ from volume_surfaces import by_position_and_attitude
 from ladar_volume.model.records import PlatformStates
 from ladar_volume.uncertainty import propagation
 from ladar_volume.uncertainty.load_kernels import (
+    CalibrationRows,
+    Entries,
     cell_kernel,
     correlated_kernel,
     deviation_kernel,
@@ -25,7 +27,7 @@ from ladar_volume.uncertainty.load_kernels import (
     shared_kernel,
 )
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
-from ladar_volume.uncertainty.packing import calibration_parts, navigation_units
+from ladar_volume.uncertainty.packing import bin_rows, calibration_parts
 from ladar_volume.uncertainty.propagation import (
     design_rows,
     independent_covariance,
@@ -128,24 +130,17 @@ def test_what_is_shared(p):
     np.add.at(twin, owner, rows)
     every, deviation = np.arange(m), np.full((m, p, 6), np.nan)
     for part in (every[::2], every[1::2]):
-        deviation_kernel(
-            part,
-            patches.nav_start,
-            index,
-            patches.M_nav,
-            navigation_units(patches),
-            patches.normal,
-            P,
-            A,
-            deviation,
-        )
+        deviation_kernel(part, bin_rows(patches, index), P, A, deviation)
     assert deviation == close(twin)
     root = rng.standard_normal((COLUMNS, COLUMNS)) * (rng.random((COLUMNS, COLUMNS)) < 0.1)
     C = root @ root.T
     one, two = np.nonzero(C)
+    entries = Entries(one, two, C[one, two])
     shared = np.full((m, p, p), np.nan)
     for part in (every[::2], every[1::2]):
-        shared_kernel(part, *calibration_parts(patches), one, two, C[one, two], deviation, shared)
+        shared_kernel(
+            part, CalibrationRows(*calibration_parts(patches)), entries, deviation, shared
+        )
     assert shared == close(
         patches.M_cal[:, :p] @ C @ np.swapaxes(patches.M_cal[:, :p], 1, 2)
         + deviation @ np.swapaxes(deviation, 1, 2)
@@ -178,12 +173,7 @@ def test_sums_by_cell():
     q[cell == 3] = 0.0  # and one without loads
     found = cell_kernel(
         q,
-        patches.nav_start,
-        index,
-        patches.M_nav,
-        navigation_units(patches),
-        patches.normal,
-        patches.tangent,
+        bin_rows(patches, index),
         np.argsort(cell, kind="stable"),
         cell,
         4,
