@@ -4,8 +4,11 @@ It never raises for the disk's sake: what cannot be written is counted by topic 
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import re
+import stat
 import shutil
 import time
 from collections.abc import Callable
@@ -14,8 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import zstandard
+from mcap.writer import MCAP0_MAGIC
 
-from ladar_volume.io.mcap_log import McapLog, usual_definition
+from ladar_volume.io.mcap_log import LIBRARY, McapLog, usual_definition
 from ladar_volume.io.mcap_recovery import Recovery, is_whole, recover
 from ladar_volume.model.errors import ConfigurationError, OutputError
 from ladar_volume.model.losses import Losses
@@ -23,6 +27,8 @@ from ladar_volume.model.parameters import LoggerParameters
 
 #: A full disk is looked at again after this time.
 RETRY_S = 1.0
+#: Magic, profile and library of an MCAP stand within its first bytes.
+_HEADER_BYTES = 128
 
 
 @dataclass
@@ -59,6 +65,43 @@ def log_files(base: Path) -> list[Path]:
     return [p for _, p in sorted(found)]
 
 
+class Written:
+    """The names of the files that this log wrote, kept beside it as ``.log.mcap.written``: nothing
+    else is ever deleted.
+    """
+
+    def __init__(self, base: Path) -> None:
+        self._path = base.with_name(f".{base.name}.written")
+
+    def add(self, path: Path) -> None:
+        """Note a file that was just begun. Where that fails, it is never deleted."""
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
+        with contextlib.suppress(OSError):
+            with open(os.open(self._path, flags, 0o644), "a", encoding="utf-8") as manifest:
+                manifest.write(f"{path.name}\n")
+
+    def holds(self, path: Path) -> bool:
+        """Whether a file is in the list, no link, and an MCAP that this library began."""
+        try:
+            with open(_regular(self._path), encoding="utf-8") as manifest:
+                if path.name not in manifest.read().splitlines():
+                    return False
+            with open(_regular(path), "rb") as file:
+                start = file.read(_HEADER_BYTES)
+        except (OSError, UnicodeDecodeError):
+            return False
+        return start.startswith(MCAP0_MAGIC) and LIBRARY.encode() in start
+
+
+def _regular(path: Path) -> int:
+    """A descriptor to read a regular file; OSError for links, pipes and devices."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(f"{path} is not a regular file")
+    return descriptor
+
+
 class Recorder:
     """Writes one log, split over as many files as it takes. Not thread-safe: one writer thread."""
 
@@ -80,6 +123,7 @@ class Recorder:
         self.deleted: list[str] = []
         self.problem = ""
         self._base = Path(parameters.path)
+        self._written = Written(self._base)
         self._definition, self._free = definition, free
         self._metadata: dict[str, dict[str, str]] = {}
         self._attachments: dict[str, tuple[str, bytes]] = {}
@@ -197,6 +241,7 @@ class Recorder:
             else self._base.with_name(f"{self._base.stem}_{number}{self._base.suffix}")
         )
         log = McapLog(self.parameters, path, self._definition)
+        self._written.add(path)
         self._log, self.path, self._began, self._seen = log, path, time.monotonic(), 0
         self._settled = {}
         for name, values in self._metadata.items():
@@ -273,6 +318,8 @@ class Recorder:
             for old in log_files(self._base):
                 if self.free() >= enough or (old == self.path and self._log is not None):
                     break
+                if not self._written.holds(old):
+                    continue
                 old.unlink(missing_ok=True)
                 self.deleted.append(old.name)
         return self.free() >= enough

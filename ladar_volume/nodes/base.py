@@ -30,7 +30,7 @@ from ladar_volume.model.errors import ConfigurationError, LadarVolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameter import specs
 from ladar_volume.model.parameters import SECTIONS, Parameters
-from ladar_volume.nodes.declared_parameters import descriptor, outside, why_not_now
+from ladar_volume.nodes.declared_parameters import descriptor, outside, why_never, why_not_now
 from ladar_volume.nodes.defect_reports import Defects
 from ladar_volume.nodes.executor_rounds import AT_ONCE, take_waiting, unpacked
 from ladar_volume.nodes.health import Health
@@ -114,11 +114,9 @@ class StageNode(LifecycleNode, ABC):
             section, dot, key = change.name.partition(".")
             if not dot or section not in SECTIONS:
                 continue
-            reason = (
-                why_not_now(change.name, self.runtime_sections)
-                if self._worker is not None
-                else None
-            )
+            reason = why_never(change.name)
+            if reason is None and self._worker is not None:
+                reason = why_not_now(change.name, self.runtime_sections)
             if reason is not None:
                 return SetParametersResult(successful=False, reason=reason)
             values.setdefault(section, {})[key] = outside(change.value)
@@ -435,5 +433,5 @@ class StageNode(LifecycleNode, ABC):
     def autostart(self) -> None:
         """Configure and activate where the parameters say so."""
         if self.parameters.node.autostart:
-            self.trigger_configure()
-            self.trigger_activate()
+            if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+                self.trigger_activate()

@@ -13,6 +13,8 @@ from ladar_volume.model.parameter import ParameterSpec
 
 #: Read once, when the node starts or is configured.
 AT_START = frozenset({"node.input_reliability", "node.input_depth", "node.autostart"})
+#: What a node may write or delete, and where: given when it is launched, never over the graph.
+FILES = frozenset({"logger.path", "logger.disk_full", "node.output_folder"})
 
 
 def descriptor(spec: ParameterSpec) -> ParameterDescriptor:
@@ -48,6 +50,16 @@ def outside(value: Any) -> Any:
     if value is None:
         return []
     return value if isinstance(value, str | int | float | bool) else list(value)
+
+
+def why_never(name: str) -> str | None:
+    """Why a parameter cannot change once its node was launched; None where it can."""
+    if name in FILES:
+        return (
+            f"{name} says which files the node may touch: it is set at launch and read-only "
+            "afterwards; restart the node with another value"
+        )
+    return None
 
 
 def why_not_now(name: str, runtime_sections: tuple[str, ...]) -> str | None:

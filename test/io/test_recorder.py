@@ -387,3 +387,25 @@ def test_kill_nine_loses_at_most_a_second(tmp_path):
         env=os.environ | {"PYTHONPATH": str(ROOT)},
     )
     assert done.returncode == 0, done.stderr + done.stdout
+
+
+def test_only_files_that_this_log_wrote_are_deleted(tmp_path):
+    ours = Recorder(parameters(tmp_path, split_bytes=2000, disk_reserve_bytes=0))
+    ours.split(1)
+    ours.close()
+    whole = (tmp_path / "log.mcap").read_bytes()
+    (tmp_path / "log_2.mcap").write_bytes(whole)  # an MCAP, but not in the list
+    (tmp_path / "log_3.mcap").write_text("precious")
+    (tmp_path / "kept").write_bytes(whole)
+    (tmp_path / "log_4.mcap").symlink_to(tmp_path / "kept")
+    (tmp_path / "log_1.mcap").write_text("precious")  # in the list, but no MCAP any more
+    with (tmp_path / ".log.mcap.written").open("a") as manifest:
+        manifest.write("log_3.mcap\nlog_4.mcap\n")
+    full = parameters(
+        tmp_path, disk_full="delete_oldest", split_bytes=2000, disk_reserve_bytes=1000
+    )
+    recorder = Recorder(full, free=lambda folder: 0)
+    recorder.close()
+    assert recorder.deleted == ["log.mcap"] and "disk full" in recorder.problem
+    names = {f.name for f in tmp_path.iterdir()}
+    assert {"log_1.mcap", "log_2.mcap", "log_3.mcap", "log_4.mcap", "kept"} <= names
