@@ -34,6 +34,10 @@ ORDER += ["experiments", "nodes", "cli"]
 FILES = sorted(PACKAGE.rglob("*.py"))
 #: Most modules in a folder, its face not counted.
 MODULES = 20
+#: Arguments of a function, ``self`` and ``cls`` not counted; how many functions have more, outside
+#: ``clouds/`` and in the whole package; how many arguments are annotated as bare ``Any``. The last
+#: three only go down.
+ARGUMENTS, LONG_OUTSIDE_CLOUDS, LONG, ANY = 8, 6, 40, 908
 
 
 def name_of(path):
@@ -122,6 +126,36 @@ def test_rooms_import_only_from_those_before_them(path):
 )
 def test_a_folder_can_be_held_in_the_head(folder):
     assert len([p for p in folder.glob("*.py") if p.name != "__init__.py"]) <= MODULES
+
+
+def functions():
+    """File, name and arguments of every function of the package."""
+    for path in FILES:
+        for n in ast.walk(ast.parse(path.read_text())):
+            if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef):
+                every = [*n.args.posonlyargs, *n.args.args, *n.args.kwonlyargs]
+                yield path, n.name, [a for a in every if a.arg not in ("self", "cls")]
+
+
+def test_few_functions_take_many_arguments():
+    long = [
+        (room(path), f"{path.relative_to(PACKAGE)}: {name} takes {len(arguments)}")
+        for path, name, arguments in functions()
+        if len(arguments) > ARGUMENTS
+    ]
+    outside = [words for where, words in long if where != "clouds"]
+    assert len(outside) <= LONG_OUTSIDE_CLOUDS, "\n".join(outside)
+    assert len(long) <= LONG, "\n".join(words for _, words in long)
+
+
+def test_few_arguments_are_annotated_as_any():
+    found = [
+        f"{path.relative_to(PACKAGE)}: {name}({a.arg})"
+        for path, name, arguments in functions()
+        for a in arguments
+        if isinstance(a.annotation, ast.Name) and a.annotation.id == "Any"
+    ]
+    assert len(found) <= ANY, "\n".join(found)
 
 
 def test_no_basename_is_used_twice_in_the_core():

@@ -142,7 +142,7 @@ def height_variance(own: Epoch, other: Epoch, apart: Difference) -> F64:
                 )
             )
         )
-    mine, taken = difference_kernel(start, column, *C[0], *C[1], apart.corner, apart.weight)
+    mine, taken = difference_kernel(start, column, C[0], C[1], apart.corner, apart.weight)
     out: F64 = mine + taken
     return out
 

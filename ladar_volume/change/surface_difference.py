@@ -23,7 +23,7 @@ from ladar_volume.tin.full_tin import any_corner, footprint_areas
 from ladar_volume.tin.insertion_order import hilbert_order
 from ladar_volume.tin.locate import barycentric, locate, triangle_index
 from ladar_volume.tin.median_screen import edges
-from ladar_volume.volume.near_base import csr
+from ladar_volume.volume.near_base import Csr, csr
 from ladar_volume.volume.neighbourhood import CHUNKS
 
 
@@ -51,7 +51,7 @@ class Difference:
         start, link = edges(self.tin.triangles, self.tin.neighbours, n)
         begin, column = with_diagonal(start, link)
         own, taken = difference_kernel(
-            begin, column, *csr(C_own), *csr(C_other), self.corner, self.weight
+            begin, column, csr(C_own), csr(C_other), self.corner, self.weight
         )
         size = mean_variance(self.tin, sparse.csr_array((taken, column, begin), shape=(n, n)))
         scale = mean_variance(other, C_other) / size if size > 0.0 else 1.0
@@ -100,18 +100,16 @@ def entry(start: I64, column: I64, value: F64, i: int, j: int) -> float:
 def difference_kernel(
     begin: I64,
     column: I64,
-    own_start: I64,
-    own_column: I64,
-    own_value: F64,
-    start: I64,
-    other_column: I64,
-    value: F64,
+    carrier: Csr,
+    other: Csr,
     corner: I32,
     weight: F64,
 ) -> tuple[F64, F64]:
     """Covariances at the entries of a pattern (begin, column): of the carrying surface's heights,
     and of the other's interpolated ones.
     """
+    own_start, own_column, own_value = carrier.start, carrier.column, carrier.value
+    start, other_column, value = other.start, other.column, other.value
     own, taken = np.zeros(len(column)), np.zeros(len(column))
     for i in numba.prange(len(begin) - 1):
         for e in range(begin[i], begin[i + 1]):

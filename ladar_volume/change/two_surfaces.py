@@ -164,7 +164,6 @@ def two_surfaces(
     scanner_a: F64,
     scanner_b: F64,
     *,
-    max_angle_rad: float = np.inf,
     max_edge_m: float = np.inf,
     pole_map: F64 | None = None,
     ring_radius_m: float = 0.0,
@@ -172,8 +171,8 @@ def two_surfaces(
     """Volume between surfaces A (before) and B (after) within a ring.
 
     points_a, points_b : (n, 3) m, both in the map frame (register first), reaching a margin beyond
-    the ring · scanner_a, scanner_b : (3,) m · max_angle_rad, max_edge_m : limits of a triangle;
-    wider ones still close the surface, and are counted in ``bridged_m2`` · pole_map : (3,) m,
+    the ring · scanner_a, scanner_b : (3,) m · max_edge_m : limit of a triangle; wider
+    ones still close the surface, and are counted in ``bridged_m2`` · pole_map : (3,) m,
     default scanner B · ring_radius_m : the ring lies on planes through the points so near to it; 0:
     on the triangles, which serves exact points.
 
@@ -182,7 +181,7 @@ def two_surfaces(
     ring_lost (points too near the ring).
     """
     a, b = (np.asarray(p, dtype=np.float64) for p in (points_a, points_b))
-    limits = (max_angle_rad, max_edge_m)
+    limits = (np.inf, max_edge_m)
     s_a, s_b = build_spherical(a, scanner_a, *limits), build_spherical(b, scanner_b, *limits)
     aims = target(s_a.tin), target(s_b.tin)
     hits_a, hits_b = (

@@ -11,7 +11,7 @@ leaves no more than :data:`MOST_WAITING` points waiting, however long it takes t
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -68,25 +68,30 @@ def tiles_within(start: I64, voxels: I64, keys: I64, table: I32, most: int, mark
     return len(start) - 1
 
 
+class Queues(NamedTuple):
+    """Lists of points by voxel. cap : most points of a voxel · table, keys : hash table and keys of
+    the voxels · counts, head : (voxels,) points and first slot of each · after, hashes : (slots,)
+    next slot and hash of each point · ends : voxels used, slots used, first free slot; -1 ends a
+    list
+    """
+
+    cap: int
+    table: I32
+    keys: I64
+    counts: I32
+    head: I32
+    after: I32
+    hashes: U64
+    ends: I64
+
+
 @kernel
-def enqueue(
-    key: I64,
-    h: U64,
-    cap: int,
-    table: I32,
-    keys: I64,
-    count: I32,
-    head: I32,
-    after: I32,
-    hashes: U64,
-    ends: I64,
-    start: int,
-    slot_of: I64,
-) -> Any:
+def enqueue(key: I64, h: U64, queues: Queues, start: int, slot_of: I64) -> Any:
     """Put points from ``start`` on into the lists of their voxels, of each the ``cap`` of lowest
     hash; returns the next point, before the end where the voxels' or the slots' arrays are full.
-    ends : voxels used, slots used, first free slot; -1 ends a list.
     """
+    cap, table, keys, count = queues.cap, queues.table, queues.keys, queues.counts
+    head, after, hashes, ends = queues.head, queues.after, queues.hashes, queues.ends
     for i in range(start, len(key)):
         v = find_voxel(table, keys, key[i])
         if v < 0:
@@ -192,14 +197,16 @@ class Deferred:
             start = enqueue(
                 points.key,
                 points.hash,
-                self._cap,
-                self._table,
-                self._keys,
-                self._count,
-                self._head,
-                self._after,
-                self._points.hash,
-                self._ends,
+                Queues(
+                    self._cap,
+                    self._table,
+                    self._keys,
+                    self._count,
+                    self._head,
+                    self._after,
+                    self._points.hash,
+                    self._ends,
+                ),
                 start,
                 slot_of,
             )

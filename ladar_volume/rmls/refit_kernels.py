@@ -17,7 +17,17 @@ from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.rmls import patch_fit
 from ladar_volume.rmls.fit_store import Fits
 from ladar_volume.rmls.patch_fit import REACH
-from ladar_volume.rmls.tangent_frame import coordinates, level_frame, mark_flat, refit, tangent_of
+from ladar_volume.rmls.tangent_frame import (
+    Frame,
+    Near,
+    RefitRule,
+    Terms,
+    coordinates,
+    level_frame,
+    mark_flat,
+    refit,
+    tangent_of,
+)
 from ladar_volume.rmls.viewing_geometry import NUMBERS, recall, rotated
 from ladar_volume.rmls.voxel_store import VoxelArrays, _mix, voxels_around
 
@@ -113,7 +123,8 @@ def _fit_one(
     voxel, cap, r, ball = fits.voxels[a], store.cap, store.r, 2.0 * rule.radius
     centre, normal, tangent = fits.centre[a], fits.normal[a], fits.tangent[a]
     beta, inverse = fits.beta[a], fits.inverse[a]
-    sigmas, floor, iterations = rule.sigmas, rule.floor, rule.iterations
+    sigmas, floor = rule.sigmas, rule.floor
+    refitting, terms = RefitRule(ball, sigmas, floor, rule.iterations), Terms(beta, inverse)
     pts, near = np.empty((n, 3)), np.empty((3, n))
     for i in range(n):
         for k in range(3):
@@ -145,16 +156,9 @@ def _fit_one(
         origin,
         plane,
         sigma,
-        ball,
-        sigmas,
-        floor,
-        iterations,
-        near,
-        index,
-        inside,
-        centre,
-        normal,
-        tangent,
+        refitting,
+        Near(near, index, inside),
+        Frame(centre, normal, tangent),
     )
     if sigma < 0.0:
         return NO_PLANE, 0, 0.0
@@ -163,14 +167,14 @@ def _fit_one(
     mark_flat(near, m, threshold, inside)
     _face_sensor(slots, index, m, inside, store.aux, normal, tangent)
     m = coordinates(pts, n, centre, normal, tangent, ball, near, index)
-    used, s = refit(near, m, ball, rule.p, sigma, sigmas, floor, iterations, inside, beta, inverse)
+    used, s = refit(near, m, rule.p, sigma, refitting, inside, terms)
     if used < rule.min_points and rule.p == 6:
         # too few or too one-sided points for a quadric: the plane stands, its quadratic terms are
         # zero with certainty
         mark_flat(near, m, threshold, inside)
         beta[:] = 0.0
         inverse[:] = 0.0
-        used, s = refit(near, m, ball, 3, sigma, sigmas, floor, iterations, inside, beta, inverse)
+        used, s = refit(near, m, 3, sigma, refitting, inside, terms)
     if used < rule.min_points:
         return FEW_INLIERS, used, s
     k, own = 0, False

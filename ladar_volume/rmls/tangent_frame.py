@@ -4,7 +4,7 @@ point, the frame itself.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,47 @@ STEEPEST = 0.9
 #: A fit has settled when its quadratic terms move the rim of the neighbourhood by less than this
 #: share of sigma.
 SETTLED = 1e-3
+
+
+class RefitRule(NamedTuple):
+    """ball : radius of the neighbourhood, m · sigmas, floor : threshold of an inlier in sigma, and
+    its floor in m · iterations : most refits
+    """
+
+    ball: float
+    sigmas: float
+    floor: float
+    iterations: int
+
+
+class Terms(NamedTuple):
+    """beta : (6,) of the surface in its frame, m · inverse : (6, 6) of the normal equations."""
+
+    beta: F64
+    inverse: F64
+
+
+class Near(NamedTuple):
+    """Points in a frame: uvw (3 or more, n), slots (n,) of each, and whether it is inside."""
+
+    uvw: F64
+    slots: I64
+    inside: Bool
+
+
+class Frame(NamedTuple):
+    """centre : (3,) m · normal, tangent : (3,) unit vectors."""
+
+    centre: F64
+    normal: F64
+    tangent: F64
+
+
+class Residuals(NamedTuple):
+    """straight : (n,) heights less the arc term · off : (n,) distances from the model, m."""
+
+    straight: F64
+    off: F64
 
 
 @leaf_kernel
@@ -176,14 +217,13 @@ def _normal_quadric(uvw: F64, straight: F64, m: int, inside: Bool, A: F64, b: F6
 @leaf_kernel
 def _classify(
     uvw: F64,
-    straight: F64,
+    residuals: Residuals,
     m: int,
     p: int,
     b: F64,
     ball: float,
     threshold: float,
     inside: Bool,
-    off: F64,
 ) -> Any:
     """Mark the points within ``threshold`` of the model; returns (how many, sum of their squared
     residuals, any change).
@@ -192,6 +232,7 @@ def _classify(
     *foot points*: a ball about the noisy points keeps more of those on the hollow side, which pulls
     a curved surface inwards.
     """
+    straight, off = residuals.straight, residuals.off
     used, square, changed = 0, 0.0, False
     reach = max(1.0 - threshold / ball, 0.5)
     b0, b1, b2, b3, b4, b5 = b[0], b[1], b[2], b[3], b[4], b[5]
@@ -225,15 +266,11 @@ def _classify(
 def refit(
     uvw: F64,
     m: int,
-    ball: float,
     p: int,
     sigma: float,
-    sigmas: float,
-    floor: float,
-    iterations: int,
+    rule: RefitRule,
     inside: Bool,
-    beta: F64,
-    inverse: F64,
+    terms: Terms,
 ) -> Any:
     """Least squares on the inliers, iterated until they stay the same. ``inside`` (m,) holds the
     start.
@@ -242,15 +279,18 @@ def refit(
     ``beta`` and ``inverse`` = (XᵀX)⁻¹ come back in metres. Returns (number of inliers, sigma); 0
     inliers where the terms are not determined.
     """
+    ball, sigmas, floor, iterations = rule.ball, rule.sigmas, rule.floor, rule.iterations
+    beta, inverse = terms.beta, terms.inverse
     A, b, right = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
-    straight, off = np.empty(m), np.empty(m)
+    residuals = Residuals(np.empty(m), np.empty(m))
+    straight = residuals.straight
     used, shift = 0, 0.0
     for step in range(iterations + 1):
         if step > 0:
             threshold = (
                 max(sigmas * sigma, floor) if step == 1 else max(sigmas * sigma, floor, 1e-7 * ball)
             )
-            used, square, changed = _classify(uvw, straight, m, p, b, ball, threshold, inside, off)
+            used, square, changed = _classify(uvw, residuals, m, p, b, ball, threshold, inside)
             if used <= p:
                 return 0, sigma
             # noise-free input: the threshold of the next step stays above the rounding of
@@ -301,23 +341,20 @@ def level_frame(
     origin: F64,
     plane: F64,
     sigma: float,
-    ball: float,
-    sigmas: float,
-    floor: float,
-    iterations: int,
-    uvw: F64,
-    index: I64,
-    inside: Bool,
-    centre: F64,
-    normal: F64,
-    tangent: F64,
+    rule: RefitRule,
+    near: Near,
+    frame: Frame,
 ) -> Any:
     """Turn a start plane into a frame at the foot point of ``origin``: a plane refit and re-tilt
     until it lies flat.
 
     Returns the plane's sigma, −1 where no plane is determined.
     """
-    beta, inverse, new = np.zeros(6), np.zeros((6, 6)), np.empty(3)
+    ball, sigmas, floor = rule.ball, rule.sigmas, rule.floor
+    uvw, index, inside = near.uvw, near.slots, near.inside
+    centre, normal, tangent = frame.centre, frame.normal, frame.tangent
+    terms, new = Terms(np.zeros(6), np.zeros((6, 6))), np.empty(3)
+    beta = terms.beta
     normal[:] = plane[:3]
     height = origin[0] * normal[0] + origin[1] * normal[1] + origin[2] * normal[2] - plane[3]
     for k in range(3):
@@ -326,9 +363,7 @@ def level_frame(
         tangent_of(normal, tangent)
         m = coordinates(r, n, centre, normal, tangent, ball, uvw, index)
         mark_flat(uvw, m, max(sigmas * sigma, floor, 0.5e-7 * ball), inside)
-        used, sigma = refit(
-            uvw, m, ball, 3, sigma, sigmas, floor, iterations, inside, beta, inverse
-        )
+        used, sigma = refit(uvw, m, 3, sigma, rule, inside, terms)
         if used == 0:
             return -1.0
         t0, t1, t2 = tangent[0], tangent[1], tangent[2]

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -96,10 +96,18 @@ def node_covariances(C: Any, triangles: I32) -> F64:
     return np.asarray(packed_kernel(*csr(C), triangles))
 
 
-def csr(C: Any) -> tuple[I64, I64, F64]:
-    """Start of each row, columns and values of a sparse matrix."""
+class Csr(NamedTuple):
+    """A sparse matrix: start of each row, columns and values."""
+
+    start: I64
+    column: I64
+    value: F64
+
+
+def csr(C: Any) -> Csr:
+    """A sparse matrix as kernels read it."""
     rows = sparse.csr_array(C)
-    return rows.indptr.astype(np.int64), rows.indices.astype(np.int64), rows.data
+    return Csr(rows.indptr.astype(np.int64), rows.indices.astype(np.int64), rows.data)
 
 
 def near_triangles(tin: Tin, height: F64, variance: F64, mask: Bool) -> Bool:

@@ -194,7 +194,7 @@ def test_the_difference_surface_is_the_difference(swap):
         mean_variance(fine, A) + mean_variance(coarse, B), rel=1e-12
     )
     begin, column = with_diagonal(*edges(fine.triangles, fine.neighbours, 200))
-    args = (begin, column, *csr(A), *csr(B), d.corner, d.weight)
+    args = (begin, column, csr(A), csr(B), d.corner, d.weight)
     for a, b in zip(difference_kernel(*args), difference_kernel.py_func(*args), strict=True):
         assert a == pytest.approx(b, rel=1e-13)
     args = (fine.vertices, fine.triangles, fine.relevant, *csr(joint))

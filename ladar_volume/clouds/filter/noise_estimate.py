@@ -11,7 +11,16 @@ import numpy as np
 
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.rmls.patch_fit import start_plane
-from ladar_volume.rmls.tangent_frame import coordinates, level_frame, mark_flat, refit
+from ladar_volume.rmls.tangent_frame import (
+    Frame,
+    Near,
+    RefitRule,
+    Terms,
+    coordinates,
+    level_frame,
+    mark_flat,
+    refit,
+)
 from ladar_volume.rmls.voxel_store import _mix
 
 #: Random planes per neighbourhood; refits towards the fixed point.
@@ -83,16 +92,9 @@ def scatter(r: Any, near: Any, seed: Any, sigma: Any) -> None:
             origin,
             plane,
             guess,
-            ball,
-            SIGMAS,
-            0.0,
-            REFITS,
-            uvw,
-            index,
-            inside,
-            centre,
-            normal,
-            tangent,
+            RefitRule(ball, SIGMAS, 0.0, REFITS),
+            Near(uvw, index, inside),
+            Frame(centre, normal, tangent),
         )
         if flat < 0.0:
             continue
@@ -109,7 +111,13 @@ def scatter(r: Any, near: Any, seed: Any, sigma: Any) -> None:
             continue
         mark_flat(uvw, m, SIGMAS * flat, inside)
         used, curved = refit(
-            uvw, m, 2.0 * ball, 6, flat, SIGMAS, 0.0, REFITS, inside, beta, inverse
+            uvw,
+            m,
+            6,
+            flat,
+            RefitRule(2.0 * ball, SIGMAS, 0.0, REFITS),
+            inside,
+            Terms(beta, inverse),
         )
         if used > m // 2:
             sigma[s] = curved

@@ -10,7 +10,18 @@ import numpy as np
 
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.math.normal_equations import basis, invert
-from ladar_volume.rmls.tangent_frame import across, arc, coordinates, level_frame, mark_flat, refit
+from ladar_volume.rmls.tangent_frame import (
+    Frame,
+    Near,
+    RefitRule,
+    Terms,
+    across,
+    arc,
+    coordinates,
+    level_frame,
+    mark_flat,
+    refit,
+)
 
 #: Re-levellings of a quadric's frame.
 LEVELS = 3
@@ -170,6 +181,7 @@ def quadric_from(
     plane[3] += plane[0] * origin[0] + plane[1] * origin[1] + plane[2] * origin[2]
     loose = max(loose, threshold)
     few = min(iterations, STEPS)  # a start; the fixed point is sought with the right distances
+    refitting = RefitRule(ball, 0.0, loose, few)
     if (
         level_frame(
             pts,
@@ -177,23 +189,16 @@ def quadric_from(
             origin,
             plane,
             sigma,
-            ball,
-            0.0,
-            loose,
-            few,
-            near,
-            index,
-            inside,
-            centre,
-            normal,
-            tangent,
+            refitting,
+            Near(near, index, inside),
+            Frame(centre, normal, tangent),
         )
         < 0.0
     ):
         return 0
     m = coordinates(pts, n, centre, normal, tangent, ball, near, index)
     mark_flat(near, m, loose, inside)
-    used, _ = refit(near, m, ball, 6, sigma, 0.0, loose, few, inside, beta, inverse)
+    used, _ = refit(near, m, 6, sigma, refitting, inside, Terms(beta, inverse))
     if used == 0:
         return 0
     return settled(

@@ -16,6 +16,10 @@ from ladar_volume.clouds.published.random_samples import (
 )
 from ladar_volume.math.kernels import kernel
 from ladar_volume.rmls.tangent_frame import (
+    Frame,
+    Near,
+    RefitRule,
+    Terms,
     across,
     coordinates,
     level_frame,
@@ -55,21 +59,19 @@ def refit_quadric(
     Returns (inliers, 0 where there is no surface; sigma; whether it is a quadric).
     """
     ball, limit = 2.0 * rules.radius, limit_of(sigma, rules)
+    refitting = RefitRule(ball, rules.sigmas, rules.floor, rules.iterations)
+    terms = Terms(beta, inverse)
     quadric_residuals(near, n, beta, work)
     for i in range(n):
         inside[i] = work[i] <= limit
     beta[:] = 0.0
-    used, new = refit(
-        near, n, ball, 6, sigma, rules.sigmas, rules.floor, rules.iterations, inside, beta, inverse
-    )
+    used, new = refit(near, n, 6, sigma, refitting, inside, terms)
     if used >= rules.least:
         return used, new, True
     beta[:] = 0.0
     inverse[:] = 0.0
     mark_flat(near, n, limit, inside)
-    used, new = refit(
-        near, n, ball, 3, sigma, rules.sigmas, rules.floor, rules.iterations, inside, beta, inverse
-    )
+    used, new = refit(near, n, 3, sigma, refitting, inside, terms)
     return (used if used >= rules.least else 0), new, False
 
 
@@ -115,16 +117,9 @@ def fit_quadric(
         origin,
         plane,
         sigma,
-        ball,
-        rules.sigmas,
-        rules.floor,
-        rules.iterations,
-        near,
-        index,
-        inside,
-        centre,
-        normal,
-        tangent,
+        RefitRule(ball, rules.sigmas, rules.floor, rules.iterations),
+        Near(near, index, inside),
+        Frame(centre, normal, tangent),
     )
     if sigma < 0.0:
         return 0, sigma, made
