@@ -8,8 +8,8 @@ import contextlib
 import json
 import os
 import re
-import stat
 import shutil
+import stat
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
