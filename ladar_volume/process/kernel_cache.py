@@ -22,7 +22,7 @@ def _say(line: str) -> None:
         sys.stderr.write(f"ladar_volume: {line}\n")
 
 
-class KernelCache(FunctionCache):  # type: ignore[misc]
+class KernelCache(FunctionCache):
     """Numba's own cache of one function; its errors cost a compilation, no more."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
