@@ -58,6 +58,8 @@ from ladar_volume.model.records import (
 _LARGEST_STEP_NS = 1_000_000_000
 #: Least share of what waits of a cloud that is mapped before the rest.
 WORTH_IT = 0.25
+#: Returns that wait at most, 0.5 GB: a LiDAR clock that stands still expires none of them.
+MOST_WAITING = 10_000_000
 
 S = TypeVar("S")
 
@@ -261,6 +263,8 @@ class Georeferencer:
         self.sweeps.add(first, last)
         self._tick(last)
         self._waiting.append(_Waiting(kept, first, last, self._waiting_clock_ns))
+        while self.pending > MOST_WAITING:
+            self.losses.add("point_waiting_full", len(self._waiting.pop(0).returns))
 
     def _gate(self, returns: Returns) -> Returns:
         p = self._p

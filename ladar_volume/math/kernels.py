@@ -27,6 +27,8 @@ from ladar_volume.process.import_guard import unwanted
 with unwanted("coverage"):  # 5 MB, and nothing to measure where it does not run yet
     import numba
 
+from ladar_volume.process.kernel_cache import keep
+
 numba.config.THREADING_LAYER = "omp"  # type: ignore[attr-defined]
 
 #: Numba's own option, absent from its type stubs.
@@ -40,7 +42,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def kernel(function: F) -> F:
     """Compile ``function`` for one thread; IEEE semantics, no fast-math."""
-    compiled: Any = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    compiled: Any = numba.njit(nogil=True, error_model="numpy")(function)
+    keep(compiled)
     result: F = compiled
     return result
 
@@ -50,14 +53,16 @@ def leaf_kernel(function: F) -> F:
     (numba refuses those that do): rows ``x[i]`` handed to others are not counted as references,
     which costs more than what is done with them.
     """
-    compiled: Any = numba.njit(cache=True, nogil=True, error_model="numpy", **NO_COUNTS)(function)
+    compiled: Any = numba.njit(nogil=True, error_model="numpy", **NO_COUNTS)(function)
+    keep(compiled)
     result: F = compiled
     return result
 
 
 def parallel_kernel(function: F) -> F:
     """Compile ``function`` with ``numba.prange`` loops shared over the cores."""
-    compiled: Any = numba.njit(cache=True, nogil=True, parallel=True, error_model="numpy")(function)
+    compiled: Any = numba.njit(nogil=True, parallel=True, error_model="numpy")(function)
+    keep(compiled)
     result: F = compiled
     return result
 

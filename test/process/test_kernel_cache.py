@@ -1,0 +1,64 @@
+"""A damaged or unwritable cache of compiled kernels costs a compilation and one line."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SCRIPT = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from adding import one_more
+print(one_more(1.5))
+print(sum(one_more.stats.cache_hits.values()))
+"""
+MODULE = """
+from ladar_volume.math.kernels import kernel
+@kernel
+def one_more(x):
+    return x + 1.0
+"""
+
+
+def run(folder, **settings):
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"} | settings
+    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), *filter(None, sys.path)])
+    command = [sys.executable, "-c", SCRIPT, str(folder)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    value, hits = done.stdout.split()
+    assert value == "2.5"
+    return int(hits), done.stderr.splitlines()
+
+
+@pytest.mark.parametrize(
+    ("ending", "damage"),
+    [
+        (".nbc", lambda data: data[: len(data) // 2]),
+        (".nbi", lambda data: data[: len(data) // 2]),
+        (".nbi", lambda data: b""),
+        (".nbc", lambda data: bytes(len(data))),
+        (".nbi", lambda data: b"garbage"),
+    ],
+)
+def test_a_damaged_cache_is_built_again(tmp_path, ending, damage):
+    (tmp_path / "adding.py").write_text(MODULE)
+    cache = str(tmp_path / "cache")
+    assert run(tmp_path, NUMBA_CACHE_DIR=cache) == (0, [])
+    (file,) = (tmp_path / "cache").rglob(f"*{ending}")
+    file.write_bytes(damage(file.read_bytes()))
+    hits, lines = run(tmp_path, NUMBA_CACHE_DIR=cache)
+    assert hits == 0 and len(lines) == 1 and "damaged cache" in lines[0]
+    assert run(tmp_path, NUMBA_CACHE_DIR=cache) == (1, [])
+
+
+def test_without_a_folder_that_can_be_written_kernels_are_compiled_anew(tmp_path):
+    (tmp_path / "adding.py").write_text(MODULE)
+    (tmp_path / "__pycache__").write_text("a file where the folder would be")
+    home = tmp_path / "file"
+    home.write_text("no folder")
+    hits, lines = run(tmp_path, HOME=str(home), XDG_CACHE_HOME=str(home), NUMBA_CACHE_DIR="")
+    assert hits == 0 and len(lines) == 1 and "no folder" in lines[0]
