@@ -158,6 +158,14 @@ def test_what_a_person_sees(cloud, tmp_path, capsys, monkeypatch):
         assert words in seen
 
 
+def test_the_table_is_whole_at_80_columns(cloud, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["body", str(cloud), "-o", str(tmp_path / "o.ply")]) == 0
+    seen = capsys.readouterr().out
+    places = [line for line in seen.splitlines() if line.startswith(("body 1 at", "body 2 at"))]
+    assert "…" not in seen and len(places) == 2 and all(line.endswith(" m") for line in places)
+
+
 def test_contradictions_of_a_cloud_are_refused(cloud, tmp_path, capsys):
     out = str(tmp_path / "o.ply")
     for words, say in (
