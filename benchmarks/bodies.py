@@ -180,6 +180,8 @@ def measure(points: F64, stands: bool) -> tuple[CloudBodies, Uncertain]:
             f.r, [ground], ObjectParameters(min_height_m=CLEAR * float(f.report["noise_m"]))
         ).label
     found = cloud_bodies(f.r, f.normal, f.curved, label, ground)
+    if found.failed:
+        raise SystemExit(f"{len(found.failed)} bodies failed: {found.failed[0].reason}")
     return found, cloud_uncertainty(found.bodies, found.sources, points, f, ground)
 
 

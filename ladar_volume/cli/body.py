@@ -25,6 +25,7 @@ from ladar_volume.clouds.body_verdict import (
     Missed,
     bodies_verdict,
     check_missed,
+    filter_doubts,
     missed_points,
     step_between,
 )
@@ -221,6 +222,9 @@ def of_cloud(arguments: argparse.Namespace, console: Console) -> tuple[dict[str,
     facts["reading"] = cloud_facts_of(source.cloud)
     facts["above_ground"] = None if missed is None else dataclasses.asdict(missed)
     verdict = bodies_verdict(made, points, missed)
+    if filtered is not None and ground is not None:
+        noise_m = float(filtered.report["noise_m"])
+        verdict += Verdict(filter_doubts(source.cloud.r, points, ground, noise_m))
     for body in made.bodies:
         verdict += Verdict(body.doubts)
     facts["verdict"] = (Verdict(reading_doubts([source.cloud])) + verdict).as_dict()
@@ -282,8 +286,7 @@ def objects_of(
         return objects_in(points, [ground], regions, p), None
     found = find_objects(points, [ground], p)
     missed = missed_points(points, ground, found, p)
-    if found.records:
-        check_missed(missed)
+    check_missed(missed)
     return found, missed
 
 

@@ -141,20 +141,19 @@ def cloud_facts(
 
 def show(console: Console, facts: Mapping[str, Any]) -> None:
     """Print the bodies, where their uncertainty comes from, and what was closed."""
-    table = Table("body", "volume", "sigma", "uncorrected", "closed", "V − E + F", "centre", "size")
+    table = Table("body", "volume", "sigma", "uncorrected", "closed")
     for k, b in enumerate(facts["bodies"]):
-        size = [high - low for low, high in zip(b["low_m"], b["high_m"], strict=True)]
-        places = (", ".join(f"{x:.7g}" for x in b["centroid_map_m"]), three(size))
-        table.add_row(str(k + 1), *volumes(b), str(b["euler"]), *places)
+        table.add_row(str(k + 1), *volumes(b))
     for f in facts["failed"]:
-        place = ", ".join(f"{x:.7g}" for x in f["middle_m"])
-        extent = three([high - low for low, high in zip(f["low_m"], f["high_m"], strict=True)])
-        table.add_row(f"object {f['object']}", "failed", "", "", "", "", place, extent)
+        table.add_row(f"object {f['object']}", "failed", "", "", "")
     if len(facts["bodies"]) > 1:
-        table.add_row("all", *volumes(facts), "", "", "")
+        table.add_row("all", *volumes(facts))
     console.print(table)
     for k, b in enumerate(facts["bodies"]):
+        console.print(f"body {k + 1} {place_line(b, b['centroid_map_m'])}")
         console.print(f"body {k + 1}: {details(b)}")
+    for f in facts["failed"]:
+        console.print(f"object {f['object']} {place_line(f, f['middle_m'])}")
     if facts["sigma_m3"] is None:
         console.print("sigma is not known: give --sigma, the standard deviation of each vertex")
     above = facts.get("above_ground")
@@ -170,6 +169,12 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
         f"watertight: {'yes' if facts['watertight'] else 'no'}; written to "
         f"{facts['output']['path']}"
     )
+
+
+def place_line(b: Mapping[str, Any], middle_m: Sequence[float]) -> str:
+    """Where one body is, and its extent."""
+    size = [high - low for low, high in zip(b["low_m"], b["high_m"], strict=True)]
+    return f"at {', '.join(f'{x:.7g}' for x in middle_m)}; {three(size)}"
 
 
 def three(size_m: Sequence[float]) -> str:
@@ -210,7 +215,7 @@ def quantity(
 
 def details(b: Mapping[str, Any]) -> str:
     """What was made of one body, in one paragraph."""
-    parts = [f"{b['triangles']:,} triangles, {b['area_m2']:.4g} m²"]
+    parts = [f"{b['triangles']:,} triangles, {b['area_m2']:.4g} m², V − E + F = {b['euler']}"]
     if b["budget_m6"] is not None:
         parts.append(
             "sigma: "

@@ -20,6 +20,8 @@ from ladar_volume.model.verdict import Doubt, Verdict
 
 #: Share of the points above the ground that may be in no body: more is doubtful, and refused.
 MISSED, TOO_MANY = 0.01, 0.05
+#: Raw points higher than this many sigmas of the noise do not come from the ground.
+RAISED = 5.0
 #: Least step between points of one object, in the spacing where the points are sparsest.
 SPARSE, SPARSEST = 2.0, 90.0
 
@@ -64,6 +66,13 @@ def check_missed(missed: Missed) -> None:
     """Raises :class:`ObjectError` (object_missed; value: share) where too many points above the
     ground are in no object.
     """
+    if missed.above and missed.share == 1.0:
+        raise ObjectError(
+            f"no body: all of the {missed.above:,} points above the ground are in {missed.small:,} "
+            "clusters too small to be one: raise --distance or lower --min-points",
+            reason="object_missed",
+            value=missed.share,
+        )
     if missed.share > TOO_MANY:
         raise ObjectError(
             f"{100 * missed.share:.1f} % of the {missed.above:,} points above the ground are in no "
@@ -72,6 +81,25 @@ def check_missed(missed: Missed) -> None:
             reason="object_missed",
             value=missed.share,
         )
+
+
+def filter_doubts(raw: F64, kept: F64, ground: Plane, noise_m: float) -> tuple[Doubt, ...]:
+    """Doubt where the filter left out many of the raw points (n, 3) m that stand above the ground:
+    bodies then lack them. kept : (k, 3) m, the filtered points.
+    """
+    p = ObjectParameters(min_height_m=RAISED * noise_m)
+    before, after = (int(np.count_nonzero(rising(at, [ground], p, kept)[1])) for at in (raw, kept))
+    share = 1.0 - after / before if before else 0.0
+    if share <= TOO_MANY:
+        return ()
+    return (
+        Doubt(
+            "points_left_out",
+            f"the filter left out {100 * share:.0f} % of the {before:,} points above the ground, "
+            "so bodies may lack volume: lower --radius, scan more densely, or --no-filter",
+            share,
+        ),
+    )
 
 
 def at_the_edge(points: F64, own: F64, step_m: float) -> bool:

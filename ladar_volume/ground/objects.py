@@ -168,7 +168,9 @@ def objects_at(
     rows = np.flatnonzero(found.label >= 0)
     if len(rows) == 0:
         raise ObjectError(
-            "nothing rises above the ground: lower min_height_m or min_points",
+            f"nothing to pick: {int(np.count_nonzero(rising(points, grounds, p, supports)[1])):,} "
+            f"points rise above the ground, none in a cluster of {p.min_points} in steps of "
+            f"{p.distance_m:.3g} m: raise distance_m, or lower min_height_m or min_points",
             reason="object_empty",
         )
     picked, group = (

@@ -12,6 +12,7 @@ from ladar_volume.clouds.body_verdict import (
     at_the_edge,
     bodies_verdict,
     check_missed,
+    filter_doubts,
     missed_points,
     step_between,
 )
@@ -157,6 +158,14 @@ def test_what_a_person_sees(cloud, tmp_path, capsys, monkeypatch):
         assert words in seen
 
 
+def test_the_table_is_whole_at_80_columns(cloud, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["body", str(cloud), "-o", str(tmp_path / "o.ply")]) == 0
+    seen = capsys.readouterr().out
+    places = [line for line in seen.splitlines() if line.startswith(("body 1 at", "body 2 at"))]
+    assert "…" not in seen and len(places) == 2 and all(line.endswith(" m") for line in places)
+
+
 def test_contradictions_of_a_cloud_are_refused(cloud, tmp_path, capsys):
     out = str(tmp_path / "o.ply")
     for words, say in (
@@ -299,6 +308,24 @@ def test_points_in_no_body_are_counted_and_refused():
     assert 0.05 < missed.share < 0.5 and missed.small == 1
     with pytest.raises(ObjectError, match="are in no body"):
         check_missed(missed)
+
+
+def test_clusters_that_are_all_too_small_are_refused_with_numbers():
+    p, ground = grid_piles(0.2), design_surface([0.0])
+    q = ObjectParameters(distance_m=0.5, min_points=10**6)
+    missed = missed_points(p, ground, find_objects(p, [ground], q), q)
+    with pytest.raises(ObjectError, match=f"all of the {missed.above:,} points") as error:
+        check_missed(missed)
+    assert "clusters too small" in str(error.value)
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
+def test_points_above_the_ground_that_the_filter_left_out_are_doubted(size):
+    p, ground = grid_piles(0.5, size), design_surface([0.0])
+    assert filter_doubts(p, p, ground, 0.01 * size) == ()
+    kept = p[p[:, 2] < 1.0 * size]
+    (doubt,) = filter_doubts(p, kept, ground, 0.01 * size)
+    assert doubt.name == "points_left_out" and 0.3 < float(doubt.value) < 0.9
 
 
 def test_one_failed_body_does_not_lose_the_others():

@@ -21,6 +21,7 @@ from ladar_volume.ground.objects import ObjectParameters, find_objects
 from ladar_volume.ground.robust_ground import fit_ground
 from ladar_volume.mesh.linear_mesh import GROUND
 from ladar_volume.mesh.local_mesh import LocalMeshSettings
+from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import GroundParameters, Parameters
 from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, Patches, Plane
 from ladar_volume.uncertainty.ground_field import GroundField
@@ -175,6 +176,8 @@ def body_on_ground(points: FilteredPoints, longest_m: float = 0.0) -> tuple[Body
     made = cloud_bodies(
         points.r_map, points.normal, flat, np.where(label == 0, 0, -1), ground, options
     )
+    if made.failed:
+        raise VolumeError(made.failed[0].reason, reason="body_failed")
     body, gradient = made.bodies[0], np.zeros((len(points), 3))
     gradient[made.sources[0]] = body.gradient
     gradient[ground.support] += ground_gradient(points.r_map, ground, body.by_ground[:, None])[:, 0]
