@@ -90,11 +90,7 @@ def _beside(r: F64, done: Covered, tuned: Tuned) -> Bool:
         k = min(LINE, len(kept))
         tree = cKDTree(r[kept], balanced_tree=False)
         distance, near = tree.query(r[open_], k=k, workers=-1)
-<<<<<<< HEAD
         near, distance = kept[np.reshape(near, (-1, k))], np.reshape(distance, (-1, k))
-=======
-        near, distance = kept[near.reshape(-1, k)], np.asarray(distance).reshape(-1, k)
->>>>>>> filter
         off = np.abs(np.einsum("ski,ski->sk", r[open_, None] - done.q[near], done.normal[near]))
         reach = tuned.regions.ball_m[done.level[near]]
         fits = (off <= tuned.regions.threshold_m[near]) & (distance <= reach)

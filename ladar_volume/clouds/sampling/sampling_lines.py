@@ -117,13 +117,8 @@ def _state(r: F64, level: Thinned) -> I64:
     distance, near = level.tree.query(
         points, k=min(ASKED, len(points)), distance_upper_bound=OVER * level.edge_m
     )
-<<<<<<< HEAD:ladar_volume/clouds/filter/sampling_lines.py
     distance = np.reshape(distance, (len(points), -1))
     near = np.reshape(near, (len(points), -1))
-=======
-    distance = np.asarray(distance).reshape(len(points), -1)
-    near = np.asarray(near).reshape(len(points), -1)
->>>>>>> filter:ladar_volume/clouds/sampling/sampling_lines.py
     found = np.isfinite(distance)
     count = found.sum(axis=1)
     values = _eigenvalues(points[np.where(found, near, 0)], found)
