@@ -153,6 +153,17 @@ def test_the_step_of_rounding_is_found(step):
     assert (rounding_steps(x) == 0.0).all()
 
 
+@pytest.mark.parametrize(("apart", "axis"), [(1.0, 1), (0.5, 0)])
+def test_the_distance_of_scan_lines_is_no_step_of_rounding(apart, axis):
+    rng = np.random.default_rng(2)
+    r = rng.uniform(0, 30, (20000, 3)) * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.0]
+    r[:, axis] = np.round(r[:, axis] / apart) * apart
+    r[:, 2] += 0.02 * rng.normal(size=len(r))
+    assert (rounding_steps(r) == 0.0).all()
+    rounded = np.column_stack([np.round(r[:, :2], 3), np.round(r[:, 2], 2)])
+    assert rounding_steps(rounded)[2] == pytest.approx(0.01)
+
+
 def test_single_precision_of_map_coordinates_is_a_step():
     x = np.random.default_rng(0).uniform(-50, 50, (3000, 3)) + np.array([4e5, 5.4e6, 100])
     found = rounding_steps(x.astype(np.float32).astype(np.float64))
