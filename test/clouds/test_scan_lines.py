@@ -89,6 +89,10 @@ def test_points_that_come_three_times_count_once(court):
     assert len(many.index) == 3 * len(one.index)
     assert np.array_equal(many.sigma, sigma[order[many.index]])
     assert many.report["distinct_points"] == len(r)
+    noise = np.full(len(r), np.nan)
+    noise[one.index] = one.noise
+    assert np.array_equal(many.noise, noise[order[many.index]])
+    assert np.array_equal(many.independent_noise, np.sqrt(3) * many.noise)
 
 
 def test_a_sweep_in_millimetres_turned_and_far_away_is_the_same(court):
