@@ -62,8 +62,8 @@ def measure(made: Scan, result: CloudResult) -> dict[str, float]:
     lone = good[result.index] & flag
     after = to_surface(made.scene, result.r[use])
     noise = np.full(use.sum(), np.nan)
-    if result.noise is not None:  # of copies it is larger by the root of their number
-        noise = result.noise[use] / np.sqrt(copies(made.r)[result.index[use]])
+    if result.noise is not None:
+        noise = result.noise[use]
     return {
         "sigma": rms(after) / rms(result.sigma[use]),
         "lost": float(np.mean(~kept[good])),
@@ -74,12 +74,6 @@ def measure(made: Scan, result: CloudResult) -> dict[str, float]:
         "before_mm": 1e3 * rms(made.distance[result.index[use]]),
         "flagged": rms(made.distance[result.index[lone]]) / rms(result.sigma[lone]),
     }
-
-
-def copies(r: F64) -> F64:
-    """How often (n,) each point (n, 3) is there."""
-    _, which, count = np.unique(r, axis=0, return_inverse=True, return_counts=True)
-    return np.asarray(count[which.ravel()], np.float64)
 
 
 def rms(x: F64) -> float:

@@ -238,7 +238,8 @@ def cloud_uncertainty(
     if ground is not None and not len(ground.support):
         J = np.stack([body.by_ground[: len(ground.beta)] for body in bodies])
         own = J @ ground.C_beta @ J.T
-    noise = np.ones(1) if filtered.noise is None else filtered.noise
+    told = filtered.independent_noise
+    noise = np.ones(1) if told is None else told
     s = influence(r, filtered, weight) * noise[:, None]
     joint = s.T @ s
     by_ground = joint[b:, b:] + own

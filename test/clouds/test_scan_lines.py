@@ -89,6 +89,10 @@ def test_points_that_come_three_times_count_once(court):
     assert len(many.index) == 3 * len(one.index)
     assert np.array_equal(many.sigma, sigma[order[many.index]])
     assert many.report["distinct_points"] == len(r)
+    noise = np.full(len(r), np.nan)
+    noise[one.index] = one.noise
+    assert np.array_equal(many.noise, noise[order[many.index]])
+    assert np.array_equal(many.independent_noise, np.sqrt(3) * many.noise)
 
 
 def test_a_sweep_in_millimetres_turned_and_far_away_is_the_same(court):
@@ -151,6 +155,17 @@ def test_the_step_of_rounding_is_found(step):
     found = rounding_steps(np.round(x / step) * step)
     assert found[1:] == pytest.approx([step, step], rel=1e-6)
     assert (rounding_steps(x) == 0.0).all()
+
+
+@pytest.mark.parametrize(("apart", "axis"), [(1.0, 1), (0.5, 0)])
+def test_the_distance_of_scan_lines_is_no_step_of_rounding(apart, axis):
+    rng = np.random.default_rng(2)
+    r = rng.uniform(0, 30, (20000, 3)) * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.0]
+    r[:, axis] = np.round(r[:, axis] / apart) * apart
+    r[:, 2] += 0.02 * rng.normal(size=len(r))
+    assert (rounding_steps(r) == 0.0).all()
+    rounded = np.column_stack([np.round(r[:, :2], 3), np.round(r[:, 2], 2)])
+    assert rounding_steps(rounded)[2] == pytest.approx(0.01)
 
 
 def test_single_precision_of_map_coordinates_is_a_step():

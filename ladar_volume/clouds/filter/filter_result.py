@@ -38,7 +38,8 @@ class CloudResult:
     number of input points · noise, reach : (k,) m, standard deviation of one input point there and
     radius of its fit; curved : (k,) whether that was a quadric, not planes; all None where points
     were reduced or the order was the published one · flag : (k,) index into ``FLAGS``, None where
-    all lie on a surface · verdict : what speaks against the answer.
+    all lie on a surface · copies : (k,) how often the input holds each point, None where
+    once: errors of copies are one error · verdict : what speaks against the answer.
     """
 
     r: F64
@@ -53,7 +54,17 @@ class CloudResult:
     reach: F64 | None = None
     curved: Bool | None = None
     flag: I64 | None = None
+    copies: I64 | None = None
     verdict: Verdict = field(default_factory=Verdict)
+
+    @property
+    def independent_noise(self) -> F64 | None:
+        """Noise (k,) m of as many independent points: that of copies grows by the root of their
+        number, so that together they tell what the one tells.
+        """
+        if self.noise is None or self.copies is None:
+            return self.noise
+        return np.asarray(self.noise * np.sqrt(self.copies))
 
     @property
     def sparse(self) -> Bool | None:

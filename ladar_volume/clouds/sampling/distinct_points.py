@@ -37,10 +37,7 @@ def distinct(r: F64) -> Reduced:
 
 def repeated(result: CloudResult, once: Reduced) -> CloudResult:
     """The result of a filter on ``once.r`` for all points that stand behind it: copies get the
-    answer of the point they repeat.
-
-    Their noise grows by the root of their number: independent points of that noise tell together
-    what the one tells.
+    answer of the point they repeat, and their number.
     """
     if len(once.r) == len(once.cell):
         return result
@@ -60,7 +57,6 @@ def repeated(result: CloudResult, once: Reduced) -> CloudResult:
     report |= {name: int(np.count_nonzero(reasons == i)) for i, name in enumerate(REASONS) if i}
     if result.flag is not None:
         report["sparse"] = int(np.count_nonzero(result.flag[of] == SPARSE))
-    copies = np.sqrt(once.count[once.cell[index]])
     return replace(
         result,
         r=result.r[of],
@@ -70,8 +66,9 @@ def repeated(result: CloudResult, once: Reduced) -> CloudResult:
         outliers=outliers,
         reason=reasons,
         report=report,
-        noise=None if result.noise is None else result.noise[of] * copies,
+        noise=None if result.noise is None else result.noise[of],
         reach=None if result.reach is None else result.reach[of],
         curved=None if result.curved is None else result.curved[of],
         flag=None if result.flag is None else result.flag[of],
+        copies=once.count[once.cell[index]],
     )

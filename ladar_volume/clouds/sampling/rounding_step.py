@@ -9,6 +9,7 @@ told from points spread evenly over their steps, which adds the same variance on
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ladar_volume.clouds.filter.noise_estimate import hashes
 from ladar_volume.clouds.filter.point_reduction import rounding_variance
@@ -25,6 +26,10 @@ UNITS = (1.0, 0.3048, 1200.0 / 3937.0)
 LOUD = 1.5
 #: Steps are sought within these shares of a cloud's width.
 FINEST, COARSEST = 1e-9, 0.1
+#: What one axis alone has, so many times coarser than another axis and so many times wider than the
+#: distance to the nearest point, is the distance of scan lines and no rounding: points rounded in
+#: all axes are never nearer to each other than the step.
+ALONE, WIDER = 10.0, 4.0
 
 
 def rounding_steps(r: F64) -> F64:
@@ -32,7 +37,19 @@ def rounding_steps(r: F64) -> F64:
     steps = [_step(r[:, axis]) for axis in range(3)]
     coarsest = max((step for step in steps if step is not None), default=0.0)
     # what says nothing, such as one height for all, was rounded as the others
-    return np.array([coarsest if step is None else step for step in steps])
+    found = np.array([coarsest if step is None else step for step in steps])
+    alone = found > ALONE * found.min()
+    if alone.any():
+        found[alone & (found > WIDER * _nearest(r))] = 0.0
+    return found
+
+
+def _nearest(r: F64) -> float:
+    """Median distance, m, of points (n, 3) to the nearest other point."""
+    local = r - r[0]
+    some = local[:: max(len(r) // LOOKED_AT, 1)]
+    distance = cKDTree(local, balanced_tree=False).query(some, k=2)[0]
+    return float(np.median(distance[:, 1]))
 
 
 def _step(x: F64) -> float | None:
