@@ -103,7 +103,7 @@ SHORT = {
 
 @pytest.mark.parametrize("start", SHORT)
 def test_short_commands_of_the_readme_run(start, folder, capsys):
-    (command,) = [
+    command, *_ = [
         c
         for p, c in COMMANDS
         if (p == PAGES[0] and c.startswith(f"ladar_volume {start} "))

@@ -15,6 +15,7 @@ import numpy as np
 from ladar_volume.clouds.filter import plane_agreement, plane_em, plane_set_selection, sharp_planes
 from ladar_volume.clouds.filter.orthogonal_quadric import foot_on_quadric
 from ladar_volume.clouds.filter.single_surface import bend, flat, nearest_to_origin
+from ladar_volume.math.array_types import F64, I8, I32, I64, Bool
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.rmls.patch_fit import AROUND, REACH
 from ladar_volume.rmls.tangent_frame import across
@@ -38,7 +39,7 @@ SUPPORT, PATCH = 4, 20
 
 
 @kernel
-def gather(v: Any, keys: Any, table: Any, first: Any, r: Any, out: Any) -> Any:
+def gather(v: int, keys: I64, table: I32, first: I64, r: F64, out: I64) -> Any:
     """Indices of all points (sorted by voxel) in the voxels around voxel v; returns how many. With
     an empty ``out`` only counts.
     """
@@ -52,7 +53,7 @@ def gather(v: Any, keys: Any, table: Any, first: Any, r: Any, out: Any) -> Any:
 
 
 @leaf_kernel
-def around(r: Any, first: Any, v: Any, slots: Any, n: Any, ball: Any, origin: Any, x: Any) -> Any:
+def around(r: F64, first: I64, v: int, slots: I64, n: int, ball: float, origin: F64, x: F64) -> Any:
     """Mean of the cell's own points to origin (3,), and the gathered points within ``ball`` of it,
     about it, to x; returns how many.
     """
@@ -73,7 +74,7 @@ def around(r: Any, first: Any, v: Any, slots: Any, n: Any, ball: Any, origin: An
 
 
 @leaf_kernel
-def supported(x: Any, m: Any, origin: Any, q: Any, square: Any) -> Any:
+def supported(x: F64, m: int, origin: F64, q: F64, square: float) -> Any:
     """Whether enough points (m, 3) about ``origin`` lie around q: planes end nowhere, surfaces
     do.
     """
@@ -90,20 +91,20 @@ def supported(x: Any, m: Any, origin: Any, q: Any, square: Any) -> Any:
 
 @kernel
 def main_planes(
-    which: Any,
-    keys: Any,
-    table: Any,
-    first: Any,
-    r: Any,
-    ball: Any,
-    noise: Any,
-    limit: Any,
-    trials: Any,
-    least: Any,
-    seed: Any,
-    planes: Any,
-    found: Any,
-    width: Any,
+    which: I64,
+    keys: I64,
+    table: I32,
+    first: I64,
+    r: F64,
+    ball: float,
+    noise: F64,
+    limit: F64,
+    trials: int,
+    least: int,
+    seed: int,
+    planes: F64,
+    found: I64,
+    width: F64,
 ) -> None:
     """The planes that the points near the cells ``which`` lie on, most points first, as ``n·x = o``
     (v, OFFERED, 4) and their number (v,).
@@ -161,7 +162,7 @@ def main_planes(
 
 
 @kernel
-def offers(v: Any, keys: Any, table: Any, planes: Any, found: Any, origin: Any, out: Any) -> Any:
+def offers(v: int, keys: I64, table: I32, planes: F64, found: I64, origin: F64, out: F64) -> Any:
     """Planes of the cells around cell v, about ``origin``; returns how many."""
     near, n = np.empty(AROUND, np.int64), 0
     for i in range(voxels_around(keys[v], keys, table, REACH, near)):
@@ -174,7 +175,7 @@ def offers(v: Any, keys: Any, table: Any, planes: Any, found: Any, origin: Any, 
 
 @kernel
 def sets_around(
-    v: Any, keys: Any, table: Any, sets: Any, sizes: Any, origin: Any, out: Any, out_sizes: Any
+    v: int, keys: I64, table: I32, sets: F64, sizes: I64, origin: F64, out: F64, out_sizes: I64
 ) -> Any:
     """The sets of several planes of the cells next to cell v and its own, about ``origin``; returns
     how many.
@@ -197,16 +198,16 @@ def sets_around(
 
 @leaf_kernel
 def foot_on_planes(
-    x: Any,
-    origin: Any,
-    planes: Any,
-    count: Any,
-    side: Any,
-    means: Any,
-    inverses: Any,
-    used: Any,
-    q: Any,
-    n_out: Any,
+    x: F64,
+    origin: F64,
+    planes: F64,
+    count: int,
+    side: I64,
+    means: F64,
+    inverses: F64,
+    used: F64,
+    q: F64,
+    n_out: F64,
 ) -> Any:
     """Foot point q and normal on the nearest piece of planes about ``origin``; returns (distance,
     variance of the plane there over sigma², 0 inside the piece, 1 on an edge, 2 in a vertex).
@@ -223,31 +224,31 @@ def foot_on_planes(
 
 @kernel
 def surface_of(
-    v: Any,
-    keys: Any,
-    table: Any,
-    sets: Any,
-    sizes: Any,
-    turn: Any,
-    x: Any,
-    m: Any,
-    n: Any,
-    r: Any,
-    slots: Any,
-    origin: Any,
-    own: Any,
-    ball: Any,
-    degree: Any,
-    candidates: Any,
-    offered: Any,
-    sigma: Any,
-    threshold: Any,
-    least: Any,
-    iterations: Any,
-    quadric: Any,
-    planes: Any,
-    side: Any,
-    label: Any,
+    v: int,
+    keys: I64,
+    table: I32,
+    sets: F64,
+    sizes: I64,
+    turn: int,
+    x: F64,
+    m: int,
+    n: int,
+    r: F64,
+    slots: I64,
+    origin: F64,
+    own: F64,
+    ball: float,
+    degree: int,
+    candidates: F64,
+    offered: int,
+    sigma: float,
+    threshold: float,
+    least: int,
+    iterations: int,
+    quadric: tuple[F64, F64, F64, F64, F64],
+    planes: F64,
+    side: I64,
+    label: I64,
 ) -> Any:
     """Several planes for the cell, not yet refined, and its quadric. Returns (number of planes; sum
     of truncated squares of the quadric, infinite where it is not wanted). What neighbours found
@@ -317,33 +318,33 @@ def surface_of(
 
 @kernel
 def filter_cell(
-    v: Any,
-    keys: Any,
-    table: Any,
-    main: Any,
-    found: Any,
-    sets: Any,
-    sizes: Any,
-    turn: Any,
-    slots: Any,
-    n: Any,
-    r: Any,
-    first: Any,
-    order: Any,
-    mine: Any,
-    ball: Any,
-    degree: Any,
-    sigma: Any,
-    threshold: Any,
-    least: Any,
-    iterations: Any,
-    snap: Any,
-    q: Any,
-    normals: Any,
-    variance: Any,
-    reason: Any,
-    chosen: Any,
-    width: Any,
+    v: int,
+    keys: I64,
+    table: I32,
+    main: F64,
+    found: I64,
+    sets: F64,
+    sizes: I64,
+    turn: int,
+    slots: I64,
+    n: int,
+    r: F64,
+    first: I64,
+    order: I64,
+    mine: Bool,
+    ball: float,
+    degree: int,
+    sigma: float,
+    threshold: float,
+    least: int,
+    iterations: int,
+    snap: bool,
+    q: F64,
+    normals: F64,
+    variance: F64,
+    reason: I8,
+    chosen: F64,
+    width: float,
 ) -> Any:
     """Surface of one cell, and its own points projected. Returns (number of planes, −1 for a
     quadric, 0 for none; mean truncated square of all points near the cell over sigma²).
@@ -468,7 +469,7 @@ def filter_cell(
 
 
 @kernel
-def verdict(lo: Any, hi: Any, order: Any, mine: Any, why: Any, reason: Any) -> None:
+def verdict(lo: int, hi: int, order: I64, mine: Bool, why: int, reason: I8) -> None:
     """One reason for all points of a cell."""
     for i in range(lo, hi):
         if mine[order[i]]:
@@ -477,33 +478,33 @@ def verdict(lo: Any, hi: Any, order: Any, mine: Any, why: Any, reason: Any) -> N
 
 @kernel
 def filter_cells(
-    which: Any,
-    keys: Any,
-    table: Any,
-    first: Any,
-    r: Any,
-    main: Any,
-    found: Any,
-    sets: Any,
-    sizes: Any,
-    turn: Any,
-    order: Any,
-    mine: Any,
-    ball: Any,
-    degree: Any,
-    noise: Any,
-    limit: Any,
-    least: Any,
-    iterations: Any,
-    snap: Any,
-    q: Any,
-    normals: Any,
-    variance: Any,
-    reason: Any,
-    kind: Any,
-    misfit: Any,
-    chosen: Any,
-    width: Any,
+    which: I64,
+    keys: I64,
+    table: I32,
+    first: I64,
+    r: F64,
+    main: F64,
+    found: I64,
+    sets: F64,
+    sizes: I64,
+    turn: int,
+    order: I64,
+    mine: Bool,
+    ball: float,
+    degree: int,
+    noise: F64,
+    limit: F64,
+    least: int,
+    iterations: int,
+    snap: bool,
+    q: F64,
+    normals: F64,
+    variance: F64,
+    reason: I8,
+    kind: I64,
+    misfit: F64,
+    chosen: F64,
+    width: F64,
 ) -> None:
     """The cells ``which`` of points (n, 3) sorted by voxel, ``order`` (n,) the place of each among
     the points as given: that is where a cell writes what becomes of those of its own points that

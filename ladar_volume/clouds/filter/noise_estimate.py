@@ -9,6 +9,7 @@ from typing import Any
 import numba
 import numpy as np
 
+from ladar_volume.math.array_types import U64
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.rmls.patch_fit import start_plane
 from ladar_volume.rmls.tangent_frame import (
@@ -33,7 +34,7 @@ FEWEST = 15
 
 
 @kernel
-def hashes(numbers: Any) -> Any:
+def hashes(numbers: U64) -> Any:
     """Hash of each of numbers (n,) uint64."""
     out = np.empty_like(numbers)
     for i in range(len(numbers)):

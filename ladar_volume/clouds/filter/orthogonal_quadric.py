@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ladar_volume.math.array_types import F64
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.math.normal_equations import basis, invert
 from ladar_volume.rmls.tangent_frame import (
@@ -39,14 +40,14 @@ FEET, FOUND = 4, 3e-3
 
 @kernel
 def geometric_refit(
-    near: Any,
-    m: Any,
-    ball: Any,
-    threshold: Any,
-    iterations: Any,
-    sigma: Any,
-    beta: Any,
-    inverse: Any,
+    near: F64,
+    m: int,
+    ball: float,
+    threshold: float,
+    iterations: int,
+    sigma: float,
+    beta: F64,
+    inverse: F64,
 ) -> Any:
     """Orthogonal least squares of a quadric from a start: distances along the local normal, design
     rows at the foot points.
@@ -85,7 +86,7 @@ def geometric_refit(
 
 @kernel
 def normal_equations(
-    near: Any, m: Any, ball: Any, threshold: Any, reach: Any, beta: Any, A: Any, b: Any
+    near: F64, m: int, ball: float, threshold: float, reach: float, beta: F64, A: F64, b: F64
 ) -> Any:
     """``A = Σ x xᵀ / (1 + slope²)`` and ``b = Σ x d / √(1 + slope²)`` of the points within
     threshold and reach of the surface, x in units of the ball; returns (their number, sum of
@@ -116,7 +117,7 @@ def normal_equations(
 
 
 @leaf_kernel
-def foot_in_frame(u: Any, v: Any, w: Any, beta: Any) -> Any:
+def foot_in_frame(u: float, v: float, w: float, beta: F64) -> Any:
     """(u, v, w of the foot point, slopes there, signed distance) of a point in a quadric's
     frame.
     """
@@ -136,7 +137,7 @@ def foot_in_frame(u: Any, v: Any, w: Any, beta: Any) -> Any:
 
 
 @leaf_kernel
-def height_at(u: Any, v: Any, beta: Any) -> Any:
+def height_at(u: float, v: float, beta: F64) -> Any:
     """(height, slope along u, slope along v) of a quadric with its arc term."""
     extra, gu, gv = arc(u, v, beta[3], beta[4], beta[5])
     height = (
@@ -153,21 +154,21 @@ def height_at(u: Any, v: Any, beta: Any) -> Any:
 
 @kernel
 def quadric_from(
-    pts: Any,
-    n: Any,
-    origin: Any,
-    start: Any,
-    loose: Any,
-    ball: Any,
-    sigma: Any,
-    threshold: Any,
-    iterations: Any,
-    levels: Any,
-    centre: Any,
-    normal: Any,
-    tangent: Any,
-    beta: Any,
-    inverse: Any,
+    pts: F64,
+    n: int,
+    origin: F64,
+    start: F64,
+    loose: float,
+    ball: float,
+    sigma: float,
+    threshold: float,
+    iterations: int,
+    levels: int,
+    centre: F64,
+    normal: F64,
+    tangent: F64,
+    beta: F64,
+    inverse: F64,
 ) -> Any:
     """A quadric grown from a start plane over the ball; its frame touches it at the centre. Returns
     the number of inliers.
@@ -220,19 +221,19 @@ def quadric_from(
 
 @kernel
 def settled(
-    pts: Any,
-    n: Any,
-    loose: Any,
-    ball: Any,
-    sigma: Any,
-    threshold: Any,
-    iterations: Any,
-    levels: Any,
-    centre: Any,
-    normal: Any,
-    tangent: Any,
-    beta: Any,
-    inverse: Any,
+    pts: F64,
+    n: int,
+    loose: float,
+    ball: float,
+    sigma: float,
+    threshold: float,
+    iterations: int,
+    levels: int,
+    centre: F64,
+    normal: F64,
+    tangent: F64,
+    beta: F64,
+    inverse: F64,
 ) -> Any:
     """A quadric refitted to the points around it until ``loose`` is the threshold and its frame
     touches it, ``levels`` frames at most; returns the number of inliers, 0 where it gets lost.
@@ -265,15 +266,15 @@ def settled(
 
 @kernel
 def foot_on_quadric(
-    x: Any,
-    centre: Any,
-    normal: Any,
-    tangent: Any,
-    side: Any,
-    beta: Any,
-    inverse: Any,
-    q: Any,
-    n_out: Any,
+    x: F64,
+    centre: F64,
+    normal: F64,
+    tangent: F64,
+    side: F64,
+    beta: F64,
+    inverse: F64,
+    q: F64,
+    n_out: F64,
 ) -> Any:
     """Foot point q and normal of the surface under x; returns (distance, variance of the surface
     there over sigma²).
@@ -302,7 +303,7 @@ def foot_on_quadric(
 
 @kernel
 def quadric_cost(
-    x: Any, m: Any, origin: Any, centre: Any, normal: Any, tangent: Any, beta: Any, limit: Any
+    x: F64, m: int, origin: F64, centre: F64, normal: F64, tangent: F64, beta: F64, limit: float
 ) -> Any:
     """Sum of squared distances of points (m, 3) about ``origin``, each at most ``limit``; and how
     many are below it.

@@ -22,6 +22,7 @@ from ladar_volume.clouds.filter.plane_set_selection import (
     without,
 )
 from ladar_volume.clouds.filter.sharp_planes import MOST, distance, nearest_planes
+from ladar_volume.math.array_types import F64, I64
 from ladar_volume.math.kernels import kernel, leaf_kernel
 
 #: Planes agree that are nowhere in half the neighbourhood farther apart than this, in sigma; within
@@ -32,7 +33,7 @@ VOTES, OF = 3, 4
 
 
 @kernel
-def accepted(planes: Any, count: Any, lent: Any, sizes: Any, reach: Any, sigma: Any) -> Any:
+def accepted(planes: F64, count: int, lent: F64, sizes: I64, reach: float, sigma: float) -> Any:
     """Whether the sets (k, MOST, 4) agree in every one of ``count`` planes."""
     for b in range(count):
         votes = 0
@@ -44,7 +45,7 @@ def accepted(planes: Any, count: Any, lent: Any, sizes: Any, reach: Any, sigma: 
 
 
 @kernel
-def agreed(lent: Any, sizes: Any, reach: Any, sigma: Any, out: Any) -> Any:
+def agreed(lent: F64, sizes: I64, reach: float, sigma: float, out: F64) -> Any:
     """The planes that most of the sets (k, MOST, 4) agree in, to out (n, 4), the most frequent
     first; returns how many.
     """
@@ -72,7 +73,7 @@ def agreed(lent: Any, sizes: Any, reach: Any, sigma: Any, out: Any) -> Any:
 
 
 @kernel
-def populated(y: Any, n: Any, planes: Any, size: Any, need: Any, limit: Any, label: Any) -> Any:
+def populated(y: F64, n: int, planes: F64, size: int, need: int, limit: float, label: I64) -> Any:
     """Drop planes to which fewer than ``need`` of the points (n, 3) are nearest, the one with
     fewest first; returns how many are left.
     """
@@ -91,7 +92,7 @@ def populated(y: Any, n: Any, planes: Any, size: Any, need: Any, limit: Any, lab
 
 
 @leaf_kernel
-def without_each(y: Any, n: Any, planes: Any, size: Any, limit: Any, out: Any) -> None:
+def without_each(y: F64, n: int, planes: F64, size: int, limit: float, out: F64) -> None:
     """Sum of the squared distances of points (n, 3) to the nearest of the planes but one, each at
     most the limit, to out (size,): for every plane that is left out.
     """
@@ -113,15 +114,15 @@ def without_each(y: Any, n: Any, planes: Any, size: Any, limit: Any, out: Any) -
 
 @kernel
 def thinned(
-    y: Any,
-    n: Any,
-    planes: Any,
-    size: Any,
-    m: Any,
-    sigma: Any,
-    threshold: Any,
-    side: Any,
-    label: Any,
+    y: F64,
+    n: int,
+    planes: F64,
+    size: int,
+    m: int,
+    sigma: float,
+    threshold: float,
+    side: I64,
+    label: I64,
 ) -> Any:
     """Drop planes one at a time, whichever shortens the description of m points, of which y (n, 3)
     are a sample, most, as long as one does; returns how many are left. The sum of the squares to
@@ -147,20 +148,20 @@ def thinned(
 
 @kernel
 def common(
-    x: Any,
-    m: Any,
-    own: Any,
-    reach: Any,
-    lent: Any,
-    sizes: Any,
-    count: Any,
-    cost: Any,
-    sigma: Any,
-    threshold: Any,
-    least: Any,
-    planes: Any,
-    side: Any,
-    label: Any,
+    x: F64,
+    m: int,
+    own: F64,
+    reach: float,
+    lent: F64,
+    sizes: I64,
+    count: int,
+    cost: float,
+    sigma: float,
+    threshold: float,
+    least: int,
+    planes: F64,
+    side: I64,
+    label: I64,
 ) -> Any:
     """The planes that the neighbours' sets (k, MOST, 4) agree in, without those that explain
     nothing here, where they describe the points (m, 3) better than the ``count`` planes of the best

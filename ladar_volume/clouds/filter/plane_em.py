@@ -17,6 +17,7 @@ from ladar_volume.clouds.filter.sharp_planes import (
     nearest_planes,
     on_line,
 )
+from ladar_volume.math.array_types import F64, I64
 from ladar_volume.math.kernels import kernel, leaf_kernel
 
 #: Most rounds of sharing out and refitting; and where the cell will choose again.
@@ -39,15 +40,15 @@ SAME_SINE, SAME_SIGMAS = 0.1, 1.25
 
 @leaf_kernel
 def pieces_cost(
-    x: Any,
-    m: Any,
-    planes: Any,
-    count: Any,
-    side: Any,
-    limit: Any,
-    sigma: Any,
-    most: Any,
-    support: Any,
+    x: F64,
+    m: int,
+    planes: F64,
+    count: int,
+    side: I64,
+    limit: float,
+    sigma: float,
+    most: float,
+    support: I64,
 ) -> Any:
     """Description length of points (m, 3) on the bounded pieces, in squared distances: truncated
     squares, and what it takes to say to which piece a point belongs where its position does not
@@ -80,15 +81,15 @@ def pieces_cost(
 
 @kernel
 def share_out(
-    x: Any,
-    m: Any,
-    planes: Any,
-    count: Any,
-    side: Any,
-    sigma: Any,
-    threshold: Any,
-    share: Any,
-    label: Any,
+    x: F64,
+    m: int,
+    planes: F64,
+    count: int,
+    side: I64,
+    sigma: float,
+    threshold: float,
+    share: F64,
+    label: I64,
 ) -> None:
     """share (k, m): the probability that a point belongs to each piece, and label (m,) of the
     likeliest, −1 for none.
@@ -119,17 +120,17 @@ def share_out(
 
 @leaf_kernel
 def _share_out(
-    x: Any,
-    m: Any,
-    planes: Any,
-    count: Any,
-    side: Any,
-    sigma: Any,
-    threshold: Any,
-    cosine: Any,
-    d: Any,
-    share: Any,
-    label: Any,
+    x: F64,
+    m: int,
+    planes: F64,
+    count: int,
+    side: I64,
+    sigma: float,
+    threshold: float,
+    cosine: F64,
+    d: F64,
+    share: F64,
+    label: I64,
 ) -> None:
     none = np.exp(-0.5 * threshold * threshold / (sigma * sigma))
     for a in range(count):
@@ -164,7 +165,7 @@ def _share_out(
 
 
 @leaf_kernel
-def certain(x: Any, m: Any, plane: Any, sigma: Any, share: Any, out: Any) -> None:
+def certain(x: F64, m: int, plane: F64, sigma: float, share: F64, out: F64) -> None:
     """What the points tell of a plane, over what they would if they were known to be its own (Louis
     1982): a doubtful point tells less, and less the farther it lies off. Its mean over the doubt is
     never below zero, single points count as zero where they would be.
@@ -175,7 +176,7 @@ def certain(x: Any, m: Any, plane: Any, sigma: Any, share: Any, out: Any) -> Non
 
 
 @kernel
-def drop_plane(planes: Any, means: Any, inverses: Any, used: Any, count: Any, k: Any) -> Any:
+def drop_plane(planes: F64, means: F64, inverses: F64, used: F64, count: int, k: int) -> Any:
     """Close the gap of plane k; returns the new count."""
     for j in range(k, count - 1):
         planes[j], means[j], inverses[j], used[j] = (
@@ -188,7 +189,7 @@ def drop_plane(planes: Any, means: Any, inverses: Any, used: Any, count: Any, k:
 
 
 @kernel
-def merge_same(planes: Any, means: Any, inverses: Any, used: Any, count: Any, sigma: Any) -> Any:
+def merge_same(planes: F64, means: F64, inverses: F64, used: F64, count: int, sigma: float) -> Any:
     """Drop planes that another one explains: nearly parallel, and within the noise of it at their
     own centre.
     """
@@ -210,20 +211,20 @@ def merge_same(planes: Any, means: Any, inverses: Any, used: Any, count: Any, si
 
 @kernel
 def refine(
-    x: Any,
-    m: Any,
-    reach: Any,
-    planes: Any,
-    means: Any,
-    inverses: Any,
-    used: Any,
-    count: Any,
-    sigma: Any,
-    threshold: Any,
-    rounds: Any,
-    side: Any,
-    label: Any,
-    across: Any = 0.0,
+    x: F64,
+    m: int,
+    reach: float,
+    planes: F64,
+    means: F64,
+    inverses: F64,
+    used: F64,
+    count: int,
+    sigma: float,
+    threshold: float,
+    rounds: int,
+    side: I64,
+    label: I64,
+    across: float = 0.0,
 ) -> Any:
     """Share out the points (m, 3) within ``reach`` and refit all planes, in turn until none moves
     (expectation and maximisation), for ``rounds`` at most, and as many again after a plane is

@@ -18,6 +18,7 @@ from ladar_volume.clouds.filter.sharp_planes import (
     nearest_planes,
     squares,
 )
+from ladar_volume.math.array_types import F64, I64
 from ladar_volume.math.kernels import kernel, leaf_kernel
 
 #: Least share of the points a plane needs: outliers give this much to any slab. Half of it where a
@@ -48,7 +49,7 @@ TRIED, TOGETHER = 10, 3
 
 
 @leaf_kernel
-def sum_of_less(a: Any, b: Any, n: Any) -> Any:
+def sum_of_less(a: F64, b: F64, n: int) -> Any:
     """Sum of the lesser of two numbers over n pairs; in eight sums, so that one addition need not
     wait for the last.
     """
@@ -70,7 +71,7 @@ def sum_of_less(a: Any, b: Any, n: Any) -> Any:
 
 @kernel
 def distinct(
-    y: Any, n: Any, candidates: Any, offered: Any, limit: Any, worth: Any, out: Any
+    y: F64, n: int, candidates: F64, offered: int, limit: float, worth: float, out: F64
 ) -> Any:
     """A few candidates, each the one that explains most of what those before it leave, to out (k,
     4); returns how many. One that lowers the sum of squares by no more than it is ``worth`` is no
@@ -98,17 +99,17 @@ def distinct(
 
 @kernel
 def description(
-    y: Any,
-    n: Any,
-    trial: Any,
-    size: Any,
-    m: Any,
-    sigma: Any,
-    threshold: Any,
+    y: F64,
+    n: int,
+    trial: F64,
+    size: int,
+    m: int,
+    sigma: float,
+    threshold: float,
     need: Any,
-    most: Any,
-    side: Any,
-    label: Any,
+    most: float,
+    side: I64,
+    label: I64,
 ) -> Any:
     """Description length of m points, of which the n points y (n, 3) are a sample, with these
     planes; infinite where one of the planes has less than ``need`` points of the sample, or where
@@ -127,18 +128,18 @@ def description(
 
 @kernel
 def few_planes(
-    y: Any,
-    n: Any,
-    few: Any,
-    tried: Any,
-    m: Any,
-    sigma: Any,
-    threshold: Any,
-    need: Any,
-    most: Any,
-    planes: Any,
-    side: Any,
-    label: Any,
+    y: F64,
+    n: int,
+    few: F64,
+    tried: int,
+    m: int,
+    sigma: float,
+    threshold: float,
+    need: int,
+    most: int,
+    planes: F64,
+    side: I64,
+    label: I64,
 ) -> Any:
     """The best set of up to ``TOGETHER`` candidates, all sets compared. Returns (number of planes,
     description length).
@@ -196,17 +197,17 @@ def few_planes(
 
 @kernel
 def polish(
-    y: Any,
-    n: Any,
-    count: Any,
-    cost: Any,
-    m: Any,
-    sigma: Any,
-    threshold: Any,
-    need: Any,
-    planes: Any,
-    side: Any,
-    label: Any,
+    y: F64,
+    n: int,
+    count: int,
+    cost: float,
+    m: int,
+    sigma: float,
+    threshold: float,
+    need: int,
+    planes: F64,
+    side: I64,
+    label: I64,
 ) -> Any:
     """Refit the planes to the points nearest to their pieces, where that shortens the description;
     returns its length.
@@ -227,7 +228,7 @@ def polish(
 
 
 @kernel
-def without(planes: Any, size: Any, k: Any, out: Any) -> Any:
+def without(planes: F64, size: int, k: Any, out: F64) -> Any:
     """All of ``size`` planes but the one numbered k, to out, which may be ``planes``; returns how
     many.
     """
@@ -238,18 +239,18 @@ def without(planes: Any, size: Any, k: Any, out: Any) -> Any:
 
 @kernel
 def search(
-    y: Any,
-    n: Any,
-    few: Any,
-    tried: Any,
-    m: Any,
-    sigma: Any,
-    threshold: Any,
-    need: Any,
-    most: Any,
-    planes: Any,
-    side: Any,
-    label: Any,
+    y: F64,
+    n: int,
+    few: F64,
+    tried: int,
+    m: int,
+    sigma: float,
+    threshold: float,
+    need: int,
+    most: int,
+    planes: F64,
+    side: I64,
+    label: I64,
 ) -> Any:
     """At most ``most`` planes: the best few, then added, exchanged and dropped one at a time,
     whatever shortens the description most, and refitted after every such move; none for clutter.
@@ -288,7 +289,7 @@ def search(
 
 
 @kernel
-def sample(x: Any, m: Any, least: Any) -> Any:
+def sample(x: F64, m: int, least: int) -> Any:
     """At most ``SEEN`` of the points x[:m], and how many of them a plane needs."""
     stride = (m + SEEN - 1) // SEEN
     y = x[:m:stride]
@@ -296,7 +297,7 @@ def sample(x: Any, m: Any, least: Any) -> Any:
 
 
 @leaf_kernel
-def same(a: Any, b: Any, reach: Any, limit: Any) -> Any:
+def same(a: F64, b: F64, reach: float, limit: float) -> Any:
     """Whether two planes about an origin are nowhere within ``reach`` of it farther apart than the
     limit.
     """
@@ -306,7 +307,7 @@ def same(a: Any, b: Any, reach: Any, limit: Any) -> Any:
 
 
 @kernel
-def among(plane: Any, planes: Any, count: Any, reach: Any, limit: Any) -> Any:
+def among(plane: F64, planes: F64, count: int, reach: float, limit: float) -> Any:
     """Whether a plane is one of ``count`` planes (k, 4), as :func:`same`."""
     for a in range(count):
         if same(plane, planes[a], reach, limit):
@@ -315,7 +316,7 @@ def among(plane: Any, planes: Any, count: Any, reach: Any, limit: Any) -> Any:
 
 
 @kernel
-def repeated(lent: Any, sizes: Any, a: Any, reach: Any, limit: Any) -> Any:
+def repeated(lent: F64, sizes: I64, a: int, reach: float, limit: float) -> Any:
     """Whether set ``a`` has the same planes as one before it."""
     for b in range(a):
         if sizes[b] == sizes[a]:
@@ -329,17 +330,17 @@ def repeated(lent: Any, sizes: Any, a: Any, reach: Any, limit: Any) -> Any:
 
 @kernel
 def best_lent(
-    x: Any,
-    m: Any,
-    reach: Any,
-    lent: Any,
-    sizes: Any,
-    sigma: Any,
-    threshold: Any,
-    least: Any,
-    planes: Any,
-    side: Any,
-    label: Any,
+    x: F64,
+    m: int,
+    reach: float,
+    lent: F64,
+    sizes: I64,
+    sigma: float,
+    threshold: float,
+    least: int,
+    planes: F64,
+    side: I64,
+    label: I64,
 ) -> Any:
     """Of the sets (k, MOST, 4) that neighbours chose, the one with the shortest description of the
     points (m, 3), of the ``TIGHT`` best different ones by a sample. Returns (number of planes,
@@ -377,15 +378,15 @@ def best_lent(
 
 @kernel
 def steady(
-    x: Any,
-    m: Any,
-    own: Any,
-    planes: Any,
-    count: Any,
-    sigma: Any,
-    threshold: Any,
-    side: Any,
-    label: Any,
+    x: F64,
+    m: int,
+    own: F64,
+    planes: F64,
+    count: int,
+    sigma: float,
+    threshold: float,
+    side: I64,
+    label: I64,
 ) -> Any:
     """How well the pieces explain the points (m, 3), and the cell's ``own`` (k, 3) in particular: 2
     where most lie on them and these scatter no more than the noise, 1 where they need no further
@@ -410,17 +411,17 @@ def steady(
 
 @kernel
 def found_planes(
-    x: Any,
-    m: Any,
-    candidates: Any,
-    offered: Any,
-    sigma: Any,
-    threshold: Any,
-    least: Any,
-    most: Any,
-    planes: Any,
-    side: Any,
-    label: Any,
+    x: F64,
+    m: int,
+    candidates: F64,
+    offered: int,
+    sigma: float,
+    threshold: float,
+    least: int,
+    most: int,
+    planes: F64,
+    side: I64,
+    label: I64,
 ) -> Any:
     """At most ``most`` planes among the ``offered`` candidates whose pieces together describe the
     points (m, 3) best.

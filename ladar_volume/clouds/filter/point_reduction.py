@@ -8,15 +8,14 @@ after it. A cell of the grid is what rounds to the same multiple of the step, fo
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numba
 import numpy as np
 
 from ladar_volume.clouds.filter.filter_result import REASONS, CloudResult
+from ladar_volume.math.array_types import F64, I32, I64
 from ladar_volume.math.kernels import parallel_kernel
 from ladar_volume.model.errors import FilterError
-from ladar_volume.model.records import F64, I32, I64
 from ladar_volume.rmls.voxel_store import HALF, pack_key, place_all
 
 
@@ -56,7 +55,7 @@ def sorted_by_voxel(r: F64, edge_m: float) -> tuple[I64, I64, I64, I32]:
 
 
 @parallel_kernel
-def sort_within(r: Any, first: Any, order: Any) -> None:
+def sort_within(r: F64, first: I64, order: I64) -> None:
     """Points of each voxel, order[first[v]:first[v + 1]], by x, y and z: what is summed then does
     not depend on the order given.
     """

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ladar_volume.math.array_types import F64, I64, U64
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.math.normal_equations import eigen
 from ladar_volume.rmls.patch_fit import _uniform
@@ -29,13 +30,13 @@ CLEAR = 12
 
 
 @leaf_kernel
-def distance(x: Any, plane: Any) -> Any:
+def distance(x: F64, plane: F64) -> Any:
     """Signed distance of a point (3,) to a plane (4,)."""
     return x[0] * plane[0] + x[1] * plane[1] + x[2] * plane[2] - plane[3]
 
 
 @leaf_kernel
-def plane_through(a: Any, b: Any, c: Any, plane: Any) -> Any:
+def plane_through(a: F64, b: F64, c: F64, plane: F64) -> Any:
     """The plane through three points; False where they are nearly in line."""
     u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     v0, v1, v2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
@@ -51,7 +52,7 @@ def plane_through(a: Any, b: Any, c: Any, plane: Any) -> Any:
 
 @kernel
 def best_plane(
-    x: Any, free: Any, m: Any, reach: Any, threshold: Any, trials: Any, state: Any, plane: Any
+    x: F64, free: I64, m: int, reach: float, threshold: float, trials: int, state: U64, plane: F64
 ) -> Any:
     """The plane through three of the points ``free[:m]`` within ``reach`` of each other with the
     best truncated score (MSAC).
@@ -95,7 +96,7 @@ def best_plane(
 
 
 @kernel
-def fit_shares(x: Any, m: Any, share: Any, plane: Any, mean: Any, inverse: Any) -> Any:
+def fit_shares(x: F64, m: int, share: F64, plane: F64, mean: F64, inverse: F64) -> Any:
     """Orthogonal least squares of points (m, 3) that count by their shares (m,); returns the sum of
     the shares, 0 where they determine no plane.
 
@@ -145,7 +146,7 @@ def fit_shares(x: Any, m: Any, share: Any, plane: Any, mean: Any, inverse: Any) 
 
 
 @kernel
-def fit_plane(x: Any, m: Any, label: Any, own: Any, plane: Any, mean: Any, inverse: Any) -> Any:
+def fit_plane(x: F64, m: int, label: I64, own: int, plane: F64, mean: F64, inverse: F64) -> Any:
     """Orthogonal least squares of the points labelled ``own``, as :func:`fit_shares`; returns their
     number, 0 for less than four.
     """
@@ -160,7 +161,7 @@ def fit_plane(x: Any, m: Any, label: Any, own: Any, plane: Any, mean: Any, inver
 
 
 @leaf_kernel
-def on_line(used: Any, inverse: Any, across: Any) -> Any:
+def on_line(used: float, inverse: F64, across: float) -> Any:
     """Whether the points of a plane, ``used`` in number, lie on a line: their second extent is
     below ``across`` (with equal extents, 1.4 times that). One ring of a rotating scanner is such a
     line, and its cone a plane that any noise of the ranges fits.
@@ -169,7 +170,7 @@ def on_line(used: Any, inverse: Any, across: Any) -> Any:
 
 
 @leaf_kernel
-def plane_share(x: Any, used: Any, mean: Any, inverse: Any) -> Any:
+def plane_share(x: F64, used: float, mean: F64, inverse: F64) -> Any:
     """Variance of a plane at x (3,) on it over the noise's, from what :func:`fit_plane` gave."""
     share = 1.0 / used
     for k in range(3):
@@ -179,7 +180,7 @@ def plane_share(x: Any, used: Any, mean: Any, inverse: Any) -> Any:
 
 
 @leaf_kernel
-def squares(x: Any, m: Any, planes: Any, count: Any, out: Any) -> None:
+def squares(x: F64, m: int, planes: F64, count: int, out: F64) -> None:
     """Squared distances of points (m, 3) to planes, to out (count, m)."""
     for a in range(count):
         for i in range(m):
@@ -189,7 +190,7 @@ def squares(x: Any, m: Any, planes: Any, count: Any, out: Any) -> None:
 
 @kernel
 def nearest_pieces(
-    x: Any, m: Any, planes: Any, count: Any, side: Any, limit: Any, label: Any
+    x: F64, m: int, planes: F64, count: int, side: I64, limit: float, label: I64
 ) -> None:
     """Label every point with the plane of its nearest piece, −1 beyond the limit of squared
     distance.
@@ -201,7 +202,7 @@ def nearest_pieces(
 
 
 @leaf_kernel
-def nearest_planes(x: Any, m: Any, planes: Any, count: Any, limit: Any, label: Any) -> Any:
+def nearest_planes(x: F64, m: int, planes: F64, count: int, limit: float, label: I64) -> Any:
     """Label every point with its nearest plane, −1 beyond the limit of squared distance; returns
     the sum of squares, each at most the limit: never more than that of the distances to the pieces.
     """
@@ -219,7 +220,7 @@ def nearest_planes(x: Any, m: Any, planes: Any, count: Any, limit: Any, label: A
 
 
 @kernel
-def bounds(x: Any, m: Any, label: Any, planes: Any, count: Any, sigma: Any, side: Any) -> None:
+def bounds(x: F64, m: int, label: I64, planes: F64, count: int, sigma: float, side: I64) -> None:
     """side (k, k): +1 or −1 where a plane's support lies on that side of another plane, 0 where it
     lies on both.
 
@@ -239,7 +240,7 @@ def bounds(x: Any, m: Any, label: Any, planes: Any, count: Any, sigma: Any, side
 
 @leaf_kernel
 def _count_sides(
-    x: Any, m: Any, label: Any, planes: Any, count: Any, doubt: Any, above: Any, total: Any
+    x: F64, m: int, label: I64, planes: F64, count: int, doubt: float, above: I64, total: I64
 ) -> None:
     """Of the points of each plane that lie farther than ``doubt`` from each other plane: all of
     them, and those above it.
@@ -257,7 +258,7 @@ def _count_sides(
 
 @leaf_kernel
 def _most_beyond(
-    q0: Any, q1: Any, q2: Any, a: Any, planes: Any, count: Any, side: Any, skip: Any
+    q0: float, q1: float, q2: float, a: int, planes: F64, count: int, side: I64, skip: int
 ) -> Any:
     """Of the planes that bound plane a, the one q lies farthest beyond; −1 where it lies beyond
     none.
@@ -273,7 +274,7 @@ def _most_beyond(
 
 
 @leaf_kernel
-def nearest_on_piece(x: Any, a: Any, planes: Any, count: Any, side: Any) -> Any:
+def nearest_on_piece(x: F64, a: int, planes: F64, count: int, side: I64) -> Any:
     """The nearest point of the bounded piece of plane a, as (q0, q1, q2, on): on = 0 inside it, 1
     on an edge, 2 in a vertex.
     """
@@ -302,7 +303,7 @@ def nearest_on_piece(x: Any, a: Any, planes: Any, count: Any, side: Any) -> Any:
 
 
 @leaf_kernel
-def nearest_piece(x: Any, planes: Any, count: Any, side: Any, q: Any) -> Any:
+def nearest_piece(x: F64, planes: F64, count: int, side: I64, q: F64) -> Any:
     """(plane, squared distance, 0 | 1 | 2 as :func:`nearest_on_piece`) of the piece nearest to x,
     with the point q on it.
     """

@@ -13,6 +13,7 @@ from ladar_volume.clouds.filter.orthogonal_quadric import (
     quadric_from,
     settled,
 )
+from ladar_volume.math.array_types import F64, I64
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.math.normal_equations import basis, invert
 from ladar_volume.rmls.patch_fit import start_plane
@@ -40,7 +41,7 @@ EXPLAINS = 0.85
 
 
 @leaf_kernel
-def nearest_to_origin(planes: Any, count: Any) -> Any:
+def nearest_to_origin(planes: F64, count: int) -> Any:
     """The plane that passes the origin most closely."""
     best = 0
     for a in range(count):
@@ -50,7 +51,7 @@ def nearest_to_origin(planes: Any, count: Any) -> Any:
 
 
 @kernel
-def loose_plane(x: Any, m: Any, reach: Any, key: Any, plane: Any) -> Any:
+def loose_plane(x: F64, m: int, reach: float, key: int, plane: F64) -> Any:
     """Least median of squares plane of the points (m, 3) within ``reach`` of the origin; returns
     its robust sigma, −1 for none.
     """
@@ -67,7 +68,7 @@ def loose_plane(x: Any, m: Any, reach: Any, key: Any, plane: Any) -> Any:
 
 
 @kernel
-def bent(x: Any, m: Any, label: Any, plane: Any, mean: Any, ball: Any) -> Any:
+def bent(x: F64, m: int, label: I64, plane: F64, mean: F64, ball: float) -> Any:
     """By how much quadratic terms would lower the squares of the points labelled 0 about their
     plane.
     """
@@ -100,16 +101,16 @@ def bent(x: Any, m: Any, label: Any, plane: Any, mean: Any, ball: Any) -> Any:
 
 @kernel
 def flat(
-    x: Any,
-    m: Any,
-    ball: Any,
-    sigma: Any,
-    threshold: Any,
-    price: Any,
-    plane: Any,
-    mean: Any,
-    inverse: Any,
-    label: Any,
+    x: F64,
+    m: int,
+    ball: float,
+    sigma: float,
+    threshold: float,
+    price: float,
+    plane: F64,
+    mean: F64,
+    inverse: F64,
+    label: I64,
 ) -> Any:
     """Whether one plane describes the points (m, 3): it explains most of them, leaves no more than
     the noise, and quadratic terms would lower its squares by less than their price. Refits
@@ -136,7 +137,7 @@ def flat(
 
 
 @kernel
-def wider(r: Any, slots: Any, n: Any, origin: Any, reach: Any) -> Any:
+def wider(r: F64, slots: I64, n: int, origin: F64, reach: float) -> Any:
     """The gathered points within ``reach`` of the origin (n, 3), and how many."""
     pts, m = np.empty((n, 3)), 0
     for i in range(n):
@@ -149,7 +150,7 @@ def wider(r: Any, slots: Any, n: Any, origin: Any, reach: Any) -> Any:
 
 
 @leaf_kernel
-def close_to(pts: Any, n: Any, origin: Any, plane: Any, width: Any) -> Any:
+def close_to(pts: F64, n: int, origin: F64, plane: F64, width: float) -> Any:
     """How many of the points (n, 3) lie within ``width`` of a plane about ``origin``."""
     offset = plane[3] + plane[0] * origin[0] + plane[1] * origin[1] + plane[2] * origin[2]
     near = 0
@@ -163,21 +164,21 @@ def close_to(pts: Any, n: Any, origin: Any, plane: Any, width: Any) -> Any:
 
 @kernel
 def bend(
-    x: Any,
-    m: Any,
-    n: Any,
-    r: Any,
-    slots: Any,
-    origin: Any,
-    key: Any,
-    candidates: Any,
-    offered: Any,
-    ball: Any,
-    sigma: Any,
-    threshold: Any,
-    least: Any,
-    iterations: Any,
-    quadric: Any,
+    x: F64,
+    m: int,
+    n: int,
+    r: F64,
+    slots: I64,
+    origin: F64,
+    key: int,
+    candidates: F64,
+    offered: int,
+    ball: float,
+    sigma: float,
+    threshold: float,
+    least: int,
+    iterations: int,
+    quadric: tuple[F64, F64, F64, F64, F64],
 ) -> Any:
     """A ``quadric`` (centre, normal, tangent, beta, inverse) for the cell, to the arrays given.
     Returns (its sum of truncated squares, infinite for none; how many planes may compete with it):

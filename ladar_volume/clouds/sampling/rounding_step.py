@@ -49,7 +49,7 @@ def _nearest(r: F64) -> float:
     local = r - r[0]
     some = local[:: max(len(r) // LOOKED_AT, 1)]
     distance = cKDTree(local, balanced_tree=False).query(some, k=2)[0]
-    return float(np.median(distance[:, 1]))
+    return float(np.median(np.reshape(distance, (-1, 2))[:, 1]))
 
 
 def _step(x: F64) -> float | None:
