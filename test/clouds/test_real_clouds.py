@@ -53,13 +53,14 @@ REAL = {
 #: Least noise believed over that of the check. The goal is 1/1.5 for all; these two miss it, and
 #: are held where they stand (measured 0.63 and 0.33).
 NOISE = {"vlp16": 0.60, "automotive": 0.30}
-#: Distance from the truth over the printed sigma. The goal is 0.8 to 1.25 for all; these miss it, and
-#: are held where they stand: with jitter of the elevation sigma is too small (measured 1.96), with
-#: copies and with coarse rounding too large (0.71 and 0.76).
+#: Case, least and largest distance from the truth over the printed sigma, most good points lost. The
+#: goals are 0.8, 1.25 and 0.01 for all. What misses them is held where it stands: with jitter of the
+#: elevation sigma is too small (1.96), with copies and with coarse rounding too large (0.71, 0.76);
+#: lost are 0.0101 with jitter and 0.0120 with copies.
 SIMULATED = (
-    (Case(16, "standing", 0.010, 0.02), 0.8, 2.1),
-    (Case(16, "standing", 0.020, copies=2), 0.65, 1.25),
-    (Case(32, "standing", 0.003, 0.0, 0.005), 0.7, 1.25),
+    (Case(16, "standing", 0.010, 0.02), 0.8, 2.1, 0.011),
+    (Case(16, "standing", 0.020, copies=2), 0.65, 1.25, 0.013),
+    (Case(32, "standing", 0.003, 0.0, 0.005), 0.7, 1.25, 0.010),
 )
 
 
@@ -76,14 +77,16 @@ def test_what_lies_on_a_plane_is_kept_and_its_noise_is_believed(name: str) -> No
     assert NOISE.get(name, 1 / 1.5) <= figures["noise"] <= 1.5
 
 
-@pytest.mark.parametrize(("case", "low", "high"), SIMULATED, ids=[c.name for c, _, _ in SIMULATED])
+@pytest.mark.parametrize(
+    ("case", "low", "high", "lost"), SIMULATED, ids=[row[0].name for row in SIMULATED]
+)
 def test_a_simulated_scanner_s_sigma_is_its_distance_from_the_truth(
-    case: Case, low: float, high: float
+    case: Case, low: float, high: float, lost: float
 ) -> None:
     made = scan(case, 0)
     figures = measure(made, filtered(made.r))
     assert low <= figures["sigma"] <= high
-    assert figures["lost"] <= 0.013  # goal 0.01; measured up to 0.0121
+    assert figures["lost"] <= lost
     assert figures["far"] >= 0.98
     assert 1 / 1.5 <= figures["noise"] <= 1.5
 
