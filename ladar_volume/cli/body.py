@@ -20,7 +20,7 @@ from ladar_volume.cli.inputs.reading import (
     read_source,
     reading_doubts,
 )
-from ladar_volume.cli.verdict_lines import exit_code
+from ladar_volume.cli.verdict_lines import NO_SIGMA, exit_code
 from ladar_volume.clouds.body_verdict import (
     Missed,
     bodies_verdict,
@@ -227,6 +227,8 @@ def of_cloud(arguments: argparse.Namespace, console: Console) -> tuple[dict[str,
         verdict += Verdict(filter_doubts(source.cloud.r, points, ground, noise_m))
     for body in made.bodies:
         verdict += Verdict(body.doubts)
+    if uncertain is None:
+        verdict += Verdict((NO_SIGMA,))
     facts["verdict"] = (Verdict(reading_doubts([source.cloud])) + verdict).as_dict()
     return facts, list(made.bodies)
 

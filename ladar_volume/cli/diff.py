@@ -34,7 +34,7 @@ from ladar_volume.cli.diff_input import (
 )
 from ladar_volume.cli.diff_show import show
 from ladar_volume.cli.inputs.reading import add_reading_rows, cloud_facts_of, reading_doubts
-from ladar_volume.cli.verdict_lines import exit_code
+from ladar_volume.cli.verdict_lines import NO_SIGMA, exit_code
 from ladar_volume.io.endings import ENDINGS
 from ladar_volume.io.meshfiles.mesh_files import write_mesh
 from ladar_volume.io.results import json_text
@@ -42,13 +42,10 @@ from ladar_volume.mesh.crossed_space import crossing_doubts
 from ladar_volume.mesh.tetrahedra import closed_variance, closed_volume
 from ladar_volume.mesh.topology import watertight
 from ladar_volume.model.errors import ConfigurationError, OutputError, SurfaceError
-from ladar_volume.model.verdict import Doubt, Verdict
+from ladar_volume.model.verdict import Verdict
 from ladar_volume.version import version
 
 #: The doubt of a volume whose noise nobody stated.
-NO_SIGMA = Doubt(
-    "no_sigma", "the volume has no standard deviation: give --sigma, the points' noise"
-)
 
 
 def check_options(a: argparse.Namespace) -> None:

@@ -9,6 +9,12 @@ from typing import Any
 from rich.table import Table
 
 from ladar_volume.cli.arguments.strict import DOUBTFUL
+from ladar_volume.model.verdict import Doubt
+
+#: A volume whose noise nobody knows.
+NO_SIGMA = Doubt(
+    "no_sigma", "the volume has no standard deviation: give --sigma, the points' noise"
+)
 
 
 def add_verdict_rows(table: Table, verdict: Mapping[str, Any]) -> None:

@@ -20,6 +20,9 @@ from ladar_volume.model.verdict import Doubt, Verdict
 
 #: Share of the points above the ground that may be in no body: more is doubtful, and refused.
 MISSED, TOO_MANY = 0.01, 0.05
+#: Share of them that the filter may leave out, stray points in the air among them, before what is
+#: left is no longer the bodies.
+MOST_LEFT_OUT = 0.5
 #: Raw points higher than this many sigmas of the noise do not come from the ground.
 RAISED = 5.0
 #: Least step between points of one object, in the spacing where the points are sparsest.
@@ -85,21 +88,24 @@ def check_missed(missed: Missed) -> None:
 
 def filter_doubts(raw: F64, kept: F64, ground: Plane, noise_m: float) -> tuple[Doubt, ...]:
     """Doubt where the filter left out many of the raw points (n, 3) m that stand above the ground:
-    bodies then lack them. kept : (k, 3) m, the filtered points.
+    bodies then lack them. kept : (k, 3) m, the filtered points. Raises :class:`ObjectError`
+    (object_left_out; value: share) where it left out most of them.
     """
     p = ObjectParameters(min_height_m=RAISED * noise_m)
     before, after = (int(np.count_nonzero(rising(at, [ground], p, kept)[1])) for at in (raw, kept))
     share = 1.0 - after / before if before else 0.0
     if share <= TOO_MANY:
         return ()
-    return (
-        Doubt(
-            "points_left_out",
-            f"the filter left out {100 * share:.0f} % of the {before:,} points above the ground, "
-            "so bodies may lack volume: lower --radius, scan more densely, or --no-filter",
-            share,
-        ),
-    )
+    words = f"the filter left out {100 * share:.0f} % of the {before:,} points above the ground"
+    if share > MOST_LEFT_OUT:
+        raise ObjectError(
+            f"{words}: too few are left to be the bodies; scan more densely, or take the points as "
+            "they are with --no-filter",
+            reason="object_left_out",
+            value=share,
+        )
+    advice = "so bodies may lack volume: scan more densely, or --no-filter"
+    return (Doubt("points_left_out", f"{words}, {advice}", share),)
 
 
 def at_the_edge(points: F64, own: F64, step_m: float) -> bool:

@@ -323,9 +323,12 @@ def test_clusters_that_are_all_too_small_are_refused_with_numbers():
 def test_points_above_the_ground_that_the_filter_left_out_are_doubted(size):
     p, ground = grid_piles(0.5, size), design_surface([0.0])
     assert filter_doubts(p, p, ground, 0.01 * size) == ()
-    kept = p[p[:, 2] < 1.0 * size]
-    (doubt,) = filter_doubts(p, kept, ground, 0.01 * size)
-    assert doubt.name == "points_left_out" and 0.3 < float(doubt.value) < 0.9
+    raised = np.flatnonzero(p[:, 2] > 0.1 * size)
+    (doubt,) = filter_doubts(p, np.delete(p, raised[::3], axis=0), ground, 0.01 * size)
+    assert doubt.name == "points_left_out" and 0.3 < float(doubt.value) < 0.5
+    with pytest.raises(ObjectError, match="--no-filter") as error:
+        filter_doubts(p, np.delete(p, raised[: 2 * len(raised) // 3], axis=0), ground, 0.01 * size)
+    assert error.value.reason == "object_left_out" and error.value.value > 0.5
 
 
 def test_one_failed_body_does_not_lose_the_others():
