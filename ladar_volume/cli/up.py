@@ -17,6 +17,7 @@ from ladar_volume.cli.result_table import show_result
 from ladar_volume.io import results
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.config import dump_config, read_config
+from ladar_volume.io.output_set import output_set
 from ladar_volume.process.numpy_names import leave_out_tools
 
 
@@ -73,7 +74,8 @@ def run(arguments: argparse.Namespace) -> int:
             result["losses"] = graph.losses()
         finally:
             graph.close()
-    results.write_text(folder / "result.json", results.json_text(result))
+    with output_set(folder, results.SURVEY_FILES) as part:
+        results.write_text(part / "result.json", results.json_text(result))
     if arguments.json:
         print(results.json_text(result), end="")
     else:

@@ -31,6 +31,7 @@ from ladar_volume.io.message_tables import (
     no_filtered_points,
     volume_columns,
 )
+from ladar_volume.io.output_set import output_set
 from ladar_volume.io.tables import decode
 from ladar_volume.model.errors import LadarVolumeError, VolumeError
 from ladar_volume.model.records import Datum, Estimate, FilterUpdate, Volume
@@ -351,7 +352,7 @@ class VolumeNode(StageNode):
 
     def _save(self) -> dict[str, Any]:
         estimate, result = self._result()
-        folder = results.output_folder(self.parameters.node.output_folder)
+        folder = Path(self.parameters.node.output_folder)
         self._write(folder, estimate, result)
         return {
             "folder": str(folder),
@@ -365,17 +366,18 @@ class VolumeNode(StageNode):
             write_survey,
         )  # what bags need is loaded where one is written
 
-        results.write_text(folder / "result.json", results.json_text(result))
         epoch = self.stage.epoch()
-        results.write_ply(folder / "mesh.ply", estimate.tin, epoch.sigma_z())
-        write_survey(folder / FILE, estimate, epoch, result)
+        with output_set(folder, results.SURVEY_FILES) as part:
+            results.write_text(part / "result.json", results.json_text(result))
+            results.write_ply(part / "mesh.ply", estimate.tin, epoch.sigma_z())
+            write_survey(part / FILE, estimate, epoch, result)
 
     def _start_epoch(self) -> dict[str, Any]:
         if self._last is None:
             raise VolumeError(
                 f"nothing to keep as an epoch: {self._why_not}", reason="volume_no_estimate"
             )
-        folder = results.output_folder(f"{self.parameters.node.output_folder}/epoch_{self._epoch}")
+        folder = Path(f"{self.parameters.node.output_folder}/epoch_{self._epoch}")
         estimate, result = self._result()
         self._write(folder, estimate, result)
         self._epoch += 1

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ladar_volume.io.atomic_write import whole_file
 from ladar_volume.io.endings import ENDINGS, LANDXML, READ_ENDINGS
 from ladar_volume.io.meshfiles.landxml import read_landxml
 from ladar_volume.io.meshfiles.plain_meshes import read_obj, read_off, read_stl
@@ -210,12 +211,7 @@ def write_mesh(
     vertex, face : small numbers (0 to 255) beside each, which only PLY keeps. Raises
     :class:`OutputError` for an unknown ending or what cannot be written.
     """
-    path, v, t = (
-        Path(path),
-        np.asarray(vertices, dtype=np.float64),
-        np.asarray(triangles, dtype=np.int32),
-    )
-    notes = [line for c in comments for line in c.splitlines()]
+    path = Path(path)
     ending = path.suffix.lower()
     if ending not in ENDINGS:
         raise OutputError(
@@ -223,30 +219,31 @@ def write_mesh(
             reason="output_format",
             value=str(path),
         )
-    try:
+    v = np.asarray(vertices, dtype=np.float64)
+    t = np.asarray(triangles, dtype=np.int32)
+    notes = [line for c in comments for line in c.splitlines()]
+    with whole_file(path) as part:
         if ending == ".ply":
-            write_ply_mesh(path, v, t, notes, vertex, face)
+            write_ply_mesh(part, v, t, notes, vertex, face)
         elif ending == ".stl":
-            table = np.zeros(
-                len(t), [("normal", "<f4", (3,)), ("v", "<f4", (3, 3)), ("attribute", "<u2")]
-            )
-            table["v"] = v[t]
-            path.write_bytes(
-                b"binary stl".ljust(80) + len(t).to_bytes(4, "little") + table.tobytes()
-            )
+            part.write_bytes(_stl(v, t))
         else:
-            head = (
-                [*(f"# {c}" for c in notes)]
-                if ending == ".obj"
-                else ["OFF", *(f"# {c}" for c in notes), f"{len(v)} {len(t)} 0"]
-            )
-            mark, corner, base = ("v ", "f ", 1) if ending == ".obj" else ("", "3 ", 0)
-            rows = [mark + " ".join(map(repr, r)) for r in v.tolist()]
-            path.write_text(
-                "\n".join(
-                    [*head, *rows, *(corner + " ".join(map(str, r)) for r in (t + base).tolist())]
-                )
-                + "\n"
-            )
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error}", value=str(path)) from error
+            part.write_text(_plain(v, t, notes, ending))
+
+
+def _stl(v: F64, t: I32) -> bytes:
+    """A binary STL."""
+    table = np.zeros(len(t), [("normal", "<f4", (3,)), ("v", "<f4", (3, 3)), ("attribute", "<u2")])
+    table["v"] = v[t]
+    return b"binary stl".ljust(80) + len(t).to_bytes(4, "little") + table.tobytes()
+
+
+def _plain(v: F64, t: I32, notes: Sequence[str], ending: str) -> str:
+    """An OBJ or OFF."""
+    head = [f"# {c}" for c in notes]
+    if ending == ".off":
+        head = ["OFF", *head, f"{len(v)} {len(t)} 0"]
+    mark, corner, base = ("v ", "f ", 1) if ending == ".obj" else ("", "3 ", 0)
+    rows = [mark + " ".join(map(repr, r)) for r in v.tolist()]
+    faces = [corner + " ".join(map(str, r)) for r in (t + base).tolist()]
+    return "\n".join([*head, *rows, *faces]) + "\n"
