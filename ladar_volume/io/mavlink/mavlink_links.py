@@ -13,7 +13,7 @@ import time
 import tty
 from typing import Protocol
 
-from ladar_volume.model.errors import ConfigurationError
+from ladar_volume.model.errors import ConfigurationError, shown
 from ladar_volume.model.losses import Losses
 
 #: A peer that is silent for this long may be replaced by another.
@@ -249,9 +249,11 @@ def open_link(url: str) -> Link:
     """
     scheme, _, rest = url.partition(":")
     host, _, number = rest.rpartition(":")
-    if not number.isdigit() or int(number) > (10_000_000 if scheme == "serial" else 65535):
+    most = 10_000_000 if scheme == "serial" else 65535
+    digits = number.isascii() and number.isdigit() and len(number) < 10
+    if not digits or int(number) > most:
         raise ConfigurationError(
-            f"mavlink.url: {url!r}: the number after the last colon is missing or too large",
+            f"mavlink.url: {shown(url)}: the number after the last colon is missing or too large",
             value=url,
         )
     if scheme == "serial":
@@ -262,6 +264,7 @@ def open_link(url: str) -> Link:
     if scheme in ("tcp", "tcpin"):
         return TcpLink(address, scheme == "tcpin")
     raise ConfigurationError(
-        f"mavlink.url: {url!r}: one of udpin, udpout, tcp, tcpin, serial, or a .tlog or .bin file",
+        f"mavlink.url: {shown(url)}: one of udpin, udpout, tcp, tcpin, serial, or a .tlog or "
+        ".bin file",
         value=url,
     )

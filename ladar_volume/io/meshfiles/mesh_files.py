@@ -25,6 +25,7 @@ from ladar_volume.io.meshfiles.plain_meshes import read_obj, read_off, read_stl
 from ladar_volume.io.meshfiles.ply_mesh import parse_header, read_ply_mesh, write_ply_mesh
 from ladar_volume.io.meshfiles.polygons import Faces, triangulated
 from ladar_volume.io.pointfiles.ply import HEADER_LIMIT
+from ladar_volume.io.pointfiles.raw_table import FARTHEST
 from ladar_volume.mesh.topology import vertices_of
 from ladar_volume.mesh.welding import distinct, split_edges, weld, weld_open
 from ladar_volume.model.errors import InputError, OutputError
@@ -111,6 +112,10 @@ def read_mesh(path: str | Path, surface: str | None = None) -> MeshFile:
         raise InputError(
             f"{path}: cannot be read: {error}", reason="input_unreadable", value=str(path)
         ) from error
+    except MemoryError as error:
+        raise InputError(
+            f"{path}: larger than the memory", reason="mesh_file_values", value=str(path)
+        ) from error
     except InputError as error:
         raise InputError(f"{path}: {error}", reason=error.reason, value=error.value) from error
 
@@ -137,6 +142,10 @@ def _read_land(path: Path, surface: str | None) -> MeshFile:
 def _finite(vertices: F64) -> F64:
     if not np.isfinite(vertices).all():
         raise InputError("a coordinate that is not finite", reason="mesh_file_values")
+    far = float(np.abs(vertices).max(initial=0.0))
+    if far > FARTHEST:
+        words = f"coordinates up to {far:.3g}: no place is so far; check the file or its export"
+        raise InputError(words, reason="mesh_file_values", value=far)
     return vertices
 
 
