@@ -82,7 +82,9 @@ def _word(data: bytes, random_: random.Random) -> bytes:
 
 
 def _bytes(data: bytes, random_: random.Random) -> bytes:
-    out, size = bytearray(data), max(len(data), 1)
+    if not data:
+        return random_.randbytes(40)
+    out, size = bytearray(data), len(data)
     kind = random_.randrange(6)
     at = random_.randrange(min(size, 400) if random_.random() < 0.6 else size)
     if kind == 0:

@@ -22,7 +22,7 @@ from std_srvs.srv import Trigger
 
 from ladar_volume.compile_kernels import STAGES, warm_up
 from ladar_volume.io.bags import BagReader
-from ladar_volume.model.errors import VolumeError
+from ladar_volume.model.errors import ConfigurationError, VolumeError
 from ladar_volume.nodes.base import STOP_S, StageNode
 from ladar_volume.nodes.filter_node import FilterNode
 from ladar_volume.nodes.georeference_node import GeoreferenceNode
@@ -128,6 +128,7 @@ class Graph:
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         wanted = {"logger_node": log is not None, "mavlink_node": mavlink}
         names = [n for n in FACTORIES if wanted.get(n, True)]
+        self._names = set(names)
         for stage in (
             STAGES
         ):  # once here, so that processes do not compile the same kernels beside each other
@@ -156,8 +157,11 @@ class Graph:
                 node = FACTORIES[name](
                     parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()]
                 )
-                node.autostart()
+                started = node.autostart()
                 self._add(node)
+                if not started:
+                    self.close()
+                    raise ConfigurationError(f"{name}: {node.failure}")
 
     def _add(self, node: Node) -> None:
         self._spinners[node.get_name()] = Spinner(node)
@@ -165,7 +169,7 @@ class Graph:
     def wait_ready(self, timeout_s: float = 300.0) -> None:
         """Until every node reports. Raises VolumeError where one does not."""
         deadline = time.monotonic() + timeout_s
-        wanted = {"georeference_node", "filter_node", "volume_node"}
+        wanted = self._names
         while (
             not wanted <= set(self.watcher.lines)
             or self.watcher.number("volume_node", "joined") != 1

@@ -105,7 +105,10 @@ def spin(factory: Callable[[], StageNode], argv: Sequence[str] | None = None) ->
         node = factory()
         if node.kernels is not None and is_own_process():
             without_blas()
-        node.autostart()
+        if not node.autostart():
+            print(f"ladar_volume: {node.get_name()}: {node.failure}", file=sys.stderr)  # noqa: T201 - for who started it
+            node.destroy_node()
+            return 2
         spinner = Spinner(node)
         while not stop.wait(0.2):
             continue

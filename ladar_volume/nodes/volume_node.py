@@ -15,7 +15,7 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from sensor_msgs.msg import NavSatFix, PointCloud2
+from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
@@ -34,7 +34,7 @@ from ladar_volume.io.message_tables import (
 from ladar_volume.io.output_set import output_set
 from ladar_volume.io.tables import decode
 from ladar_volume.model.errors import LadarVolumeError, VolumeError
-from ladar_volume.model.records import Datum, Estimate, FilterUpdate, Volume
+from ladar_volume.model.records import Estimate, FilterUpdate, Volume
 from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.convert import (
     datum_of,
@@ -80,7 +80,6 @@ class VolumeNode(StageNode):
             None  # no more of the last estimate: its surface would be held beside the new one
         )
         self._why_not = "no surface yet"
-        self._datum: Datum | None = None
         self._epoch = 0
         self._since = SinceEpoch()
         self._more: MoreData | None = None
@@ -98,7 +97,7 @@ class VolumeNode(StageNode):
         self.listen("points", PointCloud2, "points_filtered", STREAM)
         self.listen("patches", PointCloud2, "patches", STREAM)
         self.listen("platform", Odometry, "platform", STREAM)
-        self.listen("datum", NavSatFix, "datum", LATCHED)
+        self.hear_datum()
         self._filter_reset = self.create_client(Trigger, "filter_node/reset")
         self._filter_flush = self.create_client(Trigger, "filter_node/flush")
         self._newest_part, self._awaited = 0, False
@@ -149,7 +148,10 @@ class VolumeNode(StageNode):
             self._due = True
             return None
         if kind == "datum":
-            return self._take_datum(datum_of(item))
+            if self.take_datum(datum_of(item)):
+                self._since = SinceEpoch()
+                self._start_over()
+            return None
         verdict = self._passes.take(kind, stamp_ns(item))
         if verdict == "old":
             return self.losses.add("message_before_restart")
@@ -160,16 +162,6 @@ class VolumeNode(StageNode):
             self._states.append(item)
             return None
         return self._pair(kind, item)
-
-    def _take_datum(self, datum: Datum) -> None:
-        if self._datum not in (None, datum):
-            self.get_logger().warning(
-                "another datum: coordinates so far mean nothing in it, a new surface begins"
-            )
-            self.losses.add("message_datum_changed")
-            self._since = SinceEpoch()
-            self._start_over()
-        self._datum = datum
 
     def _pair(self, kind: str, item: Any) -> None:
         key = stamp_ns(item)
