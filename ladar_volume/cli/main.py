@@ -165,7 +165,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     verb = next((w for w in words if not w.startswith("-")), None)
     if words == ["--version"]:
         verb = ""  # no verb's options are needed for it
-    arguments: Any = make_parser(verb).parse_args(words)
+    parser = make_parser(verb)
+    if lost := next((w for w in words if w.startswith("--") and w.endswith("=--")), None):
+        parser.error(f"{lost}: no value")  # argparse takes it for an empty list
+    arguments: Any = parser.parse_args(words)
     try:
         with orderly_end():
             return int(arguments.run(arguments))

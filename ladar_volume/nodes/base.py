@@ -44,6 +44,8 @@ from ladar_volume.process.switch import is_own_process
 
 #: How long a node may take to finish its work.
 STOP_S = 30.0
+#: How long a node that is to end waits for those before it, s.
+UPSTREAM_S = 4.0
 #: How often a node looks who publishes the datum, s.
 WATCH_S = 0.2
 STEADY = ClockType.STEADY_TIME
@@ -62,6 +64,8 @@ class StageNode(LifecycleNode, ABC):
     sections: tuple[str, ...] = ("node",)
     #: Sections whose parameters may change while the node runs.
     runtime_sections: tuple[str, ...] = ()
+    #: Topics that come from this package's nodes before this one, the first of all first.
+    upstream: tuple[str, ...] = ()
     #: The stage whose compiled kernels must be ready before data comes; without one, no compiler is
     #: loaded.
     kernels: str | None = None
@@ -70,6 +74,7 @@ class StageNode(LifecycleNode, ABC):
         super().__init__(name, **options)
         self.losses = Losses()
         self.failure = ""
+        self.cut_off = False
         self._defects = Defects()
         self.health = Health()
         self._queue = WorkQueue()
@@ -242,6 +247,19 @@ class StageNode(LifecycleNode, ABC):
             if not sum([rest() for rest in self._rests.values()]):
                 break
 
+    def await_upstream(self) -> None:
+        """Let those whose data this node takes end first, for some seconds; what they finish is
+        still taken in. Where one outlives the next, or this node, data are missing:
+        :attr:`cut_off`.
+        """
+        deadline = time.monotonic() + UPSTREAM_S
+        while self.context.ok() and time.monotonic() < deadline:
+            alive = [self.count_publishers(topic) > 0 for topic in self.upstream]
+            self.cut_off |= any(a and not b for a, b in zip(alive, (*alive[1:], True), strict=True))
+            if not any(alive) or self.cut_off:
+                return
+            time.sleep(0.05)
+
     def stop(self) -> None:
         """Work off the queue, finish, report for the last time, and wait until listeners have it;
         then the worker has ended.
@@ -249,6 +267,8 @@ class StageNode(LifecycleNode, ABC):
         self._active = False
         if self._worker is None or not self._worker.is_alive():
             return
+        if self.context.ok():
+            self.cut_off |= any(self.count_publishers(topic) > 0 for topic in self.upstream)
         self._queue.put(None)
         self._worker.join(timeout=STOP_S)
         if self._worker.is_alive():

@@ -49,6 +49,7 @@ class FilterNode(StageNode):
 
     sections = ("calibration", "georeference", "filter", "node")
     kernels = "filter"
+    upstream = ("points_mapped",)
     runtime_sections = ("node",)
 
     def __init__(self, **options: Any) -> None:

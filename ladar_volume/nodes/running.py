@@ -66,6 +66,7 @@ class Spinner:
     def close(self) -> None:
         """Let the node take in what came and finish its work, then end the thread and the node."""
         if isinstance(self.node, StageNode):
+            self.node.await_upstream()
             self._executor.create_task(self._take_all)
             self._taken.wait(timeout=TAKE_S)
             self.node.stop()

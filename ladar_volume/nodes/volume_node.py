@@ -60,6 +60,7 @@ class VolumeNode(StageNode):
 
     sections = ("budget", "georeference", "filter", "ground", "volume", "node")
     kernels = "volume"
+    upstream = ("points_mapped", "points_filtered")
     runtime_sections = ("node", "ground", "volume")
 
     def __init__(self, **options: Any) -> None:
@@ -224,10 +225,16 @@ class VolumeNode(StageNode):
             if self._due:
                 self._compute()
         v = self._last
-        if v is not None:
-            self.get_logger().info(
-                f"volume at the end: {v.volume_m3:.4f} m3, sigma {v.sigma_m3:.4f} m3"
+        if v is None:
+            return
+        found = f"{v.volume_m3:.4f} m3, sigma {v.sigma_m3:.4f} m3"
+        if self.cut_off:
+            self.get_logger().warning(
+                f"incomplete volume: {found}; the nodes before this one had not ended when it did: "
+                "replay the log"
             )
+        else:
+            self.get_logger().info(f"volume at the end: {found}")
 
     def _compute(self, naive: bool = False) -> Estimate:
         self._hand_over()
