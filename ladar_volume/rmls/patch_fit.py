@@ -8,7 +8,7 @@ vertically, so that walls work as floors do.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,17 @@ MAD = 1.4826
 #: Distances between two looks at whether a trial is lost.
 BLOCK = 64
 OK, FEW_POINTS, NO_PLANE, FEW_INLIERS, NOT_ON_PATCH = 0, 1, 2, 3, 4
+
+
+class StartRule(NamedTuple):
+    """How a start plane is sampled. size : points of a sample, 3 or 4 · trials : samples · ransac :
+    the best has the least squares truncated at ``threshold``, m, else the least median
+    """
+
+    size: int
+    trials: int
+    ransac: bool
+    threshold: float
 
 
 @kernel
@@ -113,29 +124,19 @@ def _truncated_square(r: F64, n: int, plane: F64, best: float, limit: float) -> 
 
 
 @kernel
-def start_plane(
-    r: F64,
-    n: int,
-    size: int,
-    trials: int,
-    ransac: bool,
-    threshold: float,
-    seed: int,
-    plane: F64,
-    work: F64,
-) -> Any:
-    """The best of ``trials`` random planes over r (3, n); returns its robust sigma, −1 where every
-    sample was degenerate.
+def start_plane(r: F64, n: int, rule: StartRule, seed: int, plane: F64, work: F64) -> float:
+    """The best of random planes over r (3, n); returns its robust sigma, −1 where every sample was
+    degenerate. work : (n,)
     """
     state = np.empty(1, np.uint64)
     state[0] = seed
     trial, pick = np.empty(4), np.empty(4, np.int64)
     best = np.inf
-    for _ in range(trials):
-        if not _sample_plane(r, n, size, state, pick, trial):
+    for _ in range(rule.trials):
+        if not _sample_plane(r, n, rule.size, state, pick, trial):
             continue
-        if ransac:
-            score = _truncated_square(r, n, trial, best, threshold * threshold)
+        if rule.ransac:
+            score = _truncated_square(r, n, trial, best, rule.threshold * rule.threshold)
         else:
             score = _median_if_better(r, n, trial, best, work)
         if score < best:
@@ -145,4 +146,4 @@ def start_plane(
         return -1.0
     for i in range(n):
         work[i] = abs(r[0, i] * plane[0] + r[1, i] * plane[1] + r[2, i] * plane[2] - plane[3])
-    return MAD * (1.0 + 5.0 / max(n - 3, 1)) * select_kth(work, n, n // 2)
+    return float(MAD * (1.0 + 5.0 / max(n - 3, 1)) * select_kth(work, n, n // 2))

@@ -16,7 +16,7 @@ from ladar_volume.math.array_types import F64, I16, I32, I64, Bool
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.rmls import patch_fit
 from ladar_volume.rmls.fit_store import Fits
-from ladar_volume.rmls.patch_fit import REACH
+from ladar_volume.rmls.patch_fit import REACH, StartRule
 from ladar_volume.rmls.tangent_frame import (
     Frame,
     Near,
@@ -43,7 +43,8 @@ OK, FEW_POINTS, NO_PLANE, FEW_INLIERS, NOT_ON_PATCH = (
 class FitRule(NamedTuple):
     """How a patch is fitted: range r and parameters p of the surface; points per random sample,
     samples, and whether truncated squares choose the start; threshold in robust sigma with its
-    floor; fewest inliers; refits; seed. Lengths in m.
+    floor; fewest inliers; refits; seed. Lengths in m. Numbers alone: a parallel loop takes no
+    record of records.
     """
 
     radius: float
@@ -114,75 +115,93 @@ def _face_sensor(
 
 
 @kernel
+def refit_rule(rule: FitRule) -> RefitRule:
+    """How its surface is refitted, over twice the radius."""
+    return RefitRule(2.0 * rule.radius, rule.sigmas, rule.floor, rule.iterations)
+
+
+@kernel
+def _start_plane(
+    pts: F64, slots: I32, n: int, store: VoxelArrays, rule: FitRule, voxel: int, near: F64
+) -> tuple[int, float, F64, F64]:
+    """A plane through random ones of the points (n, 3) about the voxel: (status, its sigma, it, the
+    mean of the voxel's own points). near : (3, n) for the points about that mean
+    """
+    origin, plane = np.zeros(3), np.empty(4)
+    _centroid(pts, slots, n, store.cap, voxel, origin)
+    m = _ball(pts, n, origin, 2.0 * rule.radius, near)
+    if m < rule.min_points:
+        return FEW_POINTS, 0.0, plane, origin
+    own_seed = _mix(np.uint64(store.keys[voxel]) ^ _mix(np.uint64(rule.seed)))
+    start = StartRule(rule.sample_size, rule.trials, rule.ransac, rule.ransac_threshold)
+    sigma = patch_fit.start_plane(near, m, start, own_seed, plane, np.empty(m))
+    if sigma < 0.0:
+        return NO_PLANE, 0.0, plane, origin
+    plane[3] += plane[0] * origin[0] + plane[1] * origin[1] + plane[2] * origin[2]
+    return OK, sigma, plane, origin
+
+
+@kernel
+def _refit_surface(
+    near: Near, m: int, sigma: float, threshold: float, rule: FitRule, terms: Terms
+) -> tuple[int, float]:
+    """Least squares from the points marked inside; too few or too one-sided points for a quadric:
+    the plane stands, its quadratic terms are zero with certainty. Returns (inliers, sigma).
+    """
+    refitting = refit_rule(rule)
+    used, s = refit(near.uvw, m, rule.p, sigma, refitting, near.inside, terms)
+    if used < rule.min_points and rule.p == 6:
+        mark_flat(near.uvw, m, threshold, near.inside)
+        terms.beta[:] = 0.0
+        terms.inverse[:] = 0.0
+        used, s = refit(near.uvw, m, 3, sigma, refitting, near.inside, terms)
+    return used, s
+
+
+@kernel
+def _inliers_first(slots: I32, near: Near, m: int, cap: int, voxel: int) -> bool:
+    """Bring the inliers' slots to the front; returns whether one of them lies in the voxel."""
+    k, own = 0, False
+    for i in range(m):
+        if near.inside[i]:
+            slots[k] = slots[near.slots[i]]
+            own |= slots[k] // cap == voxel
+            k += 1
+    return own
+
+
+@kernel
 def _fit_one(
-    a: int, slots: I32, n: int, store: VoxelArrays, rule: FitRule, seed: int, fits: Fits
-) -> Any:
+    a: int, slots: I32, n: int, store: VoxelArrays, rule: FitRule, fits: Fits
+) -> tuple[int, int, float]:
     """The patch of row a; returns (status, inliers, sigma) and leaves the inliers' slots at the
     front of ``slots``.
     """
-    voxel, cap, r, ball = fits.voxels[a], store.cap, store.r, 2.0 * rule.radius
-    centre, normal, tangent = fits.centre[a], fits.normal[a], fits.tangent[a]
-    beta, inverse = fits.beta[a], fits.inverse[a]
-    sigmas, floor = rule.sigmas, rule.floor
-    refitting, terms = RefitRule(ball, sigmas, floor, rule.iterations), Terms(beta, inverse)
+    voxel, refitting = fits.voxels[a], refit_rule(rule)
     pts, near = np.empty((n, 3)), np.empty((3, n))
     for i in range(n):
         for k in range(3):
-            pts[i, k] = r[slots[i], k]
-    origin = np.zeros(3)
-    _centroid(pts, slots, n, cap, voxel, origin)
-    m = _ball(pts, n, origin, ball, near)
-    if m < rule.min_points:
-        return FEW_POINTS, 0, 0.0
-    plane = np.empty(4)
-    sigma = patch_fit.start_plane(
-        near,
-        m,
-        rule.sample_size,
-        rule.trials,
-        rule.ransac,
-        rule.ransac_threshold,
-        seed,
-        plane,
-        np.empty(m),
-    )
+            pts[i, k] = store.r[slots[i], k]
+    status, sigma, plane, origin = _start_plane(pts, slots, n, store, rule, voxel, near)
+    if status != OK:
+        return status, 0, 0.0
+    around = Near(near, np.empty(n, np.int64), np.empty(n, np.bool_))
+    frame = Frame(fits.centre[a], fits.normal[a], fits.tangent[a])
+    centre, normal, tangent = frame.centre, frame.normal, frame.tangent
+    sigma = level_frame(pts, n, origin, plane, sigma, refitting, around, frame)
     if sigma < 0.0:
         return NO_PLANE, 0, 0.0
-    plane[3] += plane[0] * origin[0] + plane[1] * origin[1] + plane[2] * origin[2]
-    index, inside = np.empty(n, np.int64), np.empty(n, np.bool_)
-    sigma = level_frame(
-        pts,
-        n,
-        origin,
-        plane,
-        sigma,
-        refitting,
-        Near(near, index, inside),
-        Frame(centre, normal, tangent),
-    )
-    if sigma < 0.0:
-        return NO_PLANE, 0, 0.0
-    threshold = max(sigmas * sigma, floor, 0.5e-7 * ball)
-    m = coordinates(pts, n, centre, normal, tangent, ball, near, index)
-    mark_flat(near, m, threshold, inside)
-    _face_sensor(slots, index, m, inside, store.aux, normal, tangent)
-    m = coordinates(pts, n, centre, normal, tangent, ball, near, index)
-    used, s = refit(near, m, rule.p, sigma, refitting, inside, terms)
-    if used < rule.min_points and rule.p == 6:
-        # too few or too one-sided points for a quadric: the plane stands, its quadratic terms are
-        # zero with certainty
-        mark_flat(near, m, threshold, inside)
-        beta[:] = 0.0
-        inverse[:] = 0.0
-        used, s = refit(near, m, 3, sigma, refitting, inside, terms)
+    ball = refitting.ball
+    threshold = max(rule.sigmas * sigma, rule.floor, 0.5e-7 * ball)
+    m = coordinates(pts, n, centre, normal, tangent, ball, near, around.slots)
+    mark_flat(near, m, threshold, around.inside)
+    _face_sensor(slots, around.slots, m, around.inside, store.aux, normal, tangent)
+    m = coordinates(pts, n, centre, normal, tangent, ball, near, around.slots)
+    terms = Terms(fits.beta[a], fits.inverse[a])
+    used, s = _refit_surface(around, m, sigma, threshold, rule, terms)
     if used < rule.min_points:
         return FEW_INLIERS, used, s
-    k, own = 0, False
-    for i in range(m):
-        if inside[i]:
-            slots[k] = slots[index[i]]
-            own |= slots[k] // cap == voxel
-            k += 1
+    own = _inliers_first(slots, around, m, store.cap, voxel)
     return OK if own else NOT_ON_PATCH, used, s
 
 
@@ -192,8 +211,7 @@ def _fit_row(a: int, store: VoxelArrays, rule: FitRule, fits: Fits) -> None:
     v = fits.voxels[a]
     slots = fits.members[fits.start[a] : fits.start[a + 1]]
     n = patch_fit.gather(v, store.keys, store.table, store.counts, store.order, store.cap, slots)
-    own_seed = _mix(np.uint64(store.keys[v]) ^ _mix(np.uint64(rule.seed)))
-    status, used, sigma = _fit_one(a, slots, n, store, rule, own_seed, fits)
+    status, used, sigma = _fit_one(a, slots, n, store, rule, fits)
     fits.status[a], fits.sigma[a] = status, sigma
     if status == OK:
         first = store.t_ns[slots[0]]

@@ -215,43 +215,44 @@ def _normal_quadric(uvw: F64, straight: F64, m: int, inside: Bool, A: F64, b: F6
 
 
 @leaf_kernel
-def _classify(
-    uvw: F64,
-    residuals: Residuals,
-    m: int,
-    p: int,
-    b: F64,
-    ball: float,
-    threshold: float,
-    inside: Bool,
-) -> Any:
-    """Mark the points within ``threshold`` of the model; returns (how many, sum of their squared
-    residuals, any change).
-
-    Residuals of a quadric are taken along its own normal, and its neighbourhood is a ball about the
-    *foot points*: a ball about the noisy points keeps more of those on the hollow side, which pulls
-    a curved surface inwards.
+def _off_quadric(
+    uvw: F64, residuals: Residuals, m: int, b: F64, ball: float, threshold: float
+) -> None:
+    """Residuals along the quadric's own normal, infinite beyond its neighbourhood: that is a ball
+    about the *foot points*. A ball about the noisy points keeps more of those on the hollow side,
+    which pulls a curved surface inwards.
     """
     straight, off = residuals.straight, residuals.off
-    used, square, changed = 0, 0.0, False
     reach = max(1.0 - threshold / ball, 0.5)
     b0, b1, b2, b3, b4, b5 = b[0], b[1], b[2], b[3], b[4], b[5]
-    if p == 6:
-        for i in range(m):  # no branch and no sum: several points at once
-            u, v = uvw[0, i], uvw[1, i]
-            d = straight[i] - b0 - u * b1 - v * b2 - u * u * b3 - u * v * b4 - v * v * b5
-            gu, gv = (b1 + 2.0 * u * b3 + v * b4) / ball, (b2 + u * b4 + 2.0 * v * b5) / ball
-            slope = 1.0 + gu * gu + gv * gv
-            fu, fv, fw = (
-                u + d * gu / (slope * ball),
-                v + d * gv / (slope * ball),
-                (uvw[2, i] - d / slope) / ball,
-            )
-            d = abs(d / np.sqrt(slope))
-            off[i] = d if fu * fu + fv * fv + fw * fw <= reach * reach else np.inf
-    else:
-        for i in range(m):
-            off[i] = abs(uvw[2, i] - b0 - uvw[0, i] * b1 - uvw[1, i] * b2)
+    for i in range(m):  # no branch and no sum: several points at once
+        u, v = uvw[0, i], uvw[1, i]
+        d = straight[i] - b0 - u * b1 - v * b2 - u * u * b3 - u * v * b4 - v * v * b5
+        gu, gv = (b1 + 2.0 * u * b3 + v * b4) / ball, (b2 + u * b4 + 2.0 * v * b5) / ball
+        slope = 1.0 + gu * gu + gv * gv
+        fu, fv, fw = (
+            u + d * gu / (slope * ball),
+            v + d * gv / (slope * ball),
+            (uvw[2, i] - d / slope) / ball,
+        )
+        d = abs(d / np.sqrt(slope))
+        off[i] = d if fu * fu + fv * fv + fw * fw <= reach * reach else np.inf
+
+
+@leaf_kernel
+def _off_plane(uvw: F64, m: int, b: F64, off: F64) -> None:
+    """Residuals along the frame's normal."""
+    b0, b1, b2 = b[0], b[1], b[2]
+    for i in range(m):
+        off[i] = abs(uvw[2, i] - b0 - uvw[0, i] * b1 - uvw[1, i] * b2)
+
+
+@leaf_kernel
+def _classify(off: F64, m: int, threshold: float, inside: Bool) -> tuple[int, float, bool]:
+    """Mark the points within ``threshold`` of the model; returns (how many, sum of their squared
+    residuals, any change).
+    """
+    used, square, changed = 0, 0.0, False
     for i in range(m):
         near = off[i] <= threshold
         if near:
@@ -263,6 +264,40 @@ def _classify(
 
 
 @kernel
+def _solve(p: int, A: F64, right: F64, inverse: F64, b: F64) -> float:
+    """Coefficients of the normal equations, whose upper half is filled in, to b; returns how far
+    the quadratic ones moved, −1 where the terms are not determined.
+    """
+    for k in range(p):
+        for l in range(k):
+            A[l, k] = A[k, l]
+    if not invert(A, p, inverse):
+        return -1.0
+    shift = 0.0
+    for k in range(p):
+        new = 0.0
+        for l in range(p):
+            new += inverse[k, l] * right[l]
+        # only the arc term, which follows the quadratic terms, can still move when the inliers
+        # have settled
+        shift = max(shift, abs(new - b[k]) if k > 2 else 0.0)
+        b[k] = new
+    return shift
+
+
+@leaf_kernel
+def _to_metres(p: int, b: F64, ball: float, terms: Terms) -> None:
+    """Terms over (u, v) / ball as terms over (u, v)."""
+    beta, inverse = terms.beta, terms.inverse
+    for k in range(p):
+        unit_k = 1.0 if k == 0 else 1.0 / ball if k < 3 else 1.0 / (ball * ball)
+        beta[k] = b[k] * unit_k
+        for l in range(p):
+            unit_l = 1.0 if l == 0 else 1.0 / ball if l < 3 else 1.0 / (ball * ball)
+            inverse[k, l] *= unit_k * unit_l
+
+
+@kernel
 def refit(
     uvw: F64,
     m: int,
@@ -271,7 +306,7 @@ def refit(
     rule: RefitRule,
     inside: Bool,
     terms: Terms,
-) -> Any:
+) -> tuple[int, float]:
     """Least squares on the inliers, iterated until they stay the same. ``inside`` (m,) holds the
     start.
 
@@ -279,22 +314,21 @@ def refit(
     ``beta`` and ``inverse`` = (XᵀX)⁻¹ come back in metres. Returns (number of inliers, sigma); 0
     inliers where the terms are not determined.
     """
-    ball, sigmas, floor, iterations = rule.ball, rule.sigmas, rule.floor, rule.iterations
-    beta, inverse = terms.beta, terms.inverse
-    A, b, right = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
+    ball, A, b, right = rule.ball, np.zeros((6, 6)), np.zeros(6), np.zeros(6)
     residuals = Residuals(np.empty(m), np.empty(m))
-    straight = residuals.straight
-    used, shift = 0, 0.0
-    for step in range(iterations + 1):
+    straight, used, shift = residuals.straight, 0, 0.0
+    for step in range(rule.iterations + 1):
         if step > 0:
-            threshold = (
-                max(sigmas * sigma, floor) if step == 1 else max(sigmas * sigma, floor, 1e-7 * ball)
-            )
-            used, square, changed = _classify(uvw, residuals, m, p, b, ball, threshold, inside)
+            threshold = max(rule.sigmas * sigma, rule.floor)
+            if step > 1:  # noise-free input: above the rounding of coordinates
+                threshold = max(threshold, 1e-7 * ball)
+            if p == 6:
+                _off_quadric(uvw, residuals, m, b, ball, threshold)
+            else:
+                _off_plane(uvw, m, b, residuals.off)
+            used, square, changed = _classify(residuals.off, m, threshold, inside)
             if used <= p:
                 return 0, sigma
-            # noise-free input: the threshold of the next step stays above the rounding of
-            # coordinates
             sigma = np.sqrt(square / (used - p))
             if step > 1 and not changed and shift <= SETTLED * sigma:
                 break
@@ -303,27 +337,10 @@ def refit(
             _normal_quadric(uvw, straight, m, inside, A, right)
         else:
             _normal_plane(uvw, m, inside, A, right)
-        for k in range(p):
-            for l in range(k):
-                A[l, k] = A[k, l]
-        if not invert(A, p, inverse):
+        shift = _solve(p, A, right, terms.inverse, b)
+        if shift < 0.0:
             return 0, sigma
-        shift = 0.0
-        for k in range(p):
-            new = 0.0
-            for l in range(p):
-                new += inverse[k, l] * right[l]
-            # only the arc term, which follows the quadratic terms, can still move when the inliers
-            # have settled
-            shift = max(shift, abs(new - b[k]) if k > 2 else 0.0)
-            b[k] = new
-    unit = np.ones(6)
-    unit[1] = unit[2] = 1.0 / ball
-    unit[3] = unit[4] = unit[5] = 1.0 / (ball * ball)
-    for k in range(p):
-        beta[k] = b[k] * unit[k]
-        for l in range(p):
-            inverse[k, l] *= unit[k] * unit[l]
+    _to_metres(p, b, ball, terms)
     return used, sigma
 
 
@@ -332,6 +349,26 @@ def mark_flat(uvw: F64, m: int, threshold: float, inside: Bool) -> None:
     """Mark the points within ``threshold`` of the tangent plane."""
     for i in range(m):
         inside[i] = abs(uvw[2, i]) <= threshold
+
+
+@kernel
+def _lay_on_plane(origin: F64, beta: F64, frame: Frame) -> None:
+    """Turn a frame into the plane beta over it, and move it to the foot point of ``origin``."""
+    centre, normal, tangent, new = frame.centre, frame.normal, frame.tangent, np.empty(3)
+    t0, t1, t2 = tangent[0], tangent[1], tangent[2]
+    new[0] = normal[0] - beta[1] * t0 - beta[2] * (normal[1] * t2 - normal[2] * t1)
+    new[1] = normal[1] - beta[1] * t1 - beta[2] * (normal[2] * t0 - normal[0] * t2)
+    new[2] = normal[2] - beta[1] * t2 - beta[2] * (normal[0] * t1 - normal[1] * t0)
+    length = np.sqrt(new[0] * new[0] + new[1] * new[1] + new[2] * new[2])
+    h = 0.0
+    for k in range(3):
+        new[k] /= length
+        # the plane passes through centre + beta0 normal; the foot point of origin on it is the
+        # new centre
+        h += (origin[k] - centre[k] - beta[0] * normal[k]) * new[k]
+    for k in range(3):
+        centre[k] = origin[k] - h * new[k]
+        normal[k] = new[k]
 
 
 @kernel
@@ -344,16 +381,15 @@ def level_frame(
     rule: RefitRule,
     near: Near,
     frame: Frame,
-) -> Any:
+) -> float:
     """Turn a start plane into a frame at the foot point of ``origin``: a plane refit and re-tilt
     until it lies flat.
 
     Returns the plane's sigma, −1 where no plane is determined.
     """
-    ball, sigmas, floor = rule.ball, rule.sigmas, rule.floor
-    uvw, index, inside = near.uvw, near.slots, near.inside
+    ball, uvw, inside = rule.ball, near.uvw, near.inside
     centre, normal, tangent = frame.centre, frame.normal, frame.tangent
-    terms, new = Terms(np.zeros(6), np.zeros((6, 6))), np.empty(3)
+    terms = Terms(np.zeros(6), np.zeros((6, 6)))
     beta = terms.beta
     normal[:] = plane[:3]
     height = origin[0] * normal[0] + origin[1] * normal[1] + origin[2] * normal[2] - plane[3]
@@ -361,25 +397,12 @@ def level_frame(
         centre[k] = origin[k] - height * normal[k]
     for _ in range(3):
         tangent_of(normal, tangent)
-        m = coordinates(r, n, centre, normal, tangent, ball, uvw, index)
-        mark_flat(uvw, m, max(sigmas * sigma, floor, 0.5e-7 * ball), inside)
+        m = coordinates(r, n, centre, normal, tangent, ball, uvw, near.slots)
+        mark_flat(uvw, m, max(rule.sigmas * sigma, rule.floor, 0.5e-7 * ball), inside)
         used, sigma = refit(uvw, m, 3, sigma, rule, inside, terms)
         if used == 0:
             return -1.0
-        t0, t1, t2 = tangent[0], tangent[1], tangent[2]
-        new[0] = normal[0] - beta[1] * t0 - beta[2] * (normal[1] * t2 - normal[2] * t1)
-        new[1] = normal[1] - beta[1] * t1 - beta[2] * (normal[2] * t0 - normal[0] * t2)
-        new[2] = normal[2] - beta[1] * t2 - beta[2] * (normal[0] * t1 - normal[1] * t0)
-        length = np.sqrt(new[0] * new[0] + new[1] * new[1] + new[2] * new[2])
-        h = 0.0
-        for k in range(3):
-            new[k] /= length
-            # the plane passes through centre + beta0 normal; the foot point of origin on it is the
-            # new centre
-            h += (origin[k] - centre[k] - beta[0] * normal[k]) * new[k]
-        for k in range(3):
-            centre[k] = origin[k] - h * new[k]
-            normal[k] = new[k]
+        _lay_on_plane(origin, beta, frame)
         if abs(beta[1]) + abs(beta[2]) < 1e-6:
             break
     tangent_of(normal, tangent)

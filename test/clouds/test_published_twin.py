@@ -9,12 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from ladar_volume.clouds.filter.filter_result import REASONS
 from ladar_volume.clouds.published import random_samples
-from ladar_volume.clouds.published.facets import ON_EDGE, PARALLEL
+from ladar_volume.clouds.published.plane_facets import ON_EDGE, PARALLEL
 from ladar_volume.clouds.published.published_filter import (
     PublishedParameters,
     filter_published,
     inflation,
 )
+from ladar_volume.clouds.published.published_records import Sampler, Sampling
 from ladar_volume.clouds.published.published_sweep import BAND
 from ladar_volume.rmls.patch_fit import MAD
 
@@ -376,19 +377,9 @@ def test_sampled_quadrics_are_their_twin(ransac, confidence):
     d = np.sort(np.abs(uvw[2] - basis @ found))
     d = d[d <= threshold] if ransac else d
     beta, state = np.zeros(6), np.array([77], np.uint64)
-    sigma, count = random_samples.sampled_quadric(
-        uvw,
-        m,
-        k,
-        60,
-        ransac,
-        threshold,
-        confidence,
-        state,
-        np.empty(m, np.int64),
-        np.empty(m),
-        beta,
-    )
+    sampler = Sampler(state, np.empty(m, np.int64), np.empty(m))
+    sampling = Sampling(k, 60, ransac, threshold, confidence)
+    sigma, count = random_samples.sampled_quadric(uvw, m, sampling, sampler, beta)
     assert count == made and np.allclose(beta, found, atol=1e-9)
     assert sigma == pytest.approx(MAD * (1 + 5 / (len(d) - 6)) * d[len(d) // 2])
 
@@ -397,7 +388,7 @@ def test_draws_are_uniform_and_without_repeats():
     state, pick = np.array([5], np.uint64), np.arange(10)
     counts = np.zeros(10)
     for _ in range(4000):
-        random_samples.draw(state, pick, 10, 3)
+        random_samples.draw_sample(state, pick, 10, 3)
         assert len(set(pick[:3])) == 3 and set(pick) == set(range(10))
         counts[pick[:3]] += 1
     assert np.abs(counts / 4000 - 0.3).max() < 0.03

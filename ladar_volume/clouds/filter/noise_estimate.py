@@ -11,7 +11,7 @@ import numpy as np
 
 from ladar_volume.math.array_types import U64
 from ladar_volume.math.kernels import kernel, parallel_kernel
-from ladar_volume.rmls.patch_fit import start_plane
+from ladar_volume.rmls.patch_fit import StartRule, start_plane
 from ladar_volume.rmls.tangent_frame import (
     Frame,
     Near,
@@ -69,10 +69,7 @@ def scatter(r: Any, near: Any, seed: Any, sigma: Any) -> None:
         guess = start_plane(
             across_points,
             k,
-            3,
-            TRIALS,
-            False,
-            0.0,
+            StartRule(3, TRIALS, False, 0.0),
             _mix(np.uint64(seed) ^ _mix(np.uint64(s))),
             plane,
             work,

@@ -16,7 +16,7 @@ from ladar_volume.clouds.filter.orthogonal_quadric import (
 from ladar_volume.math.array_types import F64, I64
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.math.normal_equations import basis, invert
-from ladar_volume.rmls.patch_fit import start_plane
+from ladar_volume.rmls.patch_fit import StartRule, start_plane
 from ladar_volume.rmls.tangent_frame import across, tangent_of
 from ladar_volume.rmls.voxel_store import _mix
 
@@ -61,7 +61,7 @@ def loose_plane(x: F64, m: int, reach: float, key: int, plane: F64) -> Any:
             near[:, n] = x[i]
             n += 1
     return (
-        start_plane(near, n, 3, TRIALS, False, 0.0, _mix(np.uint64(key)), plane, work)
+        start_plane(near, n, StartRule(3, TRIALS, False, 0.0), _mix(np.uint64(key)), plane, work)
         if n > 8
         else -1.0
     )

@@ -24,12 +24,18 @@ import numpy as np
 from ladar_volume.clouds.filter.cell_surface import FEW_POINTS, KEPT
 from ladar_volume.clouds.filter.filter_result import REASONS, CloudResult, checked
 from ladar_volume.clouds.filter.point_reduction import sorted_by_voxel
-from ladar_volume.clouds.published import published_sweep as sweeps
-from ladar_volume.clouds.published.published_rules import Rules, Scratch
+from ladar_volume.clouds.published import published_records as records
+from ladar_volume.clouds.published.published_records import (
+    Outcome,
+    PublishedRule,
+    Sampling,
+    Voxels,
+    neighbourhood,
+)
 from ladar_volume.clouds.published.published_sweep import BAND, sweep
 from ladar_volume.model.errors import FilterError
 from ladar_volume.model.parameters import FilterParameters
-from ladar_volume.model.records import F64
+from ladar_volume.model.records import F64, I64
 
 #: Least factor of the sensitivity of a fit to its points: below, the cut takes all and the
 #: inflation stays at 100.
@@ -113,50 +119,53 @@ def filter_published(r: F64, parameters: PublishedParameters) -> CloudResult:
     enough new points reached them.
     """
     points = checked(r)
-    n, p = len(points), parameters
-    origin = points.mean(
-        axis=0
-    )  # digits: neighbourhoods work on offsets of the cloud's size, not on map coordinates
+    # digits: neighbourhoods work on offsets of the cloud's size, not on map coordinates
+    origin = points.mean(axis=0)
     local = points - origin
-    order, keys, first, table = sorted_by_voxel(local, p.radius_m)
-    ordered = local[order]
-    home = np.repeat(np.arange(len(keys)), np.diff(first))
-    back = np.empty(n, np.int64)
-    back[order] = np.arange(n)
-    visit = back[np.lexsort((*local.T, local.sum(axis=1)))] if p.sort else back
-    q, normals, variance = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
-    reason, tally = np.full(n, FEW_POINTS, np.int64), np.zeros(8)
-    ints = [np.empty(n, np.int64) for _ in range(4)]
-    scratch = Scratch(
-        ints[0], np.empty((n, 3)), np.empty((3, n)), ints[1], ints[2], ints[3], np.empty(n)
-    )
+    order, keys, first, table = sorted_by_voxel(local, parameters.radius_m)
+    voxel = np.repeat(np.arange(len(keys)), np.diff(first))
+    row = np.empty(len(points), np.int64)  # of each point among the ordered ones
+    row[order] = np.arange(len(points))
+    visit = row[np.lexsort((*local.T, local.sum(axis=1)))] if parameters.sort else row
+    found = _empty(len(points))
     sweep(
         visit,
-        home,
-        keys,
-        table,
-        first,
-        ordered,
-        _rules(p),
-        scratch,
-        tally,
-        q,
-        normals,
-        variance,
-        reason,
+        Voxels(voxel, keys, table, first),
+        local[order],
+        _rule(parameters),
+        neighbourhood(len(points)),
+        found,
     )
-    index = np.flatnonzero(reason[back] == KEPT)
-    rows, outliers = back[index], np.flatnonzero(reason[back] != KEPT)
-    factor = inflation(tally[sweeps.INLIERS], tally[sweeps.IN_BAND])
+    return _result(found, row, origin, parameters)
+
+
+def _empty(n: int) -> Outcome:
+    """The outcome of n points before the first visit."""
+    reason = np.full(n, FEW_POINTS, np.int64)
+    return Outcome(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), reason, np.zeros(8))
+
+
+def _result(found: Outcome, row: I64, origin: F64, p: PublishedParameters) -> CloudResult:
+    """What became of each point; row : (n,) of each point among the ordered ones."""
+    reason, tally = found.reason[row], found.tally
+    index, outliers = np.flatnonzero(reason == KEPT), np.flatnonzero(reason != KEPT)
+    rows = row[index]
+    factor = inflation(tally[records.INLIERS], tally[records.IN_BAND])
     report = _report(p, tally, factor)
     report |= {
-        "points": n,
+        "points": len(row),
         "kept": len(index),
         **{name: int(np.count_nonzero(reason == i)) for i, name in enumerate(REASONS) if i},
     }
-    sigma = np.sqrt(factor * variance[rows])
+    sigma = np.sqrt(factor * found.variance[rows])
     return CloudResult(
-        q[rows] + origin, index, normals[rows], sigma, outliers, reason[back[outliers]], report
+        found.r[rows] + origin,
+        index,
+        found.normal[rows],
+        sigma,
+        outliers,
+        reason[outliers],
+        report,
     )
 
 
@@ -170,17 +179,19 @@ def inflation(inliers: float, in_band: float) -> float:
     return float(max(1.0 - density, LEAST_SENSITIVITY) ** -2)
 
 
-def _rules(p: PublishedParameters) -> Rules:
-    sigmas = 0.0 if p.threshold_m > 0.0 else p.outlier_sigmas
-    return Rules(
-        float(p.radius_m),
-        int(p.degree),
+def _rule(p: PublishedParameters) -> PublishedRule:
+    sampling = Sampling(
         int(p.sample_size),
         int(p.trials),
         p.start == "ransac",
         float(p.ransac_threshold_m),
         float(p.confidence),
-        float(sigmas),
+    )
+    return PublishedRule(
+        float(p.radius_m),
+        int(p.degree),
+        sampling,
+        0.0 if p.threshold_m > 0.0 else float(p.outlier_sigmas),
         float(p.threshold_m),
         float(p.edges_threshold),
         float(p.min_share),
@@ -192,9 +203,9 @@ def _rules(p: PublishedParameters) -> Rules:
 
 
 def _report(p: PublishedParameters, tally: F64, factor: float) -> dict[str, float | int | str]:
-    fits = max(tally[sweeps.FITS], 1.0)
-    noise = float(np.sqrt(tally[sweeps.SQUARES] / max(tally[sweeps.INLIERS], 1.0)))
-    threshold = p.threshold_m or float(tally[sweeps.THRESHOLDS] / fits)
+    fits = max(tally[records.FITS], 1.0)
+    noise = float(np.sqrt(tally[records.SQUARES] / max(tally[records.INLIERS], 1.0)))
+    threshold = p.threshold_m or float(tally[records.THRESHOLDS] / fits)
     return {
         "order": "published",
         "radius_m": p.radius_m,
@@ -204,8 +215,8 @@ def _report(p: PublishedParameters, tally: F64, factor: float) -> dict[str, floa
         "noise_m": noise,
         "threshold_over_noise": threshold / noise if noise > 0.0 else 0.0,
         "variance_inflation": factor,
-        "fits": int(tally[sweeps.FITS]),
-        "fits_edge": int(tally[sweeps.EDGES]),
-        "fits_corner": int(tally[sweeps.CORNERS]),
-        "trials_per_fit": float(tally[sweeps.TRIALS] / fits),
+        "fits": int(tally[records.FITS]),
+        "fits_edge": int(tally[records.EDGES]),
+        "fits_corner": int(tally[records.CORNERS]),
+        "trials_per_fit": float(tally[records.TRIALS] / fits),
     }

@@ -4,16 +4,19 @@ plane, refitted to its fixed point.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from ladar_volume.clouds.published.published_rules import limit_of
+from ladar_volume.clouds.published.published_records import (
+    Neighbourhood,
+    PublishedRule,
+    inlier_threshold,
+)
 from ladar_volume.clouds.published.random_samples import (
     quadric_residuals,
     sampled_plane,
     sampled_quadric,
 )
+from ladar_volume.math.array_types import F64
 from ladar_volume.math.kernels import kernel
 from ladar_volume.rmls.tangent_frame import (
     Frame,
@@ -30,16 +33,21 @@ from ladar_volume.rmls.tangent_frame import (
 
 #: Rounds of laying the frame at the foot point.
 LEVELS = 3
-#: Points a sampled quadric takes at least: the number of its terms.
-QUADRIC_SAMPLE = 6
 #: A frame whose surface is this flat and near at its centre, as slope and as share of the ball, is
 #: not laid again.
 FLAT = 1e-9
 
 
 @kernel
-def lay_flat(centre: Any, normal: Any, tangent: Any, beta: Any) -> None:
+def refit_rule(rule: PublishedRule) -> RefitRule:
+    """How surfaces over twice the radius are refitted."""
+    return RefitRule(2.0 * rule.radius, rule.sigmas, rule.floor, rule.iterations)
+
+
+@kernel
+def move_to_surface(frame: Frame, beta: F64) -> None:
     """Move a frame to where its normal meets the surface, and turn it until it touches there."""
+    centre, normal, tangent = frame.centre, frame.normal, frame.tangent
     side = np.empty(3)
     across(normal, tangent, side)
     length = np.sqrt(1.0 + beta[1] * beta[1] + beta[2] * beta[2])
@@ -51,96 +59,46 @@ def lay_flat(centre: Any, normal: Any, tangent: Any, beta: Any) -> None:
 
 @kernel
 def refit_quadric(
-    near: Any, n: Any, sigma: Any, rules: Any, work: Any, inside: Any, beta: Any, inverse: Any
-) -> Any:
-    """Least squares from the start ``beta`` over (u, v) / ball, which comes back in metres; a plane
-    where a quadric has too few inliers.
+    near: Near, n: int, sigma: float, rule: PublishedRule, distances: F64, terms: Terms
+) -> tuple[int, float, bool]:
+    """Least squares from the start ``terms.beta`` over (u, v) / ball, which comes back in metres; a
+    plane where a quadric has too few inliers.
 
     Returns (inliers, 0 where there is no surface; sigma; whether it is a quadric).
     """
-    ball, limit = 2.0 * rules.radius, limit_of(sigma, rules)
-    refitting = RefitRule(ball, rules.sigmas, rules.floor, rules.iterations)
-    terms = Terms(beta, inverse)
-    quadric_residuals(near, n, beta, work)
+    uvw, inside, beta = near.uvw, near.inside, terms.beta
+    limit, refitting = inlier_threshold(sigma, rule), refit_rule(rule)
+    quadric_residuals(uvw, n, beta, distances)
     for i in range(n):
-        inside[i] = work[i] <= limit
+        inside[i] = distances[i] <= limit
     beta[:] = 0.0
-    used, new = refit(near, n, 6, sigma, refitting, inside, terms)
-    if used >= rules.least:
+    used, new = refit(uvw, n, 6, sigma, refitting, inside, terms)
+    if used >= rule.min_points:
         return used, new, True
     beta[:] = 0.0
-    inverse[:] = 0.0
-    mark_flat(near, n, limit, inside)
-    used, new = refit(near, n, 3, sigma, refitting, inside, terms)
-    return (used if used >= rules.least else 0), new, False
+    terms.inverse[:] = 0.0
+    mark_flat(uvw, n, limit, inside)
+    used, new = refit(uvw, n, 3, sigma, refitting, inside, terms)
+    return (used if used >= rule.min_points else 0), new, False
 
 
 @kernel
-def fit_quadric(
-    x: Any,
-    xt: Any,
-    m: Any,
-    rules: Any,
-    state: Any,
-    s: Any,
-    centre: Any,
-    normal: Any,
-    tangent: Any,
-    beta: Any,
-    inverse: Any,
-) -> Any:
-    """A quadric over the points x (m, 3) in a frame that touches it below the origin; a plane where
-    a quadric is not determined.
-
-    Returns (inliers, 0 where there is no surface; sigma; trials).
+def refit_and_move(
+    hood: Neighbourhood,
+    m: int,
+    near: Near,
+    n: int,
+    sigma: float,
+    rule: PublishedRule,
+    frame: Frame,
+    terms: Terms,
+) -> tuple[int, float]:
+    """Refit a quadric over the n near ones of m points, and move its frame to it until it touches.
+    Returns (inliers, 0 where there is no surface; sigma).
     """
-    plane, origin, near = np.zeros(4), np.zeros(3), np.empty((4, m))
-    index, inside, ball = np.empty(m, np.int64), np.empty(m, np.bool_), 2.0 * rules.radius
-    sigma, made = sampled_plane(
-        xt,
-        m,
-        rules.sample,
-        rules.trials,
-        rules.ransac,
-        rules.ransac_threshold,
-        rules.confidence,
-        state,
-        s.pick,
-        s.work,
-        plane,
-    )
-    if sigma < 0.0:
-        return 0, sigma, made
-    sigma = level_frame(
-        x,
-        m,
-        origin,
-        plane,
-        sigma,
-        RefitRule(ball, rules.sigmas, rules.floor, rules.iterations),
-        Near(near, index, inside),
-        Frame(centre, normal, tangent),
-    )
-    if sigma < 0.0:
-        return 0, sigma, made
-    n = coordinates(x, m, centre, normal, tangent, ball, near, index)
-    robust, more = sampled_quadric(
-        near,
-        n,
-        max(rules.sample, QUADRIC_SAMPLE),
-        rules.trials,
-        rules.ransac,
-        rules.ransac_threshold,
-        rules.confidence,
-        state,
-        s.pick,
-        s.work,
-        beta,
-    )
-    sigma = robust if robust >= 0.0 else sigma
-    used = 0
+    ball, beta, used = 2.0 * rule.radius, terms.beta, 0
     for level in range(LEVELS):
-        used, sigma, curved = refit_quadric(near, n, sigma, rules, s.work, inside, beta, inverse)
+        used, sigma, curved = refit_quadric(near, n, sigma, rule, hood.sampler.distances, terms)
         if (
             used == 0
             or not curved
@@ -148,10 +106,44 @@ def fit_quadric(
             or abs(beta[1]) + abs(beta[2]) + abs(beta[0]) / ball < FLAT
         ):
             break
-        lay_flat(centre, normal, tangent, beta)
-        n = coordinates(x, m, centre, normal, tangent, ball, near, index)
-        for e in range(
-            6
-        ):  # in the new frame the surface is level at the centre; u and v are shares of the ball
+        move_to_surface(frame, beta)
+        n = coordinates(
+            hood.x, m, frame.centre, frame.normal, frame.tangent, ball, near.uvw, near.slots
+        )
+        # in the new frame the surface is level at the centre; u and v are shares of the ball
+        for e in range(6):
             beta[e] *= 0.0 if e < 3 else ball * ball
+    return used, sigma
+
+
+@kernel
+def fit_quadric(
+    hood: Neighbourhood, m: int, rule: PublishedRule, frame: Frame, terms: Terms
+) -> tuple[int, float, int]:
+    """A quadric over a neighbourhood of m points in a frame that touches it below the origin; a
+    plane where a quadric is not determined.
+
+    Returns (inliers, 0 where there is no surface; sigma; trials).
+    """
+    plane, origin, sampler = np.zeros(4), np.zeros(3), hood.sampler
+    near = Near(np.empty((4, m)), np.empty(m, np.int64), np.empty(m, np.bool_))
+    sigma, made = sampled_plane(hood.xt, m, rule.sampling, sampler, plane)
+    if sigma < 0.0:
+        return 0, sigma, made
+    sigma = level_frame(hood.x, m, origin, plane, sigma, refit_rule(rule), near, frame)
+    if sigma < 0.0:
+        return 0, sigma, made
+    n = coordinates(
+        hood.x,
+        m,
+        frame.centre,
+        frame.normal,
+        frame.tangent,
+        2.0 * rule.radius,
+        near.uvw,
+        near.slots,
+    )
+    robust, more = sampled_quadric(near.uvw, n, rule.sampling, sampler, terms.beta)
+    sigma = robust if robust >= 0.0 else sigma
+    used, sigma = refit_and_move(hood, m, near, n, sigma, rule, frame, terms)
     return used, sigma, made + more

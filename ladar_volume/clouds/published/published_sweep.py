@@ -2,13 +2,11 @@
 projected at most once.
 
 Kernels on points sorted by voxel. A neighbourhood is fitted over 2 r with the raw points, whatever
-became of them, and projects those of its points within r that no earlier neighbourhood has settled.
-The outcome depends on the order of the visits.
+became of them, and projects those of its points within r that no earlier neighbourhood has
+projected. The outcome depends on the order of the visits.
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 
@@ -22,65 +20,83 @@ from ladar_volume.clouds.filter.cell_surface import (
 )
 from ladar_volume.clouds.filter.orthogonal_quadric import foot_on_quadric
 from ladar_volume.clouds.filter.sharp_planes import plane_share
-from ladar_volume.clouds.published.facets import (
-    FACETS,
-    fit_facets,
+from ladar_volume.clouds.published.plane_facets import (
+    fit_planes,
+    foot_on_planes,
     nearest_distance,
-    project_on_facets,
 )
 from ladar_volume.clouds.published.published_quadric import fit_quadric
-from ladar_volume.clouds.published.published_rules import limit_of
+from ladar_volume.clouds.published.published_records import (
+    CORNERS,
+    EDGES,
+    FITS,
+    IN_BAND,
+    INLIERS,
+    PLANES,
+    SQUARES,
+    THRESHOLDS,
+    TRIALS,
+    Neighbourhood,
+    Outcome,
+    PublishedRule,
+    Voxels,
+    inlier_threshold,
+    plane_set,
+)
+from ladar_volume.math.array_types import F64, I64
 from ladar_volume.math.kernels import kernel
-from ladar_volume.rmls.tangent_frame import across
+from ladar_volume.rmls.tangent_frame import Frame, Terms, across
 from ladar_volume.rmls.voxel_store import _mix
 
 #: Half width, as a share of the threshold, of the band in which residuals are counted to see how
 #: dense they are at the threshold.
 BAND = 0.2
-#: Entries of the tally: fits, fits with an edge, fits with a corner, trials, inliers, points in the
-#: band, sum of squares, thresholds.
-FITS, EDGES, CORNERS, TRIALS, INLIERS, IN_BAND, SQUARES, THRESHOLDS = range(8)
 
 
 @kernel
-def around(
-    r: Any, s: Any, slots: Any, n: Any, reach: Any, reason: Any, near: Any, x: Any, xt: Any
-) -> Any:
-    """Points within 2 reach of point s, about it, to x (m, 3) and xt (3, m), their slots to
-    ``slots``, and which of them lie within reach and are not settled to ``near`` (m,); returns (m,
-    how many are near).
+def collect_neighbourhood(
+    r: F64, middle: int, n: int, radius: float, reason: I64, hood: Neighbourhood
+) -> tuple[int, int]:
+    """Keep of the n points ``hood.slots`` those within 2 radius of point ``middle``, about it, and
+    mark those within the radius that are not projected yet; returns (m, how many are marked).
     """
-    m = fresh = 0
+    slots, x, xt, pending = hood.slots, hood.x, hood.xt, hood.pending
+    m = marked = 0
     for a in range(n):
         i = slots[a]
-        d0, d1, d2 = r[i, 0] - r[s, 0], r[i, 1] - r[s, 1], r[i, 2] - r[s, 2]
+        d0, d1, d2 = r[i, 0] - r[middle, 0], r[i, 1] - r[middle, 1], r[i, 2] - r[middle, 2]
         square = d0 * d0 + d1 * d1 + d2 * d2
-        if square > 4.0 * reach * reach:
+        if square > 4.0 * radius * radius:
             continue
         slots[m] = i
         x[m, 0], x[m, 1], x[m, 2] = d0, d1, d2
         xt[0, m], xt[1, m], xt[2, m] = d0, d1, d2
-        near[m] = (
-            1 if square <= reach * reach and reason[i] != KEPT and reason[i] != BEYOND_EDGE else 0
+        pending[m] = (
+            1 if square <= radius * radius and reason[i] != KEPT and reason[i] != BEYOND_EDGE else 0
         )
-        fresh += near[m]
+        marked += pending[m]
         m += 1
-    return m, fresh
+    return m, marked
 
 
 @kernel
 def is_surface(
-    tally: Any, work: Any, m: Any, threshold: Any, sigma: Any, facets: Any, made: Any, rules: Any
-) -> Any:
-    """Whether enough of the distances work (m,) are within the threshold; counts the fit, and what
-    it found, if so.
+    distances: F64,
+    m: int,
+    threshold: float,
+    sigma: float,
+    facets: int,
+    rule: PublishedRule,
+    tally: F64,
+) -> bool:
+    """Whether enough of the distances (m,) are within the threshold; counts the fit, and what it
+    found, if so.
     """
-    tally[TRIALS] += made
     inside, in_band = 0, 0
     for i in range(m):
-        inside += work[i] <= threshold
-        in_band += abs(work[i] - threshold) <= BAND * threshold
-    if inside < rules.share * m:
+        inside += distances[i] <= threshold
+        in_band += abs(distances[i] - threshold) <= BAND * threshold
+    if inside < rule.min_share * m:
         return False
     tally[FITS] += 1.0
     tally[EDGES] += facets == 2
@@ -93,140 +109,105 @@ def is_surface(
 
 
 @kernel
-def settle_quadric(
-    r: Any,
-    at: Any,
-    m: Any,
-    s: Any,
-    near: Any,
-    rules: Any,
-    state: Any,
-    tally: Any,
-    q: Any,
-    normals: Any,
-    variance: Any,
-    reason: Any,
-) -> Any:
-    """Fit a neighbourhood of degree 2 and project its near points; False where there is no
+def project_on_quadric(
+    r: F64, middle: int, m: int, hood: Neighbourhood, rule: PublishedRule, out: Outcome
+) -> bool:
+    """Fit a neighbourhood of degree 2 and project its pending points; False where there is no
     surface.
     """
-    centre, normal, tangent, side = np.zeros(3), np.zeros(3), np.zeros(3), np.empty(3)
-    beta, inverse, foot, n_foot = np.zeros(6), np.zeros((6, 6)), np.empty(3), np.empty(3)
-    used, sigma, made = fit_quadric(
-        s.x, s.xt, m, rules, state, s, centre, normal, tangent, beta, inverse
+    frame, terms = (
+        Frame(np.zeros(3), np.zeros(3), np.zeros(3)),
+        Terms(np.zeros(6), np.zeros((6, 6))),
     )
+    side, foot, n_foot = np.empty(3), np.empty(3), np.empty(3)
+    used, sigma, made = fit_quadric(hood, m, rule, frame, terms)
+    out.tally[TRIALS] += made
     if used == 0:
-        tally[TRIALS] += made
         return False
+    centre, normal, tangent = frame.centre, frame.normal, frame.tangent
+    beta, inverse = terms.beta, terms.inverse
     across(normal, tangent, side)
-    threshold = limit_of(sigma, rules)
+    threshold, distances = inlier_threshold(sigma, rule), hood.sampler.distances
     for a in range(m):
-        s.work[a], _ = foot_on_quadric(
-            s.x[a], centre, normal, tangent, side, beta, inverse, foot, n_foot
+        distances[a], _ = foot_on_quadric(
+            hood.x[a], centre, normal, tangent, side, beta, inverse, foot, n_foot
         )
-    if not is_surface(tally, s.work, m, threshold, sigma, 1, made, rules):
+    if not is_surface(distances, m, threshold, sigma, 1, rule, out.tally):
         return False
     for a in range(m):
-        if near[a] == 0:
+        if hood.pending[a] == 0:
             continue
-        i = s.slots[a]
+        i = hood.slots[a]
         d, share = foot_on_quadric(
-            s.x[a], centre, normal, tangent, side, beta, inverse, foot, n_foot
+            hood.x[a], centre, normal, tangent, side, beta, inverse, foot, n_foot
         )
-        reason[i] = KEPT if d <= threshold else OUTLIER
+        out.reason[i] = KEPT if d <= threshold else OUTLIER
         if d <= threshold:
-            variance[i] = share * sigma * sigma
+            out.variance[i] = share * sigma * sigma
             for k in range(3):
-                q[i, k] = r[at, k] + foot[k]
-                normals[i, k] = n_foot[k]
+                out.r[i, k] = r[middle, k] + foot[k]
+                out.normal[i, k] = n_foot[k]
     return True
 
 
 @kernel
-def settle_facets(
-    r: Any,
-    at: Any,
-    m: Any,
-    s: Any,
-    near: Any,
-    rules: Any,
-    state: Any,
-    tally: Any,
-    q: Any,
-    normals: Any,
-    variance: Any,
-    reason: Any,
-) -> Any:
-    """Fit a neighbourhood of degree 1, with its edges, and project its near points; False where
+def project_on_planes(
+    r: F64, middle: int, m: int, hood: Neighbourhood, rule: PublishedRule, out: Outcome
+) -> bool:
+    """Fit a neighbourhood of degree 1, with its edges, and project its pending points; False where
     there is no surface.
     """
-    planes, means, inverses = np.zeros((FACETS, 4)), np.zeros((FACETS, 3)), np.zeros((FACETS, 3, 3))
-    used, side, foot = np.zeros(FACETS, np.int64), np.zeros((FACETS, FACETS), np.int64), np.empty(3)
-    count, sigma, threshold, made = fit_facets(
-        s.x, s.xt, m, rules, state, s, planes, means, inverses, used, side
-    )
+    planes, foot = plane_set(PLANES), np.empty(3)
+    count, sigma, threshold, made = fit_planes(hood, m, rule, planes)
+    out.tally[TRIALS] += made
     if count == 0:
-        tally[TRIALS] += made
+        return False
+    distances = hood.sampler.distances
+    for a in range(m):
+        distances[a] = nearest_distance(hood.x[a], planes.plane, count)
+    if not is_surface(distances, m, threshold, sigma, count, rule, out.tally):
         return False
     for a in range(m):
-        s.work[a] = nearest_distance(s.x[a], planes, count)
-    if not is_surface(tally, s.work, m, threshold, sigma, count, made, rules):
-        return False
-    for a in range(m):
-        if near[a] == 0:
+        if hood.pending[a] == 0:
             continue
-        i = s.slots[a]
-        p, d, beyond = project_on_facets(s.x[a], planes, count, side, rules.snap, foot)
-        reason[i] = OUTLIER if d > threshold else BEYOND_EDGE if beyond else KEPT
-        if reason[i] != KEPT:
+        i = hood.slots[a]
+        p, d, beyond = foot_on_planes(hood.x[a], planes, count, rule.snap, foot)
+        out.reason[i] = OUTLIER if d > threshold else BEYOND_EDGE if beyond else KEPT
+        if out.reason[i] != KEPT:
             continue
         for k in range(3):
-            q[i, k] = r[at, k] + foot[k]
-            normals[i, k] = planes[p, k]
-        variance[i] = plane_share(foot, used[p], means[p], inverses[p]) * sigma * sigma
+            out.r[i, k] = r[middle, k] + foot[k]
+            out.normal[i, k] = planes.plane[p, k]
+        share = plane_share(foot, planes.used[p], planes.mean[p], planes.inverse[p])
+        out.variance[i] = share * sigma * sigma
     return True
 
 
 @kernel
 def sweep(
-    visit: Any,
-    home: Any,
-    keys: Any,
-    table: Any,
-    first: Any,
-    r: Any,
-    rules: Any,
-    scratch: Any,
-    tally: Any,
-    q: Any,
-    normals: Any,
-    variance: Any,
-    reason: Any,
+    visit: I64,
+    voxels: Voxels,
+    r: F64,
+    rule: PublishedRule,
+    hood: Neighbourhood,
+    out: Outcome,
 ) -> None:
-    """Visit the points r (n, 3), sorted by voxels of edge r, in the order ``visit``; home (n,) is
-    the voxel of each.
-    """
-    state, near = np.empty(1, np.uint64), np.empty(len(r), np.int8)
+    """Visit the points r (n, 3), sorted by voxels of edge r, in the order ``visit``."""
+    reason = out.reason
     for rank in range(len(visit)):
-        at = visit[rank]
-        if reason[at] == KEPT or reason[at] == BEYOND_EDGE:
+        middle = visit[rank]
+        if reason[middle] == KEPT or reason[middle] == BEYOND_EDGE:
             continue
-        n = gather(home[at], keys, table, first, r, scratch.slots)
-        m, fresh = around(
-            r, at, scratch.slots, n, rules.radius, reason, near, scratch.x, scratch.xt
-        )
-        if fresh < rules.least:
+        n = gather(voxels.voxel[middle], voxels.keys, voxels.table, voxels.first, r, hood.slots)
+        m, marked = collect_neighbourhood(r, middle, n, rule.radius, reason, hood)
+        if marked < rule.min_points:
             continue
-        state[0] = _mix(np.uint64(rank) ^ _mix(np.uint64(rules.seed)))
-        if rules.degree == 2:
-            found = settle_quadric(
-                r, at, m, scratch, near, rules, state, tally, q, normals, variance, reason
-            )
+        hood.sampler.state[0] = _mix(np.uint64(rank) ^ _mix(np.uint64(rule.seed)))
+        if rule.degree == 2:
+            found = project_on_quadric(r, middle, m, hood, rule, out)
         else:
-            found = settle_facets(
-                r, at, m, scratch, near, rules, state, tally, q, normals, variance, reason
-            )
+            found = project_on_planes(r, middle, m, hood, rule, out)
         if not found:
             for a in range(m):
-                if near[a] == 1 and reason[scratch.slots[a]] == FEW_POINTS:
-                    reason[scratch.slots[a]] = NO_SURFACE
+                if hood.pending[a] == 1 and reason[hood.slots[a]] == FEW_POINTS:
+                    reason[hood.slots[a]] = NO_SURFACE
