@@ -101,10 +101,7 @@ def pile_mesh(pile: Pile, ground: Callable[[F64, F64], F64]) -> tuple[F64, npt.N
         h: F64 = pile.height_m * np.clip((1.0 - r) / (1.0 - pile.top), 0.0, 1.0)
         return h
 
-    def under(x: F64, y: F64) -> F64:
-        return ground(x, y)
-
-    return polar_mesh(np.concatenate([rho, outer]), pile.a, pile.b, profile, under)  # type: ignore[arg-type]
+    return polar_mesh(np.concatenate([rho, outer]), pile.a, pile.b, profile, ground)
 
 
 def without(mesh: tuple[F64, npt.NDArray[np.int32]], box: tuple[float, ...]) -> Any:
@@ -169,7 +166,7 @@ def moved(platform: Platform, offset: F64) -> Platform:
     return dataclasses.replace(platform, position=position)
 
 
-def rectangle(x: float, y: float, long: float, wide: float) -> tuple[float, ...]:
+def rectangle(x: float, y: float, long: float, wide: float) -> tuple[float, float, float, float]:
     """A rectangle about a place."""
     return (x - long / 2, x + long / 2, y - wide / 2, y + wide / 2)
 
@@ -306,7 +303,8 @@ def machine(d: Drawing) -> None:
     """A machine stands at the toe."""
     d.names = ("wall", "further_bodies", "object")
     _, x, y = d.on_foot(1.05)
-    d.bodies.append(box_mesh(*rectangle(x, y, 3.0, 2.0), -0.5, d.rng.uniform(2.0, 3.0)))
+    x0, x1, y0, y1 = rectangle(x, y, 3.0, 2.0)
+    d.bodies.append(box_mesh(x0, x1, y0, y1, -0.5, d.rng.uniform(2.0, 3.0)))
 
 
 def grass(d: Drawing) -> None:

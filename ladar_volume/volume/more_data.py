@@ -268,11 +268,11 @@ def more_data(
     numbers, label = np.unique((place - first) @ [row, 1], return_inverse=True)
     cells, places = len(numbers), first + np.stack(np.divmod(numbers, row), axis=1)
     of_patch, of_triangle = label[: len(patches)], label[len(patches) :]
-    gaps = np.bincount(
-        of_triangle, gap_sigmas(tin, inside, rows, variance), cells
+    gaps: F64 = np.bincount(of_triangle, gap_sigmas(tin, inside, rows, variance), cells).astype(
+        np.float64
     )  # what is not seen in one cell errs as one
     if unseen_m6 > 0.0 and gaps.any():
-        gaps *= math.sqrt(unseen_m6 / float(gaps @ gaps))
+        gaps = np.sqrt(unseen_m6 / float(gaps @ gaps)) * gaps
     fall = np.c_[
         noise_falls(gradient, q, sources, of_patch, cells),
         navigation_falls(q, sources, of_patch, cells),

@@ -151,3 +151,31 @@ def test_doubts_of_a_body_are_plain_values():
     v = dataclasses.replace(estimated(seen=lambda x, y: x < 1.5).volume)
     told = v.verdict.as_dict()
     assert told["status"] == "doubtful" and all(r["text"] for r in told["reasons"])
+
+
+def on_ground(of):
+    return lambda x, y: pile(x, y) + of(x, y)
+
+
+def test_ground_that_is_no_plane_is_in_sigma_and_named():
+    bowl = estimated(on_ground(lambda x, y: 0.004 * (x**2 + y**2)))
+    pit = on_ground(lambda x, y: -0.2 * (np.hypot(x, y) < 6.2))
+    pad = estimated(pit, object_height_m=0.3, ground_ring_m=8.0)
+    for found, name in ((bowl, "base_bends"), (pad, "base_toe")):
+        v = found.volume
+        error = v.volume_m3 - TRUE_M3
+        assert name in names(found) and abs(error) > 1.0
+        assert abs(error) < 3.0 * v.sigma_m3 and v.budget_m6["base_model"] > 0.0
+        (doubt,) = (d for d in v.verdict.doubts if d.name == name)
+        assert f"{v.volume_m3:.5g} m³" in doubt.text  # both volumes are named
+        assert f"{v.volume_m3 + doubt.value:.5g} m³" in doubt.text
+        assert doubt.value * error < 0.0  # towards the truth
+
+
+def test_a_slope_is_no_trouble_and_few_places_of_ground_widen_the_interval():
+    assert estimated(on_ground(lambda x, y: 0.05 * x - 0.02 * y)).volume.verdict.sound
+    waves = estimated(on_ground(lambda x, y: 0.02 * np.sin(0.9 * x) * np.cos(0.8 * y + 0.4)))
+    assert waves.volume.coverage_factor > 1.97
+    v = waves.volume
+    half = v.coverage_factor * v.sigma_m3
+    assert v.interval_m3 == pytest.approx((v.volume_m3 - half, v.volume_m3 + half))

@@ -95,7 +95,8 @@ def cause_of(cut: Cut, parameters: Parameters) -> tuple[str, str]:
 def directions(xy: F64, centre: F64) -> I64:
     """Number (n,) of the direction from a centre (2,) in which points (n, 2) lie."""
     angle = np.arctan2(xy[:, 1] - centre[1], xy[:, 0] - centre[0]) % (2.0 * math.pi)
-    return np.minimum((angle * (DIRECTIONS / (2.0 * math.pi))).astype(np.int64), DIRECTIONS - 1)
+    out: I64 = np.minimum((angle * (DIRECTIONS / (2.0 * math.pi))).astype(np.int64), DIRECTIONS - 1)
+    return out
 
 
 def longest_run(missing: Bool) -> tuple[int, float]:

@@ -14,6 +14,11 @@ from ladar_volume.model.records import F64, Volume
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.volume.base import polygon_of
 from ladar_volume.volume.chord_bias import cut_and_fill_chords
+from ladar_volume.volume.field_checks.base_readings import (
+    base_readings,
+    reading_doubts,
+    student_factor,
+)
 from ladar_volume.volume.field_checks.completeness import completeness_doubts
 from ladar_volume.volume.field_checks.gaps import Bridged, bridged, bridging, find_gaps
 from ladar_volume.volume.measured_body import Footing, SurveyedSurface, footing_of
@@ -93,11 +98,25 @@ def gap_doubts(volume: Volume, found: Bridged, area_m2: float) -> list[Doubt]:
     return [Doubt("unseen", words, share)]
 
 
+def with_base(
+    survey: SurveyedSurface, footing: Footing, part: F64, volume: Volume, radius_m: float
+) -> Volume:
+    """The volume of a body with what other readings of its base say."""
+    found = base_readings(survey.tin, footing.base, part, survey.height_variance, radius_m)
+    if found is None:
+        return volume
+    doubts = Verdict(tuple(reading_doubts(found, volume)))
+    factor = student_factor(volume, found.freedom)
+    volume = dataclasses.replace(volume, coverage_factor=factor, verdict=volume.verdict + doubts)
+    return with_line(volume, "base_model", found.variance_m6)
+
+
 def judged(
     survey: SurveyedSurface, footing: Footing, part: F64, volume: Volume, parameters: Parameters
 ) -> Volume:
     """A body's volume with every line and doubt of the field; part (m,) m² of each triangle."""
     volume = with_gaps(survey, footing, part, volume)
+    volume = with_base(survey, footing, part, volume, parameters.filter.radius_m)
     tin = survey.tin
     doubts = completeness_doubts(
         tin, footing.base, footing.inside, survey.points.normal[tin.source], volume, parameters

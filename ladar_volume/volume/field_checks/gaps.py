@@ -72,13 +72,14 @@ def bridging(
     encloses the gap, such a corner counts if the triangle is short against the body.
     """
     out = np.zeros(len(tin.triangles), np.bool_)
-    left = ~tin.relevant
+    left: Bool = ~tin.relevant
     if not left.any():
         return out
     if polygon is not None:
         whole = dataclasses.replace(tin, relevant=np.ones(len(left), np.bool_))
         return left & (areas_inside(whole, polygon) > 0.0)
-    part, inside = components(tin, left), inside_m2 > 0.0
+    part = components(tin, left)
+    inside: Bool = inside_m2 > 0.0
     beside = np.where(tin.neighbours >= 0, inside[tin.neighbours], False).any(axis=1)
     count = int(part.max()) + 1
     touches = np.bincount(part[left], beside[left], count) > 0
@@ -120,7 +121,7 @@ def find_gaps(tin: Tin, inside_m2: F64) -> Gaps:
     if not wide.any():
         return Gaps(number, np.zeros(0), usual)
     part = components(tin, wide)
-    area = np.bincount(part[wide], inside_m2[wide])
+    area: F64 = np.bincount(part[wide], inside_m2[wide]).astype(np.float64)
     order = np.argsort(-area, kind="stable")
     order = order[area[order] > (LEAST * usual) ** 2]
     rank = np.full(len(area), -1, np.int64)
@@ -185,9 +186,9 @@ def places_of(corners: F64, share: F64) -> tuple[F64, F64, F64]:
     made = np.concatenate(parts)
     square = np.floor((made[:, :2] - made[:, :2].min(axis=0)) / side).astype(np.int64)
     at = np.unique(square, axis=0, return_inverse=True)[1].reshape(-1)
-    weight = np.bincount(at, made[:, 3])
-    mean = [np.bincount(at, made[:, 3] * made[:, k]) / weight for k in range(3)]
-    return np.column_stack(mean[:2]), weight, mean[2]
+    weight: F64 = np.bincount(at, made[:, 3]).astype(np.float64)
+    x, y, z = (np.bincount(at, made[:, 3] * made[:, k]) / weight for k in range(3))
+    return np.column_stack([x, y]), weight, z
 
 
 def gap_of(
