@@ -195,6 +195,9 @@ def count_seen(words: list[str]) -> tuple[int, int]:
     return found, len(wanted)
 
 
+GOALS = {"seen by a test": (float(len(BUGS)), float(len(BUGS)))}
+
+
 def run() -> dict[str, float | int | str]:
     """All of them."""
     found, planted = count_seen([])
