@@ -30,8 +30,8 @@ class _Loader(yaml.SafeLoader):
         self._depth = 0
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        line = self.peek_event().start_mark.line + 1
-        if self.check_event(yaml.AliasEvent):  # type: ignore[no-untyped-call]
+        line = self.peek_event().start_mark.line + 1  # type: ignore[no-untyped-call]
+        if self.check_event(yaml.AliasEvent):
             raise ConfigurationError(f"line {line}: an alias (*): write the value again")
         if self._depth >= DEPTH:
             raise ConfigurationError(f"line {line}: more than {DEPTH} levels")
