@@ -46,7 +46,7 @@ from ladar_volume.process.switch import is_own_process
 #: How long a node may take to finish its work.
 STOP_S = 30.0
 #: How long a node that is to end waits for those before it, s.
-UPSTREAM_S = 4.0
+UPSTREAM_S = 2.0
 #: How often a node looks who publishes the datum, s.
 WATCH_S = 0.2
 STEADY = ClockType.STEADY_TIME
