@@ -30,6 +30,8 @@ def generate_launch_description() -> LaunchDescription:
             description="autopilot to take poses from (mavlink.url); empty for none",
         ),
     ]
+    # each node lets those before it end, and finishes its work (STOP_S of nodes/base.py)
+    ends = {"sigterm_timeout": "45", "sigkill_timeout": "10"}
     nodes = [
         LifecycleNode(
             package="ladar_volume",
@@ -41,6 +43,7 @@ def generate_launch_description() -> LaunchDescription:
                 *([{"logger.path": LaunchConfiguration("log")}] if name == "logger_node" else []),
             ],
             output="screen",
+            **ends,
         )
         for name in ("georeference_node", "filter_node", "volume_node", "logger_node")
     ]
@@ -52,5 +55,6 @@ def generate_launch_description() -> LaunchDescription:
         parameters=[{"config_file": config, "mavlink.url": LaunchConfiguration("mavlink")}],
         condition=LaunchConfigurationNotEquals("mavlink", ""),
         output="screen",
+        **ends,
     )
     return LaunchDescription([*arguments, *nodes, autopilot])

@@ -5,6 +5,7 @@ ground around the region.
 from __future__ import annotations
 
 import argparse
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -27,6 +28,7 @@ from ladar_volume.clouds.cloud_surface import local_sigma
 from ladar_volume.io.endings import READ_ENDINGS
 from ladar_volume.io.meshfiles.mesh_files import MeshFile, read_mesh
 from ladar_volume.io.pointfiles.cloud_files import PointFile, read_cloud
+from ladar_volume.io.pointfiles.raw_table import FARTHEST
 from ladar_volume.io.transforms import read_transform, read_transform_verdict
 from ladar_volume.mesh.topology import orient
 from ladar_volume.model.errors import ConfigurationError, InputError, SurfaceError, VolumeError
@@ -144,7 +146,9 @@ def given_corners(polygon: Sequence[str] | None, selection: Path | None) -> F64 
     if len(polygon) == 1 and not rows[0]:
         try:
             separator = "," if "," in Path(polygon[0]).read_text(encoding="utf-8") else None
-            table = np.loadtxt(polygon[0], delimiter=separator, ndmin=2)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)  # no rows: refused below
+                table = np.loadtxt(polygon[0], delimiter=separator, ndmin=2)
         except (OSError, ValueError) as error:
             raise ConfigurationError(
                 f"--polygon {polygon[0]}: no file of rows x y or x y z: {error}", value=polygon[0]
@@ -154,7 +158,10 @@ def given_corners(polygon: Sequence[str] | None, selection: Path | None) -> F64 
         raise ConfigurationError(
             "--polygon: at least three corners x,y (or x,y,z)", value=list(polygon)
         )
-    return np.array(rows)
+    corners = np.array(rows)
+    if not (np.abs(corners) < FARTHEST).all():
+        raise ConfigurationError(f"--polygon: a coordinate that is not below {FARTHEST:g}")
+    return corners
 
 
 def make_scan(part: Part, scanner: F64 | None, pole: F64 | None) -> Scan:

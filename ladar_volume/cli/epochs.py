@@ -25,6 +25,7 @@ from ladar_volume.cli.diff_input import given_corners
 from ladar_volume.cli.result_table import budget_table, volume_rows
 from ladar_volume.cli.verdict_lines import add_verdict_rows, exit_code
 from ladar_volume.io import results
+from ladar_volume.io.output_set import output_set
 from ladar_volume.io.surveys import Survey, between_datums, read_survey
 from ladar_volume.io.transforms import read_transform, read_transform_verdict
 from ladar_volume.model.choices import CALIBRATION_GROUPS
@@ -34,11 +35,27 @@ from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.uncertainty.epoch_budget import Epoch
 from ladar_volume.version import version
 
+#: What the verb writes.
+FILES = ("epochs.json", "change.ply", "change.png")
+
 
 def run(arguments: argparse.Namespace) -> int:
     """Read both surveys, compare, print, write the output folder."""
     console = Console(stderr=arguments.json)
-    folder = results.output_folder(arguments.output)
+    with output_set(arguments.output, FILES) as folder:
+        facts = _compared_files(arguments, folder, console)
+    if arguments.json:
+        print(results.json_text(facts), end="")
+    else:
+        show(console, facts)
+        console.print(f"written to {arguments.output}/")
+    return exit_code(arguments, facts["verdict"])
+
+
+def _compared_files(
+    arguments: argparse.Namespace, folder: Path, console: Console
+) -> dict[str, Any]:
+    """Read, compare and write; returns what was found."""
     corners, stable = plan_of(arguments.polygon), plan_of(arguments.stable)
     separate = CALIBRATION_GROUPS if "all" in arguments.separate else tuple(arguments.separate)
     with console.status("reading") as status:
@@ -77,12 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
             f"{arguments.new.name} against {arguments.previous.name}",
             folder / "change.png",
         )
-    if arguments.json:
-        print(results.json_text(facts), end="")
-    else:
-        show(console, facts)
-        console.print(f"written to {folder}/")
-    return exit_code(arguments, facts["verdict"])
+    return facts
 
 
 def plan_of(corners: list[str] | None) -> F64 | None:

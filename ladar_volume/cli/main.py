@@ -5,14 +5,17 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import os
 import signal
 import sys
 import threading
+import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from ladar_volume.cli.arguments.lines import Parser, one_line, printable, shown_name
 from ladar_volume.model.errors import LadarVolumeError
 from ladar_volume.process.switch import own_process
 from ladar_volume.version import version
@@ -34,6 +37,11 @@ MODULES = {
     "plan": "ladar_volume.cli.arguments.plan",
     "epochs": "ladar_volume.cli.arguments.epochs",
 }
+
+#: Set in the environment, a defect ends with its traceback.
+TRACEBACK = "LADAR_VOLUME_TRACEBACK"
+#: Exit code of a defect (sysexits' EX_SOFTWARE).
+DEFECT = 70
 
 
 def _info(arguments: argparse.Namespace) -> int:
@@ -60,12 +68,13 @@ def _info(arguments: argparse.Namespace) -> int:
         "type",
         "messages",
         "used as",
-        title=f"{arguments.bag}: {facts['duration_s']:.1f} s",
+        title=f"{shown_name(arguments.bag)}: {facts['duration_s']:.1f} s",
         title_justify="left",
     )
     used = {topic: role for role, topic in facts["roles"].items()}
     for name, topic in topics.items():
-        table.add_row(name, str(topic["type"]), f"{topic['messages']:,}", used.get(name, ""))
+        cells = (shown_name(name), shown_name(topic["type"]), f"{topic['messages']:,}")
+        table.add_row(*cells, used.get(name, ""))
     Console().print(table)
     return 0
 
@@ -77,7 +86,7 @@ def _check_config(arguments: argparse.Namespace) -> int:
     if arguments.show:
         print(dump_config(parameters), end="")
     else:
-        print(f"{arguments.file}: good")
+        print(f"{printable(str(arguments.file))}: good")
     return 0
 
 
@@ -85,7 +94,7 @@ def make_parser(wanted: str | None) -> argparse.ArgumentParser:
     """The parser of the command line; of the verbs only ``wanted`` has its options, or all for
     None.
     """
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="ladar_volume", description="Volumes measured by LiDAR, with error bars one can trust."
     )
     parser.add_argument("--version", action="version", version=f"ladar_volume {version()}")
@@ -107,6 +116,23 @@ def make_parser(wanted: str | None) -> argparse.ArgumentParser:
     )
     check.set_defaults(run=_check_config)
     return parser
+
+
+def _refused(text: str, code: int) -> int:
+    print(one_line(f"ladar_volume: {text}"), file=sys.stderr)
+    return code
+
+
+def defect(error: Exception) -> str:
+    """What to say of an exception that nobody foresaw, and where it happened."""
+    at = traceback.extract_tb(error.__traceback__)
+    here = next((f for f in reversed(at) if "ladar_volume" in f.filename), at[-1])
+    where = f"{Path(here.filename).name}:{here.lineno}"
+    words = one_line(str(error), 120)
+    return (
+        f"a defect of the program, please report it: {type(error).__name__} in {where}: "
+        f"{words} ({TRACEBACK}=1 shows more)"
+    )
 
 
 class Terminated(KeyboardInterrupt):
@@ -139,13 +165,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     verb = next((w for w in words if not w.startswith("-")), None)
     if words == ["--version"]:
         verb = ""  # no verb's options are needed for it
-    arguments: Any = make_parser(verb).parse_args(words)
+    parser = make_parser(verb)
+    if lost := next((w for w in words if w.startswith("--") and w.endswith("=--")), None):
+        parser.error(f"{lost}: no value")  # argparse takes it for an empty list
+    arguments: Any = parser.parse_args(words)
     try:
         with orderly_end():
             return int(arguments.run(arguments))
     except LadarVolumeError as error:
-        print(f"ladar_volume: {error}", file=sys.stderr)
-        return 2
+        return _refused(str(error), 2)
+    except MemoryError:
+        return _refused("larger than the memory of this computer: give a smaller part of it", 2)
+    except BrokenPipeError:
+        return 141  # who read the output has left
+    except Exception as error:
+        if TRACEBACK in os.environ:
+            raise
+        return _refused(defect(error), DEFECT)
     except KeyboardInterrupt as end:
         print(
             f"ladar_volume: {'terminated' if isinstance(end, Terminated) else 'interrupted'}",

@@ -12,11 +12,14 @@ from rich.progress import Progress
 
 from ladar_volume.cli.arguments.work import config_for
 from ladar_volume.cli.result_table import show_result
+from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.io import results
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.config import read_config
 from ladar_volume.io.mavlink.mavlink_log import MavlinkLog
+from ladar_volume.io.output_set import output_set
 from ladar_volume.io.surveys import FILE, write_survey
+from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import Estimate
 from ladar_volume.replay import Replay
 from ladar_volume.uncertainty.epoch_budget import Epoch
@@ -31,7 +34,23 @@ def run(arguments: argparse.Namespace) -> int:
     """Replay, print, write the output folder."""
     console = Console(stderr=arguments.json)
     parameters = read_config(config_for(arguments.bag, arguments.config), arguments.set)
-    folder = results.output_folder(arguments.output)
+    with output_set(arguments.output, results.SURVEY_FILES) as folder:
+        result, seconds = _replayed(arguments, parameters, folder, console)
+    if arguments.json:
+        print(results.json_text(result), end="")
+    else:
+        show_result(console, result)
+        console.print(
+            f"{min(arguments.duration, result['input']['duration_s']) / seconds:.1f} x "
+            f"real time; written to {arguments.output}/"
+        )
+    return exit_code(arguments, result["verdict"])
+
+
+def _replayed(
+    arguments: argparse.Namespace, parameters: Parameters, folder: Path, console: Console
+) -> tuple[dict[str, Any], float]:
+    """Replay and write; returns the result and the seconds the replay took."""
     with BagReader(arguments.bag) as bag:
         poses = (
             MavlinkLog(arguments.poses, parameters.mavlink) if arguments.poses is not None else None
@@ -58,15 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.bag.name,
         figure=not arguments.no_figure,
     )
-    if arguments.json:
-        print(results.json_text(result), end="")
-    else:
-        show_result(console, result)
-        console.print(
-            f"{min(arguments.duration, result['input']['duration_s']) / seconds:.1f} x "
-            f"real time; written to {folder}/"
-        )
-    return 0
+    return result, seconds
 
 
 def write_outputs(

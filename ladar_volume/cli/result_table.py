@@ -8,6 +8,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from ladar_volume.cli.verdict_lines import add_verdict_rows
+
 
 def show_result(console: Console, result: Mapping[str, Any]) -> None:
     """Print a result dictionary as tables."""
@@ -47,6 +49,7 @@ def show_result(console: Console, result: Mapping[str, Any]) -> None:
             f"({result['volume_m3'] + chords:.3f} m³ with them)"
         )
         head.add_row("chords", words)
+    gap_rows(head, result)
     volume_rows(head, result)
     for number, body in enumerate(result["bodies"][1:], start=2):
         x, y, _ = body["centroid_map_m"]
@@ -61,6 +64,7 @@ def show_result(console: Console, result: Mapping[str, Any]) -> None:
             f"{place['gain_m3']:.2g} m³ ({place['why']})"
         )
         head.add_row("" if number else "another pass helps", words)
+    add_verdict_rows(head, result["verdict"])
     console.print(head)
     console.print(budget_table(result))
     if result["losses"]:
@@ -68,6 +72,18 @@ def show_result(console: Console, result: Mapping[str, Any]) -> None:
         for reason, count in result["losses"].items():
             lost.add_row(reason.replace("_", " "), f"{count:,}")
         console.print(lost)
+
+
+def gap_rows(head: Table, result: Mapping[str, Any]) -> None:
+    """How much of the area was seen, and the largest gap, as rows of a table of two columns."""
+    if not result["gaps"]:
+        return
+    gap = result["gaps"][0]
+    words = (
+        f"{100 * result['seen_share']:.1f} % of the area; the largest gap, {gap['area_m2']:.3g} m² "
+        f"at {gap['x_m']:.1f}, {gap['y_m']:.1f} m, is bridged"
+    )
+    head.add_row("seen", words)
 
 
 def volume_rows(head: Table, result: Mapping[str, Any]) -> None:

@@ -7,6 +7,7 @@ import argparse
 from rich.console import Console
 from rich.progress import Progress
 
+from ladar_volume.io.atomic_write import new_folder
 from ladar_volume.io.config import read_config
 from ladar_volume.simulation.bag import write_bag
 from ladar_volume.simulation.platforms import platform_for
@@ -34,10 +35,8 @@ def run(arguments: argparse.Namespace) -> int:
     survey = Survey(scene, platform, parameters.budget, options)
     settings = suited(scene)
     settings["budget"] = parameters.write()["budget"]
-    with Progress(console=console, transient=True) as bar:
+    with new_folder(arguments.output) as part, Progress(console=console, transient=True) as bar:
         task = bar.add_task("simulating", total=1.0)
-        write_bag(
-            survey, arguments.output, settings, lambda share: bar.update(task, completed=share)
-        )
+        write_bag(survey, part, settings, lambda share: bar.update(task, completed=share))
     console.print(f"{arguments.output}: {scene.name}, true volume {scene.volume_m3:.3f} m³")
     return 0

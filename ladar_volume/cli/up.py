@@ -14,10 +14,29 @@ from rich.progress import Progress
 from ladar_volume.cli.arguments.work import config_for
 from ladar_volume.cli.replay import topics_from
 from ladar_volume.cli.result_table import show_result
+from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.io import results
-from ladar_volume.io.bags import BagReader
+from ladar_volume.io.bags import ROLES, BagReader
 from ladar_volume.io.config import dump_config, read_config
+from ladar_volume.io.output_set import output_set
+from ladar_volume.model.errors import ConfigurationError, shown
 from ladar_volume.process.numpy_names import leave_out_tools
+
+
+def ros_arguments(arguments: argparse.Namespace) -> list[str]:
+    """What follows ``--ros-args``; live, ``--topic role=topic`` as a remapping. Raises
+    :class:`ConfigurationError` for a role that there is not.
+    """
+    topics = topics_from(arguments.topic)
+    if unknown := set(topics) - set(ROLES):
+        raise ConfigurationError(
+            f"--topic {shown(min(unknown))}: roles are {', '.join(ROLES)}", value=unknown
+        )
+    given = list(arguments.ros_args)
+    if arguments.play is None:
+        for role, topic in topics.items():
+            given += ["-r", f"{ROLES[role][1]}:={topic}"]
+    return given
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -46,13 +65,20 @@ def run(arguments: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory() as scratch:
         effective = Path(scratch) / "parameters.yaml"
         effective.write_text(dump_config(parameters), encoding="utf-8")
-        graph = Graph(effective, arguments.separate, arguments.log, arguments.mavlink is not None)
+        graph = Graph(
+            effective,
+            arguments.separate,
+            arguments.log,
+            arguments.mavlink is not None,
+            ros_arguments(arguments),
+        )
         try:
             graph.wait_ready()
             if arguments.play is None:
                 console.print("the nodes run; Ctrl-C stops them")
                 while True:
                     time.sleep(1.0)
+                    graph.check()
             with BagReader(arguments.play) as bag, Progress(console=console, transient=True) as bar:
                 topics = bag.roles(topics_from(arguments.topic))
                 bag.require(topics, parameters.georeference.pose_source)
@@ -73,10 +99,11 @@ def run(arguments: argparse.Namespace) -> int:
             result["losses"] = graph.losses()
         finally:
             graph.close()
-    results.write_text(folder / "result.json", results.json_text(result))
+    with output_set(folder, results.SURVEY_FILES) as part:
+        results.write_text(part / "result.json", results.json_text(result))
     if arguments.json:
         print(results.json_text(result), end="")
     else:
         show_result(console, result)
         console.print(f"written to {folder}/")
-    return 0
+    return exit_code(arguments, result["verdict"])

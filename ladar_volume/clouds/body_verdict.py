@@ -9,13 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
+from ladar_volume.clouds.body_points import BodyPoints, LeftOut
 from ladar_volume.clouds.body_volume import Body
 from ladar_volume.clouds.cloud_bodies import CloudBodies
 from ladar_volume.ground.clusters import clusters
 from ladar_volume.ground.objects import ObjectParameters, Objects, rising
+from ladar_volume.mesh.linear_mesh import GROUND
 from ladar_volume.mesh.local_mesh import REACH, SPACING, LocalMesh
+from ladar_volume.mesh.topology import edge_table
 from ladar_volume.model.errors import ObjectError
-from ladar_volume.model.records import F64, Plane
+from ladar_volume.model.records import F64, Bool, Plane
 from ladar_volume.model.verdict import Doubt, Verdict
 
 #: Share of the points above the ground that may be in no body: more is doubtful, and refused.
@@ -23,8 +26,9 @@ MISSED, TOO_MANY = 0.01, 0.05
 #: Share of them that the filter may leave out, stray points in the air among them, before what is
 #: left is no longer the bodies.
 MOST_LEFT_OUT = 0.5
-#: Raw points higher than this many sigmas of the noise do not come from the ground.
-RAISED = 5.0
+#: Share of what a body is closed on, away from its rim, under which the ground may be seen; width
+#: of that rim, in spacings of its points.
+UNDERCUT, RIM = 0.05, 2.0
 #: Least step between points of one object, in the spacing where the points are sparsest.
 SPARSE, SPARSEST = 2.0, 90.0
 
@@ -86,26 +90,23 @@ def check_missed(missed: Missed) -> None:
         )
 
 
-def filter_doubts(raw: F64, kept: F64, ground: Plane, noise_m: float) -> tuple[Doubt, ...]:
-    """Doubt where the filter left out many of the raw points (n, 3) m that stand above the ground:
-    bodies then lack them. kept : (k, 3) m, the filtered points. Raises :class:`ObjectError`
-    (object_left_out; value: share) where it left out most of them.
+def filter_doubts(lost: LeftOut) -> tuple[Doubt, ...]:
+    """Doubt where the filter left out many of the good points that stand above the ground: bodies
+    then lack them. Raises :class:`ObjectError` (object_left_out; value: share) where it left out
+    most of them.
     """
-    p = ObjectParameters(min_height_m=RAISED * noise_m)
-    before, after = (int(np.count_nonzero(rising(at, [ground], p, kept)[1])) for at in (raw, kept))
-    share = 1.0 - after / before if before else 0.0
-    if share <= TOO_MANY:
+    if lost.share <= TOO_MANY:
         return ()
-    words = f"the filter left out {100 * share:.0f} % of the {before:,} points above the ground"
-    if share > MOST_LEFT_OUT:
+    words = f"the filter left out {100 * lost.share:.0f} % of the {lost.above:,} points"
+    if lost.share > MOST_LEFT_OUT:
         raise ObjectError(
-            f"{words}: too few are left to be the bodies; scan more densely, or take the points as "
-            "they are with --no-filter",
+            f"{words} of what rises: too few are left to be the bodies; scan more densely, or take "
+            "the points as they are with --no-filter",
             reason="object_left_out",
-            value=share,
+            value=lost.share,
         )
-    advice = "so bodies may lack volume: scan more densely, or --no-filter"
-    return (Doubt("points_left_out", f"{words}, {advice}", share),)
+    advice = "of what rises, so bodies may lack volume: scan more densely, or --no-filter"
+    return (Doubt("points_left_out", f"{words} {advice}", lost.share),)
 
 
 def at_the_edge(points: F64, own: F64, step_m: float) -> bool:
@@ -172,3 +173,65 @@ def _cut(k: int, step_m: float) -> Doubt:
         "scan beyond it",
         step_m,
     )
+
+
+def foot_doubts(made: CloudBodies, points: BodyPoints) -> tuple[Doubt, ...]:
+    """Doubt about bodies under which the ground is seen: what they stand on is less than what they
+    are closed on.
+    """
+    if made.ground is None or not len(made.ground.support):
+        return ()
+    doubts = []
+    floor = points.r[made.ground.support]
+    for k, (body, mesh) in enumerate(zip(made.bodies, made.meshes, strict=True), 1):
+        share = seen_under(body, floor, float(mesh.report["spacing_m"]))
+        if share > UNDERCUT:
+            doubts.append(
+                Doubt(
+                    "body_undercut",
+                    f"the ground is seen under {100 * share:.0f} % of what body {k} is closed on: "
+                    "it is hollow there, and its volume too large; scan its underside",
+                    share,
+                )
+            )
+    return tuple(doubts)
+
+
+def seen_under(body: Body, floor: F64, spacing_m: float) -> float:
+    """Share of the area a body is closed on, away from its rim, on which points (n, 3) m of the
+    ground lie; as dense as the ground around it they would be all of it.
+    """
+    skin = body.skin
+    flat = (skin.face == GROUND) & (skin.kind[skin.triangles] == GROUND).all(axis=1)
+    t = skin.triangles[flat]
+    if not len(t):
+        return 0.0
+    order, start, _ = edge_table(t)
+    half = order[start[:-1]][np.diff(start) == 1]
+    a = skin.vertices[t.ravel()[half], :2]
+    b = skin.vertices[t[:, [1, 2, 0]].ravel()[half], :2]
+    wide = RIM * spacing_m
+    low, high = a.min(axis=0) - wide, a.max(axis=0) + wide
+    near = floor[((floor[:, :2] >= low) & (floor[:, :2] <= high)).all(axis=1), :2]
+    cell = np.floor((near - low) / wide).astype(np.int64)
+    count = np.floor((high - low) / wide).astype(np.int64) + 1
+    seen = np.zeros(count, bool)
+    seen[tuple(cell.T)] = True
+    x, y = (low[i] + wide * (np.arange(count[i]) + 0.5) for i in (0, 1))
+    middle = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    deep = inside_edges(middle, a, b, wide).reshape(seen.shape)
+    return float(np.count_nonzero(seen & deep) / max(np.count_nonzero(deep), 1))
+
+
+def inside_edges(p: F64, a: F64, b: F64, away_m: float) -> Bool:
+    """Points (n, 2) within the outlines that edges (e, 2) to (e, 2) make, by the even-odd rule, and
+    farther than ``away_m`` from all of them.
+    """
+    inside, far = np.zeros(len(p), bool), np.ones(len(p), bool)
+    for (ax, ay), (bx, by) in zip(a, b, strict=True):
+        across = (ay > p[:, 1]) != (by > p[:, 1])
+        inside[across] ^= p[across, 0] < ax + (p[across, 1] - ay) / (by - ay) * (bx - ax)
+        d = np.array([bx - ax, by - ay])
+        s = np.clip((p - (ax, ay)) @ d / max(float(d @ d), 1e-300), 0.0, 1.0)
+        far &= ((p - (ax, ay) - s[:, None] * d) ** 2).sum(axis=1) > away_m**2
+    return inside & far

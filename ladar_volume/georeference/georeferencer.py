@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -58,8 +58,11 @@ from ladar_volume.model.records import (
 _LARGEST_STEP_NS = 1_000_000_000
 #: Least share of what waits of a cloud that is mapped before the rest.
 WORTH_IT = 0.25
-#: Returns that wait at most, 0.5 GB: a LiDAR clock that stands still expires none of them.
-MOST_WAITING = 10_000_000
+#: Returns that wait at most, 0.5 GB, and clouds: a LiDAR clock that stands still expires none.
+MOST_WAITING, MOST_CLOUDS = 10_000_000, 20_000
+#: Poses may advance by so many times ``max_pending_s`` without reaching what waits: the LiDAR's own
+#: clock, which decides where it runs, is sooner.
+POSES_PAST = 2.0
 
 S = TypeVar("S")
 
@@ -70,6 +73,7 @@ class _Waiting:
     first_ns: int
     last_ns: int
     arrived_ns: int  # on the waiting clock
+    poses_ns: int  # on the clock of the poses, when it arrived
 
     def parted(self, until_ns: int, least: float) -> tuple[_Waiting | None, _Waiting | None]:
         """The returns up to a time, and those later. Where the former are less than a share
@@ -82,8 +86,8 @@ class _Waiting:
             return None, self
         part, rest = rec.select(self.returns, early), rec.select(self.returns, ~early)
         return (
-            _Waiting(part, self.first_ns, int(part.t_ns.max()), self.arrived_ns),
-            _Waiting(rest, int(rest.t_ns.min()), self.last_ns, self.arrived_ns),
+            replace(self, returns=part, last_ns=int(part.t_ns.max())),
+            replace(self, returns=rest, first_ns=int(rest.t_ns.min())),
         )
 
 
@@ -123,6 +127,8 @@ class Georeferencer:
         self._waiting: list[_Waiting] = []
         self._waiting_clock_ns = 0
         self._newest_cloud_ns: int | None = None
+        self._pose_clock_ns = 0
+        self._newest_pose_ns: int | None = None
         self._points: list[MappedPoints] = []
         self._states: list[PlatformStates] = []
         self.cloud_lead, self.fix_lead, self.sweeps = Lead(), Lead(), SweepTimes()
@@ -212,6 +218,8 @@ class Georeferencer:
     def _refer(self, t_ns: int) -> None:
         self.cloud_lead.reference(t_ns)
         self.fix_lead.reference(t_ns)
+        self._pose_clock_ns += _advanced(self._newest_pose_ns, t_ns)
+        self._newest_pose_ns = t_ns
 
     def _arrive(self, kind: str, t_ns: int, sample: Any) -> None:
         """Every admitted sample comes through here, in the order of arrival."""
@@ -262,8 +270,12 @@ class Georeferencer:
         self.cloud_lead.other(last)
         self.sweeps.add(first, last)
         self._tick(last)
-        self._waiting.append(_Waiting(kept, first, last, self._waiting_clock_ns))
-        while self.pending > MOST_WAITING:
+        self._waiting.append(
+            _Waiting(kept, first, last, self._waiting_clock_ns, self._pose_clock_ns)
+        )
+        while len(self._waiting) > 1 and (
+            self.pending > MOST_WAITING or len(self._waiting) > MOST_CLOUDS
+        ):
             self.losses.add("point_waiting_full", len(self._waiting.pop(0).returns))
 
     def _gate(self, returns: Returns) -> Returns:
@@ -291,11 +303,16 @@ class Georeferencer:
         return Returns(kept.t_ns + self.mount.clock_ns, kept.r_laser, kept.ring, kept.intensity)
 
     def _tick(self, cloud_ns: int) -> None:
-        if self._newest_cloud_ns is not None:
-            self._waiting_clock_ns += min(
-                max(cloud_ns - self._newest_cloud_ns, 0), _LARGEST_STEP_NS
-            )
+        self._waiting_clock_ns += _advanced(self._newest_cloud_ns, cloud_ns)
         self._newest_cloud_ns = cloud_ns
+
+    def _expired(self, cloud: _Waiting) -> bool:
+        """Whether clouds, or poses, have gone on for too long since this one came."""
+        pending_ns = self._p.max_pending_s * 1e9
+        return (
+            self._waiting_clock_ns - cloud.arrived_ns > pending_ns
+            or self._pose_clock_ns - cloud.poses_ns > POSES_PAST * pending_ns
+        )
 
     def _advance(self, least: float = WORTH_IT) -> None:
         """Map what is known the fate of. A part of a cloud, at least such a share, need not wait
@@ -307,15 +324,12 @@ class Georeferencer:
         known_ns = max(
             t for t in (decided, None if begin is None else begin - 1, -1) if t is not None
         )
-        oldest_ns = self._waiting_clock_ns - self._p.max_pending_s * 1e9
-        if all(w.first_ns > known_ns and w.arrived_ns >= oldest_ns for w in self._waiting):
+        if all(w.first_ns > known_ns and not self._expired(w) for w in self._waiting):
             return
         self._decide()
         waiting, self._waiting = self._waiting, []
         for cloud in waiting:
-            part, rest = (
-                cloud.parted(known_ns, least) if cloud.arrived_ns >= oldest_ns else (cloud, None)
-            )
+            part, rest = (cloud, None) if self._expired(cloud) else cloud.parted(known_ns, least)
             if part is not None:
                 self._map(part, decided)
             if rest is not None:
@@ -387,6 +401,11 @@ class Georeferencer:
             self.losses.add(reason)
         self.losses.add("point_trajectory_end", self.pending)
         self._waiting.clear()
+
+
+def _advanced(before_ns: int | None, now_ns: int) -> int:
+    """How far a clock has gone on, ns: never back, and by no more than a step that is credible."""
+    return 0 if before_ns is None else min(max(now_ns - before_ns, 0), _LARGEST_STEP_NS)
 
 
 def _datum(p: GeoreferenceParameters) -> Datum | None:

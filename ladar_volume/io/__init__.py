@@ -10,5 +10,5 @@ Public:
 - ``config``: strict YAML, and the pages generated from the parameters.
 - ``results``, ``surveys``: results and kept surveys as files.
 - ``transforms``, ``measurements``, ``epoch_registration``: what verbs hand to one another.
-- ``atomic_write``: files that are there whole or not at all.
+- ``atomic_write``, ``output_set``: files that are there whole or not at all, alone and as a set.
 """

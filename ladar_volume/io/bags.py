@@ -17,7 +17,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.rosbag2 import ReaderError as Ros2Error
 from rosbags.typesys import Stores, get_typestore
 
-from ladar_volume.model.errors import BagError, OutputError
+import ladar_volume.io.bounded_unpacking  # noqa: F401  (bounds what rosbags unpacks)
+from ladar_volume.model.errors import BagError, OutputError, shown
 
 #: What the pipeline listens to: role → (message type, usual topic).
 ROLES: dict[str, tuple[str, str]] = {
@@ -60,9 +61,11 @@ class BagReader:
                 reason="bag_format",
                 value=str(path),
             ) from error
+        except BagError as error:
+            raise BagError(f"{self.path}: {error}", reason=error.reason) from error
         except Exception as error:  # a damaged file fails anywhere inside the parsers
             raise BagError(
-                f"{self.path}: damaged or not a recording: {error!r}",
+                f"{self.path}: damaged or not a recording: {shown(error)}",
                 reason="bag_format",
                 value=str(path),
             ) from error
@@ -167,11 +170,13 @@ class BagReader:
             for connection, t_ns, data in self._reader.messages(connections=connections):
                 missing -= 1
                 yield Raw(t_ns, connection.topic.lstrip("/"), connection.msgtype, data)
+        except BagError as error:
+            raise BagError(f"{self.path}: {error}", reason=error.reason) from error
         except (
             Exception
         ) as error:  # as above: any parser error means the file is damaged from here on
             raise BagError(
-                f"{self.path}: the recording breaks off: {error!r}",
+                f"{self.path}: the recording breaks off: {shown(error)}",
                 reason="bag_truncated",
                 value=str(self.path),
             ) from error
@@ -188,7 +193,7 @@ class BagReader:
             return self._reader.deserialize(raw.data, raw.kind)
         except Exception as error:  # a damaged message can fail anywhere in the deserialiser
             raise BagError(
-                f"{raw.topic}: undecodable {raw.kind}: {error!r}",
+                f"{raw.topic}: undecodable {raw.kind}: {shown(error)}",
                 reason="bag_message",
                 value=raw.topic,
             ) from error

@@ -8,30 +8,19 @@ line. ``python -m ladar_volume.io.config`` regenerates config/default.yaml and d
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from ladar_volume.model.errors import ConfigurationError
+from ladar_volume.io import strict_yaml
+from ladar_volume.model.errors import ConfigurationError, shown
 from ladar_volume.model.parameter import ParameterSpec, specs
 from ladar_volume.model.parameters import SECTIONS, Parameters
 
-
-class _StrictLoader(yaml.SafeLoader):
-    """A safe loader that refuses a key given twice."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        seen = set()
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=deep)
-            if key in seen:
-                raise ConfigurationError(
-                    f"line {key_node.start_mark.line + 1}: key {key!r} is given twice", value=key
-                )
-            seen.add(key)
-        return super().construct_mapping(node, deep)
+#: What every node of ROS has beside its own parameters.
+ROS_OWN = ("use_sim_time", "qos_overrides", "start_type_description_service", "config_file")
 
 
 def read_config(
@@ -54,37 +43,50 @@ def read_config(
 
 
 def _mapping(path: Path) -> dict[str, Any]:
-    try:
-        document = yaml.load(path.read_text(encoding="utf-8"), Loader=_StrictLoader)
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"cannot be read: {error}") from error
-    except yaml.YAMLError as error:
-        raise ConfigurationError(f"not valid YAML: {error}") from error
+    """The sections below ``/**`` or, as ``ros2 param dump`` writes them, below the nodes' names."""
+    document = strict_yaml.read(path)
     if document is None:
         return {}
-    layout = "expected '/**:' with 'ros__parameters:' below it"
-    if not isinstance(document, dict) or set(document) != {"/**"}:
+    layout = "expected '/**:' or a node's name with 'ros__parameters:' below it"
+    if not isinstance(document, dict):
         raise ConfigurationError(layout, value=document)
-    inner = document["/**"]
-    if not isinstance(inner, dict) or set(inner) != {"ros__parameters"}:
-        raise ConfigurationError(layout, value=inner)
-    sections = inner["ros__parameters"] or {}
-    if not isinstance(sections, dict):
-        raise ConfigurationError(layout, value=sections)
-    for section, values in sections.items():
+    sections: dict[str, Any] = {}
+    for inner in document.values():
+        if not isinstance(inner, dict) or set(inner) != {"ros__parameters"}:
+            raise ConfigurationError(layout, value=inner)
+        values = inner["ros__parameters"] or {}
+        if not isinstance(values, dict):
+            raise ConfigurationError(layout, value=values)
+        _merge(sections, values)
+    return sections
+
+
+def _merge(sections: dict[str, Any], node: Mapping[str, Any]) -> None:
+    """Add a node's sections; what ROS itself keeps there is no parameter of ours."""
+    for section, values in node.items():
+        if section in ROS_OWN:
+            continue
         if values is not None and not isinstance(values, dict):
             raise ConfigurationError(
-                f"section {section!r} must hold keys, not {values!r}", value=values
+                f"section {shown(section)} must hold keys, not {shown(values)}", value=values
             )
-    return sections
+        there = sections.setdefault(section, {})
+        for key, value in (values or {}).items():
+            if key in there and repr(there[key]) != repr(value):
+                both = f"{shown(there[key])} for one node, {shown(value)} for another"
+                raise ConfigurationError(f"{section}.{key}: {both}", value=value)
+            there[key] = value
 
 
 def _override(text: str) -> dict[str, dict[str, Any]]:
     name, equals, value = text.partition("=")
     section, dot, key = name.strip().partition(".")
     if not equals or not dot:
-        raise ConfigurationError(f"{text!r} is not section.key=value", value=text)
-    return {section: {key: yaml.safe_load(value)}}
+        raise ConfigurationError(f"{shown(text)} is not section.key=value", value=text)
+    try:
+        return {section: {key: strict_yaml.parsed(value)}}
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{shown(text)}: {error}", value=text) from error
 
 
 def dump_config(parameters: Parameters) -> str:

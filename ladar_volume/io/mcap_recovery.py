@@ -24,6 +24,7 @@ from mcap.opcode import Opcode
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 
+from ladar_volume.io.bounded_unpacking import check_chunk
 from ladar_volume.model.errors import OutputError
 
 HEAD = struct.Struct("<BQ")
@@ -184,6 +185,7 @@ def _add_chunk(contents: _Contents, content: bytes, offset: int) -> None:
     contents.last, contents.missing = {}, set()
     try:
         chunk = records.Chunk.read(ReadDataStream(BytesIO(content)))
+        check_chunk(chunk.data, chunk.compression, chunk.uncompressed_size)
         data, _ = get_chunk_data_stream(chunk, validate_crc=True)
         _read_chunk(contents, data.read(chunk.uncompressed_size))
     except (

@@ -136,6 +136,9 @@ class Recorder:
         self._began, self._seen = 0.0, 0
         self._settled: dict[str, int] = {}
         self.path = self._base
+        refused = self._refused()
+        if refused:
+            raise OutputError(f"{self._base}: cannot be written: {refused}", value=str(self._base))
         if self._has_room(1):
             self._open(0)
         else:
@@ -302,7 +305,28 @@ class Recorder:
             self._finish()
             self._wait_for_room()
 
+    def _refused(self) -> str:
+        """Why no file can be made where the log is to be, whatever is free; empty where one can."""
+        folder = self._base.parent.absolute()
+        while not folder.exists() and folder != folder.parent:
+            folder = folder.parent
+        if not folder.is_dir():
+            return f"{folder} is no folder"
+        if self._base.is_dir():
+            return "it is a folder"
+        if not os.access(folder, os.W_OK | os.X_OK):
+            return f"no right to write to {folder}"
+        try:
+            return "" if os.statvfs(folder).f_blocks else f"{folder} holds no files"
+        except OSError as error:
+            return str(error)
+
     def _wait_for_room(self) -> None:
+        refused = self._refused()
+        if refused:
+            self.problem = f"{self._base}: cannot be written: {refused}"
+            self._again = time.monotonic() + RETRY_S
+            return
         self.problem = (
             f"disk full: less than {self.parameters.disk_reserve_bytes} bytes free in "
             f"{self._base.parent.absolute()}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ladar_volume.ground.polynomial import degree_of, tilt_of
-from ladar_volume.model.errors import OutputError
+from ladar_volume.io.atomic_write import unwritable, whole_file
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import Datum, Estimate, Plane, Tin, Volume
@@ -21,6 +22,9 @@ from ladar_volume.version import version
 if TYPE_CHECKING:  # for names of types alone: a stage's kernels are loaded by the node that runs it
     from ladar_volume.change.epoch_change import EpochDifference
     from ladar_volume.volume.more_data import MoreData
+
+#: The files of a result, the one that stands for them first.
+SURVEY_FILES = ("result.json", "result.mcap", "mesh.ply", "figure.png")
 
 
 def volume_dict(volume: Volume) -> dict[str, Any]:
@@ -47,6 +51,9 @@ def volume_dict(volume: Volume) -> dict[str, Any]:
             "matters": volume.second_order_matters,
         },
         "chord_m3": volume.chord_m3,
+        "seen_share": volume.seen_share,
+        "gaps": [dataclasses.asdict(gap) for gap in volume.gaps],
+        "verdict": volume.verdict.as_dict(),
         "base": volume.base,
         "base_same_survey": volume.base_same_survey,
         "centroid_map_m": list(volume.centroid_map),
@@ -87,8 +94,10 @@ def result_dict(
     ground surfaces, losses, effective parameters, version and where it came from.
     """
     joint = estimate.C_bodies_m6
+    verdict = sum((body.verdict for body in estimate.bodies), estimate.volume.verdict)
     return {
         **volume_dict(estimate.volume),
+        "verdict": verdict.as_dict(),
         "bodies": [volume_dict(body) for body in estimate.bodies],
         "C_bodies_m6": None if joint is None else joint.tolist(),
         "grounds": [ground_dict(ground) for ground in estimate.grounds],
@@ -145,20 +154,17 @@ def output_folder(path: str | Path) -> Path:
     folder = Path(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / ".writable"
-        probe.touch()
-        probe.unlink()
+        with tempfile.TemporaryFile(dir=folder):
+            pass
     except OSError as error:
-        raise OutputError(f"{folder}: cannot be written: {error}", value=str(path)) from error
+        raise unwritable(folder, error) from error
     return folder
 
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file whole. Raises OutputError."""
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error}", value=str(path)) from error
+    with whole_file(path) as part:
+        part.write_text(text, encoding="utf-8")
 
 
 def write_ply(path: Path, tin: Tin, sigma_z: Any) -> None:
@@ -190,7 +196,5 @@ def write_columns(path: Path, tin: Tin, columns: Mapping[str, Any]) -> None:
         f"{len(vertex)}\n{chr(10).join(properties)}\n"
         f"element face {len(face)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
-    try:
-        path.write_bytes(header.encode() + vertex.tobytes() + face.tobytes())
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error}", value=str(path)) from error
+    with whole_file(path) as part:
+        part.write_bytes(header.encode() + vertex.tobytes() + face.tobytes())

@@ -22,6 +22,7 @@ from mcap.reader import make_reader
 
 from ladar_volume.georeference.geodesy import LocalFrame
 from ladar_volume.io import message_tables, results
+from ladar_volume.io.atomic_write import whole_file
 from ladar_volume.io.bags import TYPESTORE, BagReader
 from ladar_volume.io.mcap_log import McapLog
 from ladar_volume.io.tables import NUMBERS, decode, encode
@@ -105,8 +106,7 @@ def write_survey(path: Path, estimate: Estimate, epoch: Epoch, result: Mapping[s
     ]
     if estimate.grounds:
         tables.append(("grounds", message_tables.ground_columns(estimate.grounds)))
-    path.unlink(missing_ok=True)
-    with McapLog(Parameters().logger, path) as log:
+    with whole_file(path) as part, McapLog(Parameters().logger, part) as log:
         log.metadata(RECORD, {"result": results.json_text(result)})
         for topic, columns in itertools.chain(tables, survey_tables(epoch)):
             table = encode(columns)

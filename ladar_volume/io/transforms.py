@@ -4,12 +4,25 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from ladar_volume.model.errors import InputError
+from ladar_volume.model.errors import InputError, shown
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.registration.transform import Transform
+
+#: Larger numbers, and files of more bytes, are no transform.
+MOST, SIZE = 1e12, 1_000_000
+
+
+def _facts(path: Path) -> Any:
+    """What a file says. Raises OSError, ValueError and RecursionError."""
+    with path.open(encoding="utf-8") as file:
+        text = file.read(SIZE + 1)
+    if len(text) > SIZE:
+        raise ValueError(f"more than {SIZE:,} characters")
+    return json.loads(text)
 
 
 def read_transform(path: str | Path) -> Transform:
@@ -23,7 +36,7 @@ def read_transform(path: str | Path) -> Transform:
     if not path.is_file():
         raise InputError(f"{path}: no such file", reason="input_missing", value=str(path))
     try:
-        facts = json.loads(path.read_text(encoding="utf-8"))
+        facts = _facts(path)
         M, pivot, C = (
             np.asarray(facts[key], dtype=np.float64) for key in ("matrix", "pivot_m", "covariance")
         )
@@ -32,9 +45,9 @@ def read_transform(path: str | Path) -> Transform:
         raise InputError(
             f"{path}: cannot be read: {error}", reason="input_unreadable", value=str(path)
         ) from error
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise InputError(
-            f"{path}: not what 'register --json' prints: {error}",
+            f"{path}: not what 'register --json' prints: {shown(error)}",
             reason="transform_file",
             value=str(path),
         ) from error
@@ -42,11 +55,12 @@ def read_transform(path: str | Path) -> Transform:
         M.shape != (4, 4)
         or pivot.shape != (3,)
         or C.shape != (7, 7)
-        or not all(np.isfinite(x).all() for x in (M, pivot, C))
-        or scale <= 0
+        or not all((np.abs(x) < MOST).all() for x in (M, pivot, C))
+        or not 1.0 / MOST < scale < MOST
     ):
         raise InputError(
-            f"{path}: matrix (4, 4), pivot_m (3,), covariance (7, 7), scale above 0",
+            f"{path}: matrix (4, 4), pivot_m (3,), covariance (7, 7), scale above 0, of numbers "
+            f"below {MOST:g}",
             reason="transform_file",
             value=str(path),
         )
@@ -67,7 +81,7 @@ def read_transform_verdict(path: str | Path) -> Verdict:
     """
     path = Path(path)
     try:
-        facts = json.loads(path.read_text(encoding="utf-8"))
+        facts = _facts(path)
         reasons = facts.get("verdict", {}).get("reasons", [])
         doubts = [
             Doubt(str(r["name"]), f"{path.name}: {r['text']}", r.get("value")) for r in reasons
@@ -75,9 +89,9 @@ def read_transform_verdict(path: str | Path) -> Verdict:
         if not doubts and facts.get("consistent") is False:
             words = f"{path.name}: its spheres do not agree within their noise; register again"
             doubts = [Doubt("inconsistent", words)]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(
-            f"{path}: not what 'register --json' prints: {error!r}",
+            f"{path}: not what 'register --json' prints: {shown(error)}",
             reason="transform_file",
             value=str(path),
         ) from error

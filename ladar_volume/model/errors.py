@@ -6,7 +6,28 @@ or the command line can tell bad input from a defect of the program.
 
 from __future__ import annotations
 
+import reprlib
 from typing import Any
+
+_BRIEF = reprlib.Repr()
+_BRIEF.maxstring = _BRIEF.maxother = 60
+_BRIEF.maxlong = 40
+
+
+def shown(value: Any) -> str:
+    """``repr`` of a value from outside, cut to what fits a message."""
+    try:
+        return _BRIEF.repr(value)
+    except ValueError:  # an integer of more digits than Python prints
+        return f"a number of {value.bit_length()} bits" if isinstance(value, int) else "a value"
+
+
+def as_float(value: float) -> float:
+    """A number as float; infinite where it is too large for one."""
+    try:
+        return float(value)
+    except OverflowError:
+        return float("inf") if value > 0 else float("-inf")
 
 
 class LadarVolumeError(Exception):

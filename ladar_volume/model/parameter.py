@@ -15,8 +15,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from ladar_volume.model.errors import ParameterValueError, UnknownParameterError
+from ladar_volume.model.errors import (
+    ParameterValueError,
+    UnknownParameterError,
+    as_float,
+    shown,
+)
 
+#: Of a longer key its beginning alone is compared with the known ones.
+LONGEST_KEY = 100
 P = TypeVar("P")
 N = TypeVar("N", int, float)
 Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
@@ -127,24 +134,26 @@ def _scalar(section: str, spec: ParameterSpec, value: Any) -> bool | int | float
             return value
     elif spec.kind is int:
         if isinstance(value, int) and not isinstance(value, bool):
+            if abs(value) >= 2**63:
+                raise ParameterValueError(f"{where}: {shown(value)} is too large", value=value)
             return _bounded(where, spec, value)
     elif spec.kind is float:
         if isinstance(value, int | float) and not isinstance(value, bool):
-            if math.isnan(value) and not (
+            if value != value and not (
                 isinstance(spec.default, float) and math.isnan(spec.default)
             ):
                 raise ParameterValueError(
                     f"{where}: NaN is not allowed (allowed: {spec.range_text})", value=value
                 )
-            return _bounded(where, spec, float(value))
+            return _bounded(where, spec, as_float(value))
     elif isinstance(value, str):
         if spec.choices is not None and value not in spec.choices:
             raise ParameterValueError(
-                f"{where}: {value!r} is not allowed (allowed: {spec.range_text})", value=value
+                f"{where}: {shown(value)} is not allowed (allowed: {spec.range_text})", value=value
             )
         return value
     raise ParameterValueError(
-        f"{where}: {value!r} is not a {expected} (allowed: {spec.range_text})", value=value
+        f"{where}: {shown(value)} is not a {expected} (allowed: {spec.range_text})", value=value
     )
 
 
@@ -154,7 +163,8 @@ def _bounded(where: str, spec: ParameterSpec, value: N) -> N:
     if too_low or too_high:
         unit = f" {spec.unit}" if spec.unit else ""
         raise ParameterValueError(
-            f"{where}: {value:g}{unit} is out of range (allowed: {spec.range_text}{unit})",
+            f"{where}: {as_float(value):g}{unit} is out of range (allowed: "
+            f"{spec.range_text}{unit})",
             value=value,
         )
     return value
@@ -170,9 +180,9 @@ def convert(section: str, spec: ParameterSpec, value: Any) -> Any:
         return math.radians(float(inside)) if _is_angle(spec.name) else inside
     if not isinstance(value, list | tuple) or (spec.vector and len(value) != spec.vector):
         size = f"{spec.vector} " if spec.vector else ""
+        wanted = f"a list of {size}{spec.kind.__name__} values"
         raise ParameterValueError(
-            f"{section}.{spec.key}: {value!r} is not a list of {size}{spec.kind.__name__} values",
-            value=value,
+            f"{section}.{spec.key}: {shown(value)} is not {wanted}", value=value
         )
     items = tuple(_scalar(section, spec, v) for v in value)
     return tuple(math.radians(float(v)) for v in items) if _is_angle(spec.name) else items
@@ -180,6 +190,7 @@ def convert(section: str, spec: ParameterSpec, value: Any) -> Any:
 
 def _unknown(section: str, key: str, known: list[str]) -> UnknownParameterError:
     # a wrong unit suffix leaves the stem equal: look for that first, then for the nearest spelling
+    key = key[:LONGEST_KEY]
     stem = key.rsplit("_", 1)[0]
     same_stem = [k for k in known if k.rsplit("_", 1)[0] == stem and "_" in key]
     near = same_stem or difflib.get_close_matches(key, known, n=1, cutoff=0.5)
@@ -189,7 +200,7 @@ def _unknown(section: str, key: str, known: list[str]) -> UnknownParameterError:
         hint = f"; the unit suffix is wrong: did you mean {near[0]!r}?"
     elif near:
         hint = f"; did you mean {near[0]!r}?"
-    return UnknownParameterError(f"unknown parameter {where!r}{hint}", value=key)
+    return UnknownParameterError(f"unknown parameter {shown(where)}{hint}", value=key)
 
 
 def read_section(

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import itertools
 import queue
 import threading
 import time
@@ -22,6 +23,7 @@ from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallba
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
+from sensor_msgs.msg import NavSatFix
 from std_srvs.srv import Trigger
 
 from ladar_volume.io.cloud_messages import stamp_ns
@@ -30,17 +32,24 @@ from ladar_volume.model.errors import ConfigurationError, LadarVolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameter import specs
 from ladar_volume.model.parameters import SECTIONS, Parameters
+from ladar_volume.model.records import Datum
 from ladar_volume.nodes.declared_parameters import descriptor, outside, why_never, why_not_now
 from ladar_volume.nodes.defect_reports import Defects
 from ladar_volume.nodes.executor_rounds import AT_ONCE, take_waiting, unpacked
 from ladar_volume.nodes.health import Health
-from ladar_volume.nodes.qos import STREAM
+from ladar_volume.nodes.one_publisher import OnePublisher
+from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.work_queue import WorkQueue
 from ladar_volume.process import memory
 from ladar_volume.process.switch import is_own_process
 
 #: How long a node may take to finish its work.
 STOP_S = 30.0
+#: How long a node that is to end waits for those before it, s.
+UPSTREAM_S = 4.0
+#: How often a node looks who publishes the datum, s.
+WATCH_S = 0.2
+STEADY = ClockType.STEADY_TIME
 
 
 def _stamp(item: Any) -> int | None:
@@ -56,6 +65,8 @@ class StageNode(LifecycleNode, ABC):
     sections: tuple[str, ...] = ("node",)
     #: Sections whose parameters may change while the node runs.
     runtime_sections: tuple[str, ...] = ()
+    #: Topics that come from this package's nodes before this one, the first of all first.
+    upstream: tuple[str, ...] = ()
     #: The stage whose compiled kernels must be ready before data comes; without one, no compiler is
     #: loaded.
     kernels: str | None = None
@@ -63,6 +74,8 @@ class StageNode(LifecycleNode, ABC):
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
         self.losses = Losses()
+        self.failure = ""
+        self.cut_off = False
         self._defects = Defects()
         self.health = Health()
         self._queue = WorkQueue()
@@ -168,7 +181,8 @@ class StageNode(LifecycleNode, ABC):
                 importlib.import_module("ladar_volume.compile_kernels").warm_up(self.kernels)
             self.build()
         except LadarVolumeError as error:
-            self.get_logger().error(str(error))
+            self.failure = str(error)
+            self.get_logger().error(self.failure)
             self._take_down()
             return TransitionCallbackReturn.FAILURE
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -177,7 +191,7 @@ class StageNode(LifecycleNode, ABC):
             self.parameters.node.diagnostics_period_s,
             self.publish_diagnostics,
             self._group,
-            Clock(clock_type=ClockType.STEADY_TIME),
+            Clock(clock_type=STEADY),
         )
         self.create_service(Trigger, "~/reset", self._reset, callback_group=self._group)
         self._worker = threading.Thread(target=self._run, name=self.get_name(), daemon=True)
@@ -234,6 +248,19 @@ class StageNode(LifecycleNode, ABC):
             if not sum([rest() for rest in self._rests.values()]):
                 break
 
+    def await_upstream(self) -> None:
+        """Let those whose data this node takes end first, for some seconds; what they finish is
+        still taken in. Where one outlives the next, or this node, data are missing:
+        :attr:`cut_off`.
+        """
+        deadline = time.monotonic() + UPSTREAM_S
+        while self.context.ok() and time.monotonic() < deadline:
+            alive = [self.count_publishers(topic) > 0 for topic in self.upstream]
+            self.cut_off |= any(a and not b for a, b in itertools.pairwise(alive))
+            if not any(alive) or self.cut_off:
+                return
+            time.sleep(0.05)
+
     def stop(self) -> None:
         """Work off the queue, finish, report for the last time, and wait until listeners have it;
         then the worker has ended.
@@ -241,6 +268,8 @@ class StageNode(LifecycleNode, ABC):
         self._active = False
         if self._worker is None or not self._worker.is_alive():
             return
+        if self.context.ok():
+            self.cut_off |= any(self.count_publishers(topic) > 0 for topic in self.upstream)
         self._queue.put(None)
         self._worker.join(timeout=STOP_S)
         if self._worker.is_alive():
@@ -286,7 +315,7 @@ class StageNode(LifecycleNode, ABC):
         topic: str,
         qos: QoSProfile,
         silent_s: float | None = None,
-    ) -> None:
+    ) -> Any:
         """Subscribe: messages go to the worker as ``kind``; what the middleware lost is counted, a
         silence beyond ``silent_s`` named.
         """
@@ -297,7 +326,7 @@ class StageNode(LifecycleNode, ABC):
             self.losses.add(f"message_lost_{kind}", max(int(event.total_count_change), 0))
 
         events = SubscriptionEventCallbacks(message_lost=lost)
-        self.subscribe(
+        return self.subscribe(
             topic, message_type, qos, lambda data, _: self.receive(kind, message_type, data), events
         )
 
@@ -335,6 +364,8 @@ class StageNode(LifecycleNode, ABC):
         """
         if not self._active:
             return
+        if kind == "datum":
+            self._see_datum()
         message = unpacked(data, message_type)
         if message is None:
             self.losses.add(f"message_unreadable_{kind}")
@@ -430,8 +461,53 @@ class StageNode(LifecycleNode, ABC):
             total.merge(stage.losses)
         return total
 
-    def autostart(self) -> None:
-        """Configure and activate where the parameters say so."""
-        if self.parameters.node.autostart:
-            if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
-                self.trigger_activate()
+    def autostart(self) -> bool:
+        """Configure and activate where the parameters say so. False where it cannot be configured;
+        :attr:`failure` says why.
+        """
+        if not self.parameters.node.autostart:
+            return True
+        if self.trigger_configure() != TransitionCallbackReturn.SUCCESS:
+            return False
+        self.trigger_activate()
+        return True
+
+    # the datum
+    # ----------------------------------------------------------------------------------------------
+    def hear_datum(self) -> None:
+        """Subscribe to the datum, and watch who publishes it."""
+        self._datum: Datum | None = None
+        self._datum_from = OnePublisher()
+        self._datum_heard = self.listen("datum", NavSatFix, "datum", LATCHED)
+        self.create_timer(WATCH_S, self._watch_datum, self._group, Clock(clock_type=STEADY))
+
+    def _see_datum(self) -> bool:
+        topic = self.resolve_topic_name("datum")
+        there = [bytes(p.endpoint_gid) for p in self.get_publishers_info_by_topic(topic)]
+        return self._datum_from.seen(there, time.monotonic())
+
+    def _watch_datum(self) -> None:
+        if self._see_datum():
+            self.destroy_subscription(self._datum_heard)  # the successor's last word comes again
+            self._datum_heard = self.listen("datum", NavSatFix, "datum", LATCHED)
+
+    def take_datum(self, datum: Datum) -> bool:
+        """Whether another datum is to be believed; the first one is. One that somebody else than
+        its publisher may have sent is left out, counted and named.
+        """
+        if self._datum in (None, datum):
+            self._datum = datum
+            return False
+        if not self._datum_from.believed(time.monotonic()):
+            self.losses.add("message_datum_stranger")
+            self.get_logger().warning(
+                "another datum while another node publishes there as well: left out; stop the "
+                "other node, then reset georeference_node"
+            )
+            return False
+        self.get_logger().warning(
+            "another datum: coordinates so far mean nothing in it, a new surface begins"
+        )
+        self.losses.add("message_datum_changed")
+        self._datum = datum
+        return True

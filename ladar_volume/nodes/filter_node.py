@@ -10,7 +10,7 @@ from builtin_interfaces.msg import Time
 from nav_msgs.msg import Odometry
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.task import Future
-from sensor_msgs.msg import NavSatFix, PointCloud2
+from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
 from ladar_volume.io.cloud_messages import stamp_ns
@@ -21,12 +21,12 @@ from ladar_volume.io.message_tables import (
     update_parts,
 )
 from ladar_volume.io.tables import decode
-from ladar_volume.model.records import Datum, FilterUpdate
+from ladar_volume.model.records import FilterUpdate
 from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.convert import datum_of, platform_state, table_message, time_ns
 from ladar_volume.nodes.executor_rounds import NextRound
 from ladar_volume.nodes.flow_control import Ahead
-from ladar_volume.nodes.qos import LATCHED, STREAM
+from ladar_volume.nodes.qos import STREAM
 from ladar_volume.nodes.running import spin
 from ladar_volume.nodes.stream_passes import Passes
 from ladar_volume.rmls.surface_filter import SurfaceFilter
@@ -49,6 +49,7 @@ class FilterNode(StageNode):
 
     sections = ("calibration", "georeference", "filter", "node")
     kernels = "filter"
+    upstream = ("points_mapped",)
     runtime_sections = ("node",)
 
     def __init__(self, **options: Any) -> None:
@@ -61,7 +62,6 @@ class FilterNode(StageNode):
         self._came, self._just_came = time.monotonic(), False
         self._passes = Passes("platform")
         self._unsure: list[PointCloud2] = []
-        self._datum: Datum | None = None
         self._segment = 0
         self._states: list[Odometry] = []
         self._fresh = False
@@ -83,7 +83,7 @@ class FilterNode(StageNode):
         )
         self.listen("points", PointCloud2, "points_mapped", STREAM)
         self.listen("platform", Odometry, "platform", STREAM)
-        self.listen("datum", NavSatFix, "datum", LATCHED)
+        self.hear_datum()
 
     async def _flush(self, request: Any, response: Any) -> Any:
         """Send all that was put off; the answer, when it is sent, is the stamp (ns) of the last
@@ -110,7 +110,7 @@ class FilterNode(StageNode):
                 self.wake()
             return None
         if kind == "datum":
-            return self._take_datum(datum_of(item))
+            return self._start_over() if self.take_datum(datum_of(item)) else None
         verdict = self._passes.take(kind, stamp_ns(item))
         if verdict == "old":
             return self.losses.add("message_before_restart")
@@ -137,15 +137,6 @@ class FilterNode(StageNode):
         self.stage.add(points)
         self.counts["points"] += len(points)
         self._fresh, self._just_came, self._came = True, True, time.monotonic()
-
-    def _take_datum(self, datum: Datum) -> None:
-        if self._datum not in (None, datum):
-            self.get_logger().warning(
-                "another datum: coordinates so far mean nothing in it, a new surface begins"
-            )
-            self.losses.add("message_datum_changed")
-            self._start_over()
-        self._datum = datum
 
     def _start_over(self) -> None:
         self.losses.merge(self.stage.losses)

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from std_srvs.srv import Trigger
 
 from ladar_volume.compile_kernels import STAGES, warm_up
 from ladar_volume.io.bags import BagReader
-from ladar_volume.model.errors import VolumeError
+from ladar_volume.model.errors import ConfigurationError, VolumeError
 from ladar_volume.nodes.base import STOP_S, StageNode
 from ladar_volume.nodes.filter_node import FilterNode
 from ladar_volume.nodes.georeference_node import GeoreferenceNode
@@ -122,19 +122,27 @@ class Graph:
     """Starts the nodes, plays a recording if asked, waits, answers, stops what it started."""
 
     def __init__(
-        self, config: Path, separate: bool, log: Path | None, mavlink: bool = False
+        self,
+        config: Path,
+        separate: bool,
+        log: Path | None,
+        mavlink: bool = False,
+        ros: Sequence[str] = (),
     ) -> None:
+        """``ros``: what follows ``--ros-args``, for all nodes."""
         self._spinners: dict[str, Spinner] = {}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         wanted = {"logger_node": log is not None, "mavlink_node": mavlink}
         names = [n for n in FACTORIES if wanted.get(n, True)]
+        self._names = set(names)
         for stage in (
             STAGES
         ):  # once here, so that processes do not compile the same kernels beside each other
             warm_up(stage)
         before_ros()
         # no handler of its own: it would end the context before the nodes have finished
-        rclpy.init(args=[], signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+        given = ["--ros-args", *ros] if ros else []
+        rclpy.init(args=given, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
         self.watcher = Watcher()
         self._add(self.watcher)
         for name in names:
@@ -150,14 +158,26 @@ class Graph:
                     name,
                     "--ros-args",
                     *words,
+                    *ros,
                 ]
                 self._processes[name] = subprocess.Popen(command, env=os.environ)
             else:
                 node = FACTORIES[name](
                     parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()]
                 )
-                node.autostart()
+                started = node.autostart()
                 self._add(node)
+                if not started:
+                    self.close()
+                    raise ConfigurationError(f"{name}: {node.failure}")
+
+    def check(self) -> None:
+        """Raises VolumeError where a process has ended that should not have."""
+        for name, process in self._processes.items():
+            if process.poll() is not None:
+                raise VolumeError(
+                    f"{name} ended with {process.returncode}", reason="volume_no_node"
+                )
 
     def _add(self, node: Node) -> None:
         self._spinners[node.get_name()] = Spinner(node)
@@ -165,13 +185,13 @@ class Graph:
     def wait_ready(self, timeout_s: float = 300.0) -> None:
         """Until every node reports. Raises VolumeError where one does not."""
         deadline = time.monotonic() + timeout_s
-        wanted = {"georeference_node", "filter_node", "volume_node"}
+        wanted = self._names
         while (
             not wanted <= set(self.watcher.lines)
             or self.watcher.number("volume_node", "joined") != 1
         ):
-            dead = [p.args for p in self._processes.values() if p.poll() not in (None, 0)]
-            if dead or time.monotonic() > deadline:
+            self.check()
+            if time.monotonic() > deadline:
                 missing = (
                     sorted(wanted - set(self.watcher.lines))
                     or "volume_node and filter_node do not find each other"

@@ -164,6 +164,8 @@ class MavlinkNode(StageNode):
         if kind == "reset":
             self._before.merge(self._session.losses())
             self._session = MavlinkSession(self.parameters.mavlink)
+            if self._link is not None:
+                self._link.forget()
         elif kind == "bytes":
             for record in self._session.feed(*item):
                 self._publish(record)

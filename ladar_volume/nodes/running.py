@@ -66,6 +66,7 @@ class Spinner:
     def close(self) -> None:
         """Let the node take in what came and finish its work, then end the thread and the node."""
         if isinstance(self.node, StageNode):
+            self.node.await_upstream()
             self._executor.create_task(self._take_all)
             self._taken.wait(timeout=TAKE_S)
             self.node.stop()
@@ -105,7 +106,10 @@ def spin(factory: Callable[[], StageNode], argv: Sequence[str] | None = None) ->
         node = factory()
         if node.kernels is not None and is_own_process():
             without_blas()
-        node.autostart()
+        if not node.autostart():
+            print(f"ladar_volume: {node.get_name()}: {node.failure}", file=sys.stderr)  # noqa: T201 - for who started it
+            node.destroy_node()
+            return 2
         spinner = Spinner(node)
         while not stop.wait(0.2):
             continue

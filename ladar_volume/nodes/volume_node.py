@@ -15,7 +15,7 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from sensor_msgs.msg import NavSatFix, PointCloud2
+from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
@@ -31,9 +31,10 @@ from ladar_volume.io.message_tables import (
     no_filtered_points,
     volume_columns,
 )
+from ladar_volume.io.output_set import output_set
 from ladar_volume.io.tables import decode
 from ladar_volume.model.errors import LadarVolumeError, VolumeError
-from ladar_volume.model.records import Datum, Estimate, FilterUpdate, Volume
+from ladar_volume.model.records import Estimate, FilterUpdate, Volume
 from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.convert import (
     datum_of,
@@ -59,6 +60,7 @@ class VolumeNode(StageNode):
 
     sections = ("budget", "georeference", "filter", "ground", "volume", "node")
     kernels = "volume"
+    upstream = ("points_mapped", "points_filtered")
     runtime_sections = ("node", "ground", "volume")
 
     def __init__(self, **options: Any) -> None:
@@ -79,7 +81,6 @@ class VolumeNode(StageNode):
             None  # no more of the last estimate: its surface would be held beside the new one
         )
         self._why_not = "no surface yet"
-        self._datum: Datum | None = None
         self._epoch = 0
         self._since = SinceEpoch()
         self._more: MoreData | None = None
@@ -97,7 +98,7 @@ class VolumeNode(StageNode):
         self.listen("points", PointCloud2, "points_filtered", STREAM)
         self.listen("patches", PointCloud2, "patches", STREAM)
         self.listen("platform", Odometry, "platform", STREAM)
-        self.listen("datum", NavSatFix, "datum", LATCHED)
+        self.hear_datum()
         self._filter_reset = self.create_client(Trigger, "filter_node/reset")
         self._filter_flush = self.create_client(Trigger, "filter_node/flush")
         self._newest_part, self._awaited = 0, False
@@ -148,7 +149,10 @@ class VolumeNode(StageNode):
             self._due = True
             return None
         if kind == "datum":
-            return self._take_datum(datum_of(item))
+            if self.take_datum(datum_of(item)):
+                self._since = SinceEpoch()
+                self._start_over()
+            return None
         verdict = self._passes.take(kind, stamp_ns(item))
         if verdict == "old":
             return self.losses.add("message_before_restart")
@@ -159,16 +163,6 @@ class VolumeNode(StageNode):
             self._states.append(item)
             return None
         return self._pair(kind, item)
-
-    def _take_datum(self, datum: Datum) -> None:
-        if self._datum not in (None, datum):
-            self.get_logger().warning(
-                "another datum: coordinates so far mean nothing in it, a new surface begins"
-            )
-            self.losses.add("message_datum_changed")
-            self._since = SinceEpoch()
-            self._start_over()
-        self._datum = datum
 
     def _pair(self, kind: str, item: Any) -> None:
         key = stamp_ns(item)
@@ -231,10 +225,16 @@ class VolumeNode(StageNode):
             if self._due:
                 self._compute()
         v = self._last
-        if v is not None:
-            self.get_logger().info(
-                f"volume at the end: {v.volume_m3:.4f} m3, sigma {v.sigma_m3:.4f} m3"
+        if v is None:
+            return
+        found = f"{v.volume_m3:.4f} m3, sigma {v.sigma_m3:.4f} m3"
+        if self.cut_off:
+            self.get_logger().warning(
+                f"incomplete volume: {found}; the nodes before this one had not ended when it did: "
+                "replay the log"
             )
+        else:
+            self.get_logger().info(f"volume at the end: {found}")
 
     def _compute(self, naive: bool = False) -> Estimate:
         self._hand_over()
@@ -351,7 +351,7 @@ class VolumeNode(StageNode):
 
     def _save(self) -> dict[str, Any]:
         estimate, result = self._result()
-        folder = results.output_folder(self.parameters.node.output_folder)
+        folder = Path(self.parameters.node.output_folder)
         self._write(folder, estimate, result)
         return {
             "folder": str(folder),
@@ -365,17 +365,18 @@ class VolumeNode(StageNode):
             write_survey,
         )  # what bags need is loaded where one is written
 
-        results.write_text(folder / "result.json", results.json_text(result))
         epoch = self.stage.epoch()
-        results.write_ply(folder / "mesh.ply", estimate.tin, epoch.sigma_z())
-        write_survey(folder / FILE, estimate, epoch, result)
+        with output_set(folder, results.SURVEY_FILES) as part:
+            results.write_text(part / "result.json", results.json_text(result))
+            results.write_ply(part / "mesh.ply", estimate.tin, epoch.sigma_z())
+            write_survey(part / FILE, estimate, epoch, result)
 
     def _start_epoch(self) -> dict[str, Any]:
         if self._last is None:
             raise VolumeError(
                 f"nothing to keep as an epoch: {self._why_not}", reason="volume_no_estimate"
             )
-        folder = results.output_folder(f"{self.parameters.node.output_folder}/epoch_{self._epoch}")
+        folder = Path(f"{self.parameters.node.output_folder}/epoch_{self._epoch}")
         estimate, result = self._result()
         self._write(folder, estimate, result)
         self._epoch += 1
@@ -407,7 +408,10 @@ class VolumeNode(StageNode):
             "sigma_m3": f"{v.sigma_m3:.4f}",
             "sigma_share": f"{share:.4f}",
             "tolerance": self.parameters.volume.tolerance,
-            "within_tolerance": share <= self.parameters.volume.tolerance,
+            "within_tolerance": v.verdict.sound and share <= self.parameters.volume.tolerance,
+            "verdict": v.verdict.status,
+            **{f"doubt_{doubt.name}": doubt.text for doubt in v.verdict.doubts},
+            "seen_share": f"{v.seen_share:.4f}",
             "coverage_m2": f"{v.area_m2:.1f}",
             "data_time_ns": v.t_ns,
         }

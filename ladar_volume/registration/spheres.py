@@ -129,7 +129,11 @@ def adjust(points: F64, sigma: F64, x: F64, known: bool) -> F64:
         A = np.concatenate([-n, np.full((len(n), 1), -1.0)], axis=1)[:, :free] / sigma[:, None]
         N, g = A.T @ A, A.T @ (v / sigma)
         step = np.zeros(4)
-        step[:free] = -np.linalg.solve(N + damping * np.trace(N) / free * np.eye(free), g)
+        try:
+            step[:free] = -np.linalg.solve(N + damping * np.trace(N) / free * np.eye(free), g)
+        except np.linalg.LinAlgError as error:
+            words = "the points do not determine the sphere: are they on one?"
+            raise RegistrationError(words, reason="sphere_coplanar") from error
         v_new, n_new = residuals_and_normals(points, x + step)
         new = float(((v_new / sigma) ** 2).sum())
         small = float(np.abs(step).max()) <= 1e-12 * (abs(float(x[3])) + float(np.abs(x[:3]).max()))

@@ -16,7 +16,13 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import all as dialect
 
 from ladar_volume.io.mavlink.mavlink_dataflash import DataFlashLog
-from ladar_volume.io.mavlink.mavlink_links import SerialLink, TcpLink, UdpLink, open_link
+from ladar_volume.io.mavlink.mavlink_links import (
+    SerialLink,
+    TcpLink,
+    UdpLink,
+    _Peers,
+    open_link,
+)
 from ladar_volume.io.mavlink.mavlink_log import MavlinkLog, log_file
 from ladar_volume.io.mavlink.mavlink_records import STATUS
 from ladar_volume.io.mavlink.mavlink_session import MavlinkSession
@@ -820,6 +826,39 @@ def test_udp_listens_to_one_peer_at_a_time():
     assert one_peer.recv(100) == b"answer" and link.read(0.0) == b""
     for end in (link, one_peer, other):
         end.close()
+
+
+def test_a_stranger_takes_no_silent_peers_place():
+    lost = Losses()
+    peers, first, again, stranger = _Peers(lost), ("10.0.0.5", 1), ("10.0.0.5", 2), ("10.0.0.9", 1)
+    assert peers.admits(first, 0.0)
+    assert not peers.admits(again, 1.0) and not peers.admits(stranger, 1.0)
+    assert not peers.admits(stranger, 60.0)  # however long it waits
+    assert peers.admits(again, 60.0)  # the autopilot started again
+    assert peers.admits(first, 60.1) and peers.now == first  # the first is back, at once
+    assert not peers.admits(again, 60.2)
+    assert lost.as_dict() == {"mavlink_other_peer": 4, "mavlink_peer_changed": 2}
+    server = TcpLink(("127.0.0.1", 0), True)
+    server._host = "10.0.0.5"
+    client = socket.create_connection(server.address)
+    assert server.read(1.0) == b"" and server.losses["mavlink_other_peer"] == 1
+    assert client.recv(10) == b""  # closed
+    server.forget()
+    other = socket.create_connection(server.address)
+    other.send(b"ping")
+    assert server.read(1.0) + server.read(1.0) == b"ping"
+    for end in (server, client, other):
+        end.close()
+
+
+@pytest.mark.parametrize(
+    "url",
+    ["udpin:256.1.1.1:5", "tcpin:a..b:5", "udpout:a\0b:5", "udpin:h:²", "udpin:h:" + "9" * 5000],
+)
+def test_a_bad_address_is_refused_in_a_short_line(url):
+    with pytest.raises(ConfigurationError) as refused:
+        open_link(url)
+    assert len(str(refused.value)) < 200
 
 
 def test_tcp_both_ways_and_again_after_a_break():

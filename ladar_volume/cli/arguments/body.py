@@ -6,8 +6,7 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-
+from ladar_volume.cli.arguments.diff_input import MOST
 from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
@@ -20,7 +19,7 @@ def numbers(*counts: int) -> Callable[[str], tuple[float, ...]]:
 
     def parse(text: str) -> tuple[float, ...]:
         values = tuple(float(word) for word in text.split(","))
-        if len(values) not in counts or not np.isfinite(values).all():
+        if len(values) not in counts or not all(abs(v) < MOST for v in values):
             raise argparse.ArgumentTypeError(
                 f"{text}: {' or '.join(map(str, counts))} numbers with commas between"
             )

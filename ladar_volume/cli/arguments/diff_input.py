@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import math
 
 import numpy as np
 
 from ladar_volume.model.records import F64
+
+#: Coordinates and lengths from the command line are below this, m: squares stay numbers.
+MOST = 1e12
 
 
 def point(text: str) -> F64:
@@ -24,4 +26,4 @@ def numbers(text: str) -> list[float]:
         values = [float(w) for w in text.split(",")]
     except ValueError:
         return []
-    return values if all(math.isfinite(v) for v in values) else []
+    return values if all(abs(v) < MOST for v in values) else []

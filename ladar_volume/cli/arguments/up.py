@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 from typing import Any
 
@@ -28,5 +29,12 @@ def add_parser(subparsers: Any) -> None:
         help="autopilot to take poses from: udpin:HOST:PORT, serial:DEVICE:BAUD, a .tlog",
     )
     parser.add_argument("--log", type=Path, help="MCAP file to log all topics to")
+    parser.add_argument(
+        "--ros-args",
+        nargs=argparse.REMAINDER,
+        default=[],
+        metavar="...",
+        help="remappings and the like for all nodes; last on the line",
+    )
     add_common(parser)
     parser.set_defaults(run=work("ladar_volume.cli.up"))

@@ -5,6 +5,7 @@ and the screen.
 from __future__ import annotations
 
 import argparse
+import contextlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -37,11 +38,16 @@ def carry_out(
     """Simulate, measure, write where an output folder is given, print as JSON or by ``show``;
     returns the exit code.
     """
-    from ladar_volume.io.results import json_text, output_folder, write_text
+    from ladar_volume.io.output_set import output_set
+    from ladar_volume.io.results import json_text, write_text
 
-    folder = None if arguments.output is None else output_folder(arguments.output)
     console = Console(stderr=arguments.json)
-    with console.status("simulating") as status:
+    with contextlib.ExitStack() as outputs, console.status("simulating") as status:
+        folder = None
+        if arguments.output is not None:
+            folder = outputs.enter_context(
+                output_set(arguments.output, ("study.json", "tables.md"))
+            )
         study = simulate(status.update)
         given = {"seeds": arguments.seeds} if hasattr(arguments, "seeds") else {}
         facts: dict[str, Any] = {
@@ -59,6 +65,6 @@ def carry_out(
         print(json_text(facts), end="")
         return 0
     show(console, facts)
-    if folder is not None:
+    if arguments.output is not None:
         console.print(f"written to {arguments.output}")
     return 0

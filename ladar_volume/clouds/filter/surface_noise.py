@@ -12,6 +12,7 @@ from ladar_volume.clouds.filter import cell_surface
 from ladar_volume.clouds.filter.cell_cover import Covered, cover
 from ladar_volume.clouds.filter.line_tuning import line_regions, of_points, residuals, surface_noise
 from ladar_volume.clouds.filter.self_tuning import SIGMAS, Tuned
+from ladar_volume.clouds.filter.surface_misfit import misfit_variance
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64
 
@@ -43,8 +44,12 @@ def settled(
     share = done.variance / believed**2
     kept = done.reason == cell_surface.KEPT
     done.reason[kept & (share > KNOWN**2)] = cell_surface.UNSUPPORTED
+    # a fit that holds no several lines is carried on from elsewhere
+    done.reason[kept & np.isnan(tuned.lines.reach_m)] = cell_surface.FEW_POINTS
     variance = done.variance * (sigma / believed) ** 2
     variance += disagreement(before, done, variance)
+    rows = np.flatnonzero(done.reason == cell_surface.KEPT)
+    variance[rows] += misfit_variance(r[rows], done.q[rows], done.normal[rows], sigma[rows])
     return (
         replace(tuned, regions=replace(tuned.regions, sigma_m=sigma)),
         replace(done, variance=variance),

@@ -51,10 +51,13 @@ class Thinned:
 @dataclass(frozen=True)
 class Lines:
     """reach_m : (n,) radius within which the neighbourhood of a point holds several lines, NaN
-    where none does · levels : the thinned clouds, ascending by √2
+    where none does · steady_m : (n,) the same, with no line at any wider radius: a narrow surface
+    has none, nor has the band that one line makes where its points scatter along the surface ·
+    levels : the thinned clouds, ascending by √2
     """
 
     reach_m: F64
+    steady_m: F64
     levels: tuple[Thinned, ...]
 
     def thinned(self, edge_m: float) -> int:
@@ -101,14 +104,18 @@ def find_lines(r: F64, spacing_m: float) -> Lines:
         edge *= STEP
         level = thin(r, edge)
     levels, states = [], []
-    while OVER * edge <= widest * STEP:
+    # a place at the widest reach must stay one beyond it: the band that one ring makes of grazed
+    # ground is a line again where it is seen from farther off
+    while OVER * edge <= widest * STEP**STAYS:
         levels.append(level)
         states.append(_state(r, level)[level.voxel])
         edge *= STEP
         level = thin(r, edge)
     if not levels:
-        return Lines(np.full(len(r), np.nan), (level,))
-    return Lines(_first_surface(np.array(states), levels), tuple(levels))
+        return Lines(np.full(len(r), np.nan), np.full(len(r), np.nan), (level,))
+    reach, steady = (_first_surface(np.array(states), levels, k) for k in (STAYS, len(levels)))
+    known, surely = reach <= widest * (1.0 + 1e-9), steady <= widest * (1.0 + 1e-9)
+    return Lines(np.where(known, reach, np.nan), np.where(surely, steady, np.nan), tuple(levels))
 
 
 def _state(r: F64, level: Thinned) -> I64:
@@ -135,11 +142,13 @@ def _eigenvalues(points: F64, found: np.typing.NDArray[np.bool_]) -> F64:
     return np.asarray(np.linalg.eigvalsh(np.einsum("ski,skj->sij", x, x)))
 
 
-def _first_surface(states: I64, levels: list[Thinned]) -> F64:
-    """Radius (n,) of the first level from which on a point's neighbourhood stays a surface."""
+def _first_surface(states: I64, levels: list[Thinned], stays_for: int) -> F64:
+    """Radius (n,) of the first level from which on a point's neighbourhood stays a surface, over so
+    many levels.
+    """
     out = np.full(states.shape[1], np.nan)
     for i in range(len(levels) - 1, -1, -1):
-        later = states[i + 1 : i + STAYS]
+        later = states[i + 1 : i + stays_for]
         stays = (states[i] == ON_SURFACE) & ~(later == ON_LINE).any(axis=0)
         out[stays] = OVER * levels[i].edge_m
     return out

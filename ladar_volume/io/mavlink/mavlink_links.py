@@ -1,5 +1,9 @@
 """Where MAVLink bytes come from: UDP, TCP or a serial port. A socket listens on the one address it
 is given, and on loopback where none is given; it talks to one peer at a time.
+
+A socket that listens is bound to the first peer. Where that is silent, another port of the same
+host may speak for it (an autopilot that started again), until the first one is back. Other hosts
+are counted and left out until the node is reset.
 """
 
 from __future__ import annotations
@@ -13,13 +17,15 @@ import time
 import tty
 from typing import Protocol
 
-from ladar_volume.model.errors import ConfigurationError
+from ladar_volume.model.errors import ConfigurationError, shown
 from ladar_volume.model.losses import Losses
 
-#: A peer that is silent for this long may be replaced by another.
+#: A peer that is silent for this long may be replaced by another port of its host.
 PEER_S = 5.0
 #: A lost connection is tried again after this time.
 RETRY_S = 1.0
+#: What a bad address raises: also names that are none, and zero bytes.
+_ADDRESS = (OSError, UnicodeError, ValueError, OverflowError, TypeError)
 
 
 class Link(Protocol):
@@ -33,8 +39,33 @@ class Link(Protocol):
     def write(self, data: bytes) -> None:
         """Send; what the link cannot take now is lost, as on the wire."""
 
+    def forget(self) -> None:
+        """Forget the peer: the next one that speaks is bound."""
+
     def close(self) -> None:
         """Let go."""
+
+
+class _Peers:
+    """Who may speak on a socket that listens."""
+
+    def __init__(self, losses: Losses) -> None:
+        self._losses = losses
+        self.first: tuple[str, int] | None = None
+        self.now: tuple[str, int] | None = None
+        self._heard = 0.0
+
+    def admits(self, sender: tuple[str, int], now_s: float) -> bool:
+        """Whether to listen to a sender at a time (s, of a steady clock)."""
+        first = self.first = self.first or sender
+        silent = now_s - self._heard >= PEER_S
+        if sender not in (first, self.now) and (sender[0] != first[0] or not silent):
+            self._losses.add("mavlink_other_peer")
+            return False
+        if sender != self.now and self.now is not None:
+            self._losses.add("mavlink_peer_changed")
+        self.now, self._heard = sender, now_s
+        return True
 
 
 def _taken(descriptor: int, timeout_s: float) -> bytes | None:
@@ -56,18 +87,16 @@ class UdpLink:
     def __init__(self, address: tuple[str, int], listen: bool) -> None:
         self.losses = Losses()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._listen = listen
-        self._peer: tuple[str, int] | None = None if listen else address
-        self._heard = 0.0
+        self._peers = _Peers(self.losses) if listen else None
         try:
             if listen:
                 self._socket.bind(address)
             else:
                 self._socket.connect(address)
-        except OSError as error:
+        except _ADDRESS as error:
             self._socket.close()
             raise ConfigurationError(
-                f"mavlink.url: {address[0]}:{address[1]}: {error}", value=address
+                f"mavlink.url: {shown(address[0])}:{address[1]}: {error}", value=address
             ) from error
         self._socket.setblocking(False)
 
@@ -84,21 +113,22 @@ class UdpLink:
         with contextlib.suppress(OSError):  # nothing more waits, or the peer's port is closed
             while len(data) < 1 << 20:
                 packet, sender = self._socket.recvfrom(65535)
-                now = time.monotonic()
-                if self._listen and sender != self._peer:
-                    if self._peer is not None and now - self._heard < PEER_S:
-                        self.losses.add("mavlink_other_peer")
-                        continue
-                    self._peer = sender
-                self._heard = now
-                data += packet
+                if self._peers is None or self._peers.admits(sender, time.monotonic()):
+                    data += packet
         return bytes(data)
 
     def write(self, data: bytes) -> None:
         """To the peer, once there is one."""
-        if self._peer is not None:
-            with contextlib.suppress(OSError):
-                self._socket.sendto(data, self._peer) if self._listen else self._socket.send(data)
+        with contextlib.suppress(OSError):
+            if self._peers is None:
+                self._socket.send(data)
+            elif self._peers.now is not None:
+                self._socket.sendto(data, self._peers.now)
+
+    def forget(self) -> None:
+        """The next sender is bound."""
+        if self._peers is not None:
+            self._peers = _Peers(self.losses)
 
     def close(self) -> None:
         """Close the socket."""
@@ -115,13 +145,14 @@ class TcpLink:
         self._address = address
         self._peer: socket.socket | None = None
         self._server: socket.socket | None = None
+        self._host: str | None = None
         self._next = 0.0
         if listen:
             try:
                 self._server = socket.create_server(address, backlog=1)
-            except OSError as error:
+            except _ADDRESS as error:
                 raise ConfigurationError(
-                    f"mavlink.url: {address[0]}:{address[1]}: {error}", value=address
+                    f"mavlink.url: {shown(address[0])}:{address[1]}: {error}", value=address
                 ) from error
             self._server.setblocking(False)
 
@@ -134,10 +165,16 @@ class TcpLink:
         return str(host), int(port)
 
     def _connect(self, timeout_s: float) -> None:
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(*_ADDRESS):
             if self._server is not None:
                 select.select([self._server], [], [], timeout_s)
-                self._peer, _ = self._server.accept()
+                peer, sender = self._server.accept()
+                self._host = self._host or str(sender[0])
+                if self._host != sender[0]:
+                    self.losses.add("mavlink_other_peer")
+                    peer.close()
+                    return
+                self._peer = peer
             elif time.monotonic() >= self._next:
                 self._next = time.monotonic() + RETRY_S
                 self._peer = socket.create_connection(self._address, timeout=RETRY_S)
@@ -172,6 +209,10 @@ class TcpLink:
                 return
             except OSError:
                 self._drop()
+
+    def forget(self) -> None:
+        """The next host that connects is bound."""
+        self._host = None
 
     def close(self) -> None:
         """Close everything."""
@@ -236,6 +277,9 @@ class SerialLink:
             with contextlib.suppress(OSError):
                 os.write(self._fd, data)
 
+    def forget(self) -> None:
+        """There is one other end."""
+
     def close(self) -> None:
         """Close the port."""
         if self._fd is not None:
@@ -249,9 +293,11 @@ def open_link(url: str) -> Link:
     """
     scheme, _, rest = url.partition(":")
     host, _, number = rest.rpartition(":")
-    if not number.isdigit() or int(number) > (10_000_000 if scheme == "serial" else 65535):
+    most = 10_000_000 if scheme == "serial" else 65535
+    digits = number.isascii() and number.isdigit() and len(number) < 10
+    if not digits or int(number) > most:
         raise ConfigurationError(
-            f"mavlink.url: {url!r}: the number after the last colon is missing or too large",
+            f"mavlink.url: {shown(url)}: the number after the last colon is missing or too large",
             value=url,
         )
     if scheme == "serial":
@@ -262,6 +308,7 @@ def open_link(url: str) -> Link:
     if scheme in ("tcp", "tcpin"):
         return TcpLink(address, scheme == "tcpin")
     raise ConfigurationError(
-        f"mavlink.url: {url!r}: one of udpin, udpout, tcp, tcpin, serial, or a .tlog or .bin file",
+        f"mavlink.url: {shown(url)}: one of udpin, udpout, tcp, tcpin, serial, or a .tlog or "
+        ".bin file",
         value=url,
     )

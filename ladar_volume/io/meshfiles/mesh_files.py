@@ -18,12 +18,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ladar_volume.io.atomic_write import whole_file
 from ladar_volume.io.endings import ENDINGS, LANDXML, READ_ENDINGS
 from ladar_volume.io.meshfiles.landxml import read_landxml
 from ladar_volume.io.meshfiles.plain_meshes import read_obj, read_off, read_stl
 from ladar_volume.io.meshfiles.ply_mesh import parse_header, read_ply_mesh, write_ply_mesh
 from ladar_volume.io.meshfiles.polygons import Faces, triangulated
 from ladar_volume.io.pointfiles.ply import HEADER_LIMIT
+from ladar_volume.io.pointfiles.raw_table import FARTHEST
 from ladar_volume.mesh.topology import vertices_of
 from ladar_volume.mesh.welding import distinct, split_edges, weld, weld_open
 from ladar_volume.model.errors import InputError, OutputError
@@ -110,6 +112,10 @@ def read_mesh(path: str | Path, surface: str | None = None) -> MeshFile:
         raise InputError(
             f"{path}: cannot be read: {error}", reason="input_unreadable", value=str(path)
         ) from error
+    except MemoryError as error:
+        raise InputError(
+            f"{path}: larger than the memory", reason="mesh_file_values", value=str(path)
+        ) from error
     except InputError as error:
         raise InputError(f"{path}: {error}", reason=error.reason, value=error.value) from error
 
@@ -136,6 +142,10 @@ def _read_land(path: Path, surface: str | None) -> MeshFile:
 def _finite(vertices: F64) -> F64:
     if not np.isfinite(vertices).all():
         raise InputError("a coordinate that is not finite", reason="mesh_file_values")
+    far = float(np.abs(vertices).max(initial=0.0))
+    if far > FARTHEST:
+        words = f"coordinates up to {far:.3g}: no place is so far; check the file or its export"
+        raise InputError(words, reason="mesh_file_values", value=far)
     return vertices
 
 
@@ -210,12 +220,7 @@ def write_mesh(
     vertex, face : small numbers (0 to 255) beside each, which only PLY keeps. Raises
     :class:`OutputError` for an unknown ending or what cannot be written.
     """
-    path, v, t = (
-        Path(path),
-        np.asarray(vertices, dtype=np.float64),
-        np.asarray(triangles, dtype=np.int32),
-    )
-    notes = [line for c in comments for line in c.splitlines()]
+    path = Path(path)
     ending = path.suffix.lower()
     if ending not in ENDINGS:
         raise OutputError(
@@ -223,30 +228,31 @@ def write_mesh(
             reason="output_format",
             value=str(path),
         )
-    try:
+    v = np.asarray(vertices, dtype=np.float64)
+    t = np.asarray(triangles, dtype=np.int32)
+    notes = [line for c in comments for line in c.splitlines()]
+    with whole_file(path) as part:
         if ending == ".ply":
-            write_ply_mesh(path, v, t, notes, vertex, face)
+            write_ply_mesh(part, v, t, notes, vertex, face)
         elif ending == ".stl":
-            table = np.zeros(
-                len(t), [("normal", "<f4", (3,)), ("v", "<f4", (3, 3)), ("attribute", "<u2")]
-            )
-            table["v"] = v[t]
-            path.write_bytes(
-                b"binary stl".ljust(80) + len(t).to_bytes(4, "little") + table.tobytes()
-            )
+            part.write_bytes(_stl(v, t))
         else:
-            head = (
-                [*(f"# {c}" for c in notes)]
-                if ending == ".obj"
-                else ["OFF", *(f"# {c}" for c in notes), f"{len(v)} {len(t)} 0"]
-            )
-            mark, corner, base = ("v ", "f ", 1) if ending == ".obj" else ("", "3 ", 0)
-            rows = [mark + " ".join(map(repr, r)) for r in v.tolist()]
-            path.write_text(
-                "\n".join(
-                    [*head, *rows, *(corner + " ".join(map(str, r)) for r in (t + base).tolist())]
-                )
-                + "\n"
-            )
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error}", value=str(path)) from error
+            part.write_text(_plain(v, t, notes, ending))
+
+
+def _stl(v: F64, t: I32) -> bytes:
+    """A binary STL."""
+    table = np.zeros(len(t), [("normal", "<f4", (3,)), ("v", "<f4", (3, 3)), ("attribute", "<u2")])
+    table["v"] = v[t]
+    return b"binary stl".ljust(80) + len(t).to_bytes(4, "little") + table.tobytes()
+
+
+def _plain(v: F64, t: I32, notes: Sequence[str], ending: str) -> str:
+    """An OBJ or OFF."""
+    head = [f"# {c}" for c in notes]
+    if ending == ".off":
+        head = ["OFF", *head, f"{len(v)} {len(t)} 0"]
+    mark, corner, base = ("v ", "f ", 1) if ending == ".obj" else ("", "3 ", 0)
+    rows = [mark + " ".join(map(repr, r)) for r in v.tolist()]
+    faces = [corner + " ".join(map(str, r)) for r in (t + base).tolist()]
+    return "\n".join([*head, *rows, *faces]) + "\n"

@@ -191,8 +191,17 @@ def read_ply_mesh(path: Path) -> tuple[F64, list[I32] | I32, dict[str, npt.NDArr
     faces, keep = face[name], scalars(face).get("relevant")
     counts = np.ones(len(faces), bool) if keep is None else keep != 0
     if isinstance(faces, np.ndarray):
-        return xyz, faces[counts].astype(np.int32), columns
-    return xyz, [f.astype(np.int32) for f, c in zip(faces, counts, strict=True) if c], columns
+        return xyz, _index(faces[counts]), columns
+    return xyz, [_index(f) for f, c in zip(faces, counts, strict=True) if c], columns
+
+
+def _index(corners: npt.NDArray[Any]) -> I32:
+    """Corners of faces as they are used. Raises :class:`InputError` (mesh_file_index) for what is
+    no whole number of 31 bits.
+    """
+    if not ((corners >= 0) & (corners < 2**31) & (corners == np.floor(corners))).all():
+        raise bad("a face names a vertex by what is no index", "mesh_file_index")
+    return corners.astype(np.int32)
 
 
 def write_ply_mesh(

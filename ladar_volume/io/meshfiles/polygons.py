@@ -36,6 +36,8 @@ def by_corners(faces: Faces) -> dict[int, tuple[I64, I64]]:
         lists: dict[int, list[int]] = {}
         for number, face in enumerate(faces):
             lists.setdefault(len(face), []).append(number)
+        if lists and min(lists) < 3:
+            raise InputError(f"a face with {min(lists)} corners", reason="mesh_file_values")
         found = {
             k: (
                 np.array(numbers, np.int64),

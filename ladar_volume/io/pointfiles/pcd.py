@@ -18,6 +18,7 @@ from ladar_volume.io.pointfiles.crs import of_comments
 from ladar_volume.io.pointfiles.lzf import RATIO, pack, unpack
 from ladar_volume.io.pointfiles.ply import (
     check_size,
+    integers,
     narrow,
     native,
     text_rows,
@@ -125,7 +126,7 @@ def _ascii(file: IO[bytes], header: _Header, left: int) -> Columns:
         column = values[:, at] if count == 1 else values[:, at : at + count]
         at += count
         if name != "_":
-            out[name] = column.astype(code) if code[0] in "iu" else column.copy()
+            out[name] = integers(column, code) if code[0] in "iu" else column.copy()
     return out
 
 

@@ -161,9 +161,22 @@ def _ascii(file: IO[bytes], before: list[_Element], vertex: _Element, left: int)
     values = text_rows(file, sum(e.count for e in before), vertex.count, len(names))
     # floats keep the digits they are written with, whatever type is declared
     return {
-        n: values[:, k].astype(dtype[n]) if dtype[n].kind in "iu" else values[:, k].copy()
+        n: integers(values[:, k], dtype[n]) if dtype[n].kind in "iu" else values[:, k].copy()
         for k, n in enumerate(names)
     }
+
+
+def integers(values: npt.NDArray[np.float64], kind: Any) -> npt.NDArray[Any]:
+    """Numbers of a text as integers of a kind. Raises :class:`CloudError` (cloud_values) for what
+    is none.
+    """
+    info = np.iinfo(kind)
+    # the largest of 64 bits is no float: the next one is beyond
+    good = (values == np.floor(values)) & (values >= info.min) & (values < float(info.max) + 1.0)
+    if not good.all():
+        bad = float(values[~good].flat[0])
+        raise CloudError(f"{bad:g} is no {np.dtype(kind).name}", reason="cloud_values", value=bad)
+    return values.astype(kind)
 
 
 def text_rows(file: IO[bytes], skip: int, count: int, width: int) -> npt.NDArray[np.float64]:

@@ -40,6 +40,8 @@ WAVES = {
     "y_t",
     "z_t",
 }
+#: No coordinate is larger, in any unit: it is damaged, and its square may not be a number.
+FARTHEST = 1e12
 #: A name with its unit: ``X[m]``, ``Northing (us-ft)``.
 UNIT = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]$")
 
@@ -141,6 +143,13 @@ def rows_without_return(r: F64) -> Bool:
             "them: NaN alone means no return",
             reason="cloud_not_finite",
             value=bad,
+        )
+    far = float(np.nanmax(np.abs(r), initial=0.0))
+    if far > FARTHEST:
+        raise CloudError(
+            f"coordinates up to {far:.3g}: no place is so far; check the file or its export",
+            reason="cloud_values",
+            value=far,
         )
     missing = np.isnan(r).any(axis=1)
     if missing.all():

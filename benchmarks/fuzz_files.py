@@ -1,0 +1,311 @@
+"""Mutated files and options over the verbs, each in a process of its own with 4 GB of address
+space: how many end with a traceback or a defect, hang, or are refused in more than one line of 300
+characters; and whether a refusal harms the output of an earlier run.
+
+Good small files of every kind are mutated at random: bytes flipped, cut, repeated, filled with
+zeros; numbers in text replaced by NaN, infinite, huge, denormal ones and by words; words and lines
+doubled, dropped or exchanged. Options get such numbers and words as well.
+
+``python -m benchmarks.fuzz_files [--count N] [--seed S] [--corpus FOLDER]``; exit code 1 where
+anything of this was seen. Cases found are kept below the corpus folder when it is given.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import importlib
+import json
+import os
+import random
+import re
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ladar_volume.cli.main import DEFECT
+from ladar_volume.cli.main import main as verb
+
+MEMORY, SECONDS, LINE = 4 * 2**30, 60.0, 300
+#: Modules that do the work of the verbs.
+WORK = ("filter", "tin", "volume", "body", "diff", "register", "calibrate")
+#: Exit codes that a verb may have: done, refused, doubtful with --strict.
+GOOD = (0, 2, 3)
+NUMBER = re.compile(rb"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?")
+WORDS = (
+    *(b"nan", b"inf", b"-inf", b"1e155", b"-1e308", b"1e-310", b"0", b"-1", b"1e999", b""),
+    *(b"9" * 20, b"9" * 5000, b"4294967296", b"-2147483649", b"[bold]", b"\x1b[31m", b"0x10"),
+    *(b"\xff\xfe", b"%s", b"{}", b"[" * 3000, b"\x00", b"1,5", b"1e", b"--", b"x" * 2000),
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """words : the command line · files : those it reads · output : what it writes, if anything"""
+
+    words: tuple[str, ...]
+    files: tuple[Path, ...]
+    output: Path | None = None
+
+
+def mutated(data: bytes, random_: random.Random, text: bool) -> bytes:
+    """One to four random changes."""
+    for _ in range(random_.randrange(1, 5)):
+        data = (_word if text and random_.random() < 0.7 else _bytes)(data, random_)
+    return data
+
+
+def _word(data: bytes, random_: random.Random) -> bytes:
+    """Another number, word or line; those of the header, which says what is there, more often."""
+    near = data[: 1_500 if random_.random() < 0.6 else len(data)]
+    found = list(NUMBER.finditer(near))
+    kind = random_.randrange(4)
+    if kind < 2 and found:
+        at = random_.choice(found)
+        return data[: at.start()] + random_.choice(WORDS) + data[at.end() :]
+    lines = data.split(b"\n")
+    k = random_.randrange(min(len(lines), 40))
+    if kind == 2:
+        return b"\n".join([*lines[:k], *lines[k + random_.randrange(3) :]])
+    other = random_.randrange(len(lines))
+    lines[k], lines[other] = lines[other], lines[k] if random_.random() < 0.5 else lines[other]
+    return b"\n".join(lines)
+
+
+def _bytes(data: bytes, random_: random.Random) -> bytes:
+    if not data:
+        return random_.randbytes(40)
+    out, size = bytearray(data), len(data)
+    kind = random_.randrange(6)
+    at = random_.randrange(min(size, 400) if random_.random() < 0.6 else size)
+    if kind == 0:
+        return data[:at]
+    if kind == 1:
+        for _ in range(random_.randrange(1, 20)):
+            out[random_.randrange(min(size, 400))] = random_.randrange(256)
+    elif kind == 2:
+        out[at : at + 8] = random_.choice((b"\xff" * 8, b"\x00" * 8, b"\x7f" + b"\xff" * 7))
+    elif kind == 3:
+        out[at:at] = out[at : at + random_.randrange(1, 200)]
+    elif kind == 4:
+        del out[at : at + random_.randrange(1, 200)]
+    else:
+        out[at : at + 40] = bytes(min(40, size))
+    return bytes(out)
+
+
+def seeds(folder: Path) -> dict[str, Path]:
+    """A good small file of every kind, by what it is."""
+    from ladar_volume.io.config import dump_config
+    from ladar_volume.io.meshfiles.mesh_files import write_mesh
+    from ladar_volume.io.pointfiles.cloud_files import write_cloud
+    from ladar_volume.model.parameters import Parameters
+
+    rng = np.random.default_rng(3)
+    xy = rng.uniform(-2.0, 2.0, (600, 2))
+    z = np.maximum(0.0, 1.0 - np.hypot(*xy.T)) + rng.normal(0.0, 0.003, 600)
+    r = np.column_stack([xy, z])
+    out: dict[str, Path] = {}
+    columns = {"intensity": np.ones(len(r), np.float32), "sphere": np.arange(len(r)) % 4}
+    for name, encoding in (
+        *(("a.ply", "ascii"), ("b.ply", "binary"), ("a.pcd", "ascii"), ("b.pcd", "binary")),
+        *(("c.pcd", "binary_compressed"), ("a.npy", None), ("a.csv", None), ("a.xyz", None)),
+        *(("a.las", None), ("a.laz", None)),
+    ):
+        write_cloud(folder / name, r, columns, encoding=encoding)
+        out[f"cloud {name}"] = folder / name
+    v = np.array([[x, y, z] for z in (0.0, 1.0) for y in (0.0, 1.0) for x in (0.0, 1.0)])
+    faces = [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4]]
+    faces += [[2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]]
+    for name in ("m.ply", "m.obj", "m.stl", "m.off"):
+        write_mesh(folder / name, v, np.array(faces, np.int32))
+        out[f"mesh {name}"] = folder / name
+    (folder / "p.yaml").write_text(dump_config(Parameters()))
+    facts = {"matrix": np.eye(4).tolist(), "pivot_m": [0, 0, 0], "scale": 1.0}
+    facts["covariance"] = (1e-6 * np.eye(7)).tolist()
+    (folder / "T.json").write_text(json.dumps(facts, indent=1))
+    rows = "".join(f"{x:.4f},{y:.4f}\n" for x, y in rng.normal(0.0, 0.01, (12, 2)))
+    (folder / "c.csv").write_text(f"roll_deg,pitch_deg\n{rows}")
+    (folder / "corners.txt").write_text("-1 -1\n1 -1\n1 1\n-1 1\n")
+    return out | {
+        "yaml": folder / "p.yaml",
+        "transform": folder / "T.json",
+        "repeats": folder / "c.csv",
+        "corners": folder / "corners.txt",
+    }
+
+
+def case(known: dict[str, Path], folder: Path, random_: random.Random) -> Case:
+    """A command line over one mutated file, or over good ones with a mutated option."""
+    kind = random_.choice(list(known))
+    source = known[kind]
+    bad = folder / f"x{source.suffix}"
+    text = source.suffix in (".csv", ".xyz", ".yaml", ".json", ".txt", ".obj", ".off")
+    text |= source.name in ("a.ply", "a.pcd", "m.off") or random_.random() < 0.3
+    by_option = random_.random() < 0.3
+    data = source.read_bytes()
+    bad.write_bytes(data if by_option else mutated(data, random_, text))
+    number = random_.choice(WORDS).decode("latin-1").replace("\x00", "") if by_option else "1.5"
+    good = str(known["cloud b.ply"])
+    out = folder / f"out{random_.choice(('.ply', '.csv', '.pcd', '.las'))}"
+    mesh = folder / f"out{random_.choice(('.ply', '.obj', '.stl', '.off'))}"
+    ply = folder / "out.ply"
+    if kind == "yaml":
+        words = ("check-config", str(bad), "--set", f"filter.radius_m={number}")
+        return Case(words, (bad,))
+    if kind == "transform":
+        words = ("diff", good, good, "--transform", str(bad), "--pole", f"0,0,{number}")
+        return Case((*words, "-o", str(mesh)), (bad,), mesh)
+    if kind == "repeats":
+        return Case(("calibrate", "repeats", str(bad), "--json"), (bad,))
+    if kind == "corners":
+        words = ("diff", good, good, "--polygon", str(bad), "--pole", f"0,0,{number}")
+        return Case((*words, "-o", str(mesh)), (bad,), mesh)
+    cloud = [
+        Case(("filter", str(bad), f"--radius={number}", "-o", str(out)), (bad,), out),
+        Case(("filter", str(bad), "-o", str(out)), (bad,), out),
+        Case(("tin", str(bad), f"--max-edge={number}", "-o", str(ply)), (bad,), ply),
+        Case(("volume", str(bad), f"--level={number}", "--json"), (bad,)),
+        Case(("volume", str(bad), "--base", "ground"), (bad,)),
+        Case(("volume", good, str(bad)), (bad,)),
+        Case(("body", str(bad), "-o", str(mesh)), (bad,), mesh),
+        Case(("register", str(bad), good, "--json"), (bad,)),
+        Case(("volume", str(bad), "--level", "0", "--units", number[:50]), (bad,)),
+        Case(("tin", str(bad), "--crs", number[:50], "-o", str(ply)), (bad,), ply),
+    ]
+    return random_.choice(cloud)
+
+
+def carried_out(case: Case, scratch: Path) -> tuple[int | str, str, float, int]:
+    """Exit code or what else ended it, standard error, seconds, peak memory (bytes)."""
+    began = time.monotonic()
+    process = os.fork()
+    if process == 0:
+        _child(case, scratch)
+    while True:
+        done, status, used = os.wait4(process, os.WNOHANG)
+        if done:
+            break
+        if time.monotonic() - began > SECONDS:
+            os.kill(process, signal.SIGKILL)
+            _, _, used = os.wait4(process, 0)
+            return "hang", "", SECONDS, used.ru_maxrss * 1024
+        time.sleep(0.002)
+    code: int | str = os.WEXITSTATUS(status)
+    if os.WIFSIGNALED(status):
+        code = f"signal {os.WTERMSIG(status)}"
+    text = (scratch / "err").read_text("utf-8", "replace")
+    return code, text, time.monotonic() - began, used.ru_maxrss * 1024
+
+
+def _child(case: Case, scratch: Path) -> None:
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    code: Any = 99
+    try:
+        for name, descriptor in (("out", 1), ("err", 2)):
+            there = os.open(scratch / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+            os.dup2(there, descriptor)
+        sys.stdout = open(1, "w", encoding="utf-8", errors="replace", closefd=False)
+        sys.stderr = open(2, "w", encoding="utf-8", errors="replace", closefd=False)
+        try:
+            code = verb(list(case.words))
+        except SystemExit as end:
+            code = end.code
+        sys.stdout.flush()
+        sys.stderr.flush()
+    except BaseException:
+        import traceback
+
+        with contextlib.suppress(BaseException):
+            os.write(2, traceback.format_exc().encode())
+    finally:
+        os._exit(code if isinstance(code, int) else 1)
+
+
+def wrong(code: int | str, text: str, old: bool) -> str:
+    """What is wrong with how a case ended; empty for nothing."""
+    if "Traceback" in text:
+        return "traceback"
+    if code == DEFECT:
+        return "defect"
+    if code not in GOOD:
+        return f"ended with {code}"
+    lines = text.splitlines()
+    if code == 2 and (len(lines) != 1 or len(lines[0]) > LINE or not lines[0].isprintable()):
+        return "error of several lines, or a long one"
+    return "" if old else "old output harmed"
+
+
+def fuzz(count: int, seed: int, keep: Path | None = None) -> dict[str, Any]:
+    """``count`` cases: how they ended, and those that ended as none should."""
+    for module in WORK:  # once, for all that are forked from here
+        importlib.import_module(f"ladar_volume.cli.{module}")
+    random_, ends, seen = random.Random(seed), Counter[str](), []
+    slowest = most = 0.0
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "good").mkdir()
+        known = seeds(folder / "good")
+        for number in range(count):
+            one = case(known, folder, random_)
+            if one.output is not None:
+                one.output.write_bytes(b"old")
+            code, text, seconds, memory = carried_out(one, folder)
+            harmed = one.output is not None and code not in (0, 3)
+            old = not harmed or (one.output is not None and one.output.read_bytes() == b"old")
+            said = "hang" if code == "hang" else wrong(code, text, old)
+            ends[said or f"exit {code}"] += 1
+            slowest, most = max(slowest, seconds), max(most, memory)
+            if said:
+                words = [w[:100] for w in one.words]
+                seen.append({"case": number, "what": said, "words": words, "err": text[-700:]})
+                if keep is not None:
+                    keep.mkdir(parents=True, exist_ok=True)
+                    for file in one.files:
+                        shutil.copy(file, keep / f"{seed}_{number}{file.suffix}")
+            if one.output is not None:
+                one.output.unlink(missing_ok=True)
+    return {
+        "cases": count,
+        "ends": dict(ends.most_common()),
+        "slowest_s": round(slowest, 1),
+        "most_memory_bytes": int(most),
+        "wrong": seen,
+    }
+
+
+def run() -> dict[str, float | int | str]:
+    """A thousand cases."""
+    out = fuzz(1_000, 1)
+    return {
+        "mutated files and options": out["cases"],
+        "tracebacks, defects, hangs, long errors, harmed outputs": len(out["wrong"]),
+        "slowest case (s)": out["slowest_s"],
+        "most memory (MB)": out["most_memory_bytes"] / 1e6,
+    }
+
+
+def main() -> int:
+    """Print what was found as JSON."""
+    parser = argparse.ArgumentParser(description="mutated files and options")
+    parser.add_argument("--count", type=int, default=10_000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--corpus", type=Path)
+    arguments = parser.parse_args()
+    out = fuzz(arguments.count, arguments.seed, arguments.corpus)
+    print(json.dumps(out, indent=1))
+    return int(bool(out["wrong"]))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,37 @@
+"""What the command line says, as lines a terminal can show: whatever a file or an option holds."""
+
+from __future__ import annotations
+
+import argparse
+from typing import NoReturn
+
+from rich.markup import escape
+
+#: Most characters of an error, with the program's name.
+MESSAGE = 300
+#: Characters of its end that a shortened error keeps: there it says what to do.
+END = 80
+
+
+def printable(text: str) -> str:
+    """Text without line ends and control characters."""
+    return " ".join("".join(c if c.isprintable() or c.isspace() else "?" for c in text).split())
+
+
+def one_line(text: str, most: int = MESSAGE) -> str:
+    """Text as one line of at most ``most`` characters."""
+    line = printable(text)
+    return line if len(line) <= most else f"{line[: most - END - 3]} … {line[-END:]}"
+
+
+def shown_name(name: object) -> str:
+    """A name from outside for a rich table or line: its brackets are no markup."""
+    return escape(one_line(str(name), 120))
+
+
+class Parser(argparse.ArgumentParser):
+    """Refuses a command line in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print the error and end with code 2."""
+        self.exit(2, one_line(f"{self.prog}: {message}; see {self.prog} --help") + "\n")

@@ -1,0 +1,103 @@
+"""A stranger's datum: a change is believed only while its publisher is alone."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from ladar_volume.nodes.one_publisher import MEMORY_S, OnePublisher
+
+ROOT = Path(__file__).parents[2]
+A, B = b"a", b"b"
+
+
+def test_the_first_one_is_bound_and_others_are_not_believed():
+    one = OnePublisher()
+    assert not one.seen([], 0.0) and not one.believed(0.0)
+    assert not one.seen([A], 1.0) and one.believed(1.0)
+    assert not one.seen([A, B], 2.0) and not one.believed(2.0)
+    one.seen([A], 3.0)  # gone: what it sent may still come
+    assert not one.believed(3.0) and one.believed(2.1 + MEMORY_S)
+    assert one.bound == A
+
+
+def test_a_successor_is_bound_when_it_is_alone():
+    one = OnePublisher()
+    one.seen([A], 0.0)
+    assert not one.seen([A, B], 1.0)  # a killed one is still listed for a while
+    assert one.seen([B], 20.0) and one.bound == B and one.believed(20.0)
+    assert not one.seen([B], 21.0)
+
+
+SCRIPT = """
+import json, time
+import rclpy
+from sensor_msgs.msg import NavSatFix
+from rclpy.parameter import Parameter
+from ladar_volume.nodes.filter_node import FilterNode
+from ladar_volume.nodes.volume_node import VolumeNode
+from ladar_volume.nodes.qos import LATCHED
+from ladar_volume.nodes.running import Spinner
+
+rclpy.init(args=[])
+nodes = [FilterNode(), VolumeNode()]
+own, stranger = rclpy.create_node("georeference_node"), rclpy.create_node("stranger")
+for node in nodes:
+    node.autostart()
+spinners = [Spinner(n) for n in (*nodes, own, stranger)]
+def until(condition):
+    end = time.monotonic() + 15.0
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.05)
+def datum(latitude):
+    return NavSatFix(latitude=latitude, longitude=14.0, altitude=200.0)
+def seen():
+    return [n._datum and n._datum.latitude_deg for n in nodes]
+def lost(reason):
+    return [n.all_losses()[reason] for n in nodes]
+first = own.create_publisher(NavSatFix, "datum", LATCHED)
+first.publish(datum(50.0))
+until(lambda: seen() == [50.0, 50.0])
+out = {"first": seen()}
+first.publish(datum(50.5))
+until(lambda: seen() == [50.5, 50.5])
+out["own"] = [seen(), lost("message_datum_changed")]
+second = stranger.create_publisher(NavSatFix, "datum", LATCHED)
+second.publish(datum(10.0))
+until(lambda: min(lost("message_datum_stranger")) > 0)
+out["stranger"] = [seen(), lost("message_datum_stranger"), lost("message_datum_changed")]
+own.destroy_publisher(first)
+stranger.destroy_publisher(second)
+time.sleep(1.0)
+third = own.create_publisher(NavSatFix, "datum", LATCHED)
+third.publish(datum(51.0))
+until(lambda: seen() == [51.0, 51.0])
+out["successor"] = seen()
+for s in spinners:
+    s.close()
+rclpy.try_shutdown()
+print(json.dumps(out))
+"""
+
+
+def test_a_strangers_datum_resets_no_surface():
+    environment = os.environ | {
+        "ROS_DOMAIN_ID": str((os.getpid() + 21) % 90 + 10),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT],
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    out = json.loads(done.stdout.splitlines()[-1])
+    assert out["first"] == [50.0, 50.0]
+    assert out["own"] == [[50.5, 50.5], [1, 1]]  # its publisher alone may change it
+    where, strangers, changed = out["stranger"]
+    assert where == [50.5, 50.5] and min(strangers) >= 1 and changed == [1, 1]
+    assert out["successor"] == [51.0, 51.0]
