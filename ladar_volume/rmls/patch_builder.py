@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.georeference.lidar_equation import Mounting
-from ladar_volume.model.parameters import FilterParameters
+from ladar_volume.model.parameters import SurfaceFilterParameters
 from ladar_volume.model.records import F32, I64, FilteredPoints, Patches, select
 from ladar_volume.rmls import cross_covariance, patch_sensitivity, projection, refit_kernels
 from ladar_volume.rmls.fit_store import Fits, FitStore, blank
@@ -19,7 +19,7 @@ class PatchBuilder:
     """Fits the voxels of a store and assembles what is published. Holds no state of its own."""
 
     def __init__(
-        self, parameters: FilterParameters, store: VoxelStore, mount: Mounting, beams: int
+        self, parameters: SurfaceFilterParameters, store: VoxelStore, mount: Mounting, beams: int
     ) -> None:
         self.parameters, self.store, self.mount, self.beams = parameters, store, mount, beams
         self.most_bins = patch_sensitivity.MOST_BINS
