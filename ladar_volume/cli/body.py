@@ -30,6 +30,7 @@ from ladar_volume.clouds.body_points import (
     ground_threshold,
     left_out,
     rough,
+    step_between,
     with_noise,
 )
 from ladar_volume.clouds.body_verdict import (
@@ -38,11 +39,10 @@ from ladar_volume.clouds.body_verdict import (
     bodies_verdict,
     check_missed,
     filter_doubts,
-    foot_doubts,
     missed_points,
-    step_between,
 )
 from ladar_volume.clouds.body_volume import Body, body_of, mesh_uncertainty
+from ladar_volume.clouds.body_walls import foot_doubts, wall_doubts
 from ladar_volume.clouds.cloud_bodies import CLEAR, BodyOptions, cloud_bodies
 from ladar_volume.clouds.filter.filter_result import CloudResult
 from ladar_volume.clouds.filter_cloud import filter_cloud
@@ -214,6 +214,7 @@ def of_cloud(arguments: argparse.Namespace, console: Console) -> tuple[dict[str,
     facts["above_ground"] = None if missed is None else dataclasses.asdict(missed)
     verdict = Verdict(reading_doubts([source.cloud])) + bodies_verdict(made, points.r, missed)
     verdict += Verdict(doubts + check_doubts(checked) + foot_doubts(made, points))
+    verdict += Verdict(wall_doubts(made, points))
     for body in made.bodies:
         verdict += Verdict(body.doubts)
     if uncertain is None:

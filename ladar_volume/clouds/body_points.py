@@ -17,8 +17,9 @@ from scipy.spatial import cKDTree
 
 from ladar_volume.clouds.filter.filter_result import CloudResult
 from ladar_volume.clouds.sampling.isolation import belonging, spacing
+from ladar_volume.ground.clusters import clusters
 from ladar_volume.ground.objects import ObjectParameters, rising
-from ladar_volume.mesh.local_mesh import SPACING
+from ladar_volume.mesh.local_mesh import REACH, SPACING
 from ladar_volume.model.records import F64, I64, Bool, Plane
 
 #: Threshold of the search for the ground, in sigmas of the noise and in spacings of the points: the
@@ -29,6 +30,8 @@ RAISED = 5.0
 #: Noise up to this share of the spacing (distance of the 6th neighbour) lets a mesh go through the
 #: points as they came.
 ROUGH = 0.2
+#: Least step between points of one object, in the spacing where the points are sparsest.
+SPARSE, SPARSEST = 2.0, 90.0
 #: Bodies of at most so many points are halved in so many ways.
 FEW, SPLITS = 10_000, 3
 
@@ -65,6 +68,18 @@ def spacing_of(r: F64) -> float:
     return float(np.median(np.asarray(cKDTree(r).query(r, [k + 1])[0])))
 
 
+def step_between(points: F64) -> float:
+    """Longest step between points (n, 3) m of one object: the longest edge of a mesh through them,
+    and twice the spacing where it is large. Spacing: distance of the 6th neighbour. 0 without two
+    points at different places.
+    """
+    if len(points) < 2:
+        return 0.0
+    k = min(SPACING, len(points) - 1)
+    away = np.asarray(cKDTree(points).query(points, [k])[0])
+    return float(max(REACH * np.median(away), SPARSE * np.percentile(away, SPARSEST)))
+
+
 def ground_threshold(points: BodyPoints) -> float:
     """Threshold, m, of the random search for the ground: in any unit of length the same ground."""
     return max(GROUND_SIGMAS * points.noise_m, GROUND_SPACINGS * spacing_of(points.r))
@@ -82,8 +97,8 @@ def good_points(raw: F64, result: CloudResult) -> Bool:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """above : good points above the ground · lost : those the filter did not keep · spacing_m : of
-    the former
+    """What a filter left out, where it left out most: of a whole cloud or of one body. above : good
+    points above the ground · lost : those the filter did not keep · spacing_m : of the former
     """
 
     above: int
@@ -97,17 +112,28 @@ class LeftOut:
 
 
 def left_out(raw: F64, good: Bool, result: CloudResult, ground: Plane | None) -> LeftOut:
-    """What the filter left out of the good points (n,) of a cloud (n, 3) m that stand above the
-    ground, of all where there is none.
+    """What the filter left out of the good points (n,) of a cloud (n, 3) m: of what stands above
+    the ground, in all or in one cluster; of all points where there is no ground.
     """
-    above = good.copy()
-    if ground is not None:
-        p = ObjectParameters(min_height_m=RAISED * float(result.report["noise_m"]))
-        above &= rising(raw, [ground], p, result.r)[1]
     kept = np.zeros(len(raw), np.bool_)
     kept[result.index] = True
-    count = int(np.count_nonzero(above))
-    return LeftOut(count, int(np.count_nonzero(above & ~kept)), spacing_of(raw[above]))
+    if ground is None:
+        return _left_out(raw, good, kept)
+    p = ObjectParameters(min_height_m=RAISED * float(result.report["noise_m"]))
+    above = good & rising(raw, [ground], p, result.r)[1]
+    most = _left_out(raw, above, kept)
+    step_m = step_between(raw[above])
+    if not step_m:
+        return most
+    label = clusters(raw, step_m, p.min_points, above)
+    of_each = [_left_out(raw, label == k, kept) for k in range(int(label.max(initial=-1)) + 1)]
+    return max([most, *of_each], key=lambda found: found.share)
+
+
+def _left_out(raw: F64, chosen: Bool, kept: Bool) -> LeftOut:
+    """The points chosen (n,) and those of them that were not kept (n,)."""
+    count = int(np.count_nonzero(chosen))
+    return LeftOut(count, int(np.count_nonzero(chosen & ~kept)), spacing_of(raw[chosen]))
 
 
 def rough(lost: LeftOut, noise_m: float) -> bool:

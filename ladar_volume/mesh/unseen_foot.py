@@ -68,7 +68,7 @@ def between_tangent_and_circle(bend: F64, height_m: F64) -> F64:
     # in radii; the series where the difference of nearly equal numbers has no digits left
     exact = x - 0.5 * (x * np.sqrt(1.0 - x * x) + np.arcsin(x))
     share = np.where(x < 1e-3, x**3 / 6.0, exact)
-    return np.sign(bend) * share / np.where(x > 0.0, bend, 1.0) ** 2
+    return np.asarray(np.sign(bend) * share / np.where(x > 0.0, bend, 1.0) ** 2)
 
 
 def unseen_bend(skin: Skin, rim: I64, along: F64, drawn_m: F64) -> float:

@@ -10,14 +10,13 @@ from closed_meshes import CUBE_T, CUBE_V, moebius, sphere
 
 from ladar_volume.cli.body_facts import quantity
 from ladar_volume.cli.main import main
-from ladar_volume.clouds.body_points import LeftOut
+from ladar_volume.clouds.body_points import LeftOut, step_between
 from ladar_volume.clouds.body_verdict import (
     at_the_edge,
     bodies_verdict,
     check_missed,
     filter_doubts,
     missed_points,
-    step_between,
 )
 from ladar_volume.clouds.cloud_bodies import cloud_bodies
 from ladar_volume.clouds.filter_cloud import filter_cloud
