@@ -25,11 +25,16 @@ LINED, LOOK = 0.05, 30
 OVER, FEW, FULL = 4.0, 5, 10
 #: Spacing that differs by this factor from the densest tenth to the sparsest; samples that tell the
 #: spacing of a place, and their quantile.
-UNEVEN, PLACE, USUAL = 2.6, 20, 0.3
+UNEVEN, PLACE, USUAL = 1.6, 20, 0.3
 #: Neighbours asked for.
 ASKED = 32
-#: Voxels grow by this factor; a place where lines are told apart must stay one over so many steps.
-STEP, STAYS = float(np.sqrt(2.0)), 4
+#: Voxels grow by this factor; a place where lines are told apart must stay one over so many steps:
+#: a surface that is a line when seen from farther off holds five lines or more.
+STEP, STAYS = float(np.sqrt(2.0)), 6
+#: What is a surface near by and a line from farther off is the band of one line: a ring that grazes
+#: the ground, told at one elevation while that scatters, covers an area of its own exact cone and
+#: shows no noise. Where more than this share of a cloud is narrow it is the cloud that is.
+BANDS = 0.2
 #: Widest neighbourhood over the cloud's diagonal; most voxels of the finest level.
 WIDEST, MOST_VOXELS = 0.1, 200_000
 #: States of a point at a level.
@@ -51,13 +56,10 @@ class Thinned:
 @dataclass(frozen=True)
 class Lines:
     """reach_m : (n,) radius within which the neighbourhood of a point holds several lines, NaN
-    where none does · steady_m : (n,) the same, with no line at any wider radius: a narrow surface
-    has none, nor has the band that one line makes where its points scatter along the surface ·
-    levels : the thinned clouds, ascending by √2
+    where none does · levels : the thinned clouds, ascending by √2
     """
 
     reach_m: F64
-    steady_m: F64
     levels: tuple[Thinned, ...]
 
     def thinned(self, edge_m: float) -> int:
@@ -104,18 +106,21 @@ def find_lines(r: F64, spacing_m: float) -> Lines:
         edge *= STEP
         level = thin(r, edge)
     levels, states = [], []
-    # a place at the widest reach must stay one beyond it: the band that one ring makes of grazed
-    # ground is a line again where it is seen from farther off
+    # a place at the widest reach must stay one beyond it
     while OVER * edge <= widest * STEP**STAYS:
         levels.append(level)
         states.append(_state(r, level)[level.voxel])
         edge *= STEP
         level = thin(r, edge)
     if not levels:
-        return Lines(np.full(len(r), np.nan), np.full(len(r), np.nan), (level,))
-    reach, steady = (_first_surface(np.array(states), levels, k) for k in (STAYS, len(levels)))
-    known, surely = reach <= widest * (1.0 + 1e-9), steady <= widest * (1.0 + 1e-9)
-    return Lines(np.where(known, reach, np.nan), np.where(surely, steady, np.nan), tuple(levels))
+        return Lines(np.full(len(r), np.nan), (level,))
+    reach = _first_surface(np.array(states), levels)
+    known = reach <= widest * (1.0 + 1e-9)
+    wider = np.array([level.edge_m for level in levels])[:, None] * OVER > reach
+    band = (wider & (np.array(states) == ON_LINE)).any(axis=0)
+    if np.mean(band[known]) <= BANDS:
+        known &= ~band
+    return Lines(np.where(known, reach, np.nan), tuple(levels))
 
 
 def _state(r: F64, level: Thinned) -> I64:
@@ -142,13 +147,11 @@ def _eigenvalues(points: F64, found: np.typing.NDArray[np.bool_]) -> F64:
     return np.asarray(np.linalg.eigvalsh(np.einsum("ski,skj->sij", x, x)))
 
 
-def _first_surface(states: I64, levels: list[Thinned], stays_for: int) -> F64:
-    """Radius (n,) of the first level from which on a point's neighbourhood stays a surface, over so
-    many levels.
-    """
+def _first_surface(states: I64, levels: list[Thinned]) -> F64:
+    """Radius (n,) of the first level from which on a point's neighbourhood stays a surface."""
     out = np.full(states.shape[1], np.nan)
     for i in range(len(levels) - 1, -1, -1):
-        later = states[i + 1 : i + stays_for]
+        later = states[i + 1 : i + STAYS]
         stays = (states[i] == ON_SURFACE) & ~(later == ON_LINE).any(axis=0)
         out[stays] = OVER * levels[i].edge_m
     return out
