@@ -118,7 +118,7 @@ def choose(r: F64, parameters: FilterParameters, auto: bool, steps: F64) -> Tune
     distance, near = _query(tree, r[at], MOST)
     smooth = _nearest(r[at], r[at], SMOOTH)
     evenly = spread(r, steps, parameters.seed)
-    if lined(r, near) or uneven(distance, smooth):
+    if lined(r, near) or uneven(r, near, distance, smooth):
         return _along_lines(r, evenly, steps, distance, parameters, auto)
     noise, narrow = _noise(evenly, distance, near, smooth, parameters.seed)
     noise = without_spread(noise, steps)
