@@ -18,7 +18,7 @@ from scipy.stats import chi2
 
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.parameters import BudgetParameters
-from ladar_volume.model.records import F64, I64, Agreement, Patches
+from ladar_volume.model.records import F64, I64, Agreement, Bool, Patches
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
 
 #: Patches that are asked at most; fewest that answer; fewest returns of one, and least upward
@@ -26,6 +26,8 @@ from ladar_volume.uncertainty.navigation_sum import NavigationBins
 ASKED, FEWEST, RETURNS, UPWARD = 400, 30, 20, 0.7
 #: Roughness of a surface within a patch that is no trouble, m.
 GRAIN_M = 0.01
+#: What the ground scatters more than a body where it is overgrown, m, at least.
+GRASS_M = 0.009
 #: Probability below which a budget is refuted, and by how much its variances then are too small at
 #: least, and are scaled at most.
 REFUTED, LEAST, MOST = 1e-2, 2.25, 1000.0
@@ -129,16 +131,39 @@ def freedom(source: str, span_s: float, b: BudgetParameters) -> float:
     return 2.0
 
 
-def pass_agreement(patches: Patches, nav: NavigationBins, b: BudgetParameters) -> Agreement | None:
-    """How the residuals of the median patch compare with the budget; None where too few patches are
-    seen more than once.
+class Scatter(NamedTuple):
+    """rows : (k,) patches that were asked · square : (k,) m², mean squares about their surfaces ·
+    source : (k,) m² by source, what the budget says of them
+    """
+
+    rows: I64
+    square: F64
+    source: dict[str, F64]
+
+    @property
+    def unexplained(self) -> F64:
+        """What the budget does not explain, (k,) m²; below zero where it says too much."""
+        return self.square - np.sum(list(self.source.values()), axis=0)
+
+
+def patch_scatter(patches: Patches, nav: NavigationBins, b: BudgetParameters) -> Scatter | None:
+    """The residuals of patches and what they should be; None where too few patches are seen more
+    than once.
     """
     rows = asked(patches)
     if len(rows) < FEWEST:
         return None
-    source = by_source(patches, rows, nav, b)
-    part = {name: float(np.median(of)) for name, of in source.items()}
-    square, noise = float(np.median(patches.sigma[rows] ** 2)), part.pop("noise")
+    return Scatter(rows, patches.sigma[rows] ** 2, by_source(patches, rows, nav, b))
+
+
+def pass_agreement(
+    found: Scatter, patches: Patches, nav: NavigationBins, b: BudgetParameters
+) -> Agreement | None:
+    """How the residuals of the median patch compare with the budget; None where nothing is
+    shared.
+    """
+    part = {name: float(np.median(of)) for name, of in found.source.items()}
+    square, noise = float(np.median(found.square)), part.pop("noise")
     shared = sum(part.values())
     if not shared > 0.0:
         return None
@@ -149,3 +174,15 @@ def pass_agreement(patches: Patches, nav: NavigationBins, b: BudgetParameters) -
     p = float(chi2.sf(factor * n, n))
     predicted = math.sqrt(noise + shared)
     return Agreement(math.sqrt(square), predicted, factor, n, p, p < REFUTED and factor > LEAST)
+
+
+def cover_scatter(found: Scatter, ground: Bool, body: Bool) -> float:
+    """By how much patches of the ground scatter more than those of the body, m: 0 where they do not
+    by as much as grass does. ground, body : (m,) of all patches.
+    """
+    left, on, off = found.unexplained, ground[found.rows], body[found.rows]
+    on, off = on & ~off, off & ~on
+    if min(np.count_nonzero(on), np.count_nonzero(off)) < FEWEST // 2:
+        return 0.0
+    more = float(np.median(left[on])) - max(0.0, float(np.median(left[off])))
+    return math.sqrt(more) if more > GRASS_M**2 else 0.0

@@ -10,7 +10,13 @@ from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.records import Agreement, Volume
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
-from ladar_volume.uncertainty.pass_agreement import by_source, dispersion, pass_agreement
+from ladar_volume.uncertainty.pass_agreement import (
+    by_source,
+    cover_scatter,
+    dispersion,
+    pass_agreement,
+    patch_scatter,
+)
 from ladar_volume.volume.field_checks.field_verdict import scaled, with_passes
 from test.scenes.volume_surfaces import platform, surface_update
 
@@ -73,15 +79,29 @@ def test_a_boresight_is_seen_between_opposite_passes_and_a_lever_arm_up_is_not()
     assert source["noise"].min() >= (0.99 * BUDGET.range_noise_m * 0.8) ** 2
 
 
+def agreement(patches, nav):
+    return pass_agreement(patch_scatter(patches, nav, BUDGET), patches, nav, BUDGET)
+
+
 def test_a_true_budget_stands_and_a_wrong_one_is_refuted():
     patches = twice_seen()
     nav = navigation(patches)
-    good = pass_agreement(patches, nav, BUDGET)
+    good = agreement(patches, nav)
     assert not good.refuted and good.p_value > 0.05
     assert good.predicted_m == pytest.approx(0.012, rel=0.35)
-    bad = pass_agreement(twice_seen(0.080), nav, BUDGET)
+    bad = agreement(twice_seen(0.080), nav)
     assert bad.refuted and bad.p_value < 1e-3 and bad.factor > 25.0
-    assert pass_agreement(surface_update(lambda x, y: 0.0 * x).patches, nav, BUDGET) is None
+    assert patch_scatter(surface_update(lambda x, y: 0.0 * x).patches, nav, BUDGET) is None
+
+
+def test_ground_that_scatters_more_than_the_body_is_overgrown():
+    patches = twice_seen()
+    ground = patches.centre[:, 0] < 0.0
+    for scatter, least in ((0.012, 0.0), (0.025, 0.015)):
+        sigma = np.where(ground, scatter, 0.012)
+        made = dataclasses.replace(patches, sigma=sigma)
+        found = cover_scatter(patch_scatter(made, navigation(made), BUDGET), ground, ~ground)
+        assert (found == 0.0) if least == 0.0 else least < found < scatter
 
 
 LINES = {"noise": 0.01, "position": 0.04, "boresight": 0.09, "base_surface": 0.25}

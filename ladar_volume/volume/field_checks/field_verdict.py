@@ -9,11 +9,19 @@ import math
 
 import numpy as np
 
+from ladar_volume.ground.polynomial import base_height
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Agreement, Volume
 from ladar_volume.model.verdict import Doubt, Verdict
-from ladar_volume.uncertainty.pass_agreement import MOST, pass_agreement
+from ladar_volume.tin.full_tin import vertex_mask
+from ladar_volume.uncertainty.pass_agreement import (
+    MOST,
+    Scatter,
+    cover_scatter,
+    pass_agreement,
+    patch_scatter,
+)
 from ladar_volume.volume.base import polygon_of
 from ladar_volume.volume.chord_bias import cut_and_fill_chords
 from ladar_volume.volume.field_checks.base_readings import (
@@ -25,6 +33,8 @@ from ladar_volume.volume.field_checks.completeness import completeness_doubts
 from ladar_volume.volume.field_checks.gaps import Bridged, bridged, bridging, find_gaps
 from ladar_volume.volume.measured_body import Footing, SurveyedSurface, footing_of
 
+#: Height of what grows, over its scatter.
+COVER = 4.0
 #: Lines of the budget that returns do not share.
 OWN = ("noise", "noise_tangential", "base_surface")
 #: Rounds until no gap is left to be bridged: a bridge may join parts of a body.
@@ -137,6 +147,37 @@ def with_passes(volume: Volume, found: Agreement | None, check: str) -> Volume:
     return scaled(volume, factor) if check == "scale" else volume
 
 
+def with_cover(
+    survey: SurveyedSurface,
+    footing: Footing,
+    volume: Volume,
+    scatter: Scatter,
+    parameters: Parameters,
+) -> Volume:
+    """The volume with what grows on its ground, where that scatters more than the body."""
+    tin, base = survey.tin, footing.base
+    if not len(base.support):
+        return volume
+    row = survey.sources.geometry.row[tin.source]
+    height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
+    high = vertex_mask(tin, footing.inside > 0.0) & (height > parameters.volume.object_height_m)
+    ground, body = (np.zeros(len(survey.patches), np.bool_) for _ in range(2))
+    ground[row[base.support]] = True
+    body[row[high]] = True
+    more = cover_scatter(scatter, ground, body)
+    if more == 0.0:
+        return volume
+    sigma = COVER * more * volume.area_m2
+    words = (
+        f"the ground scatters {1e3 * more:.2g} mm more than the body, as grass and plants do: the "
+        f"base may lie above the soil by some {1e2 * COVER * more:.2g} cm, {sigma:.3g} m³ of sigma;"
+        " mow, give volume.base level or plane, or survey the empty site"
+    )
+    doubt = Verdict((Doubt("vegetation", words, more),))
+    volume = dataclasses.replace(volume, verdict=volume.verdict + doubt)
+    return with_line(volume, "vegetation", sigma**2)
+
+
 def scaled(volume: Volume, factor: float) -> Volume:
     """The volume with the variances of what returns share larger by a factor."""
     lines = {k: v if k in OWN else factor * v for k, v in volume.budget_m6.items()}
@@ -156,9 +197,13 @@ def judged(
     survey: SurveyedSurface, footing: Footing, part: F64, volume: Volume, parameters: Parameters
 ) -> Volume:
     """A body's volume with every line and doubt of the field; part (m,) m² of each triangle."""
-    sources = survey.sources
-    found = pass_agreement(survey.patches, sources.navigation, parameters.budget)
-    volume = with_passes(volume, found, parameters.volume.budget_check)
+    nav, b = survey.sources.navigation, parameters.budget
+    scatter = patch_scatter(survey.patches, nav, b)
+    if scatter is not None:
+        agreement = pass_agreement(scatter, survey.patches, nav, b)
+        volume = with_passes(volume, agreement, parameters.volume.budget_check)
+        if agreement is None or not agreement.refuted:
+            volume = with_cover(survey, footing, volume, scatter, parameters)
     volume = with_gaps(survey, footing, part, volume)
     volume = with_base(survey, footing, part, volume, parameters.filter.radius_m)
     tin = survey.tin

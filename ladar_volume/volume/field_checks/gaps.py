@@ -79,7 +79,7 @@ def bridging(
         whole = dataclasses.replace(tin, relevant=np.ones(len(left), np.bool_))
         return left & (areas_inside(whole, polygon) > 0.0)
     part = components(tin, left)
-    inside: Bool = inside_m2 > 0.0
+    inside: Bool = np.asarray(inside_m2 > 0.0)
     beside = np.where(tin.neighbours >= 0, inside[tin.neighbours], False).any(axis=1)
     count = int(part.max()) + 1
     touches = np.bincount(part[left], beside[left], count) > 0
