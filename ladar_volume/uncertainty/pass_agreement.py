@@ -23,7 +23,7 @@ from ladar_volume.uncertainty.navigation_sum import NavigationBins
 
 #: Patches that are asked at most; fewest that answer; fewest returns of one, and least upward
 #: component of its normal: what a wall scatters is where it is met.
-ASKED, FEWEST, RETURNS, UPWARD = 400, 30, 20, 0.7
+ASKED, FEWEST, RETURNS, UPWARD = 250, 30, 20, 0.7
 #: Roughness of a surface within a patch that is no trouble, m.
 GRAIN_M = 0.01
 #: What the ground scatters more than a body where it is overgrown, m, at least.
@@ -143,7 +143,8 @@ class Scatter(NamedTuple):
     @property
     def unexplained(self) -> F64:
         """What the budget does not explain, (k,) m²; below zero where it says too much."""
-        return self.square - np.sum(list(self.source.values()), axis=0)
+        out: F64 = self.square - np.sum(list(self.source.values()), axis=0)
+        return out
 
 
 def patch_scatter(patches: Patches, nav: NavigationBins, b: BudgetParameters) -> Scatter | None:
