@@ -53,6 +53,7 @@ def volume_dict(volume: Volume) -> dict[str, Any]:
         "chord_m3": volume.chord_m3,
         "seen_share": volume.seen_share,
         "gaps": [dataclasses.asdict(gap) for gap in volume.gaps],
+        "passes": None if volume.agreement is None else dataclasses.asdict(volume.agreement),
         "verdict": volume.verdict.as_dict(),
         "base": volume.base,
         "base_same_survey": volume.base_same_survey,

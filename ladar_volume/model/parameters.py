@@ -412,6 +412,12 @@ class VolumeParameters:
     )
     confidence: float = param(0.95, "Confidence of the printed interval.", low=0.5, high=0.9999)
     tolerance: float = param(0.05, "Wanted sigma / V, for diagnostics.", low=1e-6, high=1)
+    budget_check: str = param(
+        "scale",
+        "Where passes disagree by more than the budget says: scale its lines and doubt the "
+        "result, doubt it only, or refuse it.",
+        choices=("scale", "warn", "refuse"),
+    )
 
 
 @dataclass(frozen=True)

@@ -329,6 +329,22 @@ class Gap:
 
 
 @dataclass(frozen=True)
+class Agreement:
+    """How the returns of a survey agree with each other. residual_m : of the median patch, RMS ·
+    predicted_m : the same by the budget · factor : by which the variances of what returns share
+    would have to be larger, 1 cm of roughness allowed · freedom : independent errors it was told
+    from · p_value : of a factor as large, were the budget true · refuted : whether it is not
+    """
+
+    residual_m: float
+    predicted_m: float
+    factor: float
+    freedom: float
+    p_value: float
+    refuted: bool
+
+
+@dataclass(frozen=True)
 class Volume:
     """A volume with its budget. Net = cut − fill inside the outline. ``budget_m6`` adds up to
     ``sigma_m3 ** 2``. ``folded_m3`` : taken from cut and from fill by the folded-normal correction,
@@ -339,7 +355,7 @@ class Volume:
     ``second_order_matters``. ``chord_m3`` : taken from the volume, and from cut and fill, for what
     the surface's chords span above hollows and below crests. ``seen_share`` : of the area, where
     points were seen; ``gaps`` : the largest places where none were, bridged, with a line
-    ``unseen`` of the budget.
+    ``unseen`` of the budget. ``agreement`` : of the passes with the budget, where it was asked.
     """
 
     volume_m3: float
@@ -367,6 +383,7 @@ class Volume:
     chord_m3: float = 0.0
     seen_share: float = 1.0
     gaps: tuple[Gap, ...] = ()
+    agreement: Agreement | None = None
     verdict: Verdict = field(default_factory=Verdict)
 
     @property

@@ -15,6 +15,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 from scipy.stats import t as student
 
 from ladar_volume.ground.polynomial import COEFFICIENTS, base_height, degree_of, design
@@ -23,7 +24,6 @@ from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import vertex_mask
 from ladar_volume.uncertainty.ground_field import GroundField, Roughness, mean_spacing
 from ladar_volume.uncertainty.roughness import estimate_roughness
-from ladar_volume.volume.outline import within
 
 #: A reading differs beyond chance above so many standard deviations of the difference, and matters
 #: above so many of the volume.
@@ -35,7 +35,7 @@ FEWEST, MOST = 30, 2000
 #: From where to where the toe line lies beyond the outline, in radii of the filter.
 TOE = (1.0, 2.0)
 #: Points that the field of the residuals is told from.
-FIELD = 250
+FIELD = 200
 #: Degrees of freedom from which on Student's t is the normal distribution.
 MANY = 200.0
 
@@ -75,9 +75,21 @@ def toe_points(tin: Tin, inside: Bool, radius_m: float) -> I64:
     """Vertices (k,) in a band along the toe, outside the triangles ``inside`` (m,): nearer than the
     filter's radius it bends the surface there.
     """
-    body = vertex_mask(tin, inside)
-    band = within(tin, inside, TOE[1] * radius_m) & ~within(tin, inside, TOE[0] * radius_m)
-    out = np.flatnonzero(band & ~body & vertex_mask(tin, tin.relevant)).astype(np.int64)
+    body, around = vertex_mask(tin, inside), vertex_mask(tin, tin.relevant & ~inside)
+    border, xy = body & around, tin.vertices[:, :2]
+    if not border.any():
+        return np.zeros(0, np.int64)
+    far = TOE[1] * radius_m
+    beyond = around & ~body
+    for c in range(2):
+        own = xy[border, c]
+        beyond &= (xy[:, c] > own.min() - far) & (xy[:, c] < own.max() + far)
+    out = np.flatnonzero(beyond).astype(np.int64)
+    if not len(out):
+        return out
+    tree = cKDTree(xy[border], balanced_tree=False, compact_nodes=False)
+    d = np.asarray(tree.query(xy[out], distance_upper_bound=far)[0])
+    out = out[(d > TOE[0] * radius_m) & (d < far)]
     return out[:: max(1, math.ceil(len(out) / MOST))]
 
 

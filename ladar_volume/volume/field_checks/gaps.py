@@ -80,7 +80,8 @@ def bridging(
         return left & (areas_inside(whole, polygon) > 0.0)
     part = components(tin, left)
     inside: Bool = inside_m2 > 0.0
-    beside = np.where(tin.neighbours >= 0, inside[tin.neighbours], False).any(axis=1)
+    beyond = np.where(tin.neighbours >= 0, inside[tin.neighbours], False)
+    beside: Bool = np.asarray(beyond.any(axis=1))
     count = int(part.max()) + 1
     touches = np.bincount(part[left], beside[left], count) > 0
     outer = np.bincount(part[left], (tin.neighbours[left] < 0).any(axis=1), count) > 0
