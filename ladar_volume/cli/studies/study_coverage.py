@@ -5,18 +5,18 @@ from __future__ import annotations
 import argparse
 import os
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.version import version
 
 #: Surveys through the whole engine where no number is given.
 ENGINE_SURVEYS = 200
 
 
-def add_coverage(studies: Any) -> None:
+def add_coverage(studies: Verbs) -> None:
     """Declare the study."""
     parser = studies.add_parser(
         "coverage",
@@ -31,38 +31,7 @@ def add_coverage(studies: Any) -> None:
         "wrong budget; an hour on two cores. One "
         "line per survey is appended to a file; a run that was stopped goes on.",
     )
-    parser.add_argument(
-        "--scenario",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="stockpile_100, stockpile_5000, pit, box (default: all)",
-    )
-    parser.add_argument(
-        "--reduced",
-        action="store_true",
-        help="200 surveys, 200 per source, 50 per wrong budget; some seven minutes on two cores",
-    )
-    parser.add_argument(
-        "--engine",
-        type=int,
-        nargs="?",
-        const=ENGINE_SURVEYS,
-        default=0,
-        metavar="N",
-        help=(
-            f"and N ({ENGINE_SURVEYS}) surveys of each scenario from PointCloud2 messages "
-            "through the whole engine: ten seconds each"
-        ),
-    )
-    parser.add_argument("--surveys", type=int, metavar="N", help="surveys of each kind, instead")
-    parser.add_argument(
-        "--workers",
-        type=int,
-        default=os.cpu_count() or 1,
-        metavar="N",
-        help="processes (default: all cores)",
-    )
+    _add_surveys(parser)
     parser.add_argument(
         "-o",
         "--output",
@@ -130,3 +99,39 @@ def run(arguments: argparse.Namespace) -> int:
     console.print(tables(found), markup=False, highlight=False, soft_wrap=True)
     console.print(f"written to {folder}")
     return 0
+
+
+def _add_surveys(parser: argparse.ArgumentParser) -> None:
+    """Which surveys are simulated, and how many."""
+    parser.add_argument(
+        "--scenario",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="stockpile_100, stockpile_5000, pit, box (default: all)",
+    )
+    parser.add_argument(
+        "--reduced",
+        action="store_true",
+        help="200 surveys, 200 per source, 50 per wrong budget; some seven minutes on two cores",
+    )
+    parser.add_argument(
+        "--engine",
+        type=int,
+        nargs="?",
+        const=ENGINE_SURVEYS,
+        default=0,
+        metavar="N",
+        help=(
+            f"and N ({ENGINE_SURVEYS}) surveys of each scenario from PointCloud2 messages "
+            "through the whole engine: ten seconds each"
+        ),
+    )
+    parser.add_argument("--surveys", type=int, metavar="N", help="surveys of each kind, instead")
+    parser.add_argument(
+        "--workers",
+        type=int,
+        default=os.cpu_count() or 1,
+        metavar="N",
+        help="processes (default: all cores)",
+    )
