@@ -5,12 +5,16 @@ from __future__ import annotations
 import argparse
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.version import version
+
+if TYPE_CHECKING:  # the study is loaded to run it
+    from ladar_volume.experiments.coverage.coverage import Task
 
 #: Surveys through the whole engine where no number is given.
 ENGINE_SURVEYS = 200
@@ -60,31 +64,8 @@ def run(arguments: argparse.Namespace) -> int:
     todo = coverage.tasks(scenarios, counts, arguments.engine)
     folder = output_folder(arguments.output)
     console = Console(stderr=arguments.json)
-    bar = Progress(
-        TextColumn("surveys"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-    )
-    with bar:
-        task = bar.add_task("surveys", total=len(todo))
-        coverage.run(
-            todo,
-            folder / coverage.FILE,
-            arguments.workers,
-            lambda count: bar.update(task, completed=count),
-        )
-    wanted = set(todo)
-    known, others = coverage.sorted_rows(folder / coverage.FILE)
-    if others:
-        Console(stderr=True).print(
-            f"{others} surveys of another version of the study in "
-            f"{folder / coverage.FILE} are left out"
-        )
-    rows = [r for r in known if coverage.done([r]) <= wanted]
-    found = coverage.summary(rows, scenarios)
+    _simulate(todo, folder / coverage.FILE, arguments.workers, console)
+    found = coverage.summary(_known_rows(todo, folder / coverage.FILE), scenarios)
     facts = {
         "study": "coverage",
         "limits": coverage.limits(max(counts)),
@@ -99,6 +80,36 @@ def run(arguments: argparse.Namespace) -> int:
     console.print(tables(found), markup=False, highlight=False, soft_wrap=True)
     console.print(f"written to {folder}")
     return 0
+
+
+def _simulate(todo: list[Task], file: Path, workers: int, console: Console) -> None:
+    """Simulate what the file has not yet, with a bar of the progress."""
+    from ladar_volume.experiments.coverage import coverage
+
+    bar = Progress(
+        TextColumn("surveys"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+    )
+    with bar:
+        task = bar.add_task("surveys", total=len(todo))
+        coverage.run(todo, file, workers, lambda count: bar.update(task, completed=count))
+
+
+def _known_rows(todo: list[Task], file: Path) -> list[dict[str, Any]]:
+    """The surveys of the file that were asked for."""
+    from ladar_volume.experiments.coverage import coverage
+
+    wanted = set(todo)
+    known, others = coverage.sorted_rows(file)
+    if others:
+        Console(stderr=True).print(
+            f"{others} surveys of another version of the study in {file} are left out"
+        )
+    return [r for r in known if coverage.done([r]) <= wanted]
 
 
 def _add_surveys(parser: argparse.ArgumentParser) -> None:
