@@ -138,31 +138,9 @@ def components(
     calibration_no_repeats (no mounting was measured twice).
     """
     y = _checked(values, confidence)
-    label = np.asarray(mounting)
-    if label.shape != y.shape:
-        raise CalibrationError(
-            f"{label.shape} mountings for {y.shape} values",
-            reason="calibration_values",
-            value=label.shape,
-        )
-    _, group = np.unique(label, return_inverse=True)
+    group = _mounting_groups(y, mounting)
     count: I64 = np.bincount(group)
     k, freedom = len(count), len(y) - len(count)
-    if k < 2:
-        raise CalibrationError(
-            "one mounting alone tells nothing of re-mounting",
-            reason="calibration_mountings",
-            value=k,
-        )
-    if freedom == 0:
-        raise CalibrationError(
-            (
-                "no mounting was measured twice, so re-mounting cannot be told from the "
-                "calibration's own spread"
-            ),
-            reason="calibration_no_repeats",
-            value=k,
-        )
     means = np.bincount(group, y) / count
     within = float(np.sum((y - means[group]) ** 2)) / freedom
     harmonic = k / float(np.sum(1.0 / count))
@@ -182,6 +160,37 @@ def components(
         float(means[last]),
         int(count[last]),
     )
+
+
+def _mounting_groups(y: F64, mounting: npt.ArrayLike) -> I64:
+    """The number (n,) of each value's mounting. Raises :class:`CalibrationError` where values
+    (n,) of these mountings do not tell re-mounting from the calibration's own spread.
+    """
+    label = np.asarray(mounting)
+    if label.shape != y.shape:
+        raise CalibrationError(
+            f"{label.shape} mountings for {y.shape} values",
+            reason="calibration_values",
+            value=label.shape,
+        )
+    names, group = np.unique(label, return_inverse=True)
+    k = len(names)
+    if k < 2:
+        raise CalibrationError(
+            "one mounting alone tells nothing of re-mounting",
+            reason="calibration_mountings",
+            value=k,
+        )
+    if k == len(y):
+        raise CalibrationError(
+            (
+                "no mounting was measured twice, so re-mounting cannot be told from the "
+                "calibration's own spread"
+            ),
+            reason="calibration_no_repeats",
+            value=k,
+        )
+    return np.asarray(group, np.int64)
 
 
 def _between_interval(

@@ -162,18 +162,8 @@ def calibrate(
     Raises :class:`CalibrationError`: calibration_no_overlap, calibration_no_convergence,
     calibration_unobservable (no constant gains).
     """
-    active = np.flatnonzero(np.diag(prior) > 0.0)
-    corrected = np.isin(active, CORRECTED)
-    if not corrected.any():
-        raise CalibrationError(
-            "every constant has a prior sigma of zero: nothing is to be estimated",
-            reason="calibration_unobservable",
-        )
-    beams = (len(prior) - len(CAL_COLUMNS)) // 2
-    precision = np.asarray(np.linalg.inv(prior[np.ix_(active, active)]), np.float64)
-    problem = _Problem(
-        flight, budget, drift(flight, budget), options or StripOptions(), active, beams, precision
-    )
+    problem = _problem(flight, budget, prior, options or StripOptions())
+    active, corrected = problem.active, np.isin(problem.active, CORRECTED)
     theta, noise, before_m, membership, moved = np.zeros(len(prior)), 1.0, np.nan, None, 0
     for number in range(1, _MOST_STEPS + 1):
         step = _step(problem, theta, noise, membership)
@@ -186,10 +176,8 @@ def calibrate(
             return _result(problem, step, theta, prior, noise, before_m, number)
         noise *= step.noise
         if membership is None and (size < _NEAR or number == _SEARCHING):
-            membership, moved = (
-                step.membership,
-                step.moved,
-            )  # from here on the same returns, so that the steps can end
+            # from here on the same returns, so that the steps can end
+            membership, moved = step.membership, step.moved
     raise CalibrationError(
         (
             f"no convergence in {_MOST_STEPS} steps: the last one moved the constants by "
@@ -198,6 +186,23 @@ def calibrate(
         reason="calibration_no_convergence",
         value=size,
     )
+
+
+def _problem(
+    flight: Flight, budget: BudgetParameters, prior: F64, options: StripOptions
+) -> _Problem:
+    """What stays the same from step to step. Raises :class:`CalibrationError` where no constant is
+    to be estimated.
+    """
+    active = np.flatnonzero(np.diag(prior) > 0.0)
+    if not np.isin(active, CORRECTED).any():
+        raise CalibrationError(
+            "every constant has a prior sigma of zero: nothing is to be estimated",
+            reason="calibration_unobservable",
+        )
+    beams = (len(prior) - len(CAL_COLUMNS)) // 2
+    precision = np.asarray(np.linalg.inv(prior[np.ix_(active, active)]), np.float64)
+    return _Problem(flight, budget, drift(flight, budget), options, active, beams, precision)
 
 
 def _step(p: _Problem, theta: F64, noise: float, membership: I64 | None) -> _Step:
@@ -278,28 +283,21 @@ def _judged(
 def _result(
     p: _Problem, step: _Step, theta: F64, prior: F64, noise: float, before_m: float, number: int
 ) -> StripCalibration:
-    active, at = p.active, np.ix_(p.active, p.active)
     posterior = np.zeros_like(prior)
-    posterior[at] = step.solution.C
+    posterior[np.ix_(p.active, p.active)] = step.solution.C
     # what has no constant stays uncorrected, so its own spread is the prior's; with the corrected
     # ones it shares the posterior's covariance
     C_cal = posterior.copy()
-    rest = np.setdiff1d(active, CORRECTED)
+    rest = np.setdiff1d(p.active, CORRECTED)
     C_cal[np.ix_(rest, rest)] = prior[np.ix_(rest, rest)]
-    constants = np.intersect1d(active, CORRECTED)
-    sigma = np.sqrt(np.diag(prior)[constants])
-    root = np.linalg.cholesky(prior[np.ix_(constants, constants)])
-    gain = np.linalg.solve(root, np.linalg.solve(root, posterior[np.ix_(constants, constants)]).T)
-    value, vector = np.linalg.eigh(0.5 * (gain + gain.T))
-    weakest = np.zeros(len(prior))
-    weakest[constants] = (root @ vector[:, -1]) / sigma
+    condition, weakest = _determinacy(prior, posterior, np.intersect1d(p.active, CORRECTED))
     found = StripCalibration(
         calibration_columns(p.beams),
         theta,
         prior,
         posterior,
         C_cal,
-        float(np.sqrt(value[-1] / max(value[0], 1e-300))),
+        condition,
         weakest,
         noise,
         step.chi2,
@@ -322,3 +320,17 @@ def _result(
             value=found.condition,
         )
     return found
+
+
+def _determinacy(prior: F64, posterior: F64, constants: I64) -> tuple[float, F64]:
+    """How well the constants (k,), columns of prior and posterior (c, c), are determined: the ratio
+    of the best to the worst direction, sigma over prior sigma, and the worst one (c,) in units of
+    the prior sigmas.
+    """
+    at = np.ix_(constants, constants)
+    root = np.linalg.cholesky(prior[at])
+    gain = np.linalg.solve(root, np.linalg.solve(root, posterior[at]).T)
+    value, vector = np.linalg.eigh(0.5 * (gain + gain.T))
+    weakest = np.zeros(len(prior))
+    weakest[constants] = (root @ vector[:, -1]) / np.sqrt(np.diag(prior)[constants])
+    return float(np.sqrt(value[-1] / max(value[0], 1e-300))), weakest

@@ -41,6 +41,26 @@ VALUES = {
 }
 
 
+@dataclasses.dataclass(frozen=True)
+class Statistics:
+    """Of one constant: the spread of its values, and that within and between mountings where the
+    file tells these apart.
+    """
+
+    spread: Spread
+    grouped: Components | None
+
+    def budget_sigma(self, uses: str) -> float:
+        """The standard deviation for the budget of a survey that uses the constant so."""
+        return budget_sigma(self.grouped or self.spread, uses)
+
+    def mean(self, uses: str) -> float:
+        """The value that such a survey uses."""
+        if self.grouped is None:
+            return self.spread.mean
+        return self.grouped.last_mean if uses == "mean" else self.grouped.mean
+
+
 def run_repeats(arguments: argparse.Namespace) -> int:
     """Read, estimate, write, print."""
     base = read_config(arguments.config)
@@ -70,14 +90,7 @@ def run_repeats(arguments: argparse.Namespace) -> int:
         "file": str(arguments.file),
         "uses": arguments.uses,
         "confidence": arguments.confidence,
-        "constants": {
-            name: dataclasses.asdict(s)
-            | {
-                "by_mounting": None if c is None else dataclasses.asdict(c),
-                "budget_sigma": budget_sigma(c or s, arguments.uses),
-            }
-            for name, (s, c) in found.items()
-        },
+        "constants": {name: _facts(each, arguments.uses) for name, each in found.items()},
         **sections,
         "version": version(),
     }
@@ -86,6 +99,14 @@ def run_repeats(arguments: argparse.Namespace) -> int:
     else:
         _show(Console(), found, arguments.uses)
     return 0
+
+
+def _facts(found: Statistics, uses: str) -> dict[str, Any]:
+    """What the JSON says of one constant."""
+    return dataclasses.asdict(found.spread) | {
+        "by_mounting": None if found.grouped is None else dataclasses.asdict(found.grouped),
+        "budget_sigma": found.budget_sigma(uses),
+    }
 
 
 def _columns(table: Measurements, base: Parameters) -> tuple[dict[str, F64], F64]:
@@ -114,10 +135,11 @@ def _columns(table: Measurements, base: Parameters) -> tuple[dict[str, F64], F64
 
 def _statistics(
     name: str, values: F64, mounting: list[str] | None, confidence: float
-) -> tuple[Spread, Components | None]:
+) -> Statistics:
     try:
-        return spread(values, confidence), None if mounting is None else components(
-            values, mounting, confidence
+        return Statistics(
+            spread(values, confidence),
+            None if mounting is None else components(values, mounting, confidence),
         )
     except CalibrationError as error:
         raise CalibrationError(
@@ -126,19 +148,16 @@ def _statistics(
 
 
 def _sections(
-    found: dict[str, tuple[Spread, Components | None]], use: str, base: Parameters, boresight: F64
+    found: dict[str, Statistics], use: str, base: Parameters, boresight: F64
 ) -> dict[str, dict[str, Any]]:
     """What changes in the parameter file: the sigmas, and with a mean the constants themselves."""
     outside = base.write()
     budget: dict[str, Any] = {}
     constants: dict[str, Any] = {}
-    for name, (single, grouped) in found.items():
+    for name, each in found.items():
         key, axis = COLUMNS[name]
-        _put(budget, outside["budget"], key, axis, budget_sigma(grouped or single, use))
-        mean = (
-            single.mean if grouped is None else grouped.last_mean if use == "mean" else grouped.mean
-        )
-        _put(constants, outside["calibration"], VALUES[key], axis, mean)
+        _put(budget, outside["budget"], key, axis, each.budget_sigma(use))
+        _put(constants, outside["calibration"], VALUES[key], axis, each.mean(use))
     if "boresight_correction_deg" in constants:
         c = base.calibration
         turned = exp_so3(np.radians(constants["boresight_correction_deg"])) @ boresight
@@ -167,10 +186,24 @@ def write_config(
         part.write_text(text, encoding="utf-8")
 
 
-def _show(console: Console, found: dict[str, tuple[Spread, Components | None]], use: str) -> None:
-    def pair(interval: tuple[float, float]) -> str:
-        return f"{interval[0]:.3g} - {interval[1]:.3g}"
+def _show(console: Console, found: dict[str, Statistics], use: str) -> None:
+    console.print(_spread_table(found, use))
+    grouped = {name: each.grouped for name, each in found.items() if each.grouped is not None}
+    if not grouped:
+        console.print(
+            "no column 'mounting': re-mountings, if there were any, are part of the "
+            "spread and cannot be told apart"
+        )
+        return
+    console.print(_mounting_table(grouped))
 
+
+def _interval(interval: tuple[float, float]) -> str:
+    return f"{interval[0]:.3g} - {interval[1]:.3g}"
+
+
+def _spread_table(found: dict[str, Statistics], use: str) -> Table:
+    """The spread of each constant, and what goes into the budget."""
     table = Table(
         "constant",
         "n",
@@ -184,24 +217,22 @@ def _show(console: Console, found: dict[str, tuple[Spread, Components | None]], 
         title_justify="left",
         title=f"Standard deviations; into the budget goes that of: {use}",
     )
-    for name, (s, c) in found.items():
+    for name, each in found.items():
+        s = each.spread
         table.add_row(
             name,
             str(s.count),
             f"{s.mean:.4g}",
             f"{s.sigma_single:.4g}",
-            pair(s.single_interval),
+            _interval(s.single_interval),
             f"{s.sigma_mean:.4g}",
-            f"{budget_sigma(c or s, use):.4g}",
+            f"{each.budget_sigma(use):.4g}",
         )
-    console.print(table)
-    grouped = {name: c for name, (_, c) in found.items() if c is not None}
-    if not grouped:
-        console.print(
-            "no column 'mounting': re-mountings, if there were any, are part of the "
-            "spread and cannot be told apart"
-        )
-        return
+    return table
+
+
+def _mounting_table(grouped: dict[str, Components]) -> Table:
+    """The spread within and between mountings."""
     table = Table(
         "constant",
         "n",
@@ -220,9 +251,9 @@ def _show(console: Console, found: dict[str, tuple[Spread, Components | None]], 
             name,
             str(c.mountings),
             f"{c.sigma_within:.4g}",
-            pair(c.within_interval),
+            _interval(c.within_interval),
             f"{c.sigma_between:.4g}",
-            pair(c.between_interval),
+            _interval(c.between_interval),
             f"{c.p_value:.2g}",
         )
-    console.print(table)
+    return table

@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,27 @@ def run(arguments: argparse.Namespace) -> int:
         )
     parameters = read_config(config_for(arguments.bag, arguments.config), arguments.set)
     console = Console(stderr=arguments.json)
+    recorded = recorded_flight(arguments, parameters, console)
+    g = parameters.georeference
+    with console.status("adjusting"):
+        prior = calibration_covariance(parameters.budget, g.beams, g.pose_source)
+        found = calibrate(recorded, parameters.budget, prior, StripOptions(edge_m=arguments.edge))
+    corrected = recalibrated(found, parameters)
+    if arguments.output is not None:
+        write_calibration(arguments.output, corrected, arguments.bag.name)
+    if arguments.json:
+        print(json_text(facts_of(found, corrected)), end="")
+    else:
+        show(console, found)
+        if arguments.output is not None:
+            console.print(f"written to {arguments.output}")
+    return 0
+
+
+def recorded_flight(
+    arguments: argparse.Namespace, parameters: Parameters, console: Console
+) -> Flight:
+    """The recording as a flight, with a bar of the progress."""
     with BagReader(arguments.bag) as bag:
         replay = Replay(
             bag,
@@ -49,32 +71,16 @@ def run(arguments: argparse.Namespace) -> int:
         )
         with Progress(console=console, transient=True) as bar:
             task = bar.add_task(f"reading {arguments.bag.name}", total=1.0)
-            flown = read_flight(
+            return read_flight(
                 replay, arguments.returns, lambda share: bar.update(task, completed=share)
             )
-    g = parameters.georeference
-    with console.status("adjusting"):
-        prior = calibration_covariance(parameters.budget, g.beams, g.pose_source)
-        found = calibrate(flown, parameters.budget, prior, StripOptions(edge_m=arguments.edge))
-    corrected = recalibrated(found, parameters)
-    if arguments.output is not None:
-        kept = {
-            "calibration": corrected.write()["calibration"],
-            "budget": corrected.write()["budget"],
-        }
-        write_text(
-            arguments.output,
-            changed_config(
-                corrected, kept, f"Self-calibration from the strips of {arguments.bag.name}."
-            ),
-        )
-    if arguments.json:
-        print(json_text(facts_of(found, corrected)), end="")
-    else:
-        show(console, found)
-        if arguments.output is not None:
-            console.print(f"written to {arguments.output}")
-    return 0
+
+
+def write_calibration(path: Path, corrected: Parameters, recording: str) -> None:
+    """Write calibration and budget as a parameter file."""
+    sections = {name: corrected.write()[name] for name in ("calibration", "budget")}
+    comment = f"Self-calibration from the strips of {recording}."
+    write_text(path, changed_config(corrected, sections, comment))
 
 
 def read_flight(
@@ -206,21 +212,7 @@ def facts_of(found: StripCalibration, corrected: Parameters) -> dict[str, Any]:
 
 def show(console: Console, found: StripCalibration) -> None:
     """Print the result as a table with what it rests on."""
-    table = Table(
-        "constant", "correction", "sigma", "prior sigma", "unit", "", box=None, pad_edge=False
-    )
-    for k in CORRECTED:
-        factor, unit = outside(int(k))
-        after, before = (float(np.sqrt(C[k, k])) * factor for C in (found.posterior, found.prior))
-        table.add_row(
-            found.names[k].replace("_", " "),
-            f"{found.theta[k] * factor:.4f}",
-            f"{after:.4f}",
-            f"{before:.4f}",
-            unit,
-            found.status(int(k)),
-        )
-    console.print(table)
+    console.print(constant_table(found))
     console.print(
         f"{found.returns:,} returns of {found.strips} strips on {found.patches} patches "
         f"({found.moved} left out: something moved), "
@@ -245,3 +237,22 @@ def show(console: Console, found: StripCalibration) -> None:
         if abs(found.weakest[k]) > 0.2
     )
     console.print(f"worst determined: {worst} (in prior sigmas); condition {found.condition:.0f}")
+
+
+def constant_table(found: StripCalibration) -> Table:
+    """The corrections of the constants, with their standard deviations before and after."""
+    table = Table(
+        "constant", "correction", "sigma", "prior sigma", "unit", "", box=None, pad_edge=False
+    )
+    for k in CORRECTED:
+        factor, unit = outside(int(k))
+        after, before = (float(np.sqrt(C[k, k])) * factor for C in (found.posterior, found.prior))
+        table.add_row(
+            found.names[k].replace("_", " "),
+            f"{found.theta[k] * factor:.4f}",
+            f"{after:.4f}",
+            f"{before:.4f}",
+            unit,
+            found.status(int(k)),
+        )
+    return table

@@ -5,7 +5,7 @@ pole.
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,8 +21,10 @@ from ladar_volume.change.excavation import (
     region_of,
 )
 from ladar_volume.change.ring_budget import Checked, checked_excavation
+from ladar_volume.cli.diff_bodies import bodies
 from ladar_volume.cli.diff_input import (
-    Part,
+    Noise,
+    ScanFile,
     given_corners,
     icp_doubts,
     isolated_doubts,
@@ -32,20 +34,17 @@ from ladar_volume.cli.diff_input import (
     sigma_of,
     without_isolated,
 )
-from ladar_volume.cli.diff_show import show
 from ladar_volume.cli.inputs.reading import add_reading_rows, cloud_facts_of, reading_doubts
+from ladar_volume.cli.tables.diff_table import show
 from ladar_volume.cli.verdict_lines import NO_SIGMA, exit_code
 from ladar_volume.io.endings import ENDINGS
 from ladar_volume.io.meshfiles.mesh_files import write_mesh
 from ladar_volume.io.results import json_text
-from ladar_volume.mesh.crossed_space import crossing_doubts
-from ladar_volume.mesh.tetrahedra import closed_variance, closed_volume
 from ladar_volume.mesh.topology import watertight
-from ladar_volume.model.errors import ConfigurationError, OutputError, SurfaceError
+from ladar_volume.model.errors import ConfigurationError, OutputError
+from ladar_volume.model.records import F64, Bool
 from ladar_volume.model.verdict import Verdict
 from ladar_volume.version import version
-
-#: The doubt of a volume whose noise nobody stated.
 
 
 def check_options(a: argparse.Namespace) -> None:
@@ -130,38 +129,28 @@ def weighed(arguments: argparse.Namespace, facts: dict[str, Any]) -> dict[str, A
     }
 
 
-def surfaces(arguments: argparse.Namespace, part_a: Part, part_b: Part) -> dict[str, Any]:
+@dataclass(frozen=True)
+class NoisyScan:
+    """A scan ready for the volume: its file without the returns that stand alone, the scan with its
+    noise, and where that noise comes from.
+    """
+
+    file: ScanFile
+    scan: Scan
+    noise: Noise
+
+
+def surfaces(arguments: argparse.Namespace, file_a: ScanFile, file_b: ScanFile) -> dict[str, Any]:
     """Two open surfaces: Kern's procedure. Raises :class:`ConfigurationError` without any position
     of a scanner.
     """
-    eye = arguments.scanner if arguments.scanner is not None else None
-    if eye is None and arguments.pole is None:
-        raise ConfigurationError("from where was it scanned? Give --pole X,Y,Z or --scanner X,Y,Z")
-    other = arguments.scanner_b if arguments.scanner_b is not None else eye
-    a, b = (
-        make_scan(part, where, arguments.pole) for part, where in ((part_a, eye), (part_b, other))
-    )
-    if not arguments.keep_isolated:
-        part_a, part_b = without_isolated(part_a, a), without_isolated(part_b, b)
-        a, b = replace(a, points=part_a.points), replace(b, points=part_b.points)
-    sigma = arguments.sigma, arguments.sigma if arguments.sigma_b is None else arguments.sigma_b
-    noise = [
-        sigma_of(scan, part, given, arguments.beam)
-        for scan, part, given in zip((a, b), (part_a, part_b), sigma, strict=True)
-    ]
-    a, b = (
-        Scan(scan.points, scan.scanner, n.noise, scan.transform)
-        for scan, n in zip((a, b), noise, strict=True)
-    )
-    region = region_of(
-        a.points,
-        given_corners(arguments.polygon, arguments.selection),
-        arguments.margin,
-        arguments.spacing,
-    )
+    first, second = noisy_scans(arguments, file_a, file_b)
+    a, b = first.scan, second.scan
+    corners = given_corners(arguments.polygon, arguments.selection)
+    region = region_of(a.points, corners, arguments.margin, arguments.spacing)
     more: dict[str, Any] = {}
-    verdict = part_a.verdict + part_b.verdict
-    verdict += Verdict(tuple(isolated_doubts((part_a, part_b))))
+    verdict = first.file.verdict + second.file.verdict
+    verdict += Verdict(tuple(isolated_doubts((first.file, second.file))))
     if arguments.icp is not None:
         before = b
         b, more["icp"] = refine_by_ground(a, b, region, arguments.icp, arguments.icp_cell)
@@ -174,33 +163,72 @@ def surfaces(arguments: argparse.Namespace, part_a: Part, part_b: Part) -> dict[
         pole_map=arguments.pole,
         max_edge_m=arguments.max_edge,
     )
-    found, b = checked.found, checked.b
-    verdict += checked.verdict
+    found = checked.found
     if arguments.output is not None:
         write_mesh(arguments.output, found.between.vertices, found.between.triangles, ["metres"])
     if arguments.resolution is not None:
-        s = by_resolution(a, b, region, arguments.resolution, arguments.max_edge)
-        names = ("cell_m", "points", "volume_m3", "area_m2")
-        more["resolution"] = {n: getattr(s, n).tolist() for n in names} | {
-            "dimension": s.dimension,
-            "volume_change_m3": s.volume_change_m3,
-        }
+        more["resolution"] = resolution_facts(arguments, a, checked.b, region)
     if arguments.published:
         more["published_m3"] = found.published_m3
-    points = [
-        {
-            "path": p.path.name,
-            "points": len(p.points),
-            "in_region": int(m.sum()),
-            "sigma_m": n.typical_m,
-            "sigma_from": n.words,
-            "isolated": p.isolated,
-        }
-        for p, m, n in zip((part_a, part_b), (found.in_a, found.in_b), noise, strict=True)
-    ]
-    facts = facts_of(found, region, noise[0].typical_m, arguments.offset)
+    facts = facts_of(found, region, first.noise.typical_m, arguments.offset)
     facts["ring"] |= ring_facts(checked)
-    return facts | {"surfaces": points, "verdict": verdict} | more
+    scans = [scan_facts(first, found.in_a), scan_facts(second, found.in_b)]
+    return facts | {"surfaces": scans, "verdict": verdict + checked.verdict} | more
+
+
+def noisy_scans(
+    arguments: argparse.Namespace, file_a: ScanFile, file_b: ScanFile
+) -> tuple[NoisyScan, NoisyScan]:
+    """Both scans with their noise. Raises :class:`ConfigurationError` without any position of a
+    scanner.
+    """
+    eye_a = arguments.scanner
+    if eye_a is None and arguments.pole is None:
+        raise ConfigurationError("from where was it scanned? Give --pole X,Y,Z or --scanner X,Y,Z")
+    eye_b = eye_a if arguments.scanner_b is None else arguments.scanner_b
+    sigma_b = arguments.sigma if arguments.sigma_b is None else arguments.sigma_b
+    return (
+        noisy_scan(arguments, file_a, eye_a, arguments.sigma),
+        noisy_scan(arguments, file_b, eye_b, sigma_b),
+    )
+
+
+def noisy_scan(
+    arguments: argparse.Namespace, file: ScanFile, eye: F64 | None, sigma: float | None
+) -> NoisyScan:
+    """One scan from its scanner's position (3,), m, in the file's frame, with its noise, m, or what
+    the file says of it.
+    """
+    scan = make_scan(file, eye, arguments.pole)
+    if not arguments.keep_isolated:
+        file = without_isolated(file, scan)
+        scan = replace(scan, points=file.points)
+    noise = sigma_of(scan, file, sigma, arguments.beam)
+    return NoisyScan(file, replace(scan, noise=noise.noise), noise)
+
+
+def resolution_facts(
+    arguments: argparse.Namespace, a: Scan, b: Scan, region: Region
+) -> dict[str, Any]:
+    """Volume and surface of clouds thinned to cells."""
+    s = by_resolution(a, b, region, arguments.resolution, arguments.max_edge)
+    names = ("cell_m", "points", "volume_m3", "area_m2")
+    return {n: getattr(s, n).tolist() for n in names} | {
+        "dimension": s.dimension,
+        "volume_change_m3": s.volume_change_m3,
+    }
+
+
+def scan_facts(scan: NoisyScan, in_region: Bool) -> dict[str, Any]:
+    """What the JSON says of one scan."""
+    return {
+        "path": scan.file.path.name,
+        "points": len(scan.file.points),
+        "in_region": int(in_region.sum()),
+        "sigma_m": scan.noise.typical_m,
+        "sigma_from": scan.noise.words,
+        "isolated": scan.file.isolated,
+    }
 
 
 def ring_facts(checked: Checked) -> dict[str, Any]:
@@ -220,25 +248,14 @@ def ring_facts(checked: Checked) -> dict[str, Any]:
 
 def facts_of(found: Excavation, region: Region, noise_m: float, offset_m: float) -> dict[str, Any]:
     """The result as plain values."""
-    d, V = found.between, abs(found.removed_m3)
-    plan = d.area_a_m2
-    height = (
-        float(np.sqrt(sum(v for k, v in found.budget_m6.items() if k.startswith("registration"))))
-        / plan
-    )
-    spacing = float(
-        np.sqrt((d.area_a_m2 + d.area_b_m2) / max(int(found.in_a.sum() + found.in_b.sum()), 1))
-    )
-    noise_m = noise_m if np.isfinite(noise_m) else 0.0
+    d = found.between
+    half = 1.96 * found.sigma_m3
     return {
         "method": "two surfaces and a pole",
         "volume_m3": found.removed_m3,
         "sigma_m3": found.sigma_m3,
         "budget_m6": found.budget_m6,
-        "interval_m3": [
-            found.removed_m3 - 1.96 * found.sigma_m3,
-            found.removed_m3 + 1.96 * found.sigma_m3,
-        ],
+        "interval_m3": [found.removed_m3 - half, found.removed_m3 + half],
         "coverage_factor": 1.96,
         "watertight": watertight(d.triangles),
         "closed_m3": found.closed_m3,
@@ -259,90 +276,29 @@ def facts_of(found: Excavation, region: Region, noise_m: float, offset_m: float)
             "margin_m": region.margin_m,
             "spacing_m": region.spacing_m,
         },
-        "size_classes": None
-        if V == 0.0
-        else relative_errors(
-            found.area_m2,
-            V,
-            offset_m=offset_m,
-            noise_m=noise_m,
-            spacing_m=spacing,
-            height_m=height,
-            plan_area_m2=plan,
-        ),
+        "size_classes": size_classes(found, noise_m, offset_m),
     }
 
 
-def bodies(arguments: argparse.Namespace, a: Part, b: Part) -> dict[str, Any]:
-    """Two closed meshes: the difference of their volumes. Raises :class:`ConfigurationError` for
-    options of scans.
-    """
-    for name in ("polygon", "selection", "icp", "resolution", "output", "scanner", "scanner_b"):
-        if getattr(arguments, name) is not None:
-            raise ConfigurationError(
-                f"--{name.replace('_', '-')} is for scans; these are closed bodies"
-            )
-    sigmas = arguments.sigma, arguments.sigma if arguments.sigma_b is None else arguments.sigma_b
-    budget: dict[str, float] = {}
-    volumes, spread, area, points, closed = [], 0.0, 0.0, 0, []
-    verdict = a.verdict + b.verdict
-    for name, part, sigma in zip("ab", (a, b), sigmas, strict=True):
-        try:
-            body = closed_volume(
-                part.points, part.triangles, arguments.pole, arguments.allow_crossings
-            )
-        except SurfaceError as error:
-            raise SurfaceError(
-                f"{part.path}: {error}", reason=error.reason, value=error.value
-            ) from error
-        variance = closed_variance(part.points, body, sigma or 0.0)
-        budget[f"noise_{name}"] = (
-            np.nan if sigma is None else variance.first_m6 + variance.second_m6
-        )
-        if part.transform is not None:
-            budget[f"registration_{name}"] = part.transform.variance(
-                body.gradient, part.transform.back(part.points)
-            )
-        if body.crossing is not None:
-            verdict += Verdict(crossing_doubts(body.crossing, body.volume_m3))
-        volumes.append(body.volume_m3)
-        spread, area, points = (
-            max(spread, body.pole_spread_m3),
-            area + body.area_m2,
-            points + body.mesh.vertices,
-        )
-        closed.append(
-            {
-                "path": part.path.name,
-                "volume_m3": body.volume_m3,
-                "area_m2": body.area_m2,
-                "parts": len(body.volumes_m3),
-                "turned_triangles": int(body.flipped.sum()),
-                "crossing_m3": 0.0 if body.crossing is None else body.crossing.volume_m3,
-            }
-        )
-    volume, sigma = volumes[0] - volumes[1], float(np.sqrt(sum(budget.values())))
-    return {
-        "method": "closed bodies",
-        "volume_m3": volume,
-        "sigma_m3": sigma,
-        "budget_m6": budget,
-        "watertight": True,
-        "closed_m3": 0.0,
-        "interval_m3": [volume - 1.96 * sigma, volume + 1.96 * sigma],
-        "coverage_factor": 1.96,
-        "area_m2": area,
-        "pole_m": body.pole_map.tolist(),
-        "pole_spread_m3": spread,
-        "bodies": closed,
-        "verdict": verdict,
-        "size_classes": None
-        if volume == 0.0
-        else relative_errors(
-            area,
-            abs(volume),
-            offset_m=arguments.offset,
-            noise_m=max(s or 0.0 for s in sigmas),
-            spacing_m=float(np.sqrt(area / points)),
-        ),
-    }
+def size_classes(found: Excavation, noise_m: float, offset_m: float) -> dict[str, float] | None:
+    """Each class of error as a share of the volume; None for a volume of zero."""
+    d, volume = found.between, abs(found.removed_m3)
+    plan = d.area_a_m2
+    height = (
+        float(np.sqrt(sum(v for k, v in found.budget_m6.items() if k.startswith("registration"))))
+        / plan
+    )
+    spacing = float(
+        np.sqrt((d.area_a_m2 + d.area_b_m2) / max(int(found.in_a.sum() + found.in_b.sum()), 1))
+    )
+    if volume == 0.0:
+        return None
+    return relative_errors(
+        found.area_m2,
+        volume,
+        offset_m=offset_m,
+        noise_m=noise_m if np.isfinite(noise_m) else 0.0,
+        spacing_m=spacing,
+        height_m=height,
+        plan_area_m2=plan,
+    )

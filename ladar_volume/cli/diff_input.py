@@ -43,7 +43,7 @@ ISOLATED_SHARE = 0.02
 
 
 @dataclass(frozen=True)
-class Part:
+class ScanFile:
     """A file: points (n, 3) m in the map frame · triangles (m, 3), none for a cloud · closed : a
     mesh without boundary · sigma : (n,) m of the file, or None · transform : that was applied ·
     isolated : returns left out since they stand alone · verdict : on the file and the transform ·
@@ -74,7 +74,7 @@ class Noise:
 
 def load(
     path: Path, transform: Path | None, arguments: argparse.Namespace, surface: str | None = None
-) -> Part:
+) -> ScanFile:
     """Read a cloud or a mesh (of a LandXML the surface of that name) and bring it into the map
     frame.
     """
@@ -94,7 +94,7 @@ def load(
         doubts += (unused_faces(path, len(triangles)),)
     cloud = None if isinstance(found, MeshFile) else found
     points = r if T is None else T.apply(r)
-    return Part(path, points, triangles, closed, sigma, T, 0, verdict + Verdict(doubts), cloud)
+    return ScanFile(path, points, triangles, closed, sigma, T, 0, verdict + Verdict(doubts), cloud)
 
 
 def unused_faces(path: Path, many: int) -> Doubt:
@@ -164,31 +164,31 @@ def given_corners(polygon: Sequence[str] | None, selection: Path | None) -> F64 
     return corners
 
 
-def make_scan(part: Part, scanner: F64 | None, pole: F64 | None) -> Scan:
+def make_scan(file: ScanFile, scanner: F64 | None, pole: F64 | None) -> Scan:
     """A scan whose scanner is given in the file's frame; without it the pole is the scanner's place
     in the map.
     """
     if scanner is None:
         eye = np.zeros(3) if pole is None else pole
     else:
-        eye = scanner if part.transform is None else part.transform.apply(scanner[None])[0]
-    return Scan(part.points, eye, np.nan, part.transform)
+        eye = scanner if file.transform is None else file.transform.apply(scanner[None])[0]
+    return Scan(file.points, eye, np.nan, file.transform)
 
 
-def without_isolated(part: Part, scan: Scan) -> Part:
-    """The part without the returns that stand alone, off every surface."""
-    stays = ~isolated_returns(part.points, scan.scanner)
-    if stays.all() or len(part.triangles):
-        return part
-    sigma = None if part.sigma is None else part.sigma[stays]
-    return replace(part, points=part.points[stays], sigma=sigma, isolated=int((~stays).sum()))
+def without_isolated(file: ScanFile, scan: Scan) -> ScanFile:
+    """The file without the returns that stand alone, off every surface."""
+    stays = ~isolated_returns(file.points, scan.scanner)
+    if stays.all() or len(file.triangles):
+        return file
+    sigma = None if file.sigma is None else file.sigma[stays]
+    return replace(file, points=file.points[stays], sigma=sigma, isolated=int((~stays).sum()))
 
 
-def isolated_doubts(parts: Sequence[Part]) -> list[Doubt]:
+def isolated_doubts(files: Sequence[ScanFile]) -> list[Doubt]:
     """The doubts of scans with many returns that stood alone."""
     out = []
-    for name, part in zip("AB", parts, strict=True):
-        share = part.isolated / max(part.isolated + len(part.points), 1)
+    for name, file in zip("AB", files, strict=True):
+        share = file.isolated / max(file.isolated + len(file.points), 1)
         if share > ISOLATED_SHARE:
             out.append(
                 Doubt(
@@ -202,20 +202,20 @@ def isolated_doubts(parts: Sequence[Part]) -> list[Doubt]:
     return out
 
 
-def sigma_of(scan: Scan, part: Part, given: float | None, beam: bool) -> Noise:
+def sigma_of(scan: Scan, file: ScanFile, given: float | None, beam: bool) -> Noise:
     """Noise of a scan: as given, of the file's column, or from what local quadrics leave of its
     ranges, which lies along the beam.
     """
     if given is not None and not given >= 0.0:
         raise ConfigurationError(f"--sigma {given:g}: 0 or more", value=given)
-    if given is None and part.sigma is None:
+    if given is None and file.sigma is None:
         direction, distance = unit_directions(scan.points, scan.scanner)
         seen = 2.0 * float(np.median(distance)) * stereographic(direction, widest_gap(direction))
         sigma: float | F64 = local_sigma(np.column_stack([seen, distance]))
         beam, words = True, "residuals of local quadrics, along the beam"
     else:
         sigma, words = (
-            (given, "given") if given is not None else (np.asarray(part.sigma), "column 'sigma'")
+            (given, "given") if given is not None else (np.asarray(file.sigma), "column 'sigma'")
         )
     typical = float(np.median(sigma))
     return Noise(beam_noise(scan.points, scan.scanner, sigma) if beam else sigma, typical, words)
@@ -260,23 +260,10 @@ def refine_by_ground(
     """
     from ladar_volume.io.epoch_registration import register_epochs  # Open3D only where asked for
 
-    outside = (
-        ~select(a, a, region, 0.0)[0],
-        ~select(Scan(b.points, a.scanner, np.nan), b, region, 0.0)[0],
-    )
-    tin = build_spherical(a.points, a.scanner).tin
-    ground = outside[0][tin.source]
-    if not ground.any() or not outside[1].any():
-        raise VolumeError(
-            "there is no ground outside the region to refine by", reason="region_ground"
-        )
+    ground = unchanged_ground(a, b, region)
     cell = float(np.ptp(a.points, axis=0).max()) / ICP_CELLS if cell_m is None else cell_m
     found = register_epochs(
-        b.points[outside[1]],
-        tin.vertices[ground],
-        normals_towards(tin)[ground],
-        reach_m=reach_m,
-        cell_m=cell,
+        ground.points_b, ground.vertices_a, ground.normals_a, reach_m=reach_m, cell_m=cell
     )
     T = found.transform
     noise = b.noise if np.ndim(b.noise) < 3 else T.R @ np.asarray(b.noise) @ T.R.T
@@ -296,3 +283,27 @@ def refine_by_ground(
         "sigma_shift_m": np.sqrt(np.diag(T.C)[3:6]).tolist(),
     }
     return moved, facts
+
+
+@dataclass(frozen=True)
+class UnchangedGround:
+    """points_b : (k, 3) m of B outside the region · vertices_a, normals_a : (v, 3) m of A's surface
+    there, and its unit normals; map frame
+    """
+
+    points_b: F64
+    vertices_a: F64
+    normals_a: F64
+
+
+def unchanged_ground(a: Scan, b: Scan, region: Region) -> UnchangedGround:
+    """Both scans outside the region. Raises :class:`VolumeError` where one has nothing there."""
+    outside_a = ~select(a, a, region, 0.0)[0]
+    outside_b = ~select(Scan(b.points, a.scanner, np.nan), b, region, 0.0)[0]
+    tin = build_spherical(a.points, a.scanner).tin
+    ground = outside_a[tin.source]
+    if not ground.any() or not outside_b.any():
+        raise VolumeError(
+            "there is no ground outside the region to refine by", reason="region_ground"
+        )
+    return UnchangedGround(b.points[outside_b], tin.vertices[ground], normals_towards(tin)[ground])

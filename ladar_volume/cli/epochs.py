@@ -22,7 +22,7 @@ from ladar_volume.change.stable_ground import (
     with_stable_ground,
 )
 from ladar_volume.cli.diff_input import given_corners
-from ladar_volume.cli.result_table import budget_table, volume_rows
+from ladar_volume.cli.tables.result_table import budget_table, volume_rows
 from ladar_volume.cli.verdict_lines import add_verdict_rows, exit_code
 from ladar_volume.io import results
 from ladar_volume.io.output_set import output_set
@@ -62,11 +62,11 @@ def _compared_files(
         previous, new = read_survey(arguments.previous), read_survey(arguments.new)
         later = laid_on(new, previous, arguments.transform)
         status.update("comparing")
-        found, change, kept, ground = compared(later, previous.epoch, separate, corners, stable)
-        verdict = epoch_verdict(ground) + inherited(previous, new, arguments.transform)
+        found = compared(later, previous.epoch, separate, corners, stable)
+        verdict = epoch_verdict(found.ground) + inherited(previous, new, arguments.transform)
     facts = {
-        **epoch_dict(found, kept, separate),
-        "stable_ground": dataclasses.asdict(ground) | {"effect_m3": ground.effect_m3},
+        **epoch_dict(found.difference, found.threshold, separate),
+        "stable_ground": dataclasses.asdict(found.ground) | {"effect_m3": found.ground.effect_m3},
         "verdict": verdict.as_dict(),
         "previous": source_of(previous),
         "new": source_of(new),
@@ -74,6 +74,17 @@ def _compared_files(
         "version": version(),
     }
     results.write_text(folder / "epochs.json", results.json_text(facts))
+    write_change(folder, found.change)
+    if not arguments.no_figure:
+        from ladar_volume.report.change import save  # matplotlib takes a second to load
+
+        title = f"{arguments.new.name} against {arguments.previous.name}"
+        save(found.difference.volume, found.change, title, folder / "change.png")
+    return facts
+
+
+def write_change(folder: Path, change: ChangeMap) -> None:
+    """Write the map of change as a mesh with columns."""
     columns = (
         "difference_m",
         "sigma_noise_m",
@@ -85,16 +96,6 @@ def _compared_files(
     results.write_columns(
         folder / "change.ply", change.tin, {name: getattr(change, name) for name in columns}
     )
-    if not arguments.no_figure:
-        from ladar_volume.report.change import save  # matplotlib takes a second to load
-
-        save(
-            found.volume,
-            change,
-            f"{arguments.new.name} against {arguments.previous.name}",
-            folder / "change.png",
-        )
-    return facts
 
 
 def plan_of(corners: list[str] | None) -> F64 | None:
@@ -135,20 +136,32 @@ def frame_words(new: Epoch, transform: Path | None) -> str:
     return "same map frame" if new.transform is None else "new survey moved between the two datums"
 
 
+@dataclasses.dataclass(frozen=True)
+class Comparison:
+    """Two surveys compared: the difference of their volumes, the map of change, the volumes above
+    the level of detection, and what unchanged ground says.
+    """
+
+    difference: EpochDifference
+    change: ChangeMap
+    threshold: Thresholded
+    ground: StableGround
+
+
 def compared(
     new: Epoch,
     previous: Epoch,
     separate: Collection[str],
     polygon: F64 | None = None,
     stable: F64 | None = None,
-) -> tuple[EpochDifference, ChangeMap, Thresholded, StableGround]:
-    """Difference, map, volumes with the threshold, and what unchanged ground says."""
+) -> Comparison:
+    """The comparison of two surveys in one frame."""
     found, apart = epoch_difference(new, previous, separate, polygon)
     k = found.volume.coverage_factor
     change = change_map(new, previous, apart, k, separate)
     ground = stable_ground(new, previous, apart, change, separate, stable, polygon)
     kept = thresholded(new, previous, apart, change, k, separate)
-    return with_stable_ground(found, ground), change, kept, ground
+    return Comparison(with_stable_ground(found, ground), change, kept, ground)
 
 
 def epoch_dict(
@@ -173,9 +186,20 @@ def source_of(survey: Survey) -> dict[str, Any]:
 
 def show(console: Console, facts: Mapping[str, Any]) -> None:
     """Print the comparison as tables."""
-    low, high = facts["interval_m3"]
-    lod = facts["level_of_detection"]
     head = Table(show_header=False, box=None, pad_edge=False)
+    _add_change_rows(head, facts)
+    _add_detection_rows(head, facts["level_of_detection"])
+    _add_ground_rows(head, facts["stable_ground"])
+    head.add_row("if nothing were shared", f"sigma {facts['sigma_if_nothing_shared_m3']:.3f} m³")
+    volume_rows(head, facts)
+    add_verdict_rows(head, facts["verdict"])
+    console.print(head)
+    console.print(budget_table(facts))
+
+
+def _add_change_rows(head: Table, facts: Mapping[str, Any]) -> None:
+    """The change with its interval, its significance, and its parts."""
+    low, high = facts["interval_m3"]
     head.add_row(
         "change", f"[bold]{facts['volume_m3']:+.3f} ± {facts['sigma_m3']:.3f} m³[/bold] (1 sigma)"
     )
@@ -189,6 +213,10 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
         "raised, lowered",
         f"{facts['cut_m3']:.3f} m³, {facts['fill_m3']:.3f} m³ over {facts['area_m2']:.1f} m²",
     )
+
+
+def _add_detection_rows(head: Table, lod: Mapping[str, Any]) -> None:
+    """The level of detection, and the volume above it alone."""
     share = 100.0 * lod["area_m2"] / lod["map_area_m2"]
     head.add_row(
         "level of detection",
@@ -203,15 +231,13 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
         "threshold's bias",
         f"{lod['bias_m3']:+.3f} ± {lod['bias_sigma_m3']:.3f} m³ of the net volume",
     )
-    ground = facts["stable_ground"]
+
+
+def _add_ground_rows(head: Table, ground: Mapping[str, Any]) -> None:
+    """What unchanged ground says."""
     head.add_row(
         "stable ground",
         f"{100.0 * ground['share']:.0f} % of the common area, "
         f"{'named' if ground['named'] else 'found'}: {1e3 * ground['offset_m']:+.1f} mm in the "
         f"mean, the budgets allow {1e3 * ground['sigma_m']:.1f} mm (1 sigma)",
     )
-    head.add_row("if nothing were shared", f"sigma {facts['sigma_if_nothing_shared_m3']:.3f} m³")
-    volume_rows(head, facts)
-    add_verdict_rows(head, facts["verdict"])
-    console.print(head)
-    console.print(budget_table(facts))

@@ -5,19 +5,24 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from ladar_volume.cli.result_table import budget_table, volume_rows
+from ladar_volume.cli.tables.result_table import budget_table, volume_rows
 from ladar_volume.io.config import read_config
 from ladar_volume.io.results import json_text, volume_dict
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import PlatformStates
 from ladar_volume.version import version
+
+if TYPE_CHECKING:  # loaded where they are used
+    from ladar_volume.planning.planned_scene import Pile
+    from ladar_volume.planning.prediction import Plan, Prediction, Scanner
+    from ladar_volume.planning.sensor_choice import Choice
 
 
 def parameters_of(arguments: argparse.Namespace) -> Parameters:
@@ -96,64 +101,19 @@ def eight(
 
 def run(arguments: argparse.Namespace) -> int:
     """Predict, compare, print."""
-    from ladar_volume.planning.planned_scene import Pile
     from ladar_volume.planning.prediction import Plan, predict
-    from ladar_volume.planning.sensor_choice import (
-        SCANNERS,
-        compare,
-        height_steps,
-        highest,
-        over_heights,
-    )
 
     console = Console(stderr=arguments.json)
     parameters = parameters_of(arguments)
-    if arguments.pile is not None:
-        length, width, height = arguments.pile
-        pile = Pile(length, width, height, arguments.top, arguments.rough, arguments.rough_length)
-    else:
-        volume = 100.0 if arguments.volume is None else arguments.volume
-        pile = Pile.cone(
-            volume, math.radians(arguments.repose), arguments.rough, arguments.rough_length
-        )
-    scanner = SCANNERS[arguments.scanner or "vlp16"][0]
-    if arguments.rate is not None:
-        scanner = dataclasses.replace(scanner, rate_hz=arguments.rate)
+    pile, scanner = pile_of(arguments), scanner_of(arguments)
     path = flown(arguments, pile.length_m, pile.width_m)
     plan = Plan(pile, path(arguments.height), scanner, parameters, arguments.seed)
     with console.status("sampling the planned flight") as status:
-        prediction = predict(plan)
-        facts: dict[str, Any] = {
-            "plan": {
-                **dataclasses.asdict(pile),
-                "flight_height_m": arguments.height,
-                "scanner": dataclasses.asdict(scanner),
-            },
-            **volume_dict(prediction.volume),
-            "true_volume_m3": prediction.true_m3,
-            "sigma_share": prediction.share,
-            "returns_per_m2": prediction.returns_per_m2,
-            "duration_s": prediction.duration_s,
-            "version": version(),
-        }
+        facts = prediction_facts(plan, predict(plan), arguments.height)
         if arguments.compare:
-            facts["sensors"] = []
-            for choice in compare(plan):
-                status.update(f"compared: {choice.name}")
-                facts["sensors"].append(choice_dict(choice))
+            facts["sensors"] = compared_sensors(plan, status.update)
         if arguments.wanted is not None:
-            heights, rows = height_steps(plan), []
-            for choice in over_heights(plan, path, heights):
-                status.update(f"height: {choice.name} m")
-                rows.append(choice_dict(choice))
-            shares = np.array(
-                [math.nan if r["sigma_share"] is None else r["sigma_share"] for r in rows]
-            )
-            facts |= {
-                "heights": rows,
-                "wanted_share": arguments.wanted,
-                "maximum_height_m": highest(heights, shares, arguments.wanted),
-            }
+            facts |= compared_heights(plan, path, arguments.wanted, status.update)
     if arguments.json:
         print(json_text(facts), end="")
     else:
@@ -161,27 +121,90 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def choice_dict(choice: Any) -> dict[str, Any]:
-    """One alternative as plain values."""
-    p = choice.prediction
-    if p is None:
-        return {
-            "name": choice.name,
-            "sigma_m3": None,
-            "sigma_share": None,
-            "largest_source": None,
-            "reason": choice.reason,
-        }
+def pile_of(arguments: argparse.Namespace) -> Pile:
+    """The elliptic pile or pit that is asked for, or a cone at its angle of repose."""
+    from ladar_volume.planning.planned_scene import Pile
+
+    a = arguments
+    if a.pile is not None:
+        length, width, height = a.pile
+        return Pile(length, width, height, a.top, a.rough, a.rough_length)
+    volume = 100.0 if a.volume is None else a.volume
+    return Pile.cone(volume, math.radians(a.repose), a.rough, a.rough_length)
+
+
+def scanner_of(arguments: argparse.Namespace) -> Scanner:
+    """The scanner by name, with a pulse rate of its own where one is given."""
+    from ladar_volume.planning.sensor_choice import SCANNERS
+
+    scanner = SCANNERS[arguments.scanner or "vlp16"][0]
+    if arguments.rate is not None:
+        scanner = dataclasses.replace(scanner, rate_hz=arguments.rate)
+    return scanner
+
+
+def prediction_facts(plan: Plan, prediction: Prediction, height_m: float) -> dict[str, Any]:
+    """What the JSON says of the prediction for a flight at that height."""
     return {
-        "name": choice.name,
-        "sigma_m3": p.volume.sigma_m3,
-        "sigma_share": p.share,
-        "largest_source": p.volume.largest_source,
-        "reason": "",
+        "plan": {
+            **dataclasses.asdict(plan.pile),
+            "flight_height_m": height_m,
+            "scanner": dataclasses.asdict(plan.scanner),
+        },
+        **volume_dict(prediction.volume),
+        "true_volume_m3": prediction.true_m3,
+        "sigma_share": prediction.share,
+        "returns_per_m2": prediction.returns_per_m2,
+        "duration_s": prediction.duration_s,
+        "version": version(),
     }
 
 
-def show(console: Console, facts: dict[str, Any]) -> None:
+def compared_sensors(plan: Plan, progress: Callable[[str], None]) -> list[dict[str, Any]]:
+    """Every scanner with every IMU."""
+    from ladar_volume.planning.sensor_choice import compare
+
+    rows = []
+    for choice in compare(plan):
+        progress(f"compared: {choice.name}")
+        rows.append(choice_dict(choice))
+    return rows
+
+
+def compared_heights(
+    plan: Plan,
+    path: Callable[[float], PlatformStates],
+    wanted: float,
+    progress: Callable[[str], None],
+) -> dict[str, Any]:
+    """Heights of the flight, and the highest at which sigma / V is no more than wanted."""
+    from ladar_volume.planning.sensor_choice import height_steps, highest, over_heights
+
+    heights, rows = height_steps(plan), []
+    for choice in over_heights(plan, path, heights):
+        progress(f"height: {choice.name} m")
+        rows.append(choice_dict(choice))
+    shares = np.array([math.nan if r["sigma_share"] is None else r["sigma_share"] for r in rows])
+    return {
+        "heights": rows,
+        "wanted_share": wanted,
+        "maximum_height_m": highest(heights, shares, wanted),
+    }
+
+
+def choice_dict(choice: Choice) -> dict[str, Any]:
+    """One alternative as plain values."""
+    p = choice.prediction
+    return {
+        "name": choice.name,
+        "sigma_m3": None if p is None else p.volume.sigma_m3,
+        "sigma_share": None if p is None else p.share,
+        "largest_source": None if p is None else p.volume.largest_source,
+        "reason": choice.reason if p is None else "",
+    }
+
+
+def show(console: Console, facts: Mapping[str, Any]) -> None:
     """Print a prediction."""
     head = Table(show_header=False, box=None, pad_edge=False)
     head.add_row("planned volume", f"{facts['true_volume_m3']:.1f} m³ on {facts['area_m2']:.0f} m²")
@@ -195,37 +218,39 @@ def show(console: Console, facts: dict[str, Any]) -> None:
     volume_rows(head, facts)
     console.print(head)
     console.print(budget_table(facts))
-    for key, title, first in (
-        ("sensors", "Scanner and IMU", "sensors"),
-        ("heights", "Height of the flight", "height / m"),
-    ):
-        if key in facts:
-            table = Table(
-                first,
-                "sigma / m³",
-                "sigma / V",
-                "largest source",
-                title=title,
-                title_justify="left",
-            )
-            for row in facts[key]:
-                if row["sigma_m3"] is None:
-                    table.add_row(row["name"], "", "", row["reason"])
-                else:
-                    largest = row["largest_source"].replace("_", " ")
-                    table.add_row(
-                        row["name"],
-                        f"{row['sigma_m3']:.3f}",
-                        f"{100 * row['sigma_share']:.2f} %",
-                        largest,
-                    )
-            console.print(table)
+    if "sensors" in facts:
+        console.print(choice_table(facts["sensors"], "Scanner and IMU", "sensors"))
+    if "heights" in facts:
+        console.print(choice_table(facts["heights"], "Height of the flight", "height / m"))
     if "wanted_share" in facts:
-        height, wanted = facts["maximum_height_m"], f"{100 * facts['wanted_share']:g} %"
-        highest = float(facts["heights"][-1]["name"])
-        reached = (
-            f"up to {height:.0f} m" + (" or more" if height >= highest else "")
-            if math.isfinite(height)
-            else "at no height tried"
-        )
-        console.print(f"{wanted} is reached {reached}")
+        console.print(wanted_words(facts))
+
+
+def choice_table(rows: Sequence[Mapping[str, Any]], title: str, first: str) -> Table:
+    """Alternatives side by side."""
+    table = Table(
+        first, "sigma / m³", "sigma / V", "largest source", title=title, title_justify="left"
+    )
+    for row in rows:
+        if row["sigma_m3"] is None:
+            table.add_row(row["name"], "", "", row["reason"])
+        else:
+            table.add_row(
+                row["name"],
+                f"{row['sigma_m3']:.3f}",
+                f"{100 * row['sigma_share']:.2f} %",
+                row["largest_source"].replace("_", " "),
+            )
+    return table
+
+
+def wanted_words(facts: Mapping[str, Any]) -> str:
+    """Up to which height the wanted share is reached."""
+    height, wanted = facts["maximum_height_m"], f"{100 * facts['wanted_share']:g} %"
+    tried = float(facts["heights"][-1]["name"])
+    reached = (
+        f"up to {height:.0f} m" + (" or more" if height >= tried else "")
+        if math.isfinite(height)
+        else "at no height tried"
+    )
+    return f"{wanted} is reached {reached}"

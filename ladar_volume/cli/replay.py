@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from ladar_volume.cli.arguments.work import config_for
-from ladar_volume.cli.result_table import show_result
+from ladar_volume.cli.tables.result_table import show_result
 from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.io import results
 from ladar_volume.io.bags import BagReader

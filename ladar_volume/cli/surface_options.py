@@ -32,31 +32,8 @@ def surface_options(arguments: argparse.Namespace, default: SurfaceOptions) -> S
     another.
     """
     a = arguments
-    given: dict[str, Any] = {"ratio": default.ratio}
-    if a.tolerance is not None and a.vertices is None:
-        given["ratio"] = None
-    if a.vertices is not None:
-        if not a.vertices > 0 or (a.vertices > 1 and a.vertices != int(a.vertices)):
-            raise ConfigurationError(
-                f"--vertices {a.vertices:g}: a ratio above 0 and up to 1, or a whole number",
-                value=a.vertices,
-            )
-        given["ratio"], given["vertices"] = (
-            (a.vertices, None) if a.vertices <= 1 else (None, int(a.vertices))
-        )
-    relevant = a.relevant or (
-        "edge"
-        if a.max_edge is not None
-        else "circumcircle"
-        if a.max_circle is not None
-        else "sampled"
-    )
-    for option, limit, word in (
-        ("edge", a.max_edge, "--max-edge"),
-        ("circumcircle", a.max_circle, "--max-circle"),
-    ):
-        if (relevant == option) != (limit is not None):
-            raise ConfigurationError(f"--relevant {option} and {word} go together", value=relevant)
+    given = _vertex_options(a, default)
+    relevant = _relevant_option(a)
     if a.adjust != "rms-iterated" and (a.iterations is not None or a.height_tolerance is not None):
         raise ConfigurationError(
             "--iterations and --height-tolerance belong to --adjust rms-iterated", value=a.adjust
@@ -82,6 +59,38 @@ def surface_options(arguments: argparse.Namespace, default: SurfaceOptions) -> S
         bins_per_row=a.bins,
         **{key: value for key, value in limits.items() if value is not None},
     )
+
+
+def _vertex_options(a: argparse.Namespace, default: SurfaceOptions) -> dict[str, Any]:
+    """Where the insertion of vertices stops: at a ratio, at a number, or by the tolerance alone."""
+    if a.vertices is None:
+        return {"ratio": None if a.tolerance is not None else default.ratio}
+    if not a.vertices > 0 or (a.vertices > 1 and a.vertices != int(a.vertices)):
+        raise ConfigurationError(
+            f"--vertices {a.vertices:g}: a ratio above 0 and up to 1, or a whole number",
+            value=a.vertices,
+        )
+    if a.vertices <= 1:
+        return {"ratio": a.vertices, "vertices": None}
+    return {"ratio": None, "vertices": int(a.vertices)}
+
+
+def _relevant_option(a: argparse.Namespace) -> str:
+    """Which triangles count: as asked for, or as a limit implies."""
+    relevant: str = a.relevant or (
+        "edge"
+        if a.max_edge is not None
+        else "circumcircle"
+        if a.max_circle is not None
+        else "sampled"
+    )
+    for option, limit, word in (
+        ("edge", a.max_edge, "--max-edge"),
+        ("circumcircle", a.max_circle, "--max-circle"),
+    ):
+        if (relevant == option) != (limit is not None):
+            raise ConfigurationError(f"--relevant {option} and {word} go together", value=relevant)
+    return relevant
 
 
 def read_surface(path: Path, arguments: argparse.Namespace, second: bool = False) -> Source:

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ladar_volume.cli.inputs.mesh_source import mesh_doubts, mesh_words
-from ladar_volume.cli.inputs.reading import add_reading_rows, clouds_of, reading_doubts
+from ladar_volume.cli.inputs.reading import Source, add_reading_rows, clouds_of, reading_doubts
 from ladar_volume.cli.surface_options import (
     add_surface_rows,
     frame_facts,
@@ -29,9 +29,10 @@ from ladar_volume.clouds.volume_verdict import area_counted, stray_doubts, surfa
 from ladar_volume.io.meshfiles.tin_files import check_tin_output, write_tin
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import OutputError
-from ladar_volume.model.records import I64, Tin
+from ladar_volume.model.records import F64, I64, Tin
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.represent import SurfaceOptions
+from ladar_volume.tin.scan_frame import Frame
 from ladar_volume.version import version
 
 
@@ -50,25 +51,18 @@ def run(arguments: argparse.Namespace) -> int:
         frame = frame_of(arguments, [source])
         status.update(f"triangulating {len(source.cloud.r):,} points")
         surface = make_surface(arguments, source, options, frame, arguments.sigma)
-        made, sigma_z = surface.made, None
+        sigma_z = None
         if surface.sigma_m is not None:
             status.update("covariance of the heights")
-            sigma_z = np.sqrt(made.covariance(surface.sigma_m).diagonal())
+            sigma_z = np.sqrt(surface.made.covariance(surface.sigma_m).diagonal())
         status.update("writing")
-        tin = made.tin if frame is None else frame.tin_back(made.tin)
-        vertices, faces = write_tin(
-            arguments.output,
-            in_cloud(tin, source.cloud.rows[surface.index]),
-            sigma_z,
-            arguments.all_triangles,
-            source.cloud.coordinates.notes(),
-        )
+        output = write_surface(arguments, source, surface, frame, sigma_z)
     facts = {
         **surface_facts(source, surface),
         "sigma_z_median_m": None
         if sigma_z is None
-        else float(np.median(sigma_z[made.tin.source >= 0])),
-        "output": {"path": arguments.output.name, "vertices": vertices, "faces": faces},
+        else float(np.median(sigma_z[surface.made.tin.source >= 0])),
+        "output": output,
         "frame": frame_facts(frame),
         "options": option_facts(options),
         "version": version(),
@@ -82,6 +76,27 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         show(console, facts)
     return exit_code(arguments, facts["verdict"])
+
+
+def write_surface(
+    arguments: argparse.Namespace,
+    source: Source,
+    surface: CloudSurface,
+    frame: Frame | None,
+    sigma_z: F64 | None,
+) -> dict[str, Any]:
+    """Write the surface in the map's frame, with the standard deviations (n,), m, of its heights;
+    returns what the JSON says of the file.
+    """
+    tin = surface.made.tin if frame is None else frame.tin_back(surface.made.tin)
+    vertices, faces = write_tin(
+        arguments.output,
+        in_cloud(tin, source.cloud.rows[surface.index]),
+        sigma_z,
+        arguments.all_triangles,
+        source.cloud.coordinates.notes(),
+    )
+    return {"path": arguments.output.name, "vertices": vertices, "faces": faces}
 
 
 def surface_verdict(facts: Mapping[str, Any], surface: CloudSurface) -> list[Doubt]:
@@ -101,6 +116,15 @@ def in_cloud(tin: Tin, index: I64) -> Tin:
 def show(console: Console, facts: Mapping[str, Any]) -> None:
     """Print the facts as a short table."""
     table = Table(show_header=False, box=None, pad_edge=False)
+    _add_surface_rows(table, facts)
+    _add_fit_rows(table, facts)
+    add_verdict_rows(table, facts["verdict"])
+    console.print(table)
+    console.print(f"written to {facts['output']['path']}")
+
+
+def _add_surface_rows(table: Table, facts: Mapping[str, Any]) -> None:
+    """Points, vertices and triangles."""
     table.add_row("points", f"{facts['points']:,} ({facts['used']:,} used)")
     add_reading_rows(table, facts)
     for name in ("cropped", "outliers", "duplicates"):
@@ -118,6 +142,10 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
             f"{facts['area_m2']:.2f} m²)"
         ),
     )
+
+
+def _add_fit_rows(table: Table, facts: Mapping[str, Any]) -> None:
+    """How the heights were fitted, and how accurate they are."""
     if facts["adjust"] != "none":
         table.add_row(
             "heights",
@@ -140,6 +168,3 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
             "sigma of a point", f"{1e3 * facts['sigma_point_m']:.2f} mm ({facts['sigma_from']})"
         )
         table.add_row("sigma of a vertex", f"{1e3 * facts['sigma_z_median_m']:.2f} mm (median)")
-    add_verdict_rows(table, facts["verdict"])
-    console.print(table)
-    console.print(f"written to {facts['output']['path']}")

@@ -7,20 +7,28 @@ import os
 import tempfile
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from rich.console import Console
 from rich.progress import Progress
 
 from ladar_volume.cli.arguments.work import config_for
 from ladar_volume.cli.replay import topics_from
-from ladar_volume.cli.result_table import show_result
+from ladar_volume.cli.tables.result_table import show_result
 from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.io import results
 from ladar_volume.io.bags import ROLES, BagReader
 from ladar_volume.io.config import dump_config, read_config
 from ladar_volume.io.output_set import output_set
 from ladar_volume.model.errors import ConfigurationError, shown
+from ladar_volume.model.parameters import Parameters
 from ladar_volume.process.numpy_names import leave_out_tools
+
+if TYPE_CHECKING:  # ROS is loaded where the graph begins
+    from ladar_volume.nodes.graph import Graph
+
+#: A recording's graph loses no message: overrides of a played survey.
+LOSSLESS = ("node.input_reliability=reliable", "node.input_depth=2000")
 
 
 def ros_arguments(arguments: argparse.Namespace) -> list[str]:
@@ -39,25 +47,42 @@ def ros_arguments(arguments: argparse.Namespace) -> list[str]:
     return given
 
 
+def parameters_of(arguments: argparse.Namespace) -> Parameters:
+    """The parameters of the nodes: a recording's own, a given file's, and overrides."""
+    overrides = list(arguments.set)
+    config = arguments.config
+    if arguments.play is not None:
+        overrides = [*LOSSLESS, *overrides]
+        config = config_for(arguments.play, arguments.config)
+    if arguments.mavlink is not None:
+        overrides.append(f"mavlink.url={arguments.mavlink}")
+    return read_config(config, overrides)
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Start the graph; play, wait, print and save, or run until interrupted."""
     if arguments.play is not None:
         # a recording's graph is this computer's own affair
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 90 + 10))
-    overrides = list(arguments.set)
-    if arguments.play is not None:
-        overrides = ["node.input_reliability=reliable", "node.input_depth=2000", *overrides]
-    if arguments.mavlink is not None:
-        overrides.append(f"mavlink.url={arguments.mavlink}")
-    config = (
-        config_for(arguments.play, arguments.config)
-        if arguments.play is not None
-        else arguments.config
-    )
-    parameters = read_config(config, overrides)
+    parameters = parameters_of(arguments)
     folder = results.output_folder(arguments.output)
     console = Console(stderr=arguments.json)
+    result = graph_result(arguments, parameters, console)
+    with output_set(folder, results.SURVEY_FILES) as part:
+        results.write_text(part / "result.json", results.json_text(result))
+    if arguments.json:
+        print(results.json_text(result), end="")
+    else:
+        show_result(console, result)
+        console.print(f"written to {folder}/")
+    return exit_code(arguments, result["verdict"])
+
+
+def graph_result(
+    arguments: argparse.Namespace, parameters: Parameters, console: Console
+) -> dict[str, Any]:
+    """The volume of a recording played through the nodes; live they run until interrupted."""
     leave_out_tools()
     # the only way to ROS from here, paid for only by this verb
     from ladar_volume.nodes.graph import Graph
@@ -75,35 +100,39 @@ def run(arguments: argparse.Namespace) -> int:
         try:
             graph.wait_ready()
             if arguments.play is None:
-                console.print("the nodes run; Ctrl-C stops them")
-                while True:
-                    time.sleep(1.0)
-                    graph.check()
-            with BagReader(arguments.play) as bag, Progress(console=console, transient=True) as bar:
-                topics = bag.roles(topics_from(arguments.topic))
-                bag.require(topics, parameters.georeference.pose_source)
-                task = bar.add_task(
-                    f"playing {arguments.play.name} at {arguments.rate:g}x through the nodes",
-                    total=1.0,
-                )
-                graph.play(
-                    bag, topics, arguments.rate, lambda share: bar.update(task, completed=share)
-                )
-                result = graph.watcher.answer()
-                result["input"] = {
-                    "path": arguments.play.name,
-                    "sha256": bag.digest(),
-                    "duration_s": bag.duration_s,
-                    "topics": topics,
-                }
+                run_live(graph, console)
+            result = played_result(graph, arguments, parameters, console)
             result["losses"] = graph.losses()
         finally:
             graph.close()
-    with output_set(folder, results.SURVEY_FILES) as part:
-        results.write_text(part / "result.json", results.json_text(result))
-    if arguments.json:
-        print(results.json_text(result), end="")
-    else:
-        show_result(console, result)
-        console.print(f"written to {folder}/")
-    return exit_code(arguments, result["verdict"])
+    return result
+
+
+def run_live(graph: Graph, console: Console) -> NoReturn:
+    """Watch the nodes until interrupted."""
+    console.print("the nodes run; Ctrl-C stops them")
+    while True:
+        time.sleep(1.0)
+        graph.check()
+
+
+def played_result(
+    graph: Graph, arguments: argparse.Namespace, parameters: Parameters, console: Console
+) -> dict[str, Any]:
+    """Play the recording; what the volume node answers, with what was played."""
+    with BagReader(arguments.play) as bag, Progress(console=console, transient=True) as bar:
+        topics = bag.roles(topics_from(arguments.topic))
+        bag.require(topics, parameters.georeference.pose_source)
+        task = bar.add_task(
+            f"playing {arguments.play.name} at {arguments.rate:g}x through the nodes",
+            total=1.0,
+        )
+        graph.play(bag, topics, arguments.rate, lambda share: bar.update(task, completed=share))
+        result = graph.watcher.answer()
+        result["input"] = {
+            "path": arguments.play.name,
+            "sha256": bag.digest(),
+            "duration_s": bag.duration_s,
+            "topics": topics,
+        }
+    return result

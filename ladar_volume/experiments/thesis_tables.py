@@ -61,11 +61,7 @@ def volumes(bodies: list[Body], truth_m3: float, printed: dict[str, tuple[int, i
     for way in REPAIRS:
         triangles, volume = printed[way]
         off = 100.0 * (volume / (1e6 * truth_m3) - 1.0)
-        modes = [b.modes[way] for b in bodies]
-        counts = [
-            f"{np.mean([getattr(m, name) for m in modes]):.0f}"
-            for name in ("triangles", "over_full", "open")
-        ]
+        counts = mesh_counts(bodies, way)
         rows.append(
             [NAMES[way], str(triangles), f"{off:+.2f}", *counts, with_spread(error[way], ".2f")]
         )
@@ -100,36 +96,32 @@ def volumes(bodies: list[Body], truth_m3: float, printed: dict[str, tuple[int, i
     return markdown(head, rows)
 
 
+def mesh_counts(bodies: list[Body], way: str) -> list[str]:
+    """Triangles, edges with three or more of them, and open edges, in the mean."""
+    modes = [b.modes[way] for b in bodies]
+    return [
+        f"{np.mean([getattr(m, name) for m in modes]):.0f}"
+        for name in ("triangles", "over_full", "open")
+    ]
+
+
+def body_rows(name: str, bodies: list[Body]) -> list[list[str]]:
+    """Two rows of :func:`work`: the published way, and the package's own."""
+    first, own = bodies[0], bodies[0].own
+    filtering = min(b.seconds for b in bodies)
+    meshing = min(b.modes["both"].seconds for b in bodies)
+    every = min(b.own.seconds for b in bodies)
+    published = (first.filtered, first.modes["both"].triangles, filtering, meshing)
+    own_way = [f"{name}, own way (all steps)", "", f"{own.points:,}", "", f"{own.triangles:,}"]
+    return [
+        cloud_row(name, f"{name}, published", published),
+        [*own_way, "", f"{every:.2g}", "", ""],
+    ]
+
+
 def work(study: Study) -> str:
     """What came out of filter and mesh, and how long it took."""
-    rows = []
-    for name, bodies in (("box", study.boxes), ("sphere", study.spheres)):
-        first, mode = bodies[0], bodies[0].modes["both"]
-        fastest = [
-            min(s)
-            for s in zip(
-                *((b.seconds, b.modes["both"].seconds, b.own.seconds) for b in bodies), strict=True
-            )
-        ]
-        rows.append(
-            cloud_row(
-                name, f"{name}, published", (first.filtered, mode.triangles, fastest[0], fastest[1])
-            )
-        )
-        own = first.own
-        rows.append(
-            [
-                f"{name}, own way (all steps)",
-                "",
-                f"{own.points:,}",
-                "",
-                f"{own.triangles:,}",
-                "",
-                f"{fastest[2]:.2g}",
-                "",
-                "",
-            ]
-        )
+    rows = body_rows("box", study.boxes) + body_rows("sphere", study.spheres)
     for name, f in study.fields.items():
         key = (
             "bench and fountain"

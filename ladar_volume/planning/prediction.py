@@ -14,9 +14,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from ladar_volume.georeference.error_budget import independent_sigmas, navigation_covariance
-from ladar_volume.georeference.lidar_equation import laser_vector, map_point, mounting
+from ladar_volume.georeference.lidar_equation import Mounting, laser_vector, map_point, mounting
 from ladar_volume.georeference.point_jacobian import (
     bracket,
     independent_covariance,
@@ -26,7 +27,15 @@ from ladar_volume.georeference.point_jacobian import (
 from ladar_volume.math.se3 import matrix_from_quaternion, slerp
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters, VolumeParameters
-from ladar_volume.model.records import F64, Bool, Estimate, MappedPoints, PlatformStates, Volume
+from ladar_volume.model.records import (
+    F64,
+    I64,
+    Bool,
+    Estimate,
+    MappedPoints,
+    PlatformStates,
+    Volume,
+)
 from ladar_volume.planning.planned_scene import Pile
 from ladar_volume.rmls.surface_filter import SurfaceFilter
 from ladar_volume.volume.base import area_inside
@@ -91,11 +100,59 @@ def scanning_spans(path: PlatformStates) -> tuple[F64, F64]:
     return t[:-1][one], np.diff(t)[one]
 
 
+@dataclass(frozen=True)
+class Pulses:
+    """Pulses at random times and azimuths.
+
+    t_ns : (n,) · origin : (n, 3) m, of the body · R : (n, 3, 3), body to map · ring : (n,) ·
+    azimuth, elevation : (n,) rad, of the laser · start : (n, 3) m, laser origin · ray : (n, 3)
+    unit; map frame
+    """
+
+    t_ns: I64
+    origin: F64
+    R: F64
+    ring: npt.NDArray[np.uint16]
+    azimuth: F64
+    elevation: F64
+    start: F64
+    ray: F64
+
+    def select(self, keep: Bool) -> Pulses:
+        """The pulses where keep (n,) is set."""
+        return Pulses(*(getattr(self, f.name)[keep] for f in dataclasses.fields(self)))
+
+
 def cast(plan: Plan, count: int, rng: np.random.Generator) -> tuple[MappedPoints, F64]:
     """Mapped points of ``count`` pulses at random times and azimuths, with independent noise; those
     that return from the region, and the ranges (n,) m.
     """
-    p, path, scanner = plan.parameters, plan.path, plan.scanner
+    p = plan.parameters
+    mount = mounting(p.calibration, p.georeference.pose_source)
+    pulses, distance = returned(plan, fired(plan, mount, count, rng))
+    noise = rng.standard_normal((len(distance), 3)) * independent_sigmas(p.budget)
+    spread = np.maximum(np.cos(pulses.elevation), 0.05)
+    r_laser = laser_vector(
+        distance + noise[:, 0],
+        pulses.azimuth + noise[:, 1] / spread,
+        pulses.elevation + noise[:, 2],
+    )
+    antenna = pulses.origin + np.einsum("nij,j->ni", pulses.R, mount.lever_antenna)
+    points = MappedPoints(
+        pulses.t_ns,
+        map_point(antenna, pulses.R, r_laser, mount),
+        np.zeros((len(distance), 6), np.float32),
+        pulses.ring,
+        np.ones(len(distance), np.float32),
+    )
+    geometry = point_geometry(points, plan.path, mount)
+    C = independent_covariance(geometry, independent_sigmas(p.budget))
+    return dataclasses.replace(points, C_ind=pack(C).astype(np.float32)), distance
+
+
+def fired(plan: Plan, mount: Mounting, count: int, rng: np.random.Generator) -> Pulses:
+    """Pulses along the path. Raises :class:`VolumeError` for a path of single states."""
+    path, scanner = plan.path, plan.scanner
     begin, length = scanning_spans(path)
     if len(begin) == 0:
         raise VolumeError("the path has no two states of one segment", reason="plan_path")
@@ -114,38 +171,26 @@ def cast(plan: Plan, count: int, rng: np.random.Generator) -> tuple[MappedPoints
         else np.zeros(count)
     )
     azimuth = rng.uniform(-math.pi, math.pi, count)
-    mount = mounting(p.calibration, p.georeference.pose_source)
     ray = np.einsum(
         "nij,nj->ni", R, laser_vector(np.ones(count), azimuth, elevation) @ mount.R_body_laser.T
     )
     start = origin + np.einsum("nij,j->ni", R, mount.lever_laser)
-    distance = plan.pile.ranges(start, ray)
-    limit = min(scanner.max_range_m, p.georeference.range_max_m)
-    keep = (distance <= limit) & (distance >= p.georeference.range_min_m)
-    hit = start[keep] + distance[keep, None] * ray[keep]
+    return Pulses(t_ns, origin, R, ring, azimuth, elevation, start, ray)
+
+
+def returned(plan: Plan, pulses: Pulses) -> tuple[Pulses, F64]:
+    """The pulses that return from the region, and their ranges (n,) m on the rough scene."""
+    g = plan.parameters.georeference
+    distance = plan.pile.ranges(pulses.start, pulses.ray)
+    limit = min(plan.scanner.max_range_m, g.range_max_m)
+    keep = (distance <= limit) & (distance >= g.range_min_m)
+    hit = pulses.start[keep] + distance[keep, None] * pulses.ray[keep]
     keep[keep] = inside_region(plan, hit)
-    distance = distance[keep]
-    hit = start[keep] + distance[:, None] * ray[keep]
+    distance, pulses = distance[keep], pulses.select(keep)
+    hit = pulses.start + distance[:, None] * pulses.ray
     # the roughness lifts the ground; the beam meets it that much earlier
-    distance = distance + plan.pile.roughness(hit[:, :2], plan.seed) / np.minimum(
-        ray[keep, 2], -0.05
-    )
-    noise = rng.standard_normal((len(distance), 3)) * independent_sigmas(p.budget)
-    spread = np.maximum(np.cos(elevation[keep]), 0.05)
-    r_laser = laser_vector(
-        distance + noise[:, 0], azimuth[keep] + noise[:, 1] / spread, elevation[keep] + noise[:, 2]
-    )
-    antenna = origin[keep] + np.einsum("nij,j->ni", R[keep], mount.lever_antenna)
-    zero = np.zeros((len(distance), 6), np.float32)
-    points = MappedPoints(
-        t_ns[keep],
-        map_point(antenna, R[keep], r_laser, mount),
-        zero,
-        ring[keep],
-        np.ones(len(distance), np.float32),
-    )
-    C = independent_covariance(point_geometry(points, path, mount), independent_sigmas(p.budget))
-    return dataclasses.replace(points, C_ind=pack(C).astype(np.float32)), distance
+    lift = plan.pile.roughness(hit[:, :2], plan.seed)
+    return pulses, distance + lift / np.minimum(pulses.ray[:, 2], -0.05)
 
 
 def with_outline(plan: Plan) -> VolumeParameters:

@@ -4,10 +4,11 @@ and the budget.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
@@ -25,43 +26,9 @@ def draw(volume: Volume, change: ChangeMap, title: str) -> Figure:
     figure = Figure(figsize=(16, 5.4), layout="constrained")
     FigureCanvasAgg(figure)
     plan, level, bars = figure.subplots(1, 3, width_ratios=[1.0, 1.0, 0.75])
-    t = change.tin.triangles[change.tin.relevant]
-    dz, above = change.difference_m[t].mean(axis=1), change.significant[t].sum(axis=1) >= 2
-    reach = float(np.max(np.abs(dz))) if len(dz) else 1.0
-    _map(
-        plan,
-        figure,
-        change,
-        np.where(above, dz, np.nan),
-        "RdBu",
-        (-reach, reach),
-        "new minus previous / m",
-    )
-    plan.set_title(
-        (
-            "change beyond the level of detection (grey: below it), "
-            f"{change.area_m2[change.significant].sum():.1f} m²"
-        ),
-        fontsize=9,
-    )
-    limits = float(np.percentile(change.level_m[t], 2)), float(np.percentile(change.level_m[t], 98))
-    _map(
-        level,
-        figure,
-        change,
-        change.level_m[t].mean(axis=1),
-        "viridis",
-        limits,
-        "level of detection / m",
-    )
-    lines = sorted(volume.budget_m6.items(), key=lambda item: item[1])[-LINES:]
-    bars.barh(
-        [name.replace("_", " ") for name, _ in lines],
-        [np.sqrt(max(v, 0.0)) for _, v in lines],
-        color="steelblue",
-    )
-    bars.set(xlabel="sigma of the change by source / m³")
-    bars.grid(axis="x", alpha=0.3)
+    _difference(plan, change)
+    _level(level, change)
+    _budget(bars, volume)
     figure.suptitle(
         f"{title}: {volume.volume_m3:+.2f} ± {volume.sigma_m3:.2f} m³ (1 sigma) over "
         f"{volume.area_m2:.0f} m²"
@@ -69,28 +36,70 @@ def draw(volume: Volume, change: ChangeMap, title: str) -> Figure:
     return figure
 
 
-def _map(
-    ax: Any,
-    figure: Figure,
-    change: ChangeMap,
-    values: F64,
-    colours: str,
-    limits: tuple[float, float],
-    label: str,
-) -> None:
+@dataclass(frozen=True)
+class Colours:
+    """How values become colours: the map's name, its limits, and what the bar says."""
+
+    name: str
+    limits: tuple[float, float]
+    label: str
+
+
+def _difference(ax: Axes, change: ChangeMap) -> None:
+    """Panel of the difference of heights where it exceeds the level of detection."""
+    t = change.tin.triangles[change.tin.relevant]
+    dz, above = change.difference_m[t].mean(axis=1), change.significant[t].sum(axis=1) >= 2
+    reach = float(np.max(np.abs(dz))) if len(dz) else 1.0
+    colours = Colours("RdBu", (-reach, reach), "new minus previous / m")
+    _map(ax, change, np.where(above, dz, np.nan), colours)
+    ax.set_title(
+        (
+            "change beyond the level of detection (grey: below it), "
+            f"{change.area_m2[change.significant].sum():.1f} m²"
+        ),
+        fontsize=9,
+    )
+
+
+def _level(ax: Axes, change: ChangeMap) -> None:
+    """Panel of the level of detection."""
+    t = change.tin.triangles[change.tin.relevant]
+    limits = float(np.percentile(change.level_m[t], 2)), float(np.percentile(change.level_m[t], 98))
+    colours = Colours("viridis", limits, "level of detection / m")
+    _map(ax, change, change.level_m[t].mean(axis=1), colours)
+
+
+def _budget(ax: Axes, volume: Volume) -> None:
+    """Panel of the largest lines of the budget."""
+    lines = sorted(volume.budget_m6.items(), key=lambda item: item[1])[-LINES:]
+    ax.barh(
+        [name.replace("_", " ") for name, _ in lines],
+        [np.sqrt(max(v, 0.0)) for _, v in lines],
+        color="steelblue",
+    )
+    ax.set(xlabel="sigma of the change by source / m³")
+    ax.grid(axis="x", alpha=0.3)
+
+
+def _map(ax: Axes, change: ChangeMap, values: F64, colours: Colours) -> None:
+    """The triangles from above in the colours of their values (t,); grey where there is none."""
     corners = change.tin.vertices[change.tin.triangles[change.tin.relevant], :2]
     unknown = ~np.isfinite(values)
     ax.add_collection(
         PolyCollection(list(corners[unknown]), facecolors=GREY, edgecolors=GREY, linewidths=0.2)
     )
-    known = list(corners[~unknown])
     faces = PolyCollection(
-        known, array=values[~unknown], cmap=colours, clim=limits, edgecolors="face", linewidths=0.2
+        list(corners[~unknown]),
+        array=values[~unknown],
+        cmap=colours.name,
+        clim=colours.limits,
+        edgecolors="face",
+        linewidths=0.2,
     )
     ax.add_collection(faces)
     ax.set(aspect="equal", xlabel="east / m", ylabel="north / m")
     ax.autoscale_view()
-    figure.colorbar(faces, ax=ax, label=label, shrink=0.85)
+    ax.figure.colorbar(faces, ax=ax, label=colours.label, shrink=0.85)
 
 
 def save(volume: Volume, change: ChangeMap, title: str, path: Path) -> None:

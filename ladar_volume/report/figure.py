@@ -5,9 +5,9 @@ comes from.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
@@ -30,7 +30,7 @@ def draw(estimate: Estimate, title: str) -> Figure:
     return figure
 
 
-def _plan(ax: Any, figure: Figure, estimate: Estimate) -> None:
+def _plan(ax: Axes, figure: Figure, estimate: Estimate) -> None:
     tin = estimate.tin
     triangles = tin.triangles[tin.relevant]
     heights = tin.vertices[triangles, 2].mean(axis=1)
@@ -60,7 +60,7 @@ def _shade(tin: Tin) -> F64:
     return shade
 
 
-def _budget(ax: Any, estimate: Estimate) -> None:
+def _budget(ax: Axes, estimate: Estimate) -> None:
     lines = sorted(estimate.volume.budget_m6.items(), key=lambda item: item[1])
     names = [name.replace("_", " ") for name, _ in lines]
     ax.barh(names, [np.sqrt(max(value, 0.0)) for _, value in lines], color="steelblue")

@@ -24,6 +24,8 @@ from ladar_volume.simulation.survey import HEIGHT_M, LATITUDE_DEG, LONGITUDE_DEG
 STORE = get_typestore(Stores.ROS2_JAZZY)
 T = STORE.types
 FLOAT32, UINT16 = 7, 4
+#: What a recording holds: topic and kind of sensor_msgs.
+TOPICS = {"/velodyne_points": "PointCloud2", "/gnss/fix": "NavSatFix", "/imu/data": "Imu"}
 
 
 def _header(t_ns: int, frame: str) -> Any:
@@ -150,33 +152,7 @@ def write_bag(
         writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
         writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         with writer:
-            kinds = {
-                "/velodyne_points": "PointCloud2",
-                "/gnss/fix": "NavSatFix",
-                "/imu/data": "Imu",
-            }
-            lines = {
-                t: writer.add_connection(t, f"sensor_msgs/msg/{k}", typestore=STORE)
-                for t, k in kinds.items()
-            }
-
-            def put(topic: str, message: Any, t_ns: int) -> None:
-                writer.write(
-                    lines[topic], t_ns, bytes(STORE.serialize_cdr(message, lines[topic].msgtype))
-                )
-
-            waiting, total = 0, max(1, int(survey.options.duration_s * 10))
-            for done, sweep in enumerate(survey.sweeps()):
-                end = sweep.stamp_ns + int(
-                    float(sweep.time_s[-1]) * 1e9
-                )  # a driver sends a sweep when it is complete
-                while waiting < len(messages) and messages[waiting][0] <= end:
-                    put(messages[waiting][1], messages[waiting][2], messages[waiting][0])
-                    waiting += 1
-                put("/velodyne_points", cloud_message(sweep), end)
-                progress(min(1.0, (done + 1) / total))
-            for t_ns, topic, message in messages[waiting:]:
-                put(topic, message, t_ns)
+            _write_messages(TopicWriter(writer), survey, messages, progress)
         (path / "truth.json").write_text(
             json.dumps(survey.truth, indent=1) + "\n", encoding="utf-8"
         )
@@ -186,3 +162,40 @@ def write_bag(
         if isinstance(error, OSError):
             raise OutputError(f"{path}: cannot be written: {error}", value=str(path)) from error
         raise
+
+
+class TopicWriter:
+    """Messages of :data:`TOPICS` into an open recording."""
+
+    def __init__(self, writer: Writer) -> None:
+        self._writer = writer
+        self._connections = {
+            topic: writer.add_connection(topic, f"sensor_msgs/msg/{kind}", typestore=STORE)
+            for topic, kind in TOPICS.items()
+        }
+
+    def write(self, topic: str, message: object, t_ns: int) -> None:
+        """Append one message."""
+        connection = self._connections[topic]
+        data = bytes(STORE.serialize_cdr(message, connection.msgtype))
+        self._writer.write(connection, t_ns, data)
+
+
+def _write_messages(
+    out: TopicWriter,
+    survey: Survey,
+    messages: list[tuple[int, str, Any]],
+    progress: Callable[[float], None],
+) -> None:
+    """Sweeps, and between them the messages (time, topic, message) in the order of their times."""
+    waiting, total = 0, max(1, int(survey.options.duration_s * 10))
+    for done, sweep in enumerate(survey.sweeps()):
+        # a driver sends a sweep when it is complete
+        end = sweep.stamp_ns + int(float(sweep.time_s[-1]) * 1e9)
+        while waiting < len(messages) and messages[waiting][0] <= end:
+            out.write(messages[waiting][1], messages[waiting][2], messages[waiting][0])
+            waiting += 1
+        out.write("/velodyne_points", cloud_message(sweep), end)
+        progress(min(1.0, (done + 1) / total))
+    for t_ns, topic, message in messages[waiting:]:
+        out.write(topic, message, t_ns)

@@ -252,6 +252,20 @@ def sphere() -> Scene:
     A surface seen from above closes it down to the ground: ``volume_25d_m3`` is the half sphere on
     its cylinder.
     """
+    body, triangles = sphere_mesh()
+    volume = 4.0 / 3.0 * np.pi
+    body = body * (volume / mesh_volume(body, triangles)) ** (1 / 3) + [0, 0, 1.0]
+    step = np.linspace(-20, 20, 81)
+    vertices, triangles = join(grid_mesh(step, step, Ground()), (body, triangles))
+    extra = {"volume_25d_m3": 5.0 / 3.0 * np.pi}
+    outline = _ring_outline(1.0, 1.0, 0.5)
+    return Scene(
+        "sphere", vertices, triangles, volume, outline, 10.0, extra, ("uav",), flight_m=(6.0, 10.0)
+    )
+
+
+def sphere_mesh() -> tuple[F64, I32]:
+    """A unit sphere about the origin by one degree: vertices (n, 3), triangles (m, 3), outwards."""
     theta, phi = np.linspace(0, np.pi, 181)[1:-1], 2 * np.pi * np.arange(360) / 360
     body = np.concatenate(
         [
@@ -284,16 +298,7 @@ def sphere() -> Scene:
             ]
         )
     )
-    triangles = np.concatenate(parts).astype(np.int32)
-    volume = 4.0 / 3.0 * np.pi
-    body = body * (volume / mesh_volume(body, triangles)) ** (1 / 3) + [0, 0, 1.0]
-    step = np.linspace(-20, 20, 81)
-    vertices, triangles = join(grid_mesh(step, step, Ground()), (body, triangles))
-    extra = {"volume_25d_m3": 5.0 / 3.0 * np.pi}
-    outline = _ring_outline(1.0, 1.0, 0.5)
-    return Scene(
-        "sphere", vertices, triangles, volume, outline, 10.0, extra, ("uav",), flight_m=(6.0, 10.0)
-    )
+    return body, np.concatenate(parts).astype(np.int32)
 
 
 def square() -> Scene:

@@ -93,6 +93,27 @@ class Sweep:
     ring: npt.NDArray[np.uint16]
 
 
+class RayCaster:
+    """Distances to a scene and its normals along rays. Open3D is loaded here, where rays are cast:
+    half a second and 300 MB.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._o3d = importlib.import_module("open3d")
+        self._scene = self._o3d.t.geometry.RaycastingScene()
+        self._scene.add_triangles(
+            self._o3d.core.Tensor(scene.vertices.astype(np.float32)),
+            self._o3d.core.Tensor(scene.triangles.astype(np.uint32)),
+        )
+
+    def cast(self, rays: npt.NDArray[np.float32]) -> tuple[F64, npt.NDArray[np.float32]]:
+        """Distances (n,), m, infinite where nothing is met, and normals (n, 3) there, along rays
+        (n, 6): origin and direction.
+        """
+        hit = self._scene.cast_rays(self._o3d.core.Tensor(rays), nthreads=2)
+        return hit["t_hit"].numpy().astype(np.float64), hit["primitive_normals"].numpy()
+
+
 @dataclass
 class Survey:
     """Draws its errors on construction; then yields fixes, attitudes and sweeps.
@@ -199,25 +220,17 @@ class Survey:
         """Clouds of one turn each, in laser coordinates, returns only; every call gives the
         same.
         """
-        o3d = importlib.import_module(
-            "open3d"
-        )  # loaded where rays are cast: half a second and 300 MB
-
-        caster = o3d.t.geometry.RaycastingScene()
-        caster.add_triangles(
-            o3d.core.Tensor(self.scene.vertices.astype(np.float32)),
-            o3d.core.Tensor(self.scene.triangles.astype(np.uint32)),
-        )
+        rays = RayCaster(self.scene)
         nominal = Rotation.from_euler("ZYX", np.radians(self.platform.boresight_deg[::-1]))
         mounting = Rotation.from_rotvec(self._boresight) * nominal
         rng = np.random.default_rng(self.options.seed)
         for k in range(int(self.options.duration_s / velodyne.TURN_S)):
-            sweep = self._sweep(k * velodyne.TURN_S, caster, mounting, o3d, rng)
+            sweep = self._sweep(k * velodyne.TURN_S, rays, mounting, rng)
             if len(sweep.time_s):
                 yield sweep
 
     def _sweep(
-        self, start_s: float, caster: Any, mounting: Rotation, o3d: Any, rng: np.random.Generator
+        self, start_s: float, caster: RayCaster, mounting: Rotation, rng: np.random.Generator
     ) -> Sweep:
         o = self.options
         f = velodyne.sweep(start_s, o.thin)
@@ -227,10 +240,8 @@ class Survey:
         rays = np.concatenate([origin, R.apply(body)], axis=1).astype(np.float32)
         true = np.full(len(rays), np.nan)
         down = rays[:, 5] < 0.35  # steeper up there is nothing to hit
-        hit = caster.cast_rays(o3d.core.Tensor(rays[down]), nthreads=2)
-        true[down] = hit["t_hit"].numpy().astype(np.float64)
         normals = np.zeros((len(rays), 3))
-        normals[down] = hit["primitive_normals"].numpy()
+        true[down], normals[down] = caster.cast(rays[down])
         true[~np.isfinite(true) | (true > o.max_range_m)] = np.nan
         rho = velodyne.measured_ranges(
             true, f.ring, self._beams, self.budget, o.mixed_share, rng, o.range_step_m

@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from ladar_volume.cli.main import main
-from ladar_volume.cli.result_table import show_result
+from ladar_volume.cli.tables.result_table import show_result
 from ladar_volume.io.bags import BagReader
 
 BAGS = Path(__file__).parents[2] / "bags"

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from ladar_volume.cli.arguments import calibrate_strips
+from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.arguments.work import work
 from ladar_volume.model.choices import USES
 
@@ -23,7 +23,7 @@ COLUMNS: dict[str, tuple[str, int]] = {
 }
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(subparsers: Verbs) -> None:
     """Declare the verb and its modes."""
     parser = subparsers.add_parser(
         "calibrate", help="calibration constants and their sigmas, as a parameter file"

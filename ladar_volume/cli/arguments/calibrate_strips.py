@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
-from typing import Any
 
+from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.arguments.work import work
 
 
-def add_parser(modes: Any) -> None:
+def add_parser(modes: Verbs) -> None:
     """Declare the mode."""
     parser = modes.add_parser(
         "strips",
@@ -18,6 +19,27 @@ def add_parser(modes: Any) -> None:
         "what the strips cannot tell stays there. Fly lanes in two directions, both "
         "ways, over ground with slopes.",
     )
+    _add_recording(parser)
+    parser.add_argument(
+        "--config",
+        type=Path,
+        help="parameter file; default: config.yaml in the recording's folder, if any",
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="FILE.yaml",
+        help="parameter file to write: the one read, recalibrated",
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print the result as JSON to standard output"
+    )
+    parser.set_defaults(run=work("ladar_volume.cli.calibrate_strips"))
+
+
+def _add_recording(parser: argparse.ArgumentParser) -> None:
+    """The recording, and what of it is used."""
     parser.add_argument("bag", type=Path, help="rosbag2 folder, .mcap, or ROS 1 .bag")
     parser.add_argument(
         "--set",
@@ -48,19 +70,3 @@ def add_parser(modes: Any) -> None:
         metavar="M",
         help="edge of a planar patch in m (default 1)",
     )
-    parser.add_argument(
-        "--config",
-        type=Path,
-        help="parameter file; default: config.yaml in the recording's folder, if any",
-    )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="FILE.yaml",
-        help="parameter file to write: the one read, recalibrated",
-    )
-    parser.add_argument(
-        "--json", action="store_true", help="print the result as JSON to standard output"
-    )
-    parser.set_defaults(run=work("ladar_volume.cli.calibrate_strips"))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ladar_volume.cli.arguments.diff_input import point
+from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.surface_options import number
@@ -16,7 +17,7 @@ from ladar_volume.cli.arguments.work import work
 from ladar_volume.model.choices import CORRECTIONS
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser(
         "diff",
@@ -32,6 +33,28 @@ def add_parser(subparsers: Any) -> None:
     parser._negative_number_matcher = re.compile(
         r"^-(\d|\.\d)[\d.,eE+-]*$"
     )  # argparse takes -1,2,3 for an option
+    _add_scans(parser)
+    _add_registration(parser)
+    _add_region(parser)
+    _add_accuracy(parser)
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="MESH", help="the closed body between both"
+    )
+    parser.add_argument(
+        "--allow-crossings",
+        action="store_true",
+        help="closed meshes may pierce themselves: such space counts twice",
+    )
+    add_strict_option(parser)
+    parser.add_argument(
+        "--json", action="store_true", help="print the result as JSON to standard output"
+    )
+    add_reading_options(parser)
+    parser.set_defaults(run=work("ladar_volume.cli.diff"))
+
+
+def _add_scans(parser: argparse.ArgumentParser) -> None:
+    """What is compared, and from where it was scanned."""
     parser.add_argument(
         "a", type=Path, help="scan or mesh before: PLY XYZ CSV NPY PCD LAS OBJ STL OFF ..."
     )
@@ -54,6 +77,10 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--scanner-b", type=point, metavar="X,Y,Z", help="the same for B (default: as A)"
     )
+
+
+def _add_registration(parser: argparse.ArgumentParser) -> None:
+    """How both come into one frame."""
     g = parser.add_argument_group("registration")
     g.add_argument(
         "--transform",
@@ -81,6 +108,10 @@ def add_parser(subparsers: Any) -> None:
         help="move B so that the ring, the unchanged boundary, lies on A: by its offset or rigidly "
         "(default none: what the ring differs by enters sigma and the verdict)",
     )
+
+
+def _add_region(parser: argparse.ArgumentParser) -> None:
+    """Where the volume counts, and the ring around it."""
     g = parser.add_argument_group("region")
     g.add_argument(
         "--polygon",
@@ -118,6 +149,10 @@ def add_parser(subparsers: Any) -> None:
         action="store_true",
         help="keep returns that stand alone, off every surface (default: left out and counted)",
     )
+
+
+def _add_accuracy(parser: argparse.ArgumentParser) -> None:
+    """Noise of the scans, weighed mass, and studies of the accuracy."""
     g = parser.add_argument_group("accuracy")
     g.add_argument(
         "--sigma",
@@ -154,17 +189,3 @@ def add_parser(subparsers: Any) -> None:
         metavar="M",
         help="volume and surface of clouds thinned to these cells",
     )
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="MESH", help="the closed body between both"
-    )
-    parser.add_argument(
-        "--allow-crossings",
-        action="store_true",
-        help="closed meshes may pierce themselves: such space counts twice",
-    )
-    add_strict_option(parser)
-    parser.add_argument(
-        "--json", action="store_true", help="print the result as JSON to standard output"
-    )
-    add_reading_options(parser)
-    parser.set_defaults(run=work("ladar_volume.cli.diff"))

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from typing import NoReturn
+from typing import NoReturn, TypeAlias
 
 from rich.markup import escape
 
+#: Where a verb, a mode or a study declares its parser.
+Verbs: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 #: Most characters of an error, with the program's name.
 MESSAGE = 300
 #: Characters of its end that a shortened error keeps: there it says what to do.

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
-from typing import Any
 
+from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.arguments.work import work
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser(
         "plan",
@@ -17,6 +18,25 @@ def add_parser(subparsers: Any) -> None:
         "the scanner and the error budget, with "
         "the survey's own filter, surface and propagation on sampled returns.",
     )
+    _add_scene(parser)
+    _add_flight(parser)
+    _add_sensors(parser)
+    parser.add_argument("--compare", action="store_true", help="every scanner with every IMU")
+    parser.add_argument(
+        "--wanted",
+        type=float,
+        metavar="SHARE",
+        help="sigma / V to be reached: the maximum height for it",
+    )
+    parser.add_argument("--seed", type=int, default=1, help="of the sampled returns")
+    parser.add_argument(
+        "--json", action="store_true", help="print the numbers as JSON to standard output"
+    )
+    parser.set_defaults(run=work("ladar_volume.cli.plan"))
+
+
+def _add_scene(parser: argparse.ArgumentParser) -> None:
+    """The pile or pit, and the roughness of its ground."""
     scene = parser.add_argument_group("scene")
     scene.add_argument(
         "--volume", type=float, metavar="M3", help="a cone of this volume at its angle of repose"
@@ -42,20 +62,11 @@ def add_parser(subparsers: Any) -> None:
         metavar="SHARE",
         help="size of the flat top over that of the foot (default 0)",
     )
-    scene.add_argument(
-        "--rough",
-        type=float,
-        default=0.01,
-        metavar="M",
-        help="roughness of the ground (default 0.01)",
-    )
-    scene.add_argument(
-        "--rough-length",
-        type=float,
-        default=1.0,
-        metavar="M",
-        help="its correlation length (default 1)",
-    )
+    _add_roughness(scene)
+
+
+def _add_flight(parser: argparse.ArgumentParser) -> None:
+    """The path of the scanner."""
     flight = parser.add_argument_group("flight")
     flight.add_argument(
         "--height", type=float, default=25.0, metavar="M", help="above the ground (default 25)"
@@ -91,6 +102,10 @@ def add_parser(subparsers: Any) -> None:
         metavar="S",
         help="a figure of eight of so many seconds instead, as `simulate` flies it",
     )
+
+
+def _add_sensors(parser: argparse.ArgumentParser) -> None:
+    """Scanner, attitude source and error budget."""
     sensors = parser.add_argument_group("sensors and error budget")
     sensors.add_argument(
         "--budget",
@@ -112,15 +127,21 @@ def add_parser(subparsers: Any) -> None:
         metavar="SECTION.KEY=VALUE",
         help="override one parameter",
     )
-    parser.add_argument("--compare", action="store_true", help="every scanner with every IMU")
-    parser.add_argument(
-        "--wanted",
+
+
+def _add_roughness(scene: argparse._ArgumentGroup) -> None:
+    """The roughness of the ground."""
+    scene.add_argument(
+        "--rough",
         type=float,
-        metavar="SHARE",
-        help="sigma / V to be reached: the maximum height for it",
+        default=0.01,
+        metavar="M",
+        help="roughness of the ground (default 0.01)",
     )
-    parser.add_argument("--seed", type=int, default=1, help="of the sampled returns")
-    parser.add_argument(
-        "--json", action="store_true", help="print the numbers as JSON to standard output"
+    scene.add_argument(
+        "--rough-length",
+        type=float,
+        default=1.0,
+        metavar="M",
+        help="its correlation length (default 1)",
     )
-    parser.set_defaults(run=work("ladar_volume.cli.plan"))

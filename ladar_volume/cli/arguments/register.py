@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
-from typing import Any
 
+from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser(
         "register",
@@ -19,6 +20,28 @@ def add_parser(subparsers: Any) -> None:
         "centres), and optionally 't' (seconds), by which it is tested that each stood still. The "
         "transform takes A's frame to B's.",
     )
+    _add_spheres(parser)
+    parser.add_argument(
+        "--levelled",
+        action="store_true",
+        help="both instruments are levelled: rotation about Z only",
+    )
+    parser.add_argument("--free-scale", action="store_true", help="find the scale too")
+    parser.add_argument(
+        "--apply", type=Path, metavar="CLOUD", help="a cloud in A's frame to transform"
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="OUT", help="where the transformed cloud goes"
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print the result as JSON to standard output"
+    )
+    add_strict_option(parser)
+    parser.set_defaults(run=work("ladar_volume.cli.register"))
+
+
+def _add_spheres(parser: argparse.ArgumentParser) -> None:
+    """Points on the spheres, their radius and noise."""
     parser.add_argument(
         "a",
         type=Path,
@@ -43,20 +66,3 @@ def add_parser(subparsers: Any) -> None:
         help="sigma of A's points in m (default: from the residuals)",
     )
     parser.add_argument("--noise-b", type=float, metavar="S", help="sigma of B's points in m")
-    parser.add_argument(
-        "--levelled",
-        action="store_true",
-        help="both instruments are levelled: rotation about Z only",
-    )
-    parser.add_argument("--free-scale", action="store_true", help="find the scale too")
-    parser.add_argument(
-        "--apply", type=Path, metavar="CLOUD", help="a cloud in A's frame to transform"
-    )
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="OUT", help="where the transformed cloud goes"
-    )
-    parser.add_argument(
-        "--json", action="store_true", help="print the result as JSON to standard output"
-    )
-    add_strict_option(parser)
-    parser.set_defaults(run=work("ladar_volume.cli.register"))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
+from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.arguments.work import work
 
 
@@ -17,7 +17,7 @@ def _span(text: str) -> tuple[float, float]:
         raise argparse.ArgumentTypeError(f"{text!r} is not FROM:TO in seconds") from None
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser(
         "simulate", help="simulate a survey of a scene with a known volume"
@@ -38,6 +38,20 @@ def add_parser(subparsers: Any) -> None:
             "strips (72 s or more); rover: two loops"
         ),
     )
+    _add_measurements(parser)
+    parser.add_argument(
+        "--config",
+        type=Path,
+        help="budget and parameters, written into the recording's config.yaml",
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, required=True, help="recording folder to create"
+    )
+    parser.set_defaults(run=work("ladar_volume.cli.simulate"))
+
+
+def _add_measurements(parser: argparse.ArgumentParser) -> None:
+    """What is measured along the path, and what goes wrong."""
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--duration", type=float, default=36.0, help="seconds")
     parser.add_argument(
@@ -71,12 +85,3 @@ def add_parser(subparsers: Any) -> None:
             "--thin: a neighbour is then many degrees away"
         ),
     )
-    parser.add_argument(
-        "--config",
-        type=Path,
-        help="budget and parameters, written into the recording's config.yaml",
-    )
-    parser.add_argument(
-        "-o", "--output", type=Path, required=True, help="recording folder to create"
-    )
-    parser.set_defaults(run=work("ladar_volume.cli.simulate"))

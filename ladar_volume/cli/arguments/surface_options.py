@@ -27,6 +27,40 @@ def add_surface_options(parser: argparse.ArgumentParser, default_vertices: str) 
     # argparse takes -1 for a number, but -1e-3 for an option
     parser._negative_number_matcher = re.compile(r"^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
     g = parser.add_argument_group("surface")
+    _add_insertion(g, default_vertices)
+    _add_heights(g)
+    _add_relevant(g)
+    _add_points(g)
+    g.add_argument(
+        "--sigma",
+        type=number,
+        metavar="M",
+        help="standard deviation of the heights; else a column, else estimated",
+    )
+    g.add_argument(
+        "--frame",
+        choices=("level", "scan"),
+        default="level",
+        help="mesh over the horizontal plane, or against the scan direction",
+    )
+    g.add_argument(
+        "--scanner",
+        type=number,
+        nargs=3,
+        metavar=("X", "Y", "Z"),
+        help="where it stood; else the direction is searched",
+    )
+    g.add_argument(
+        "--direction",
+        type=number,
+        nargs=3,
+        metavar=("X", "Y", "Z"),
+        help="the scan direction itself",
+    )
+
+
+def _add_insertion(g: argparse._ArgumentGroup, default_vertices: str) -> None:
+    """Which points become vertices."""
     g.add_argument(
         "--vertices",
         type=number,
@@ -48,6 +82,10 @@ def add_surface_options(parser: argparse.ArgumentParser, default_vertices: str) 
         default="residual-area",
         help="what the next vertex maximises",
     )
+
+
+def _add_heights(g: argparse._ArgumentGroup) -> None:
+    """How the heights of a partial TIN are fitted."""
     g.add_argument(
         "--adjust",
         choices=ADJUST,
@@ -72,6 +110,10 @@ def add_surface_options(parser: argparse.ArgumentParser, default_vertices: str) 
         default="none",
         help="exchange diagonals for a better fit",
     )
+
+
+def _add_relevant(g: argparse._ArgumentGroup) -> None:
+    """Which triangles count, and the boundary about them."""
     g.add_argument(
         "--relevant",
         choices=RELEVANT,
@@ -101,6 +143,10 @@ def add_surface_options(parser: argparse.ArgumentParser, default_vertices: str) 
     g.add_argument(
         "--max-hole", type=number, metavar="M2", help="boundary: fill holes up to this size"
     )
+
+
+def _add_points(g: argparse._ArgumentGroup) -> None:
+    """Which points are used."""
     g.add_argument(
         "--clean",
         choices=CLEAN,
@@ -135,30 +181,4 @@ def add_surface_options(parser: argparse.ArgumentParser, default_vertices: str) 
     )
     g.add_argument(
         "--bins", type=int, metavar="N", help="bins per row of the initial triangulation"
-    )
-    g.add_argument(
-        "--sigma",
-        type=number,
-        metavar="M",
-        help="standard deviation of the heights; else a column, else estimated",
-    )
-    g.add_argument(
-        "--frame",
-        choices=("level", "scan"),
-        default="level",
-        help="mesh over the horizontal plane, or against the scan direction",
-    )
-    g.add_argument(
-        "--scanner",
-        type=number,
-        nargs=3,
-        metavar=("X", "Y", "Z"),
-        help="where it stood; else the direction is searched",
-    )
-    g.add_argument(
-        "--direction",
-        type=number,
-        nargs=3,
-        metavar=("X", "Y", "Z"),
-        help="the scan direction itself",
     )

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
+from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.arguments.mesh_options import add_mesh_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.surface_options import add_surface_options
@@ -12,7 +12,7 @@ from ladar_volume.cli.arguments.work import work
 from ladar_volume.io.endings import ENCODINGS, READ_ENDINGS
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser(
         "tin",

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
-from typing import Any
 
+from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.arguments.mesh_options import add_mesh_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.surface_options import add_surface_options, number
@@ -12,7 +13,7 @@ from ladar_volume.cli.arguments.work import work
 from ladar_volume.io.endings import ENCODINGS, READ_ENDINGS
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser(
         "volume",
@@ -28,6 +29,19 @@ def add_parser(subparsers: Any) -> None:
         "cloud_b", type=Path, nargs="?", help="second one: cut is where the first lies above it"
     )
     g = parser.add_argument_group("base")
+    _add_bases(g)
+    _add_counting(g)
+    parser.add_argument(
+        "--json", action="store_true", help="print the result as JSON to standard output"
+    )
+    add_surface_options(parser, "1: every point")
+    add_mesh_options(parser, second=True)
+    add_strict_option(parser)
+    parser.set_defaults(run=work("ladar_volume.cli.volume"))
+
+
+def _add_bases(g: argparse._ArgumentGroup) -> None:
+    """Above what the volume is."""
     g.add_argument("--level", type=number, metavar="Z", help="above this height")
     g.add_argument(
         "--base",
@@ -51,6 +65,10 @@ def add_parser(subparsers: Any) -> None:
         metavar=("START", "STOP", "STEP"),
         help="cut and fill at levels, and their floors",
     )
+
+
+def _add_counting(g: argparse._ArgumentGroup) -> None:
+    """Where the volume counts, how accurate it is, and other parameters."""
     g.add_argument(
         "--outline",
         choices=("auto", "all"),
@@ -78,10 +96,3 @@ def add_parser(subparsers: Any) -> None:
         metavar="SECTION.KEY=VALUE",
         help="override a parameter of volume or ground",
     )
-    parser.add_argument(
-        "--json", action="store_true", help="print the result as JSON to standard output"
-    )
-    add_surface_options(parser, "1: every point")
-    add_mesh_options(parser, second=True)
-    add_strict_option(parser)
-    parser.set_defaults(run=work("ladar_volume.cli.volume"))

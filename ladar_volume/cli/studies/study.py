@@ -9,13 +9,14 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.studies.study_bodies import add_studies
 from ladar_volume.cli.studies.study_coverage import add_coverage
 from ladar_volume.cli.studies.study_record import add_outputs, carry_out
 from ladar_volume.cli.studies.study_wild import add_wild
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(subparsers: Verbs) -> None:
     """Declare the verb and its studies."""
     parser = subparsers.add_parser("study", help="repeat a published experiment on simulated data")
     studies = parser.add_subparsers(dest="study", required=True, metavar="STUDY")

@@ -9,11 +9,17 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.studies.study_record import add_outputs, carry_out
 
 
-def add_studies(studies: Any) -> None:
+def add_studies(studies: Verbs) -> None:
     """Declare the studies."""
+    _add_landfill(studies)
+    _add_thesis(studies)
+
+
+def _add_landfill(studies: Verbs) -> None:
     landfill = studies.add_parser(
         "landfill",
         help="the landfill excavation: layers of 2 m and 16 m³, six spheres, densities (Kern)",
@@ -32,6 +38,9 @@ def add_studies(studies: Any) -> None:
     )
     add_outputs(landfill, "the figures")
     landfill.set_defaults(run=run_landfill)
+
+
+def _add_thesis(studies: Verbs) -> None:
     thesis = studies.add_parser(
         "thesis",
         help=(

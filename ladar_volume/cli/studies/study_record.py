@@ -49,13 +49,7 @@ def carry_out(
                 output_set(arguments.output, ("study.json", "tables.md"))
             )
         study = simulate(status.update)
-        given = {"seeds": arguments.seeds} if hasattr(arguments, "seeds") else {}
-        facts: dict[str, Any] = {
-            "study": arguments.study,
-            **given,
-            **summary(study),
-            "version": version(),
-        }
+        facts = study_facts(arguments, summary(study))
         if folder is not None:
             status.update("writing")
             facts["figures"] = figures(study, folder)
@@ -68,3 +62,9 @@ def carry_out(
     if arguments.output is not None:
         console.print(f"written to {arguments.output}")
     return 0
+
+
+def study_facts(arguments: argparse.Namespace, found: dict[str, Any]) -> dict[str, Any]:
+    """What a study found, with what was asked for."""
+    given = {"seeds": arguments.seeds} if hasattr(arguments, "seeds") else {}
+    return {"study": arguments.study, **given, **found, "version": version()}

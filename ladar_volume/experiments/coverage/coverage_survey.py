@@ -46,6 +46,7 @@ from ladar_volume.georeference.point_jacobian import (
 from ladar_volume.model.parameters import BudgetParameters, CalibrationParameters, Parameters
 from ladar_volume.model.records import (
     CAL_COLUMNS,
+    F32,
     F64,
     I64,
     FilteredPoints,
@@ -202,18 +203,9 @@ def fly(
     platform = uav(*site.flight_m, DURATION_S)
     mount = mounting(nominal(platform))
     drawn = Drawn.draw(drawn_with, seed, flight)
-    b, noise = drawn_with, np.random.default_rng([flight, NOISE])
-    boresight = Rotation.from_rotvec(drawn.boresight) * Rotation.from_matrix(mount.R_body_laser)
-    aim = Aim(
-        tuple(boresight.as_quat()),
-        tuple(mount.lever_laser + drawn.lever_laser),
-        tuple(drawn.beams.eps),
-        b.azimuth_noise_rad,
-        b.vertical_noise_rad,
-        b.beam_divergence_rad,
-    )
-    f, path, true, hit = hits_of(site, ground, flight, aim)
-    rho = velodyne.measured_ranges(true, f.ring, drawn.beams, b, 0.0, noise, 0.0)
+    noise = np.random.default_rng([flight, NOISE])
+    f, path, true, hit = hits_of(site, ground, flight, true_aim(drawn_with, drawn, mount))
+    rho = velodyne.measured_ranges(true, f.ring, drawn.beams, drawn_with, 0.0, noise, 0.0)
     t = f.time_s - drawn.clock_s  # the stamp that the recording gives the pulse
     stamped = Path.at(platform, t) if drawn.clock_s else path
     antenna = (
@@ -232,6 +224,21 @@ def fly(
     )
     return Flown(
         points, lambda: platform_states(site, drawn, mount, believed), mount, site.normals_at(hit)
+    )
+
+
+def true_aim(budget: BudgetParameters, drawn: Drawn, mount: Mounting) -> Aim:
+    """Where the beams truly point: the mounting as known with its drawn errors, and the noise of
+    the angles.
+    """
+    boresight = Rotation.from_rotvec(drawn.boresight) * Rotation.from_matrix(mount.R_body_laser)
+    return Aim(
+        tuple(boresight.as_quat()),
+        tuple(mount.lever_laser + drawn.lever_laser),
+        tuple(drawn.beams.eps),
+        budget.azimuth_noise_rad,
+        budget.vertical_noise_rad,
+        budget.beam_divergence_rad,
     )
 
 
@@ -307,23 +314,10 @@ def vertices(flown: Flown, believed: Parameters) -> FilterUpdate:
     points, normal, n = flown.points, flown.normal, len(flown.points)
     geometry = point_geometry(points, flown.states, flown.mount)
     surface = surface_points(flown, geometry, believed)
-    tangent = np.stack([normal[:, 2], np.zeros(n), -normal[:, 0]], axis=1)
-    tangent[np.abs(normal[:, 1]) > 0.99] = [1.0, 0.0, 0.0]  # walls that face along y
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    axes, shared, ring = (
-        np.stack([normal, tangent, np.cross(normal, tangent)], axis=1),
-        len(CAL_COLUMNS),
-        points.ring.astype(np.int64),
-    )
-    M_cal, M_nav = (
-        np.zeros((n, 5, shared + 2 * BEAM_COUNT), np.float32),
-        np.zeros((n, 5, 4), np.float32),
-    )
-    M_cal[:, ALONG, :shared] = axes @ calibration_jacobian(geometry)
+    tangent = tangents(normal)
+    axes = np.stack([normal, tangent, np.cross(normal, tangent)], axis=1)
+    M_nav = np.zeros((n, 5, 4), np.float32)
     M_nav[:, ALONG, 0], M_nav[:, ALONG, 1:] = 1.0, axes @ navigation_jacobian(geometry)[..., 3:]
-    own, every = axes @ beam_jacobian(geometry), np.arange(n)
-    for k in range(2):  # a beam's range and its vertical angle
-        M_cal[every[:, None], ALONG, (shared + k * BEAM_COUNT + ring)[:, None]] = own[:, :, k]
     cross = np.zeros((n, 3, 3), np.float32)
     cross[:, 0, 0] = surface.variance
     key, ends = np.arange(n, dtype=np.int64), np.arange(n + 1, dtype=np.int64)
@@ -339,7 +333,7 @@ def vertices(flown: Flown, believed: Parameters) -> FilterUpdate:
         ends,
         key,
         cross,
-        M_cal,
+        calibration_means(axes, geometry, points.ring.astype(np.int64)),
         ends,
         points.t_ns // round(believed.filter.nav_bin_s * 1e9),
         M_nav,
@@ -347,6 +341,27 @@ def vertices(flown: Flown, believed: Parameters) -> FilterUpdate:
     return FilterUpdate(
         int(points.t_ns[-1]), np.zeros(0, np.int64), surface, patches, complete=True
     )
+
+
+def tangents(normal: F64) -> F64:
+    """A unit tangent (n, 3) of each normal (n, 3)."""
+    tangent = np.stack([normal[:, 2], np.zeros(len(normal)), -normal[:, 0]], axis=1)
+    tangent[np.abs(normal[:, 1]) > 0.99] = [1.0, 0.0, 0.0]  # walls that face along y
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    return tangent
+
+
+def calibration_means(axes: F64, geometry: PointGeometry, ring: I64) -> F32:
+    """Sensitivities (n, 5, c) of points along axes (n, 3, 3) to the calibration's columns: the
+    shared ones, and range and vertical angle of the beams ring (n,).
+    """
+    n, shared = len(ring), len(CAL_COLUMNS)
+    M_cal = np.zeros((n, 5, shared + 2 * BEAM_COUNT), np.float32)
+    M_cal[:, ALONG, :shared] = axes @ calibration_jacobian(geometry)
+    own, every = axes @ beam_jacobian(geometry), np.arange(n)
+    for k in range(2):  # a beam's range and its vertical angle
+        M_cal[every[:, None], ALONG, (shared + k * BEAM_COUNT + ring)[:, None]] = own[:, :, k]
+    return M_cal
 
 
 def without(budget: BudgetParameters, *kept: str) -> BudgetParameters:

@@ -91,34 +91,42 @@ def sensitivity(seed: int) -> dict[str, F64]:
         a, b = pair(1, seed, sigma)
         i, j = subsets(a, seed, 0)[0], subsets(b, seed, 1)[0]
         points = a.points[i], b.points[j]
-        surfaces = both(points, (SUBSET_VERTICES, SUBSET_VERTICES))[1]
+        surfaces = subset_surfaces(*points)
         out[name] = np.r_[error_pct(box_volume(surfaces)), by_region(surfaces)]
-        if name != "as published":
-            continue
-        frame = scan_frame(b)
-        turned = both(
-            (frame.points(points[0]), frame.points(points[1])), (SUBSET_VERTICES, SUBSET_VERTICES)
-        )[1]
-        out["common footprint"] = error_pct(between(*surfaces, gradients=False).net_m3).reshape(1)
-        out["scan direction, common footprint"] = error_pct(
-            between(*turned, gradients=False).net_m3
-        ).reshape(1)
-        screened = [tin_filter(p, FILTER_TOLERANCE_M) for p in points]
-        changed = both(
-            (screened[0].points_map, screened[1].points_map), (SUBSET_VERTICES, SUBSET_VERTICES)
-        )[1]
-        out["median filter"] = np.r_[error_pct(box_volume(changed)), by_region(changed)]
-        wall = [
-            np.abs(p[:, None] - np.r_[0.0, edge]).min(axis=1) < STRIP_M
-            for p, edge in ((points[0][:, 0], BOX_M[0]), (points[0][:, 1], BOX_M[1]))
-        ]
-        out["replaced"] = np.array(
-            [
-                len(screened[0].outliers) / len(points[0]),
-                (wall[0] | wall[1])[screened[0].outliers].mean(),
-            ]
-        )
+        if name == "as published":
+            frame = scan_frame(b)
+            turned = subset_surfaces(frame.points(points[0]), frame.points(points[1]))
+            out["common footprint"] = common_error(surfaces)
+            out["scan direction, common footprint"] = common_error(turned)
+            out |= median_filtered(*points)
     return out
+
+
+def subset_surfaces(with_box: F64, without_box: F64) -> tuple[Tin, Tin]:
+    """Surfaces of two subsets (n, 3), m, with as many vertices as published."""
+    return both((with_box, without_box), (SUBSET_VERTICES, SUBSET_VERTICES))[1]
+
+
+def common_error(surfaces: tuple[Tin, Tin]) -> F64:
+    """Error (1,), %, of the volume over the common footprint."""
+    return error_pct(between(*surfaces, gradients=False).net_m3).reshape(1)
+
+
+def median_filtered(with_box: F64, without_box: F64) -> dict[str, F64]:
+    """The same with the median filter; ``replaced``: the share of points that it replaced, and how
+    many of these lie near a wall of the box.
+    """
+    first, second = (tin_filter(p, FILTER_TOLERANCE_M) for p in (with_box, without_box))
+    surfaces = subset_surfaces(first.points_map, second.points_map)
+    near_wall = [
+        np.abs(p[:, None] - np.r_[0.0, edge]).min(axis=1) < STRIP_M
+        for p, edge in ((with_box[:, 0], BOX_M[0]), (with_box[:, 1], BOX_M[1]))
+    ]
+    near = (near_wall[0] | near_wall[1])[first.outliers].mean()
+    return {
+        "median filter": np.r_[error_pct(box_volume(surfaces)), by_region(surfaces)],
+        "replaced": np.array([len(first.outliers) / len(with_box), near]),
+    }
 
 
 def published_levels() -> dict[str, Any]:

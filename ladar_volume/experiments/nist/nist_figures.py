@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -99,29 +100,9 @@ def experiment_four(rms: int) -> Callable[[Study], Figure]:
 
     def make(study: Study) -> Figure:
         figure, axes = panels(2, 2)
-        printed = published.box_volumes(published.TABLE_5_8A if rms else published.TABLE_5_8B)
-        full = published.TABLE_5_7A if rms else published.TABLE_5_7B
         for m in range(2):
-            for j, cloud in enumerate(study.four[0]):
-                pairs = (cloud[rms].one, cloud[rms].two)[m]
-                steps = 100.0 * LEVEL_STEP_M * np.arange(len(pairs.volume_m3))
-                axes[0, m].plot(
-                    steps,
-                    error_pct(pairs.volume_m3),
-                    lw=2.0 if j == 0 else 0.9,
-                    color="black" if j == 0 else f"C{j - 1}",
-                )
-            axes[1, m].plot(
-                5.0 * np.arange(5), error_pct(full[m]), lw=2.0, color="black", label="full set"
-            )
-            for j in range(len(printed)):
-                axes[1, m].plot(
-                    5.0 * np.arange(5),
-                    error_pct(printed[j, m]),
-                    lw=0.9,
-                    color=f"C{j}",
-                    label=f"{j + 1}",
-                )
+            _simulated_levels(axes[0, m], study, rms, m)
+            _published_levels(axes[1, m], rms, m)
             for i, name in enumerate(("simulated, seed 0", "published")):
                 axes[i, m].axhline(0.0, color="black", lw=0.6)
                 axes[i, m].set(
@@ -133,6 +114,30 @@ def experiment_four(rms: int) -> Callable[[Study], Figure]:
         return figure
 
     return make
+
+
+def _simulated_levels(ax: Axes, study: Study, rms: int, method: int) -> None:
+    """Errors by level of the full set (black) and the subsets, of seed 0."""
+    for j, cloud in enumerate(study.four[0]):
+        pairs = (cloud[rms].one, cloud[rms].two)[method]
+        steps = 100.0 * LEVEL_STEP_M * np.arange(len(pairs.volume_m3))
+        ax.plot(
+            steps,
+            error_pct(pairs.volume_m3),
+            lw=2.0 if j == 0 else 0.9,
+            color="black" if j == 0 else f"C{j - 1}",
+        )
+
+
+def _published_levels(ax: Axes, rms: int, method: int) -> None:
+    """The same as printed."""
+    printed = published.box_volumes(published.TABLE_5_8A if rms else published.TABLE_5_8B)
+    full = published.TABLE_5_7A if rms else published.TABLE_5_7B
+    steps = 5.0 * np.arange(5)
+    ax.plot(steps, error_pct(full[method]), lw=2.0, color="black", label="full set")
+    for j in range(len(printed)):
+        error = error_pct(printed[j, method])
+        ax.plot(steps, error, lw=0.9, color=f"C{j}", label=f"{j + 1}")
 
 
 def ways(study: Study) -> Figure:

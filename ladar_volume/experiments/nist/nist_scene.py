@@ -124,6 +124,23 @@ def scan(
             "a scan needs a step above 0 and no negative noise",
             value=(step_rad, sigma_m, rounding_m),
         )
+    ray = rays_of(angle_grid(step_rad, rng))
+    distance, met = cast(ray, with_box)
+    on = np.flatnonzero(met >= 0)
+    ray, distance, met = ray[on], distance[on], met[on]
+    true = SCANNER_M + distance[:, None] * ray
+    points = true + (sigma_m * rng.standard_normal(len(ray)))[:, None] * ray
+    return Scan(
+        np.round(points / rounding_m) * rounding_m if rounding_m else points,
+        true,
+        ray,
+        met,
+        step_rad,
+    )
+
+
+def angle_grid(step_rad: float, rng: np.random.Generator) -> F64:
+    """Angles (n, 2) rad of a regular grid with random phase over screens and floor."""
     w, h = SCREEN_M
     room = np.array(
         [
@@ -143,20 +160,7 @@ def scan(
         )
         for k in range(2)
     ]
-    grid = np.stack([a.ravel() for a in np.meshgrid(*axes)], axis=1)
-    ray = rays_of(grid)
-    distance, met = cast(ray, with_box)
-    on = np.flatnonzero(met >= 0)
-    ray, distance, met = ray[on], distance[on], met[on]
-    true = SCANNER_M + distance[:, None] * ray
-    points = true + (sigma_m * rng.standard_normal(len(ray)))[:, None] * ray
-    return Scan(
-        np.round(points / rounding_m) * rounding_m if rounding_m else points,
-        true,
-        ray,
-        met,
-        step_rad,
-    )
+    return np.stack([a.ravel() for a in np.meshgrid(*axes)], axis=1)
 
 
 @lru_cache

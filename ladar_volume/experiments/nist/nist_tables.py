@@ -68,6 +68,16 @@ def table_2(study: Study) -> str:
 
 def table_3(study: Study) -> str:
     """Experiment 2: errors of the volume, then measures of fit."""
+    return (
+        "a. Error of the volume, % (published)\n\n"
+        + table_3_errors(study)
+        + "\nb. Measures of fit, cm (published)\n\n"
+        + table_3_fits(study)
+    )
+
+
+def table_3_errors(study: Study) -> str:
+    """Errors of the volume by density and option."""
     error = error_pct(study.two)
     rows = [
         [str(d + 1), str(published.VERTICES_5_3[d])]
@@ -87,9 +97,11 @@ def table_3(study: Study) -> str:
             "",
         ]
     )
-    text = "a. Error of the volume, % (published)\n\n" + markdown(
-        ["density", "vertices", *published.OPTIONS], rows
-    )
+    return markdown(["density", "vertices", *published.OPTIONS], rows)
+
+
+def table_3_fits(study: Study) -> str:
+    """Measures of fit by density and option, with and without the box."""
     fits = 100.0 * study.fits.mean(axis=0)
     rows = []
     for d in range(fits.shape[0]):
@@ -106,7 +118,7 @@ def table_3(study: Study) -> str:
                 ]
             )
     head = ["density, box", *(f"{m} {o}" for m in ("ASD", "RMS") for o in published.OPTIONS)]
-    return text + "\nb. Measures of fit, cm (published)\n\n" + markdown(head, rows)
+    return markdown(head, rows)
 
 
 def ranges(values: F64) -> tuple[float, float]:
@@ -295,35 +307,10 @@ def table_9(study: Study) -> str:
 
 def table_61(study: Study) -> str:
     """Summary of all experiments, of seed 0, and the package's way over all seeds."""
-    rows, printed = [], published.TABLE_6_1
-    one = study.one[0][:, COUNTS.index(5000)]
-    values = [(ranges(one[k][~np.isnan(one[k])])) for k in (1, 0)]
-    names = [
-        "1: density 1, 5,000 vertices, range over bins",
-        *(f"2: density {d}, range over options" for d in range(1, 6)),
+    rows = [
+        summary_row(name, cell, p)
+        for (name, cell), p in zip(summary_cells(study).items(), published.TABLE_6_1, strict=True)
     ]
-    names += ["3: density 1, no filter, ten subsets", "4: density 1, Method 1, ten subsets"]
-    cells = [values, *([ranges(v)] for v in study.two[0])]
-    for volumes, columns in ((study.three[0], (0, 1)), (study.methods()[0, 1:], (2, 0))):
-        cells.append(
-            [
-                (
-                    float(volumes[:, c].mean()),
-                    float(volumes[:, c].std(ddof=1)) if len(volumes) > 1 else np.nan,
-                )
-                for c in columns
-            ]
-        )
-    for name, cell, p in zip(names, cells, printed, strict=True):
-        line = [name]
-        for k in range(2):
-            line.append(f"{cell[k][0]:.4f} ± {cell[k][1]:.4f}" if k < len(cell) else "")
-            line.append(
-                f"{number(p[2 * k])} ± {number(p[2 * k + 1], '.5f')}"
-                if not np.isnan(p[2 * k])
-                else ""
-            )
-        rows.append(line)
     n = own_numbers(study.own)
     mean = np.mean([o.volume_m3 for o in study.own])
     rows.append(
@@ -345,6 +332,46 @@ def table_61(study: Study) -> str:
         ]
     )
     return markdown(["experiment", "with RMS, m³", "published", "without, m³", "published"], rows)
+
+
+def summary_row(name: str, cell: Sequence[tuple[float, float]], printed: F64) -> list[str]:
+    """One experiment: value and half width, or mean and spread, m³, with RMS adjustment and
+    without, each beside the published ones.
+    """
+    line = [name]
+    for k in range(2):
+        line.append(f"{cell[k][0]:.4f} ± {cell[k][1]:.4f}" if k < len(cell) else "")
+        line.append(
+            f"{number(printed[2 * k])} ± {number(printed[2 * k + 1], '.5f')}"
+            if not np.isnan(printed[2 * k])
+            else ""
+        )
+    return line
+
+
+def summary_cells(study: Study) -> dict[str, list[tuple[float, float]]]:
+    """Of each experiment of seed 0 the value and half width, or mean and spread, m³, with RMS
+    adjustment and without.
+    """
+    one = study.one[0][:, COUNTS.index(5000)]
+    values = [(ranges(one[k][~np.isnan(one[k])])) for k in (1, 0)]
+    names = [
+        "1: density 1, 5,000 vertices, range over bins",
+        *(f"2: density {d}, range over options" for d in range(1, 6)),
+    ]
+    names += ["3: density 1, no filter, ten subsets", "4: density 1, Method 1, ten subsets"]
+    cells = [values, *([ranges(v)] for v in study.two[0])]
+    for volumes, columns in ((study.three[0], (0, 1)), (study.methods()[0, 1:], (2, 0))):
+        cells.append(
+            [
+                (
+                    float(volumes[:, c].mean()),
+                    float(volumes[:, c].std(ddof=1)) if len(volumes) > 1 else np.nan,
+                )
+                for c in columns
+            ]
+        )
+    return dict(zip(names, cells, strict=True))
 
 
 TABLES = {

@@ -13,13 +13,30 @@ from ladar_volume.cli.verdict_lines import add_verdict_rows
 
 def show_result(console: Console, result: Mapping[str, Any]) -> None:
     """Print a result dictionary as tables."""
+    head = Table(show_header=False, box=None, pad_edge=False)
+    _add_result_rows(head, result)
+    gap_rows(head, result)
+    volume_rows(head, result)
+    _add_body_rows(head, result)
+    _add_place_rows(head, result)
+    add_verdict_rows(head, result["verdict"])
+    console.print(head)
+    console.print(budget_table(result))
+    if result["losses"]:
+        lost = Table("not used", "count", title="Losses", title_justify="left")
+        for reason, count in result["losses"].items():
+            lost.add_row(reason.replace("_", " "), f"{count:,}")
+        console.print(lost)
+
+
+def _add_result_rows(head: Table, result: Mapping[str, Any]) -> None:
+    """Volume, interval, cut and fill, and what was corrected."""
     low, high = result["interval_m3"]
     share = (
         100.0 * result["sigma_m3"] / abs(result["volume_m3"])
         if result["volume_m3"]
         else float("inf")
     )
-    head = Table(show_header=False, box=None, pad_edge=False)
     head.add_row(
         "volume",
         (
@@ -49,14 +66,20 @@ def show_result(console: Console, result: Mapping[str, Any]) -> None:
             f"({result['volume_m3'] + chords:.3f} m³ with them)"
         )
         head.add_row("chords", words)
-    gap_rows(head, result)
-    volume_rows(head, result)
+
+
+def _add_body_rows(head: Table, result: Mapping[str, Any]) -> None:
+    """The further bodies."""
     for number, body in enumerate(result["bodies"][1:], start=2):
         x, y, _ = body["centroid_map_m"]
         head.add_row(
             f"body {number}",
             f"{body['volume_m3']:.3f} ± {body['sigma_m3']:.3f} m³ at {x:.1f}, {y:.1f} m",
         )
+
+
+def _add_place_rows(head: Table, result: Mapping[str, Any]) -> None:
+    """Where another pass would lower the sigma."""
     places = result.get("where_more_data_helps", {}).get("places", [])
     for number, place in enumerate(places):
         words = (
@@ -64,14 +87,6 @@ def show_result(console: Console, result: Mapping[str, Any]) -> None:
             f"{place['gain_m3']:.2g} m³ ({place['why']})"
         )
         head.add_row("" if number else "another pass helps", words)
-    add_verdict_rows(head, result["verdict"])
-    console.print(head)
-    console.print(budget_table(result))
-    if result["losses"]:
-        lost = Table("not used", "count", title="Losses", title_justify="left")
-        for reason, count in result["losses"].items():
-            lost.add_row(reason.replace("_", " "), f"{count:,}")
-        console.print(lost)
 
 
 def gap_rows(head: Table, result: Mapping[str, Any]) -> None:

@@ -14,9 +14,25 @@ from ladar_volume.cli.verdict_lines import add_verdict_rows
 
 def show(console: Console, facts: Mapping[str, Any]) -> None:
     """Print the facts as short tables."""
+    table = Table(show_header=False, box=None, pad_edge=False)
+    _add_volume_rows(table, facts)
+    if "surfaces" in facts:
+        surface_rows(table, facts)
+    if "density" in facts:
+        _add_density_row(table, facts["density"])
+    add_verdict_rows(table, facts["verdict"])
+    console.print(table)
+    budget(console, facts)
+    if "resolution" in facts:
+        resolution(console, facts["resolution"])
+    for line in facts["size_rule"]:
+        console.print(line)
+
+
+def _add_volume_rows(table: Table, facts: Mapping[str, Any]) -> None:
+    """The volume with its interval, and how it was found."""
     known = bool(np.isfinite(facts["sigma_m3"]))
     volume, sigma = facts["volume_m3"], facts["sigma_m3"]
-    table = Table(show_header=False, box=None, pad_edge=False)
     share = f", {100 * sigma / abs(volume):.2f} %" if known and volume else ""
     table.add_row(
         "taken away",
@@ -35,25 +51,18 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
     )
     for each in facts.get("bodies", []):
         table.add_row(each["path"], f"{each['volume_m3']:.4f} m³, {each['parts']} parts")
-    if "surfaces" in facts:
-        surface_rows(table, facts)
-    if "density" in facts:
-        rho = facts["density"]
-        low, high = rho["interval_kg_m3"]
-        shares = rho["variance_shares"]
-        table.add_row(
-            "density",
-            f"{rho['density_kg_m3']:.1f} ± {rho['sigma_kg_m3']:.1f} kg/m³, 95 % {low:.1f} "
-            f"to {high:.1f} kg/m³; "
-            f"{100 * shares['volume']:.0f} % of the variance from the volume",
-        )
-    add_verdict_rows(table, facts["verdict"])
-    console.print(table)
-    budget(console, facts)
-    if "resolution" in facts:
-        resolution(console, facts["resolution"])
-    for line in facts["size_rule"]:
-        console.print(line)
+
+
+def _add_density_row(table: Table, rho: Mapping[str, Any]) -> None:
+    """The density of what was taken away."""
+    low, high = rho["interval_kg_m3"]
+    shares = rho["variance_shares"]
+    table.add_row(
+        "density",
+        f"{rho['density_kg_m3']:.1f} ± {rho['sigma_kg_m3']:.1f} kg/m³, 95 % {low:.1f} "
+        f"to {high:.1f} kg/m³; "
+        f"{100 * shares['volume']:.0f} % of the variance from the volume",
+    )
 
 
 def surface_rows(table: Table, facts: Mapping[str, Any]) -> None:
