@@ -65,31 +65,49 @@ def checked_excavation(
         found = excavate(a, b, region, pole_map=pole_map, max_edge_m=max_edge_m)
         now = fit_ring(found.between, b.points[found.in_b])
     stated = correction == "none" and not (a.transform is None and b.transform is None)
-    budget = dict(found.budget_m6)
-    if correction != "none":
-        budget = {k: v for k, v in budget.items() if not k.startswith("registration")}
-    known = sum(v for k, v in budget.items() if k.startswith("registration"))
-    off = abs(now.effect_m3) > STANDS_OUT * np.sqrt(now.effect_sigma_m3**2 + known)
-    budget["ring"] = 0.0 if stated else now.effect_sigma_m3**2
-    if off or not stated:
-        budget["ring"] += now.effect_m3**2
-    one, two = a.part(found.in_a), b.part(found.in_b)
+    budget, off = ring_line(found, now, correction, stated)
     noise = budget["noise_a"] + budget["noise_b"]
-    sampled = sampling_variance(one, two, region, found.removed_m3, noise, max_edge_m)
-    if sampled is None:
-        doubts.append(
-            Doubt(
-                "sampling",
-                "half of the points do not make the surfaces: what their choice costs is not in "
-                "sigma; scan more densely",
-            )
-        )
-    budget["sampling"] = 0.0 if sampled is None else sampled
+    budget["sampling"], more = sampling_line(a, b, region, found, noise, max_edge_m)
+    doubts += more
     rest = sum(v for k, v in budget.items() if k != "ring" and np.isfinite(v))
     if off and now.effect_m3**2 > rest:
         doubts += misregistered(now, when)
     found = replace(found, budget_m6=budget, sigma_m3=float(np.sqrt(sum(budget.values()))))
     return Checked(found, fit, b, correction, Verdict(tuple(doubts + bridged(found))))
+
+
+def sampling_line(
+    a: Scan, b: Scan, region: Region, found: Excavation, noise_m6: float, max_edge_m: float
+) -> tuple[float, list[Doubt]]:
+    """What the choice of points costs, m⁶; 0 with a doubt where half of them make no surface."""
+    one, two = a.part(found.in_a), b.part(found.in_b)
+    sampled = sampling_variance(one, two, region, found.removed_m3, noise_m6, max_edge_m)
+    if sampled is not None:
+        return sampled, []
+    words = (
+        "half of the points do not make the surfaces: what their choice costs is not in "
+        "sigma; scan more densely"
+    )
+    return 0.0, [Doubt("sampling", words)]
+
+
+def ring_line(
+    found: Excavation, fit: RingFit, correction: str, stated: bool
+) -> tuple[dict[str, float], bool]:
+    """The budget, m⁶, with the line ``ring``, and whether the misregistration stands out.
+
+    fit : of the ring as it is now · stated : whether a transform says how well the scans lie on
+    each other.
+    """
+    budget = dict(found.budget_m6)
+    if correction != "none":
+        budget = {k: v for k, v in budget.items() if not k.startswith("registration")}
+    known = sum(v for k, v in budget.items() if k.startswith("registration"))
+    off = abs(fit.effect_m3) > STANDS_OUT * np.sqrt(fit.effect_sigma_m3**2 + known)
+    budget["ring"] = 0.0 if stated else fit.effect_sigma_m3**2
+    if off or not stated:
+        budget["ring"] += fit.effect_m3**2
+    return budget, off
 
 
 def moved(b: Scan, fit: RingFit) -> Scan:

@@ -289,10 +289,7 @@ def settle(ring: Ring, hits: Hits, surface: Target, radius_m: float) -> Hits:
     p = surface.tin.vertices[corner] - hits.point[:, None]
     along = (p * ring.direction[:, None]).sum(axis=2)
     across = p - along[..., None] * ring.direction[:, None]
-    helper = np.eye(3)[np.abs(ring.direction).argmin(axis=1)]
-    u = np.cross(ring.direction, helper)
-    u /= np.linalg.norm(u, axis=1)[:, None]
-    v = np.cross(ring.direction, u)
+    u, v = across_axes(ring.direction)
     plan = [(across * axis[:, None]).sum(axis=2) / radius_m for axis in (u, v)]
     X = np.stack([np.ones_like(along), *plan], axis=2)
     w = np.where(there, np.maximum(1.0 - (across**2).sum(axis=2) / radius_m**2, 0.0) ** 2, 0.0)
@@ -318,6 +315,15 @@ def settle(ring: Ring, hits: Hits, surface: Target, radius_m: float) -> Hits:
         np.where(chosen, normal, hits.normal),
         hits.distance + np.where(good, height, 0.0),
     )
+
+
+def across_axes(direction: F64) -> tuple[F64, F64]:
+    """Two unit vectors (k, 3) square to directions (k, 3) and to each other."""
+    helper = np.eye(3)[np.abs(direction).argmin(axis=1)]
+    u = np.cross(direction, helper)
+    u /= np.linalg.norm(u, axis=1)[:, None]
+    v = np.cross(direction, u)
+    return u, v
 
 
 def slide(ring: Ring, hits: Hits) -> F64:

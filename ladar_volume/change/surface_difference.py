@@ -10,11 +10,10 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
 
 import numba
 import numpy as np
-from scipy import sparse
+from scipy.sparse import csr_array
 
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.model.errors import VolumeError
@@ -40,7 +39,7 @@ class Difference:
     corner: I32
     weight: F64
 
-    def covariance(self, C_own: Any, other: Tin, C_other: Any) -> Any:
+    def covariance(self, C_own: csr_array, other: Tin, C_other: csr_array) -> csr_array:
         """Covariance (n, n), sparse, m², of the differences from those of the carrying surface's
         heights and of the other's: the variances and the pairs joined by an edge.
 
@@ -53,9 +52,9 @@ class Difference:
         own, taken = difference_kernel(
             begin, column, csr(C_own), csr(C_other), self.corner, self.weight
         )
-        size = mean_variance(self.tin, sparse.csr_array((taken, column, begin), shape=(n, n)))
+        size = mean_variance(self.tin, csr_array((taken, column, begin), shape=(n, n)))
         scale = mean_variance(other, C_other) / size if size > 0.0 else 1.0
-        return sparse.csr_array((own + scale * taken, column, begin), shape=(n, n))
+        return csr_array((own + scale * taken, column, begin), shape=(n, n))
 
     def shares(self, cut: F64, net: F64, other: int) -> tuple[F64, F64]:
         """What part of each vertex' derivative of the net volume that of the cut is, for the
@@ -149,7 +148,7 @@ def variance_kernel(
     return out
 
 
-def mean_variance(tin: Tin, C: Any) -> float:
+def mean_variance(tin: Tin, C: csr_array) -> float:
     """Mean over the relevant area of the variance, m², of the interpolated height, for a sparse
     covariance (n, n) of the vertex heights: ``(tr C + 1ᵀC1) / 12`` in each triangle.
     """

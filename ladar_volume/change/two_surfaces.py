@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -87,6 +88,14 @@ class Cut:
     missing: I64
 
 
+class RingCut(NamedTuple):
+    """A ring with all its lines, where they meet A and B, and both surfaces cut by it."""
+
+    ring: Ring
+    hits: tuple[Hits, Hits]
+    cuts: tuple[Cut, Cut]
+
+
 def ring_turn(points: F64, s: SphericalTin) -> float:
     """Twice the signed area of a ring of points (k, 3) in a scanner's projection: positive
     counter-clockwise.
@@ -132,11 +141,7 @@ def cut_surface(
         s.gap_map,
     ).tin
     tin = dataclasses.replace(tin, source=np.concatenate([np.arange(k), left + k])[tin.source])
-    if len(tin.source) < k or not np.array_equal(tin.source[:k], np.arange(k)):
-        raise VolumeError(
-            "two lines of the ring meet in one direction of the scanner: the ring touches itself",
-            reason="ring_touches",
-        )
+    check_ring_points(tin, k)
     first, second = (
         tin.triangles[:, [1, 2, 0]],
         tin.triangles[:, [2, 0, 1]],
@@ -146,6 +151,13 @@ def cut_surface(
     missing = np.setdiff1d(np.arange(k), first[forward])
     if len(missing):
         return Cut(tin, np.zeros(len(tin.triangles), bool), missing)
+    return Cut(tin, within_ring(tin, forward, backward), missing)
+
+
+def within_ring(tin: Tin, forward: Bool, backward: Bool) -> Bool:
+    """Triangles (m,) on the side of the ring where its edges run forward; forward, backward :
+    (m, 3), edges that run along and against it. Raises :class:`VolumeError` (ring_touches).
+    """
     t, corner = np.nonzero((tin.neighbours >= 0) & ~forward & ~backward)
     graph = coo_matrix(
         (np.ones(len(t), np.int8), (t, tin.neighbours[t, corner])), shape=(len(tin.triangles),) * 2
@@ -154,7 +166,16 @@ def cut_surface(
     within, beyond = label[forward.any(axis=1)], label[backward.any(axis=1)]
     if np.isin(within, beyond).any() or len(np.unique(within)) != 1:
         raise VolumeError("the ring crosses itself as seen from the scanner", reason="ring_touches")
-    return Cut(tin, np.asarray(label == within[0]), missing)
+    return np.asarray(label == within[0])
+
+
+def check_ring_points(tin: Tin, k: int) -> None:
+    """Raises :class:`VolumeError` (ring_touches) where a point of the ring of k is no vertex."""
+    if len(tin.source) < k or not np.array_equal(tin.source[:k], np.arange(k)):
+        raise VolumeError(
+            "two lines of the ring meet in one direction of the scanner: the ring touches itself",
+            reason="ring_touches",
+        )
 
 
 def two_surfaces(
@@ -183,37 +204,23 @@ def two_surfaces(
     a, b = (np.asarray(p, dtype=np.float64) for p in (points_a, points_b))
     limits = (np.inf, max_edge_m)
     s_a, s_b = build_spherical(a, scanner_a, *limits), build_spherical(b, scanner_b, *limits)
-    aims = target(s_a.tin), target(s_b.tin)
-    hits_a, hits_b = (
-        cast(ring, aim, name, ring_radius_m) for aim, name in zip(aims, "AB", strict=True)
-    )
-    if ring_turn(hits_a.point, s_a) < 0.0:
-        ring, hits_a, hits_b = ring.reversed(), hits_a.reversed(), hits_b.reversed()
-    if ring_turn(hits_b.point, s_b) < 0.0:
-        raise VolumeError(
-            "the scanners see the ring from opposite sides of the surface", reason="ring_sides"
-        )
-    ring, hits, cuts = cut_both(
-        (a, b), (s_a, s_b), aims, ring, (hits_a, hits_b), limits, ring_radius_m
-    )
-    vertices, triangles = join(*cuts, len(ring))
+    cut = cut_by_ring((a, b), (s_a, s_b), ring, limits, ring_radius_m)
     pole = np.asarray(scanner_b if pole_map is None else pole_map, dtype=np.float64)
-    check_closed(orient(vertices, triangles))
-    total = float(signed_tetrahedra(vertices, triangles, pole).sum())
-    poles = other_poles(vertices)
-    spread = max(abs(float(signed_tetrahedra(vertices, triangles, q).sum()) - total) for q in poles)
-    g = tetrahedra_gradient(vertices, triangles, poles[0])
-    na = len(cuts[0].tin.vertices)
-    gradients = [
-        by_points(part, cut, s, ring, hit, len(points))
-        for part, cut, s, hit, points in zip(
-            (g[:na], g[na:]), cuts, (s_a, s_b), hits, (a, b), strict=True
-        )
-    ]
-    area = [surface_area(c.tin.vertices, c.tin.triangles[c.inside]) for c in cuts]
-    bridged = [
-        surface_area(c.tin.vertices, c.tin.triangles[c.inside & ~c.tin.relevant]) for c in cuts
-    ]
+    return body_between(cut, (s_a, s_b), (len(a), len(b)), pole)
+
+
+def body_between(
+    cut: RingCut, scans: tuple[SphericalTin, SphericalTin], counts: tuple[int, int], pole: F64
+) -> TwoSurfaces:
+    """The closed body between both cut surfaces, measured by tetrahedra to a pole; counts : points
+    of A and of B.
+    """
+    ring, hits, cuts = cut
+    vertices, triangles = join(*cuts, len(ring))
+    total, spread = around_poles(vertices, triangles, pole)
+    first = other_poles(vertices)[0]
+    gradients = gradients_by_points((vertices, triangles), first, cut, scans, counts)
+    area, bridged = areas_within(cuts)
     return TwoSurfaces(
         total,
         gradients[0],
@@ -232,6 +239,70 @@ def two_surfaces(
     )
 
 
+def areas_within(cuts: tuple[Cut, Cut]) -> tuple[list[float], list[float]]:
+    """Areas, m², of A and B within the ring, and of what no triangle within the limits covers."""
+    area = [surface_area(c.tin.vertices, c.tin.triangles[c.inside]) for c in cuts]
+    bridged = [
+        surface_area(c.tin.vertices, c.tin.triangles[c.inside & ~c.tin.relevant]) for c in cuts
+    ]
+    return area, bridged
+
+
+def around_poles(vertices: F64, triangles: I32, pole: F64) -> tuple[float, float]:
+    """Volume, m³, of a closed body by tetrahedra to a pole, and its largest change over nine other
+    poles. Raises :class:`SurfaceError` for a body that is not closed.
+    """
+    check_closed(orient(vertices, triangles))
+    total = float(signed_tetrahedra(vertices, triangles, pole).sum())
+    spread = max(
+        abs(float(signed_tetrahedra(vertices, triangles, q).sum()) - total)
+        for q in other_poles(vertices)
+    )
+    return total, spread
+
+
+def gradients_by_points(
+    body: tuple[F64, I32],
+    pole_map: F64,
+    cut: RingCut,
+    scans: tuple[SphericalTin, SphericalTin],
+    counts: tuple[int, int],
+) -> list[F64]:
+    """Gradients (n, 3) m² of the volume of a closed body by the points of A and of B; counts : n of
+    both.
+    """
+    g = tetrahedra_gradient(*body, pole_map)
+    na = len(cut.cuts[0].tin.vertices)
+    return [
+        by_points(part, each, s, cut.ring, hit, n)
+        for part, each, s, hit, n in zip(
+            (g[:na], g[na:]), cut.cuts, scans, cut.hits, counts, strict=True
+        )
+    ]
+
+
+def cut_by_ring(
+    points: tuple[F64, F64],
+    scans: tuple[SphericalTin, SphericalTin],
+    ring: Ring,
+    limits: tuple[float, float],
+    radius_m: float,
+) -> RingCut:
+    """Both surfaces cut by the ring, which runs counter-clockwise as scanner A sees it. Raises
+    :class:`VolumeError`: ring_off_surface, ring_touches, ring_sides, ring_lost.
+    """
+    s_a, s_b = scans
+    aims = target(s_a.tin), target(s_b.tin)
+    hits_a, hits_b = (cast(ring, aim, name, radius_m) for aim, name in zip(aims, "AB", strict=True))
+    if ring_turn(hits_a.point, s_a) < 0.0:
+        ring, hits_a, hits_b = ring.reversed(), hits_a.reversed(), hits_b.reversed()
+    if ring_turn(hits_b.point, s_b) < 0.0:
+        raise VolumeError(
+            "the scanners see the ring from opposite sides of the surface", reason="ring_sides"
+        )
+    return cut_both(points, scans, aims, ring, (hits_a, hits_b), limits, radius_m)
+
+
 def cut_both(
     points: tuple[F64, F64],
     scans: tuple[SphericalTin, SphericalTin],
@@ -240,7 +311,7 @@ def cut_both(
     hits: tuple[Hits, Hits],
     limits: tuple[float, float],
     radius_m: float,
-) -> tuple[Ring, tuple[Hits, Hits], tuple[Cut, Cut]]:
+) -> RingCut:
     """Cut the ring into both surfaces; where an edge of it is in one of them no edge, both get a
     line midway, until all are.
 
@@ -255,7 +326,7 @@ def cut_both(
         )
         missing = np.union1d(cut_a.missing, cut_b.missing)
         if len(missing) == 0:
-            return ring, (hits_a, hits_b), (cut_a, cut_b)
+            return RingCut(ring, (hits_a, hits_b), (cut_a, cut_b))
         middles = ring.middles(missing)
         hits_a, hits_b = (
             h.insert(missing, cast(middles, aim, name, radius_m))
@@ -264,7 +335,12 @@ def cut_both(
         ring = ring.insert(missing, middles)
         if len(ring) > MAX_RING:
             break
-    raise VolumeError(
+    raise ring_lost(missing)
+
+
+def ring_lost(missing: I64) -> VolumeError:
+    """The error of a ring of which edges (j,) cannot be cut into the surfaces."""
+    return VolumeError(
         (
             f"{len(missing)} edges of the ring cannot be cut into the surfaces: returns off the "
             "surface or two surfaces one behind the other tear it; filter the scans "
@@ -364,6 +440,39 @@ def select_regions(
     :class:`VolumeError` (region_empty).
     """
     a, b, p = (np.asarray(x, dtype=np.float64) for x in (points_a, points_b, polygon_xy))
+    check_polygon(p, margin_m)
+    box = ((a[:, :2] >= p.min(axis=0) - margin_m) & (a[:, :2] <= p.max(axis=0) + margin_m)).all(
+        axis=1
+    )
+    r = a[box, :2]
+    in_a = box.copy()
+    in_a[box] = near_polygon(r, p, margin_m)
+    if not in_a.any():
+        raise VolumeError("no point of scan A lies within the region", reason="region_empty")
+    low, high = a[in_a, :2].min(axis=0), a[in_a, :2].max(axis=0)
+    in_b: Bool = ((b[:, :2] >= low) & (b[:, :2] <= high)).all(axis=1)
+    if not in_b.any():
+        raise VolumeError(
+            "no point of scan B lies within the box of scan A's region", reason="region_empty"
+        )
+    return in_a, in_b
+
+
+def near_polygon(r: F64, p: F64, margin_m: float) -> Bool:
+    """Whether points (k, 2) lie within a polygon (c, 2) or within ``margin_m`` of it."""
+    inside, near = np.zeros(len(r), bool), np.full(len(r), np.inf)
+    for q, after in zip(p, np.roll(p, -1, axis=0), strict=True):
+        d, e = r - q, after - q
+        crosses = (q[1] > r[:, 1]) != (after[1] > r[:, 1])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inside ^= crosses & (d[:, 0] < e[0] * d[:, 1] / e[1])
+        share = np.clip((d @ e) / max(float(e @ e), 1e-300), 0.0, 1.0)
+        near = np.minimum(near, np.linalg.norm(d - share[:, None] * e, axis=1))
+    return np.asarray(inside | (near <= margin_m))
+
+
+def check_polygon(p: F64, margin_m: float) -> None:
+    """Raises :class:`VolumeError` (region_polygon) for what is no polygon (c, 2) with a margin."""
     if (
         p.ndim != 2
         or p.shape[1:] != (2,)
@@ -375,26 +484,3 @@ def select_regions(
             "a region is a polygon of at least three finite corners x, y and a margin of 0 or more",
             reason="region_polygon",
         )
-    box = ((a[:, :2] >= p.min(axis=0) - margin_m) & (a[:, :2] <= p.max(axis=0) + margin_m)).all(
-        axis=1
-    )
-    r = a[box, :2]
-    inside, near = np.zeros(len(r), bool), np.full(len(r), np.inf)
-    for q, after in zip(p, np.roll(p, -1, axis=0), strict=True):
-        d, e = r - q, after - q
-        crosses = (q[1] > r[:, 1]) != (after[1] > r[:, 1])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inside ^= crosses & (d[:, 0] < e[0] * d[:, 1] / e[1])
-        share = np.clip((d @ e) / max(float(e @ e), 1e-300), 0.0, 1.0)
-        near = np.minimum(near, np.linalg.norm(d - share[:, None] * e, axis=1))
-    in_a = box.copy()
-    in_a[box] = inside | (near <= margin_m)
-    if not in_a.any():
-        raise VolumeError("no point of scan A lies within the region", reason="region_empty")
-    low, high = a[in_a, :2].min(axis=0), a[in_a, :2].max(axis=0)
-    in_b: Bool = ((b[:, :2] >= low) & (b[:, :2] <= high)).all(axis=1)
-    if not in_b.any():
-        raise VolumeError(
-            "no point of scan B lies within the box of scan A's region", reason="region_empty"
-        )
-    return in_a, in_b

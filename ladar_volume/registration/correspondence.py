@@ -118,6 +118,19 @@ def correspond(
             reason="registration_numbers",
             value=len(best),
         )
+    return not_renumbered(a, b, given, first, error)
+
+
+def not_renumbered(
+    a: Centres,
+    b: Centres,
+    given: Numbering,
+    first: Registration | None,
+    error: RegistrationError | None,
+) -> Corresponding:
+    """The numbering as given where no other is better, with the covariance that its disagreement
+    shows. Raises :class:`RegistrationError`: its own, or registration_disagree.
+    """
     if first is None and (error is None or error.reason != "registration_too_few"):
         assert error is not None
         raise error

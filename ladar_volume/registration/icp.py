@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -37,6 +38,8 @@ MAX_ROUNDS = 60
 MAX_RELATIVE_SIGMA = 0.25
 #: A last step below this share of its standard deviation has converged.
 SETTLED = 0.3
+#: Where no start is given.
+IDENTITY = Transform(np.eye(3), np.zeros(3), np.zeros(3), 1.0, np.zeros((7, 7)))
 
 
 @dataclass(frozen=True)
@@ -194,20 +197,62 @@ def refine(
     reach), icp_cells.
     """
     x, y, n = check_clouds(source, target, normals, reach_m)
-    T = (
-        Transform(np.eye(3), np.zeros(3), np.zeros(3), 1.0, np.zeros((7, 7)))
-        if start is None
-        else start
-    )
     if solver is not None:
-        M = solver(x, y, n, reach_m, T.matrix())
-        T = Transform(M[:3, :3] / T.scale, M[:3, 3], np.zeros(3), T.scale, T.C)
-    pivot = x.mean(axis=0)
-    T = replace(T, t=T.apply(pivot[None])[0], pivot=pivot)
-    free, tree = free_parameters(levelled, False), cKDTree(y)
-    size = np.sqrt(float(np.mean(np.sum((x - pivot) ** 2, axis=1))))
-    scale = np.array([T.scale * size if k < 3 else 1.0 for k in free])
-    before, rounds, settled = np.zeros((0, 2), np.int64), 0, False
+        start = solved_by(solver, (x, y, n), reach_m, start)
+    T, free = start_about(x, start), free_parameters(levelled, False)
+    scale = lengths(x, T, free)
+    last = iterate((x, y, n), T, free, scale, reach_m)
+    plain = last.Q * float(last.r @ last.r) / (len(last.r) - len(free))
+    # pairs at the threshold may come and go for ever, by less than what noise does
+    settled = last.settled or bool((np.abs(last.step) <= SETTLED * np.sqrt(np.diag(plain))).all())
+    at = x[last.pairs[:, 0]]
+    C = plain if cell_m == 0.0 else clustered(last.A, last.r, last.Q, at, cell_m)
+    check_determined(C, scale, reach_m)
+    full = np.zeros((7, 7))
+    full[np.ix_(free, free)] = C
+    T, share = replace(last.transform, C=full), len(last.pairs) / len(x)
+    return Refined(T, last.pairs, last.sigma_m, share, last.rounds, settled)
+
+
+class Iterated(NamedTuple):
+    """Where the steps ended. pairs : (k, 2) of source and target · sigma_m : their robust scale ·
+    A : (k, f), derivatives of the distances r (k,) m by the free parameters · step : (f,), the
+    last · Q : (f, f), inverse normal equations · settled : whether the last step changed nothing
+    """
+
+    transform: Transform
+    pairs: I64
+    sigma_m: float
+    A: F64
+    r: F64
+    step: F64
+    Q: F64
+    rounds: int
+    settled: bool
+
+
+def extent(source: F64, T: Transform) -> float:
+    """Root mean square distance, m, of points (n, 3) from the pivot."""
+    return float(np.sqrt(float(np.mean(np.sum((source - T.pivot) ** 2, axis=1)))))
+
+
+def lengths(source: F64, T: Transform, free: list[int]) -> F64:
+    """Factors (f,) that make the free parameters lengths, m."""
+    size = extent(source, T)
+    return np.array([T.scale * size if k < 3 else 1.0 for k in free])
+
+
+def iterate(
+    clouds: tuple[F64, F64, F64], T: Transform, free: list[int], scale: F64, reach_m: float
+) -> Iterated:
+    """Steps from a start until pairs and transform stay as they are.
+
+    clouds : source (n, 3), target and its normals (m, 3) · scale : (f,), which makes the free
+    parameters lengths.
+    """
+    x, y, n = clouds
+    tree, before, rounds, settled = cKDTree(y), np.zeros((0, 2), np.int64), 0, False
+    size = extent(x, T)
     while rounds < MAX_ROUNDS and not settled:
         rounds += 1
         pairs, sigma = find_pairs(T.apply(x), y, tree, n, reach_m)
@@ -221,10 +266,13 @@ def refine(
         full = np.zeros(7)
         full[free] = step
         T, before = T.perturbed(full), pairs
-    plain = Q * float(r @ r) / (len(r) - len(free))
-    # pairs at the threshold may come and go for ever, by less than what noise does
-    settled = settled or bool((np.abs(step) <= SETTLED * np.sqrt(np.diag(plain))).all())
-    C = plain if cell_m == 0.0 else clustered(A, r, Q, x[i], cell_m)
+    return Iterated(T, pairs, sigma, A, r, step, Q, rounds, settled)
+
+
+def check_determined(C: F64, scale: F64, reach_m: float) -> None:
+    """Raises :class:`RegistrationError` (icp_weak) for a covariance (f, f) of the free parameters
+    that leaves the shift too uncertain.
+    """
     worst = float((np.sqrt(np.diag(C)) * scale).max())
     if worst > MAX_RELATIVE_SIGMA * reach_m:
         raise RegistrationError(
@@ -235,6 +283,18 @@ def refine(
             reason="icp_weak",
             value=worst,
         )
-    whole = np.zeros((7, 7))
-    whole[np.ix_(free, free)] = C
-    return Refined(replace(T, C=whole), pairs, sigma, len(pairs) / len(x), rounds, settled)
+
+
+def start_about(source: F64, start: Transform | None) -> Transform:
+    """The start, default identity, with the centroid of the source (n, 3) as its pivot."""
+    T, pivot = IDENTITY if start is None else start, source.mean(axis=0)
+    return replace(T, t=T.apply(pivot[None])[0], pivot=pivot)
+
+
+def solved_by(
+    solver: Solver, clouds: tuple[F64, F64, F64], reach_m: float, start: Transform | None
+) -> Transform:
+    """What another program makes of source (n, 3), target and normals (m, 3) from a start."""
+    T = IDENTITY if start is None else start
+    M = solver(*clouds, reach_m, T.matrix())
+    return Transform(M[:3, :3] / T.scale, M[:3, 3], np.zeros(3), T.scale, T.C)

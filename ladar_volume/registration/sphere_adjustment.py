@@ -191,40 +191,42 @@ def register(
     """
     x, y = (np.asarray(r, dtype=np.float64) for r in (source, target))
     check_centres(x, y, scale)
-    n, free = len(x), free_parameters(levelled, scale is None)
-    Cx, Cy = joint_covariance(C_source, n), joint_covariance(C_target, n)
-    known = Cx is not None or Cy is not None
-    used, size = np.ones(n, bool), float(max(np.abs(x).max(), np.abs(y).max()))
+    n = len(x)
+    centres = Centres(x, y, (joint_covariance(C_source, n), joint_covariance(C_target, n)))
+    return assemble(centres, without_outliers(centres, levelled, scale, risk), risk)
 
-    def fit(keep: Bool) -> tuple[Solution, int]:
-        check_geometry(x[keep], y[keep], levelled)
-        r = rows(np.flatnonzero(keep))
-        start = nearest_transform(x[keep], y[keep], x[keep].mean(axis=0), levelled, scale)
-        part = [None if c is None else c[np.ix_(r, r)] for c in (Cx, Cy)]
-        return solve(x[keep], y[keep], part[0], part[1], free, start), 3 * int(keep.sum()) - len(
-            free
-        )
 
-    s, redundancy = fit(used)
+def solve_part(centres: Centres, keep: Bool, levelled: bool, scale: float | None) -> Part:
+    """The transform of the spheres to keep (n,) and its redundancy. Raises as :func:`register`."""
+    x, y = centres.x[keep], centres.y[keep]
+    check_geometry(x, y, levelled)
+    r, free = rows(np.flatnonzero(keep)), free_parameters(levelled, scale is None)
+    start = nearest_transform(x, y, x.mean(axis=0), levelled, scale)
+    part = [None if c is None else c[np.ix_(r, r)] for c in centres.C]
+    return Part(solve(x, y, part[0], part[1], free, start), 3 * int(keep.sum()) - len(free))
+
+
+def without_outliers(centres: Centres, levelled: bool, scale: float | None, risk: float) -> Tested:
+    """The worst sphere goes while its test says so and fewer than half are gone."""
+    n, used = len(centres.x), np.ones(len(centres.x), bool)
+    size = float(max(np.abs(centres.x).max(), np.abs(centres.y).max()))
+    one = solve_part(centres, used, levelled, scale)
     while True:
-        value, p = snoop(s, redundancy, known, (1e-12 * size) ** 2)
+        value, p = snoop(one.solution, one.redundancy, centres.known, (1e-12 * size) ** 2)
         suspicious = bool(np.nanmin(p, initial=1.0) < risk / n)
-        if (
-            not suspicious or 2 * (n - used.sum() + 1) >= n
-        ):  # half the spheres outlying: nobody can tell which half
+        # half the spheres outlying: nobody can tell which half
+        if not suspicious or 2 * (n - used.sum() + 1) >= n:
             break
         less = used.copy()
         less[np.flatnonzero(used)[int(np.nanargmax(value))]] = False
         try:
-            trial = fit(less)
+            trial = solve_part(centres, less, levelled, scale)
         except RegistrationError:
             break
-        if trial[1] < 1:  # what is left would agree with anything
+        if trial.redundancy < 1:  # what is left would agree with anything
             break
-        used, (s, redundancy) = less, trial
-    return _assemble(
-        Centres(x, y, (Cx, Cy)), s, used, (value, p), redundancy, suspicious, risk, known
-    )
+        used, one = less, trial
+    return Tested(one, used, value, p, suspicious)
 
 
 def check_centres(x: F64, y: F64, scale: float | None) -> None:
@@ -254,24 +256,59 @@ class Centres(NamedTuple):
     y: F64
     C: tuple[F64 | None, F64 | None]
 
+    @property
+    def known(self) -> bool:
+        """Whether a covariance is stated."""
+        return any(c is not None for c in self.C)
 
-def _assemble(
-    centres: Centres,
-    s: Solution,
-    used: Bool,
-    test: tuple[F64, F64],
-    redundancy: int,
-    suspicious: bool,
-    risk: float,
-    known: bool,
-) -> Registration:
-    x, y, C = centres
+
+class Part(NamedTuple):
+    """The solution of some of the spheres and its redundancy."""
+
+    solution: Solution
+    redundancy: int
+
+
+class Tested(NamedTuple):
+    """The spheres used (n,) and what they give; value, p (k,) : test of each used one, and its
+    probability · suspicious : whether one that stands out could not be left out
+    """
+
+    part: Part
+    used: Bool
+    value: F64
+    p: F64
+    suspicious: bool
+
+
+def assemble(centres: Centres, found: Tested, risk: float) -> Registration:
+    """The transform with its covariance and the tests of all spheres. Raises
+    :class:`RegistrationError` (registration_weak).
+    """
+    (s, redundancy), used, known = found.part, found.used, centres.known
     total = float(s.v @ s.P @ s.v)
     variance = total / redundancy if redundancy > 0 else np.nan
     p_global = float(stats.chi2.sf(total, redundancy)) if known and redundancy > 0 else np.nan
-    T = s.transform
-    if not known:
-        T = replace(T, C=T.C * variance)
+    T = s.transform if known else replace(s.transform, C=s.transform.C * variance)
+    check_rotation(T)
+    statistic, p = np.full(len(used), np.nan), np.full(len(used), np.nan)
+    statistic[used], p[used] = found.value, found.p
+    residuals = centres.y - T.apply(centres.x)
+    for i in np.flatnonzero(~used):
+        statistic[i] = left_out(centres, T, int(i), residuals[i], variance)
+        p[i] = (
+            stats.chi2.sf(statistic[i], 3)
+            if known
+            else stats.f.sf(statistic[i] / 3.0, 3, redundancy)
+        )
+    consistent = not found.suspicious and not p_global < risk
+    return Registration(
+        T, used, residuals, statistic, p, redundancy, float(np.sqrt(variance)), p_global, consistent
+    )
+
+
+def check_rotation(T: Transform) -> None:
+    """Raises :class:`RegistrationError` (registration_weak) for a rotation too uncertain."""
     worst = float(np.sqrt(np.max(np.diag(T.C)[:3])))
     if worst > MAX_ROTATION_SIGMA:
         raise RegistrationError(
@@ -282,26 +319,17 @@ def _assemble(
             reason="registration_weak",
             value=worst,
         )
-    statistic, p = np.full(len(x), np.nan), np.full(len(x), np.nan)
-    statistic[used], p[used] = test
-    residuals = y - T.apply(x)
-    J = T.jacobian(x)
-    for i in np.flatnonzero(
-        ~used
-    ):  # what was left out is judged against the prediction of the rest
-        own = sum(
-            f * c[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] @ f.T
-            for c, f in zip(C, (T.scale * T.R, np.eye(3)), strict=True)
-            if c is not None
-        )
-        S = (own if known else variance * np.eye(3)) + J[i] @ T.C @ J[i].T
-        statistic[i] = float(residuals[i] @ np.linalg.solve(S, residuals[i]))
-        p[i] = (
-            stats.chi2.sf(statistic[i], 3)
-            if known
-            else stats.f.sf(statistic[i] / 3.0, 3, redundancy)
-        )
-    consistent = not suspicious and not p_global < risk
-    return Registration(
-        T, used, residuals, statistic, p, redundancy, float(np.sqrt(variance)), p_global, consistent
+
+
+def left_out(centres: Centres, T: Transform, i: int, residual: F64, variance: float) -> float:
+    """Test of a sphere that was left out against the prediction of the rest; variance, m² : of a
+    coordinate, where no covariance is stated.
+    """
+    J = T.jacobian(centres.x)[i]
+    own = sum(
+        f * c[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] @ f.T
+        for c, f in zip(centres.C, (T.scale * T.R, np.eye(3)), strict=True)
+        if c is not None
     )
+    S = (own if centres.known else variance * np.eye(3)) + J @ T.C @ J.T
+    return float(residual @ np.linalg.solve(S, residual))

@@ -194,18 +194,8 @@ def iterate(
         x = adjust(points[inside], sigma[inside], x, known)
         v, n = residuals_and_normals(points, x)
         Q = normal_inverse(n[inside], sigma[inside], known)
-        if given is None:
-            # a floor of rounding size keeps exact points from being lost to the last bit
-            robust = (
-                MAD_TO_SIGMA
-                * float(np.median(np.abs(v[inside])))
-                / np.sqrt(1.0 - (3 if known else 4) / inside.sum())
-            )
-            new_sigma = np.full(
-                len(points), max(robust, 1e-12 * float(np.abs(points).max() + x[3]))
-            )
-        else:
-            new_sigma = normal_sigma(noise, n)  # type: ignore[assignment]
+        stated = normal_sigma(noise, n)
+        new_sigma = robust_sigma(points, v, inside, x, known) if stated is None else stated
         A = np.concatenate([n, np.ones((len(n), 1))], axis=1)
         leverage = np.einsum("ni,ij,nj->n", A, Q, A) / sigma**2 * np.where(inside, -1.0, 1.0)
         limit = THRESHOLD_SIGMAS * new_sigma * np.sqrt(np.maximum(1.0 + leverage, 1e-6))
@@ -216,6 +206,17 @@ def iterate(
         seen.add(new.tobytes() + x.round(9).tobytes())
         inside, sigma = new, new_sigma
     return x, inside, sigma, Q
+
+
+def robust_sigma(points: F64, v: F64, inside: Bool, x: F64, known: bool) -> F64:
+    """Standard deviation (n,) m of points (n, 3) from their residuals (n,) to a sphere (4,)."""
+    robust = (
+        MAD_TO_SIGMA
+        * float(np.median(np.abs(v[inside])))
+        / np.sqrt(1.0 - (3 if known else 4) / inside.sum())
+    )
+    # a floor of rounding size keeps exact points from being lost to the last bit
+    return np.full(len(points), max(robust, 1e-12 * float(np.abs(points).max() + x[3])))
 
 
 def fit_sphere(
@@ -238,10 +239,7 @@ def fit_sphere(
     half of the points share (sphere_none, sphere_no_consensus).
     """
     p = check_points(points)
-    if radius is not None and not (np.isfinite(radius) and radius > 0):
-        raise RegistrationError(
-            f"a radius of {radius} m; it must be above zero", reason="sphere_radius", value=radius
-        )
+    check_radius(radius)
     known = radius is not None
     eye = None if instrument is None else np.asarray(instrument, dtype=np.float64)
     origin = p.mean(axis=0)
@@ -255,6 +253,24 @@ def fit_sphere(
     sigma0, p_value = float(np.sqrt(total / freedom)), float(stats.chi2.sf(total, freedom))
     if noise is None:
         Q, sigma, sigma0, p_value = Q * sigma0**2, sigma * sigma0, 1.0, 1.0
+    check_cover(d, inside, sigma, Q, x, known)
+    if known and behind is None:
+        _check_mirror(d[inside], sigma[inside], x)
+    return Sphere(x[:3] + origin, float(x[3]), Q, inside, v, sigma, sigma0, p_value, known)
+
+
+def check_radius(radius: float | None) -> None:
+    """Raises :class:`RegistrationError` (sphere_radius) for a radius that is not above zero."""
+    if radius is not None and not (np.isfinite(radius) and radius > 0):
+        raise RegistrationError(
+            f"a radius of {radius} m; it must be above zero", reason="sphere_radius", value=radius
+        )
+
+
+def check_cover(d: F64, inside: Bool, sigma: F64, Q: F64, x: F64, known: bool) -> None:
+    """Raises :class:`RegistrationError` (sphere_weak) where the points d (n, 3) that are inside
+    cover too small a part of the sphere x (4,), known : its radius.
+    """
     worst = float(np.sqrt(np.linalg.eigvalsh(Q[:3, :3])[-1]))
     across = float(
         np.linalg.svd((d - d[inside].mean(axis=0))[inside] / sigma[inside, None], compute_uv=False)[
@@ -272,9 +288,6 @@ def fit_sphere(
             reason="sphere_weak",
             value=worst,
         )
-    if known and behind is None:
-        _check_mirror(d[inside], sigma[inside], x)
-    return Sphere(x[:3] + origin, float(x[3]), Q, inside, v, sigma, sigma0, p_value, known)
 
 
 def _check_mirror(points: F64, sigma: F64, x: F64) -> None:
