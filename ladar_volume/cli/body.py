@@ -42,7 +42,7 @@ from ladar_volume.clouds.body_verdict import (
     missed_points,
 )
 from ladar_volume.clouds.body_volume import Body, body_of, mesh_uncertainty
-from ladar_volume.clouds.body_walls import foot_doubts, wall_doubts
+from ladar_volume.clouds.body_walls import closing_doubts, foot_doubts, wall_doubts
 from ladar_volume.clouds.cloud_bodies import CLEAR, BodyOptions, cloud_bodies
 from ladar_volume.clouds.filter.filter_result import CloudResult
 from ladar_volume.clouds.filter_cloud import filter_cloud
@@ -214,7 +214,7 @@ def of_cloud(arguments: argparse.Namespace, console: Console) -> tuple[dict[str,
     facts["above_ground"] = None if missed is None else dataclasses.asdict(missed)
     verdict = Verdict(reading_doubts([source.cloud])) + bodies_verdict(made, points.r, missed)
     verdict += Verdict(doubts + check_doubts(checked) + foot_doubts(made, points))
-    verdict += Verdict(wall_doubts(made, points))
+    verdict += Verdict(wall_doubts(made, points) + closing_doubts(made))
     for body in made.bodies:
         verdict += Verdict(body.doubts)
     if uncertain is None:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ladar_volume.clouds.body_points import BodyPoints
-from ladar_volume.clouds.body_volume import Body
+from ladar_volume.clouds.body_volume import Body, closing_m6
 from ladar_volume.clouds.cloud_bodies import CloudBodies
 from ladar_volume.mesh.linear_mesh import GROUND, vertex_normals
 from ladar_volume.mesh.topology import edge_table
@@ -23,6 +23,8 @@ from ladar_volume.model.verdict import Doubt
 #: Share of what a body is closed on, away from its rim, under which the ground may be seen; width
 #: of that rim, in spacings of its points.
 UNDERCUT, RIM = 0.05, 2.0
+#: Share of a body that its closing may put in doubt.
+UNSEEN = 0.05
 #: A wall thinner than this share of the filter's reach is thin; share of the surface that may have
 #: one behind it; points asked, and the cosine from which on two of them face away from each other.
 THIN, MAY_BE_THIN, ASKED, AWAY = 2.0 / 3.0, 0.1, 2000, -0.7
@@ -47,6 +49,23 @@ def foot_doubts(made: CloudBodies, points: BodyPoints) -> tuple[Doubt, ...]:
                     "body_undercut",
                     f"the ground is seen under {100 * share:.0f} % of what body {k} is closed on: "
                     "it is hollow there, and its volume too large; scan its underside",
+                    share,
+                )
+            )
+    return tuple(doubts)
+
+
+def closing_doubts(made: CloudBodies) -> tuple[Doubt, ...]:
+    """Doubt about bodies whose closing is much of their volume."""
+    doubts = []
+    for k, body in enumerate(made.bodies, 1):
+        share = float(np.sqrt(closing_m6(body))) / max(abs(body.volume_m3), 1e-300)
+        if share > UNSEEN:
+            doubts.append(
+                Doubt(
+                    "body_unseen",
+                    f"{100 * share:.2g} % of body {k} hangs on how the part that was not seen is "
+                    "closed: scan its foot and its underside",
                     share,
                 )
             )

@@ -14,8 +14,11 @@ from scipy.spatial import cKDTree
 from ladar_volume.mesh.linear_mesh import Skin
 from ladar_volume.model.records import F64, I64, Bool
 
-#: Curvature is told within the height that is to be drawn, at least this many sides of the rim.
-SIDES = 3.0
+#: Curvature is told within this many heights that are to be drawn, at least so many sides of the
+#: rim.
+HEIGHTS, SIDES = 2.0, 6.0
+#: How strongly a surface goes on to bend is not known: an egg bends twice as much at its end.
+STRONGER = 2.0
 #: Normals that agree less, as a cosine, are of another face.
 ONE_FACE = 0.5
 #: Length of the mean of the unit normals at a vertex from which on they are of one face.
@@ -73,11 +76,13 @@ def between_tangent_and_circle(bend: F64, height_m: F64) -> F64:
 
 def unseen_bend(skin: Skin, rim: I64, along: F64, drawn_m: F64) -> float:
     """Volume, m³, between the tangents of one rim (k,) drawn on over ``drawn_m`` (k,) and the
-    surface bent on as above it; positive where the tangents enclose more.
+    surface bent on :data:`STRONGER` than above it, by tangents that turn within a side of the rim;
+    positive where the tangents enclose more.
     """
     p = skin.vertices[rim]
     side = np.linalg.norm(p - np.roll(p, 1, axis=0), axis=1)
-    length = 0.5 * (side + np.roll(side, -1))
-    reach = np.maximum(drawn_m, SIDES * float(np.median(side)))
-    bend = curvature_down(skin, rim, along, reach)
-    return float((length * between_tangent_and_circle(bend, drawn_m)).sum())
+    length, step = 0.5 * (side + np.roll(side, -1)), float(np.median(side))
+    bend = curvature_down(skin, rim, along, np.maximum(HEIGHTS * drawn_m, SIDES * step))
+    area = STRONGER * between_tangent_and_circle(bend, drawn_m)
+    area += 0.5 * np.clip(bend * step, -1.0, 1.0) * drawn_m**2
+    return float((length * area).sum())

@@ -144,7 +144,7 @@ def test_an_unseen_foot_that_bends_in_is_in_sigma(low):
     body, _ = lifted_ball(low, False)
     truth = np.pi * (2.0 / 3.0 + 0.6 - 0.6**3 / 3.0)
     doubt = np.sqrt(sum(c.doubt_m3**2 for c in body.closures))
-    assert 0.0 < body.volume_m3 - truth < 2.0 * doubt < 0.25 * truth
+    assert 0.0 < body.volume_m3 - truth < 2.0 * doubt < 0.5 * truth
 
 
 def test_circles_and_tangents():
