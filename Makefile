@@ -2,7 +2,7 @@
 SOURCES := $(shell find ladar_volume launch config -name '*.py' -o -name '*.yaml') package.xml setup.py setup.cfg
 PY := .venv/bin/python
 
-.PHONY: help run test lint bench docs colcon clean
+.PHONY: help run test lint bench fuzz mutants docs colcon clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):[^#]*## /\1\t/p' Makefile | expand -t 10
@@ -21,6 +21,13 @@ lint: .venv/ready  ## ruff, its formatter and mypy
 
 bench: .venv/ready  ## measure on this machine, write benchmarks/RESULTS.md
 	$(PY) -m benchmarks
+
+fuzz: .venv/ready  ## 10,000 mutated files and options over the verbs, in 4 GB each
+	$(PY) -m benchmarks.fuzz_files --count 10000
+
+mutants: .venv/ready  ## planted bugs, then mutants of the core: which do the tests see? hours
+	$(PY) -m benchmarks.planted
+	tools/mutants.sh
 
 docs: .venv/ready  ## regenerate config/default.yaml and docs/parameters.md
 	$(PY) -m ladar_volume.io.config

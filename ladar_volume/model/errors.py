@@ -14,7 +14,7 @@ _BRIEF.maxstring = _BRIEF.maxother = 60
 _BRIEF.maxlong = 40
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     """``repr`` of a value from outside, cut to what fits a message."""
     try:
         return _BRIEF.repr(value)

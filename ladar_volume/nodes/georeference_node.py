@@ -52,7 +52,7 @@ class GeoreferenceNode(StageNode):
         self.sent = {"points": 0, "parts": 0, "states": 0}
         self._points = self.create_publisher(PointCloud2, "points_mapped", STREAM)
         self._platform = self.create_publisher(Odometry, "platform", STREAM)
-        self._datum = self.create_publisher(NavSatFix, "datum", LATCHED)
+        self._datum_out = self.create_publisher(NavSatFix, "datum", LATCHED)
         qos = sensor_qos(self.parameters)
         self.listen("cloud", PointCloud2, "velodyne_points", qos, SILENT_S)
         if self.parameters.georeference.pose_source == "odometry":
@@ -101,7 +101,7 @@ class GeoreferenceNode(StageNode):
 
     def _publish(self) -> None:
         if self.stage.datum is not None and not self._datum_sent:
-            self._datum.publish(datum_message(self.stage.datum, self._newest_ns))
+            self._datum_out.publish(datum_message(self.stage.datum, self._newest_ns))
             self._datum_sent = True
         states = self.stage.take_platform()
         if states is not None and len(states):

@@ -143,33 +143,41 @@ class Graph:
         # no handler of its own: it would end the context before the nodes have finished
         given = ["--ros-args", *ros] if ros else []
         rclpy.init(args=given, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
-        self.watcher = Watcher()
-        self._add(self.watcher)
-        for name in names:
-            settings = {"config_file": str(config)} | (
-                {"logger.path": str(log)} if name == "logger_node" else {}
+        try:
+            self.watcher = Watcher()
+            self._add(self.watcher)
+            for name in names:
+                self._start(name, config, log, separate, ros)
+        except BaseException:
+            self.close()  # threads of ROS that outlive the interpreter abort it
+            raise
+
+    def _start(
+        self, name: str, config: Path, log: Path | None, separate: bool, ros: Sequence[str]
+    ) -> None:
+        settings = {"config_file": str(config)} | (
+            {"logger.path": str(log)} if name == "logger_node" else {}
+        )
+        if separate:
+            words = [w for key, value in settings.items() for w in ("-p", f"{key}:={value}")]
+            command = [
+                sys.executable,
+                "-m",
+                "ladar_volume.nodes.programs",
+                name,
+                "--ros-args",
+                *words,
+                *ros,
+            ]
+            self._processes[name] = subprocess.Popen(command, env=os.environ)
+        else:
+            node = FACTORIES[name](
+                parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()]
             )
-            if separate:
-                words = [w for key, value in settings.items() for w in ("-p", f"{key}:={value}")]
-                command = [
-                    sys.executable,
-                    "-m",
-                    "ladar_volume.nodes.programs",
-                    name,
-                    "--ros-args",
-                    *words,
-                    *ros,
-                ]
-                self._processes[name] = subprocess.Popen(command, env=os.environ)
-            else:
-                node = FACTORIES[name](
-                    parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()]
-                )
-                started = node.autostart()
-                self._add(node)
-                if not started:
-                    self.close()
-                    raise ConfigurationError(f"{name}: {node.failure}")
+            started = node.autostart()
+            self._add(node)
+            if not started:
+                raise ConfigurationError(f"{name}: {node.failure}")
 
     def check(self) -> None:
         """Raises VolumeError where a process has ended that should not have."""

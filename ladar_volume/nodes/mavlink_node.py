@@ -188,7 +188,7 @@ class MavlinkNode(StageNode):
 
     def stop(self) -> None:
         """Stop reading, work off what came, close the link."""
-        if hasattr(self, "_ended"):
+        if hasattr(self, "_reader"):  # else it could not be configured
             self._ended.set()
             self._reader.join(timeout=2.0)
         super().stop()

@@ -6,13 +6,20 @@ stamps rise within a pass, so that a step back begins a new one. A *follower* (p
 came late) may go back within a pass: whether it does is known with the next message of a leader. No
 follower is ahead of the leaders by more than moments, so one far ahead of a pass just begun is of
 the old one.
+
+Who sent it: rclpy does not say. Where there must be one publisher, a change is believed only while
+nobody else could have sent it (:class:`OnePublisher`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 #: Stamps further back than this are no matter of rounding; georeference_node begins anew only for
 #: steps of two seconds and more.
 BACK_NS = 1_000_000_000
+#: Another publisher may have sent what comes until so long after it was last seen, s.
+MEMORY_S = 5.0
 
 
 class Passes:
@@ -41,3 +48,30 @@ class Passes:
             return "new"
         self._newest[kind] = max(self._newest.get(kind, t_ns), t_ns)
         return "same"
+
+
+class OnePublisher:
+    """Bound to the first publisher that is there alone; its successor, alone, may take its place.
+
+    ``seen`` is to be told who publishes, several times a second and with each message.
+    """
+
+    def __init__(self) -> None:
+        self.bound: bytes | None = None
+        self._others_s = float("-inf")
+
+    def seen(self, publishers: Iterable[bytes], now_s: float) -> bool:
+        """Who publishes at a time (s, of a steady clock). True when a successor has taken the place
+        of the bound one: what it said before is to be asked for again.
+        """
+        there, before = set(publishers), self.bound
+        if len(there) == 1 and before not in there:
+            (self.bound,) = there
+            self._others_s = float("-inf")
+        elif there - {before}:
+            self._others_s = now_s
+        return before not in (None, self.bound)
+
+    def believed(self, now_s: float) -> bool:
+        """Whether a message that differs from the last one is the bound publisher's."""
+        return self.bound is not None and now_s - self._others_s > MEMORY_S

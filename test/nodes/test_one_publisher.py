@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from ladar_volume.nodes.one_publisher import MEMORY_S, OnePublisher
+from ladar_volume.nodes.stream_passes import MEMORY_S, OnePublisher
 
 ROOT = Path(__file__).parents[2]
 A, B = b"a", b"b"

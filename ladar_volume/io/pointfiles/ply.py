@@ -166,7 +166,7 @@ def _ascii(file: IO[bytes], before: list[_Element], vertex: _Element, left: int)
     }
 
 
-def integers(values: npt.NDArray[np.float64], kind: Any) -> npt.NDArray[Any]:
+def integers(values: npt.NDArray[np.float64], kind: str | np.dtype[Any]) -> npt.NDArray[Any]:
     """Numbers of a text as integers of a kind. Raises :class:`CloudError` (cloud_values) for what
     is none.
     """
