@@ -64,7 +64,7 @@ class Restart:
         self._arrived = 0
 
     def push(
-        self, kind: str, t_ns: int, sample: Any
+        self, kind: str, t_ns: int, sample: object
     ) -> tuple[bool, list[tuple[str, Any]], list[str]]:
         """One sample of topic ``kind`` at ``t_ns``. Returns whether time began again before the
         samples that follow, the samples to take now as (kind, sample), and the reasons of those

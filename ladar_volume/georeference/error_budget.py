@@ -9,9 +9,9 @@ one function each.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ladar_volume.math.se3 import euler_rate_matrix, matrix_from_quaternion
 from ladar_volume.model.errors import ParameterValueError
@@ -124,7 +124,7 @@ def roll_pitch_heading(q_map_body: F64) -> tuple[float, float, float]:
     )
 
 
-def attitude_covariance_from_euler(q_map_body: F64, sigma_rph_rad: Any) -> F64:
+def attitude_covariance_from_euler(q_map_body: F64, sigma_rph_rad: ArrayLike) -> F64:
     """Body rotation vector covariance (3, 3) rad² of independent roll, pitch, heading sigmas (3,)
     rad at attitude q (4,).
     """

@@ -12,13 +12,17 @@ enter a covariance, so a driver's own zero does not matter.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from ladar_volume.math.se3 import exp_so3, rotation_xyz
 from ladar_volume.model.parameters import CalibrationParameters
 from ladar_volume.model.records import F64
+
+#: Real or complex arrays.
+Numbers: TypeAlias = npt.NDArray[np.inexact[Any]]
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,7 @@ def mounting(calibration: CalibrationParameters, pose_source: str = "gnss_imu") 
     )
 
 
-def laser_vector(range_m: Any, azimuth_rad: Any, vertical_rad: Any) -> Any:
+def laser_vector(range_m: Numbers, azimuth_rad: Numbers, vertical_rad: Numbers) -> Any:
     """Range (m) and angles (rad), shapes (...), real or complex -> r_laser (..., 3), m."""
     horizontal = range_m * np.cos(vertical_rad)
     return np.stack(
@@ -77,7 +81,7 @@ def laser_angles(r_laser: F64) -> tuple[F64, F64, F64]:
     return np.hypot(horizontal, z), np.arctan2(y, x), np.arctan2(z, horizontal)
 
 
-def angle_derivatives(r_laser: Any) -> Any:
+def angle_derivatives(r_laser: Numbers) -> Any:
     """``d r_laser / d (range, azimuth, vertical)``: (..., 3) -> (..., 3, 3), one column per
     measurement.
 
@@ -97,7 +101,7 @@ def angle_derivatives(r_laser: Any) -> Any:
     return np.stack([unit, d_azimuth, d_vertical], axis=-1)
 
 
-def map_point(p_antenna: Any, R_map_body: Any, r_laser: Any, mount: Mounting) -> Any:
+def map_point(p_antenna: Numbers, R_map_body: Numbers, r_laser: Numbers, mount: Mounting) -> Any:
     """The LiDAR equation. p_antenna (..., 3) m map frame, R_map_body (..., 3, 3), r_laser (..., 3)
     m -> r_map (..., 3), m.
 

@@ -125,9 +125,27 @@ def _noise(r: Vector, sigmas: F64, B: Rows, R: Rows, out: F32) -> None:
 
 
 @leaf_kernel
+def _rows(M: F64) -> Rows:
+    """Rows of a matrix (3, 3)."""
+    return (
+        (M[0, 0], M[0, 1], M[0, 2]),
+        (M[1, 0], M[1, 1], M[1, 2]),
+        (M[2, 0], M[2, 1], M[2, 2]),
+    )
+
+
+@leaf_kernel
+def _covered(knots: I64, segment: I64, k: int, t: int) -> bool:
+    """Whether a pose can be had at t, of which k is the knot before."""
+    covered = k >= 0 and segment[k] >= 0
+    if covered and knots[k] != t:
+        covered = k + 1 < len(knots) and segment[k] == segment[k + 1]
+    return bool(covered)
+
+
+@leaf_kernel
 def _map_part(
-    first: int,
-    last: int,
+    part: tuple[int, int],
     t_ns: I64,
     r_laser: F64,
     path: PathWindow,
@@ -135,23 +153,15 @@ def _map_part(
     boxes: Boxes,
     out: Mapped,
 ) -> None:
-    """Returns from ``first`` to ``last``: along the knots, with a hint instead of a search."""
+    """Returns part[0] to before part[1]: along the knots, with a hint instead of a search."""
     st, sq, sg, pt = path.state_t, path.state_q, path.state_segment, path.position_t
-    boresight, arm, b = device.boresight, device.arm, device.lever
+    arm, b, B = device.arm, device.lever, _rows(device.boresight)
     r_map, C_ind, status, ns = out.r_map, out.C_ind, out.status, len(st)
-    B = (
-        (boresight[0, 0], boresight[0, 1], boresight[0, 2]),
-        (boresight[1, 0], boresight[1, 1], boresight[1, 2]),
-        (boresight[2, 0], boresight[2, 1], boresight[2, 2]),
-    )
     k, j, arc = -1, -1, (0.0, 1.0, 1.0, True)
-    for i in range(first, last):
+    for i in range(part[0], part[1]):
         t, before = t_ns[i], k
         k = knot_before(st, t, k)
-        covered = k >= 0 and sg[k] >= 0
-        if covered and st[k] != t:
-            covered = k + 1 < ns and sg[k] == sg[k + 1]
-        if not covered:
+        if not _covered(st, sg, k, t):
             status[i], k = NO_POSE, before
             r_map[i, :] = np.nan
             C_ind[i, :] = np.nan
@@ -169,9 +179,8 @@ def _map_part(
         # LiDAR equation
         m = _moved(_antenna(path, j, t), R, (v[0] + arm[0], v[1] + arm[1], v[2] + arm[2]))
         r_map[i, 0], r_map[i, 1], r_map[i, 2] = m
-        status[i] = (
-            IN_VEHICLE if inside else (MAPPED if _within(boxes.region, m) else OUTSIDE_REGION)
-        )
+        place = MAPPED if _within(boxes.region, m) else OUTSIDE_REGION
+        status[i] = IN_VEHICLE if inside else place
         _noise(r, device.sigmas, B, R, C_ind[i])
 
 
@@ -181,8 +190,8 @@ def _map(
 ) -> None:
     n = len(t_ns)
     for chunk in numba.prange((n + _CHUNK - 1) // _CHUNK):
-        first, last = chunk * _CHUNK, min(n, (chunk + 1) * _CHUNK)
-        _map_part(first, last, t_ns, r_laser, path, device, boxes, out)
+        part = (chunk * _CHUNK, min(n, (chunk + 1) * _CHUNK))
+        _map_part(part, t_ns, r_laser, path, device, boxes, out)
 
 
 def vehicle_box(values: tuple[float, ...]) -> F64:

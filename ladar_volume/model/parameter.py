@@ -59,7 +59,7 @@ class ParameterSpec:
 
 
 def param(
-    default: Any,
+    default: Value,
     help: str,
     *,
     unit: str = "",
@@ -126,7 +126,7 @@ def specs(cls: type) -> tuple[ParameterSpec, ...]:
     return tuple(out)
 
 
-def _scalar(section: str, spec: ParameterSpec, value: Any) -> bool | int | float | str:
+def _scalar(section: str, spec: ParameterSpec, value: object) -> bool | int | float | str:
     where = f"{section}.{spec.key}"
     expected = spec.kind.__name__
     if spec.kind is bool:
@@ -170,7 +170,7 @@ def _bounded(where: str, spec: ParameterSpec, value: N) -> N:
     return value
 
 
-def convert(section: str, spec: ParameterSpec, value: Any) -> Any:
+def convert(section: str, spec: ParameterSpec, value: object) -> Any:
     """A value from outside, checked against its declaration and converted to the inside unit.
 
     Raises :class:`ParameterValueError` naming key, value and allowed range.
@@ -221,7 +221,7 @@ def read_section(
     return dataclasses.replace(start if start is not None else cls(), **changes)  # type: ignore[type-var]
 
 
-def write_section(parameters: Any) -> dict[str, Any]:
+def write_section(parameters: object) -> dict[str, Any]:
     """The outside keys and values of a parameter object; the inverse of :func:`read_section`."""
     out = {}
     for spec in specs(type(parameters)):

@@ -51,7 +51,7 @@ NAV_COLUMNS = ("east", "north", "up", "attitude_x", "attitude_y", "attitude_z")
 R = TypeVar("R")
 
 
-def select(record: R, mask: Any) -> R:
+def select(record: R, mask: I64 | Bool | slice) -> R:
     """The rows of a record chosen by one mask or index array: every row-wise array is cut alike."""
     changes: dict[str, Any] = {}
     for f in dataclasses.fields(record):  # type: ignore[arg-type]

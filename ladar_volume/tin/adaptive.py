@@ -200,16 +200,12 @@ def adaptive_tin(
     if len(on_map) == 0:
         raise SurfaceError("no point lies on the map", reason="surface_too_few_points", value=0)
     same = first_within(points[on_map, :2], duplicate_tolerance_m)
-    work = Insertion(
-        points[on_map], scale[on_map], same == np.arange(len(same)), area, corner_height_m
-    )
-    limit = vertex_limit(len(on_map), int(np.count_nonzero(work.first)), vertices, ratio, tolerance)
-    work.start(
-        limit, bins_per_row, full=tolerance is None and limit >= int(np.count_nonzero(work.first))
-    )
-    work.insert(
-        limit, criterion == "residual-area", -1.0 if tolerance is None else float(tolerance)
-    )
+    first = same == np.arange(len(same))
+    work, most = Insertion(points[on_map], scale[on_map], first, area, corner_height_m), first.sum()
+    limit = vertex_limit(len(on_map), int(most), vertices, ratio, tolerance)
+    work.start(limit, bins_per_row, full=tolerance is None and limit >= int(most))
+    least = -1.0 if tolerance is None else float(tolerance)
+    work.insert(limit, criterion == "residual-area", least)
     return work.result(len(points), on_map, same)
 
 
@@ -319,11 +315,8 @@ class Insertion:
         at = np.column_stack([self.cloud.xy, self.cloud.z])[vertex]
         source = np.concatenate([inserted[rank], np.full(len(artificial), -1)])
         tin = Tin(at, triangles, neighbours, relevant, source, int(np.count_nonzero(~self.first)))
-        out_triangle, out_residual, out_same = (
-            np.full(n, -1, np.int32),
-            np.full(n, np.nan),
-            np.full(n, -1, np.int32),
-        )
+        out_triangle, out_same = np.full(n, -1, np.int32), np.full(n, -1, np.int32)
+        out_residual = np.full(n, np.nan)
         out_triangle[on_map[self.order]], out_residual[on_map[self.order]] = m[row, 3], residual
         out_same[on_map] = on_map[same]
         score = np.concatenate([np.full(self.initial, np.nan), self.score])

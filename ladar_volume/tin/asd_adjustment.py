@@ -8,8 +8,6 @@ which serves as its check.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy import sparse
 
@@ -45,7 +43,7 @@ def adjust_asd(
     return finish(tin, fit, old + size * change, steps, gap <= tolerance)
 
 
-def least_sizes(B: Any, z: F64, w: F64, tolerance: float) -> tuple[F64, int, float]:
+def least_sizes(B: sparse.csr_array, z: F64, w: F64, tolerance: float) -> tuple[F64, int, float]:
     """``argmin Σ w |z − B h|``: h (n,), the steps taken, and the duality gap relative to the sum.
 
     Dual: multipliers a with ``0 ≤ a ≤ 2 w``, ``Bᵀa = Bᵀw``; lower, upper are the multipliers of its
@@ -70,8 +68,8 @@ def least_sizes(B: Any, z: F64, w: F64, tolerance: float) -> tuple[F64, int, flo
         fp, fd = step_length((a, da), (s, -da)), step_length((lower, dl), (upper, du))
         if min(fp, fd) < 1.0:
             mu = float(lower @ a + upper @ s)
-            ahead = float((lower + fd * dl) @ (a + fp * da) + (upper + fd * du) @ (s - fp * da))
-            mu *= (ahead / mu) ** 3 / (2.0 * len(z))
+            reached = float((lower + fd * dl) @ (a + fp * da) + (upper + fd * du) @ (s - fp * da))
+            mu *= (reached / mu) ** 3 / (2.0 * len(z))
             second_l, second_u = da * dl, -da * du
             r = r + mu * (1.0 / a - 1.0 / s) - second_l / a + second_u / s
             dh = normal.solve(B.T @ (q * r))
@@ -79,13 +77,8 @@ def least_sizes(B: Any, z: F64, w: F64, tolerance: float) -> tuple[F64, int, flo
             dl = (mu - second_l - lower * da) / a - lower
             du = (mu - second_u + upper * da) / s - upper
             fp, fd = step_length((a, da), (s, -da)), step_length((lower, dl), (upper, du))
-        a, s, h, lower, upper = (
-            a + fp * da,
-            s - fp * da,
-            h + fd * dh,
-            lower + fd * dl,
-            upper + fd * du,
-        )
+        a, s, h = a + fp * da, s - fp * da, h + fd * dh
+        lower, upper = lower + fd * dl, upper + fd * du
     return h, MAX_STEPS, gap
 
 

@@ -230,12 +230,9 @@ def point_lists(triangle: I64, m: int) -> tuple[I64, I64]:
     return first, after
 
 
-def exchange_diagonals(tin: Tin, points_map: F64, measure: str = "asd") -> Exchange:
-    """ASD or RMS triangulation adjustment of a surface to all points (n, 3), m, map frame;
-    ``measure`` is "asd" or "rms".
-
-    Heights, footprint and relevant area stay. Raises :class:`SurfaceError` for an unknown measure,
-    points of a wrong shape or not finite, or no point in a relevant triangle.
+def checked_points(points_map: F64, measure: str) -> F64:
+    """The points (n, 3); raises :class:`SurfaceError` for what :func:`exchange_diagonals`
+    refuses.
     """
     if measure not in MEASURES:
         raise SurfaceError(
@@ -252,6 +249,17 @@ def exchange_diagonals(tin: Tin, points_map: F64, measure: str = "asd") -> Excha
         raise SurfaceError(
             "a point with a coordinate that is not finite", reason="surface_not_finite"
         )
+    return points
+
+
+def exchange_diagonals(tin: Tin, points_map: F64, measure: str = "asd") -> Exchange:
+    """ASD or RMS triangulation adjustment of a surface to all points (n, 3), m, map frame;
+    ``measure`` is "asd" or "rms".
+
+    Heights, footprint and relevant area stay. Raises :class:`SurfaceError` for an unknown measure,
+    points of a wrong shape or not finite, or no point in a relevant triangle.
+    """
+    points = checked_points(points_map, measure)
     where = locate(triangle_index(tin, tin.relevant), points[:, :2])
     points, where = np.ascontiguousarray(points[where >= 0]), where[where >= 0]
     if len(points) == 0:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -42,7 +41,7 @@ class Fit:
     weight : (k,) · adjusted : (n,) bool, vertices that some point depends on
     """
 
-    B: Any
+    B: sparse.csr_array
     point: I64
     triangle: I64
     z: F64
@@ -123,7 +122,9 @@ class Normal:
     factors have room for ``pairs`` (k, 2) of vertices too, whether a point joins them or not.
     """
 
-    def __init__(self, B: Any, weight: F64, direct: bool = False, pairs: Any = None) -> None:
+    def __init__(
+        self, B: sparse.csr_array, weight: F64, direct: bool = False, pairs: I64 | None = None
+    ) -> None:
         N = (B.T @ sparse.diags_array(weight) @ B).tocsc()
         diagonal = N.diagonal()
         self.free: Bool = diagonal > 0

@@ -50,6 +50,22 @@ def artificial_vertices(tin: Tin) -> I64:
     return np.flatnonzero(tin.source < 0)
 
 
+def check_option(option: str, limit: float) -> None:
+    """Raise :class:`SurfaceError` for an unknown option or a limit, m, that is not above 0."""
+    if option not in OPTIONS:
+        raise SurfaceError(
+            f"unknown choice of relevant triangles {option!r}",
+            reason="surface_relevant",
+            value=option,
+        )
+    if not limit > 0.0:
+        raise SurfaceError(
+            f"the limit of option {option!r} is {limit} m; it must be above 0",
+            reason="surface_limit",
+            value=limit,
+        )
+
+
 def relevant_triangles(
     tin: Tin,
     option: str,
@@ -67,19 +83,8 @@ def relevant_triangles(
 
     Raises :class:`SurfaceError` for an unknown option or a limit that is not a number > 0.
     """
-    if option not in OPTIONS:
-        raise SurfaceError(
-            f"unknown choice of relevant triangles {option!r}",
-            reason="surface_relevant",
-            value=option,
-        )
-    limit = {"edge": max_edge_m, "circumcircle": max_circumdiameter_m}.get(option, 1.0)
-    if not limit > 0.0:
-        raise SurfaceError(
-            f"the limit of option {option!r} is {limit} m; it must be above 0",
-            reason="surface_limit",
-            value=limit,
-        )
+    limits = {"edge": max_edge_m, "circumcircle": max_circumdiameter_m}
+    check_option(option, limits.get(option, 1.0))
     mask = np.ones(len(tin.triangles), bool)
     if option == "all":
         return mask

@@ -142,16 +142,8 @@ class Represented:
         )
 
 
-def represent(
-    points_map: F64, options: SurfaceOptions, sigma_m: F64 | None = None, measured: bool = True
-) -> Represented:
-    """The surface of points (n, 3), m; their standard deviations (n,), where known, weight the
-    adjustment. Not ``measured``, a surface that nothing is adjusted on has NaN for its measures of
-    fit, and costs no search for its points.
-
-    Raises :class:`SurfaceError` for options that contradict one another and for points that make no
-    surface.
-    """
+def check_options(options: SurfaceOptions) -> None:
+    """Raise :class:`SurfaceError` for an unknown adjustment or exchange."""
     if options.adjust not in ADJUST:
         raise SurfaceError(
             f"the adjustment is one of {ADJUST}, not {options.adjust!r}",
@@ -163,6 +155,19 @@ def represent(
             f"diagonals are exchanged by {MEASURES} or 'none', not {options.exchange!r}",
             reason="surface_measure",
         )
+
+
+def represent(
+    points_map: F64, options: SurfaceOptions, sigma_m: F64 | None = None, measured: bool = True
+) -> Represented:
+    """The surface of points (n, 3), m; their standard deviations (n,), where known, weight the
+    adjustment. Not ``measured``, a surface that nothing is adjusted on has NaN for its measures of
+    fit, and costs no search for its points.
+
+    Raises :class:`SurfaceError` for options that contradict one another and for points that make no
+    surface.
+    """
+    check_options(options)
     points = np.asarray(points_map, dtype=np.float64)
     tin, initial, cropped = triangulated(points, options, sigma_m)
     by_area = options.relevant == "sampled"

@@ -9,13 +9,9 @@ import pytest
 
 from ladar_volume.model.choices import CRITERIA
 from ladar_volume.model.errors import SurfaceError
-from ladar_volume.tin import greedy
 from ladar_volume.tin.adaptive import adaptive_tin
 from ladar_volume.tin.delaunay import delaunay, fault
 from ladar_volume.tin.full_tin import footprint_areas
-from ladar_volume.tin.greedy import Cloud, Heap
-from ladar_volume.tin.predicates import workspace
-from ladar_volume.tin.triangle_table import first_triangle, insert_point, triangle_table
 
 
 def hills(n, seed=0, noise=0.05):
@@ -331,56 +327,3 @@ def test_refusals(points, options, reason):
     with pytest.raises(SurfaceError) as caught:
         adaptive_tin(points, **options)
     assert caught.value.reason == reason
-
-
-@pytest.mark.parametrize("grid", [False, True])
-def test_compiled_kernels_equal_their_plain_twins(grid, monkeypatch):
-    rng = np.random.default_rng(12)
-    n = 40
-    xy = rng.integers(0, 7, (n, 2)).astype(float) if grid else rng.random((n, 2)) * 6.0
-    _, first = np.unique(xy, axis=0, return_index=True)
-    z, w = rng.integers(0, 4, n).astype(float), workspace()
-    every = np.concatenate([xy, [[-1.0, -1], [8, -1], [8, 8], [-1, 8]]])
-    names = [k for k, v in vars(greedy).items() if hasattr(v, "py_func")]
-
-    def run():
-        open_ = np.isin(np.arange(n), first)
-        cloud = Cloud(
-            every,
-            np.r_[z, np.zeros(4)],
-            np.ones(n),
-            np.arange(n, dtype=np.int32),
-            open_,
-            np.full(n, -1, np.int32),
-        )
-        m = triangle_table(n + 4)
-        m[:] = 0
-        first_triangle(every, m, n, n + 1, n + 2, w)
-        size, hint, _ = insert_point(every, m, 4, 0, n + 3, w)
-        size, inserted = greedy.start_kernel(cloud, m, size, hint, first[:5].astype(np.int32), w)
-        heap = Heap(np.zeros(len(m)), np.zeros(len(m), np.int32), np.zeros(len(m), np.int32))
-        greedy.heap_kernel(cloud, heap, m, size, True, -1.0)
-        taken, scores = np.zeros(15, np.int32), np.zeros(15)
-        size, count = greedy.greedy_kernel(
-            cloud, heap, m, size, True, -1.0, w, greedy.Inserted(taken, scores)
-        )
-        triangle, residual = np.zeros(n, np.int32), np.zeros(n)
-        greedy.fit_kernel(cloud, m[:size], triangle, residual)
-        return [
-            m[:size],
-            inserted,
-            count,
-            taken,
-            scores,
-            triangle,
-            residual,
-            heap.score[:size],
-            heap.worst[:size],
-        ]
-
-    compiled = run()
-    for name in names:
-        monkeypatch.setattr(greedy, name, getattr(greedy, name).py_func)
-    for a, b in zip(compiled, run(), strict=True):
-        assert np.array_equal(a, b)
-    assert compiled[2] == 15 and compiled[1] == 5

@@ -114,7 +114,7 @@ def test_covariances_of_edges_are_those_of_the_dense_inverse(points, chosen):
     assert C[joined] == pytest.approx(dense[joined], rel=1e-8, abs=1e-9) and not C[~joined].any()
 
 
-def test_the_compiled_kernel_equals_its_plain_twin_and_a_dense_inverse():
+def test_the_selected_inverse_is_that_of_a_dense_matrix():
     rng = np.random.default_rng(9)
     n = 12
     L = np.tril(rng.normal(size=(n, n)), -1)
@@ -123,8 +123,6 @@ def test_the_compiled_kernel_equals_its_plain_twin_and_a_dense_inverse():
     row = np.concatenate([np.arange(j + 1, n) for j in range(n)]).astype(np.int64)
     value = np.concatenate([L[j + 1 :, j] for j in range(n)])
     off, own = selected_inverse(start, row, value, d)
-    plain = selected_inverse.py_func(start, row, value, d)
-    assert off == pytest.approx(plain[0], rel=1e-9) and own == pytest.approx(plain[1], rel=1e-9)
     full = np.linalg.inv((L + np.eye(n)) @ np.diag(d) @ (L + np.eye(n)).T)
     assert own == pytest.approx(np.diag(full), rel=1e-6)
     i, j = np.tril_indices(n, -1)

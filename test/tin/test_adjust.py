@@ -242,13 +242,13 @@ def test_conjugate_gradients_reach_the_digits_of_the_factors(monkeypatch):
     assert Normal(fit_of(tin, points).B, np.ones(400)).factor is None
 
 
-def test_compiled_sweep_equals_its_plain_twin():
+def test_a_sweep_is_its_dense_formulation():
     points = cloud(120, seed=14)
     tin = partial(points, 20)
     fit = fit_of(tin, points, np.random.default_rng(0).uniform(0.1, 1, 120))
     columns = sparse.csc_array(fit.B)
     results = []
-    for run in (sweep, sweep.py_func):
+    for run in (sweep,):
         heights, residual = tin.vertices[:, 2].copy(), fit.residuals(tin.vertices[:, 2])
         moved = run(
             columns.indptr.astype(np.int64),
@@ -261,7 +261,6 @@ def test_compiled_sweep_equals_its_plain_twin():
         results.append((moved, heights, residual))
     heights, residual = tin.vertices[:, 2].copy(), fit.residuals(tin.vertices[:, 2])
     plain = sweep_plain(fit.B.toarray(), fit.weight, residual, heights)
-    assert results[0][0] == results[1][0] and np.array_equal(results[0][1], results[1][1])
     assert results[0][0] == pytest.approx(plain, rel=1e-12) and results[0][1] == pytest.approx(
         heights, abs=1e-13
     )

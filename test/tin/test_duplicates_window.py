@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from ladar_volume.model.errors import SurfaceError
-from ladar_volume.tin.duplicates import bucket, copies_kernel, first_within
+from ladar_volume.tin.duplicates import first_within
 from ladar_volume.tin.window import (
     MOST,
-    central_kernel,
     central_points,
     default_bins,
     grid,
@@ -38,18 +37,6 @@ def test_the_first_kept_point_within_the_tolerance(tolerance):
     assert len(first_within(xy[:0], tolerance)) == 0 and first_within(
         xy[:1], tolerance
     ).tolist() == [0]
-
-
-def test_plain_twins_of_the_hashing():
-    xy = np.random.default_rng(1).random((60, 2))
-    with np.errstate(over="ignore"):
-        assert all(
-            bucket(a, b, 63) == bucket.py_func(a, b, 63)
-            for a, b in ((0.0, 0.0), (-1.0, 1.0), (5.0, 123.0))
-        )
-    head, after, same = np.full(128, -1), np.empty(60, np.int32), np.empty(60, np.int32)
-    copies_kernel.py_func(xy, 0.1, np.floor(xy / 0.1), head, after, same)
-    assert np.array_equal(same, first_within_plain(xy, 0.1))
 
 
 @pytest.mark.parametrize("tolerance", [-1.0, np.nan, np.inf, 1e-30])
@@ -110,8 +97,6 @@ def test_central_points_against_sorting_by_distance():
             if len(member):
                 expected.append(member[np.argmin(((xy[member] - low - 0.375) ** 2).sum(axis=1))])
     assert got.tolist() == expected
-    plain = central_kernel.py_func(xy, open_, 0.0, 0.0, 0.75, 0.75, 8, 4)
-    assert plain[plain >= 0].tolist() == expected
     assert central_points(
         np.array([[6.0, 3.0], [0.0, 0.0]]), np.ones(2, bool), window, 8
     ).tolist() == [1, 0]

@@ -16,13 +16,10 @@ from ladar_volume.tin import diagonal_exchange
 from ladar_volume.tin.diagonal_exchange import (
     ListedSurface,
     exchange_diagonals,
-    exchange_kernel,
     exchange_one,
     gain,
     list_residuals,
     point_lists,
-    residual,
-    side,
 )
 from ladar_volume.tin.full_tin import build_tin, footprint_areas
 from ladar_volume.tin.locate import height_at, locate, triangle_index
@@ -174,49 +171,48 @@ def test_a_plane_needs_no_exchange():
     assert exchange_diagonals(build_tin(flat[:80]), flat).exchanges == 0
 
 
-def test_compiled_kernels_equal_their_plain_twins():
+def off_plane(vertices, triangle, p):
+    """Height of p over the plane through three vertices, by solving for the plane."""
+    at = vertices[list(triangle)]
+    plane = np.linalg.solve(np.column_stack([np.ones(3), at[:, :2]]), at[:, 2])
+    return p[2] - plane @ [1.0, *p[:2]]
+
+
+def test_gains_and_residuals_are_those_of_planes():
     tin, points = scene(120, 25, seed=8)
     where, w = locate(triangle_index(tin), points[:, :2]), workspace()
-    results = []
-    for run in (exchange_kernel, exchange_kernel.py_func):
-        tri, nb = tin.triangles.astype(np.int64), tin.neighbours.astype(np.int64)
-        first, after = point_lists(where, len(tri))
-        surface = ListedSurface(tin.vertices, points, tri, nb, tin.relevant, first, after)
-        done = run(surface, False, 1e-12, w)
-        results.append((done, tri.tolist(), nb.tolist(), first.tolist(), after.tolist()))
-        assert list_residuals(tin.vertices, points, tri, first, after) == pytest.approx(
-            list_residuals.py_func(tin.vertices, points, tri, first, after), abs=1e-15
-        )
-        assert sorted(_walk(first, after)) == list(range(len(points)))
-    assert results[0] == results[1] and results[0][0] > 0
-    for t in range(len(tin.triangles)):
-        tri, nb = tin.triangles.astype(np.int64), tin.neighbours.astype(np.int64)
-        args = (
-            ListedSurface(
-                tin.vertices, points, tri, nb, tin.relevant, *point_lists(where, len(tri))
-            ),
-            t,
-            1,
-            True,
-            w,
-        )
-        assert gain(*args) == gain.py_func(*args)
-    assert residual(tin.vertices, 0, 1, 5, points[9]) == residual.py_func(
-        tin.vertices, 0, 1, 5, points[9]
-    )
-    assert side(tin.vertices, 0, 1, points[9]) == side.py_func(tin.vertices, 0, 1, points[9])
-    a, b = (
-        [
-            tin.triangles.astype(np.int64),
-            tin.neighbours.astype(np.int64),
-            *point_lists(where, len(tin.triangles)),
-        ]
-        for _ in range(2)
-    )
-    t, k = next((t, k) for t in range(len(tri)) for k in range(3) if tin.neighbours[t, k] >= 0)
-    one, two = (ListedSurface(tin.vertices, points, *x[:2], tin.relevant, *x[2:]) for x in (a, b))
-    assert exchange_one(one, t, k) == exchange_one.py_func(two, t, k)
-    assert all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
+    tri, nb = tin.triangles.astype(np.int64), tin.neighbours.astype(np.int64)
+    lists = point_lists(where, len(tri))
+    assert sorted(_walk(*lists)) == list(range(len(points)))
+    r = np.array([off_plane(tin.vertices, tri[t], p) for t, p in zip(where, points, strict=True)])
+    assert list_residuals(tin.vertices, points, tri, *lists) == pytest.approx(r, abs=1e-9)
+    seen = 0
+    for t in range(len(tri)):
+        for k in range(3):
+            surface = ListedSurface(tin.vertices, points, tri, nb, tin.relevant, *lists)
+            lowered = gain(surface, t, k, True, w)
+            if lowered == 0.0:
+                continue
+            two, one = [x.copy() for x in (tri, nb)], [x.copy() for x in lists]
+            o = exchange_one(ListedSurface(tin.vertices, points, *two, tin.relevant, *one), t, k)
+            mine = np.flatnonzero((where == t) | (where == o))
+            new = list_residuals(tin.vertices, points, two[0], *one)[mine]
+            after = np.array([int(i in set(_list(*one, t))) for i in mine])
+            plane = [
+                off_plane(tin.vertices, two[0][t if a else o], points[i])
+                for i, a in zip(mine, after, strict=True)
+            ]
+            assert new == pytest.approx(plane, abs=1e-9)
+            assert lowered == pytest.approx((r[mine] ** 2).sum() - (new**2).sum(), abs=1e-9)
+            seen += 1
+    assert seen > 10
+
+
+def _list(first, after, t):
+    p = first[t]
+    while p >= 0:
+        yield int(p)
+        p = after[p]
 
 
 def _walk(first, after):
