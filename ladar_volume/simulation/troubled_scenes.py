@@ -209,7 +209,7 @@ def toe_hole(d: Drawing) -> None:
 
 def open_hole(d: Drawing) -> None:
     """No returns on a strip from a flank to the edge of the survey."""
-    d.names = ("unseen", "ground_sectors", "cut")
+    d.names = ("unseen", "ground_one_sided", "cut")
     wide = d.rng.uniform(3.0, 8.0)
     far = d.pile.a + AROUND_M + BEYOND_M
     d.holes.append((d.pile.a * d.rng.uniform(0.5, 0.9), far, -wide / 2, wide / 2))
@@ -223,13 +223,13 @@ def region_cut(d: Drawing) -> None:
 
 def region_toe(d: Drawing) -> None:
     """The region ends just at the toe."""
-    d.names = ("cut", "ground_sectors")
+    d.names = ("cut", "ground_one_sided")
     d.region[3] = d.pile.a * d.rng.uniform(0.85, 0.98)
 
 
 def one_side(d: Drawing) -> None:
     """The survey ends on the crest: the other side was not flown."""
-    d.names = ("cut", "unseen", "ground_sectors")
+    d.names = ("cut", "unseen", "ground_one_sided")
     far = d.pile.a + AROUND_M + BEYOND_M
     d.holes.append((d.rng.uniform(-0.1, 0.3) * d.pile.a, far, -far, far))
 
@@ -271,7 +271,7 @@ def wall(d: Drawing) -> None:
 
 def pad(d: Drawing) -> None:
     """The pile stands in a pit stripped 0.2 to 0.5 m deep, 1 to 3 m wider than it."""
-    d.names = ("base_support", "ground_readings", "ground_steps")
+    d.names = ("base_toe", "cut")
     deep, wide = d.rng.uniform(0.2, 0.5), d.rng.uniform(1.0, 3.0)
     own, ground = d.pile, d.ground
     d.ground = lambda u, v: (
@@ -282,14 +282,14 @@ def pad(d: Drawing) -> None:
 
 def hollow(d: Drawing) -> None:
     """The ground is a bowl."""
-    d.names = ("ground_readings", "base_support")
+    d.names = ("base_bends", "base_toe")
     bend, ground = d.rng.uniform(0.0005, 0.0015), d.ground
     d.ground = lambda u, v: ground(u, v) + bend * (u * u + v * v)
 
 
 def undulating(d: Drawing) -> None:
     """The ground undulates by 3 to 6 cm over 4 to 8 m."""
-    d.names = ("ground_readings", "base_uneven")
+    d.names = ("base_bends", "base_toe")
     d.ground = Ground(
         0.0,
         (0.0, 0.0),
@@ -301,7 +301,7 @@ def undulating(d: Drawing) -> None:
 
 def machine(d: Drawing) -> None:
     """A machine stands at the toe."""
-    d.names = ("wall", "further_bodies", "object")
+    d.names = ("wall", "further_bodies")
     _, x, y = d.on_foot(1.05)
     x0, x1, y0, y1 = rectangle(x, y, 3.0, 2.0)
     d.bodies.append(box_mesh(x0, x1, y0, y1, -0.5, d.rng.uniform(2.0, 3.0)))

@@ -5,12 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
 
-def add_wild(studies: Any) -> None:
+def add_wild(studies: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Declare the study."""
     parser = studies.add_parser(
         "wild",
