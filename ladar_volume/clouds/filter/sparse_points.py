@@ -28,8 +28,8 @@ FACING, WIDELY = 0.9, 0.75
 
 @dataclass(frozen=True)
 class Sparse:
-    """stays : (n,) which points are kept as they are · normal : (n, 3) theirs · sigma_m : (n,) noise
-    of each · reach_m : radius of a fit that holds none but the point itself
+    """stays : (n,) which points are kept as they are · normal : (n, 3) theirs · sigma_m : (n,)
+    noise of each · reach_m : radius of a fit that holds none but the point itself
     """
 
     stays: Bool
