@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from ladar_volume.clouds.filter.surface_misfit import misfit_variance
 from ladar_volume.clouds.filter_cloud import REASONS, filter_cloud
 from ladar_volume.clouds.sampling.distinct_points import distinct
+from ladar_volume.clouds.sampling.isolation import belonging, spacing
 from ladar_volume.clouds.sampling.rounding_step import rounding_steps, spread
-from ladar_volume.clouds.sampling.sampling_lines import find_lines, lined
+from ladar_volume.clouds.sampling.sampling_lines import find_lines, lined, uneven
 from ladar_volume.clouds.sampling.trimmed_noise import trimmed_noise
 from ladar_volume.model.parameters import FilterParameters
 
@@ -205,3 +207,63 @@ def test_lines_off_each_other_by_the_noise_tell_it():
         r = np.column_stack([10 * rng.uniform(0, 7, 140), 10 * y, z])
         each.append(trimmed_noise(r, np.arange(140)[None])[0])
     assert np.median(each) == pytest.approx(np.hypot(1.0, 0.3) * np.sqrt(5 / 7), rel=0.25)
+
+
+@pytest.mark.parametrize(("off", "low", "high"), [(0.0, 0.0, 0.05), (1.0, 0.7, 1.1)])
+def test_a_surface_beside_its_points_is_refuted(off, low, high):
+    rng = np.random.default_rng(4)
+    q = np.column_stack([rng.uniform(0, 10, (8000, 2)), np.zeros(8000)])
+    wave = off * np.sqrt(2) * np.sin(2 * q[:, 0])
+    r = q + np.outer(0.01 * (rng.normal(size=8000) + wave), [0, 0, 1])
+    normal = np.tile([0.0, 0.0, 1.0], (8000, 1)) * rng.choice([-1.0, 1.0], (8000, 1))
+    noise = np.full(8000, 0.01 * np.hypot(1, off))
+    found = np.sqrt(np.mean(misfit_variance(r, q, normal, noise))) / 0.01
+    assert low <= found <= high
+
+
+def test_a_band_of_one_line_is_no_surface():
+    """A ring told at one elevation that scatters along the ground covers an area of its cone."""
+    rng = np.random.default_rng(8)
+    ground = np.column_stack([rng.uniform(-10, 10, (6000, 2)), np.zeros(6000)])
+    angle = rng.uniform(-0.6, 0.6, 900)
+    far = 60 + rng.normal(size=900)
+    band = np.column_stack([far * np.cos(angle), far * np.sin(angle), 0.02 * (60 - far)])
+    reach = find_lines(np.concatenate([ground, band]) - [30.0, 0, 0], 0.15).reach_m
+    assert np.mean(np.isfinite(reach[:6000])) > 0.95
+    assert np.mean(np.isfinite(reach[6000:])) < 0.1
+
+
+def test_noisy_lines_are_lines_though_their_noise_is_wider_than_their_spacing():
+    rng = np.random.default_rng(3)
+    along, line = np.meshgrid(np.arange(0, 3, 0.01), np.arange(0, 3, 0.1))
+    r = np.column_stack([along.ravel(), line.ravel(), np.zeros(along.size)])
+    r[:, :2] += 0.003 * rng.normal(size=(len(r), 2))
+    r[:, 2] = 0.02 * rng.normal(size=len(r))
+    some = r[:: len(r) // 300]
+    near = np.argsort(np.linalg.norm(some[:, None] - r[None], axis=2), axis=1)[:, :130]
+    assert lined(r, near)
+    even = np.column_stack([rng.uniform(0, 3, (9000, 2)), 0.02 * rng.normal(size=9000)])
+    some = even[:300]
+    near = np.argsort(np.linalg.norm(some[:, None] - even[None], axis=2), axis=1)[:, :130]
+    assert not lined(even, near)
+
+
+def test_strays_are_not_taken_for_places_of_another_spacing():
+    rng = np.random.default_rng(11)
+    r = np.column_stack([rng.uniform(-2, 2, (4000, 2)), 0.01 * rng.normal(size=4000)])
+    bad = rng.random(4000) < 0.5
+    r[bad, 2] = rng.uniform(-2, 2, bad.sum())
+    distance = np.linalg.norm(r[:400, None] - r[None], axis=2)
+    near = np.argsort(distance, axis=1)[:, :40]
+    around = np.argsort(distance[:, :400], axis=1)[:, :60]
+    assert not uneven(r, near, np.take_along_axis(distance, near, axis=1), around)
+
+
+def test_strays_do_not_pass_one_another_on():
+    rng = np.random.default_rng(9)
+    ring = np.column_stack([np.arange(0, 40, 0.1), np.zeros(400), np.zeros(400)])
+    strays = rng.uniform([0, -20, -20], [40, 20, 20], (400, 3))
+    r = np.concatenate([ring, ring + np.array([0.0, 3.0, 0.0]), strays])
+    known = np.arange(len(r)) < 400
+    stays = belonging(r, known, spacing(r, r), ~known, 4.0)
+    assert stays[400:800].mean() > 0.99 and stays[800:].mean() < 0.05

@@ -29,9 +29,8 @@ ACROSS = 0.1
 STEP = float(np.sqrt(2.0))
 #: Noise is the median of so many samples' values.
 SMOOTH = 5
-#: Noise of a place is this share of the cloud's at least, and at most so many times that quantile
-#: of all places: above it it is leaves and branches.
-QUIET, CLUTTER, ROUGH = 0.05, 2.0, 0.75
+#: Noise of a place lies within these shares of the cloud's; above it it is leaves and branches.
+QUIET, CLUTTER = 0.05, 5.0
 #: Residuals that tell the noise of a place lie within so many sigma; what their squares miss, and
 #: how often that is settled. Real lines have tails, which a closer cut would hide.
 CUT, MISSED, ROUNDS = 3.5, 0.9939, 3
@@ -92,12 +91,14 @@ def first_noise(r: F64, spread_r: F64, at: I64, lines: Lines) -> tuple[F64, Plac
 
 
 def of_points(each: F64, where: Places, whole: float) -> F64:
-    """Noise (n,) m of points from that of places (s,): rough ones are believed as rough as a
-    surface can be.
+    """Noise (n,) m of points from that of places (s,): the median of those next to it that are
+    surfaces, and the most that a surface has where none is.
     """
-    most = CLUTTER * max(whole, float(np.nanquantile(each, ROUGH)))
-    each = np.where(np.isfinite(each), np.minimum(each, most), whole)
-    return np.asarray(np.maximum(np.median(each[where.of], axis=1), QUIET * whole))
+    most = CLUTTER * whole
+    near = np.where(each < most, each, np.nan)[where.of]
+    none = ~np.isfinite(near).any(axis=1)
+    near[none] = most
+    return np.asarray(np.maximum(np.nanmedian(near, axis=1), QUIET * whole))
 
 
 def line_regions(r: F64, lines: Lines, sigma: F64, threshold: F64) -> Regions:

@@ -21,19 +21,20 @@ LINE = 8
 #: ring it may jump; and of those beside a surface among themselves.
 JUMP, BESIDE = 4.0, 2.0
 #: Quantile of the noise on surfaces that a point on none may have: surfaces that face the scanner
-#: show all of it.
-FACING = 0.9
+#: show all of it. Noise of angles grows with the range, and so with the spacing: the noise over the
+#: spacing that surfaces of wide spacing, from that quantile on, show in the middle of them.
+FACING, WIDELY = 0.9, 0.75
 
 
 @dataclass(frozen=True)
 class Sparse:
-    """stays : (n,) which points are kept as they are · normal : (n, 3) theirs · sigma_m : noise of
-    each · reach_m : radius of a fit that holds none but the point itself
+    """stays : (n,) which points are kept as they are · normal : (n, 3) theirs · sigma_m : (n,)
+    noise of each · reach_m : radius of a fit that holds none but the point itself
     """
 
     stays: Bool
     normal: F64
-    sigma_m: float
+    sigma_m: F64
     reach_m: float
 
 
@@ -59,10 +60,23 @@ def name_the_rest(r: F64, done: Covered, tuned: Tuned, auto: bool, keep: frozens
     normal = np.zeros((n, 3))
     if stays.any():
         normal[stays] = _normals(r, stays)
-    sigma = tuned.regions.sigma_m[kept if kept.any() else slice(None)]
-    return Sparse(
-        stays, normal, float(np.quantile(sigma, FACING)), 1e-3 * float(tuned.regions.ball_m[0])
-    )
+    sigma = _sigma(r, kept & ~stays, stays, tuned)
+    return Sparse(stays, normal, sigma, 1e-3 * float(tuned.regions.ball_m[0]))
+
+
+def _sigma(r: F64, kept: Bool, stays: Bool, tuned: Tuned) -> F64:
+    """Noise (n,) m of points as they came: that of surfaces that face the scanner, and where they
+    are told to err in angle, as much more as the spacing is wider.
+    """
+    known = tuned.regions.sigma_m[kept if kept.any() else slice(None)]
+    sigma = np.full(len(r), float(np.quantile(known, FACING)))
+    if kept.any() and stays.any() and tuned.told:
+        own = spacing(r, r)
+        wide = kept & (own >= np.quantile(own[kept], WIDELY)) & (own > 0.0)
+        if wide.any():
+            grows = float(np.median(tuned.regions.sigma_m[wide] / own[wide]))
+            sigma[stays] = np.maximum(sigma[stays], grows * own[stays])
+    return sigma
 
 
 def _sparse(r: F64, done: Covered, tuned: Tuned) -> Bool:

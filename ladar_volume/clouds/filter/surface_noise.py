@@ -21,6 +21,8 @@ SET_OFF = np.array([0.35, 0.2289, 0.4127])
 #: Where a surface is known no better than to this share of the noise it was carried on beyond what
 #: supports it.
 KNOWN = 0.7
+#: A surface that keeps its points lies no farther from the truth than this many times their noise.
+FARTHEST = 2.0
 
 
 def settled(
@@ -50,7 +52,7 @@ def settled(
     rows = np.flatnonzero(done.reason == cell_surface.KEPT)
     wrong = disagreement(before, done, variance)
     off = misfit_variance(r[rows], done.q[rows], done.normal[rows], sigma[rows])
-    wrong[rows] = np.maximum(wrong[rows], off)
+    wrong[rows] = np.minimum(np.maximum(wrong[rows], off), (FARTHEST * sigma[rows]) ** 2)
     variance += wrong
     return (
         replace(tuned, regions=replace(tuned.regions, sigma_m=sigma)),

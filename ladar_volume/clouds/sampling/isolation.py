@@ -20,7 +20,7 @@ NEXT, USUAL, HANDS, ROUNDS = 2, 5, 1.2, 12
 
 
 def spacing(r: F64, among: F64) -> F64:
-    """Distance (n,) m of points (n, 3) to the second neighbour ``among`` (m, 3), which hold them."""
+    """Distance (n,) m of points (n, 3) to the second neighbour ``among`` (m, 3), which hold it."""
     k = min(NEXT + 1, len(among))
     distance = cKDTree(among, balanced_tree=False).query(r, k=[k], workers=-1)[0]
     return np.asarray(distance, np.float64)[:, 0]

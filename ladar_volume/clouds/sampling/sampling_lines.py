@@ -21,6 +21,9 @@ LINE = 0.1
 #: Share of neighbourhoods that are lines from which on a cloud counts as sampled along lines, and
 #: points of such a neighbourhood.
 LINED, LOOK = 0.05, 30
+#: Points of a sheet and of a surface of sheets, thickness of a sheet over its width, in squares,
+#: and the share of the neighbourhoods that are such.
+SHEET, WIDE, SHEET_FLAT, SHEETS = 12, 120, 0.05, 0.1
 #: A neighbourhood reaches over so many voxels; points that it must hold to be a line, or more.
 OVER, FEW, FULL = 4.0, 5, 10
 #: Spacing that differs by this factor from the densest tenth to the sparsest; samples that tell the
@@ -84,7 +87,25 @@ def lined(r: F64, near: I64) -> bool:
     if near.shape[1] < LOOK:
         return False
     values = _of_neighbourhoods(r, near)
-    return bool(np.mean(values[:, 1] < LINE * values[:, 2]) >= LINED)
+    return bool(np.mean(values[:, 1] < LINE * values[:, 2]) >= LINED) or sheets(r, near)
+
+
+def sheets(r: F64, near: I64) -> bool:
+    """Whether noise wider than the spacing along lines makes a sheet of each, across the surface
+    they lie on: the nearest of neighbours (s, k) lie in one, more of them on the surface.
+    """
+    few, many = (_axes(r[near[:, :k]]) for k in (SHEET, min(WIDE, near.shape[1])))
+    thin_ones = few[0][:, 0] < SHEET_FLAT * few[0][:, 1]
+    flat = many[0][:, 0] < FLAT * many[0][:, 1]
+    turned = np.abs(np.einsum("si,si->s", few[1][:, :, 0], many[1][:, :, 0])) < 0.5
+    return bool(np.mean(thin_ones & flat & turned) >= SHEETS)
+
+
+def _axes(points: F64) -> tuple[F64, F64]:
+    """Eigenvalues (s, 3), ascending, and axes (s, 3, 3), of points (s, k, 3)."""
+    x = points - points.mean(axis=1, keepdims=True)
+    values, axes = np.linalg.eigh(np.einsum("ski,skj->sij", x, x) / x.shape[1])
+    return values, axes
 
 
 def uneven(r: F64, near: I64, distance: F64, around: I64) -> bool:
