@@ -1,7 +1,9 @@
-"""Run every benchmark on the machine at hand and write RESULTS.md beside this file.
+"""Run every benchmark on the machine at hand and write RESULTS.md beside this file; exit code 1
+where one misses a goal.
 
 ``python -m benchmarks [NAME ...]``: all of them, or those named, whose sections replace those of an
-earlier run. Each module has ``run() -> dict[str, float | int | str]``.
+earlier run. Each module has ``run() -> dict[str, float | int | str]`` and, where figures have
+goals, ``GOALS``: least and most by figure.
 """
 
 from __future__ import annotations
@@ -41,6 +43,8 @@ NAMES = (
     "propagation",
     "footprint",
     "fuzz",
+    "fuzz_files",
+    "planted",
     "soak",
 )
 
@@ -90,8 +94,11 @@ def main(wanted: list[str]) -> int:
         )
         return 2
     results = HERE / "RESULTS.md"
+    failed = []
     for name in wanted or NAMES:
-        figures = importlib.import_module(f"benchmarks.{name}").run()
+        module = importlib.import_module(f"benchmarks.{name}")
+        figures = module.run()
+        failed += [f"{name}: {goal}" for goal in missed(figures, getattr(module, "GOALS", {}))]
         for key, value in figures.items():
             print(
                 f"{name}: {key}: {value:.4g}"
@@ -104,7 +111,23 @@ def main(wanted: list[str]) -> int:
         results.write_text(
             "\n".join(["# Benchmarks of ladar_volume", "", *(done[n] for n in NAMES if n in done)])
         )
-    return 0
+    for line in failed:
+        print(f"goal missed: {line}", file=sys.stderr)
+    return int(bool(failed))
+
+
+def missed(
+    figures: dict[str, float | int | str], goals: dict[str, tuple[float, float]]
+) -> list[str]:
+    """The goals, least and most by figure, that figures do not meet; one that is not there, or no
+    number, is missed.
+    """
+    out = []
+    for key, (least, most) in goals.items():
+        value = figures.get(key)
+        if not isinstance(value, int | float) or not least <= value <= most:
+            out.append(f"{key} is {value}, goal {least:g} to {most:g}")
+    return out
 
 
 if __name__ == "__main__":

@@ -18,8 +18,10 @@ import numpy as np
 
 from benchmarks.shapes import NOISE_M, OUTLIERS, frame_faces
 from benchmarks.truth import F64, box_faces, rotation, sample_polygons
-from ladar_volume.clouds.body_volume import Uncertain, cloud_uncertainty
-from ladar_volume.clouds.cloud_bodies import CLEAR, CloudBodies, cloud_bodies
+from ladar_volume.clouds.body_checks import check_bodies, uncertainty
+from ladar_volume.clouds.body_points import filtered_points, ground_threshold
+from ladar_volume.clouds.body_volume import Uncertain
+from ladar_volume.clouds.cloud_bodies import CLEAR, BodyOptions, CloudBodies, cloud_bodies
 from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.ground.objects import ObjectParameters, find_objects
 from ladar_volume.ground.robust_ground import fit_ground
@@ -172,17 +174,22 @@ def cloud(case: Case, seed: int) -> F64:
 
 def measure(points: F64, stands: bool) -> tuple[CloudBodies, Uncertain]:
     """Filter, find, mesh, close, sum: nothing is known but whether there is a ground."""
-    f = filter_cloud(points, FilterParameters(), auto=True)
-    ground, label = None, np.zeros(len(f.r), np.int64)
+    of = filtered_points(filter_cloud(points, FilterParameters(), auto=True))
+    ground, label = None, np.zeros(len(of.r), np.int64)
     if stands:
-        ground = fit_ground(f.r, f.sigma**2, GroundParameters())
+        variance = np.zeros(len(of.r)) if of.sigma is None else of.sigma**2
+        ground = fit_ground(of.r, variance, GroundParameters(), ground_threshold(of))
         label = find_objects(
-            f.r, [ground], ObjectParameters(min_height_m=CLEAR * float(f.report["noise_m"]))
+            of.r, [ground], ObjectParameters(min_height_m=CLEAR * of.noise_m)
         ).label
-    found = cloud_bodies(f.r, f.normal, f.curved, label, ground)
+    found = cloud_bodies(of.r, of.normal, of.curved, label, ground)
     if found.failed:
         raise SystemExit(f"{len(found.failed)} bodies failed: {found.failed[0].reason}")
-    return found, cloud_uncertainty(found.bodies, found.sources, points, f, ground)
+    found, checked = check_bodies(found, of, points, BodyOptions())
+    uncertain = uncertainty(found, checked, of, points)
+    if uncertain is None:
+        raise SystemExit("a filtered cloud tells its noise")
+    return found, uncertain
 
 
 def one(case: Case, seed: int) -> dict[str, float]:

@@ -239,10 +239,17 @@ def summary(found: list[dict[str, Any]]) -> dict[str, float | int | str]:
         "99 % of losses below, s": sorted(lost)[int(0.99 * len(lost))] if lost else 0.0,
         "largest loss, s": max(lost, default=0.0),
         "kills that lost more than 1 s": sum(s > 1.0 for s in lost),
+        "kills whose file does not open": sum(not r["opens"] for r in found),
         "longest time the load itself had sent nothing before a kill, s": max(
             r["silent_s"] for r in found
         ),
     }
+
+
+GOALS = {
+    "kills that lost more than 1 s": (0.0, 0.0),
+    "kills whose file does not open": (0.0, 0.0),
+}
 
 
 def run(

@@ -21,7 +21,7 @@ from ladar_volume.mesh.linear_mesh import Skin, skin_of
 from ladar_volume.mesh.local_mesh import BOX, LocalMesh, LocalMeshSettings, mesh_cloud
 from ladar_volume.mesh.topology import orient
 from ladar_volume.model.choices import REPAIRS
-from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.cloud_filter_parameters import FilterParameters
 
 SEEDS, COUNT = range(20), 300_000
 TRUE = {"sphere": 4 / 3 * np.pi, "cube": 1.0}
@@ -46,9 +46,7 @@ def body(name: str) -> dict[str, float | int | str]:
     off: dict[str, list[float]] = {"through the points": [], "edges completed": []}
     whole = over = 0.0
     for seed in SEEDS:
-        result = filter_cloud(
-            getattr(shapes, name)(seed).points, Parameters.read({}).filter, auto=True
-        )
+        result = filter_cloud(getattr(shapes, name)(seed).points, FilterParameters(), auto=True)
         mesh = mesh_cloud(result.r, result.normal)
         sharp = sharpen(skin_of(mesh.vertices, mesh.triangles, mesh.normals))[0]
         off["through the points"].append(100 * (volume(mesh) / TRUE[name] - 1))
@@ -67,7 +65,7 @@ def body(name: str) -> dict[str, float | int | str]:
 
 def repairs() -> dict[str, float | int | str]:
     """Deviation of the volume of a filtered cube by the published method, for each repair, %."""
-    result = filter_cloud(shapes.cube(0).points, Parameters.read({}).filter, auto=True)
+    result = filter_cloud(shapes.cube(0).points, FilterParameters(), auto=True)
     out: dict[str, float | int | str] = {}
     for repair in REPAIRS:
         mesh = mesh_cloud(

@@ -41,6 +41,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 from std_srvs.srv import Trigger
 
+from benchmarks.books import in_files, number, open_log, open_steps
 from benchmarks.footprint import cpu_seconds, proportional_mb, resident_mb
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.tables import decode
@@ -311,6 +312,7 @@ class Soak:
         self.busy = dict.fromkeys(self.processes, 0.0)
         self._busy_of: dict[int, float] = {}
         self.died: list[str] = []
+        self.logged: dict[str, int] | None = None  # messages by topic in the files of the log
 
     def _start(self, name: str) -> subprocess.Popen[bytes]:
         section = name.split("_")[0]
@@ -487,8 +489,22 @@ def report(soak: Soak, truth_m3: float) -> dict[str, Any]:
             "georeference_node", f"lost_message_lost_{kind}"
         )
         unaccounted[kind] = load.sent[kind] - load.unheard[kind] - arrived
-        if unaccounted[kind] > 0:
+        if unaccounted[kind] > 0 or (unaccounted[kind] < 0 and not any(load.unheard.values())):
             wrong.append(f"{unaccounted[kind]} {kind} messages are unaccounted for")
+    restarted = frozenset(name for name, _ in load.past)
+    if not load.hurt.get("all_clocks_back") and not soak.died:
+        wrong += open_steps(load.lines, restarted)
+    whole = number(load.lines, "logger_node", "deleted_files") == 0
+    if soak.logged is not None and whole and not any(load.unheard.values()):
+        sent = {TOPICS[kind]: n for kind, n in load.sent.items()}
+        reasons = (
+            "lost_message_middleware_",
+            "lost_message_queue_",
+            "lost_message_disk_",
+            "before_",
+        )
+        lost = {t: sum(load.total("logger_node", f"{r}{t}") for r in reasons) for t in sent}
+        wrong += open_log(sent, soak.logged, lost)
     unforeseen = sum(load.total(name, "lost_message_internal_error") for name in NODES)
     if unforeseen:
         wrong.append(f"{unforeseen} unforeseen exceptions")
@@ -573,7 +589,12 @@ def soak(
         finally:
             one.close()
             rclpy.try_shutdown()
+        if "logger_node" in nodes and not one_process:
+            one.logged = in_files(folder / "log.mcap")
         return report(one, truth)
+
+
+GOALS = {"things wrong": (0.0, 0.0), "unaccounted": (0.0, 0.0)}
 
 
 def run() -> dict[str, float | int | str]:
@@ -584,6 +605,7 @@ def run() -> dict[str, float | int | str]:
         "wrong": "; ".join(out["wrong"]) or "nothing",
         "messages": sum(out["sent"].values()),
         "kinds of faults": len(out["faults"]),
+        "things wrong": len(out["wrong"]),
         "unaccounted": sum(max(n, 0) for n in out["unaccounted"].values()),
         "scan to volume p50, s": latency[0],
         "scan to volume p99, s": latency[1],

@@ -37,7 +37,7 @@ MODULES = 20
 #: Arguments of a function, ``self`` and ``cls`` not counted; how many functions have more, outside
 #: ``clouds/`` and in the whole package; how many arguments are annotated as bare ``Any``. The last
 #: three only go down.
-ARGUMENTS, LONG_OUTSIDE_CLOUDS, LONG, ANY = 8, 6, 31, 161
+ARGUMENTS, LONG_OUTSIDE_CLOUDS, LONG, ANY = 8, 2, 27, 153
 
 
 def name_of(path):

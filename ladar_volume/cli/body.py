@@ -21,21 +21,28 @@ from ladar_volume.cli.inputs.reading import (
     reading_doubts,
 )
 from ladar_volume.cli.verdict_lines import NO_SIGMA, exit_code
+from ladar_volume.clouds.body_checks import check_bodies, check_doubts, uncertainty
+from ladar_volume.clouds.body_points import (
+    BodyPoints,
+    as_they_came,
+    filtered_points,
+    good_points,
+    ground_threshold,
+    left_out,
+    rough,
+    step_between,
+    with_noise,
+)
 from ladar_volume.clouds.body_verdict import (
+    TOO_MANY,
     Missed,
     bodies_verdict,
     check_missed,
     filter_doubts,
     missed_points,
-    step_between,
 )
-from ladar_volume.clouds.body_volume import (
-    Body,
-    Uncertain,
-    body_of,
-    cloud_uncertainty,
-    mesh_uncertainty,
-)
+from ladar_volume.clouds.body_volume import Body, body_of, mesh_uncertainty
+from ladar_volume.clouds.body_walls import foot_doubts, wall_doubts
 from ladar_volume.clouds.cloud_bodies import CLEAR, BodyOptions, cloud_bodies
 from ladar_volume.clouds.filter.filter_result import CloudResult
 from ladar_volume.clouds.filter_cloud import filter_cloud
@@ -62,8 +69,11 @@ from ladar_volume.model.errors import (
     SurfaceError,
 )
 from ladar_volume.model.parameters import FilterParameters, GroundParameters
-from ladar_volume.model.records import F64, I64, Bool, Plane
-from ladar_volume.model.verdict import Verdict
+from ladar_volume.model.records import F64, I64, Plane
+from ladar_volume.model.verdict import Doubt, Verdict
+
+#: An object is picked from so many longest steps between its points.
+PICKED = 3.0
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -178,89 +188,102 @@ def of_cloud(arguments: argparse.Namespace, console: Console) -> tuple[dict[str,
     a = arguments
     with console.status(f"reading {a.source.name}") as status:
         source = read_source(a.source, a)
-        filtered: CloudResult | None = None
-        points, normals, curved, sigma = given_points(source, a.sigma)
+        raw = source.cloud.r
         if not a.no_filter:
-            status.update(f"filtering {len(points):,} points")
-            p = (
-                FilterParameters(seed=a.seed)
-                if a.radius is None
-                else FilterParameters(seed=a.seed, radius_m=a.radius)
-            )
-            filtered = filter_cloud(points, p, auto=a.radius is None)
-            points, normals, curved, sigma = (
-                filtered.r,
-                filtered.normal,
-                filtered.curved,
-                filtered.sigma,
-            )
+            status.update(f"filtering {len(raw):,} points")
+        points = given_points(source, a.sigma) if a.no_filter else filtered_points(filtered(a, raw))
         status.update("looking for the ground and what stands on it")
-        ground = ground_of(a, points, np.zeros(len(points)) if sigma is None else sigma)
-        found, missed = (None, None) if ground is None else objects_of(a, points, ground, filtered)
-        label = np.zeros(len(points), np.int64) if found is None else found.label
+        points, ground, doubts = standing(a, raw, points)
+        found, missed = (None, None) if ground is None else objects_of(a, points, ground)
+        label = np.zeros(len(points.r), np.int64) if found is None else found.label
         options = BodyOptions(mesh_settings(a), a.close or 0.0, sharp_rad(a), pole(a))
         made = cloud_bodies(
-            points,
-            normals,
-            curved,
+            points.r,
+            points.normal,
+            points.curved,
             label,
             ground,
             options,
             lambda k, many: status.update(f"meshing and closing body {k + 1} of {many}"),
         )
         status.update("propagating the noise")
-        uncertain: Uncertain | None = None
-        if filtered is not None:
-            uncertain = cloud_uncertainty(
-                made.bodies, made.sources, source.cloud.r, filtered, ground
-            )
-        elif sigma is not None:
-            uncertain = mesh_uncertainty(
-                made.bodies, [sigma[rows] for rows in made.sources], ground
-            )
-    facts = cloud_facts(a.source.name, len(source.cloud.r), filtered, made, found, uncertain)
+        made, checked = check_bodies(made, points, raw, options)
+        uncertain = uncertainty(made, checked, points, raw)
+    facts = cloud_facts(a.source.name, len(raw), points, made, found, uncertain)
     facts["reading"] = cloud_facts_of(source.cloud)
     facts["above_ground"] = None if missed is None else dataclasses.asdict(missed)
-    verdict = bodies_verdict(made, points, missed)
-    if filtered is not None and ground is not None:
-        noise_m = float(filtered.report["noise_m"])
-        verdict += Verdict(filter_doubts(source.cloud.r, points, ground, noise_m))
+    verdict = Verdict(reading_doubts([source.cloud])) + bodies_verdict(made, points.r, missed)
+    verdict += Verdict(doubts + check_doubts(checked) + foot_doubts(made, points))
+    verdict += Verdict(wall_doubts(made, points))
     for body in made.bodies:
         verdict += Verdict(body.doubts)
     if uncertain is None:
         verdict += Verdict((NO_SIGMA,))
-    facts["verdict"] = (Verdict(reading_doubts([source.cloud])) + verdict).as_dict()
+    facts["verdict"] = verdict.as_dict()
     return facts, list(made.bodies)
 
 
-def given_points(
-    source: Source, sigma: float | None
-) -> tuple[F64, F64 | None, Bool | None, F64 | None]:
+def filtered(arguments: argparse.Namespace, raw: F64) -> CloudResult:
+    """The filter's answer to a cloud (n, 3) m."""
+    p = FilterParameters(seed=arguments.seed)
+    if arguments.radius is not None:
+        p = dataclasses.replace(p, radius_m=arguments.radius)
+    return filter_cloud(raw, p, auto=arguments.radius is None)
+
+
+def standing(
+    arguments: argparse.Namespace, raw: F64, points: BodyPoints
+) -> tuple[BodyPoints, Plane | None, tuple[Doubt, ...]]:
+    """The points that bodies are made of, their ground, and what speaks against them: a filter's,
+    or the cloud (n, 3) m as it came where the filter left out too much of what rises.
+    """
+    ground = ground_of(arguments, points)
+    result = points.filtered
+    if result is None:
+        return points, ground, ()
+    good = good_points(raw, result)
+    lost = left_out(raw, good, result, ground)
+    if lost.share <= TOO_MANY:
+        return points, ground, ()
+    if ground is not None and len(ground.support):
+        came = as_they_came(raw, good, points.noise_m, lost.share)
+        came = with_noise(came, ground_of_cloud(arguments, came).rms_m)
+        if not rough(lost, came.noise_m):
+            return came, ground_of(arguments, came), ()
+    return points, ground, filter_doubts(lost)
+
+
+def given_points(source: Source, sigma: float | None) -> BodyPoints:
     """Points of a file that are on the surface already, with their normals and sigmas where there
     are any.
     """
     r, columns = source.cloud.r, source.cloud.columns
     normals = np.asarray(columns["normal"], dtype=np.float64) if "normal" in columns else None
     if sigma is not None or "sigma" not in columns:
-        return r, normals, None, None if sigma is None else np.full(len(r), sigma)
+        return BodyPoints(r, normals, None, None if sigma is None else np.full(len(r), sigma))
     values = np.asarray(columns["sigma"], dtype=np.float64)
     if values.shape != (len(r),) or not (np.isfinite(values) & (values >= 0.0)).all():
         raise InputError(
             f"{source.path}: the column 'sigma' holds no standard deviations; give --sigma",
             reason="input_sigma",
         )
-    return r, normals, None, values
+    return BodyPoints(r, normals, None, values)
 
 
-def ground_of(arguments: argparse.Namespace, points: F64, sigma: F64) -> Plane | None:
+def ground_of(arguments: argparse.Namespace, points: BodyPoints) -> Plane | None:
     """The ground asked for; found by default."""
     if arguments.ground == "none" or (arguments.repair is not None and arguments.ground is None):
         return None
     given = given_ground(arguments)
-    if given is not None:
-        return given
+    return given if given is not None else ground_of_cloud(arguments, points)
+
+
+def ground_of_cloud(arguments: argparse.Namespace, points: BodyPoints) -> Plane:
+    """The ground that points show."""
+    sigma = np.zeros(len(points.r)) if points.sigma is None else points.sigma
+    p = GroundParameters(seed=arguments.seed, degree=1)
     try:
-        return fit_ground(points, sigma**2, GroundParameters(seed=arguments.seed, degree=1))
+        return fit_ground(points.r, sigma**2, p, ground_threshold(points))
     except GroundError as error:
         ways = "--ground Z gives a level, --ground none means a body that is seen from all sides"
         raise GroundError(
@@ -269,27 +292,38 @@ def ground_of(arguments: argparse.Namespace, points: F64, sigma: F64) -> Plane |
 
 
 def objects_of(
-    arguments: argparse.Namespace, points: F64, ground: Plane, filtered: CloudResult | None
+    arguments: argparse.Namespace, points: BodyPoints, ground: Plane
 ) -> tuple[Objects, Missed | None]:
     """The objects asked for; all that are found by default, and what is in none of them."""
-    a = arguments
-    least = 0.0 if filtered is None else CLEAR * float(filtered.report["noise_m"])
-    p = ObjectParameters(min_height_m=least if a.min_height is None else a.min_height)
-    given = {"min_points": a.min_points, "distance_m": a.distance, "split_m": a.split}
-    p = dataclasses.replace(p, **{key: value for key, value in given.items() if value is not None})
-    if a.distance is None:
-        step_m = step_between(points[rising(points, [ground], p)[1]])
-        p = dataclasses.replace(p, distance_m=step_m or p.distance_m)
+    a, r = arguments, points.r
+    p = object_parameters(a, points, ground)
     if a.pick:
-        return objects_at(points, [ground], [np.array(at)[None] for at in a.pick], p), None
-    regions = [in_polygon(points, np.array(ring)) for ring in a.polygon]
-    regions += [in_box(points, np.array(box[:3]), np.array(box[3:])) for box in a.box]
+        return objects_at(r, [ground], [np.array(at)[None] for at in a.pick], p), None
+    regions = [in_polygon(r, np.array(ring)) for ring in a.polygon]
+    regions += [in_box(r, np.array(box[:3]), np.array(box[3:])) for box in a.box]
     if regions:
-        return objects_in(points, [ground], regions, p), None
-    found = find_objects(points, [ground], p)
-    missed = missed_points(points, ground, found, p)
+        return objects_in(r, [ground], regions, p), None
+    found = find_objects(r, [ground], p)
+    missed = missed_points(r, ground, found, p)
     check_missed(missed)
     return found, missed
+
+
+def object_parameters(
+    arguments: argparse.Namespace, points: BodyPoints, ground: Plane
+) -> ObjectParameters:
+    """What an object is, in the cloud's own measure where nothing is asked for."""
+    a = arguments
+    noise = points.noise_m or ground.rms_m
+    p = ObjectParameters(min_height_m=CLEAR * noise if a.min_height is None else a.min_height)
+    given = {"min_points": a.min_points, "distance_m": a.distance, "split_m": a.split}
+    p = dataclasses.replace(p, **{key: value for key, value in given.items() if value is not None})
+    if a.distance is not None:
+        return p
+    step_m = step_between(points.r[rising(points.r, [ground], p)[1]])
+    if not step_m:
+        return p
+    return dataclasses.replace(p, distance_m=step_m, step_m=step_m, pick_reach_m=PICKED * step_m)
 
 
 def mesh_settings(arguments: argparse.Namespace) -> LocalMeshSettings:

@@ -11,9 +11,9 @@ from rich.table import Table
 
 from ladar_volume.cli.inputs.mesh_source import mesh_facts as mesh_of_file
 from ladar_volume.cli.verdict_lines import add_verdict_rows
+from ladar_volume.clouds.body_points import BodyPoints
 from ladar_volume.clouds.body_volume import Body, Uncertain
 from ladar_volume.clouds.cloud_bodies import CloudBodies
-from ladar_volume.clouds.filter.filter_result import CloudResult
 from ladar_volume.ground.objects import Objects
 from ladar_volume.io.meshfiles.mesh_files import MeshFile
 from ladar_volume.mesh.topology import edge_table
@@ -30,6 +30,7 @@ def body_facts(body: Body) -> dict[str, Any]:
         "uncorrected_m3": body.uncorrected_m3,
         "edge_m3": body.edge_m3,
         "curvature_m3": body.curvature_m3,
+        "fit_m3": body.fit_m3,
         "closed_m3": body.closed_m3,
         "area_m2": body.area_m2,
         "low_m": skin.vertices[skin.triangles].min(axis=(0, 1)).tolist(),
@@ -96,7 +97,7 @@ def mesh_facts(
 def cloud_facts(
     name: str,
     points: int,
-    filtered: CloudResult | None,
+    of: BodyPoints,
     made: CloudBodies,
     found: Objects | None,
     uncertain: Uncertain | None,
@@ -127,7 +128,12 @@ def cloud_facts(
         **facts,
         "verdict": Verdict(tuple(d for b in made.bodies for d in b.doubts)).as_dict(),
         "input": {"path": name, "points": points},
-        "filter": None if filtered is None else dict(filtered.report),
+        "filter": None if of.filtered is None else dict(of.filtered.report),
+        "points": {
+            "as_they_came": of.filtered is None,
+            "left_out": of.left_out,
+            "noise_m": of.noise_m,
+        },
         "ground": None
         if ground is None
         else {
@@ -154,6 +160,11 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
         console.print(f"body {k + 1}: {details(b)}")
     for f in facts["failed"]:
         console.print(f"object {f['object']} {place_line(f, f['middle_m'])}")
+    if facts.get("points", {}).get("left_out"):
+        console.print(
+            f"the points are taken as they came, with a noise of {facts['points']['noise_m']:.2g} m"
+            f": the filter would leave out {100 * facts['points']['left_out']:.0f} % of what rises"
+        )
     if facts["sigma_m3"] is None:
         console.print("sigma is not known: give --sigma, the standard deviation of each vertex")
     above = facts.get("above_ground")
@@ -229,6 +240,8 @@ def details(b: Mapping[str, Any]) -> str:
         parts.append(f"edges completed with {b['edge_vertices']} vertices ({b['edge_m3']:+.3g} m³)")
     if b["curvature_m3"]:
         parts.append(f"curvature {b['curvature_m3']:+.3g} m³")
+    if b["fit_m3"]:
+        parts.append(f"surfaces off their points {b['fit_m3']:+.3g} m³")
     for c in b["closures"]:
         where = "closed on the ground" if c["on"] == "ground" else "gap closed"
         parts.append(

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from rich.console import Console
 from rich.table import Table
 
+from ladar_volume.cli.inputs.filter_settings import order_of, settings
 from ladar_volume.cli.inputs.reading import (
     add_reading_rows,
     carried_columns,
@@ -23,13 +24,11 @@ from ladar_volume.cli.inputs.reading import (
 from ladar_volume.cli.verdict_lines import add_verdict_rows, exit_code
 from ladar_volume.clouds.filter.filter_result import FLAGS
 from ladar_volume.clouds.filter_cloud import REASONS, CloudResult, filter_cloud
-from ladar_volume.clouds.published.filter_presets import PRESETS
-from ladar_volume.io.config import read_config
 from ladar_volume.io.pointfiles.cloud_files import check_output, write_cloud
 from ladar_volume.io.pointfiles.point_file import NORMALS, PointFile
 from ladar_volume.io.results import json_text
-from ladar_volume.model.errors import ConfigurationError, FilterError, OutputError
-from ladar_volume.model.parameters import FilterParameters, Parameters
+from ladar_volume.model.errors import FilterError, OutputError
+from ladar_volume.model.parameter import write_section
 from ladar_volume.model.records import F64, I64
 from ladar_volume.model.verdict import Verdict
 from ladar_volume.version import version
@@ -75,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
         "reading": cloud_facts_of(cloud),
         "outliers": outliers,
         **_facts(result, len(r), auto),
-        "parameters": Parameters(filter=parameters).write()["filter"],
+        "parameters": {"order": order_of(parameters), **write_section(parameters)},
         "verdict": (Verdict(reading_doubts([cloud])) + result.verdict).as_dict(),
     }
     if arguments.json:
@@ -112,38 +111,6 @@ def _facts(result: CloudResult, points: int, auto: bool) -> dict[str, Any]:
         "report": dict(result.report),
         "version": version(),
     }
-
-
-def settings(arguments: argparse.Namespace) -> tuple[FilterParameters, bool]:
-    """Filter parameters, and whether radius, degree and threshold come from the cloud: preset <
-    --radius, --degree < --set.
-
-    Raises ConfigurationError for options that contradict each other.
-    """
-    keys = [text.partition("=")[0].strip() for text in arguments.set]
-    for key in keys:
-        if not key.startswith("filter."):
-            raise ConfigurationError(
-                f"--set {key}: this verb has parameters of the section 'filter' only", value=key
-            )
-    given = {
-        key: value
-        for key, value in (("radius_m", arguments.radius), ("degree", arguments.degree))
-        if value is not None
-    }
-    by_hand = "radius_m" in given or arguments.preset is not None or "filter.radius_m" in keys
-    if arguments.auto and by_hand:
-        raise ConfigurationError(
-            "--auto estimates what --radius, --preset or filter.radius_m give: choose one"
-        )
-    if not by_hand and ("degree" in given or "filter.degree" in keys):
-        raise ConfigurationError(
-            "the degree is estimated with the radius: give --radius too, or leave both to --auto"
-        )
-    start = Parameters.read({"filter": {**PRESETS.get(arguments.preset, {}), **given}})
-    overrides = read_config(None, arguments.set).write()["filter"]
-    changes = {key.removeprefix("filter."): overrides[key.removeprefix("filter.")] for key in keys}
-    return Parameters.read({"filter": changes}, start).filter, not by_hand
 
 
 def _check_outputs(arguments: argparse.Namespace) -> None:

@@ -35,6 +35,12 @@ def read_spheres(path: Path, noise: float | None, radius: float | None) -> dict[
             f"{path}: no column 'sphere' that numbers the spheres", reason="registration_column"
         )
     number = np.asarray(cloud.columns["sphere"])
+    whole = number.dtype.kind in "fiu" and number.ndim == 1
+    if not (whole and (np.abs(number) < 2**53).all() and (number == np.floor(number)).all()):
+        raise RegistrationError(
+            f"{path}: the column 'sphere' holds what is no whole number",
+            reason="registration_column",
+        )
     out = {}
     for k in np.unique(number):
         rows = number == k

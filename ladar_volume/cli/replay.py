@@ -12,6 +12,7 @@ from rich.progress import Progress
 
 from ladar_volume.cli.arguments.work import config_for
 from ladar_volume.cli.tables.result_table import show_result
+from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.io import results
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.config import read_config
@@ -43,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
             f"{min(arguments.duration, result['input']['duration_s']) / seconds:.1f} x "
             f"real time; written to {arguments.output}/"
         )
-    return 0
+    return exit_code(arguments, result["verdict"])
 
 
 def _replayed(

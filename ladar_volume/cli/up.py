@@ -15,6 +15,7 @@ from rich.progress import Progress
 from ladar_volume.cli.arguments.work import config_for
 from ladar_volume.cli.replay import topics_from
 from ladar_volume.cli.tables.result_table import show_result
+from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.io import results
 from ladar_volume.io.bags import ROLES, BagReader
 from ladar_volume.io.config import dump_config, read_config
@@ -75,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         show_result(console, result)
         console.print(f"written to {folder}/")
-    return 0
+    return exit_code(arguments, result["verdict"])
 
 
 def graph_result(

@@ -7,13 +7,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import ConvexHull, QhullError
 
+from ladar_volume.clouds.body_points import LeftOut
 from ladar_volume.clouds.body_volume import Body
 from ladar_volume.clouds.cloud_bodies import CloudBodies
 from ladar_volume.ground.clusters import clusters
 from ladar_volume.ground.objects import ObjectParameters, Objects, rising
-from ladar_volume.mesh.local_mesh import REACH, SPACING, LocalMesh
+from ladar_volume.mesh.local_mesh import LocalMesh
 from ladar_volume.model.errors import ObjectError
 from ladar_volume.model.records import F64, Plane
 from ladar_volume.model.verdict import Doubt, Verdict
@@ -23,22 +24,6 @@ MISSED, TOO_MANY = 0.01, 0.05
 #: Share of them that the filter may leave out, stray points in the air among them, before what is
 #: left is no longer the bodies.
 MOST_LEFT_OUT = 0.5
-#: Raw points higher than this many sigmas of the noise do not come from the ground.
-RAISED = 5.0
-#: Least step between points of one object, in the spacing where the points are sparsest.
-SPARSE, SPARSEST = 2.0, 90.0
-
-
-def step_between(points: F64) -> float:
-    """Longest step between points (n, 3) m of one object: the longest edge of a mesh through them,
-    and twice the spacing where it is large. Spacing: distance of the 6th neighbour. 0 without two
-    points at different places.
-    """
-    if len(points) < 2:
-        return 0.0
-    k = min(SPACING, len(points) - 1)
-    away = np.asarray(cKDTree(points).query(points, [k])[0])
-    return float(max(REACH * np.median(away), SPARSE * np.percentile(away, SPARSEST)))
 
 
 @dataclass(frozen=True)
@@ -86,26 +71,23 @@ def check_missed(missed: Missed) -> None:
         )
 
 
-def filter_doubts(raw: F64, kept: F64, ground: Plane, noise_m: float) -> tuple[Doubt, ...]:
-    """Doubt where the filter left out many of the raw points (n, 3) m that stand above the ground:
-    bodies then lack them. kept : (k, 3) m, the filtered points. Raises :class:`ObjectError`
-    (object_left_out; value: share) where it left out most of them.
+def filter_doubts(lost: LeftOut) -> tuple[Doubt, ...]:
+    """Doubt where the filter left out many of the good points that stand above the ground: bodies
+    then lack them. Raises :class:`ObjectError` (object_left_out; value: share) where it left out
+    most of them.
     """
-    p = ObjectParameters(min_height_m=RAISED * noise_m)
-    before, after = (int(np.count_nonzero(rising(at, [ground], p, kept)[1])) for at in (raw, kept))
-    share = 1.0 - after / before if before else 0.0
-    if share <= TOO_MANY:
+    if lost.share <= TOO_MANY:
         return ()
-    words = f"the filter left out {100 * share:.0f} % of the {before:,} points above the ground"
-    if share > MOST_LEFT_OUT:
+    words = f"the filter left out {100 * lost.share:.0f} % of the {lost.above:,} points"
+    if lost.share > MOST_LEFT_OUT:
         raise ObjectError(
-            f"{words}: too few are left to be the bodies; scan more densely, or take the points as "
-            "they are with --no-filter",
+            f"{words} of what rises: too few are left to be the bodies; scan more densely, or take "
+            "the points as they are with --no-filter",
             reason="object_left_out",
-            value=share,
+            value=lost.share,
         )
-    advice = "so bodies may lack volume: scan more densely, or --no-filter"
-    return (Doubt("points_left_out", f"{words}, {advice}", share),)
+    advice = "of what rises, so bodies may lack volume: scan more densely, or --no-filter"
+    return (Doubt("points_left_out", f"{words} {advice}", lost.share),)
 
 
 def at_the_edge(points: F64, own: F64, step_m: float) -> bool:

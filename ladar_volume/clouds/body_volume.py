@@ -56,7 +56,8 @@ class Body:
     closed : its volume without curvature, gradient, parts, independence of the pole · closures :
     what was closed · edge_vertices : how many vertices complete edges · may_cross : whether
     triangles may cross · gradient : (k, 3) m², by the measured vertices · by_ground : (3,), by the
-    ground's height and slopes
+    ground's height and slopes · fit_m3 : the part of the volume by which the filter's surfaces are
+    off their points (:mod:`~ladar_volume.clouds.body_checks`)
     """
 
     volume_m3: float
@@ -72,6 +73,7 @@ class Body:
     may_cross: bool
     gradient: F64
     by_ground: F64
+    fit_m3: float = 0.0
 
     @cached_property
     def crossed(self) -> Crossing:

@@ -106,7 +106,7 @@ def cloud_bodies(
         step(number, many)
         rows = np.flatnonzero(label == number).astype(np.int64)
         try:
-            made.append((*_body(points, normals, curved, rows, ground, o), rows))
+            made.append((*body_at(points, normals, curved, rows, ground, o), rows))
             numbers.append(number)
         except SurfaceError as error:
             errors.append(error)
@@ -121,7 +121,7 @@ def cloud_bodies(
     return CloudBodies(bodies, sources, meshes, stray, ground, tuple(numbers), tuple(failed))
 
 
-def _body(
+def body_at(
     points: F64,
     normals: F64 | None,
     curved: Bool | None,

@@ -21,7 +21,7 @@ from ladar_volume.clouds.filter.surface_noise import settled
 from ladar_volume.clouds.published.published_filter import filter_published, settings
 from ladar_volume.clouds.sampling.distinct_points import distinct, repeated
 from ladar_volume.clouds.sampling.rounding_step import rounding_steps, shared_rounding
-from ladar_volume.model.parameters import FilterParameters
+from ladar_volume.model.cloud_filter_parameters import FilterParameters, PublishedFilterParameters
 from ladar_volume.model.records import F64
 
 #: Reduction before and after the filter, by ``FilterParameters.reduce``.
@@ -44,7 +44,7 @@ def filter_cloud(
     points = checked(r)
     how_before, how_after = REDUCE[parameters.reduce]
     before = reduce_points(points, parameters.grid_before_m, how_before)
-    if parameters.order == "published":
+    if isinstance(parameters, PublishedFilterParameters):
         result = _published(before.r, parameters, auto)
     else:
         once = distinct(before.r)
@@ -63,7 +63,7 @@ def _centre(points: F64) -> F64:
     return np.asarray(0.5 * (points.min(axis=0) + points.max(axis=0)))
 
 
-def _published(points: F64, parameters: FilterParameters, auto: bool) -> CloudResult:
+def _published(points: F64, parameters: PublishedFilterParameters, auto: bool) -> CloudResult:
     """The published order."""
     if not auto:
         return filter_published(points, settings(parameters))

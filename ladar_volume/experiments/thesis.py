@@ -19,7 +19,7 @@ import numpy as np
 
 from ladar_volume.clouds.body_volume import body_of, cloud_uncertainty
 from ladar_volume.clouds.filter_cloud import CloudResult, filter_cloud
-from ladar_volume.clouds.published.filter_presets import PRESETS
+from ladar_volume.clouds.published.filter_presets import preset
 from ladar_volume.experiments import thesis_scene as scene
 from ladar_volume.ground.polynomial import base_height, tilt_of
 from ladar_volume.ground.robust_ground import fit_ground
@@ -35,7 +35,7 @@ from ladar_volume.mesh.tetrahedra import signed_tetrahedra
 from ladar_volume.mesh.topology import edge_table, orient
 from ladar_volume.model.choices import REPAIRS
 from ladar_volume.model.errors import SimulationError
-from ladar_volume.model.parameters import FilterParameters, GroundParameters, Parameters
+from ladar_volume.model.parameters import FilterParameters, GroundParameters
 from ladar_volume.model.records import F64
 
 #: Largest gap that the package's own way closes, m; and what the ground is searched with: Table
@@ -114,11 +114,6 @@ class Study:
     boxes: list[Body]
     spheres: list[Body]
     fields: dict[str, Field]
-
-
-def preset(name: str) -> FilterParameters:
-    """A published setting of the filter in the published order."""
-    return Parameters.read({"filter": {**PRESETS[name], "order": "published"}}).filter
 
 
 def tetrahedra_sum(mesh: LocalMesh) -> float:

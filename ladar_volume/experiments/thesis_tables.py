@@ -51,7 +51,7 @@ def settings() -> str:
     """Tables 9.1 and 9.2 as this package's keys."""
     keys = sorted({key for values in PRESETS.values() for key in values})
     rows = [[f"`{key}`", *(str(PRESETS[name].get(key, "")) for name in PRESETS)] for key in keys]
-    return markdown(["key of section `filter`", *PRESETS], rows)
+    return markdown(["key of `filter`", *PRESETS], rows)
 
 
 def volumes(bodies: list[Body], truth_m3: float, printed: dict[str, tuple[int, int]]) -> str:

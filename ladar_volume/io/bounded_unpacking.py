@@ -12,7 +12,7 @@ import os
 from collections.abc import Callable
 from typing import Any, BinaryIO, Protocol
 
-import lz4.frame
+import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 from rosbags.rosbag1 import reader as rosbag1
 from rosbags.rosbag2 import reader as rosbag2
@@ -25,6 +25,9 @@ CHUNK = 2**30
 #: Measurements stand for up to some ten times their packed size; beyond this, in more bytes than
 #: that, nothing is unpacked.
 RATIO, SMALL = 200, 2**26
+
+#: The library that rosbags itself takes.
+_ZSTD: Any = vars(storage_mcap)["zstd"]
 
 
 class _Unpacker(Protocol):
@@ -78,7 +81,7 @@ class _Zstd:
     """Zstandard, one frame at a time."""
 
     def __init__(self) -> None:
-        self._unpacker = storage_mcap.zstd.ZstdDecompressor()
+        self._unpacker = _ZSTD.ZstdDecompressor()
 
     @property
     def eof(self) -> bool:
@@ -128,7 +131,7 @@ class _BoundedFile:
 
     def __init__(self, packed: BinaryIO, mode: str) -> None:
         self._most = max(SMALL, RATIO * os.fstat(packed.fileno()).st_size)
-        self._file = storage_mcap.zstd.open(packed, mode)
+        self._file = _ZSTD.open(packed, mode)
 
     def __enter__(self) -> _BoundedFile:
         return self
@@ -152,11 +155,11 @@ class _MessageUnpacking:
     decompress = staticmethod(zstd)
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(storage_mcap.zstd, name)
+        return getattr(_ZSTD, name)
 
 
 storage_mcap.DECOMPRESSORS["zstd"] = zstd
 storage_mcap.DECOMPRESSORS["lz4"] = lz4_frames
 rosbag1.decompressors["bz2"] = bzip2
 rosbag1.decompressors["lz4"] = lz4_frames
-rosbag2.zstd = _MessageUnpacking()  # type: ignore[assignment]
+vars(rosbag2)["zstd"] = _MessageUnpacking()

@@ -15,8 +15,9 @@ from typing import Any
 import yaml
 
 from ladar_volume.io import strict_yaml
+from ladar_volume.model.cloud_filter_parameters import FILTERS
 from ladar_volume.model.errors import ConfigurationError, shown
-from ladar_volume.model.parameter import ParameterSpec, specs
+from ladar_volume.model.parameter import ParameterSpec, specs, write_section
 from ladar_volume.model.parameters import SECTIONS, Parameters
 
 #: What every node of ROS has beside its own parameters.
@@ -38,7 +39,7 @@ def read_config(
         except ConfigurationError as error:
             raise type(error)(f"{path}: {error}", value=error.value) from error
     for text in overrides:
-        parameters = Parameters.read(_override(text), parameters)
+        parameters = Parameters.read(override(text), parameters)
     return parameters
 
 
@@ -78,7 +79,8 @@ def _merge(sections: dict[str, Any], node: Mapping[str, Any]) -> None:
             there[key] = value
 
 
-def _override(text: str) -> dict[str, dict[str, Any]]:
+def override(text: str) -> dict[str, dict[str, Any]]:
+    """``section.key=value`` as ``{section: {key: value}}``; raises a ConfigurationError."""
     name, equals, value = text.partition("=")
     section, dot, key = name.strip().partition(".")
     if not equals or not dot:
@@ -138,6 +140,16 @@ def _bounds(spec: ParameterSpec) -> str:
     return f"{spec.range_text}{unit}"
 
 
+def _table(title: str, cls: type) -> list[str]:
+    """Heading and rows of the page for one class."""
+    values = write_section(cls())
+    rows = [
+        f"| `{s.key}` | `{_yaml(values[s.key])}` | {_bounds(s)} | {s.help} |" for s in specs(cls)
+    ]
+    head = ["| key | default | range | meaning |", "|---|---|---|---|"]
+    return [f"## {title}", "", (cls.__doc__ or "").strip(), "", *head, *rows, ""]
+
+
 def parameters_markdown() -> str:
     """The parameter page of the documentation."""
     lines = [
@@ -147,20 +159,15 @@ def parameters_markdown() -> str:
         "",
     ]
     for section, cls in SECTIONS.items():
-        lines += [
-            f"## {section}",
-            "",
-            (cls.__doc__ or "").strip(),
-            "",
-            "| key | default | range | meaning |",
-            "|---|---|---|---|",
-        ]
-        values = Parameters().write()[section]
-        lines += [
-            f"| `{s.key}` | `{_yaml(values[s.key])}` | {_bounds(s)} | {s.help} |"
-            for s in specs(cls)
-        ]
-        lines.append("")
+        lines += _table(section, cls)
+    lines += [
+        "# Parameters of the filters of point cloud files",
+        "",
+        "From the command line, `ladar_volume filter --set filter.KEY=VALUE`, not from a file.",
+        "",
+    ]
+    for order, kind in FILTERS.items():
+        lines += _table(f"filter.order={order}", kind)
     return "\n".join(lines)
 
 

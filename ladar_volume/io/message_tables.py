@@ -382,7 +382,8 @@ def base_code(base: str) -> int:
 
 def volume_columns(volumes: list[Volume]) -> Columns:
     """``volumes``: one row per body with centroid, volume, variance, cut, fill, area, base
-    (:data:`BASES`) and one ``var_<source>`` per source.
+    (:data:`BASES`), the share of the area that was seen, the number of doubts, one ``var_<source>``
+    per source and one ``doubt_<name>`` per doubt (1 where the row has it).
     """
     centroid = np.array([v.centroid_map for v in volumes], dtype=np.float64)
     columns: Columns = {axis: centroid[:, i] for i, axis in enumerate("xyz")}
@@ -393,7 +394,12 @@ def volume_columns(volumes: list[Volume]) -> Columns:
         "fill": np.array([v.fill_m3 for v in volumes]),
         "area": np.array([v.area_m2 for v in volumes]),
         "base": np.array([base_code(v.base) for v in volumes], np.uint8),
+        "seen_share": np.array([v.seen_share for v in volumes]),
+        "doubts": np.array([len(v.verdict.doubts) for v in volumes], np.uint8),
     }
     for source in sorted({s for v in volumes for s in v.budget_m6}):
         columns[f"var_{source}"] = np.array([v.budget_m6.get(source, 0.0) for v in volumes])
+    names = [{doubt.name for doubt in v.verdict.doubts} for v in volumes]
+    for name in sorted(set().union(*names)):
+        columns[f"doubt_{name}"] = np.array([name in own for own in names], np.uint8)
     return columns

@@ -51,6 +51,10 @@ def volume_dict(volume: Volume) -> dict[str, Any]:
             "matters": volume.second_order_matters,
         },
         "chord_m3": volume.chord_m3,
+        "seen_share": volume.seen_share,
+        "gaps": [dataclasses.asdict(gap) for gap in volume.gaps],
+        "passes": None if volume.agreement is None else dataclasses.asdict(volume.agreement),
+        "verdict": volume.verdict.as_dict(),
         "base": volume.base,
         "base_same_survey": volume.base_same_survey,
         "centroid_map_m": list(volume.centroid_map),
@@ -91,8 +95,10 @@ def result_dict(
     ground surfaces, losses, effective parameters, version and where it came from.
     """
     joint = estimate.C_bodies_m6
+    verdict = sum((body.verdict for body in estimate.bodies), estimate.volume.verdict)
     return {
         **volume_dict(estimate.volume),
+        "verdict": verdict.as_dict(),
         "bodies": [volume_dict(body) for body in estimate.bodies],
         "C_bodies_m6": None if joint is None else joint.tolist(),
         "grounds": [ground_dict(ground) for ground in estimate.grounds],

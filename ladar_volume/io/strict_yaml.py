@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import yaml
 
@@ -25,18 +25,13 @@ class _Loader(yaml.SafeLoader):
     nesting; what looks like a date is text.
     """
 
-    yaml_implicit_resolvers: ClassVar[dict[str, Any]] = {
-        first: [(tag, found) for tag, found in rules if tag != "tag:yaml.org,2002:timestamp"]
-        for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
-    }
-
     def __init__(self, text: str) -> None:
         super().__init__(text)
         self._depth = 0
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         line = self.peek_event().start_mark.line + 1  # type: ignore[no-untyped-call]
-        if self.check_event(yaml.AliasEvent):  # type: ignore[no-untyped-call]
+        if self.check_event(yaml.AliasEvent):
             raise ConfigurationError(f"line {line}: an alias (*): write the value again")
         if self._depth >= DEPTH:
             raise ConfigurationError(f"line {line}: more than {DEPTH} levels")
@@ -58,6 +53,13 @@ class _Loader(yaml.SafeLoader):
                 raise ConfigurationError(f"line {line}: key {shown(key)} is given twice", value=key)
             seen.add(key)
         return super().construct_mapping(node, deep)
+
+
+# a date is text
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, found) for tag, found in rules if tag != "tag:yaml.org,2002:timestamp"]
+    for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
 
 
 def parsed(text: str) -> Any:

@@ -175,7 +175,7 @@ def read_survey(path: str | Path) -> Survey:
             reason="survey_file",
             value=str(path),
         ) from error
-    parameters = Parameters.read(given)
+    parameters = Parameters.read(given, old=True)
     estimator = VolumeEstimator(
         parameters, NavigationBins.from_sums(parameters.filter.nav_bin_s, *bins)
     )

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,7 @@ from ladar_volume.mesh.linear_mesh import (
     vertex_normals,
 )
 from ladar_volume.mesh.rims import Rim, place
+from ladar_volume.mesh.unseen_foot import unseen_bend
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I64, Bool, Plane
 
@@ -106,7 +108,8 @@ def stand_on(skin: Skin, rims: list[Rim], ground: Plane, up: F64) -> tuple[Skin,
     known = known_at(skin, all_of)
     straight = np.broadcast_to(DOWN, tangent.shape)
     p = skin.vertices[all_of]
-    q, by_point, by_ground = feet(p, np.where(known[:, None], tangent, straight), ground)
+    along = np.where(known[:, None], tangent, straight)
+    q, by_point, by_ground = feet(p, along, ground)
     other, _, _ = feet(p, np.where(known[:, None], straight, tangent), ground)
     size = max(r.size_m for r in rims)
     there = np.abs(heights(p, ground)) <= ON_GROUND * size
@@ -124,9 +127,16 @@ def stand_on(skin: Skin, rims: list[Rim], ground: Plane, up: F64) -> tuple[Skin,
         here = np.concatenate([foot[inner], *(strips[k] for k in (outer, *holes))])
         triangles.append(here)
         closed = tetrahedra(at, here, rims[outer].middle)
-        doubt = abs(closed - tetrahedra(alternative, here, rims[outer].middle))
+        doubt = closed - tetrahedra(alternative, here, rims[outer].middle)
+        drawn = np.linalg.norm(q - p, axis=1)
+        bend = sum(
+            unseen_bend(skin, all_of[i], along[i], drawn[i])
+            for i in (loops[k] for k in (outer, *holes))
+        )
         count = sum(len(rims[k].vertices) for k in (outer, *holes))
-        made.append(Closure(GROUND, count, rims[outer].size_m, closed, doubt, forced))
+        made.append(
+            Closure(GROUND, count, rims[outer].size_m, closed, math.hypot(doubt, bend), forced)
+        )
     new = np.concatenate(triangles)
     skin = extended(
         skin,

@@ -91,8 +91,8 @@ def check_height(skin: Skin, rim: Rim, ground: Plane, close_m: float) -> None:
     if abs(h[worst]) > close_m:
         side, at = ("above" if h[worst] > 0 else "below"), place(skin.vertices[rim.vertices[worst]])
         raise SurfaceError(
-            f"the surface ends at {at}, {abs(h[worst]):.3f} m {side} the ground, more "
-            f"than {close_m:g} m: close more (--close), "
+            f"the surface ends at {at}, {abs(h[worst]):.3g} m {side} the ground, more "
+            f"than {close_m:.3g} m: close more (--close), "
             "check the ground, or scan the foot of the body",
             reason="closing_height",
             value=float(h[worst]),
@@ -119,12 +119,11 @@ def fill_gap(skin: Skin, rim: Rim, close_m: float, hint: str) -> tuple[Skin, Clo
     fan = len(inner) == 0
     width = rim.size_m if fan else gap_width(skin.vertices[loop], inner)
     if width > close_m:
-        wide = f"{width:.3f}" if width >= 0.1 else f"{width:.3g}"
+        what = f"an open rim of {k:,} vertices, {width:.3g} m across," if fan else ""
+        what = what or f"a gap {width:.3g} m wide"
         raise SurfaceError(
-            (
-                f"a gap {wide} m wide at {place(rim.middle)}, more than {close_m:g} m: "
-                f"close more (--close), scan that side{hint}"
-            ),
+            f"{what} at {place(rim.middle)}, more than {close_m:.3g} m: "
+            f"close more (--close), scan that side{hint}",
             reason="closing_gap",
             value=width,
         )

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.ground.clusters import root_of, to_roots
-from ladar_volume.math.kernels import kernel
 from ladar_volume.mesh.linear_mesh import Faces, Skin, blocks, extended
 from ladar_volume.mesh.topology import edge_table, orient
-from ladar_volume.model.records import F64, I32, I64
+from ladar_volume.mesh.welding import part_fans
+from ladar_volume.model.records import F64, I64
 
 #: A rim looks down where the surface leaves the mesh across it with at least this mean slope (its
 #: sine); across a gap the mean is 0.
@@ -33,26 +32,7 @@ class Rim:
 
 def place(p: F64) -> str:
     """A place in words."""
-    return f"({p[0]:.2f}, {p[1]:.2f}, {p[2]:.2f})"
-
-
-@kernel
-def fans(triangles: I32, one: I64, other: I64) -> I64:
-    """The first corner (3m,) of the fan that each corner of triangles (m, 3) is in, which edges
-    join: half edges ``one`` and ``other`` (e,) of two triangles each.
-    """
-    corner = triangles.ravel()
-    root = np.arange(len(corner))
-    for e in range(len(one)):
-        i, t = one[e], other[e] // 3 * 3
-        for a in (i, i // 3 * 3 + (i + 1) % 3):
-            b = t
-            while corner[b] != corner[a]:
-                b += 1
-            p, q = root_of(root, a), root_of(root, b)
-            root[max(p, q)] = min(p, q)
-    to_roots(root)
-    return root
+    return f"({p[0]:.6g}, {p[1]:.6g}, {p[2]:.6g})"
 
 
 def split_fans(skin: Skin) -> Skin:
@@ -62,32 +42,21 @@ def split_fans(skin: Skin) -> Skin:
     t, n = skin.triangles, len(skin.vertices)
     order, start, _ = edge_table(t)
     pair = start[:-1][np.diff(start) == 2]
-    root = np.asarray(fans(t, order[pair], order[pair + 1]))
-    # fans in the order of their first corner; the first one of each vertex keeps it
-    begins = root == np.arange(len(root))
-    first, fan = np.flatnonzero(begins), (np.cumsum(begins) - 1)[root]
-    vertex = t.ravel()[first]
-    _, earliest = np.unique(vertex, return_index=True)
-    number = np.full(len(first), -1, np.int64)
-    number[earliest] = vertex[earliest]
-    more = np.flatnonzero(number < 0)
-    if len(more) == 0:
+    new, old = part_fans(t, np.stack([order[pair], order[pair + 1]], axis=1), n)
+    if len(old) == 0:
         return skin
-    number[more] = n + np.arange(len(more))
-    new = number[fan].reshape(-1, 3).astype(np.int32)
-    old = vertex[more]
     copy = blocks(
-        np.arange(len(more)),
-        old.astype(np.int64),
-        np.tile(np.eye(3), (len(more), 1, 1)),
-        (len(more), n),
+        np.arange(len(old)),
+        old,
+        np.tile(np.eye(3), (len(old), 1, 1)),
+        (len(old), n),
     )
     return extended(
         skin,
         skin.vertices[old],
         skin.kind[old],
         copy,
-        np.zeros((3 * len(more), 3)),
+        np.zeros((3 * len(old), 3)),
         Faces(new, skin.normals, skin.face),
         skin.curved[old],
     )

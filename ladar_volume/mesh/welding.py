@@ -12,10 +12,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array, coo_matrix
+from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from ladar_volume.ground.clusters import root_of, to_roots
+from ladar_volume.math.kernels import kernel
 from ladar_volume.mesh.topology import edge_table, vertices_of
 from ladar_volume.model.records import F64, I32, I64
 
@@ -173,7 +175,9 @@ def split_edges(vertices: F64, triangles: I32) -> tuple[F64, I32, I64]:
         if found is None:
             return vertices, triangles, same  # whoever needs a manifold refuses it
         pairs.append(found)
-    return parted(vertices, triangles, np.concatenate(pairs))
+    parted, copies = part_fans(triangles, np.concatenate(pairs), len(vertices))
+    source = np.concatenate([same, copies])
+    return vertices[source], parted, source
 
 
 def paired(vertices: F64, triangles: I32, half: I64) -> I64 | None:
@@ -207,25 +211,37 @@ def paired(vertices: F64, triangles: I32, half: I64) -> I64 | None:
     return np.array(out, dtype=np.int64)
 
 
-def parted(vertices: F64, triangles: I32, pairs: I64) -> tuple[F64, I32, I64]:
-    """The mesh in which only the pairs (k, 2) of half edges hang together: each fan of triangles
-    round a vertex has a copy of its own.
+@kernel
+def fans(triangles: I32, one: I64, other: I64) -> I64:
+    """The first corner (3m,) of the fan that each corner of triangles (m, 3) is in, which edges
+    join: half edges ``one`` and ``other`` (e,) of two triangles each.
     """
-    m = len(triangles)
-    nxt = np.arange(3 * m).reshape(-1, 3)[:, [1, 2, 0]].ravel()
-    i, j = pairs[:, 0], pairs[:, 1]
-    t = triangles.ravel()
-    opposite = t[i] != t[j]  # as they run in a mesh of one orientation
-    start, end = np.where(opposite, nxt[j], j), np.where(opposite, j, nxt[j])
-    rows, columns = np.concatenate([i, nxt[i]]), np.concatenate([start, end])
-    graph = coo_array((np.ones(len(rows), np.int8), (rows, columns)), shape=(3 * m, 3 * m))
-    fan = connected_components(graph, directed=False)[1]
-    fans, first = np.unique(fan, return_index=True)
-    # the first fan of a vertex keeps its number, the others are new
-    owner = t[first]
-    kept = np.zeros(len(fans), bool)
-    kept[np.unique(owner, return_index=True)[1]] = True
-    name = np.where(kept, owner, 0).astype(np.int64)
-    name[~kept] = len(vertices) + np.arange(np.count_nonzero(~kept))
-    source = np.concatenate([np.arange(len(vertices)), owner[~kept]]).astype(np.int64)
-    return vertices[source], name[fan].reshape(-1, 3).astype(np.int32), source
+    corner = triangles.ravel()
+    root = np.arange(len(corner))
+    for e in range(len(one)):
+        i, t = one[e], other[e] // 3 * 3
+        for a in (i, i // 3 * 3 + (i + 1) % 3):
+            b = t
+            while corner[b] != corner[a]:
+                b += 1
+            p, q = root_of(root, a), root_of(root, b)
+            root[max(p, q)] = min(p, q)
+    to_roots(root)
+    return root
+
+
+def part_fans(triangles: I32, pairs: I64, vertices: int) -> tuple[I32, I64]:
+    """Triangles (m, 3) in which only the pairs (k, 2) of half edges hang together: each fan round a
+    vertex has one of its own. The first fan of a vertex keeps it; the others get vertices after the
+    last of ``vertices``, copies of those returned (c,).
+    """
+    root = np.asarray(fans(triangles, pairs[:, 0], pairs[:, 1]))
+    begins = root == np.arange(len(root))
+    first, fan = np.flatnonzero(begins), (np.cumsum(begins) - 1)[root]
+    vertex = triangles.ravel()[first].astype(np.int64)
+    name = np.full(len(first), -1, np.int64)
+    earliest = np.unique(vertex, return_index=True)[1]
+    name[earliest] = vertex[earliest]
+    more = np.flatnonzero(name < 0)
+    name[more] = vertices + np.arange(len(more))
+    return name[fan].reshape(-1, 3).astype(np.int32), vertex[more]

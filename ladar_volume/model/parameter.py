@@ -207,11 +207,14 @@ def read_section(
     cls: type[P], section: str, mapping: Mapping[str, Any], start: P | None = None
 ) -> P:
     """A parameter object from outside keys and values, on top of ``start`` (default: the declared
-    defaults).
+    defaults). A key that the class names as ``elsewhere`` is refused with the words given there.
     """
     by_key = {s.key: s for s in specs(cls)}
     changes = {}
     for key, value in mapping.items():
+        if key not in by_key and key in getattr(cls, "elsewhere", {}):
+            where = cls.elsewhere[key]  # type: ignore[attr-defined]
+            raise UnknownParameterError(f"{section}.{key} {where}", value=key)
         if key not in by_key:
             raise _unknown(section, str(key), list(by_key))
         changes[by_key[key].name] = convert(section, by_key[key], value)

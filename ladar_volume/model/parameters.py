@@ -11,8 +11,9 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
+from ladar_volume.model.cloud_filter_parameters import FilterParameters as FilterParameters
 from ladar_volume.model.mavlink_parameters import MavlinkParameters
 from ladar_volume.model.parameter import param, read_section, unknown_section, write_section
 
@@ -225,32 +226,21 @@ class GeoreferenceParameters:
 
 
 @dataclass(frozen=True)
-class FilterParameters:
-    """Robust moving least squares (seed 002 chapter 4)."""
+class SurfaceFilterParameters:
+    """Robust moving least squares on a stream (seed 002 chapter 4)."""
 
-    order: str = param(
-        "cover",
-        (
-            "Point cloud files: every cell its own surface, in any order; or the published "
-            "sequential sweep (Algorithm 1)."
-        ),
-        choices=("cover", "published"),
+    elsewhere: ClassVar[dict[str, str]] = dict.fromkeys(
+        ("order", "confidence", "grid_before_m", "grid_after_m", "reduce", "edge"),
+        "is read for point cloud files alone, by `ladar_volume filter --set` with the same name: "
+        "take it out here",
     )
+
     radius_m: float = param(
         0.5, "Range r: patches are r apart and are fitted over 2r.", unit="m", low=0.001, high=100
     )
     degree: int = param(2, "Polynomial degree of a patch.", low=1, high=2)
     start: str = param("lmeds", "How the starting model is sampled.", choices=("lmeds", "ransac"))
     trials: int = param(40, "Random samples per patch.", low=1, high=10000)
-    confidence: float = param(
-        0.999,
-        (
-            "Published order: trials end once a sample without outliers was drawn with this "
-            "probability; 1 for never."
-        ),
-        low=0,
-        high=1,
-    )
     sample_size: int = param(
         4,
         "Points per random sample: a plane through three, or the mean plane of four.",
@@ -268,7 +258,7 @@ class FilterParameters:
     )
     outlier_floor_m: float = param(
         0.0,
-        "The inlier threshold is never below this; in the published order it is this.",
+        "The inlier threshold is never below this.",
         unit="m",
         low=0,
         high=10,
@@ -283,33 +273,6 @@ class FilterParameters:
     )
     sampling_m: float = param(
         0.0, "Spacing of the filtered points; 0 for r / 2.", unit="m", low=0, high=100
-    )
-    grid_before_m: float = param(
-        0.0,
-        "Point cloud files: grid of the reduction before the filter; 0 for none.",
-        unit="m",
-        low=0,
-        high=100,
-    )
-    grid_after_m: float = param(
-        0.0,
-        "Point cloud files: grid of the reduction after the filter; 0 for none.",
-        unit="m",
-        low=0,
-        high=100,
-    )
-    reduce: str = param(
-        "published",
-        (
-            "What stands for the points of a grid cell: its middle, their mean, or as "
-            "published the middle before and the mean after."
-        ),
-        choices=("published", "round", "mean"),
-    )
-    edge: str = param(
-        "snap",
-        "Point cloud files: points beyond an edge are set onto it, or removed.",
-        choices=("snap", "remove"),
     )
     nav_bin_s: float = param(
         2.0,
@@ -449,6 +412,12 @@ class VolumeParameters:
     )
     confidence: float = param(0.95, "Confidence of the printed interval.", low=0.5, high=0.9999)
     tolerance: float = param(0.05, "Wanted sigma / V, for diagnostics.", low=1e-6, high=1)
+    budget_check: str = param(
+        "scale",
+        "Where passes disagree by more than the budget says: scale its lines and doubt the "
+        "result, doubt it only, or refuse it.",
+        choices=("scale", "warn", "refuse"),
+    )
 
 
 @dataclass(frozen=True)
@@ -541,7 +510,7 @@ SECTIONS: dict[str, type] = {
     "calibration": CalibrationParameters,
     "budget": BudgetParameters,
     "georeference": GeoreferenceParameters,
-    "filter": FilterParameters,
+    "filter": SurfaceFilterParameters,
     "ground": GroundParameters,
     "volume": VolumeParameters,
     "node": NodeParameters,
@@ -557,7 +526,7 @@ class Parameters:
     calibration: CalibrationParameters = field(default_factory=CalibrationParameters)
     budget: BudgetParameters = field(default_factory=BudgetParameters)
     georeference: GeoreferenceParameters = field(default_factory=GeoreferenceParameters)
-    filter: FilterParameters = field(default_factory=FilterParameters)
+    filter: SurfaceFilterParameters = field(default_factory=SurfaceFilterParameters)
     ground: GroundParameters = field(default_factory=GroundParameters)
     volume: VolumeParameters = field(default_factory=VolumeParameters)
     node: NodeParameters = field(default_factory=NodeParameters)
@@ -566,19 +535,24 @@ class Parameters:
 
     @classmethod
     def read(
-        cls, mapping: Mapping[str, Mapping[str, Any]], start: Parameters | None = None
+        cls,
+        mapping: Mapping[str, Mapping[str, Any]],
+        start: Parameters | None = None,
+        old: bool = False,
     ) -> Parameters:
         """From ``{section: {key: value}}`` on top of ``start``; raises a ConfigurationError naming
-        key, value and range.
+        key, value and range. old : what an earlier version wrote; keys that its algorithm did not
+        read and that are elsewhere now are passed over.
         """
         base = start if start is not None else cls()
         changes = {}
         for section, values in mapping.items():
             if section not in SECTIONS:
                 raise unknown_section(str(section), list(SECTIONS))
-            changes[section] = read_section(
-                SECTIONS[section], section, values or {}, getattr(base, section)
-            )
+            kind, given = SECTIONS[section], values or {}
+            if old:
+                given = {k: v for k, v in given.items() if k not in getattr(kind, "elsewhere", {})}
+            changes[section] = read_section(kind, section, given, getattr(base, section))
         return dataclasses.replace(base, **changes)
 
     def write(self) -> dict[str, dict[str, Any]]:

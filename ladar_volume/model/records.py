@@ -23,6 +23,7 @@ from ladar_volume.math.array_types import I32 as I32
 from ladar_volume.math.array_types import I64 as I64
 from ladar_volume.math.array_types import U16 as U16
 from ladar_volume.math.array_types import Bool as Bool
+from ladar_volume.model.verdict import Verdict
 
 #: Least upward component of a normal along which a height's error is told: a face within 3° of the
 #: vertical counts as one of 3°, since the height of a wall is any height. Two places differ:
@@ -313,6 +314,37 @@ class Plane:
 
 
 @dataclass(frozen=True)
+class Gap:
+    """Part of an outline where nothing was seen: x, y of its middle, its area and greatest extent,
+    the standard deviation of the volume under it (NaN where nothing can be told), and how much its
+    surface has beyond the triangles that span it.
+    """
+
+    x_m: float
+    y_m: float
+    area_m2: float
+    size_m: float
+    sigma_m3: float
+    more_m3: float
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How the returns of a survey agree with each other. residual_m : of the median patch, RMS ·
+    predicted_m : the same by the budget · factor : by which the variances of what returns share
+    would have to be larger, 1 cm of roughness allowed · freedom : independent errors it was told
+    from · p_value : of a factor as large, were the budget true · refuted : whether it is not
+    """
+
+    residual_m: float
+    predicted_m: float
+    factor: float
+    freedom: float
+    p_value: float
+    refuted: bool
+
+
+@dataclass(frozen=True)
 class Volume:
     """A volume with its budget. Net = cut − fill inside the outline. ``budget_m6`` adds up to
     ``sigma_m3 ** 2``. ``folded_m3`` : taken from cut and from fill by the folded-normal correction,
@@ -321,7 +353,9 @@ class Volume:
     correlated; they do not add up to it. ``second_order_m3`` : mean second-order effect of the
     uncertain boresight and attitude, not corrected but in lines of the budget, and whether that
     ``second_order_matters``. ``chord_m3`` : taken from the volume, and from cut and fill, for what
-    the surface's chords span above hollows and below crests.
+    the surface's chords span above hollows and below crests. ``seen_share`` : of the area, where
+    points were seen; ``gaps`` : the largest places where none were, bridged, with a line
+    ``unseen`` of the budget. ``agreement`` : of the passes with the budget, where it was asked.
     """
 
     volume_m3: float
@@ -347,6 +381,10 @@ class Volume:
     second_order_m3: float = 0.0
     second_order_matters: bool = False
     chord_m3: float = 0.0
+    seen_share: float = 1.0
+    gaps: tuple[Gap, ...] = ()
+    agreement: Agreement | None = None
+    verdict: Verdict = field(default_factory=Verdict)
 
     @property
     def interval_m3(self) -> tuple[float, float]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import itertools
 import queue
 import threading
 import time
@@ -45,7 +46,7 @@ from ladar_volume.process.switch import is_own_process
 #: How long a node may take to finish its work.
 STOP_S = 30.0
 #: How long a node that is to end waits for those before it, s.
-UPSTREAM_S = 4.0
+UPSTREAM_S = 2.0
 #: How often a node looks who publishes the datum, s.
 WATCH_S = 0.2
 STEADY = ClockType.STEADY_TIME
@@ -255,7 +256,7 @@ class StageNode(LifecycleNode, ABC):
         deadline = time.monotonic() + UPSTREAM_S
         while self.context.ok() and time.monotonic() < deadline:
             alive = [self.count_publishers(topic) > 0 for topic in self.upstream]
-            self.cut_off |= any(a and not b for a, b in zip(alive, (*alive[1:], True), strict=True))
+            self.cut_off |= any(a and not b for a, b in itertools.pairwise(alive))
             if not any(alive) or self.cut_off:
                 return
             time.sleep(0.05)

@@ -408,7 +408,10 @@ class VolumeNode(StageNode):
             "sigma_m3": f"{v.sigma_m3:.4f}",
             "sigma_share": f"{share:.4f}",
             "tolerance": self.parameters.volume.tolerance,
-            "within_tolerance": share <= self.parameters.volume.tolerance,
+            "within_tolerance": v.verdict.sound and share <= self.parameters.volume.tolerance,
+            "verdict": v.verdict.status,
+            **{f"doubt_{doubt.name}": doubt.text for doubt in v.verdict.doubts},
+            "seen_share": f"{v.seen_share:.4f}",
             "coverage_m2": f"{v.area_m2:.1f}",
             "data_time_ns": v.t_ns,
         }

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
-from ladar_volume.math.array_types import F32, F64, I32, I64, Bool
+from ladar_volume.math.array_types import F32, F64, I32, I64, U32, Bool
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.math.normal_equations import basis
 from ladar_volume.rmls.fit_store import Fits
@@ -29,6 +29,24 @@ class Pairs(NamedTuple):
     rows: I64
     offset: I64
     others: I64
+
+
+class Balls(NamedTuple):
+    """Balls of radius 2r, r in m, about the centres (v, 3) m of the patches of all voxels. good :
+    (v,) voxels with a patch · mine : (v,) those among the rows
+    """
+
+    good: Bool
+    mine: Bool
+    centre: F64
+    radius: float
+
+
+class LocalSlots(NamedTuple):
+    """number : (n,) of the slot of each member, from 0 on · total : how many numbers there are."""
+
+    number: I32
+    total: int
 
 
 class Marks(NamedTuple):
@@ -60,18 +78,10 @@ def chunks_of(rows: int) -> int:
 
 @kernel
 def _candidates_of(
-    row: int,
-    pairs: Pairs,
-    good: Bool,
-    mine: Bool,
-    centre: F64,
-    radius: float,
-    store: VoxelArrays,
-    fill: bool,
-    counts: I64,
+    row: int, pairs: Pairs, balls: Balls, store: VoxelArrays, fill: bool, counts: I64
 ) -> None:
     """The candidates of ``pairs.rows[row]``."""
-    mask, keys = (1 << BITS) - 1, store.keys
+    mask, keys, centre = (1 << BITS) - 1, store.keys, balls.centre
     a = pairs.rows[row]
     key = keys[a]
     i0, j0, k0 = key >> (2 * BITS), (key >> BITS) & mask, key & mask
@@ -86,14 +96,14 @@ def _candidates_of(
                         if (other < key) == (lower == 1)
                         else -1
                     )
-                    if b < 0 or not good[b] or (lower == 1 and mine[b]):
+                    if b < 0 or not balls.good[b] or (lower == 1 and balls.mine[b]):
                         continue
                     d0, d1, d2 = (
                         centre[a, 0] - centre[b, 0],
                         centre[a, 1] - centre[b, 1],
                         centre[a, 2] - centre[b, 2],
                     )
-                    if d0 * d0 + d1 * d1 + d2 * d2 <= 16.0 * radius * radius:
+                    if d0 * d0 + d1 * d1 + d2 * d2 <= 16.0 * balls.radius * balls.radius:
                         if fill:
                             pairs.others[pairs.offset[row] + n] = b
                         n += 1
@@ -101,27 +111,18 @@ def _candidates_of(
 
 
 @parallel_kernel
-def candidates(
-    pairs: Pairs,
-    good: Bool,
-    mine: Bool,
-    centre: F64,
-    radius: float,
-    store: VoxelArrays,
-    fill: bool,
-    counts: I64,
-) -> None:
+def candidates(pairs: Pairs, balls: Balls, store: VoxelArrays, fill: bool, counts: I64) -> None:
     """Patches whose balls meet the ball of each of ``rows`` (voxel indices): those with key >= own,
     then those with a lower key that are not ``mine``, each in order of their keys; counted, or with
-    ``fill`` listed from ``offset`` on. ``good``: voxels with a patch.
+    ``fill`` listed from ``offset`` on.
     """
     for row in numba.prange(len(pairs.rows)):
-        _candidates_of(row, pairs, good, mine, centre, radius, store, fill, counts)
+        _candidates_of(row, pairs, balls, store, fill, counts)
 
 
 @parallel_kernel
 def sharing(
-    pairs: Pairs, first: I64, held: I64, entries: Any, voxels: int, chunks: int, out: Bool
+    pairs: Pairs, first: I64, held: I64, entries: U32, voxels: int, chunks: int, out: Bool
 ) -> None:
     """Whether each candidate pair shares an inlier, by their entries (see ``fits``). ``voxels``:
     how many there are.
@@ -148,10 +149,9 @@ def sharing(
 
 
 @kernel
-def local_slots(members: I32, cap: int, voxels: int) -> Any:
-    """A number (n,) for the slot of each of the members (n,), from 0 on, the same for the same, and
-    above all of them: few patches of a large map have few slots, and marks for these stay in the
-    cache. voxels : of the map.
+def local_slots(members: I32, cap: int, voxels: int) -> LocalSlots:
+    """A number for the slot of each of the members (n,), the same for the same slot: few patches of
+    a large map have few slots, and marks for these stay in the cache. voxels : of the map.
     """
     rank, out, used = np.full(voxels, -1, np.int32), np.empty(len(members), np.int32), 0
     for i in range(len(members)):
@@ -160,7 +160,7 @@ def local_slots(members: I32, cap: int, voxels: int) -> Any:
             rank[v] = used
             used += 1
         out[i] = rank[v] * cap + members[i] - v * cap
-    return out, used * cap
+    return LocalSlots(out, used * cap)
 
 
 @kernel
@@ -266,8 +266,7 @@ def _blocks_of(
     pairs: Pairs,
     store: VoxelArrays,
     fits: Fits,
-    local: I32,
-    slots: int,
+    slots: LocalSlots,
     p: int,
     out: F32,
 ) -> None:
@@ -276,7 +275,8 @@ def _blocks_of(
     most = 0
     for a in rows:
         most = max(most, fits.used[a])
-    marks = Marks(np.full(slots, -1, np.int32), np.empty(slots, np.int32), local)
+    local = slots.number
+    marks = Marks(np.full(slots.total, -1, np.int32), np.empty(slots.total, np.int32), local)
     work = Work(np.zeros((most, 9)), np.zeros((most, 6)), np.zeros((most, 5)))
     S = np.zeros((6, 6))
     for row in range(chunk * len(rows) // chunks, (chunk + 1) * len(rows) // chunks):
@@ -301,14 +301,13 @@ def cross_blocks(
     pairs: Pairs,
     store: VoxelArrays,
     fits: Fits,
-    local: I32,
-    slots: int,
+    slots: LocalSlots,
     p: int,
     chunks: int,
     out: F32,
 ) -> None:
-    """The blocks of the pairs that share points, the patch with the lower key first. local, slots :
-    see :func:`local_slots`
+    """The blocks of the pairs that share points, the patch with the lower key first. slots : of the
+    members, see :func:`local_slots`
     """
     for chunk in numba.prange(chunks):
-        _blocks_of(chunk, chunks, pairs, store, fits, local, slots, p, out)
+        _blocks_of(chunk, chunks, pairs, store, fits, slots, p, out)

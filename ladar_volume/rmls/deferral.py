@@ -221,9 +221,8 @@ class Deferred:
     def _grow(self) -> None:
         voxels, slots = len(self._keys), len(self._after)
         if self._ends[0] == voxels:
-            self._keys, self._count, self._head = (
-                resized(a, 2 * voxels) for a in (self._keys, self._count, self._head)
-            )
+            self._keys = resized(self._keys, 2 * voxels)
+            self._count, self._head = (resized(a, 2 * voxels) for a in (self._count, self._head))
             self._oldest = np.concatenate([self._oldest, np.full(voxels, NEVER)])
             self._table = np.full(8 * voxels, -1, np.int32)
             place_all(self._table, self._keys, self._ends[0])

@@ -7,12 +7,11 @@ each of its slots. That is a tenth of their slots.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from ladar_volume.math.array_types import F64, I32, I64, Bool
+from ladar_volume.math.array_types import F64, I32, I64, U32, Bool
 from ladar_volume.math.kernels import kernel
 from ladar_volume.rmls.patch_fit import OK
 from ladar_volume.rmls.voxel_store import VoxelArrays, VoxelStore
@@ -77,7 +76,9 @@ def count_entries(start: I64, used: I64, members: I32, cap: int, out: I64) -> No
 
 
 @kernel
-def pack(fits: Fits, fresh: Bool, cap: int, first: I64, entries: Any, new: Bool, own: I64) -> None:
+def encode_inliers(
+    fits: Fits, fresh: Bool, cap: int, first: I64, entries: U32, new: Bool, own: I64
+) -> None:
     """The inliers of each row as ``entries`` (e, 1 + words) of zeros, from ``first[a]`` on; whether
     one of them is ``fresh``, and how many lie in the voxel itself.
     """
@@ -97,8 +98,8 @@ def pack(fits: Fits, fresh: Bool, cap: int, first: I64, entries: Any, new: Bool,
 
 
 @kernel
-def unpack(
-    voxels: I64, first: I64, held: I64, entries: Any, store: VoxelArrays, start: I64, members: I32
+def decode_inliers(
+    voxels: I64, first: I64, held: I64, entries: U32, store: VoxelArrays, start: I64, members: I32
 ) -> None:
     """The slots of these voxels' inliers, in canonical order, to ``members`` from ``start[v]``
     on.
@@ -120,10 +121,10 @@ def same_entries(
     voxels: I64,
     first: I64,
     held: I64,
-    entries: Any,
+    entries: U32,
     old_first: I64,
     old_held: I64,
-    old_entries: Any,
+    old_entries: U32,
     same: Bool,
 ) -> None:
     """Whether the entries of each row are those kept for its voxel."""
@@ -137,7 +138,7 @@ def same_entries(
 
 
 @kernel
-def move_entries(rows: I64, first: I64, held: I64, entries: Any, to: I64, new: Any) -> None:
+def move_entries(rows: I64, first: I64, held: I64, entries: U32, to: I64, new: U32) -> None:
     """Copy the entries of chosen rows to ``new``, from ``to[k]`` on for the k-th."""
     for k in range(len(rows)):
         for e in range(held[rows[k]]):
@@ -154,7 +155,7 @@ class FitStore:
         self._never, self._cap = never, cap
         self.first: I64 = np.zeros(0, np.int64)
         self.held: I64 = np.zeros(0, np.int64)
-        self.entries: npt.NDArray[np.uint32] = np.zeros((0, 1 + -(-cap // WORD)), np.uint32)
+        self.entries: U32 = np.zeros((0, 1 + -(-cap // WORD)), np.uint32)
         self._room: I64 = np.zeros(0, np.int64)
         self._end = 0
         self.fits = blank(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int32))
@@ -184,7 +185,7 @@ class FitStore:
         start, used = np.zeros(len(self.fits.voxels), np.int64), self.fits.used[voxels]
         start[voxels] = np.cumsum(used) - used
         members = np.empty(int(used.sum()), np.int32)
-        unpack(voxels, self.first, self.held, self.entries, store.arrays, start, members)
+        decode_inliers(voxels, self.first, self.held, self.entries, store.arrays, start, members)
         return self.fits._replace(start=start, members=members)
 
     def keep(self, found: Fits, fresh: Bool) -> tuple[Bool, I64]:
@@ -205,7 +206,7 @@ class FitStore:
             np.cumsum(held) - held,
             np.zeros((int(held.sum()), self.entries.shape[1]), np.uint32),
         )
-        pack(found, fresh, self._cap, first, entries, new, own)
+        encode_inliers(found, fresh, self._cap, first, entries, new, own)
         same_entries(v, first, held, entries, self.first, self.held, self.entries, same)
         same &= ~new
         for name in COLUMNS:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.georeference.lidar_equation import Mounting
-from ladar_volume.model.parameters import FilterParameters
+from ladar_volume.model.parameters import SurfaceFilterParameters
 from ladar_volume.model.records import F32, I64, FilteredPoints, Patches, select
 from ladar_volume.rmls import cross_covariance, patch_sensitivity, projection, refit_kernels
 from ladar_volume.rmls.fit_store import Fits, FitStore, blank
@@ -19,7 +19,7 @@ class PatchBuilder:
     """Fits the voxels of a store and assembles what is published. Holds no state of its own."""
 
     def __init__(
-        self, parameters: FilterParameters, store: VoxelStore, mount: Mounting, beams: int
+        self, parameters: SurfaceFilterParameters, store: VoxelStore, mount: Mounting, beams: int
     ) -> None:
         self.parameters, self.store, self.mount, self.beams = parameters, store, mount, beams
         self.most_bins = patch_sensitivity.MOST_BINS
@@ -55,12 +55,12 @@ class PatchBuilder:
         offset, others = self._pairs(kept, rows)
         fits = kept.listed(np.union1d(rows, others), s)
         blocks = np.zeros((offset[-1], p, p), np.float32)
-        local, slots = cross_covariance.local_slots(fits.members, s.cap, s.used)
+        slots = cross_covariance.local_slots(fits.members, s.cap, s.used)
         pairs, chunks = (
             cross_covariance.Pairs(rows, offset, others),
             cross_covariance.chunks_of(len(rows)),
         )
-        cross_covariance.cross_blocks(pairs, s.arrays, fits, local, slots, p, chunks, blocks)
+        cross_covariance.cross_blocks(pairs, s.arrays, fits, slots, p, chunks, blocks)
         nav_start, nav_bin, M_cal, M_nav = self._sensitivities(fits, rows, p)
         return Patches(
             s.keys[rows],
@@ -89,18 +89,13 @@ class PatchBuilder:
             np.zeros(len(fits.voxels), np.bool_),
         )
         mine[rows] = True
-        good = fits.status == OK
+        balls = cross_covariance.Balls(
+            fits.status == OK, mine, fits.centre, self.parameters.radius_m
+        )
 
         def listed(fill: bool, offset: I64, out: I64) -> None:
             cross_covariance.candidates(
-                cross_covariance.Pairs(rows, offset, out),
-                good,
-                mine,
-                fits.centre,
-                self.parameters.radius_m,
-                s.arrays,
-                fill,
-                counts,
+                cross_covariance.Pairs(rows, offset, out), balls, s.arrays, fill, counts
             )
 
         listed(False, np.zeros(len(rows) + 1, np.int64), np.empty(0, np.int64))
@@ -128,12 +123,13 @@ class PatchBuilder:
         M_cal = np.zeros((len(rows), p + 2, 11 + 2 * self.beams), np.float32)
         M_nav = np.zeros((nav_start[-1], p + 2, 4), np.float32)
         mount = patch_sensitivity.MountArrays(
-            self.mount.lever_laser,
-            self.mount.lever_antenna,
+            self.mount.lever_laser - self.mount.lever_antenna,
             np.ascontiguousarray(self.mount.R_body_laser[:, 2]),
+            self.beams,
+            bin_ns,
         )
         out = patch_sensitivity.SensitivityArrays(nav_start, nav_bin, M_cal, M_nav)
-        patch_sensitivity.sensitivities(rows, s.arrays, fits, p, self.beams, mount, bin_ns, out)
+        patch_sensitivity.sensitivities(rows, s.arrays, fits, p, mount, out)
         return nav_start, nav_bin, M_cal, M_nav
 
     def points(self, kept: FitStore, rows: I64, patches: Patches) -> FilteredPoints:

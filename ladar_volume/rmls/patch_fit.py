@@ -41,7 +41,9 @@ class StartRule(NamedTuple):
 
 
 @kernel
-def gather(v: int, keys: I64, table: I32, count: I32, order: I32, cap: int, slots: I32) -> Any:
+def slots_around(
+    v: int, keys: I64, table: I32, count: I32, order: I32, cap: int, slots: I32
+) -> Any:
     """Slots of all points in the voxels around voxel v, in canonical order (voxel, then hash);
     returns how many.
     """

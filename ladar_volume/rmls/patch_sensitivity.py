@@ -23,11 +23,14 @@ from ladar_volume.rmls.voxel_store import BITS, VoxelArrays
 
 
 class MountArrays(NamedTuple):
-    """lever_laser, lever_antenna : (3,) m, body · axis_body : (3,) the laser's z axis there."""
+    """shift : (3,) m from antenna to laser, body · axis_body : (3,) the laser's z axis there ·
+    beams : of the laser · bin_ns : length of a navigation time bin
+    """
 
-    lever_laser: F64
-    lever_antenna: F64
+    shift: F64
     axis_body: F64
+    beams: int
+    bin_ns: int
 
 
 class SensitivityArrays(NamedTuple):
@@ -186,7 +189,7 @@ def fraction_of(key: int) -> Any:
 
 
 @kernel
-def draw(run: I64, runs: int, u: float, drawn: I64) -> None:
+def draw_per_run(run: I64, runs: int, u: float, drawn: I64) -> None:
     """The inlier (runs,) that is drawn from each run, for the run (n,) of each inlier and a
     fraction u, another one for each run.
     """
@@ -219,6 +222,68 @@ def seen_from(g: F64, r: F64, other: F64, axis: F64, shift: F64, h: F64) -> None
     )
 
 
+class Runs(NamedTuple):
+    """Runs of navigation time bins. run : (n,) of each inlier · drawn : (runs,) the inlier that
+    stands for each · all_bins : each run is one bin
+    """
+
+    run: I64
+    drawn: I64
+    all_bins: bool
+
+
+@kernel
+def _runs_of(mine: I32, runs: int, key: int, t_ns: I64, bin_ns: int) -> Runs:
+    """The runs of a patch with inliers ``mine`` (n,) in the voxel of this key."""
+    n = len(mine)
+    bins, run, drawn = np.empty(n + 1, np.int64), np.empty(n, np.int64), np.empty(runs, np.int64)
+    nb = distinct_bins(mine, n, t_ns, bin_ns, bins)
+    for i in range(n):
+        b = np.searchsorted(bins[:nb], np.int64(np.floor_divide(t_ns[mine[i]], bin_ns)))
+        run[i] = ((b + 1) * runs - 1) // nb
+    draw_per_run(run, runs, fraction_of(key), drawn)
+    return Runs(run, drawn, runs >= nb)
+
+
+@kernel
+def _sum_returns(
+    a: int,
+    mine: I32,
+    store: VoxelArrays,
+    fits: Fits,
+    p: int,
+    mount: MountArrays,
+    runs: Runs,
+    sums: tuple[F64, F64],
+) -> None:
+    """Add the sensitivities of the inliers of patch a to sums (p + 2, 11 + 2 beams) by calibration
+    and (runs, p + 2, 4) by navigation.
+    """
+    cal, nav = sums
+    x, h, axes = np.zeros(6), np.empty(ALL), np.empty((3, 3))
+    own, others = np.empty(NUMBERS), np.empty((len(runs.drawn), NUMBERS))
+    for k in range(len(runs.drawn)):
+        recall(store.aux[mine[runs.drawn[k]]], others[k])
+    axes[0], axes[1] = fits.normal[a], fits.tangent[a]
+    across(fits.normal[a], fits.tangent[a], axes[2])
+    for i in range(len(mine)):
+        slot, run = mine[i], runs.run[i]
+        row(store.r, slot, fits.centre[a], fits.tangent[a], axes[2], p, x)
+        beam = min(int(store.ring[slot]), mount.beams - 1)
+        recall(store.aux[slot], own)
+        looked = sight(own, mount.axis_body)
+        for k in range(3):
+            along_axis(own, looked, axes[k], mount.shift, mount.axis_body, h)
+            if not runs.all_bins:
+                other = store.r[mine[runs.drawn[run]]]
+                seen_from(others[run], store.r[slot], other, axes[k], mount.shift, h)
+            if k == 0:
+                for l in range(p):
+                    add_return(h, x[l], beam, mount.beams, cal[l], nav[run, l])
+            else:
+                add_return(h, 1.0, beam, mount.beams, cal[p + k - 1], nav[run, p + k - 1])
+
+
 @kernel
 def _sensitivities_of(
     i_row: int,
@@ -226,59 +291,22 @@ def _sensitivities_of(
     store: VoxelArrays,
     fits: Fits,
     p: int,
-    beams: int,
     mount: MountArrays,
-    bin_ns: int,
     out: SensitivityArrays,
 ) -> None:
     """The mean sensitivities of patch a, to row ``i_row``."""
-    shift, axis_body = mount.lever_laser - mount.lever_antenna, mount.axis_body
-    t_ns, nav_start = store.t_ns, out.nav_start
-    first, runs = nav_start[i_row], nav_start[i_row + 1] - nav_start[i_row]
+    first, number = out.nav_start[i_row], out.nav_start[i_row + 1] - out.nav_start[i_row]
     mine = fits.members[fits.start[a] : fits.start[a] + fits.used[a]]
-    bins, run, drawn = (
-        np.empty(fits.used[a] + 1, np.int64),
-        np.empty(fits.used[a], np.int64),
-        np.empty(runs, np.int64),
-    )
-    nb = distinct_bins(mine, fits.used[a], t_ns, bin_ns, bins)
-    for i in range(fits.used[a]):
-        b = np.searchsorted(bins[:nb], np.int64(np.floor_divide(t_ns[mine[i]], bin_ns)))
-        run[i] = ((b + 1) * runs - 1) // nb
-    draw(run, runs, fraction_of(store.keys[a]), drawn)
-    for g in range(runs):
-        out.nav_bin[first + g] = np.int64(np.floor_divide(t_ns[mine[drawn[g]]], bin_ns))
-    cal, nav, x, h, axes = (
-        np.zeros((p + 2, 11 + 2 * beams)),
-        np.zeros((runs, p + 2, 4)),
-        np.zeros(6),
-        np.empty(ALL),
-        np.empty((3, 3)),
-    )
-    own, others = np.empty(NUMBERS), np.empty((runs, NUMBERS))
-    for k in range(runs):
-        recall(store.aux[mine[drawn[k]]], others[k])
-    axes[0], axes[1] = fits.normal[a], fits.tangent[a]
-    across(fits.normal[a], fits.tangent[a], axes[2])
-    for i in range(fits.used[a]):
-        slot, other = mine[i], mine[drawn[run[i]]]
-        row(store.r, slot, fits.centre[a], fits.tangent[a], axes[2], p, x)
-        beam = min(int(store.ring[slot]), beams - 1)
-        recall(store.aux[slot], own)
-        looked = sight(own, axis_body)
-        for k in range(3):
-            along_axis(own, looked, axes[k], shift, axis_body, h)
-            if runs < nb:
-                seen_from(others[run[i]], store.r[slot], store.r[other], axes[k], shift, h)
-            if k == 0:
-                for l in range(p):
-                    add_return(h, x[l], beam, beams, cal[l], nav[run[i], l])
-            else:
-                add_return(h, 1.0, beam, beams, cal[p + k - 1], nav[run[i], p + k - 1])
+    runs = _runs_of(mine, number, store.keys[a], store.t_ns, mount.bin_ns)
+    for g in range(number):
+        time = store.t_ns[mine[runs.drawn[g]]]
+        out.nav_bin[first + g] = np.int64(np.floor_divide(time, mount.bin_ns))
+    cal, nav = np.zeros((p + 2, 11 + 2 * mount.beams)), np.zeros((number, p + 2, 4))
+    _sum_returns(a, mine, store, fits, p, mount, runs, (cal, nav))
     for c in range(3):
         cal[:, ANTENNA + c] = -cal[:, LASER + c]
     solved(fits.inverse[a], p, fits.used[a], cal, out.M_cal[i_row])
-    for g in range(runs):
+    for g in range(number):
         solved(fits.inverse[a], p, fits.used[a], nav[g], out.M_nav[first + g])
 
 
@@ -288,9 +316,7 @@ def sensitivities(
     store: VoxelArrays,
     fits: Fits,
     p: int,
-    beams: int,
     mount: MountArrays,
-    bin_ns: int,
     out: SensitivityArrays,
 ) -> None:
     """Mean sensitivities M_cal (m, p + 2, 11 + 2 beams) over all inliers, and M_nav (l, p + 2, 4)
@@ -304,4 +330,4 @@ def sensitivities(
     bins have their say.
     """
     for i_row in numba.prange(len(rows)):
-        _sensitivities_of(i_row, rows[i_row], store, fits, p, beams, mount, bin_ns, out)
+        _sensitivities_of(i_row, rows[i_row], store, fits, p, mount, out)

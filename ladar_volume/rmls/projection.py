@@ -29,6 +29,83 @@ class ProjectedArrays(NamedTuple):
     counts: I64
 
 
+class PlaneCells(NamedTuple):
+    """Points of a patch by cell of its tangent plane. cells : (cap, 2) · size : (cap,) points in
+    each · place : (cap, 2) m, noise : (cap, 6) m² and time : (cap,) ns after that of the first,
+    ``time0``, in sum
+    """
+
+    cells: I64
+    size: I64
+    place: F64
+    noise: F64
+    time0: I64
+    time: I64
+
+
+@kernel
+def _plane_cells(cap: int) -> PlaneCells:
+    """Room for as many cells as a voxel has points."""
+    return PlaneCells(
+        np.empty((cap, 2), np.int64),
+        np.zeros(cap, np.int64),
+        np.zeros((cap, 2)),
+        np.zeros((cap, 6)),
+        np.zeros(cap, np.int64),
+        np.zeros(cap, np.int64),
+    )
+
+
+@kernel
+def _fill_cells(
+    a: int, side: F64, store: VoxelArrays, fits: Fits, edge: float
+) -> tuple[int, PlaneCells]:
+    """The inliers of patch a that lie in its voxel, by cells of this edge, m; returns how many
+    cells there are, and them.
+    """
+    into, x, m = _plane_cells(store.cap), np.zeros(6), 0
+    cells, size, place = into.cells, into.size, into.place
+    for i in range(fits.start[a], fits.start[a] + fits.used[a]):
+        slot = fits.members[i]
+        if slot // store.cap != fits.voxels[a]:
+            continue
+        row(store.r, slot, fits.centre[a], fits.tangent[a], side, 3, x)
+        cu, cv = np.int64(np.floor(x[1] / edge)), np.int64(np.floor(x[2] / edge))
+        k = 0
+        while k < m and (cells[k, 0] != cu or cells[k, 1] != cv):
+            k += 1
+        if k == m:
+            cells[k, 0], cells[k, 1] = cu, cv
+            into.time0[k] = store.t_ns[slot]
+            m += 1
+        size[k] += 1
+        place[k, 0] += x[1]
+        place[k, 1] += x[2]
+        into.time[k] += store.t_ns[slot] - into.time0[k]
+        for c in range(6):
+            into.noise[k, c] += store.C[slot, c]
+    return m, into
+
+
+@kernel
+def _surface_at(
+    u: float, v: float, beta: F64, C_beta: F32, p: int, x: F64
+) -> tuple[float, float, float, float]:
+    """Height of a patch over (u, v), its slopes along u and v, and the variance of the height; x :
+    (6,) for the row.
+    """
+    basis(u, v, p, x)
+    w, wu, wv, variance = 0.0, beta[1], beta[2], 0.0
+    if p == 6:
+        extra, gu, gv = arc(u, v, beta[3], beta[4], beta[5])
+        w, wu, wv = w + extra, wu + gu, wv + gv
+    for e in range(p):
+        w += x[e] * beta[e]
+        for f in range(p):
+            variance += x[e] * C_beta[e, f] * x[f]
+    return w, wu, wv, variance
+
+
 @kernel
 def _project_row(
     i_row: int,
@@ -37,62 +114,26 @@ def _project_row(
     fits: Fits,
     C_beta: F32,
     p: int,
-    cell: float,
+    edge: float,
     out: ProjectedArrays,
 ) -> None:
     """The filtered points of patch ``rows[i_row]``."""
-    cap = store.cap
     a = rows[i_row]
-    n, beta = fits.normal[a], fits.beta[a]
-    x, t, s = np.zeros(6), fits.tangent[a], np.empty(3)
+    n, t, s, x = fits.normal[a], fits.tangent[a], np.empty(3), np.zeros(6)
     across(n, t, s)
-    cells = np.empty((cap, 2), np.int64)
-    size = np.zeros(cap, np.int64)
-    mean = np.zeros((cap, 2))
-    noise = np.zeros((cap, 6))
-    time0 = np.zeros(cap, np.int64)
-    time = np.zeros(cap, np.int64)
-    m = 0
-    for i in range(fits.start[a], fits.start[a] + fits.used[a]):
-        slot = fits.members[i]
-        if slot // cap != fits.voxels[a]:
-            continue
-        row(store.r, slot, fits.centre[a], t, s, p, x)
-        cu, cv = np.int64(np.floor(x[1] / cell)), np.int64(np.floor(x[2] / cell))
-        k = 0
-        while k < m and (cells[k, 0] != cu or cells[k, 1] != cv):
-            k += 1
-        if k == m:
-            cells[k, 0], cells[k, 1] = cu, cv
-            time0[k] = store.t_ns[slot]
-            m += 1
-        size[k] += 1
-        mean[k, 0] += x[1]
-        mean[k, 1] += x[2]
-        time[k] += store.t_ns[slot] - time0[k]
-        for c in range(6):
-            noise[k, c] += store.C[slot, c]
-    out.counts[i_row] = m
-    for k in range(m):
-        i = i_row * cap + k
-        u, v = mean[k, 0] / size[k], mean[k, 1] / size[k]
-        basis(u, v, p, x)
-        w, wu, wv, variance = 0.0, beta[1], beta[2], 0.0
-        if p == 6:
-            extra, gu, gv = arc(u, v, beta[3], beta[4], beta[5])
-            w, wu, wv = w + extra, wu + gu, wv + gv
-        for e in range(p):
-            w += x[e] * beta[e]
-            for f in range(p):
-                variance += x[e] * C_beta[i_row, e, f] * x[f]
+    out.counts[i_row], cells = _fill_cells(a, s, store, fits, edge)
+    for k in range(out.counts[i_row]):
+        i, size = i_row * store.cap + k, cells.size[k]
+        u, v = cells.place[k, 0] / size, cells.place[k, 1] / size
+        w, wu, wv, variance = _surface_at(u, v, fits.beta[a], C_beta[i_row], p, x)
         slope = np.sqrt(1.0 + wu * wu + wv * wv)
         for c in range(3):
             out.r[i, c] = fits.centre[a, c] + u * t[c] + v * s[c] + w * n[c]
             out.normal[i, c] = (n[c] - wu * t[c] - wv * s[c]) / slope
         out.uv[i, 0], out.uv[i, 1] = u, v
         out.variance[i] = variance / (slope * slope)
-        out.t_ns[i] = time0[k] + time[k] // size[k]
-        tangential(noise[k], n, size[k], out.C[i])
+        out.t_ns[i] = cells.time0[k] + cells.time[k] // size
+        tangential(cells.noise[k], n, size, out.C[i])
 
 
 @parallel_kernel
@@ -102,7 +143,7 @@ def project(
     fits: Fits,
     C_beta: F32,
     p: int,
-    cell: float,
+    edge: float,
     out: ProjectedArrays,
 ) -> None:
     """Project each patch's own inliers and replace those in one cell of its tangent plane by their
@@ -111,7 +152,7 @@ def project(
     Row i of every output belongs to patch ``rows[k]`` with i = k * cap + cluster.
     """
     for i_row in numba.prange(len(rows)):
-        _project_row(i_row, rows, store, fits, C_beta, p, cell, out)
+        _project_row(i_row, rows, store, fits, C_beta, p, edge, out)
 
 
 @kernel

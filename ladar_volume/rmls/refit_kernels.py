@@ -210,7 +210,9 @@ def _fit_row(a: int, store: VoxelArrays, rule: FitRule, fits: Fits) -> None:
     """Fit row a."""
     v = fits.voxels[a]
     slots = fits.members[fits.start[a] : fits.start[a + 1]]
-    n = patch_fit.gather(v, store.keys, store.table, store.counts, store.order, store.cap, slots)
+    n = patch_fit.slots_around(
+        v, store.keys, store.table, store.counts, store.order, store.cap, slots
+    )
     status, used, sigma = _fit_one(a, slots, n, store, rule, fits)
     fits.status[a], fits.sigma[a] = status, sigma
     if status == OK:

@@ -299,13 +299,7 @@ def _to_metres(p: int, b: F64, ball: float, terms: Terms) -> None:
 
 @kernel
 def refit(
-    uvw: F64,
-    m: int,
-    p: int,
-    sigma: float,
-    rule: RefitRule,
-    inside: Bool,
-    terms: Terms,
+    uvw: F64, m: int, p: int, sigma: float, rule: RefitRule, inside: Bool, terms: Terms
 ) -> tuple[int, float]:
     """Least squares on the inliers, iterated until they stay the same. ``inside`` (m,) holds the
     start.
@@ -319,9 +313,9 @@ def refit(
     straight, used, shift = residuals.straight, 0, 0.0
     for step in range(rule.iterations + 1):
         if step > 0:
-            threshold = max(rule.sigmas * sigma, rule.floor)
-            if step > 1:  # noise-free input: above the rounding of coordinates
-                threshold = max(threshold, 1e-7 * ball)
+            # noise-free input: from the second step on above the rounding of coordinates
+            rounding = 1e-7 * ball if step > 1 else 0.0
+            threshold = max(rule.sigmas * sigma, rule.floor, rounding)
             if p == 6:
                 _off_quadric(uvw, residuals, m, b, ball, threshold)
             else:

@@ -8,7 +8,7 @@ by rounding; a hash keeps a fair sample).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ from ladar_volume.rmls.viewing_geometry import KEPT
 #: origin.
 BITS = 21
 HALF = 1 << (BITS - 1)
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 class VoxelArrays(NamedTuple):
@@ -322,8 +323,8 @@ class VoxelStore:
         self.fresh[:] = False
 
 
-def resized(old: Any, rows: int) -> Any:
+def resized(old: npt.NDArray[Scalar], rows: int) -> npt.NDArray[Scalar]:
     """The same array with more rows, zeros."""
-    new = np.zeros((rows, *old.shape[1:]), old.dtype)
+    new: npt.NDArray[Scalar] = np.zeros((rows, *old.shape[1:]), old.dtype)
     new[: len(old)] = old
     return new

@@ -29,6 +29,7 @@ from ladar_volume.uncertainty.navigation_sum import NavigationBins
 from ladar_volume.uncertainty.patch_table import PatchStore
 from ladar_volume.uncertainty.volume_budget import Sources, vertical_sigma
 from ladar_volume.volume.base import all_grounds
+from ladar_volume.volume.field_checks.field_verdict import bridged_footing, judged
 from ladar_volume.volume.measured_body import (
     Footing,
     MeasuredBody,
@@ -67,6 +68,7 @@ class VolumeEstimator:
         self._surface_now: Represented | None = None
         self._sources_now: Sources | None = None
         self._main: tuple[SurveyedSurface, Footing, MeasuredBody] | None = None
+        self._unseen_m6 = 0.0
         self._t_ns = 0
 
     def set_parameters(self, parameters: Parameters) -> None:
@@ -99,6 +101,7 @@ class VolumeEstimator:
         """
         survey = self._survey()
         footing = footing_of(survey, self.parameters)
+        survey, footing = bridged_footing(survey, footing, self.parameters)
         bodies = [
             measure_body(survey, footing, part, self.parameters, naive) for part in footing.parts
         ]
@@ -110,6 +113,13 @@ class VolumeEstimator:
             [v.sigma_m3**2 for v in volumes],
             lambda a, b: joint_sigma(survey, footing, (a, b), self.parameters) ** 2,
         )
+        volumes = tuple(
+            judged(survey, footing, body.part, volume, self.parameters)
+            for body, volume in zip(bodies, volumes, strict=True)
+        )
+        self._unseen_m6 = volumes[0].budget_m6.get("unseen", 0.0)
+        if joint is not None:  # what each body has of its own
+            np.fill_diagonal(joint, [v.sigma_m3**2 for v in volumes])
         base, grounds = self._grounds(survey, footing, bodies[0])
         return Estimate(volumes[0], survey.tin, base, grounds, volumes, joint)
 
@@ -140,6 +150,7 @@ class VolumeEstimator:
             sigma_z,
             survey.height_variance,
             body.budget.sigma,
+            self._unseen_m6,
         )
 
     def restarted(self) -> VolumeEstimator:

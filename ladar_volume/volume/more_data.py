@@ -9,7 +9,7 @@ pass takes away.
 
 Where returns are missing, large triangles span what was not seen. How wrong a height half way along
 an edge of length L is, the survey itself tells: by the second difference of its heights at that
-distance. The sigma of the budget does not hold it; here it stands beside.
+distance. The budget holds it in the line ``unseen``; here it stands beside the rest.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ SOURCES = ("noise", "position", "attitude", "gap")
 class MoreData:
     """centre_map : (k, 3) m, middle of each cell at the mean height there · sigma_m : (k,) mean
     sigma of height, all sources · falls_m6 : (k, 4) by how much the variance of the volume would
-    fall, by :data:`SOURCES` · sigma_m3 : of the volume · sigma_gaps_m3 : of what lies in gaps,
-    which the budget does not hold · cell_m : side of a cell
+    fall, by :data:`SOURCES` · sigma_m3 : of the volume, without gaps · sigma_gaps_m3 : of what lies
+    in gaps · cell_m : side of a cell
     """
 
     sources: ClassVar[tuple[str, ...]] = SOURCES
@@ -243,9 +243,11 @@ def more_data(
     sigma_z: F64,
     variance: F64,
     sigma_m3: float,
+    unseen_m6: float = 0.0,
 ) -> MoreData:
     """The map of what another pass would buy, for a volume with gradient (n, 3) by the points and
-    sigma_m3.
+    sigma_m3, without what was not seen: where known, unseen_m6 is its variance, which the gaps
+    share as their relief.
 
     inside : (m,) triangles that count · sigma_z, variance : (v,) m, m², total sigma and variance
     from noise of each vertex' height.
@@ -266,9 +268,11 @@ def more_data(
     numbers, label = np.unique((place - first) @ [row, 1], return_inverse=True)
     cells, places = len(numbers), first + np.stack(np.divmod(numbers, row), axis=1)
     of_patch, of_triangle = label[: len(patches)], label[len(patches) :]
-    gaps = np.bincount(
-        of_triangle, gap_sigmas(tin, inside, rows, variance), cells
+    gaps: F64 = np.bincount(of_triangle, gap_sigmas(tin, inside, rows, variance), cells).astype(
+        np.float64
     )  # what is not seen in one cell errs as one
+    if unseen_m6 > 0.0 and gaps.any():
+        gaps = np.sqrt(unseen_m6 / float(gaps @ gaps)) * gaps
     fall = np.c_[
         noise_falls(gradient, q, sources, of_patch, cells),
         navigation_falls(q, sources, of_patch, cells),

@@ -7,9 +7,8 @@ import pytest
 
 from ladar_volume.cli.main import main
 from ladar_volume.clouds.filter_cloud import filter_cloud
-from ladar_volume.clouds.published.filter_presets import PRESETS
+from ladar_volume.clouds.published.filter_presets import preset
 from ladar_volume.io.pointfiles.cloud_files import read_cloud, write_cloud
-from ladar_volume.model.parameters import Parameters
 
 
 @pytest.fixture(scope="module")
@@ -53,9 +52,7 @@ def test_a_preset_in_the_published_order(ending, points, capsys, tmp_path):
         and report["threshold_over_noise"] < 3
         and report["variance_inflation"] > 1.05
     )
-    result = filter_cloud(
-        points, Parameters.read({"filter": {**PRESETS["bench"], "order": "published"}}).filter
-    )
+    result = filter_cloud(points, preset("bench"))
     assert np.allclose(kept.r, result.r, atol=1e-4) and np.array_equal(
         kept.columns["index"], result.index
     )
@@ -86,7 +83,7 @@ def test_the_published_order_with_what_the_cloud_says_and_a_table(points, capsys
         "filter.edge=keep",
         "filter.reduce=half",
         "filter.grid_before_m=-1",
-        "filter.confidence=2",
+        "filter.trials=0",
     ):
         assert (
             main(
@@ -104,3 +101,24 @@ def test_the_published_order_with_what_the_cloud_says_and_a_table(points, capsys
             == 2
         )
         assert "allowed" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words, says",
+    [
+        (["filter.confidence=0.9"], "filter.order=published"),
+        (["filter.start=ransac"], "filter.order=published"),
+        (["filter.cap_per_voxel=8"], "the live filter alone"),
+        (["filter.order=published", "filter.nav_bin_s=1"], "the live filter alone"),
+        (["filter.order=published", "filter.confidence=2"], "allowed"),
+        (["filter.outlier_sigmas=4"], "--radius"),
+    ],
+)
+def test_a_key_that_the_filter_does_not_read_is_refused(words, says, points, capsys, tmp_path):
+    write_cloud(tmp_path / "in.ply", points)
+    out = ["-o", str(tmp_path / "x.ply")]
+    radius = [] if says == "--radius" else ["--radius", "0.2"]
+    sets = [word for key in words for word in ("--set", key)]
+    assert main(["filter", str(tmp_path / "in.ply"), *out, *radius, *sets]) == 2
+    said = capsys.readouterr().err.strip()
+    assert says in said and "\n" not in said

@@ -9,10 +9,11 @@ import pytest
 
 from ladar_volume.cli.main import main
 from ladar_volume.clouds.filter_cloud import REASONS, filter_cloud
-from ladar_volume.clouds.published.filter_presets import PRESETS
+from ladar_volume.clouds.published.filter_presets import PRESETS, preset
 from ladar_volume.io.endings import ENCODINGS
 from ladar_volume.io.pointfiles.cloud_files import read_cloud, write_cloud
-from ladar_volume.model.parameters import FilterParameters, Parameters
+from ladar_volume.model.cloud_filter_parameters import FilterParameters
+from ladar_volume.model.parameter import write_section
 
 SIGMA = 0.005
 PLANE = np.array([0.2, -0.1])
@@ -145,8 +146,9 @@ def test_auto_is_the_default(cloud, points, capsys, tmp_path):
 def test_presets_are_the_published_numbers_and_can_be_overridden(name, cloud, capsys, tmp_path):
     words = ("--preset", name, "--set", "filter.trials=30", "--json")
     facts = json.loads(run(capsys, cloud, "-o", tmp_path / "a.npy", *words).out)
-    published = Parameters.read({"filter": PRESETS[name]}).write()["filter"]
-    assert facts["parameters"] == {**published, "trials": 30} and not facts["auto"]
+    published = write_section(preset(name, "cover"))
+    assert facts["parameters"] == {"order": "cover", **published, "trials": 30}
+    assert not facts["auto"]
     assert published["outlier_floor_m"] == 0.05 and published["degree"] == (
         2 if name == "sphere" else 1
     )

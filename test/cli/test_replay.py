@@ -152,3 +152,12 @@ def test_info_and_check_config_speak_plainly(capsys):
     assert facts["roles"]["cloud"] == "velodyne_points"
     assert main(["check-config", str(BAGS / "stockpile" / "config.yaml")]) == 0
     assert "good" in capsys.readouterr().out
+
+
+def test_a_pile_that_the_region_cuts_is_doubtful(capsys, tmp_path):
+    words = ("--set", "georeference.region_m=[-2,-18,-10,20,18,30]", "--strict", "--no-figure")
+    code = main(["replay", str(BAGS / "stockpile"), "-o", str(tmp_path), "--json", *words])
+    result = json.loads(capsys.readouterr().out)
+    assert code == 3 and result["verdict"]["status"] == "doubtful"
+    (cut,) = (r for r in result["verdict"]["reasons"] if r["name"] == "cut")
+    assert "georeference.region_m" in cut["text"] and 5.0 < cut["value"] < 643.1 - 425.7

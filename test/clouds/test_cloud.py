@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks import shapes
 from ladar_volume.clouds.filter_cloud import REASONS, filter_cloud
 from ladar_volume.model.errors import FilterError
-from ladar_volume.model.parameters import FilterParameters, Parameters
+from ladar_volume.model.parameters import FilterParameters
 
 TURN = Rotation.random(random_state=5)
 SHIFT = np.array([412.3, -777.1, 35.2])
@@ -123,7 +123,7 @@ def test_sigma_is_the_spread_of_single_points():
         z = 0.02 * rng.normal(size=len(xy))
         result = filter_cloud(
             np.column_stack([xy, z]),
-            Parameters.read({"filter": {"radius_m": 0.25, "degree": 1}}).filter,
+            FilterParameters(radius_m=0.25, degree=1),
         )
         inner = (np.abs(result.r[:, :2]) < 0.7).all(axis=1)
         error.append(result.r[inner, 2])
@@ -137,7 +137,7 @@ def test_two_sheets_nearer_than_the_radius_are_two():
     rng = np.random.default_rng(8)
     z = np.repeat([0.0, 0.15], 3000)
     r = np.column_stack([rng.uniform(-1, 1, (6000, 2)), z + 0.01 * rng.normal(size=6000)])
-    result = filter_cloud(r, Parameters.read({"filter": {"radius_m": 0.2, "degree": 1}}).filter)
+    result = filter_cloud(r, FilterParameters(radius_m=0.2, degree=1))
     assert len(result.index) > 0.99 * len(r)
     assert np.sqrt(np.mean((result.r[:, 2] - z[result.index]) ** 2)) < 0.003
 
@@ -145,7 +145,7 @@ def test_two_sheets_nearer_than_the_radius_are_two():
 def test_points_beyond_an_edge_are_set_on_it_or_go():
     shape = shapes.cube_on_ground(2)  # its noise moves points along the faces too
     snap, remove = (
-        filter_cloud(shape.points, Parameters.read({"filter": {"edge": edge}}).filter, auto=True)
+        filter_cloud(shape.points, FilterParameters(edge=edge), auto=True)
         for edge in ("snap", "remove")
     )
     gone = np.setdiff1d(snap.index, remove.index)

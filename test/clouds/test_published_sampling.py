@@ -9,9 +9,9 @@ from benchmarks.shapes import cube, sphere
 from ladar_volume.clouds.filter.filter_result import REASONS
 from ladar_volume.clouds.filter.point_reduction import merged, reduce_points, rounding_variance
 from ladar_volume.clouds.filter_cloud import filter_cloud
-from ladar_volume.clouds.published.filter_presets import PRESETS
+from ladar_volume.clouds.published.filter_presets import preset as published_preset
+from ladar_volume.model.cloud_filter_parameters import FILTERS, FilterParameters
 from ladar_volume.model.errors import FilterError
-from ladar_volume.model.parameters import FilterParameters, Parameters
 
 FAR = np.array([499_000.0, 5_432_000.0, 250.0])
 
@@ -97,19 +97,10 @@ def test_a_grid_too_fine_for_the_cloud_is_refused():
         reduce_points(np.array([[0.0, 0.0, 0.0], [1e7, 1e7, 1e7]]), 1e-3, "round")
 
 
-def parameters(**changes):
-    return Parameters.read(
-        {
-            "filter": {
-                "radius_m": 0.2,
-                "degree": 1,
-                "outlier_floor_m": 0.015,
-                "min_points": 8,
-                "start": "ransac",
-                **changes,
-            }
-        }
-    ).filter
+def parameters(order="cover", **changes):
+    start = {"start": "ransac"} if order == "published" else {}
+    common = {"radius_m": 0.2, "degree": 1, "outlier_floor_m": 0.015, "min_points": 8}
+    return FILTERS[order](**common, **start, **changes)
 
 
 @pytest.mark.parametrize("reduce", ["published", "round", "mean"])
@@ -182,7 +173,7 @@ def test_opposite_normals_of_one_cell_do_not_cancel():
 
 def test_defaults_reduce_nothing():
     p = FilterParameters()
-    assert (p.order, p.grid_before_m, p.grid_after_m, p.edge) == ("cover", 0.0, 0.0, "snap")
+    assert (p.grid_before_m, p.grid_after_m, p.edge) == (0.0, 0.0, "snap")
     result = filter_cloud(cloud(), parameters(order="published"))
     assert result.count is None and "points_reduced" not in result.report
 
@@ -203,9 +194,7 @@ def test_the_reductions_of_the_source(make, preset, published):
     source, so a share of the input within 12 %.
     """
     shape = make(0)
-    result = filter_cloud(
-        shape.points, Parameters.read({"filter": {**PRESETS[preset], "order": "published"}}).filter
-    )
+    result = filter_cloud(shape.points, published_preset(preset))
     assert len(shape.points) == published[0] + 100
     assert len(result.r) / len(shape.points) == pytest.approx(published[1] / published[0], rel=0.12)
     assert (

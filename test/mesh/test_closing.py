@@ -17,9 +17,9 @@ from ladar_volume.mesh.edge_completion import meet, sharpen
 from ladar_volume.mesh.ground_clipping import clip_to_ground, heights
 from ladar_volume.mesh.linear_mesh import EDGE, GAP, GROUND, MEASURED, skin_of
 from ladar_volume.mesh.local_mesh import mesh_cloud
-from ladar_volume.mesh.rims import fans
 from ladar_volume.mesh.tetrahedra import closed_volume, signed_tetrahedra, tetrahedra_gradient
 from ladar_volume.mesh.topology import check_closed, edge_table, orient
+from ladar_volume.mesh.welding import fans
 from ladar_volume.model.errors import SurfaceError
 
 LEVEL = design_surface([0.0])
@@ -195,8 +195,8 @@ def test_rims_that_touch_in_a_vertex_are_taken_apart():
     "ground, close_m, reason, words",
     [
         (None, 0.5, "closing_gap", "ground it stands on"),
-        (design_surface([-0.3]), 0.2, "closing_height", "0.300 m above the ground"),
-        (design_surface([0.3]), 0.2, "closing_height", "0.300 m below the ground"),
+        (design_surface([-0.3]), 0.2, "closing_height", "0.3 m above the ground"),
+        (design_surface([0.3]), 0.2, "closing_height", "0.3 m below the ground"),
         (design_surface([0.0, 0, 0, 0.1, 0, 0]), 0.2, "closing_ground", "degree 0 or 1"),
     ],
 )

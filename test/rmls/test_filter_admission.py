@@ -97,3 +97,10 @@ def test_verdicts_name_the_reason(scene):
         point_admission.UNCOVERED,
         point_admission.TAKEN,
     ]
+
+
+def test_a_patch_has_its_fewest_points(scene):
+    xy = scene.sheet(60)
+    points = scene.mapped(np.column_stack([xy, 0.001 * xy[:, 0]]))
+    few, some = (scene.filtered(points, min_points=n)[1] for n in (59, 5))
+    assert len(some.points) > 0 and len(few.points) == 0

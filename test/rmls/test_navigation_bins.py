@@ -49,7 +49,7 @@ def test_fewer_bins_than_a_patch_is_seen_in(scene):
                 for b in np.searchsorted(distinct, bins)
             ]
         )
-        patch_sensitivity.draw(run, most, u[j], drawn)
+        patch_sensitivity.draw_per_run(run, most, u[j], drawn)
         X, _ = patch_twin.design(s.r[inliers], few.centre[j], few.normal[j], few.tangent[j], 1)
         weights, mean = np.linalg.pinv(X), np.full((1, len(X)), 1.0 / len(X))
         for g in range(most):

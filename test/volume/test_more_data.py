@@ -150,11 +150,10 @@ def test_a_gap_is_found_and_its_size_is_that_of_the_relief():
     quiet = dataclasses.replace(found, falls_m6=found.falls_m6 * [0.0, 0.0, 0.0, 1.0])
     best = quiet.best(1)[0]
     assert math.hypot(best["x_m"] - 4.0, best["y_m"] - 5.0) < 2.0 and best["why"] == "gap"
-    open_hole = estimator(
-        without(update, hole)
-    )  # too wide for triangles that count, but enclosed by them
-    assert open_hole.estimate().volume.area_m2 < e.estimate().volume.area_m2 - 5.0
-    assert open_hole.more_data().sigma_gaps_m3 == pytest.approx(found.sigma_gaps_m3, rel=0.3)
+    # too wide for triangles that count, but enclosed by them: bridged all the same
+    narrow = estimator(without(update, hole))
+    assert narrow.estimate().volume.area_m2 == pytest.approx(e.estimate().volume.area_m2)
+    assert narrow.more_data().sigma_gaps_m3 == pytest.approx(found.sigma_gaps_m3, rel=0.3)
 
 
 def test_relief_of_known_surfaces():

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from ladar_volume.cli.arguments.lines import Verbs
+from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
 
 
@@ -55,3 +56,4 @@ def add_common(parser: argparse.ArgumentParser) -> None:
         help="folder for result.json, result.mcap, mesh.ply, figure.png",
     )
     parser.add_argument("--json", action="store_true", help="print result.json to standard output")
+    add_strict_option(parser)

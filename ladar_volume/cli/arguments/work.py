@@ -47,7 +47,11 @@ def refusals(arguments: argparse.Namespace) -> Iterator[LadarVolumeError]:
     """What can be said of the command line without any work. Raises ConfigurationError for an
     override or its configuration file.
     """
-    if getattr(arguments, "set", None):
+    if arguments.verb == "filter":  # keys of a section of its own
+        from ladar_volume.cli.inputs.filter_settings import settings
+
+        settings(arguments)
+    elif getattr(arguments, "set", None):
         from ladar_volume.io.config import read_config
 
         read_config(config_of(arguments), arguments.set)

@@ -13,6 +13,7 @@ from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.studies.study_bodies import add_studies
 from ladar_volume.cli.studies.study_coverage import add_coverage
 from ladar_volume.cli.studies.study_record import add_outputs, carry_out
+from ladar_volume.cli.studies.study_wild import add_wild
 
 
 def add_parser(subparsers: Verbs) -> None:
@@ -46,6 +47,7 @@ def add_parser(subparsers: Verbs) -> None:
     stockpile.set_defaults(run=run_stockpile)
     add_studies(studies)
     add_coverage(studies)
+    add_wild(studies)
 
 
 def run_nist(arguments: argparse.Namespace) -> int:

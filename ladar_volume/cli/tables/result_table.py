@@ -8,14 +8,18 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from ladar_volume.cli.verdict_lines import add_verdict_rows
+
 
 def show_result(console: Console, result: Mapping[str, Any]) -> None:
     """Print a result dictionary as tables."""
     head = Table(show_header=False, box=None, pad_edge=False)
     _add_result_rows(head, result)
+    gap_rows(head, result)
     volume_rows(head, result)
     _add_body_rows(head, result)
     _add_place_rows(head, result)
+    add_verdict_rows(head, result["verdict"])
     console.print(head)
     console.print(budget_table(result))
     if result["losses"]:
@@ -83,6 +87,18 @@ def _add_place_rows(head: Table, result: Mapping[str, Any]) -> None:
             f"{place['gain_m3']:.2g} m³ ({place['why']})"
         )
         head.add_row("" if number else "another pass helps", words)
+
+
+def gap_rows(head: Table, result: Mapping[str, Any]) -> None:
+    """How much of the area was seen, and the largest gap, as rows of a table of two columns."""
+    if not result["gaps"]:
+        return
+    gap = result["gaps"][0]
+    words = (
+        f"{100 * result['seen_share']:.1f} % of the area; the largest gap, {gap['area_m2']:.3g} m² "
+        f"at {gap['x_m']:.1f}, {gap['y_m']:.1f} m, is bridged"
+    )
+    head.add_row("seen", words)
 
 
 def volume_rows(head: Table, result: Mapping[str, Any]) -> None:

@@ -4,7 +4,7 @@ neighbourhoods across several lines (:mod:`~ladar_volume.clouds.sampling.samplin
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -29,13 +29,12 @@ ACROSS = 0.1
 STEP = float(np.sqrt(2.0))
 #: Noise is the median of so many samples' values.
 SMOOTH = 5
-#: Noise of a place lies within these shares of the cloud's; above it it is leaves and branches.
-QUIET, CLUTTER = 0.05, 5.0
+#: Noise of a place is this share of the cloud's at least, and at most so many times that quantile
+#: of all places: above it it is leaves and branches.
+QUIET, CLUTTER, ROUGH = 0.05, 2.0, 0.75
 #: Residuals that tell the noise of a place lie within so many sigma; what their squares miss, and
 #: how often that is settled. Real lines have tails, which a closer cut would hide.
 CUT, MISSED, ROUNDS = 3.5, 0.9939, 3
-#: A narrow place that shows less than this share of the cloud's noise is the band of one line.
-BAND = 0.3
 #: They are sought from this share of the noise believed on.
 FROM = 0.8
 
@@ -92,19 +91,12 @@ def first_noise(r: F64, spread_r: F64, at: I64, lines: Lines) -> tuple[F64, Plac
     return of_points(each, where, whole), where
 
 
-def without_bands(lines: Lines, sigma: F64) -> Lines:
-    """Lines without the places that are the band of one: a ring that grazes the ground, told at one
-    elevation while that scatters, covers an area of its own exact cone. Such a band is narrow, a
-    line from farther off, and shows next to none of the noise sigma (n,) m of the cloud.
-    """
-    narrow = lines.reach_m != lines.steady_m
-    band = narrow & (sigma < BAND * np.median(sigma))
-    return replace(lines, reach_m=np.where(band, lines.steady_m, lines.reach_m))
-
-
 def of_points(each: F64, where: Places, whole: float) -> F64:
-    """Noise (n,) m of points from that of places (s,)."""
-    each = np.where(np.isfinite(each) & (each < CLUTTER * whole), each, whole)
+    """Noise (n,) m of points from that of places (s,): rough ones are believed as rough as a
+    surface can be.
+    """
+    most = CLUTTER * max(whole, float(np.nanquantile(each, ROUGH)))
+    each = np.where(np.isfinite(each), np.minimum(each, most), whole)
     return np.asarray(np.maximum(np.median(each[where.of], axis=1), QUIET * whole))
 
 

@@ -16,12 +16,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ladar_volume.clouds.filter.cell_cover import Regions, cover
-from ladar_volume.clouds.filter.line_tuning import (
-    Places,
-    first_noise,
-    line_regions,
-    without_bands,
-)
+from ladar_volume.clouds.filter.line_tuning import Places, first_noise, line_regions
 from ladar_volume.clouds.filter.noise_estimate import hashes, scatter
 from ladar_volume.clouds.sampling.rounding_step import spread, without_spread
 from ladar_volume.clouds.sampling.sampling_lines import Lines, find_lines, lined, uneven
@@ -123,7 +118,7 @@ def choose(r: F64, parameters: FilterParameters, auto: bool, steps: F64) -> Tune
     distance, near = _query(tree, r[at], MOST)
     smooth = _nearest(r[at], r[at], SMOOTH)
     evenly = spread(r, steps, parameters.seed)
-    if lined(r, near) or uneven(distance, smooth):
+    if lined(r, near) or uneven(r, near, distance, smooth):
         return _along_lines(r, evenly, steps, distance, parameters, auto)
     noise, narrow = _noise(evenly, distance, near, smooth, parameters.seed)
     noise = without_spread(noise, steps)
@@ -160,14 +155,8 @@ def _along_lines(
     r: F64, evenly: F64, steps: F64, distance: F64, parameters: FilterParameters, auto: bool
 ) -> Tuned:
     """Regions for a cloud sampled along lines or unevenly."""
-    lines, at = (
-        find_lines(r, float(np.quantile(distance[:, 4], FINEST))),
-        _samples(r, parameters.seed, PLACES),
-    )
-    found = first_noise(r, evenly, at, lines)
-    if found is not None:
-        lines = without_bands(lines, found[0])
-        found = first_noise(r, evenly, at, lines)
+    lines = find_lines(r, float(np.quantile(distance[:, 4], FINEST)))
+    found = first_noise(r, evenly, _samples(r, parameters.seed, PLACES), lines)
     if found is None:
         sigma, where = np.full(len(r), DEFAULT * float(np.median(distance[:, 1]))), None
     else:

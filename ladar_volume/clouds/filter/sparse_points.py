@@ -17,6 +17,9 @@ from ladar_volume.model.records import F64, Bool
 CLUTTER = REASONS.index("clutter")
 #: Points of a line that tell its direction.
 LINE = 8
+#: The spacing of points too few for a surface over that of the points next to them: from ring to
+#: ring it may jump; and of those beside a surface among themselves.
+JUMP, BESIDE = 4.0, 2.0
 #: Quantile of the noise on surfaces that a point on none may have: surfaces that face the scanner
 #: show all of it.
 FACING = 0.9
@@ -43,7 +46,7 @@ def name_the_rest(r: F64, done: Covered, tuned: Tuned, auto: bool, keep: frozens
         own = spacing(r, r)
         reason[kept] = cell_surface.FEW_POINTS
         kept = own <= np.median(own)
-        stays = kept | belonging(r, kept, own, ~kept)
+        stays = kept | belonging(r, kept, own, ~kept, JUMP)
     elif auto and kept.any():
         stays = _beside(r, done, tuned)
         if tuned.lines is not None:
@@ -71,13 +74,13 @@ def _sparse(r: F64, done: Covered, tuned: Tuned) -> Bool:
     open_ = (reason == cell_surface.NO_SURFACE) & np.isfinite(tuned.lines.reach_m)
     thin = ~kept & ~off & ~open_
     own = spacing(r, r)
-    stays = belonging(r, kept, own, thin)
+    stays = belonging(r, kept, own, thin, JUMP)
     # beside a surface all are near it: what belongs to something else has others like it about
     alone = np.flatnonzero(~kept)
     if off.any() and len(alone) > LINE:
         among = own.copy()
         among[alone] = spacing(r[alone], r[alone])
-        stays |= belonging(r, kept | stays, among, off)
+        stays |= belonging(r, kept | stays, among, off, BESIDE)
     return stays
 
 

@@ -4,7 +4,7 @@ its printed variance, that of the noise alone, is too small.
 
 The square of the mean of k residuals, less the variance σ² / k of that mean, is the square of how
 far the surface is off there. One such value scatters as much as it says; so it is averaged over the
-neighbours, and counts where it is more than chance makes of noise.
+neighbours, and what is more than chance makes of noise counts.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ladar_volume.model.records import F64, I64
 #: within a few points, what is off across a wide fit does not. How often it is averaged over many.
 FEW, MANY, AVERAGED = 8, 32, 2
 #: Standard deviations of chance above which a surface is off; independent means in an average.
-CHANCE, MEANS = 3.5, 80.0
+CHANCE, MEANS = 4.0, 80.0
 #: Points looked at at a time.
 PART = 200_000
 
@@ -49,7 +49,7 @@ def misfit_variance(r: F64, q: F64, normal: F64, noise: F64) -> F64:
             _averages(square, near, mean)
             square = mean
         chance = CHANCE * math.sqrt(2.0 / (MEANS * k))
-        out = np.maximum(out, np.where(square > chance, square, 0.0))
+        out = np.maximum(out, square - chance)
     return np.asarray(out * noise**2)
 
 

@@ -47,9 +47,11 @@ def settled(
     # a fit that holds no several lines is carried on from elsewhere
     done.reason[kept & np.isnan(tuned.lines.reach_m)] = cell_surface.FEW_POINTS
     variance = done.variance * (sigma / believed) ** 2
-    variance += disagreement(before, done, variance)
     rows = np.flatnonzero(done.reason == cell_surface.KEPT)
-    variance[rows] += misfit_variance(r[rows], done.q[rows], done.normal[rows], sigma[rows])
+    wrong = disagreement(before, done, variance)
+    off = misfit_variance(r[rows], done.q[rows], done.normal[rows], sigma[rows])
+    wrong[rows] = np.maximum(wrong[rows], off)
+    variance += wrong
     return (
         replace(tuned, regions=replace(tuned.regions, sigma_m=sigma)),
         replace(done, variance=variance),

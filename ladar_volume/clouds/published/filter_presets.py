@@ -1,5 +1,5 @@
-"""Published settings of the filter (seed 002 section 9.1 and 9.3), as keys and values of the
-section ``filter``.
+"""Published settings of the filter (seed 002 section 9.1 and 9.3), as keys and values of
+the filter of point cloud files.
 
 delta is the range r (fits reach over 2 r), polDeg the degree, T the trials, minPts = polDeg k the
 fewest points, sampling the grid before and after; residualsThreshold serves the RANSAC start, which
@@ -11,6 +11,9 @@ sample, which cannot survive the outliers it is meant for: samples are four poin
 from __future__ import annotations
 
 from typing import Any
+
+from ladar_volume.model.cloud_filter_parameters import FILTERS, FilterParameters
+from ladar_volume.model.parameter import read_section, specs
 
 _BENCH: dict[str, Any] = {
     "radius_m": 0.2,
@@ -48,3 +51,14 @@ PRESETS: dict[str, dict[str, Any]] = {
     "sphere": {**_BOX, "degree": 2, "min_points": 20},
     "ground": {**_BENCH, "trials": 1000},
 }
+
+
+def preset_keys(name: str, order: str = "published") -> dict[str, Any]:
+    """Keys and values of a preset that the filter of this order reads."""
+    known = {spec.key for spec in specs(FILTERS[order])}
+    return {key: value for key, value in PRESETS[name].items() if key in known}
+
+
+def preset(name: str, order: str = "published") -> FilterParameters:
+    """Parameters of a preset for the filter of this order."""
+    return read_section(FILTERS[order], "filter", preset_keys(name, order))

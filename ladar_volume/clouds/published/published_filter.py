@@ -33,8 +33,8 @@ from ladar_volume.clouds.published.published_records import (
     neighbourhood,
 )
 from ladar_volume.clouds.published.published_sweep import BAND, sweep
+from ladar_volume.model.cloud_filter_parameters import PublishedFilterParameters
 from ladar_volume.model.errors import FilterError
-from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64, I64
 
 #: Least factor of the sensitivity of a fit to its points: below, the cut takes all and the
@@ -100,14 +100,14 @@ class PublishedParameters:
             )
 
 
-def settings(parameters: FilterParameters, **changes: Any) -> PublishedParameters:
-    """From the section ``filter``. Its floor of the threshold, where there is one, is the published
-    threshold itself.
+def settings(parameters: PublishedFilterParameters, **changes: float) -> PublishedParameters:
+    """From the parameters of the published order. Their floor of the threshold, where there is one,
+    is the published threshold itself.
     """
     names = {f.name for f in dataclasses.fields(PublishedParameters)} & {
         f.name for f in dataclasses.fields(parameters)
     }
-    values = {name: getattr(parameters, name) for name in names}
+    values: dict[str, Any] = {name: getattr(parameters, name) for name in names}
     return PublishedParameters(**{**values, "threshold_m": parameters.outlier_floor_m, **changes})
 
 

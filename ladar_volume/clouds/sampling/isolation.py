@@ -1,8 +1,10 @@
 """Which points that lie on no surface belong to the survey, and which lie by themselves.
 
 What is dense about a place is told from the points next to it that are known to belong: at most
-some times their spacing. Points that pass belong too, and tell the spacing further on; so rings
-that widen with the range are followed outwards, in any unit and without a sensor's place.
+some times their spacing. Points that pass belong too, and tell the spacing further on, though
+hardly more than that which let them pass: rings that widen with the range are followed outwards, in
+any unit and without a sensor's place, and strays do not pass one another on through free air. The
+spacing is that of the second neighbour: returns have one on either side along their line.
 """
 
 from __future__ import annotations
@@ -13,23 +15,23 @@ from scipy.spatial import cKDTree
 from ladar_volume.model.records import F64, Bool
 
 #: Neighbours whose distance is the spacing; points next to one that tell what is usual; how many
-#: times that a spacing may be; rounds of growth.
-NEXT, USUAL, TIMES, ROUNDS = 3, 5, 2.0, 12
+#: times that one hands on, at most; rounds of growth.
+NEXT, USUAL, HANDS, ROUNDS = 2, 5, 1.2, 12
 
 
 def spacing(r: F64, among: F64) -> F64:
-    """Distance (n,) m of points (n, 3) to the third neighbour ``among`` (m, 3), which hold them."""
+    """Distance (n,) m of points (n, 3) to the second neighbour ``among`` (m, 3), which hold them."""
     k = min(NEXT + 1, len(among))
     distance = cKDTree(among, balanced_tree=False).query(r, k=[k], workers=-1)[0]
     return np.asarray(distance, np.float64)[:, 0]
 
 
-def belonging(r: F64, known: Bool, own_m: F64, candidates: Bool) -> Bool:
+def belonging(r: F64, known: Bool, own_m: F64, candidates: Bool, times: float) -> Bool:
     """Which (n,) of the ``candidates`` belong to what is ``known`` (n,) to belong.
 
-    own_m : (n,) m, spacing of each point
+    own_m : (n,) m, spacing of each point · times : what is usual that a spacing may be
     """
-    known, left = known.copy(), candidates & ~known
+    known, left, own = known.copy(), candidates & ~known, own_m.copy()
     passed = np.zeros(len(r), np.bool_)
     for _ in range(ROUNDS):
         if not left.any() or not known.any():
@@ -37,9 +39,11 @@ def belonging(r: F64, known: Bool, own_m: F64, candidates: Bool) -> Bool:
         base, open_ = np.flatnonzero(known), np.flatnonzero(left)
         k = min(USUAL, len(base))
         near = cKDTree(r[base], balanced_tree=False).query(r[open_], k=k, workers=-1)[1]
-        usual = np.median(own_m[base[near.reshape(len(open_), k)]], axis=1)
-        new = open_[own_m[open_] <= TIMES * usual]
+        usual = np.median(own[base[near.reshape(len(open_), k)]], axis=1)
+        near_by = own[open_] <= times * usual
+        new = open_[near_by]
         if not len(new):
             break
+        own[new] = np.minimum(own[new], HANDS * usual[near_by])
         known[new], left[new], passed[new] = True, False, True
     return passed

@@ -24,12 +24,18 @@ LINED, LOOK = 0.05, 30
 #: A neighbourhood reaches over so many voxels; points that it must hold to be a line, or more.
 OVER, FEW, FULL = 4.0, 5, 10
 #: Spacing that differs by this factor from the densest tenth to the sparsest; samples that tell the
-#: spacing of a place, and their quantile.
-UNEVEN, PLACE, USUAL = 2.6, 20, 0.3
+#: spacing of a place, and their quantile; strays are not as flat as that.
+UNEVEN, PLACE, USUAL, FLAT = 1.6, 20, 0.3, 0.25
 #: Neighbours asked for.
 ASKED = 32
-#: Voxels grow by this factor; a place where lines are told apart must stay one over so many steps.
-STEP, STAYS = float(np.sqrt(2.0)), 4
+#: Voxels grow by this factor; a place where lines are told apart must stay one over so many steps:
+#: a surface that is a line when seen from farther off holds five lines or more.
+STEP, STAYS = float(np.sqrt(2.0)), 6
+#: What is a surface near by and a line from up to so many times farther off is the band of one
+#: line: a ring that grazes the ground, told at one elevation while that scatters, covers an area of
+#: its own exact cone and shows no noise. Where more than this share of a cloud is narrow it is the
+#: cloud that is.
+FARTHER, BANDS = 16.0, 0.2
 #: Widest neighbourhood over the cloud's diagonal; most voxels of the finest level.
 WIDEST, MOST_VOXELS = 0.1, 200_000
 #: States of a point at a level.
@@ -51,13 +57,10 @@ class Thinned:
 @dataclass(frozen=True)
 class Lines:
     """reach_m : (n,) radius within which the neighbourhood of a point holds several lines, NaN
-    where none does · steady_m : (n,) the same, with no line at any wider radius: a narrow surface
-    has none, nor has the band that one line makes where its points scatter along the surface ·
-    levels : the thinned clouds, ascending by √2
+    where none does · levels : the thinned clouds, ascending by √2
     """
 
     reach_m: F64
-    steady_m: F64
     levels: tuple[Thinned, ...]
 
     def thinned(self, edge_m: float) -> int:
@@ -80,19 +83,32 @@ def lined(r: F64, near: I64) -> bool:
     """Whether points (n, 3) lie along lines, from neighbourhoods (s, k), nearest first."""
     if near.shape[1] < LOOK:
         return False
-    values = _eigenvalues(r[near[:, :LOOK]], np.ones((len(near), LOOK), np.bool_))
+    values = _of_neighbourhoods(r, near)
     return bool(np.mean(values[:, 1] < LINE * values[:, 2]) >= LINED)
 
 
-def uneven(distance: F64, near: I64) -> bool:
-    """Whether the spacing differs from place to place, from distances (s, k) to the neighbours of
-    samples, and the samples ``near`` (s, m) each: strays have another spacing, places do not.
+def uneven(r: F64, near: I64, distance: F64, around: I64) -> bool:
+    """Whether the spacing of points (n, 3) on surfaces differs from place to place: strays have
+    another spacing, places do not.
+
+    near, distance : (s, k), neighbours of samples, nearest first · around : (s, m) samples next to
+    each
     """
-    if distance.shape[1] < LOOK:
+    if near.shape[1] < LOOK:
         return False
-    spacing = np.quantile(distance[:, LOOK - 1][near[:, :PLACE]], USUAL, axis=1)
-    low, high = np.quantile(spacing, (0.1, 0.9))
+    values = _of_neighbourhoods(r, near)
+    flat = values[:, 0] < FLAT * values[:, 1]
+    if np.mean(flat) < FLAT:  # the noise is wider than the neighbourhoods
+        flat[:] = True
+    own = np.where(flat, distance[:, LOOK - 1], np.nan)[around[:, :PLACE]]
+    own = own[np.isfinite(own).sum(axis=1) >= min(PLACE, own.shape[1]) // 2]
+    low, high = np.quantile(np.nanquantile(own, USUAL, axis=1), (0.1, 0.9))
     return bool(high > UNEVEN * low)
+
+
+def _of_neighbourhoods(r: F64, near: I64) -> F64:
+    """Eigenvalues (s, 3) of the points next to samples (s, k)."""
+    return _eigenvalues(r[near[:, :LOOK]], np.ones((len(near), LOOK), np.bool_))
 
 
 def find_lines(r: F64, spacing_m: float) -> Lines:
@@ -104,18 +120,22 @@ def find_lines(r: F64, spacing_m: float) -> Lines:
         edge *= STEP
         level = thin(r, edge)
     levels, states = [], []
-    # a place at the widest reach must stay one beyond it: the band that one ring makes of grazed
-    # ground is a line again where it is seen from farther off
+    # a place at the widest reach must stay one beyond it
     while OVER * edge <= widest * STEP**STAYS:
         levels.append(level)
         states.append(_state(r, level)[level.voxel])
         edge *= STEP
         level = thin(r, edge)
     if not levels:
-        return Lines(np.full(len(r), np.nan), np.full(len(r), np.nan), (level,))
-    reach, steady = (_first_surface(np.array(states), levels, k) for k in (STAYS, len(levels)))
-    known, surely = reach <= widest * (1.0 + 1e-9), steady <= widest * (1.0 + 1e-9)
-    return Lines(np.where(known, reach, np.nan), np.where(surely, steady, np.nan), tuple(levels))
+        return Lines(np.full(len(r), np.nan), (level,))
+    reach = _first_surface(np.array(states), levels)
+    known = reach <= widest * (1.0 + 1e-9)
+    wide = np.array([level.edge_m for level in levels])[:, None] * OVER
+    seen = (wide > reach) & (wide <= FARTHER * reach)
+    band = (seen & (np.array(states) == ON_LINE)).any(axis=0)
+    if np.mean(band[known]) <= BANDS:
+        known &= ~band
+    return Lines(np.where(known, reach, np.nan), tuple(levels))
 
 
 def _state(r: F64, level: Thinned) -> I64:
@@ -142,13 +162,11 @@ def _eigenvalues(points: F64, found: np.typing.NDArray[np.bool_]) -> F64:
     return np.asarray(np.linalg.eigvalsh(np.einsum("ski,skj->sij", x, x)))
 
 
-def _first_surface(states: I64, levels: list[Thinned], stays_for: int) -> F64:
-    """Radius (n,) of the first level from which on a point's neighbourhood stays a surface, over so
-    many levels.
-    """
+def _first_surface(states: I64, levels: list[Thinned]) -> F64:
+    """Radius (n,) of the first level from which on a point's neighbourhood stays a surface."""
     out = np.full(states.shape[1], np.nan)
     for i in range(len(levels) - 1, -1, -1):
-        later = states[i + 1 : i + stays_for]
+        later = states[i + 1 : i + STAYS]
         stays = (states[i] == ON_SURFACE) & ~(later == ON_LINE).any(axis=0)
         out[stays] = OVER * levels[i].edge_m
     return out

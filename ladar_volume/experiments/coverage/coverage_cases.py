@@ -36,9 +36,9 @@ from ladar_volume.experiments.coverage.coverage_survey import (
 )
 from ladar_volume.model.parameters import (
     BudgetParameters,
-    FilterParameters,
     GeoreferenceParameters,
     Parameters,
+    SurfaceFilterParameters,
     VolumeParameters,
 )
 from ladar_volume.model.records import Tin, Volume
@@ -139,7 +139,7 @@ def at_vertex_level(budget: BudgetParameters) -> Parameters:
     return Parameters(
         budget=budget,
         georeference=GeoreferenceParameters(max_position_gap_s=step_s),
-        filter=FilterParameters(nav_bin_s=step_s),
+        filter=SurfaceFilterParameters(nav_bin_s=step_s),
     )
 
 

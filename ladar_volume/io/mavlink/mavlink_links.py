@@ -25,7 +25,7 @@ PEER_S = 5.0
 #: A lost connection is tried again after this time.
 RETRY_S = 1.0
 #: What a bad address raises: also names that are none, and zero bytes.
-_ADDRESS = (OSError, UnicodeError, ValueError, OverflowError)
+_ADDRESS = (OSError, UnicodeError, ValueError, OverflowError, TypeError)
 
 
 class Link(Protocol):

@@ -25,7 +25,7 @@ from ladar_volume.io.meshfiles.plain_meshes import read_obj, read_off, read_stl
 from ladar_volume.io.meshfiles.ply_mesh import parse_header, read_ply_mesh, write_ply_mesh
 from ladar_volume.io.meshfiles.polygons import Faces, triangulated
 from ladar_volume.io.pointfiles.ply import HEADER_LIMIT
-from ladar_volume.io.pointfiles.raw_table import FARTHEST
+from ladar_volume.io.pointfiles.raw_table import no_place
 from ladar_volume.mesh.topology import vertices_of
 from ladar_volume.mesh.welding import distinct, split_edges, weld, weld_open
 from ladar_volume.model.errors import InputError, OutputError
@@ -142,10 +142,8 @@ def _read_land(path: Path, surface: str | None) -> MeshFile:
 def _finite(vertices: F64) -> F64:
     if not np.isfinite(vertices).all():
         raise InputError("a coordinate that is not finite", reason="mesh_file_values")
-    far = float(np.abs(vertices).max(initial=0.0))
-    if far > FARTHEST:
-        words = f"coordinates up to {far:.3g}: no place is so far; check the file or its export"
-        raise InputError(words, reason="mesh_file_values", value=far)
+    if refusal := no_place(vertices):
+        raise InputError(refusal, reason="mesh_file_values")
     return vertices
 
 

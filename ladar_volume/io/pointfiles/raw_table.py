@@ -42,6 +42,8 @@ WAVES = {
 }
 #: No coordinate is larger, in any unit: it is damaged, and its square may not be a number.
 FARTHEST = 1e12
+#: No cloud is narrower, in any unit: areas and their squares would be zero.
+NARROWEST = 1e-30
 #: A name with its unit: ``X[m]``, ``Northing (us-ft)``.
 UNIT = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]$")
 
@@ -132,6 +134,18 @@ def on_lattice(column: F64, step: float) -> bool:
     return bool((np.abs(some - np.round(some)) < 1e-6).mean() > 0.99)
 
 
+def no_place(r: F64) -> str:
+    """Why coordinates (n, 3), NaN for none, are none of a place; empty where they may be."""
+    far = float(np.nanmax(np.abs(r), initial=0.0))
+    if far > FARTHEST:
+        return f"coordinates up to {far:.3g}: no place is so far; check the file or its export"
+    low, high = np.nanmin(r, axis=0, initial=np.inf), np.nanmax(r, axis=0, initial=-np.inf)
+    wide = float((high - low).max())
+    if 0.0 < wide < NARROWEST:
+        return f"all points lie within {wide:.3g}: no place is so small; check the file"
+    return ""
+
+
 def rows_without_return(r: F64) -> Bool:
     """(n,) points with a NaN coordinate: no return. Raises :class:`CloudError` (cloud_not_finite,
     value: how many are not finite) where some are infinite.
@@ -144,13 +158,9 @@ def rows_without_return(r: F64) -> Bool:
             reason="cloud_not_finite",
             value=bad,
         )
-    far = float(np.nanmax(np.abs(r), initial=0.0))
-    if far > FARTHEST:
-        raise CloudError(
-            f"coordinates up to {far:.3g}: no place is so far; check the file or its export",
-            reason="cloud_values",
-            value=far,
-        )
+    refusal = no_place(r)
+    if refusal:
+        raise CloudError(refusal, reason="cloud_values")
     missing = np.isnan(r).any(axis=1)
     if missing.all():
         raise CloudError(

@@ -1,0 +1,55 @@
+"""``ladar_volume study wild``: surveys with troubles that the model does not know."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+
+def add_wild(studies: Any) -> None:
+    """Declare the study."""
+    parser = studies.add_parser(
+        "wild",
+        help="surveys with holes, cuts, walls, bent ground, wrong budgets: does the result say so?",
+        description="Simulates random surveys of 20 kinds of trouble through the whole engine, "
+        "ten seconds each or twenty, and counts errors beyond three printed sigmas that no doubt "
+        "names.",
+    )
+    parser.add_argument(
+        "--kind", action="append", default=[], metavar="NAME", help="a kind (default: all)"
+    )
+    parser.add_argument("--seeds", type=int, metavar="N", help="surveys of each kind (default 20)")
+    parser.add_argument("--first", type=int, default=1, metavar="SEED", help="first seed (1)")
+    parser.add_argument("--reduced", action="store_true", help="two surveys of each kind")
+    parser.add_argument("-o", "--output", type=Path, default=Path("out/wild"), help="folder")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Simulate, print, and write wild.md and a line per survey to wild.jsonl."""
+    from dataclasses import asdict
+
+    from ladar_volume.experiments.wild import REDUCED, SEEDS, wild_surveys, wild_table
+    from ladar_volume.io import results
+
+    console, rows, lines = Console(), [], []
+    seeds = arguments.seeds or (REDUCED if arguments.reduced else SEEDS)
+    folder = results.output_folder(arguments.output)
+    for row in wild_surveys(arguments.kind, seeds, arguments.first):
+        rows.append(row)
+        lines.append(json.dumps(results.finite(asdict(row))))
+        results.write_text(folder / "wild.jsonl", "\n".join(lines) + "\n")
+        said = row.refused or ", ".join(row.doubts) or "sound"
+        console.print(
+            f"{row.kind} {row.seed}: {row.error_m3:+.2f} ± {row.sigma_m3:.2f} of "
+            f"{row.true_m3:.1f} m³, {said}",
+            highlight=False,
+        )
+    table = wild_table(rows)
+    results.write_text(folder / "wild.md", table)
+    console.print(table, markup=False, highlight=False, soft_wrap=True)
+    return 0

@@ -1,0 +1,189 @@
+"""Whether the returns of a survey agree with each other as its budget says.
+
+A patch is seen by several beams in several passes. About its surface they scatter by the noise of
+each return, by the errors of the beams, and by what position, attitude and boresight do differently
+to the passes: for the effects ``u_e`` of a source on a patch's time bins e (one standard deviation,
+three directions) with correlations ``rho_ef`` the mean square about the patch is
+``Σ u_e·u_e / B − Σ rho_ef u_e·u_f / B²``. The median patch is held against it. What lifts all
+passes alike, such as a shift of the datum or a vertical lever arm, no such test can see.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from ladar_volume.math.kernels import kernel
+from ladar_volume.model.parameters import BudgetParameters
+from ladar_volume.model.records import F64, I64, Agreement, Bool, Patches
+from ladar_volume.uncertainty.navigation_sum import NavigationBins
+
+#: Patches that are asked at most; fewest that answer; fewest returns of one, and least upward
+#: component of its normal: what a wall scatters is where it is met.
+ASKED, FEWEST, RETURNS, UPWARD = 250, 30, 20, 0.7
+#: Roughness of a surface within a patch that is no trouble, m.
+GRAIN_M = 0.01
+#: What the ground scatters more than a body where it is overgrown, m, at least.
+GRASS_M = 0.009
+#: Probability below which a budget is refuted, and by how much its variances then are too small at
+#: least, and are scaled at most.
+REFUTED, LEAST, MOST = 1e-2, 2.25, 1000.0
+
+
+class Bins(NamedTuple):
+    """Of l time bins of k patches, start (k + 1,) : time (l,) s."""
+
+    start: I64
+    t_s: F64
+
+
+@kernel
+def dispersion(start: I64, t_s: F64, u: F64, shares: tuple[float, float, float]) -> F64:
+    """Mean squares (k,) about the mean of effects u (l, 3) of the bins of each of k patches, from
+    start (k + 1,) on, at times (l,) s. shares : constant, and white part, and correlation time (s)
+    of the rest.
+    """
+    constant, white, tau = shares
+    out = np.zeros(len(start) - 1)
+    for a in range(len(out)):
+        n = start[a + 1] - start[a]
+        own, both = 0.0, 0.0
+        for e in range(start[a], start[a + 1]):
+            square = u[e, 0] ** 2 + u[e, 1] ** 2 + u[e, 2] ** 2
+            own += square
+            both += square
+            for f in range(start[a], e):
+                rho = constant + (1.0 - constant - white) * math.exp(-abs(t_s[e] - t_s[f]) / tau)
+                both += 2.0 * rho * (u[e, 0] * u[f, 0] + u[e, 1] * u[f, 1] + u[e, 2] * u[f, 2])
+        out[a] = own / n - both / (n * n)
+    return out
+
+
+def asked(patches: Patches) -> I64:
+    """Patches (k,) that tell something, spread evenly."""
+    bins = np.diff(patches.nav_start)
+    good = (bins >= 2) & (patches.used >= RETURNS) & (np.abs(patches.normal[:, 2]) > UPWARD)
+    rows = np.flatnonzero(good).astype(np.int64)
+    return rows[:: max(1, math.ceil(len(rows) / ASKED))]
+
+
+def by_source(
+    patches: Patches, rows: I64, nav: NavigationBins, b: BudgetParameters
+) -> dict[str, F64]:
+    """What each source does to the mean squares (k,) m² of patches ``rows`` (k,) about their
+    surfaces.
+    """
+    count = np.diff(patches.nav_start)[rows]
+    start = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+    entry = np.repeat(patches.nav_start[rows] - start[:-1], count) + np.arange(start[-1])
+    owner, bins = np.repeat(rows, count), patches.nav_bin[entry]
+    index, states, C, pose = nav.sums()
+    at = np.minimum(np.searchsorted(index, bins), len(index) - 1)
+    C, pose = C[at] / states[at, None, None], pose[at] / states[at, None, None]
+    n, R = patches.normal[owner], pose[:, 1:]
+    m = np.einsum("lij,li->lj", R, n)
+    arm = np.einsum("lij,li->lj", R, patches.centre[owner] - pose[:, 0])
+    turned, far = np.cross(arm, m), np.linalg.norm(arm, axis=1)
+    cosine = (arm * m).sum(axis=1) / np.maximum(far, 1e-9)
+    across = far**2 * np.maximum(1.0 - cosine**2, 0.0)
+    t_s = (bins - bins.min()) * (nav.bin_ns * 1e-9)
+
+    def mean(of: F64) -> F64:
+        return np.add.reduceat(of, start[:-1]) / count
+
+    angle = (0.25 * b.beam_divergence_rad) ** 2
+    angle += 0.5 * (b.azimuth_noise_rad**2 + b.vertical_noise_rad**2)
+    constant = (1.0, 0.0, 1.0)
+    attitude = (b.attitude_bias_fraction, b.attitude_white_fraction, b.tau_attitude_s)
+    position = (b.position_bias_fraction, b.position_white_fraction, b.tau_position_s)
+    return {
+        "noise": mean((b.range_noise_m * cosine) ** 2 + across * angle),
+        "beams": mean(
+            (b.beam_range_sigma_m * cosine) ** 2 + 0.5 * across * b.beam_vertical_sigma_rad**2
+        ),
+        "boresight": dispersion(start, t_s, turned * np.array(b.boresight_sigma_rad), constant),
+        "lever_laser": dispersion(start, t_s, m * np.array(b.lever_laser_sigma_m), constant),
+        "lever_antenna": dispersion(start, t_s, m * np.array(b.lever_antenna_sigma_m), constant),
+        "attitude": dispersion(start, t_s, rooted(C[:, 3:, 3:], turned), attitude),
+        "position": dispersion(start, t_s, rooted(C[:, :3, :3], n), position),
+    }
+
+
+def rooted(C: F64, v: F64) -> F64:
+    """``Lᵀ v`` (l, 3) with ``L Lᵀ`` = C (l, 3, 3), of vectors v (l, 3)."""
+    L = np.linalg.cholesky(C + 1e-18 * np.eye(3))
+    return np.ascontiguousarray(np.einsum("lij,li->lj", L, v))
+
+
+def freedom(source: str, span_s: float, b: BudgetParameters) -> float:
+    """Independent errors of a source that passes tell apart, about: two for each of 16 beams, two
+    directions of a constant, and of what wanders two times two and a half, as for the square of a
+    random walk about its mean, and more for every correlation time.
+    """
+    if source == "beams":
+        return 32.0
+    if source in ("attitude", "position"):
+        tau = b.tau_attitude_s if source == "attitude" else b.tau_position_s
+        return 5.0 + 2.0 * span_s / tau
+    return 2.0
+
+
+class Scatter(NamedTuple):
+    """rows : (k,) patches that were asked · square : (k,) m², mean squares about their surfaces ·
+    source : (k,) m² by source, what the budget says of them
+    """
+
+    rows: I64
+    square: F64
+    source: dict[str, F64]
+
+    @property
+    def unexplained(self) -> F64:
+        """What the budget does not explain, (k,) m²; below zero where it says too much."""
+        out: F64 = self.square - np.sum(list(self.source.values()), axis=0)
+        return out
+
+
+def patch_scatter(patches: Patches, nav: NavigationBins, b: BudgetParameters) -> Scatter | None:
+    """The residuals of patches and what they should be; None where too few patches are seen more
+    than once.
+    """
+    rows = asked(patches)
+    if len(rows) < FEWEST:
+        return None
+    return Scatter(rows, patches.sigma[rows] ** 2, by_source(patches, rows, nav, b))
+
+
+def pass_agreement(
+    found: Scatter, patches: Patches, nav: NavigationBins, b: BudgetParameters
+) -> Agreement | None:
+    """How the residuals of the median patch compare with the budget; None where nothing is
+    shared.
+    """
+    part = {name: float(np.median(of)) for name, of in found.source.items()}
+    square, noise = float(np.median(found.square)), part.pop("noise")
+    shared = sum(part.values())
+    if not shared > 0.0:
+        return None
+    factor = max(0.0, square - noise - GRAIN_M**2) / shared
+    span_s = float(np.ptp(patches.nav_bin)) * nav.bin_ns * 1e-9
+    # Satterthwaite: a sum of chi-squares as one
+    n = shared**2 / sum(v**2 / freedom(name, span_s, b) for name, v in part.items())
+    p = float(chi2.sf(factor * n, n))
+    predicted = math.sqrt(noise + shared)
+    return Agreement(math.sqrt(square), predicted, factor, n, p, p < REFUTED and factor > LEAST)
+
+
+def cover_scatter(found: Scatter, ground: Bool, body: Bool) -> float:
+    """By how much patches of the ground scatter more than those of the body, m: 0 where they do not
+    by as much as grass does. ground, body : (m,) of all patches.
+    """
+    left, on, off = found.unexplained, ground[found.rows], body[found.rows]
+    on, off = on & ~off, off & ~on
+    if min(np.count_nonzero(on), np.count_nonzero(off)) < FEWEST // 2:
+        return 0.0
+    more = float(np.median(left[on])) - max(0.0, float(np.median(left[off])))
+    return math.sqrt(more) if more > GRASS_M**2 else 0.0

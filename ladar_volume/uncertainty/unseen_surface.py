@@ -1,0 +1,278 @@
+"""A surface where nothing was seen, from what was seen around it: its mean height and the variance
+of its volume.
+
+The surface is an intrinsic random field of order 1 with the generalised covariance ``c |h|³``
+(Chilès and Delfiner 2012, *Geostatistics*, sections 4.5 and 4.6): unknown planes cancel, and kinks
+such as the toe and the crest of a pile, which are seldom and whose second differences grow with
+the distance, have this exponent. Its kriging is the smooth continuation of the slopes at the rim.
+The factor c is the survey's own: the same gap is laid over places around it that were seen, the
+volume there is predicted from the rim alone, and the mean of ``error² / predicted variance`` is c.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
+
+from ladar_volume.model.records import F64, I64
+
+#: Places of a gap where its surface is predicted, and points that predict it, at most.
+CELLS, SEEN = 80, 110
+#: Points predict a gap from this distance on, in diameters of a circle of its area, and no less
+#: than so many spacings.
+REACH, SPACINGS = 0.6, 4.0
+#: Places over which the gap is laid, at most, within so many of its diameters; sizes that are tried
+#: until there are enough of them.
+TRIALS, AWAY, SIZES, ENOUGH = 12, 2.5, (1.0, 0.7, 0.5, 0.35), 6
+#: Standard deviation of what the smooth surface adds to the chords, over itself, before the gap was
+#: laid over seen places, and how many of these it counts for.
+DOUBTED, BEFORE = 0.5, 4.0
+#: Slope that loose material keeps, at most; a surface that is seen to be steeper has no such bound.
+REPOSE = math.tan(math.radians(45.0))
+#: A place of a gap laid over what was seen has a point within so many spacings.
+FILLED = 2.0
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Points that were seen: r (n, 3) m, variance (n,) m² of their heights, and their usual
+    spacing, m.
+    """
+
+    r: F64
+    variance: F64
+    spacing_m: float
+    tree: cKDTree
+
+    @classmethod
+    def of(cls, r: F64, variance: F64, spacing_m: float) -> Seen:
+        """The points with a tree to find them."""
+        return cls(r, variance, spacing_m, cKDTree(r[:, :2]))
+
+
+@dataclass(frozen=True)
+class Kriging:
+    """Equations of n points and a plane: A (n + 3, n + 3), right sides K (n + 3, k) of k places,
+    covariances ``own`` (k, k) of these, for c = 1 in units of scale_m.
+    """
+
+    A: F64
+    K: F64
+    own: F64
+    scale_m: float
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """A gap as predicted from its rim. volume_m3 : integral of the heights · unit_m6 : variance of
+    it for c = 1 · noise_m6 : from the points' own noise
+    """
+
+    volume_m3: float
+    unit_m6: float
+    noise_m6: float
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A gap laid over a seen place: squares, m², of the mean height's error, beyond its noise, of
+    its standard deviation for c = 1, and of the difference between smooth surface and chords.
+    """
+
+    error_m2: float
+    unit_m2: float
+    bulge_m2: float
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """The volume of an unseen surface, m³ above height 0, its variance, m⁶, and from how many gaps
+    laid over seen places the variance was told.
+    """
+
+    volume_m3: float
+    variance_m6: float
+    trials: int
+
+
+def diameter(area_m2: float) -> float:
+    """Of a circle of this area, m."""
+    return 2.0 * math.sqrt(area_m2 / math.pi)
+
+
+def rim_points(seen: Seen, xy: F64, weight: F64, apart: F64) -> I64:
+    """Points (k,) around a gap of places xy (k, 2) m with areas weight (k,) m², but not in it: each
+    further from its places than ``apart`` (k,) m, and one of each square of a grid, so many that
+    they are few.
+    """
+    size = diameter(float(weight.sum()))
+    reach = max(REACH * size, SPACINGS * seen.spacing_m) + float(apart.max())
+    centre = (weight @ xy) / weight.sum()
+    far = float(np.hypot(*(xy - centre).T).max()) + reach
+    near = np.asarray(seen.tree.query_ball_point(centre, far, return_sorted=True), np.int64)
+    if not len(near):
+        return near
+    d, at = cKDTree(xy).query(seen.r[near, :2])
+    near = near[(np.asarray(d) >= apart[at]) & (np.asarray(d) <= reach)]
+    return thinned(seen.r[near, :2], near, seen.spacing_m)
+
+
+def thinned(xy: F64, rows: I64, spacing_m: float) -> I64:
+    """One of ``rows`` (k,) in each square of a grid over xy (k, 2), at most about :data:`SEEN`."""
+    side = spacing_m
+    while len(rows) > SEEN:
+        square = np.floor(xy / side).astype(np.int64)
+        first = np.unique(square, axis=0, return_index=True)[1]
+        first.sort()
+        rows, xy, side = rows[first], xy[first], 1.3 * side
+    return rows
+
+
+def kriging(seen: Seen, rim: I64, xy: F64, power: int = 3) -> Kriging | None:
+    """The equations of points ``rim`` for places xy (k, 2) m; None where these do not tell a
+    plane. power : of the distance; 1 for a surface as tight as chords.
+    """
+    r = seen.r[rim]
+    if len(r) < 6:
+        return None
+    middle, scale = r[:, :2].mean(axis=0), float(np.ptp(r[:, :2], axis=0).max())
+    p, q = (r[:, :2] - middle) / scale, (xy - middle) / scale
+    n, sign = len(p), 1.0 if power == 3 else -1.0
+    A, K = np.zeros((n + 3, n + 3)), np.zeros((n + 3, len(q)))
+    A[:n, :n] = sign * cdist(p, p) ** power
+    A[:n, n], A[:n, n + 1 :] = 1.0, p
+    A[n:, :n] = A[:n, n:].T
+    K[:n], K[n], K[n + 1 :] = sign * cdist(p, q) ** power, 1.0, q.T
+    return Kriging(A, K, sign * cdist(q, q) ** power, scale)
+
+
+def predicted(seen: Seen, rim: I64, xy: F64, weight: F64) -> Predicted | None:
+    """The integral over places xy (k, 2) m with areas weight (k,) m², from points ``rim``; None
+    where these do not tell a plane.
+    """
+    made = kriging(seen, rim, xy)
+    if made is None:
+        return None
+    k0 = made.K @ weight
+    try:
+        solved = np.linalg.solve(made.A, k0)
+    except np.linalg.LinAlgError:
+        return None
+    unit = float(weight @ made.own @ weight) - float(k0 @ solved)
+    by_point = solved[: len(rim)]
+    return Predicted(
+        float(by_point @ seen.r[rim, 2]),
+        max(unit, 0.0) * made.scale_m**3,
+        float(by_point**2 @ seen.variance[rim]),
+    )
+
+
+def heights(seen: Seen, rim: I64, xy: F64, power: int = 3) -> F64:
+    """Heights (k,) m at places xy (k, 2) m from points ``rim``."""
+    made = kriging(seen, rim, xy, power)
+    if made is None:
+        return np.full(len(xy), math.nan)
+    try:
+        solved = np.linalg.solve(made.A, np.append(seen.r[rim, 2], np.zeros(3)))
+    except np.linalg.LinAlgError:
+        return np.full(len(xy), math.nan)
+    out: F64 = made.K.T @ solved
+    return out
+
+
+def within_repose(r: F64, xy: F64, weight: F64, z: F64) -> tuple[F64, float]:
+    """Heights z (k,) m at xy (k, 2) no lower and no higher than slopes of loose material allow from
+    points r (n, 3), and the volume between these bounds, m³; as they are, and NaN, where the points
+    themselves are steeper.
+    """
+    d = cdist(xy, r[:, :2]) * REPOSE
+    high, low = (r[:, 2] + d).min(axis=1), (r[:, 2] - d).max(axis=1)
+    if not (low <= high + 1e-9).all():
+        return z, math.nan
+    return np.clip(z, low, high), float(weight @ (high - low))
+
+
+def trial_places(seen: Seen, xy: F64, weight: F64) -> F64:
+    """Shifts (k, 2) m of a gap, in a spiral about it, evenly over the disc around."""
+    size = diameter(float(weight.sum()))
+    number = np.arange(1, 8 * TRIALS + 1)
+    radius = AWAY * size * np.sqrt(number / len(number))
+    angle = number * math.pi * (3.0 - math.sqrt(5.0))  # the golden angle: no direction twice
+    out = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+    return out[np.argsort(radius, kind="stable")]
+
+
+def tried(seen: Seen, xy: F64, weight: F64, apart: F64) -> list[Trial]:
+    """The gap laid over seen places."""
+    out: list[Trial] = []
+    for shift in trial_places(seen, xy, weight):
+        place = xy + shift
+        d, at = seen.tree.query(place)
+        if float(np.max(d)) > FILLED * seen.spacing_m:
+            continue  # not wholly seen
+        rim = rim_points(seen, place, weight, apart)
+        found = predicted(seen, rim, place, weight)
+        if found is None or found.unit_m6 <= 0.0:
+            continue
+        error = float(weight @ seen.r[np.asarray(at), 2]) - found.volume_m3
+        own = float((weight**2) @ seen.variance[np.asarray(at)])
+        bulge = found.volume_m3 - float(weight @ heights(seen, rim, place, 1))
+        scale = float(weight.sum()) ** 2  # of heights: gaps of several sizes go together
+        out.append(
+            Trial(
+                max(error**2 - found.noise_m6 - own, 0.0) / scale,
+                found.unit_m6 / scale,
+                bulge**2 / scale,
+            )
+        )
+        if len(out) >= TRIALS:
+            break
+    return out
+
+
+def of_trials(trials: list[Trial], shape_m2: float) -> tuple[float, float]:
+    """The factor c, and the share of a smooth surface's difference from chords that is a standard
+    deviation, squared, for a gap with that difference (mean height, squared) shape_m2.
+    """
+    c = float(np.mean([t.error_m2 / t.unit_m2 for t in trials])) if trials else 0.0
+    before = BEFORE * shape_m2
+    error = math.fsum(min(t.error_m2, t.bulge_m2) for t in trials)
+    bulge = math.fsum(t.bulge_m2 for t in trials)
+    total = before + bulge
+    return c, (before * DOUBTED**2 + error) / total if total > 0.0 else 0.0
+
+
+def unseen_surface(seen: Seen, xy: F64, weight: F64, apart: F64, chord_m3: float) -> Unseen | None:
+    """The surface of a gap of places xy (k, 2) m with areas weight (k,) m², and how well it is
+    known; None where nothing can be told of it.
+
+    apart : (k,) m, distance from each place within which no point was seen · chord_m3 : integral
+    under the triangles that span it. Where the slopes at the rim go on until they meet, the surface
+    lies a third further from the chords than the smooth one (exact for a cone in a round gap);
+    where they end at the rim it lies as low as the chords. So half of the difference between smooth
+    surface and chords counts as a standard deviation, less where seen places tell otherwise.
+    """
+    rim = rim_points(seen, xy, weight, np.zeros(len(xy)))
+    found = predicted(seen, rim, xy, weight)
+    if found is None:
+        return None
+    z, room = within_repose(seen.r[rim], xy, weight, heights(seen, rim, xy))
+    smooth_m3 = float(weight @ z)
+    trials: list[Trial] = []
+    area = float(weight.sum())
+    centre = (weight @ xy) / area
+    for size in SIZES:  # a smaller gap fits where the gap itself does not
+        trials += tried(seen, centre + size * (xy - centre), size**2 * weight, size * apart)
+        if len(trials) >= ENOUGH:
+            break
+    factor, share = of_trials(trials, ((smooth_m3 - chord_m3) / area) ** 2)
+    variance = factor * found.unit_m6 + found.noise_m6 + share * (smooth_m3 - chord_m3) ** 2
+    if math.isfinite(room):
+        variance = min(variance, room**2 / 12.0) if trials else room**2 / 12.0
+    elif not trials:
+        return None
+    return Unseen(smooth_m3, variance, len(trials))

@@ -1,0 +1,193 @@
+"""Whether the ground of the same survey is the base of a body: other readings of it, each with what
+it makes of the volume and how far it may differ by chance.
+
+Two readings stand against the fitted polynomial: a polynomial one degree higher through the same
+ground, and one through the toe line, the surface seen along the boundary of the outline. Both
+differences are weighted sums ``Σ w e`` of residuals of the ground, and their variance is that of
+the residuals' random field (:mod:`ladar_volume.uncertainty.ground_field`). A pile on a pad or in a
+hollow, or ground that bends, shows in one or both.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.stats import t as student
+
+from ladar_volume.ground.polynomial import COEFFICIENTS, base_height, degree_of, design
+from ladar_volume.model.records import F64, I64, Bool, Plane, Tin, Volume
+from ladar_volume.model.verdict import Doubt
+from ladar_volume.tin.full_tin import vertex_mask
+from ladar_volume.uncertainty.ground_field import GroundField, Roughness, mean_spacing
+from ladar_volume.uncertainty.roughness import estimate_roughness
+
+#: A reading differs beyond chance above so many standard deviations of the difference, and matters
+#: above so many of the volume.
+CHANCE, MATTERS = 3.0, 2.0
+#: Standard deviation of the base where readings differ beyond chance, over what is beyond twice it.
+BETWEEN = 0.5
+#: Fewest points of a reading, and most of the toe line.
+FEWEST, MOST = 30, 2000
+#: From where to where the toe line lies beyond the outline, in radii of the filter.
+TOE = (1.0, 2.0)
+#: Points that the field of the residuals is told from.
+FIELD = 200
+#: Degrees of freedom from which on Student's t is the normal distribution.
+MANY = 200.0
+
+
+@dataclass(frozen=True)
+class Reading:
+    """name : of the base · more_m3 : what the volume above it has more · sigma_m3 : of that
+    difference, by chance.
+    """
+
+    name: str
+    more_m3: float
+    sigma_m3: float
+
+    @property
+    def beyond_m3(self) -> float:
+        """What is beyond twice the chance, m³."""
+        return max(0.0, abs(self.more_m3) - 2.0 * self.sigma_m3)
+
+
+@dataclass(frozen=True)
+class BaseReadings:
+    """readings : other than the base · freedom : independent places of the ground, which the
+    variance ``base_surface`` was told from
+    """
+
+    readings: tuple[Reading, ...]
+    freedom: float
+
+    @property
+    def variance_m6(self) -> float:
+        """Variance of the volume for the choice of the base, m⁶."""
+        return (BETWEEN * max((r.beyond_m3 for r in self.readings), default=0.0)) ** 2
+
+
+def toe_points(tin: Tin, inside: Bool, radius_m: float) -> I64:
+    """Vertices (k,) in a band along the toe, outside the triangles ``inside`` (m,): nearer than the
+    filter's radius it bends the surface there.
+    """
+    body, around = vertex_mask(tin, inside), vertex_mask(tin, tin.relevant & ~inside)
+    border, xy = body & around, tin.vertices[:, :2]
+    if not border.any():
+        return np.zeros(0, np.int64)
+    far = TOE[1] * radius_m
+    beyond = around & ~body
+    for c in range(2):
+        own = xy[border, c]
+        beyond &= (xy[:, c] > own.min() - far) & (xy[:, c] < own.max() + far)
+    out = np.flatnonzero(beyond).astype(np.int64)
+    if not len(out):
+        return out
+    tree = cKDTree(xy[border], balanced_tree=False, compact_nodes=False)
+    d = np.asarray(tree.query(xy[out], distance_upper_bound=far)[0])
+    out = out[(d > TOE[0] * radius_m) & (d < far)]
+    return out[:: max(1, math.ceil(len(out) / MOST))]
+
+
+def area_moments(tin: Tin, inside_m2: F64, origin: F64, scale: float, degree: int) -> F64:
+    """Integrals (p,) over the outline of the terms of a polynomial in ``(xy − origin) / scale``: by
+    the three middles of the sides of each triangle, exact to degree 2.
+    """
+    rows = np.flatnonzero(inside_m2 > 0.0)
+    p = tin.vertices[tin.triangles[rows], :2]
+    total = np.zeros(COEFFICIENTS[degree])
+    for k in range(3):
+        middle = 0.5 * (p[:, k] + p[:, (k + 1) % 3])
+        total += inside_m2[rows] / 3.0 @ design((middle - origin) / scale, np.zeros(2), degree)
+    return total
+
+
+def fit_weights(xy: F64, moments: F64, origin: F64, scale: float, degree: int) -> F64:
+    """Weights (n,) m² of heights at xy (n, 2) in the integral of the polynomial through them."""
+    X = design((xy - origin) / scale, np.zeros(2), degree)
+    out: F64 = X @ np.linalg.lstsq(X.T @ X, moments, rcond=1e-12)[0]
+    return out
+
+
+def field_sigma(tin: Tin, xy: F64, weight: F64, rough: Roughness, noise: F64) -> float:
+    """Standard deviation m³ of ``Σ w e`` over a ground field and its points' noise (n,) m²."""
+    field = GroundField(tin.vertices, tin.triangles[:0], np.zeros(0), xy, weight, rough)
+    return math.sqrt(field.variance_m6 + float(weight**2 @ noise))
+
+
+def residual_field(xy: F64, residual: F64, noise: F64, parameters: int) -> Roughness:
+    """The field of residuals (n,) m at xy (n, 2) m, from a part of them."""
+    some = slice(None, None, max(1, math.ceil(len(xy) / FIELD)))
+    rough = estimate_roughness(xy[some], residual[some], noise[some], parameters)
+    return dataclasses.replace(rough, spacing_m=mean_spacing(xy))
+
+
+def base_readings(
+    tin: Tin, base: Plane, inside_m2: F64, height_variance: F64, radius_m: float
+) -> BaseReadings | None:
+    """The readings for an outline, inside_m2 (m,) m² of each triangle; None above a base that is
+    given. height_variance : (n,) m² of the vertices · radius_m : of the filter.
+    """
+    n, degree = len(base.support), degree_of(base)
+    if n < FEWEST:
+        return None
+    xy = tin.vertices[base.support, :2]
+    e = tin.vertices[base.support, 2] - base_height(base, xy)
+    noise = height_variance[base.support]
+    origin, scale = xy.mean(axis=0), max(float(np.ptp(xy, axis=0).max()), 1e-9)
+    higher = min(degree + 1, 2)
+    X = design((xy - origin) / scale, np.zeros(2), higher)
+    left = e - X @ np.linalg.lstsq(X.T @ X, X.T @ e, rcond=1e-12)[0]
+    rough = residual_field(xy, left, noise, X.shape[1])
+    found = []
+    if higher > degree:
+        moments = area_moments(tin, inside_m2, origin, scale, higher)
+        w = fit_weights(xy, moments, origin, scale, higher)
+        chance = field_sigma(tin, xy, w, rough, noise)
+        found.append(Reading(f"a ground of degree {higher}", -float(w @ e), chance))
+    toe = toe_points(tin, inside_m2 > 0.0, radius_m)
+    if len(toe) >= FEWEST:
+        r = tin.vertices[toe]
+        moments = area_moments(tin, inside_m2, origin, scale, min(degree, 1))
+        w = fit_weights(r[:, :2], moments, origin, scale, min(degree, 1))
+        chance = field_sigma(tin, r[:, :2], w, rough, height_variance[toe])
+        more = -float(w @ (r[:, 2] - base_height(base, r[:, :2])))
+        found.append(Reading("the surface along the toe", more, chance))
+    area = (rough.spacing_m**2) * n
+    return BaseReadings(tuple(found), max(area / (2.0 * math.pi * rough.length_m**2), 1.0))
+
+
+def reading_doubts(found: BaseReadings, volume: Volume) -> list[Doubt]:
+    """Readings of the base that differ by more than chance, and by more than two sigma. volume :
+    without the line ``base_model``.
+    """
+    out = []
+    for r in found.readings:
+        if abs(r.more_m3) <= max(CHANCE * r.sigma_m3, MATTERS * volume.sigma_m3):
+            continue
+        name = "base_toe" if "toe" in r.name else "base_bends"
+        words = (
+            f"two readings of the base differ: {volume.volume_m3:.5g} m³ above the "
+            f"{volume.base}, {volume.volume_m3 + r.more_m3:.5g} m³ above {r.name} (by chance "
+            f"{r.sigma_m3:.2g} m³); look whether the body stands on a pad, in a hollow or on "
+            "bent ground, set ground.degree or volume.ground_ring_m, or survey the empty site"
+        )
+        out.append(Doubt(name, words, r.more_m3))
+    return out
+
+
+def student_factor(volume: Volume, freedom: float) -> float:
+    """The coverage factor where the variance of the base was told from few places (Welch and
+    Satterthwaite).
+    """
+    base = volume.budget_m6.get("base_surface", 0.0)
+    if base <= 0.0 or freedom >= MANY:
+        return volume.coverage_factor
+    freedom *= (volume.sigma_m3**2 / base) ** 2
+    if freedom >= MANY:
+        return volume.coverage_factor
+    return float(student.ppf(0.5 + volume.confidence / 2.0, freedom))

@@ -1,0 +1,193 @@
+"""Whether a body is whole: cut at the edge of the data or of the region, bounded by a wall, seen
+with ground on one side only, or one of several.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ladar_volume.ground.polynomial import base_height
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import F64, I64, Bool, Plane, Tin, Volume
+from ladar_volume.model.verdict import Doubt
+from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
+from ladar_volume.volume.outline import bodies
+
+#: Least volume that a cut is likely to hide, in standard deviations of the volume.
+HIDDEN = 0.5
+#: A boundary within so many metres of a side of the region is the region's.
+AT_REGION_M = 1.5
+#: Directions around a body that are told apart, and the widest gap in them without ground.
+DIRECTIONS, WIDEST_DEG = 36, 60.0
+#: Upward component of the normal of a steep face (60°), points of a direction that make one, and
+#: the shares of the directions between which walls bound a part of the body.
+STEEP, FEW, WALLED = 0.5, 3, (1.0 / 36.0, 0.75)
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Where a body is cut. hidden_m3 : volume beyond that is likely, if the surface falls off at
+    45° · length_m : of the cut · high_m : its mean height · x_m, y_m : its middle
+    """
+
+    hidden_m3: float
+    length_m: float
+    high_m: float
+    x_m: float
+    y_m: float
+
+
+def cut_at_boundary(tin: Tin, base: Plane, inside: Bool, least_m: float) -> Cut | None:
+    """Where the surface stands higher above the base, or lies deeper, than ``least_m`` on the
+    boundary of the triangles ``inside`` (m,).
+    """
+    beyond = np.where(tin.neighbours >= 0, inside[tin.neighbours], False)
+    t, k = np.nonzero(inside[:, None] & ~beyond)
+    ends = np.stack([tin.triangles[t, (k + 1) % 3], tin.triangles[t, (k + 2) % 3]], axis=1)
+    r = tin.vertices[ends]
+    height = np.abs(r[:, :, 2] - base_height(base, r[:, :, :2].reshape(-1, 2)).reshape(-1, 2))
+    high = (height > least_m).any(axis=1)
+    if not high.any():
+        return None
+    (one, two), length = height[high].T, np.hypot(*(r[high, 1, :2] - r[high, 0, :2]).T)
+    weight = length * 0.5 * (one + two)
+    x, y = (weight @ r[high, :, :2].mean(axis=1) / weight.sum()).tolist()
+    total = float(length.sum())
+    hidden = float(length @ (one**2 + one * two + two**2)) / 6.0
+    return Cut(hidden, total, float(weight.sum()) / total, x, y)
+
+
+def cut_doubts(
+    tin: Tin, base: Plane, inside: Bool, volume: Volume, parameters: Parameters
+) -> list[Doubt]:
+    """The surface does not come down to the base at the outline."""
+    p = parameters.volume
+    if p.outline == "all" or (p.outline == "polygon" and p.base != "ground"):
+        return []
+    found = cut_at_boundary(tin, base, inside, 0.5 * p.object_height_m)
+    if found is None or found.hidden_m3 < HIDDEN * volume.sigma_m3:
+        return []
+    what, todo = cause_of(found, parameters)
+    words = (
+        f"{what}: the surface stands {found.high_m:.2g} m off the base along {found.length_m:.3g} m"
+        f" of the outline about ({found.x_m:.1f}, {found.y_m:.1f}) m, so that some "
+        f"{found.hidden_m3:.2g} m³ or more are not counted; {todo}"
+    )
+    return [Doubt("cut", words, found.hidden_m3)]
+
+
+def cause_of(cut: Cut, parameters: Parameters) -> tuple[str, str]:
+    """What cuts a body, and what to do."""
+    region = parameters.georeference.region_m
+    if parameters.volume.outline == "polygon":
+        return "the outline cuts the body", "draw volume.polygon_m around its toe"
+    if len(region) == 6:
+        x0, y0, _, x1, y1, _ = region
+        apart = min(abs(cut.x_m - x0), abs(cut.x_m - x1), abs(cut.y_m - y0), abs(cut.y_m - y1))
+        if apart < AT_REGION_M:
+            return "the region cuts the body", "widen georeference.region_m"
+    return "the edge of what was seen cuts the body", "fly a pass over that place"
+
+
+def directions(xy: F64, centre: F64) -> I64:
+    """Number (n,) of the direction from a centre (2,) in which points (n, 2) lie."""
+    angle = np.arctan2(xy[:, 1] - centre[1], xy[:, 0] - centre[0]) % (2.0 * math.pi)
+    out: I64 = np.minimum((angle * (DIRECTIONS / (2.0 * math.pi))).astype(np.int64), DIRECTIONS - 1)
+    return out
+
+
+def longest_run(missing: Bool) -> tuple[int, float]:
+    """Length of the longest run of a ring (k,) of flags, and its middle."""
+    if missing.all():
+        return len(missing), 0.0
+    best, middle, run = 0, 0.0, 0
+    for at, gone in enumerate(np.concatenate([missing, missing])):
+        run = run + 1 if gone else 0
+        if run > best:
+            best, middle = run, at - 0.5 * (run - 1)
+    return best, middle % len(missing)
+
+
+def ground_doubts(tin: Tin, base: Plane, inside: Bool) -> list[Doubt]:
+    """The ground of the same survey lies on one side only."""
+    if not len(base.support):
+        return []
+    centre = tin.vertices[vertex_mask(tin, inside), :2].mean(axis=0)
+    at = directions(tin.vertices[base.support, :2], centre)
+    run, middle = longest_run(np.bincount(at, minlength=DIRECTIONS) < FEW)
+    wide = 360.0 * run / DIRECTIONS
+    if wide < WIDEST_DEG:
+        return []
+    toward = 360.0 * (middle + 0.5) / DIRECTIONS
+    words = (
+        f"no ground was found beside the body over {wide:.0f}° about the direction {toward:.0f}° "
+        "(counter-clockwise from east), so that the base is carried over from the other sides; "
+        "survey the ground there, or give volume.base level or plane"
+    )
+    return [Doubt("ground_one_sided", words, wide)]
+
+
+def wall_doubts(tin: Tin, base: Plane, inside: Bool, normal: F64, least_m: float) -> list[Doubt]:
+    """Steep faces bound a part of the body: a wall, a machine. normal : (n, 3) of the vertices."""
+    own = vertex_mask(tin, inside)
+    r = tin.vertices
+    height = r[:, 2] - base_height(base, r[:, :2])
+    steep = own & (np.abs(normal[:, 2]) < STEEP) & (height > least_m)
+    if not steep.any():
+        return []
+    centre = r[own, :2].mean(axis=0)
+    count = np.bincount(directions(r[steep, :2], centre), minlength=DIRECTIONS)
+    share = float(np.count_nonzero(count >= FEW)) / DIRECTIONS
+    if not WALLED[0] <= share <= WALLED[1]:
+        return []
+    x, y = r[steep, :2].mean(axis=0).tolist()
+    words = (
+        f"faces steeper than 60° and up to {float(height[steep].max()):.2g} m high stand in "
+        f"{360 * share:.0f}° of the directions around the body, about ({x:.1f}, {y:.1f}) m: a "
+        "wall, a machine or a tree may be counted; look at it, or draw volume.polygon_m without it"
+    )
+    return [Doubt("wall", words, 360.0 * share)]
+
+
+def body_doubts(
+    tin: Tin, base: Plane, inside: Bool, volume: Volume, parameters: Parameters
+) -> list[Doubt]:
+    """Other bodies stand beside those that count."""
+    p = parameters.volume
+    if p.outline != "auto" or p.bodies == 0:
+        return []
+    height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
+    area, found = footprint_areas(tin.vertices, tin.triangles), []
+    for mask in bodies(tin, base, p.object_height_m, 0, p.min_body_m3):
+        rows = np.flatnonzero(mask & ~inside)
+        own = float(area[rows] @ height[tin.triangles[rows]].mean(axis=1))
+        if len(rows) and own >= max(p.min_body_m3, volume.sigma_m3):
+            found.append((own, *tin.vertices[tin.triangles[rows], :2].mean(axis=(0, 1)).tolist()))
+    if not found:
+        return []
+    size, x, y = max(found)
+    words = (
+        f"{len(found)} further {'body rises' if len(found) == 1 else 'bodies rise'} more than "
+        f"{p.object_height_m:g} m above the base and {'is' if len(found) == 1 else 'are'} not in "
+        f"the volume, the largest of {size:.4g} m³ at ({x:.1f}, {y:.1f}) m; set volume.bodies "
+        "to 0 for all, or draw volume.polygon_m"
+    )
+    return [Doubt("further_bodies", words, sum(item[0] for item in found))]
+
+
+def completeness_doubts(
+    tin: Tin, base: Plane, inside_m2: F64, normal: F64, volume: Volume, parameters: Parameters
+) -> list[Doubt]:
+    """All of them, for the outline of all bodies: inside_m2 (m,) m² of each triangle."""
+    inside = inside_m2 > 0.0
+    out = cut_doubts(tin, base, inside, volume, parameters)
+    if parameters.volume.outline == "auto":
+        out += wall_doubts(tin, base, inside, normal, parameters.volume.object_height_m)
+    return [
+        *out,
+        *body_doubts(tin, base, inside, volume, parameters),
+        *(ground_doubts(tin, base, inside) if parameters.volume.outline != "all" else []),
+    ]

@@ -1,0 +1,213 @@
+"""A volume as it comes from the budget, with what the field adds to it: lines of the budget and
+doubts.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from ladar_volume.ground.polynomial import base_height
+from ladar_volume.model.errors import VolumeError
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import F64, Agreement, Volume
+from ladar_volume.model.verdict import Doubt, Verdict
+from ladar_volume.tin.full_tin import vertex_mask
+from ladar_volume.uncertainty.pass_agreement import (
+    MOST,
+    Scatter,
+    cover_scatter,
+    pass_agreement,
+    patch_scatter,
+)
+from ladar_volume.volume.base import polygon_of
+from ladar_volume.volume.chord_bias import cut_and_fill_chords
+from ladar_volume.volume.field_checks.base_readings import (
+    base_readings,
+    reading_doubts,
+    student_factor,
+)
+from ladar_volume.volume.field_checks.completeness import completeness_doubts
+from ladar_volume.volume.field_checks.gaps import Bridged, bridged, bridging, find_gaps
+from ladar_volume.volume.measured_body import Footing, SurveyedSurface, footing_of
+
+#: Height of what grows, over its scatter.
+COVER = 4.0
+#: Lines of the budget that returns do not share.
+OWN = ("noise", "noise_tangential", "base_surface")
+#: Rounds until no gap is left to be bridged: a bridge may join parts of a body.
+ROUNDS = 3
+#: Standard deviation of what was not seen above which there is doubt, over that of all else and
+#: over the volume; share of the area that was not seen above which there is.
+UNSEEN, UNSEEN_OF_VOLUME, UNSEEN_AREA = 1.0, 0.005, 0.1
+
+
+def bridged_footing(
+    survey: SurveyedSurface, footing: Footing, parameters: Parameters
+) -> tuple[SurveyedSurface, Footing]:
+    """The surface with the gaps inside the outline bridged, and the footing of that."""
+    polygon = polygon_of(parameters.volume) if parameters.volume.outline == "polygon" else None
+    for _ in range(ROUNDS):
+        more = bridging(survey.tin, footing.base, footing.inside, polygon, parameters.volume)
+        if not more.any():
+            break
+        tin = dataclasses.replace(survey.tin, relevant=survey.tin.relevant | more)
+        surface = dataclasses.replace(survey.surface, tin=tin)
+        survey = dataclasses.replace(survey, surface=surface)
+        footing = footing_of(survey, parameters)
+    return survey, footing
+
+
+def with_line(volume: Volume, name: str, variance_m6: float) -> Volume:
+    """The volume with a line of the budget more."""
+    if not variance_m6 > 0.0:
+        return volume
+    low, high = (math.hypot(s, math.sqrt(variance_m6)) for s in volume.sigma_tau_range_m3)
+    return dataclasses.replace(
+        volume,
+        sigma_m3=math.hypot(volume.sigma_m3, math.sqrt(variance_m6)),
+        budget_m6={**volume.budget_m6, name: variance_m6},
+        sigma_tau_range_m3=(low, high),
+    )
+
+
+def with_gaps(survey: SurveyedSurface, footing: Footing, part: F64, volume: Volume) -> Volume:
+    """The volume of a body with what was not seen of it: part (m,) m² of each triangle."""
+    tin, base = survey.tin, footing.base
+    gaps = find_gaps(tin, part)
+    if not len(gaps.areas):
+        return volume
+    over = np.where(gaps.triangle >= 0, part, 0.0)
+    # slopes at the rim of a gap tell of its surface by kriging, not as chords
+    above, below = cut_and_fill_chords(tin, survey.points.normal[tin.source], base, over)
+    found = bridged(tin, base, part, survey.height_variance, gaps)
+    up = volume.cut_m3 >= volume.fill_m3
+    volume = dataclasses.replace(
+        volume,
+        volume_m3=volume.volume_m3 + above + below + found.more_m3,
+        cut_m3=volume.cut_m3 + above + (found.more_m3 if up else 0.0),
+        fill_m3=volume.fill_m3 - below - (0.0 if up else found.more_m3),
+        chord_m3=volume.chord_m3 - above - below,
+        seen_share=1.0 - gaps.area_m2 / max(float(part.sum()), 1e-300),
+        gaps=found.gaps,
+        verdict=volume.verdict + Verdict(tuple(gap_doubts(volume, found, gaps.area_m2))),
+    )
+    return with_line(volume, "unseen", found.variance_m6)
+
+
+def gap_doubts(volume: Volume, found: Bridged, area_m2: float) -> list[Doubt]:
+    """Too much was not seen. volume : without the line ``unseen``."""
+    sigma, share = math.sqrt(found.variance_m6), area_m2 / max(volume.area_m2, 1e-300)
+    large = sigma > UNSEEN * volume.sigma_m3 or sigma > UNSEEN_OF_VOLUME * abs(volume.volume_m3)
+    if not (large or share > UNSEEN_AREA or found.unknown_m2 > 0.0):
+        return []
+    gap = found.gaps[0]
+    words = (
+        f"{area_m2:.3g} m² ({100 * share:.1f} %) inside the outline were not seen and are bridged, "
+        f"{sigma:.2g} m³ of sigma; the largest gap, {gap.area_m2:.3g} m², is at ({gap.x_m:.1f}, "
+        f"{gap.y_m:.1f}) m: fly a pass over it"
+    )
+    return [Doubt("unseen", words, share)]
+
+
+def with_base(
+    survey: SurveyedSurface, footing: Footing, part: F64, volume: Volume, radius_m: float
+) -> Volume:
+    """The volume of a body with what other readings of its base say."""
+    found = base_readings(survey.tin, footing.base, part, survey.height_variance, radius_m)
+    if found is None:
+        return volume
+    doubts = Verdict(tuple(reading_doubts(found, volume)))
+    factor = student_factor(volume, found.freedom)
+    volume = dataclasses.replace(volume, coverage_factor=factor, verdict=volume.verdict + doubts)
+    return with_line(volume, "base_model", found.variance_m6)
+
+
+def with_passes(volume: Volume, found: Agreement | None, check: str) -> Volume:
+    """The volume with what the agreement of the passes says of its budget. Raises
+    :class:`VolumeError` where a refuted budget is to be refused.
+    """
+    volume = dataclasses.replace(volume, agreement=found)
+    if found is None or not found.refuted:
+        return volume
+    factor = min(found.factor, MOST)
+    words = (
+        f"returns of different passes and beams disagree: the median patch scatters by "
+        f"{1e3 * found.residual_m:.3g} mm about its surface where the budget says "
+        f"{1e3 * found.predicted_m:.3g} mm (p = {found.p_value:.1g}), so that position, attitude, "
+        "calibration or clock are worse than given, or the surface is rough or overgrown; "
+        "run `calibrate strips`, or give a true budget"
+    )
+    if check == "refuse":
+        raise VolumeError(words, reason="volume_budget_refuted", value=found.factor)
+    doubt = Doubt("budget", words, found.factor)
+    volume = dataclasses.replace(volume, verdict=volume.verdict + Verdict((doubt,)))
+    return scaled(volume, factor) if check == "scale" else volume
+
+
+def with_cover(
+    survey: SurveyedSurface,
+    footing: Footing,
+    volume: Volume,
+    scatter: Scatter,
+    parameters: Parameters,
+) -> Volume:
+    """The volume with what grows on its ground, where that scatters more than the body."""
+    tin, base = survey.tin, footing.base
+    if not len(base.support):
+        return volume
+    row = survey.sources.geometry.row[tin.source]
+    height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
+    high = vertex_mask(tin, footing.inside > 0.0) & (height > parameters.volume.object_height_m)
+    ground, body = (np.zeros(len(survey.patches), np.bool_) for _ in range(2))
+    ground[row[base.support]] = True
+    body[row[high]] = True
+    more = cover_scatter(scatter, ground, body)
+    if more == 0.0:
+        return volume
+    sigma = COVER * more * volume.area_m2
+    words = (
+        f"the ground scatters {1e3 * more:.2g} mm more than the body, as grass and plants do: the "
+        f"base may lie above the soil by some {1e2 * COVER * more:.2g} cm, {sigma:.3g} m³ of sigma;"
+        " mow, give volume.base level or plane, or survey the empty site"
+    )
+    doubt = Verdict((Doubt("vegetation", words, more),))
+    volume = dataclasses.replace(volume, verdict=volume.verdict + doubt)
+    return with_line(volume, "vegetation", sigma**2)
+
+
+def scaled(volume: Volume, factor: float) -> Volume:
+    """The volume with the variances of what returns share larger by a factor."""
+    lines = {k: v if k in OWN else factor * v for k, v in volume.budget_m6.items()}
+    sigma = math.sqrt(sum(lines.values()))
+    more = sigma / volume.sigma_m3 if volume.sigma_m3 > 0.0 else 1.0
+    low, high = volume.sigma_tau_range_m3
+    return dataclasses.replace(
+        volume,
+        sigma_m3=sigma,
+        budget_m6=lines,
+        budget_within_m6={k: factor * v for k, v in volume.budget_within_m6.items()},
+        sigma_tau_range_m3=(more * low, more * high),
+    )
+
+
+def judged(
+    survey: SurveyedSurface, footing: Footing, part: F64, volume: Volume, parameters: Parameters
+) -> Volume:
+    """A body's volume with every line and doubt of the field; part (m,) m² of each triangle."""
+    nav, b = survey.sources.navigation, parameters.budget
+    scatter = patch_scatter(survey.patches, nav, b)
+    if scatter is not None:
+        agreement = pass_agreement(scatter, survey.patches, nav, b)
+        volume = with_passes(volume, agreement, parameters.volume.budget_check)
+        if agreement is None or not agreement.refuted:
+            volume = with_cover(survey, footing, volume, scatter, parameters)
+    volume = with_gaps(survey, footing, part, volume)
+    volume = with_base(survey, footing, part, volume, parameters.filter.radius_m)
+    tin = survey.tin
+    doubts = completeness_doubts(
+        tin, footing.base, footing.inside, survey.points.normal[tin.source], volume, parameters
+    )
+    return dataclasses.replace(volume, verdict=volume.verdict + Verdict(tuple(doubts)))

@@ -1,0 +1,232 @@
+"""Places inside the outline where nothing was seen: found by the length of the triangles that span
+them, bridged, and their volume told with its variance.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from ladar_volume.ground.polynomial import base_height
+from ladar_volume.math.kernels import kernel
+from ladar_volume.model.parameters import VolumeParameters
+from ladar_volume.model.records import F64, I64, Bool, Gap, Plane, Tin
+from ladar_volume.tin.full_tin import any_corner, footprint_areas, vertex_mask
+from ladar_volume.tin.relevant import edge_lengths
+from ladar_volume.uncertainty.ground_field import HALVINGS
+from ladar_volume.uncertainty.unseen_surface import CELLS, Seen, Unseen, unseen_surface
+from ladar_volume.volume.more_data import longest_edges
+from ladar_volume.volume.outline import components
+from ladar_volume.volume.polygon import areas_inside
+
+#: Triangles with an edge so many times the usual one span a gap, and parts of them with the area of
+#: a square of so many usual edges are one.
+GAP, LEAST = 4.0, 3.0
+#: Longest edge of a triangle from a body across an open gap, over the square root of its area.
+ACROSS = 0.5
+#: Gaps whose surface is looked at, the largest first; the others count with the mean variance of
+#: these per area squared.
+MOST = 6
+
+
+@dataclass(frozen=True)
+class Gaps:
+    """triangle : (m,) number of the gap each triangle spans, -1 for none · areas : (k,) m², the
+    largest gap first · usual_m : usual length of an edge
+    """
+
+    triangle: I64
+    areas: F64
+    usual_m: float
+
+    @property
+    def area_m2(self) -> float:
+        """Of all gaps."""
+        return float(self.areas.sum())
+
+
+@dataclass(frozen=True)
+class Bridged:
+    """What gaps do to a volume. more_m3 : what the surface over them has beyond the triangles that
+    span them · variance_m6 : of the whole · gaps : the largest first · unknown_m2 : of gaps of
+    whose surface nothing can be told
+    """
+
+    more_m3: float
+    variance_m6: float
+    gaps: tuple[Gap, ...]
+    unknown_m2: float
+
+
+def bridging(
+    tin: Tin, base: Plane, inside_m2: F64, polygon: F64 | None, p: VolumeParameters
+) -> Bool:
+    """Triangles (m,) that do not count for their long edges, but span a gap inside the outline.
+
+    In a polygon these are all that lie in it; without an outline those that are enclosed. Around
+    bodies they touch the outline (inside_m2 (m,)
+    > 0), and lie in its convex hull or have a corner on a body; where nothing that was seen
+    encloses the gap, such a corner counts if the triangle is short against the body.
+    """
+    out = np.zeros(len(tin.triangles), np.bool_)
+    left: Bool = ~tin.relevant
+    if not left.any():
+        return out
+    if polygon is not None:
+        whole = dataclasses.replace(tin, relevant=np.ones(len(left), np.bool_))
+        return left & (areas_inside(whole, polygon) > 0.0)
+    part = components(tin, left)
+    inside: Bool = inside_m2 > 0.0
+    beyond = np.where(tin.neighbours >= 0, inside[tin.neighbours], False)
+    beside: Bool = np.asarray(beyond.any(axis=1))
+    count = int(part.max()) + 1
+    touches = np.bincount(part[left], beside[left], count) > 0
+    outer = np.bincount(part[left], (tin.neighbours[left] < 0).any(axis=1), count) > 0
+    rows = np.flatnonzero(left)
+    if p.outline == "all":
+        out[rows] = ~outer[part[rows]]
+        return out
+    rows = rows[touches[part[rows]]]
+    if not len(rows):
+        return out
+    height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
+    body = vertex_mask(tin, inside) & (height > p.object_height_m)
+    near = within_hull(tin.vertices[vertex_mask(tin, inside), :2], tin, rows)
+    short = longest_edges(tin, rows) <= ACROSS * float(np.sqrt(inside_m2.sum()))
+    near |= any_corner(tin.triangles[rows], body) & (short | ~outer[part[rows]])
+    out[rows[near]] = True
+    return out
+
+
+def within_hull(xy: F64, tin: Tin, rows: I64) -> Bool:
+    """Which of triangles ``rows`` (k,) have their centroid in the convex hull of xy (n, 2)."""
+    try:
+        sides = ConvexHull(xy).equations
+    except QhullError:
+        return np.zeros(len(rows), np.bool_)
+    middle = tin.vertices[tin.triangles[rows], :2].mean(axis=1)
+    out: Bool = (middle @ sides[:, :2].T + sides[:, 2] <= 1e-9).all(axis=1)
+    return out
+
+
+def find_gaps(tin: Tin, inside_m2: F64) -> Gaps:
+    """The gaps of the triangles that count, with their area inside_m2 (m,) m²."""
+    inside = inside_m2 > 0.0
+    longest = edge_lengths(tin).max(axis=1)
+    usual = float(np.median(longest[inside])) if inside.any() else 0.0
+    wide = inside & (longest > GAP * usual)
+    number = np.full(len(inside), -1, np.int64)
+    if not wide.any():
+        return Gaps(number, np.zeros(0), usual)
+    part = components(tin, wide)
+    area: F64 = np.bincount(part[wide], inside_m2[wide]).astype(np.float64)
+    order = np.argsort(-area, kind="stable")
+    order = order[area[order] > (LEAST * usual) ** 2]
+    rank = np.full(len(area), -1, np.int64)
+    rank[order] = np.arange(len(order))
+    number[wide] = rank[part[wide]]
+    return Gaps(number, area[order], usual)
+
+
+@kernel
+def halves(corners: F64, side: float, out: F64) -> int:
+    """Triangles (k, 3, 3), each halved across its longest edge in plan until none is longer than
+    ``side``: x, y, z of the middle and the area of each part into ``out`` (n, 4); how many, which
+    may be more than n.
+    """
+    stack, count = np.empty((HALVINGS, 10)), 0
+    for t in range(len(corners)):
+        stack[0, :9] = corners[t].copy().reshape(9)
+        a, b, c = corners[t, 0], corners[t, 1], corners[t, 2]
+        stack[0, 9] = 0.5 * abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+        left = 1
+        while left > 0:
+            left -= 1
+            p, w = stack[left, :9].copy().reshape(3, 3), stack[left, 9]
+            best, at = 0.0, 0
+            for k in range(3):
+                d = (p[k, 0] - p[(k + 1) % 3, 0]) ** 2 + (p[k, 1] - p[(k + 1) % 3, 1]) ** 2
+                if d > best:
+                    best, at = d, k
+            if best <= side * side or left + 2 >= HALVINGS:
+                if count < len(out):
+                    for c3 in range(3):
+                        out[count, c3] = (p[0, c3] + p[1, c3] + p[2, c3]) / 3.0
+                    out[count, 3] = w
+                count += 1
+                continue
+            i, j, k = at, (at + 1) % 3, (at + 2) % 3
+            for c3 in range(3):
+                m = 0.5 * (p[i, c3] + p[j, c3])
+                stack[left, c3], stack[left, 3 + c3], stack[left, 6 + c3] = p[i, c3], m, p[k, c3]
+                stack[left + 1, c3], stack[left + 1, 3 + c3] = m, p[j, c3]
+                stack[left + 1, 6 + c3] = p[k, c3]
+            stack[left, 9] = stack[left + 1, 9] = 0.5 * w
+            left += 2
+    return count
+
+
+def places_of(corners: F64, share: F64) -> tuple[F64, F64, F64]:
+    """Places (k, 2) m all over triangles with corners (t, 3, 3), about :data:`CELLS` of them, their
+    areas (k,) m², of which a ``share`` (t,) counts, and the mean heights (k,) m of the triangles
+    there.
+    """
+    (ux, uy, _), (vx, vy, _) = ((corners[:, k] - corners[:, 0]).T for k in (1, 2))
+    area = 0.5 * np.abs(ux * vy - uy * vx)
+    side = float(np.sqrt((area * share).sum() / CELLS))
+    some = np.empty((16 * CELLS + 4 * len(corners), 4))
+    parts = []
+    for t in np.flatnonzero(share > 0.0):
+        count = halves(np.ascontiguousarray(corners[t : t + 1]), side, some)
+        own = some[: min(count, len(some))].copy()
+        own[:, 3] *= share[t]
+        parts.append(own)
+    made = np.concatenate(parts)
+    square = np.floor((made[:, :2] - made[:, :2].min(axis=0)) / side).astype(np.int64)
+    at = np.unique(square, axis=0, return_inverse=True)[1].reshape(-1)
+    weight: F64 = np.bincount(at, made[:, 3]).astype(np.float64)
+    x, y, z = (np.bincount(at, made[:, 3] * made[:, k]) / weight for k in range(3))
+    return np.column_stack([x, y]), weight, z
+
+
+def gap_of(
+    tin: Tin, base: Plane, gaps: Gaps, number: int, inside_m2: F64, seen: Seen
+) -> tuple[Gap, Unseen | None]:
+    """One gap with its surface above the base."""
+    rows = np.flatnonzero(gaps.triangle == number)
+    corners = tin.vertices[tin.triangles[rows]]
+    corners[:, :, 2] -= base_height(base, corners[:, :, :2].reshape(-1, 2)).reshape(-1, 3)
+    share = inside_m2[rows] / np.maximum(footprint_areas(tin.vertices, tin.triangles[rows]), 1e-300)
+    xy, weight, height = places_of(corners, np.clip(share, 0.0, 1.0))
+    d = np.asarray(seen.tree.query(xy)[0])
+    found = unseen_surface(seen, xy, weight, 0.8 * d, float(weight @ height))
+    x, y = ((weight @ xy) / weight.sum()).tolist()
+    size = np.ptp(tin.vertices[np.unique(tin.triangles[rows]), :2], axis=0)
+    more = 0.0 if found is None else found.volume_m3 - float(weight @ height)
+    sigma = float("nan") if found is None else found.variance_m6**0.5
+    return Gap(x, y, float(weight.sum()), float(size.max()), sigma, more), found
+
+
+def bridged(tin: Tin, base: Plane, inside_m2: F64, variance: F64, gaps: Gaps) -> Bridged:
+    """What the gaps do to the volume above the base. variance : (n,) m² of the vertex heights."""
+    if not len(gaps.areas):
+        return Bridged(0.0, 0.0, (), 0.0)
+    used = vertex_mask(tin, tin.relevant)
+    r = tin.vertices[used].copy()
+    r[:, 2] -= base_height(base, r[:, :2])
+    seen = Seen.of(r, variance[used], gaps.usual_m)
+    made, more, total, unknown = [], 0.0, 0.0, 0.0
+    for number in range(min(MOST, len(gaps.areas))):
+        gap, found = gap_of(tin, base, gaps, number, inside_m2, seen)
+        made.append(gap)
+        if found is None:
+            unknown += gap.area_m2
+            continue
+        more, total = more + gap.more_m3, total + found.variance_m6
+    # the variance of |h|³ in a gap of diameter d goes with d³ times its area²
+    size = gaps.areas**3.5
+    total *= float(size.sum() / size[:MOST].sum())
+    return Bridged(more, total, tuple(made), unknown)

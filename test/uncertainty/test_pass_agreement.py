@@ -1,0 +1,145 @@
+"""Residuals of patches against what the budget says of them."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from ladar_volume.model.errors import VolumeError
+from ladar_volume.model.parameters import BudgetParameters
+from ladar_volume.model.records import Agreement, Volume
+from ladar_volume.uncertainty.navigation_sum import NavigationBins
+from ladar_volume.uncertainty.pass_agreement import (
+    by_source,
+    cover_scatter,
+    dispersion,
+    pass_agreement,
+    patch_scatter,
+)
+from ladar_volume.volume.field_checks.field_verdict import scaled, with_passes
+from test.scenes.volume_surfaces import platform, surface_update
+
+BUDGET = BudgetParameters()
+
+
+def twice_seen(scatter_m=0.012):
+    """Patches seen in two time bins, 40 s apart, that scatter so much about their surface."""
+    update = surface_update(lambda x, y: 0.0 * x, noise=0.005)
+    one, m = update.patches, len(update.patches)
+    bins = np.stack([one.nav_bin, one.nav_bin + 40], axis=1).ravel()
+    return dataclasses.replace(
+        one,
+        sigma=np.full(m, scatter_m),
+        used=np.full(m, 100, np.int32),
+        nav_start=2 * np.arange(m + 1),
+        nav_bin=bins,
+        M_nav=np.repeat(0.5 * one.M_nav, 2, axis=0),
+    )
+
+
+def navigation(patches):
+    """Bins of a platform that turns round between the two passes."""
+    nav = NavigationBins(1.0)
+    there, back = platform(), platform()
+    t0 = int(there.t_ns[0])
+    high = np.tile([0.0, 0.0, 20.0], (len(there), 1))
+    turned = np.tile([0.0, 0.0, 1.0, 0.0], (len(back), 1))
+    late = there.t_ns >= t0 + 30 * 10**9
+    q = np.where(late[:, None], turned, there.q_map_body)
+    nav.add(dataclasses.replace(there, p_map_body=high, q_map_body=q))
+    return nav
+
+
+def test_dispersion_is_that_of_drawn_errors():
+    rng = np.random.default_rng(5)
+    t, shares = np.array([0.0, 3.0, 11.0, 30.0]), (0.2, 0.1, 20.0)
+    u = rng.normal(size=(4, 3))
+    apart = np.abs(t[:, None] - t)
+    C = 0.2 + 0.7 * np.exp(-apart / 20.0) + 0.1 * np.eye(4)
+    drawn = np.einsum("ij,njk->nik", np.linalg.cholesky(C), rng.normal(size=(200_000, 4, 3)))
+    effect = (drawn * u).sum(axis=2)
+    found = dispersion(np.array([0, 4]), t, u, shares)[0]
+    assert found == pytest.approx(effect.var(axis=1).mean(), rel=0.01)
+    same = np.tile(u[:1], (4, 1))  # a constant does the same to all passes: nothing is seen of it
+    assert dispersion(np.array([0, 4]), t, same, (1.0, 0.0, 1.0))[0] == pytest.approx(
+        0.0, abs=1e-12
+    )
+
+
+def test_a_boresight_is_seen_between_opposite_passes_and_a_lever_arm_up_is_not():
+    patches = twice_seen()
+    source = by_source(patches, np.arange(len(patches)), navigation(patches), BUDGET)
+    far = np.hypot(*patches.centre[:, :2].T)
+    # flown both ways, roll and pitch act the other way round: the whole effect is about the mean
+    x, y = patches.centre[:, :2].T
+    by_hand = (BUDGET.boresight_sigma_rad[0] * y) ** 2 + (BUDGET.boresight_sigma_rad[1] * x) ** 2
+    assert source["boresight"] == pytest.approx(by_hand, rel=1e-6, abs=1e-12)
+    assert source["lever_laser"].max() < 1e-9 and source["attitude"][far > 5.0].min() > 0.0
+    assert source["noise"].min() >= (0.99 * BUDGET.range_noise_m * 0.8) ** 2
+
+
+def agreement(patches, nav):
+    return pass_agreement(patch_scatter(patches, nav, BUDGET), patches, nav, BUDGET)
+
+
+def test_a_true_budget_stands_and_a_wrong_one_is_refuted():
+    patches = twice_seen()
+    nav = navigation(patches)
+    good = agreement(patches, nav)
+    assert not good.refuted and good.p_value > 0.05
+    assert good.predicted_m == pytest.approx(0.012, rel=0.35)
+    bad = agreement(twice_seen(0.080), nav)
+    assert bad.refuted and bad.p_value < 1e-3 and bad.factor > 25.0
+    assert patch_scatter(surface_update(lambda x, y: 0.0 * x).patches, nav, BUDGET) is None
+
+
+def test_ground_that_scatters_more_than_the_body_is_overgrown():
+    patches = twice_seen()
+    ground = patches.centre[:, 0] < 0.0
+    for scatter, least in ((0.012, 0.0), (0.025, 0.015)):
+        sigma = np.where(ground, scatter, 0.012)
+        made = dataclasses.replace(patches, sigma=sigma)
+        found = cover_scatter(patch_scatter(made, navigation(made), BUDGET), ground, ~ground)
+        assert (found == 0.0) if least == 0.0 else least < found < scatter
+
+
+LINES = {"noise": 0.01, "position": 0.04, "boresight": 0.09, "base_surface": 0.25}
+VOLUME = Volume(
+    volume_m3=100.0,
+    sigma_m3=math.sqrt(sum(LINES.values())),
+    confidence=0.95,
+    coverage_factor=1.96,
+    cut_m3=100.0,
+    fill_m3=0.0,
+    area_m2=50.0,
+    base="level",
+    base_same_survey=False,
+    centroid_map=(0.0, 0.0, 0.0),
+    budget_m6=LINES,
+    sigma_tau_range_m3=(0.5, 0.7),
+    sigma_naive_m3=0.1,
+    outline=np.zeros((0, 2)),
+    vertices=1,
+    triangles=1,
+    t_ns=0,
+)
+REFUTED = Agreement(0.08, 0.012, 9.0, 10.0, 1e-9, True)
+
+
+def test_a_refuted_budget_is_scaled_warned_of_or_refused():
+    v = with_passes(VOLUME, REFUTED, "scale")
+    assert v.budget_m6 == pytest.approx({**LINES, "position": 0.36, "boresight": 0.81})
+    assert v.sigma_m3**2 == pytest.approx(sum(v.budget_m6.values()))
+    low, high = v.sigma_tau_range_m3
+    assert low < v.sigma_m3 < high
+    (doubt,) = v.verdict.doubts
+    assert doubt.name == "budget" and "80 mm" in doubt.text and doubt.value == 9.0
+    warned = with_passes(VOLUME, REFUTED, "warn")
+    assert warned.sigma_m3 == VOLUME.sigma_m3 and not warned.verdict.sound
+    with pytest.raises(VolumeError, match="disagree"):
+        with_passes(VOLUME, REFUTED, "refuse")
+    true = dataclasses.replace(REFUTED, refuted=False)
+    assert with_passes(VOLUME, true, "scale").verdict.sound
+    assert with_passes(VOLUME, None, "scale") == VOLUME
+    assert scaled(VOLUME, 1.0).sigma_m3 == pytest.approx(VOLUME.sigma_m3)
