@@ -123,7 +123,6 @@ def folder(tmp_path, monkeypatch):
 RUN_HERE = {
     "info": "leo_cut",
     "check-config": "good",
-    "filter": "points out",
     "tin": "tin.ply",
     "volume CLOUD.las": '"net_m3"',
     "volume DESIGN.xml": "net volume",
@@ -135,6 +134,7 @@ RUN_HERE = {
 RUN_ELSEWHERE = {
     "replay bags/stockpile": "test/cli/test_replay.py",
     "replay bags/box": "test/cli/test_plan_verb.py",
+    "filter": "test/cli/test_filter_verb.py",
     "simulate": "test/cli/test_calibrate_strips.py",
     "body": "test/cli/test_body.py",
     "epochs": "test/cli/test_epochs_verb.py",

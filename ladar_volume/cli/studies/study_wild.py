@@ -5,12 +5,13 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
+from ladar_volume.cli.arguments.lines import Verbs
 
-def add_wild(studies: Any) -> None:
+
+def add_wild(studies: Verbs) -> None:
     """Declare the study."""
     parser = studies.add_parser(
         "wild",
