@@ -78,39 +78,102 @@ def test_no_command_is_refused_that_the_parser_should_refuse():
         parsed("ladar_volume volume CLOUD.las --levle 12.5")
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    """A folder with the clouds that the README names: a mound of 25 points per m² above z = 12.5."""
-    rng = np.random.default_rng(5)
+def mound(rng):
+    """25 points per m², a mound above z = 12.5."""
     xy = rng.uniform(0.0, 10.0, (2500, 2))
     height = 12.0 + 2.0 * np.exp(-((xy - 5.0) ** 2).sum(axis=1) / 8.0)
-    r = np.column_stack([xy, height + rng.normal(0.0, 0.01, len(xy))])
+    return np.column_stack([xy, height + rng.normal(0.0, 0.01, len(xy))])
+
+
+def pit(rng, depth_m):
+    """Level ground of 8 m with a pit of 1 m radius in its middle."""
+    xy = rng.uniform(-4.0, 4.0, (4000, 2))
+    z = -depth_m * np.exp(-(xy**2).sum(axis=1))
+    return np.column_stack([xy, z + rng.normal(0.0, 0.004, len(xy))])
+
+
+def spheres(rng, shift):
+    """Points on four spheres of 0.1 m, and their numbers."""
+    centres = np.array([[0.0, 0, 0], [8, 1, 0.5], [3, 7, 1], [-4, 5, 0.3]]) + shift
+    u = rng.standard_normal((4, 60, 3))
+    u *= (0.1 + rng.normal(0.0, 0.002, (4, 60, 1))) / np.linalg.norm(u, axis=2, keepdims=True)
+    return (centres[:, None] + u).reshape(-1, 3), {"sphere": np.repeat(np.arange(4), 60)}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder with the files that the README names."""
+    rng = np.random.default_rng(5)
+    r = mound(rng)
     for cloud in ("CLOUD.ply", "CLOUD.las"):
         write_cloud(tmp_path / cloud, r, {})
+    write_cloud(tmp_path / "A.ply", pit(rng, 0.0), {})
+    write_cloud(tmp_path / "B.ply", pit(rng, 1.0), {})
+    for name, shift in (("A.csv", 0.0), ("B.csv", [3.0, -2.0, 0.5])):
+        write_cloud(tmp_path / name, *spheres(rng, shift))
+    road = (ROOT / "test" / "data" / "road_crop.xml").read_text(encoding="utf-8")
+    one = re.sub(r'<Surface name="Lowest">.*?</Surface>', "", road, flags=re.DOTALL)
+    (tmp_path / "DESIGN.xml").write_text(one, encoding="utf-8")
     (tmp_path / "bags").symlink_to(ROOT / "bags")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
-SHORT = {
+#: Commands of the README that are run here as they stand, and what they say.
+RUN_HERE = {
     "info": "leo_cut",
     "check-config": "good",
     "tin": "tin.ply",
-    "volume": '"net_m3"',
+    "volume CLOUD.las": '"net_m3"',
+    "volume DESIGN.xml": "net volume",
+    "diff": "taken away",
+    "register": '"matrix"',
     "study stockpile": "Table 2",
 }
+#: The others take longer as they stand. Where each verb is run with less.
+RUN_ELSEWHERE = {
+    "replay bags/stockpile": "test/cli/test_replay.py",
+    "replay bags/box": "test/cli/test_plan_verb.py",
+    "filter": "test/cli/test_filter_verb.py",
+    "simulate": "test/cli/test_calibrate_strips.py",
+    "body": "test/cli/test_body.py",
+    "epochs": "test/cli/test_epochs_verb.py",
+    "calibrate strips": "test/cli/test_calibrate_strips.py",
+    "plan": "test/cli/test_plan_verb.py",
+    "study nist": "test/experiments/test_nist.py",
+    "study coverage": "test/experiments/test_coverage.py",
+    "study landfill": "test/experiments/test_landfill.py",
+    "study thesis": "test/experiments/test_thesis.py",
+    "up": "test/nodes/test_graph.py",
+}
+OF_README = [c for p, c in COMMANDS if p == PAGES[0]]
 
 
-@pytest.mark.parametrize("start", SHORT)
+def starts(command):
+    """The entries of both tables that a command of the README begins with."""
+    words = command.split()[1:]
+    return [s for s in (*RUN_HERE, *RUN_ELSEWHERE) if words[: len(s.split())] == s.split()]
+
+
+@pytest.mark.parametrize("command", OF_README)
+def test_every_command_of_the_readme_is_run_by_a_test(command):
+    (start,) = starts(command)
+    if start in RUN_ELSEWHERE:
+        text = (ROOT / RUN_ELSEWHERE[start]).read_text(encoding="utf-8")
+        called = [w for w in start.split() if "/" not in w]
+        assert all(f'"{word}"' in text for word in called), start
+        assert "main(" in text or "ladar_volume.cli.main" in text
+
+
+def test_every_entry_is_a_command_of_the_readme():
+    assert {s for c in OF_README for s in starts(c)} == {*RUN_HERE, *RUN_ELSEWHERE}
+
+
+@pytest.mark.parametrize("start", RUN_HERE)
 def test_short_commands_of_the_readme_run(start, folder, capsys):
-    command, *_ = [
-        c
-        for p, c in COMMANDS
-        if (p == PAGES[0] and c.startswith(f"ladar_volume {start} "))
-        or (p == PAGES[0] and c == f"ladar_volume {start}")
-    ]
+    command, *_ = [c for c in OF_README if start in starts(c)]
     assert main(shlex.split(command)[1:]) == 0
-    assert SHORT[start] in capsys.readouterr().out
+    assert RUN_HERE[start] in capsys.readouterr().out
 
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")

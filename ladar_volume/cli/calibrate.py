@@ -151,13 +151,13 @@ def _sections(
     found: dict[str, Statistics], use: str, base: Parameters, boresight: F64
 ) -> dict[str, dict[str, Any]]:
     """What changes in the parameter file: the sigmas, and with a mean the constants themselves."""
-    outside = base.write()
+    keys = base.write()
     budget: dict[str, Any] = {}
     constants: dict[str, Any] = {}
     for name, each in found.items():
         key, axis = COLUMNS[name]
-        _put(budget, outside["budget"], key, axis, each.budget_sigma(use))
-        _put(constants, outside["calibration"], VALUES[key], axis, each.mean(use))
+        _set_component(budget, keys["budget"], key, axis, each.budget_sigma(use))
+        _set_component(constants, keys["calibration"], VALUES[key], axis, each.mean(use))
     if "boresight_correction_deg" in constants:
         c = base.calibration
         turned = exp_so3(np.radians(constants["boresight_correction_deg"])) @ boresight
@@ -168,7 +168,9 @@ def _sections(
     return {"budget": budget} if use == "single" else {"calibration": constants, "budget": budget}
 
 
-def _put(into: dict[str, Any], base: dict[str, Any], key: str, axis: int, value: float) -> None:
+def _set_component(
+    into: dict[str, Any], base: dict[str, Any], key: str, axis: int, value: float
+) -> None:
     if axis < 0:
         into[key] = value
     else:

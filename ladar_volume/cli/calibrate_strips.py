@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     with console.status("adjusting"):
         prior = calibration_covariance(parameters.budget, g.beams, g.pose_source)
         found = calibrate(recorded, parameters.budget, prior, StripOptions(edge_m=arguments.edge))
-    corrected = recalibrated(found, parameters)
+    corrected = calibrated_parameters(found, parameters)
     if arguments.output is not None:
         write_calibration(arguments.output, corrected, arguments.bag.name)
     if arguments.json:
@@ -102,10 +102,10 @@ def read_flight(
         add[role](record)
         fixes += role in ("fix", "odometry")
         if role == "cloud":
-            kept += [_some(points, each, rng) for points in stage.take_points()]
+            kept += [_random_subset(points, each, rng) for points in stage.take_points()]
             progress(share)
     stage.finish()
-    kept += [_some(points, each, rng) for points in stage.take_points()]
+    kept += [_random_subset(points, each, rng) for points in stage.take_points()]
     states = stage.take_platform()
     if states is None or len(states) < 2 or not kept:
         lost = ", ".join(f"{reason} {count}" for reason, count in stage.losses.items())
@@ -117,7 +117,7 @@ def read_flight(
     return flight(concatenate(kept), states, stage.mount, fixes / seconds)
 
 
-def _some(points: MappedPoints, most: int, rng: np.random.Generator) -> MappedPoints:
+def _random_subset(points: MappedPoints, most: int, rng: np.random.Generator) -> MappedPoints:
     return (
         points
         if len(points) <= most
@@ -125,7 +125,7 @@ def _some(points: MappedPoints, most: int, rng: np.random.Generator) -> MappedPo
     )
 
 
-def recalibrated(found: StripCalibration, parameters: Parameters) -> Parameters:
+def calibrated_parameters(found: StripCalibration, parameters: Parameters) -> Parameters:
     """The parameters with corrected constants, their sigmas and all correlations."""
     c, sigma = parameters.calibration, np.sqrt(np.diag(found.C_cal))
     mount = turned(mounting(c), found.theta)
@@ -160,7 +160,7 @@ def recalibrated(found: StripCalibration, parameters: Parameters) -> Parameters:
     )
 
 
-def outside(k: int) -> tuple[float, str]:
+def display_unit(k: int) -> tuple[float, str]:
     """Factor and unit in which column k is shown: degrees, millimetres, milliseconds."""
     name = CAL_COLUMNS[k]
     return (
@@ -245,7 +245,7 @@ def constant_table(found: StripCalibration) -> Table:
         "constant", "correction", "sigma", "prior sigma", "unit", "", box=None, pad_edge=False
     )
     for k in CORRECTED:
-        factor, unit = outside(int(k))
+        factor, unit = display_unit(int(k))
         after, before = (float(np.sqrt(C[k, k])) * factor for C in (found.posterior, found.prior))
         table.add_row(
             found.names[k].replace("_", " "),

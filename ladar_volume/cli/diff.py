@@ -96,7 +96,7 @@ def run(arguments: argparse.Namespace) -> int:
         {"path": p.path.name, **cloud_facts_of(p.cloud)} for p in (a, b) if p.cloud is not None
     ]
     if arguments.mass is not None:
-        facts["density"] = weighed(arguments, facts)
+        facts["density"] = density_facts(arguments, facts)
     if arguments.json:
         print(json_text(facts), end="")
     else:
@@ -113,7 +113,7 @@ def show_files(console: Console, facts: dict[str, Any]) -> None:
     console.print(table)
 
 
-def weighed(arguments: argparse.Namespace, facts: dict[str, Any]) -> dict[str, Any]:
+def density_facts(arguments: argparse.Namespace, facts: dict[str, Any]) -> dict[str, Any]:
     """Density of what was taken away. Raises :class:`ConfigurationError` where the volume has no
     sigma.
     """

@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Read both surveys, compare, print, write the output folder."""
     console = Console(stderr=arguments.json)
     with output_set(arguments.output, FILES) as folder:
-        facts = _compared_files(arguments, folder, console)
+        facts = _compare_files(arguments, folder, console)
     if arguments.json:
         print(results.json_text(facts), end="")
     else:
@@ -52,24 +52,22 @@ def run(arguments: argparse.Namespace) -> int:
     return exit_code(arguments, facts["verdict"])
 
 
-def _compared_files(
-    arguments: argparse.Namespace, folder: Path, console: Console
-) -> dict[str, Any]:
+def _compare_files(arguments: argparse.Namespace, folder: Path, console: Console) -> dict[str, Any]:
     """Read, compare and write; returns what was found."""
     corners, stable = plan_of(arguments.polygon), plan_of(arguments.stable)
     separate = CALIBRATION_GROUPS if "all" in arguments.separate else tuple(arguments.separate)
     with console.status("reading") as status:
         previous, new = read_survey(arguments.previous), read_survey(arguments.new)
-        later = laid_on(new, previous, arguments.transform)
+        later = in_previous_frame(new, previous, arguments.transform)
         status.update("comparing")
-        found = compared(later, previous.epoch, separate, corners, stable)
-        verdict = epoch_verdict(found.ground) + inherited(previous, new, arguments.transform)
+        found = compare_epochs(later, previous.epoch, separate, corners, stable)
+        verdict = epoch_verdict(found.ground) + input_verdict(previous, new, arguments.transform)
     facts = {
-        **epoch_dict(found.difference, found.threshold, separate),
+        **difference_facts(found.difference, found.threshold, separate),
         "stable_ground": dataclasses.asdict(found.ground) | {"effect_m3": found.ground.effect_m3},
         "verdict": verdict.as_dict(),
-        "previous": source_of(previous),
-        "new": source_of(new),
+        "previous": survey_facts(previous),
+        "new": survey_facts(new),
         "frame": frame_words(later, arguments.transform),
         "version": version(),
     }
@@ -104,7 +102,7 @@ def plan_of(corners: list[str] | None) -> F64 | None:
     return None if given is None else given[:, :2]
 
 
-def inherited(previous: Survey, new: Survey, transform: Path | None) -> Verdict:
+def input_verdict(previous: Survey, new: Survey, transform: Path | None) -> Verdict:
     """What the surveys' own verdicts and that of the transform say."""
     out = Verdict() if transform is None else read_transform_verdict(transform)
     for name, survey in (("previous", previous), ("new", new)):
@@ -116,7 +114,7 @@ def inherited(previous: Survey, new: Survey, transform: Path | None) -> Verdict:
     return out
 
 
-def laid_on(new: Survey, previous: Survey, transform: Path | None) -> Epoch:
+def in_previous_frame(new: Survey, previous: Survey, transform: Path | None) -> Epoch:
     """The new survey in the frame of the previous one. Raises :class:`ConfigurationError` where it
     is not known how the frames lie.
     """
@@ -148,7 +146,7 @@ class Comparison:
     ground: StableGround
 
 
-def compared(
+def compare_epochs(
     new: Epoch,
     previous: Epoch,
     separate: Collection[str],
@@ -164,7 +162,7 @@ def compared(
     return Comparison(with_stable_ground(found, ground), change, kept, ground)
 
 
-def epoch_dict(
+def difference_facts(
     found: EpochDifference, kept: Thresholded, separate: Collection[str]
 ) -> dict[str, Any]:
     """The comparison as plain values."""
@@ -175,7 +173,7 @@ def epoch_dict(
     }
 
 
-def source_of(survey: Survey) -> dict[str, Any]:
+def survey_facts(survey: Survey) -> dict[str, Any]:
     """Where a survey came from."""
     return {
         "path": str(survey.path),

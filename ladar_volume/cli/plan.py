@@ -31,7 +31,7 @@ def parameters_of(arguments: argparse.Namespace) -> Parameters:
     """
     from ladar_volume.georeference.error_budget import PRESETS
     from ladar_volume.model.errors import ParameterValueError
-    from ladar_volume.planning.sensor_choice import equipped
+    from ladar_volume.planning.sensor_choice import with_sensors
     from ladar_volume.simulation.suited_parameters import SUITED
 
     if arguments.config is None:
@@ -49,11 +49,11 @@ def parameters_of(arguments: argparse.Namespace) -> Parameters:
             )
         parameters = dataclasses.replace(parameters, budget=PRESETS[arguments.budget])
     return read_config(
-        None, arguments.set, start=equipped(parameters, arguments.scanner, arguments.imu)
+        None, arguments.set, start=with_sensors(parameters, arguments.scanner, arguments.imu)
     )
 
 
-def flown(
+def planned_path(
     arguments: argparse.Namespace, length_m: float, width_m: float
 ) -> Callable[[float], PlatformStates]:
     """The path for a height."""
@@ -61,7 +61,7 @@ def flown(
 
     length = length_m + 20.0 if arguments.length is None else arguments.length
     if arguments.eight is not None:
-        return lambda height: eight(length / 2.0, height, arguments.eight)
+        return lambda height: figure_eight(length / 2.0, height, arguments.eight)
     spacing = width_m / max(arguments.lanes, 1) if arguments.spacing is None else arguments.spacing
     return lambda height: Lanes(
         height,
@@ -75,7 +75,7 @@ def flown(
     ).states()
 
 
-def eight(
+def figure_eight(
     extent_m: float, height_m: float, duration_s: float, rate_hz: float = 100.0
 ) -> PlatformStates:
     """States of the simulation's figure of eight, which banks in its turns."""
@@ -106,14 +106,14 @@ def run(arguments: argparse.Namespace) -> int:
     console = Console(stderr=arguments.json)
     parameters = parameters_of(arguments)
     pile, scanner = pile_of(arguments), scanner_of(arguments)
-    path = flown(arguments, pile.length_m, pile.width_m)
+    path = planned_path(arguments, pile.length_m, pile.width_m)
     plan = Plan(pile, path(arguments.height), scanner, parameters, arguments.seed)
     with console.status("sampling the planned flight") as status:
         facts = prediction_facts(plan, predict(plan), arguments.height)
         if arguments.compare:
-            facts["sensors"] = compared_sensors(plan, status.update)
+            facts["sensors"] = compare_sensors(plan, status.update)
         if arguments.wanted is not None:
-            facts |= compared_heights(plan, path, arguments.wanted, status.update)
+            facts |= compare_heights(plan, path, arguments.wanted, status.update)
     if arguments.json:
         print(json_text(facts), end="")
     else:
@@ -160,18 +160,18 @@ def prediction_facts(plan: Plan, prediction: Prediction, height_m: float) -> dic
     }
 
 
-def compared_sensors(plan: Plan, progress: Callable[[str], None]) -> list[dict[str, Any]]:
+def compare_sensors(plan: Plan, progress: Callable[[str], None]) -> list[dict[str, Any]]:
     """Every scanner with every IMU."""
     from ladar_volume.planning.sensor_choice import compare
 
     rows = []
     for choice in compare(plan):
         progress(f"compared: {choice.name}")
-        rows.append(choice_dict(choice))
+        rows.append(choice_facts(choice))
     return rows
 
 
-def compared_heights(
+def compare_heights(
     plan: Plan,
     path: Callable[[float], PlatformStates],
     wanted: float,
@@ -183,7 +183,7 @@ def compared_heights(
     heights, rows = height_steps(plan), []
     for choice in over_heights(plan, path, heights):
         progress(f"height: {choice.name} m")
-        rows.append(choice_dict(choice))
+        rows.append(choice_facts(choice))
     shares = np.array([math.nan if r["sigma_share"] is None else r["sigma_share"] for r in rows])
     return {
         "heights": rows,
@@ -192,7 +192,7 @@ def compared_heights(
     }
 
 
-def choice_dict(choice: Choice) -> dict[str, Any]:
+def choice_facts(choice: Choice) -> dict[str, Any]:
     """One alternative as plain values."""
     p = choice.prediction
     return {

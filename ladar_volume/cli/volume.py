@@ -198,7 +198,7 @@ def run(arguments: argparse.Namespace) -> int:
         task = VolumeTask(arguments, parameters, base, options, levels, frame, correct)
         surfaces = make_surfaces(task, sources, status.update)
         status.update("cut and fill")
-        facts, volume = computed(task, surfaces)
+        facts, volume = compute_volume(task, surfaces)
         if any(len(s.strays) for s in surfaces):
             status.update("the same with the points that were left out")
         clean = stray_facts(task, sources, surfaces, volume)
@@ -246,7 +246,9 @@ def point_count(sources: list[Source], surfaces: list[CloudSurface]) -> int:
     return sum(len(s.cloud.r) for s in sources) - sum(s.copies for s in surfaces)
 
 
-def computed(task: VolumeTask, surfaces: list[CloudSurface]) -> tuple[dict[str, Any], CloudVolume]:
+def compute_volume(
+    task: VolumeTask, surfaces: list[CloudSurface]
+) -> tuple[dict[str, Any], CloudVolume]:
     """The volume with its verdict, and where levels are asked for the sequence with its floors."""
     found = named_base(task, cut_and_fill(in_frame(task, surfaces), surfaces))
     areas = [area_counted(s, m) for s, m in zip(surfaces, found.counted, strict=True)]

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ladar_volume.georeference.error_budget import (
     PRESETS,
@@ -90,7 +91,7 @@ READINGS = (
 )
 
 
-def point_sigmas(budget: BudgetParameters, beam: Any, range_m: float) -> F64:
+def point_sigmas(budget: BudgetParameters, beam: npt.ArrayLike, range_m: float) -> F64:
     """Standard deviations (3,) m of one point on a level platform with body axes along the map's:
     beam (3,) unit, range m.
     """

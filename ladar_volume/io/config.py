@@ -163,7 +163,8 @@ def parameters_markdown() -> str:
     lines += [
         "# Parameters of the filters of point cloud files",
         "",
-        "From the command line, `ladar_volume filter --set filter.KEY=VALUE`, not from a file.",
+        "From the command line, `ladar_volume filter CLOUD -o OUT --set filter.KEY=VALUE`, "
+        "not from a file.",
         "",
     ]
     for order, kind in FILTERS.items():

@@ -345,8 +345,8 @@ class VolumeParameters:
     plane: tuple[float, ...] = param(
         (0.0, 0.0, 0.0),
         "The given plane z = c0 + c1 x + c2 y in the map frame.",
-        low=-1e5,
-        high=1e5,
+        low=-1e9,
+        high=1e9,
         vector=3,
     )
     outline: str = param(

@@ -42,7 +42,7 @@ IMUS: dict[str, BudgetParameters] = {
 }
 
 
-def equipped(
+def with_sensors(
     parameters: Parameters, scanner: str | None = None, imu: str | None = None
 ) -> Parameters:
     """The parameters with the budget of a scanner and an IMU by name; None leaves what is there.
@@ -74,7 +74,7 @@ class Choice:
     reason: str = ""
 
 
-def tried(name: str, plan: Plan) -> Choice:
+def predicted_choice(name: str, plan: Plan) -> Choice:
     """The prediction of a plan, or why there is none."""
     try:
         return Choice(name, predict(plan))
@@ -86,8 +86,8 @@ def compare(plan: Plan) -> Iterator[Choice]:
     """Every scanner with every IMU on the same path, one after the other."""
     for scanner, (device, _) in SCANNERS.items():
         for imu in IMUS:
-            parameters = equipped(plan.parameters, scanner, imu)
-            yield tried(
+            parameters = with_sensors(plan.parameters, scanner, imu)
+            yield predicted_choice(
                 f"{scanner} + {imu}",
                 dataclasses.replace(plan, scanner=device, parameters=parameters),
             )
@@ -98,7 +98,7 @@ def over_heights(
 ) -> Iterator[Choice]:
     """The same survey from other heights (m); ``path`` gives the states for one."""
     for height in heights_m:
-        yield tried(f"{height:.1f}", dataclasses.replace(plan, path=path(height)))
+        yield predicted_choice(f"{height:.1f}", dataclasses.replace(plan, path=path(height)))
 
 
 def height_steps(plan: Plan, steps: int = 8) -> F64:

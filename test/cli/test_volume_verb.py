@@ -377,7 +377,7 @@ def test_wrong_words_are_one_line(save, tmp_path, capsys):
         ([cloud, "--level", 0, "--vertices", 1.5], "whole number"),
         ([cloud, "--level", 0, "--vertices", 0], "whole number"),
         ([cloud, "--level", 0, "--relevant", "edge"], "go together"),
-        ([cloud, "--level", 0, "--max-edge", 1e-6], "no relevant triangle"),
+        ([cloud, "--level", 0, "--max-edge", 1e-3], "no relevant triangle"),
         ([cloud, "--level", 0, "--sigma", -1], "0 or more"),
         ([cloud, "--level", 0, "--window", 50, 50, 60, 60], "three points, there are 0"),
         ([cloud, "--level", 0, "--set", "filter.radius_m=1"], "'volume' and 'ground'"),

@@ -18,10 +18,10 @@ from ladar_volume.planning.planned_scene import Pile
 from ladar_volume.planning.prediction import Plan, Scanner, cast, predict, with_budget
 from ladar_volume.planning.sensor_choice import (
     compare,
-    equipped,
     height_steps,
     highest,
     over_heights,
+    with_sensors,
 )
 
 QUIET = {
@@ -202,9 +202,9 @@ def test_sensors_compared():
             found[f"{scanner} + {imu}"].volume.sigma_m3 for imu in ("survey", "tactical", "mems")
         ]
         assert sigma == sorted(sigma)
-    assert equipped(base.parameters).budget == base.parameters.budget
+    assert with_sensors(base.parameters).budget == base.parameters.budget
     with pytest.raises(VolumeError) as caught:
-        equipped(base.parameters, imu="best")
+        with_sensors(base.parameters, imu="best")
     assert caught.value.reason == "plan_sensor" and "tactical" in str(caught.value)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ladar_volume.cli.arguments.diff_input import MOST
+from ladar_volume.cli.arguments.parameter_flags import add_parameter
 from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
@@ -116,9 +117,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         action="store_true",
         help="the points lie on the surface already; a column 'normal' is used",
     )
-    g.add_argument(
-        "--radius", type=float, metavar="R", help="radius of the filter (default: from the cloud)"
-    )
+    add_parameter(g, "--radius", "filter.radius_m", metavar="R", more="default: from the cloud")
     g.add_argument(
         "--seed",
         type=int,

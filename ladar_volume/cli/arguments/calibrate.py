@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ladar_volume.cli.arguments import calibrate_strips
 from ladar_volume.cli.arguments.lines import Verbs
+from ladar_volume.cli.arguments.parameter_flags import add_parameter, spec_of
 from ladar_volume.cli.arguments.work import work
 from ladar_volume.model.choices import USES
 
@@ -52,8 +53,13 @@ def add_parser(subparsers: Verbs) -> None:
         "mountings after the sensor was put on anew and not calibrated; with the last "
         "two the mean is written too",
     )
-    repeats.add_argument(
-        "--confidence", type=float, default=0.95, help="of the printed intervals (default 0.95)"
+    confidence = spec_of("volume.confidence").default
+    add_parameter(
+        repeats,
+        "--confidence",
+        "volume.confidence",
+        default=confidence,
+        more=f"default {confidence}",
     )
     add_output(repeats)
     repeats.set_defaults(run=work("ladar_volume.cli.calibrate", "run_repeats"))

@@ -10,9 +10,9 @@ import numpy as np
 
 from ladar_volume.cli.arguments.diff_input import point
 from ladar_volume.cli.arguments.lines import Verbs
+from ladar_volume.cli.arguments.parameter_flags import number
 from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.cli.arguments.strict import add_strict_option
-from ladar_volume.cli.arguments.surface_options import number
 from ladar_volume.cli.arguments.work import work
 from ladar_volume.model.choices import CORRECTIONS
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
+from ladar_volume.cli.arguments.lines import Verbs
+from ladar_volume.cli.arguments.parameter_flags import add_parameter
 from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
@@ -13,7 +14,7 @@ from ladar_volume.io.endings import ENCODINGS
 from ladar_volume.model.choices import KEEPABLE
 
 
-def add_parser(subparsers: Any) -> None:
+def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
     kinds = " ".join(ENCODINGS)
     parser = subparsers.add_parser(
@@ -32,10 +33,8 @@ def add_parser(subparsers: Any) -> None:
         metavar="OUT",
         help="filtered points with normal, sigma and input index",
     )
-    parser.add_argument(
-        "--radius", type=float, metavar="R", help="range r in m; fits reach over 2 r"
-    )
-    parser.add_argument("--degree", type=int, choices=(1, 2), help="degree of the local surfaces")
+    add_parameter(parser, "--radius", "filter.radius_m", metavar="R", more="fits reach over 2 r")
+    add_parameter(parser, "--degree", "filter.degree", metavar="{1,2}")
     parser.add_argument("--preset", choices=sorted(PRESETS), help="published settings")
     parser.add_argument(
         "--auto",

@@ -1,4 +1,6 @@
-"""Options of how point clouds are read: ``--crs``, ``--units``, ``--classes``."""
+"""Options of how files are read: ``--crs``, ``--units``, ``--classes``; of meshes ``--no-faces``,
+``--surface``.
+"""
 
 from __future__ import annotations
 
@@ -25,3 +27,16 @@ def add_reading_options(parser: argparse.ArgumentParser) -> None:
         metavar="N,N|all",
         help="classes that count (default: all but noise, 7 and 18, and withheld points)",
     )
+
+
+def add_mesh_options(parser: argparse.ArgumentParser, second: bool = False) -> None:
+    """Declare the options of mesh files; ``second``: of a second one too."""
+    g = parser.add_argument_group("mesh files (PLY with faces, OBJ, STL, OFF, LandXML)")
+    g.add_argument(
+        "--no-faces",
+        action="store_true",
+        help="take the vertices for a point cloud; else the faces are the surface",
+    )
+    g.add_argument("--surface", metavar="NAME", help="which surface of a LandXML with several")
+    if second:
+        g.add_argument("--surface-b", metavar="NAME", help="the same for the second file")

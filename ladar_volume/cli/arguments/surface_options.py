@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import math
 import re
 
+from ladar_volume.cli.arguments.parameter_flags import add_parameter, number, spec_of
 from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.model.choices import ADJUST, CLEAN, CRITERIA, MEASURES
 
-#: Ways to choose relevant triangles on the command line.
-RELEVANT = ("sampled", "all", "corners", "edge", "circumcircle")
-
-
-def number(text: str) -> float:
-    """A finite number from the command line."""
-    value = float(text)
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text} is not a finite number")
-    return value
+#: Ways to choose relevant triangles on the command line: those of the parameter, and where points
+#: were measured.
+RELEVANT = ("sampled", *(spec_of("volume.relevant").choices or ()))
 
 
 def add_surface_options(parser: argparse.ArgumentParser, default_vertices: str) -> None:
@@ -114,23 +107,16 @@ def _add_heights(g: argparse._ArgumentGroup) -> None:
 
 def _add_relevant(g: argparse._ArgumentGroup) -> None:
     """Which triangles count, and the boundary about them."""
-    g.add_argument(
+    add_parameter(
+        g,
         "--relevant",
+        "volume.relevant",
         choices=RELEVANT,
-        help=(
-            "which triangles count (default sampled: where points were measured, open notches and "
-            "gaps left out; corners: up to the convex hull)"
-        ),
+        more="default sampled: where points were measured, open notches and gaps left out; "
+        "corners: up to the convex hull",
     )
-    g.add_argument(
-        "--max-edge", type=number, metavar="M", help="longest edge of a relevant triangle"
-    )
-    g.add_argument(
-        "--max-circle",
-        type=number,
-        metavar="M",
-        help="widest circumcircle of a relevant triangle, diameter",
-    )
+    add_parameter(g, "--max-edge", "volume.max_edge_m")
+    add_parameter(g, "--max-circle", "volume.max_circumdiameter_m")
     g.add_argument(
         "--max-ear",
         type=number,

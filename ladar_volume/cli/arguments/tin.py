@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ladar_volume.cli.arguments.lines import Verbs
-from ladar_volume.cli.arguments.mesh_options import add_mesh_options
+from ladar_volume.cli.arguments.reading import add_mesh_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.surface_options import add_surface_options
 from ladar_volume.cli.arguments.work import work

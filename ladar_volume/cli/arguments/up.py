@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from ladar_volume.cli.arguments.lines import Verbs
+from ladar_volume.cli.arguments.parameter_flags import add_parameter
 from ladar_volume.cli.arguments.replay import add_common
 from ladar_volume.cli.arguments.work import work
 
@@ -23,10 +24,8 @@ def add_parser(subparsers: Verbs) -> None:
     parser.add_argument(
         "--separate", action="store_true", help="every node in a process of its own"
     )
-    parser.add_argument(
-        "--mavlink",
-        metavar="URL",
-        help="autopilot to take poses from: udpin:HOST:PORT, serial:DEVICE:BAUD, a .tlog",
+    add_parameter(
+        parser, "--mavlink", "mavlink.url", metavar="URL", more="poses then come from the autopilot"
     )
     parser.add_argument("--log", type=Path, help="MCAP file to log all topics to")
     parser.add_argument(

@@ -6,11 +6,15 @@ import argparse
 from pathlib import Path
 
 from ladar_volume.cli.arguments.lines import Verbs
-from ladar_volume.cli.arguments.mesh_options import add_mesh_options
+from ladar_volume.cli.arguments.parameter_flags import add_parameter, number, spec_of
+from ladar_volume.cli.arguments.reading import add_mesh_options
 from ladar_volume.cli.arguments.strict import add_strict_option
-from ladar_volume.cli.arguments.surface_options import add_surface_options, number
+from ladar_volume.cli.arguments.surface_options import add_surface_options
 from ladar_volume.cli.arguments.work import work
 from ladar_volume.io.endings import ENCODINGS, READ_ENDINGS
+
+#: Bases on the command line: those of the parameter, and the floor of a sequence of levels.
+BASES = (*(spec_of("volume.base").choices or ()), "floor")
 
 
 def add_parser(subparsers: Verbs) -> None:
@@ -42,22 +46,9 @@ def add_parser(subparsers: Verbs) -> None:
 
 def _add_bases(g: argparse._ArgumentGroup) -> None:
     """Above what the volume is."""
-    g.add_argument("--level", type=number, metavar="Z", help="above this height")
-    g.add_argument(
-        "--base",
-        choices=("level", "plane", "ground", "floor"),
-        help=(
-            "level (--level), plane (--plane), ground of the same cloud, or the floor that "
-            "--levels shows"
-        ),
-    )
-    g.add_argument(
-        "--plane",
-        type=number,
-        nargs=3,
-        metavar=("C0", "C1", "C2"),
-        help="above the plane z = C0 + C1 x + C2 y",
-    )
+    add_parameter(g, "--level", "volume.level_m", metavar="Z")
+    add_parameter(g, "--base", "volume.base", choices=BASES, more="floor: the one --levels shows")
+    add_parameter(g, "--plane", "volume.plane", metavar=("C0", "C1", "C2"))
     g.add_argument(
         "--levels",
         type=number,
@@ -69,10 +60,12 @@ def _add_bases(g: argparse._ArgumentGroup) -> None:
 
 def _add_counting(g: argparse._ArgumentGroup) -> None:
     """Where the volume counts, how accurate it is, and other parameters."""
-    g.add_argument(
+    add_parameter(
+        g,
         "--outline",
+        "volume.outline",
         choices=("auto", "all"),
-        help="where the volume counts: the main body (default for ground), or everywhere",
+        more="default auto above the ground, else all; a polygon with --set volume.outline=polygon",
     )
     g.add_argument(
         "--footprint",

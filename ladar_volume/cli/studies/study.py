@@ -12,7 +12,7 @@ from rich.table import Table
 from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.studies.study_bodies import add_studies
 from ladar_volume.cli.studies.study_coverage import add_coverage
-from ladar_volume.cli.studies.study_record import add_outputs, carry_out
+from ladar_volume.cli.studies.study_record import add_outputs, run_study
 from ladar_volume.cli.studies.study_wild import add_wild
 
 
@@ -56,7 +56,7 @@ def run_nist(arguments: argparse.Namespace) -> int:
     from ladar_volume.experiments.nist.nist_figures import write_figures
     from ladar_volume.experiments.nist.nist_tables import tables
 
-    return carry_out(
+    return run_study(
         arguments, partial(run, arguments.seeds), summary, tables, write_figures, show_nist
     )
 
@@ -72,7 +72,7 @@ def run_stockpile(arguments: argparse.Namespace) -> int:
             console.print(make(), end="", markup=False, highlight=False, soft_wrap=True)
 
     # nothing is simulated: all of it is computed from the printed figures
-    return carry_out(
+    return run_study(
         arguments,
         lambda _: None,
         lambda _: summary(),

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ladar_volume.cli.arguments.lines import Verbs
-from ladar_volume.cli.studies.study_record import add_outputs, carry_out
+from ladar_volume.cli.studies.study_record import add_outputs, run_study
 
 
 def add_studies(studies: Verbs) -> None:
@@ -76,7 +76,7 @@ def run_landfill(arguments: argparse.Namespace) -> int:
     from ladar_volume.experiments.landfill import run, summary
     from ladar_volume.experiments.landfill_tables import tables, write_figures
 
-    return carry_out(
+    return run_study(
         arguments, partial(run, arguments.seeds), summary, tables, write_figures, show_landfill
     )
 
@@ -108,7 +108,7 @@ def run_thesis(arguments: argparse.Namespace) -> int:
     from ladar_volume.experiments.thesis_tables import tables, write_figure
 
     simulate = partial(run, arguments.seeds, arguments.large)
-    return carry_out(
+    return run_study(
         arguments,
         simulate,
         summary,

@@ -27,7 +27,7 @@ def add_outputs(study: argparse.ArgumentParser, pictures: str) -> None:
     )
 
 
-def carry_out(
+def run_study(
     arguments: argparse.Namespace,
     simulate: Callable[[Callable[[str], None]], S],
     summary: Callable[[S], dict[str, Any]],

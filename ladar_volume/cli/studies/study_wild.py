@@ -8,8 +8,10 @@ from pathlib import Path
 
 from rich.console import Console
 
+from ladar_volume.cli.arguments.lines import Verbs
 
-def add_wild(studies: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+
+def add_wild(studies: Verbs) -> None:
     """Declare the study."""
     parser = studies.add_parser(
         "wild",

@@ -137,7 +137,7 @@ def scatter(error: F64, column: int) -> dict[str, Any]:
     }
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> Any:
     """Arrays as lists, within dictionaries too."""
     if isinstance(value, dict):
         return {key: plain(v) for key, v in value.items()}
