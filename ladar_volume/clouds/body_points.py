@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ladar_volume.clouds.filter.filter_result import CloudResult
+from ladar_volume.clouds.filter.sparse_points import JUMP
 from ladar_volume.clouds.sampling.isolation import belonging, spacing
 from ladar_volume.ground.clusters import clusters
 from ladar_volume.ground.objects import ObjectParameters, rising
@@ -91,7 +92,7 @@ def good_points(raw: F64, result: CloudResult) -> Bool:
     """
     known = np.zeros(len(raw), np.bool_)
     known[result.index] = True
-    out: Bool = known | belonging(raw, known, spacing(raw, raw), ~known)
+    out: Bool = known | belonging(raw, known, spacing(raw, raw), ~known, JUMP)
     return out
 
 

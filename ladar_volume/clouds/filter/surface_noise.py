@@ -38,8 +38,9 @@ def settled(
     before = replace(before, q=before.q - off)
     sigma = _shown(r, tuned, before, steps)
     threshold = np.maximum(SIGMAS * sigma, parameters.outlier_floor_m)
-    assert tuned.lines is not None
-    tuned = replace(tuned, regions=line_regions(r, tuned.lines, sigma, threshold))
+    lines = tuned.lines
+    assert lines is not None
+    tuned = replace(tuned, regions=line_regions(r, lines, sigma, threshold))
     done = cover(r, tuned.regions, parameters, tuned.degree)
     believed = tuned.regions.sigma_m
     sigma = _shown(r, tuned, done, steps)
@@ -47,7 +48,7 @@ def settled(
     kept = done.reason == cell_surface.KEPT
     done.reason[kept & (share > KNOWN**2)] = cell_surface.UNSUPPORTED
     # a fit that holds no several lines is carried on from elsewhere
-    done.reason[kept & np.isnan(tuned.lines.reach_m)] = cell_surface.FEW_POINTS
+    done.reason[kept & np.isnan(lines.reach_m)] = cell_surface.FEW_POINTS
     variance = done.variance * (sigma / believed) ** 2
     rows = np.flatnonzero(done.reason == cell_surface.KEPT)
     wrong = disagreement(before, done, variance)
