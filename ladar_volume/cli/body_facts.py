@@ -13,10 +13,11 @@ from ladar_volume.cli.inputs.mesh_source import mesh_facts as mesh_of_file
 from ladar_volume.cli.verdict_lines import add_verdict_rows
 from ladar_volume.clouds.body_points import BodyPoints
 from ladar_volume.clouds.body_volume import Body, Uncertain
-from ladar_volume.clouds.cloud_bodies import CloudBodies
+from ladar_volume.clouds.cloud_bodies import CloudBodies, FailedBody
 from ladar_volume.ground.objects import Objects
 from ladar_volume.io.meshfiles.mesh_files import MeshFile
 from ladar_volume.mesh.topology import edge_table
+from ladar_volume.model.records import Plane
 from ladar_volume.model.verdict import Verdict
 from ladar_volume.version import version
 
@@ -112,20 +113,9 @@ def cloud_facts(
         }
         if found is not None:
             body["height_m"] = found.records[made.numbers[k]].height_m
-    facts["failed"] = [
-        {
-            "object": f.number + 1,
-            "points": f.points,
-            "middle_m": f.middle_m.tolist(),
-            "low_m": f.low_m.tolist(),
-            "high_m": f.high_m.tolist(),
-            "reason": f.reason,
-        }
-        for f in made.failed
-    ]
-    ground = made.ground
     return {
         **facts,
+        "failed": [failed_facts(f) for f in made.failed],
         "verdict": Verdict(tuple(d for b in made.bodies for d in b.doubts)).as_dict(),
         "input": {"path": name, "points": points},
         "filter": None if of.filtered is None else dict(of.filtered.report),
@@ -134,14 +124,29 @@ def cloud_facts(
             "left_out": of.left_out,
             "noise_m": of.noise_m,
         },
-        "ground": None
-        if ground is None
-        else {
-            "origin_xy_m": ground.origin_xy.tolist(),
-            "beta": ground.beta.tolist(),
-            "points": len(ground.support),
-            "rms_m": ground.rms_m,
-        },
+        "ground": None if made.ground is None else ground_facts(made.ground),
+    }
+
+
+def failed_facts(f: FailedBody) -> dict[str, Any]:
+    """An object of which no body came."""
+    return {
+        "object": f.number + 1,
+        "points": f.points,
+        "middle_m": f.middle_m.tolist(),
+        "low_m": f.low_m.tolist(),
+        "high_m": f.high_m.tolist(),
+        "reason": f.reason,
+    }
+
+
+def ground_facts(ground: Plane) -> dict[str, Any]:
+    """What the bodies stand on."""
+    return {
+        "origin_xy_m": ground.origin_xy.tolist(),
+        "beta": ground.beta.tolist(),
+        "points": len(ground.support),
+        "rms_m": ground.rms_m,
     }
 
 

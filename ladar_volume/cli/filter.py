@@ -41,39 +41,18 @@ def run(arguments: argparse.Namespace) -> int:
     console = Console(stderr=arguments.json)
     with console.status(f"reading {arguments.cloud.name}") as status:
         cloud = read_source(arguments.cloud, arguments).cloud
-        r = cloud.r
-        status.update(f"filtering {len(r):,} points")
-        result = filter_cloud(r, parameters, auto, frozenset(arguments.keep))
-        counts = np.bincount(result.reason, minlength=len(REASONS))
-        outliers = {name: int(count) for name, count in zip(REASONS, counts, strict=True) if count}
-        if not len(result.index):
-            why = ", ".join(f"{name} {count}" for name, count in outliers.items())
-            raise FilterError(
-                f"{arguments.cloud}: no point is left of {len(r)} ({why}){left_out_words(cloud)}",
-                reason="filter_nothing_left",
-                value=outliers,
-            )
+        status.update(f"filtering {len(cloud.r):,} points")
+        result = filter_cloud(cloud.r, parameters, auto, frozenset(arguments.keep))
+        outliers = _outliers(arguments.cloud, cloud, result)
         status.update("writing")
-        index = cloud.rows[result.index]
-        flag = np.zeros(len(index), np.int64) if result.flag is None else result.flag
-        columns = {"normal": result.normal, "sigma": result.sigma, "index": index, "flag": flag}
-        if result.count is not None:
-            columns["count"] = result.count
-        lost = write_points(arguments.output, cloud, result.index, result.r, columns)
-        if arguments.outliers is not None:
-            taken = {"index": cloud.rows[result.outliers], "reason": result.reason}
-            where = result.outliers
-            write_points(arguments.outliers, cloud, where, r[where], taken)
+        lost = _write(arguments, cloud, result)
     facts = {
-        "input": {"path": arguments.cloud.name, "points": len(r)},
-        "output": {
-            "path": arguments.output.name,
-            "points": len(result.index),
-        },
+        "input": {"path": arguments.cloud.name, "points": len(cloud.r)},
+        "output": {"path": arguments.output.name, "points": len(result.index)},
         "columns_lost": lost,
         "reading": cloud_facts_of(cloud),
         "outliers": outliers,
-        **_facts(result, len(r), auto),
+        **_facts(result, len(cloud.r), auto),
         "parameters": {"order": order_of(parameters), **write_section(parameters)},
         "verdict": (Verdict(reading_doubts([cloud])) + result.verdict).as_dict(),
     }
@@ -82,6 +61,34 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         show(console, facts, set(REASONS))
     return exit_code(arguments, facts["verdict"])
+
+
+def _outliers(source: Path, cloud: PointFile, result: CloudResult) -> dict[str, int]:
+    """How many points were taken out, by reason; refused where none is left."""
+    counts = np.bincount(result.reason, minlength=len(REASONS))
+    outliers = {name: int(count) for name, count in zip(REASONS, counts, strict=True) if count}
+    if not len(result.index):
+        why = ", ".join(f"{name} {count}" for name, count in outliers.items())
+        raise FilterError(
+            f"{source}: no point is left of {len(cloud.r)} ({why}){left_out_words(cloud)}",
+            reason="filter_nothing_left",
+            value=outliers,
+        )
+    return outliers
+
+
+def _write(arguments: argparse.Namespace, cloud: PointFile, result: CloudResult) -> list[str]:
+    """Write what is kept, and what was taken out where asked; the columns that were lost."""
+    index = cloud.rows[result.index]
+    flag = np.zeros(len(index), np.int64) if result.flag is None else result.flag
+    columns = {"normal": result.normal, "sigma": result.sigma, "index": index, "flag": flag}
+    if result.count is not None:
+        columns["count"] = result.count
+    lost = write_points(arguments.output, cloud, result.index, result.r, columns)
+    if arguments.outliers is not None:
+        taken = {"index": cloud.rows[result.outliers], "reason": result.reason}
+        write_points(arguments.outliers, cloud, result.outliers, cloud.r[result.outliers], taken)
+    return lost
 
 
 def write_points(

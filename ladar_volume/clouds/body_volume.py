@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import identity
@@ -118,11 +119,7 @@ def body_of(
     :func:`~ladar_volume.mesh.tetrahedra.closed_volume`.
     """
     start = skin_of(vertices, triangles, normals, curved)
-    blunt, closures = close(start, close_m, ground)
-    sharp, added = sharpen(start, sharp_rad) if sharp_rad is not None else (start, 0)
-    skin = blunt
-    if added:
-        skin, closures = close(sharp, close_m, ground)
+    blunt, skin, closures, added = _completed(start, close_m, ground, sharp_rad)
     closed = closed_volume(skin.vertices, skin.triangles, pole_map, allow_crossings)
     cut_off = (
         closed_volume(blunt.vertices, blunt.triangles, pole_map, True).volume_m3
@@ -148,6 +145,29 @@ def body_of(
         by_measured,
         closed.gradient.ravel() @ skin.by_ground,
     )
+
+
+class Completed(NamedTuple):
+    """blunt : the closed skin without, skin : with the edges completed · closures : of the latter ·
+    added : vertices on the edges
+    """
+
+    blunt: Skin
+    skin: Skin
+    closures: list[Closure]
+    added: int
+
+
+def _completed(
+    start: Skin, close_m: float, ground: Plane | None, sharp_rad: float | None
+) -> Completed:
+    """The skin closed, as it is and with its sharp edges completed."""
+    blunt, closures = close(start, close_m, ground)
+    sharp, added = sharpen(start, sharp_rad) if sharp_rad is not None else (start, 0)
+    if not added:
+        return Completed(blunt, blunt, closures, 0)
+    skin, closures = close(sharp, close_m, ground)
+    return Completed(blunt, skin, closures, added)
 
 
 def published_body(mesh: LocalMesh, pole_map: F64 | None = None) -> Body:
@@ -222,21 +242,8 @@ def cloud_uncertainty(
     with; without, a plane with a covariance of its own.
     """
     b = len(bodies)
-    weight = np.zeros((len(filtered.r), 2 * b))
+    weight = _weights(bodies, sources, filtered, ground)
     own = np.zeros((b, b))
-    for k, (body, source) in enumerate(zip(bodies, sources, strict=True)):
-        np.add.at(
-            weight[:, k], source, np.einsum("ni,ni->n", body.gradient, filtered.normal[source])
-        )
-        if ground is not None and len(ground.support):
-            by_point = ground_gradient(
-                filtered.r, ground, body.by_ground[: len(ground.beta), None]
-            )[:, 0]
-            np.add.at(
-                weight[:, b + k],
-                ground.support,
-                np.einsum("ni,ni->n", by_point, filtered.normal[ground.support]),
-            )
     if ground is not None and not len(ground.support):
         J = np.stack([body.by_ground[: len(ground.beta)] for body in bodies])
         own = J @ ground.C_beta @ J.T
@@ -256,6 +263,25 @@ def cloud_uncertainty(
         for k in range(b)
     )
     return Uncertain(both + own + np.diag(closing), budget)
+
+
+def _weights(
+    bodies: Sequence[Body], sources: Sequence[I64], filtered: CloudResult, ground: Plane | None
+) -> F64:
+    """Derivative (k, 2b) m² of the b volumes by the height of each filtered point along its normal:
+    as a point of the body, and as a point of the ground's support.
+    """
+    b = len(bodies)
+    weight = np.zeros((len(filtered.r), 2 * b))
+    for k, (body, source) in enumerate(zip(bodies, sources, strict=True)):
+        along = np.einsum("ni,ni->n", body.gradient, filtered.normal[source])
+        np.add.at(weight[:, k], source, along)
+        if ground is not None and len(ground.support):
+            by_beta = body.by_ground[: len(ground.beta), None]
+            by_point = ground_gradient(filtered.r, ground, by_beta)[:, 0]
+            along = np.einsum("ni,ni->n", by_point, filtered.normal[ground.support])
+            np.add.at(weight[:, b + k], ground.support, along)
+    return weight
 
 
 def mesh_uncertainty(

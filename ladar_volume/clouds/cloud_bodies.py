@@ -27,6 +27,10 @@ FEWEST = 4
 #: A part of the mesh that has fewer triangles than this share of all, and is open or tiny, is a
 #: stray piece.
 STRAY = 0.02
+NO_BODY = (
+    "no body: no point stands above the ground; give the ground, or ask for less "
+    "height or fewer points of an object"
+)
 
 
 @dataclass(frozen=True)
@@ -94,13 +98,7 @@ def cloud_bodies(
     o = options or BodyOptions()
     many = int(label.max(initial=-1)) + 1
     if many == 0:
-        raise VolumeError(
-            (
-                "no body: no point stands above the ground; give the ground, or ask for less "
-                "height or fewer points of an object"
-            ),
-            reason="volume_no_body",
-        )
+        raise VolumeError(NO_BODY, reason="volume_no_body")
     made, numbers, failed, errors = [], [], [], []
     for number in range(many):
         step(number, many)
@@ -110,15 +108,19 @@ def cloud_bodies(
             numbers.append(number)
         except SurfaceError as error:
             errors.append(error)
-            at = points[rows]
-            place = (at.mean(axis=0), at.min(axis=0), at.max(axis=0))
-            failed.append(FailedBody(number, len(rows), *place, str(error)))
+            failed.append(failed_body(number, points[rows], str(error)))
     if not made:
         name = f"none of {many} bodies can be made; body 1: " if many > 1 else ""
         first = errors[0]
         raise SurfaceError(f"{name}{first}", reason=first.reason, value=first.value) from first
     bodies, meshes, stray, sources = zip(*made, strict=True)
     return CloudBodies(bodies, sources, meshes, stray, ground, tuple(numbers), tuple(failed))
+
+
+def failed_body(number: int, at: F64, reason: str) -> FailedBody:
+    """An object of points (k, 3) m of which no body came."""
+    place = (at.mean(axis=0), at.min(axis=0), at.max(axis=0))
+    return FailedBody(number, len(at), *place, reason)
 
 
 def body_at(
@@ -131,16 +133,7 @@ def body_at(
 ) -> tuple[Body, LocalMesh, int]:
     """The body of some of the points, its mesh, and how many triangles were left out."""
     mesh = mesh_cloud(points[rows], None if normals is None else normals[rows], o.mesh)
-    places = len(rows) - int(mesh.report["duplicates"])
-    if places < FEWEST:
-        raise SurfaceError(
-            (
-                f"{places} points at different places are no body: scan it more densely, or "
-                "ask for more points of an object (--min-points)"
-            ),
-            reason="mesh_points",
-            value=places,
-        )
+    _check_points(len(rows) - int(mesh.report["duplicates"]))
     if o.mesh.method == "published":
         if ground is not None:
             raise SurfaceError(
@@ -161,6 +154,23 @@ def body_at(
         o.pole_map,
         allow_crossings=True,
     )
+    _check_size(body, mesh)
+    return body, mesh, left
+
+
+def _check_points(places: int) -> None:
+    """Refuses fewer points at different places than a body has."""
+    if places < FEWEST:
+        raise SurfaceError(
+            f"{places} points at different places are no body: scan it more densely, or "
+            "ask for more points of an object (--min-points)",
+            reason="mesh_points",
+            value=places,
+        )
+
+
+def _check_size(body: Body, mesh: LocalMesh) -> None:
+    """Refuses a body smaller than the spacing of its points."""
     size_m, spacing_m = float(np.cbrt(abs(body.volume_m3))), float(mesh.report["spacing_m"])
     if size_m < spacing_m:
         raise SurfaceError(
@@ -169,7 +179,6 @@ def body_at(
             reason="body_small",
             value=size_m,
         )
-    return body, mesh, left
 
 
 def without_stray(mesh: LocalMesh) -> tuple[I32, int]:

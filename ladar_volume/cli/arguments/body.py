@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ladar_volume.cli.arguments.diff_input import MOST
+from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.arguments.parameter_flags import add_parameter
 from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.cli.arguments.strict import add_strict_option
@@ -34,7 +35,7 @@ def ground_word(text: str) -> str | tuple[float, ...]:
     return text if text in ("auto", "none") else numbers(1, 3)(text)
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
     kinds = " ".join(dict.fromkeys([*ENCODINGS, *READ_ENDINGS]))
     parser = subparsers.add_parser(
@@ -46,6 +47,21 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "in m. Values that begin with a minus need =: "
         "--pick=-1,0,2.",
     )
+    _add_files(parser, kinds)
+    _add_objects(parser)
+    _add_mesh(parser)
+    _add_volume(parser)
+    parser.add_argument("--surface", metavar="NAME", help="which surface of a LandXML with several")
+    add_strict_option(parser)
+    parser.add_argument(
+        "--json", action="store_true", help="print the result as JSON to standard output"
+    )
+    add_reading_options(parser)
+    parser.set_defaults(run=work("ladar_volume.cli.body"))
+
+
+def _add_files(parser: argparse.ArgumentParser, kinds: str) -> None:
+    """What is read and written, and what the bodies stand on."""
     parser.add_argument(
         "source", type=Path, metavar="CLOUD|MESH", help=f"point cloud or mesh ({kinds})"
     )
@@ -66,6 +82,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
             "sides), a level, or a plane Z + SX x + SY y"
         ),
     )
+
+
+def _add_objects(parser: argparse.ArgumentParser) -> None:
+    """Which objects are bodies."""
     g = parser.add_argument_group("objects on the ground (by default all that are found)")
     g.add_argument(
         "--polygon",
@@ -111,6 +131,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="M",
         help="part objects that rise this far above the saddle between them",
     )
+
+
+def _add_mesh(parser: argparse.ArgumentParser) -> None:
+    """How the cloud is filtered, meshed and closed."""
     g = parser.add_argument_group("filter and mesh")
     g.add_argument(
         "--no-filter",
@@ -151,6 +175,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="DEG",
         help="faces at more than this meet in an edge; 0: complete no edges",
     )
+
+
+def _add_volume(parser: argparse.ArgumentParser) -> None:
+    """How the closed mesh is measured."""
     g = parser.add_argument_group("volume")
     g.add_argument(
         "--pole",
@@ -169,10 +197,3 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         action="store_true",
         help="do not refuse a mesh file whose triangles cross",
     )
-    parser.add_argument("--surface", metavar="NAME", help="which surface of a LandXML with several")
-    add_strict_option(parser)
-    parser.add_argument(
-        "--json", action="store_true", help="print the result as JSON to standard output"
-    )
-    add_reading_options(parser)
-    parser.set_defaults(run=work("ladar_volume.cli.body"))

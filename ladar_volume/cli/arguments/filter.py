@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 from ladar_volume.cli.arguments.lines import Verbs
@@ -33,21 +34,7 @@ def add_parser(subparsers: Verbs) -> None:
         metavar="OUT",
         help="filtered points with normal, sigma and input index",
     )
-    add_parameter(parser, "--radius", "filter.radius_m", metavar="R", more="fits reach over 2 r")
-    add_parameter(parser, "--degree", "filter.degree", metavar="{1,2}")
-    parser.add_argument("--preset", choices=sorted(PRESETS), help="published settings")
-    parser.add_argument(
-        "--auto",
-        action="store_true",
-        help="estimate radius, degree and threshold from the cloud (the default)",
-    )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="filter.KEY=VALUE",
-        help="override one parameter",
-    )
+    _add_settings(parser)
     parser.add_argument(
         "--outliers",
         type=Path,
@@ -67,3 +54,22 @@ def add_parser(subparsers: Verbs) -> None:
     add_reading_options(parser)
     add_strict_option(parser)
     parser.set_defaults(run=work("ladar_volume.cli.filter"))
+
+
+def _add_settings(parser: argparse.ArgumentParser) -> None:
+    """Radius, degree and the other parameters of the filter."""
+    add_parameter(parser, "--radius", "filter.radius_m", metavar="R", more="fits reach over 2 r")
+    add_parameter(parser, "--degree", "filter.degree", metavar="{1,2}")
+    parser.add_argument("--preset", choices=sorted(PRESETS), help="published settings")
+    parser.add_argument(
+        "--auto",
+        action="store_true",
+        help="estimate radius, degree and threshold from the cloud (the default)",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="filter.KEY=VALUE",
+        help="override one parameter",
+    )
