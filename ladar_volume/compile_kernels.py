@@ -15,6 +15,7 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from ladar_volume.model.errors import LadarVolumeError
 from ladar_volume.model.parameters import Parameters
@@ -142,12 +143,21 @@ def _made_up_surface(side: int, beams: int, seed: int = 1) -> FilterUpdate:
         START_NS // BIN_NS + key % 2,
         np.full((m, p + 2, 4), 0.1, np.float32),
     )
+    points = _made_up_points(key, xy, axes, rng)
+    return FilterUpdate(START_NS, key[:0], points, patches)
+
+
+def _made_up_points(
+    key: I64, xy: npt.NDArray[np.floating], axes: F64, rng: np.random.Generator
+) -> FilteredPoints:
+    """Four points on each of the m patches at xy (m, 2) m, on the mound."""
+    m = len(key)
     local = np.tile(
         [[-0.04, -0.04], [0.04, -0.04], [-0.04, 0.04], [0.04, 0.04]], (m, 1)
     ) + rng.uniform(-0.02, 0.02, (4 * m, 2))
     at = np.repeat(xy, 4, axis=0) + local
     z = np.maximum(0.0, 0.6 - 0.5 * np.hypot(at[:, 0], at[:, 1])) + rng.normal(0.0, 0.002, 4 * m)
-    points = FilteredPoints(
+    return FilteredPoints(
         np.c_[at, z],
         np.tile(axes[0], (4 * m, 1)),
         np.full(4 * m, 1e-6),
@@ -156,7 +166,6 @@ def _made_up_surface(side: int, beams: int, seed: int = 1) -> FilterUpdate:
         np.repeat(key, 4),
         local,
     )
-    return FilterUpdate(START_NS, key[:0], points, patches)
 
 
 def _volume(parameters: Parameters) -> None:

@@ -113,6 +113,27 @@ def ring_over(polygon_xy: F64, top_m: float, spacing_m: float) -> Ring:
 
 
 @kernel
+def crossing_kernel(
+    corner: F64, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float
+) -> tuple[float, float, float]:
+    """Distance along a line and barycentric coordinates u, v where it meets the plane of a triangle
+    (3, 3); distance 0 for a line within the plane (Moeller & Trumbore 1997).
+    """
+    a, b, c = corner[0], corner[1], corner[2]
+    e1x, e1y, e1z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    e2x, e2y, e2z = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    hx, hy, hz = dy * e2z - dz * e2y, dz * e2x - dx * e2z, dx * e2y - dy * e2x
+    det = e1x * hx + e1y * hy + e1z * hz
+    if det == 0.0:
+        return 0.0, 0.0, 0.0
+    sx, sy, sz = ox - a[0], oy - a[1], oz - a[2]
+    u = (sx * hx + sy * hy + sz * hz) / det
+    qx, qy, qz = sy * e1z - sz * e1y, sz * e1x - sx * e1z, sx * e1y - sy * e1x
+    v = (dx * qx + dy * qy + dz * qz) / det
+    return (e2x * qx + e2y * qy + e2z * qz) / det, u, v
+
+
+@kernel
 def cast_kernel(
     corners: F64, balls: F64, origin: F64, direction: F64, triangle: I64, weight: F64, reach: F64
 ) -> None:
@@ -120,17 +141,11 @@ def cast_kernel(
     −1 where there is none.
 
     corners : (m, 3, 3) · balls : (g, 4), centre and squared radius about each GROUP of triangles,
-    by which most are passed over (intersection after Moeller & Trumbore 1997)
+    by which most are passed over
     """
     for i in range(len(origin)):
-        ox, oy, oz, dx, dy, dz = (
-            origin[i, 0],
-            origin[i, 1],
-            origin[i, 2],
-            direction[i, 0],
-            direction[i, 1],
-            direction[i, 2],
-        )
+        ox, oy, oz = origin[i, 0], origin[i, 1], origin[i, 2]
+        dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
         best, found = np.inf, -1
         for g in range(len(balls)):
             px, py, pz = balls[g, 0] - ox, balls[g, 1] - oy, balls[g, 2] - oz
@@ -138,26 +153,7 @@ def cast_kernel(
             if px * px + py * py + pz * pz - along * along > balls[g, 3]:
                 continue
             for t in range(g * GROUP, min((g + 1) * GROUP, len(corners))):
-                a = corners[t, 0]
-                e1x, e1y, e1z = (
-                    corners[t, 1, 0] - a[0],
-                    corners[t, 1, 1] - a[1],
-                    corners[t, 1, 2] - a[2],
-                )
-                e2x, e2y, e2z = (
-                    corners[t, 2, 0] - a[0],
-                    corners[t, 2, 1] - a[1],
-                    corners[t, 2, 2] - a[2],
-                )
-                hx, hy, hz = dy * e2z - dz * e2y, dz * e2x - dx * e2z, dx * e2y - dy * e2x
-                det = e1x * hx + e1y * hy + e1z * hz
-                if det == 0.0:
-                    continue
-                sx, sy, sz = ox - a[0], oy - a[1], oz - a[2]
-                u = (sx * hx + sy * hy + sz * hz) / det
-                qx, qy, qz = sy * e1z - sz * e1y, sz * e1x - sx * e1z, sx * e1y - sy * e1x
-                v = (dx * qx + dy * qy + dz * qz) / det
-                s = (e2x * qx + e2y * qy + e2z * qz) / det
+                s, u, v = crossing_kernel(corners[t], ox, oy, oz, dx, dy, dz)
                 if (
                     u >= -EDGE_TOLERANCE
                     and v >= -EDGE_TOLERANCE
