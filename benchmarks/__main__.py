@@ -34,6 +34,7 @@ NAMES = (
     "spheres",
     "correlated_sum",
     "ball_box",
+    "cut_fill_coverage",
     "local_mesh",
     "kill_logger",
     "calibration",

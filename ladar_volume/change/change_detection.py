@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladar_volume.change.surface_difference import Difference, difference_kernel
-from ladar_volume.model.records import F64, I32, I64, Bool, Tin
+from ladar_volume.model.records import F64, I32, I64, LEAST_UPWARD, Bool, Tin
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.uncertainty.epoch_budget import Epoch, calibration_cross, epoch_budget
 from ladar_volume.uncertainty.packing import calibration_rows
@@ -30,8 +30,8 @@ from ladar_volume.uncertainty.vertex_noise import height_pairs, vertex_rows
 from ladar_volume.volume.near_base import csr
 from ladar_volume.volume.volume_loads import vertex_variance
 
-#: Vertices whose sensitivities are held at once, and the least vertical component of a normal.
-BLOCK, STEEPEST = 1 << 15, 0.05
+#: Vertices whose sensitivities are held at once.
+BLOCK = 1 << 15
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ def sensitivity_rows(epoch: Epoch, corner: I32 | I64, weight: F64) -> tuple[F64,
     """
     s = epoch.sources
     source = epoch.surface.tin.source[corner]
-    up = np.maximum(np.abs(s.points.normal[source, 2]), STEEPEST)
+    up = np.maximum(np.abs(s.points.normal[source, 2]), LEAST_UPWARD)
     X = s.geometry.design(source) * (weight / up)[..., None]
     row = s.geometry.row[source]
     deviation, p = s.errors.deviation(row.ravel()), X.shape[2]
@@ -181,7 +181,7 @@ def shared_variance(own: Epoch, other: Epoch, apart: Difference, rows: I64, cros
         out += (part**2).sum(axis=1)
     r = own.tin.vertices[rows]
     n = own.normals()[rows]
-    slope = n / np.copysign(np.maximum(np.abs(n[:, 2:]), STEEPEST), n[:, 2:])
+    slope = n / np.copysign(np.maximum(np.abs(n[:, 2:]), LEAST_UPWARD), n[:, 2:])
     for epoch in (own, other):
         if epoch.transform is not None:
             j = np.einsum("ki,kij->kj", slope, epoch.transform.jacobian(epoch.transform.back(r)))
@@ -203,7 +203,7 @@ def weighted_sigma(
     for epoch, w in ((own, weight), (other, -at_other)):
         n = epoch.normals()
         gradients.append(
-            w[:, None] * n / np.copysign(np.maximum(np.abs(n[:, 2:]), STEEPEST), n[:, 2:])
+            w[:, None] * n / np.copysign(np.maximum(np.abs(n[:, 2:]), LEAST_UPWARD), n[:, 2:])
         )
     one, two = gradients if apart.upper_carries else (-gradients[1], -gradients[0])
     return epoch_budget(new, previous, one, two, separate).sigma
