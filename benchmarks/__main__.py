@@ -36,6 +36,7 @@ NAMES = (
     "spheres",
     "correlated_sum",
     "ball_box",
+    "cut_fill_coverage",
     "local_mesh",
     "kill_logger",
     "calibration",

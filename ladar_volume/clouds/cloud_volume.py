@@ -38,8 +38,9 @@ ZERO = design_surface([0.0])
 class Solid:
     """One volume before its noise: raw cut and fill m³, area m² · gradients : (n, 2) by the vertex
     heights, of net and cut, for every surface it hangs on · correction : near the base, None where
-    the noise is not known or nothing is near · curved_m6 : second-order variance of cut and fill ·
-    extra : further variances m⁶ of the net volume, by source
+    the noise is not known or nothing is near · curved_m6 : second-order variance of cut and
+    fill, and of what remains of the fold · extra : further variances m⁶ of the net volume, by
+    source
     """
 
     cut_m3: float
@@ -98,6 +99,9 @@ def finished(solid: Solid, base: str, same_survey: bool) -> CloudVolume:
         else near.taken(solid.cut_m3, solid.fill_m3)
     )
     taken = 0.0 if math.isnan(folded) else folded
+    if near is not None and near.correction_m3 + near.remaining.fold_m3 > taken:
+        # one of the two is 0, and the other the net volume: no surer than that
+        cut, fill = max(cut, net), max(fill, net)
     return CloudVolume(
         solid.cut_m3 - taken,
         solid.fill_m3 - taken,
@@ -113,6 +117,11 @@ def finished(solid: Solid, base: str, same_survey: bool) -> CloudVolume:
         same_survey,
         {"noise": float(total[0]), **solid.extra},
     )
+
+
+def selected(surface: CloudSurface) -> bool:
+    """Whether the vertices are some of the points, chosen by their heights."""
+    return len(surface.made.tin.vertices) < len(surface.points)
 
 
 def comes_near(tin: Tin, height: F64, sigma_m: F64 | None, mask: Bool) -> bool:
@@ -184,8 +193,8 @@ def solid_above(
     height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
     if correct and surface.sigma_m is not None and comes_near(tin, height, surface.sigma_m, whole):
         C = surface.made.covariance(surface.sigma_m) if covariance is None else covariance
-        near = near_base(tin, base, C, whole)
-        curved = near.curved_m6
+        near = near_base(tin, base, C, whole, selected=selected(surface))
+        curved = near.curved_m6 + near.remaining.sigma_m3**2
         cut = cut if by_polygon else near.gradient_cut
     gradient = np.stack([found.gradient_net[:, 2], cut], axis=1)
     extra: dict[str, float] = {}
@@ -220,7 +229,7 @@ def between_clouds(
     if correct and upper.sigma_m is not None and lower.sigma_m is not None:
         near, shares = near_difference(upper, lower)
         if near is not None:
-            curved = near.curved_m6
+            curved = near.curved_m6 + near.remaining.sigma_m3**2
             cut = [
                 np.where(np.isfinite(share), share * g, c)
                 for share, g, c in zip(shares, net, cut, strict=True)
@@ -250,7 +259,8 @@ def near_difference(
         lower.made.covariance(lower.sigma_m)[second][:, second],
     )
     own, other, below = (C_one, C_two, two) if apart.upper_carries else (C_two, C_one, one)
-    near = near_base(apart.tin, ZERO, apart.covariance(own, below, other))
+    C = apart.covariance(own, below, other)
+    near = near_base(apart.tin, ZERO, C, selected=selected(upper) or selected(lower))
     carried, rest = apart.shares(near.gradient_cut, near.gradient_net, len(below.vertices))
     ordered = (carried, rest) if apart.upper_carries else (rest, carried)
     return near, tuple(

@@ -30,9 +30,11 @@ from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.tin.full_tin import any_corner, footprint_areas
+from ladar_volume.tin.median_screen import edges
 from ladar_volume.volume.folded_normal import PACKED, folded, without_noise
 from ladar_volume.volume.neighbourhood import CHUNKS, Smooth
 from ladar_volume.volume.prismoids import gather, positive_part
+from ladar_volume.volume.remaining_fold import Remaining, remaining_fold, scatter_factor
 
 #: A triangle counts as near where its heights come within this many standard deviations of the
 #: base.
@@ -61,7 +63,8 @@ class NearBase(Fold):
     variance_cut_m6, variance_fill_m6, variance_net_m6 : of the volumes of all chosen triangles, for
     the given covariance of the heights · curved_m6 : the second-order part of the first two ·
     gradient_cut, gradient_net : (n,) m² mean derivatives by the vertex heights, to be used where
-    first-order propagation would take a triangle to be wholly cut or wholly fill
+    first-order propagation would take a triangle to be wholly cut or wholly fill · remaining :
+    what the correction leaves in both, see :mod:`remaining_fold`
     """
 
     near: Bool
@@ -71,6 +74,11 @@ class NearBase(Fold):
     curved_m6: float
     gradient_cut: F64
     gradient_net: F64
+    remaining: Remaining
+
+    def taken(self, cut_m3: float, fill_m3: float) -> float:
+        """What is taken, m³, with what the correction leaves: neither volume becomes negative."""
+        return min(self.correction_m3 + self.remaining.fold_m3, cut_m3, fill_m3)
 
 
 @parallel_kernel
@@ -149,6 +157,7 @@ def near_base(
     mask: Bool | None = None,
     rings: int = 4,
     summed: F64 | None = None,
+    selected: bool = False,
 ) -> NearBase:
     """Correction of cut and fill above ``base`` where the surface runs near it, and the variances
     of both.
@@ -157,8 +166,10 @@ def near_base(
     (independent noise; what base and surface share cancels and does not belong here); of pairs that
     no edge joins nothing is needed · mask : triangles that count, by default the relevant ones ·
     rings : size of the neighbourhood from which true heights are estimated · summed : (n,) m² sums
-    of each height's covariances with all others, where they reach beyond the edges. Raises
-    :class:`VolumeError` without triangles or for bad variances.
+    of each height's covariances with all others, where they reach beyond the edges · selected :
+    whether the vertices were chosen from more points, by their heights: then their variances near
+    the base are raised to what they scatter. Raises :class:`VolumeError` without triangles or for
+    bad variances.
     """
     chosen = tin.relevant if mask is None else mask
     t, n = tin.triangles[chosen], len(tin.vertices)
@@ -172,6 +183,9 @@ def near_base(
         near_triangles(tin, h, checked(variance, n), chosen),
     )
     close, close_area = t[near], area[near]
+    if selected and len(close):
+        joint = joint * scatter(tin, h, variance, close)
+        variance = joint.diagonal()
     smooth = smoothed(
         tin,
         h,
@@ -205,7 +219,15 @@ def near_base(
         curved,
         cut,
         net,
+        remaining_fold(smooth, close, close_area, rings),
     )
+
+
+def scatter(tin: Tin, height: F64, variance: F64, near: I32) -> float:
+    """By how much the variances (n,) of heights (n,) are too small about triangles near (k, 3)."""
+    start, link = edges(tin.triangles, tin.neighbours, len(height))
+    rows = np.unique(near).astype(np.int64)
+    return scatter_factor(start, link, tin.vertices[:, :2], height, variance, rows)
 
 
 def checked(variance: F64, n: int) -> F64:

@@ -56,6 +56,12 @@ class Smooth:
                 spread[grown],
             )
 
+    def rings(self) -> I64:
+        """Rings (n,) of the neighbourhood of each vertex, 0 where its height stays."""
+        out = np.zeros(len(self.heights), np.int64)
+        out[self._rows] = self._ring
+        return out
+
     def adjoint(self, gradient: F64) -> F64:
         """From derivatives (n,) by the smoothed heights to those (n,) by the heights given; the
         neighbourhoods are held fixed.
