@@ -145,28 +145,6 @@ def surface_of(
 
 
 @kernel
-def _bent(cell: Cell, cells: Cells, rule: CellRule, candidates: F64, quadric: Quadric) -> Any:
-    """A quadric for the cell, as :func:`bend`."""
-    return bend(
-        cell.x,
-        cell.m,
-        len(cell.slots),
-        cells.r,
-        cell.slots,
-        cell.origin,
-        cells.keys[cell.v],
-        candidates,
-        len(candidates),
-        rule.ball,
-        cell.sigma,
-        cell.threshold,
-        rule.least,
-        rule.iterations,
-        quadric,
-    )
-
-
-@kernel
 def _searched(
     cell: Cell,
     cells: Cells,
@@ -179,7 +157,7 @@ def _searched(
     """As :func:`surface_of`, where what neighbours lent does not do."""
     count, curve, most = best.size, np.inf, sharp_planes.MOST
     if rule.degree == 2:
-        curve, most = _bent(cell, cells, rule, candidates, quadric)
+        curve, most = bend(cell, cells.r, cells.keys[cell.v], candidates, rule, quadric)
     if most == 0:
         return 0, curve
     if cell.turn < LAST and best.well == 0:
@@ -239,18 +217,15 @@ def _described(
     """Planes and quadric of a cell; returns (number of planes, length of their description, sum of
     their truncated squares, that of the quadric).
     """
-    planes, means, inverses, used, _, label = pieces
-    x, m, sigma, threshold = cell.x, cell.m, cell.sigma, cell.threshold
+    m, sigma, threshold = cell.m, cell.sigma, cell.threshold
     candidates = np.empty((OFFERED * AROUND, 4))
     candidates = candidates[: offers(cell.v, cells, known, cell.origin, candidates)]
     price, limit = sigma * sigma * np.log(m), threshold * threshold
     length, square, curve, count = limit * m, limit * m, np.inf, 0
     if len(candidates) > 0:
-        planes[0] = candidates[nearest_to_origin(candidates, len(candidates))]
+        pieces.planes[0] = candidates[nearest_to_origin(candidates, len(candidates))]
         allowed = 3 * price if rule.degree == 2 else np.inf
-        count, used[0], square = flat(
-            x, m, rule.ball, sigma, threshold, allowed, planes[0], means[0], inverses[0], label
-        )
+        count, pieces.used[0], square = flat(cell, rule.ball, allowed, pieces)
     if count == 0:
         count, curve = surface_of(cell, cells, rule, known, candidates, pieces, quadric)
         if count > 0:
