@@ -16,6 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ladar_volume.clouds.filter import cell_surface
+from ladar_volume.clouds.filter.cell_planes import OFFERED, main_planes
+from ladar_volume.clouds.filter.cell_records import CellNoise, CellOutcome, CellRule, Cells, Known
 from ladar_volume.clouds.filter.plane_set_selection import ENOUGH
 from ladar_volume.clouds.filter.point_reduction import sorted_by_voxel
 from ladar_volume.clouds.filter.sharp_planes import MOST
@@ -88,106 +90,49 @@ def cover(
         0,
     )
     open_ = np.ones(n, np.bool_) if mine is None else mine
-    part = np.arange(n)
+    part, task = np.arange(n), _Task(r, regions, parameters, degree)
     while open_.any():
         around = np.zeros(n, np.bool_)
         for level, ball in enumerate(regions.ball_m):
             own = open_ & (at == level)
             if own.any():
-                count += _cover_level(
-                    r, part, own, float(ball), regions, parameters, degree, out, around
-                )
+                count += _cover_level(task, part, own, float(ball), out, around)
         open_ = open_ & (out.reason == cell_surface.NO_SURFACE) & (at > regions.least)
         at[open_] -= 1
         part = np.flatnonzero(around)
     return replace(out, cells=count)
 
 
-def _cover_level(
-    r: F64,
-    part: I64,
-    own: Bool,
-    ball: float,
-    regions: Regions,
-    parameters: FilterParameters,
-    degree: int,
-    out: Covered,
-    around: Bool,
-) -> int:
+@dataclass(frozen=True)
+class _Task:
+    """Points r (n, 3) m to be covered, and how."""
+
+    r: F64
+    regions: Regions
+    parameters: FilterParameters
+    degree: int
+
+
+def _cover_level(task: _Task, part: I64, own: Bool, ball: float, out: Covered, around: Bool) -> int:
     """Cover the points that are ``own`` (n,); returns the number of cells. part : the points that
     may count, all near enough. Those that may count with a smaller radius where a cell found no
     surface are marked in ``around`` (n,).
     """
+    r = task.r
     order, keys, first, table = sorted_by_voxel(r if len(part) == len(r) else r[part], CELL * ball)
     order = part[order]
-    ordered = r[order]
+    cells = Cells(keys, table, first, r[order])
     wanted = np.add.reduceat(own[order], first[:-1], dtype=np.int64) > 0
-    near = _near(wanted, keys, table)
-    # noise of a cell: that of its points, which differ only where regions meet
-    size = np.diff(first)
-    noise = np.add.reduceat(regions.sigma_m[order], first[:-1]) / size
-    limit = np.add.reduceat(regions.threshold_m[order], first[:-1]) / size
-    across = np.full(len(keys), regions.across * ball)
-    main, found = np.zeros((len(keys), cell_surface.OFFERED, 4)), np.zeros(len(keys), np.int64)
-    in_threads(
-        cell_surface.main_planes,
-        np.flatnonzero(near),
-        keys,
-        table,
-        first,
-        ordered,
-        ball / NARROWER,
-        noise,
-        limit,
-        parameters.trials,
-        parameters.min_points,
-        parameters.seed,
-        main,
-        found,
-        across,
-    )
     kind, misfit = np.zeros(len(keys), np.int64), np.zeros(len(keys))
-    sets, sizes, chosen = (
-        np.zeros((len(keys), MOST, 4)),
-        np.zeros(len(keys), np.int64),
-        np.zeros((len(keys), MOST, 4)),
+    chosen = np.zeros((len(keys), MOST, 4))
+    _turns(
+        task,
+        cells,
+        ball,
+        wanted,
+        CellOutcome(order, own, out.q, out.normal, out.variance, out.reason, kind, misfit, chosen),
     )
-    lead = _leaders(keys)
-    for turn, some in enumerate((wanted & lead, wanted & ~lead, wanted)):
-        if turn == cell_surface.LAST:
-            some = some & ((kind > 1) | (kind != 0) & (misfit > ENOUGH))
-        in_threads(
-            cell_surface.filter_cells,
-            np.flatnonzero(some),
-            keys,
-            table,
-            first,
-            ordered,
-            main,
-            found,
-            sets,
-            sizes,
-            turn,
-            order,
-            own,
-            ball,
-            degree,
-            noise,
-            limit,
-            parameters.min_points,
-            parameters.refit_iterations,
-            parameters.edge == "snap",
-            out.q,
-            out.normal,
-            out.variance,
-            out.reason,
-            kind,
-            misfit,
-            chosen,
-            across,
-        )
-        sets[some], sizes[some] = chosen[some], kind[some]
-    of = np.repeat(np.arange(len(keys)), size)
+    of = np.repeat(np.arange(len(keys)), np.diff(first))
     mine = own[order]
     out.kind[order[mine]], out.misfit[order[mine]] = kind[of[mine]], misfit[of[mine]]
     close = _near(wanted & (kind == 0), keys, table)  # these offer planes,
@@ -195,6 +140,48 @@ def _cover_level(
         True  # and those near them are what their planes are told from
     )
     return int(np.count_nonzero(wanted))
+
+
+def _turns(task: _Task, cells: Cells, ball: float, wanted: Bool, out: CellOutcome) -> None:
+    """Planes of the cells near those ``wanted`` (v,), and these cells' surfaces, in turns."""
+    number, parameters = len(cells.keys), task.parameters
+    rule = CellRule(
+        ball,
+        task.degree,
+        parameters.min_points,
+        parameters.refit_iterations,
+        parameters.edge == "snap",
+        parameters.trials,
+        parameters.seed,
+    )
+    noise = _cell_noise(task.regions, cells, out.order, ball)
+    known = Known(
+        np.zeros((number, OFFERED, 4)),
+        np.zeros(number, np.int64),
+        np.zeros((number, MOST, 4)),
+        np.zeros(number, np.int64),
+    )
+    near = np.flatnonzero(_near(wanted, cells.keys, cells.table))
+    in_threads(main_planes, near, cells, rule._replace(ball=ball / NARROWER), noise, known)
+    lead = _leaders(cells.keys)
+    for turn, some in enumerate((wanted & lead, wanted & ~lead, wanted)):
+        if turn == cell_surface.LAST:
+            some = some & ((out.kind > 1) | (out.kind != 0) & (out.misfit > ENOUGH))
+        in_threads(
+            cell_surface.filter_cells, np.flatnonzero(some), turn, cells, rule, noise, known, out
+        )
+        known.sets[some], known.sizes[some] = out.chosen[some], out.kind[some]
+
+
+def _cell_noise(regions: Regions, cells: Cells, order: I64, ball: float) -> CellNoise:
+    """Noise of each cell: that of its points, which differ only where regions meet."""
+    first = cells.first
+    size = np.diff(first)
+    return CellNoise(
+        np.add.reduceat(regions.sigma_m[order], first[:-1]) / size,
+        np.add.reduceat(regions.threshold_m[order], first[:-1]) / size,
+        np.full(len(size), regions.across * ball),
+    )
 
 
 def _near(marked: Bool, keys: I64, table: I32) -> Bool:

@@ -4,10 +4,11 @@ points.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from ladar_volume.clouds.filter.cell_records import Quadric
 from ladar_volume.math.array_types import F64
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.math.normal_equations import basis, invert
@@ -36,6 +37,30 @@ LOST = 2.0
 #: Most steps of a point towards its foot, and the change, as a share of its distance, below which
 #: it has found it.
 FEET, FOUND = 4, 3e-3
+
+
+class QuadricRule(NamedTuple):
+    """ball : radius of the neighbourhood, m · sigma : noise, m · threshold : of an inlier, m ·
+    iterations : most refits
+    """
+
+    ball: float
+    sigma: float
+    threshold: float
+    iterations: int
+
+
+@kernel
+def _step(inverse: F64, b: F64, unit: F64, beta: F64) -> Any:
+    """Move ``beta`` (6,) by the solution of the normal equations; returns the largest change, m."""
+    shift = 0.0
+    for k in range(6):
+        step = 0.0
+        for l in range(6):
+            step += inverse[k, l] * b[l]
+        shift = max(shift, abs(step))
+        beta[k] += step * unit[k]
+    return shift
 
 
 @kernel
@@ -69,13 +94,7 @@ def geometric_refit(
             return 0, 0.0
         if not invert(A, 6, inverse):
             return 0, 0.0
-        shift = 0.0
-        for k in range(6):
-            step = 0.0
-            for l in range(6):
-                step += inverse[k, l] * b[l]
-            shift = max(shift, abs(step))
-            beta[k] += step * unit[k]
+        shift = _step(inverse, b, unit, beta)
         if shift < 1e-3 * sigma:
             break
     for k in range(6):
@@ -159,16 +178,9 @@ def quadric_from(
     origin: F64,
     start: F64,
     loose: float,
-    ball: float,
-    sigma: float,
-    threshold: float,
-    iterations: int,
+    rule: QuadricRule,
     levels: int,
-    centre: F64,
-    normal: F64,
-    tangent: F64,
-    beta: F64,
-    inverse: F64,
+    quadric: Quadric,
 ) -> Any:
     """A quadric grown from a start plane over the ball; its frame touches it at the centre. Returns
     the number of inliers.
@@ -177,72 +189,55 @@ def quadric_from(
     from there to the threshold, as fast as the quadric explains the points, so that a surface may
     bend by more than the threshold within the neighbourhood.
     """
+    centre, normal, tangent, beta, inverse = quadric
     near, index, inside = np.empty((4, n)), np.empty(n, np.int64), np.empty(n, np.bool_)
-    plane = start.copy()
+    plane, frame = start.copy(), Frame(centre, normal, tangent)
     plane[3] += plane[0] * origin[0] + plane[1] * origin[1] + plane[2] * origin[2]
-    loose = max(loose, threshold)
-    few = min(iterations, STEPS)  # a start; the fixed point is sought with the right distances
-    refitting = RefitRule(ball, 0.0, loose, few)
-    if (
-        level_frame(
-            pts,
-            n,
-            origin,
-            plane,
-            sigma,
-            refitting,
-            Near(near, index, inside),
-            Frame(centre, normal, tangent),
-        )
-        < 0.0
-    ):
+    loose = max(loose, rule.threshold)
+    few = min(rule.iterations, STEPS)  # a start; the fixed point is sought with right distances
+    refitting, hood = RefitRule(rule.ball, 0.0, loose, few), Near(near, index, inside)
+    if level_frame(pts, n, origin, plane, rule.sigma, refitting, hood, frame) < 0.0:
         return 0
-    m = coordinates(pts, n, centre, normal, tangent, ball, near, index)
+    m = coordinates(pts, n, centre, normal, tangent, rule.ball, near, index)
     mark_flat(near, m, loose, inside)
-    used, _ = refit(near, m, 6, sigma, refitting, inside, Terms(beta, inverse))
+    used, _ = refit(near, m, 6, rule.sigma, refitting, inside, Terms(beta, inverse))
     if used == 0:
         return 0
-    return settled(
-        pts,
-        n,
-        loose,
-        ball,
-        sigma,
-        threshold,
-        iterations,
-        levels,
-        centre,
-        normal,
-        tangent,
-        beta,
-        inverse,
-    )
+    return settled(pts, n, loose, rule, levels, quadric)
+
+
+@kernel
+def _touch(quadric: Quadric) -> None:
+    """Turn a quadric's frame so that it touches it at the centre."""
+    centre, normal, tangent, beta, _ = quadric
+    side = np.empty(3)
+    across(normal, tangent, side)
+    length = np.sqrt(1.0 + beta[1] * beta[1] + beta[2] * beta[2])
+    for k in range(3):
+        centre[k] += beta[0] * normal[k]
+        normal[k] = (normal[k] - beta[1] * tangent[k] - beta[2] * side[k]) / length
+    # the old tangent leaned into the new plane: the quadratic terms belong to these axes
+    along = tangent[0] * normal[0] + tangent[1] * normal[1] + tangent[2] * normal[2]
+    length = np.sqrt(1.0 - along * along)
+    for k in range(3):
+        tangent[k] = (tangent[k] - along * normal[k]) / length
+    beta[0], beta[1], beta[2] = 0.0, 0.0, 0.0
 
 
 @kernel
 def settled(
-    pts: F64,
-    n: int,
-    loose: float,
-    ball: float,
-    sigma: float,
-    threshold: float,
-    iterations: int,
-    levels: int,
-    centre: F64,
-    normal: F64,
-    tangent: F64,
-    beta: F64,
-    inverse: F64,
+    pts: F64, n: int, loose: float, rule: QuadricRule, levels: int, quadric: Quadric
 ) -> Any:
     """A quadric refitted to the points around it until ``loose`` is the threshold and its frame
     touches it, ``levels`` frames at most; returns the number of inliers, 0 where it gets lost.
     """
-    near, index, side, used = np.empty((4, n)), np.empty(n, np.int64), np.empty(3), 0
+    centre, normal, tangent, beta, inverse = quadric
+    ball, sigma, threshold = rule.ball, rule.sigma, rule.threshold
+    near, index, used = np.empty((4, n)), np.empty(n, np.int64), 0
     for level in range(levels + SHRINKS):
         m = coordinates(pts, n, centre, normal, tangent, ball, near, index)
         used, square = geometric_refit(
-            near, m, ball, loose, min(iterations, STEPS), sigma, beta, inverse
+            near, m, ball, loose, min(rule.iterations, STEPS), sigma, beta, inverse
         )
         if used == 0 or (loose == threshold and square > LOST * sigma * sigma):
             return 0
@@ -250,17 +245,7 @@ def settled(
         if loose == threshold and (level_now or level + 1 >= levels):
             break
         loose = max(threshold, min(0.5 * loose, 3.0 * np.sqrt(square)))
-        across(normal, tangent, side)
-        length = np.sqrt(1.0 + beta[1] * beta[1] + beta[2] * beta[2])
-        for k in range(3):
-            centre[k] += beta[0] * normal[k]
-            normal[k] = (normal[k] - beta[1] * tangent[k] - beta[2] * side[k]) / length
-        # the old tangent leaned into the new plane: the quadratic terms belong to these axes
-        along = tangent[0] * normal[0] + tangent[1] * normal[1] + tangent[2] * normal[2]
-        length = np.sqrt(1.0 - along * along)
-        for k in range(3):
-            tangent[k] = (tangent[k] - along * normal[k]) / length
-        beta[0], beta[1], beta[2] = 0.0, 0.0, 0.0
+        _touch(quadric)
     return used if loose == threshold else 0
 
 

@@ -126,6 +126,47 @@ def description(
     return length if length < most and support[:size].min() >= need else np.inf
 
 
+@leaf_kernel
+def _cut_off(square: F64, tried: int, n: int, limit: float, sigma: float) -> Any:
+    """Cut squares (tried, n) off at the limit; returns whether all planes are clutter's: no plane's
+    own points scatter about it less than its slab's width lets them.
+    """
+    clutter = True
+    for c in range(tried):
+        near, inside = 0, 0.0
+        for i in range(n):
+            if square[c, i] < limit:
+                near += 1
+                inside += square[c, i]
+            else:
+                square[c, i] = limit
+        clutter = clutter and inside > HOPELESS * near * sigma * sigma
+    return clutter
+
+
+@kernel
+def _all_sets(
+    square: F64, tried: int, m: int, price: float, most: int, sets: I64, least: F64
+) -> Any:
+    """All sets of up to ``most`` and ``TOGETHER`` candidates with squares (tried, n), to sets (k,
+    TOGETHER), and lower bounds of their description of m points, to least (k,); returns how many.
+    """
+    n, number = square.shape[1], 0
+    pair = np.empty(n)
+    for a in range(tried):
+        for b in range(a, tried):
+            pair[:] = np.minimum(square[a], square[b])
+            for c in range(b, tried):
+                size = 1 + (b > a) + (c > b)
+                if size > most or (a == b and c > b):  # every set once: a, ab as abb, abc
+                    continue
+                total = sum_of_less(pair, square[c], n)
+                sets[number, 0], sets[number, 1], sets[number, 2] = a, b, c
+                least[number] = total * m / n + size * price
+                number += 1
+    return number
+
+
 @kernel
 def few_planes(
     y: F64,
@@ -149,35 +190,11 @@ def few_planes(
     scatter about it less than its slab's width lets them, there is none.
     """
     limit = threshold * threshold
-    square, clutter = np.empty((tried, n)), True
+    square, room = np.empty((tried, n)), tried * (tried * tried + 5) // 6
     squares(y, n, few, tried, square)
-    for c in range(tried):
-        near, inside = 0, 0.0
-        for i in range(n):
-            if square[c, i] < limit:
-                near += 1
-                inside += square[c, i]
-            else:
-                square[c, i] = limit
-        clutter = clutter and inside > HOPELESS * near * sigma * sigma
-    sets, least, number = (
-        np.empty((tried * (tried * tried + 5) // 6, TOGETHER), np.int64),
-        np.empty(tried * (tried * tried + 5) // 6),
-        0,
-    )
-    price = 3.0 * np.log(m) * sigma * sigma
-    pair = np.empty(n)
-    for a in range(tried):
-        for b in range(a, tried):
-            pair[:] = np.minimum(square[a], square[b])
-            for c in range(b, tried):
-                size = 1 + (b > a) + (c > b)
-                if size > most or (a == b and c > b):  # every set once: a, ab as abb, abc
-                    continue
-                total = sum_of_less(pair, square[c], n)
-                sets[number, 0], sets[number, 1], sets[number, 2] = a, b, c
-                least[number] = total * m / n + size * price
-                number += 1
+    clutter = _cut_off(square, tried, n, limit, sigma)
+    sets, least = np.empty((room, TOGETHER), np.int64), np.empty(room)
+    number = _all_sets(square, tried, m, 3.0 * np.log(m) * sigma * sigma, most, sets, least)
     trial = np.empty((MOST, 4))
     count, cost = 0, limit * m
     if tried == 0 or (clutter and least[:number].min() > CLUTTER * m * sigma * sigma):
@@ -228,7 +245,7 @@ def polish(
 
 
 @kernel
-def without(planes: F64, size: int, k: Any, out: F64) -> Any:
+def without(planes: F64, size: int, k: int | np.intp, out: F64) -> Any:
     """All of ``size`` planes but the one numbered k, to out, which may be ``planes``; returns how
     many.
     """

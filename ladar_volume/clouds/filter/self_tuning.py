@@ -123,32 +123,54 @@ def choose(r: F64, parameters: FilterParameters, auto: bool, steps: F64) -> Tune
     noise, narrow = _noise(evenly, distance, near, smooth, parameters.seed)
     noise = without_spread(noise, steps)
     regional = noise[:, 0] * np.median(noise[:, 1] / noise[:, 0])
-    whole = float(np.median(regional))
     if not auto:
-        limit = max(parameters.outlier_sigmas * whole, parameters.outlier_floor_m)
-        balls, zero = np.array([2.0 * parameters.radius_m]), np.zeros(n, np.int64)
-        return Tuned(
-            Regions(balls, zero, zero, np.full(n, whole), np.full(n, limit)), parameters.degree
-        )
-    sigma = np.where(
-        (np.abs(regional / whole - 1.0) > ALIKE) & (regional < CLUTTER * whole), regional, whole
-    )
+        regions = _one_region(n, float(np.median(regional)), parameters)
+        return Tuned(regions, parameters.degree)
     extent = WIDEST * float(np.linalg.norm(np.ptp(r, axis=0)))
     wide = np.maximum(np.minimum(np.median(distance[:, -1][smooth], axis=1), extent), narrow)
-    low = float(wide.min()) / STEP**STEPS
-    level = np.rint(np.log(wide / low) / np.log(STEP)).astype(np.int64)
+    return Tuned(_own_regions(r, tree, at, _Around(regional, narrow, wide), parameters), 2)
+
+
+def _one_region(n: int, whole: float, parameters: FilterParameters) -> Regions:
+    """The parameters' radius for all n points, with one noise, m."""
+    limit = max(parameters.outlier_sigmas * whole, parameters.outlier_floor_m)
+    balls, zero = np.array([2.0 * parameters.radius_m]), np.zeros(n, np.int64)
+    return Regions(balls, zero, zero, np.full(n, whole), np.full(n, limit))
+
+
+@dataclass(frozen=True)
+class _Around:
+    """Around each sample, (s,) m: noise · narrow : radius from which it was told · wide : largest
+    radius
+    """
+
+    noise: F64
+    narrow: F64
+    wide: F64
+
+
+def _own_regions(
+    r: F64, tree: cKDTree, at: I64, around: _Around, parameters: FilterParameters
+) -> Regions:
+    """Noise and radius of points (n, 3) as the samples ``at`` (s,) show them."""
+    whole = float(np.median(around.noise))
+    sigma = np.where(
+        (np.abs(around.noise / whole - 1.0) > ALIKE) & (around.noise < CLUTTER * whole),
+        around.noise,
+        whole,
+    )
+    low = float(around.wide.min()) / STEP**STEPS
+    level = np.rint(np.log(around.wide / low) / np.log(STEP)).astype(np.int64)
     balls = low * STEP ** np.arange(level.max() + 1)
     least = np.minimum(
-        np.ceil(np.log(np.maximum(narrow / low, 1.0)) / np.log(STEP)).astype(np.int64), level
+        np.ceil(np.log(np.maximum(around.narrow / low, 1.0)) / np.log(STEP)).astype(np.int64), level
     )
     down, noisier = _trial(r, tree, at, balls, level, whole, parameters)
     level = np.maximum(level - down, least)
     sigma = np.where(noisier, sigma, np.minimum(sigma, whole))
     nearest = _nearest(r[at], r, 1)[:, 0]
     threshold = np.maximum(SIGMAS * sigma, parameters.outlier_floor_m)
-    return Tuned(
-        Regions(balls, level[nearest], least[nearest], sigma[nearest], threshold[nearest]), 2
-    )
+    return Regions(balls, level[nearest], least[nearest], sigma[nearest], threshold[nearest])
 
 
 def _along_lines(
@@ -163,9 +185,7 @@ def _along_lines(
         sigma, where = without_spread(found[0], steps), found[1]
     if not auto:
         whole = float(np.median(sigma))
-        limit = max(parameters.outlier_sigmas * whole, parameters.outlier_floor_m)
-        balls, zero = np.array([2.0 * parameters.radius_m]), np.zeros(len(r), np.int64)
-        regions = Regions(balls, zero, zero, np.full(len(r), whole), np.full(len(r), limit))
+        regions = _one_region(len(r), whole, parameters)
         return Tuned(regions, parameters.degree, lines, where, where is not None)
     threshold = np.maximum(SIGMAS * sigma, parameters.outlier_floor_m)
     regions = line_regions(r, lines, sigma, threshold)

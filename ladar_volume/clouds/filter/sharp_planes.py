@@ -51,6 +51,43 @@ def plane_through(a: F64, b: F64, c: F64, plane: F64) -> Any:
 
 
 @kernel
+def _two_near(x: F64, free: I64, m: int, a: int, reach: float, state: U64) -> Any:
+    """Two random points of ``free[:m]`` within ``reach`` of point a; returns (first, second, how
+    many were found).
+    """
+    found = 0
+    b = c = a
+    for _ in range(12):
+        k = free[_uniform(state, m)]
+        d = (x[k, 0] - x[a, 0]) ** 2 + (x[k, 1] - x[a, 1]) ** 2 + (x[k, 2] - x[a, 2]) ** 2
+        if k == a or k == b or d > reach * reach:
+            continue
+        if found == 0:
+            b = k
+        else:
+            c = k
+        found += 1
+        if found == 2:
+            break
+    return b, c, found
+
+
+@leaf_kernel
+def _score(x: F64, free: I64, m: int, trial: F64, limit: float, best: float) -> Any:
+    """Truncated score of a plane by the points ``free[:m]``; less where it cannot exceed the
+    best.
+    """
+    score = 0.0
+    for i in range(m):
+        d = distance(x[free[i]], trial)
+        if d * d < limit:
+            score += limit - d * d
+        if score + (m - i) * limit <= best:
+            break
+    return score
+
+
+@kernel
 def best_plane(
     x: F64, free: I64, m: int, reach: float, threshold: float, trials: int, state: U64, plane: F64
 ) -> Any:
@@ -66,33 +103,34 @@ def best_plane(
     best = 0.0
     for _ in range(trials):
         a = free[_uniform(state, m)]
-        found = 0
-        b = c = a
-        for _ in range(12):
-            k = free[_uniform(state, m)]
-            d = (x[k, 0] - x[a, 0]) ** 2 + (x[k, 1] - x[a, 1]) ** 2 + (x[k, 2] - x[a, 2]) ** 2
-            if k == a or k == b or d > reach * reach:
-                continue
-            if found == 0:
-                b = k
-            else:
-                c = k
-            found += 1
-            if found == 2:
-                break
+        b, c, found = _two_near(x, free, m, a, reach, state)
         if found < 2 or not plane_through(x[a], x[b], x[c], trial):
             continue
-        score = 0.0
-        for i in range(m):
-            d = distance(x[free[i]], trial)
-            if d * d < limit:
-                score += limit - d * d
-            if score + (m - i) * limit <= best:
-                break
+        score = _score(x, free, m, trial, limit, best)
         if score > best:
             best = score
             plane[:] = trial
     return best
+
+
+@leaf_kernel
+def _spread(x: F64, m: int, share: F64, mean: F64, S: F64) -> None:
+    """Scatter (3, 3) of points (m, 3) about their mean, by their shares, to S."""
+    s00 = s01 = s02 = s11 = s12 = s22 = 0.0
+    for i in range(m):
+        if share[i] > 0.0:
+            d0, d1, d2 = x[i, 0] - mean[0], x[i, 1] - mean[1], x[i, 2] - mean[2]
+            e0, e1, e2 = share[i] * d0, share[i] * d1, share[i] * d2
+            s00 += e0 * d0
+            s01 += e0 * d1
+            s02 += e0 * d2
+            s11 += e1 * d1
+            s12 += e1 * d2
+            s22 += e2 * d2
+    S[0, 0], S[1, 1], S[2, 2] = s00, s11, s22
+    S[0, 1] = S[1, 0] = s01
+    S[0, 2] = S[2, 0] = s02
+    S[1, 2] = S[2, 1] = s12
 
 
 @kernel
@@ -113,22 +151,8 @@ def fit_shares(x: F64, m: int, share: F64, plane: F64, mean: F64, inverse: F64) 
         return 0.0
     for k in range(3):
         mean[k] /= total
-    s00 = s01 = s02 = s11 = s12 = s22 = 0.0
-    for i in range(m):
-        if share[i] > 0.0:
-            d0, d1, d2 = x[i, 0] - mean[0], x[i, 1] - mean[1], x[i, 2] - mean[2]
-            e0, e1, e2 = share[i] * d0, share[i] * d1, share[i] * d2
-            s00 += e0 * d0
-            s01 += e0 * d1
-            s02 += e0 * d2
-            s11 += e1 * d1
-            s12 += e1 * d2
-            s22 += e2 * d2
     S, value, vector = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
-    S[0, 0], S[1, 1], S[2, 2] = s00, s11, s22
-    S[0, 1] = S[1, 0] = s01
-    S[0, 2] = S[2, 0] = s02
-    S[1, 2] = S[2, 1] = s12
+    _spread(x, m, share, mean, S)
     eigen(S, value, vector)
     if not value[1] > 1e-12 * max(value[2], 1e-300):
         return 0.0

@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 
 from ladar_volume.clouds.filter import sharp_planes
+from ladar_volume.clouds.filter.cell_records import Cell, CellRule, Pieces, Quadric
 from ladar_volume.clouds.filter.orthogonal_quadric import (
     LEVELS,
+    QuadricRule,
     quadric_cost,
     quadric_from,
     settled,
@@ -100,22 +102,14 @@ def bent(x: F64, m: int, label: I64, plane: F64, mean: F64, ball: float) -> Any:
 
 
 @kernel
-def flat(
-    x: F64,
-    m: int,
-    ball: float,
-    sigma: float,
-    threshold: float,
-    price: float,
-    plane: F64,
-    mean: F64,
-    inverse: F64,
-    label: I64,
-) -> Any:
+def flat(cell: Cell, ball: float, price: float, pieces: Pieces) -> Any:
     """Whether one plane describes the points (m, 3): it explains most of them, leaves no more than
     the noise, and quadratic terms would lower its squares by less than their price. Refits
-    ``plane``; returns (1 or 0, number of its points, sum of truncated squares).
+    the first of the planes; returns (1 or 0, number of its points, sum of truncated squares).
     """
+    x, m, sigma, threshold = cell.x, cell.m, cell.sigma, cell.threshold
+    plane, mean, inverse = pieces.planes[0], pieces.means[0], pieces.inverses[0]
+    label = pieces.label
     used, near, square = 0, -1, 0.0
     for _ in range(STEADY):
         count, square = 0, 0.0
@@ -163,96 +157,75 @@ def close_to(pts: F64, n: int, origin: F64, plane: F64, width: float) -> Any:
 
 
 @kernel
-def bend(
-    x: F64,
-    m: int,
-    n: int,
-    r: F64,
-    slots: I64,
-    origin: F64,
-    key: int,
-    candidates: F64,
-    offered: int,
-    ball: float,
-    sigma: float,
-    threshold: float,
-    least: int,
-    iterations: int,
-    quadric: tuple[F64, F64, F64, F64, F64],
-) -> Any:
-    """A ``quadric`` (centre, normal, tangent, beta, inverse) for the cell, to the arrays given.
+def _start(cell: Cell, key: int, candidates: F64, rule: CellRule, start: F64) -> Any:
+    """The plane a quadric grows from; returns (robust sigma about it, negative where there is none;
+    how many points must lie on the quadric).
+
+    No candidate is a plane within the threshold: a surface that bends by more than its noise, or
+    none; half of the points must say so.
+    """
+    if len(candidates) > 0:
+        start[:] = candidates[nearest_to_origin(candidates, len(candidates))]
+        return 0.0, rule.least
+    return loose_plane(cell.x, cell.m, rule.ball / BENT, key, start), cell.m // 2
+
+
+@kernel
+def _hopeless(cell: Cell, inliers: int, quadric: Quadric) -> Any:
+    """Whether a few of the points say that a quadric with so many inliers is no surface: most
+    neighbourhoods that are not flat are sharp or clutter.
+    """
+    every, limit = max(cell.m // SCREEN, 1), cell.threshold * cell.threshold
+    some = (cell.m + every - 1) // every
+    centre, normal, tangent, beta, _ = quadric
+    cost, near = quadric_cost(
+        cell.x[: cell.m : every], some, cell.origin, centre, normal, tangent, beta, limit
+    )
+    return (
+        inliers < 8
+        or 2 * near < some
+        or cost - (some - near) * cell.threshold * cell.threshold
+        > HOPELESS * near * cell.sigma * cell.sigma
+    )
+
+
+@kernel
+def _judged(cell: Cell, quadric: Quadric) -> Any:
+    """Cost of a quadric and how many planes may compete with it, as :func:`bend`."""
+    m, sigma, threshold = cell.m, cell.sigma, cell.threshold
+    centre, normal, tangent, beta, _ = quadric
+    cost, near = quadric_cost(
+        cell.x, m, cell.origin, centre, normal, tangent, beta, threshold * threshold
+    )
+    leaves = (cost - (m - near) * threshold * threshold) / (max(near, 1) * sigma * sigma)
+    if near < m // 2 or leaves > max(HOPELESS, 1.0 + SCATTER / np.sqrt(near)):
+        return np.inf, sharp_planes.MOST
+    alone = near > EXPLAINS * m and leaves < 1.0 + 2.0 / np.sqrt(near)
+    return cost, 0 if alone else sharp_planes.MOST
+
+
+@kernel
+def bend(cell: Cell, r: F64, key: int, candidates: F64, rule: CellRule, quadric: Quadric) -> Any:
+    """A ``quadric`` for the cell with this ``key`` among points r (n, 3), to the arrays given.
     Returns (its sum of truncated squares, infinite for none; how many planes may compete with it):
     where it leaves no more than the noise, none: several planes, which cost no less than it, have
     nothing to gain.
     """
-    centre, normal, tangent, beta, inverse = quadric
-    start, loose, most = np.empty(4), 0.0, least
-    if offered > 0:
-        start[:] = candidates[nearest_to_origin(candidates, offered)]
-    # no plane within the threshold: a surface that bends by more than its noise, or none; half of
-    # the points must say so
-    else:
-        loose, most = loose_plane(x, m, ball / BENT, key, start), m // 2
-        if loose < 0.0:
-            return np.inf, sharp_planes.MOST
-    pts, n = wider(r, slots, n, origin, WIDE * ball)
-    every = max(m // SCREEN, 1)
-    thin = max(
-        min(n // SCREEN, close_to(pts, n, origin, start, max(3.0 * loose, threshold)) // FROM), 1
-    )
+    start, origin, threshold = np.empty(4), cell.origin, cell.threshold
+    loose, most = _start(cell, key, candidates, rule, start)
+    if loose < 0.0:
+        return np.inf, sharp_planes.MOST
+    pts, n = wider(r, cell.slots, len(cell.slots), origin, WIDE * rule.ball)
+    close = close_to(pts, n, origin, start, max(3.0 * loose, threshold))
+    thin = max(min(n // SCREEN, close // FROM), 1)
     few = (n + thin - 1) // thin
     levels = LEVELS if thin == 1 else 1  # the fit to all points levels the frame
-    inliers = quadric_from(
-        pts[:n:thin],
-        few,
-        origin,
-        start,
-        3.0 * loose,
-        ball,
-        sigma,
-        threshold,
-        iterations,
-        levels,
-        centre,
-        normal,
-        tangent,
-        beta,
-        inverse,
-    )
-    if (
-        thin > 1
-    ):  # most neighbourhoods that are not flat are sharp or clutter, and a few points say so
-        some = (m + every - 1) // every
-        cost, near = quadric_cost(
-            x[:m:every], some, origin, centre, normal, tangent, beta, threshold * threshold
-        )
-        if (
-            inliers < 8
-            or 2 * near < some
-            or cost - (some - near) * threshold * threshold > HOPELESS * near * sigma * sigma
-        ):
+    fit = QuadricRule(rule.ball, cell.sigma, threshold, rule.iterations)
+    inliers = quadric_from(pts[:n:thin], few, origin, start, 3.0 * loose, fit, levels, quadric)
+    if thin > 1:
+        if _hopeless(cell, inliers, quadric):
             return np.inf, sharp_planes.MOST
-        inliers = settled(
-            pts,
-            n,
-            threshold,
-            ball,
-            sigma,
-            threshold,
-            iterations,
-            LEVELS,
-            centre,
-            normal,
-            tangent,
-            beta,
-            inverse,
-        )
+        inliers = settled(pts, n, threshold, fit, LEVELS, quadric)
     if inliers < max(most, 8):
         return np.inf, sharp_planes.MOST
-    cost, near = quadric_cost(x, m, origin, centre, normal, tangent, beta, threshold * threshold)
-    leaves = (cost - (m - near) * threshold * threshold) / (max(near, 1) * sigma * sigma)
-    if near < m // 2 or leaves > max(HOPELESS, 1.0 + SCATTER / np.sqrt(near)):
-        return np.inf, sharp_planes.MOST
-    return cost, 0 if near > EXPLAINS * m and leaves < 1.0 + 2.0 / np.sqrt(
-        near
-    ) else sharp_planes.MOST
+    return _judged(cell, quadric)
