@@ -97,23 +97,32 @@ def cloud_surface(
     cleaned = without_strays(cloud[index], how)
     strays, index = index[cleaned.strays], index[cleaned.kept]
     cloud = cloud[index]
-    outliers = [np.zeros(0, np.int64)]
-    if screen_m is not None:
-        screened = tin_screen(cloud, screen_m)
-        outliers.append(index[screened.outliers])
-        cloud, index = screened.points_map, index[screened.index]
-    if median_m is not None:
-        levelled = tin_filter(cloud, median_m)
-        cloud = levelled.points_map
-        outliers.append(index[levelled.outliers])
+    cloud, index, changed = screened(cloud, index, screen_m, median_m)
     sigma, words = noise(
         cloud,
         sigma_m[index] if isinstance(sigma_m, np.ndarray) and sigma_m.ndim else sigma_m,
         sigma_from,
     )
     made = represent(cloud, options, sigma)
-    changed = np.unique(np.concatenate(outliers))
     return CloudSurface(cloud, index, sigma, words, changed, made, np.sort(strays), copies)
+
+
+def screened(
+    cloud: F64, index: I64, screen_m: float | None, median_m: float | None
+) -> tuple[F64, I64, I64]:
+    """Points (n, 3) m and their rows (n,) after the median screen and the median filter, and the
+    rows of the outliers.
+    """
+    outliers = [np.zeros(0, np.int64)]
+    if screen_m is not None:
+        kept = tin_screen(cloud, screen_m)
+        outliers.append(index[kept.outliers])
+        cloud, index = kept.points_map, index[kept.index]
+    if median_m is not None:
+        levelled = tin_filter(cloud, median_m)
+        cloud = levelled.points_map
+        outliers.append(index[levelled.outliers])
+    return cloud, index, np.unique(np.concatenate(outliers))
 
 
 def distinct(points: F64) -> I64:

@@ -18,13 +18,13 @@ import numpy as np
 from ladar_volume.change.surface_difference import along_curve, difference
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.ground.ground_adjoint import ground_gradient
-from ladar_volume.ground.polynomial import base_height, degree_of, design, design_surface
+from ladar_volume.ground.polynomial import degree_of, design, design_surface
 from ladar_volume.model.errors import GroundError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.tin.full_tin import any_corner
 from ladar_volume.volume.base import base_and_outline, polygon_of
-from ladar_volume.volume.near_base import REACH, NearBase, near_base
+from ladar_volume.volume.near_base import REACH, NearBase, heights_above, near_base
 from ladar_volume.volume.overlay import between
 from ladar_volume.volume.polygon import clipped_prismoids
 from ladar_volume.volume.prismoids import prismoids
@@ -187,10 +187,9 @@ def solid_above(
         else prismoids(tin, base, mask)
     )
     cut, near, curved = found.gradient_cut[:, 2], None, 0.0
-    whole = (
-        whole_triangles(tin, inside) if by_polygon else mask
-    )  # a triangle that the outline cuts is left uncorrected
-    height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
+    # a triangle that the outline cuts is left uncorrected
+    whole = whole_triangles(tin, inside) if by_polygon else mask
+    height = heights_above(tin, base)
     if correct and surface.sigma_m is not None and comes_near(tin, height, surface.sigma_m, whole):
         C = surface.made.covariance(surface.sigma_m) if covariance is None else covariance
         near = near_base(tin, base, C, whole, selected=selected(surface))
@@ -200,10 +199,8 @@ def solid_above(
     extra: dict[str, float] = {}
     if len(base.support):
         # the base moves with the points that define it
-        by_beta = np.stack(
-            [found.base_net, -design(tin.vertices[:, :2], base.origin_xy, degree_of(base)).T @ cut],
-            axis=1,
-        )
+        at = design(tin.vertices[:, :2], base.origin_xy, degree_of(base))
+        by_beta = np.stack([found.base_net, -at.T @ cut], axis=1)
         gradient[base.support] += ground_gradient(tin.vertices, base, by_beta)[..., 2]
         field = ground_field(tin, base, found, inside, variance)
         if field is not None:

@@ -22,7 +22,7 @@ from ladar_volume.clouds.published.published_filter import filter_published, set
 from ladar_volume.clouds.sampling.distinct_points import distinct, repeated
 from ladar_volume.clouds.sampling.rounding_step import rounding_steps, shared_rounding
 from ladar_volume.model.cloud_filter_parameters import FilterParameters, PublishedFilterParameters
-from ladar_volume.model.records import F64
+from ladar_volume.model.records import F64, I64
 
 #: Reduction before and after the filter, by ``FilterParameters.reduce``.
 REDUCE = {"published": ("round", "mean"), "round": ("round", "round"), "mean": ("mean", "mean")}
@@ -103,17 +103,7 @@ def _result(
     index, outliers = np.flatnonzero(stays), np.flatnonzero(~stays)
     flag = sparse.stays[index]
     flags = np.where(flag, np.where(done.reason[index] == CLUTTER, 2, 1), 0)
-    report: dict[str, float | int | str] = {
-        **tuned.report(factor),
-        "points": len(local),
-        "kept": len(index),
-        "cells": done.cells,
-        "on_quadrics": int(np.count_nonzero(done.kind == -1)),
-        "on_planes": int(np.count_nonzero(done.kind == 1)),
-        "on_sharp": int(np.count_nonzero(done.kind > 1)),
-    }
-    for number, name in enumerate(REASONS[1:], 1):
-        report[name] = int(np.count_nonzero(done.reason[outliers] == number))
+    report = {**tuned.report(factor), **_counts(done, index, outliers)}
     if tuned.lines is not None or flag.any():
         report["sparse"] = int(np.count_nonzero(flags == 1))
     if steps.any():
@@ -136,6 +126,22 @@ def _result(
         flag=flags if flag.any() else None,
         verdict=doubts(report, tuned.told),
     )
+
+
+def _counts(done: Covered, index: I64, outliers: I64) -> dict[str, int]:
+    """How many points, and where they went."""
+    return {
+        "points": len(index) + len(outliers),
+        "kept": len(index),
+        "cells": done.cells,
+        "on_quadrics": int(np.count_nonzero(done.kind == -1)),
+        "on_planes": int(np.count_nonzero(done.kind == 1)),
+        "on_sharp": int(np.count_nonzero(done.kind > 1)),
+        **{
+            name: int(np.count_nonzero(done.reason[outliers] == number))
+            for number, name in enumerate(REASONS[1:], 1)
+        },
+    }
 
 
 def judge(r: F64, done: Covered, regions: Regions) -> float:

@@ -156,14 +156,7 @@ def objects_at(
     within ``pick_reach_m``.
     """
     p = p or ObjectParameters()
-    groups = [np.atleast_2d(np.asarray(g, dtype=np.float64)) for g in picks]
-    if (
-        any(g.size == 0 or g.shape[1:] != (3,) or not np.isfinite(g).all() for g in groups)
-        or not groups
-    ):
-        raise ObjectError(
-            "each object needs at least one picked point x, y, z", reason="object_pick", value=picks
-        )
+    groups = _checked_picks(picks)
     found = find_objects(points, grounds, p, supports)
     rows = np.flatnonzero(found.label >= 0)
     if len(rows) == 0:
@@ -177,17 +170,7 @@ def objects_at(
         np.concatenate(groups),
         np.repeat(np.arange(len(groups)), [len(g) for g in groups]),
     )
-    away, nearest = (np.asarray(a) for a in cKDTree(points[rows]).query(picked))
-    if away.max() > p.pick_reach_m:
-        far = int(away.argmax())
-        raise ObjectError(
-            f"the picked point {picked[far]} is {away[far]:.2f} m from the nearest "
-            f"object, more than {p.pick_reach_m:g} m: pick on it, or "
-            "raise pick_reach_m",
-            reason="object_pick",
-            value=picked[far],
-        )
-    hit = found.label[rows[nearest]]
+    hit = found.label[rows[_nearest(points[rows], picked, p.pick_reach_m)]]
     label = np.full(len(points), -1, dtype=np.int64)
     for cluster in np.unique(hit):
         own, mine = found.label == cluster, hit == cluster
@@ -200,6 +183,34 @@ def objects_at(
             value=int(lost[0]),
         )
     return _objects(points, found.height_m, label)
+
+
+def _checked_picks(picks: Sequence[F64]) -> list[F64]:
+    """Groups of picked points (k, 3), none empty. Raises :class:`ObjectError`."""
+    groups = [np.atleast_2d(np.asarray(g, dtype=np.float64)) for g in picks]
+    if not groups or any(
+        g.size == 0 or g.shape[1:] != (3,) or not np.isfinite(g).all() for g in groups
+    ):
+        raise ObjectError(
+            "each object needs at least one picked point x, y, z", reason="object_pick", value=picks
+        )
+    return groups
+
+
+def _nearest(points: F64, picked: F64, reach_m: float) -> I64:
+    """The point (k,) nearest to each that is picked (k, 3). Raises :class:`ObjectError` beyond the
+    reach.
+    """
+    away, nearest = (np.asarray(a) for a in cKDTree(points).query(picked))
+    if away.max() > reach_m:
+        far = int(away.argmax())
+        raise ObjectError(
+            f"the picked point {picked[far]} is {away[far]:.2f} m from the nearest "
+            f"object, more than {reach_m:g} m: pick on it, or raise pick_reach_m",
+            reason="object_pick",
+            value=picked[far],
+        )
+    return nearest.astype(np.int64)
 
 
 def rising(

@@ -257,13 +257,10 @@ def epoch_budget(
     second = boresight_second_order(one, two, C_new, C_old, "boresight" not in separate)
     lines, bent = {**calibration}, {"boresight_second_order": second}
     for epoch, s, end in ((new, one, ""), (previous, two, "_previous")):
-        lines[f"noise{end}"] = max(0.0, float(s.C_results[0, 0]))
-        lines[f"noise_tangential{end}"] = s.tangential_m6
-        own = epoch.sources.parameters.budget
-        for name, value in navigation_variance(s.navigation, own).items():
-            lines[f"{name}{end}"] = value
+        own = own_lines(epoch, s)
+        lines.update({f"{name}{end}": value for name, value in own.items()})
         bent[f"attitude_second_order{end}"] = attitude_second_order(
-            s.swing, own, lines[f"attitude{end}"]
+            s.swing, epoch.sources.parameters.budget, own["attitude"]
         )
     second_lines, all_second = together(bent)
     lines.update(second_lines)
@@ -277,9 +274,8 @@ def epoch_budget(
         total + tau_change(new, one, f) + tau_change(previous, two, f)
         for f in (1.0 / 3.0, 1.0, 3.0)
     ]
-    nothing_shared = sum(
-        calibration_lines(one.J_cal, two.J_cal, C_new, C_old, 0.0 * cross)[0].values()
-    )
+    alone = calibration_lines(one.J_cal, two.J_cal, C_new, C_old, 0.0 * cross)[0]
+    nothing_shared = sum(alone.values())
     apart = total - sum(calibration.values()) + nothing_shared
     apart += boresight_second_order(one, two, C_new, C_old, False).line_m6 - second.line_m6
     naive = math.hypot(new.naive_sigma(gradient_new), previous.naive_sigma(gradient_previous))
@@ -291,6 +287,15 @@ def epoch_budget(
         naive,
         math.sqrt(max(apart, 0.0)),
     )
+
+
+def own_lines(epoch: Epoch, s: Sensitivities) -> dict[str, float]:
+    """Variances that are one survey's own, m⁶: noise and navigation."""
+    return {
+        "noise": max(0.0, float(s.C_results[0, 0])),
+        "noise_tangential": s.tangential_m6,
+        **navigation_variance(s.navigation, epoch.sources.parameters.budget),
+    }
 
 
 def tau_change(epoch: Epoch, s: Sensitivities, factor: float) -> float:

@@ -176,33 +176,19 @@ def near_base(
     if len(t) == 0:
         raise VolumeError("there is no triangle to take a volume of", reason="volume_no_triangle")
     joint: Any = C if sparse.issparse(C) else sparse.diags_array(np.asarray(C, dtype=np.float64))
-    variance = joint.diagonal()
-    h = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
-    area, near = (
-        footprint_areas(tin.vertices, t),
-        near_triangles(tin, h, checked(variance, n), chosen),
-    )
+    h, area = heights_above(tin, base), footprint_areas(tin.vertices, t)
+    near = near_triangles(tin, h, checked(joint.diagonal(), n), chosen)
     close, close_area = t[near], area[near]
     if selected and len(close):
-        joint = joint * scatter(tin, h, variance, close)
-        variance = joint.diagonal()
-    smooth = smoothed(
-        tin,
-        h,
-        variance,
-        close,
-        rings,
-        np.asarray(joint.sum(axis=1)).ravel() if summed is None else summed,
-    )
+        joint = joint * scatter(tin, h, joint.diagonal(), close)
+    sums = np.asarray(joint.sum(axis=1)).ravel() if summed is None else summed
+    smooth = smoothed(tin, h, joint.diagonal(), close, rings, sums)
     found = np.empty((len(close), 13))
     for part, at in blocks(smooth, close, node_covariances(joint, close)):
         found[part] = moments(*at)
     slope = np.empty((len(t), 3))
     slope[~near], slope[near] = positive_part(h[t[~near]])[1], found[:, 1:4]
-    cut = gather((slope * area[:, None])[..., None], t, n)[:, 0]
-    cut = cut - smooth.adjoint(
-        gather((found[:, 4:7] * close_area[:, None])[..., None], close, n)[:, 0]
-    )
+    cut = load(slope, area, t, n) - smooth.adjoint(load(found[:, 4:7], close_area, close, n))
     net = gather(np.repeat(area / 3.0, 3).reshape(-1, 3, 1), t, n)[:, 0]
     curved = second_order(
         found[:, 7:] * close_area[:, None], close, smooth.start, smooth.link, joint
@@ -221,6 +207,19 @@ def near_base(
         net,
         remaining_fold(smooth, close, close_area, rings),
     )
+
+
+def heights_above(tin: Tin, base: Plane | None) -> F64:
+    """Heights (n,) m of the vertices above a base, or their z."""
+    if base is None:
+        return tin.vertices[:, 2]
+    out: F64 = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
+    return out
+
+
+def load(slope: F64, area: F64, triangles: I32, n: int) -> F64:
+    """Mean derivatives (m, 3) of triangles of areas (m,) m², added up by vertex (n,) m²."""
+    return gather((slope * area[:, None])[..., None], triangles, n)[:, 0]
 
 
 def scatter(tin: Tin, height: F64, variance: F64, near: I32) -> float:
@@ -302,11 +301,7 @@ def near_levels(
     """
     chosen = tin.relevant if mask is None else mask
     t, variance = tin.triangles[chosen], sparse.csr_array(C).diagonal()
-    h = (
-        tin.vertices[:, 2]
-        if base is None
-        else tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
-    )
+    h = heights_above(tin, base)
     order, reach = np.argsort(levels_m, kind="stable"), REACH * np.sqrt(variance)
     level = np.asarray(levels_m, dtype=np.float64)[order]
     low, high = (h - reach)[t].min(axis=1), (h + reach)[t].max(axis=1)
@@ -323,13 +318,7 @@ def near_levels(
         node_covariances(C, t),
         np.sqrt(smooth.variance)[t],
     )
-    ends = np.cumsum(count)
-    for i in range(0, int(ends[-1]) if len(ends) else 0, BLOCK):
-        pair = np.arange(i, min(i + BLOCK, int(ends[-1])))
-        one = np.searchsorted(
-            ends, pair, side="right"
-        )  # every triangle with every level it comes near
-        at = first[one] + pair - (ends[one] - count[one])
+    for one, at in pairs(first, count):
         taken = correction(
             *folds(smooth.heights[t[one]] - level[at, None], s[one], packed[one], slopes=False)
         )
@@ -337,6 +326,17 @@ def near_levels(
     back = np.empty_like(out)
     back[order] = out
     return back
+
+
+def pairs(first: I64, count: I64) -> Iterator[tuple[I64, I64]]:
+    """Every triangle (m,) with every level it comes near, ``count`` of them from ``first`` on, some
+    at a time: numbers of triangles and of levels.
+    """
+    ends = np.cumsum(count)
+    for i in range(0, int(ends[-1]) if len(ends) else 0, BLOCK):
+        pair = np.arange(i, min(i + BLOCK, int(ends[-1])))
+        one = np.searchsorted(ends, pair, side="right")
+        yield one, first[one] + pair - (ends[one] - count[one])
 
 
 @kernel

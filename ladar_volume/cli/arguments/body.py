@@ -112,6 +112,11 @@ def _add_objects(parser: argparse.ArgumentParser) -> None:
         metavar="X,Y,Z",
         help="one body at this point",
     )
+    _add_clusters(g)
+
+
+def _add_clusters(g: argparse._ArgumentGroup) -> None:
+    """What is an object where none is named."""
     g.add_argument(
         "--min-height",
         type=float,
@@ -149,6 +154,11 @@ def _add_mesh(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="seed of the filter and of the search of the ground",
     )
+    _add_edges(g)
+
+
+def _add_edges(g: argparse._ArgumentGroup) -> None:
+    """How the points are meshed and the mesh is closed."""
     g.add_argument(
         "--mesh-radius",
         type=float,
