@@ -175,14 +175,18 @@ def objects_at(
     for cluster in np.unique(hit):
         own, mine = found.label == cluster, hit == cluster
         label[own] = group[mine][cKDTree(picked[mine]).query(points[own])[1]]
-    lost = np.setdiff1d(group, label)
+    _check_all_found(np.setdiff1d(group, label))
+    return _objects(points, found.height_m, label)
+
+
+def _check_all_found(lost: I64) -> None:
+    """Refuses groups of picks to which no point went."""
     if len(lost):
         raise ObjectError(
             f"no point is nearer to the picks of object {lost[0]} than to others: pick on the body",
             reason="object_pick",
             value=int(lost[0]),
         )
-    return _objects(points, found.height_m, label)
 
 
 def _checked_picks(picks: Sequence[F64]) -> list[F64]:

@@ -121,26 +121,30 @@ def fit_ground(
         else np.asarray(select, dtype=np.int64)
     )
     p = points[chosen]
-    needed = COEFFICIENTS[parameters.degree]
-    if len(p) < needed:
-        raise GroundError(
-            f"a ground of degree {parameters.degree} needs {needed} points, there are "
-            f"{len(p)}: give more of the ground, or a lower "
-            "ground.degree",
-            reason="ground_too_few_points",
-            value=len(p),
-        )
-    if not (np.isfinite(p).all() and np.isfinite(variance[chosen]).all()):
-        raise GroundError(
-            "a ground point with a coordinate or variance that is not finite: remove it",
-            reason="ground_not_finite",
-        )
+    _check_points(p, variance[chosen], parameters.degree)
     step = max(1, len(p) // SEARCHED_POINTS)
     plane = _search(p[::step], variance[chosen][::step], parameters, coarse_m)
     if step > 1:
         plane = refine(p, variance[chosen], plane, parameters, THRESHOLD_SIGMAS * plane.rms_m)
     check_surface(p, variance[chosen], plane, parameters)
     return dataclasses.replace(plane, support=chosen[plane.support])
+
+
+def _check_points(p: F64, variance: F64, degree: int) -> None:
+    """Refuses too few points (n, 3) for a surface of a degree, and what is not finite."""
+    needed = COEFFICIENTS[degree]
+    if len(p) < needed:
+        raise GroundError(
+            f"a ground of degree {degree} needs {needed} points, there are "
+            f"{len(p)}: give more of the ground, or a lower ground.degree",
+            reason="ground_too_few_points",
+            value=len(p),
+        )
+    if not (np.isfinite(p).all() and np.isfinite(variance).all()):
+        raise GroundError(
+            "a ground point with a coordinate or variance that is not finite: remove it",
+            reason="ground_not_finite",
+        )
 
 
 def _search(p: F64, variance: F64, parameters: GroundParameters, coarse_m: float) -> Plane:

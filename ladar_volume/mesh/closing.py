@@ -120,13 +120,7 @@ def fill_gap(skin: Skin, rim: Rim, close_m: float, hint: str) -> tuple[Skin, Clo
     width = rim.size_m if fan else gap_width(skin.vertices[loop], inner)
     if width > close_m:
         what = f"an open rim of {k:,} vertices, {width:.3g} m across," if fan else ""
-        what = what or f"a gap {width:.3g} m wide"
-        raise SurfaceError(
-            f"{what} at {place(rim.middle)}, more than {close_m:.3g} m: "
-            f"close more (--close), scan that side{hint}",
-            reason="closing_gap",
-            value=width,
-        )
+        raise too_wide(what or f"a gap {width:.3g} m wide", rim, width, close_m, hint)
     new = np.zeros((0, 3))
     if fan:
         inner = np.stack([np.arange(k), (np.arange(k) + 1) % k, np.full(k, k)], axis=1)
@@ -152,6 +146,16 @@ def fill_gap(skin: Skin, rim: Rim, close_m: float, hint: str) -> tuple[Skin, Clo
     )
     return skin, Closure(
         GAP, k, width, tetrahedra(skin.vertices, loop[inner], rim.middle), bulge_of(skin, before)
+    )
+
+
+def too_wide(what: str, rim: Rim, width_m: float, close_m: float, hint: str) -> SurfaceError:
+    """The refusal of a gap."""
+    return SurfaceError(
+        f"{what} at {place(rim.middle)}, more than {close_m:.3g} m: "
+        f"close more (--close), scan that side{hint}",
+        reason="closing_gap",
+        value=width_m,
     )
 
 

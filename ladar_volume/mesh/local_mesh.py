@@ -146,14 +146,8 @@ def mesh_cloud(
     if spread[1] <= THIN * spread[0]:
         raise SurfaceError("no triangle: all points lie on one line", reason="mesh_empty")
     distance, index = neighbours(p, NEIGHBOURS)
-    n = unit_normals(
-        p,
-        index,
-        None if normals is None else np.asarray(normals, np.float64),
-        first,
-        len(given),
-        settings.signed,
-    )
+    own = None if normals is None else np.asarray(normals, np.float64)
+    n = unit_normals(p, index, own, first, len(given), settings.signed)
     if settings.method == "published":
         return overlapping(given, first, p, n, settings)
     spacing = float(np.median(distance[:, min(SPACING, distance.shape[1]) - 1]))
@@ -233,15 +227,7 @@ def finish(
         holes, dropped = holes + closed, dropped + gone
         if not gone:
             break
-    out = np.empty((int(size.sum()) // 3, 4), np.int32)
-    if spread_out(fan, size, out) == 0:
-        raise SurfaceError(
-            (
-                "no triangle: the points lie on lines, or all farther apart than "
-                f"{report['radius_m']:.3g} m"
-            ),
-            reason="mesh_empty",
-        )
+    out = _spread(fan, size, float(report["radius_m"]))
     rim, start, _ = rims(p, n, fan, size, slack)
     status = np.full(len(given), DUPLICATE, np.int32)
     status[first] = np.where(size > 0, INSIDE, UNUSED)
@@ -257,16 +243,21 @@ def finish(
         "unused": int(np.sum(status == UNUSED)),
         "duplicates": len(given) - len(first),
     }
+    none = np.empty((0, 2), np.int32)
     return LocalMesh(
-        given,
-        normals,
-        here[out[:, :3]],
-        out[:, 3].copy(),
-        status,
-        edges,
-        np.empty((0, 2), np.int32),
-        report,
+        given, normals, here[out[:, :3]], out[:, 3].copy(), status, edges, none, report
     )
+
+
+def _spread(fan: I32, size: I32, radius_m: float) -> I32:
+    """The triangles (m, 3) of the fans, and how many agreed on each (m,). Refuses none."""
+    out = np.empty((int(size.sum()) // 3, 4), np.int32)
+    if spread_out(fan, size, out) == 0:
+        raise SurfaceError(
+            f"no triangle: the points lie on lines, or all farther apart than {radius_m:.3g} m",
+            reason="mesh_empty",
+        )
+    return out
 
 
 def overlapping(given: F64, first: I64, p: F64, n: F64, settings: LocalMeshSettings) -> LocalMesh:

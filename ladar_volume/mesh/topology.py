@@ -158,16 +158,7 @@ def orient(vertices: F64, triangles: npt.ArrayLike) -> Oriented:
     _, t = check_mesh(vertices, triangles)
     order, start, key = edge_table(t)
     uses = np.diff(start)
-    if (uses > 2).any():
-        bad = key[order[start[:-1][uses > 2]]]
-        raise SurfaceError(
-            (
-                f"{len(bad)} edges have more than two triangles: remove double or inner "
-                "faces, or repair the mesh"
-            ),
-            reason="mesh_non_manifold",
-            value=np.stack([bad >> 32, bad & 0xFFFFFFFF], axis=1),
-        )
+    _check_manifold(key[order[start[:-1][uses > 2]]])
     pair = start[:-1][uses == 2]
     i, j = order[pair], order[pair + 1]
     neighbour, agrees = np.full(3 * len(t), -1, np.int32), np.zeros(3 * len(t), bool)
@@ -194,6 +185,17 @@ def orient(vertices: F64, triangles: npt.ArrayLike) -> Oriented:
     back = turned[alone // 3]
     edge[back] = edge[back][:, ::-1]
     return Oriented(out, turned, part, edge.astype(np.int32), len(uses), len(vertices_of(t)))
+
+
+def _check_manifold(bad: I64) -> None:
+    """Refuses edges, by key, of more than two triangles."""
+    if len(bad):
+        raise SurfaceError(
+            f"{len(bad)} edges have more than two triangles: remove double or inner faces, or "
+            "repair the mesh",
+            reason="mesh_non_manifold",
+            value=np.stack([bad >> 32, bad & 0xFFFFFFFF], axis=1),
+        )
 
 
 def check_closed(mesh: Oriented) -> None:

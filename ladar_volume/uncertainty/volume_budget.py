@@ -215,25 +215,14 @@ class Sources:
         b, t_ns, bin_ns = self.parameters.budget, self.points.t_ns[points], self.navigation.bin_ns
         apart_s = np.append(np.diff(t_ns), 0) * 1e-9
         fixes = max(1.0, bin_ns * 1e-9 / self.parameters.georeference.max_position_gap_s)
-        states = max(
-            1.0, float(self.navigation.mean(self.time_bins[0])[1].mean())
-        )  # a mean time may lie where there are none
+        # a mean time may lie where there are none
+        states = max(1.0, float(self.navigation.mean(self.time_bins[0])[1].mean()))
         deviation = np.einsum("kp,kpc->kc", X, self.errors.deviation(row)[row])
-        for d, bias, white, tau, n in (
-            (
-                deviation[:, :3],
-                b.position_bias_fraction,
-                b.position_white_fraction,
-                b.tau_position_s,
-                fixes,
-            ),
-            (
-                deviation[:, 3:],
-                b.attitude_bias_fraction,
-                b.attitude_white_fraction,
-                b.tau_attitude_s,
-                states,
-            ),
+        position = (b.position_bias_fraction, b.position_white_fraction, b.tau_position_s, fixes)
+        attitude = (b.attitude_bias_fraction, b.attitude_white_fraction, b.tau_attitude_s, states)
+        for d, (bias, white, tau, n) in (
+            (deviation[:, :3], position),
+            (deviation[:, 3:], attitude),
         ):
             shares = (bias, 1.0 - bias - white, white / n, white * BETWEEN)
             correlated_kernel(

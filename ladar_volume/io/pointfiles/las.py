@@ -106,13 +106,18 @@ def _check_header(path: Path) -> None:
     if compressed:
         _check_chunks(path, first, count)
         return
-    if count * row_bytes > end - first:
+    _check_rows(end - first, row_bytes, count)
+
+
+def _check_rows(held_bytes: int, row_bytes: int, count: int) -> None:
+    """The announced count against the bytes between the header and what follows the points."""
+    if count * row_bytes > held_bytes:
         raise CloudError(
-            f"{end - first} bytes for {count} points of {row_bytes}: the file ends early",
+            f"{held_bytes} bytes for {count} points of {row_bytes}: the file ends early",
             reason="cloud_short",
             value=count,
         )
-    held = (end - first) // row_bytes if row_bytes else count
+    held = held_bytes // row_bytes if row_bytes else count
     if held != count:
         raise CloudError(
             f"the header announces {count} points, the file holds {held}: one of them is wrong",
