@@ -139,9 +139,9 @@ def _made_up_surface(side: int, beams: int, seed: int = 1) -> FilterUpdate:
         cross_key,
         blocks,
         np.full((m, p + 2, 11 + 2 * beams), 0.1, np.float32),
-        np.arange(m + 1),
-        START_NS // BIN_NS + key % 2,
-        np.full((m, p + 2, 4), 0.1, np.float32),
+        2 * np.arange(m + 1),
+        START_NS // BIN_NS + np.arange(2 * m) % 2,
+        np.full((2 * m, p + 2, 4), 0.1, np.float32),
     )
     points = _made_up_points(key, xy, axes, rng)
     return FilterUpdate(START_NS, key[:0], points, patches)

@@ -14,7 +14,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.parameters import BudgetParameters
@@ -172,7 +172,7 @@ def pass_agreement(
     span_s = float(np.ptp(patches.nav_bin)) * nav.bin_ns * 1e-9
     # Satterthwaite: a sum of chi-squares as one
     n = shared**2 / sum(v**2 / freedom(name, span_s, b) for name, v in part.items())
-    p = float(chi2.sf(factor * n, n))
+    p = float(chdtrc(n, factor * n))
     predicted = math.sqrt(noise + shared)
     return Agreement(math.sqrt(square), predicted, factor, n, p, p < REFUTED and factor > LEAST)
 

@@ -86,10 +86,27 @@ def plane_misfits(start: I64, link: I64, xy: F64, h: F64, variance: F64, rows: I
         scale = np.sqrt(np.array([A[0, 0], A[1, 1], A[2, 2]]))
         if count < 6 or scale.min() <= 0.0:
             continue
-        M = A / scale.reshape(3, 1) / scale
-        if np.linalg.det(M) > 1e-6:
-            x = b / scale
-            out[i] = max(square - x @ np.linalg.solve(M, x), 0.0) / (count - 3)
+        explained = quadratic_form(A, b, scale)
+        if np.isfinite(explained):
+            out[i] = max(square - explained, 0.0) / (count - 3)
+    return out
+
+
+@kernel
+def quadratic_form(A: F64, b: F64, scale: F64) -> float:
+    """``bᵀ A⁻¹ b`` of a symmetric A (3, 3) with the roots of its diagonal (3,); NaN where A is as
+    good as singular.
+    """
+    x, y, z = b[0] / scale[0], b[1] / scale[1], b[2] / scale[2]
+    xy = A[0, 1] / (scale[0] * scale[1])
+    xz = A[0, 2] / (scale[0] * scale[2])
+    yz = A[1, 2] / (scale[1] * scale[2])
+    det = 1.0 + 2.0 * xy * xz * yz - xy * xy - xz * xz - yz * yz
+    if det <= 1e-6:
+        return np.nan
+    own = x * x * (1.0 - yz * yz) + y * y * (1.0 - xz * xz) + z * z * (1.0 - xy * xy)
+    mixed = x * y * (xz * yz - xy) + x * z * (xy * yz - xz) + y * z * (xy * xz - yz)
+    out: float = (own + 2.0 * mixed) / det
     return out
 
 

@@ -92,12 +92,10 @@ def first_noise(r: F64, spread_r: F64, at: I64, lines: Lines) -> tuple[F64, Plac
 
 def of_points(each: F64, where: Places, whole: float) -> F64:
     """Noise (n,) m of points from that of places (s,): the median of those next to it that are
-    surfaces, and the most that a surface has where none is.
+    surfaces, and the cloud's where none is.
     """
-    most = CLUTTER * whole
-    near = np.where(each < most, each, np.nan)[where.of]
-    none = ~np.isfinite(near).any(axis=1)
-    near[none] = most
+    near = np.where(each < CLUTTER * whole, each, np.nan)[where.of]
+    near[~np.isfinite(near).any(axis=1)] = whole
     return np.asarray(np.maximum(np.nanmedian(near, axis=1), QUIET * whole))
 
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from ladar_volume.ground.polynomial import COEFFICIENTS, base_height, degree_of, design
 from ladar_volume.model.records import F64, I64, Bool, Plane, Tin, Volume
@@ -190,4 +190,4 @@ def student_factor(volume: Volume, freedom: float) -> float:
     freedom *= (volume.sigma_m3**2 / base) ** 2
     if freedom >= MANY:
         return volume.coverage_factor
-    return float(student.ppf(0.5 + volume.confidence / 2.0, freedom))
+    return float(stdtrit(freedom, 0.5 + volume.confidence / 2.0))
