@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from ladar_volume.model.parameter import param
+from ladar_volume.model.robust_fit_parameters import RandomStartParameters, RobustFitParameters
 
 #: Which of them filters a file: every cell its own surface, in any order; or the published
 #: sequential sweep (Algorithm 1).
@@ -18,7 +19,7 @@ PUBLISHED = "is read in the published order alone: add --set filter.order=publis
 
 
 @dataclass(frozen=True)
-class FilterParameters:
+class FilterParameters(RobustFitParameters):
     """The filter of point cloud files: every cell its own surface (order `cover`)."""
 
     elsewhere: ClassVar[dict[str, str]] = {
@@ -26,17 +27,6 @@ class FilterParameters:
         **dict.fromkeys(("start", "confidence", "sample_size", "ransac_threshold_m"), PUBLISHED),
     }
 
-    radius_m: float = param(
-        0.5, "Range r: cells are r apart and are fitted over 2r.", unit="m", low=0.001, high=100
-    )
-    degree: int = param(2, "Polynomial degree of a surface.", low=1, high=2)
-    trials: int = param(40, "Random samples per neighbourhood.", low=1, high=10000)
-    outlier_sigmas: float = param(
-        3.5,
-        "Inlier threshold in robust sigma; below 3 the printed variance would be too small.",
-        low=3,
-        high=20,
-    )
     outlier_floor_m: float = param(
         0.0,
         "The inlier threshold is never below this; in the published order it is this.",
@@ -44,8 +34,6 @@ class FilterParameters:
         low=0,
         high=10,
     )
-    min_points: int = param(12, "Fewest inliers of a surface.", low=4, high=100000)
-    refit_iterations: int = param(30, "Most refits towards the fixed point.", low=1, high=1000)
     grid_before_m: float = param(
         0.0,
         "Grid of the reduction before the filter; 0 for none.",
@@ -71,34 +59,21 @@ class FilterParameters:
     edge: str = param(
         "snap", "Points beyond an edge are set onto it, or removed.", choices=("snap", "remove")
     )
-    seed: int = param(
-        1, "Seed of the random samples; each cell derives its own from it.", low=0, high=2**31 - 1
-    )
 
 
 @dataclass(frozen=True)
-class PublishedFilterParameters(FilterParameters):
+class PublishedFilterParameters(FilterParameters, RandomStartParameters):
     """The filter of point cloud files as published, sequential (order `published`)."""
 
     elsewhere: ClassVar[dict[str, str]] = dict.fromkeys(
         ("cap_per_voxel", "sampling_m", "nav_bin_s"), LIVE
     )
 
-    start: str = param("lmeds", "How the starting model is sampled.", choices=("lmeds", "ransac"))
     confidence: float = param(
         0.999,
         "Trials end once a sample without outliers was drawn with this probability; 1 for never.",
         low=0,
         high=1,
-    )
-    sample_size: int = param(
-        4,
-        "Points per random sample: a plane through three, or the mean plane of four.",
-        low=3,
-        high=4,
-    )
-    ransac_threshold_m: float = param(
-        0.02, "Residual threshold of the weighted RANSAC start.", unit="m", low=1e-6, high=10
     )
 
 

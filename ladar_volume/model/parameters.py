@@ -16,6 +16,7 @@ from typing import Any, ClassVar
 from ladar_volume.model.cloud_filter_parameters import FilterParameters as FilterParameters
 from ladar_volume.model.mavlink_parameters import MavlinkParameters
 from ladar_volume.model.parameter import param, read_section, unknown_section, write_section
+from ladar_volume.model.robust_fit_parameters import RandomStartParameters
 
 
 @dataclass(frozen=True)
@@ -226,7 +227,7 @@ class GeoreferenceParameters:
 
 
 @dataclass(frozen=True)
-class SurfaceFilterParameters:
+class SurfaceFilterParameters(RandomStartParameters):
     """Robust moving least squares on a stream (seed 002 chapter 4)."""
 
     elsewhere: ClassVar[dict[str, str]] = dict.fromkeys(
@@ -235,36 +236,6 @@ class SurfaceFilterParameters:
         "take it out here",
     )
 
-    radius_m: float = param(
-        0.5, "Range r: patches are r apart and are fitted over 2r.", unit="m", low=0.001, high=100
-    )
-    degree: int = param(2, "Polynomial degree of a patch.", low=1, high=2)
-    start: str = param("lmeds", "How the starting model is sampled.", choices=("lmeds", "ransac"))
-    trials: int = param(40, "Random samples per patch.", low=1, high=10000)
-    sample_size: int = param(
-        4,
-        "Points per random sample: a plane through three, or the mean plane of four.",
-        low=3,
-        high=4,
-    )
-    ransac_threshold_m: float = param(
-        0.02, "Residual threshold of the weighted RANSAC start.", unit="m", low=1e-6, high=10
-    )
-    outlier_sigmas: float = param(
-        3.5,
-        "Inlier threshold in robust sigma; below 3 the printed variance would be too small.",
-        low=3,
-        high=20,
-    )
-    outlier_floor_m: float = param(
-        0.0,
-        "The inlier threshold is never below this.",
-        unit="m",
-        low=0,
-        high=10,
-    )
-    min_points: int = param(12, "Fewest inliers of a patch.", low=4, high=100000)
-    refit_iterations: int = param(30, "Most refits towards the fixed point.", low=1, high=1000)
     cap_per_voxel: int = param(
         32,
         "Most raw points kept per voxel of edge r (those with the lowest hashes).",
@@ -280,12 +251,6 @@ class SurfaceFilterParameters:
         unit="s",
         low=0.01,
         high=60,
-    )
-    seed: int = param(
-        1,
-        "Seed of the random samples; each patch derives its own from it and its key.",
-        low=0,
-        high=2**31 - 1,
     )
 
 
