@@ -18,13 +18,13 @@ import numpy as np
 from ladar_volume.change.surface_difference import along_curve, difference
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.ground.ground_adjoint import ground_gradient
-from ladar_volume.ground.polynomial import degree_of, design, design_surface
+from ladar_volume.ground.polynomial import degree_of, design, design_surface, height_above
 from ladar_volume.model.errors import GroundError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.tin.full_tin import any_corner
 from ladar_volume.volume.base import base_and_outline, polygon_of
-from ladar_volume.volume.near_base import REACH, NearBase, heights_above, near_base
+from ladar_volume.volume.near_base import REACH, NearBase, near_base
 from ladar_volume.volume.overlay import between
 from ladar_volume.volume.polygon import clipped_prismoids
 from ladar_volume.volume.prismoids import prismoids
@@ -189,7 +189,7 @@ def solid_above(
     cut, near, curved = found.gradient_cut[:, 2], None, 0.0
     # a triangle that the outline cuts is left uncorrected
     whole = whole_triangles(tin, inside) if by_polygon else mask
-    height = heights_above(tin, base)
+    height = height_above(tin.vertices, base)
     if correct and surface.sigma_m is not None and comes_near(tin, height, surface.sigma_m, whole):
         C = surface.made.covariance(surface.sigma_m) if covariance is None else covariance
         near = near_base(tin, base, C, whole, selected=selected(surface))

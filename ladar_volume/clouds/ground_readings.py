@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladar_volume.clouds.cloud_surface import CloudSurface
-from ladar_volume.ground.polynomial import base_height
+from ladar_volume.ground.polynomial import height_above
 from ladar_volume.ground.robust_ground import refine
 from ladar_volume.model.errors import LadarVolumeError
 from ladar_volume.model.parameters import Parameters
@@ -107,7 +107,7 @@ def unevenness(points: F64, base: Plane, variance: F64, length_m: float, reach_m
     what their noise explains; NaN for few stretches. points : (k, 3), those within
     reach_m of the base count.
     """
-    off = points[:, 2] - base_height(base, points[:, :2])
+    off = height_above(points, base)
     near = np.abs(off) <= reach_m
     if np.count_nonzero(near) < FEWEST_POINTS or not length_m > 0:
         return math.nan

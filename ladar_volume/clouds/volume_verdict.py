@@ -13,7 +13,7 @@ from ladar_volume.clouds.between_points import BetweenPoints, between_points, br
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.cloud_volume import CloudVolume
 from ladar_volume.clouds.ground_readings import GroundReadings
-from ladar_volume.ground.polynomial import base_height
+from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.records import F64, Bool, Plane
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.boundary import parts_kernel
@@ -210,7 +210,7 @@ def judged(
     the outline is that of a body · base : that heights count from.
     """
     r = surface.made.tin.vertices
-    height = r[:, 2] if base is None else r[:, 2] - base_height(base, r[:, :2])
+    height = height_above(r, base)
     between = between_points(surface, inside, height)
     found = with_between(volume, between)
     doubts = surface_doubts(surface, inside)

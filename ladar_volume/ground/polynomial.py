@@ -75,6 +75,14 @@ def base_height(plane: Plane, xy: F64) -> F64:
     return out
 
 
+def height_above(points: F64, base: Plane | None) -> F64:
+    """Vertical heights (n,) m of points (n, 3) above a base surface; their z without one."""
+    if base is None:
+        return points[:, 2]
+    out: F64 = points[:, 2] - base_height(base, points[:, :2])
+    return out
+
+
 def base_gradient(plane: Plane, xy: F64) -> F64:
     """Slope (n, 2) of a base surface at xy (n, 2)."""
     D = design_gradient(xy, plane.origin_xy, degree_of(plane))

@@ -14,7 +14,14 @@ import math
 import numpy as np
 
 from ladar_volume.ground.ground_sampling import best_candidate
-from ladar_volume.ground.polynomial import COEFFICIENTS, base_height, design, solve, tilt_of
+from ladar_volume.ground.polynomial import (
+    COEFFICIENTS,
+    base_height,
+    design,
+    height_above,
+    solve,
+    tilt_of,
+)
 from ladar_volume.model.errors import GroundError
 from ladar_volume.model.parameters import GroundParameters
 from ladar_volume.model.records import F64, I64, Bool, Plane
@@ -217,7 +224,7 @@ def layers(points: F64, plane: Plane, threshold_m: float) -> tuple[int, int, int
     """How many points lie within the threshold of a surface, and how many in the layers of the same
     thickness above and below.
     """
-    r = points[:, 2] - base_height(plane, points[:, :2])
+    r = height_above(points, plane)
     above, below = (
         int(np.count_nonzero((side > threshold_m) & (side <= 3.0 * threshold_m)))
         for side in (r, -r)

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import design
-from ladar_volume.mesh.ground_clipping import heights, steepness
+from ladar_volume.ground.polynomial import design, height_above
+from ladar_volume.mesh.ground_clipping import steepness
 from ladar_volume.mesh.hole_filling import ears, inside_loop, loop_area
 from ladar_volume.mesh.linear_mesh import (
     GROUND,
@@ -90,7 +90,7 @@ def feet(p: F64, along: F64, ground: Plane) -> tuple[F64, F64, F64]:
     """
     w = steepness(ground)
     rate = along @ w
-    q = p - along * (heights(p, ground) / rate)[:, None]
+    q = p - along * (height_above(p, ground) / rate)[:, None]
     by_point = np.eye(3) - along[:, :, None] * w / rate[:, None, None]
     by_ground = (
         along[:, :, None] * design(q[:, :2], ground.origin_xy, 1)[:, None, :] / rate[:, None, None]
@@ -112,7 +112,7 @@ def stand_on(skin: Skin, rims: list[Rim], ground: Plane, up: F64) -> tuple[Skin,
     q, by_point, by_ground = feet(p, along, ground)
     other, _, _ = feet(p, np.where(known[:, None], straight, tangent), ground)
     size = max(r.size_m for r in rims)
-    there = np.abs(heights(p, ground)) <= ON_GROUND * size
+    there = np.abs(height_above(p, ground)) <= ON_GROUND * size
     q[there] = other[there] = p[there]
     foot = np.where(there, all_of, n + np.arange(len(all_of)))
     plane = in_plane(q, up)

@@ -18,10 +18,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import degree_of
+from ladar_volume.ground.polynomial import degree_of, height_above
 from ladar_volume.mesh.bottom_closing import IN_PLANE, Closure, stand_on, tetrahedra
 from ladar_volume.mesh.chord_curvature import bulge_volumes
-from ladar_volume.mesh.ground_clipping import clip_to_ground, heights, steepness
+from ladar_volume.mesh.ground_clipping import clip_to_ground, steepness
 from ladar_volume.mesh.hole_filling import least_area
 from ladar_volume.mesh.linear_mesh import GAP, Faces, Skin, blocks, extended, vertex_normals
 from ladar_volume.mesh.rims import LEAVES, Rim, descent, place, rims_of, split_fans
@@ -46,7 +46,7 @@ def close(skin: Skin, close_m: float, ground: Plane | None = None) -> tuple[Skin
     if ground is not None:
         for rim in bottoms:
             check_height(skin, rim, ground, close_m)
-        if any(heights(skin.vertices[r.vertices], ground).min() < 0.0 for r in bottoms):
+        if any(height_above(skin.vertices[r.vertices], ground).min() < 0.0 for r in bottoms):
             skin, bottoms, gaps = sorted_rims(split_fans(clip_to_ground(skin, ground)), ground, up)
     hint = "" if ground is not None else ", or give the ground it stands on"
     made: list[Closure] = []
@@ -86,7 +86,7 @@ def plane_normal(ground: Plane) -> F64:
 
 def check_height(skin: Skin, rim: Rim, ground: Plane, close_m: float) -> None:
     """Refuse a rim that ends far from the ground."""
-    h = heights(skin.vertices[rim.vertices], ground)
+    h = height_above(skin.vertices[rim.vertices], ground)
     worst = int(np.argmax(np.abs(h)))
     if abs(h[worst]) > close_m:
         side, at = ("above" if h[worst] > 0 else "below"), place(skin.vertices[rim.vertices[worst]])

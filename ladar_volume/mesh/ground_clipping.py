@@ -4,16 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import base_height, design
+from ladar_volume.ground.polynomial import design, height_above
 from ladar_volume.mesh.linear_mesh import GROUND, Faces, Skin, blocks, extended
 from ladar_volume.mesh.topology import edge_table
 from ladar_volume.model.records import F64, I64, Plane
-
-
-def heights(points: F64, ground: Plane) -> F64:
-    """Vertical heights (n,) m of points (n, 3) above the ground."""
-    out: F64 = points[:, 2] - base_height(ground, points[:, :2])
-    return out
 
 
 def steepness(ground: Plane) -> F64:
@@ -27,7 +21,7 @@ def clip_to_ground(skin: Skin, ground: Plane) -> Skin:
     pierce it.
     """
     v, t, n = skin.vertices, skin.triangles, len(skin.vertices)
-    h = heights(v, ground)
+    h = height_above(v, ground)
     order, start, _ = edge_table(t)
     first = order[start[:-1]]
     a, b = t.ravel()[first].astype(np.int64), t[:, [1, 2, 0]].ravel()[first].astype(np.int64)

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import base_height
+from ladar_volume.ground.polynomial import height_above
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.records import F64, I32, Plane, Tin
 
@@ -63,7 +63,7 @@ def cut_and_fill_chords(tin: Tin, normal: F64, base: Plane, inside_m2: F64) -> t
     middle, and over those below.
     """
     volume = chord_volumes(tin, normal, inside_m2)
-    height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
+    height = height_above(tin.vertices, base)
     above = (
         height[tin.triangles[:, 0]] + height[tin.triangles[:, 1]] + height[tin.triangles[:, 2]]
         > 0.0

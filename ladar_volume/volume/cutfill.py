@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import base_height, design_surface
+from ladar_volume.ground.polynomial import design_surface, height_above
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I32, Bool, Plane, Tin
@@ -165,11 +165,7 @@ def triangle_heights(tin: Tin, base: Plane | None, mask: Bool | None) -> tuple[F
     triangles = tin.triangles[tin.relevant if mask is None else mask]
     if len(triangles) == 0:
         raise VolumeError("there is no triangle to take a volume of", reason="volume_no_triangle")
-    z = (
-        tin.vertices[:, 2]
-        if base is None
-        else tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
-    )
+    z = height_above(tin.vertices, base)
     return np.ascontiguousarray(z[triangles]), footprint_areas(tin.vertices, triangles), triangles
 
 

@@ -29,7 +29,12 @@ from ladar_volume.uncertainty.navigation_sum import NavigationBins
 from ladar_volume.uncertainty.patch_table import PatchStore
 from ladar_volume.uncertainty.volume_budget import Sources, vertical_sigma
 from ladar_volume.volume.base import all_grounds
-from ladar_volume.volume.field_checks.field_verdict import bridged_footing, judged
+from ladar_volume.volume.field_checks.field_verdict import (
+    bridged_footing,
+    budget_scale,
+    judged,
+    passes_of,
+)
 from ladar_volume.volume.measured_body import (
     Footing,
     MeasuredBody,
@@ -113,12 +118,14 @@ class VolumeEstimator:
             [v.sigma_m3**2 for v in volumes],
             lambda a, b: joint_sigma(survey, footing, (a, b), self.parameters) ** 2,
         )
+        passes = passes_of(survey, self.parameters)
         volumes = tuple(
-            judged(survey, footing, body.part, volume, self.parameters)
+            judged(survey, footing, body.part, volume, passes, self.parameters)
             for body, volume in zip(bodies, volumes, strict=True)
         )
         self._unseen_m6 = volumes[0].budget_m6.get("unseen", 0.0)
-        if joint is not None:  # what each body has of its own
+        if joint is not None:  # what two bodies share, and what each has of its own
+            joint *= budget_scale(passes.agreement, self.parameters.volume.budget_check)
             np.fill_diagonal(joint, [v.sigma_m3**2 for v in volumes])
         base, grounds = self._grounds(survey, footing, bodies[0])
         return Estimate(volumes[0], survey.tin, base, grounds, volumes, joint)

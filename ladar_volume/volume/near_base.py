@@ -25,7 +25,7 @@ import numba
 import numpy as np
 from scipy import sparse
 
-from ladar_volume.ground.polynomial import base_height
+from ladar_volume.ground.polynomial import height_above
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
@@ -176,7 +176,7 @@ def near_base(
     if len(t) == 0:
         raise VolumeError("there is no triangle to take a volume of", reason="volume_no_triangle")
     joint: Any = C if sparse.issparse(C) else sparse.diags_array(np.asarray(C, dtype=np.float64))
-    h, area = heights_above(tin, base), footprint_areas(tin.vertices, t)
+    h, area = height_above(tin.vertices, base), footprint_areas(tin.vertices, t)
     near = near_triangles(tin, h, checked(joint.diagonal(), n), chosen)
     close, close_area = t[near], area[near]
     if selected and len(close):
@@ -207,14 +207,6 @@ def near_base(
         net,
         remaining_fold(smooth, close, close_area, rings),
     )
-
-
-def heights_above(tin: Tin, base: Plane | None) -> F64:
-    """Heights (n,) m of the vertices above a base, or their z."""
-    if base is None:
-        return tin.vertices[:, 2]
-    out: F64 = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
-    return out
 
 
 def load(slope: F64, area: F64, triangles: I32, n: int) -> F64:
@@ -301,7 +293,7 @@ def near_levels(
     """
     chosen = tin.relevant if mask is None else mask
     t, variance = tin.triangles[chosen], sparse.csr_array(C).diagonal()
-    h = heights_above(tin, base)
+    h = height_above(tin.vertices, base)
     order, reach = np.argsort(levels_m, kind="stable"), REACH * np.sqrt(variance)
     level = np.asarray(levels_m, dtype=np.float64)[order]
     low, high = (h - reach)[t].min(axis=1), (h + reach)[t].max(axis=1)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ladar_volume.ground.polynomial import base_height
+from ladar_volume.ground.polynomial import height_above
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
@@ -29,7 +29,7 @@ def bodies(
 
     Raises :class:`VolumeError` where nothing rises that high.
     """
-    height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
+    height = height_above(tin.vertices, base)
     rising = tin.relevant & ~any_corner(tin.triangles, ~(height > object_height_m))
     if not rising.any():
         raise VolumeError(

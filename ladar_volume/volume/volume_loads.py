@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ladar_volume.ground.ground_adjoint import add_ground_gradient, ground_residuals
-from ladar_volume.ground.polynomial import base_height
+from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import (
     F64,
@@ -112,7 +112,7 @@ def near_correction(
     surface as one and does not fold.
     """
     tin, whole = surface.tin, whole_triangles(surface.tin, inside_m2)
-    height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
+    height = height_above(tin.vertices, base)
     X, row = vertex_rows(tin, points, patches, geometry)
     variance = (
         points.variance[tin.source]

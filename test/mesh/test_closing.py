@@ -9,12 +9,12 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from benchmarks.truth import box_faces, rotation, sample_polygons
-from ladar_volume.ground.polynomial import design_surface
+from ladar_volume.ground.polynomial import design_surface, height_above
 from ladar_volume.mesh import hole_filling
 from ladar_volume.mesh.chord_curvature import bulge_volumes
 from ladar_volume.mesh.closing import close
 from ladar_volume.mesh.edge_completion import meet, sharpen
-from ladar_volume.mesh.ground_clipping import clip_to_ground, heights
+from ladar_volume.mesh.ground_clipping import clip_to_ground
 from ladar_volume.mesh.linear_mesh import EDGE, GAP, GROUND, MEASURED, skin_of
 from ladar_volume.mesh.local_mesh import mesh_cloud
 from ladar_volume.mesh.tetrahedra import closed_volume, signed_tetrahedra, tetrahedra_gradient
@@ -111,7 +111,10 @@ def test_a_rim_across_the_ground_is_cut_off_there():
     v, t = sphere(3000)
     body, _ = close(skin_of(v, t[v[t].max(axis=1)[:, 2] > -0.5]), 0.2, design_surface([-0.45]))
     exact, _ = close(skin_of(v, t[v[t].max(axis=1)[:, 2] > -0.4]), 0.2, design_surface([-0.45]))
-    assert heights(body.vertices[np.unique(body.triangles)], design_surface([-0.45])).min() > -1e-12
+    assert (
+        height_above(body.vertices[np.unique(body.triangles)], design_surface([-0.45])).min()
+        > -1e-12
+    )
     cap = np.pi * 0.55**2 * (3 - 0.55) / 3
     assert volume(body).volume_m3 == pytest.approx(4 / 3 * np.pi - cap, rel=4e-3)
     assert volume(exact).volume_m3 == pytest.approx(volume(body).volume_m3, rel=3e-3)

@@ -18,7 +18,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import stdtrit
 
-from ladar_volume.ground.polynomial import COEFFICIENTS, base_height, degree_of, design
+from ladar_volume.ground.polynomial import (
+    COEFFICIENTS,
+    base_height,
+    degree_of,
+    design,
+    height_above,
+)
 from ladar_volume.model.records import F64, I64, Bool, Plane, Tin, Volume
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import vertex_mask
@@ -155,7 +161,7 @@ def base_readings(
         moments = area_moments(tin, inside_m2, origin, scale, min(degree, 1))
         w = fit_weights(r[:, :2], moments, origin, scale, min(degree, 1))
         chance = field_sigma(tin, r[:, :2], w, rough, height_variance[toe])
-        more = -float(w @ (r[:, 2] - base_height(base, r[:, :2])))
+        more = -float(w @ (height_above(r, base)))
         found.append(Reading("the surface along the toe", more, chance))
     area = (rough.spacing_m**2) * n
     return BaseReadings(tuple(found), max(area / (2.0 * math.pi * rough.length_m**2), 1.0))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import base_height
+from ladar_volume.ground.polynomial import base_height, height_above
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I64, Bool, Plane, Tin, Volume
 from ladar_volume.model.verdict import Doubt
@@ -134,7 +134,7 @@ def wall_doubts(tin: Tin, base: Plane, inside: Bool, normal: F64, least_m: float
     """Steep faces bound a part of the body: a wall, a machine. normal : (n, 3) of the vertices."""
     own = vertex_mask(tin, inside)
     r = tin.vertices
-    height = r[:, 2] - base_height(base, r[:, :2])
+    height = height_above(r, base)
     steep = own & (np.abs(normal[:, 2]) < STEEP) & (height > least_m)
     if not steep.any():
         return []
@@ -159,7 +159,7 @@ def body_doubts(
     p = parameters.volume
     if p.outline != "auto" or p.bodies == 0:
         return []
-    height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
+    height = height_above(tin.vertices, base)
     area, found = footprint_areas(tin.vertices, tin.triangles), []
     for mask in bodies(tin, base, p.object_height_m, 0, p.min_body_m3):
         rows = np.flatnonzero(mask & ~inside)

@@ -6,10 +6,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from ladar_volume.ground.polynomial import base_height
+from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Agreement, Volume
@@ -125,6 +126,15 @@ def with_base(
     return with_line(volume, "base_model", found.variance_m6)
 
 
+def budget_scale(found: Agreement | None, check: str) -> float:
+    """By how much the variances that returns share are made larger: 1 where the passes do not
+    refute the budget, or are not to scale it.
+    """
+    if found is None or not found.refuted or check != "scale":
+        return 1.0
+    return min(found.factor, MOST)
+
+
 def with_passes(volume: Volume, found: Agreement | None, check: str) -> Volume:
     """The volume with what the agreement of the passes says of its budget. Raises
     :class:`VolumeError` where a refuted budget is to be refused.
@@ -132,7 +142,6 @@ def with_passes(volume: Volume, found: Agreement | None, check: str) -> Volume:
     volume = dataclasses.replace(volume, agreement=found)
     if found is None or not found.refuted:
         return volume
-    factor = min(found.factor, MOST)
     words = (
         f"returns of different passes and beams disagree: the median patch scatters by "
         f"{1e3 * found.residual_m:.3g} mm about its surface where the budget says "
@@ -144,7 +153,8 @@ def with_passes(volume: Volume, found: Agreement | None, check: str) -> Volume:
         raise VolumeError(words, reason="volume_budget_refuted", value=found.factor)
     doubt = Doubt("budget", words, found.factor)
     volume = dataclasses.replace(volume, verdict=volume.verdict + Verdict((doubt,)))
-    return scaled(volume, factor) if check == "scale" else volume
+    factor = budget_scale(found, check)
+    return volume if factor == 1.0 else scaled(volume, factor)
 
 
 def with_cover(
@@ -159,7 +169,7 @@ def with_cover(
     if not len(base.support):
         return volume
     row = survey.sources.geometry.row[tin.source]
-    height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
+    height = height_above(tin.vertices, base)
     high = vertex_mask(tin, footing.inside > 0.0) & (height > parameters.volume.object_height_m)
     ground, body = (np.zeros(len(survey.patches), np.bool_) for _ in range(2))
     ground[row[base.support]] = True
@@ -193,17 +203,38 @@ def scaled(volume: Volume, factor: float) -> Volume:
     )
 
 
-def judged(
-    survey: SurveyedSurface, footing: Footing, part: F64, volume: Volume, parameters: Parameters
-) -> Volume:
-    """A body's volume with every line and doubt of the field; part (m,) m² of each triangle."""
+class Passes(NamedTuple):
+    """What the passes of a survey say of its budget. scatter : of the patches, None where too few
+    are seen more than once · agreement : of their median with the budget, None where it tells
+    nothing
+    """
+
+    scatter: Scatter | None
+    agreement: Agreement | None
+
+
+def passes_of(survey: SurveyedSurface, parameters: Parameters) -> Passes:
+    """The passes of a survey, the same for all of its bodies."""
     nav, b = survey.sources.navigation, parameters.budget
     scatter = patch_scatter(survey.patches, nav, b)
-    if scatter is not None:
-        agreement = pass_agreement(scatter, survey.patches, nav, b)
-        volume = with_passes(volume, agreement, parameters.volume.budget_check)
-        if agreement is None or not agreement.refuted:
-            volume = with_cover(survey, footing, volume, scatter, parameters)
+    if scatter is None:
+        return Passes(None, None)
+    return Passes(scatter, pass_agreement(scatter, survey.patches, nav, b))
+
+
+def judged(
+    survey: SurveyedSurface,
+    footing: Footing,
+    part: F64,
+    volume: Volume,
+    passes: Passes,
+    parameters: Parameters,
+) -> Volume:
+    """A body's volume with every line and doubt of the field; part (m,) m² of each triangle."""
+    volume = with_passes(volume, passes.agreement, parameters.volume.budget_check)
+    refuted = passes.agreement is not None and passes.agreement.refuted
+    if passes.scatter is not None and not refuted:
+        volume = with_cover(survey, footing, volume, passes.scatter, parameters)
     volume = with_gaps(survey, footing, part, volume)
     volume = with_base(survey, footing, part, volume, parameters.filter.radius_m)
     tin = survey.tin

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from ladar_volume.ground.polynomial import base_height
+from ladar_volume.ground.polynomial import base_height, height_above
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.parameters import VolumeParameters
 from ladar_volume.model.records import F64, I64, Bool, Gap, Plane, Tin
@@ -92,7 +92,7 @@ def bridging(
     rows = rows[touches[part[rows]]]
     if not len(rows):
         return out
-    height = tin.vertices[:, 2] - base_height(base, tin.vertices[:, :2])
+    height = height_above(tin.vertices, base)
     body = vertex_mask(tin, inside) & (height > p.object_height_m)
     near = within_hull(tin.vertices[vertex_mask(tin, inside), :2], tin, rows)
     short = longest_edges(tin, rows) <= ACROSS * float(np.sqrt(inside_m2.sum()))
