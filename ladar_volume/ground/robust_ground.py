@@ -49,6 +49,17 @@ def robust_sigma(residuals: F64) -> float:
     return MAD_TO_SIGMA * float(np.median(np.abs(residuals))) if len(residuals) else 0.0
 
 
+def ground_sigma(residuals: F64) -> float:
+    """Standard deviation of ground from the residuals (n,) m of what is taken for it: the robust
+    one, or the root mean square of those below the surface where that is larger. Ground that
+    undulates has more small residuals than noise has; a threshold from their median alone cuts off
+    crests and hollows, then finds the rest smoother and cuts more. Plants and bodies stand above.
+    """
+    below = residuals[residuals < 0.0]
+    lower = math.sqrt(float(below @ below) / len(below)) if len(below) else 0.0
+    return max(robust_sigma(residuals), lower)
+
+
 def refine(
     points: F64,
     variance: F64,
@@ -61,7 +72,7 @@ def refine(
 
     points : (n, 3) m · variance : (n,) m², independent vertical noise, for C_beta · reach_m :
     inliers of the first fit lie within it. The threshold is ``parameters.threshold_m``, or 3.5
-    robust sigma of the inliers where that is 0. ``support`` indexes ``points``. Raises
+    :func:`ground_sigma` of the inliers where that is 0. ``support`` indexes ``points``. Raises
     :class:`GroundError` where too few points are left or the surface tilts beyond max_tilt.
     """
     threshold = parameters.threshold_m
@@ -75,7 +86,7 @@ def refine(
         rows = X.compress(inside, axis=0)
         beta, N = solve(rows, z[inside], degree)
         residual = z - X @ beta
-        limit = threshold or max(THRESHOLD_SIGMAS * robust_sigma(residual[inside]), floor)
+        limit = threshold or max(THRESHOLD_SIGMAS * ground_sigma(residual[inside]), floor)
         new = np.abs(residual) <= limit
         if left == 0 or np.array_equal(new, inside) or new.tobytes() in seen:
             break

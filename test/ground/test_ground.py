@@ -28,6 +28,7 @@ from ladar_volume.ground.robust_ground import fit_ground, robust_sigma
 from ladar_volume.model.errors import GroundError
 from ladar_volume.model.parameters import GroundParameters
 from ladar_volume.model.records import Plane
+from ladar_volume.simulation.scenes import Ground
 
 COEFFICIENTS = {0: [2.0], 1: [2.0, 0.03, -0.05], 2: [2.0, 0.03, -0.05, 0.001, -0.002, 0.0005]}
 COEFFICIENTS[3] = [*COEFFICIENTS[2], 2e-4, -1e-4, 1e-4, -2e-4]
@@ -324,3 +325,26 @@ def test_gradients_in_place_are_whole_array_sums(degree):
     )
     add_ground_gradient(out, place, points, plane, by_beta)
     assert out == pytest.approx(twin, rel=1e-9, abs=1e-11)
+
+
+@pytest.mark.parametrize("seed", [2, 5])
+def test_crests_and_hollows_of_undulating_ground_are_ground(seed):
+    # more points lie near the plane than far from it, so that their median says too little
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(-16.0, 16.0, (20_000, 2))
+    xy = xy[np.hypot(*xy.T) > 8.0]
+    undulation = Ground(0.0, (0.0, 0.0), 0.035, 2.0, seed)(*xy.T)
+    kept = rng.random(len(xy)) < np.where(np.abs(undulation) < 0.03, 1.0, 0.4)
+    points = np.c_[xy, undulation + rng.normal(0.0, 0.003, len(xy))][kept]
+    plane = fit_ground(points, np.full(len(points), 9e-6), GroundParameters(), 0.075)
+    assert len(plane.support) > 0.999 * len(points)
+
+
+def test_plants_on_the_ground_do_not_raise_its_threshold():
+    rng = np.random.default_rng(3)
+    xy = rng.uniform(-16.0, 16.0, (8000, 2))
+    plants = rng.random(len(xy)) < 0.1
+    z = rng.normal(0.0, 0.01, len(xy)) + np.where(plants, rng.uniform(0.1, 0.6, len(xy)), 0.0)
+    plane = fit_ground(np.c_[xy, z], np.full(len(xy), 1e-4), GroundParameters(), 0.075)
+    assert not plants[plane.support].any()
+    assert abs(plane.beta[0]) < 0.001
