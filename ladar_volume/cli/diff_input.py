@@ -5,7 +5,6 @@ ground around the region.
 from __future__ import annotations
 
 import argparse
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -24,6 +23,7 @@ from ladar_volume.change.spherical_tin import (
 )
 from ladar_volume.cli.arguments.diff_input import numbers
 from ladar_volume.cli.inputs.reading import mesh_in_metres, read_source
+from ladar_volume.cli.inputs.rows import read_rows
 from ladar_volume.clouds.cloud_surface import local_sigma
 from ladar_volume.io.endings import READ_ENDINGS
 from ladar_volume.io.meshfiles.mesh_files import MeshFile, read_mesh
@@ -144,16 +144,7 @@ def given_corners(polygon: Sequence[str] | None, selection: Path | None) -> F64 
         return None
     rows = [numbers(text) for text in polygon]
     if len(polygon) == 1 and not rows[0]:
-        try:
-            separator = "," if "," in Path(polygon[0]).read_text(encoding="utf-8") else None
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # no rows: refused below
-                table = np.loadtxt(polygon[0], delimiter=separator, ndmin=2)
-        except (OSError, ValueError) as error:
-            raise ConfigurationError(
-                f"--polygon {polygon[0]}: no file of rows x y or x y z: {error}", value=polygon[0]
-            ) from error
-        rows = table.tolist()
+        rows = read_rows(polygon[0], "--polygon")
     if len(rows) < 3 or len({len(r) for r in rows}) != 1 or len(rows[0]) not in (2, 3):
         raise ConfigurationError(
             "--polygon: at least three corners x,y (or x,y,z)", value=list(polygon)

@@ -10,9 +10,17 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from scipy import sparse
 
 from ladar_volume.cli.inputs.mesh_source import mesh_doubts, mesh_words
-from ladar_volume.cli.inputs.reading import Source, add_reading_rows, clouds_of, reading_doubts
+from ladar_volume.cli.inputs.reading import (
+    Source,
+    add_reading_rows,
+    carried_columns,
+    clouds_of,
+    reading_doubts,
+)
+from ladar_volume.cli.inputs.rows import read_rows
 from ladar_volume.cli.surface_options import (
     add_surface_rows,
     frame_facts,
@@ -27,10 +35,12 @@ from ladar_volume.cli.verdict_lines import add_verdict_rows, exit_code
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.volume_verdict import area_counted, stray_doubts, surface_doubts
 from ladar_volume.io.meshfiles.tin_files import check_tin_output, write_tin
+from ladar_volume.io.pointfiles.cloud_files import check_output, write_cloud
 from ladar_volume.io.results import json_text
-from ladar_volume.model.errors import OutputError
+from ladar_volume.model.errors import ConfigurationError, OutputError
 from ladar_volume.model.records import F64, I64, Tin
 from ladar_volume.model.verdict import Doubt, Verdict
+from ladar_volume.tin.locate import interpolated
 from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.tin.scan_frame import Frame
 from ladar_volume.version import version
@@ -39,11 +49,8 @@ from ladar_volume.version import version
 def run(arguments: argparse.Namespace) -> int:
     """Read, triangulate, write, print."""
     options = surface_options(arguments, SurfaceOptions())
-    check_tin_output(arguments.output)
-    if arguments.output.resolve() == arguments.cloud.resolve():
-        raise OutputError(
-            "the cloud and the output must be different files", value=str(arguments.output)
-        )
+    check_outputs(arguments)
+    places = places_of(arguments)
     console = Console(stderr=arguments.json)
     with console.status(f"reading {arguments.cloud.name}") as status:
         source = read_surface(arguments.cloud, arguments)
@@ -51,18 +58,20 @@ def run(arguments: argparse.Namespace) -> int:
         frame = frame_of(arguments, [source])
         status.update(f"triangulating {len(source.cloud.r):,} points")
         surface = make_surface(arguments, source, options, frame, arguments.sigma)
-        sigma_z = None
-        if surface.sigma_m is not None:
-            status.update("covariance of the heights")
-            sigma_z = np.sqrt(surface.made.covariance(surface.sigma_m).diagonal())
+        status.update("covariance of the heights")
+        C = None if surface.sigma_m is None else surface.made.covariance(surface.sigma_m)
+        sigma_z = None if C is None else np.sqrt(C.diagonal())
         status.update("writing")
         output = write_surface(arguments, source, surface, frame, sigma_z)
+        cleaned = write_cleaned(arguments, source, surface, frame)
     facts = {
         **surface_facts(source, surface),
         "sigma_z_median_m": None
         if sigma_z is None
         else float(np.median(sigma_z[surface.made.tin.source >= 0])),
         "output": output,
+        "cleaned": cleaned,
+        "heights": height_facts(surface.made.tin, places, C),
         "frame": frame_facts(frame),
         "options": option_facts(options),
         "version": version(),
@@ -76,6 +85,70 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         show(console, facts)
     return exit_code(arguments, facts["verdict"])
+
+
+def check_outputs(arguments: argparse.Namespace) -> None:
+    """Refuse outputs that cannot be written, and those that are one file with another."""
+    check_tin_output(arguments.output)
+    paths = [arguments.cloud, arguments.output]
+    if arguments.cleaned is not None:
+        paths.append(check_output(arguments.cleaned))
+    if len({p.resolve() for p in paths}) < len(paths):
+        words = "the cloud and the output must be different files"
+        if arguments.cleaned is not None:
+            words = "the cloud, the output and the cleaned cloud must be different files"
+        raise OutputError(words, value=[str(p) for p in paths])
+
+
+def places_of(arguments: argparse.Namespace) -> F64 | None:
+    """Places (n, 2), m, whose heights are asked for; None for none."""
+    if arguments.at is None:
+        return None
+    if arguments.frame == "scan":
+        raise ConfigurationError("--at asks for heights: it goes with --frame level")
+    rows = np.array(read_rows(arguments.at, "--at"))
+    if rows.ndim != 2 or rows.shape[1] < 2 or not np.isfinite(rows).all():
+        raise ConfigurationError(f"--at {arguments.at}: rows x y are needed, finite, in m")
+    return np.ascontiguousarray(rows[:, :2])
+
+
+def height_facts(
+    tin: Tin, places: F64 | None, covariance: sparse.csr_array | None
+) -> list[dict[str, Any]] | None:
+    """Heights at places (n, 2), m, and their standard deviations, None off the surface; None where
+    none is asked for.
+    """
+    if places is None:
+        return None
+    found = interpolated(tin, places, covariance)
+    return [
+        {
+            "x_m": x,
+            "y_m": y,
+            "height_m": None if np.isnan(z) else z,
+            "sigma_m": None if np.isnan(s) or np.isnan(z) else s,
+        }
+        for (x, y), z, s in zip(
+            places.tolist(), found.height_m.tolist(), found.sigma_m.tolist(), strict=True
+        )
+    ]
+
+
+def write_cleaned(
+    arguments: argparse.Namespace, source: Source, surface: CloudSurface, frame: Frame | None
+) -> dict[str, Any] | None:
+    """Write the points that the surface is made from, in the map's frame, with their attributes;
+    returns what the JSON says of the file. None where it is not asked for.
+    """
+    path = arguments.cleaned
+    if path is None:
+        return None
+    cloud = source.cloud
+    kept, lost = carried_columns(cloud, path, ["index"])
+    r = surface.points if frame is None else frame.points_back(surface.points)
+    columns = {name: values[surface.index] for name, values in kept.items()}
+    write_cloud(path, r, {**columns, "index": cloud.rows[surface.index]}, like=cloud)
+    return {"path": path.name, "points": len(r), "columns_lost": lost}
 
 
 def write_surface(
@@ -120,7 +193,21 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
     _add_fit_rows(table, facts)
     add_verdict_rows(table, facts["verdict"])
     console.print(table)
+    for place in facts["heights"] or []:
+        console.print(height_words(place))
     console.print(f"written to {facts['output']['path']}")
+    if facts["cleaned"] is not None:
+        cleaned = facts["cleaned"]
+        console.print(f"{cleaned['points']:,} points written to {cleaned['path']}")
+
+
+def height_words(place: Mapping[str, Any]) -> str:
+    """One place and its height, as printed."""
+    where = f"at {place['x_m']:.3f} {place['y_m']:.3f}"
+    if place["height_m"] is None:
+        return f"{where}: no surface"
+    sigma = "" if place["sigma_m"] is None else f" ± {1e3 * place['sigma_m']:.2f} mm"
+    return f"{where}: {place['height_m']:.4f} m{sigma}"
 
 
 def _add_surface_rows(table: Table, facts: Mapping[str, Any]) -> None:

@@ -26,7 +26,7 @@ from ladar_volume.cli.surface_options import (
 )
 from ladar_volume.cli.tables.volume_table import show
 from ladar_volume.cli.verdict_lines import exit_code
-from ladar_volume.cli.volume_facts import level_facts, volume_facts
+from ladar_volume.cli.volume_facts import level_facts, pair_facts, volume_facts
 from ladar_volume.clouds.cloud_levels import (
     above_floor,
     level_list,
@@ -51,8 +51,10 @@ from ladar_volume.model.verdict import Verdict
 from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.tin.scan_frame import Frame
 from ladar_volume.version import version
-from ladar_volume.volume.published_methods import zero_fill_level
+from ladar_volume.volume.published_methods import front_level, zero_fill_level
 
+#: Step, m, of the search for the level in front of a body: seed 000 takes 5 cm between levels.
+SEARCH_STEP_M = 0.002
 #: Parameters that options of their own give.
 OWN_OPTION = {
     "base": "--base",
@@ -67,7 +69,8 @@ OWN_OPTION = {
 
 def parameters_of(arguments: argparse.Namespace) -> tuple[Parameters, str]:
     """Parameters of base, outline and ground, and the base: "level", "plane", "ground", "floor",
-    "cloud" (the second one), or "lowest" (the highest level without fill). Raises
+    "cloud" (the second one), "lowest" (the highest level without fill) or "front" (the level just
+    in front of the body). Raises
     :class:`ConfigurationError` for options that contradict one another.
     """
     a, two = arguments, arguments.cloud_b is not None
@@ -80,6 +83,7 @@ def parameters_of(arguments: argparse.Namespace) -> tuple[Parameters, str]:
         if a.levels is not None
         else ""
     )
+    _check_method(a, two)
     if two and a.footprint == "common":
         if a.level is not None or a.plane is not None or a.base is not None:
             raise ConfigurationError(
@@ -88,7 +92,8 @@ def parameters_of(arguments: argparse.Namespace) -> tuple[Parameters, str]:
         return _read(a, "cloud"), "cloud"
     if not two and (a.footprint == "own" or a.sigma_b is not None):
         raise ConfigurationError("--footprint own and --sigma-b are for two clouds")
-    base = a.base or ("lowest" if two and inferred in ("floor", "") else inferred)
+    level = "front" if a.method == 1 else "lowest"
+    base = a.base or (level if two and inferred in ("floor", "") else inferred)
     if not base:
         raise ConfigurationError(
             "above what? Give --level Z, --base plane, ground or floor, or a second cloud"
@@ -101,6 +106,17 @@ def parameters_of(arguments: argparse.Namespace) -> tuple[Parameters, str]:
     if base == "ground" and (a.frame == "scan" or two):
         raise ConfigurationError("--base ground is for one cloud in the level frame")
     return _read(a, base), base
+
+
+def _check_method(a: argparse.Namespace, two: bool) -> None:
+    """Methods and offsets are for two clouds, each over its own footprint."""
+    for option, value in (("--method", a.method), ("--offset", a.offset)):
+        if value is not None and not (two and a.footprint == "own"):
+            raise ConfigurationError(f"{option} goes with two clouds and --footprint own")
+    if a.method is not None and (a.base or a.level is not None or a.plane is not None):
+        raise ConfigurationError(
+            "--method finds its level, or takes --levels; leave --base, --level and --plane out"
+        )
 
 
 def _read(a: argparse.Namespace, base: str) -> Parameters:
@@ -261,6 +277,11 @@ def compute_volume(
     if task.levels is not None:
         level_base = None if task.base == "level" else found.level_base
         more |= level_facts(surfaces, task.levels, level_base, task.correct)
+    if task.arguments.method is not None:
+        at = task.levels
+        if at is None:
+            at = np.array([found.parameters.volume.level_m])
+        more["pairs"] = pair_facts(surfaces, task.arguments.method, at, offset_of(task))
     facts = volume_facts(judgement.volume, found.parameters)
     facts |= {"footprint": task.arguments.footprint if len(surfaces) == 2 else None, **more}
     return {**facts, "verdict": judgement.verdict}, judgement.volume
@@ -272,12 +293,20 @@ def in_frame(task: VolumeTask, surfaces: list[CloudSurface]) -> VolumeTask:
     if task.base == "plane" and task.frame is not None:
         turned = tuple(task.frame.plane(np.array(task.arguments.plane)).tolist())
         volume = dataclasses.replace(volume, plane=turned)
-    elif task.base == "lowest":
-        level = zero_fill_level(surfaces[0].made.tin, surfaces[1].made.tin)
+    elif task.base in ("lowest", "front"):
+        tins, offset = (surfaces[0].made.tin, surfaces[1].made.tin), offset_of(task)
+        level = zero_fill_level(*tins, offset)
+        if task.base == "front":
+            level = front_level(*tins, SEARCH_STEP_M, offset)
         volume = dataclasses.replace(volume, level_m=level)
     else:
         return task
     return dataclasses.replace(task, parameters=dataclasses.replace(task.parameters, volume=volume))
+
+
+def offset_of(task: VolumeTask) -> float:
+    """By how much the first surface lies above the second, m."""
+    return float(task.arguments.offset or 0.0)
 
 
 def cut_and_fill(task: VolumeTask, surfaces: list[CloudSurface]) -> CutFill:
@@ -288,7 +317,7 @@ def cut_and_fill(task: VolumeTask, surfaces: list[CloudSurface]) -> CutFill:
         volume = between_clouds(first, surfaces[1], "the second", correct)
         return CutFill(volume, parameters, None, relevant, [])
     if len(surfaces) == 2:
-        volume, one, two = own_footprints(first, surfaces[1], parameters, correct)
+        volume, one, two = own_footprints(first, surfaces[1], parameters, correct, offset_of(task))
         return CutFill(volume, parameters, None, relevant, [one, two])
     if task.base == "floor" and task.levels is not None:
         levels = sequence(first, task.levels)

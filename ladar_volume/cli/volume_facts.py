@@ -15,6 +15,7 @@ from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Plane
 from ladar_volume.volume.cutfill import Sequence
 from ladar_volume.volume.floors import surface_offset
+from ladar_volume.volume.published_methods import method_one, method_two
 
 
 def volume_facts(volume: CloudVolume, parameters: Parameters) -> dict[str, Any]:
@@ -44,6 +45,26 @@ def volume_facts(volume: CloudVolume, parameters: Parameters) -> dict[str, Any]:
         "budget_m6": volume.budget_m6,
         "sigma_holds": "noise of the points and what lies between them only",
         "centimetre_m3": 0.01 * volume.area_m2,
+    }
+
+
+def pair_facts(
+    surfaces: list[CloudSurface], method: int, levels: F64, offset_m: float
+) -> dict[str, Any]:
+    """Volumes of a body by pairs of levels, one of each surface (seed 000 Table 5.7)."""
+    compare = method_one if method == 1 else method_two
+    found = compare(surfaces[0].made.tin, surfaces[1].made.tin, levels, offset_m)
+    return {
+        "method": method,
+        "part": "fill" if method == 1 else "cut",
+        "offset_m": offset_m,
+        "level_with_m": found.level_with_m.tolist(),
+        "level_without_m": found.level_without_m.tolist(),
+        "with_m3": found.with_m3.tolist(),
+        "without_m3": found.without_m3.tolist(),
+        "volume_m3": found.volume_m3.tolist(),
+        "slope_m2": None if np.isnan(found.slope_m2) else found.slope_m2,
+        "areas_m2": list(found.areas_m2),
     }
 
 

@@ -9,6 +9,7 @@ calibration and navigation, a file does not tell: it is not in these standard de
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass, field
 from typing import Any
@@ -265,13 +266,46 @@ def near_difference(
     )
 
 
+def lowered(parameters: Parameters, by_m: float) -> Parameters:
+    """The parameters with the level or the given plane lower by so much."""
+    v = parameters.volume
+    plane = (v.plane[0] - by_m, *v.plane[1:])
+    volume = dataclasses.replace(v, level_m=v.level_m - by_m, plane=plane)
+    return dataclasses.replace(parameters, volume=volume)
+
+
+def less(a: CloudVolume, b: CloudVolume) -> CloudVolume:
+    """One volume less another, of surfaces that share no error."""
+    return CloudVolume(
+        a.cut_m3 - b.cut_m3,
+        a.fill_m3 - b.fill_m3,
+        a.cut_raw_m3 - b.cut_raw_m3,
+        a.fill_raw_m3 - b.fill_raw_m3,
+        a.folded_m3 - b.folded_m3,
+        a.near_area_m2 + b.near_area_m2,
+        math.hypot(a.sigma_m3, b.sigma_m3),
+        math.hypot(a.sigma_cut_m3, b.sigma_cut_m3),
+        math.hypot(a.sigma_fill_m3, b.sigma_fill_m3),
+        a.area_m2,
+        f"{a.base}, each surface over its own footprint",
+        False,
+        {key: a.budget_m6[key] + b.budget_m6[key] for key in a.budget_m6},
+    )
+
+
 def own_footprints(
-    one: CloudSurface, two: CloudSurface, parameters: Parameters, correct: bool = True
+    one: CloudSurface,
+    two: CloudSurface,
+    parameters: Parameters,
+    correct: bool = True,
+    offset_m: float = 0.0,
 ) -> tuple[CloudVolume, CloudVolume, CloudVolume]:
     """The published way (seed 000 chapter 5): each surface above the same level over its own
     footprint. Their difference, and both.
 
-    Where the footprints differ, their difference times the distance to the level is in it.
+    offset_m : by which the first surface lies above the second where nothing changed; the second's
+    level is lower by it. Where the footprints differ, their difference times the distance to the
+    level is in the result.
     """
     if parameters.volume.base == "ground":
         raise VolumeError(
@@ -279,25 +313,6 @@ def own_footprints(
         )
     (a, _, _), (b, _, _) = (
         above_base(one, parameters, correct),
-        above_base(two, parameters, correct),
+        above_base(two, lowered(parameters, offset_m), correct),
     )
-    budget = {key: a.budget_m6[key] + b.budget_m6[key] for key in a.budget_m6}
-    return (
-        CloudVolume(
-            a.cut_m3 - b.cut_m3,
-            a.fill_m3 - b.fill_m3,
-            a.cut_raw_m3 - b.cut_raw_m3,
-            a.fill_raw_m3 - b.fill_raw_m3,
-            a.folded_m3 - b.folded_m3,
-            a.near_area_m2 + b.near_area_m2,
-            math.hypot(a.sigma_m3, b.sigma_m3),
-            math.hypot(a.sigma_cut_m3, b.sigma_cut_m3),
-            math.hypot(a.sigma_fill_m3, b.sigma_fill_m3),
-            a.area_m2,
-            f"{a.base}, each surface over its own footprint",
-            False,
-            budget,
-        ),
-        a,
-        b,
-    )
+    return less(a, b), a, b

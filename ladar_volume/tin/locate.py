@@ -9,9 +9,11 @@ binary tree of boxes stands above the groups.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
+from scipy import sparse
 
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.model.errors import SurfaceError
@@ -229,6 +231,39 @@ def barycentric(tin: Tin, triangle: I64, xy: F64) -> F64:
     weights[thin] = np.eye(3)[np.argmin(((p[thin] - xy[thin, None]) ** 2).sum(axis=2), axis=1)]
     weights[triangle < 0] = np.nan
     return weights
+
+
+class Interpolated(NamedTuple):
+    """Heights between vertices. height_m, sigma_m : (n,), NaN outside the relevant triangles, the
+    latter also where the noise is not known · triangle : (n,), −1 outside
+    """
+
+    height_m: F64
+    sigma_m: F64
+    triangle: I64
+
+
+def interpolated(tin: Tin, xy: F64, covariance: sparse.csr_array | None = None) -> Interpolated:
+    """Heights ``λ·z`` of a surface at places xy (n, 2), m, in its relevant triangles, with variance
+    ``λᵀ C λ``: λ the barycentric coordinates, C the covariance of the three vertices.
+
+    covariance : (v, v) m² of the vertex heights, at least the diagonal and the pairs joined by an
+    edge; None where it is not known. For independent vertices of one variance the variance is from
+    a third of it, at the centroid, to all of it, at a vertex; the published factor is the mean over
+    a triangle, a half (seed 004 equation 4, Zhu et al. 2005). What lies between the vertices, as
+    roughness, is not in it.
+    """
+    where = locate(triangle_index(tin, tin.relevant), xy)
+    weight, corner = barycentric(tin, where, xy), tin.triangles[where]
+    height = (weight * tin.vertices[:, 2][corner]).sum(axis=1)
+    variance = np.full(len(where), np.nan)
+    if covariance is not None:
+        variance = np.zeros(len(where))
+        for a in range(3):
+            for b in range(3):
+                common = np.asarray(covariance[corner[:, a], corner[:, b]]).ravel()
+                variance += weight[:, a] * weight[:, b] * common
+    return Interpolated(height, np.sqrt(np.maximum(variance, 0.0)), where)
 
 
 def height_at(tin: Tin, xy: F64, index: TriangleIndex | None = None) -> F64:

@@ -312,3 +312,49 @@ def test_wrong_words_are_one_line_and_leave_no_file(save, tmp_path, capsys):
         with pytest.raises(SystemExit):
             main(["tin", *map(str, words)])
     assert sorted(p.name for p in tmp_path.iterdir()) == before
+
+
+def test_heights_at_places_with_their_sigma(tin, save, tmp_path, capsys):
+    path, places = save(cloud()), tmp_path / "places.csv"
+    places.write_text("2.0,3.0\n7.5,1.0\n50.0,3.0\n")
+    facts, *_ = tin(path, "--at", places, "--sigma", 0.02)
+    near, far, off = facts["heights"]
+    for place in (near, far):
+        true = math.sin(place["x_m"]) + 0.2 * place["y_m"]
+        assert abs(place["height_m"] - true) < 4 * place["sigma_m"] + 0.02
+        assert 0.002 < place["sigma_m"] < 0.02  # averaged over the points of its triangles
+    assert off["height_m"] is None and off["sigma_m"] is None
+    assert main(["tin", str(path), "-o", str(tmp_path / "t.ply"), "--at", str(places)]) == 0
+    shown = capsys.readouterr().out
+    assert "at 2.000 3.000" in shown and "mm" in shown and "no surface" in shown
+
+
+def test_the_cleaned_cloud_keeps_its_attributes(tin, save, tmp_path):
+    r = cloud()
+    r[100, 2] += 3.0
+    path = save(r, "c.las", {"intensity": np.arange(len(r)) % 500})
+    for option, left in (("--screen", len(r) - 1), ("--median", len(r))):
+        out = tmp_path / f"clean{option}.las"
+        facts, *_ = tin(path, option, 1.0, "--clean", "off", "--cleaned", out)
+        kept = read_cloud(out)
+        assert len(kept.r) == left == facts["cleaned"]["points"]
+        rows = np.asarray(kept.columns["index"])
+        assert (np.asarray(kept.columns["intensity"]) == rows % 500).all()
+        assert np.abs(kept.r[:, 2] - r[rows, 2]).max() == pytest.approx(
+            0.0 if option == "--screen" else 3.0, abs=0.3
+        )
+
+
+def test_wrong_places_and_outputs(save, tmp_path, capsys):
+    path, bad = save(cloud(200)), tmp_path / "bad.txt"
+    bad.write_text("north east\n")
+    out = ["-o", str(tmp_path / "t.ply")]
+    for words in (
+        ["--at", bad],
+        ["--at", tmp_path / "none.txt"],
+        ["--cleaned", path],
+        ["--cleaned", tmp_path / "x.unknown"],
+        ["--at", bad, "--frame", "scan"],
+    ):
+        assert main(["tin", str(path), *out, *map(str, words)]) == 2
+        assert len(capsys.readouterr().err.strip().splitlines()) == 1

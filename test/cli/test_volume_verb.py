@@ -399,3 +399,29 @@ def test_wrong_words_are_one_line(save, tmp_path, capsys):
     ):
         with pytest.raises(SystemExit):
             main(["volume", *map(str, words)])
+
+
+def test_both_published_methods_with_an_offset(save, volume, capsys):
+    # a block on a plane that the first scan shows 0.3 m higher; its walls slant over one spacing
+    def block(xy):
+        return 2.0 * ((np.abs(xy[:, 0]) < 0.5) & (np.abs(xy[:, 1]) < 1.0))
+
+    g = np.linspace(-6.0, 6.0, 241)
+    xy = np.stack(np.meshgrid(g, g), axis=-1).reshape(-1, 2)
+    one = save("one.ply", np.c_[xy, block(xy) + 0.3])
+    two = save("two.ply", np.c_[xy, 0.0 * xy[:, 0]])
+    options = (one, two, "--footprint", "own", "--clean", "off", "--sigma", 0.001)
+    for method, part in ((1, "fill"), (2, "cut")):
+        facts = volume(*options, "--method", method, "--offset", 0.3)
+        assert facts["net_m3"] == pytest.approx(2.0 * 0.95 * 1.95, rel=1e-3)
+        assert facts["pairs"]["part"] == part and facts["pairs"]["offset_m"] == 0.3
+        assert facts["pairs"]["volume_m3"] == pytest.approx([facts["net_m3"]], rel=1e-3)
+        without = volume(*options, "--method", method)
+        assert without["net_m3"] == pytest.approx(facts["net_m3"] + 0.3 * 144.0, rel=2e-2)
+    levels = ("--levels", -1.0, -0.5, 0.1)
+    pairs = volume(*options, "--method", 2, "--offset", 0.3, *levels)["pairs"]
+    assert len(pairs["volume_m3"]) == 6 and abs(pairs["slope_m2"]) < 1e-6
+    assert main(["volume", *map(str, (*options, "--method", 1, *levels))]) == 0
+    assert "per centimetre of level" in capsys.readouterr().out
+    for words in (["--method", "1", "--level", "0"], ["--method", "1", "--footprint", "common"]):
+        assert main(["volume", str(one), str(two), "--footprint", "own", *words]) == 2

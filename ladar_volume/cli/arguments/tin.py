@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 from ladar_volume.cli.arguments.lines import Verbs
@@ -36,6 +37,7 @@ def add_parser(subparsers: Verbs) -> None:
     parser.add_argument(
         "--all-triangles", action="store_true", help="write irrelevant triangles too, marked"
     )
+    _add_more_outputs(parser)
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
@@ -43,3 +45,20 @@ def add_parser(subparsers: Verbs) -> None:
     add_mesh_options(parser)
     add_strict_option(parser)
     parser.set_defaults(run=work("ladar_volume.cli.tin"))
+
+
+def _add_more_outputs(parser: argparse.ArgumentParser) -> None:
+    """What is made besides the surface."""
+    parser.add_argument(
+        "--at",
+        type=Path,
+        metavar="PLACES",
+        help="a file of places x y, m: their heights on the surface, with sigma, are printed",
+    )
+    parser.add_argument(
+        "--cleaned",
+        type=Path,
+        metavar="CLOUD",
+        help="write the points that the surface is made from: without strays and copies, "
+        "screened (--screen), or given their medians (--median)",
+    )

@@ -35,6 +35,7 @@ def add_parser(subparsers: Verbs) -> None:
     g = parser.add_argument_group("base")
     _add_bases(g)
     _add_counting(g)
+    _add_pairs(g)
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
@@ -68,12 +69,6 @@ def _add_counting(g: argparse._ArgumentGroup) -> None:
         more="default auto above the ground, else all; a polygon with --set volume.outline=polygon",
     )
     g.add_argument(
-        "--footprint",
-        choices=("common", "own"),
-        default="common",
-        help="two clouds: over their common footprint, or as published each over its own",
-    )
-    g.add_argument(
         "--sigma-b",
         type=number,
         metavar="M",
@@ -88,4 +83,28 @@ def _add_counting(g: argparse._ArgumentGroup) -> None:
         default=[],
         metavar="SECTION.KEY=VALUE",
         help="override a parameter of volume or ground",
+    )
+
+
+def _add_pairs(g: argparse._ArgumentGroup) -> None:
+    """How two clouds are compared."""
+    g.add_argument(
+        "--footprint",
+        choices=("common", "own"),
+        default="common",
+        help="two clouds: over their common footprint, or as published each over its own",
+    )
+    g.add_argument(
+        "--method",
+        type=int,
+        choices=(1, 2),
+        help="two clouds, --footprint own: by fill in front of the body (1), or by cut above a "
+        "level beyond everything (2); at --levels, or at the level that is found",
+    )
+    g.add_argument(
+        "--offset",
+        type=number,
+        metavar="M",
+        help="by which the first cloud lies above the second where nothing changed: the second's "
+        "levels are lower by it (what --levels prints as offset)",
     )

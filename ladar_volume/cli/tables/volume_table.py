@@ -31,6 +31,8 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
     console.print(table)
     for each in facts.get("sequences", []):
         show_levels(console, each)
+    if "pairs" in facts:
+        show_pairs(console, facts["pairs"])
     if "offset" in facts and facts["offset"]["offset_m"] is not None:
         console.print(f"offset of the sequences {1e3 * facts['offset']['offset_m']:.2f} mm")
 
@@ -109,6 +111,21 @@ def _add_stray_rows(table: Table, clean: Mapping[str, Any]) -> None:
         )
     elif clean["strays"]:
         table.add_row("with strays", f"no volume: {clean['why']}".replace("[", r"\["))
+
+
+def show_pairs(console: Console, pairs: Mapping[str, Any]) -> None:
+    """Print the volumes by pairs of levels, and how they depend on the level."""
+    part = pairs["part"]
+    table = Table("level with / m", "without / m", f"{part} with / m³", "without / m³", "body / m³")
+    names = ("level_with_m", "level_without_m", "with_m3", "without_m3", "volume_m3")
+    for row in zip(*(pairs[name] for name in names), strict=True):
+        table.add_row(*(f"{value:.4f}" for value in row))
+    console.print(table)
+    if pairs["slope_m2"] is not None:
+        console.print(
+            f"Method {pairs['method']}: the volume changes by {0.01 * pairs['slope_m2']:.4g} m³ "
+            "per centimetre of level"
+        )
 
 
 def show_levels(console: Console, each: Mapping[str, Any], most: int = 20) -> None:
