@@ -2,7 +2,7 @@
 SOURCES := $(shell find ladar_volume launch config -name '*.py' -o -name '*.yaml') package.xml setup.py setup.cfg
 PY := .venv/bin/python
 
-.PHONY: help run test lint bench fuzz mutants docs colcon clean
+.PHONY: help run test lint bench fuzz mutants arm64 docs colcon clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):[^#]*## /\1\t/p' Makefile | expand -t 10
@@ -29,6 +29,9 @@ mutants: .venv/ready  ## planted bugs, then mutants of the core: which do the te
 	$(PY) -m benchmarks.planted
 	tools/mutants.sh
 
+arm64: .venv/ready  ## does every pinned package have a wheel for arm64? needs the network
+	tools/check_arm64.sh
+
 docs: .venv/ready  ## regenerate config/default.yaml and docs/parameters.md
 	$(PY) -m ladar_volume.io.config
 
@@ -38,5 +41,5 @@ colcon: .venv/ready  ## build the package as a ROS workspace does
 clean:  ## remove .venv and everything that was made
 	rm -rf .venv build install log out
 
-.venv/ready: requirements.txt requirements-dev.txt tools/setup.sh tools/system_libraries.txt $(SOURCES)
+.venv/ready: requirements.txt requirements-dev.txt requirements-apt.txt tools/setup.sh tools/system_libraries.txt $(SOURCES)
 	tools/setup.sh

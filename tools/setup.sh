@@ -1,5 +1,7 @@
 #!/usr/bin/env bash
 # Set up .venv with everything the package needs, system libraries included. Safe to run again.
+# ROS 2 Jazzy comes as wheels, or from apt where its setup.bash was sourced: then NumPy and SciPy are
+# the system's, for which ROS was compiled.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 python="${PYTHON:-python3}"
@@ -36,15 +38,32 @@ if [ "${#need[@]}" -gt 0 ]; then
     fi
 fi
 
+if [ "${ROS_DISTRO:-}" = jazzy ] && "$python" -c 'import rclpy' 2>/dev/null; then
+    wanted=requirements-apt.txt options=--system-site-packages
+    # the compiled kernels and the tests load these: one word instead of a traceback later
+    "$python" -c 'import matplotlib, numpy, pyproj, scipy, setuptools, yaml' || {
+        echo "Install what package.xml names: rosdep install --from-paths . --ignore-src" >&2
+        exit 1
+    }
+elif [ -e /opt/ros/jazzy/setup.bash ]; then
+    echo "ROS 2 Jazzy is installed, but not in this shell: source /opt/ros/jazzy/setup.bash" >&2
+    exit 1
+elif [ "$(uname -m)" != x86_64 ]; then
+    echo "The wheels of ROS 2 Jazzy are for x86_64. Install it from apt (docs/installation.md)," >&2
+    echo "source /opt/ros/jazzy/setup.bash and run this again." >&2
+    exit 1
+else
+    wanted=requirements-dev.txt options=
+fi
 "$python" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' || {
     echo "Python 3.11, 3.12 or 3.13 is needed (PYTHON=python3.12 make run chooses one)" >&2
     exit 1
 }
-[ -x .venv/bin/python ] || "$python" -m venv .venv
-want="$(cat requirements.txt requirements-dev.txt | sha256sum)"
+want="$(cat requirements.txt "$wanted" | sha256sum)"
+[ -x .venv/bin/python ] || "$python" -m venv $options .venv
 if [ "$(cat .venv/requirements.sha256 2>/dev/null || true)" != "$want" ]; then
     echo "Installing Python packages into .venv (a few minutes the first time)"
-    .venv/bin/python -m pip install -q --disable-pip-version-check -r requirements-dev.txt
+    .venv/bin/python -m pip install -q --disable-pip-version-check -r "$wanted"
     echo "$want" >.venv/requirements.sha256
 fi
 # machine code is recompiled when its own file changes, not when a kernel it calls does
