@@ -7,5 +7,5 @@ Public:
 - ``se3``: rotations, quaternions (xyzw) and rigid transforms.
 - ``normal_equations``: least squares with up to six unknowns, for kernels.
 - ``run_concurrently``: two pieces of work at a time.
-- ``import_guard``: libraries that others load only where these are installed.
+- ``sparse_diagonal``: diagonal matrices as sparse arrays.
 """

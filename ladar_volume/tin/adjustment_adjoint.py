@@ -19,6 +19,7 @@ import numpy as np
 from scipy import sparse
 
 from ladar_volume.math.kernels import kernel
+from ladar_volume.math.sparse_diagonal import diagonal_matrix
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Tin
 from ladar_volume.tin.elevation_adjustment import Fit, Normal
@@ -103,7 +104,7 @@ def height_covariance(tin: Tin, fit: Fit, unadjusted_m2: F64) -> Any:
     if int(np.diff(fit.B.indptr).max(initial=0)) <= 1:  # every point at a vertex: means of points
         N = np.asarray(fit.B.power(2).T @ fit.weight).reshape(-1)
         known = np.where(fit.adjusted, 1.0 / np.where(N > 0, N, 1.0), unadjusted_m2)
-        return sparse.csr_array(sparse.diags_array(known))
+        return diagonal_matrix(known)
     pairs = np.unique(
         np.sort(np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]]), axis=1), axis=0
     )
@@ -127,7 +128,7 @@ def height_covariance(tin: Tin, fit: Fit, unadjusted_m2: F64) -> Any:
     value[~(normal.free[pairs[:, 0]] & normal.free[pairs[:, 1]])] = 0.0
     variance = np.where(fit.adjusted, own[place] * normal.scale**2, unadjusted_m2)
     upper = sparse.coo_array((value, (pairs[:, 0], pairs[:, 1])), shape=(n, n)).tocsr()
-    return sparse.csr_array(upper + upper.T + sparse.diags_array(variance))
+    return sparse.csr_array(upper + upper.T + diagonal_matrix(variance))
 
 
 def entries(start: I64, row: I64, value: F64, column: I64 | I32, wanted: I64 | I32) -> F64:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
+from ladar_volume.math.sparse_diagonal import identity_matrix
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, Tin
 from ladar_volume.tin.elevation_adjustment import Adjustment, Fit, Normal, finish, fit_of
@@ -105,7 +106,7 @@ def adjust_asd_exact(
     fit = fit_of(tin, points_map, sigma_m) if fit is None else fit
     w, k, z = np.sqrt(fit.weight), len(fit.z), tin.vertices[:, 2]
     used = np.flatnonzero(fit.adjusted)
-    one = sparse.eye_array(k, format="csr")
+    one = identity_matrix(k)
     A = sparse.hstack([fit.B.tocsc()[:, used], one, -one], format="csc")
     cost = np.r_[np.zeros(len(used)), w, w] / w.max()
     bounds = np.r_[np.tile([-np.inf, np.inf], (len(used), 1)), np.tile([0.0, np.inf], (2 * k, 1))]

@@ -20,6 +20,7 @@ from scipy import sparse
 from scipy.sparse.linalg import cg, splu
 
 from ladar_volume.math.kernels import kernel
+from ladar_volume.math.sparse_diagonal import diagonal_matrix
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I64, Bool, Tin
 from ladar_volume.tin.insertion_order import hilbert_order
@@ -125,12 +126,12 @@ class Normal:
     def __init__(
         self, B: sparse.csr_array, weight: F64, direct: bool = False, pairs: I64 | None = None
     ) -> None:
-        N = (B.T @ sparse.diags_array(weight) @ B).tocsc()
+        N = (B.T @ diagonal_matrix(weight) @ B).tocsc()
         diagonal = N.diagonal()
         self.free: Bool = diagonal > 0
         self.scale = np.where(self.free, diagonal, 1.0) ** -0.5
-        S = sparse.diags_array(self.scale)
-        self.matrix = (S @ N @ S + sparse.diags_array(np.where(self.free, RIDGE, 1.0))).tocsc()
+        S = diagonal_matrix(self.scale)
+        self.matrix = (S @ N @ S + diagonal_matrix(np.where(self.free, RIDGE, 1.0))).tocsc()
         if pairs is not None:  # entries too small to matter, but there
             room = sparse.coo_array(
                 (np.full(len(pairs), 1e-280), (pairs[:, 0], pairs[:, 1])), shape=N.shape

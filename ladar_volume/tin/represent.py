@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import sparse
 
+from ladar_volume.math.sparse_diagonal import diagonal_matrix
 from ladar_volume.model.choices import ADJUST, MEASURES
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I64, Bool, Tin
@@ -133,7 +133,7 @@ class Represented:
         """
         own = np.where(self.tin.source >= 0, sigma_m[self.tin.source] ** 2, 0.0)
         if self.fit is None:
-            return sparse.csr_array(sparse.diags_array(own))
+            return diagonal_matrix(own)
         scale = float(np.median(self.fit.weight * sigma_m[self.fit.point] ** 2))
         return (
             self.variance_factor

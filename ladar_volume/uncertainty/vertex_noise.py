@@ -15,6 +15,7 @@ import numpy as np
 from scipy import sparse
 
 from ladar_volume.math.kernels import kernel, leaf_kernel
+from ladar_volume.math.sparse_diagonal import diagonal_matrix
 from ladar_volume.model.records import (
     F32,
     F64,
@@ -85,7 +86,7 @@ def height_pairs(
         one, two, row, X, patches.cross_start, geometry.right, patches.cross
     )
     upper = sparse.coo_array((value[shared], (one[shared], two[shared])), shape=(n, n)).tocsr()
-    return sparse.csr_array(upper + upper.T + sparse.diags_array(variance))
+    return sparse.csr_array(upper + upper.T + diagonal_matrix(variance))
 
 
 @leaf_kernel

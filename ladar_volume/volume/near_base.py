@@ -27,6 +27,7 @@ from scipy import sparse
 
 from ladar_volume.ground.polynomial import height_above
 from ladar_volume.math.kernels import kernel, parallel_kernel
+from ladar_volume.math.sparse_diagonal import diagonal_matrix
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.tin.full_tin import any_corner, footprint_areas
@@ -175,7 +176,7 @@ def near_base(
     t, n = tin.triangles[chosen], len(tin.vertices)
     if len(t) == 0:
         raise VolumeError("there is no triangle to take a volume of", reason="volume_no_triangle")
-    joint: Any = C if sparse.issparse(C) else sparse.diags_array(np.asarray(C, dtype=np.float64))
+    joint: Any = C if sparse.issparse(C) else diagonal_matrix(np.asarray(C, dtype=np.float64))
     h, area = height_above(tin.vertices, base), footprint_areas(tin.vertices, t)
     near = near_triangles(tin, h, checked(joint.diagonal(), n), chosen)
     close, close_area = t[near], area[near]

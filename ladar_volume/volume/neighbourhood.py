@@ -15,6 +15,7 @@ import numpy as np
 from scipy import sparse
 
 from ladar_volume.math.kernels import kernel, parallel_kernel
+from ladar_volume.math.sparse_diagonal import diagonal_matrix, identity_matrix
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.insertion_order import hilbert_order
 from ladar_volume.tin.median_screen import edges
@@ -219,7 +220,7 @@ def neighbourhoods(tin: Tin) -> Any:
     n, t = len(tin.vertices), tin.triangles
     pairs = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
     links = sparse.csr_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    near = sparse.csr_array(links + links.T + sparse.eye_array(n))
+    near = sparse.csr_array(links + links.T + identity_matrix(n))
     near.data[:] = 1.0
     return near
 
@@ -255,8 +256,8 @@ def smoother(tin: Tin, h: F64, variance: F64, wanted: Bool, rings: int) -> Any:
     rows, near = np.flatnonzero(wanted).astype(np.int64), neighbourhoods(tin)
     xy = tin.vertices[:, :2] - tin.vertices[:, :2].mean(axis=0)
     S, member, alive = (
-        sparse.eye_array(len(h), format="csr"),
-        sparse.eye_array(len(h), format="csr")[rows],
+        identity_matrix(len(h)),
+        identity_matrix(len(h))[rows],
         np.ones(len(rows), bool),
     )
     for _ in range(rings if len(rows) else 0):
@@ -276,5 +277,5 @@ def smoother(tin: Tin, h: F64, variance: F64, wanted: Bool, rings: int) -> Any:
         lift = sparse.csr_array(
             (np.ones(alive.sum()), (rows[alive], np.flatnonzero(alive))), shape=(len(h), len(rows))
         )
-        S = sparse.csr_array(sparse.diags_array(keep) @ S + lift @ new)
+        S = sparse.csr_array(diagonal_matrix(keep) @ S + lift @ new)
     return S
