@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.blas import dspmv
@@ -141,21 +142,52 @@ def estimate_roughness(
         p, residual[some], C, Q, np.concatenate([[0.0], edges])
     )
     known, trace = taken_by_fit(CQ, Q)
-    lag = np.concatenate([[0.0, edges[0] / 2], np.sqrt(edges[:-1] * edges[1:])])
-    ok = np.append(True, counts >= LEAST_PAIRS)
+    sums = PairSums(products, counts, partners, d, known)
+    left = square - noise - (float(np.trace(C)) - trace) / len(some)
     pairs = np.maximum(np.append(0.5 * n, counts), 1.0)
     variance = square**2 / pairs + np.append((DOUBT * noise) ** 2, np.zeros(len(counts)))
-    left = square - noise - (float(np.trace(C)) - trace) / len(some)
-    rough, own, trace = none, np.zeros_like(Q), 0.0
+    return _iterated(sums, Q, edges, left, (pairs, variance), none)
+
+
+class PairSums(NamedTuple):
+    """What :func:`_iterated` fits the field to. products, counts : (k,) m² of pairs by lag ·
+    partners : (k, n, p), d : distances, packed, as :func:`pair_sums` gives them · known : (n, p)
+    what the fit took of the covariances that are known
+    """
+
+    products: F64
+    counts: F64
+    partners: F64
+    d: F64
+    known: F64
+
+
+def _iterated(
+    sums: PairSums,
+    Q: F64,
+    edges: F64,
+    left: float,
+    weights: tuple[F64, F64],
+    start: Roughness,
+) -> Roughness:
+    """The field in ``ROUNDS`` rounds, of which each gives back what the fit of the ground, with
+    orthonormal rows Q (n, p), took of the field of the one before. edges : (k + 1,) m of the lags ·
+    left : m², mean square but for noise and what is known · weights : pairs and variances of the
+    products at lag zero and the others, (k + 1,) each · start : no roughness
+    """
+    (products, counts, partners, d, known), (pairs, variance) = sums, weights
+    lag = np.concatenate([[0.0, edges[0] / 2], np.sqrt(edges[:-1] * edges[1:])])
+    ok = np.append(True, counts >= LEAST_PAIRS)
+    rough, own, trace, most_m = start, np.zeros_like(Q), 0.0, 2.0 * float(edges[-1])
     for number in range(ROUNDS):
         if number:  # what the fit took of the field is given back
             own, trace = taken_by_fit(
                 rough.variance_m2 * packed_product(rough.correlation(d), Q), Q
             )
         value = np.append(
-            left + trace / len(some), (products + np.tensordot(partners, known + own)) / pairs[1:]
+            left + trace / len(Q), (products + np.tensordot(partners, known + own)) / pairs[1:]
         )
-        rough = of_products(lag[ok], value[ok], variance[ok], spacing, 2.0 * float(edges[-1]))
+        rough = of_products(lag[ok], value[ok], variance[ok], start.spacing_m, most_m)
     return rough
 
 

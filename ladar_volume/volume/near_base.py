@@ -32,7 +32,7 @@ from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.tin.full_tin import any_corner, footprint_areas
 from ladar_volume.tin.median_screen import edges
 from ladar_volume.volume.folded_normal import PACKED, folded, without_noise
-from ladar_volume.volume.neighbourhood import CHUNKS, Smooth
+from ladar_volume.volume.neighbourhood import CHUNKS, Smooth, SparseF64
 from ladar_volume.volume.prismoids import gather, positive_part
 from ladar_volume.volume.remaining_fold import Remaining, remaining_fold, scatter_factor
 
@@ -97,7 +97,7 @@ def packed_kernel(start: I64, column: I64, value: F64, triangles: I32) -> F64:
     return out
 
 
-def node_covariances(C: Any, triangles: I32) -> F64:
+def node_covariances(C: SparseF64, triangles: I32) -> F64:
     """Packed node covariances (m, 6) of triangles (m, 3) from a sparse covariance (n, n) of the
     heights.
     """
@@ -112,7 +112,7 @@ class Csr(NamedTuple):
     value: F64
 
 
-def csr(C: Any) -> Csr:
+def csr(C: SparseF64) -> Csr:
     """A sparse matrix as kernels read it."""
     rows = sparse.csr_array(C)
     return Csr(rows.indptr.astype(np.int64), rows.indices.astype(np.int64), rows.data)
@@ -150,10 +150,31 @@ def fold(
     return Fold(total, float(area.sum()))
 
 
+class _Close(NamedTuple):
+    """near : (m,) triangles near the base · found : (k, 13) their moments · smooth : the planes
+    through their vertices' neighbourhoods
+    """
+
+    near: Bool
+    found: F64
+    smooth: Smooth
+
+
+def _loads(tin: Tin, height: F64, t: I32, area: F64, close: _Close) -> tuple[F64, F64]:
+    """Gradients (n,) m² of cut and net volume by the vertex heights (n,) m above the base: with the
+    moments of triangles near it, and with the sign of the others among t (m, 3) of areas (m,) m².
+    """
+    near, found, n, slope = close.near, close.found, len(tin.vertices), np.empty((len(t), 3))
+    slope[~near], slope[near] = positive_part(height[t[~near]])[1], found[:, 1:4]
+    bent = close.smooth.adjoint(load(found[:, 4:7], area[near], t[near], n))
+    net = gather(np.repeat(area / 3.0, 3).reshape(-1, 3, 1), t, n)[:, 0]
+    return load(slope, area, t, n) - bent, net
+
+
 def near_base(
     tin: Tin,
     base: Plane,
-    C: Any,
+    C: F64 | SparseF64,
     mask: Bool | None = None,
     rings: int = 4,
     summed: F64 | None = None,
@@ -186,17 +207,13 @@ def near_base(
     found = np.empty((len(close), 13))
     for part, at in blocks(smooth, close, node_covariances(joint, close)):
         found[part] = moments(*at)
-    slope = np.empty((len(t), 3))
-    slope[~near], slope[near] = positive_part(h[t[~near]])[1], found[:, 1:4]
-    cut = load(slope, area, t, n) - smooth.adjoint(load(found[:, 4:7], close_area, close, n))
-    net = gather(np.repeat(area / 3.0, 3).reshape(-1, 3, 1), t, n)[:, 0]
+    cut, net = _loads(tin, h, t, area, _Close(near, found, smooth))
     curved = second_order(
         found[:, 7:] * close_area[:, None], close, smooth.start, smooth.link, joint
     )
     first = [float(g @ (joint @ g)) for g in (cut, cut - net, net)]
-    total = float(close_area @ found[:, 0])
     return NearBase(
-        total,
+        float(close_area @ found[:, 0]),
         float(close_area.sum()),
         near,
         first[0] + curved,
@@ -282,7 +299,7 @@ def moments(mu: F64, s: F64, noise: F64) -> F64:
 def near_levels(
     tin: Tin,
     levels_m: F64,
-    C: Any,
+    C: SparseF64,
     base: Plane | None = None,
     mask: Bool | None = None,
     rings: int = 4,
@@ -388,7 +405,7 @@ def trace_kernel(
     return out
 
 
-def second_order(curvature: F64, triangles: I32, start: I64, link: I64, C: Any) -> float:
+def second_order(curvature: F64, triangles: I32, start: I64, link: I64, C: SparseF64) -> float:
     """``½ tr(HCHC)`` of packed curvatures (m, 6) summed over triangles, m⁶; start, link : edges of
     the triangulation in CSR form.
     """

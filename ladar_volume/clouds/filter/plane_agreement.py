@@ -181,7 +181,7 @@ def consensus_planes(
     if size == 0 or known == size == count:
         return count
     size = drop_superfluous(sample, trial, size, bounds)
-    need = max(least // 2, np.int64(0.5 * CHANCE * whole.m))
+    need = max(least // 2, int(0.5 * CHANCE * whole.m))
     if description_length(whole, trial, size, need, best.cost, bounds) < best.cost:
         planes[:size] = trial[:size]
         return size

@@ -355,7 +355,7 @@ def best_neighbour_set(
                 bounds,
             )
             shortest = min(shortest, length[a])
-    count, cost, need = 0, limit * m, max(least // 2, np.int64(0.5 * CHANCE * m))
+    count, cost, need = 0, limit * m, max(least // 2, int(0.5 * CHANCE * m))
     for a in np.argsort(length)[:TIGHT]:
         if length[a] < np.inf:
             size = sets.sizes[a]
