@@ -119,16 +119,13 @@ def estimate_roughness(
     large; the integral of the autocorrelation up to its first zero scatters twice as much as the
     fit, and is too long by it.)
     """
-    n = len(residual)
-    spacing = mean_spacing(xy)
+    n, spacing = len(residual), mean_spacing(xy)
     some = np.arange(0, n, max(1, math.ceil(n / MAX_POINTS)), dtype=np.int64)
     none = Roughness(0.0, spacing / 2, spacing)
     if len(some) <= parameters:
         return none
-    noise, square = (
-        float(noise_variance.mean()) * (1.0 - parameters / n),
-        float(residual @ residual) / n,
-    )
+    noise = float(noise_variance.mean()) * (1.0 - parameters / n)
+    square = float(residual @ residual) / n
     if square == 0.0:  # an exact ground
         return none
     C = np.zeros((len(some), len(some)))
@@ -136,17 +133,27 @@ def estimate_roughness(
         order, C = shared(some)
         some = some[order]
     p = xy[some]
-    Q, extent = basis(p, parameters), float(np.linalg.norm(p.max(axis=0) - p.min(axis=0)))
-    edges = np.geomspace(max(spacing, extent / 1000), max(extent / 2, 2 * spacing), 25)
-    products, counts, partners, CQ, d = pair_sums(
-        p, residual[some], C, Q, np.concatenate([[0.0], edges])
-    )
+    Q, edges = basis(p, parameters), lag_edges(p, spacing)
+    products, counts, partners, CQ, d = pair_sums(p, residual[some], C, Q, np.append(0.0, edges))
     known, trace = taken_by_fit(CQ, Q)
     sums = PairSums(products, counts, partners, d, known)
     left = square - noise - (float(np.trace(C)) - trace) / len(some)
+    return _iterated(sums, Q, edges, left, _weights(counts, n, square, noise), none)
+
+
+def lag_edges(p: F64, spacing_m: float) -> F64:
+    """Edges (25,) m of the lags of points p (n, 2) m apart: up to half their extent."""
+    extent = float(np.linalg.norm(p.max(axis=0) - p.min(axis=0)))
+    low, high = max(spacing_m, extent / 1000), max(extent / 2, 2 * spacing_m)
+    return np.asarray(np.geomspace(low, high, 25))
+
+
+def _weights(counts: F64, n: int, square: float, noise: float) -> tuple[F64, F64]:
+    """Numbers of pairs at lag zero, where they are the n points, and the other lags (k + 1,), and
+    variances of the mean products there (k + 1,) m⁴.
+    """
     pairs = np.maximum(np.append(0.5 * n, counts), 1.0)
-    variance = square**2 / pairs + np.append((DOUBT * noise) ** 2, np.zeros(len(counts)))
-    return _iterated(sums, Q, edges, left, (pairs, variance), none)
+    return pairs, square**2 / pairs + np.append((DOUBT * noise) ** 2, np.zeros(len(counts)))
 
 
 class PairSums(NamedTuple):

@@ -118,11 +118,11 @@ def csr(C: SparseF64) -> Csr:
     return Csr(rows.indptr.astype(np.int64), rows.indices.astype(np.int64), rows.data)
 
 
-def near_triangles(tin: Tin, height: F64, variance: F64, mask: Bool) -> Bool:
-    """Which of the triangles of a mask (m,) come within reach of a base, (k,), for vertex heights
-    (n,) above it with variances (n,).
+def near_triangles(t: I32, height: F64, variance: F64) -> Bool:
+    """Which of the triangles t (k, 3) come within reach of a base, (k,), for vertex heights (n,)
+    above it with variances (n,).
     """
-    t, reach = tin.triangles[mask], REACH * np.sqrt(variance)
+    reach = REACH * np.sqrt(variance)
     return (
         any_corner(t, height - reach <= 0)
         & any_corner(t, height + reach >= 0)
@@ -192,38 +192,38 @@ def near_base(
     the base are raised to what they scatter. Raises :class:`VolumeError` without triangles or for
     bad variances.
     """
-    chosen = tin.relevant if mask is None else mask
-    t, n = tin.triangles[chosen], len(tin.vertices)
-    if len(t) == 0:
-        raise VolumeError("there is no triangle to take a volume of", reason="volume_no_triangle")
-    joint: Any = C if sparse.issparse(C) else sparse.diags_array(np.asarray(C, dtype=np.float64))
+    t = tin.triangles[tin.relevant if mask is None else mask]
     h, area = height_above(tin.vertices, base), footprint_areas(tin.vertices, t)
-    near = near_triangles(tin, h, checked(joint.diagonal(), n), chosen)
+    near, joint = _near_and_covariance(tin, h, t, C, selected)
     close, close_area = t[near], area[near]
-    if selected and len(close):
-        joint = joint * scatter(tin, h, joint.diagonal(), close)
     sums = np.asarray(joint.sum(axis=1)).ravel() if summed is None else summed
     smooth = smoothed(tin, h, joint.diagonal(), close, rings, sums)
     found = np.empty((len(close), 13))
     for part, at in blocks(smooth, close, node_covariances(joint, close)):
         found[part] = moments(*at)
     cut, net = _loads(tin, h, t, area, _Close(near, found, smooth))
-    curved = second_order(
-        found[:, 7:] * close_area[:, None], close, smooth.start, smooth.link, joint
-    )
+    bent = found[:, 7:] * close_area[:, None]
+    curved = second_order(bent, close, smooth.start, smooth.link, joint)
     first = [float(g @ (joint @ g)) for g in (cut, cut - net, net)]
-    return NearBase(
-        float(close_area @ found[:, 0]),
-        float(close_area.sum()),
-        near,
-        first[0] + curved,
-        first[1] + curved,
-        first[2],
-        curved,
-        cut,
-        net,
-        remaining_fold(smooth, close, close_area, rings),
-    )
+    total, size = float(close_area @ found[:, 0]), float(close_area.sum())
+    variances = first[0] + curved, first[1] + curved, first[2], curved
+    left = remaining_fold(smooth, close, close_area, rings)
+    return NearBase(total, size, near, *variances, cut, net, left)
+
+
+def _near_and_covariance(
+    tin: Tin, height: F64, t: I32, C: F64 | SparseF64, selected: bool
+) -> tuple[Bool, Any]:
+    """Which of the triangles t (m, 3) are near the base (m,), and the heights' covariance (n, n),
+    sparse, raised where the vertices were ``selected``, as :func:`near_base` says.
+    """
+    if len(t) == 0:
+        raise VolumeError("there is no triangle to take a volume of", reason="volume_no_triangle")
+    joint: Any = C if sparse.issparse(C) else sparse.diags_array(np.asarray(C, dtype=np.float64))
+    near = near_triangles(t, height, checked(joint.diagonal(), len(tin.vertices)))
+    if selected and near.any():
+        joint = joint * scatter(tin, height, joint.diagonal(), t[near])
+    return near, joint
 
 
 def load(slope: F64, area: F64, triangles: I32, n: int) -> F64:
