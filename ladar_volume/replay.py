@@ -21,7 +21,7 @@ from ladar_volume.io.sensor_messages import (
 from ladar_volume.model.errors import BagError, GroundError, InputError, SurfaceError, VolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import Estimate
+from ladar_volume.model.records import Estimate, Returns
 from ladar_volume.pipeline import Engine
 
 #: Poses of an autopilot's log this far outside the recording still bridge its ends.
@@ -84,7 +84,7 @@ class Replay:
         losses.merge(self.engine.losses)
         return losses
 
-    def _add_returns(self, returns: Any) -> None:
+    def _add_returns(self, returns: Returns) -> None:
         self.returns += len(returns)
         self.engine.add_returns(returns)
 

@@ -109,7 +109,8 @@ def near_correction(new: Epoch, previous: Epoch, apart: Difference) -> Fold | No
     density = fineness(apart.tin) / max(fineness(below), 1e-300)
     summed = sums + density * (apart.weight * other_sums[apart.corner]).sum(axis=1)
     height, variance, chosen = apart.tin.vertices[:, 2], C.diagonal(), apart.tin.relevant
-    near = apart.tin.triangles[chosen][near_triangles(apart.tin, height, variance, chosen)]
+    near = apart.tin.triangles[chosen]
+    near = near[near_triangles(near, height, variance)]
     if not len(near):
         return None
     return fold(

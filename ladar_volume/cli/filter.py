@@ -156,9 +156,9 @@ def show(console: Console, facts: Mapping[str, Any], reasons: set[str]) -> None:
     console.print(f"written to {facts['output']['path']}")
 
 
-def _line(name: str, value: Any, auto: bool) -> tuple[str, str]:
+def _line(name: str, value: float | str, auto: bool) -> tuple[str, str]:
     estimated = " (estimated)" if auto and name in ("radius_m", "degree", "threshold_m") else ""
-    if name.endswith("_m"):
+    if isinstance(value, int | float) and name.endswith("_m"):
         text = f"{value:.3f} m" if abs(value) >= 0.1 else f"{1e3 * value:.2f} mm"
         return name.removesuffix("_m").replace("_", " "), text + estimated
     return name.replace("_", " "), (

@@ -18,7 +18,7 @@ from ladar_volume.cli.inputs.reading import Source, cloud_facts_of, mesh_in_metr
 from ladar_volume.clouds.cloud_surface import CloudSurface, cloud_surface
 from ladar_volume.io.pointfiles.cloud_files import PointFile
 from ladar_volume.model.errors import ConfigurationError, InputError, SurfaceError
-from ladar_volume.model.records import F64
+from ladar_volume.model.records import F64, LEAST_UPWARD
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.tin.represent import Represented, SurfaceOptions
 from ladar_volume.tin.scan_frame import Frame, frame_along, mean_direction, search_direction
@@ -154,7 +154,9 @@ def sigma_of(
     if name == "sigma" and "normal" in columns:
         axis = np.array([0.0, 0.0, 1.0]) if frame is None else frame.R_frame_map[2]
         up = np.abs(np.asarray(columns["normal"], dtype=np.float64) @ axis)
-        return sigma / np.clip(np.nan_to_num(up), 0.05, 1.0), "column 'sigma' along the normals"
+        return sigma / np.clip(
+            np.nan_to_num(up), LEAST_UPWARD, 1.0
+        ), "column 'sigma' along the normals"
     return sigma, f"column {name!r}"
 
 

@@ -17,7 +17,7 @@ from ladar_volume.clouds.filter.filter_result import checked
 from ladar_volume.clouds.filter.point_reduction import expanded, merged, reduce_points
 from ladar_volume.clouds.filter.self_tuning import Tuned, choose
 from ladar_volume.clouds.filter.sparse_points import CLUTTER, Sparse, name_the_rest
-from ladar_volume.clouds.filter.surface_noise import settled
+from ladar_volume.clouds.filter.surface_noise import cover_with_shown_noise
 from ladar_volume.clouds.published.published_filter import filter_published, settings
 from ladar_volume.clouds.sampling.distinct_points import distinct, repeated
 from ladar_volume.clouds.sampling.rounding_step import rounding_steps, shared_rounding
@@ -87,7 +87,7 @@ def _filter(
     tuned = choose(local, parameters, auto, steps)
     factor = 1.0
     if auto and tuned.lines is not None:
-        tuned, done = settled(local, tuned, steps, parameters)
+        tuned, done = cover_with_shown_noise(local, tuned, steps, parameters)
     else:
         done = cover(local, tuned.regions, parameters, tuned.degree)
         factor = judge(local, done, tuned.regions) if auto else 1.0

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -65,6 +65,10 @@ MOST_WAITING, MOST_CLOUDS = 10_000_000, 20_000
 POSES_PAST = 2.0
 
 S = TypeVar("S")
+#: What is admitted: a sample with its covariance, and an attitude where it has one; or returns.
+Sample: TypeAlias = (
+    tuple[Fix, F64] | tuple[ImuSample, F64, F64] | tuple[OdometrySample, F64, F64] | Returns
+)
 
 
 @dataclass(frozen=True)
@@ -221,7 +225,7 @@ class Georeferencer:
         self._pose_clock_ns += _advanced(self._newest_pose_ns, t_ns)
         self._newest_pose_ns = t_ns
 
-    def _arrive(self, kind: str, t_ns: int, sample: Any) -> None:
+    def _arrive(self, kind: str, t_ns: int, sample: Sample) -> None:
         """Every admitted sample comes through here, in the order of arrival."""
         again, samples, dropped = self._restart.push(kind, int(t_ns), sample)
         if again:

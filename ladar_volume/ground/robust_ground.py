@@ -79,30 +79,36 @@ def refine(
     origin, degree = start.origin_xy, parameters.degree
     X, z = design(points[:, :2], origin, degree), np.ascontiguousarray(points[:, 2])
     inside: Bool = np.abs(z - base_height(start, points[:, :2])) <= (threshold or reach_m)
-    seen: set[bytes] = set()
     # a floor of rounding size keeps exact planes from losing points to the last bit
     floor = 1e-9 * (1.0 + float(np.abs(z).max(initial=0.0)))
+    beta, N, inside = _settled_inliers(X, z, inside, parameters, floor)
+    rows, residual = X.compress(inside, axis=0), (z - X @ beta)[inside]
+    C_beta = N @ ((rows.T * variance[inside]) @ rows) @ N
+    support = np.flatnonzero(inside).astype(np.int64)
+    plane = Plane(origin, beta, C_beta, support, float(np.sqrt(np.mean(residual**2))))
+    check_tilt(plane, parameters)
+    return plane
+
+
+def _settled_inliers(
+    X: F64, z: F64, inside: Bool, parameters: GroundParameters, floor: float
+) -> tuple[F64, F64, Bool]:
+    """Coefficients (p,), inverse normal matrix (p, p) and inliers (n,) of the fit of heights z (n,)
+    m to rows X (n, p), from first inliers; a threshold of its own is at least ``floor``, m.
+    """
+    seen: set[bytes] = set()
     for left in range(MAX_REFITS, -1, -1):
-        rows = X.compress(inside, axis=0)
-        beta, N = solve(rows, z[inside], degree)
+        beta, N = solve(X.compress(inside, axis=0), z[inside], parameters.degree)
         residual = z - X @ beta
-        limit = threshold or max(THRESHOLD_SIGMAS * ground_sigma(residual[inside]), floor)
+        limit = parameters.threshold_m or max(
+            THRESHOLD_SIGMAS * ground_sigma(residual[inside]), floor
+        )
         new = np.abs(residual) <= limit
         if left == 0 or np.array_equal(new, inside) or new.tobytes() in seen:
             break
         seen.add(new.tobytes())
         inside = new
-    residual = residual[inside]
-    C_beta = N @ ((rows.T * variance[inside]) @ rows) @ N
-    plane = Plane(
-        origin,
-        beta,
-        C_beta,
-        np.flatnonzero(inside).astype(np.int64),
-        float(np.sqrt(np.mean(residual**2))),
-    )
-    check_tilt(plane, parameters)
-    return plane
+    return beta, N, inside
 
 
 def check_tilt(plane: Plane, parameters: GroundParameters) -> None:

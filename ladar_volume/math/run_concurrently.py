@@ -12,7 +12,7 @@ A = TypeVar("A")
 B = TypeVar("B")
 
 
-def at_once(one: Callable[[], A], two: Callable[[], B]) -> tuple[A, B]:
+def run_concurrently(one: Callable[[], A], two: Callable[[], B]) -> tuple[A, B]:
     """Results of both, the second made in a thread of its own. They must not write what the other
     reads. Raises what either raises, the first before the second, when both have ended.
     """

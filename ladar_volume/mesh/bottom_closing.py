@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -115,29 +116,7 @@ def stand_on(skin: Skin, rims: list[Rim], ground: Plane, up: F64) -> tuple[Skin,
     there = np.abs(height_above(p, ground)) <= ON_GROUND * size
     q[there] = other[there] = p[there]
     foot = np.where(there, all_of, n + np.arange(len(all_of)))
-    plane = in_plane(q, up)
-    loops = np.split(np.arange(len(all_of)), np.cumsum([len(r.vertices) for r in rims])[:-1])
-    strips = [strip(all_of[i], foot[i]) for i in loops]
-    at = np.concatenate([skin.vertices, q])
-    made: list[Closure] = []
-    triangles: list[I64] = []
-    alternative = np.concatenate([skin.vertices, other])
-    for outer, holes in grouped(plane, loops, rims):
-        inner, forced = ears(plane, loops[outer], [loops[h] for h in holes])
-        here = np.concatenate([foot[inner], *(strips[k] for k in (outer, *holes))])
-        triangles.append(here)
-        closed = tetrahedra(at, here, rims[outer].middle)
-        doubt = closed - tetrahedra(alternative, here, rims[outer].middle)
-        drawn = np.linalg.norm(q - p, axis=1)
-        bend = sum(
-            unseen_bend(skin, all_of[i], along[i], drawn[i])
-            for i in (loops[k] for k in (outer, *holes))
-        )
-        count = sum(len(rims[k].vertices) for k in (outer, *holes))
-        made.append(
-            Closure(GROUND, count, rims[outer].size_m, closed, math.hypot(doubt, bend), forced)
-        )
-    new = np.concatenate(triangles)
+    new, made = _closed_down(skin, rims, _Feet(q, other, foot, along, in_plane(q, up)))
     skin = extended(
         skin,
         q,
@@ -151,6 +130,49 @@ def stand_on(skin: Skin, rims: list[Rim], ground: Plane, up: F64) -> tuple[Skin,
         ),
     )
     return skin, made
+
+
+class _Feet(NamedTuple):
+    """Feet of the vertices of all rims (n,), one rim after the other. q : (n, 3) m · other : (n, 3)
+    m where they might be as well · foot : (n,) their numbers as vertices · along : (n, 3)
+    directions to them · plane : (n, 2) m in the plane of the ground
+    """
+
+    q: F64
+    other: F64
+    foot: I64
+    along: F64
+    plane: F64
+
+
+def _closed_down(skin: Skin, rims: list[Rim], feet_of: _Feet) -> tuple[I64, list[Closure]]:
+    """Triangles (k, 3) between rims and their feet and among the feet, and what they close: each
+    rim with those that lie within it.
+    """
+    q, other, foot, along, plane = feet_of
+    all_of = np.concatenate([r.vertices for r in rims])
+    drawn = np.linalg.norm(q - skin.vertices[all_of], axis=1)
+    loops = np.split(np.arange(len(all_of)), np.cumsum([len(r.vertices) for r in rims])[:-1])
+    strips = [strip(all_of[i], foot[i]) for i in loops]
+    at = np.concatenate([skin.vertices, q])
+    made: list[Closure] = []
+    triangles: list[I64] = []
+    alternative = np.concatenate([skin.vertices, other])
+    for outer, holes in grouped(plane, loops, rims):
+        inner, forced = ears(plane, loops[outer], [loops[h] for h in holes])
+        here = np.concatenate([foot[inner], *(strips[k] for k in (outer, *holes))])
+        triangles.append(here)
+        closed = tetrahedra(at, here, rims[outer].middle)
+        doubt = closed - tetrahedra(alternative, here, rims[outer].middle)
+        bend = sum(
+            unseen_bend(skin, all_of[i], along[i], drawn[i])
+            for i in (loops[k] for k in (outer, *holes))
+        )
+        count = sum(len(rims[k].vertices) for k in (outer, *holes))
+        made.append(
+            Closure(GROUND, count, rims[outer].size_m, closed, math.hypot(doubt, bend), forced)
+        )
+    return np.concatenate(triangles), made
 
 
 def known_at(skin: Skin, vertices: I64) -> Bool:

@@ -117,6 +117,25 @@ def sharpen(skin: Skin, angle_rad: float = SHARP_RAD) -> tuple[Skin, int]:
     return made, len(new)
 
 
+class _Parts:
+    """Triangles as they are cut; the ``whole`` ones (w,) of t (m, 3) come first."""
+
+    def __init__(self, t: I32, whole: I64) -> None:
+        self.out = [t[whole].astype(np.int64)]
+        self.parent = [whole]
+        self.corner = [np.tile(np.arange(3), (len(whole), 1))]
+
+    def add(self, rows: I64, corners: list[I64], normals: list[I64 | int]) -> None:
+        """Parts with these corners (k,) each of the triangles ``rows`` (k,), and of which of their
+        corners each has the normal.
+        """
+        self.out.append(np.stack(corners, axis=1))
+        self.parent.append(rows)
+        self.corner.append(
+            np.stack([np.broadcast_to(np.asarray(k), rows.shape) for k in normals], axis=1)
+        )
+
+
 def subdivide(
     t: I32, middle: I64, crosses: Bool, centre: I64, v: F64, at: F64, n: int
 ) -> tuple[I32, I64, I64]:
@@ -125,20 +144,8 @@ def subdivide(
     the normal (k, 3).
     """
     count = crosses.sum(axis=1)
-    whole = np.flatnonzero(count == 0)
-    out, parent, corner = (
-        [t[whole].astype(np.int64)],
-        [whole],
-        [np.tile(np.arange(3), (len(whole), 1))],
-    )
-
-    def add(rows: I64, corners: list[I64], normals: list[I64 | int]) -> None:
-        out.append(np.stack(corners, axis=1))
-        parent.append(rows)
-        corner.append(
-            np.stack([np.broadcast_to(np.asarray(k), rows.shape) for k in normals], axis=1)
-        )
-
+    parts = _Parts(t, np.flatnonzero(count == 0))
+    add = parts.add
     position = np.concatenate([v, at])
     three = np.flatnonzero(count == 3)
     for k in range(3):
@@ -162,4 +169,8 @@ def subdivide(
         add(x, [p[x], c[x], q[x]], [j, before, before])
         add(y, [p[y], b[y], q[y]], [j, j, before])
         add(y, [q[y], b[y], c[y]], [before, j, before])
-    return np.concatenate(out).astype(np.int32), np.concatenate(parent), np.concatenate(corner)
+    return (
+        np.concatenate(parts.out).astype(np.int32),
+        np.concatenate(parts.parent),
+        np.concatenate(parts.corner),
+    )

@@ -219,14 +219,7 @@ def finish(
     fan, size = np.zeros((len(p), FAN, 3), np.int32), np.zeros(len(p), np.int32)
     slack, hole = float(report["slack_m"]), float(report["hole_m"])
     grow(p, n, triangles, votes, slack, fan, size)
-    holes = dropped = 0
-    opened = np.zeros(len(p), np.bool_)
-    for _ in range(ROUNDS):
-        closed = fill(p, n, fan, size, slack, hole, opened)[0]
-        gone = drop_fans(fan, size) + open_handles(p, n, fan, size, slack, opened)
-        holes, dropped = holes + closed, dropped + gone
-        if not gone:
-            break
+    holes, dropped = _fill_and_drop(p, n, fan, size, slack, hole)
     out = _spread(fan, size, float(report["radius_m"]))
     rim, start, _ = rims(p, n, fan, size, slack)
     status = np.full(len(given), DUPLICATE, np.int32)
@@ -247,6 +240,21 @@ def finish(
     return LocalMesh(
         given, normals, here[out[:, :3]], out[:, 3].copy(), status, edges, none, report
     )
+
+
+def _fill_and_drop(
+    p: F64, n: F64, fan: I32, size: I32, slack: float, hole: float
+) -> tuple[int, int]:
+    """Close holes and take out what stands off the surface, in turns; returns how many of each."""
+    holes = dropped = 0
+    opened = np.zeros(len(p), np.bool_)
+    for _ in range(ROUNDS):
+        closed = fill(p, n, fan, size, slack, hole, opened)[0]
+        gone = drop_fans(fan, size) + open_handles(p, n, fan, size, slack, opened)
+        holes, dropped = holes + closed, dropped + gone
+        if not gone:
+            break
+    return holes, dropped
 
 
 def _spread(fan: I32, size: I32, radius_m: float) -> I32:

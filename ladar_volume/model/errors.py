@@ -43,11 +43,11 @@ class LadarVolumeError(Exception):
 
     reason = "error"
 
-    def __init__(self, message: str, *, reason: str | None = None, value: Any = None) -> None:
+    def __init__(self, message: str, *, reason: str | None = None, value: object = None) -> None:
         super().__init__(message)
         if reason is not None:
             self.reason = reason
-        self.value = value
+        self.value: Any = value
 
 
 class ConfigurationError(LadarVolumeError):

@@ -86,13 +86,11 @@ def _is_angle(name: str) -> bool:
     return name.endswith("_rad")
 
 
-def _to_outside(name: str, value: Any) -> Any:
+def _to_outside(name: str, value: object) -> Any:
     if _is_angle(name):
         # 12 significant digits hide the rounding of the degree-radian-degree trip
-        degrees = [
-            float(f"{math.degrees(v):.12g}")
-            for v in (value if isinstance(value, tuple) else (value,))
-        ]
+        angles = typing.cast("tuple[float, ...]", value if isinstance(value, tuple) else (value,))
+        degrees = [float(f"{math.degrees(v):.12g}") for v in angles]
         return tuple(degrees) if isinstance(value, tuple) else degrees[0]
     return value
 

@@ -8,9 +8,16 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from numba.core.caching import FunctionCache
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numba.core.base import BaseContext
+    from numba.core.dispatcher import Dispatcher
+    from numba.core.typing.templates import Signature
 
 _said: set[str] = set()
 
@@ -25,7 +32,7 @@ def _say(line: str) -> None:
 class KernelCache(FunctionCache):
     """Numba's own cache of one function; its errors cost a compilation, no more."""
 
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
+    def load_overload(self, sig: Signature, target_context: BaseContext) -> Any:
         """The machine code of a signature; None where it is to be compiled."""
         try:
             return super().load_overload(sig, target_context)
@@ -33,7 +40,7 @@ class KernelCache(FunctionCache):
             self._throw_away(error)
             return None
 
-    def save_overload(self, sig: Any, data: Any) -> None:
+    def save_overload(self, sig: Signature, data: object) -> None:
         """Keep machine code, where that can be done."""
         try:
             super().save_overload(sig, data)
@@ -54,11 +61,12 @@ class KernelCache(FunctionCache):
             self.disable()
 
 
-def keep(compiled: Any) -> None:
+def keep(compiled: Dispatcher | Callable[..., object]) -> None:
     """Give a compiled function its cache; without one where no folder can hold it."""
     if not hasattr(compiled, "enable_caching"):  # the compiler is switched off
         return
+    dispatcher: Any = compiled
     try:
-        compiled._cache = KernelCache(compiled.py_func)
+        dispatcher._cache = KernelCache(dispatcher.py_func)
     except (RuntimeError, OSError):
         _say("no folder for compiled kernels can be written: compiled anew at each start")

@@ -189,7 +189,6 @@ def adaptive_tin(
     by default · corner_height_m : height of corners without a point; by default that of the nearest
     point · duplicate_tolerance_m : points this near an earlier one do not become vertices, but
     count in the fit.
-
     Raises :class:`SurfaceError` for a wrong shape, values that are not finite, no point on the map,
     a map without area, unknown or contradicting options, and bins that hold more points than there
     may be vertices.
@@ -204,8 +203,7 @@ def adaptive_tin(
     work, most = Insertion(points[on_map], scale[on_map], first, area, corner_height_m), first.sum()
     limit = vertex_limit(len(on_map), int(most), vertices, ratio, tolerance)
     work.start(limit, bins_per_row, full=tolerance is None and limit >= int(most))
-    least = -1.0 if tolerance is None else float(tolerance)
-    work.insert(limit, criterion == "residual-area", least)
+    work.insert(limit, criterion == "residual-area", -1.0 if tolerance is None else tolerance)
     return work.result(len(points), on_map, same)
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -255,15 +255,8 @@ def epoch_budget(
     cross = calibration_cross(new, previous, separate)
     calibration, within = calibration_lines(one.J_cal, two.J_cal, C_new, C_old, cross)
     second = boresight_second_order(one, two, C_new, C_old, "boresight" not in separate)
-    lines, bent = {**calibration}, {"boresight_second_order": second}
-    for epoch, s, end in ((new, one, ""), (previous, two, "_previous")):
-        own = own_lines(epoch, s)
-        lines.update({f"{name}{end}": value for name, value in own.items()})
-        bent[f"attitude_second_order{end}"] = attitude_second_order(
-            s.swing, epoch.sources.parameters.budget, own["attitude"]
-        )
-    second_lines, all_second = together(bent)
-    lines.update(second_lines)
+    own, all_second = lines_of_epochs(((new, one, ""), (previous, two, "_previous")), second)
+    lines = {**calibration, **own}
     moved = new.registration_variance(gradient_new) + previous.registration_variance(
         gradient_previous
     )
@@ -275,18 +268,29 @@ def epoch_budget(
         for f in (1.0 / 3.0, 1.0, 3.0)
     ]
     alone = calibration_lines(one.J_cal, two.J_cal, C_new, C_old, 0.0 * cross)[0]
-    nothing_shared = sum(alone.values())
-    apart = total - sum(calibration.values()) + nothing_shared
+    apart = total - sum(calibration.values()) + sum(alone.values())
     apart += boresight_second_order(one, two, C_new, C_old, False).line_m6 - second.line_m6
     naive = math.hypot(new.naive_sigma(gradient_new), previous.naive_sigma(gradient_previous))
-    return EpochBudget(
-        lines,
-        within,
-        all_second,
-        (math.sqrt(min(tau)), math.sqrt(max(tau))),
-        naive,
-        math.sqrt(max(apart, 0.0)),
-    )
+    bounds = math.sqrt(min(tau)), math.sqrt(max(tau))
+    return EpochBudget(lines, within, all_second, bounds, naive, math.sqrt(max(apart, 0.0)))
+
+
+def lines_of_epochs(
+    epochs: Iterable[tuple[Epoch, Sensitivities, str]], boresight: SecondOrder
+) -> tuple[dict[str, float], SecondOrder]:
+    """Lines (m⁶) of what each survey has of its own, named with its ending, then those of second
+    order with the ``boresight``'s; and all that is of second order.
+    """
+    lines: dict[str, float] = {}
+    bent = {"boresight_second_order": boresight}
+    for epoch, s, end in epochs:
+        own = own_lines(epoch, s)
+        lines.update({f"{name}{end}": value for name, value in own.items()})
+        bent[f"attitude_second_order{end}"] = attitude_second_order(
+            s.swing, epoch.sources.parameters.budget, own["attitude"]
+        )
+    second_lines, all_second = together(bent)
+    return {**lines, **second_lines}, all_second
 
 
 def own_lines(epoch: Epoch, s: Sensitivities) -> dict[str, float]:

@@ -375,12 +375,8 @@ def cell_kernel(
                 first[cell[a] + 1] += seen[index[e]] != cell[a]
                 seen[index[e]] = cell[a]
     first = np.cumsum(first)
-    which, out, i, load = (
-        np.empty(first[-1], np.int64),
-        np.empty((first[-1], 6)),
-        0,
-        np.empty((q.shape[1], 2)),
-    )
+    which, out = np.empty(first[-1], np.int64), np.empty((first[-1], 6))
+    load, i = np.empty((q.shape[1], 2)), 0
     seen[:] = -1
     for g in range(cells):
         while i < len(order) and cell[order[i]] == g:

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.records import (
@@ -87,7 +88,7 @@ def picked(parts: list[Any], rows: I64) -> Any:
     return out
 
 
-def words(array: Any) -> tuple[Any, int]:
+def words(array: npt.NDArray[np.generic]) -> tuple[Any, int]:
     """The numbers of an array one after the other, up to eight bytes at a time as its rows allow
     it, and how many make a row.
     """

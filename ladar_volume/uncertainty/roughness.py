@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.blas import dspmv
@@ -118,16 +119,13 @@ def estimate_roughness(
     large; the integral of the autocorrelation up to its first zero scatters twice as much as the
     fit, and is too long by it.)
     """
-    n = len(residual)
-    spacing = mean_spacing(xy)
+    n, spacing = len(residual), mean_spacing(xy)
     some = np.arange(0, n, max(1, math.ceil(n / MAX_POINTS)), dtype=np.int64)
     none = Roughness(0.0, spacing / 2, spacing)
     if len(some) <= parameters:
         return none
-    noise, square = (
-        float(noise_variance.mean()) * (1.0 - parameters / n),
-        float(residual @ residual) / n,
-    )
+    noise = float(noise_variance.mean()) * (1.0 - parameters / n)
+    square = float(residual @ residual) / n
     if square == 0.0:  # an exact ground
         return none
     C = np.zeros((len(some), len(some)))
@@ -135,27 +133,68 @@ def estimate_roughness(
         order, C = shared(some)
         some = some[order]
     p = xy[some]
-    Q, extent = basis(p, parameters), float(np.linalg.norm(p.max(axis=0) - p.min(axis=0)))
-    edges = np.geomspace(max(spacing, extent / 1000), max(extent / 2, 2 * spacing), 25)
-    products, counts, partners, CQ, d = pair_sums(
-        p, residual[some], C, Q, np.concatenate([[0.0], edges])
-    )
+    Q, edges = basis(p, parameters), lag_edges(p, spacing)
+    products, counts, partners, CQ, d = pair_sums(p, residual[some], C, Q, np.append(0.0, edges))
     known, trace = taken_by_fit(CQ, Q)
+    sums = PairSums(products, counts, partners, d, known)
+    left = square - noise - (float(np.trace(C)) - trace) / len(some)
+    return _iterated(sums, Q, edges, left, _weights(counts, n, square, noise), none)
+
+
+def lag_edges(p: F64, spacing_m: float) -> F64:
+    """Edges (25,) m of the lags of points p (n, 2) m apart: up to half their extent."""
+    extent = float(np.linalg.norm(p.max(axis=0) - p.min(axis=0)))
+    low, high = max(spacing_m, extent / 1000), max(extent / 2, 2 * spacing_m)
+    return np.asarray(np.geomspace(low, high, 25))
+
+
+def _weights(counts: F64, n: int, square: float, noise: float) -> tuple[F64, F64]:
+    """Numbers of pairs at lag zero, where they are the n points, and the other lags (k + 1,), and
+    variances of the mean products there (k + 1,) m⁴.
+    """
+    pairs = np.maximum(np.append(0.5 * n, counts), 1.0)
+    return pairs, square**2 / pairs + np.append((DOUBT * noise) ** 2, np.zeros(len(counts)))
+
+
+class PairSums(NamedTuple):
+    """What :func:`_iterated` fits the field to. products, counts : (k,) m² of pairs by lag ·
+    partners : (k, n, p), d : distances, packed, as :func:`pair_sums` gives them · known : (n, p)
+    what the fit took of the covariances that are known
+    """
+
+    products: F64
+    counts: F64
+    partners: F64
+    d: F64
+    known: F64
+
+
+def _iterated(
+    sums: PairSums,
+    Q: F64,
+    edges: F64,
+    left: float,
+    weights: tuple[F64, F64],
+    start: Roughness,
+) -> Roughness:
+    """The field in ``ROUNDS`` rounds, of which each gives back what the fit of the ground, with
+    orthonormal rows Q (n, p), took of the field of the one before. edges : (k + 1,) m of the lags ·
+    left : m², mean square but for noise and what is known · weights : pairs and variances of the
+    products at lag zero and the others, (k + 1,) each · start : no roughness
+    """
+    (products, counts, partners, d, known), (pairs, variance) = sums, weights
     lag = np.concatenate([[0.0, edges[0] / 2], np.sqrt(edges[:-1] * edges[1:])])
     ok = np.append(True, counts >= LEAST_PAIRS)
-    pairs = np.maximum(np.append(0.5 * n, counts), 1.0)
-    variance = square**2 / pairs + np.append((DOUBT * noise) ** 2, np.zeros(len(counts)))
-    left = square - noise - (float(np.trace(C)) - trace) / len(some)
-    rough, own, trace = none, np.zeros_like(Q), 0.0
+    rough, own, trace, most_m = start, np.zeros_like(Q), 0.0, 2.0 * float(edges[-1])
     for number in range(ROUNDS):
         if number:  # what the fit took of the field is given back
             own, trace = taken_by_fit(
                 rough.variance_m2 * packed_product(rough.correlation(d), Q), Q
             )
         value = np.append(
-            left + trace / len(some), (products + np.tensordot(partners, known + own)) / pairs[1:]
+            left + trace / len(Q), (products + np.tensordot(partners, known + own)) / pairs[1:]
         )
-        rough = of_products(lag[ok], value[ok], variance[ok], spacing, 2.0 * float(edges[-1]))
+        rough = of_products(lag[ok], value[ok], variance[ok], start.spacing_m, most_m)
     return rough
 
 

@@ -62,20 +62,7 @@ def spikes(level_m: F64, cut_m3: F64, least_share: float = 0.02) -> tuple[Event,
     Raises :class:`VolumeError` for fewer than five levels, or levels that are not equally spaced
     and ascending.
     """
-    level, cut = np.asarray(level_m, dtype=np.float64), np.asarray(cut_m3, dtype=np.float64)
-    if level.ndim != 1 or level.shape != cut.shape or len(level) < 5:
-        raise VolumeError(
-            "second differences need at least five levels and their volumes",
-            reason="volume_levels",
-            value=level.shape,
-        )
-    step = (level[-1] - level[0]) / (len(level) - 1)
-    if (
-        not step > 0
-        or not np.allclose(np.diff(level), step, rtol=1e-6, atol=0.0)
-        or not np.isfinite(cut).all()
-    ):
-        raise VolumeError("levels must ascend by equal steps", reason="volume_levels", value=step)
+    level, step, cut = checked_levels(level_m, cut_m3)
     area = np.diff(cut, 2) / step  # area in the hat of each inner level, m²
     background = float(np.median(area))
     rest = area - background
@@ -96,6 +83,25 @@ def spikes(level_m: F64, cut_m3: F64, least_share: float = 0.02) -> tuple[Event,
         )  # the hat adds a sixth of its half width squared
         found.append(Event(mean, size, float(np.sqrt(max(spread, 0.0))), first + 1, last + 1))
     return tuple(sorted(found, key=lambda e: e.level_m))
+
+
+def checked_levels(level_m: F64, cut_m3: F64) -> tuple[F64, float, F64]:
+    """Levels (m,) m, their step, and cut volumes (m,) m³, as :func:`spikes` needs them."""
+    level, cut = np.asarray(level_m, dtype=np.float64), np.asarray(cut_m3, dtype=np.float64)
+    if level.ndim != 1 or level.shape != cut.shape or len(level) < 5:
+        raise VolumeError(
+            "second differences need at least five levels and their volumes",
+            reason="volume_levels",
+            value=level.shape,
+        )
+    step = (level[-1] - level[0]) / (len(level) - 1)
+    if (
+        not step > 0
+        or not np.allclose(np.diff(level), step, rtol=1e-6, atol=0.0)
+        or not np.isfinite(cut).all()
+    ):
+        raise VolumeError("levels must ascend by equal steps", reason="volume_levels", value=step)
+    return level, step, cut
 
 
 def reach(smooth: F64, free: Bool, peak: int) -> tuple[int, int]:

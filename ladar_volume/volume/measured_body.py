@@ -15,7 +15,7 @@ from statistics import NormalDist
 import numpy as np
 
 from ladar_volume.ground.ground_adjoint import ground_inverse
-from ladar_volume.math.run_concurrently import at_once
+from ladar_volume.math.run_concurrently import run_concurrently
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, FilteredPoints, Patches, Plane, Tin, Volume
 from ladar_volume.tin.full_tin import vertex_mask
@@ -205,7 +205,7 @@ def _measured(
         )
 
     held = gradients() if naive else None
-    base_m6, (sensitivities, fold) = at_once(
+    base_m6, (sensitivities, fold) = run_concurrently(
         partial(_roughness_m6, survey, footing, part, solid),
         lambda: (sources.sensitivities(gradients() if held is None else held), near()),
     )

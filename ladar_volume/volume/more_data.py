@@ -235,6 +235,43 @@ def gap_sigmas(tin: Tin, inside: Bool, rows: I64, variance: F64) -> F64:
     return out
 
 
+def cell_gaps(cell: I64, sigma: F64, cells: int, unseen_m6: float) -> F64:
+    """Sigma (c,) m³ of what is not seen in each cell, which errs as one, from that (n,) of the
+    triangles of each cell (n,); scaled to the variance ``unseen_m6`` of all of it, where known.
+    """
+    gaps: F64 = np.bincount(cell, sigma, cells).astype(np.float64)
+    if unseen_m6 > 0.0 and gaps.any():
+        gaps = np.sqrt(unseen_m6 / float(gaps @ gaps)) * gaps
+    return gaps
+
+
+def cell_means(cell: I64, value: F64, cells: int) -> F64:
+    """Mean (c,) of the values (n,) in each cell (n,), 0 where there are none."""
+    number = np.maximum(np.bincount(cell, minlength=cells), 1)
+    return np.asarray(np.bincount(cell, value, cells) / number)
+
+
+def middles(tin: Tin, rows: I64) -> F64:
+    """Centroids (k, 3) m of triangles (k,)."""
+    a, b, c = (tin.vertices[corner] for corner in tin.triangles[rows].T)
+    return np.asarray((a + b + c) / 3.0)
+
+
+def map_cells(xy: F64, counts: Bool) -> tuple[I64, F64, float]:
+    """Square cells of the map over those points xy (n, 2) m that count (n,): the cell of each point
+    (n,), the middles (c, 2) m of the cells that hold any, and their side, m.
+    """
+    low = xy[counts].min(axis=0)
+    side = xy[counts].max(axis=0) - low
+    cell_m = max(math.sqrt(max(float(side[0] * side[1]), 1e-12)), float(side.max()) / CELLS) / CELLS
+    place = np.floor((xy - low) / cell_m).astype(np.int64)
+    first = place.min(axis=0)
+    row = int(place[:, 1].max() - first[1]) + 1
+    numbers, label = np.unique((place - first) @ [row, 1], return_inverse=True)
+    places = first + np.stack(np.divmod(numbers, row), axis=1)
+    return label, low + (places + 0.5) * cell_m, cell_m
+
+
 def more_data(
     tin: Tin,
     inside: Bool,
@@ -252,44 +289,26 @@ def more_data(
     inside : (m,) triangles that count · sigma_z, variance : (v,) m, m², total sigma and variance
     from noise of each vertex' height.
     """
-    patches = sources.patches
+    patches, rows = sources.patches, np.flatnonzero(inside | enclosed(tin, inside))
     q = np.ascontiguousarray(patch_loads(gradient[:, None], patches, sources.geometry)[:, :, 0])
     loaded: Bool = np.any(q != 0.0, axis=1)
-    rows = np.flatnonzero(inside | enclosed(tin, inside))
-    a, b, c = (tin.vertices[corner] for corner in tin.triangles[rows].T)
-    middle = (a + b + c) / 3.0
+    middle = middles(tin, rows)
     xy = np.concatenate([patches.centre[:, :2], middle[:, :2]])
-    low = np.concatenate([patches.centre[loaded, :2], middle[:, :2]]).min(axis=0)
-    side = np.concatenate([patches.centre[loaded, :2], middle[:, :2]]).max(axis=0) - low
-    cell_m = max(math.sqrt(max(float(side[0] * side[1]), 1e-12)), float(side.max()) / CELLS) / CELLS
-    place = np.floor((xy - low) / cell_m).astype(np.int64)
-    first = place.min(axis=0)
-    row = int(place[:, 1].max() - first[1]) + 1
-    numbers, label = np.unique((place - first) @ [row, 1], return_inverse=True)
-    cells, places = len(numbers), first + np.stack(np.divmod(numbers, row), axis=1)
-    of_patch, of_triangle = label[: len(patches)], label[len(patches) :]
-    gaps: F64 = np.bincount(of_triangle, gap_sigmas(tin, inside, rows, variance), cells).astype(
-        np.float64
-    )  # what is not seen in one cell errs as one
-    if unseen_m6 > 0.0 and gaps.any():
-        gaps = np.sqrt(unseen_m6 / float(gaps @ gaps)) * gaps
-    fall = np.c_[
-        noise_falls(gradient, q, sources, of_patch, cells),
-        navigation_falls(q, sources, of_patch, cells),
-        gaps**2,
-    ]
+    label, corner, cell_m = map_cells(xy, np.append(loaded, np.ones(len(rows), np.bool_)))
+    cells, of_patch, of_triangle = len(corner), label[: len(patches)], label[len(patches) :]
+    gaps = cell_gaps(of_triangle, gap_sigmas(tin, inside, rows, variance), cells, unseen_m6)
+    noise = noise_falls(gradient, q, sources, of_patch, cells)
+    fall = np.c_[noise, navigation_falls(q, sources, of_patch, cells), gaps**2]
     used = np.bincount(of_patch, loaded, cells) + np.bincount(of_triangle, minlength=cells) > 0
-    vertex = sources.geometry.row[tin.source]
-    of_vertex = np.concatenate([of_patch[vertex], of_triangle])
-    weight = np.maximum(np.bincount(of_vertex, minlength=cells), 1)
-    z = np.bincount(of_vertex, np.concatenate([tin.vertices[:, 2], middle[:, 2]]), cells) / weight
-    sigma = (
-        np.bincount(
-            of_vertex, np.concatenate([sigma_z, sigma_z[tin.triangles[rows]].mean(axis=1)]), cells
-        )
-        / weight
-    )
-    centre = np.c_[low + (places + 0.5) * cell_m, z]
+    of_vertex = np.concatenate([of_patch[sources.geometry.row[tin.source]], of_triangle])
+    of_middle = sigma_z[tin.triangles[rows]].mean(axis=1)
+    z = cell_means(of_vertex, np.concatenate([tin.vertices[:, 2], middle[:, 2]]), cells)
+    sigma = cell_means(of_vertex, np.concatenate([sigma_z, of_middle]), cells)
     return MoreData(
-        centre[used], sigma[used], fall[used], sigma_m3, math.sqrt(float((gaps**2).sum())), cell_m
+        np.c_[corner, z][used],
+        sigma[used],
+        fall[used],
+        sigma_m3,
+        math.sqrt(float((gaps**2).sum())),
+        cell_m,
     )

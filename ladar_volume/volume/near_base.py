@@ -33,7 +33,7 @@ from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.tin.full_tin import any_corner, footprint_areas
 from ladar_volume.tin.median_screen import edges
 from ladar_volume.volume.folded_normal import PACKED, folded, without_noise
-from ladar_volume.volume.neighbourhood import CHUNKS, Smooth
+from ladar_volume.volume.neighbourhood import CHUNKS, Smooth, SparseF64
 from ladar_volume.volume.prismoids import gather, positive_part
 from ladar_volume.volume.remaining_fold import Remaining, remaining_fold, scatter_factor
 
@@ -98,7 +98,7 @@ def packed_kernel(start: I64, column: I64, value: F64, triangles: I32) -> F64:
     return out
 
 
-def node_covariances(C: Any, triangles: I32) -> F64:
+def node_covariances(C: SparseF64, triangles: I32) -> F64:
     """Packed node covariances (m, 6) of triangles (m, 3) from a sparse covariance (n, n) of the
     heights.
     """
@@ -113,17 +113,17 @@ class Csr(NamedTuple):
     value: F64
 
 
-def csr(C: Any) -> Csr:
+def csr(C: SparseF64) -> Csr:
     """A sparse matrix as kernels read it."""
     rows = sparse.csr_array(C)
     return Csr(rows.indptr.astype(np.int64), rows.indices.astype(np.int64), rows.data)
 
 
-def near_triangles(tin: Tin, height: F64, variance: F64, mask: Bool) -> Bool:
-    """Which of the triangles of a mask (m,) come within reach of a base, (k,), for vertex heights
-    (n,) above it with variances (n,).
+def near_triangles(t: I32, height: F64, variance: F64) -> Bool:
+    """Which of the triangles t (k, 3) come within reach of a base, (k,), for vertex heights (n,)
+    above it with variances (n,).
     """
-    t, reach = tin.triangles[mask], REACH * np.sqrt(variance)
+    reach = REACH * np.sqrt(variance)
     return (
         any_corner(t, height - reach <= 0)
         & any_corner(t, height + reach >= 0)
@@ -151,10 +151,31 @@ def fold(
     return Fold(total, float(area.sum()))
 
 
+class _Close(NamedTuple):
+    """near : (m,) triangles near the base · found : (k, 13) their moments · smooth : the planes
+    through their vertices' neighbourhoods
+    """
+
+    near: Bool
+    found: F64
+    smooth: Smooth
+
+
+def _loads(tin: Tin, height: F64, t: I32, area: F64, close: _Close) -> tuple[F64, F64]:
+    """Gradients (n,) m² of cut and net volume by the vertex heights (n,) m above the base: with the
+    moments of triangles near it, and with the sign of the others among t (m, 3) of areas (m,) m².
+    """
+    near, found, n, slope = close.near, close.found, len(tin.vertices), np.empty((len(t), 3))
+    slope[~near], slope[near] = positive_part(height[t[~near]])[1], found[:, 1:4]
+    bent = close.smooth.adjoint(load(found[:, 4:7], area[near], t[near], n))
+    net = gather(np.repeat(area / 3.0, 3).reshape(-1, 3, 1), t, n)[:, 0]
+    return load(slope, area, t, n) - bent, net
+
+
 def near_base(
     tin: Tin,
     base: Plane,
-    C: Any,
+    C: F64 | SparseF64,
     mask: Bool | None = None,
     rings: int = 4,
     summed: F64 | None = None,
@@ -172,42 +193,38 @@ def near_base(
     the base are raised to what they scatter. Raises :class:`VolumeError` without triangles or for
     bad variances.
     """
-    chosen = tin.relevant if mask is None else mask
-    t, n = tin.triangles[chosen], len(tin.vertices)
-    if len(t) == 0:
-        raise VolumeError("there is no triangle to take a volume of", reason="volume_no_triangle")
-    joint: Any = C if sparse.issparse(C) else diagonal_matrix(np.asarray(C, dtype=np.float64))
+    t = tin.triangles[tin.relevant if mask is None else mask]
     h, area = height_above(tin.vertices, base), footprint_areas(tin.vertices, t)
-    near = near_triangles(tin, h, checked(joint.diagonal(), n), chosen)
+    near, joint = _near_and_covariance(tin, h, t, C, selected)
     close, close_area = t[near], area[near]
-    if selected and len(close):
-        joint = joint * scatter(tin, h, joint.diagonal(), close)
     sums = np.asarray(joint.sum(axis=1)).ravel() if summed is None else summed
     smooth = smoothed(tin, h, joint.diagonal(), close, rings, sums)
     found = np.empty((len(close), 13))
     for part, at in blocks(smooth, close, node_covariances(joint, close)):
         found[part] = moments(*at)
-    slope = np.empty((len(t), 3))
-    slope[~near], slope[near] = positive_part(h[t[~near]])[1], found[:, 1:4]
-    cut = load(slope, area, t, n) - smooth.adjoint(load(found[:, 4:7], close_area, close, n))
-    net = gather(np.repeat(area / 3.0, 3).reshape(-1, 3, 1), t, n)[:, 0]
-    curved = second_order(
-        found[:, 7:] * close_area[:, None], close, smooth.start, smooth.link, joint
-    )
+    cut, net = _loads(tin, h, t, area, _Close(near, found, smooth))
+    bent = found[:, 7:] * close_area[:, None]
+    curved = second_order(bent, close, smooth.start, smooth.link, joint)
     first = [float(g @ (joint @ g)) for g in (cut, cut - net, net)]
-    total = float(close_area @ found[:, 0])
-    return NearBase(
-        total,
-        float(close_area.sum()),
-        near,
-        first[0] + curved,
-        first[1] + curved,
-        first[2],
-        curved,
-        cut,
-        net,
-        remaining_fold(smooth, close, close_area, rings),
-    )
+    total, size = float(close_area @ found[:, 0]), float(close_area.sum())
+    variances = first[0] + curved, first[1] + curved, first[2], curved
+    left = remaining_fold(smooth, close, close_area, rings)
+    return NearBase(total, size, near, *variances, cut, net, left)
+
+
+def _near_and_covariance(
+    tin: Tin, height: F64, t: I32, C: F64 | SparseF64, selected: bool
+) -> tuple[Bool, Any]:
+    """Which of the triangles t (m, 3) are near the base (m,), and the heights' covariance (n, n),
+    sparse, raised where the vertices were ``selected``, as :func:`near_base` says.
+    """
+    if len(t) == 0:
+        raise VolumeError("there is no triangle to take a volume of", reason="volume_no_triangle")
+    joint: Any = C if sparse.issparse(C) else diagonal_matrix(np.asarray(C, dtype=np.float64))
+    near = near_triangles(t, height, checked(joint.diagonal(), len(tin.vertices)))
+    if selected and near.any():
+        joint = joint * scatter(tin, height, joint.diagonal(), t[near])
+    return near, joint
 
 
 def load(slope: F64, area: F64, triangles: I32, n: int) -> F64:
@@ -283,7 +300,7 @@ def moments(mu: F64, s: F64, noise: F64) -> F64:
 def near_levels(
     tin: Tin,
     levels_m: F64,
-    C: Any,
+    C: SparseF64,
     base: Plane | None = None,
     mask: Bool | None = None,
     rings: int = 4,
@@ -389,7 +406,7 @@ def trace_kernel(
     return out
 
 
-def second_order(curvature: F64, triangles: I32, start: I64, link: I64, C: Any) -> float:
+def second_order(curvature: F64, triangles: I32, start: I64, link: I64, C: SparseF64) -> float:
     """``½ tr(HCHC)`` of packed curvatures (m, 6) summed over triangles, m⁶; start, link : edges of
     the triangulation in CSR form.
     """

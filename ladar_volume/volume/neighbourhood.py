@@ -8,7 +8,7 @@ ground ends or leaves the level.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeAlias
 
 import numba
 import numpy as np
@@ -20,6 +20,8 @@ from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.insertion_order import hilbert_order
 from ladar_volume.tin.median_screen import edges
 
+#: A sparse matrix (n, n) by rows.
+SparseF64: TypeAlias = "sparse.csr_array[np.float64, tuple[int, int]]"
 #: Pieces of work shared over the cores; the result does not depend on it.
 CHUNKS = 16
 
@@ -225,7 +227,7 @@ def neighbourhoods(tin: Tin) -> Any:
     return near
 
 
-def plane_rows(member: Any, rows: I64, xy: F64) -> Any:
+def plane_rows(member: SparseF64, rows: I64, xy: F64) -> Any:
     """Weights (r, n), sparse, with which the heights of a vertex' neighbourhood, ``member`` (r, n),
     give the plane's height at it.
     """

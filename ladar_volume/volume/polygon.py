@@ -111,6 +111,18 @@ def holds(polygon: F64, points: F64) -> bool:
 
 
 @kernel
+def barycentric_lines(p: F64, line: F64) -> None:
+    """The barycentric coordinates of a triangle (3, 2) as linear functions about its corner 0, to
+    line (3, 3): constant, slope along x, slope along y.
+    """
+    area2 = (p[1, 0] - p[0, 0]) * (p[2, 1] - p[0, 1]) - (p[1, 1] - p[0, 1]) * (p[2, 0] - p[0, 0])
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        line[i, 1], line[i, 2] = (p[j, 1] - p[k, 1]) / area2, (p[k, 0] - p[j, 0]) / area2
+        line[i, 0] = 1.0 if i == 0 else 0.0
+
+
+@kernel
 def clipped_weights(corners: F64, heights: F64, polygon: F64) -> F64:
     """Integrals of the barycentric coordinates over each triangle inside the polygon: above and
     below the base.
@@ -118,29 +130,18 @@ def clipped_weights(corners: F64, heights: F64, polygon: F64) -> F64:
     corners : (m, 3, 2) counter-clockwise · heights : (m, 3) above the base · polygon : (k, 2).
     Returns (m, 2, 3) m².
     """
-    out = np.zeros((len(corners), 2, 3))
-    size = 8 * len(polygon) + 64
+    out, size = np.zeros((len(corners), 2, 3)), 8 * len(polygon) + 64
     one, two, three = np.empty((size, 2)), np.empty((size, 2)), np.empty((size, 2))
     line, convex = np.empty((3, 3)), is_convex(polygon)
-    west, east, south, north = (
-        polygon[:, 0].min(),
-        polygon[:, 0].max(),
-        polygon[:, 1].min(),
-        polygon[:, 1].max(),
-    )
+    west, east = polygon[:, 0].min(), polygon[:, 0].max()
+    south, north = polygon[:, 1].min(), polygon[:, 1].max()
     for t in range(len(corners)):
         p = corners[t]
         if max(p[0, 0], p[1, 0], p[2, 0]) < west or min(p[0, 0], p[1, 0], p[2, 0]) > east:
             continue
         if max(p[0, 1], p[1, 1], p[2, 1]) < south or min(p[0, 1], p[1, 1], p[2, 1]) > north:
             continue
-        area2 = (p[1, 0] - p[0, 0]) * (p[2, 1] - p[0, 1]) - (p[1, 1] - p[0, 1]) * (
-            p[2, 0] - p[0, 0]
-        )
-        for i in range(3):  # barycentric coordinates as linear functions about corner 0
-            j, k = (i + 1) % 3, (i + 2) % 3
-            line[i, 1], line[i, 2] = (p[j, 1] - p[k, 1]) / area2, (p[k, 0] - p[j, 0]) / area2
-            line[i, 0] = 1.0 if i == 0 else 0.0
+        barycentric_lines(p, line)
         if convex and holds(polygon, p):
             n = 3
             for i in range(n):

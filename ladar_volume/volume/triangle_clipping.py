@@ -163,10 +163,9 @@ def add_piece(t: int, sign: float, w: F64, s: int, n: int, out: F64) -> float:
     area_a, area_b = ax * by - ay * bx, ux * vy - uy * vx
     if area_a <= 0.0 or area_b <= 0.0:  # a sliver whose area rounds to nothing holds no volume
         return 0.0
-    area_a, area_b = 1.0 / area_a, 1.0 / area_b
+    area_a, area_b, low, high = 1.0 / area_a, 1.0 / area_b, 0.0, 0.0
     base, a1, a2 = w[A + 2, 0] - w[B + 2, 0], w[A + 2, 1] - w[A + 2, 0], w[A + 2, 2] - w[A + 2, 0]
     b1, b2 = w[B + 2, 1] - w[B + 2, 0], w[B + 2, 2] - w[B + 2, 0]
-    low = high = 0.0
     for i in range(n):
         x, y = w[s, i], w[s + 1, i]
         p = min(max((x * by - y * bx) * area_a, 0.0), 1.0)
@@ -182,9 +181,8 @@ def add_piece(t: int, sign: float, w: F64, s: int, n: int, out: F64) -> float:
     else:
         for i in range(1, n - 1):
             ex, ey = w[s, i] - w[s, 0], w[s + 1, i] - w[s + 1, 0]
-            add_fan(
-                0.5 * (ex * (w[s + 1, i + 1] - w[s + 1, 0]) - ey * (w[s, i + 1] - w[s, 0])), w, i
-            )
+            fx, fy = w[s, i + 1] - w[s, 0], w[s + 1, i + 1] - w[s + 1, 0]
+            add_fan(0.5 * (ex * fy - ey * fx), w, i)
     for side in range(2):
         for c in range(4):
             out[t, side, c] += w[PAIR + side, c]

@@ -118,7 +118,8 @@ def near_correction(
         points.variance[tin.source]
         / np.maximum(np.abs(points.normal[tin.source, 2]), LEAST_UPWARD) ** 2
     )
-    close = tin.triangles[whole][near_triangles(tin, height, variance, whole)]
+    t = tin.triangles[whole]
+    close = t[near_triangles(t, height, variance)]
     if not len(close):
         return None
     packed = corner_covariances(patches, geometry, X, row, variance, close)

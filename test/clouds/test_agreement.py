@@ -5,7 +5,12 @@ single set has all three faces.
 import numpy as np
 import pytest
 
-from ladar_volume.clouds.filter import plane_agreement, plane_set_selection, sharp_planes
+from ladar_volume.clouds.filter import (
+    cell_records,
+    plane_agreement,
+    plane_set_selection,
+    sharp_planes,
+)
 
 SIGMA, THRESHOLD, REACH, LEAST = 0.02, 0.06, 0.25, 10
 SEEDS = range(4)
@@ -45,7 +50,13 @@ def ledge(rng, n=900):
 
 def room(x):
     """side and label as the kernels want them."""
-    return np.zeros((sharp_planes.MOST, sharp_planes.MOST), np.int64), np.empty(len(x), np.int64)
+    return cell_records.PieceBounds(
+        np.zeros((sharp_planes.MOST, sharp_planes.MOST), np.int64), np.empty(len(x), np.int64)
+    )
+
+
+def sample_of(x):
+    return cell_records.PointSample(x, len(x), len(x), SIGMA, THRESHOLD)
 
 
 def like(a, b, limit):
@@ -64,7 +75,9 @@ def test_planes_that_are_the_same_are_nowhere_farther_apart(seed):
     b = normalised(a + rng.normal(0, [0.05, 0.05, 0.05, 0.02], (40, 4))) * rng.choice(
         [-1.0, 1.0], (40, 1)
     )
-    found = [plane_set_selection.same(p, q, REACH, 0.04) for p, q in zip(a, b, strict=True)]
+    found = [
+        plane_set_selection.planes_coincide(p, q, REACH, 0.04) for p, q in zip(a, b, strict=True)
+    ]
     assert found == [like(p, q, 0.04) for p, q in zip(a, b, strict=True)] and 0 < sum(found) < 40
     for p, q in ((p, q) for p, q, s in zip(a, b, found, strict=True) if s):
         on = rng.normal(size=(200, 3)) * 0.2
@@ -77,6 +90,7 @@ def test_planes_that_are_the_same_are_nowhere_farther_apart(seed):
 def test_repeated_sets_and_votes_against_plain_loops(seed):
     rng = np.random.default_rng(seed)
     sets, sizes = some_sets(rng, normalised(rng.normal(size=(4, 4)) * [1, 1, 1, 0.1]), 12)
+    known = cell_records.NeighbourSets(sets, sizes)
     wide = 0.03
     for a in range(12):
         plain = any(
@@ -84,7 +98,7 @@ def test_repeated_sets_and_votes_against_plain_loops(seed):
             and all(any(like(p, q, wide) for q in sets[b, : sizes[b]]) for p in sets[a, : sizes[a]])
             for b in range(a)
         )
-        assert plane_set_selection.repeated(sets, sizes, a, REACH, wide) == plain
+        assert plane_set_selection.repeats_earlier_set(known, a, REACH, wide) == plain
     each = np.concatenate([s[:n] for s, n in zip(sets, sizes, strict=True)])
     votes = np.array(
         [sum(like(p, q, plane_agreement.AGREE * SIGMA) or p is q for q in each) for p in each]
@@ -94,7 +108,7 @@ def test_repeated_sets_and_votes_against_plain_loops(seed):
         expected.append(each[np.argmax(votes)])
         votes[[like(p, expected[-1], plane_agreement.APART * SIGMA) for p in each]] = 0
     out = np.zeros((sharp_planes.MOST, 4))
-    assert plane_agreement.agreed(sets, sizes, REACH, SIGMA, out) == len(
+    assert plane_agreement.planes_by_vote(known, REACH, SIGMA, out) == len(
         expected
     ) and np.array_equal(out[: len(expected)], expected)
     planes = np.concatenate([expected[:1], normalised(rng.normal(size=(1, 4)))])
@@ -107,7 +121,7 @@ def test_repeated_sets_and_votes_against_plain_loops(seed):
     ]
     for count in (1, 2):
         plain = min(share[:count]) >= max(plane_agreement.VOTES, 12 / plane_agreement.OF)
-        assert plane_agreement.accepted(planes, count, sets, sizes, REACH, SIGMA) == plain
+        assert plane_agreement.neighbours_agree(planes, count, known, REACH, SIGMA) == plain
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -118,7 +132,7 @@ def test_what_is_left_without_each_plane(seed):
     square = np.minimum((x @ planes[:, :3].T - planes[:, 3]) ** 2, limit)
     for size in (1, 2, 5):
         out = np.full(size, np.nan)
-        plane_agreement.without_each(x, len(x), planes, size, limit, out)
+        plane_agreement.leave_one_out_squares(x, len(x), planes, size, limit, out)
         expected = [
             np.delete(square[:, :size], k, axis=1).min(axis=1, initial=limit).sum()
             for k in range(size)
@@ -133,23 +147,21 @@ def test_what_is_left_without_each_plane(seed):
 def test_planes_that_explain_nothing_go_one_at_a_time(seed):
     rng = np.random.default_rng(seed)
     x, true = ledge(rng)
-    side, label = room(x)
+    bounds, sample = room(x), sample_of(x)
     planes = np.zeros((sharp_planes.MOST, 4))
     planes[:6] = np.concatenate(
         [true, normalised(rng.normal(size=(2, 4)) * [1, 1, 1, 0.1]), [[0, 0, 1.0, 5.0]]]
     )
     given = planes.copy()
-    assert plane_agreement.populated(
-        x, len(x), planes, 6, 5, THRESHOLD**2, label
+    assert plane_agreement.drop_unsupported(
+        sample, planes, 6, 5, bounds.label
     ) == 5 and np.array_equal(planes[:5], given[:5])
     left, length = list(range(5)), None
 
     def cost(rows):
         trial = np.zeros((sharp_planes.MOST, 4))
         trial[: len(rows)] = given[rows]
-        return plane_set_selection.description(
-            x, len(x), trial, len(rows), len(x), SIGMA, THRESHOLD, 0, np.inf, side, label
-        )
+        return plane_set_selection.description_length(sample, trial, len(rows), 0, np.inf, bounds)
 
     length = cost(left)
     while len(left) > 1:
@@ -158,7 +170,7 @@ def test_planes_that_explain_nothing_go_one_at_a_time(seed):
             break
         length = min(lengths)
         left.pop(int(np.argmin(lengths)))
-    size = plane_agreement.thinned(x, len(x), planes, 5, len(x), SIGMA, THRESHOLD, side, label)
+    size = plane_agreement.drop_superfluous(sample, planes, 5, bounds)
     assert (
         size == len(left) == 3 and np.array_equal(planes[:size], given[left]) and left == [0, 1, 2]
     )
@@ -168,51 +180,30 @@ def test_planes_that_explain_nothing_go_one_at_a_time(seed):
 def test_a_ledge_of_which_every_neighbour_sees_two_faces(seed):
     rng = np.random.default_rng(seed)
     x, true = ledge(rng)
-    side, label = room(x)
+    bounds, sample = room(x), sample_of(x)
     pairs = np.array([[0, 1], [0, 1], [1, 2], [1, 2], [0, 2], [0, 2]])
     lent, sizes = np.zeros((6, sharp_planes.MOST, 4)), np.full(6, 2)
     for a, pair in enumerate(pairs):
         lent[a, :2] = normalised(true[pair] + rng.normal(0, [0.005, 0.005, 0.005, 0.001], (2, 4)))
     planes, own = np.zeros((sharp_planes.MOST, 4)), x[:60]
-    count, cost = plane_set_selection.best_lent(
-        x, len(x), REACH, lent, sizes, SIGMA, THRESHOLD, LEAST, planes, side, label
-    )
+    sets = cell_records.NeighbourSets(lent, sizes)
+    count, cost = plane_set_selection.best_neighbour_set(sample, REACH, sets, LEAST, planes, bounds)
     assert count == 2
-    count = plane_agreement.common(
-        x,
-        len(x),
-        own,
-        REACH,
-        lent,
-        sizes,
-        count,
-        cost,
-        SIGMA,
-        THRESHOLD,
-        LEAST,
-        planes,
-        side,
-        label,
-    )
+    best = cell_records.BestSet(count, cost, 0)
+    count = plane_agreement.consensus_planes(sample, own, REACH, sets, best, LEAST, planes, bounds)
     assert count == 3 and has(planes[:3], true)
     # where all agree and nothing is left to explain, nothing changes
     whole = np.zeros((6, sharp_planes.MOST, 4))
     whole[:, :3] = true
     before = planes.copy()
-    again = plane_agreement.common(
-        x,
-        len(x),
+    again = plane_agreement.consensus_planes(
+        sample,
         own,
         REACH,
-        whole,
-        np.full(6, 3),
-        3,
-        np.inf,
-        SIGMA,
-        THRESHOLD,
+        cell_records.NeighbourSets(whole, np.full(6, 3)),
+        cell_records.BestSet(3, np.inf, 0),
         LEAST,
         planes,
-        side,
-        label,
+        bounds,
     )
     assert again == 3 and np.array_equal(planes, before)

@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import least_squares, minimize
 
 from ladar_volume.clouds.filter import (
+    cell_records,
     cell_surface,
     orthogonal_quadric,
     plane_em,
@@ -47,6 +48,24 @@ def scene(seed, count=3, n=300):
             :, None
         ] * planes[a, :3]
     return x, planes, side
+
+
+def sample_of(x):
+    """All of the points (n, 3) as the kernels want them."""
+    return cell_records.PointSample(x, len(x), len(x), SIGMA, THRESHOLD)
+
+
+def pieces_with(x, planes, side):
+    """The pieces of given planes, for points (n, 3)."""
+    pieces = cell_records.pieces_of(len(x))
+    pieces.planes[:], pieces.side[:] = planes, side
+    return pieces
+
+
+def room_of(x):
+    """side and label as working arrays."""
+    pieces = cell_records.pieces_of(len(x))
+    return cell_records.PieceBounds(pieces.side, pieces.label)
 
 
 def off(x, planes):
@@ -109,7 +128,7 @@ def test_sides_are_told_by_the_points_clear_of_the_other_plane(seed):
     d = off(x, planes[:3])
     label = np.where(np.abs(d).min(axis=1) < THRESHOLD, np.abs(d).argmin(axis=1), -1)
     side = np.zeros((sharp_planes.MOST, sharp_planes.MOST), np.int64)
-    sharp_planes.bounds(x, len(x), label, planes, 3, SIGMA, side)
+    sharp_planes.bounding_sides(x, len(x), label, planes, 3, SIGMA, side)
     for a, b in itertools.permutations(range(3), 2):
         clear = d[(label == a) & (np.abs(d[:, b]) > 2 * SIGMA), b]
         above, below = (clear > 0).sum(), (clear <= 0).sum()
@@ -141,9 +160,7 @@ def cost(x, planes, count, side):
 def test_description_length(seed):
     x, planes, side = scene(seed)
     support = np.zeros(sharp_planes.MOST, np.int64)
-    length, square = plane_em.pieces_cost(
-        x, len(x), planes, 3, side, THRESHOLD**2, SIGMA, np.inf, support
-    )
+    length, square = plane_em.pieces_cost(sample_of(x), planes, 3, side, np.inf, support)
     truncated, saying, near = cost(x, planes, 3, side)
     assert square == pytest.approx(truncated, rel=1e-12) and length == pytest.approx(
         truncated + saying, rel=1e-12
@@ -154,8 +171,9 @@ def test_description_length(seed):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_shares_are_the_likelihoods(seed):
     x, planes, side = scene(seed)
-    share, label = np.zeros((sharp_planes.MOST, len(x))), np.empty(len(x), np.int64)
-    plane_em.share_out(x, len(x), planes, 3, side, SIGMA, THRESHOLD, share, label)
+    shares, pieces = plane_em.room_for_shares(len(x)), pieces_with(x, planes, side)
+    plane_em.share_out(sample_of(x), pieces, 3, shares)
+    share, label = shares.share, pieces.label
     d = off(x, planes[:3])
     feet = x[:, None] - d[:, :, None] * planes[None, :3, :3]
     heights = np.einsum("nak,bk->nab", feet, planes[:3, :3]) - planes[:3, 3]
@@ -189,8 +207,9 @@ def test_shares_pull_no_plane_off_where_planes_meet(count, inward):
     for a in range(count):
         on = np.all(np.delete(x[:, :count], a, axis=1) * inward > 0, axis=1)
         density += on * np.exp(-0.5 * (x[:, a] / SIGMA) ** 2)
-    share, label = np.zeros((sharp_planes.MOST, len(x))), np.empty(len(x), np.int64)
-    plane_em.share_out(x, len(x), planes, count, side, SIGMA, THRESHOLD, share, label)
+    shares = plane_em.room_for_shares(len(x))
+    plane_em.share_out(sample_of(x), pieces_with(x, planes, side), count, shares)
+    share = shares.share
     pull = (share[:count] * density) @ x[:, :count]
     assert np.abs(np.diagonal(pull)).max() < 2e-3 * SIGMA * (share[0] * density).sum()
 
@@ -204,24 +223,11 @@ def test_two_planes_in_one_slab_become_one(seed):
     x = np.column_stack(
         [rng.uniform(-0.5, 0.5, (600, 2)), rng.uniform(-1, 1, 600) * np.sqrt(3) * 1.06 * SIGMA]
     )
-    planes = np.zeros((sharp_planes.MOST, 4))
+    pieces = cell_records.pieces_of(len(x))
+    planes = pieces.planes
     for k, tilt in enumerate(rng.uniform(0.02, 0.15, 2) * [1, -1]):
         planes[k] = np.sin(tilt), 0.0, np.cos(tilt), rng.uniform(-0.5, 0.5) * SIGMA
-    means, inverses, used = (
-        np.zeros((sharp_planes.MOST, 3)),
-        np.zeros((sharp_planes.MOST, 3, 3)),
-        np.zeros(sharp_planes.MOST),
-    )
-    side, label = (
-        np.zeros((sharp_planes.MOST, sharp_planes.MOST), np.int64),
-        np.empty(len(x), np.int64),
-    )
-    assert (
-        plane_em.refine(
-            x, len(x), 0.7, planes, means, inverses, used, 2, SIGMA, THRESHOLD, 8, side, label
-        )
-        == 1
-    )
+    assert plane_em.refine(sample_of(x), 0.7, pieces, 2, 8) == 1
     height, *slope = np.linalg.lstsq(
         np.column_stack([np.ones(len(x)), x[:, :2]]), x[:, 2], rcond=None
     )[0]
@@ -252,15 +258,12 @@ def test_few_planes_are_the_best_of_all_sets(seed):
         [planes[:3] + rng.normal(0, [0.01, 0.01, 0.01, 0.004], (3, 4)), some_planes(rng, 3)]
     )
     few[:, :3] /= np.linalg.norm(few[:, :3], axis=1, keepdims=True)
-    out, side, label = (
+    out, side = (
         np.zeros((sharp_planes.MOST, 4)),
         np.zeros((sharp_planes.MOST, sharp_planes.MOST), np.int64),
-        np.empty(len(x), np.int64),
     )
     m, need = len(x), 8
-    count, length = plane_set_selection.few_planes(
-        x, m, few, len(few), m, SIGMA, THRESHOLD, need, 3, out, side, label
-    )
+    count, length = plane_set_selection.best_small_set(sample_of(x), few, need, 3, out, room_of(x))
     best = (THRESHOLD**2 * m, 0, None)
     for size in (1, 2, 3):
         for chosen in itertools.combinations(range(len(few)), size):
@@ -268,7 +271,7 @@ def test_few_planes_are_the_best_of_all_sets(seed):
             trial[:size] = few[list(chosen)]
             d = np.abs(off(x, trial[:size]))
             near = np.where(d.min(axis=1) < THRESHOLD, d.argmin(axis=1), -1)
-            sharp_planes.bounds(x, m, near, trial, size, SIGMA, side)
+            sharp_planes.bounding_sides(x, m, near, trial, size, SIGMA, side)
             truncated, saying, support = cost(x, trial, size, side)
             total = truncated + saying + 3 * size * np.log(m) * SIGMA**2
             if support.min() >= need and total < best[0]:
@@ -284,7 +287,7 @@ def test_distinct_candidates_are_taken_greedily_while_they_pay(seed):
     offered = np.repeat(planes[:3], 4, axis=0)
     offered[:, 3] += rng.normal(0, 0.004, 12)
     out, limit, worth = np.empty((plane_set_selection.TRIED, 4)), THRESHOLD**2, 0.01
-    number = plane_set_selection.distinct(x, len(x), offered, 12, limit, worth, out)
+    number = plane_set_selection.greedy_candidates(sample_of(x), offered, worth, out)
     square, left, taken = off(x, offered).T ** 2, np.full(len(x), limit), []
     while len(taken) < len(out):
         sums = np.minimum(left, square).sum(axis=1)
@@ -298,22 +301,12 @@ def test_distinct_candidates_are_taken_greedily_while_they_pay(seed):
 def test_evenly_filled_space_is_clutter_and_a_plane_among_as_many_outliers_is_not():
     rng = np.random.default_rng(2)
     x = rng.uniform(-0.5, 0.5, (400, 3))
-    out, side, label = (
-        np.zeros((sharp_planes.MOST, 4)),
-        np.zeros((sharp_planes.MOST, sharp_planes.MOST), np.int64),
-        np.empty(400, np.int64),
-    )
+    out, room = np.zeros((sharp_planes.MOST, 4)), room_of(x)
     few = some_planes(rng, 5)
-    assert plane_set_selection.few_planes(
-        x, 400, few, 5, 400, SIGMA, THRESHOLD, 12, 3, out, side, label
-    ) == (
-        0,
-        np.inf,
-    )
+    none = plane_set_selection.best_small_set(sample_of(x), few, 12, 3, out, room)
+    assert none == (0, np.inf)
     x[:200] -= (off(x[:200], few[:1]) - rng.normal(0, SIGMA, (200, 1))) * few[:1, :3]
-    count, _ = plane_set_selection.few_planes(
-        x, 400, few, 5, 400, SIGMA, THRESHOLD, 12, 3, out, side, label
-    )
+    count, _ = plane_set_selection.best_small_set(sample_of(x), few, 12, 3, out, room)
     assert count >= 1 and np.array_equal(out[0], few[0])
 
 
@@ -353,7 +346,7 @@ def test_support_counts_the_points_around():
     x, origin = rng.normal(size=(50, 3)), np.array([10.0, -5.0, 2.0])
     for q in rng.normal(size=(40, 3)) + origin:
         near = (((x + origin - q) ** 2).sum(axis=1) <= 0.7).sum()
-        assert cell_surface.supported(x, 50, origin, q, 0.7) == (near > cell_surface.SUPPORT)
+        assert cell_surface.is_supported(x, 50, origin, q, 0.7) == (near > cell_surface.SUPPORT)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -372,6 +365,6 @@ def test_the_gain_of_bending_is_that_of_a_regression(seed):
     u, v = (x - mean) @ e.T @ np.eye(2)[0], (x - mean) @ e.T @ np.eye(2)[1]
     X = np.stack([np.ones(80), u, v, u * u, u * v, v * v]).T
     left = d - X @ np.linalg.lstsq(X, d, rcond=None)[0]
-    assert single_surface.bent(x, 80, label, plane, mean, 1.0) == pytest.approx(
+    assert single_surface.curvature_gain(x, 80, label, plane, mean, 1.0) == pytest.approx(
         d @ d - left @ left, rel=1e-8
     )

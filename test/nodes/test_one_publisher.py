@@ -1,14 +1,9 @@
 """A stranger's datum: a change is believed only while its publisher is alone."""
 
-import json
-import os
-import subprocess
-import sys
-from pathlib import Path
+from own_process import result_of
 
 from ladar_volume.nodes.stream_passes import MEMORY_S, OnePublisher
 
-ROOT = Path(__file__).parents[2]
 A, B = b"a", b"b"
 
 
@@ -82,20 +77,7 @@ print(json.dumps(out))
 
 
 def test_a_strangers_datum_resets_no_surface():
-    environment = os.environ | {
-        "ROS_DOMAIN_ID": str((os.getpid() + 21) % 90 + 10),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    }
-    done = subprocess.run(
-        [sys.executable, "-c", SCRIPT],
-        cwd=ROOT,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stderr[-3000:]
-    out = json.loads(done.stdout.splitlines()[-1])
+    out = result_of(SCRIPT, domain=21)
     assert out["first"] == [50.0, 50.0]
     assert out["own"] == [[50.5, 50.5], [1, 1]]  # its publisher alone may change it
     where, strangers, changed = out["stranger"]

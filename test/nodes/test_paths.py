@@ -2,13 +2,7 @@
 configured is not activated.
 """
 
-import json
-import os
-import subprocess
-import sys
-from pathlib import Path
-
-ROOT = Path(__file__).parents[2]
+from own_process import result_of
 
 SCRIPT = """
 import json, sys, time
@@ -47,17 +41,7 @@ print(json.dumps(out))
 
 
 def test_a_stranger_sets_no_path_and_a_failed_configure_activates_nothing(tmp_path):
-    environment = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    done = subprocess.run(
-        [sys.executable, "-c", SCRIPT, str(tmp_path)],
-        cwd=ROOT,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    out = json.loads(done.stdout.splitlines()[-1])
+    out = result_of(SCRIPT, tmp_path, timeout_s=60, domain=45)
     assert out["bad"] is False and out["path"] == f"{tmp_path}/log.mcap"
     for successful, reason in out["answers"]:
         assert not successful and "set at launch" in reason

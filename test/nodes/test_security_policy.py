@@ -1,30 +1,14 @@
 """The policy of SROS2 names exactly the topics and services that the nodes use."""
 
-import os
-import subprocess
-import sys
 import xml.etree.ElementTree as ET
-from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+from own_process import ROOT, printed_by
 
 
 def test_the_policy_is_that_of_the_nodes():
-    environment = os.environ | {
-        "ROS_DOMAIN_ID": str((os.getpid() + 33) % 90 + 10),
-        "PYTHONPATH": str(ROOT),
-    }
-    done = subprocess.run(
-        [sys.executable, "tools/sros2_policy.py", "--print"],
-        cwd=ROOT,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
+    printed = printed_by("tools/sros2_policy.py", "--print", domain=33)
     kept = (ROOT / "config" / "sros2_policy.xml").read_text()
-    assert done.stdout == kept, "run tools/sros2_policy.py"
+    assert printed == kept, "run tools/sros2_policy.py"
     tree = ET.fromstring(kept)
     may = {
         (profile.get("node"), name.text)

@@ -2,13 +2,7 @@
 are no message are counted.
 """
 
-import json
-import os
-import subprocess
-import sys
-from pathlib import Path
-
-ROOT = Path(__file__).parents[2]
+from own_process import result_of
 
 SCRIPT = """
 import json, time
@@ -83,23 +77,6 @@ spinner.close()
 sender.destroy_node()
 rclpy.try_shutdown()
 """
-
-
-def result_of(script):
-    environment = os.environ | {
-        "ROS_DOMAIN_ID": str(os.getpid() % 90 + 10),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    }
-    run = subprocess.run(
-        [sys.executable, "-c", script],
-        cwd=ROOT,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=True,
-    )
-    return json.loads(run.stdout)
 
 
 def test_a_burst_is_taken_in_few_rounds():

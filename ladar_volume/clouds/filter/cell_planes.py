@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 
 from ladar_volume.clouds.filter import sharp_planes
-from ladar_volume.clouds.filter.cell_records import Cell, CellNoise, CellRule, Cells, Known
+from ladar_volume.clouds.filter.cell_records import (
+    Cell,
+    CellNoise,
+    CellRule,
+    Cells,
+    Known,
+    NeighbourSets,
+)
 from ladar_volume.math.array_types import F64, I32, I64, U64
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.rmls.patch_fit import AROUND, REACH
@@ -24,7 +31,7 @@ NEXT = 27
 
 
 @kernel
-def gather(v: int, keys: I64, table: I32, first: I64, r: F64, out: I64) -> Any:
+def points_in_voxels(v: int, keys: I64, table: I32, first: I64, r: F64, out: I64) -> Any:
     """Indices of all points (sorted by voxel) in the voxels around voxel v; returns how many. With
     an empty ``out`` only counts.
     """
@@ -38,7 +45,9 @@ def gather(v: int, keys: I64, table: I32, first: I64, r: F64, out: I64) -> Any:
 
 
 @leaf_kernel
-def around(r: F64, first: I64, v: int, slots: I64, n: int, ball: float, origin: F64, x: F64) -> Any:
+def points_in_ball(
+    r: F64, first: I64, v: int, slots: I64, n: int, ball: float, origin: F64, x: F64
+) -> Any:
     """Mean of the cell's own points to origin (3,), and the gathered points within ``ball`` of it,
     about it, to x; returns how many.
     """
@@ -61,10 +70,10 @@ def around(r: F64, first: I64, v: int, slots: I64, n: int, ball: float, origin: 
 @kernel
 def cell_at(v: int, turn: int, cells: Cells, rule: CellRule, noise: CellNoise) -> Cell:
     """Cell v with the points within its ball."""
-    n = gather(v, cells.keys, cells.table, cells.first, cells.r, np.empty(0, np.int64))
+    n = points_in_voxels(v, cells.keys, cells.table, cells.first, cells.r, np.empty(0, np.int64))
     slots, x, origin = np.empty(n, np.int64), np.empty((n + 1, 3)), np.empty(3)
-    gather(v, cells.keys, cells.table, cells.first, cells.r, slots)
-    m = around(cells.r, cells.first, v, slots, n, rule.ball, origin, x)
+    points_in_voxels(v, cells.keys, cells.table, cells.first, cells.r, slots)
+    m = points_in_ball(cells.r, cells.first, v, slots, n, rule.ball, origin, x)
     return Cell(v, turn, x, m, slots, origin, noise.sigma[v], noise.threshold[v], noise.width[v])
 
 
@@ -134,7 +143,7 @@ def main_planes(which: I64, cells: Cells, rule: CellRule, noise: CellNoise, know
 
 
 @kernel
-def offers(v: int, cells: Cells, known: Known, origin: F64, out: F64) -> Any:
+def neighbour_candidates(v: int, cells: Cells, known: Known, origin: F64, out: F64) -> Any:
     """Planes of the cells around cell v, about ``origin``; returns how many."""
     near, n = np.empty(AROUND, np.int64), 0
     for i in range(voxels_around(cells.keys[v], cells.keys, cells.table, REACH, near)):
@@ -146,11 +155,10 @@ def offers(v: int, cells: Cells, known: Known, origin: F64, out: F64) -> Any:
 
 
 @kernel
-def sets_around(v: int, cells: Cells, known: Known, origin: F64, out: F64, out_sizes: I64) -> Any:
-    """The sets of several planes of the cells next to cell v and its own, about ``origin``; returns
-    how many.
-    """
+def neighbour_sets(v: int, cells: Cells, known: Known, origin: F64) -> NeighbourSets:
+    """The sets of several planes of the cells next to cell v and its own, about ``origin``."""
     near, n = np.empty(NEXT, np.int64), 0
+    out, out_sizes = np.empty((NEXT, sharp_planes.MOST, 4)), np.empty(NEXT, np.int64)
     sets, sizes = known.sets, known.sizes
     for i in range(voxels_around(cells.keys[v], cells.keys, cells.table, 1, near)):
         w = near[i]
@@ -164,4 +172,4 @@ def sets_around(v: int, cells: Cells, known: Known, origin: F64, out: F64, out_s
                     + sets[w, a, 2] * origin[2]
                 )
             n += 1
-    return n
+    return NeighbourSets(out[:n], out_sizes[:n])

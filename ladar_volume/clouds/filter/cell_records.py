@@ -114,14 +114,42 @@ class Quadric(NamedTuple):
     inverse: F64
 
 
-class Lent(NamedTuple):
+class PointSample(NamedTuple):
+    """What a set of planes is to describe. x : m points, the first n (n, 3) about the cell's origin
+    · m : number of points that these are a sample of · sigma, threshold : m, as :class:`CellNoise`
+    """
+
+    x: F64
+    n: int
+    m: int
+    sigma: float
+    threshold: float
+
+
+class PieceBounds(NamedTuple):
+    """side : (MOST, MOST) which plane bounds which · label : (n,) plane of each point. Working
+    arrays of those who compare sets of planes.
+    """
+
+    side: I64
+    label: I64
+
+
+class NeighbourSets(NamedTuple):
+    """Sets of planes that neighbours chose. planes : (k, MOST, 4) · sizes : (k,)"""
+
+    planes: F64
+    sizes: I64
+
+
+class BestSet(NamedTuple):
     """The best of the neighbours' sets: number of planes, length of its description, and how well
     it explains the points, 0 to 2.
     """
 
     size: int
     cost: float
-    well: int
+    quality: int
 
 
 @kernel
@@ -141,3 +169,9 @@ def pieces_of(m: int) -> Pieces:
 def no_quadric() -> Quadric:
     """Room for a quadric."""
     return Quadric(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(6), np.zeros((6, 6)))
+
+
+@kernel
+def whole_sample(cell: Cell) -> PointSample:
+    """All points of a cell."""
+    return PointSample(cell.x, cell.m, cell.m, cell.sigma, cell.threshold)

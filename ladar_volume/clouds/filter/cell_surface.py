@@ -12,24 +12,41 @@ from typing import Any
 
 import numpy as np
 
-from ladar_volume.clouds.filter import plane_agreement, plane_em, plane_set_selection, sharp_planes
-from ladar_volume.clouds.filter.cell_planes import NEXT, OFFERED, cell_at, offers, sets_around
-from ladar_volume.clouds.filter.cell_planes import gather as gather
+from ladar_volume.clouds.filter import plane_em
+from ladar_volume.clouds.filter.cell_planes import (
+    OFFERED,
+    cell_at,
+    neighbour_candidates,
+    neighbour_sets,
+)
 from ladar_volume.clouds.filter.cell_records import (
+    BestSet,
     Cell,
     CellNoise,
     CellOutcome,
     CellRule,
     Cells,
     Known,
-    Lent,
+    PieceBounds,
     Pieces,
     Quadric,
     no_quadric,
     pieces_of,
+    whole_sample,
 )
 from ladar_volume.clouds.filter.orthogonal_quadric import foot_on_quadric
-from ladar_volume.clouds.filter.single_surface import bend, flat, nearest_to_origin
+from ladar_volume.clouds.filter.plane_agreement import consensus_planes
+from ladar_volume.clouds.filter.plane_set_selection import (
+    best_neighbour_set,
+    fit_quality,
+    select_planes,
+)
+from ladar_volume.clouds.filter.sharp_planes import MOST, nearest_piece, plane_share
+from ladar_volume.clouds.filter.single_surface import (
+    bent_quadric,
+    nearest_to_origin,
+    single_plane,
+)
 from ladar_volume.math.array_types import F64, I64
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.rmls.patch_fit import AROUND
@@ -47,7 +64,7 @@ SUPPORT, PATCH = 4, 20
 
 
 @leaf_kernel
-def supported(x: F64, m: int, origin: F64, q: F64, square: float) -> Any:
+def is_supported(x: F64, m: int, origin: F64, q: F64, square: float) -> Any:
     """Whether enough points (m, 3) about ``origin`` lie around q: planes end nowhere, surfaces
     do.
     """
@@ -69,42 +86,12 @@ def foot_on_planes(x: F64, origin: F64, pieces: Pieces, count: int, q: F64, n_ou
     """
     for k in range(3):
         n_out[k] = x[k] - origin[k]
-    a, square, on = sharp_planes.nearest_piece(n_out, pieces.planes, count, pieces.side, q)
-    share = sharp_planes.plane_share(q, pieces.used[a], pieces.means[a], pieces.inverses[a])
+    a, square, on = nearest_piece(n_out, pieces.planes, count, pieces.side, q)
+    share = plane_share(q, pieces.used[a], pieces.means[a], pieces.inverses[a])
     for k in range(3):
         q[k] += origin[k]
         n_out[k] = pieces.planes[a, k]
     return np.sqrt(square), share, on
-
-
-@kernel
-def _agreed(
-    cell: Cell,
-    own: F64,
-    reach: float,
-    lent: F64,
-    sizes: I64,
-    best: Lent,
-    least: int,
-    pieces: Pieces,
-) -> Any:
-    """Number of the planes that the neighbours' sets agree in, or of the best set's."""
-    return plane_agreement.common(
-        cell.x,
-        cell.m,
-        own,
-        reach,
-        lent,
-        sizes,
-        best.size,
-        best.cost,
-        cell.sigma,
-        cell.threshold,
-        least,
-        pieces.planes,
-        pieces.side,
-        pieces.label,
-    )
 
 
 @kernel
@@ -121,26 +108,18 @@ def surface_of(
     of truncated squares of the quadric, infinite where it is not wanted). What neighbours found
     comes first: it makes search and quadric superfluous where it leaves no more than the noise.
     """
-    v, x, m, sigma, threshold = cell.v, cell.x, cell.m, cell.sigma, cell.threshold
-    planes, side, label = pieces.planes, pieces.side, pieces.label
-    lent, sizes = np.empty((NEXT, sharp_planes.MOST, 4)), np.empty(NEXT, np.int64)
-    number = sets_around(v, cells, known, cell.origin, lent, sizes)
-    lent, sizes, reach = lent[:number], sizes[:number], 0.5 * rule.ball
-    count, cost = plane_set_selection.best_lent(
-        x, m, reach, lent, sizes, sigma, threshold, rule.least, planes, side, label
-    )
+    v, planes, bounds = cell.v, pieces.planes, PieceBounds(pieces.side, pieces.label)
+    sets = neighbour_sets(v, cells, known, cell.origin)
+    whole, reach = whole_sample(cell), 0.5 * rule.ball
+    count, cost = best_neighbour_set(whole, reach, sets, rule.least, planes, bounds)
     own = cells.r[cells.first[v] : cells.first[v + 1]] - cell.origin
     if cell.turn == LAST and count > 0 and known.sizes[v] > 1:
-        best = Lent(count, cost, 0)
-        return _agreed(cell, own, reach, lent, sizes, best, rule.least, pieces), np.inf
-    well = (
-        plane_set_selection.steady(x, m, own, planes, count, sigma, threshold, side, label)
-        if count > 0
-        else 0
-    )
-    if well == 2:
+        best = BestSet(count, cost, 0)
+        return consensus_planes(whole, own, reach, sets, best, rule.least, planes, bounds), np.inf
+    quality = fit_quality(whole, own, planes, count, bounds) if count > 0 else 0
+    if quality == 2:
         return count, np.inf
-    best = Lent(count, cost, well)
+    best = BestSet(count, cost, quality)
     return _searched(cell, cells, rule, candidates, best, pieces, quadric)
 
 
@@ -150,30 +129,20 @@ def _searched(
     cells: Cells,
     rule: CellRule,
     candidates: F64,
-    best: Lent,
+    best: BestSet,
     pieces: Pieces,
     quadric: Quadric,
 ) -> Any:
-    """As :func:`surface_of`, where what neighbours lent does not do."""
-    count, curve, most = best.size, np.inf, sharp_planes.MOST
+    """As :func:`surface_of`, where the neighbours' sets do not do."""
+    count, curve, most = best.size, np.inf, MOST
     if rule.degree == 2:
-        curve, most = bend(cell, cells.r, cells.keys[cell.v], candidates, rule, quadric)
+        curve, most = bent_quadric(cell, cells.r, cells.keys[cell.v], candidates, rule, quadric)
     if most == 0:
         return 0, curve
-    if cell.turn < LAST and best.well == 0:
-        found = np.empty((sharp_planes.MOST, 4))
-        size, length = plane_set_selection.found_planes(
-            cell.x,
-            cell.m,
-            candidates,
-            len(candidates),
-            cell.sigma,
-            cell.threshold,
-            rule.least,
-            most,
-            found,
-            pieces.side,
-            pieces.label,
+    if cell.turn < LAST and best.quality == 0:
+        found, bounds = np.empty((MOST, 4)), PieceBounds(pieces.side, pieces.label)
+        size, length = select_planes(
+            whole_sample(cell), candidates, rule.least, most, found, bounds
         )
         if length < best.cost:
             count = size
@@ -186,27 +155,10 @@ def _refined(cell: Cell, ball: float, count: int, pieces: Pieces) -> Any:
     """Planes refitted to a fixed point; returns (their number, length of their description, sum of
     truncated squares).
     """
-    planes, means, inverses, used, side, label = pieces
-    count = plane_em.refine(
-        cell.x,
-        cell.m,
-        ball,
-        planes,
-        means,
-        inverses,
-        used,
-        count,
-        cell.sigma,
-        cell.threshold,
-        plane_em.ROUNDS if cell.turn == LAST or count == 1 else plane_em.FIRST_ROUNDS,
-        side,
-        label,
-        cell.width,
-    )
-    limit, support = cell.threshold * cell.threshold, np.empty(sharp_planes.MOST, np.int64)
-    length, square = plane_em.pieces_cost(
-        cell.x, cell.m, planes, count, side, limit, cell.sigma, np.inf, support
-    )
+    whole, support = whole_sample(cell), np.empty(MOST, np.int64)
+    rounds = plane_em.ROUNDS if cell.turn == LAST or count == 1 else plane_em.FIRST_ROUNDS
+    count = plane_em.refine(whole, ball, pieces, count, rounds, cell.width)
+    length, square = plane_em.pieces_cost(whole, pieces.planes, count, pieces.side, np.inf, support)
     return count, length, square
 
 
@@ -219,13 +171,13 @@ def _described(
     """
     m, sigma, threshold = cell.m, cell.sigma, cell.threshold
     candidates = np.empty((OFFERED * AROUND, 4))
-    candidates = candidates[: offers(cell.v, cells, known, cell.origin, candidates)]
+    candidates = candidates[: neighbour_candidates(cell.v, cells, known, cell.origin, candidates)]
     price, limit = sigma * sigma * np.log(m), threshold * threshold
     length, square, curve, count = limit * m, limit * m, np.inf, 0
     if len(candidates) > 0:
         pieces.planes[0] = candidates[nearest_to_origin(candidates, len(candidates))]
         allowed = 3 * price if rule.degree == 2 else np.inf
-        count, pieces.used[0], square = flat(cell, rule.ball, allowed, pieces)
+        count, pieces.used[0], square = single_plane(cell, rule.ball, allowed, pieces)
     if count == 0:
         count, curve = surface_of(cell, cells, rule, known, candidates, pieces, quadric)
         if count > 0:
@@ -244,17 +196,16 @@ def _project(
     out: CellOutcome,
 ) -> None:
     """The cell's own points onto ``count`` planes, onto the quadric where that is −1."""
-    centre, normal, tangent, beta, inverse = quadric
     x, m, origin, sigma = cell.x, cell.m, cell.origin, cell.sigma
     side, reach = np.empty(3), rule.ball * rule.ball * PATCH / m + 4.0 * sigma * sigma
-    across(normal, tangent, side)
+    across(quadric.normal, quadric.tangent, side)
     for i in range(cells.first[cell.v], cells.first[cell.v + 1]):
         to = out.order[i]
         if not out.mine[to]:
             continue
         r, q, n_out = cells.r[i], out.q[to], out.normal[to]
         if count < 0:
-            d, share = foot_on_quadric(r, centre, normal, tangent, side, beta, inverse, q, n_out)
+            d, share = foot_on_quadric(r, quadric, side, q, n_out)
             on = 0
         else:
             d, share, on = foot_on_planes(r, origin, pieces, count, q, n_out)
@@ -264,7 +215,7 @@ def _project(
         elif on > 0 and not rule.snap:
             out.reason[to] = BEYOND_EDGE
         else:
-            out.reason[to] = KEPT if supported(x, m, origin, q, reach) else UNSUPPORTED
+            out.reason[to] = KEPT if is_supported(x, m, origin, q, reach) else UNSUPPORTED
 
 
 @kernel
@@ -274,14 +225,14 @@ def filter_cell(cell: Cell, cells: Cells, rule: CellRule, known: Known, out: Cel
     """
     m, sigma, origin = cell.m, cell.sigma, cell.origin
     if m < rule.least:
-        verdict(cell.v, cells, FEW_POINTS, out)
+        mark_cell(cell.v, cells, FEW_POINTS, out)
         return 0, 9.0
     pieces, quadric = pieces_of(m), no_quadric()
     count, length, square, curve = _described(cell, cells, rule, known, pieces, quadric)
     price = sigma * sigma * np.log(m)
     curved = curve + 6 * price < length + 3 * count * price
     if not curved and count == 0:
-        verdict(cell.v, cells, NO_SURFACE, out)
+        mark_cell(cell.v, cells, NO_SURFACE, out)
         return 0, 9.0
     _project(cell, cells, rule, pieces, -1 if curved else count, quadric, out)
     planes, chosen = pieces.planes, out.chosen[cell.v]
@@ -294,7 +245,7 @@ def filter_cell(cell: Cell, cells: Cells, rule: CellRule, known: Known, out: Cel
 
 
 @kernel
-def verdict(v: int, cells: Cells, why: int, out: CellOutcome) -> None:
+def mark_cell(v: int, cells: Cells, why: int, out: CellOutcome) -> None:
     """One reason for all points of a cell."""
     for i in range(cells.first[v], cells.first[v + 1]):
         if out.mine[out.order[i]]:

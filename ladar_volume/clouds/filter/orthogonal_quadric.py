@@ -203,7 +203,7 @@ def quadric_from(
     used, _ = refit(near, m, 6, rule.sigma, refitting, inside, Terms(beta, inverse))
     if used == 0:
         return 0
-    return settled(pts, n, loose, rule, levels, quadric)
+    return shrink_to_threshold(pts, n, loose, rule, levels, quadric)
 
 
 @kernel
@@ -225,7 +225,7 @@ def _touch(quadric: Quadric) -> None:
 
 
 @kernel
-def settled(
+def shrink_to_threshold(
     pts: F64, n: int, loose: float, rule: QuadricRule, levels: int, quadric: Quadric
 ) -> Any:
     """A quadric refitted to the points around it until ``loose`` is the threshold and its frame
@@ -250,20 +250,11 @@ def settled(
 
 
 @kernel
-def foot_on_quadric(
-    x: F64,
-    centre: F64,
-    normal: F64,
-    tangent: F64,
-    side: F64,
-    beta: F64,
-    inverse: F64,
-    q: F64,
-    n_out: F64,
-) -> Any:
+def foot_on_quadric(x: F64, quadric: Quadric, side: F64, q: F64, n_out: F64) -> Any:
     """Foot point q and normal of the surface under x; returns (distance, variance of the surface
-    there over sigma²).
+    there over sigma²). side : (3,) the frame's second axis in the tangent plane
     """
+    centre, normal, tangent, beta, inverse = quadric
     u = v = w = 0.0
     for k in range(3):
         d = x[k] - centre[k]
@@ -287,12 +278,11 @@ def foot_on_quadric(
 
 
 @kernel
-def quadric_cost(
-    x: F64, m: int, origin: F64, centre: F64, normal: F64, tangent: F64, beta: F64, limit: float
-) -> Any:
+def quadric_cost(x: F64, m: int, origin: F64, quadric: Quadric, limit: float) -> Any:
     """Sum of squared distances of points (m, 3) about ``origin``, each at most ``limit``; and how
     many are below it.
     """
+    centre, normal, tangent, beta, _ = quadric
     side, cost, below = np.empty(3), 0.0, 0
     across(normal, tangent, side)
     for i in range(m):

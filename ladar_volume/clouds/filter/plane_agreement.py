@@ -12,14 +12,20 @@ from typing import Any
 
 import numpy as np
 
+from ladar_volume.clouds.filter.cell_records import (
+    BestSet,
+    NeighbourSets,
+    PieceBounds,
+    PointSample,
+)
 from ladar_volume.clouds.filter.plane_set_selection import (
     CHANCE,
-    among,
-    description,
-    same,
-    sample,
-    steady,
-    without,
+    contains_plane,
+    description_length,
+    fit_quality,
+    planes_coincide,
+    remove_plane,
+    thin_sample,
 )
 from ladar_volume.clouds.filter.sharp_planes import MOST, distance, nearest_planes
 from ladar_volume.math.array_types import F64, I64
@@ -33,31 +39,34 @@ VOTES, OF = 3, 4
 
 
 @kernel
-def accepted(planes: F64, count: int, lent: F64, sizes: I64, reach: float, sigma: float) -> Any:
-    """Whether the sets (k, MOST, 4) agree in every one of ``count`` planes."""
+def neighbours_agree(
+    planes: F64, count: int, sets: NeighbourSets, reach: float, sigma: float
+) -> Any:
+    """Whether the neighbours' sets agree in every one of ``count`` planes."""
+    number = len(sets.planes)
     for b in range(count):
         votes = 0
-        for a in range(len(lent)):
-            votes += among(planes[b], lent[a], sizes[a], reach, AGREE * sigma)
-        if votes < VOTES or OF * votes < len(lent):
+        for a in range(number):
+            votes += contains_plane(sets.planes[a], sets.sizes[a], planes[b], reach, AGREE * sigma)
+        if votes < VOTES or OF * votes < number:
             return False
     return True
 
 
 @kernel
-def agreed(lent: F64, sizes: I64, reach: float, sigma: float, out: F64) -> Any:
-    """The planes that most of the sets (k, MOST, 4) agree in, to out (n, 4), the most frequent
+def planes_by_vote(sets: NeighbourSets, reach: float, sigma: float, out: F64) -> Any:
+    """The planes that most of the neighbours' sets agree in, to out (n, 4), the most frequent
     first; returns how many.
     """
-    total, n, number = sizes.sum(), 0, 0
+    total, n, number = sets.sizes.sum(), 0, 0
     each, votes = np.empty((total, 4)), np.ones(total, np.int64)
-    for a in range(len(lent)):
-        for k in range(sizes[a]):
-            each[n] = lent[a, k]
+    for a in range(len(sets.planes)):
+        for k in range(sets.sizes[a]):
+            each[n] = sets.planes[a, k]
             n += 1
     for a in range(n):
         for b in range(a):
-            if same(each[a], each[b], reach, AGREE * sigma):
+            if planes_coincide(each[a], each[b], reach, AGREE * sigma):
                 votes[a] += 1
                 votes[b] += 1
     while number < len(out):
@@ -66,33 +75,33 @@ def agreed(lent: F64, sizes: I64, reach: float, sigma: float, out: F64) -> Any:
             break
         out[number] = each[best]
         for a in range(n):
-            if same(each[a], out[number], reach, APART * sigma):
+            if planes_coincide(each[a], out[number], reach, APART * sigma):
                 votes[a] = 0
         number += 1
     return number
 
 
 @kernel
-def populated(y: F64, n: int, planes: F64, size: int, need: int, limit: float, label: I64) -> Any:
-    """Drop planes to which fewer than ``need`` of the points (n, 3) are nearest, the one with
+def drop_unsupported(sample: PointSample, planes: F64, size: int, need: int, label: I64) -> Any:
+    """Drop planes to which fewer than ``need`` points of the sample are nearest, the one with
     fewest first; returns how many are left.
     """
-    support = np.empty(MOST, np.int64)
+    support, limit = np.empty(MOST, np.int64), sample.threshold * sample.threshold
     while size > 0:
-        nearest_planes(y, n, planes, size, limit, label)
+        nearest_planes(sample.x, sample.n, planes, size, limit, label)
         support[:size] = 0
-        for i in range(n):
+        for i in range(sample.n):
             if label[i] >= 0:
                 support[label[i]] += 1
         k = np.argmin(support[:size])
         if support[k] >= need:
             break
-        size = without(planes, size, k, planes)
+        size = remove_plane(planes, size, k, planes)
     return size
 
 
 @leaf_kernel
-def without_each(y: F64, n: int, planes: F64, size: int, limit: float, out: F64) -> None:
+def leave_one_out_squares(y: F64, n: int, planes: F64, size: int, limit: float, out: F64) -> None:
     """Sum of the squared distances of points (n, 3) to the nearest of the planes but one, each at
     most the limit, to out (size,): for every plane that is left out.
     """
@@ -113,80 +122,67 @@ def without_each(y: F64, n: int, planes: F64, size: int, limit: float, out: F64)
 
 
 @kernel
-def thinned(
-    y: F64,
-    n: int,
-    planes: F64,
-    size: int,
-    m: int,
-    sigma: float,
-    threshold: float,
-    side: I64,
-    label: I64,
-) -> Any:
-    """Drop planes one at a time, whichever shortens the description of m points, of which y (n, 3)
-    are a sample, most, as long as one does; returns how many are left. The sum of the squares to
+def drop_superfluous(sample: PointSample, planes: F64, size: int, bounds: PieceBounds) -> Any:
+    """Drop planes one at a time, whichever shortens the description of the points that the sample
+    stands for most, as long as one does; returns how many are left. The sum of the squares to
     the unbounded planes is a lower bound; they come in its order.
     """
-    other, least, price = np.zeros((MOST, 4)), np.empty(MOST), 3.0 * np.log(m) * sigma * sigma
-    length = description(y, n, planes, size, m, sigma, threshold, 0, np.inf, side, label)
+    n, m, limit = sample.n, sample.m, sample.threshold * sample.threshold
+    other, least = np.zeros((MOST, 4)), np.empty(MOST)
+    price = 3.0 * np.log(m) * sample.sigma * sample.sigma
+    length = description_length(sample, planes, size, 0, np.inf, bounds)
     while size > 1:
         best = -1
-        without_each(y, n, planes, size, threshold * threshold, least)
+        leave_one_out_squares(sample.x, n, planes, size, limit, least)
         for k in np.argsort(least[:size]):
             if least[k] * m / n + (size - 1) * price >= length:
                 break
-            left = without(planes, size, k, other)
-            shorter = description(y, n, other, left, m, sigma, threshold, 0, length, side, label)
+            left = remove_plane(planes, size, k, other)
+            shorter = description_length(sample, other, left, 0, length, bounds)
             if shorter < length:
                 best, length = k, shorter
         if best < 0:
             break
-        size = without(planes, size, best, planes)
+        size = remove_plane(planes, size, best, planes)
     return size
 
 
 @kernel
-def common(
-    x: F64,
-    m: int,
+def consensus_planes(
+    whole: PointSample,
     own: F64,
     reach: float,
-    lent: F64,
-    sizes: I64,
-    count: int,
-    cost: float,
-    sigma: float,
-    threshold: float,
+    sets: NeighbourSets,
+    best: BestSet,
     least: int,
     planes: F64,
-    side: I64,
-    label: I64,
+    bounds: PieceBounds,
 ) -> Any:
-    """The planes that the neighbours' sets (k, MOST, 4) agree in, without those that explain
-    nothing here, where they describe the points (m, 3) better than the ``count`` planes of the best
-    single set, whose description has the length ``cost``. Returns their number.
+    """The planes that the neighbours' sets agree in, without those that explain nothing here, where
+    they describe all points better than the planes of the ``best`` single set, which ``planes``
+    holds. Returns their number.
 
     Not asked where the neighbours agree in the planes of that set, and these leave no more than the
     noise.
     """
+    count, sigma = best.size, whole.sigma
     if (
-        accepted(planes, count, lent, sizes, reach, sigma)
-        and steady(x, m, own, planes, count, sigma, threshold, side, label) == 2
+        neighbours_agree(planes, count, sets, reach, sigma)
+        and fit_quality(whole, own, planes, count, bounds) == 2
     ):
         return count
-    y, need = sample(x, m, least)
+    sample, need = thin_sample(whole, least)
     trial = np.zeros((MOST, 4))
-    size = agreed(lent, sizes, reach, sigma, trial)
-    size = populated(y, len(y), trial, size, max(need // 2, 1), threshold * threshold, label)
+    size = planes_by_vote(sets, reach, sigma, trial)
+    size = drop_unsupported(sample, trial, size, max(need // 2, 1), bounds.label)
     known = 0
     for a in range(size):
-        known += among(trial[a], planes, count, reach, AGREE * sigma)
+        known += contains_plane(planes, count, trial[a], reach, AGREE * sigma)
     if size == 0 or known == size == count:
         return count
-    size = thinned(y, len(y), trial, size, m, sigma, threshold, side, label)
-    need = max(least // 2, np.int64(0.5 * CHANCE * m))
-    if description(x, m, trial, size, m, sigma, threshold, need, cost, side, label) < cost:
+    size = drop_superfluous(sample, trial, size, bounds)
+    need = max(least // 2, int(0.5 * CHANCE * whole.m))
+    if description_length(whole, trial, size, need, best.cost, bounds) < best.cost:
         planes[:size] = trial[:size]
         return size
     return count

@@ -4,13 +4,14 @@ point.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from ladar_volume.clouds.filter.cell_records import Pieces, PointSample
 from ladar_volume.clouds.filter.sharp_planes import (
     MOST,
-    bounds,
+    bounding_sides,
     distance,
     fit_shares,
     nearest_on_piece,
@@ -38,28 +39,38 @@ FEWEST = 4.0
 SAME_SINE, SAME_SIGMAS = 0.1, 1.25
 
 
+class Shares(NamedTuple):
+    """share : (MOST, m) probability that a point belongs to each piece · cosine : (MOST, MOST)
+    between planes, d : (MOST,) distances of a point from them: working arrays
+    """
+
+    share: F64
+    cosine: F64
+    d: F64
+
+
+@kernel
+def room_for_shares(m: int) -> Shares:
+    """Room for the shares of m points."""
+    return Shares(np.zeros((MOST, m)), np.empty((MOST, MOST)), np.empty(MOST))
+
+
 @leaf_kernel
 def pieces_cost(
-    x: F64,
-    m: int,
-    planes: F64,
-    count: int,
-    side: I64,
-    limit: float,
-    sigma: float,
-    most: float,
-    support: I64,
+    sample: PointSample, planes: F64, count: int, side: I64, most: float, support: I64
 ) -> Any:
-    """Description length of points (m, 3) on the bounded pieces, in squared distances: truncated
+    """Description length of the sample on the bounded pieces, in squared distances: truncated
     squares, and what it takes to say to which piece a point belongs where its position does not
-    tell. support (k,) gets the number of points nearest to each piece.
+    tell. Returns (length, truncated squares alone); a length beyond ``most`` is not summed to its
+    end. support (k,) gets the number of points nearest to each piece.
 
     Without the second term a slab of noise is described better by two planes within it than by the
     one in its middle.
     """
+    x, sigma, limit = sample.x, sample.sigma, sample.threshold * sample.threshold
     cost, saying = 0.0, 0.0
     support[:count] = 0
-    for i in range(m):
+    for i in range(sample.n):
         nearest, which, several = limit, -1, 0
         for a in range(count):
             if distance(x[i], planes[a]) ** 2 >= limit:  # no piece is nearer than its plane
@@ -79,18 +90,8 @@ def pieces_cost(
     return cost + saying, cost
 
 
-@kernel
-def share_out(
-    x: F64,
-    m: int,
-    planes: F64,
-    count: int,
-    side: I64,
-    sigma: float,
-    threshold: float,
-    share: F64,
-    label: I64,
-) -> None:
+@leaf_kernel
+def share_out(sample: PointSample, pieces: Pieces, count: int, shares: Shares) -> None:
     """share (k, m): the probability that a point belongs to each piece, and label (m,) of the
     likeliest, −1 for none.
 
@@ -103,96 +104,76 @@ def share_out(
     points before an edge, which no other plane explains, would count for less than those behind it,
     and planes that meet would be drawn in.
     """
-    _share_out(
-        x,
-        m,
-        planes,
-        count,
-        side,
-        sigma,
-        threshold,
-        np.empty((MOST, MOST)),
-        np.empty(MOST),
-        share,
-        label,
-    )
-
-
-@leaf_kernel
-def _share_out(
-    x: F64,
-    m: int,
-    planes: F64,
-    count: int,
-    side: I64,
-    sigma: float,
-    threshold: float,
-    cosine: F64,
-    d: F64,
-    share: F64,
-    label: I64,
-) -> None:
-    none = np.exp(-0.5 * threshold * threshold / (sigma * sigma))
+    planes, share = pieces.planes, shares.share
+    none = np.exp(-0.5 * sample.threshold * sample.threshold / (sample.sigma * sample.sigma))
     for a in range(count):
         for b in range(count):
-            cosine[a, b] = (
+            shares.cosine[a, b] = (
                 planes[a, 0] * planes[b, 0]
                 + planes[a, 1] * planes[b, 1]
                 + planes[a, 2] * planes[b, 2]
             )
-    for i in range(m):
-        total, best = 0.0, none
-        label[i] = -1
-        for a in range(count):
-            d[a] = distance(x[i], planes[a])
-        for a in range(count):
-            share[a, i] = 0.0
-            if abs(d[a]) > threshold:
-                continue
-            own = True
-            for b in range(count):
-                if side[a, b] != 0:
-                    own = own and side[a, b] * (d[b] - d[a] * cosine[a, b]) >= 0.0
-            if own:
-                share[a, i] = np.exp(-0.5 * d[a] * d[a] / (sigma * sigma))
-                total += share[a, i]
-                if share[a, i] > best:
-                    best = share[a, i]
-                    label[i] = a
+    for i in range(sample.n):
+        total = _likelihoods(i, sample, pieces, count, shares, none)
         for a in range(count):
             if share[a, i] > 0.0:
                 share[a, i] *= share[a, i] / (total * (share[a, i] + none))
 
 
 @leaf_kernel
-def certain(x: F64, m: int, plane: F64, sigma: float, share: F64, out: F64) -> None:
+def _likelihoods(
+    i: int, sample: PointSample, pieces: Pieces, count: int, shares: Shares, none: float
+) -> Any:
+    """Likelihood of point i on each piece to its shares, and its label; returns their sum."""
+    share, d, side = shares.share, shares.d, pieces.side
+    sigma, total, best = sample.sigma, 0.0, none
+    pieces.label[i] = -1
+    for a in range(count):
+        d[a] = distance(sample.x[i], pieces.planes[a])
+    for a in range(count):
+        share[a, i] = 0.0
+        if abs(d[a]) > sample.threshold:
+            continue
+        own = True
+        for b in range(count):
+            if side[a, b] != 0:
+                own = own and side[a, b] * (d[b] - d[a] * shares.cosine[a, b]) >= 0.0
+        if own:
+            share[a, i] = np.exp(-0.5 * d[a] * d[a] / (sigma * sigma))
+            total += share[a, i]
+            if share[a, i] > best:
+                best = share[a, i]
+                pieces.label[i] = a
+    return total
+
+
+@leaf_kernel
+def own_information(sample: PointSample, plane: F64, share: F64) -> None:
     """What the points tell of a plane, over what they would if they were known to be its own (Louis
-    1982): a doubtful point tells less, and less the farther it lies off. Its mean over the doubt is
-    never below zero, single points count as zero where they would be.
+    1982), in place of their shares (m,): a doubtful point tells less, and less the farther it lies
+    off. Its mean over the doubt is never below zero, single points count as zero where they would
+    be.
     """
-    for i in range(m):
-        d = distance(x[i], plane) / sigma
-        out[i] = max(0.0, share[i] - share[i] * (1.0 - share[i]) * d * d)
+    for i in range(sample.n):
+        d = distance(sample.x[i], plane) / sample.sigma
+        share[i] = max(0.0, share[i] - share[i] * (1.0 - share[i]) * d * d)
 
 
 @kernel
-def drop_plane(planes: F64, means: F64, inverses: F64, used: F64, count: int, k: int) -> Any:
+def drop_plane(pieces: Pieces, count: int, k: int) -> Any:
     """Close the gap of plane k; returns the new count."""
     for j in range(k, count - 1):
-        planes[j], means[j], inverses[j], used[j] = (
-            planes[j + 1],
-            means[j + 1],
-            inverses[j + 1],
-            used[j + 1],
-        )
+        pieces.planes[j], pieces.means[j] = pieces.planes[j + 1], pieces.means[j + 1]
+        pieces.inverses[j], pieces.used[j] = pieces.inverses[j + 1], pieces.used[j + 1]
     return count - 1
 
 
 @kernel
-def merge_same(planes: F64, means: F64, inverses: F64, used: F64, count: int, sigma: float) -> Any:
+def merge_coincident(pieces: Pieces, count: int, sigma: float) -> Any:
     """Drop planes that another one explains: nearly parallel, and within the noise of it at their
     own centre.
     """
+    planes, means = pieces.planes, pieces.means
     k = count - 1
     while k > 0:
         for j in range(k):
@@ -203,85 +184,106 @@ def merge_same(planes: F64, means: F64, inverses: F64, used: F64, count: int, si
             )
             near = abs(distance(means[k], planes[j])) < SAME_SIGMAS * sigma
             if near and np.sqrt(max(0.0, 1.0 - c * c)) < SAME_SINE:
-                count = drop_plane(planes, means, inverses, used, count, k)
+                count = drop_plane(pieces, count, k)
                 break
         k -= 1
     return count
 
 
 @kernel
+def _bound(sample: PointSample, pieces: Pieces, count: int) -> None:
+    """Label the points with their nearest planes, and see which planes bound each other."""
+    limit, label = sample.threshold * sample.threshold, pieces.label
+    nearest_planes(sample.x, sample.n, pieces.planes, count, limit, label)
+    bounding_sides(sample.x, sample.n, label, pieces.planes, count, sample.sigma, pieces.side)
+
+
+@kernel
+def _priced(sample: PointSample, pieces: Pieces, count: int, most: float) -> Any:
+    """Length of the pieces' description with their own parameters."""
+    support = np.empty(MOST, np.int64)
+    length, _ = pieces_cost(sample, pieces.planes, count, pieces.side, most, support)
+    return length + count * (3.0 * np.log(sample.n) * sample.sigma * sample.sigma)
+
+
+@kernel
+def _refit_all(
+    sample: PointSample, reach: float, pieces: Pieces, count: int, shares: Shares, across: float
+) -> Any:
+    """Refit all planes by the points' shares. Returns (number of planes left, farthest that one
+    moved within ``reach``).
+    """
+    planes, moved, k, before = pieces.planes, 0.0, count - 1, np.empty(4)
+    while k >= 0:
+        before[:] = planes[k]
+        used = fit_shares(
+            sample.x, sample.n, shares.share[k], planes[k], pieces.means[k], pieces.inverses[k]
+        )
+        pieces.used[k] = used
+        if used < FEWEST or (count > 1 and on_line(used, pieces.inverses[k], across)):
+            count = drop_plane(pieces, count, k)
+        else:
+            turn = (
+                (before[0] - planes[k, 0]) ** 2
+                + (before[1] - planes[k, 1]) ** 2
+                + (before[2] - planes[k, 2]) ** 2
+            )
+            moved = max(moved, abs(before[3] - planes[k, 3]) + reach * np.sqrt(turn))
+        k -= 1
+    return merge_coincident(pieces, count, sample.sigma), moved
+
+
+@kernel
+def _covariances(sample: PointSample, pieces: Pieces, count: int, shares: Shares) -> None:
+    """``used``, ``means`` and ``inverses`` of the planes as they are, by what the points tell."""
+    share_out(sample, pieces, count, shares)
+    for k in range(count):
+        own_information(sample, pieces.planes[k], shares.share[k])
+        plane = pieces.planes[k].copy()
+        used = fit_shares(
+            sample.x, sample.n, shares.share[k], plane, pieces.means[k], pieces.inverses[k]
+        )
+        pieces.used[k] = max(FEWEST, used)
+
+
+@kernel
 def refine(
-    x: F64,
-    m: int,
+    sample: PointSample,
     reach: float,
-    planes: F64,
-    means: F64,
-    inverses: F64,
-    used: F64,
+    pieces: Pieces,
     count: int,
-    sigma: float,
-    threshold: float,
     rounds: int,
-    side: I64,
-    label: I64,
     across: float = 0.0,
 ) -> Any:
-    """Share out the points (m, 3) within ``reach`` and refit all planes, in turn until none moves
+    """Share out the points within ``reach`` and refit all planes, in turn until none moves
     (expectation and maximisation), for ``rounds`` at most, and as many again after a plane is
     dropped.
 
     Planes whose points lie on a line less than ``across`` wide are dropped. Returns the number of
     planes; ``used``, ``means`` and ``inverses`` give their covariance.
     """
-    share, before, start, at_first = np.zeros((MOST, m)), np.empty(4), planes.copy(), count
-    support, limit, price = (
-        np.empty(MOST, np.int64),
-        threshold * threshold,
-        3.0 * np.log(m) * sigma * sigma,
-    )
-    nearest_planes(x, m, planes, count, limit, label)
-    bounds(x, m, label, planes, count, sigma, side)
-    worst = WORSE * (
-        pieces_cost(x, m, planes, count, side, limit, sigma, np.inf, support)[0] + count * price
-    )
+    shares, start, at_first = room_for_shares(sample.n), pieces.planes.copy(), count
+    _bound(sample, pieces, count)
+    worst = WORSE * _priced(sample, pieces, count, np.inf)
     step = 0
     while step < rounds:
-        share_out(x, m, planes, count, side, sigma, threshold, share, label)
-        moved, lost, k = 0.0, False, count - 1
-        while k >= 0:
-            before[:] = planes[k]
-            used[k] = fit_shares(x, m, share[k], planes[k], means[k], inverses[k])
-            if used[k] < FEWEST or (count > 1 and on_line(used[k], inverses[k], across)):
-                count, lost = drop_plane(planes, means, inverses, used, count, k), True
-            else:
-                turn = (
-                    (before[0] - planes[k, 0]) ** 2
-                    + (before[1] - planes[k, 1]) ** 2
-                    + (before[2] - planes[k, 2]) ** 2
-                )
-                moved = max(moved, abs(before[3] - planes[k, 3]) + reach * np.sqrt(turn))
-            k -= 1
+        share_out(sample, pieces, count, shares)
         size = count
-        count = merge_same(planes, means, inverses, used, count, sigma)
-        if count < size or lost:
+        count, moved = _refit_all(sample, reach, pieces, count, shares, across)
+        if count < size:
             step = -1  # what is left has all its rounds
         if step < SETTLING:
-            nearest_planes(x, m, planes, count, limit, label)
-        elif moved < SETTLED * sigma:
+            limit = sample.threshold * sample.threshold
+            nearest_planes(sample.x, sample.n, pieces.planes, count, limit, pieces.label)
+        elif moved < SETTLED * sample.sigma:
             break
-        bounds(x, m, label, planes, count, sigma, side)
+        bounding_sides(
+            sample.x, sample.n, pieces.label, pieces.planes, count, sample.sigma, pieces.side
+        )
         step += 1
-    if (
-        pieces_cost(x, m, planes, count, side, limit, sigma, worst, support)[0] + count * price
-        > worst
-    ):
+    if _priced(sample, pieces, count, worst) > worst:
         count = at_first
-        planes[:] = start
-        nearest_planes(x, m, planes, count, limit, label)
-        bounds(x, m, label, planes, count, sigma, side)
-    share_out(x, m, planes, count, side, sigma, threshold, share, label)
-    for k in range(count):
-        certain(x, m, planes[k], sigma, share[k], share[k])
-        before[:] = planes[k]
-        used[k] = max(FEWEST, fit_shares(x, m, share[k], before, means[k], inverses[k]))
+        pieces.planes[:] = start
+        _bound(sample, pieces, count)
+    _covariances(sample, pieces, count, shares)
     return count

@@ -8,15 +8,16 @@ from typing import Any
 
 import numpy as np
 
+from ladar_volume.clouds.filter.cell_records import NeighbourSets, PieceBounds, PointSample
 from ladar_volume.clouds.filter.plane_em import pieces_cost
 from ladar_volume.clouds.filter.sharp_planes import (
     MOST,
-    bounds,
+    bounding_sides,
     fit_plane,
     nearest_piece,
     nearest_pieces,
     nearest_planes,
-    squares,
+    squared_distances,
 )
 from ladar_volume.math.array_types import F64, I64
 from ladar_volume.math.kernels import kernel, leaf_kernel
@@ -32,8 +33,8 @@ ENOUGH = 1.2
 #: Share of the points that planes must explain, with no more than the noise left, to need no
 #: comparison.
 EXPLAINS = 0.85
-#: Lent sets compared by all points: so many, none of them longer than the best by more than this
-#: factor on a sample.
+#: Neighbours' sets compared by all points: so many, none of them longer than the best by more than
+#: this factor on a sample.
 TIGHT, NEARLY = 5, 1.1
 #: So many planes that still leave this mean truncated square over sigma² do not describe a surface:
 #: leaves, grass, cables.
@@ -70,18 +71,17 @@ def sum_of_less(a: F64, b: F64, n: int) -> Any:
 
 
 @kernel
-def distinct(
-    y: F64, n: int, candidates: F64, offered: int, limit: float, worth: float, out: F64
-) -> Any:
-    """A few candidates, each the one that explains most of what those before it leave, to out (k,
-    4); returns how many. One that lowers the sum of squares by no more than it is ``worth`` is no
-    other plane, but one of those before as another cell found it.
+def greedy_candidates(sample: PointSample, candidates: F64, worth: float, out: F64) -> Any:
+    """A few candidates (c, 4), each the one that explains most of what those before it leave, to
+    out (k, 4); returns how many. One that lowers the sum of squares by no more than it is ``worth``
+    is no other plane, but one of those before as another cell found it.
 
     What a candidate explains becomes less with every one before it, so it is computed anew only
     where it was the most so far.
     """
-    square, residual = np.empty((offered, n)), np.full(n, limit)
-    squares(y, n, candidates, offered, square)
+    offered, n = len(candidates), sample.n
+    square, residual = np.empty((offered, n)), np.full(n, sample.threshold * sample.threshold)
+    squared_distances(sample.x, n, candidates, offered, square)
     gain, known, number = np.full(offered, np.inf), np.full(offered, -1), 0
     while number < min(len(out), offered):
         c, left = np.argmax(gain), residual.sum()
@@ -98,30 +98,19 @@ def distinct(
 
 
 @kernel
-def description(
-    y: F64,
-    n: int,
-    trial: F64,
-    size: int,
-    m: int,
-    sigma: float,
-    threshold: float,
-    need: Any,
-    most: float,
-    side: I64,
-    label: I64,
+def description_length(
+    sample: PointSample, trial: F64, size: int, need: int, most: float, bounds: PieceBounds
 ) -> Any:
-    """Description length of m points, of which the n points y (n, 3) are a sample, with these
-    planes; infinite where one of the planes has less than ``need`` points of the sample, or where
-    it exceeds ``most``.
+    """Description length of the points that the sample stands for with these planes; infinite where
+    one of the planes has less than ``need`` points of the sample, or where it exceeds ``most``.
     """
-    support = np.empty(MOST, np.int64)
-    limit = threshold * threshold
+    x, n, m, sigma = sample.x, sample.n, sample.m, sample.sigma
+    support, limit = np.empty(MOST, np.int64), sample.threshold * sample.threshold
     price = 3.0 * size * np.log(m) * sigma * sigma
-    if nearest_planes(y, n, trial, size, limit, label) * m / n + price >= most:
+    if nearest_planes(x, n, trial, size, limit, bounds.label) * m / n + price >= most:
         return np.inf
-    bounds(y, n, label, trial, size, sigma, side)
-    length, _ = pieces_cost(y, n, trial, size, side, limit, sigma, (most - price) * n / m, support)
+    bounding_sides(x, n, bounds.label, trial, size, sigma, bounds.side)
+    length, _ = pieces_cost(sample, trial, size, bounds.side, (most - price) * n / m, support)
     length = length * m / n + price
     return length if length < most and support[:size].min() >= need else np.inf
 
@@ -168,30 +157,20 @@ def _all_sets(
 
 
 @kernel
-def few_planes(
-    y: F64,
-    n: int,
-    few: F64,
-    tried: int,
-    m: int,
-    sigma: float,
-    threshold: float,
-    need: int,
-    most: int,
-    planes: F64,
-    side: I64,
-    label: I64,
+def best_small_set(
+    sample: PointSample, few: F64, need: int, most: int, planes: F64, bounds: PieceBounds
 ) -> Any:
-    """The best set of up to ``TOGETHER`` candidates, all sets compared. Returns (number of planes,
-    description length).
+    """The best set of up to ``TOGETHER`` of the candidates (c, 4), all sets compared. Returns
+    (number of planes, description length).
 
     The sum over the points of the square to the nearest of the unbounded planes is a lower bound;
     sets come in its order. Where not one is below what clutter leaves, and no plane's own points
     scatter about it less than its slab's width lets them, there is none.
     """
-    limit = threshold * threshold
+    n, m, sigma, tried = sample.n, sample.m, sample.sigma, len(few)
+    limit = sample.threshold * sample.threshold
     square, room = np.empty((tried, n)), tried * (tried * tried + 5) // 6
-    squares(y, n, few, tried, square)
+    squared_distances(sample.x, n, few, tried, square)
     clutter = _cut_off(square, tried, n, limit, sigma)
     sets, least = np.empty((room, TOGETHER), np.int64), np.empty(room)
     number = _all_sets(square, tried, m, 3.0 * np.log(m) * sigma * sigma, most, sets, least)
@@ -205,7 +184,7 @@ def few_planes(
         a, b, c = sets[s]
         size = 1 + (b > a) + (c > b)
         trial[0], trial[1], trial[2] = few[a], few[b], few[c]
-        length = description(y, n, trial, size, m, sigma, threshold, need, cost, side, label)
+        length = description_length(sample, trial, size, need, cost, bounds)
         if length < cost:
             count, cost = size, length
             planes[:size] = trial[:size]
@@ -213,31 +192,22 @@ def few_planes(
 
 
 @kernel
-def polish(
-    y: F64,
-    n: int,
-    count: int,
-    cost: float,
-    m: int,
-    sigma: float,
-    threshold: float,
-    need: int,
-    planes: F64,
-    side: I64,
-    label: I64,
+def refit_nearest(
+    sample: PointSample, count: int, cost: float, need: int, planes: F64, bounds: PieceBounds
 ) -> Any:
     """Refit the planes to the points nearest to their pieces, where that shortens the description;
     returns its length.
     """
+    x, n, side, label = sample.x, sample.n, bounds.side, bounds.label
     trial, mean, inverse = np.empty((MOST, 4)), np.empty(3), np.empty((3, 3))
-    limit = threshold * threshold
-    nearest_planes(y, n, planes, count, limit, label)
-    bounds(y, n, label, planes, count, sigma, side)
-    nearest_pieces(y, n, planes, count, side, limit, label)
+    limit = sample.threshold * sample.threshold
+    nearest_planes(x, n, planes, count, limit, label)
+    bounding_sides(x, n, label, planes, count, sample.sigma, side)
+    nearest_pieces(x, n, planes, count, side, limit, label)
     trial[:count] = planes[:count]
     for k in range(count):
-        fit_plane(y, n, label, k, trial[k], mean, inverse)
-    length = description(y, n, trial, count, m, sigma, threshold, need, cost, side, label)
+        fit_plane(x, n, label, k, trial[k], mean, inverse)
+    length = description_length(sample, trial, count, need, cost, bounds)
     if length < cost:
         planes[:count] = trial[:count]
         return length
@@ -245,7 +215,7 @@ def polish(
 
 
 @kernel
-def without(planes: F64, size: int, k: int | np.intp, out: F64) -> Any:
+def remove_plane(planes: F64, size: int, k: int | np.intp, out: F64) -> Any:
     """All of ``size`` planes but the one numbered k, to out, which may be ``planes``; returns how
     many.
     """
@@ -255,66 +225,76 @@ def without(planes: F64, size: int, k: int | np.intp, out: F64) -> Any:
 
 
 @kernel
-def search(
-    y: F64,
-    n: int,
+def _best_move(
+    sample: PointSample,
     few: F64,
-    tried: int,
-    m: int,
-    sigma: float,
-    threshold: float,
     need: int,
     most: int,
+    state: tuple[int, float],
     planes: F64,
-    side: I64,
-    label: I64,
+    bounds: PieceBounds,
+) -> Any:
+    """The one plane added, exchanged or dropped that shortens the description of ``state`` (number
+    of planes, length) most, made in ``planes``. Returns (number of planes, length), −1 where none
+    does.
+    """
+    trial, best_set = np.empty((MOST, 4)), np.empty((MOST, 4))
+    count, best = state
+    best_count = -1
+    for c in range(-1, len(few)):
+        # move k: plane k exchanged for candidate c, or dropped for c = −1; k = count: added
+        for k in range(count + (c >= 0 and count < most)):
+            if c >= 0:
+                trial[:count] = planes[:count]
+                trial[k], size = few[c], max(count, k + 1)
+            else:
+                size = remove_plane(planes, count, k, trial)
+            if size == 0:
+                continue
+            length = description_length(sample, trial, size, need, best, bounds)
+            if length < best:
+                best, best_count = length, size
+                best_set[:size] = trial[:size]
+    if best_count > 0:
+        planes[:best_count] = best_set[:best_count]
+    return best_count, best
+
+
+@kernel
+def exchange_search(
+    sample: PointSample, few: F64, need: int, most: int, planes: F64, bounds: PieceBounds
 ) -> Any:
     """At most ``most`` planes: the best few, then added, exchanged and dropped one at a time,
     whatever shortens the description most, and refitted after every such move; none for clutter.
     Returns (number of planes, description length).
     """
-    trial, best_set = np.empty((MOST, 4)), np.empty((MOST, 4))
-    count, cost = few_planes(y, n, few, tried, m, sigma, threshold, need, most, planes, side, label)
+    count, cost = best_small_set(sample, few, need, most, planes, bounds)
     if count == 0:
         return 0, np.inf
     for _ in range(2 * MOST):
-        if count >= SEVERAL and cost > CLUTTER * m * sigma * sigma:
+        if count >= SEVERAL and cost > CLUTTER * sample.m * sample.sigma * sample.sigma:
             return 0, np.inf
-        cost = polish(y, n, count, cost, m, sigma, threshold, need, planes, side, label)
-        best, best_count = cost, -1
-        for c in range(-1, tried):
-            # move k: plane k exchanged for candidate c, or dropped for c = −1; k = count: added
-            for k in range(count + (c >= 0 and count < most)):
-                if c >= 0:
-                    trial[:count] = planes[:count]
-                    trial[k], size = few[c], max(count, k + 1)
-                else:
-                    size = without(planes, count, k, trial)
-                if size == 0:
-                    continue
-                length = description(
-                    y, n, trial, size, m, sigma, threshold, need, best, side, label
-                )
-                if length < best:
-                    best, best_count = length, size
-                    best_set[:size] = trial[:size]
-        if best_count < 0:
+        cost = refit_nearest(sample, count, cost, need, planes, bounds)
+        changed, length = _best_move(sample, few, need, most, (count, cost), planes, bounds)
+        if changed < 0:
             break
-        count, cost = best_count, best
-        planes[:count] = best_set[:count]
+        count, cost = changed, length
     return count, cost
 
 
 @kernel
-def sample(x: F64, m: int, least: int) -> Any:
-    """At most ``SEEN`` of the points x[:m], and how many of them a plane needs."""
-    stride = (m + SEEN - 1) // SEEN
-    y = x[:m:stride]
-    return y, max(least // stride, np.int64(CHANCE * len(y)), 1)
+def thin_sample(whole: PointSample, least: int) -> Any:
+    """At most ``SEEN`` of the points of a whole neighbourhood, and how many of them a plane
+    needs.
+    """
+    stride = (whole.m + SEEN - 1) // SEEN
+    y = whole.x[: whole.m : stride]
+    need = max(least // stride, np.int64(CHANCE * len(y)), 1)
+    return PointSample(y, len(y), whole.m, whole.sigma, whole.threshold), need
 
 
 @leaf_kernel
-def same(a: F64, b: F64, reach: float, limit: float) -> Any:
+def planes_coincide(a: F64, b: F64, reach: float, limit: float) -> Any:
     """Whether two planes about an origin are nowhere within ``reach`` of it farther apart than the
     limit.
     """
@@ -324,21 +304,24 @@ def same(a: F64, b: F64, reach: float, limit: float) -> Any:
 
 
 @kernel
-def among(plane: F64, planes: F64, count: int, reach: float, limit: float) -> Any:
-    """Whether a plane is one of ``count`` planes (k, 4), as :func:`same`."""
+def contains_plane(planes: F64, count: int, plane: F64, reach: float, limit: float) -> Any:
+    """Whether one of ``count`` planes (k, 4) coincides with a plane, as :func:`planes_coincide`."""
     for a in range(count):
-        if same(plane, planes[a], reach, limit):
+        if planes_coincide(plane, planes[a], reach, limit):
             return True
     return False
 
 
 @kernel
-def repeated(lent: F64, sizes: I64, a: int, reach: float, limit: float) -> Any:
+def repeats_earlier_set(sets: NeighbourSets, a: int, reach: float, limit: float) -> Any:
     """Whether set ``a`` has the same planes as one before it."""
+    planes, sizes = sets
     for b in range(a):
         if sizes[b] == sizes[a]:
             known = 0
-            while known < sizes[a] and among(lent[a, known], lent[b], sizes[b], reach, limit):
+            while known < sizes[a] and contains_plane(
+                planes[b], sizes[b], planes[a, known], reach, limit
+            ):
                 known += 1
             if known == sizes[a]:
                 return True
@@ -346,110 +329,86 @@ def repeated(lent: F64, sizes: I64, a: int, reach: float, limit: float) -> Any:
 
 
 @kernel
-def best_lent(
-    x: F64,
-    m: int,
+def best_neighbour_set(
+    whole: PointSample,
     reach: float,
-    lent: F64,
-    sizes: I64,
-    sigma: float,
-    threshold: float,
+    sets: NeighbourSets,
     least: int,
     planes: F64,
-    side: I64,
-    label: I64,
+    bounds: PieceBounds,
 ) -> Any:
-    """Of the sets (k, MOST, 4) that neighbours chose, the one with the shortest description of the
-    points (m, 3), of the ``TIGHT`` best different ones by a sample. Returns (number of planes,
-    length); a plane that a neighbour found needs half as many points here.
+    """Of the sets that neighbours chose, the one with the shortest description of all points, of
+    the ``TIGHT`` best different ones by a sample. Returns (number of planes, length); a plane that
+    a neighbour found needs half as many points here.
     """
-    y, need = sample(x, m, least)
-    length, shortest = np.full(len(lent), np.inf), threshold * threshold * m
-    for a in range(len(lent)):
-        if not repeated(lent, sizes, a, reach, REPEATED * sigma):
-            length[a] = description(
-                y,
-                len(y),
-                lent[a],
-                sizes[a],
-                m,
-                sigma,
-                threshold,
+    m, limit = whole.m, whole.threshold * whole.threshold
+    sample, need = thin_sample(whole, least)
+    length, shortest = np.full(len(sets.planes), np.inf), limit * m
+    for a in range(len(sets.planes)):
+        if not repeats_earlier_set(sets, a, reach, REPEATED * whole.sigma):
+            length[a] = description_length(
+                sample,
+                sets.planes[a],
+                sets.sizes[a],
                 max(need // 2, 1),
                 NEARLY * shortest,
-                side,
-                label,
+                bounds,
             )
             shortest = min(shortest, length[a])
-    count, cost, need = 0, threshold * threshold * m, max(least // 2, np.int64(0.5 * CHANCE * m))
+    count, cost, need = 0, limit * m, max(least // 2, int(0.5 * CHANCE * m))
     for a in np.argsort(length)[:TIGHT]:
         if length[a] < np.inf:
-            total = description(
-                x, m, lent[a], sizes[a], m, sigma, threshold, need, cost, side, label
-            )
+            size = sets.sizes[a]
+            total = description_length(whole, sets.planes[a], size, need, cost, bounds)
             if total < cost:
-                count, cost = sizes[a], total
-                planes[:count] = lent[a, :count]
+                count, cost = size, total
+                planes[:count] = sets.planes[a, :count]
     return count, cost
 
 
 @kernel
-def steady(
-    x: F64,
-    m: int,
-    own: F64,
-    planes: F64,
-    count: int,
-    sigma: float,
-    threshold: float,
-    side: I64,
-    label: I64,
-) -> Any:
-    """How well the pieces explain the points (m, 3), and the cell's ``own`` (k, 3) in particular: 2
+def fit_quality(whole: PointSample, own: F64, planes: F64, count: int, bounds: PieceBounds) -> Any:
+    """How well the pieces explain all points, and the cell's ``own`` (k, 3) in particular: 2
     where most lie on them and these scatter no more than the noise, 1 where they need no further
     search, 0 where they leave more than that.
     """
-    nearest_planes(x, m, planes, count, threshold * threshold, label)
-    bounds(x, m, label, planes, count, sigma, side)
+    x, m, sigma, side, label = whole.x, whole.m, whole.sigma, bounds.side, bounds.label
+    limit = whole.threshold * whole.threshold
+    nearest_planes(x, m, planes, count, limit, label)
+    bounding_sides(x, m, label, planes, count, sigma, side)
     q, left, near, square = np.empty(3), 0, 0, 0.0
     for i in range(len(own)):
-        left += nearest_piece(own[i], planes, count, side, q)[1] > threshold * threshold
+        left += nearest_piece(own[i], planes, count, side, q)[1] > limit
     for i in range(m):
         d2 = nearest_piece(x[i], planes, count, side, q)[1]
-        if d2 <= threshold * threshold:
+        if d2 <= limit:
             near += 1
             square += d2 / (sigma * sigma)
     if left > CHANCE * len(own):
         return 0
     if near > EXPLAINS * m and square < near * (1.0 + 2.0 / np.sqrt(near)):
         return 2
-    return np.int64(square + (m - near) * (threshold / sigma) ** 2 <= ENOUGH * m)
+    return np.int64(square + (m - near) * (whole.threshold / sigma) ** 2 <= ENOUGH * m)
 
 
 @kernel
-def found_planes(
-    x: F64,
-    m: int,
+def select_planes(
+    whole: PointSample,
     candidates: F64,
-    offered: int,
-    sigma: float,
-    threshold: float,
     least: int,
     most: int,
     planes: F64,
-    side: I64,
-    label: I64,
+    bounds: PieceBounds,
 ) -> Any:
-    """At most ``most`` planes among the ``offered`` candidates whose pieces together describe the
-    points (m, 3) best.
+    """At most ``most`` planes among the candidates (c, 4) whose pieces together describe all
+    points best.
 
     Returns (their number, length). A plane costs its three parameters (BIC) and needs more support
     than outliers give any slab.
     """
-    y, need = sample(x, m, least)
+    sample, need = thin_sample(whole, least)
     few = np.empty((TRIED, 4))
-    worth = (
-        3.0 * np.log(m) * sigma * sigma * len(y) / m
-    )  # its price: what is explained by less cannot be added
-    tried = distinct(y, len(y), candidates, offered, threshold * threshold, worth, few)
-    return search(y, len(y), few, tried, m, sigma, threshold, need, most, planes, side, label)
+    # its price: what is explained by less cannot be added
+    worth = 3.0 * np.log(whole.m) * whole.sigma * whole.sigma * sample.n / whole.m
+    tried = greedy_candidates(sample, candidates, worth, few)
+    return exchange_search(sample, few[:tried], need, most, planes, bounds)

@@ -204,7 +204,7 @@ def plane_share(x: F64, used: float, mean: F64, inverse: F64) -> Any:
 
 
 @leaf_kernel
-def squares(x: F64, m: int, planes: F64, count: int, out: F64) -> None:
+def squared_distances(x: F64, m: int, planes: F64, count: int, out: F64) -> None:
     """Squared distances of points (m, 3) to planes, to out (count, m)."""
     for a in range(count):
         for i in range(m):
@@ -244,7 +244,9 @@ def nearest_planes(x: F64, m: int, planes: F64, count: int, limit: float, label:
 
 
 @kernel
-def bounds(x: F64, m: int, label: I64, planes: F64, count: int, sigma: float, side: I64) -> None:
+def bounding_sides(
+    x: F64, m: int, label: I64, planes: F64, count: int, sigma: float, side: I64
+) -> None:
     """side (k, k): +1 or −1 where a plane's support lies on that side of another plane, 0 where it
     lies on both.
 

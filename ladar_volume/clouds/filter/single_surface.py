@@ -13,7 +13,7 @@ from ladar_volume.clouds.filter.orthogonal_quadric import (
     QuadricRule,
     quadric_cost,
     quadric_from,
-    settled,
+    shrink_to_threshold,
 )
 from ladar_volume.math.array_types import F64, I64
 from ladar_volume.math.kernels import kernel, leaf_kernel
@@ -70,7 +70,7 @@ def loose_plane(x: F64, m: int, reach: float, key: int, plane: F64) -> Any:
 
 
 @kernel
-def bent(x: F64, m: int, label: I64, plane: F64, mean: F64, ball: float) -> Any:
+def curvature_gain(x: F64, m: int, label: I64, plane: F64, mean: F64, ball: float) -> Any:
     """By how much quadratic terms would lower the squares of the points labelled 0 about their
     plane.
     """
@@ -102,7 +102,7 @@ def bent(x: F64, m: int, label: I64, plane: F64, mean: F64, ball: float) -> Any:
 
 
 @kernel
-def flat(cell: Cell, ball: float, price: float, pieces: Pieces) -> Any:
+def single_plane(cell: Cell, ball: float, price: float, pieces: Pieces) -> Any:
     """Whether one plane describes the points (m, 3): it explains most of them, leaves no more than
     the noise, and quadratic terms would lower its squares by less than their price. Refits
     the first of the planes; returns (1 or 0, number of its points, sum of truncated squares).
@@ -126,12 +126,12 @@ def flat(cell: Cell, ball: float, price: float, pieces: Pieces) -> Any:
             return 0, used, 0.0
     if square > used * sigma * sigma * (1.0 + 2.0 / np.sqrt(used)):
         return 0, used, 0.0
-    gain = bent(x, m, label, plane, mean, ball)
+    gain = curvature_gain(x, m, label, plane, mean, ball)
     return np.int64(gain < price), used, square + (m - used) * threshold * threshold
 
 
 @kernel
-def wider(r: F64, slots: I64, n: int, origin: F64, reach: float) -> Any:
+def points_within(r: F64, slots: I64, n: int, origin: F64, reach: float) -> Any:
     """The gathered points within ``reach`` of the origin (n, 3), and how many."""
     pts, m = np.empty((n, 3)), 0
     for i in range(n):
@@ -144,7 +144,7 @@ def wider(r: F64, slots: I64, n: int, origin: F64, reach: float) -> Any:
 
 
 @leaf_kernel
-def close_to(pts: F64, n: int, origin: F64, plane: F64, width: float) -> Any:
+def count_near_plane(pts: F64, n: int, origin: F64, plane: F64, width: float) -> Any:
     """How many of the points (n, 3) lie within ``width`` of a plane about ``origin``."""
     offset = plane[3] + plane[0] * origin[0] + plane[1] * origin[1] + plane[2] * origin[2]
     near = 0
@@ -177,10 +177,7 @@ def _hopeless(cell: Cell, inliers: int, quadric: Quadric) -> Any:
     """
     every, limit = max(cell.m // SCREEN, 1), cell.threshold * cell.threshold
     some = (cell.m + every - 1) // every
-    centre, normal, tangent, beta, _ = quadric
-    cost, near = quadric_cost(
-        cell.x[: cell.m : every], some, cell.origin, centre, normal, tangent, beta, limit
-    )
+    cost, near = quadric_cost(cell.x[: cell.m : every], some, cell.origin, quadric, limit)
     return (
         inliers < 8
         or 2 * near < some
@@ -191,12 +188,9 @@ def _hopeless(cell: Cell, inliers: int, quadric: Quadric) -> Any:
 
 @kernel
 def _judged(cell: Cell, quadric: Quadric) -> Any:
-    """Cost of a quadric and how many planes may compete with it, as :func:`bend`."""
+    """Cost of a quadric and how many planes may compete with it, as :func:`bent_quadric`."""
     m, sigma, threshold = cell.m, cell.sigma, cell.threshold
-    centre, normal, tangent, beta, _ = quadric
-    cost, near = quadric_cost(
-        cell.x, m, cell.origin, centre, normal, tangent, beta, threshold * threshold
-    )
+    cost, near = quadric_cost(cell.x, m, cell.origin, quadric, threshold * threshold)
     leaves = (cost - (m - near) * threshold * threshold) / (max(near, 1) * sigma * sigma)
     if near < m // 2 or leaves > max(HOPELESS, 1.0 + SCATTER / np.sqrt(near)):
         return np.inf, sharp_planes.MOST
@@ -205,7 +199,9 @@ def _judged(cell: Cell, quadric: Quadric) -> Any:
 
 
 @kernel
-def bend(cell: Cell, r: F64, key: int, candidates: F64, rule: CellRule, quadric: Quadric) -> Any:
+def bent_quadric(
+    cell: Cell, r: F64, key: int, candidates: F64, rule: CellRule, quadric: Quadric
+) -> Any:
     """A ``quadric`` for the cell with this ``key`` among points r (n, 3), to the arrays given.
     Returns (its sum of truncated squares, infinite for none; how many planes may compete with it):
     where it leaves no more than the noise, none: several planes, which cost no less than it, have
@@ -215,8 +211,8 @@ def bend(cell: Cell, r: F64, key: int, candidates: F64, rule: CellRule, quadric:
     loose, most = _start(cell, key, candidates, rule, start)
     if loose < 0.0:
         return np.inf, sharp_planes.MOST
-    pts, n = wider(r, cell.slots, len(cell.slots), origin, WIDE * rule.ball)
-    close = close_to(pts, n, origin, start, max(3.0 * loose, threshold))
+    pts, n = points_within(r, cell.slots, len(cell.slots), origin, WIDE * rule.ball)
+    close = count_near_plane(pts, n, origin, start, max(3.0 * loose, threshold))
     thin = max(min(n // SCREEN, close // FROM), 1)
     few = (n + thin - 1) // thin
     levels = LEVELS if thin == 1 else 1  # the fit to all points levels the frame
@@ -225,7 +221,7 @@ def bend(cell: Cell, r: F64, key: int, candidates: F64, rule: CellRule, quadric:
     if thin > 1:
         if _hopeless(cell, inliers, quadric):
             return np.inf, sharp_planes.MOST
-        inliers = settled(pts, n, threshold, fit, LEVELS, quadric)
+        inliers = shrink_to_threshold(pts, n, threshold, fit, LEVELS, quadric)
     if inliers < max(most, 8):
         return np.inf, sharp_planes.MOST
     return _judged(cell, quadric)

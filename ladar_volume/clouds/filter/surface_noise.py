@@ -25,7 +25,7 @@ KNOWN = 0.7
 FARTHEST = 2.0
 
 
-def settled(
+def cover_with_shown_noise(
     r: F64, tuned: Tuned, steps: F64, parameters: FilterParameters
 ) -> tuple[Tuned, Covered]:
     """The cover of points (n, 3) m twice: with the noise believed, on a grid set off, and with the

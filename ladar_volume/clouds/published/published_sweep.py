@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from ladar_volume.clouds.filter.cell_planes import points_in_voxels
+from ladar_volume.clouds.filter.cell_records import Quadric
 from ladar_volume.clouds.filter.cell_surface import (
     BEYOND_EDGE,
     FEW_POINTS,
     KEPT,
     NO_SURFACE,
     OUTLIER,
-    gather,
 )
 from ladar_volume.clouds.filter.orthogonal_quadric import foot_on_quadric
 from ladar_volume.clouds.filter.sharp_planes import plane_share
@@ -124,23 +125,18 @@ def project_on_quadric(
     out.tally[TRIALS] += made
     if used == 0:
         return False
-    centre, normal, tangent = frame.centre, frame.normal, frame.tangent
-    beta, inverse = terms.beta, terms.inverse
-    across(normal, tangent, side)
+    quadric = Quadric(frame.centre, frame.normal, frame.tangent, terms.beta, terms.inverse)
+    across(frame.normal, frame.tangent, side)
     threshold, distances = inlier_threshold(sigma, rule), hood.sampler.distances
     for a in range(m):
-        distances[a], _ = foot_on_quadric(
-            hood.x[a], centre, normal, tangent, side, beta, inverse, foot, n_foot
-        )
+        distances[a], _ = foot_on_quadric(hood.x[a], quadric, side, foot, n_foot)
     if not is_surface(distances, m, threshold, sigma, 1, rule, out.tally):
         return False
     for a in range(m):
         if hood.pending[a] == 0:
             continue
         i = hood.slots[a]
-        d, share = foot_on_quadric(
-            hood.x[a], centre, normal, tangent, side, beta, inverse, foot, n_foot
-        )
+        d, share = foot_on_quadric(hood.x[a], quadric, side, foot, n_foot)
         out.reason[i] = KEPT if d <= threshold else OUTLIER
         if d <= threshold:
             out.variance[i] = share * sigma * sigma
@@ -198,7 +194,9 @@ def sweep(
         middle = visit[rank]
         if reason[middle] == KEPT or reason[middle] == BEYOND_EDGE:
             continue
-        n = gather(voxels.voxel[middle], voxels.keys, voxels.table, voxels.first, r, hood.slots)
+        n = points_in_voxels(
+            voxels.voxel[middle], voxels.keys, voxels.table, voxels.first, r, hood.slots
+        )
         m, marked = collect_neighbourhood(r, middle, n, rule.radius, reason, hood)
         if marked < rule.min_points:
             continue

@@ -6,13 +6,13 @@ import threading
 
 import pytest
 
-from ladar_volume.math.run_concurrently import at_once
+from ladar_volume.math.run_concurrently import run_concurrently
 from ladar_volume.model.errors import VolumeError
 
 
 def test_both_run_at_the_same_time():
     met = threading.Barrier(2, timeout=30.0)
-    assert at_once(lambda: (met.wait(), 1)[1], lambda: (met.wait(), 2)[1]) == (1, 2)
+    assert run_concurrently(lambda: (met.wait(), 1)[1], lambda: (met.wait(), 2)[1]) == (1, 2)
 
 
 def test_what_either_raises_is_raised_when_both_have_ended():
@@ -26,7 +26,7 @@ def test_what_either_raises_is_raised_when_both_have_ended():
         raise VolumeError("no", reason="volume_no_estimate")
 
     with pytest.raises(VolumeError):
-        at_once(refuse, late)
+        run_concurrently(refuse, late)
     assert ended.is_set()
     with pytest.raises(VolumeError):
-        at_once(lambda: None, refuse)
+        run_concurrently(lambda: None, refuse)
