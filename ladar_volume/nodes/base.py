@@ -34,11 +34,11 @@ from ladar_volume.model.parameter import specs
 from ladar_volume.model.parameters import SECTIONS, Parameters
 from ladar_volume.model.records import Datum
 from ladar_volume.nodes.declared_parameters import descriptor, outside, why_never, why_not_now
-from ladar_volume.nodes.defect_reports import Defects
 from ladar_volume.nodes.executor_rounds import AT_ONCE, take_waiting, unpacked
-from ladar_volume.nodes.health import Health
 from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.stream_passes import OnePublisher
+from ladar_volume.nodes.watch.defect_reports import Defects
+from ladar_volume.nodes.watch.health import Health
 from ladar_volume.nodes.work_queue import WorkQueue
 from ladar_volume.process import memory
 from ladar_volume.process.switch import is_own_process

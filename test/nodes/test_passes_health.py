@@ -1,7 +1,7 @@
 """Passes of a looping recording seen from its outputs, and what a node says of itself; without ROS."""
 
-from ladar_volume.nodes.health import Health
 from ladar_volume.nodes.stream_passes import Passes
+from ladar_volume.nodes.watch.health import Health
 
 S = 1_000_000_000
 
