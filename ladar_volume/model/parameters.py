@@ -412,6 +412,12 @@ class NodeParameters:
     autostart: bool = param(True, "Configure and activate at start.")
     tin_colour: str = param("height", "Colour of the published TIN.", choices=("height", "sigma"))
     output_folder: str = param("out", "Where ~/save writes.")
+    hardware_id: str = param("", "Name of the vehicle in /diagnostics; empty: the computer's.")
+    lidar_frame: str = param(
+        "", "Frame the clouds must come in; empty: any in which a scanner can measure."
+    )
+    imu_frame: str = param("", "Frame the attitudes must come in; empty: any.")
+    gnss_frame: str = param("", "Frame the fixes must come in; empty: any.")
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import contextlib
 import importlib
 import itertools
 import queue
+import socket
 import threading
 import time
 from abc import ABC, abstractmethod
@@ -39,6 +40,7 @@ from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.stream_passes import OnePublisher
 from ladar_volume.nodes.watch.defect_reports import Defects
 from ladar_volume.nodes.watch.health import Health
+from ladar_volume.nodes.watch.loss_shares import LossShares
 from ladar_volume.nodes.work_queue import WorkQueue
 from ladar_volume.process import memory
 from ladar_volume.process.switch import is_own_process
@@ -78,6 +80,7 @@ class StageNode(LifecycleNode, ABC):
         self.cut_off = False
         self._defects = Defects()
         self.health = Health()
+        self._shares = LossShares()
         self._queue = WorkQueue()
         self._worker: threading.Thread | None = None
         self._group = MutuallyExclusiveCallbackGroup()
@@ -172,6 +175,14 @@ class StageNode(LifecycleNode, ABC):
     def warnings(self) -> list[str]:
         """What the node itself finds wrong, in words; for subclasses."""
         return []
+
+    def errors(self) -> list[str]:
+        """What makes the node's results wrong or keeps them away, in words; for subclasses."""
+        return []
+
+    def offered(self) -> dict[str, int]:
+        """What came so far, by the unit that losses count: a cloud, a fix, a point."""
+        return self.health.counts()
 
     def on_configure(self, state: Any) -> TransitionCallbackReturn:
         """Build everything, kernels included, and start the worker."""
@@ -433,25 +444,32 @@ class StageNode(LifecycleNode, ABC):
         values |= self.health.lines(now, int(clock.nanoseconds)) | {
             "clock_jumps_back": self._jumps_back
         }
-        wrong = self.health.silent(now) if self._active else []
+        wrong, errors = self.health.silent(now) if self._active else ([], [])
         with contextlib.suppress(
             RuntimeError
         ):  # a dictionary of the worker's changed size under our eyes: next period
             values |= self.status()
             wrong += self.warnings()
+            errors += self.errors()
         lost = self.all_losses()
         values |= {f"lost_{reason}": count for reason, count in lost.items()}
-        wrong += self.health.newly_lost(lost.as_dict())
-        level, message = (
-            (DiagnosticStatus.WARN, "; ".join(wrong)) if wrong else (DiagnosticStatus.OK, "good")
-        )
-        status = DiagnosticStatus(
-            level=level, name=self.get_name(), message=message, hardware_id="ladar_volume"
-        )
+        many, most = self._shares.judge(lost.as_dict(), self.offered(), now)
+        wrong += [*many, *self.health.newly_lost(lost.as_dict())]
+        status = self._status_of([*errors, *most], wrong)
         status.values = [KeyValue(key=k, value=str(v)) for k, v in values.items()]
         array = DiagnosticArray(status=[status])
         array.header.stamp = clock.to_msg()
         self._diagnostics.publish(array)
+
+    def _status_of(self, errors: list[str], warnings: list[str]) -> DiagnosticStatus:
+        """The state under the node's name with its namespace, that of the worst finding."""
+        level = DiagnosticStatus.WARN if warnings else DiagnosticStatus.OK
+        return DiagnosticStatus(
+            level=DiagnosticStatus.ERROR if errors else level,
+            name=self.get_fully_qualified_name().lstrip("/"),
+            message="; ".join([*errors, *warnings]) or "good",
+            hardware_id=self.parameters.node.hardware_id or socket.gethostname(),
+        )
 
     def all_losses(self) -> Losses:
         """The node's and its stage's losses."""

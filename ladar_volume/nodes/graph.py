@@ -56,8 +56,12 @@ class Watcher(Node):
         self._compute = self.create_client(Trigger, "volume_node/compute")
 
     def _take(self, message: DiagnosticArray) -> None:
+        own = f"{self.get_namespace().rstrip('/')}/"  # others' vehicles report there as well
         for status in message.status:
-            self.lines[status.name] = {v.key: v.value for v in status.values}
+            space, slash, name = f"/{status.name}".rpartition("/")
+            if space + slash != own:
+                continue
+            self.lines[name] = {v.key: v.value for v in status.values}
 
     def number(self, node: str, key: str) -> int:
         """A counter of a node's last diagnostics, −1 where it is not there."""

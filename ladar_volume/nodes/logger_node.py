@@ -125,6 +125,7 @@ class LoggerNode(StageNode):
             "parameters.yaml", "application/yaml", dump_config(parameters).encode(), self._now()
         )
         self._known: dict[str, Subscribed | None] = {}
+        self._told = ""
         self._offered, self._taken = 0, 0  # bytes; each counted by one thread alone
         self._rates: dict[str, tuple[float, int]] = {}
         self._repairs: list[Recovery | OutputError] = []
@@ -280,6 +281,14 @@ class LoggerNode(StageNode):
         total.merge(self._recorder.losses())
         total.add("message_unrepaired_file", sum(isinstance(r, OutputError) for r in self._repairs))
         return total
+
+    def errors(self) -> list[str]:
+        """Why nothing is written, said on the console as well when it begins."""
+        problem = self._recorder.problem
+        if problem and problem != self._told:
+            self.get_logger().error(problem)
+        self._told = problem
+        return [f"nothing is logged: {problem}"] if problem else []
 
     def status(self) -> dict[str, Any]:
         """What is written where, and the account of every topic."""
