@@ -429,7 +429,16 @@ class LoggerParameters:
         "File to write; further files get a running number, an existing one is never overwritten.",
     )
     topics: tuple[str, ...] = param(
-        ("*",), "Topics to log, with shell wildcards; '*' for all of this graph.", vector=0
+        ("*",),
+        "Topics to log, with shell wildcards; '*' for the inputs and results of this vehicle.",
+        vector=0,
+    )
+    all: bool = param(
+        False,
+        (
+            "With '*', log also what the nodes derive on the way (mapped and filtered points, "
+            "patches, tin, mesh): many times the size of the inputs, and a replay makes it again."
+        ),
     )
     chunk_s: float = param(
         0.5,

@@ -25,6 +25,7 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import NavSatFix
+from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
 from ladar_volume.io.cloud_messages import stamp_ns
@@ -49,6 +50,8 @@ from ladar_volume.process.switch import is_own_process
 STOP_S = 30.0
 #: How long a node that is to end waits for those before it, s.
 UPSTREAM_S = 2.0
+#: The same for one that has said that it ends, s: it works off its queue.
+ENDING_S = 25.0
 #: How often a node looks who publishes the datum, s.
 WATCH_S = 0.2
 STEADY = ClockType.STEADY_TIME
@@ -67,8 +70,9 @@ class StageNode(LifecycleNode, ABC):
     sections: tuple[str, ...] = ("node",)
     #: Sections whose parameters may change while the node runs.
     runtime_sections: tuple[str, ...] = ()
-    #: Topics that come from this package's nodes before this one, the first of all first.
-    upstream: tuple[str, ...] = ()
+    #: Topics that come from this package's nodes before this one, with those nodes, the first of
+    #: all first.
+    upstream: tuple[tuple[str, str], ...] = ()
     #: The stage whose compiled kernels must be ready before data comes; without one, no compiler is
     #: loaded.
     kernels: str | None = None
@@ -260,15 +264,21 @@ class StageNode(LifecycleNode, ABC):
                 break
 
     def await_upstream(self) -> None:
-        """Let those whose data this node takes end first, for some seconds; what they finish is
-        still taken in. Where one outlives the next, or this node, data are missing:
-        :attr:`cut_off`.
+        """Let those whose data this node takes end first, and say on the wire that this one ends;
+        what they finish is still taken in. One that does not end is waited for for
+        :data:`UPSTREAM_S`, one that has said that it ends for :data:`ENDING_S`. Where one outlives
+        the next, or this node, data are missing: :attr:`cut_off`.
         """
-        deadline = time.monotonic() + UPSTREAM_S
-        while self.context.ok() and time.monotonic() < deadline:
-            alive = [self.count_publishers(topic) > 0 for topic in self.upstream]
+        if self.context.ok() and self._worker is not None:
+            self.create_publisher(Empty, "~/ending", LATCHED)
+        began = time.monotonic()
+        while self.context.ok() and self.upstream:
+            alive = [self.count_publishers(topic) > 0 for topic, _ in self.upstream]
             self.cut_off |= any(a and not b for a, b in itertools.pairwise(alive))
             if not any(alive) or self.cut_off:
+                return
+            ends = any(self.count_publishers(f"{node}/ending") > 0 for _, node in self.upstream)
+            if time.monotonic() - began > (ENDING_S if ends else UPSTREAM_S):
                 return
             time.sleep(0.05)
 
@@ -280,7 +290,7 @@ class StageNode(LifecycleNode, ABC):
         if self._worker is None or not self._worker.is_alive():
             return
         if self.context.ok():
-            self.cut_off |= any(self.count_publishers(topic) > 0 for topic in self.upstream)
+            self.cut_off |= any(self.count_publishers(topic) > 0 for topic, _ in self.upstream)
         self._queue.put(None)
         self._worker.join(timeout=STOP_S)
         if self._worker.is_alive():

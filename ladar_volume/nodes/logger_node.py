@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fnmatch
 import importlib
 import re
 import threading
@@ -16,6 +15,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
+from ladar_volume.io.bags import ROLES
 from ladar_volume.io.config import dump_config
 from ladar_volume.io.mcap_log import usual_definition
 from ladar_volume.io.mcap_recovery import Recovery
@@ -25,10 +25,13 @@ from ladar_volume.model.errors import OutputError
 from ladar_volume.model.losses import Losses
 from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.running import spin
+from ladar_volume.nodes.watch.wanted_topics import WantedTopics
 from ladar_volume.version import version
 
 #: How often new topics are looked for.
 DISCOVERY_S = 0.2
+#: The sensors' topics by role.
+INPUTS = {role: ROLES[role][1] for role in ("cloud", "fix", "imu", "odometry")}
 _FOREVER = "{sec: 9223372036, nsec: 854775807}"
 
 
@@ -110,6 +113,12 @@ class LoggerNode(StageNode):
     """
 
     sections = ("logger", "node")
+    #: The log ends last.
+    upstream = (
+        ("points_mapped", "georeference_node"),
+        ("points_filtered", "filter_node"),
+        ("volumes", "volume_node"),
+    )
 
     def __init__(self, **options: Any) -> None:
         super().__init__("logger_node", **options)
@@ -125,6 +134,7 @@ class LoggerNode(StageNode):
             "parameters.yaml", "application/yaml", dump_config(parameters).encode(), self._now()
         )
         self._known: dict[str, Subscribed | None] = {}
+        self._wanted = WantedTopics(self.get_namespace(), parameters.logger)
         self._told = ""
         self._offered, self._taken = 0, 0  # bytes; each counted by one thread alone
         self._rates: dict[str, tuple[float, int]] = {}
@@ -132,6 +142,7 @@ class LoggerNode(StageNode):
         threading.Thread(target=self._repair, name="repair", daemon=True).start()
         self.create_timer(DISCOVERY_S, self._discover, callback_group=self._group)
         self.create_service(Trigger, "~/split", self._split, callback_group=self._group)
+        self._subscribe_inputs()
         self._discover()
 
     def _now(self) -> int:
@@ -150,13 +161,23 @@ class LoggerNode(StageNode):
 
     # topics
     # ----------------------------------------------------------------------------------------------
+    def _subscribe_inputs(self) -> None:
+        """The sensors' topics, whose types are known: a driver that starts later loses nothing
+        while it is looked for.
+        """
+        reliable = self.parameters.node.input_reliability == "reliable"
+        for role, usual in INPUTS.items():
+            topic = self.resolve_topic_name(usual)
+            if self._wanted.matches(topic):
+                self._subscribe(
+                    topic, topic.lstrip("/"), Subscribed(ROLES[role][0], reliable, latched=False)
+                )
+
     def _discover(self) -> None:
+        self._wanted.look(self.get_node_names_and_namespaces())
         for topic, kinds in self.get_topic_names_and_types():
             name = topic.lstrip("/")
-            if not any(
-                fnmatch.fnmatch(name, pattern.lstrip("/"))
-                for pattern in self.parameters.logger.topics
-            ):
+            if not self._wanted.matches(topic):
                 continue
             publishers = self.get_publishers_info_by_topic(topic)
             if not publishers or (topic in self._known and self._known[topic] is None):
