@@ -18,10 +18,10 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.clock import Clock, ClockType, JumpThreshold
+from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleNode, State, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import NavSatFix
@@ -102,7 +102,7 @@ class StageNode(LifecycleNode, ABC):
         )
         self.get_clock().create_jump_callback(back, post_callback=self._jumped)
 
-    def _jumped(self, jump: Any) -> None:
+    def _jumped(self, jump: TimeJump) -> None:
         self._jumps_back += 1
 
     # parameters
@@ -188,7 +188,7 @@ class StageNode(LifecycleNode, ABC):
         """What came so far, by the unit that losses count: a cloud, a fix, a point."""
         return self.health.counts()
 
-    def on_configure(self, state: Any) -> TransitionCallbackReturn:
+    def on_configure(self, state: State) -> TransitionCallbackReturn:
         """Build everything, kernels included, and start the worker."""
         self._before_build = {id(e) for _, e in self._entities()}
         try:
@@ -213,19 +213,19 @@ class StageNode(LifecycleNode, ABC):
         self._worker.start()
         return TransitionCallbackReturn.SUCCESS
 
-    def on_activate(self, state: Any) -> TransitionCallbackReturn:
+    def on_activate(self, state: State) -> TransitionCallbackReturn:
         """Begin to take in data."""
         self._active = True
         if self.kernels is not None and is_own_process():
             memory.tidy()
         return super().on_activate(state)
 
-    def on_deactivate(self, state: Any) -> TransitionCallbackReturn:
+    def on_deactivate(self, state: State) -> TransitionCallbackReturn:
         """Take in no more; what is queued is still worked off."""
         self._active = False
         return super().on_deactivate(state)
 
-    def on_cleanup(self, state: Any) -> TransitionCallbackReturn:
+    def on_cleanup(self, state: State) -> TransitionCallbackReturn:
         """Finish the work in the queue, then take down what :meth:`on_configure` built; the node
         can be configured again.
         """
@@ -234,7 +234,7 @@ class StageNode(LifecycleNode, ABC):
         self._worker = None
         return TransitionCallbackReturn.SUCCESS
 
-    def on_shutdown(self, state: Any) -> TransitionCallbackReturn:
+    def on_shutdown(self, state: State) -> TransitionCallbackReturn:
         """Finish the work in the queue."""
         self.stop()
         return TransitionCallbackReturn.SUCCESS
@@ -300,7 +300,7 @@ class StageNode(LifecycleNode, ABC):
             for publisher in self.publishers:
                 publisher.wait_for_all_acked(Duration(seconds=1))
 
-    def _reset(self, request: Any, response: Any) -> Any:
+    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.offer("reset", None)
         response.success, response.message = True, "reset"
         return response
@@ -332,7 +332,7 @@ class StageNode(LifecycleNode, ABC):
     def listen(
         self,
         kind: str,
-        message_type: Any,
+        message_type: type[Any],
         topic: str,
         qos: QoSProfile,
         silent_s: float | None = None,
@@ -354,7 +354,7 @@ class StageNode(LifecycleNode, ABC):
     def subscribe(
         self,
         topic: str,
-        message_type: Any,
+        message_type: type[Any],
         qos: QoSProfile,
         receive: Callable[[bytes, Any], None],
         events: Any,
@@ -379,7 +379,7 @@ class StageNode(LifecycleNode, ABC):
         )
         return heard
 
-    def receive(self, kind: str, message_type: Any, data: bytes) -> None:
+    def receive(self, kind: str, message_type: type[Any], data: bytes) -> None:
         """Queue the message that came as ``data``, where the node is active; bytes that are none of
         its type are dropped and counted.
         """

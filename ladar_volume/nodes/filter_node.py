@@ -85,7 +85,9 @@ class FilterNode(StageNode):
         self.listen("platform", Odometry, "platform", STREAM)
         self.hear_datum()
 
-    async def _flush(self, request: Any, response: Any) -> Any:
+    async def _flush(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
         """Send all that was put off; the answer, when it is sent, is the stamp (ns) of the last
         part.
         """

@@ -282,7 +282,7 @@ class LoggerNode(StageNode):
         """Write a chunk that is old enough even when nothing comes."""
         self._recorder.tick(self._now())
 
-    def _split(self, request: Any, response: Any) -> Any:
+    def _split(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.offer("split", None)
         response.success, response.message = (
             True,

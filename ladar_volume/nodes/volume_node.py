@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -180,7 +180,7 @@ class VolumeNode(StageNode):
             return None
         return self._pair(kind, item)
 
-    def _pair(self, kind: str, item: Any) -> None:
+    def _pair(self, kind: str, item: PointCloud2) -> None:
         key = stamp_ns(item)
         pair = self._half.setdefault(key, {})
         pair[kind] = item
@@ -334,8 +334,8 @@ class VolumeNode(StageNode):
             await NextRound()
         self._awaited = False
 
-    def _service(self, action: Any) -> Any:
-        async def call(request: Any, response: Any) -> Any:
+    def _service(self, action: Callable[[], dict[str, Any]]) -> Any:
+        async def call(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             await self._catch_up()
             try:
                 with self._lock:
