@@ -63,6 +63,7 @@ def seen() -> dict[str, Names]:
             for way, look in ways.items():
                 names.setdefault(way, set()).update(topic for topic, _ in look(*ask))
             names["topics", "subscribe"].add(CLOCK)
+            names["topics", "publish"].add(f"/{name}/ending")  # once it ends
             if name == "logger_node":
                 names["topics", "subscribe"] = {"*"}  # all that logger.topics may name
         for _, node in nodes:

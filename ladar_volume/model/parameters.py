@@ -412,6 +412,12 @@ class NodeParameters:
     autostart: bool = param(True, "Configure and activate at start.")
     tin_colour: str = param("height", "Colour of the published TIN.", choices=("height", "sigma"))
     output_folder: str = param("out", "Where ~/save writes.")
+    hardware_id: str = param("", "Name of the vehicle in /diagnostics; empty: the computer's.")
+    lidar_frame: str = param(
+        "", "Frame the clouds must come in; empty: any in which a scanner can measure."
+    )
+    imu_frame: str = param("", "Frame the attitudes must come in; empty: any.")
+    gnss_frame: str = param("", "Frame the fixes must come in; empty: any.")
 
 
 @dataclass(frozen=True)
@@ -423,7 +429,16 @@ class LoggerParameters:
         "File to write; further files get a running number, an existing one is never overwritten.",
     )
     topics: tuple[str, ...] = param(
-        ("*",), "Topics to log, with shell wildcards; '*' for all of this graph.", vector=0
+        ("*",),
+        "Topics to log, with shell wildcards; '*' for the inputs and results of this vehicle.",
+        vector=0,
+    )
+    all: bool = param(
+        False,
+        (
+            "With '*', log also what the nodes derive on the way (mapped and filtered points, "
+            "patches, tin, mesh): many times the size of the inputs, and a replay makes it again."
+        ),
     )
     chunk_s: float = param(
         0.5,

@@ -8,6 +8,7 @@ import contextlib
 import importlib
 import itertools
 import queue
+import socket
 import threading
 import time
 from abc import ABC, abstractmethod
@@ -17,13 +18,14 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.clock import Clock, ClockType, JumpThreshold
+from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleNode, State, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import NavSatFix
+from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
 from ladar_volume.io.cloud_messages import stamp_ns
@@ -34,11 +36,12 @@ from ladar_volume.model.parameter import specs
 from ladar_volume.model.parameters import SECTIONS, Parameters
 from ladar_volume.model.records import Datum
 from ladar_volume.nodes.declared_parameters import descriptor, outside, why_never, why_not_now
-from ladar_volume.nodes.defect_reports import Defects
 from ladar_volume.nodes.executor_rounds import AT_ONCE, take_waiting, unpacked
-from ladar_volume.nodes.health import Health
 from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.stream_passes import OnePublisher
+from ladar_volume.nodes.watch.defect_reports import Defects
+from ladar_volume.nodes.watch.health import Health
+from ladar_volume.nodes.watch.loss_shares import LossShares
 from ladar_volume.nodes.work_queue import WorkQueue
 from ladar_volume.process import memory
 from ladar_volume.process.switch import is_own_process
@@ -47,6 +50,8 @@ from ladar_volume.process.switch import is_own_process
 STOP_S = 30.0
 #: How long a node that is to end waits for those before it, s.
 UPSTREAM_S = 2.0
+#: The same for one that has said that it ends, s: it works off its queue.
+ENDING_S = 25.0
 #: How often a node looks who publishes the datum, s.
 WATCH_S = 0.2
 STEADY = ClockType.STEADY_TIME
@@ -65,8 +70,9 @@ class StageNode(LifecycleNode, ABC):
     sections: tuple[str, ...] = ("node",)
     #: Sections whose parameters may change while the node runs.
     runtime_sections: tuple[str, ...] = ()
-    #: Topics that come from this package's nodes before this one, the first of all first.
-    upstream: tuple[str, ...] = ()
+    #: Topics that come from this package's nodes before this one, with those nodes, the first of
+    #: all first.
+    upstream: tuple[tuple[str, str], ...] = ()
     #: The stage whose compiled kernels must be ready before data comes; without one, no compiler is
     #: loaded.
     kernels: str | None = None
@@ -78,6 +84,7 @@ class StageNode(LifecycleNode, ABC):
         self.cut_off = False
         self._defects = Defects()
         self.health = Health()
+        self._shares = LossShares()
         self._queue = WorkQueue()
         self._worker: threading.Thread | None = None
         self._group = MutuallyExclusiveCallbackGroup()
@@ -95,7 +102,7 @@ class StageNode(LifecycleNode, ABC):
         )
         self.get_clock().create_jump_callback(back, post_callback=self._jumped)
 
-    def _jumped(self, jump: Any) -> None:
+    def _jumped(self, jump: TimeJump) -> None:
         self._jumps_back += 1
 
     # parameters
@@ -173,7 +180,15 @@ class StageNode(LifecycleNode, ABC):
         """What the node itself finds wrong, in words; for subclasses."""
         return []
 
-    def on_configure(self, state: Any) -> TransitionCallbackReturn:
+    def errors(self) -> list[str]:
+        """What makes the node's results wrong or keeps them away, in words; for subclasses."""
+        return []
+
+    def offered(self) -> dict[str, int]:
+        """What came so far, by the unit that losses count: a cloud, a fix, a point."""
+        return self.health.counts()
+
+    def on_configure(self, state: State) -> TransitionCallbackReturn:
         """Build everything, kernels included, and start the worker."""
         self._before_build = {id(e) for _, e in self._entities()}
         try:
@@ -198,19 +213,19 @@ class StageNode(LifecycleNode, ABC):
         self._worker.start()
         return TransitionCallbackReturn.SUCCESS
 
-    def on_activate(self, state: Any) -> TransitionCallbackReturn:
+    def on_activate(self, state: State) -> TransitionCallbackReturn:
         """Begin to take in data."""
         self._active = True
         if self.kernels is not None and is_own_process():
             memory.tidy()
         return super().on_activate(state)
 
-    def on_deactivate(self, state: Any) -> TransitionCallbackReturn:
+    def on_deactivate(self, state: State) -> TransitionCallbackReturn:
         """Take in no more; what is queued is still worked off."""
         self._active = False
         return super().on_deactivate(state)
 
-    def on_cleanup(self, state: Any) -> TransitionCallbackReturn:
+    def on_cleanup(self, state: State) -> TransitionCallbackReturn:
         """Finish the work in the queue, then take down what :meth:`on_configure` built; the node
         can be configured again.
         """
@@ -219,7 +234,7 @@ class StageNode(LifecycleNode, ABC):
         self._worker = None
         return TransitionCallbackReturn.SUCCESS
 
-    def on_shutdown(self, state: Any) -> TransitionCallbackReturn:
+    def on_shutdown(self, state: State) -> TransitionCallbackReturn:
         """Finish the work in the queue."""
         self.stop()
         return TransitionCallbackReturn.SUCCESS
@@ -249,15 +264,21 @@ class StageNode(LifecycleNode, ABC):
                 break
 
     def await_upstream(self) -> None:
-        """Let those whose data this node takes end first, for some seconds; what they finish is
-        still taken in. Where one outlives the next, or this node, data are missing:
-        :attr:`cut_off`.
+        """Let those whose data this node takes end first, and say on the wire that this one ends;
+        what they finish is still taken in. One that does not end is waited for for
+        :data:`UPSTREAM_S`, one that has said that it ends for :data:`ENDING_S`. Where one outlives
+        the next, or this node, data are missing: :attr:`cut_off`.
         """
-        deadline = time.monotonic() + UPSTREAM_S
-        while self.context.ok() and time.monotonic() < deadline:
-            alive = [self.count_publishers(topic) > 0 for topic in self.upstream]
+        if self.context.ok() and self._worker is not None:
+            self.create_publisher(Empty, "~/ending", LATCHED)
+        began = time.monotonic()
+        while self.context.ok() and self.upstream:
+            alive = [self.count_publishers(topic) > 0 for topic, _ in self.upstream]
             self.cut_off |= any(a and not b for a, b in itertools.pairwise(alive))
             if not any(alive) or self.cut_off:
+                return
+            ends = any(self.count_publishers(f"{node}/ending") > 0 for _, node in self.upstream)
+            if time.monotonic() - began > (ENDING_S if ends else UPSTREAM_S):
                 return
             time.sleep(0.05)
 
@@ -269,7 +290,7 @@ class StageNode(LifecycleNode, ABC):
         if self._worker is None or not self._worker.is_alive():
             return
         if self.context.ok():
-            self.cut_off |= any(self.count_publishers(topic) > 0 for topic in self.upstream)
+            self.cut_off |= any(self.count_publishers(topic) > 0 for topic, _ in self.upstream)
         self._queue.put(None)
         self._worker.join(timeout=STOP_S)
         if self._worker.is_alive():
@@ -279,7 +300,7 @@ class StageNode(LifecycleNode, ABC):
             for publisher in self.publishers:
                 publisher.wait_for_all_acked(Duration(seconds=1))
 
-    def _reset(self, request: Any, response: Any) -> Any:
+    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.offer("reset", None)
         response.success, response.message = True, "reset"
         return response
@@ -311,7 +332,7 @@ class StageNode(LifecycleNode, ABC):
     def listen(
         self,
         kind: str,
-        message_type: Any,
+        message_type: type[Any],
         topic: str,
         qos: QoSProfile,
         silent_s: float | None = None,
@@ -333,7 +354,7 @@ class StageNode(LifecycleNode, ABC):
     def subscribe(
         self,
         topic: str,
-        message_type: Any,
+        message_type: type[Any],
         qos: QoSProfile,
         receive: Callable[[bytes, Any], None],
         events: Any,
@@ -358,7 +379,7 @@ class StageNode(LifecycleNode, ABC):
         )
         return heard
 
-    def receive(self, kind: str, message_type: Any, data: bytes) -> None:
+    def receive(self, kind: str, message_type: type[Any], data: bytes) -> None:
         """Queue the message that came as ``data``, where the node is active; bytes that are none of
         its type are dropped and counted.
         """
@@ -433,25 +454,32 @@ class StageNode(LifecycleNode, ABC):
         values |= self.health.lines(now, int(clock.nanoseconds)) | {
             "clock_jumps_back": self._jumps_back
         }
-        wrong = self.health.silent(now) if self._active else []
+        wrong, errors = self.health.silent(now) if self._active else ([], [])
         with contextlib.suppress(
             RuntimeError
         ):  # a dictionary of the worker's changed size under our eyes: next period
             values |= self.status()
             wrong += self.warnings()
+            errors += self.errors()
         lost = self.all_losses()
         values |= {f"lost_{reason}": count for reason, count in lost.items()}
-        wrong += self.health.newly_lost(lost.as_dict())
-        level, message = (
-            (DiagnosticStatus.WARN, "; ".join(wrong)) if wrong else (DiagnosticStatus.OK, "good")
-        )
-        status = DiagnosticStatus(
-            level=level, name=self.get_name(), message=message, hardware_id="ladar_volume"
-        )
+        many, most = self._shares.judge(lost.as_dict(), self.offered(), now)
+        wrong += [*many, *self.health.newly_lost(lost.as_dict())]
+        status = self._status_of([*errors, *most], wrong)
         status.values = [KeyValue(key=k, value=str(v)) for k, v in values.items()]
         array = DiagnosticArray(status=[status])
         array.header.stamp = clock.to_msg()
         self._diagnostics.publish(array)
+
+    def _status_of(self, errors: list[str], warnings: list[str]) -> DiagnosticStatus:
+        """The state under the node's name with its namespace, that of the worst finding."""
+        level = DiagnosticStatus.WARN if warnings else DiagnosticStatus.OK
+        return DiagnosticStatus(
+            level=DiagnosticStatus.ERROR if errors else level,
+            name=self.get_fully_qualified_name().lstrip("/"),
+            message="; ".join([*errors, *warnings]) or "good",
+            hardware_id=self.parameters.node.hardware_id or socket.gethostname(),
+        )
 
     def all_losses(self) -> Losses:
         """The node's and its stage's losses."""

@@ -9,6 +9,7 @@ from typing import Any
 
 from rclpy.exceptions import InvalidHandle
 from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
 
 #: Messages taken in one round at most: timers and services have their turn.
 AT_ONCE = 100
@@ -23,7 +24,7 @@ class NextRound:
         yield
 
 
-def take_waiting(subscription: Any, receive: Callable[[Any, dict[str, Any]], None]) -> int:
+def take_waiting(subscription: Subscription, receive: Callable[[Any, dict[str, Any]], None]) -> int:
     """Hand over messages, with what the middleware says of them, that wait behind the one just
     taken: what comes in bursts costs one round. Returns how many.
     """
@@ -39,7 +40,7 @@ def take_waiting(subscription: Any, receive: Callable[[Any, dict[str, Any]], Non
     return AT_ONCE
 
 
-def unpacked(data: bytes, message_type: Any) -> Any:
+def unpacked(data: bytes, message_type: type[Any]) -> Any:
     """The message that came as ``data``; None where these bytes are none of its type. A subscriber
     to messages in place of bytes is not told of those.
     """

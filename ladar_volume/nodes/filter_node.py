@@ -49,7 +49,7 @@ class FilterNode(StageNode):
 
     sections = ("calibration", "georeference", "filter", "node")
     kernels = "filter"
-    upstream = ("points_mapped",)
+    upstream = (("points_mapped", "georeference_node"),)
     runtime_sections = ("node",)
 
     def __init__(self, **options: Any) -> None:
@@ -85,7 +85,9 @@ class FilterNode(StageNode):
         self.listen("platform", Odometry, "platform", STREAM)
         self.hear_datum()
 
-    async def _flush(self, request: Any, response: Any) -> Any:
+    async def _flush(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
         """Send all that was put off; the answer, when it is sent, is the stamp (ns) of the last
         part.
         """
@@ -225,6 +227,10 @@ class FilterNode(StageNode):
                 self._points.publish(table_message(points, self._sent_ns))
                 self.counts["parts"] += 1
             self.counts["updates"] += 1
+
+    def offered(self) -> dict[str, int]:
+        """Messages by input, and points."""
+        return super().offered() | {"point": self.counts["points"]}
 
     def status(self) -> dict[str, Any]:
         """Size of the surface, what was sent, and whether something waits for the next update."""

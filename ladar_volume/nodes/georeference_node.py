@@ -20,10 +20,13 @@ from ladar_volume.io.sensor_messages import (
     imu_from_message,
     odometry_from_message,
 )
+from ladar_volume.model.records import Returns
 from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.convert import datum_message, platform_messages, table_message
 from ladar_volume.nodes.qos import LATCHED, STREAM, sensor_qos
 from ladar_volume.nodes.running import spin
+from ladar_volume.nodes.watch.clock_words import clock_words
+from ladar_volume.nodes.watch.sensor_checks import SensorChecks
 
 #: An outage: sensors at 10 Hz and more do not pause this long.
 SILENT_S = 2.0
@@ -44,6 +47,7 @@ class GeoreferenceNode(StageNode):
     def build(self) -> None:
         """Stage, topics."""
         self.stage = Georeferencer(self.parameters)
+        self._checks, self._returns = SensorChecks(self.parameters), 0
         self._segment: int | None = None
         self._datum_sent = False
         self._fix_status: int | None = None
@@ -74,14 +78,15 @@ class GeoreferenceNode(StageNode):
             "fix": lambda m: stage.add_fix(fix_from_message(m)),
             "imu": lambda m: stage.add_imu(imu_from_message(m)),
             "odometry": lambda m: stage.add_odometry(odometry_from_message(m)),
-            "cloud": lambda m: stage.add_returns(
-                returns_from_cloud(m, self.parameters.georeference, self.losses)
-            ),
+            "cloud": lambda m: stage.add_returns(self._returns_of(m)),
         }
         if kind == "fix":
             self._fix_changes += self._fix_status not in (None, int(item.status.status))
             self._fix_status = int(item.status.status)
         self._newest_ns = stamp_ns(item)
+        self._checks.message(kind, item)
+        if kind == "imu":
+            self._checks.imu(item)
         decode[kind](item)
         if stage.restarts != self._restarts:
             self._restarts = stage.restarts
@@ -90,6 +95,16 @@ class GeoreferenceNode(StageNode):
             )
             self._start_over()
         self._publish()
+
+    def _returns_of(self, cloud: PointCloud2) -> Returns:
+        self._returns += cloud.width * cloud.height
+        returns = returns_from_cloud(cloud, self.parameters.georeference, self.losses)
+        self._checks.returns(returns, {field.name for field in cloud.fields})
+        return returns
+
+    def offered(self) -> dict[str, int]:
+        """Messages by input, and returns."""
+        return super().offered() | {"point": self._returns}
 
     def _start_over(self) -> None:
         self._segment, self._datum_sent = None, False
@@ -142,6 +157,7 @@ class GeoreferenceNode(StageNode):
             "restarts": self.stage.restarts,
             "returns_waiting": self.stage.pending,
             **{f"sent_{k}": v for k, v in self.sent.items()},
+            **self._checks.lines(),
         }
         if lead.estimate_s is not None:
             lines |= {
@@ -156,24 +172,14 @@ class GeoreferenceNode(StageNode):
         """A LiDAR clock, or a receiver's, that does not tell the attitudes' time; a receiver
         without RTK fix.
         """
-        out = []
-        lead, fix = self.stage.cloud_lead, self.stage.fix_lead
-        if lead.estimate_s is not None and lead.state == "offset":
-            seconds = self.parameters.calibration.clock_offset_s + lead.estimate_s[0]
-            out.append(
-                "the LiDAR's clock is off: calibration.clock_offset_s should be about "
-                f"{seconds:.3f}"
-            )
-        elif lead.state == "unsteady":
-            out.append("the times of the clouds scatter against those of the poses")
-        if fix.state in ("offset", "unsteady") and fix.estimate_s is not None:
-            out.append(
-                f"fixes are {fix.estimate_s[0]:.2f} s older than attitudes when they come "
-                f"({fix.state})"
-            )
+        out = [*self._checks.warnings(), *clock_words(self.stage.cloud_lead, self.stage.fix_lead)]
         if self._fix_status is not None and self._fix_status < 0:
             out.append("the receiver has no fix")
         return out
+
+    def errors(self) -> list[str]:
+        """What contradicts the configuration or another sensor."""
+        return self._checks.errors()
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -23,7 +23,7 @@ from std_srvs.srv import Trigger
 from ladar_volume.compile_kernels import STAGES, warm_up
 from ladar_volume.io.bags import BagReader
 from ladar_volume.model.errors import ConfigurationError, VolumeError
-from ladar_volume.nodes.base import STOP_S, StageNode
+from ladar_volume.nodes.base import ENDING_S, STOP_S, StageNode
 from ladar_volume.nodes.filter_node import FilterNode
 from ladar_volume.nodes.georeference_node import GeoreferenceNode
 from ladar_volume.nodes.logger_node import LoggerNode
@@ -31,6 +31,7 @@ from ladar_volume.nodes.mavlink_node import MavlinkNode
 from ladar_volume.nodes.player import Player
 from ladar_volume.nodes.running import TAKE_S, Spinner, before_ros
 from ladar_volume.nodes.volume_node import VolumeNode
+from ladar_volume.nodes.watch.others import own_name
 
 FACTORIES: dict[str, Callable[..., StageNode]] = {
     "georeference_node": GeoreferenceNode,
@@ -57,7 +58,12 @@ class Watcher(Node):
 
     def _take(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            self.lines[status.name] = {v.key: v.value for v in status.values}
+            name = own_name(
+                status.name, self.get_namespace()
+            )  # other vehicles report there as well
+            if name is None:
+                continue
+            self.lines[name] = {v.key: v.value for v in status.values}
 
     def number(self, node: str, key: str) -> int:
         """A counter of a node's last diagnostics, −1 where it is not there."""
@@ -259,7 +265,7 @@ class Graph:
             if process is not None:
                 process.terminate()
                 try:
-                    process.wait(timeout=TAKE_S + STOP_S + 5.0)
+                    process.wait(timeout=TAKE_S + ENDING_S + STOP_S + 5.0)
                 except subprocess.TimeoutExpired:
                     process.kill()
             if name in self._spinners:

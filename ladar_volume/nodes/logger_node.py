@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fnmatch
 import importlib
 import re
 import threading
@@ -16,6 +15,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
+from ladar_volume.io.bags import ROLES
 from ladar_volume.io.config import dump_config
 from ladar_volume.io.mcap_log import usual_definition
 from ladar_volume.io.mcap_recovery import Recovery
@@ -25,10 +25,13 @@ from ladar_volume.model.errors import OutputError
 from ladar_volume.model.losses import Losses
 from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.running import spin
+from ladar_volume.nodes.watch.wanted_topics import WantedTopics
 from ladar_volume.version import version
 
 #: How often new topics are looked for.
 DISCOVERY_S = 0.2
+#: The sensors' topics by role.
+INPUTS = {role: ROLES[role][1] for role in ("cloud", "fix", "imu", "odometry")}
 _FOREVER = "{sec: 9223372036, nsec: 854775807}"
 
 
@@ -110,6 +113,12 @@ class LoggerNode(StageNode):
     """
 
     sections = ("logger", "node")
+    #: The log ends last.
+    upstream = (
+        ("points_mapped", "georeference_node"),
+        ("points_filtered", "filter_node"),
+        ("volumes", "volume_node"),
+    )
 
     def __init__(self, **options: Any) -> None:
         super().__init__("logger_node", **options)
@@ -125,12 +134,15 @@ class LoggerNode(StageNode):
             "parameters.yaml", "application/yaml", dump_config(parameters).encode(), self._now()
         )
         self._known: dict[str, Subscribed | None] = {}
+        self._wanted = WantedTopics(self.get_namespace(), parameters.logger)
+        self._told = ""
         self._offered, self._taken = 0, 0  # bytes; each counted by one thread alone
         self._rates: dict[str, tuple[float, int]] = {}
         self._repairs: list[Recovery | OutputError] = []
         threading.Thread(target=self._repair, name="repair", daemon=True).start()
         self.create_timer(DISCOVERY_S, self._discover, callback_group=self._group)
         self.create_service(Trigger, "~/split", self._split, callback_group=self._group)
+        self._subscribe_inputs()
         self._discover()
 
     def _now(self) -> int:
@@ -149,13 +161,23 @@ class LoggerNode(StageNode):
 
     # topics
     # ----------------------------------------------------------------------------------------------
+    def _subscribe_inputs(self) -> None:
+        """The sensors' topics, whose types are known: a driver that starts later loses nothing
+        while it is looked for.
+        """
+        reliable = self.parameters.node.input_reliability == "reliable"
+        for role, usual in INPUTS.items():
+            topic = self.resolve_topic_name(usual)
+            if self._wanted.matches(topic):
+                self._subscribe(
+                    topic, topic.lstrip("/"), Subscribed(ROLES[role][0], reliable, latched=False)
+                )
+
     def _discover(self) -> None:
+        self._wanted.look(self.get_node_names_and_namespaces())
         for topic, kinds in self.get_topic_names_and_types():
             name = topic.lstrip("/")
-            if not any(
-                fnmatch.fnmatch(name, pattern.lstrip("/"))
-                for pattern in self.parameters.logger.topics
-            ):
+            if not self._wanted.matches(topic):
                 continue
             publishers = self.get_publishers_info_by_topic(topic)
             if not publishers or (topic in self._known and self._known[topic] is None):
@@ -260,7 +282,7 @@ class LoggerNode(StageNode):
         """Write a chunk that is old enough even when nothing comes."""
         self._recorder.tick(self._now())
 
-    def _split(self, request: Any, response: Any) -> Any:
+    def _split(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.offer("split", None)
         response.success, response.message = (
             True,
@@ -280,6 +302,14 @@ class LoggerNode(StageNode):
         total.merge(self._recorder.losses())
         total.add("message_unrepaired_file", sum(isinstance(r, OutputError) for r in self._repairs))
         return total
+
+    def errors(self) -> list[str]:
+        """Why nothing is written, said on the console as well when it begins."""
+        problem = self._recorder.problem
+        if problem and problem != self._told:
+            self.get_logger().error(problem)
+        self._told = problem
+        return [f"nothing is logged: {problem}"] if problem else []
 
     def status(self) -> dict[str, Any]:
         """What is written where, and the account of every topic."""

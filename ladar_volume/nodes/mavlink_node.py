@@ -25,6 +25,8 @@ from ladar_volume.nodes.running import spin
 
 #: A log that is played as fast as possible waits while more than this is queued.
 AHEAD = 1000
+#: How long an autopilot may send no position until that is an error, s.
+POSITIONS_S = 3.0
 
 
 def fix_message(fix: Fix) -> NavSatFix:
@@ -117,6 +119,7 @@ class MavlinkNode(StageNode):
                 odometry_message,
             ),
         }
+        self._positions, self._positions_s = 0, time.monotonic()
         path = log_file(p.url)
         if path is None:
             self._link = open_link(p.url)
@@ -207,6 +210,20 @@ class MavlinkNode(StageNode):
         for part in parts:
             total.merge(part)
         return total
+
+    def errors(self) -> list[str]:
+        """An autopilot that is there and gives no position."""
+        now, positions = time.monotonic(), self.sent["fix"] + self.sent["odometry"]
+        if self._link is None or not self._session.alive or positions != self._positions:
+            self._positions, self._positions_s = positions, now
+        missing = now - self._positions_s
+        if missing < POSITIONS_S:
+            return []
+        found = self._session.status()
+        return [
+            f"no position of the autopilot for {missing:.0f} s: its fix is {found['fix_type']} "
+            f"with {found['satellites']} satellites"
+        ]
 
     def status(self) -> dict[str, Any]:
         """The link and what was made of it."""

@@ -5,6 +5,7 @@ command for each. A program sets its process up before anything loads NumPy.
 from __future__ import annotations
 
 import importlib
+import signal
 import sys
 from collections.abc import Sequence
 from functools import partial
@@ -15,8 +16,16 @@ from ladar_volume.process.switch import own_process
 NODES = ("georeference_node", "filter_node", "volume_node", "logger_node", "mavlink_node", "player")
 
 
+def _end(*_: object) -> None:
+    raise SystemExit(0)
+
+
 def run(node: str, argv: Sequence[str] | None = None) -> int:
-    """Set the process up, then run the node's ``main``. Returns the exit code."""
+    """Set the process up, then run the node's ``main``. Returns the exit code. Until the node is
+    there to end in order, a signal just ends the process: nothing was taken in yet.
+    """
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _end)
     own_process()
     leave_out_tools()
     return int(importlib.import_module(f"ladar_volume.nodes.{node}").main(argv))

@@ -7,11 +7,12 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
@@ -48,11 +49,16 @@ from ladar_volume.nodes.previous_epoch import SinceEpoch
 from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.running import spin
 from ladar_volume.nodes.stream_passes import Passes
+from ladar_volume.nodes.watch.others import Others
 from ladar_volume.volume.estimator import VolumeEstimator
 from ladar_volume.volume.more_data import MoreData
 
 #: How long an answer waits for the filter, s.
 CATCH_UP_S = 20.0
+#: Newer data that wait for longer make a volume old, s.
+OLD_S = 5.0
+#: The nodes whose losses are those of the volume.
+UPSTREAM = ("georeference_node", "filter_node")
 
 
 class VolumeNode(StageNode):
@@ -60,7 +66,7 @@ class VolumeNode(StageNode):
 
     sections = ("budget", "georeference", "filter", "ground", "volume", "node")
     kernels = "volume"
-    upstream = ("points_mapped", "points_filtered")
+    upstream = (("points_mapped", "georeference_node"), ("points_filtered", "filter_node"))
     runtime_sections = ("node", "ground", "volume")
 
     def __init__(self, **options: Any) -> None:
@@ -86,6 +92,22 @@ class VolumeNode(StageNode):
         self._more: MoreData | None = None
         self.counts = {"parts": 0, "estimates": 0}
         self._last_estimate_s, self._estimate_began = 0.0, float("-inf")
+        self._newest_part, self._awaited = 0, False
+        self._joined = False
+        self._others = Others(self.get_namespace(), UPSTREAM)
+        self._make_publishers()
+        self.listen("points", PointCloud2, "points_filtered", STREAM)
+        self.listen("patches", PointCloud2, "patches", STREAM)
+        self.listen("platform", Odometry, "platform", STREAM)
+        self.hear_datum()
+        self.create_subscription(
+            DiagnosticArray, "/diagnostics", self._others.take, 50, callback_group=self._group
+        )
+        self._filter_reset = self.create_client(Trigger, "filter_node/reset")
+        self._filter_flush = self.create_client(Trigger, "filter_node/flush")
+        self._make_services()
+
+    def _make_publishers(self) -> None:
         self._tin = self.create_publisher(Marker, "tin", LATCHED)
         self._mesh = self.create_publisher(Mesh, "mesh", LATCHED)
         self._ground = self.create_publisher(PoseWithCovarianceStamped, "ground_plane", LATCHED)
@@ -95,14 +117,8 @@ class VolumeNode(StageNode):
         self._volume = self.create_publisher(Float64, "volume", 10)
         self._sigma = self.create_publisher(Float64, "volume_sigma", 10)
         self._taken = self.create_publisher(Time, "taken", STREAM)
-        self.listen("points", PointCloud2, "points_filtered", STREAM)
-        self.listen("patches", PointCloud2, "patches", STREAM)
-        self.listen("platform", Odometry, "platform", STREAM)
-        self.hear_datum()
-        self._filter_reset = self.create_client(Trigger, "filter_node/reset")
-        self._filter_flush = self.create_client(Trigger, "filter_node/flush")
-        self._newest_part, self._awaited = 0, False
-        self._joined = False
+
+    def _make_services(self) -> None:
         answers = (
             MutuallyExclusiveCallbackGroup()
         )  # they wait for messages, which have to come in meanwhile
@@ -164,7 +180,7 @@ class VolumeNode(StageNode):
             return None
         return self._pair(kind, item)
 
-    def _pair(self, kind: str, item: Any) -> None:
+    def _pair(self, kind: str, item: PointCloud2) -> None:
         key = stamp_ns(item)
         pair = self._half.setdefault(key, {})
         pair[kind] = item
@@ -230,8 +246,7 @@ class VolumeNode(StageNode):
         found = f"{v.volume_m3:.4f} m3, sigma {v.sigma_m3:.4f} m3"
         if self.cut_off:
             self.get_logger().warning(
-                f"incomplete volume: {found}; the nodes before this one had not ended when it did: "
-                "replay the log"
+                f"incomplete volume: {found}; {self._others.waiting()}: replay the log"
             )
         else:
             self.get_logger().info(f"volume at the end: {found}")
@@ -278,16 +293,11 @@ class VolumeNode(StageNode):
             self._mapped = time.monotonic()
             self._more = self.stage.more_data()
             self._more_data.publish(table_message(more_data_columns(self._more), v.t_ns))
-            if self._tin.get_subscription_count():
-                by_sigma = self.parameters.node.tin_colour == "sigma"
-                self._tin.publish(
-                    cdr.tin_marker(
-                        estimate,
-                        self.stage.epoch().sigma_z() if by_sigma else estimate.tin.vertices[:, 2],
-                    )
-                )
-            if self._mesh.get_subscription_count():
-                self._mesh.publish(cdr.mesh(estimate))
+            # latched: who looks later sees the last one, without asking for a volume
+            by_sigma = self.parameters.node.tin_colour == "sigma"
+            height = self.stage.epoch().sigma_z() if by_sigma else estimate.tin.vertices[:, 2]
+            self._tin.publish(cdr.tin_marker(estimate, height))
+            self._mesh.publish(cdr.mesh(estimate))
 
     def _result(self) -> tuple[Estimate, dict[str, Any]]:
         estimate = self._compute(naive=True)
@@ -295,6 +305,7 @@ class VolumeNode(StageNode):
         result = results.result_dict(
             estimate, self.parameters, self.all_losses(), self._datum, {}, {"node": self.get_name()}
         )
+        self._others.add_to(result)
         change = None if self._since.change is None else results.change_dict(self._since.change)
         return estimate, result | {
             "where_more_data_helps": results.more_data_dict(self._more),
@@ -323,8 +334,8 @@ class VolumeNode(StageNode):
             await NextRound()
         self._awaited = False
 
-    def _service(self, action: Any) -> Any:
-        async def call(request: Any, response: Any) -> Any:
+    def _service(self, action: Callable[[], dict[str, Any]]) -> Any:
+        async def call(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             await self._catch_up()
             try:
                 with self._lock:
@@ -385,6 +396,17 @@ class VolumeNode(StageNode):
             self._filter_reset.call_async(Trigger.Request())
         self._start_over(self.stage.restarted())
         return {"kept": str(folder), "epoch": self._epoch, "volume_m3": result["volume_m3"]}
+
+    def warnings(self) -> list[str]:
+        """No volume while there is a surface, or one that is old."""
+        if not self.counts["parts"]:
+            return []
+        if self._last is None:
+            return [f"no volume: {self._why_not}"]
+        age = time.monotonic() - self._estimate_began
+        if self._due and age > OLD_S + 3.0 * self._last_estimate_s:
+            return [f"the volume is {age:.0f} s old and newer data wait"]
+        return []
 
     def status(self) -> dict[str, Any]:
         """The present estimate against the wanted tolerance."""

@@ -1,6 +1,6 @@
 """What a node says of its own defects."""
 
-from ladar_volume.nodes.defect_reports import AGAIN_S, Defects
+from ladar_volume.nodes.watch.defect_reports import AGAIN_S, Defects
 
 
 def caught(what):

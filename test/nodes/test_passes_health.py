@@ -1,7 +1,8 @@
 """Passes of a looping recording seen from its outputs, and what a node says of itself; without ROS."""
 
-from ladar_volume.nodes.health import Health
 from ladar_volume.nodes.stream_passes import Passes
+from ladar_volume.nodes.watch.health import Health
+from ladar_volume.nodes.watch.loss_shares import LossShares
 
 S = 1_000_000_000
 
@@ -34,7 +35,7 @@ def test_a_follower_that_goes_back_waits_for_the_leaders():
 def test_health_counts_rates_delays_and_whether_the_worker_keeps_up():
     h = Health()
     h.expect("cloud", 2.0)
-    assert h.silent(0.0) == ["no cloud yet"]
+    assert h.silent(0.0) == (["no cloud yet"], [])
     h.arrived("cloud", 0.0, 100 * S)
     h.worked("cloud", 0.05, 100 * S)
     h.lines(0.0, 100 * S)
@@ -50,7 +51,7 @@ def test_health_counts_rates_delays_and_whether_the_worker_keeps_up():
     assert (
         lines["load"] == "0.200" and lines["real_time_factor"] == "5.0"
     )  # a second of data in 0.2 s of work
-    assert h.silent(1.5) == [] and h.silent(3.5) == ["no cloud for 2.5 s"]
+    assert h.silent(1.5) == ([], []) and h.silent(3.5) == (["no cloud for 2.5 s"], [])
     assert h.lines(2.0, 102 * S)["real_time_factor"] == "-"
 
 
@@ -62,3 +63,29 @@ def test_only_new_losses_that_are_no_routine_are_named():
     ]
     assert h.newly_lost({"fix_nan": 2, "point_region": 900, "cloud_short": 7}) == []
     assert h.newly_lost({"fix_nan": 3, "point_region": 900, "cloud_short": 7}) == ["lost 1 fix_nan"]
+
+
+def test_an_input_that_is_missing_while_another_comes_is_an_error():
+    h = Health()
+    h.expect("cloud", 2.0)
+    h.expect("fix", 2.0)
+    for k in range(40):
+        h.arrived("cloud", 0.1 * k)
+    assert h.silent(2.0)[0] == ["no fix yet"]
+    assert h.silent(4.0) == ([], ["no fix yet"])
+
+
+def test_a_share_lost_for_one_reason_is_judged_by_what_came_lately():
+    s = LossShares()
+    assert s.judge({"point_ring": 750}, {"point": 1000}, 1.0)[1] == [
+        "75 % of returns lost as point_ring: set georeference.beams to the number of rings of the "
+        "scanner"
+    ]
+    s = LossShares()
+    assert s.judge({"point_region": 900, "fix_nan": 1}, {"point": 1000, "fix": 10}, 1.0) == (
+        ["10 % of fixes lost as fix_nan"],
+        [],
+    )
+    for second in range(2, 9):  # nothing more is lost: after a while nothing is said
+        found = s.judge({"fix_nan": 1}, {"fix": 10 * second}, float(second))
+    assert found == ([], [])

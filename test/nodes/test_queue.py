@@ -5,7 +5,7 @@ from types import SimpleNamespace
 from ladar_volume.model.losses import Losses
 from ladar_volume.nodes import work_queue
 from ladar_volume.nodes.base import StageNode
-from ladar_volume.nodes.health import Health
+from ladar_volume.nodes.watch.health import Health
 from ladar_volume.nodes.work_queue import QUEUE_BYTES, WorkQueue
 
 

@@ -15,7 +15,6 @@ ROUTINE = frozenset(
         "nan",
         "range",
         "intensity",
-        "ring",
         "vehicle",
         "region",
         "outlier",
@@ -24,10 +23,14 @@ ROUTINE = frozenset(
     )
 )
 
+#: An input that is silent while another has come for this long is missing, s.
+ALONE_S = 3.0
+
 
 @dataclass
 class _Input:
     count: int = 0
+    first_s: float = 0.0
     arrived_s: float = 0.0
     stamp_ns: int | None = None
     worked_ns: int | None = None
@@ -54,6 +57,7 @@ class Health:
     def arrived(self, kind: str, now_s: float, stamp_ns: int | None = None) -> None:
         """A message came in."""
         one = self._inputs.setdefault(kind, _Input())
+        one.first_s = one.first_s if one.count else now_s
         one.count, one.arrived_s, one.stamp_ns = one.count + 1, now_s, stamp_ns
 
     def worked(self, kind: str, seconds: float, stamp_ns: int | None = None) -> None:
@@ -102,17 +106,34 @@ class Health:
             one.worked_before_ns = one.worked_ns
         return most * 1e-9
 
-    def silent(self, now_s: float) -> list[str]:
-        """Inputs that are expected and do not come, in words."""
-        out = []
-        for kind, one in self._inputs.items():
-            if one.silent_s is None:
-                continue
+    def counts(self) -> dict[str, int]:
+        """How many messages came, by input."""
+        return {kind: one.count for kind, one in list(self._inputs.items())}
+
+    def silent(self, now_s: float) -> tuple[list[str], list[str]]:
+        """Inputs that are expected and do not come, in words: warnings, and errors where another
+        one has come for :data:`ALONE_S` and this one has not.
+        """
+        expected = {k: one for k, one in self._inputs.items() if one.silent_s is not None}
+        warnings: list[str] = []
+        errors: list[str] = []
+        for kind, one in expected.items():
+            silence = now_s - one.arrived_s
             if not one.count:
-                out.append(f"no {kind} yet")
-            elif now_s - one.arrived_s > one.silent_s:
-                out.append(f"no {kind} for {now_s - one.arrived_s:.1f} s")
-        return out
+                text = f"no {kind} yet"
+                alone = any(
+                    o.count and now_s - o.first_s > ALONE_S and now_s - o.arrived_s < ALONE_S
+                    for o in expected.values()
+                )
+            elif silence > float(one.silent_s or 0.0):
+                text = f"no {kind} for {silence:.1f} s"
+                alone = silence > ALONE_S and any(
+                    o.count and now_s - o.arrived_s < ALONE_S for o in expected.values()
+                )
+            else:
+                continue
+            (errors if alone else warnings).append(text)
+        return warnings, errors
 
     def newly_lost(self, losses: Mapping[str, int]) -> list[str]:
         """What was lost since the last call and is no routine, in words."""

@@ -1,0 +1,70 @@
+"""What the other nodes of the same namespace say of themselves in /diagnostics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+
+def own_name(status_name: str, namespace: str) -> str | None:
+    """The name of a node of this namespace; None for a status of somebody else."""
+    space, slash, name = f"/{status_name}".rpartition("/")
+    return name if space + slash == f"{namespace.rstrip('/')}/" else None
+
+
+class Others:
+    """The last status of each of the named nodes."""
+
+    def __init__(self, namespace: str, names: Iterable[str]) -> None:
+        self._namespace, self._names = namespace, tuple(names)
+        self._last: dict[str, DiagnosticStatus] = {}
+
+    def take(self, message: DiagnosticArray) -> None:
+        """A message of /diagnostics."""
+        for status in message.status:
+            name = own_name(status.name, self._namespace)
+            if name in self._names:
+                self._last[str(name)] = status
+
+    def lines(self, name: str) -> dict[str, str]:
+        """The lines of a node, none where it was not heard."""
+        status = self._last.get(name)
+        return {} if status is None else {v.key: v.value for v in status.values}
+
+    def losses(self) -> dict[str, dict[str, int]]:
+        """Losses by node and reason."""
+        return {
+            name: {
+                key.removeprefix("lost_"): int(value)
+                for key, value in self.lines(name).items()
+                if key.startswith("lost_") and value.isdigit()
+            }
+            for name in self._names
+            if name in self._last
+        }
+
+    def add_to(self, result: dict[str, Any]) -> None:
+        """Add what was lost before this node to a result; what is an error there is a doubt of
+        it.
+        """
+        result["losses_upstream"] = self.losses()
+        for name, status in self._last.items():
+            if status.level != DiagnosticStatus.ERROR:
+                continue
+            verdict = result["verdict"]
+            text = f"{name} reports an error: {status.message}"
+            reasons = [*verdict["reasons"], {"name": f"error_{name}", "text": text, "value": None}]
+            result["verdict"] = {"status": "doubtful", "reasons": reasons}
+
+    def waiting(self) -> str:
+        """What the nodes before had not handed on when they were last heard, in words."""
+        lines = self.lines("filter_node")
+        if not lines:
+            return "the nodes before this one had not ended when it did"
+        late = lines.get("deferred_s", "0.00")
+        return (
+            f"filter_node had not ended, with {late} s of returns and {lines.get('queue', '0')} "
+            "messages waiting when last heard"
+        )

@@ -1,0 +1,153 @@
+"""Two vehicles on one graph, a namespace each: both give the volume of their own recording, log
+their own topics, and all nodes that are signalled at once still end with all data.
+"""
+
+import json
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from ladar_volume.cli.main import main
+from ladar_volume.model.parameters import BudgetParameters
+from ladar_volume.simulation.bag import write_bag
+from ladar_volume.simulation.platforms import make_platform
+from ladar_volume.simulation.scenes import make_scene
+from ladar_volume.simulation.suited_parameters import SUITED
+from ladar_volume.simulation.survey import Survey, SurveyOptions
+
+ROOT = Path(__file__).parents[2]
+#: Returns when all nodes report and volume_node has found filter_node.
+READY = """
+import sys, time, rclpy
+from ladar_volume.nodes.graph import Watcher
+rclpy.init(args=[])
+watcher, began = Watcher(), time.monotonic()
+while not set(sys.argv[1:]) <= set(watcher.lines) or watcher.number("volume_node", "joined") != 1:
+    rclpy.spin_once(watcher, timeout_sec=0.1)
+    assert time.monotonic() < began + 80.0
+"""
+NODES = ("georeference_node", "filter_node", "volume_node", "logger_node")
+
+
+def recording(path, seed):
+    """Four seconds over a stockpile, thinned."""
+    scene = make_scene("stockpile", seed)
+    survey = Survey(
+        scene,
+        make_platform("uav", scene.extent_m, 4.0),
+        BudgetParameters(),
+        SurveyOptions(4.0, 20, seed=seed),
+    )
+    suited = {s: dict(v) for s, v in SUITED["pile"].items()}
+    write_bag(survey, path, suited, lambda share: None)
+    return path
+
+
+def environment(offset):
+    """A private domain on loopback."""
+    return os.environ | {
+        "ROS_DOMAIN_ID": str((os.getpid() + offset) % 90 + 10),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "PYTHONPATH": str(ROOT),
+    }
+
+
+def up(bag, folder, *more):
+    """A played survey through the graph; its words."""
+    words = [
+        "up",
+        "--play",
+        str(bag),
+        "--json",
+        "-o",
+        str(folder),
+        "--log",
+        f"{folder}.mcap",
+        "--rate",
+        "4",
+    ]
+    return [sys.executable, "-m", "ladar_volume.cli.main", *words, *more]
+
+
+def run(command, offset):
+    return subprocess.Popen(
+        command,
+        cwd=ROOT,
+        env=environment(offset),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def answer(process):
+    out, err = process.communicate(timeout=240)
+    assert process.returncode == 0, err[-2000:]
+    return json.loads(out)
+
+
+def offline(bag, folder, capsys):
+    """The volume of a recording without nodes, m³."""
+    assert main(["replay", str(bag), "--json", "--no-figure", "-o", str(folder)]) == 0
+    return json.loads(capsys.readouterr().out)["volume_m3"]
+
+
+def topics_of(log):
+    with log.open("rb") as stream:
+        return {c.topic for c in make_reader(stream).get_summary().channels.values()}
+
+
+def test_two_vehicles_on_one_graph_give_what_each_gives_alone(tmp_path, capsys):
+    bags = [recording(tmp_path / f"bag{k}", k) for k in (5, 6)]
+    alone = [offline(b, tmp_path / "alone", capsys) for b in bags]
+    both = [
+        run(up(b, tmp_path / f"rover{k}", "--ros-args", "-r", f"__ns:=/rover{k}"), 52)
+        for k, b in enumerate(bags)
+    ]
+    found = [answer(p) for p in both]
+    assert alone[0] != alone[1]
+    for one, shared in zip(alone, found, strict=True):
+        assert shared["volume_m3"] == pytest.approx(one, rel=1e-9)
+        assert shared["losses_upstream"].keys() == {"georeference_node", "filter_node"}
+    topics = topics_of(tmp_path / "rover0.mcap")
+    assert "/rover0/velodyne_points" in topics and "/rover0/volumes" in topics
+    assert not [t for t in topics if t.startswith("/rover1") or t.endswith("/patches")]
+
+
+@pytest.mark.parametrize("seed", [1])
+def test_nodes_signalled_at_once_under_load_end_with_all_data_or_say_so(tmp_path, seed, capsys):
+    bag, shuffled = recording(tmp_path / "bag", 5), random.Random(seed)
+    log = tmp_path / "log.mcap"
+    words = ["-p", f"config_file:={bag / 'config.yaml'}", "-p", f"logger.path:={log}"]
+    words += ["-p", "node.input_reliability:=reliable", "-p", "node.input_depth:=2000"]
+    program = [sys.executable, "-m", "ladar_volume.nodes.programs"]
+    nodes = {n: run([*program, n, "--ros-args", *words], 60 + seed) for n in NODES}
+    assert run([sys.executable, "-c", READY, *NODES], 60 + seed).wait(timeout=90) == 0
+    player = run([*program, "player", str(bag), "8"], 60 + seed)
+    try:
+        player.wait(timeout=60)
+        time.sleep(shuffled.uniform(0.0, 0.3))
+        for name in shuffled.sample(NODES, len(NODES)):
+            nodes[name].send_signal(signal.SIGINT)
+        said = {n: p.communicate(timeout=120) for n, p in nodes.items()}
+    finally:
+        for process in (*nodes.values(), player):
+            process.kill()
+    assert {n: p.returncode for n, p in nodes.items()} == dict.fromkeys(NODES, 0), said
+    words = "".join(said["volume_node"])
+    end = re.search(r"volume at the end: ([\d.]+) m3", words)
+    if end is None:
+        assert "incomplete volume" in words, words
+    else:
+        whole = offline(bag, tmp_path / "whole", capsys)
+        assert float(end[1]) == pytest.approx(whole, abs=1e-4)
+    with log.open("rb") as stream:
+        assert make_reader(stream).get_summary().statistics.message_count > 50  # it has its index

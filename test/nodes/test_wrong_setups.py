@@ -1,0 +1,155 @@
+"""Nine set-ups that are wrong, each fed to the real nodes in a namespace of its own: each is named
+in the diagnostics within five seconds of data, and the one that is right is not.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+SCRIPT = """
+import json, socket, sys, time
+import numpy as np, rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
+from ladar_volume.nodes.convert import header, table_message
+from ladar_volume.nodes.georeference_node import GeoreferenceNode
+from ladar_volume.nodes.logger_node import LoggerNode
+from ladar_volume.nodes.mavlink_node import MavlinkNode
+from ladar_volume.nodes.qos import STREAM
+from ladar_volume.nodes.running import Spinner
+
+S = 1_000_000_000
+rclpy.init(args=[])
+rng = np.random.default_rng(3)
+def cloud(t, rings=16, frame="velodyne", timed=True, ringed=True):
+    n = 320
+    columns = {axis: rng.uniform(-20, 20, n).astype(np.float32) for axis in "xyz"}
+    columns["intensity"] = np.ones(n, np.float32)
+    if ringed:
+        columns["ring"] = (np.arange(n) % rings).astype(np.uint16)
+    if timed:
+        columns["time"] = np.linspace(-0.1, 0.0, n).astype(np.float32)
+    return table_message(columns, t, frame)
+def fix(t):
+    m = NavSatFix(header=header(t, "gnss"), latitude=50.0, longitude=14.0, altitude=30.0)
+    m.status.status = 2
+    m.position_covariance_type, m.position_covariance = 2, np.diag([1e-4] * 3).ravel()
+    return m
+def imu(t, down=False):
+    m = Imu(header=header(t, "base_link"))
+    m.orientation.w, m.orientation_covariance = 1.0, np.diag([1e-6] * 3).ravel()
+    m.linear_acceleration.z = -9.8 if down else 9.8
+    return m
+right = {"cloud": cloud, "fix": fix, "imu": imu}
+setups = {
+    "right": {},
+    "beams": {"cloud": lambda t: cloud(t, rings=64)},
+    "gnss": {"fix": None},
+    "axes": {"imu": lambda t: imu(t, down=True)},
+    "late": {"imu": lambda t: imu(t - 2 * S)},
+    "frame": {"cloud": lambda t: cloud(t, frame="map")},
+    "driver": {"cloud": lambda t: cloud(t, timed=False, ringed=False)},
+    "time": {"cloud": lambda t: cloud(0)},
+}
+kinds = {"cloud": (PointCloud2, "velodyne_points"), "fix": (NavSatFix, "gnss/fix"), "imu": (Imu, "imu/data")}
+fast = {"node.diagnostics_period_s": 0.25, "node.hardware_id": "rover"}
+def values(**more):
+    return [Parameter(k, value=v) for k, v in (fast | more).items()]
+nodes, pubs = [], {}
+tester, said = rclpy.create_node("tester"), {}
+def take(message):
+    for s in message.status:
+        said.setdefault(s.name, {"hardware": s.hardware_id, "texts": []})["texts"].append([int.from_bytes(s.level, "little"), s.message])
+tester.create_subscription(DiagnosticArray, "/diagnostics", take, 200)
+for name, wrong in setups.items():
+    nodes.append(GeoreferenceNode(namespace=f"/{name}", parameter_overrides=values(**{"node.input_reliability": "reliable"})))
+    pubs[name] = {k: (tester.create_publisher(t, f"/{name}/{topic}", STREAM), (right | wrong)[k]) for k, (t, topic) in kinds.items() if (right | wrong)[k]}
+nodes.append(LoggerNode(namespace="/disk", parameter_overrides=values(**{"logger.path": sys.argv[1] + "/log.mcap", "logger.disk_reserve_bytes": 2**60})))
+started = [n.autostart() for n in nodes]
+taken = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+taken.bind(("127.0.0.1", 0))
+port = MavlinkNode(namespace="/port", parameter_overrides=values(**{"mavlink.url": f"udpin:127.0.0.1:{taken.getsockname()[1]}"}))
+said["port"] = {"started": port.autostart(), "failure": port.failure}
+spinners = [Spinner(n) for n in (*nodes, tester)]
+for _ in range(600):
+    if all(p.get_subscription_count() for of in pubs.values() for p, _ in of.values()):
+        break
+    time.sleep(0.02)
+began = time.monotonic()
+for step in range(48):
+    t = 1_700_000_000 * S + step * S // 10
+    for of in pubs.values():
+        for kind, (publisher, make) in of.items():
+            for part in range(5 if kind == "imu" else 1):
+                publisher.publish(make(t + part * S // 50))
+    time.sleep(max(0.0, began + 0.1 * step - time.monotonic()))
+time.sleep(max(0.0, began + 4.9 - time.monotonic()))
+out = json.dumps({"said": said, "started": started})
+for s in spinners:
+    s.close()
+rclpy.try_shutdown()
+print(out)
+"""
+
+#: Level (1 warning, 2 error) and words that must be said, by set-up.
+NAMED = {
+    "beams": (2, "rings up to 63 come and georeference.beams is 16"),
+    "gnss": (2, "no fix yet"),
+    "axes": (2, "180 deg away from up"),
+    "late": (1, "attitudes are 2.0"),
+    "frame": (2, "frame 'map'"),
+    "driver": (2, "cloud_no_time"),
+    "time": (2, "stamps of cloud are 0"),
+}
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory):
+    environment = os.environ | {
+        "ROS_DOMAIN_ID": str((os.getpid() + 41) % 90 + 10),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "PYTHONPATH": str(ROOT),
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT, str(tmp_path_factory.mktemp("log"))],
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.mark.parametrize("setup", sorted(NAMED))
+def test_what_is_wrong_is_named(seen, setup):
+    level, words = NAMED[setup]
+    texts = seen["said"][f"{setup}/georeference_node"]["texts"]
+    assert any(found >= level and words in text for found, text in texts), texts[-1]
+
+
+def test_a_right_setup_is_good_and_names_its_vehicle(seen):
+    right = seen["said"]["right/georeference_node"]
+    assert right["hardware"] == "rover" and right["texts"][-1] == [0, "good"]
+    assert not [text for level, text in right["texts"] if level == 2]
+
+
+def test_a_late_imu_gets_no_advice_for_the_clock_of_the_lidar(seen):
+    texts = [text for _, text in seen["said"]["late/georeference_node"]["texts"]]
+    assert not any("clock_offset_s should be" in text for text in texts)
+
+
+def test_a_full_disk_is_an_error_and_a_busy_port_one_line(seen):
+    texts = seen["said"]["disk/logger_node"]["texts"]
+    assert any(level == 2 and "nothing is logged" in text for level, text in texts), texts[-1]
+    port = seen["said"]["port"]
+    assert port["started"] is False and "mavlink.url" in port["failure"]
+    assert "\n" not in port["failure"]
