@@ -37,8 +37,8 @@ MODULES = 20
 #: Arguments of a function, ``self`` and ``cls`` not counted; how many functions have more, outside
 #: ``clouds/`` and in the whole package; how many arguments are annotated as bare ``Any``. Lines of a
 #: function, docstring included, and how many functions have more. All but 8 and 40 only go down.
-ARGUMENTS, LONG_OUTSIDE_CLOUDS, LONG, ANY = 8, 2, 3, 64
-LINES, TALL = 40, 20
+ARGUMENTS, LONG_OUTSIDE_CLOUDS, LONG, ANY = 8, 2, 3, 63
+LINES, TALL = 40, 8
 
 
 def name_of(path):

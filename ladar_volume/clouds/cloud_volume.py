@@ -12,7 +12,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -26,9 +25,10 @@ from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.tin.full_tin import any_corner
 from ladar_volume.volume.base import base_and_outline, polygon_of
 from ladar_volume.volume.near_base import REACH, NearBase, near_base
+from ladar_volume.volume.neighbourhood import SparseF64
 from ladar_volume.volume.overlay import between
 from ladar_volume.volume.polygon import clipped_prismoids
-from ladar_volume.volume.prismoids import prismoids
+from ladar_volume.volume.prismoids import Prismoids, prismoids
 from ladar_volume.volume.volume_loads import base_name, ground_field, whole_triangles
 
 #: A level of zero, above which differences stand.
@@ -168,6 +168,13 @@ def above_base(
     )
 
 
+def solid_within(tin: Tin, base: Plane, mask: Bool, parameters: Parameters) -> Prismoids:
+    """Cut, fill and net of the triangles (m,), cut off by the polygon where one is given."""
+    if parameters.volume.outline == "polygon":
+        return clipped_prismoids(tin, base, polygon_of(parameters.volume), mask)
+    return prismoids(tin, base, mask)
+
+
 def solid_above(
     surface: CloudSurface,
     base: Plane,
@@ -175,18 +182,14 @@ def solid_above(
     parameters: Parameters,
     variance: F64,
     correct: bool = True,
-    covariance: Any = None,
+    covariance: SparseF64 | None = None,
 ) -> Solid:
     """The solid above a base; ``inside`` (m,) m² is the area of each triangle within the outline,
     covariance (n, n) m² that of the heights, where it is known already.
     """
     tin, mask = surface.made.tin, inside > 0
     by_polygon = parameters.volume.outline == "polygon"
-    found = (
-        clipped_prismoids(tin, base, polygon_of(parameters.volume), mask)
-        if by_polygon
-        else prismoids(tin, base, mask)
-    )
+    found = solid_within(tin, base, mask, parameters)
     cut, near, curved = found.gradient_cut[:, 2], None, 0.0
     # a triangle that the outline cuts is left uncorrected
     whole = whole_triangles(tin, inside) if by_polygon else mask

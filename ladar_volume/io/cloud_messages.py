@@ -30,21 +30,8 @@ def stamp_ns(message: Any) -> int:
     return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
 
 
-def returns_from_cloud(message: Any, parameters: GeoreferenceParameters, losses: Losses) -> Returns:
-    """Decode a Velodyne (`time`), Ouster-style (`t`) or absolute (`timestamp`) cloud, organised or
-    not.
-
-    A row with a NaN coordinate is dropped with all its columns and counted (point_nan), as is one
-    with a time that is not finite (point_time). A missing `ring` reads as 0, a missing `intensity`
-    as 0.
-
-    Raises
-    ------
-    CloudError : layout reasons of :func:`ladar_volume.io.tables.decode`; cloud_no_xyz,
-        cloud_no_time, cloud_one_time (a time field that
-        says the same for every return of a sweep), cloud_all_nan.
-    """
-    columns = decode(message)
+def _check_scalars(columns: dict[str, npt.NDArray[Any]]) -> None:
+    """Refuse a cloud without x, y, z, and fields with several values per point."""
     missing = [axis for axis in "xyz" if axis not in columns]
     if missing or any(columns[axis].ndim != 1 for axis in "xyz"):
         raise CloudError(
@@ -63,6 +50,24 @@ def returns_from_cloud(message: Any, parameters: GeoreferenceParameters, losses:
             reason="cloud_fields",
             value=vectors,
         )
+
+
+def returns_from_cloud(message: Any, parameters: GeoreferenceParameters, losses: Losses) -> Returns:
+    """Decode a Velodyne (`time`), Ouster-style (`t`) or absolute (`timestamp`) cloud, organised or
+    not.
+
+    A row with a NaN coordinate is dropped with all its columns and counted (point_nan), as is one
+    with a time that is not finite (point_time). A missing `ring` reads as 0, a missing `intensity`
+    as 0.
+
+    Raises
+    ------
+    CloudError : layout reasons of :func:`ladar_volume.io.tables.decode`; cloud_no_xyz,
+        cloud_no_time, cloud_one_time (a time field that
+        says the same for every return of a sweep), cloud_all_nan.
+    """
+    columns = decode(message)
+    _check_scalars(columns)
     n = len(columns["x"])
     r_laser = np.empty((n, 3))
     for i, axis in enumerate("xyz"):
@@ -80,6 +85,19 @@ def returns_from_cloud(message: Any, parameters: GeoreferenceParameters, losses:
     if not keep.any():
         raise CloudError(f"none of {n} points is finite", reason="cloud_all_nan", value=n)
     return select(returns, keep)
+
+
+def _offsets(values: npt.NDArray[Any]) -> tuple[I64, npt.NDArray[np.bool_]]:
+    """Offsets from the stamp, ns, and whether each is one; 0 where not."""
+    ok = np.abs(values.astype(np.float64)) <= LONGEST_OFFSET_S * (
+        1e9 if values.dtype.kind in "iu" else 1.0
+    )  # NaN is not
+    clean = values if ok.all() else np.where(ok, values, 0)
+    if clean.dtype.kind == "f":
+        offset = np.rint(clean.astype(np.float64) * 1e9).astype(np.int64)
+    else:
+        offset = clean.astype(np.int64)  # Ouster: nanoseconds
+    return offset, ok
 
 
 def _times(
@@ -113,14 +131,7 @@ def _times(
         )
     if name.startswith("time") and name != "time":
         return _absolute(values)
-    ok = np.abs(values.astype(np.float64)) <= LONGEST_OFFSET_S * (
-        1e9 if values.dtype.kind in "iu" else 1.0
-    )  # NaN is not
-    clean = values if ok.all() else np.where(ok, values, 0)
-    if clean.dtype.kind == "f":
-        offset = np.rint(clean.astype(np.float64) * 1e9).astype(np.int64)
-    else:
-        offset = clean.astype(np.int64)  # Ouster: nanoseconds
+    offset, ok = _offsets(values)
     if name == "t" and parameters.stamp_refers_to == "last":
         offset = offset - offset.max()
     return stamp + offset, ok

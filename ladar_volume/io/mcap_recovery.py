@@ -265,19 +265,8 @@ def _add_extra(contents: _Contents, opcode: int, content: bytes, offset: int) ->
     )
 
 
-def _ending(contents: _Contents) -> bytes:
-    """What belongs behind the last whole record: message indexes of the last chunk, DataEnd,
-    summary, footer, magic.
-    """
-    out = RecordBuilder()
-    start = contents.end
-    if start == 0:
-        out.write(MCAP0_MAGIC)
-        records.Header("ros2", "ladar_volume").write(out)
-    if contents.missing:
-        _reindex_last_chunk(contents, out)
-    records.DataEnd(0).write(out)
-    summary_start = start + out.count
+def _summary(contents: _Contents, start: int) -> tuple[RecordBuilder, list[records.SummaryOffset]]:
+    """The summary that begins at a byte of the file, and where its groups lie."""
     groups: list[tuple[Opcode, list[records.McapRecord]]] = [
         (Opcode.SCHEMA, [*contents.schemas.values()]),
         (Opcode.CHANNEL, [*contents.channels.values()]),
@@ -293,9 +282,24 @@ def _ending(contents: _Contents) -> bytes:
         for record in group:
             record.write(summary)
         if group:
-            offsets.append(
-                records.SummaryOffset(opcode, summary_start + before, summary.count - before)
-            )
+            offsets.append(records.SummaryOffset(opcode, start + before, summary.count - before))
+    return summary, offsets
+
+
+def _ending(contents: _Contents) -> bytes:
+    """What belongs behind the last whole record: message indexes of the last chunk, DataEnd,
+    summary, footer, magic.
+    """
+    out = RecordBuilder()
+    start = contents.end
+    if start == 0:
+        out.write(MCAP0_MAGIC)
+        records.Header("ros2", "ladar_volume").write(out)
+    if contents.missing:
+        _reindex_last_chunk(contents, out)
+    records.DataEnd(0).write(out)
+    summary_start = start + out.count
+    summary, offsets = _summary(contents, summary_start)
     offset_start = summary_start + summary.count
     for offset in offsets:
         offset.write(summary)

@@ -24,6 +24,29 @@ class Measurements:
     mounting: list[str] | None
 
 
+def _value_columns(path: Path, rows: list[list[str]], known: tuple[str, ...]) -> list[str]:
+    """Names of the columns of values. Refuses other columns, and rows of another length."""
+    names = rows[0]
+    strange = [n for n in names if n not in (*known, "mounting", "note")]
+    values = [n for n in names if n in known]
+    if strange or not values or len(set(names)) < len(names):
+        raise CalibrationError(
+            (
+                f"{path}: columns {', '.join(names)}: expected are some of "
+                f"{', '.join(known)}, each once, and 'mounting' or 'note'"
+            ),
+            reason="calibration_columns",
+            value=strange or names,
+        )
+    for number, row in enumerate(rows[1:], 1):
+        if len(row) != len(names):
+            raise CalibrationError(
+                f"{path}: row {number} has {len(row)} cells, the header {len(names)}",
+                reason="calibration_values",
+            )
+    return values
+
+
 def read_measurements(path: Path, known: tuple[str, ...]) -> Measurements:
     """Read a table whose columns are among ``known``, ``mounting`` and, left aside, ``note``.
 
@@ -52,23 +75,7 @@ def read_measurements(path: Path, known: tuple[str, ...]) -> Measurements:
         for row in csv.reader(lines, delimiter=";" if ";" in lines[0] else ",")
     ]
     names = rows[0]
-    strange = [n for n in names if n not in (*known, "mounting", "note")]
-    values = [n for n in names if n in known]
-    if strange or not values or len(set(names)) < len(names):
-        raise CalibrationError(
-            (
-                f"{path}: columns {', '.join(names)}: expected are some of "
-                f"{', '.join(known)}, each once, and 'mounting' or 'note'"
-            ),
-            reason="calibration_columns",
-            value=strange or names,
-        )
-    for number, row in enumerate(rows[1:], 1):
-        if len(row) != len(names):
-            raise CalibrationError(
-                f"{path}: row {number} has {len(row)} cells, the header {len(names)}",
-                reason="calibration_values",
-            )
+    values = _value_columns(path, rows, known)
     columns = {
         name: _numbers(path, name, [row[names.index(name)] for row in rows[1:]]) for name in values
     }

@@ -29,11 +29,10 @@ SURVEY_FILES = ("result.json", "result.mcap", "mesh.ply", "figure.png")
 
 def volume_dict(volume: Volume) -> dict[str, Any]:
     """A volume as plain values."""
-    low, high = volume.interval_m3
     return {
         "volume_m3": volume.volume_m3,
         "sigma_m3": volume.sigma_m3,
-        "interval_m3": [low, high],
+        "interval_m3": list(volume.interval_m3),
         "confidence": volume.confidence,
         "coverage_factor": volume.coverage_factor,
         "cut_m3": volume.cut_m3,

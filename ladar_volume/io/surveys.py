@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
@@ -81,16 +82,36 @@ def survey_tables(epoch: Epoch) -> Iterator[tuple[str, message_tables.Columns]]:
     yield "navigation", navigation_columns(epoch.sources.navigation)
 
 
+def _table_message(columns: dict[str, npt.NDArray[Any]], t_ns: int) -> object:
+    """Columns (n,) as a PointCloud2 of the map."""
+    types, table = TYPESTORE.types, encode(columns)
+    seconds, nanoseconds = divmod(t_ns, 1_000_000_000)
+    stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
+    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="map")
+    fields = [
+        types["sensor_msgs/msg/PointField"](
+            name=c.name, offset=c.offset, datatype=NUMBERS[c.code], count=c.count
+        )
+        for c in table.columns
+    ]
+    return types["sensor_msgs/msg/PointCloud2"](
+        header=header,
+        height=1,
+        width=table.rows,
+        fields=fields,
+        is_bigendian=False,
+        point_step=table.row_bytes,
+        row_step=table.row_bytes * table.rows,
+        data=table.data,
+        is_dense=True,
+    )
+
+
 def write_survey(path: Path, estimate: Estimate, epoch: Epoch, result: Mapping[str, Any]) -> None:
     """The tables of volumes and ground surfaces, the TIN's vertices, the survey and the whole
     result as MCAP. Raises OutputError.
     """
-    types = TYPESTORE.types
     t_ns = estimate.volume.t_ns
-    stamp = types["builtin_interfaces/msg/Time"](
-        sec=t_ns // 1_000_000_000, nanosec=t_ns % 1_000_000_000
-    )
-    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="map")
     vertices = estimate.tin.vertices
     tables = [
         ("volumes", message_tables.volume_columns(list(estimate.bodies))),
@@ -109,28 +130,23 @@ def write_survey(path: Path, estimate: Estimate, epoch: Epoch, result: Mapping[s
     with whole_file(path) as part, McapLog(Parameters().logger, part) as log:
         log.metadata(RECORD, {"result": results.json_text(result)})
         for topic, columns in itertools.chain(tables, survey_tables(epoch)):
-            table = encode(columns)
-            fields = [
-                types["sensor_msgs/msg/PointField"](
-                    name=c.name, offset=c.offset, datatype=NUMBERS[c.code], count=c.count
-                )
-                for c in table.columns
-            ]
-            log.write_message(
-                topic,
-                types["sensor_msgs/msg/PointCloud2"](
-                    header=header,
-                    height=1,
-                    width=table.rows,
-                    fields=fields,
-                    is_bigendian=False,
-                    point_step=table.row_bytes,
-                    row_step=table.row_bytes * table.rows,
-                    data=table.data,
-                    is_dense=True,
-                ),
-                t_ns,
-            )
+            log.write_message(topic, _table_message(columns, t_ns), t_ns)
+
+
+def _surface_tables(file: Path) -> tuple[list[Any], list[Any], list[Any]]:
+    """Tables of points, patches and navigation. Refuses a file without them."""
+    tables: dict[str, list[Any]] = {topic: [] for topic in SURVEY}
+    with BagReader(file) as bag:
+        for raw in bag.raw(set(SURVEY)):
+            tables[raw.topic].append(decode(bag.message(raw)))
+    points, patches, navigation = (tables[topic] for topic in SURVEY)
+    if not points or len(points) != len(patches) or len(navigation) != 1:
+        raise InputError(
+            f"{file}: holds no surface to compare with; replay the recording again",
+            reason="survey_file",
+            value=str(file),
+        )
+    return points, patches, navigation
 
 
 def read_survey(path: str | Path) -> Survey:
@@ -145,17 +161,7 @@ def read_survey(path: str | Path) -> Survey:
             f"{file}: no such file; replay writes it", reason="survey_missing", value=str(path)
         )
     result = read_result(file)
-    tables: dict[str, list[Any]] = {topic: [] for topic in SURVEY}
-    with BagReader(file) as bag:
-        for raw in bag.raw(set(SURVEY)):
-            tables[raw.topic].append(decode(bag.message(raw)))
-    points, patches, navigation = (tables[topic] for topic in SURVEY)
-    if not points or len(points) != len(patches) or len(navigation) != 1:
-        raise InputError(
-            f"{file}: holds no surface to compare with; replay the recording again",
-            reason="survey_file",
-            value=str(path),
-        )
+    points, patches, navigation = _surface_tables(file)
     try:
         given = {
             s: {k: v for k, v in values.items() if v is not None}

@@ -57,16 +57,13 @@ def encode(columns: dict[str, npt.NDArray[Any]]) -> Table:
     return Table(tuple(described), rows, packed.dtype.itemsize, packed.view(np.uint8).reshape(-1))
 
 
-def decode(message: Any) -> dict[str, npt.NDArray[Any]]:
-    """Columns of a PointCloud2-like message, native byte order, row order kept; organised clouds
-    are flattened.
-
-    Raises
-    ------
-    CloudError : reasons cloud_empty, cloud_point_step, cloud_row_step, cloud_short, cloud_fields.
+def _checked_bytes(
+    raw: bytes | npt.NDArray[np.uint8], size: tuple[int, int], step: tuple[int, int]
+) -> npt.NDArray[np.uint8]:
+    """The bytes (n,) of a cloud that holds what its sizes say. size : width, height · step : bytes
+    of a point, of a row
     """
-    width, height = int(message.width), int(message.height)
-    point_step, row_step = int(message.point_step), int(message.row_step)
+    (width, height), (point_step, row_step) = size, step
     if width <= 0 or height <= 0:
         raise CloudError(
             f"cloud without points ({width} x {height})",
@@ -79,17 +76,27 @@ def decode(message: Any) -> dict[str, npt.NDArray[Any]]:
             reason="cloud_row_step",
             value=row_step,
         )
-    data = (
-        np.frombuffer(message.data, dtype=np.uint8)
-        if not isinstance(message.data, np.ndarray)
-        else message.data
-    )
+    data = np.frombuffer(raw, dtype=np.uint8) if not isinstance(raw, np.ndarray) else raw
     if data.size < row_step * (height - 1) + width * point_step:
         raise CloudError(
             f"{data.size} bytes for {height} rows of {row_step}",
             reason="cloud_short",
             value=data.size,
         )
+    return data
+
+
+def decode(message: Any) -> dict[str, npt.NDArray[Any]]:
+    """Columns of a PointCloud2-like message, native byte order, row order kept; organised clouds
+    are flattened.
+
+    Raises
+    ------
+    CloudError : reasons cloud_empty, cloud_point_step, cloud_row_step, cloud_short, cloud_fields.
+    """
+    width, height = int(message.width), int(message.height)
+    point_step, row_step = int(message.point_step), int(message.row_step)
+    data = _checked_bytes(message.data, (width, height), (point_step, row_step))
     dtype = _dtype(
         message, point_step
     )  # after the sizes: a row that does not fit the data may be too long for any type

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ladar_volume.model.errors import InputError, shown
+from ladar_volume.model.records import F64
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.registration.transform import Transform
 
@@ -23,6 +24,31 @@ def _facts(path: Path) -> Any:
     if len(text) > SIZE:
         raise ValueError(f"more than {SIZE:,} characters")
     return json.loads(text)
+
+
+def _checked_rotation(path: Path, M: F64, pivot: F64, C: F64, scale: float) -> F64:
+    """The rotation (3, 3) of a transform whose matrix, pivot, covariance and scale are such."""
+    if (
+        M.shape != (4, 4)
+        or pivot.shape != (3,)
+        or C.shape != (7, 7)
+        or not all((np.abs(x) < MOST).all() for x in (M, pivot, C))
+        or not 1.0 / MOST < scale < MOST
+    ):
+        raise InputError(
+            f"{path}: matrix (4, 4), pivot_m (3,), covariance (7, 7), scale above 0, of numbers "
+            f"below {MOST:g}",
+            reason="transform_file",
+            value=str(path),
+        )
+    R = M[:3, :3] / scale
+    turns = np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0
+    if not turns or np.linalg.eigvalsh(C)[0] < -1e-9 * max(float(np.trace(C)), 1e-300):
+        raise InputError(
+            f"{path}: the matrix is no rotation times the scale, or the covariance none",
+            reason="transform_file",
+        )
+    return R
 
 
 def read_transform(path: str | Path) -> Transform:
@@ -51,26 +77,7 @@ def read_transform(path: str | Path) -> Transform:
             reason="transform_file",
             value=str(path),
         ) from error
-    if (
-        M.shape != (4, 4)
-        or pivot.shape != (3,)
-        or C.shape != (7, 7)
-        or not all((np.abs(x) < MOST).all() for x in (M, pivot, C))
-        or not 1.0 / MOST < scale < MOST
-    ):
-        raise InputError(
-            f"{path}: matrix (4, 4), pivot_m (3,), covariance (7, 7), scale above 0, of numbers "
-            f"below {MOST:g}",
-            reason="transform_file",
-            value=str(path),
-        )
-    R = M[:3, :3] / scale
-    turns = np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0
-    if not turns or np.linalg.eigvalsh(C)[0] < -1e-9 * max(float(np.trace(C)), 1e-300):
-        raise InputError(
-            f"{path}: the matrix is no rotation times the scale, or the covariance none",
-            reason="transform_file",
-        )
+    R = _checked_rotation(path, M, pivot, C, scale)
     return Transform(R, M[:3, 3] + M[:3, :3] @ pivot, pivot, scale, C)
 
 

@@ -75,6 +75,24 @@ def holds_faces(path: str | Path) -> bool:
     return any(e.name == "face" and e.rows > 0 for e in elements)
 
 
+def _read_kind(path: Path, ending: str, surface: str | None) -> MeshFile:
+    """The mesh of a file by its ending."""
+    if ending in LANDXML:
+        return _read_land(path, surface)
+    if surface is not None:
+        raise InputError("only a LandXML has surfaces with names", reason="landxml_surface")
+    if ending == ".stl":
+        soup = _finite(read_stl(path))
+        vertices, triangles, dropped = weld(
+            soup, np.arange(len(soup), dtype=np.int32).reshape(-1, 3)
+        )
+        return _mended(MeshFile(vertices, triangles, dropped), True)
+    if ending == ".ply":
+        vertices, faces, columns = read_ply_mesh(path)
+        return _assemble(vertices, faces, columns)
+    return _assemble(*(read_obj if ending == ".obj" else read_off)(path))
+
+
 def read_mesh(path: str | Path, surface: str | None = None) -> MeshFile:
     """Read a mesh file; of a LandXML with several surfaces that of a name.
 
@@ -94,20 +112,7 @@ def read_mesh(path: str | Path, surface: str | None = None) -> MeshFile:
     if not path.exists():
         raise InputError(f"{path}: no such file", reason="input_missing", value=str(path))
     try:
-        if ending in LANDXML:
-            return _read_land(path, surface)
-        if surface is not None:
-            raise InputError("only a LandXML has surfaces with names", reason="landxml_surface")
-        if ending == ".stl":
-            soup = _finite(read_stl(path))
-            vertices, triangles, dropped = weld(
-                soup, np.arange(len(soup), dtype=np.int32).reshape(-1, 3)
-            )
-            return _mended(MeshFile(vertices, triangles, dropped), True)
-        if ending == ".ply":
-            vertices, faces, columns = read_ply_mesh(path)
-            return _assemble(vertices, faces, columns)
-        return _assemble(*(read_obj if ending == ".obj" else read_off)(path))
+        return _read_kind(path, ending, surface)
     except OSError as error:
         raise InputError(
             f"{path}: cannot be read: {error}", reason="input_unreadable", value=str(path)

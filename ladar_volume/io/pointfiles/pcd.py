@@ -160,14 +160,11 @@ def _compressed(file: IO[bytes], header: _Header, left: int) -> Columns:
     return columns
 
 
-def write_pcd(path: Path, columns: Columns, comments: list[str], encoding: str) -> None:
-    """Write columns (n,); ``encoding`` is ascii, binary or binary_compressed. Raises OSError and
-    :class:`OutputError`.
-    """
-    columns = {name: narrow(c) for name, c in columns.items()}
+def _header_lines(columns: Columns, comments: list[str], encoding: str) -> list[str]:
+    """The header of columns (n,)."""
     rows = len(next(iter(columns.values())))
     codes = [c.dtype.str[1:] for c in columns.values()]
-    lines = [
+    return [
         "# .PCD v0.7 - Point Cloud Data file format",
         *(f"# {c}" for c in comments),
         "VERSION 0.7",
@@ -181,6 +178,14 @@ def write_pcd(path: Path, columns: Columns, comments: list[str], encoding: str) 
         f"POINTS {rows}",
         f"DATA {encoding}",
     ]
+
+
+def write_pcd(path: Path, columns: Columns, comments: list[str], encoding: str) -> None:
+    """Write columns (n,); ``encoding`` is ascii, binary or binary_compressed. Raises OSError and
+    :class:`OutputError`.
+    """
+    columns = {name: narrow(c) for name, c in columns.items()}
+    lines = _header_lines(columns, comments, encoding)
     with path.open("wb") as file:
         file.write(("\n".join(lines) + "\n").encode())
         if encoding == "ascii":
@@ -198,6 +203,7 @@ def write_pcd(path: Path, columns: Columns, comments: list[str], encoding: str) 
             packed = pack(data)
             file.write(np.array([len(packed), len(data)], "<u4").tobytes() + packed.tobytes())
             return
+        rows = len(next(iter(columns.values())))
         table = np.empty(rows, [(name, "<" + c.dtype.str[1:]) for name, c in columns.items()])
         for name, c in columns.items():
             table[name] = c
