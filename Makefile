@@ -5,7 +5,7 @@ PY := .venv/bin/python
 .PHONY: help run test lint bench fuzz mutants arm64 docs colcon clean
 
 help:  ## list the targets
-	@sed -n 's/^\([a-z]*\):[^#]*## /\1\t/p' Makefile | expand -t 10
+	@sed -n 's/^\([a-z0-9]*\):[^#]*## /\1\t/p' Makefile | expand -t 10
 
 run: .venv/ready  ## play the bundled surveys through the real nodes, print volume ± sigma
 	.venv/bin/ladar_volume up --play bags/stockpile --rate 4 -o out/stockpile

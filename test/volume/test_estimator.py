@@ -92,7 +92,8 @@ def test_two_threads_find_what_one_finds(monkeypatch):
 
     several = [repr(found()) for _ in range(8)]
     monkeypatch.setattr(
-        "ladar_volume.volume.measured_body.at_once", lambda one, two: (one(), two())
+        "ladar_volume.volume.measured_body.run_concurrently",
+        lambda one, two: (one(), two()),
     )
     assert set(several) == {repr(found())}
 
