@@ -2,10 +2,10 @@
 SOURCES := $(shell find ladar_volume launch config -name '*.py' -o -name '*.yaml') package.xml setup.py setup.cfg
 PY := .venv/bin/python
 
-.PHONY: help run test lint bench fuzz mutants arm64 docs colcon clean
+.PHONY: help run test lint bench fuzz mutants wheels docs colcon clean
 
 help:  ## list the targets
-	@sed -n 's/^\([a-z0-9]*\):[^#]*## /\1\t/p' Makefile | expand -t 10
+	@sed -n 's/^\([a-z]*\):[^#]*## /\1\t/p' Makefile | expand -t 10
 
 run: .venv/ready  ## play the bundled surveys through the real nodes, print volume ± sigma
 	.venv/bin/ladar_volume up --play bags/stockpile --rate 4 -o out/stockpile
@@ -29,7 +29,7 @@ mutants: .venv/ready  ## planted bugs, then mutants of the core: which do the te
 	$(PY) -m benchmarks.planted
 	tools/mutants.sh
 
-arm64: .venv/ready  ## does every pinned package have a wheel for arm64? needs the network
+wheels: .venv/ready  ## does every pinned package have a wheel for arm64? needs the network
 	tools/check_arm64.sh
 
 docs: .venv/ready  ## regenerate config/default.yaml and docs/parameters.md
