@@ -23,6 +23,11 @@ RELIABLE = QoSProfile(
 )
 
 
+#: Listeners are all there when their numbers have not changed for so long, s: a log listens, too, and
+#: may be found before the node that georeferences.
+SETTLED_S = 1.0
+
+
 class Player(Node):
     """Plays the topics a volume needs under their usual names."""
 
@@ -35,14 +40,19 @@ class Player(Node):
             for role, topic in topics.items()
         }
         self.sent: dict[str, int] = dict.fromkeys(topics, 0)
+        self._listeners: tuple[int, ...] = ()
+        self._changed = time.monotonic()
         self.share = 0.0
         self.done = threading.Event()
         self.stop = threading.Event()
 
     def ready(self) -> bool:
-        """Whether somebody listens to every topic that is played."""
+        """Whether somebody listens to every topic that is played, and nobody came since a while."""
         needed = [t for role, t in self._topics.items() if role in ("cloud", "fix", "imu")]
-        return all(self._out[t].get_subscription_count() > 0 for t in needed)
+        listeners = tuple(self._out[t].get_subscription_count() for t in needed)
+        if listeners != self._listeners:
+            self._listeners, self._changed = listeners, time.monotonic()
+        return all(listeners) and time.monotonic() - self._changed > SETTLED_S
 
     def run(self) -> None:
         """Play to the end; for a thread of its own."""
