@@ -23,8 +23,8 @@ RELIABLE = QoSProfile(
 )
 
 
-#: Listeners are all there when their numbers have not changed for so long, s: a log listens, too, and
-#: may be found before the node that georeferences.
+#: Listeners are all there when their numbers have not changed for so long, s: a log listens, too,
+#: and may be found before the node that georeferences.
 SETTLED_S = 1.0
 
 
