@@ -44,17 +44,17 @@ from ladar_volume.clouds.volume_verdict import (
 )
 from ladar_volume.io.config import read_config
 from ladar_volume.io.results import json_text
-from ladar_volume.model.errors import ConfigurationError, LadarVolumeError
+from ladar_volume.model.errors import ConfigurationError, LadarVolumeError, VolumeError
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, Bool, Plane
+from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Verdict
 from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.tin.scan_frame import Frame
 from ladar_volume.version import version
 from ladar_volume.volume.published_methods import front_level, zero_fill_level
 
-#: Step, m, of the search for the level in front of a body: seed 000 takes 5 cm between levels.
-SEARCH_STEP_M = 0.002
+#: Levels over the height of both surfaces, among which that in front of a body is searched.
+SEARCHED_LEVELS = 2000
 #: Parameters that options of their own give.
 OWN_OPTION = {
     "base": "--base",
@@ -278,9 +278,7 @@ def compute_volume(
         level_base = None if task.base == "level" else found.level_base
         more |= level_facts(surfaces, task.levels, level_base, task.correct)
     if task.arguments.method is not None:
-        at = task.levels
-        if at is None:
-            at = np.array([found.parameters.volume.level_m])
+        at = levels_of_pairs(task, found.parameters.volume.level_m)
         more["pairs"] = pair_facts(surfaces, task.arguments.method, at, offset_of(task))
     facts = volume_facts(judgement.volume, found.parameters)
     facts |= {"footprint": task.arguments.footprint if len(surfaces) == 2 else None, **more}
@@ -297,11 +295,31 @@ def in_frame(task: VolumeTask, surfaces: list[CloudSurface]) -> VolumeTask:
         tins, offset = (surfaces[0].made.tin, surfaces[1].made.tin), offset_of(task)
         level = zero_fill_level(*tins, offset)
         if task.base == "front":
-            level = front_level(*tins, SEARCH_STEP_M, offset)
+            level = front_level(*tins, (highest(tins) - level) / SEARCHED_LEVELS, offset)
         volume = dataclasses.replace(volume, level_m=level)
     else:
         return task
     return dataclasses.replace(task, parameters=dataclasses.replace(task.parameters, volume=volume))
+
+
+def highest(tins: tuple[Tin, Tin]) -> float:
+    """The greatest height of two surfaces, m."""
+    return max(float(t.vertices[t.triangles[t.relevant], 2].max()) for t in tins)
+
+
+def levels_of_pairs(task: VolumeTask, found_m: float) -> F64:
+    """Levels (m,) m of the first surface at which the volumes are compared: as given, or the one
+    that was found. Refused where the fill does not hold the whole body.
+    """
+    levels = np.array([found_m]) if task.levels is None else task.levels
+    if task.arguments.method == 1 and levels.min() < found_m:
+        raise VolumeError(
+            f"the level {levels.min():.6g} m cuts the body, which ends below {found_m:.6g} m: "
+            "Method 1 needs levels in front of it",
+            reason="volume_levels",
+            value=float(levels.min()),
+        )
+    return levels
 
 
 def offset_of(task: VolumeTask) -> float:

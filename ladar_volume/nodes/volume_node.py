@@ -4,6 +4,7 @@ raw point.
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import threading
 import time
@@ -301,13 +302,16 @@ class VolumeNode(StageNode):
 
     def _result(self) -> tuple[Estimate, dict[str, Any]]:
         estimate = self._compute(naive=True)
+        verdict = estimate.volume.verdict + self._others.verdict()
+        volume = dataclasses.replace(estimate.volume, verdict=verdict)
+        estimate = dataclasses.replace(estimate, volume=volume)
         self._more = self.stage.more_data()
         result = results.result_dict(
             estimate, self.parameters, self.all_losses(), self._datum, {}, {"node": self.get_name()}
         )
-        self._others.add_to(result)
         change = None if self._since.change is None else results.change_dict(self._since.change)
         return estimate, result | {
+            "losses_upstream": self._others.losses(),
             "where_more_data_helps": results.more_data_dict(self._more),
             "epoch": change,
         }

@@ -243,9 +243,15 @@ class Interpolated(NamedTuple):
     triangle: I64
 
 
-def interpolated(tin: Tin, xy: F64, covariance: sparse.csr_array | None = None) -> Interpolated:
-    """Heights ``λ·z`` of a surface at places xy (n, 2), m, in its relevant triangles, with variance
-    ``λᵀ C λ``: λ the barycentric coordinates, C the covariance of the three vertices.
+def interpolated(
+    tin: Tin,
+    xy: F64,
+    covariance: sparse.csr_array | None = None,
+    index: TriangleIndex | None = None,
+) -> Interpolated:
+    """Heights ``λ·z`` of a surface at places xy (n, 2), m, in its relevant triangles (or in those
+    of ``index``), with variance ``λᵀ C λ``: λ the barycentric coordinates, C the covariance of the
+    three vertices.
 
     covariance : (v, v) m² of the vertex heights, at least the diagonal and the pairs joined by an
     edge; None where it is not known. For independent vertices of one variance the variance is from
@@ -253,7 +259,7 @@ def interpolated(tin: Tin, xy: F64, covariance: sparse.csr_array | None = None) 
     a triangle, a half (seed 004 equation 4, Zhu et al. 2005). What lies between the vertices, as
     roughness, is not in it.
     """
-    where = locate(triangle_index(tin, tin.relevant), xy)
+    where = locate(triangle_index(tin, tin.relevant) if index is None else index, xy)
     weight, corner = barycentric(tin, where, xy), tin.triangles[where]
     height = (weight * tin.vertices[:, 2][corner]).sum(axis=1)
     variance = np.full(len(where), np.nan)
@@ -270,6 +276,4 @@ def height_at(tin: Tin, xy: F64, index: TriangleIndex | None = None) -> F64:
     """Height (n,) m of a surface at points xy (n, 2); NaN outside its relevant triangles (or
     outside ``index``).
     """
-    where = locate(triangle_index(tin, tin.relevant) if index is None else index, xy)
-    z: F64 = (barycentric(tin, where, xy) * tin.vertices[:, 2][tin.triangles[where]]).sum(axis=1)
-    return z
+    return interpolated(tin, xy, index=index).height_m

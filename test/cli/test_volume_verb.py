@@ -421,7 +421,11 @@ def test_both_published_methods_with_an_offset(save, volume, capsys):
     levels = ("--levels", -1.0, -0.5, 0.1)
     pairs = volume(*options, "--method", 2, "--offset", 0.3, *levels)["pairs"]
     assert len(pairs["volume_m3"]) == 6 and abs(pairs["slope_m2"]) < 1e-6
-    assert main(["volume", *map(str, (*options, "--method", 1, *levels))]) == 0
+    assert main(["volume", *map(str, (*options, "--method", 2, "--offset", 0.3, *levels))]) == 0
     assert "per centimetre of level" in capsys.readouterr().out
+    front = volume(*options, "--method", 1, "--offset", 0.3, "--levels", 2.4, 3.4, 0.5)["pairs"]
+    assert front["volume_m3"] == pytest.approx([2.0 * 0.95 * 1.95] * 3, rel=1e-3)
+    assert main(["volume", *map(str, (*options, "--method", 1, "--offset", 0.3, *levels))]) == 2
+    assert "cuts the body" in capsys.readouterr().err
     for words in (["--method", "1", "--level", "0"], ["--method", "1", "--footprint", "common"]):
         assert main(["volume", str(one), str(two), "--footprint", "own", *words]) == 2

@@ -5,26 +5,15 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 
+from ladar_volume.nodes.watch.health import ROUTINE
+
 #: Losses are judged over this time, s, and from so many offered on.
 WINDOW_S, FEWEST = 5.0, 5
 #: Before a survey has gone on for so long, s, what is lost may be its beginning: no error yet.
 SETTLED_S = 2.0
 #: A share above the first is worth a warning, above the second an error.
 WARN_SHARE, ERROR_SHARE = 0.03, 0.25
-#: Gates of the user and of the filter: an error only where next to nothing passes.
-GATES = frozenset(
-    f"point_{reason}"
-    for reason in (
-        "nan",
-        "range",
-        "intensity",
-        "vehicle",
-        "region",
-        "outlier",
-        "few_neighbours",
-        "over_cap",
-    )
-)
+#: Gates of the user and of the filter (:data:`ROUTINE`) are an error above this share only.
 NOTHING_PASSES = 0.995
 #: A ring that the configuration does not have is never a matter of the data.
 WRONG_SETUP = frozenset({"point_ring"})
@@ -82,9 +71,10 @@ class LossShares:
             share = min(lost / came, 1.0)
             text = f"{100.0 * share:.0f} % of {UNITS.get(unit, unit)} lost as {reason}"
             text += f": {ADVICE[reason]}" if reason in ADVICE else ""
-            if share > _error_share(reason) and (settled or reason in WRONG_SETUP):
+            warn, most = _limits(reason)
+            if share > most and (settled or reason in WRONG_SETUP):
                 errors.append(text)
-            elif share > WARN_SHARE and (reason not in GATES or share > NOTHING_PASSES):
+            elif share > warn:
                 warnings.append(text)
         return warnings, errors
 
@@ -98,7 +88,8 @@ class LossShares:
         return ({}, {}) if oldest[0] > now_s - WINDOW_S else (oldest[1], oldest[2])
 
 
-def _error_share(reason: str) -> float:
-    if reason in GATES:
-        return NOTHING_PASSES
-    return WARN_SHARE if reason in WRONG_SETUP else ERROR_SHARE
+def _limits(reason: str) -> tuple[float, float]:
+    """Shares above which a loss is worth a warning, and an error."""
+    if reason in ROUTINE:
+        return NOTHING_PASSES, NOTHING_PASSES
+    return WARN_SHARE, WARN_SHARE if reason in WRONG_SETUP else ERROR_SHARE

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+from ladar_volume.model.verdict import Doubt, Verdict
 
 
 def own_name(status_name: str, namespace: str) -> str | None:
@@ -45,18 +46,15 @@ class Others:
             if name in self._last
         }
 
-    def add_to(self, result: dict[str, Any]) -> None:
-        """Add what was lost before this node to a result; what is an error there is a doubt of
-        it.
-        """
-        result["losses_upstream"] = self.losses()
-        for name, status in self._last.items():
-            if status.level != DiagnosticStatus.ERROR:
-                continue
-            verdict = result["verdict"]
-            text = f"{name} reports an error: {status.message}"
-            reasons = [*verdict["reasons"], {"name": f"error_{name}", "text": text, "value": None}]
-            result["verdict"] = {"status": "doubtful", "reasons": reasons}
+    def verdict(self) -> Verdict:
+        """What is an error there is a doubt of this node's result."""
+        return Verdict(
+            tuple(
+                Doubt(f"error_{name}", f"{name} reports an error: {status.message}")
+                for name, status in self._last.items()
+                if status.level == DiagnosticStatus.ERROR
+            )
+        )
 
     def waiting(self) -> str:
         """What the nodes before had not handed on when they were last heard, in words."""

@@ -4,6 +4,7 @@ contradiction is one sentence with both values.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import Protocol
 
@@ -17,6 +18,9 @@ CLOCKS_APART_S = 60.0
 #: Accelerations (m/s²) that are mostly gravity; over how many attitudes the direction is a mean;
 #: how far it may be from up, deg.
 GRAVITY, ATTITUDES, FEWEST, UP_DEG = (8.0, 11.6), 200, 20, 30.0
+#: Share of the returns beyond the configured rings above which the configuration is wrong: below it
+#: single returns are damaged.
+WRONG_SHARE = 0.01
 #: Frames in which no scanner measures: a cloud there was transformed before.
 FIXED_FRAMES = frozenset({"map", "odom", "world", "earth", "utm"})
 #: Frames of the body: a cloud there needs no mounting.
@@ -80,7 +84,8 @@ class SensorChecks:
         self._stamps: dict[str, float] = {}
         self._highest_ring = -1
         self._without_ring = 0
-        self._up: deque[F64] = deque(maxlen=ATTITUDES)
+        self._returns = self._beyond = 0
+        self._up: deque[tuple[float, float, float]] = deque(maxlen=ATTITUDES)
 
     def message(self, kind: str, message: Stamped) -> None:
         """One message as it came."""
@@ -94,15 +99,17 @@ class SensorChecks:
     def imu(self, message: Inertial) -> None:
         """An attitude with its acceleration: at rest the latter points up in the map."""
         a, q = message.linear_acceleration, message.orientation
-        size = float(np.sqrt(a.x * a.x + a.y * a.y + a.z * a.z))
+        size = math.sqrt(a.x * a.x + a.y * a.y + a.z * a.z)
         if message.linear_acceleration_covariance[0] != -1.0 and GRAVITY[0] < size < GRAVITY[1]:
-            self._up.append(_turned(np.array([q.x, q.y, q.z]), q.w, np.array([a.x, a.y, a.z])))
+            self._up.append(_turned(q, a))
 
     def returns(self, returns: Returns, fields: set[str]) -> None:
         """The returns (n,) of a cloud, and the names of its fields."""
         self._without_ring += "ring" not in fields
         if len(returns):
             self._highest_ring = max(self._highest_ring, int(returns.ring.max()))
+            self._returns += len(returns)
+            self._beyond += int(np.count_nonzero(returns.ring >= self._beams))
 
     def lines(self) -> dict[str, str | int]:
         """For the diagnostics: frames as they come, the highest ring."""
@@ -122,15 +129,17 @@ class SensorChecks:
         return out
 
     def errors(self) -> list[str]:
-        """What contradicts the configuration or another sensor."""
+        """What contradicts the configuration or another sensor; of rings, since the last call."""
         return [*self._wrong_rings(), *self._wrong_frames(), *self._wrong_stamps(), *self._axes()]
 
     def _wrong_rings(self) -> list[str]:
-        if self._highest_ring < self._beams:
+        share = self._beyond / max(self._returns, 1)
+        self._returns = self._beyond = 0
+        if share <= WRONG_SHARE:
             return []
         return [
             f"rings up to {self._highest_ring} come and georeference.beams is {self._beams}: "
-            "returns of the others are lost, set it to the scanner's"
+            f"{100.0 * share:.0f} % of the returns are lost, set it to the scanner's"
         ]
 
     def _wrong_frames(self) -> list[str]:
@@ -177,7 +186,7 @@ class SensorChecks:
         if len(self._up) < FEWEST:
             return []
         mean = np.mean(np.array(self._up), axis=0)
-        tilt = float(np.degrees(np.arccos(np.clip(mean[2] / np.linalg.norm(mean), -1.0, 1.0))))
+        tilt = math.degrees(math.acos(np.clip(mean[2] / np.linalg.norm(mean), -1.0, 1.0)))
         if tilt <= UP_DEG:
             return []
         return [
@@ -186,8 +195,15 @@ class SensorChecks:
         ]
 
 
-def _turned(v: F64, w: float, a: F64) -> F64:
-    """a (3,) by the quaternion (v, w)."""
-    t = 2.0 * np.cross(v, a)
-    turned: F64 = a + w * t + np.cross(v, t)
-    return turned
+def _turned(q: Quaternion, a: Vector) -> tuple[float, float, float]:
+    """a by the quaternion q, in plain numbers: of every attitude, hundreds a second."""
+    tx, ty, tz = (
+        2.0 * (q.y * a.z - q.z * a.y),
+        2.0 * (q.z * a.x - q.x * a.z),
+        2.0 * (q.x * a.y - q.y * a.x),
+    )
+    return (
+        a.x + q.w * tx + q.y * tz - q.z * ty,
+        a.y + q.w * ty + q.z * tx - q.x * tz,
+        a.z + q.w * tz + q.x * ty - q.y * tx,
+    )
