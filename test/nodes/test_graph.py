@@ -56,7 +56,7 @@ def test_four_processes_give_the_offline_volume_and_a_log(flight, tmp_path, caps
         str(flight),
         "--separate",
         "--rate",
-        "1",
+        "2",
         "--json",
         "--log",
         str(log),

@@ -17,7 +17,7 @@ def test_a_flight_with_faults_ends_with_the_right_volume_and_balanced_books():
         "ROS_DOMAIN_ID": str((os.getpid() + 9) % 90 + 10),
         "PYTHONPATH": str(ROOT),
     }
-    command = [sys.executable, "-m", "benchmarks.soak", "--seconds", "75", "--faults", FAULTS]
+    command = [sys.executable, "-m", "benchmarks.soak", "--seconds", "50", "--faults", FAULTS]
     done = subprocess.run(
         command, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=300
     )
