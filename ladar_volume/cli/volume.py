@@ -364,8 +364,9 @@ def volume_verdict(
         readings, base = None, found.level_base
         if task.base == "ground" and base is not None:
             readings = ground_readings(surfaces[0], base, areas[0], found.parameters)
-        by_body = found.parameters.volume.outline == "auto"
-        volume, verdict = judged(found.volume, surfaces[0], areas[0], readings, by_body, base)
+        volume, verdict = judged(
+            found.volume, surfaces[0], areas[0], readings, found.parameters, base
+        )
         facts = {"readings": None if readings is None else dataclasses.asdict(readings)}
         return JudgedVolume(volume, verdict, facts)
     verdict = Verdict()

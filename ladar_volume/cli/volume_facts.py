@@ -14,13 +14,17 @@ from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Plane
 from ladar_volume.volume.cutfill import Sequence
+from ladar_volume.volume.field_checks.base_readings import student_factor
 from ladar_volume.volume.floors import surface_offset
 from ladar_volume.volume.published_methods import method_one, method_two
 
 
 def volume_facts(volume: CloudVolume, parameters: Parameters) -> dict[str, Any]:
     """What the JSON says of a volume."""
-    k = NormalDist().inv_cdf(0.5 + parameters.volume.confidence / 2)
+    confidence = parameters.volume.confidence
+    share = volume.budget_m6.get("base_surface", 0.0) / max(volume.sigma_m3**2, 1e-300)
+    normal = NormalDist().inv_cdf(0.5 + confidence / 2)
+    k = student_factor(normal, confidence, share, volume.freedom)
     half = k * volume.sigma_m3
     return {
         "cut_m3": volume.cut_m3,
@@ -28,7 +32,7 @@ def volume_facts(volume: CloudVolume, parameters: Parameters) -> dict[str, Any]:
         "net_m3": volume.net_m3,
         "sigma_m3": volume.sigma_m3,
         "interval_m3": [volume.net_m3 - half, volume.net_m3 + half],
-        "confidence": parameters.volume.confidence,
+        "confidence": confidence,
         "coverage_factor": k,
         "sigma_cut_m3": volume.sigma_cut_m3,
         "sigma_fill_m3": volume.sigma_fill_m3,

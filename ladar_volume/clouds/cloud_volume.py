@@ -59,7 +59,8 @@ class CloudVolume:
     surface as it is · folded_m3 : what was taken from both (NaN where the noise is not known), over
     near_area_m2 · sigma_* : standard deviations from the noise of the points, NaN where it is not
     known · budget_m6 : variances of the net volume by source · base : in words · base_same_survey :
-    whether it comes from the cloud itself
+    whether it comes from the cloud itself · freedom : independent places of the ground that
+    ``base_surface`` was told from
     """
 
     cut_m3: float
@@ -75,6 +76,7 @@ class CloudVolume:
     base: str
     base_same_survey: bool
     budget_m6: dict[str, float]
+    freedom: float = math.inf
 
     @property
     def net_m3(self) -> float:

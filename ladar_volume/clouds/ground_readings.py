@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -10,34 +9,32 @@ import numpy as np
 
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.ground.polynomial import height_above
-from ladar_volume.ground.robust_ground import refine
-from ladar_volume.model.errors import LadarVolumeError
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, I64, Plane
+from ladar_volume.model.records import F64, Plane
+from ladar_volume.uncertainty.ground_field import mean_spacing
+from ladar_volume.volume.field_checks.base_readings import BaseReadings, base_readings
 from ladar_volume.volume.outline import surroundings
-from ladar_volume.volume.prismoids import prismoids
 
 #: Fewest points of a stretch of ground, and fewest stretches that show how uneven it is.
 FEWEST_POINTS, FEWEST_STRETCHES = 8, 6
+#: From where on the toe line is read beyond the outline, at least: in spacings of the points, and
+#: as a part of the body's width.
+TOE_SPACINGS, TOE_PART = 2.0, 0.01
 
 
 @dataclass(frozen=True)
 class GroundReadings:
-    """ring : points around the body · support : share of them that the base goes through · degree :
-    of the base · plane_m3 : the volume above it; quadric_m3, quadric_sigma_m3 : above a surface one
-    degree higher through the same ring, and how well that is known from the noise, NaN where there
-    is none · uneven_m : RMS of the mean distances of stretches of ground half as long as the body
-    from the base, beyond their noise; uneven_m3 : over its area
+    """ring : points around the body · support : share of them that the base goes through ·
+    uneven_m : RMS of the mean distances of stretches of ground half as long as the body from the
+    base, beyond their noise; uneven_m3 : over its area · others : other readings of the base, and
+    how well its own random field is known; None where too few points show it
     """
 
     ring: int
     support: float
-    degree: int
-    plane_m3: float
-    quadric_m3: float
-    quadric_sigma_m3: float
     uneven_m: float
     uneven_m3: float
+    others: BaseReadings | None
 
 
 def ground_readings(
@@ -58,48 +55,13 @@ def ground_readings(
     if not len(ring):
         return None
     support = float(np.isin(base.support, ring).sum()) / len(ring)
-    own = prismoids(tin, base, mask)
-    other, sigma = higher(surface, base, inside, parameters, variance, ring)
     body = float(inside.sum())
     uneven = unevenness(
         tin.vertices[ring], base, variance[ring], 0.5 * math.sqrt(body), p.object_height_m
     )
-    degree = parameters.ground.degree
-    net = own.cut_m3 - own.fill_m3
-    return GroundReadings(len(ring), support, degree, net, other, sigma, uneven, uneven * body)
-
-
-def higher(
-    surface: CloudSurface,
-    base: Plane,
-    inside: F64,
-    parameters: Parameters,
-    variance: F64,
-    ring: I64,
-) -> tuple[float, float]:
-    """The volume above a ground of the next degree through the ring (k,), and its standard
-    deviation from the noise of the ground; NaN where there is none.
-    """
-    tin, ground = surface.made.tin, parameters.ground
-    if ground.degree >= 2:
-        return math.nan, math.nan
-    beta = np.concatenate([base.beta, np.zeros(3 if ground.degree else 2)])
-    start = Plane(base.origin_xy, beta, np.zeros((len(beta), len(beta))), base.support)
-    # points that the base leaves out for being off it are the ones in question
-    reach = parameters.volume.object_height_m
-    try:
-        fitted = refine(
-            tin.vertices[ring],
-            variance[ring],
-            start,
-            dataclasses.replace(ground, degree=ground.degree + 1),
-            reach,
-        )
-        found = prismoids(tin, fitted, inside > 0)
-    except LadarVolumeError:
-        return math.nan, math.nan
-    g = found.base_net
-    return found.cut_m3 - found.fill_m3, math.sqrt(max(float(g @ fitted.C_beta @ g), 0.0))
+    reach = max(TOE_SPACINGS * mean_spacing(tin.vertices[ring, :2]), TOE_PART * math.sqrt(body))
+    others = base_readings(tin, base, inside, variance, reach)
+    return GroundReadings(len(ring), support, uneven, uneven * body, others)
 
 
 def unevenness(points: F64, base: Plane, variance: F64, length_m: float, reach_m: float) -> float:

@@ -4,6 +4,7 @@ points and their noise, each with a number and what to do.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -12,12 +13,22 @@ import numpy as np
 from ladar_volume.clouds.between_points import BetweenPoints, between_points, bridges
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.cloud_volume import CloudVolume
+from ladar_volume.clouds.ground_cover import (
+    body_scatter,
+    body_vertices,
+    growth_above_ground,
+    growth_doubts,
+    steep_vertices,
+)
 from ladar_volume.clouds.ground_readings import GroundReadings
 from ladar_volume.ground.polynomial import height_above
+from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Bool, Plane
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.boundary import parts_kernel
 from ladar_volume.tin.full_tin import footprint_areas
+from ladar_volume.volume.field_checks.base_readings import base_reading_doubts
+from ladar_volume.volume.field_checks.completeness import completeness_doubts
 
 #: Share of the points that are strays, of the area that is holes, of the outline that lies on the
 #: edge of the survey, above which there is doubt.
@@ -26,6 +37,11 @@ STRAYS, UNSEEN, OPEN = 0.04, 0.1, 0.1
 SUPPORT = 0.5
 #: Readings of the ground, and its unevenness, differ by more than so many standard deviations.
 SIGMAS = 2.0
+#: Volume below the base of a body that rises above it, in standard deviations and in shares of it.
+CHANCE, BELOW = 3.0, 0.005
+#: Height of what grows over the ground, in its scatter: 1.4 for a gamma of order 2, 1.7 for even
+#: returns from soil to top.
+GROWTH = 2.0
 #: The same in shares of the volume, even where sigma holds it.
 ROUGH = 0.05
 #: What curvature between the points may do, in shares of the volume.
@@ -163,38 +179,57 @@ def base_doubts(readings: GroundReadings | None, volume: CloudVolume) -> list[Do
             "--set volume.ground_ring_m"
         )
         out.append(Doubt("base_uneven", words, r.uneven_m3))
-    apart = abs(r.quadric_m3 - r.plane_m3)
-    if math.isfinite(apart) and apart > max(limit, 3.0 * r.quadric_sigma_m3):
-        words = (
-            f"two readings of the ground differ: {r.plane_m3:.5g} m³ above a surface of degree "
-            f"{r.degree}, {r.quadric_m3:.5g} m³ above one of degree {r.degree + 1}; look which one "
-            "the ground follows (--set ground.degree), or survey the ground before"
-        )
-        out.append(Doubt("ground_readings", words, r.quadric_m3))
+    if r.others is not None:
+        out += base_reading_doubts(r.others, volume.net_m3, volume.sigma_m3, volume.base)
     return out
+
+
+def below_base(volume: CloudVolume) -> list[Doubt]:
+    """A body that rises above its ground has next to nothing below it."""
+    less = min(volume.cut_m3, volume.fill_m3)
+    if less <= max(CHANCE * volume.sigma_fill_m3, BELOW * volume.cut_m3):
+        return []
+    words = (
+        f"{less:.3g} m³ inside the outline of the body lie below its base: it may stand on a pad "
+        "or in a hollow, lower than the ground around; narrow --set volume.ground_ring_m, give "
+        "--level, or survey the empty site"
+    )
+    return [Doubt("below_base", words, less)]
 
 
 def with_between(volume: CloudVolume, between: BetweenPoints) -> CloudVolume:
     """The volume with what lies between the points in its standard deviations."""
     if math.isnan(volume.sigma_m3):
         return volume
-    more = between.variance_m6 + between.unseen_m3**2
+    return with_lines(
+        volume, {"between_points": between.variance_m6, "unseen": between.unseen_m3**2}
+    )
+
+
+def with_lines(volume: CloudVolume, lines: dict[str, float]) -> CloudVolume:
+    """The volume with further lines (variances, m⁶) in its budget and in its standard deviations;
+    lines of 0 that are new to it are left out. Fill that there is none of is no less sure.
+    """
+    more = sum(lines.values())
     net, cut, fill = (
         math.sqrt(s**2 + more) for s in (volume.sigma_m3, volume.sigma_cut_m3, volume.sigma_fill_m3)
     )
-    return CloudVolume(
-        **{
-            **volume.__dict__,
-            "sigma_m3": net,
-            "sigma_cut_m3": cut,
-            "sigma_fill_m3": fill if volume.fill_raw_m3 > 0 else volume.sigma_fill_m3,
-            "budget_m6": {
-                **volume.budget_m6,
-                "between_points": between.variance_m6,
-                "unseen": between.unseen_m3**2,
-            },
-        }
+    return dataclasses.replace(
+        volume,
+        sigma_m3=net,
+        sigma_cut_m3=cut,
+        sigma_fill_m3=fill if volume.fill_raw_m3 > 0 else volume.sigma_fill_m3,
+        budget_m6={**volume.budget_m6, **lines},
     )
+
+
+def with_readings(volume: CloudVolume, readings: GroundReadings | None) -> CloudVolume:
+    """The volume with what the choice of its ground does to it."""
+    if readings is None or readings.others is None or math.isnan(volume.sigma_m3):
+        return volume
+    volume = dataclasses.replace(volume, freedom=readings.others.freedom)
+    chosen = readings.others.variance_m6
+    return with_lines(volume, {"base_model": chosen}) if chosen > 0.0 else volume
 
 
 def judged(
@@ -202,20 +237,35 @@ def judged(
     surface: CloudSurface,
     inside: F64,
     readings: GroundReadings | None,
-    by_body: bool,
+    parameters: Parameters,
     base: Plane | None = None,
 ) -> tuple[CloudVolume, Verdict]:
     """A volume with what lies between its points, and its verdict. inside (m,) m² : area of each
-    triangle that counts · readings : of the ground, where it is the cloud's own · by_body : whether
-    the outline is that of a body · base : that heights count from.
+    triangle that counts · readings : of the ground, where it is the cloud's own · base : that
+    heights count from.
     """
-    r = surface.made.tin.vertices
-    height = height_above(r, base)
-    between = between_points(surface, inside, height)
+    tin, by_body = surface.made.tin, parameters.volume.outline == "auto"
+    between = between_points(surface, inside, height_above(tin.vertices, base))
     found = with_between(volume, between)
     doubts = surface_doubts(surface, inside)
     doubts += outline_doubts(surface, inside) if by_body else []
     doubts += base_doubts(readings, found) + coarse_doubts(found, between)
+    rise = parameters.volume.object_height_m
+    if base is None or math.isnan(found.sigma_m3):
+        return with_readings(found, readings), Verdict(tuple(doubts))
+    high = body_vertices(surface, base, inside > 0, rise)
+    scatter = body_scatter(surface, high)
+    if by_body:
+        faces = steep_vertices(surface, rise, 0.0 if math.isnan(scatter) else scatter)
+        doubts += completeness_doubts(tin, base, inside, faces, found.sigma_m3, parameters)
+        doubts += below_base(found)
+    found = with_readings(found, readings)
+    if readings is not None:
+        growth = growth_above_ground(surface, base, high, scatter)
+        if growth > 0.0:
+            sigma = GROWTH * growth * found.area_m2
+            found = with_lines(found, {"vegetation": sigma**2})
+            doubts += growth_doubts(growth, sigma)
     return found, Verdict(tuple(doubts))
 
 

@@ -25,7 +25,7 @@ from ladar_volume.ground.polynomial import (
     design,
     height_above,
 )
-from ladar_volume.model.records import F64, I64, Bool, Plane, Tin, Volume
+from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import vertex_mask
 from ladar_volume.uncertainty.ground_field import GroundField, Roughness, mean_spacing
@@ -167,18 +167,20 @@ def base_readings(
     return BaseReadings(tuple(found), max(area / (2.0 * math.pi * rough.length_m**2), 1.0))
 
 
-def reading_doubts(found: BaseReadings, volume: Volume) -> list[Doubt]:
-    """Readings of the base that differ by more than chance, and by more than two sigma. volume :
+def base_reading_doubts(
+    found: BaseReadings, volume_m3: float, sigma_m3: float, name_of_base: str
+) -> list[Doubt]:
+    """Readings of the base that differ by more than chance, and by more than two sigma. sigma_m3 :
     without the line ``base_model``.
     """
     out = []
     for r in found.readings:
-        if abs(r.more_m3) <= max(CHANCE * r.sigma_m3, MATTERS * volume.sigma_m3):
+        if abs(r.more_m3) <= max(CHANCE * r.sigma_m3, MATTERS * sigma_m3):
             continue
         name = "base_toe" if "toe" in r.name else "base_bends"
         words = (
-            f"two readings of the base differ: {volume.volume_m3:.5g} m³ above the "
-            f"{volume.base}, {volume.volume_m3 + r.more_m3:.5g} m³ above {r.name} (by chance "
+            f"two readings of the base differ: {volume_m3:.5g} m³ above the "
+            f"{name_of_base}, {volume_m3 + r.more_m3:.5g} m³ above {r.name} (by chance "
             f"{r.sigma_m3:.2g} m³); look whether the body stands on a pad, in a hollow or on "
             "bent ground, set ground.degree or volume.ground_ring_m, or survey the empty site"
         )
@@ -186,14 +188,13 @@ def reading_doubts(found: BaseReadings, volume: Volume) -> list[Doubt]:
     return out
 
 
-def student_factor(volume: Volume, freedom: float) -> float:
-    """The coverage factor where the variance of the base was told from few places (Welch and
-    Satterthwaite).
+def student_factor(normal: float, confidence: float, share: float, freedom: float) -> float:
+    """The coverage factor of a confidence where a ``share`` of the variance, that of the base, was
+    told from few places (Welch and Satterthwaite); ``normal`` where they are many.
     """
-    base = volume.budget_m6.get("base_surface", 0.0)
-    if base <= 0.0 or freedom >= MANY:
-        return volume.coverage_factor
-    freedom *= (volume.sigma_m3**2 / base) ** 2
+    if share <= 0.0 or freedom >= MANY:
+        return normal
+    freedom /= share**2
     if freedom >= MANY:
-        return volume.coverage_factor
-    return float(stdtrit(freedom, 0.5 + volume.confidence / 2.0))
+        return normal
+    return float(stdtrit(freedom, 0.5 + confidence / 2.0))

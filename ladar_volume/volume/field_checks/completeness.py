@@ -11,7 +11,7 @@ import numpy as np
 
 from ladar_volume.ground.polynomial import base_height, height_above
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, I64, Bool, Plane, Tin, Volume
+from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
 from ladar_volume.volume.outline import bodies
@@ -61,14 +61,14 @@ def cut_at_boundary(tin: Tin, base: Plane, inside: Bool, least_m: float) -> Cut 
 
 
 def cut_doubts(
-    tin: Tin, base: Plane, inside: Bool, volume: Volume, parameters: Parameters
+    tin: Tin, base: Plane, inside: Bool, sigma_m3: float, parameters: Parameters
 ) -> list[Doubt]:
-    """The surface does not come down to the base at the outline."""
+    """The surface does not come down to the base at the outline. sigma_m3 : of the volume."""
     p = parameters.volume
     if p.outline == "all" or (p.outline == "polygon" and p.base != "ground"):
         return []
     found = cut_at_boundary(tin, base, inside, 0.5 * p.object_height_m)
-    if found is None or found.hidden_m3 < HIDDEN * volume.sigma_m3:
+    if found is None or found.hidden_m3 < HIDDEN * sigma_m3:
         return []
     what, todo = cause_of(found, parameters)
     words = (
@@ -89,7 +89,7 @@ def cause_of(cut: Cut, parameters: Parameters) -> tuple[str, str]:
         apart = min(abs(cut.x_m - x0), abs(cut.x_m - x1), abs(cut.y_m - y0), abs(cut.y_m - y1))
         if apart < AT_REGION_M:
             return "the region cuts the body", "widen georeference.region_m"
-    return "the edge of what was seen cuts the body", "fly a pass over that place"
+    return "the edge of what was seen cuts the body", "survey that place"
 
 
 def directions(xy: F64, centre: F64) -> I64:
@@ -130,22 +130,28 @@ def ground_doubts(tin: Tin, base: Plane, inside: Bool) -> list[Doubt]:
     return [Doubt("ground_one_sided", words, wide)]
 
 
-def wall_doubts(tin: Tin, base: Plane, inside: Bool, normal: F64, least_m: float) -> list[Doubt]:
-    """Steep faces bound a part of the body: a wall, a machine. normal : (n, 3) of the vertices."""
+def steep(normal: F64) -> Bool:
+    """Which of the vertices with these normals (n, 3) lie on steep faces."""
+    out: Bool = np.abs(normal[:, 2]) < STEEP
+    return out
+
+
+def wall_doubts(tin: Tin, base: Plane, inside: Bool, on_face: Bool, least_m: float) -> list[Doubt]:
+    """Steep faces bound a part of the body: a wall, a machine. on_face : (n,) vertices on them."""
     own = vertex_mask(tin, inside)
     r = tin.vertices
     height = height_above(r, base)
-    steep = own & (np.abs(normal[:, 2]) < STEEP) & (height > least_m)
-    if not steep.any():
+    high = own & on_face & (height > least_m)
+    if not high.any():
         return []
     centre = r[own, :2].mean(axis=0)
-    count = np.bincount(directions(r[steep, :2], centre), minlength=DIRECTIONS)
+    count = np.bincount(directions(r[high, :2], centre), minlength=DIRECTIONS)
     share = float(np.count_nonzero(count >= FEW)) / DIRECTIONS
     if not WALLED[0] <= share <= WALLED[1]:
         return []
-    x, y = r[steep, :2].mean(axis=0).tolist()
+    x, y = r[high, :2].mean(axis=0).tolist()
     words = (
-        f"faces steeper than 60° and up to {float(height[steep].max()):.2g} m high stand in "
+        f"faces steeper than 60° and up to {float(height[high].max()):.2g} m high stand in "
         f"{360 * share:.0f}° of the directions around the body, about ({x:.1f}, {y:.1f}) m: a "
         "wall, a machine or a tree may be counted; look at it, or draw volume.polygon_m without it"
     )
@@ -153,9 +159,9 @@ def wall_doubts(tin: Tin, base: Plane, inside: Bool, normal: F64, least_m: float
 
 
 def body_doubts(
-    tin: Tin, base: Plane, inside: Bool, volume: Volume, parameters: Parameters
+    tin: Tin, base: Plane, inside: Bool, sigma_m3: float, parameters: Parameters
 ) -> list[Doubt]:
-    """Other bodies stand beside those that count."""
+    """Other bodies stand beside those that count. sigma_m3 : of the volume."""
     p = parameters.volume
     if p.outline != "auto" or p.bodies == 0:
         return []
@@ -164,7 +170,7 @@ def body_doubts(
     for mask in bodies(tin, base, p.object_height_m, 0, p.min_body_m3):
         rows = np.flatnonzero(mask & ~inside)
         own = float(area[rows] @ height[tin.triangles[rows]].mean(axis=1))
-        if len(rows) and own >= max(p.min_body_m3, volume.sigma_m3):
+        if len(rows) and own >= max(p.min_body_m3, sigma_m3):
             found.append((own, *tin.vertices[tin.triangles[rows], :2].mean(axis=(0, 1)).tolist()))
     if not found:
         return []
@@ -179,15 +185,17 @@ def body_doubts(
 
 
 def completeness_doubts(
-    tin: Tin, base: Plane, inside_m2: F64, normal: F64, volume: Volume, parameters: Parameters
+    tin: Tin, base: Plane, inside_m2: F64, on_face: Bool, sigma_m3: float, parameters: Parameters
 ) -> list[Doubt]:
-    """All of them, for the outline of all bodies: inside_m2 (m,) m² of each triangle."""
+    """All of them, for the outline of all bodies: inside_m2 (m,) m² of each triangle · on_face :
+    (n,) vertices on steep faces · sigma_m3 : of the volume.
+    """
     inside = inside_m2 > 0.0
-    out = cut_doubts(tin, base, inside, volume, parameters)
+    out = cut_doubts(tin, base, inside, sigma_m3, parameters)
     if parameters.volume.outline == "auto":
-        out += wall_doubts(tin, base, inside, normal, parameters.volume.object_height_m)
+        out += wall_doubts(tin, base, inside, on_face, parameters.volume.object_height_m)
     return [
         *out,
-        *body_doubts(tin, base, inside, volume, parameters),
+        *body_doubts(tin, base, inside, sigma_m3, parameters),
         *(ground_doubts(tin, base, inside) if parameters.volume.outline != "all" else []),
     ]

@@ -26,11 +26,11 @@ from ladar_volume.uncertainty.pass_agreement import (
 from ladar_volume.volume.base import polygon_of
 from ladar_volume.volume.chord_bias import cut_and_fill_chords
 from ladar_volume.volume.field_checks.base_readings import (
+    base_reading_doubts,
     base_readings,
-    reading_doubts,
     student_factor,
 )
-from ladar_volume.volume.field_checks.completeness import completeness_doubts
+from ladar_volume.volume.field_checks.completeness import completeness_doubts, steep
 from ladar_volume.volume.field_checks.gaps import Bridged, bridged, bridging, find_gaps
 from ladar_volume.volume.measured_body import Footing, SurveyedSurface, footing_of
 
@@ -120,8 +120,11 @@ def with_base(
     found = base_readings(survey.tin, footing.base, part, survey.height_variance, radius_m)
     if found is None:
         return volume
-    doubts = Verdict(tuple(reading_doubts(found, volume)))
-    factor = student_factor(volume, found.freedom)
+    doubts = Verdict(
+        tuple(base_reading_doubts(found, volume.volume_m3, volume.sigma_m3, volume.base))
+    )
+    share = volume.budget_m6.get("base_surface", 0.0) / max(volume.sigma_m3**2, 1e-300)
+    factor = student_factor(volume.coverage_factor, volume.confidence, share, found.freedom)
     volume = dataclasses.replace(volume, coverage_factor=factor, verdict=volume.verdict + doubts)
     return with_line(volume, "base_model", found.variance_m6)
 
@@ -239,6 +242,11 @@ def judged(
     volume = with_base(survey, footing, part, volume, parameters.filter.radius_m)
     tin = survey.tin
     doubts = completeness_doubts(
-        tin, footing.base, footing.inside, survey.points.normal[tin.source], volume, parameters
+        tin,
+        footing.base,
+        footing.inside,
+        steep(survey.points.normal[tin.source]),
+        volume.sigma_m3,
+        parameters,
     )
     return dataclasses.replace(volume, verdict=volume.verdict + Verdict(tuple(doubts)))

@@ -1,0 +1,102 @@
+"""What stands on the ground or beside a body and is neither: plants, told from the scatter of the
+points about local quadrics; walls, machines and trees, told from steep edges of the surface.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ladar_volume.clouds.cloud_noise import FEWEST, fit_residuals, neighbours, robust_sigma
+from ladar_volume.clouds.cloud_surface import CloudSurface
+from ladar_volume.ground.polynomial import height_above
+from ladar_volume.model.records import F64, I64, Bool, Plane
+from ladar_volume.model.verdict import Doubt
+from ladar_volume.tin.full_tin import vertex_mask
+
+#: Points at which the scatter of the ground and of the body is looked at, each.
+MOST = 4000
+#: Directions about a body in which the ground is looked at one by one.
+SECTORS = 8
+#: Least scatter of the ground beyond the body's that is believed to be plants, m, and in the body's
+#: scatter.
+GRASS_M, GRASS = 0.009, 1.0
+#: Slope of a steep edge (60°), and its least climb in standard deviations of a point.
+STEEP, CLIMB = math.tan(math.radians(60.0)), 6.0
+
+
+def steep_vertices(surface: CloudSurface, object_height_m: float, scatter_m: float) -> Bool:
+    """Vertices (n,) at the upper end of an edge steeper than 60° that climbs twice what a body
+    rises at least, and more than the scatter of the body's points can.
+    """
+    tin = surface.made.tin
+    least = max(2.0 * object_height_m, CLIMB * scatter_m)
+    t, r, out = tin.triangles[tin.relevant], tin.vertices, np.zeros(len(tin.vertices), np.bool_)
+    for k in range(3):
+        a, b = t[:, k], t[:, (k + 1) % 3]
+        d = r[b] - r[a]
+        climb = np.abs(d[:, 2])
+        hit = (climb > least) & (climb > STEEP * np.hypot(d[:, 0], d[:, 1]))
+        out[np.where(d[hit, 2] > 0.0, b[hit], a[hit])] = True
+    return out
+
+
+def scatter(points: F64, rows: I64) -> F64:
+    """What local quadrics miss the points (n, 3) of some rows (k,) by, m, 4,000 of them at most."""
+    some = rows[:: max(1, math.ceil(len(rows) / MOST))]
+    near = neighbours(points, np.arange(len(points)), some)
+    out = fit_residuals(points, near, some)[0]
+    return np.where(np.isfinite(out), out, 0.0)
+
+
+def body_scatter(surface: CloudSurface, high: Bool) -> float:
+    """Scatter, m, of the points at the vertices ``high`` (n,) of a body about local quadrics; NaN
+    where they are too few.
+    """
+    source = surface.made.tin.source[high]
+    rows = source[source >= 0].astype(np.int64)
+    if len(rows) < FEWEST:
+        return math.nan
+    return robust_sigma(scatter(surface.points, rows), 0.0)
+
+
+def body_vertices(surface: CloudSurface, base: Plane, inside: Bool, object_height_m: float) -> Bool:
+    """Vertices (n,) of the triangles (m,) inside an outline that rise above the base."""
+    tin = surface.made.tin
+    return vertex_mask(tin, inside) & (height_above(tin.vertices, base) > object_height_m)
+
+
+def growth_above_ground(surface: CloudSurface, base: Plane, high: Bool, body_m: float) -> float:
+    """By how much, m, the points of the ground scatter more than those of the body, the vertices
+    ``high`` (n,), which scatter by ``body_m``: 0 where they do not by as much as grass does.
+
+    The ground is looked at by directions about the body, since plants may stand on one side only.
+    """
+    tin, points, body = surface.made.tin, surface.points, body_m
+    source = tin.source
+    low = base.support[source[base.support] >= 0]
+    if len(low) < FEWEST or math.isnan(body):
+        return 0.0
+    step = max(1, math.ceil(len(low) / MOST))
+    centre = tin.vertices[high, :2].mean(axis=0)
+    x, y = (tin.vertices[low[::step], :2] - centre).T
+    sector = np.floor((np.arctan2(y, x) / (2.0 * math.pi)) % 1.0 * SECTORS).astype(np.int64)
+    off = scatter(points, source[low[::step]].astype(np.int64))
+    own = [off[sector == k] for k in range(SECTORS)]
+    more = [max(0.0, robust_sigma(some, 0.0) ** 2 - body**2) for some in own if len(some) >= FEWEST]
+    found = math.sqrt(sum(more) / len(more)) if more else 0.0
+    return found if found > max(GRASS_M, GRASS * body) else 0.0
+
+
+def growth_doubts(growth_m: float, sigma_m3: float) -> list[Doubt]:
+    """The ground is overgrown: its scatter beyond the body's, m, and what that does to the volume,
+    m³.
+    """
+    words = (
+        f"the points of the ground scatter by {1e2 * growth_m:.2g} cm more than those of the body, "
+        f"as grass and plants do: the base may lie above the soil, {sigma_m3:.3g} m³ of sigma; "
+        "filter the ground by class (--classes 2,6), give --level or --plane, or survey the empty "
+        "site"
+    )
+    return [Doubt("vegetation", words, growth_m)]
