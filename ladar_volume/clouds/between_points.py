@@ -67,12 +67,16 @@ def wide(tin: Tin, area: F64) -> float:
     return float(size[order][min(np.searchsorted(share, share[-1] / 2), len(size) - 1)])
 
 
-def between_points(surface: CloudSurface, inside: F64, height: F64) -> BetweenPoints:
+def between_points(
+    surface: CloudSurface, inside: F64, height: F64, untold: Bool | None = None
+) -> BetweenPoints:
     """What lies between the points of a surface within an outline; ``inside`` (m,) m² is the area
-    of each triangle in it, height (n,) m that of the vertices above the base. Steps and curvature
-    are 0 where the points are too few to tell.
+    of each triangle in it, height (n,) m that of the vertices above the base · untold : (m,)
+    triangles whose gaps nothing else tells of, None for all. Steps and curvature are 0 where the
+    points are too few to tell.
     """
-    tin, hidden = surface.made.tin, unseen(surface, inside, height)
+    tin = surface.made.tin
+    hidden = unseen(surface, inside if untold is None else np.where(untold, inside, 0.0), height)
     spacing = spacings(tin.vertices[:, :2])
     bridged = bridges(surface)
     if np.count_nonzero(inside[~bridged]) < FEWEST:

@@ -44,6 +44,16 @@ class CloudSurface:
     given: GivenSurface | None = None
     doubts: tuple[Doubt, ...] = ()
 
+    @property
+    def vertex_variance(self) -> F64:
+        """Variances (n,) m² of the points at the vertices; adjusted heights have no more. 0 where
+        the noise is not known.
+        """
+        source = self.made.tin.source
+        if self.sigma_m is None:
+            return np.zeros(len(source))
+        return np.where(source >= 0, self.sigma_m[source] ** 2, 0.0)
+
     def variance(self, gradient_z: F64) -> F64:
         """Variances (k,) of k results with gradients (n, k) by the vertex heights, through the
         adjustment; NaN where the noise is not known.

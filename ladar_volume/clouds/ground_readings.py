@@ -43,11 +43,7 @@ def ground_readings(
     """The readings; inside (m,) m² is the area of each triangle within the outline. None where
     nothing lies around it.
     """
-    source = surface.made.tin.source
-    variance = np.zeros(len(source))
-    if surface.sigma_m is not None:  # of the points themselves: adjusted heights have no more
-        variance = np.where(source >= 0, surface.sigma_m[source] ** 2, 0.0)
-    tin, p = surface.made.tin, parameters.volume
+    tin, p, variance = surface.made.tin, parameters.volume, surface.vertex_variance
     mask = inside > 0
     ring = surroundings(tin, mask, p.ground_ring_m if p.outline == "auto" else 0.0)
     if p.outline == "all":

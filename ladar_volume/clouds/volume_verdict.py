@@ -29,6 +29,7 @@ from ladar_volume.tin.boundary import parts_kernel
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.volume.field_checks.base_readings import base_reading_doubts
 from ladar_volume.volume.field_checks.completeness import completeness_doubts
+from ladar_volume.volume.field_checks.gaps import bridged, find_gaps, gap_doubts
 
 #: Share of the points that are strays, of the area that is holes, of the outline that lies on the
 #: edge of the survey, above which there is doubt.
@@ -197,20 +198,42 @@ def below_base(volume: CloudVolume) -> list[Doubt]:
     return [Doubt("below_base", words, less)]
 
 
+def with_gaps(
+    volume: CloudVolume, surface: CloudSurface, inside: F64, base: Plane | None
+) -> tuple[CloudVolume, Bool, list[Doubt]]:
+    """The volume with what was not seen of the body, by kriging from its surroundings; the
+    triangles (m,) over gaps of which that tells; and the doubts.
+    """
+    tin = surface.made.tin
+    told = np.zeros(len(tin.triangles), np.bool_)
+    if base is None or surface.sigma_m is None or math.isnan(volume.sigma_m3):
+        return volume, told, []
+    gaps = find_gaps(tin, inside)
+    if not len(gaps.areas):
+        return volume, told, []
+    found = bridged(tin, base, inside, surface.vertex_variance, gaps)
+    known = [k for k, gap in enumerate(found.gaps) if math.isfinite(gap.sigma_m3)]
+    told = np.isin(gaps.triangle, [*known, *range(len(found.gaps), len(gaps.areas))])
+    doubts = gap_doubts(found, gaps.area_m2, volume.area_m2, volume.net_m3, volume.sigma_m3)
+    up = volume.cut_m3 >= volume.fill_m3
+    more, less = (found.more_m3, 0.0) if up else (0.0, -found.more_m3)
+    volume = dataclasses.replace(volume, cut_m3=volume.cut_m3 + more, fill_m3=volume.fill_m3 + less)
+    return with_lines(volume, {"unseen": found.variance_m6}), told, doubts
+
+
 def with_between(volume: CloudVolume, between: BetweenPoints) -> CloudVolume:
     """The volume with what lies between the points in its standard deviations."""
     if math.isnan(volume.sigma_m3):
         return volume
-    return with_lines(
-        volume, {"between_points": between.variance_m6, "unseen": between.unseen_m3**2}
-    )
+    unseen = volume.budget_m6.get("unseen", 0.0) + between.unseen_m3**2
+    return with_lines(volume, {"between_points": between.variance_m6, "unseen": unseen})
 
 
 def with_lines(volume: CloudVolume, lines: dict[str, float]) -> CloudVolume:
-    """The volume with further lines (variances, m⁶) in its budget and in its standard deviations;
-    lines of 0 that are new to it are left out. Fill that there is none of is no less sure.
+    """The volume with lines (variances, m⁶) of its budget as given, in its standard deviations too.
+    Fill that there is none of is no less sure.
     """
-    more = sum(lines.values())
+    more = sum(v - volume.budget_m6.get(k, 0.0) for k, v in lines.items())
     net, cut, fill = (
         math.sqrt(s**2 + more) for s in (volume.sigma_m3, volume.sigma_cut_m3, volume.sigma_fill_m3)
     )
@@ -245,9 +268,10 @@ def judged(
     heights count from.
     """
     tin, by_body = surface.made.tin, parameters.volume.outline == "auto"
-    between = between_points(surface, inside, height_above(tin.vertices, base))
+    volume, told, gaps = with_gaps(volume, surface, inside, base)
+    between = between_points(surface, inside, height_above(tin.vertices, base), ~told)
     found = with_between(volume, between)
-    doubts = surface_doubts(surface, inside)
+    doubts = gaps or surface_doubts(surface, inside)
     doubts += outline_doubts(surface, inside) if by_body else []
     doubts += base_doubts(readings, found) + coarse_doubts(found, between)
     rise = parameters.volume.object_height_m

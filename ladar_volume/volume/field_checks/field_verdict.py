@@ -31,7 +31,7 @@ from ladar_volume.volume.field_checks.base_readings import (
     student_factor,
 )
 from ladar_volume.volume.field_checks.completeness import completeness_doubts, steep
-from ladar_volume.volume.field_checks.gaps import Bridged, bridged, bridging, find_gaps
+from ladar_volume.volume.field_checks.gaps import bridged, bridging, find_gaps, gap_doubts
 from ladar_volume.volume.measured_body import Footing, SurveyedSurface, footing_of
 
 #: Height of what grows, over its scatter.
@@ -40,9 +40,6 @@ COVER = 4.0
 OWN = ("noise", "noise_tangential", "base_surface")
 #: Rounds until no gap is left to be bridged: a bridge may join parts of a body.
 ROUNDS = 3
-#: Standard deviation of what was not seen above which there is doubt, over that of all else and
-#: over the volume; share of the area that was not seen above which there is.
-UNSEEN, UNSEEN_OF_VOLUME, UNSEEN_AREA = 1.0, 0.005, 0.1
 
 
 def bridged_footing(
@@ -85,6 +82,7 @@ def with_gaps(survey: SurveyedSurface, footing: Footing, part: F64, volume: Volu
     above, below = cut_and_fill_chords(tin, survey.points.normal[tin.source], base, over)
     found = bridged(tin, base, part, survey.height_variance, gaps)
     up = volume.cut_m3 >= volume.fill_m3
+    doubts = gap_doubts(found, gaps.area_m2, volume.area_m2, volume.volume_m3, volume.sigma_m3)
     volume = dataclasses.replace(
         volume,
         volume_m3=volume.volume_m3 + above + below + found.more_m3,
@@ -93,24 +91,9 @@ def with_gaps(survey: SurveyedSurface, footing: Footing, part: F64, volume: Volu
         chord_m3=volume.chord_m3 - above - below,
         seen_share=1.0 - gaps.area_m2 / max(float(part.sum()), 1e-300),
         gaps=found.gaps,
-        verdict=volume.verdict + Verdict(tuple(gap_doubts(volume, found, gaps.area_m2))),
+        verdict=volume.verdict + Verdict(tuple(doubts)),
     )
     return with_line(volume, "unseen", found.variance_m6)
-
-
-def gap_doubts(volume: Volume, found: Bridged, area_m2: float) -> list[Doubt]:
-    """Too much was not seen. volume : without the line ``unseen``."""
-    sigma, share = math.sqrt(found.variance_m6), area_m2 / max(volume.area_m2, 1e-300)
-    large = sigma > UNSEEN * volume.sigma_m3 or sigma > UNSEEN_OF_VOLUME * abs(volume.volume_m3)
-    if not (large or share > UNSEEN_AREA or found.unknown_m2 > 0.0):
-        return []
-    gap = found.gaps[0]
-    words = (
-        f"{area_m2:.3g} m² ({100 * share:.1f} %) inside the outline were not seen and are bridged, "
-        f"{sigma:.2g} m³ of sigma; the largest gap, {gap.area_m2:.3g} m², is at ({gap.x_m:.1f}, "
-        f"{gap.y_m:.1f}) m: fly a pass over it"
-    )
-    return [Doubt("unseen", words, share)]
 
 
 def with_base(

@@ -5,6 +5,7 @@ them, bridged, and their volume told with its variance.
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from ladar_volume.ground.polynomial import base_height, height_above
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.parameters import VolumeParameters
 from ladar_volume.model.records import F64, I64, Bool, Gap, Plane, Tin
+from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import any_corner, footprint_areas, vertex_mask
 from ladar_volume.tin.relevant import edge_lengths
 from ladar_volume.uncertainty.ground_field import HALVINGS
@@ -30,6 +32,9 @@ ACROSS = 0.5
 #: Gaps whose surface is looked at, the largest first; the others count with the mean variance of
 #: these per area squared.
 MOST = 6
+#: Standard deviation of what was not seen above which there is doubt, over that of all else and
+#: over the volume; share of the area that was not seen above which there is.
+UNSEEN, UNSEEN_OF_VOLUME, UNSEEN_AREA = 1.0, 0.005, 0.1
 
 
 @dataclass(frozen=True)
@@ -230,3 +235,20 @@ def bridged(tin: Tin, base: Plane, inside_m2: F64, variance: F64, gaps: Gaps) ->
     size = gaps.areas**3.5
     total *= float(size.sum() / size[:MOST].sum())
     return Bridged(more, total, tuple(made), unknown)
+
+
+def gap_doubts(
+    found: Bridged, gap_m2: float, area_m2: float, volume_m3: float, sigma_m3: float
+) -> list[Doubt]:
+    """Too much was not seen: gap_m2 of area_m2. sigma_m3 : of the volume without it."""
+    sigma, share = math.sqrt(found.variance_m6), gap_m2 / max(area_m2, 1e-300)
+    large = sigma > UNSEEN * sigma_m3 or sigma > UNSEEN_OF_VOLUME * abs(volume_m3)
+    if not (large or share > UNSEEN_AREA or found.unknown_m2 > 0.0):
+        return []
+    gap = found.gaps[0]
+    words = (
+        f"{gap_m2:.3g} m² ({100 * share:.1f} %) inside the outline were not seen and are bridged, "
+        f"{sigma:.2g} m³ of sigma; the largest gap, {gap.area_m2:.3g} m², is at ({gap.x_m:.1f}, "
+        f"{gap.y_m:.1f}) m: survey that place"
+    )
+    return [Doubt("unseen", words, share)]

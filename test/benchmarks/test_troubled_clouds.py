@@ -1,0 +1,28 @@
+"""Troubles in a cloud are named, and a clean one is believed: sparse ones of the study."""
+
+import pytest
+
+from benchmarks.troubled_clouds import answer
+
+
+@pytest.mark.parametrize(
+    ("kind", "names"),
+    [
+        ("cut", {"cut", "ground_one_sided", "outline_open"}),
+        ("second pile", {"further_bodies"}),
+        ("wall", {"wall", "outline_open"}),
+        ("pad", {"below_base", "base_toe"}),
+        ("hollow", {"base_bends"}),
+        ("grass on one side", {"vegetation"}),
+        ("machine", {"wall"}),
+    ],
+)
+def test_what_is_wrong_is_named(kind, names):
+    found = answer(kind, 301, 6.0)
+    assert found.status == "doubtful" and names & set(found.reasons)
+
+
+@pytest.mark.parametrize("seed", [301, 302, 303])
+def test_a_clean_cloud_is_believed(seed):
+    found = answer("clean", seed, 6.0)
+    assert found.status == "sound" and not found.far and found.sigma < 0.02
