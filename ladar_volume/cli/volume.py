@@ -42,6 +42,7 @@ from ladar_volume.clouds.volume_verdict import (
     stray_doubts,
     surface_doubts,
 )
+from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.io.config import read_config
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import ConfigurationError, LadarVolumeError, VolumeError
@@ -362,7 +363,9 @@ def volume_verdict(
     """What speaks against the volume. A mesh has no sampling to judge."""
     if len(surfaces) == 1 and surfaces[0].given is None:
         readings, base = None, found.level_base
-        if task.base == "ground" and base is not None:
+        if task.base == "floor":
+            base = design_surface([found.parameters.volume.level_m])
+        elif task.base == "ground" and base is not None:
             readings = ground_readings(surfaces[0], base, areas[0], found.parameters)
         volume, verdict = judged(
             found.volume, surfaces[0], areas[0], readings, found.parameters, base

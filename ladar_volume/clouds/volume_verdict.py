@@ -199,10 +199,11 @@ def below_base(volume: CloudVolume) -> list[Doubt]:
 
 
 def with_gaps(
-    volume: CloudVolume, surface: CloudSurface, inside: F64, base: Plane | None
+    volume: CloudVolume, surface: CloudSurface, inside: F64, base: Plane | None, moves: bool
 ) -> tuple[CloudVolume, Bool, list[Doubt]]:
     """The volume with what was not seen of the body, by kriging from its surroundings; the
-    triangles (m,) over gaps of which that tells; and the doubts.
+    triangles (m,) over gaps of which that tells; and the doubts. Unless it ``moves``, the volume
+    stays that of the triangles, as in a sequence of levels, and what it would move by is in sigma.
     """
     tin = surface.made.tin
     told = np.zeros(len(tin.triangles), np.bool_)
@@ -215,6 +216,9 @@ def with_gaps(
     known = [k for k, gap in enumerate(found.gaps) if math.isfinite(gap.sigma_m3)]
     told = np.isin(gaps.triangle, [*known, *range(len(found.gaps), len(gaps.areas))])
     doubts = gap_doubts(found, gaps.area_m2, volume.area_m2, volume.net_m3, volume.sigma_m3)
+    if not moves:
+        more = found.variance_m6 + found.more_m3**2
+        return with_lines(volume, {"unseen": more}), told, doubts
     up = volume.cut_m3 >= volume.fill_m3
     more, less = (found.more_m3, 0.0) if up else (0.0, -found.more_m3)
     volume = dataclasses.replace(volume, cut_m3=volume.cut_m3 + more, fill_m3=volume.fill_m3 + less)
@@ -268,7 +272,9 @@ def judged(
     heights count from.
     """
     tin, by_body = surface.made.tin, parameters.volume.outline == "auto"
-    volume, told, gaps = with_gaps(volume, surface, inside, base)
+    volume, told, gaps = with_gaps(
+        volume, surface, inside, base, parameters.volume.outline != "all"
+    )
     between = between_points(surface, inside, height_above(tin.vertices, base), ~told)
     found = with_between(volume, between)
     doubts = gaps or surface_doubts(surface, inside)

@@ -72,7 +72,9 @@ def test_a_hole_is_in_volume_and_sigma(x, y, side):
 def test_a_large_hole_is_doubted_with_its_place():
     v = estimated(seen=square(0.3, 0.2, 3.0)).volume
     (doubt,) = (d for d in v.verdict.doubts if d.name == "unseen")
-    assert "fly a pass" in doubt.text and doubt.value == pytest.approx(1.0 - v.seen_share, abs=1e-6)
+    assert "survey that place" in doubt.text and doubt.value == pytest.approx(
+        1.0 - v.seen_share, abs=1e-6
+    )
 
 
 def test_a_hole_in_a_given_outline_is_bridged():
