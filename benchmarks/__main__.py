@@ -37,6 +37,7 @@ NAMES = (
     "correlated_sum",
     "ball_box",
     "cut_fill_coverage",
+    "epoch_coverage",
     "local_mesh",
     "kill_logger",
     "calibration",

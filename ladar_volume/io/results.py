@@ -119,6 +119,8 @@ def change_dict(found: EpochDifference) -> dict[str, Any]:
         "z": found.z,
         "p_value": found.p_value,
         "significant": found.significant,
+        "sigma_cut_m3": found.sigma_cut_m3,
+        "sigma_fill_m3": found.sigma_fill_m3,
         "sigma_if_nothing_shared_m3": found.budget.sigma_separate,
     }
 
