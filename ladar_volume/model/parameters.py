@@ -231,7 +231,10 @@ class SurfaceFilterParameters(RandomStartParameters):
     """Robust moving least squares on a stream (seed 002 chapter 4)."""
 
     elsewhere: ClassVar[dict[str, str]] = dict.fromkeys(
-        ("order", "confidence", "grid_before_m", "grid_after_m", "reduce", "edge"),
+        (
+            *("order", "confidence", "grid_before_m", "grid_after_m", "reduce", "edge"),
+            *("edges_threshold", "min_share", "sort"),
+        ),
         "is read for point cloud files alone, by `ladar_volume filter --set` with the same name: "
         "take it out here",
     )
