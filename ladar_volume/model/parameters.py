@@ -302,6 +302,12 @@ class GroundParameters:
 class VolumeParameters:
     """Surface, base and volume."""
 
+    kind: str = param(
+        "surface",
+        "What is measured: the surface above its base; or, in replay, closed bodies on the ground "
+        "too, walls and overhangs with them.",
+        choices=("surface", "bodies"),
+    )
     base: str = param(
         "ground",
         "What the volume stands on: ground of the same survey, a level, or a given plane.",
