@@ -38,6 +38,8 @@ NAMES = (
     "ball_box",
     "cut_fill_coverage",
     "epoch_coverage",
+    "survey_bodies",
+    "thin_walls",
     "local_mesh",
     "kill_logger",
     "calibration",
