@@ -36,6 +36,8 @@ class Engine:
         self.filter = SurfaceFilter(parameters)
         self.estimator = VolumeEstimator(parameters)
         self.points_mapped = 0
+        #: Every mapped cloud, where closed bodies are made of them in the end.
+        self.mapped: list[MappedPoints] = []
         self._restarts = 0
 
     def add_fix(self, fix: Fix) -> None:
@@ -61,6 +63,7 @@ class Engine:
         """
         if self.georeferencer.restarts != self._restarts:
             self._restarts, self.points_mapped = self.georeferencer.restarts, 0
+            self.mapped.clear()
             self.filter, self.estimator = (
                 SurfaceFilter(self.parameters),
                 VolumeEstimator(self.parameters),
@@ -72,6 +75,8 @@ class Engine:
         clouds = self.georeferencer.take_points()
         for points in clouds:
             self.points_mapped += len(points)
+            if self.parameters.volume.kind == "bodies":
+                self.mapped.append(points)
             self.filter.add(points)
         return clouds
 

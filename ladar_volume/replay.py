@@ -9,6 +9,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from ladar_volume.clouds.survey.survey_bodies import SurveyBodies, around, bodies_of_survey
 from ladar_volume.io import results
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.cloud_messages import returns_from_cloud
@@ -148,6 +151,16 @@ class Replay:
             if error.reason != "bag_truncated":
                 raise
             self.losses.add("bag_truncated")  # what came before the break is good data
+
+    def closed_bodies(self, estimate: Estimate) -> SurveyBodies:
+        """The closed bodies of what was replayed, about the outlines of the estimate. Raises as
+        :func:`~ladar_volume.clouds.survey.survey_bodies.bodies_of_survey`.
+        """
+        outlines = tuple(v.outline for v in (estimate.volume, *estimate.bodies))
+        raw = np.concatenate([points.r_map for points in self.engine.mapped])
+        near = around(outlines, self.parameters.volume.ground_ring_m, raw)
+        sources = self.engine.estimator.epoch().sources
+        return bodies_of_survey(near, sources, self.parameters)
 
     def result(self, estimate: Estimate) -> dict[str, Any]:
         """The result as plain values."""

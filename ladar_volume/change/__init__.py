@@ -3,6 +3,7 @@
 Public:
 
 - ``epoch_change.epoch_difference``: two surveys with their shared errors.
+- ``cut_and_fill``, ``unchanged_ground``: cut and fill with standard deviations of their own.
 - ``change_detection``: the map of change with its level of detection.
 - ``excavation``, ``two_surfaces``, ``sight_ring``: a pit between two scans by tetrahedra to a
   free pole (seed 003 section 3).

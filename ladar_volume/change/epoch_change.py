@@ -12,20 +12,17 @@ import math
 from collections.abc import Collection
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import Any
 
 import numpy as np
 
-from ladar_volume.change.surface_difference import Difference, difference, fineness
+from ladar_volume.change.cut_and_fill import CutAndFill, cut_and_fill
+from ladar_volume.change.surface_difference import Difference, difference
 from ladar_volume.model.records import F64, Tin, Volume
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.uncertainty.epoch_budget import Epoch, EpochBudget, epoch_budget
-from ladar_volume.uncertainty.vertex_noise import height_pairs, height_sums, rings_for, vertex_rows
-from ladar_volume.volume.near_base import Fold, fold, near_triangles, node_covariances
 from ladar_volume.volume.outline import boundary_loop
 from ladar_volume.volume.overlay import Between, between
 from ladar_volume.volume.polygon import areas_inside, check_polygon
-from ladar_volume.volume.volume_loads import vertex_variance
 
 #: Name of the base of a difference.
 BASE = "epoch before, over the common footprint"
@@ -34,13 +31,16 @@ BASE = "epoch before, over the common footprint"
 @dataclass(frozen=True)
 class EpochDifference:
     """volume : new minus previous over the common footprint · budget · z : the volume in standard
-    deviations · p_value : two-sided probability of a |z| at least as large if nothing had changed
+    deviations · p_value : two-sided probability of a |z| at least as large if nothing had changed ·
+    sigma_cut_m3, sigma_fill_m3 : of the volume's cut and fill
     """
 
     volume: Volume
     budget: EpochBudget
     z: float
     p_value: float
+    sigma_cut_m3: float
+    sigma_fill_m3: float
 
     @property
     def significant(self) -> bool:
@@ -73,55 +73,16 @@ def epoch_difference(
     upper, lower = within_outline(new.tin, polygon), previous.tin
     found, apart = between(upper, lower), difference(upper, lower)
     budget = epoch_budget(new, previous, found.gradient_net, found.lower_net, separate)
-    near = near_correction(new, previous, apart)
-    volume = as_volume(new, previous, found, apart, budget, near)
+    parts = cut_and_fill(new, previous, found, apart, budget, separate)
+    volume = as_volume(new, previous, found, apart, budget, parts)
     z = (
         volume.volume_m3 / budget.sigma
         if budget.sigma > 0.0
         else math.copysign(math.inf, volume.volume_m3)
     )
-    return EpochDifference(volume, budget, z, math.erfc(abs(z) / math.sqrt(2.0))), apart
-
-
-def height_noise(epoch: Epoch) -> tuple[Any, F64, float]:
-    """Of the heights' noise from the returns: covariance (n, n), sparse, m², of vertices joined by
-    an edge, sums (n,) over all, and how many heights share their noise.
-    """
-    tin, s = epoch.tin, epoch.sources
-    variance = vertex_variance(epoch.surface, s.points)
-    X, row = vertex_rows(tin, s.points, s.patches, s.geometry)
-    C = height_pairs(tin, s.patches, s.geometry, X, row, variance, tin.triangles)
-    chosen = np.arange(len(tin.vertices), dtype=np.int64)
-    return C, *height_sums(s.patches, s.geometry, X, row, chosen, variance)
-
-
-def near_correction(new: Epoch, previous: Epoch, apart: Difference) -> Fold | None:
-    """What noise folds into cut and fill where the surfaces are near each other; None where they
-    nowhere are.
-    """
-    own, other = (new, previous) if apart.upper_carries else (previous, new)
-    (C_own, sums, alike), (C_other, other_sums, other_alike) = (
-        height_noise(own),
-        height_noise(other),
-    )
-    C, below = apart.covariance(C_own, other.tin, C_other), other.tin
-    # as many of the carrying surface's vertices as stand where one of the other's does
-    density = fineness(apart.tin) / max(fineness(below), 1e-300)
-    summed = sums + density * (apart.weight * other_sums[apart.corner]).sum(axis=1)
-    height, variance, chosen = apart.tin.vertices[:, 2], C.diagonal(), apart.tin.relevant
-    near = apart.tin.triangles[chosen]
-    near = near[near_triangles(near, height, variance)]
-    if not len(near):
-        return None
-    return fold(
-        apart.tin,
-        height,
-        variance,
-        near,
-        node_covariances(C, near),
-        rings_for(max(alike, other_alike)),
-        summed,
-    )
+    p_value = math.erfc(abs(z) / math.sqrt(2.0))
+    found_out = EpochDifference(volume, budget, z, p_value, parts.sigma_cut_m3, parts.sigma_fill_m3)
+    return found_out, apart
 
 
 def change_centroid(apart: Difference, heights: F64) -> tuple[float, float, float]:
@@ -141,18 +102,17 @@ def as_volume(
     found: Between,
     apart: Difference,
     budget: EpochBudget,
-    near: Fold | None,
+    parts: CutAndFill,
 ) -> Volume:
     """The difference as a volume whose base is the epoch before."""
     p, tin = new.sources.parameters.volume, apart.tin
-    folded = 0.0 if near is None else near.taken(found.cut_m3, found.fill_m3)
     return Volume(
         found.net_m3,
         budget.sigma,
         p.confidence,
         NormalDist().inv_cdf(0.5 + p.confidence / 2),
-        found.cut_m3 - folded,
-        found.fill_m3 - folded,
+        parts.cut_m3,
+        parts.fill_m3,
         found.area_m2,
         BASE,
         False,
@@ -164,8 +124,8 @@ def as_volume(
         len(np.unique(tin.triangles[tin.relevant])),
         int(np.count_nonzero(tin.relevant)),
         new.t_ns,
-        folded,
-        0.0 if near is None else near.near_area_m2,
+        parts.folded_m3,
+        parts.near_area_m2,
         budget.within,
         budget.second.shift_m3,
         budget.second.matters,

@@ -148,7 +148,15 @@ def with_stable_ground(found: EpochDifference, ground: StableGround) -> EpochDif
     v = found.volume
     volume = replace(v, sigma_m3=budget.sigma, budget_m6={**v.budget_m6, **line})
     z = v.volume_m3 / budget.sigma
-    return EpochDifference(volume, budget, z, math.erfc(abs(z) / math.sqrt(2.0)))
+    return replace(
+        found,
+        volume=volume,
+        budget=budget,
+        z=z,
+        p_value=math.erfc(abs(z) / math.sqrt(2.0)),
+        sigma_cut_m3=math.hypot(found.sigma_cut_m3, ground.effect_m3),
+        sigma_fill_m3=math.hypot(found.sigma_fill_m3, ground.effect_m3),
+    )
 
 
 def epoch_verdict(ground: StableGround) -> Verdict:

@@ -39,6 +39,19 @@ class Difference:
     corner: I32
     weight: F64
 
+    def common(self) -> Tin:
+        """The difference over the common footprint alone: vertices that are not on both surfaces,
+        whose heights are no differences, are joined to nothing.
+        """
+        number = np.full(len(self.tin.triangles) + 1, -1, np.int32)  # the last stands for the hull
+        number[:-1][self.tin.relevant] = np.arange(np.count_nonzero(self.tin.relevant))
+        return dataclasses.replace(
+            self.tin,
+            triangles=self.tin.triangles[self.tin.relevant],
+            neighbours=number[self.tin.neighbours[self.tin.relevant]],
+            relevant=np.ones(np.count_nonzero(self.tin.relevant), bool),
+        )
+
     def covariance(self, C_own: csr_array, other: Tin, C_other: csr_array) -> csr_array:
         """Covariance (n, n), sparse, m², of the differences from those of the carrying surface's
         heights and of the other's: the variances and the pairs joined by an edge.

@@ -46,6 +46,7 @@ from ladar_volume.clouds.body_walls import closing_doubts, foot_doubts, wall_dou
 from ladar_volume.clouds.cloud_bodies import CLEAR, BodyOptions, cloud_bodies
 from ladar_volume.clouds.filter.filter_result import CloudResult
 from ladar_volume.clouds.filter_cloud import filter_cloud
+from ladar_volume.ground.ground_presets import PRESETS
 from ladar_volume.ground.objects import (
     ObjectParameters,
     Objects,
@@ -127,6 +128,8 @@ def check(arguments: argparse.Namespace) -> None:
         raise ConfigurationError(f"--sharp {a.sharp}: degrees from 0 to 180", value=a.sharp)
     if a.no_filter and a.radius is not None:
         raise ConfigurationError("--radius is the filter's, which --no-filter leaves out")
+    if a.ground_preset is not None and a.ground not in (None, "auto"):
+        raise ConfigurationError("--ground-preset is for a ground found in the cloud")
     if a.repair is not None and not a.mesh_radius > 0.0:
         raise ConfigurationError("--repair needs --mesh-radius, the radius of Algorithm 2 in m")
     if a.repair is not None and a.ground not in (None, "none"):
@@ -281,7 +284,8 @@ def ground_of(arguments: argparse.Namespace, points: BodyPoints) -> Plane | None
 def ground_of_cloud(arguments: argparse.Namespace, points: BodyPoints) -> Plane:
     """The ground that points show."""
     sigma = np.zeros(len(points.r)) if points.sigma is None else points.sigma
-    p = GroundParameters(seed=arguments.seed, degree=1)
+    chosen = {} if arguments.ground_preset is None else PRESETS[arguments.ground_preset]
+    p = GroundParameters(**{"degree": 1, **chosen, "seed": arguments.seed})
     try:
         return fit_ground(points.r, sigma**2, p, ground_threshold(points))
     except GroundError as error:

@@ -209,7 +209,10 @@ def _add_change_rows(head: Table, facts: Mapping[str, Any]) -> None:
     head.add_row("significance", f"{words}: z = {facts['z']:.2f}, p = {facts['p_value']:.2g}")
     head.add_row(
         "raised, lowered",
-        f"{facts['cut_m3']:.3f} m³, {facts['fill_m3']:.3f} m³ over {facts['area_m2']:.1f} m²",
+        (
+            f"{facts['cut_m3']:.3f} ± {facts['sigma_cut_m3']:.3f} m³, {facts['fill_m3']:.3f} ± "
+            f"{facts['sigma_fill_m3']:.3f} m³ over {facts['area_m2']:.1f} m²"
+        ),
     )
 
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.progress import Progress
+from rich.table import Table
 
 from ladar_volume.cli.arguments.work import config_for
+from ladar_volume.cli.body import write as write_bodies
 from ladar_volume.cli.tables.result_table import show_result
 from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.io import results
@@ -40,11 +43,25 @@ def run(arguments: argparse.Namespace) -> int:
         print(results.json_text(result), end="")
     else:
         show_result(console, result)
+        show_bodies(console, result.get("closed_bodies", []))
         console.print(
             f"{min(arguments.duration, result['input']['duration_s']) / seconds:.1f} x "
             f"real time; written to {arguments.output}/"
         )
     return exit_code(arguments, result["verdict"])
+
+
+def show_bodies(console: Console, bodies: Sequence[Mapping[str, Any]]) -> None:
+    """Print the closed bodies, one a row."""
+    if not bodies:
+        return
+    table = Table("closed body", "volume", "sigma", "height", "at", "largest source")
+    for k, b in enumerate(bodies, 1):
+        x, y, _ = b["centroid_map_m"]
+        largest = max(b["budget_m6"], key=lambda source: b["budget_m6"][source])
+        numbers = f"{b['volume_m3']:.3f} m³", f"{b['sigma_m3']:.3f} m³", f"{b['height_m']:.2f} m"
+        table.add_row(str(k), *numbers, f"{x:.2f}, {y:.2f}", largest)
+    console.print(table)
 
 
 def _replayed(
@@ -67,8 +84,13 @@ def _replayed(
         with Progress(console=console, transient=True) as bar:
             task = bar.add_task(f"replaying {arguments.bag.name}", total=1.0)
             estimate = replay.run(lambda share: bar.update(task, completed=share))
-        seconds = time.perf_counter() - began
         result = replay.result(estimate)
+        if parameters.volume.kind == "bodies":
+            found = replay.closed_bodies(estimate)
+            result["closed_bodies"] = results.closed_bodies_dict(found)
+            result["verdict"] = results.with_doubts(result["verdict"], found.verdict)
+            write_bodies(folder / "bodies.ply", [b.body for b in found.bodies])
+        seconds = time.perf_counter() - began
     write_outputs(
         folder,
         estimate,

@@ -38,6 +38,11 @@ def surface_options(arguments: argparse.Namespace, default: SurfaceOptions) -> S
         raise ConfigurationError(
             "--iterations and --height-tolerance belong to --adjust rms-iterated", value=a.adjust
         )
+    if a.exchange_last and (a.exchange == "none" or a.adjust == "none"):
+        raise ConfigurationError(
+            "--exchange-last is for heights that are adjusted and diagonals that are exchanged: "
+            "give --exchange asd or rms, and an --adjust"
+        )
     limits = {
         "max_edge_m": a.max_edge,
         "max_circumdiameter_m": a.max_circle,
@@ -53,6 +58,7 @@ def surface_options(arguments: argparse.Namespace, default: SurfaceOptions) -> S
         criterion=a.criterion,
         adjust=a.adjust,
         exchange=a.exchange,
+        readjust=not a.exchange_last,
         relevant=relevant,
         window=None if a.window is None else tuple(a.window),
         duplicate_tolerance_m=a.duplicates,
@@ -293,6 +299,7 @@ def option_facts(options: SurfaceOptions) -> dict[str, Any]:
         "criterion",
         "adjust",
         "exchange",
+        "readjust",
         "relevant",
         "max_edge_m",
         "max_circumdiameter_m",

@@ -42,6 +42,7 @@ from ladar_volume.clouds.volume_verdict import (
     stray_doubts,
     surface_doubts,
 )
+from ladar_volume.ground.ground_presets import PRESETS
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.io.config import read_config
 from ladar_volume.io.results import json_text
@@ -121,6 +122,8 @@ def _check_method(a: argparse.Namespace, two: bool) -> None:
 
 
 def _read(a: argparse.Namespace, base: str) -> Parameters:
+    if a.ground_preset is not None and base != "ground":
+        raise ConfigurationError("--ground-preset goes with --base ground", value=a.ground_preset)
     keys = [text.partition("=")[0].strip() for text in a.set]
     for key in keys:
         section, _, name = key.partition(".")
@@ -131,7 +134,8 @@ def _read(a: argparse.Namespace, base: str) -> Parameters:
             )
         if section == "volume" and name in OWN_OPTION:
             raise ConfigurationError(f"--set {key}: use {OWN_OPTION[name]}", value=key)
-    start = read_config(None, a.set)
+    preset = () if a.ground_preset is None else PRESETS[a.ground_preset].items()
+    start = read_config(None, [*(f"ground.{key}={value}" for key, value in preset), *a.set])
     chosen = a.outline or (
         start.volume.outline if "volume.outline" in keys else "auto" if base == "ground" else "all"
     )

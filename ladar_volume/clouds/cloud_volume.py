@@ -263,7 +263,7 @@ def near_difference(
     )
     own, other, below = (C_one, C_two, two) if apart.upper_carries else (C_two, C_one, one)
     C = apart.covariance(own, below, other)
-    near = near_base(apart.tin, ZERO, C, selected=selected(upper) or selected(lower))
+    near = near_base(apart.common(), ZERO, C, selected=selected(upper) or selected(lower))
     carried, rest = apart.shares(near.gradient_cut, near.gradient_net, len(below.vertices))
     ordered = (carried, rest) if apart.upper_carries else (rest, carried)
     return near, tuple(

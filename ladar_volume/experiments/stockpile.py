@@ -28,6 +28,7 @@ from ladar_volume.georeference.point_jacobian import (
     independent_covariance,
     point_covariance,
 )
+from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.parameters import BudgetParameters, CalibrationParameters
 from ladar_volume.model.records import F64
 
@@ -169,9 +170,51 @@ class Cone:
 COAL = Cone(CONE_M3, math.radians(REPOSE_DEG))
 
 
-def summary() -> dict[str, Any]:
-    """Every number of the study as plain values."""
-    printed = READINGS[0]
+@dataclass(frozen=True)
+class Tolerated:
+    """A pile and the share of its volume by which a survey may miss it."""
+
+    cone: Cone = COAL
+    share: float = SHARE
+
+    def __post_init__(self) -> None:
+        c = self.cone
+        if not (0.0 < c.volume_m3 < math.inf and 0.0 < c.repose_rad < 0.5 * math.pi):
+            raise ConfigurationError(
+                "a pile needs a volume above 0 m³ and an angle of repose between 0 and 90°",
+                value=(c.volume_m3, math.degrees(c.repose_rad)),
+            )
+        if not 0.0 < self.share < 1.0:
+            raise ConfigurationError(
+                f"the tolerated share is between 0 and 1, not {self.share:g}", value=self.share
+            )
+
+    @property
+    def needed_m(self) -> tuple[float, float]:
+        """Change of the width by equation 5 and of the height by equation 6, m: with
+        ``W = (24 V / (π tan Ω))^(1/3)`` and ``H = W/2 tan Ω``, both for V and V (1 + share).
+        """
+        changes = self.cone.changes(self.share)
+        return changes["width_exact"], changes["height_exact"]
+
+    def within(self, sigma_z_m: float) -> bool:
+        """The rule of section 5.2: a point's height errs by no more than the change of the height
+        that changes the volume by the share.
+        """
+        return sigma_z_m <= self.needed_m[1]
+
+    def smallest_m3(self, sigma_z_m: float) -> float:
+        """The smallest pile of this angle of repose for which that holds, m³; it grows with the
+        third power of sigma.
+        """
+        height = sigma_z_m / math.expm1(math.log1p(self.share) / 3.0)
+        return math.pi * height**3 / (3.0 * math.tan(self.cone.repose_rad) ** 2)
+
+
+def summary(pile: Tolerated | None = None) -> dict[str, Any]:
+    """Every number of the study as plain values, of a pile of coal by default."""
+    pile, printed = pile or Tolerated(), READINGS[0]
+    cone = pile.cone
     return {
         "position_sigma_m": {
             "printed": PRINTED_POSITION_M,
@@ -194,12 +237,27 @@ def summary() -> dict[str, Any]:
             },
         },
         "cone": {
-            "volume_m3": COAL.volume_m3,
-            "repose_deg": REPOSE_DEG,
-            "width_m": COAL.width_m,
-            "height_m": COAL.height_m,
-            "area_m2": COAL.area_m2,
-            "share": SHARE,
-            "changes_m": COAL.changes(SHARE),
+            "volume_m3": cone.volume_m3,
+            "repose_deg": math.degrees(cone.repose_rad),
+            "width_m": cone.width_m,
+            "height_m": cone.height_m,
+            "area_m2": cone.area_m2,
+            "share": pile.share,
+            "changes_m": cone.changes(pile.share),
+        },
+        "rule": {
+            "needed_width_m": pile.needed_m[0],
+            "needed_height_m": pile.needed_m[1],
+            "readings": {
+                r.title: [
+                    {
+                        "sigma_z_m": float(r.sigmas(h)[2]),
+                        "holds": pile.within(float(r.sigmas(h)[2])),
+                        "smallest_m3": pile.smallest_m3(float(r.sigmas(h)[2])),
+                    }
+                    for h in HEIGHTS_M
+                ]
+                for r in READINGS
+            },
         },
     }

@@ -4,6 +4,7 @@ side by side.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from ladar_volume.experiments.stockpile import (
     READINGS,
     SHARE,
     SOURCES,
+    Tolerated,
     alone,
     position_sigmas,
 )
@@ -34,7 +36,7 @@ def metres(values: object, form: str = ".4f") -> list[str]:
     return [format(float(v), form) for v in np.atleast_1d(np.asarray(values, dtype=np.float64))]
 
 
-def position_table() -> str:
+def position_table(_: Tolerated) -> str:
     """Section 5.1.1: an error vector of 0.05 m split into axes."""
     rows = [
         ["printed", *metres(PRINTED_POSITION_M, ".5f")],
@@ -44,7 +46,7 @@ def position_table() -> str:
     return markdown(["", "sigma_X / m", "sigma_Y / m", "sigma_Z / m"], rows)
 
 
-def point_table() -> str:
+def point_table(_: Tolerated) -> str:
     """Section 5.2: precision of one point."""
     head = ["", *(f"{axis} at {h:.0f} m" for h in HEIGHTS_M for axis in "XYZ")]
     rows = [["printed", *(c for row in PRINTED for c in metres(row))]]
@@ -52,7 +54,7 @@ def point_table() -> str:
     return markdown(head, rows)
 
 
-def source_table() -> str:
+def source_table(_: Tolerated) -> str:
     """What each source alone gives in the printed geometry."""
     head = ["source alone", *(f"{axis} at {h:.0f} m" for h in HEIGHTS_M for axis in "XYZ")]
     one = READINGS[0]
@@ -63,13 +65,14 @@ def source_table() -> str:
     return markdown(head, rows)
 
 
-def cone_table() -> str:
-    """Section 5.2 (stockpile volumes): a cone that changes by 5 %."""
-    c = COAL.changes(SHARE)
+def cone_table(pile: Tolerated) -> str:
+    """Section 5.2 (stockpile volumes): a cone that changes by a share, equations 5 and 6."""
+    cone, c = pile.cone, pile.cone.changes(pile.share)
+    printed = ("0.086", "0.060") if pile == Tolerated() else ("", "")
     rows = [
         ["radius", "", f"{c['radius']:.4f}", f"{c['radius_exact']:.4f}"],
-        ["width", "0.086", f"{c['width']:.4f}", f"{c['width_exact']:.4f}"],
-        ["height", "0.060", f"{c['height']:.4f}", f"{c['height_exact']:.4f}"],
+        ["width", printed[0], f"{c['width']:.4f}", f"{c['width_exact']:.4f}"],
+        ["height", printed[1], f"{c['height']:.4f}", f"{c['height_exact']:.4f}"],
         [
             "shift of the whole surface above a fixed base",
             "",
@@ -78,15 +81,16 @@ def cone_table() -> str:
         ],
     ]
     text = (
-        f"V = π D³ tan(35°) / 24 = {COAL.volume_m3:.0f} m³: width D = {COAL.width_m:.3f} m, "
-        f"height {COAL.height_m:.3f} m.\n\n"
+        f"V = π D³ tan({math.degrees(cone.repose_rad):g}°) / 24 = {cone.volume_m3:g} m³: width "
+        f"D = {cone.width_m:.3f} m, height {cone.height_m:.3f} m.\n\n"
     )
-    return text + markdown(["change for 5 %", "printed / m", "first order / m", "exact / m"], rows)
+    change = f"change for {100.0 * pile.share:g} %"
+    return text + markdown([change, "printed / m", "first order / m", "exact / m"], rows)
 
 
-def table_2() -> str:
+def table_2(pile: Tolerated) -> str:
     """Table 2: obtainable against required, as printed and as corrected."""
-    c, first, last = COAL.changes(SHARE), READINGS[0], READINGS[-1]
+    c, first, last = pile.cone.changes(pile.share), READINGS[0], READINGS[-1]
     rows = []
     for k, (axis, row) in enumerate(zip("XYZ", PRINTED_TABLE_2, strict=True)):
         own = [first.sigmas(h)[k] for h in HEIGHTS_M]
@@ -110,18 +114,34 @@ def table_2() -> str:
     return markdown(head, rows)
 
 
+def rule_table(pile: Tolerated) -> str:
+    """The rule that a point's sigma_Z be no more than the change of height, by reading."""
+    rows = []
+    for reading in READINGS:
+        for height in HEIGHTS_M:
+            sigma = float(reading.sigmas(height)[2])
+            verdict = "holds" if pile.within(sigma) else "does not hold"
+            smallest = f"{pile.smallest_m3(sigma):.0f}"
+            rows.append([reading.title, f"{height:.0f}", f"{sigma:.4f}", verdict, smallest])
+    head = ["reading", "flying height, m", "sigma_Z of one point, m"]
+    limit = f"within {pile.needed_m[1]:.4f} m"
+    return markdown([*head, limit, "smallest pile for which it holds, m³"], rows)
+
+
 TABLES = {
     "Position of the platform (5.1.1)": position_table,
     "Precision of one point (5.2)": point_table,
     "Which source it comes from, printed geometry": source_table,
-    "A cone that changes by 5 %": cone_table,
+    "A cone that changes (equations 5 and 6)": cone_table,
     "Table 2": table_2,
+    "The rule for one point": rule_table,
 }
 
 
-def tables() -> str:
-    """All tables as Markdown."""
-    return "\n".join(f"## {title}\n\n{make()}" for title, make in TABLES.items())
+def tables(pile: Tolerated | None = None) -> str:
+    """All tables as Markdown, of a pile of coal by default."""
+    pile = pile or Tolerated()
+    return "\n".join(f"## {title}\n\n{make(pile)}" for title, make in TABLES.items())
 
 
 def write_figure(folder: Path) -> str:

@@ -17,14 +17,16 @@ from ladar_volume.io.atomic_write import unwritable, whole_file
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import Datum, Estimate, Plane, Tin, Volume
+from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.version import version
 
 if TYPE_CHECKING:  # for names of types alone: a stage's kernels are loaded by the node that runs it
     from ladar_volume.change.epoch_change import EpochDifference
+    from ladar_volume.clouds.survey.survey_bodies import SurveyBodies
     from ladar_volume.volume.more_data import MoreData
 
 #: The files of a result, the one that stands for them first.
-SURVEY_FILES = ("result.json", "result.mcap", "mesh.ply", "figure.png")
+SURVEY_FILES = ("result.json", "result.mcap", "mesh.ply", "figure.png", "bodies.ply")
 
 
 def volume_dict(volume: Volume) -> dict[str, Any]:
@@ -110,6 +112,33 @@ def result_dict(
     }
 
 
+def closed_bodies_dict(found: SurveyBodies) -> list[dict[str, Any]]:
+    """The closed bodies of a survey as plain values, the largest first."""
+    return [
+        {
+            "volume_m3": b.volume_m3,
+            "sigma_m3": b.sigma_m3,
+            "interval_m3": list(b.interval_m3),
+            "budget_m6": b.budget_m6,
+            "height_m": b.height_m,
+            "points": b.points,
+            "centroid_map_m": b.body.centroid_map.tolist(),
+            "area_m2": b.body.area_m2,
+            "faces": len(b.body.skin.triangles),
+            "edge_m3": b.body.edge_m3,
+            "curvature_m3": b.body.curvature_m3,
+            "closed_m3": b.body.closed_m3,
+        }
+        for b in found.bodies
+    ]
+
+
+def with_doubts(verdict: Mapping[str, Any], more: Verdict) -> dict[str, Any]:
+    """A verdict as plain values with further doubts."""
+    known = tuple(Doubt(d["name"], d["text"], d.get("value")) for d in verdict["reasons"])
+    return (Verdict(known) + more).as_dict()
+
+
 def change_dict(found: EpochDifference) -> dict[str, Any]:
     """A change between two epochs as plain values: the volume, its significance, and sigma if
     nothing were shared.
@@ -119,6 +148,8 @@ def change_dict(found: EpochDifference) -> dict[str, Any]:
         "z": found.z,
         "p_value": found.p_value,
         "significant": found.significant,
+        "sigma_cut_m3": found.sigma_cut_m3,
+        "sigma_fill_m3": found.sigma_fill_m3,
         "sigma_if_nothing_shared_m3": found.budget.sigma_separate,
     }
 

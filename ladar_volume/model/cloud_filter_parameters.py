@@ -24,7 +24,18 @@ class FilterParameters(RobustFitParameters):
 
     elsewhere: ClassVar[dict[str, str]] = {
         **dict.fromkeys(("cap_per_voxel", "sampling_m", "nav_bin_s"), LIVE),
-        **dict.fromkeys(("start", "confidence", "sample_size", "ransac_threshold_m"), PUBLISHED),
+        **dict.fromkeys(
+            (
+                "start",
+                "confidence",
+                "sample_size",
+                "ransac_threshold_m",
+                "edges_threshold",
+                "min_share",
+                "sort",
+            ),
+            PUBLISHED,
+        ),
     }
 
     outlier_floor_m: float = param(
@@ -69,6 +80,25 @@ class PublishedFilterParameters(FilterParameters, RandomStartParameters):
         ("cap_per_voxel", "sampling_m", "nav_bin_s"), LIVE
     )
 
+    sample_size: int = param(
+        4,
+        "Points per random sample (thesis: k = 20 or 10; the fewer the likelier without outliers).",
+        low=3,
+        high=1000,
+    )
+    edges_threshold: float = param(
+        0.1,
+        "Share of outliers above which an edge, then a corner, is looked for (edgesThreshold).",
+        low=0,
+        high=1,
+    )
+    min_share: float = param(
+        0.5,
+        "Share of a neighbourhood that has to lie on its surfaces (the breakdown point).",
+        low=0,
+        high=1,
+    )
+    sort: bool = param(True, "Visit points by the sum of their coordinates; else as they come.")
     confidence: float = param(
         0.999,
         "Trials end once a sample without outliers was drawn with this probability; 1 for never.",

@@ -231,7 +231,10 @@ class SurfaceFilterParameters(RandomStartParameters):
     """Robust moving least squares on a stream (seed 002 chapter 4)."""
 
     elsewhere: ClassVar[dict[str, str]] = dict.fromkeys(
-        ("order", "confidence", "grid_before_m", "grid_after_m", "reduce", "edge"),
+        (
+            *("order", "confidence", "grid_before_m", "grid_after_m", "reduce", "edge"),
+            *("edges_threshold", "min_share", "sort"),
+        ),
         "is read for point cloud files alone, by `ladar_volume filter --set` with the same name: "
         "take it out here",
     )
@@ -299,6 +302,12 @@ class GroundParameters:
 class VolumeParameters:
     """Surface, base and volume."""
 
+    kind: str = param(
+        "surface",
+        "What is measured: the surface above its base; or, in replay, closed bodies on the ground "
+        "too, walls and overhangs with them.",
+        choices=("surface", "bodies"),
+    )
     base: str = param(
         "ground",
         "What the volume stands on: ground of the same survey, a level, or a given plane.",

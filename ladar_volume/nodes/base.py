@@ -35,7 +35,13 @@ from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameter import specs
 from ladar_volume.model.parameters import SECTIONS, Parameters
 from ladar_volume.model.records import Datum
-from ladar_volume.nodes.declared_parameters import descriptor, outside, why_never, why_not_now
+from ladar_volume.nodes.declared_parameters import (
+    descriptor,
+    live,
+    outside,
+    why_never,
+    why_not_now,
+)
 from ladar_volume.nodes.executor_rounds import AT_ONCE, take_waiting, unpacked
 from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.stream_passes import OnePublisher
@@ -126,7 +132,7 @@ class StageNode(LifecycleNode, ABC):
             }
             for s in self.sections
         }
-        return Parameters.read(values, start)
+        return live(Parameters.read(values, start))
 
     def _on_set(self, changes: Sequence[Parameter]) -> SetParametersResult:
         values: dict[str, dict[str, Any]] = {}
@@ -143,7 +149,7 @@ class StageNode(LifecycleNode, ABC):
         if not values:
             return SetParametersResult(successful=True)
         try:
-            parameters = Parameters.read(values, self.parameters)
+            parameters = live(Parameters.read(values, self.parameters))
         except ConfigurationError as error:
             return SetParametersResult(successful=False, reason=str(error))
         self.parameters = parameters

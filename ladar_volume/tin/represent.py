@@ -47,8 +47,9 @@ class SurfaceOptions:
     ``boundary``).
 
     vertices, ratio, tolerance : where insertion stops (ratio 1: every point is a vertex; with none
-    of them a third) · adjust : one of :data:`ADJUST` · exchange : "rms", "asd" or "none" · lengths
-    in m, areas in m², in the frame the points are given in · relevant : an option of
+    of them a third) · adjust : one of :data:`ADJUST` · exchange : "rms", "asd" or "none" ·
+    readjust : heights once more after the exchange; not: as published, the exchange is last ·
+    lengths in m, areas in m², in the frame the points are given in · relevant : an option of
     :mod:`ladar_volume.tin.relevant`, or "sampled": where the points sampled, not their hull
     """
 
@@ -58,6 +59,7 @@ class SurfaceOptions:
     criterion: str = "residual-area"
     adjust: str = "rms"
     exchange: str = "none"
+    readjust: bool = True
     relevant: str = "corners"
     max_edge_m: float = math.inf
     max_circumdiameter_m: float = math.inf
@@ -91,7 +93,8 @@ class Represented:
     the adjustment reached its tolerance · exchanges : of diagonals · initial : vertices from
     binning · cropped : points off the map · rms_m, asd_m, fitted : measures of fit in the end, and
     over how many points; rms_before_m, asd_before_m : with the heights as measured · sampled : the
-    sampled area, where it tells the relevant triangles
+    sampled area, where it tells the relevant triangles · adjusted_on : the surface before the
+    exchange of diagonals, where the heights were adjusted on that one
     """
 
     tin: Tin
@@ -107,13 +110,14 @@ class Represented:
     rms_before_m: float
     asd_before_m: float
     sampled: SampledArea | None = None
+    adjusted_on: Tin | None = None
 
     def by_points(self, gradient: F64, points: int) -> F64:
         """From gradients (n, k, 3) of k results by the vertices to gradients (points, k, 3) by the
         points given.
         """
         if self.fit is not None:
-            return raw_gradients(self.tin, self.fit, gradient, points)
+            return raw_gradients(self.adjusted_on or self.tin, self.fit, gradient, points)
         out = np.zeros((points, gradient.shape[1], 3))
         own = self.tin.source >= 0
         out[self.tin.source[own]] = gradient[own]
@@ -138,7 +142,11 @@ class Represented:
         return (
             self.variance_factor
             * scale
-            * height_covariance(self.tin, self.fit, own / (self.variance_factor * scale or 1.0))
+            * height_covariance(
+                self.adjusted_on or self.tin,
+                self.fit,
+                own / (self.variance_factor * scale or 1.0),
+            )
         )
 
 
@@ -275,17 +283,20 @@ def adjusted(
     raw, exchanges = fit_of(tin, points, sigma), 0
     before = measures(raw.residuals(tin.vertices[:, 2]))
     done = heights(tin, points, options, raw)
+    tin, fit = tin if done is None else done.tin, raw
+    adjusted_on: Tin | None = None
     if options.exchange != "none":
-        exchange = exchange_diagonals(
-            done.tin if done is not None else tin, points, options.exchange
-        )
-        tin, exchanges, raw = exchange.tin, exchange.exchanges, fit_of(exchange.tin, points, sigma)
-        done = heights(tin, points, options, raw)
-    tin = tin if done is None else done.tin
+        exchange = exchange_diagonals(tin, points, options.exchange)
+        exchanges, raw = exchange.exchanges, fit_of(exchange.tin, points, sigma)
+        if done is not None and not options.readjust:
+            tin, adjusted_on = exchange.tin, tin
+        else:
+            done = heights(exchange.tin, points, options, raw)
+            tin, fit = exchange.tin if done is None else done.tin, raw
     after = measures(raw.residuals(tin.vertices[:, 2]))
     return Represented(
         tin,
-        None if done is None else raw,
+        None if done is None else fit,
         options.adjust,
         done is None or done.converged,
         exchanges,
@@ -294,6 +305,7 @@ def adjusted(
         *after,
         len(raw.point),
         *before,
+        adjusted_on=adjusted_on,
     )
 
 

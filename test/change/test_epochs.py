@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 import pytest
-from epoch_surfaces import PIT, epoch, flat, pit
+from epoch_surfaces import PIT, epoch, flat, moved, pit
 from volume_surfaces import cone, surface_update
 
 from ladar_volume.change.epoch_change import epoch_difference
@@ -241,3 +241,55 @@ def test_a_partial_tin_goes_through_its_adjustment():
         two.volume.sigma_m3 / two.volume.area_m2, rel=0.01
     )
     assert one.budget.lines["noise"] == pytest.approx(two.budget.lines["noise"], rel=0.2)
+
+
+def unlike(update, seed):
+    """The same survey with the noise of its patches drawn."""
+    patches, rng = update.patches, np.random.default_rng(seed)
+    row = np.searchsorted(patches.key, update.points.patch)
+    deviation = np.sqrt(np.diagonal(patches.cross, axis1=1, axis2=2))
+    drawn = (deviation * rng.standard_normal(deviation.shape))[row]
+    return moved(update, (np.c_[np.ones(len(row)), update.points.local] * drawn).sum(axis=1))
+
+
+@pytest.mark.parametrize("ratio", [1.0, 0.5])
+def test_cut_and_fill_of_unchanged_ground_do_not_hang_on_where_it_lies(ratio):
+    # the new survey reaches beyond the one before: heights out there are no differences
+    out = []
+    for slope, level in ((0.0, 0.0), (0.1, 50.0)):
+
+        def ground(x, y, slope=slope, level=level):
+            return level + slope * x
+
+        new = epoch(
+            unlike(surface_update(ground, half=6.0, noise=0.05), 1),
+            navigation=False,
+            volume={"vertex_ratio": ratio},
+        )
+        old = epoch(unlike(surface_update(ground, half=5.0, noise=0.05), 2), navigation=False)
+        out.append(epoch_difference(new, old)[0])
+    for d in out:
+        v = d.volume
+        assert v.cut_m3 - v.fill_m3 == pytest.approx(v.volume_m3, abs=1e-9)
+        assert 0.0 < d.sigma_cut_m3 and abs(v.cut_m3) < 2.5 * d.sigma_cut_m3
+        assert 0.0 < d.sigma_fill_m3 and abs(v.fill_m3) < 2.5 * d.sigma_fill_m3
+        assert v.folded_m3 > 0.5 * (v.cut_m3 + v.folded_m3)
+    assert out[0].sigma_cut_m3 == pytest.approx(out[1].sigma_cut_m3, rel=0.25)
+
+
+def test_far_from_one_another_cut_has_the_sigma_of_the_net_volume_and_fill_none():
+    new, old = epoch(surface_update(lambda x, y: flat(x, y) + 1.0)), epoch(surface_update(flat))
+    d = epoch_difference(new, old)[0]
+    assert d.sigma_cut_m3 == pytest.approx(d.volume.sigma_m3, rel=1e-6)
+    assert d.volume.fill_m3 == 0.0 and d.sigma_fill_m3 < 1e-6 * d.sigma_cut_m3
+
+
+def test_a_lift_that_both_share_leaves_both_cut_and_fill_uncertain():
+    # one position error lifts all of a survey: of two equal surfaces either may lie above
+    update = surface_update(flat, half=5.0, noise=1e-4)
+    budget = {"position_bias_fraction": 1.0, "position_white_fraction": 0.0}
+    new, old = (epoch(unlike(update, s), budget=budget) for s in (1, 2))
+    d = epoch_difference(new, old)[0]
+    # of max(X, 0) with X normal about zero the root mean square is sigma over the root of two
+    for sigma in (d.sigma_cut_m3, d.sigma_fill_m3):
+        assert sigma == pytest.approx(d.volume.sigma_m3 * math.sqrt(0.5), rel=0.15)

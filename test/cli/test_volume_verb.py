@@ -429,3 +429,22 @@ def test_both_published_methods_with_an_offset(save, volume, capsys):
     assert "cuts the body" in capsys.readouterr().err
     for words in (["--method", "1", "--level", "0"], ["--method", "1", "--footprint", "common"]):
         assert main(["volume", str(one), str(two), "--footprint", "own", *words]) == 2
+
+
+def test_published_settings_of_the_ground_have_names(tmp_path, volume):
+    rng = np.random.default_rng(3)
+    xy = rng.uniform(-5.0, 5.0, (3000, 2))
+    z = np.maximum(1.0 - np.hypot(*xy.T) / 2.0, 0.0) + 0.01 * rng.normal(size=3000)
+    cloud = tmp_path / "cone.npy"
+    np.save(cloud, np.c_[xy, z])
+    own = volume(cloud, "--base", "ground")
+    named = volume(cloud, "--base", "ground", "--ground-preset", "box")
+    by_hand = [
+        word
+        for key in ("trials=1000", "sample_size=10", "threshold_m=0.05", "below_weight=0")
+        for word in ("--set", f"ground.{key}")
+    ]
+    assert named["net_m3"] == volume(cloud, "--base", "ground", *by_hand)["net_m3"]
+    assert named["net_m3"] == pytest.approx(own["net_m3"], rel=0.02)
+    with pytest.raises(AssertionError):
+        volume(cloud, "--level", 0, "--ground-preset", "box")

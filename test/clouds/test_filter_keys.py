@@ -3,10 +3,12 @@ refused in one line that says where it is read.
 """
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
 
+from ladar_volume.cli.main import main
 from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.model.cloud_filter_parameters import (
     FILTERS,
@@ -74,7 +76,7 @@ def test_the_live_filter_reads_every_key_of_its_own():
 
 
 def test_old_keys_are_refused_with_the_place_where_they_are_read():
-    assert set(SurfaceFilterParameters.elsewhere) == set(OLD)
+    assert set(SurfaceFilterParameters.elsewhere) == {*OLD, "edges_threshold", "min_share", "sort"}
     for key in OLD:
         with pytest.raises(UnknownParameterError) as caught:
             Parameters.read({"filter": {key: 1}})
@@ -95,3 +97,26 @@ def test_a_key_has_one_place_or_is_refused():
         for key in every - own:
             with pytest.raises(UnknownParameterError, match="alone"):
                 read_section(kind, "filter", {key: 1})
+
+
+def test_what_tables_9_1_and_9_2_print_has_a_door(tmp_path, capsys):
+    # k = 20 and 10 points per sample, edgesThreshold, and points as they come
+    cloud = tmp_path / "cloud.npy"
+    np.save(cloud, ground())
+    kept = {}
+    for k, edges, sort in ((4, 0.1, "true"), (20, 0.1, "true"), (10, 0.9, "false")):
+        words = [
+            f"filter.sample_size={k}",
+            f"filter.edges_threshold={edges}",
+            f"filter.sort={sort}",
+        ]
+        sets = [w for word in ("filter.order=published", *words) for w in ("--set", word)]
+        out = tmp_path / f"{k}.npy"
+        given = ["filter", str(cloud), "-o", str(out), "--preset", "bench", *sets, "--json"]
+        assert main(given) == 0
+        facts = json.loads(capsys.readouterr().out)
+        assert facts["parameters"]["sample_size"] == k and facts["parameters"]["sort"] == (k != 10)
+        assert facts["report"]["fits_edge"] == 0 or k != 10
+        kept[k] = facts["report"]["trials_per_fit"]
+    # twenty points without an outlier are rare: the trials run to their end
+    assert kept[20] > 2.0 * kept[4]

@@ -12,6 +12,7 @@ import pytest
 
 from ladar_volume.cli import main as cli
 from ladar_volume.experiments.nist import nist, nist_discrepancies, nist_experiments, nist_published
+from ladar_volume.experiments.nist.nist_experiments import difference_at, front_sequences
 from ladar_volume.experiments.nist.nist_scene import (
     BOX,
     BOX_M,
@@ -283,3 +284,14 @@ def test_more_vertices_than_points_is_the_full_surface(small):
 def test_the_verb_refuses_no_seed(capsys):
     assert cli.main(["study", "nist", "--seeds", "0"]) == 2
     assert "one seed" in capsys.readouterr().err
+
+
+def test_the_sequences_of_table_5_6():
+    # a sequence that is another one 0.6 cm further down
+    level = np.linspace(-0.3, -0.8, 251)
+    cuts = np.array([(-level - 0.25) ** 3, (-level - 0.256) ** 3])
+    at = [difference_at(level, cuts, o) for o in (0.004, 0.006, 0.008)]
+    assert at[1] < 0.01 * min(at[0], at[2])
+    level, cuts = front_sequences(0)
+    assert cuts.shape == (2, len(level)) and (np.diff(cuts, axis=1) >= 0.0).all()
+    assert cuts[0, 0] == pytest.approx(70e-6, rel=0.1)

@@ -22,6 +22,8 @@ from ladar_volume.experiments.stockpile import (
     PRINTED_TABLE_2,
     READINGS,
     SOURCES,
+    Cone,
+    Tolerated,
     alone,
     point_sigmas,
     position_sigmas,
@@ -118,3 +120,24 @@ def test_tables_figure_and_verb(tmp_path, capsys):
     assert cli.main(["study", "stockpile"]) == 0 and "in quadrature" in capsys.readouterr().out
     with pytest.raises(OutputError):
         write_figure(tmp_path / "nowhere")
+
+
+def test_equations_5_and_6_and_the_rule_for_any_pile(capsys):
+    given = ["--volume", "2500", "--repose", "40", "--share", "0.02"]
+    assert cli.main(["study", "stockpile", *given, "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    # by hand: V = π W³ tan / 24 and H = W / 2 tan, before and after
+    tan = math.tan(math.radians(40.0))
+    width = [(24.0 * v / (math.pi * tan)) ** (1.0 / 3.0) for v in (2500.0, 2550.0)]
+    assert facts["rule"]["needed_width_m"] == pytest.approx(width[1] - width[0], rel=1e-9)
+    height = 0.5 * tan * (width[1] - width[0])
+    assert facts["rule"]["needed_height_m"] == pytest.approx(height, rel=1e-9)
+    for at in next(iter(facts["rule"]["readings"].values())):
+        assert at["holds"] == (at["sigma_z_m"] <= height)
+        least = Tolerated(Cone(at["smallest_m3"], math.radians(40.0)), 0.02)
+        assert least.needed_m[1] == pytest.approx(at["sigma_z_m"], rel=1e-9)
+    assert "| width | 0.086 |" in tables()
+    assert "| width |  |" in tables(Tolerated(Cone(2500.0, 0.7), 0.02))
+    for wrong in (["--volume", "0"], ["--repose", "90"], ["--share", "1"]):
+        assert cli.main(["study", "stockpile", *wrong]) == 2
+        assert capsys.readouterr().err.count("\n") == 1

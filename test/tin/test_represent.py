@@ -120,3 +120,25 @@ def test_a_plane_in_a_turned_frame_holds_the_same_points():
     assert turned[:, 2] == pytest.approx(c[0] + turned[:, :2] @ c[1:], abs=1e-12)
     with pytest.raises(SurfaceError):
         frame_along(np.array([1.0, 0.0, 0.0])).plane(np.array([0.0, 0.0, 0.0]))
+
+
+def test_diagonals_exchanged_last_leave_the_adjusted_heights():
+    rng = np.random.default_rng(5)
+    xy = rng.uniform(0.0, 4.0, (1500, 2))
+    r = np.c_[xy, np.abs(xy[:, 0] + 0.4 * xy[:, 1] - 2.5) + 0.01 * rng.normal(size=1500)]
+    sigma = np.full(len(r), 0.01)
+    made = {
+        (exchange, again): represent(
+            r, SurfaceOptions(vertices=80, exchange=exchange, readjust=again), sigma
+        )
+        for exchange, again in (("none", True), ("asd", False), ("asd", True))
+    }
+    adjusted, last, again = made.values()
+    assert last.exchanges > 0 and last.adjusted_on is not None
+    assert np.array_equal(last.tin.vertices, adjusted.tin.vertices)
+    assert again.rms_m < last.rms_m and last.asd_m < adjusted.asd_m
+    # heights hang on the points as they did before the exchange, in plan too
+    gradient = np.zeros((len(last.tin.vertices), 1, 3))
+    gradient[:, 0, 2] = rng.normal(size=len(gradient))
+    assert np.array_equal(last.by_points(gradient, len(r)), adjusted.by_points(gradient, len(r)))
+    assert np.array_equal(last.covariance(sigma).diagonal(), adjusted.covariance(sigma).diagonal())

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ladar_volume.cli.arguments.diff_input import MOST
+from ladar_volume.cli.arguments.ground_preset import add_ground_preset
 from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.arguments.parameter_flags import add_parameter
 from ladar_volume.cli.arguments.reading import add_reading_options
@@ -82,6 +83,7 @@ def _add_files(parser: argparse.ArgumentParser, kinds: str) -> None:
             "sides), a level, or a plane Z + SX x + SY y"
         ),
     )
+    add_ground_preset(parser)
 
 
 def _add_objects(parser: argparse.ArgumentParser) -> None:

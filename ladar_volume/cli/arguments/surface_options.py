@@ -103,6 +103,11 @@ def _add_heights(g: argparse._ArgumentGroup) -> None:
         default="none",
         help="exchange diagonals for a better fit",
     )
+    g.add_argument(
+        "--exchange-last",
+        action="store_true",
+        help="as published: heights are not adjusted again after the exchange",
+    )
 
 
 def _add_relevant(g: argparse._ArgumentGroup) -> None:

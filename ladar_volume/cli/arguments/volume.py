@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from ladar_volume.cli.arguments.ground_preset import add_ground_preset
 from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.arguments.parameter_flags import add_parameter, number, spec_of
 from ladar_volume.cli.arguments.reading import add_mesh_options
@@ -50,6 +51,7 @@ def _add_bases(g: argparse._ArgumentGroup) -> None:
     add_parameter(g, "--level", "volume.level_m", metavar="Z")
     add_parameter(g, "--base", "volume.base", choices=BASES, more="floor: the one --levels shows")
     add_parameter(g, "--plane", "volume.plane", metavar=("C0", "C1", "C2"))
+    add_ground_preset(g)
     g.add_argument(
         "--levels",
         type=number,

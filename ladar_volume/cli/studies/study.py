@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from functools import partial
 from typing import Any
 
@@ -43,6 +44,12 @@ def add_parser(subparsers: Verbs) -> None:
         "m³ asks for, published and "
         "corrected, side by side.",
     )
+    for option, default, metavar, words in (
+        ("--volume", 100.0, "M3", "of the pile (default 100)"),
+        ("--repose", 35.0, "DEG", "its angle of repose (default 35, coal)"),
+        ("--share", 0.05, "SHARE", "of the volume that is tolerated (default 0.05)"),
+    ):
+        stockpile.add_argument(option, type=float, default=default, metavar=metavar, help=words)
     add_outputs(stockpile, "precision.png")
     stockpile.set_defaults(run=run_stockpile)
     add_studies(studies)
@@ -63,20 +70,23 @@ def run_nist(arguments: argparse.Namespace) -> int:
 
 def run_stockpile(arguments: argparse.Namespace) -> int:
     """Compute, write, print."""
-    from ladar_volume.experiments.stockpile import summary
+    from ladar_volume.experiments.stockpile import Cone, Tolerated, summary
     from ladar_volume.experiments.stockpile_tables import TABLES, tables, write_figure
+
+    cone = Cone(arguments.volume, math.radians(arguments.repose))
+    pile = Tolerated(cone, arguments.share)
 
     def show(console: Console, _: dict[str, Any]) -> None:
         for title, make in TABLES.items():
             console.print(f"\n[bold]{title}[/bold]\n")
-            console.print(make(), end="", markup=False, highlight=False, soft_wrap=True)
+            console.print(make(pile), end="", markup=False, highlight=False, soft_wrap=True)
 
     # nothing is simulated: all of it is computed from the printed figures
     return run_study(
         arguments,
         lambda _: None,
-        lambda _: summary(),
-        lambda _: tables(),
+        lambda _: summary(pile),
+        lambda _: tables(pile),
         lambda _, folder: [write_figure(folder)],
         show,
     )

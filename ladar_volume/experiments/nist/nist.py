@@ -22,6 +22,7 @@ from ladar_volume.experiments.nist.nist_experiments import (
     experiment_one,
     experiment_three,
     experiment_two,
+    front_sequences,
     own_way,
 )
 from ladar_volume.experiments.nist.nist_scene import DENSITIES, TRUE_M3, pair
@@ -39,7 +40,8 @@ class Study:
     points : (s, 5, 2) after cropping, with and without the box · one : (r, 2, 10, 7) m³ · two : (s,
     5, 4) m³ · fits : (s, 5, 2, 2, 4) m · full : (s,) m³, all points of density 5 · three : (s, 10,
     4) m³ · four : by seed, cloud (the full set first) and adjustment · own : the package's way ·
-    sensitivity : by seed, see :func:`nist_riddles.sensitivity`
+    sensitivity : by seed, see :func:`nist_riddles.sensitivity` · front : levels and cut volumes of
+    seed 0 as in Table 5.6, see :func:`nist_experiments.front_sequences`
     """
 
     points: F64
@@ -51,6 +53,7 @@ class Study:
     four: list[list[list[Directed]]]
     own: list[Own]
     sensitivity: list[dict[str, F64]]
+    front: tuple[F64, F64]
 
     def methods(self) -> F64:
         """Volumes (s, clouds, 4), m³, of Experiment 4 in the columns of Table 5.9: Method 1 at the
@@ -93,9 +96,9 @@ def run(seeds: int, progress: Callable[[str], None] = lambda text: None) -> Stud
         progress(f"seed {seed + 1} of {seeds}: experiment 3 changed one thing at a time")
         sensitivity.append(riddles.sensitivity(seed))
     volumes, fits, full = (np.array([r[k] for r in two]) for k in range(3))
-    return Study(
-        points, np.array(one), volumes, fits, full, np.array(three), four, own, sensitivity
-    )
+    one_array, three_array = np.array(one), np.array(three)
+    front = front_sequences(0)
+    return Study(points, one_array, volumes, fits, full, three_array, four, own, sensitivity, front)
 
 
 def spread(values: F64) -> float:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.experiments.nist.nist_published import BINS, VERTICES_5_3
+from ladar_volume.experiments.nist.nist_published import BINS, TABLE_5_6, VERTICES_5_3
 from ladar_volume.experiments.nist.nist_scene import RANGE_SIGMA_M, SCANNER_M, TRUE_M3, Scan, pair
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I64, Tin
@@ -215,6 +215,35 @@ def directed(surfaces: tuple[Tin, Tin]) -> Directed:
         else Offset(float("nan"), float("nan"), float("nan"), 0)
     )
     return Directed(method_one(*surfaces, front + steps[::-1]), two, offset)
+
+
+#: Levels of Table 5.6, cm: every 0.2 cm, of which the first and the last are printed.
+FRONT_LEVELS_CM = np.round(np.linspace(-30.0, -80.0, 251), 1)
+
+
+def front_sequences(seed: int) -> tuple[F64, F64]:
+    """Levels (k,), m, and the cut volumes (2, k), m³, of the full set with and without the box, not
+    adjusted: those of Table 5.6, moved so that the first cuts as much as is printed there.
+    """
+    a, b = pair(1, seed)
+    frame = scan_frame(b)
+    surfaces = [adaptive(frame.points(s.points), FULL_VERTICES).tin for s in (a, b)]
+    top = max(float(s.vertices[s.triangles[s.relevant], 2].max()) for s in surfaces)
+    fine = np.linspace(top, top - 200 * SEARCH_STEP_M, 201)
+    first = int(np.argmax(cut_sequence(surfaces[0], fine).cut_m3 >= 1e-6 * TABLE_5_6[0, 1]))
+    level: F64 = 0.01 * (FRONT_LEVELS_CM - FRONT_LEVELS_CM[0]) + fine[first]
+    return level, np.array([cut_sequence(s, level).cut_m3 for s in surfaces])
+
+
+def difference_at(level_m: F64, cuts_m3: F64, offset_m: float) -> float:
+    """Root of the summed squares, m³, of the differences of two sequences (2, k) where the second
+    is read ``offset_m`` below the levels (k,) of the first, as in Table 5.6.
+    """
+    order = np.argsort(level_m)
+    at = level_m - offset_m
+    there = at >= level_m.min()
+    second = np.interp(at[there], level_m[order], cuts_m3[1][order])
+    return float(np.sqrt(np.sum((cuts_m3[0][there] - second) ** 2)))
 
 
 def experiment_four(seed: int, count: int = SUBSETS) -> list[list[Directed]]:

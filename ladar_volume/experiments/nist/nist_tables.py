@@ -8,7 +8,12 @@ import numpy as np
 
 from ladar_volume.experiments.nist import nist_published as published
 from ladar_volume.experiments.nist.nist import Study, own_numbers
-from ladar_volume.experiments.nist.nist_experiments import COUNTS, error_pct
+from ladar_volume.experiments.nist.nist_experiments import (
+    COUNTS,
+    FRONT_LEVELS_CM,
+    difference_at,
+    error_pct,
+)
 from ladar_volume.experiments.nist.nist_scene import DENSITIES, TRUE_BOUND_M3, TRUE_M3
 from ladar_volume.model.records import F64
 from ladar_volume.volume.floors import parabola_minimum
@@ -201,6 +206,30 @@ def table_6(study: Study) -> str:
     return text
 
 
+def table_6_sequences(study: Study) -> str:
+    """Cut volumes in front of the box, seed 0 beside the printed ones, and the root of the summed
+    squares of their differences by offset.
+    """
+    level, cuts = study.front
+    printed = published.TABLE_5_6
+    chosen = np.flatnonzero(np.isin(FRONT_LEVELS_CM, printed[:, 0]))
+    rows = [
+        [f"{p[0]:.1f}", f"{1e6 * a:.0f}", f"{p[1]:.0f}", f"{1e6 * b:.0f}", f"{p[2]:.0f}"]
+        for p, a, b in zip(printed, *cuts[:, chosen], strict=True)
+    ]
+    head = ["level, cm", "with box, cm³", "published", "without, cm³", "published"]
+    offsets = [(0.0, np.nan), (0.2, np.nan), *published.OFFSETS_5_6]
+    apart = [1e6 * difference_at(level, cuts, o / 100.0) for o, _ in offsets]
+    text = markdown(head, rows) + "\n"
+    return text + markdown(
+        ["offset, cm", "root of the summed squares, cm³", "published"],
+        [
+            [f"{o:.1f}", f"{d:.0f}", number(p, ".0f")]
+            for (o, p), d in zip(offsets, apart, strict=True)
+        ],
+    )
+
+
 def table_7(study: Study) -> str:
     """Experiment 4: the full set, by level, of seed 0."""
     text = ""
@@ -267,6 +296,33 @@ def table_8(study: Study) -> str:
             rows,
         )
     return text
+
+
+def table_8_columns(study: Study) -> str:
+    """Experiment 4: every level of every subset of seed 0, with the volumes of both surfaces."""
+    rows = []
+    for k, table in enumerate((published.TABLE_5_8A, published.TABLE_5_8B)):
+        printed = published.box_volumes(table)
+        for j, cloud in enumerate(study.four[0][1:]):
+            for m, pairs in enumerate((cloud[1 - k].one, cloud[1 - k].two)):
+                for i, volume in enumerate(pairs.volume_m3):
+                    rows.append(
+                        [
+                            "ab"[k],
+                            str(j + 1),
+                            str(m + 1),
+                            f"{100 * pairs.level_with_m[i]:.1f}",
+                            f"{1e6 * pairs.with_m3[i]:.0f}",
+                            f"{100 * pairs.level_without_m[i]:.1f}",
+                            f"{1e6 * pairs.without_m3[i]:.0f}",
+                            f"{volume:.4f} ({printed[j, m, i]:.4f})",
+                            f"{float(error_pct(volume)):.2f} "
+                            f"({float(error_pct(printed[j, m, i])):.2f})",
+                        ]
+                    )
+    head = ["table", "subset", "method", "level with box, cm", "fill or cut, cm³"]
+    head += ["level without, cm", "fill or cut, cm³", "volume, m³ (published)", "error, %"]
+    return markdown(head, rows)
 
 
 def table_9(study: Study) -> str:
@@ -381,8 +437,10 @@ TABLES = {
     "Table 5.4: volumes of Experiment 2": table_4,
     "Table 5.5: Experiment 3": table_5,
     "Table 5.6: the offset": table_6,
+    "Table 5.6: the sequences": table_6_sequences,
     "Table 5.7: Experiment 4, full set": table_7,
     "Table 5.8: Experiment 4, subsets": table_8,
+    "Table 5.8: all levels": table_8_columns,
     "Table 5.9: Experiment 4, summary": table_9,
     "Table 6.1: summary": table_61,
 }

@@ -1,0 +1,205 @@
+"""Closed bodies of a georeferenced survey: the returns around them go through the filter of point
+cloud files, which keeps edges and corners; ground, objects, mesh, edges and closing are those of
+``cloud_bodies``.
+
+The budget is the survey's own. Noise, ground, closing, fit and what lies between the points come
+from the returns as in a file. Calibration and navigation come from the sensitivities of the
+survey's patches (``survey_gradient``): the whole gradient of a closed body, walls and ground with
+it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from statistics import NormalDist
+
+import numpy as np
+
+from ladar_volume.clouds.body_checks import check_bodies, check_doubts, uncertainty
+from ladar_volume.clouds.body_points import (
+    BodyPoints,
+    filtered_points,
+    good_points,
+    ground_threshold,
+    left_out,
+    step_between,
+)
+from ladar_volume.clouds.body_verdict import bodies_verdict, filter_doubts
+from ladar_volume.clouds.body_volume import Body
+from ladar_volume.clouds.body_walls import closing_doubts, foot_doubts, wall_doubts
+from ladar_volume.clouds.cloud_bodies import (
+    CLEAR,
+    NO_BODY,
+    BodyOptions,
+    cloud_bodies,
+)
+from ladar_volume.clouds.filter_cloud import filter_cloud
+from ladar_volume.clouds.survey.survey_gradient import OnSurvey, on_survey
+from ladar_volume.ground.ground_adjoint import ground_gradient
+from ladar_volume.ground.objects import ObjectParameters, Objects, find_objects, rising
+from ladar_volume.ground.robust_ground import fit_ground
+from ladar_volume.model.cloud_filter_parameters import FilterParameters
+from ladar_volume.model.errors import VolumeError
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.records import F64, I64, Plane
+from ladar_volume.model.verdict import Doubt, Verdict
+from ladar_volume.uncertainty.volume_budget import Sources
+
+#: Most returns that are filtered at once.
+MOST_RETURNS = 3_000_000
+#: Share of a body's gradient for which the survey may have no patch on the same side.
+MOST_APART = 0.05
+#: How far away, in radii of the live filter, a patch still stands for a point.
+REACH = 3.0
+#: Lines of the survey's budget that the returns give a body by themselves.
+OF_RETURNS = ("noise", "noise_tangential", "base_surface")
+
+
+@dataclass(frozen=True)
+class SurveyBody:
+    """One closed body. volume_m3 ± sigma_m3 · interval_m3 : of the survey's confidence ·
+    budget_m6 : variances by source, which add up · body : its mesh · height_m : above the ground ·
+    points : of the filtered ones
+    """
+
+    volume_m3: float
+    sigma_m3: float
+    interval_m3: tuple[float, float]
+    budget_m6: dict[str, float]
+    body: Body
+    height_m: float
+    points: int
+
+
+@dataclass(frozen=True)
+class SurveyBodies:
+    """bodies : the largest first · ground : on which they stand · verdict : what speaks against
+    them, objects of which no body came among it · returns : used
+    """
+
+    bodies: tuple[SurveyBody, ...]
+    ground: Plane
+    verdict: Verdict
+    returns: int
+
+
+def around(outlines: tuple[F64, ...], margin_m: float, r: F64) -> F64:
+    """The points (n, 3) m within a margin of the rectangle about outlines (c, 2 or more) m; all of
+    them without outlines.
+    """
+    corners = [o[:, :2] for o in outlines if len(o)]
+    if not corners:
+        return r
+    at = np.concatenate(corners)
+    low, high = at.min(axis=0) - margin_m, at.max(axis=0) + margin_m
+    return np.asarray(r[((r[:, :2] >= low) & (r[:, :2] <= high)).all(axis=1)])
+
+
+def bodies_of_survey(raw: F64, sources: Sources, parameters: Parameters) -> SurveyBodies:
+    """The closed bodies within georeferenced returns (n, 3) m, in the map frame.
+
+    sources : the error sources of the survey's filtered surface, which covers them. Raises
+    :class:`VolumeError` (survey_returns: too many; volume_no_body), :class:`GroundError` without a
+    ground, :class:`ObjectError` where the filter left out most of what rises, and
+    :class:`SurfaceError` where none can be meshed and closed.
+    """
+    if len(raw) > MOST_RETURNS:
+        raise VolumeError(
+            f"{len(raw):,} returns lie around the bodies, {MOST_RETURNS:,} at most make closed "
+            "bodies: name the place by georeference.region_m",
+            reason="survey_returns",
+            value=len(raw),
+        )
+    result = filter_cloud(raw, FilterParameters(), auto=True)
+    points = filtered_points(result)
+    # what lies along the ground within its scatter is no object
+    sigma = np.zeros(len(points.r)) if points.sigma is None else points.sigma
+    plane = dataclasses.replace(parameters.ground, degree=1, surfaces=1)
+    ground = fit_ground(points.r, sigma**2, plane, ground_threshold(points))
+    doubts = filter_doubts(left_out(raw, good_points(raw, result), result, ground))
+    found = objects_on(points, ground, parameters.volume.object_height_m)
+    options = BodyOptions()
+    made = cloud_bodies(points.r, points.normal, points.curved, found.label, ground, options)
+    made, checked = check_bodies(made, points, raw, options)
+    known = uncertainty(made, checked, points, raw)
+    if known is None:
+        raise VolumeError("the returns show no noise", reason="survey_noise")
+    verdict = bodies_verdict(made, points.r, None)
+    verdict += Verdict(doubts + check_doubts(checked) + foot_doubts(made, points))
+    verdict += Verdict(wall_doubts(made, points) + closing_doubts(made))
+    out = []
+    for k, body in enumerate(made.bodies):
+        moved = shared_gradient(body, made.sources[k], points, ground, sources)
+        verdict += Verdict(body.doubts + apart_doubts(k + 1, moved))
+        budget = {**known.budget_m6[k], **shared_lines(moved, sources)}
+        height = found.records[made.numbers[k]].height_m
+        out.append(_row(body, budget, height, len(made.sources[k]), parameters))
+    out.sort(key=lambda b: -b.volume_m3)
+    return SurveyBodies(tuple(out), ground, verdict, len(raw))
+
+
+def _row(
+    body: Body, budget: dict[str, float], height_m: float, points: int, parameters: Parameters
+) -> SurveyBody:
+    """A body with its sigma and interval."""
+    sigma = math.sqrt(sum(budget.values()))
+    half = sigma * NormalDist().inv_cdf(0.5 + parameters.volume.confidence / 2)
+    v = body.volume_m3
+    return SurveyBody(v, sigma, (v - half, v + half), budget, body, height_m, points)
+
+
+def objects_on(points: BodyPoints, ground: Plane, height_m: float) -> Objects:
+    """The objects on the ground that are at least so high. Raises :class:`VolumeError`
+    (volume_no_body) without any.
+    """
+    p = ObjectParameters(min_height_m=CLEAR * (points.noise_m or ground.rms_m))
+    step = step_between(points.r[rising(points.r, [ground], p)[1]])
+    if step:
+        p = dataclasses.replace(p, distance_m=step, step_m=step)
+    found = find_objects(points.r, [ground], p)
+    high = np.array([record.height_m >= height_m for record in found.records], bool)
+    if not high.any():
+        raise VolumeError(NO_BODY, reason="volume_no_body")
+    number: I64 = np.append(np.where(high, np.cumsum(high) - 1, -1), -1).astype(np.int64)
+    records = tuple(r for r, keep in zip(found.records, high, strict=True) if keep)
+    return dataclasses.replace(found, label=number[found.label], records=records)
+
+
+def shared_gradient(
+    body: Body, rows: I64, points: BodyPoints, ground: Plane, sources: Sources
+) -> OnSurvey:
+    """The gradient of a body by the survey's points, through its own points ``rows`` (k,) among the
+    filtered ones and through those that the ground was fitted to.
+    """
+    assert points.normal is not None
+    gradient = np.zeros((len(points.r), 3))
+    np.add.at(gradient, rows, body.gradient)
+    if len(ground.support):
+        by_beta = body.by_ground[: len(ground.beta), None]
+        np.add.at(gradient, ground.support, ground_gradient(points.r, ground, by_beta)[:, 0])
+    reach_m = REACH * sources.parameters.filter.radius_m
+    return on_survey(points.r, points.normal, gradient, sources.points, reach_m)
+
+
+def shared_lines(moved: OnSurvey, sources: Sources) -> dict[str, float]:
+    """Variances m⁶ from calibration and navigation, by source."""
+    s = sources.sensitivities(moved.gradient[:, None])
+    lines = sources.budget(s, 0.0).lines
+    return {name: value for name, value in lines.items() if name not in OF_RETURNS}
+
+
+def apart_doubts(number: int, moved: OnSurvey) -> tuple[Doubt, ...]:
+    """Doubt where the survey's surface lacks sides that body ``number`` has."""
+    if moved.apart <= MOST_APART:
+        return ()
+    return (
+        Doubt(
+            "body_apart",
+            f"for {100.0 * moved.apart:.0f} % of body {number} the live filter has no surface on "
+            "the same side: what calibration and navigation do there is taken from the nearest "
+            "one; lower filter.radius_m or filter.min_points",
+            moved.apart,
+        ),
+    )
