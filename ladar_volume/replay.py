@@ -7,12 +7,11 @@ import queue
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ladar_volume.io import results
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.cloud_messages import returns_from_cloud
-from ladar_volume.io.mavlink.mavlink_log import ROLE, MavlinkLog
 from ladar_volume.io.sensor_messages import (
     fix_from_message,
     imu_from_message,
@@ -23,6 +22,9 @@ from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import Estimate, Returns
 from ladar_volume.pipeline import Engine
+
+if TYPE_CHECKING:  # pymavlink is needed with an autopilot's log alone
+    from ladar_volume.io.mavlink.mavlink_log import MavlinkLog
 
 #: Poses of an autopilot's log this far outside the recording still bridge its ends.
 POSE_MARGIN_NS = 2_000_000_000
@@ -108,6 +110,8 @@ class Replay:
         """Records of an autopilot's log that the pose source takes, from a little before to a
         little after.
         """
+        from ladar_volume.io.mavlink.mavlink_log import ROLE
+
         wanted = (
             ("odometry",)
             if self.parameters.georeference.pose_source == "odometry"

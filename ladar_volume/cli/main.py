@@ -40,6 +40,14 @@ MODULES = {
 
 #: Set in the environment, a defect ends with its traceback.
 TRACEBACK = "LADAR_VOLUME_TRACEBACK"
+#: Extras of the package by the module that they bring.
+EXTRAS = {
+    "pymavlink": "mavlink",
+    "open3d": "sim",
+    "rclpy": "ros",
+    "starlette": "page",
+    "uvicorn": "page",
+}
 #: Exit code of a defect (sysexits' EX_SOFTWARE).
 DEFECT = 70
 
@@ -135,6 +143,14 @@ def defect(error: Exception) -> str:
     )
 
 
+def missing(error: Exception) -> str:
+    """What to install for a module that an extra brings; empty for any other error."""
+    name = (error.name or "").split(".")[0] if isinstance(error, ModuleNotFoundError) else ""
+    if name not in EXTRAS:
+        return ""
+    return f"needs {name}, which is not installed: pip install 'ladar_volume[{EXTRAS[name]}]'"
+
+
 class Terminated(KeyboardInterrupt):
     """SIGTERM."""
 
@@ -181,6 +197,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         if TRACEBACK in os.environ:
             raise
+        if words_of_missing := missing(error):
+            return _refused(f"{verb} {words_of_missing}", 2)
         return _refused(defect(error), DEFECT)
     except KeyboardInterrupt as end:
         print(

@@ -16,7 +16,6 @@ from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.io import results
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.config import read_config
-from ladar_volume.io.mavlink.mavlink_log import MavlinkLog
 from ladar_volume.io.output_set import output_set
 from ladar_volume.io.surveys import FILE, write_survey
 from ladar_volume.model.parameters import Parameters
@@ -52,9 +51,11 @@ def _replayed(
 ) -> tuple[dict[str, Any], float]:
     """Replay and write; returns the result and the seconds the replay took."""
     with BagReader(arguments.bag) as bag:
-        poses = (
-            MavlinkLog(arguments.poses, parameters.mavlink) if arguments.poses is not None else None
-        )
+        poses = None
+        if arguments.poses is not None:
+            from ladar_volume.io.mavlink.mavlink_log import MavlinkLog  # with pymavlink
+
+            poses = MavlinkLog(arguments.poses, parameters.mavlink)
         replay = Replay(
             bag,
             parameters,

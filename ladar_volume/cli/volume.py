@@ -200,24 +200,55 @@ class JudgedVolume:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, triangulate, compute, print."""
+    console = Console(stderr=arguments.json)
+    with console.status("reading") as status:
+        task = task_of(arguments)
+        facts = result_of(task, read_sources(arguments), status.update).facts
+    if arguments.json:
+        print(json_text(facts), end="")
+    else:
+        show(console, facts)
+    return exit_code(arguments, facts["verdict"])
+
+
+def task_of(arguments: argparse.Namespace) -> VolumeTask:
+    """What the options ask for; the frame is known with the points. Raises
+    :class:`ConfigurationError` for options that contradict one another.
+    """
     parameters, base = parameters_of(arguments)
     options = surface_options(arguments, SurfaceOptions(ratio=1.0))
     levels = None if arguments.levels is None else level_list(*arguments.levels)
-    console = Console(stderr=arguments.json)
-    with console.status("reading") as status:
-        sources = read_sources(arguments)
-        doubts = reading_doubts(clouds_of(sources))
-        if arguments.frame == "scan":
-            status.update("turning into the scan frame")
-        frame = frame_of(arguments, sources)
-        correct = not arguments.no_correction
-        task = VolumeTask(arguments, parameters, base, options, levels, frame, correct)
-        surfaces = make_surfaces(task, sources, status.update)
-        status.update("cut and fill")
-        facts, volume = compute_volume(task, surfaces)
-        if any(len(s.strays) for s in surfaces):
-            status.update("the same with the points that were left out")
-        clean = stray_facts(task, sources, surfaces, volume)
+    correct = not arguments.no_correction
+    return VolumeTask(arguments, parameters, base, options, levels, None, correct)
+
+
+@dataclass(frozen=True)
+class VolumeResult:
+    """task : with its frame · surfaces : of the files · volume : after its verdict · facts : what
+    the JSON says
+    """
+
+    task: VolumeTask
+    surfaces: list[CloudSurface]
+    volume: CloudVolume
+    facts: dict[str, Any]
+
+
+def result_of(
+    task: VolumeTask, sources: list[Source], progress: Callable[[str], None]
+) -> VolumeResult:
+    """The volume of one or two sources, with its verdict."""
+    doubts = reading_doubts(clouds_of(sources))
+    if task.arguments.frame == "scan":
+        progress("turning into the scan frame")
+    frame = frame_of(task.arguments, sources)
+    task = dataclasses.replace(task, frame=frame)
+    surfaces = make_surfaces(task, sources, progress)
+    progress("cut and fill")
+    facts, volume = compute_volume(task, surfaces)
+    if any(len(s.strays) for s in surfaces):
+        progress("the same with the points that were left out")
+    clean = stray_facts(task, sources, surfaces, volume)
     doubts += mesh_doubts([s.path for s in sources], [s.mesh for s in sources], surfaces)
     doubts += tuple(stray_doubts(clean["strays"], point_count(sources, surfaces)))
     facts["verdict"] = (Verdict(doubts) + facts.pop("verdict")).as_dict()
@@ -225,14 +256,10 @@ def run(arguments: argparse.Namespace) -> int:
         "clean": clean,
         "surfaces": [surface_facts(a, b) for a, b in zip(sources, surfaces, strict=True)],
         "frame": frame_facts(frame),
-        "options": option_facts(options),
+        "options": option_facts(task.options),
         "version": version(),
     }
-    if arguments.json:
-        print(json_text(facts), end="")
-    else:
-        show(console, facts)
-    return exit_code(arguments, facts["verdict"])
+    return VolumeResult(task, surfaces, volume, facts)
 
 
 def read_sources(arguments: argparse.Namespace) -> list[Source]:
