@@ -20,7 +20,7 @@ from ladar_volume.io.sensor_messages import (
 from ladar_volume.model.errors import BagError, GroundError, InputError, SurfaceError, VolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import Estimate, Returns
+from ladar_volume.model.records import Estimate, Fix, Returns
 from ladar_volume.pipeline import Engine
 
 if TYPE_CHECKING:  # pymavlink is needed with an autopilot's log alone
@@ -53,13 +53,15 @@ class Replay:
         self.engine = Engine(self.parameters)
         self.losses = Losses()
         self.returns = 0
+        #: Time, ns, and status of every fix, as NavSatStatus.
+        self.fixes: list[tuple[int, int]] = []
 
     def run(self, progress: Callable[[float], None] = lambda share: None) -> Estimate:
         """Feed every message, finish, and estimate. A bad message is counted and left out; the good
         data around it is kept.
         """
         add: dict[str, Callable[[Any], None]] = {
-            "fix": self.engine.add_fix,
+            "fix": self._add_fix,
             "imu": self.engine.add_imu,
             "odometry": self.engine.add_odometry,
             "cloud": self._add_returns,
@@ -85,6 +87,10 @@ class Replay:
         losses = Losses(self.losses.as_dict())
         losses.merge(self.engine.losses)
         return losses
+
+    def _add_fix(self, fix: Fix) -> None:
+        self.fixes.append((fix.t_ns, fix.status))
+        self.engine.add_fix(fix)
 
     def _add_returns(self, returns: Returns) -> None:
         self.returns += len(returns)

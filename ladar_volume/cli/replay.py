@@ -78,6 +78,11 @@ def _replayed(
         arguments.bag.name,
         figure=not arguments.no_figure,
     )
+    if not arguments.no_figure:
+        from ladar_volume.report.survey_report import write_survey_report
+
+        epoch = replay.engine.estimator.epoch()
+        write_survey_report(folder / "report.html", estimate, epoch, result, replay.fixes)
     return result, seconds
 
 
@@ -95,5 +100,6 @@ def write_outputs(
     write_survey(folder / FILE, estimate, epoch, result)
     if figure:
         from ladar_volume.report.figure import save  # matplotlib takes a second to load
+        from ladar_volume.report.scene import where_of
 
-        save(estimate, title, folder / "figure.png")
+        save(estimate, title, folder / "figure.png", where_of(result["datum"]))

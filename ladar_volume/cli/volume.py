@@ -203,12 +203,25 @@ def run(arguments: argparse.Namespace) -> int:
     console = Console(stderr=arguments.json)
     with console.status("reading") as status:
         task = task_of(arguments)
-        facts = result_of(task, read_sources(arguments), status.update).facts
+        result = result_of(task, read_sources(arguments), status.update)
+        facts = result.facts
+        if arguments.report is not None:
+            status.update("report")
+            report_of(arguments, result)
     if arguments.json:
         print(json_text(facts), end="")
     else:
         show(console, facts)
     return exit_code(arguments, facts["verdict"])
+
+
+def report_of(arguments: argparse.Namespace, result: VolumeResult) -> None:
+    """Write the report and its JSON twin."""
+    from ladar_volume.report.cloud_report import CloudReport, write_cloud_report  # matplotlib
+
+    files = [p for p in (arguments.cloud, arguments.cloud_b) if p is not None]
+    report = CloudReport(files, result.surfaces, result.base, result.counted, result.facts)
+    write_cloud_report(report, arguments.report)
 
 
 def task_of(arguments: argparse.Namespace) -> VolumeTask:
@@ -224,13 +237,13 @@ def task_of(arguments: argparse.Namespace) -> VolumeTask:
 
 @dataclass(frozen=True)
 class VolumeResult:
-    """task : with its frame · surfaces : of the files · volume : after its verdict · facts : what
-    the JSON says
+    """surfaces : of the files · base : of the first, None where the second is the base · counted :
+    triangles (m,) of the first that count · facts : what the JSON says
     """
 
-    task: VolumeTask
     surfaces: list[CloudSurface]
-    volume: CloudVolume
+    base: Plane | None
+    counted: Bool
     facts: dict[str, Any]
 
 
@@ -245,7 +258,7 @@ def result_of(
     task = dataclasses.replace(task, frame=frame)
     surfaces = make_surfaces(task, sources, progress)
     progress("cut and fill")
-    facts, volume = compute_volume(task, surfaces)
+    facts, volume, found = compute_volume(task, surfaces)
     if any(len(s.strays) for s in surfaces):
         progress("the same with the points that were left out")
     clean = stray_facts(task, sources, surfaces, volume)
@@ -259,7 +272,7 @@ def result_of(
         "options": option_facts(task.options),
         "version": version(),
     }
-    return VolumeResult(task, surfaces, volume, facts)
+    return VolumeResult(surfaces, found.level_base, found.counted[0], facts)
 
 
 def read_sources(arguments: argparse.Namespace) -> list[Source]:
@@ -291,8 +304,10 @@ def point_count(sources: list[Source], surfaces: list[CloudSurface]) -> int:
 
 def compute_volume(
     task: VolumeTask, surfaces: list[CloudSurface]
-) -> tuple[dict[str, Any], CloudVolume]:
-    """The volume with its verdict, and where levels are asked for the sequence with its floors."""
+) -> tuple[dict[str, Any], CloudVolume, CutFill]:
+    """The volume with its verdict, where levels are asked for the sequence with its floors; the
+    volume after its verdict; and what it counts.
+    """
     found = named_base(task, cut_and_fill(in_frame(task, surfaces), surfaces))
     areas = [area_counted(s, m) for s, m in zip(surfaces, found.counted, strict=True)]
     judgement = volume_verdict(task, surfaces, found, areas)
@@ -309,7 +324,7 @@ def compute_volume(
         more["pairs"] = pair_facts(surfaces, task.arguments.method, at, offset_of(task))
     facts = volume_facts(judgement.volume, found.parameters)
     facts |= {"footprint": task.arguments.footprint if len(surfaces) == 2 else None, **more}
-    return {**facts, "verdict": judgement.verdict}, judgement.volume
+    return {**facts, "verdict": judgement.verdict}, judgement.volume, found
 
 
 def in_frame(task: VolumeTask, surfaces: list[CloudSurface]) -> VolumeTask:
