@@ -54,7 +54,9 @@ setup(
     maintainer=manifest("maintainer"),
     maintainer_email=MANIFEST.find("maintainer").attrib["email"],
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={PACKAGE: ["py.typed", "process/fastdds.xml", "report/report.html.j2"]},
+    package_data={
+        PACKAGE: ["py.typed", "process/fastdds.xml", "report/report.html.j2", "page/page.html"]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),

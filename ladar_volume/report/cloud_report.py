@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,7 +47,7 @@ def write_cloud_report(report: CloudReport, page: Path) -> None:
     tables["Options of the surface"] = [
         (name.replace("_", " "), str(value))
         for name, value in facts["options"].items()
-        if value is not None
+        if value not in (None, math.inf)
     ]
     inputs = {path.name: file_digest(path) for path in report.files}
     title = " and ".join(path.name for path in report.files)
@@ -103,7 +104,12 @@ def _files(facts: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 
 def _parts(facts: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Place, area and heights of the largest parts that count."""
     return [
-        tuple(f"{name.replace('_', ' ')} {value}" for name, value in part.items())
+        (
+            f"at {part['x_m']:.2f}, {part['y_m']:.2f} m",
+            f"{part['area_m2']:,.2f} m²",
+            f"heights {part['bottom_m']:.3f} to {part['top_m']:.3f} m",
+        )
         for part in facts["outline_parts"][:OUTLINES]
     ]

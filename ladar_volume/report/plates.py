@@ -9,6 +9,8 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -23,6 +25,8 @@ from ladar_volume.report.scene import Scene, sections_of
 
 #: Lines of the budget that are shown.
 LINES = 10
+#: Coordinates from here on, m, have so many digits that their labels are turned.
+FAR_M = 1e4
 #: Share of the values that the colours of sigma span.
 SPAN = (2.0, 98.0)
 INK, TOE, CUT, BASE = "#22303c", "#b3122b", "#1f6fb4", "#8a6d3b"
@@ -34,7 +38,7 @@ STATUS = {
     2: ("with a ground station (DGNSS, RTK)", "#2e8b57"),
 }
 #: Style of every figure.
-STYLE = {
+STYLE: dict[Any, Any] = {
     "figure.facecolor": "white",
     "axes.facecolor": "#fbfcfd",
     "axes.edgecolor": "#9aa5ae",
@@ -75,9 +79,11 @@ def svg(name: str, draw: Callable[[Axes], None], width_in: float, height_in: flo
     return re.sub(r"<metadata>.*?</metadata>", "", out, flags=re.DOTALL).strip()
 
 
-def faces(ax: Axes, scene: Scene, colours: F64 | None = None, **more: object) -> PolyCollection:
+def faces(ax: Axes, scene: Scene, colours: F64 | None = None, **more: Any) -> PolyCollection:
     """The triangles that count from above; ``more`` as of PolyCollection."""
-    given = {} if colours is None else {"facecolors": colours, "edgecolors": colours}
+    given: dict[str, Any] = (
+        {} if colours is None else {"facecolors": colours, "edgecolors": colours}
+    )
     out = PolyCollection(
         list(scene.corners()),
         **{"linewidths": 0.3, "edgecolors": "face", "rasterized": True, **given, **more},
@@ -96,10 +102,11 @@ def finish_map(ax: Axes, scene: Scene, title: str, lines: bool = True) -> None:
     ax.autoscale_view()
     ax.ticklabel_format(useOffset=False, style="plain")
     ax.locator_params(nbins=6)
-    ax.tick_params(axis="x", labelrotation=30 if np.abs(ax.get_xlim()).max() >= 1e4 else 0)
+    ax.tick_params(axis="x", labelrotation=30 if np.abs(ax.get_xlim()).max() >= FAR_M else 0)
     ax.set_title(title, loc="left")
     if ax.get_legend_handles_labels()[0]:
-        ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, frameon=False)
+        below = -0.26 if np.abs(ax.get_xlim()).max() >= FAR_M else -0.16
+        ax.legend(loc="upper center", bbox_to_anchor=(0.5, below), ncols=2, frameon=False)
 
 
 def draw_heights(ax: Axes, scene: Scene) -> None:
@@ -145,13 +152,13 @@ def draw_sigma(ax: Axes, scene: Scene) -> None:
     mm = 1e3 * scene.of_triangles(sigma)
     known = mm[np.isfinite(mm)]
     limits = np.percentile(known, SPAN) if len(known) else np.array([0.0, 1.0])
-    limits[1] = max(limits[1], limits[0] + 1e-3)
+    limits[1] = max(limits[1], 1.1 * limits[0], 1e-3)  # what hardly differs has one colour
     drawn = faces(ax, scene, array=mm, cmap="YlOrRd", clim=tuple(limits))
-    ax.figure.colorbar(drawn, ax=ax, label="sigma of height / mm", shrink=0.8)
-    for at, (x, y, size) in enumerate(scene.gaps):
+    bar = ax.figure.colorbar(drawn, ax=ax, label="sigma of height / mm", shrink=0.8)
+    bar.ax.ticklabel_format(useOffset=False)
+    for at, (x, y, _) in enumerate(scene.gaps):
         label = "not seen" if at == 0 else None
         ax.plot([x], [y], "o", ms=9, mfc="none", mec="#5b2c83", mew=1.6, label=label)
-        del size
     for at, place in enumerate(scene.again):
         label = "another pass helps most" if at == 0 else None
         ax.plot([place["x_m"]], [place["y_m"]], "+", ms=11, mew=2.0, color=CUT, label=label)
@@ -174,7 +181,7 @@ def draw_path(ax: Axes, scene: Scene) -> None:
     finish_map(ax, scene, "Path of the scanner")
 
 
-def draw_section(number: int) -> Callable[[Axes, Scene], None]:
+def draw_section(number: int) -> Callable[..., None]:
     """How the first or second section is drawn."""
 
     def draw(ax: Axes, scene: Scene) -> None:
@@ -201,14 +208,15 @@ def draw_budget(ax: Axes, budget_m6: Mapping[str, float]) -> None:
     bars = ax.barh(names, sigma, color="#4a86b8", height=0.65)
     ax.bar_label(bars, [f"{value:.3g}" for value in sigma], padding=3, fontsize=8)
     ax.set(xlabel="standard deviation of the volume by source / m³")
-    ax.set_xlim(0.0, 1.18 * max([*sigma, 1e-12]))
+    ax.set_xlim(0.0, 1.2 * max([*sigma, 1e-12]))
+    ax.locator_params(axis="x", nbins=5)
     ax.grid(axis="y", visible=False)
     ax.set_title("Where the uncertainty comes from", loc="left")
 
 
 def plates(scene: Scene, budget_m6: Mapping[str, float]) -> dict[str, str]:
     """All figures that the scene has data for, by name, as SVG."""
-    maps: dict[str, Callable[[Axes, Scene], None]] = {
+    maps: dict[str, Callable[..., None]] = {
         "heights": draw_heights,
         "cut-fill": draw_cut_fill,
     }
@@ -216,14 +224,10 @@ def plates(scene: Scene, budget_m6: Mapping[str, float]) -> dict[str, str]:
         maps["sigma"] = draw_sigma
     if scene.path is not None:
         maps["path"] = draw_path
-    out = {
-        name: svg(name, lambda ax, d=draw: d(ax, scene), 5.6, 4.9) for name, draw in maps.items()
-    }
+    out = {name: svg(name, partial(draw, scene=scene), 5.6, 4.9) for name, draw in maps.items()}
     for number in (0, 1):
-        draw = draw_section(number)
-        out[f"section-{number + 1}"] = svg(
-            f"section-{number + 1}", lambda ax, d=draw: d(ax, scene), 7.6, 2.6
-        )
+        name = f"section-{number + 1}"
+        out[name] = svg(name, partial(draw_section(number), scene=scene), 7.6, 2.6)
     if any(value > 0.0 for value in budget_m6.values()):
-        out["budget"] = svg("budget", lambda ax: draw_budget(ax, budget_m6), 7.6, 3.4)
+        out["budget"] = svg("budget", partial(draw_budget, budget_m6=budget_m6), 7.6, 3.4)
     return out

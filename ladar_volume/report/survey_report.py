@@ -27,7 +27,7 @@ def write_survey_report(
     inputs = {given["path"]: given["sha256"]}
     if "poses" in given:
         inputs[given["poses"]] = given["poses_sha256"]
-    tables = {
+    tables: dict[str, list[tuple[str, ...]]] = {
         "Budget": budget_rows(result),
         "Bodies": _bodies(result),
         "Where to measure again": _again(result),
