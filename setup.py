@@ -37,6 +37,7 @@ EXTRAS = {
     ],
     "geo": [],  # coordinate systems are among what every verb needs
     "page": ["starlette>=0.40", "uvicorn>=0.30"],
+    "completion": ["shtab>=1.7"],
     "test": ["pytest"],  # by this colcon knows that pytest runs the tests
 }
 

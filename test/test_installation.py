@@ -28,6 +28,7 @@ KEYS = {
     "jinja2": "python3-jinja2",
     "starlette": "",
     "uvicorn": "",
+    "shtab": "",
 }
 #: Packages that ROS from apt was compiled for, or that come with it: never a second time by pip.
 OF_THE_SYSTEM = {"numpy", "scipy", "pyproj", "matplotlib", "PyYAML", "jinja2"}
