@@ -11,6 +11,35 @@ from setuptools import find_packages, setup
 PACKAGE = "ladar_volume"
 MANIFEST = ElementTree.parse(Path(__file__).parent / "package.xml").getroot()
 NODES = ("georeference_node", "filter_node", "volume_node", "logger_node", "mavlink_node", "player")
+#: What the verbs on files and recordings need, from the versions of Ubuntu 24.04 on. Versions that
+#: are tested are in requirements.txt; test/test_installation.py holds the two together.
+NEEDED = (
+    "numpy>=1.26",
+    "scipy>=1.11",
+    "numba>=0.61",
+    "pyproj>=3.6",
+    "laspy[lazrs]>=2.5",
+    "rosbags>=0.11",
+    "mcap>=1.2",
+    "zstandard>=0.22",
+    "matplotlib>=3.6",
+    "rich>=13",
+    "PyYAML>=6.0",
+    "jinja2>=3.1",
+)
+#: What more is for: the nodes, an autopilot's poses, simulated surveys, the page in the field.
+EXTRAS = {
+    "ros": ["ros-jazzy-rclpy[fastrtps]>=7.1,<7.2", "ros-jazzy-common-interfaces>=5.3,<5.4"],
+    "mavlink": ["pymavlink>=2.4.42"],
+    "sim": [
+        "open3d-cpu>=0.19; platform_machine == 'x86_64' and sys_platform == 'linux'",
+        "open3d>=0.19; platform_machine != 'x86_64' or sys_platform != 'linux'",
+    ],
+    "geo": [],  # coordinate systems are among what every verb needs
+    "page": ["starlette>=0.40", "uvicorn>=0.30"],
+    "completion": ["shtab>=1.7"],
+    "test": ["pytest"],  # by this colcon knows that pytest runs the tests
+}
 
 
 def manifest(tag: str) -> str:
@@ -26,7 +55,9 @@ setup(
     maintainer=manifest("maintainer"),
     maintainer_email=MANIFEST.find("maintainer").attrib["email"],
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={PACKAGE: ["py.typed", "process/fastdds.xml"]},
+    package_data={
+        PACKAGE: ["py.typed", "process/fastdds.xml", "report/report.html.j2", "page/page.html"]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -34,7 +65,8 @@ setup(
         (f"share/{PACKAGE}/config", sorted(glob("config/*.yaml") + glob("config/*.json"))),
     ],
     python_requires=">=3.11, <3.14",
-    extras_require={"test": ["pytest"]},  # by this colcon knows that pytest runs the tests
+    install_requires=NEEDED,
+    extras_require=EXTRAS,
     zip_safe=True,
     entry_points={
         "console_scripts": [

@@ -7,7 +7,7 @@ import queue
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from ladar_volume.clouds.survey.survey_bodies import SurveyBodies, around, bodie
 from ladar_volume.io import results
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.cloud_messages import returns_from_cloud
-from ladar_volume.io.mavlink.mavlink_log import ROLE, MavlinkLog
 from ladar_volume.io.sensor_messages import (
     fix_from_message,
     imu_from_message,
@@ -24,8 +23,11 @@ from ladar_volume.io.sensor_messages import (
 from ladar_volume.model.errors import BagError, GroundError, InputError, SurfaceError, VolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import Estimate, Returns
+from ladar_volume.model.records import Estimate, Fix, Returns
 from ladar_volume.pipeline import Engine
+
+if TYPE_CHECKING:  # pymavlink is needed with an autopilot's log alone
+    from ladar_volume.io.mavlink.mavlink_log import MavlinkLog
 
 #: Poses of an autopilot's log this far outside the recording still bridge its ends.
 POSE_MARGIN_NS = 2_000_000_000
@@ -54,13 +56,15 @@ class Replay:
         self.engine = Engine(self.parameters)
         self.losses = Losses()
         self.returns = 0
+        #: Time, ns, and status of every fix, as NavSatStatus.
+        self.fixes: list[tuple[int, int]] = []
 
     def run(self, progress: Callable[[float], None] = lambda share: None) -> Estimate:
         """Feed every message, finish, and estimate. A bad message is counted and left out; the good
         data around it is kept.
         """
         add: dict[str, Callable[[Any], None]] = {
-            "fix": self.engine.add_fix,
+            "fix": self._add_fix,
             "imu": self.engine.add_imu,
             "odometry": self.engine.add_odometry,
             "cloud": self._add_returns,
@@ -87,6 +91,10 @@ class Replay:
         losses.merge(self.engine.losses)
         return losses
 
+    def _add_fix(self, fix: Fix) -> None:
+        self.fixes.append((fix.t_ns, fix.status))
+        self.engine.add_fix(fix)
+
     def _add_returns(self, returns: Returns) -> None:
         self.returns += len(returns)
         self.engine.add_returns(returns)
@@ -111,6 +119,8 @@ class Replay:
         """Records of an autopilot's log that the pose source takes, from a little before to a
         little after.
         """
+        from ladar_volume.io.mavlink.mavlink_log import ROLE
+
         wanted = (
             ("odometry",)
             if self.parameters.georeference.pose_source == "odometry"

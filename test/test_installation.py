@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from pathlib import Path
 from xml.etree import ElementTree
@@ -24,9 +25,13 @@ KEYS = {
     "matplotlib": "python3-matplotlib",
     "rich": "python3-rich",
     "PyYAML": "python3-yaml",
+    "jinja2": "python3-jinja2",
+    "starlette": "",
+    "uvicorn": "",
+    "shtab": "",
 }
 #: Packages that ROS from apt was compiled for, or that come with it: never a second time by pip.
-OF_THE_SYSTEM = {"numpy", "scipy", "pyproj", "matplotlib", "PyYAML"}
+OF_THE_SYSTEM = {"numpy", "scipy", "pyproj", "matplotlib", "PyYAML", "jinja2"}
 
 
 def pins(name: str) -> dict[str, str]:
@@ -57,3 +62,24 @@ def test_no_constructor_of_sparse_arrays_that_ubuntu_lacks_is_used():
     young = re.compile(r"sparse\.(?:diags|eye|block|random)_array\b")
     package = (ROOT / "ladar_volume").rglob("*.py")
     assert not [path.name for path in package if young.search(path.read_text())]
+
+
+def declared():
+    """What setup.py declares, by package: its requirement; extras but the tests' among it."""
+    from packaging.requirements import Requirement
+
+    names = {}
+    for node in ast.parse((ROOT / "setup.py").read_text()).body:
+        if isinstance(node, ast.Assign):
+            target = node.targets[0].id
+            if target in ("NEEDED", "EXTRAS"):
+                names[target] = ast.literal_eval(node.value)
+    extras = [line for name, lines in names["EXTRAS"].items() if name != "test" for line in lines]
+    wanted = map(Requirement, [*names["NEEDED"], *extras])
+    return {wish.name: wish for wish in wanted if not wish.name.startswith("ros-jazzy-")}
+
+
+def test_pip_installs_what_the_set_up_pins():
+    wanted, pinned = declared(), pins("requirements.txt")
+    assert set(wanted) == set(pinned)
+    assert not [name for name, wish in wanted.items() if pinned[name] not in wish.specifier]

@@ -36,31 +36,38 @@ from ladar_volume.version import version
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, filter, write, print."""
-    parameters, auto = settings(arguments)
+    settings(arguments)  # refused before anything is read
     _check_outputs(arguments)
     console = Console(stderr=arguments.json)
     with console.status(f"reading {arguments.cloud.name}") as status:
         cloud = read_source(arguments.cloud, arguments).cloud
         status.update(f"filtering {len(cloud.r):,} points")
-        result = filter_cloud(cloud.r, parameters, auto, frozenset(arguments.keep))
-        outliers = _outliers(arguments.cloud, cloud, result)
+        result, facts = filtered(arguments, cloud)
         status.update("writing")
         lost = _write(arguments, cloud, result)
-    facts = {
-        "input": {"path": arguments.cloud.name, "points": len(cloud.r)},
-        "output": {"path": arguments.output.name, "points": len(result.index)},
-        "columns_lost": lost,
-        "reading": cloud_facts_of(cloud),
-        "outliers": outliers,
-        **_facts(result, len(cloud.r), auto),
-        "parameters": {"order": order_of(parameters), **write_section(parameters)},
-        "verdict": (Verdict(reading_doubts([cloud])) + result.verdict).as_dict(),
-    }
+    output = {"path": arguments.output.name, "points": len(result.index)}
+    facts |= {"output": output, "columns_lost": lost}
     if arguments.json:
         print(json_text(facts), end="")
     else:
         show(console, facts, set(REASONS))
     return exit_code(arguments, facts["verdict"])
+
+
+def filtered(arguments: argparse.Namespace, cloud: PointFile) -> tuple[CloudResult, dict[str, Any]]:
+    """A cloud filtered as the options say, and what the JSON says of it."""
+    parameters, auto = settings(arguments)
+    result = filter_cloud(cloud.r, parameters, auto, frozenset(arguments.keep))
+    return result, {
+        "input": {"path": arguments.cloud.name, "points": len(cloud.r)},
+        "output": None,
+        "columns_lost": [],
+        "reading": cloud_facts_of(cloud),
+        "outliers": _outliers(arguments.cloud, cloud, result),
+        **_facts(result, len(cloud.r), auto),
+        "parameters": {"order": order_of(parameters), **write_section(parameters)},
+        "verdict": (Verdict(reading_doubts([cloud])) + result.verdict).as_dict(),
+    }
 
 
 def _outliers(source: Path, cloud: PointFile, result: CloudResult) -> dict[str, int]:

@@ -11,11 +11,12 @@ import sys
 import threading
 import traceback
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any
 
 from ladar_volume.cli.arguments.lines import Parser, one_line, printable, shown_name
+from ladar_volume.cli.help.examples import add_examples
 from ladar_volume.model.errors import LadarVolumeError
 from ladar_volume.process.switch import own_process
 from ladar_volume.version import version
@@ -40,6 +41,15 @@ MODULES = {
 
 #: Set in the environment, a defect ends with its traceback.
 TRACEBACK = "LADAR_VOLUME_TRACEBACK"
+#: Extras of the package by the module that they bring.
+EXTRAS = {
+    "pymavlink": "mavlink",
+    "open3d": "sim",
+    "rclpy": "ros",
+    "starlette": "page",
+    "uvicorn": "page",
+    "shtab": "completion",
+}
 #: Exit code of a defect (sysexits' EX_SOFTWARE).
 DEFECT = 70
 
@@ -90,6 +100,13 @@ def _check_config(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _completion(arguments: argparse.Namespace) -> int:
+    import shtab
+
+    print(shtab.complete(make_parser(None), arguments.shell))
+    return 0
+
+
 def make_parser(wanted: str | None) -> argparse.ArgumentParser:
     """The parser of the command line; of the verbs only ``wanted`` has its options, or all for
     None.
@@ -98,10 +115,14 @@ def make_parser(wanted: str | None) -> argparse.ArgumentParser:
         prog="ladar_volume", description="Volumes measured by LiDAR, with error bars one can trust."
     )
     parser.add_argument("--version", action="version", version=f"ladar_volume {version()}")
+    parser.add_argument(
+        "--quiet", action="store_true", help="before the verb: print errors and --json alone"
+    )
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for name, module in MODULES.items():
         if wanted in (name, None):
             importlib.import_module(module).add_parser(verbs)
+            add_examples(name, verbs.choices[name])
         else:
             verbs.add_parser(name, add_help=False)
     info = verbs.add_parser("info", help="what a recording holds")
@@ -115,6 +136,9 @@ def make_parser(wanted: str | None) -> argparse.ArgumentParser:
         "--show", action="store_true", help="print the whole effective configuration"
     )
     check.set_defaults(run=_check_config)
+    complete = verbs.add_parser("completion", help="completion of words for a shell")
+    complete.add_argument("shell", choices=("bash", "zsh", "tcsh"))
+    complete.set_defaults(run=_completion)
     return parser
 
 
@@ -133,6 +157,14 @@ def defect(error: Exception) -> str:
         f"a defect of the program, please report it: {type(error).__name__} in {where}: "
         f"{words} ({TRACEBACK}=1 shows more)"
     )
+
+
+def missing(error: Exception) -> str:
+    """What to install for a module that an extra brings; empty for any other error."""
+    name = (error.name or "").split(".")[0] if isinstance(error, ModuleNotFoundError) else ""
+    if name not in EXTRAS:
+        return ""
+    return f"needs {name}, which is not installed: pip install 'ladar_volume[{EXTRAS[name]}]'"
 
 
 class Terminated(KeyboardInterrupt):
@@ -158,6 +190,20 @@ def orderly_end() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
+@contextmanager
+def hushed(arguments: argparse.Namespace) -> Iterator[None]:
+    """With ``--quiet`` nothing but JSON goes to standard output, and no progress is shown."""
+    if not arguments.quiet:
+        yield
+        return
+    os.environ["TERM"] = "dumb"  # no progress on standard error either
+    if getattr(arguments, "json", False) or arguments.verb == "completion":
+        yield
+        return
+    with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
+        yield
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; returns the exit code."""
     own_process()
@@ -170,7 +216,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.error(f"{lost}: no value")  # argparse takes it for an empty list
     arguments: Any = parser.parse_args(words)
     try:
-        with orderly_end():
+        with orderly_end(), hushed(arguments):
             return int(arguments.run(arguments))
     except LadarVolumeError as error:
         return _refused(str(error), 2)
@@ -181,6 +227,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         if TRACEBACK in os.environ:
             raise
+        if words_of_missing := missing(error):
+            return _refused(f"{verb} {words_of_missing}", 2)
         return _refused(defect(error), DEFECT)
     except KeyboardInterrupt as end:
         print(

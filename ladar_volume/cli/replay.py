@@ -19,7 +19,6 @@ from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.io import results
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.config import read_config
-from ladar_volume.io.mavlink.mavlink_log import MavlinkLog
 from ladar_volume.io.output_set import output_set
 from ladar_volume.io.surveys import FILE, write_survey
 from ladar_volume.model.parameters import Parameters
@@ -69,9 +68,11 @@ def _replayed(
 ) -> tuple[dict[str, Any], float]:
     """Replay and write; returns the result and the seconds the replay took."""
     with BagReader(arguments.bag) as bag:
-        poses = (
-            MavlinkLog(arguments.poses, parameters.mavlink) if arguments.poses is not None else None
-        )
+        poses = None
+        if arguments.poses is not None:
+            from ladar_volume.io.mavlink.mavlink_log import MavlinkLog  # with pymavlink
+
+            poses = MavlinkLog(arguments.poses, parameters.mavlink)
         replay = Replay(
             bag,
             parameters,
@@ -99,6 +100,11 @@ def _replayed(
         arguments.bag.name,
         figure=not arguments.no_figure,
     )
+    if not arguments.no_figure:
+        from ladar_volume.report.survey_report import write_survey_report
+
+        epoch = replay.engine.estimator.epoch()
+        write_survey_report(folder / "report.html", estimate, epoch, result, replay.fixes)
     return result, seconds
 
 
@@ -116,5 +122,6 @@ def write_outputs(
     write_survey(folder / FILE, estimate, epoch, result)
     if figure:
         from ladar_volume.report.figure import save  # matplotlib takes a second to load
+        from ladar_volume.report.scene import where_of
 
-        save(estimate, title, folder / "figure.png")
+        save(estimate, title, folder / "figure.png", where_of(result["datum"]))

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -26,6 +28,7 @@ from ladar_volume.process.numpy_names import leave_out_tools
 
 if TYPE_CHECKING:  # ROS is loaded where the graph begins
     from ladar_volume.nodes.graph import Graph
+    from ladar_volume.page.feed import Feed
 
 #: A recording's graph loses no message: overrides of a played survey.
 LOSSLESS = ("node.input_reliability=reliable", "node.input_depth=2000")
@@ -87,7 +90,7 @@ def graph_result(
     # the only way to ROS from here, paid for only by this verb
     from ladar_volume.nodes.graph import Graph
 
-    with tempfile.TemporaryDirectory() as scratch:
+    with tempfile.TemporaryDirectory() as scratch, page_of(arguments, console) as feed:
         effective = Path(scratch) / "parameters.yaml"
         effective.write_text(dump_config(parameters), encoding="utf-8")
         graph = Graph(
@@ -98,6 +101,8 @@ def graph_result(
             ros_arguments(arguments),
         )
         try:
+            if feed is not None:
+                graph.show(feed)
             graph.wait_ready()
             if arguments.play is None:
                 run_live(graph, console)
@@ -106,6 +111,23 @@ def graph_result(
         finally:
             graph.close()
     return result
+
+
+@contextlib.contextmanager
+def page_of(arguments: argparse.Namespace, console: Console) -> Iterator[Feed | None]:
+    """The page in the field, served while the block runs; None where it is not asked for."""
+    if arguments.page is None:
+        if arguments.page_token is not None:
+            raise ConfigurationError("--page-token goes with --page")
+        yield None
+        return
+    from ladar_volume.page.feed import Feed
+    from ladar_volume.page.field_page import address_of, served
+
+    feed = Feed()
+    with served(feed, address_of(arguments.page, arguments.page_token)) as address:
+        console.print(f"page: {address.url}", soft_wrap=True, markup=False)
+        yield feed
 
 
 def run_live(graph: Graph, console: Console) -> NoReturn:

@@ -205,24 +205,68 @@ class JudgedVolume:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, triangulate, compute, print."""
+    console = Console(stderr=arguments.json)
+    with console.status("reading") as status:
+        task = task_of(arguments)
+        result = result_of(task, read_sources(arguments), status.update)
+        facts = result.facts
+        if arguments.report is not None:
+            status.update("report")
+            report_of(arguments, result)
+    if arguments.json:
+        print(json_text(facts), end="")
+    else:
+        show(console, facts)
+    return exit_code(arguments, facts["verdict"])
+
+
+def report_of(arguments: argparse.Namespace, result: VolumeResult) -> None:
+    """Write the report and its JSON twin."""
+    from ladar_volume.report.cloud_report import CloudReport, write_cloud_report  # matplotlib
+
+    files = [p for p in (arguments.cloud, arguments.cloud_b) if p is not None]
+    report = CloudReport(files, result.surfaces, result.base, result.counted, result.facts)
+    write_cloud_report(report, arguments.report)
+
+
+def task_of(arguments: argparse.Namespace) -> VolumeTask:
+    """What the options ask for; the frame is known with the points. Raises
+    :class:`ConfigurationError` for options that contradict one another.
+    """
     parameters, base = parameters_of(arguments)
     options = surface_options(arguments, SurfaceOptions(ratio=1.0))
     levels = None if arguments.levels is None else level_list(*arguments.levels)
-    console = Console(stderr=arguments.json)
-    with console.status("reading") as status:
-        sources = read_sources(arguments)
-        doubts = reading_doubts(clouds_of(sources))
-        if arguments.frame == "scan":
-            status.update("turning into the scan frame")
-        frame = frame_of(arguments, sources)
-        correct = not arguments.no_correction
-        task = VolumeTask(arguments, parameters, base, options, levels, frame, correct)
-        surfaces = make_surfaces(task, sources, status.update)
-        status.update("cut and fill")
-        facts, volume = compute_volume(task, surfaces)
-        if any(len(s.strays) for s in surfaces):
-            status.update("the same with the points that were left out")
-        clean = stray_facts(task, sources, surfaces, volume)
+    correct = not arguments.no_correction
+    return VolumeTask(arguments, parameters, base, options, levels, None, correct)
+
+
+@dataclass(frozen=True)
+class VolumeResult:
+    """surfaces : of the files · base : of the first, None where the second is the base · counted :
+    triangles (m,) of the first that count · facts : what the JSON says
+    """
+
+    surfaces: list[CloudSurface]
+    base: Plane | None
+    counted: Bool
+    facts: dict[str, Any]
+
+
+def result_of(
+    task: VolumeTask, sources: list[Source], progress: Callable[[str], None]
+) -> VolumeResult:
+    """The volume of one or two sources, with its verdict."""
+    doubts = reading_doubts(clouds_of(sources))
+    if task.arguments.frame == "scan":
+        progress("turning into the scan frame")
+    frame = frame_of(task.arguments, sources)
+    task = dataclasses.replace(task, frame=frame)
+    surfaces = make_surfaces(task, sources, progress)
+    progress("cut and fill")
+    facts, volume, found = compute_volume(task, surfaces)
+    if any(len(s.strays) for s in surfaces):
+        progress("the same with the points that were left out")
+    clean = stray_facts(task, sources, surfaces, volume)
     doubts += mesh_doubts([s.path for s in sources], [s.mesh for s in sources], surfaces)
     doubts += tuple(stray_doubts(clean["strays"], point_count(sources, surfaces)))
     facts["verdict"] = (Verdict(doubts) + facts.pop("verdict")).as_dict()
@@ -230,14 +274,10 @@ def run(arguments: argparse.Namespace) -> int:
         "clean": clean,
         "surfaces": [surface_facts(a, b) for a, b in zip(sources, surfaces, strict=True)],
         "frame": frame_facts(frame),
-        "options": option_facts(options),
+        "options": option_facts(task.options),
         "version": version(),
     }
-    if arguments.json:
-        print(json_text(facts), end="")
-    else:
-        show(console, facts)
-    return exit_code(arguments, facts["verdict"])
+    return VolumeResult(surfaces, found.level_base, found.counted[0], facts)
 
 
 def read_sources(arguments: argparse.Namespace) -> list[Source]:
@@ -269,8 +309,10 @@ def point_count(sources: list[Source], surfaces: list[CloudSurface]) -> int:
 
 def compute_volume(
     task: VolumeTask, surfaces: list[CloudSurface]
-) -> tuple[dict[str, Any], CloudVolume]:
-    """The volume with its verdict, and where levels are asked for the sequence with its floors."""
+) -> tuple[dict[str, Any], CloudVolume, CutFill]:
+    """The volume with its verdict, where levels are asked for the sequence with its floors; the
+    volume after its verdict; and what it counts.
+    """
     found = named_base(task, cut_and_fill(in_frame(task, surfaces), surfaces))
     areas = [area_counted(s, m) for s, m in zip(surfaces, found.counted, strict=True)]
     judgement = volume_verdict(task, surfaces, found, areas)
@@ -287,7 +329,7 @@ def compute_volume(
         more["pairs"] = pair_facts(surfaces, task.arguments.method, at, offset_of(task))
     facts = volume_facts(judgement.volume, found.parameters)
     facts |= {"footprint": task.arguments.footprint if len(surfaces) == 2 else None, **more}
-    return {**facts, "verdict": judgement.verdict}, judgement.volume
+    return {**facts, "verdict": judgement.verdict}, judgement.volume, found
 
 
 def in_frame(task: VolumeTask, surfaces: list[CloudSurface]) -> VolumeTask:

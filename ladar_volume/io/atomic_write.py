@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
+import hashlib
 import os
 import re
 import secrets
 import shutil
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 from ladar_volume.model.errors import OutputError
+from ladar_volume.process.file_lock import lock
 
 #: A name nobody guesses: ``.NAME.TOKEN.part``.
 _TOKEN_BYTES = 8
+#: How a folder is opened; 0 where folders cannot be opened at all (Windows).
+_DIRECTORY = getattr(os, "O_DIRECTORY", 0)
 
 
 @contextlib.contextmanager
@@ -105,18 +109,38 @@ def locked(folder: Path) -> int:
     holds it; on disks without locks there is none.
     """
     while True:
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        descriptor = _opened(folder)
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock(descriptor)
         except BlockingIOError:
             os.close(descriptor)
             raise
         except OSError:
             return descriptor
+        if not _DIRECTORY:
+            return descriptor
         there, ours = os.stat(folder), os.fstat(descriptor)
         if (there.st_dev, there.st_ino) == (ours.st_dev, ours.st_ino):
             return descriptor
         os.close(descriptor)  # exchanged for another while we waited
+
+
+def _opened(folder: Path) -> int:
+    """A folder, or where folders cannot be opened a file that stands for it among the temporary
+    ones.
+    """
+    if _DIRECTORY:
+        return os.open(folder, os.O_RDONLY | _DIRECTORY)
+    name = hashlib.sha256(os.fsencode(folder.resolve())).hexdigest()
+    return os.open(
+        Path(tempfile.gettempdir()) / f"ladar_volume-{name}.lock", os.O_RDWR | os.O_CREAT
+    )
+
+
+def own(status: os.stat_result) -> bool:
+    """Whether a file is ours; where files have no such owner (Windows) it is."""
+    user = getattr(os, "geteuid", None)
+    return user is None or bool(status.st_uid == user())
 
 
 def remove_stale(parent: Path, name: str) -> None:
@@ -125,7 +149,7 @@ def remove_stale(parent: Path, name: str) -> None:
     with contextlib.suppress(OSError), os.scandir(parent) as entries:
         for entry in entries:
             with contextlib.suppress(OSError):
-                mine = entry.stat(follow_symlinks=False).st_uid == os.geteuid()
+                mine = own(entry.stat(follow_symlinks=False))
                 if ours.fullmatch(entry.name) and entry.is_dir(follow_symlinks=False) and mine:
                     descriptor = locked(Path(entry.path))
                     shutil.rmtree(entry.path, ignore_errors=True)
@@ -141,8 +165,11 @@ def sync_tree(folder: Path) -> None:
 
 
 def sync(path: Path) -> None:
-    """Have the disk confirm a file, or a folder's list of names."""
-    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
+    """Have the disk confirm a file, or, where folders can be opened, a folder's list of names."""
+    if not _DIRECTORY and path.is_dir():
+        return
+    how = os.O_RDONLY if _DIRECTORY else os.O_RDWR  # Windows confirms only what may be written
+    descriptor = os.open(path, how | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0))
     try:
         os.fsync(descriptor)
     finally:

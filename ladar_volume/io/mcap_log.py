@@ -5,7 +5,6 @@ open.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import threading
 import time
@@ -19,6 +18,7 @@ from mcap.writer import CompressionType, Writer
 from ladar_volume.io.bags import TYPESTORE
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.parameters import LoggerParameters
+from ladar_volume.process.file_lock import lock
 from ladar_volume.version import version
 
 COMPRESSION = {
@@ -102,9 +102,7 @@ class McapLog:
     def _open(self) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self._stream = self.path.open("xb")
-        fcntl.flock(
-            self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB
-        )  # nobody repairs a file that is being written
+        lock(self._stream.fileno())  # nobody repairs a file that is being written
         self._syncer = _Syncer(self._stream.fileno()) if self.parameters.sync == "chunk" else None
         self._writer = Writer(
             self._stream, chunk_size=2**31, compression=COMPRESSION[self.parameters.compression]

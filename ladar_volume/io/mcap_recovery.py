@@ -8,7 +8,6 @@ content.
 
 from __future__ import annotations
 
-import fcntl
 import os
 import struct
 import zlib
@@ -26,6 +25,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from ladar_volume.io.bounded_unpacking import check_chunk
 from ladar_volume.model.errors import OutputError
+from ladar_volume.process.file_lock import lock
 
 HEAD = struct.Struct("<BQ")
 #: A tear at the end is at most the chunk that was being written. A longer rest means damage in the
@@ -91,7 +91,7 @@ def recover(path: Path) -> Recovery:
     """
     try:
         with path.open("r+b") as stream:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock(stream.fileno())
             return _recover(path, stream)
     except BlockingIOError as error:
         raise OutputError(

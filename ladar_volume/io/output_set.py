@@ -70,6 +70,8 @@ def _may_be_exchanged(folder: Path) -> bool:
     """Whether a sibling can take the folder's place: nobody's working directory lies in it that we
     know of, it is ours, and no mount point.
     """
+    if not hasattr(os, "geteuid"):
+        return False  # no exchange of folders there (Windows)
     status = folder.stat()
     return (
         os.access(folder.parent, os.W_OK | os.X_OK)

@@ -26,7 +26,15 @@ if TYPE_CHECKING:  # for names of types alone: a stage's kernels are loaded by t
     from ladar_volume.volume.more_data import MoreData
 
 #: The files of a result, the one that stands for them first.
-SURVEY_FILES = ("result.json", "result.mcap", "mesh.ply", "figure.png", "bodies.ply")
+SURVEY_FILES = (
+    "result.json",
+    "result.mcap",
+    "mesh.ply",
+    "figure.png",
+    "report.html",
+    "report.json",
+    "bodies.ply",
+)
 
 
 def volume_dict(volume: Volume) -> dict[str, Any]:

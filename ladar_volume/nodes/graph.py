@@ -28,10 +28,12 @@ from ladar_volume.nodes.filter_node import FilterNode
 from ladar_volume.nodes.georeference_node import GeoreferenceNode
 from ladar_volume.nodes.logger_node import LoggerNode
 from ladar_volume.nodes.mavlink_node import MavlinkNode
+from ladar_volume.nodes.page_node import PageNode
 from ladar_volume.nodes.player import Player
 from ladar_volume.nodes.running import TAKE_S, Spinner, before_ros
 from ladar_volume.nodes.volume_node import VolumeNode
 from ladar_volume.nodes.watch.others import own_name
+from ladar_volume.page.feed import Feed
 
 FACTORIES: dict[str, Callable[..., StageNode]] = {
     "georeference_node": GeoreferenceNode,
@@ -184,6 +186,10 @@ class Graph:
             self._add(node)
             if not started:
                 raise ConfigurationError(f"{name}: {node.failure}")
+
+    def show(self, feed: Feed) -> None:
+        """Keep the page in the field up to date."""
+        self._add(PageNode(feed))
 
     def check(self) -> None:
         """Raises VolumeError where a process has ended that should not have."""

@@ -1,82 +1,51 @@
-"""The picture of a result: the surface seen from above with its outline, and where the uncertainty
-comes from.
+"""The picture of a result: heights with the toe, cut and fill, and where the uncertainty comes
+from.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
+from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.errors import OutputError
-from ladar_volume.model.records import F64, Estimate, Tin
+from ladar_volume.model.records import Estimate
+from ladar_volume.report.plates import STYLE, draw_budget, draw_cut_fill, draw_heights, new_figure
+from ladar_volume.report.scene import Scene, base_of_plane
 
 
-def draw(estimate: Estimate, title: str) -> Figure:
-    """A figure with two panels; no window, no global state."""
-    figure = Figure(figsize=(12, 5.4), layout="constrained")
-    FigureCanvasAgg(figure)
-    plan, bars = figure.subplots(1, 2, width_ratios=[1.7, 1.0])
-    _plan(plan, figure, estimate)
-    _budget(bars, estimate)
-    v = estimate.volume
-    figure.suptitle(
-        f"{title}: V = {v.volume_m3:.2f} ± {v.sigma_m3:.2f} m³ (1 sigma), above the {v.base}"
+def draw(estimate: Estimate, title: str, where: str = "") -> Figure:
+    """A figure with three panels; no window. ``where`` : the coordinate system in words."""
+    v, tin = estimate.volume, estimate.tin
+    scene = Scene(
+        tin=tin,
+        counted=np.asarray(tin.relevant, dtype=bool),
+        above_m=height_above(tin.vertices, estimate.base),
+        sigma_m=None,
+        outlines=[body.outline for body in estimate.bodies or (v,)],
+        base_at=base_of_plane(estimate.base),
+        base=v.base,
+        where=where,
     )
+    with mpl.rc_context(STYLE):
+        figure = new_figure(15.0, 5.2)
+        heights, cut, bars = figure.subplots(1, 3, width_ratios=[1.15, 1.15, 1.0])
+        draw_heights(heights, scene)
+        draw_cut_fill(cut, scene)
+        draw_budget(bars, v.budget_m6)
+        words = f"V = {v.volume_m3:.2f} ± {v.sigma_m3:.2f} m³ (1 sigma), above the {v.base}"
+        figure.suptitle(f"{title}: {words}", fontsize=12)
+        figure.supxlabel(where, fontsize=8)
     return figure
 
 
-def _plan(ax: Axes, figure: Figure, estimate: Estimate) -> None:
-    tin = estimate.tin
-    triangles = tin.triangles[tin.relevant]
-    heights = tin.vertices[triangles, 2].mean(axis=1)
-    corners = list(tin.vertices[triangles, :2])
-    faces = PolyCollection(
-        corners, array=heights, cmap="viridis", edgecolors="face", linewidths=0.2
-    )
-    colours = faces.to_rgba(heights)
-    colours[:, :3] *= (0.45 + 0.55 * _shade(tin))[:, None]
-    ax.add_collection(
-        PolyCollection(corners, facecolors=colours, edgecolors=colours, linewidths=0.2)
-    )
-    outline = np.vstack([estimate.volume.outline, estimate.volume.outline[:1]])
-    ax.plot(outline[:, 0], outline[:, 1], color="crimson", lw=1.4, label="outline")
-    ax.set(aspect="equal", xlabel="east / m", ylabel="north / m")
-    ax.autoscale_view()
-    ax.legend(loc="upper right")
-    figure.colorbar(faces, ax=ax, label="height / m", shrink=0.85)
-
-
-def _shade(tin: Tin) -> F64:
-    p = tin.vertices[tin.triangles[tin.relevant]]
-    n = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-    n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-300)
-    light = np.array([-0.5, 0.5, 0.7071])
-    shade: F64 = np.clip(n @ light, 0.0, 1.0)
-    return shade
-
-
-def _budget(ax: Axes, estimate: Estimate) -> None:
-    lines = sorted(estimate.volume.budget_m6.items(), key=lambda item: item[1])
-    names = [name.replace("_", " ") for name, _ in lines]
-    ax.barh(names, [np.sqrt(max(value, 0.0)) for _, value in lines], color="steelblue")
-    v = estimate.volume
-    halved = v.sigma_if_halved_m3.get(v.largest_source, v.sigma_m3)
-    ax.set(xlabel="standard deviation of V by source / m³")
-    ax.set_title(
-        f"{v.largest_source.replace('_', ' ')} is the largest; half of it: ± {halved:.2f} m³",
-        fontsize=9,
-    )
-    ax.grid(axis="x", alpha=0.3)
-
-
-def save(estimate: Estimate, title: str, path: Path) -> None:
+def save(estimate: Estimate, title: str, path: Path, where: str = "") -> None:
     """Write the figure as PNG. Raises OutputError."""
     try:
-        draw(estimate, title).savefig(path, dpi=110)
+        with mpl.rc_context(STYLE):
+            draw(estimate, title, where).savefig(path, dpi=110)
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error}", value=str(path)) from error

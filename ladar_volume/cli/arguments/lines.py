@@ -7,6 +7,8 @@ from typing import NoReturn, TypeAlias
 
 from rich.markup import escape
 
+from ladar_volume.cli.help.near_misses import hint
+
 #: Where a verb, a mode or a study declares its parser.
 Verbs: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 #: Most characters of an error, with the program's name.
@@ -36,4 +38,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print the error and end with code 2."""
-        self.exit(2, one_line(f"{self.prog}: {message}; see {self.prog} --help") + "\n")
+        near = hint(message, self)
+        if near.startswith("; did") and message.startswith("argument VERB: invalid choice"):
+            message = message.partition(" (choose from")[0]
+        self.exit(2, one_line(f"{self.prog}: {message}{near}; see {self.prog} --help") + "\n")

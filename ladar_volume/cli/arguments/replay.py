@@ -23,7 +23,7 @@ def add_parser(subparsers: Verbs) -> None:
     )
     parser.add_argument("--start", type=float, default=0.0, help="seconds into the recording")
     parser.add_argument("--duration", type=float, default=float("inf"), help="seconds")
-    parser.add_argument("--no-figure", action="store_true", help="skip the picture")
+    parser.add_argument("--no-figure", action="store_true", help="skip picture and report")
     parser.set_defaults(run=work("ladar_volume.cli.replay"))
 
 
@@ -53,7 +53,7 @@ def add_common(parser: argparse.ArgumentParser) -> None:
         "--output",
         type=Path,
         default=Path("out"),
-        help="folder for result.json, result.mcap, mesh.ply, figure.png",
+        help="folder for result.json, result.mcap, mesh.ply, figure.png, report.html",
     )
     parser.add_argument("--json", action="store_true", help="print result.json to standard output")
     add_strict_option(parser)

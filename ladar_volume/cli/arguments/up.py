@@ -29,6 +29,16 @@ def add_parser(subparsers: Verbs) -> None:
     )
     parser.add_argument("--log", type=Path, help="MCAP file to log all topics to")
     parser.add_argument(
+        "--page",
+        nargs="?",
+        const="8080",
+        metavar="[ADDRESS:]PORT",
+        help="serve a page with volume, map and health (default 127.0.0.1:8080)",
+    )
+    parser.add_argument(
+        "--page-token", metavar="TOKEN", help="needed where others can reach the page's address"
+    )
+    parser.add_argument(
         "--ros-args",
         nargs=argparse.REMAINDER,
         default=[],

@@ -40,10 +40,24 @@ def add_parser(subparsers: Verbs) -> None:
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
+    parser.add_argument(
+        "--report",
+        type=report_page,
+        metavar="FILE.html",
+        help="write a report: one page for browser and printer, and the same as FILE.json",
+    )
     add_surface_options(parser, "1: every point")
     add_mesh_options(parser, second=True)
     add_strict_option(parser)
     parser.set_defaults(run=work("ladar_volume.cli.volume"))
+
+
+def report_page(word: str) -> Path:
+    """A path that ends in .html."""
+    path = Path(word)
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise argparse.ArgumentTypeError(f"{word}: a report ends in .html")
+    return path
 
 
 def _add_bases(g: argparse._ArgumentGroup) -> None:

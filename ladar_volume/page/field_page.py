@@ -1,0 +1,159 @@
+"""The page and its stream of states over HTTP: server-sent events, nothing from the internet.
+
+It listens on loopback. Where another address is given, a token is needed, and every request must
+bring it. On loopback only requests for this host are answered, so that no foreign page in the
+browser can read along.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hmac
+import ipaddress
+import threading
+import time
+from collections.abc import AsyncIterator, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.routing import Route
+
+from ladar_volume.model.errors import ConfigurationError, OutputError
+from ladar_volume.page.feed import Feed
+
+PAGE = Path(__file__).with_name("page.html")
+#: How often the stream looks for a change, and says that it is alive, s.
+LOOK_S, ALIVE_S = 0.5, 10.0
+#: The server has this long to start, s.
+START_S = 10.0
+HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
+        "connect-src 'self'; img-src data:; frame-ancestors 'none'"
+    ),
+    "Cache-Control": "no-store",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+#: Shortest token.
+TOKEN = 12
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where the page is served; token : empty on loopback alone."""
+
+    host: str
+    port: int
+    token: str = ""
+
+    @property
+    def url(self) -> str:
+        """What to open."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"http://{host}:{self.port}/" + (f"?token={self.token}" if self.token else "")
+
+
+def address_of(text: str, token: str | None) -> Address:
+    """``PORT``, ``HOST:PORT`` or ``[HOST]:PORT`` with an IP address as host. Raises
+    :class:`ConfigurationError`: any address but loopback needs a token.
+    """
+    host, _, port = text.rpartition(":")
+    host = host.strip("[]") or "127.0.0.1"
+    try:
+        number, ip = int(port), ipaddress.ip_address(host)
+    except ValueError as error:
+        raise ConfigurationError(
+            f"--page {text}: PORT, or ADDRESS:PORT with an IP address", value=text
+        ) from error
+    if not 0 <= number < 65536:
+        raise ConfigurationError(f"--page {text}: a port is from 0 to 65535", value=text)
+    if token is not None and (len(token) < TOKEN or not token.isalnum() or not token.isascii()):
+        raise ConfigurationError(f"--page-token: at least {TOKEN} letters and digits")
+    if not ip.is_loopback and token is None:
+        raise ConfigurationError(
+            f"--page {text}: others can reach this address: give --page-token", value=text
+        )
+    return Address(host, number, token or "")
+
+
+def app_of(feed: Feed, address: Address) -> Starlette:
+    """The page at ``/`` and its events at ``/events``."""
+    page = PAGE.read_text(encoding="utf-8")
+
+    def refused(request: Request) -> Response | None:
+        given = request.query_params.get("token", "")
+        if address.token and not hmac.compare_digest(given.encode(), address.token.encode()):
+            return PlainTextResponse("the token is missing or wrong", 403, HEADERS)
+        return None
+
+    async def show(request: Request) -> Response:
+        return refused(request) or HTMLResponse(page, headers=HEADERS)
+
+    async def events(request: Request) -> Response:
+        return refused(request) or StreamingResponse(
+            states(feed, request), media_type="text/event-stream", headers=HEADERS
+        )
+
+    hosts = ["localhost", "127.0.0.1", "[::1]"] if not address.token else ["*"]
+    guard = Middleware(TrustedHostMiddleware, allowed_hosts=hosts, www_redirect=False)
+    return Starlette(routes=[Route("/", show), Route("/events", events)], middleware=[guard])
+
+
+async def states(feed: Feed, request: Request) -> AsyncIterator[str]:
+    """The state as an event whenever it changed, and a comment where it has not for long."""
+    seen, said = -1, time.monotonic()
+    while not await request.is_disconnected():
+        now = time.monotonic()
+        if feed.number != seen:
+            seen, said = feed.number, now
+            yield f"data: {feed.text()}\n\n"
+        elif now - said > ALIVE_S:
+            said = now
+            yield ": alive\n\n"
+        await asyncio.sleep(LOOK_S)
+
+
+@contextlib.contextmanager
+def served(feed: Feed, address: Address) -> Iterator[Address]:
+    """Serve the page in a thread while the block runs; the address with the port that was taken.
+    Raises :class:`OutputError` where the address is not free.
+    """
+    config = uvicorn.Config(
+        app_of(feed, address),
+        host=address.host,
+        port=address.port,
+        log_level="error",
+        access_log=False,
+        timeout_graceful_shutdown=1,
+        server_header=False,
+    )
+    server = uvicorn.Server(config)
+    try:
+        socket = config.bind_socket()
+    except (SystemExit, OSError) as error:
+        raise OutputError(
+            f"--page: {address.host}:{address.port} cannot be used: it is taken, or not ours",
+            reason="output_address",
+            value=address.port,
+        ) from error
+    thread = threading.Thread(
+        target=server.run, kwargs={"sockets": [socket]}, name="page", daemon=True
+    )
+    thread.start()
+    try:
+        deadline = time.monotonic() + START_S
+        while not server.started and thread.is_alive() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        yield Address(address.host, int(socket.getsockname()[1]), address.token)
+    finally:
+        server.should_exit = True
+        thread.join(timeout=5.0)
+        socket.close()

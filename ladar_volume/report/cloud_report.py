@@ -1,0 +1,115 @@
+"""The report of a volume from point cloud or mesh files."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ladar_volume.clouds.cloud_surface import CloudSurface
+from ladar_volume.model.records import F64, Bool, Plane
+from ladar_volume.report.report_page import Report, file_digest, write_report
+from ladar_volume.report.scene import Scene, base_of_plane
+from ladar_volume.report.survey_report import budget_rows, lead_of
+from ladar_volume.tin.locate import height_at
+from ladar_volume.volume.outline import boundary_loop, components
+
+
+@dataclass(frozen=True)
+class CloudReport:
+    """files : one or two · surfaces : of each · base : of the first, None where the second is the
+    base · counted : (t,) triangles of the first that count · facts : as with ``--json``
+    """
+
+    files: Sequence[Path]
+    surfaces: Sequence[CloudSurface]
+    base: Plane | None
+    counted: Bool
+    facts: Mapping[str, Any]
+
+
+#: Most outlines that a map shows, the largest parts first.
+OUTLINES = 20
+
+
+def write_cloud_report(report: CloudReport, page: Path) -> None:
+    """The page and its JSON twin. Raises OutputError."""
+    facts = report.facts
+    lead = lead_of(facts, facts["net_m3"])
+    lead = {("Net volume" if name == "Volume" else name): words for name, words in lead.items()}
+    lead["Sigma holds"] = str(facts["sigma_holds"])
+    lead["1 cm of height"] = f"{facts['centimetre_m3']:.3f} m³"
+    tables = {"Budget": budget_rows(facts), "Files": _files(facts), "Parts": _parts(facts)}
+    tables["Options of the surface"] = [
+        (name.replace("_", " "), str(value))
+        for name, value in facts["options"].items()
+        if value not in (None, math.inf)
+    ]
+    inputs = {path.name: file_digest(path) for path in report.files}
+    title = " and ".join(path.name for path in report.files)
+    write_report(Report(title, facts, lead, tables, _scene(report), inputs), page)
+
+
+def _scene(report: CloudReport) -> Scene:
+    first = report.surfaces[0]
+    tin = first.made.tin
+    base_at = base_of_plane(report.base)
+    if report.base is None and len(report.surfaces) == 2:
+        second = report.surfaces[1].made.tin
+
+        def base_at(xy: F64) -> F64:
+            return height_at(second, xy)
+
+    own = first.sigma_m is not None and len(tin.vertices) == len(first.points)
+    return Scene(
+        tin=tin,
+        counted=report.counted,
+        above_m=tin.vertices[:, 2] - base_at(tin.vertices[:, :2]),
+        sigma_m=first.sigma_m[tin.source] if own and first.sigma_m is not None else None,
+        outlines=_outlines(report),
+        base_at=base_at,
+        base=str(report.facts["base"]),
+        where=_where(report.facts),
+    )
+
+
+def _outlines(report: CloudReport) -> list[F64]:
+    """The outer rings (k, 2) of the largest parts that count."""
+    tin = report.surfaces[0].made.tin
+    part = components(tin, report.counted)
+    count = np.bincount(part[part >= 0])
+    largest = np.argsort(-count, kind="stable")[:OUTLINES]
+    return [boundary_loop(tin, part == number) for number in largest.tolist()]
+
+
+def _where(facts: Mapping[str, Any]) -> str:
+    """The coordinate system in words."""
+    if facts["frame"]["name"] != "level":
+        return "scan frame: the third axis is the scan direction"
+    at = facts["surfaces"][0]["coordinates"]
+    name = at["crs"] or "no CRS named"
+    code = f" ({at['code']})" if at["code"] else ""
+    return f"{name}{code}, in m"
+
+
+def _files(facts: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    return [
+        (str(each["path"]), f"{each['points']:,} points", f"{each['used']:,} used")
+        for each in facts["surfaces"]
+    ]
+
+
+def _parts(facts: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Place, area and heights of the largest parts that count."""
+    return [
+        (
+            f"at {part['x_m']:.2f}, {part['y_m']:.2f} m",
+            f"{part['area_m2']:,.2f} m²",
+            f"heights {part['bottom_m']:.3f} to {part['top_m']:.3f} m",
+        )
+        for part in facts["outline_parts"][:OUTLINES]
+    ]

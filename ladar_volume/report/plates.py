@@ -1,0 +1,233 @@
+"""The figures of a report: maps, sections, budget and path, on white, as self-contained SVG.
+
+Faces of the maps are pixels inside the SVG, lines and letters are curves: what is printed looks the
+same everywhere.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import TwoSlopeNorm
+from matplotlib.figure import Figure
+
+from ladar_volume.model.records import F64, Tin
+from ladar_volume.report.scene import Scene, sections_of
+
+#: Lines of the budget that are shown.
+LINES = 10
+#: Coordinates from here on, m, have so many digits that their labels are turned.
+FAR_M = 1e4
+#: Share of the values that the colours of sigma span.
+SPAN = (2.0, 98.0)
+INK, TOE, CUT, BASE = "#22303c", "#b3122b", "#1f6fb4", "#8a6d3b"
+#: What a NavSatStatus is called, and its colour.
+STATUS = {
+    -1: ("no fix", "#c0392b"),
+    0: ("single fix", "#e08a1e"),
+    1: ("with SBAS", "#c9b800"),
+    2: ("with a ground station (DGNSS, RTK)", "#2e8b57"),
+}
+#: Style of every figure.
+STYLE: dict[Any, Any] = {
+    "figure.facecolor": "white",
+    "axes.facecolor": "#fbfcfd",
+    "axes.edgecolor": "#9aa5ae",
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e3e8ec",
+    "grid.linewidth": 0.6,
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "svg.fonttype": "path",
+}
+
+
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """A figure without window or global state; to be drawn within :data:`STYLE`."""
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def svg(name: str, draw: Callable[[Axes], None], width_in: float, height_in: float) -> str:
+    """A figure of one panel as an SVG element for a page; its ids begin with ``name``."""
+    with mpl.rc_context({**STYLE, "svg.hashsalt": name}):
+        figure = new_figure(width_in, height_in)
+        draw(figure.subplots())
+        text = io.StringIO()
+        none = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        figure.savefig(text, format="svg", dpi=160, metadata=none)
+    out = text.getvalue()
+    out = out[out.index("<svg") :]
+    out = re.sub(r"\sxmlns(:xlink)?=\"[^\"]*\"", "", out)
+    out = re.sub(r"\bid=\"", f'id="{name}-', out)
+    out = re.sub(r"(href=\"|url\()#", rf"\1#{name}-", out)
+    return re.sub(r"<metadata>.*?</metadata>", "", out, flags=re.DOTALL).strip()
+
+
+def faces(ax: Axes, scene: Scene, colours: F64 | None = None, **more: Any) -> PolyCollection:
+    """The triangles that count from above; ``more`` as of PolyCollection."""
+    given: dict[str, Any] = (
+        {} if colours is None else {"facecolors": colours, "edgecolors": colours}
+    )
+    out = PolyCollection(
+        list(scene.corners()),
+        **{"linewidths": 0.3, "edgecolors": "face", "rasterized": True, **given, **more},
+    )
+    ax.add_collection(out)
+    return out
+
+
+def finish_map(ax: Axes, scene: Scene, title: str, lines: bool = True) -> None:
+    """Outline, axes and title of a map; axes in metres, as the points are."""
+    for at, outline in enumerate(scene.outlines if lines else ()):
+        closed = np.vstack([outline, outline[:1]])
+        label = "toe (outline)" if at == 0 else None
+        ax.plot(closed[:, 0], closed[:, 1], color=TOE, lw=1.3, label=label)
+    ax.set(aspect="equal", xlabel="east / m", ylabel="north / m")
+    ax.autoscale_view()
+    ax.ticklabel_format(useOffset=False, style="plain")
+    ax.locator_params(nbins=6)
+    ax.tick_params(axis="x", labelrotation=30 if np.abs(ax.get_xlim()).max() >= FAR_M else 0)
+    ax.set_title(title, loc="left")
+    if ax.get_legend_handles_labels()[0]:
+        below = -0.26 if np.abs(ax.get_xlim()).max() >= FAR_M else -0.16
+        ax.legend(loc="upper center", bbox_to_anchor=(0.5, below), ncols=2, frameon=False)
+
+
+def draw_heights(ax: Axes, scene: Scene) -> None:
+    """Heights with shaded relief."""
+    z = scene.of_triangles(scene.tin.vertices[:, 2])
+    scale = PolyCollection([], array=z, cmap="YlGnBu_r")
+    colours = scale.to_rgba(z)
+    colours[:, :3] *= (0.62 + 0.38 * shade(scene.tin, scene))[:, None]
+    faces(ax, scene, colours)
+    ax.figure.colorbar(scale, ax=ax, label="height / m", shrink=0.8)
+    finish_map(ax, scene, "Heights and toe")
+
+
+def shade(tin: Tin, scene: Scene) -> F64:
+    """(t,) light from the north-west, 0 to 1."""
+    p = tin.vertices[tin.triangles[scene.counted]]
+    n = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-300)
+    out: F64 = np.clip(n @ np.array([-0.5, 0.5, 0.7071]), 0.0, 1.0)
+    return out
+
+
+def draw_cut_fill(ax: Axes, scene: Scene) -> None:
+    """Height above the base, blue, and below it, red."""
+    above = scene.of_triangles(scene.above_m)
+    known = above[np.isfinite(above)]
+    reach = max(float(np.max(np.abs(known))) if len(known) else 0.0, 1e-6)
+    low, high = (
+        min(float(known.min(initial=0.0)), -0.05 * reach),
+        max(float(known.max(initial=0.0)), 0.05 * reach),
+    )
+    norm = TwoSlopeNorm(0.0, low, high)
+    drawn = faces(ax, scene, array=above, cmap="RdBu", norm=norm)
+    bar = ax.figure.colorbar(drawn, ax=ax, label="above the base (cut +, fill −) / m", shrink=0.8)
+    bar.set_ticks([t for t in (low, 0.0, high) if t == 0.0 or abs(t) > 0.06 * reach])
+    bar.ax.yaxis.set_major_formatter("{x:.2f}")
+    finish_map(ax, scene, "Cut and fill")
+
+
+def draw_sigma(ax: Axes, scene: Scene) -> None:
+    """Standard deviation of the heights, gaps, and where another pass helps most."""
+    sigma = scene.sigma_m if scene.sigma_m is not None else np.full(len(scene.above_m), np.nan)
+    mm = 1e3 * scene.of_triangles(sigma)
+    known = mm[np.isfinite(mm)]
+    limits = np.percentile(known, SPAN) if len(known) else np.array([0.0, 1.0])
+    limits[1] = max(limits[1], 1.1 * limits[0], 1e-3)  # what hardly differs has one colour
+    drawn = faces(ax, scene, array=mm, cmap="YlOrRd", clim=tuple(limits))
+    bar = ax.figure.colorbar(drawn, ax=ax, label="sigma of height / mm", shrink=0.8)
+    bar.ax.ticklabel_format(useOffset=False)
+    for at, (x, y, _) in enumerate(scene.gaps):
+        label = "not seen" if at == 0 else None
+        ax.plot([x], [y], "o", ms=9, mfc="none", mec="#5b2c83", mew=1.6, label=label)
+    for at, place in enumerate(scene.again):
+        label = "another pass helps most" if at == 0 else None
+        ax.plot([place["x_m"]], [place["y_m"]], "+", ms=11, mew=2.0, color=CUT, label=label)
+    finish_map(ax, scene, "Sigma of heights, and where to measure again")
+
+
+def draw_path(ax: Axes, scene: Scene) -> None:
+    """The path of the scanner by the status of its fixes, over the outline."""
+    if scene.path is None:
+        return
+    xyz, status = scene.path.xyz_m, scene.path.status
+    if status is None:
+        ax.plot(xyz[:, 0], xyz[:, 1], ".", ms=4, color=CUT, label="poses (odometry)")
+    else:
+        for value in np.unique(status).tolist():
+            words, colour = STATUS.get(value, (f"status {value}", INK))
+            rows = status == value
+            label = f"{words}: {100 * rows.mean():.0f} %"
+            ax.plot(xyz[rows, 0], xyz[rows, 1], ".", ms=5, color=colour, label=label)
+    finish_map(ax, scene, "Path of the scanner")
+
+
+def draw_section(number: int) -> Callable[..., None]:
+    """How the first or second section is drawn."""
+
+    def draw(ax: Axes, scene: Scene) -> None:
+        s = sections_of(scene)[number]
+        ax.fill_between(s.along_m, s.base_m, s.surface_m, color="#cfe0ef", lw=0)
+        ax.plot(s.along_m, s.surface_m, color=CUT, lw=1.4, label="surface")
+        ax.plot(s.along_m, s.base_m, color=BASE, lw=1.2, ls="--", label="base")
+        (x0, y0), (x1, y1) = s.ends
+        words = f"from {x0:.2f}, {y0:.2f} to {x1:.2f}, {y1:.2f} m"
+        ax.set_title(f"Section {s.name}, {words}", loc="left")
+        ax.set(xlabel="along / m", ylabel="height / m")
+        ax.ticklabel_format(useOffset=False)
+        ax.margins(y=0.12)
+        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
+
+    return draw
+
+
+def draw_budget(ax: Axes, budget_m6: Mapping[str, float]) -> None:
+    """Standard deviations of the volume by source, the largest on top."""
+    lines = sorted(budget_m6.items(), key=lambda item: item[1])[-LINES:]
+    sigma = [float(np.sqrt(max(value, 0.0))) for _, value in lines]
+    names = [name.replace("_", " ") for name, _ in lines]
+    bars = ax.barh(names, sigma, color="#4a86b8", height=0.65)
+    ax.bar_label(bars, [f"{value:.3g}" for value in sigma], padding=3, fontsize=8)
+    ax.set(xlabel="standard deviation of the volume by source / m³")
+    ax.set_xlim(0.0, 1.2 * max([*sigma, 1e-12]))
+    ax.locator_params(axis="x", nbins=5)
+    ax.grid(axis="y", visible=False)
+    ax.set_title("Where the uncertainty comes from", loc="left")
+
+
+def plates(scene: Scene, budget_m6: Mapping[str, float]) -> dict[str, str]:
+    """All figures that the scene has data for, by name, as SVG."""
+    maps: dict[str, Callable[..., None]] = {
+        "heights": draw_heights,
+        "cut-fill": draw_cut_fill,
+    }
+    if scene.sigma_m is not None:
+        maps["sigma"] = draw_sigma
+    if scene.path is not None:
+        maps["path"] = draw_path
+    out = {name: svg(name, partial(draw, scene=scene), 5.6, 4.9) for name, draw in maps.items()}
+    for number in (0, 1):
+        name = f"section-{number + 1}"
+        out[name] = svg(name, partial(draw_section(number), scene=scene), 7.6, 2.6)
+    if any(value > 0.0 for value in budget_m6.values()):
+        out["budget"] = svg("budget", partial(draw_budget, budget_m6=budget_m6), 7.6, 3.4)
+    return out

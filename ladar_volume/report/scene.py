@@ -1,0 +1,155 @@
+"""What the maps of a report show: a surface with its heights above the base and their sigma."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ladar_volume.ground.polynomial import height_above
+from ladar_volume.model.records import F64, I64, Bool, Estimate, Plane, Tin
+from ladar_volume.tin.locate import height_at
+from ladar_volume.uncertainty.epoch_budget import Epoch
+
+#: Places along a section.
+PLACES = 400
+
+
+@dataclass(frozen=True)
+class Path:
+    """xyz_m : (p, 3) mean positions per time bin, map · status : (p,) of the fix nearest in time,
+    as NavSatStatus; None where poses do not come from fixes
+    """
+
+    xyz_m: F64
+    status: I64 | None
+
+
+@dataclass(frozen=True)
+class Scene:
+    """tin : the surface · counted : (t,) triangles that count · above_m : (n,) heights of the
+    vertices above the base · sigma_m : (n,) their standard deviations, or None · outlines : each
+    (k, 2), m, closed or not · base_at : height of the base at xy (k, 2), NaN outside · base : in
+    words · where : the coordinate system in words · again : places of another pass, as
+    ``MoreData.best`` gives them · gaps : x, y, size of places that were not seen, m · path : of the
+    scanner, or None
+    """
+
+    tin: Tin
+    counted: Bool
+    above_m: F64
+    sigma_m: F64 | None
+    outlines: Sequence[F64]
+    base_at: Callable[[F64], F64]
+    base: str
+    where: str
+    again: Sequence[Mapping[str, Any]] = ()
+    gaps: Sequence[tuple[float, float, float]] = ()
+    path: Path | None = None
+
+    def corners(self) -> F64:
+        """Corners (t, 3, 2), m, of the triangles that count."""
+        out: F64 = self.tin.vertices[self.tin.triangles[self.counted], :2]
+        return out
+
+    def of_triangles(self, values: F64) -> F64:
+        """Means (t,) over the triangles that count, of values of the vertices (n,)."""
+        out: F64 = values[self.tin.triangles[self.counted]].mean(axis=1)
+        return out
+
+
+@dataclass(frozen=True)
+class Section:
+    """A vertical section: along_m (k,) from its west or south end, surface_m and base_m (k,) the
+    heights, NaN where there is none · name : in words · ends : (2, 2) m
+    """
+
+    name: str
+    ends: F64
+    along_m: F64
+    surface_m: F64
+    base_m: F64 = field(repr=False)
+
+
+def sections_of(scene: Scene) -> list[Section]:
+    """Two sections through the middle of what counts: west to east, and south to north."""
+    xy = scene.corners().reshape(-1, 2)
+    outline = np.vstack([o for o in scene.outlines]) if scene.outlines else xy
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    low, high = low - 0.15 * (high - low), high + 0.15 * (high - low)
+    low, high = np.maximum(low, xy.min(axis=0)), np.minimum(high, xy.max(axis=0))
+    middle = 0.5 * (low + high)
+    ends = {
+        "west to east": np.array([[low[0], middle[1]], [high[0], middle[1]]]),
+        "south to north": np.array([[middle[0], low[1]], [middle[0], high[1]]]),
+    }
+    return [_section(scene, name, each) for name, each in ends.items()]
+
+
+def _section(scene: Scene, name: str, ends: F64) -> Section:
+    share = np.linspace(0.0, 1.0, PLACES)[:, None]
+    xy = ends[0] + share * (ends[1] - ends[0])
+    length = float(np.linalg.norm(ends[1] - ends[0]))
+    return Section(name, ends, share[:, 0] * length, height_at(scene.tin, xy), scene.base_at(xy))
+
+
+def base_of_plane(plane: Plane | None) -> Callable[[F64], F64]:
+    """Height of a base at xy (k, 2); zero for None."""
+
+    def at(xy: F64) -> F64:
+        out: F64 = -height_above(np.column_stack([xy, np.zeros(len(xy))]), plane)
+        return out
+
+    return at
+
+
+def scene_of_survey(
+    estimate: Estimate, epoch: Epoch, result: Mapping[str, Any], fixes: Sequence[tuple[int, int]]
+) -> Scene:
+    """The scene of a replayed survey. ``fixes``: t_ns and status of each."""
+    tin = estimate.tin
+    bodies = estimate.bodies or (estimate.volume,)
+    return Scene(
+        tin=tin,
+        counted=np.asarray(tin.relevant, dtype=bool),
+        above_m=height_above(tin.vertices, estimate.base),
+        sigma_m=epoch.sigma_z(),
+        outlines=[body.outline for body in bodies],
+        base_at=base_of_plane(estimate.base),
+        base=estimate.volume.base,
+        where=where_of(result["datum"]),
+        again=result["where_more_data_helps"]["places"],
+        gaps=[(gap.x_m, gap.y_m, gap.size_m) for gap in estimate.volume.gaps],
+        path=path_of(epoch, fixes),
+    )
+
+
+def where_of(datum: Mapping[str, float] | None) -> str:
+    """The frame of a survey in words."""
+    if datum is None:
+        return "map frame of the odometry"
+    return (
+        f"east, north, up about {datum['latitude_deg']:.7g}° N, {datum['longitude_deg']:.7g}° E, "
+        f"{datum['height_m']:.1f} m (WGS 84, local tangent plane)"
+    )
+
+
+def path_of(epoch: Epoch, fixes: Sequence[tuple[int, int]]) -> Path | None:
+    """Where the platform was, by time bin, with the status of the fix nearest in time."""
+    bins = epoch.sources.navigation
+    index, count, _, pose = bins.sums()
+    if not len(index):
+        return None
+    xyz = pose[:, 0] / count[:, None]
+    if not fixes:
+        return Path(xyz, None)
+    t, status = (np.array(each) for each in zip(*fixes, strict=True))
+    order = np.argsort(t, kind="stable")
+    t, status = t[order], status[order]
+    middle = index * bins.bin_ns + bins.bin_ns // 2
+    after = np.clip(np.searchsorted(t, middle), 1, max(len(t) - 1, 1)) if len(t) > 1 else 0 * index
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(t[before] - middle) <= np.abs(t[after] - middle), before, after)
+    return Path(xyz, status[nearest])
