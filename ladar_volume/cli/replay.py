@@ -6,7 +6,7 @@ import argparse
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import Progress
@@ -25,6 +25,9 @@ from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import Estimate
 from ladar_volume.replay import Replay
 from ladar_volume.uncertainty.epoch_budget import Epoch
+
+if TYPE_CHECKING:
+    from ladar_volume.io.mavlink.mavlink_log import MavlinkLog
 
 
 def topics_from(words: list[str]) -> dict[str, str]:
@@ -68,11 +71,7 @@ def _replayed(
 ) -> tuple[dict[str, Any], float]:
     """Replay and write; returns the result and the seconds the replay took."""
     with BagReader(arguments.bag) as bag:
-        poses = None
-        if arguments.poses is not None:
-            from ladar_volume.io.mavlink.mavlink_log import MavlinkLog  # with pymavlink
-
-            poses = MavlinkLog(arguments.poses, parameters.mavlink)
+        poses = poses_of(arguments, parameters)
         replay = Replay(
             bag,
             parameters,
@@ -87,10 +86,7 @@ def _replayed(
             estimate = replay.run(lambda share: bar.update(task, completed=share))
         result = replay.result(estimate)
         if parameters.volume.kind == "bodies":
-            found = replay.closed_bodies(estimate)
-            result["closed_bodies"] = results.closed_bodies_dict(found)
-            result["verdict"] = results.with_doubts(result["verdict"], found.verdict)
-            write_bodies(folder / "bodies.ply", [b.body for b in found.bodies])
+            add_closed_bodies(replay, estimate, result, folder)
         seconds = time.perf_counter() - began
     write_outputs(
         folder,
@@ -106,6 +102,25 @@ def _replayed(
         epoch = replay.engine.estimator.epoch()
         write_survey_report(folder / "report.html", estimate, epoch, result, replay.fixes)
     return result, seconds
+
+
+def poses_of(arguments: argparse.Namespace, parameters: Parameters) -> MavlinkLog | None:
+    """The autopilot's log that stands in for the recording's own poses, where one is given."""
+    if arguments.poses is None:
+        return None
+    from ladar_volume.io.mavlink.mavlink_log import MavlinkLog  # with pymavlink
+
+    return MavlinkLog(arguments.poses, parameters.mavlink)
+
+
+def add_closed_bodies(
+    replay: Replay, estimate: Estimate, result: dict[str, Any], folder: Path
+) -> None:
+    """Closed bodies of the survey: into the result, and their meshes into the folder."""
+    found = replay.closed_bodies(estimate)
+    result["closed_bodies"] = results.closed_bodies_dict(found)
+    result["verdict"] = results.with_doubts(result["verdict"], found.verdict)
+    write_bodies(folder / "bodies.ply", [b.body for b in found.bodies])
 
 
 def write_outputs(

@@ -214,7 +214,6 @@ class Tolerated:
 def summary(pile: Tolerated | None = None) -> dict[str, Any]:
     """Every number of the study as plain values, of a pile of coal by default."""
     pile, printed = pile or Tolerated(), READINGS[0]
-    cone = pile.cone
     return {
         "position_sigma_m": {
             "printed": PRINTED_POSITION_M,
@@ -236,28 +235,38 @@ def summary(pile: Tolerated | None = None) -> dict[str, Any]:
                 r.title: [float(r.sigmas(h)[2]) * INTERPOLATED for h in HEIGHTS_M] for r in READINGS
             },
         },
-        "cone": {
-            "volume_m3": cone.volume_m3,
-            "repose_deg": math.degrees(cone.repose_rad),
-            "width_m": cone.width_m,
-            "height_m": cone.height_m,
-            "area_m2": cone.area_m2,
-            "share": pile.share,
-            "changes_m": cone.changes(pile.share),
-        },
-        "rule": {
-            "needed_width_m": pile.needed_m[0],
-            "needed_height_m": pile.needed_m[1],
-            "readings": {
-                r.title: [
-                    {
-                        "sigma_z_m": float(r.sigmas(h)[2]),
-                        "holds": pile.within(float(r.sigmas(h)[2])),
-                        "smallest_m3": pile.smallest_m3(float(r.sigmas(h)[2])),
-                    }
-                    for h in HEIGHTS_M
-                ]
-                for r in READINGS
-            },
-        },
+        "cone": cone_facts(pile),
+        "rule": rule_facts(pile),
+    }
+
+
+def cone_facts(pile: Tolerated) -> dict[str, Any]:
+    """The pile as a cone (seed 004 equations 5 and 6)."""
+    cone = pile.cone
+    return {
+        "volume_m3": cone.volume_m3,
+        "repose_deg": math.degrees(cone.repose_rad),
+        "width_m": cone.width_m,
+        "height_m": cone.height_m,
+        "area_m2": cone.area_m2,
+        "share": pile.share,
+        "changes_m": cone.changes(pile.share),
+    }
+
+
+def rule_facts(pile: Tolerated) -> dict[str, Any]:
+    """Whether each reading's heights hold the tolerated share of the pile."""
+
+    def row(reading: Reading, height_m: float) -> dict[str, Any]:
+        sigma = float(reading.sigmas(height_m)[2])
+        return {
+            "sigma_z_m": sigma,
+            "holds": pile.within(sigma),
+            "smallest_m3": pile.smallest_m3(sigma),
+        }
+
+    return {
+        "needed_width_m": pile.needed_m[0],
+        "needed_height_m": pile.needed_m[1],
+        "readings": {r.title: [row(r, h) for h in HEIGHTS_M] for r in READINGS},
     }

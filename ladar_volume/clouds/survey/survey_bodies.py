@@ -105,13 +105,7 @@ def bodies_of_survey(raw: F64, sources: Sources, parameters: Parameters) -> Surv
     ground, :class:`ObjectError` where the filter left out most of what rises, and
     :class:`SurfaceError` where none can be meshed and closed.
     """
-    if len(raw) > MOST_RETURNS:
-        raise VolumeError(
-            f"{len(raw):,} returns lie around the bodies, {MOST_RETURNS:,} at most make closed "
-            "bodies: name the place by georeference.region_m",
-            reason="survey_returns",
-            value=len(raw),
-        )
+    check_count(raw)
     result = filter_cloud(raw, FilterParameters(), auto=True)
     points = filtered_points(result)
     # what lies along the ground within its scatter is no object
@@ -138,6 +132,17 @@ def bodies_of_survey(raw: F64, sources: Sources, parameters: Parameters) -> Surv
         out.append(_row(body, budget, height, len(made.sources[k]), parameters))
     out.sort(key=lambda b: -b.volume_m3)
     return SurveyBodies(tuple(out), ground, verdict, len(raw))
+
+
+def check_count(raw: F64) -> None:
+    """Refuses more returns (n, 3) than are filtered at once."""
+    if len(raw) > MOST_RETURNS:
+        raise VolumeError(
+            f"{len(raw):,} returns lie around the bodies, {MOST_RETURNS:,} at most make closed "
+            "bodies: name the place by georeference.region_m",
+            reason="survey_returns",
+            value=len(raw),
+        )
 
 
 def _row(
