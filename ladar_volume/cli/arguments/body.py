@@ -7,9 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ladar_volume.cli.arguments.diff_input import MOST
-from ladar_volume.cli.arguments.ground_preset import add_ground_preset
 from ladar_volume.cli.arguments.lines import Verbs
-from ladar_volume.cli.arguments.parameter_flags import add_parameter
+from ladar_volume.cli.arguments.parameter_flags import add_ground_preset, add_parameter
 from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work

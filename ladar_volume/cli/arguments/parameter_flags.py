@@ -8,6 +8,7 @@ import argparse
 import math
 from collections.abc import Callable
 
+from ladar_volume.ground.ground_presets import PRESETS
 from ladar_volume.model.errors import ConfigurationError, ParameterValueError
 from ladar_volume.model.parameter import ParameterSpec, convert, specs
 from ladar_volume.model.parameters import SECTIONS
@@ -84,3 +85,12 @@ def add_parameter(
         action.nargs = spec.vector
     # what the option names: a test holds that every such option is declared here
     action.parameter = name  # type: ignore[attr-defined]
+
+
+def add_ground_preset(group: argparse._ActionsContainer) -> None:
+    """Declare ``--ground-preset``."""
+    group.add_argument(
+        "--ground-preset",
+        choices=sorted(PRESETS),
+        help="published settings of the ground (T, k, outliersThreshold)",
+    )

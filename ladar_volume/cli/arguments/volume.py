@@ -5,9 +5,13 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ladar_volume.cli.arguments.ground_preset import add_ground_preset
 from ladar_volume.cli.arguments.lines import Verbs
-from ladar_volume.cli.arguments.parameter_flags import add_parameter, number, spec_of
+from ladar_volume.cli.arguments.parameter_flags import (
+    add_ground_preset,
+    add_parameter,
+    number,
+    spec_of,
+)
 from ladar_volume.cli.arguments.reading import add_mesh_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.surface_options import add_surface_options
