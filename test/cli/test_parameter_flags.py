@@ -19,6 +19,7 @@ from ladar_volume.model.parameters import SECTIONS
 UNITS = ("m", "m2", "m3", "s", "hz", "deg")
 #: Options with the word of a parameter that name something else.
 OTHER_THINGS = {
+    "study wild --kind": "of trouble",
     "replay --start": "seconds into the recording",
     "calibrate strips --start": "seconds into the recording",
     "simulate --seed": "seed of the simulated errors",
