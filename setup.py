@@ -35,7 +35,7 @@ EXTRAS = {
         "open3d-cpu>=0.19; platform_machine == 'x86_64' and sys_platform == 'linux'",
         "open3d>=0.19; platform_machine != 'x86_64' or sys_platform != 'linux'",
     ],
-    "geo": [],  # coordinate systems are among what every verb needs
+    "geo": [],  # coordinate systems are among NEEDED; packages of further file formats come here
     "page": ["starlette>=0.40", "uvicorn>=0.30"],
     "completion": ["shtab>=1.7"],
     "test": ["pytest"],  # by this colcon knows that pytest runs the tests

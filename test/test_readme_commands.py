@@ -20,7 +20,7 @@ from ladar_volume.io.pointfiles.cloud_files import write_cloud
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), ROOT / "bags" / "README.md"]
 TEXT = {page: page.read_text(encoding="utf-8") for page in PAGES}
-VERBS = (*MODULES, "info", "check-config")
+VERBS = (*MODULES, "info", "check-config", "completion")
 
 
 def lines(page):

@@ -84,8 +84,8 @@ def address_of(text: str, token: str | None) -> Address:
     return Address(host, number, token or "")
 
 
-def app_of(feed: Feed, address: Address) -> Starlette:
-    """The page at ``/`` and its events at ``/events``."""
+def app_of(feed: Feed, address: Address, ending: threading.Event) -> Starlette:
+    """The page at ``/`` and its events at ``/events``, which end with ``ending``."""
     page = PAGE.read_text(encoding="utf-8")
 
     def refused(request: Request) -> Response | None:
@@ -99,7 +99,7 @@ def app_of(feed: Feed, address: Address) -> Starlette:
 
     async def events(request: Request) -> Response:
         return refused(request) or StreamingResponse(
-            states(feed, request), media_type="text/event-stream", headers=HEADERS
+            states(feed, request, ending), media_type="text/event-stream", headers=HEADERS
         )
 
     hosts = ["localhost", "127.0.0.1", "[::1]"] if not address.token else ["*"]
@@ -107,10 +107,10 @@ def app_of(feed: Feed, address: Address) -> Starlette:
     return Starlette(routes=[Route("/", show), Route("/events", events)], middleware=[guard])
 
 
-async def states(feed: Feed, request: Request) -> AsyncIterator[str]:
+async def states(feed: Feed, request: Request, ending: threading.Event) -> AsyncIterator[str]:
     """The state as an event whenever it changed, and a comment where it has not for long."""
     seen, said = -1, time.monotonic()
-    while not await request.is_disconnected():
+    while not ending.is_set() and not await request.is_disconnected():
         now = time.monotonic()
         if feed.number != seen:
             seen, said = feed.number, now
@@ -126,13 +126,14 @@ def served(feed: Feed, address: Address) -> Iterator[Address]:
     """Serve the page in a thread while the block runs; the address with the port that was taken.
     Raises :class:`OutputError` where the address is not free.
     """
+    ending = threading.Event()
     config = uvicorn.Config(
-        app_of(feed, address),
+        app_of(feed, address, ending),
         host=address.host,
         port=address.port,
         log_level="error",
         access_log=False,
-        timeout_graceful_shutdown=1,
+        timeout_graceful_shutdown=3,
         server_header=False,
     )
     server = uvicorn.Server(config)
@@ -154,6 +155,7 @@ def served(feed: Feed, address: Address) -> Iterator[Address]:
             time.sleep(0.01)
         yield Address(address.host, int(socket.getsockname()[1]), address.token)
     finally:
+        ending.set()
         server.should_exit = True
         thread.join(timeout=5.0)
         socket.close()

@@ -54,6 +54,14 @@ def test_the_page_and_its_events_come_from_loopback_alone():
     assert state["cells"][0]["gap"] and state["nodes"]["filter_node"]["level"] == "warning"
 
 
+def test_a_browser_that_looks_on_does_not_disturb_the_end(capfd):
+    with served(Feed(), address_of("0", None)) as at:
+        stream = get(at.url + "events")
+        assert stream.readline().startswith(b"data: ")
+    assert stream.read() == b"\n"
+    assert capfd.readouterr().err == ""
+
+
 def test_another_address_needs_a_token_and_every_request_brings_it():
     with pytest.raises(ConfigurationError, match="--page-token"):
         address_of("0.0.0.0:8080", None)
