@@ -12,6 +12,7 @@ from typing import Any
 from ladar_volume.io import results
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.cloud_messages import returns_from_cloud
+from ladar_volume.io.drivers.ring_count import RingCount
 from ladar_volume.io.mavlink.mavlink_log import ROLE, MavlinkLog
 from ladar_volume.io.sensor_messages import (
     fix_from_message,
@@ -51,6 +52,7 @@ class Replay:
         self.engine = Engine(self.parameters)
         self.losses = Losses()
         self.returns = 0
+        self._rings = RingCount(self.parameters.georeference.beams)
 
     def run(self, progress: Callable[[float], None] = lambda share: None) -> Estimate:
         """Feed every message, finish, and estimate. A bad message is counted and left out; the good
@@ -86,6 +88,7 @@ class Replay:
 
     def _add_returns(self, returns: Returns) -> None:
         self.returns += len(returns)
+        self._rings.add(returns)
         self.engine.add_returns(returns)
 
     def records(self) -> Iterator[tuple[float, str, Any]]:
