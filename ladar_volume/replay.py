@@ -167,6 +167,7 @@ class Replay:
         }
         if self.poses is not None:
             source |= {"poses": self.poses.path.name, "poses_sha256": self.poses.digest()}
+            source |= {"poses_height": self.poses.height_reference}
         result = results.result_dict(
             estimate, self.parameters, self.all_losses(), self.engine.datum, points, source
         )
