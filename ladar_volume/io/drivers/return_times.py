@@ -59,14 +59,8 @@ def return_times(
         )
     values = columns[layout.time]
     refuse = parameters.untimed_clouds == "refuse"
-    one = n > ONE_TIME_RETURNS and bool((values == values[0]).all())
-    if one and refuse:
-        raise CloudError(
-            f"field {layout.time} holds one and the same time for {n} returns; "
-            "georeference.untimed_clouds: stamp accepts it",
-            reason="cloud_one_time",
-            value=n,
-        )
+    if refuse:
+        _check_one_time(values, layout)
     # 32 bits hold no time since 1970 but whole seconds
     wide = values.dtype.itemsize == 8
     if wide and (layout.time in ABSOLUTE or _epoch_unit(_middle(values)) is not None):
@@ -79,6 +73,18 @@ def return_times(
     if refuse and n > ONE_TIME_RETURNS:
         _check_turn(columns, t_ns[ok], layout)
     return t_ns, ok
+
+
+def _check_one_time(values: Values, layout: PointLayout) -> None:
+    """Refuse the same time for all returns of a sweep."""
+    n = len(values)
+    if n > ONE_TIME_RETURNS and bool((values == values[0]).all()):
+        raise CloudError(
+            f"field {layout.time} holds one and the same time for {n} returns; "
+            "georeference.untimed_clouds: stamp accepts it",
+            reason="cloud_one_time",
+            value=n,
+        )
 
 
 def _middle(values: Values) -> float:
