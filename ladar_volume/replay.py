@@ -15,6 +15,7 @@ from ladar_volume.clouds.survey.survey_bodies import SurveyBodies, around, bodie
 from ladar_volume.io import results
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.cloud_messages import returns_from_cloud
+from ladar_volume.io.drivers.ring_count import RingCount
 from ladar_volume.io.sensor_messages import (
     fix_from_message,
     imu_from_message,
@@ -58,6 +59,7 @@ class Replay:
         self.returns = 0
         #: Time, ns, and status of every fix, as NavSatStatus.
         self.fixes: list[tuple[int, int]] = []
+        self._rings = RingCount(self.parameters.georeference.beams)
 
     def run(self, progress: Callable[[float], None] = lambda share: None) -> Estimate:
         """Feed every message, finish, and estimate. A bad message is counted and left out; the good
@@ -97,6 +99,7 @@ class Replay:
 
     def _add_returns(self, returns: Returns) -> None:
         self.returns += len(returns)
+        self._rings.add(returns)
         self.engine.add_returns(returns)
 
     def records(self) -> Iterator[tuple[float, str, Any]]:
@@ -187,6 +190,7 @@ class Replay:
         }
         if self.poses is not None:
             source |= {"poses": self.poses.path.name, "poses_sha256": self.poses.digest()}
+            source |= {"poses_height": self.poses.height_reference}
         result = results.result_dict(
             estimate, self.parameters, self.all_losses(), self.engine.datum, points, source
         )

@@ -7,6 +7,7 @@ encoding is bit-lossless.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -86,9 +87,9 @@ def _checked_bytes(
     return data
 
 
-def decode(message: Any) -> dict[str, npt.NDArray[Any]]:
+def decode(message: Any, wanted: Collection[str] | None = None) -> dict[str, npt.NDArray[Any]]:
     """Columns of a PointCloud2-like message, native byte order, row order kept; organised clouds
-    are flattened.
+    are flattened. ``wanted``: only fields of these names are looked at.
 
     Raises
     ------
@@ -98,7 +99,7 @@ def decode(message: Any) -> dict[str, npt.NDArray[Any]]:
     point_step, row_step = int(message.point_step), int(message.row_step)
     data = _checked_bytes(message.data, (width, height), (point_step, row_step))
     dtype = _dtype(
-        message, point_step
+        message, point_step, wanted
     )  # after the sizes: a row that does not fit the data may be too long for any type
     if height == 1 or row_step == width * point_step:
         records = np.ascontiguousarray(data[: width * height * point_step]).view(dtype)
@@ -109,10 +110,14 @@ def decode(message: Any) -> dict[str, npt.NDArray[Any]]:
     return {n: v.astype(v.dtype.newbyteorder("="), copy=False) for n, v in native.items()}
 
 
-def _dtype(message: Any, point_step: int) -> np.dtype[Any]:
+def _dtype(message: Any, point_step: int, wanted: Collection[str] | None) -> np.dtype[Any]:
     order = ">" if message.is_bigendian else "<"
-    names, formats, offsets = [], [], []
+    names: list[str] = []
+    formats: list[str] = []
+    offsets: list[int] = []
     for f in message.fields:
+        if wanted is not None and f.name not in wanted:
+            continue
         code, count = DATATYPES.get(int(f.datatype)), max(int(f.count), 1)
         if code is None:
             raise CloudError(
@@ -120,9 +125,9 @@ def _dtype(message: Any, point_step: int) -> np.dtype[Any]:
                 reason="cloud_fields",
                 value=f.datatype,
             )
-        if int(f.offset) + count * np.dtype(code).itemsize > point_step:
+        if int(f.offset) < 0 or int(f.offset) + count * np.dtype(code).itemsize > point_step:
             raise CloudError(
-                f"field {f.name!r} ends beyond point_step {point_step}",
+                f"field {f.name!r} lies beyond point_step {point_step}",
                 reason="cloud_point_step",
                 value=point_step,
             )
@@ -131,7 +136,7 @@ def _dtype(message: Any, point_step: int) -> np.dtype[Any]:
         names.append(str(f.name))
         formats.append(f"{order}{code}" if count == 1 else f"({count},){order}{code}")
         offsets.append(int(f.offset))
-    if point_step <= 0 or not names:
+    if point_step <= 0 or not message.fields:
         raise CloudError(
             f"no fields or point_step {point_step}", reason="cloud_point_step", value=point_step
         )

@@ -37,12 +37,13 @@ class MavlinkParameters:
         choices=("auto", "ATTITUDE", "ATTITUDE_QUATERNION"),
     )
     height: str = param(
-        "ellipsoidal",
+        "auto",
         (
-            "Which height is taken: the receiver's ellipsoidal one (a fix without it is "
-            "refused), or mean sea level plus geoid_undulation_m."
+            "Which height is taken: the receiver's ellipsoidal one (ellipsoidal: a fix without "
+            "it is refused), mean sea level plus geoid_undulation_m (msl), or the first there is "
+            "of the receiver's, geoid_undulation_m, PROJ's geoid, and plain mean sea level (auto)."
         ),
-        choices=("ellipsoidal", "msl"),
+        choices=("auto", "ellipsoidal", "msl"),
     )
     geoid_undulation_m: float = param(
         math.nan,

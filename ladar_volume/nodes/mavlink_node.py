@@ -213,6 +213,11 @@ class MavlinkNode(StageNode):
 
     def errors(self) -> list[str]:
         """An autopilot that is there and gives no position."""
+        if self._link is not None and not self._link.is_open:
+            return [
+                f"{self.parameters.mavlink.url} cannot be opened: another program holds it, or it "
+                "is not there; it is tried again every second"
+            ]
         now, positions = time.monotonic(), self.sent["fix"] + self.sent["odometry"]
         if self._link is None or not self._session.alive or positions != self._positions:
             self._positions, self._positions_s = positions, now

@@ -16,6 +16,7 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import all as dialect
 
 from ladar_volume.io.mavlink.mavlink_dataflash import DataFlashLog
+from ladar_volume.io.mavlink.mavlink_heights import geoid_undulation
 from ladar_volume.io.mavlink.mavlink_links import (
     SerialLink,
     TcpLink,
@@ -156,7 +157,7 @@ def test_a_fix_has_its_height_accuracy_status_and_time():
     ],
 )
 def test_bad_fixes_are_refused_by_name(changes, reason):
-    record, losses = one(**changes)
+    record, losses = one(session_changes={"height": "ellipsoidal"}, **changes)
     assert record is None and losses == {reason: 1}
 
 
@@ -166,7 +167,7 @@ def test_mean_sea_level_without_the_geoid_is_refused_at_the_start():
 
 
 def test_the_fused_position_takes_the_receivers_undulation():
-    session, vehicle = settled(position="GLOBAL_POSITION_INT")
+    session, vehicle = settled(position="GLOBAL_POSITION_INT", height="ellipsoidal")
     vehicle.mav.global_position_int_send(5050, 501234567, 141234567, 251_000, 0, 0, 0, 0, 0)
     assert fed(session, vehicle, 5050) == [] and session.losses().as_dict() == {
         "fix_no_ellipsoidal_height": 1
@@ -175,6 +176,45 @@ def test_the_fused_position_takes_the_receivers_undulation():
     vehicle.mav.global_position_int_send(5100, 501234567, 141234567, 251_000, 0, 0, 0, 0, 0)
     (fix,) = fed(session, vehicle, 5100)
     assert fix.height_m == 296.0 and fix.C_enu is None
+
+
+def test_heights_have_one_reference_for_a_survey_and_it_is_named():
+    session, vehicle = settled()
+    vehicle.gps(5100, alt_ellipsoid=0)
+    (fix,) = fed(session, vehicle, 5100)
+    assert fix.height_m == 250.0
+    if geoid_undulation(50.1, 14.1) is None:  # a grid of PROJ would give some 44 m more
+        assert "above mean sea level" in session.status()["height"]
+    vehicle.gps(5200)  # a step of 45 m in the trajectory, were this one taken now
+    assert fed(session, vehicle, 5200)[0].height_m == fix.height_m
+    assert one(session_changes={"geoid_undulation_m": 44.5}, alt_ellipsoid=0)[0].height_m == 294.5
+    session, vehicle = settled()
+    vehicle.gps(5100)
+    vehicle.gps(5200, alt_ellipsoid=0, alt=251_000)
+    assert [f.height_m for f in fed(session, vehicle, 5200)] == [295.0, 296.0]
+    assert session.status()["height"] == "ellipsoidal, the receiver's own"
+
+
+def test_a_fix_of_a_restarted_autopilot_is_never_published_in_the_past():
+    session, vehicle = settled()
+    vehicle.attitude(1_248_000)
+    vehicle.gps(1_248_000)
+    fed(session, vehicle, 1_248_000)
+    boot, records = Vehicle(), []
+    for ms in range(0, 6000, 200):  # receivers first: attitudes come later
+        boot.gps(900 + ms)
+        if ms > 3000:
+            boot.attitude(900 + ms)
+        records += fed(session, boot, 1_250_000 + ms)
+    assert session.decoder.restarts == 1 and records
+    assert all(r.t_ns > START + 1_250_000 * 10**6 for r in records)
+    # a receiver that lost its fix repeats the last one: no restart
+    session, vehicle = settled()
+    for ms in range(5100, 9000, 100):
+        vehicle.attitude(ms)
+        vehicle.gps(min(ms, 5500))
+        fed(session, vehicle, ms)
+    assert session.decoder.restarts == 0 and session.decoder.repeated > 30
 
 
 def test_the_second_receiver_and_repeated_fixes():
@@ -667,7 +707,7 @@ def test_a_dataflash_log_is_related_to_utc_by_its_fixes(tmp_path):
     ]
     assert len(second) == 50 and second[0].longitude_deg == pytest.approx(14.1234568)
     path.write_bytes(dataflash(und=0.0))
-    log = DataFlashLog(path, MavlinkParameters())
+    log = DataFlashLog(path, MavlinkParameters(height="ellipsoidal"))
     assert not [r for r in log.records() if isinstance(r, Fix)] and log.losses.as_dict() == {
         "fix_no_ellipsoidal_height": 50
     }
@@ -807,8 +847,27 @@ def test_urls_are_read_or_refused():
     )
     link = open_link("udpin::0")  # no host: loopback, and nothing else
     assert link.address[0] == "127.0.0.1"
-    with pytest.raises(ConfigurationError):
-        open_link(f"udpin:127.0.0.1:{link.address[1]}")
+    link.close()
+    with pytest.raises(ConfigurationError):  # no address of this computer
+        open_link("udpin:203.0.113.9:14550")
+
+
+def test_a_busy_port_is_tried_again_and_counted(monkeypatch):
+    monkeypatch.setattr("ladar_volume.io.mavlink.mavlink_links.RETRY_S", 0.05)
+    other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    other.bind(("127.0.0.1", 0))
+    port = other.getsockname()[1]
+    link = UdpLink(("127.0.0.1", port), True)
+    assert link.read(0.01) == b"" and link.losses["mavlink_port_not_open"] >= 1
+    other.close()
+    sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    for _ in range(100):
+        sender.sendto(b"here", ("127.0.0.1", port))
+        if link.read(0.02) == b"here":
+            break
+    else:
+        pytest.fail("the port was free and not opened")
+    sender.close()
     link.close()
 
 

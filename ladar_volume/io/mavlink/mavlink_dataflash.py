@@ -27,8 +27,9 @@ from ladar_volume.io.mavlink.mavlink_frames import (
     flu_from_frd,
     quaternion_from_euler,
 )
+from ladar_volume.io.mavlink.mavlink_heights import Heights
 from ladar_volume.io.mavlink.mavlink_poses import InertialSample, accuracy_covariance
-from ladar_volume.io.mavlink.mavlink_records import STATUS, Record, height_parameters, time_in_range
+from ladar_volume.io.mavlink.mavlink_records import STATUS, Record, time_in_range
 from ladar_volume.model.errors import AttitudeError, BagError, FixError, InputError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.mavlink_parameters import MavlinkParameters
@@ -92,7 +93,7 @@ class DataFlashLog:
     """
 
     def __init__(self, path: Path, parameters: MavlinkParameters) -> None:
-        height_parameters(parameters)
+        self.heights = Heights(parameters)
         self.path, self.parameters = path, parameters
         self.losses = Losses()
         self.counts: dict[str, int] = {}
@@ -187,7 +188,7 @@ class DataFlashLog:
             return self._inertial(m) if getattr(m, "I", 0) == 0 else None
         if kind == "POS":
             return (
-                self._fix(time_in_range(self.utc_ns(_time_us(m)), "fix"), m, None, None, 0)
+                self._fix(time_in_range(self.utc_ns(_time_us(m)), "fix"), m, None, 0)
                 if fused
                 else None
             )
@@ -197,9 +198,8 @@ class DataFlashLog:
         if epoch is None:
             raise FixError("fix without time", reason="fix_no_time")
         current = accuracy is not None and _time_us(accuracy) == _time_us(m)
-        self._undulation = (
-            -float(accuracy.Und) if current and getattr(accuracy, "Und", None) else None
-        )
+        if current and getattr(accuracy, "Und", None):
+            self.heights.receiver_says(-float(accuracy.Und))
         if fused:
             return None
         C = None
@@ -208,9 +208,9 @@ class DataFlashLog:
             C = accuracy_covariance(
                 round(float(accuracy.HAcc) * 1e3), round(float(accuracy.VAcc) * 1e3), radial
             )
-        return self._fix(time_in_range(epoch, "fix"), m, self._undulation, C, STATUS[int(m.Status)])
+        return self._fix(time_in_range(epoch, "fix"), m, C, STATUS[int(m.Status)])
 
-    def _fix(self, t_ns: int, m: Any, undulation: float | None, C: F64 | None, status: int) -> Fix:
+    def _fix(self, t_ns: int, m: Any, C: F64 | None, status: int) -> Fix:
         latitude, longitude, msl = float(m.Lat), float(m.Lng), float(m.Alt)
         if not all(math.isfinite(v) for v in (latitude, longitude, msl)):
             raise FixError("fix is not finite", reason="fix_nan")
@@ -220,11 +220,8 @@ class DataFlashLog:
                 reason="fix_range",
                 value=(latitude, longitude),
             )
-        if self.parameters.height == "msl":
-            undulation = self.parameters.geoid_undulation_m
-        if undulation is None:
-            raise FixError("no ellipsoidal height is logged", reason="fix_no_ellipsoidal_height")
-        return Fix(t_ns, latitude, longitude, msl + undulation, C, status)
+        height = self.heights.height(msl, (latitude, longitude))
+        return Fix(t_ns, latitude, longitude, height, C, status)
 
     def _attitude(self, m: Any) -> ImuSample:
         angles = [math.radians(float(a)) for a in (m.Roll, m.Pitch, m.Yaw)]

@@ -9,6 +9,7 @@ are counted and left out until the node is reset.
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import select
 import socket
@@ -32,6 +33,10 @@ class Link(Protocol):
     """A two-way link. ``losses`` counts what was refused and how often the link broke."""
 
     losses: Losses
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the own end is there: a port of this computer that could be taken."""
 
     def read(self, timeout_s: float) -> bytes:
         """What has come, at most ``timeout_s`` from now; empty for nothing."""
@@ -82,15 +87,19 @@ def _taken(descriptor: int, timeout_s: float) -> bytes | None:
 
 
 class UdpLink:
-    """Datagrams: listening on ``address``, or sending to it."""
+    """Datagrams: listening on ``address``, or sending to it. A port that another program holds is
+    tried again every :data:`RETRY_S`, and counted.
+    """
 
     def __init__(self, address: tuple[str, int], listen: bool) -> None:
         self.losses = Losses()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._peers = _Peers(self.losses) if listen else None
+        self._wanted: tuple[str, int] | None = None
+        self._next = 0.0
         try:
             if listen:
-                self._socket.bind(address)
+                self._bind(address)
             else:
                 self._socket.connect(address)
         except _ADDRESS as error:
@@ -101,6 +110,22 @@ class UdpLink:
         self._socket.setblocking(False)
 
     @property
+    def is_open(self) -> bool:
+        """Whether the port is bound."""
+        return self._wanted is None
+
+    def _bind(self, address: tuple[str, int]) -> None:
+        """Listen, or remember to try again."""
+        try:
+            self._socket.bind(address)
+            self._wanted = None
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise
+            self._wanted, self._next = address, time.monotonic() + RETRY_S
+            self.losses.add("mavlink_port_not_open")
+
+    @property
     def address(self) -> tuple[str, int]:
         """The own end."""
         host, port = self._socket.getsockname()[:2]
@@ -108,6 +133,11 @@ class UdpLink:
 
     def read(self, timeout_s: float) -> bytes:
         """All datagrams of the peer that wait; those of others are counted and dropped."""
+        if self._wanted is not None:
+            time.sleep(min(timeout_s, max(self._next - time.monotonic(), 0.0)))
+            if time.monotonic() >= self._next:
+                self._bind(self._wanted)
+            return b""
         select.select([self._socket], [], [], timeout_s)
         data = bytearray()
         with contextlib.suppress(OSError):  # nothing more waits, or the peer's port is closed
@@ -155,6 +185,11 @@ class TcpLink:
                     f"mavlink.url: {shown(address[0])}:{address[1]}: {error}", value=address
                 ) from error
             self._server.setblocking(False)
+
+    @property
+    def is_open(self) -> bool:
+        """A connection that is not there yet is the other end's affair."""
+        return True
 
     @property
     def address(self) -> tuple[str, int]:
@@ -235,6 +270,11 @@ class SerialLink:
         self._speed: int = speed
         self._fd: int | None = None
         self._open()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the device is open."""
+        return self._fd is not None
 
     def _open(self) -> None:
         self._next = time.monotonic() + RETRY_S

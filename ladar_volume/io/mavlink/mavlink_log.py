@@ -9,7 +9,7 @@ from typing import Any
 
 from ladar_volume.io.mavlink.mavlink_dataflash import DataFlashLog
 from ladar_volume.io.mavlink.mavlink_poses import InertialSample
-from ladar_volume.io.mavlink.mavlink_records import Record, height_parameters
+from ladar_volume.io.mavlink.mavlink_records import Record
 from ladar_volume.io.mavlink.mavlink_session import MavlinkSession
 from ladar_volume.io.mavlink.mavlink_tlog import tlog_frames
 from ladar_volume.model.errors import BagError
@@ -38,7 +38,6 @@ class MavlinkLog:
     """
 
     def __init__(self, path: Path, parameters: MavlinkParameters) -> None:
-        height_parameters(parameters)
         if not path.is_file():
             raise BagError(f"{path}: no such log", reason="bag_missing", value=str(path))
         if log_file(str(path)) is None:
@@ -69,9 +68,16 @@ class MavlinkLog:
         if self._dataflash is None:
             return self._session.status()
         return {
+            "height": self.height_reference,
             "clock": "UTC by GPS time",
             "clock_sigma_s": f"{self._dataflash.line.sigma_ns * 1e-9:.6f}",
         }
+
+    @property
+    def height_reference(self) -> str:
+        """What the heights of the fixes so far refer to; empty before the first."""
+        source = self._dataflash or self._session.decoder
+        return source.heights.reference
 
     def digest(self) -> str:
         """sha256 of the file."""

@@ -21,6 +21,7 @@ from ladar_volume.io.mavlink.mavlink_frames import (
     flu_from_frd,
     quaternion_from_euler,
 )
+from ladar_volume.io.mavlink.mavlink_heights import Heights
 from ladar_volume.io.mavlink.mavlink_poses import (
     UNKNOWN_U32,
     InertialSample,
@@ -31,7 +32,6 @@ from ladar_volume.io.mavlink.mavlink_poses import (
 )
 from ladar_volume.model.errors import (
     AttitudeError,
-    ConfigurationError,
     FixError,
     InputError,
     TimeOrderError,
@@ -52,6 +52,8 @@ LAST_NS = 2**31 * S
 #: Boot time that runs back by more than this, and stays there for a second, is a restart; else it
 #: is late packets.
 RESTART_MS = 1000
+#: No message is so far ahead of the newest boot time.
+AHEAD_MS = 60_000
 #: How long a value of another message stays current.
 CURRENT_NS = 2 * S
 GRAVITY = 9.80665
@@ -62,23 +64,12 @@ TICK_NS = 1e6 / math.sqrt(12.0)
 Record = Fix | ImuSample | OdometrySample | InertialSample
 
 
-def height_parameters(parameters: MavlinkParameters) -> None:
-    """Raises ConfigurationError where heights above mean sea level are asked for without the
-    geoid.
-    """
-    if parameters.height == "msl" and math.isnan(parameters.geoid_undulation_m):
-        raise ConfigurationError(
-            "mavlink.height msl needs mavlink.geoid_undulation_m: heights here are ellipsoidal"
-        )
-
-
 class MavlinkDecoder:
     """Takes the vehicle's messages with their time of receipt and gives records. ``losses`` has a
     reason for every refusal.
     """
 
     def __init__(self, parameters: MavlinkParameters) -> None:
-        height_parameters(parameters)
         self.parameters = p = parameters
         self.losses = Losses()
         self.system = p.system
@@ -95,7 +86,8 @@ class MavlinkDecoder:
         self._in_use = ClockInUse()
         self._boot_ms: int | None = None
         self._behind_since: int | None = None
-        self._undulation_m: float | None = None
+        self._newest_us: dict[str, int] = {}
+        self.heights = Heights(p)
         self._heading: tuple[int, float] | None = None
         self._quaternion_ms: int | None = None
         self._last_fix_us = -1
@@ -141,6 +133,8 @@ class MavlinkDecoder:
             boot_ms = getattr(message, "time_boot_ms", None)
             if boot_ms is not None:
                 self._boot(boot_ms, received_ns)
+            elif 0 < getattr(message, "time_usec", 0) < UTC_US:
+                self._since_boot(kind, message.time_usec, received_ns)
             return handler(message)
         except InputError as error:
             self.losses.add(error.reason)
@@ -150,18 +144,35 @@ class MavlinkDecoder:
     # ----------------------------------------------------------------------------------------------
     def _boot(self, boot_ms: int, received_ns: int) -> None:
         if self._boot_ms is not None and boot_ms < self._boot_ms - RESTART_MS:
-            if self._behind_since is None:
-                self._behind_since = received_ns
-            if 0 <= received_ns - self._behind_since < S:
-                raise TimeOrderError(
-                    "far behind its predecessor", reason="mavlink_message_late", value=boot_ms
-                )
-            self._restarted()
+            self._behind(boot_ms, received_ns)
         self._behind_since = None
         self._boot_ms = max(boot_ms, self._boot_ms or 0)
         self.arrivals.add(
             boot_ms * 1_000_000, received_ns - round(self.parameters.link_delay_s * 1e9)
         )
+
+    def _since_boot(self, kind: str, time_us: int, received_ns: int) -> None:
+        """A message with microseconds since boot. A receiver's may repeat an old fix: each kind is
+        compared with its own last one. A time far ahead of the boot time is damage, no standard.
+        """
+        newest = self._newest_us.get(kind, 0)
+        if time_us < newest - 1000 * RESTART_MS:
+            self._behind(time_us // 1000, received_ns)
+            self._behind_since, newest = None, 0
+        if time_us // 1000 <= (self._boot_ms or 0) + AHEAD_MS or self._boot_ms is None:
+            self._newest_us[kind] = max(time_us, newest)
+
+    def _behind(self, boot_ms: int, received_ns: int) -> None:
+        """A time since boot that ran back. Raises TimeOrderError (mavlink_message_late) until that
+        has lasted for a second; then it is a restart.
+        """
+        if self._behind_since is None:
+            self._behind_since = received_ns
+        if 0 <= received_ns - self._behind_since < S:
+            raise TimeOrderError(
+                "far behind its predecessor", reason="mavlink_message_late", value=boot_ms
+            )
+        self._restarted()
 
     def _restarted(self) -> None:
         self.restarts += 1
@@ -169,6 +180,7 @@ class MavlinkDecoder:
             clock.reset()
         self._in_use = ClockInUse()
         self._boot_ms, self._last_fix_us, self._quaternion_ms, self._heading = None, -1, None, None
+        self._newest_us = {}
 
     def round_trip(self, sent_ns: int, autopilot_ns: int, received_ns: int) -> None:
         """An answered TIMESYNC."""
@@ -222,7 +234,7 @@ class MavlinkDecoder:
     # ----------------------------------------------------------------------------------------------
     def _gps(self, m: Any) -> Fix | None:
         if m.alt_ellipsoid:
-            self._undulation_m = (m.alt_ellipsoid - m.alt) * 1e-3
+            self.heights.receiver_says((m.alt_ellipsoid - m.alt) * 1e-3)
         if m.get_type() != self.parameters.position:
             return None
         self.fix_type, self.satellites = m.fix_type, m.satellites_visible
@@ -237,27 +249,21 @@ class MavlinkDecoder:
         if 0 < m.yaw <= 36000 and 0 < m.hdg_acc < UNKNOWN_U32:
             self._heading = (t_ns, math.radians(m.hdg_acc * 1e-5))
         C = accuracy_covariance(m.h_acc, m.v_acc, self.parameters.horizontal_accuracy == "radial")
-        ellipsoidal = m.alt_ellipsoid * 1e-3 if m.alt_ellipsoid else None
-        return self._fix(t_ns, m, ellipsoidal, C, STATUS[m.fix_type])
+        return self._fix(t_ns, m, C, STATUS[m.fix_type])
 
     def _global_position(self, m: Any) -> Fix | None:
         if m.get_type() != self.parameters.position:
             return None
         t_ns = self._stamp(m.time_boot_ms * 1_000_000, "fix")
-        ellipsoidal = None if self._undulation_m is None else m.alt * 1e-3 + self._undulation_m
-        return self._fix(t_ns, m, ellipsoidal, None, 0)
+        return self._fix(t_ns, m, None, 0)
 
-    def _fix(self, t_ns: int, m: Any, ellipsoidal: float | None, C: F64 | None, status: int) -> Fix:
-        height = ellipsoidal
-        if self.parameters.height == "msl":
-            height = m.alt * 1e-3 + self.parameters.geoid_undulation_m
-        if height is None:
-            raise FixError("no ellipsoidal height is sent", reason="fix_no_ellipsoidal_height")
+    def _fix(self, t_ns: int, m: Any, C: F64 | None, status: int) -> Fix:
         if abs(m.lat) > 900_000_000 or abs(m.lon) > 1_800_000_000 or (m.lat == 0 and m.lon == 0):
             raise FixError(
                 "latitude or longitude out of range", reason="fix_range", value=(m.lat, m.lon)
             )
-        return Fix(t_ns, m.lat * 1e-7, m.lon * 1e-7, height, C, status)
+        place = (m.lat * 1e-7, m.lon * 1e-7)
+        return Fix(t_ns, *place, self.heights.height(m.alt * 1e-3, place), C, status)
 
     # attitudes
     # ----------------------------------------------------------------------------------------------

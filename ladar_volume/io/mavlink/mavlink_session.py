@@ -110,7 +110,7 @@ class MavlinkSession:
             "auto": 31,
         }
         wanted = {number[p.position]: p.position_hz, number[p.attitude]: p.attitude_hz, 2: 1.0}
-        if p.position == "GLOBAL_POSITION_INT" and p.height == "ellipsoidal":
+        if p.position == "GLOBAL_POSITION_INT" and p.height != "msl":
             wanted[24] = min(
                 1.0, p.position_hz
             )  # the height of the ellipsoid is in the receiver's message alone
@@ -161,6 +161,7 @@ class MavlinkSession:
             "fix_type": fix,
             "satellites": d.satellites,
             "fixes_repeated": d.repeated,
+            "height": d.heights.reference or "no fix yet",
             "clock": self.clock_name(),
             "clock_offset_s": "unknown"
             if line is None

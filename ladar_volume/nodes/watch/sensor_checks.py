@@ -10,6 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
+from ladar_volume.io.drivers.point_layouts import RING_FIELDS
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Returns
 
@@ -105,7 +106,7 @@ class SensorChecks:
 
     def returns(self, returns: Returns, fields: set[str]) -> None:
         """The returns (n,) of a cloud, and the names of its fields."""
-        self._without_ring += "ring" not in fields
+        self._without_ring += fields.isdisjoint(RING_FIELDS)
         if len(returns):
             self._highest_ring = max(self._highest_ring, int(returns.ring.max()))
             self._returns += len(returns)
