@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import math
 import queue
 import threading
 from collections.abc import Callable, Iterator
@@ -25,6 +26,7 @@ from ladar_volume.model.errors import BagError, GroundError, InputError, Surface
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import Estimate, Fix, Returns
+from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.pipeline import Engine
 
 if TYPE_CHECKING:  # pymavlink is needed with an autopilot's log alone
@@ -175,6 +177,20 @@ class Replay:
         sources = self.engine.estimator.epoch().sources
         return bodies_of_survey(near, sources, self.parameters)
 
+    def height_doubts(self) -> Verdict:
+        """The autopilot's heights are above sea level where the datum's is above the ellipsoid, and
+        the volume stands on a height of the map frame.
+        """
+        p = self.parameters
+        given = p.volume.base != "ground" and math.isfinite(p.georeference.datum_height_m)
+        if self.poses is None or not given or self.poses.ellipsoidal:
+            return Verdict()
+        words = (
+            "the heights of the autopilot's log are above mean sea level, the datum's above the "
+            "ellipsoid, up to 107 m apart: give mavlink.geoid_undulation_m, or volume.base ground"
+        )
+        return Verdict((Doubt("height_reference", words, p.georeference.datum_height_m),))
+
     def result(self, estimate: Estimate) -> dict[str, Any]:
         """The result as plain values."""
         points = {
@@ -194,6 +210,7 @@ class Replay:
         result = results.result_dict(
             estimate, self.parameters, self.all_losses(), self.engine.datum, points, source
         )
+        result["verdict"] = results.with_doubts(result["verdict"], self.height_doubts())
         return result | {
             "where_more_data_helps": results.more_data_dict(self.engine.estimator.more_data())
         }

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from ladar_volume.cli.main import main
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.cloud_messages import stamp_ns
+from ladar_volume.replay import Replay
 
 BAG = Path(__file__).parents[2] / "bags" / "stockpile"
 SECONDS = 14.0
@@ -119,3 +120,16 @@ def test_a_missing_or_foreign_log_is_an_error_in_one_line(tmp_path, capsys):
             == 2
         )
         assert name in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("ellipsoidal", [True, False])
+def test_heights_above_the_sea_and_a_datum_above_the_ellipsoid_are_doubted(ellipsoidal):
+    from types import SimpleNamespace
+
+    from ladar_volume.model.parameters import Parameters
+
+    log = SimpleNamespace(ellipsoidal=ellipsoidal)
+    for base, doubted in (("level", not ellipsoidal), ("ground", False)):
+        sections = {"volume": {"base": base}, "georeference": {"datum_height_m": 80.0}}
+        some = SimpleNamespace(poses=log, parameters=Parameters.read(sections))
+        assert bool(Replay.height_doubts(some).doubts) == doubted

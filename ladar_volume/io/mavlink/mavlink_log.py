@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ladar_volume.io.mavlink.mavlink_dataflash import DataFlashLog
+from ladar_volume.io.mavlink.mavlink_heights import SEA_LEVEL
 from ladar_volume.io.mavlink.mavlink_poses import InertialSample
 from ladar_volume.io.mavlink.mavlink_records import Record
 from ladar_volume.io.mavlink.mavlink_session import MavlinkSession
@@ -78,6 +79,11 @@ class MavlinkLog:
         """What the heights of the fixes so far refer to; empty before the first."""
         source = self._dataflash or self._session.decoder
         return source.heights.reference
+
+    @property
+    def ellipsoidal(self) -> bool:
+        """Whether the heights of the fixes so far are above the ellipsoid."""
+        return self.height_reference != SEA_LEVEL
 
     def digest(self) -> str:
         """sha256 of the file."""
