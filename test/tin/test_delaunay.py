@@ -115,16 +115,12 @@ def test_corners_of_an_upright_rectangle_are_cocircular_in_any_order():
         p = corners[list(order)]
         assert incircle(p, 0, 1, 2, 3, w) == 0.0 == exact_incircle(p)
         assert (
-            sum(
-                predicates.is_upright_rectangle(p, *q)
-                for q in ((0, 1, 2, 3), (0, 2, 1, 3), (0, 3, 1, 2))
-            )
+            sum(predicates.is_rectangle(p, *q) for q in ((0, 1, 2, 3), (0, 2, 1, 3), (0, 3, 1, 2)))
             == 1
         )
         p[0, 1] += 1e-9
         assert not any(
-            predicates.is_upright_rectangle(p, *q)
-            for q in ((0, 1, 2, 3), (0, 2, 1, 3), (0, 3, 1, 2))
+            predicates.is_rectangle(p, *q) for q in ((0, 1, 2, 3), (0, 2, 1, 3), (0, 3, 1, 2))
         )
 
 
