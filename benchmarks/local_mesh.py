@@ -17,7 +17,7 @@ from benchmarks import shapes, square
 from benchmarks.truth import F64
 from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.mesh.edge_completion import sharpen
-from ladar_volume.mesh.linear_mesh import Skin, skin_of
+from ladar_volume.mesh.linear_mesh import LinearMesh, linear_mesh
 from ladar_volume.mesh.local_mesh import BOX, LocalMesh, LocalMeshSettings, mesh_cloud
 from ladar_volume.mesh.topology import orient
 from ladar_volume.model.choices import REPAIRS
@@ -27,7 +27,7 @@ SEEDS, COUNT = range(20), 300_000
 TRUE = {"sphere": 4 / 3 * np.pi, "cube": 1.0}
 
 
-def volume(mesh: LocalMesh | Skin) -> float:
+def volume(mesh: LocalMesh | LinearMesh) -> float:
     """Sum of signed tetrahedra, m³, also of a mesh that overlaps."""
     a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
     return float(np.einsum("ni,ni->", a, np.cross(b, c)) / 6)
@@ -48,7 +48,7 @@ def body(name: str) -> dict[str, float | int | str]:
     for seed in SEEDS:
         result = filter_cloud(getattr(shapes, name)(seed).points, FilterParameters(), auto=True)
         mesh = mesh_cloud(result.r, result.normal)
-        sharp = sharpen(skin_of(mesh.vertices, mesh.triangles, mesh.normals))[0]
+        sharp = sharpen(linear_mesh(mesh.vertices, mesh.triangles, mesh.normals))[0]
         off["through the points"].append(100 * (volume(mesh) / TRUE[name] - 1))
         off["edges completed"].append(100 * (volume(sharp) / TRUE[name] - 1))
         one = orient(sharp.vertices, sharp.triangles)

@@ -30,7 +30,7 @@ from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, FilteredPoints, FilterUpdate, Patches
 from ladar_volume.replay import Replay
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
-from ladar_volume.uncertainty.packing import unpacked
+from ladar_volume.uncertainty.packing import unpack_patches
 from ladar_volume.uncertainty.volume_budget import Sources
 from ladar_volume.volume import estimator as stage
 from ladar_volume.volume import measured_body
@@ -61,7 +61,7 @@ def bundled() -> tuple[FilteredPoints, Patches, NavigationBins, Parameters]:
     patches = epoch.sources.patches
     return (
         epoch.sources.points,
-        unpacked(patches, 0, len(patches)),
+        unpack_patches(patches, 0, len(patches)),
         epoch.sources.navigation,
         replay.parameters,
     )

@@ -35,8 +35,8 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 #: Most modules in a folder, its face not counted.
 MODULES = 20
 #: Arguments of a function, ``self`` and ``cls`` not counted; how many functions have more, outside
-#: ``clouds/`` and in the whole package; how many arguments are annotated as bare ``Any``. Lines of a
-#: function, docstring included, and how many functions have more. All but 8 and 40 only go down.
+#: ``clouds/`` and in the whole package; how many arguments are annotated as bare ``Any``. Lines of
+#: a function, docstring included, and how many functions have more. All but 8 and 40 only go down.
 ARGUMENTS, LONG_OUTSIDE_CLOUDS, LONG, ANY = 8, 2, 3, 63
 LINES, TALL = 40, 8
 
@@ -56,7 +56,7 @@ def room(path):
 
 
 def imports(path):
-    """All modules a file imports, at any level; ``from package.room import module`` is that module."""
+    """Modules a file imports, at any level; ``from package.room import module`` is that module."""
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             for alias in node.names:

@@ -17,7 +17,7 @@ import numpy as np
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, Bool, Tin
 from ladar_volume.tin.delaunay import triangulate
-from ladar_volume.tin.full_tin import number
+from ladar_volume.tin.full_tin import places_in
 from ladar_volume.tin.scan_frame import check_cloud, frame_along
 
 #: Directions that are tried for the widest gap.
@@ -117,7 +117,7 @@ def build_spherical(
     points = np.asarray(points_map, dtype=np.float64)
     source, triangles = out.vertices, out.triangles
     if len(source) < len(points):
-        triangles = number(source, len(points))[triangles]
+        triangles = places_in(source, len(points))[triangles]
     vertices = points[source]
     relevant = short_edges(direction[source], triangles, max_angle_rad) & short_edges(
         vertices, triangles, max_edge_m, angle=False

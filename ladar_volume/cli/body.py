@@ -51,9 +51,9 @@ from ladar_volume.ground.objects import (
     ObjectParameters,
     Objects,
     find_objects,
+    heights_above_ground,
     objects_at,
     objects_in,
-    rising,
 )
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.ground.regions import in_box, in_polygon
@@ -324,7 +324,7 @@ def object_parameters(
     p = dataclasses.replace(p, **{key: value for key, value in given.items() if value is not None})
     if a.distance is not None:
         return p
-    step_m = step_between(points.r[rising(points.r, [ground], p)[1]])
+    step_m = step_between(points.r[heights_above_ground(points.r, [ground], p)[1]])
     if not step_m:
         return p
     return dataclasses.replace(p, distance_m=step_m, step_m=step_m, pick_reach_m=PICKED * step_m)

@@ -18,7 +18,7 @@ from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import RegistrationError
 from ladar_volume.model.records import F64
 from ladar_volume.registration.correspondence import Centres, Corresponding, correspond
-from ladar_volume.registration.sphere_verdict import Measured, sphere_verdict
+from ladar_volume.registration.sphere_verdict import SphereMeasurement, sphere_verdict
 from ladar_volume.registration.spheres import fit_sphere
 from ladar_volume.registration.stillness import check_drift
 from ladar_volume.version import version
@@ -27,7 +27,9 @@ from ladar_volume.version import version
 WRONG_RADIUS = 0.1
 
 
-def read_spheres(path: Path, noise: float | None, radius: float | None) -> dict[int, Measured]:
+def read_spheres(
+    path: Path, noise: float | None, radius: float | None
+) -> dict[int, SphereMeasurement]:
     """The spheres of one file by number, with the check of their rest where there are times."""
     cloud = read_cloud(path)
     if "sphere" not in cloud.columns:
@@ -54,7 +56,9 @@ def read_spheres(path: Path, noise: float | None, radius: float | None) -> dict[
     return out
 
 
-def measured(points: F64, t_s: F64 | None, noise: float | None, radius: float | None) -> Measured:
+def measured(
+    points: F64, t_s: F64 | None, noise: float | None, radius: float | None
+) -> SphereMeasurement:
     """One sphere from its points (n, 3); where a radius is given, also without it.
 
     Raises :class:`RegistrationError` as ``fit_sphere`` and ``check_drift`` do, and sphere_radius
@@ -74,7 +78,9 @@ def measured(points: F64, t_s: F64 | None, noise: float | None, radius: float | 
                 value=free.radius,
             )
     sphere = fit_sphere(points, noise, radius)
-    return Measured(sphere, free, None if t_s is None else check_drift(points, t_s, sphere))
+    return SphereMeasurement(
+        sphere, free, None if t_s is None else check_drift(points, t_s, sphere)
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -109,7 +115,7 @@ def run(arguments: argparse.Namespace) -> int:
     return exit_code(arguments, facts["verdict"])
 
 
-def centres(spheres: dict[int, Measured]) -> Centres:
+def centres(spheres: dict[int, SphereMeasurement]) -> Centres:
     """The centres by number."""
     number = sorted(spheres)
     r = np.array([spheres[k].sphere.centre for k in number]).reshape(-1, 3)
@@ -118,7 +124,10 @@ def centres(spheres: dict[int, Measured]) -> Centres:
 
 
 def facts_of(
-    c: Corresponding, one: Centres, two: Centres, parts: list[tuple[Measured, Measured]]
+    c: Corresponding,
+    one: Centres,
+    two: Centres,
+    parts: list[tuple[SphereMeasurement, SphereMeasurement]],
 ) -> dict[str, Any]:
     """The result as plain values: angles in rad, lengths in m."""
     found = c.found

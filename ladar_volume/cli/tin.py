@@ -40,7 +40,7 @@ from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import ConfigurationError, OutputError
 from ladar_volume.model.records import F64, I64, Tin
 from ladar_volume.model.verdict import Doubt, Verdict
-from ladar_volume.tin.locate import interpolated
+from ladar_volume.tin.locate import interpolate_heights
 from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.tin.scan_frame import Frame
 from ladar_volume.version import version
@@ -120,7 +120,7 @@ def height_facts(
     """
     if places is None:
         return None
-    found = interpolated(tin, places, covariance)
+    found = interpolate_heights(tin, places, covariance)
     return [
         {
             "x_m": x,

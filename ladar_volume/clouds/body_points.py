@@ -17,9 +17,9 @@ from scipy.spatial import cKDTree
 
 from ladar_volume.clouds.filter.filter_result import CloudResult
 from ladar_volume.clouds.filter.sparse_points import JUMP
-from ladar_volume.clouds.sampling.isolation import belonging, spacing
+from ladar_volume.clouds.sampling.isolation import connected_to_known, second_neighbour_distance
 from ladar_volume.ground.clusters import clusters
-from ladar_volume.ground.objects import ObjectParameters, rising
+from ladar_volume.ground.objects import ObjectParameters, heights_above_ground
 from ladar_volume.mesh.local_mesh import REACH, SPACING
 from ladar_volume.model.records import F64, I64, Bool, Plane
 
@@ -92,7 +92,9 @@ def good_points(raw: F64, result: CloudResult) -> Bool:
     """
     known = np.zeros(len(raw), np.bool_)
     known[result.index] = True
-    out: Bool = known | belonging(raw, known, spacing(raw, raw), ~known, JUMP)
+    out: Bool = known | connected_to_known(
+        raw, known, second_neighbour_distance(raw, raw), ~known, JUMP
+    )
     return out
 
 
@@ -121,7 +123,7 @@ def left_out(raw: F64, good: Bool, result: CloudResult, ground: Plane | None) ->
     if ground is None:
         return _left_out(raw, good, kept)
     p = ObjectParameters(min_height_m=RAISED * float(result.report["noise_m"]))
-    above = good & rising(raw, [ground], p, result.r)[1]
+    above = good & heights_above_ground(raw, [ground], p, result.r)[1]
     most = _left_out(raw, above, kept)
     step_m = step_between(raw[above])
     if not step_m:

@@ -13,7 +13,7 @@ from ladar_volume.clouds.body_points import LeftOut
 from ladar_volume.clouds.body_volume import Body
 from ladar_volume.clouds.cloud_bodies import CloudBodies
 from ladar_volume.ground.clusters import clusters
-from ladar_volume.ground.objects import ObjectParameters, Objects, rising
+from ladar_volume.ground.objects import ObjectParameters, Objects, heights_above_ground
 from ladar_volume.mesh.local_mesh import LocalMesh
 from ladar_volume.model.errors import ObjectError
 from ladar_volume.model.records import F64, Plane
@@ -44,7 +44,7 @@ class Missed:
 
 def missed_points(points: F64, ground: Plane, found: Objects, p: ObjectParameters) -> Missed:
     """Points (n, 3) m above the ground that are in none of the objects found with ``p``."""
-    above = rising(points, [ground], p)[1]
+    above = heights_above_ground(points, [ground], p)[1]
     lost = above & (found.label < 0)
     small = clusters(points, p.distance_m, 1, lost).max(initial=-1) + 1
     return Missed(int(np.count_nonzero(above)), int(np.count_nonzero(lost)), int(small))

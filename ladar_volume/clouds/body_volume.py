@@ -31,7 +31,7 @@ from ladar_volume.mesh.chord_curvature import bulge_volumes
 from ladar_volume.mesh.closing import close
 from ladar_volume.mesh.crossed_space import Crossing, crossing_doubts, crossing_of
 from ladar_volume.mesh.edge_completion import SHARP_RAD, sharpen
-from ladar_volume.mesh.linear_mesh import Skin, skin_of
+from ladar_volume.mesh.linear_mesh import LinearMesh, linear_mesh
 from ladar_volume.mesh.local_mesh import LocalMesh
 from ladar_volume.mesh.tetrahedra import (
     ClosedVolume,
@@ -67,7 +67,7 @@ class Body:
     curvature_m3: float
     closed_m3: float
     centroid_map: F64
-    skin: Skin
+    skin: LinearMesh
     closed: ClosedVolume
     closures: tuple[Closure, ...]
     edge_vertices: int
@@ -118,7 +118,7 @@ def body_of(
     :func:`~ladar_volume.mesh.closing.close` and
     :func:`~ladar_volume.mesh.tetrahedra.closed_volume`.
     """
-    start = skin_of(vertices, triangles, normals, curved)
+    start = linear_mesh(vertices, triangles, normals, curved)
     blunt, skin, closures, added = _completed(start, close_m, ground, sharp_rad)
     closed = closed_volume(skin.vertices, skin.triangles, pole_map, allow_crossings)
     cut_off = (
@@ -152,14 +152,14 @@ class Completed(NamedTuple):
     added : vertices on the edges
     """
 
-    blunt: Skin
-    skin: Skin
+    blunt: LinearMesh
+    skin: LinearMesh
     closures: list[Closure]
     added: int
 
 
 def _completed(
-    start: Skin, close_m: float, ground: Plane | None, sharp_rad: float | None
+    start: LinearMesh, close_m: float, ground: Plane | None, sharp_rad: float | None
 ) -> Completed:
     """The skin closed, as it is and with its sharp edges completed."""
     blunt, closures = close(start, close_m, ground)
@@ -193,7 +193,7 @@ def published_body(mesh: LocalMesh, pole_map: F64 | None = None) -> Body:
     unknown = np.full((len(t), 3, 3), np.nan)
     still, by_ground = np.zeros(len(v), bool), np.zeros((3 * len(v), 3))
     direct = identity(3 * len(v), format="csr")
-    skin = Skin(v, t, unknown, kind, still, face, direct, by_ground)
+    skin = LinearMesh(v, t, unknown, kind, still, face, direct, by_ground)
     none = np.zeros(3)
     centre = solid_centroid(v, closed)
     return Body(volume, volume, 0.0, 0.0, 0.0, centre, skin, closed, (), 0, False, gradient, none)

@@ -9,17 +9,17 @@ import math
 import numpy as np
 
 from ladar_volume.clouds.filter import cell_surface
-from ladar_volume.clouds.filter.cell_cover import Covered, Regions, cover
+from ladar_volume.clouds.filter.cell_cover import Projection, Regions, project_on_cells
 from ladar_volume.clouds.filter.filter_doubts import doubts
 from ladar_volume.clouds.filter.filter_result import REASONS as REASONS
 from ladar_volume.clouds.filter.filter_result import CloudResult as CloudResult
-from ladar_volume.clouds.filter.filter_result import checked
-from ladar_volume.clouds.filter.point_reduction import expanded, merged, reduce_points
-from ladar_volume.clouds.filter.self_tuning import Tuned, choose
-from ladar_volume.clouds.filter.sparse_points import CLUTTER, Sparse, name_the_rest
-from ladar_volume.clouds.filter.surface_noise import cover_with_shown_noise
+from ladar_volume.clouds.filter.filter_result import check_cloud_points
+from ladar_volume.clouds.filter.point_reduction import expand_result, merge_results, reduce_points
+from ladar_volume.clouds.filter.self_tuning import Tuning, tune
+from ladar_volume.clouds.filter.sparse_points import CLUTTER, Sparse, classify_off_surface
+from ladar_volume.clouds.filter.surface_noise import project_with_own_noise
 from ladar_volume.clouds.published.published_filter import filter_published, settings
-from ladar_volume.clouds.sampling.distinct_points import distinct, repeated
+from ladar_volume.clouds.sampling.distinct_points import distinct_rows, restore_copies
 from ladar_volume.clouds.sampling.rounding_step import rounding_steps, shared_rounding
 from ladar_volume.model.cloud_filter_parameters import FilterParameters, PublishedFilterParameters
 from ladar_volume.model.records import F64, I64
@@ -41,19 +41,19 @@ def filter_cloud(
     parameters · keep : reasons of ``KEEPABLE`` for which a point stays as it is. Raises
     :class:`FilterError` for a wrong shape, a coordinate that is not finite, or no points.
     """
-    points = checked(r)
+    points = check_cloud_points(r)
     how_before, how_after = REDUCE[parameters.reduce]
     before = reduce_points(points, parameters.grid_before_m, how_before)
     if isinstance(parameters, PublishedFilterParameters):
         result = _published(before.r, parameters, auto)
     else:
-        once = distinct(before.r)
-        result = repeated(_filter(once.r, parameters, auto, keep), once)
+        once = distinct_rows(before.r)
+        result = restore_copies(_filter(once.r, parameters, auto, keep), once)
     if parameters.grid_before_m > 0.0:
-        result = expanded(
+        result = expand_result(
             result, before, parameters.grid_before_m if how_before == "round" else 0.0
         )
-    return merged(result, parameters.grid_after_m, how_after)
+    return merge_results(result, parameters.grid_after_m, how_after)
 
 
 def _centre(points: F64) -> F64:
@@ -67,7 +67,7 @@ def _published(points: F64, parameters: PublishedFilterParameters, auto: bool) -
     """The published order."""
     if not auto:
         return filter_published(points, settings(parameters))
-    tuned = choose(points - _centre(points), parameters, auto, rounding_steps(points))
+    tuned = tune(points - _centre(points), parameters, auto, rounding_steps(points))
     own = settings(
         parameters,
         radius_m=tuned.ball_m / 2,
@@ -84,19 +84,25 @@ def _filter(
     origin = _centre(points)
     local = points - origin
     steps = rounding_steps(points)
-    tuned = choose(local, parameters, auto, steps)
+    tuned = tune(local, parameters, auto, steps)
     factor = 1.0
     if auto and tuned.lines is not None:
-        tuned, done = cover_with_shown_noise(local, tuned, steps, parameters)
+        tuned, done = project_with_own_noise(local, tuned, steps, parameters)
     else:
-        done = cover(local, tuned.regions, parameters, tuned.degree)
+        done = project_on_cells(local, tuned.regions, parameters, tuned.degree)
         factor = judge(local, done, tuned.regions) if auto else 1.0
-    sparse = name_the_rest(local, done, tuned, auto, keep)
+    sparse = classify_off_surface(local, done, tuned, auto, keep)
     return _result(local, origin, tuned, done, sparse, factor, steps)
 
 
 def _result(
-    local: F64, origin: F64, tuned: Tuned, done: Covered, sparse: Sparse, factor: float, steps: F64
+    local: F64,
+    origin: F64,
+    tuned: Tuning,
+    done: Projection,
+    sparse: Sparse,
+    factor: float,
+    steps: F64,
 ) -> CloudResult:
     """What became of each point, and the report."""
     stays = (done.reason == cell_surface.KEPT) | sparse.stays
@@ -128,7 +134,7 @@ def _result(
     )
 
 
-def _counts(done: Covered, index: I64, outliers: I64) -> dict[str, int]:
+def _counts(done: Projection, index: I64, outliers: I64) -> dict[str, int]:
     """How many points, and where they went."""
     return {
         "points": len(index) + len(outliers),
@@ -144,7 +150,7 @@ def _counts(done: Covered, index: I64, outliers: I64) -> dict[str, int]:
     }
 
 
-def judge(r: F64, done: Covered, regions: Regions) -> float:
+def judge(r: F64, done: Projection, regions: Regions) -> float:
     """A second look at self-set parameters, once there are surfaces, at points (n, 3): names in
     ``done.reason`` those whose surface is hardly known where they are, and those beyond the
     threshold that the noise about all surfaces gives. Returns that noise over the one the filter

@@ -13,7 +13,7 @@ import numpy as np
 
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.records import F64, I64, Tin
-from ladar_volume.tin.locate import search, triangle_index
+from ladar_volume.tin.locate import search_boxes, triangle_index
 from ladar_volume.volume.overlay import placed_corners
 from ladar_volume.volume.triangle_clipping import CORNERS, ROWS, A, B, clip_pair
 
@@ -65,10 +65,10 @@ def overlap_kernel(corners: F64, boxes: F64, rounding_m: float) -> tuple[float, 
             box[0], box[1] = min(box[0], corners[t, k, 0]), min(box[1], corners[t, k, 1])
             box[2], box[3] = max(box[2], corners[t, k, 0]), max(box[3], corners[t, k, 1])
         long = max(box[2] - box[0], box[3] - box[1])
-        count = search(boxes, m, box, stack, found)
+        count = search_boxes(boxes, m, box, stack, found)
         if count > len(found):
             found = np.empty(2 * count, np.int64)
-            count = search(boxes, m, box, stack, found)
+            count = search_boxes(boxes, m, box, stack, found)
         for k in range(3):
             w[A, k], w[A + 1, k] = corners[t, k, 0] - x0, corners[t, k, 1] - y0
         for i in range(count):

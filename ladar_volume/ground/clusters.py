@@ -61,13 +61,13 @@ def join_cells(points: F64, start: I64, left: I64, right: I64, limit2: float, ro
 
 
 @kernel
-def to_roots(root: I64) -> None:
+def flatten_roots(root: I64) -> None:
     """Every cell (c,) straight to its root: none is after the cells it leads to."""
     for i in range(len(root)):
         root[i] = root[root[i]]
 
 
-def connected(points: F64, distance_m: float) -> I64:
+def component_labels(points: F64, distance_m: float) -> I64:
     """Number (n,) of the connected component of each point (n, 3) m, components in no particular
     order.
 
@@ -94,7 +94,7 @@ def connected(points: F64, distance_m: float) -> I64:
         right = np.minimum(np.searchsorted(unique, wanted), len(unique) - 1).astype(np.int64)
         left = np.flatnonzero(unique[right] == wanted).astype(np.int64)
         join_cells(ordered, start, left, right[left], distance_m * distance_m, root)
-    to_roots(root)
+    flatten_roots(root)
     label = np.empty(len(points), dtype=np.int64)
     label[order] = np.repeat(root, np.diff(start))
     return label
@@ -110,7 +110,7 @@ def clusters(points: F64, distance_m: float, min_points: int, chosen: Bool | Non
         return out
     p = points[rows]
     _, component, count = np.unique(
-        connected(p, distance_m), return_inverse=True, return_counts=True
+        component_labels(p, distance_m), return_inverse=True, return_counts=True
     )
     first = np.full(len(count), len(p), dtype=np.int64)
     rank = np.empty(len(p), dtype=np.int64)

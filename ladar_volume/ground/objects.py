@@ -102,7 +102,7 @@ def find_objects(
     Raises :class:`ObjectError` without points or ground.
     """
     p = p or ObjectParameters()
-    height, above, below = rising(points, grounds, p, supports)
+    height, above, below = heights_above_ground(points, grounds, p, supports)
     label = _clusters(points, height, above, p)
     if p.pits:
         deep = _clusters(points, -height, below, p)
@@ -124,7 +124,7 @@ def objects_in(
     :class:`ObjectError` for a region in which nothing rises.
     """
     p = p or ObjectParameters()
-    height, above, below = rising(points, grounds, p, supports)
+    height, above, below = heights_above_ground(points, grounds, p, supports)
     free = above | below if p.pits else above
     label = np.full(len(points), -1, dtype=np.int64)
     for number, region in enumerate(regions):
@@ -160,8 +160,9 @@ def objects_at(
     found = find_objects(points, grounds, p, supports)
     rows = np.flatnonzero(found.label >= 0)
     if len(rows) == 0:
+        above = heights_above_ground(points, grounds, p, supports)[1]
         raise ObjectError(
-            f"nothing to pick: {int(np.count_nonzero(rising(points, grounds, p, supports)[1])):,} "
+            f"nothing to pick: {int(np.count_nonzero(above)):,} "
             f"points rise above the ground, none in a cluster of {p.min_points} in steps of "
             f"{p.distance_m:.3g} m: raise distance_m, or lower min_height_m or min_points",
             reason="object_empty",
@@ -217,7 +218,7 @@ def _nearest(points: F64, picked: F64, reach_m: float) -> I64:
     return nearest.astype(np.int64)
 
 
-def rising(
+def heights_above_ground(
     points: F64, grounds: Sequence[Plane], p: ObjectParameters, supports: F64 | None = None
 ) -> tuple[F64, Bool, Bool]:
     """Heights (n,) m above the ground, and which points are above and below it. Raises
@@ -245,7 +246,7 @@ def _clusters(points: F64, height: F64, chosen: Bool, p: ObjectParameters) -> I6
     cores = [
         core
         for number in range(label.max() + 1)
-        for core in split(points, height, np.flatnonzero(label == number), p)
+        for core in split_cluster(points, height, np.flatnonzero(label == number), p)
     ]
     sizes = [(-len(core), *points[core][np.lexsort(points[core].T[::-1])[0]]) for core in cores]
     out = np.full(len(points), -1, dtype=np.int64)
@@ -254,7 +255,7 @@ def _clusters(points: F64, height: F64, chosen: Bool, p: ObjectParameters) -> I6
     return out
 
 
-def split(points: F64, height: F64, rows: I64, p: ObjectParameters) -> list[I64]:
+def split_cluster(points: F64, height: F64, rows: I64, p: ObjectParameters) -> list[I64]:
     """Rows (k,) of one cluster, parted where the points above some level fall into clusters that
     each rise ``split_m`` above it.
     """
@@ -270,7 +271,7 @@ def split(points: F64, height: F64, rows: I64, p: ObjectParameters) -> list[I64]
             return [
                 part
                 for i in range(len(cores))
-                for part in split(points, height, rows[nearest == i], p)
+                for part in split_cluster(points, height, rows[nearest == i], p)
             ]
     return [rows]
 

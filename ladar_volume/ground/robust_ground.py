@@ -213,7 +213,7 @@ def check_surface(points: F64, variance: F64, plane: Plane, parameters: GroundPa
     threshold = parameters.threshold_m
     grown = plane
     if threshold > 0.0:
-        own, above, below = layers(points, plane, threshold)
+        own, above, below = count_layers(points, plane, threshold)
         if own >= CONTRAST * max(above, below):
             return
         try:
@@ -237,7 +237,7 @@ def check_surface(points: F64, variance: F64, plane: Plane, parameters: GroundPa
         )
 
 
-def layers(points: F64, plane: Plane, threshold_m: float) -> tuple[int, int, int]:
+def count_layers(points: F64, plane: Plane, threshold_m: float) -> tuple[int, int, int]:
     """How many points lie within the threshold of a surface, and how many in the layers of the same
     thickness above and below.
     """
@@ -254,5 +254,5 @@ def bottom_layer(points: F64, plane: Plane, threshold_m: float) -> bool:
     half as many again as in the layer of the same thickness above, and four times as many as in
     that below. Rough ground has equally many on both sides.
     """
-    own, above, below = layers(points, plane, threshold_m)
+    own, above, below = count_layers(points, plane, threshold_m)
     return bool(own >= CONTRAST * above and own >= 4.0 * below)

@@ -71,12 +71,12 @@ def further_grounds(
         if len(new.support) < least or new.rms_m > (parameters.threshold_m or coarse_m):
             break
         rest = np.setdiff1d(rest, new.support)
-        if not any(repeats(new, old, points) for old in found):
+        if not any(is_same_surface(new, old, points) for old in found):
             found.append(new)
     return tuple(found[1:])
 
 
-def repeats(new: Plane, old: Plane, points: F64) -> bool:
+def is_same_surface(new: Plane, old: Plane, points: F64) -> bool:
     """Whether a surface is the same as another over most of its own support: closer than 3.5 times
     the larger of their residuals.
     """

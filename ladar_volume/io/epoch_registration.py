@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.model.records import F64
-from ladar_volume.registration.icp import Refined, refine
+from ladar_volume.registration.icp import IcpResult, refine
 from ladar_volume.registration.transform import Transform
 
 
@@ -52,7 +52,7 @@ def register_epochs(
     reach_m: float,
     levelled: bool = False,
     cell_m: float = 0.0,
-) -> Refined:
+) -> IcpResult:
     """:func:`ladar_volume.registration.icp.refine` with Open3D's iteration going first; a levelled
     instrument needs no other program.
     """

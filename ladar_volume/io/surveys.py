@@ -33,7 +33,7 @@ from ladar_volume.model.records import Datum, Estimate, FilterUpdate, select
 from ladar_volume.registration.transform import Transform
 from ladar_volume.uncertainty.epoch_budget import Epoch
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
-from ladar_volume.uncertainty.packing import unpacked
+from ladar_volume.uncertainty.packing import unpack_patches
 from ladar_volume.volume.estimator import VolumeEstimator
 
 #: Name of the file in a results folder, and of its metadata record.
@@ -72,7 +72,7 @@ def survey_tables(epoch: Epoch) -> Iterator[tuple[str, message_tables.Columns]]:
     points, patches = epoch.sources.points, epoch.sources.patches
     for first in range(0, len(patches), message_tables.PART):
         last = min(first + message_tables.PART, len(patches))
-        mine = unpacked(patches, first, last)
+        mine = unpack_patches(patches, first, last)
         at = slice(*np.searchsorted(points.patch, [mine.key[0], mine.key[-1] + 1]))
         part = FilterUpdate(
             epoch.t_ns, np.zeros(0, np.int64), select(points, at), mine, last == len(patches)

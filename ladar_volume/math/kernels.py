@@ -67,7 +67,7 @@ def parallel_kernel(function: F) -> F:
     return result
 
 
-def in_threads(
+def run_in_threads(
     kernel_of: Callable[..., object], index: npt.NDArray[np.int64], *arguments: Any
 ) -> None:
     """Call a kernel of one thread with parts of the index (n,) and these arguments, in as many

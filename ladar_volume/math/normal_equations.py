@@ -65,7 +65,7 @@ def invert(A: F64, p: int, inverse: F64) -> Any:
 
 
 @leaf_kernel
-def rotate(S: F64, vector: F64, p: int, q: int) -> None:
+def jacobi_rotation(S: F64, vector: F64, p: int, q: int) -> None:
     """One Jacobi rotation: the symmetric S (3, 3) gets a zero at (p, q), the columns of ``vector``
     turn with it.
     """
@@ -99,9 +99,9 @@ def eigen(S: F64, value: F64, vector: F64) -> None:
         off = abs(S[0, 1]) + abs(S[0, 2]) + abs(S[1, 2])
         if not off > 1e-17 * (abs(S[0, 0]) + abs(S[1, 1]) + abs(S[2, 2])):
             break
-        rotate(S, vector, 0, 1)
-        rotate(S, vector, 0, 2)
-        rotate(S, vector, 1, 2)
+        jacobi_rotation(S, vector, 0, 1)
+        jacobi_rotation(S, vector, 0, 2)
+        jacobi_rotation(S, vector, 1, 2)
     for k in range(3):
         value[k] = S[k, k]
     for a, b in ((0, 1), (1, 2), (0, 1)):

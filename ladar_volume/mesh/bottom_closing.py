@@ -17,12 +17,12 @@ from ladar_volume.mesh.linear_mesh import (
     GROUND,
     KINDS,
     Faces,
-    Skin,
+    LinearMesh,
     blocks,
-    extended,
+    extend_mesh,
     vertex_normals,
 )
-from ladar_volume.mesh.rims import Rim, place
+from ladar_volume.mesh.rims import Rim, place_in_words
 from ladar_volume.mesh.unseen_foot import unseen_bend
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I64, Bool, Plane
@@ -64,7 +64,7 @@ def tetrahedra(v: F64, triangles: I64, pole: F64) -> float:
     return float(np.einsum("ni,ni->", a, np.cross(b, c))) / 6.0
 
 
-def downward(skin: Skin, vertices: I64, normals: F64) -> F64:
+def downward(skin: LinearMesh, vertices: I64, normals: F64) -> F64:
     """Directions (k, 3) in which the surface with corner normals (m, 3, 3) goes down at vertices;
     straight where flat or not known.
     """
@@ -85,7 +85,7 @@ def downward(skin: Skin, vertices: I64, normals: F64) -> F64:
     return np.where(steep[:, None], along / np.where(steep, length, 1.0)[:, None], DOWN)
 
 
-def feet(p: F64, along: F64, ground: Plane) -> tuple[F64, F64, F64]:
+def ground_feet(p: F64, along: F64, ground: Plane) -> tuple[F64, F64, F64]:
     """Where lines from points (k, 3) meet the ground; derivative by the points (k, 3, 3) and by the
     ground's height and slopes (k, 3, 3).
     """
@@ -99,7 +99,9 @@ def feet(p: F64, along: F64, ground: Plane) -> tuple[F64, F64, F64]:
     return q, by_point, by_ground
 
 
-def stand_on(skin: Skin, rims: list[Rim], ground: Plane, up: F64) -> tuple[Skin, list[Closure]]:
+def stand_on(
+    skin: LinearMesh, rims: list[Rim], ground: Plane, up: F64
+) -> tuple[LinearMesh, list[Closure]]:
     """All rims that look down joined to the ground, and their feet to each other."""
     n, all_of = len(skin.vertices), np.concatenate([r.vertices for r in rims])
     own = np.broadcast_to(
@@ -110,14 +112,14 @@ def stand_on(skin: Skin, rims: list[Rim], ground: Plane, up: F64) -> tuple[Skin,
     straight = np.broadcast_to(DOWN, tangent.shape)
     p = skin.vertices[all_of]
     along = np.where(known[:, None], tangent, straight)
-    q, by_point, by_ground = feet(p, along, ground)
-    other, _, _ = feet(p, np.where(known[:, None], straight, tangent), ground)
+    q, by_point, by_ground = ground_feet(p, along, ground)
+    other, _, _ = ground_feet(p, np.where(known[:, None], straight, tangent), ground)
     size = max(r.size_m for r in rims)
     there = np.abs(height_above(p, ground)) <= ON_GROUND * size
     q[there] = other[there] = p[there]
     foot = np.where(there, all_of, n + np.arange(len(all_of)))
-    new, made = _closed_down(skin, rims, _Feet(q, other, foot, along, in_plane(q, up)))
-    skin = extended(
+    new, made = _close_to_ground(skin, rims, _Feet(q, other, foot, along, in_plane(q, up)))
+    skin = extend_mesh(
         skin,
         q,
         GROUND,
@@ -145,7 +147,9 @@ class _Feet(NamedTuple):
     plane: F64
 
 
-def _closed_down(skin: Skin, rims: list[Rim], feet_of: _Feet) -> tuple[I64, list[Closure]]:
+def _close_to_ground(
+    skin: LinearMesh, rims: list[Rim], feet_of: _Feet
+) -> tuple[I64, list[Closure]]:
     """Triangles (k, 3) between rims and their feet and among the feet, and what they close: each
     rim with those that lie within it.
     """
@@ -158,7 +162,7 @@ def _closed_down(skin: Skin, rims: list[Rim], feet_of: _Feet) -> tuple[I64, list
     made: list[Closure] = []
     triangles: list[I64] = []
     alternative = np.concatenate([skin.vertices, other])
-    for outer, holes in grouped(plane, loops, rims):
+    for outer, holes in group_loops(plane, loops, rims):
         inner, forced = ears(plane, loops[outer], [loops[h] for h in holes])
         here = np.concatenate([foot[inner], *(strips[k] for k in (outer, *holes))])
         triangles.append(here)
@@ -175,7 +179,7 @@ def _closed_down(skin: Skin, rims: list[Rim], feet_of: _Feet) -> tuple[I64, list
     return np.concatenate(triangles), made
 
 
-def known_at(skin: Skin, vertices: I64) -> Bool:
+def known_at(skin: LinearMesh, vertices: I64) -> Bool:
     """Whether (k,) the normals at all corners of vertices are known."""
     unknown = np.bincount(
         skin.triangles.ravel(), np.isnan(skin.normals[..., 0]).ravel(), len(skin.vertices)
@@ -200,7 +204,7 @@ def in_plane(q: F64, up: F64) -> F64:
     return np.stack([local @ e, -(local @ np.cross(up, e))], axis=1)
 
 
-def grouped(plane: F64, loops: list[I64], rims: list[Rim]) -> list[tuple[int, list[int]]]:
+def group_loops(plane: F64, loops: list[I64], rims: list[Rim]) -> list[tuple[int, list[int]]]:
     """Outer loops with the holes in them. Raises :class:`SurfaceError` (closing_inside_out) for a
     hole in nothing.
     """
@@ -211,7 +215,7 @@ def grouped(plane: F64, loops: list[I64], rims: list[Rim]) -> list[tuple[int, li
         around = [o for o in outers if inside_loop(plane[loops[o]], plane[loops[k][0]])]
         if not around:
             raise SurfaceError(
-                f"the rim at {place(rims[k].middle)} encloses a hollow, not a body: "
+                f"the rim at {place_in_words(rims[k].middle)} encloses a hollow, not a body: "
                 "compare a pit with another epoch (diff), or measure "
                 "it below a base (volume)",
                 reason="closing_inside_out",

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.mesh.edge_completion import SHARP_RAD
-from ladar_volume.mesh.linear_mesh import Skin
+from ladar_volume.mesh.linear_mesh import LinearMesh
 from ladar_volume.model.records import F64
 
 #: A normal leans at most this far, as a cosine, away from the triangle's own: beyond, the patch
@@ -21,7 +21,7 @@ from ladar_volume.model.records import F64
 LEAST_COSINE = 0.5
 
 
-def bulge_volumes(skin: Skin, angle_rad: float = SHARP_RAD) -> F64:
+def bulge_volumes(skin: LinearMesh, angle_rad: float = SHARP_RAD) -> F64:
     """Volume (m,) m³ between each triangle and its curved patch, positive outward; 0 where normals
     are not known.
     """

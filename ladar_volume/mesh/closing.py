@@ -23,8 +23,15 @@ from ladar_volume.mesh.bottom_closing import IN_PLANE, Closure, stand_on, tetrah
 from ladar_volume.mesh.chord_curvature import bulge_volumes
 from ladar_volume.mesh.ground_clipping import clip_to_ground, steepness
 from ladar_volume.mesh.hole_filling import least_area
-from ladar_volume.mesh.linear_mesh import GAP, Faces, Skin, blocks, extended, vertex_normals
-from ladar_volume.mesh.rims import LEAVES, Rim, descent, place, rims_of, split_fans
+from ladar_volume.mesh.linear_mesh import (
+    GAP,
+    Faces,
+    LinearMesh,
+    blocks,
+    extend_mesh,
+    vertex_normals,
+)
+from ladar_volume.mesh.rims import LEAVES, Rim, mean_descent, place_in_words, rims_of, split_fans
 from ladar_volume.mesh.topology import edge_table
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I64, Bool, Plane
@@ -33,7 +40,9 @@ from ladar_volume.model.records import F64, I64, Bool, Plane
 LONGEST = 200
 
 
-def close(skin: Skin, close_m: float, ground: Plane | None = None) -> tuple[Skin, list[Closure]]:
+def close(
+    skin: LinearMesh, close_m: float, ground: Plane | None = None
+) -> tuple[LinearMesh, list[Closure]]:
     """A mesh without boundary, and what was closed.
 
     close_m : gaps up to this width are filled, rims up to this far from the ground drawn on to it.
@@ -59,10 +68,14 @@ def close(skin: Skin, close_m: float, ground: Plane | None = None) -> tuple[Skin
     return skin, made
 
 
-def sorted_rims(skin: Skin, ground: Plane | None, up: F64) -> tuple[Skin, list[Rim], list[Rim]]:
+def sorted_rims(
+    skin: LinearMesh, ground: Plane | None, up: F64
+) -> tuple[LinearMesh, list[Rim], list[Rim]]:
     """The skin, its rims that look down to the ground, and its gaps."""
     rims = rims_of(skin)
-    down = descent(skin, rims, up) > LEAVES if ground is not None else np.zeros(len(rims), bool)
+    down = (
+        mean_descent(skin, rims, up) > LEAVES if ground is not None else np.zeros(len(rims), bool)
+    )
     return (
         skin,
         [r for r, d in zip(rims, down, strict=True) if d],
@@ -84,12 +97,15 @@ def plane_normal(ground: Plane) -> F64:
     return out
 
 
-def check_height(skin: Skin, rim: Rim, ground: Plane, close_m: float) -> None:
+def check_height(skin: LinearMesh, rim: Rim, ground: Plane, close_m: float) -> None:
     """Refuse a rim that ends far from the ground."""
     h = height_above(skin.vertices[rim.vertices], ground)
     worst = int(np.argmax(np.abs(h)))
     if abs(h[worst]) > close_m:
-        side, at = ("above" if h[worst] > 0 else "below"), place(skin.vertices[rim.vertices[worst]])
+        side, at = (
+            ("above" if h[worst] > 0 else "below"),
+            place_in_words(skin.vertices[rim.vertices[worst]]),
+        )
         raise SurfaceError(
             f"the surface ends at {at}, {abs(h[worst]):.3g} m {side} the ground, more "
             f"than {close_m:.3g} m: close more (--close), "
@@ -108,11 +124,11 @@ def gap_width(p: F64, triangles: I64) -> float:
     return 4.0 * area / max(float(np.linalg.norm(p - np.roll(p, 1, axis=0), axis=1).sum()), 1e-300)
 
 
-def fill_gap(skin: Skin, rim: Rim, close_m: float, hint: str) -> tuple[Skin, Closure]:
+def fill_gap(skin: LinearMesh, rim: Rim, close_m: float, hint: str) -> tuple[LinearMesh, Closure]:
     """The least area within a rim, or a fan from its middle. Refuses a gap that is too wide."""
     loop, n, k = rim.vertices, len(skin.vertices), len(rim.vertices)
     inner = (
-        least_area(skin.vertices[loop], taken_chords(skin, loop))
+        least_area(skin.vertices[loop], existing_chords(skin, loop))
         if k <= LONGEST
         else np.zeros((0, 3), np.int64)
     )
@@ -132,7 +148,7 @@ def fill_gap(skin: Skin, rim: Rim, close_m: float, hint: str) -> tuple[Skin, Clo
     )
     known = np.concatenate([rim_normals(skin, rim.vertices), np.full((1, 3), np.nan)])
     before = len(skin.triangles)
-    skin = extended(
+    skin = extend_mesh(
         skin,
         new,
         GAP,
@@ -152,14 +168,14 @@ def fill_gap(skin: Skin, rim: Rim, close_m: float, hint: str) -> tuple[Skin, Clo
 def too_wide(what: str, rim: Rim, width_m: float, close_m: float, hint: str) -> SurfaceError:
     """The refusal of a gap."""
     return SurfaceError(
-        f"{what} at {place(rim.middle)}, more than {close_m:.3g} m: "
+        f"{what} at {place_in_words(rim.middle)}, more than {close_m:.3g} m: "
         f"close more (--close), scan that side{hint}",
         reason="closing_gap",
         value=width_m,
     )
 
 
-def bulge_of(skin: Skin, start: int) -> float:
+def bulge_of(skin: LinearMesh, start: int) -> float:
     """Magnitude, m³, of the bulge over the triangles from ``start`` on, by the normals of the mesh
     itself where none are known.
     """
@@ -167,7 +183,7 @@ def bulge_of(skin: Skin, start: int) -> float:
     normals = skin.normals[start:]
     own = vertex_normals(skin.vertices, skin.triangles[:start])[t]
     rounded = np.ones(len(skin.vertices), bool)
-    part = Skin(
+    part = LinearMesh(
         skin.vertices,
         t,
         np.where(np.isnan(normals), own, normals),
@@ -180,7 +196,7 @@ def bulge_of(skin: Skin, start: int) -> float:
     return abs(float(bulge_volumes(part).sum()))
 
 
-def taken_chords(skin: Skin, loop: I64) -> Bool:
+def existing_chords(skin: LinearMesh, loop: I64) -> Bool:
     """Pairs (k, k) of loop vertices that an edge of the mesh joins already."""
     order, start, key = edge_table(skin.triangles)
     a, b = np.meshgrid(loop, loop, indexing="ij")
@@ -188,7 +204,7 @@ def taken_chords(skin: Skin, loop: I64) -> Bool:
     return out
 
 
-def rim_normals(skin: Skin, vertices: I64) -> F64:
+def rim_normals(skin: LinearMesh, vertices: I64) -> F64:
     """One normal (k, 3) per vertex: the mean of those at its corners, NaN where not known or where
     two faces meet.
     """

@@ -74,16 +74,16 @@ def patches(triangles: I32, cut: Bool) -> I64:
     pair = start[:-1][np.diff(start) == 2]
     i, j = order[pair] // 3, order[pair + 1] // 3
     free = ~(cut[i] | cut[j])
-    return together(i[free], j[free], len(triangles))
+    return connected_groups(i[free], j[free], len(triangles))
 
 
-def together(i: I64, j: I64, many: int) -> I64:
+def connected_groups(i: I64, j: I64, many: int) -> I64:
     """Number (many,) of the group of each of things that pairs i, j (k,) join."""
     graph = coo_array((np.ones(len(i), np.int8), (i, j)), shape=(many, many))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
-def quarters(corners: F64) -> F64:
+def quarter_triangles(corners: F64) -> F64:
     """Triangles (k, 3, 3) cut into four each at the middles of their sides: (k, 4, 3, 3)."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
@@ -91,7 +91,7 @@ def quarters(corners: F64) -> F64:
     return np.stack([np.stack(r, axis=1) for r in rows], axis=1)
 
 
-def standing_for(corners: F64, patch: I64) -> I64:
+def representative_triangles(corners: F64, patch: I64) -> I64:
     """The largest triangle of each patch (m,), these by their size downwards; corners (m, 3, 3)."""
     sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(sides, axis=1)
@@ -100,7 +100,7 @@ def standing_for(corners: F64, patch: I64) -> I64:
     return out[np.argsort(-area[out], kind="stable")].astype(np.int64)
 
 
-def counted_wrongly(vertices: F64, triangles: I32, pairs: I64) -> float:
+def miscounted_volume(vertices: F64, triangles: I32, pairs: I64) -> float:
     """Volume, m³, that a closed mesh with the crossing pairs (k, 2) counts more or less than once,
     about. triangles : (m, 3), outward.
     """
@@ -111,12 +111,12 @@ def counted_wrongly(vertices: F64, triangles: I32, pairs: I64) -> float:
     cut[pairs] = True
     patch = patches(triangles, cut)
     room = max(WORK // (2 * len(triangles)), 100)
-    stands = standing_for(corners, patch)
+    stands = representative_triangles(corners, patch)
     stands = stands[~cut[stands]][:room]
     crossing = np.flatnonzero(cut)
     step = -(-4 * len(crossing) // room)
     crossing = crossing[::step]
-    parts = quarters(corners[crossing]).reshape(-1, 3, 3)
+    parts = quarter_triangles(corners[crossing]).reshape(-1, 3, 3)
     probes = np.concatenate([corners[stands].mean(axis=1), parts.mean(axis=1)])
     own = np.concatenate([stands, np.repeat(crossing, 4)])
     outside = np.rint(winding_kernel(vertices, triangles, probes, own) - 0.5)
@@ -142,7 +142,7 @@ def clusters(triangles: I32, pairs: I64, member: Bool) -> I64:
     i = np.concatenate([order[pair] // 3, pairs[:, 0]])
     j = np.concatenate([order[pair + 1] // 3, pairs[:, 1]])
     both = member[i] & member[j]
-    return together(i[both], j[both], len(triangles))
+    return connected_groups(i[both], j[both], len(triangles))
 
 
 def cluster_volumes(pieces: F64, cluster: I64, weight: F64) -> F64:
@@ -163,7 +163,7 @@ def cluster_volumes(pieces: F64, cluster: I64, weight: F64) -> F64:
 def crossing_of(vertices: F64, triangles: I32) -> Crossing:
     """Which triangles (m, 3), outward, cross, and how much that counts."""
     pairs = crossings(vertices, triangles, min(MOST, 100 * len(triangles)))
-    return Crossing(pairs, counted_wrongly(vertices, triangles, pairs))
+    return Crossing(pairs, miscounted_volume(vertices, triangles, pairs))
 
 
 def check_crossing(found: Crossing, volume_m3: float) -> None:

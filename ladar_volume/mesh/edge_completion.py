@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.mesh.linear_mesh import EDGE, Faces, Skin, blocks, extended
+from ladar_volume.mesh.linear_mesh import EDGE, Faces, LinearMesh, blocks, extend_mesh
 from ladar_volume.mesh.topology import edge_table
 from ladar_volume.model.records import F64, I32, I64, Bool
 
@@ -40,7 +40,7 @@ class Meeting:
     good: Bool
 
 
-def meet(points: F64, normals: F64) -> Meeting:
+def plane_intersection(points: F64, normals: F64) -> Meeting:
     """The point nearest to the middle of points (k, c, 3) that is on all planes through them with
     normals (k, c, 3); c is 2 or 3.
     """
@@ -61,7 +61,7 @@ def meet(points: F64, normals: F64) -> Meeting:
     return Meeting(at, by_corner, good)
 
 
-def crossing_edges(skin: Skin, angle_rad: float) -> tuple[I64, F64, F64]:
+def crossing_edges(skin: LinearMesh, angle_rad: float) -> tuple[I64, F64, F64]:
     """Number (m, 3) of the edge from each corner to the next, −1 where its ends are of one face;
     its ends (e, 2) and normals (e, 2, 3).
     """
@@ -78,7 +78,7 @@ def crossing_edges(skin: Skin, angle_rad: float) -> tuple[I64, F64, F64]:
     return of_half.reshape(-1, 3), ends[crosses].astype(np.int64), n[crosses]
 
 
-def sharpen(skin: Skin, angle_rad: float = SHARP_RAD) -> tuple[Skin, int]:
+def sharpen(skin: LinearMesh, angle_rad: float = SHARP_RAD) -> tuple[LinearMesh, int]:
     """Complete the edges and corners between faces whose normals enclose more than ``angle_rad``;
     also how many vertices were added.
 
@@ -88,9 +88,9 @@ def sharpen(skin: Skin, angle_rad: float = SHARP_RAD) -> tuple[Skin, int]:
     if len(ends) == 0:
         return skin, 0
     v, t, n = skin.vertices, skin.triangles, len(skin.vertices)
-    edge = meet(v[ends], pairs)
+    edge = plane_intersection(v[ends], pairs)
     corners = np.flatnonzero((number >= 0).all(axis=1))
-    inner = meet(v[t[corners]], skin.normals[corners])
+    inner = plane_intersection(v[t[corners]], skin.normals[corners])
     # planes that meet in no point: the middle of the three edges
     for c in np.flatnonzero(~inner.good):
         inner.at[c] = edge.at[number[corners[c]]].mean(axis=0)
@@ -106,7 +106,7 @@ def sharpen(skin: Skin, angle_rad: float = SHARP_RAD) -> tuple[Skin, int]:
     new = np.concatenate([edge.at, inner.at])
     by_vertices = blocks(rows, columns, values, (len(new), n))
     normals = skin.normals[parent[:, None], corner]
-    made = extended(
+    made = extend_mesh(
         skin,
         new,
         EDGE,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.ground.polynomial import design, height_above
-from ladar_volume.mesh.linear_mesh import GROUND, Faces, Skin, blocks, extended
+from ladar_volume.mesh.linear_mesh import GROUND, Faces, LinearMesh, blocks, extend_mesh
 from ladar_volume.mesh.topology import edge_table
 from ladar_volume.model.records import F64, I64, Plane
 
@@ -16,7 +16,7 @@ def steepness(ground: Plane) -> F64:
     return np.array([-slope[0], -slope[1], 1.0])
 
 
-def clip_to_ground(skin: Skin, ground: Plane) -> Skin:
+def clip_to_ground(skin: LinearMesh, ground: Plane) -> LinearMesh:
     """The part of a mesh above a level or plane, with vertices of kind GROUND where its edges
     pierce it.
     """
@@ -44,7 +44,7 @@ def clip_to_ground(skin: Skin, ground: Plane) -> Skin:
     )
     triangles, parent, corner = cut_triangles(t, middle, h)
     normals = skin.normals[parent[:, None], corner]
-    return extended(
+    return extend_mesh(
         skin,
         q,
         GROUND,

@@ -66,7 +66,7 @@ def least_area(p: F64, taken: Bool) -> I64:
 
 
 @kernel
-def twice_area(p: F64, a: int, b: int, c: int) -> float:
+def twice_signed_area(p: F64, a: int, b: int, c: int) -> float:
     """Twice the signed area of a triangle in the plane."""
     return float(
         (p[b, 0] - p[a, 0]) * (p[c, 1] - p[a, 1]) - (p[b, 1] - p[a, 1]) * (p[c, 0] - p[a, 0])
@@ -74,7 +74,7 @@ def twice_area(p: F64, a: int, b: int, c: int) -> float:
 
 
 @kernel
-def blocked(p: F64, ring: I64, n: int, a: int, b: int, c: int) -> bool:
+def ear_is_blocked(p: F64, ring: I64, n: int, a: int, b: int, c: int) -> bool:
     """Whether a vertex of the ring lies in the triangle a, b, c, other than at its corners."""
     for i in range(n):
         v = ring[i]
@@ -83,9 +83,9 @@ def blocked(p: F64, ring: I64, n: int, a: int, b: int, c: int) -> bool:
             at_corner = at_corner or (p[v, 0] == p[w, 0] and p[v, 1] == p[w, 1])
         if (
             not at_corner
-            and twice_area(p, a, b, v) >= 0.0
-            and twice_area(p, b, c, v) >= 0.0
-            and twice_area(p, c, a, v) >= 0.0
+            and twice_signed_area(p, a, b, v) >= 0.0
+            and twice_signed_area(p, b, c, v) >= 0.0
+            and twice_signed_area(p, c, a, v) >= 0.0
         ):
             return True
     return False
@@ -101,19 +101,19 @@ def ears_kernel(p: F64, ring: I64, out: I64) -> int:
         best, width = -1, -np.inf
         for i in range(n):
             a, b, c = ring[(i + n - 1) % n], ring[i], ring[(i + 1) % n]
-            area = twice_area(p, a, b, c)
+            area = twice_signed_area(p, a, b, c)
             if area < 0.0:
                 continue
             side = (p[c, 0] - p[a, 0]) ** 2 + (p[c, 1] - p[a, 1]) ** 2
             one = (p[b, 0] - p[a, 0]) ** 2 + (p[b, 1] - p[a, 1]) ** 2
             two = (p[c, 0] - p[b, 0]) ** 2 + (p[c, 1] - p[b, 1]) ** 2
             shape = area / max(side + one + two, 1e-300)
-            if shape > width and not blocked(p, ring, n, a, b, c):
+            if shape > width and not ear_is_blocked(p, ring, n, a, b, c):
                 best, width = i, shape
         if best < 0:  # the ring crosses itself: the corner that covers least
             least, forced = np.inf, forced + 1
             for i in range(n):
-                area = abs(twice_area(p, ring[(i + n - 1) % n], ring[i], ring[(i + 1) % n]))
+                area = abs(twice_signed_area(p, ring[(i + n - 1) % n], ring[i], ring[(i + 1) % n]))
                 if area < least:
                     best, least = i, area
         out[made, 0], out[made, 1], out[made, 2] = (
@@ -144,7 +144,7 @@ def inside_loop(p: F64, at: F64) -> bool:
     return bool(np.count_nonzero(x > at[0]) % 2)
 
 
-def bridged(p: F64, outer: I64, holes: list[I64]) -> I64:
+def bridge_holes(p: F64, outer: I64, holes: list[I64]) -> I64:
     """One ring of an outer loop and its holes, indices into p (n, 2), each hole joined by the
     shortest bridge that crosses nothing.
     """
@@ -179,7 +179,7 @@ def ears(p: F64, outer: I64, holes: list[I64]) -> tuple[I64, int]:
     """Triangles (k, 3), indices into p (n, 2) m, of the area between a counter-clockwise loop and
     its clockwise holes; and how many overlap because loops cross.
     """
-    ring = bridged(p, outer, holes)
+    ring = bridge_holes(p, outer, holes)
     out = np.empty((len(ring) - 2, 3), np.int64)
     forced = int(ears_kernel(np.ascontiguousarray(p), ring.copy(), out))
     return out, forced

@@ -26,7 +26,7 @@ KINDS = ("measured", "edge", "gap", "ground")
 
 
 @dataclass(frozen=True)
-class Skin:
+class LinearMesh:
     """A mesh and where it comes from.
 
     vertices : (n, 3) m, the k measured ones first · triangles : (m, 3), counter-clockwise from
@@ -67,7 +67,7 @@ def vertex_normals(vertices: F64, triangles: I32) -> F64:
     return np.asarray(total / np.where(length > 0.0, length, 1.0))
 
 
-def outward(vertices: F64, triangles: I32) -> I32:
+def orient_outward(vertices: F64, triangles: I32) -> I32:
     """Triangles (m, 3) of a mesh, open or closed, each part turned so that it encloses a positive
     volume.
 
@@ -91,9 +91,9 @@ def outward(vertices: F64, triangles: I32) -> I32:
     return t
 
 
-def skin_of(
+def linear_mesh(
     vertices: F64, triangles: I32, normals: F64 | None = None, curved: Bool | None = None
-) -> Skin:
+) -> LinearMesh:
     """A mesh of measured vertices (n, 3), turned outward, and its normals (n, 3), of either sign,
     where known.
 
@@ -102,7 +102,7 @@ def skin_of(
     :func:`~ladar_volume.mesh.topology.orient`.
     """
     v = np.asarray(vertices, dtype=np.float64)
-    t = outward(v, triangles)
+    t = orient_outward(v, triangles)
     corner = np.full((len(t), 3, 3), np.nan)
     if normals is not None:
         sign = np.einsum("ni,ni->n", normals, vertex_normals(v, t))
@@ -111,7 +111,7 @@ def skin_of(
     bends = (
         np.full(len(v), normals is not None) if curved is None else np.asarray(curved, dtype=bool)
     )
-    return Skin(
+    return LinearMesh(
         v,
         t,
         corner,
@@ -132,7 +132,7 @@ def blocks(rows: I64, columns: I64, values: F64, shape: tuple[int, int]) -> csr_
 
 class Faces(NamedTuple):
     """triangles : (m, 3) · normals : (m, 3, 3) at their corners · face : (m,) what each is, all as
-    in :class:`Skin`
+    in :class:`LinearMesh`
     """
 
     triangles: I32
@@ -140,15 +140,15 @@ class Faces(NamedTuple):
     face: I32
 
 
-def extended(
-    skin: Skin,
+def extend_mesh(
+    skin: LinearMesh,
     new: F64,
     kind: int | I32,
     by_vertices: csr_matrix,
     by_ground: F64,
     faces: Faces,
     curved: Bool | None = None,
-) -> Skin:
+) -> LinearMesh:
     """The skin with new vertices (a, 3) of one kind, or (a,) kinds, and other faces.
 
     by_vertices : (3a, 3n), derivative of the new vertices by the old ones · by_ground : (3a, 3), by
@@ -159,7 +159,7 @@ def extended(
     by_measured = csr_matrix(bmat([[skin.by_measured], [by_vertices @ skin.by_measured]]))
     by_all = np.concatenate([skin.by_ground, direct])
     bends = np.concatenate([skin.curved, np.zeros(len(new), bool) if curved is None else curved])
-    return Skin(
+    return LinearMesh(
         np.concatenate([skin.vertices, new]),
         faces.triangles,
         faces.normals,

@@ -55,14 +55,14 @@ def neighbours(points: F64, count: int, at: I64 | None = None) -> tuple[F64, I64
     return np.ascontiguousarray(distance[:, 1:]), np.ascontiguousarray(index[:, 1:], np.int64)
 
 
-def by_place(points: F64) -> I64:
+def spatial_order(points: F64) -> I64:
     """The order of points in which neighbours follow each other, for the sake of the cache."""
     return np.asarray(
         cKDTree(points, leafsize=64, balanced_tree=False, compact_nodes=False).indices, np.int64
     )
 
 
-def within(points: F64, radius: float) -> tuple[I64, I64]:
+def neighbours_within(points: F64, radius: float) -> tuple[I64, I64]:
     """The points within a radius of each point, itself among them, in ascending order: where each
     list begins (n + 1,), and all lists.
     """
@@ -87,7 +87,9 @@ def plane_normals(points: F64, index: I64) -> F64:
 
 
 @kernel
-def leaves(ox: float, oy: float, oz: float, normals: F64, i: int, j: int, s: float) -> float:
+def offset_from_surface(
+    ox: float, oy: float, oz: float, normals: F64, i: int, j: int, s: float
+) -> float:
     """By how much an offset leaves the surface between points with unit normals n_i and s n_j: its
     part along their mean direction.
     """
@@ -125,9 +127,9 @@ def link_signs(points: F64, normals: F64, index: I64) -> F64:
                 + normals[i, 2] * normals[j, 2]
             )
             s = 1.0 if dot >= 0.0 else -1.0
-            off, other = leaves(x, y, z, normals, i, j, s) / length, 1.0
+            off, other = offset_from_surface(x, y, z, normals, i, j, s) / length, 1.0
             if abs(dot) < SMOOTH:
-                other = leaves(x, y, z, normals, i, j, -s) / length
+                other = offset_from_surface(x, y, z, normals, i, j, -s) / length
                 if other < off:
                     s, off, other = -s, other, off
             # between parallel planes, one over the other, a connection says nothing
@@ -196,11 +198,11 @@ def consistent_normals(points: F64, normals: F64, index: I64) -> F64:
     order = order[np.abs(vote[order]) > LEAST * (count[order] + FEW)]
     one, other = pair[order] // len(points), pair[order] % len(points)
     turn, whole = carry_signs(one, other, np.sign(vote[order]), len(points))
-    turn = agreed(turn, one, other, vote[order])
-    return outward(points, normals * (signs * turn[part])[:, None], whole[part])
+    turn = flip_to_agree(turn, one, other, vote[order])
+    return outward_normals(points, normals * (signs * turn[part])[:, None], whole[part])
 
 
-def agreed(turn: F64, a: I64, b: I64, vote: F64) -> F64:
+def flip_to_agree(turn: F64, a: I64, b: I64, vote: F64) -> F64:
     """Signs (n,) of faces of which none has more against it than for it among its connections ``a
     b`` (e,) with their votes.
 
@@ -224,7 +226,7 @@ def agreed(turn: F64, a: I64, b: I64, vote: F64) -> F64:
         out[worst] = -out[worst]
 
 
-def outward(points: F64, normals: F64, part: I64) -> F64:
+def outward_normals(points: F64, normals: F64, part: I64) -> F64:
     """Normals (n, 3) of each part turned away from its middle, or up where the part is flat."""
     n = len(points)
     size = np.maximum(np.bincount(part, minlength=n), 1)
@@ -241,7 +243,9 @@ def outward(points: F64, normals: F64, part: I64) -> F64:
 
 
 @kernel
-def unfold(points: F64, normals: F64, i: int, j: int, slack: float) -> tuple[float, float, bool]:
+def tangent_coordinates(
+    points: F64, normals: F64, i: int, j: int, slack: float
+) -> tuple[float, float, bool]:
     """Where point j lies in the tangent plane of point i, in a right-handed frame that depends on i
     alone, and whether it is on the same sheet. Lengths along the surface are kept: over smooth
     parts the distance, over an edge both ways to the line where the planes meet.
@@ -261,7 +265,7 @@ def unfold(points: F64, normals: F64, i: int, j: int, slack: float) -> tuple[flo
     bx, by, bz = n[0] * n[1] * h, g + n[1] * n[1] * h, -n[1]
     if dot < OPPOSITE:
         return ox * tx + oy * ty + oz * tz, ox * bx + oy * by + oz * bz, False
-    off = leaves(ox, oy, oz, normals, i, j, 1.0)
+    off = offset_from_surface(ox, oy, oz, normals, i, j, 1.0)
     same = off <= (SLOPE + math.sqrt(max(0.0, 0.5 - 0.5 * dot))) * length + slack
     if dot > SMOOTH:
         sx, sy, sz = n[0] + m[0], n[1] + m[1], n[2] + m[2]

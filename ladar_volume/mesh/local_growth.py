@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.math.kernels import kernel
-from ladar_volume.mesh.local_frames import unfold
+from ladar_volume.mesh.local_frames import tangent_coordinates
 from ladar_volume.model.records import F64, I32, I64
 
 #: Most triangles round a point.
@@ -19,7 +19,7 @@ FAN = 32
 
 
 @kernel
-def add(fan: I32, size: I32, a: int, b: int, c: int, kind: int) -> None:
+def add_to_fans(fan: I32, size: I32, a: int, b: int, c: int, kind: int) -> None:
     """Put a triangle into the fans (n, FAN, 3) of its corners: the next and the last corner, and
     what kind of triangle it is.
     """
@@ -31,7 +31,7 @@ def add(fan: I32, size: I32, a: int, b: int, c: int, kind: int) -> None:
 
 
 @kernel
-def take_away(fan: I32, size: I32, a: int, b: int, c: int) -> None:
+def remove_from_fans(fan: I32, size: I32, a: int, b: int, c: int) -> None:
     """Take a triangle out of the fans of its corners."""
     p, q, r = np.int64(a), np.int64(b), np.int64(c)  # of one type, as a compiled tuple must be
     for i, j, k in ((p, q, r), (q, r, p), (r, p, q)):
@@ -43,7 +43,7 @@ def take_away(fan: I32, size: I32, a: int, b: int, c: int) -> None:
 
 
 @kernel
-def follows(fan: I32, size: I32, i: int, j: int) -> int:
+def row_to_left(fan: I32, size: I32, i: int, j: int) -> int:
     """Where the fan of i has the triangle to the left of the edge from i to j, or -1."""
     for s in range(size[i]):
         if fan[i, s, 0] == j:
@@ -52,7 +52,7 @@ def follows(fan: I32, size: I32, i: int, j: int) -> int:
 
 
 @kernel
-def precedes(fan: I32, size: I32, i: int, j: int) -> int:
+def row_to_right(fan: I32, size: I32, i: int, j: int) -> int:
     """Where the fan of i has the triangle to the right of the edge from i to j, or -1."""
     for s in range(size[i]):
         if fan[i, s, 1] == j:
@@ -61,34 +61,34 @@ def precedes(fan: I32, size: I32, i: int, j: int) -> int:
 
 
 @kernel
-def between(ax: float, ay: float, bx: float, by: float, qx: float, qy: float) -> bool:
+def is_in_sector(ax: float, ay: float, bx: float, by: float, qx: float, qy: float) -> bool:
     """Whether direction q lies strictly inside the sector from a to b, less than half a turn."""
     return ax * qy - ay * qx > 0.0 and qx * by - qy * bx > 0.0
 
 
 @kernel
-def fits(
+def sector_is_free(
     points: F64, normals: F64, fan: I32, size: I32, i: int, a: int, b: int, slack: float
 ) -> bool:
     """Whether the sector of the triangle (i, a, b) is free at i."""
     if size[i] >= FAN:
         return False
-    ax, ay, on_a = unfold(points, normals, i, a, slack)
-    bx, by, on_b = unfold(points, normals, i, b, slack)
+    ax, ay, on_a = tangent_coordinates(points, normals, i, a, slack)
+    bx, by, on_b = tangent_coordinates(points, normals, i, b, slack)
     if not (on_a and on_b) or ax * by - ay * bx <= 0.0:
         return False
     for s in range(size[i]):
         c, d = fan[i, s, 0], fan[i, s, 1]
         if c == a or d == b:
             return False
-        cx, cy, _ = unfold(points, normals, i, c, slack)
-        dx, dy, _ = unfold(points, normals, i, d, slack)
-        if (c != b and between(ax, ay, bx, by, cx, cy)) or (
-            d != a and between(ax, ay, bx, by, dx, dy)
+        cx, cy, _ = tangent_coordinates(points, normals, i, c, slack)
+        dx, dy, _ = tangent_coordinates(points, normals, i, d, slack)
+        if (c != b and is_in_sector(ax, ay, bx, by, cx, cy)) or (
+            d != a and is_in_sector(ax, ay, bx, by, dx, dy)
         ):
             return False
-        if (a != d and between(cx, cy, dx, dy, ax, ay)) or (
-            b != c and between(cx, cy, dx, dy, bx, by)
+        if (a != d and is_in_sector(cx, cy, dx, dy, ax, ay)) or (
+            b != c and is_in_sector(cx, cy, dx, dy, bx, by)
         ):
             return False
     return True
@@ -105,12 +105,12 @@ def grow(
     for t in range(len(triangles)):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         if votes[t] < 3 and not (
-            fits(points, normals, fan, size, a, b, c, slack)
-            and fits(points, normals, fan, size, b, c, a, slack)
-            and fits(points, normals, fan, size, c, a, b, slack)
+            sector_is_free(points, normals, fan, size, a, b, c, slack)
+            and sector_is_free(points, normals, fan, size, b, c, a, slack)
+            and sector_is_free(points, normals, fan, size, c, a, b, slack)
         ):
             continue
-        add(fan, size, a, b, c, votes[t])
+        add_to_fans(fan, size, a, b, c, votes[t])
         taken += 1
     return taken
 
@@ -151,7 +151,7 @@ def drop_fans(fan: I32, size: I32) -> int:
             old = fan[i, : size[i]].copy()
             for s in range(len(old)):
                 if label[s] != best:
-                    take_away(fan, size, i, old[s, 0], old[s, 1])
+                    remove_from_fans(fan, size, i, old[s, 0], old[s, 1])
                     gone += 1
     return gone
 
@@ -163,11 +163,11 @@ def label_fans(fan: I32, size: I32, i: int, label: I64) -> int:
     parts = 0
     for turn in range(2):  # open fans from their beginning, then what is closed
         for s in range(size[i]):
-            if label[s] >= 0 or (turn == 0 and precedes(fan, size, i, fan[i, s, 0]) >= 0):
+            if label[s] >= 0 or (turn == 0 and row_to_right(fan, size, i, fan[i, s, 0]) >= 0):
                 continue
             at = s
             while at >= 0 and label[at] < 0:
                 label[at] = parts
-                at = follows(fan, size, i, fan[i, at, 1])
+                at = row_to_left(fan, size, i, fan[i, at, 1])
             parts += 1
     return parts

@@ -19,8 +19,14 @@ import math
 import numpy as np
 
 from ladar_volume.math.kernels import kernel
-from ladar_volume.mesh.local_frames import unfold
-from ladar_volume.mesh.local_growth import FAN, add, follows, precedes, take_away
+from ladar_volume.mesh.local_frames import tangent_coordinates
+from ladar_volume.mesh.local_growth import (
+    FAN,
+    add_to_fans,
+    remove_from_fans,
+    row_to_left,
+    row_to_right,
+)
 from ladar_volume.model.records import F64, I32, I64, Bool
 
 #: Longest rim that is closed; the work grows with its cube.
@@ -37,13 +43,13 @@ def next_on_rim(
     """Row of x's fan whose last neighbour follows x on the rim that comes from y, and the angle of
     the gap at x.
     """
-    yx, yy, _ = unfold(points, normals, x, y, slack)
+    yx, yy, _ = tangent_coordinates(points, normals, x, y, slack)
     best, least = -1, np.inf
     for s in range(size[x]):
         z = fan[x, s, 1]
-        if follows(fan, size, x, z) >= 0:
+        if row_to_left(fan, size, x, z) >= 0:
             continue
-        zx, zy, _ = unfold(points, normals, x, z, slack)
+        zx, zy, _ = tangent_coordinates(points, normals, x, z, slack)
         angle = math.atan2(zx * yy - zy * yx, zx * yx + zy * yy)
         angle = angle if angle > 0.0 else angle + 2.0 * math.pi
         if angle < least:
@@ -52,7 +58,7 @@ def next_on_rim(
 
 
 @kernel
-def trace(
+def trace_rims(
     points: F64, normals: F64, fan: I32, size: I32, slack: float, rim: I32, start: I64, excess: F64
 ) -> int:
     """All rims one after the other: vertices in ``rim``, the first of each in ``start``, and by how
@@ -63,7 +69,7 @@ def trace(
     rims, n = 0, 0
     for first in range(len(size)):
         for s in range(size[first]):
-            if seen[first, s] or follows(fan, size, first, fan[first, s, 1]) >= 0:
+            if seen[first, s] or row_to_left(fan, size, first, fan[first, s, 1]) >= 0:
                 continue
             x, row, turns = first, s, 0.0
             start[rims] = n
@@ -82,7 +88,7 @@ def trace(
 
 
 @kernel
-def price(points: F64, normals: F64, a: int, b: int, c: int) -> float:
+def triangle_price(points: F64, normals: F64, a: int, b: int, c: int) -> float:
     """Area of a triangle, dearer the more it turns away from the normals at its corners."""
     u, v = points[b] - points[a], points[c] - points[a]
     x, y, z = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
@@ -108,13 +114,13 @@ def close_rim(points: F64, normals: F64, fan: I32, size: I32, rim: I32) -> int:
             a, c = rim[i], rim[j]
             inner = not (i == 0 and j == k - 1)
             if a == c or (
-                inner and (follows(fan, size, a, c) >= 0 or precedes(fan, size, a, c) >= 0)
+                inner and (row_to_left(fan, size, a, c) >= 0 or row_to_right(fan, size, a, c) >= 0)
             ):
                 continue
             for m in range(i + 1, j):
                 if rim[m] == a or rim[m] == c or cost[i, m] + cost[m, j] >= cost[i, j]:
                     continue
-                whole = cost[i, m] + cost[m, j] + price(points, normals, a, rim[m], c)
+                whole = cost[i, m] + cost[m, j] + triangle_price(points, normals, a, rim[m], c)
                 if whole < cost[i, j]:
                     cost[i, j], split[i, j] = whole, m
     if not math.isfinite(cost[0, k - 1]):
@@ -135,7 +141,7 @@ def write_rim(fan: I32, size: I32, rim: I32, split: I64) -> int:
         top -= 1
         i, j = stack[top, 0], stack[top, 1]
         m = split[i, j]
-        add(fan, size, rim[i], rim[m], rim[j], 0)
+        add_to_fans(fan, size, rim[i], rim[m], rim[j], 0)
         if m > i + 1:
             stack[top, 0], stack[top, 1] = i, m
             top += 1
@@ -158,7 +164,7 @@ def close_holes(
     return holes, triangles
 
 
-def fill(
+def fill_holes(
     points: F64, normals: F64, fan: I32, size: I32, slack: float, largest_m: float, opened: Bool
 ) -> tuple[int, int]:
     """Close every hole whose rim is no longer than that of a circle of diameter ``largest_m``, or
@@ -166,7 +172,9 @@ def fill(
     """
     rim, start, excess = rims(points, normals, fan, size, slack)
     corners = np.diff(start)
-    wanted = (rim_lengths(points, rim, start) <= math.pi * largest_m) | touching(rim, start, opened)
+    wanted = (rim_lengths(points, rim, start) <= math.pi * largest_m) | rims_at_vertices(
+        rim, start, opened
+    )
     chosen = np.flatnonzero(
         wanted & (np.abs(excess) < OF_A_HOLE) & (corners >= 3) & (corners <= LONGEST)
     )
@@ -182,17 +190,17 @@ def open_handles(points: F64, normals: F64, fan: I32, size: I32, slack: float, o
     """
     rim, start, excess = rims(points, normals, fan, size, slack)
     crossed = (excess < -OF_A_HOLE) & (np.diff(start) <= LONGEST)
-    return clear(fan, size, np.unique(rim[np.repeat(crossed, np.diff(start))]), opened)
+    return clear_vertices(fan, size, np.unique(rim[np.repeat(crossed, np.diff(start))]), opened)
 
 
 @kernel
-def clear(fan: I32, size: I32, at: I32, touched: Bool) -> int:
+def clear_vertices(fan: I32, size: I32, at: I32, touched: Bool) -> int:
     """Take away all triangles at vertices ``at`` (k,) and mark their corners; how many went."""
     gone = 0
     for i in at:
         while size[i] > 0:
             touched[i] = touched[fan[i, 0, 0]] = touched[fan[i, 0, 1]] = True
-            take_away(fan, size, i, fan[i, 0, 0], fan[i, 0, 1])
+            remove_from_fans(fan, size, i, fan[i, 0, 0], fan[i, 0, 1])
             gone += 1
     return gone
 
@@ -209,17 +217,17 @@ def rim_lengths(points: F64, rim: I32, start: I64) -> F64:
     return length
 
 
-def touching(rim: I32, start: I64, marked: Bool) -> Bool:
+def rims_at_vertices(rim: I32, start: I64, marked: Bool) -> Bool:
     """Whether (r,) a rim passes a marked vertex (n,)."""
     number = np.repeat(np.arange(len(start) - 1), np.diff(start))
     return np.bincount(number, marked[rim], len(start) - 1) > 0
 
 
 def rims(points: F64, normals: F64, fan: I32, size: I32, slack: float) -> tuple[I32, I64, F64]:
-    """As :func:`trace`, cut to length: vertices of all rims, where each begins (and where the last
-    ends), excess.
+    """As :func:`trace_rims`, cut to length: vertices of all rims, where each begins (and where the
+    last ends), excess.
     """
     most = int(size.sum())
     rim, start, excess = np.empty(most, np.int32), np.zeros(most + 1, np.int64), np.empty(most)
-    count = trace(points, normals, fan, size, slack, rim, start, excess)
+    count = trace_rims(points, normals, fan, size, slack, rim, start, excess)
     return rim[: start[count]], start[: count + 1], excess[:count]

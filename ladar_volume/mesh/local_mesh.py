@@ -18,15 +18,15 @@ import numpy as np
 from ladar_volume.mesh.local_frames import (
     PLANE,
     SLACK,
-    by_place,
     consistent_normals,
     neighbours,
     plane_normals,
+    spatial_order,
 )
 from ladar_volume.mesh.local_growth import FAN, drop_fans, grow, spread_out
-from ladar_volume.mesh.local_holes import fill, open_handles, rims
-from ladar_volume.mesh.local_published import published, repaired
-from ladar_volume.mesh.local_star import DEGREE, ballot, stars
+from ladar_volume.mesh.local_holes import fill_holes, open_handles, rims
+from ladar_volume.mesh.local_published import published_triangles, repair_triangles
+from ladar_volume.mesh.local_star import DEGREE, count_star_triangles, stars
 from ladar_volume.mesh.topology import edge_table
 from ladar_volume.model.choices import REPAIRS
 from ladar_volume.model.errors import SurfaceError
@@ -139,7 +139,7 @@ def mesh_cloud(
             value=len(first),
         )
     if settings.method == "agreement":
-        first = first[by_place(given[first])]
+        first = first[spatial_order(given[first])]
     # digits: offsets of the cloud's size, not map coordinates
     p = given[first] - 0.5 * (given.min(axis=0) + given.max(axis=0))
     spread = np.linalg.svd(p - p.mean(axis=0), compute_uv=False)
@@ -149,14 +149,14 @@ def mesh_cloud(
     own = None if normals is None else np.asarray(normals, np.float64)
     n = unit_normals(p, index, own, first, len(given), settings.signed)
     if settings.method == "published":
-        return overlapping(given, first, p, n, settings)
+        return mesh_published(given, first, p, n, settings)
     spacing = float(np.median(distance[:, min(SPACING, distance.shape[1]) - 1]))
     reach = settings.radius_m or REACH * spacing
     hole = settings.hole_m or HOLE / REACH * reach
     slack = SLACK * spacing
-    triangles, votes, report = agree(p, n, index, reach, slack)
+    triangles, votes, report = count_agreement(p, n, index, reach, slack)
     lengths = {"spacing_m": spacing, "radius_m": reach, "hole_m": hole, "slack_m": slack}
-    return finish(given, first, p, n, triangles, votes, {**lengths, **report})
+    return finish_mesh(given, first, p, n, triangles, votes, {**lengths, **report})
 
 
 def unit_normals(
@@ -180,7 +180,7 @@ def unit_normals(
     return unit if signed else consistent_normals(p, unit, index)
 
 
-def agree(
+def count_agreement(
     p: F64, n: F64, index: I64, reach: float, slack: float
 ) -> tuple[I32, I32, dict[str, float | int]]:
     """Triangles of all stars in the order in which they are taken, their votes, and counts."""
@@ -190,7 +190,7 @@ def agree(
     still = np.flatnonzero(closed == 0)
     if len(still) and index.shape[1] == NEIGHBOURS:
         stars(p, n, neighbours(p, WIDER * NEIGHBOURS, still)[1], still, reach, slack, ring, closed)
-    triangles, votes = ballot(p, ring, closed, reach)
+    triangles, votes = count_star_triangles(p, ring, closed, reach)
     most = np.diff(edge_table(triangles[votes >= 2])[1])
     corner = p[triangles]
     longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
@@ -206,7 +206,7 @@ def agree(
     return triangles[order], votes[order], report
 
 
-def finish(
+def finish_mesh(
     given: F64,
     first: I64,
     p: F64,
@@ -249,7 +249,7 @@ def _fill_and_drop(
     holes = dropped = 0
     opened = np.zeros(len(p), np.bool_)
     for _ in range(ROUNDS):
-        closed = fill(p, n, fan, size, slack, hole, opened)[0]
+        closed = fill_holes(p, n, fan, size, slack, hole, opened)[0]
         gone = drop_fans(fan, size) + open_handles(p, n, fan, size, slack, opened)
         holes, dropped = holes + closed, dropped + gone
         if not gone:
@@ -268,16 +268,18 @@ def _spread(fan: I32, size: I32, radius_m: float) -> I32:
     return out
 
 
-def overlapping(given: F64, first: I64, p: F64, n: F64, settings: LocalMeshSettings) -> LocalMesh:
+def mesh_published(
+    given: F64, first: I64, p: F64, n: F64, settings: LocalMeshSettings
+) -> LocalMesh:
     """The mesh of the published method: each triangle faces the side of the normals at its corners;
     each open edge is a rim of its own.
     """
-    found = published(p, settings.radius_m, settings.longest_m or settings.radius_m)
+    found = published_triangles(p, settings.radius_m, settings.longest_m or settings.radius_m)
     if len(found) == 0:
         raise SurfaceError(
             f"no triangle with sides up to {settings.radius_m:.3g} m", reason="mesh_empty"
         )
-    t = repaired(found, settings.repair)
+    t = repair_triangles(found, settings.repair)
     a, b, c = (p[t[:, k]] for k in range(3))
     back = np.einsum("ni,ni->n", np.cross(b - a, c - a), n[t].sum(axis=1)) < 0.0
     t[back] = t[back][:, [0, 2, 1]]

@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from ladar_volume.math.kernels import kernel
-from ladar_volume.mesh.local_frames import within
+from ladar_volume.mesh.local_frames import neighbours_within
 from ladar_volume.mesh.topology import edge_table
 from ladar_volume.model.records import F64, I32, I64, Bool
 
@@ -25,18 +25,18 @@ JITTER = 1e-4
 AROUND = 96
 
 
-def published(points: F64, radius: float, longest: float) -> I32:
+def published_triangles(points: F64, radius: float, longest: float) -> I32:
     """Triangles (m, 3) of points (n, 3) by Algorithm 2: neighbours within ``radius``, no side above
     ``longest``, m; in no orientation.
     """
     moved = points + np.random.default_rng(0).uniform(
         -JITTER * radius, JITTER * radius, points.shape
     )
-    start, near = within(moved, radius)
+    start, near = neighbours_within(moved, radius)
     normals = ball_normals(moved, start, near)
     table = np.full(1 << int(64 * len(points)).bit_length(), -1, np.int64)
     out = np.empty((len(table) // 2, 3), np.int32)
-    m = search(moved, normals, start, near, longest, table, out)
+    m = search_triangles(moved, normals, start, near, longest, table, out)
     return out[:m].copy()
 
 
@@ -58,7 +58,7 @@ def ball_normals(points: F64, start: I64, near: I64) -> F64:
 
 
 @kernel
-def search(
+def search_triangles(
     points: F64, normals: F64, start: I64, near: I64, longest: float, table: I64, out: I32
 ) -> int:
     """The loop over all points: triangles into ``out``, each once; how many. It ends early where
@@ -75,7 +75,7 @@ def search(
         found = empty_circles(x, y, longest)
         for t in range(len(found)):
             corner = np.sort(name[found[t]])
-            if m == len(out) or not remember(table, corner):
+            if m == len(out) or not insert_triangle(table, corner):
                 continue
             out[m, 0], out[m, 1], out[m, 2] = corner[0], corner[1], corner[2]
             m += 1
@@ -88,7 +88,7 @@ def search(
                     )
                 many[v] += 1
         for v in name:
-            final[v] = many[v] > AROUND or surrounded(
+            final[v] = many[v] > AROUND or is_surrounded(
                 points, normals[i], v, around[v, : min(many[v], AROUND)]
             )
     return m
@@ -162,7 +162,7 @@ def empty_circle(x: F64, y: F64, a: int, b: int, c: int) -> bool:
 
 
 @kernel
-def remember(table: I64, corner: I64) -> bool:
+def insert_triangle(table: I64, corner: I64) -> bool:
     """Put a triangle, corners ascending, into the hash table; False where it is there already."""
     key = (corner[0] << 42) | (corner[1] << 21) | corner[2]
     mask = len(table) - 1
@@ -176,7 +176,7 @@ def remember(table: I64, corner: I64) -> bool:
 
 
 @kernel
-def surrounded(points: F64, n: F64, v: int, around: I32) -> bool:
+def is_surrounded(points: F64, n: F64, v: int, around: I32) -> bool:
     """Whether the angles at v of its triangles, seen along n, add up to 360 degrees (or more, where
     they overlap).
     """
@@ -189,7 +189,7 @@ def surrounded(points: F64, n: F64, v: int, around: I32) -> bool:
     return total >= 2.0 * math.pi * (1.0 - 1e-9)
 
 
-def without_false(triangles: I32) -> I32:
+def remove_false(triangles: I32) -> I32:
     """Take out the triangle with the most neighbours, again and again, until none has more than
     three.
     """
@@ -197,13 +197,13 @@ def without_false(triangles: I32) -> I32:
     edge = np.empty(len(order), np.int64)
     edge[order] = np.repeat(np.arange(len(start) - 1), np.diff(start))
     alive = np.ones(len(triangles), bool)
-    take_most(edge.reshape(-1, 3), np.diff(start), order // 3, start, alive)
+    remove_most_neighbours(edge.reshape(-1, 3), np.diff(start), order // 3, start, alive)
     return triangles[alive]
 
 
 @kernel
-def take_most(edge: I64, uses: I64, of: I64, start: I64, alive: Bool) -> None:
-    """The loop of :func:`without_false`: edges (m, 3) of triangles, triangles ``of`` each edge from
+def remove_most_neighbours(edge: I64, uses: I64, of: I64, start: I64, alive: Bool) -> None:
+    """The loop of :func:`remove_false`: edges (m, 3) of triangles, triangles ``of`` each edge from
     ``start`` on.
     """
     near = np.empty(len(edge), np.int64)
@@ -222,7 +222,7 @@ def take_most(edge: I64, uses: I64, of: I64, start: I64, alive: Bool) -> None:
                     near[o] -= 1
 
 
-def without_suspicious(triangles: I32) -> I32:
+def remove_suspicious(triangles: I32) -> I32:
     """Take out every triangle that has more than three neighbours, at once."""
     order, start, _ = edge_table(triangles)
     uses = np.empty(len(order), np.int64)
@@ -231,7 +231,7 @@ def without_suspicious(triangles: I32) -> I32:
     return kept
 
 
-def with_empty(triangles: I32) -> I32:
+def add_empty(triangles: I32) -> I32:
     """Add a triangle wherever three edges that have one triangle each join three vertices."""
     order, start, key = edge_table(triangles)
     single = key[order[start[:-1][np.diff(start) == 1]]]
@@ -245,12 +245,12 @@ def with_empty(triangles: I32) -> I32:
     return np.concatenate([triangles, added])
 
 
-def repaired(triangles: I32, repair: str) -> I32:
+def repair_triangles(triangles: I32, repair: str) -> I32:
     """The five modes of Tables 9.3 and 9.4: none, empty, false, both (false, then empty), remove
     (all that are suspicious).
     """
     if repair == "remove":
-        return without_suspicious(triangles)
+        return remove_suspicious(triangles)
     if repair in ("false", "both"):
-        triangles = without_false(triangles)
-    return with_empty(triangles) if repair in ("empty", "both") else triangles
+        triangles = remove_false(triangles)
+    return add_empty(triangles) if repair in ("empty", "both") else triangles

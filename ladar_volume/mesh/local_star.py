@@ -13,7 +13,7 @@ import numba
 import numpy as np
 
 from ladar_volume.math.kernels import kernel, parallel_kernel
-from ladar_volume.mesh.local_frames import unfold
+from ladar_volume.mesh.local_frames import tangent_coordinates
 from ladar_volume.model.records import F64, I32, I64
 
 #: Most neighbours in a star that is kept.
@@ -36,14 +36,14 @@ def star(x: F64, y: F64, count: int, out: I32) -> tuple[int, bool]:
         if d < least:
             first, least = k, d
     ahead, n = np.empty(DEGREE, np.int64), 0
-    closed = wrap(u, v, count, first, 1.0, ahead)
+    closed = wrap_hull(u, v, count, first, 1.0, ahead)
     while n < DEGREE and ahead[n] >= 0:
         n += 1
     if closed:
         out[:n] = ahead[:n]
         return n, True
     behind, b = np.empty(DEGREE, np.int64), 0
-    wrap(u, v, count, first, -1.0, behind)
+    wrap_hull(u, v, count, first, -1.0, behind)
     while b < DEGREE and behind[b] >= 0:
         b += 1
     total = min(b - 1 + n, DEGREE)
@@ -53,7 +53,7 @@ def star(x: F64, y: F64, count: int, out: I32) -> tuple[int, bool]:
 
 
 @kernel
-def wrap(u: F64, v: F64, count: int, first: int, side: float, out: I64) -> bool:
+def wrap_hull(u: F64, v: F64, count: int, first: int, side: float, out: I64) -> bool:
     """Corners of the convex hull of the points and the origin from ``first`` on, counter-clockwise
     for side 1; ends with -1. True where it comes back to the first without meeting the origin.
     """
@@ -101,7 +101,7 @@ def stars(
         )
         count = 0
         for j in index[a]:
-            px, py, same = unfold(points, normals, i, j, slack)
+            px, py, same = tangent_coordinates(points, normals, i, j, slack)
             if same and 0.0 < px * px + py * py <= reach * reach:
                 x[count], y[count], name[count] = px, py, j
                 count += 1
@@ -114,18 +114,18 @@ def stars(
 
 
 @kernel
-def has(ring: I32, closed: I32, i: int, a: int, b: int) -> bool:
+def star_has_edge(ring: I32, closed: I32, i: int, a: int, b: int) -> bool:
     """Whether b follows a in the star of i."""
     for k in range(DEGREE):
         if ring[i, k] < 0:
             return False
         if ring[i, k] == a:
-            return after(ring, closed, i, k) == b
+            return next_in_star(ring, closed, i, k) == b
     return False
 
 
 @kernel
-def after(ring: I32, closed: I32, i: int, k: int) -> int:
+def next_in_star(ring: I32, closed: I32, i: int, k: int) -> int:
     """The point that follows the one at place k in the star of i, or -1."""
     following: int = ring[i, k + 1] if k + 1 < DEGREE else -1
     if following < 0 and closed[i] > 0 and k > 1:
@@ -144,7 +144,7 @@ def count_votes(
     for i in range(len(ring)):
         for k in range(DEGREE):
             a = ring[i, k]
-            b = after(ring, closed, i, k) if a >= 0 else -1
+            b = next_in_star(ring, closed, i, k) if a >= 0 else -1
             if b < 0:
                 break
             x, y, z = (
@@ -152,7 +152,7 @@ def count_votes(
                 points[a, 1] - points[b, 1],
                 points[a, 2] - points[b, 2],
             )
-            by_a, by_b = has(ring, closed, a, b, i), has(ring, closed, b, i, a)
+            by_a, by_b = star_has_edge(ring, closed, a, b, i), star_has_edge(ring, closed, b, i, a)
             if x * x + y * y + z * z > reach * reach or (by_a and a < i) or (by_b and b < i):
                 continue
             triangles[n, 0], triangles[n, 1], triangles[n, 2] = i, a, b
@@ -161,7 +161,7 @@ def count_votes(
     return n
 
 
-def ballot(points: F64, ring: I32, closed: I32, reach: float) -> tuple[I32, I32]:
+def count_star_triangles(points: F64, ring: I32, closed: I32, reach: float) -> tuple[I32, I32]:
     """Every triangle that is in a star (m, 3), once, and by how many of its corners it is named
     (m,): 1 to 3.
     """

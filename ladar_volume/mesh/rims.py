@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.mesh.linear_mesh import Faces, Skin, blocks, extended
+from ladar_volume.mesh.linear_mesh import Faces, LinearMesh, blocks, extend_mesh
 from ladar_volume.mesh.topology import edge_table, orient
 from ladar_volume.mesh.welding import part_fans
 from ladar_volume.model.records import F64, I64
@@ -30,12 +30,12 @@ class Rim:
     middle: F64
 
 
-def place(p: F64) -> str:
+def place_in_words(p: F64) -> str:
     """A place in words."""
     return f"({p[0]:.6g}, {p[1]:.6g}, {p[2]:.6g})"
 
 
-def split_fans(skin: Skin) -> Skin:
+def split_fans(skin: LinearMesh) -> LinearMesh:
     """One vertex per fan of triangles: where parts touch in one vertex only, each gets its own
     copy. No rim then passes a vertex twice.
     """
@@ -51,7 +51,7 @@ def split_fans(skin: Skin) -> Skin:
         np.tile(np.eye(3), (len(old), 1, 1)),
         (len(old), n),
     )
-    return extended(
+    return extend_mesh(
         skin,
         skin.vertices[old],
         skin.kind[old],
@@ -62,7 +62,7 @@ def split_fans(skin: Skin) -> Skin:
     )
 
 
-def rims_of(skin: Skin) -> list[Rim]:
+def rims_of(skin: LinearMesh) -> list[Rim]:
     """The rims of a mesh without common vertices (:func:`split_fans`), by their first vertex.
 
     Raises :class:`SurfaceError` as :func:`~ladar_volume.mesh.topology.orient`.
@@ -89,7 +89,7 @@ def rims_of(skin: Skin) -> list[Rim]:
     return out
 
 
-def descent(skin: Skin, rims: list[Rim], up: F64) -> F64:
+def mean_descent(skin: LinearMesh, rims: list[Rim], up: F64) -> F64:
     """Mean (r,) of −up · (direction in which the surface leaves the mesh) along each rim: 1 down a
     wall, 0 across a gap.
     """

@@ -94,13 +94,13 @@ def edge_table(triangles: I32) -> tuple[I64, I64, I64]:
     a, b = triangles.astype(np.int64).ravel(), triangles[:, [1, 2, 0]].astype(np.int64).ravel()
     low, high = np.minimum(a, b), np.maximum(a, b)
     key, many = low << 32 | high, int(high.max(initial=-1)) + 1
-    order = counted(low, counted(high, np.arange(len(key)), many), many)
+    order = counting_sort(low, counting_sort(high, np.arange(len(key)), many), many)
     new = np.flatnonzero(np.diff(key[order])) + 1
     return order, np.concatenate([[0], new, [len(order)]]).astype(np.int64), key
 
 
 @kernel
-def counted(value: I64, order: I64, many: int) -> I64:
+def counting_sort(value: I64, order: I64, many: int) -> I64:
     """An order (n,) sorted by values (n,) below ``many``; equal ones stay as they are."""
     place, out = np.zeros(many + 1, np.int64), np.empty(len(order), np.int64)
     for v in value:

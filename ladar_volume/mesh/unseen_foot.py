@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ladar_volume.mesh.linear_mesh import Skin
+from ladar_volume.mesh.linear_mesh import LinearMesh
 from ladar_volume.model.records import F64, I64, Bool
 
 #: Curvature is told within this many heights that are to be drawn, at least so many sides of the
@@ -25,7 +25,7 @@ ONE_FACE = 0.5
 AGREE = 0.95
 
 
-def mean_normals(skin: Skin) -> tuple[F64, Bool]:
+def mean_normals(skin: LinearMesh) -> tuple[F64, Bool]:
     """Unit normals (n, 3) of the vertices, the mean of those at their corners, of the triangles
     where none are known; and which (n,) vertices lie on one face, where these agree.
     """
@@ -41,7 +41,7 @@ def mean_normals(skin: Skin) -> tuple[F64, Bool]:
     return total / np.where(length > 0.0, length, 1.0)[:, None], one_face
 
 
-def curvature_down(skin: Skin, vertices: I64, along: F64, reach_m: F64) -> F64:
+def curvature_down(skin: LinearMesh, vertices: I64, along: F64, reach_m: F64) -> F64:
     """Curvature (k,) 1/m of the surface above rim vertices (k,) along unit directions (k, 3) down
     it, told within ``reach_m`` (k,): positive where it bends inward. 0 where nothing tells.
     """
@@ -74,7 +74,7 @@ def between_tangent_and_circle(bend: F64, height_m: F64) -> F64:
     return np.asarray(np.sign(bend) * share / np.where(x > 0.0, bend, 1.0) ** 2)
 
 
-def unseen_bend(skin: Skin, rim: I64, along: F64, drawn_m: F64) -> float:
+def unseen_bend(skin: LinearMesh, rim: I64, along: F64, drawn_m: F64) -> float:
     """Volume, m³, between the tangents of one rim (k,) drawn on over ``drawn_m`` (k,) and the
     surface bent on :data:`STRONGER` than above it, by tangents that turn within a side of the rim;
     positive where the tangents enclose more.

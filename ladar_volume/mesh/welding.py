@@ -16,7 +16,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ladar_volume.ground.clusters import root_of, to_roots
+from ladar_volume.ground.clusters import flatten_roots, root_of
 from ladar_volume.math.kernels import kernel
 from ladar_volume.mesh.topology import edge_table, vertices_of
 from ladar_volume.model.records import F64, I32, I64
@@ -68,7 +68,7 @@ def open_edges(triangles: I32) -> I64:
     return out
 
 
-def joined_within(vertices: F64, triangles: I32, tolerance_m: float) -> Welded:
+def join_within(vertices: F64, triangles: I32, tolerance_m: float) -> Welded:
     """The vertices along open edges that lie within the tolerance of one another, by steps, become
     one; all others stay as they are. The first stands for each group.
     """
@@ -116,7 +116,7 @@ def weld_open(vertices: F64, triangles: I32) -> Welded:
     best: Welded | None = None
     fewest = len(open_edges(triangles)) + 1
     for share in GAPS:
-        found = joined_within(vertices, triangles, max(share * size, least))
+        found = join_within(vertices, triangles, max(share * size, least))
         left = len(open_edges(found.triangles))
         if left < fewest and (best is None or found.dropped <= best.dropped):
             best, fewest = found, left
@@ -125,7 +125,7 @@ def weld_open(vertices: F64, triangles: I32) -> Welded:
     return best or Welded(triangles, 0, 0, 0.0)
 
 
-def distinct(triangles: I32) -> tuple[I32, int]:
+def distinct_triangles(triangles: I32) -> tuple[I32, int]:
     """Triangles (m, 3), in order, of which each set of corners is there once, and how many were
     copies; none of two that look at one another and whose edges have an even number of triangles
     without them, for these are the two sides of nothing. Where half of a mesh and more is there
@@ -171,7 +171,7 @@ def split_edges(vertices: F64, triangles: I32) -> tuple[F64, I32, I64]:
     one, two = start[:-1][uses == 2], start[:-1][uses == 2] + 1
     pairs = [np.stack([order[one], order[two]], axis=1)]
     for e in np.flatnonzero(uses > 2):
-        found = paired(vertices, triangles, order[start[e] : start[e + 1]])
+        found = pair_half_edges(vertices, triangles, order[start[e] : start[e + 1]])
         if found is None:
             return vertices, triangles, same  # whoever needs a manifold refuses it
         pairs.append(found)
@@ -180,7 +180,7 @@ def split_edges(vertices: F64, triangles: I32) -> tuple[F64, I32, I64]:
     return vertices[source], parted, source
 
 
-def paired(vertices: F64, triangles: I32, half: I64) -> I64 | None:
+def pair_half_edges(vertices: F64, triangles: I32, half: I64) -> I64 | None:
     """Half edges (k,) ``3 t + c`` of one edge in pairs (k / 2, 2) with the body between; None where
     as many do not run along the edge as against it.
 
@@ -212,7 +212,7 @@ def paired(vertices: F64, triangles: I32, half: I64) -> I64 | None:
 
 
 @kernel
-def fans(triangles: I32, one: I64, other: I64) -> I64:
+def corner_fans(triangles: I32, one: I64, other: I64) -> I64:
     """The first corner (3m,) of the fan that each corner of triangles (m, 3) is in, which edges
     join: half edges ``one`` and ``other`` (e,) of two triangles each.
     """
@@ -226,7 +226,7 @@ def fans(triangles: I32, one: I64, other: I64) -> I64:
                 b += 1
             p, q = root_of(root, a), root_of(root, b)
             root[max(p, q)] = min(p, q)
-    to_roots(root)
+    flatten_roots(root)
     return root
 
 
@@ -235,7 +235,7 @@ def part_fans(triangles: I32, pairs: I64, vertices: int) -> tuple[I32, I64]:
     vertex has one of its own. The first fan of a vertex keeps it; the others get vertices after the
     last of ``vertices``, copies of those returned (c,).
     """
-    root = np.asarray(fans(triangles, pairs[:, 0], pairs[:, 1]))
+    root = np.asarray(corner_fans(triangles, pairs[:, 0], pairs[:, 1]))
     begins = root == np.arange(len(root))
     first, fan = np.flatnonzero(begins), (np.cumsum(begins) - 1)[root]
     vertex = triangles.ravel()[first].astype(np.int64)

@@ -68,7 +68,7 @@ def by_number(a: Centres, b: Centres) -> Numbering:
     return Numbering(partner, 1.0)
 
 
-def registered(
+def register_numbering(
     a: Centres, b: Centres, one: Numbering, levelled: bool, scale: float | None
 ) -> Registration:
     """The registration of a numbering. Raises :class:`RegistrationError` as
@@ -94,18 +94,18 @@ def correspond(
     """
     given, error = by_number(a, b), None
     try:
-        first: Registration | None = registered(a, b, given, levelled, scale)
+        first: Registration | None = register_numbering(a, b, given, levelled, scale)
     except RegistrationError as caught:
         if caught.reason in ("registration_collinear", "registration_vertical"):
             raise
         first, error = None, caught
     sound = first is not None and first.consistent
     kept = int(first.used.sum()) if first is not None and sound else 0
-    fitting = agreeing(a, b, levelled, scale)
+    fitting = agreeing_numberings(a, b, levelled, scale)
     most = max((int(f.used.sum()) for _, f in fitting), default=0)
     best = [(one, f) for one, f in fitting if int(f.used.sum()) == most]
     if max(kept, most) < min(len(a.r), len(b.r)):
-        name_the_matter(a, b, levelled, scale, max(kept, most))
+        check_scale_and_mirror(a, b, levelled, scale, max(kept, most))
     if first is not None and sound and kept >= most:
         others = sum(not same(one, given, first) for one, _ in best if kept == most)
         return as_rows(first, given, False, others)
@@ -137,13 +137,13 @@ def not_renumbered(
     if first is None or not first.sigma0 <= GROSS_SIGMA0:
         if error is not None:
             raise error
-        raise disagreeing(a, b, given)
+        raise no_numbering_error(a, b, given)
     T = first.transform
     wide = replace(first, transform=replace(T, C=T.C * max(first.sigma0, 1.0) ** 2))
     return as_rows(wide, given, False, 0)
 
 
-def agreeing(
+def agreeing_numberings(
     a: Centres, b: Centres, levelled: bool, scale: float | None
 ) -> list[tuple[Numbering, Registration]]:
     """The numberings that lay most spheres on one another and agree within the noise."""
@@ -154,7 +154,7 @@ def agreeing(
         if len(one) < len(found[0]):
             break
         try:
-            f = registered(a, b, one, levelled, scale)
+            f = register_numbering(a, b, one, levelled, scale)
         except RegistrationError:
             continue
         if f.consistent:
@@ -174,7 +174,9 @@ def as_rows(found: Registration, one: Numbering, renumbered: bool, others: int) 
     return Corresponding(found, i, one.partner[i], renumbered, others)
 
 
-def name_the_matter(a: Centres, b: Centres, levelled: bool, scale: float | None, kept: int) -> None:
+def check_scale_and_mirror(
+    a: Centres, b: Centres, levelled: bool, scale: float | None, kept: int
+) -> None:
     """Raises :class:`RegistrationError` where another scale (registration_units) or a mirrored
     frame (registration_mirrored) makes more spheres agree than the ``kept`` that do without; four
     spheres at least tell.
@@ -213,7 +215,7 @@ def unit_error(ratio: float) -> RegistrationError:
     )
 
 
-def disagreeing(a: Centres, b: Centres, given: Numbering) -> RegistrationError:
+def no_numbering_error(a: Centres, b: Centres, given: Numbering) -> RegistrationError:
     """The error of spheres that agree in no numbering, with the distance that differs most."""
     i = np.flatnonzero(given.partner >= 0)
     x, y = a.r[i], b.r[given.partner[i]]

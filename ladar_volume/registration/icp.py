@@ -43,7 +43,7 @@ IDENTITY = Transform(np.eye(3), np.zeros(3), np.zeros(3), 1.0, np.zeros((7, 7)))
 
 
 @dataclass(frozen=True)
-class Refined:
+class IcpResult:
     """A refined transform.
 
     transform · pairs : (k, 2) int64, indices of source and target points used · sigma_m : robust
@@ -154,7 +154,7 @@ def solve_step(A: F64, r: F64, scale: F64) -> tuple[F64, F64]:
     return step, Q
 
 
-def clustered(A: F64, r: F64, Q: F64, source: F64, cell_m: float) -> F64:
+def clustered_covariance(A: F64, r: F64, Q: F64, source: F64, cell_m: float) -> F64:
     """Covariance (f, f) of the step where residuals of one cell may be correlated: ``Q (Σ_c s_c
     s_cᵀ) Q``, ``s_c = Σ_(i in c) a_i r_i``.
     """
@@ -182,7 +182,7 @@ def refine(
     levelled: bool = False,
     cell_m: float = 0.0,
     solver: Solver | None = None,
-) -> Refined:
+) -> IcpResult:
     """The rigid transform that lays the source cloud on the target's surface, from a start within
     the reach.
 
@@ -199,19 +199,19 @@ def refine(
     x, y, n = check_clouds(source, target, normals, reach_m)
     if solver is not None:
         start = solved_by(solver, (x, y, n), reach_m, start)
-    T, free = start_about(x, start), free_parameters(levelled, False)
+    T, free = start_at_centroid(x, start), free_parameters(levelled, False)
     scale = lengths(x, T, free)
     last = iterate((x, y, n), T, free, scale, reach_m)
     plain = last.Q * float(last.r @ last.r) / (len(last.r) - len(free))
     # pairs at the threshold may come and go for ever, by less than what noise does
     settled = last.settled or bool((np.abs(last.step) <= SETTLED * np.sqrt(np.diag(plain))).all())
     at = x[last.pairs[:, 0]]
-    C = plain if cell_m == 0.0 else clustered(last.A, last.r, last.Q, at, cell_m)
+    C = plain if cell_m == 0.0 else clustered_covariance(last.A, last.r, last.Q, at, cell_m)
     check_determined(C, scale, reach_m)
     full = np.zeros((7, 7))
     full[np.ix_(free, free)] = C
     T, share = replace(last.transform, C=full), len(last.pairs) / len(x)
-    return Refined(T, last.pairs, last.sigma_m, share, last.rounds, settled)
+    return IcpResult(T, last.pairs, last.sigma_m, share, last.rounds, settled)
 
 
 class Iterated(NamedTuple):
@@ -285,7 +285,7 @@ def check_determined(C: F64, scale: F64, reach_m: float) -> None:
         )
 
 
-def start_about(source: F64, start: Transform | None) -> Transform:
+def start_at_centroid(source: F64, start: Transform | None) -> Transform:
     """The start, default identity, with the centroid of the source (n, 3) as its pivot."""
     T, pivot = IDENTITY if start is None else start, source.mean(axis=0)
     return replace(T, t=T.apply(pivot[None])[0], pivot=pivot)

@@ -193,7 +193,7 @@ def register(
     check_centres(x, y, scale)
     n = len(x)
     centres = Centres(x, y, (joint_covariance(C_source, n), joint_covariance(C_target, n)))
-    return assemble(centres, without_outliers(centres, levelled, scale, risk), risk)
+    return assemble(centres, remove_outliers(centres, levelled, scale, risk), risk)
 
 
 def solve_part(centres: Centres, keep: Bool, levelled: bool, scale: float | None) -> Part:
@@ -206,7 +206,9 @@ def solve_part(centres: Centres, keep: Bool, levelled: bool, scale: float | None
     return Part(solve(x, y, part[0], part[1], free, start), 3 * int(keep.sum()) - len(free))
 
 
-def without_outliers(centres: Centres, levelled: bool, scale: float | None, risk: float) -> Tested:
+def remove_outliers(
+    centres: Centres, levelled: bool, scale: float | None, risk: float
+) -> SphereTests:
     """The worst sphere goes while its test says so and fewer than half are gone."""
     n, used = len(centres.x), np.ones(len(centres.x), bool)
     size = float(max(np.abs(centres.x).max(), np.abs(centres.y).max()))
@@ -226,7 +228,7 @@ def without_outliers(centres: Centres, levelled: bool, scale: float | None, risk
         if trial.redundancy < 1:  # what is left would agree with anything
             break
         used, one = less, trial
-    return Tested(one, used, value, p, suspicious)
+    return SphereTests(one, used, value, p, suspicious)
 
 
 def check_centres(x: F64, y: F64, scale: float | None) -> None:
@@ -269,7 +271,7 @@ class Part(NamedTuple):
     redundancy: int
 
 
-class Tested(NamedTuple):
+class SphereTests(NamedTuple):
     """The spheres used (n,) and what they give; value, p (k,) : test of each used one, and its
     probability · suspicious : whether one that stands out could not be left out
     """
@@ -281,7 +283,7 @@ class Tested(NamedTuple):
     suspicious: bool
 
 
-def assemble(centres: Centres, found: Tested, risk: float) -> Registration:
+def assemble(centres: Centres, found: SphereTests, risk: float) -> Registration:
     """The transform with its covariance and the tests of all spheres. Raises
     :class:`RegistrationError` (registration_weak).
     """
@@ -295,7 +297,7 @@ def assemble(centres: Centres, found: Tested, risk: float) -> Registration:
     statistic[used], p[used] = found.value, found.p
     residuals = centres.y - T.apply(centres.x)
     for i in np.flatnonzero(~used):
-        statistic[i] = left_out(centres, T, int(i), residuals[i], variance)
+        statistic[i] = test_against_rest(centres, T, int(i), residuals[i], variance)
         p[i] = (
             stats.chi2.sf(statistic[i], 3)
             if known
@@ -321,7 +323,9 @@ def check_rotation(T: Transform) -> None:
         )
 
 
-def left_out(centres: Centres, T: Transform, i: int, residual: F64, variance: float) -> float:
+def test_against_rest(
+    centres: Centres, T: Transform, i: int, residual: F64, variance: float
+) -> float:
     """Test of a sphere that was left out against the prediction of the rest; variance, m² : of a
     coordinate, where no covariance is stated.
     """

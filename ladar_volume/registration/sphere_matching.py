@@ -40,7 +40,7 @@ def extent(x: F64) -> float:
     return float(np.sqrt(((x - x.mean(axis=0)) ** 2).sum() / max(len(x), 1)))
 
 
-def sides(x: F64, index: I64, levelled: bool) -> F64:
+def invariant_sides(x: F64, index: I64, levelled: bool) -> F64:
     """What no motion changes of triples (k, 3) of centres: three lengths; of pairs (k, 2): the
     length in plan and the difference of heights, m.
     """
@@ -53,7 +53,7 @@ def sides(x: F64, index: I64, levelled: bool) -> F64:
     return out
 
 
-def bases(x: F64, levelled: bool) -> I64:
+def widest_bases(x: F64, levelled: bool) -> I64:
     """The widest triples (k, 3), or pairs (k, 2), of centres (n, 3)."""
     index = np.array(list(itertools.combinations(range(len(x)), 2 if levelled else 3)), np.int64)
     p = x[index]
@@ -64,7 +64,7 @@ def bases(x: F64, levelled: bool) -> I64:
     return index[np.argsort(-size, kind="stable")[:MOST_BASES]]
 
 
-def paired(moved: F64, y: F64, tolerance_m: float) -> I64:
+def pair_nearest(moved: F64, y: F64, tolerance_m: float) -> I64:
     """Row of the nearest target centre (n,) within the tolerance where each is the other's nearest,
     else −1.
     """
@@ -88,21 +88,21 @@ def numberings(
         return []
     tolerance = SIDE_SIGMAS * sigma_m * 2.0**0.5 + SIDE_SHARE * extent(y)
     target = np.array(list(itertools.permutations(range(len(y)), size)), np.int64)
-    there, found = sides(y, target, levelled), {}
+    there, found = invariant_sides(y, target, levelled), {}
     longest = max(float(there[:, 0].max()), 1e-300)
-    for base in bases(x, levelled):
-        here = sides(x, base[None], levelled)[0]
+    for base in widest_bases(x, levelled):
+        here = invariant_sides(x, base[None], levelled)[0]
         if here[0] <= 1e-9 * longest * (1.0 if scale is None else 1.0 / scale):
             continue
         s = there[:, 0] / here[0] if scale is None else np.full(len(there), scale)
         for k in np.flatnonzero((np.abs(there - s[:, None] * here) <= tolerance).all(axis=1)):
-            one = grown(x, y, (base, target[k]), float(s[k]), tolerance, (levelled, scale))
+            one = grow_numbering(x, y, (base, target[k]), float(s[k]), tolerance, (levelled, scale))
             if len(one) >= size:
                 found[one.partner.tobytes()] = one
     return sorted(found.values(), key=lambda one: -len(one))
 
 
-def grown(
+def grow_numbering(
     x: F64,
     y: F64,
     pair: tuple[I64, I64],
@@ -122,7 +122,7 @@ def grown(
             break
         fixed = factor if scale is None and len(a) == len(pair[0]) else scale
         T = nearest_transform(x[a], y[b], x[a].mean(axis=0), levelled, fixed)
-        partner = paired(T.apply(x), y, reach * tolerance_m)
+        partner = pair_nearest(T.apply(x), y, reach * tolerance_m)
         a, factor = np.flatnonzero(partner >= 0), T.scale
         b = partner[a]
     return Numbering(partner, factor)

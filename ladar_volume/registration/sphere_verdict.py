@@ -25,7 +25,7 @@ SCALE_SHARE = 1e-3
 
 
 @dataclass(frozen=True)
-class Measured:
+class SphereMeasurement:
     """One sphere as measured in one frame. free : fitted without the given radius, None where the
     points do not bear that, or no radius was given · still : None without times
     """
@@ -36,12 +36,20 @@ class Measured:
 
 
 def sphere_verdict(
-    c: Corresponding, a: Centres, b: Centres, parts: Sequence[tuple[Measured, Measured]]
+    c: Corresponding,
+    a: Centres,
+    b: Centres,
+    parts: Sequence[tuple[SphereMeasurement, SphereMeasurement]],
 ) -> Verdict:
     """The verdict on a registration; ``parts`` are the spheres of its rows in A and B."""
-    doubts = [*numbers(c, a, b), *left_out(c, a), *disagreement(c), *shape(c, a)]
+    doubts = [
+        *numbering_doubts(c, a, b),
+        *rejected_doubts(c, a),
+        *residual_doubts(c),
+        *geometry_doubt(c, a),
+    ]
     for (one, two), k in zip(parts, a.number[c.rows_a], strict=True):
-        doubts += rest(one, two, int(k)) + radii(one, two, int(k))
+        doubts += motion_doubts(one, two, int(k)) + radius_doubts(one, two, int(k))
     return Verdict(tuple(doubts))
 
 
@@ -61,7 +69,7 @@ def cycles(one: I64, two: I64) -> str:
     return ", ".join(words)
 
 
-def numbers(c: Corresponding, a: Centres, b: Centres) -> list[Doubt]:
+def numbering_doubts(c: Corresponding, a: Centres, b: Centres) -> list[Doubt]:
     """Doubts about the numbering."""
     if c.renumbered:
         one, two = a.number[c.rows_a], b.number[c.rows_b]
@@ -86,7 +94,7 @@ def numbers(c: Corresponding, a: Centres, b: Centres) -> list[Doubt]:
     return []
 
 
-def left_out(c: Corresponding, a: Centres) -> list[Doubt]:
+def rejected_doubts(c: Corresponding, a: Centres) -> list[Doubt]:
     """Doubts about spheres that were left out."""
     out = []
     for i in np.flatnonzero(~c.found.used):
@@ -102,7 +110,7 @@ def left_out(c: Corresponding, a: Centres) -> list[Doubt]:
     return out
 
 
-def disagreement(c: Corresponding) -> list[Doubt]:
+def residual_doubts(c: Corresponding) -> list[Doubt]:
     """Doubts about spheres that agree less than their noise says, and about the scale."""
     out, f = [], c.found
     if not f.consistent:
@@ -133,7 +141,7 @@ def spread_of(r: F64) -> F64:
     return out
 
 
-def shape(c: Corresponding, a: Centres) -> list[Doubt]:
+def geometry_doubt(c: Corresponding, a: Centres) -> list[Doubt]:
     """A doubt where the centres lie nearly on one line, or in a plane that is turned upside down;
     a levelled instrument is free of both.
     """
@@ -164,7 +172,7 @@ def shape(c: Corresponding, a: Centres) -> list[Doubt]:
     ]
 
 
-def rest(one: Measured, two: Measured, k: int) -> list[Doubt]:
+def motion_doubts(one: SphereMeasurement, two: SphereMeasurement, k: int) -> list[Doubt]:
     """Doubts about a sphere that moved during a scan."""
     out = []
     for name, part in zip("AB", (one, two), strict=True):
@@ -181,11 +189,11 @@ def rest(one: Measured, two: Measured, k: int) -> list[Doubt]:
     return out
 
 
-def radii(one: Measured, two: Measured, k: int) -> list[Doubt]:
+def radius_doubts(one: SphereMeasurement, two: SphereMeasurement, k: int) -> list[Doubt]:
     """Doubts about radii that differ from the given one, or between the frames."""
     out = []
     for name, part in zip("AB", (one, two), strict=True):
-        if part.free is not None and stands_out(part.free, part.sphere.radius, 0.0):
+        if part.free is not None and radius_differs(part.free, part.sphere.radius, 0.0):
             out.append(
                 Doubt(
                     "radius",
@@ -195,7 +203,7 @@ def radii(one: Measured, two: Measured, k: int) -> list[Doubt]:
                     part.free.radius,
                 )
             )
-    if not one.sphere.radius_known and stands_out(
+    if not one.sphere.radius_known and radius_differs(
         one.sphere, two.sphere.radius, two.sphere.C[3, 3]
     ):
         out.append(
@@ -209,7 +217,7 @@ def radii(one: Measured, two: Measured, k: int) -> list[Doubt]:
     return out
 
 
-def stands_out(free: Sphere, radius: float, variance: float) -> bool:
+def radius_differs(free: Sphere, radius: float, variance: float) -> bool:
     """Whether a fitted radius differs from another one with its variance, m²."""
     off, sigma = abs(free.radius - radius), float(np.sqrt(free.C[3, 3] + variance))
     return bool(off > max(RADIUS_SIGMAS * sigma, RADIUS_SHARE * radius))

@@ -36,7 +36,7 @@ class Stillness:
     detectable_m: float
 
 
-def judge(displacement: F64, C: F64, risk: float) -> Stillness:
+def test_displacement(displacement: F64, C: F64, risk: float) -> Stillness:
     """Test a displacement (3,) m with covariance (3, 3) m² against zero."""
     value = float(displacement @ np.linalg.solve(C, displacement))
     p = float(stats.chi2.sf(value, 3))
@@ -84,11 +84,11 @@ def check_drift(points: F64, t_s: F64, sphere: Sphere, risk: float = 0.001) -> S
         )
     Q = np.asarray(np.linalg.inv(N), dtype=np.float64)
     estimate: F64 = Q @ (A.T @ (v / sigma))
-    return judge(estimate[-3:], Q[-3:, -3:], risk)
+    return test_displacement(estimate[-3:], Q[-3:, -3:], risk)
 
 
 def check_moved(before: Sphere, after: Sphere, risk: float = 0.001) -> Stillness:
     """Displacement between two independent measurements of one sphere in one frame, say before and
     after the scan.
     """
-    return judge(after.centre - before.centre, before.C_centre + after.C_centre, risk)
+    return test_displacement(after.centre - before.centre, before.C_centre + after.C_centre, risk)

@@ -15,8 +15,8 @@ from ladar_volume.math.array_types import F32, F64, I32, I64, U32, Bool
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.math.normal_equations import basis
 from ladar_volume.rmls.fit_store import Fits
-from ladar_volume.rmls.tangent_frame import across
-from ladar_volume.rmls.tangent_frame import row as row_of
+from ladar_volume.rmls.tangent_frame import polynomial_row as row_of
+from ladar_volume.rmls.tangent_frame import second_tangent
 from ladar_volume.rmls.voxel_store import BITS, VoxelArrays, find_voxel
 
 #: Balls of radius 2r about centres in voxels more than this apart do not meet.
@@ -121,7 +121,7 @@ def candidates(pairs: Pairs, balls: Balls, store: VoxelArrays, fill: bool, count
 
 
 @parallel_kernel
-def sharing(
+def pairs_sharing_inliers(
     pairs: Pairs, first: I64, held: I64, entries: U32, voxels: int, chunks: int, out: Bool
 ) -> None:
     """Whether each candidate pair shares an inlier, by their entries (see ``fits``). ``voxels``:
@@ -175,7 +175,7 @@ def _noise_along(C: F32, n: F64, out: F64) -> None:
 def _rows_of(a: int, store: VoxelArrays, fits: Fits, p: int, X: F64) -> None:
     """Of each inlier of patch a: its row in X[:, :6] and ``C n`` in X[:, 6:9]."""
     side = np.empty(3)
-    across(fits.normal[a], fits.tangent[a], side)
+    second_tangent(fits.normal[a], fits.tangent[a], side)
     for i in range(fits.used[a]):
         slot = fits.members[fits.start[a] + i]
         row_of(store.r, slot, fits.centre[a], fits.tangent[a], side, p, X[i, :6])
@@ -223,7 +223,7 @@ def _sandwich(left: F64, S: F64, right: F64, p: int, out: F32) -> None:
 
 
 @kernel
-def _shared(
+def _shared_products(
     a: int, b: int, swap: bool, store: VoxelArrays, fits: Fits, p: int, marks: Marks, work: Work
 ) -> Any:
     """Of each inlier that patch b shares with a: ``n_aᵀ C n_b`` times its row on the one patch to
@@ -233,7 +233,7 @@ def _shared(
     side, x, w, na, nb = np.empty(3), np.empty(6), np.empty(3), fits.normal[a], fits.normal[b]
     centre, tangent, r = fits.centre, fits.tangent, store.r
     X, G, Y = work
-    across(nb, tangent[b], side)
+    second_tangent(nb, tangent[b], side)
     c0, c1, c2 = centre[b, 0], centre[b, 1], centre[b, 2]
     t0, t1, t2 = tangent[b, 0], tangent[b, 1], tangent[b, 2]
     m = 0
@@ -288,7 +288,7 @@ def _blocks_of(
         for k in range(offset[row], offset[row + 1]):
             b = others[k]
             swap = store.keys[b] < store.keys[a]
-            m = _shared(a, b, swap, store, fits, p, marks, work)
+            m = _shared_products(a, b, swap, store, fits, p, marks, work)
             _sum_products(work.G, work.Y, m, p, S)
             if swap:
                 _sandwich(fits.inverse[b], S, fits.inverse[a], p, out[k])

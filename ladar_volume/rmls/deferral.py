@@ -24,9 +24,9 @@ from ladar_volume.rmls.voxel_store import (
     Candidates,
     VoxelStore,
     find_voxel,
+    insert_key,
+    insert_keys,
     pack_key,
-    place,
-    place_all,
     resized,
     unpack_key,
     voxels_around,
@@ -100,7 +100,7 @@ def enqueue(key: I64, h: U64, queues: Queues, start: int, slot_of: I64) -> Any:
             v = ends[0]
             keys[v], head[v] = key[i], -1
             ends[0] += 1
-            place(table, keys, v)
+            insert_key(table, keys, v)
         if count[v] < cap:
             slot = ends[2]
             if slot >= 0:
@@ -156,7 +156,7 @@ def note_oldest(key: I64, t_ns: I64, keys: I64, table: I32, oldest: I64) -> None
         oldest[v] = min(oldest[v], t_ns[i])
 
 
-class Deferred:
+class WaitingPoints:
     """The points that wait, of each voxel no more than could stay, in lists by voxel. Order and
     batching of what is added mean nothing.
     """
@@ -225,7 +225,7 @@ class Deferred:
             self._count, self._head = (resized(a, 2 * voxels) for a in (self._count, self._head))
             self._oldest = np.concatenate([self._oldest, np.full(voxels, NEVER)])
             self._table = np.full(8 * voxels, -1, np.int32)
-            place_all(self._table, self._keys, self._ends[0])
+            insert_keys(self._table, self._keys, self._ends[0])
         if self._ends[1] == slots:
             self._after = resized(self._after, 2 * slots)
             self._points = Candidates(
@@ -267,7 +267,7 @@ class Deferred:
         tiles, tile = np.unique(tile_of(key), return_inverse=True)
         oldest = np.full(len(tiles), newest_ns)
         np.minimum.at(oldest, tile, self._oldest[voxels])
-        exchanged = np.bincount(tile, weights=shares(store, key, new))
+        exchanged = np.bincount(tile, weights=new_point_shares(store, key, new))
         by_age, by_weight = (
             np.argsort(np.argsort(x, kind="stable"), kind="stable") for x in (oldest, -exchanged)
         )
@@ -286,7 +286,7 @@ class Deferred:
         return chosen
 
 
-def shares(store: VoxelStore, voxels: I64, new: I64 | I32) -> F64:
+def new_point_shares(store: VoxelStore, voxels: I64, new: I64 | I32) -> F64:
     """Which share of a voxel's points (n,) would be new ones, at most, if all ``new`` (n,) of its
     points were taken in.
     """

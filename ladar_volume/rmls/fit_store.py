@@ -45,7 +45,7 @@ class Fits(NamedTuple):
     inverse: F64
 
 
-def blank(voxels: I64, start: I64, members: I32, status: int = OK) -> Fits:
+def blank_fits(voxels: I64, start: I64, members: I32, status: int = OK) -> Fits:
     """Rows (m,) to be filled."""
     m = len(voxels)
     return Fits(
@@ -158,13 +158,13 @@ class FitStore:
         self.entries: U32 = np.zeros((0, 1 + -(-cap // WORD)), np.uint32)
         self._room: I64 = np.zeros(0, np.int64)
         self._end = 0
-        self.fits = blank(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int32))
+        self.fits = blank_fits(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int32))
 
     def grow(self, voxels: int) -> None:
         """Make rows for new voxels."""
         more = voxels - len(self.fits.voxels)
         if more > 0:
-            new = blank(
+            new = blank_fits(
                 np.arange(voxels - more, voxels),
                 np.zeros(more, np.int64),
                 np.zeros(0, np.int32),

@@ -10,7 +10,7 @@ from ladar_volume.georeference.lidar_equation import Mounting
 from ladar_volume.model.parameters import SurfaceFilterParameters
 from ladar_volume.model.records import F32, I64, FilteredPoints, Patches, select
 from ladar_volume.rmls import cross_covariance, patch_sensitivity, projection, refit_kernels
-from ladar_volume.rmls.fit_store import Fits, FitStore, blank
+from ladar_volume.rmls.fit_store import Fits, FitStore, blank_fits
 from ladar_volume.rmls.patch_fit import OK
 from ladar_volume.rmls.voxel_store import VoxelStore
 
@@ -30,7 +30,7 @@ class PatchBuilder:
         p, bound = 6 if f.degree == 2 else 3, np.zeros(len(voxels), np.int64)
         refit_kernels.count_candidates(voxels, s.arrays, bound)
         start = np.concatenate([[0], np.cumsum(bound)])
-        fits = blank(voxels, start, np.empty(start[-1], np.int32))
+        fits = blank_fits(voxels, start, np.empty(start[-1], np.int32))
         rule = refit_kernels.FitRule(
             f.radius_m,
             p,
@@ -103,7 +103,7 @@ class PatchBuilder:
         others = np.empty(offset[-1], np.int64)
         listed(True, offset, others)
         shared = np.zeros(len(others), np.bool_)
-        cross_covariance.sharing(
+        cross_covariance.pairs_sharing_inliers(
             cross_covariance.Pairs(rows, offset, others),
             kept.first,
             kept.held,

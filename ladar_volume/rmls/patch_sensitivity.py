@@ -17,8 +17,8 @@ import numpy as np
 from ladar_volume.math.array_types import F32, F64, I32, I64
 from ladar_volume.math.kernels import kernel, leaf_kernel, parallel_kernel
 from ladar_volume.rmls.fit_store import Fits
-from ladar_volume.rmls.tangent_frame import across, row
-from ladar_volume.rmls.viewing_geometry import NUMBERS, recall, rotated
+from ladar_volume.rmls.tangent_frame import polynomial_row, second_tangent
+from ladar_volume.rmls.viewing_geometry import NUMBERS, rotate_vector, viewing_geometry
 from ladar_volume.rmls.voxel_store import BITS, VoxelArrays
 
 
@@ -97,7 +97,7 @@ Beam = tuple[float, float, float, float, float, float]
 
 
 @leaf_kernel
-def sight(g: F64, axis_body: F64) -> Beam:
+def line_of_sight(g: F64, axis_body: F64) -> Beam:
     """Of a return with geometry g (10,): the beam's direction in the body (3), its length, sine and
     cosine of its vertical angle.
     """
@@ -118,15 +118,15 @@ def along_axis(
     h: F64,
 ) -> None:
     """``axis·∂r/∂theta`` (15,) of one return for a unit vector of the map, with its geometry g
-    (10,): attitude xyzw, v_body, motion with the platform; ``beam`` : its :func:`sight`. What it is
-    by the antenna's place is left out, as it is that by the laser's with the other sign; by the
-    platform's position along the axis it is 1.
+    (10,): attitude xyzw, v_body, motion with the platform; ``beam`` : its :func:`line_of_sight`.
+    What it is by the antenna's place is left out, as it is that by the laser's with the other
+    sign; by the platform's position along the axis it is 1.
 
     With m = Rᵀaxis and arm = v + b − a, ``shift`` = b − a: range u·m, boresight v x m, b m, a −m,
     clock axis·motion, vertical angle m·(range (z − u sin eps)/cos eps) with z, ``axis_body``, the
     laser's z axis; attitude arm x m.
     """
-    m0, m1, m2 = rotated(-g[0], -g[1], -g[2], g[3], axis)
+    m0, m1, m2 = rotate_vector(-g[0], -g[1], -g[2], g[3], axis)
     u0, u1, u2, length, sine, cosine = beam
     v0, v1, v2 = g[4], g[5], g[6]
     w0, w1, w2 = v0 + shift[0], v1 + shift[1], v2 + shift[2]
@@ -160,7 +160,7 @@ def add_return(h: F64, weight: float, beam: int, beams: int, cal: F64, nav: F64)
 
 
 @leaf_kernel
-def solved(inverse: F64, p: int, count: int, rows: F64, out: F32) -> None:
+def solve_sensitivities(inverse: F64, p: int, count: int, rows: F64, out: F32) -> None:
     """Sums ``rows`` (p + 2, c) to sensitivities: ``inverse`` (p, p) times those along the normal,
     the mean over ``count`` of the others.
     """
@@ -206,12 +206,12 @@ def draw_per_run(run: I64, runs: int, u: float, drawn: I64) -> None:
 
 
 @leaf_kernel
-def seen_from(g: F64, r: F64, other: F64, axis: F64, shift: F64, h: F64) -> None:
+def viewing_inliers(g: F64, r: F64, other: F64, axis: F64, shift: F64, h: F64) -> None:
     """To h the attitude's part of ``axis·∂r/∂theta`` of a point r (3,), had it been seen when that
     of ``other`` (3,) was, whose geometry is g (10,). See :func:`along_axis`.
     """
-    m0, m1, m2 = rotated(-g[0], -g[1], -g[2], g[3], axis)
-    v0, v1, v2 = rotated(
+    m0, m1, m2 = rotate_vector(-g[0], -g[1], -g[2], g[3], axis)
+    v0, v1, v2 = rotate_vector(
         -g[0], -g[1], -g[2], g[3], (r[0] - other[0], r[1] - other[1], r[2] - other[2])
     )
     w0, w1, w2 = v0 + g[4] + shift[0], v1 + g[5] + shift[1], v2 + g[6] + shift[2]
@@ -263,20 +263,20 @@ def _sum_returns(
     x, h, axes = np.zeros(6), np.empty(ALL), np.empty((3, 3))
     own, others = np.empty(NUMBERS), np.empty((len(runs.drawn), NUMBERS))
     for k in range(len(runs.drawn)):
-        recall(store.aux[mine[runs.drawn[k]]], others[k])
+        viewing_geometry(store.aux[mine[runs.drawn[k]]], others[k])
     axes[0], axes[1] = fits.normal[a], fits.tangent[a]
-    across(fits.normal[a], fits.tangent[a], axes[2])
+    second_tangent(fits.normal[a], fits.tangent[a], axes[2])
     for i in range(len(mine)):
         slot, run = mine[i], runs.run[i]
-        row(store.r, slot, fits.centre[a], fits.tangent[a], axes[2], p, x)
+        polynomial_row(store.r, slot, fits.centre[a], fits.tangent[a], axes[2], p, x)
         beam = min(int(store.ring[slot]), mount.beams - 1)
-        recall(store.aux[slot], own)
-        looked = sight(own, mount.axis_body)
+        viewing_geometry(store.aux[slot], own)
+        looked = line_of_sight(own, mount.axis_body)
         for k in range(3):
             along_axis(own, looked, axes[k], mount.shift, mount.axis_body, h)
             if not runs.all_bins:
                 other = store.r[mine[runs.drawn[run]]]
-                seen_from(others[run], store.r[slot], other, axes[k], mount.shift, h)
+                viewing_inliers(others[run], store.r[slot], other, axes[k], mount.shift, h)
             if k == 0:
                 for l in range(p):
                     add_return(h, x[l], beam, mount.beams, cal[l], nav[run, l])
@@ -305,9 +305,9 @@ def _sensitivities_of(
     _sum_returns(a, mine, store, fits, p, mount, runs, (cal, nav))
     for c in range(3):
         cal[:, ANTENNA + c] = -cal[:, LASER + c]
-    solved(fits.inverse[a], p, fits.used[a], cal, out.M_cal[i_row])
+    solve_sensitivities(fits.inverse[a], p, fits.used[a], cal, out.M_cal[i_row])
     for g in range(number):
-        solved(fits.inverse[a], p, fits.used[a], nav[g], out.M_nav[first + g])
+        solve_sensitivities(fits.inverse[a], p, fits.used[a], nav[g], out.M_nav[first + g])
 
 
 @parallel_kernel

@@ -11,7 +11,7 @@ from ladar_volume.math.array_types import F32, F64, I64
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.math.normal_equations import basis
 from ladar_volume.rmls.fit_store import Fits
-from ladar_volume.rmls.tangent_frame import across, arc, row
+from ladar_volume.rmls.tangent_frame import arc_height, polynomial_row, second_tangent
 from ladar_volume.rmls.voxel_store import VoxelArrays
 
 
@@ -69,7 +69,7 @@ def _fill_cells(
         slot = fits.members[i]
         if slot // store.cap != fits.voxels[a]:
             continue
-        row(store.r, slot, fits.centre[a], fits.tangent[a], side, 3, x)
+        polynomial_row(store.r, slot, fits.centre[a], fits.tangent[a], side, 3, x)
         cu, cv = np.int64(np.floor(x[1] / edge)), np.int64(np.floor(x[2] / edge))
         k = 0
         while k < m and (cells[k, 0] != cu or cells[k, 1] != cv):
@@ -97,7 +97,7 @@ def _surface_at(
     basis(u, v, p, x)
     w, wu, wv, variance = 0.0, beta[1], beta[2], 0.0
     if p == 6:
-        extra, gu, gv = arc(u, v, beta[3], beta[4], beta[5])
+        extra, gu, gv = arc_height(u, v, beta[3], beta[4], beta[5])
         w, wu, wv = w + extra, wu + gu, wv + gv
     for e in range(p):
         w += x[e] * beta[e]
@@ -120,7 +120,7 @@ def _project_row(
     """The filtered points of patch ``rows[i_row]``."""
     a = rows[i_row]
     n, t, s, x = fits.normal[a], fits.tangent[a], np.empty(3), np.zeros(6)
-    across(n, t, s)
+    second_tangent(n, t, s)
     out.counts[i_row], cells = _fill_cells(a, s, store, fits, edge)
     for k in range(out.counts[i_row]):
         i, size = i_row * store.cap + k, cells.size[k]
@@ -133,7 +133,7 @@ def _project_row(
         out.uv[i, 0], out.uv[i, 1] = u, v
         out.variance[i] = variance / (slope * slope)
         out.t_ns[i] = cells.time0[k] + cells.time[k] // size
-        tangential(cells.noise[k], n, size, out.C[i])
+        tangential_covariance(cells.noise[k], n, size, out.C[i])
 
 
 @parallel_kernel
@@ -156,7 +156,7 @@ def project(
 
 
 @kernel
-def tangential(total: F64, n: F64, size: int, out: F32) -> None:
+def tangential_covariance(total: F64, n: F64, size: int, out: F32) -> None:
     """``P C P / size²`` with P = I − n nᵀ: the noise of a mean of ``size`` points within the
     tangent plane, packed.
     """

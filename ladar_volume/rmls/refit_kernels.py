@@ -22,13 +22,13 @@ from ladar_volume.rmls.tangent_frame import (
     Near,
     RefitRule,
     Terms,
-    coordinates,
+    frame_coordinates,
     level_frame,
     mark_flat,
     refit,
     tangent_of,
 )
-from ladar_volume.rmls.viewing_geometry import NUMBERS, recall, rotated
+from ladar_volume.rmls.viewing_geometry import NUMBERS, rotate_vector, viewing_geometry
 from ladar_volume.rmls.voxel_store import VoxelArrays, _mix, voxels_around
 
 OK, FEW_POINTS, NO_PLANE, FEW_INLIERS, NOT_ON_PATCH = (
@@ -105,8 +105,8 @@ def _face_sensor(
     g = np.empty(NUMBERS)
     for i in range(m):
         if inside[i]:
-            recall(aux[slots[index[i]]], g)
-            beam = rotated(g[0], g[1], g[2], g[3], g[4:7])
+            viewing_geometry(aux[slots[index[i]]], g)
+            beam = rotate_vector(g[0], g[1], g[2], g[3], g[4:7])
             facing += beam[0] * normal[0] + beam[1] * normal[1] + beam[2] * normal[2]
     if facing > 0.0:
         for k in range(3):
@@ -193,10 +193,10 @@ def _fit_one(
         return NO_PLANE, 0, 0.0
     ball = refitting.ball
     threshold = max(rule.sigmas * sigma, rule.floor, 0.5e-7 * ball)
-    m = coordinates(pts, n, centre, normal, tangent, ball, near, around.slots)
+    m = frame_coordinates(pts, n, centre, normal, tangent, ball, near, around.slots)
     mark_flat(near, m, threshold, around.inside)
     _face_sensor(slots, around.slots, m, around.inside, store.aux, normal, tangent)
-    m = coordinates(pts, n, centre, normal, tangent, ball, near, around.slots)
+    m = frame_coordinates(pts, n, centre, normal, tangent, ball, near, around.slots)
     terms = Terms(fits.beta[a], fits.inverse[a])
     used, s = _refit_surface(around, m, sigma, threshold, rule, terms)
     if used < rule.min_points:

@@ -24,11 +24,11 @@ from ladar_volume.model.records import (
     select,
 )
 from ladar_volume.rmls import point_admission, refit_kernels
-from ladar_volume.rmls.deferral import Deferred
+from ladar_volume.rmls.deferral import WaitingPoints
 from ladar_volume.rmls.fit_store import FitStore
 from ladar_volume.rmls.patch_builder import PatchBuilder
 from ladar_volume.rmls.patch_fit import FEW_POINTS, OK, REACH
-from ladar_volume.rmls.viewing_geometry import NUMBERS, keep_each
+from ladar_volume.rmls.viewing_geometry import NUMBERS, store_geometry
 from ladar_volume.rmls.voxel_store import HALF, VoxelStore
 
 #: Platform states older than this before the newest are forgotten once no point waits for them.
@@ -61,7 +61,7 @@ class SurfaceFilter:
         self._unfitted: I64 = np.zeros(0, np.int64)
         self._t_ns = 0
         self._deferring = deferring
-        self._deferred = Deferred(self.parameters.cap_per_voxel)
+        self._deferred = WaitingPoints(self.parameters.cap_per_voxel)
         self._refitted = 0
 
     @property
@@ -155,7 +155,7 @@ class SurfaceFilter:
             states.p_map_body, states.q_map_body, states.v_body, states.omega_body
         )
         point_admission.geometry(rows, points.r_map, at, moving, self._mount.lever_laser, seen)
-        keep_each(seen, candidates.aux)
+        store_geometry(seen, candidates.aux)
         if self._deferring:
             self._deferred.add(candidates)
         else:

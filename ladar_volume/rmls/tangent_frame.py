@@ -73,7 +73,7 @@ def tangent_of(normal: F64, tangent: F64) -> None:
 
 
 @leaf_kernel
-def across(normal: F64, tangent: F64, side: F64) -> None:
+def second_tangent(normal: F64, tangent: F64, side: F64) -> None:
     """The second tangent vector, normal x tangent."""
     side[0] = normal[1] * tangent[2] - normal[2] * tangent[1]
     side[1] = normal[2] * tangent[0] - normal[0] * tangent[2]
@@ -81,7 +81,7 @@ def across(normal: F64, tangent: F64, side: F64) -> None:
 
 
 @leaf_kernel
-def row(r: F64, slot: int, centre: F64, tangent: F64, side: F64, p: int, x: F64) -> None:
+def polynomial_row(r: F64, slot: int, centre: F64, tangent: F64, side: F64, p: int, x: F64) -> None:
     """``x[:p] = (1, u, v[, u², uv, v²])`` of one point in metres."""
     x0, x1, x2 = r[slot, 0] - centre[0], r[slot, 1] - centre[1], r[slot, 2] - centre[2]
     u = x0 * tangent[0] + x1 * tangent[1] + x2 * tangent[2]
@@ -90,7 +90,7 @@ def row(r: F64, slot: int, centre: F64, tangent: F64, side: F64, p: int, x: F64)
 
 
 @leaf_kernel
-def coordinates(
+def frame_coordinates(
     r: F64, n: int, centre: F64, normal: F64, tangent: F64, ball: float, uvw: F64, index: I64
 ) -> Any:
     """(u / ball, v / ball, w) of the points of r (n, 3) within ``ball`` of the centre, to uvw (3,
@@ -114,13 +114,13 @@ def coordinates(
 
 @leaf_kernel
 def _rise(q: float, t: float) -> Any:
-    """The height of :func:`arc` for a quadric's height q and the square t of its slope."""
+    """The height of :func:`arc_height` for a quadric's height q and the square t of its slope."""
     exact = q * (2.0 * (1.0 - np.sqrt(1.0 - t)) / t - 1.0)
     return 0.25 * q * t if t < 1e-6 else exact
 
 
 @leaf_kernel
-def arc(u: float, v: float, a: float, b: float, c: float) -> Any:
+def arc_height(u: float, v: float, a: float, b: float, c: float) -> Any:
     """How far a surface of constant curvature lies above its osculating quadric ``q = a u² + b uv +
     c v²``, and the slopes along u and v of both together.
 
@@ -391,7 +391,7 @@ def level_frame(
         centre[k] = origin[k] - height * normal[k]
     for _ in range(3):
         tangent_of(normal, tangent)
-        m = coordinates(r, n, centre, normal, tangent, ball, uvw, near.slots)
+        m = frame_coordinates(r, n, centre, normal, tangent, ball, uvw, near.slots)
         mark_flat(uvw, m, max(rule.sigmas * sigma, rule.floor, 0.5e-7 * ball), inside)
         used, sigma = refit(uvw, m, 3, sigma, rule, inside, terms)
         if used == 0:

@@ -27,7 +27,7 @@ VECTORS = ((4, 4), (7, 8))
 
 
 @kernel
-def keep_each(g: F64, kept: I16) -> None:
+def store_geometry(g: F64, kept: I16) -> None:
     """Geometry (n, 10) as it is kept, (n, 12) int16. What is not finite comes back as NaN."""
     for i in range(len(g)):
         for k in range(4):
@@ -49,7 +49,9 @@ def keep_each(g: F64, kept: I16) -> None:
 
 
 @leaf_kernel
-def rotated(x: float, y: float, z: float, w: float, v: F64 | tuple[float, float, float]) -> Any:
+def rotate_vector(
+    x: float, y: float, z: float, w: float, v: F64 | tuple[float, float, float]
+) -> Any:
     """``R v`` (3) of a vector (3,) by a unit quaternion; with x, y and z negated, ``Rᵀ v``.
     Numbers, not arrays: they stay in registers.
     """
@@ -63,7 +65,7 @@ def rotated(x: float, y: float, z: float, w: float, v: F64 | tuple[float, float,
 
 
 @leaf_kernel
-def recall(kept: I16, g: F64) -> None:
+def viewing_geometry(kept: I16, g: F64) -> None:
     """The geometry (10,) of one return from what is kept (12,); the attitude is of unit length."""
     length = 0.0
     for k in range(4):

@@ -111,7 +111,7 @@ def voxels_around(key: int, keys: I64, table: I32, reach: int, out: I64) -> Any:
 
 
 @kernel
-def place(table: I32, keys: I64, index: int) -> None:
+def insert_key(table: I32, keys: I64, index: int) -> None:
     """Enter a voxel, by its index, that the table does not hold."""
     mask = np.uint64(len(table) - 1)
     at = _mix(np.uint64(keys[index])) & mask
@@ -121,11 +121,11 @@ def place(table: I32, keys: I64, index: int) -> None:
 
 
 @kernel
-def place_all(table: I32, keys: I64, used: int) -> None:
+def insert_keys(table: I32, keys: I64, used: int) -> None:
     """Fill the table anew with the first ``used`` keys."""
     table[:] = -1
     for i in range(used):
-        place(table, keys, i)
+        insert_key(table, keys, i)
 
 
 @kernel
@@ -162,7 +162,7 @@ def _insert(key: I64, h: U64, held: CappedVoxels, used: int, start: int, slot_of
             v = used
             keys[v] = key[i]
             used += 1
-            place(table, keys, v)
+            insert_key(table, keys, v)
         base = v * cap
         if count[v] < cap:
             k = count[v]
@@ -309,7 +309,7 @@ class VoxelStore:
         for name in ("hashes", "order", "fresh", "t_ns", "ring", "r", "C", "aux"):
             setattr(self, name, resized(getattr(self, name), voxels * self.cap))
         self.table = np.full(4 * voxels, -1, np.int32)
-        place_all(self.table, self.keys, self.used)
+        insert_keys(self.table, self.keys, self.used)
 
     def changed_voxels(self) -> I64:
         """Voxel indices changed since :meth:`settle`; brings their ``order`` up to date."""

@@ -128,7 +128,7 @@ def vertex_limit(
     return min(max(1, limit), open_points)
 
 
-def checked(
+def check_residual_factors(
     points_map: F64, sigma_m: F64 | None, criterion: str, tolerance_m: float | None
 ) -> tuple[F64, F64]:
     """Points and the factor of each residual; raises :class:`SurfaceError` for what
@@ -193,7 +193,7 @@ def adaptive_tin(
     a map without area, unknown or contradicting options, and bins that hold more points than there
     may be vertices.
     """
-    points, scale = checked(points_map, sigma_m, criterion, tolerance)
+    points, scale = check_residual_factors(points_map, sigma_m, criterion, tolerance)
     area = map_window(points[:, :2], window)
     on_map = np.flatnonzero(inside(points[:, :2], area))
     if len(on_map) == 0:

@@ -14,7 +14,7 @@ from scipy import sparse
 from ladar_volume.math.sparse_diagonal import identity_matrix
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, Tin
-from ladar_volume.tin.elevation_adjustment import Adjustment, Fit, Normal, finish, fit_of
+from ladar_volume.tin.elevation_adjustment import Adjustment, Fit, Normal, adjustment_record, fit_of
 
 MAX_STEPS = 80
 
@@ -39,9 +39,9 @@ def adjust_asd(
     target = fit.residuals(old)
     size = float(np.max(np.abs(target)))
     if size == 0.0:
-        return finish(tin, fit, old.copy(), 0, True)
+        return adjustment_record(tin, fit, old.copy(), 0, True)
     change, steps, gap = least_sizes(fit.B, target / size, w / w.max(), tolerance)
-    return finish(tin, fit, old + size * change, steps, gap <= tolerance)
+    return adjustment_record(tin, fit, old + size * change, steps, gap <= tolerance)
 
 
 def least_sizes(B: sparse.csr_array, z: F64, w: F64, tolerance: float) -> tuple[F64, int, float]:
@@ -124,4 +124,4 @@ def adjust_asd_exact(
         )
     heights = z.copy()
     heights[used] += found.x[: len(used)]
-    return finish(tin, fit, heights, int(found.nit), True)
+    return adjustment_record(tin, fit, heights, int(found.nit), True)

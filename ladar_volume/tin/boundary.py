@@ -14,7 +14,7 @@ from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.full_tin import footprint_areas
-from ladar_volume.tin.relevant import artificial_vertices, edge_lengths, mark
+from ladar_volume.tin.relevant import artificial_vertices, edge_lengths, mark_relevant
 
 
 @dataclass(frozen=True)
@@ -150,4 +150,4 @@ def edit_boundary(
     small = islands(tin, mask, min_island_m2)
     mask &= ~small
     filled = holes(tin, mask, max_hole_m2) if max_hole_m2 > 0.0 else np.zeros(len(mask), bool)
-    return Edited(mark(tin, mask | filled, "boundary editing"), gone, small, filled)
+    return Edited(mark_relevant(tin, mask | filled, "boundary editing"), gone, small, filled)

@@ -20,8 +20,8 @@ from ladar_volume.tin.triangle_table import (
     export,
     first_triangle,
     insert_kernel,
+    orientation_of,
     triangle_table,
-    turn,
 )
 
 #: Words of the codes of :func:`check_kernel`.
@@ -41,7 +41,7 @@ def check_kernel(xy: F64, tri: I32, nb: I32, w: F64) -> int:
     puts in words.
     """
     for t in range(len(tri)):
-        if turn(xy, tri[t, 0], tri[t, 1], tri[t, 2], w) <= 0.0:
+        if orientation_of(xy, tri[t, 0], tri[t, 1], tri[t, 2], w) <= 0.0:
             return 2
         for k in range(3):
             o = nb[t, k]
@@ -77,13 +77,13 @@ def check_hull_kernel(xy: F64, tri: I32, nb: I32, w: F64) -> int:
     at, steps = last, 0
     while steps <= hull and at >= 0 and (steps == 0 or at != last):
         b = after[at]
-        if b < 0 or after[b] < 0 or turn(xy, at, b, after[b], w) < 0.0:
+        if b < 0 or after[b] < 0 or orientation_of(xy, at, b, after[b], w) < 0.0:
             return 4
         at, steps = b, steps + 1
     return 0 if steps == hull and hull > 0 else 5
 
 
-def fault(xy: F64, triangles: I32, neighbours: I32) -> str:
+def find_fault(xy: F64, triangles: I32, neighbours: I32) -> str:
     """What is wrong with a triangulation of points xy (n, 2), in words; empty where it is a valid
     Delaunay triangulation.
 
@@ -117,7 +117,7 @@ def is_valid(xy: F64, triangles: I32, neighbours: I32) -> bool:
     """Whether (triangles, neighbours), both (m, 3), is a Delaunay triangulation of all points xy
     (n, 2).
     """
-    return not fault(xy, triangles, neighbours)
+    return not find_fault(xy, triangles, neighbours)
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ def first_three(xy: F64, w: F64) -> tuple[int, int]:
     while second < n and xy[second, 0] == xy[0, 0] and xy[second, 1] == xy[0, 1]:
         second += 1
     third = second + 1
-    while third < n and turn(xy, 0, second, third, w) == 0.0:
+    while third < n and orientation_of(xy, 0, second, third, w) == 0.0:
         third += 1
     return second, min(third, n)
 

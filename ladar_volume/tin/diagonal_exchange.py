@@ -24,7 +24,7 @@ from ladar_volume.model.records import F64, I64, Bool, Tin
 from ladar_volume.tin.elevation_adjustment import measures
 from ladar_volume.tin.locate import locate, triangle_index
 from ladar_volume.tin.predicates import workspace
-from ladar_volume.tin.triangle_table import turn
+from ladar_volume.tin.triangle_table import orientation_of
 
 #: An exchange has to lower the sum over all points by this share at least: below it rounding could
 #: turn it back and forth.
@@ -70,7 +70,9 @@ def relink(nb: I64, t: int, old: int, new: int) -> None:
 
 
 @kernel
-def put(tri: I64, nb: I64, t: int, v: tuple[int, int, int], n: tuple[int, int, int]) -> None:
+def write_triangle(
+    tri: I64, nb: I64, t: int, v: tuple[int, int, int], n: tuple[int, int, int]
+) -> None:
     """Write one triangle's vertices and neighbours."""
     tri[t, 0], tri[t, 1], tri[t, 2] = v
     nb[t, 0], nb[t, 1], nb[t, 2] = n
@@ -108,7 +110,7 @@ def side(vertices: F64, a: int, b: int, p: F64) -> float:
 
 
 @kernel
-def gain(s: ListedSurface, t: int, k: int, square: bool, w: F64) -> float:
+def exchange_gain(s: ListedSurface, t: int, k: int, square: bool, w: F64) -> float:
     """By how much the sum over the points of triangle t and its neighbour across edge k falls when
     their diagonal is exchanged; 0 where it may not be.
     """
@@ -123,7 +125,7 @@ def gain(s: ListedSurface, t: int, k: int, square: bool, w: F64) -> float:
     while nb[o, j] != t:
         j += 1
     a, b, c, d = tri[t, k], tri[t, (k + 1) % 3], tri[t, (k + 2) % 3], tri[o, j]
-    if turn(vertices, a, b, d, w) <= 0.0 or turn(vertices, a, d, c, w) <= 0.0:
+    if orientation_of(vertices, a, b, d, w) <= 0.0 or orientation_of(vertices, a, d, c, w) <= 0.0:
         return 0.0
     before = now = 0.0
     for home in (t, o):
@@ -162,8 +164,8 @@ def exchange_one(s: ListedSurface, t: int, k: int) -> int:
         nb[o, (j + 1) % 3],
         nb[o, (j + 2) % 3],
     )
-    put(tri, nb, t, (a, b, d), (nbd, o, nab))
-    put(tri, nb, o, (a, d, c), (ndc, nca, t))
+    write_triangle(tri, nb, t, (a, b, d), (nbd, o, nab))
+    write_triangle(tri, nb, o, (a, d, c), (ndc, nca, t))
     if nbd >= 0:
         relink(nb, nbd, o, t)
     if nca >= 0:
@@ -193,7 +195,7 @@ def exchange_kernel(s: ListedSurface, square: bool, least: float, w: F64) -> int
     for t in range(m):
         for k in range(3):
             if nb[t, k] > t:
-                g = gain(s, t, k, square, w)
+                g = exchange_gain(s, t, k, square, w)
                 if g > least:
                     queue.append((-g, t, k, nb[t, k], 0, 0))
     heapq.heapify(queue)
@@ -211,7 +213,7 @@ def exchange_kernel(s: ListedSurface, square: bool, least: float, w: F64) -> int
                 other = nb[one, edge]
                 if other == o and one == t:
                     continue  # the new diagonal: exchanging it again cannot gain
-                g = gain(s, one, edge, square, w)
+                g = exchange_gain(s, one, edge, square, w)
                 if g > least:
                     heapq.heappush(queue, (-g, one, edge, other, version[one], version[other]))
     return done

@@ -10,7 +10,7 @@ from ladar_volume.model.records import F64, I32, I64
 
 
 @kernel
-def bucket(ix: float, iy: float, mask: int) -> int:
+def cell_bucket(ix: float, iy: float, mask: int) -> int:
     """Bucket of a cell."""
     # the products wrap; what is left of them spreads neighbours over the table
     h = np.int64(ix) * np.int64(0x9E3779B97F4A7C1) ^ np.int64(iy) * np.int64(0xC2B2AE3D27D4EB4)
@@ -28,14 +28,14 @@ def copies_kernel(xy: F64, tolerance: float, cell: F64, head: I64, after: I32, s
         same[i] = i
         for dx in range(-reach, reach + 1):
             for dy in range(-reach, reach + 1):
-                k = head[bucket(cell[i, 0] + dx, cell[i, 1] + dy, mask)]
+                k = head[cell_bucket(cell[i, 0] + dx, cell[i, 1] + dy, mask)]
                 while k >= 0:
                     x, y = xy[k, 0] - xy[i, 0], xy[k, 1] - xy[i, 1]
                     if x * x + y * y <= tolerance * tolerance and (same[i] == i or k < same[i]):
                         same[i] = k
                     k = after[k]
         if same[i] == i:
-            b = bucket(cell[i, 0], cell[i, 1], mask)
+            b = cell_bucket(cell[i, 0], cell[i, 1], mask)
             after[i], head[b] = head[b], i
 
 

@@ -160,7 +160,9 @@ class Normal:
         return out
 
 
-def finish(tin: Tin, fit: Fit, heights: F64, iterations: int, converged: bool) -> Adjustment:
+def adjustment_record(
+    tin: Tin, fit: Fit, heights: F64, iterations: int, converged: bool
+) -> Adjustment:
     """The record of an adjustment."""
     new = dataclasses.replace(tin, vertices=np.c_[tin.vertices[:, :2], heights])
     after, before = measures(fit.residuals(heights)), measures(fit.residuals(tin.vertices[:, 2]))
@@ -176,7 +178,7 @@ def adjust_rms(
     fit = fit_of(tin, points_map, sigma_m) if fit is None else fit
     z = tin.vertices[:, 2]
     change = Normal(fit.B, fit.weight).solve(fit.B.T @ (fit.weight * fit.residuals(z)))
-    return finish(tin, fit, z + change, 0, True)
+    return adjustment_record(tin, fit, z + change, 0, True)
 
 
 @kernel
@@ -239,7 +241,7 @@ def adjust_rms_iterated(
     while done < max_iterations and not converged:
         converged = sweep(start, row, columns.data, fit.weight, residual, heights) < tolerance_m
         done += 1
-    return finish(tin, fit, heights, done, converged)
+    return adjustment_record(tin, fit, heights, done, converged)
 
 
 def raw_gradient(tin: Tin, fit: Fit, gradient_z: F64, points: int) -> F64:

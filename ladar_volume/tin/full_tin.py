@@ -29,7 +29,7 @@ def build_tin(points_map: F64) -> Tin:
     out = triangulate(points[:, :2])
     source, triangles = out.vertices, out.triangles
     if len(source) < len(points):
-        triangles = number(source, len(points))[triangles]
+        triangles = places_in(source, len(points))[triangles]
     return Tin(
         points[source],
         triangles,
@@ -40,7 +40,7 @@ def build_tin(points_map: F64) -> Tin:
     )
 
 
-def number(source: I64, n: int) -> I32:
+def places_in(source: I64, n: int) -> I32:
     """Place in ``source`` (k,) of each of n points, (n,); -1 where it is not there."""
     out = np.full(n, -1, np.int32)
     out[source] = np.arange(len(source), dtype=np.int32)

@@ -20,9 +20,9 @@ from ladar_volume.tin.triangle_table import (
     is_ghost,
     legalise,
     locate,
+    orientation_of,
     split_edge,
     split_triangle,
-    turn,
 )
 
 
@@ -116,7 +116,7 @@ def score(c: Cloud, m: MeshTable, t: int, by_area: bool, tolerance: float) -> tu
 
 
 @kernel
-def above(c: Cloud, h: Heap, s: float, t: int, r: float, u: int) -> bool:
+def has_priority(c: Cloud, h: Heap, s: float, t: int, r: float, u: int) -> bool:
     """Whether triangle t with score s goes before triangle u with score r."""
     if s != r:
         return s > r
@@ -124,22 +124,22 @@ def above(c: Cloud, h: Heap, s: float, t: int, r: float, u: int) -> bool:
 
 
 @kernel
-def sift(c: Cloud, h: Heap, m: MeshTable, size: int, at: int, s: float, t: int) -> None:
+def sift_heap(c: Cloud, h: Heap, m: MeshTable, size: int, at: int, s: float, t: int) -> None:
     """Bring triangle t, now with score s, from place ``at`` to where it belongs in the heap of so
     many places.
     """
-    while at > 0 and above(c, h, s, t, h.score[(at - 1) >> 1], h.triangle[(at - 1) >> 1]):
+    while at > 0 and has_priority(c, h, s, t, h.score[(at - 1) >> 1], h.triangle[(at - 1) >> 1]):
         up = (at - 1) >> 1
         h.score[at], h.triangle[at] = h.score[up], h.triangle[up]
         m[h.triangle[at], 7] = at
         at = up
     while True:
         down = 2 * at + 1
-        if down + 1 < size and above(
+        if down + 1 < size and has_priority(
             c, h, h.score[down + 1], h.triangle[down + 1], h.score[down], h.triangle[down]
         ):
             down += 1
-        if down >= size or not above(c, h, h.score[down], h.triangle[down], s, t):
+        if down >= size or not has_priority(c, h, h.score[down], h.triangle[down], s, t):
             break
         h.score[at], h.triangle[at] = h.score[down], h.triangle[down]
         m[h.triangle[at], 7] = at
@@ -149,7 +149,7 @@ def sift(c: Cloud, h: Heap, m: MeshTable, size: int, at: int, s: float, t: int) 
 
 
 @kernel
-def chain(c: Cloud, m: MeshTable, t: int, pool: int) -> int:
+def prepend_list(c: Cloud, m: MeshTable, t: int, pool: int) -> int:
     """Put the list of triangle t in front of the list ``pool``; t's own becomes empty."""
     q = m[t, 3]
     m[t, 3] = -1
@@ -161,7 +161,7 @@ def chain(c: Cloud, m: MeshTable, t: int, pool: int) -> int:
 
 
 @kernel
-def deal(c: Cloud, m: MeshTable, first: int, pool: int, w: F64) -> None:
+def distribute_points(c: Cloud, m: MeshTable, first: int, pool: int, w: F64) -> None:
     """Give every point of the list ``pool`` to the triangle of the star round corner 0 of ``first``
     that holds it.
     """
@@ -175,9 +175,9 @@ def deal(c: Cloud, m: MeshTable, first: int, pool: int, w: F64) -> None:
         # round p by the shorter way; q is in the star, so a ghost next door means that q lies on
         # the hull here
         while c.xy[q, 0] != c.xy[p, 0] or c.xy[q, 1] != c.xy[p, 1]:
-            if turn(c.xy, p, m[t, 1], q, w) < 0.0:
+            if orientation_of(c.xy, p, m[t, 1], q, w) < 0.0:
                 beside = m[t, 6] >> 2
-            elif turn(c.xy, p, m[t, 2], q, w) >= 0.0:
+            elif orientation_of(c.xy, p, m[t, 2], q, w) >= 0.0:
                 beside = m[t, 5] >> 2
             else:
                 break
@@ -201,10 +201,10 @@ def insert_worst(c: Cloud, m: MeshTable, size: int, t: int, p: int, w: F64) -> i
         split_edge(m, t, where, p, size, size + 1)
     legalise(c.xy, m, t, w)
     # every row that changed is in the star now, and still has its old list
-    pool, at = chain(c, m, t, -1), m[t, 5] >> 2
+    pool, at = prepend_list(c, m, t, -1), m[t, 5] >> 2
     while at != t:
-        pool, at = chain(c, m, at, pool), m[at, 5] >> 2
-    deal(c, m, t, pool, w)
+        pool, at = prepend_list(c, m, at, pool), m[at, 5] >> 2
+    distribute_points(c, m, t, pool, w)
     return t
 
 
@@ -241,7 +241,7 @@ def heap_kernel(
     """Score all triangles and build the heap."""
     for t in range(size):
         value, h.worst[t] = score(c, m, t, by_area, tolerance)
-        sift(c, h, m, t + 1, t, value, t)
+        sift_heap(c, h, m, t + 1, t, value, t)
 
 
 @kernel
@@ -274,7 +274,7 @@ def greedy_kernel(
         size, count, t = size + 2, count + 1, first
         while True:
             value, h.worst[t] = score(c, m, t, by_area, tolerance)
-            sift(c, h, m, size, m[t, 7], value, t)
+            sift_heap(c, h, m, size, m[t, 7], value, t)
             t = m[t, 5] >> 2
             if t == first:
                 break

@@ -90,7 +90,7 @@ def radix_order(key: npt.NDArray[np.uint64], bits: int) -> npt.NDArray[np.int32]
 
 
 @kernel
-def rounds(n: int) -> npt.NDArray[np.uint8]:
+def insertion_rounds(n: int) -> npt.NDArray[np.uint8]:
     """Round of each of n points, (n,): about 4**-k of the points are in round k or higher; the
     highest round goes first.
     """
@@ -113,10 +113,10 @@ def rounds(n: int) -> npt.NDArray[np.uint8]:
 
 @kernel
 def by_rounds(order: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-    """The permutation regrouped by :func:`rounds` of the point, highest first, otherwise in its
-    order.
+    """The permutation regrouped by :func:`insertion_rounds` of the point, highest first, otherwise
+    in its order.
     """
-    level = rounds(len(order))
+    level = insertion_rounds(len(order))
     at = np.zeros(66, np.int64)
     for i in range(len(level)):
         at[64 - level[i]] += 1

@@ -129,7 +129,7 @@ def triangle_index(tin: Tin, mask: Bool | None = None) -> TriangleIndex:
 
 
 @kernel
-def search(boxes: F64, count: int, box: F64, stack: I64, found: I64) -> int:
+def search_boxes(boxes: F64, count: int, box: F64, stack: I64, found: I64) -> int:
     """Positions of the triangles in leaves whose box meets ``box`` (4,) into ``found``; returns how
     many there are, which may exceed the length of ``found``: the rest is then not written.
     """
@@ -165,10 +165,10 @@ def locate_kernel(order: I64, corners: F64, boxes: F64, xy: F64) -> I64:
         for i in range(chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS):
             x, y = xy[i, 0], xy[i, 1]
             box[0], box[1], box[2], box[3] = x, y, x, y
-            count = search(boxes, m, box, stack, found)
+            count = search_boxes(boxes, m, box, stack, found)
             if count > len(found):
                 found = np.empty(2 * count, np.int64)
-                count = search(boxes, m, box, stack, found)
+                count = search_boxes(boxes, m, box, stack, found)
             best = -1
             for j in range(count):
                 p, number = corners[found[j]], order[found[j]]
@@ -243,7 +243,7 @@ class Interpolated(NamedTuple):
     triangle: I64
 
 
-def interpolated(
+def interpolate_heights(
     tin: Tin,
     xy: F64,
     covariance: sparse.csr_array | None = None,
@@ -276,4 +276,4 @@ def height_at(tin: Tin, xy: F64, index: TriangleIndex | None = None) -> F64:
     """Height (n,) m of a surface at points xy (n, 2); NaN outside its relevant triangles (or
     outside ``index``).
     """
-    return interpolated(tin, xy, index=index).height_m
+    return interpolate_heights(tin, xy, index=index).height_m

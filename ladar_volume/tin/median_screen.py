@@ -26,7 +26,7 @@ from ladar_volume.tin.delaunay import delaunay
 
 
 @dataclass(frozen=True)
-class Screened:
+class ScreenResult:
     """What the screen or the filter leaves.
 
     points_map : (k, 3) m, map frame, in the order of the input · index : (k,) input point of each ·
@@ -45,7 +45,7 @@ class Screened:
         return len(self.outliers)
 
 
-def tin_screen(points_map: F64, tolerance_m: float) -> Screened:
+def tin_screen(points_map: F64, tolerance_m: float) -> ScreenResult:
     """Delete the points (n, 3), m, map frame, that lie more than ``tolerance_m`` from the median of
     their neighbours (TINscreen).
 
@@ -54,10 +54,10 @@ def tin_screen(points_map: F64, tolerance_m: float) -> Screened:
     """
     points, medians, outlier = _compare(points_map, tolerance_m)
     keep = np.flatnonzero(~outlier)
-    return Screened(points[keep], keep, np.flatnonzero(outlier), medians)
+    return ScreenResult(points[keep], keep, np.flatnonzero(outlier), medians)
 
 
-def tin_filter(points_map: F64, tolerance_m: float) -> Screened:
+def tin_filter(points_map: F64, tolerance_m: float) -> ScreenResult:
     """Give the points (n, 3), m, map frame, that lie more than ``tolerance_m`` from the median of
     their neighbours that median as their height (TINfilter). All points stay. Raises
     :class:`SurfaceError` as :func:`tin_screen` does.
@@ -65,7 +65,7 @@ def tin_filter(points_map: F64, tolerance_m: float) -> Screened:
     points, medians, outlier = _compare(points_map, tolerance_m)
     changed = points.copy()
     changed[outlier, 2] = medians[outlier]
-    return Screened(changed, np.arange(len(points)), np.flatnonzero(outlier), medians)
+    return ScreenResult(changed, np.arange(len(points)), np.flatnonzero(outlier), medians)
 
 
 def _compare(points_map: F64, tolerance_m: float) -> tuple[F64, F64, Bool]:

@@ -195,7 +195,7 @@ def incircle_exact(xy: F64, a: int, b: int, c: int, d: int, w: F64) -> float:
     in the workspace.
     """
     w[COUNTS, 1] += 1.0
-    if upright(xy, a, b, c, d) or upright(xy, a, c, b, d) or upright(xy, a, d, b, c):
+    if is_rectangle(xy, a, b, c, d) or is_rectangle(xy, a, c, b, d) or is_rectangle(xy, a, d, b, c):
         return 0.0
     short = incircle_short(xy, a, b, c, d)
     if short == short:
@@ -232,7 +232,7 @@ def incircle_exact(xy: F64, a: int, b: int, c: int, d: int, w: F64) -> float:
 
 
 @kernel
-def upright(xy: F64, a: int, b: int, c: int, d: int) -> bool:
+def is_rectangle(xy: F64, a: int, b: int, c: int, d: int) -> bool:
     """Whether a-b and c-d are the upright sides of an axis-parallel rectangle, whose corners are
     co-circular whatever their digits.
 

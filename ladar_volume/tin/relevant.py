@@ -109,14 +109,14 @@ def with_relevant(
     """The same TIN with its relevant triangles marked; raises :class:`SurfaceError` where none is
     left.
     """
-    return mark(
+    return mark_relevant(
         tin,
         relevant_triangles(tin, option, max_edge_m, max_circumdiameter_m, artificial),
         f"option {option!r}",
     )
 
 
-def mark(tin: Tin, mask: Bool, by: str) -> Tin:
+def mark_relevant(tin: Tin, mask: Bool, by: str) -> Tin:
     """The same TIN with the triangles in ``mask`` (m,) relevant; the others stay in it. Raises
     :class:`SurfaceError` where none is left.
     """

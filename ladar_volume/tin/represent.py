@@ -32,7 +32,7 @@ from ladar_volume.tin.elevation_adjustment import (
     measures,
 )
 from ladar_volume.tin.full_tin import build_tin
-from ladar_volume.tin.relevant import mark, with_relevant
+from ladar_volume.tin.relevant import mark_relevant, with_relevant
 from ladar_volume.tin.sampled_area import SampledArea, sampled_area, within_sampled
 from ladar_volume.tin.window import Window, inside, map_window
 
@@ -177,7 +177,7 @@ def represent(
     """
     check_options(options)
     points = np.asarray(points_map, dtype=np.float64)
-    tin, initial, cropped = triangulated(points, options, sigma_m)
+    tin, initial, cropped = triangulate_chosen(points, options, sigma_m)
     by_area = options.relevant == "sampled"
     tin = with_relevant(
         tin,
@@ -202,7 +202,7 @@ def represent(
         nan = math.nan
         made = Represented(tin, None, "none", True, 0, initial, cropped, nan, nan, 0, nan, nan)
     else:
-        made = adjusted(tin, points, options, sigma_m, initial, cropped)
+        made = adjust_surface(tin, points, options, sigma_m, initial, cropped)
     return made if found is None else dataclasses.replace(made, sampled=found)
 
 
@@ -215,10 +215,12 @@ def sampled_only(tin: Tin, points: F64, options: SurfaceOptions) -> tuple[Tin, S
         if options.window is not None:
             points = points[inside(points[:, :2], map_window(points[:, :2], options.window))]
         mask, found = within_sampled(tin, points)
-    return mark(tin, tin.relevant & mask, "option 'sampled'"), found
+    return mark_relevant(tin, tin.relevant & mask, "option 'sampled'"), found
 
 
-def triangulated(points: F64, options: SurfaceOptions, sigma_m: F64 | None) -> tuple[Tin, int, int]:
+def triangulate_chosen(
+    points: F64, options: SurfaceOptions, sigma_m: F64 | None
+) -> tuple[Tin, int, int]:
     """The triangulation, how many of its vertices are from binning, and how many points lie off the
     map.
     """
@@ -268,7 +270,7 @@ def without_artificial(tin: Tin) -> Tin:
     )
 
 
-def adjusted(
+def adjust_surface(
     tin: Tin, points: F64, options: SurfaceOptions, sigma_m: F64 | None, initial: int, cropped: int
 ) -> Represented:
     """The surface with its heights adjusted and diagonals exchanged, as the options say."""
@@ -282,7 +284,7 @@ def adjusted(
     sigma = sigma_m if usable else None
     raw, exchanges = fit_of(tin, points, sigma), 0
     before = measures(raw.residuals(tin.vertices[:, 2]))
-    done = heights(tin, points, options, raw)
+    done = adjust_elevations(tin, points, options, raw)
     tin, fit = tin if done is None else done.tin, raw
     adjusted_on: Tin | None = None
     if options.exchange != "none":
@@ -291,7 +293,7 @@ def adjusted(
         if done is not None and not options.readjust:
             tin, adjusted_on = exchange.tin, tin
         else:
-            done = heights(exchange.tin, points, options, raw)
+            done = adjust_elevations(exchange.tin, points, options, raw)
             tin, fit = exchange.tin if done is None else done.tin, raw
     after = measures(raw.residuals(tin.vertices[:, 2]))
     return Represented(
@@ -309,7 +311,9 @@ def adjusted(
     )
 
 
-def heights(tin: Tin, points: F64, options: SurfaceOptions, fit: Fit) -> Adjustment | None:
+def adjust_elevations(
+    tin: Tin, points: F64, options: SurfaceOptions, fit: Fit
+) -> Adjustment | None:
     """The elevation adjustment asked for; None where there is none."""
     if options.adjust == "rms":
         return adjust_rms(tin, points, fit=fit)

@@ -102,7 +102,7 @@ def spacings(xy: F64) -> F64:
 
 @kernel
 def peel_kernel(neighbours: I32, lengths: F64, limit: F64, area: F64, depth: F64) -> I64:
-    """See :func:`peeled`: the side of the hull (a number from 0) behind which each triangle (m,)
+    """See :func:`peel_gaps`: the side of the hull (a number from 0) behind which each triangle (m,)
     goes, -1 where it stays.
     """
     m = len(neighbours)
@@ -136,7 +136,7 @@ def peel_kernel(neighbours: I32, lengths: F64, limit: F64, area: F64, depth: F64
     return out
 
 
-def peeled(tin: Tin, spacing_m: F64) -> Bool:
+def peel_gaps(tin: Tin, spacing_m: F64) -> Bool:
     """Triangles (m,) of a full TIN that are open notches and gaps: reached from a side of the hull
     through sides that are long against the spacing, where what lies behind that side of the hull is
     in the mean deeper than the spacing. spacing_m : (n,) of the vertices.
@@ -159,7 +159,7 @@ def sampled_area(tin: Tin) -> SampledArea:
         return SampledArea(
             everything, float(area.sum()), float(area.sum()), math.nan, 0, 0.0, 1, ~everything
         )
-    mask = ~peeled(tin, spacing)
+    mask = ~peel_gaps(tin, spacing)
     part = parts_kernel(tin.neighbours, mask)
     # a part of two or three triangles is no area that was sampled
     size = np.bincount(part[mask], minlength=1)

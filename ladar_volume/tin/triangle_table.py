@@ -29,20 +29,20 @@ INSIDE, OUTSIDE, VERTEX = -1, -2, 4
 
 
 @kernel
-def turn(xy: F64, a: int, b: int, c: int, w: F64) -> float:
+def orientation_of(xy: F64, a: int, b: int, c: int, w: F64) -> float:
     """Orientation of three points by index."""
     return orientation(xy[a, 0], xy[a, 1], xy[b, 0], xy[b, 1], xy[c, 0], xy[c, 1], w)
 
 
 @kernel
-def link(m: MeshTable, h: int, g: int) -> None:
+def link_corners(m: MeshTable, h: int, g: int) -> None:
     """Make corners h and g, both as ``4 t + k``, face each other."""
     m[h >> 2, 4 + (h & 3)] = g
     m[g >> 2, 4 + (g & 3)] = h
 
 
 @kernel
-def put(m: MeshTable, t: int, a: int, b: int, c: int) -> None:
+def write_vertices(m: MeshTable, t: int, a: int, b: int, c: int) -> None:
     """Write the vertices of triangle t."""
     m[t, 0] = a
     m[t, 1] = b
@@ -60,25 +60,25 @@ def first_triangle(xy: F64, m: MeshTable, a: int, b: int, c: int, w: F64) -> Non
     """Start a triangulation from three points that are not collinear: triangle 0 and its three
     ghosts, 1 to 3.
     """
-    if turn(xy, a, b, c, w) < 0.0:
+    if orientation_of(xy, a, b, c, w) < 0.0:
         b, c = c, b
-    put(m, 0, a, b, c)
-    put(m, 1, GHOST, c, b)
-    put(m, 2, GHOST, a, c)
-    put(m, 3, GHOST, b, a)
+    write_vertices(m, 0, a, b, c)
+    write_vertices(m, 1, GHOST, c, b)
+    write_vertices(m, 2, GHOST, a, c)
+    write_vertices(m, 3, GHOST, b, a)
     for k in range(3):
-        link(m, k, 4 * (k + 1))
-        link(m, 4 * (k + 1) + 2, 4 * ((k + 1) % 3 + 1) + 1)
+        link_corners(m, k, 4 * (k + 1))
+        link_corners(m, 4 * (k + 1) + 2, 4 * ((k + 1) % 3 + 1) + 1)
 
 
 @kernel
-def following(k: int) -> int:
+def next_corner(k: int) -> int:
     """The corner after k, counter-clockwise."""
     return k + 1 if k < 2 else 0
 
 
 @kernel
-def preceding(k: int) -> int:
+def previous_corner(k: int) -> int:
     """The corner before k, counter-clockwise."""
     return k - 1 if k > 0 else 2
 
@@ -94,7 +94,7 @@ def locate(xy: F64, m: MeshTable, start: int, p: int, w: F64) -> tuple[int, int]
         for k in range(3):
             if k == entry:  # p lies strictly on this side of the edge that was crossed
                 continue
-            o = turn(xy, m[t, following(k)], m[t, preceding(k)], p, w)
+            o = orientation_of(xy, m[t, next_corner(k)], m[t, previous_corner(k)], p, w)
             if o < 0.0:
                 leave = k
                 break
@@ -116,14 +116,14 @@ def split_triangle(m: MeshTable, t: int, p: int, t1: int, t2: int) -> None:
     """
     a, b, c = m[t, 0], m[t, 1], m[t, 2]
     n1, n2 = m[t, 5], m[t, 6]
-    put(m, t, p, b, c)
-    put(m, t1, p, c, a)
-    put(m, t2, p, a, b)
-    link(m, 4 * t1, n1)
-    link(m, 4 * t2, n2)
-    link(m, 4 * t + 1, 4 * t1 + 2)
-    link(m, 4 * t1 + 1, 4 * t2 + 2)
-    link(m, 4 * t2 + 1, 4 * t + 2)
+    write_vertices(m, t, p, b, c)
+    write_vertices(m, t1, p, c, a)
+    write_vertices(m, t2, p, a, b)
+    link_corners(m, 4 * t1, n1)
+    link_corners(m, 4 * t2, n2)
+    link_corners(m, 4 * t + 1, 4 * t1 + 2)
+    link_corners(m, 4 * t1 + 1, 4 * t2 + 2)
+    link_corners(m, 4 * t2 + 1, 4 * t + 2)
 
 
 @kernel
@@ -133,21 +133,21 @@ def split_edge(m: MeshTable, t: int, k: int, p: int, t1: int, t3: int) -> int:
     """
     h = m[t, 4 + k]
     o, j = h >> 2, h & 3
-    a, b, c, d = m[t, k], m[t, following(k)], m[t, preceding(k)], m[o, j]
-    nab, nca = m[t, 4 + preceding(k)], m[t, 4 + following(k)]
-    nbd, ndc = m[o, 4 + following(j)], m[o, 4 + preceding(j)]
-    put(m, t, p, a, b)
-    put(m, t1, p, c, a)
-    put(m, t3, p, d, c)
-    put(m, o, p, b, d)
-    link(m, 4 * t, nab)
-    link(m, 4 * t1, nca)
-    link(m, 4 * t3, ndc)
-    link(m, 4 * o, nbd)
-    link(m, 4 * t + 1, 4 * o + 2)
-    link(m, 4 * o + 1, 4 * t3 + 2)
-    link(m, 4 * t3 + 1, 4 * t1 + 2)
-    link(m, 4 * t1 + 1, 4 * t + 2)
+    a, b, c, d = m[t, k], m[t, next_corner(k)], m[t, previous_corner(k)], m[o, j]
+    nab, nca = m[t, 4 + previous_corner(k)], m[t, 4 + next_corner(k)]
+    nbd, ndc = m[o, 4 + next_corner(j)], m[o, 4 + previous_corner(j)]
+    write_vertices(m, t, p, a, b)
+    write_vertices(m, t1, p, c, a)
+    write_vertices(m, t3, p, d, c)
+    write_vertices(m, o, p, b, d)
+    link_corners(m, 4 * t, nab)
+    link_corners(m, 4 * t1, nca)
+    link_corners(m, 4 * t3, ndc)
+    link_corners(m, 4 * o, nbd)
+    link_corners(m, 4 * t + 1, 4 * o + 2)
+    link_corners(m, 4 * o + 1, 4 * t3 + 2)
+    link_corners(m, 4 * t3 + 1, 4 * t1 + 2)
+    link_corners(m, 4 * t1 + 1, 4 * t + 2)
     return int(o)
 
 
@@ -159,18 +159,18 @@ def flip(m: MeshTable, t: int) -> int:
     h = m[t, 4]
     o, j = h >> 2, h & 3
     p, c, d = m[t, 0], m[t, 2], m[o, j]
-    nbd, ndc, ncp = m[o, 4 + following(j)], m[o, 4 + preceding(j)], m[t, 5]
+    nbd, ndc, ncp = m[o, 4 + next_corner(j)], m[o, 4 + previous_corner(j)], m[t, 5]
     m[t, 2] = d
-    put(m, o, p, d, c)
-    link(m, 4 * t, nbd)
-    link(m, 4 * o, ndc)
-    link(m, 4 * o + 1, ncp)
-    link(m, 4 * t + 1, 4 * o + 2)
+    write_vertices(m, o, p, d, c)
+    link_corners(m, 4 * t, nbd)
+    link_corners(m, 4 * o, ndc)
+    link_corners(m, 4 * o + 1, ncp)
+    link_corners(m, 4 * t + 1, 4 * o + 2)
     return int(o)
 
 
 @kernel
-def spoke(xy: F64, p: int, v: int) -> tuple[float, float, float]:
+def vector_to_vertex(xy: F64, p: int, v: int) -> tuple[float, float, float]:
     """The way from point p to vertex v and its squared length; zeros where v is the vertex at
     infinity.
     """
@@ -181,7 +181,7 @@ def spoke(xy: F64, p: int, v: int) -> tuple[float, float, float]:
 
 
 @kernel
-def filtered(
+def incircle_filter(
     b: tuple[float, float, float], c: tuple[float, float, float], d: tuple[float, float, float]
 ) -> float:
     """The incircle determinant of p, b, c and d by the spokes from p, or NaN where its sign is not
@@ -204,8 +204,8 @@ def hull_flip(xy: F64, p: int, b: int, c: int, d: int, w: F64) -> bool:
     the circle is a half plane.
     """
     if b == GHOST:
-        return turn(xy, p, c, d, w) < 0.0
-    return turn(xy, d, b, p, w) < 0.0
+        return orientation_of(xy, p, c, d, w) < 0.0
+    return orientation_of(xy, d, b, p, w) < 0.0
 
 
 @kernel
@@ -215,17 +215,17 @@ def legalise(xy: F64, m: MeshTable, first: int, w: F64) -> int:
     the rows stay.
     """
     t, real, p, b, c = first, -1, m[first, 0], m[first, 1], m[first, 2]
-    to_b, to_c = spoke(xy, p, b), spoke(xy, p, c)
+    to_b, to_c = vector_to_vertex(xy, p, b), vector_to_vertex(xy, p, c)
     while True:
         h = m[t, 4]
         d = m[h >> 2, h & 3]
-        to_d = spoke(xy, p, d)
+        to_d = vector_to_vertex(xy, p, d)
         if d == GHOST:
             go = False
         elif b == GHOST or c == GHOST:
             go = hull_flip(xy, p, b, c, d, w)
         else:
-            det = filtered(to_b, to_c, to_d)
+            det = incircle_filter(to_b, to_c, to_d)
             if det != det:
                 det = incircle_exact(xy, c, b, d, p, w)
             go = det > 0.0
@@ -239,7 +239,7 @@ def legalise(xy: F64, m: MeshTable, first: int, w: F64) -> int:
         if t == first:
             return int(real)
         b, to_b, c = c, to_c, m[t, 2]
-        to_c = spoke(xy, p, c)
+        to_c = vector_to_vertex(xy, p, c)
 
 
 @kernel

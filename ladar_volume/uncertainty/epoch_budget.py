@@ -27,8 +27,8 @@ from ladar_volume.uncertainty.second_order import (
     BORESIGHT,
     SecondOrder,
     attitude_second_order,
+    combine_second_orders,
     second_order,
-    together,
 )
 from ladar_volume.uncertainty.volume_budget import Sensitivities, Sources, vertical_sigma
 
@@ -289,7 +289,7 @@ def lines_of_epochs(
         bent[f"attitude_second_order{end}"] = attitude_second_order(
             s.swing, epoch.sources.parameters.budget, own["attitude"]
         )
-    second_lines, all_second = together(bent)
+    second_lines, all_second = combine_second_orders(bent)
     return {**lines, **second_lines}, all_second
 
 

@@ -38,7 +38,7 @@ from ladar_volume.model.records import (
     Patches,
 )
 from ladar_volume.uncertainty.load_kernels import BinRows
-from ladar_volume.uncertainty.patch_merge import holds, place_from
+from ladar_volume.uncertainty.patch_merge import has_key, place_from
 
 #: Whole number for a correlation of 1, and what the factors are kept times: then a block is ``F_a R
 #: F_b^T`` of whole numbers R.
@@ -112,7 +112,7 @@ def block_kernel(own: I64, start: I64, other: I64, cross: F32, keys: I64, factor
         at, hint = place_from(keys, own[i], at), 0
         for e in range(start[i], start[i + 1]):
             hint = place_from(keys, other[e], hint)
-            if not holds(keys, own[i], at) or not holds(keys, other[e], hint):
+            if not has_key(keys, own[i], at) or not has_key(keys, other[e], hint):
                 continue
             a, b = min(at, hint), max(at, hint)
             for r in range(p):
@@ -266,7 +266,7 @@ def beam_count(patches: Patches) -> int:
     )
 
 
-def prepared(patches: Patches) -> HeldPatches:
+def prepare_patches(patches: Patches) -> HeldPatches:
     """Patches as they were sent, ready to be held but for their blocks: those wait until the
     factors of all patches are known.
     """
@@ -284,7 +284,7 @@ def prepared(patches: Patches) -> HeldPatches:
     )
 
 
-def unpacked(patches: Patches, first: int, last: int) -> Patches:
+def unpack_patches(patches: Patches, first: int, last: int) -> Patches:
     """Patches from ``first`` to ``last``, with blocks and sensitivities as they are sent."""
     rows = patch_range(patches, first, last)
     if not isinstance(patches, HeldPatches):

@@ -62,7 +62,7 @@ def dispersion(start: I64, t_s: F64, u: F64, shares: tuple[float, float, float])
     return out
 
 
-def asked(patches: Patches) -> I64:
+def select_patches(patches: Patches) -> I64:
     """Patches (k,) that tell something, spread evenly."""
     bins = np.diff(patches.nav_start)
     good = (bins >= 2) & (patches.used >= RETURNS) & (np.abs(patches.normal[:, 2]) > UPWARD)
@@ -70,7 +70,7 @@ def asked(patches: Patches) -> I64:
     return rows[:: max(1, math.ceil(len(rows) / ASKED))]
 
 
-def by_source(
+def scatter_by_source(
     patches: Patches, rows: I64, nav: NavigationBins, b: BudgetParameters
 ) -> dict[str, F64]:
     """What each source does to the mean squares (k,) m² of patches ``rows`` (k,) about their
@@ -107,18 +107,18 @@ def by_source(
         "boresight": dispersion(start, t_s, turned * np.array(b.boresight_sigma_rad), constant),
         "lever_laser": dispersion(start, t_s, m * np.array(b.lever_laser_sigma_m), constant),
         "lever_antenna": dispersion(start, t_s, m * np.array(b.lever_antenna_sigma_m), constant),
-        "attitude": dispersion(start, t_s, rooted(C[:, 3:, 3:], turned), attitude),
-        "position": dispersion(start, t_s, rooted(C[:, :3, :3], n), position),
+        "attitude": dispersion(start, t_s, times_root(C[:, 3:, 3:], turned), attitude),
+        "position": dispersion(start, t_s, times_root(C[:, :3, :3], n), position),
     }
 
 
-def rooted(C: F64, v: F64) -> F64:
+def times_root(C: F64, v: F64) -> F64:
     """``Lᵀ v`` (l, 3) with ``L Lᵀ`` = C (l, 3, 3), of vectors v (l, 3)."""
     L = np.linalg.cholesky(C + 1e-18 * np.eye(3))
     return np.ascontiguousarray(np.einsum("lij,li->lj", L, v))
 
 
-def freedom(source: str, span_s: float, b: BudgetParameters) -> float:
+def degrees_of_freedom(source: str, span_s: float, b: BudgetParameters) -> float:
     """Independent errors of a source that passes tell apart, about: two for each of 16 beams, two
     directions of a constant, and of what wanders two times two and a half, as for the square of a
     random walk about its mean, and more for every correlation time.
@@ -151,10 +151,10 @@ def patch_scatter(patches: Patches, nav: NavigationBins, b: BudgetParameters) ->
     """The residuals of patches and what they should be; None where too few patches are seen more
     than once.
     """
-    rows = asked(patches)
+    rows = select_patches(patches)
     if len(rows) < FEWEST:
         return None
-    return Scatter(rows, patches.sigma[rows] ** 2, by_source(patches, rows, nav, b))
+    return Scatter(rows, patches.sigma[rows] ** 2, scatter_by_source(patches, rows, nav, b))
 
 
 def pass_agreement(
@@ -171,7 +171,7 @@ def pass_agreement(
     factor = max(0.0, square - noise - GRAIN_M**2) / shared
     span_s = float(np.ptp(patches.nav_bin)) * nav.bin_ns * 1e-9
     # Satterthwaite: a sum of chi-squares as one
-    n = shared**2 / sum(v**2 / freedom(name, span_s, b) for name, v in part.items())
+    n = shared**2 / sum(v**2 / degrees_of_freedom(name, span_s, b) for name, v in part.items())
     p = float(chdtrc(n, factor * n))
     predicted = math.sqrt(noise + shared)
     return Agreement(math.sqrt(square), predicted, factor, n, p, p < REFUTED and factor > LEAST)

@@ -45,18 +45,18 @@ class PatchErrors:
         to the parameters: (m, p, 6), known for patches ``rows`` (k,). The errors within one patch
         count as one.
         """
-        new = _missing(self._deviates, rows)
+        new = _unknown_rows(self._deviates, rows)
         deviation_kernel(new, self._rows, *self._roots, self._deviation)
         return self._deviation
 
     def covariance(self, rows: I64) -> F32:
         """Covariance of the parameters: (m, p, p), known for patches ``rows`` (k,)."""
-        deviation, new = self.deviation(rows), _missing(self._varies, rows)
+        deviation, new = self.deviation(rows), _unknown_rows(self._varies, rows)
         shared_kernel(new, self._by_calibration, self._calibration, deviation, self._covariance)
         return self._covariance
 
 
-def _missing(known: Bool, rows: I64) -> I64:
+def _unknown_rows(known: Bool, rows: I64) -> I64:
     """Those of ``rows`` (k,) that are not ``known`` (m,) yet, each once; marks them."""
     wanted = np.zeros(len(known), np.bool_)
     wanted[rows] = True

@@ -38,7 +38,7 @@ def copy_rows(part: I64 | I32, to: I64, width: int, out: I64 | I32) -> None:
 
 
 @kernel
-def in_order(to: I64) -> Any:
+def keeps_order(to: I64) -> Any:
     """Whether the rows that stay, those of ``to`` (n,) that are not -1, do so in their order."""
     last = -1
     for row in to:
@@ -85,7 +85,7 @@ def place_from(keys: I64, key: int, hint: int) -> Any:
 
 
 @leaf_kernel
-def holds(keys: I64, key: int, place: int) -> Any:
+def has_key(keys: I64, key: int, place: int) -> Any:
     """Whether ascending keys hold a key, given its :func:`place_from`."""
     return place < len(keys) and keys[place] == key
 
@@ -103,17 +103,17 @@ def block_rows(
     spoken, at = 0, 0
     for i in range(len(own)):
         spoken, at = place_from(said, own[i], spoken), place_from(keys, own[i], at)
-        mine = last[spoken] if holds(said, own[i], spoken) else -1
-        here = at if holds(keys, own[i], at) else -1
+        mine = last[spoken] if has_key(said, own[i], spoken) else -1
+        here = at if has_key(keys, own[i], at) else -1
         hint, below = 0, 0
         for e in range(start[i], start[i + 1]):
             hint = place_from(said, other[e], hint)
             row[e] = -1
-            if turn == max(mine, last[hint] if holds(said, other[e], hint) else -1):
+            if turn == max(mine, last[hint] if has_key(said, other[e], hint) else -1):
                 row[e] = here  # also that of a block with a patch of a lower key that never came
                 if other[e] < own[i]:
                     below = place_from(keys, other[e], below)
-                    row[e] = below if holds(keys, other[e], below) else here
+                    row[e] = below if has_key(keys, other[e], below) else here
                 if row[e] >= 0:
                     count[row[e]] += 1
 
@@ -151,7 +151,7 @@ def place_blocks(
 
 
 @leaf_kernel
-def before(r: F64, i: int, j: int) -> Any:
+def precedes(r: F64, i: int, j: int) -> Any:
     """Whether point i comes before point j: by x, y and z, then by number."""
     for c in range(3):
         if r[i, c] != r[j, c]:
@@ -175,7 +175,7 @@ def sort_runs(patch: I64, r: F64, order: I64) -> None:
         while gap > 0:  # Shell's method
             for k in range(first + gap, end):
                 one, m = order[k], k
-                while m >= first + gap and before(r, one, order[m - gap]):
+                while m >= first + gap and precedes(r, one, order[m - gap]):
                     order[m] = order[m - gap]
                     m -= gap
                 order[m] = one

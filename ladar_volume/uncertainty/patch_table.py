@@ -26,12 +26,12 @@ from ladar_volume.model.records import (
     HeldPatches,
     select,
 )
-from ladar_volume.uncertainty.packing import block_kernel, prepared
+from ladar_volume.uncertainty.packing import block_kernel, prepare_patches
 from ladar_volume.uncertainty.patch_merge import (
     PartBlocks,
     block_rows,
     copy_rows,
-    in_order,
+    keeps_order,
     move_rows,
     place_blocks,
     sort_runs,
@@ -52,7 +52,7 @@ def ragged_index(start: I64, rows: I64) -> I64:
     return out
 
 
-def picked(parts: list[Any], rows: I64) -> Any:
+def select_rows(parts: list[Any], rows: I64) -> Any:
     """Rows of arrays, each at most once, as if these were one after the other. A part without rows
     has no columns of its own to match. The list is used up. The first part becomes the result, with
     its rows moved in place, where they stay in order and nobody else has a hold of it: a large
@@ -66,7 +66,7 @@ def picked(parts: list[Any], rows: I64) -> Any:
     parts.reverse()
     out = parts.pop()
     count, shape = len(out), out.shape[1:]
-    in_place = out.flags.c_contiguous and in_order(to[:count])
+    in_place = out.flags.c_contiguous and keeps_order(to[:count])
     if in_place:
         try:
             out.resize(
@@ -75,20 +75,20 @@ def picked(parts: list[Any], rows: I64) -> Any:
         except ValueError:
             in_place = False
     if in_place:
-        move_rows(*words(out), to[:count])
+        move_rows(*hash_words(out), to[:count])
     else:
         parts.append(out)
         out = np.empty((len(rows), *shape), out.dtype)
     first = count if in_place else 0
     while parts:
         part = np.ascontiguousarray(parts.pop(), out.dtype)
-        copy_rows(words(part)[0], to[first : first + len(part)], *words(out)[::-1])
+        copy_rows(hash_words(part)[0], to[first : first + len(part)], *hash_words(out)[::-1])
         first += len(part)
     out.resize((len(rows), *shape), refcheck=False)
     return out
 
 
-def words(array: npt.NDArray[np.generic]) -> tuple[Any, int]:
+def hash_words(array: npt.NDArray[np.generic]) -> tuple[Any, int]:
     """The numbers of an array one after the other, up to eight bytes at a time as its rows allow
     it, and how many make a row.
     """
@@ -135,7 +135,7 @@ class PatchStore:
         """Forget what the update removes or replaces, then add its patches and points."""
         points = self._usable(update.points, update.patches.key)
         self._pending.append(
-            dataclasses.replace(update, points=points, patches=prepared(update.patches))
+            dataclasses.replace(update, points=points, patches=prepare_patches(update.patches))
         )
         if update.complete and sum(len(pending.patches) for pending in self._pending) > PENDING:
             self._merge()
@@ -155,7 +155,7 @@ class PatchStore:
                 [FilterUpdate(0, np.zeros(0, np.int64), self._points, self._patches), *updates],
                 [0, *turns],
             )
-        last = LastWord(updates, turns)
+        last = LatestUpdate(updates, turns)
         points, patches = (
             Parts([update.points for update in updates]),
             Parts([update.patches for update in updates]),
@@ -177,7 +177,7 @@ class PatchStore:
         return select(points, finite & owned)
 
 
-class LastWord:
+class LatestUpdate:
     """Which update was the last to say anything of a patch. keys, turns : of the patches ever
     named, ascending, then one that is none.
     """
@@ -215,7 +215,7 @@ class Parts:
         return [held.pop(name) for held in self._held]
 
 
-def merged_points(parts: Parts, turns: list[int], last: LastWord) -> FilteredPoints:
+def merged_points(parts: Parts, turns: list[int], last: LatestUpdate) -> FilteredPoints:
     """The points that hold, by patch, then position."""
     patch, r = np.concatenate(parts.see("patch")), np.concatenate(parts.see("r_map"))
     chosen = np.flatnonzero(last.turn(patch) == np.repeat(turns, parts.rows))
@@ -224,13 +224,13 @@ def merged_points(parts: Parts, turns: list[int], last: LastWord) -> FilteredPoi
     del patch, r
     return FilteredPoints(
         **{
-            field.name: picked(parts.take(field.name), order)
+            field.name: select_rows(parts.take(field.name), order)
             for field in dataclasses.fields(FilteredPoints)
         }
     )
 
 
-def merged_patches(parts: Parts, turns: list[int], last: LastWord) -> HeldPatches:
+def merged_patches(parts: Parts, turns: list[int], last: LatestUpdate) -> HeldPatches:
     """The patches that hold, by key, with their blocks by the lower key of their pair and then the
     other, and their bins.
     """
@@ -243,7 +243,7 @@ def merged_patches(parts: Parts, turns: list[int], last: LastWord) -> HeldPatche
         parts.take("cross_start"),
         parts.take("cross_key"),
     )
-    made: dict[str, Any] = {name: picked(parts.take(name), rows) for name in (*ROWS, *HELD)}
+    made: dict[str, Any] = {name: select_rows(parts.take(name), rows) for name in (*ROWS, *HELD)}
     made["cross_start"], made["cross_key"], entry = block_entries(
         own, starts, others, turns, last, keys
     )
@@ -256,7 +256,7 @@ def merged_patches(parts: Parts, turns: list[int], last: LastWord) -> HeldPatche
             else block_kernel(mine, start, other, new, keys, made["factor"])
         )
     del new
-    made["cross"] = picked(blocks, entry)
+    made["cross"] = select_rows(blocks, entry)
     starts = parts.take("nav_start")
     bins = np.concatenate(
         [[0], np.cumsum(np.concatenate([np.diff(start) for start in starts]))]
@@ -266,12 +266,17 @@ def merged_patches(parts: Parts, turns: list[int], last: LastWord) -> HeldPatche
     )
     entry = ragged_index(bins, rows)
     for name in ("nav_bin", "M_nav"):
-        made[name] = picked(parts.take(name), entry)
+        made[name] = select_rows(parts.take(name), entry)
     return HeldPatches(**made)
 
 
 def block_entries(
-    own: list[I64], start: list[I64], other: list[I64], turns: list[int], last: LastWord, keys: I64
+    own: list[I64],
+    start: list[I64],
+    other: list[I64],
+    turns: list[int],
+    last: LatestUpdate,
+    keys: I64,
 ) -> tuple[I64, I64, I64]:
     """The cross blocks that hold, by the lower key of their pair and then the other, for patches of
     keys (m,): start (m + 1,), the other key of each and its number among the blocks of all parts.

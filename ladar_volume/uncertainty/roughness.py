@@ -91,7 +91,7 @@ def basis(xy: F64, parameters: int) -> F64:
     return np.ascontiguousarray(np.linalg.qr(X)[0])
 
 
-def taken_by_fit(CQ: F64, Q: F64) -> tuple[F64, float]:
+def fit_reduction(CQ: F64, Q: F64) -> tuple[F64, float]:
     """What a least-squares fit with the basis Q (n, p) takes of heights of covariance C, ``T = PC +
     CP − PCP`` with ``P = QQᵀ``: W (n, p) with ``T = WQᵀ + QWᵀ``, and its trace. CQ : (n, p).
     """
@@ -135,10 +135,10 @@ def estimate_roughness(
     p = xy[some]
     Q, edges = basis(p, parameters), lag_edges(p, spacing)
     products, counts, partners, CQ, d = pair_sums(p, residual[some], C, Q, np.append(0.0, edges))
-    known, trace = taken_by_fit(CQ, Q)
+    known, trace = fit_reduction(CQ, Q)
     sums = PairSums(products, counts, partners, d, known)
     left = square - noise - (float(np.trace(C)) - trace) / len(some)
-    return _iterated(sums, Q, edges, left, _weights(counts, n, square, noise), none)
+    return _iterate_field(sums, Q, edges, left, _weights(counts, n, square, noise), none)
 
 
 def lag_edges(p: F64, spacing_m: float) -> F64:
@@ -157,7 +157,7 @@ def _weights(counts: F64, n: int, square: float, noise: float) -> tuple[F64, F64
 
 
 class PairSums(NamedTuple):
-    """What :func:`_iterated` fits the field to. products, counts : (k,) m² of pairs by lag ·
+    """What :func:`_iterate_field` fits the field to. products, counts : (k,) m² of pairs by lag ·
     partners : (k, n, p), d : distances, packed, as :func:`pair_sums` gives them · known : (n, p)
     what the fit took of the covariances that are known
     """
@@ -169,7 +169,7 @@ class PairSums(NamedTuple):
     known: F64
 
 
-def _iterated(
+def _iterate_field(
     sums: PairSums,
     Q: F64,
     edges: F64,
@@ -188,17 +188,19 @@ def _iterated(
     rough, own, trace, most_m = start, np.zeros_like(Q), 0.0, 2.0 * float(edges[-1])
     for number in range(ROUNDS):
         if number:  # what the fit took of the field is given back
-            own, trace = taken_by_fit(
+            own, trace = fit_reduction(
                 rough.variance_m2 * packed_product(rough.correlation(d), Q), Q
             )
         value = np.append(
             left + trace / len(Q), (products + np.tensordot(partners, known + own)) / pairs[1:]
         )
-        rough = of_products(lag[ok], value[ok], variance[ok], start.spacing_m, most_m)
+        rough = field_from_products(lag[ok], value[ok], variance[ok], start.spacing_m, most_m)
     return rough
 
 
-def of_products(lag: F64, value: F64, variance: F64, spacing_m: float, most_m: float) -> Roughness:
+def field_from_products(
+    lag: F64, value: F64, variance: F64, spacing_m: float, most_m: float
+) -> Roughness:
     """The field whose covariances at lags (k,), the first of them 0, were found to be ``value``
     (k,) with variances (k,) from the number of pairs; what else scatters is in proportion to the
     field. None where neither the variance nor what is between points speaks for one.

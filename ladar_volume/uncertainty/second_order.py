@@ -76,7 +76,7 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 
 @leaf_kernel
-def turned_back(R: F64, a: Vector) -> Vector:
+def rotate_back(R: F64, a: Vector) -> Vector:
     """``Rᵀ a``."""
     return (
         R[0, 0] * a[0] + R[1, 0] * a[1] + R[2, 0] * a[2],
@@ -125,8 +125,8 @@ def curvature_kernel(
             half, turn = H[b], R[b]
             part = unit[a, 0, 0] * M[0, 0]
             share, own = q[a, 0] * part, abs(part) + 1e-12
-            m = turned_back(turn, n)
-            v = turned_back(
+            m = rotate_back(turn, n)
+            v = rotate_back(
                 turn,
                 (
                     centre[a, 0] - position[b, 0],
@@ -139,7 +139,7 @@ def curvature_kernel(
             for i in range(3):
                 half[i, i] -= vv
             for k in range(2):
-                body = turned_back(turn, along[k])
+                body = rotate_back(turn, along[k])
                 upon, standing, lean = cross(v, body), cross(body, m), along[k][2] / upright
                 # a place is one of the map's plane: what moved along the normal came from beside it
                 shift = (upon[0] - lean * vm[0], upon[1] - lean * vm[1], upon[2] - lean * vm[2])
@@ -153,8 +153,8 @@ def curvature_kernel(
             add_outer(
                 half,
                 -share * upright,
-                turned_back(turn, beside),
-                cross(v, turned_back(turn, downhill)),
+                rotate_back(turn, beside),
+                cross(v, rotate_back(turn, downhill)),
             )
             weight += own
             if e + 1 == start[a + 1] or bins[index[e + 1]] > bins[b] + 1:  # the pass ends
@@ -198,7 +198,7 @@ def curvatures(
 
 
 @dataclass(frozen=True)
-class Swing:
+class AttitudeCurvature:
     """Second order of the attitude by time bin. t_s : (b,) ascending, s · S : (b, 3, 3) ``C^{1/2} H
     C^{1/2}``, in the result's unit
     """
@@ -207,15 +207,17 @@ class Swing:
     S: F64
 
 
-def swing_of(H: F64, bins: I64, navigation: NavigationBins) -> Swing:
+def attitude_curvature(H: F64, bins: I64, navigation: NavigationBins) -> AttitudeCurvature:
     """From curvatures H (b, 3, 3) by ascending time bins (b,)."""
     root = navigation.roots(bins)[1]
-    return Swing(
+    return AttitudeCurvature(
         (bins - (bins[0] if len(bins) else 0)) * (navigation.bin_ns * 1e-9), root @ H @ root
     )
 
 
-def attitude_second_order(swing: Swing, budget: BudgetParameters, first_m6: float) -> SecondOrder:
+def attitude_second_order(
+    swing: AttitudeCurvature, budget: BudgetParameters, first_m6: float
+) -> SecondOrder:
     """The attitude's second-order term ``Σ_e ½ theta_eᵀ H_e theta_e``, beside the first order's
     variance.
 
@@ -241,7 +243,7 @@ def attitude_second_order(swing: Swing, budget: BudgetParameters, first_m6: floa
     return SecondOrder(shift, variance, variance + shift**2 > SHARE * first_m6)
 
 
-def together(parts: dict[str, SecondOrder]) -> tuple[dict[str, float], SecondOrder]:
+def combine_second_orders(parts: dict[str, SecondOrder]) -> tuple[dict[str, float], SecondOrder]:
     """Lines m⁶ of several second orders, by name, and all of them as one. The errors are
     independent but their means are not: the square of the sum of all means is shared out in order,
     no line below zero.

@@ -38,7 +38,7 @@ FILLED = 2.0
 
 
 @dataclass(frozen=True)
-class Seen:
+class ObservedPoints:
     """Points that were seen: r (n, 3) m, variance (n,) m² of their heights, and their usual
     spacing, m.
     """
@@ -49,7 +49,7 @@ class Seen:
     tree: cKDTree
 
     @classmethod
-    def of(cls, r: F64, variance: F64, spacing_m: float) -> Seen:
+    def of(cls, r: F64, variance: F64, spacing_m: float) -> ObservedPoints:
         """The points with a tree to find them."""
         return cls(r, variance, spacing_m, cKDTree(r[:, :2]))
 
@@ -67,7 +67,7 @@ class Kriging:
 
 
 @dataclass(frozen=True)
-class Predicted:
+class Prediction:
     """A gap as predicted from its rim. volume_m3 : integral of the heights · unit_m6 : variance of
     it for c = 1 · noise_m6 : from the points' own noise
     """
@@ -78,7 +78,7 @@ class Predicted:
 
 
 @dataclass(frozen=True)
-class Trial:
+class GapTrial:
     """A gap laid over a seen place: squares, m², of the mean height's error, beyond its noise, of
     its standard deviation for c = 1, and of the difference between smooth surface and chords.
     """
@@ -89,7 +89,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Unseen:
+class UnseenVolume:
     """The volume of an unseen surface, m³ above height 0, its variance, m⁶, and from how many gaps
     laid over seen places the variance was told.
     """
@@ -104,7 +104,7 @@ def diameter(area_m2: float) -> float:
     return 2.0 * math.sqrt(area_m2 / math.pi)
 
 
-def rim_points(seen: Seen, xy: F64, weight: F64, apart: F64) -> I64:
+def rim_points(seen: ObservedPoints, xy: F64, weight: F64, apart: F64) -> I64:
     """Points (k,) around a gap of places xy (k, 2) m with areas weight (k,) m², but not in it: each
     further from its places than ``apart`` (k,) m, and one of each square of a grid, so many that
     they are few.
@@ -118,10 +118,10 @@ def rim_points(seen: Seen, xy: F64, weight: F64, apart: F64) -> I64:
         return near
     d, at = cKDTree(xy).query(seen.r[near, :2])
     near = near[(np.asarray(d) >= apart[at]) & (np.asarray(d) <= reach)]
-    return thinned(seen.r[near, :2], near, seen.spacing_m)
+    return thin_to_grid(seen.r[near, :2], near, seen.spacing_m)
 
 
-def thinned(xy: F64, rows: I64, spacing_m: float) -> I64:
+def thin_to_grid(xy: F64, rows: I64, spacing_m: float) -> I64:
     """One of ``rows`` (k,) in each square of a grid over xy (k, 2), at most about :data:`SEEN`."""
     side = spacing_m
     while len(rows) > SEEN:
@@ -132,7 +132,7 @@ def thinned(xy: F64, rows: I64, spacing_m: float) -> I64:
     return rows
 
 
-def kriging(seen: Seen, rim: I64, xy: F64, power: int = 3) -> Kriging | None:
+def kriging_equations(seen: ObservedPoints, rim: I64, xy: F64, power: int = 3) -> Kriging | None:
     """The equations of points ``rim`` for places xy (k, 2) m; None where these do not tell a
     plane. power : of the distance; 1 for a surface as tight as chords.
     """
@@ -150,11 +150,11 @@ def kriging(seen: Seen, rim: I64, xy: F64, power: int = 3) -> Kriging | None:
     return Kriging(A, K, sign * cdist(q, q) ** power, scale)
 
 
-def predicted(seen: Seen, rim: I64, xy: F64, weight: F64) -> Predicted | None:
+def predict_integral(seen: ObservedPoints, rim: I64, xy: F64, weight: F64) -> Prediction | None:
     """The integral over places xy (k, 2) m with areas weight (k,) m², from points ``rim``; None
     where these do not tell a plane.
     """
-    made = kriging(seen, rim, xy)
+    made = kriging_equations(seen, rim, xy)
     if made is None:
         return None
     k0 = made.K @ weight
@@ -164,16 +164,16 @@ def predicted(seen: Seen, rim: I64, xy: F64, weight: F64) -> Predicted | None:
         return None
     unit = float(weight @ made.own @ weight) - float(k0 @ solved)
     by_point = solved[: len(rim)]
-    return Predicted(
+    return Prediction(
         float(by_point @ seen.r[rim, 2]),
         max(unit, 0.0) * made.scale_m**3,
         float(by_point**2 @ seen.variance[rim]),
     )
 
 
-def heights(seen: Seen, rim: I64, xy: F64, power: int = 3) -> F64:
+def predict_heights(seen: ObservedPoints, rim: I64, xy: F64, power: int = 3) -> F64:
     """Heights (k,) m at places xy (k, 2) m from points ``rim``."""
-    made = kriging(seen, rim, xy, power)
+    made = kriging_equations(seen, rim, xy, power)
     if made is None:
         return np.full(len(xy), math.nan)
     try:
@@ -196,7 +196,7 @@ def within_repose(r: F64, xy: F64, weight: F64, z: F64) -> tuple[F64, float]:
     return np.clip(z, low, high), float(weight @ (high - low))
 
 
-def trial_places(seen: Seen, xy: F64, weight: F64) -> F64:
+def trial_places(seen: ObservedPoints, xy: F64, weight: F64) -> F64:
     """Shifts (k, 2) m of a gap, in a spiral about it, evenly over the disc around."""
     size = diameter(float(weight.sum()))
     number = np.arange(1, 8 * TRIALS + 1)
@@ -206,24 +206,24 @@ def trial_places(seen: Seen, xy: F64, weight: F64) -> F64:
     return out[np.argsort(radius, kind="stable")]
 
 
-def tried(seen: Seen, xy: F64, weight: F64, apart: F64) -> list[Trial]:
+def try_gap(seen: ObservedPoints, xy: F64, weight: F64, apart: F64) -> list[GapTrial]:
     """The gap laid over seen places."""
-    out: list[Trial] = []
+    out: list[GapTrial] = []
     for shift in trial_places(seen, xy, weight):
         place = xy + shift
         d, at = seen.tree.query(place)
         if float(np.max(d)) > FILLED * seen.spacing_m:
             continue  # not wholly seen
         rim = rim_points(seen, place, weight, apart)
-        found = predicted(seen, rim, place, weight)
+        found = predict_integral(seen, rim, place, weight)
         if found is None or found.unit_m6 <= 0.0:
             continue
         error = float(weight @ seen.r[np.asarray(at), 2]) - found.volume_m3
         own = float((weight**2) @ seen.variance[np.asarray(at)])
-        bulge = found.volume_m3 - float(weight @ heights(seen, rim, place, 1))
+        bulge = found.volume_m3 - float(weight @ predict_heights(seen, rim, place, 1))
         scale = float(weight.sum()) ** 2  # of heights: gaps of several sizes go together
         out.append(
-            Trial(
+            GapTrial(
                 max(error**2 - found.noise_m6 - own, 0.0) / scale,
                 found.unit_m6 / scale,
                 bulge**2 / scale,
@@ -234,7 +234,7 @@ def tried(seen: Seen, xy: F64, weight: F64, apart: F64) -> list[Trial]:
     return out
 
 
-def of_trials(trials: list[Trial], shape_m2: float) -> tuple[float, float]:
+def scale_from_trials(trials: list[GapTrial], shape_m2: float) -> tuple[float, float]:
     """The factor c, and the share of a smooth surface's difference from chords that is a standard
     deviation, squared, for a gap with that difference (mean height, squared) shape_m2.
     """
@@ -246,7 +246,9 @@ def of_trials(trials: list[Trial], shape_m2: float) -> tuple[float, float]:
     return c, (before * DOUBTED**2 + error) / total if total > 0.0 else 0.0
 
 
-def unseen_surface(seen: Seen, xy: F64, weight: F64, apart: F64, chord_m3: float) -> Unseen | None:
+def unseen_surface(
+    seen: ObservedPoints, xy: F64, weight: F64, apart: F64, chord_m3: float
+) -> UnseenVolume | None:
     """The surface of a gap of places xy (k, 2) m with areas weight (k,) m², and how well it is
     known; None where nothing can be told of it.
 
@@ -257,22 +259,22 @@ def unseen_surface(seen: Seen, xy: F64, weight: F64, apart: F64, chord_m3: float
     surface and chords counts as a standard deviation, less where seen places tell otherwise.
     """
     rim = rim_points(seen, xy, weight, np.zeros(len(xy)))
-    found = predicted(seen, rim, xy, weight)
+    found = predict_integral(seen, rim, xy, weight)
     if found is None:
         return None
-    z, room = within_repose(seen.r[rim], xy, weight, heights(seen, rim, xy))
+    z, room = within_repose(seen.r[rim], xy, weight, predict_heights(seen, rim, xy))
     smooth_m3 = float(weight @ z)
-    trials: list[Trial] = []
+    trials: list[GapTrial] = []
     area = float(weight.sum())
     centre = (weight @ xy) / area
     for size in SIZES:  # a smaller gap fits where the gap itself does not
-        trials += tried(seen, centre + size * (xy - centre), size**2 * weight, size * apart)
+        trials += try_gap(seen, centre + size * (xy - centre), size**2 * weight, size * apart)
         if len(trials) >= ENOUGH:
             break
-    factor, share = of_trials(trials, ((smooth_m3 - chord_m3) / area) ** 2)
+    factor, share = scale_from_trials(trials, ((smooth_m3 - chord_m3) / area) ** 2)
     variance = factor * found.unit_m6 + found.noise_m6 + share * (smooth_m3 - chord_m3) ** 2
     if math.isfinite(room):
         variance = min(variance, room**2 / 12.0) if trials else room**2 / 12.0
     elif not trials:
         return None
-    return Unseen(smooth_m3, variance, len(trials))
+    return UnseenVolume(smooth_m3, variance, len(trials))

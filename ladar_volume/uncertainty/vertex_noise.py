@@ -90,7 +90,7 @@ def height_pairs(
 
 
 @leaf_kernel
-def pair(
+def height_product(
     i: int, j: int, row: I64, X: F64, start: I64, right: I32, cross: F32 | I8
 ) -> tuple[float, bool]:
     """``x_i C x_j`` of two vertices, and whether there is such a block: see :func:`pair_kernel`."""
@@ -118,7 +118,7 @@ def pair_kernel(
     """
     value, shared = np.zeros(len(one)), np.zeros(len(one), np.bool_)
     for e in range(len(one)):
-        value[e], shared[e] = pair(one[e], two[e], row, X, start, right, cross)
+        value[e], shared[e] = height_product(one[e], two[e], row, X, start, right, cross)
     return value, shared
 
 
@@ -133,7 +133,7 @@ def corner_kernel(
         for a in range(3):
             out[t, k] = variance[triangles[t, a]]
             for b in range(a + 1, 3):
-                out[t, k + b - a] = pair(
+                out[t, k + b - a] = height_product(
                     triangles[t, a], triangles[t, b], row, X, start, right, cross
                 )[0]
             k += 3 - a

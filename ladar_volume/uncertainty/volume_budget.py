@@ -35,13 +35,13 @@ from ladar_volume.uncertainty.propagation import (
 )
 from ladar_volume.uncertainty.second_order import (
     BORESIGHT,
+    AttitudeCurvature,
     SecondOrder,
-    Swing,
+    attitude_curvature,
     attitude_second_order,
+    combine_second_orders,
     curvatures,
     second_order,
-    swing_of,
-    together,
 )
 
 #: Share of their variance that independent errors of two samples keep, on average, where one is
@@ -85,7 +85,7 @@ class Sensitivities:
     tangential_m6: float
     J_cal: F64
     curvature: F64
-    swing: Swing
+    swing: AttitudeCurvature
     navigation: NavigationLoads
 
 
@@ -128,7 +128,7 @@ class Sources:
         """
         C_b = self.C_cal[BORESIGHT, BORESIGHT]
         navigation = navigation_variance(s.navigation, self.parameters.budget)
-        bent, second = together(
+        bent, second = combine_second_orders(
             {
                 "boresight_second_order": second_order(
                     s.curvature, C_b, float(s.J_cal[BORESIGHT] @ C_b @ s.J_cal[BORESIGHT])
@@ -175,7 +175,7 @@ class Sources:
             tangential_m6,
             calibration_sensitivity(first, self.patches),
             H.sum(axis=0),
-            swing_of(H, self.time_bins[0], self.navigation),
+            attitude_curvature(H, self.time_bins[0], self.navigation),
             navigation_loads(
                 J_nav, bins, self.navigation, self.parameters.georeference.max_position_gap_s
             ),

@@ -16,7 +16,7 @@ import numpy as np
 
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.model.records import F64, I64
-from ladar_volume.tin.locate import CHUNKS, search
+from ladar_volume.tin.locate import CHUNKS, search_boxes
 from ladar_volume.volume.triangle_clipping import CORNERS, PAIR, ROWS, A, B, add_piece, clip_pair
 
 #: Steps of a walk to a triangle's centre and triangles met below one, beyond which the tree is
@@ -169,10 +169,10 @@ def from_tree(
     for c in range(2):
         box[c] = min(corners[t, 0, c], corners[t, 1, c], corners[t, 2, c])
         box[2 + c] = max(corners[t, 0, c], corners[t, 1, c], corners[t, 2, c])
-    count = search(pair.tree, len(other), box, stack, found)
+    count = search_boxes(pair.tree, len(other), box, stack, found)
     if count > len(found):
         found = np.empty(count, np.int64)
-        search(pair.tree, len(other), box, stack, found)
+        search_boxes(pair.tree, len(other), box, stack, found)
     while entry < count:
         if len(ids) > 0 and used == WAITING:
             return entry, used, last

@@ -1,4 +1,4 @@
-"""The ring measures how two scans lie on each other; returns that stand alone; what sampling costs."""
+"""The ring measures how two scans lie on each other; isolated returns; the cost of sampling."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Mesh files through the door: their faces are the surface, in every format; parts, repairs, words."""
+"""Mesh files at the verbs: their faces are the surface, in every format; parts, repairs, words."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def plane(p):
 
 
 def net_between(one, two):
-    """Net volume and area between two meshes over their common footprint: a second, plain overlay."""
+    """Net volume and area between two meshes over their common footprint: a plain overlay."""
     origin = one.vertices.min(axis=0) * [1, 1, 0]
     a, b = (m.vertices[m.triangles] - origin for m in (one, two))
     net = area = 0.0

@@ -4,7 +4,7 @@ import numpy as np
 
 from benchmarks.bodies import CASES, cloud
 from ladar_volume.clouds.filter import cell_surface
-from ladar_volume.clouds.filter.cell_cover import Regions, cover
+from ladar_volume.clouds.filter.cell_cover import Regions, project_on_cells
 from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.model.parameters import FilterParameters
 
@@ -21,7 +21,9 @@ def test_a_cell_without_a_surface_takes_a_smaller_radius():
         np.full(3000, 4),
     )
     for least, kept in ((top, 0.0), (0 * top, 0.98)):
-        done = cover(r, Regions(balls, top, least, sigma, 3.0 * sigma), FilterParameters(), 2)
+        done = project_on_cells(
+            r, Regions(balls, top, least, sigma, 3.0 * sigma), FilterParameters(), 2
+        )
         good = done.reason == cell_surface.KEPT
         assert good.mean() >= kept and (done.level[good] < 4).all()
         assert np.abs(np.linalg.norm(done.q[good], axis=1) - 0.3).max(initial=0.0) < 0.01

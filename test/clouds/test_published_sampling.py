@@ -7,7 +7,11 @@ import pytest
 
 from benchmarks.shapes import cube, sphere
 from ladar_volume.clouds.filter.filter_result import REASONS
-from ladar_volume.clouds.filter.point_reduction import merged, reduce_points, rounding_variance
+from ladar_volume.clouds.filter.point_reduction import (
+    merge_results,
+    reduce_points,
+    rounding_variance,
+)
 from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.clouds.published.filter_presets import preset as published_preset
 from ladar_volume.model.cloud_filter_parameters import FILTERS, FilterParameters
@@ -136,15 +140,15 @@ def test_every_input_point_stands_behind_an_output_or_is_named(reduce, before, a
 
 def test_the_mean_of_filtered_points_is_no_surer_than_they_are():
     result = filter_cloud(cloud(), parameters(order="published"))
-    means = merged(result, 0.1, "mean")
+    means = merge_results(result, 0.1, "mean")
     cells = reduce_points(result.r, 0.1, "mean").cell
     for k in range(len(means.r)):
         own = cells == k
         assert means.sigma[k] == pytest.approx(result.sigma[own].mean())
         assert means.index[k] == result.index[own].min() and means.count[k] == own.sum()
         assert abs(means.normal[k] @ result.normal[own][0]) > 0.999
-    assert merged(result, 0.0, "mean") is result
-    rounded = merged(result, 0.1, "round")
+    assert merge_results(result, 0.0, "mean") is result
+    rounded = merge_results(result, 0.1, "round")
     assert np.allclose(rounded.sigma**2 - means.sigma**2, 0.1**2 / 12)
 
 
@@ -167,7 +171,7 @@ def test_what_rounding_leaves_in_a_mean_is_known(noise):
 def test_opposite_normals_of_one_cell_do_not_cancel():
     result = filter_cloud(cloud(), parameters(order="published"))
     result.normal[::2] *= -1
-    means = merged(result, 0.1, "mean")
+    means = merge_results(result, 0.1, "mean")
     assert np.abs(means.normal[:, 2]).min() > 0.99
 
 

@@ -6,10 +6,14 @@ from scipy.spatial.transform import Rotation
 
 from ladar_volume.clouds.filter.surface_misfit import misfit_variance
 from ladar_volume.clouds.filter_cloud import REASONS, filter_cloud
-from ladar_volume.clouds.sampling.distinct_points import distinct
-from ladar_volume.clouds.sampling.isolation import belonging, spacing
-from ladar_volume.clouds.sampling.rounding_step import rounding_steps, spread
-from ladar_volume.clouds.sampling.sampling_lines import find_lines, lined, uneven
+from ladar_volume.clouds.sampling.distinct_points import distinct_rows
+from ladar_volume.clouds.sampling.isolation import connected_to_known, second_neighbour_distance
+from ladar_volume.clouds.sampling.rounding_step import dither, rounding_steps
+from ladar_volume.clouds.sampling.sampling_lines import (
+    find_lines,
+    has_uneven_spacing,
+    lies_along_lines,
+)
 from ladar_volume.clouds.sampling.trimmed_noise import trimmed_noise
 from ladar_volume.model.parameters import FilterParameters
 
@@ -174,14 +178,14 @@ def test_single_precision_of_map_coordinates_is_a_step():
     x = np.random.default_rng(0).uniform(-50, 50, (3000, 3)) + np.array([4e5, 5.4e6, 100])
     found = rounding_steps(x.astype(np.float32).astype(np.float64))
     assert found[:2] == pytest.approx([2.0**-5, 0.5])
-    moved = spread(x, np.array([0.1, 0.0, 0.0]), 1) - x
+    moved = dither(x, np.array([0.1, 0.0, 0.0]), 1) - x
     assert np.abs(moved[:, 0]).max() <= 0.05 and not moved[:, 1:].any()
     assert np.std(moved[:, 0]) == pytest.approx(0.1 / np.sqrt(12), rel=0.05)
 
 
 def test_distinct_points_keep_their_order():
     r = np.array([[1.0, 2, 3], [0, 0, 0], [1, 2, 3], [-0.0, 0, 0], [5, 5, 5]])
-    once = distinct(r)
+    once = distinct_rows(r)
     assert np.array_equal(once.index, [0, 1, 4]) and np.array_equal(once.count, [2, 2, 1])
     assert np.array_equal(once.cell, [0, 1, 0, 1, 2])
 
@@ -192,7 +196,7 @@ def test_lines_come_together_at_their_distance():
     r = np.column_stack([x.ravel(), y.ravel(), 1e-3 * rng.normal(size=x.size)])
     r -= r.mean(axis=0)
     distance_m = np.linalg.norm(r[:40, None] - r[None], axis=2)
-    assert lined(r, np.argsort(distance_m, axis=1)[:, :60])
+    assert lies_along_lines(r, np.argsort(distance_m, axis=1)[:, :60])
     reach = find_lines(r, 0.04).reach_m
     assert 0.9 < np.nanmedian(reach) < 1.9
 
@@ -241,11 +245,11 @@ def test_noisy_lines_are_lines_though_their_noise_is_wider_than_their_spacing():
     r[:, 2] = 0.02 * rng.normal(size=len(r))
     some = r[:: len(r) // 300]
     near = np.argsort(np.linalg.norm(some[:, None] - r[None], axis=2), axis=1)[:, :130]
-    assert lined(r, near)
+    assert lies_along_lines(r, near)
     even = np.column_stack([rng.uniform(0, 3, (9000, 2)), 0.02 * rng.normal(size=9000)])
     some = even[:300]
     near = np.argsort(np.linalg.norm(some[:, None] - even[None], axis=2), axis=1)[:, :130]
-    assert not lined(even, near)
+    assert not lies_along_lines(even, near)
 
 
 def test_strays_are_not_taken_for_places_of_another_spacing():
@@ -256,7 +260,7 @@ def test_strays_are_not_taken_for_places_of_another_spacing():
     distance = np.linalg.norm(r[:400, None] - r[None], axis=2)
     near = np.argsort(distance, axis=1)[:, :40]
     around = np.argsort(distance[:, :400], axis=1)[:, :60]
-    assert not uneven(r, near, np.take_along_axis(distance, near, axis=1), around)
+    assert not has_uneven_spacing(r, near, np.take_along_axis(distance, near, axis=1), around)
 
 
 def test_strays_do_not_pass_one_another_on():
@@ -265,5 +269,5 @@ def test_strays_do_not_pass_one_another_on():
     strays = rng.uniform([0, -20, -20], [40, 20, 20], (400, 3))
     r = np.concatenate([ring, ring + np.array([0.0, 3.0, 0.0]), strays])
     known = np.arange(len(r)) < 400
-    stays = belonging(r, known, spacing(r, r), ~known, 4.0)
+    stays = connected_to_known(r, known, second_neighbour_distance(r, r), ~known, 4.0)
     assert stays[400:800].mean() > 0.99 and stays[800:].mean() < 0.05

@@ -18,7 +18,7 @@ from ladar_volume.ground.surfaces import (
     find_grounds,
     further_grounds,
     heights_above,
-    repeats,
+    is_same_surface,
     surface_sigma,
 )
 from ladar_volume.model.errors import GroundError
@@ -130,7 +130,7 @@ def test_clutter_small_patches_and_repetitions_are_no_further_surfaces():
     assert len(grounds(step, min_support=0.04)) == 2 and len(grounds(step, min_support=0.06)) == 1
     main = grounds(flat)[0]
     again = dataclasses.replace(main, beta=main.beta + np.array([0.02, 0, 0]))
-    assert repeats(again, main, flat) and not repeats(
+    assert is_same_surface(again, main, flat) and not is_same_surface(
         dataclasses.replace(main, beta=main.beta + np.array([0.05, 0, 0])), main, flat
     )
 

@@ -10,7 +10,13 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ladar_volume.ground.clusters import clusters, connected, join_cells, root_of, to_roots
+from ladar_volume.ground.clusters import (
+    clusters,
+    component_labels,
+    flatten_roots,
+    join_cells,
+    root_of,
+)
 from ladar_volume.ground.objects import ObjectParameters, find_objects, objects_at, objects_in
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.ground.regions import in_box, in_polygon
@@ -63,7 +69,9 @@ def test_components_equal_those_of_all_pairs(n, distance):
     p = np.random.default_rng(n).uniform(-1, 1, (n, 3)) * [1, 0.5, 0.5]
     pair = cKDTree(p).query_pairs(distance, output_type="ndarray")
     graph = coo_matrix((np.ones(len(pair)), pair.T), shape=(n, n))
-    assert same_partition(connected(p, distance), connected_components(graph, directed=False)[1])
+    assert same_partition(
+        component_labels(p, distance), connected_components(graph, directed=False)[1]
+    )
 
 
 def test_the_kernel_equals_its_plain_twin():
@@ -78,8 +86,8 @@ def test_the_kernel_equals_its_plain_twin():
     join_cells.py_func(p, start, left, right, 0.01, two)
     roots = [root_of.py_func(two, i) for i in range(20)]
     assert np.array_equal(one, two) and 1 < len(set(roots)) < 20
-    to_roots(one)
-    to_roots.py_func(two)
+    flatten_roots(one)
+    flatten_roots.py_func(two)
     assert np.array_equal(one, roots) and np.array_equal(two, roots)
 
 

@@ -163,7 +163,8 @@ def test_refused_files(tmp_path):
         "h.off": (b"OFF\n-1 2 0\n", "mesh_file_header"),
         "huge.off": (b"OFF\n99999999999 2 0\n", "mesh_file_short"),
         "c.ply": (
-            b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n",
+            b"ply\nformat ascii 1.0\nelement vertex 1\n"
+            b"property float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n",
             "mesh_file_fields",
         ),
         "f.ply": (b"ply\nformat other 1.0\nend_header\n", "mesh_file_header"),

@@ -338,8 +338,11 @@ LIMITED = """
 import resource, sys
 from ladar_volume.io.recorder import Recorder
 from ladar_volume.model.parameters import LoggerParameters
+
 resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
-r = Recorder(LoggerParameters(path=sys.argv[1], compression="none", chunk_s=0.1, disk_reserve_bytes=0))
+r = Recorder(
+    LoggerParameters(path=sys.argv[1], compression="none", chunk_s=0.1, disk_reserve_bytes=0)
+)
 for i in range(100):
     r.write("chat", "std_msgs/msg/String", bytes(1000), i * 10**8)
 r.close()

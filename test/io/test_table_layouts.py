@@ -115,7 +115,8 @@ def test_the_step_of_the_numbers(tmp_path):
 
 def organised(path, r, data="binary"):
     """A PCD of 4 rows."""
-    head = "FIELDS x y z i\nSIZE 4 4 4 2\nTYPE F F F U\nCOUNT 1 1 1 1\nWIDTH {}\nHEIGHT 4\nPOINTS {}\nDATA {}\n"
+    head = "FIELDS x y z i\nSIZE 4 4 4 2\nTYPE F F F U\nCOUNT 1 1 1 1\n"
+    head += "WIDTH {}\nHEIGHT 4\nPOINTS {}\nDATA {}\n"
     head = head.format(len(r) // 4, len(r), data).encode()
     if data == "ascii":
         rows = "".join(f"{x} {y} {z} {k}\n" for k, (x, y, z) in enumerate(r.tolist())).encode()

@@ -13,13 +13,13 @@ from ladar_volume.ground.polynomial import design_surface, height_above
 from ladar_volume.mesh import hole_filling
 from ladar_volume.mesh.chord_curvature import bulge_volumes
 from ladar_volume.mesh.closing import close
-from ladar_volume.mesh.edge_completion import meet, sharpen
+from ladar_volume.mesh.edge_completion import plane_intersection, sharpen
 from ladar_volume.mesh.ground_clipping import clip_to_ground
-from ladar_volume.mesh.linear_mesh import EDGE, GAP, GROUND, MEASURED, skin_of
+from ladar_volume.mesh.linear_mesh import EDGE, GAP, GROUND, MEASURED, linear_mesh
 from ladar_volume.mesh.local_mesh import mesh_cloud
 from ladar_volume.mesh.tetrahedra import closed_volume, signed_tetrahedra, tetrahedra_gradient
 from ladar_volume.mesh.topology import check_closed, edge_table, orient
-from ladar_volume.mesh.welding import fans
+from ladar_volume.mesh.welding import corner_fans
 from ladar_volume.model.errors import SurfaceError
 
 LEVEL = design_surface([0.0])
@@ -51,7 +51,7 @@ def volume(skin):
 
 def test_a_cube_without_bottom_stands_on_the_ground():
     for lift in (0.0, 0.1):
-        body, made = close(skin_of(CUBE_V + np.array([0, 0, lift]), CUBE_T[2:]), 0.2, LEVEL)
+        body, made = close(linear_mesh(CUBE_V + np.array([0, 0, lift]), CUBE_T[2:]), 0.2, LEVEL)
         assert volume(body).volume_m3 == pytest.approx(1.0 + lift, rel=1e-14)
         assert orient(body.vertices, body.triangles).euler == 2
         assert [(c.name, c.overlaps) for c in made] == [("ground", 0)]
@@ -65,9 +65,9 @@ def test_orientation_and_order_given_do_not_matter():
     rng = np.random.default_rng(0)
     v, t = sphere(400)
     t = t[v[t].max(axis=1)[:, 2] > -0.5]
-    one, _ = close(skin_of(v, t, v), 1.0, design_surface([-0.6]))
+    one, _ = close(linear_mesh(v, t, v), 1.0, design_surface([-0.6]))
     turned = np.where(rng.random(len(t))[:, None] < 0.5, t, t[:, ::-1])
-    two, _ = close(skin_of(v, turned[rng.permutation(len(t))], -v), 1.0, design_surface([-0.6]))
+    two, _ = close(linear_mesh(v, turned[rng.permutation(len(t))], -v), 1.0, design_surface([-0.6]))
     assert volume(two).volume_m3 == pytest.approx(volume(one).volume_m3, rel=1e-12)
 
 
@@ -81,7 +81,7 @@ def test_derivatives_by_points_and_ground_match_differences(normals):
     beta = np.array([-0.45, 0.05, -0.02])
 
     def made(points, plane):
-        return close(skin_of(points, t, v if normals else None), 0.8, design_surface(plane))[0]
+        return close(linear_mesh(points, t, v if normals else None), 0.8, design_surface(plane))[0]
 
     def total(points, plane):
         return volume(made(points, plane)).volume_m3
@@ -109,8 +109,8 @@ def test_derivatives_by_points_and_ground_match_differences(normals):
 
 def test_a_rim_across_the_ground_is_cut_off_there():
     v, t = sphere(3000)
-    body, _ = close(skin_of(v, t[v[t].max(axis=1)[:, 2] > -0.5]), 0.2, design_surface([-0.45]))
-    exact, _ = close(skin_of(v, t[v[t].max(axis=1)[:, 2] > -0.4]), 0.2, design_surface([-0.45]))
+    body, _ = close(linear_mesh(v, t[v[t].max(axis=1)[:, 2] > -0.5]), 0.2, design_surface([-0.45]))
+    exact, _ = close(linear_mesh(v, t[v[t].max(axis=1)[:, 2] > -0.4]), 0.2, design_surface([-0.45]))
     assert (
         height_above(body.vertices[np.unique(body.triangles)], design_surface([-0.45])).min()
         > -1e-12
@@ -118,7 +118,7 @@ def test_a_rim_across_the_ground_is_cut_off_there():
     cap = np.pi * 0.55**2 * (3 - 0.55) / 3
     assert volume(body).volume_m3 == pytest.approx(4 / 3 * np.pi - cap, rel=4e-3)
     assert volume(exact).volume_m3 == pytest.approx(volume(body).volume_m3, rel=3e-3)
-    cut = clip_to_ground(skin_of(v, t), design_surface([-0.45]))
+    cut = clip_to_ground(linear_mesh(v, t), design_surface([-0.45]))
     assert len(orient(cut.vertices, cut.triangles).boundary) > 50
 
 
@@ -132,7 +132,7 @@ def test_a_tube_stands_on_a_ring():
         [np.stack([top, after, after + n], axis=1), np.stack([top, after + n, top + n], axis=1)]
     )
     mesh = np.concatenate([t, t[:, ::-1] + n, lid])
-    body, made = close(skin_of(np.concatenate([outer, inner]), mesh), 0.3, LEVEL)
+    body, made = close(linear_mesh(np.concatenate([outer, inner]), mesh), 0.3, LEVEL)
     assert volume(body).volume_m3 == pytest.approx(4.0 - 1.0, rel=1e-12)
     assert orient(body.vertices, body.triangles).euler == 0  # a ring
     assert (
@@ -147,26 +147,26 @@ def test_gaps_are_filled_and_say_what_hangs_on_them():
     v, t = sphere(3000)
     for size in (0.15, 0.3):
         open_t = t[np.linalg.norm(v[t].mean(axis=1) - [0, 1, 0], axis=1) > size]
-        body, (gap,) = close(skin_of(v, open_t, v), 2.5 * size + 0.1, LEVEL)
+        body, (gap,) = close(linear_mesh(v, open_t, v), 2.5 * size + 0.1, LEVEL)
         exact = closed_volume(v, t).volume_m3
         assert gap.kind == GAP and orient(body.vertices, body.triangles).euler == 2
         lost = (
             exact
-            + bulge_volumes(skin_of(v, t, v)).sum()
+            + bulge_volumes(linear_mesh(v, t, v)).sum()
             - volume(body).volume_m3
             - bulge_volumes(body).sum()
         )
         assert abs(lost) < 0.1 * gap.doubt_m3 + 1e-6, (
             "the patches close what the flat fill leaves out"
         )
-        bare, (flat,) = close(skin_of(v, open_t), 2.5 * size + 0.1)
+        bare, (flat,) = close(linear_mesh(v, open_t), 2.5 * size + 0.1)
         assert not bulge_volumes(bare).any()
         assert 0.5 < flat.doubt_m3 / (exact - volume(bare).volume_m3) < 2.0
 
 
 def test_a_long_gap_and_one_that_least_area_cannot_fill_get_a_middle():
     v, t = sphere(30000)
-    body, (gap,) = close(skin_of(v, t[v[t].max(axis=1)[:, 2] < 0.5]), 3.0)
+    body, (gap,) = close(linear_mesh(v, t[v[t].max(axis=1)[:, 2] < 0.5]), 3.0)
     assert gap.vertices > 200 and body.kind[-1] == GAP and np.isfinite(volume(body).volume_m3)
     h = 0.5
     assert volume(body).volume_m3 == pytest.approx(
@@ -176,7 +176,7 @@ def test_a_long_gap_and_one_that_least_area_cannot_fill_get_a_middle():
     # turned round
     four = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
     both = np.array([[0, 2, 1], [0, 1, 3]])
-    body, (gap,) = close(skin_of(four, both), 5.0)
+    body, (gap,) = close(linear_mesh(four, both), 5.0)
     check_closed(orient(body.vertices, body.triangles))
     assert gap.vertices == 4
 
@@ -187,7 +187,7 @@ def test_rims_that_touch_in_a_vertex_are_taken_apart():
     index = np.arange(8) + 8
     index[0] = 3
     mesh = np.concatenate([CUBE_T[2:], index[CUBE_T[2:]]])
-    skin = skin_of(np.concatenate([CUBE_V, other]), mesh)
+    skin = linear_mesh(np.concatenate([CUBE_V, other]), mesh)
     body, made = close(skin, 0.1, design_surface([-0.05]))
     assert len(made) == 2 and volume(body).volume_m3 == pytest.approx(2 * 1.05)
     assert orient(body.vertices, body.triangles).euler == 4
@@ -205,7 +205,7 @@ def test_rims_that_touch_in_a_vertex_are_taken_apart():
 )
 def test_what_cannot_be_closed_is_refused(ground, close_m, reason, words):
     with pytest.raises(SurfaceError, match=words) as error:
-        close(skin_of(CUBE_V, CUBE_T[2:]), close_m, ground)
+        close(linear_mesh(CUBE_V, CUBE_T[2:]), close_m, ground)
     assert error.value.reason == reason
 
 
@@ -215,7 +215,7 @@ def test_a_pit_is_refused():
     fan = np.array([[96 + i + 32, 96 + (i + 1) % 32 + 32, len(v)] for i in range(32)])
     cup = np.concatenate([v, floor.mean(axis=0)[None]])
     mesh = np.concatenate([t, fan])
-    skin = skin_of(cup, mesh)
+    skin = linear_mesh(cup, mesh)
     assert volume(close(skin, 0.1, LEVEL)[0]).volume_m3 == pytest.approx(4.0)
     pit = type(skin)(
         skin.vertices,
@@ -234,7 +234,7 @@ def test_a_pit_is_refused():
 
 def test_a_closed_mesh_stays_as_it_is():
     v, t = torus()
-    body, made = close(skin_of(v, t), 1.0, design_surface([-1.0]))
+    body, made = close(linear_mesh(v, t), 1.0, design_surface([-1.0]))
     assert made == [] and np.array_equal(np.sort(body.triangles, axis=1), np.sort(t, axis=1))
 
 
@@ -259,7 +259,7 @@ def chamfered(per_edge, rng):
             normals.append(np.tile(np.sign(side) * np.eye(3)[axis], (len(a), 1)))
     p, n = np.concatenate(points), np.concatenate(normals)
     tin = build_spherical(p, np.zeros(3), gap_map=np.array([0.3, 0.2, 1.0])).tin
-    body, _ = close(skin_of(tin.vertices, tin.triangles), 0.9)
+    body, _ = close(linear_mesh(tin.vertices, tin.triangles), 0.9)
     return p, n, tin, body
 
 
@@ -267,9 +267,9 @@ def test_edges_and_corners_of_a_cube_are_completed_exactly():
     rng = np.random.default_rng(2)
     p, n, tin, body = chamfered(8, rng)
     where = np.array([int(np.argmin(np.linalg.norm(p - v, axis=1))) for v in tin.vertices])
-    skin = skin_of(body.vertices, body.triangles, n[where])
+    skin = linear_mesh(body.vertices, body.triangles, n[where])
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    turned = skin_of(body.vertices @ turn.T + 5.0, body.triangles, n[where] @ turn.T)
+    turned = linear_mesh(body.vertices @ turn.T + 5.0, body.triangles, n[where] @ turn.T)
     before = closed_volume(skin.vertices, skin.triangles).volume_m3
     assert before < 0.99
     for one in (skin, turned):
@@ -304,7 +304,7 @@ def test_edges_of_a_meshed_block_are_completed():
     at, n = sample_polygons(box_faces(np.full(3, -0.5), np.full(3, 0.5)), 3000, rng)
     R = rotation(rng)
     mesh = mesh_cloud(at @ R.T, n @ R.T)
-    skin = skin_of(mesh.vertices, mesh.triangles, mesh.normals)
+    skin = linear_mesh(mesh.vertices, mesh.triangles, mesh.normals)
     sharp, count = sharpen(skin)
     whole = orient(sharp.vertices, sharp.triangles)
     check_closed(whole)
@@ -325,7 +325,7 @@ def test_completed_edges_end_on_the_rim_they_came_from():
         box_faces(np.full(3, -0.5), np.full(3, 0.5))[1:], 2500, np.random.default_rng(6)
     )
     mesh = mesh_cloud(at, n)
-    sharp, count = sharpen(skin_of(mesh.vertices, mesh.triangles, mesh.normals))
+    sharp, count = sharpen(linear_mesh(mesh.vertices, mesh.triangles, mesh.normals))
     rim = orient(sharp.vertices, sharp.triangles).boundary
     assert len(mesh.rims) == 1 and count > 0
     ends = np.setdiff1d(rim, mesh.rims[0])
@@ -336,7 +336,7 @@ def test_completed_edges_end_on_the_rim_they_came_from():
 def test_smooth_surfaces_and_unknown_normals_are_not_sharpened():
     v, t = sphere(300)
     for normals in (v, None):
-        skin = skin_of(v, t, normals)
+        skin = linear_mesh(v, t, normals)
         same, count = sharpen(skin)
         assert count == 0 and same is skin
 
@@ -344,7 +344,7 @@ def test_smooth_surfaces_and_unknown_normals_are_not_sharpened():
 def test_planes_that_do_not_meet_nearby_stay_cut_off():
     points = np.array([[[0.0, 0, 0], [1.0, 0, 0]]])
     lean = np.array([[[0.0, 0, 1.0], [np.sin(0.05), 0, np.cos(0.05)]]])
-    found = meet(points, lean)
+    found = plane_intersection(points, lean)
     assert not found.good[0] and found.at[0] == pytest.approx([0.5, 0, 0])
 
 
@@ -352,7 +352,7 @@ def test_the_volume_over_chords_of_a_sphere_is_given_back():
     rng = np.random.default_rng(3)
     for make in (None, rng):
         v, t = sphere(2200, rng=make)
-        skin = skin_of(v, t, v)
+        skin = linear_mesh(v, t, v)
         truth = 4 / 3 * np.pi
         chords = signed_tetrahedra(skin.vertices, skin.triangles, np.zeros(3)).sum()
         assert chords / truth < 0.998
@@ -365,7 +365,7 @@ def test_the_volume_over_chords_of_a_torus_is_given_back():
     v, t = torus(60, 30)
     angle = np.arctan2(v[:, 1], v[:, 0])
     ring = 2.0 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
-    skin = skin_of(v, t, (v - ring) / 0.6)
+    skin = linear_mesh(v, t, (v - ring) / 0.6)
     truth = 2 * np.pi**2 * 2.0 * 0.36
     chords = signed_tetrahedra(skin.vertices, skin.triangles, np.zeros(3)).sum()
     assert chords / truth < 0.992 and (chords + bulge_volumes(skin).sum()) / truth == pytest.approx(
@@ -392,11 +392,11 @@ def test_fans_are_the_components_of_the_corners():
             shape=(t.size, t.size),
         )
         number, label = connected_components(graph, directed=False)
-        root = fans(t, one, other)
+        root = corner_fans(t, one, other)
         assert np.array_equal(root, np.unique(label, return_index=True)[1][label]) and number == (
             count or number
         )
-        assert np.array_equal(root, fans.py_func(t, one, other))
+        assert np.array_equal(root, corner_fans.py_func(t, one, other))
 
 
 def test_kernels_agree_with_their_plain_twins():
@@ -460,7 +460,7 @@ def test_least_area_of_a_bent_square_is_the_shorter_diagonal():
 
 
 def test_kinds_tell_what_was_measured():
-    body, _ = close(skin_of(CUBE_V + np.array([0, 0, 0.1]), CUBE_T[2:]), 0.2, LEVEL)
+    body, _ = close(linear_mesh(CUBE_V + np.array([0, 0, 0.1]), CUBE_T[2:]), 0.2, LEVEL)
     assert np.bincount(body.kind, minlength=4).tolist() == [8, 0, 0, 4]
     assert (
         np.count_nonzero(body.face == MEASURED) == 10

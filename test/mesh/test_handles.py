@@ -7,9 +7,16 @@ import pytest
 
 from benchmarks.bodies import CASES, cloud
 from ladar_volume.clouds.filter_cloud import filter_cloud
-from ladar_volume.mesh.local_frames import agreed
-from ladar_volume.mesh.local_growth import FAN, add, spread_out
-from ladar_volume.mesh.local_holes import clear, fill, open_handles, rim_lengths, rims, touching
+from ladar_volume.mesh.local_frames import flip_to_agree
+from ladar_volume.mesh.local_growth import FAN, add_to_fans, spread_out
+from ladar_volume.mesh.local_holes import (
+    clear_vertices,
+    fill_holes,
+    open_handles,
+    rim_lengths,
+    rims,
+    rims_at_vertices,
+)
 from ladar_volume.mesh.local_mesh import UNUSED, mesh_cloud
 from ladar_volume.mesh.topology import orient
 from ladar_volume.model.parameters import FilterParameters
@@ -45,11 +52,11 @@ def sheet(*across):
     for ring in (0, 12):
         for i in range(12):
             a, b, c, d = ring + i, ring + 12 + i, ring + 12 + (i + 1) % 12, ring + (i + 1) % 12
-            add(fan, size, a, b, c, 3)
-            add(fan, size, a, c, d, 3)
+            add_to_fans(fan, size, a, b, c, 3)
+            add_to_fans(fan, size, a, c, d, 3)
     for a, b, c, d in across:
-        add(fan, size, a, b, c, 3)
-        add(fan, size, a, c, d, 3)
+        add_to_fans(fan, size, a, b, c, 3)
+        add_to_fans(fan, size, a, c, d, 3)
     return points, np.tile([0.0, 0, 1], (36, 1)), fan, size
 
 
@@ -77,11 +84,11 @@ def test_lengths_of_rims_and_which_of_them_pass_a_vertex():
     assert rim_lengths(points, rim, start)[order] == pytest.approx([8.0, 24.0])
     marked = np.zeros(36, bool)
     marked[30] = True
-    assert touching(rim, start, marked)[order].tolist() == [False, True]
+    assert rims_at_vertices(rim, start, marked)[order].tolist() == [False, True]
     assert (
         rim_lengths(points, rim[:0], start[:1]).shape
         == (0,)
-        == touching(rim[:0], start[:1], marked).shape
+        == rims_at_vertices(rim[:0], start[:1], marked).shape
     )
 
 
@@ -91,7 +98,7 @@ def test_crossing_strips_are_taken_away_and_their_gap_is_closed_as_one_hole():
     assert open_handles(points, n, fan, size, SLACK, opened) == 24 + 4
     assert not size[:12].any() and np.array_equal(opened, np.arange(36) < 24)
     # longer than the largest hole, but opened
-    assert fill(points, n, fan, size, SLACK, 0.1, opened) == (1, 10)
+    assert fill_holes(points, n, fan, size, SLACK, 0.1, opened) == (1, 10)
     whole = orient(points, triangles(fan, size))
     assert whole.euler == 1 and not whole.flipped.any()
     a, b, c = (points[triangles(fan, size)[:, k]] for k in range(3))
@@ -103,13 +110,13 @@ def test_what_is_a_hole_is_not_opened_and_is_closed_by_its_length():
     before, opened = size.copy(), np.zeros(36, bool)
     assert open_handles(points, n, fan, size, SLACK, opened) == 0
     assert np.array_equal(size, before) and not opened.any()
-    assert fill(points, n, fan, size, SLACK, 7.9 / np.pi, np.zeros(36, bool)) == (0, 0)
-    assert fill(points, n, fan, size, SLACK, 8.1 / np.pi, np.zeros(36, bool)) == (1, 10)
+    assert fill_holes(points, n, fan, size, SLACK, 7.9 / np.pi, np.zeros(36, bool)) == (0, 0)
+    assert fill_holes(points, n, fan, size, SLACK, 8.1 / np.pi, np.zeros(36, bool)) == (1, 10)
 
 
 def test_clearing_compiled_and_plain():
     results = []
-    for one in (clear, clear.py_func):
+    for one in (clear_vertices, clear_vertices.py_func):
         _, _, fan, size = sheet(LEVEL)
         touched = np.zeros(36, bool)
         gone = one(fan, size, np.array([1, 0, 14], np.int32), touched)
@@ -143,20 +150,20 @@ def test_faces_turn_where_most_of_their_connections_say_so():
         np.array([1, 2, 2, 3, 3, 3]),
         np.array([9.0, 9, 9, 5, -3, -3]),
     )
-    assert agreed(np.ones(4), a, b, vote).tolist() == [1, 1, 1, -1]
-    assert agreed(np.array([-1.0, -1, -1, 1]), a, b, vote).tolist() == [-1, -1, -1, 1]
-    assert agreed(np.ones(3), a[:0], b[:0], vote[:0]).tolist() == [1, 1, 1]
+    assert flip_to_agree(np.ones(4), a, b, vote).tolist() == [1, 1, 1, -1]
+    assert flip_to_agree(np.array([-1.0, -1, -1, 1]), a, b, vote).tolist() == [-1, -1, -1, 1]
+    assert flip_to_agree(np.ones(3), a[:0], b[:0], vote[:0]).tolist() == [1, 1, 1]
 
 
 def test_no_face_is_left_with_more_against_it_and_the_sum_only_grows():
     rng = np.random.default_rng(1)
     a, b = np.triu_indices(30, 1)
     vote, start = rng.normal(size=len(a)), rng.choice([-1.0, 1.0], 30)
-    out = agreed(start, a, b, vote)
+    out = flip_to_agree(start, a, b, vote)
     share = vote * out[a] * out[b]
     assert (np.bincount(a, share, 30) + np.bincount(b, share, 30)).min() >= 0.0
     assert share.sum() > vote @ (start[a] * start[b]) and np.array_equal(
-        agreed(out, a, b, vote), out
+        flip_to_agree(out, a, b, vote), out
     )
 
 

@@ -7,11 +7,16 @@ import pytest
 from scipy.spatial import Delaunay
 
 from benchmarks.truth import box_faces, rotation, sample_polygons
-from ladar_volume.mesh.local_frames import consistent_normals, neighbours, unfold, within
-from ladar_volume.mesh.local_growth import FAN, add, drop_fans, fits
+from ladar_volume.mesh.local_frames import (
+    consistent_normals,
+    neighbours,
+    neighbours_within,
+    tangent_coordinates,
+)
+from ladar_volume.mesh.local_growth import FAN, add_to_fans, drop_fans, sector_is_free
 from ladar_volume.mesh.local_holes import rims
 from ladar_volume.mesh.local_mesh import LocalMeshSettings, mesh_cloud
-from ladar_volume.mesh.local_published import published, repaired
+from ladar_volume.mesh.local_published import published_triangles, repair_triangles
 from ladar_volume.mesh.local_star import DEGREE, star
 
 
@@ -74,7 +79,7 @@ def test_unfolding_keeps_lengths_over_an_edge():
             points = np.array([(-d, 0.0, 0.0), (h * np.cos(t), s, -h * np.sin(t))])
             normals = np.array([(0.0, 0.0, 1.0), (np.sin(t), 0.0, np.cos(t))])
             R = rotation(rng)
-            x, y, same = unfold(points @ R.T, normals @ R.T, 0, 1, 0.0)
+            x, y, same = tangent_coordinates(points @ R.T, normals @ R.T, 0, 1, 0.0)
             assert same and np.hypot(x, y) == pytest.approx(np.hypot(d + h, s)) and side != 0
 
 
@@ -86,10 +91,10 @@ def test_unfolding_over_a_smooth_part_keeps_the_distance_and_tells_sheets_apart(
     normals = np.array(
         [(0.0, 0.0, 1.0), (np.sin(t), 0.0, np.cos(t)), (0.0, 0.0, -1.0), (0.0, 0.0, 1.0)]
     )
-    x, y, same = unfold(points, normals, 0, 1, 0.0)
+    x, y, same = tangent_coordinates(points, normals, 0, 1, 0.0)
     assert same and np.hypot(x, y) == pytest.approx(2 * np.sin(t / 2))
-    assert not unfold(points, normals, 0, 2, 0.0)[2]  # faces the other way
-    assert not unfold(points, normals, 0, 3, 0.0)[2]  # lies below
+    assert not tangent_coordinates(points, normals, 0, 2, 0.0)[2]  # faces the other way
+    assert not tangent_coordinates(points, normals, 0, 3, 0.0)[2]  # lies below
 
 
 def test_signs_agree_and_point_outward_on_a_body_with_a_hole():
@@ -103,7 +108,7 @@ def test_signs_agree_and_point_outward_on_a_body_with_a_hole():
 
 def test_points_within_a_radius():
     points = np.random.default_rng(2).uniform(size=(60, 3))
-    start, near = within(points, 0.3)
+    start, near = neighbours_within(points, 0.3)
     for i in range(60):
         assert (
             near[start[i] : start[i + 1]].tolist()
@@ -125,21 +130,21 @@ def wheel(spokes):
 
 def test_a_triangle_that_overlaps_does_not_fit():
     points, normals, fan, size = wheel(8)
-    add(fan, size, 0, 1, 3, 3)
-    assert fits(points, normals, fan, size, 0, 3, 5, 0.1) and fits(
+    add_to_fans(fan, size, 0, 1, 3, 3)
+    assert sector_is_free(points, normals, fan, size, 0, 3, 5, 0.1) and sector_is_free(
         points, normals, fan, size, 0, 8, 1, 0.1
     )
-    assert not fits(points, normals, fan, size, 0, 2, 4, 0.1)  # begins inside
-    assert not fits(points, normals, fan, size, 0, 8, 2, 0.1)  # ends inside
-    assert not fits(points, normals, fan, size, 0, 8, 3, 0.1)  # holds it
-    assert not fits(points, normals, fan, size, 0, 1, 2, 0.1)  # the same side
-    assert not fits(points, normals, fan, size, 0, 5, 3, 0.1)  # faces down
+    assert not sector_is_free(points, normals, fan, size, 0, 2, 4, 0.1)  # begins inside
+    assert not sector_is_free(points, normals, fan, size, 0, 8, 2, 0.1)  # ends inside
+    assert not sector_is_free(points, normals, fan, size, 0, 8, 3, 0.1)  # holds it
+    assert not sector_is_free(points, normals, fan, size, 0, 1, 2, 0.1)  # the same side
+    assert not sector_is_free(points, normals, fan, size, 0, 5, 3, 0.1)  # faces down
 
 
 def test_of_two_fans_the_larger_stays():
     _, _, fan, size = wheel(8)
     for a, b in ((1, 2), (2, 3), (5, 6)):
-        add(fan, size, 0, a, b, 3)
+        add_to_fans(fan, size, 0, a, b, 3)
     assert drop_fans(fan, size) == 1 and size.tolist() == [2, 1, 2, 1, 0, 0, 0, 0, 0]
 
 
@@ -150,8 +155,8 @@ def test_rims_know_a_hole_from_the_outside():
     fan, size = np.zeros((8, FAN, 3), np.int32), np.zeros(8, np.int32)
     for i in range(4):
         j = (i + 1) % 4
-        add(fan, size, i, 4 + i, 4 + j, 3)
-        add(fan, size, i, 4 + j, j, 3)
+        add_to_fans(fan, size, i, 4 + i, 4 + j, 3)
+        add_to_fans(fan, size, i, 4 + j, j, 3)
     rim, start, excess = rims(points, np.tile([0.0, 0, 1.0], (8, 1)), fan, size, 0.1)
     by_first = {
         int(rim[a]): (rim[a:b].tolist(), e)
@@ -163,14 +168,14 @@ def test_rims_know_a_hole_from_the_outside():
 
 def test_the_published_method_in_the_plane_adds_to_the_plane_triangulation_what_overlaps():
     points = np.c_[np.random.default_rng(3).uniform(size=(60, 2)), np.zeros(60)]
-    found = published(points, 2.0, 2.0)
+    found = published_triangles(points, 2.0, 2.0)
     plane, all_of = Delaunay(points[:, :2]), set(map(tuple, np.sort(found, axis=1).tolist()))
     true = set(map(tuple, np.sort(plane.simplices, axis=1).tolist()))
     assert true < all_of
     # final points have left: what overlaps joins points that no triangles surround, those of the
     # hull
     assert {v for t in all_of - true for v in t} <= set(plane.convex_hull.ravel().tolist())
-    short = published(points, 2.0, 0.2)
+    short = published_triangles(points, 2.0, 0.2)
     side = np.linalg.norm(points[short] - points[np.roll(short, 1, axis=1)], axis=2)
     assert 0 < len(short) < len(found) and side.max() <= 0.201
 
@@ -179,16 +184,16 @@ def test_the_five_repairs_on_meshes_made_by_hand():
     # a closed tetrahedron with a second roof over one of its edges
     body = np.array([(0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)], np.int32)
     false = np.concatenate([body, [[0, 1, 4]]]).astype(np.int32)
-    assert len(repaired(false, "none")) == 5
+    assert len(repair_triangles(false, "none")) == 5
     assert (
-        len(repaired(false, "remove")) == 3
+        len(repair_triangles(false, "remove")) == 3
     )  # both triangles of the full edge have four neighbours, the roof two
-    assert len(repaired(false, "false")) == 4
+    assert len(repair_triangles(false, "false")) == 4
     empty = body[:3]
     for repair in ("empty", "both"):
-        closed = repaired(empty, repair)
+        closed = repair_triangles(empty, repair)
         assert len(closed) == 4 and set(closed[3].tolist()) == {0, 2, 3}
-    assert len(repaired(empty, "false")) == 3
+    assert len(repair_triangles(empty, "false")) == 3
 
 
 def test_the_published_repairs_change_a_block_as_in_the_thesis():

@@ -10,7 +10,7 @@ from ladar_volume.io.meshfiles.mesh_files import read_mesh, write_mesh
 from ladar_volume.math.se3 import exp_so3
 from ladar_volume.mesh.tetrahedra import closed_volume
 from ladar_volume.mesh.topology import edge_table
-from ladar_volume.mesh.welding import distinct, paired, split_edges, weld
+from ladar_volume.mesh.welding import distinct_triangles, pair_half_edges, split_edges, weld
 
 TURN = exp_so3(np.array([0.4, 1.1, -0.7]))
 
@@ -52,7 +52,7 @@ def test_cubes_that_touch_along_edges_are_bodies_of_their_own(shifts, parts, ord
 
 def test_a_sound_mesh_stays_as_it_is():
     t = CUBE_T.astype(np.int32)
-    assert distinct(t)[0] is t
+    assert distinct_triangles(t)[0] is t
     vertices, triangles, source = split_edges(CUBE_V, t)
     assert vertices is CUBE_V and triangles is t and (source == np.arange(8)).all()
 
@@ -60,7 +60,7 @@ def test_a_sound_mesh_stays_as_it_is():
 def test_an_inner_wall_is_left_to_whoever_needs_a_manifold():
     v, t = by_position(*cubes((0, 0, 0), (1, 0, 0)))
     # the wall between two cubes is there from both sides and has nothing between them
-    joined, copies = distinct(t)
+    joined, copies = distinct_triangles(t)
     assert copies == 0
     assert len(joined) == len(t) - 4
     assert closed_volume(v, joined).volume_m3 == pytest.approx(2.0)
@@ -108,9 +108,9 @@ def test_four_triangles_at_one_angle_still_come_in_pairs():
         )
         way = rng.permutation(np.arange(count) % 2 == 0)
         t = np.array([[0, 1, 2 + k] if w else [1, 0, 2 + k] for k, w in enumerate(way)], np.int32)
-        pairs = paired(v @ TURN.T, t, 3 * np.arange(count))
+        pairs = pair_half_edges(v @ TURN.T, t, 3 * np.arange(count))
         assert sorted(pairs.ravel().tolist()) == (3 * np.arange(count)).tolist()
         assert not way[pairs[:, 0] // 3].any() and way[pairs[:, 1] // 3].all()
         one = t.copy()
         one[0] = one[0][[1, 0, 2]]
-        assert paired(v, one, 3 * np.arange(count)) is None
+        assert pair_half_edges(v, one, 3 * np.arange(count)) is None

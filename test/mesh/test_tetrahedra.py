@@ -18,7 +18,7 @@ from ladar_volume.mesh.tetrahedra import (
     winding_kernel,
 )
 from ladar_volume.mesh.topology import (
-    counted,
+    counting_sort,
     edge_table,
     orient,
     spread_kernel,
@@ -250,7 +250,7 @@ def test_edges_and_tetrahedra_are_their_twins():
     assert [len(part) for part in edge_table(t[:0])] == [0, 2, 0]
     value = rng.integers(0, 7, 50)
     assert np.array_equal(
-        counted.py_func(value, np.arange(50), 7), np.argsort(value, kind="stable")
+        counting_sort.py_func(value, np.arange(50), 7), np.argsort(value, kind="stable")
     )
     corner = v[t] - pole
     volumes = np.einsum("ni,ni->n", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6.0

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 import pytest
 
-from ladar_volume.math.kernels import in_threads, kernel, leaf_kernel
+from ladar_volume.math.kernels import kernel, leaf_kernel, run_in_threads
 
 
 @leaf_kernel
@@ -61,10 +61,10 @@ def counted(which, times):
 @pytest.mark.parametrize("count", [0, 1, 7, 100, 1000])
 def test_threads_get_every_index_once(count):
     times = np.zeros(3 + count, np.int64)
-    in_threads(counted, np.arange(3, 3 + count), times)
+    run_in_threads(counted, np.arange(3, 3 + count), times)
     assert times.tolist() == [0, 0, 0] + [1] * count
 
 
 def test_what_a_part_raises_is_raised():
     with pytest.raises(IndexError):
-        in_threads(counted.py_func, np.array([0, 5]), np.zeros(2))
+        run_in_threads(counted.py_func, np.array([0, 5]), np.zeros(2))

@@ -29,38 +29,68 @@ from ladar_volume.nodes.running import Spinner
 from ladar_volume.nodes.volume_node import VolumeNode
 
 rclpy.init(args=[])
-settings = {"filter.nav_bin_s": 1.0, "volume.base": "level", "volume.level_m": 0.0, "volume.outline": "all", "node.output_folder": sys.argv[1],
-            "node.map_period_s": 0.1, "node.diagnostics_period_s": 0.2}
+settings = {
+    "filter.nav_bin_s": 1.0,
+    "volume.base": "level",
+    "volume.level_m": 0.0,
+    "volume.outline": "all",
+    "node.output_folder": sys.argv[1],
+    "node.map_period_s": 0.1,
+    "node.diagnostics_period_s": 0.2,
+}
 node = VolumeNode(parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()])
 node.autostart()
 tester = rclpy.create_node("tester")
 lines, tables, more = {}, [], []
-tester.create_subscription(DiagnosticArray, "/diagnostics", lambda m: lines.update({v.key: v.value for s in m.status if s.name == "volume_node" for v in s.values}), 50)
+tester.create_subscription(
+    DiagnosticArray,
+    "/diagnostics",
+    lambda m: lines.update(
+        {v.key: v.value for s in m.status if s.name == "volume_node" for v in s.values}
+    ),
+    50,
+)
 tester.create_subscription(PointCloud2, "volumes", lambda m: tables.append(decode(m)), LATCHED)
 tester.create_subscription(PointCloud2, "more_data", lambda m: more.append(decode(m)), LATCHED)
 points = tester.create_publisher(PointCloud2, "points_filtered", STREAM)
 patches = tester.create_publisher(PointCloud2, "patches", STREAM)
 path = tester.create_publisher(Odometry, "platform", STREAM)
-clients = {n: tester.create_client(Trigger, f"volume_node/{n}") for n in ("compute", "start_epoch", "save")}
+clients = {
+    n: tester.create_client(Trigger, f"volume_node/{n}") for n in ("compute", "start_epoch", "save")
+}
 spinners = [Spinner(n) for n in (node, tester)]
+
+
 def until(done):
     for _ in range(2400):
         if done():
             return
         time.sleep(0.05)
     raise SystemExit(f"waited in vain: {lines}")
+
+
 def call(name):
     clients[name].wait_for_service(timeout_sec=10.0)
     future = clients[name].call_async(Trigger.Request())
     until(future.done)
     return json.loads(future.result().message)
+
+
 def send(update, late):
     for k, part in enumerate(update_parts(update)):
         t = update.t_ns + late + k
         points.publish(table_message(filtered_columns(part.points), t))
         patches.publish(table_message(patch_columns(part), t))
+
+
 flat = lambda x, y: 3.0 + 0.02 * x
-until(lambda: points.get_subscription_count() and patches.get_subscription_count() and path.get_subscription_count())
+until(
+    lambda: (
+        points.get_subscription_count()
+        and patches.get_subscription_count()
+        and path.get_subscription_count()
+    )
+)
 too_early = call("start_epoch")
 for m in platform_messages(platform(rate=2), None):
     path.publish(m)
@@ -80,11 +110,25 @@ again = call("compute")
 for s in spinners:
     s.close()
 rclpy.try_shutdown()
-print(json.dumps({
-    "too_early": too_early, "kept": kept, "before": before["epoch"], "after": after["epoch"], "helps": after["where_more_data_helps"],
-    "rows": [t["base"].tolist() for t in (first, tables[-1])], "volumes": tables[-1]["volume"].tolist(), "lines": lines,
-    "cells": len(more[-1]["gain"]), "saved": saved, "failed": failed, "again": again["volume_m3"], "columns": sorted(more[-1]),
-}))
+print(
+    json.dumps(
+        {
+            "too_early": too_early,
+            "kept": kept,
+            "before": before["epoch"],
+            "after": after["epoch"],
+            "helps": after["where_more_data_helps"],
+            "rows": [t["base"].tolist() for t in (first, tables[-1])],
+            "volumes": tables[-1]["volume"].tolist(),
+            "lines": lines,
+            "cells": len(more[-1]["gain"]),
+            "saved": saved,
+            "failed": failed,
+            "again": again["volume_m3"],
+            "columns": sorted(more[-1]),
+        }
+    )
+)
 """
 
 

@@ -1,4 +1,4 @@
-"""Mutated sensor messages: the books of the node balance, message by message and return by return."""
+"""Mutated sensor messages: the counts of the node add up, by message and by return."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""The real nodes over real DDS on loopback: the same volume as offline, and no input ends a node."""
+"""The real nodes over real DDS on loopback: the same volume as offline; no input ends a node."""
 
 import json
 import os
@@ -124,13 +124,23 @@ from ladar_volume.nodes.running import Spinner
 from ladar_volume.nodes.volume_node import VolumeNode
 
 rclpy.init(args=[])
-node = GeoreferenceNode(parameter_overrides=[Parameter("node.input_reliability", value="reliable"), Parameter("node.diagnostics_period_s", value=0.2)])
+node = GeoreferenceNode(
+    parameter_overrides=[
+        Parameter("node.input_reliability", value="reliable"),
+        Parameter("node.diagnostics_period_s", value=0.2),
+    ]
+)
 volume = VolumeNode()
 for n in (node, volume):
     n.autostart()
 tester = rclpy.create_node("tester")
 lines, mapped = {}, []
-tester.create_subscription(DiagnosticArray, "/diagnostics", lambda m: lines.update({s.name: {v.key: v.value for v in s.values} for s in m.status}), 50)
+tester.create_subscription(
+    DiagnosticArray,
+    "/diagnostics",
+    lambda m: lines.update({s.name: {v.key: v.value for v in s.values} for s in m.status}),
+    50,
+)
 tester.create_subscription(PointCloud2, "points_mapped", lambda m: mapped.append(m.width), STREAM)
 clouds = tester.create_publisher(PointCloud2, "velodyne_points", STREAM)
 fixes = tester.create_publisher(NavSatFix, "gnss/fix", STREAM)
@@ -138,20 +148,38 @@ imus = tester.create_publisher(Imu, "imu/data", STREAM)
 compute = tester.create_client(Trigger, "volume_node/compute")
 spinners = [Spinner(n) for n in (node, volume, tester)]
 until = lambda done: [time.sleep(0.05) for _ in range(2400) if not done()]
-until(lambda: clouds.get_subscription_count() and fixes.get_subscription_count() and imus.get_subscription_count())
+until(
+    lambda: (
+        clouds.get_subscription_count()
+        and fixes.get_subscription_count()
+        and imus.get_subscription_count()
+    )
+)
 S = 1_000_000_000
+
+
 def cloud(t, **changes):
     n = 50
     columns = {a: np.full(n, v, np.float32) for a, v in zip("xyz", (3.0, 1.0, -2.0))}
-    columns |= {"intensity": np.ones(n, np.float32), "ring": np.zeros(n, np.uint16), "time": np.linspace(0, 0.05, n).astype(np.float32)}
+    columns |= {
+        "intensity": np.ones(n, np.float32),
+        "ring": np.zeros(n, np.uint16),
+        "time": np.linspace(0, 0.05, n).astype(np.float32),
+    }
     columns |= {k: v for k, v in changes.items() if isinstance(v, np.ndarray)}
-    m = table_message({k: v for k, v in columns.items() if changes.get(k, 1) is not None}, t, "velodyne")
+    m = table_message(
+        {k: v for k, v in columns.items() if changes.get(k, 1) is not None}, t, "velodyne"
+    )
     for k, v in changes.items():
         if k in ("row_step", "point_step", "width"):
             setattr(m, k, v)
     return m
+
+
 def fix(t, **changes):
-    m = NavSatFix(header=header(t), latitude=50.0, longitude=14.0, altitude=200.0, position_covariance_type=2)
+    m = NavSatFix(
+        header=header(t), latitude=50.0, longitude=14.0, altitude=200.0, position_covariance_type=2
+    )
     m.position_covariance = np.diag([1e-4] * 3).ravel()
     m.status.status = 2
     for k, v in changes.items():
@@ -159,15 +187,26 @@ def fix(t, **changes):
         if k != "status":
             setattr(m, k, v)
     return m
+
+
 def imu(t, q=(0.0, 0.0, 0.0, 1.0), c0=1e-6):
     m = Imu(header=header(t))
     m.orientation.x, m.orientation.y, m.orientation.z, m.orientation.w = q
     m.orientation_covariance = np.diag([c0, 1e-6, 1e-6]).ravel()
     return m
+
+
 T = 1000 * S
 nan = np.full(50, np.nan, np.float32)
-for bad in (cloud(T, x=None), cloud(T, row_step=7), cloud(T, point_step=9), cloud(T, width=0), cloud(T, x=nan), cloud(T, time=None),
-            cloud(T, width=10**8, row_step=26 * 10**8)):
+for bad in (
+    cloud(T, x=None),
+    cloud(T, row_step=7),
+    cloud(T, point_step=9),
+    cloud(T, width=0),
+    cloud(T, x=nan),
+    cloud(T, time=None),
+    cloud(T, width=10**8, row_step=26 * 10**8),
+):
     clouds.publish(bad)
 for bad in (fix(T, status=-1), fix(T, latitude=float("nan")), fix(T, position_covariance_type=0)):
     fixes.publish(bad)
@@ -190,11 +229,23 @@ answer = future.result()
 for s in spinners:
     s.close()
 rclpy.try_shutdown()
-print(json.dumps({
-    "lost": {k[5:]: int(v) for k, v in lines["georeference_node"].items() if k.startswith("lost_")}, "mapped": mapped,
-    "refused": [refused.successful, refused.reason], "accepted": accepted.successful, "level": volume.parameters.volume.level_m,
-    "outside": outside.successful, "compute": [answer.success, json.loads(answer.message)],
-}))
+print(
+    json.dumps(
+        {
+            "lost": {
+                k[5:]: int(v)
+                for k, v in lines["georeference_node"].items()
+                if k.startswith("lost_")
+            },
+            "mapped": mapped,
+            "refused": [refused.successful, refused.reason],
+            "accepted": accepted.successful,
+            "level": volume.parameters.volume.level_m,
+            "outside": outside.successful,
+            "compute": [answer.success, json.loads(answer.message)],
+        }
+    )
+)
 """
 
 

@@ -26,12 +26,26 @@ from ladar_volume.nodes.volume_node import VolumeNode
 rclpy.init(args=[])
 S = 1_000_000_000
 out = {}
-geo = GeoreferenceNode(parameter_overrides=[Parameter("node.input_reliability", value="reliable"), Parameter("use_sim_time", value=True)])
+geo = GeoreferenceNode(
+    parameter_overrides=[
+        Parameter("node.input_reliability", value="reliable"),
+        Parameter("use_sim_time", value=True),
+    ]
+)
 before = {t for t, _ in geo.get_publisher_names_and_types_by_node(geo.get_name(), "/")}
 counts = []
 for _ in range(3):
-    counts.append([str(geo.trigger_configure()), len(list(geo.publishers)), len(list(geo.subscriptions)), len(list(geo.timers))])
-    geo.trigger_activate(); geo.trigger_deactivate(); geo.trigger_cleanup()
+    counts.append(
+        [
+            str(geo.trigger_configure()),
+            len(list(geo.publishers)),
+            len(list(geo.subscriptions)),
+            len(list(geo.timers)),
+        ]
+    )
+    geo.trigger_activate()
+    geo.trigger_deactivate()
+    geo.trigger_cleanup()
     counts.append([len(list(geo.publishers)), geo._worker is None])
 out["counts"] = counts
 free = geo.set_parameters([Parameter("georeference.range_min_m", value=0.7)])[0]
@@ -41,16 +55,27 @@ volume = VolumeNode()
 for n in (geo, filter_, volume):
     n.autostart()
 tester = rclpy.create_node("tester")
-pubs = {"cloud": tester.create_publisher(PointCloud2, "velodyne_points", STREAM), "fix": tester.create_publisher(NavSatFix, "gnss/fix", STREAM),
-        "imu": tester.create_publisher(Imu, "imu/data", STREAM)}
+pubs = {
+    "cloud": tester.create_publisher(PointCloud2, "velodyne_points", STREAM),
+    "fix": tester.create_publisher(NavSatFix, "gnss/fix", STREAM),
+    "imu": tester.create_publisher(Imu, "imu/data", STREAM),
+}
 spinners = [Spinner(n) for n in (geo, filter_, volume, tester)]
 until = lambda done: [time.sleep(0.05) for _ in range(2400) if not done()]
 until(lambda: all(p.get_subscription_count() for p in pubs.values()) and volume._joined)
 time.sleep(0.5)
 tried = {}
-for node, name, value in ((geo, "georeference.range_min_m", 2.0), (geo, "node.input_depth", 7), (geo, "node.diagnostics_period_s", 0.25),
-                          (geo, "config_file", "x"), (filter_, "node.update_period_s", 0.1), (filter_, "filter.radius_m", 1.0),
-                          (volume, "volume.level_m", 1.5), (volume, "volume.bodies", -1), (volume, "node.autostart", False)):
+for node, name, value in (
+    (geo, "georeference.range_min_m", 2.0),
+    (geo, "node.input_depth", 7),
+    (geo, "node.diagnostics_period_s", 0.25),
+    (geo, "config_file", "x"),
+    (filter_, "node.update_period_s", 0.1),
+    (filter_, "filter.radius_m", 1.0),
+    (volume, "volume.level_m", 1.5),
+    (volume, "volume.bodies", -1),
+    (volume, "node.autostart", False),
+):
     try:
         r = node.set_parameters([Parameter(name, value=value)])[0]
         tried[name] = [r.successful, r.reason]
@@ -58,6 +83,8 @@ for node, name, value in ((geo, "georeference.range_min_m", 2.0), (geo, "node.in
         tried[name] = [False, type(error).__name__]
 out["tried"] = tried
 out["timer_s"] = geo._timer.timer_period_ns * 1e-9
+
+
 def fly():
     rng = np.random.default_rng(1)
     for k in range(60):
@@ -66,16 +93,38 @@ def fly():
             if kind != "cloud" or k % 2:
                 pubs[kind].publish(good(kind, t, rng))
         time.sleep(0.005)
-    until(lambda: geo._queue.empty() and filter_._queue.empty() and not filter_._fresh and volume._queue.empty() and not volume._due)
+    until(
+        lambda: (
+            geo._queue.empty()
+            and filter_._queue.empty()
+            and not filter_._fresh
+            and volume._queue.empty()
+            and not volume._due
+        )
+    )
+
+
 fly()
 first = [filter_.stage.stats["points_offered"], geo.stage.restarts]
 fly()
-until(lambda: filter_._passes.begun and volume._passes.begun)  # volume_node may still be at its estimate of the first pass
-out["passes"] = [first, [filter_.stage.stats["points_offered"], geo.stage.restarts], filter_._passes.begun, volume._passes.begun]
-out["delay"] = {k: v for k, v in geo.health.lines(time.monotonic(), 0).items() if k.startswith("rate")}
+until(
+    lambda: filter_._passes.begun and volume._passes.begun
+)  # volume_node may still be at its estimate of the first pass
+out["passes"] = [
+    first,
+    [filter_.stage.stats["points_offered"], geo.stage.restarts],
+    filter_._passes.begun,
+    volume._passes.begun,
+]
+out["delay"] = {
+    k: v for k, v in geo.health.lines(time.monotonic(), 0).items() if k.startswith("rate")
+}
 for s in spinners:
     s.close()
-out["ended"] = [not n._worker.is_alive() for n in (geo, filter_, volume)] + [filter_._fresh, volume._due]
+out["ended"] = [not n._worker.is_alive() for n in (geo, filter_, volume)] + [
+    filter_._fresh,
+    volume._due,
+]
 out["lost"] = {k: v for n in (geo, filter_, volume) for k, v in n.all_losses().items()}
 rclpy.try_shutdown()
 print(json.dumps(out))

@@ -35,7 +35,12 @@ from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.running import Spinner
 
 rclpy.init(args=[])
-settings = {"logger.path": sys.argv[1], "logger.disk_reserve_bytes": 0, "node.diagnostics_period_s": 0.2, "logger.topics": ["chat", "datum", "number", "burst", "diagnostics"]}
+settings = {
+    "logger.path": sys.argv[1],
+    "logger.disk_reserve_bytes": 0,
+    "node.diagnostics_period_s": 0.2,
+    "logger.topics": ["chat", "datum", "number", "burst", "diagnostics"],
+}
 tester = rclpy.create_node("tester")
 datum = tester.create_publisher(NavSatFix, "datum", LATCHED)
 datum.publish(NavSatFix(latitude=50.0))
@@ -45,7 +50,12 @@ for i in range(7):
 node = LoggerNode(parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()])
 node.autostart()
 lines = {}
-tester.create_subscription(DiagnosticArray, "/diagnostics", lambda m: lines.update({s.name: {v.key: v.value for v in s.values} for s in m.status}), 50)
+tester.create_subscription(
+    DiagnosticArray,
+    "/diagnostics",
+    lambda m: lines.update({s.name: {v.key: v.value for v in s.values} for s in m.status}),
+    50,
+)
 chat = tester.create_publisher(String, "chat", STREAM)
 spinners = [Spinner(n) for n in (node, tester)]
 until = lambda done, s=10.0: [time.sleep(0.02) for _ in range(int(s / 0.02)) if not done()]

@@ -20,7 +20,11 @@ from nav_msgs.msg import Odometry
 from pymavlink import mavutil
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu, NavSatFix
-from ladar_volume.io.sensor_messages import fix_from_message, imu_from_message, odometry_from_message
+from ladar_volume.io.sensor_messages import (
+    fix_from_message,
+    imu_from_message,
+    odometry_from_message,
+)
 from ladar_volume.nodes.mavlink_node import MavlinkNode
 from ladar_volume.nodes.qos import STREAM
 from ladar_volume.nodes.running import Spinner
@@ -30,16 +34,31 @@ probe.bind(("127.0.0.1", 0))
 port = probe.getsockname()[1]
 probe.close()
 rclpy.init(args=[])
-settings = {"mavlink.url": f"udpin:127.0.0.1:{port}", "mavlink.clock_settle_s": 0.6, "mavlink.roll_pitch_sigma_deg": 0.5,
-            "mavlink.heartbeat_timeout_s": 0.5, "node.diagnostics_period_s": 0.2}
+settings = {
+    "mavlink.url": f"udpin:127.0.0.1:{port}",
+    "mavlink.clock_settle_s": 0.6,
+    "mavlink.roll_pitch_sigma_deg": 0.5,
+    "mavlink.heartbeat_timeout_s": 0.5,
+    "node.diagnostics_period_s": 0.2,
+}
 node = MavlinkNode(parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()])
 node.autostart()
 bad = MavlinkNode(parameter_overrides=[Parameter("mavlink.height", value="msl")])
 refused = int(bad.trigger_configure())
 tester = rclpy.create_node("tester")
 lines, got = {}, {"fix": [], "imu": [], "raw": [], "odometry": []}
-tester.create_subscription(DiagnosticArray, "/diagnostics", lambda m: lines.update({s.name: {v.key: v.value for v in s.values} for s in m.status}), 50)
-for name, kind, topic in (("fix", NavSatFix, "gnss/fix"), ("imu", Imu, "imu/data"), ("raw", Imu, "imu/data_raw"), ("odometry", Odometry, "odometry")):
+tester.create_subscription(
+    DiagnosticArray,
+    "/diagnostics",
+    lambda m: lines.update({s.name: {v.key: v.value for v in s.values} for s in m.status}),
+    50,
+)
+for name, kind, topic in (
+    ("fix", NavSatFix, "gnss/fix"),
+    ("imu", Imu, "imu/data"),
+    ("raw", Imu, "imu/data_raw"),
+    ("odometry", Odometry, "odometry"),
+):
     tester.create_subscription(kind, topic, lambda m, name=name: got[name].append(m), STREAM)
 spinners = [Spinner(n) for n in (node, tester)]
 until = lambda done, s=10.0: [time.sleep(0.02) for _ in range(int(s / 0.02)) if not done()]
@@ -54,11 +73,44 @@ while (flown := time.time() - began) < 2.5 or (flown < 60.0 and not heard()):
     if i % 10 == 0:
         link.mav.heartbeat_send(2, 3, 0, 0, 4)
         link.mav.system_time_send(int(time.time() * 1e6), ms)
-        link.mav.gps_raw_int_send(ms * 1000, 6, 501234567, 141234567, 250000, 80, 90, 0, 0, 17, 295000, 14, 20, 50, 50000, 9000)
+        link.mav.gps_raw_int_send(
+            ms * 1000,
+            6,
+            501234567,
+            141234567,
+            250000,
+            80,
+            90,
+            0,
+            0,
+            17,
+            295000,
+            14,
+            20,
+            50,
+            50000,
+            9000,
+        )
         link.write(b"noise")
     link.mav.attitude_send(ms, 0.0, 0.0, math.pi / 2, 0.0, 0.0, 0.1)
     link.mav.highres_imu_send(ms * 1000, 0, 0, -9.81, 0, 0, 0.1, 0, 0, 0, 0, 0, 0, 0, 63)
-    link.mav.odometry_send(ms * 1000, 1, 12, 1.0, 2.0, -3.0, [1, 0, 0, 0], 1, 0, 0, 0, 0, 0, [math.nan] * 21, [math.nan] * 21)
+    link.mav.odometry_send(
+        ms * 1000,
+        1,
+        12,
+        1.0,
+        2.0,
+        -3.0,
+        [1, 0, 0, 0],
+        1,
+        0,
+        0,
+        0,
+        0,
+        0,
+        [math.nan] * 21,
+        [math.nan] * 21,
+    )
     while (m := link.recv_match(blocking=False)) is not None:
         if m.get_type() == "TIMESYNC" and m.tc1 == 0:
             link.mav.timesync_send(int((time.time() - boot) * 1e9), m.ts1)
@@ -69,15 +121,40 @@ until(lambda: "lost_mavlink_heartbeat_lost" in lines.get("mavlink_node", {}))
 for s in spinners:
     s.close()
 rclpy.try_shutdown()
-fix, imu, odometry = fix_from_message(got["fix"][-1]), imu_from_message(got["imu"][-1]), odometry_from_message(got["odometry"][-1])
-print(json.dumps({
-    "refused": refused, "commands": commands, "counts": {k: len(v) for k, v in got.items()},
-    "fix": [fix.latitude_deg, fix.longitude_deg, fix.height_m, fix.C_enu.tolist(), fix.status], "age": time.time() - imu.t_ns * 1e-9,
-    "forward": [imu.q_map_body.tolist(), imu.omega_body.tolist(), np.sqrt(np.diag(imu.C_axes)).tolist()],
-    "raw": [got["raw"][-1].orientation_covariance[0], got["raw"][-1].linear_acceleration.z], "order": all(
-        fix_from_message(b).t_ns > fix_from_message(a).t_ns for a, b in zip(got["fix"], got["fix"][1:])),
-    "odometry": [odometry.p_map_body.tolist(), odometry.C_pose is None], "lines": lines["mavlink_node"],
-}))
+fix, imu, odometry = (
+    fix_from_message(got["fix"][-1]),
+    imu_from_message(got["imu"][-1]),
+    odometry_from_message(got["odometry"][-1]),
+)
+print(
+    json.dumps(
+        {
+            "refused": refused,
+            "commands": commands,
+            "counts": {k: len(v) for k, v in got.items()},
+            "fix": [
+                fix.latitude_deg,
+                fix.longitude_deg,
+                fix.height_m,
+                fix.C_enu.tolist(),
+                fix.status,
+            ],
+            "age": time.time() - imu.t_ns * 1e-9,
+            "forward": [
+                imu.q_map_body.tolist(),
+                imu.omega_body.tolist(),
+                np.sqrt(np.diag(imu.C_axes)).tolist(),
+            ],
+            "raw": [got["raw"][-1].orientation_covariance[0], got["raw"][-1].linear_acceleration.z],
+            "order": all(
+                fix_from_message(b).t_ns > fix_from_message(a).t_ns
+                for a, b in zip(got["fix"], got["fix"][1:])
+            ),
+            "odometry": [odometry.p_map_body.tolist(), odometry.C_pose is None],
+            "lines": lines["mavlink_node"],
+        }
+    )
+)
 """
 
 

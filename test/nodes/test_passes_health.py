@@ -1,4 +1,4 @@
-"""Passes of a looping recording seen from its outputs, and what a node says of itself; without ROS."""
+"""Passes of a looping recording seen from its outputs, and the health of a node; without ROS."""
 
 from ladar_volume.nodes.stream_passes import Passes
 from ladar_volume.nodes.watch.health import Health

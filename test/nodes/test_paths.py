@@ -13,10 +13,21 @@ from ladar_volume.nodes.logger_node import LoggerNode
 from ladar_volume.nodes.running import Spinner
 
 rclpy.init(args=[])
+
+
 def values(**given):
     return [Parameter(k.replace("__", "."), value=v) for k, v in given.items()]
+
+
 # delete_oldest without splitting is refused by configure
-bad = LoggerNode(parameter_overrides=values(logger__path=sys.argv[1] + "/bad.mcap", logger__disk_full="delete_oldest", logger__split_bytes=0, logger__split_s=0.0))
+bad = LoggerNode(
+    parameter_overrides=values(
+        logger__path=sys.argv[1] + "/bad.mcap",
+        logger__disk_full="delete_oldest",
+        logger__split_bytes=0,
+        logger__split_s=0.0,
+    )
+)
 bad.autostart()
 out = {"bad": bad._active}
 bad.destroy_node()
@@ -25,7 +36,11 @@ stranger = rclpy.create_node("stranger")
 spinners = [Spinner(n) for n in (node, stranger)]
 client = stranger.create_client(SetParameters, "logger_node/set_parameters")
 client.wait_for_service(timeout_sec=10.0)
-asked = values(logger__path=sys.argv[1] + "/precious.txt", logger__disk_full="delete_oldest", node__output_folder=sys.argv[1])
+asked = values(
+    logger__path=sys.argv[1] + "/precious.txt",
+    logger__disk_full="delete_oldest",
+    node__output_folder=sys.argv[1],
+)
 future = client.call_async(SetParameters.Request(parameters=[p.to_parameter_msg() for p in asked]))
 for _ in range(500):
     if future.done():

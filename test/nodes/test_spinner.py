@@ -19,7 +19,9 @@ from ladar_volume.nodes.running import Spinner
 rclpy.init(args=[])
 raised, rounds = [], []
 take = SingleThreadedExecutor._take_timer
-SingleThreadedExecutor._take_timer = lambda *a: time.sleep(0.005) or take(*a)  # so that the end comes between waiting and taking
+SingleThreadedExecutor._take_timer = lambda *a: (
+    time.sleep(0.005) or take(*a)
+)  # so that the end comes between waiting and taking
 threading.excepthook = lambda what: raised.append(repr(what.exc_value))
 for turn in range(10):
     node = rclpy.create_node(f"busy_{turn}")
@@ -70,17 +72,25 @@ node = FilterNode()
 node.kernels = None
 node.autostart()
 rounds = []
+
+
 def tick():
     rounds.append(None)
     if len(rounds) in (3, 5):
         raise KeyError("of this callback")
+
+
 node.create_timer(1e-3, tick)
 spinner = Spinner(node)
 until = time.monotonic() + 60.0
 while len(rounds) < 20 and time.monotonic() < until:
     time.sleep(0.002)
 spinner.close()
-print(json.dumps([len(rounds) >= 20, node.losses["message_internal_error"], spinner._thread.is_alive()]))
+print(
+    json.dumps(
+        [len(rounds) >= 20, node.losses["message_internal_error"], spinner._thread.is_alive()]
+    )
+)
 rclpy.try_shutdown()
 """
 
@@ -96,7 +106,10 @@ from ladar_volume.nodes.qos import STREAM
 from ladar_volume.nodes.running import Spinner
 
 rclpy.init(args=[])
-nodes = [FilterNode(), LoggerNode(parameter_overrides=[Parameter("logger.path", value=sys.argv[1])])]
+nodes = [
+    FilterNode(),
+    LoggerNode(parameter_overrides=[Parameter("logger.path", value=sys.argv[1])]),
+]
 nodes[0].kernels = None
 for node in nodes:
     node.autostart()
@@ -115,7 +128,15 @@ for k in range(450):
 came = out.wait_for_all_acked(Duration(seconds=30))
 for spinner in spinners:
     spinner.close()
-print(json.dumps([came, nodes[0].health.lines(0.0, 0).get("received_platform"), nodes[1]._recorder.accounts["platform"].written]))
+print(
+    json.dumps(
+        [
+            came,
+            nodes[0].health.lines(0.0, 0).get("received_platform"),
+            nodes[1]._recorder.accounts["platform"].written,
+        ]
+    )
+)
 rclpy.try_shutdown()
 """
 

@@ -28,6 +28,8 @@ from ladar_volume.nodes.running import Spinner
 S = 1_000_000_000
 rclpy.init(args=[])
 rng = np.random.default_rng(3)
+
+
 def cloud(t, rings=16, frame="velodyne", timed=True, ringed=True):
     n = 320
     columns = {axis: rng.uniform(-20, 20, n).astype(np.float32) for axis in "xyz"}
@@ -37,16 +39,22 @@ def cloud(t, rings=16, frame="velodyne", timed=True, ringed=True):
     if timed:
         columns["time"] = np.linspace(-0.1, 0.0, n).astype(np.float32)
     return table_message(columns, t, frame)
+
+
 def fix(t):
     m = NavSatFix(header=header(t, "gnss"), latitude=50.0, longitude=14.0, altitude=30.0)
     m.status.status = 2
     m.position_covariance_type, m.position_covariance = 2, np.diag([1e-4] * 3).ravel()
     return m
+
+
 def imu(t, down=False):
     m = Imu(header=header(t, "base_link"))
     m.orientation.w, m.orientation_covariance = 1.0, np.diag([1e-6] * 3).ravel()
     m.linear_acceleration.z = -9.8 if down else 9.8
     return m
+
+
 right = {"cloud": cloud, "fix": fix, "imu": imu}
 setups = {
     "right": {},
@@ -58,24 +66,57 @@ setups = {
     "driver": {"cloud": lambda t: cloud(t, timed=False, ringed=False)},
     "time": {"cloud": lambda t: cloud(0)},
 }
-kinds = {"cloud": (PointCloud2, "velodyne_points"), "fix": (NavSatFix, "gnss/fix"), "imu": (Imu, "imu/data")}
+kinds = {
+    "cloud": (PointCloud2, "velodyne_points"),
+    "fix": (NavSatFix, "gnss/fix"),
+    "imu": (Imu, "imu/data"),
+}
 fast = {"node.diagnostics_period_s": 0.25, "node.hardware_id": "rover"}
+
+
 def values(**more):
     return [Parameter(k, value=v) for k, v in (fast | more).items()]
+
+
 nodes, pubs = [], {}
 tester, said = rclpy.create_node("tester"), {}
+
+
 def take(message):
     for s in message.status:
-        said.setdefault(s.name, {"hardware": s.hardware_id, "texts": []})["texts"].append([int.from_bytes(s.level, "little"), s.message])
+        said.setdefault(s.name, {"hardware": s.hardware_id, "texts": []})["texts"].append(
+            [int.from_bytes(s.level, "little"), s.message]
+        )
+
+
 tester.create_subscription(DiagnosticArray, "/diagnostics", take, 200)
 for name, wrong in setups.items():
-    nodes.append(GeoreferenceNode(namespace=f"/{name}", parameter_overrides=values(**{"node.input_reliability": "reliable"})))
-    pubs[name] = {k: (tester.create_publisher(t, f"/{name}/{topic}", STREAM), (right | wrong)[k]) for k, (t, topic) in kinds.items() if (right | wrong)[k]}
-nodes.append(LoggerNode(namespace="/disk", parameter_overrides=values(**{"logger.path": sys.argv[1] + "/log.mcap", "logger.disk_reserve_bytes": 2**60})))
+    nodes.append(
+        GeoreferenceNode(
+            namespace=f"/{name}",
+            parameter_overrides=values(**{"node.input_reliability": "reliable"}),
+        )
+    )
+    pubs[name] = {
+        k: (tester.create_publisher(t, f"/{name}/{topic}", STREAM), (right | wrong)[k])
+        for k, (t, topic) in kinds.items()
+        if (right | wrong)[k]
+    }
+nodes.append(
+    LoggerNode(
+        namespace="/disk",
+        parameter_overrides=values(
+            **{"logger.path": sys.argv[1] + "/log.mcap", "logger.disk_reserve_bytes": 2**60}
+        ),
+    )
+)
 started = [n.autostart() for n in nodes]
 taken = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 taken.bind(("127.0.0.1", 0))
-port = MavlinkNode(namespace="/port", parameter_overrides=values(**{"mavlink.url": f"udpin:127.0.0.1:{taken.getsockname()[1]}"}))
+port = MavlinkNode(
+    namespace="/port",
+    parameter_overrides=values(**{"mavlink.url": f"udpin:127.0.0.1:{taken.getsockname()[1]}"}),
+)
 said["port"] = {"started": port.autostart(), "errors": port.errors()}
 port.stop()
 spinners = [Spinner(n) for n in (*nodes, tester)]

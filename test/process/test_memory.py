@@ -36,19 +36,22 @@ def test_only_what_is_as_in_the_file_is_given_back():
 
 def test_kernels_run_and_compile_after_the_libraries_were_given_back():
     code = """if True:
-        import numba, numpy as np
-        from ladar_volume.process import memory
-        from ladar_volume.uncertainty.navigation_sum import markov_sum
-        memory.few_arenas()
-        t, y = np.arange(3.0), np.ones((3, 2))
-        first = markov_sum(t, y, 1.0)
-        size = lambda: next(int(l.split()[1]) for l in open("/proc/self/status") if l.startswith("RssFile"))
-        before = size()
-        memory.tidy()
-        assert size() < before - 20_000, (before, size())
-        assert markov_sum(t, y, 1.0) == first
-        assert numba.njit(lambda x: x + 1)(1) == 2
-    """
+    import numba, numpy as np
+    from ladar_volume.process import memory
+    from ladar_volume.uncertainty.navigation_sum import markov_sum
+
+    memory.few_arenas()
+    t, y = np.arange(3.0), np.ones((3, 2))
+    first = markov_sum(t, y, 1.0)
+    size = lambda: next(
+        int(l.split()[1]) for l in open("/proc/self/status") if l.startswith("RssFile")
+    )
+    before = size()
+    memory.tidy()
+    assert size() < before - 20_000, (before, size())
+    assert markov_sum(t, y, 1.0) == first
+    assert numba.njit(lambda x: x + 1)(1) == 2
+"""
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
@@ -59,23 +62,29 @@ def test_kernels_compile_for_good_after_the_modules_of_those_they_call_were_pack
         "@numba.njit(cache=True)\ndef twice(t, y):\n    return 2.0 * markov_sum(t, y, 1.0)\n"
     )
     code = """if True:
-        import gc, sys
-        import numpy as np
-        from numba.core.codegen import CPUCodeLibrary
-        from ladar_volume.process import memory
-        from ladar_volume.uncertainty.navigation_sum import markov_sum
-        t, y = np.arange(3.0), np.ones((3, 2))
-        held = lambda: sum(getattr(x, "_shared_module", None) is not None for x in gc.get_objects() if isinstance(x, CPUCodeLibrary))
-        if sys.argv[1] == "packed":
-            once = markov_sum(t, y, 1.0)
-            before = held()
-            memory.pack_modules()
-            assert before > 0 and held() == 0, before
-        from caller import twice
-        value = twice(t, y)
-        assert value == 2.0 * markov_sum(t, y, 1.0)
-        assert sum(twice.stats.cache_hits.values()) == (sys.argv[1] == "alone")
-    """
+    import gc, sys
+    import numpy as np
+    from numba.core.codegen import CPUCodeLibrary
+    from ladar_volume.process import memory
+    from ladar_volume.uncertainty.navigation_sum import markov_sum
+
+    t, y = np.arange(3.0), np.ones((3, 2))
+    held = lambda: sum(
+        getattr(x, "_shared_module", None) is not None
+        for x in gc.get_objects()
+        if isinstance(x, CPUCodeLibrary)
+    )
+    if sys.argv[1] == "packed":
+        once = markov_sum(t, y, 1.0)
+        before = held()
+        memory.pack_modules()
+        assert before > 0 and held() == 0, before
+    from caller import twice
+
+    value = twice(t, y)
+    assert value == 2.0 * markov_sum(t, y, 1.0)
+    assert sum(twice.stats.cache_hits.values()) == (sys.argv[1] == "alone")
+"""
     env = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
     warm = (
         "from ladar_volume.uncertainty.navigation_sum import markov_sum; import numpy as np; "
@@ -138,10 +147,13 @@ SENT = """if True:
     from sensor_msgs.msg import PointCloud2
     from ladar_volume.process import memory
     from ladar_volume.nodes.qos import STREAM
+
     memory.few_arenas()
     if sys.argv[1] == "free":
         memory.free_buffers()
-    size = lambda: next(int(l.split()[1]) for l in open("/proc/self/status") if l.startswith("VmRSS")) / 1024
+    size = lambda: (
+        next(int(l.split()[1]) for l in open("/proc/self/status") if l.startswith("VmRSS")) / 1024
+    )
     rclpy.init(args=[])
     node, executor, got = rclpy.create_node("both"), SingleThreadedExecutor(), []
     executor.add_node(node)

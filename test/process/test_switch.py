@@ -16,9 +16,16 @@ ROOT = Path(__file__).parents[2]
 STATE = """if True:
     import os, signal, sys, warnings
     import numpy as np
+
     def state():
         handlers = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)}
-        return (dict(os.environ), sorted(np.__all__), handlers, sys.getswitchinterval(), np.geterr())
+        return (
+            dict(os.environ),
+            sorted(np.__all__),
+            handlers,
+            sys.getswitchinterval(),
+            np.geterr(),
+        )
 """
 EVERYTHING = (
     STATE

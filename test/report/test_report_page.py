@@ -1,5 +1,5 @@
-"""The report is one file that needs nothing else: every figure is there, nothing is fetched, what it
-says is what the JSON says, and its digests are those of the files.
+"""The report is one file that needs nothing else: every figure is there, nothing is fetched, what
+it says is what the JSON says, and its digests are those of the files.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ from ladar_volume.georeference.point_jacobian import bracket
 from ladar_volume.math.se3 import matrix_from_quaternion
 from ladar_volume.model.records import select
 from ladar_volume.rmls import patch_twin, point_admission
-from ladar_volume.rmls.viewing_geometry import KEPT, NUMBERS, keep_each, recall
+from ladar_volume.rmls.viewing_geometry import KEPT, NUMBERS, store_geometry, viewing_geometry
 
 
 def test_admission_and_geometry_are_those_of_the_twins(scene):
@@ -56,9 +56,9 @@ def test_kept_geometry_is_rounded_to_its_own_units():
     g[:, :4] /= np.linalg.norm(g[:, :4], axis=1, keepdims=True)
     g[0, :4], g[1, 4:7], g[2, 7:] = [0, 0, 0, -1], 0.0, [-8.0, 0.1, 8.0]
     kept, back = np.empty((len(g), KEPT), np.int16), np.empty_like(g)
-    keep_each(g, kept)
+    store_geometry(g, kept)
     for i in range(len(g)):
-        recall(kept[i], back[i])
+        viewing_geometry(kept[i], back[i])
     q = np.rint(g[:, :4] * 32767)
     assert np.abs(back[:, :4] - q / np.linalg.norm(q, axis=1, keepdims=True)).max() < 1e-15
     for part in (slice(4, 7), slice(7, 10)):
@@ -75,9 +75,9 @@ def test_kept_geometry_is_rounded_to_its_own_units():
         < 6.2e-5
     )
     g[0, 5], g[1, 9] = np.nan, np.inf
-    keep_each(g[:2], kept[:2])
-    recall(kept[0], back[0])
-    recall(kept[1], back[1])
+    store_geometry(g[:2], kept[:2])
+    viewing_geometry(kept[0], back[0])
+    viewing_geometry(kept[1], back[1])
     assert (
         np.isnan(back[0, 4:7]).all()
         and np.isnan(back[1, 7:]).all()

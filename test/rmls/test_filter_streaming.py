@@ -179,7 +179,7 @@ def test_of_those_that_wait_a_voxel_holds_what_could_stay(scene, monkeypatch):
     points = scene_points(scene)
     monkeypatch.setattr(deferral, "ROOM", 500)
     offered = VoxelStore(0.5, 8).offer(points.t_ns, points.ring, points.r_map, points.C_ind)[0]
-    waiting, store, full = deferral.Deferred(8), VoxelStore(0.5, 8), VoxelStore(0.5, 8)
+    waiting, store, full = deferral.WaitingPoints(8), VoxelStore(0.5, 8), VoxelStore(0.5, 8)
     full.insert(offered)
     for part in np.array_split(np.random.default_rng(2).permutation(len(offered)), 5):
         waiting.add(select(offered, part))
@@ -210,7 +210,7 @@ def test_room_is_given_back_while_some_still_wait(scene, monkeypatch):
     newest, found = int(points.t_ns.max()), []
     for room in (64, 1 << 16):
         monkeypatch.setattr(deferral, "ROOM", room)
-        waiting, store, turns, sizes = deferral.Deferred(8), VoxelStore(0.5, 8), [], []
+        waiting, store, turns, sizes = deferral.WaitingPoints(8), VoxelStore(0.5, 8), [], []
         waiting.add(offered)
         while len(waiting):
             took = waiting.take(store, 1, newest)

@@ -251,7 +251,7 @@ def test_noise_within_the_tangent_plane_beside_matrices():
         A, n = rng.normal(size=(3, 3)), rng.normal(size=3)
         n /= np.linalg.norm(n)
         C, P, out = A @ A.T, np.eye(3) - np.outer(n, n), np.zeros(6)
-        projection.tangential(C[np.triu_indices(3)], n, size, out)
+        projection.tangential_covariance(C[np.triu_indices(3)], n, size, out)
         assert np.allclose(out, (P @ C @ P)[np.triu_indices(3)] / size**2, rtol=1e-12, atol=1e-15)
 
 

@@ -7,7 +7,7 @@ from ladar_volume.math.se3 import matrix_from_quaternion
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.rmls import patch_sensitivity, patch_twin
 from ladar_volume.rmls.surface_filter import SurfaceFilter
-from ladar_volume.rmls.viewing_geometry import NUMBERS, recall
+from ladar_volume.rmls.viewing_geometry import NUMBERS, viewing_geometry
 from ladar_volume.rmls.voxel_store import pack_key
 
 
@@ -56,7 +56,7 @@ def test_fewer_bins_than_a_patch_is_seen_in(scene):
             own, d = run == g, drawn[g]
             seen = few.nav_start[j] + g
             assert run[d] == g and few.nav_bin[seen] == bins[d]
-            recall(s.aux[inliers[d]], pose)
+            viewing_geometry(s.aux[inliers[d]], pose)
             R = matrix_from_quaternion(pose[None, :4])[0]
             arm = (
                 pose[4:7] + (s.r[inliers[own]] - s.r[inliers[d]]) @ R

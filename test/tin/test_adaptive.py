@@ -10,7 +10,7 @@ import pytest
 from ladar_volume.model.choices import CRITERIA
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.tin.adaptive import adaptive_tin
-from ladar_volume.tin.delaunay import delaunay, fault
+from ladar_volume.tin.delaunay import delaunay, find_fault
 from ladar_volume.tin.full_tin import footprint_areas
 
 
@@ -77,7 +77,7 @@ def test_the_result_is_delaunay_and_its_residuals_are_those_of_its_surface(crite
     points = hills(1000, 3)
     out = adaptive_tin(points, criterion=criterion, sigma_m=np.ones(1000))
     tin = out.tin
-    assert fault(tin.vertices[:, :2], tin.triangles, tin.neighbours) == ""
+    assert find_fault(tin.vertices[:, :2], tin.triangles, tin.neighbours) == ""
     assert (
         len(out.inserted) == 333
         and np.array_equal(np.sort(out.inserted), tin.source[:333])
@@ -167,7 +167,7 @@ def test_ties_go_to_the_first_point_whatever_the_grid(criterion):
         == [k for k in range(81) if k not in out.inserted[: out.initial]][: 30 - out.initial]
     )
     assert (out.score[out.initial :] == 0.0).all()
-    assert fault(out.tin.vertices[:, :2], out.tin.triangles, out.tin.neighbours) == ""
+    assert find_fault(out.tin.vertices[:, :2], out.tin.triangles, out.tin.neighbours) == ""
 
 
 def test_binning_takes_the_point_nearest_each_centre_column_by_column():
@@ -257,7 +257,7 @@ def test_map_coordinates(offset):
     points[:, :2] = np.round(points[:, :2] * 2**12) / 2**12  # exact at every offset
     out = adaptive_tin(points + np.array([offset, -offset, 0.0]))
     assert np.array_equal(out.inserted, adaptive_tin(points).inserted)
-    assert fault(out.tin.vertices[:, :2], out.tin.triangles, out.tin.neighbours) == ""
+    assert find_fault(out.tin.vertices[:, :2], out.tin.triangles, out.tin.neighbours) == ""
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
@@ -265,7 +265,7 @@ def test_one_to_three_points_on_a_given_map(count):
     points = np.array([[1.0, 1.0, 5.0], [2.0, 1.0, 6.0], [1.5, 2.0, 9.0]])[:count]
     out = adaptive_tin(points, window=(0.0, 0.0, 3.0, 3.0), ratio=1.0)
     assert len(out.inserted) == count and out.tin.relevant.sum() == (count == 3)
-    assert fault(out.tin.vertices[:, :2], out.tin.triangles, out.tin.neighbours) == ""
+    assert find_fault(out.tin.vertices[:, :2], out.tin.triangles, out.tin.neighbours) == ""
     if count < 3:
         with pytest.raises(SurfaceError, match="no point"):
             adaptive_tin(
@@ -293,7 +293,7 @@ def test_hostile_clouds_stay_valid():
     for points in clouds:
         for ratio in (0.3, 1.0):
             out = adaptive_tin(points, ratio=ratio)
-            assert fault(out.tin.vertices[:, :2], out.tin.triangles, out.tin.neighbours) == ""
+            assert find_fault(out.tin.vertices[:, :2], out.tin.triangles, out.tin.neighbours) == ""
             assert np.isfinite(out.residual).all() and (out.triangle >= 0).all()
             low, high = points[:, 2].min(), points[:, 2].max()
             assert np.abs(out.residual).max() <= high - low

@@ -16,7 +16,7 @@ from ladar_volume.tin.delaunay import (
     check_hull_kernel,
     check_kernel,
     delaunay,
-    fault,
+    find_fault,
     first_names,
     first_three,
     is_valid,
@@ -29,8 +29,8 @@ from ladar_volume.tin.insertion_order import (
     hilbert_index,
     hilbert_order,
     insertion_order,
+    insertion_rounds,
     radix_order,
-    rounds,
 )
 from ladar_volume.tin.predicates import COUNTS, incircle, orientation, workspace
 from ladar_volume.tin.triangle_table import triangle_table
@@ -115,11 +115,12 @@ def test_corners_of_an_upright_rectangle_are_cocircular_in_any_order():
         p = corners[list(order)]
         assert incircle(p, 0, 1, 2, 3, w) == 0.0 == exact_incircle(p)
         assert (
-            sum(predicates.upright(p, *q) for q in ((0, 1, 2, 3), (0, 2, 1, 3), (0, 3, 1, 2))) == 1
+            sum(predicates.is_rectangle(p, *q) for q in ((0, 1, 2, 3), (0, 2, 1, 3), (0, 3, 1, 2)))
+            == 1
         )
         p[0, 1] += 1e-9
         assert not any(
-            predicates.upright(p, *q) for q in ((0, 1, 2, 3), (0, 2, 1, 3), (0, 3, 1, 2))
+            predicates.is_rectangle(p, *q) for q in ((0, 1, 2, 3), (0, 2, 1, 3), (0, 3, 1, 2))
         )
 
 
@@ -127,7 +128,7 @@ def test_corners_of_an_upright_rectangle_are_cocircular_in_any_order():
 def test_general_position_gives_the_peers_triangles(n):
     xy = np.random.default_rng(n).random((n, 2)) * [100.0, 30.0] + [5e5, 4e6]
     triangles, neighbours = delaunay(xy)
-    assert fault(xy, triangles, neighbours) == ""
+    assert find_fault(xy, triangles, neighbours) == ""
     shifted = xy - xy.mean(axis=0)  # the peer loses bits at map coordinates
     ours, _ = delaunay(shifted)
     assert as_set(ours) == as_set(Delaunay(shifted).simplices)
@@ -141,7 +142,7 @@ def test_grid_is_valid_and_complete(step, offset):
     )
     xy = np.random.default_rng(4).permutation(g)
     triangles, neighbours = delaunay(xy)
-    assert fault(xy, triangles, neighbours) == ""
+    assert find_fault(xy, triangles, neighbours) == ""
     # at some offsets rounding bends the grid's sides; the hull then has slivers or lacks them,
     # Euler's formula holds anyway
     if offset == 0.0 and step == 1.0:
@@ -170,14 +171,14 @@ def test_cocircular_points():
     )
     for points in (np.unique(xy, axis=0), exact, np.concatenate([exact, [[0.0, 0.0]]])):
         triangles, neighbours = delaunay(points)
-        assert fault(points, triangles, neighbours) == ""
+        assert find_fault(points, triangles, neighbours) == ""
     assert len(delaunay(exact)[0]) == 10
 
 
 def test_collinear_points_with_one_beside_them():
     xy = np.array([[0.1 * i, 0.1 * i] for i in range(60)] + [[1.0, 0.0]])
     triangles, neighbours = delaunay(xy)
-    assert fault(xy, triangles, neighbours) == "" and len(triangles) == 59
+    assert find_fault(xy, triangles, neighbours) == "" and len(triangles) == 59
 
 
 def test_needles_and_clusters():
@@ -190,13 +191,13 @@ def test_needles_and_clusters():
         ]
     )
     triangles, neighbours = delaunay(flat)
-    assert fault(flat, triangles, neighbours) == ""
+    assert find_fault(flat, triangles, neighbours) == ""
     corner = np.array(
         [[0.5 + i * 2.0**-53, 0.5 + j * 2.0**-53] for i in range(16) for j in range(16)]
         + [[12.0, 12.0], [24.0, 24.0]]
     )
     triangles, neighbours = delaunay(corner)
-    assert fault(corner, triangles, neighbours) == ""
+    assert find_fault(corner, triangles, neighbours) == ""
 
 
 @pytest.mark.parametrize(
@@ -234,7 +235,7 @@ def test_many_copies_in_any_order():
     _, first, member = np.unique(xy, axis=0, return_index=True, return_inverse=True)
     assert np.array_equal(out.same, first[member.reshape(-1)])
     number = np.searchsorted(out.vertices, out.triangles).astype(np.int32)
-    assert fault(xy[out.vertices], number, out.neighbours) == ""
+    assert find_fault(xy[out.vertices], number, out.neighbours) == ""
 
 
 @pytest.mark.parametrize("kind", ["grid", "shifted grid", "circle", "line and point"])
@@ -249,7 +250,7 @@ def test_predicates_that_reach_the_exact_stage_are_counted(kind):
         "line and point": np.concatenate([np.column_stack([t * 0.1, t * 0.3]), [[1.0, -5.0]]]),
     }[kind]
     out = triangulate(xy)
-    assert fault(xy, out.triangles, out.neighbours) == ""
+    assert find_fault(xy, out.triangles, out.neighbours) == ""
     assert out.exact_orientations + out.exact_incircles > 0
     assert triangulate(np.random.default_rng(0).random((2000, 2))).exact_incircles == 0
 
@@ -292,7 +293,7 @@ def test_is_valid_sees_faults():
     shared = np.flatnonzero(~np.isin(t[0], t[1]))[0], np.flatnonzero(~np.isin(t[1], t[0]))[0]
     n = np.full((2, 3), -1, np.int32)
     n[0, shared[0]], n[1, shared[1]] = 1, 0
-    assert fault(xy, t, n) == "a vertex lies inside a circumcircle"
+    assert find_fault(xy, t, n) == "a vertex lies inside a circumcircle"
 
 
 @pytest.mark.parametrize("lattice", [True, False])
@@ -320,7 +321,7 @@ def test_insertion_in_the_order_given_is_sound(lattice):
     *_, triangles, neighbours = compiled
     used = np.unique(triangles)
     number = np.searchsorted(used, triangles).astype(np.int32)
-    assert fault(xy[used], number, neighbours) == ""
+    assert find_fault(xy[used], number, neighbours) == ""
     for check in (check_kernel, check_hull_kernel):
         assert check(xy[used], number, neighbours, w) == 0
     order = np.random.default_rng(1).permutation(n).astype(np.int32)
@@ -341,7 +342,8 @@ def test_the_ordering_is_that_of_stable_sorts():
     assert np.array_equal(radix_order(key.view(np.uint64).copy(), 2 * BITS), plain)
     order = plain.astype(np.int32)
     assert np.array_equal(
-        by_rounds(order), plain[np.argsort(-rounds(600)[plain].astype(int), kind="stable")]
+        by_rounds(order),
+        plain[np.argsort(-insertion_rounds(600)[plain].astype(int), kind="stable")],
     )
     assert len(hilbert_order(np.zeros((0, 2)))) == len(insertion_order(np.zeros((0, 2)))) == 0
 
@@ -350,7 +352,7 @@ def test_insertion_order_is_a_permutation_along_a_curve():
     xy = np.random.default_rng(10).random((3000, 2))
     order = insertion_order(xy)
     assert sorted(order.tolist()) == list(range(3000))
-    assert rounds(3000).max() >= 3
+    assert insertion_rounds(3000).max() >= 3
     grid = np.stack(np.meshgrid(np.arange(16), np.arange(16)), axis=-1).reshape(-1, 2) * 4369.0
     walk = grid[hilbert_order(grid)]
     assert set(np.abs(np.diff(walk, axis=0)).sum(axis=1).tolist()) == {4369.0}

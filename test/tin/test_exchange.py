@@ -16,8 +16,8 @@ from ladar_volume.tin import diagonal_exchange
 from ladar_volume.tin.diagonal_exchange import (
     ListedSurface,
     exchange_diagonals,
+    exchange_gain,
     exchange_one,
-    gain,
     list_residuals,
     point_lists,
 )
@@ -99,7 +99,7 @@ def brute(tin, points, square):
     while True:
         gains = [
             (
-                -gain(surface, t, k, square, w),
+                -exchange_gain(surface, t, k, square, w),
                 t,
                 k,
             )
@@ -190,7 +190,7 @@ def test_gains_and_residuals_are_those_of_planes():
     for t in range(len(tri)):
         for k in range(3):
             surface = ListedSurface(tin.vertices, points, tri, nb, tin.relevant, *lists)
-            lowered = gain(surface, t, k, True, w)
+            lowered = exchange_gain(surface, t, k, True, w)
             if lowered == 0.0:
                 continue
             two, one = [x.copy() for x in (tri, nb)], [x.copy() for x in lists]

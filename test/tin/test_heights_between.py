@@ -7,7 +7,7 @@ import pytest
 from scipy import sparse
 
 from ladar_volume.tin.full_tin import build_tin
-from ladar_volume.tin.locate import interpolated
+from ladar_volume.tin.locate import interpolate_heights
 from ladar_volume.tin.represent import SurfaceOptions, represent
 
 TRIANGLE = np.array([(0.0, 0.0, 1.0), (6.0, 0.0, 4.0), (0.0, 3.0, -2.0)])
@@ -15,7 +15,7 @@ TRIANGLE = np.array([(0.0, 0.0, 1.0), (6.0, 0.0, 4.0), (0.0, 3.0, -2.0)])
 
 def test_variance_at_centroid_edge_and_vertex():
     tin, C = build_tin(TRIANGLE), sparse.csr_array(0.04 * sparse.eye_array(3))
-    found = interpolated(tin, np.array([(2.0, 1.0), (3.0, 0.0), (0.0, 3.0), (9.0, 9.0)]), C)
+    found = interpolate_heights(tin, np.array([(2.0, 1.0), (3.0, 0.0), (0.0, 3.0), (9.0, 9.0)]), C)
     assert found.height_m[:3] == pytest.approx([1.0, 2.5, -2.0])
     assert found.sigma_m[:3] ** 2 == pytest.approx([0.04 / 3, 0.04 / 2, 0.04])
     assert np.isnan(found.height_m[3]) and np.isnan(found.sigma_m[3]) and found.triangle[3] == -1
@@ -29,7 +29,7 @@ def test_the_published_factor_is_the_mean_over_a_triangle():
     a, b = np.where(flip, 1.0 - a, a), np.where(flip, 1.0 - b, b)
     xy = np.c_[6.0 * a, 3.0 * b]
     C = sparse.csr_array(sparse.eye_array(3))
-    found = interpolated(build_tin(TRIANGLE), xy, C)
+    found = interpolate_heights(build_tin(TRIANGLE), xy, C)
     assert np.nanmean(found.sigma_m**2) == pytest.approx(0.5, abs=0.005)
 
 
@@ -44,7 +44,7 @@ def test_adjusted_heights_against_sampling():
 
     flat = 0.1 * xy[:, 0] + 0.02 * (xy[:, 1] - 5.0) ** 2
     made = surface(flat)
-    printed = interpolated(made.tin, places, made.covariance(np.full(len(xy), sigma)))
+    printed = interpolate_heights(made.tin, places, made.covariance(np.full(len(xy), sigma)))
     # the same vertices, other noise: through the adjustment's own derivative
     fit_rows = np.zeros((len(made.tin.vertices), len(places), 3))
     corner = made.tin.triangles[printed.triangle]
@@ -62,5 +62,5 @@ def test_adjusted_heights_against_sampling():
 
 
 def test_without_noise_there_is_no_sigma():
-    found = interpolated(build_tin(TRIANGLE), np.array([(1.0, 1.0)]))
+    found = interpolate_heights(build_tin(TRIANGLE), np.array([(1.0, 1.0)]))
     assert found.height_m[0] == pytest.approx(0.5) and np.isnan(found.sigma_m[0])

@@ -19,7 +19,7 @@ from ladar_volume.tin.locate import (
     height_at,
     locate,
     locate_plain,
-    search,
+    search_boxes,
     triangle_index,
 )
 
@@ -101,10 +101,11 @@ def test_the_kernels_equal_their_plain_twins():
         assert np.array_equal(index.boxes[k, 2:], both[:, 2:].max(axis=0))
     box = np.array([-1.0, -1, 1, 1])
     a = np.full(200, -1, np.int64)
-    n = search(index.boxes, len(centres), box, np.empty(128, np.int64), a)
+    n = search_boxes(index.boxes, len(centres), box, np.empty(128, np.int64), a)
     low, high = index.corners.min(axis=1), index.corners.max(axis=1)
     meets = np.flatnonzero((low <= 1).all(axis=1) & (high >= -1).all(axis=1))
     assert set(meets) <= set(a[:n])
     assert (
-        search(index.boxes, len(centres), box, np.empty(128, np.int64), np.empty(1, np.int64)) == n
+        search_boxes(index.boxes, len(centres), box, np.empty(128, np.int64), np.empty(1, np.int64))
+        == n
     )

@@ -11,7 +11,7 @@ import pytest
 
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.tin.adaptive import adaptive_tin
-from ladar_volume.tin.delaunay import fault
+from ladar_volume.tin.delaunay import find_fault
 from ladar_volume.tin.represent import SurfaceOptions, represent, without_artificial
 from ladar_volume.tin.scan_frame import frame_along
 
@@ -46,7 +46,7 @@ def test_without_artificial_corners_only_data_is_left():
 def test_full_surfaces_are_delaunay_and_unadjusted_ones_give_their_gradient_to_their_points():
     points = cloud()
     full = represent(points, SurfaceOptions(ratio=1.0))
-    assert not fault(full.tin.vertices[:, :2], full.tin.triangles, full.tin.neighbours)
+    assert not find_fault(full.tin.vertices[:, :2], full.tin.triangles, full.tin.neighbours)
     assert full.fit is None and (full.rms_m, full.asd_m, full.fitted) == (0.0, 0.0, 600)
     for options in (SurfaceOptions(ratio=1.0), SurfaceOptions(ratio=0.2, adjust="none")):
         made = represent(points, options)

@@ -10,8 +10,8 @@ from scipy.sparse.csgraph import connected_components
 from ladar_volume.model.records import Patches
 from ladar_volume.tin.full_tin import any_corner, build_tin, footprint_areas, vertex_mask
 from ladar_volume.tin.relevant import edge_lengths
-from ladar_volume.uncertainty.patch_merge import in_order, move_rows, place_from, sort_runs
-from ladar_volume.uncertainty.patch_table import LastWord, block_entries, picked
+from ladar_volume.uncertainty.patch_merge import keeps_order, move_rows, place_from, sort_runs
+from ladar_volume.uncertainty.patch_table import LatestUpdate, block_entries, select_rows
 from ladar_volume.volume.outline import components, fill_holes, within
 
 
@@ -154,14 +154,14 @@ def test_blocks_of_several_updates_one_by_one():
                         else (own, other)
                     )
                     expected.setdefault(pair, []).append(part.cross[e].tobytes())
-    last = LastWord.__new__(LastWord)
+    last = LatestUpdate.__new__(LatestUpdate)
     last.keys = np.append(np.array(sorted(newest), np.int64), np.iinfo(np.int64).max)
     last.turns = np.append([newest[k] for k in sorted(newest)], -1)
     own, starts, others = (
         [getattr(part, name) for part in parts] for name in ("key", "cross_start", "cross_key")
     )
     start, other, entry = block_entries(own, starts, others, turns, last, keys)
-    blocks, got = picked([part.cross for part in parts], entry), {}
+    blocks, got = select_rows([part.cross for part in parts], entry), {}
     for i, mine in enumerate(keys.tolist()):
         assert (np.diff(other[start[i] : start[i + 1]]) >= 0).all()
         for e in range(start[i], start[i + 1]):
@@ -193,9 +193,9 @@ def test_rows_picked_from_parts():
     rng = np.random.default_rng(5)
     parts = [rng.random((n, 2, 3)) for n in (4, 0, 7)]
     rows = rng.permutation(11)[:8]
-    assert np.array_equal(picked(list(parts), rows), np.concatenate(parts)[rows])
+    assert np.array_equal(select_rows(list(parts), rows), np.concatenate(parts)[rows])
     assert np.array_equal(
-        picked([part[:, 0, 0] for part in parts], rows), np.concatenate(parts)[rows, 0, 0]
+        select_rows([part[:, 0, 0] for part in parts], rows), np.concatenate(parts)[rows, 0, 0]
     )
 
 
@@ -223,11 +223,13 @@ def test_a_part_nobody_else_holds_is_changed_in_place(shape, kind, left):
         to = np.full(90, -1)
         to[rows[rows < 90]] = np.flatnonzero(rows < 90)
         ways.append(np.concatenate([parts[0], np.zeros((110, *shape), kind)]))
-        assert in_order(to) and in_order.py_func(to) and (left < 2 or not in_order(to[::-1]))
+        assert (
+            keeps_order(to) and keeps_order.py_func(to) and (left < 2 or not keeps_order(to[::-1]))
+        )
         move(ways[-1].reshape(-1), int(np.prod(shape)), to)
         assert np.array_equal(ways[-1][to[to >= 0]], parts[0][stay])
-    assert np.array_equal(picked(list(parts), rows), whole[rows])
+    assert np.array_equal(select_rows(list(parts), rows), whole[rows])
     assert np.array_equal(parts[0], whole[:90])  # somebody else has a hold of it
-    assert np.array_equal(picked(mine, rows), whole[rows]) and not mine
+    assert np.array_equal(select_rows(mine, rows), whole[rows]) and not mine
     backwards = rng.permutation(190)[:50]
-    assert np.array_equal(picked([part.copy() for part in parts], backwards), whole[backwards])
+    assert np.array_equal(select_rows([part.copy() for part in parts], backwards), whole[backwards])

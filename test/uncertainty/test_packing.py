@@ -22,7 +22,7 @@ from ladar_volume.uncertainty.packing import (
     SCALE,
     SHARED,
     factor_loads,
-    unpacked,
+    unpack_patches,
 )
 from ladar_volume.uncertainty.patch_table import PatchStore
 from ladar_volume.uncertainty.propagation import (
@@ -127,7 +127,7 @@ def test_sensitivities_keep_fifteen_bits_of_the_largest(surface):
     update, held = surface
     sent, rows = update.patches, np.arange(len(held))
     assert np.array_equal(sent.key, held.key)
-    back = unpacked(held, 0, len(held))
+    back = unpack_patches(held, 0, len(held))
     assert back.M_cal[..., :SHARED].tobytes() == sent.M_cal[..., :SHARED].tobytes()
     mine = sent.M_cal[..., SHARED:].reshape(*sent.M_cal.shape[:2], 2, -1)
     error = np.abs(back.M_cal[..., SHARED:].reshape(mine.shape) - mine).max(axis=3)
@@ -166,7 +166,7 @@ def test_what_is_sent_again_is_held_the_same(surface):
     store, m = PatchStore(), len(held)
     for first in range(0, m, 100):
         last = min(first + 100, m)
-        part = unpacked(held, first, last)
+        part = unpack_patches(held, first, last)
         store.replace(FilterUpdate(update.t_ns, part.key[:0], update.points, part, last == m))
     again = store.patches
     assert (np.abs(again.cross.astype(int) - held.cross) <= 1).all() and np.mean(
@@ -194,7 +194,7 @@ def test_a_patch_without_a_block_and_one_nobody_knows():
 
 def test_plain_patches_are_cut_as_they_are(surface):
     sent = surface[0].patches
-    part = unpacked(sent, 5, 9)
+    part = unpack_patches(sent, 5, 9)
     assert isinstance(part, Patches) and np.array_equal(part.key, sent.key[5:9])
     assert np.array_equal(part.cross, sent.cross[sent.cross_start[5] : sent.cross_start[9]])
     assert dataclasses.asdict(part)["nav_start"][0] == 0

@@ -11,11 +11,11 @@ from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.records import Agreement, Volume
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
 from ladar_volume.uncertainty.pass_agreement import (
-    by_source,
     cover_scatter,
     dispersion,
     pass_agreement,
     patch_scatter,
+    scatter_by_source,
 )
 from ladar_volume.volume.field_checks.field_verdict import scaled, with_passes
 from test.scenes.volume_surfaces import platform, surface_update
@@ -69,7 +69,7 @@ def test_dispersion_is_that_of_drawn_errors():
 
 def test_a_boresight_is_seen_between_opposite_passes_and_a_lever_arm_up_is_not():
     patches = twice_seen()
-    source = by_source(patches, np.arange(len(patches)), navigation(patches), BUDGET)
+    source = scatter_by_source(patches, np.arange(len(patches)), navigation(patches), BUDGET)
     far = np.hypot(*patches.centre[:, :2].T)
     # flown both ways, roll and pitch act the other way round: the whole effect is about the mean
     x, y = patches.centre[:, :2].T

@@ -14,7 +14,7 @@ from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import FilterUpdate, select
 from ladar_volume.rmls.surface_filter import SurfaceFilter
 from ladar_volume.uncertainty import patch_table
-from ladar_volume.uncertainty.packing import unpacked
+from ladar_volume.uncertainty.packing import unpack_patches
 from ladar_volume.uncertainty.patch_table import PatchStore
 
 
@@ -69,7 +69,7 @@ def test_merge(look_every, pending, monkeypatch):
     assert store.points.t_ns.tolist() == [held[key] for key in store.points.patch.tolist()]
     last = updates[-1].patches
     row, mine = int(np.flatnonzero(store.patches.key == last.key[0])[0]), store.patches
-    found = unpacked(mine, row, row + 1)
+    found = unpack_patches(mine, row, row + 1)
     assert found.cross == pytest.approx(
         last.cross[: last.cross_start[1]], rel=1e-6
     )  # own blocks alone

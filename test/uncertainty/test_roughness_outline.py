@@ -25,10 +25,10 @@ from ladar_volume.uncertainty.roughness import (
     basis,
     estimate_roughness,
     fields_kernel,
+    fit_reduction,
     fitted_field,
     packed_product,
     pair_sums,
-    taken_by_fit,
 )
 from ladar_volume.volume.outline import (
     bodies,
@@ -267,7 +267,7 @@ def test_what_is_shared_is_no_roughness(parameters):
     X = design(xy - 9.5, np.zeros(2), COEFFICIENTS.index(parameters))
     P = np.eye(n) - X @ np.linalg.pinv(X)
     Q = basis(xy, parameters)
-    W, trace = taken_by_fit(C @ Q, Q)
+    W, trace = fit_reduction(C @ Q, Q)
     assert C - W @ Q.T - Q @ W.T == pytest.approx(P @ C @ P, abs=1e-12)
     assert trace == pytest.approx(np.trace(C) - np.trace(P @ C @ P))
     d = np.linalg.norm(xy[:, None] - xy[None], axis=2)

@@ -27,12 +27,12 @@ from ladar_volume.uncertainty import volume_budget
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
 from ladar_volume.uncertainty.second_order import (
     SIGMA_RAD,
+    AttitudeCurvature,
     SecondOrder,
-    Swing,
     attitude_second_order,
+    combine_second_orders,
     curvatures,
     second_order,
-    together,
 )
 from ladar_volume.volume.estimator import VolumeEstimator
 from ladar_volume.volume.polygon import clipped_prismoids
@@ -282,7 +282,9 @@ def test_the_attitude_against_draws_in_time(tau, monkeypatch):
     )
     # the same in all bins is a boresight
     still = BudgetParameters(attitude_bias_fraction=1.0, attitude_white_fraction=0.0)
-    constant = attitude_second_order(Swing(np.zeros(len(seen[0])), sigma**2 * seen[0]), still, 0.0)
+    constant = attitude_second_order(
+        AttitudeCurvature(np.zeros(len(seen[0])), sigma**2 * seen[0]), still, 0.0
+    )
     whole = second_order(seen[0].sum(axis=0), sigma**2 * np.eye(3), 0.0)
     assert (constant.shift_m3, constant.variance_m6) == (
         pytest.approx(whole.shift_m3),
@@ -300,7 +302,7 @@ def test_the_second_order_of_a_swing_in_closed_form():
     t, S = np.cumsum(rng.uniform(1.0, 3.0, 7)), rng.standard_normal((7, 3, 3))
     S += np.swapaxes(S, 1, 2)
     rho = 0.3 + 0.6 * np.exp(-np.abs(t[:, None] - t) / 5.0)
-    found = attitude_second_order(Swing(t, S), budget_, 1e9)
+    found = attitude_second_order(AttitudeCurvature(t, S), budget_, 1e9)
     assert found.variance_m6 == pytest.approx(0.5 * np.einsum("ef,eij,fij->", rho**2, S, S))
     assert found.shift_m3 == pytest.approx(0.45 * np.einsum("eii->", S)) and not found.matters
 
@@ -311,13 +313,14 @@ def test_means_of_several_second_orders_add_up():
         "b": SecondOrder(0.2, 0.02, True),
         "c": SecondOrder(-0.05, 0.06, False),
     }
-    lines, whole = together(parts)
+    lines, whole = combine_second_orders(parts)
     assert sum(lines.values()) == pytest.approx(0.09 + 0.45**2) and whole.line_m6 == pytest.approx(
         sum(lines.values())
     )
     assert (
         whole.matters
-        and together({"a": parts["a"], "c": SecondOrder(-0.2, 0.0, False)})[0]["c"] == 0.0
+        and combine_second_orders({"a": parts["a"], "c": SecondOrder(-0.2, 0.0, False)})[0]["c"]
+        == 0.0
     )
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import FilterUpdate, select
-from ladar_volume.uncertainty.unseen_surface import Seen, unseen_surface
+from ladar_volume.uncertainty.unseen_surface import ObservedPoints, unseen_surface
 from ladar_volume.volume.estimator import VolumeEstimator
 from test.scenes.volume_surfaces import platform, surface_update, take_patches
 
@@ -139,7 +139,9 @@ def test_the_surface_of_a_gap_moves_with_its_surroundings():
 
     def found(height, chord=0.0):
         r = np.column_stack([xy, height(xy)])
-        return unseen_surface(Seen.of(r, np.full(len(r), 1e-6), 0.2), place, weight, apart, chord)
+        return unseen_surface(
+            ObservedPoints.of(r, np.full(len(r), 1e-6), 0.2), place, weight, apart, chord
+        )
 
     plane = found(lambda p: 1.0 + 0.2 * p[:, 0] - 0.1 * p[:, 1], 4.0)
     assert plane.volume_m3 == pytest.approx(4.0, abs=1e-6) and plane.variance_m6 < 1e-3

@@ -17,11 +17,17 @@ import numpy.typing as npt
 
 from ladar_volume.clouds.filter import cell_surface
 from ladar_volume.clouds.filter.cell_planes import OFFERED, main_planes
-from ladar_volume.clouds.filter.cell_records import CellNoise, CellOutcome, CellRule, Cells, Known
+from ladar_volume.clouds.filter.cell_records import (
+    CellNoise,
+    CellOutcome,
+    CellRule,
+    Cells,
+    NeighbourPlanes,
+)
 from ladar_volume.clouds.filter.plane_set_selection import ENOUGH
 from ladar_volume.clouds.filter.point_reduction import sorted_by_voxel
 from ladar_volume.clouds.filter.sharp_planes import MOST
-from ladar_volume.math.kernels import in_threads
+from ladar_volume.math.kernels import run_in_threads
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64, I32, I64, Bool
 from ladar_volume.rmls import refit_kernels
@@ -56,7 +62,7 @@ class Regions:
 
 
 @dataclass(frozen=True)
-class Covered:
+class Projection:
     """Per point (n,): foot point q (n, 3) m, normal (n, 3), variance m² along it, reason, kind of
     its cell's surface (number of planes, −1 for a quadric, 0 for none), mean truncated square of
     the residuals around that cell over sigma², and level of its radius.
@@ -72,14 +78,14 @@ class Covered:
     cells: int
 
 
-def cover(
+def project_on_cells(
     r: F64, regions: Regions, parameters: FilterParameters, degree: int, mine: Bool | None = None
-) -> Covered:
+) -> Projection:
     """Project points (n, 3) m, near the origin, onto the surfaces of their cells; only those that
     are ``mine`` (n,), by default all.
     """
     n, count, at = len(r), 0, regions.level.copy()
-    out = Covered(
+    out = Projection(
         np.zeros((n, 3)),
         np.zeros((n, 3)),
         np.zeros(n),
@@ -113,7 +119,9 @@ class _Task:
     degree: int
 
 
-def _cover_level(task: _Task, part: I64, own: Bool, ball: float, out: Covered, around: Bool) -> int:
+def _cover_level(
+    task: _Task, part: I64, own: Bool, ball: float, out: Projection, around: Bool
+) -> int:
     """Cover the points that are ``own`` (n,); returns the number of cells. part : the points that
     may count, all near enough. Those that may count with a smaller radius where a cell found no
     surface are marked in ``around`` (n,).
@@ -125,7 +133,7 @@ def _cover_level(task: _Task, part: I64, own: Bool, ball: float, out: Covered, a
     wanted = np.add.reduceat(own[order], first[:-1], dtype=np.int64) > 0
     kind, misfit = np.zeros(len(keys), np.int64), np.zeros(len(keys))
     chosen = np.zeros((len(keys), MOST, 4))
-    _turns(
+    _cell_batches(
         task,
         cells,
         ball,
@@ -135,14 +143,14 @@ def _cover_level(task: _Task, part: I64, own: Bool, ball: float, out: Covered, a
     of = np.repeat(np.arange(len(keys)), np.diff(first))
     mine = own[order]
     out.kind[order[mine]], out.misfit[order[mine]] = kind[of[mine]], misfit[of[mine]]
-    close = _near(wanted & (kind == 0), keys, table)  # these offer planes,
-    around[order[_near(close, keys, table)[of]]] = (
+    close = _near_marked(wanted & (kind == 0), keys, table)  # these offer planes,
+    around[order[_near_marked(close, keys, table)[of]]] = (
         True  # and those near them are what their planes are told from
     )
     return int(np.count_nonzero(wanted))
 
 
-def _turns(task: _Task, cells: Cells, ball: float, wanted: Bool, out: CellOutcome) -> None:
+def _cell_batches(task: _Task, cells: Cells, ball: float, wanted: Bool, out: CellOutcome) -> None:
     """Planes of the cells near those ``wanted`` (v,), and these cells' surfaces, in turns."""
     number, parameters = len(cells.keys), task.parameters
     rule = CellRule(
@@ -155,19 +163,19 @@ def _turns(task: _Task, cells: Cells, ball: float, wanted: Bool, out: CellOutcom
         parameters.seed,
     )
     noise = _cell_noise(task.regions, cells, out.order, ball)
-    known = Known(
+    known = NeighbourPlanes(
         np.zeros((number, OFFERED, 4)),
         np.zeros(number, np.int64),
         np.zeros((number, MOST, 4)),
         np.zeros(number, np.int64),
     )
-    near = np.flatnonzero(_near(wanted, cells.keys, cells.table))
-    in_threads(main_planes, near, cells, rule._replace(ball=ball / NARROWER), noise, known)
-    lead = _leaders(cells.keys)
+    near = np.flatnonzero(_near_marked(wanted, cells.keys, cells.table))
+    run_in_threads(main_planes, near, cells, rule._replace(ball=ball / NARROWER), noise, known)
+    lead = _block_cells(cells.keys)
     for turn, some in enumerate((wanted & lead, wanted & ~lead, wanted)):
         if turn == cell_surface.LAST:
             some = some & ((out.kind > 1) | (out.kind != 0) & (out.misfit > ENOUGH))
-        in_threads(
+        run_in_threads(
             cell_surface.filter_cells, np.flatnonzero(some), turn, cells, rule, noise, known, out
         )
         known.sets[some], known.sizes[some] = out.chosen[some], out.kind[some]
@@ -184,14 +192,14 @@ def _cell_noise(regions: Regions, cells: Cells, order: I64, ball: float) -> Cell
     )
 
 
-def _near(marked: Bool, keys: I64, table: I32) -> Bool:
+def _near_marked(marked: Bool, keys: I64, table: I32) -> Bool:
     """Which voxels (n,) lie near one that is ``marked`` (n,)."""
     near = np.zeros(len(keys), np.bool_)
     refit_kernels.mark_around(np.flatnonzero(marked), keys, table, REACH, near)
     return near
 
 
-def _leaders(keys: I64) -> Bool:
+def _block_cells(keys: I64) -> Bool:
     """One cell of each block of two by two by two."""
     one = np.int64(1)
     lead: Bool = ((keys >> (2 * BITS) | keys >> BITS | keys) & one) == 0

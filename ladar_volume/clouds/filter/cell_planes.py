@@ -14,7 +14,7 @@ from ladar_volume.clouds.filter.cell_records import (
     CellNoise,
     CellRule,
     Cells,
-    Known,
+    NeighbourPlanes,
     NeighbourSets,
 )
 from ladar_volume.math.array_types import F64, I32, I64, U64
@@ -92,7 +92,7 @@ def _fit_in_slab(cell: Cell, free: I64, label: I64, plane: F64, mean: F64, inver
 
 
 @leaf_kernel
-def _unexplained(x: F64, free: I64, left: int, plane: F64, width: float) -> Any:
+def _points_off_plane(x: F64, free: I64, left: int, plane: F64, width: float) -> Any:
     """Keep those of the points ``free[:left]`` that lie farther than ``width`` from a plane;
     returns how many.
     """
@@ -120,7 +120,7 @@ def _planes_of(cell: Cell, rule: CellRule, state: U64, planes: F64) -> Any:
         used = _fit_in_slab(cell, free[:left], label, plane, mean, inverse)
         if used < rule.least:
             break
-        left = _unexplained(x, free, left, plane, EXPLAINED * cell.sigma)
+        left = _points_off_plane(x, free, left, plane, EXPLAINED * cell.sigma)
         if sharp_planes.on_line(used, inverse, cell.width):
             continue
         plane[3] += plane[0] * origin[0] + plane[1] * origin[1] + plane[2] * origin[2]
@@ -129,7 +129,9 @@ def _planes_of(cell: Cell, rule: CellRule, state: U64, planes: F64) -> Any:
 
 
 @kernel
-def main_planes(which: I64, cells: Cells, rule: CellRule, noise: CellNoise, known: Known) -> None:
+def main_planes(
+    which: I64, cells: Cells, rule: CellRule, noise: CellNoise, known: NeighbourPlanes
+) -> None:
     """The planes that the points near the cells ``which`` lie on, most points first, as ``n·x = o``
     (v, OFFERED, 4) and their number (v,), to ``known``.
 
@@ -143,7 +145,9 @@ def main_planes(which: I64, cells: Cells, rule: CellRule, noise: CellNoise, know
 
 
 @kernel
-def neighbour_candidates(v: int, cells: Cells, known: Known, origin: F64, out: F64) -> Any:
+def neighbour_candidates(
+    v: int, cells: Cells, known: NeighbourPlanes, origin: F64, out: F64
+) -> Any:
     """Planes of the cells around cell v, about ``origin``; returns how many."""
     near, n = np.empty(AROUND, np.int64), 0
     for i in range(voxels_around(cells.keys[v], cells.keys, cells.table, REACH, near)):
@@ -155,7 +159,7 @@ def neighbour_candidates(v: int, cells: Cells, known: Known, origin: F64, out: F
 
 
 @kernel
-def neighbour_sets(v: int, cells: Cells, known: Known, origin: F64) -> NeighbourSets:
+def neighbour_sets(v: int, cells: Cells, known: NeighbourPlanes, origin: F64) -> NeighbourSets:
     """The sets of several planes of the cells next to cell v and its own, about ``origin``."""
     near, n = np.empty(NEXT, np.int64), 0
     out, out_sizes = np.empty((NEXT, sharp_planes.MOST, 4)), np.empty(NEXT, np.int64)

@@ -47,7 +47,7 @@ class CellNoise(NamedTuple):
     width: F64
 
 
-class Known(NamedTuple):
+class NeighbourPlanes(NamedTuple):
     """By cell: planes (v, OFFERED, 4) that it offers, found (v,) of them; sets (v, MOST, 4) of
     planes that it chose, sizes (v,) of these, −1 for a quadric
     """

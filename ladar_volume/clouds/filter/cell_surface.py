@@ -26,7 +26,7 @@ from ladar_volume.clouds.filter.cell_records import (
     CellOutcome,
     CellRule,
     Cells,
-    Known,
+    NeighbourPlanes,
     PieceBounds,
     Pieces,
     Quadric,
@@ -43,14 +43,14 @@ from ladar_volume.clouds.filter.plane_set_selection import (
 )
 from ladar_volume.clouds.filter.sharp_planes import MOST, nearest_piece, plane_share
 from ladar_volume.clouds.filter.single_surface import (
-    bent_quadric,
+    fit_curved_quadric,
+    fit_single_plane,
     nearest_to_origin,
-    single_plane,
 )
 from ladar_volume.math.array_types import F64, I64
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.rmls.patch_fit import AROUND
-from ladar_volume.rmls.tangent_frame import across
+from ladar_volume.rmls.tangent_frame import second_tangent
 
 KEPT, OUTLIER, FEW_POINTS, NO_SURFACE, BEYOND_EDGE, UNSUPPORTED = 0, 1, 2, 3, 4, 5
 #: Turns: leaders search their planes; the others take over what a neighbour found where it explains
@@ -99,7 +99,7 @@ def surface_of(
     cell: Cell,
     cells: Cells,
     rule: CellRule,
-    known: Known,
+    known: NeighbourPlanes,
     candidates: F64,
     pieces: Pieces,
     quadric: Quadric,
@@ -120,11 +120,11 @@ def surface_of(
     if quality == 2:
         return count, np.inf
     best = BestSet(count, cost, quality)
-    return _searched(cell, cells, rule, candidates, best, pieces, quadric)
+    return _search_surface(cell, cells, rule, candidates, best, pieces, quadric)
 
 
 @kernel
-def _searched(
+def _search_surface(
     cell: Cell,
     cells: Cells,
     rule: CellRule,
@@ -136,7 +136,9 @@ def _searched(
     """As :func:`surface_of`, where the neighbours' sets do not do."""
     count, curve, most = best.size, np.inf, MOST
     if rule.degree == 2:
-        curve, most = bent_quadric(cell, cells.r, cells.keys[cell.v], candidates, rule, quadric)
+        curve, most = fit_curved_quadric(
+            cell, cells.r, cells.keys[cell.v], candidates, rule, quadric
+        )
     if most == 0:
         return 0, curve
     if cell.turn < LAST and best.quality == 0:
@@ -151,7 +153,7 @@ def _searched(
 
 
 @kernel
-def _refined(cell: Cell, ball: float, count: int, pieces: Pieces) -> Any:
+def _refine_planes(cell: Cell, ball: float, count: int, pieces: Pieces) -> Any:
     """Planes refitted to a fixed point; returns (their number, length of their description, sum of
     truncated squares).
     """
@@ -163,8 +165,13 @@ def _refined(cell: Cell, ball: float, count: int, pieces: Pieces) -> Any:
 
 
 @kernel
-def _described(
-    cell: Cell, cells: Cells, rule: CellRule, known: Known, pieces: Pieces, quadric: Quadric
+def _describe_cell(
+    cell: Cell,
+    cells: Cells,
+    rule: CellRule,
+    known: NeighbourPlanes,
+    pieces: Pieces,
+    quadric: Quadric,
 ) -> Any:
     """Planes and quadric of a cell; returns (number of planes, length of their description, sum of
     their truncated squares, that of the quadric).
@@ -177,11 +184,11 @@ def _described(
     if len(candidates) > 0:
         pieces.planes[0] = candidates[nearest_to_origin(candidates, len(candidates))]
         allowed = 3 * price if rule.degree == 2 else np.inf
-        count, pieces.used[0], square = single_plane(cell, rule.ball, allowed, pieces)
+        count, pieces.used[0], square = fit_single_plane(cell, rule.ball, allowed, pieces)
     if count == 0:
         count, curve = surface_of(cell, cells, rule, known, candidates, pieces, quadric)
         if count > 0:
-            count, length, square = _refined(cell, rule.ball, count, pieces)
+            count, length, square = _refine_planes(cell, rule.ball, count, pieces)
     return count, length, square, curve
 
 
@@ -198,7 +205,7 @@ def _project(
     """The cell's own points onto ``count`` planes, onto the quadric where that is −1."""
     x, m, origin, sigma = cell.x, cell.m, cell.origin, cell.sigma
     side, reach = np.empty(3), rule.ball * rule.ball * PATCH / m + 4.0 * sigma * sigma
-    across(quadric.normal, quadric.tangent, side)
+    second_tangent(quadric.normal, quadric.tangent, side)
     for i in range(cells.first[cell.v], cells.first[cell.v + 1]):
         to = out.order[i]
         if not out.mine[to]:
@@ -219,7 +226,9 @@ def _project(
 
 
 @kernel
-def filter_cell(cell: Cell, cells: Cells, rule: CellRule, known: Known, out: CellOutcome) -> Any:
+def filter_cell(
+    cell: Cell, cells: Cells, rule: CellRule, known: NeighbourPlanes, out: CellOutcome
+) -> Any:
     """Surface of one cell, and its own points projected. Returns (number of planes, −1 for a
     quadric, 0 for none; mean truncated square of all points near the cell over sigma²).
     """
@@ -228,7 +237,7 @@ def filter_cell(cell: Cell, cells: Cells, rule: CellRule, known: Known, out: Cel
         mark_cell(cell.v, cells, FEW_POINTS, out)
         return 0, 9.0
     pieces, quadric = pieces_of(m), no_quadric()
-    count, length, square, curve = _described(cell, cells, rule, known, pieces, quadric)
+    count, length, square, curve = _describe_cell(cell, cells, rule, known, pieces, quadric)
     price = sigma * sigma * np.log(m)
     curved = curve + 6 * price < length + 3 * count * price
     if not curved and count == 0:
@@ -259,7 +268,7 @@ def filter_cells(
     cells: Cells,
     rule: CellRule,
     noise: CellNoise,
-    known: Known,
+    known: NeighbourPlanes,
     out: CellOutcome,
 ) -> None:
     """The cells ``which`` of a sorted cloud: each writes to ``out`` what becomes of those of its

@@ -72,7 +72,7 @@ class CloudResult:
         return None if self.flag is None else self.flag > 0
 
 
-def checked(r: F64) -> F64:
+def check_cloud_points(r: F64) -> F64:
     """Points (n, 3) as contiguous float64; raises FilterError for a wrong shape, no points, or a
     coordinate that is not finite.
     """

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ladar_volume.clouds.filter.cell_cover import Covered, Regions
+from ladar_volume.clouds.filter.cell_cover import Projection, Regions
 from ladar_volume.clouds.sampling.sampling_lines import OVER, Lines
 from ladar_volume.clouds.sampling.trimmed_noise import trimmed_noise
 from ladar_volume.model.records import F64, I64, Bool
@@ -39,7 +39,7 @@ FROM = 0.8
 
 
 @dataclass(frozen=True)
-class Places:
+class NoiseSites:
     """Where noise is told: at : (s,) points · near : (s, k) points around each, evenly thinned, −1
     where there are fewer · of : (n, SMOOTH) places next to each point
     """
@@ -49,7 +49,7 @@ class Places:
     of: I64
 
 
-def places(r: F64, at: I64, lines: Lines, reach_m: F64) -> Places:
+def noise_sites(r: F64, at: I64, lines: Lines, reach_m: F64) -> NoiseSites:
     """Neighbourhoods within ``reach_m`` (s,) of the points ``at`` (s,), thinned across their
     lines.
     """
@@ -65,12 +65,12 @@ def places(r: F64, at: I64, lines: Lines, reach_m: F64) -> Places:
     full = (near >= 0).sum(axis=1) >= FEWEST
     at, near = at[full], near[full]
     if not len(at):
-        return Places(at, near, np.zeros((len(r), 0), np.int64))
+        return NoiseSites(at, near, np.zeros((len(r), 0), np.int64))
     of = cKDTree(r[at]).query(r, k=min(SMOOTH, len(at)), workers=-1)[1]
-    return Places(at, near, np.asarray(of, np.int64).reshape(len(r), -1))
+    return NoiseSites(at, near, np.asarray(of, np.int64).reshape(len(r), -1))
 
 
-def first_noise(r: F64, spread_r: F64, at: I64, lines: Lines) -> tuple[F64, Places] | None:
+def first_noise(r: F64, spread_r: F64, at: I64, lines: Lines) -> tuple[F64, NoiseSites] | None:
     """Noise (n,) m, from trimmed fits across lines, and the places that tell it; None where no
     place does.
 
@@ -79,7 +79,7 @@ def first_noise(r: F64, spread_r: F64, at: I64, lines: Lines) -> tuple[F64, Plac
     at = at[np.isfinite(lines.reach_m[at])]
     whole, where, each = 0.0, None, np.empty(0)
     for _ in range(2):
-        where = places(r, at, lines, np.maximum(TELLS * lines.reach_m[at], THICK * whole))
+        where = noise_sites(r, at, lines, np.maximum(TELLS * lines.reach_m[at], THICK * whole))
         if not len(where.at):
             return None
         each = trimmed_noise(spread_r, where.near)
@@ -87,10 +87,10 @@ def first_noise(r: F64, spread_r: F64, at: I64, lines: Lines) -> tuple[F64, Plac
             return None
         whole = float(np.nanmedian(each))
     assert where is not None
-    return of_points(each, where, whole), where
+    return point_noise(each, where, whole), where
 
 
-def of_points(each: F64, where: Places, whole: float) -> F64:
+def point_noise(each: F64, where: NoiseSites, whole: float) -> F64:
     """Noise (n,) m of points from that of places (s,): the median of those next to it that are
     surfaces, and the cloud's where none is.
     """
@@ -115,7 +115,7 @@ def line_regions(r: F64, lines: Lines, sigma: F64, threshold: F64) -> Regions:
     return Regions(balls, level, least, sigma, threshold, ACROSS)
 
 
-def surface_noise(distance: F64, share: F64, found: Bool, sigma: F64, where: Places) -> F64:
+def surface_noise(distance: F64, share: F64, found: Bool, sigma: F64, where: NoiseSites) -> F64:
     """Noise (s,) m of places from residuals about surfaces.
 
     distance : (n,) m, of points from their surfaces · share : (n,) variance of the surface there
@@ -135,7 +135,7 @@ def surface_noise(distance: F64, share: F64, found: Bool, sigma: F64, where: Pla
     return np.asarray(np.where(enough, each, np.nan))
 
 
-def residuals(r: F64, done: Covered, kept: int, outlier: int) -> tuple[F64, Bool]:
+def residuals(r: F64, done: Projection, kept: int, outlier: int) -> tuple[F64, Bool]:
     """Distances (n,) m of points from their surfaces, and which (n,) have one."""
     found = (done.reason == kept) | (done.reason == outlier)
     return np.linalg.norm(done.q - r, axis=1), found

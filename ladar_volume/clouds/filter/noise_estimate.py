@@ -17,7 +17,7 @@ from ladar_volume.rmls.tangent_frame import (
     Near,
     RefitRule,
     Terms,
-    coordinates,
+    frame_coordinates,
     level_frame,
     mark_flat,
     refit,
@@ -43,7 +43,7 @@ def hashes(numbers: U64) -> Any:
 
 
 @kernel
-def _about_first(r: F64, near: I64, pts: F64, across_points: F64) -> Any:
+def _centre_on_first(r: F64, near: I64, pts: F64, across_points: F64) -> Any:
     """The points ``near`` (k,) about the first of them, m, to pts (k, 3) and across_points (3, k);
     returns the radius of a ball that holds them.
     """
@@ -68,7 +68,7 @@ def _within_rim(pts: F64, frame: Frame, ball: float, flat: float, hood: Near) ->
     uvw, rim, m = hood.uvw, ball * ball - (CUT * flat) ** 2, 0
     centre, normal, tangent = frame
     for i in range(
-        coordinates(pts, len(pts), centre, normal, tangent, 2.0 * ball, uvw, hood.slots)
+        frame_coordinates(pts, len(pts), centre, normal, tangent, 2.0 * ball, uvw, hood.slots)
     ):
         if 4.0 * ball * ball * (uvw[0, i] ** 2 + uvw[1, i] ** 2) <= rim:
             uvw[:, m] = uvw[:, i]
@@ -81,7 +81,7 @@ def _scatter_of(s: int, r: F64, near: I64, seed: int) -> Any:
     """Standard deviation, m, of the points ``near`` (k,) of sample s, as :func:`scatter`."""
     k = len(near)
     pts, across_points, plane = np.empty((k, 3)), np.empty((3, k)), np.empty(4)
-    ball = _about_first(r, near, pts, across_points)
+    ball = _centre_on_first(r, near, pts, across_points)
     if ball == 0.0:
         return np.nan
     rule, key = StartRule(3, TRIALS, False, 0.0), _mix(np.uint64(seed) ^ _mix(np.uint64(s)))

@@ -17,12 +17,12 @@ from ladar_volume.rmls.tangent_frame import (
     Near,
     RefitRule,
     Terms,
-    across,
-    arc,
-    coordinates,
+    arc_height,
+    frame_coordinates,
     level_frame,
     mark_flat,
     refit,
+    second_tangent,
 )
 
 #: Re-levellings of a quadric's frame.
@@ -158,7 +158,7 @@ def foot_in_frame(u: float, v: float, w: float, beta: F64) -> Any:
 @leaf_kernel
 def height_at(u: float, v: float, beta: F64) -> Any:
     """(height, slope along u, slope along v) of a quadric with its arc term."""
-    extra, gu, gv = arc(u, v, beta[3], beta[4], beta[5])
+    extra, gu, gv = arc_height(u, v, beta[3], beta[4], beta[5])
     height = (
         beta[0]
         + u * beta[1]
@@ -198,7 +198,7 @@ def quadric_from(
     refitting, hood = RefitRule(rule.ball, 0.0, loose, few), Near(near, index, inside)
     if level_frame(pts, n, origin, plane, rule.sigma, refitting, hood, frame) < 0.0:
         return 0
-    m = coordinates(pts, n, centre, normal, tangent, rule.ball, near, index)
+    m = frame_coordinates(pts, n, centre, normal, tangent, rule.ball, near, index)
     mark_flat(near, m, loose, inside)
     used, _ = refit(near, m, 6, rule.sigma, refitting, inside, Terms(beta, inverse))
     if used == 0:
@@ -211,7 +211,7 @@ def _touch(quadric: Quadric) -> None:
     """Turn a quadric's frame so that it touches it at the centre."""
     centre, normal, tangent, beta, _ = quadric
     side = np.empty(3)
-    across(normal, tangent, side)
+    second_tangent(normal, tangent, side)
     length = np.sqrt(1.0 + beta[1] * beta[1] + beta[2] * beta[2])
     for k in range(3):
         centre[k] += beta[0] * normal[k]
@@ -235,7 +235,7 @@ def shrink_to_threshold(
     ball, sigma, threshold = rule.ball, rule.sigma, rule.threshold
     near, index, used = np.empty((4, n)), np.empty(n, np.int64), 0
     for level in range(levels + SHRINKS):
-        m = coordinates(pts, n, centre, normal, tangent, ball, near, index)
+        m = frame_coordinates(pts, n, centre, normal, tangent, ball, near, index)
         used, square = geometric_refit(
             near, m, ball, loose, min(rule.iterations, STEPS), sigma, beta, inverse
         )
@@ -284,7 +284,7 @@ def quadric_cost(x: F64, m: int, origin: F64, quadric: Quadric, limit: float) ->
     """
     centre, normal, tangent, beta, _ = quadric
     side, cost, below = np.empty(3), 0.0, 0
-    across(normal, tangent, side)
+    second_tangent(normal, tangent, side)
     for i in range(m):
         u = v = w = 0.0
         for k in range(3):

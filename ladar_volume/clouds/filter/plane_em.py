@@ -199,7 +199,7 @@ def _bound(sample: PointSample, pieces: Pieces, count: int) -> None:
 
 
 @kernel
-def _priced(sample: PointSample, pieces: Pieces, count: int, most: float) -> Any:
+def _price_pieces(sample: PointSample, pieces: Pieces, count: int, most: float) -> Any:
     """Length of the pieces' description with their own parameters."""
     support = np.empty(MOST, np.int64)
     length, _ = pieces_cost(sample, pieces.planes, count, pieces.side, most, support)
@@ -264,7 +264,7 @@ def refine(
     """
     shares, start, at_first = room_for_shares(sample.n), pieces.planes.copy(), count
     _bound(sample, pieces, count)
-    worst = WORSE * _priced(sample, pieces, count, np.inf)
+    worst = WORSE * _price_pieces(sample, pieces, count, np.inf)
     step = 0
     while step < rounds:
         share_out(sample, pieces, count, shares)
@@ -281,7 +281,7 @@ def refine(
             sample.x, sample.n, pieces.label, pieces.planes, count, sample.sigma, pieces.side
         )
         step += 1
-    if _priced(sample, pieces, count, worst) > worst:
+    if _price_pieces(sample, pieces, count, worst) > worst:
         count = at_first
         pieces.planes[:] = start
         _bound(sample, pieces, count)

@@ -16,11 +16,11 @@ from ladar_volume.clouds.filter.filter_result import REASONS, CloudResult
 from ladar_volume.math.array_types import F64, I32, I64
 from ladar_volume.math.kernels import parallel_kernel
 from ladar_volume.model.errors import FilterError
-from ladar_volume.rmls.voxel_store import HALF, pack_key, place_all
+from ladar_volume.rmls.voxel_store import HALF, insert_keys, pack_key
 
 
 @dataclass(frozen=True)
-class Reduced:
+class ReducedCloud:
     """r : (k, 3) m, one point per occupied cell, in the order of ``index`` · index : (k,) lowest
     input point of each cell, ascending · count : (k,) input points in it · cell : (n,) row of r
     every input point went into
@@ -50,7 +50,7 @@ def sorted_by_voxel(r: F64, edge_m: float) -> tuple[I64, I64, I64, I32]:
     keys = key[first[:-1]]
     sort_within(r, first, order)
     table = np.full(1 << max(4, int(4 * len(keys) - 1).bit_length()), -1, np.int32)
-    place_all(table, keys, len(keys))
+    insert_keys(table, keys, len(keys))
     return order, keys, first, table
 
 
@@ -83,7 +83,7 @@ def _grid_key(ijk: F64, step_m: float) -> I64:
     return key
 
 
-def reduce_points(r: F64, step_m: float, how: str) -> Reduced:
+def reduce_points(r: F64, step_m: float, how: str) -> ReducedCloud:
     """Points (n, 3) m reduced to one per cell of edge ``step_m``: ``round`` to its middle, a
     multiple of the step, or their ``mean``.
 
@@ -92,7 +92,7 @@ def reduce_points(r: F64, step_m: float, how: str) -> Reduced:
     """
     n = len(r)
     if step_m == 0.0:
-        return Reduced(r, np.arange(n), np.ones(n, np.int64), np.arange(n))
+        return ReducedCloud(r, np.arange(n), np.ones(n, np.int64), np.arange(n))
     ijk = np.rint(r / step_m)
     key = _grid_key(ijk, step_m)
     order = np.lexsort((r[:, 2], r[:, 1], r[:, 0], key))
@@ -107,7 +107,7 @@ def reduce_points(r: F64, step_m: float, how: str) -> Reduced:
     place = np.empty(len(rank), np.int64)
     place[rank] = np.arange(len(rank))
     cell[order] = np.repeat(place, count)
-    return Reduced(middle[rank], lowest[rank], count[rank].astype(np.int64), cell)
+    return ReducedCloud(middle[rank], lowest[rank], count[rank].astype(np.int64), cell)
 
 
 def rounding_variance(step_m: float, noise_m: float) -> float:
@@ -128,7 +128,7 @@ def rounding_variance(step_m: float, noise_m: float) -> float:
     return float(step_m**2 / (2 * np.pi**2) * np.sum(np.exp(-4 * np.pi**2 * k**2 * before) / k**2))
 
 
-def expanded(result: CloudResult, before: Reduced, rounded_m: float) -> CloudResult:
+def expand_result(result: CloudResult, before: ReducedCloud, rounded_m: float) -> CloudResult:
     """The result of a filter on ``before.r`` in terms of the points that were reduced: who stood
     behind an outlier is one too.
 
@@ -157,7 +157,7 @@ def expanded(result: CloudResult, before: Reduced, rounded_m: float) -> CloudRes
     )
 
 
-def merged(result: CloudResult, step_m: float, how: str) -> CloudResult:
+def merge_results(result: CloudResult, step_m: float, how: str) -> CloudResult:
     """Filtered points reduced to one per cell. ``index`` stays one whose cell it is, ``count`` adds
     up.
 

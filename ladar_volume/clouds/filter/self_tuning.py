@@ -15,11 +15,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ladar_volume.clouds.filter.cell_cover import Regions, cover
-from ladar_volume.clouds.filter.line_tuning import Places, first_noise, line_regions
+from ladar_volume.clouds.filter.cell_cover import Regions, project_on_cells
+from ladar_volume.clouds.filter.line_tuning import NoiseSites, first_noise, line_regions
 from ladar_volume.clouds.filter.noise_estimate import hashes, scatter
-from ladar_volume.clouds.sampling.rounding_step import spread, without_spread
-from ladar_volume.clouds.sampling.sampling_lines import Lines, find_lines, lined, uneven
+from ladar_volume.clouds.sampling.rounding_step import dither, remove_dither_noise
+from ladar_volume.clouds.sampling.sampling_lines import (
+    Lines,
+    find_lines,
+    has_uneven_spacing,
+    lies_along_lines,
+)
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64, I64, Bool
 
@@ -56,7 +61,7 @@ WIDEST = 0.25
 
 
 @dataclass(frozen=True)
-class Tuned:
+class Tuning:
     """regions as the cover wants them · degree of the surfaces · lines : along which the cloud was
     sampled, None for an even one · places : that tell the noise of such a cloud · told : whether
     the cloud tells its noise; if not, a default stands in
@@ -65,7 +70,7 @@ class Tuned:
     regions: Regions
     degree: int
     lines: Lines | None = None
-    places: Places | None = None
+    places: NoiseSites | None = None
     told: bool = True
 
     @property
@@ -107,7 +112,7 @@ class Tuned:
         return out
 
 
-def choose(r: F64, parameters: FilterParameters, auto: bool, steps: F64) -> Tuned:
+def tune(r: F64, parameters: FilterParameters, auto: bool, steps: F64) -> Tuning:
     """Regions and degree for points (n, 3) m near the origin. Without ``auto`` radius and degree
     are the parameters', fits reach over 2 r, and only the noise is estimated, one for the whole
     cloud. steps : (3,) m, to which the coordinates were rounded.
@@ -117,18 +122,18 @@ def choose(r: F64, parameters: FilterParameters, auto: bool, steps: F64) -> Tune
     tree = cKDTree(r, balanced_tree=False, compact_nodes=False)
     distance, near = _query(tree, r[at], MOST)
     smooth = _nearest(r[at], r[at], SMOOTH)
-    evenly = spread(r, steps, parameters.seed)
-    if lined(r, near) or uneven(r, near, distance, smooth):
+    evenly = dither(r, steps, parameters.seed)
+    if lies_along_lines(r, near) or has_uneven_spacing(r, near, distance, smooth):
         return _along_lines(r, evenly, steps, distance, parameters, auto)
     noise, narrow = _noise(evenly, distance, near, smooth, parameters.seed)
-    noise = without_spread(noise, steps)
+    noise = remove_dither_noise(noise, steps)
     regional = noise[:, 0] * np.median(noise[:, 1] / noise[:, 0])
     if not auto:
         regions = _one_region(n, float(np.median(regional)), parameters)
-        return Tuned(regions, parameters.degree)
+        return Tuning(regions, parameters.degree)
     extent = WIDEST * float(np.linalg.norm(np.ptp(r, axis=0)))
     wide = np.maximum(np.minimum(np.median(distance[:, -1][smooth], axis=1), extent), narrow)
-    return Tuned(_own_regions(r, tree, at, _Around(regional, narrow, wide), parameters), 2)
+    return Tuning(_own_regions(r, tree, at, _SampleNoise(regional, narrow, wide), parameters), 2)
 
 
 def _one_region(n: int, whole: float, parameters: FilterParameters) -> Regions:
@@ -139,7 +144,7 @@ def _one_region(n: int, whole: float, parameters: FilterParameters) -> Regions:
 
 
 @dataclass(frozen=True)
-class _Around:
+class _SampleNoise:
     """Around each sample, (s,) m: noise · narrow : radius from which it was told · wide : largest
     radius
     """
@@ -150,7 +155,7 @@ class _Around:
 
 
 def _own_regions(
-    r: F64, tree: cKDTree, at: I64, around: _Around, parameters: FilterParameters
+    r: F64, tree: cKDTree, at: I64, around: _SampleNoise, parameters: FilterParameters
 ) -> Regions:
     """Noise and radius of points (n, 3) as the samples ``at`` (s,) show them."""
     whole = float(np.median(around.noise))
@@ -175,21 +180,21 @@ def _own_regions(
 
 def _along_lines(
     r: F64, evenly: F64, steps: F64, distance: F64, parameters: FilterParameters, auto: bool
-) -> Tuned:
+) -> Tuning:
     """Regions for a cloud sampled along lines or unevenly."""
     lines = find_lines(r, float(np.quantile(distance[:, 4], FINEST)))
     found = first_noise(r, evenly, _samples(r, parameters.seed, PLACES), lines)
     if found is None:
         sigma, where = np.full(len(r), DEFAULT * float(np.median(distance[:, 1]))), None
     else:
-        sigma, where = without_spread(found[0], steps), found[1]
+        sigma, where = remove_dither_noise(found[0], steps), found[1]
     if not auto:
         whole = float(np.median(sigma))
         regions = _one_region(len(r), whole, parameters)
-        return Tuned(regions, parameters.degree, lines, where, where is not None)
+        return Tuning(regions, parameters.degree, lines, where, where is not None)
     threshold = np.maximum(SIGMAS * sigma, parameters.outlier_floor_m)
     regions = line_regions(r, lines, sigma, threshold)
-    return Tuned(regions, 2, lines, where, where is not None)
+    return Tuning(regions, 2, lines, where, where is not None)
 
 
 def _samples(r: F64, seed: int, most: int = SAMPLES) -> I64:
@@ -278,7 +283,7 @@ def _trial(
     for step in range(STEPS + 1):
         at_step = np.maximum(level[some] - step, 0)[sample]
         regions = Regions(balls, at_step, at_step, noise, SIGMAS * noise)
-        misfit[step] = cover(r[window], regions, parameters, 2, mine).misfit[centre]
+        misfit[step] = project_on_cells(r[window], regions, parameters, 2, mine).misfit[centre]
     around = _nearest(r[at[some]], r[at], TRIED // 4)
     least = np.median(misfit[STEPS][around[some]], axis=1)
     points = MOST * STEP ** (-2.0 * np.arange(STEPS + 1))[:, None]

@@ -19,7 +19,7 @@ from ladar_volume.math.array_types import F64, I64
 from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.math.normal_equations import basis, invert
 from ladar_volume.rmls.patch_fit import StartRule, start_plane
-from ladar_volume.rmls.tangent_frame import across, tangent_of
+from ladar_volume.rmls.tangent_frame import second_tangent, tangent_of
 from ladar_volume.rmls.voxel_store import _mix
 
 #: A bent surface is sought from a plane over the ball's radius over this, the best of so many.
@@ -53,7 +53,7 @@ def nearest_to_origin(planes: F64, count: int) -> Any:
 
 
 @kernel
-def loose_plane(x: F64, m: int, reach: float, key: int, plane: F64) -> Any:
+def least_median_plane(x: F64, m: int, reach: float, key: int, plane: F64) -> Any:
     """Least median of squares plane of the points (m, 3) within ``reach`` of the origin; returns
     its robust sigma, −1 for none.
     """
@@ -77,7 +77,7 @@ def curvature_gain(x: F64, m: int, label: I64, plane: F64, mean: F64, ball: floa
     A, inverted, b, row = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros(6), np.zeros(6)
     tangent, side = np.empty(3), np.empty(3)
     tangent_of(plane[:3], tangent)
-    across(plane[:3], tangent, side)
+    second_tangent(plane[:3], tangent, side)
     for i in range(m):
         if label[i] == 0:
             u = v = 0.0
@@ -102,7 +102,7 @@ def curvature_gain(x: F64, m: int, label: I64, plane: F64, mean: F64, ball: floa
 
 
 @kernel
-def single_plane(cell: Cell, ball: float, price: float, pieces: Pieces) -> Any:
+def fit_single_plane(cell: Cell, ball: float, price: float, pieces: Pieces) -> Any:
     """Whether one plane describes the points (m, 3): it explains most of them, leaves no more than
     the noise, and quadratic terms would lower its squares by less than their price. Refits
     the first of the planes; returns (1 or 0, number of its points, sum of truncated squares).
@@ -167,11 +167,11 @@ def _start(cell: Cell, key: int, candidates: F64, rule: CellRule, start: F64) ->
     if len(candidates) > 0:
         start[:] = candidates[nearest_to_origin(candidates, len(candidates))]
         return 0.0, rule.least
-    return loose_plane(cell.x, cell.m, rule.ball / BENT, key, start), cell.m // 2
+    return least_median_plane(cell.x, cell.m, rule.ball / BENT, key, start), cell.m // 2
 
 
 @kernel
-def _hopeless(cell: Cell, inliers: int, quadric: Quadric) -> Any:
+def _too_few_on_quadric(cell: Cell, inliers: int, quadric: Quadric) -> Any:
     """Whether a few of the points say that a quadric with so many inliers is no surface: most
     neighbourhoods that are not flat are sharp or clutter.
     """
@@ -187,8 +187,8 @@ def _hopeless(cell: Cell, inliers: int, quadric: Quadric) -> Any:
 
 
 @kernel
-def _judged(cell: Cell, quadric: Quadric) -> Any:
-    """Cost of a quadric and how many planes may compete with it, as :func:`bent_quadric`."""
+def _quadric_cost(cell: Cell, quadric: Quadric) -> Any:
+    """Cost of a quadric and how many planes may compete with it, as :func:`fit_curved_quadric`."""
     m, sigma, threshold = cell.m, cell.sigma, cell.threshold
     cost, near = quadric_cost(cell.x, m, cell.origin, quadric, threshold * threshold)
     leaves = (cost - (m - near) * threshold * threshold) / (max(near, 1) * sigma * sigma)
@@ -199,7 +199,7 @@ def _judged(cell: Cell, quadric: Quadric) -> Any:
 
 
 @kernel
-def bent_quadric(
+def fit_curved_quadric(
     cell: Cell, r: F64, key: int, candidates: F64, rule: CellRule, quadric: Quadric
 ) -> Any:
     """A ``quadric`` for the cell with this ``key`` among points r (n, 3), to the arrays given.
@@ -219,9 +219,9 @@ def bent_quadric(
     fit = QuadricRule(rule.ball, cell.sigma, threshold, rule.iterations)
     inliers = quadric_from(pts[:n:thin], few, origin, start, 3.0 * loose, fit, levels, quadric)
     if thin > 1:
-        if _hopeless(cell, inliers, quadric):
+        if _too_few_on_quadric(cell, inliers, quadric):
             return np.inf, sharp_planes.MOST
         inliers = shrink_to_threshold(pts, n, threshold, fit, LEVELS, quadric)
     if inliers < max(most, 8):
         return np.inf, sharp_planes.MOST
-    return _judged(cell, quadric)
+    return _quadric_cost(cell, quadric)

@@ -8,10 +8,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ladar_volume.clouds.filter import cell_surface
-from ladar_volume.clouds.filter.cell_cover import Covered
+from ladar_volume.clouds.filter.cell_cover import Projection
 from ladar_volume.clouds.filter.filter_result import REASONS
-from ladar_volume.clouds.filter.self_tuning import Tuned
-from ladar_volume.clouds.sampling.isolation import belonging, spacing
+from ladar_volume.clouds.filter.self_tuning import Tuning
+from ladar_volume.clouds.sampling.isolation import connected_to_known, second_neighbour_distance
 from ladar_volume.model.records import F64, Bool
 
 CLUTTER = REASONS.index("clutter")
@@ -38,20 +38,22 @@ class Sparse:
     reach_m: float
 
 
-def name_the_rest(r: F64, done: Covered, tuned: Tuned, auto: bool, keep: frozenset[str]) -> Sparse:
+def classify_off_surface(
+    r: F64, done: Projection, tuned: Tuning, auto: bool, keep: frozenset[str]
+) -> Sparse:
     """Tells apart what lies on no surface, in ``done.reason``; points (n, 3) m."""
     reason, n = done.reason, len(r)
     stays = np.zeros(n, np.bool_)
     kept = reason == cell_surface.KEPT
     if auto and not tuned.told:
-        own = spacing(r, r)
+        own = second_neighbour_distance(r, r)
         reason[kept] = cell_surface.FEW_POINTS
         kept = own <= np.median(own)
-        stays = kept | belonging(r, kept, own, ~kept, JUMP)
+        stays = kept | connected_to_known(r, kept, own, ~kept, JUMP)
     elif auto and kept.any():
-        stays = _beside(r, done, tuned)
+        stays = _on_neighbour_surface(r, done, tuned)
         if tuned.lines is not None:
-            stays |= _sparse(r, done, tuned)
+            stays |= _sparse_survey_points(r, done, tuned)
     leaves = ~stays & (reason == cell_surface.NO_SURFACE)
     if tuned.lines is not None:
         reason[leaves & np.isfinite(tuned.lines.reach_m)] = CLUTTER
@@ -64,14 +66,14 @@ def name_the_rest(r: F64, done: Covered, tuned: Tuned, auto: bool, keep: frozens
     return Sparse(stays, normal, sigma, 1e-3 * float(tuned.regions.ball_m[0]))
 
 
-def _sigma(r: F64, kept: Bool, stays: Bool, tuned: Tuned) -> F64:
+def _sigma(r: F64, kept: Bool, stays: Bool, tuned: Tuning) -> F64:
     """Noise (n,) m of points as they came: that of surfaces that face the scanner, and where they
     are told to err in angle, as much more as the spacing is wider.
     """
     known = tuned.regions.sigma_m[kept if kept.any() else slice(None)]
     sigma = np.full(len(r), float(np.quantile(known, FACING)))
     if kept.any() and stays.any() and tuned.told:
-        own = spacing(r, r)
+        own = second_neighbour_distance(r, r)
         wide = kept & (own >= np.quantile(own[kept], WIDELY)) & (own > 0.0)
         if wide.any():
             grows = float(np.median(tuned.regions.sigma_m[wide] / own[wide]))
@@ -79,7 +81,7 @@ def _sigma(r: F64, kept: Bool, stays: Bool, tuned: Tuned) -> F64:
     return sigma
 
 
-def _sparse(r: F64, done: Covered, tuned: Tuned) -> Bool:
+def _sparse_survey_points(r: F64, done: Projection, tuned: Tuning) -> Bool:
     """Which points (n,) belong to the survey though they lie on no surface."""
     reason = done.reason
     kept = reason == cell_surface.KEPT
@@ -87,18 +89,18 @@ def _sparse(r: F64, done: Covered, tuned: Tuned) -> Bool:
     assert tuned.lines is not None
     open_ = (reason == cell_surface.NO_SURFACE) & np.isfinite(tuned.lines.reach_m)
     thin = ~kept & ~off & ~open_
-    own = spacing(r, r)
-    stays = belonging(r, kept, own, thin, JUMP)
+    own = second_neighbour_distance(r, r)
+    stays = connected_to_known(r, kept, own, thin, JUMP)
     # beside a surface all are near it: what belongs to something else has others like it about
     alone = np.flatnonzero(~kept)
     if off.any() and len(alone) > LINE:
         among = own.copy()
-        among[alone] = spacing(r[alone], r[alone])
-        stays |= belonging(r, kept | stays, among, off, BESIDE)
+        among[alone] = second_neighbour_distance(r[alone], r[alone])
+        stays |= connected_to_known(r, kept | stays, among, off, BESIDE)
     return stays
 
 
-def _beside(r: F64, done: Covered, tuned: Tuned) -> Bool:
+def _on_neighbour_surface(r: F64, done: Projection, tuned: Tuning) -> Bool:
     """Which points (n,) whose cells found no surface lie on that of the points next to them."""
     kept = np.flatnonzero(done.reason == cell_surface.KEPT)
     open_ = np.flatnonzero(done.reason == cell_surface.NO_SURFACE)

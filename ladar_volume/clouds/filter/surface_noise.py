@@ -9,9 +9,14 @@ from dataclasses import replace
 import numpy as np
 
 from ladar_volume.clouds.filter import cell_surface
-from ladar_volume.clouds.filter.cell_cover import Covered, cover
-from ladar_volume.clouds.filter.line_tuning import line_regions, of_points, residuals, surface_noise
-from ladar_volume.clouds.filter.self_tuning import SIGMAS, Tuned
+from ladar_volume.clouds.filter.cell_cover import Projection, project_on_cells
+from ladar_volume.clouds.filter.line_tuning import (
+    line_regions,
+    point_noise,
+    residuals,
+    surface_noise,
+)
+from ladar_volume.clouds.filter.self_tuning import SIGMAS, Tuning
 from ladar_volume.clouds.filter.surface_misfit import misfit_variance
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64
@@ -25,25 +30,25 @@ KNOWN = 0.7
 FARTHEST = 2.0
 
 
-def cover_with_shown_noise(
-    r: F64, tuned: Tuned, steps: F64, parameters: FilterParameters
-) -> tuple[Tuned, Covered]:
+def project_with_own_noise(
+    r: F64, tuned: Tuning, steps: F64, parameters: FilterParameters
+) -> tuple[Tuning, Projection]:
     """The cover of points (n, 3) m twice: with the noise believed, on a grid set off, and with the
     noise that the surfaces then show; sigma and variance as the last surfaces show them.
     """
     if not tuned.told:
-        return tuned, cover(r, tuned.regions, parameters, tuned.degree)
+        return tuned, project_on_cells(r, tuned.regions, parameters, tuned.degree)
     off = tuned.regions.ball_m[-1] * SET_OFF
-    before = cover(r + off, tuned.regions, parameters, tuned.degree)
+    before = project_on_cells(r + off, tuned.regions, parameters, tuned.degree)
     before = replace(before, q=before.q - off)
-    sigma = _shown(r, tuned, before, steps)
+    sigma = _noise_of_surfaces(r, tuned, before, steps)
     threshold = np.maximum(SIGMAS * sigma, parameters.outlier_floor_m)
     lines = tuned.lines
     assert lines is not None
     tuned = replace(tuned, regions=line_regions(r, lines, sigma, threshold))
-    done = cover(r, tuned.regions, parameters, tuned.degree)
+    done = project_on_cells(r, tuned.regions, parameters, tuned.degree)
     believed = tuned.regions.sigma_m
-    sigma = _shown(r, tuned, done, steps)
+    sigma = _noise_of_surfaces(r, tuned, done, steps)
     share = done.variance / believed**2
     kept = done.reason == cell_surface.KEPT
     done.reason[kept & (share > KNOWN**2)] = cell_surface.UNSUPPORTED
@@ -61,7 +66,7 @@ def cover_with_shown_noise(
     )
 
 
-def disagreement(one: Covered, two: Covered, variance: F64) -> F64:
+def disagreement(one: Projection, two: Projection, variance: F64) -> F64:
     """Variance (n,) m² that two covers on different grids show beyond ``variance``, that of the
     noise: where a surface bends or ends between few lines, each cell draws it its own way.
     """
@@ -72,7 +77,7 @@ def disagreement(one: Covered, two: Covered, variance: F64) -> F64:
     return np.asarray(np.where(both, 0.5 * np.maximum(square - 2.0 * variance, 0.0), 0.0))
 
 
-def _shown(r: F64, tuned: Tuned, done: Covered, steps: F64) -> F64:
+def _noise_of_surfaces(r: F64, tuned: Tuning, done: Projection, steps: F64) -> F64:
     """Noise (n,) m as the surfaces show it."""
     believed, where = tuned.regions.sigma_m, tuned.places
     assert where is not None
@@ -81,4 +86,4 @@ def _shown(r: F64, tuned: Tuned, done: Covered, steps: F64) -> F64:
     if not np.isfinite(each).any():
         return believed
     floor = np.sqrt(np.mean(steps**2) / 12.0)
-    return np.asarray(np.maximum(of_points(each, where, float(np.nanmedian(each))), floor))
+    return np.asarray(np.maximum(point_noise(each, where, float(np.nanmedian(each))), floor))

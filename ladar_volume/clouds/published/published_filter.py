@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from ladar_volume.clouds.filter.cell_surface import FEW_POINTS, KEPT
-from ladar_volume.clouds.filter.filter_result import REASONS, CloudResult, checked
+from ladar_volume.clouds.filter.filter_result import REASONS, CloudResult, check_cloud_points
 from ladar_volume.clouds.filter.point_reduction import sorted_by_voxel
 from ladar_volume.clouds.published import published_records as records
 from ladar_volume.clouds.published.published_records import (
@@ -118,7 +118,7 @@ def filter_published(r: F64, parameters: PublishedParameters) -> CloudResult:
     Points never projected keep their last reason: ``few_neighbours`` where no neighbourhood with
     enough new points reached them.
     """
-    points = checked(r)
+    points = check_cloud_points(r)
     # digits: neighbourhoods work on offsets of the cloud's size, not on map coordinates
     origin = points.mean(axis=0)
     local = points - origin

@@ -23,11 +23,11 @@ from ladar_volume.rmls.tangent_frame import (
     Near,
     RefitRule,
     Terms,
-    across,
-    coordinates,
+    frame_coordinates,
     level_frame,
     mark_flat,
     refit,
+    second_tangent,
     tangent_of,
 )
 
@@ -49,7 +49,7 @@ def move_to_surface(frame: Frame, beta: F64) -> None:
     """Move a frame to where its normal meets the surface, and turn it until it touches there."""
     centre, normal, tangent = frame.centre, frame.normal, frame.tangent
     side = np.empty(3)
-    across(normal, tangent, side)
+    second_tangent(normal, tangent, side)
     length = np.sqrt(1.0 + beta[1] * beta[1] + beta[2] * beta[2])
     for k in range(3):
         centre[k] += beta[0] * normal[k]
@@ -107,7 +107,7 @@ def refit_and_move(
         ):
             break
         move_to_surface(frame, beta)
-        n = coordinates(
+        n = frame_coordinates(
             hood.x, m, frame.centre, frame.normal, frame.tangent, ball, near.uvw, near.slots
         )
         # in the new frame the surface is level at the centre; u and v are shares of the ball
@@ -133,7 +133,7 @@ def fit_quadric(
     sigma = level_frame(hood.x, m, origin, plane, sigma, refit_rule(rule), near, frame)
     if sigma < 0.0:
         return 0, sigma, made
-    n = coordinates(
+    n = frame_coordinates(
         hood.x,
         m,
         frame.centre,

@@ -46,7 +46,7 @@ from ladar_volume.clouds.published.published_records import (
 )
 from ladar_volume.math.array_types import F64, I64
 from ladar_volume.math.kernels import kernel
-from ladar_volume.rmls.tangent_frame import Frame, Terms, across
+from ladar_volume.rmls.tangent_frame import Frame, Terms, second_tangent
 from ladar_volume.rmls.voxel_store import _mix
 
 #: Half width, as a share of the threshold, of the band in which residuals are counted to see how
@@ -126,7 +126,7 @@ def project_on_quadric(
     if used == 0:
         return False
     quadric = Quadric(frame.centre, frame.normal, frame.tangent, terms.beta, terms.inverse)
-    across(frame.normal, frame.tangent, side)
+    second_tangent(frame.normal, frame.tangent, side)
     threshold, distances = inlier_threshold(sigma, rule), hood.sampler.distances
     for a in range(m):
         distances[a], _ = foot_on_quadric(hood.x[a], quadric, side, foot, n_foot)

@@ -8,13 +8,13 @@ import numpy as np
 
 from ladar_volume.clouds.filter.filter_result import FLAGS, REASONS, CloudResult
 from ladar_volume.clouds.filter.noise_estimate import hashes
-from ladar_volume.clouds.filter.point_reduction import Reduced
+from ladar_volume.clouds.filter.point_reduction import ReducedCloud
 from ladar_volume.model.records import F64
 
 SPARSE = FLAGS.index("sparse")
 
 
-def distinct(r: F64) -> Reduced:
+def distinct_rows(r: F64) -> ReducedCloud:
     """Points (n, 3) without those that are equal in every coordinate to one before them."""
     n = len(r)
     mixed = np.zeros(n, np.uint64)
@@ -23,7 +23,7 @@ def distinct(r: F64) -> Reduced:
     order = np.argsort(mixed, kind="stable")
     same = np.concatenate([[False], (r[order[1:]] == r[order[:-1]]).all(axis=1)])
     if not same.any():
-        return Reduced(r, np.arange(n), np.ones(n, np.int64), np.arange(n))
+        return ReducedCloud(r, np.arange(n), np.ones(n, np.int64), np.arange(n))
     group = np.cumsum(~same) - 1
     first = order[~same]
     rank = np.argsort(first)
@@ -32,10 +32,10 @@ def distinct(r: F64) -> Reduced:
     cell = np.empty(n, np.int64)
     cell[order] = place[group]
     count = np.bincount(cell, minlength=len(first))
-    return Reduced(r[first[rank]], first[rank], count.astype(np.int64), cell)
+    return ReducedCloud(r[first[rank]], first[rank], count.astype(np.int64), cell)
 
 
-def repeated(result: CloudResult, once: Reduced) -> CloudResult:
+def restore_copies(result: CloudResult, once: ReducedCloud) -> CloudResult:
     """The result of a filter on ``once.r`` for all points that stand behind it: copies get the
     answer of the point they repeat, and their number.
     """

@@ -19,14 +19,14 @@ from ladar_volume.model.records import F64, Bool
 NEXT, USUAL, HANDS, ROUNDS = 2, 5, 1.2, 12
 
 
-def spacing(r: F64, among: F64) -> F64:
+def second_neighbour_distance(r: F64, among: F64) -> F64:
     """Distance (n,) m of points (n, 3) to the second neighbour ``among`` (m, 3), which hold it."""
     k = min(NEXT + 1, len(among))
     distance = cKDTree(among, balanced_tree=False).query(r, k=[k], workers=-1)[0]
     return np.asarray(distance, np.float64)[:, 0]
 
 
-def belonging(r: F64, known: Bool, own_m: F64, candidates: Bool, times: float) -> Bool:
+def connected_to_known(r: F64, known: Bool, own_m: F64, candidates: Bool, times: float) -> Bool:
     """Which (n,) of the ``candidates`` belong to what is ``known`` (n,) to belong.
 
     own_m : (n,) m, spacing of each point · times : what is usual that a spacing may be

@@ -81,7 +81,7 @@ def _multiples(x: F64, step: float, precision: float) -> bool:
     return bool(np.mean(off <= max(NEAR, min(2.0 * precision / step, 0.25))) >= SHARE)
 
 
-def spread(r: F64, steps: F64, seed: int) -> F64:
+def dither(r: F64, steps: F64, seed: int) -> F64:
     """Points (n, 3) moved by up to half a step, evenly and by a hash of the point: the same in any
     order.
     """
@@ -97,8 +97,8 @@ def spread(r: F64, steps: F64, seed: int) -> F64:
     return out
 
 
-def without_spread(noise: F64, steps: F64) -> F64:
-    """Noise as it is in rounded points, from what :func:`spread` made of it."""
+def remove_dither_noise(noise: F64, steps: F64) -> F64:
+    """Noise as it is in rounded points, from what :func:`dither` made of it."""
     if not steps.any():
         return noise
     added = float(np.mean(steps**2)) / 12.0  # of a normal in no direction in particular

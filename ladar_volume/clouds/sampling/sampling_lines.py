@@ -73,7 +73,7 @@ class Lines:
         return min(level, len(self.levels) - 1)
 
 
-def thin(r: F64, edge_m: float) -> Thinned:
+def thin_to_voxels(r: F64, edge_m: float) -> Thinned:
     """Points (n, 3) m near the origin thinned to one for each voxel of an edge."""
     order, keys, start, _ = sorted_by_voxel(r, edge_m)
     voxel = np.empty(len(r), np.int64)
@@ -82,15 +82,15 @@ def thin(r: F64, edge_m: float) -> Thinned:
     return Thinned(edge_m, first, voxel, cKDTree(r[first], balanced_tree=False))
 
 
-def lined(r: F64, near: I64) -> bool:
+def lies_along_lines(r: F64, near: I64) -> bool:
     """Whether points (n, 3) lie along lines, from neighbourhoods (s, k), nearest first."""
     if near.shape[1] < LOOK:
         return False
     values = _of_neighbourhoods(r, near)
-    return bool(np.mean(values[:, 1] < LINE * values[:, 2]) >= LINED) or sheets(r, near)
+    return bool(np.mean(values[:, 1] < LINE * values[:, 2]) >= LINED) or lines_are_sheets(r, near)
 
 
-def sheets(r: F64, near: I64) -> bool:
+def lines_are_sheets(r: F64, near: I64) -> bool:
     """Whether noise wider than the spacing along lines makes a sheet of each, across the surface
     they lie on: the nearest of neighbours (s, k) lie in one, more of them on the surface.
     """
@@ -108,7 +108,7 @@ def _axes(points: F64) -> tuple[F64, F64]:
     return values, axes
 
 
-def uneven(r: F64, near: I64, distance: F64, around: I64) -> bool:
+def has_uneven_spacing(r: F64, near: I64, distance: F64, around: I64) -> bool:
     """Whether the spacing of points (n, 3) on surfaces differs from place to place: strays have
     another spacing, places do not.
 
@@ -136,17 +136,17 @@ def find_lines(r: F64, spacing_m: float) -> Lines:
     """Lines of points (n, 3) m near the origin; spacing_m : of near points where they are dense."""
     widest = WIDEST * float(np.linalg.norm(np.ptp(r, axis=0)))
     edge = spacing_m
-    level = thin(r, edge)
+    level = thin_to_voxels(r, edge)
     while len(level.first) > MOST_VOXELS:
         edge *= STEP
-        level = thin(r, edge)
+        level = thin_to_voxels(r, edge)
     levels, states = [], []
     # a place at the widest reach must stay one beyond it
     while OVER * edge <= widest * STEP**STAYS:
         levels.append(level)
         states.append(_state(r, level)[level.voxel])
         edge *= STEP
-        level = thin(r, edge)
+        level = thin_to_voxels(r, edge)
     if not levels:
         return Lines(np.full(len(r), np.nan), (level,))
     reach = _first_surface(np.array(states), levels)

@@ -38,7 +38,12 @@ from ladar_volume.clouds.cloud_bodies import (
 from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.clouds.survey.survey_gradient import OnSurvey, on_survey
 from ladar_volume.ground.ground_adjoint import ground_gradient
-from ladar_volume.ground.objects import ObjectParameters, Objects, find_objects, rising
+from ladar_volume.ground.objects import (
+    ObjectParameters,
+    Objects,
+    find_objects,
+    heights_above_ground,
+)
 from ladar_volume.ground.robust_ground import fit_ground
 from ladar_volume.model.cloud_filter_parameters import FilterParameters
 from ladar_volume.model.errors import VolumeError
@@ -160,7 +165,7 @@ def objects_on(points: BodyPoints, ground: Plane, height_m: float) -> Objects:
     (volume_no_body) without any.
     """
     p = ObjectParameters(min_height_m=CLEAR * (points.noise_m or ground.rms_m))
-    step = step_between(points.r[rising(points.r, [ground], p)[1]])
+    step = step_between(points.r[heights_above_ground(points.r, [ground], p)[1]])
     if step:
         p = dataclasses.replace(p, distance_m=step, step_m=step)
     found = find_objects(points.r, [ground], p)

@@ -27,7 +27,7 @@ from ladar_volume.io.meshfiles.polygons import Faces, triangulated
 from ladar_volume.io.pointfiles.ply import HEADER_LIMIT
 from ladar_volume.io.pointfiles.raw_table import no_place
 from ladar_volume.mesh.topology import vertices_of
-from ladar_volume.mesh.welding import distinct, split_edges, weld, weld_open
+from ladar_volume.mesh.welding import distinct_triangles, split_edges, weld, weld_open
 from ladar_volume.model.errors import InputError, OutputError
 from ladar_volume.model.records import F64, I32
 from ladar_volume.model.verdict import Doubt
@@ -167,7 +167,7 @@ def _mended(mesh: MeshFile, single: bool) -> MeshFile:
     t = mesh.triangles
     good = (t[:, 0] != t[:, 1]) & (t[:, 1] != t[:, 2]) & (t[:, 2] != t[:, 0])
     welded = weld_open(mesh.vertices, t[good])
-    once, twice = distinct(welded.triangles)
+    once, twice = distinct_triangles(welded.triangles)
     flat = len(welded.triangles) - len(once) - twice
     if len(once) == 0:
         raise InputError("no face with three corners at different places", reason="mesh_file_empty")

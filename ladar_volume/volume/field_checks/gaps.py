@@ -19,7 +19,12 @@ from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import any_corner, footprint_areas, vertex_mask
 from ladar_volume.tin.relevant import edge_lengths
 from ladar_volume.uncertainty.ground_field import HALVINGS
-from ladar_volume.uncertainty.unseen_surface import CELLS, Seen, Unseen, unseen_surface
+from ladar_volume.uncertainty.unseen_surface import (
+    CELLS,
+    ObservedPoints,
+    UnseenVolume,
+    unseen_surface,
+)
 from ladar_volume.volume.more_data import longest_edges
 from ladar_volume.volume.outline import components
 from ladar_volume.volume.polygon import areas_inside
@@ -198,8 +203,8 @@ def places_of(corners: F64, share: F64) -> tuple[F64, F64, F64]:
 
 
 def gap_of(
-    tin: Tin, base: Plane, gaps: Gaps, number: int, inside_m2: F64, seen: Seen
-) -> tuple[Gap, Unseen | None]:
+    tin: Tin, base: Plane, gaps: Gaps, number: int, inside_m2: F64, seen: ObservedPoints
+) -> tuple[Gap, UnseenVolume | None]:
     """One gap with its surface above the base."""
     rows = np.flatnonzero(gaps.triangle == number)
     corners = tin.vertices[tin.triangles[rows]]
@@ -222,7 +227,7 @@ def bridged(tin: Tin, base: Plane, inside_m2: F64, variance: F64, gaps: Gaps) ->
     used = vertex_mask(tin, tin.relevant)
     r = tin.vertices[used].copy()
     r[:, 2] -= base_height(base, r[:, :2])
-    seen = Seen.of(r, variance[used], gaps.usual_m)
+    seen = ObservedPoints.of(r, variance[used], gaps.usual_m)
     made, more, total, unknown = [], 0.0, 0.0, 0.0
     for number in range(min(MOST, len(gaps.areas))):
         gap, found = gap_of(tin, base, gaps, number, inside_m2, seen)

@@ -17,10 +17,12 @@ node = rclpy.create_node("taker")
 out = node.create_publisher(Float64, "number", STREAM)
 got, rounds = [], []
 
+
 def take(message):
     rounds.append(1)
     got.append(message.data)
     take_waiting(subscription, lambda m, _: got.append(m.data))
+
 
 subscription = node.create_subscription(Float64, "number", take, STREAM)
 executor = SingleThreadedExecutor()
@@ -36,7 +38,16 @@ while len(got) < number and time.monotonic() < until:
     executor.spin_once(timeout_sec=0.05)
 node.destroy_subscription(subscription)
 executor.spin_once(timeout_sec=0.05)
-print(json.dumps({"got": got, "rounds": len(rounds), "of_none": take_waiting(subscription, None), "number": number}))
+print(
+    json.dumps(
+        {
+            "got": got,
+            "rounds": len(rounds),
+            "of_none": take_waiting(subscription, None),
+            "number": number,
+        }
+    )
+)
 executor.shutdown()
 node.destroy_node()
 rclpy.shutdown()
@@ -63,16 +74,24 @@ while not out.get_subscription_count() and time.monotonic() < until:
     time.sleep(0.02)
 good = Imu()
 good.orientation.w = 1.0
-good.orientation_covariance[0] = good.orientation_covariance[4] = good.orientation_covariance[8] = 1e-6
+for axis in (0, 4, 8):
+    good.orientation_covariance[axis] = 1e-6
 sent = []
 for k in range(60):
     good.header.stamp.sec, good.header.stamp.nanosec = 1000, 10_000_000 * k
     data = serialize_message(good)
     sent.append([data, data[: 5 * k], b"", b"\\xff" * k][k % 4])
     out.publish(sent[-1])
-while sum(node.losses.as_dict().values()) + node.health.lines(0.0, 0).get("received_imu", 0) < len(sent) and time.monotonic() < until:
+
+def received():
+    return node.health.lines(0.0, 0).get("received_imu", 0)
+
+def lost():
+    return sum(node.losses.as_dict().values())
+
+while lost() + received() < len(sent) and time.monotonic() < until:
     time.sleep(0.02)
-print(json.dumps({"lost": node.losses.as_dict(), "received": node.health.lines(0.0, 0)["received_imu"]}))
+print(json.dumps({"lost": node.losses.as_dict(), "received": received()}))
 spinner.close()
 sender.destroy_node()
 rclpy.try_shutdown()
