@@ -11,7 +11,7 @@ import numpy as np
 from ladar_volume.clouds.cloud_noise import FEWEST, fit_residuals, neighbours, robust_sigma
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.ground.polynomial import height_above
-from ladar_volume.model.records import F64, I64, Bool, Plane
+from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import vertex_mask
 
@@ -30,14 +30,17 @@ def steep_vertices(surface: CloudSurface, object_height_m: float, scatter_m: flo
     """Vertices (n,) at the upper end of an edge steeper than 60° that climbs twice what a body
     rises at least, and more than the scatter of the body's points can.
     """
-    tin = surface.made.tin
-    least = max(2.0 * object_height_m, CLIMB * scatter_m)
+    return steep_edges(surface.made.tin, max(2.0 * object_height_m, CLIMB * scatter_m))
+
+
+def steep_edges(tin: Tin, least_m: float) -> Bool:
+    """Vertices (n,) at the upper end of an edge steeper than 60° that climbs more than least_m."""
     t, r, out = tin.triangles[tin.relevant], tin.vertices, np.zeros(len(tin.vertices), np.bool_)
     for k in range(3):
         a, b = t[:, k], t[:, (k + 1) % 3]
         d = r[b] - r[a]
         climb = np.abs(d[:, 2])
-        hit = (climb > least) & (climb > STEEP * np.hypot(d[:, 0], d[:, 1]))
+        hit = (climb > least_m) & (climb > STEEP * np.hypot(d[:, 0], d[:, 1]))
         out[np.where(d[hit, 2] > 0.0, b[hit], a[hit])] = True
     return out
 

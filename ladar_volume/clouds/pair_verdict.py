@@ -1,0 +1,191 @@
+"""Whether the volume between two clouds can be believed: whether they agree where nothing changed,
+whether the change ends within what both saw, what neither saw, and what stands on one of them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ladar_volume.change.surface_difference import difference
+from ladar_volume.clouds.cloud_surface import CloudSurface
+from ladar_volume.clouds.cloud_volume import CloudVolume
+from ladar_volume.clouds.ground_cover import CLIMB, steep_edges
+from ladar_volume.clouds.volume_verdict import with_lines
+from ladar_volume.ground.polynomial import design_surface
+from ladar_volume.model.records import F64, Bool, Tin
+from ladar_volume.model.verdict import Doubt, Verdict
+from ladar_volume.tin.full_tin import footprint_areas
+from ladar_volume.tin.locate import locate, triangle_index
+from ladar_volume.volume.field_checks.completeness import HIDDEN, cut_at_boundary, wall_doubts
+from ladar_volume.volume.field_checks.gaps import bridged, find_gaps, gap_doubts
+
+#: Cells in which differences are averaged, about so many; fewest; least part of a cell that counts.
+CELLS, FEWEST, FULL = 400, 40, 0.3
+#: Share of the cells in the shortest interval, which is where nothing changed, and that interval's
+#: length in standard deviations of normal differences.
+MODE, LENGTH = 0.25, 0.6373
+#: A cell changed beyond so many standard deviations of those that did not.
+CHANGED = 5.0
+#: Least shares of the area that did not change, and that did, for the two to be told apart.
+SAME, OTHER = 0.15, 0.02
+#: Neighbouring cells that count as one: ground and registration vary slowly.
+ALIKE = 4.0
+#: An offset is beyond chance above so many of its standard deviations, and matters above so many of
+#: the volume's.
+CHANCE, MATTERS = 3.0, 2.0
+#: Climb of a steep face that may be a wall or a machine, at least, m.
+FACE_M = 0.3
+
+
+@dataclass(frozen=True)
+class Unchanged:
+    """Where two surfaces are alike. offset_m ± sigma_m : upper minus lower there · scatter_m : of
+    the cells' means · share, changed : of the common footprint that is alike, and that is not
+    """
+
+    offset_m: float
+    sigma_m: float
+    scatter_m: float
+    share: float
+    changed: float
+
+
+def cell_means(tin: Tin) -> tuple[F64, F64]:
+    """Mean heights (k,) m of a surface by square cells, and their areas (k,) m²."""
+    area = footprint_areas(tin.vertices, tin.triangles)
+    corners = tin.vertices[tin.triangles]
+    middle, height = corners[:, :, :2].mean(axis=1), corners[:, :, 2].mean(axis=1)
+    side = math.sqrt(float(area.sum()) / CELLS)
+    cell = np.floor((middle - middle.min(axis=0)) / side).astype(np.int64)
+    at = np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
+    own: F64 = np.bincount(at, area).astype(np.float64)
+    mean = np.bincount(at, area * height) / np.maximum(own, 1e-300)
+    full = own > FULL * side * side
+    return mean[full], own[full]
+
+
+def unchanged(tin: Tin) -> Unchanged | None:
+    """The part of a difference surface that did not change: about the shortest interval that holds
+    a quarter of its cells. None for too few of them.
+    """
+    mean, area = cell_means(tin)
+    if len(mean) < FEWEST:
+        return None
+    order = np.sort(mean)
+    count = max(2, math.ceil(MODE * len(order)))
+    spans = order[count - 1 :] - order[: len(order) - count + 1]
+    first = int(np.argmin(spans))
+    middle = float(np.median(order[first : first + count]))
+    scatter = max(float(spans[first]) / LENGTH, 1e-9)
+    for _ in range(10):
+        inside = np.abs(mean - middle) <= CHANCE * scatter
+        middle = float(np.median(mean[inside]))
+        spread = 1.4826 * float(np.median(np.abs(mean[inside] - middle)))
+        if abs(spread - scatter) <= 1e-3 * scatter:
+            break
+        scatter = max(spread, 1e-9)
+    total = float(area.sum())
+    alike = np.abs(mean - middle) <= CHANCE * scatter
+    other = np.abs(mean - middle) > CHANGED * scatter
+    sigma = scatter / math.sqrt(max(np.count_nonzero(alike) / ALIKE, 1.0))
+    return Unchanged(
+        middle, sigma, scatter, float(area[alike].sum()) / total, float(area[other].sum()) / total
+    )
+
+
+def with_offset(volume: CloudVolume, found: Unchanged) -> tuple[CloudVolume, list[Doubt]]:
+    """The volume with the offset of two clouds where nothing changed in sigma."""
+    effect = found.offset_m * volume.area_m2
+    told = found.share >= SAME and found.changed >= OTHER
+    beyond = abs(found.offset_m) > CHANCE * found.sigma_m
+    if not (told and beyond and abs(effect) > MATTERS * volume.sigma_m3):
+        return volume, []
+    words = (
+        f"over {100 * found.share:.0f} % of the common footprint the two clouds are alike but for "
+        f"{1e3 * found.offset_m:.3g} ± {1e3 * found.sigma_m:.2g} mm of height: if nothing changed "
+        f"there, {effect:.4g} m³ of the net volume are no change; register them again, or move "
+        "one by it"
+    )
+    volume = with_lines(volume, {"registration": effect**2 + (found.sigma_m * volume.area_m2) ** 2})
+    return volume, [Doubt("offset", words, found.offset_m)]
+
+
+def edge_doubts(tin: Tin, found: Unchanged, least_m: float, volume: CloudVolume) -> list[Doubt]:
+    """The two surfaces are apart where the common footprint (the whole of ``tin``) ends."""
+    level, whole = design_surface([found.offset_m]), np.ones(len(tin.triangles), np.bool_)
+    cut = cut_at_boundary(tin, level, whole, least_m)
+    told = found.share >= SAME and found.changed >= OTHER
+    if cut is None or not told or cut.hidden_m3 < HIDDEN * volume.sigma_m3:
+        return []
+    words = (
+        f"one of the clouds ends where they are {cut.high_m:.2g} m apart, along {cut.length_m:.3g} "
+        f"m about ({cut.x_m:.1f}, {cut.y_m:.1f}) m: what changed beyond, some {cut.hidden_m3:.2g} "
+        "m³ or more, is not counted; survey that place, or take the base from the ground"
+    )
+    return [Doubt("cut", words, cut.hidden_m3)]
+
+
+def over_other(surface: CloudSurface, other: CloudSurface, area: F64) -> F64:
+    """The area (m,) m² of a surface's triangles that lie over the other one; 0 elsewhere."""
+    tin, below = surface.made.tin, other.made.tin
+    middle = tin.vertices[tin.triangles, :2].mean(axis=1)
+    there: Bool = locate(triangle_index(below, below.relevant), middle) >= 0
+    return np.where(there, area, 0.0)
+
+
+def with_pair_gaps(
+    volume: CloudVolume, surfaces: list[CloudSurface], areas: list[F64]
+) -> tuple[CloudVolume, list[Doubt]]:
+    """The volume with what either cloud did not see, by kriging from around it; areas (m,) m² of
+    the triangles of each that count.
+    """
+    doubts: list[Doubt] = []
+    pairs = zip(surfaces, surfaces[::-1], areas, (1.0, -1.0), strict=True)
+    for surface, other, area, sign in pairs:
+        tin = surface.made.tin
+        inside = over_other(surface, other, area)
+        gaps = find_gaps(tin, inside)
+        if not len(gaps.areas):
+            continue
+        level = design_surface([float(np.median(tin.vertices[:, 2]))])
+        found = bridged(tin, level, inside, surface.vertex_variance, gaps)
+        size = volume.cut_m3 + volume.fill_m3
+        doubts += gap_doubts(found, gaps.area_m2, volume.area_m2, size, volume.sigma_m3)
+        more = sign * found.more_m3
+        up = volume.cut_m3 >= volume.fill_m3
+        volume = dataclasses.replace(
+            volume,
+            cut_m3=volume.cut_m3 + (more if up else 0.0),
+            fill_m3=volume.fill_m3 - (0.0 if up else more),
+        )
+        unseen = volume.budget_m6.get("unseen", 0.0) + found.variance_m6
+        volume = with_lines(volume, {"unseen": unseen})
+    return volume, doubts
+
+
+def pair_verdict(
+    volume: CloudVolume, surfaces: list[CloudSurface], areas: list[F64]
+) -> tuple[CloudVolume, Verdict]:
+    """The volume between two clouds with what they say of one another, and its verdict."""
+    sigmas = [s.sigma_m for s in surfaces]
+    if sigmas[0] is None or sigmas[1] is None or math.isnan(volume.sigma_m3):
+        return volume, Verdict()
+    noise = math.hypot(*(float(np.median(s)) for s in sigmas if s is not None))
+    tin = difference(surfaces[0].made.tin, surfaces[1].made.tin).common()
+    volume, doubts = with_pair_gaps(volume, surfaces, areas)
+    found = unchanged(tin) if len(tin.triangles) else None
+    if found is None:
+        return volume, Verdict(tuple(doubts))
+    least = max(CLIMB * noise, CHANGED * found.scatter_m)
+    doubts += edge_doubts(tin, found, least, volume)
+    height = tin.vertices[tin.triangles, 2].mean(axis=1) - found.offset_m
+    changed = np.abs(height) > least
+    if changed.any():
+        faces = steep_edges(tin, max(FACE_M, least))
+        doubts += wall_doubts(tin, design_surface([found.offset_m]), changed, faces, least)
+    volume, more = with_offset(volume, found)
+    return volume, Verdict(tuple(doubts + more))
