@@ -1,6 +1,6 @@
 """Piles as point clouds in which something is not as the model has it: holes, cuts, walls, pads,
-plants, machines, strays, scan lines, copies. Above its own ground, through the command line with
-nothing set.
+plants, machines, strays, scan lines, copies. Above its own ground, or (``pair: ...``) above a
+second cloud of the ground, through the command line with nothing set.
 
 An answer is *silent* where it is more than three standard deviations off with a sound verdict:
 there must be none. A clean cloud that is doubted is a false alarm.
@@ -36,6 +36,8 @@ HARMLESS = (
     "copies",
     "strays above",
     "heavy tails",
+    "pair: clean",
+    "pair: strays",
 )
 
 
@@ -263,6 +265,46 @@ def copies(s: Site) -> F64:
     return np.tile(s.points(), (3, 1))
 
 
+def over_empty(upper: Callable[[Site], F64]) -> Callable[[Site], list[F64]]:
+    """The cloud above one of the ground alone."""
+    return lambda s: [upper(s), lower(s)]
+
+
+def lower(s: Site) -> F64:
+    """The ground before the pile was there."""
+    xy = s.rng.uniform(-s.half, s.half, s.xy.shape)
+    return np.c_[xy, s.ground(xy) + s.rng.normal(0.0, NOISE_M, len(xy))]
+
+
+def over_higher(s: Site) -> list[F64]:
+    """The survey of the ground lies 4 cm higher."""
+    return [s.points(), np.add(lower(s), (0.0, 0.0, 0.04))]
+
+
+def over_part(s: Site) -> list[F64]:
+    """The survey of the ground ends below the pile."""
+    b = lower(s)
+    return [s.points(), b[b[:, 0] < s.a * s.rng.uniform(-0.3, 0.8)]]
+
+
+def over_holed(s: Site) -> list[F64]:
+    """The survey of the ground has a hole below the pile."""
+    b = lower(s)
+    return [s.points(), b[~near(b, 2.0, 0.0, s.rng.uniform(1.5, 3.5))]]
+
+
+PAIRS: dict[str, Callable[[Site], list[F64]]] = {
+    "pair: clean": over_empty(Site.points),
+    "pair: higher": over_higher,
+    "pair: part": over_part,
+    "pair: holed": over_holed,
+    "pair: crest hole": over_empty(hole(0.0)),
+    "pair: cut": over_empty(cut),
+    "pair: grass": over_empty(grass(-1.0)),
+    "pair: trees": over_empty(trees),
+    "pair: machine": over_empty(machine),
+    "pair: strays": over_empty(strays(0.02, 0.3, 10.0)),
+}
 KINDS: dict[str, Callable[[Site], F64]] = {
     "clean": Site.points,
     "crest hole": hole(0.0),
@@ -319,13 +361,15 @@ class Answer:
 def answer(kind: str, seed: int, density: float = 15.0) -> Answer:
     """What the command line says of a cloud."""
     site = Site(seed, kind, density)
-    points = KINDS[kind](site)
+    clouds = PAIRS[kind](site) if kind in PAIRS else [KINDS[kind](site)]
     said, why = io.StringIO(), io.StringIO()
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "cloud.npy"
-        np.save(path, points)
+        paths = [str(Path(folder) / f"cloud_{k}.npy") for k in range(len(clouds))]
+        for path, points in zip(paths, clouds, strict=True):
+            np.save(path, points)
+        base = [] if kind in PAIRS else ["--base", "ground"]
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(why):
-            code = ladar_volume(["volume", str(path), "--base", "ground", "--json"])
+            code = ladar_volume(["volume", *paths, *base, "--json"])
     if code:
         return Answer(math.nan, math.nan, "refused", (why.getvalue().strip(),))
     found = json.loads(said.getvalue())
@@ -338,7 +382,7 @@ def answer(kind: str, seed: int, density: float = 15.0) -> Answer:
 def main() -> int:
     """Print a line per kind; 1 where an answer was silent."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("kind", nargs="*", choices=[*KINDS, []], default=[])
+    parser.add_argument("kind", nargs="*", choices=[*KINDS, *PAIRS, []], default=[])
     parser.add_argument("--seeds", type=int, default=SEEDS)
     parser.add_argument("--first", type=int, default=1)
     a = parser.parse_args()
@@ -346,7 +390,7 @@ def main() -> int:
         f"{'kind':18s} {'error RMS':>9s} {'sigma':>7s} {'far':>4s} silent doubtful refused reasons"
     )
     silent, harmless = 0, [0, 0]
-    for kind in a.kind or KINDS:
+    for kind in a.kind or [*KINDS, *PAIRS]:
         found = [answer(kind, seed) for seed in range(a.first, a.first + a.seeds)]
         told = [f for f in found if f.status != "refused"]
         rms = math.sqrt(np.mean([f.error**2 for f in told])) if told else math.nan

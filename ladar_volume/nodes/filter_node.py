@@ -143,6 +143,8 @@ class FilterNode(StageNode):
     def _start_over(self) -> None:
         self.losses.merge(self.stage.losses)
         self.stage = SurfaceFilter(self.parameters, deferring=True)
+        # taken, like those in the stage, though the surface they belong to has ended
+        self.counts["states"] += len(self._states)
         self._states, self._fresh = [], False
         self._ahead.forget()
 

@@ -15,6 +15,9 @@ from benchmarks.troubled_clouds import answer
         ("hollow", {"base_bends"}),
         ("grass on one side", {"vegetation"}),
         ("machine", {"wall"}),
+        ("pair: part", {"cut"}),
+        ("pair: higher", {"offset"}),
+        ("pair: machine", {"wall"}),
     ],
 )
 def test_what_is_wrong_is_named(kind, names):
@@ -22,7 +25,7 @@ def test_what_is_wrong_is_named(kind, names):
     assert found.status == "doubtful" and names & set(found.reasons)
 
 
-@pytest.mark.parametrize("seed", [301, 302, 303])
-def test_a_clean_cloud_is_believed(seed):
-    found = answer("clean", seed, 6.0)
+@pytest.mark.parametrize(("kind", "seed"), [("clean", 301), ("clean", 302), ("pair: clean", 301)])
+def test_a_clean_cloud_is_believed(kind, seed):
+    found = answer(kind, seed, 6.0)
     assert found.status == "sound" and not found.far and found.sigma < 0.02

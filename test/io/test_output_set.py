@@ -116,11 +116,12 @@ def test_a_folder_made_in_vain_goes(tmp_path):
 WRITER = """
 import sys
 from ladar_volume.io.output_set import output_set
-k, names = 0, ("result.json", "result.mcap", "mesh.ply", "figure.png")
+from ladar_volume.io.results import SURVEY_FILES
+k = 0
 while True:
     k += 1
-    with output_set(sys.argv[1], names) as part:
-        for name in names:
+    with output_set(sys.argv[1], SURVEY_FILES) as part:
+        for name in SURVEY_FILES:
             (part / name).write_text(str(k))
     print(k, flush=True)
 """
