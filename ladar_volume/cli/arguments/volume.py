@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from ladar_volume.cli.arguments.lines import Verbs
+from ladar_volume.cli.arguments.outputs.export import add_file_options, add_unit_option
 from ladar_volume.cli.arguments.parameter_flags import (
     add_ground_preset,
     add_parameter,
@@ -50,6 +51,8 @@ def add_parser(subparsers: Verbs) -> None:
         metavar="FILE.html",
         help="write a report: one page for browser and printer, and the same as FILE.json",
     )
+    add_file_options(parser)
+    add_unit_option(parser)
     add_surface_options(parser, "1: every point")
     add_mesh_options(parser, second=True)
     add_strict_option(parser)

@@ -238,16 +238,17 @@ def write_mesh(
         if ending == ".ply":
             write_ply_mesh(part, v, t, notes, vertex, face)
         elif ending == ".stl":
-            part.write_bytes(_stl(v, t))
+            part.write_bytes(_stl(v, t, notes))
         else:
             part.write_text(_plain(v, t, notes, ending))
 
 
-def _stl(v: F64, t: I32) -> bytes:
-    """A binary STL."""
+def _stl(v: F64, t: I32, notes: Sequence[str]) -> bytes:
+    """A binary STL; its head of 80 bytes holds the first note."""
+    head = " ".join(["binary stl", *notes[:1]]).encode("ascii", "replace")[:80]
     table = np.zeros(len(t), [("normal", "<f4", (3,)), ("v", "<f4", (3, 3)), ("attribute", "<u2")])
     table["v"] = v[t]
-    return b"binary stl".ljust(80) + len(t).to_bytes(4, "little") + table.tobytes()
+    return head.ljust(80) + len(t).to_bytes(4, "little") + table.tobytes()
 
 
 def _plain(v: F64, t: I32, notes: Sequence[str], ending: str) -> str:

@@ -161,7 +161,7 @@ def write_cloud(
         raise OutputError(
             f"{path}: {encoding!r} is not one of {', '.join(ENCODINGS[ending])}", value=encoding
         )
-    flat, comments = _flatten(np.asarray(r, np.float64), dict(columns or {}), names or {}, ending)
+    flat, comments = flatten(np.asarray(r, np.float64), dict(columns or {}), names or {}, ending)
     with whole_file(path) as part:
         if ending in (".las", ".laz"):
             from ladar_volume.io.pointfiles.las_write import write_las
@@ -193,9 +193,10 @@ def check_output(path: str | Path) -> Path:
     return path
 
 
-def _flatten(
+def flatten(
     r: F64, columns: dict[str, npt.NDArray[Any]], names: Mapping[str, Sequence[str]], ending: str
 ) -> tuple[Columns, list[str]]:
+    """Columns (n,) as a file of this ending holds them, and comments with words of codes."""
     if r.ndim != 2 or r.shape[1] != 3 or any(len(c) != len(r) for c in columns.values()):
         raise OutputError(
             (

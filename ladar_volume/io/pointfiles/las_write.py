@@ -39,14 +39,16 @@ def write_las(
     like: laspy.LasHeader | None = None,
     crs: CRS | None = None,
     same_system: bool = False,
+    version: str | None = None,
 ) -> None:
     """Write points; LAZ by the file's ending.
 
     A column that the point format has a place for goes there where its values fit, else into extra
     bytes. ``like`` gives point format, version, offsets, GPS time's kind and records; its CRS too,
-    where ``same_system``, else ``crs`` is written. Coordinates are integers of 0.1 mm, or a finer
-    whole part of ``like``'s step (coarser only where the cloud is wider than 400 km). ``comments``
-    become a record of user "ladar_volume". Raises OSError and :class:`OutputError`.
+    where ``same_system``, else ``crs`` is written. ``version`` is the least that is written.
+    Coordinates are integers of 0.1 mm, or a finer whole part of ``like``'s step (coarser only where
+    the cloud is wider than 400 km). ``comments`` become a record of user "ladar_volume". Raises
+    OSError and :class:`OutputError`.
     """
     if path.suffix.lower() == ".laz" and like is not None and set(columns) & WAVES:
         raise OutputError(
@@ -56,6 +58,8 @@ def write_las(
     columns = {name: narrow(c) for name, c in columns.items()}
     r = np.column_stack([columns.pop(axis) for axis in "xyz"])
     header = _header(like, columns, crs, same_system)
+    if version is not None and str(header.version) < version:
+        header.version = laspy.header.Version.from_str(version)
     _set_scales(header, r, like if same_system else None)
     own, extra = _split(header, like, columns)
     _add_extra(header, like, extra)

@@ -67,6 +67,12 @@ class MapCoordinates:
         """Whether the metres are the file's own numbers."""
         return self.across is not None and self.factor == (1.0, 1.0)
 
+    def keeps(self, crs: CRS | None, unit: Unit) -> bool:
+        """Whether coordinates in this system and unit are those that stood in the file."""
+        if self.across is None or not (self.across.same(unit) and self.up.same(unit)):
+            return False
+        return crs is self.crs if self.unchanged else crs is self.read.crs
+
     def notes(self) -> list[str]:
         """Lines for the header of a file that holds these metres."""
         if self.crs is not None:
