@@ -298,6 +298,33 @@ def test_table_and_json_say_the_same(metres):
     assert facts["files"]["code"] == "EPSG:25832" and facts["files"]["units"] == "metre"
 
 
+@pytest.fixture(scope="module")
+def schema():
+    """The published schema, as a validator."""
+    jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")
+    text = (Path(__file__).parents[2] / "docs" / "result.schema.json").read_text(encoding="utf-8")
+    jsonschema.Draft202012Validator.check_schema(json.loads(text))
+    return jsonschema.Draft202012Validator(json.loads(text))
+
+
+def test_results_are_as_the_published_schema_says(schema, metres, feet, survey, tmp_path, capsys):
+    cloud = metres.parent / "pile.las"
+    pair = ran(capsys, "volume", cloud, cloud, "--json")[1]
+    levels = ran(
+        capsys, "volume", cloud, "--levels", "99", "104", "0.5", "--base", "floor", "--json"
+    )
+    assert main(["export", str(survey), "-o", str(tmp_path / "out"), "--as", "json"]) == 0
+    results = [result(metres), result(feet), pair, levels[1], result(tmp_path / "out")]
+    for facts in results:
+        schema.validate(facts)
+    # what the schema says is more than nothing
+    for change in ({"sigma_m3": "3"}, {"area_m2": -1.0}, {"version": None}):
+        assert not schema.is_valid({**results[0], **change})
+        assert not schema.is_valid({**results[-1], **change})
+    wrong = {"status": "sound", "reasons": [{"name": "a", "text": "b", "value": 1.0}]}
+    assert not schema.is_valid({**results[0], "verdict": wrong})
+
+
 def test_all_files_are_there_and_a_second_run_removes_those_it_does_not_write(metres, tmp_path):
     assert {p.name for p in metres.iterdir()} == {kind.file for kind in FORMATS.values()}
     cloud = metres.parent / "pile.las"

@@ -25,8 +25,8 @@ from ladar_volume.io.pointfiles.cloud_files import flatten
 
 @dataclass(frozen=True)
 class Wanted:
-    """formats : words of :mod:`~ladar_volume.io.export.formats` · cell : of a raster · interval : of
-    contours; both in the units of the files, None for round ones
+    """formats : words of ``--as`` · cell : of a raster · interval : of contours; both in the units
+    of the files, None for round ones
     """
 
     formats: Sequence[str]
