@@ -9,7 +9,7 @@ import importlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from ladar_volume.io.endings import ENCODINGS, READ_ENDINGS
+from ladar_volume.io.endings import CLOUD_ENDINGS, READ_ENDINGS
 from ladar_volume.model.errors import BagError, InputError, LadarVolumeError
 
 #: Arguments that name a file to read, by verb.
@@ -71,7 +71,7 @@ def refusals(arguments: argparse.Namespace) -> Iterator[LadarVolumeError]:
 
 def of_known_kind(path: Path) -> bool:
     """Whether point clouds or meshes are read from files with this ending."""
-    return path.suffix.lower() in (*ENCODINGS, *READ_ENDINGS)
+    return path.suffix.lower() in (*CLOUD_ENDINGS, *READ_ENDINGS)
 
 
 def config_of(arguments: argparse.Namespace) -> Path | None:

@@ -86,6 +86,7 @@ def deliverable(
         facts={**result.facts, "files": file_facts(faces, system)},
         rows=rows_of(result.facts, [result.facts], faces),
         system=system,
+        breaklines=() if sources[0].mesh is None else sources[0].mesh.breaklines,
     )
 
 

@@ -99,7 +99,8 @@ def write_points(path: Path, d: Deliverable) -> None:
     like = d.points.like
     las = None if like is None else like.las
     kept = like is not None and like.coordinates.keeps(d.system.crs, d.system.unit)
-    write_las(path, flat, comments, las, d.system.crs, kept, "1.4")
+    own = kept and like is not None and like.coordinates.read.said_by == "header" and las
+    write_las(path, flat, comments, las, None if own else d.system.crs, kept, "1.4")
 
 
 def write_surface(path: Path, d: Deliverable) -> None:

@@ -44,8 +44,9 @@ def write_las(
     """Write points; LAZ by the file's ending.
 
     A column that the point format has a place for goes there where its values fit, else into extra
-    bytes. ``like`` gives point format, version, offsets, GPS time's kind and records; its CRS too,
-    where ``same_system``, else ``crs`` is written. ``version`` is the least that is written.
+    bytes. ``like`` gives point format, version, GPS time's kind and records; where ``same_system``,
+    its numbers are those that are written, and it gives offsets, and without a ``crs`` its own. A
+    ``crs`` is written as WKT. ``version`` is the least that is written.
     Coordinates are integers of 0.1 mm, or a finer whole part of ``like``'s step (coarser only where
     the cloud is wider than 400 km). ``comments`` become a record of user "ladar_volume". Raises
     OSError and :class:`OutputError`.
@@ -89,7 +90,8 @@ def _header(
         header = laspy.LasHeader(point_format=kind, version="1.4")
     else:
         # WKT has its place in 1.4, which holds every point format
-        version = "1.4" if crs is not None and not same_system else str(like.version)
+        version = "1.4" if crs is not None else str(like.version)
+        own_crs = same_system and crs is None
         kind = like.point_format.id
         kind = kind if set(columns) & WAVES else WITHOUT_WAVES.get(kind, kind)
         header = laspy.LasHeader(point_format=kind, version=version)
@@ -101,14 +103,14 @@ def _header(
             v
             for v in [*like.vlrs, *(like.evlrs or [])]
             if (v.user_id, v.record_id) not in OWN_RECORDS
-            and (same_system or v.user_id != PROJECTION)
+            and (own_crs or v.user_id != PROJECTION)
             and v.user_id != "ladar_volume"
             and len(v.record_data_bytes()) < 2**16
         ]
         header.vlrs.extend(kept)
-        if same_system:
+        if own_crs:
             header.global_encoding.wkt = like.global_encoding.wkt
-    if crs is not None and not (same_system and like is not None):
+    if crs is not None:
         header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt_of(crs)))
         header.global_encoding.wkt = True
     return header
