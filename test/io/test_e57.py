@@ -24,7 +24,10 @@ def scans(count=2, n=300):
             "cartesianY": rng.uniform(-9.0, 9.0, n),
             "cartesianZ": rng.normal(0.0, 0.01, n),
             "intensity": rng.random(n).astype(np.float32),
-            "colorRed": rng.integers(0, 256, n).astype(np.uint8),
+            **{
+                f"color{name}": rng.integers(0, 256, n).astype(np.uint8)
+                for name in ("Red", "Green", "Blue")
+            },
             "cartesianInvalidState": (np.arange(n) % 50 == 7).astype(np.int8),
         }
         for _ in range(count)

@@ -16,6 +16,8 @@ from ladar_volume.model.records import F64
 
 #: A node of libE57's tree, or the file itself; pye57 has no types.
 Node: TypeAlias = Any
+#: What a damaged tree raises: the last two are nodes of other kinds than the standard says.
+DAMAGED = (RuntimeError, KeyError, UnicodeDecodeError, AttributeError, TypeError)
 #: Points that are read at a time: a damaged header must not ask for all memory at once.
 CHUNK = 1_000_000
 CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
@@ -59,14 +61,7 @@ def read_e57(path: Path, columns: bool = True) -> RawTable:
         said = coordinates_said(root)
         held = child(root, "data3D") if root.isDefined("data3D") else ()
         scans = [scan_columns(image, held[k], columns) for k in range(len(held))]
-    except (
-        libe57.E57Exception,
-        RuntimeError,
-        KeyError,
-        UnicodeDecodeError,
-        AttributeError,  # a node of another kind than the standard says
-        TypeError,
-    ) as error:
+    except (libe57.E57Exception, *DAMAGED) as error:
         raise CloudError(
             f"cannot be decoded, damaged or cut short: {error}", reason="cloud_values"
         ) from error

@@ -59,21 +59,14 @@ def write_las(
     columns = {name: narrow(c) for name, c in columns.items()}
     r = np.column_stack([columns.pop(axis) for axis in "xyz"])
     header = _header(like, columns, crs, same_system)
-    if version is not None and str(header.version) < version:
-        header.version = laspy.header.Version.from_str(version)
+    if version is not None:
+        header.version = max(header.version, laspy.header.Version.from_str(version))
     _set_scales(header, r, like if same_system else None)
     own, extra = _split(header, like, columns)
     _add_extra(header, like, extra)
     if comments:
         text = json.dumps(comments).encode()
-        header.vlrs.append(
-            laspy.VLR(
-                user_id="ladar_volume",
-                record_id=1,
-                description="names of the codes",
-                record_data=text,
-            )
-        )
+        header.vlrs.append(laspy.VLR("ladar_volume", 1, "names of the codes", text))
     points = laspy.ScaleAwarePointRecord.zeros(len(r), header=header)
     points.x, points.y, points.z = r.T
     for name, c in {**own, **extra}.items():
