@@ -16,7 +16,11 @@ from rich.console import Console
 from ladar_volume.cli.arguments.lines import shown_name
 from ladar_volume.cli.inputs.mesh_source import mesh_doubts
 from ladar_volume.cli.inputs.reading import Source, clouds_of, reading_doubts
-from ladar_volume.cli.outputs.cloud_files_out import wanted_files, write_files
+from ladar_volume.cli.outputs.cloud_files_out import (
+    system_of_files,
+    wanted_files,
+    write_files,
+)
 from ladar_volume.cli.surface_options import (
     frame_facts,
     frame_of,
@@ -212,6 +216,7 @@ def run(arguments: argparse.Namespace) -> int:
     with console.status("reading") as status:
         task, wanted = task_of(arguments), wanted_files(arguments)
         sources = read_sources(arguments)
+        system_of_files(arguments, sources)  # refuses units that files cannot have
         result = result_of(task, sources, status.update)
         facts, files = result.facts, list[str]()
         if wanted is not None:

@@ -30,7 +30,7 @@ FOOT = 1200.0 / 3937.0
 LAND = "{http://www.landxml.org/schema/LandXML-1.2}"
 
 
-def pile(path, crs, unit=1.0, north=NORTH, n=900, seed=1):
+def pile(path, crs, unit=1.0, north=NORTH, n=600, seed=1):
     """A cone of 5 m on level ground with 1 cm of noise as LAS, numbers in ``unit`` m."""
     rng = np.random.default_rng(seed)
     xy = rng.uniform(-14.0, 14.0, (n, 2))
@@ -238,7 +238,7 @@ def test_las_keeps_every_attribute_and_has_sigma_and_the_system(metres, feet):
     for folder, unit, code in ((metres, 1.0, 25832), (feet, FOOT, None)):
         for name in ("points.las", "points.laz"):
             las = laspy.read(folder / name)
-            assert str(las.header.version) == "1.4" and len(las) == 900
+            assert str(las.header.version) == "1.4" and len(las) == 600
             crs = las.header.parse_crs()
             assert crs.to_epsg() == code or "Tennessee (ftUS)" in crs.name
             index = np.array(las["index"])
@@ -361,6 +361,74 @@ def test_too_fine_cells_and_contours_are_refused_and_nothing_is_written(metres, 
         words = ["--level", "98", "-o", tmp_path / "out", "--as", kind, option, "1e-4"]
         code, text = ran(capsys, "volume", cloud, *words)
         assert code == 2 and option in text and not (tmp_path / "out").exists()
+
+
+def mound(path, head="x,y,z", tail="", unit=(1.0, 1.0, 1.0)):
+    """A mound of 1 m on 10 m by 10 m as text."""
+    rng = np.random.default_rng(0)
+    xy = rng.uniform(0.0, 10.0, (200, 2))
+    z = 100.0 + np.exp(-((xy - 5.0) ** 2).sum(axis=1) / 4.0) + rng.normal(0.0, 0.01, 200)
+    rows = np.c_[np.add(xy, [EAST, 150_000.0]), z] / unit
+    path.write_text("\n".join([head, *(",".join(map(repr, r)) + tail for r in rows.tolist())]))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("words", "faces"),
+    [
+        (["--level", "99", "--vertices", "0.3"], 1),
+        (["--level", "99", "--vertices", "0.3", "--relevant", "all"], 1),
+        (["--plane", "99", "0", "0"], 1),
+        (["--base", "floor", "--levels", "99.5", "101", "0.1"], 1),
+        (["SECOND"], 0),
+        (["SECOND", "--footprint", "own", "--level", "98"], 0),
+    ],
+)
+def test_every_kind_of_volume_has_files(words, faces, tmp_path, capsys):
+    one, two = mound(tmp_path / "a.csv"), mound(tmp_path / "b.csv", tail="")
+    words = [two if w == "SECOND" else w for w in words]
+    code, facts = ran(
+        capsys, "volume", one, *words, "-o", tmp_path / "out", "--as", "all", "--json"
+    )
+    assert code == 0, facts
+    found, _ = landxml(tmp_path / "out" / "surface.xml")
+    if faces:
+        assert between(found["counted"], found["base"]) == pytest.approx(facts["net_m3"], rel=1e-9)
+    else:
+        assert result(tmp_path / "out")["files"]["faces_m3"] == [None]
+
+
+def test_a_name_of_any_characters_makes_files_that_can_be_read(tmp_path, capsys):
+    cloud = mound(tmp_path / 'a&<\x01\n"é].csv', "x,y,z,word", ",tree")
+    words = ["--level", "99", "-o", tmp_path / "out", "--as", "all", "--crs", "EPSG:32616"]
+    assert ran(capsys, "volume", cloud, *words)[0] == 0
+    _, root = landxml(tmp_path / "out" / "surface.xml")
+    assert root.find(f"{LAND}Project").get("name") == 'a&<??"é]'
+    assert result(tmp_path / "out")["files"]["columns_lost"] == ["word"]
+    dxf(tmp_path / "out" / "surface.dxf")
+
+
+def test_unlike_units_cannot_be_those_of_the_files(tmp_path, capsys):
+    cloud = mound(tmp_path / "a.csv", unit=(FOOT, FOOT, 1.0))
+    words = ["--level", "99", "--units", "us-ft,m", "-o", tmp_path / "out"]
+    code, text = ran(capsys, "volume", cloud, *words, "--file-units")
+    assert code == 2 and "one unit of length for all axes" in text
+    code, _ = ran(capsys, "volume", cloud, *words)
+    assert code == 0 and result(tmp_path / "out")["files"]["units"] == "metre"
+
+
+def test_what_makes_no_surface_leaves_no_files(tmp_path, capsys):
+    full = mound(tmp_path / "full.csv").read_text().splitlines()
+    for name, rows in (("one", full[:2]), ("none", full[:1]), ("nan", ["x,y,z", "nan,nan,nan"])):
+        (tmp_path / f"{name}.csv").write_text("\n".join(rows) + "\n")
+        words = ["--level", "99", "-o", tmp_path / "out"]
+        code, text = ran(capsys, "volume", tmp_path / f"{name}.csv", *words)
+        assert code == 2 and len(text.splitlines()) == 1 and not (tmp_path / "out").exists()
+    (tmp_path / "file").write_text("")
+    code, text = ran(
+        capsys, "volume", tmp_path / "full.csv", "--level", "99", "-o", tmp_path / "file"
+    )
+    assert code == 2 and "cannot be written" in text
 
 
 def test_a_missing_package_is_named_before_anything_is_read(metres, tmp_path, capsys, monkeypatch):

@@ -21,7 +21,7 @@ from ladar_volume.io.export.deliverable import (
     rows_of,
 )
 from ladar_volume.io.export.export_set import Wanted, write_export
-from ladar_volume.io.export.output_system import OutputSystem, system_of_cloud
+from ladar_volume.io.export.output_system import OutputSystem, plain_words, system_of_cloud
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.records import Bool, Plane
 
@@ -56,11 +56,18 @@ def wanted_files(arguments: argparse.Namespace) -> Wanted | None:
     return checked_choice(arguments)
 
 
+def system_of_files(arguments: argparse.Namespace, sources: Sequence[Source]) -> OutputSystem:
+    """The system of the files. Raises :class:`ConfigurationError` for ``--file-units`` of a file
+    that has no one unit; to ask before a long computation.
+    """
+    return system_of_cloud(sources[0].cloud.coordinates, arguments.file_units)
+
+
 def write_files(
     arguments: argparse.Namespace, wanted: Wanted, sources: Sequence[Source], result: Result
 ) -> list[str]:
-    """Write the files; returns their names. Raises OutputError and :class:`ConfigurationError`."""
-    system = system_of_cloud(sources[0].cloud.coordinates, arguments.file_units)
+    """Write the files; returns their names. Raises OutputError."""
+    system = system_of_files(arguments, sources)
     return write_export(arguments.output, deliverable(wanted, sources, result, system), wanted)
 
 
@@ -73,28 +80,33 @@ def deliverable(
     covariance = None
     if surface.sigma_m is not None and set(wanted.formats) & set(OF_SURFACE):
         covariance = surface.made.covariance(surface.sigma_m)
-    faces = [faces_volume(tin, base, result.counted)]
+    # of two surfaces no one base makes the volume between them
+    alone = len(result.surfaces) == 1
+    faces = [faces_volume(tin, base if alone else None, result.counted)]
+    points, lost = points_of(sources[0], surface)
     return Deliverable(
-        name=sources[0].path.stem,
+        name=plain_words(sources[0].path.stem),
         tin=tin,
         counted=result.counted,
         base_m=base,
-        other=result.surfaces[1].made.tin if len(result.surfaces) > 1 else None,
+        other=None if alone else result.surfaces[1].made.tin,
         sigma_m=None if covariance is None else np.sqrt(covariance.diagonal()),
         covariance=covariance,
-        points=points_of(sources[0], surface),
-        facts={**result.facts, "files": file_facts(faces, system)},
+        points=points,
+        facts={**result.facts, "files": file_facts(faces, system) | {"columns_lost": lost}},
         rows=rows_of(result.facts, [result.facts], faces),
         system=system,
         breaklines=() if sources[0].mesh is None else sources[0].mesh.breaklines,
     )
 
 
-def points_of(source: Source, surface: CloudSurface) -> SurfacePoints:
-    """The points that the surface is made from, with the attributes of their file."""
-    kept, _ = carried_columns(source.cloud, Path("points.laz"), ["index", "sigma_z"])
+def points_of(source: Source, surface: CloudSurface) -> tuple[SurfacePoints, list[str]]:
+    """The points that the surface is made from, with the attributes of their file, and the names of
+    those that LAS cannot hold.
+    """
+    kept, lost = carried_columns(source.cloud, Path("points.laz"), ["index", "sigma_z"])
     columns = {name: values[surface.index] for name, values in kept.items()}
     columns["index"] = source.cloud.rows[surface.index]
     if surface.sigma_m is not None:
         columns["sigma_z"] = surface.sigma_m
-    return SurfacePoints(surface.points, columns, source.cloud)
+    return SurfacePoints(surface.points, columns, source.cloud), lost

@@ -28,8 +28,8 @@ CHUNK = 20_000
 #: A 3DFACE with three corners: the fourth repeats the third.
 FACE = (
     "  0\n3DFACE\n  5\n%X\n330\n%s\n100\nAcDbEntity\n  8\n%s\n100\nAcDbFace\n"
-    " 10\n%r\n 20\n%r\n 30\n%r\n 11\n%r\n 21\n%r\n 31\n%r\n"
-    " 12\n%r\n 22\n%r\n 32\n%r\n 13\n%r\n 23\n%r\n 33\n%r\n"
+    " 10\n%s\n 20\n%s\n 30\n%s\n 11\n%s\n 21\n%s\n 31\n%s\n"
+    " 12\n%s\n 22\n%s\n 32\n%s\n 13\n%s\n 23\n%s\n 33\n%s\n"
 )
 
 
@@ -105,11 +105,12 @@ def write_faces(file: TextIO, part: Part, r: F64, handle: int, owner: str) -> No
     """The faces of a part, its vertices (n, 3) in the units of the file; handles from ``handle``
     on.
     """
-    corners = part.triangles[:, [0, 1, 2, 2]]
-    for first in range(0, len(corners), CHUNK):
-        rows = r[corners[first : first + CHUNK]].reshape(-1, 12).tolist()
+    words = [tuple(map(repr, row)) for row in r.tolist()]  # each vertex is in six faces
+    for first in range(0, len(part.triangles), CHUNK):
+        faces = part.triangles[first : first + CHUNK].tolist()
         file.write(
             "".join(
-                FACE % (handle + n, owner, part.name, *row) for n, row in enumerate(rows, first)
+                FACE % (handle + n, owner, part.name, *words[i], *words[j], *words[k], *words[k])
+                for n, (i, j, k) in enumerate(faces, first)
             )
         )

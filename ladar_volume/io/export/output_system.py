@@ -22,6 +22,11 @@ if TYPE_CHECKING:
 SAME_DATUM_M = 2.5
 
 
+def plain_words(text: str) -> str:
+    """Text that every format can hold: no control characters, no halves of characters."""
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
 @dataclass(frozen=True)
 class OutputSystem:
     """crs : of the numbers in the files, None where none is known · unit : of all three axes ·
@@ -44,12 +49,12 @@ class OutputSystem:
     @property
     def name(self) -> str:
         """The system in words; empty where none is known."""
-        return "" if self.crs is None else str(self.crs.name)
+        return "" if self.crs is None else plain_words(str(self.crs.name))
 
     @property
     def wkt(self) -> str:
         """WKT of the system on one line; empty where none is known."""
-        return "" if self.crs is None else str(self.crs.to_wkt())
+        return "" if self.crs is None else plain_words(str(self.crs.to_wkt()))
 
     def notes(self) -> list[str]:
         """Lines for the head of a file, as the readers of this program understand them."""

@@ -22,6 +22,7 @@ from ladar_volume.io.export.output_system import (
     OutputSystem,
     in_projection,
     local_system,
+    plain_words,
     projection,
 )
 from ladar_volume.io.surveys import read_estimator
@@ -60,7 +61,7 @@ def survey_deliverable(folder: Path, crs: str | None = None) -> Deliverable:
         columns["normal"] = points.normal  # its axes are the survey's own
     faces = [faces_volume(own, base_m, part) for part in estimator.parts]
     return Deliverable(
-        name=str(result["input"]["path"]),
+        name=plain_words(str(result["input"]["path"])),
         tin=own,
         counted=np.sum(estimator.parts, axis=0) > 0.0,
         base_m=base_m,
