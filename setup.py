@@ -35,7 +35,8 @@ EXTRAS = {
         "open3d-cpu>=0.19; platform_machine == 'x86_64' and sys_platform == 'linux'",
         "open3d>=0.19; platform_machine != 'x86_64' or sys_platform != 'linux'",
     ],
-    "geo": [],  # coordinate systems are among NEEDED; packages of further file formats come here
+    # files of CAD and GIS; coordinate systems are among NEEDED
+    "geo": ["rasterio>=1.3", "ezdxf>=1.1", "pye57>=0.4.1"],
     "page": ["starlette>=0.40", "uvicorn>=0.30"],
     "completion": ["shtab>=1.7"],
     "test": ["pytest"],  # by this colcon knows that pytest runs the tests

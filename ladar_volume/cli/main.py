@@ -37,6 +37,7 @@ MODULES = {
     "diff": "ladar_volume.cli.arguments.diff",
     "plan": "ladar_volume.cli.arguments.plan",
     "epochs": "ladar_volume.cli.arguments.epochs",
+    "export": "ladar_volume.cli.arguments.outputs.export",
 }
 
 #: Set in the environment, a defect ends with its traceback.
@@ -49,6 +50,9 @@ EXTRAS = {
     "starlette": "page",
     "uvicorn": "page",
     "shtab": "completion",
+    "rasterio": "geo",
+    "ezdxf": "geo",
+    "pye57": "geo",
 }
 #: Exit code of a defect (sysexits' EX_SOFTWARE).
 DEFECT = 70

@@ -17,6 +17,7 @@ from ladar_volume.cli.inputs.mesh_source import face_facts, read_faces, surface_
 from ladar_volume.cli.inputs.reading import Source, cloud_facts_of, mesh_in_metres, read_source
 from ladar_volume.clouds.cloud_surface import CloudSurface, cloud_surface
 from ladar_volume.io.pointfiles.cloud_files import PointFile
+from ladar_volume.io.pointfiles.metres import MapCoordinates
 from ladar_volume.model.errors import ConfigurationError, InputError, SurfaceError
 from ladar_volume.model.records import F64, LEAST_UPWARD
 from ladar_volume.tin.full_tin import footprint_areas
@@ -105,7 +106,7 @@ def read_surface(path: Path, arguments: argparse.Namespace, second: bool = False
     if mesh is None:
         return read_source(path, arguments)
     mesh = mesh_in_metres(mesh, arguments)
-    cloud = PointFile(mesh.vertices, dict(mesh.columns))
+    cloud = PointFile(mesh.vertices, dict(mesh.columns), coordinates=mesh.at or MapCoordinates())
     return Source(path, cloud, None if arguments.no_faces else mesh)
 
 

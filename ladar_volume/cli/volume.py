@@ -13,8 +13,14 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from ladar_volume.cli.arguments.lines import shown_name
 from ladar_volume.cli.inputs.mesh_source import mesh_doubts
 from ladar_volume.cli.inputs.reading import Source, clouds_of, reading_doubts
+from ladar_volume.cli.outputs.cloud_files_out import (
+    system_of_files,
+    wanted_files,
+    write_files,
+)
 from ladar_volume.cli.surface_options import (
     frame_facts,
     frame_of,
@@ -208,9 +214,14 @@ def run(arguments: argparse.Namespace) -> int:
     """Read, triangulate, compute, print."""
     console = Console(stderr=arguments.json)
     with console.status("reading") as status:
-        task = task_of(arguments)
-        result = result_of(task, read_sources(arguments), status.update)
-        facts = result.facts
+        task, wanted = task_of(arguments), wanted_files(arguments)
+        sources = read_sources(arguments)
+        system_of_files(arguments, sources)  # refuses units that files cannot have
+        result = result_of(task, sources, status.update)
+        facts, files = result.facts, list[str]()
+        if wanted is not None:
+            status.update("files")
+            files = write_files(arguments, wanted, sources, result)
         if arguments.report is not None:
             status.update("report")
             report_of(arguments, result)
@@ -218,6 +229,8 @@ def run(arguments: argparse.Namespace) -> int:
         print(json_text(facts), end="")
     else:
         show(console, facts)
+        if files:
+            console.print(f"written to {shown_name(arguments.output)}/: {', '.join(files)}")
     return exit_code(arguments, facts["verdict"])
 
 
@@ -278,7 +291,14 @@ def result_of(
         "options": option_facts(task.options),
         "version": version(),
     }
-    return VolumeResult(surfaces, found.level_base, found.counted[0], facts)
+    return VolumeResult(surfaces, base_of(task, found), found.counted[0], facts)
+
+
+def base_of(task: VolumeTask, found: CutFill) -> Plane | None:
+    """The base of the first surface; None where the second is it."""
+    if task.base == "cloud" or found.level_base is not None:
+        return found.level_base
+    return design_surface([found.parameters.volume.level_m])
 
 
 def read_sources(arguments: argparse.Namespace) -> list[Source]:

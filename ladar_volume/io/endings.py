@@ -14,6 +14,8 @@ ENCODINGS: dict[str, tuple[str, ...]] = {
     ".las": ("las",),
     ".laz": ("laz",),
 }
+#: Point clouds that are read.
+CLOUD_ENDINGS = (*ENCODINGS, ".e57")
 #: Meshes: endings that are written, and those that are read.
 ENDINGS = (".ply", ".obj", ".stl", ".off")
 LANDXML = (".xml", ".landxml")

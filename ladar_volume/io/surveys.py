@@ -29,7 +29,7 @@ from ladar_volume.io.mcap_log import McapLog
 from ladar_volume.io.tables import NUMBERS, decode, encode
 from ladar_volume.model.errors import InputError
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import Datum, Estimate, FilterUpdate, select
+from ladar_volume.model.records import F64, I64, Datum, Estimate, FilterUpdate, select
 from ladar_volume.registration.transform import Transform
 from ladar_volume.uncertainty.epoch_budget import Epoch
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
@@ -149,8 +149,35 @@ def _surface_tables(file: Path) -> tuple[list[Any], list[Any], list[Any]]:
     return points, patches, navigation
 
 
+def _settings(
+    result: Mapping[str, Any], n: Mapping[str, npt.NDArray[Any]]
+) -> tuple[dict[str, dict[str, Any]], Datum | None, tuple[I64, I64, F64, F64]]:
+    """Parameters by section, the datum, and the sums of the table ``navigation``."""
+    given = {
+        s: {k: v for k, v in values.items() if v is not None}
+        for s, values in result["parameters"].items()
+    }
+    datum = None if result["datum"] is None else Datum(**result["datum"])
+    sums = (
+        n["bin"].astype(np.int64),
+        n["states"].astype(np.int64),
+        n["C_nav"].reshape(-1, 6, 6),
+        n["pose"].reshape(-1, 4, 3),
+    )
+    return given, datum, sums
+
+
 def read_survey(path: str | Path) -> Survey:
-    """A survey from result.mcap, or from the folder it lies in.
+    """A survey from result.mcap, or from its folder. Raises as :func:`read_estimator`."""
+    file, estimator, datum, result = read_estimator(path)
+    return Survey(file, estimator.epoch(), datum, result)
+
+
+def read_estimator(
+    path: str | Path,
+) -> tuple[Path, VolumeEstimator, Datum | None, dict[str, Any]]:
+    """The file result.mcap, or that in the folder; the estimator with its surface, the datum, and
+    the result as in result.json.
 
     Raises :class:`InputError` (survey_missing; survey_file for a file that is none, or is of a
     version that did not keep the surface), BagError and CloudError for a damaged one.
@@ -163,18 +190,7 @@ def read_survey(path: str | Path) -> Survey:
     result = read_result(file)
     points, patches, navigation = _surface_tables(file)
     try:
-        given = {
-            s: {k: v for k, v in values.items() if v is not None}
-            for s, values in result["parameters"].items()
-        }
-        datum = None if result["datum"] is None else Datum(**result["datum"])
-        n = navigation[0]
-        bins = (
-            n["bin"].astype(np.int64),
-            n["states"].astype(np.int64),
-            n["C_nav"].reshape(-1, 6, 6),
-            n["pose"].reshape(-1, 4, 3),
-        )
+        given, datum, sums = _settings(result, navigation[0])
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise InputError(
             f"{file}: not a result of this program: {error!r}",
@@ -183,11 +199,11 @@ def read_survey(path: str | Path) -> Survey:
         ) from error
     parameters = Parameters.read(given, old=True)
     estimator = VolumeEstimator(
-        parameters, NavigationBins.from_sums(parameters.filter.nav_bin_s, *bins)
+        parameters, NavigationBins.from_sums(parameters.filter.nav_bin_s, *sums)
     )
     for one, two in zip(points, patches, strict=True):
         estimator.add(message_tables.filter_update(message_tables.filtered_points(one), two))
-    return Survey(file, estimator.epoch(), datum, result)
+    return file, estimator, datum, result
 
 
 def read_result(file: Path) -> dict[str, Any]:

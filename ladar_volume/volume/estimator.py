@@ -137,6 +137,15 @@ class VolumeEstimator:
         points, patches = self._current()
         return Epoch(self._surface(points), self._sources(points, patches), self._t_ns)
 
+    @property
+    def parts(self) -> tuple[F64, ...]:
+        """Area (t,) m² of each triangle that counts in the last estimate, by body, the main one
+        first. Raises :class:`VolumeError` without one.
+        """
+        if self._main is None:
+            raise VolumeError("no estimate yet", reason="volume_no_estimate")
+        return self._main[1].parts
+
     def more_data(self) -> MoreData:
         """Where another pass would make sigma of the present estimate's main body smaller. Raises
         :class:`VolumeError` without one.

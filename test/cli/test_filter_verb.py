@@ -178,7 +178,7 @@ def test_wrong_words_are_one_line_and_leave_no_file(cloud, capsys, tmp_path):
     before = sorted(p.name for p in tmp_path.iterdir())
     cases = [
         ([tmp_path / "none.ply", "-o", out], "no such file"),
-        ([tmp_path / "none.e57", "-o", out], "no known kind"),
+        ([tmp_path / "none.fls", "-o", out], "no known kind"),
         ([bad, "-o", out], "1 of 2 points"),
         ([few, "-o", out, "--radius", 0.3], "no point is left of 1"),
         ([cloud, "-o", tmp_path / "out.doc"], "no known kind"),

@@ -358,7 +358,7 @@ def test_wrong_words_are_one_line(save, tmp_path, capsys):
     cases = [
         ([cloud], "above what?"),
         ([tmp_path / "none.ply", "--level", 0], "no such file"),
-        ([tmp_path / "none.e57", "--level", 0], "no known kind"),
+        ([tmp_path / "none.fls", "--level", 0], "no known kind"),
         ([bad, "--level", 0], "not finite"),
         ([flat, "--level", 0], "collinear"),
         ([sigma, "--level", 0], "holds no standard deviations"),

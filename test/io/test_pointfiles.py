@@ -363,7 +363,7 @@ def test_arrays_that_make_no_cloud(tmp_path):
 
 def test_unknown_kinds_and_what_cannot_be_written(tmp_path):
     r, columns = cloud(4)
-    for name in ("a.e57", "a", "a.ply.gz"):
+    for name in ("a.fls", "a", "a.ply.gz"):
         with pytest.raises(InputError) as caught:
             read_cloud(tmp_path / name)
         assert caught.value.reason == "input_format" and ".laz" in str(caught.value)

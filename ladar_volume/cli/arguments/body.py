@@ -12,7 +12,7 @@ from ladar_volume.cli.arguments.parameter_flags import add_ground_preset, add_pa
 from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
-from ladar_volume.io.endings import ENCODINGS, ENDINGS, READ_ENDINGS
+from ladar_volume.io.endings import CLOUD_ENDINGS, ENDINGS, READ_ENDINGS
 from ladar_volume.model.choices import REPAIRS
 
 
@@ -37,7 +37,7 @@ def ground_word(text: str) -> str | tuple[float, ...]:
 
 def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
-    kinds = " ".join(dict.fromkeys([*ENCODINGS, *READ_ENDINGS]))
+    kinds = " ".join(dict.fromkeys([*CLOUD_ENDINGS, *READ_ENDINGS]))
     parser = subparsers.add_parser(
         "body",
         help="volumes of closed bodies, from a point cloud or a mesh file",

@@ -11,13 +11,13 @@ from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
 from ladar_volume.clouds.published.filter_presets import PRESETS
-from ladar_volume.io.endings import ENCODINGS
+from ladar_volume.io.endings import CLOUD_ENDINGS
 from ladar_volume.model.choices import KEEPABLE
 
 
 def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
-    kinds = " ".join(ENCODINGS)
+    kinds = " ".join(CLOUD_ENDINGS)
     parser = subparsers.add_parser(
         "filter",
         help="filter a point cloud file: outliers out, noise down, edges kept",

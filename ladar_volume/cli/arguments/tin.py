@@ -10,7 +10,7 @@ from ladar_volume.cli.arguments.reading import add_mesh_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.surface_options import add_surface_options
 from ladar_volume.cli.arguments.work import work
-from ladar_volume.io.endings import ENCODINGS, READ_ENDINGS
+from ladar_volume.io.endings import CLOUD_ENDINGS, READ_ENDINGS
 
 
 def add_parser(subparsers: Verbs) -> None:
@@ -24,7 +24,7 @@ def add_parser(subparsers: Verbs) -> None:
             "points. Lengths in m."
         ),
     )
-    kinds = " ".join(dict.fromkeys([*ENCODINGS, *READ_ENDINGS]))
+    kinds = " ".join(dict.fromkeys([*CLOUD_ENDINGS, *READ_ENDINGS]))
     parser.add_argument("cloud", type=Path, help=f"point cloud, or mesh with faces ({kinds})")
     parser.add_argument(
         "-o",

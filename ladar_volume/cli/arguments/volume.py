@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from ladar_volume.cli.arguments.lines import Verbs
+from ladar_volume.cli.arguments.outputs.export import add_file_options, add_unit_option
 from ladar_volume.cli.arguments.parameter_flags import (
     add_ground_preset,
     add_parameter,
@@ -16,7 +17,7 @@ from ladar_volume.cli.arguments.reading import add_mesh_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.surface_options import add_surface_options
 from ladar_volume.cli.arguments.work import work
-from ladar_volume.io.endings import ENCODINGS, READ_ENDINGS
+from ladar_volume.io.endings import CLOUD_ENDINGS, READ_ENDINGS
 
 #: Bases on the command line: those of the parameter, and the floor of a sequence of levels.
 BASES = (*(spec_of("volume.base").choices or ()), "floor")
@@ -32,7 +33,7 @@ def add_parser(subparsers: Verbs) -> None:
             "points. Lengths in m."
         ),
     )
-    kinds = " ".join(dict.fromkeys([*ENCODINGS, *READ_ENDINGS]))
+    kinds = " ".join(dict.fromkeys([*CLOUD_ENDINGS, *READ_ENDINGS]))
     parser.add_argument("cloud", type=Path, help=f"point cloud, or mesh with faces ({kinds})")
     parser.add_argument(
         "cloud_b", type=Path, nargs="?", help="second one: cut is where the first lies above it"
@@ -50,6 +51,8 @@ def add_parser(subparsers: Verbs) -> None:
         metavar="FILE.html",
         help="write a report: one page for browser and printer, and the same as FILE.json",
     )
+    add_file_options(parser)
+    add_unit_option(parser)
     add_surface_options(parser, "1: every point")
     add_mesh_options(parser, second=True)
     add_strict_option(parser)

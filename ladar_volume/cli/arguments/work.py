@@ -9,7 +9,7 @@ import importlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from ladar_volume.io.endings import ENCODINGS, READ_ENDINGS
+from ladar_volume.io.endings import CLOUD_ENDINGS, READ_ENDINGS
 from ladar_volume.model.errors import BagError, InputError, LadarVolumeError
 
 #: Arguments that name a file to read, by verb.
@@ -18,6 +18,7 @@ FILES = {
     "register": ("apply",),
     "calibrate": ("file",),
     "epochs": ("previous", "new", "transform"),
+    "export": ("result",),
 }
 #: Arguments that name a point cloud or a mesh, by verb.
 CLOUDS = {
@@ -61,7 +62,7 @@ def refusals(arguments: argparse.Namespace) -> Iterator[LadarVolumeError]:
     files = [path for path in clouds if path is not None and of_known_kind(path)]
     for path in (*files, *(given.get(name) for name in FILES.get(verb, ()))):
         if path is not None and not path.exists():
-            hint = "; replay writes it" if verb == "epochs" else ""
+            hint = "; replay writes it" if verb in ("epochs", "export") else ""
             yield InputError(f"{path}: no such file{hint}", reason="input_missing", value=str(path))
     for path in (given.get(name) for name in RECORDINGS.get(verb, ())):
         if path is not None and not path.exists():
@@ -70,7 +71,7 @@ def refusals(arguments: argparse.Namespace) -> Iterator[LadarVolumeError]:
 
 def of_known_kind(path: Path) -> bool:
     """Whether point clouds or meshes are read from files with this ending."""
-    return path.suffix.lower() in (*ENCODINGS, *READ_ENDINGS)
+    return path.suffix.lower() in (*CLOUD_ENDINGS, *READ_ENDINGS)
 
 
 def config_of(arguments: argparse.Namespace) -> Path | None:

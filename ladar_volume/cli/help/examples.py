@@ -27,6 +27,7 @@ EXAMPLES = {
         ),
         ("above a level, heights good to 2 cm", "PILE.xyz --units m --level 12.5 --sigma 0.02"),
         ("two surveys: cut and fill", "NEW.laz OLD.laz --json"),
+        ("files for CAD and GIS", "PILE.laz --base ground -o out --as laz,tif,landxml,dxf"),
     ),
     "up": (
         ("live, with a page for the phone", "--config survey.yaml --page --log survey.mcap"),
@@ -36,6 +37,7 @@ EXAMPLES = {
     "body": (("closed bodies on the ground", "CLOUD.ply -o bodies.ply"),),
     "diff": (("a pit between two scans", "A.ply B.ply --pole 0,0,2"),),
     "epochs": (("change between two replayed surveys", "out/may out/june"),),
+    "export": (("for CAD and GIS, in UTM", "out -o files --as all --crs EPSG:32632"),),
     "plan": (("every scanner with every IMU", "--volume 100 --compare"),),
 }
 

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.mesh_surface import mesh_surface
 from ladar_volume.io.meshfiles.mesh_files import MeshFile, holds_faces, read_mesh
 from ladar_volume.model.errors import ConfigurationError
-from ladar_volume.model.records import F64
+from ladar_volume.model.records import F64, Tin
 from ladar_volume.model.verdict import Doubt
+from ladar_volume.tin.locate import height_at
 from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.tin.scan_frame import Frame
 
@@ -25,6 +29,8 @@ OF_POINTS = {
     "bins": None,
     "clean": "auto",
 }
+#: Breaklines farther than this above or below their faces, m, are not kept.
+OFF_M = 0.01
 #: Options that thinning needs.
 OF_THINNING = {
     "criterion": "residual-area",
@@ -76,7 +82,27 @@ def surface_of_mesh(
                 value=name,
             )
     r = mesh.vertices if frame is None else frame.points(mesh.vertices)
-    return mesh_surface(r, mesh.triangles, options, *sigma, thin)
+    surface = mesh_surface(r, mesh.triangles, options, *sigma, thin)
+    if frame is not None or not mesh.breaklines:
+        return surface
+    return dataclasses.replace(
+        surface, doubts=surface.doubts + breakline_doubts(mesh, surface.made.tin)
+    )
+
+
+def breakline_doubts(mesh: MeshFile, tin: Tin) -> tuple[Doubt, ...]:
+    """Whether faces leave the breaklines that their file says they keep."""
+    lines = np.concatenate(mesh.breaklines)
+    apart = np.abs(height_at(tin, lines[:, :2]) - lines[:, 2])
+    off = int(np.count_nonzero(apart > OFF_M))
+    if not off:
+        return ()
+    most = float(np.nanmax(apart))
+    words = (
+        f"{off} of {len(lines)} points of the breaklines lie up to {most:.3g} m above or below the "
+        "faces: the TIN does not keep them; triangulate it again"
+    )
+    return (Doubt("mesh_breaklines", words, most),)
 
 
 def mesh_facts(mesh: MeshFile) -> dict[str, Any]:
@@ -92,6 +118,7 @@ def mesh_facts(mesh: MeshFile) -> dict[str, Any]:
         "surface": mesh.surface or None,
         "unit": mesh.unit or None,
         "epsg": mesh.epsg or None,
+        "breaklines": len(mesh.breaklines),
     }
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from rich.table import Table
 
-from ladar_volume.io.meshfiles.mesh_files import MeshFile
+from ladar_volume.io.meshfiles.mesh_files import MeshFile, in_metres
 from ladar_volume.io.pointfiles.cloud_files import PointFile, Reading, read_cloud
 from ladar_volume.io.pointfiles.crs import parts_of, reading_units, same_crs
 from ladar_volume.io.pointfiles.raw_table import WAVES
@@ -36,8 +36,12 @@ class Source:
 
 
 def clouds_of(sources: Sequence[Source]) -> list[PointFile]:
-    """The point clouds among the sources."""
-    return [source.cloud for source in sources if source.mesh is None]
+    """The point clouds among the sources, and meshes that name their system."""
+    return [
+        source.cloud
+        for source in sources
+        if source.mesh is None or source.cloud.coordinates.crs is not None
+    ]
 
 
 def reading_of(arguments: argparse.Namespace) -> Reading:
@@ -61,21 +65,30 @@ def read_source(path: Path, arguments: argparse.Namespace) -> Source:
 
 
 def mesh_in_metres(mesh: MeshFile, arguments: argparse.Namespace) -> MeshFile:
-    """A mesh file, which knows no units unless it is a LandXML, in m. Raises
+    """A mesh file in m, by what its head says or, where it says nothing, the options. Raises
     :class:`ConfigurationError` for options that a mesh has no use for or contradicts.
     """
     reading = reading_of(arguments)
-    if reading.crs is not None or reading.classes is not None:
-        raise ConfigurationError("--crs and --classes are for point clouds; a mesh takes --units")
-    if reading.across is None or reading.up is None:
-        return mesh
-    if mesh.unit:
-        raise ConfigurationError(
-            f"--units {arguments.units}: the file itself says {mesh.unit}", value=arguments.units
-        )
-    scale = [reading.across.metres, reading.across.metres, reading.up.metres]
+    if reading.classes is not None:
+        raise ConfigurationError("--classes is for point clouds; a mesh takes --crs and --units")
+    if mesh.at is not None and (reading.crs or reading.across) is not None:
+        option = "--units" if reading.across is not None else "--crs"
+        if mesh.unit or option == "--crs":
+            raise ConfigurationError(
+                f"{option}: a LandXML says itself what it is in ({mesh.at.words})", value=option
+            )
+        return _land_units(mesh, reading)
+    return in_metres(mesh, reading)
+
+
+def _land_units(mesh: MeshFile, reading: Reading) -> MeshFile:
+    """A LandXML that names no units in those of the option."""
     doubts = tuple(d for d in mesh.doubts if d.name != "mesh_units")
-    return dataclasses.replace(mesh, vertices=mesh.vertices * scale, doubts=doubts)
+    out = in_metres(dataclasses.replace(mesh, at=None, doubts=doubts), reading)
+    assert out.at is not None
+    across, up = out.at.factor
+    lines = tuple(line * [across, across, up] for line in mesh.breaklines)
+    return dataclasses.replace(out, breaklines=lines)
 
 
 def cloud_facts_of(cloud: PointFile) -> dict[str, Any]:

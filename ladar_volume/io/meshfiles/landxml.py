@@ -42,10 +42,14 @@ HEIGHTS = {
 }
 
 
+#: Path of a line within a surface.
+BREAKLINE = ["SourceData", "Breaklines", "Breakline", "PntList3D"]
+
+
 @dataclass
 class Definition:
     """One surface as its file holds it: name · kind : TIN or grid · points : text by id · faces :
-    text of the visible ones · invisible : number of the others
+    text of the visible ones · invisible : number of the others · breaklines : text of each
     """
 
     name: str
@@ -53,13 +57,15 @@ class Definition:
     points: dict[str, str] = field(default_factory=dict)
     faces: list[str] = field(default_factory=list)
     invisible: int = 0
+    breaklines: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
 class LandSurface:
     """vertices : (n, 3) m, east, north, height · faces : (m, 3) or one array each · name · unit :
     the file's linear unit, empty where it names none · epsg : code of its horizontal frame, or
-    empty · invisible : faces that do not count
+    empty · invisible : faces that do not count · wkt : of its system, or empty · breaklines :
+    (k, 3) m each
     """
 
     vertices: F64
@@ -68,6 +74,8 @@ class LandSurface:
     unit: str
     epsg: str
     invisible: int
+    wkt: str = ""
+    breaklines: tuple[F64, ...] = ()
 
 
 def bad(words: str, reason: str = "mesh_file_values") -> InputError:
@@ -81,7 +89,7 @@ class Scan:
     def __init__(self) -> None:
         self.path: list[str] = []
         self.units: dict[str, str] | None = None
-        self.epsg = ""
+        self.epsg = self.wkt = ""
         self.surfaces: list[Definition] = []
         self.key = ""
         self.text: list[str] | None = None
@@ -97,12 +105,15 @@ class Scan:
             self.units = {"system": tag, **attributes}
         elif self.path[1:] == ["CoordinateSystem"]:
             self.epsg = attributes.get("epsgCode", "")
+            self.wkt = attributes.get("ogcWktCode", "")
         elif self.path[1:] == ["Surfaces", "Surface"]:
             self.surfaces.append(Definition(attributes.get("name", "")))
         elif inside and self.path[3:] == ["Definition"]:
             self.surfaces[-1].kind = attributes.get("surfType", "TIN")
         elif inside and self.path[3:] == ["Definition", "Pnts", "P"]:
             self.key, self.text = attributes.get("id", ""), []
+        elif inside and self.path[3:] == BREAKLINE:
+            self.text = []
         elif inside and self.path[3:] == ["Definition", "Faces", "F"]:
             if attributes.get("i", "0").strip() == "1":
                 self.surfaces[-1].invisible += 1
@@ -122,6 +133,8 @@ class Scan:
         text, self.text, surface = "".join(self.text), None, self.surfaces[-1]
         if tag == "F":
             surface.faces.append(text)
+        elif tag == "PntList3D":
+            surface.breaklines.append(text)
         elif self.key in surface.points:
             raise bad(f"surface {surface.name!r}: point {self.key!r} is there twice")
         else:
@@ -198,9 +211,10 @@ def read_landxml(path: Path, name: str | None = None) -> LandSurface:
         raise bad(f"surface {surface.name!r} has no visible face", "mesh_file_empty")
     try:
         rows = [list(map(float, text.split())) for text in surface.points.values()]
+        lines = [list(map(float, text.split())) for text in surface.breaklines]
     except ValueError as error:
         raise bad(f"a value that is no number: {error}") from error
-    if any(len(r) != 3 for r in rows):
+    if any(len(r) != 3 for r in rows) or any(len(line) % 3 for line in lines):
         raise bad("a point that is not northing, easting, height")
     place = {key: k for k, key in enumerate(surface.points)}
     try:
@@ -210,4 +224,16 @@ def read_landxml(path: Path, name: str | None = None) -> LandSurface:
     xyz = np.array(rows, dtype=np.float64).reshape(-1, 3)[:, [1, 0, 2]] * to_m
     alike = {len(f) for f in faces} == {3}
     out = np.array(faces, np.int32) if alike else [np.array(f, np.int32) for f in faces]
-    return LandSurface(xyz, out, surface.name, unit, found.epsg, surface.invisible)
+    kept = tuple(in_map(line, to_m) for line in lines if line)
+    more = found.epsg, surface.invisible, found.wkt, kept
+    return LandSurface(xyz, out, surface.name, unit, *more)
+
+
+def in_map(numbers: list[float], to_m: float) -> F64:
+    """Northing, easting, height, ... as points (k, 3), m, east, north, height. Raises
+    :class:`InputError` (mesh_file_values) for what is not finite.
+    """
+    out: F64 = np.array(numbers, dtype=np.float64).reshape(-1, 3)[:, [1, 0, 2]] * to_m
+    if not np.isfinite(out).all():
+        raise bad("a breakline with a coordinate that is not finite")
+    return out

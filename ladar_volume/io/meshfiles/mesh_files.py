@@ -21,10 +21,18 @@ import numpy.typing as npt
 from ladar_volume.io.atomic_write import whole_file
 from ladar_volume.io.endings import ENDINGS, LANDXML, READ_ENDINGS
 from ladar_volume.io.meshfiles.landxml import read_landxml
+from ladar_volume.io.meshfiles.mesh_notes import (
+    coordinates_of_head,
+    coordinates_of_land,
+    stl_origin,
+)
 from ladar_volume.io.meshfiles.plain_meshes import read_obj, read_off, read_stl
 from ladar_volume.io.meshfiles.ply_mesh import parse_header, read_ply_mesh, write_ply_mesh
 from ladar_volume.io.meshfiles.polygons import Faces, triangulated
+from ladar_volume.io.pointfiles.crs import Coordinates, Reading, settled
+from ladar_volume.io.pointfiles.metres import MapCoordinates, to_metres
 from ladar_volume.io.pointfiles.ply import HEADER_LIMIT
+from ladar_volume.io.pointfiles.point_file import columns_in_metres
 from ladar_volume.io.pointfiles.raw_table import no_place
 from ladar_volume.mesh.topology import vertices_of
 from ladar_volume.mesh.welding import distinct_triangles, split_edges, weld, weld_open
@@ -45,7 +53,10 @@ class MeshFile:
     : triangles that were there already · joined, joined_m : vertices that were joined along open
     edges, and how far apart they were at most · invisible : faces of a LandXML that do not count ·
     columns : of the vertices, (n,), from a PLY · surface : name in a LandXML · unit : linear unit
-    that a LandXML names · epsg : code of its frame · doubts : what makes it doubtful
+    that a LandXML names · epsg : code of its frame · said : what comments of the head say of the
+    coordinates, which are as the file holds them until :func:`in_metres` · at : their system
+    once they are in metres · breaklines : of a LandXML, (k, 3) m each · doubts : what makes it
+    doubtful
     """
 
     vertices: F64
@@ -59,6 +70,9 @@ class MeshFile:
     surface: str = ""
     unit: str = ""
     epsg: str = ""
+    said: Coordinates | None = None
+    at: MapCoordinates | None = None
+    breaklines: tuple[F64, ...] = ()
     doubts: tuple[Doubt, ...] = ()
 
 
@@ -83,14 +97,19 @@ def _read_kind(path: Path, ending: str, surface: str | None) -> MeshFile:
         raise InputError("only a LandXML has surfaces with names", reason="landxml_surface")
     if ending == ".stl":
         soup = _finite(read_stl(path))
+        origin = stl_origin(path)
+        soup = soup if origin is None else soup + origin[0]
+        said = None if origin is None else Coordinates(across=origin[1], up=origin[1])
         vertices, triangles, dropped = weld(
             soup, np.arange(len(soup), dtype=np.int32).reshape(-1, 3)
         )
-        return _mended(MeshFile(vertices, triangles, dropped), True)
+        return _mended(MeshFile(vertices, triangles, dropped, said=said), origin is None)
+    said = coordinates_of_head(path, ending)
     if ending == ".ply":
         vertices, faces, columns = read_ply_mesh(path)
-        return _assemble(vertices, faces, columns)
-    return _assemble(*(read_obj if ending == ".obj" else read_off)(path))
+        return dataclasses.replace(_assemble(vertices, faces, columns), said=said)
+    mesh = _assemble(*(read_obj if ending == ".obj" else read_off)(path))
+    return dataclasses.replace(mesh, said=said)
 
 
 def read_mesh(path: str | Path, surface: str | None = None) -> MeshFile:
@@ -134,14 +153,32 @@ def _read_land(path: Path, surface: str | None) -> MeshFile:
             "the LandXML names no units: its numbers are taken for metres; give it a Units element"
         )
         doubts += (Doubt("mesh_units", text),)
+    at, more = coordinates_of_land(land)
     return dataclasses.replace(
         mesh,
         invisible=land.invisible,
         surface=land.name,
         unit=land.unit,
         epsg=land.epsg,
-        doubts=doubts,
+        at=at,
+        breaklines=land.breaklines,
+        doubts=doubts + more,
     )
+
+
+def in_metres(mesh: MeshFile, reading: Reading) -> MeshFile:
+    """A mesh as its file holds it, in metres and with its system, as the head and the options say.
+    Raises :class:`InputError` (input_crs, input_units) where these contradict one another.
+    """
+    if mesh.at is not None:
+        return mesh
+    said = settled(mesh.said, reading)
+    # a body may be as tall and narrow as degrees look
+    asked = dataclasses.replace(reading, refuse_degrees=False)
+    vertices, at, more = to_metres(mesh.vertices.copy(), said, asked)
+    columns = columns_in_metres(dict(mesh.columns), at)
+    doubts = mesh.doubts + tuple(more)
+    return dataclasses.replace(mesh, vertices=vertices, columns=columns, at=at, doubts=doubts)
 
 
 def _finite(vertices: F64) -> F64:
@@ -238,16 +275,17 @@ def write_mesh(
         if ending == ".ply":
             write_ply_mesh(part, v, t, notes, vertex, face)
         elif ending == ".stl":
-            part.write_bytes(_stl(v, t))
+            part.write_bytes(_stl(v, t, notes))
         else:
             part.write_text(_plain(v, t, notes, ending))
 
 
-def _stl(v: F64, t: I32) -> bytes:
-    """A binary STL."""
+def _stl(v: F64, t: I32, notes: Sequence[str]) -> bytes:
+    """A binary STL; its head of 80 bytes holds the first note."""
+    head = " ".join(["binary stl", *notes[:1]]).encode("ascii", "replace")[:80]
     table = np.zeros(len(t), [("normal", "<f4", (3,)), ("v", "<f4", (3, 3)), ("attribute", "<u2")])
     table["v"] = v[t]
-    return b"binary stl".ljust(80) + len(t).to_bytes(4, "little") + table.tobytes()
+    return head.ljust(80) + len(t).to_bytes(4, "little") + table.tobytes()
 
 
 def _plain(v: F64, t: I32, notes: Sequence[str], ending: str) -> str:

@@ -1,4 +1,5 @@
-"""Point cloud files: PLY, XYZ/TXT/ASC/CSV, NPY, PCD, LAS, LAZ, by the ending of their name.
+"""Point cloud files: PLY, XYZ/TXT/ASC/CSV, NPY, PCD, LAS, LAZ, and E57, which is only read; by the
+ending of their name.
 
 Coordinates come in metres, whatever the file holds. Points keep the order of the file; those left
 out (no return, noise classes, withheld) are counted, and ``PointFile.rows`` tells the row of each
@@ -17,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ladar_volume.io.atomic_write import whole_file
-from ladar_volume.io.endings import ENCODINGS
+from ladar_volume.io.endings import CLOUD_ENDINGS, ENCODINGS
 from ladar_volume.io.pointfiles import pcd, ply, text
 from ladar_volume.io.pointfiles.crs import Reading
 from ladar_volume.io.pointfiles.point_file import NORMALS, PointFile, assemble
@@ -77,9 +78,9 @@ def _brief(path: Path, words: str) -> str:
 
 
 def _ending(path: Path, error: type[LadarVolumeError]) -> str:
-    ending = path.suffix.lower()
-    if ending not in ENCODINGS:
-        known = ", ".join(ENCODINGS)
+    ending, kinds = path.suffix.lower(), CLOUD_ENDINGS if error is InputError else tuple(ENCODINGS)
+    if ending not in kinds:
+        known = ", ".join(kinds)
         raise error(
             f"{path}: {ending or 'no ending'} is no known kind of point cloud file ({known})",
             reason=f"{error.reason}_format",
@@ -94,6 +95,10 @@ def _reader(ending: str, columns: bool) -> Callable[[Path], RawTable]:
         )
 
         return lambda path: read_las(path, columns)
+    if ending == ".e57":
+        from ladar_volume.io.pointfiles.e57 import read_e57  # libE57
+
+        return lambda path: read_e57(path, columns)
     return {".ply": ply.ply_table, ".pcd": pcd.pcd_table, ".npy": _read_npy}.get(
         ending, text.text_table
     )
@@ -161,7 +166,7 @@ def write_cloud(
         raise OutputError(
             f"{path}: {encoding!r} is not one of {', '.join(ENCODINGS[ending])}", value=encoding
         )
-    flat, comments = _flatten(np.asarray(r, np.float64), dict(columns or {}), names or {}, ending)
+    flat, comments = flatten(np.asarray(r, np.float64), dict(columns or {}), names or {}, ending)
     with whole_file(path) as part:
         if ending in (".las", ".laz"):
             from ladar_volume.io.pointfiles.las_write import write_las
@@ -170,7 +175,7 @@ def write_cloud(
                 write_las(part, flat, comments)
             else:
                 at = like.coordinates
-                write_las(part, flat, comments, like.las, at.crs, at.unchanged)
+                write_las(part, flat, comments, like.las, at.crs_to_write(like.las), at.unchanged)
         else:
             notes = [] if like is None else like.coordinates.notes()
             _writer(ending)(part, flat, [*notes, *comments], encoding)
@@ -193,9 +198,10 @@ def check_output(path: str | Path) -> Path:
     return path
 
 
-def _flatten(
+def flatten(
     r: F64, columns: dict[str, npt.NDArray[Any]], names: Mapping[str, Sequence[str]], ending: str
 ) -> tuple[Columns, list[str]]:
+    """Columns (n,) as a file of this ending holds them, and comments with words of codes."""
     if r.ndim != 2 or r.shape[1] != 3 or any(len(c) != len(r) for c in columns.values()):
         raise OutputError(
             (

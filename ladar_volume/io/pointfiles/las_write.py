@@ -39,14 +39,17 @@ def write_las(
     like: laspy.LasHeader | None = None,
     crs: CRS | None = None,
     same_system: bool = False,
+    version: str | None = None,
 ) -> None:
     """Write points; LAZ by the file's ending.
 
     A column that the point format has a place for goes there where its values fit, else into extra
-    bytes. ``like`` gives point format, version, offsets, GPS time's kind and records; its CRS too,
-    where ``same_system``, else ``crs`` is written. Coordinates are integers of 0.1 mm, or a finer
-    whole part of ``like``'s step (coarser only where the cloud is wider than 400 km). ``comments``
-    become a record of user "ladar_volume". Raises OSError and :class:`OutputError`.
+    bytes. ``like`` gives point format, version, GPS time's kind and records; where ``same_system``,
+    its numbers are those that are written, and it gives offsets, and without a ``crs`` its own. A
+    ``crs`` is written as WKT. ``version`` is the least that is written.
+    Coordinates are integers of 0.1 mm, or a finer whole part of ``like``'s step (coarser only where
+    the cloud is wider than 400 km). ``comments`` become a record of user "ladar_volume". Raises
+    OSError and :class:`OutputError`.
     """
     if path.suffix.lower() == ".laz" and like is not None and set(columns) & WAVES:
         raise OutputError(
@@ -56,19 +59,14 @@ def write_las(
     columns = {name: narrow(c) for name, c in columns.items()}
     r = np.column_stack([columns.pop(axis) for axis in "xyz"])
     header = _header(like, columns, crs, same_system)
+    if version is not None:
+        header.version = max(header.version, laspy.header.Version.from_str(version))
     _set_scales(header, r, like if same_system else None)
     own, extra = _split(header, like, columns)
     _add_extra(header, like, extra)
     if comments:
         text = json.dumps(comments).encode()
-        header.vlrs.append(
-            laspy.VLR(
-                user_id="ladar_volume",
-                record_id=1,
-                description="names of the codes",
-                record_data=text,
-            )
-        )
+        header.vlrs.append(laspy.VLR("ladar_volume", 1, "names of the codes", text))
     points = laspy.ScaleAwarePointRecord.zeros(len(r), header=header)
     points.x, points.y, points.z = r.T
     for name, c in {**own, **extra}.items():
@@ -85,7 +83,8 @@ def _header(
         header = laspy.LasHeader(point_format=kind, version="1.4")
     else:
         # WKT has its place in 1.4, which holds every point format
-        version = "1.4" if crs is not None and not same_system else str(like.version)
+        version = "1.4" if crs is not None else str(like.version)
+        own_crs = same_system and crs is None
         kind = like.point_format.id
         kind = kind if set(columns) & WAVES else WITHOUT_WAVES.get(kind, kind)
         header = laspy.LasHeader(point_format=kind, version=version)
@@ -97,14 +96,14 @@ def _header(
             v
             for v in [*like.vlrs, *(like.evlrs or [])]
             if (v.user_id, v.record_id) not in OWN_RECORDS
-            and (same_system or v.user_id != PROJECTION)
+            and (own_crs or v.user_id != PROJECTION)
             and v.user_id != "ladar_volume"
             and len(v.record_data_bytes()) < 2**16
         ]
         header.vlrs.extend(kept)
-        if same_system:
+        if own_crs:
             header.global_encoding.wkt = like.global_encoding.wkt
-    if crs is not None and not (same_system and like is not None):
+    if crs is not None:
         header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt_of(crs)))
         header.global_encoding.wkt = True
     return header

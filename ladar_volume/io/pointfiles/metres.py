@@ -16,6 +16,7 @@ from ladar_volume.model.records import F64
 from ladar_volume.model.verdict import Doubt
 
 if TYPE_CHECKING:
+    from laspy import LasHeader
     from pyproj import CRS
 
 #: A CRS that stretches areas by more than this holds no volume (Web Mercator: 2.4 at 50°).
@@ -66,6 +67,19 @@ class MapCoordinates:
     def unchanged(self) -> bool:
         """Whether the metres are the file's own numbers."""
         return self.across is not None and self.factor == (1.0, 1.0)
+
+    def crs_to_write(self, las: LasHeader | None) -> CRS | None:
+        """The system for a LAS file of these metres; None where the header that they were read with
+        says the same already.
+        """
+        kept = las is not None and self.unchanged and self.read.said_by == "header"
+        return None if kept else self.crs
+
+    def keeps(self, crs: CRS | None, unit: Unit) -> bool:
+        """Whether coordinates in this system and unit are those that stood in the file."""
+        if self.across is None or not (self.across.same(unit) and self.up.same(unit)):
+            return False
+        return crs is self.crs if self.unchanged else crs is self.read.crs
 
     def notes(self) -> list[str]:
         """Lines for the header of a file that holds these metres."""

@@ -92,7 +92,7 @@ def assemble(table: RawTable, columns: bool, reading: Reading) -> PointFile:
     if table.las is None and resolution is not None:
         doubts += _too_coarse(r, resolution, table.step is None)
     if columns:
-        found = _columns_in_metres(_with_normals(found), at)
+        found = columns_in_metres(_with_normals(found), at)
     return PointFile(
         r,
         found if columns else {},
@@ -183,7 +183,7 @@ def _with_normals(found: Columns) -> Columns:
     return found
 
 
-def _columns_in_metres(found: Columns, at: MapCoordinates) -> Columns:
+def columns_in_metres(found: Columns, at: MapCoordinates) -> Columns:
     """Standard deviations in metres. Where the axes have unlike units, those that are not along z,
     and normals, have no unit that is known: they are left away.
     """

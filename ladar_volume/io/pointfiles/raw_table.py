@@ -22,11 +22,17 @@ Columns = dict[str, npt.NDArray[Any]]
 
 #: What the axes are called, the first where several are there; longitude and latitude apart.
 AXES = {
-    "x": ("x", "easting", "east", "e", "rechtswert", "x_coord", "xcoord", "coord_x", "points_0"),
-    "y": ("y", "northing", "north", "n", "hochwert", "y_coord", "ycoord", "coord_y", "points_1"),
+    "x": (
+        *("x", "easting", "east", "e", "eastings", "rechtswert", "ostwert", "este"),
+        *("x_coord", "xcoord", "coord_x", "x_coordinate", "points_0"),
+    ),
+    "y": (
+        *("y", "northing", "north", "n", "northings", "hochwert", "nordwert", "norte"),
+        *("y_coord", "ycoord", "coord_y", "y_coordinate", "points_1"),
+    ),
     "z": (
-        *("z", "height", "elevation", "elev", "h", "altitude", "alt", "hoehe", "höhe"),
-        *("z_coord", "zcoord", "coord_z", "points_2"),
+        *("z", "height", "elevation", "elev", "h", "altitude", "alt", "hoehe", "höhe", "rl"),
+        *("reduced_level", "cota", "z_coord", "zcoord", "coord_z", "z_coordinate", "points_2"),
     ),
 }
 DEGREES = {"x": ("longitude", "lon", "long", "lng"), "y": ("latitude", "lat")}
@@ -64,7 +70,8 @@ class RawTable:
 def bare(name: str) -> str:
     """A column's name without its unit, marks and case."""
     found = UNIT.match(name.strip())
-    return (found[1] if found else name).strip().strip("\"'").lower().replace(":", "_")
+    word = (found[1] if found else name).strip().strip("\"'").lower()
+    return re.sub(r"[\s:]+", "_", word)
 
 
 def axis_columns(names: Iterable[str]) -> tuple[dict[str, str], bool]:

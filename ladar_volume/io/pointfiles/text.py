@@ -27,6 +27,8 @@ COMMENTS = ("#", "//", "%")
 LINE_LIMIT = 100_000
 #: Rows from which decimal commas and the step of the numbers are told.
 SAMPLE = 2_000
+#: Rows from which on a first column that counts them is no coordinate.
+COUNTED = 4
 #: A number with a decimal comma.
 COMMA = re.compile(r"^[+-]?\d*,\d+([eE][+-]?\d+)?$")
 #: A row of decimal commas with commas between, which could mean two things.
@@ -63,7 +65,23 @@ def text_table(path: Path) -> RawTable:
             _first_bad_row(path, layout) or f"a row that does not fit the table: {error}",
             reason="cloud_values",
         ) from error
+    _check_counted(layout, columns)
     return RawTable(columns, of_comments(layout.comments), _step(path, layout))
+
+
+def _check_counted(layout: _Layout, columns: Columns) -> None:
+    """Refuse a table without a header whose first column counts the rows: it is the number of a
+    point, as in "number, northing, easting, height", and no coordinate.
+    """
+    first = columns[layout.names[0]]
+    if layout.names[:4] != ["x", "y", "z", "c3"] or len(first) < COUNTED or first.dtype.kind != "f":
+        return
+    if bool((np.diff(first) == 1.0).all()):
+        raise CloudError(
+            f"the first column counts the rows, {first[0]:g} to {first[-1]:g}: name the columns in "
+            "a first line, as number northing easting height",
+            reason="cloud_fields",
+        )
 
 
 def _columns(path: Path, layout: _Layout) -> Columns:

@@ -1,0 +1,138 @@
+"""What the files of a result hold: the surface, where it counts, its base, the points it is made
+from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+
+from ladar_volume.io.export.edge_rings import Polygon, polygons_of
+from ladar_volume.io.export.output_system import OutputSystem
+from ladar_volume.io.pointfiles.point_file import PointFile
+from ladar_volume.model.records import F64, I32, Bool, Tin
+from ladar_volume.tin.full_tin import footprint_areas
+
+
+@dataclass(frozen=True)
+class Part:
+    """Triangles (m, 3) over vertices (n, 3), m, that the files hold under a name."""
+
+    name: str
+    vertices: F64
+    triangles: I32
+
+
+@dataclass(frozen=True)
+class SurfacePoints:
+    """r : (n, 3) m, the points a surface is made from · columns : (n,) or (n, k) each, lengths in m
+    · like : the file they were read from, None for a survey
+    """
+
+    r: F64
+    columns: Mapping[str, npt.NDArray[Any]]
+    like: PointFile | None = None
+
+
+@dataclass(frozen=True)
+class Deliverable:
+    """A result and what it was computed from, lengths in m.
+
+    name : of the survey or cloud · tin : the surface · counted : (t,) triangles that V is summed
+    over · base_m : (n,) height of the base at every vertex, linear between them; None where the
+    base is another surface · other : that surface · sigma_m : (n,) standard deviations of the
+    heights of the vertices, None where they are not known · covariance : (n, n) m² of these heights
+    where it is known; without it errors of neighbours are taken as common · points : the points ·
+    breaklines : (k, 3) each, lines that the faces keep · facts : the result as in its JSON · rows :
+    one volume each, for a table · system : of the files
+    """
+
+    name: str
+    tin: Tin
+    counted: Bool
+    base_m: F64 | None
+    other: Tin | None
+    sigma_m: F64 | None
+    covariance: sparse.csr_array | None
+    points: SurfacePoints
+    facts: Mapping[str, Any]
+    rows: Sequence[Mapping[str, Any]]
+    system: OutputSystem
+    breaklines: Sequence[F64] = field(default_factory=tuple)
+
+    @cached_property
+    def parts(self) -> list[Part]:
+        """The surface where it counts, the rest of it, and the base under what counts (or the
+        second surface).
+        """
+        rest = self.tin.relevant & ~self.counted
+        out = [part("counted", self.tin.vertices, self.tin.triangles[self.counted])]
+        if rest.any():
+            out.append(part("around", self.tin.vertices, self.tin.triangles[rest]))
+        if self.base_m is not None:
+            under = np.column_stack([self.tin.vertices[:, :2], self.base_m])
+            out.append(part("base", under, self.tin.triangles[self.counted]))
+        elif self.other is not None:
+            faces = self.other.triangles[self.other.relevant]
+            out.append(part("second", self.other.vertices, faces))
+        return out
+
+    @cached_property
+    def polygons(self) -> list[Polygon]:
+        """Outlines of what counts, the largest first."""
+        return polygons_of(self.tin, self.counted)
+
+
+def part(name: str, vertices: F64, triangles: I32) -> Part:
+    """A part with the vertices that its triangles use."""
+    used, inverse = np.unique(triangles, return_inverse=True)
+    return Part(name, vertices[used], inverse.reshape(-1, 3).astype(np.int32))
+
+
+def faces_volume(tin: Tin, base_m: F64 | None, part_m2: F64 | Bool) -> float | None:
+    """Volume, m³, between the triangles that count (``part_m2`` (t,) above 0), as they are, and the
+    base (n,), m: what another program finds from the files. None without a base.
+    """
+    if base_m is None:
+        return None
+    triangles = tin.triangles[np.asarray(part_m2, dtype=np.float64) > 0.0]
+    above = (tin.vertices[:, 2] - base_m)[triangles].mean(axis=1)
+    return float((footprint_areas(tin.vertices, triangles) * above).sum())
+
+
+def file_facts(faces: Sequence[float | None], system: OutputSystem) -> dict[str, Any]:
+    """What the JSON says of the files: volumes between their faces, and their system."""
+    return {
+        "faces_m3": list(faces),
+        "crs": system.name or None,
+        "code": system.code or None,
+        "wkt": system.wkt or None,
+        "units": system.unit.name,
+        "scale": system.scale,
+    }
+
+
+def rows_of(
+    facts: Mapping[str, Any], volumes: Sequence[Mapping[str, Any]], faces: Sequence[float | None]
+) -> list[dict[str, Any]]:
+    """One row a volume, of ``facts`` or of its bodies, for a table."""
+    doubts = "; ".join(reason["text"] for reason in facts["verdict"]["reasons"])
+    return [
+        {
+            "number": number,
+            "volume_m3": v["net_m3"] if "net_m3" in v else v["volume_m3"],
+            **{key: v[key] for key in ("sigma_m3", "confidence")},
+            "low_m3": v["interval_m3"][0],
+            "high_m3": v["interval_m3"][1],
+            **{key: v[key] for key in ("cut_m3", "fill_m3", "area_m2", "base")},
+            "faces_m3": of_faces,
+            "doubts": doubts,
+        }
+        for number, (v, of_faces) in enumerate(zip(volumes, faces, strict=True), 1)
+    ]
