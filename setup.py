@@ -38,6 +38,7 @@ EXTRAS = {
     "geo": [],  # coordinate systems are among NEEDED; packages of further file formats come here
     "page": ["starlette>=0.40", "uvicorn>=0.30"],
     "completion": ["shtab>=1.7"],
+    "velodyne": ["velodyne-decoder>=3.1"],  # packets: VelodyneScan and captures
     "test": ["pytest"],  # by this colcon knows that pytest runs the tests
 }
 

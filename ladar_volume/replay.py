@@ -14,7 +14,7 @@ import numpy as np
 
 from ladar_volume.clouds.survey.survey_bodies import SurveyBodies, around, bodies_of_survey
 from ladar_volume.io import results
-from ladar_volume.io.bags import BagReader
+from ladar_volume.io.bags import Recording
 from ladar_volume.io.cloud_messages import returns_from_cloud
 from ladar_volume.io.drivers.ring_count import RingCount
 from ladar_volume.io.sensor_messages import (
@@ -40,7 +40,7 @@ POSE_MARGIN_NS = 2_000_000_000
 class Replay:
     """A recording and what it is replayed with."""
 
-    bag: BagReader
+    bag: Recording
     parameters: Parameters
     topics: dict[str, str]
     start_s: float = 0.0

@@ -404,6 +404,12 @@ class NodeParameters:
     map_period_s: float = param(
         5.0, "How often tin and mesh are published, at most.", unit="s", low=0.05, high=600
     )
+    cloud_message: str = param(
+        "PointCloud2",
+        "What the scanner's driver publishes: clouds on velodyne_points, or the packets of a "
+        "Velodyne (velodyne_msgs) on velodyne_packets.",
+        choices=("PointCloud2", "VelodyneScan"),
+    )
     input_reliability: str = param(
         "best_effort",
         "Reliability of the sensor subscriptions.",
