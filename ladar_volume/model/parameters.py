@@ -219,6 +219,11 @@ class GeoreferenceParameters:
         low=0.1,
         high=600,
     )
+    mounting_from_tf: bool = param(
+        True,
+        "Take boresight and lever arms that `calibration` has at zero from /tf_static, and refuse "
+        "others that contradict it.",
+    )
     covariance_output: str = param(
         "independent",
         "What the covariance fields of points_mapped hold.",
