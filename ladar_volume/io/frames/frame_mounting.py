@@ -11,6 +11,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -80,7 +81,8 @@ def _lever(
     """The lever arm ``key`` by the frames, (3,) m, where none is given."""
     own = np.array(getattr(given, key))
     if not own.any():
-        return dataclasses.replace(given, **{key: tuple(place.tolist())})
+        change: dict[str, Any] = {key: tuple(place.tolist())}
+        return dataclasses.replace(given, **change)
     most = max(LEVER_M, SIGMAS * max(sigmas))
     if np.abs(own - place).max() > most:
         raise ConfigurationError(
