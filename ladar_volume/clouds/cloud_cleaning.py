@@ -9,6 +9,7 @@ Neighbours are taken across scan lines (see ``cloud_noise``).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,12 +18,14 @@ from scipy.spatial import cKDTree
 from ladar_volume.clouds.cloud_noise import CELL, CloudNoise, cloud_noise, thinned
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import SurfaceError
-from ladar_volume.model.records import F64, I64, Bool
+from ladar_volume.model.records import F64, I32, I64, Bool
 from ladar_volume.tin.insertion_order import hilbert_order
 from ladar_volume.tin.sampled_area import FEWEST, spacings
 
 #: Neighbours in space, those in the plane whose distances are compared, those of a plane.
 COMPANY, AROUND, PLANE = 8, 24, 16
+#: Points whose neighbours are looked for at once.
+BLOCK = 1_000_000
 #: Isolated above this many times the lower quartile of the distances around.
 ISOLATED = 3.0
 #: Off the surface above so many standard deviations, isolated or not; in agreement below.
@@ -107,7 +110,7 @@ def off_plane(
 
 @kernel
 def plane_kernel(
-    points: F64, chosen: I64, near: I64, sigma: float, isolated: Bool, limits: F64
+    points: F64, chosen: I64, near: I32, sigma: float, isolated: Bool, limits: F64
 ) -> Bool:
     """Which of the points ``chosen`` (k,), rows of (n, 3), are strays beside the planes of least
     sizes through their neighbours near (k, m), rows, -1 for none. limits : off where isolated, off,
@@ -133,23 +136,29 @@ def plane_kernel(
     return out
 
 
+def blocks(count: int) -> Iterator[slice]:
+    """Rows from 0 to ``count``, :data:`BLOCK` at a time: neighbours take more room than points."""
+    return (slice(k, k + BLOCK) for k in range(0, count, BLOCK))
+
+
 def isolated_points(points: F64) -> Bool:
     """Points (n,) whose neighbours in space are far for the points around them."""
     distance = np.asarray(cKDTree(points).query(points, [COMPANY + 1])[0])[:, 0]
-    _, around = cKDTree(points[:, :2]).query(points[:, :2], AROUND)
-    near = distance[around]
-    near.partition(AROUND // 4, axis=1)
-    usual = near[:, AROUND // 4]
+    tree, usual = cKDTree(points[:, :2]), np.empty(len(points))
+    for some in blocks(len(points)):
+        near = distance[np.asarray(tree.query(points[some, :2], AROUND)[1])]
+        near.partition(AROUND // 4, axis=1)
+        usual[some] = near[:, AROUND // 4]
     out: Bool = distance > ISOLATED * usual
     return out
 
 
-def plane_neighbours(points: F64, good: Bool, chosen: I64, cells: F64 | None) -> I64:
+def plane_neighbours(points: F64, good: Bool, chosen: I64, cells: F64 | None) -> I32:
     """Rows (k, PLANE + 1) of the good points nearest to those ``chosen`` (k,) over the plane; with
     cells (n,) m, of those that are left when one point is taken from each.
     """
     rows = np.flatnonzero(good)
-    out = np.full((len(chosen), PLANE + 1), -1, np.int64)
+    out = np.full((len(chosen), PLANE + 1), -1, np.int32)
     groups = [(0.0, np.arange(len(chosen)))]
     if cells is not None:
         of = np.where(np.isfinite(cells), cells, 0.0)[chosen]
@@ -158,8 +167,10 @@ def plane_neighbours(points: F64, good: Bool, chosen: I64, cells: F64 | None) ->
         kept = rows if cell == 0.0 else rows[thinned(points[rows], cell)]
         if len(kept) <= PLANE:
             kept = rows
-        _, near = cKDTree(points[kept, :2]).query(points[chosen[at], :2], PLANE + 1)
-        out[at] = kept[np.asarray(near)]
+        tree = cKDTree(points[kept, :2])
+        for some in blocks(len(at)):
+            near = tree.query(points[chosen[at[some]], :2], PLANE + 1)[1]
+            out[at[some]] = kept[np.asarray(near)]
     return out
 
 
@@ -198,7 +209,9 @@ def find_strays(r: F64, noise: CloudNoise) -> tuple[Bool, Bool]:
             break
         good[stray] = False
         # only points beside a stray see another plane the next time
-        touched = np.isin(near, stray).any(axis=1) & good[chosen]
+        gone = np.zeros(len(r) + 1, bool)  # the last for no neighbour
+        gone[stray] = True
+        touched = gone[near].any(axis=1) & good[chosen]
         chosen = chosen[touched]
         if not len(chosen):
             break

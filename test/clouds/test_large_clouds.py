@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ladar_volume.clouds import between_points, cloud_noise
+from ladar_volume.clouds import between_points, cloud_cleaning, cloud_noise
 from ladar_volume.clouds.cloud_surface import cloud_surface
 from ladar_volume.tin.adjustment_adjoint import triangle_slopes
 from ladar_volume.tin.full_tin import build_tin, footprint_areas
@@ -52,3 +52,18 @@ def test_slopes_are_those_of_planes_solved_one_by_one():
     for slope, corner in zip(triangle_slopes(tin, heights), tin.triangles, strict=True):
         plane = np.linalg.solve(np.c_[tin.vertices[corner, :2], np.ones(3)], heights[corner])
         assert slope == pytest.approx(plane[:2], rel=1e-6, abs=1e-9)
+
+
+def test_strays_do_not_depend_on_blocks_or_order(monkeypatch):
+    rng = np.random.default_rng(6)
+    p = points(6, 4000)
+    off = rng.choice(len(p), 40, replace=False)
+    p[off, 2] += rng.uniform(0.5, 6.0, 40)
+    whole = cloud_cleaning.clean(p)
+    assert len(np.intersect1d(whole.strays, off)) > 30
+    monkeypatch.setattr(cloud_cleaning, "BLOCK", 700)
+    assert np.array_equal(cloud_cleaning.clean(p).strays, whole.strays)
+    order = rng.permutation(len(p))
+    again = order[cloud_cleaning.clean(p[order]).strays]
+    # the noise is told from the same points here, whatever their order
+    assert set(again.tolist()) == set(whole.strays.tolist())
