@@ -39,6 +39,7 @@ EXTRAS = {
     "geo": ["rasterio>=1.3", "ezdxf>=1.1", "pye57>=0.4.1"],
     "page": ["starlette>=0.40", "uvicorn>=0.30"],
     "completion": ["shtab>=1.7"],
+    "velodyne": ["velodyne-decoder>=3.1"],  # packets: VelodyneScan and captures
     "test": ["pytest"],  # by this colcon knows that pytest runs the tests
 }
 

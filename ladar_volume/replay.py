@@ -14,9 +14,10 @@ import numpy as np
 
 from ladar_volume.clouds.survey.survey_bodies import SurveyBodies, around, bodies_of_survey
 from ladar_volume.io import results
-from ladar_volume.io.bags import BagReader
+from ladar_volume.io.bags import Recording
 from ladar_volume.io.cloud_messages import returns_from_cloud
 from ladar_volume.io.drivers.ring_count import RingCount
+from ladar_volume.io.frames.frame_mounting import of_recording
 from ladar_volume.io.sensor_messages import (
     fix_from_message,
     imu_from_message,
@@ -40,7 +41,7 @@ POSE_MARGIN_NS = 2_000_000_000
 class Replay:
     """A recording and what it is replayed with."""
 
-    bag: BagReader
+    bag: Recording
     parameters: Parameters
     topics: dict[str, str]
     start_s: float = 0.0
@@ -56,6 +57,8 @@ class Replay:
             else dict.fromkeys(("fix", "imu", "odometry"), self.poses.path.name)
         )
         self.bag.require({**self.topics, **given}, self.parameters.georeference.pose_source)
+        mounted = of_recording(self.bag, self.topics, self.parameters, self.poses is not None)
+        self.parameters, self.mounting = mounted.parameters, mounted.words
         self.engine = Engine(self.parameters)
         self.losses = Losses()
         self.returns = 0
@@ -204,6 +207,8 @@ class Replay:
             "duration_s": self.bag.duration_s,
             "topics": self.topics,
         }
+        if self.mounting:
+            source["mounting"] = list(self.mounting)
         if self.poses is not None:
             source |= {"poses": self.poses.path.name, "poses_sha256": self.poses.digest()}
             source |= {"poses_height": self.poses.height_reference}

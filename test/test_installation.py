@@ -20,6 +20,7 @@ KEYS = {
     "mcap": "",
     "zstandard": "",
     "pymavlink": "python3-pymavlink-pip",
+    "velodyne-decoder": "",
     "pyproj": "python3-pyproj",
     "laspy": "",
     "matplotlib": "python3-matplotlib",

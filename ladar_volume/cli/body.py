@@ -46,6 +46,7 @@ from ladar_volume.clouds.body_walls import closing_doubts, foot_doubts, wall_dou
 from ladar_volume.clouds.cloud_bodies import CLEAR, BodyOptions, cloud_bodies
 from ladar_volume.clouds.filter.filter_result import CloudResult
 from ladar_volume.clouds.filter_cloud import filter_cloud
+from ladar_volume.clouds.ground_cover import doubts_about_growth, growth_about_bodies
 from ladar_volume.ground.ground_presets import PRESETS
 from ladar_volume.ground.objects import (
     ObjectParameters,
@@ -211,13 +212,15 @@ def of_cloud(arguments: argparse.Namespace, console: Console) -> tuple[dict[str,
         )
         status.update("propagating the noise")
         made, checked = check_bodies(made, points, raw, options)
-        uncertain = uncertainty(made, checked, points, raw)
+        growth_m = growth_about_bodies(raw, made, points)
+        uncertain = uncertainty(made, checked, points, raw, growth_m)
     facts = cloud_facts(a.source.name, len(raw), points, made, found, uncertain)
     facts["reading"] = cloud_facts_of(source.cloud)
     facts["above_ground"] = None if missed is None else dataclasses.asdict(missed)
     verdict = Verdict(reading_doubts([source.cloud])) + bodies_verdict(made, points.r, missed)
     verdict += Verdict(doubts + check_doubts(checked) + foot_doubts(made, points))
-    verdict += Verdict(wall_doubts(made, points) + closing_doubts(made))
+    grown = doubts_about_growth(made, growth_m)
+    verdict += Verdict(wall_doubts(made, points) + closing_doubts(made) + grown)
     for body in made.bodies:
         verdict += Verdict(body.doubts)
     if uncertain is None:

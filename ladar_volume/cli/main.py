@@ -53,15 +53,17 @@ EXTRAS = {
     "rasterio": "geo",
     "ezdxf": "geo",
     "pye57": "geo",
+    "velodyne_decoder": "velodyne",
+    "dpkt": "velodyne",
 }
 #: Exit code of a defect (sysexits' EX_SOFTWARE).
 DEFECT = 70
 
 
 def _info(arguments: argparse.Namespace) -> int:
-    from ladar_volume.io.bags import BagReader
+    from ladar_volume.io.drivers.packet_capture import open_recording
 
-    with BagReader(arguments.bag) as bag:
+    with open_recording(arguments.bag) as bag:
         topics = {
             name: {"type": kind, "messages": count} for name, (kind, count) in bag.topics().items()
         }

@@ -17,8 +17,8 @@ from ladar_volume.cli.body import write as write_bodies
 from ladar_volume.cli.tables.result_table import show_result
 from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.io import results
-from ladar_volume.io.bags import BagReader
 from ladar_volume.io.config import read_config
+from ladar_volume.io.drivers.packet_capture import open_recording
 from ladar_volume.io.output_set import output_set
 from ladar_volume.io.surveys import FILE, write_survey
 from ladar_volume.model.parameters import Parameters
@@ -70,7 +70,7 @@ def _replayed(
     arguments: argparse.Namespace, parameters: Parameters, folder: Path, console: Console
 ) -> tuple[dict[str, Any], float]:
     """Replay and write; returns the result and the seconds the replay took."""
-    with BagReader(arguments.bag) as bag:
+    with open_recording(arguments.bag) as bag:
         poses = poses_of(arguments, parameters)
         replay = Replay(
             bag,

@@ -19,8 +19,9 @@ from ladar_volume.cli.replay import topics_from
 from ladar_volume.cli.tables.result_table import show_result
 from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.io import results
-from ladar_volume.io.bags import ROLES, BagReader
+from ladar_volume.io.bags import ROLES
 from ladar_volume.io.config import dump_config, read_config
+from ladar_volume.io.drivers.packet_capture import open_recording
 from ladar_volume.io.output_set import output_set
 from ladar_volume.model.errors import ConfigurationError, shown
 from ladar_volume.model.parameters import Parameters
@@ -142,7 +143,7 @@ def played_result(
     graph: Graph, arguments: argparse.Namespace, parameters: Parameters, console: Console
 ) -> dict[str, Any]:
     """Play the recording; what the volume node answers, with what was played."""
-    with BagReader(arguments.play) as bag, Progress(console=console, transient=True) as bar:
+    with open_recording(arguments.play) as bag, Progress(console=console, transient=True) as bar:
         topics = bag.roles(topics_from(arguments.topic))
         bag.require(topics, parameters.georeference.pose_source)
         task = bar.add_task(

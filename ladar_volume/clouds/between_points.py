@@ -10,6 +10,7 @@ spacing of all points. What the noise of the points does to the differences is t
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,9 @@ from ladar_volume.tin.sampled_area import FEWEST, spacings
 CELL, BLOCK = 1.5, 3.0
 #: The coarser surface is made as often, its cells shifted by so many.
 SHIFTS = ((0.0, 0.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5))
+#: Triangles that are enough, of all coarser surfaces together; where one has more, those in squares
+#: of so many spacings, spread evenly over the outline, stand for all.
+ENOUGH, SQUARE = 400_000, 30.0
 #: A sum of differences above this many times the root of its squares is no chance.
 CHANCE = 2.5
 #: Places in a triangle, and their weights: exact for quadratics.
@@ -81,10 +85,11 @@ def between_points(
     bridged = bridges(surface)
     if np.count_nonzero(inside[~bridged]) < FEWEST:
         return BetweenPoints(0.0, 0.0, hidden)
-    seen = np.where(bridged, 0.0, inside)
+    seen, share = some_squares(tin, np.where(bridged, 0.0, inside), spacing)
     finest = wide(tin, seen)
     squares, totals, noises, ratios, few = [], [], [], [], []
-    for shift in SHIFTS:
+    shifts = SHIFTS[: math.ceil(ENOUGH / np.count_nonzero(seen > 0))]
+    for shift in shifts:
         kept = thinned_by_spacing(tin.vertices, spacing, shift)
         if len(kept) < FEWEST // 4:
             return BetweenPoints(0.0, 0.0, hidden)
@@ -104,7 +109,22 @@ def between_points(
     total = float(np.mean(totals))
     excess = total**2 - CHANCE**2 * max(square, float(np.mean(noises)))
     drift = abs(total) / (ratio**2 - 1.0) if excess > 0 else 0.0
-    return BetweenPoints(random, drift, hidden)
+    return BetweenPoints(random / share, drift / share, hidden)
+
+
+def some_squares(tin: Tin, inside: F64, spacing: F64) -> tuple[F64, float]:
+    """The areas (m,) m² of triangles within the outline, 0 for those that others stand for; and
+    what part of the area is left.
+    """
+    every = math.ceil(np.count_nonzero(inside > 0) / ENOUGH)
+    side = SQUARE * float(np.median(spacing))
+    if every < 2 or not math.isfinite(side):
+        return inside, 1.0
+    first = tin.vertices[tin.triangles[:, 0], :2]
+    square = np.floor((first - first.min(axis=0)) / side).astype(np.int64)
+    # a knight's move from row to row: no row, column or diagonal goes without
+    kept = np.where((square @ [1, 2]) % every == 0, inside, 0.0)
+    return kept, float(kept.sum() / inside.sum())
 
 
 def coarser(surface: CloudSurface, inside: F64, kept: I64) -> tuple[F64, float, float]:
@@ -128,12 +148,14 @@ def coarser(surface: CloudSurface, inside: F64, kept: I64) -> tuple[F64, float, 
         part = weight * inside[own[some]]
         differences[some] += part * (p[some, 2] - (b * tin.vertices[vertex, 2]).sum(axis=1))
         gradient += np.bincount(vertex.ravel(), (-part[:, None] * b).ravel(), len(gradient))
-        np.add.at(gradient, corners[some], part[:, None] * place)
+        gradient += np.bincount(
+            corners[some].ravel(), (part[:, None] * place).ravel(), len(gradient)
+        )
         covered += np.bincount(where[some], part, len(covered))
     size = wide(coarse, covered)
     middle = tin.vertices[corners, :2].mean(axis=1)
     cell = np.floor((middle - middle.min(axis=0)) / (BLOCK * size)).astype(np.int64)
-    number = np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
+    number = np.unique(cell @ [1 << 32, 1], return_inverse=True)[1].reshape(-1)
     blocks: F64 = np.bincount(number, differences).astype(np.float64)
     return blocks, noise_of(surface, gradient), size
 

@@ -127,9 +127,14 @@ def check_bodies(
 
 
 def uncertainty(
-    made: CloudBodies, checked: Sequence[Checked], points: BodyPoints, raw: F64
+    made: CloudBodies,
+    checked: Sequence[Checked],
+    points: BodyPoints,
+    raw: F64,
+    growth_m: float = 0.0,
 ) -> Uncertain | None:
-    """Covariance of the bodies with all sources; None where the noise is not known.
+    """Covariance of the bodies with all sources; None where the noise is not known. growth_m : of
+    plants on the ground.
 
     The mesh errs to the same side in all bodies: its mean difference is common to them, that
     between the halves each body's own.
@@ -144,11 +149,16 @@ def uncertainty(
     mean = np.array([np.mean(c.between_m3) if c.between_m3 else 0.0 for c in checked])
     own = np.array([np.var(c.between_m3) if c.between_m3 else 0.0 for c in checked])
     fit = np.array([c.fit_m6 for c in checked])
-    budget = tuple(
-        {**lines, "fit": float(fit[k]), "between": float(mean[k] ** 2 + own[k])}
-        for k, lines in enumerate(start.budget_m6)
-    )
-    return Uncertain(start.C_m6 + np.outer(mean, mean) + np.diag(own + fit), budget)
+    # plants lift the base of all bodies
+    grown = growth_m * np.array([b.by_ground[0] if growth_m else 0.0 for b in made.bodies])
+    budget = []
+    for k, lines in enumerate(start.budget_m6):
+        more = {"fit": float(fit[k]), "between": float(mean[k] ** 2 + own[k])}
+        budget.append(
+            {**lines, **more} | ({"vegetation": float(grown[k] ** 2)} if growth_m else {})
+        )
+    common = np.outer(mean, mean) + np.outer(grown, grown)
+    return Uncertain(start.C_m6 + common + np.diag(own + fit), tuple(budget))
 
 
 def check_doubts(checked: Sequence[Checked]) -> tuple[Doubt, ...]:

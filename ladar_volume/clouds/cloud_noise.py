@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I64
 from ladar_volume.tin.sampled_area import spacings
@@ -28,6 +29,11 @@ CELL = 0.5
 CUT, KEPT = 3.0, 0.9733
 #: Neighbours whose footprints are this much narrower than they are long lie on one line.
 NARROW = 0.2
+#: Cells of a raster per point that are cheaper than sorting the points.
+RASTER = 8.0
+#: Cells of a size that fewer than this share of the points have are rare; of sizes that differ by
+#: less than this factor, one does for both.
+RARE, ALIKE = 0.01, 1.5
 
 
 @dataclass(frozen=True)
@@ -72,16 +78,47 @@ def rounding_step(z: F64) -> float:
     return step if bool((off <= 4.0 * precision + 1e-3 * step).all()) else 0.0
 
 
+@kernel
+def nearest_in_cells(points: F64, low: F64, cell_m: float, shift: F64, nearest: I64) -> None:
+    """Write the row of the point (n, 3) that is nearest to the middle of each cell of a raster
+    (a, b), whose origin is ``low`` less the shift in cells; -1 stays where there is none, and the
+    first of equals is taken.
+    """
+    distance = np.empty(nearest.shape)
+    for i in range(len(points)):
+        u = (points[i, 0] - low[0]) / cell_m + shift[0]
+        v = (points[i, 1] - low[1]) / cell_m + shift[1]
+        x, y = int(np.floor(u)), int(np.floor(v))
+        off = (u - x - 0.5) ** 2 + (v - y - 0.5) ** 2
+        if nearest[x, y] < 0 or off < distance[x, y]:
+            nearest[x, y], distance[x, y] = i, off
+
+
 def thinned(points: F64, cell_m: float, shift: tuple[float, float] = (0.0, 0.0)) -> I64:
     """Rows (k,) of points (n, 3): in every cell of the horizontal plane, shifted by so many cells,
-    the one nearest to its middle.
+    the one nearest to its middle; by cells from west to east, and from south to north in each.
     """
-    place = (points[:, :2] - points[:, :2].min(axis=0)) / cell_m + np.array(shift)
-    cell = np.floor(place).astype(np.int64)
+    x, y = points[:, 0], points[:, 1]
+    low, high, moved = np.array([x.min(), y.min()]), np.array([x.max(), y.max()]), np.array(shift)
+    size = np.floor((high - low) / cell_m + moved) + 1.0
+    if size.prod() <= RASTER * len(points) + 1e4:
+        nearest = np.full(size.astype(np.int64), -1, np.int64)
+        nearest_in_cells(points, low, cell_m, moved, nearest)
+        return nearest[nearest >= 0]
+    # few points in a wide raster: sorted instead
+    place = (points[:, :2] - low) / cell_m + moved
+    cell = np.floor(place)
     off = ((place - cell - 0.5) ** 2).sum(axis=1)
     order = np.lexsort((off, cell[:, 1], cell[:, 0]))
     same = (np.diff(cell[order], axis=0) == 0).all(axis=1)
     return order[np.r_[True, ~same]]
+
+
+def first_of_footprints(xy: F64) -> I64:
+    """Rows (k,), ascending, of places (n, 2): the first of those with equal coordinates."""
+    order = np.lexsort((xy[:, 1], xy[:, 0]))
+    same = (np.diff(xy[order], axis=0) == 0).all(axis=1)
+    return np.sort(order[np.r_[True, ~same]])
 
 
 def fit_residuals(points: F64, near: F64, chosen: I64) -> tuple[F64, F64]:
@@ -106,7 +143,9 @@ def neighbours(points: F64, kept: I64, chosen: I64) -> F64:
     """Of the points ``kept``, rows (k,) of (n, 3), the nearest (m, NEIGHBOURS, 3) to those
     ``chosen`` (m,), themselves not.
     """
-    _, found = cKDTree(points[kept, :2]).query(points[chosen, :2], NEIGHBOURS + 1)
+    # few are asked for: a tree that is made fast
+    tree = cKDTree(points[kept, :2], balanced_tree=False, compact_nodes=False)
+    _, found = tree.query(points[chosen, :2], NEIGHBOURS + 1)
     near = kept[np.asarray(found)]
     own = near == chosen[:, None]
     own[~own.any(axis=1), -1] = True
@@ -131,6 +170,20 @@ def robust_sigma(residuals: F64, floor: float) -> float:
     return sigma
 
 
+def common_cells(cells: F64) -> F64:
+    """Cells (m,), m, those that are rare replaced by the nearest in size that is not, where that is
+    about as large: each size costs a search of its own.
+    """
+    size, count = np.unique(cells[np.isfinite(cells)], return_counts=True)
+    many = size[count >= RARE * len(cells)]
+    out = cells.copy()
+    for value in np.setdiff1d(size, many).tolist():
+        ratio = np.abs(np.log(many / value))
+        if len(many) and ratio.min() < math.log(ALIKE):
+            out[cells == value] = many[np.argmin(ratio)]
+    return out
+
+
 def cloud_noise(points: F64) -> CloudNoise:
     """The noise of the heights of points (n, 3), m.
 
@@ -138,9 +191,9 @@ def cloud_noise(points: F64) -> CloudNoise:
     :data:`FEWEST` distinct footprints.
     """
     step = rounding_step(points[:, 2])
-    _, first = np.unique(points[:, :2], axis=0, return_index=True)
+    first = first_of_footprints(points[:, :2])
     copies = len(points) - len(first)
-    own = points[np.sort(first)]
+    own = points[first]
     if len(own) < FEWEST:
         words = f"{len(own)} points are too few to estimate their noise ({FEWEST} are needed)"
         raise SurfaceError(words, reason="surface_too_few_points", value=len(own))
@@ -148,7 +201,7 @@ def cloud_noise(points: F64) -> CloudNoise:
     chosen = np.unique(np.linspace(0, len(own) - 1, min(len(own), MOST_FITS)).astype(np.int64))
     residual, narrow = fit_residuals(own, neighbours(own, np.arange(len(own)), chosen), chosen)
     spacing = spacings(own[:, :2])[chosen]
-    cells = CELL * spacing
+    cells = common_cells(CELL * spacing)
     lines = 0.0
     for cell in np.unique(cells[np.isfinite(cells)]).tolist():
         kept = thinned(own, cell)

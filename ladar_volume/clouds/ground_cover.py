@@ -7,7 +7,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.spatial import cKDTree
 
+from ladar_volume.clouds.body_points import BodyPoints
+from ladar_volume.clouds.cloud_bodies import CloudBodies
 from ladar_volume.clouds.cloud_noise import FEWEST, fit_residuals, neighbours, robust_sigma
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.ground.polynomial import height_above
@@ -24,6 +27,9 @@ SECTORS = 8
 GRASS_M, GRASS = 0.009, 1.0
 #: Slope of a steep edge (60°), and its least climb in standard deviations of a point.
 STEEP, CLIMB = math.tan(math.radians(60.0)), 6.0
+#: Ground is beside closed bodies beyond so many spacings of their points, and lies within this
+#: share of their height about the base.
+BESIDE, LOW = 4.0, 0.3
 
 
 def steep_vertices(surface: CloudSurface, object_height_m: float, scatter_m: float) -> Bool:
@@ -83,13 +89,60 @@ def growth_above_ground(surface: CloudSurface, base: Plane, high: Bool, body_m: 
         return 0.0
     step = max(1, math.ceil(len(low) / MOST))
     centre = tin.vertices[high, :2].mean(axis=0)
-    x, y = (tin.vertices[low[::step], :2] - centre).T
-    sector = np.floor((np.arctan2(y, x) / (2.0 * math.pi)) % 1.0 * SECTORS).astype(np.int64)
     off = scatter(points, source[low[::step]].astype(np.int64))
+    return growth_by_sectors(tin.vertices[low[::step], :2] - centre, off, body)
+
+
+def growth_by_sectors(xy: F64, off: F64, body_m: float) -> float:
+    """By how much, m, points xy (k, 2) m about a middle, off local quadrics by (k,) m, scatter more
+    than a body that scatters by ``body_m``: 0 where they do not by as much as grass does.
+    """
+    angle = np.arctan2(xy[:, 1], xy[:, 0]) / (2.0 * math.pi)
+    sector = np.floor(angle % 1.0 * SECTORS).astype(np.int64)
     own = [off[sector == k] for k in range(SECTORS)]
-    more = [max(0.0, robust_sigma(some, 0.0) ** 2 - body**2) for some in own if len(some) >= FEWEST]
-    found = math.sqrt(sum(more) / len(more)) if more else 0.0
-    return found if found > max(GRASS_M, GRASS * body) else 0.0
+    sizes = [robust_sigma(some, 0.0) ** 2 - body_m**2 for some in own if len(some) >= FEWEST]
+    found = math.sqrt(sum(max(0.0, s) for s in sizes) / len(sizes)) if sizes else 0.0
+    return found if found > max(GRASS_M, GRASS * body_m) else 0.0
+
+
+def bodies_scatter(raw: F64, points: BodyPoints, rows: I64) -> float:
+    """Scatter, m, of the points of bodies, rows (k,): what the filter moved them by, or the noise
+    of the cloud; NaN where neither is known.
+    """
+    f = points.filtered
+    if f is None or f.count is not None:
+        return points.noise_m or math.nan
+    moved = raw[f.index[rows]] - f.r[rows]
+    return robust_sigma(np.einsum("ni,ni->n", moved, f.normal[rows]), 0.0)
+
+
+def growth_about_bodies(raw: F64, made: CloudBodies, points: BodyPoints) -> float:
+    """As :func:`growth_above_ground`, for closed bodies: raw (n, 3) m, the points as they came,
+    those of the ground beside the bodies against those of the bodies.
+    """
+    ground = made.ground
+    if ground is None or not len(ground.support) or not made.bodies:
+        return 0.0
+    rows, r = np.concatenate(made.sources), points.r
+    body = bodies_scatter(raw, points, rows)
+    apart = BESIDE * max(float(mesh.report["spacing_m"]) for mesh in made.meshes)
+    reach = LOW * float(np.ptp(r[rows, 2]))
+    low = np.flatnonzero(np.abs(height_above(raw, ground)) < reach)
+    low = low[:: max(1, len(low) // (4 * MOST))]
+    near = cKDTree(r[rows, :2]).query(raw[low, :2], distance_upper_bound=apart)[0]
+    low = low[np.isinf(near)][:: max(1, math.ceil(np.count_nonzero(np.isinf(near)) / MOST))]
+    if len(low) < FEWEST or math.isnan(body):
+        return 0.0
+    centre = r[rows, :2].mean(axis=0)
+    return growth_by_sectors(raw[low, :2] - centre, scatter(raw, low), body)
+
+
+def doubts_about_growth(made: CloudBodies, growth_m: float) -> tuple[Doubt, ...]:
+    """The ground beside closed bodies is overgrown, where it is."""
+    if not growth_m:
+        return ()
+    base_m2 = abs(sum(float(body.by_ground[0]) for body in made.bodies))
+    return tuple(growth_doubts(growth_m, growth_m * base_m2))
 
 
 def growth_doubts(growth_m: float, sigma_m3: float) -> list[Doubt]:

@@ -5,6 +5,7 @@ out.
 from __future__ import annotations
 
 import hashlib
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +16,10 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.rosbag1 import ReaderError as Ros1Error
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2 import ReaderError as Ros2Error
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import ladar_volume.io.bounded_unpacking  # noqa: F401  (bounds what rosbags unpacks)
+from ladar_volume.io.drivers import velodyne_scan
 from ladar_volume.model.errors import BagError, OutputError, shown
 
 #: What the pipeline listens to: role → (message type, usual topic).
@@ -27,7 +29,11 @@ ROLES: dict[str, tuple[str, str]] = {
     "imu": ("sensor_msgs/msg/Imu", "imu/data"),
     "odometry": ("nav_msgs/msg/Odometry", "odometry"),
 }
+#: What stands in for a role where nothing of its own type was recorded.
+INSTEAD = {"cloud": (velodyne_scan.KIND, velodyne_scan.TOPIC)}
 TYPESTORE = get_typestore(Stores.ROS2_JAZZY)
+for _name, _text in velodyne_scan.DEFINITIONS.items():
+    TYPESTORE.register(get_types_from_msg(_text, _name))
 
 
 @dataclass(frozen=True)
@@ -42,8 +48,97 @@ class Raw:
     data: bytes
 
 
-class BagReader:
-    """A recording, opened on construction; use as a context manager.
+class Recording(ABC):
+    """Messages of topics in the order in which they came; use as a context manager."""
+
+    path: Path
+
+    @property
+    @abstractmethod
+    def start_ns(self) -> int:
+        """Receive time of the first message."""
+
+    @property
+    @abstractmethod
+    def duration_s(self) -> float:
+        """From first to last message."""
+
+    @abstractmethod
+    def topics(self) -> dict[str, tuple[str, int]]:
+        """Topic (without leading slash) → type and number of messages."""
+
+    @abstractmethod
+    def raw(self, topics: set[str] | None = None) -> Iterator[Raw]:
+        """Messages in receive order. Raises BagError (bag_truncated) where the file breaks off or
+        holds fewer than it announces.
+        """
+
+    @abstractmethod
+    def message(self, raw: Raw) -> Any:
+        """Deserialise. Raises BagError (bag_message) for bytes that are not such a message."""
+
+    @abstractmethod
+    def digest(self) -> str:
+        """sha256 over the recording's data files in name order."""
+
+    @abstractmethod
+    def __enter__(self) -> Recording:
+        """Opened already."""
+
+    @abstractmethod
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the files."""
+
+    def roles(self, wanted: Mapping[str, str] | None = None) -> dict[str, str]:
+        """Role → topic: as ``wanted``, else the usual name, else the only topic of the type, else
+        the same of the type that stands in (:data:`INSTEAD`).
+
+        Raises BagError (bag_topic) where a wanted topic is absent or has another type.
+        """
+        topics, found = self.topics(), {}
+        for role, own in ROLES.items():
+            name = (wanted or {}).get(role, "").lstrip("/")
+            kinds = [own, INSTEAD[role]] if role in INSTEAD else [own]
+            if name and topics.get(name, ("", 0))[0] not in [kind for kind, _ in kinds]:
+                raise BagError(
+                    f"{self.path}: no topic {name!r} of type {own[0]}",
+                    reason="bag_topic",
+                    value=name,
+                )
+            for kind, usual in kinds:
+                candidates = [t for t, (k, _) in topics.items() if k == kind]
+                only = candidates[0] if len(candidates) == 1 else ""
+                chosen = name or (usual if usual in candidates else only)
+                if chosen:
+                    found[role] = chosen
+                    break
+        return found
+
+    def require(self, roles: Mapping[str, str], pose_source: str) -> None:
+        """Check that the topics a volume needs are there; raises BagError (bag_topic) naming what
+        is missing.
+        """
+        needed = ("cloud", "fix", "imu") if pose_source == "gnss_imu" else ("cloud", "odometry")
+        missing = [f"{role} ({ROLES[role][0]})" for role in needed if role not in roles]
+        if missing:
+            hint = "; --poses LOG takes poses from an autopilot's log" if "cloud" in roles else ""
+            raise BagError(
+                (
+                    f"{self.path}: no topic for {', '.join(missing)}; the recording has "
+                    f"{', '.join(self.topics())}{hint}"
+                ),
+                reason="bag_topic",
+                value=missing,
+            )
+
+
+class BagReader(Recording):
+    """A recording of ROS, opened on construction.
 
     Raises :class:`BagError` with reason bag_missing, bag_format, bag_empty or bag_truncated.
     """
@@ -119,42 +214,6 @@ class BagReader:
             name = c.topic.lstrip("/")
             found[name] = (c.msgtype, found.get(name, ("", 0))[1] + c.msgcount)
         return dict(sorted(found.items()))
-
-    def roles(self, wanted: Mapping[str, str] | None = None) -> dict[str, str]:
-        """Role → topic: as ``wanted``, else the usual name, else the only topic of the type.
-
-        Raises BagError (bag_topic) where a wanted topic is absent or has another type.
-        """
-        topics, found = self.topics(), {}
-        for role, (kind, usual) in ROLES.items():
-            candidates = [t for t, (k, _) in topics.items() if k == kind]
-            name = (wanted or {}).get(role, "").lstrip("/")
-            if name and name not in candidates:
-                raise BagError(
-                    f"{self.path}: no topic {name!r} of type {kind}", reason="bag_topic", value=name
-                )
-            chosen = name or (
-                usual if usual in candidates else candidates[0] if len(candidates) == 1 else ""
-            )
-            if chosen:
-                found[role] = chosen
-        return found
-
-    def require(self, roles: Mapping[str, str], pose_source: str) -> None:
-        """Check that the topics a volume needs are there; raises BagError (bag_topic) naming what
-        is missing.
-        """
-        needed = ("cloud", "fix", "imu") if pose_source == "gnss_imu" else ("cloud", "odometry")
-        missing = [f"{role} ({ROLES[role][0]})" for role in needed if role not in roles]
-        if missing:
-            raise BagError(
-                (
-                    f"{self.path}: no topic for {', '.join(missing)}; the recording has "
-                    f"{', '.join(self.topics())}"
-                ),
-                reason="bag_topic",
-                value=missing,
-            )
 
     def raw(self, topics: set[str] | None = None) -> Iterator[Raw]:
         """Messages in receive order. Raises BagError (bag_truncated) where the file breaks off or

@@ -1,12 +1,14 @@
-"""LiDAR clouds: PointCloud2 → :class:`Returns` with a time for every return."""
+"""LiDAR clouds: PointCloud2 or VelodyneScan → :class:`Returns` with a time for every return."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from ladar_volume.io.drivers.dual_returns import one_echo
 from ladar_volume.io.drivers.point_layouts import (
     INTENSITY_FIELDS,
     RING_FIELDS,
@@ -16,11 +18,26 @@ from ladar_volume.io.drivers.point_layouts import (
     rings_of,
 )
 from ladar_volume.io.drivers.return_times import return_times
+from ladar_volume.io.drivers.velodyne_scan import returns_from_scan
 from ladar_volume.io.tables import decode
 from ladar_volume.model.errors import CloudError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import GeoreferenceParameters
 from ladar_volume.model.records import Returns, select
+
+
+class Named(Protocol):
+    """sensor_msgs/PointField."""
+
+    name: str
+
+
+class Cloud(Protocol):
+    """sensor_msgs/PointCloud2, as far as it is read here."""
+
+    header: object
+    fields: Sequence[Named]
+
 
 #: All fields that are read; drivers write many more.
 READ = frozenset(("x", "y", "z", *TIME_FIELDS, *RING_FIELDS, *INTENSITY_FIELDS))
@@ -50,6 +67,30 @@ def _check_scalars(columns: dict[str, npt.NDArray[Any]]) -> None:
 
 
 def returns_from_cloud(message: Any, parameters: GeoreferenceParameters, losses: Losses) -> Returns:
+    """Decode a PointCloud2 or, as :func:`returns_from_scan`, a VelodyneScan. Of two echoes of one
+    firing one is taken; the others are counted (point_dual_return).
+
+    Raises
+    ------
+    CloudError : as :func:`returns_from_points` and :func:`returns_from_scan`.
+    ParameterValueError : packets of a scanner with another number of beams.
+    """
+    if hasattr(message, "packets"):
+        returns = returns_from_scan(message, parameters)
+    else:
+        returns = returns_from_points(message, parameters, losses)
+        if not any(f.name in TIME_FIELDS for f in message.fields):
+            return returns
+    keep = one_echo(returns)
+    if keep.all():
+        return returns
+    losses.add("point_dual_return", len(keep) - int(np.count_nonzero(keep)))
+    return select(returns, keep)
+
+
+def returns_from_points(
+    message: Cloud, parameters: GeoreferenceParameters, losses: Losses
+) -> Returns:
     """Decode a cloud of any layout of :mod:`ladar_volume.io.drivers.point_layouts`, organised or
     not.
 

@@ -219,6 +219,11 @@ class GeoreferenceParameters:
         low=0.1,
         high=600,
     )
+    mounting_from_tf: bool = param(
+        True,
+        "Take boresight and lever arms that `calibration` has at zero from /tf_static, and refuse "
+        "others that contradict it.",
+    )
     covariance_output: str = param(
         "independent",
         "What the covariance fields of points_mapped hold.",
@@ -403,6 +408,12 @@ class NodeParameters:
     )
     map_period_s: float = param(
         5.0, "How often tin and mesh are published, at most.", unit="s", low=0.05, high=600
+    )
+    cloud_message: str = param(
+        "PointCloud2",
+        "What the scanner's driver publishes: clouds on velodyne_points, or the packets of a "
+        "Velodyne (velodyne_msgs) on velodyne_packets.",
+        choices=("PointCloud2", "VelodyneScan"),
     )
     input_reliability: str = param(
         "best_effort",

@@ -14,15 +14,19 @@ from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 from ladar_volume.georeference.georeferencer import Georeferencer
 from ladar_volume.georeference.point_jacobian import total_covariance
 from ladar_volume.io.cloud_messages import returns_from_cloud, stamp_ns
+from ladar_volume.io.drivers.point_layouts import RING_FIELDS
+from ladar_volume.io.drivers.velodyne_scan import KIND, TOPIC
 from ladar_volume.io.message_tables import mapped_columns
 from ladar_volume.io.sensor_messages import (
     fix_from_message,
     imu_from_message,
     odometry_from_message,
 )
+from ladar_volume.model.errors import CloudError, ParameterValueError
 from ladar_volume.model.records import Returns
 from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.convert import datum_message, platform_messages, table_message
+from ladar_volume.nodes.message_classes import needed_class
 from ladar_volume.nodes.qos import LATCHED, STREAM, sensor_qos
 from ladar_volume.nodes.running import spin
 from ladar_volume.nodes.watch.clock_words import clock_words
@@ -58,7 +62,10 @@ class GeoreferenceNode(StageNode):
         self._platform = self.create_publisher(Odometry, "platform", STREAM)
         self._datum_out = self.create_publisher(NavSatFix, "datum", LATCHED)
         qos = sensor_qos(self.parameters)
-        self.listen("cloud", PointCloud2, "velodyne_points", qos, SILENT_S)
+        if self.parameters.node.cloud_message == "VelodyneScan":
+            self.listen("cloud", needed_class(KIND), TOPIC, qos, SILENT_S)
+        else:
+            self.listen("cloud", PointCloud2, "velodyne_points", qos, SILENT_S)
         if self.parameters.georeference.pose_source == "odometry":
             self.listen("odometry", Odometry, "odometry", qos, SILENT_S)
         else:
@@ -97,9 +104,18 @@ class GeoreferenceNode(StageNode):
         self._publish()
 
     def _returns_of(self, cloud: PointCloud2) -> Returns:
-        self._returns += cloud.width * cloud.height
-        returns = returns_from_cloud(cloud, self.parameters.georeference, self.losses)
-        self._checks.returns(returns, {field.name for field in cloud.fields})
+        dual = self.losses["point_dual_return"]
+        try:
+            returns = returns_from_cloud(cloud, self.parameters.georeference, self.losses)
+        except ParameterValueError as error:  # of another scanner: every cloud is refused
+            self._checks.other_scanner = str(error)
+            raise CloudError(str(error), reason="cloud_beams") from error
+        if hasattr(cloud, "packets"):
+            self._returns += len(returns) + self.losses["point_dual_return"] - dual
+            self._checks.returns(returns, set(RING_FIELDS))
+        else:
+            self._returns += cloud.width * cloud.height
+            self._checks.returns(returns, {field.name for field in cloud.fields})
         return returns
 
     def offered(self) -> dict[str, int]:

@@ -21,7 +21,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from ladar_volume.compile_kernels import STAGES, warm_up
-from ladar_volume.io.bags import BagReader
+from ladar_volume.io.bags import Recording
 from ladar_volume.model.errors import ConfigurationError, VolumeError
 from ladar_volume.nodes.base import ENDING_S, STOP_S, StageNode
 from ladar_volume.nodes.filter_node import FilterNode
@@ -220,7 +220,7 @@ class Graph:
             time.sleep(0.05)
 
     def play(
-        self, bag: BagReader, topics: dict[str, str], rate: float, progress: Callable[[float], None]
+        self, bag: Recording, topics: dict[str, str], rate: float, progress: Callable[[float], None]
     ) -> Player:
         """Play to the end and wait until the graph has drained."""
         player = Player(bag, topics, rate)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import re
 import threading
 import time
@@ -15,7 +14,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
-from ladar_volume.io.bags import ROLES
+from ladar_volume.io.bags import INSTEAD, ROLES
 from ladar_volume.io.config import dump_config
 from ladar_volume.io.mcap_log import usual_definition
 from ladar_volume.io.mcap_recovery import Recovery
@@ -24,24 +23,14 @@ from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.losses import Losses
 from ladar_volume.nodes.base import StageNode
+from ladar_volume.nodes.message_classes import message_class
 from ladar_volume.nodes.running import spin
 from ladar_volume.nodes.watch.wanted_topics import WantedTopics
 from ladar_volume.version import version
 
 #: How often new topics are looked for.
 DISCOVERY_S = 0.2
-#: The sensors' topics by role.
-INPUTS = {role: ROLES[role][1] for role in ("cloud", "fix", "imu", "odometry")}
 _FOREVER = "{sec: 9223372036, nsec: 854775807}"
-
-
-def message_class(kind: str) -> Any:
-    """The Python class of ``package/msg/Name``; None where the package is not installed."""
-    package, _, name = kind.split("/")
-    try:
-        return getattr(importlib.import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError):
-        return None
 
 
 def installed_definition(kind: str) -> str:
@@ -166,12 +155,11 @@ class LoggerNode(StageNode):
         while it is looked for.
         """
         reliable = self.parameters.node.input_reliability == "reliable"
-        for role, usual in INPUTS.items():
+        packets = self.parameters.node.cloud_message == "VelodyneScan"
+        for kind, usual in (ROLES | (INSTEAD if packets else {})).values():
             topic = self.resolve_topic_name(usual)
             if self._wanted.matches(topic):
-                self._subscribe(
-                    topic, topic.lstrip("/"), Subscribed(ROLES[role][0], reliable, latched=False)
-                )
+                self._subscribe(topic, topic.lstrip("/"), Subscribed(kind, reliable, latched=False))
 
     def _discover(self) -> None:
         self._wanted.look(self.get_node_names_and_namespaces())

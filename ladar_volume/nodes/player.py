@@ -14,9 +14,9 @@ from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
-from ladar_volume.io.bags import ROLES, BagReader
+from ladar_volume.io.bags import INSTEAD, ROLES, BagReader, Recording
 from ladar_volume.model.errors import LadarVolumeError
-from ladar_volume.nodes.logger_node import message_class
+from ladar_volume.nodes.message_classes import needed_class
 
 RELIABLE = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.RELIABLE
@@ -31,14 +31,15 @@ SETTLED_S = 1.0
 class Player(Node):
     """Plays the topics a volume needs under their usual names."""
 
-    def __init__(self, bag: BagReader, topics: dict[str, str], rate: float, **options: Any) -> None:
+    def __init__(self, bag: Recording, topics: dict[str, str], rate: float, **options: Any) -> None:
         super().__init__("player", **options)
         self._bag, self._topics, self._rate = bag, topics, rate
         self._clock_out = self.create_publisher(Clock, "/clock", 10)
-        self._out = {
-            topic: self.create_publisher(message_class(ROLES[role][0]), ROLES[role][1], RELIABLE)
-            for role, topic in topics.items()
-        }
+        recorded, self._out = bag.topics(), {}
+        for role, topic in topics.items():
+            kind = recorded[topic][0]
+            usual = ROLES[role][1] if kind == ROLES[role][0] else INSTEAD[role][1]
+            self._out[topic] = self.create_publisher(needed_class(kind), usual, RELIABLE)
         self.sent: dict[str, int] = dict.fromkeys(topics, 0)
         self._listeners: tuple[int, ...] = ()
         self._changed = time.monotonic()

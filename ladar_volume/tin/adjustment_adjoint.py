@@ -25,18 +25,27 @@ from ladar_volume.model.records import F64, I32, I64, Tin
 from ladar_volume.tin.elevation_adjustment import Fit, Normal
 
 
+@kernel
+def slope_kernel(vertices: F64, triangles: I32, heights: F64) -> F64:
+    """See :func:`triangle_slopes`."""
+    out = np.zeros((len(triangles), 2))
+    for t in range(len(triangles)):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        ux, uy = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1]
+        vx, vy = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1]
+        du, dv = heights[b] - heights[a], heights[c] - heights[a]
+        twice = ux * vy - uy * vx
+        if twice > 0.0:
+            out[t, 0] = (du * vy - dv * uy) / twice
+            out[t, 1] = (dv * ux - du * vx) / twice
+    return out
+
+
 def triangle_slopes(tin: Tin, heights: F64) -> F64:
     """Slopes (m, 2) of the plane over each triangle for vertex heights (n,); zero for slivers whose
     area rounds to nothing.
     """
-    p, z = tin.vertices[tin.triangles, :2], heights[tin.triangles]
-    u, v = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
-    du, dv = z[:, 1] - z[:, 0], z[:, 2] - z[:, 0]
-    twice = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
-    top = np.stack([du * v[:, 1] - dv * u[:, 1], dv * u[:, 0] - du * v[:, 0]], axis=1)
-    out: F64 = np.zeros((len(p), 2))
-    np.divide(top, twice[:, None], out=out, where=twice[:, None] > 0.0)
-    return out
+    return np.asarray(slope_kernel(tin.vertices, tin.triangles, np.ascontiguousarray(heights)))
 
 
 def raw_gradients(tin: Tin, fit: Fit, gradient: F64, points: int) -> F64:

@@ -60,15 +60,29 @@ class SampledArea:
     bridged: Bool
 
 
-def filled_at(cells: I64, size: I64) -> Bool:
-    """Whether each of cells (n, 2) of a raster of ``size`` cells lies in, or beside, a block of
-    three by three cells that all hold one of them.
+@kernel
+def cell_numbers(xy: F64, low: F64, size: float, width: int) -> I64:
+    """The cell (n,) of places (n, 2) in a raster of square cells, ``width`` in a row, with two
+    empty ones before the first, row by row.
     """
-    raster = np.zeros((size[0] + 4, size[1] + 4), bool)
-    raster[cells[:, 0] + 2, cells[:, 1] + 2] = True
+    out = np.empty(len(xy), np.int64)
+    for i in range(len(xy)):
+        x, y = np.floor((xy[i, 0] - low[0]) / size), np.floor((xy[i, 1] - low[1]) / size)
+        out[i] = (int(x) + 2) * width + int(y) + 2
+    return out
+
+
+def filled_at(xy: F64, low: F64, extent: F64, size: float) -> Bool:
+    """Whether each of places (n, 2) m lies in, or beside, a block of three by three cells of a
+    raster that all hold one of them; cells of ``size``, the first begins at ``low`` (2,).
+    """
+    count = np.floor(extent / size).astype(np.int64) + 5
+    cells = cell_numbers(xy, low, size, int(count[1]))
+    raster = np.zeros(count, bool)
+    raster.reshape(-1)[cells] = True
     block = np.ones((3, 3), bool)
     opened = ndimage.binary_dilation(ndimage.binary_erosion(raster, block), block, iterations=2)
-    out: Bool = opened[cells[:, 0] + 2, cells[:, 1] + 2]
+    out: Bool = opened.reshape(-1)[cells]
     return out
 
 
@@ -79,7 +93,9 @@ def spacings(xy: F64) -> F64:
     out = np.full(len(xy), np.inf)
     if len(xy) < FEWEST:
         return out
-    low, extent = xy.min(axis=0), np.maximum(np.ptp(xy, axis=0), 1e-300)
+    xy = np.ascontiguousarray(xy)
+    low = np.array([xy[:, 0].min(), xy[:, 1].min()])
+    extent = np.maximum(np.array([xy[:, 0].max(), xy[:, 1].max()]) - low, 1e-300)
     some = np.unique(xy[:: max(1, len(xy) // 20_000)], axis=0)
     near = np.asarray(cKDTree(some).query(some[:2000], 2)[0])[:, 1] if len(some) > 2 else extent
     least = float(np.median(near)) * math.sqrt(len(some) / len(xy))
@@ -88,10 +104,7 @@ def spacings(xy: F64) -> F64:
     while sizes[-1] * STEP <= LARGEST * float(extent.max()):
         sizes.append(sizes[-1] * STEP)
     # a long and narrow strip has no block of three cells at its width
-    filled = []
-    for size in sizes:
-        cells = np.floor((xy - low) / size).astype(np.int64)
-        filled.append(filled_at(cells, cells.max(axis=0) + 1))
+    filled = [filled_at(xy, low, extent, size) for size in sizes]
     for k in reversed(range(len(sizes))):
         out[filled[k]] = sizes[k]
     lasting = np.full(len(xy), np.inf)

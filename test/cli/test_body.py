@@ -412,3 +412,25 @@ def test_a_body_at_the_edge_of_the_data():
 )
 def test_digits_follow_sigma(value, sigma, shown):
     assert quantity(value, sigma) == shown
+
+
+def test_grass_beside_a_body_is_doubted_and_in_sigma(tmp_path, capsys):
+    rng = np.random.default_rng(8)
+    ground = np.c_[rng.uniform(-2.5, 2.5, (5000, 2)), np.zeros(5000)]
+    ground = ground[np.abs(ground[:, :2]).max(axis=1) > 0.6]
+    u = rng.uniform(-0.6, 0.6, (3000, 3))
+    face = rng.integers(0, 3, 3000)
+    u[np.arange(3000), face] = np.where(rng.random(3000) < 0.5, -0.6, 0.6)
+    u[face == 2, 2] = 0.6
+    box = np.c_[u[:, :2], u[:, 2] + 0.6]
+    grown = ground + np.c_[np.zeros((len(ground), 2)), rng.gamma(2.0, 0.02, len(ground))]
+    verdicts = []
+    for low in (ground, grown):
+        path = tmp_path / "cloud.npy"
+        np.save(path, np.r_[low, box] + rng.normal(0.0, 0.004, (len(low) + 3000, 3)))
+        verdicts.append(answer(capsys, path, "-o", tmp_path / "o.ply"))
+    clean, grass = verdicts
+    assert "vegetation" not in {r["name"] for r in clean["verdict"]["reasons"]}
+    assert "vegetation" in {r["name"] for r in grass["verdict"]["reasons"]}
+    for found in verdicts:
+        assert abs(found["volume_m3"] - 1.2**3) < 3.0 * found["sigma_m3"]

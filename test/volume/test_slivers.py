@@ -6,10 +6,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.records import Tin
 from ladar_volume.tin.diagonal_exchange import exchange_diagonals
-from ladar_volume.tin.full_tin import footprint_areas
+from ladar_volume.tin.full_tin import build_tin, footprint_areas
 from ladar_volume.tin.locate import barycentric, height_at, locate, triangle_index
+from ladar_volume.tin.relevant import edge_lengths
+from ladar_volume.volume.field_checks.completeness import cut_at_boundary
 from ladar_volume.volume.overlay import between
 
 
@@ -61,3 +64,19 @@ def test_points_in_slivers_have_residuals():
     tin = surface()
     e = exchange_diagonals(tin, np.r_[tin.vertices, [[1e6 + 0.25, 1e6 + 0.25, 9.0]]], "rms")
     assert np.isfinite([e.rms_m, e.asd_m, e.rms_before_m, e.asd_before_m]).all()
+
+
+def test_a_cut_is_seen_where_one_long_side_passes_below_the_body():
+    rng = np.random.default_rng(5)
+    xy = rng.uniform((0.0, -10.0), (10.0, 10.0), (4000, 2))
+    # two points beyond the others, on either side: the hull goes from ground to ground
+    xy = np.r_[xy, [[10.02, -8.0], [10.02, 8.0]]]
+    z = np.maximum(0.0, 2.0 - 0.4 * np.hypot(xy[:, 0] - 9.0, xy[:, 1]))
+    tin = build_tin(np.c_[xy, z])
+    level, inside = design_surface([0.0]), np.ones(len(tin.triangles), bool)
+    longest = edge_lengths(tin)[tin.neighbours < 0].max()
+    found = cut_at_boundary(tin, level, inside, 0.1)
+    assert longest > 15.0 and found is not None and 6.0 < found.length_m < 10.5
+    assert abs(found.x_m - 10.0) < 0.2 and abs(found.y_m) < 0.5
+    inside[:] = False
+    assert cut_at_boundary(tin, level, inside, 0.1) is None

@@ -13,7 +13,7 @@ from ladar_volume.cli.arguments.work import work
 def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
     parser = subparsers.add_parser("replay", help="volume of a recorded survey, offline")
-    parser.add_argument("bag", type=Path, help="rosbag2 folder, .mcap, or ROS 1 .bag")
+    parser.add_argument("bag", type=Path, help="rosbag2 folder, .mcap, ROS 1 .bag, or .pcap")
     add_common(parser)
     parser.add_argument(
         "--poses",

@@ -36,6 +36,7 @@ from ladar_volume.clouds.cloud_bodies import (
     cloud_bodies,
 )
 from ladar_volume.clouds.filter_cloud import filter_cloud
+from ladar_volume.clouds.ground_cover import doubts_about_growth, growth_about_bodies
 from ladar_volume.clouds.survey.survey_gradient import OnSurvey, on_survey
 from ladar_volume.ground.ground_adjoint import ground_gradient
 from ladar_volume.ground.objects import (
@@ -122,12 +123,14 @@ def bodies_of_survey(raw: F64, sources: Sources, parameters: Parameters) -> Surv
     options = BodyOptions()
     made = cloud_bodies(points.r, points.normal, points.curved, found.label, ground, options)
     made, checked = check_bodies(made, points, raw, options)
-    known = uncertainty(made, checked, points, raw)
+    growth_m = growth_about_bodies(raw, made, points)
+    known = uncertainty(made, checked, points, raw, growth_m)
     if known is None:
         raise VolumeError("the returns show no noise", reason="survey_noise")
     verdict = bodies_verdict(made, points.r, None)
     verdict += Verdict(doubts + check_doubts(checked) + foot_doubts(made, points))
-    verdict += Verdict(wall_doubts(made, points) + closing_doubts(made))
+    grown = doubts_about_growth(made, growth_m)
+    verdict += Verdict(wall_doubts(made, points) + closing_doubts(made) + grown)
     out = []
     for k, body in enumerate(made.bodies):
         moved = shared_gradient(body, made.sources[k], points, ground, sources)

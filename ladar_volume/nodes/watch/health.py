@@ -20,6 +20,7 @@ ROUTINE = frozenset(
         "outlier",
         "few_neighbours",
         "over_cap",
+        "dual_return",
     )
 )
 

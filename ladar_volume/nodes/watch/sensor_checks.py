@@ -87,6 +87,8 @@ class SensorChecks:
         self._without_ring = 0
         self._returns = self._beyond = 0
         self._up: deque[tuple[float, float, float]] = deque(maxlen=ATTITUDES)
+        #: Why packets are refused as those of another scanner than configured; empty where not.
+        self.other_scanner = ""
 
     def message(self, kind: str, message: Stamped) -> None:
         """One message as it came."""
@@ -131,7 +133,9 @@ class SensorChecks:
 
     def errors(self) -> list[str]:
         """What contradicts the configuration or another sensor; of rings, since the last call."""
-        return [*self._wrong_rings(), *self._wrong_frames(), *self._wrong_stamps(), *self._axes()]
+        other = [self.other_scanner] if self.other_scanner else []
+        rings, frames = self._wrong_rings(), self._wrong_frames()
+        return [*other, *rings, *frames, *self._wrong_stamps(), *self._axes()]
 
     def _wrong_rings(self) -> list[str]:
         share = self._beyond / max(self._returns, 1)

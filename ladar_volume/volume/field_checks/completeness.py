@@ -14,6 +14,7 @@ from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
+from ladar_volume.tin.relevant import edge_lengths
 from ladar_volume.volume.outline import bodies
 
 #: Least volume that a cut is likely to hide, in standard deviations of the volume.
@@ -25,6 +26,8 @@ DIRECTIONS, WIDEST_DEG = 36, 60.0
 #: Upward component of the normal of a steep face (60°), points of a direction that make one, and
 #: the shares of the directions between which walls bound a part of the body.
 STEEP, FEW, WALLED = 0.5, 3, (1.0 / 36.0, 0.75)
+#: A sliver's long side, in usual edges; its width is below one. Layers of slivers that are peeled.
+LONG, PEELED = 3.0, 20
 
 
 @dataclass(frozen=True)
@@ -40,12 +43,39 @@ class Cut:
     y_m: float
 
 
+def boundary_sides(tin: Tin, inside: Bool) -> tuple[I64, I64]:
+    """Triangles (b,) with a side, the one opposite the corner (b,), on the boundary of those
+    ``inside`` (m,).
+    """
+    beyond = np.where(tin.neighbours >= 0, inside[tin.neighbours], False)
+    t, k = np.nonzero(inside[:, None] & ~beyond)
+    return t.astype(np.int64), k.astype(np.int64)
+
+
+def without_slivers(tin: Tin, inside: Bool) -> Bool:
+    """The triangles (m,) inside without the slivers along a straight boundary: where the edge of
+    the data cuts a body, one long side can pass below it from ground to ground.
+    """
+    length = edge_lengths(tin)
+    if not inside.any():
+        return inside
+    usual, area = float(np.median(length[inside])), footprint_areas(tin.vertices, tin.triangles)
+    sliver = (length > LONG * usual) & (2.0 * area[:, None] < usual * length)
+    left = inside.copy()
+    for _ in range(PEELED):
+        t, k = boundary_sides(tin, left)
+        gone = t[sliver[t, k]]
+        if not len(gone):
+            break
+        left[gone] = False
+    return left
+
+
 def cut_at_boundary(tin: Tin, base: Plane, inside: Bool, least_m: float) -> Cut | None:
     """Where the surface stands higher above the base, or lies deeper, than ``least_m`` on the
     boundary of the triangles ``inside`` (m,).
     """
-    beyond = np.where(tin.neighbours >= 0, inside[tin.neighbours], False)
-    t, k = np.nonzero(inside[:, None] & ~beyond)
+    t, k = boundary_sides(tin, without_slivers(tin, inside))
     ends = np.stack([tin.triangles[t, (k + 1) % 3], tin.triangles[t, (k + 2) % 3]], axis=1)
     r = tin.vertices[ends]
     height = np.abs(r[:, :, 2] - base_height(base, r[:, :, :2].reshape(-1, 2)).reshape(-1, 2))

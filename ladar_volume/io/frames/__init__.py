@@ -1,0 +1,1 @@
+"""Frames of the sensors (REP-105): static transforms as mounting, poses as transforms."""

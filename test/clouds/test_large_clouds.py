@@ -1,0 +1,54 @@
+"""What large clouds are spared: each shortcut against the long way."""
+
+import numpy as np
+import pytest
+
+from ladar_volume.clouds import between_points, cloud_noise
+from ladar_volume.clouds.cloud_surface import cloud_surface
+from ladar_volume.tin.adjustment_adjoint import triangle_slopes
+from ladar_volume.tin.full_tin import build_tin, footprint_areas
+from ladar_volume.tin.represent import SurfaceOptions
+
+
+def points(seed, n=12_000):
+    """A round plateau on waves, 20 m wide."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(0.0, 20.0, (n, 2))
+    z = np.where(np.hypot(*(xy - 10.0).T) < 6.0, 2.0, 0.0)
+    z += 0.3 * np.sin(2.0 * xy[:, 0]) * np.cos(2.0 * xy[:, 1]) + rng.normal(0.0, 0.005, n)
+    return np.c_[xy, z]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_some_squares_stand_for_all(seed, monkeypatch):
+    surface = cloud_surface(points(seed), SurfaceOptions(relevant="sampled"))
+    tin = surface.made.tin
+    area, height = footprint_areas(tin.vertices, tin.triangles), tin.vertices[:, 2]
+    whole = between_points.between_points(surface, area, height)
+    monkeypatch.setattr(between_points, "ENOUGH", 8_000)
+    part = between_points.between_points(surface, area, height)
+    assert 0.7 < part.random_m6 / whole.random_m6 < 1.8
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.5, 0.25)])
+def test_the_raster_takes_what_sorting_takes(shift, monkeypatch):
+    p = points(3, 3000)
+    p[::7, :2] = np.round(p[::7, :2])  # several on the same place, and on the cells' edges
+    fast = cloud_noise.thinned(p, 0.5, shift)
+    monkeypatch.setattr(cloud_noise, "RASTER", -10.0)
+    assert np.array_equal(fast, cloud_noise.thinned(p, 0.5, shift))
+
+
+def test_rare_cells_take_the_size_of_the_nearest():
+    cells = np.r_[np.full(500, 1.0), np.full(500, 3.0), 1.2, 5.0, np.inf]
+    out = cloud_noise.common_cells(cells)
+    assert out[1000] == 1.0 and out[1001] == 5.0 and np.isinf(out[1002])
+    assert np.array_equal(out[:1000], cells[:1000])
+
+
+def test_slopes_are_those_of_planes_solved_one_by_one():
+    tin = build_tin(points(4, 300))
+    heights = np.random.default_rng(1).normal(size=len(tin.vertices))
+    for slope, corner in zip(triangle_slopes(tin, heights), tin.triangles, strict=True):
+        plane = np.linalg.solve(np.c_[tin.vertices[corner, :2], np.ones(3)], heights[corner])
+        assert slope == pytest.approx(plane[:2], rel=1e-6, abs=1e-9)
