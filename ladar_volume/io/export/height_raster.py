@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ladar_volume.io.export.deliverable import Deliverable
+from ladar_volume.io.export.outline_clip import contains
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.records import F64
 from ladar_volume.tin.full_tin import footprint_areas
@@ -131,5 +132,7 @@ def heights_at(d: Deliverable, xy: F64, index: TriangleIndex) -> list[F64]:
     if d.base_m is None:
         return [found.height_m, sigma]
     inside = (found.triangle >= 0) & d.counted[found.triangle]
+    if d.outline is not None:
+        inside &= contains(d.outline, xy)
     base = np.where(inside, (weight * d.base_m[corner]).sum(axis=1), np.nan)
     return [found.height_m, sigma, base]
