@@ -49,8 +49,10 @@ def volume(points: Points, base: float | Points | None = None, **options: Option
     """Cut, fill and net volume of a surface, as ``ladar_volume volume``.
 
     base : a level (m), "ground", "plane" (with ``plane=(c0, c1, c2)``), or other points, below
-    which nothing counts · options : those of the command line, as ``sigma=0.02``
+    which nothing counts · options : those of the command line, as ``sigma=0.02``; with
+    ``output="folder"`` and ``formats="tif,landxml"`` files are written
     """
+    from ladar_volume.cli.outputs.cloud_files_out import wanted_files, write_files
     from ladar_volume.cli.volume import result_of, task_of
 
     second = _second(base, options)
@@ -58,9 +60,13 @@ def volume(points: Points, base: float | Points | None = None, **options: Option
     arguments = _arguments("volume", [ARRAY.name] * len(given))
     _set(arguments, options)
     arguments.cloud, arguments.cloud_b = _name(points), None if second is None else _name(second)
-    task = task_of(arguments)
+    if arguments.output is not None:
+        arguments.output = Path(arguments.output)
+    task, wanted = task_of(arguments), wanted_files(arguments)
     sources = [_source(each, arguments, at == 1) for at, each in enumerate(given)]
     found = result_of(task, sources, lambda words: None)
+    if wanted is not None:
+        write_files(arguments, wanted, sources, found)
     facts = found.facts
     low, high = facts["interval_m3"]
     return VolumeAnswer(

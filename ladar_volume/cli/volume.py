@@ -60,6 +60,7 @@ from ladar_volume.model.verdict import Verdict
 from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.tin.scan_frame import Frame
 from ladar_volume.version import version
+from ladar_volume.volume.base import polygon_of
 from ladar_volume.volume.published_methods import front_level, zero_fill_level
 
 #: Levels over the height of both surfaces, among which that in front of a body is searched.
@@ -257,13 +258,15 @@ def task_of(arguments: argparse.Namespace) -> VolumeTask:
 @dataclass(frozen=True)
 class VolumeResult:
     """surfaces : of the files · base : of the first, None where the second is the base · counted :
-    triangles (m,) of the first that count · facts : what the JSON says
+    triangles (m,) of the first that count · facts : what the JSON says · outline : polygon (k, 2)
+    that cuts these off, or None
     """
 
     surfaces: list[CloudSurface]
     base: Plane | None
     counted: Bool
     facts: dict[str, Any]
+    outline: F64 | None = None
 
 
 def result_of(
@@ -291,7 +294,9 @@ def result_of(
         "options": option_facts(task.options),
         "version": version(),
     }
-    return VolumeResult(surfaces, base_of(task, found), found.counted[0], facts)
+    v = found.parameters.volume
+    ring = polygon_of(v) if v.outline == "polygon" else None
+    return VolumeResult(surfaces, base_of(task, found), found.counted[0], facts, ring)
 
 
 def base_of(task: VolumeTask, found: CutFill) -> Plane | None:

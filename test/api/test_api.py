@@ -114,3 +114,17 @@ def test_file_verbs_run_without_ros_and_without_locks_of_unix(cone, tmp_path):
 def test_an_import_loads_nothing():
     code = "import sys, ladar_volume; assert not {'numpy', 'numba', 'rclpy'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_volume_writes_files_for_other_programs(tmp_path):
+    rng = np.random.default_rng(2)
+    r = np.column_stack([rng.uniform(0.0, 5.0, (80, 2)), rng.normal(1.0, 0.01, 80)])
+    found = lv.volume(r, 0.0, output=str(tmp_path / "out"), formats="landxml,csv", sigma=0.01)
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {
+        "result.json",
+        "surface.xml",
+        "volumes.csv",
+    }
+    assert f"{found.net_m3!r}" in (tmp_path / "out" / "volumes.csv").read_text()
+    with pytest.raises(ConfigurationError, match="-o OUT"):
+        lv.volume(r, 0.0, formats="landxml", sigma=0.01)

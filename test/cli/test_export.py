@@ -373,12 +373,22 @@ def mound(path, head="x,y,z", tail="", unit=(1.0, 1.0, 1.0)):
     return path
 
 
+#: An outline like an L, whose corners lie inside and outside of the site.
+CORNERS = [(2, 3), (12, 1), (11, 4.5), (6, 5), (5.5, 8), (3, 12)]
+POLYGON = [
+    *("--set", "volume.outline=polygon", "--set"),
+    f"volume.polygon_m={[c + o for p in CORNERS for c, o in zip(p, (EAST, 150e3), strict=True)]}",
+]
+
+
 @pytest.mark.parametrize(
     ("words", "faces"),
     [
         (["--level", "99", "--vertices", "0.3"], 1),
         (["--level", "99", "--vertices", "0.3", "--relevant", "all"], 1),
         (["--plane", "99", "0", "0"], 1),
+        (["--level", "99", *POLYGON], 1),
+        (["--plane", "99", "1e-5", "0", *POLYGON], 1),
         (["--base", "floor", "--levels", "99.5", "101", "0.1"], 1),
         (["SECOND"], 0),
         (["SECOND", "--footprint", "own", "--level", "98"], 0),
@@ -394,6 +404,7 @@ def test_every_kind_of_volume_has_files(words, faces, tmp_path, capsys):
     found, _ = landxml(tmp_path / "out" / "surface.xml")
     if faces:
         assert between(found["counted"], found["base"]) == pytest.approx(facts["net_m3"], rel=1e-9)
+        assert prisms(*found["counted"])[1] == pytest.approx(facts["area_m2"], rel=1e-9)
     else:
         assert result(tmp_path / "out")["files"]["faces_m3"] == [None]
 

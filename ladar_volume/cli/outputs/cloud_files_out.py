@@ -23,7 +23,7 @@ from ladar_volume.io.export.deliverable import (
 from ladar_volume.io.export.export_set import Wanted, write_export
 from ladar_volume.io.export.output_system import OutputSystem, plain_words, system_of_cloud
 from ladar_volume.model.errors import ConfigurationError
-from ladar_volume.model.records import Bool, Plane
+from ladar_volume.model.records import F64, Bool, Plane
 
 #: Formats that hold standard deviations of the surface between its points.
 OF_SURFACE = ("ply", "tif")
@@ -31,7 +31,8 @@ OF_SURFACE = ("ply", "tif")
 
 class Result(Protocol):
     """surfaces : of the files · base : of the first, None where the second is the base · counted :
-    triangles (m,) of the first that count · facts : what the JSON says
+    triangles (m,) of the first that count · outline : polygon (k, 2) that cuts these off, or None ·
+    facts : what the JSON says
     """
 
     @property
@@ -40,6 +41,8 @@ class Result(Protocol):
     def base(self) -> Plane | None: ...
     @property
     def counted(self) -> Bool: ...
+    @property
+    def outline(self) -> F64 | None: ...
     @property
     def facts(self) -> Mapping[str, Any]: ...
 
@@ -82,7 +85,7 @@ def deliverable(
         covariance = surface.made.covariance(surface.sigma_m)
     # of two surfaces no one base makes the volume between them
     alone = len(result.surfaces) == 1
-    faces = [faces_volume(tin, base if alone else None, result.counted)]
+    faces = [faces_volume(tin, base if alone else None, result.counted, result.outline)]
     points, lost = points_of(sources[0], surface)
     return Deliverable(
         name=plain_words(sources[0].path.stem),
@@ -96,6 +99,7 @@ def deliverable(
         facts={**result.facts, "files": file_facts(faces, system) | {"columns_lost": lost}},
         rows=rows_of(result.facts, [result.facts], faces),
         system=system,
+        outline=result.outline,
         breaklines=() if sources[0].mesh is None else sources[0].mesh.breaklines,
     )
 

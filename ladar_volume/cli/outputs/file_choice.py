@@ -7,8 +7,11 @@ from pathlib import Path
 
 from ladar_volume.io.export.export_set import Wanted, check_packages
 from ladar_volume.io.export.formats import formats_of
-from ladar_volume.io.surveys import FILE
+from ladar_volume.io.results import SURVEY_FILES
 from ladar_volume.model.errors import ConfigurationError, OutputError
+
+#: What a replay leaves behind beside its result: the survey itself, which would be lost.
+RECORDED = SURVEY_FILES[1]
 
 
 def checked_choice(arguments: argparse.Namespace) -> Wanted:
@@ -26,7 +29,7 @@ def checked_choice(arguments: argparse.Namespace) -> Wanted:
             raise ConfigurationError(f"{option} is for --as {kind}, which is not asked for")
     check_packages(formats)
     folder: Path = a.output
-    if (folder / FILE).exists():
+    if (folder / RECORDED).exists():
         raise OutputError(
             f"{folder}: holds the result of a replay: give another folder",
             reason="output_exists",

@@ -12,12 +12,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse
+from scipy.spatial import cKDTree
 
-from ladar_volume.io.export.edge_rings import Polygon, polygons_of
+from ladar_volume.io.export.edge_rings import Polygon, polygons_of, signed_area
+from ladar_volume.io.export.outline_clip import clipped
 from ladar_volume.io.export.output_system import OutputSystem
 from ladar_volume.io.pointfiles.point_file import PointFile
 from ladar_volume.model.records import F64, I32, Bool, Tin
 from ladar_volume.tin.full_tin import footprint_areas
+from ladar_volume.tin.locate import height_at
 
 
 @dataclass(frozen=True)
@@ -49,8 +52,9 @@ class Deliverable:
     base is another surface · other : that surface · sigma_m : (n,) standard deviations of the
     heights of the vertices, None where they are not known · covariance : (n, n) m² of these heights
     where it is known; without it errors of neighbours are taken as common · points : the points ·
-    breaklines : (k, 3) each, lines that the faces keep · facts : the result as in its JSON · rows :
-    one volume each, for a table · system : of the files
+    breaklines : (k, 3) each, lines that the faces keep · outline : polygon (k, 2) that cuts off
+    what counts, or None · facts : the result as in its JSON · rows : one volume each, for a table ·
+    system : of the files
     """
 
     name: str
@@ -65,19 +69,25 @@ class Deliverable:
     rows: Sequence[Mapping[str, Any]]
     system: OutputSystem
     breaklines: Sequence[F64] = field(default_factory=tuple)
+    outline: F64 | None = None
 
     @cached_property
     def parts(self) -> list[Part]:
         """The surface where it counts, the rest of it, and the base under what counts (or the
         second surface).
         """
-        rest = self.tin.relevant & ~self.counted
-        out = [part("counted", self.tin.vertices, self.tin.triangles[self.counted])]
-        if rest.any():
-            out.append(part("around", self.tin.vertices, self.tin.triangles[rest]))
-        if self.base_m is not None:
-            under = np.column_stack([self.tin.vertices[:, :2], self.base_m])
-            out.append(part("base", under, self.tin.triangles[self.counted]))
+        known = self.base_m is not None
+        base = self.base_m if self.base_m is not None else self.tin.vertices[:, 2]
+        points, mine = np.column_stack([self.tin.vertices, base]), self.tin.triangles[self.counted]
+        rest = self.tin.triangles[self.tin.relevant & ~self.counted]
+        if self.outline is not None:
+            cut = clipped(points, mine, self.outline)
+            points, mine, rest = cut.points, cut.inside, np.concatenate([rest, cut.outside])
+        out = [part("counted", points[:, :3], mine)]
+        if len(rest):
+            out.append(part("around", points[:, :3], rest))
+        if known:
+            out.append(part("base", points[:, [0, 1, 3]], mine))
         elif self.other is not None:
             faces = self.other.triangles[self.other.relevant]
             out.append(part("second", self.other.vertices, faces))
@@ -86,7 +96,14 @@ class Deliverable:
     @cached_property
     def polygons(self) -> list[Polygon]:
         """Outlines of what counts, the largest first."""
-        return polygons_of(self.tin, self.counted)
+        if self.outline is None:
+            return polygons_of(self.tin, self.counted)
+        # at the height of the surface, off it of its nearest point
+        z = height_at(self.tin, self.outline)
+        used = self.tin.vertices[np.unique(self.tin.triangles[self.tin.relevant])]
+        nearest = used[cKDTree(used[:, :2]).query(self.outline)[1], 2]
+        ring = np.column_stack([self.outline, np.where(np.isfinite(z), z, nearest)])
+        return [Polygon(ring, (), abs(signed_area(ring)))]
 
 
 def part(name: str, vertices: F64, triangles: I32) -> Part:
@@ -95,15 +112,22 @@ def part(name: str, vertices: F64, triangles: I32) -> Part:
     return Part(name, vertices[used], inverse.reshape(-1, 3).astype(np.int32))
 
 
-def faces_volume(tin: Tin, base_m: F64 | None, part_m2: F64 | Bool) -> float | None:
-    """Volume, m³, between the triangles that count (``part_m2`` (t,) above 0), as they are, and the
-    base (n,), m: what another program finds from the files. None without a base.
+def faces_volume(
+    tin: Tin, base_m: F64 | None, part_m2: F64 | Bool, outline: F64 | None = None
+) -> float | None:
+    """Volume, m³, between the triangles that count (``part_m2`` (t,) above 0), as they are or cut
+    off by an outline (k, 2), and the base (n,), m: what another program finds from the files. None
+    without a base.
     """
     if base_m is None:
         return None
     triangles = tin.triangles[np.asarray(part_m2, dtype=np.float64) > 0.0]
-    above = (tin.vertices[:, 2] - base_m)[triangles].mean(axis=1)
-    return float((footprint_areas(tin.vertices, triangles) * above).sum())
+    points = np.column_stack([tin.vertices, base_m])
+    if outline is not None:
+        cut = clipped(points, triangles, outline)
+        points, triangles = cut.points, cut.inside
+    above = (points[:, 2] - points[:, 3])[triangles].mean(axis=1)
+    return float((footprint_areas(points[:, :3], triangles) * above).sum())
 
 
 def file_facts(faces: Sequence[float | None], system: OutputSystem) -> dict[str, Any]:

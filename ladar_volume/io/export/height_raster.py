@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ladar_volume.io.export.deliverable import Deliverable
+from ladar_volume.io.export.outline_clip import contains
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.records import F64
 from ladar_volume.tin.full_tin import footprint_areas
@@ -85,6 +86,9 @@ def write_tif(path: Path, d: Deliverable, cell: float | None) -> None:
     grid = grid_of(d, cell)
     to = d.system.unit.metres
     known = d.base_m is not None
+    crs = d.system.crs
+    # GeoTIFF has no keys for a projected system of three axes
+    flat = crs.to_2d() if crs is not None and crs.is_projected and not crs.is_compound else crs
     transform = rasterio.Affine(
         grid.cell_m / to, 0.0, grid.west_m / to, 0.0, -grid.cell_m / to, grid.north_m / to
     )
@@ -94,7 +98,7 @@ def write_tif(path: Path, d: Deliverable, cell: float | None) -> None:
         "width": grid.columns,
         "height": grid.rows,
         "count": 3 if known else 2,
-        "crs": None if d.system.crs is None else rasterio.CRS.from_wkt(d.system.wkt),
+        "crs": None if flat is None else rasterio.CRS.from_wkt(flat.to_wkt()),
         "transform": transform,
         "nodata": math.nan,
         "compress": "deflate",
@@ -113,7 +117,7 @@ def write_tif(path: Path, d: Deliverable, cell: float | None) -> None:
         for number in range(1, profile["count"] + 1):
             file.set_band_description(number, BANDS[number - 1])
             file.set_band_unit(number, d.system.unit.name)
-        file.update_tags(UNITS=d.system.unit.name, SURVEY=d.name)
+        file.update_tags(UNITS=d.system.unit.name, SURVEY=d.name, SYSTEM=d.system.name)
 
 
 def heights_at(d: Deliverable, xy: F64, index: TriangleIndex) -> list[F64]:
@@ -128,5 +132,7 @@ def heights_at(d: Deliverable, xy: F64, index: TriangleIndex) -> list[F64]:
     if d.base_m is None:
         return [found.height_m, sigma]
     inside = (found.triangle >= 0) & d.counted[found.triangle]
+    if d.outline is not None:
+        inside &= contains(d.outline, xy)
     base = np.where(inside, (weight * d.base_m[corner]).sum(axis=1), np.nan)
     return [found.height_m, sigma, base]

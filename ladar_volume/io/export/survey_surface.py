@@ -29,6 +29,7 @@ from ladar_volume.io.surveys import read_estimator
 from ladar_volume.model.errors import InputError
 from ladar_volume.model.records import F64, Datum
 from ladar_volume.uncertainty.volume_budget import vertical_sigma
+from ladar_volume.volume.base import polygon_of
 
 #: The volume computed again may differ from that in the result by this part, and by this length
 #: over its area: covariances, which weight the ground, are kept to 1e-7.
@@ -59,7 +60,11 @@ def survey_deliverable(folder: Path, crs: str | None = None) -> Deliverable:
     }
     if crs is None:
         columns["normal"] = points.normal  # its axes are the survey's own
-    faces = [faces_volume(own, base_m, part) for part in estimator.parts]
+    ring = None
+    if estimator.parameters.volume.outline == "polygon":
+        corners = polygon_of(estimator.parameters.volume)
+        ring = at(np.column_stack([corners, np.zeros(len(corners))]))[:, :2]
+    faces = [faces_volume(own, base_m, part, ring) for part in estimator.parts]
     return Deliverable(
         name=plain_words(str(result["input"]["path"])),
         tin=own,
@@ -72,6 +77,7 @@ def survey_deliverable(folder: Path, crs: str | None = None) -> Deliverable:
         facts={**result, "files": file_facts(faces, system)},
         rows=rows_of(result, result["bodies"] or [result], faces),
         system=system,
+        outline=ring,
     )
 
 
