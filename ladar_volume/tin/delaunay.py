@@ -190,8 +190,8 @@ def triangulate(xy: F64) -> Triangulated:
     """Delaunay triangulation of points xy (n, 2), of which those at one position (bit by bit)
     become one vertex.
 
-    Where four or more points are co-circular the choice of diagonals follows the (deterministic)
-    insertion order. Raises :class:`SurfaceError` for coordinates that are not finite, fewer than
+    Where four or more points are co-circular the diagonals are those at the first by x, then y: the
+    triangles depend on the points alone, in any order. Raises :class:`SurfaceError` for coordinates that are not finite, fewer than
     three distinct points, or when all are collinear.
     """
     xy = np.asarray(xy, dtype=np.float64)

@@ -209,6 +209,26 @@ def hull_flip(xy: F64, p: int, b: int, c: int, d: int, w: F64) -> bool:
 
 
 @kernel
+def precedes(xy: F64, a: int, b: int) -> bool:
+    """Whether point a comes before point b by x, then by y."""
+    return bool(xy[a, 0] < xy[b, 0] or (xy[a, 0] == xy[b, 0] and xy[a, 1] < xy[b, 1]))
+
+
+@kernel
+def tie_flip(xy: F64, p: int, b: int, c: int, d: int) -> bool:
+    """Whether the edge b-c between (p, b, c) and (d, c, b) has to go where all four lie on one
+    circle: the diagonal is that at the first of them (:func:`precedes`).
+
+    This is the perturbation that lowers each point of the lifted paraboloid by an infinitesimal,
+    that of the first points the largest (Edelsbrunner & Mücke 1990, "Simulation of simplicity"):
+    the triangulation depends on the points alone, not on their order nor on those far away.
+    """
+    one = p if precedes(xy, p, d) else d
+    other = b if precedes(xy, b, c) else c
+    return bool(precedes(xy, one, other))
+
+
+@kernel
 def legalise(xy: F64, m: MeshTable, first: int, w: F64) -> int:
     """Go once round the new point, corner 0 of triangle ``first`` and of its whole star, and flip
     every edge of the star's rim that must go; returns a real triangle of the star. Words 3 and 7 of
@@ -228,7 +248,7 @@ def legalise(xy: F64, m: MeshTable, first: int, w: F64) -> int:
             det = incircle_filter(to_b, to_c, to_d)
             if det != det:
                 det = incircle_exact(xy, c, b, d, p, w)
-            go = det > 0.0
+            go = det > 0.0 or (det == 0.0 and tie_flip(xy, p, b, c, d))
         if go:
             flip(m, t)
             c, to_c = d, to_d
