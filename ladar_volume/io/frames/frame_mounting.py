@@ -80,7 +80,10 @@ def _lever(
     """The lever arm ``key`` by the frames, (3,) m, where none is given."""
     own = np.array(getattr(given, key))
     if not own.any():
-        return dataclasses.replace(given, **{key: tuple(place.tolist())})
+        found: tuple[float, ...] = tuple(place.tolist())
+        if key == "lever_laser_m":
+            return dataclasses.replace(given, lever_laser_m=found)
+        return dataclasses.replace(given, lever_antenna_m=found)
     most = max(LEVER_M, SIGMAS * max(sigmas))
     if np.abs(own - place).max() > most:
         raise ConfigurationError(
