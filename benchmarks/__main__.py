@@ -42,6 +42,7 @@ NAMES = (
     "thin_walls",
     "local_mesh",
     "kill_logger",
+    "ctrl_c",
     "calibration",
     "bodies",
     "propagation",

@@ -35,6 +35,7 @@ def run() -> dict[str, float | int | str]:
                     "--separate",
                     "--log",
                     str(log),
+                    "--log-all",
                     "-o",
                     folder,
                 ]

@@ -18,6 +18,7 @@ from ladar_volume.io.bags import Recording
 from ladar_volume.io.cloud_messages import returns_from_cloud
 from ladar_volume.io.drivers.ring_count import RingCount
 from ladar_volume.io.frames.frame_mounting import of_recording
+from ladar_volume.io.logs.heard_live import lacking
 from ladar_volume.io.sensor_messages import (
     fix_from_message,
     imu_from_message,
@@ -215,7 +216,8 @@ class Replay:
         result = results.result_dict(
             estimate, self.parameters, self.all_losses(), self.engine.datum, points, source
         )
-        result["verdict"] = results.with_doubts(result["verdict"], self.height_doubts())
+        doubts = self.height_doubts() + lacking(self.bag, self.topics)
+        result["verdict"] = results.with_doubts(result["verdict"], doubts)
         return result | {
             "where_more_data_helps": results.more_data_dict(self.engine.estimator.more_data())
         }

@@ -58,6 +58,10 @@ def parameters_of(arguments: argparse.Namespace) -> Parameters:
     if arguments.play is not None:
         overrides = [*LOSSLESS, *overrides]
         config = config_for(arguments.play, arguments.config)
+    if arguments.log_all:
+        if arguments.log is None:
+            raise ConfigurationError("--log-all goes with --log")
+        overrides.append("logger.all=true")
     if arguments.mavlink is not None:
         overrides.append(f"mavlink.url={arguments.mavlink}")
     return read_config(config, overrides)

@@ -117,6 +117,11 @@ class MavlinkParameters:
     odometry_hz: float = param(
         0.0, "Rate to ask for ODOMETRY; 0 to ask for nothing.", unit="Hz", low=0, high=200
     )
+    signing_key_file: str = param(
+        "",
+        "File with the key of MAVLink 2 signing, 64 hexadecimal digits: what is sent is signed, "
+        "unsigned or wrongly signed messages are refused; empty for none.",
+    )
     playback_rate: float = param(
         1.0, "A log file: times real time; 0 for as fast as possible.", low=0, high=1000
     )

@@ -24,6 +24,7 @@ from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallba
 from rclpy.lifecycle import LifecycleNode, State, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
+from rclpy.task import Future
 from sensor_msgs.msg import NavSatFix
 from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
@@ -42,7 +43,7 @@ from ladar_volume.nodes.declared_parameters import (
     why_never,
     why_not_now,
 )
-from ladar_volume.nodes.executor_rounds import AT_ONCE, take_waiting, unpacked
+from ladar_volume.nodes.executor_rounds import AT_ONCE, NextRound, take_waiting, unpacked
 from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.stream_passes import OnePublisher
 from ladar_volume.nodes.watch.defect_reports import Defects
@@ -305,6 +306,19 @@ class StageNode(LifecycleNode, ABC):
             self.publish_diagnostics()
             for publisher in self.publishers:
                 publisher.wait_for_all_acked(Duration(seconds=1))
+
+    async def flush(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """A service's answer once all that came before has been worked off: two numbers, which the
+        worker sets on the future that it finds in its queue as ``flush``.
+        """
+        flushed = Future()
+        if not self.offer("flush", flushed):
+            response.success, response.message = False, "too much waits already"
+            return response
+        while not flushed.done():
+            await NextRound()
+        response.success, response.message = True, str(flushed.result())
+        return response
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.offer("reset", None)

@@ -16,7 +16,9 @@ from ladar_volume.model.parameters import Parameters
 #: Read once, when the node starts or is configured.
 AT_START = frozenset({"node.input_reliability", "node.input_depth", "node.autostart"})
 #: What a node may write or delete, and where: given when it is launched, never over the graph.
-FILES = frozenset({"logger.path", "logger.disk_full", "node.output_folder"})
+FILES = frozenset(
+    {"logger.path", "logger.disk_full", "node.output_folder", "mavlink.signing_key_file"}
+)
 
 
 def descriptor(spec: ParameterSpec) -> ParameterDescriptor:

@@ -9,7 +9,6 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from nav_msgs.msg import Odometry
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.task import Future
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
@@ -24,7 +23,6 @@ from ladar_volume.io.tables import decode
 from ladar_volume.model.records import FilterUpdate
 from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.convert import datum_of, platform_state, table_message, time_ns
-from ladar_volume.nodes.executor_rounds import NextRound
 from ladar_volume.nodes.flow_control import Ahead
 from ladar_volume.nodes.qos import STREAM
 from ladar_volume.nodes.running import spin
@@ -70,7 +68,9 @@ class FilterNode(StageNode):
         self._last_update_s = 0.0
         self._points = self.create_publisher(PointCloud2, "points_filtered", STREAM)
         self._patches = self.create_publisher(PointCloud2, "patches", STREAM)
-        self._sent_ns, self._ahead = 0, Ahead()
+        #: Stamps of the last part sent, and of the last mapped points that are in the surface.
+        self._sent_ns = self._taken_ns = 0
+        self._ahead = Ahead()
         self.create_subscription(
             Time,
             "taken",
@@ -79,36 +79,23 @@ class FilterNode(StageNode):
             callback_group=self._group,
         )
         self.create_service(
-            Trigger, "~/flush", self._flush, callback_group=MutuallyExclusiveCallbackGroup()
+            Trigger, "~/flush", self.flush, callback_group=MutuallyExclusiveCallbackGroup()
         )
         self.listen("points", PointCloud2, "points_mapped", STREAM)
         self.listen("platform", Odometry, "platform", STREAM)
         self.hear_datum()
 
-    async def _flush(
-        self, request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
-        """Send all that was put off; the answer, when it is sent, is the stamp (ns) of the last
-        part.
-        """
-        flushed = Future()
-        if not self.offer("flush", flushed):
-            response.success, response.message = False, "too much waits already"
-            return response
-        while not flushed.done():
-            await NextRound()
-        response.success, response.message = True, str(flushed.result())
-        return response
-
     def work(self, kind: str, item: Any) -> None:
-        """Hand points and states to the stage."""
+        """Hand points and states to the stage. A flush sends all that was put off; its answer is
+        the stamps (ns) of the last part sent and of the last mapped points taken.
+        """
         if kind == "reset":
             return self._start_over()
         if kind == "flush":
             try:
                 self._catch_up()
             finally:
-                item.set_result(self._sent_ns)
+                item.set_result(f"{self._sent_ns} {self._taken_ns}")
                 self.wake()
             return None
         if kind == "datum":
@@ -119,7 +106,7 @@ class FilterNode(StageNode):
         if verdict == "wait":
             return self._unsure.append(item)
         if verdict == "new":
-            self._sent_ns = 0
+            self._sent_ns = self._taken_ns = 0
             self._start_over()
         if kind == "points":
             return self._add(item)
@@ -138,6 +125,7 @@ class FilterNode(StageNode):
         points = mapped_points(stamp_ns(message), decode(message))
         self.stage.add(points)
         self.counts["points"] += len(points)
+        self._taken_ns = stamp_ns(message)
         self._fresh, self._just_came, self._came = True, True, time.monotonic()
 
     def _start_over(self) -> None:

@@ -9,7 +9,9 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from nav_msgs.msg import Odometry
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
+from std_srvs.srv import Trigger
 
 from ladar_volume.georeference.georeferencer import Georeferencer
 from ladar_volume.georeference.point_jacobian import total_covariance
@@ -56,11 +58,13 @@ class GeoreferenceNode(StageNode):
         self._datum_sent = False
         self._fix_status: int | None = None
         self._fix_changes = self._restarts = 0
-        self._newest_ns = 0
+        self._newest_ns = self._sent_ns = 0
         self.sent = {"points": 0, "parts": 0, "states": 0}
         self._points = self.create_publisher(PointCloud2, "points_mapped", STREAM)
         self._platform = self.create_publisher(Odometry, "platform", STREAM)
         self._datum_out = self.create_publisher(NavSatFix, "datum", LATCHED)
+        answers = MutuallyExclusiveCallbackGroup()
+        self.create_service(Trigger, "~/flush", self._flush, callback_group=answers)
         qos = sensor_qos(self.parameters)
         if self.parameters.node.cloud_message == "VelodyneScan":
             self.listen("cloud", needed_class(KIND), TOPIC, qos, SILENT_S)
@@ -72,14 +76,26 @@ class GeoreferenceNode(StageNode):
             self.listen("fix", NavSatFix, "gnss/fix", qos, SILENT_S)
             self.listen("imu", Imu, "imu/data", qos, SILENT_S)
 
+    async def _flush(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        """Once all that came was worked off: the stamp (ns) of the last part sent, and how many
+        returns wait for poses.
+        """
+        self.take_all()  # what the middleware holds came before the call, too
+        return await self.flush(request, response)
+
     def work(self, kind: str, item: Any) -> None:
         """One message: decode, hand to the stage, publish what became ready."""
+        if kind == "flush":
+            item.set_result(f"{self._sent_ns} {self.stage.pending}")
+            return self.wake()
         if kind == "reset":
             self.losses.merge(self.stage.losses)
             self.stage = Georeferencer(self.parameters)
             self._restarts = 0
             self._start_over()
-            return
+            return None
         stage = self.stage
         decode: dict[str, Callable[[Any], None]] = {
             "fix": lambda m: stage.add_fix(fix_from_message(m)),
@@ -102,6 +118,7 @@ class GeoreferenceNode(StageNode):
             )
             self._start_over()
         self._publish()
+        return None
 
     def _returns_of(self, cloud: PointCloud2) -> Returns:
         dual = self.losses["point_dual_return"]
@@ -124,6 +141,7 @@ class GeoreferenceNode(StageNode):
 
     def _start_over(self) -> None:
         self._segment, self._datum_sent = None, False
+        self._sent_ns = 0
 
     def finish(self) -> None:
         """What still waits for a pose is lost, and counted."""
@@ -149,6 +167,7 @@ class GeoreferenceNode(StageNode):
                 )
             stamp, columns = mapped_columns(points)
             self._points.publish(table_message(columns, stamp))
+            self._sent_ns = stamp
             self.sent["points"] += len(points)
             self.sent["parts"] += 1
 

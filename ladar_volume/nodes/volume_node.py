@@ -37,6 +37,7 @@ from ladar_volume.io.output_set import output_set
 from ladar_volume.io.tables import decode
 from ladar_volume.model.errors import LadarVolumeError, VolumeError
 from ladar_volume.model.records import Estimate, FilterUpdate, Volume
+from ladar_volume.model.verdict import Verdict
 from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.convert import (
     datum_of,
@@ -45,17 +46,15 @@ from ladar_volume.nodes.convert import (
     table_message,
     time_message,
 )
-from ladar_volume.nodes.executor_rounds import NextRound
 from ladar_volume.nodes.previous_epoch import SinceEpoch
 from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.running import spin
+from ladar_volume.nodes.services.catch_up import CatchUp
 from ladar_volume.nodes.stream_passes import Passes
 from ladar_volume.nodes.watch.others import Others
 from ladar_volume.volume.estimator import VolumeEstimator
 from ladar_volume.volume.more_data import MoreData
 
-#: How long an answer waits for the filter, s.
-CATCH_UP_S = 20.0
 #: Newer data that wait for longer make a volume old, s.
 OLD_S = 5.0
 #: The nodes whose losses are those of the volume.
@@ -93,7 +92,7 @@ class VolumeNode(StageNode):
         self._more: MoreData | None = None
         self.counts = {"parts": 0, "estimates": 0}
         self._last_estimate_s, self._estimate_began = 0.0, float("-inf")
-        self._newest_part, self._awaited = 0, False
+        self._newest_part, self._late = 0, Verdict()
         self._joined = False
         self._others = Others(self.get_namespace(), UPSTREAM)
         self._make_publishers()
@@ -105,7 +104,7 @@ class VolumeNode(StageNode):
             DiagnosticArray, "/diagnostics", self._others.take, 50, callback_group=self._group
         )
         self._filter_reset = self.create_client(Trigger, "filter_node/reset")
-        self._filter_flush = self.create_client(Trigger, "filter_node/flush")
+        self._catch_up = CatchUp(self, lambda: self._newest_part)
         self._make_services()
 
     def _make_publishers(self) -> None:
@@ -205,7 +204,7 @@ class VolumeNode(StageNode):
                 self.stage.add(part)
             self._parts, self._due, self._newest_part = [], True, key
             self._taken.publish(time_message(key))
-            if self._awaited:
+            if self._catch_up.waits:
                 self.wake()
 
     def _hand_over(self) -> None:
@@ -302,7 +301,7 @@ class VolumeNode(StageNode):
 
     def _result(self) -> tuple[Estimate, dict[str, Any]]:
         estimate = self._compute(naive=True)
-        verdict = estimate.volume.verdict + self._others.verdict()
+        verdict = estimate.volume.verdict + self._others.verdict() + self._late
         volume = dataclasses.replace(estimate.volume, verdict=verdict)
         estimate = dataclasses.replace(estimate, volume=volume)
         self._more = self.stage.more_data()
@@ -312,35 +311,16 @@ class VolumeNode(StageNode):
         change = None if self._since.change is None else results.change_dict(self._since.change)
         return estimate, result | {
             "losses_upstream": self._others.losses(),
+            "returns_waiting_for_poses": self._catch_up.returns_waiting,
             "where_more_data_helps": results.more_data_dict(self._more),
             "epoch": change,
         }
 
-    async def _catch_up(self) -> None:
-        """Have the filter send what it put off, and wait for it, some seconds at most: without a
-        filter the answer is from what is here.
-        """
-        if not self._filter_flush.service_is_ready():
-            return
-        asked, deadline, self._awaited = (
-            self._filter_flush.call_async(Trigger.Request()),
-            time.monotonic() + CATCH_UP_S,
-            True,
-        )
-        while not (
-            asked.done()
-            and asked.result().success
-            and self._newest_part >= int(asked.result().message)
-        ):
-            if time.monotonic() > deadline or (asked.done() and not asked.result().success):
-                self.losses.add("message_filter_late")
-                break
-            await NextRound()
-        self._awaited = False
-
     def _service(self, action: Callable[[], dict[str, Any]]) -> Any:
         async def call(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            await self._catch_up()
+            self._late = await self._catch_up()
+            if not self._late.sound:
+                self.losses.add("message_filter_late")
             try:
                 with self._lock:
                     response.message = json.dumps(results.finite(action()))

@@ -11,7 +11,6 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -81,8 +80,10 @@ def _lever(
     """The lever arm ``key`` by the frames, (3,) m, where none is given."""
     own = np.array(getattr(given, key))
     if not own.any():
-        change: dict[str, Any] = {key: tuple(place.tolist())}
-        return dataclasses.replace(given, **change)
+        found: tuple[float, ...] = tuple(place.tolist())
+        if key == "lever_laser_m":
+            return dataclasses.replace(given, lever_laser_m=found)
+        return dataclasses.replace(given, lever_antenna_m=found)
     most = max(LEVER_M, SIGMAS * max(sigmas))
     if np.abs(own - place).max() > most:
         raise ConfigurationError(

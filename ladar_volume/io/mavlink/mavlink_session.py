@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import all as dialect
 
 from ladar_volume.io.mavlink.mavlink_clock import S
 from ladar_volume.io.mavlink.mavlink_records import FIX_NAMES, MavlinkDecoder, Record
+from ladar_volume.io.mavlink.mavlink_signing import signature_time, signing_key
 from ladar_volume.io.mavlink.mavlink_stream import MavlinkStream
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.mavlink_parameters import MavlinkParameters
@@ -25,7 +26,9 @@ class MavlinkSession:
     """Feed it bytes with their time of receipt, send what :meth:`due` gives."""
 
     def __init__(self, parameters: MavlinkParameters) -> None:
+        """Raises ConfigurationError for a key of signing that is none."""
         self.parameters = parameters
+        self._key = signing_key(parameters.signing_key_file)
         self.decoder = MavlinkDecoder(parameters)
         self.stream = MavlinkStream(self.decoder.accepts, parameters.system or 255, COMPONENT)
         self.alive = False
@@ -38,6 +41,7 @@ class MavlinkSession:
 
     def feed(self, data: bytes, received_ns: int) -> list[Record]:
         """Bytes that came together. Never raises for what they hold."""
+        self._sign(received_ns)
         records = []
         for message in self.stream.feed(data):
             record = self.decoder.take(message, received_ns)
@@ -50,6 +54,11 @@ class MavlinkSession:
             self.stream.forget_sequence()
         self._watch(received_ns)
         return records
+
+    def _sign(self, now_ns: int) -> None:
+        """Begin to sign, once the time is known."""
+        if self._key is not None and not self.stream.signing:
+            self.stream.sign(self._key, signature_time(now_ns))
 
     def _listen(self, message: Any, received_ns: int) -> None:
         kind = message.get_type()
@@ -78,6 +87,7 @@ class MavlinkSession:
         rates as long as they are needed.
         """
         self._watch(now_ns)
+        self._sign(now_ns)
         out = self.stream.out
         if self._spoken_ns is None or not 0 <= now_ns - self._spoken_ns < S:
             self._spoken_ns = now_ns
@@ -157,6 +167,7 @@ class MavlinkSession:
         return {
             "autopilot": "alive" if self.alive else "no heartbeat",
             "system": d.system,
+            "signing": "signed" if self._key is not None else "none",
             "packets": self.stream.packets,
             "fix_type": fix,
             "satellites": d.satellites,

@@ -9,9 +9,12 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as dialect
 
+from ladar_volume.io.mavlink.mavlink_signing import is_signed
 from ladar_volume.model.losses import Losses
 
 MARKERS = (0xFE, 0xFD)
+#: Why pymavlink refuses a packet that is whole and not signed as it must be.
+SIGNATURE = "Invalid signature"
 #: Sequence numbers further ahead than this are late packets, not a gap.
 HALF = 128
 
@@ -44,6 +47,26 @@ class MavlinkStream:
         self._sequence: dict[tuple[int, int], int] = {}
         self._collected = bytearray()
         self.out = dialect.MAVLink(self, srcSystem=own_system, srcComponent=own_component)
+
+    def sign(self, key: bytes, now: int) -> None:
+        """From now on sign what goes out, and refuse what comes unsigned or wrongly signed. now :
+        in units of signatures.
+        """
+        for end in (self._in, self.out):
+            end.signing.secret_key = key
+            end.signing.timestamp = max(end.signing.timestamp, now)
+        self.out.signing.sign_outgoing = True
+        # pymavlink takes over the time of a packet before it looks at the signature: a forged one
+        # would shut out all that follow
+        usual = self._in.check_signature
+        self._in.check_signature = lambda packet, system, component: (
+            is_signed(bytes(packet), key) and usual(packet, system, component)
+        )
+
+    @property
+    def signing(self) -> bool:
+        """Whether packets are signed."""
+        return self._in.signing.secret_key is not None
 
     def write(self, data: bytes) -> None:
         """Where pymavlink puts packed messages."""
@@ -84,6 +107,9 @@ class MavlinkStream:
         kind = message.get_type()
         if kind == "BAD_DATA":
             data = bytes(message.data)
+            if self.signing and str(message.reason) == SIGNATURE:
+                self.losses.add("mavlink_signature_refused")
+                return True
         elif kind.startswith(
             "UNKNOWN"
         ):  # no checksum can be verified: only the vehicle itself may send such

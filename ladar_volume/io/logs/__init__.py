@@ -1,0 +1,1 @@
+"""What a log of the nodes says of itself."""

@@ -1,0 +1,1 @@
+"""What the nodes' services do before they answer."""

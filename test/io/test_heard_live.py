@@ -1,0 +1,65 @@
+"""A log that lacks what the nodes had heard live says so when it is replayed."""
+
+import pytest
+
+from ladar_volume.io.bags import TYPESTORE, BagReader, BagWriter
+from ladar_volume.io.logs.heard_live import lacking
+
+T = TYPESTORE.types
+NANO = 10**9
+
+
+def report(t_ns, **received):
+    """Diagnostics of nodes by name (``__`` for a slash), with the counts of each."""
+    status = []
+    for name, counts in received.items():
+        lines = {f"received_{role}": n for role, n in counts.items()} | {"clock_state": "steady"}
+        values = [T["diagnostic_msgs/msg/KeyValue"](k, str(v)) for k, v in lines.items()]
+        kind = T["diagnostic_msgs/msg/DiagnosticStatus"]
+        status.append(kind(0, name.replace("__", "/"), "good", "rover", values))
+    stamp = T["builtin_interfaces/msg/Time"](*divmod(t_ns, NANO))
+    header = T["std_msgs/msg/Header"](stamp=stamp, frame_id="")
+    return T["diagnostic_msgs/msg/DiagnosticArray"](header, status)
+
+
+def log(path, reports, topics):
+    """A log with so many (empty) messages of each topic, and the reports."""
+    with BagWriter(path) as bag:
+        for k, message in enumerate(reports):
+            bag.write("diagnostics", message, k * NANO)
+        for topic, (kind, count) in topics.items():
+            for k in range(count):
+                bag.write_raw(topic, kind, bytes(4), k * NANO)
+    return path
+
+
+CLOUD, IMU = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Imu"
+TOPICS = {"cloud": "velodyne_points", "imu": "imu/data"}
+
+
+@pytest.mark.parametrize(("clouds", "imus"), [(10, 100), (12, 100), (7, 95)])
+def test_a_log_is_compared_with_the_last_report_of_the_node_that_heard(tmp_path, clouds, imus):
+    reports = [
+        report(0, georeference_node={"cloud": 3, "imu": 30}, filter_node={"cloud": 999}),
+        report(NANO, georeference_node={"cloud": 10, "imu": 100}),
+    ]
+    path = log(
+        tmp_path / "log", reports, {"velodyne_points": (CLOUD, clouds), "imu/data": (IMU, imus)}
+    )
+    with BagReader(path) as bag:
+        found = lacking(bag, TOPICS)
+    if clouds < 10:
+        (doubt,) = found.doubts
+        assert "3 of 10 clouds and 5 of 100 attitudes" in doubt.text and doubt.value == 5.0
+    else:
+        assert found.sound
+
+
+def test_of_several_vehicles_the_one_of_the_namespace_counts(tmp_path):
+    reports = [report(0, rover1__georeference_node={"cloud": 5}, georeference_node={"cloud": 50})]
+    topics = {"rover1/velodyne_points": (CLOUD, 4), "other/points": (CLOUD, 4)}
+    with BagReader(log(tmp_path / "log", reports, topics)) as bag:
+        assert "1 of 5 clouds" in lacking(bag, {"cloud": "rover1/velodyne_points"}).doubts[0].text
+        assert lacking(bag, {"cloud": "other/points"}).sound  # nobody's
+    with BagReader(log(tmp_path / "none", [], topics)) as bag:
+        assert lacking(bag, {"cloud": "rover1/velodyne_points"}).sound
