@@ -138,6 +138,7 @@ RUN_ELSEWHERE = {
     "simulate": "test/cli/test_calibrate_strips.py",
     "body": "test/cli/test_body.py",
     "epochs": "test/cli/test_epochs_verb.py",
+    "export": "test/cli/test_export.py",
     "calibrate strips": "test/cli/test_calibrate_strips.py",
     "plan": "test/cli/test_plan_verb.py",
     "study nist": "test/experiments/test_nist.py",
