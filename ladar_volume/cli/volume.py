@@ -50,8 +50,8 @@ from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import ConfigurationError, LadarVolumeError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Bool, Plane, Tin
+from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.model.verdict import Verdict
-from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.tin.scan_frame import Frame
 from ladar_volume.version import version
 from ladar_volume.volume.published_methods import front_level, zero_fill_level
@@ -171,7 +171,7 @@ class VolumeTask:
     arguments: argparse.Namespace
     parameters: Parameters
     base: str
-    options: SurfaceOptions
+    options: SurfaceParameters
     levels: F64 | None
     frame: Frame | None
     correct: bool
@@ -235,7 +235,7 @@ def task_of(arguments: argparse.Namespace) -> VolumeTask:
     :class:`ConfigurationError` for options that contradict one another.
     """
     parameters, base = parameters_of(arguments)
-    options = surface_options(arguments, SurfaceOptions(ratio=1.0))
+    options = surface_options(arguments, SurfaceParameters(ratio=1.0))
     levels = None if arguments.levels is None else level_list(*arguments.levels)
     correct = not arguments.no_correction
     return VolumeTask(arguments, parameters, base, options, levels, None, correct)
