@@ -22,7 +22,7 @@ from ladar_volume.clouds.cloud_volume import own_footprints
 from ladar_volume.io.pointfiles.cloud_files import read_cloud
 from ladar_volume.mesh.tetrahedra import closed_volume
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.tin.represent import SurfaceOptions
+from ladar_volume.model.surface_parameters import SurfaceParameters
 
 FOLDER = (
     Path(os.environ.get("LADAR_SHARED_DATA", Path(__file__).parents[2] / "shared" / "data"))
@@ -64,7 +64,7 @@ def by_prismoids(many: F64, few: F64) -> tuple[float, float]:
     footprint.
     """
     level = dataclasses.replace(Parameters().volume, base="level", level_m=FLOOR_M, outline="all")
-    options = SurfaceOptions(ratio=1.0, relevant="all")
+    options = SurfaceParameters(ratio=1.0, relevant="all")
     made: list[CloudSurface] = [cloud_surface(p, options, SIGMA_M, "given") for p in (many, few)]
     found = own_footprints(made[0], made[1], dataclasses.replace(Parameters(), volume=level))[0]
     return found.net_m3, found.sigma_m3

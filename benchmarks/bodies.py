@@ -21,11 +21,12 @@ from benchmarks.truth import F64, box_faces, rotation, sample_polygons
 from ladar_volume.clouds.body_checks import check_bodies, uncertainty
 from ladar_volume.clouds.body_points import filtered_points, ground_threshold
 from ladar_volume.clouds.body_volume import Uncertain
-from ladar_volume.clouds.cloud_bodies import CLEAR, BodyOptions, CloudBodies, cloud_bodies
+from ladar_volume.clouds.cloud_bodies import CLEAR, CloudBodies, cloud_bodies
 from ladar_volume.clouds.filter_cloud import filter_cloud
-from ladar_volume.ground.objects import ObjectParameters, find_objects
+from ladar_volume.ground.objects import find_objects
 from ladar_volume.ground.robust_ground import fit_ground
 from ladar_volume.mesh.topology import edge_table
+from ladar_volume.model.body_parameters import BodyParameters, ObjectParameters
 from ladar_volume.model.errors import LadarVolumeError
 from ladar_volume.model.parameters import FilterParameters, GroundParameters
 
@@ -185,7 +186,7 @@ def measure(points: F64, stands: bool) -> tuple[CloudBodies, Uncertain]:
     found = cloud_bodies(of.r, of.normal, of.curved, label, ground)
     if found.failed:
         raise SystemExit(f"{len(found.failed)} bodies failed: {found.failed[0].reason}")
-    found, checked = check_bodies(found, of, points, BodyOptions())
+    found, checked = check_bodies(found, of, points, BodyParameters())
     uncertain = uncertainty(found, checked, of, points)
     if uncertain is None:
         raise SystemExit("a filtered cloud tells its noise")

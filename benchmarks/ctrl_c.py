@@ -25,11 +25,12 @@ from mcap.reader import make_reader
 
 from benchmarks.kill_logger import check
 from ladar_volume.model.parameters import BudgetParameters
+from ladar_volume.model.survey_parameters import SurveyParameters
 from ladar_volume.simulation.bag import write_bag
 from ladar_volume.simulation.platforms import make_platform
 from ladar_volume.simulation.scenes import make_scene
 from ladar_volume.simulation.suited_parameters import SUITED
-from ladar_volume.simulation.survey import Survey, SurveyOptions
+from ladar_volume.simulation.survey import Survey
 
 ROOT = Path(__file__).parents[1]
 NODES = ("georeference_node", "filter_node", "volume_node", "logger_node")
@@ -58,7 +59,7 @@ def recording(path: Path, seed: int) -> Path:
     """A thinned flight over a stockpile."""
     scene = make_scene("stockpile", seed)
     platform = make_platform("uav", scene.extent_m, FLIGHT_S)
-    survey = Survey(scene, platform, BudgetParameters(), SurveyOptions(FLIGHT_S, 8, seed=seed))
+    survey = Survey(scene, platform, BudgetParameters(), SurveyParameters(FLIGHT_S, 8, seed=seed))
     suited = {s: dict(v) for s, v in SUITED["pile"].items()}
     write_bag(survey, path, suited, lambda share: None)
     return path

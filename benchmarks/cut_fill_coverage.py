@@ -13,7 +13,7 @@ import numpy as np
 from ladar_volume.clouds.cloud_surface import cloud_surface
 from ladar_volume.clouds.cloud_volume import between_clouds
 from ladar_volume.model.records import F64
-from ladar_volume.tin.represent import SurfaceOptions
+from ladar_volume.model.surface_parameters import SurfaceParameters
 
 #: Side of the square ground and standard deviation of the heights, m.
 SIDE, SIGMA = 10.0, 0.02
@@ -47,7 +47,7 @@ def errors(change: str, slope: float, ratio: float, draws: int, points: int, see
             xy = np.r_[rim, rng.uniform(0.0, SIDE, (points, 2))]
             z = slope * (xy[:, 0] + 0.5 * xy[:, 1]) + changed * CHANGES[change](*xy.T)
             z += SIGMA * rng.normal(size=len(xy))
-            surveys.append(cloud_surface(np.c_[xy, z], SurfaceOptions(ratio=ratio), SIGMA))
+            surveys.append(cloud_surface(np.c_[xy, z], SurfaceParameters(ratio=ratio), SIGMA))
         v = between_clouds(*surveys, "the survey before")
         out.append(
             [

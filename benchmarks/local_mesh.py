@@ -18,8 +18,9 @@ from benchmarks.truth import F64
 from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.mesh.edge_completion import sharpen
 from ladar_volume.mesh.linear_mesh import LinearMesh, linear_mesh
-from ladar_volume.mesh.local_mesh import BOX, LocalMesh, LocalMeshSettings, mesh_cloud
+from ladar_volume.mesh.local_mesh import BOX, LocalMesh, mesh_cloud
 from ladar_volume.mesh.topology import orient
+from ladar_volume.model.body_parameters import LocalMeshParameters
 from ladar_volume.model.choices import REPAIRS
 from ladar_volume.model.cloud_filter_parameters import FilterParameters
 
@@ -71,7 +72,7 @@ def repairs() -> dict[str, float | int | str]:
         mesh = mesh_cloud(
             result.r,
             result.normal,
-            LocalMeshSettings(BOX.radius_m, method="published", repair=repair),
+            LocalMeshParameters(BOX.radius_m, method="published", repair=repair),
         )
         out[f"cube as published, {repair}, volume, %"] = 100 * (volume(mesh) - 1)
     return out

@@ -46,13 +46,14 @@ from benchmarks.footprint import cpu_seconds, proportional_mb, resident_mb
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.tables import decode
 from ladar_volume.model.parameters import BudgetParameters
+from ladar_volume.model.survey_parameters import SurveyParameters
 from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.running import Spinner
 from ladar_volume.simulation.bag import write_bag
 from ladar_volume.simulation.platforms import make_platform, platform_for
 from ladar_volume.simulation.scenes import Ground, make_scene, pile
 from ladar_volume.simulation.suited_parameters import suited
-from ladar_volume.simulation.survey import Survey, SurveyOptions
+from ladar_volume.simulation.survey import Survey
 
 ROOT = Path(__file__).parents[1]
 BAG = ROOT / "bags" / "stockpile"
@@ -86,7 +87,10 @@ def full_rate_flight(folder: Path) -> Path:
     """Half a minute at all 300,000 firings a second."""
     scene = make_scene("stockpile", 5)
     survey = Survey(
-        scene, platform_for(scene, "uav", 30.0), BudgetParameters(), SurveyOptions(30.0, 1, seed=5)
+        scene,
+        platform_for(scene, "uav", 30.0),
+        BudgetParameters(),
+        SurveyParameters(30.0, 1, seed=5),
     )
     write_bag(survey, folder / "flight", suited(scene), lambda share: None)
     return folder / "flight"
@@ -108,7 +112,7 @@ def site_flight(folder: Path, side_m: float) -> Path:
         scene,
         make_platform("uav", side_m, 60.0),
         BudgetParameters(),
-        SurveyOptions(60.0, 1, seed=5),
+        SurveyParameters(60.0, 1, seed=5),
     )
     settings, half = suited(scene), 0.5 * side_m
     settings["filter"]["radius_m"] = 1.0

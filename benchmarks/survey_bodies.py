@@ -18,12 +18,13 @@ import numpy as np
 from ladar_volume.io.bags import BagReader
 from ladar_volume.io.config import read_config
 from ladar_volume.model.errors import LadarVolumeError
+from ladar_volume.model.survey_parameters import SurveyParameters
 from ladar_volume.replay import Replay
 from ladar_volume.simulation.bag import write_bag
 from ladar_volume.simulation.platforms import platform_for
 from ladar_volume.simulation.scenes import Ground, Scene, box_scene
 from ladar_volume.simulation.suited_parameters import suited
-from ladar_volume.simulation.survey import Survey, SurveyOptions
+from ladar_volume.simulation.survey import Survey
 
 #: Every so many firing cycles; seconds of a survey; surveys.
 THIN, DURATION_S, SURVEYS = 1, 24.0, 12
@@ -65,7 +66,7 @@ def box(seed: int) -> BoxError:
         folder = Path(name) / "bag"
         start = read_config(None)
         settings["budget"] = start.write()["budget"]
-        options = SurveyOptions(DURATION_S, THIN, 10.0, 100.0, mixed_share=0.0, seed=seed)
+        options = SurveyParameters(DURATION_S, THIN, 10.0, 100.0, mixed_share=0.0, seed=seed)
         write_bag(
             Survey(scene, platform, start.budget, options), folder, settings, lambda share: None
         )

@@ -16,8 +16,9 @@ from ladar_volume.clouds.body_checks import check_bodies, check_doubts, uncertai
 from ladar_volume.clouds.body_points import filtered_points
 from ladar_volume.clouds.body_verdict import bodies_verdict
 from ladar_volume.clouds.body_walls import wall_doubts
-from ladar_volume.clouds.cloud_bodies import BodyOptions, cloud_bodies
+from ladar_volume.clouds.cloud_bodies import cloud_bodies
 from ladar_volume.clouds.filter_cloud import filter_cloud
+from ladar_volume.model.body_parameters import BodyParameters
 from ladar_volume.model.cloud_filter_parameters import FilterParameters
 from ladar_volume.model.errors import LadarVolumeError
 from ladar_volume.model.records import F64
@@ -65,7 +66,7 @@ def measured(shape: str, noise_m: float, seed: int) -> tuple[float, float, str]:
     raw = Rotation.random(random_state=seed).apply(points) + noise_m * rng.normal(size=points.shape)
     try:
         of = filtered_points(filter_cloud(raw, FilterParameters(), auto=True))
-        label, options = np.zeros(len(of.r), np.int64), BodyOptions()
+        label, options = np.zeros(len(of.r), np.int64), BodyParameters()
         made = cloud_bodies(of.r, of.normal, of.curved, label, None, options)
         made, checked = check_bodies(made, of, raw, options)
         known = uncertainty(made, checked, of, raw)

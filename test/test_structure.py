@@ -170,6 +170,20 @@ def test_few_arguments_are_annotated_as_any():
     assert len(found) <= ANY, "\n".join(found)
 
 
+def test_parameters_of_users_stand_in_the_model():
+    """The published filter calls its numbers by the names of the source; they are made from
+    ``model.cloud_filter_parameters.PublishedFilterParameters``, whence the options come.
+    """
+    found = {
+        n.name
+        for path in FILES
+        if room(path) != "model"
+        for n in ast.walk(ast.parse(path.read_text()))
+        if isinstance(n, ast.ClassDef) and n.name.endswith(("Options", "Settings", "Parameters"))
+    }
+    assert found <= {"PublishedParameters"}
+
+
 def test_no_basename_is_used_twice_in_the_core():
     names = [p.stem for p in FILES if room(p) in CORE and p.name != "__init__.py"]
     assert not {n for n in names if names.count(n) > 1}

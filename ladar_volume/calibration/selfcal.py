@@ -30,6 +30,7 @@ from ladar_volume.georeference.point_jacobian import unpack
 from ladar_volume.model.errors import CalibrationError
 from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.records import CAL_COLUMNS, F64, I64
+from ladar_volume.model.survey_parameters import StripParameters
 
 #: Columns that have a constant to be corrected: everything shared but the range bias.
 CORRECTED: I64 = np.arange(1, len(CAL_COLUMNS))
@@ -45,17 +46,6 @@ _CONVERGED, _NOISE_STEADY, _MOST_STEPS = 1e-2, 0.01, 15
 _NEAR, _SEARCHING = 1.0, 6
 #: Fewer patches are no net of observations but a coincidence.
 _FEWEST = 20
-
-
-@dataclass(frozen=True)
-class StripOptions:
-    """Edge of the voxels that hold one patch (m), least returns of one strip on it, most patches,
-    Gauss-Newton steps.
-    """
-
-    edge_m: float = 1.0
-    min_points: int = 6
-    max_patches: int = 2500
 
 
 @dataclass(frozen=True)
@@ -147,14 +137,14 @@ class _Problem:
     flight: Flight
     budget: BudgetParameters
     effects: Drift
-    options: StripOptions
+    options: StripParameters
     active: I64
     beams: int
     precision: F64
 
 
 def calibrate(
-    flight: Flight, budget: BudgetParameters, prior: F64, options: StripOptions | None = None
+    flight: Flight, budget: BudgetParameters, prior: F64, options: StripParameters | None = None
 ) -> StripCalibration:
     """Corrections of a flight's constants. ``prior`` (c, c) is C_cal of the budget
     (``budget.calibration_covariance``); columns of zero variance stay as they are.
@@ -162,7 +152,7 @@ def calibrate(
     Raises :class:`CalibrationError`: calibration_no_overlap, calibration_no_convergence,
     calibration_unobservable (no constant gains).
     """
-    problem = _problem(flight, budget, prior, options or StripOptions())
+    problem = _problem(flight, budget, prior, options or StripParameters())
     active, corrected = problem.active, np.isin(problem.active, CORRECTED)
     theta, noise, before_m, membership, moved = np.zeros(len(prior)), 1.0, np.nan, None, 0
     for number in range(1, _MOST_STEPS + 1):
@@ -189,7 +179,7 @@ def calibrate(
 
 
 def _problem(
-    flight: Flight, budget: BudgetParameters, prior: F64, options: StripOptions
+    flight: Flight, budget: BudgetParameters, prior: F64, options: StripParameters
 ) -> _Problem:
     """What stays the same from step to step. Raises :class:`CalibrationError` where no constant is
     to be estimated.

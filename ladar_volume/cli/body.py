@@ -43,13 +43,12 @@ from ladar_volume.clouds.body_verdict import (
 )
 from ladar_volume.clouds.body_volume import Body, body_of, mesh_uncertainty
 from ladar_volume.clouds.body_walls import closing_doubts, foot_doubts, wall_doubts
-from ladar_volume.clouds.cloud_bodies import CLEAR, BodyOptions, cloud_bodies
+from ladar_volume.clouds.cloud_bodies import CLEAR, cloud_bodies
 from ladar_volume.clouds.filter.filter_result import CloudResult
 from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.clouds.ground_cover import doubts_about_growth, growth_about_bodies
 from ladar_volume.ground.ground_presets import PRESETS
 from ladar_volume.ground.objects import (
-    ObjectParameters,
     Objects,
     find_objects,
     heights_above_ground,
@@ -62,7 +61,7 @@ from ladar_volume.ground.robust_ground import fit_ground
 from ladar_volume.io.endings import ENDINGS
 from ladar_volume.io.meshfiles.mesh_files import holds_faces, read_mesh, write_mesh
 from ladar_volume.io.results import json_text
-from ladar_volume.mesh.local_mesh import LocalMeshSettings
+from ladar_volume.model.body_parameters import BodyParameters, LocalMeshParameters, ObjectParameters
 from ladar_volume.model.errors import (
     ConfigurationError,
     GroundError,
@@ -173,7 +172,7 @@ def of_mesh(arguments: argparse.Namespace, console: Console) -> tuple[dict[str, 
                 mesh.triangles,
                 None,
                 None,
-                a.close or 0.0,
+                a.close,
                 given_ground(a),
                 sharp_rad(a),
                 pole(a),
@@ -200,7 +199,7 @@ def of_cloud(arguments: argparse.Namespace, console: Console) -> tuple[dict[str,
         points, ground, doubts = standing(a, raw, points)
         found, missed = (None, None) if ground is None else objects_of(a, points, ground)
         label = np.zeros(len(points.r), np.int64) if found is None else found.label
-        options = BodyOptions(mesh_settings(a), a.close or 0.0, sharp_rad(a), pole(a))
+        options = BodyParameters(mesh_settings(a), a.close, sharp_rad(a) or 0.0, pole(a))
         made = cloud_bodies(
             points.r,
             points.normal,
@@ -333,11 +332,11 @@ def object_parameters(
     return dataclasses.replace(p, distance_m=step_m, step_m=step_m, pick_reach_m=PICKED * step_m)
 
 
-def mesh_settings(arguments: argparse.Namespace) -> LocalMeshSettings:
+def mesh_settings(arguments: argparse.Namespace) -> LocalMeshParameters:
     """Settings of the local meshes."""
     if arguments.repair is None:
-        return LocalMeshSettings(arguments.mesh_radius)
-    return LocalMeshSettings(arguments.mesh_radius, method="published", repair=arguments.repair)
+        return LocalMeshParameters(arguments.mesh_radius)
+    return LocalMeshParameters(arguments.mesh_radius, method="published", repair=arguments.repair)
 
 
 def write(path: Path, bodies: list[Body]) -> None:

@@ -17,7 +17,7 @@ from rich.table import Table
 
 from ladar_volume.calibration.flight import Flight, flight, turned
 from ladar_volume.calibration.repeats import correction_of
-from ladar_volume.calibration.selfcal import CORRECTED, StripCalibration, StripOptions, calibrate
+from ladar_volume.calibration.selfcal import CORRECTED, StripCalibration, calibrate
 from ladar_volume.cli.arguments.work import config_for
 from ladar_volume.cli.replay import topics_from
 from ladar_volume.georeference.error_budget import calibration_covariance, correlation_triangle
@@ -28,6 +28,7 @@ from ladar_volume.io.results import json_text, write_text
 from ladar_volume.model.errors import CalibrationError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import CAL_COLUMNS, F64, MappedPoints, concatenate, select
+from ladar_volume.model.survey_parameters import StripParameters
 from ladar_volume.replay import Replay
 from ladar_volume.version import version
 
@@ -44,7 +45,9 @@ def run(arguments: argparse.Namespace) -> int:
     g = parameters.georeference
     with console.status("adjusting"):
         prior = calibration_covariance(parameters.budget, g.beams, g.pose_source)
-        found = calibrate(recorded, parameters.budget, prior, StripOptions(edge_m=arguments.edge))
+        found = calibrate(
+            recorded, parameters.budget, prior, StripParameters(edge_m=arguments.edge)
+        )
     corrected = calibrated_parameters(found, parameters)
     if arguments.output is not None:
         write_calibration(arguments.output, corrected, arguments.bag.name)

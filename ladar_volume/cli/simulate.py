@@ -9,17 +9,18 @@ from rich.progress import Progress
 
 from ladar_volume.io.atomic_write import new_folder
 from ladar_volume.io.config import read_config
+from ladar_volume.model.survey_parameters import SurveyParameters
 from ladar_volume.simulation.bag import write_bag
 from ladar_volume.simulation.platforms import platform_for
 from ladar_volume.simulation.scenes import make_scene
 from ladar_volume.simulation.suited_parameters import suited
-from ladar_volume.simulation.survey import Survey, SurveyOptions
+from ladar_volume.simulation.survey import Survey
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Simulate and write; prints the true volume."""
     console = Console(stderr=True)
-    options = SurveyOptions(
+    options = SurveyParameters(
         arguments.duration,
         arguments.thin,
         arguments.gnss_hz,

@@ -20,15 +20,16 @@ from ladar_volume.io.pointfiles.cloud_files import PointFile
 from ladar_volume.io.pointfiles.metres import MapCoordinates
 from ladar_volume.model.errors import ConfigurationError, InputError, SurfaceError
 from ladar_volume.model.records import F64, LEAST_UPWARD
+from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.tin.full_tin import footprint_areas
-from ladar_volume.tin.represent import Represented, SurfaceOptions
+from ladar_volume.tin.represent import Represented
 from ladar_volume.tin.scan_frame import Frame, frame_along, mean_direction, search_direction
 
 #: Columns that hold a standard deviation, in order of preference.
 SIGMAS = ("sigma_z", "sigma")
 
 
-def surface_options(arguments: argparse.Namespace, default: SurfaceOptions) -> SurfaceOptions:
+def surface_options(arguments: argparse.Namespace, default: SurfaceParameters) -> SurfaceParameters:
     """Options of the surface. Raises :class:`ConfigurationError` for those that contradict one
     another.
     """
@@ -53,7 +54,7 @@ def surface_options(arguments: argparse.Namespace, default: SurfaceOptions) -> S
         "max_iterations": a.iterations,
         "height_tolerance_m": a.height_tolerance,
     }
-    return SurfaceOptions(
+    return SurfaceParameters(
         **given,
         tolerance=a.tolerance,
         criterion=a.criterion,
@@ -68,7 +69,7 @@ def surface_options(arguments: argparse.Namespace, default: SurfaceOptions) -> S
     )
 
 
-def _vertex_options(a: argparse.Namespace, default: SurfaceOptions) -> dict[str, Any]:
+def _vertex_options(a: argparse.Namespace, default: SurfaceParameters) -> dict[str, Any]:
     """Where the insertion of vertices stops: at a ratio, at a number, or by the tolerance alone."""
     if a.vertices is None:
         return {"ratio": None if a.tolerance is not None else default.ratio}
@@ -170,7 +171,7 @@ def sigma_of(
 def make_surface(
     arguments: argparse.Namespace,
     source: Source,
-    options: SurfaceOptions,
+    options: SurfaceParameters,
     frame: Frame | None,
     sigma: float | None,
     how: str | None = None,
@@ -291,7 +292,7 @@ def held_fixed(made: Represented) -> list[str]:
     return ["triangulation", *partial, *(["exchanged diagonals"] if made.exchanges else [])]
 
 
-def option_facts(options: SurfaceOptions) -> dict[str, Any]:
+def option_facts(options: SurfaceParameters) -> dict[str, Any]:
     """The options a surface was made with."""
     names = (
         "vertices",

@@ -39,16 +39,16 @@ from ladar_volume.io.pointfiles.cloud_files import check_output, write_cloud
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import ConfigurationError, OutputError
 from ladar_volume.model.records import F64, I64, Tin
+from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.locate import interpolate_heights
-from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.tin.scan_frame import Frame
 from ladar_volume.version import version
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, triangulate, write, print."""
-    options = surface_options(arguments, SurfaceOptions())
+    options = surface_options(arguments, SurfaceParameters())
     check_outputs(arguments)
     places = places_of(arguments)
     console = Console(stderr=arguments.json)

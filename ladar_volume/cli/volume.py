@@ -56,8 +56,8 @@ from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import ConfigurationError, LadarVolumeError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, Bool, Plane, Tin
+from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.model.verdict import Verdict
-from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.tin.scan_frame import Frame
 from ladar_volume.version import version
 from ladar_volume.volume.base import polygon_of
@@ -178,7 +178,7 @@ class VolumeTask:
     arguments: argparse.Namespace
     parameters: Parameters
     base: str
-    options: SurfaceOptions
+    options: SurfaceParameters
     levels: F64 | None
     frame: Frame | None
     correct: bool
@@ -249,7 +249,7 @@ def task_of(arguments: argparse.Namespace) -> VolumeTask:
     :class:`ConfigurationError` for options that contradict one another.
     """
     parameters, base = parameters_of(arguments)
-    options = surface_options(arguments, SurfaceOptions(ratio=1.0))
+    options = surface_options(arguments, SurfaceParameters(ratio=1.0))
     levels = None if arguments.levels is None else level_list(*arguments.levels)
     correct = not arguments.no_correction
     return VolumeTask(arguments, parameters, base, options, levels, None, correct)

@@ -25,9 +25,8 @@ from scipy.spatial import cKDTree
 
 from ladar_volume.clouds.body_points import BodyPoints, halves
 from ladar_volume.clouds.body_volume import Body, Uncertain, cloud_uncertainty, mesh_uncertainty
-from ladar_volume.clouds.cloud_bodies import BodyOptions, CloudBodies, body_at
-from ladar_volume.mesh.edge_completion import SHARP_RAD
-from ladar_volume.mesh.local_mesh import LocalMeshSettings
+from ladar_volume.clouds.cloud_bodies import CloudBodies, body_at
+from ladar_volume.model.body_parameters import SHARP_RAD, BodyParameters, LocalMeshParameters
 from ladar_volume.model.errors import SurfaceError, VolumeError
 from ladar_volume.model.records import F64, I64, Bool
 from ladar_volume.model.verdict import Doubt
@@ -83,15 +82,15 @@ def off_points(body: Body, rows: I64, raw: F64, points: BodyPoints) -> tuple[flo
     return share * total, max(((1.0 - share) * total) ** 2 - own, 0.0) + share**2 * own
 
 
-def coarser(o: BodyOptions) -> BodyOptions:
+def coarser(o: BodyParameters) -> BodyParameters:
     """Options for half of the points: given lengths grow with the spacing."""
     m = o.mesh
-    mesh = LocalMeshSettings(COARSER * m.radius_m, COARSER * m.hole_m, m.signed)
+    mesh = LocalMeshParameters(COARSER * m.radius_m, COARSER * m.hole_m, m.signed)
     return dataclasses.replace(o, mesh=mesh, close_m=COARSER * o.close_m)
 
 
 def between_points(
-    body: Body, rows: I64, points: BodyPoints, made: CloudBodies, o: BodyOptions
+    body: Body, rows: I64, points: BodyPoints, made: CloudBodies, o: BodyParameters
 ) -> tuple[tuple[float, ...], str]:
     """Volumes, m³, through each half of a body's points less that through all; and why a half makes
     none.
@@ -107,7 +106,7 @@ def between_points(
 
 
 def check_bodies(
-    made: CloudBodies, points: BodyPoints, raw: F64, options: BodyOptions
+    made: CloudBodies, points: BodyPoints, raw: F64, options: BodyParameters
 ) -> tuple[CloudBodies, tuple[Checked, ...]]:
     """The bodies with what their surfaces were off their points put right, and what was found of
     each. raw : (n, 3) m, the cloud before the filter

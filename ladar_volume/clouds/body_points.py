@@ -19,8 +19,9 @@ from ladar_volume.clouds.filter.filter_result import CloudResult
 from ladar_volume.clouds.filter.sparse_points import JUMP
 from ladar_volume.clouds.sampling.isolation import connected_to_known, second_neighbour_distance
 from ladar_volume.ground.clusters import clusters
-from ladar_volume.ground.objects import ObjectParameters, heights_above_ground
+from ladar_volume.ground.objects import heights_above_ground
 from ladar_volume.mesh.local_mesh import REACH, SPACING
+from ladar_volume.model.body_parameters import ObjectParameters
 from ladar_volume.model.records import F64, I64, Bool, Plane
 
 #: Threshold of the search for the ground, in sigmas of the noise and in spacings of the points: the

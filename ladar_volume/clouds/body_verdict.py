@@ -13,8 +13,9 @@ from ladar_volume.clouds.body_points import LeftOut
 from ladar_volume.clouds.body_volume import Body
 from ladar_volume.clouds.cloud_bodies import CloudBodies
 from ladar_volume.ground.clusters import clusters
-from ladar_volume.ground.objects import ObjectParameters, Objects, heights_above_ground
+from ladar_volume.ground.objects import Objects, heights_above_ground
 from ladar_volume.mesh.local_mesh import LocalMesh
+from ladar_volume.model.body_parameters import ObjectParameters
 from ladar_volume.model.errors import ObjectError
 from ladar_volume.model.records import F64, Plane
 from ladar_volume.model.verdict import Doubt, Verdict

@@ -30,7 +30,7 @@ from ladar_volume.mesh.bottom_closing import Closure
 from ladar_volume.mesh.chord_curvature import bulge_volumes
 from ladar_volume.mesh.closing import close
 from ladar_volume.mesh.crossed_space import Crossing, crossing_doubts, crossing_of
-from ladar_volume.mesh.edge_completion import SHARP_RAD, sharpen
+from ladar_volume.mesh.edge_completion import sharpen
 from ladar_volume.mesh.linear_mesh import LinearMesh, linear_mesh
 from ladar_volume.mesh.local_mesh import LocalMesh
 from ladar_volume.mesh.tetrahedra import (
@@ -43,6 +43,7 @@ from ladar_volume.mesh.tetrahedra import (
     tetrahedra_gradient,
 )
 from ladar_volume.mesh.topology import Oriented, edge_table
+from ladar_volume.model.body_parameters import SHARP_RAD
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane
 from ladar_volume.model.verdict import Doubt
 

@@ -5,14 +5,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from ladar_volume.clouds.body_volume import Body, body_of, published_body
-from ladar_volume.mesh.edge_completion import SHARP_RAD
-from ladar_volume.mesh.local_mesh import LocalMesh, LocalMeshSettings, mesh_cloud
+from ladar_volume.mesh.local_mesh import LocalMesh, mesh_cloud
 from ladar_volume.mesh.topology import orient
+from ladar_volume.model.body_parameters import BodyParameters
 from ladar_volume.model.errors import SurfaceError, VolumeError
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane
 
@@ -31,19 +31,6 @@ NO_BODY = (
     "no body: no point stands above the ground; give the ground, or ask for less "
     "height or fewer points of an object"
 )
-
-
-@dataclass(frozen=True)
-class BodyOptions:
-    """mesh : of the local meshes · close_m : largest gap, and distance of a rim from the ground,
-    that are closed; 0: twice the mesh's longest edge · sharp_rad : faces whose normals enclose more
-    meet in an edge, None: no edge is completed · pole_map : (3,) m, of the tetrahedra
-    """
-
-    mesh: LocalMeshSettings = field(default_factory=LocalMeshSettings)
-    close_m: float = 0.0
-    sharp_rad: float | None = SHARP_RAD
-    pole_map: F64 | None = None
 
 
 @dataclass(frozen=True)
@@ -83,7 +70,7 @@ def cloud_bodies(
     curved: Bool | None,
     label: I64,
     ground: Plane | None,
-    options: BodyOptions | None = None,
+    options: BodyParameters | None = None,
     step: Callable[[int, int], None] = lambda number, many: None,
 ) -> CloudBodies:
     """The bodies of a filtered cloud.
@@ -95,7 +82,7 @@ def cloud_bodies(
     where no point is in a body and :class:`SurfaceError` where none can be meshed and closed; the
     others are ``failed``.
     """
-    o = options or BodyOptions()
+    o = options or BodyParameters()
     many = int(label.max(initial=-1)) + 1
     if many == 0:
         raise VolumeError(NO_BODY, reason="volume_no_body")
@@ -129,7 +116,7 @@ def body_at(
     curved: Bool | None,
     rows: I64,
     ground: Plane | None,
-    o: BodyOptions,
+    o: BodyParameters,
 ) -> tuple[Body, LocalMesh, int]:
     """The body of some of the points, its mesh, and how many triangles were left out."""
     mesh = mesh_cloud(points[rows], None if normals is None else normals[rows], o.mesh)
@@ -150,7 +137,7 @@ def body_at(
         None if curved is None else curved[rows],
         close_m,
         ground,
-        o.sharp_rad,
+        o.sharp_rad or None,
         o.pole_map,
         allow_crossings=True,
     )

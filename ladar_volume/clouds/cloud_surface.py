@@ -17,9 +17,10 @@ from ladar_volume.clouds.given_faces import GivenSurface
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.records import F64, I64
+from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.median_screen import tin_filter, tin_screen
-from ladar_volume.tin.represent import Represented, SurfaceOptions, represent
+from ladar_volume.tin.represent import Represented, represent
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ def without_strays(points: F64, how: str) -> Cleaned:
 
 def cloud_surface(
     points: F64,
-    options: SurfaceOptions,
+    options: SurfaceParameters,
     sigma_m: F64 | float | None = None,
     sigma_from: str = "",
     screen_m: float | None = None,

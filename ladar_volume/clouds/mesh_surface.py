@@ -10,18 +10,19 @@ from ladar_volume.clouds.cloud_surface import CloudSurface, noise
 from ladar_volume.clouds.given_faces import doubts_of, given_surface, total_area
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, Tin
+from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.boundary import edit_boundary
 from ladar_volume.tin.locate import locate, triangle_index
 from ladar_volume.tin.relevant import with_relevant
-from ladar_volume.tin.represent import Represented, SurfaceOptions, represent
+from ladar_volume.tin.represent import Represented, represent
 from ladar_volume.volume.overlay import between
 
 #: What a mesh's sigma is where no one gives it.
 UNKNOWN = "unknown: a mesh has no noise of its own; give --sigma, that of its heights"
 
 
-def as_given(tin: Tin, options: SurfaceOptions) -> Represented:
+def as_given(tin: Tin, options: SurfaceParameters) -> Represented:
     """The faces as they are, with the limits of the options on which of them count. Their heights
     are those of the vertices, which nothing is adjusted to.
     """
@@ -35,7 +36,7 @@ def as_given(tin: Tin, options: SurfaceOptions) -> Represented:
 
 
 def thinned(
-    given: Tin, options: SurfaceOptions, sigma_m: F64 | None
+    given: Tin, options: SurfaceParameters, sigma_m: F64 | None
 ) -> tuple[Represented, tuple[Doubt, ...]]:
     """A TIN through fewer of the vertices, over the same footprint, and what it misses the faces
     by.
@@ -69,7 +70,7 @@ def thinned(
 def mesh_surface(
     vertices: F64,
     triangles: I32,
-    options: SurfaceOptions | None = None,
+    options: SurfaceParameters | None = None,
     sigma_m: F64 | float | None = None,
     sigma_from: str = "",
     thin: bool = False,
@@ -80,7 +81,7 @@ def mesh_surface(
     then it stays so · thin : fewer vertices, as the options say, in place of the faces. Raises
     :class:`SurfaceError` as :func:`~ladar_volume.clouds.given_faces.given_surface`.
     """
-    o = options or SurfaceOptions(ratio=1.0)
+    o = options or SurfaceParameters(ratio=1.0)
     found = given_surface(np.asarray(vertices, dtype=np.float64), triangles)
     sigma: F64 | None = None
     words = UNKNOWN

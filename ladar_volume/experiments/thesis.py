@@ -23,16 +23,10 @@ from ladar_volume.clouds.published.filter_presets import preset
 from ladar_volume.experiments import thesis_scene as scene
 from ladar_volume.ground.polynomial import base_height, tilt_of
 from ladar_volume.ground.robust_ground import fit_ground
-from ladar_volume.mesh.local_mesh import (
-    BOX,
-    FOUNTAIN,
-    SPHERE,
-    LocalMesh,
-    LocalMeshSettings,
-    mesh_cloud,
-)
+from ladar_volume.mesh.local_mesh import BOX, FOUNTAIN, SPHERE, LocalMesh, mesh_cloud
 from ladar_volume.mesh.tetrahedra import signed_tetrahedra
 from ladar_volume.mesh.topology import edge_table, orient
+from ladar_volume.model.body_parameters import LocalMeshParameters
 from ladar_volume.model.choices import REPAIRS
 from ladar_volume.model.errors import SimulationError
 from ladar_volume.model.parameters import FilterParameters, GroundParameters
@@ -121,7 +115,7 @@ def tetrahedra_sum(mesh: LocalMesh) -> float:
     return float(signed_tetrahedra(mesh.vertices, mesh.triangles, mesh.vertices.mean(axis=0)).sum())
 
 
-def repair_modes(filtered: CloudResult, settings: LocalMeshSettings) -> dict[str, Mode]:
+def repair_modes(filtered: CloudResult, settings: LocalMeshParameters) -> dict[str, Mode]:
     """Algorithm 2 and each way to repair it."""
     out = {}
     for repair in REPAIRS:
@@ -174,7 +168,7 @@ def own_way(points: F64) -> OwnBody:
     )
 
 
-def measure(points: F64, name: str, settings: LocalMeshSettings) -> Body:
+def measure(points: F64, name: str, settings: LocalMeshParameters) -> Body:
     """One cloud both ways."""
     began = time.perf_counter()
     filtered = filter_cloud(points, preset(name))
@@ -185,7 +179,7 @@ def measure(points: F64, name: str, settings: LocalMeshSettings) -> Body:
 def field(
     points: F64,
     parameters: FilterParameters | None,
-    settings: LocalMeshSettings | None,
+    settings: LocalMeshParameters | None,
     middle: F64,
 ) -> Field:
     """A cloud with ground at z = 0: filter (None: settings from the cloud), mesh, ground; its

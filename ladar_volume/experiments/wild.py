@@ -17,9 +17,10 @@ from ladar_volume.io.bags import BagReader
 from ladar_volume.io.config import read_config
 from ladar_volume.model.errors import GroundError, SurfaceError, VolumeError
 from ladar_volume.model.parameters import BudgetParameters
+from ladar_volume.model.survey_parameters import SurveyParameters
 from ladar_volume.replay import Replay
 from ladar_volume.simulation.bag import write_bag
-from ladar_volume.simulation.survey import Survey, SurveyOptions
+from ladar_volume.simulation.survey import Survey
 from ladar_volume.simulation.troubled_scenes import DURATION_S, KINDS, make_trouble
 
 #: Every so many firing cycles are simulated; share of returns that mix two surfaces.
@@ -61,7 +62,7 @@ def wild_survey(kind: str, seed: int) -> WildRow:
         trouble.scene,
         trouble.platform,
         trouble.drawn,
-        SurveyOptions(DURATION_S, THIN, mixed_share=MIXED, seed=seed),
+        SurveyParameters(DURATION_S, THIN, mixed_share=MIXED, seed=seed),
         published=BudgetParameters(),
     )
     true = trouble.scene.volume_m3

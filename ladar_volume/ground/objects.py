@@ -17,42 +17,9 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from ladar_volume.ground.clusters import clusters
 from ladar_volume.ground.surfaces import heights_above
+from ladar_volume.model.body_parameters import ObjectParameters
 from ladar_volume.model.errors import ObjectError
 from ladar_volume.model.records import F64, I64, Bool, Plane
-
-
-@dataclass(frozen=True)
-class ObjectParameters:
-    """min_height_m, sigmas : a point is above the ground by more than both · distance_m : longest
-    step between points of one object · min_points : fewest points of an object · split_m : bodies
-    of a cluster are parted where each rises at least this far above the saddle between them, 0 for
-    never · step_m : reach of a terrace's edge, horizontally · pick_reach_m : an object is within
-    this of a picked point · pits : whether clusters below the ground are listed too, after the
-    objects
-    """
-
-    min_height_m: float = 0.15
-    sigmas: float = 3.5
-    distance_m: float = 0.3
-    min_points: int = 30
-    split_m: float = 0.0
-    step_m: float = 0.3
-    pick_reach_m: float = 1.0
-    pits: bool = False
-
-    def __post_init__(self) -> None:
-        if not (
-            min(self.distance_m, self.step_m) > 0
-            and self.min_points >= 1
-            and min(self.min_height_m, self.sigmas, self.split_m) >= 0
-        ):
-            raise ObjectError(
-                (
-                    "objects need distance_m > 0, step_m > 0, min_points >= 1, and no "
-                    "negative height or sigmas"
-                ),
-                reason="object_parameters",
-            )
 
 
 @dataclass(frozen=True)

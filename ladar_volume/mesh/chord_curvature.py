@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladar_volume.mesh.edge_completion import SHARP_RAD
 from ladar_volume.mesh.linear_mesh import LinearMesh
+from ladar_volume.model.body_parameters import SHARP_RAD
 from ladar_volume.model.records import F64
 
 #: A normal leans at most this far, as a cosine, away from the triangle's own: beyond, the patch

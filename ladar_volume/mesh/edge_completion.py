@@ -17,10 +17,9 @@ import numpy as np
 
 from ladar_volume.mesh.linear_mesh import EDGE, Faces, LinearMesh, blocks, extend_mesh
 from ladar_volume.mesh.topology import edge_table
+from ladar_volume.model.body_parameters import SHARP_RAD
 from ladar_volume.model.records import F64, I32, I64, Bool
 
-#: Normals that enclose more than this are of two faces, radians.
-SHARP_RAD = float(np.radians(30.0))
 #: A completed vertex lies at most this many lengths of the edge (of the triangle's longest) from
 #: its middle, else it stays in the middle.
 FARTHEST = 1.5

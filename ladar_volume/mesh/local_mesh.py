@@ -28,7 +28,7 @@ from ladar_volume.mesh.local_holes import fill_holes, open_handles, rims
 from ladar_volume.mesh.local_published import published_triangles, repair_triangles
 from ladar_volume.mesh.local_star import DEGREE, count_star_triangles, stars
 from ladar_volume.mesh.topology import edge_table
-from ladar_volume.model.choices import REPAIRS
+from ladar_volume.model.body_parameters import LocalMeshParameters
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64
 from ladar_volume.tin.scan_frame import check_cloud
@@ -47,48 +47,10 @@ THIN = 1e-9
 ROUNDS = 4
 
 
-@dataclass(frozen=True)
-class LocalMeshSettings:
-    """radius_m : longest edge, and reach of a point's neighbourhood, 0: from the spacing of the
-    points · hole_m : diameter of the largest hole that is closed, 0: 1.5 times the longest edge ·
-    signed : whether given normals point outward as they are; otherwise only their lines count and
-    signs are found from the cloud, which bodies that touch can mislead.
-
-    method : "agreement", or "published" for Algorithm 2, which needs a radius · longest_m : longest
-    edge of the published method, 0: its radius · repair : what it does about false and empty
-    triangles: "none", "empty", "false", "both" or "remove" (all suspicious).
-    """
-
-    radius_m: float = 0.0
-    hole_m: float = 0.0
-    signed: bool = False
-    method: str = "agreement"
-    longest_m: float = 0.0
-    repair: str = "both"
-
-    def __post_init__(self) -> None:
-        """Raises :class:`SurfaceError` (mesh_settings) for lengths that are negative or not finite,
-        and unknown names.
-        """
-        for length in (self.radius_m, self.hole_m, self.longest_m):
-            if not (np.isfinite(length) and length >= 0.0):
-                raise SurfaceError(f"a length of {length} m", reason="mesh_settings", value=length)
-        if self.method not in ("agreement", "published") or self.repair not in REPAIRS:
-            raise SurfaceError(
-                f"no method {self.method!r} or repair {self.repair!r}",
-                reason="mesh_settings",
-                value=self.method,
-            )
-        if self.method == "published" and self.radius_m == 0.0:
-            raise SurfaceError(
-                "the published method needs a radius", reason="mesh_settings", value=self.radius_m
-            )
-
-
 #: The thesis's three meshes (section 9.2): bench and fountain, cardboard box, sphere.
-FOUNTAIN = LocalMeshSettings(0.10, method="published")
-BOX = LocalMeshSettings(0.20, method="published")
-SPHERE = LocalMeshSettings(0.35, method="published")
+FOUNTAIN = LocalMeshParameters(0.10, method="published")
+BOX = LocalMeshParameters(0.20, method="published")
+SPHERE = LocalMeshParameters(0.35, method="published")
 
 
 @dataclass(frozen=True)
@@ -120,7 +82,7 @@ class LocalMesh:
 
 
 def mesh_cloud(
-    points: F64, normals: F64 | None = None, settings: LocalMeshSettings | None = None
+    points: F64, normals: F64 | None = None, settings: LocalMeshParameters | None = None
 ) -> LocalMesh:
     """A manifold mesh through points (n, 3), m, in any frame, with their normals (n, 3) of any
     length.
@@ -129,7 +91,7 @@ def mesh_cloud(
     :class:`SurfaceError`: surface_shape, surface_not_finite, mesh_points (fewer than three places),
     mesh_normals, mesh_empty (no triangle: collinear, or all farther apart than the radius).
     """
-    settings = settings or LocalMeshSettings()
+    settings = settings or LocalMeshParameters()
     given = check_cloud(points, 3)
     first = np.sort(np.unique(given + 0.0, axis=0, return_index=True)[1])
     if len(first) < 3:
@@ -269,7 +231,7 @@ def _spread(fan: I32, size: I32, radius_m: float) -> I32:
 
 
 def mesh_published(
-    given: F64, first: I64, p: F64, n: F64, settings: LocalMeshSettings
+    given: F64, first: I64, p: F64, n: F64, settings: LocalMeshParameters
 ) -> LocalMesh:
     """The mesh of the published method: each triangle faces the side of the normals at its corners;
     each open edge is a rim of its own.

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
+import types
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -37,7 +38,7 @@ class ParameterSpec:
     key: str
     kind: type
     vector: int | None
-    default: Value
+    default: Value | None
     unit: str
     help: str
     low: float | None
@@ -59,7 +60,7 @@ class ParameterSpec:
 
 
 def param(
-    default: Value,
+    default: Value | None,
     help: str,
     *,
     unit: str = "",
@@ -69,7 +70,7 @@ def param(
     vector: int | None = None,
 ) -> Any:
     """Declare a parameter. Bounds of angles are given in degrees. ``vector``: length of a tuple, 0
-    for any length.
+    for any length. A default of None: not given.
     """
     metadata = {
         "unit": unit,
@@ -97,12 +98,16 @@ def _to_outside(name: str, value: object) -> Any:
 
 def specs(cls: type) -> tuple[ParameterSpec, ...]:
     """The declarations of a parameter dataclass, in order, with keys, defaults and bounds as the
-    outside sees them.
+    outside sees them. Fields that no :func:`param` declares are for callers in Python alone.
     """
     hints = typing.get_type_hints(cls)
     out = []
     for f in dataclasses.fields(cls):
+        if not f.metadata:
+            continue
         m, hint = f.metadata, hints[f.name]
+        if isinstance(hint, types.UnionType):
+            hint = next(h for h in typing.get_args(hint) if h is not types.NoneType)
         kind = typing.get_args(hint)[0] if m["vector"] is not None else hint
         angle = _is_angle(f.name)
         key = f.name[:-4] + "_deg" if angle else f.name

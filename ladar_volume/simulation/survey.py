@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from ladar_volume.model.errors import SimulationError
 from ladar_volume.model.parameters import BudgetParameters
+from ladar_volume.model.survey_parameters import SurveyParameters
 from ladar_volume.simulation import velodyne
 from ladar_volume.simulation.drawn_errors import draw_errors
 from ladar_volume.simulation.platforms import Platform
@@ -31,55 +31,6 @@ Attitudes = tuple[I64, F64, F64, F64]
 EPOCH_NS = 1_777_622_400_000_000_000
 #: Origin of the scenes' coordinates.
 LATITUDE_DEG, LONGITUDE_DEG, HEIGHT_M = 50.0755, 14.4378, 235.0
-
-
-@dataclass(frozen=True)
-class SurveyOptions:
-    """How the survey is flown and what goes wrong on the way. Raises SimulationError for what
-    cannot be flown.
-
-    ``thin`` keeps every n-th firing cycle; in ``outages_s`` (from, to) the receiver has no fix, in
-    ``float_spans_s`` a float one of ten times the sigma; ``range_step_m`` 0 leaves ranges
-    unrounded.
-    """
-
-    duration_s: float = 36.0
-    thin: int = 1
-    gnss_hz: float = 10.0
-    imu_hz: float = 100.0
-    dropout_share: float = 0.01
-    mixed_share: float = 0.1
-    outages_s: tuple[tuple[float, float], ...] = ()
-    float_spans_s: tuple[tuple[float, float], ...] = ()
-    max_range_m: float = 100.0
-    range_step_m: float = velodyne.RANGE_STEP_M
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        limits = {
-            "duration_s": (velodyne.TURN_S, 86_400.0),
-            "thin": (1, 1808),
-            "gnss_hz": (0.1, 1000.0),
-            "imu_hz": (1.0, 10_000.0),
-            "dropout_share": (0.0, 1.0),
-            "mixed_share": (0.0, 1.0),
-            "max_range_m": (0.3, 1000.0),
-            "range_step_m": (0.0, 1.0),
-            "seed": (0, 2**63 - 1),
-        }
-        for name, (low, high) in limits.items():
-            value = getattr(self, name)
-            if not low <= value <= high:  # NaN too
-                raise SimulationError(
-                    f"{name} is {value}; it must lie between {low} and {high}", value=value
-                )
-        for name in ("outages_s", "float_spans_s"):
-            for first, last in getattr(self, name):
-                if not first < last:
-                    raise SimulationError(
-                        f"{name}: a span must end after it begins, not {first} to {last}",
-                        value=(first, last),
-                    )
 
 
 @dataclass(frozen=True)
@@ -124,7 +75,7 @@ class Survey:
     scene: Scene
     platform: Platform
     budget: BudgetParameters
-    options: SurveyOptions
+    options: SurveyParameters
     truth: dict[str, Any] = field(default_factory=dict)
     published: BudgetParameters | None = None
 

@@ -18,6 +18,7 @@ from ladar_volume.math.sparse_diagonal import diagonal_matrix
 from ladar_volume.model.choices import ADJUST, MEASURES
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I64, Bool, Tin
+from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.tin.adaptive import RATIO, adaptive_tin
 from ladar_volume.tin.adjustment_adjoint import height_covariance, raw_gradients
 from ladar_volume.tin.asd_adjustment import adjust_asd
@@ -34,53 +35,11 @@ from ladar_volume.tin.elevation_adjustment import (
 from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.tin.relevant import mark_relevant, with_relevant
 from ladar_volume.tin.sampled_area import SampledArea, sampled_area, within_sampled
-from ladar_volume.tin.window import Window, inside, map_window
+from ladar_volume.tin.window import inside, map_window
 
 #: Variance of least sizes over that of least squares for Gaussian noise, in the limit of many
 #: points per vertex.
 ASD_VARIANCE = math.pi / 2.0
-
-
-@dataclass(frozen=True)
-class SurfaceOptions:
-    """How a cloud becomes a surface (see the functions of ``adaptive``, ``relevant`` and
-    ``boundary``).
-
-    vertices, ratio, tolerance : where insertion stops (ratio 1: every point is a vertex; with none
-    of them a third) · adjust : one of :data:`ADJUST` · exchange : "rms", "asd" or "none" ·
-    readjust : heights once more after the exchange; not: as published, the exchange is last ·
-    lengths in m, areas in m², in the frame the points are given in · relevant : an option of
-    :mod:`ladar_volume.tin.relevant`, or "sampled": where the points sampled, not their hull
-    """
-
-    vertices: int | None = None
-    ratio: float | None = None
-    tolerance: float | None = None
-    criterion: str = "residual-area"
-    adjust: str = "rms"
-    exchange: str = "none"
-    readjust: bool = True
-    relevant: str = "corners"
-    max_edge_m: float = math.inf
-    max_circumdiameter_m: float = math.inf
-    max_ear_edge_m: float = math.inf
-    min_island_m2: float = 0.0
-    max_hole_m2: float = 0.0
-    window: Window | None = None
-    duplicate_tolerance_m: float = 0.0
-    bins_per_row: int | None = None
-    max_iterations: int = 100
-    height_tolerance_m: float = 1e-4
-
-    @property
-    def full(self) -> bool:
-        """Whether every point is a vertex, without artificial corners."""
-        return (
-            self.ratio == 1.0
-            and self.vertices is None
-            and self.tolerance is None
-            and self.duplicate_tolerance_m == 0.0
-        )
 
 
 @dataclass(frozen=True)
@@ -150,7 +109,7 @@ class Represented:
         )
 
 
-def check_options(options: SurfaceOptions) -> None:
+def check_options(options: SurfaceParameters) -> None:
     """Raise :class:`SurfaceError` for an unknown adjustment or exchange."""
     if options.adjust not in ADJUST:
         raise SurfaceError(
@@ -166,7 +125,7 @@ def check_options(options: SurfaceOptions) -> None:
 
 
 def represent(
-    points_map: F64, options: SurfaceOptions, sigma_m: F64 | None = None, measured: bool = True
+    points_map: F64, options: SurfaceParameters, sigma_m: F64 | None = None, measured: bool = True
 ) -> Represented:
     """The surface of points (n, 3), m; their standard deviations (n,), where known, weight the
     adjustment. Not ``measured``, a surface that nothing is adjusted on has NaN for its measures of
@@ -206,7 +165,7 @@ def represent(
     return made if found is None else dataclasses.replace(made, sampled=found)
 
 
-def sampled_only(tin: Tin, points: F64, options: SurfaceOptions) -> tuple[Tin, SampledArea]:
+def sampled_only(tin: Tin, points: F64, options: SurfaceParameters) -> tuple[Tin, SampledArea]:
     """The surface with the triangles relevant that lie where the points sampled, and that area."""
     if options.full:
         found = sampled_area(tin)
@@ -219,7 +178,7 @@ def sampled_only(tin: Tin, points: F64, options: SurfaceOptions) -> tuple[Tin, S
 
 
 def triangulate_chosen(
-    points: F64, options: SurfaceOptions, sigma_m: F64 | None
+    points: F64, options: SurfaceParameters, sigma_m: F64 | None
 ) -> tuple[Tin, int, int]:
     """The triangulation, how many of its vertices are from binning, and how many points lie off the
     map.
@@ -271,11 +230,11 @@ def without_artificial(tin: Tin) -> Tin:
 
 
 def adjust_surface(
-    tin: Tin, points: F64, options: SurfaceOptions, sigma_m: F64 | None, initial: int, cropped: int
+    tin: Tin, points: F64, o: SurfaceParameters, sigma_m: F64 | None, initial: int, cropped: int
 ) -> Represented:
     """The surface with its heights adjusted and diagonals exchanged, as the options say."""
     # a surface through all points has nothing to be adjusted to
-    through_all = options.full and tin.duplicates == 0
+    through_all = o.full and tin.duplicates == 0
     if through_all:
         return Represented(
             tin, None, "none", True, 0, initial, cropped, 0.0, 0.0, len(points) - cropped, 0.0, 0.0
@@ -284,22 +243,22 @@ def adjust_surface(
     sigma = sigma_m if usable else None
     raw, exchanges = fit_of(tin, points, sigma), 0
     before = measures(raw.residuals(tin.vertices[:, 2]))
-    done = adjust_elevations(tin, points, options, raw)
+    done = adjust_elevations(tin, points, o, raw)
     tin, fit = tin if done is None else done.tin, raw
     adjusted_on: Tin | None = None
-    if options.exchange != "none":
-        exchange = exchange_diagonals(tin, points, options.exchange)
+    if o.exchange != "none":
+        exchange = exchange_diagonals(tin, points, o.exchange)
         exchanges, raw = exchange.exchanges, fit_of(exchange.tin, points, sigma)
-        if done is not None and not options.readjust:
+        if done is not None and not o.readjust:
             tin, adjusted_on = exchange.tin, tin
         else:
-            done = adjust_elevations(exchange.tin, points, options, raw)
+            done = adjust_elevations(exchange.tin, points, o, raw)
             tin, fit = exchange.tin if done is None else done.tin, raw
     after = measures(raw.residuals(tin.vertices[:, 2]))
     return Represented(
         tin,
         None if done is None else fit,
-        options.adjust,
+        o.adjust,
         done is None or done.converged,
         exchanges,
         initial,
@@ -312,7 +271,7 @@ def adjust_surface(
 
 
 def adjust_elevations(
-    tin: Tin, points: F64, options: SurfaceOptions, fit: Fit
+    tin: Tin, points: F64, options: SurfaceParameters, fit: Fit
 ) -> Adjustment | None:
     """The elevation adjustment asked for; None where there is none."""
     if options.adjust == "rms":

@@ -23,7 +23,8 @@ from ladar_volume.model.records import (
     Plane,
     PlatformStates,
 )
-from ladar_volume.tin.represent import Represented, SurfaceOptions, represent
+from ladar_volume.model.surface_parameters import SurfaceParameters
+from ladar_volume.tin.represent import Represented, represent
 from ladar_volume.uncertainty.epoch_budget import Epoch
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
 from ladar_volume.uncertainty.patch_table import PatchStore
@@ -191,7 +192,7 @@ class VolumeEstimator:
             adjust = (
                 "none" if v.vertex_ratio == 1.0 else "rms"
             )  # copies of a footprint stay out, as they always have
-            options = SurfaceOptions(
+            options = SurfaceParameters(
                 ratio=v.vertex_ratio,
                 adjust=adjust,
                 relevant=v.relevant,

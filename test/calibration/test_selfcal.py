@@ -7,10 +7,11 @@ import pytest
 from pyramid_flight import fly
 
 from ladar_volume.calibration.flight import remapped
-from ladar_volume.calibration.selfcal import CORRECTED, StripOptions, calibrate
+from ladar_volume.calibration.selfcal import CORRECTED, calibrate
 from ladar_volume.georeference.error_budget import calibration_covariance
 from ladar_volume.model.errors import CalibrationError
 from ladar_volume.model.parameters import BudgetParameters
+from ladar_volume.model.survey_parameters import StripParameters
 
 BUDGET = BudgetParameters(
     azimuth_noise_rad=0.0,
@@ -27,7 +28,7 @@ BUDGET = BudgetParameters(
 )
 PRIOR = calibration_covariance(BUDGET, 16)
 BORESIGHT = np.radians([0.15, -0.09, 0.25])
-OPTIONS = StripOptions(edge_m=1.2, min_points=5)
+OPTIONS = StripParameters(edge_m=1.2, min_points=5)
 
 
 def test_boresight_to_a_hundredth_of_a_degree_and_the_clock_to_half_a_millisecond():

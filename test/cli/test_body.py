@@ -21,13 +21,14 @@ from ladar_volume.clouds.body_verdict import (
 from ladar_volume.clouds.cloud_bodies import cloud_bodies
 from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.experiments import thesis, thesis_scene
-from ladar_volume.ground.objects import ObjectParameters, find_objects
+from ladar_volume.ground.objects import find_objects
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.io.meshfiles.mesh_files import holds_faces, read_mesh, write_mesh
 from ladar_volume.io.meshfiles.ply_mesh import parse_header
 from ladar_volume.io.pointfiles.cloud_files import write_cloud
 from ladar_volume.mesh.local_mesh import BOX, SPHERE
 from ladar_volume.mesh.topology import orient
+from ladar_volume.model.body_parameters import ObjectParameters
 from ladar_volume.model.choices import REPAIRS
 from ladar_volume.model.errors import ObjectError
 

@@ -5,6 +5,9 @@ import argparse
 import pytest
 
 from ladar_volume.cli.arguments.parameter_flags import (
+    DECLARED as CLASSES,
+)
+from ladar_volume.cli.arguments.parameter_flags import (
     add_parameter,
     help_of,
     spec_of,
@@ -14,35 +17,33 @@ from ladar_volume.cli.main import main, make_parser
 from ladar_volume.cli.volume import OWN_OPTION
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.parameter import specs
-from ladar_volume.model.parameters import SECTIONS
 
 UNITS = ("m", "m2", "m3", "s", "hz", "deg")
 #: Options with the word of a parameter that name something else.
 OTHER_THINGS = {
+    "replay --duration": "seconds of the recording",
+    "calibrate strips --duration": "seconds of the recording",
+    "tin --vertices": "a ratio of vertices as surface.ratio, or a number of them",
+    "volume --vertices": "a ratio of vertices as surface.ratio, or a number of them",
+    "volume --method": "of the volume",
     "study wild --kind": "of trouble",
     "replay --start": "seconds into the recording",
     "calibrate strips --start": "seconds into the recording",
-    "simulate --seed": "seed of the simulated errors",
-    "simulate --imu-hz": "rate of the simulated attitudes",
     "plan --seed": "seed of the sampled returns",
     "plan --height": "height of the flight",
     "plan --imu": "an IMU by name",
-    "tin --tolerance": "residual at which insertion stops",
-    "volume --tolerance": "residual at which insertion stops",
     "register --radius": "radius of the reference spheres",
     "diff --max-edge": "edge of a triangle about a scanner, which may be infinite",
     "diff --polygon": "corners of the region, in plan or on a wall",
     "epochs --polygon": "corners within which surveys are compared",
     "body --polygon": "outline of one body",
-    "body --min-points": "fewest points of an object",
-    "body --split": "height of a saddle between objects",
     "body --seed": "seed of the filter and of the search of the ground alike",
 }
 
 
 def words():
     """Every key of every section, with and without its unit."""
-    for section, cls in SECTIONS.items():
+    for section, cls in CLASSES.items():
         for spec in specs(cls):
             stem, _, unit = spec.key.rpartition("_")
             yield spec.key, f"{section}.{spec.key}"

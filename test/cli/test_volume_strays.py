@@ -15,8 +15,8 @@ from ladar_volume.cli.verdict_lines import DOUBTFUL
 from ladar_volume.clouds.cloud_cleaning import clean
 from ladar_volume.clouds.cloud_noise import cloud_noise, rounding_step
 from ladar_volume.clouds.cloud_surface import cloud_surface
+from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.tin.full_tin import build_tin
-from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.tin.sampled_area import sampled_area
 
 
@@ -128,7 +128,7 @@ def test_the_hull_is_not_the_boundary(kind, volume):
 
 def test_a_partial_tin_counts_where_points_are():
     points, area = site("U", np.random.default_rng(4), 1.0)
-    made = cloud_surface(points, SurfaceOptions(ratio=0.3, relevant="sampled")).made
+    made = cloud_surface(points, SurfaceParameters(ratio=0.3, relevant="sampled")).made
     p = made.tin.vertices[made.tin.triangles[made.tin.relevant], :2]
     d, e = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
     assert 0.5 * (d[:, 0] * e[:, 1] - d[:, 1] * e[:, 0]).sum() == pytest.approx(area, rel=0.05)
@@ -172,7 +172,7 @@ def test_rounding_and_copies_leave_the_noise(step, sigma):
     thrice = cloud_noise(np.r_[p, p, p])
     assert thrice.sigma_m == found.sigma_m
     assert rounding_step(p[:, 2] + 0.5 * sigma * rng.normal(size=6000)) == 0.0
-    one, three = (cloud_surface(q, SurfaceOptions(ratio=1.0)) for q in (p, np.r_[p, p, p]))
+    one, three = (cloud_surface(q, SurfaceParameters(ratio=1.0)) for q in (p, np.r_[p, p, p]))
     assert np.array_equal(one.points, three.points) and three.copies == one.copies + 12000
 
 

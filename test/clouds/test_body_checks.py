@@ -20,10 +20,11 @@ from ladar_volume.clouds.body_points import (
 )
 from ladar_volume.clouds.body_volume import body_of
 from ladar_volume.clouds.body_walls import foot_doubts, seen_under, thin_share
-from ladar_volume.clouds.cloud_bodies import BodyOptions, CloudBodies, cloud_bodies
+from ladar_volume.clouds.cloud_bodies import CloudBodies, cloud_bodies
 from ladar_volume.clouds.filter.filter_result import CloudResult
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.mesh.unseen_foot import between_tangent_and_circle
+from ladar_volume.model.body_parameters import BodyParameters
 
 BALL_M3 = 4.0 / 3.0 * np.pi
 
@@ -54,7 +55,7 @@ def test_surfaces_off_their_points_are_put_right(shift):
     made = cloud_bodies(of.r, of.normal, of.curved, np.zeros(len(v), np.int64), None)
     lost = made.bodies[0].volume_m3 - BALL_M3
     assert abs(lost) == pytest.approx(0.03 * BALL_M3, rel=0.05)
-    found, checked = check_bodies(made, of, v + noise * v, BodyOptions())
+    found, checked = check_bodies(made, of, v + noise * v, BodyParameters())
     told = uncertainty(found, checked, of, v + noise * v)
     sigma = float(told.sigma_m3[0])
     assert found.bodies[0].fit_m3 == pytest.approx(-lost, rel=0.1)
@@ -84,7 +85,7 @@ def test_halves_tell_what_the_chords_leave_out():
         v /= np.linalg.norm(v, axis=1)[:, None]
         of = BodyPoints(v, None, None, np.full(len(v), 1e-6))
         made = cloud_bodies(v, None, None, np.zeros(len(v), np.int64), None)
-        found, checked = check_bodies(made, of, v, BodyOptions())
+        found, checked = check_bodies(made, of, v, BodyParameters())
         error = found.bodies[0].volume_m3 - BALL_M3
         sigma = float(uncertainty(found, checked, of, v).sigma_m3[0])
         assert error < 0.0 and 0.7 < -error / sigma < 1.5
@@ -96,7 +97,7 @@ def test_halves_that_make_no_body_are_doubted():
     v = np.random.default_rng(0).normal(size=(30, 3))
     v /= np.linalg.norm(v, axis=1)[:, None]
     made = cloud_bodies(v, None, None, np.zeros(len(v), np.int64), None)
-    _, checked = check_bodies(made, BodyPoints(v, None, None, None), v, BodyOptions())
+    _, checked = check_bodies(made, BodyPoints(v, None, None, None), v, BodyParameters())
     assert checked[0].tried == 6 and len(checked[0].between_m3) < 6
     (doubt,) = check_doubts(checked)
     assert doubt.name == "body_half" and "scan it more densely" in doubt.text

@@ -7,7 +7,7 @@ import pytest
 from closed_meshes import CUBE_T, CUBE_V, sphere, torus
 
 from ladar_volume.clouds.body_volume import body_of, cloud_uncertainty, mesh_uncertainty
-from ladar_volume.clouds.cloud_bodies import BodyOptions, cloud_bodies, without_stray
+from ladar_volume.clouds.cloud_bodies import cloud_bodies, without_stray
 from ladar_volume.clouds.filter.filter_adjoint import influence
 from ladar_volume.clouds.filter.filter_result import CloudResult
 from ladar_volume.clouds.filter_cloud import filter_cloud
@@ -16,6 +16,7 @@ from ladar_volume.ground.robust_ground import fit_ground
 from ladar_volume.mesh.local_mesh import LocalMesh
 from ladar_volume.mesh.tetrahedra import closed_variance
 from ladar_volume.mesh.topology import orient
+from ladar_volume.model.body_parameters import BodyParameters
 from ladar_volume.model.errors import FilterError, SurfaceError, VolumeError
 from ladar_volume.model.parameters import FilterParameters, GroundParameters
 from ladar_volume.model.records import Plane
@@ -254,7 +255,7 @@ def test_what_is_no_body_is_refused():
             None,
             label,
             None,
-            BodyOptions(),
+            BodyParameters(),
             lambda k, many: steps.append((k, many)),
         )
     # the second is tried though the first failed

@@ -25,10 +25,10 @@ from ladar_volume.clouds.cloud_surface import cloud_surface, local_sigma
 from ladar_volume.clouds.cloud_volume import above_base, between_clouds, own_footprints
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.tin.locate import height_at
 from ladar_volume.tin.median_screen import edges
-from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.volume.near_base import csr
 
 SIGMA = 0.05
@@ -56,9 +56,9 @@ def parameters(**volume):
 @pytest.mark.parametrize(
     "options,slack",
     [
-        (SurfaceOptions(ratio=1.0), 0.3),
-        (SurfaceOptions(ratio=1 / 3), 0.3),
-        (SurfaceOptions(ratio=1 / 3, adjust="asd"), 0.3),
+        (SurfaceParameters(ratio=1.0), 0.3),
+        (SurfaceParameters(ratio=1 / 3), 0.3),
+        (SurfaceParameters(ratio=1 / 3, adjust="asd"), 0.3),
     ],
 )
 def test_sigmas_against_sampling(options, slack):
@@ -77,9 +77,9 @@ def test_sigmas_against_sampling(options, slack):
 def test_sigmas_between_two_surfaces_against_sampling(ratio):
     one, two, rng, rows = footprint(300, 2), footprint(250, 3), np.random.default_rng(4), []
     for _ in range(30):
-        a = cloud_surface(noisy(one, hill, rng), SurfaceOptions(ratio=ratio), SIGMA)
+        a = cloud_surface(noisy(one, hill, rng), SurfaceParameters(ratio=ratio), SIGMA)
         b = cloud_surface(
-            noisy(two, lambda xy: 0.3 + 0 * xy[:, 0], rng), SurfaceOptions(ratio=ratio), SIGMA
+            noisy(two, lambda xy: 0.3 + 0 * xy[:, 0], rng), SurfaceParameters(ratio=ratio), SIGMA
         )
         v = between_clouds(a, b, "b")
         rows.append([v.net_m3, v.cut_m3, v.fill_m3, v.sigma_m3, v.sigma_cut_m3, v.sigma_fill_m3])
@@ -91,7 +91,9 @@ def test_unchanged_ground_between_two_epochs_is_neither_cut_nor_fill():
     one, two, rng, rows = footprint(1000, 5), footprint(1000, 6), np.random.default_rng(7), []
     for _ in range(8):
         a, b = (
-            cloud_surface(noisy(xy, lambda p: 0.2 * p[:, 0], rng), SurfaceOptions(ratio=1.0), SIGMA)
+            cloud_surface(
+                noisy(xy, lambda p: 0.2 * p[:, 0], rng), SurfaceParameters(ratio=1.0), SIGMA
+            )
             for xy in (one, two)
         )
         v = between_clouds(a, b, "b")
@@ -104,7 +106,7 @@ def test_unchanged_ground_between_two_epochs_is_neither_cut_nor_fill():
 
 def test_no_noise_no_correction_and_unknown_noise_no_sigma():
     a = cloud_surface(
-        np.c_[footprint(300, 8), hill(footprint(300, 8))], SurfaceOptions(ratio=1.0), 0.0
+        np.c_[footprint(300, 8), hill(footprint(300, 8))], SurfaceParameters(ratio=1.0), 0.0
     )
     v, base, mask = above_base(a, parameters(level_m=0.5))
     assert (
@@ -114,7 +116,7 @@ def test_no_noise_no_correction_and_unknown_noise_no_sigma():
         and len(base.support) == 0
         and mask.all()
     )
-    few = cloud_surface(np.c_[footprint(20, 9), np.zeros(20)], SurfaceOptions(ratio=1.0))
+    few = cloud_surface(np.c_[footprint(20, 9), np.zeros(20)], SurfaceParameters(ratio=1.0))
     v, _, _ = above_base(few, parameters(level_m=0.0))
     assert (
         few.sigma_m is None
@@ -131,7 +133,7 @@ def test_no_noise_no_correction_and_unknown_noise_no_sigma():
 
 def test_shift_identity_additivity_and_common_shift():
     rng = np.random.default_rng(10)
-    a = cloud_surface(noisy(footprint(500, 11), hill, rng), SurfaceOptions(ratio=1.0), SIGMA)
+    a = cloud_surface(noisy(footprint(500, 11), hill, rng), SurfaceParameters(ratio=1.0), SIGMA)
     one, two = (above_base(a, parameters(level_m=z))[0] for z in (0.2, 0.9))
     assert one.net_m3 - two.net_m3 == pytest.approx(0.7 * one.area_m2, rel=1e-12)
     left, right = (
@@ -141,7 +143,7 @@ def test_shift_identity_additivity_and_common_shift():
     assert left.net_m3 + right.net_m3 == pytest.approx(one.net_m3, abs=1e-9)
     assert left.area_m2 + right.area_m2 == pytest.approx(100.0)
     # raised by a metre with its own floor and ground the volume stays, and so does its sigma
-    up = cloud_surface(a.points + np.array([0, 0, 1.0]), SurfaceOptions(ratio=1.0), SIGMA)
+    up = cloud_surface(a.points + np.array([0, 0, 1.0]), SurfaceParameters(ratio=1.0), SIGMA)
     found = [
         above_base(s, Parameters.read({"volume": {"object_height_m": 0.5}}))[0] for s in (a, up)
     ]
@@ -152,7 +154,7 @@ def test_shift_identity_additivity_and_common_shift():
 
 
 def test_own_footprints_need_a_level():
-    a = cloud_surface(np.c_[footprint(60, 12), np.zeros(60)], SurfaceOptions(ratio=1.0), SIGMA)
+    a = cloud_surface(np.c_[footprint(60, 12), np.zeros(60)], SurfaceParameters(ratio=1.0), SIGMA)
     with pytest.raises(VolumeError):
         own_footprints(a, a, Parameters())
     both, one, two = own_footprints(a, a, parameters(level_m=-1.0))
@@ -248,7 +250,7 @@ def test_levels_and_floors():
     for _ in range(30):
         a = cloud_surface(
             noisy(xy, lambda p: np.where(np.abs(p).max(axis=1) < 2, 1.5, 0.0), rng, 0.02),
-            SurfaceOptions(ratio=1.0),
+            SurfaceParameters(ratio=1.0),
             0.02,
         )
         found = sequence(a, level_list(-0.3, 1.8, 0.05))
@@ -279,7 +281,7 @@ def test_noise_from_local_quadrics(sigma):
     spiked[::100] += 5.0
     # a spike among a hundred points is in the neighbourhood of a sixth of them
     assert sigma < local_sigma(np.c_[xy, spiked]) < 1.4 * sigma
-    screened = cloud_surface(np.c_[xy, spiked], SurfaceOptions(ratio=1.0), screen_m=2.0)
+    screened = cloud_surface(np.c_[xy, spiked], SurfaceParameters(ratio=1.0), screen_m=2.0)
     assert screened.sigma_m[0] == pytest.approx(sigma, rel=0.05) and len(screened.outliers) >= 30
     # scan lines, and every footprint thrice
     lines = np.c_[xy[:, 0], np.round(xy[:, 1])]

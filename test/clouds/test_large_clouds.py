@@ -5,9 +5,9 @@ import pytest
 
 from ladar_volume.clouds import between_points, cloud_cleaning, cloud_noise
 from ladar_volume.clouds.cloud_surface import cloud_surface
+from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.tin.adjustment_adjoint import triangle_slopes
 from ladar_volume.tin.full_tin import build_tin, footprint_areas
-from ladar_volume.tin.represent import SurfaceOptions
 
 
 def points(seed, n=12_000):
@@ -21,7 +21,7 @@ def points(seed, n=12_000):
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_some_squares_stand_for_all(seed, monkeypatch):
-    surface = cloud_surface(points(seed), SurfaceOptions(relevant="sampled"))
+    surface = cloud_surface(points(seed), SurfaceParameters(relevant="sampled"))
     tin = surface.made.tin
     area, height = footprint_areas(tin.vertices, tin.triangles), tin.vertices[:, 2]
     whole = between_points.between_points(surface, area, height)

@@ -11,7 +11,7 @@ from closed_meshes import CUBE_T, CUBE_V
 from ladar_volume.clouds.given_faces import given_surface
 from ladar_volume.clouds.mesh_surface import mesh_surface
 from ladar_volume.model.errors import SurfaceError
-from ladar_volume.tin.represent import SurfaceOptions
+from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.volume.cutfill import cut_fill
 
 UTM = np.array([21_530_269.076, 6_782_635.184, 0.0])
@@ -155,7 +155,7 @@ def test_thinning_keeps_the_footprint_and_says_what_it_costs():
     t = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]).astype(np.int32)
     t = t[~((v[t][:, :, :2] > 4.9).all(axis=(1, 2)))]  # an L again
     full = volume(v, t, -2.0)
-    surface = mesh_surface(v, t, SurfaceOptions(ratio=0.5), thin=True)
+    surface = mesh_surface(v, t, SurfaceParameters(ratio=0.5), thin=True)
     found = cut_fill(surface.made.tin, -2.0)
     (doubt,) = surface.doubts
     assert doubt.name == "mesh_thinned" and len(surface.made.tin.vertices) < 0.6 * len(v)

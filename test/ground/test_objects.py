@@ -17,10 +17,11 @@ from ladar_volume.ground.clusters import (
     join_cells,
     root_of,
 )
-from ladar_volume.ground.objects import ObjectParameters, find_objects, objects_at, objects_in
+from ladar_volume.ground.objects import find_objects, objects_at, objects_in
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.ground.regions import in_box, in_polygon
 from ladar_volume.ground.surfaces import find_grounds
+from ladar_volume.model.body_parameters import ObjectParameters
 from ladar_volume.model.errors import ObjectError
 from ladar_volume.model.parameters import GroundParameters
 

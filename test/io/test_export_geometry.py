@@ -8,14 +8,15 @@ from ladar_volume.io.export.contour_lines import contours, interval_of
 from ladar_volume.io.export.edge_rings import polygons_of, signed_area
 from ladar_volume.io.export.outline_clip import clipped, contains
 from ladar_volume.model.errors import OutputError
+from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.tin.full_tin import footprint_areas
-from ladar_volume.tin.represent import SurfaceOptions, represent
+from ladar_volume.tin.represent import represent
 
 
 def surface(seed, n=120):
     rng = np.random.default_rng(seed)
     r = np.add(rng.uniform(0.0, 10.0, (n, 3)), [5e5, 5e6, 100.0])
-    return represent(r, SurfaceOptions(ratio=1.0)).tin
+    return represent(r, SurfaceParameters(ratio=1.0)).tin
 
 
 def star(rng, corners=9):

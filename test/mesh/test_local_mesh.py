@@ -8,15 +8,9 @@ import pytest
 
 from benchmarks.square import RING, Revolved
 from benchmarks.truth import box_faces, rotation, sample_polygons
-from ladar_volume.mesh.local_mesh import (
-    DUPLICATE,
-    INSIDE,
-    RIM,
-    UNUSED,
-    LocalMeshSettings,
-    mesh_cloud,
-)
+from ladar_volume.mesh.local_mesh import DUPLICATE, INSIDE, RIM, UNUSED, mesh_cloud
 from ladar_volume.mesh.topology import check_closed, orient
+from ladar_volume.model.body_parameters import LocalMeshParameters
 from ladar_volume.model.errors import SurfaceError
 
 MODULES = (
@@ -152,7 +146,7 @@ def test_a_hole_is_closed_up_to_the_stated_size():
     points, normals = ball(3000, np.random.default_rng(2))
     keep = points[:, 2] < 0.95  # 62 cm across
     small, large = (
-        mesh_cloud(points[keep], normals[keep], LocalMeshSettings(hole_m=h)) for h in (0.4, 1.0)
+        mesh_cloud(points[keep], normals[keep], LocalMeshParameters(hole_m=h)) for h in (0.4, 1.0)
     )
     assert len(small.rims) == 1 and orient(small.vertices, small.triangles).euler == 1
     assert closed(large) == 2
@@ -189,7 +183,7 @@ def test_bodies_apart_and_bodies_that_touch_with_trusted_normals():
     touching = mesh_cloud(
         np.concatenate([b[0], b[0] + [2, 0, 0]]),
         np.concatenate([b[1], b[1]]),
-        LocalMeshSettings(signed=True),
+        LocalMeshParameters(signed=True),
     )
     assert closed(touching, 2) == 4 and volume(touching) == pytest.approx(8 / 3 * np.pi, rel=0.01)
 
@@ -222,7 +216,7 @@ def test_the_same_bytes_on_one_thread():
 
 
 @pytest.mark.parametrize(
-    "settings", [LocalMeshSettings(), LocalMeshSettings(0.35, method="published")]
+    "settings", [LocalMeshParameters(), LocalMeshParameters(0.35, method="published")]
 )
 def test_compiled_and_plain_make_the_same_mesh(monkeypatch, settings):
     rng = np.random.default_rng(9)
@@ -305,7 +299,7 @@ def test_what_is_no_surface_is_refused(points, normals, reason):
 )
 def test_settings_that_make_no_sense_are_refused(settings):
     with pytest.raises(SurfaceError) as caught:
-        LocalMeshSettings(**settings)
+        LocalMeshParameters(**settings)
     assert caught.value.reason == "mesh_settings"
 
 
@@ -313,6 +307,8 @@ def test_points_farther_apart_than_the_radius_have_no_triangle():
     for method in ("agreement", "published"):
         with pytest.raises(SurfaceError) as caught:
             mesh_cloud(
-                ball(50, np.random.default_rng(11))[0], None, LocalMeshSettings(1e-4, method=method)
+                ball(50, np.random.default_rng(11))[0],
+                None,
+                LocalMeshParameters(1e-4, method=method),
             )
         assert caught.value.reason == "mesh_empty"

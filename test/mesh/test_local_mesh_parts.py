@@ -15,9 +15,10 @@ from ladar_volume.mesh.local_frames import (
 )
 from ladar_volume.mesh.local_growth import FAN, add_to_fans, drop_fans, sector_is_free
 from ladar_volume.mesh.local_holes import rims
-from ladar_volume.mesh.local_mesh import LocalMeshSettings, mesh_cloud
+from ladar_volume.mesh.local_mesh import mesh_cloud
 from ladar_volume.mesh.local_published import published_triangles, repair_triangles
 from ladar_volume.mesh.local_star import DEGREE, star
+from ladar_volume.model.body_parameters import LocalMeshParameters
 
 
 def volume(mesh):
@@ -203,7 +204,7 @@ def test_the_published_repairs_change_a_block_as_in_the_thesis():
     )
     size = {}
     for repair in ("none", "empty", "false", "both", "remove"):
-        mesh = mesh_cloud(at, n, LocalMeshSettings(0.2, method="published", repair=repair))
+        mesh = mesh_cloud(at, n, LocalMeshParameters(0.2, method="published", repair=repair))
         size[repair] = len(mesh.triangles), volume(mesh), len(mesh.over_full)
     assert (
         size["empty"][0] > size["none"][0] > size["both"][0] > size["false"][0] > size["remove"][0]

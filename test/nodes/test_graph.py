@@ -10,11 +10,12 @@ import pytest
 
 from ladar_volume.cli.main import main
 from ladar_volume.model.parameters import BudgetParameters
+from ladar_volume.model.survey_parameters import SurveyParameters
 from ladar_volume.simulation.bag import write_bag
 from ladar_volume.simulation.platforms import make_platform
 from ladar_volume.simulation.scenes import make_scene
 from ladar_volume.simulation.suited_parameters import SUITED
-from ladar_volume.simulation.survey import Survey, SurveyOptions
+from ladar_volume.simulation.survey import Survey
 
 ROOT = Path(__file__).parents[2]
 
@@ -37,7 +38,7 @@ def flight(tmp_path_factory):
         scene,
         make_platform("uav", scene.extent_m, 12.0),
         BudgetParameters(),
-        SurveyOptions(12.0, 20, seed=5),
+        SurveyParameters(12.0, 20, seed=5),
     )
     suited = {s: dict(v) for s, v in SUITED["pile"].items()}
     write_bag(survey, path, suited, lambda share: None)

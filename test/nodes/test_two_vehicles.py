@@ -17,11 +17,12 @@ from mcap.reader import make_reader
 
 from ladar_volume.cli.main import main
 from ladar_volume.model.parameters import BudgetParameters
+from ladar_volume.model.survey_parameters import SurveyParameters
 from ladar_volume.simulation.bag import write_bag
 from ladar_volume.simulation.platforms import make_platform
 from ladar_volume.simulation.scenes import make_scene
 from ladar_volume.simulation.suited_parameters import SUITED
-from ladar_volume.simulation.survey import Survey, SurveyOptions
+from ladar_volume.simulation.survey import Survey
 
 ROOT = Path(__file__).parents[2]
 #: Returns when all nodes report and volume_node has found filter_node.
@@ -44,7 +45,7 @@ def recording(path, seed):
         scene,
         make_platform("uav", scene.extent_m, 4.0),
         BudgetParameters(),
-        SurveyOptions(4.0, 20, seed=seed),
+        SurveyParameters(4.0, 20, seed=seed),
     )
     suited = {s: dict(v) for s, v in SUITED["pile"].items()}
     write_bag(survey, path, suited, lambda share: None)

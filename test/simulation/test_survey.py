@@ -14,12 +14,13 @@ from ladar_volume.io.cloud_messages import returns_from_cloud
 from ladar_volume.model.errors import OutputError, SimulationError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import BudgetParameters, GeoreferenceParameters
+from ladar_volume.model.survey_parameters import SurveyParameters
 from ladar_volume.simulation import velodyne
 from ladar_volume.simulation.bag import write_bag
 from ladar_volume.simulation.drawn_errors import error_series
 from ladar_volume.simulation.platforms import make_platform
 from ladar_volume.simulation.scenes import make_scene
-from ladar_volume.simulation.survey import EPOCH_NS, Survey, SurveyOptions
+from ladar_volume.simulation.survey import EPOCH_NS, Survey
 
 BAGS = Path(__file__).parents[2] / "bags"
 ZERO = {
@@ -68,7 +69,7 @@ def _flawless(platform, seed=1, **options):
         scene,
         make_platform(platform, scene.extent_m, 20.0),
         budget,
-        SurveyOptions(0.4, 12, mixed_share=0.0, seed=seed, **options),
+        SurveyParameters(0.4, 12, mixed_share=0.0, seed=seed, **options),
     )
 
 
@@ -105,7 +106,7 @@ def test_a_recording_says_nothing_of_the_truth(tmp_path):
         scene,
         make_platform("uav", scene.extent_m, 20.0),
         BudgetParameters(),
-        SurveyOptions(0.5, 20, seed=3),
+        SurveyParameters(0.5, 20, seed=3),
     )
     write_bag(survey, tmp_path / "bag", {"filter": {"radius_m": 0.5}}, lambda share: None)
     truth = json.loads((tmp_path / "bag" / "truth.json").read_text())
@@ -127,3 +128,8 @@ def test_bundled_recordings_are_small_and_as_described(name):
     file = BAGS / name / f"{name}.mcap"
     assert file.stat().st_size < 15e6
     assert hashlib.sha256(file.read_bytes()).hexdigest() in (BAGS / "README.md").read_text()
+
+
+def test_defaults_are_those_of_the_sensor():
+    assert SurveyParameters().range_step_m == velodyne.RANGE_STEP_M
+    assert SurveyParameters(velodyne.TURN_S).duration_s == velodyne.TURN_S

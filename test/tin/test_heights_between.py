@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy import sparse
 
+from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.tin.locate import interpolate_heights
-from ladar_volume.tin.represent import SurfaceOptions, represent
+from ladar_volume.tin.represent import represent
 
 TRIANGLE = np.array([(0.0, 0.0, 1.0), (6.0, 0.0, 4.0), (0.0, 3.0, -2.0)])
 
@@ -37,7 +38,7 @@ def test_adjusted_heights_against_sampling():
     rng = np.random.default_rng(5)
     xy = rng.uniform(0.0, 10.0, (400, 2))
     places, sigma = rng.uniform(2.0, 8.0, (20, 2)), 0.05
-    options = SurfaceOptions(ratio=0.1, criterion="residual")
+    options = SurfaceParameters(ratio=0.1, criterion="residual")
 
     def surface(z):
         return represent(np.c_[xy, z], options, np.full(len(xy), sigma))

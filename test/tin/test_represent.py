@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from ladar_volume.model.errors import SurfaceError
+from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.tin.adaptive import adaptive_tin
 from ladar_volume.tin.delaunay import find_fault
-from ladar_volume.tin.represent import SurfaceOptions, represent, without_artificial
+from ladar_volume.tin.represent import represent, without_artificial
 from ladar_volume.tin.scan_frame import frame_along
 
 
@@ -45,10 +46,10 @@ def test_without_artificial_corners_only_data_is_left():
 
 def test_full_surfaces_are_delaunay_and_unadjusted_ones_give_their_gradient_to_their_points():
     points = cloud()
-    full = represent(points, SurfaceOptions(ratio=1.0))
+    full = represent(points, SurfaceParameters(ratio=1.0))
     assert not find_fault(full.tin.vertices[:, :2], full.tin.triangles, full.tin.neighbours)
     assert full.fit is None and (full.rms_m, full.asd_m, full.fitted) == (0.0, 0.0, 600)
-    for options in (SurfaceOptions(ratio=1.0), SurfaceOptions(ratio=0.2, adjust="none")):
+    for options in (SurfaceParameters(ratio=1.0), SurfaceParameters(ratio=0.2, adjust="none")):
         made = represent(points, options)
         g = np.random.default_rng(1).normal(size=(len(made.tin.vertices), 2, 3))
         G = made.by_points(g, 600)
@@ -65,7 +66,7 @@ def test_the_covariance_is_that_of_the_adjoint(weighted):
         cloud(200),
         np.random.default_rng(3).uniform(0.01, 0.1, 200) if weighted else np.full(200, 0.05),
     )
-    made = represent(points, SurfaceOptions(ratio=0.2), sigma if weighted else None)
+    made = represent(points, SurfaceParameters(ratio=0.2), sigma if weighted else None)
     n = len(made.tin.vertices)
     unit = np.zeros((n, n, 3))
     unit[..., 2] = np.eye(n)
@@ -79,35 +80,35 @@ def test_the_covariance_is_that_of_the_adjoint(weighted):
 
 def test_exchanged_and_edited_surfaces_keep_their_area():
     points = cloud(noise=0.1)
-    plain = represent(points, SurfaceOptions(ratio=0.1))
-    better = represent(points, SurfaceOptions(ratio=0.1, exchange="rms"))
+    plain = represent(points, SurfaceParameters(ratio=0.1))
+    better = represent(points, SurfaceParameters(ratio=0.1, exchange="rms"))
     assert (
         better.exchanges > 0
         and better.rms_m < plain.rms_m
         and len(better.tin.triangles) == len(plain.tin.triangles)
     )
-    loose = represent(points, SurfaceOptions(ratio=0.1, adjust="rms-iterated", max_iterations=1))
+    loose = represent(points, SurfaceParameters(ratio=0.1, adjust="rms-iterated", max_iterations=1))
     assert not loose.converged and plain.rms_m < loose.rms_m < loose.rms_before_m
 
 
 def test_wrong_options():
     points = cloud(50)
     for wrong in (
-        SurfaceOptions(adjust="best"),
-        SurfaceOptions(exchange="best"),
-        SurfaceOptions(relevant="none"),
-        SurfaceOptions(vertices=5, ratio=0.5),
-        SurfaceOptions(criterion="residual-sigma"),
-        SurfaceOptions(ratio=0.0),
-        SurfaceOptions(relevant="edge", max_edge_m=1e-9),
-        SurfaceOptions(ratio=1.0, window=(50.0, 50.0, 60.0, 60.0)),
-        SurfaceOptions(tolerance=-1.0),
+        SurfaceParameters(adjust="best"),
+        SurfaceParameters(exchange="best"),
+        SurfaceParameters(relevant="none"),
+        SurfaceParameters(vertices=5, ratio=0.5),
+        SurfaceParameters(criterion="residual-sigma"),
+        SurfaceParameters(ratio=0.0),
+        SurfaceParameters(relevant="edge", max_edge_m=1e-9),
+        SurfaceParameters(ratio=1.0, window=(50.0, 50.0, 60.0, 60.0)),
+        SurfaceParameters(tolerance=-1.0),
     ):
         with pytest.raises(SurfaceError):
             represent(points, wrong)
     for bad in (points[:2], points[:, :2], np.where(points > 9, np.nan, points)):
         with pytest.raises(SurfaceError):
-            represent(bad, SurfaceOptions(ratio=1.0))
+            represent(bad, SurfaceParameters(ratio=1.0))
 
 
 def test_a_plane_in_a_turned_frame_holds_the_same_points():
@@ -129,7 +130,7 @@ def test_diagonals_exchanged_last_leave_the_adjusted_heights():
     sigma = np.full(len(r), 0.01)
     made = {
         (exchange, again): represent(
-            r, SurfaceOptions(vertices=80, exchange=exchange, readjust=again), sigma
+            r, SurfaceParameters(vertices=80, exchange=exchange, readjust=again), sigma
         )
         for exchange, again in (("none", True), ("asd", False), ("asd", True))
     }

@@ -13,7 +13,6 @@ from ladar_volume.cli.arguments.reading import add_reading_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
 from ladar_volume.io.endings import CLOUD_ENDINGS, ENDINGS, READ_ENDINGS
-from ladar_volume.model.choices import REPAIRS
 
 
 def numbers(*counts: int) -> Callable[[str], tuple[float, ...]]:
@@ -118,25 +117,15 @@ def _add_objects(parser: argparse.ArgumentParser) -> None:
 
 def _add_clusters(g: argparse._ArgumentGroup) -> None:
     """What is an object where none is named."""
-    g.add_argument(
+    add_parameter(
+        g,
         "--min-height",
-        type=float,
-        metavar="M",
-        help="least height above the ground (default: twice the cloud's noise)",
+        "objects.min_height_m",
+        more="default: twice the cloud's noise",
     )
-    g.add_argument("--min-points", type=int, metavar="N", help="fewest points of an object")
-    g.add_argument(
-        "--distance",
-        type=float,
-        metavar="M",
-        help="longest step between points of one object (default: from the spacing)",
-    )
-    g.add_argument(
-        "--split",
-        type=float,
-        metavar="M",
-        help="part objects that rise this far above the saddle between them",
-    )
+    add_parameter(g, "--min-points", "objects.min_points", metavar="N")
+    add_parameter(g, "--distance", "objects.distance_m", more="default: from the spacing")
+    add_parameter(g, "--split", "objects.split_m")
 
 
 def _add_mesh(parser: argparse.ArgumentParser) -> None:
@@ -160,32 +149,16 @@ def _add_mesh(parser: argparse.ArgumentParser) -> None:
 
 def _add_edges(g: argparse._ArgumentGroup) -> None:
     """How the points are meshed and the mesh is closed."""
-    g.add_argument(
-        "--mesh-radius",
-        type=float,
-        default=0.0,
-        metavar="M",
-        help="longest edge of the mesh (default: from the spacing)",
-    )
-    g.add_argument(
+    add_parameter(g, "--mesh-radius", "mesh.radius_m", own_default=True)
+    add_parameter(
+        g,
         "--repair",
-        choices=REPAIRS,
-        help="mesh by the published Algorithm 2 with this repair, of bodies seen from all sides "
-        "(needs --mesh-radius; the ground is none)",
+        "mesh.repair",
+        more="makes the mesh by it, of bodies seen from all sides (needs --mesh-radius; the ground "
+        "is none)",
     )
-    g.add_argument(
-        "--close",
-        type=float,
-        metavar="M",
-        help="widest gap, and distance to the ground, to close (default: two longest edges)",
-    )
-    g.add_argument(
-        "--sharp",
-        type=float,
-        default=30.0,
-        metavar="DEG",
-        help="faces at more than this meet in an edge; 0: complete no edges",
-    )
+    add_parameter(g, "--close", "bodies.close_m", own_default=True)
+    add_parameter(g, "--sharp", "bodies.sharp_deg", own_default=True)
 
 
 def _add_volume(parser: argparse.ArgumentParser) -> None:

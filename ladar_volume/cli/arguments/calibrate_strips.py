@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from ladar_volume.cli.arguments.lines import Verbs
+from ladar_volume.cli.arguments.parameter_flags import add_parameter
 from ladar_volume.cli.arguments.work import work
 
 
@@ -63,10 +64,4 @@ def _add_recording(parser: argparse.ArgumentParser) -> None:
         default=300_000,
         help="most returns used, chosen evenly (default 300000)",
     )
-    parser.add_argument(
-        "--edge",
-        type=float,
-        default=1.0,
-        metavar="M",
-        help="edge of a planar patch in m (default 1)",
-    )
+    add_parameter(parser, "--edge", "strips.edge_m", own_default=True)

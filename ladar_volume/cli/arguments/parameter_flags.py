@@ -1,5 +1,5 @@
 """Options that name a parameter: type, range, unit, choices and help come from its declaration in
-:mod:`ladar_volume.model.parameters`.
+:mod:`ladar_volume.model`.
 """
 
 from __future__ import annotations
@@ -9,9 +9,27 @@ import math
 from collections.abc import Callable
 
 from ladar_volume.ground.ground_presets import PRESETS
+from ladar_volume.model.body_parameters import (
+    BodyParameters,
+    LocalMeshParameters,
+    ObjectParameters,
+)
 from ladar_volume.model.errors import ConfigurationError, ParameterValueError
 from ladar_volume.model.parameter import ParameterSpec, convert, specs
 from ladar_volume.model.parameters import SECTIONS
+from ladar_volume.model.surface_parameters import SurfaceParameters
+from ladar_volume.model.survey_parameters import StripParameters, SurveyParameters
+
+#: Classes of which options are made: the sections of a parameter file, and those that no file has.
+DECLARED: dict[str, type] = {
+    **SECTIONS,
+    "surface": SurfaceParameters,
+    "objects": ObjectParameters,
+    "mesh": LocalMeshParameters,
+    "bodies": BodyParameters,
+    "survey": SurveyParameters,
+    "strips": StripParameters,
+}
 
 
 def number(text: str) -> float:
@@ -27,7 +45,7 @@ def spec_of(name: str) -> ParameterSpec:
     parameter has.
     """
     section, _, key = name.partition(".")
-    for spec in specs(SECTIONS[section]) if section in SECTIONS else ():
+    for spec in specs(DECLARED[section]) if section in DECLARED else ():
         if spec.key == key:
             return spec
     raise ConfigurationError(f"no parameter is called {name}", value=name)
@@ -69,12 +87,16 @@ def add_parameter(
     choices: tuple[str, ...] | None = None,
     more: str = "",
     default: object = None,
+    own_default: bool = False,
 ) -> None:
     """Declare the option of parameter ``section.key``. choices : where the option offers others
     than the parameter · more : what the help says besides · default : None where the parameter's
-    own, or another rule, counts.
+    own, or another rule, counts · own_default : the option holds the parameter's own where it is
+    not given.
     """
     spec = spec_of(name)
+    if own_default:
+        default, more = spec.default, more or f"default {spec.default}"
     action = group.add_argument(option, default=default, help=help_of(name, more))
     if spec.choices is not None:
         action.choices = spec.choices if choices is None else choices

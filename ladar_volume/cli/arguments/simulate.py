@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from ladar_volume.cli.arguments.lines import Verbs
+from ladar_volume.cli.arguments.parameter_flags import add_parameter
 from ladar_volume.cli.arguments.work import work
 
 
@@ -52,13 +53,11 @@ def add_parser(subparsers: Verbs) -> None:
 
 def _add_measurements(parser: argparse.ArgumentParser) -> None:
     """What is measured along the path, and what goes wrong."""
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--duration", type=float, default=36.0, help="seconds")
-    parser.add_argument(
-        "--thin", type=int, default=1, help="keep every N-th firing cycle (1: the full rate)"
-    )
-    parser.add_argument("--gnss-hz", type=float, default=10.0)
-    parser.add_argument("--imu-hz", type=float, default=100.0)
+    add_parameter(parser, "--seed", "survey.seed", own_default=True)
+    add_parameter(parser, "--duration", "survey.duration_s", own_default=True)
+    add_parameter(parser, "--thin", "survey.thin", own_default=True)
+    add_parameter(parser, "--gnss-hz", "survey.gnss_hz", own_default=True)
+    add_parameter(parser, "--imu-hz", "survey.imu_hz", own_default=True)
     parser.add_argument(
         "--outage",
         type=_span,
@@ -75,13 +74,11 @@ def _add_measurements(parser: argparse.ArgumentParser) -> None:
         metavar="FROM:TO",
         help="seconds with a float fix; repeatable",
     )
-    parser.add_argument(
+    add_parameter(
+        parser,
         "--mixed",
-        type=float,
-        default=0.1,
+        "survey.mixed_share",
         metavar="SHARE",
-        help=(
-            "share of returns at a step in range that mix both sides (default 0.1); 0 with "
-            "--thin: a neighbour is then many degrees away"
-        ),
+        own_default=True,
+        more="default 0.1; 0 with --thin: a neighbour is then many degrees away",
     )

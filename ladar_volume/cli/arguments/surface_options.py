@@ -7,7 +7,7 @@ import re
 
 from ladar_volume.cli.arguments.parameter_flags import add_parameter, number, spec_of
 from ladar_volume.cli.arguments.reading import add_reading_options
-from ladar_volume.model.choices import ADJUST, CLEAN, CRITERIA, MEASURES
+from ladar_volume.model.choices import CLEAN
 
 #: Ways to choose relevant triangles on the command line: those of the parameter, and where points
 #: were measured.
@@ -63,46 +63,16 @@ def _add_insertion(g: argparse._ArgumentGroup, default_vertices: str) -> None:
             f"number (default {default_vertices})"
         ),
     )
-    g.add_argument(
-        "--tolerance",
-        type=number,
-        metavar="M",
-        help="insert points until no residual is larger (in sigmas for residual-sigma)",
-    )
-    g.add_argument(
-        "--criterion",
-        choices=CRITERIA,
-        default="residual-area",
-        help="what the next vertex maximises",
-    )
+    add_parameter(g, "--tolerance", "surface.tolerance", metavar="M")
+    add_parameter(g, "--criterion", "surface.criterion", own_default=True)
 
 
 def _add_heights(g: argparse._ArgumentGroup) -> None:
     """How the heights of a partial TIN are fitted."""
-    g.add_argument(
-        "--adjust",
-        choices=ADJUST,
-        default="rms",
-        help="elevation adjustment of a partial TIN (default rms)",
-    )
-    g.add_argument(
-        "--iterations",
-        type=int,
-        metavar="N",
-        help="rms-iterated ends after this many steps (default 100)",
-    )
-    g.add_argument(
-        "--height-tolerance",
-        type=number,
-        metavar="M",
-        help="or when no height changes by as much in a step (default 0.0001)",
-    )
-    g.add_argument(
-        "--exchange",
-        choices=(*MEASURES, "none"),
-        default="none",
-        help="exchange diagonals for a better fit",
-    )
+    add_parameter(g, "--adjust", "surface.adjust", own_default=True)
+    add_parameter(g, "--iterations", "surface.max_iterations", metavar="N", more="default 100")
+    add_parameter(g, "--height-tolerance", "surface.height_tolerance_m", more="default 0.0001")
+    add_parameter(g, "--exchange", "surface.exchange", own_default=True)
     g.add_argument(
         "--exchange-last",
         action="store_true",
@@ -122,18 +92,9 @@ def _add_relevant(g: argparse._ArgumentGroup) -> None:
     )
     add_parameter(g, "--max-edge", "volume.max_edge_m")
     add_parameter(g, "--max-circle", "volume.max_circumdiameter_m")
-    g.add_argument(
-        "--max-ear",
-        type=number,
-        metavar="M",
-        help="boundary: cut ears with an open edge longer than this",
-    )
-    g.add_argument(
-        "--min-island", type=number, metavar="M2", help="boundary: drop islands smaller than this"
-    )
-    g.add_argument(
-        "--max-hole", type=number, metavar="M2", help="boundary: fill holes up to this size"
-    )
+    add_parameter(g, "--max-ear", "surface.max_ear_edge_m")
+    add_parameter(g, "--min-island", "surface.min_island_m2")
+    add_parameter(g, "--max-hole", "surface.max_hole_m2")
 
 
 def _add_points(g: argparse._ArgumentGroup) -> None:
@@ -156,20 +117,6 @@ def _add_points(g: argparse._ArgumentGroup) -> None:
     g.add_argument(
         "--median", type=number, metavar="M", help="give such points that median instead"
     )
-    g.add_argument(
-        "--window",
-        type=number,
-        nargs=4,
-        metavar=("X0", "Y0", "X1", "Y1"),
-        help="map to which the points are cropped",
-    )
-    g.add_argument(
-        "--duplicates",
-        type=number,
-        metavar="M",
-        default=0.0,
-        help="points this near an earlier one become no vertices",
-    )
-    g.add_argument(
-        "--bins", type=int, metavar="N", help="bins per row of the initial triangulation"
-    )
+    add_parameter(g, "--window", "surface.window", metavar=("X0", "Y0", "X1", "Y1"))
+    add_parameter(g, "--duplicates", "surface.duplicate_tolerance_m", own_default=True)
+    add_parameter(g, "--bins", "surface.bins_per_row", metavar="N")

@@ -15,9 +15,9 @@ from ladar_volume.clouds.mesh_surface import mesh_surface
 from ladar_volume.io.meshfiles.mesh_files import MeshFile, holds_faces, read_mesh
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.records import F64, Tin
+from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.locate import height_at
-from ladar_volume.tin.represent import SurfaceOptions
 from ladar_volume.tin.scan_frame import Frame
 
 #: Options that say how points become a surface, and what they are where no one gives them.
@@ -63,7 +63,7 @@ def surface_of_mesh(
     arguments: argparse.Namespace,
     mesh: MeshFile,
     path: Path,
-    options: SurfaceOptions,
+    options: SurfaceParameters,
     frame: Frame | None,
     sigma: tuple[F64 | float | None, str],
 ) -> CloudSurface:

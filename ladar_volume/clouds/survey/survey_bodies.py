@@ -29,23 +29,14 @@ from ladar_volume.clouds.body_points import (
 from ladar_volume.clouds.body_verdict import bodies_verdict, filter_doubts
 from ladar_volume.clouds.body_volume import Body
 from ladar_volume.clouds.body_walls import closing_doubts, foot_doubts, wall_doubts
-from ladar_volume.clouds.cloud_bodies import (
-    CLEAR,
-    NO_BODY,
-    BodyOptions,
-    cloud_bodies,
-)
+from ladar_volume.clouds.cloud_bodies import CLEAR, NO_BODY, cloud_bodies
 from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.clouds.ground_cover import doubts_about_growth, growth_about_bodies
 from ladar_volume.clouds.survey.survey_gradient import OnSurvey, on_survey
 from ladar_volume.ground.ground_adjoint import ground_gradient
-from ladar_volume.ground.objects import (
-    ObjectParameters,
-    Objects,
-    find_objects,
-    heights_above_ground,
-)
+from ladar_volume.ground.objects import Objects, find_objects, heights_above_ground
 from ladar_volume.ground.robust_ground import fit_ground
+from ladar_volume.model.body_parameters import BodyParameters, ObjectParameters
 from ladar_volume.model.cloud_filter_parameters import FilterParameters
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
@@ -120,7 +111,7 @@ def bodies_of_survey(raw: F64, sources: Sources, parameters: Parameters) -> Surv
     ground = fit_ground(points.r, sigma**2, plane, ground_threshold(points))
     doubts = filter_doubts(left_out(raw, good_points(raw, result), result, ground))
     found = objects_on(points, ground, parameters.volume.object_height_m)
-    options = BodyOptions()
+    options = BodyParameters()
     made = cloud_bodies(points.r, points.normal, points.curved, found.label, ground, options)
     made, checked = check_bodies(made, points, raw, options)
     growth_m = growth_about_bodies(raw, made, points)

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladar_volume.clouds.body_volume import Body, closing_m6
-from ladar_volume.clouds.cloud_bodies import BodyOptions, cloud_bodies
+from ladar_volume.clouds.cloud_bodies import cloud_bodies
 from ladar_volume.experiments.coverage.coverage_scene import SLOPE, RoughGround
 from ladar_volume.ground.ground_adjoint import ground_gradient, ground_residuals
-from ladar_volume.ground.objects import ObjectParameters, find_objects
+from ladar_volume.ground.objects import find_objects
 from ladar_volume.ground.robust_ground import fit_ground
 from ladar_volume.mesh.linear_mesh import GROUND
-from ladar_volume.mesh.local_mesh import LocalMeshSettings
+from ladar_volume.model.body_parameters import BodyParameters, LocalMeshParameters, ObjectParameters
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import GroundParameters, Parameters
 from ladar_volume.model.records import F64, I64, Bool, FilteredPoints, Patches, Plane
@@ -171,7 +171,7 @@ def body_on_ground(points: FilteredPoints, longest_m: float = 0.0) -> tuple[Body
         points.r_map, height_variance(points), GroundParameters(degree=1), select=level
     )
     label = find_objects(points.r_map, [ground], ObjectParameters(min_height_m=LEAST_M)).label
-    options = BodyOptions(LocalMeshSettings(longest_m), CLOSE_M)
+    options = BodyParameters(LocalMeshParameters(longest_m), CLOSE_M)
     flat: Bool = np.zeros(len(points), bool)
     made = cloud_bodies(
         points.r_map, points.normal, flat, np.where(label == 0, 0, -1), ground, options

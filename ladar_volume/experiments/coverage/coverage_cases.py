@@ -42,7 +42,8 @@ from ladar_volume.model.parameters import (
     VolumeParameters,
 )
 from ladar_volume.model.records import Tin, Volume
-from ladar_volume.tin.represent import SurfaceOptions, represent
+from ladar_volume.model.surface_parameters import SurfaceParameters
+from ladar_volume.tin.represent import represent
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
 from ladar_volume.volume.base import base_and_outline, polygon_of
 from ladar_volume.volume.chord_bias import chord_volumes
@@ -252,10 +253,10 @@ def full_tin(flown: Flown, parameters: Parameters) -> Tin:
     return represent(flown.points.r_map, options_of(parameters), measured=False).tin
 
 
-def options_of(parameters: Parameters) -> SurfaceOptions:
+def options_of(parameters: Parameters) -> SurfaceParameters:
     """A full TIN's options."""
     v = parameters.volume
-    return SurfaceOptions(
+    return SurfaceParameters(
         ratio=1.0,
         adjust="none",
         relevant=v.relevant,

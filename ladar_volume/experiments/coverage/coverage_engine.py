@@ -32,12 +32,13 @@ from ladar_volume.io.bags import BagReader
 from ladar_volume.io.config import read_config
 from ladar_volume.model.choices import CALIBRATION_GROUPS
 from ladar_volume.model.records import select
+from ladar_volume.model.survey_parameters import SurveyParameters
 from ladar_volume.replay import Replay
 from ladar_volume.simulation.bag import write_bag
 from ladar_volume.simulation.platforms import Platform, platform_for, uav
 from ladar_volume.simulation.scenes import Ground, Scene, box_scene, make_scene, polar_mesh
 from ladar_volume.simulation.suited_parameters import suited
-from ladar_volume.simulation.survey import Survey, SurveyOptions
+from ladar_volume.simulation.survey import Survey
 
 #: Scenes of stockpiles, by scenario.
 SCENES = {"stockpile_100": "cone_100", "stockpile_5000": "stockpile_5000"}
@@ -75,7 +76,7 @@ def replayed(
 ) -> Replay:
     """A flight with all errors, recorded and replayed."""
     flown = Survey(
-        scene, platform, DEFAULT, SurveyOptions(DURATION_S, thin, mixed_share=0.0, seed=seed)
+        scene, platform, DEFAULT, SurveyParameters(DURATION_S, thin, mixed_share=0.0, seed=seed)
     )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "flight"
