@@ -37,6 +37,7 @@ EXTRAS = {
     ],
     "geo": [],  # coordinate systems are among NEEDED; packages of further file formats come here
     "page": ["starlette>=0.40", "uvicorn>=0.30"],
+    "scale": ["dask>=2024.1", "distributed>=2024.1"],
     "completion": ["shtab>=1.7"],
     "test": ["pytest"],  # by this colcon knows that pytest runs the tests
 }
