@@ -37,6 +37,7 @@ MODULES = {
     "diff": "ladar_volume.cli.arguments.diff",
     "plan": "ladar_volume.cli.arguments.plan",
     "epochs": "ladar_volume.cli.arguments.epochs",
+    "tiles": "ladar_volume.cli.scale.tiles_arguments",
 }
 
 #: Set in the environment, a defect ends with its traceback.
@@ -49,6 +50,8 @@ EXTRAS = {
     "starlette": "page",
     "uvicorn": "page",
     "shtab": "completion",
+    "dask": "scale",
+    "distributed": "scale",
 }
 #: Exit code of a defect (sysexits' EX_SOFTWARE).
 DEFECT = 70

@@ -20,7 +20,7 @@ from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tiles.tile_store import Tile, TileIndex
-from ladar_volume.tin.full_tin import build_tin
+from ladar_volume.tin.full_tin import any_corner, build_tin
 from ladar_volume.tin.predicates import incircle, orientation, workspace
 from ladar_volume.tin.triangle_table import precedes
 
@@ -301,8 +301,8 @@ def tile_stars(index: TileIndex, tile: Tile) -> TileStars:
             if around.take_some() == 0:
                 raise
             continue
-        mine: Bool = np.asarray(tin.source < len(own))
-        star = mine[tin.triangles].any(axis=1)
+        mine = tin.source < len(own)
+        star: Bool = np.asarray(any_corner(tin.triangles, mine))
         if around.take_against(open_sides(tin, star, mine, around.safe)) == 0:
             break
         if around.halo < around.side:

@@ -51,11 +51,15 @@ class DaskWorkers:
 
     def run(self, task: Callable[[A], B], of: Sequence[A]) -> Iterator[B]:
         """The results as workers return them; a task whose worker is lost goes to another one."""
-        from distributed import as_completed
+        from distributed import KilledWorker, as_completed
 
         futures = self.client.map(task, of, pure=False, retries=LOSSES)  # type: ignore[attr-defined]
         for future in as_completed(futures):  # type: ignore[no-untyped-call]
-            yield future.result()
+            try:
+                yield future.result()
+            except KilledWorker as error:
+                words = f"a task lost its worker {LOSSES} times: give smaller tiles, or more memory"
+                raise LadarVolumeError(words, reason="workers_lost") from error
             future.release()
 
 

@@ -191,8 +191,8 @@ def triangulate(xy: F64) -> Triangulated:
     become one vertex.
 
     Where four or more points are co-circular the diagonals are those at the first by x, then y: the
-    triangles depend on the points alone, in any order. Raises :class:`SurfaceError` for coordinates that are not finite, fewer than
-    three distinct points, or when all are collinear.
+    triangles depend on the points alone, in any order. Raises :class:`SurfaceError` for coordinates
+    that are not finite, fewer than three distinct points, or when all are collinear.
     """
     xy = np.asarray(xy, dtype=np.float64)
     if not np.isfinite(xy).all():

@@ -36,6 +36,9 @@ EXAMPLES = {
     "body": (("closed bodies on the ground", "CLOUD.ply -o bodies.ply"),),
     "diff": (("a pit between two scans", "A.ply B.ply --pole 0,0,2"),),
     "epochs": (("change between two replayed surveys", "out/may out/june"),),
+    "tiles": (
+        ("a mine above a level, on the cores of this machine", "MINE.copc.laz --level 310 --dask"),
+    ),
     "plan": (("every scanner with every IMU", "--volume 100 --compare"),),
 }
 
