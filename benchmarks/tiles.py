@@ -9,6 +9,7 @@ once, and prints a line of a table for 0 workers (this process), 1 and 2.
 from __future__ import annotations
 
 import json
+import resource
 import shutil
 import subprocess
 import sys
@@ -58,19 +59,20 @@ def measure(cloud: Path, workers: int, store: Path) -> None:
     words = [sys.executable, "-m", "ladar_volume.cli.main", "tiles", str(cloud)]
     words += ["--level", "10", "--sigma", "0.02", "--json", "--store", str(store)]
     words += ["--dask", "--workers", str(workers)] if workers else []
-    start = time.perf_counter()
+    start, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
     process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     seen: dict[int, int] = {}
     watch = threading.Thread(target=peak_of, args=(process, seen))
     watch.start()
     facts = json.loads(process.communicate()[0])
     watch.join()
-    took = time.perf_counter() - start
+    took, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     bytes_at_rest = sum(p.stat().st_size for p in store.rglob("*") if p.is_file())
     points = facts["tiles"]["points"]
     print(
         f"| {points:.0e} | {workers} | {facts['tiles']['count']} | {took:.1f} "
-        f"| {1e6 * took / points:.1f} | {max(seen.values()) / 2**20:.0f} "
+        f"| {cpu:.1f} | {max(seen.values()) / 2**20:.0f} "
         f"| {bytes_at_rest / points:.0f} | {facts['net_m3']:.6f} | {facts['sigma_m3']:.6f} |",
         flush=True,
     )
@@ -81,7 +83,7 @@ def main() -> None:
     cloud = folder / f"tiles_{points}.laz"
     if not cloud.exists():
         write_cloud(cloud, points)
-    print("| points | workers | tiles | s | µs/point | MB, largest process | B/point | V | sigma |")
+    print("| points | workers | tiles | s | CPU s | MB, largest process | B/point | V | sigma |")
     for workers in (0, 1, 2):
         measure(cloud, workers, folder / "store")
 

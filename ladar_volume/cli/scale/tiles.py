@@ -96,7 +96,7 @@ def workers_of(a: argparse.Namespace, console: Console) -> Iterator[Workers]:
 
     if a.dask:
         try:
-            client = Client(a.dask, timeout="10s")  # type: ignore[no-untyped-call]
+            client = Client(a.dask, timeout="3s")  # type: ignore[no-untyped-call]
         except (OSError, ValueError) as error:
             words = f"--dask {a.dask}: no scheduler answers there"
             raise ConfigurationError(words, value=a.dask) from error
