@@ -38,6 +38,7 @@ EXTRAS = {
     # files of CAD and GIS; coordinate systems are among NEEDED
     "geo": ["rasterio>=1.3", "ezdxf>=1.1", "pye57>=0.4.1"],
     "page": ["starlette>=0.40", "uvicorn>=0.30"],
+    "scale": ["dask>=2024.1", "distributed>=2024.1"],
     "completion": ["shtab>=1.7"],
     "velodyne": ["velodyne-decoder>=3.1"],  # packets: VelodyneScan and captures
     "test": ["pytest"],  # by this colcon knows that pytest runs the tests

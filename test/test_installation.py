@@ -33,6 +33,8 @@ KEYS = {
     "rasterio": "",
     "ezdxf": "",
     "pye57": "",
+    "dask": "",
+    "distributed": "",
 }
 #: Packages that ROS from apt was compiled for, or that come with it: never a second time by pip.
 OF_THE_SYSTEM = {"numpy", "scipy", "pyproj", "matplotlib", "PyYAML", "jinja2"}

@@ -38,6 +38,7 @@ MODULES = {
     "plan": "ladar_volume.cli.arguments.plan",
     "epochs": "ladar_volume.cli.arguments.epochs",
     "export": "ladar_volume.cli.arguments.outputs.export",
+    "tiles": "ladar_volume.cli.scale.tiles_arguments",
 }
 
 #: Set in the environment, a defect ends with its traceback.
@@ -55,6 +56,8 @@ EXTRAS = {
     "pye57": "geo",
     "velodyne_decoder": "velodyne",
     "dpkt": "velodyne",
+    "dask": "scale",
+    "distributed": "scale",
 }
 #: Exit code of a defect (sysexits' EX_SOFTWARE).
 DEFECT = 70

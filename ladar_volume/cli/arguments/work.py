@@ -24,6 +24,7 @@ FILES = {
 CLOUDS = {
     "volume": ("cloud", "cloud_b"),
     "tin": ("cloud",),
+    "tiles": ("cloud",),
     "filter": ("cloud",),
     "body": ("source",),
     "diff": ("a", "b"),

@@ -38,6 +38,9 @@ EXAMPLES = {
     "diff": (("a pit between two scans", "A.ply B.ply --pole 0,0,2"),),
     "epochs": (("change between two replayed surveys", "out/may out/june"),),
     "export": (("for CAD and GIS, in UTM", "out -o files --as all --crs EPSG:32632"),),
+    "tiles": (
+        ("a mine above a level, on the cores of this machine", "MINE.copc.laz --level 310 --dask"),
+    ),
     "plan": (("every scanner with every IMU", "--volume 100 --compare"),),
 }
 

@@ -1,0 +1,79 @@
+"""Options of ``ladar_volume tiles``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ladar_volume.cli.arguments.lines import Verbs
+from ladar_volume.cli.arguments.parameter_flags import add_parameter, number
+from ladar_volume.cli.arguments.reading import add_reading_options
+from ladar_volume.cli.arguments.strict import add_strict_option
+from ladar_volume.cli.arguments.work import work
+
+#: Which triangles count: what can be told triangle by triangle.
+RELEVANT = ("all", "edge", "circumcircle")
+
+
+def add_parser(subparsers: Verbs) -> None:
+    """Declare the verb."""
+    parser = subparsers.add_parser(
+        "tiles",
+        help="cut and fill of a cloud larger than the memory, by tiles, on as many workers",
+        description=(
+            "Cut, fill and net volume of a LAS, LAZ or COPC file above a level or a plane, by "
+            "square tiles at rest on disk: what one triangulation of all points gives. A run that "
+            "was interrupted goes on where it was. Lengths in m."
+        ),
+    )
+    parser.add_argument("cloud", type=Path, help="point cloud (.las .laz)")
+    base = parser.add_mutually_exclusive_group(required=True)
+    add_parameter(base, "--level", "volume.level_m", metavar="Z")
+    add_parameter(base, "--plane", "volume.plane", metavar=("C0", "C1", "C2"))
+    _add_surface(parser)
+    _add_work(parser)
+    parser.add_argument(
+        "--json", action="store_true", help="print the result as JSON to standard output"
+    )
+    add_reading_options(parser)
+    add_strict_option(parser)
+    parser.set_defaults(run=work("ladar_volume.cli.scale.tiles"))
+
+
+def _add_surface(parser: argparse.ArgumentParser) -> None:
+    """Which triangles count, and the noise."""
+    g = parser.add_argument_group("surface")
+    limit = g.add_mutually_exclusive_group()
+    add_parameter(limit, "--max-edge", "volume.max_edge_m")
+    add_parameter(limit, "--max-circle", "volume.max_circumdiameter_m")
+    g.add_argument(
+        "--sigma",
+        type=number,
+        metavar="M",
+        help="standard deviation of the heights; else estimated tile by tile",
+    )
+
+
+def _add_work(parser: argparse.ArgumentParser) -> None:
+    """Tiles, where they are at rest, and who works on them."""
+    g = parser.add_argument_group("work")
+    g.add_argument(
+        "--tile", type=number, default=50.0, metavar="M", help="side of a tile (default 50)"
+    )
+    g.add_argument(
+        "--store",
+        type=Path,
+        metavar="FOLDER",
+        help="where tiles are at rest (default CLOUD.tiles); may be deleted afterwards",
+    )
+    g.add_argument(
+        "--dask",
+        nargs="?",
+        const="",
+        metavar="ADDRESS",
+        help="on the workers of a Dask scheduler; without an address on some of this machine, "
+        "which end with the run; without --dask in this process",
+    )
+    g.add_argument(
+        "--workers", type=int, metavar="N", help="workers on this machine (default: one a core)"
+    )

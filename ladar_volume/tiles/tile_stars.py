@@ -1,0 +1,312 @@
+"""The triangles round the points of one tile, as they are in the Delaunay triangulation of all.
+
+A triangle of some of the points is one of the whole where no other point lies within its
+circumcircle or on it, and a hull edge where none lies beyond: this is asked of every tile that the
+circle or the half plane reaches. Points that speak against a triangle are added, one for each
+triangle and tile at a time, and the tile is triangulated again, until none is left. Points that
+share a circle are all added, and the diagonals among them follow from the points alone
+(``triangle_table.tie_flip``): the result is that of the whole triangulation, whatever the tiles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from ladar_volume.math.kernels import kernel
+from ladar_volume.model.errors import SurfaceError
+from ladar_volume.model.records import F64, I32, I64, Bool, Tin
+from ladar_volume.tiles.tile_store import Tile, TileIndex
+from ladar_volume.tin.full_tin import any_corner, build_tin
+from ladar_volume.tin.predicates import incircle, orientation, workspace
+from ladar_volume.tin.triangle_table import precedes
+
+#: First halo, in mean distances of the tile's points.
+HALO = 6.0
+#: Triangles flatter than this (twice the area over the longest edge squared) have a circle that
+#: rounding moves: it is computed with whole fractions.
+FLAT = 1e-5
+#: Relative margin of the other circles.
+MARGIN = 1e-6
+
+#: Places of other tiles kept in memory, of those last read.
+KEPT = 200_000
+
+Box = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class TileStars:
+    """tin : over the tile's footprints and others around it, at the mean height of the points
+    there · shared : (n,) how many points · own : (n,) which vertices lie in the tile · star : (m,)
+    triangles that meet one of them, all of them final · counted : (m,) of these, those whose first
+    vertex (by x, then y) lies in the tile: each triangle of the whole is counted in one tile ·
+    rounds : how often it was triangulated
+    """
+
+    tin: Tin
+    shared: F64
+    own: Bool
+    star: Bool
+    counted: Bool
+    rounds: int
+
+
+def places(points: F64) -> F64:
+    """The distinct footprints of points (n, 3) by x, then y: (k, 4) of x, y, the mean height of the
+    points there, m, and how many these are; points with the same three coordinates are one.
+    """
+    r = points[np.lexsort(points.T[::-1])] + 0.0  # no signed zeros
+    r = r[np.r_[True, (np.diff(r, axis=0) != 0).any(axis=1)][: len(r)]]
+    first = np.flatnonzero(np.r_[True, (np.diff(r[:, :2], axis=0) != 0).any(axis=1)][: len(r)])
+    count = np.diff(np.r_[first, len(r)])
+    height = np.add.reduceat(r[:, 2], first) / count
+    return np.column_stack([r[first, :2], np.where(count > 1, height, r[first, 2]), count])
+
+
+@kernel
+def first_corners(xy: F64, triangles: I32) -> I64:
+    """The first vertex of each triangle by x, then y, (m,)."""
+    out = np.empty(len(triangles), np.int64)
+    for t in range(len(triangles)):
+        first = triangles[t, 0]
+        for c in range(1, 3):
+            if precedes(xy, triangles[t, c], first):
+                first = triangles[t, c]
+        out[t] = first
+    return out
+
+
+@kernel
+def circle_intruders(corners: F64, points: F64, known: Bool, w: F64) -> I64:
+    """For each triangle, corners (m, 3, 2) counter-clockwise, the point (k, 2) that lies deepest in
+    its circumcircle or on it, known ones (k,) left aside: (m,), -1 for none.
+    """
+    xy, out = np.empty((4, 2)), np.full(len(corners), -1, np.int64)
+    for t in range(len(corners)):
+        xy[:3] = corners[t]
+        most = -1.0
+        for p in range(len(points)):
+            if known[p]:
+                continue
+            xy[3] = points[p]
+            depth = incircle(xy, 0, 1, 2, 3, w)
+            if depth >= 0.0 and depth > most:
+                most, out[t] = depth, p
+    return out
+
+
+@kernel
+def hull_intruders(ends: F64, points: F64, known: Bool, w: F64) -> I64:
+    """For each hull edge, ends (m, 2, 2) with the surface to the left, the point (k, 2) beyond it
+    that sees it under the widest angle, known ones (k,) left aside: (m,), -1 for none.
+    """
+    out = np.full(len(ends), -1, np.int64)
+    for e in range(len(ends)):
+        ax, ay, bx, by = ends[e, 0, 0], ends[e, 0, 1], ends[e, 1, 0], ends[e, 1, 1]
+        least = np.inf
+        for p in range(len(points)):
+            x, y = points[p, 0], points[p, 1]
+            if known[p] or orientation(ax, ay, bx, by, x, y, w) >= 0.0:
+                continue
+            across = abs((ax - x) * (by - y) - (ay - y) * (bx - x))
+            cot = ((ax - x) * (bx - x) + (ay - y) * (by - y)) / max(across, 1e-300)
+            if cot < least or out[e] < 0:
+                least, out[e] = cot, p
+    return out
+
+
+@dataclass(frozen=True)
+class OpenSides:
+    """What may still change: corners (m, 3, 2) of triangles, reach (m, 4) the box of each circle or
+    none (NaN) where rounding moves it · ends (e, 2, 2) of hull edges.
+    """
+
+    corners: F64
+    reach: F64
+    ends: F64
+
+
+def circle_boxes(corners: F64) -> F64:
+    """Boxes (m, 4) m that hold the circumcircles of triangles (m, 3, 2); NaN for flat ones."""
+    a = corners[:, 0]
+    u, v = corners[:, 1] - a, corners[:, 2] - a
+    twice = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+    uu, vv, ww = (u**2).sum(axis=1), (v**2).sum(axis=1), ((u - v) ** 2).sum(axis=1)
+    good = twice > FLAT * np.maximum(np.maximum(uu, vv), ww)
+    d = np.where(good, 2.0 * twice, np.nan)
+    x, y = (v[:, 1] * uu - u[:, 1] * vv) / d, (u[:, 0] * vv - v[:, 0] * uu) / d
+    r = np.hypot(x, y)
+    size = np.abs(corners).max(axis=(1, 2)) * 1e-12
+    r = r * (1.0 + MARGIN) + size
+    return np.stack([a[:, 0] + x - r, a[:, 1] + y - r, a[:, 0] + x + r, a[:, 1] + y + r], axis=1)
+
+
+def meets(corners: F64, box: Box) -> bool:
+    """Whether the circumcircle of a triangle (3, 2) reaches a box, without rounding."""
+    (ax, ay), (bx, by), (cx, cy) = ([Fraction(v) for v in p] for p in corners.tolist())
+    ux, uy, vx, vy = bx - ax, by - ay, cx - ax, cy - ay
+    d, uu, vv = 2 * (ux * vy - uy * vx), ux * ux + uy * uy, vx * vx + vy * vy
+    x, y = (vy * uu - uy * vv) / d, (ux * vv - vx * uu) / d
+    square = x * x + y * y
+    x, y = ax + x, ay + y
+    x0, y0, x1, y1 = (Fraction(v) for v in box)
+    dx, dy = max(x0 - x, x - x1, Fraction(0)), max(y0 - y, y - y1, Fraction(0))
+    return dx * dx + dy * dy <= square
+
+
+def open_sides(tin: Tin, star: Bool, own: Bool, safe: Box) -> OpenSides:
+    """The triangles of the stars whose circles leave the box ``safe``, all points of which are in
+    the triangulation, and the hull edges at the tile's own vertices (n,).
+    """
+    xy, triangles = tin.vertices[:, :2], tin.triangles[star]
+    corners = xy[triangles]
+    reach = circle_boxes(corners)
+    x0, y0, x1, y1 = safe
+    inside = (reach[:, 0] > x0) & (reach[:, 1] > y0) & (reach[:, 2] < x1) & (reach[:, 3] < y1)
+    beyond = tin.neighbours[star]
+    ends = [
+        np.stack([triangles[:, (k + 1) % 3], triangles[:, (k + 2) % 3]], axis=1)[beyond[:, k] < 0]
+        for k in range(3)
+    ]
+    hull = np.concatenate(ends)
+    hull = hull[own[hull].any(axis=1)]
+    return OpenSides(corners[~inside], reach[~inside], xy[hull])
+
+
+def intruders(sides: OpenSides, points: F64, box: Box, known: Bool) -> I64:
+    """Rows of points (k, 3) of a tile, whose box is given, that speak against the open sides."""
+    x0, y0, x1, y1 = box
+    r, w, xy = sides.reach, workspace(), np.ascontiguousarray(points[:, :2])
+    near = (r[:, 0] <= x1) & (r[:, 1] <= y1) & (r[:, 2] >= x0) & (r[:, 3] >= y0)
+    flat = np.flatnonzero(np.isnan(r[:, 0]))
+    near[flat] = [meets(sides.corners[t], box) for t in flat.tolist()]
+    found = [
+        circle_intruders(np.ascontiguousarray(sides.corners[near]), xy, known, w),
+        hull_intruders(np.ascontiguousarray(sides.ends), xy, known, w),
+    ]
+    rows = np.unique(np.concatenate(found))
+    return rows[rows >= 0]
+
+
+def reaches(sides: OpenSides, box: Box) -> bool:
+    """Whether anything that is open reaches a box."""
+    x0, y0, x1, y1 = box
+    r = sides.reach
+    near = (r[:, 0] <= x1) & (r[:, 1] <= y1) & (r[:, 2] >= x0) & (r[:, 3] >= y0)
+    if near.any():
+        return True
+    a, b = sides.ends[:, 0], sides.ends[:, 1]
+    along = np.stack([b - a] * 4)
+    at = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])[:, None, :] - a
+    side = along[..., 0] * at[..., 1] - along[..., 1] * at[..., 0]
+    margin = 1e-9 * np.abs(along).max(axis=2) * (np.abs(at).max(axis=2) + np.abs(a).max(axis=1))
+    if bool((side <= margin).any()):
+        return True
+    flat = np.flatnonzero(np.isnan(r[:, 0]))
+    return any(meets(sides.corners[t], box) for t in flat.tolist())
+
+
+class Neighbourhood:
+    """Points of other tiles that were added to one: all within a halo, and some beyond."""
+
+    def __init__(self, index: TileIndex, tile: Tile, own: int) -> None:
+        self.index, self.tile, self.side = index, tile, index.cloud.tile_m
+        self.halo = min(self.side, HALO * self.side / max(own, 1) ** 0.5)
+        self.rows: dict[Tile, Bool] = {}
+        self.taken: dict[Tile, F64] = {}
+        self.read: dict[Tile, F64] = {}
+
+    def places(self, tile: Tile) -> F64:
+        """The places of a tile; a few of those last read are kept."""
+        if tile not in self.read:
+            while sum(map(len, self.read.values())) > KEPT:
+                self.read.pop(next(iter(self.read)))
+            self.read[tile] = places(self.index.points(tile))
+        return self.read[tile]
+
+    @property
+    def safe(self) -> Box:
+        """The box all of whose points are taken."""
+        (i, j), s, h = self.tile, self.side, self.halo
+        return (i * s - h, j * s - h, (i + 1) * s + h, (j + 1) * s + h)
+
+    def take(self, tile: Tile, choose: Callable[[F64, Bool], I64]) -> int:
+        """Add the points of a tile that ``choose`` names by their rows, of all its points and
+        whether they are known; returns how many.
+        """
+        points = self.places(tile)
+        known = self.rows.setdefault(tile, np.zeros(len(points), bool))
+        rows = choose(points, known)
+        rows = rows[~known[rows]]
+        if len(rows):
+            known[rows] = True
+            self.taken[tile] = points[known]
+        return len(rows)
+
+    def take_halo(self) -> None:
+        """Add the points of the tiles around that lie in the halo."""
+        x0, y0, x1, y1 = self.safe
+
+        def inside(points: F64, known: Bool) -> I64:
+            x, y = points[:, 0], points[:, 1]
+            return np.flatnonzero((x >= x0) & (x <= x1) & (y >= y0) & (y <= y1))
+
+        for i in range(self.tile[0] - 1, self.tile[0] + 2):
+            for j in range(self.tile[1] - 1, self.tile[1] + 2):
+                box = self.index.box.get((i, j))
+                if (i, j) == self.tile or box is None:
+                    continue
+                if box[0] <= x1 and box[2] >= x0 and box[1] <= y1 and box[3] >= y0:
+                    self.take((i, j), inside)
+
+    def take_against(self, sides: OpenSides) -> int:
+        """Add the points of all tiles that speak against the open sides; returns how many."""
+        added = 0
+        for tile, box in self.index.box.items():
+            if tile != self.tile and reaches(sides, box):
+                added += self.take(tile, lambda p, known, b=box: intruders(sides, p, b, known))  # type: ignore[misc]
+        return added
+
+    def take_some(self) -> int:
+        """Add the points of the nearest tile that has some left; returns how many."""
+        i, j = self.tile
+        order = sorted(self.index.box, key=lambda t: ((t[0] - i) ** 2 + (t[1] - j) ** 2, t))
+        for tile in order:
+            if tile == self.tile:
+                continue
+            if added := self.take(tile, lambda p, known: np.flatnonzero(~known)):
+                return added
+        return 0
+
+
+def tile_stars(index: TileIndex, tile: Tile) -> TileStars:
+    """The final triangles round the points of a tile. Raises :class:`SurfaceError` where the whole
+    cloud has fewer than three points off one line.
+    """
+    own = places(index.points(tile))
+    around = Neighbourhood(index, tile, len(own))
+    around.take_halo()
+    rounds = 0
+    while True:
+        rounds += 1
+        others = [around.taken[t] for t in sorted(around.taken)]
+        try:
+            known = np.concatenate([own, *others])
+            tin = build_tin(known[:, :3])
+        except SurfaceError:
+            if around.take_some() == 0:
+                raise
+            continue
+        mine = tin.source < len(own)
+        star: Bool = np.asarray(any_corner(tin.triangles, mine))
+        if around.take_against(open_sides(tin, star, mine, around.safe)) == 0:
+            break
+        if around.halo < around.side:
+            around.halo = min(2.0 * around.halo, around.side)
+            around.take_halo()
+    first = first_corners(np.ascontiguousarray(tin.vertices[:, :2]), tin.triangles)
+    return TileStars(tin, known[tin.source, 3], mine, star, mine[first], rounds)

@@ -1,0 +1,102 @@
+"""The volume by tiles against that of one triangulation of all points."""
+
+import laspy
+import numpy as np
+import pytest
+from tiled_clouds import (
+    LEVEL,
+    SIGMA,
+    at_once,
+    by_tiles,
+    clustered,
+    gridded,
+    on_lines,
+    random,
+    same,
+    write,
+)
+
+from ladar_volume.io.pointfiles.crs import Reading
+from ladar_volume.model.errors import CloudError, ConfigurationError, InputError
+from ladar_volume.tiles.tile_store import parts_of_file, tile_index
+from ladar_volume.tiles.tile_volume import TileTask
+from ladar_volume.tiles.tile_work import result_path
+
+
+@pytest.mark.parametrize("kind", [random, gridded, clustered, on_lines], ids=lambda k: k.__name__)
+@pytest.mark.parametrize("tile_m", [13.7, 1000.0])
+def test_tiles_give_what_one_triangulation_gives(tmp_path, kind, tile_m):
+    path = write(tmp_path / "cloud.laz", kind(4000, np.random.default_rng(5)))
+    surface, whole = at_once(path)
+    found, volume = by_tiles(path, tmp_path / "store", tile_m)
+    same(volume, whole)
+    assert sum(s.triangles for s in found.sums) == len(surface.made.tin.triangles)
+    assert sum(s.vertices for s in found.sums) == len(surface.made.tin.vertices)
+
+
+def test_a_plane_and_a_longest_edge(tmp_path):
+    path = write(tmp_path / "cloud.las", clustered(5000, np.random.default_rng(2)))
+    _, whole = at_once(path, "edge", 1.5, base="plane", plane=(9.0, 0.02, 0.01))
+    task = TileTask((9.0, 0.02, 0.01), "edge", max_edge_m=1.5, sigma_m=SIGMA)
+    same(by_tiles(path, tmp_path / "store", 11.0, task)[1], whole)
+
+
+def test_few_points_far_apart(tmp_path):
+    xy = np.array([[0.0, 0], [40, 1], [3, 41], [44, 43], [44, 43.001], [20, 20]])
+    path = write(tmp_path / "cloud.las", xy)
+    _, whole = at_once(path)
+    same(by_tiles(path, tmp_path / "store", 5.0)[1], whole)
+
+
+def test_what_is_done_is_not_done_again_and_what_is_damaged_is_told(tmp_path):
+    path = write(tmp_path / "cloud.laz", random(3000, np.random.default_rng(8)))
+    found, first = by_tiles(path, tmp_path / "store", 20.0, part=1000)
+    task = TileTask((LEVEL,), sigma_m=SIGMA)
+    tiles = sorted(found.index.count)
+    gone, kept = (result_path(found.index, task, t) for t in tiles[:2])
+    gone.unlink()
+    kept.write_text(kept.read_text()[:40])
+    others = {t: result_path(found.index, task, t).stat().st_mtime_ns for t in tiles[2:]}
+    found.index.cloud.archive(1).unlink()
+    same(by_tiles(path, tmp_path / "store", 20.0, part=1000)[1], first)
+    assert all(
+        result_path(found.index, task, t).stat().st_mtime_ns == at for t, at in others.items()
+    )
+    archive = found.index.cloud.archive(2)
+    archive.write_bytes(archive.read_bytes()[:-3000])
+    with pytest.raises(InputError, match="delete it and run again"):
+        by_tiles(path, tmp_path / "store", 20.0, part=1000)
+
+
+def test_another_file_of_the_same_name_has_tiles_of_its_own(tmp_path):
+    path = write(tmp_path / "cloud.laz", random(800, np.random.default_rng(8)))
+    one = parts_of_file(path, tmp_path, 20.0, Reading()).folder
+    write(path, random(800, np.random.default_rng(9)))
+    assert parts_of_file(path, tmp_path, 20.0, Reading()).folder != one
+    assert parts_of_file(path, tmp_path, 21.0, Reading()).folder != one
+
+
+def test_refusals(tmp_path):
+    path = write(tmp_path / "cloud.las", np.array([[0.0, 0], [1, 1], [2, 2], [30, 30]]))
+    with pytest.raises(Exception, match=r"tile -?\d+_-?\d+ .*collinear"):
+        by_tiles(path, tmp_path / "store", 5.0)
+    with pytest.raises(ConfigurationError, match="--tile 0"):
+        parts_of_file(path, tmp_path, 0.0, Reading())
+    with pytest.raises(InputError, match="LAS, LAZ and COPC"):
+        parts_of_file(tmp_path / "cloud.xyz", tmp_path, 5.0, Reading())
+    las = laspy.read(path)
+    las.classification[:] = 7
+    las.write(path)
+    with pytest.raises(CloudError, match="none of 4 points counts"):
+        by_tiles(path, tmp_path / "store", 5.0)
+
+
+def test_points_that_do_not_count_are_counted(tmp_path):
+    path = write(tmp_path / "cloud.las", random(500, np.random.default_rng(3)))
+    las = laspy.read(path)
+    las.classification[:300] = 7
+    las.write(path)
+    cloud = parts_of_file(path, tmp_path / "store", 20.0, Reading(), 100)
+    by_tiles(path, tmp_path / "store", 20.0, part=100)
+    index = tile_index(cloud)
+    assert index.left_out == {"noise (class 7)": 300} and sum(index.count.values()) == 200

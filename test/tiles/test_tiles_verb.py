@@ -1,0 +1,68 @@
+"""The verb ``tiles``: in this process, on two processes, and with a worker that is killed."""
+
+import json
+
+import numpy as np
+import pytest
+from tiled_clouds import LEVEL, SIGMA, at_once, by_tiles, random, write
+
+from ladar_volume.cli.main import main
+
+
+@pytest.fixture
+def cloud(tmp_path):
+    return write(tmp_path / "cloud.laz", random(4000, np.random.default_rng(4)))
+
+
+def words(cloud, *more):
+    return ["tiles", str(cloud), "--level", str(LEVEL), "--sigma", str(SIGMA), *more]
+
+
+def test_the_verb_gives_what_one_triangulation_gives(cloud, capsys):
+    assert main([*words(cloud, "--tile", "30"), "--json"]) == 0
+    tiled = json.loads(capsys.readouterr().out)
+    whole = at_once(cloud)[1]
+    for name in ("cut_m3", "fill_m3", "net_m3", "area_m2", "sigma_m3"):
+        assert tiled[name] == pytest.approx(getattr(whole, name), rel=1e-9)
+    assert tiled["base"] == whole.base and tiled["budget_m6"] == pytest.approx(whole.budget_m6)
+    names = [reason["name"] for reason in tiled["verdict"]["reasons"]]
+    assert "tiles_not_judged" in names and main(words(cloud, "--tile", "30", "--strict")) == 3
+    assert "tiles of 30 m" in capsys.readouterr().out
+
+
+def test_errors_are_one_line(cloud, tmp_path, capsys):
+    assert main(words(cloud, "--workers", "2")) == 2
+    assert main(words(cloud, "--max-edge", "0.001")) == 2
+    assert "no triangle counts" in capsys.readouterr().err
+    assert main(words(tmp_path / "none.laz")) == 2
+    pytest.importorskip("distributed")
+    assert main(words(cloud, "--dask", "tcp://127.0.0.1:1")) == 2
+    assert "no scheduler answers" in capsys.readouterr().err
+
+
+def test_two_processes_one_of_which_is_killed_give_the_same(cloud, tmp_path):
+    distributed = pytest.importorskip("distributed")
+    from ladar_volume.tiles.tile_work import DaskWorkers
+
+    _, alone = by_tiles(cloud, tmp_path / "alone", 20.0, part=1000)
+    kind = distributed.LocalCluster
+    with (
+        kind(n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+
+        class Hit(DaskWorkers):
+            """Kills a worker's process after its third result."""
+
+            done = 0
+
+            def run(self, task, of):
+                for found in super().run(task, of):
+                    self.done += 1
+                    if self.done == 3:
+                        next(iter(cluster.workers.values())).process.process._process.kill()
+                    yield found
+
+        workers = Hit(client)
+        found, both = by_tiles(cloud, tmp_path / "both", 20.0, workers=workers, part=1000)
+    assert workers.done > 6 and both == alone and len(found.sums) > 6
