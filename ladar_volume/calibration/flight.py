@@ -65,14 +65,14 @@ def flight(points: MappedPoints, states: PlatformStates, mount: Mounting, fix_hz
         kept.t_ns - mount.clock_ns,
         r_laser,
         kept.ring,
-        steady(states, mount),
+        smooth_velocity(states, mount),
         strips(states),
         mount,
         fix_hz,
     )
 
 
-def steady(states: PlatformStates, mount: Mounting) -> PlatformStates:
+def smooth_velocity(states: PlatformStates, mount: Mounting) -> PlatformStates:
     """The states with the velocity of their antenna from the positions within half a second, by
     least squares.
 
@@ -111,7 +111,9 @@ def strips(states: PlatformStates) -> I64:
     out = np.zeros(len(states), np.int64)
     begin = 0
     for i in range(1, len(states)):
-        turned = max(_apart(heading[i], heading[begin]), _apart(course[i], course[begin]))
+        turned = max(
+            _angle_between(heading[i], heading[begin]), _angle_between(course[i], course[begin])
+        )
         late = states.t_ns[i] - states.t_ns[begin] > STRIP_S * 1e9
         new = turned > STRIP_TURN_RAD or late or states.segment[i] != states.segment[begin]
         begin = i if new else begin
@@ -119,11 +121,11 @@ def strips(states: PlatformStates) -> I64:
     return out
 
 
-def _apart(a: float, b: float) -> float:
+def _angle_between(a: float, b: float) -> float:
     return float(abs((a - b + np.pi) % (2 * np.pi) - np.pi))
 
 
-def turned(mount: Mounting, theta: F64) -> Mounting:
+def apply_corrections(mount: Mounting, theta: F64) -> Mounting:
     """The constants corrected by theta (c,) in the order of CAL_COLUMNS; its range bias and beams
     have no constant and are left alone.
     """
@@ -142,7 +144,7 @@ def remapped(flight: Flight, theta: F64, sigmas: F64) -> tuple[MappedPoints, Poi
     Positions are linear between states, which are as dense as the attitudes. ``sigmas`` (3,) as
     ``budget.independent_sigmas``.
     """
-    mount, states = turned(flight.mount, theta), flight.states
+    mount, states = apply_corrections(flight.mount, theta), flight.states
     R = matrix_from_quaternion(states.q_map_body)
     antenna = states.p_map_body + R @ flight.mount.lever_antenna
     moved = dataclasses.replace(states, p_map_body=antenna - R @ mount.lever_antenna)

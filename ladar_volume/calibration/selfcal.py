@@ -19,12 +19,12 @@ from ladar_volume.calibration.navigation_drift import Drift, drift
 from ladar_volume.calibration.strip_adjustment import (
     Observations,
     Solution,
+    drop_patches,
     observations,
     off_plane,
     solve,
-    without,
 )
-from ladar_volume.calibration.strip_patches import OUTLIER_SIGMAS, fitted, overlap
+from ladar_volume.calibration.strip_patches import OUTLIER_SIGMAS, fit_planes, overlap
 from ladar_volume.georeference.error_budget import calibration_columns, independent_sigmas
 from ladar_volume.georeference.point_jacobian import unpack
 from ladar_volume.model.errors import CalibrationError
@@ -205,7 +205,7 @@ def _step(p: _Problem, theta: F64, noise: float, membership: I64 | None) -> _Ste
         found = overlap(points.r_map, strip, max(1.0, noise) ** 2 * C, *limits)
     else:
         point = np.flatnonzero(membership[index] >= 0)
-        found = fitted(points.r_map, strip, point, membership[index][point], *limits)
+        found = fit_planes(points.r_map, strip, point, membership[index][point], *limits)
     if len(found.normal) < _FEWEST:
         raise CalibrationError(
             (
@@ -220,19 +220,19 @@ def _step(p: _Problem, theta: F64, noise: float, membership: I64 | None) -> _Ste
     o = observations(points, geometry, found, p.effects, sigma)
     solution = solve(o, p.effects, p.active, p.beams, p.precision, theta[p.active])
     total = int(o.patch.max()) + 1
-    moved = _moved(o, solution.residual)
+    moved = _displaced_patches(o, solution.residual)
     if len(moved):
-        o = without(o, moved)
+        o = drop_patches(o, moved)
         solution = solve(o, p.effects, p.active, p.beams, p.precision, theta[p.active])
     belongs = np.full(len(p.flight.t_ns), -1, np.int64)
     kept = ~np.isin(found.patch, moved)
     belongs[index[found.point[kept]]] = found.patch[kept]
-    return _judged(
+    return _step_statistics(
         o, solution, total - len(moved), len(np.unique(found.strip_of)), len(moved), belongs
     )
 
 
-def _moved(o: Observations, residual: F64) -> I64:
+def _displaced_patches(o: Observations, residual: F64) -> I64:
     """Patches on which a strip lies farther from the others than noise, or the usual disagreement,
     explains: something moved there.
     """
@@ -242,7 +242,7 @@ def _moved(o: Observations, residual: F64) -> I64:
     return np.unique(o.patch[far[o.group]])
 
 
-def _judged(
+def _step_statistics(
     o: Observations, solution: Solution, patches: int, strips: int, moved: int, membership: I64
 ) -> _Step:
     count = np.bincount(o.group)

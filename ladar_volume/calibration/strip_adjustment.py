@@ -176,7 +176,7 @@ def off_plane(o: Observations, values: F64) -> F64:
     return out
 
 
-def without(o: Observations, patches: I64) -> Observations:
+def drop_patches(o: Observations, patches: I64) -> Observations:
     """The observations less those on some patches, patches and groups numbered anew."""
     kept = select(o, ~np.isin(o.patch, patches))
     patch, group = (np.unique(label, return_inverse=True)[1] for label in (kept.patch, kept.group))

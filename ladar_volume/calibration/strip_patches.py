@@ -55,9 +55,9 @@ def overlap(
 
     Raises :class:`CalibrationError` (calibration_no_overlap) where no patch is seen by two strips.
     """
-    point, patch = np.arange(len(r_map)), cells(r_map, edge_m)
+    point, patch = np.arange(len(r_map)), voxel_numbers(r_map, edge_m)
     for _ in range(_SWEEPS):
-        point, patch, group, _, _ = _seen_twice(point, patch, strip, min_points)
+        point, patch, group, _, _ = _seen_by_two_strips(point, patch, strip, min_points)
         if len(point) == 0:
             raise CalibrationError(
                 (
@@ -77,10 +77,10 @@ def overlap(
         flat = (ratio <= _ROUGH * max(1.0, float(np.median(ratio)))) & (extent >= _EXTENT * edge_m)
         good = flat[patch] & (np.abs(along) <= OUTLIER_SIGMAS * np.maximum(scale, expected)[patch])
         point, patch = point[good], patch[good]
-    return fitted(r_map, strip, point, patch, edge_m, min_points, max_patches)
+    return fit_planes(r_map, strip, point, patch, edge_m, min_points, max_patches)
 
 
-def cells(r_map: F64, edge_m: float) -> I64:
+def voxel_numbers(r_map: F64, edge_m: float) -> I64:
     """Number (n,) of the cell that holds each point: square columns, cut in height about the median
     height of each.
 
@@ -94,13 +94,13 @@ def cells(r_map: F64, edge_m: float) -> I64:
     return cell.ravel()
 
 
-def fitted(
+def fit_planes(
     r_map: F64, strip: I64, point: I64, patch: I64, edge_m: float, min_points: int, max_patches: int
 ) -> Overlap:
     """Planes of given points (n,) on given patches (n,), each strip's points about their own mean.
     Raises as :func:`overlap`.
     """
-    point, patch, group, patch_of, strip_of = _seen_twice(
+    point, patch, group, patch_of, strip_of = _seen_by_two_strips(
         point, patch, strip, min_points, max_patches
     )
     if len(point) == 0:
@@ -144,7 +144,7 @@ def averaged(centre: F64, normal: F64, radius_m: float) -> F64:
     return out
 
 
-def _seen_twice(
+def _seen_by_two_strips(
     point: I64, patch: I64, strip: I64, min_points: int, max_patches: int | None = None
 ) -> tuple[I64, I64, I64, I64, I64]:
     """Cut to groups of enough points, and patches of two groups or more: point, patch, group (all

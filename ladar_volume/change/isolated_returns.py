@@ -40,14 +40,14 @@ def isolated_returns(points: F64, scanner: F64) -> Bool:
     alone: Bool = spacing > SPARSE * float(np.median(spacing))
     for _ in range(ROUNDS):
         left = np.flatnonzero(~alone)
-        found = left[among(direction[left], distance[left])]
+        found = left[isolated_mask(direction[left], distance[left])]
         alone[found] = True
         if not len(found):
             break
     return alone
 
 
-def among(direction: F64, distance: F64) -> Bool:
+def isolated_mask(direction: F64, distance: F64) -> Bool:
     """Returns (n,) that stand alone among directions (n, 3) and distances (n,) m."""
     n, tree = len(direction), cKDTree(direction)
     if n <= AROUND:
@@ -59,13 +59,13 @@ def among(direction: F64, distance: F64) -> Bool:
         # a return in exactly the same direction may come first: the return itself is left out
         near = np.where(near == rows[:, None], near[:, -1:], near)[:, :AROUND]
         at = slice(first, first + len(rows))
-        own[at], sigma[at], company[at] = judged(direction, distance, rows, near)
+        own[at], sigma[at], company[at] = plane_residuals(direction, distance, rows, near)
     limit = OFF_SIGMAS * np.maximum(sigma, float(np.median(sigma)))
     out: Bool = (np.abs(own) > limit) & (company < COMPANY)
     return out
 
 
-def judged(direction: F64, distance: F64, rows: I64, near: I64) -> tuple[F64, F64, I64]:
+def plane_residuals(direction: F64, distance: F64, rows: I64, near: I64) -> tuple[F64, F64, I64]:
     """How far returns (k,) are off the plane of their neighbours (k, c), m along the beam, the
     robust sigma of the neighbours, m, and how many are off as far on the same side.
     """

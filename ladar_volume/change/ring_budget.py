@@ -61,7 +61,7 @@ def checked_excavation(
     doubts, now, when = changed_ground(fit, found), fit, ""
     if correction != "none":
         taken = fit_ring(found.between, b.points[found.in_b], CORRECTIONS[correction])
-        b, when = moved(b, taken), "after the correction "
+        b, when = transform_scan(b, taken), "after the correction "
         found = excavate(a, b, region, pole_map=pole_map, max_edge_m=max_edge_m)
         now = fit_ring(found.between, b.points[found.in_b])
     stated = correction == "none" and not (a.transform is None and b.transform is None)
@@ -110,7 +110,7 @@ def ring_line(
     return budget, off
 
 
-def moved(b: Scan, fit: RingFit) -> Scan:
+def transform_scan(b: Scan, fit: RingFit) -> Scan:
     """Scan B with the ring's misregistration taken out; its transform is the ring's now."""
     T = fit.home
     noise = b.noise if np.ndim(b.noise) < 3 else T.R @ np.asarray(b.noise) @ T.R.T

@@ -28,11 +28,13 @@ def remaining_on_ground(smooth: Smooth, triangles: I32, area: F64, rings: int) -
     square = np.minimum(ratio**2, 1e3)
     own = np.bincount(triangles.ravel(), np.repeat(area / 3.0, 3), len(s))
     left = LEFT * math.sqrt(2.0) * own * s * np.exp(-0.5 * square)
-    parts = [left_of(left, square, grown, chosen) for chosen in (grown == rings, grown < rings)]
+    parts = [
+        remaining_change(left, square, grown, chosen) for chosen in (grown == rings, grown < rings)
+    ]
     return Remaining(sum(p.fold_m3 for p in parts), sum(p.sigma_m3 for p in parts))
 
 
-def left_of(left: F64, square: F64, grown: I64, chosen: Bool) -> Remaining:
+def remaining_change(left: F64, square: F64, grown: I64, chosen: Bool) -> Remaining:
     """What is left at the ``chosen`` (n,) vertices: the share of ``left`` (n,) m³ that the squares
     (n,) of their smoothed heights over their variances speak for, and the standard error of it;
     grown : (n,) rings of the neighbourhoods.

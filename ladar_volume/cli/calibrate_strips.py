@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from ladar_volume.calibration.flight import Flight, flight, turned
+from ladar_volume.calibration.flight import Flight, apply_corrections, flight
 from ladar_volume.calibration.repeats import correction_of
 from ladar_volume.calibration.selfcal import CORRECTED, StripCalibration, calibrate
 from ladar_volume.cli.arguments.work import config_for
@@ -131,7 +131,7 @@ def _random_subset(points: MappedPoints, most: int, rng: np.random.Generator) ->
 def calibrated_parameters(found: StripCalibration, parameters: Parameters) -> Parameters:
     """The parameters with corrected constants, their sigmas and all correlations."""
     c, sigma = parameters.calibration, np.sqrt(np.diag(found.C_cal))
-    mount = turned(mounting(c), found.theta)
+    mount = apply_corrections(mounting(c), found.theta)
 
     def numbers(values: F64) -> tuple[float, ...]:
         return tuple(float(v) for v in values)

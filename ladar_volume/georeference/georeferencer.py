@@ -79,7 +79,7 @@ class _Waiting:
     arrived_ns: int  # on the waiting clock
     poses_ns: int  # on the clock of the poses, when it arrived
 
-    def parted(self, until_ns: int, least: float) -> tuple[_Waiting | None, _Waiting | None]:
+    def split_at(self, until_ns: int, least: float) -> tuple[_Waiting | None, _Waiting | None]:
         """The returns up to a time, and those later. Where the former are less than a share
         ``least`` of all, they wait with the others.
         """
@@ -333,7 +333,7 @@ class Georeferencer:
         self._decide()
         waiting, self._waiting = self._waiting, []
         for cloud in waiting:
-            part, rest = (cloud, None) if self._expired(cloud) else cloud.parted(known_ns, least)
+            part, rest = (cloud, None) if self._expired(cloud) else cloud.split_at(known_ns, least)
             if part is not None:
                 self._map(part, decided)
             if rest is not None:

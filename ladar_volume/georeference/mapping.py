@@ -57,7 +57,7 @@ class Boxes(NamedTuple):
 
 
 @leaf_kernel
-def _moved(a: Vector, R: Rows, v: Vector) -> Vector:
+def _transform(a: Vector, R: Rows, v: Vector) -> Vector:
     """``a + R v``. Vectors and rows of matrices are numbers, not arrays: they stay in registers."""
     return (
         a[0] + R[0][0] * v[0] + R[0][1] * v[1] + R[0][2] * v[2],
@@ -98,7 +98,7 @@ def _antenna(path: PathWindow, j: int, t: int) -> Vector:
 
 
 @leaf_kernel
-def _within(box: F64, v: Vector) -> Any:
+def _in_box(box: F64, v: Vector) -> Any:
     """Whether a box (6,) holds a place."""
     return box[0] <= v[0] <= box[3] and box[1] <= v[1] <= box[4] and box[2] <= v[2] <= box[5]
 
@@ -113,9 +113,9 @@ def _noise(r: Vector, sigmas: F64, B: Rows, R: Rows, out: F32) -> None:
     rho = np.sqrt(x * x + y * y + z * z)
     ca, sa = (x / hor, y / hor) if hor > 0.0 else (1.0, 0.0)
     s0, s1, s2 = sigmas[0] / rho, sigmas[1], sigmas[2]
-    d = _moved(_ZERO, R, _moved(_ZERO, B, (x * s0, y * s0, z * s0)))
-    e = _moved(_ZERO, R, _moved(_ZERO, B, (-y * s1, x * s1, 0.0)))
-    f = _moved(_ZERO, R, _moved(_ZERO, B, (-z * ca * s2, -z * sa * s2, hor * s2)))
+    d = _transform(_ZERO, R, _transform(_ZERO, B, (x * s0, y * s0, z * s0)))
+    e = _transform(_ZERO, R, _transform(_ZERO, B, (-y * s1, x * s1, 0.0)))
+    f = _transform(_ZERO, R, _transform(_ZERO, B, (-z * ca * s2, -z * sa * s2, hor * s2)))
     out[0] = d[0] * d[0] + e[0] * e[0] + f[0] * f[0]
     out[1] = d[0] * d[1] + e[0] * e[1] + f[0] * f[1]
     out[2] = d[0] * d[2] + e[0] * e[2] + f[0] * f[2]
@@ -135,7 +135,7 @@ def _rows(M: F64) -> Rows:
 
 
 @leaf_kernel
-def _covered(knots: I64, segment: I64, k: int, t: int) -> bool:
+def _in_one_segment(knots: I64, segment: I64, k: int, t: int) -> bool:
     """Whether a pose can be had at t, of which k is the knot before."""
     covered = k >= 0 and segment[k] >= 0
     if covered and knots[k] != t:
@@ -161,7 +161,7 @@ def _map_part(
     for i in range(part[0], part[1]):
         t, before = t_ns[i], k
         k = knot_before(st, t, k)
-        if not _covered(st, sg, k, t):
+        if not _in_one_segment(st, sg, k, t):
             status[i], k = NO_POSE, before
             r_map[i, :] = np.nan
             C_ind[i, :] = np.nan
@@ -173,13 +173,13 @@ def _map_part(
             q if st[k] == t else on_arc(sq, k, k + 1, (t - st[k]) / (st[k + 1] - st[k]), arc)
         )
         r = (r_laser[i, 0], r_laser[i, 1], r_laser[i, 2])
-        v = _moved(_ZERO, B, r)
-        inside = _within(boxes.vehicle, (v[0] + b[0], v[1] + b[1], v[2] + b[2]))
+        v = _transform(_ZERO, B, r)
+        inside = _in_box(boxes.vehicle, (v[0] + b[0], v[1] + b[1], v[2] + b[2]))
         j = knot_before(pt, t, j)
         # LiDAR equation
-        m = _moved(_antenna(path, j, t), R, (v[0] + arm[0], v[1] + arm[1], v[2] + arm[2]))
+        m = _transform(_antenna(path, j, t), R, (v[0] + arm[0], v[1] + arm[1], v[2] + arm[2]))
         r_map[i, 0], r_map[i, 1], r_map[i, 2] = m
-        place = MAPPED if _within(boxes.region, m) else OUTSIDE_REGION
+        place = MAPPED if _in_box(boxes.region, m) else OUTSIDE_REGION
         status[i] = IN_VEHICLE if inside else place
         _noise(r, device.sigmas, B, R, C_ind[i])
 

@@ -61,7 +61,7 @@ def pierces(p: F64, q: F64, a: F64, b: F64, c: F64) -> int:
 
 
 @kernel
-def within(p: F64, a: F64, b: F64, c: F64, d: F64) -> int:
+def side_of_two_faces(p: F64, a: F64, b: F64, c: F64, d: F64) -> int:
     """Whether p lies behind the triangles a, b, c and b, a, d (1), before them (−1), or on one of
     them (0), near their common edge.
     """
@@ -110,7 +110,11 @@ def cross(v: F64, triangles: I32, beyond: I32, s: int, t: int, touch_m: float = 
                     triangles[other, (where + 2) % 3],
                 )
                 d = v[beyond[other, where]]
-                if within(v[i], v[e], v[f], v[g], d) * within(v[j], v[e], v[f], v[g], d) < 0:
+                if (
+                    side_of_two_faces(v[i], v[e], v[f], v[g], d)
+                    * side_of_two_faces(v[j], v[e], v[f], v[g], d)
+                    < 0
+                ):
                     return True
     return False
 

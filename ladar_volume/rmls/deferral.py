@@ -141,7 +141,7 @@ def dequeue(voxels: I64, count: I32, head: I32, after: I32, ends: I64, out: I64)
 
 
 @kernel
-def held_in(voxels: I64, keys: I64, table: I32, count: I32, out: I64) -> None:
+def count_points_in(voxels: I64, keys: I64, table: I32, count: I32, out: I64) -> None:
     """Points that each voxel of these keys (n,) holds."""
     for a in range(len(voxels)):
         v = find_voxel(table, keys, voxels[a])
@@ -291,6 +291,6 @@ def new_point_shares(store: VoxelStore, voxels: I64, new: I64 | I32) -> F64:
     points were taken in.
     """
     held = np.zeros(len(voxels), np.int64)
-    held_in(voxels, store.keys, store.table, store.count, held)
+    count_points_in(voxels, store.keys, store.table, store.count, held)
     out: F64 = new / np.minimum(held + new, store.cap)
     return out

@@ -207,7 +207,7 @@ def field_from_products(
     """
     s2, length, g, gain = max(float(value[0]), 0.0), spacing_m / 2, 0.0, 0.0
     for _ in range(ROUNDS):
-        s2, length, g, gain = fitted_field(
+        s2, length, g, gain = fit_field(
             lag, value, 1.0 / (variance + (CHANCE * s2) ** 2), spacing_m / 2, most_m
         )
     if value[0] <= 0.0 and gain < SIGNIFICANT:
@@ -215,7 +215,7 @@ def field_from_products(
     return Roughness(s2, length, spacing_m, g)
 
 
-def fitted_field(
+def fit_field(
     lag: F64, value: F64, weight: F64, least_m: float, most_m: float
 ) -> tuple[float, float, float, float]:
     """Variance, length, between two limits, and share g of the Gaussian of the field whose

@@ -31,9 +31,9 @@ from ladar_volume.uncertainty.patch_table import PatchStore
 from ladar_volume.uncertainty.volume_budget import Sources, vertical_sigma
 from ladar_volume.volume.base import all_grounds
 from ladar_volume.volume.field_checks.field_verdict import (
+    assess_field,
     bridged_footing,
     budget_scale,
-    judged,
     passes_of,
 )
 from ladar_volume.volume.measured_body import (
@@ -121,7 +121,7 @@ class VolumeEstimator:
         )
         passes = passes_of(survey, self.parameters)
         volumes = tuple(
-            judged(survey, footing, body.part, volume, passes, self.parameters)
+            assess_field(survey, footing, body.part, volume, passes, self.parameters)
             for body, volume in zip(bodies, volumes, strict=True)
         )
         self._unseen_m6 = volumes[0].budget_m6.get("unseen", 0.0)

@@ -66,7 +66,7 @@ def shares(tin: Tin, outline: Bool, found: list[Bool]) -> list[Bool]:
     return [outline & (nearest == number) for number in range(len(found))]
 
 
-def within(tin: Tin, mask: Bool, distance_m: float) -> Bool:
+def vertices_within(tin: Tin, mask: Bool, distance_m: float) -> Bool:
     """Vertices (n,) within ``distance_m``, horizontally, of a vertex of the triangles in ``mask``;
     these themselves are.
     """
@@ -130,7 +130,7 @@ def widened(tin: Tin, body: Bool, margin_m: float) -> Bool:
     """The body, the relevant triangles with a vertex within ``margin_m`` of it, and the holes these
     enclose.
     """
-    near = within(tin, body, margin_m)
+    near = vertices_within(tin, body, margin_m)
     grown = tin.relevant & (body | any_corner(tin.triangles, near))
     return fill_holes(tin, grown)
 
@@ -164,7 +164,7 @@ def surroundings(tin: Tin, outline: Bool, ring_m: float) -> I64:
     """Vertices (k,) of relevant triangles outside the outline, within ``ring_m`` of it (0: all)."""
     outside = vertex_mask(tin, tin.relevant) & ~vertex_mask(tin, outline)
     if ring_m > 0:
-        outside &= within(tin, outline, ring_m)
+        outside &= vertices_within(tin, outline, ring_m)
     return np.flatnonzero(outside).astype(np.int64)
 
 

@@ -6,10 +6,16 @@ import numpy as np
 import pytest
 from pyramid_flight import CALIBRATION, SPEED, fly
 
-from ladar_volume.calibration.flight import flight, remapped, steady, strips, turned
+from ladar_volume.calibration.flight import (
+    apply_corrections,
+    flight,
+    remapped,
+    smooth_velocity,
+    strips,
+)
 from ladar_volume.calibration.navigation_drift import drift
-from ladar_volume.calibration.strip_adjustment import observations, off_plane, solve, without
-from ladar_volume.calibration.strip_patches import averaged, cells, medians, overlap
+from ladar_volume.calibration.strip_adjustment import drop_patches, observations, off_plane, solve
+from ladar_volume.calibration.strip_patches import averaged, medians, overlap, voxel_numbers
 from ladar_volume.georeference.error_budget import calibration_covariance, independent_sigmas
 from ladar_volume.georeference.lidar_equation import mounting
 from ladar_volume.georeference.point_jacobian import (
@@ -83,7 +89,7 @@ def test_rows_say_how_heights_move(problem):
 
 def test_without_takes_whole_patches_away(problem):
     _, _, o, _, _ = problem
-    cut = without(o, np.array([0, 3]))
+    cut = drop_patches(o, np.array([0, 3]))
     assert (
         len(cut.e) == np.count_nonzero(~np.isin(o.patch, [0, 3]))
         and int(cut.patch.max()) == int(o.patch.max()) - 2
@@ -148,9 +154,9 @@ def test_a_constant_offset_between_strips_does_not_tilt_a_patch():
 def test_level_ground_is_not_cut_by_a_face_of_a_cell():
     rng = np.random.default_rng(4)
     r = np.column_stack([rng.uniform(0, 5, (5000, 2)), 0.01 * rng.normal(size=5000)])
-    assert len(np.unique(cells(r, 1.0))) == 25
+    assert len(np.unique(voxel_numbers(r, 1.0))) == 25
     r[:2500, 2] += 3.0  # a roof above: its own cells
-    assert len(np.unique(cells(r, 1.0))) == 50
+    assert len(np.unique(voxel_numbers(r, 1.0))) == 50
 
 
 def test_medians_are_values_of_their_label():
@@ -203,14 +209,14 @@ def test_steady_velocity_is_exact_on_a_line_and_quieter_than_the_fixes():
         p_map_body=np.outer(t, [SPEED, 1.0, 0.2]),
         v_body=rng.normal(size=(len(t), 3)),
     )
-    assert steady(line, mount).v_body == pytest.approx(
+    assert smooth_velocity(line, mount).v_body == pytest.approx(
         np.tile([SPEED, 1.0, 0.2], (len(t), 1)), abs=1e-9
     )
     noisy = dataclasses.replace(
         line, p_map_body=line.p_map_body + 0.005 * rng.normal(size=(len(t), 3))
     )
     assert (
-        np.std(steady(noisy, mount).v_body[200:800] - [SPEED, 1.0, 0.2]) < 0.005
+        np.std(smooth_velocity(noisy, mount).v_body[200:800] - [SPEED, 1.0, 0.2]) < 0.005
     )  # between neighbours it is 0.7 m/s
 
 
@@ -231,7 +237,7 @@ def test_turned_corrects_on_the_body_side():
     mount = mounting(CALIBRATION)
     theta = np.zeros(43)
     theta[1:11] = [0.01, 0.02, -0.01, 1, 2, 3, 4, 5, 6, 0.5]
-    t = turned(mount, theta)
+    t = apply_corrections(mount, theta)
     assert np.allclose(
         t.R_body_laser @ mount.R_body_laser.T - np.eye(3),
         np.array([[0, 0.01, 0.02], [-0.01, 0, -0.01], [-0.02, 0.01, 0]]),

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ladar_volume.calibration.flight import Flight, steady, strips
+from ladar_volume.calibration.flight import Flight, smooth_velocity, strips
 from ladar_volume.georeference.lidar_equation import mounting
 from ladar_volume.model.parameters import BudgetParameters, CalibrationParameters
 from ladar_volume.model.records import PlatformStates
@@ -141,4 +141,4 @@ def fly(
         out["ring"].append(ring.astype(np.uint16)[order])
     j = SimpleNamespace(**{k: np.concatenate(v) for k, v in out.items()})
     states = PlatformStates(j.st, j.p, j.q, j.v, j.w, j.C, j.seg)
-    return Flight(j.t, j.r, j.ring, steady(states, mount), strips(states), mount, 100.0)
+    return Flight(j.t, j.r, j.ring, smooth_velocity(states, mount), strips(states), mount, 100.0)

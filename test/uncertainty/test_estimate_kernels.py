@@ -12,7 +12,7 @@ from ladar_volume.tin.full_tin import any_corner, build_tin, footprint_areas, ve
 from ladar_volume.tin.relevant import edge_lengths
 from ladar_volume.uncertainty.patch_merge import keeps_order, move_rows, place_from, sort_runs
 from ladar_volume.uncertainty.patch_table import LatestUpdate, block_entries, select_rows
-from ladar_volume.volume.outline import components, fill_holes, within
+from ladar_volume.volume.outline import components, fill_holes, vertices_within
 
 
 @pytest.fixture(scope="module")
@@ -63,8 +63,8 @@ def test_vertices_within_a_distance(tin):
         axis=1
     )
     for distance in (0.0, 0.4, 2.0, 50.0):
-        assert np.array_equal(within(tin, mask, distance), away <= distance)
-    assert not within(tin, np.zeros(len(mask), bool), 1.0).any()
+        assert np.array_equal(vertices_within(tin, mask, distance), away <= distance)
+    assert not vertices_within(tin, np.zeros(len(mask), bool), 1.0).any()
 
 
 def test_vertices_within_a_distance_where_places_crowd_or_are_far_apart():
@@ -86,7 +86,7 @@ def test_vertices_within_a_distance_where_places_crowd_or_are_far_apart():
             if some.any():
                 away = np.linalg.norm(places[:, None] - places[None, some], axis=2).min(axis=1)
             for distance in (0.0, 0.3, 1.0, 2.0, 5.0, 60.0, 1e6):
-                assert np.array_equal(within(made, mask, distance), away <= distance)
+                assert np.array_equal(vertices_within(made, mask, distance), away <= distance)
 
 
 def test_holes_are_filled_with_relevant_triangles_alone(tin):

@@ -17,7 +17,7 @@ from ladar_volume.uncertainty.pass_agreement import (
     patch_scatter,
     scatter_by_source,
 )
-from ladar_volume.volume.field_checks.field_verdict import scaled, with_passes
+from ladar_volume.volume.field_checks.field_verdict import inflate_shared_variances, with_passes
 from test.scenes.volume_surfaces import platform, surface_update
 
 BUDGET = BudgetParameters()
@@ -142,4 +142,4 @@ def test_a_refuted_budget_is_scaled_warned_of_or_refused():
     true = dataclasses.replace(REFUTED, refuted=False)
     assert with_passes(VOLUME, true, "scale").verdict.sound
     assert with_passes(VOLUME, None, "scale") == VOLUME
-    assert scaled(VOLUME, 1.0).sigma_m3 == pytest.approx(VOLUME.sigma_m3)
+    assert inflate_shared_variances(VOLUME, 1.0).sigma_m3 == pytest.approx(VOLUME.sigma_m3)

@@ -25,8 +25,8 @@ from ladar_volume.uncertainty.roughness import (
     basis,
     estimate_roughness,
     fields_kernel,
+    fit_field,
     fit_reduction,
-    fitted_field,
     packed_product,
     pair_sums,
 )
@@ -37,8 +37,8 @@ from ladar_volume.volume.outline import (
     fill_holes,
     reached,
     surroundings,
+    vertices_within,
     widened,
-    within,
 )
 
 
@@ -239,7 +239,7 @@ def test_an_exact_ground_has_no_roughness():
 def test_how_smooth_a_field_is():
     lag = np.geomspace(0.3, 40, 25)
     for share in (0.0, 0.3, 1.0):
-        found = fitted_field(
+        found = fit_field(
             lag, 3.0 * Roughness(1.0, 2.0, 0.1, share).correlation(lag), np.ones(25), 0.1, 80.0
         )
         assert found[1:3] == pytest.approx((2.0, share), rel=5e-3, abs=0.02) and found[
@@ -365,15 +365,15 @@ def test_fields_of_given_lengths():
 
 def test_lengths_at_their_limits():
     lag, even = np.geomspace(0.3, 40, 25), np.ones(25)
-    assert fitted_field(lag, np.ones(25), even, 0.1, 80.0)[1] == pytest.approx(80.0, rel=1e-3)
-    assert fitted_field(lag, np.zeros(25), even, 0.1, 80.0) == (0.0, pytest.approx(0.1), 0.0, 0.0)
-    assert fitted_field(lag, np.zeros(25), even, 0.1, 0.05)[1] == 0.1
+    assert fit_field(lag, np.ones(25), even, 0.1, 80.0)[1] == pytest.approx(80.0, rel=1e-3)
+    assert fit_field(lag, np.zeros(25), even, 0.1, 80.0) == (0.0, pytest.approx(0.1), 0.0, 0.0)
+    assert fit_field(lag, np.zeros(25), even, 0.1, 0.05)[1] == 0.1
     rng, known = (
         np.random.default_rng(7),
         np.append(1e6, even),
     )  # the variance is given: a correlation
     found = [
-        fitted_field(
+        fit_field(
             np.append(0.0, lag),
             np.append(1.0, np.exp(-lag / 3.0) + rng.normal(0, 0.05, 25)),
             known,
@@ -418,7 +418,7 @@ def test_vertices_within_a_distance_of_some(distance):
         some = vertex_mask(tin, mask)
         apart = np.linalg.norm(tin.vertices[:, None, :2] - tin.vertices[None, some, :2], axis=2)
         expected = (apart <= distance).any(axis=1)
-        assert np.array_equal(within(tin, mask, distance), expected)
+        assert np.array_equal(vertices_within(tin, mask, distance), expected)
         found = reached(tin.triangles, tin.neighbours, tin.vertices, some, distance)
         assert np.array_equal(
             found, reached.py_func(tin.triangles, tin.neighbours, tin.vertices, some, distance)

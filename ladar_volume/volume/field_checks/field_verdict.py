@@ -140,7 +140,7 @@ def with_passes(volume: Volume, found: Agreement | None, check: str) -> Volume:
     doubt = Doubt("budget", words, found.factor)
     volume = dataclasses.replace(volume, verdict=volume.verdict + Verdict((doubt,)))
     factor = budget_scale(found, check)
-    return volume if factor == 1.0 else scaled(volume, factor)
+    return volume if factor == 1.0 else inflate_shared_variances(volume, factor)
 
 
 def with_cover(
@@ -174,7 +174,7 @@ def with_cover(
     return with_line(volume, "vegetation", sigma**2)
 
 
-def scaled(volume: Volume, factor: float) -> Volume:
+def inflate_shared_variances(volume: Volume, factor: float) -> Volume:
     """The volume with the variances of what returns share larger by a factor."""
     lines = {k: v if k in OWN else factor * v for k, v in volume.budget_m6.items()}
     sigma = math.sqrt(sum(lines.values()))
@@ -208,7 +208,7 @@ def passes_of(survey: SurveyedSurface, parameters: Parameters) -> Passes:
     return Passes(scatter, pass_agreement(scatter, survey.patches, nav, b))
 
 
-def judged(
+def assess_field(
     survey: SurveyedSurface,
     footing: Footing,
     part: F64,
