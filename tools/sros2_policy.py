@@ -64,6 +64,8 @@ def seen() -> dict[str, Names]:
                 names.setdefault(way, set()).update(topic for topic, _ in look(*ask))
             names["topics", "subscribe"].add(CLOCK)
             names["topics", "publish"].add(f"/{name}/ending")  # once it ends
+            if "calibration" in node.sections:  # while it is configured
+                names["topics", "subscribe"].add("/tf_static")
             if name == "logger_node":
                 names["topics", "subscribe"] = {"*"}  # all that logger.topics may name
         for _, node in nodes:

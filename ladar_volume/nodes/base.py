@@ -5,6 +5,7 @@ and diagnostics.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import importlib
 import itertools
 import queue
@@ -34,7 +35,7 @@ from ladar_volume.io.config import read_config
 from ladar_volume.model.errors import ConfigurationError, LadarVolumeError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameter import specs
-from ladar_volume.model.parameters import SECTIONS, Parameters
+from ladar_volume.model.parameters import SECTIONS, CalibrationParameters, Parameters
 from ladar_volume.model.records import Datum
 from ladar_volume.nodes.declared_parameters import (
     descriptor,
@@ -45,6 +46,7 @@ from ladar_volume.nodes.declared_parameters import (
 )
 from ladar_volume.nodes.executor_rounds import AT_ONCE, NextRound, take_waiting, unpacked
 from ladar_volume.nodes.qos import LATCHED, STREAM
+from ladar_volume.nodes.services.static_mounting import mounted
 from ladar_volume.nodes.stream_passes import OnePublisher
 from ladar_volume.nodes.watch.defect_reports import Defects
 from ladar_volume.nodes.watch.health import Health
@@ -100,6 +102,9 @@ class StageNode(LifecycleNode, ABC):
         self._before_build: set[int] = set()
         self._rests: dict[str, Callable[[], int]] = {}
         self._jumps_back = 0
+        #: Where boresight and lever arms come from, in words; the calibration as it was given.
+        self.mounting = ""
+        self._configured: CalibrationParameters | None = None
         self.parameters = self._declare()
         self.add_on_set_parameters_callback(self._on_set)
         # a simulated clock that goes back is named here; what it means for the data, the data
@@ -201,6 +206,8 @@ class StageNode(LifecycleNode, ABC):
         try:
             if self.kernels is not None:
                 importlib.import_module("ladar_volume.compile_kernels").warm_up(self.kernels)
+            if "calibration" in self.sections:
+                self._mount()
             self.build()
         except LadarVolumeError as error:
             self.failure = str(error)
@@ -219,6 +226,12 @@ class StageNode(LifecycleNode, ABC):
         self._worker = threading.Thread(target=self._run, name=self.get_name(), daemon=True)
         self._worker.start()
         return TransitionCallbackReturn.SUCCESS
+
+    def _mount(self) -> None:
+        """Take the mounting from /tf_static where the configuration has none."""
+        self._configured = self.parameters.calibration
+        found = mounted(self, self.parameters)
+        self.parameters, self.mounting = found.parameters, "; ".join(found.words)
 
     def on_activate(self, state: State) -> TransitionCallbackReturn:
         """Begin to take in data."""
@@ -261,6 +274,8 @@ class StageNode(LifecycleNode, ABC):
             if id(entity) not in self._before_build:
                 destroy(entity)
         self._rests.clear()
+        if self._configured is not None:  # the frames are read anew
+            self.parameters = dataclasses.replace(self.parameters, calibration=self._configured)
 
     def take_all(self) -> None:
         """Take in what the middleware holds for this node, before it stops: the sender was told

@@ -185,6 +185,7 @@ class GeoreferenceNode(StageNode):
             "fix_status": status,
             "fix_type": FIX_TYPES.get(status, "unknown"),
             "fix_changes": self._fix_changes,
+            "mounting": self.mounting,
             "clock_offset_s": offset,
             "clock_state": lead.state,
             "fix_clock_state": fix.state,

@@ -28,11 +28,7 @@ def add_parser(subparsers: Verbs) -> None:
         parser, "--mavlink", "mavlink.url", metavar="URL", more="poses then come from the autopilot"
     )
     parser.add_argument("--log", type=Path, help="MCAP file to log inputs and results to")
-    parser.add_argument(
-        "--log-all",
-        action="store_true",
-        help="log also what the nodes derive on the way, many times the inputs",
-    )
+    parser.add_argument("--log-all", action="store_true", help="log also what is derived: large")
     parser.add_argument(
         "--page",
         nargs="?",

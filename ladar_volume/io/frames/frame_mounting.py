@@ -11,11 +11,11 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ladar_volume.georeference.lidar_equation import mounting
-from ladar_volume.io.bags import Recording
 from ladar_volume.io.frames.static_frames import (
     TOPIC,
     StaticFrames,
@@ -26,6 +26,9 @@ from ladar_volume.math.se3 import rotation_xyz
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.parameters import CalibrationParameters, Parameters
 from ladar_volume.model.records import F64
+
+if TYPE_CHECKING:  # rosbags is no part of a node
+    from ladar_volume.io.bags import Recording
 
 #: Frames and configuration agree within so many sigma of the budget, and within this much.
 SIGMAS, LEVER_M, BORESIGHT_RAD = 5.0, 0.02, math.radians(1.0)
