@@ -266,7 +266,7 @@ def test_order_of_input_does_not_matter_in_general_position():
 def test_order_of_input_does_not_matter_where_points_share_circles(kind):
     x, y = np.meshgrid(np.arange(12.0), np.arange(9.0))
     turn = np.array([[5, 0], [4, 3], [3, 4], [0, 5], [-3, 4], [-5, 0], [-4, -3], [0, -5], [3, -4]])
-    circles = np.concatenate([turn, np.add(turn, (20.0, 0.0)), np.add(turn, (10.0, 20.0))])
+    circles = np.concatenate([turn, turn + np.array([20, 0]), turn + np.array([10, 20])])
     xy = {"lattice": np.column_stack([x.ravel(), y.ravel()]), "circle": circles}[kind]
     first = as_set(delaunay(xy)[0])
     for seed in range(8):
