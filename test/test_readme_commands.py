@@ -129,6 +129,7 @@ RUN_HERE = {
     "diff": "taken away",
     "register": '"matrix"',
     "study stockpile": "Table 2",
+    "tiles": "net volume",
 }
 #: The others take longer as they stand. Where each verb is run with less.
 RUN_ELSEWHERE = {
