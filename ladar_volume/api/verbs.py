@@ -50,10 +50,11 @@ def volume(points: Points, base: float | Points | None = None, **options: Option
 
     base : a level (m), "ground", "plane" (with ``plane=(c0, c1, c2)``), or other points, below
     which nothing counts · options : those of the command line, as ``sigma=0.02``; with
-    ``output="folder"`` and ``formats="tif,landxml"`` files are written
+    ``output="folder"`` and ``formats="tif,landxml"`` files are written, with ``report="x.html"`` a
+    report of points that come from files
     """
     from ladar_volume.cli.outputs.cloud_files_out import wanted_files, write_files
-    from ladar_volume.cli.volume import result_of, task_of
+    from ladar_volume.cli.volume import report_of, result_of, task_of
 
     second = _second(base, options)
     given = [points] if second is None else [points, second]
@@ -62,11 +63,17 @@ def volume(points: Points, base: float | Points | None = None, **options: Option
     arguments.cloud, arguments.cloud_b = _name(points), None if second is None else _name(second)
     if arguments.output is not None:
         arguments.output = Path(arguments.output)
+    if arguments.report is not None:
+        arguments.report = Path(arguments.report)
+        if ARRAY in (arguments.cloud, arguments.cloud_b):
+            raise ConfigurationError("a report names its input by digests of files: give paths")
     task, wanted = task_of(arguments), wanted_files(arguments)
     sources = [_source(each, arguments, at == 1) for at, each in enumerate(given)]
     found = result_of(task, sources, lambda words: None)
     if wanted is not None:
         write_files(arguments, wanted, sources, found)
+    if arguments.report is not None:
+        report_of(arguments, found)
     facts = found.facts
     low, high = facts["interval_m3"]
     return VolumeAnswer(

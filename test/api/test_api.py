@@ -128,3 +128,12 @@ def test_a_volume_writes_files_for_other_programs(tmp_path):
     assert f"{found.net_m3!r}" in (tmp_path / "out" / "volumes.csv").read_text()
     with pytest.raises(ConfigurationError, match="-o OUT"):
         lv.volume(r, 0.0, formats="landxml", sigma=0.01)
+
+
+def test_a_volume_writes_its_report_or_says_why_not(cone, tmp_path):
+    found = lv.volume(cone, "ground", report=tmp_path / "cone.html")
+    text = (tmp_path / "cone.html").read_text(encoding="utf-8")
+    assert f"{found.net_m3:.0f}"[:3] in text and (tmp_path / "cone.json").exists()
+    with pytest.raises(ConfigurationError, match="give paths"):
+        lv.volume(lv.read(cone), "ground", report=tmp_path / "other.html")
+    assert not (tmp_path / "other.html").exists()
