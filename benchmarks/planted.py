@@ -163,8 +163,12 @@ def seen(bug: Bug, tree: Path) -> bool:
 
 def passes(bug: Bug, tree: Path) -> bool:
     """Whether the one test passes in the copy."""
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
-    command.append(f"{bug.test}::{bug.function}")
+    return passes_all([f"{bug.test}::{bug.function}"], tree)
+
+
+def passes_all(tests: list[str], tree: Path) -> bool:
+    """Whether tests, by file or function, pass in the copy; one that hangs does not."""
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *tests]
     environment = os.environ | {"PYTHONPATH": str(tree)}
     try:
         done = subprocess.run(
@@ -173,7 +177,7 @@ def passes(bug: Bug, tree: Path) -> bool:
     except subprocess.TimeoutExpired:
         return False
     if done.returncode not in (0, 1):
-        raise SystemExit(f"{bug.name}: the test did not run: {done.stdout[-500:]}")
+        raise SystemExit(f"{tests}: the tests did not run: {done.stdout[-500:]}")
     return done.returncode == 0
 
 

@@ -14,11 +14,13 @@ from dataclasses import replace
 import numpy as np
 
 from ladar_volume.change.excavation import Region, Scan, between_scans
+from ladar_volume.math.random_halves import random_halves
 from ladar_volume.model.errors import SurfaceError, VolumeError
 from ladar_volume.model.records import F64
 
-#: Splits into halves, and the seed of the first.
-SPLITS, SEED = 2, 7
+#: Splits into halves: of many points, and more of few, where they cost little: an error from two is
+#: itself uncertain by half of it. Tries, since some halves make no surface, and the first seed.
+SPLITS, MORE, FEW, TRIES, SEED = 2, 6, 10_000, 9, 7
 
 
 def sampling_variance(
@@ -29,8 +31,11 @@ def sampling_variance(
 
     removed_m3 : from all points · noise_m6 : the share of the points' noise in its variance
     """
-    found = []
-    for seed in range(SEED, SEED + SPLITS):
+    found: list[F64] = []
+    wanted = MORE if len(a.points) + len(b.points) <= FEW else SPLITS
+    for seed in range(SEED, SEED + TRIES):
+        if len(found) == wanted:
+            break
         try:
             found.append(halves(a, b, region, seed, max_edge_m))
         except (VolumeError, SurfaceError):
@@ -47,14 +52,12 @@ def sampling_variance(
 def halves(a: Scan, b: Scan, region: Region, seed: int, max_edge_m: float) -> F64:
     """Volumes (2,) m³ from the two halves of a random split."""
     rng = np.random.default_rng(seed)
-    side = [rng.permutation(len(s.points)) % 2 for s in (a, b)]
+    rows_a, rows_b = random_halves(a.points, rng), random_halves(b.points, rng)
     coarse = replace(region, spacing_m=float(np.sqrt(2.0)) * region.spacing_m)
     out: F64 = np.array(
         [
-            between_scans(
-                a.part(side[0] == h), b.part(side[1] == h), coarse, b.scanner, max_edge_m
-            ).removed_m3
-            for h in (0, 1)
+            between_scans(a.part(one), b.part(two), coarse, b.scanner, max_edge_m).removed_m3
+            for one, two in zip(rows_a, rows_b, strict=True)
         ]
     )
     return out

@@ -96,7 +96,7 @@ def between_points(
     none.
     """
     found, failed = [], ""
-    for half in halves(len(rows)):
+    for half in halves(points.r[rows]):
         try:
             one = body_at(points.r, points.normal, points.curved, rows[half], made.ground, o)[0]
             found.append(one.volume_m3 - body.volume_m3)
@@ -119,7 +119,8 @@ def check_bodies(
             continue
         fit_m3, fit_m6 = off_points(body, rows, raw, points)
         between, failed = between_points(body, rows, points, made, coarser(options))
-        found.append(Checked(fit_m3, fit_m6, between, len(halves(len(rows))), failed))
+        tried = len(halves(points.r[rows]))
+        found.append(Checked(fit_m3, fit_m6, between, tried, failed))
         volume = body.volume_m3 + fit_m3
         bodies.append(dataclasses.replace(body, volume_m3=volume, fit_m3=fit_m3))
     return dataclasses.replace(made, bodies=tuple(bodies)), tuple(found)

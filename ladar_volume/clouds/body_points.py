@@ -20,6 +20,7 @@ from ladar_volume.clouds.filter.sparse_points import JUMP
 from ladar_volume.clouds.sampling.isolation import connected_to_known, second_neighbour_distance
 from ladar_volume.ground.clusters import clusters
 from ladar_volume.ground.objects import heights_above_ground
+from ladar_volume.math.random_halves import random_halves
 from ladar_volume.mesh.local_mesh import REACH, SPACING
 from ladar_volume.model.body_parameters import ObjectParameters
 from ladar_volume.model.records import F64, I64, Bool, Plane
@@ -35,7 +36,7 @@ ROUGH = 0.2
 #: Least step between points of one object, in the spacing where the points are sparsest.
 SPARSE, SPARSEST = 2.0, 90.0
 #: Bodies of at most so many points are halved in so many ways.
-FEW, SPLITS = 10_000, 3
+FEW, SPLITS, SEED = 10_000, 3, 7
 
 
 @dataclass(frozen=True)
@@ -156,10 +157,9 @@ def with_noise(points: BodyPoints, noise_m: float) -> BodyPoints:
     return dataclasses.replace(points, sigma=np.full(len(points.r), noise_m), noise_m=noise_m)
 
 
-def halves(count: int) -> list[I64]:
-    """Random halves of ``count`` rows in pairs, always the same: several where they cost little."""
+def halves(points: F64) -> list[I64]:
+    """Rows of random halves of points (n, 3) m in pairs, several where they cost little."""
     out: list[I64] = []
-    for split in range(SPLITS if count <= FEW else 1):
-        mixed = np.random.default_rng([count, split]).permutation(count).astype(np.int64)
-        out += [np.sort(mixed[::2]), np.sort(mixed[1::2])]
+    for split in range(SPLITS if len(points) <= FEW else 1):
+        out += random_halves(points, np.random.default_rng([SEED, split]))
     return out

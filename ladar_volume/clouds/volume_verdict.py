@@ -12,7 +12,7 @@ import numpy as np
 
 from ladar_volume.clouds.between_points import BetweenPoints, between_points, bridges
 from ladar_volume.clouds.cloud_surface import CloudSurface
-from ladar_volume.clouds.cloud_volume import CloudVolume
+from ladar_volume.clouds.cloud_volume import CloudVolume, selected
 from ladar_volume.clouds.ground_cover import (
     body_scatter,
     body_vertices,
@@ -83,16 +83,53 @@ def places(surface: CloudSurface, inside: F64, most: int = 10) -> list[Place]:
     return out
 
 
-def open_share(surface: CloudSurface, mask: Bool) -> float:
-    """Share of the boundary of triangles (m,), by length, beyond which there is no surface."""
+def open_edges(surface: CloudSurface, mask: Bool) -> tuple[F64, F64]:
+    """Lengths (m, 3) m of the sides of triangles (m,) that bound them, 0 for others, and of those
+    of them beyond which there is no surface.
+    """
     tin = surface.made.tin
     p = tin.vertices[tin.triangles, :2]
     length = np.stack([np.hypot(*(p[:, (k + 2) % 3] - p[:, (k + 1) % 3]).T) for k in range(3)], 1)
     beyond = tin.neighbours
     border = mask[:, None] & ~np.where(beyond >= 0, mask[beyond], False)
     none = ~np.where(beyond >= 0, tin.relevant[beyond], False)
-    total = float(length[border].sum())
-    return float(length[border & none].sum()) / total if total > 0 else 0.0
+    return np.where(border, length, 0.0), np.where(border & none, length, 0.0)
+
+
+def open_share(surface: CloudSurface, mask: Bool) -> float:
+    """Share of the boundary of triangles (m,), by length, beyond which there is no surface."""
+    border, none = open_edges(surface, mask)
+    total = float(border.sum())
+    return float(none.sum()) / total if total > 0 else 0.0
+
+
+def shrunk_doubts(
+    surface: CloudSurface, inside: F64, height: F64, volume: CloudVolume
+) -> list[Doubt]:
+    """A surface of some of the points ends before they do, by the chords of its outline; height
+    (n,) m of the vertices above the base.
+    """
+    made = surface.made
+    if made.sampled is None or not selected(surface):
+        return []
+    tin = made.tin
+    area = float(footprint_areas(tin.vertices, tin.triangles[tin.relevant]).sum())
+    all_edges, edges = (open_edges(surface, m)[1] for m in (tin.relevant, inside > 0))
+    if not edges.any():
+        return []
+    rise = np.abs(
+        np.stack([height[tin.triangles[:, [(k + 1) % 3, (k + 2) % 3]]] for k in range(3)], 1)
+    )
+    lost_m2 = (made.sampled.area_m2 - area) * float(edges.sum() / all_edges.sum())
+    lost_m3 = lost_m2 * float((edges * rise.mean(axis=2)).sum() / edges.sum())
+    if not lost_m3 > SIGMAS * volume.sigma_m3:
+        return []
+    words = (
+        f"the vertices that were chosen leave out {lost_m2:.3g} m² at the edge of what was "
+        f"sampled, about {lost_m3:.3g} m³ against a sigma of {volume.sigma_m3:.3g} m³; take every "
+        "point (without --vertices or --tolerance), or a base that meets the surface there"
+    )
+    return [Doubt("outline_shrunk", words, lost_m3)]
 
 
 def stray_doubts(strays: int, points: int) -> list[Doubt]:
@@ -275,9 +312,11 @@ def judged(
     volume, told, gaps = with_gaps(
         volume, surface, inside, base, parameters.volume.outline != "all"
     )
-    between = between_points(surface, inside, height_above(tin.vertices, base), ~told)
+    height = height_above(tin.vertices, base)
+    between = between_points(surface, inside, height, ~told)
     found = with_between(volume, between)
     doubts = gaps or surface_doubts(surface, inside)
+    doubts += shrunk_doubts(surface, inside, height, found)
     doubts += outline_doubts(surface, inside) if by_body else []
     doubts += base_doubts(readings, found) + coarse_doubts(found, between)
     rise = parameters.volume.object_height_m

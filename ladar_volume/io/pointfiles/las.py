@@ -36,8 +36,9 @@ def read_las(path: Path, columns: bool = True) -> RawTable:
             ]
             parts: dict[str, list[np.ndarray]] = {name: [] for name in ["x", "y", "z", *names]}
             for points in file.chunk_iterator(max(1, CHUNK_BYTES // header.point_format.size)):
-                for name, part in parts.items():
-                    part.append(np.array(points[name]))
+                with np.errstate(over="ignore", invalid="ignore"):  # refused by the caller
+                    for name, part in parts.items():
+                        part.append(np.array(points[name]))
             announced, records = header.point_count, [*header.vlrs, *(header.evlrs or [])]
     except (
         laspy.errors.LaspyException,

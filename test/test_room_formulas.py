@@ -1,0 +1,139 @@
+"""Formulas, units and signs in closed form: each of these fails when its bug is planted
+(benchmarks/planted_rooms.py plants them).
+"""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ladar_volume.change.density import relative_errors
+from ladar_volume.change.ring_budget import ring_line
+from ladar_volume.georeference.clock_check import Lead
+from ladar_volume.georeference.error_budget import independent_sigmas
+from ladar_volume.georeference.georeferencer import Georeferencer
+from ladar_volume.georeference.point_jacobian import navigation_covariance_at
+from ladar_volume.georeference.sample_admission import TimeOrder
+from ladar_volume.model.parameters import BudgetParameters, GeoreferenceParameters, Parameters
+from ladar_volume.model.records import OdometrySample, Returns
+from ladar_volume.tin.full_tin import build_tin
+from ladar_volume.volume.cutfill import cut_sequence
+from ladar_volume.volume.floors import spikes, surface_offset
+
+S = 1_000_000_000
+
+
+def waiting_stage():
+    given = GeoreferenceParameters(pose_source="odometry", max_pending_s=2.0)
+    return Georeferencer(Parameters(georeference=given))
+
+
+def pose(stage, t_ns):
+    q, p = np.array([0.0, 0.0, 0.0, 1.0]), np.array([1.0, 2.0, 3.0])
+    stage.add_odometry(OdometrySample(t_ns, p, q, np.zeros(3), np.zeros(3), 1e-4 * np.eye(6)))
+
+
+def cloud(stage, t_ns):
+    r, ring = np.tile([5.0, 1.0, 0.0], (10, 1)), np.zeros(10, np.uint16)
+    stage.add_returns(Returns(np.full(10, t_ns, np.int64), r, ring, np.full(10, 9.0, np.float32)))
+
+
+def test_poses_may_go_on_for_twice_the_time_that_returns_wait():
+    stage = waiting_stage()
+    pose(stage, 100 * S)
+    cloud(stage, 900 * S)  # one cloud whose clock is ahead
+    waiting = {}
+    for k in range(1, 50):
+        pose(stage, 100 * S + k * S // 10)
+        waiting[k] = stage.pending
+    assert waiting[25] == waiting[39] == 10 and waiting[45] == 0
+    assert stage.losses.as_dict()["point_pose_timeout"] == 10
+
+
+def test_one_corrupt_stamp_expires_nothing_that_waits():
+    stage = waiting_stage()
+    pose(stage, 100 * S)
+    cloud(stage, 101 * S)
+    cloud(stage, 4000 * S)  # an hour ahead
+    assert stage.pending == 20 and not stage.losses.as_dict()
+
+
+def test_a_quarter_of_the_divergence_is_noise_of_the_angles():
+    budget = BudgetParameters(
+        range_noise_m=0.02,
+        azimuth_noise_rad=3e-4,
+        vertical_noise_rad=0.0,
+        beam_divergence_rad=1.6e-3,
+    )
+    assert independent_sigmas(budget) == pytest.approx([0.02, 5e-4, 4e-4])
+
+
+def test_a_sweep_is_half_a_period_older_than_the_next_attitude():
+    lead = Lead()
+    for k in range(60):
+        lead.reference(k * 10_000_000)
+        lead.other(k * 10_000_000 - 30_000_000)
+    assert lead.estimate_s == pytest.approx((0.035, 0.0))
+
+
+def test_the_covariance_of_navigation_is_that_of_the_nearer_state():
+    states = SimpleNamespace(C_nav=np.stack([np.eye(6), 5.0 * np.eye(6)]))
+    states = type("States", (), {"C_nav": states.C_nav, "__len__": lambda self: 2})()
+    geometry = SimpleNamespace(state=np.array([0]), fraction=np.array([0.25]))
+    assert np.allclose(navigation_covariance_at(geometry, states), 2.0 * np.eye(6))
+
+
+def test_a_clock_that_was_set_back_comes_forward_by_half_the_step():
+    order = TimeOrder("imu")
+    told = {}
+    for t in (99.9, 100.0, 96.0, 96.1, 97.4, 98.4, 99.4, 100.2):
+        told[t] = order.push(round(t * 1e9), t)
+    assert told[100.0] == ([100.0], [])
+    assert told[97.4] == ([], ["imu_time_backwards"])  # by 1.3 s of four: not yet
+    assert told[100.2] == ([], ["imu_clock_back"])
+    whole = TimeOrder("imu")
+    for t in (99.9, 100.0, 96.0, 96.1):
+        whole.push(round(t * 1e9), t)
+    assert whole.push(round(100.1 * 1e9), 100.1) == ([100.1], [])
+
+
+def test_what_errors_along_a_length_are_of_a_volume():
+    found = relative_errors(600.0, 1000.0, correlated_m=0.02, correlation_length_m=3.0)
+    area = 2.0 * math.pi * 3.0**2  # of a correlation that falls exponentially, in the plane
+    assert found["correlated"] == pytest.approx(0.02 * math.sqrt(area * 600.0) / 1000.0)
+
+
+def test_a_registration_that_is_known_to_be_uncertain_explains_the_ring():
+    fit = SimpleNamespace(effect_m3=5.0, effect_sigma_m3=1.0)
+    known = SimpleNamespace(budget_m6={"noise_a": 1.0, "registration_b": 1.0})
+    unknown = SimpleNamespace(budget_m6={"noise_a": 1.0})
+    assert ring_line(known, fit, "none", stated=True) == ({**known.budget_m6, "ring": 0.0}, False)
+    assert ring_line(unknown, fit, "none", stated=True)[1]
+
+
+def test_the_width_of_a_floor_is_that_of_its_heights():
+    # heights evenly between -w and w: their standard deviation is w / sqrt(3)
+    step, w, area = 0.01, 0.025, 40.0
+    level = step * np.arange(-40, 41) + 0.003
+    x = np.clip(level, -w, w)
+    cut = area * np.where(level > w, 0.0, np.where(level < -w, -level, (w - x) ** 2 / (4.0 * w)))
+    (event,) = spikes(level, cut)
+    assert event.area_m2 == pytest.approx(area, rel=1e-3)
+    assert event.width_m == pytest.approx(w / math.sqrt(3.0), rel=0.01)
+
+
+def test_sigma_of_an_offset_is_that_of_one_parameter():
+    rng = np.random.default_rng(3)
+    xy = rng.uniform(0.0, 4.0, (200, 2))
+    one, two = (
+        build_tin(np.column_stack([xy, 0.4 * xy[:, 0] + rng.normal(0.0, 0.05, 200)]))
+        for _ in range(2)
+    )
+    z = np.linspace(0.2, 1.2, 9)
+    found = surface_offset(one, two, z)
+    d, h = found.offset_m, 1e-5
+    low, mid, high = (cut_sequence(one, z + d + k * h).cut_m3 for k in (-1.0, 0.0, 1.0))
+    slope, r = (high - low) / (2.0 * h), mid - cut_sequence(two, z).cut_m3
+    assert abs(slope @ r) < 1e-6 * np.linalg.norm(slope) * np.linalg.norm(r)
+    assert found.sigma_m == pytest.approx(math.sqrt(r @ r / 8.0 / (slope @ slope)), rel=1e-6)
