@@ -20,9 +20,9 @@ class ObjectParameters:
     and by more than ``sigmas``. Raises :class:`ObjectError`.
     """
 
-    min_height_m: float = param(0.15, "Least height of an object above the ground.", unit="m")
+    min_height_m: float = param(0.15, "Least height (m) of an object above the ground.", unit="m")
     sigmas: float = param(3.5, "Least height in standard deviations of the ground.")
-    distance_m: float = param(0.3, "Longest step between points of one object.", unit="m")
+    distance_m: float = param(0.3, "Longest step (m) between points of one object.", unit="m")
     min_points: int = param(30, "Fewest points of an object.")
     split_m: float = param(
         0.0,

@@ -43,7 +43,7 @@ class SurfaceParameters:
         math.inf, "Largest circumcircle diameter of a relevant triangle.", unit="m", low=0.001
     )
     max_ear_edge_m: float = param(
-        math.inf, "Boundary: ears with a longer open edge are cut.", unit="m"
+        math.inf, "Boundary: ears with an open edge longer than this (m) are cut.", unit="m"
     )
     min_island_m2: float = param(
         0.0, "Boundary: islands smaller than this (m2) are dropped.", unit="m2"
