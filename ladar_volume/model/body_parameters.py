@@ -20,20 +20,17 @@ class ObjectParameters:
     and by more than ``sigmas``. Raises :class:`ObjectError`.
     """
 
-    min_height_m: float = param(
-        0.15, "Least height of an object above the ground.", unit="m", low=0
-    )
+    min_height_m: float = param(0.15, "Least height (m) of an object above the ground.", unit="m")
     sigmas: float = param(3.5, "Least height in standard deviations of the ground.")
-    distance_m: float = param(0.3, "Longest step between points of one object.", unit="m", low=0)
+    distance_m: float = param(0.3, "Longest step (m) between points of one object.", unit="m")
     min_points: int = param(30, "Fewest points of an object.")
     split_m: float = param(
         0.0,
         "Objects that rise this far above the saddle between them are parted; 0 for none.",
         unit="m",
-        low=0,
     )
-    step_m: float = param(0.3, "Horizontal reach of a terrace's edge.", unit="m", low=0)
-    pick_reach_m: float = param(1.0, "An object is within this of a picked point.", unit="m", low=0)
+    step_m: float = param(0.3, "Horizontal reach of a terrace's edge.", unit="m")
+    pick_reach_m: float = param(1.0, "An object is within this of a picked point.", unit="m")
     pits: bool = param(False, "Clusters below the ground are listed too, after the objects.")
 
     def __post_init__(self) -> None:
@@ -63,21 +60,17 @@ class LocalMeshParameters:
         0.0,
         "Longest edge of the mesh, and reach of a point's neighbourhood; 0: from the spacing.",
         unit="m",
-        low=0,
     )
     hole_m: float = param(
         0.0,
         "Diameter of the largest hole that is closed; 0: 1.5 times the longest edge.",
         unit="m",
-        low=0,
     )
     signed: bool = param(False, "Given normals point outward as they are.")
     method: str = param(
         "agreement", "How triangles are chosen.", choices=("agreement", "published")
     )
-    longest_m: float = param(
-        0.0, "Longest edge of the published method; 0: its radius.", unit="m", low=0
-    )
+    longest_m: float = param(0.0, "Longest edge of the published method; 0: its radius.", unit="m")
     repair: str = param(
         "both", "What is done about false and empty triangles of Algorithm 2.", choices=REPAIRS
     )
@@ -107,7 +100,6 @@ class BodyParameters:
         0.0,
         "Widest gap, and distance of a rim to the ground, to close; 0: two longest edges.",
         unit="m",
-        low=0,
     )
     sharp_rad: float = param(
         SHARP_RAD,

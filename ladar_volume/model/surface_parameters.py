@@ -43,20 +43,22 @@ class SurfaceParameters:
         math.inf, "Largest circumcircle diameter of a relevant triangle.", unit="m", low=0.001
     )
     max_ear_edge_m: float = param(
-        math.inf, "Boundary: ears with a longer open edge are cut.", unit="m", low=0
+        math.inf, "Boundary: ears with an open edge longer than this (m) are cut.", unit="m"
     )
-    min_island_m2: float = param(0.0, "Boundary: smaller islands are dropped.", unit="m2", low=0)
-    max_hole_m2: float = param(0.0, "Boundary: holes up to this size are filled.", unit="m2", low=0)
+    min_island_m2: float = param(
+        0.0, "Boundary: islands smaller than this (m2) are dropped.", unit="m2"
+    )
+    max_hole_m2: float = param(0.0, "Boundary: holes up to this size (m2) are filled.", unit="m2")
     window: tuple[float, float, float, float] | None = param(
         None, "Map to which the points are cropped: low x, low y, high x, high y, m.", vector=4
     )
     duplicate_tolerance_m: float = param(
-        0.0, "Points this near an earlier one become no vertices.", unit="m", low=0
+        0.0, "Points this near an earlier one become no vertices.", unit="m"
     )
     bins_per_row: int | None = param(None, "Bins per row of the initial triangulation.")
     max_iterations: int = param(100, "The adjustment rms-iterated ends after this many steps.")
     height_tolerance_m: float = param(
-        1e-4, "rms-iterated ends when no height changes by as much in a step.", unit="m", low=0
+        1e-4, "rms-iterated ends when no height changes by as much in a step.", unit="m"
     )
 
     @property

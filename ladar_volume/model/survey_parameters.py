@@ -58,6 +58,6 @@ class SurveyParameters:
 class StripParameters:
     """The planar patches on which overlapping strips are compared."""
 
-    edge_m: float = param(1.0, "Edge of the voxels that hold one planar patch.", unit="m", low=0)
+    edge_m: float = param(1.0, "Edge (m) of the voxels that hold one planar patch.", unit="m")
     min_points: int = param(6, "Fewest returns of one strip on a patch.")
     max_patches: int = param(2500, "Most patches.")
