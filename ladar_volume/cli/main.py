@@ -38,7 +38,7 @@ MODULES = {
     "plan": "ladar_volume.cli.arguments.plan",
     "epochs": "ladar_volume.cli.arguments.epochs",
     "export": "ladar_volume.cli.arguments.outputs.export",
-    "tiles": "ladar_volume.cli.scale.tiles_arguments",
+    "tiles": "ladar_volume.cli.arguments.scale.tiles",
 }
 
 #: Set in the environment, a defect ends with its traceback.

@@ -9,10 +9,10 @@ from ladar_volume.clouds.cloud_volume import above_base
 from ladar_volume.io.pointfiles.cloud_files import read_cloud
 from ladar_volume.io.pointfiles.crs import Reading
 from ladar_volume.model.parameters import Parameters, VolumeParameters
+from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.tiles.tile_store import parts_of_file
 from ladar_volume.tiles.tile_volume import TileTask, whole_volume
 from ladar_volume.tiles.tile_work import OwnProcess, sums_of_cloud
-from ladar_volume.tin.represent import SurfaceOptions
 
 SIGMA = 0.02
 LEVEL = 10.5
@@ -63,7 +63,7 @@ def by_tiles(path, folder, tile_m, task=None, workers=None, part=7000):
 
 def at_once(path, option="all", limit=None, **volume):
     limits = {} if limit is None else {f"max_{option}_m".replace("circle", "circum"): limit}
-    options = SurfaceOptions(ratio=1.0, relevant=option, **limits)
+    options = SurfaceParameters(ratio=1.0, relevant=option, **limits)
     surface = cloud_surface(read_cloud(path).r, options, SIGMA)
     chosen = VolumeParameters(**({"base": "level", "level_m": LEVEL} | volume), outline="all")
     return surface, above_base(surface, Parameters(volume=chosen), correct=False)[0]

@@ -1,0 +1,1 @@
+"""Options of verbs for surveys larger than memory."""
