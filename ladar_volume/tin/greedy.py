@@ -199,7 +199,8 @@ def insert_worst(c: Cloud, m: MeshTable, size: int, t: int, p: int, w: F64) -> i
         split_triangle(m, t, p, size, size + 1)
     else:
         split_edge(m, t, where, p, size, size + 1)
-    legalise(c.xy, m, t, w)
+    # a diagonal that the heights were looked at with stays where both are Delaunay
+    legalise(c.xy, m, t, w, False)
     # every row that changed is in the star now, and still has its old list
     pool, at = prepend_list(c, m, t, -1), m[t, 5] >> 2
     while at != t:

@@ -229,10 +229,10 @@ def tie_flip(xy: F64, p: int, b: int, c: int, d: int) -> bool:
 
 
 @kernel
-def legalise(xy: F64, m: MeshTable, first: int, w: F64) -> int:
+def legalise(xy: F64, m: MeshTable, first: int, w: F64, ties: bool) -> int:
     """Go once round the new point, corner 0 of triangle ``first`` and of its whole star, and flip
     every edge of the star's rim that must go; returns a real triangle of the star. Words 3 and 7 of
-    the rows stay.
+    the rows stay. ties : whether edges on one circle go by :func:`tie_flip`, or stay.
     """
     t, real, p, b, c = first, -1, m[first, 0], m[first, 1], m[first, 2]
     to_b, to_c = vector_to_vertex(xy, p, b), vector_to_vertex(xy, p, c)
@@ -248,7 +248,7 @@ def legalise(xy: F64, m: MeshTable, first: int, w: F64) -> int:
             det = incircle_filter(to_b, to_c, to_d)
             if det != det:
                 det = incircle_exact(xy, c, b, d, p, w)
-            go = det > 0.0 or (det == 0.0 and tie_flip(xy, p, b, c, d))
+            go = det > 0.0 or (ties and det == 0.0 and tie_flip(xy, p, b, c, d))
         if go:
             flip(m, t)
             c, to_c = d, to_d
@@ -278,7 +278,7 @@ def insert_point(
         split_triangle(m, t, p, size, size + 1)
     else:
         split_edge(m, t, where, p, size, size + 1)
-    return size + 2, legalise(xy, m, t, w), -1
+    return size + 2, legalise(xy, m, t, w, True), -1
 
 
 @kernel
