@@ -244,7 +244,7 @@ class Insertion:
                 after[at[0]], self.cloud.open[at[0]] = -2, False
         a, b, c, d = self.corner.tolist()
         first_triangle(xy, self.mesh, a, b, c, self.w)
-        self.size, self.hint, _ = insert_point(xy, self.mesh, 4, 0, d, self.w)
+        self.size, self.hint, _ = insert_point(xy, self.mesh, 4, 0, d, self.w, False)
         self.taken = self.corner[self.corner < n].astype(np.int32)
         self.score = np.zeros(0)
         self.initial = 0

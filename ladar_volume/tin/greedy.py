@@ -199,7 +199,7 @@ def insert_worst(c: Cloud, m: MeshTable, size: int, t: int, p: int, w: F64) -> i
         split_triangle(m, t, p, size, size + 1)
     else:
         split_edge(m, t, where, p, size, size + 1)
-    # a diagonal that the heights were looked at with stays where both are Delaunay
+    # a diagonal that the residuals were taken with stays where another is Delaunay too
     legalise(c.xy, m, t, w, False)
     # every row that changed is in the star now, and still has its old list
     pool, at = prepend_list(c, m, t, -1), m[t, 5] >> 2
@@ -220,7 +220,7 @@ def start_kernel(
     """
     inserted = 0
     for i in range(len(initial)):
-        size, hint, copy = insert_point(c.xy, m, size, hint, initial[i], w)
+        size, hint, copy = insert_point(c.xy, m, size, hint, initial[i], w, False)
         c.open[initial[i]] = False
         if copy < 0:
             c.after[initial[i]] = -2

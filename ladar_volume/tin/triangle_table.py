@@ -264,9 +264,10 @@ def legalise(xy: F64, m: MeshTable, first: int, w: F64, ties: bool) -> int:
 
 @kernel
 def insert_point(
-    xy: F64, m: MeshTable, size: int, hint: int, p: int, w: F64
+    xy: F64, m: MeshTable, size: int, hint: int, p: int, w: F64, ties: bool
 ) -> tuple[int, int, int]:
-    """Insert point p into the triangles m[:size], walking from the real triangle ``hint``.
+    """Insert point p into the triangles m[:size], walking from the real triangle ``hint``; ties :
+    see :func:`legalise`.
 
     Returns the new number of triangles (two more), a real triangle at p, and the vertex that lies
     at p already, which then stays alone, or -1.
@@ -278,7 +279,7 @@ def insert_point(
         split_triangle(m, t, p, size, size + 1)
     else:
         split_edge(m, t, where, p, size, size + 1)
-    return size + 2, legalise(xy, m, t, w, True), -1
+    return size + 2, legalise(xy, m, t, w, ties), -1
 
 
 @kernel
@@ -289,7 +290,7 @@ def insert_kernel(
     position, or p.
     """
     for p in range(first, len(xy)):
-        size, hint, copy = insert_point(xy, m, size, hint, p, w)
+        size, hint, copy = insert_point(xy, m, size, hint, p, w, True)
         same[p] = copy if copy >= 0 else p
     return size, hint
 
