@@ -33,6 +33,8 @@ KEYS = {
     "rasterio": "",
     "ezdxf": "",
     "pye57": "",
+    "pyogrio": "",
+    "shapely": "",
     "dask": "",
     "distributed": "",
 }

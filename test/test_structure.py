@@ -23,6 +23,7 @@ CORE = [
     "volume",
     "change",
     "clouds",
+    "piles",
     "planning",
     "calibration",
     "pipeline",

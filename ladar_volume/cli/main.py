@@ -54,6 +54,8 @@ EXTRAS = {
     "rasterio": "geo",
     "ezdxf": "geo",
     "pye57": "geo",
+    "pyogrio": "geo",
+    "shapely": "geo",
     "velodyne_decoder": "velodyne",
     "dpkt": "velodyne",
     "dask": "scale",

@@ -14,12 +14,23 @@ import numpy as np
 from rich.console import Console
 
 from ladar_volume.cli.arguments.lines import shown_name
+from ladar_volume.cli.inputs.base_choice import parameters_of
 from ladar_volume.cli.inputs.mesh_source import mesh_doubts
 from ladar_volume.cli.inputs.reading import Source, clouds_of, reading_doubts
 from ladar_volume.cli.outputs.cloud_files_out import (
     system_of_files,
     wanted_files,
     write_files,
+)
+from ladar_volume.cli.site.pile_results import (
+    check_densities,
+    error_facts,
+    height_errors,
+    outline_facts,
+    outlines_of,
+    pile_facts,
+    pile_volumes,
+    sigma_words,
 )
 from ladar_volume.cli.surface_options import (
     frame_facts,
@@ -49,120 +60,24 @@ from ladar_volume.clouds.volume_verdict import (
     stray_doubts,
     surface_doubts,
 )
-from ladar_volume.ground.ground_presets import PRESETS
 from ladar_volume.ground.polynomial import design_surface
-from ladar_volume.io.config import read_config
 from ladar_volume.io.results import json_text
-from ladar_volume.model.errors import ConfigurationError, LadarVolumeError, VolumeError
+from ladar_volume.io.site.outline_files import Outlines
+from ladar_volume.model.errors import LadarVolumeError, VolumeError
 from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.piles import HeightError
 from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.model.verdict import Verdict
+from ladar_volume.piles.pile_volumes import SitePiles
 from ladar_volume.tin.scan_frame import Frame
 from ladar_volume.version import version
 from ladar_volume.volume.base import polygon_of
+from ladar_volume.volume.polygon import check_polygon
 from ladar_volume.volume.published_methods import front_level, zero_fill_level
 
 #: Levels over the height of both surfaces, among which that in front of a body is searched.
 SEARCHED_LEVELS = 2000
-#: Parameters that options of their own give.
-OWN_OPTION = {
-    "base": "--base",
-    "level_m": "--level",
-    "plane": "--plane",
-    "relevant": "--relevant",
-    "max_edge_m": "--max-edge",
-    "max_circumdiameter_m": "--max-circle",
-    "vertex_ratio": "--vertices",
-}
-
-
-def parameters_of(arguments: argparse.Namespace) -> tuple[Parameters, str]:
-    """Parameters of base, outline and ground, and the base: "level", "plane", "ground", "floor",
-    "cloud" (the second one), "lowest" (the highest level without fill) or "front" (the level just
-    in front of the body). Raises
-    :class:`ConfigurationError` for options that contradict one another.
-    """
-    a, two = arguments, arguments.cloud_b is not None
-    inferred = (
-        "plane"
-        if a.plane is not None
-        else "level"
-        if a.level is not None
-        else "floor"
-        if a.levels is not None
-        else ""
-    )
-    _check_method(a, two)
-    if two and a.footprint == "common":
-        if a.level is not None or a.plane is not None or a.base is not None:
-            raise ConfigurationError(
-                "the second cloud is the base; a level or a plane goes with --footprint own"
-            )
-        return _read(a, "cloud"), "cloud"
-    if not two and (a.footprint == "own" or a.sigma_b is not None):
-        raise ConfigurationError("--footprint own and --sigma-b are for two clouds")
-    level = "front" if a.method == 1 else "lowest"
-    base = a.base or (level if two and inferred in ("floor", "") else inferred)
-    if not base:
-        raise ConfigurationError(
-            "above what? Give --level Z, --base plane, ground or floor, or a second cloud"
-        )
-    for name, value in (("level", a.level), ("plane", a.plane)):
-        if (base == name) != (value is not None):
-            raise ConfigurationError(f"--base {name} and --{name} go together", value=base)
-    if base == "floor" and (a.levels is None or two):
-        raise ConfigurationError("--base floor needs --levels START STOP STEP, and one cloud")
-    if base == "ground" and (a.frame == "scan" or two):
-        raise ConfigurationError("--base ground is for one cloud in the level frame")
-    return _read(a, base), base
-
-
-def _check_method(a: argparse.Namespace, two: bool) -> None:
-    """Methods and offsets are for two clouds, each over its own footprint."""
-    for option, value in (("--method", a.method), ("--offset", a.offset)):
-        if value is not None and not (two and a.footprint == "own"):
-            raise ConfigurationError(f"{option} goes with two clouds and --footprint own")
-    if a.method is not None and (a.base or a.level is not None or a.plane is not None):
-        raise ConfigurationError(
-            "--method finds its level, or takes --levels; leave --base, --level and --plane out"
-        )
-
-
-def _read(a: argparse.Namespace, base: str) -> Parameters:
-    if a.ground_preset is not None and base != "ground":
-        raise ConfigurationError("--ground-preset goes with --base ground", value=a.ground_preset)
-    keys = [text.partition("=")[0].strip() for text in a.set]
-    for key in keys:
-        section, _, name = key.partition(".")
-        if section not in ("volume", "ground"):
-            raise ConfigurationError(
-                f"--set {key}: this verb has parameters of the sections 'volume' and 'ground' only",
-                value=key,
-            )
-        if section == "volume" and name in OWN_OPTION:
-            raise ConfigurationError(f"--set {key}: use {OWN_OPTION[name]}", value=key)
-    preset = () if a.ground_preset is None else PRESETS[a.ground_preset].items()
-    start = read_config(None, [*(f"ground.{key}={value}" for key, value in preset), *a.set])
-    chosen = a.outline or (
-        start.volume.outline if "volume.outline" in keys else "auto" if base == "ground" else "all"
-    )
-    if base == "cloud" and chosen != "all":
-        raise ConfigurationError(
-            (
-                "between two clouds the volume counts over their whole common footprint; "
-                "crop with --window"
-            ),
-            value=chosen,
-        )
-    volume = dataclasses.replace(
-        start.volume, base="ground" if base == "ground" else "level", outline=chosen
-    )
-    if base == "level":
-        volume = dataclasses.replace(volume, level_m=a.level)
-    if base == "plane":
-        volume = dataclasses.replace(volume, base="plane", plane=tuple(a.plane))
-    return dataclasses.replace(start, volume=volume)
 
 
 @dataclass(frozen=True)
@@ -172,7 +87,8 @@ class VolumeTask:
     arguments : the command line · parameters : of base, outline and ground · base : as
     :func:`parameters_of` names it · options : of the surfaces · levels : (l,), m, or None · frame :
     in which the surfaces are, or None for the map's own · correct : whether cut and fill are
-    corrected near the base
+    corrected near the base · shared : errors that heights share · outlines : of piles, None to find
+    them
     """
 
     arguments: argparse.Namespace
@@ -182,6 +98,8 @@ class VolumeTask:
     levels: F64 | None
     frame: Frame | None
     correct: bool
+    shared: tuple[HeightError, ...] = ()
+    outlines: Outlines | None = None
 
 
 @dataclass(frozen=True)
@@ -190,7 +108,8 @@ class CutFill:
 
     volume : cut, fill and net · parameters : with the level or plane that was found · level_base :
     the base from which levels count, or None · counted : for each surface the triangles (m,) that
-    count · each : the volumes of two surfaces with a base of their own
+    count · each : the volumes of two surfaces with a base of their own · site : the piles, where
+    these were asked for
     """
 
     volume: CloudVolume
@@ -198,6 +117,7 @@ class CutFill:
     level_base: Plane | None
     counted: list[Bool]
     each: list[CloudVolume]
+    site: SitePiles | None = None
 
 
 @dataclass(frozen=True)
@@ -252,21 +172,23 @@ def task_of(arguments: argparse.Namespace) -> VolumeTask:
     options = surface_options(arguments, SurfaceParameters(ratio=1.0))
     levels = None if arguments.levels is None else level_list(*arguments.levels)
     correct = not arguments.no_correction
-    return VolumeTask(arguments, parameters, base, options, levels, None, correct)
+    shared = height_errors(arguments)
+    check_densities(arguments)
+    return VolumeTask(arguments, parameters, base, options, levels, None, correct, shared)
 
 
 @dataclass(frozen=True)
 class VolumeResult:
     """surfaces : of the files · base : of the first, None where the second is the base · counted :
-    triangles (m,) of the first that count · facts : what the JSON says · outline : polygon (k, 2)
-    that cuts these off, or None
+    triangles (m,) of the first that count · facts : what the JSON says · outlines : polygons (k, 2)
+    that cut these off, none where they count whole
     """
 
     surfaces: list[CloudSurface]
     base: Plane | None
     counted: Bool
     facts: dict[str, Any]
-    outline: F64 | None = None
+    outlines: tuple[F64, ...] = ()
 
 
 def result_of(
@@ -277,7 +199,7 @@ def result_of(
     if task.arguments.frame == "scan":
         progress("turning into the scan frame")
     frame = frame_of(task.arguments, sources)
-    task = dataclasses.replace(task, frame=frame)
+    task = dataclasses.replace(task, frame=frame, outlines=outlines_of(task.arguments, sources))
     surfaces = make_surfaces(task, sources, progress)
     progress("cut and fill")
     facts, volume, found = compute_volume(task, surfaces)
@@ -286,7 +208,11 @@ def result_of(
     clean = stray_facts(task, sources, surfaces, volume)
     doubts += mesh_doubts([s.path for s in sources], [s.mesh for s in sources], surfaces)
     doubts += tuple(stray_doubts(clean["strays"], point_count(sources, surfaces)))
+    if task.outlines is not None:
+        facts["outlines"] = outline_facts(task.arguments, task.outlines)
+        doubts += task.outlines.doubts
     facts["verdict"] = (Verdict(doubts) + facts.pop("verdict")).as_dict()
+    facts |= {"sigma_holds": sigma_words(task.shared), "shared_errors": error_facts(task.shared)}
     facts |= {
         "clean": clean,
         "surfaces": [surface_facts(a, b) for a, b in zip(sources, surfaces, strict=True)],
@@ -294,15 +220,26 @@ def result_of(
         "options": option_facts(task.options),
         "version": version(),
     }
+    base, counted = base_of(task, found), found.counted[0]
+    return VolumeResult(surfaces, base, counted, facts, polygons_that_count(found))
+
+
+def polygons_that_count(found: CutFill) -> tuple[F64, ...]:
+    """The polygons (k, 2) that cut off what counts."""
+    if found.site is not None:
+        return tuple(check_polygon(pile.pile.ring) for pile in found.site.piles)
     v = found.parameters.volume
-    ring = polygon_of(v) if v.outline == "polygon" else None
-    return VolumeResult(surfaces, base_of(task, found), found.counted[0], facts, ring)
+    return (polygon_of(v),) if v.outline == "polygon" else ()
 
 
 def base_of(task: VolumeTask, found: CutFill) -> Plane | None:
     """The base of the first surface; None where the second is it."""
-    if task.base == "cloud" or found.level_base is not None:
+    if found.site is not None and len(found.site.piles) == 1:
+        return found.site.piles[0].plane
+    if task.base in ("cloud", "second") or found.level_base is not None:
         return found.level_base
+    if found.site is not None and task.base not in ("level", "plane"):
+        return None  # every pile has one of its own
     return design_surface([found.parameters.volume.level_m])
 
 
@@ -324,7 +261,8 @@ def make_surfaces(
     surfaces = []
     for source, sigma in zip(sources, sigmas, strict=False):
         progress(f"triangulating {len(source.cloud.r):,} points of {source.path.name}")
-        surfaces.append(make_surface(a, source, task.options, task.frame, sigma))
+        made = make_surface(a, source, task.options, task.frame, sigma)
+        surfaces.append(dataclasses.replace(made, shared=task.shared))
     return surfaces
 
 
@@ -340,7 +278,8 @@ def compute_volume(
     volume after its verdict; and what it counts.
     """
     found = named_base(task, cut_and_fill(in_frame(task, surfaces), surfaces))
-    areas = [area_counted(s, m) for s, m in zip(surfaces, found.counted, strict=True)]
+    # piles count on the first surface alone
+    areas = [area_counted(s, m) for s, m in zip(surfaces, found.counted, strict=False)]
     judgement = volume_verdict(task, surfaces, found, areas)
     more: dict[str, Any] = {}
     if found.each:
@@ -403,6 +342,10 @@ def offset_of(task: VolumeTask) -> float:
 def cut_and_fill(task: VolumeTask, surfaces: list[CloudSurface]) -> CutFill:
     """The volume above the base, between two surfaces, or of each over its own footprint."""
     first, parameters, correct = surfaces[0], task.parameters, task.correct
+    if task.arguments.piles is not None:
+        site = pile_volumes(task.arguments, task.base, parameters, task.outlines, surfaces, correct)
+        inside = np.sum([pile.inside_m2 for pile in site.piles], axis=0)
+        return CutFill(site.total, parameters, None, [inside > 0], [], site)
     relevant = [s.made.tin.relevant for s in surfaces]
     if task.base == "cloud":
         volume = between_clouds(first, surfaces[1], "the second", correct)
@@ -433,6 +376,9 @@ def volume_verdict(
     task: VolumeTask, surfaces: list[CloudSurface], found: CutFill, areas: list[F64]
 ) -> JudgedVolume:
     """What speaks against the volume. A mesh has no sampling to judge."""
+    if found.site is not None:
+        verdict, facts = pile_facts(found.site, task.arguments, found.parameters)
+        return JudgedVolume(found.volume, verdict, facts)
     if len(surfaces) == 1 and surfaces[0].given is None:
         readings, base = None, found.level_base
         if task.base == "floor":

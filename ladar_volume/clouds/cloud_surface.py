@@ -16,11 +16,13 @@ from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.clouds.given_faces import GivenSurface
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.parameters import FilterParameters
+from ladar_volume.model.piles import HeightError
 from ladar_volume.model.records import F64, I64
 from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.median_screen import tin_filter, tin_screen
 from ladar_volume.tin.represent import Represented, represent
+from ladar_volume.uncertainty.shared_heights import shared_variances
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class CloudSurface:
     deleted or the median filter changed · made : the surface, its ``source`` numbering ``points`` ·
     strays : (s,) rows of the cloud that are none of its surface, left out · copies : points left
     out because another has the same coordinates · given : the faces of a mesh that it is, None for
-    a cloud · doubts : what makes it doubtful
+    a cloud · doubts : what makes it doubtful · shared : errors that neighbouring heights share
     """
 
     points: F64
@@ -44,6 +46,7 @@ class CloudSurface:
     copies: int = 0
     given: GivenSurface | None = None
     doubts: tuple[Doubt, ...] = ()
+    shared: tuple[HeightError, ...] = ()
 
     @property
     def vertex_variance(self) -> F64:
@@ -66,6 +69,11 @@ class CloudSurface:
         raw = self.made.by_points(full, len(self.points))[..., 2]
         out: F64 = self.made.variance_factor * (raw**2 * (self.sigma_m**2)[:, None]).sum(axis=0)
         return out
+
+    def shared_lines(self, gradient_z: F64) -> dict[str, F64]:
+        """Variances (k,), by shared error, of k results with gradients (n, k) by the heights."""
+        xy = self.made.tin.vertices[:, :2]
+        return {e.name: shared_variances(xy, gradient_z, e) for e in self.shared}
 
 
 def local_sigma(points: F64) -> float:

@@ -86,10 +86,13 @@ class CloudVolume:
 
 def finished(solid: Solid, base: str, same_survey: bool) -> CloudVolume:
     """The volume with its correction and standard deviations."""
-    total = np.zeros(3)
+    total, shared = np.zeros(3), dict[str, F64]()
     for surface, gradient in solid.gradients:
-        total += surface.variance(np.c_[gradient, gradient[:, 1] - gradient[:, 0]])
-    extra = sum(solid.extra.values())
+        columns = np.c_[gradient, gradient[:, 1] - gradient[:, 0]]
+        total += surface.variance(columns)
+        for name, line in surface.shared_lines(columns).items():
+            shared[name] = shared.get(name, np.zeros(3)) + line
+    extra = sum(solid.extra.values()) + sum(shared.values())
     net, cut, fill = np.sqrt(
         np.maximum(total + extra + [0.0, solid.curved_m6, solid.curved_m6], 0.0)
     ).tolist()
@@ -118,7 +121,7 @@ def finished(solid: Solid, base: str, same_survey: bool) -> CloudVolume:
         solid.area_m2,
         base,
         same_survey,
-        {"noise": float(total[0]), **solid.extra},
+        {"noise": float(total[0]), **solid.extra, **{k: float(v[0]) for k, v in shared.items()}},
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, Plane
+from ladar_volume.model.records import F64, I64, Plane
 from ladar_volume.uncertainty.ground_field import mean_spacing
 from ladar_volume.volume.field_checks.base_readings import BaseReadings, base_readings
 from ladar_volume.volume.outline import surroundings
@@ -38,14 +38,19 @@ class GroundReadings:
 
 
 def ground_readings(
-    surface: CloudSurface, base: Plane, inside: F64, parameters: Parameters
+    surface: CloudSurface,
+    base: Plane,
+    inside: F64,
+    parameters: Parameters,
+    ring: I64 | None = None,
 ) -> GroundReadings | None:
     """The readings; inside (m,) m² is the area of each triangle within the outline. None where
-    nothing lies around it.
+    nothing lies around it. ring : (k,) vertices around it, where not all are ground.
     """
     tin, p, variance = surface.made.tin, parameters.volume, surface.vertex_variance
     mask = inside > 0
-    ring = surroundings(tin, mask, p.ground_ring_m if p.outline == "auto" else 0.0)
+    if ring is None:
+        ring = surroundings(tin, mask, p.ground_ring_m if p.outline == "auto" else 0.0)
     if p.outline == "all":
         ring = np.unique(tin.triangles[tin.relevant]).astype(np.int64)
     if not len(ring):

@@ -17,6 +17,7 @@ from ladar_volume.model.body_parameters import (
 from ladar_volume.model.errors import ConfigurationError, ParameterValueError
 from ladar_volume.model.parameter import ParameterSpec, convert, specs
 from ladar_volume.model.parameters import SECTIONS
+from ladar_volume.model.piles import PileParameters
 from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.model.survey_parameters import StripParameters, SurveyParameters
 
@@ -29,6 +30,7 @@ DECLARED: dict[str, type] = {
     "bodies": BodyParameters,
     "survey": SurveyParameters,
     "strips": StripParameters,
+    "piles": PileParameters,
 }
 
 

@@ -18,9 +18,18 @@ from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.surface_options import add_surface_options
 from ladar_volume.cli.arguments.work import work
 from ladar_volume.io.endings import CLOUD_ENDINGS, READ_ENDINGS
+from ladar_volume.model.piles import PILE_BASES
 
-#: Bases on the command line: those of the parameter, and the floor of a sequence of levels.
-BASES = (*(spec_of("volume.base").choices or ()), "floor")
+#: Bases on the command line: those of the parameter, the floor of a sequence of levels, and those
+#: of piles.
+BASES = tuple(dict.fromkeys((*(spec_of("volume.base").choices or ()), "floor", *PILE_BASES)))
+
+
+BASE_WORDS = (
+    "floor: the one --levels shows; with --piles also site_ground (around all piles), and from the "
+    "heights along each outline toe_plane, toe_quadratic, toe_tin (triangulated), toe_lowest, "
+    "toe_mean, toe_highest"
+)
 
 
 def add_parser(subparsers: Verbs) -> None:
@@ -42,6 +51,8 @@ def add_parser(subparsers: Verbs) -> None:
     _add_bases(g)
     _add_counting(g)
     _add_pairs(g)
+    _add_piles(parser.add_argument_group("piles"))
+    _add_shared_errors(parser.add_argument_group("errors that neighbouring heights share"))
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
@@ -70,7 +81,7 @@ def report_page(word: str) -> Path:
 def _add_bases(g: argparse._ArgumentGroup) -> None:
     """Above what the volume is."""
     add_parameter(g, "--level", "volume.level_m", metavar="Z")
-    add_parameter(g, "--base", "volume.base", choices=BASES, more="floor: the one --levels shows")
+    add_parameter(g, "--base", "volume.base", choices=BASES, more=BASE_WORDS)
     add_parameter(g, "--plane", "volume.plane", metavar=("C0", "C1", "C2"))
     add_ground_preset(g)
     g.add_argument(
@@ -106,6 +117,33 @@ def _add_counting(g: argparse._ArgumentGroup) -> None:
         default=[],
         metavar="SECTION.KEY=VALUE",
         help="override a parameter of volume or ground",
+    )
+
+
+def _add_piles(g: argparse._ArgumentGroup) -> None:
+    """Several piles, and their tonnes."""
+    g.add_argument(
+        "--piles",
+        metavar="FILE",
+        help="one volume for each outline of a file (GeoJSON, Shapefile, GeoPackage, KML, DXF, "
+        "WKT), or with the word found for each body that rises above the ground; each above every "
+        "base that the heights around it make",
+    )
+    add_parameter(g, "--density", "piles.density_t_m3", more="a column density counts first")
+    add_parameter(g, "--density-sigma", "piles.density_sigma_t_m3")
+
+
+def _add_shared_errors(g: argparse._ArgumentGroup) -> None:
+    """What noise alone does not hold."""
+    add_parameter(
+        g, "--height-sigma", "piles.height_sigma_m", more="without --correlation all share it"
+    )
+    add_parameter(g, "--correlation", "piles.correlation_m")
+    g.add_argument(
+        "--budget",
+        type=Path,
+        metavar="FILE",
+        help="several such errors: a YAML list height_errors of name, sigma_m, correlation_m",
     )
 
 

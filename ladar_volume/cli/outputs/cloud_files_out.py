@@ -31,7 +31,7 @@ OF_SURFACE = ("ply", "tif")
 
 class Result(Protocol):
     """surfaces : of the files · base : of the first, None where the second is the base · counted :
-    triangles (m,) of the first that count · outline : polygon (k, 2) that cuts these off, or None ·
+    triangles (m,) of the first that count · outlines : polygons (k, 2) that cut these off ·
     facts : what the JSON says
     """
 
@@ -42,7 +42,7 @@ class Result(Protocol):
     @property
     def counted(self) -> Bool: ...
     @property
-    def outline(self) -> F64 | None: ...
+    def outlines(self) -> Sequence[F64]: ...
     @property
     def facts(self) -> Mapping[str, Any]: ...
 
@@ -85,7 +85,11 @@ def deliverable(
         covariance = surface.made.covariance(surface.sigma_m)
     # of two surfaces no one base makes the volume between them
     alone = len(result.surfaces) == 1
-    faces = [faces_volume(tin, base if alone else None, result.counted, result.outline)]
+    volumes, outlines = result.facts.get("piles") or [result.facts], result.outlines
+    volumes = [v for v in volumes if v.get("net_m3") is not None]
+    parts = [[o] for o in outlines] if len(volumes) == len(outlines) > 1 else [outlines]
+    own = base if alone else None
+    faces = [faces_volume(tin, own, result.counted, part) for part in parts]
     points, lost = points_of(sources[0], surface)
     return Deliverable(
         name=plain_words(sources[0].path.stem),
@@ -97,9 +101,9 @@ def deliverable(
         covariance=covariance,
         points=points,
         facts={**result.facts, "files": file_facts(faces, system) | {"columns_lost": lost}},
-        rows=rows_of(result.facts, [result.facts], faces),
+        rows=rows_of(result.facts, volumes, faces),
         system=system,
-        outline=result.outline,
+        outlines=outlines,
         breaklines=() if sources[0].mesh is None else sources[0].mesh.breaklines,
     )
 

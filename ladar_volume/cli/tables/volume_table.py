@@ -12,6 +12,7 @@ from rich.table import Table
 from ladar_volume.cli.inputs.mesh_source import mesh_words
 from ladar_volume.cli.inputs.reading import add_reading_rows
 from ladar_volume.cli.surface_options import add_surface_rows
+from ladar_volume.cli.tables.pile_table import show_piles
 from ladar_volume.cli.verdict_lines import add_verdict_rows
 
 #: Most bodies whose place is printed.
@@ -29,6 +30,8 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
     _add_stray_rows(table, facts["clean"])
     add_verdict_rows(table, facts["verdict"])
     console.print(table)
+    if "piles" in facts:
+        show_piles(console, facts)
     for each in facts.get("sequences", []):
         show_levels(console, each)
     if "pairs" in facts:
@@ -41,9 +44,9 @@ def _add_volume_rows(table: Table, facts: Mapping[str, Any]) -> None:
     """Net volume, interval, cut, fill, and what the sigma does not hold."""
     k, (low, high) = facts["coverage_factor"], facts["interval_m3"]
     known = bool(np.isfinite(facts["sigma_m3"]))
-    spread = (
-        f" ± {facts['sigma_m3']:.4f} m³[/bold] (1 sigma, noise only)" if known else " m³[/bold]"
-    )
+    shared = facts.get("shared_errors")
+    what = "noise and shared errors" if shared else "noise only"
+    spread = f" ± {facts['sigma_m3']:.4f} m³[/bold] (1 sigma, {what})" if known else " m³[/bold]"
     table.add_row("net volume", f"[bold]{facts['net_m3']:.4f}{spread}")
     if known:
         table.add_row(
@@ -56,10 +59,11 @@ def _add_volume_rows(table: Table, facts: Mapping[str, Any]) -> None:
             f"{facts[f'{name}_m3']:.4f}"
             + (f" ± {facts[f'sigma_{name}_m3']:.4f} m³" if known else " m³"),
         )
-    table.add_row(
-        "not in it",
-        f"what all points share; 1 cm of height is {facts['centimetre_m3']:.4g} m³",
-    )
+    if "mass_t" in facts:
+        words = f"{facts['mass_t']:.2f} ± {facts['sigma_mass_t']:.2f} t"
+        table.add_row("mass", f"{words} (sigma of {facts['sigma_mass_holds']})")
+    beyond = "what all points share" if not shared else f"beyond {', '.join(shared)}"
+    table.add_row("not in it", f"{beyond}; 1 cm of height is {facts['centimetre_m3']:.4g} m³")
 
 
 def _add_place_rows(table: Table, facts: Mapping[str, Any]) -> None:

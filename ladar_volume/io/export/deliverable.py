@@ -52,9 +52,9 @@ class Deliverable:
     base is another surface · other : that surface · sigma_m : (n,) standard deviations of the
     heights of the vertices, None where they are not known · covariance : (n, n) m² of these heights
     where it is known; without it errors of neighbours are taken as common · points : the points ·
-    breaklines : (k, 3) each, lines that the faces keep · outline : polygon (k, 2) that cuts off
-    what counts, or None · facts : the result as in its JSON · rows : one volume each, for a table ·
-    system : of the files
+    breaklines : (k, 3) each, lines that the faces keep · outlines : polygons (k, 2) that cut off
+    what counts, none where triangles count whole · facts : the result as in its JSON · rows : one
+    volume each, for a table · system : of the files
     """
 
     name: str
@@ -69,7 +69,7 @@ class Deliverable:
     rows: Sequence[Mapping[str, Any]]
     system: OutputSystem
     breaklines: Sequence[F64] = field(default_factory=tuple)
-    outline: F64 | None = None
+    outlines: Sequence[F64] = ()
 
     @cached_property
     def parts(self) -> list[Part]:
@@ -80,9 +80,9 @@ class Deliverable:
         base = self.base_m if self.base_m is not None else self.tin.vertices[:, 2]
         points, mine = np.column_stack([self.tin.vertices, base]), self.tin.triangles[self.counted]
         rest = self.tin.triangles[self.tin.relevant & ~self.counted]
-        if self.outline is not None:
-            cut = clipped(points, mine, self.outline)
-            points, mine, rest = cut.points, cut.inside, np.concatenate([rest, cut.outside])
+        if self.outlines:
+            points, mine, beyond = clipped_by_all(points, mine, self.outlines)
+            rest = np.concatenate([rest, beyond])
         out = [part("counted", points[:, :3], mine)]
         if len(rest):
             out.append(part("around", points[:, :3], rest))
@@ -95,15 +95,18 @@ class Deliverable:
 
     @cached_property
     def polygons(self) -> list[Polygon]:
-        """Outlines of what counts, the largest first."""
-        if self.outline is None:
+        """Outlines of what counts: those given, in their order; found ones the largest first."""
+        if not self.outlines:
             return polygons_of(self.tin, self.counted)
         # at the height of the surface, off it of its nearest point
-        z = height_at(self.tin, self.outline)
         used = self.tin.vertices[np.unique(self.tin.triangles[self.tin.relevant])]
-        nearest = used[cKDTree(used[:, :2]).query(self.outline)[1], 2]
-        ring = np.column_stack([self.outline, np.where(np.isfinite(z), z, nearest)])
-        return [Polygon(ring, (), abs(signed_area(ring)))]
+        tree, out = cKDTree(used[:, :2]), []
+        for outline in self.outlines:
+            z = height_at(self.tin, outline)
+            nearest = used[tree.query(outline)[1], 2]
+            ring = np.column_stack([outline, np.where(np.isfinite(z), z, nearest)])
+            out.append(Polygon(ring, (), abs(signed_area(ring))))
+        return out
 
 
 def part(name: str, vertices: F64, triangles: I32) -> Part:
@@ -112,20 +115,31 @@ def part(name: str, vertices: F64, triangles: I32) -> Part:
     return Part(name, vertices[used], inverse.reshape(-1, 3).astype(np.int32))
 
 
+def clipped_by_all(points: F64, triangles: I32, outlines: Sequence[F64]) -> tuple[F64, I32, I32]:
+    """Points (n, c) and triangles (m, 3) cut along polygons (k, 2) that lie apart: the points, the
+    triangles within any of them and the others.
+    """
+    inside: list[I32] = []
+    for outline in outlines:
+        cut = clipped(points, triangles, outline)
+        points, triangles = cut.points, cut.outside
+        inside.append(cut.inside)
+    return points, np.concatenate(inside), triangles
+
+
 def faces_volume(
-    tin: Tin, base_m: F64 | None, part_m2: F64 | Bool, outline: F64 | None = None
+    tin: Tin, base_m: F64 | None, part_m2: F64 | Bool, outlines: Sequence[F64] = ()
 ) -> float | None:
     """Volume, m³, between the triangles that count (``part_m2`` (t,) above 0), as they are or cut
-    off by an outline (k, 2), and the base (n,), m: what another program finds from the files. None
+    off by outlines (k, 2), and the base (n,), m: what another program finds from the files. None
     without a base.
     """
     if base_m is None:
         return None
     triangles = tin.triangles[np.asarray(part_m2, dtype=np.float64) > 0.0]
     points = np.column_stack([tin.vertices, base_m])
-    if outline is not None:
-        cut = clipped(points, triangles, outline)
-        points, triangles = cut.points, cut.inside
+    if outlines:
+        points, triangles, _ = clipped_by_all(points, triangles, outlines)
     above = (points[:, 2] - points[:, 3])[triangles].mean(axis=1)
     return float((footprint_areas(points[:, :3], triangles) * above).sum())
 
@@ -142,6 +156,15 @@ def file_facts(faces: Sequence[float | None], system: OutputSystem) -> dict[str,
     }
 
 
+#: Columns of piles in a table.
+PILE_COLUMNS = ("name", "material", "mass_t", "sigma_mass_t", "height_m")
+
+
+def own_doubts(row: Mapping[str, Any]) -> str:
+    """What is doubtful about one pile."""
+    return "; ".join(reason["text"] for reason in row["verdict"]["reasons"])
+
+
 def rows_of(
     facts: Mapping[str, Any], volumes: Sequence[Mapping[str, Any]], faces: Sequence[float | None]
 ) -> list[dict[str, Any]]:
@@ -150,13 +173,14 @@ def rows_of(
     return [
         {
             "number": number,
+            **{key: v[key] for key in PILE_COLUMNS if key in v},
             "volume_m3": v["net_m3"] if "net_m3" in v else v["volume_m3"],
             **{key: v[key] for key in ("sigma_m3", "confidence")},
             "low_m3": v["interval_m3"][0],
             "high_m3": v["interval_m3"][1],
             **{key: v[key] for key in ("cut_m3", "fill_m3", "area_m2", "base")},
             "faces_m3": of_faces,
-            "doubts": doubts,
+            "doubts": own_doubts(v) if "name" in v else doubts,
         }
         for number, (v, of_faces) in enumerate(zip(volumes, faces, strict=True), 1)
     ]

@@ -132,7 +132,7 @@ def heights_at(d: Deliverable, xy: F64, index: TriangleIndex) -> list[F64]:
     if d.base_m is None:
         return [found.height_m, sigma]
     inside = (found.triangle >= 0) & d.counted[found.triangle]
-    if d.outline is not None:
-        inside &= contains(d.outline, xy)
+    if d.outlines:
+        inside &= np.any([contains(outline, xy) for outline in d.outlines], axis=0)
     base = np.where(inside, (weight * d.base_m[corner]).sum(axis=1), np.nan)
     return [found.height_m, sigma, base]

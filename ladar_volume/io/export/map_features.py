@@ -48,10 +48,11 @@ def ring(points: F64, system: OutputSystem) -> list[list[float]]:
 
 
 def outline_features(d: Deliverable) -> Iterator[dict[str, Any]]:
-    """A polygon for each part that counts; the volume stands with the first where it is one."""
-    named = dict(d.rows[0]) if len(d.polygons) == 1 and len(d.rows) == 1 else {}
+    """A polygon for each part that counts, with its volume where each has one."""
+    same = len(d.rows) == len(d.polygons) and (len(d.rows) == 1 or bool(d.outlines))
     for number, polygon in enumerate(d.polygons, 1):
         rings = [ring(each, d.system) for each in (polygon.outer, *polygon.holes)]
+        named = d.rows[number - 1] if same else {}
         facts = {**named, "part": number, "area_m2": polygon.area_m2}
         geometry = {"type": "Polygon", "coordinates": rings}
         yield {"type": "Feature", "properties": facts, "geometry": geometry}

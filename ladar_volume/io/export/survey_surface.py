@@ -60,11 +60,11 @@ def survey_deliverable(folder: Path, crs: str | None = None) -> Deliverable:
     }
     if crs is None:
         columns["normal"] = points.normal  # its axes are the survey's own
-    ring = None
+    rings: list[F64] = []
     if estimator.parameters.volume.outline == "polygon":
         corners = polygon_of(estimator.parameters.volume)
-        ring = at(np.column_stack([corners, np.zeros(len(corners))]))[:, :2]
-    faces = [faces_volume(own, base_m, part, ring) for part in estimator.parts]
+        rings.append(at(np.column_stack([corners, np.zeros(len(corners))]))[:, :2])
+    faces = [faces_volume(own, base_m, part, rings) for part in estimator.parts]
     return Deliverable(
         name=plain_words(str(result["input"]["path"])),
         tin=own,
@@ -77,7 +77,7 @@ def survey_deliverable(folder: Path, crs: str | None = None) -> Deliverable:
         facts={**result, "files": file_facts(faces, system)},
         rows=rows_of(result, result["bodies"] or [result], faces),
         system=system,
-        outline=ring,
+        outlines=rings,
     )
 
 

@@ -1,0 +1,67 @@
+"""Errors that heights of one survey share, from a YAML file::
+
+height_errors:
+  - {name: datum, sigma_m: 0.01}
+  - {name: trajectory, sigma_m: 0.02, correlation_m: 30}
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ladar_volume.io import strict_yaml
+from ladar_volume.model.errors import ConfigurationError, shown
+from ladar_volume.model.piles import HeightError
+
+#: Keys of one error, and lines of the budget that are the program's own.
+KEYS = ("name", "sigma_m", "correlation_m")
+TAKEN = (
+    "noise",
+    "base_surface",
+    "base_model",
+    "base_choice",
+    "base_extreme",
+    "toe_place",
+    "between_points",
+    "unseen",
+    "vegetation",
+)
+EXAMPLE = "height_errors: [{name: datum, sigma_m: 0.01}]"
+
+
+def read_height_errors(path: Path) -> tuple[HeightError, ...]:
+    """The errors of a file. Raises :class:`ConfigurationError` for one that holds none, and for
+    names and numbers that are none.
+    """
+    found = strict_yaml.read(path)
+    rows = found.get("height_errors") if isinstance(found, dict) and len(found) == 1 else None
+    if not isinstance(rows, list) or not rows:
+        raise ConfigurationError(f"{path.name}: holds no height_errors; for example {EXAMPLE}")
+    errors = tuple(_error(path, row) for row in rows)
+    names = [error.name for error in errors]
+    for name in names:
+        if names.count(name) > 1 or name in TAKEN:
+            raise ConfigurationError(
+                f"{path.name}: the name {shown(name)} is taken: name every error otherwise",
+                value=name,
+            )
+    return errors
+
+
+def _error(path: Path, row: object) -> HeightError:
+    """One error. Raises :class:`ConfigurationError`."""
+    if not isinstance(row, dict) or not {"name", "sigma_m"} <= set(row) <= set(KEYS):
+        raise ConfigurationError(
+            f"{path.name}: an error has name, sigma_m and, where it is not common to all heights, "
+            f"correlation_m: {shown(row)}",
+            value=row,
+        )
+    name, numbers = row["name"], {key: row[key] for key in KEYS[1:] if key in row}
+    if not isinstance(name, str) or not name.isidentifier():
+        raise ConfigurationError(
+            f"{path.name}: {shown(name)} is no name: letters, digits and _", value=name
+        )
+    for key, value in numbers.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ConfigurationError(f"{path.name}: {key} {shown(value)} is no number", value=value)
+    return HeightError(name, **{key: float(value) for key, value in numbers.items()})
