@@ -105,8 +105,10 @@ def folder(tmp_path, monkeypatch):
     """A folder with the files that the README names."""
     rng = np.random.default_rng(5)
     r = mound(rng)
-    for cloud in ("CLOUD.ply", "CLOUD.las"):
+    for cloud in ("CLOUD.ply", "CLOUD.las", "YARD.laz"):
         write_cloud(tmp_path / cloud, r, {})
+    square = '{"type": "Polygon", "coordinates": [[[1, 1], [9, 1], [9, 9], [1, 9], [1, 1]]]}'
+    (tmp_path / "OUTLINES.geojson").write_text(square, encoding="utf-8")
     write_cloud(tmp_path / "A.ply", pit(rng, 0.0), {})
     write_cloud(tmp_path / "B.ply", pit(rng, 1.0), {})
     for name, shift in (("A.csv", 0.0), ("B.csv", [3.0, -2.0, 0.5])):
@@ -125,6 +127,7 @@ RUN_HERE = {
     "check-config": "good",
     "tin": "tin.ply",
     "volume CLOUD.las": '"net_m3"',
+    "volume YARD.laz": "V / m³ by base",
     "volume DESIGN.xml": "net volume",
     "diff": "taken away",
     "register": '"matrix"',

@@ -160,7 +160,9 @@ def report_of(arguments: argparse.Namespace, result: VolumeResult) -> None:
     from ladar_volume.report.cloud_report import CloudReport, write_cloud_report  # matplotlib
 
     files = [p for p in (arguments.cloud, arguments.cloud_b) if p is not None]
-    report = CloudReport(files, result.surfaces, result.base, result.counted, result.facts)
+    piles = list(zip(result.outlines, result.planes, strict=False))
+    r = result
+    report = CloudReport(files, r.surfaces, r.base, r.counted, r.facts, piles)
     write_cloud_report(report, arguments.report)
 
 
@@ -181,7 +183,7 @@ def task_of(arguments: argparse.Namespace) -> VolumeTask:
 class VolumeResult:
     """surfaces : of the files · base : of the first, None where the second is the base · counted :
     triangles (m,) of the first that count · facts : what the JSON says · outlines : polygons (k, 2)
-    that cut these off, none where they count whole
+    that cut these off, none where they count whole · planes : near the base within each outline
     """
 
     surfaces: list[CloudSurface]
@@ -189,6 +191,7 @@ class VolumeResult:
     counted: Bool
     facts: dict[str, Any]
     outlines: tuple[F64, ...] = ()
+    planes: tuple[Plane | None, ...] = ()
 
 
 def result_of(
@@ -221,7 +224,8 @@ def result_of(
         "version": version(),
     }
     base, counted = base_of(task, found), found.counted[0]
-    return VolumeResult(surfaces, base, counted, facts, polygons_that_count(found))
+    planes = () if found.site is None else tuple(pile.reference for pile in found.site.piles)
+    return VolumeResult(surfaces, base, counted, facts, polygons_that_count(found), planes)
 
 
 def polygons_that_count(found: CutFill) -> tuple[F64, ...]:

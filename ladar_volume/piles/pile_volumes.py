@@ -62,7 +62,8 @@ class Above:
 class PileVolume:
     """pile · volume : above the base that was asked for · solid : before its noise · verdict ·
     inside_m2 : (m,) of each triangle · height_m : of its highest point above the base · top_m : of
-    that point · bases : above every base · plane : the base as a polynomial, None for triangles
+    that point · bases : above every base · plane : the base as a polynomial, None for triangles ·
+    reference : a plane near the base, for pictures
     """
 
     pile: Pile
@@ -73,7 +74,8 @@ class PileVolume:
     height_m: float
     top_m: float
     bases: Mapping[str, Above]
-    plane: Plane | None = None
+    plane: Plane | None
+    reference: Plane | None
 
 
 @dataclass(frozen=True)
@@ -196,7 +198,9 @@ def pile_volume(site: Site, pile: Pile, task: SiteTask) -> PileVolume:
         doubts += surface_doubts(task.second, areas_inside(task.second.made.tin, pile.ring))
     high, top = summit(part, reference)
     verdict = verdict + Verdict(tuple(doubts))
-    return PileVolume(pile, volume, solid, verdict, part.inside_m2, high, top, bases, plane)
+    return PileVolume(
+        pile, volume, solid, verdict, part.inside_m2, high, top, bases, plane, reference
+    )
 
 
 def checked_part(site: Site, pile: Pile) -> PilePart:

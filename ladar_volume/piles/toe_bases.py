@@ -8,6 +8,7 @@ bootstrap), and taken off; it stays in sigma.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,8 @@ from ladar_volume.volume.polygon import areas_inside
 WINDOW, DRAWS = 7, 400
 #: The triangles of a toe line fill its outline to this part, after at most so many refinements.
 FILLED, REFINED = 1e-9, 5
+#: A triangle of less than this part of all area is a sliver.
+FLAT = 1e-13
 #: Degrees of the bases that are polynomials.
 DEGREES = {"toe_plane": 1, "toe_quadratic": 2}
 
@@ -73,20 +76,14 @@ def triangulated(tin: Tin, ring: F64, line: ToeLine) -> ToeBase:
     step = float(np.diff(line.at_m).max())
     for _ in range(REFINED):
         made = build_tin(np.column_stack([line.xy, line.height_m]))
-        inside = areas_inside(made, ring)
         own = footprint_areas(made.vertices, made.triangles)
-        # triangles whole within the outline; slivers along its straight sides are of no area
+        # slivers along straight sides have no area
+        made = dataclasses.replace(made, relevant=own > FLAT * own.sum())
+        inside = areas_inside(made, ring)
         kept = inside > 0.5 * own
         error = abs(float(own[kept].sum() - inside.sum())) + float(inside[~kept].sum())
         if error <= FILLED * float(inside.sum()):
-            base = Tin(
-                made.vertices,
-                made.triangles,
-                made.neighbours,
-                kept & (own > 0.0),
-                made.source,
-                made.duplicates,
-            )
+            base = dataclasses.replace(made, relevant=kept)
             t = len(line.xy)
             M = np.zeros((len(made.vertices), t))
             M[np.arange(len(made.vertices)), made.source] = 1.0

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.model.records import F64, Bool, Plane
@@ -22,7 +23,8 @@ from ladar_volume.volume.outline import boundary_loop, components
 @dataclass(frozen=True)
 class CloudReport:
     """files : one or two · surfaces : of each · base : of the first, None where the second is the
-    base · counted : (t,) triangles of the first that count · facts : as with ``--json``
+    base · counted : (t,) triangles of the first that count · facts : as with ``--json`` · piles :
+    outline (k, 2) and plane near the base of each
     """
 
     files: Sequence[Path]
@@ -30,8 +32,11 @@ class CloudReport:
     base: Plane | None
     counted: Bool
     facts: Mapping[str, Any]
+    piles: Sequence[tuple[F64, Plane | None]] = ()
 
 
+#: Volume of a row, its standard deviation and unit.
+VOLUME = ("net_m3", "sigma_m3", "m³")
 #: Most outlines that a map shows, the largest parts first.
 OUTLINES = 20
 
@@ -44,6 +49,9 @@ def write_cloud_report(report: CloudReport, page: Path) -> None:
     lead["Sigma holds"] = str(facts["sigma_holds"])
     lead["1 cm of height"] = f"{facts['centimetre_m3']:.3f} m³"
     tables = {"Budget": budget_rows(facts), "Files": _files(facts), "Parts": _parts(facts)}
+    if "piles" in facts:
+        del tables["Parts"]
+        tables = {"Piles": pile_rows(facts), "Volume by base": base_rows(facts), **tables}
     tables["Options of the surface"] = [
         (name.replace("_", " "), str(value))
         for name, value in facts["options"].items()
@@ -57,7 +65,7 @@ def write_cloud_report(report: CloudReport, page: Path) -> None:
 def _scene(report: CloudReport) -> Scene:
     first = report.surfaces[0]
     tin = first.made.tin
-    base_at = base_of_plane(report.base)
+    base_at = base_of_piles(report) if report.piles else base_of_plane(report.base)
     if report.base is None and len(report.surfaces) == 2:
         second = report.surfaces[1].made.tin
 
@@ -77,8 +85,60 @@ def _scene(report: CloudReport) -> Scene:
     )
 
 
+def base_of_piles(report: CloudReport) -> Callable[[F64], F64]:
+    """Height at xy (k, 2) of the plane of the nearest pile."""
+    centres = np.array([ring.mean(axis=0) for ring, _ in report.piles])
+    planes = [base_of_plane(plane) for _, plane in report.piles]
+
+    def at(xy: F64) -> F64:
+        nearest, out = cKDTree(centres).query(xy)[1], np.zeros(len(xy))
+        for number, plane in enumerate(planes):
+            own = nearest == number
+            out[own] = plane(xy[own])
+        return out
+
+    return at
+
+
+def measured(row: Mapping[str, Any], value: str, sigma: str, unit: str) -> str:
+    """A number of a row with its standard deviation, as far as they are known."""
+    if row.get(value) is None:
+        return "–"
+    spread = "" if row.get(sigma) is None else f" ± {row[sigma]:,.2f}"
+    return f"{row[value]:,.2f}{spread} {unit}"
+
+
+def pile_rows(facts: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Name, volume, tonnes, area, height and verdict of each pile."""
+    return [
+        (
+            f"{row['name']}" + (f", {row['material']}" if row.get("material") else ""),
+            measured(row, "net_m3", "sigma_m3", "m³"),
+            measured(row, "mass_t", "sigma_mass_t", "t"),
+            measured(row, "area_m2", "", "m²"),
+            measured(row, "height_m", "", "m high"),
+            row["verdict"]["status"],
+        )
+        for row in facts["piles"]
+    ]
+
+
+def base_rows(facts: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """The volume of each pile above every base."""
+    known = [row for row in facts["piles"] if row["net_m3"] is not None]
+    return [
+        (
+            name.replace("_", " "),
+            *(f"{row['name']}: {measured(row['bases'][name], *VOLUME)}" for row in known),
+        )
+        for name in (known[0]["bases"] if known else ())
+    ]
+
+
 def _outlines(report: CloudReport) -> list[F64]:
-    """The outer rings (k, 2) of the largest parts that count."""
+    """The outlines of piles, or the outer rings (k, 2) of the largest parts that count."""
+    if report.piles:
+        return [ring for ring, _ in report.piles]
     tin = report.surfaces[0].made.tin
     part = components(tin, report.counted)
     count = np.bincount(part[part >= 0])

@@ -39,7 +39,7 @@ def shared_variances(xy: F64, gradient: F64, error: HeightError) -> F64:
     at, g = xy[counts], gradient[counts]
     extent = float(np.ptp(at, axis=0).max())
     cell = max(min(error.correlation_m / PER_LENGTH, extent / SHORTEST), extent / LONGEST)
-    cell = cell or error.correlation_m  # a single place
+    cell = cell or error.correlation_m / PER_LENGTH  # a single place
     if cell * FEWEST > error.correlation_m:
         raise ConfigurationError(
             f"{error.name}: a correlation length of {error.correlation_m:g} m is too short for "

@@ -13,8 +13,8 @@ from ladar_volume.cli.arguments.parameter_flags import (
     spec_of,
     value_parser,
 )
+from ladar_volume.cli.inputs.base_choice import OWN_OPTION
 from ladar_volume.cli.main import main, make_parser
-from ladar_volume.cli.volume import OWN_OPTION
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.parameter import specs
 

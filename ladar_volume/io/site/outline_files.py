@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,18 +50,22 @@ class Outlines:
     doubts: tuple[Doubt, ...] = ()
 
 
+#: Columns of a file: names in small letters, of which several may be alike, and values.
+Columns = Sequence[tuple[str, Sequence[Any]]]
+
+
 @dataclass(frozen=True)
 class Features:
-    """shapes : geometries, x and y as they stand · columns : by name in small letters, one value a
-    shape · crs : of the file, None where it names none · default_crs : whether the format and not
-    the file names it
+    """shapes : geometries, x and y as they stand · columns : names and values, one a shape · crs :
+    of the file, None where it names none · default_crs : whether the format and not the file
+    names it · no_geometry : rows without a shape
     """
 
     shapes: list[BaseGeometry]
-    columns: Mapping[str, Sequence[Any]]
+    columns: Columns
     crs: CRS | None
     default_crs: bool = False
-    no_geometry: int = field(default=0)
+    no_geometry: int = 0
 
 
 def read_outlines(path: Path, at: MapCoordinates, extent: F64) -> Outlines:
@@ -72,6 +76,11 @@ def read_outlines(path: Path, at: MapCoordinates, extent: F64) -> Outlines:
     brought together with the points'; ModuleNotFoundError without pyogrio or shapely.
     """
     found = features_of(path)
+    if not any(rings_of(shape, path) for shape in found.shapes):
+        raise InputError(
+            f"{path.name}: holds no closed area: draw polygons, or closed polylines",
+            reason="input_outlines",
+        )
     shift = shift_of(found, at, extent, path)
     piles: list[Pile] = []
     ignored = found.no_geometry
@@ -83,11 +92,6 @@ def read_outlines(path: Path, at: MapCoordinates, extent: F64) -> Outlines:
         for number, ring in enumerate(rings, 1):
             own = name if len(rings) == 1 else f"{name} ({number})"
             piles.append(Pile(own, checked(shift.apply(ring), own, path), material))
-    if not piles:
-        raise InputError(
-            f"{path.name}: holds no closed area: draw polygons, or closed polylines",
-            reason="input_outlines",
-        )
     return Outlines(with_own_names(piles), shift.words, ignored, shift.doubts)
 
 
@@ -128,10 +132,10 @@ def features_of(path: Path) -> Features:
     if len(shapes) > MOST:
         raise InputError(f"{path.name}: more than {MOST:,} shapes", reason="input_outlines")
     kept = [w is not None for w in wkb]
-    columns = {
-        str(name).lower(): [v for v, keep in zip(column, kept, strict=True) if keep]
+    columns = [
+        (str(name).lower(), [v for v, keep in zip(column, kept, strict=True) if keep])
         for name, column in zip(meta["fields"], values, strict=True)
-    }
+    ]
     crs = None if meta["crs"] is None else crs_of_text(str(meta["crs"]), path.name)
     ending = path.suffix.lower()
     by_format = ending in (".geojson", ".json") and '"crs"' not in path.read_text("utf-8", "ignore")
@@ -151,7 +155,7 @@ def wkt_features(path: Path) -> Features:
         raise InputError(
             f"{path.name}: no WKT, one geometry a line: {brief}", reason="input_outlines"
         ) from error
-    return Features(shapes, {}, None)
+    return Features(shapes, (), None)
 
 
 def rings_of(shape: BaseGeometry, path: Path) -> list[F64]:
@@ -290,10 +294,9 @@ def geographic_numbers(shapes: Sequence[BaseGeometry]) -> bool:
     return bool(low[0] >= -360 and high[0] <= 360 and low[1] >= -90 and high[1] <= 90)
 
 
-def text_of(columns: Mapping[str, Sequence[Any]], names: Sequence[str], row: int) -> str:
+def text_of(columns: Columns, names: Sequence[str], row: int) -> str:
     """Text in the first of the columns that has some."""
-    for name in names:
-        value = columns[name][row] if name in columns else None
+    for value in (v[row] for wanted in names for name, v in columns if name == wanted):
         if value is None or (isinstance(value, float | np.floating) and math.isnan(value)):
             continue
         text = "".join(c for c in str(value).strip() if c.isprintable())[:80]
@@ -302,7 +305,7 @@ def text_of(columns: Mapping[str, Sequence[Any]], names: Sequence[str], row: int
     return ""
 
 
-def material_of(columns: Mapping[str, Sequence[Any]], row: int, pile: str) -> Material | None:
+def material_of(columns: Columns, row: int, pile: str) -> Material | None:
     """The material of a pile; None where no density is given. Raises
     :class:`ConfigurationError`.
     """
