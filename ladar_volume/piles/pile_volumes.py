@@ -186,7 +186,7 @@ def pile_volume(site: Site, pile: Pile, task: SiteTask) -> PileVolume:
         reference,
     )
     nets = {name: net_above(part, base) for name, base in made.items()}
-    bases = {name: above(part, net, volume, task.base == name) for name, net in nets.items()}
+    bases = all_above(part, nets, volume, task.base)
     if not task.chosen:
         volume = with_choice(volume, bases)
     doubts = list(outline_doubts(part))
@@ -334,19 +334,30 @@ def net_above(part: PilePart, base: Made) -> Net | LadarVolumeError:
     return above_toe(part, base) if isinstance(base, ToeBase) else above_plane(part, base)
 
 
-def above(part: PilePart, net: Net | LadarVolumeError, asked: CloudVolume, is_asked: bool) -> Above:
-    """The volume above one of the bases with the standard deviation of its noise and what heights
+def all_above(
+    part: PilePart,
+    nets: Mapping[str, Net | LadarVolumeError],
+    asked: CloudVolume,
+    asked_name: str,
+) -> dict[str, Above]:
+    """The volumes above every base with the standard deviations of their noise and of what heights
     share; what lies between the points is taken from the volume that was asked for.
     """
-    if is_asked:
-        return Above(asked.net_m3, asked.sigma_m3)
-    if isinstance(net, LadarVolumeError):
-        return Above(math.nan, math.nan, str(net))
-    column = net.gradient[:, None]
-    variance = float(part.surface.variance(column)[0]) + sum(net.extra.values())
-    variance += sum(float(line[0]) for line in part.surface.shared_lines(column).values())
-    between = (asked.budget_m6.get(name, 0.0) for name in ("between_points", "unseen"))
-    return Above(net.net_m3, math.sqrt(max(variance + sum(between), 0.0)))
+    known = {name: net for name, net in nets.items() if isinstance(net, Net)}
+    columns = np.column_stack([net.gradient for net in known.values()] or [part.by_height])
+    variance = part.surface.variance(columns)
+    variance = variance + sum(part.surface.shared_lines(columns).values())
+    between = sum(asked.budget_m6.get(name, 0.0) for name in ("between_points", "unseen"))
+    out = {}
+    for name, net in nets.items():
+        if name == asked_name:
+            out[name] = Above(asked.net_m3, asked.sigma_m3)
+        elif isinstance(net, LadarVolumeError):
+            out[name] = Above(math.nan, math.nan, str(net))
+        else:
+            noise = float(variance[list(known).index(name)]) + sum(net.extra.values())
+            out[name] = Above(net.net_m3, math.sqrt(max(noise + between, 0.0)))
+    return out
 
 
 def with_choice(volume: CloudVolume, bases: Mapping[str, Above]) -> CloudVolume:

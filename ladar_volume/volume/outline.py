@@ -55,12 +55,16 @@ def shares(tin: Tin, outline: Bool, found: list[Bool]) -> list[Bool]:
     """The triangles (m,) of an outline around several bodies, each given to the body with the
     vertex nearest to its centroid.
     """
-    middle = tin.vertices[tin.triangles, :2].mean(axis=1)
+    if len(found) == 1:
+        return [outline.copy()]
+    within = np.flatnonzero(outline)
+    middle = tin.vertices[tin.triangles[within], :2].mean(axis=1)
     distance = [
         np.asarray(cKDTree(tin.vertices[vertex_mask(tin, body), :2]).query(middle)[0])
         for body in found
     ]
-    nearest = np.argmin(distance, axis=0)
+    nearest = np.full(len(tin.triangles), -1)
+    nearest[within] = np.argmin(distance, axis=0)
     for number, body in enumerate(found):
         nearest[body] = number
     return [outline & (nearest == number) for number in range(len(found))]

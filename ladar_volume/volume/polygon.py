@@ -13,7 +13,7 @@ import numpy as np
 from ladar_volume.ground.polynomial import base_gradient, base_height, degree_of, design
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import VolumeError
-from ladar_volume.model.records import F64, Bool, Plane, Tin
+from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
 from ladar_volume.volume.prismoids import Prismoids, gather
 
 
@@ -34,18 +34,35 @@ def check_polygon(polygon: F64) -> F64:
     area = 0.5 * float((d[:, 0] * np.roll(d[:, 1], -1) - np.roll(d[:, 0], -1) * d[:, 1]).sum())
     if area == 0.0:
         raise VolumeError("the outline has no area", reason="volume_polygon", value=p)
-    for i in range(len(p)):
-        for j in range(i + 2, len(p) - (i == 0)):
-            sides = [
-                e[a, 0] * (q[1] - p[a, 1]) - e[a, 1] * (q[0] - p[a, 0])
-                for a, b in ((i, j), (j, i))
-                for q in (p[b], p[(b + 1) % len(p)])
-            ]
-            if sides[0] * sides[1] < 0 and sides[2] * sides[3] < 0:
-                raise VolumeError(
-                    f"edges {i} and {j} of the outline cross", reason="volume_polygon", value=p
-                )
+    i, j = first_crossing(p, e)
+    if i >= 0:
+        raise VolumeError(
+            f"edges {i} and {j} of the outline cross", reason="volume_polygon", value=p
+        )
     return p if area > 0 else p[::-1].copy()
+
+
+@kernel
+def first_crossing(p: F64, e: F64) -> tuple[int, int]:
+    """The first two edges of a ring (k, 2), from its corners p with vectors e (k, 2), that cross
+    one another; −1, −1 for none.
+    """
+    k = len(p)
+    for i in range(k):
+        for j in range(i + 2, k - (1 if i == 0 else 0)):
+            if side(p, e, i, j) * side(p, e, i, (j + 1) % k) < 0.0 and (
+                side(p, e, j, i) * side(p, e, j, (i + 1) % k) < 0.0
+            ):
+                return i, j
+    return -1, -1
+
+
+@kernel
+def side(p: F64, e: F64, edge: int, corner: int) -> float:
+    """On which side of the line of an edge a corner lies: positive on the left."""
+    x, y = p[corner, 0] - p[edge, 0], p[corner, 1] - p[edge, 1]
+    out: float = e[edge, 0] * y - e[edge, 1] * x
+    return out
 
 
 @kernel
@@ -111,6 +128,70 @@ def holds(polygon: F64, points: F64) -> bool:
 
 
 @kernel
+def rows_of_edges(polygon: F64, count: int) -> tuple[I64, I64, float, float]:
+    """The edges of a polygon (k, 2) by ``count`` rows of equal height: where each row starts
+    (count + 1,) among the numbers of edges that reach into it; the lowest y, and rows per metre.
+    """
+    k = len(polygon)
+    south, north = polygon[:, 1].min(), polygon[:, 1].max()
+    scale = count / (north - south) if north > south else 0.0
+    start = np.zeros(count + 1, np.int64)
+    for filling in range(2):
+        found = np.empty(start[count], np.int64)
+        used = start[:-1].copy()
+        for i in range(k):
+            a, b = polygon[i, 1], polygon[(i + 1) % k, 1]
+            low = row_of(min(a, b), south, scale, count)
+            for row in range(low, row_of(max(a, b), south, scale, count) + 1):
+                if filling:
+                    found[used[row]] = i
+                    used[row] += 1
+                else:
+                    start[row + 1] += 1
+        if not filling:
+            start = np.cumsum(start)
+    return start, found, south, scale
+
+
+@kernel
+def row_of(y: float, south: float, scale: float, count: int) -> int:
+    """The row in which a y lies, the first or the last beyond them."""
+    return min(max(int((y - south) * scale), 0), count - 1)
+
+
+@kernel
+def edges_meet(polygon: F64, p: F64, start: I64, edges: I64, south: float, scale: float) -> bool:
+    """Whether the box around any edge of a polygon meets that around a triangle (3, 2)."""
+    count = len(start) - 1
+    west, east = min(p[0, 0], p[1, 0], p[2, 0]), max(p[0, 0], p[1, 0], p[2, 0])
+    low, high = min(p[0, 1], p[1, 1], p[2, 1]), max(p[0, 1], p[1, 1], p[2, 1])
+    first, last = row_of(low, south, scale, count), row_of(high, south, scale, count)
+    for at in range(start[first], start[last + 1]):
+        a, b = polygon[edges[at]], polygon[(edges[at] + 1) % len(polygon)]
+        if (
+            max(a[0], b[0]) >= west
+            and min(a[0], b[0]) <= east
+            and max(a[1], b[1]) >= low
+            and min(a[1], b[1]) <= high
+        ):
+            return True
+    return False
+
+
+@kernel
+def contains(polygon: F64, x: float, y: float, start: I64, edges: I64, row: int) -> bool:
+    """Whether a polygon holds a place that lies in ``row`` and on none of its edges: by the number
+    of edges to the west of it.
+    """
+    inside = False
+    for at in range(start[row], start[row + 1]):
+        a, b = polygon[edges[at]], polygon[(edges[at] + 1) % len(polygon)]
+        if (a[1] > y) != (b[1] > y) and x > a[0] + (y - a[1]) / (b[1] - a[1]) * (b[0] - a[0]):
+            inside = not inside
+    return inside
+
+
+@kernel
 def barycentric_lines(p: F64, line: F64) -> None:
     """The barycentric coordinates of a triangle (3, 2) as linear functions about its corner 0, to
     line (3, 3): constant, slope along x, slope along y.
@@ -133,6 +214,8 @@ def clipped_weights(corners: F64, heights: F64, polygon: F64) -> F64:
     out, size = np.zeros((len(corners), 2, 3)), 8 * len(polygon) + 64
     one, two, three = np.empty((size, 2)), np.empty((size, 2)), np.empty((size, 2))
     line, convex = np.empty((3, 3)), is_convex(polygon)
+    start, edges, low, scale = rows_of_edges(polygon, len(polygon))
+    leftwards = convex or moments(polygon - polygon[0], len(polygon))[0] > 0.0
     west, east = polygon[:, 0].min(), polygon[:, 0].max()
     south, north = polygon[:, 1].min(), polygon[:, 1].max()
     for t in range(len(corners)):
@@ -141,11 +224,18 @@ def clipped_weights(corners: F64, heights: F64, polygon: F64) -> F64:
             continue
         if max(p[0, 1], p[1, 1], p[2, 1]) < south or min(p[0, 1], p[1, 1], p[2, 1]) > north:
             continue
+        whole = convex and holds(polygon, p)
+        if not convex and not edges_meet(polygon, p, start, edges, low, scale):
+            row = row_of(p[0, 1], low, scale, len(polygon))
+            whole = contains(polygon, p[0, 0], p[0, 1], start, edges, row)
+            if not whole:
+                continue
         barycentric_lines(p, line)
-        if convex and holds(polygon, p):
+        if whole:
             n = 3
             for i in range(n):
-                two[i, 0], two[i, 1] = p[i, 0] - p[0, 0], p[i, 1] - p[0, 1]
+                at = i if leftwards else 2 - i  # as the polygon turns
+                two[i, 0], two[i, 1] = p[at, 0] - p[0, 0], p[at, 1] - p[0, 1]
         else:
             for i in range(len(polygon)):
                 one[i, 0], one[i, 1] = polygon[i, 0] - p[0, 0], polygon[i, 1] - p[0, 1]
