@@ -16,7 +16,8 @@ from ladar_volume.clouds.cloud_surface import cloud_surface
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.piles import Pile
 from ladar_volume.model.surface_parameters import SurfaceParameters
-from ladar_volume.piles.pile_volumes import SiteTask, piles_of, ring_area
+from ladar_volume.piles.pile_site import SiteTask, ring_area
+from ladar_volume.piles.pile_volumes import piles_of
 from ladar_volume.piles.toe_line import places_along
 
 #: Centre, radius, height.

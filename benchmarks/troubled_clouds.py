@@ -5,7 +5,8 @@ second cloud of the ground, through the command line with nothing set.
 An answer is *silent* where it is more than three standard deviations off with a sound verdict:
 there must be none. A clean cloud that is doubted is a false alarm.
 
-``python -m benchmarks.troubled_clouds [KIND ...] [--seeds N] [--first SEED]``
+``python -m benchmarks.troubled_clouds [KIND ...] [--seeds N] [--first SEED] [--piles BASE]``; with
+``--piles`` within an outline drawn 0.5 to 1.5 m outside the foot, above that base.
 """
 
 from __future__ import annotations
@@ -293,6 +294,14 @@ def over_holed(s: Site) -> list[F64]:
     return [s.points(), b[~near(b, 2.0, 0.0, s.rng.uniform(1.5, 3.5))]]
 
 
+def drawn(s: Site, kind: str) -> F64:
+    """An outline (48, 2) outside the foot."""
+    a = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    out = s.rng.uniform(0.5, 1.5) + (0.4 * s.a if kind == "apron" else 0.0)
+    ring = np.column_stack([(s.a + out) * np.cos(a), (s.b + out) * np.sin(a)])
+    return ring + ((433_000.0, 5_100_000.0) if kind == "far away" else (0.0, 0.0))
+
+
 PAIRS: dict[str, Callable[[Site], list[F64]]] = {
     "pair: clean": over_empty(Site.points),
     "pair: higher": over_higher,
@@ -358,8 +367,8 @@ class Answer:
         return self.far and self.status == "sound"
 
 
-def answer(kind: str, seed: int, density: float = 15.0) -> Answer:
-    """What the command line says of a cloud."""
+def answer(kind: str, seed: int, density: float = 15.0, piles: str = "") -> Answer:
+    """What the command line says of a cloud; of its pile above the base ``piles``, where given."""
     site = Site(seed, kind, density)
     clouds = PAIRS[kind](site) if kind in PAIRS else [KINDS[kind](site)]
     said, why = io.StringIO(), io.StringIO()
@@ -367,7 +376,13 @@ def answer(kind: str, seed: int, density: float = 15.0) -> Answer:
         paths = [str(Path(folder) / f"cloud_{k}.npy") for k in range(len(clouds))]
         for path, points in zip(paths, clouds, strict=True):
             np.save(path, points)
-        base = [] if kind in PAIRS else ["--base", "ground"]
+        base = [] if kind in PAIRS else ["--base", piles or "ground"]
+        if piles:
+            corners = ", ".join(f"{x!r} {y!r}" for x, y in drawn(site, kind).tolist())
+            first = corners.split(", ")[0]
+            file = Path(folder) / "outline.wkt"
+            file.write_text(f"POLYGON(({corners}, {first}))", encoding="utf-8")
+            base += ["--piles", str(file)]
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(why):
             code = ladar_volume(["volume", *paths, *base, "--json"])
     if code:
@@ -385,13 +400,14 @@ def main() -> int:
     parser.add_argument("kind", nargs="*", choices=[*KINDS, *PAIRS, []], default=[])
     parser.add_argument("--seeds", type=int, default=SEEDS)
     parser.add_argument("--first", type=int, default=1)
+    parser.add_argument("--piles", default="", metavar="BASE")
     a = parser.parse_args()
     print(
         f"{'kind':18s} {'error RMS':>9s} {'sigma':>7s} {'far':>4s} silent doubtful refused reasons"
     )
     silent, harmless = 0, [0, 0]
     for kind in a.kind or [*KINDS, *PAIRS]:
-        found = [answer(kind, seed) for seed in range(a.first, a.first + a.seeds)]
+        found = [answer(kind, seed, piles=a.piles) for seed in range(a.first, a.first + a.seeds)]
         told = [f for f in found if f.status != "refused"]
         rms = math.sqrt(np.mean([f.error**2 for f in told])) if told else math.nan
         sigma = float(np.median([f.sigma for f in told])) if told else math.nan

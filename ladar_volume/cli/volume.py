@@ -52,7 +52,7 @@ from ladar_volume.clouds.cloud_levels import (
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.cloud_volume import CloudVolume, above_base, between_clouds, own_footprints
 from ladar_volume.clouds.ground_readings import ground_readings
-from ladar_volume.clouds.pair_verdict import pair_verdict
+from ladar_volume.clouds.pair_verdict import pair_ground, pair_verdict
 from ladar_volume.clouds.volume_verdict import (
     area_counted,
     judged,
@@ -400,7 +400,7 @@ def volume_verdict(
             verdict += Verdict(tuple(surface_doubts(surface, area)))
     volume = found.volume
     if task.base == "cloud" and all(s.given is None for s in surfaces):
-        volume, more = pair_verdict(volume, surfaces, areas)
+        volume, more = pair_verdict(volume, surfaces, areas, pair_ground(surfaces))
         verdict += more
     return JudgedVolume(volume, verdict, {})
 

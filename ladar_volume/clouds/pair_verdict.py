@@ -16,7 +16,7 @@ from ladar_volume.clouds.cloud_volume import CloudVolume
 from ladar_volume.clouds.ground_cover import CLIMB, steep_edges
 from ladar_volume.clouds.volume_verdict import with_lines
 from ladar_volume.ground.polynomial import design_surface
-from ladar_volume.model.records import F64, Bool, Tin
+from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.tin.locate import locate, triangle_index
@@ -114,17 +114,62 @@ def with_offset(volume: CloudVolume, found: Unchanged) -> tuple[CloudVolume, lis
     return volume, [Doubt("offset", words, found.offset_m)]
 
 
-def edge_doubts(tin: Tin, found: Unchanged, least_m: float, volume: CloudVolume) -> list[Doubt]:
-    """The two surfaces are apart where the common footprint (the whole of ``tin``) ends."""
-    level, whole = design_surface([found.offset_m]), np.ones(len(tin.triangles), np.bool_)
-    cut = cut_at_boundary(tin, level, whole, least_m)
-    told = found.share >= SAME and found.changed >= OTHER
-    if cut is None or not told or cut.hidden_m3 < HIDDEN * volume.sigma_m3:
+@dataclass(frozen=True)
+class PairGround:
+    """tin : upper minus lower over what both saw · found : where they are alike · least_m : apart
+    beyond chance · on_face : (n,) vertices on steep faces
+    """
+
+    tin: Tin
+    found: Unchanged
+    least_m: float
+    on_face: Bool
+
+    @property
+    def level(self) -> Plane:
+        """Height of the difference where nothing changed."""
+        return design_surface([self.found.offset_m])
+
+    @property
+    def told(self) -> bool:
+        """Whether enough did not change, and enough did, to tell the two apart."""
+        return self.found.share >= SAME and self.found.changed >= OTHER
+
+
+def pair_ground(surfaces: list[CloudSurface]) -> PairGround | None:
+    """What two surfaces say of one another. None where their noise is not known, or too little is
+    common to both.
+    """
+    sigmas = [s.sigma_m for s in surfaces]
+    if sigmas[0] is None or sigmas[1] is None:
+        return None
+    tin = difference(surfaces[0].made.tin, surfaces[1].made.tin).common()
+    found = unchanged(tin) if len(tin.triangles) else None
+    if found is None:
+        return None
+    noise = math.hypot(*(float(np.median(s)) for s in sigmas if s is not None))
+    least = max(CLIMB * noise, CHANGED * found.scatter_m)
+    return PairGround(tin, found, least, steep_edges(tin, max(FACE_M, least)))
+
+
+def edge_doubts(
+    ground: PairGround, inside: Bool, volume: CloudVolume, outline: bool
+) -> list[Doubt]:
+    """The two surfaces are apart where what counts, the triangles ``inside`` (m,) of their
+    difference, ends: at the edge of what both saw, or at an ``outline``.
+    """
+    cut = cut_at_boundary(ground.tin, ground.level, inside, ground.least_m)
+    if cut is None or not ground.told or cut.hidden_m3 < HIDDEN * volume.sigma_m3:
         return []
+    what, todo = (
+        ("the outline lies", "draw it around what changed")
+        if outline
+        else ("one of the clouds ends", "survey that place, or take the base from the ground")
+    )
     words = (
-        f"one of the clouds ends where they are {cut.high_m:.2g} m apart, along {cut.length_m:.3g} "
-        f"m about ({cut.x_m:.1f}, {cut.y_m:.1f}) m: what changed beyond, some {cut.hidden_m3:.2g} "
-        "m³ or more, is not counted; survey that place, or take the base from the ground"
+        f"{what} where they are {cut.high_m:.2g} m apart, along {cut.length_m:.3g} m about "
+        f"({cut.x_m:.1f}, {cut.y_m:.1f}) m: what changed beyond, some {cut.hidden_m3:.2g} m³ or "
+        f"more, is not counted; {todo}"
     )
     return [Doubt("cut", words, cut.hidden_m3)]
 
@@ -168,24 +213,27 @@ def with_pair_gaps(
 
 
 def pair_verdict(
-    volume: CloudVolume, surfaces: list[CloudSurface], areas: list[F64]
+    volume: CloudVolume,
+    surfaces: list[CloudSurface],
+    areas: list[F64],
+    ground: PairGround | None,
+    inside: Bool | None = None,
 ) -> tuple[CloudVolume, Verdict]:
-    """The volume between two clouds with what they say of one another, and its verdict."""
-    sigmas = [s.sigma_m for s in surfaces]
-    if sigmas[0] is None or sigmas[1] is None or math.isnan(volume.sigma_m3):
+    """The volume between two clouds with what they say of one another, and its verdict. areas (m,)
+    m² : of the triangles of each that count · inside : (k,) triangles of their difference within an
+    outline, None for all.
+    """
+    if any(s.sigma_m is None for s in surfaces) or math.isnan(volume.sigma_m3):
         return volume, Verdict()
-    noise = math.hypot(*(float(np.median(s)) for s in sigmas if s is not None))
-    tin = difference(surfaces[0].made.tin, surfaces[1].made.tin).common()
     volume, doubts = with_pair_gaps(volume, surfaces, areas)
-    found = unchanged(tin) if len(tin.triangles) else None
-    if found is None:
+    if ground is None:
         return volume, Verdict(tuple(doubts))
-    least = max(CLIMB * noise, CHANGED * found.scatter_m)
-    doubts += edge_doubts(tin, found, least, volume)
-    height = tin.vertices[tin.triangles, 2].mean(axis=1) - found.offset_m
-    changed = np.abs(height) > least
+    tin, least = ground.tin, ground.least_m
+    within = np.ones(len(tin.triangles), np.bool_) if inside is None else inside
+    doubts += edge_doubts(ground, within, volume, inside is not None)
+    height = tin.vertices[tin.triangles, 2].mean(axis=1) - ground.found.offset_m
+    changed = within & (np.abs(height) > least)
     if changed.any():
-        faces = steep_edges(tin, max(FACE_M, least))
-        doubts += wall_doubts(tin, design_surface([found.offset_m]), changed, faces, least)
-    volume, more = with_offset(volume, found)
+        doubts += wall_doubts(tin, ground.level, changed, ground.on_face, least)
+    volume, more = with_offset(volume, ground.found)
     return volume, Verdict(tuple(doubts + more))

@@ -322,20 +322,35 @@ def judged(
     rise = parameters.volume.object_height_m
     if base is None or math.isnan(found.sigma_m3):
         return with_readings(found, readings), Verdict(tuple(doubts))
-    high = body_vertices(surface, base, inside > 0, rise)
-    scatter = body_scatter(surface, high)
     if by_body:
-        faces = steep_vertices(surface, rise, 0.0 if math.isnan(scatter) else scatter)
+        faces = faces_around(surface, base, inside, rise)
         doubts += completeness_doubts(tin, base, inside, faces, found.sigma_m3, parameters)
         doubts += below_base(found)
     found = with_readings(found, readings)
     if readings is not None:
-        growth = growth_above_ground(surface, base, high, scatter)
-        if growth > 0.0:
-            sigma = GROWTH * growth * found.area_m2
-            found = with_lines(found, {"vegetation": sigma**2})
-            doubts += growth_doubts(growth, sigma)
+        found, more = with_growth(found, surface, base, inside, rise)
+        doubts += more
     return found, Verdict(tuple(doubts))
+
+
+def faces_around(surface: CloudSurface, base: Plane, inside: F64, rise_m: float) -> Bool:
+    """Vertices (n,) on steep faces, for the scatter of the body within an outline (m,) m²."""
+    scatter = body_scatter(surface, body_vertices(surface, base, inside > 0, rise_m))
+    return steep_vertices(surface, rise_m, 0.0 if math.isnan(scatter) else scatter)
+
+
+def with_growth(
+    volume: CloudVolume, surface: CloudSurface, ground: Plane, inside: F64, rise_m: float
+) -> tuple[CloudVolume, list[Doubt]]:
+    """The volume with what grows on the ground around it in sigma. rise_m : what is higher above
+    the ground, within the outline (m,) m², is the body.
+    """
+    high = body_vertices(surface, ground, inside > 0, rise_m)
+    growth = growth_above_ground(surface, ground, high, body_scatter(surface, high))
+    if not growth > 0.0 or math.isnan(volume.sigma_m3):
+        return volume, []
+    sigma = GROWTH * growth * volume.area_m2
+    return with_lines(volume, {"vegetation": sigma**2}), growth_doubts(growth, sigma)
 
 
 def area_counted(surface: CloudSurface, mask: Bool) -> F64:

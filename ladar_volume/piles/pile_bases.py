@@ -20,6 +20,7 @@ from ladar_volume.model.records import F64, Plane, Tin
 from ladar_volume.piles.toe_bases import ToeBase
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.tin.locate import height_at
+from ladar_volume.uncertainty.ground_field import GroundField, Roughness
 from ladar_volume.volume.near_base import near_base
 from ladar_volume.volume.neighbourhood import SparseF64
 from ladar_volume.volume.overlay import between
@@ -77,6 +78,15 @@ def pile_part(surface: CloudSurface, pile: Pile) -> PilePart:
     return PilePart(surface, pile, inside, by_height.astype(np.float64))
 
 
+def roughness_around(part: PilePart, ground: Plane) -> Roughness | None:
+    """How the ground around a pile deviates from the polynomial fitted to it."""
+    none = np.zeros((0, 3))
+    by_beta = -loads(part, ground)
+    found = Prismoids(0.0, 0.0, part.area_m2, none, none, by_beta, np.zeros_like(by_beta))
+    field = ground_field(part.tin, ground, found, part.inside_m2, part.surface.vertex_variance)
+    return None if field is None else field.rough
+
+
 def above_plane(part: PilePart, plane: Plane) -> Net:
     """Net volume above a polynomial, which may be fitted to vertices of the same surface."""
     tin, g = part.tin, part.by_height
@@ -94,8 +104,8 @@ def above_plane(part: PilePart, plane: Plane) -> Net:
     return Net(net, out, None, {} if rough is None else {"base_surface": rough.variance_m6})
 
 
-def above_toe(part: PilePart, base: ToeBase) -> Net:
-    """Net volume above a base from the toe line."""
+def above_toe(part: PilePart, base: ToeBase, rough: Roughness | None) -> Net:
+    """Net volume above a base from the toe line. rough : of the ground, where it is known."""
     g, B = part.by_height, base.line.by_vertex
     extra = {}
     if base.level_variance_m2 > 0.0:
@@ -103,7 +113,7 @@ def above_toe(part: PilePart, base: ToeBase) -> Net:
     if base.plane is not None:
         net, load = above_plane(part, base.plane), loads(part, base.plane)
         by_line = base.by_heights.T @ load
-        extra["toe_place"] = float(by_line @ base.line.outward_m) ** 2
+        extra |= line_errors(part, base, by_line, rough)
         return Net(net.net_m3, g - B.T @ by_line, None, extra)
     assert base.tin is not None
     t = base.tin.triangles[base.tin.relevant]
@@ -111,8 +121,23 @@ def above_toe(part: PilePart, base: ToeBase) -> Net:
     by_node = np.bincount(t.ravel(), np.repeat(third, 3), len(base.tin.vertices))
     net_m3 = float(g @ part.tin.vertices[:, 2] - by_node @ base.tin.vertices[:, 2])
     by_line = base.by_heights.T @ by_node
-    extra["toe_place"] = float(by_line @ base.line.outward_m) ** 2
+    extra |= line_errors(part, base, by_line, rough)
     return Net(net_m3, g - B.T @ by_line, None, extra)
+
+
+def line_errors(
+    part: PilePart, base: ToeBase, by_line: F64, rough: Roughness | None
+) -> dict[str, float]:
+    """Variances m⁶ of what lies below a base beyond the noise of its toe line, with derivatives
+    by_line (t,) m² by its heights: where the line was drawn, and how the ground below the pile
+    deviates from that along the line.
+    """
+    out = {"toe_place": float(by_line @ base.line.outward_m) ** 2}
+    if rough is not None:
+        tin, line = part.tin, base.line
+        own = GroundField(tin.vertices, tin.triangles, part.inside_m2, line.xy, -by_line, rough)
+        out["base_surface"] = own.variance_m6
+    return out
 
 
 def loads(part: PilePart, plane: Plane, by_height: F64 | None = None) -> F64:
@@ -153,10 +178,15 @@ def solid_above_plane(
 
 
 def solid_above_toe(
-    part: PilePart, base: ToeBase, parameters: Parameters, correct: bool, C: SparseF64 | None
+    part: PilePart,
+    base: ToeBase,
+    rough: Roughness | None,
+    parameters: Parameters,
+    correct: bool,
+    C: SparseF64 | None,
 ) -> Solid:
     """Cut and fill above a base from the toe line."""
-    net = above_toe(part, base)
+    net = above_toe(part, base, rough)
     B, M = base.line.by_vertex, base.by_heights
     if base.plane is not None:
         made = solid_above_plane(part, base.plane, parameters, correct, C)

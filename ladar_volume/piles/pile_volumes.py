@@ -7,44 +7,45 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.cloud_volume import CloudVolume, Solid, finished
-from ladar_volume.clouds.ground_readings import GroundReadings, ground_readings
-from ladar_volume.clouds.volume_verdict import judged, surface_doubts, with_lines
-from ladar_volume.ground.polynomial import design_surface, height_above
-from ladar_volume.ground.robust_ground import fit_ground, refine
-from ladar_volume.model.errors import GroundError, LadarVolumeError, VolumeError
-from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.piles import ALIKE, PILE_BASES, TOE_BASES, Pile
-from ladar_volume.model.records import F64, I64, Bool, Plane
+from ladar_volume.clouds.pair_verdict import pair_ground
+from ladar_volume.clouds.volume_verdict import (
+    with_lines,
+)
+from ladar_volume.ground.polynomial import height_above
+from ladar_volume.model.errors import LadarVolumeError
+from ladar_volume.model.piles import ALIKE, Pile
+from ladar_volume.model.records import F64, Plane
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.piles.pile_bases import (
     Net,
     PilePart,
     above_plane,
     above_toe,
-    pile_part,
-    solid_above_plane,
-    solid_above_second,
-    solid_above_toe,
+    roughness_around,
 )
-from ladar_volume.piles.toe_bases import ToeBase, toe_base
-from ladar_volume.piles.toe_line import spacing_of, toe_line
+from ladar_volume.piles.pile_site import (
+    Made,
+    Site,
+    SiteTask,
+    checked_part,
+    made_bases,
+    own_parameters,
+    reference_of,
+    site_of,
+)
+from ladar_volume.piles.pile_verdict import asked_base, judged_pile, outline_doubts
+from ladar_volume.piles.toe_bases import ToeBase
 from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
-from ladar_volume.volume.field_checks.completeness import cut_doubts
-from ladar_volume.volume.neighbourhood import SparseF64
-from ladar_volume.volume.outline import surroundings
-from ladar_volume.volume.polygon import areas_inside, check_polygon
+from ladar_volume.uncertainty.ground_field import Roughness
 
-#: Share of an outline without surface, and area that several outlines share, of which there is a
-#: word.
-UNSEEN, TWICE = 0.02, 1e-3
-#: Least area of an outline, in squares of the usual edge.
-SMALLEST = 4.0
+#: Share of the smallest pile that several outlines may share.
+TWICE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -98,62 +99,13 @@ class SitePiles:
     verdict: Verdict
 
 
-@dataclass(frozen=True)
-class SiteTask:
-    """What is asked for at all piles.
-
-    parameters : of the base, where it is a level or a plane, and of the ground · base : one of
-    :data:`PILE_BASES`, "level", "plane" or "second" · chosen : whether the user named it · words :
-    the base as printed · second : the surface that is the base "second" · correct : whether cut and
-    fill are corrected near the base
-    """
-
-    parameters: Parameters
-    base: str
-    chosen: bool
-    words: str
-    second: CloudSurface | None = None
-    correct: bool = True
-
-
-@dataclass(frozen=True)
-class Site:
-    """surface · covariance : (n, n) m² of its heights, None where they are not known · within :
-    (m,) triangles in any outline · ground : of the whole site, or why there is none
-    """
-
-    surface: CloudSurface
-    covariance: SparseF64 | None
-    within: Bool
-    ground: Plane | GroundError = field(repr=False)
-
-
-def site_of(surface: CloudSurface, piles: Sequence[Pile], parameters: Parameters) -> Site:
-    """The site without its piles."""
-    tin = surface.made.tin
-    within = np.zeros(len(tin.triangles), bool)
-    for pile in piles:
-        within |= areas_inside(tin, check_polygon(pile.ring)) > 0
-    covariance = None
-    if surface.sigma_m is not None:
-        covariance = surface.made.covariance(surface.sigma_m)
-    around = surroundings(tin, within, 0.0)
-    coarse = parameters.volume.object_height_m / 2
-    ground: Plane | GroundError
-    try:
-        ground = fit_ground(
-            tin.vertices, surface.vertex_variance, parameters.ground, coarse, select=around
-        )
-    except GroundError as error:
-        ground = error
-    return Site(surface, covariance, within, ground)
-
-
 def piles_of(
     surface: CloudSurface, piles: Sequence[Pile], task: SiteTask, progress: Callable[[str], None]
 ) -> SitePiles:
     """All piles. Raises what the first pile raises where none has a volume."""
     site = site_of(surface, piles, task.parameters)
+    if task.second is not None:
+        site = dataclasses.replace(site, pair=pair_ground([surface, task.second]))
     found: list[PileVolume] = []
     refused: list[Refused] = []
     for number, pile in enumerate(piles, 1):
@@ -174,164 +126,28 @@ def pile_volume(site: Site, pile: Pile, task: SiteTask) -> PileVolume:
     part = checked_part(site, pile)
     parameters = own_parameters(task, pile)
     made = made_bases(site, part, parameters)
-    solid, plane, readings = asked_solid(site, part, task, parameters, made)
-    same = task.base in PILE_BASES
-    reference = plane if plane is not None else reference_of(part, made)
-    volume, verdict = judged(
-        finished(solid, task.words, same),
-        site.surface,
-        part.inside_m2,
-        readings,
-        parameters,
-        reference,
-    )
-    nets = {name: net_above(part, base) for name, base in made.items()}
+    ground = made["ground"]
+    rough = roughness_around(part, ground) if isinstance(ground, Plane) else None
+    asked = asked_base(site, part, task, parameters, made, rough)
+    reference = asked.plane if asked.plane is not None else reference_of(part, made)
+    volume, verdict = judged_pile(site, part, task, parameters, asked, reference, ground)
+    nets = {name: net_above(part, base, rough) for name, base in made.items()}
     bases = all_above(part, nets, volume, task.base)
     if not task.chosen:
         volume = with_choice(volume, bases)
-    doubts = list(outline_doubts(part))
-    if same and not isinstance(made["ground"], LadarVolumeError):
-        ground, like_ground = made["ground"], ground_parameters(parameters)
-        assert isinstance(ground, Plane)
-        doubts += cut_doubts(part.tin, ground, part.inside_m2 > 0, volume.sigma_m3, like_ground)
-    if task.base == "second" and task.second is not None:
-        doubts += surface_doubts(task.second, areas_inside(task.second.made.tin, pile.ring))
+    verdict = verdict + Verdict(tuple(outline_doubts(part)))
     high, top = summit(part, reference)
-    verdict = verdict + Verdict(tuple(doubts))
+    inside = part.inside_m2
     return PileVolume(
-        pile, volume, solid, verdict, part.inside_m2, high, top, bases, plane, reference
+        pile, volume, asked.solid, verdict, inside, high, top, bases, asked.plane, reference
     )
 
 
-def checked_part(site: Site, pile: Pile) -> PilePart:
-    """The part of the surface in an outline that is large enough to hold some of it. Raises
-    :class:`VolumeError` (pile_small).
-    """
-    part = pile_part(site.surface, pile)
-    least = SMALLEST * spacing_of(part.tin) ** 2
-    area = ring_area(pile.ring)
-    if area < least:
-        raise VolumeError(
-            f"the outline holds {area:.3g} m², less than the surface can show ({least:.3g} m²): is "
-            "it in the units and the system of the points?",
-            reason="pile_small",
-            value=area,
-        )
-    return part
-
-
-def ring_area(ring: F64) -> float:
-    """Area, m², within a ring (k, 2)."""
-    x, y = (ring - ring[0]).T
-    return abs(0.5 * float(x @ np.roll(y, -1) - np.roll(x, -1) @ y))
-
-
-def own_parameters(task: SiteTask, pile: Pile) -> Parameters:
-    """The parameters with the outline of a pile."""
-    base = task.base if task.base in ("level", "plane") else "ground"
-    volume = dataclasses.replace(
-        task.parameters.volume,
-        base=base,
-        outline="polygon",
-        polygon_m=tuple(check_polygon(pile.ring).ravel().tolist()),
-    )
-    return dataclasses.replace(task.parameters, volume=volume)
-
-
-def ground_parameters(parameters: Parameters) -> Parameters:
-    """The parameters of a pile above the ground."""
-    volume = dataclasses.replace(parameters.volume, base="ground")
-    return dataclasses.replace(parameters, volume=volume)
-
-
-#: A base of a pile, or why there is none.
-Made = Plane | ToeBase | LadarVolumeError
-
-
-def made_bases(site: Site, part: PilePart, parameters: Parameters) -> dict[str, Made]:
-    """All bases of a pile, by name."""
-    out: dict[str, Made] = {"ground": own_ground(site, part, parameters)}
-    out["site_ground"] = site.ground
-    variance = site.surface.vertex_variance
-    try:
-        line = toe_line(part.tin, part.pile.ring)
-    except VolumeError as error:
-        return out | dict.fromkeys(TOE_BASES, error)
-    for name in TOE_BASES:
-        try:
-            out[name] = toe_base(name, part.tin, part.pile.ring, line, variance)
-        except LadarVolumeError as error:
-            out[name] = error
-    return out
-
-
-def ring_around(site: Site, part: PilePart, ring_m: float) -> I64:
-    """Vertices (k,) within ``ring_m`` of a pile (0: all) that are in no outline."""
-    around = surroundings(part.tin, part.inside_m2 > 0, ring_m)
-    return around[~vertex_mask(part.tin, site.within)[around]]
-
-
-def own_ground(site: Site, part: PilePart, parameters: Parameters) -> Plane | LadarVolumeError:
-    """The ground around one pile, outside all others."""
-    if isinstance(site.ground, GroundError):
-        return site.ground
-    tin, p = part.tin, parameters.volume
-    ring = ring_around(site, part, p.ground_ring_m)
-    try:
-        found = refine(
-            tin.vertices[ring],
-            site.surface.vertex_variance[ring],
-            site.ground,
-            parameters.ground,
-            p.object_height_m,
-        )
-    except GroundError as error:
-        return error
-    return dataclasses.replace(found, support=ring[found.support])
-
-
-def asked_solid(
-    site: Site, part: PilePart, task: SiteTask, parameters: Parameters, made: Mapping[str, Made]
-) -> tuple[Solid, Plane | None, GroundReadings | None]:
-    """The solid above the base that was asked for, that base as a polynomial, and the readings of
-    the ground where it is it. Raises why that base cannot be made.
-    """
-    C, correct = site.covariance, task.correct
-    if task.base == "second":
-        assert task.second is not None
-        return solid_above_second(part, task.second), None, None
-    if task.base in ("level", "plane"):
-        v = parameters.volume
-        plane = design_surface([v.level_m] if task.base == "level" else v.plane)
-        return solid_above_plane(part, plane, parameters, correct, C), plane, None
-    base = made[task.base]
-    if isinstance(base, LadarVolumeError):
-        raise base
-    if isinstance(base, ToeBase):
-        return solid_above_toe(part, base, parameters, correct, C), base.plane, None
-    solid = solid_above_plane(part, base, parameters, correct, C)
-    wide = 0.0 if task.base == "site_ground" else parameters.volume.ground_ring_m
-    ring = ring_around(site, part, wide)
-    readings = ground_readings(site.surface, base, part.inside_m2, parameters, ring)
-    return solid, base, readings
-
-
-def reference_of(part: PilePart, made: Mapping[str, Made]) -> Plane | None:
-    """A plane near the base, where that is none itself: of the toe line, or of the ground."""
-    for name in ("toe_plane", "ground"):
-        base = made[name]
-        if isinstance(base, ToeBase):
-            return base.plane
-        if isinstance(base, Plane):
-            return base
-    return None
-
-
-def net_above(part: PilePart, base: Made) -> Net | LadarVolumeError:
+def net_above(part: PilePart, base: Made, rough: Roughness | None = None) -> Net | LadarVolumeError:
     """The net volume above a base, or why there is none."""
     if isinstance(base, LadarVolumeError):
         return base
-    return above_toe(part, base) if isinstance(base, ToeBase) else above_plane(part, base)
+    return above_toe(part, base, rough) if isinstance(base, ToeBase) else above_plane(part, base)
 
 
 def all_above(
@@ -377,19 +193,6 @@ def summit(part: PilePart, base: Plane | None) -> tuple[float, float]:
     return float(height_above(v, base).max()), float(v[:, 2].max())
 
 
-def outline_doubts(part: PilePart) -> list[Doubt]:
-    """A part of an outline is not covered by the surface."""
-    area = ring_area(part.pile.ring)
-    missing = 1.0 - part.area_m2 / area
-    if missing <= UNSEEN:
-        return []
-    words = (
-        f"{100 * missing:.0f} % of the outline ({missing * area:.4g} m²) lie where nothing was "
-        "surveyed and are not in the volume; survey them, or draw the outline within the survey"
-    )
-    return [Doubt("outline_unseen", words, missing)]
-
-
 def refused_doubts(refused: Sequence[Refused]) -> list[Doubt]:
     """Piles that have no volume are missing in the sum."""
     return [
@@ -432,7 +235,9 @@ def total_volume(piles: Sequence[PileVolume], task: SiteTask) -> CloudVolume:
         sum(s.curved_m6 for s in parts),
     )
     total = finished(solid, task.words, piles[0].volume.base_same_survey)
-    alike = {"base_choice", *(("base_surface",) if task.base == "site_ground" else ())}
+    alike = {"base_choice", "registration"} | (
+        {"base_surface"} if task.base == "site_ground" else set()
+    )
     lines: dict[str, float] = {}
     for p in piles:
         for name, value in p.volume.budget_m6.items():

@@ -13,7 +13,8 @@ from ladar_volume.model.piles import PILE_BASES, TOE_BASES, HeightError, Materia
 from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.piles.found_piles import found_piles
 from ladar_volume.piles.pile_bases import pile_part
-from ladar_volume.piles.pile_volumes import SiteTask, made_bases, net_above, piles_of, site_of
+from ladar_volume.piles.pile_site import SiteTask, made_bases, site_of
+from ladar_volume.piles.pile_volumes import net_above, piles_of
 from ladar_volume.piles.toe_bases import ToeBase, toe_base
 from ladar_volume.piles.toe_line import toe_line
 from ladar_volume.piles.tonnage import tonnage, total_tonnage

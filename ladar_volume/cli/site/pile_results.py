@@ -23,7 +23,8 @@ from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.piles import HeightError, Material, Pile
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.piles.found_piles import found_piles
-from ladar_volume.piles.pile_volumes import PileVolume, Refused, SitePiles, SiteTask, piles_of
+from ladar_volume.piles.pile_site import SiteTask
+from ladar_volume.piles.pile_volumes import PileVolume, Refused, SitePiles, piles_of
 from ladar_volume.piles.tonnage import Tonnage, tonnage, total_tonnage
 
 #: The word for piles that are found.

@@ -1,0 +1,144 @@
+"""One pile above the base that was asked for, and what speaks against its volume."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from ladar_volume.clouds.cloud_volume import CloudVolume, Solid, finished
+from ladar_volume.clouds.ground_readings import GroundReadings, ground_readings
+from ladar_volume.clouds.pair_verdict import pair_verdict
+from ladar_volume.clouds.volume_verdict import (
+    below_base,
+    faces_around,
+    judged,
+    surface_doubts,
+    with_growth,
+)
+from ladar_volume.ground.polynomial import design_surface
+from ladar_volume.model.errors import LadarVolumeError
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.piles import GROUND_BASES, PILE_BASES
+from ladar_volume.model.records import Plane
+from ladar_volume.model.verdict import Doubt, Verdict
+from ladar_volume.piles.pile_bases import (
+    PilePart,
+    solid_above_plane,
+    solid_above_second,
+    solid_above_toe,
+)
+from ladar_volume.piles.pile_site import (
+    Made,
+    Site,
+    SiteTask,
+    ground_parameters,
+    ring_area,
+    ring_around,
+)
+from ladar_volume.piles.toe_bases import ToeBase
+from ladar_volume.uncertainty.ground_field import Roughness
+from ladar_volume.volume.field_checks.completeness import cut_doubts, wall_doubts
+from ladar_volume.volume.polygon import areas_inside, check_polygon
+
+#: Share of an outline without surface of which there is a word.
+UNSEEN = 0.02
+
+
+@dataclass(frozen=True)
+class Asked:
+    """solid : above the base that was asked for · plane : that base, None where it is no polynomial
+    · readings : of the ground, where it is that
+    """
+
+    solid: Solid
+    plane: Plane | None
+    readings: GroundReadings | None = None
+
+
+def asked_base(
+    site: Site,
+    part: PilePart,
+    task: SiteTask,
+    parameters: Parameters,
+    made: Mapping[str, Made],
+    rough: Roughness | None,
+) -> Asked:
+    """The solid above the base that was asked for. Raises why that base cannot be made."""
+    C, correct = site.covariance, task.correct
+    if task.base == "second":
+        assert task.second is not None
+        return Asked(solid_above_second(part, task.second), None)
+    if task.base in ("level", "plane"):
+        v = parameters.volume
+        plane = design_surface([v.level_m] if task.base == "level" else v.plane)
+        return Asked(solid_above_plane(part, plane, parameters, correct, C), plane)
+    base = made[task.base]
+    if isinstance(base, LadarVolumeError):
+        raise base
+    if isinstance(base, ToeBase):
+        return Asked(solid_above_toe(part, base, rough, parameters, correct, C), base.plane)
+    solid = solid_above_plane(part, base, parameters, correct, C)
+    wide = 0.0 if task.base == "site_ground" else parameters.volume.ground_ring_m
+    ring = ring_around(site, part, wide)
+    return Asked(solid, base, ground_readings(site.surface, base, part.inside_m2, parameters, ring))
+
+
+def judged_pile(
+    site: Site,
+    part: PilePart,
+    task: SiteTask,
+    parameters: Parameters,
+    asked: Asked,
+    reference: Plane | None,
+    ground: Made,
+) -> tuple[CloudVolume, Verdict]:
+    """The volume with what lies between its points, and its verdict."""
+    same = task.base in PILE_BASES
+    volume = finished(asked.solid, task.words, same)
+    if task.base == "second":
+        return judged_pair(site, part, task, volume)
+    surface, inside = site.surface, part.inside_m2
+    volume, verdict = judged(volume, surface, inside, asked.readings, parameters, reference)
+    if not same or not isinstance(ground, Plane):
+        return volume, verdict
+    doubts: list[Doubt] = []
+    rise, mask = parameters.volume.object_height_m, inside > 0
+    if asked.readings is None:
+        volume, doubts = with_growth(volume, surface, ground, inside, rise)
+    doubts += cut_doubts(part.tin, ground, mask, volume.sigma_m3, ground_parameters(parameters))
+    faces = faces_around(surface, ground, inside, rise)
+    doubts += wall_doubts(part.tin, ground, mask, faces, rise)
+    doubts += below_base(volume) if volume.net_m3 > 0.0 and task.base in GROUND_BASES else []
+    return volume, verdict + Verdict(tuple(doubts))
+
+
+def judged_pair(
+    site: Site, part: PilePart, task: SiteTask, volume: CloudVolume
+) -> tuple[CloudVolume, Verdict]:
+    """The volume above a second surface with what the two say of one another."""
+    assert task.second is not None
+    surfaces = [site.surface, task.second]
+    ring = check_polygon(part.pile.ring)
+    areas = [part.inside_m2, areas_inside(task.second.made.tin, ring)]
+    verdict = Verdict()
+    for surface, area in zip(surfaces, areas, strict=True):
+        if surface.given is None:
+            verdict += Verdict(tuple(surface_doubts(surface, area)))
+    if any(surface.given is not None for surface in surfaces):
+        return volume, verdict
+    inside = None if site.pair is None else areas_inside(site.pair.tin, ring) > 0
+    volume, more = pair_verdict(volume, surfaces, areas, site.pair, inside)
+    return volume, verdict + more
+
+
+def outline_doubts(part: PilePart) -> list[Doubt]:
+    """A part of an outline is not covered by the surface."""
+    area = ring_area(part.pile.ring)
+    missing = 1.0 - part.area_m2 / area
+    if missing <= UNSEEN:
+        return []
+    words = (
+        f"{100 * missing:.0f} % of the outline ({missing * area:.4g} m²) lie where nothing was "
+        "surveyed and are not in the volume; survey them, or draw the outline within the survey"
+    )
+    return [Doubt("outline_unseen", words, missing)]
