@@ -27,8 +27,8 @@ from ladar_volume.model.records import F64, I32, Bool
 
 #: From where clouds are seen: azimuth and elevation, radians; the light comes from the viewer.
 AZIMUTH_RAD, ELEVATION_RAD = float(np.radians(-55.0)), float(np.radians(30.0))
-#: Most points that are drawn.
-SHOWN = 60_000
+#: Most points that are drawn; area, square points, of the dots of all of them.
+SHOWN, DOTS = 60_000, 20_000.0
 #: Colours of what stands and of the ground, and the darkest of a face.
 BODY, GROUND, DARK = np.array([0.45, 0.62, 0.80]), np.array([0.80, 0.68, 0.48]), 0.35
 
@@ -79,7 +79,8 @@ def draw_points(r: F64, on_ground: Bool | None, title: str, ax: Axes) -> None:
         colour = {"c": r[rows][order, 2], "cmap": "viridis"}
     else:
         colour = {"c": np.where(on_ground[rows, None], GROUND, BODY)[order]}
-    ax.scatter(at[order, 0], at[order, 1], s=1.0, linewidths=0, **colour)
+    size = float(np.clip(DOTS / len(rows), 1.0, 6.0))
+    ax.scatter(at[order, 0], at[order, 1], s=size, linewidths=0, **colour)
     ax.set_title(f"{title}: {len(r):,} points")
     _finish(ax)
 
