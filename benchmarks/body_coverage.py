@@ -70,7 +70,7 @@ def scene(
 
 
 def ground_around(
-    half_m: tuple[float, float], count: int, covered: Callable[[F64], F64], rng: np.random.Generator
+    half_m: tuple[float, ...], count: int, covered: Callable[[F64], F64], rng: np.random.Generator
 ) -> Sample:
     """Level points around what is ``covered``, a mask (n,) of (n, 2)."""
     xy = rng.uniform(-1.0, 1.0, (count, 2)) * np.array(half_m)
@@ -281,6 +281,85 @@ def tube(rng: np.random.Generator) -> Scene:
     return scene(at, float(rng.choice([0.003, 0.005])), (float(truth),), words, rng, stands=False)
 
 
+def frustum(rng: np.random.Generator, lean_deg: float, unseen: tuple[float, float]) -> Scene:
+    """A block whose four walls lean by up to so much, each its own way, and were seen down to some
+    height only, each its own within a share of the height.
+    """
+    a, h = rng.uniform(0.8, 3.0, 2), rng.uniform(0.7, 2.0)
+    out = h * np.tan(np.radians(rng.uniform(-lean_deg, lean_deg, 4)))
+    low, high = -a / 2 - out[:2], a / 2 + out[2:]
+    base = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
+    top = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * a / 2
+    b, t = np.c_[base, np.zeros(4)], np.c_[top, np.full(4, h)]
+    faces = [np.array([b[i], b[i - 3], t[i - 3], t[i]]) for i in range(4)] + [t]
+    spacing = float(np.cbrt(a.prod() * h)) / rng.uniform(15.0, 35.0)
+    at, n = sample_polygons(faces, int((a.prod() + 2 * h * a.sum()) / spacing**2), rng)
+    axis = np.argmax(np.abs(n[:, :2]), axis=1)
+    side = 2 * axis + (n[np.arange(len(n)), axis] > 0)
+    share = rng.uniform(*unseen)
+    seen = (n[:, 2] > 0.8) | (at[:, 2] > (h * share * rng.uniform(0.3, 1.0, 4))[side])
+    low, high = np.minimum(low, -a / 2), np.maximum(high, a / 2)
+    floor = ground_around(
+        tuple(1.5 * a + 1.0),
+        int((3 * a + 2).prod() / spacing**2),
+        lambda q: ((q > low) & (q < high)).all(axis=1),
+        rng,
+    )
+    middle = 0.5 * (base + top)
+    truth = h / 6 * (area_of(base) + 4 * area_of(middle) + area_of(top))
+    words = f"{a[0]:.1f}×{a[1]:.1f}×{h:.1f} m, walls unseen up to {h * share:.2f} m"
+    noise = rng.uniform(0.1, 0.3) * spacing
+    return scene(both((at[seen], n[seen]), floor), noise, (float(truth),), words, rng)
+
+
+def area_of(p: F64) -> float:
+    """Area of a polygon (k, 2)."""
+    x, y = p.T
+    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+
+
+def upright(rng: np.random.Generator) -> Scene:
+    """A box whose walls were not seen down to the ground."""
+    return frustum(rng, 0.0, (0.05, 0.3))
+
+
+def leaning(rng: np.random.Generator) -> Scene:
+    """A block with leaning walls that were not seen down to the ground."""
+    return frustum(rng, 15.0, (0.05, 0.3))
+
+
+def on_wheels(rng: np.random.Generator) -> Scene:
+    """A box on four blocks, clear of the ground, which is seen below as far as it goes at 30 to 60
+    degrees; the underside is not.
+    """
+    a, h = np.array([rng.uniform(3.0, 6.0), rng.uniform(1.6, 2.4)]), rng.uniform(1.0, 2.0)
+    clear, wheel = rng.uniform(0.2, 0.6), np.array([0.6, 0.3])
+    into = clear * np.tan(np.radians(rng.uniform(30.0, 60.0)))
+    spacing = rng.uniform(0.03, 0.08)
+    body = box_faces(np.array([*(-a / 2), clear]), np.array([*(a / 2), clear + h]))
+    faces, below = body[1:], []
+    for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
+        middle = np.array([x, y]) * (a / 2 - wheel / 2 - (0.5, 0.0))
+        below.append(middle)
+        lo, hi = np.array([*(middle - wheel / 2), 0.0]), np.array([*(middle + wheel / 2), clear])
+        faces += box_faces(lo, hi)[2:]
+    area = a.prod() + 2 * h * a.sum() + 8 * clear * wheel.sum()
+    shell = sample_polygons(faces, int(area / spacing**2), rng)
+
+    def covered(q: F64) -> F64:
+        """Deeper under the body than was seen, or below a wheel."""
+        deep = (np.abs(q) < a / 2 - into).all(axis=1)
+        for middle in below:
+            deep |= (np.abs(q - middle) < wheel / 2).all(axis=1)
+        return deep
+
+    floor = ground_around(tuple(1.5 * a), int(9 * a.prod() / spacing**2), covered, rng)
+    truth = a.prod() * h + 4 * wheel.prod() * clear
+    words = f"{a[0]:.1f}×{a[1]:.1f}×{h:.1f} m, {clear:.2f} m clear of the ground"
+    noise = rng.uniform(0.1, 0.3) * spacing
+    return scene(both(shell, floor), noise, (float(truth),), words, rng)
+
+
 KINDS: dict[str, Maker] = {
     "pile": pile,
     "sparse pile": sparse_pile,
@@ -292,6 +371,9 @@ KINDS: dict[str, Maker] = {
     "log": log,
     "bowl": bowl,
     "pipe": tube,
+    "foot unseen": upright,
+    "leaning, foot unseen": leaning,
+    "on wheels": on_wheels,
 }
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from ladar_volume.ground.polynomial import design, height_above
 from ladar_volume.mesh.ground_clipping import steepness
@@ -23,7 +24,7 @@ from ladar_volume.mesh.linear_mesh import (
     vertex_normals,
 )
 from ladar_volume.mesh.rims import Rim, place_in_words
-from ladar_volume.mesh.unseen_foot import unseen_bend
+from ladar_volume.mesh.unseen_foot import lean_on, told_within, unseen_bend
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I64, Bool, Plane
 
@@ -99,6 +100,24 @@ def ground_feet(p: F64, along: F64, ground: Plane) -> tuple[F64, F64, F64]:
     return q, by_point, by_ground
 
 
+def by_direction(p: F64, along: F64, ground: Plane) -> csr_matrix:
+    """Derivative (3k, 3k) of where lines from points (k, 3) meet the ground, by their directions
+    (k, 3).
+    """
+    w = steepness(ground)
+    rate = along @ w
+    drop = -height_above(p, ground) / rate
+    values = drop[:, None, None] * (np.eye(3) - along[:, :, None] * w / rate[:, None, None])
+    k = np.arange(len(p))
+    return blocks(k, k, values, (len(p), len(p)))
+
+
+def loops_of(rims: list[Rim]) -> list[I64]:
+    """Which of the vertices of all rims, one rim after the other, are each rim's."""
+    ends = np.cumsum([len(r.vertices) for r in rims])
+    return np.split(np.arange(ends[-1]), ends[:-1])
+
+
 def stand_on(
     skin: LinearMesh, rims: list[Rim], ground: Plane, up: F64
 ) -> tuple[LinearMesh, list[Closure]]:
@@ -112,6 +131,7 @@ def stand_on(
     straight = np.broadcast_to(DOWN, tangent.shape)
     p = skin.vertices[all_of]
     along = np.where(known[:, None], tangent, straight)
+    along, by_lean = _leaning(skin, rims, ground, along)
     q, by_point, by_ground = ground_feet(p, along, ground)
     other, _, _ = ground_feet(p, np.where(known[:, None], straight, tangent), ground)
     size = max(r.size_m for r in rims)
@@ -123,7 +143,8 @@ def stand_on(
         skin,
         q,
         GROUND,
-        blocks(np.arange(len(q)), all_of, by_point, (len(q), n)),
+        blocks(np.arange(len(q)), all_of, by_point, (len(q), n))
+        + by_direction(p, along, ground) @ by_lean,
         by_ground.reshape(-1, 3),
         Faces(
             np.concatenate([skin.triangles, new.astype(np.int32)]),
@@ -132,6 +153,19 @@ def stand_on(
         ),
     )
     return skin, made
+
+
+def _leaning(
+    skin: LinearMesh, rims: list[Rim], ground: Plane, along: F64
+) -> tuple[F64, csr_matrix]:
+    """Directions (k, 3) from the vertices of all rims to the ground, of plane walls by the part
+    that was seen, and their derivative (3k, 3n) by the vertices.
+    """
+    all_of = np.concatenate([r.vertices for r in rims])
+    p = skin.vertices[all_of]
+    drawn = np.linalg.norm(ground_feet(p, along, ground)[0] - p, axis=1)
+    reach = np.concatenate([told_within(skin, all_of[i], drawn[i]) for i in loops_of(rims)])
+    return lean_on(skin, all_of, along, (along != DOWN).any(axis=1), reach, drawn)
 
 
 class _Feet(NamedTuple):
@@ -156,7 +190,7 @@ def _close_to_ground(
     q, other, foot, along, plane = feet_of
     all_of = np.concatenate([r.vertices for r in rims])
     drawn = np.linalg.norm(q - skin.vertices[all_of], axis=1)
-    loops = np.split(np.arange(len(all_of)), np.cumsum([len(r.vertices) for r in rims])[:-1])
+    loops = loops_of(rims)
     strips = [strip(all_of[i], foot[i]) for i in loops]
     at = np.concatenate([skin.vertices, q])
     made: list[Closure] = []

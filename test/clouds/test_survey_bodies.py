@@ -2,12 +2,15 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from ladar_volume.clouds.body_points import BodyPoints
+from ladar_volume.clouds.cloud_bodies import cloud_bodies
+from ladar_volume.clouds.sampling.even_points import even_rows, sparse_spacing
 from ladar_volume.clouds.survey.survey_bodies import around, objects_on
 from ladar_volume.clouds.survey.survey_gradient import on_survey
 from ladar_volume.ground.polynomial import design_surface
-from ladar_volume.model.errors import ConfigurationError, VolumeError
+from ladar_volume.model.errors import ConfigurationError, SurfaceError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import FilteredPoints
 
@@ -58,8 +61,9 @@ def test_what_is_low_is_no_object_and_what_is_far_no_return():
     z = np.where(np.abs(xy - [2.0, 2.0]).max(axis=1) < 0.4, 0.05, z)
     points = BodyPoints(np.c_[xy, z], None, None, np.full(6000, 0.003), 0.003)
     ground = design_surface([0.0])
-    assert len(objects_on(points, ground, 0.01).records) == 2
-    found = objects_on(points, ground, 0.1)
+    assert len(objects_on(points, ground, 0.01)[0].records) == 2
+    found, even = objects_on(points, ground, 0.1)
+    assert set(even) == {-1, 0} and (found.label[even == 0] == 0).all()
     assert len(found.records) == 1 and found.label.max() == 0
     assert (z[found.label == 0] == 0.8).all() and (found.label[z == 0.05] == -1).all()
     with pytest.raises(VolumeError) as caught:
@@ -68,6 +72,57 @@ def test_what_is_low_is_no_object_and_what_is_far_no_return():
     near = around((np.array([[-1.0, -1.0], [1.0, 1.0]]),), 0.5, points.r)
     assert np.abs(near[:, :2]).max() < 1.5 and len(near) > 1000
     assert len(around((), 0.5, points.r)) == 6000
+
+
+def lined_box(rng, height=1.2, lines=9, noise=0.0):
+    """A box of 2 x 1.5 m as flown over: a dense roof, walls in a few close lines of points, ground;
+    points and normals.
+    """
+    n = 12000
+    roof = np.c_[rng.uniform(-1, 1, n), rng.uniform(-0.75, 0.75, n), np.full(n, height)]
+    parts, normals = [roof], [np.tile([0.0, 0.0, 1.0], (n, 1))]
+    level = np.linspace(0.02, height - 0.02, lines)
+    for axis, side, half in ((0, 1.0, 0.75), (0, -1.0, 0.75), (1, 1.0, 1.0), (1, -1.0, 1.0)):
+        along, z = (a.ravel() for a in np.meshgrid(np.arange(-half, half, 0.012), level))
+        at = np.zeros((len(z), 3))
+        at[:, axis], at[:, 1 - axis], at[:, 2] = side * (1.0, 0.75)[axis], along, z
+        turned = np.zeros((len(z), 3))
+        turned[:, axis] = side
+        parts.append(at + rng.uniform(-0.004, 0.004, at.shape) * (1.0 - np.abs(turned)))
+        normals.append(turned)
+    xy = rng.uniform(-3.0, 3.0, (30000, 2))
+    xy = xy[(np.abs(xy) > (1.0, 0.75)).any(axis=1)]
+    parts.append(np.c_[xy, np.zeros(len(xy))])
+    normals.append(np.tile([0.0, 0.0, 1.0], (len(xy), 1)))
+    r, normal = np.concatenate(parts), np.concatenate(normals)
+    return r + noise * rng.normal(size=(len(r), 1)) * normal, normal
+
+
+def test_a_wall_in_a_few_lines_is_closed_as_the_dense_roof_is():
+    r, normal = lined_box(np.random.default_rng(4))
+    points = BodyPoints(r, normal, np.zeros(len(r), bool), np.full(len(r), 0.003), 0.003)
+    ground = design_surface([0.0])
+    found, even = objects_on(points, ground, 0.1)
+    assert len(found.records) == 1
+    made = cloud_bodies(r, normal, points.curved, even, ground)
+    assert made.bodies[0].volume_m3 == pytest.approx(2.0 * 1.5 * 1.2, rel=2e-4)
+    with pytest.raises(SurfaceError):  # all of the points: edges that suit the roof
+        cloud_bodies(r, normal, points.curved, found.label, ground)
+
+
+def test_even_rows_hold_a_distance_whatever_the_numbering():
+    rng = np.random.default_rng(5)
+    dense, sparse = rng.uniform(0.0, 1.0, (3000, 3)), rng.uniform(1.0, 4.0, (800, 3))
+    r = np.concatenate([dense, sparse, dense[:50]])  # copies too
+    rows = even_rows(r, 0.08)
+    near = cKDTree(r[rows])
+    assert near.query(r[rows], 2)[0][:, 1].min() > 0.08  # none too near
+    assert near.query(r)[0].max() <= 0.08  # and every other one near to one of them
+    mixed = rng.permutation(len(r))
+    again = r[mixed][even_rows(r[mixed], 0.08)]
+    assert np.array_equal(np.unique(again, axis=0), np.unique(r[rows], axis=0))
+    assert sparse_spacing(r) > 3.0 * sparse_spacing(dense)
+    assert sparse_spacing(r[:1]) == 0.0 and len(even_rows(r[:0], 0.1)) == 0
 
 
 def test_nodes_refuse_bodies():

@@ -8,10 +8,14 @@ import json
 
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 from ladar_volume.cli import main as cli
-from ladar_volume.experiments import thesis, thesis_tables
+from ladar_volume.clouds.published.filter_presets import preset
+from ladar_volume.experiments import thesis, thesis_figures, thesis_tables
 from ladar_volume.experiments import thesis_scene as scene
+from ladar_volume.experiments.nist.nist_figures import panels
+from ladar_volume.mesh.local_mesh import BOX
 from ladar_volume.model.errors import SimulationError
 
 
@@ -109,6 +113,7 @@ def test_tables_figure_and_verb(study, tmp_path, monkeypatch, capsys):
         "+0.12" in text and "-2.85" in text and "nan" not in text
     )  # the misprint of Table 9.3 is not repeated
     monkeypatch.setattr(thesis, "run", lambda seeds, large, progress: study)
+    monkeypatch.setattr(thesis_figures, "write_figures", lambda folder, large: [])
     assert cli.main(["study", "thesis", "--seeds", "1", "-o", str(tmp_path / "out"), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert (
@@ -123,6 +128,32 @@ def test_tables_figure_and_verb(study, tmp_path, monkeypatch, capsys):
     ]
     assert cli.main(["study", "thesis", "--seeds", "1"]) == 0
     assert "own way" in capsys.readouterr().out
+
+
+def test_every_figure_is_drawn(tmp_path, monkeypatch):
+    monkeypatch.setattr(scene, "BOX_POINTS", 1500)
+    made = thesis_figures.cloud(scene.box_on_ground(0), preset("box"), BOX)
+    low = made.filtered[made.on_ground]
+    assert len(low) > 300 and np.abs(low[:, 2]).max() < 0.06
+    # one of the clouds stands for all
+    monkeypatch.setattr(thesis_figures, "cloud", lambda *words: made)
+    monkeypatch.setattr(scene, "bench", lambda seed: made.raw)
+    monkeypatch.setattr(scene, "square", lambda count: made.raw)
+    names = thesis_figures.write_figures(tmp_path, 2000)
+    assert names == [f"figure_9_{k}.png" for k in range(2, 17)]
+    for name in names:
+        shades = imread(tmp_path / name)[:, :, :3]
+        assert (shades < 0.9).any(axis=2).mean() > 0.004, name  # something stands on the page
+    assert thesis_figures.camera() @ thesis_figures.camera().T == pytest.approx(np.eye(3))
+
+
+def test_the_nearest_is_drawn_last():
+    draws, towards = [], thesis_figures.camera()[2]
+    for r in (np.array([np.zeros(3), towards]), np.array([towards, np.zeros(3)])):
+        _, axes = panels(1, 1)
+        thesis_figures.draw_points(r, None, "two", axes[0, 0])
+        draws.append(axes[0, 0].collections[0].get_array())
+    assert np.allclose(draws[0], draws[1]) and draws[0][-1] > draws[0][0]
 
 
 def test_refusals(capsys):

@@ -67,7 +67,7 @@ def _add_thesis(studies: Verbs) -> None:
         metavar="POINTS",
         help="points of the square; 2700000 as published; 0: none",
     )
-    add_outputs(thesis, "volumes.png")
+    add_outputs(thesis, "the figures, 9.2 to 9.16 and volumes.png")
     thesis.set_defaults(run=run_thesis)
 
 
@@ -105,6 +105,7 @@ def show_landfill(console: Console, facts: dict[str, Any]) -> None:
 def run_thesis(arguments: argparse.Namespace) -> int:
     """Simulate, measure, write, print."""
     from ladar_volume.experiments.thesis import run, summary
+    from ladar_volume.experiments.thesis_figures import write_figures
     from ladar_volume.experiments.thesis_tables import tables, write_figure
 
     simulate = partial(run, arguments.seeds, arguments.large)
@@ -113,7 +114,10 @@ def run_thesis(arguments: argparse.Namespace) -> int:
         simulate,
         summary,
         tables,
-        lambda study, folder: [write_figure(study, folder)],
+        lambda study, folder: [
+            write_figure(study, folder),
+            *write_figures(folder, arguments.large),
+        ],
         show_thesis,
     )
 

@@ -32,6 +32,7 @@ from ladar_volume.clouds.body_walls import closing_doubts, foot_doubts, wall_dou
 from ladar_volume.clouds.cloud_bodies import CLEAR, NO_BODY, cloud_bodies
 from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.clouds.ground_cover import doubts_about_growth, growth_about_bodies
+from ladar_volume.clouds.sampling.even_points import even_rows, sparse_spacing
 from ladar_volume.clouds.survey.survey_gradient import OnSurvey, on_survey
 from ladar_volume.ground.ground_adjoint import ground_gradient
 from ladar_volume.ground.objects import Objects, find_objects, heights_above_ground
@@ -110,9 +111,9 @@ def bodies_of_survey(raw: F64, sources: Sources, parameters: Parameters) -> Surv
     plane = dataclasses.replace(parameters.ground, degree=1, surfaces=1)
     ground = fit_ground(points.r, sigma**2, plane, ground_threshold(points))
     doubts = filter_doubts(left_out(raw, good_points(raw, result), result, ground))
-    found = objects_on(points, ground, parameters.volume.object_height_m)
+    found, even = objects_on(points, ground, parameters.volume.object_height_m)
     options = BodyParameters()
-    made = cloud_bodies(points.r, points.normal, points.curved, found.label, ground, options)
+    made = cloud_bodies(points.r, points.normal, points.curved, even, ground, options)
     made, checked = check_bodies(made, points, raw, options)
     growth_m = growth_about_bodies(raw, made, points)
     known = uncertainty(made, checked, points, raw, growth_m)
@@ -154,12 +155,15 @@ def _row(
     return SurveyBody(v, sigma, (v - half, v + half), budget, body, height_m, points)
 
 
-def objects_on(points: BodyPoints, ground: Plane, height_m: float) -> Objects:
-    """The objects on the ground that are at least so high. Raises :class:`VolumeError`
-    (volume_no_body) without any.
+def objects_on(points: BodyPoints, ground: Plane, height_m: float) -> tuple[Objects, I64]:
+    """The objects on the ground that are at least so high, and the label (n,) of those of their
+    points that are to be meshed: thinned to the spacing of the sparsest walls. Raises
+    :class:`VolumeError` (volume_no_body) without any.
     """
     p = ObjectParameters(min_height_m=CLEAR * (points.noise_m or ground.rms_m))
-    step = step_between(points.r[heights_above_ground(points.r, [ground], p)[1]])
+    raised = np.flatnonzero(heights_above_ground(points.r, [ground], p)[1])
+    some = raised[even_rows(points.r[raised], sparse_spacing(points.r[raised]))]
+    step = step_between(points.r[some])
     if step:
         p = dataclasses.replace(p, distance_m=step, step_m=step)
     found = find_objects(points.r, [ground], p)
@@ -168,7 +172,10 @@ def objects_on(points: BodyPoints, ground: Plane, height_m: float) -> Objects:
         raise VolumeError(NO_BODY, reason="volume_no_body")
     number: I64 = np.append(np.where(high, np.cumsum(high) - 1, -1), -1).astype(np.int64)
     records = tuple(r for r, keep in zip(found.records, high, strict=True) if keep)
-    return dataclasses.replace(found, label=number[found.label], records=records)
+    label = number[found.label]
+    even: I64 = np.full(len(label), -1, np.int64)
+    even[some] = label[some]
+    return dataclasses.replace(found, label=label, records=records), even
 
 
 def shared_gradient(
