@@ -417,6 +417,10 @@ def test_means_without_slopes_are_the_same_means():
     plain = np.c_[positive_part(mu)[0], positive_part(mu)[1]]
     both, alone = (folded_kernel(mu, C, plain, slopes, NODES) for slopes in (True, False))
     assert alone[:, 0] == pytest.approx(both[:, 0], rel=1e-13)
+    # tall, and all above the base, of which one corner is within reach: no zero line crosses it
+    tall, noise = np.array([0.02, 1.5, 2.0]), np.eye(3) * 0.01**2
+    found, expected = folded(tall[None], packed(noise))[0], fine(tall, noise, 1500)
+    assert found[:4] == pytest.approx(expected[:4], rel=1e-6) and (found[4:] < 0.01).all()
     assert both[1:3, 0] == pytest.approx([5.0, 0.0]) and both[1:3, 1:4] == pytest.approx(
         np.outer([1, 0], np.full(3, 1 / 3))
     )
