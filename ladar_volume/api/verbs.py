@@ -7,7 +7,8 @@ from __future__ import annotations
 import argparse
 import difflib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from numbers import Real
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
@@ -188,15 +189,35 @@ def _set(
     arguments: argparse.Namespace, options: Mapping[str, Option], allowed: Sequence[str] = ()
 ) -> None:
     """Set options by name. Raises :class:`ConfigurationError` for one that there is not, with the
-    nearest one that there is.
+    nearest one that there is, and for text where a number belongs.
     """
+    numeric = _numeric_options(arguments.verb)
     names = list(allowed) or sorted(set(vars(arguments)) - {"verb", "run", "json", "cloud"})
     for name, value in options.items():
         if name not in names:
             near = difflib.get_close_matches(name, names, 1)
             hint = f"; did you mean {near[0]!r}?" if near else f" (there are {', '.join(names)})"
             raise ConfigurationError(f"{name!r} is no option{hint}", value=name)
+        if name in numeric and not _is_numeric(value):
+            raise ConfigurationError(
+                f"{name}={value!r} is no number: give {name}=0.1, not its text", value=value
+            )
         setattr(arguments, name, value)
+
+
+def _numeric_options(verb: str) -> set[str]:
+    """Names of a verb's options whose values are numbers."""
+    actions = make_parser(verb)._actions
+    (verbs,) = (a for a in actions if isinstance(a, argparse._SubParsersAction))
+    kinds = {a.dest: getattr(a.type, "__name__", "") for a in verbs.choices[verb]._actions}
+    return {name for name, kind in kinds.items() if kind in ("number", "float", "int")}
+
+
+def _is_numeric(value: Option) -> bool:
+    """Whether a value is a number, several of them, or the default."""
+    if isinstance(value, Iterable) and not isinstance(value, str | bytes):
+        return all(_is_numeric(each) for each in value)
+    return value is None or (isinstance(value, Real) and not isinstance(value, bool))
 
 
 def _name(points: Points) -> Path:

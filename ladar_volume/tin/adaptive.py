@@ -16,6 +16,7 @@ import numpy as np
 from ladar_volume.model.choices import CRITERIA
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
+from ladar_volume.tin.delaunay import finite_points
 from ladar_volume.tin.duplicates import first_within
 from ladar_volume.tin.elevation_adjustment import measures
 from ladar_volume.tin.greedy import (
@@ -134,21 +135,13 @@ def check_residual_factors(
     """Points and the factor of each residual; raises :class:`SurfaceError` for what
     :func:`adaptive_tin` refuses.
     """
-    points = np.asarray(points_map, dtype=np.float64)
     if criterion not in CRITERIA:
         raise SurfaceError(
             f"the criterion is one of {CRITERIA}, not {criterion!r}",
             reason="surface_criterion",
             value=criterion,
         )
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise SurfaceError(
-            f"points are (n, 3), not {points.shape}", reason="surface_shape", value=points.shape
-        )
-    if not np.isfinite(points).all():
-        raise SurfaceError(
-            "a point with a coordinate that is not finite", reason="surface_not_finite"
-        )
+    points = finite_points(points_map)
     if tolerance_m is not None and not tolerance_m >= 0.0:
         raise SurfaceError(
             f"the tolerance is {tolerance_m}; it must be 0 or more",

@@ -186,6 +186,27 @@ def insertion_sequence(xy: F64, w: F64) -> I32:
     return order
 
 
+def finite_points(points_map: F64) -> F64:
+    """Points (n, 3), m, as float64. Raises :class:`SurfaceError` for another shape, or a value that
+    is not finite.
+    """
+    points = np.asarray(points_map, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise SurfaceError(
+            f"points are (n, 3), not {points.shape}", reason="surface_shape", value=points.shape
+        )
+    return finite(points)
+
+
+def finite(values: F64) -> F64:
+    """The values, (n, k); raises :class:`SurfaceError` where one is not finite."""
+    if not np.isfinite(values).all():
+        raise SurfaceError(
+            "a point with a coordinate that is not finite", reason="surface_not_finite"
+        )
+    return values
+
+
 def triangulate(xy: F64) -> Triangulated:
     """Delaunay triangulation of points xy (n, 2), of which those at one position (bit by bit)
     become one vertex.
@@ -194,11 +215,7 @@ def triangulate(xy: F64) -> Triangulated:
     triangles depend on the points alone, in any order. Raises :class:`SurfaceError` for coordinates
     that are not finite, fewer than three distinct points, or when all are collinear.
     """
-    xy = np.asarray(xy, dtype=np.float64)
-    if not np.isfinite(xy).all():
-        raise SurfaceError(
-            "a point with a coordinate that is not finite", reason="surface_not_finite"
-        )
+    xy = finite(np.asarray(xy, dtype=np.float64))
     n, w = len(xy), workspace()
     order = insertion_sequence(xy, w)
     s = xy[order]

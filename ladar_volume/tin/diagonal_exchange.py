@@ -21,6 +21,7 @@ from ladar_volume.math.kernels import kernel
 from ladar_volume.model.choices import MEASURES
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I64, Bool, Tin
+from ladar_volume.tin.delaunay import finite_points
 from ladar_volume.tin.elevation_adjustment import measures
 from ladar_volume.tin.locate import locate, triangle_index
 from ladar_volume.tin.predicates import workspace
@@ -242,16 +243,7 @@ def checked_points(points_map: F64, measure: str) -> F64:
             reason="surface_measure",
             value=measure,
         )
-    points = np.asarray(points_map, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise SurfaceError(
-            f"points are (n, 3), not {points.shape}", reason="surface_shape", value=points.shape
-        )
-    if not np.isfinite(points).all():
-        raise SurfaceError(
-            "a point with a coordinate that is not finite", reason="surface_not_finite"
-        )
-    return points
+    return finite_points(points_map)
 
 
 def exchange_diagonals(tin: Tin, points_map: F64, measure: str = "asd") -> Exchange:

@@ -23,6 +23,7 @@ from ladar_volume.math.kernels import kernel
 from ladar_volume.math.sparse_diagonal import diagonal_matrix
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I64, Bool, Tin
+from ladar_volume.tin.delaunay import finite_points
 from ladar_volume.tin.insertion_order import hilbert_order
 from ladar_volume.tin.locate import barycentric, locate, triangle_index
 
@@ -79,15 +80,7 @@ def fit_of(tin: Tin, points_map: F64, sigma_m: F64 | None = None) -> Fit:
     Raises :class:`SurfaceError` for a wrong shape, a value that is not finite, a sigma that is not
     positive, or no point inside.
     """
-    points = np.asarray(points_map, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise SurfaceError(
-            f"points are (n, 3), not {points.shape}", reason="surface_shape", value=points.shape
-        )
-    if not np.isfinite(points).all():
-        raise SurfaceError(
-            "a point with a coordinate that is not finite", reason="surface_not_finite"
-        )
+    points = finite_points(points_map)
     sigma = np.ones(len(points)) if sigma_m is None else np.asarray(sigma_m, dtype=np.float64)
     if sigma.shape != (len(points),) or not (np.isfinite(sigma) & (sigma > 0)).all():
         raise SurfaceError(

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ladar_volume.math.kernels import kernel
-from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
-from ladar_volume.tin.delaunay import triangulate
+from ladar_volume.tin.delaunay import finite_points, triangulate
 
 
 def build_tin(points_map: F64) -> Tin:
@@ -17,15 +16,7 @@ def build_tin(points_map: F64) -> Tin:
     Of points with exactly equal x and y the first is kept; ``duplicates`` counts the others. Raises
     :class:`SurfaceError` for NaN, fewer than three distinct points, or collinear ones.
     """
-    points = np.asarray(points_map, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise SurfaceError(
-            f"points are (n, 3), not {points.shape}", reason="surface_shape", value=points.shape
-        )
-    if not np.isfinite(points).all():
-        raise SurfaceError(
-            "a point with a coordinate that is not finite", reason="surface_not_finite"
-        )
+    points = finite_points(points_map)
     out = triangulate(points[:, :2])
     source, triangles = out.vertices, out.triangles
     if len(source) < len(points):

@@ -22,7 +22,7 @@ import numpy as np
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool
-from ladar_volume.tin.delaunay import delaunay
+from ladar_volume.tin.delaunay import delaunay, finite_points
 
 
 @dataclass(frozen=True)
@@ -85,15 +85,7 @@ def neighbour_medians(points_map: F64) -> F64:
     the mean of the middle two where their number is even. Raises :class:`SurfaceError` for NaN, a
     wrong shape, or fewer than three footprints off one line.
     """
-    points = np.asarray(points_map, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise SurfaceError(
-            f"points are (n, 3), not {points.shape}", reason="surface_shape", value=points.shape
-        )
-    if not np.isfinite(points).all():
-        raise SurfaceError(
-            "a point with a coordinate that is not finite", reason="surface_not_finite"
-        )
+    points = finite_points(points_map)
     # footprints in sorted order: where diagonals are free to choose, the choice must not hang on
     # the order of the points
     footprints, member, counts = np.unique(

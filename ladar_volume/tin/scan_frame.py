@@ -15,6 +15,7 @@ import numpy as np
 
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, Tin
+from ladar_volume.tin.delaunay import finite_points
 from ladar_volume.tin.full_tin import build_tin
 
 #: Points and first directions of a search, and the rounds by which it is narrowed.
@@ -172,15 +173,7 @@ def check_cloud(points_map: F64, least: int) -> F64:
     """Points as (n, 3) float64. Raises :class:`SurfaceError` for another shape, too few, or a value
     that is not finite.
     """
-    points = np.asarray(points_map, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise SurfaceError(
-            f"points are (n, 3), not {points.shape}", reason="surface_shape", value=points.shape
-        )
-    if not np.isfinite(points).all():
-        raise SurfaceError(
-            "a point with a coordinate that is not finite", reason="surface_not_finite"
-        )
+    points = finite_points(points_map)
     if len(points) < least:
         raise SurfaceError(
             f"a direction needs {least} points, there are {len(points)}",

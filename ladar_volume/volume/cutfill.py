@@ -147,15 +147,6 @@ def sequence_kernel(h: F64, area: F64, levels: F64) -> F64:
     return out
 
 
-def sequence_plain(h: F64, area: F64, levels: F64) -> F64:
-    """The plain twin of :func:`sequence_kernel`: every level is held against every triangle."""
-    out = np.zeros((len(levels), 2))
-    for k, z in enumerate(levels):
-        mean, slope = positive_part(h - z)
-        out[k] = area @ mean, area @ slope.sum(axis=1) - area[(h == z).all(axis=1)].sum()
-    return out
-
-
 def triangle_heights(tin: Tin, base: Plane | None, mask: Bool | None) -> tuple[F64, F64, I32]:
     """Heights (n, 3) above the base, footprints (n,) m² and vertices (n, 3) of the chosen
     triangles.

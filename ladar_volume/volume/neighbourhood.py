@@ -8,14 +8,13 @@ ground ends or leaves the level.
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numba
 import numpy as np
 from scipy import sparse
 
 from ladar_volume.math.kernels import kernel, parallel_kernel
-from ladar_volume.math.sparse_diagonal import diagonal_matrix, identity_matrix
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.insertion_order import hilbert_order
 from ladar_volume.tin.median_screen import edges
@@ -215,69 +214,3 @@ def adjoint_kernel(
                 )
                 out[chunk, v] += g * weight
     return out
-
-
-def neighbourhoods(tin: Tin) -> Any:
-    """Sparse (n, n): 1 for each vertex and those an edge away."""
-    n, t = len(tin.vertices), tin.triangles
-    pairs = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
-    links = sparse.csr_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    near = sparse.csr_array(links + links.T + identity_matrix(n))
-    near.data[:] = 1.0
-    return near
-
-
-def plane_rows(member: SparseF64, rows: I64, xy: F64) -> Any:
-    """Weights (r, n), sparse, with which the heights of a vertex' neighbourhood, ``member`` (r, n),
-    give the plane's height at it.
-    """
-    x, y = xy.T
-    sums = member @ np.c_[np.ones(len(x)), x, y, x * x, x * y, y * y]
-    n, cx, cy = sums[:, 0], sums[:, 1] / sums[:, 0], sums[:, 2] / sums[:, 0]
-    sxx, sxy, syy = (
-        sums[:, 3] - cx * sums[:, 1],
-        sums[:, 4] - cx * sums[:, 2],
-        sums[:, 5] - cy * sums[:, 2],
-    )
-    det, dx, dy = sxx * syy - sxy * sxy, x[rows] - cx, y[rows] - cy
-    good = det > 1e-9 * (sxx + syy) ** 2
-    det = np.where(good, det, 1.0)
-    px, py = (
-        np.where(good, (syy * dx - sxy * dy) / det, 0.0),
-        np.where(good, (sxx * dy - sxy * dx) / det, 0.0),
-    )
-    S, own = member.copy(), np.repeat(np.arange(len(rows)), np.diff(member.indptr))
-    S.data = (1.0 / n - px * cx - py * cy)[own] + px[own] * x[S.indices] + py[own] * y[S.indices]
-    return S
-
-
-def smoother(tin: Tin, h: F64, variance: F64, wanted: Bool, rings: int) -> Any:
-    """The plain twin of :class:`Smooth`, sparse (n, n): smoothed heights are ``S h``, the adjoint
-    is ``Sᵀ``.
-    """
-    rows, near = np.flatnonzero(wanted).astype(np.int64), neighbourhoods(tin)
-    xy = tin.vertices[:, :2] - tin.vertices[:, :2].mean(axis=0)
-    S, member, alive = (
-        identity_matrix(len(h)),
-        identity_matrix(len(h))[rows],
-        np.ones(len(rows), bool),
-    )
-    for _ in range(rings if len(rows) else 0):
-        member = sparse.csr_array(member @ near)
-        member.data[:] = 1.0
-        new = plane_rows(member, rows, xy)
-        level = new @ h
-        own, count = np.repeat(np.arange(len(rows)), np.diff(member.indptr)), np.diff(member.indptr)
-        square = np.bincount(
-            own,
-            (h[member.indices] - level[own]) ** 2 / np.maximum(variance[member.indices], 1e-300),
-            len(rows),
-        )
-        alive &= square <= count + 3.0 * np.sqrt(2.0 * count)
-        keep = np.ones(len(h))
-        keep[rows[alive]] = 0.0
-        lift = sparse.csr_array(
-            (np.ones(alive.sum()), (rows[alive], np.flatnonzero(alive))), shape=(len(h), len(rows))
-        )
-        S = sparse.csr_array(diagonal_matrix(keep) @ S + lift @ new)
-    return S

@@ -82,6 +82,15 @@ def test_a_wrong_word_names_the_right_one(call, words):
         call(np.zeros((10, 3)))
 
 
+@pytest.mark.parametrize(
+    "options", [{"vertices": "0.1"}, {"sigma": "0.02"}, {"max_edge": ["1"]}, {"tolerance": True}]
+)
+def test_text_where_a_number_belongs_is_refused(cone, options):
+    (name,) = options
+    with pytest.raises(ConfigurationError, match=f"{name}=.* is no number"):
+        lv.volume(cone, **options)
+
+
 def test_an_array_that_is_no_points_is_refused():
     with pytest.raises(InputError, match=r"\(n, 3\)"):
         lv.volume(np.zeros((5, 2)), 0.0)

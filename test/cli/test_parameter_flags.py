@@ -40,6 +40,15 @@ OTHER_THINGS = {
     "body --seed": "seed of the filter and of the search of the ground alike",
 }
 
+#: Options that set a parameter under another word, and why they are not made from it.
+ANOTHER_WORD = {
+    "--exchange-last": ("surface", "readjust", "a switch for the contrary, as published"),
+    "--outage": ("survey", "outages_s", "a span FROM:TO, repeatable; no number of its own"),
+    "--float": ("survey", "float_spans_s", "a span FROM:TO, repeatable; no number of its own"),
+    "--pole": ("bodies", "pole_map", "a place of the map, which no range bounds"),
+    "--returns": ("strips", None, "how much of a recording is read; no parameter of the method"),
+}
+
 
 def words():
     """Every key of every section, with and without its unit."""
@@ -74,6 +83,14 @@ def by_hand(parser):
 
 OPTIONS = dict(options(make_parser(None)))
 DERIVED = {name: action for name, action in OPTIONS.items() if hasattr(action, "parameter")}
+
+
+@pytest.mark.parametrize("option", ANOTHER_WORD)
+def test_an_option_under_another_word_sets_a_parameter_that_there_is(option):
+    section, key, why = ANOTHER_WORD[option]
+    found = [a for name, a in OPTIONS.items() if name.endswith(f" {option}")]
+    assert found and why and not any(hasattr(a, "parameter") for a in found)
+    assert key is None or key in CLASSES[section].__dataclass_fields__
 
 
 def test_no_option_repeats_a_parameter_by_hand():

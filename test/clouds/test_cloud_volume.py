@@ -26,7 +26,7 @@ from ladar_volume.clouds.cloud_volume import above_base, between_clouds, own_foo
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.surface_parameters import SurfaceParameters
-from ladar_volume.tin.full_tin import build_tin
+from ladar_volume.tin.full_tin import build_tin, footprint_areas
 from ladar_volume.tin.locate import height_at
 from ladar_volume.tin.median_screen import edges
 from ladar_volume.volume.near_base import csr
@@ -196,11 +196,16 @@ def test_the_difference_surface_is_the_difference(swap):
         mean_variance(fine, A) + mean_variance(coarse, B), rel=1e-12
     )
     begin, column = with_diagonal(*edges(fine.triangles, fine.neighbours, 200))
-    args = (begin, column, csr(A), csr(B), d.corner, d.weight)
-    for a, b in zip(difference_kernel(*args), difference_kernel.py_func(*args), strict=True):
-        assert a == pytest.approx(b, rel=1e-13)
-    args = (fine.vertices, fine.triangles, fine.relevant, *csr(joint))
-    assert variance_kernel(*args) == pytest.approx(variance_kernel.py_func(*args), rel=1e-12)
+    row = np.repeat(np.arange(200), np.diff(begin))
+    value = difference_kernel(begin, column, csr(A), csr(B), d.corner, d.weight)
+    for found, whole in zip(value, (A.toarray(), plain), strict=True):
+        assert found == pytest.approx(whole[row, column], rel=1e-11, abs=1e-16)
+    parts = variance_kernel(fine.vertices, fine.triangles, fine.relevant, *csr(joint))
+    middle = np.array([[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5]])  # exact for quadratics
+    t = fine.triangles[fine.relevant]
+    C, area = joint.toarray()[t[:, :, None], t[:, None, :]], footprint_areas(fine.vertices, t)
+    mean = np.einsum("ki,tij,kj->t", middle, C, middle) / 3.0
+    assert parts.sum(axis=0) == pytest.approx([area @ mean, area.sum()], rel=1e-11)
     carried, rest = d.shares(np.full(200, 0.25), np.ones(200), 150)
     assert (
         (carried == 0.25).all()

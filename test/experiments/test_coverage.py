@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from ladar_volume.cli.main import main
@@ -108,23 +109,32 @@ def test_pulses_left_out_would_not_have_hit(monkeypatch):
         clear()
 
 
-def test_kernels_of_a_flight_are_their_twins():
+def test_kernels_of_a_flight_by_other_formulas():
     rng = np.random.default_rng(4)
     angles = rng.uniform(-3.0, 3.0, (50, 3))
     assert turned(angles).as_matrix() == pytest.approx(
         Rotation.from_euler("ZYX", angles[:, ::-1]).as_matrix()
     )
     keep, steps = rng.uniform(0.5, 1.0, 20), rng.standard_normal((20, 3))
-    assert np.array_equal(markov(keep, steps), markov.py_func(keep, steps))
+    new = np.sqrt(1.0 - np.r_[0.0, keep[1:]] ** 2)
+    share = [
+        [np.prod(keep[j + 1 : i + 1]) if j <= i else 0.0 for j in range(20)] for i in range(20)
+    ]
+    assert markov(keep, steps) == pytest.approx(share @ (new[:, None] * steps), rel=1e-12)
     origin, ray = (
         np.c_[rng.uniform(-8, 8, (40, 2)), np.full(40, 20.0)],
         np.c_[rng.uniform(-0.3, 0.3, (40, 2)), np.full(40, -1.0)],
     )
-    compiled, plain = np.zeros((2, 40))
-    shape = np.array([5.0, 4.0, 2.0, 0.3, 0.01, -0.02])
-    march(origin, ray, np.full(40, 2.0), shape, compiled)
-    march.py_func(origin, ray, np.full(40, 2.0), shape, plain)
-    assert compiled == pytest.approx(plain, rel=1e-12)
+    found, shape = np.zeros(40), np.array([5.0, 4.0, 2.0, 0.3, 0.01, -0.02])
+    march(origin, ray, np.full(40, 2.0), shape, found)
+
+    def above(t, o, r):
+        x, y, z = o + t * r
+        stump = np.interp(np.hypot(x / 5.0, y / 4.0), [0.3, 1.0], [2.0, 0.0])
+        return z - 0.01 * x + 0.02 * y - stump
+
+    expected = [brentq(above, 0.0, 40.0, args=at) for at in zip(origin, ray, strict=True)]
+    assert found == pytest.approx(expected, abs=5e-3) and np.ptp(found) > 1.5
 
 
 def test_the_table_of_the_ground_is_its_sinusoids():

@@ -75,21 +75,21 @@ def test_components_equal_those_of_all_pairs(n, distance):
     )
 
 
-def test_the_kernel_equals_its_plain_twin():
+def test_joined_cells_are_components_of_their_points():
     p = np.random.default_rng(0).uniform(0, 1, (60, 3))
     start, left, right = (
         np.arange(0, 61, 3),
         np.repeat(np.arange(20), 20),
         np.tile(np.arange(20), 20),
     )
-    one, two = np.arange(20), np.arange(20)
-    join_cells(p, start, left, right, 0.01, one)
-    join_cells.py_func(p, start, left, right, 0.01, two)
-    roots = [root_of.py_func(two, i) for i in range(20)]
-    assert np.array_equal(one, two) and 1 < len(set(roots)) < 20
-    flatten_roots(one)
-    flatten_roots.py_func(two)
-    assert np.array_equal(one, roots) and np.array_equal(two, roots)
+    parent = np.arange(20)
+    join_cells(p, start, left, right, 0.01, parent)
+    apart = ((p[:, None] - p) ** 2).sum(axis=2).reshape(20, 3, 20, 3).min(axis=(1, 3))
+    count, label = connected_components(coo_matrix(apart <= 0.01), directed=False)
+    roots = [root_of(parent.copy(), i) for i in range(20)]
+    assert same_partition(np.array(roots), label) and 1 < count < 20
+    flatten_roots(parent)
+    assert np.array_equal(parent, roots)
 
 
 def test_labels_by_size_then_position_whatever_the_order():

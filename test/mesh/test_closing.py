@@ -2,6 +2,8 @@
 with what to do.
 """
 
+import itertools
+
 import numpy as np
 import pytest
 from closed_meshes import CUBE_T, CUBE_V, sphere, torus
@@ -396,30 +398,48 @@ def test_fans_are_the_components_of_the_corners():
         assert np.array_equal(root, np.unique(label, return_index=True)[1][label]) and number == (
             count or number
         )
-        assert np.array_equal(root, corner_fans.py_func(t, one, other))
 
 
-def test_kernels_agree_with_their_plain_twins():
+def test_the_least_area_of_all_triangulations():
     rng = np.random.default_rng(4)
-    p = rng.normal(size=(12, 3))
-    taken = np.zeros((12, 12), bool)
-    taken[2, 7] = taken[7, 2] = True
-    split, twin = np.full((12, 12), -1, np.int64), np.full((12, 12), -1, np.int64)
-    assert hole_filling.least_area_kernel(p, taken, split) == pytest.approx(
-        hole_filling.least_area_kernel.py_func(p, taken, twin)
-    )
-    assert np.array_equal(split, twin)
+    p = rng.normal(size=(8, 3))
+    taken = np.zeros((8, 8), bool)
+    taken[2, 6] = taken[6, 2] = True
+
+    def ways(i, j):
+        """All triangulations of the loop i..j."""
+        if j - i < 2:
+            return [[]]
+        if taken[i, j]:
+            return []
+        return [
+            [*a, *b, (i, k, j)] for k in range(i + 1, j) for a in ways(i, k) for b in ways(k, j)
+        ]
+
+    def cost(way):
+        a, b, c = (p[[t[k] for t in way]] for k in range(3))
+        area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        return area.sum() + hole_filling.SHORTER * ((c - a) ** 2).sum()
+
+    every = sorted(ways(0, 7), key=cost)
+    split = np.full((8, 8), -1, np.int64)
+    assert len(every) > 80
+    assert hole_filling.least_area_kernel(p, taken, split) == pytest.approx(cost(every[0]))
+    assert all(split[i, j] == k for i, k, j in every[0])
+
+
+def test_ears_of_a_star_cover_it_once():
     angle = np.linspace(0, 2 * np.pi, 20, endpoint=False)
     star = (1.0 + 0.5 * (np.arange(20) % 2))[:, None] * np.stack(
         [np.cos(angle), np.sin(angle)], axis=1
     )
-    one, two = np.empty((18, 3), np.int64), np.empty((18, 3), np.int64)
-    assert (
-        hole_filling.ears_kernel(star, np.arange(20), one)
-        == hole_filling.ears_kernel.py_func(star, np.arange(20), two)
-        == 0
-    )
-    assert np.array_equal(one, two)
+    out = np.empty((18, 3), np.int64)
+    assert hole_filling.ears_kernel(star, np.arange(20), out) == 0
+    x, y = star.T
+    whole = 0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1))
+    assert (areas(star, out) > 0).all() and areas(star, out).sum() == pytest.approx(whole)
+    sides = {frozenset(s) for t in out.tolist() for s in itertools.combinations(t, 2)}
+    assert {frozenset((i, (i + 1) % 20)) for i in range(20)} <= sides and len(sides) == 37
 
 
 def areas(p, triangles):

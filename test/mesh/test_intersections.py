@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from closed_meshes import CUBE_T, CUBE_V, grid_mesh, torus
 
 from ladar_volume.math.se3 import exp_so3
-from ladar_volume.mesh.intersections import corners_beyond, cross, crossings
+from ladar_volume.mesh.intersections import corners_beyond, crossings
 from ladar_volume.mesh.tetrahedra import closed_volume
 from ladar_volume.model.errors import SurfaceError
 
@@ -79,11 +81,21 @@ def test_against_a_plain_search_and_turned():
     v = rng.uniform(0, 1, (90, 3))
     t = np.arange(90, dtype=np.int32).reshape(-1, 3)
     t[20:, 0] = t[:10, 1]  # some share a vertex
+
+    def pierces(one, other):
+        """Whether an edge goes through: p + s (q − p) = a + u (b − a) + w (c − a)."""
+        a, b, c = v[other]
+        for i, j in zip(one, np.roll(one, -1), strict=True):
+            if not {i, j} & set(other):
+                s, u, w = np.linalg.solve(np.c_[v[i] - v[j], b - a, c - a], v[i] - a)
+                if 0 < s < 1 and u > 0 and w > 0 and u + w < 1:
+                    return True
+        return False
+
     plain = {
         (i, j)
-        for i in range(30)
-        for j in range(i + 1, 30)
-        if cross.py_func(v, t, corners_beyond(t), i, j)
+        for i, j in itertools.combinations(range(30), 2)
+        if pierces(t[i], t[j]) or pierces(t[j], t[i])
     }
     assert {tuple(p) for p in crossings(v, t).tolist()} == plain and len(plain) > 20
     R = exp_so3(np.array([1.0, 2, 3]))

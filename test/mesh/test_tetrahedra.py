@@ -4,6 +4,8 @@ variance, and meshes that are refused.
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from closed_meshes import CUBE_T, CUBE_V, grid_mesh, moebius, sphere, torus
@@ -14,7 +16,6 @@ from ladar_volume.mesh.tetrahedra import (
     closed_volume,
     signed_tetrahedra,
     tetrahedra_gradient,
-    tetrahedra_kernel,
     winding_kernel,
 )
 from ladar_volume.mesh.topology import (
@@ -166,23 +167,38 @@ def test_even_noise_on_a_sphere_has_its_closed_form():
     assert np.sqrt(first) == pytest.approx(0.01 * 4 * np.pi / np.sqrt(2200), rel=0.03)
 
 
-def test_the_compiled_kernels_do_what_their_python_does():
+def test_windings_and_orientations():
     v, t = torus(8, 6)
     points = np.array([[2.0, 0, 0.1], [0, 0, 0], [9, 9, 9]])
-    out, none = winding_kernel(v, t.astype(np.int32), points, np.array([-1, 3, -1])), [-1, 3, -1]
-    assert out == pytest.approx(
-        winding_kernel.py_func(v, t.astype(np.int32), points, none), abs=1e-12
-    )
+    out = winding_kernel(v, t.astype(np.int32), points, np.array([-1, 3, -1]))
+    # solid angle by the angles between the planes through the point (Girard), signed
+    for k, leave in enumerate((-1, 3, -1)):
+        total = 0.0
+        for i in np.flatnonzero(np.arange(len(t)) != leave):
+            r = v[t[i]] - points[k]
+            n = np.cross(r, np.roll(r, -1, axis=0))
+            n /= np.linalg.norm(n, axis=1, keepdims=True)
+            between = np.pi - np.arccos(np.clip((n * np.roll(n, 1, axis=0)).sum(axis=1), -1, 1))
+            total += np.sign(np.linalg.det(r)) * (between.sum() - np.pi)
+        assert out[k] == pytest.approx(total / (4.0 * np.pi), abs=1e-7)
     out = winding_kernel(v, t.astype(np.int32), points, np.full(3, -1))
     assert np.abs(out) == pytest.approx([1, 0, 0], abs=1e-9)
     neighbour = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]], np.int32)
-    agrees = np.random.default_rng(2).random((4, 3)) < 2  # all agree
-    for changed in ([], [0]):
-        ask = agrees.copy()
-        ask[changed, 0] = False
-        a, b = ((np.full(4, -1, np.int32), np.zeros(4, bool)) for _ in range(2))
-        assert spread_kernel(neighbour, ask, *a) == spread_kernel.py_func(neighbour, ask, *b)
-        assert (a[0] == b[0]).all() and (a[1] == b[1]).all()
+    rng, found = np.random.default_rng(2), []
+    for _ in range(40):
+        same = rng.random((4, 4)) < 0.7
+        agrees = np.take_along_axis(np.tril(same) | np.tril(same, -1).T, neighbour, axis=1)
+        part, turned = np.full(4, -1, np.int32), np.zeros(4, bool)
+        found.append(spread_kernel(neighbour, agrees, part, turned))
+        ways = [  # of all ways to turn three of them, those with which all edges agree
+            x
+            for x in itertools.product([False], *3 * [(False, True)])
+            if all(x[o] == (x[t] == agrees[t, k]) for (t, k), o in np.ndenumerate(neighbour))
+        ]
+        assert (found[-1] < 0) == (len(ways) == 1)
+        if ways:
+            assert tuple(turned.tolist()) == ways[0] and (part == 0).all()
+    assert 3 < sum(at < 0 for at in found) < 37
 
 
 def reason(v, t):
@@ -249,13 +265,10 @@ def test_edges_and_tetrahedra_are_their_twins():
     assert np.array_equal(start, [*np.unique(key[order], return_index=True)[1], len(order)])
     assert [len(part) for part in edge_table(t[:0])] == [0, 2, 0]
     value = rng.integers(0, 7, 50)
-    assert np.array_equal(
-        counting_sort.py_func(value, np.arange(50), 7), np.argsort(value, kind="stable")
-    )
+    assert np.array_equal(counting_sort(value, np.arange(50), 7), np.argsort(value, kind="stable"))
     corner = v[t] - pole
     volumes = np.einsum("ni,ni->n", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6.0
     assert signed_tetrahedra(v, t, pole) == pytest.approx(volumes, abs=1e-14)
-    assert tetrahedra_kernel.py_func(v, t, pole) == pytest.approx(volumes, abs=1e-14)
 
 
 def test_open_meshes_have_an_oriented_boundary():
@@ -266,8 +279,8 @@ def test_open_meshes_have_an_oriented_boundary():
     order, start, _ = edge_table(m.triangles)
     assert len(order) == 3 * len(m.triangles) and len(start) - 1 == m.edges
     assert tetrahedra_gradient(v, m.triangles, np.zeros(3)).shape == v.shape
-    twin = [np.full(1, -1, np.int32), np.zeros(1, bool)]
+    alone = [np.full(1, -1, np.int32), np.zeros(1, bool)]
     assert (
-        spread_kernel.py_func(np.full((1, 3), -1, np.int32), np.zeros((1, 3), bool), *twin) == -1
-        and twin[0][0] == 0
+        spread_kernel(np.full((1, 3), -1, np.int32), np.zeros((1, 3), bool), *alone) == -1
+        and alone[0][0] == 0
     )

@@ -36,7 +36,7 @@ def test_a_leaf_is_its_plain_twin_and_leaves_its_arrays_alone():
     x = np.random.default_rng(3).normal(size=(200, 3))
     held = sys.getrefcount(x)
     assert traces(x, 50) == pytest.approx(50.0 * np.sum(x * x), rel=1e-12)
-    assert traces(x[::2], 2) == pytest.approx(traces.py_func(x[::2], 2), rel=1e-12)
+    assert traces(x[::2], 2) == pytest.approx(2.0 * np.sum(x[::2] ** 2), rel=1e-12)
     assert sys.getrefcount(x) == held
     gone = weakref.ref(x)
     del x
@@ -67,4 +67,4 @@ def test_threads_get_every_index_once(count):
 
 def test_what_a_part_raises_is_raised():
     with pytest.raises(IndexError):
-        run_in_threads(counted.py_func, np.array([0, 5]), np.zeros(2))
+        run_in_threads(lambda which, times: times[which[-1]], np.array([0, 5]), np.zeros(2))

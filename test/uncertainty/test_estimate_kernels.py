@@ -218,16 +218,13 @@ def test_a_part_nobody_else_holds_is_changed_in_place(shape, kind, left):
         rng.permutation(100)[: rng.integers(1, 100)] + 90,
     )
     rows = np.insert(new, np.sort(rng.integers(0, len(new) + 1, left)), stay)
-    whole, mine, ways = np.concatenate(parts), [part.copy() for part in parts], []
-    for move in (move_rows, move_rows.py_func):
-        to = np.full(90, -1)
-        to[rows[rows < 90]] = np.flatnonzero(rows < 90)
-        ways.append(np.concatenate([parts[0], np.zeros((110, *shape), kind)]))
-        assert (
-            keeps_order(to) and keeps_order.py_func(to) and (left < 2 or not keeps_order(to[::-1]))
-        )
-        move(ways[-1].reshape(-1), int(np.prod(shape)), to)
-        assert np.array_equal(ways[-1][to[to >= 0]], parts[0][stay])
+    whole, mine = np.concatenate(parts), [part.copy() for part in parts]
+    to = np.full(90, -1)
+    to[rows[rows < 90]] = np.flatnonzero(rows < 90)
+    moved = np.concatenate([parts[0], np.zeros((110, *shape), kind)])
+    assert keeps_order(to) and (left < 2 or not keeps_order(to[::-1]))
+    move_rows(moved.reshape(-1), int(np.prod(shape)), to)
+    assert np.array_equal(moved[to[to >= 0]], parts[0][stay])
     assert np.array_equal(select_rows(list(parts), rows), whole[rows])
     assert np.array_equal(parts[0], whole[:90])  # somebody else has a hold of it
     assert np.array_equal(select_rows(mine, rows), whole[rows]) and not mine

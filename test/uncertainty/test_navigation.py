@@ -36,7 +36,6 @@ def test_recursion_equals_the_dense_sum(n, tau):
     y = rng.standard_normal((n, 3))
     dense = float(((y @ y.T) * np.exp(-np.abs(t[:, None] - t) / tau)).sum())
     assert markov_sum(t, y, tau) == pytest.approx(dense, rel=1e-11, abs=1e-12)
-    assert markov_sum.py_func(t, y, tau) == pytest.approx(dense, rel=1e-11, abs=1e-12)
 
 
 def test_roots():

@@ -103,17 +103,11 @@ def test_a_variance_errs_by_less_than_the_bound_and_hardly_at_all(surface):
         assert turned == pytest.approx(
             np.einsum("mrs,mrk->msk", held.factor, q[:, :6]), rel=1e-12, abs=1e-15
         )
-        assert turned == pytest.approx(
-            packing.factor_load_kernel.py_func(held.factor, q), rel=1e-12, abs=1e-15
-        )
         row = rng.permutation(len(held))
         X = np.ascontiguousarray(q[row, : held.factor.shape[1], 0])
-        twin = X.copy()
-        packing.factor_row_kernel.py_func(held.factor, twin, row)
-        for rows in (packing.factor_rows(X.copy(), row, held), twin):
-            assert rows == pytest.approx(
-                np.einsum("nr,nrs->ns", X, held.factor[row]), rel=1e-12, abs=1e-15
-            )
+        assert packing.factor_rows(X.copy(), row, held) == pytest.approx(
+            np.einsum("nr,nrs->ns", X, held.factor[row]), rel=1e-12, abs=1e-15
+        )
         assert np.array_equal(factor_loads(q, sent), q[:, :6])
         y = np.abs(turned[:, :, 0]).sum(axis=1)  # of half a whole number
         weight = np.where(packed.left == packed.right, 0.5, 1.0)
@@ -138,13 +132,12 @@ def test_sensitivities_keep_fifteen_bits_of_the_largest(surface):
         rel=1e-6,
         abs=1e-6 * float(np.abs(back.M_cal).max()),
     )
-    kernel = packing.beam_kernel(np.ascontiguousarray(sent.M_cal[:5, :, SHARED:]))
-    for found, twin in zip(
-        kernel,
-        packing.beam_kernel.py_func(np.ascontiguousarray(sent.M_cal[:5, :, SHARED:])),
-        strict=True,
-    ):
-        assert found.tobytes() == twin.tobytes()
+    beams = np.ascontiguousarray(sent.M_cal[:5, :, SHARED:])
+    whole, unit = packing.beam_kernel(beams)
+    halves = beams.reshape(*beams.shape[:2], 2, -1)
+    assert np.array_equal(unit, np.abs(halves).max(axis=3) / np.float32(LARGEST))
+    expected = np.divide(halves, unit[..., None], out=0.0 * halves, where=unit[..., None] > 0)
+    assert np.array_equal(whole.reshape(halves.shape), np.rint(expected))
     owner = np.repeat(rows, np.diff(sent.nav_start))
     for kind in range(2):
         these = slice(kind, 1 + 3 * kind)

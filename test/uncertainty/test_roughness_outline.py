@@ -96,14 +96,13 @@ def test_the_sum_on_a_grid_is_that_of_all_pairs_of_cells():
     speck = over_cells(xy[~point], weight[~point], rough, 1e-9)
     field = dataclasses.replace(speck, xy=xy[point], weight=weight[point])
     assert field.variance_m6 == pytest.approx(0.02 * weight @ rho @ weight, rel=1e-9)
-    for bounds in (field_bounds, field_bounds.py_func):
-        low, high = bounds(field.vertices, field.triangles, field.area, field.xy)
-        assert low == pytest.approx(xy.min(axis=0), abs=2e-9) and high == pytest.approx(
-            xy.max(axis=0), abs=2e-9
-        )
-    assert np.array_equal(
-        squares_grid.py_func(xy, weight, low, 0.5, (19, 9)),
-        squares_grid(xy, weight, low, 0.5, (19, 9)),
+    low, high = field_bounds(field.vertices, field.triangles, field.area, field.xy)
+    assert low == pytest.approx(xy.min(axis=0), abs=2e-9) and high == pytest.approx(
+        xy.max(axis=0), abs=2e-9
+    )
+    edges = [low[c] + 0.5 * np.arange(n + 1) for c, n in enumerate((19, 9))]
+    assert squares_grid(xy, weight, low, 0.5, (19, 9)) == pytest.approx(
+        np.histogram2d(*xy.T, edges, weights=weight)[0], abs=1e-12
     )
     assert at_points(xy[:1], weight[:1], rough).variance_m6 == pytest.approx(0.02 * weight[0] ** 2)
     assert at_points(xy[:0], weight[:0], rough).variance_m6 == 0.0
@@ -151,27 +150,26 @@ def test_triangles_are_spread_over_their_squares():
     triangles[0] = [3, 3, 3]  # of no size
     area = rng.standard_normal(9)
     area[1] = 0.0
-    for kernel in (spread_kernel, spread_kernel.py_func):
-        found = np.zeros((12, 12))
-        kernel(vertices, triangles, area, np.zeros(2), 0.5, found)
-        assert found.sum() == pytest.approx(area.sum(), rel=1e-12)
-        # halving keeps the centroid of all parts where that of the whole is
-        middle = np.stack(np.meshgrid(*2 * [0.25 + 0.5 * np.arange(12)], indexing="ij"), axis=-1)
-        assert np.einsum("ij,ijc->c", found, middle) == pytest.approx(
-            area @ vertices[triangles].mean(axis=1), abs=0.25 * np.abs(area).sum()
-        )
-        # what lies in a square is, as the squares get small, the share of the triangle in it
-        fine = np.zeros((120, 120))
-        kernel(vertices, triangles[2:3], np.ones(1), np.zeros(2), 0.05, fine)
-        exact = np.zeros((120, 120))
-        a, b = rng.uniform(size=(2, 1_000_000))
-        u, v = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
-        p, q, r = vertices[triangles[2]]
-        at = np.floor((p + u[:, None] * (q - p) + v[:, None] * (r - p)) / 0.05).astype(int)
-        np.add.at(exact, tuple(at.T), 1.0 / len(at))
-        assert fine.reshape(12, 10, 12, 10).sum(axis=(1, 3)) == pytest.approx(
-            exact.reshape(12, 10, 12, 10).sum(axis=(1, 3)), abs=5e-3
-        )
+    found = np.zeros((12, 12))
+    spread_kernel(vertices, triangles, area, np.zeros(2), 0.5, found)
+    assert found.sum() == pytest.approx(area.sum(), rel=1e-12)
+    # halving keeps the centroid of all parts where that of the whole is
+    middle = np.stack(np.meshgrid(*2 * [0.25 + 0.5 * np.arange(12)], indexing="ij"), axis=-1)
+    assert np.einsum("ij,ijc->c", found, middle) == pytest.approx(
+        area @ vertices[triangles].mean(axis=1), abs=0.25 * np.abs(area).sum()
+    )
+    # what lies in a square is, as the squares get small, the share of the triangle in it
+    fine = np.zeros((120, 120))
+    spread_kernel(vertices, triangles[2:3], np.ones(1), np.zeros(2), 0.05, fine)
+    exact = np.zeros((120, 120))
+    a, b = rng.uniform(size=(2, 1_000_000))
+    u, v = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
+    p, q, r = vertices[triangles[2]]
+    at = np.floor((p + u[:, None] * (q - p) + v[:, None] * (r - p)) / 0.05).astype(int)
+    np.add.at(exact, tuple(at.T), 1.0 / len(at))
+    assert fine.reshape(12, 10, 12, 10).sum(axis=(1, 3)) == pytest.approx(
+        exact.reshape(12, 10, 12, 10).sum(axis=(1, 3)), abs=5e-3
+    )
 
 
 def test_a_constant_deviation_cancels_between_inside_and_outside():
@@ -358,9 +356,6 @@ def test_fields_of_given_lengths():
             assert found == pytest.approx(
                 fields_twin(lag, value, weight, length), rel=1e-7, abs=1e-7
             )
-            assert found == pytest.approx(
-                fields_kernel.py_func(lag, value, weight, length), rel=1e-12, abs=1e-12
-            )
 
 
 def test_lengths_at_their_limits():
@@ -420,9 +415,6 @@ def test_vertices_within_a_distance_of_some(distance):
         expected = (apart <= distance).any(axis=1)
         assert np.array_equal(vertices_within(tin, mask, distance), expected)
         found = reached(tin.triangles, tin.neighbours, tin.vertices, some, distance)
-        assert np.array_equal(
-            found, reached.py_func(tin.triangles, tin.neighbours, tin.vertices, some, distance)
-        )
         assert not (found & ~expected).any() and found.sum() >= 0.9 * expected.sum()
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.tin.full_tin import build_tin, footprint_areas
-from ladar_volume.volume.chord_bias import chord_kernel, chord_volumes, cut_and_fill_chords
+from ladar_volume.volume.chord_bias import chord_volumes, cut_and_fill_chords
 from ladar_volume.volume.prismoids import positive_part
 
 
@@ -39,8 +39,6 @@ def test_exact_on_a_quadratic():
     normal = normals(slope)[tin.source]
     assert chord_volumes(tin, normal, area) == pytest.approx(excess, abs=1e-12)
     assert chord_volumes(tin, -normal, area) == pytest.approx(excess, abs=1e-12)
-    plain = chord_kernel.py_func(np.ascontiguousarray(v[:, :2]), normal, t, area)
-    assert plain == pytest.approx(chord_volumes(tin, normal, area), abs=1e-15)
     half = chord_volumes(tin, normal, np.where(np.arange(len(t)) % 2, 0.5 * area, 0.0))
     assert half == pytest.approx(np.where(np.arange(len(t)) % 2, 0.5 * excess, 0.0), abs=1e-12)
     above, below = cut_and_fill_chords(tin, normal, design_surface([1e3]), area)

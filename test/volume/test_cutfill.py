@@ -8,6 +8,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from plain_integrals import positive_mean, sequence_plain
 
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.errors import VolumeError
@@ -20,7 +21,6 @@ from ladar_volume.volume.cutfill import (
     cut_sequence,
     sequence_gradient,
     sequence_kernel,
-    sequence_plain,
     triangle_heights,
 )
 from ladar_volume.volume.overlay import Between
@@ -162,17 +162,25 @@ def test_no_triangles():
     assert caught.value.reason == "volume_no_triangle"
 
 
-def test_compiled_kernels_equal_their_plain_twins():
+def test_a_sequence_by_divided_differences():
     h, area, _ = triangle_heights(random_tin(20, seed=5), None, None)
-    levels = np.linspace(-1, 1, 11)
-    assert np.array_equal(
-        sequence_kernel(h, area, levels), sequence_kernel.py_func(h, area, levels)
-    )
-    for z in (-5.0, 0.0, 0.2, 9.0):
-        assert (
-            count_below(levels, z) == count_below.py_func(levels, z) == np.searchsorted(levels, z)
-        )
-    trees = np.zeros((2, 32, 4))
-    for run, tree in zip((add_piece, add_piece.py_func), trees, strict=True):
-        run(tree, np.linspace(0, 1, 32), 3, 13, 0.2, 1.0, -2.0, 0.5)
-    assert np.array_equal(*trees) and trees[0].any()
+    levels, step = np.linspace(-1, 1, 11) + 0.003, 1e-30
+    found = sequence_kernel(h, area, levels)
+    above = [area @ positive_mean(h - z - 1j * step) for z in levels]
+    assert found[:, 0] == pytest.approx(np.real(above), rel=1e-11)
+    assert found[:, 1] == pytest.approx(-np.imag(above) / step, rel=1e-10)  # how fast it shrinks
+    for z in (-5.0, levels[4], 0.2, 9.0):
+        assert count_below(levels, z) == np.searchsorted(levels, z)
+
+
+def test_levels_of_a_piece_add_up_along_their_branch():
+    centre, level = np.linspace(0, 1, 32), np.linspace(-0.5, 1.5, 16)
+    for low, high in ((3, 13), (0, 16), (5, 5), (7, 8)):
+        tree = np.zeros((32, 4))
+        add_piece(tree, centre, low, high, 0.2, 1.0, -2.0, 0.5)
+        for leaf, z in enumerate(level):
+            branch = [(16 + leaf) >> k for k in range(5)]
+            found = sum(np.polyval(tree[node, ::-1], z - centre[node]) for node in branch)
+            x = z - 0.2
+            expected = 1.0 - 2.0 * x + 0.5 * x**3 if low <= leaf < high else 0.0
+            assert found == pytest.approx(expected, abs=1e-12)

@@ -17,7 +17,6 @@ from ladar_volume.uncertainty.propagation import design_rows, surface_geometry
 from ladar_volume.uncertainty.vertex_noise import (
     MOST_RINGS,
     corner_covariances,
-    corner_kernel,
     height_pairs,
     height_sums,
     rings_for,
@@ -151,8 +150,6 @@ def test_covariances_of_vertices_against_dense_ones():
     assert corners == pytest.approx(
         np.stack([C[chosen[:, i], chosen[:, j]] for i, j in PACKED], axis=1), rel=1e-12, abs=1e-16
     )
-    kernel_arguments = np.diag(C), row, X, patches.cross_start, geometry.right, patches.cross
-    assert corner_kernel.py_func(chosen, *kernel_arguments) == pytest.approx(corners, rel=1e-12)
     some = np.arange(0, n, 3)
     sums, alike = height_sums(patches, geometry, X, row, some, np.diag(C))
     assert (

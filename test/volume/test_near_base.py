@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 import pytest
+from plain_integrals import smoother
 from scipy import sparse, special
 
 from ladar_volume.ground.polynomial import design_surface
@@ -41,7 +42,7 @@ from ladar_volume.volume.near_base import (
     second_order,
     trace_kernel,
 )
-from ladar_volume.volume.neighbourhood import Smooth, adjoint_kernel, smooth_kernel, smoother
+from ladar_volume.volume.neighbourhood import Smooth
 from ladar_volume.volume.prismoids import positive_part, prismoids
 
 LEVEL = design_surface([0.0])
@@ -284,23 +285,13 @@ def test_curvature_term_is_the_trace():
     assert found == pytest.approx(
         0.5 * np.trace(H @ alone.toarray() @ H @ alone.toarray()), rel=1e-12
     )
-    args = (
-        start,
-        link,
-        *edge_sums(curvature, tin.triangles, start, link),
-        *csr(sparse.csr_array(C)),
-    )
-    assert trace_kernel.py_func(*args) == pytest.approx(trace_kernel(*args), rel=1e-12)
-    assert all(
-        np.array_equal(*pair)
-        for pair in zip(
-            edge_sums.py_func(curvature, tin.triangles, start, link), args[2:4], strict=True
-        )
-    )
-    assert np.array_equal(
-        packed_kernel.py_func(*args[4:], tin.triangles),
-        node_covariances(sparse.csr_array(C), tin.triangles),
-    )
+    edge, own = edge_sums(curvature, tin.triangles, start, link)
+    row = np.repeat(np.arange(12), np.diff(start))
+    assert edge == pytest.approx(H[row, link]) and own == pytest.approx(np.diag(H))
+    parts = trace_kernel(start, link, edge, own, *csr(sparse.csr_array(C)))
+    assert parts.sum() == pytest.approx(np.trace(H @ C @ H @ C), rel=1e-12)
+    i, j = tin.triangles[:, PACKED[:, 0]], tin.triangles[:, PACKED[:, 1]]
+    assert packed_kernel(*csr(sparse.csr_array(C)), tin.triangles) == pytest.approx(C[i, j])
     assert node_covariances(sparse.csr_array(C), tin.triangles[:1])[0] == pytest.approx(
         [C[tin.triangles[0, i], tin.triangles[0, j]] for i, j in PACKED]
     )
@@ -332,40 +323,109 @@ def test_refusals(variance):
     assert caught.value.reason == "volume_no_triangle"
 
 
-def test_compiled_kernels_equal_their_plain_twins():
+def expected_at(mu, C, p, q, weight):
+    """Row 0: mean; rows 1 to 3: slopes; rows 4 to 9: curvatures, (10,), summed over places."""
+    w = np.stack([1 - p - q, p, q])
+    m, s = mu @ w, np.sqrt(np.einsum("ik,ij,jk->k", w, C, w))
+    share, density = special.ndtr(m / s), PHI0 * np.exp(-0.5 * (m / s) ** 2)
+    curve = np.einsum("ik,jk,k->ij", w, w, weight * density / s)
+    return np.r_[
+        weight @ (m * share + s * density), w @ (weight * share), [curve[i, j] for i, j in PACKED]
+    ]
+
+
+def test_means_at_places_and_their_sums():
+    rng = np.random.default_rng(9)
+    A = 0.03 * rng.normal(size=(3, 3))
+    C, mu = A @ A.T + 1e-4 * np.eye(3), rng.normal(0, 0.05, 3)
+    p, q = rng.dirichlet(np.ones(3), 63).T[1:]
+    weight = rng.uniform(0.5, 2.0, 63)
+    work, out, alone = np.zeros((6, 70)), np.zeros(10), np.zeros(10)
+    work[0, :63], work[1, :63], work[2, :63] = p, q, weight
+    means_at(mu, packed(C)[0], 63, work)
+    add_means(63, work, out)
+    add_mean(63, work, alone)
+    expected = expected_at(mu, C, p, q, weight)
+    assert out == pytest.approx(expected, rel=1e-11)
+    assert alone == pytest.approx(np.r_[expected[0], np.zeros(9)], rel=1e-11)
+
+
+def test_far_places_count_as_they_are():
+    mu = np.array([0.9, 0.4, -0.2])
+    for p, q, above in ((0.2, 0.3, 1.0), (0.05, 0.9, 0.0)):
+        out, w = np.zeros(10), np.array([1 - p - q, p, q])
+        add_far(mu, p, q, 0.5, out)
+        assert out == pytest.approx(0.5 * above * np.r_[mu @ w, w, np.zeros(6)], rel=1e-14)
+
+
+@pytest.mark.parametrize("parts", [1, 2, 5])
+def test_parts_of_a_triangle_together_are_the_triangle(parts):
+    """The rule is exact for what varies little over a part; the places of all parts are those of a
+    triangle's tiling.
+    """
+    rng = np.random.default_rng(parts)
+    A = 0.01 * rng.normal(size=(3, 3))
+    C, mu = A @ A.T + 0.05**2 * np.eye(3), rng.normal(0, 0.02, 3)
+    work, out = np.zeros((6, 7 * parts**2)), np.zeros(10)
+    by_quadrature(mu, packed(C)[0], 0.05, parts, True, NODES, work, out)
+    corners = [np.array([[0, 0], [1, 0], [0, 1.0]]), np.array([[1, 1], [0, 1], [1, 0.0]])]
+    places = [
+        ((1 - NODES[:, :1] - NODES[:, 1:2]) * c[0] + NODES[:, :1] * c[1] + NODES[:, 1:2] * c[2])
+        + (i, j)
+        for i in range(parts)
+        for j in range(parts - i)
+        for c in corners[: 2 if i + j < parts - 1 else 1]
+    ]
+    p, q = np.concatenate(places).T / parts
+    weight = np.tile(NODES[:, 2], len(places)) / parts**2
+    assert out == pytest.approx(expected_at(mu, C, p, q, weight), rel=1e-10)
+    assert out[0] == pytest.approx(fine(mu, C)[0], rel=1e-3)
+
+
+def test_a_steep_triangle_feels_the_noise_along_its_zero_line():
+    """Against a fine rule where the height runs over 160 standard deviations."""
+    rng = np.random.default_rng(4)
+    for mu in ([0.9, -0.9, 0.1], [-0.7, 0.4, 0.9], [0.5, 0.8, -0.3]):
+        A = 0.005 * rng.normal(size=(3, 3))
+        C, mu = A @ A.T + 0.01**2 * np.eye(3), np.array(mu)
+        found = np.zeros(10)
+        by_line(mu, packed(C)[0], found)
+        plain, expected = positive_part(mu[None]), fine(mu, C, 1200)
+        assert found[0] == pytest.approx(expected[0] - plain[0][0], rel=0.01)
+        assert found[4:] == pytest.approx(expected[4:], rel=0.02, abs=0.01 * expected[4:].max())
+        assert (found[1:4] == 0.0).all()
+
+
+def test_the_least_deviation_is_at_a_corner_a_midpoint_or_the_centre():
+    rng, which = np.random.default_rng(2), set()
+    places = np.array(
+        [[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1], [1, 0, 1], [1, 1, 1]], float
+    )
+    places /= places.sum(axis=1, keepdims=True)
+    for _ in range(100):
+        A = 0.03 * rng.normal(size=(3, 3))
+        deviation = np.sqrt(np.einsum("ki,ij,kj->k", places, A @ A.T, places))
+        which.add(int(deviation.argmin()))
+        assert least_deviation(packed(A @ A.T)[0]) == pytest.approx(deviation.min(), abs=1e-9)
+    assert which == set(range(7))
+
+
+def test_means_without_slopes_are_the_same_means():
     rng = np.random.default_rng(9)
     mu, C = rng.normal(0, 0.05, (8, 3)), np.repeat(packed(np.eye(3) * 0.03**2), 8, axis=0)
-    mu[0], mu[1] = [9, -9, 1], [5, 5, 5]
+    mu[0], mu[1], mu[2] = [9, -9, 1], [5, 5, 5], [-5, -5, -4]
     plain = np.c_[positive_part(mu)[0], positive_part(mu)[1]]
-    for slopes, columns in ((True, 10), (False, 1)):
-        found, twin = (
-            folded_kernel(mu, C, plain, slopes, NODES),
-            folded_kernel.py_func(mu, C, plain, True, NODES),
-        )
-        assert found[:, :columns] == pytest.approx(twin[:, :columns], rel=1e-13, abs=1e-16)
-    assert all(
-        least_deviation(c) == least_deviation.py_func(c) == pytest.approx(0.03 / math.sqrt(3))
-        for c in C
+    both, alone = (folded_kernel(mu, C, plain, slopes, NODES) for slopes in (True, False))
+    assert alone[:, 0] == pytest.approx(both[:, 0], rel=1e-13)
+    # tall, and all above the base, of which one corner is within reach: no zero line crosses it
+    tall, noise = np.array([0.02, 1.5, 2.0]), np.eye(3) * 0.01**2
+    found, expected = folded(tall[None], packed(noise))[0], fine(tall, noise, 1500)
+    assert found[:4] == pytest.approx(expected[:4], rel=1e-6) and (found[4:] < 0.01).all()
+    assert both[1:3, 0] == pytest.approx([5.0, 0.0]) and both[1:3, 1:4] == pytest.approx(
+        np.outer([1, 0], np.full(3, 1 / 3))
     )
-    rooms = [
-        np.vstack([np.full((1, 63), 0.2), np.full((1, 63), 0.3), np.full((4, 63), 0.5)])
-        for _ in range(2)
-    ]
-    for room, run in zip(rooms, (means_at, means_at.py_func), strict=True):
-        run(mu[2], C[2], 63, room)
-    assert rooms[0] == pytest.approx(rooms[1], rel=1e-13) and len(set(rooms[0][3:, 0])) == 3
-    quadrature = (mu[3], C[3], 0.03, 3, True, NODES, rooms[0])
-    means = ((add_means, (63, rooms[1])), (add_mean, (63, rooms[1])))
-    for run, args in (
-        (by_quadrature, quadrature),
-        *means,
-        (add_far, (mu[1], 0.2, 0.3, 0.5)),
-        (by_line, (mu[0], C[0])),
-    ):
-        a, b = np.zeros(10), np.zeros(10)
-        run(*args, a)
-        run.py_func(*args, b)
-        assert a == pytest.approx(b, rel=1e-13) and a.any()
+    for t in range(3, 8):
+        assert both[t, 0] == pytest.approx(fine(mu[t], np.eye(3) * 0.03**2)[0], rel=1e-3)
 
 
 def test_the_tabulated_normal_distribution():
@@ -374,10 +434,7 @@ def test_the_tabulated_normal_distribution():
         assert density == pytest.approx(
             math.exp(-0.5 * t * t) / math.sqrt(2 * math.pi) if abs(t) < 1e3 else 0.0, abs=1e-13
         )
-        assert below == pytest.approx(0.5 * math.erfc(-t / math.sqrt(2)), abs=1e-13) and (
-            density,
-            below,
-        ) == pytest.approx(normal.py_func(t), abs=1e-15)
+        assert below == pytest.approx(0.5 * math.erfc(-t / math.sqrt(2)), abs=1e-13)
     assert [normal(t) for t in (-9.0, 8.0, np.inf, np.nan)] == [
         (0.0, 0.0),
         (0.0, 1.0),
@@ -389,7 +446,7 @@ def test_the_tabulated_normal_distribution():
 @pytest.mark.parametrize(
     "truth", [lambda x, y: 0 * x, lambda x, y: np.where(x > 5, 1.0, 0.0), lambda x, y: 0.2 * x * y]
 )
-def test_compiled_neighbourhoods_equal_their_plain_twins(truth):
+def test_neighbourhoods_are_those_of_sparse_matrices(truth):
     tin = ground(truth)
     rng = np.random.default_rng(3)
     variance = rng.uniform(0.5, 2.0, 400) * 0.03**2
@@ -402,23 +459,10 @@ def test_compiled_neighbourhoods_equal_their_plain_twins(truth):
             S @ h, abs=1e-9
         ) and smooth.variance == pytest.approx((S * S) @ variance, rel=1e-7)
         assert smooth.adjoint(g) == pytest.approx(S.T @ g, abs=1e-8)
-        if rings > 0:
-            rows, links = smooth._rows[:20], (smooth.start, smooth.link, smooth._xy)
-            plain = smooth_kernel.py_func(*links, h, variance, variance, rows, rings)
-            compiled = smooth_kernel(*links, h, variance, variance, rows, rings)
-            assert all(
-                a == pytest.approx(b, rel=1e-10, abs=1e-15)
-                for a, b in zip(plain, compiled, strict=True)
-            )
-            args = (*links, rows, *compiled[:2], g[rows])
-            assert adjoint_kernel.py_func(*args) == pytest.approx(
-                adjoint_kernel(*args), rel=1e-10, abs=1e-15
-            )
     # heights that share noise: what a plane has of it is the sum of its covariances
-    summed = Smooth(tin, h, variance, wanted, 4, 2.0 * variance)
-    grown = summed._ring[np.argsort(summed._rows)] > 0
-    assert summed.variance[wanted][grown] == pytest.approx(
-        2.0 * smooth.variance[wanted][grown], rel=1e-12
-    )
+    sums = rng.uniform(1.0, 3.0, 400) * variance
+    summed = Smooth(tin, h, variance, wanted, 4, sums)
+    grown = summed.rings() > 0
+    assert summed.variance == pytest.approx(np.where(grown, (S * S) @ sums, variance), rel=1e-7)
     line = dataclasses.replace(tin, vertices=np.c_[tin.vertices[:, 0], 0 * h, h])
     assert np.isfinite(Smooth(line, h, variance, wanted, 4).heights).all()

@@ -5,12 +5,14 @@ degenerate overlays.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from fractions import Fraction
 
 import numba
 import numpy as np
 import pytest
+from plain_integrals import barycentric, positive_mean, positive_slopes, strip_integrals
 
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.errors import VolumeError
@@ -58,6 +60,16 @@ def roof():
     vertices = np.array([(0, 0, 0), (4, 0, 1), (4, 3, 2), (0, 3, -1), (2, 1.5, 3)], float)
     triangles = np.array([(0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)], np.int32)
     return Tin(vertices, triangles, np.full((4, 3), -1, np.int32), np.ones(4, bool), np.arange(5))
+
+
+#: A ring of seven corners, counter-clockwise.
+STAR_RING = np.stack(
+    [
+        f(2 * np.pi * np.arange(7) / 7) * [1.0, 0.6, 0.9, 1.2, 0.8, 1.0, 0.7]
+        for f in (np.cos, np.sin)
+    ],
+    axis=1,
+)
 
 
 def exact_clip(ring, f):
@@ -285,80 +297,126 @@ def test_walls_and_slivers():
     )
 
 
-def test_compiled_kernels_equal_their_plain_twins():
+def test_pieces_strip_by_strip():
+    """Every pair of triangles, cut into strips; the kernel goes from neighbour to neighbour."""
     a, b = random_tin(6, seed=13), random_tin(5, seed=14)
     one, two = triangle_index(a), triangle_index(b)
     high, low = (
         placed_corners(a.vertices, a.triangles, one.order),
         placed_corners(b.vertices, b.triangles, two.order),
     )
-    neighbours = placed_neighbours(b.neighbours, two.order)
+    assert np.array_equal(high, a.vertices[a.triangles[one.order]])
+    assert np.array_equal(high[..., :2], one.corners)
+    neighbours, place = placed_neighbours(b.neighbours, two.order), np.argsort(two.order)
+    beyond = b.neighbours[two.order]
+    assert np.array_equal(neighbours, np.where(beyond < 0, -1, place[beyond]))
+    parts, back = np.zeros((len(high), 2, 4)), np.zeros((len(low), 2, 4))
+    for (i, p), (j, q) in itertools.product(enumerate(high), enumerate(low)):
+        on_a, on_b = barycentric(p[:, :2]), barycentric(q[:, :2])
+        d = q[:, 2] @ on_b - p[:, 2] @ on_a  # sign −1: the subject is the lower one
+        for side, sign in enumerate((1.0, -1.0)):
+            found = strip_integrals(
+                [p[:, :2], q[:, :2]],
+                [[1.0, 0.0, 0.0], *on_a[1:], sign * d, *on_b[1:]],
+                sign * d,
+            )
+            parts[i, side] += found[:4]
+            back[j, side, :3] += found[[0, 4, 5]]
     args = (high, low, neighbours, two.boxes, -1.0, True)
-    for compiled, plain, direct in zip(
+    for compiled, direct, plain in zip(
         overlay_kernel(*args),
-        overlay_kernel.py_func(*args),
         integrals(high, b, low, two, -1.0, True),
+        (parts, back),
         strict=True,
     ):
-        assert np.array_equal(compiled, plain) and np.array_equal(compiled, direct)
-    assert np.array_equal(high, placed_corners.py_func(a.vertices, a.triangles, one.order))
-    assert np.array_equal(high[..., :2], one.corners)
-    assert np.array_equal(neighbours, placed_neighbours.py_func(b.neighbours, two.order))
-    parts = overlay_kernel(*args)[0]
-    grads = [
-        f(len(a.vertices), a.triangles, one.order, high, parts, 1.0)
-        for f in (vertex_gradients, vertex_gradients.py_func)
-    ]
-    assert np.array_equal(*grads)
+        assert np.array_equal(compiled, direct) and compiled == pytest.approx(plain, abs=1e-11)
+
+
+def test_gradients_of_given_integrals():
+    a, rng = random_tin(6, seed=13), np.random.default_rng(5)
+    order = rng.permutation(len(a.triangles))[:-2]
+    corners, parts = a.vertices[a.triangles[order]], rng.random((len(order), 2, 4))
+    expected = np.zeros((2, len(a.vertices), 3))
+    for t, p, part in zip(a.triangles[order], corners, parts, strict=True):
+        slope = (p[:, 2] @ barycentric(p[:, :2]))[1:]
+        for side, sign in enumerate((-1.0, 1.0)):
+            share = part[side, 1:3]
+            for v, w in zip(t, [part[side, 0] - share.sum(), *share], strict=True):
+                expected[side, v] += sign * w * np.r_[-slope, 1.0]
+    found = vertex_gradients(len(a.vertices), a.triangles, order, corners, parts, -1.0)
+    assert found == pytest.approx(expected, rel=1e-11, abs=1e-13)
+
+
+def test_a_walk_ends_where_the_point_is():
+    b = random_tin(5, seed=14)
+    corners, neighbours = b.vertices[b.triangles], b.neighbours.astype(np.int64)
+    coordinates = np.stack([barycentric(p[:, :2]) for p in corners])
+    ends = []
     for x, y in np.random.default_rng(3).uniform(-3.5, 3.5, (50, 2)):
-        assert walk(low, neighbours, 0, x, y) == walk.py_func(low, neighbours, 0, x, y)
+        inside = np.flatnonzero((coordinates @ (1.0, x, y) >= 0.0).all(axis=1))
+        ends.append(walk(corners, neighbours, 0, x, y))
+        assert [ends[-1]] == (inside.tolist() or [-1])
+    assert -1 in ends and len(set(ends)) > 6
 
 
-def test_pieces_equal_their_plain_twins():
+def test_one_pair_strip_by_strip():
     a, b = random_tin(6, seed=13), random_tin(5, seed=14)
-    for p, q in zip(a.triangles, b.triangles, strict=False):
-        scratch, outs = np.zeros((2, ROWS, CORNERS)), np.zeros((2, 1, 2, 4))
-        scratch[:, A : A + 3, :3] = (a.vertices[p] - a.vertices[p[0]] * [1, 1, 0]).T
-        scratch[:, B : B + 3, :3] = (b.vertices[q] - a.vertices[p[0]] * [1, 1, 0]).T
-        rings = [f(w) for f, w in zip((clip_pair, clip_pair.py_func), scratch, strict=True)]
-        assert rings[0] == rings[1] and np.array_equal(*scratch)
-        if rings[0][1] >= 3:
-            areas = [
-                f(0, 1.0, w, *rings[0][:2], o)
-                for f, w, o in zip((add_piece, add_piece.py_func), scratch, outs, strict=True)
-            ]
-            assert areas[0] == areas[1] and np.array_equal(*scratch) and np.array_equal(*outs)
+    common = 0
+    for p, q in itertools.product(a.vertices[a.triangles], b.vertices[b.triangles[:4]]):
+        p, q = p - p[0] * [1, 1, 0], q - p[0] * [1, 1, 0]
+        w, out = np.zeros((ROWS, CORNERS)), np.zeros((1, 2, 4))
+        w[A : A + 3, :3], w[B : B + 3, :3] = p.T, q.T
+        (area,) = strip_integrals([p[:, :2], q[:, :2]], [[1.0, 0.0, 0.0]])
+        s, n, cut = clip_pair(w)
+        if n < 3:
+            assert area == pytest.approx(0.0, abs=1e-12)
+            continue
+        common += 1
+        assert add_piece(0, 1.0, w, s, n, out) == pytest.approx(area, rel=1e-11)
+        on_b = barycentric(q[:, :2])
+        outside = (p[:, :2] @ on_b[:, 1:].T + on_b[:, 0] < -1e-12).any(axis=0)
+        # an edge of b cuts something off where a corner of a, or of what is left, lies beyond it
+        assert all(outside[k] for k in range(3) if (cut >> k) & 1)
+    assert common > 10
 
 
-def test_clipping_and_fans_equal_their_plain_twins():
-    ring = np.random.default_rng(0).normal(size=(2, 7))
-    scratch = np.zeros((2, ROWS, CORNERS))
-    scratch[:, :2, :7] = ring
-    found = [
-        f(w, 0, 7, 1.0, 0.5, 0.1, 0.2)
-        for f, w in zip((clip_line, clip_line.py_func), scratch, strict=True)
-    ]
-    assert (
-        found[0] == found[1]
-        and np.array_equal(*scratch)
-        and tip(1.0, -0.3, -2.0) == tip.py_func(1.0, -0.3, -2.0)
-    )
-    scratch[:, 6:10, :3] = [[0.1, 0.5, 0.4], [0.3, 0.0, 0.6], [0.2, 0.7, 0.1], [0.5, 0.2, 0.0]]
-    scratch[:, 0, :3], scratch[:, 1, :3] = [0.0, 1.4, 0.0], [0.0, 0.0, 1.0]  # area 0.7
-    for d in np.random.default_rng(1).integers(-2, 3, (60, 3)).astype(float):
-        scratch[:, 5, :3], scratch[:, PAIR:] = d, 0.0
-        for f, w in zip((add_fan, add_fan.py_func), scratch, strict=True):
-            f(0.7, w, 1)
-        assert np.array_equal(*scratch)
-        fan = scratch[0, PAIR:].copy()
+def test_clipping_by_a_line():
+    ring, half = STAR_RING, np.array([-0.02, -0.5, 1.0])  # left of the line through (0.1, 0.07)
+    w = np.zeros((ROWS, CORNERS))
+    w[:2, : len(ring)] = ring.T
+    s, n, cut = clip_line(w, 0, len(ring), 1.0, 0.5, 0.1, 0.07)
+    x, y = w[s : s + 2, :n]
+    area = 0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1))
+    assert cut and area == pytest.approx(strip_integrals([ring], [[1.0, 0, 0]], half)[0], rel=1e-12)
+    assert (half[0] + half[1] * x + half[2] * y >= -1e-12).all()
+    assert clip_line(w, s, n, 1.0, 0.5, 0.1, 0.07 - 5.0) == (s, n, False)
+    assert clip_line(w, s, n, 1.0, 0.5, 0.1, 0.07 + 5.0)[1:] == (0, True)
+
+
+def test_tips_and_fans_by_divided_differences():
+    d = np.array([[1.0, -0.3, -2.0]])
+    assert tip(*d[0]) == pytest.approx([*positive_mean(d), *positive_slopes(d)[0]], rel=1e-13)
+    w = np.zeros((ROWS, CORNERS))
+    w[6:10, :3] = [[0.1, 0.5, 0.4], [0.3, 0.0, 0.6], [0.2, 0.7, 0.1], [0.5, 0.2, 0.0]]
+    w[0, :3], w[1, :3] = [0.0, 1.4, 0.0], [0.0, 0.0, 1.0]  # area 0.7
+    rng = np.random.default_rng(1)
+    whole = [rng.integers(-2, 3, 3).astype(float) for _ in range(60)]
+    for d in [*whole, *rng.uniform(-1, 1, (40, 3))]:
+        w[5, :3], w[PAIR:] = d, 0.0
+        add_fan(0.7, w, 1)
+        fan = w[PAIR:].copy()
         assert fan[:, 3] == pytest.approx(
             [0.7 * positive_part(s * d[None])[0][0] for s in (1, -1)], abs=1e-15
         )
+        if len(set(d)) == 3 and d.all():
+            for side, sign in enumerate((1.0, -1.0)):
+                weight = 0.7 * positive_slopes(sign * d[None])[0]
+                rows = np.vstack([np.ones(3), w[6:8, :3], w[8:10, :3]])
+                assert fan[side, [0, 1, 2, 4, 5]] == pytest.approx(rows @ weight, abs=1e-12)
         if (d >= 0).all() or (d <= 0).all():  # the same by the way for one sign
-            scratch[:, PAIR:] = 0.0
-            for f, w in zip((add_same_sign, add_same_sign.py_func), scratch, strict=True):
-                f(w, 0, 3, 0 if (d >= 0).all() else 1)
-            assert np.array_equal(*scratch) and scratch[0, PAIR:] == pytest.approx(fan, abs=1e-15)
+            w[PAIR:] = 0.0
+            add_same_sign(w, 0, 3, 0 if (d >= 0).all() else 1)
+            assert w[PAIR:] == pytest.approx(fan, abs=1e-15)
 
 
 def test_the_walk_from_neighbour_to_neighbour_and_the_tree_agree():

@@ -9,6 +9,14 @@ import math
 
 import numpy as np
 import pytest
+from plain_integrals import (
+    barycentric,
+    complex_gradient,
+    positive_mean,
+    positive_slopes,
+    strip_integrals,
+)
+from scipy.spatial import ConvexHull
 
 from ladar_volume.ground.polynomial import base_height, design_surface
 from ladar_volume.model.errors import VolumeError
@@ -152,23 +160,58 @@ def test_gradients_against_central_differences(base, outline):
         assert p.base_fill[k] == pytest.approx((a.fill_m3 - b.fill_m3) / (2 * h), abs=2e-6)
 
 
-def test_compiled_passes_equal_their_plain_twins():
-    tin, rng = random_tin(seed=6), np.random.default_rng(1)
-    h = rng.integers(-1, 2, (200, 3)) * rng.uniform(0.5, 1.5, (200, 3))
+def test_means_are_divided_differences():
+    h = np.random.default_rng(1).uniform(-1.5, 1.5, (200, 3))
     mean, slope = positive_part(h)
+    assert mean == pytest.approx(positive_mean(h), abs=1e-12)
+    assert slope == pytest.approx(positive_slopes(h), abs=1e-10)
     for t in range(len(h)):
         own = np.empty(3)
-        assert mean_above.py_func(h[t], own) == mean[t] and np.array_equal(own, slope[t])
-    height, inside = (
-        tin.vertices[:, 2] - 0.4,
-        np.where(rng.random(len(tin.triangles)) < 0.7, 0.3, 0.0),
-    )
-    for compiled, words in (
-        (prismoid_kernel, (tin.vertices, tin.triangles, inside > 0, height)),
-        (moment_kernel, (tin.vertices, tin.triangles, inside, np.full(len(height), 0.4))),
-    ):
-        for a, b in zip(compiled(*words), compiled.py_func(*words), strict=True):
-            assert np.allclose(a, b, rtol=1e-13, atol=1e-13)
+        assert mean_above(h[t], own) == mean[t] and np.array_equal(own, slope[t])
+    for zeros in ([0.0, 0.0, 2.0], [0.0, 1.0, 3.0], [0.0, 0.0, 0.0]):  # corners on the base
+        (up, down), gradients = positive_part(np.array([zeros, np.negative(zeros)]))
+        assert (up, down) == pytest.approx((sum(zeros) / 3.0, 0.0), abs=1e-16)
+        assert gradients == pytest.approx(np.outer([any(zeros), 0.0], np.full(3, 1 / 3)))
+
+
+def test_volumes_and_gradients_by_complex_steps():
+    tin, rng = random_tin(6, seed=6), np.random.default_rng(1)
+    height, inside = tin.vertices[:, 2] - 0.4, rng.random(len(tin.triangles)) < 0.7
+    chosen = tin.triangles[inside]
+
+    def areas(xy):
+        a, b, c = (xy[chosen[:, i]] for i in range(3))
+        return 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+
+    def both(xy, height):
+        above = positive_mean(height[chosen])
+        return np.array([areas(xy) @ above, areas(xy) @ height[chosen].mean(axis=1)])
+
+    xy = np.ascontiguousarray(tin.vertices[:, :2])
+    total, cut, net = prismoid_kernel(tin.vertices, tin.triangles, inside, height)
+    up, whole = both(xy, height)
+    assert total == pytest.approx([up, up - whole, areas(xy).sum()], rel=1e-11)
+    by_xy = complex_gradient(lambda v: both(v, height), xy)
+    by_height = complex_gradient(lambda h: both(xy, h), height)
+    for k, found in enumerate((cut, net)):
+        assert found == pytest.approx(np.c_[by_xy[..., k], by_height[:, k]], abs=1e-10)
+
+
+def test_the_centroid_by_quadrature():
+    tin, rng = random_tin(8, seed=6), np.random.default_rng(1)
+    inside = np.where(rng.random(len(tin.triangles)) < 0.7, 0.3, 0.0)
+    low = rng.uniform(0.3, 0.5, len(tin.vertices))
+    found = moment_kernel(tin.vertices, tin.triangles, inside, low)
+    # midpoints of sides integrate the product of two linear functions exactly
+    middle = np.array([[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5]])
+    moment, volume = np.zeros(3), 0.0
+    for t in np.flatnonzero(inside):
+        p = middle @ tin.vertices[tin.triangles[t]]
+        h = p[:, 2] - middle @ low[tin.triangles[t]]
+        if h.sum() > 0.0:
+            p[:, 2] -= 0.5 * h
+            moment, volume = moment + inside[t] * h @ p / 3.0, volume + inside[t] * h.mean()
+    assert found == pytest.approx(moment / volume, rel=1e-12)
 
 
 def test_net_gradient_survives_heights_of_exactly_zero():
@@ -227,28 +270,30 @@ def test_polygons_add_and_orientation_does_not_matter():
     assert sides[0].cut_m3 + sides[1].cut_m3 == pytest.approx(whole.cut_m3, rel=1e-12)
 
 
-def test_compiled_clipping_equals_its_plain_twin():
+def test_clipped_triangles_strip_by_strip():
     tin = random_tin(n=6, seed=8)
     corners, h = (
         np.ascontiguousarray(tin.vertices[tin.triangles, :2]),
         np.ascontiguousarray(tin.vertices[tin.triangles, 2]),
     )
     hexagon = np.stack([np.cos(np.arange(6) * np.pi / 3), np.sin(np.arange(6) * np.pi / 3)], axis=1)
-    for ring, convex in (
-        (STAR, False),
-        (hexagon, True),
-        (9.0 * hexagon, True),
-        (hexagon[::-1].copy(), False),
-    ):
-        assert np.array_equal(
-            clipped_weights(corners, h, ring), clipped_weights.py_func(corners, h, ring)
-        )
-        assert is_convex(ring) == is_convex.py_func(ring) == convex
-        for points in (corners[0], 0.1 * corners[0]):
-            assert holds(ring, points) == holds.py_func(ring, points)
-            assert leftward(ring[0], ring[1], points[0]) == leftward.py_func(
-                ring[0], ring[1], points[0]
-            )
+    for ring, convex in ((STAR, False), (2.0 * hexagon, True), (9.0 * hexagon, True)):
+        found = clipped_weights(corners, h, ring)
+        for t, p in enumerate(corners):
+            line = barycentric(p)
+            for side, sign in enumerate((1.0, -1.0)):
+                expected = strip_integrals([ring, p], line, sign * h[t] @ line)
+                assert found[t, side] == pytest.approx(expected, abs=1e-12)
+        assert is_convex(ring) == convex == (len(ConvexHull(ring).vertices) == len(ring))
+    assert not is_convex(hexagon[::-1].copy())  # clockwise
+    rng, sides = np.random.default_rng(4), ConvexHull(hexagon).equations
+    within = []
+    for points in rng.uniform(-0.9, 0.9, (100, 3, 2)):
+        within.append((points @ sides[:, :2].T + sides[:, 2] <= 0.0).all())
+        assert holds(hexagon, points) == within[-1]
+        a, b, p = points @ (1.0, 1j)
+        assert leftward(*points) == (((p - a) / (b - a)).imag >= 0.0)
+    assert 0 < sum(within) < 100
 
 
 def test_triangles_within_a_convex_polygon_are_taken_whole():
@@ -267,11 +312,14 @@ def test_triangles_within_a_convex_polygon_are_taken_whole():
     )
 
 
-def test_compiled_moments_equal_their_plain_twin():
-    a, b = np.zeros((30, 2)), np.zeros((30, 2))
-    n = clip(STAR, 8, 0.1, 1.0, -0.3, a)
-    assert n == clip.py_func(STAR, 8, 0.1, 1.0, -0.3, b) and np.array_equal(a, b)
-    assert moments(a, n) == moments.py_func(a, n)
+def test_a_clipped_ring_and_its_moments():
+    ring, half = np.zeros((30, 2)), (0.1, 1.0, -0.3)
+    n = clip(STAR, 8, *half, ring)
+    sides = 0.1 + STAR @ (1.0, -0.3)
+    crossed = np.count_nonzero((sides > 0) != (np.roll(sides, -1) > 0))
+    assert n == np.count_nonzero(sides > 0) + crossed
+    assert (0.1 + ring[:n] @ (1.0, -0.3) >= -1e-12).all()
+    assert moments(ring, n) == pytest.approx(strip_integrals([STAR], np.eye(3), half), rel=1e-12)
 
 
 @pytest.mark.parametrize(
