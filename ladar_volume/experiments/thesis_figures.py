@@ -95,7 +95,8 @@ def draw_mesh(mesh: LocalMesh, on_ground: Bool, title: str, ax: Axes) -> None:
     size = np.linalg.norm(normal, axis=1)
     view = camera()
     light = DARK + (1.0 - DARK) * np.abs(normal @ view[2]) / np.where(size > 0.0, size, 1.0)
-    colour = np.where(on_ground[t].all(axis=1)[:, None], GROUND, BODY) * light[:, None]
+    low = np.asarray(on_ground[t].all(axis=1))[:, None]
+    colour = np.where(low, GROUND, BODY) * light[:, None]
     at = p @ view.T
     order = np.argsort(at[:, :, 2].mean(axis=1))
     ax.add_collection(
