@@ -16,6 +16,9 @@ from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
 from ladar_volume.volume.prismoids import Prismoids, gather
 
+#: Where a triangle lies to a polygon.
+OUTSIDE, WITHIN, ACROSS = 0, 1, 2
+
 
 def check_polygon(polygon: F64) -> F64:
     """The polygon (k, 2) counter-clockwise. Raises :class:`VolumeError` for fewer than three
@@ -204,6 +207,40 @@ def barycentric_lines(p: F64, line: F64) -> None:
 
 
 @kernel
+def place_of(polygon: F64, p: F64, convex: bool, rows: tuple[I64, I64, float, float]) -> int:
+    """Where a triangle (3, 2) lies to a polygon (k, 2): :data:`OUTSIDE`, :data:`WITHIN`, or
+    :data:`ACROSS`. rows : of :func:`rows_of_edges`.
+    """
+    if convex:
+        return WITHIN if holds(polygon, p) else ACROSS
+    start, edges, low, scale = rows
+    if edges_meet(polygon, p, start, edges, low, scale):
+        return ACROSS
+    row = row_of(p[0, 1], low, scale, len(polygon))
+    return WITHIN if contains(polygon, p[0, 0], p[0, 1], start, edges, row) else OUTSIDE
+
+
+@kernel
+def ring_within(
+    polygon: F64, p: F64, whole: bool, leftwards: bool, line: F64, one: F64, two: F64
+) -> int:
+    """The part of a polygon in a triangle (3, 2) with barycentric coordinates ``line``, about the
+    triangle's corner 0, into ``two``; returns its length. whole : the polygon holds the triangle ·
+    leftwards : the polygon turns counter-clockwise · one : room.
+    """
+    if whole:
+        for i in range(3):
+            at = i if leftwards else 2 - i  # as the polygon turns
+            two[i, 0], two[i, 1] = p[at, 0] - p[0, 0], p[at, 1] - p[0, 1]
+        return 3
+    for i in range(len(polygon)):
+        one[i, 0], one[i, 1] = polygon[i, 0] - p[0, 0], polygon[i, 1] - p[0, 1]
+    n = clip(one, len(polygon), line[0, 0], line[0, 1], line[0, 2], two)
+    n = clip(two, n, line[1, 0], line[1, 1], line[1, 2], one)
+    return clip(one, n, line[2, 0], line[2, 1], line[2, 2], two)
+
+
+@kernel
 def clipped_weights(corners: F64, heights: F64, polygon: F64) -> F64:
     """Integrals of the barycentric coordinates over each triangle inside the polygon: above and
     below the base.
@@ -214,7 +251,7 @@ def clipped_weights(corners: F64, heights: F64, polygon: F64) -> F64:
     out, size = np.zeros((len(corners), 2, 3)), 8 * len(polygon) + 64
     one, two, three = np.empty((size, 2)), np.empty((size, 2)), np.empty((size, 2))
     line, convex = np.empty((3, 3)), is_convex(polygon)
-    start, edges, low, scale = rows_of_edges(polygon, len(polygon))
+    rows = rows_of_edges(polygon, len(polygon))
     leftwards = convex or moments(polygon - polygon[0], len(polygon))[0] > 0.0
     west, east = polygon[:, 0].min(), polygon[:, 0].max()
     south, north = polygon[:, 1].min(), polygon[:, 1].max()
@@ -224,24 +261,11 @@ def clipped_weights(corners: F64, heights: F64, polygon: F64) -> F64:
             continue
         if max(p[0, 1], p[1, 1], p[2, 1]) < south or min(p[0, 1], p[1, 1], p[2, 1]) > north:
             continue
-        whole = convex and holds(polygon, p)
-        if not convex and not edges_meet(polygon, p, start, edges, low, scale):
-            row = row_of(p[0, 1], low, scale, len(polygon))
-            whole = contains(polygon, p[0, 0], p[0, 1], start, edges, row)
-            if not whole:
-                continue
+        place = place_of(polygon, p, convex, rows)
+        if place == OUTSIDE:
+            continue
         barycentric_lines(p, line)
-        if whole:
-            n = 3
-            for i in range(n):
-                at = i if leftwards else 2 - i  # as the polygon turns
-                two[i, 0], two[i, 1] = p[at, 0] - p[0, 0], p[at, 1] - p[0, 1]
-        else:
-            for i in range(len(polygon)):
-                one[i, 0], one[i, 1] = polygon[i, 0] - p[0, 0], polygon[i, 1] - p[0, 1]
-            n = clip(one, len(polygon), line[0, 0], line[0, 1], line[0, 2], two)
-            n = clip(two, n, line[1, 0], line[1, 1], line[1, 2], one)
-            n = clip(one, n, line[2, 0], line[2, 1], line[2, 2], two)
+        n = ring_within(polygon, p, place == WITHIN, leftwards, line, one, two)
         for side in range(2):
             sign = 1.0 - 2.0 * side
             h = sign * heights[t]
