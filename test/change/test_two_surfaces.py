@@ -9,7 +9,9 @@ import pytest
 
 from benchmarks.pits import PITS, pit, rim, without_ring
 from ladar_volume.change.sight_ring import (
+    GROUP,
     cast,
+    cast_kernel,
     densify,
     ring_over,
     ring_through,
@@ -254,6 +256,28 @@ def test_rays_meet_the_first_of_all_triangles():
         assert hits.distance[i] == pytest.approx(s[met].min(), rel=1e-9)
         first = np.flatnonzero(good)[met][np.isclose(s[met], s[met].min(), rtol=1e-9)]
         assert hits.corner[i].tolist() in surface.triangles[first].tolist()
+
+
+def test_rays_among_groups_that_are_mostly_passed_over():
+    """Groups of small triangles, each within its ball: what all triangles together give."""
+    rng, many = np.random.default_rng(8), 6
+    centre = np.repeat(rng.uniform(-3.0, 3.0, (many, 3)), GROUP, axis=0)
+    corners = centre[:, None] + rng.uniform(-0.6, 0.6, (len(centre), 3, 3))
+    aim = corners[rng.integers(0, len(corners), 60)].mean(axis=1)
+    origin = rng.uniform(-6.0, 6.0, (60, 3))
+    direction = (aim - origin) / np.linalg.norm(aim - origin, axis=1)[:, None]
+    middle = centre[::GROUP]
+    size = np.linalg.norm(corners.reshape(many, -1, 3) - middle[:, None], axis=2).max(axis=1)
+    found, weight, reach = np.full(60, -1), np.zeros((60, 3)), np.zeros(60)
+    cast_kernel(corners, np.c_[middle, size**2], origin, direction, found, weight, reach)
+    a, b, c = np.swapaxes(corners, 0, 1)
+    for i in range(60):
+        sides = np.stack([b - a, c - a, np.broadcast_to(-direction[i], a.shape)], axis=2)
+        u, v, s = np.linalg.solve(sides, (origin[i] - a)[..., None])[..., 0].T
+        s[(u < 0.0) | (v < 0.0) | (u + v > 1.0) | (s <= 0.0)] = np.inf
+        first = int(np.argmin(s))
+        assert found[i] == first and reach[i] == pytest.approx(s[first], rel=1e-9)
+        assert weight[i] == pytest.approx([1 - u[first] - v[first], u[first], v[first]], abs=1e-9)
 
 
 def test_a_ring_on_planes_through_the_points_around():

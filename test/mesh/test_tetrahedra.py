@@ -199,6 +199,10 @@ def test_windings_and_orientations():
         if ways:
             assert tuple(turned.tolist()) == ways[0] and (part == 0).all()
     assert 3 < sum(at < 0 for at in found) < 37
+    apart = np.concatenate([neighbour + 4 * k for k in range(3)])  # three bodies that share nothing
+    part, turned = np.full(12, -1, np.int32), np.zeros(12, bool)
+    assert spread_kernel(apart, np.ones((12, 3), bool), part, turned) == -1
+    assert np.array_equal(part, np.repeat([0, 1, 2], 4)) and not turned.any()
 
 
 def reason(v, t):

@@ -369,7 +369,7 @@ def test_one_pair_strip_by_strip():
     common = 0
     for p, q in itertools.product(a.vertices[a.triangles], b.vertices[b.triangles[:4]]):
         p, q = p - p[0] * [1, 1, 0], q - p[0] * [1, 1, 0]
-        w, out = np.zeros((ROWS, CORNERS)), np.zeros((1, 2, 4))
+        w, out = np.full((ROWS, CORNERS), 7.0), np.ones((1, 2, 4))  # scratch as others left it
         w[A : A + 3, :3], w[B : B + 3, :3] = p.T, q.T
         (area,) = strip_integrals([p[:, :2], q[:, :2]], [[1.0, 0.0, 0.0]])
         s, n, cut = clip_pair(w)
@@ -378,7 +378,16 @@ def test_one_pair_strip_by_strip():
             continue
         common += 1
         assert add_piece(0, 1.0, w, s, n, out) == pytest.approx(area, rel=1e-11)
-        on_b = barycentric(q[:, :2])
+        on_a, on_b = barycentric(p[:, :2]), barycentric(q[:, :2])
+        d = p[:, 2] @ on_a - q[:, 2] @ on_b
+        for side, sign in enumerate((1.0, -1.0)):
+            found = strip_integrals(
+                [p[:, :2], q[:, :2]],
+                [[1.0, 0.0, 0.0], *on_a[1:], sign * d, *on_b[1:]],
+                sign * d,
+            )
+            assert w[PAIR + side, :6] == pytest.approx(found, rel=1e-9, abs=1e-11)
+            assert out[0, side] - 1.0 == pytest.approx(found[:4], rel=1e-9, abs=1e-11)
         outside = (p[:, :2] @ on_b[:, 1:].T + on_b[:, 0] < -1e-12).any(axis=0)
         # an edge of b cuts something off where a corner of a, or of what is left, lies beyond it
         assert all(outside[k] for k in range(3) if (cut >> k) & 1)
@@ -394,6 +403,10 @@ def test_clipping_by_a_line():
     area = 0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1))
     assert cut and area == pytest.approx(strip_integrals([ring], [[1.0, 0, 0]], half)[0], rel=1e-12)
     assert (half[0] + half[1] * x + half[2] * y >= -1e-12).all()
+    again = np.full((ROWS, CORNERS), 7.0)  # from the other pair of rows: the same ring
+    again[2:4, : len(ring)] = ring.T
+    assert clip_line(again, 2, len(ring), 1.0, 0.5, 0.1, 0.07) == (2 - s, n, cut)
+    assert np.array_equal(again[2 - s : 4 - s, :n], w[s : s + 2, :n])
     assert clip_line(w, s, n, 1.0, 0.5, 0.1, 0.07 - 5.0) == (s, n, False)
     assert clip_line(w, s, n, 1.0, 0.5, 0.1, 0.07 + 5.0)[1:] == (0, True)
 
