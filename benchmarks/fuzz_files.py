@@ -36,6 +36,9 @@ from ladar_volume.cli.main import DEFECT
 from ladar_volume.cli.main import main as verb
 
 MEMORY, SECONDS, LINE = 4 * 2**30, 60.0, 300
+#: A case hangs after SECONDS of the processor, or after so much time: other work on the machine
+#: makes everything slow, and a deadlock takes no processor.
+WAIT_S = 300.0
 #: Modules that do the work of the verbs.
 WORK = (
     *("filter", "tin", "volume", "body", "diff", "register", "calibrate"),
@@ -273,7 +276,9 @@ def case(known: dict[str, Path], folder: Path, random_: random.Random) -> Case:
 
 
 def carried_out(case: Case, scratch: Path) -> tuple[int | str, str, float, int]:
-    """Exit code or what else ended it, standard error, seconds, peak memory (bytes)."""
+    """Exit code or what else ended it, standard error, seconds of the processor, peak memory
+    (bytes).
+    """
     began = time.monotonic()
     process = os.fork()
     if process == 0:
@@ -282,21 +287,24 @@ def carried_out(case: Case, scratch: Path) -> tuple[int | str, str, float, int]:
         done, status, used = os.wait4(process, os.WNOHANG)
         if done:
             break
-        if time.monotonic() - began > SECONDS:
+        if time.monotonic() - began > WAIT_S:
             os.kill(process, signal.SIGKILL)
             _, _, used = os.wait4(process, 0)
-            return "hang", "", SECONDS, used.ru_maxrss * 1024
+            return "hang", "", WAIT_S, used.ru_maxrss * 1024
         time.sleep(0.002)
     code: int | str = os.WEXITSTATUS(status)
     if os.WIFSIGNALED(status):
+        if os.WTERMSIG(status) == signal.SIGXCPU:
+            return "hang", "", SECONDS, used.ru_maxrss * 1024
         code = f"signal {os.WTERMSIG(status)}"
     text = (scratch / "err").read_text("utf-8", "replace")
-    return code, text, time.monotonic() - began, used.ru_maxrss * 1024
+    return code, text, used.ru_utime + used.ru_stime, used.ru_maxrss * 1024
 
 
 def _child(case: Case, scratch: Path) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_CPU, (int(SECONDS), int(SECONDS) + 5))
     code: Any = 99
     try:
         for name, descriptor in (("out", 1), ("err", 2)):

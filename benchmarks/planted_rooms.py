@@ -39,7 +39,12 @@ PRISMOIDS = ("volume/test_prismoids.py", "volume/test_cutfill.py", "volume/test_
 FLOORS = ("volume/test_floors.py", HERE)
 ESTIMATOR = (
     *("volume/test_estimator.py", "volume/test_estimator_near_base.py"),
-    *("volume/test_estimator_ratio.py", "volume/test_more_data.py", HERE),
+    *(
+        "volume/test_estimator_ratio.py",
+        "volume/test_more_data.py",
+        "volume/test_chords_of_a_fill.py",
+    ),
+    HERE,
 )
 NEAR = ("volume/test_near_base.py", "volume/test_remaining_fold.py", HERE)
 DENSITY = ("change/test_density.py", HERE)
