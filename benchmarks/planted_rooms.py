@@ -44,6 +44,7 @@ ESTIMATOR = (
         "volume/test_more_data.py",
         "volume/test_chords_of_a_fill.py",
     ),
+    "clouds/test_bodies.py",
     HERE,
 )
 NEAR = ("volume/test_near_base.py", "volume/test_remaining_fold.py", HERE)
