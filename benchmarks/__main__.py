@@ -42,6 +42,7 @@ NAMES = (
     "thin_walls",
     "local_mesh",
     "kill_logger",
+    "power_cuts",
     "ctrl_c",
     "calibration",
     "bodies",

@@ -36,8 +36,21 @@ from ladar_volume.cli.main import DEFECT
 from ladar_volume.cli.main import main as verb
 
 MEMORY, SECONDS, LINE = 4 * 2**30, 60.0, 300
+#: A case hangs after SECONDS of the processor, or after so much time: other work on the machine
+#: makes everything slow, and a deadlock takes no processor.
+WAIT_S = 300.0
 #: Modules that do the work of the verbs.
-WORK = ("filter", "tin", "volume", "body", "diff", "register", "calibrate")
+WORK = (
+    *("filter", "tin", "volume", "body", "diff", "register", "calibrate"),
+    *("outputs.export", "scale.tiles"),
+)
+#: Libraries that a verb loads when it needs them; loaded once, too, where they are installed.
+LIBRARIES = ("rasterio", "ezdxf", "pye57", "laspy", "pyproj", "matplotlib.pyplot")
+#: Kinds of files that ``export`` and ``volume -o`` write, and words that are none.
+KINDS = (
+    *("json", "csv", "las", "laz", "ply", "tif", "landxml", "dxf", "obj", "stl", "glb"),
+    *("geojson", "contours", "all", "csv,csv", "json,nothing", ","),
+)
 #: Exit codes that a verb may have: done, refused, doubtful with --strict.
 GOOD = (0, 2, 3)
 NUMBER = re.compile(rb"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?")
@@ -133,6 +146,9 @@ def seeds(folder: Path) -> dict[str, Path]:
     facts = {"matrix": np.eye(4).tolist(), "pivot_m": [0, 0, 0], "scale": 1.0}
     facts["covariance"] = (1e-6 * np.eye(7)).tolist()
     (folder / "T.json").write_text(json.dumps(facts, indent=1))
+    (folder / "a.e57").write_bytes(e57(r))
+    out["cloud a.e57"] = folder / "a.e57"
+    survey(folder)
     rows = "".join(f"{x:.4f},{y:.4f}\n" for x, y in rng.normal(0.0, 0.01, (12, 2)))
     (folder / "c.csv").write_text(f"roll_deg,pitch_deg\n{rows}")
     (folder / "corners.txt").write_text("-1 -1\n1 -1\n1 1\n-1 1\n")
@@ -141,7 +157,77 @@ def seeds(folder: Path) -> dict[str, Path]:
         "transform": folder / "T.json",
         "repeats": folder / "c.csv",
         "corners": folder / "corners.txt",
+        "survey": folder / "result.mcap",
     }
+
+
+def e57(r: np.ndarray) -> bytes:
+    """The points as an E57 file; empty where pye57 is not installed."""
+    with tempfile.TemporaryDirectory() as name, contextlib.suppress(ImportError):
+        import pye57
+
+        file = pye57.E57(str(Path(name) / "a.e57"), mode="w")
+        file.write_scan_raw({f"cartesian{axis}": r[:, k] for k, axis in enumerate("XYZ")})
+        file.close()
+        return (Path(name) / "a.e57").read_bytes()
+    return b""
+
+
+def survey(folder: Path) -> None:
+    """A small survey as ``replay`` writes it: a slope above a level."""
+    sys.path.insert(0, str(Path(__file__).parents[1] / "test" / "scenes"))
+    from volume_surfaces import platform, surface_update
+
+    from ladar_volume.io.results import result_dict
+    from ladar_volume.io.surveys import write_survey
+    from ladar_volume.model.losses import Losses
+    from ladar_volume.model.parameters import Parameters
+    from ladar_volume.model.records import Datum
+    from ladar_volume.volume.estimator import VolumeEstimator
+
+    base = {"base": "level", "level_m": 0.0, "outline": "all"}
+    p = Parameters.read({"filter": {"nav_bin_s": 1.0}, "volume": base})
+    estimator = VolumeEstimator(p)
+    estimator.add_platform(platform(position=0.002, attitude=0.0))
+    estimator.add(surface_update(lambda x, y: 3.0 + 0.02 * x, half=4.0, perturb=0.004))
+    estimate, source = estimator.estimate(), {"path": "flight", "sha256": "0"}
+    facts = result_dict(estimate, p, Losses(), Datum(50.0, 14.0, 100.0), {}, source)
+    facts |= {"where_more_data_helps": {"places": [], "sigma_m3": 0.0, "sigma_gaps_m3": 0.0}}
+    write_survey(folder / "result.mcap", estimate, estimator.epoch(), facts)
+
+
+def of_survey(bad: Path, folder: Path, number: str, random_: random.Random) -> Case:
+    """A command line over a mutated survey, or a good one with a mutated option."""
+    out = folder / "files"
+    option = random_.choice(("--cell", "--contour-interval", "--crs", "--as"))
+    value = random_.choice(KINDS) if option == "--as" else number
+    if random_.random() < 0.2:
+        return Case(("info", str(bad), "--json"), (bad,))
+    words = ("export", str(bad), "-o", str(out), f"{option}={value}")
+    return Case(words, (bad,), out / "result.json")
+
+
+def of_files(bad: Path, folder: Path, number: str, random_: random.Random) -> Case:
+    """A command line whose cloud becomes a folder of files, a report, or tiles at rest."""
+    out, page = folder / "files", folder / "page.html"
+    start = ("volume", str(bad), "--level", "0")
+    into = ("-o", str(out), "--as", random_.choice(KINDS))
+    corners = json.dumps([[-1, -1], [1, -1], [1, 1], number])[:300]
+    outline = ("--set", "volume.outline=polygon", "--set", f"volume.polygon={corners}")
+    store = ("--store", str(folder / "tiles"), "--tile", "2")
+    known = [
+        Case((*start, *into), (bad,), out / "result.json"),
+        Case((*start, *into, f"--cell={number}"), (bad,), out / "result.json"),
+        Case((*start, *into, "--file-units"), (bad,), out / "result.json"),
+        Case((*start, *into, f"--contour-interval={number}"), (bad,), out / "result.json"),
+        Case((*start, "--report", str(page)), (bad,), page),
+        Case((*start, *outline, "--json"), (bad,)),
+        Case(("volume", str(bad), "--outline", number[:99] or "auto"), (bad,)),
+    ]
+    if bad.suffix in (".las", ".laz"):
+        known += [Case(("tiles", str(bad), "--level", "0", *store), (bad,))] * 4
+        known += [Case(("tiles", str(bad), f"--level={number}", *store), (bad,))] * 2
+    return random_.choice(known)
 
 
 def case(known: dict[str, Path], folder: Path, random_: random.Random) -> Case:
@@ -165,11 +251,15 @@ def case(known: dict[str, Path], folder: Path, random_: random.Random) -> Case:
     if kind == "transform":
         words = ("diff", good, good, "--transform", str(bad), "--pole", f"0,0,{number}")
         return Case((*words, "-o", str(mesh)), (bad,), mesh)
+    if kind == "survey":
+        return of_survey(bad, folder, number, random_)
     if kind == "repeats":
         return Case(("calibrate", "repeats", str(bad), "--json"), (bad,))
     if kind == "corners":
         words = ("diff", good, good, "--polygon", str(bad), "--pole", f"0,0,{number}")
         return Case((*words, "-o", str(mesh)), (bad,), mesh)
+    if kind.startswith("cloud") and random_.random() < 0.4:
+        return of_files(bad, folder, number, random_)
     cloud = [
         Case(("filter", str(bad), f"--radius={number}", "-o", str(out)), (bad,), out),
         Case(("filter", str(bad), "-o", str(out)), (bad,), out),
@@ -186,7 +276,9 @@ def case(known: dict[str, Path], folder: Path, random_: random.Random) -> Case:
 
 
 def carried_out(case: Case, scratch: Path) -> tuple[int | str, str, float, int]:
-    """Exit code or what else ended it, standard error, seconds, peak memory (bytes)."""
+    """Exit code or what else ended it, standard error, seconds of the processor, peak memory
+    (bytes).
+    """
     began = time.monotonic()
     process = os.fork()
     if process == 0:
@@ -195,21 +287,24 @@ def carried_out(case: Case, scratch: Path) -> tuple[int | str, str, float, int]:
         done, status, used = os.wait4(process, os.WNOHANG)
         if done:
             break
-        if time.monotonic() - began > SECONDS:
+        if time.monotonic() - began > WAIT_S:
             os.kill(process, signal.SIGKILL)
             _, _, used = os.wait4(process, 0)
-            return "hang", "", SECONDS, used.ru_maxrss * 1024
+            return "hang", "", WAIT_S, used.ru_maxrss * 1024
         time.sleep(0.002)
     code: int | str = os.WEXITSTATUS(status)
     if os.WIFSIGNALED(status):
+        if os.WTERMSIG(status) == signal.SIGXCPU:
+            return "hang", "", SECONDS, used.ru_maxrss * 1024
         code = f"signal {os.WTERMSIG(status)}"
     text = (scratch / "err").read_text("utf-8", "replace")
-    return code, text, time.monotonic() - began, used.ru_maxrss * 1024
+    return code, text, used.ru_utime + used.ru_stime, used.ru_maxrss * 1024
 
 
 def _child(case: Case, scratch: Path) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_CPU, (int(SECONDS), int(SECONDS) + 5))
     code: Any = 99
     try:
         for name, descriptor in (("out", 1), ("err", 2)):
@@ -246,11 +341,20 @@ def wrong(code: int | str, text: str, old: bool) -> str:
     return "" if old else "old output harmed"
 
 
+def kept(output: Path) -> bool:
+    """Whether the output of an earlier run is as it was."""
+    return output.is_file() and output.read_bytes() == b"old"
+
+
 def fuzz(count: int, seed: int, keep: Path | None = None) -> dict[str, Any]:
     """``count`` cases: how they ended, and those that ended as none should."""
     for module in WORK:  # once, for all that are forked from here
         importlib.import_module(f"ladar_volume.cli.{module}")
+    for module in LIBRARIES:
+        with contextlib.suppress(ImportError):
+            importlib.import_module(module)
     random_, ends, seen = random.Random(seed), Counter[str](), []
+    verbs = Counter[str]()
     slowest = most = 0.0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -259,15 +363,18 @@ def fuzz(count: int, seed: int, keep: Path | None = None) -> dict[str, Any]:
         for number in range(count):
             one = case(known, folder, random_)
             if one.output is not None:
+                one.output.parent.mkdir(exist_ok=True)
                 one.output.write_bytes(b"old")
             code, text, seconds, memory = carried_out(one, folder)
             harmed = one.output is not None and code not in (0, 3)
-            old = not harmed or (one.output is not None and one.output.read_bytes() == b"old")
+            old = not harmed or (one.output is not None and kept(one.output))
             said = "hang" if code == "hang" else wrong(code, text, old)
             ends[said or f"exit {code}"] += 1
+            verbs[one.words[0]] += 1
             slowest, most = max(slowest, seconds), max(most, memory)
             if said:
                 words = [w[:100] for w in one.words]
+                print(f"{number}: {said}: {one.words[:3]}: {text[-300:]}", file=sys.stderr)
                 seen.append({"case": number, "what": said, "words": words, "err": text[-700:]})
                 if keep is not None:
                     keep.mkdir(parents=True, exist_ok=True)
@@ -277,6 +384,7 @@ def fuzz(count: int, seed: int, keep: Path | None = None) -> dict[str, Any]:
                 one.output.unlink(missing_ok=True)
     return {
         "cases": count,
+        "verbs": dict(verbs.most_common()),
         "ends": dict(ends.most_common()),
         "slowest_s": round(slowest, 1),
         "most_memory_bytes": int(most),

@@ -1,9 +1,9 @@
 """One-line bugs in georeference, rmls, volume, change, clouds, io and nodes, and the test files
 that see each: signs, units, steps by one, forgotten parameters, fsyncs, covariances exchanged.
 
-``python -m benchmarks.planted_rooms [--half 0|1] [WORD ...]``: all of them, every second one (to
-share them between two cores), or those whose file or name holds a word; exit code 1 where one is
-not seen.
+``python -m benchmarks.planted_rooms [--half 0|1] [--skip N] [WORD ...]``: all of them, every
+second one (to share them between two cores), those after the first N, or those whose file or name
+holds a word; exit code 1 where one is not seen, or the tests do not end in time.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.planted import ROOT, forget_kernels, passes_all
+from benchmarks.planted import ROOT, SECONDS, forget_kernels, passes_all
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,13 @@ PRISMOIDS = ("volume/test_prismoids.py", "volume/test_cutfill.py", "volume/test_
 FLOORS = ("volume/test_floors.py", HERE)
 ESTIMATOR = (
     *("volume/test_estimator.py", "volume/test_estimator_near_base.py"),
-    *("volume/test_estimator_ratio.py", "volume/test_more_data.py", HERE),
+    *(
+        "volume/test_estimator_ratio.py",
+        "volume/test_more_data.py",
+        "volume/test_chords_of_a_fill.py",
+    ),
+    "clouds/test_bodies.py",
+    HERE,
 )
 NEAR = ("volume/test_near_base.py", "volume/test_remaining_fold.py", HERE)
 DENSITY = ("change/test_density.py", HERE)
@@ -597,7 +603,8 @@ def seen(line: Line, tree: Path) -> bool:
     file.write_text(good.replace(line.good, line.bad, 1), encoding="utf-8")
     forget_kernels(file)
     try:
-        there = [f"test/{t}" for t in line.tests if (tree / "test" / t).exists()]
+        first = sorted(line.tests, key=lambda t: t != HERE)  # the quickest: it often sees the bug
+        there = [f"test/{t}" for t in first if (tree / "test" / t).exists()]
         return not passes_all(there, tree)
     finally:
         file.write_text(good, encoding="utf-8")
@@ -614,9 +621,11 @@ def count_seen(wanted: list[Line]) -> int:
         for line in wanted:
             began = time.monotonic()
             there = seen(line, tree)
-            found += there
             took = time.monotonic() - began
-            print(f"{'seen' if there else 'NOT SEEN'}: {line.file}: {line.name} ({took:.0f} s)")
+            late = took >= SECONDS  # a loaded machine, or a hang: nothing is known
+            found += there and not late
+            said = "NO END" if late else "seen" if there else "NOT SEEN"
+            print(f"{said}: {line.file}: {line.name} ({took:.0f} s)")
             sys.stdout.flush()
     return found
 
@@ -626,9 +635,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="one-line bugs by room")
     parser.add_argument("words", nargs="*")
     parser.add_argument("--half", type=int, choices=(0, 1))
+    parser.add_argument("--skip", type=int, default=0, help="begin after so many")
     arguments = parser.parse_args()
     words = arguments.words
     wanted = [x for x in LINES if not words or any(w in x.file or w in x.name for w in words)]
+    wanted = wanted[arguments.skip :]
     if arguments.half is not None:
         wanted = wanted[arguments.half :: 2]
     found = count_seen(wanted)
