@@ -22,8 +22,8 @@ from ladar_volume.cli.arguments.work import config_for
 from ladar_volume.cli.replay import topics_from
 from ladar_volume.georeference.error_budget import calibration_covariance, correlation_triangle
 from ladar_volume.georeference.lidar_equation import mounting
-from ladar_volume.io.bags import BagReader
 from ladar_volume.io.config import changed_config, read_config
+from ladar_volume.io.drivers.packet_capture import open_recording
 from ladar_volume.io.results import json_text, write_text
 from ladar_volume.model.errors import CalibrationError
 from ladar_volume.model.parameters import Parameters
@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
     parameters = read_config(config_for(arguments.bag, arguments.config), arguments.set)
     console = Console(stderr=arguments.json)
-    recorded = recorded_flight(arguments, parameters, console)
+    recorded, parameters = recorded_flight(arguments, parameters, console)
     g = parameters.georeference
     with console.status("adjusting"):
         prior = calibration_covariance(parameters.budget, g.beams, g.pose_source)
@@ -62,9 +62,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 def recorded_flight(
     arguments: argparse.Namespace, parameters: Parameters, console: Console
-) -> Flight:
-    """The recording as a flight, with a bar of the progress."""
-    with BagReader(arguments.bag) as bag:
+) -> tuple[Flight, Parameters]:
+    """The recording as a flight, with a bar of the progress, and the parameters that it was
+    georeferenced with: the mounting may come from /tf_static.
+    """
+    with open_recording(arguments.bag) as bag:
         replay = Replay(
             bag,
             parameters,
@@ -74,9 +76,10 @@ def recorded_flight(
         )
         with Progress(console=console, transient=True) as bar:
             task = bar.add_task(f"reading {arguments.bag.name}", total=1.0)
-            return read_flight(
+            recorded = read_flight(
                 replay, arguments.returns, lambda share: bar.update(task, completed=share)
             )
+        return recorded, replay.parameters
 
 
 def write_calibration(path: Path, corrected: Parameters, recording: str) -> None:

@@ -3,12 +3,14 @@ another, and the same volume as when it is configured.
 """
 
 import dataclasses
+import io
 import math
 from pathlib import Path
 from types import SimpleNamespace as Message
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from ladar_volume.io.bags import TYPESTORE, BagReader, BagWriter
 from ladar_volume.io.frames.frame_mounting import from_frames, of_recording
@@ -120,10 +122,11 @@ def test_angles_come_back_from_any_rotation(seed):
         assert np.allclose(rotation_xyz(*roll_pitch_yaw(R)), R, atol=1e-7)
 
 
-def test_a_recording_with_static_transforms_is_mounted_by_them(tmp_path):
+def mounted_recording(path):
+    """The head of a recording, with the static transforms of a rover; the arm of its LiDAR."""
     messages, _, lever, _ = tree()
     types = TYPESTORE.types
-    with BagReader(ROOT / "bags" / "leo_cut") as source, BagWriter(tmp_path / "bag") as bag:
+    with BagReader(ROOT / "bags" / "leo_cut") as source, BagWriter(path) as bag:
         roles = source.roles()
         bag.write("tf_static", types["tf2_msgs/msg/TFMessage"](messages), source.start_ns)
         for topic in roles.values():
@@ -131,6 +134,26 @@ def test_a_recording_with_static_transforms_is_mounted_by_them(tmp_path):
             message = source.message(raw)
             message.header.frame_id = {v: SENSORS[k] for k, v in roles.items()}[topic]
             bag.write(topic, message, raw.t_ns)
+    return lever
+
+
+def test_strips_are_calibrated_from_the_mounting_they_were_georeferenced_with(
+    tmp_path, monkeypatch
+):
+    from ladar_volume.cli import calibrate_strips
+
+    lever = mounted_recording(tmp_path / "bag")
+    monkeypatch.setattr(calibrate_strips, "read_flight", lambda replay, *_: replay.parameters)
+    asked = Message(bag=tmp_path / "bag", topic=[], start=0.0, duration=1.0, returns=1000)
+    console = Console(file=io.StringIO())
+    flown, parameters = calibrate_strips.recorded_flight(asked, Parameters(), console)
+    assert parameters == flown
+    # what is written to the parameter file counts from this arm, not from none
+    assert np.allclose(parameters.calibration.lever_laser_m, lever)
+
+
+def test_a_recording_with_static_transforms_is_mounted_by_them(tmp_path):
+    lever = mounted_recording(tmp_path / "bag")
     with BagReader(tmp_path / "bag") as bag:
         found = of_recording(bag, bag.roles(), Parameters(), autopilot=False)
     assert np.allclose(found.parameters.calibration.lever_laser_m, lever)
