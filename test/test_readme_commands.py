@@ -140,6 +140,7 @@ RUN_ELSEWHERE = {
     "replay bags/box": "test/cli/test_plan_verb.py",
     "filter": "test/cli/test_filter_verb.py",
     "simulate": "test/cli/test_calibrate_strips.py",
+    "sites": "test/cli/test_sites_verb.py",
     "body": "test/cli/test_body.py",
     "epochs": "test/cli/test_epochs_verb.py",
     "export": "test/cli/test_export.py",

@@ -39,6 +39,7 @@ MODULES = {
     "epochs": "ladar_volume.cli.arguments.epochs",
     "export": "ladar_volume.cli.arguments.outputs.export",
     "tiles": "ladar_volume.cli.arguments.scale.tiles",
+    "sites": "ladar_volume.cli.arguments.scale.sites",
 }
 
 #: Set in the environment, a defect ends with its traceback.

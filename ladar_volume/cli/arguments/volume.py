@@ -47,12 +47,7 @@ def add_parser(subparsers: Verbs) -> None:
     parser.add_argument(
         "cloud_b", type=Path, nargs="?", help="second one: cut is where the first lies above it"
     )
-    g = parser.add_argument_group("base")
-    _add_bases(g)
-    _add_counting(g)
-    _add_pairs(g)
-    _add_piles(parser.add_argument_group("piles"))
-    _add_shared_errors(parser.add_argument_group("errors that neighbouring heights share"))
+    _add_pairs(add_volume_options(parser))
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
@@ -64,10 +59,20 @@ def add_parser(subparsers: Verbs) -> None:
     )
     add_file_options(parser)
     add_unit_option(parser)
-    add_surface_options(parser, "1: every point")
     add_mesh_options(parser, second=True)
     add_strict_option(parser)
     parser.set_defaults(run=work("ladar_volume.cli.volume"))
+
+
+def add_volume_options(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
+    """Declare what one survey or many take; returns the group of the base."""
+    g = parser.add_argument_group("base")
+    _add_bases(g)
+    _add_counting(g)
+    _add_piles(parser.add_argument_group("piles"))
+    _add_shared_errors(parser.add_argument_group("errors that neighbouring heights share"))
+    add_surface_options(parser, "1: every point")
+    return g
 
 
 def report_page(word: str) -> Path:
@@ -101,12 +106,6 @@ def _add_counting(g: argparse._ArgumentGroup) -> None:
         "volume.outline",
         choices=("auto", "all"),
         more="default auto above the ground, else all; a polygon with --set volume.outline=polygon",
-    )
-    g.add_argument(
-        "--sigma-b",
-        type=number,
-        metavar="M",
-        help="standard deviation of the second cloud's heights, where it differs",
     )
     g.add_argument(
         "--no-correction", action="store_true", help="leave cut and fill as they are near the base"
@@ -149,6 +148,12 @@ def _add_shared_errors(g: argparse._ArgumentGroup) -> None:
 
 def _add_pairs(g: argparse._ArgumentGroup) -> None:
     """How two clouds are compared."""
+    g.add_argument(
+        "--sigma-b",
+        type=number,
+        metavar="M",
+        help="standard deviation of the second cloud's heights, where it differs",
+    )
     g.add_argument(
         "--footprint",
         choices=("common", "own"),

@@ -42,6 +42,7 @@ EXAMPLES = {
     "tiles": (
         ("a mine above a level, on the cores of this machine", "MINE.copc.laz --level 310 --dask"),
     ),
+    "sites": (("every pile of every week", "yards -o table --piles found --density 1.6"),),
     "plan": (("every scanner with every IMU", "--volume 100 --compare"),),
 }
 

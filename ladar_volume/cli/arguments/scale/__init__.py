@@ -1,1 +1,1 @@
-"""Options of verbs for surveys larger than memory."""
+"""Options of verbs for surveys larger than memory, and for many surveys."""

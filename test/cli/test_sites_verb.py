@@ -1,0 +1,155 @@
+"""``ladar_volume sites``: many surveys in one table, computed once, with their change."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from ladar_volume.cli.main import main
+from ladar_volume.io.site.survey_files import date_in, survey_files
+from ladar_volume.model.errors import InputError
+
+
+def pile(height, seed):
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(-10.0, 10.0, (1500, 2))
+    z = np.maximum(0.0, height * (1.0 - np.hypot(*xy.T) / 5.0)) + rng.normal(0.0, 0.01, 1500)
+    return np.column_stack([xy, z])
+
+
+def cone(height):
+    return np.pi * 25.0 * height / 3.0
+
+
+@pytest.fixture
+def yards(tmp_path):
+    """Two sites: one by folder with two epochs, one by name with two; and a file that is none."""
+    folder = tmp_path / "yards"
+    (folder / "north").mkdir(parents=True)
+    for name, height, seed in (
+        ("north/survey_20260501.npy", 2.0, 1),
+        ("north/survey_20260601.npy", 2.5, 2),
+        ("south 2026-05-02T0930.npy", 1.0, 3),
+        ("south 2026-06-02T0930.npy", 1.5, 4),
+    ):
+        np.save(folder / name, pile(height, seed))
+    return folder
+
+
+def ran(capsys, folder, out, *words):
+    words = ("--base", "ground", "--units", "m", "--json", *words)
+    code = main(["sites", str(folder), "-o", str(out), *map(str, words)])
+    said = capsys.readouterr()
+    return code, json.loads(said.out) if said.out.startswith("{") else None, said.err
+
+
+def test_a_table_with_the_change_of_every_site(yards, tmp_path, capsys):
+    code, facts, _ = ran(capsys, yards, tmp_path / "out")
+    assert code == 0 and facts["computed"] == 4 and facts["failed"] == 0
+    rows = {(r["site"], r["epoch"]): r for r in facts["rows"]}
+    may, june = rows["north", "2026-05-01"], rows["north", "2026-06-01"]
+    assert may["net_m3"] == pytest.approx(cone(2.0), rel=0.02) and may["change_m3"] is None
+    assert june["since"] == "2026-05-01"
+    assert june["change_m3"] == pytest.approx(june["net_m3"] - may["net_m3"])
+    assert june["sigma_change_m3"] == pytest.approx(np.hypot(june["sigma_m3"], may["sigma_m3"]))
+    assert rows["south", "2026-06-02T09:30"]["since"] == "2026-05-02T09:30"
+    table = list(csv.DictReader((tmp_path / "out" / "sites.csv").open(encoding="utf-8")))
+    assert [float(r["net_m3"]) for r in table] == [r["net_m3"] for r in facts["rows"]]
+
+
+def test_a_second_run_computes_what_is_new_alone(yards, tmp_path, capsys):
+    out = tmp_path / "out"
+    first = ran(capsys, yards, out)[1]
+    again = ran(capsys, yards, out)[1]
+    assert again["computed"] == 0 and again["rows"] == first["rows"]
+    # another option is another result
+    other = ran(capsys, yards, out, "--sigma", 0.02)[1]
+    assert other["computed"] == 4
+    np.save(yards / "north" / "survey_20260601.npy", pile(3.0, 9))
+    changed = ran(capsys, yards, out)[1]
+    assert changed["computed"] == 1
+    assert changed["rows"][1]["net_m3"] == pytest.approx(cone(3.0), rel=0.02)
+    assert changed["rows"][0] == first["rows"][0]
+
+
+def test_a_survey_that_fails_is_a_row_and_is_tried_again(yards, tmp_path, capsys):
+    bad = yards / "east_20260501.xyz"
+    bad.write_text("1 2 three\n")
+    code, facts, _ = ran(capsys, yards, tmp_path / "out")
+    assert code == 1 and facts["failed"] == 1
+    row = facts["rows"][0]
+    assert (row["site"], row["status"], row["net_m3"]) == ("east", "failed", None) and row["doubts"]
+    np.savetxt(bad, pile(1.0, 5))
+    code, facts, _ = ran(capsys, yards, tmp_path / "out")
+    assert code == 0 and facts["computed"] == 1
+    assert facts["rows"][0]["net_m3"] == pytest.approx(cone(1.0), rel=0.03)
+
+
+def test_piles_are_followed_by_name(yards, tmp_path, capsys):
+    code, facts, _ = ran(capsys, yards / "north", tmp_path / "out", "--piles", "found")
+    assert code == 0
+    may, june = facts["rows"]
+    assert may["pile"] == june["pile"] == "pile 1" and june["since"] == "2026-05-01"
+    assert june["change_m3"] == pytest.approx(cone(2.5) - cone(2.0), rel=0.1)
+
+
+def test_workers_give_the_same_table(yards, tmp_path, capsys):
+    one = ran(capsys, yards / "north", tmp_path / "one")[1]
+    two = ran(capsys, yards / "north", tmp_path / "two", "--workers", 2)[1]
+    assert two["rows"] == one["rows"]
+
+
+def test_the_table_is_printed(yards, tmp_path, capsys):
+    words = ("--base", "ground", "--units", "m")
+    assert main(["sites", str(yards / "north"), "-o", str(tmp_path / "out"), *words]) == 0
+    out = capsys.readouterr().out
+    assert "2026-06-01" in out and "2 of 2 surveys computed" in out
+
+
+def test_a_damaged_result_is_named(yards, tmp_path, capsys):
+    ran(capsys, yards / "north", tmp_path / "out")
+    file = next((tmp_path / "out" / "results").iterdir())
+    file.write_text("{")
+    code, _, err = ran(capsys, yards / "north", tmp_path / "out")
+    assert code == 2 and "damaged result" in err and err.count("\n") == 1
+
+
+def test_wrong_options_are_refused_before_any_work(yards, tmp_path, capsys):
+    code, _, err = ran(capsys, yards, tmp_path / "out", "--base", "toe_tin")
+    assert code == 2 and "goes with --piles" in err
+    code, _, err = ran(capsys, yards, tmp_path / "out", "--workers", 0)
+    assert code == 2 and "--workers 0" in err
+    code, _, err = ran(capsys, tmp_path / "none", tmp_path / "out")
+    assert code == 2 and "no such folder" in err
+
+
+@pytest.mark.parametrize(
+    ("name", "date", "left"),
+    [
+        ("yard_2026-05-31", "2026-05-31", "yard"),
+        ("20260531 yard", "2026-05-31", "yard"),
+        ("yard.2026.05.31T0930.v2", "2026-05-31T09:30", "yard v2"),
+        ("pit 3", "", "pit 3"),
+        ("20261331", "", "20261331"),
+        ("scan_123456789012", "", "scan_123456789012"),
+        ("20250101_to_20260531", "2026-05-31", "20250101 to"),
+    ],
+)
+def test_dates_in_names(name, date, left):
+    assert date_in(name) == (date, left)
+
+
+def test_a_folder_without_surveys_is_refused(tmp_path):
+    (tmp_path / ".hidden").mkdir()
+    np.save(tmp_path / ".hidden" / "a.npy", np.zeros((3, 3)))
+    (tmp_path / "notes.md").write_text("")
+    with pytest.raises(InputError, match="holds no survey"):
+        survey_files(tmp_path)
+
+
+def test_the_date_may_stand_in_the_folder(tmp_path):
+    (tmp_path / "yard" / "2026-05-01").mkdir(parents=True)
+    np.save(tmp_path / "yard" / "2026-05-01" / "cloud.npy", np.zeros((3, 3)))
+    (found,) = survey_files(tmp_path)
+    assert (found.site, found.epoch) == ("yard", "2026-05-01")
