@@ -25,6 +25,7 @@ OTHER_THINGS = {
     "calibrate strips --duration": "seconds of the recording",
     "tin --vertices": "a ratio of vertices as surface.ratio, or a number of them",
     "volume --vertices": "a ratio of vertices as surface.ratio, or a number of them",
+    "sites --vertices": "a ratio of vertices as surface.ratio, or a number of them",
     "volume --method": "of the volume",
     "study wild --kind": "of trouble",
     "replay --start": "seconds into the recording",
