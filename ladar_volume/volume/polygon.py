@@ -330,6 +330,21 @@ def weights_inside(tin: Tin, polygon: F64) -> F64:
     return out
 
 
+def overlap_of(one: F64, two: F64) -> float:
+    """Area, m², that two rings (k, 2), (m, 2) share: of fans of triangles of the one, signed,
+    within the other.
+    """
+    ring, other = check_polygon(one), check_polygon(two)
+    ahead = np.roll(ring, -1, axis=0)
+    fans = np.stack([np.broadcast_to(ring[0], ring.shape), ring, ahead], axis=1)[1:-1]
+    u, v = fans[:, 1] - fans[:, 0], fans[:, 2] - fans[:, 0]
+    turn = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+    fans = np.where((turn < 0.0)[:, None, None], fans[:, [0, 2, 1]], fans)[turn != 0.0]
+    heights = np.ones((len(fans), 3))
+    shared = clipped_weights(np.ascontiguousarray(fans), heights, other)[:, 0].sum(axis=1)
+    return float((np.sign(turn[turn != 0.0]) * shared).sum())
+
+
 def areas_inside(tin: Tin, polygon: F64) -> F64:
     """Area (m,) m² of each relevant triangle within a counter-clockwise polygon (k, 2); 0 for the
     others.

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ladar_volume.cli.main import main
-from ladar_volume.io.site.survey_files import date_in, survey_files
+from ladar_volume.io.site.survey_files import companions, date_in, key_of, survey_files
 from ladar_volume.model.errors import InputError
 
 
@@ -48,7 +48,7 @@ def test_a_table_with_the_change_of_every_site(yards, tmp_path, capsys):
     code, facts, _ = ran(capsys, yards, tmp_path / "out")
     assert code == 0 and facts["computed"] == 4 and facts["failed"] == 0
     rows = {(r["site"], r["epoch"]): r for r in facts["rows"]}
-    may, june = rows["north", "2026-05-01"], rows["north", "2026-06-01"]
+    may, june = rows["north/survey", "2026-05-01"], rows["north/survey", "2026-06-01"]
     assert may["net_m3"] == pytest.approx(cone(2.0), rel=0.02) and may["change_m3"] is None
     assert june["since"] == "2026-05-01"
     assert june["change_m3"] == pytest.approx(june["net_m3"] - may["net_m3"])
@@ -71,6 +71,7 @@ def test_a_second_run_computes_what_is_new_alone(yards, tmp_path, capsys):
     assert changed["computed"] == 1
     assert changed["rows"][1]["net_m3"] == pytest.approx(cone(3.0), rel=0.02)
     assert changed["rows"][0] == first["rows"][0]
+    assert changed["rows"][1]["change_doubts"] == ""
 
 
 def test_a_survey_that_fails_is_a_row_and_is_tried_again(yards, tmp_path, capsys):
@@ -86,12 +87,80 @@ def test_a_survey_that_fails_is_a_row_and_is_tried_again(yards, tmp_path, capsys
     assert facts["rows"][0]["net_m3"] == pytest.approx(cone(1.0), rel=0.03)
 
 
-def test_piles_are_followed_by_name(yards, tmp_path, capsys):
-    code, facts, _ = ran(capsys, yards / "north", tmp_path / "out", "--piles", "found")
+def two_piles(west, east, seed):
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(-10.0, 10.0, (3000, 2)) * [2.0, 1.0]
+    z = rng.normal(0.0, 0.01, 3000)
+    for x, height in ((-10.0, west), (10.0, east)):
+        z += np.maximum(0.0, height * (1.0 - np.hypot(xy[:, 0] - x, xy[:, 1]) / 5.0))
+    return np.column_stack([xy, z])
+
+
+def test_found_piles_are_followed_by_their_place_and_not_by_their_size(tmp_path, capsys):
+    folder = tmp_path / "yard"
+    folder.mkdir()
+    np.save(folder / "a_20260501.npy", two_piles(2.0, 3.0, 1))
+    np.save(folder / "a_20260601.npy", two_piles(3.0, 2.0, 2))
+    code, facts, _ = ran(capsys, folder, tmp_path / "out", "--piles", "found")
     assert code == 0
-    may, june = facts["rows"]
-    assert may["pile"] == june["pile"] == "pile 1" and june["since"] == "2026-05-01"
-    assert june["change_m3"] == pytest.approx(cone(2.5) - cone(2.0), rel=0.1)
+    june = {r["pile"]: r for r in facts["rows"][2:]}
+    # the larger one of May is the eastern one
+    assert june["pile 1"]["change_m3"] == pytest.approx(-cone(1.0), rel=0.05)
+    assert june["pile 2"]["change_m3"] == pytest.approx(cone(1.0), rel=0.05)
+
+
+def test_no_change_is_told_where_names_do_not_tell_what_to_compare(tmp_path, capsys):
+    folder = tmp_path / "yard"
+    folder.mkdir()
+    for name, height in (("east", 2.0), ("west", 1.0)):
+        np.save(folder / f"{name}.npy", pile(height, 1))
+        np.save(folder / f"pile{name}_20260501.npy", pile(height, 2))
+        np.save(folder / f"pile{name}_20260601.npy", pile(height, 3))
+    facts = ran(capsys, tmp_path, tmp_path / "out")[1]
+    for row in facts["rows"]:
+        if row["epoch"]:
+            # each pile against itself
+            late = row["epoch"] == "2026-06-01"
+            assert (row["change_m3"] is not None) == late
+            assert not late or abs(row["change_m3"]) < 4.0 * row["sigma_change_m3"]
+        else:
+            assert row["change_m3"] is None and "no date" in row["change_doubts"]
+    (folder / "again").mkdir()
+    np.save(folder / "pileeast_2026-06-01.npy", pile(5.0, 4))
+    twice = [r for r in ran(capsys, tmp_path, tmp_path / "out")[1]["rows"] if r["change_doubts"]]
+    assert sum("several surveys" in r["change_doubts"] for r in twice) == 2
+
+
+def test_a_table_below_the_surveys_is_no_survey(yards, capsys):
+    first = ran(capsys, yards, yards / "out")[1]
+    again = ran(capsys, yards, yards / "out")[1]
+    assert again["computed"] == 0 and again["rows"] == first["rows"]
+
+
+def test_a_shapefile_is_all_its_files(yards, tmp_path):
+    shape = tmp_path / "a.shp"
+    for name in ("a.shp", "a.dbf"):
+        (tmp_path / name).write_text("1")
+    survey = survey_files(yards)[0]
+    one = key_of(survey, {}, companions(shape))
+    (tmp_path / "a.dbf").write_text("2")
+    assert key_of(survey, {}, companions(shape)) != one
+
+
+def test_a_defect_in_one_survey_is_a_row(yards, tmp_path, capsys, monkeypatch):
+    from ladar_volume.cli import volume as verb
+
+    real = verb.result_of
+
+    def broken(task, sources, progress):
+        if "20260601" in sources[0].path.name:
+            raise MemoryError("too large")
+        return real(task, sources, progress)
+
+    monkeypatch.setattr(verb, "result_of", broken)
+    code, facts, _ = ran(capsys, yards / "north", tmp_path / "out")
+    assert code == 1 and facts["failed"] == 1
+    assert "MemoryError" in facts["rows"][1]["doubts"] and facts["rows"][0]["net_m3"]
 
 
 def test_workers_give_the_same_table(yards, tmp_path, capsys):
@@ -152,4 +221,4 @@ def test_the_date_may_stand_in_the_folder(tmp_path):
     (tmp_path / "yard" / "2026-05-01").mkdir(parents=True)
     np.save(tmp_path / "yard" / "2026-05-01" / "cloud.npy", np.zeros((3, 3)))
     (found,) = survey_files(tmp_path)
-    assert (found.site, found.epoch) == ("yard", "2026-05-01")
+    assert (found.site, found.epoch) == ("yard/cloud", "2026-05-01")

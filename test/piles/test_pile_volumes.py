@@ -18,6 +18,7 @@ from ladar_volume.piles.pile_volumes import net_above, piles_of
 from ladar_volume.piles.toe_bases import ToeBase, toe_base
 from ladar_volume.piles.toe_line import toe_line
 from ladar_volume.piles.tonnage import tonnage, total_tonnage
+from ladar_volume.volume.polygon import overlap_of
 
 QUIET = SurfaceParameters(ratio=1.0, relevant="sampled")
 #: Piles: centre, radius, height.
@@ -326,3 +327,14 @@ def test_tonnes_hold_the_density_and_its_sigma():
     apart = total_tonnage([mass, mass], ["gravel", "sand"], 4.0)
     assert alike.sigma_t == pytest.approx(math.hypot(4.0, 10.0))
     assert apart.sigma_t == pytest.approx(math.hypot(4.0, 5.0, 5.0))
+
+
+def test_overlap_of_two_rings_is_the_area_they_share():
+    ell = np.array([[0, 0], [3, 0], [3, 1], [1, 1], [1, 3], [0, 3]], float)
+    square = np.array([[0.5, 0.5], [2.5, 0.5], [2.5, 2.5], [0.5, 2.5]])
+    # what the L has of the square: a strip along each of its legs
+    want = 2.0 * 0.5 + 0.5 * 1.5
+    for one, two in ((ell, square), (square, ell), (ell[::-1], square), (ell, square[::-1])):
+        assert overlap_of(one, two) == pytest.approx(want, rel=1e-12)
+    assert overlap_of(ell, square + 9.0) == 0.0
+    assert overlap_of(ell, ell) == pytest.approx(5.0, rel=1e-12)

@@ -11,10 +11,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from itertools import count, groupby
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
@@ -22,7 +24,7 @@ from rich.table import Table
 from ladar_volume.cli.arguments.lines import shown_name
 from ladar_volume.cli.tables.pile_table import measured, plain
 from ladar_volume.io.results import finite, json_text, output_folder, write_text
-from ladar_volume.io.site.survey_files import SurveyFile, key_of, survey_files
+from ladar_volume.io.site.survey_files import SurveyFile, companions, key_of, survey_files
 from ladar_volume.model.errors import ConfigurationError, InputError, LadarVolumeError
 from ladar_volume.version import version
 
@@ -34,8 +36,8 @@ ASIDE = frozenset(
 #: Columns of the table.
 COLUMNS = (
     *("site", "epoch", "file", "pile", "status", "net_m3", "sigma_m3", "low_m3", "high_m3"),
-    *("area_m2", "mass_t", "sigma_mass_t", "base", "since", "change_m3", "sigma_change_m3"),
-    *("doubts", "key", "version"),
+    *("area_m2", "mass_t", "sigma_mass_t", "base", "doubts"),
+    *("since", "change_m3", "sigma_change_m3", "change_doubts", "key", "version"),
 )
 
 
@@ -53,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not 1 <= a.workers <= 1024:
         raise ConfigurationError(f"--workers {a.workers}: from 1 to 1024", value=a.workers)
     task_options(a)
-    surveys = keyed(a, survey_files(a.folder))
+    surveys = keyed(a, survey_files(a.folder, a.output))
     folder = output_folder(a.output)
     kept = output_folder(folder / "results")
     console = Console(stderr=a.json)
@@ -102,12 +104,13 @@ def keyed(a: argparse.Namespace, files: Iterable[SurveyFile]) -> list[Survey]:
     """The surveys with their keys."""
     options = {name: value for name, value in vars(a).items() if name not in ASIDE}
     options["program"] = version()
-    named = [Path(p) for p in (a.budget, a.piles) if p is not None and Path(p).is_file()]
+    files_named = [Path(p) for p in (a.budget, a.piles) if p is not None and Path(p).is_file()]
+    named = [each for path in files_named for each in companions(path)]
     return [Survey(file, key_of(file, options, named)) for file in files]
 
 
 def facts_of(a: argparse.Namespace, path: Path) -> dict[str, Any]:
-    """The result of one survey, or its error."""
+    """The result of one survey, or its error, whatever it is: the others go on."""
     from ladar_volume.cli.volume import read_sources, result_of, task_of
 
     own = volume_arguments(a, path)
@@ -115,8 +118,9 @@ def facts_of(a: argparse.Namespace, path: Path) -> dict[str, Any]:
         sources = read_sources(own)
         return result_of(task_of(own), sources, lambda words: None).facts
     except (LadarVolumeError, OSError) as error:
-        reason = getattr(error, "reason", None)
-        return {"error": str(error), "reason": reason or type(error).__name__}
+        return {"error": str(error), "reason": getattr(error, "reason", None)}
+    except Exception as error:
+        return {"error": f"a defect: {type(error).__name__}: {error}", "reason": "defect"}
 
 
 def compute_all(
@@ -130,8 +134,8 @@ def compute_all(
         return out
     pool: AbstractContextManager[Executor | None] = nullcontext()
     if a.workers > 1 and len(surveys) > 1:
-        count = min(a.workers, len(surveys))
-        pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=one_thread)
+        most, kind = min(a.workers, len(surveys)), get_context("spawn")
+        pool = ProcessPoolExecutor(most, mp_context=kind, initializer=one_thread)
     with Progress(console=console, transient=True) as bar, pool as workers:
         task = bar.add_task("surveys", total=len(surveys))
         plain_task = argparse.Namespace(**{k: v for k, v in vars(a).items() if k != "run"})
@@ -145,8 +149,9 @@ def compute_all(
             workers.submit(facts_of, plain_task, s.file.path): s for s in surveys
         }
         for done in as_completed(waiting):
-            survey = waiting[done]
-            out[survey.key] = keep(kept, survey, done.result())
+            survey, error = waiting[done], done.exception()
+            facts = {"error": f"its worker ended: {error}"} if error else done.result()
+            out[survey.key] = keep(kept, survey, facts)
             bar.advance(task)
     return out
 
@@ -193,7 +198,9 @@ def rows_of_all(
             rows.append({**head, "status": "failed", "doubts": facts["error"], **tail})
             continue
         for each in facts.get("piles") or [facts]:
-            rows.append({**head, **row_of(each, facts), **tail})
+            found = "piles" in facts and "outlines" not in facts
+            rings = {"ring": each["outline"]} if found else {}
+            rows.append({**head, **row_of(each, facts), **rings, **tail})
     return rows
 
 
@@ -214,26 +221,68 @@ def row_of(each: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def with_changes(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows with the change since the survey before of the same site and pile, whose errors are
-    taken as independent.
+    """The rows, in the order of time, with the change since the survey before of the same site and
+    pile, whose errors are taken as independent.
     """
-    last: dict[tuple[str, str | None], dict[str, Any]] = {}
-    out = []
-    for row in rows:
-        at = (row["site"], row.get("pile"))
-        before, known = last.get(at), row.get("net_m3") is not None
-        if before is not None and known and before["epoch"] != row["epoch"]:
-            sigmas = (row["sigma_m3"], before["sigma_m3"])
-            told = None not in sigmas
-            row = row | {
-                "since": before["epoch"],
-                "change_m3": row["net_m3"] - before["net_m3"],
-                "sigma_change_m3": math.hypot(*sigmas) if told else None,
-            }
+    last: dict[str, dict[str, dict[str, Any]]] = {}
+    out: list[dict[str, Any]] = []
+    for (site, _), epoch in groupby(rows, key=lambda row: (row["site"], row["epoch"])):
+        now = [dict(row) for row in epoch]
+        name_found(now, last.get(site, {}))
+        before, known = last.get(site, {}), [r for r in now if r.get("net_m3") is not None]
+        for row in known:
+            same = [r for r in known if r.get("pile") == row.get("pile")]
+            row.update(change_of(row, before.get(row.get("pile") or ""), len(same) > 1))
         if known:
-            last[at] = row
-        out.append({name: row.get(name) for name in COLUMNS})
-    return out
+            last[site] = before | {row.get("pile") or "": row for row in known}
+        out += now
+    return [{name: row.get(name) for name in COLUMNS} for row in out]
+
+
+def change_of(
+    row: Mapping[str, Any], before: Mapping[str, Any] | None, several: bool
+) -> dict[str, Any]:
+    """The change of a volume since an earlier one, or why there is none. several : surveys have the
+    same site, pile and date.
+    """
+    if not row["epoch"]:
+        return {"change_doubts": "no date in the name tells when this was surveyed"}
+    if several:
+        return {"change_doubts": f"several surveys of {row['epoch']}: name one site each"}
+    if before is None:
+        return {}
+    if before["base"] != row["base"]:
+        return {"change_doubts": f"{before['epoch']} is above another base: {before['base']}"}
+    sigmas = (row["sigma_m3"], before["sigma_m3"])
+    doubtful = [r["epoch"] for r in (before, row) if r["status"] != "sound"]
+    return {
+        "since": before["epoch"],
+        "change_m3": row["net_m3"] - before["net_m3"],
+        "sigma_change_m3": None if None in sigmas else math.hypot(*sigmas),
+        "change_doubts": f"doubtful: the volume of {' and '.join(doubtful)}" if doubtful else "",
+    }
+
+
+def name_found(now: Sequence[dict[str, Any]], before: Mapping[str, Mapping[str, Any]]) -> None:
+    """Give found piles, which every survey numbers by size, the names of those before that they lie
+    over; the others names of their own. Changes the rows.
+    """
+    from ladar_volume.volume.polygon import overlap_of
+
+    found = [row for row in now if "ring" in row]
+    shared = [
+        (overlap_of(np.array(row["ring"]), np.array(old["ring"])), at, name)
+        for at, row in enumerate(found)
+        for name, old in before.items()
+        if "ring" in old
+    ]
+    taken: dict[int, str] = {}
+    for share, at, name in sorted(shared, reverse=True):
+        if share > 0.0 and at not in taken and name not in taken.values():
+            taken[at] = name
+    free = (f"pile {k}" for k in count(1) if f"pile {k}" not in before)
+    for at, row in enumerate(found):
+        row["pile"] = taken.get(at) or next(free)
 
 
 def show(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -242,11 +291,12 @@ def show(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
     table = Table("site", "epoch", *(["pile"] if piles else []), "V / m³", "change / m³", "")
     for row in rows:
         change = measured(row["change_m3"], row["sigma_change_m3"]) if row["since"] else "–"
+        change += " (doubtful)" if row["since"] and row["change_doubts"] else ""
         pile = [plain(row["pile"] or "–")] if piles else []
         words = row["status"] if row["status"] != "failed" else f"failed: {plain(row['doubts'])}"
         table.add_row(
             plain(row["site"]),
-            plain(row["epoch"]),
+            plain(row["epoch"] or "–"),
             *pile,
             measured(row["net_m3"], row["sigma_m3"]),
             change,

@@ -24,9 +24,7 @@ ENDINGS = frozenset((*CLOUD_ENDINGS, *READ_ENDINGS))
 
 @dataclass(frozen=True)
 class SurveyFile:
-    """path · site : its name · epoch : date in ISO 8601, or the name of the file where that has
-    none
-    """
+    """path · site : its name · epoch : date in ISO 8601, empty where no name has one"""
 
     path: Path
     site: str
@@ -47,22 +45,25 @@ def date_in(name: str) -> tuple[str, str]:
     return "", name
 
 
-def survey_files(folder: Path) -> list[SurveyFile]:
-    """All surveys below a folder, by site and epoch. Raises :class:`InputError`."""
+def survey_files(folder: Path, without: Path | None = None) -> list[SurveyFile]:
+    """All surveys below a folder, by site and epoch, but those below ``without``. Raises
+    :class:`InputError`.
+    """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder", reason="input_missing", value=str(folder))
     out = []
     for path in sorted(folder.rglob("*")):
         inside = path.relative_to(folder)
         hidden = any(part.startswith(".") for part in inside.parts)
+        hidden |= without is not None and path.resolve().is_relative_to(without.resolve())
         if path.suffix.lower() not in ENDINGS or not path.is_file() or hidden:
             continue
         date, left = date_in(path.stem)
         if not date:  # the folder of a survey may have it
             date = next((d for p in reversed(inside.parts[:-1]) if (d := date_in(p)[0])), "")
         parts = [date_in(part)[1] for part in inside.parts[:-1]]
-        site = "/".join(part for part in parts if part) or left or path.stem
-        out.append(SurveyFile(path, site, date or path.stem))
+        site = "/".join(part for part in (*parts, left) if part) or path.stem
+        out.append(SurveyFile(path, site, date))
     if not out:
         raise InputError(
             f"{folder}: holds no survey ({' '.join(sorted(ENDINGS))})",
@@ -70,6 +71,12 @@ def survey_files(folder: Path) -> list[SurveyFile]:
             value=str(folder),
         )
     return sorted(out, key=lambda s: (s.site, s.epoch, s.path.name))
+
+
+def companions(path: Path) -> list[Path]:
+    """A file and those that belong to it: a Shapefile is several."""
+    others = [path.with_suffix(ending) for ending in (".dbf", ".shx", ".prj", ".cpg")]
+    return [path, *(p for p in others if path.suffix.lower() == ".shp" and p.is_file())]
 
 
 def key_of(survey: SurveyFile, options: Mapping[str, Any], others: Sequence[Path]) -> str:

@@ -19,9 +19,9 @@ def add_parser(subparsers: Verbs) -> None:
         description=(
             "The volume of every point cloud and mesh below a folder, as 'volume' computes it, in "
             "one table with the change since the survey before. A date in a name (2026-05-31 or "
-            "20260531, with or without T0930) is the epoch. The site is the folder of a file, or, "
-            "for a file of FOLDER itself, what the date leaves of its name. What was computed "
-            "before from the same file with the same options is kept. Lengths in m."
+            "20260531, with or without T0930) is the epoch. The site is the folder of a file and "
+            "what the date leaves of its name. What was computed before from the same file with "
+            "the same options is kept. Lengths in m."
         ),
     )
     parser.add_argument("folder", type=Path, help="folder of the surveys")
