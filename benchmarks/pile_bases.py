@@ -16,9 +16,10 @@ from ladar_volume.clouds.cloud_surface import cloud_surface
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.piles import Pile
 from ladar_volume.model.surface_parameters import SurfaceParameters
-from ladar_volume.piles.pile_site import SiteTask, ring_area
+from ladar_volume.piles.pile_site import SiteTask
 from ladar_volume.piles.pile_volumes import piles_of
 from ladar_volume.piles.toe_line import places_along
+from ladar_volume.volume.polygon import signed_area
 
 #: Centre, radius, height.
 CONES = ((-12.0, -8.0, 8.0, 4.0), (10.0, 9.0, 10.0, 5.0))
@@ -38,7 +39,7 @@ def truth(base: str, k: int, tilt: float) -> float:
     ring = outline(x, y, r)
     ground = tilt * places_along(ring, 0.05)[0][:, 0]
     lift = {"toe_lowest": tilt * x - ground.min(), "toe_highest": tilt * x - ground.max()}
-    return np.pi * r * r * h / 3.0 + lift.get(base, 0.0) * ring_area(ring)
+    return np.pi * r * r * h / 3.0 + lift.get(base, 0.0) * signed_area(ring)
 
 
 def run(seed: int) -> list[tuple[str, float, float, bool]]:

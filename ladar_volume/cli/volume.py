@@ -23,7 +23,7 @@ from ladar_volume.cli.outputs.cloud_files_out import (
     write_files,
 )
 from ladar_volume.cli.site.pile_results import (
-    check_densities,
+    common_material,
     error_facts,
     height_errors,
     outline_facts,
@@ -69,6 +69,7 @@ from ladar_volume.model.piles import HeightError
 from ladar_volume.model.records import F64, Bool, Plane, Tin
 from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.model.verdict import Verdict
+from ladar_volume.piles.pile_site import SiteTask
 from ladar_volume.piles.pile_volumes import SitePiles
 from ladar_volume.tin.scan_frame import Frame
 from ladar_volume.version import version
@@ -88,7 +89,7 @@ class VolumeTask:
     :func:`parameters_of` names it · options : of the surfaces · levels : (l,), m, or None · frame :
     in which the surfaces are, or None for the map's own · correct : whether cut and fill are
     corrected near the base · shared : errors that heights share · outlines : of piles, None to find
-    them
+    them · progress : takes what is being done, in words
     """
 
     arguments: argparse.Namespace
@@ -100,6 +101,7 @@ class VolumeTask:
     correct: bool
     shared: tuple[HeightError, ...] = ()
     outlines: Outlines | None = None
+    progress: Callable[[str], None] = lambda words: None
 
 
 @dataclass(frozen=True)
@@ -175,7 +177,7 @@ def task_of(arguments: argparse.Namespace) -> VolumeTask:
     levels = None if arguments.levels is None else level_list(*arguments.levels)
     correct = not arguments.no_correction
     shared = height_errors(arguments)
-    check_densities(arguments)
+    common_material(arguments)
     return VolumeTask(arguments, parameters, base, options, levels, None, correct, shared)
 
 
@@ -202,7 +204,8 @@ def result_of(
     if task.arguments.frame == "scan":
         progress("turning into the scan frame")
     frame = frame_of(task.arguments, sources)
-    task = dataclasses.replace(task, frame=frame, outlines=outlines_of(task.arguments, sources))
+    outlines = outlines_of(task.arguments, sources)
+    task = dataclasses.replace(task, frame=frame, outlines=outlines, progress=progress)
     surfaces = make_surfaces(task, sources, progress)
     progress("cut and fill")
     facts, volume, found = compute_volume(task, surfaces)
@@ -347,7 +350,8 @@ def cut_and_fill(task: VolumeTask, surfaces: list[CloudSurface]) -> CutFill:
     """The volume above the base, between two surfaces, or of each over its own footprint."""
     first, parameters, correct = surfaces[0], task.parameters, task.correct
     if task.arguments.piles is not None:
-        site = pile_volumes(task.arguments, task.base, parameters, task.outlines, surfaces, correct)
+        asked = SiteTask(parameters, task.base, correct=correct)
+        site = pile_volumes(task.arguments, asked, task.outlines, surfaces, task.progress)
         inside = np.sum([pile.inside_m2 for pile in site.piles], axis=0)
         return CutFill(site.total, parameters, None, [inside > 0], [], site)
     relevant = [s.made.tin.relevant for s in surfaces]

@@ -155,8 +155,21 @@ def above_base(
     if parameters.volume.base == "ground" and surface.sigma_m is not None:
         C = surface.made.covariance(surface.sigma_m)
     variance = np.zeros(len(tin.vertices)) if C is None else C.diagonal()
+    base, inside = ground_and_outline(tin, variance, parameters)
+    solid = solid_above(surface, base, inside, parameters, variance, correct, C)
+    return (
+        finished(solid, base_name(parameters), parameters.volume.base == "ground"),
+        base,
+        inside > 0,
+    )
+
+
+def ground_and_outline(tin: Tin, variance: F64, parameters: Parameters) -> tuple[Plane, F64]:
+    """:func:`base_and_outline` of a cloud. Raises :class:`GroundError` (ground_none_around) where
+    bodies leave no ground around them.
+    """
     try:
-        base, inside = base_and_outline(tin, variance, parameters)
+        return base_and_outline(tin, variance, parameters)
     except GroundError as error:
         if parameters.volume.outline != "auto" or error.reason != "ground_too_few_points":
             raise
@@ -165,12 +178,6 @@ def above_base(
             "of its surroundings, or give --level, --plane or a second cloud"
         )
         raise GroundError(words, reason="ground_none_around", value=0) from error
-    solid = solid_above(surface, base, inside, parameters, variance, correct, C)
-    return (
-        finished(solid, base_name(parameters), parameters.volume.base == "ground"),
-        base,
-        inside > 0,
-    )
 
 
 def solid_within(tin: Tin, base: Plane, mask: Bool, parameters: Parameters) -> Prismoids:

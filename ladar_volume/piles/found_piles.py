@@ -7,9 +7,10 @@ import dataclasses
 import numpy as np
 
 from ladar_volume.clouds.cloud_surface import CloudSurface
+from ladar_volume.clouds.cloud_volume import ground_and_outline
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.piles import Pile
-from ladar_volume.volume.base import area_by_body, base_and_outline
+from ladar_volume.volume.base import area_by_body
 from ladar_volume.volume.outline import boundary_loop
 
 
@@ -21,7 +22,7 @@ def found_piles(surface: CloudSurface, parameters: Parameters) -> list[Pile]:
     volume = dataclasses.replace(parameters.volume, base="ground", outline="auto", bodies=0)
     own = dataclasses.replace(parameters, volume=volume)
     tin = surface.made.tin
-    base, inside = base_and_outline(tin, surface.vertex_variance, own)
+    base, inside = ground_and_outline(tin, surface.vertex_variance, own)
     rings = [boundary_loop(tin, m > 0) for m in area_by_body(tin, base, inside, volume)]
     rings = [np.ascontiguousarray(ring) for ring in rings if len(ring) >= 3]
     return [Pile(f"pile {number}", ring) for number, ring in enumerate(rings, 1)]

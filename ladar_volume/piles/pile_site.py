@@ -14,7 +14,7 @@ from ladar_volume.ground.robust_ground import fit_ground, refine
 from ladar_volume.model.errors import GroundError, LadarVolumeError, VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.piles import TOE_BASES, Pile
-from ladar_volume.model.records import F64, I64, Bool, Plane
+from ladar_volume.model.records import I64, Bool, Plane
 from ladar_volume.piles.pile_bases import (
     PilePart,
     pile_part,
@@ -24,7 +24,7 @@ from ladar_volume.piles.toe_line import spacing_of, toe_line
 from ladar_volume.tin.full_tin import vertex_mask
 from ladar_volume.volume.neighbourhood import SparseF64
 from ladar_volume.volume.outline import surroundings
-from ladar_volume.volume.polygon import areas_inside, check_polygon
+from ladar_volume.volume.polygon import areas_inside, check_polygon, signed_area
 
 #: Least area of an outline, in squares of the usual edge.
 SMALLEST = 4.0
@@ -42,8 +42,8 @@ class SiteTask:
 
     parameters: Parameters
     base: str
-    chosen: bool
-    words: str
+    chosen: bool = True
+    words: str = ""
     second: CloudSurface | None = None
     correct: bool = True
 
@@ -93,7 +93,7 @@ def checked_part(site: Site, pile: Pile) -> PilePart:
     """
     part = pile_part(site.surface, pile)
     least = SMALLEST * spacing_of(part.tin) ** 2
-    area = ring_area(pile.ring)
+    area = abs(signed_area(pile.ring))
     if area < least:
         raise VolumeError(
             f"the outline holds {area:.3g} m², less than the surface can show ({least:.3g} m²): is "
@@ -102,12 +102,6 @@ def checked_part(site: Site, pile: Pile) -> PilePart:
             value=area,
         )
     return part
-
-
-def ring_area(ring: F64) -> float:
-    """Area, m², within a ring (k, 2)."""
-    x, y = (ring - ring[0]).T
-    return abs(0.5 * float(x @ np.roll(y, -1) - np.roll(x, -1) @ y))
 
 
 def own_parameters(task: SiteTask, pile: Pile) -> Parameters:

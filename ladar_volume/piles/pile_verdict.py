@@ -32,13 +32,12 @@ from ladar_volume.piles.pile_site import (
     Site,
     SiteTask,
     ground_parameters,
-    ring_area,
     ring_around,
 )
 from ladar_volume.piles.toe_bases import ToeBase
 from ladar_volume.uncertainty.ground_field import Roughness
 from ladar_volume.volume.field_checks.completeness import cut_doubts, wall_doubts
-from ladar_volume.volume.polygon import areas_inside, check_polygon
+from ladar_volume.volume.polygon import areas_inside, check_polygon, signed_area
 
 #: Share of an outline without surface of which there is a word.
 UNSEEN = 0.02
@@ -133,7 +132,7 @@ def judged_pair(
 
 def outline_doubts(part: PilePart) -> list[Doubt]:
     """A part of an outline is not covered by the surface."""
-    area = ring_area(part.pile.ring)
+    area = abs(signed_area(part.pile.ring))
     missing = 1.0 - part.area_m2 / area
     if missing <= UNSEEN:
         return []

@@ -19,7 +19,7 @@ from ladar_volume.clouds.volume_verdict import (
 )
 from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.errors import LadarVolumeError
-from ladar_volume.model.piles import ALIKE, Pile
+from ladar_volume.model.piles import ALIKE, PILE_BASES, Pile
 from ladar_volume.model.records import F64, Plane
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.piles.pile_bases import (
@@ -131,8 +131,8 @@ def pile_volume(site: Site, pile: Pile, task: SiteTask) -> PileVolume:
     asked = asked_base(site, part, task, parameters, made, rough)
     reference = asked.plane if asked.plane is not None else reference_of(part, made)
     volume, verdict = judged_pile(site, part, task, parameters, asked, reference, ground)
-    nets = {name: net_above(part, base, rough) for name, base in made.items()}
-    bases = all_above(part, nets, volume, task.base)
+    nets = {n: net_above(part, base, rough) for n, base in made.items() if n != task.base}
+    bases = all_above(part, nets, volume)
     if not task.chosen:
         volume = with_choice(volume, bases)
     verdict = verdict + Verdict(tuple(outline_doubts(part)))
@@ -154,10 +154,10 @@ def all_above(
     part: PilePart,
     nets: Mapping[str, Net | LadarVolumeError],
     asked: CloudVolume,
-    asked_name: str,
 ) -> dict[str, Above]:
-    """The volumes above every base with the standard deviations of their noise and of what heights
-    share; what lies between the points is taken from the volume that was asked for.
+    """The volumes above every base, ``asked`` for the one that is not among the nets, with the
+    standard deviations of their noise and of what heights share; what lies between the points is
+    taken from the volume that was asked for.
     """
     known = {name: net for name, net in nets.items() if isinstance(net, Net)}
     columns = np.column_stack([net.gradient for net in known.values()] or [part.by_height])
@@ -165,8 +165,9 @@ def all_above(
     variance = variance + sum(part.surface.shared_lines(columns).values())
     between = sum(asked.budget_m6.get(name, 0.0) for name in ("between_points", "unseen"))
     out = {}
-    for name, net in nets.items():
-        if name == asked_name:
+    for name in PILE_BASES:
+        net = nets.get(name)
+        if net is None:
             out[name] = Above(asked.net_m3, asked.sigma_m3)
         elif isinstance(net, LadarVolumeError):
             out[name] = Above(math.nan, math.nan, str(net))

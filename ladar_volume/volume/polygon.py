@@ -33,8 +33,7 @@ def check_polygon(polygon: F64) -> F64:
         )
     if np.array_equal(p[0], p[-1]):
         return check_polygon(p[:-1])
-    d, e = p - p[0], np.roll(p, -1, axis=0) - p
-    area = 0.5 * float((d[:, 0] * np.roll(d[:, 1], -1) - np.roll(d[:, 0], -1) * d[:, 1]).sum())
+    e, area = np.roll(p, -1, axis=0) - p, signed_area(p)
     if area == 0.0:
         raise VolumeError("the outline has no area", reason="volume_polygon", value=p)
     i, j = first_crossing(p, e)
@@ -43,6 +42,12 @@ def check_polygon(polygon: F64) -> F64:
             f"edges {i} and {j} of the outline cross", reason="volume_polygon", value=p
         )
     return p if area > 0 else p[::-1].copy()
+
+
+def signed_area(ring: F64) -> float:
+    """Area in plan, m², positive counter-clockwise, of a ring (k, 2 or 3)."""
+    x, y = (ring[:, :2] - ring[0, :2]).T
+    return 0.5 * float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
 
 
 @kernel

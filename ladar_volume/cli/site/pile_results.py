@@ -5,8 +5,9 @@ what the JSON says of each pile.
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +82,7 @@ def error_facts(shared: Sequence[HeightError]) -> dict[str, Any]:
     }
 
 
-def check_densities(a: argparse.Namespace) -> Material | None:
+def common_material(a: argparse.Namespace) -> Material | None:
     """The material of all piles that name none. Raises :class:`ConfigurationError`."""
     if a.density is None and a.density_sigma is None:
         return None
@@ -114,22 +115,22 @@ def outline_facts(a: argparse.Namespace, outlines: Outlines) -> dict[str, Any]:
 
 def pile_volumes(
     a: argparse.Namespace,
-    base: str,
-    parameters: Parameters,
+    asked: SiteTask,
     outlines: Outlines | None,
     surfaces: Sequence[CloudSurface],
-    correct: bool,
+    progress: Callable[[str], None],
 ) -> SitePiles:
-    """All piles, found where no outlines are given."""
+    """All piles, found where no outlines are given; ``asked`` : parameters and base."""
+    base, parameters = asked.base, asked.parameters
     piles = found_piles(surfaces[0], parameters) if outlines is None else outlines.piles
-    material = check_densities(a)
+    material = common_material(a)
     if material is not None:
         piles = [Pile(p.name, p.ring, p.material or material) for p in piles]
     second = surfaces[1] if len(surfaces) == 2 else None
     named = base in ("second", "level", "plane") or a.base is not None
     words = base_words(a, base, parameters)
-    task = SiteTask(parameters, base, named, words, second, correct)
-    return piles_of(surfaces[0], piles, task, lambda _: None)
+    task = dataclasses.replace(asked, chosen=named, words=words, second=second)
+    return piles_of(surfaces[0], piles, task, progress)
 
 
 def base_words(a: argparse.Namespace, base: str, parameters: Parameters) -> str:

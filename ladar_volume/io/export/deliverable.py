@@ -14,13 +14,14 @@ import numpy.typing as npt
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from ladar_volume.io.export.edge_rings import Polygon, polygons_of, signed_area
+from ladar_volume.io.export.edge_rings import Polygon, polygons_of
 from ladar_volume.io.export.outline_clip import clipped
 from ladar_volume.io.export.output_system import OutputSystem
 from ladar_volume.io.pointfiles.point_file import PointFile
 from ladar_volume.model.records import F64, I32, Bool, Tin
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.tin.locate import height_at
+from ladar_volume.volume.polygon import signed_area
 
 
 @dataclass(frozen=True)

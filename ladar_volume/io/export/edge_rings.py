@@ -8,6 +8,7 @@ import numpy as np
 
 from ladar_volume.model.records import F64, I64, Bool, Tin
 from ladar_volume.tin.boundary import parts_kernel
+from ladar_volume.volume.polygon import signed_area
 
 
 @dataclass(frozen=True)
@@ -34,12 +35,6 @@ def polygons_of(tin: Tin, mask: Bool) -> list[Polygon]:
         holes = tuple(ring for area, ring in mine[1:] if area < 0.0)
         out.append(Polygon(mine[0][1], holes, sum(area for area, _ in mine)))
     return sorted(out, key=lambda polygon: -polygon.area_m2)
-
-
-def signed_area(ring: F64) -> float:
-    """Area in plan, m², positive counter-clockwise, of a ring (k, 2 or 3)."""
-    x, y = (ring[:, :2] - ring[0, :2]).T
-    return 0.5 * float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
 
 
 def edge_rings(tin: Tin, mask: Bool, part: I64) -> dict[int, list[list[int]]]:

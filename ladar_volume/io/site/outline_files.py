@@ -15,7 +15,7 @@ import numpy as np
 
 from ladar_volume.io.pointfiles.crs import crs_of_text, parts_of
 from ladar_volume.io.pointfiles.metres import MapCoordinates
-from ladar_volume.model.errors import ConfigurationError, InputError, shown
+from ladar_volume.model.errors import ConfigurationError, InputError, VolumeError, shown
 from ladar_volume.model.piles import Material, Pile
 from ladar_volume.model.records import F64
 from ladar_volume.model.verdict import Doubt
@@ -32,8 +32,8 @@ NAMES = ("name", "pile", "label", "id", "layer")
 MATERIALS = ("material", "product")
 DENSITIES = ("density_t_m3", "density")
 DENSITY_SIGMAS = ("density_sigma_t_m3", "density_sigma", "sigma_density")
-#: Most outlines of a file, and most corners of all.
-MOST, MOST_CORNERS = 10_000, 1_000_000
+#: Most outlines of a file, and most corners of each.
+MOST, MOST_CORNERS = 10_000, 10_000
 #: A transformation that is less accurate than this, m, is doubtful. WGS 84 itself is known to 2 m.
 ACCURACY_M = 2.0
 
@@ -76,7 +76,8 @@ def read_outlines(path: Path, at: MapCoordinates, extent: F64) -> Outlines:
     brought together with the points'; ModuleNotFoundError without pyogrio or shapely.
     """
     found = features_of(path)
-    if not any(rings_of(shape, path) for shape in found.shapes):
+    every = [rings_of(shape, path) for shape in found.shapes]
+    if not any(every):
         raise InputError(
             f"{path.name}: holds no closed area: draw polygons, or closed polylines",
             reason="input_outlines",
@@ -84,8 +85,7 @@ def read_outlines(path: Path, at: MapCoordinates, extent: F64) -> Outlines:
     shift = shift_of(found, at, extent, path)
     piles: list[Pile] = []
     ignored = found.no_geometry
-    for row, shape in enumerate(found.shapes):
-        rings = rings_of(shape, path)
+    for row, rings in enumerate(every):
         ignored += not rings
         name = text_of(found.columns, NAMES, row) or f"pile {row + 1}"
         material = material_of(found.columns, row, name)
@@ -189,9 +189,7 @@ def ring_of(coords: Iterable[Sequence[float]]) -> F64:
 
 def checked(ring: F64, name: str, path: Path) -> F64:
     """A ring (k, 2), m, counter-clockwise. Raises :class:`InputError`."""
-    from ladar_volume.model.errors import VolumeError
-
-    if len(ring) > MOST_CORNERS // 100:
+    if len(ring) > MOST_CORNERS:
         raise InputError(
             f"{path.name}: {name} has {len(ring):,} corners; simplify it", reason="input_outlines"
         )
