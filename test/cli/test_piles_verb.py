@@ -234,3 +234,21 @@ def test_without_pyogrio_the_error_names_what_to_install(yard, capsys, monkeypat
     words = ("--units", "m", "--piles", yard / "piles.geojson")
     code, _, err = ran(capsys, "volume", yard / "yard.xyz", *words)
     assert code == 2 and "ladar_volume[geo]" in err
+
+
+REAL = Path(__file__).parents[3] / "shared" / "data" / "isprs_ground" / "samp21.pcd"
+
+
+@pytest.mark.skipif(not REAL.exists(), reason="the airborne samples are not here")
+def test_an_outline_over_uneven_ground_of_a_real_survey_is_doubtful(tmp_path, capsys):
+    ring = "513546 5403208, 513596 5403208, 513596 5403254, 513546 5403254, 513546 5403208"
+    (tmp_path / "area.wkt").write_text(f"POLYGON(({ring}))")
+    for base in ("ground", "toe_plane", "toe_tin"):
+        words = ("--units", "m", "--piles", tmp_path / "area.wkt", "--base", base, "--json")
+        code, facts, _ = ran(capsys, "volume", REAL, *words)
+        assert code == 0
+        assert facts["piles"][0]["verdict"]["status"] == "doubtful"
+    code, _, err = ran(
+        capsys, "volume", REAL.with_name("samp11.pcd"), "--units", "m", "--piles", "found"
+    )
+    assert code == 2 and "no ground is left" in err
