@@ -9,10 +9,12 @@ Neighbours are taken across scan lines (see ``cloud_noise``).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from ladar_volume.clouds.cloud_noise import CELL, CloudNoise, cloud_noise, thinned
@@ -24,6 +26,8 @@ from ladar_volume.tin.sampled_area import FEWEST, spacings
 
 #: Neighbours in space, those in the plane whose distances are compared, those of a plane.
 COMPANY, AROUND, PLANE = 8, 24, 16
+#: Points in the cells that tell in a moment where nothing is isolated, in the mean.
+MANY = 50
 #: Points whose neighbours are looked for at once.
 BLOCK = 1_000_000
 #: Isolated above this many times the lower quartile of the distances around.
@@ -40,11 +44,14 @@ STEPS, LEAST = 10, 6
 
 @dataclass(frozen=True)
 class Cleaned:
-    """kept, strays : (k,), (s,) rows of the cloud · isolated : how many of the strays are so"""
+    """kept, strays : (k,), (s,) rows of the cloud · isolated : how many of the strays are so ·
+    noise : of the cloud with its strays, None where it was not told
+    """
 
     kept: I64
     strays: I64
     isolated: int
+    noise: CloudNoise | None = None
 
 
 @kernel
@@ -144,13 +151,36 @@ def blocks(count: int) -> Iterator[slice]:
 def isolated_points(points: F64) -> Bool:
     """Points (n,) whose neighbours in space are far for the points around them."""
     distance = np.asarray(cKDTree(points).query(points, [COMPANY + 1])[0])[:, 0]
-    tree, usual = cKDTree(points[:, :2]), np.empty(len(points))
-    for some in blocks(len(points)):
-        near = distance[np.asarray(tree.query(points[some, :2], AROUND)[1])]
-        near.partition(AROUND // 4, axis=1)
-        usual[some] = near[:, AROUND // 4]
-    out: Bool = distance > ISOLATED * usual
+    out = distance > ISOLATED * least_around(points, distance)
+    some = np.flatnonzero(out)
+    if len(some):
+        tree = cKDTree(points[:, :2])
+        for part in (some[k : k + BLOCK] for k in range(0, len(some), BLOCK)):
+            near = distance[np.asarray(tree.query(points[part, :2], AROUND)[1])]
+            near.partition(AROUND // 4, axis=1)
+            out[part] = distance[part] > ISOLATED * near[:, AROUND // 4]
     return out
+
+
+def least_around(points: F64, distance: F64) -> F64:
+    """What no quartile of the distances (n,) among the :data:`AROUND` points nearest to each of
+    points (n, 3) over the plane is below: the least in five by five cells, in the middle one of
+    which there are as many points; 0 where there are fewer.
+    """
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    size = max(
+        math.sqrt(float(np.prod(high - low)) * MANY / len(points)),
+        float((high - low).max()) / len(points),
+        1e-300,
+    )
+    count = np.floor((high - low) / size).astype(np.int64) + 1
+    x, y = (np.floor((points[:, k] - low[k]) / size).astype(np.int32) for k in range(2))
+    cell = x * count[1] + y
+    least = np.full(int(count.prod()), np.inf)
+    np.minimum.at(least, cell, distance)
+    least = ndimage.minimum_filter(least.reshape(count), 5, mode="constant", cval=np.inf).ravel()
+    least[np.bincount(cell, minlength=len(least)) < AROUND] = 0.0
+    return least[cell]
 
 
 def plane_neighbours(points: F64, good: Bool, chosen: I64, cells: F64 | None) -> I32:
@@ -190,7 +220,7 @@ def clean(points: F64) -> Cleaned:
     good = np.ones(len(points), bool)
     good[strays] = False
     alone = int(np.count_nonzero(isolated & stray))
-    return Cleaned(np.flatnonzero(good), strays, alone)
+    return Cleaned(np.flatnonzero(good), strays, alone, noise)
 
 
 def find_strays(r: F64, noise: CloudNoise) -> tuple[Bool, Bool]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ladar_volume.clouds.cloud_cleaning import Cleaned, clean
-from ladar_volume.clouds.cloud_noise import cloud_noise
+from ladar_volume.clouds.cloud_noise import CloudNoise, cloud_noise
 from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.clouds.given_faces import GivenSurface
 from ladar_volume.model.errors import SurfaceError
@@ -64,10 +64,8 @@ class CloudSurface:
         """
         if self.sigma_m is None:
             return np.full(gradient_z.shape[1], np.nan)
-        full = np.zeros((*gradient_z.shape, 3))
-        full[..., 2] = gradient_z
-        raw = self.made.by_points(full, len(self.points))[..., 2]
-        out: F64 = self.made.variance_factor * (raw**2 * (self.sigma_m**2)[:, None]).sum(axis=0)
+        raw = self.made.by_heights(gradient_z, len(self.points))
+        out: F64 = self.made.variance_factor * np.einsum("nk,nk,n->k", raw, raw, self.sigma_m**2)
         return out
 
     def shared_lines(self, gradient_z: F64) -> dict[str, F64]:
@@ -121,6 +119,8 @@ def cloud_surface(
         cloud,
         sigma_m[index] if isinstance(sigma_m, np.ndarray) and sigma_m.ndim else sigma_m,
         sigma_from,
+        # that of the very same points is known
+        cleaned.noise if not len(strays) and not len(changed) else None,
     )
     made = represent(cloud, options, sigma)
     return CloudSurface(cloud, index, sigma, words, changed, made, np.sort(strays), copies)
@@ -153,11 +153,15 @@ def distinct(points: F64) -> I64:
     return np.sort(order[np.r_[True, ~same][: len(order)]])
 
 
-def noise(points: F64, sigma_m: F64 | float | None, sigma_from: str) -> tuple[F64 | None, str]:
-    """Standard deviations (n,) m and where they come from."""
+def noise(
+    points: F64, sigma_m: F64 | float | None, sigma_from: str, known: CloudNoise | None = None
+) -> tuple[F64 | None, str]:
+    """Standard deviations (n,) m and where they come from; ``known`` : the noise of the points,
+    where it was told before.
+    """
     if sigma_m is None:
         try:
-            found = cloud_noise(points)
+            found = known or cloud_noise(points)
             return np.full(len(points), found.sigma_m), found.words
         except SurfaceError as error:
             return None, f"unknown: {error}"

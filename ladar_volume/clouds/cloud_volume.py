@@ -126,8 +126,12 @@ def finished(solid: Solid, base: str, same_survey: bool) -> CloudVolume:
 
 
 def selected(surface: CloudSurface) -> bool:
-    """Whether the vertices are some of the points, chosen by their heights."""
-    return len(surface.made.tin.vertices) < len(surface.points)
+    """Whether the vertices are some of the points, chosen by their heights; copies of a footprint
+    are not.
+    """
+    made = surface.made
+    footprints = len(surface.points) - made.cropped - made.tin.duplicates
+    return int(np.count_nonzero(made.tin.source >= 0)) < footprints
 
 
 def comes_near(tin: Tin, height: F64, sigma_m: F64 | None, mask: Bool) -> bool:

@@ -14,7 +14,8 @@ from ladar_volume.clouds.cloud_bodies import CloudBodies
 from ladar_volume.clouds.cloud_noise import FEWEST, fit_residuals, neighbours, robust_sigma
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.ground.polynomial import height_above
-from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
+from ladar_volume.math.kernels import kernel
+from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import vertex_mask
 
@@ -41,13 +42,23 @@ def steep_vertices(surface: CloudSurface, object_height_m: float, scatter_m: flo
 
 def steep_edges(tin: Tin, least_m: float) -> Bool:
     """Vertices (n,) at the upper end of an edge steeper than 60° that climbs more than least_m."""
-    t, r, out = tin.triangles[tin.relevant], tin.vertices, np.zeros(len(tin.vertices), np.bool_)
-    for k in range(3):
-        a, b = t[:, k], t[:, (k + 1) % 3]
-        d = r[b] - r[a]
-        climb = np.abs(d[:, 2])
-        hit = (climb > least_m) & (climb > STEEP * np.hypot(d[:, 0], d[:, 1]))
-        out[np.where(d[hit, 2] > 0.0, b[hit], a[hit])] = True
+    return np.asarray(steep_kernel(tin.vertices, tin.triangles, tin.relevant, least_m))
+
+
+@kernel
+def steep_kernel(r: F64, triangles: I32, relevant: Bool, least_m: float) -> Bool:
+    """See :func:`steep_edges`."""
+    out = np.zeros(len(r), np.bool_)
+    for t in range(len(triangles)):
+        if not relevant[t]:
+            continue
+        for k in range(3):
+            a, b = triangles[t, k], triangles[t, (k + 1) % 3]
+            climb = r[b, 2] - r[a, 2]
+            if abs(climb) > least_m and abs(climb) > STEEP * np.hypot(
+                r[b, 0] - r[a, 0], r[b, 1] - r[a, 1]
+            ):
+                out[b if climb > 0.0 else a] = True
     return out
 
 

@@ -22,8 +22,9 @@ from ladar_volume.clouds.ground_cover import (
 )
 from ladar_volume.clouds.ground_readings import GroundReadings
 from ladar_volume.ground.polynomial import height_above
+from ladar_volume.math.kernels import kernel
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, Bool, Plane
+from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.boundary import parts_kernel
 from ladar_volume.tin.full_tin import footprint_areas
@@ -83,24 +84,37 @@ def places(surface: CloudSurface, inside: F64, most: int = 10) -> list[Place]:
     return out
 
 
-def open_edges(surface: CloudSurface, mask: Bool) -> tuple[F64, F64]:
-    """Lengths (m, 3) m of the sides of triangles (m,) that bound them, 0 for others, and of those
-    of them beyond which there is no surface.
+@kernel
+def border_kernel(neighbours: I32, mask: Bool) -> I64:
+    """See :func:`border`: ``3 t + k`` for side k of triangle t."""
+    out = np.empty(3 * np.count_nonzero(mask), np.int64)
+    count = 0
+    for t in range(len(neighbours)):
+        for k in range(3):
+            beyond = neighbours[t, k]
+            if mask[t] and not (beyond >= 0 and mask[beyond]):
+                out[count] = 3 * t + k
+                count += 1
+    return out[:count].copy()
+
+
+def border(tin: Tin, mask: Bool) -> tuple[I32, F64, Bool]:
+    """The sides of triangles (m,) that bound them: their ends (b, 2), their lengths (b,) m, and
+    whether there is no surface beyond.
     """
-    tin = surface.made.tin
-    p = tin.vertices[tin.triangles, :2]
-    length = np.stack([np.hypot(*(p[:, (k + 2) % 3] - p[:, (k + 1) % 3]).T) for k in range(3)], 1)
-    beyond = tin.neighbours
-    border = mask[:, None] & ~np.where(beyond >= 0, mask[beyond], False)
-    none = ~np.where(beyond >= 0, tin.relevant[beyond], False)
-    return np.where(border, length, 0.0), np.where(border & none, length, 0.0)
+    side = border_kernel(tin.neighbours, mask)
+    t, k = side // 3, side % 3
+    ends = np.stack([tin.triangles[t, (k + 1) % 3], tin.triangles[t, (k + 2) % 3]], axis=1)
+    d = tin.vertices[ends[:, 1], :2] - tin.vertices[ends[:, 0], :2]
+    beyond = tin.neighbours[t, k]
+    return ends, np.hypot(d[:, 0], d[:, 1]), (beyond < 0) | ~tin.relevant[beyond]
 
 
 def open_share(surface: CloudSurface, mask: Bool) -> float:
     """Share of the boundary of triangles (m,), by length, beyond which there is no surface."""
-    border, none = open_edges(surface, mask)
-    total = float(border.sum())
-    return float(none.sum()) / total if total > 0 else 0.0
+    _, length, open_ = border(surface.made.tin, mask)
+    total = float(length.sum())
+    return float(length[open_].sum()) / total if total > 0 else 0.0
 
 
 def shrunk_doubts(
@@ -114,14 +128,14 @@ def shrunk_doubts(
         return []
     tin = made.tin
     area = float(footprint_areas(tin.vertices, tin.triangles[tin.relevant]).sum())
-    all_edges, edges = (open_edges(surface, m)[1] for m in (tin.relevant, inside > 0))
-    if not edges.any():
+    _, everywhere, _ = border(tin, tin.relevant)
+    ends, length, open_ = border(tin, inside > 0)
+    ends, length = ends[open_], length[open_]
+    if not len(length):
         return []
-    rise = np.abs(
-        np.stack([height[tin.triangles[:, [(k + 1) % 3, (k + 2) % 3]]] for k in range(3)], 1)
-    )
-    lost_m2 = (made.sampled.area_m2 - area) * float(edges.sum() / all_edges.sum())
-    lost_m3 = lost_m2 * float((edges * rise.mean(axis=2)).sum() / edges.sum())
+    rise = np.abs(height[ends]).mean(axis=1)
+    lost_m2 = (made.sampled.area_m2 - area) * float(length.sum() / everywhere.sum())
+    lost_m3 = lost_m2 * float(length @ rise / length.sum())
     if not lost_m3 > SIGMAS * volume.sigma_m3:
         return []
     words = (

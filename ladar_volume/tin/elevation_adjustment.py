@@ -22,7 +22,7 @@ from scipy.sparse.linalg import cg, splu
 from ladar_volume.math.kernels import kernel
 from ladar_volume.math.sparse_diagonal import diagonal_matrix
 from ladar_volume.model.errors import SurfaceError
-from ladar_volume.model.records import F64, I64, Bool, Tin
+from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.delaunay import finite_points
 from ladar_volume.tin.insertion_order import hilbert_order
 from ladar_volume.tin.locate import barycentric, locate, triangle_index
@@ -86,22 +86,60 @@ def fit_of(tin: Tin, points_map: F64, sigma_m: F64 | None = None) -> Fit:
         raise SurfaceError(
             "every point needs a positive standard deviation", reason="surface_sigma"
         )
-    order, where = hilbert_order(points[:, :2]), np.empty(len(points), np.int64)
-    where[order] = locate(
-        triangle_index(tin, tin.relevant), points[order, :2]
-    )  # neighbours in turn are found faster
+    vertex = own_vertices(tin, points)
+    where = lowest_kernel(tin.triangles, tin.relevant, len(tin.vertices))[vertex]
+    rest = np.flatnonzero(vertex < 0)
+    rest = rest[hilbert_order(points[rest, :2])]  # neighbours in turn are found faster
+    if len(rest):
+        where[rest] = locate(triangle_index(tin, tin.relevant), points[rest, :2])
     point = np.flatnonzero(where >= 0)
     if len(point) == 0:
         raise SurfaceError("no point lies in a relevant triangle", reason="surface_no_point")
-    weights = barycentric(tin, where[point], points[point, :2])
-    corner = tin.triangles[where[point]]
-    row = np.repeat(np.arange(len(point)), 3)
-    B = sparse.csr_array(
-        (weights.ravel(), (row, corner.ravel())), shape=(len(point), len(tin.vertices))
-    )
-    B.eliminate_zeros()
+    B = coordinates_of(tin, points[point, :2], where[point], vertex[point])
     adjusted = np.bincount(B.indices, B.data**2, len(tin.vertices)) > 0
     return Fit(B, point, where[point], points[point, 2], sigma[point] ** -2.0, adjusted)
+
+
+def own_vertices(tin: Tin, points: F64) -> I64:
+    """The vertex (m,) that each of points (m, 3) is, -1 for those that are none."""
+    out = np.full(len(points), -1, np.int64)
+    own = np.flatnonzero((tin.source >= 0) & (tin.source < len(points)))
+    at = tin.source[own]
+    same = np.ones(len(own), bool)
+    for k in range(2):
+        same &= tin.vertices[own, k] == points[at, k]
+    out[at[same]] = own[same]
+    return out
+
+
+@kernel
+def lowest_kernel(triangles: I32, relevant: Bool, n: int) -> I64:
+    """The first relevant triangle (n + 1,) at each of n vertices; -1 where there is none, as for
+    the last, which is no vertex.
+    """
+    out = np.full(n + 1, -1, np.int64)
+    for t in range(len(triangles) - 1, -1, -1):
+        if relevant[t]:
+            for k in range(3):
+                out[triangles[t, k]] = t
+    return out
+
+
+def coordinates_of(tin: Tin, xy: F64, triangle: I64, vertex: I64) -> sparse.csr_array:
+    """Barycentric coordinates (k, n), sparse, of points (k, 2) in their triangles (k,); of those
+    that are a vertex (k,), -1 for none, without a computation.
+    """
+    start = np.r_[0, np.cumsum(np.where(vertex >= 0, 1, 3))]
+    column, value = np.empty(start[-1], np.int32), np.ones(start[-1])
+    known, rest = np.flatnonzero(vertex >= 0), np.flatnonzero(vertex < 0)
+    column[start[known]] = vertex[known]
+    place = start[rest, None] + np.arange(3)
+    column[place] = tin.triangles[triangle[rest]]
+    value[place] = barycentric(tin, triangle[rest], xy[rest])
+    B = sparse.csr_array((value, column, start), shape=(len(xy), len(tin.vertices)))
+    B.sort_indices()
+    B.eliminate_zeros()
+    return B
 
 
 def measures(residuals: F64) -> tuple[float, float]:
