@@ -12,12 +12,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from ladar_volume.clouds.cloud_noise import thinned
 from ladar_volume.clouds.cloud_surface import CloudSurface
-from ladar_volume.model.records import F64, I64, Bool, Tin
+from ladar_volume.math.kernels import kernel
+from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.tin.locate import barycentric, locate, triangle_index
 from ladar_volume.tin.relevant import circumdiameters
@@ -127,6 +129,57 @@ def some_squares(tin: Tin, inside: F64, spacing: F64) -> tuple[F64, float]:
     return kept, float(kept.sum() / inside.sum())
 
 
+class Places(NamedTuple):
+    """One place in each of m triangles. p : (m, 3) m · where : (m,) triangle of the coarser surface
+    there, -1 for none · own, coarse : (3,), (m, 3) barycentric coordinates in either · part : (m,)
+    m², the area it stands for
+    """
+
+    p: F64
+    where: I64
+    own: F64
+    coarse: F64
+    part: F64
+
+
+@kernel
+def places_kernel(vertices: F64, corners: I32, place: F64) -> F64:
+    """The place (m, 3) with the same barycentric coordinates (3,) in triangles (m, 3)."""
+    out = np.zeros((len(corners), 3))
+    for t in range(len(corners)):
+        for k in range(3):
+            for c in range(3):
+                out[t, c] += place[k] * vertices[corners[t, k], c]
+    return out
+
+
+@kernel
+def add_kernel(
+    z: F64,
+    corners: I32,
+    above: I64,
+    at: Places,
+    differences: F64,
+    gradient: F64,
+    covered: F64,
+) -> None:
+    """Add what a surface lies above a coarser one at one place in each triangle: to the
+    differences (m,), m³, their gradient (n,) by the heights z (n,), and the area covered of the
+    coarser triangles, whose corners are ``above`` (c, 3).
+    """
+    for t in range(len(corners)):
+        where, part = at.where[t], at.part[t]
+        if where < 0:
+            continue
+        height = at.p[t, 2]
+        for k in range(3):
+            height -= at.coarse[t, k] * z[above[where, k]]
+            gradient[above[where, k]] -= part * at.coarse[t, k]
+            gradient[corners[t, k]] += part * at.own[k]
+        differences[t] += part * height
+        covered[where] += part
+
+
 def coarser(surface: CloudSurface, inside: F64, kept: I64) -> tuple[F64, float, float]:
     """What the volume within an outline loses where only the vertices ``kept`` (k,) stay: by
     blocks, m³; the variance, m⁶, that the noise gives to the whole; and how wide the triangles then
@@ -135,25 +188,18 @@ def coarser(surface: CloudSurface, inside: F64, kept: I64) -> tuple[F64, float, 
     tin = surface.made.tin
     coarse = build_tin(tin.vertices[kept])
     own = np.flatnonzero(inside > 0)
-    corners = tin.triangles[own]
-    index = triangle_index(coarse, np.ones(len(coarse.triangles), bool))
+    corners, above = tin.triangles[own], kept[coarse.source][coarse.triangles]
+    index = triangle_index(coarse)
     differences, gradient = np.zeros(len(own)), np.zeros(len(tin.vertices))
     covered = np.zeros(len(coarse.triangles))
     for place, weight in zip(PLACES, WEIGHTS, strict=True):
-        p = np.einsum("k,mkc->mc", place, tin.vertices[corners])
-        where = locate(index, p[:, :2])
-        some = np.flatnonzero(where >= 0)
-        b = barycentric(coarse, where[some], p[some, :2])
-        vertex = kept[coarse.source[coarse.triangles[where[some]]]]
-        part = weight * inside[own[some]]
-        differences[some] += part * (p[some, 2] - (b * tin.vertices[vertex, 2]).sum(axis=1))
-        gradient += np.bincount(vertex.ravel(), (-part[:, None] * b).ravel(), len(gradient))
-        gradient += np.bincount(
-            corners[some].ravel(), (part[:, None] * place).ravel(), len(gradient)
-        )
-        covered += np.bincount(where[some], part, len(covered))
+        p = places_kernel(tin.vertices, corners, place)
+        where, part = locate(index, p[:, :2]), weight * inside[own]
+        b = barycentric(coarse, np.maximum(where, 0), p[:, :2])
+        at = Places(p, where, place, b, part)
+        add_kernel(tin.vertices[:, 2].copy(), corners, above, at, differences, gradient, covered)
     size = wide(coarse, covered)
-    middle = tin.vertices[corners, :2].mean(axis=1)
+    middle = places_kernel(tin.vertices, corners, PLACES[0])[:, :2]
     cell = np.floor((middle - middle.min(axis=0)) / (BLOCK * size)).astype(np.int64)
     number = np.unique(cell @ [1 << 32, 1], return_inverse=True)[1].reshape(-1)
     blocks: F64 = np.bincount(number, differences).astype(np.float64)

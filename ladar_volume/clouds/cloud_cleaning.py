@@ -10,15 +10,14 @@ Neighbours are taken across scan lines (see ``cloud_noise``).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from ladar_volume.clouds.cloud_noise import CELL, CloudNoise, cloud_noise, thinned
 from ladar_volume.math.kernels import kernel
+from ladar_volume.math.nearest import nearest, nearest_index
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool
 from ladar_volume.tin.insertion_order import hilbert_order
@@ -28,8 +27,6 @@ from ladar_volume.tin.sampled_area import FEWEST, spacings
 COMPANY, AROUND, PLANE = 8, 24, 16
 #: Points in the cells that tell in a moment where nothing is isolated, in the mean.
 MANY = 50
-#: Points whose neighbours are looked for at once.
-BLOCK = 1_000_000
 #: Isolated above this many times the lower quartile of the distances around.
 ISOLATED = 3.0
 #: Off the surface above so many standard deviations, isolated or not; in agreement below.
@@ -143,23 +140,22 @@ def plane_kernel(
     return out
 
 
-def blocks(count: int) -> Iterator[slice]:
-    """Rows from 0 to ``count``, :data:`BLOCK` at a time: neighbours take more room than points."""
-    return (slice(k, k + BLOCK) for k in range(0, count, BLOCK))
-
-
 def isolated_points(points: F64) -> Bool:
     """Points (n,) whose neighbours in space are far for the points around them."""
-    distance = np.asarray(cKDTree(points).query(points, [COMPANY + 1])[0])[:, 0]
+    distance = nearest(nearest_index(points), points, COMPANY + 1)[1]
     out = distance > ISOLATED * least_around(points, distance)
     some = np.flatnonzero(out)
     if len(some):
-        tree = cKDTree(points[:, :2])
-        for part in (some[k : k + BLOCK] for k in range(0, len(some), BLOCK)):
-            near = distance[np.asarray(tree.query(points[part, :2], AROUND)[1])]
-            near.partition(AROUND // 4, axis=1)
-            out[part] = distance[part] > ISOLATED * near[:, AROUND // 4]
+        flat = on_plane(points)
+        near = distance[nearest(nearest_index(flat), flat[some], AROUND)[0]]
+        near.partition(AROUND // 4, axis=1)
+        out[some] = distance[some] > ISOLATED * near[:, AROUND // 4]
     return out
+
+
+def on_plane(points: F64) -> F64:
+    """Points (n, 3) at height 0, for distances over the plane."""
+    return np.ascontiguousarray(points * [1.0, 1.0, 0.0])
 
 
 def least_around(points: F64, distance: F64) -> F64:
@@ -184,23 +180,21 @@ def least_around(points: F64, distance: F64) -> F64:
 
 
 def plane_neighbours(points: F64, good: Bool, chosen: I64, cells: F64 | None) -> I32:
-    """Rows (k, PLANE + 1) of the good points nearest to those ``chosen`` (k,) over the plane; with
+    """Rows (k, PLANE + 1), in no order, of the good points nearest to those ``chosen`` (k,) over the plane; with
     cells (n,) m, of those that are left when one point is taken from each.
     """
-    rows = np.flatnonzero(good)
+    rows, flat = np.flatnonzero(good).astype(np.int32), on_plane(points)
     out = np.full((len(chosen), PLANE + 1), -1, np.int32)
     groups = [(0.0, np.arange(len(chosen)))]
     if cells is not None:
         of = np.where(np.isfinite(cells), cells, 0.0)[chosen]
         groups = [(c, np.flatnonzero(of == c)) for c in np.unique(of).tolist()]
     for cell, at in groups:
-        kept = rows if cell == 0.0 else rows[thinned(points[rows], cell)]
+        # in their order, neighbours beside neighbours
+        kept = rows if cell == 0.0 else np.sort(rows[thinned(points[rows], cell)])
         if len(kept) <= PLANE:
             kept = rows
-        tree = cKDTree(points[kept, :2])
-        for some in blocks(len(at)):
-            near = tree.query(points[chosen[at[some]], :2], PLANE + 1)[1]
-            out[at[some]] = kept[np.asarray(near)]
+        out[at] = kept[nearest(nearest_index(flat[kept]), flat[chosen[at]], PLANE + 1)[0]]
     return out
 
 

@@ -74,18 +74,6 @@ def raw_gradients(tin: Tin, fit: Fit, gradient: F64, points: int) -> F64:
     return out
 
 
-def height_gradients(tin: Tin, fit: Fit, gradient_z: F64, points: int) -> F64:
-    """The vertical part of :func:`raw_gradients` alone: from gradients (n, k) by the heights of the
-    vertices to gradients (points, k) by the heights of the points.
-    """
-    normal, out = Normal(fit.B, fit.weight), np.zeros((points, gradient_z.shape[1]))
-    held = np.flatnonzero((tin.source >= 0) & ~fit.adjusted)
-    for c in range(gradient_z.shape[1]):
-        out[fit.point, c] = fit.weight * (fit.B @ normal.solve(gradient_z[:, c]))
-        out[tin.source[held], c] += gradient_z[held, c]
-    return out
-
-
 @kernel
 def selected_inverse(start: I64, row: I64, value: F64, diagonal: F64) -> tuple[F64, F64]:
     """Entries of ``(L D Lᵀ)⁻¹`` where the strict lower triangle L has entries (CSC: start, row,

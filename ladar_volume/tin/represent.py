@@ -20,11 +20,7 @@ from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I64, Bool, Tin
 from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.tin.adaptive import RATIO, adaptive_tin
-from ladar_volume.tin.adjustment_adjoint import (
-    height_covariance,
-    height_gradients,
-    raw_gradients,
-)
+from ladar_volume.tin.adjustment_adjoint import height_covariance, raw_gradients
 from ladar_volume.tin.asd_adjustment import adjust_asd
 from ladar_volume.tin.boundary import edit_boundary
 from ladar_volume.tin.diagonal_exchange import exchange_diagonals
@@ -35,6 +31,7 @@ from ladar_volume.tin.elevation_adjustment import (
     adjust_rms_iterated,
     fit_of,
     measures,
+    raw_gradient,
 )
 from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.tin.relevant import mark_relevant, with_relevant
@@ -89,7 +86,7 @@ class Represented:
     def by_heights(self, gradient_z: F64, points: int) -> F64:
         """As :meth:`by_points`, heights alone: from (n, k) to (points, k)."""
         if self.fit is not None:
-            return height_gradients(self.adjusted_on or self.tin, self.fit, gradient_z, points)
+            return raw_gradient(self.adjusted_on or self.tin, self.fit, gradient_z, points)
         out = np.zeros((points, gradient_z.shape[1]))
         own = self.tin.source >= 0
         out[self.tin.source[own]] = gradient_z[own]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from ladar_volume.clouds import between_points, cloud_cleaning, cloud_noise
 from ladar_volume.clouds.cloud_surface import cloud_surface
@@ -54,16 +55,32 @@ def test_slopes_are_those_of_planes_solved_one_by_one():
         assert slope == pytest.approx(plane[:2], rel=1e-6, abs=1e-9)
 
 
-def test_strays_do_not_depend_on_blocks_or_order(monkeypatch):
+def test_strays_do_not_depend_on_order():
     rng = np.random.default_rng(6)
     p = points(6, 4000)
     off = rng.choice(len(p), 40, replace=False)
     p[off, 2] += rng.uniform(0.5, 6.0, 40)
     whole = cloud_cleaning.clean(p)
     assert len(np.intersect1d(whole.strays, off)) > 30
-    monkeypatch.setattr(cloud_cleaning, "BLOCK", 700)
-    assert np.array_equal(cloud_cleaning.clean(p).strays, whole.strays)
     order = rng.permutation(len(p))
     again = order[cloud_cleaning.clean(p[order]).strays]
     # the noise is told from the same points here, whatever their order
     assert set(again.tolist()) == set(whole.strays.tolist())
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_isolated_points_are_those_of_every_point_among_its_neighbours(seed):
+    rng = np.random.default_rng(seed)
+    p = points(seed, 3000)
+    if seed % 2:  # dense here, sparse there, and copies of a footprint
+        p[:, 0] = 40.0 * (p[:, 0] / 40.0) ** 4
+        p[:300, :2] = p[300:600, :2]
+    p[:60, 2] += rng.uniform(-8, 8, 60)
+    distance = cKDTree(p).query(p, cloud_cleaning.COMPANY + 1)[0][:, -1]
+    around = cKDTree(p[:, :2]).query(p[:, :2], cloud_cleaning.AROUND)[1]
+    usual = np.sort(distance[around], axis=1)[:, cloud_cleaning.AROUND // 4]
+    wanted = distance > cloud_cleaning.ISOLATED * usual
+    found = cloud_cleaning.isolated_points(p)
+    # of neighbours equally far any may be taken
+    assert np.count_nonzero(found != wanted) <= (6 if seed % 2 else 0)
+    assert 20 < np.count_nonzero(wanted) < 600

@@ -26,7 +26,7 @@ from ladar_volume.tin.elevation_adjustment import (
     sweep_plain,
 )
 from ladar_volume.tin.full_tin import build_tin
-from ladar_volume.tin.locate import height_at
+from ladar_volume.tin.locate import barycentric, height_at, locate, triangle_index
 
 
 def cloud(n=400, noise=0.02, seed=0):
@@ -292,3 +292,21 @@ def test_bad_stopping_rules():
         with pytest.raises(SurfaceError) as caught:
             adjust_rms_iterated(partial(points), points, *arguments)
         assert caught.value.reason == "surface_tolerance"
+
+
+@pytest.mark.parametrize("ratio", [1.0, 0.3])
+def test_points_that_are_vertices_lie_where_a_search_finds_them(ratio):
+    rng = np.random.default_rng(8)
+    points = np.c_[rng.integers(0, 40, (600, 2)), rng.normal(size=600)].astype(float)
+    chosen = np.sort(rng.choice(600, int(ratio * 600), replace=False))
+    tin = build_tin(points[chosen])
+    tin = dataclasses.replace(tin, source=chosen[tin.source])
+    tin = dataclasses.replace(tin, relevant=tin.vertices[tin.triangles, 0].min(axis=1) > 5.0)
+    fit = fit_of(tin, points)
+    where = locate(triangle_index(tin, tin.relevant), points[:, :2])
+    assert np.array_equal(fit.point, np.flatnonzero(where >= 0))
+    assert np.array_equal(fit.triangle, where[fit.point])
+    rows = np.zeros((len(fit.point), len(tin.vertices)))
+    weights = barycentric(tin, fit.triangle, points[fit.point, :2])
+    np.put_along_axis(rows, tin.triangles[fit.triangle].astype(np.int64), weights, axis=1)
+    assert np.array_equal(fit.B.toarray(), rows)

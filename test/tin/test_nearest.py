@@ -1,0 +1,39 @@
+"""The k nearest points against brute force, in any order and with any ties."""
+
+import numpy as np
+import pytest
+
+from ladar_volume.math.nearest import nearest, nearest_index
+from ladar_volume.tin.insertion_order import hilbert_order
+
+RNG = np.random.default_rng(5)
+EVEN = RNG.uniform(0, 10, (700, 3))
+CLOUDS = {
+    "even": EVEN,
+    "along a curve": EVEN[hilbert_order(EVEN[:, :2])],
+    "on a lattice": np.stack(np.meshgrid(*[np.arange(9.0)] * 3), -1).reshape(-1, 3),
+    "at one place": np.ones((300, 3)),
+    "two clumps far apart": np.r_[EVEN[:200], EVEN[200:] + 1e6],
+    "uneven": EVEN * np.exp(RNG.normal(0, 4, (700, 1))),
+    "on a line": np.c_[np.arange(100.0), np.zeros((100, 2))],
+    "just as many": EVEN[:17],
+}
+
+
+@pytest.mark.parametrize("name", CLOUDS)
+@pytest.mark.parametrize("k", [1, 9, 17])
+def test_nearest_are_those_of_brute_force(name: str, k: int) -> None:
+    points = CLOUDS[name]
+    for places in (points, points[::-7] + 0.3, np.array([[1e9, 0, 0], [0, 0, 0.0]])):
+        rows, far = nearest(nearest_index(points), places, k)
+        square = ((places[:, None] - points) ** 2).sum(axis=2)
+        own = np.take_along_axis(square, rows.astype(np.int64), axis=1)
+        wanted = np.sort(square, axis=1)[:, :k]
+        assert np.allclose(np.sort(own, axis=1), wanted, rtol=1e-13, atol=0)
+        assert np.allclose(far, np.sqrt(wanted[:, -1]), rtol=1e-13, atol=0)
+        assert (np.diff(np.sort(rows, axis=1), axis=1) > 0).all()
+
+
+def test_more_neighbours_than_points_are_refused() -> None:
+    with pytest.raises(ValueError, match="9 neighbours of 8 points"):
+        nearest(nearest_index(np.zeros((8, 3))), np.zeros((1, 3)), 9)
