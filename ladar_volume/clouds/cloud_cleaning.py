@@ -12,11 +12,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from scipy import ndimage
 
 from ladar_volume.clouds.cloud_noise import CELL, CloudNoise, cloud_noise, thinned
-from ladar_volume.math.kernels import kernel
+from ladar_volume.math.kernels import PARTS, kernel, parallel_kernel
 from ladar_volume.math.nearest import nearest, nearest_index
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool
@@ -113,14 +114,10 @@ def off_plane(
 
 
 @kernel
-def plane_kernel(
-    points: F64, chosen: I64, near: I32, sigma: float, isolated: Bool, limits: F64
-) -> Bool:
-    """Which of the points ``chosen`` (k,), rows of (n, 3), are strays beside the planes of least
-    sizes through their neighbours near (k, m), rows, -1 for none. limits : off where isolated, off,
-    agreement (in sigmas), majority (share), own company (count).
-    """
-    out = np.zeros(len(chosen), np.bool_)
+def plane_part(
+    points: F64, chosen: I64, near: I32, sigma: float, isolated: Bool, limits: F64, out: Bool
+) -> None:
+    """See :func:`plane_kernel`: a part of the points."""
     m = near.shape[1]
     d, r, size = np.empty((m, 3)), np.empty(m), np.empty(m)
     for i in range(len(chosen)):
@@ -137,6 +134,21 @@ def plane_kernel(
         if not alone and abs(solve_plane(d, size, count)[0]) <= limits[2] * sigma:
             continue
         out[i] = off_plane(d, r, size, count, sigma, alone, limits)
+
+
+@parallel_kernel
+def plane_kernel(
+    points: F64, chosen: I64, near: I32, sigma: float, isolated: Bool, limits: F64
+) -> Bool:
+    """Which of the points ``chosen`` (k,), rows of (n, 3), are strays beside the planes of least
+    sizes through their neighbours near (k, m), rows, -1 for none. limits : off where isolated, off,
+    agreement (in sigmas), majority (share), own company (count).
+    """
+    n = len(chosen)
+    out = np.zeros(n, np.bool_)
+    for part in numba.prange(PARTS):
+        a, b = part * n // PARTS, (part + 1) * n // PARTS
+        plane_part(points, chosen[a:b], near[a:b], sigma, isolated, limits, out[a:b])
     return out
 
 
@@ -180,8 +192,8 @@ def least_around(points: F64, distance: F64) -> F64:
 
 
 def plane_neighbours(points: F64, good: Bool, chosen: I64, cells: F64 | None) -> I32:
-    """Rows (k, PLANE + 1), in no order, of the good points nearest to those ``chosen`` (k,) over the plane; with
-    cells (n,) m, of those that are left when one point is taken from each.
+    """Rows (k, PLANE + 1), in no order, of the good points nearest to those ``chosen`` (k,) over
+    the plane; with cells (n,) m, of those that are left when one point is taken from each.
     """
     rows, flat = np.flatnonzero(good).astype(np.int32), on_plane(points)
     out = np.full((len(chosen), PLANE + 1), -1, np.int32)

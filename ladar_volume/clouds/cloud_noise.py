@@ -14,9 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ladar_volume.math.equal_rows import distinct_rows
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import SurfaceError
-from ladar_volume.model.records import F64, I64
+from ladar_volume.model.records import F64, I64, Bool
 from ladar_volume.tin.sampled_area import spacings
 
 #: Neighbours of a local fit with six coefficients, and the most points at which one is made.
@@ -27,6 +28,8 @@ FEWEST = 2 * NEIGHBOURS
 CELL = 0.5
 #: Residuals beyond this many standard deviations do not count; the variance that this cuts off.
 CUT, KEPT = 3.0, 0.9733
+#: Points in the cells within which neighbours are looked for, in the mean.
+BESIDE = 12.0
 #: Neighbours whose footprints are this much narrower than they are long lie on one line.
 NARROW = 0.2
 #: Cells of a raster per point that are cheaper than sorting the points.
@@ -114,13 +117,6 @@ def thinned(points: F64, cell_m: float, shift: tuple[float, float] = (0.0, 0.0))
     return order[np.r_[True, ~same]]
 
 
-def first_of_footprints(xy: F64) -> I64:
-    """Rows (k,), ascending, of places (n, 2): the first of those with equal coordinates."""
-    order = np.lexsort((xy[:, 1], xy[:, 0]))
-    same = (np.diff(xy[order], axis=0) == 0).all(axis=1)
-    return np.sort(order[np.r_[True, ~same]])
-
-
 def fit_residuals(points: F64, near: F64, chosen: I64) -> tuple[F64, F64]:
     """What quadrics through the neighbours ``near`` (k, m, 3) miss the points ``chosen`` (k,) by,
     m, each divided by the standard deviation it has for noise of 1; and how narrow the neighbours'
@@ -139,17 +135,51 @@ def fit_residuals(points: F64, near: F64, chosen: I64) -> tuple[F64, F64]:
     return level / np.sqrt(1.0 + np.maximum(first[:, 0], 0.0)), narrow
 
 
+@kernel
+def beside_kernel(xy: F64, kept: I64, chosen: I64, cell_m: float) -> Bool:
+    """Which of places ``kept`` (k,), rows of (n, 2), lie within ``cell_m`` m of one of those
+    ``chosen`` (m,), along either axis, and some that lie within twice as much.
+    """
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for i in chosen:
+        for c in range(2):
+            low[c], high[c] = min(low[c], xy[i, c]), max(high[c], xy[i, c])
+    a, b = int((high[0] - low[0]) / cell_m) + 3, int((high[1] - low[1]) / cell_m) + 3
+    marked = np.zeros((a, b), np.bool_)
+    for i in chosen:
+        x, y = int((xy[i, 0] - low[0]) / cell_m) + 1, int((xy[i, 1] - low[1]) / cell_m) + 1
+        marked[x - 1 : x + 2, y - 1 : y + 2] = True
+    out = np.zeros(len(kept), np.bool_)
+    for j in range(len(kept)):
+        u, v = (xy[kept[j], 0] - low[0]) / cell_m + 1.0, (xy[kept[j], 1] - low[1]) / cell_m + 1.0
+        if 0.0 <= u < a and 0.0 <= v < b:
+            out[j] = marked[int(u), int(v)]
+    return out
+
+
 def neighbours(points: F64, kept: I64, chosen: I64) -> F64:
     """Of the points ``kept``, rows (k,) of (n, 3), the nearest (m, NEIGHBOURS, 3) to those
     ``chosen`` (m,), themselves not.
     """
-    # few are asked for: a tree that is made fast
-    tree = cKDTree(points[kept, :2], balanced_tree=False, compact_nodes=False)
-    _, found = tree.query(points[chosen, :2], NEIGHBOURS + 1)
-    near = kept[np.asarray(found)]
-    own = near == chosen[:, None]
-    own[~own.any(axis=1), -1] = True
-    out: F64 = points[near[~own].reshape(len(chosen), NEIGHBOURS)]
+    xy, out = points[:, :2], np.empty((len(chosen), NEIGHBOURS, 3))
+    wide = np.ptp(xy[chosen], axis=0)
+    cell = max(math.sqrt(float(wide.prod()) * BESIDE / len(kept)), float(wide.max()) / len(kept))
+    left = np.arange(len(chosen))
+    while len(left):
+        # few are asked for: only what is beside them goes into the tree, which is made fast
+        some = kept[beside_kernel(xy, kept, chosen[left], cell)] if cell > 0.0 else kept
+        whole = len(some) == len(kept) or len(left) * BESIDE > len(kept)
+        some = kept if whole else some
+        if whole or len(some) > NEIGHBOURS:
+            tree = cKDTree(xy[some], balanced_tree=False, compact_nodes=False)
+            far, found = tree.query(xy[chosen[left]], NEIGHBOURS + 1)
+            sure = (np.asarray(far)[:, -1] <= cell) | whole
+            near = some[np.asarray(found)[sure]]
+            own = near == chosen[left[sure], None]
+            own[~own.any(axis=1), -1] = True
+            out[left[sure]] = points[near[~own].reshape(-1, NEIGHBOURS)]
+            left = left[~sure]
+        cell *= 2.0
     return out
 
 
@@ -191,7 +221,7 @@ def cloud_noise(points: F64) -> CloudNoise:
     :data:`FEWEST` distinct footprints.
     """
     step = rounding_step(points[:, 2])
-    first = first_of_footprints(points[:, :2])
+    first = distinct_rows(points[:, :2])
     copies = len(points) - len(first)
     own = points[first]
     if len(own) < FEWEST:

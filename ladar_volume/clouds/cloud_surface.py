@@ -14,12 +14,14 @@ from ladar_volume.clouds.cloud_cleaning import Cleaned, clean
 from ladar_volume.clouds.cloud_noise import CloudNoise, cloud_noise
 from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.clouds.given_faces import GivenSurface
+from ladar_volume.math.equal_rows import distinct_rows
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.parameters import FilterParameters
 from ladar_volume.model.piles import HeightError
 from ladar_volume.model.records import F64, I64
 from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.model.verdict import Doubt
+from ladar_volume.tin.delaunay import finite_points
 from ladar_volume.tin.median_screen import tin_filter, tin_screen
 from ladar_volume.tin.represent import Represented, represent
 from ladar_volume.uncertainty.shared_heights import shared_variances
@@ -108,8 +110,8 @@ def cloud_surface(
     three coordinates one is used.
     Raises :class:`SurfaceError` for bad sigmas and whatever :func:`represent` refuses.
     """
-    cloud = np.asarray(points, dtype=np.float64)
-    index = distinct(cloud)
+    cloud = finite_points(points)
+    index = distinct_rows(cloud)
     copies = len(cloud) - len(index)
     cleaned = without_strays(cloud[index], how)
     strays, index = index[cleaned.strays], index[cleaned.kept]
@@ -142,15 +144,6 @@ def screened(
         cloud = levelled.points_map
         outliers.append(index[levelled.outliers])
     return cloud, index, np.unique(np.concatenate(outliers))
-
-
-def distinct(points: F64) -> I64:
-    """Rows (k,), ascending, of points (n, 3): the first of those with the same coordinates."""
-    if points.ndim != 2 or points.shape[1] != 3:
-        return np.arange(len(points), dtype=np.int64)  # refused where it is triangulated
-    order = np.lexsort(points.T[::-1])
-    same = (np.diff(points[order], axis=0) == 0).all(axis=1)
-    return np.sort(order[np.r_[True, ~same][: len(order)]])
 
 
 def noise(

@@ -19,6 +19,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import cg, splu
 
+from ladar_volume.math.equal_rows import first_equal
 from ladar_volume.math.kernels import kernel
 from ladar_volume.math.sparse_diagonal import diagonal_matrix
 from ladar_volume.model.errors import SurfaceError
@@ -101,7 +102,7 @@ def fit_of(tin: Tin, points_map: F64, sigma_m: F64 | None = None) -> Fit:
 
 
 def own_vertices(tin: Tin, points: F64) -> I64:
-    """The vertex (m,) that each of points (m, 3) is, -1 for those that are none."""
+    """The vertex (m,) that stands where each of points (m, 3) does, -1 for none."""
     out = np.full(len(points), -1, np.int64)
     own = np.flatnonzero((tin.source >= 0) & (tin.source < len(points)))
     at = tin.source[own]
@@ -109,6 +110,11 @@ def own_vertices(tin: Tin, points: F64) -> I64:
     for k in range(2):
         same &= tin.vertices[own, k] == points[at, k]
     out[at[same]] = own[same]
+    rest = np.flatnonzero(out < 0)
+    if len(rest):
+        xy = np.concatenate([tin.vertices[:, :2], points[rest, :2]])
+        first, n = first_equal(xy)[len(tin.vertices) :], len(tin.vertices)
+        out[rest] = np.where(first < n, first, -1)
     return out
 
 

@@ -1,0 +1,30 @@
+"""Equal rows by hashing, against sorting."""
+
+import numpy as np
+import pytest
+
+from ladar_volume.math.equal_rows import distinct_rows, first_equal
+
+RNG = np.random.default_rng(3)
+ROWS = {
+    "few values": RNG.integers(-3, 3, (5000, 3)) * 1.0,
+    "zeros of both signs": RNG.integers(0, 2, (40, 2)) * -0.0,
+    "none": np.zeros((0, 3)),
+    "one": np.ones((1, 2)),
+    "all alike": np.full((900, 3), 1e300),
+    "millimetres": RNG.uniform(4e5, 4e5 + 3, (20_000, 2)).round(2),
+    "powers of two": 2.0 ** RNG.integers(-300, 300, (3000, 1)) * [1.0, 0.0],
+}
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_first_of_equal_rows(name: str) -> None:
+    values = ROWS[name]
+    _, first, number = np.unique(values + 0.0, axis=0, return_index=True, return_inverse=True)
+    assert np.array_equal(first_equal(values), first[number.reshape(-1)])
+    assert np.array_equal(distinct_rows(values), np.sort(first))
+
+
+def test_nan_equals_nothing() -> None:
+    values = np.array([[np.nan, 1.0], [np.nan, 1.0], [2.0, 1.0], [2.0, 1.0]])
+    assert first_equal(values).tolist() == [0, 1, 2, 2]
