@@ -188,7 +188,8 @@ def least_around(points: F64, distance: F64) -> F64:
     np.minimum.at(least, cell, distance)
     least = ndimage.minimum_filter(least.reshape(count), 5, mode="constant", cval=np.inf).ravel()
     least[np.bincount(cell, minlength=len(least)) < AROUND] = 0.0
-    return least[cell]
+    out: F64 = least[cell]
+    return out
 
 
 def plane_neighbours(points: F64, good: Bool, chosen: I64, cells: F64 | None) -> I32:

@@ -206,7 +206,10 @@ def solid_above(
     tin, mask = surface.made.tin, inside > 0
     by_polygon = parameters.volume.outline == "polygon"
     found = solid_within(tin, base, mask, parameters)
-    cut, near, curved = found.gradient_cut[:, 2], None, 0.0
+    # heights alone move here: the gradients sideways, as large as the cloud, are let go
+    net, cut = (g[:, 2].copy() for g in (found.gradient_net, found.gradient_cut))
+    found = dataclasses.replace(found, gradient_cut=cut[:0], gradient_fill=cut[:0])
+    near, curved = None, 0.0
     # a triangle that the outline cuts is left uncorrected
     whole = whole_triangles(tin, inside) if by_polygon else mask
     height = height_above(tin.vertices, base)
@@ -215,7 +218,7 @@ def solid_above(
         near = near_base(tin, base, C, whole, selected=selected(surface))
         curved = near.curved_m6 + near.remaining.sigma_m3**2
         cut = cut if by_polygon else near.gradient_cut
-    gradient = np.stack([found.gradient_net[:, 2], cut], axis=1)
+    gradient = np.stack([net, cut], axis=1)
     extra: dict[str, float] = {}
     if len(base.support):
         # the base moves with the points that define it

@@ -53,7 +53,8 @@ def group_boxes(points: F64, groups: int) -> F64:
 def square_to(points: F64, i: int, place: F64) -> float:
     """Square of the distance from a place (3,) to point i."""
     dx, dy, dz = points[i, 0] - place[0], points[i, 1] - place[1], points[i, 2] - place[2]
-    return dx * dx + dy * dy + dz * dz
+    square: float = dx * dx + dy * dy + dz * dz
+    return square
 
 
 @leaf_kernel
@@ -62,7 +63,8 @@ def square_to_box(box: F64, place: F64) -> float:
     dx = max(max(box[0] - place[0], place[0] - box[3]), 0.0)
     dy = max(max(box[1] - place[1], place[1] - box[4]), 0.0)
     dz = max(max(box[2] - place[2], place[2] - box[5]), 0.0)
-    return dx * dx + dy * dy + dz * dz
+    square: float = dx * dx + dy * dy + dz * dz
+    return square
 
 
 @leaf_kernel
@@ -136,7 +138,8 @@ def select(rows: I64, square: F64, count: int, k: int) -> float:
             low = i
         else:
             break
-    return square[k - 1]
+    largest: float = square[k - 1]
+    return largest
 
 
 @kernel

@@ -163,10 +163,15 @@ class Normal:
     def __init__(
         self, B: sparse.csr_array, weight: F64, direct: bool = False, pairs: I64 | None = None
     ) -> None:
-        N = (B.T @ diagonal_matrix(weight) @ B).tocsc()
-        diagonal = N.diagonal()
+        self.factor = self.matrix = None
+        # points that each hang on one vertex have means, and nothing to be solved
+        means = not direct and int(np.diff(B.indptr).max(initial=0)) <= 1
+        N = None if means else (B.T @ diagonal_matrix(weight) @ B).tocsc()
+        diagonal = np.asarray(B.power(2).T @ weight).reshape(-1) if N is None else N.diagonal()
         self.free: Bool = diagonal > 0
         self.scale = np.where(self.free, diagonal, 1.0) ** -0.5
+        if N is None:
+            return
         S = diagonal_matrix(self.scale)
         self.matrix = (S @ N @ S + diagonal_matrix(np.where(self.free, RIDGE, 1.0))).tocsc()
         if pairs is not None:  # entries too small to matter, but there
@@ -176,18 +181,18 @@ class Normal:
             self.matrix = (self.matrix + room + room.T).tocsc()
         options = {"SymmetricMode": True}
         direct = direct or len(diagonal) <= MAX_DIRECT
-        self.factor = (
-            splu(self.matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
-            if direct
-            else None
-        )
+        if direct:
+            self.factor = splu(
+                self.matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options
+            )
 
     def solve(self, right: F64) -> F64:
         """Solution (n,) for a right-hand side (n,); zero at vertices without data."""
         b = np.where(self.free, right * self.scale, 0.0)
+        x = b
         if self.factor is not None:
             x = self.factor.solve(b)
-        else:
+        elif self.matrix is not None:
             x, info = cg(self.matrix, b, rtol=1e-14, atol=0.0, maxiter=5000)
             if info != 0:
                 raise SurfaceError(

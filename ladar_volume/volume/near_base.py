@@ -33,7 +33,7 @@ from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.tin.full_tin import any_corner, footprint_areas
 from ladar_volume.tin.median_screen import edges
 from ladar_volume.volume.folded_normal import PACKED, folded, without_noise
-from ladar_volume.volume.neighbourhood import CHUNKS, Smooth, SparseF64
+from ladar_volume.volume.neighbourhood import CHUNKS, Smooth, SparseF64, part_about
 from ladar_volume.volume.prismoids import gather, positive_part
 from ladar_volume.volume.remaining_fold import Remaining, remaining_fold, scatter_factor
 
@@ -151,25 +151,15 @@ def fold(
     return Fold(total, float(area.sum()))
 
 
-class _Close(NamedTuple):
-    """near : (m,) triangles near the base · found : (k, 13) their moments · smooth : the planes
-    through their vertices' neighbourhoods
+def _loads(height: F64, t: I32, area: F64, near: Bool, slope_near: F64) -> tuple[F64, F64]:
+    """Gradients (n,) m² of cut and net volume by the vertex heights (n,) m above the base: for
+    triangles near it with the mean derivatives (k, 3), for the others among t (m, 3) of areas (m,)
+    m² with their sign.
     """
-
-    near: Bool
-    found: F64
-    smooth: Smooth
-
-
-def _loads(tin: Tin, height: F64, t: I32, area: F64, close: _Close) -> tuple[F64, F64]:
-    """Gradients (n,) m² of cut and net volume by the vertex heights (n,) m above the base: with the
-    moments of triangles near it, and with the sign of the others among t (m, 3) of areas (m,) m².
-    """
-    near, found, n, slope = close.near, close.found, len(tin.vertices), np.empty((len(t), 3))
-    slope[~near], slope[near] = positive_part(height[t[~near]])[1], found[:, 1:4]
-    bent = close.smooth.adjoint(load(found[:, 4:7], area[near], t[near], n))
+    n, slope = len(height), np.empty((len(t), 3))
+    slope[~near], slope[near] = positive_part(height[t[~near]])[1], slope_near
     net = gather(np.repeat(area / 3.0, 3).reshape(-1, 3, 1), t, n)[:, 0]
-    return load(slope, area, t, n) - bent, net
+    return load(slope, area, t, n), net
 
 
 def near_base(
@@ -196,20 +186,31 @@ def near_base(
     t = tin.triangles[tin.relevant if mask is None else mask]
     h, area = height_above(tin.vertices, base), footprint_areas(tin.vertices, t)
     near, joint = _near_and_covariance(tin, h, t, C, selected)
-    close, close_area = t[near], area[near]
-    sums = np.asarray(joint.sum(axis=1)).ravel() if summed is None else summed
-    smooth = smoothed(tin, h, joint.diagonal(), close, rings, sums)
+    part, close_area = part_about(tin, t[near], rings), area[near]
+    own, close = part.vertex, part.close
+    C_own, sums = _covariance_of(joint, own, summed)
+    smooth = smoothed(part.tin, h[own], C_own.diagonal(), close, rings, sums)
     found = np.empty((len(close), 13))
-    for part, at in blocks(smooth, close, node_covariances(joint, close)):
-        found[part] = moments(*at)
-    cut, net = _loads(tin, h, t, area, _Close(near, found, smooth))
-    bent = found[:, 7:] * close_area[:, None]
-    curved = second_order(bent, close, smooth.start, smooth.link, joint)
+    for some, at in blocks(smooth, close, node_covariances(C_own, close)):
+        found[some] = moments(*at)
+    cut, net = _loads(h, t, area, near, found[:, 1:4])
+    cut[own] -= smooth.adjoint(load(found[:, 4:7], close_area, close, len(own)))
+    bent = close_area[:, None] * found[:, 7:]
+    curved = second_order(bent, close, smooth.start, smooth.link, C_own)
     first = [float(g @ (joint @ g)) for g in (cut, cut - net, net)]
-    total, size = float(close_area @ found[:, 0]), float(close_area.sum())
     variances = first[0] + curved, first[1] + curved, first[2], curved
     left = remaining_fold(smooth, close, close_area, rings)
-    return NearBase(total, size, near, *variances, cut, net, left)
+    total = float(close_area @ found[:, 0])
+    return NearBase(total, float(close_area.sum()), near, *variances, cut, net, left)
+
+
+def _covariance_of(joint: SparseF64, own: I64, summed: F64 | None) -> tuple[SparseF64, F64]:
+    """The covariance (k, k) of some heights (k,), and the sums (k,) of their covariances with all
+    others, where these are not given (n,).
+    """
+    rows = sparse.csr_array(joint)[own]
+    sums = np.asarray(rows.sum(axis=1), dtype=np.float64).ravel()
+    return rows[:, own], sums if summed is None else summed[own]
 
 
 def _near_and_covariance(

@@ -8,7 +8,7 @@ ground ends or leaves the level.
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numba
 import numpy as np
@@ -16,6 +16,7 @@ from scipy import sparse
 
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
+from ladar_volume.tin.full_tin import any_corner, places_in
 from ladar_volume.tin.insertion_order import hilbert_order
 from ladar_volume.tin.median_screen import edges
 
@@ -82,6 +83,50 @@ class Smooth:
             gradient[rows],
         )
         return np.asarray(out + parts.sum(axis=0))
+
+
+class Part(NamedTuple):
+    """The surface about triangles near the base. tin : a part of it · vertex : (k,) its vertices in
+    the whole · close : (c, 3) the triangles, by its own numbers
+    """
+
+    tin: Tin
+    vertex: I64
+    close: I32
+
+
+@kernel
+def grow_kernel(triangles: I32, marked: Bool, rings: int) -> None:
+    """Mark the vertices (n,) that are joined to marked ones by so many edges."""
+    for _ in range(rings):
+        before = marked.copy()
+        for t in range(len(triangles)):
+            a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+            if before[a] or before[b] or before[c]:
+                marked[a] = marked[b] = marked[c] = True
+
+
+def part_about(tin: Tin, close: I32, rings: int) -> Part:
+    """The part of a surface that the neighbourhoods of the triangles (c, 3) lie in: what is done
+    near the base costs what is near it.
+    """
+    marked = np.zeros(len(tin.vertices), np.bool_)
+    marked[close] = True
+    grow_kernel(tin.triangles, marked, rings + 1)
+    vertex = np.flatnonzero(marked)
+    if len(vertex) in (0, len(marked)):
+        return Part(tin, np.arange(len(marked)), close)
+    at, keep = places_in(vertex, len(marked)), ~any_corner(tin.triangles, ~marked)
+    number = np.full(len(keep) + 1, -1, np.int32)  # the last stays -1, for the border
+    number[np.flatnonzero(keep)] = np.arange(np.count_nonzero(keep))
+    part = Tin(
+        tin.vertices[vertex],
+        at[tin.triangles[keep]],
+        number[tin.neighbours[keep]],
+        tin.relevant[keep],
+        tin.source[vertex],
+    )
+    return Part(part, vertex, at[close])
 
 
 @kernel
