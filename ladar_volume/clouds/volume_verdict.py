@@ -22,14 +22,17 @@ from ladar_volume.clouds.ground_cover import (
 )
 from ladar_volume.clouds.ground_readings import GroundReadings
 from ladar_volume.ground.polynomial import height_above
-from ladar_volume.math.kernels import kernel
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
+from ladar_volume.model.records import F64, I32, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.boundary import parts_kernel
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.volume.field_checks.base_readings import base_reading_doubts
-from ladar_volume.volume.field_checks.completeness import completeness_doubts
+from ladar_volume.volume.field_checks.completeness import (
+    boundary_sides,
+    completeness_doubts,
+    side_ends,
+)
 from ladar_volume.volume.field_checks.gaps import bridged, find_gaps, gap_doubts
 
 #: Share of the points that are strays, of the area that is holes, of the outline that lies on the
@@ -84,27 +87,12 @@ def places(surface: CloudSurface, inside: F64, most: int = 10) -> list[Place]:
     return out
 
 
-@kernel
-def border_kernel(neighbours: I32, mask: Bool) -> I64:
-    """See :func:`border`: ``3 t + k`` for side k of triangle t."""
-    out = np.empty(3 * np.count_nonzero(mask), np.int64)
-    count = 0
-    for t in range(len(neighbours)):
-        for k in range(3):
-            beyond = neighbours[t, k]
-            if mask[t] and not (beyond >= 0 and mask[beyond]):
-                out[count] = 3 * t + k
-                count += 1
-    return out[:count].copy()
-
-
 def border(tin: Tin, mask: Bool) -> tuple[I32, F64, Bool]:
     """The sides of triangles (m,) that bound them: their ends (b, 2), their lengths (b,) m, and
     whether there is no surface beyond.
     """
-    side = border_kernel(tin.neighbours, mask)
-    t, k = side // 3, side % 3
-    ends = np.stack([tin.triangles[t, (k + 1) % 3], tin.triangles[t, (k + 2) % 3]], axis=1)
+    t, k = boundary_sides(tin, mask)
+    ends = side_ends(tin, t, k)
     d = tin.vertices[ends[:, 1], :2] - tin.vertices[ends[:, 0], :2]
     beyond = tin.neighbours[t, k]
     return ends, np.hypot(d[:, 0], d[:, 1]), (beyond < 0) | ~tin.relevant[beyond]

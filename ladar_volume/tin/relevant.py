@@ -7,15 +7,24 @@ import math
 
 import numpy as np
 
-from ladar_volume.math.kernels import kernel
+from ladar_volume.math.kernels import kernel, leaf_kernel
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
-from ladar_volume.tin.full_tin import footprint_areas
+from ladar_volume.tin.full_tin import area_kernel
 
 #: How relevant triangles are told from others.
 OPTIONS = ("all", "corners", "edge", "circumcircle")
 #: Squares below, m², round to nothing or nearly so; a square root alone takes a third of the time.
 TINY = 1e-290
+
+
+@leaf_kernel
+def side_length(vertices: F64, triangles: I32, t: int, k: int) -> float:
+    """Horizontal length, m, of the edge opposite corner k of triangle t."""
+    a, b = vertices[triangles[t, (k + 1) % 3]], vertices[triangles[t, (k + 2) % 3]]
+    square = (b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2
+    length: float = math.sqrt(square) if square > TINY else np.hypot(b[0] - a[0], b[1] - a[1])
+    return length
 
 
 @kernel
@@ -24,25 +33,38 @@ def length_kernel(vertices: F64, triangles: I32) -> F64:
     out = np.empty((len(triangles), 3))
     for t in range(len(triangles)):
         for k in range(3):
-            a, b = vertices[triangles[t, (k + 1) % 3]], vertices[triangles[t, (k + 2) % 3]]
-            square = (b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2
-            out[t, k] = math.sqrt(square) if square > TINY else np.hypot(b[0] - a[0], b[1] - a[1])
+            out[t, k] = side_length(vertices, triangles, t, k)
     return out
 
 
-def edge_lengths(tin: Tin) -> F64:
-    """Horizontal lengths (m, 3) of the edges opposite each vertex, m."""
-    return np.asarray(length_kernel(tin.vertices, tin.triangles))
+def edge_lengths(tin: Tin, mask: Bool | None = None) -> F64:
+    """Horizontal lengths (k, 3) of the edges opposite each vertex, m, of the triangles in ``mask``
+    (m,), by default of all.
+    """
+    t = tin.triangles if mask is None else tin.triangles[mask]
+    return np.asarray(length_kernel(tin.vertices, t))
+
+
+@kernel
+def circle_kernel(vertices: F64, triangles: I32) -> F64:
+    """See :func:`circumdiameters`."""
+    out, area = np.full(len(triangles), np.inf), area_kernel(vertices, triangles)
+    for t in range(len(triangles)):
+        if area[t] != 0.0:
+            a, b, c = (
+                side_length(vertices, triangles, t, 0),
+                side_length(vertices, triangles, t, 1),
+                side_length(vertices, triangles, t, 2),
+            )
+            out[t] = a * b * c / (2.0 * abs(area[t]))
+    return out
 
 
 def circumdiameters(tin: Tin) -> F64:
     """Diameters (m,) of the horizontal circumcircles, m: product of the edges over twice the area;
     infinite for a triangle so flat that its area rounds to zero.
     """
-    (a, b, c), area = edge_lengths(tin).T, np.abs(footprint_areas(tin.vertices, tin.triangles))
-    out: F64 = np.full(len(area), np.inf)
-    np.divide(a * b * c, 2.0 * area, out=out, where=area > 0.0)
-    return out
+    return np.asarray(circle_kernel(tin.vertices, tin.triangles))
 
 
 def artificial_vertices(tin: Tin) -> I64:

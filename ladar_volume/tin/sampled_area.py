@@ -25,7 +25,7 @@ from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.boundary import parts_kernel
 from ladar_volume.tin.full_tin import build_tin, footprint_areas
 from ladar_volume.tin.locate import locate, triangle_index
-from ladar_volume.tin.relevant import circumdiameters, edge_lengths
+from ladar_volume.tin.relevant import circumdiameters, side_length
 
 #: Fewest footprints that show a spacing.
 FEWEST = 100
@@ -114,7 +114,9 @@ def spacings(xy: F64) -> F64:
 
 
 @kernel
-def peel_kernel(neighbours: I32, lengths: F64, limit: F64, area: F64, depth: F64) -> I64:
+def peel_kernel(
+    vertices: F64, triangles: I32, neighbours: I32, limit: F64, area: F64, depth: F64
+) -> I64:
     """See :func:`peel_gaps`: the side of the hull (a number from 0) behind which each triangle (m,)
     goes, -1 where it stays.
     """
@@ -123,7 +125,10 @@ def peel_kernel(neighbours: I32, lengths: F64, limit: F64, area: F64, depth: F64
     sides = 0
     for first in range(m):
         for k in range(3):
-            if neighbours[first, k] >= 0 or out[first] >= 0 or not lengths[first, k] > limit[first]:
+            if neighbours[first, k] >= 0 or out[first] >= 0:
+                continue
+            length = side_length(vertices, triangles, first, k)
+            if not length > limit[first]:
                 continue
             out[first], stack[0], top, taken, done = sides, first, 1, 0, 0
             queue = [first]
@@ -133,7 +138,9 @@ def peel_kernel(neighbours: I32, lengths: F64, limit: F64, area: F64, depth: F64
                 taken += 1
                 for j in range(3):
                     o = neighbours[t, j]
-                    if o >= 0 and out[o] < 0 and lengths[t, j] > limit[o]:
+                    if o < 0 or out[o] >= 0:
+                        continue
+                    if side_length(vertices, triangles, t, j) > limit[o]:
                         out[o], stack[top] = sides, o
                         queue.append(o)
                         top += 1
@@ -141,7 +148,7 @@ def peel_kernel(neighbours: I32, lengths: F64, limit: F64, area: F64, depth: F64
             for t in queue:
                 total += area[t]
                 deep += area[t] * depth[t]
-            if not total * total > deep * lengths[first, k]:
+            if not total * total > deep * length:
                 for t in queue:
                     out[t] = -2 - sides  # too shallow: another side may still reach it
             sides += 1
@@ -157,7 +164,7 @@ def peel_gaps(tin: Tin, spacing_m: F64) -> Bool:
     # between points that show no spacing nothing stands in the way
     at = np.where(np.isfinite(spacing_m), spacing_m, 0.0)[tin.triangles].min(axis=1)
     area = np.maximum(footprint_areas(tin.vertices, tin.triangles), 0.0)
-    side = peel_kernel(tin.neighbours, edge_lengths(tin), LONG * at, area, DEEP * at)
+    side = peel_kernel(tin.vertices, tin.triangles, tin.neighbours, LONG * at, area, DEEP * at)
     out: Bool = side >= 0
     return out
 

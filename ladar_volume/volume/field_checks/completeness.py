@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladar_volume.ground.polynomial import base_height, height_above
+from ladar_volume.math.kernels import kernel
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
+from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
 from ladar_volume.tin.relevant import edge_lengths
@@ -43,28 +44,48 @@ class Cut:
     y_m: float
 
 
+@kernel
+def boundary_kernel(neighbours: I32, inside: Bool) -> I64:
+    """See :func:`boundary_sides`: ``3 t + k`` for the side opposite corner k of triangle t."""
+    out = np.empty(3 * np.count_nonzero(inside), np.int64)
+    count = 0
+    for t in range(len(neighbours)):
+        if not inside[t]:
+            continue
+        for k in range(3):
+            beyond = neighbours[t, k]
+            if beyond < 0 or not inside[beyond]:
+                out[count] = 3 * t + k
+                count += 1
+    return out[:count].copy()
+
+
 def boundary_sides(tin: Tin, inside: Bool) -> tuple[I64, I64]:
     """Triangles (b,) with a side, the one opposite the corner (b,), on the boundary of those
     ``inside`` (m,).
     """
-    beyond = np.where(tin.neighbours >= 0, inside[tin.neighbours], False)
-    t, k = np.nonzero(inside[:, None] & ~beyond)
-    return t.astype(np.int64), k.astype(np.int64)
+    side = np.asarray(boundary_kernel(tin.neighbours, inside))
+    return side // 3, side % 3
+
+
+def side_ends(tin: Tin, t: I64, k: I64) -> I32:
+    """The vertices (b, 2) at the ends of the sides opposite corners k (b,) of triangles t (b,)."""
+    return np.stack([tin.triangles[t, (k + 1) % 3], tin.triangles[t, (k + 2) % 3]], axis=1)
 
 
 def without_slivers(tin: Tin, inside: Bool) -> Bool:
     """The triangles (m,) inside without the slivers along a straight boundary: where the edge of
     the data cuts a body, one long side can pass below it from ground to ground.
     """
-    length = edge_lengths(tin)
     if not inside.any():
         return inside
-    usual, area = float(np.median(length[inside])), footprint_areas(tin.vertices, tin.triangles)
-    sliver = (length > LONG * usual) & (2.0 * area[:, None] < usual * length)
+    usual = float(np.median(edge_lengths(tin, inside)))
     left = inside.copy()
     for _ in range(PEELED):
         t, k = boundary_sides(tin, left)
-        gone = t[sliver[t, k]]
+        d = np.diff(tin.vertices[side_ends(tin, t, k), :2], axis=1)[:, 0]
+        length, area = np.hypot(d[:, 0], d[:, 1]), footprint_areas(tin.vertices, tin.triangles[t])
+        gone = t[(length > LONG * usual) & (2.0 * area < usual * length)]
         if not len(gone):
             break
         left[gone] = False
@@ -76,8 +97,7 @@ def cut_at_boundary(tin: Tin, base: Plane, inside: Bool, least_m: float) -> Cut 
     boundary of the triangles ``inside`` (m,).
     """
     t, k = boundary_sides(tin, without_slivers(tin, inside))
-    ends = np.stack([tin.triangles[t, (k + 1) % 3], tin.triangles[t, (k + 2) % 3]], axis=1)
-    r = tin.vertices[ends]
+    r = tin.vertices[side_ends(tin, t, k)]
     height = np.abs(r[:, :, 2] - base_height(base, r[:, :, :2].reshape(-1, 2)).reshape(-1, 2))
     high = (height > least_m).any(axis=1)
     if not high.any():

@@ -125,9 +125,10 @@ def within_hull(xy: F64, tin: Tin, rows: I64) -> Bool:
 def find_gaps(tin: Tin, inside_m2: F64) -> Gaps:
     """The gaps of the triangles that count, with their area inside_m2 (m,) m²."""
     inside = inside_m2 > 0.0
-    longest = edge_lengths(tin).max(axis=1)
-    usual = float(np.median(longest[inside])) if inside.any() else 0.0
-    wide = inside & (longest > GAP * usual)
+    longest = edge_lengths(tin, inside).max(axis=1)
+    usual = float(np.median(longest)) if len(longest) else 0.0
+    wide = inside.copy()
+    wide[inside] = longest > GAP * usual
     number = np.full(len(inside), -1, np.int64)
     if not wide.any():
         return Gaps(number, np.zeros(0), usual)
