@@ -34,6 +34,7 @@ NAMES = (
     "seeds",
     "pits",
     "spheres",
+    "cloud_volume",
     "correlated_sum",
     "ball_box",
     "cut_fill_coverage",
