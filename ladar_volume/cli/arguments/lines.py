@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from typing import NoReturn, TypeAlias
 
 from rich.markup import escape
@@ -34,7 +35,22 @@ def shown_name(name: object) -> str:
 
 
 class Parser(argparse.ArgumentParser):
-    """Refuses a command line in one line."""
+    """Refuses a command line in one line, and takes options between file names."""
+
+    _mixing = False
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        """As argparse, with ``A --json B`` for ``A B --json``."""
+        rest = (argparse.PARSER, argparse.REMAINDER)
+        if self._mixing or any(a.nargs in rest for a in self._get_positional_actions()):
+            return super().parse_known_args(args, namespace)
+        self._mixing = True  # the mixed way calls this one
+        try:
+            return self.parse_known_intermixed_args(args, namespace)
+        finally:
+            self._mixing = False
 
     def error(self, message: str) -> NoReturn:
         """Print the error and end with code 2."""
