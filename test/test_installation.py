@@ -35,6 +35,8 @@ KEYS = {
     "pye57": "",
     "pyogrio": "",
     "shapely": "",
+    "geopandas": "",
+    "xarray": "",
     "dask": "",
     "distributed": "",
 }

@@ -5,12 +5,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from ladar_volume.api.frames import dataset_of, geodataframe_of
+from ladar_volume.io.export.deliverable import Deliverable
 from ladar_volume.model.records import F64, I64, Estimate, Tin
+
+if TYPE_CHECKING:
+    import geopandas
+    import xarray
 
 
 @dataclass(frozen=True)
@@ -49,7 +55,7 @@ class VolumeAnswer(Answer):
     """A volume above a base, or between two surfaces; net = cut − fill.
 
     interval_m3 : where the true volume is with probability ``confidence`` · sigma_holds : which
-    errors ``sigma_m3`` holds · tin : the first surface
+    errors ``sigma_m3`` holds · tin : the first surface · made : what files of the result hold
     """
 
     net_m3: float
@@ -62,6 +68,23 @@ class VolumeAnswer(Answer):
     base: str
     sigma_holds: str
     tin: Tin = field(repr=False)
+    made: Callable[[], Deliverable] = field(repr=False, compare=False)
+
+    def to_geodataframe(self) -> geopandas.GeoDataFrame:
+        """Outlines of what counts, a row each, with volume, sigma and area, in the coordinate
+        system of the points.
+
+        Raises ImportError without geopandas (extra ``frames``).
+        """
+        return geodataframe_of(self.made())
+
+    def to_xarray(self, cell_m: float | None = None) -> xarray.Dataset:
+        """Rasters of ``height``, ``sigma`` and ``base``, m, over y and x; without a cell size about
+        one cell a vertex.
+
+        Raises ImportError without xarray (extra ``frames``), OutputError for too many cells.
+        """
+        return dataset_of(self.made(), cell_m)
 
     def rows(self) -> list[tuple[str, str]]:
         """Net, interval, cut, fill, area, base."""

@@ -19,12 +19,16 @@ import numpy.typing as npt
 from ladar_volume.api.answers import FilterAnswer, SurveyAnswer, VolumeAnswer
 from ladar_volume.cli.inputs.reading import Source, reading_of
 from ladar_volume.cli.main import make_parser
+from ladar_volume.io.export.export_set import Wanted
+from ladar_volume.io.export.output_system import system_of_cloud
 from ladar_volume.io.pointfiles.cloud_files import PointFile, read_cloud
 from ladar_volume.io.pointfiles.point_file import assemble
 from ladar_volume.io.pointfiles.raw_table import RawTable
 from ladar_volume.model.errors import ConfigurationError, InputError
 
 if TYPE_CHECKING:
+    from ladar_volume.cli.outputs.cloud_files_out import Result
+    from ladar_volume.io.export.deliverable import Deliverable
     from ladar_volume.model.parameters import Parameters
 
 #: Points: a file, what :func:`read` gave, or an array (n, 3), m.
@@ -76,14 +80,26 @@ def volume(points: Points, base: float | Points | None = None, **options: Option
     if arguments.report is not None:
         report_of(arguments, found)
     facts = found.facts
-    low, high = facts["interval_m3"]
     return VolumeAnswer(
         facts=facts,
-        interval_m3=(low, high),
+        interval_m3=tuple(facts["interval_m3"]),
         tin=found.surfaces[0].made.tin,
+        made=lambda: _map_of(arguments, sources, found),
         **{name: facts[name] for name in ("net_m3", "sigma_m3", "confidence", "cut_m3", "fill_m3")},
         **{name: facts[name] for name in ("area_m2", "base", "sigma_holds")},
     )
+
+
+def _map_of(arguments: argparse.Namespace, sources: Sequence[Source], found: Result) -> Deliverable:
+    """What tables and rasters of a result hold. Raises :class:`ConfigurationError` for a surface
+    over another plane than the map's.
+    """
+    from ladar_volume.cli.outputs.cloud_files_out import deliverable
+
+    if arguments.frame != "level":
+        raise ConfigurationError("tables and rasters are maps: they go with frame='level'")
+    system = system_of_cloud(sources[0].cloud.coordinates, False)
+    return deliverable(Wanted(("tif",)), sources, found, system)
 
 
 def filter(points: Points, **options: Option) -> FilterAnswer:
