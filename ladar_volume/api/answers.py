@@ -10,13 +10,13 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from ladar_volume.api.frames import dataset_of, geodataframe_of
-from ladar_volume.io.export.deliverable import Deliverable
 from ladar_volume.model.records import F64, I64, Estimate, Tin
 
 if TYPE_CHECKING:
     import geopandas
     import xarray
+
+    from ladar_volume.io.export.deliverable import Deliverable
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class VolumeAnswer(Answer):
     """A volume above a base, or between two surfaces; net = cut − fill.
 
     interval_m3 : where the true volume is with probability ``confidence`` · sigma_holds : which
-    errors ``sigma_m3`` holds · tin : the first surface · made : what files of the result hold
+    errors ``sigma_m3`` holds · tin : the first surface · made : gives what its files hold
     """
 
     net_m3: float
@@ -76,6 +76,8 @@ class VolumeAnswer(Answer):
 
         Raises ImportError without geopandas (extra ``frames``).
         """
+        from ladar_volume.api.frames import geodataframe_of
+
         return geodataframe_of(self.made())
 
     def to_xarray(self, cell_m: float | None = None) -> xarray.Dataset:
@@ -84,6 +86,8 @@ class VolumeAnswer(Answer):
 
         Raises ImportError without xarray (extra ``frames``), OutputError for too many cells.
         """
+        from ladar_volume.api.frames import dataset_of
+
         return dataset_of(self.made(), cell_m)
 
     def rows(self) -> list[tuple[str, str]]:

@@ -1,13 +1,15 @@
-"""Answers as tables and rasters of geopandas and xarray."""
+"""Results as the tables of geopandas and the rasters of xarray."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import importlib
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from ladar_volume.io.export.deliverable import Deliverable
-from ladar_volume.io.export.height_raster import BANDS, grid_of, heights_at
+from ladar_volume.io.export.height_raster import BANDS, grid_of, rows_of_heights
 from ladar_volume.io.export.map_features import outline_features
-from ladar_volume.tin.locate import triangle_index
 
 if TYPE_CHECKING:
     import geopandas
@@ -17,20 +19,21 @@ if TYPE_CHECKING:
 NAMES = ("height", "sigma", "base")
 
 
-def needs(package: str) -> ImportError:
-    """What is said where a package is missing."""
-    return ImportError(f"needs {package}: pip install 'ladar_volume[frames]'")
+def loaded(package: str) -> Any:
+    """A package of the extra ``frames``. Raises ImportError, which says how to install it."""
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        words = f"needs {package}: pip install 'ladar_volume[frames]'"
+        raise ImportError(words) from error
 
 
 def geodataframe_of(d: Deliverable) -> geopandas.GeoDataFrame:
     """One row for each outline of what counts, with its volume, sigma and area, in the coordinate
     system of the cloud; polygons in three dimensions.
     """
-    try:
-        import geopandas
-    except ImportError as error:
-        raise needs("geopandas") from error
-    return geopandas.GeoDataFrame.from_features(list(outline_features(d)), crs=d.system.crs)
+    frame = loaded("geopandas").GeoDataFrame
+    return frame.from_features(list(outline_features(d)), crs=d.system.crs)
 
 
 def dataset_of(d: Deliverable, cell_m: float | None) -> xarray.Dataset:
@@ -38,22 +41,22 @@ def dataset_of(d: Deliverable, cell_m: float | None) -> xarray.Dataset:
     base under what counts, m, over y (from north to south) and x, at the middles of the cells; NaN
     outside. Raises :class:`ladar_volume.model.errors.OutputError` for too many cells.
     """
-    try:
-        import xarray
-    except ImportError as error:
-        raise needs("xarray") from error
-    grid = grid_of(d, cell_m)
-    xy = grid.middles(0, grid.rows)
-    bands = heights_at(d, xy, triangle_index(d.tin, d.tin.relevant))
-    shape, unit = (grid.rows, grid.columns), {"units": "m"}
+    xr, grid = loaded("xarray"), grid_of(d, cell_m)
+    count = len(NAMES) if d.base_m is not None else len(NAMES) - 1
+    bands = np.empty((count, grid.rows, grid.columns))
+    for first, some in rows_of_heights(d, grid):
+        bands[:, first : first + len(some[0])] = some
     data = {
-        name: (("y", "x"), band.reshape(shape), {**unit, "long_name": words})
+        name: (("y", "x"), band, {"units": "m", "long_name": words})
         for name, words, band in zip(NAMES, BANDS, bands, strict=False)
     }
-    x, y = xy[: grid.columns, 0], xy[:: grid.columns, 1]
-    axes = {"x": ("x", x, unit), "y": ("y", y, unit)}
-    found = xarray.Dataset(data, axes, {"survey": d.name, "cell_m": grid.cell_m})
-    if d.system.crs is None:
-        return found
-    # where rioxarray and GDAL's netCDF driver look for it
-    return found.assign_coords(spatial_ref=((), 0, {"crs_wkt": d.system.wkt}))
+    axes = {"x": grid.x_m, "y": grid.y_m(0, grid.rows)}
+    found: xarray.Dataset = xr.Dataset(
+        data,
+        {name: (name, at, {"units": "m"}) for name, at in axes.items()},
+        {"survey": d.name, "cell_m": grid.cell_m},
+    )
+    if d.system.crs is not None:
+        # where rioxarray and GDAL's netCDF driver look for it
+        found.coords["spatial_ref"] = ((), 0, {"crs_wkt": d.system.wkt})
+    return found

@@ -19,8 +19,6 @@ import numpy.typing as npt
 from ladar_volume.api.answers import FilterAnswer, SurveyAnswer, VolumeAnswer
 from ladar_volume.cli.inputs.reading import Source, reading_of
 from ladar_volume.cli.main import make_parser
-from ladar_volume.io.export.export_set import Wanted
-from ladar_volume.io.export.output_system import system_of_cloud
 from ladar_volume.io.pointfiles.cloud_files import PointFile, read_cloud
 from ladar_volume.io.pointfiles.point_file import assemble
 from ladar_volume.io.pointfiles.raw_table import RawTable
@@ -95,6 +93,8 @@ def _map_of(arguments: argparse.Namespace, sources: Sequence[Source], found: Res
     over another plane than the map's.
     """
     from ladar_volume.cli.outputs.cloud_files_out import deliverable
+    from ladar_volume.io.export.export_set import Wanted
+    from ladar_volume.io.export.output_system import system_of_cloud
 
     if arguments.frame != "level":
         raise ConfigurationError("tables and rasters are maps: they go with frame='level'")

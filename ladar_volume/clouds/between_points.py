@@ -189,15 +189,16 @@ def coarser(surface: CloudSurface, inside: F64, kept: I64) -> tuple[F64, float, 
     coarse = build_tin(tin.vertices[kept])
     own = np.flatnonzero(inside > 0)
     corners, above = tin.triangles[own], kept[coarse.source][coarse.triangles]
+    area, z = inside[own], tin.vertices[:, 2].copy()
     index = triangle_index(coarse)
     differences, gradient = np.zeros(len(own)), np.zeros(len(tin.vertices))
     covered = np.zeros(len(coarse.triangles))
     for place, weight in zip(PLACES, WEIGHTS, strict=True):
         p = places_kernel(tin.vertices, corners, place)
-        where, part = locate(index, p[:, :2]), weight * inside[own]
+        where = locate(index, p[:, :2])
         b = barycentric(coarse, np.maximum(where, 0), p[:, :2])
-        at = Places(p, where, place, b, part)
-        add_kernel(tin.vertices[:, 2].copy(), corners, above, at, differences, gradient, covered)
+        at = Places(p, where, place, b, weight * area)
+        add_kernel(z, corners, above, at, differences, gradient, covered)
     size = wide(coarse, covered)
     middle = places_kernel(tin.vertices, corners, PLACES[0])[:, :2]
     cell = np.floor((middle - middle.min(axis=0)) / (BLOCK * size)).astype(np.int64)

@@ -26,7 +26,7 @@ from ladar_volume.tin.sampled_area import FEWEST, spacings
 
 #: Neighbours in space, those in the plane whose distances are compared, those of a plane.
 COMPANY, AROUND, PLANE = 8, 24, 16
-#: Points in the cells that tell in a moment where nothing is isolated, in the mean.
+#: Mean number of points in a cell of :func:`least_around`.
 MANY = 50
 #: Isolated above this many times the lower quartile of the distances around.
 ISOLATED = 3.0
@@ -152,28 +152,25 @@ def plane_kernel(
     return out
 
 
-def isolated_points(points: F64) -> Bool:
-    """Points (n,) whose neighbours in space are far for the points around them."""
+def isolated_points(points: F64, flat: F64) -> Bool:
+    """Points (n,) whose neighbours in space are far for the points around them; flat : (n, 3), the
+    same points at height 0.
+    """
     distance = nearest(nearest_index(points), points, COMPANY + 1)[1]
     out = distance > ISOLATED * least_around(points, distance)
     some = np.flatnonzero(out)
     if len(some):
-        flat = on_plane(points)
         near = distance[nearest(nearest_index(flat), flat[some], AROUND)[0]]
         near.partition(AROUND // 4, axis=1)
         out[some] = distance[some] > ISOLATED * near[:, AROUND // 4]
     return out
 
 
-def on_plane(points: F64) -> F64:
-    """Points (n, 3) at height 0, for distances over the plane."""
-    return np.ascontiguousarray(points * [1.0, 1.0, 0.0])
-
-
 def least_around(points: F64, distance: F64) -> F64:
-    """What no quartile of the distances (n,) among the :data:`AROUND` points nearest to each of
-    points (n, 3) over the plane is below: the least in five by five cells, in the middle one of
-    which there are as many points; 0 where there are fewer.
+    """A lower bound (n,) of the lower quartile of ``distance`` (n,) among the :data:`AROUND` points
+    nearest to each of points (n, 3) over the plane: the least in the five by five cells around a
+    point. It is 0 where the point's own cell holds fewer than :data:`AROUND`, since the nearest may
+    then lie beyond those cells.
     """
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     size = max(
@@ -192,11 +189,12 @@ def least_around(points: F64, distance: F64) -> F64:
     return out
 
 
-def plane_neighbours(points: F64, good: Bool, chosen: I64, cells: F64 | None) -> I32:
-    """Rows (k, PLANE + 1), in no order, of the good points nearest to those ``chosen`` (k,) over
-    the plane; with cells (n,) m, of those that are left when one point is taken from each.
+def plane_neighbours(flat: F64, good: Bool, chosen: I64, cells: F64 | None) -> I32:
+    """Rows (k, PLANE + 1), in no order, of the good points nearest to those ``chosen`` (k,) among
+    points flat (n, 3) at height 0, -1 for none; with cells (n,) m, of those that are left when one
+    point is taken from each.
     """
-    rows, flat = np.flatnonzero(good).astype(np.int32), on_plane(points)
+    rows = np.flatnonzero(good).astype(np.int32)
     out = np.full((len(chosen), PLANE + 1), -1, np.int32)
     groups = [(0.0, np.arange(len(chosen)))]
     if cells is not None:
@@ -204,10 +202,13 @@ def plane_neighbours(points: F64, good: Bool, chosen: I64, cells: F64 | None) ->
         groups = [(c, np.flatnonzero(of == c)) for c in np.unique(of).tolist()]
     for cell, at in groups:
         # in their order, neighbours beside neighbours
-        kept = rows if cell == 0.0 else np.sort(rows[thinned(points[rows], cell)])
+        kept = rows if cell == 0.0 else np.sort(rows[thinned(flat[rows], cell)])
         if len(kept) <= PLANE:
             kept = rows
-        out[at] = kept[nearest(nearest_index(flat[kept]), flat[chosen[at]], PLANE + 1)[0]]
+        most = min(PLANE + 1, len(kept))
+        if most:
+            near = nearest(nearest_index(flat[kept]), flat[chosen[at]], most)[0]
+            out[at, :most] = kept[near]
     return out
 
 
@@ -232,14 +233,14 @@ def clean(points: F64) -> Cleaned:
 
 def find_strays(r: F64, noise: CloudNoise) -> tuple[Bool, Bool]:
     """Which of points r (n, 3), m, are isolated, and which are strays."""
-    everything = np.arange(len(r), dtype=np.int64)
-    isolated = isolated_points(r)
+    everything, flat = np.arange(len(r), dtype=np.int64), r * [1.0, 1.0, 0.0]
+    isolated = isolated_points(r, flat)
     cells = CELL * spacings(r[:, :2]) if noise.on_lines > LINES else None
     sigma = max(noise.sigma_m, 1e-9 * float(np.ptp(r, axis=0).max()))
     limits = np.array([OFF_ISOLATED, OFF, AGREE, MAJORITY, OWN])
     good, chosen = np.ones(len(r), bool), everything
     for _ in range(PASSES):
-        near = plane_neighbours(r, good & ~isolated, chosen, cells)
+        near = plane_neighbours(flat, good & ~isolated, chosen, cells)
         stray = chosen[plane_kernel(r, chosen, near, sigma, isolated, limits)]
         stray = stray[good[stray]]
         if not len(stray):

@@ -28,7 +28,7 @@ FEWEST = 2 * NEIGHBOURS
 CELL = 0.5
 #: Residuals beyond this many standard deviations do not count; the variance that this cuts off.
 CUT, KEPT = 3.0, 0.9733
-#: Points in the cells within which neighbours are looked for, in the mean.
+#: Mean number of points in a cell of :func:`beside_kernel`.
 BESIDE = 12.0
 #: Neighbours whose footprints are this much narrower than they are long lie on one line.
 NARROW = 0.2

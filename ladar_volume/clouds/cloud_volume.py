@@ -206,9 +206,9 @@ def solid_above(
     tin, mask = surface.made.tin, inside > 0
     by_polygon = parameters.volume.outline == "polygon"
     found = solid_within(tin, base, mask, parameters)
-    # heights alone move here: the gradients sideways, as large as the cloud, are let go
+    volumes, base_net = (found.cut_m3, found.fill_m3, found.area_m2), found.base_net
     net, cut = (g[:, 2].copy() for g in (found.gradient_net, found.gradient_cut))
-    found = dataclasses.replace(found, gradient_cut=cut[:0], gradient_fill=cut[:0])
+    del found  # its horizontal gradients take as much memory as the cloud
     near, curved = None, 0.0
     # a triangle that the outline cuts is left uncorrected
     whole = whole_triangles(tin, inside) if by_polygon else mask
@@ -223,14 +223,12 @@ def solid_above(
     if len(base.support):
         # the base moves with the points that define it
         at = design(tin.vertices[:, :2], base.origin_xy, degree_of(base))
-        by_beta = np.stack([found.base_net, -at.T @ cut], axis=1)
+        by_beta = np.stack([base_net, -at.T @ cut], axis=1)
         gradient[base.support] += ground_gradient(tin.vertices, base, by_beta)[..., 2]
-        field = ground_field(tin, base, found, inside, variance)
+        field = ground_field(tin, base, base_net, inside, variance)
         if field is not None:
             extra["base_surface"] = field.variance_m6
-    return Solid(
-        found.cut_m3, found.fill_m3, found.area_m2, ((surface, gradient),), near, curved, extra
-    )
+    return Solid(*volumes, ((surface, gradient),), near, curved, extra)
 
 
 def between_clouds(

@@ -25,14 +25,10 @@ from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I32, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt, Verdict
-from ladar_volume.tin.boundary import parts_kernel
+from ladar_volume.tin.boundary import boundary_sides, parts_kernel, side_ends
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.volume.field_checks.base_readings import base_reading_doubts
-from ladar_volume.volume.field_checks.completeness import (
-    boundary_sides,
-    completeness_doubts,
-    side_ends,
-)
+from ladar_volume.volume.field_checks.completeness import completeness_doubts
 from ladar_volume.volume.field_checks.gaps import bridged, find_gaps, gap_doubts
 
 #: Share of the points that are strays, of the area that is holes, of the outline that lies on the

@@ -1,4 +1,4 @@
-"""Rows of numbers that are equal, by hashing: sorting takes five times as long."""
+"""Rows of numbers that are equal, found by hashing."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from ladar_volume.math.array_types import F64, I64
 from ladar_volume.math.kernels import kernel
 
-#: Slots of the table per row, at least.
+#: Least number of slots in the table per row.
 ROOM = 2
 #: Odd numbers that spread the bits (Steele, Lea & Flood 2014, "Fast splittable pseudorandom number
 #: generators").

@@ -1,9 +1,9 @@
 """The nearest points of a cloud that lies in memory along a curve, neighbours beside neighbours.
 
-Groups of consecutive points have boxes, above which stands a complete binary tree of boxes. How far
-the k nearest are at most is known before the search: for any place from k points in a row, for the
-place after another from the answer for that one. What lies within is collected and the k nearest
-are selected. Any order gives the same answer; one along a space-filling curve gives it soon.
+Groups of consecutive points have boxes, and a complete binary tree of boxes stands above them. Each
+search begins with an upper bound of the distance to the k-th nearest point: from the answer for the
+place before, or from any k consecutive points. It collects the points within that bound and selects
+the k nearest. The answer does not depend on the order of the points; the time does.
 """
 
 from __future__ import annotations
@@ -15,11 +15,13 @@ import numba
 import numpy as np
 
 from ladar_volume.math.array_types import F64, I32, I64
+from ladar_volume.math.box_tree import join_boxes
 from ladar_volume.math.kernels import kernel, leaf_kernel, parallel_kernel
+from ladar_volume.math.normal_equations import select_kth
 
-#: Points of a group; parts of the places that are worked on independently.
+#: Points of a group; parts of the work that are shared out to the threads.
 GROUP, CHUNKS = 16, 64
-#: What rounding may do to a square of a distance.
+#: Factor by which rounding may raise a squared distance.
 MARGIN = 1.0 + 1e-12
 
 
@@ -42,10 +44,7 @@ def group_boxes(points: F64, groups: int) -> F64:
         for c in range(3):
             boxes[node, c] = min(boxes[node, c], points[i, c])
             boxes[node, 3 + c] = max(boxes[node, 3 + c], points[i, c])
-    for node in range(groups - 1, 0, -1):
-        for c in range(3):
-            boxes[node, c] = min(boxes[2 * node, c], boxes[2 * node + 1, c])
-            boxes[node, 3 + c] = max(boxes[2 * node, 3 + c], boxes[2 * node + 1, 3 + c])
+    join_boxes(boxes)
     return boxes
 
 
@@ -69,8 +68,8 @@ def square_to_box(box: F64, place: F64) -> float:
 
 @leaf_kernel
 def bound_of(index: NearestIndex, place: F64, k: int) -> float:
-    """What the square of the distance to the k-th nearest is not above: the largest to k points in
-    a row, about the group that is found by going down to the nearer child.
+    """An upper bound of the square of the distance to the k-th nearest point: the largest to k
+    consecutive points about the group that lies down the path of the nearer child.
     """
     points, boxes = index.points, index.boxes
     node, groups, out = 1, len(boxes) // 2, 0.0
@@ -88,8 +87,9 @@ def bound_of(index: NearestIndex, place: F64, k: int) -> float:
 def collect(
     index: NearestIndex, place: F64, bound: float, rows: I64, square: F64, stack: I64
 ) -> int:
-    """The points within a square of a distance from a place (3,), and their squares; returns how
-    many there are, which may exceed the length of ``rows``: the rest is then not written.
+    """The points within a square of a distance from a place (3,), in their order, and their
+    squared distances. Returns how many there are, which may exceed the length of ``rows``: the rest
+    is then not written.
     """
     points, boxes = index.points, index.boxes
     groups, count = len(boxes) // 2, 0
@@ -115,33 +115,6 @@ def collect(
     return count
 
 
-@leaf_kernel
-def select(rows: I64, square: F64, count: int, k: int) -> float:
-    """Bring the k smallest of ``count`` squares, and their rows, to the front (Hoare 1961); returns
-    the largest of them.
-    """
-    low, high = 0, count - 1
-    while low < high:
-        pivot, i, j = square[(low + high) // 2], low, high
-        while i <= j:
-            while square[i] < pivot:
-                i += 1
-            while square[j] > pivot:
-                j -= 1
-            if i <= j:
-                square[i], square[j] = square[j], square[i]
-                rows[i], rows[j] = rows[j], rows[i]
-                i, j = i + 1, j - 1
-        if k - 1 <= j:
-            high = j
-        elif k - 1 >= i:
-            low = i
-        else:
-            break
-    largest: float = square[k - 1]
-    return largest
-
-
 @kernel
 def search_part(
     index: NearestIndex, places: F64, some: tuple[int, int], out: I32, far: F64
@@ -150,7 +123,8 @@ def search_part(
     has columns, and how far the last of them is into ``far`` (m,).
     """
     k = out.shape[1]
-    rows, square, stack = np.empty(64, np.int64), np.empty(64), np.empty(128, np.int64)
+    rows, square, sorted_ = np.empty(64, np.int64), np.empty(64), np.empty(64)
+    stack = np.empty(128, np.int64)
     last = np.inf
     for i in range(some[0], some[1]):
         moved = square_to(places, max(i - 1, 0), places[i])
@@ -160,11 +134,20 @@ def search_part(
         count = collect(index, places[i], bound, rows, square, stack)
         if count > len(rows):
             rows, square = np.empty(2 * count, np.int64), np.empty(2 * count)
+            sorted_ = np.empty(2 * count)
             count = collect(index, places[i], bound, rows, square, stack)
-        last = select(rows, square, count, k)
+        sorted_[:count] = square[:count]
+        last = select_kth(sorted_, count, k - 1)
         far[i] = math.sqrt(last)
-        for j in range(k):
-            out[i, j] = rows[j]
+        taken = 0
+        for j in range(count):
+            if square[j] < last:
+                out[i, taken] = rows[j]
+                taken += 1
+        for j in range(count):
+            if square[j] == last and taken < k:
+                out[i, taken] = rows[j]
+                taken += 1
 
 
 @parallel_kernel
@@ -185,7 +168,7 @@ def nearest_index(points: F64) -> NearestIndex:
 
 def nearest(index: NearestIndex, places: F64, k: int) -> tuple[I32, F64]:
     """Rows (m, k) of the k points nearest to places (m, 3), in no order, and the distances (m,) m
-    of the farthest of them. Of points equally far at the end any may be taken, always the same.
+    of the farthest of them. Of several at that distance the first in the index are taken.
 
     Raises :class:`ValueError` where the index has fewer than k points.
     """

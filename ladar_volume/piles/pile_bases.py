@@ -25,7 +25,6 @@ from ladar_volume.volume.near_base import near_base
 from ladar_volume.volume.neighbourhood import SparseF64
 from ladar_volume.volume.overlay import between
 from ladar_volume.volume.polygon import check_polygon, clipped_prismoids, weights_inside
-from ladar_volume.volume.prismoids import Prismoids
 from ladar_volume.volume.volume_loads import ground_field, whole_triangles
 
 
@@ -80,10 +79,8 @@ def pile_part(surface: CloudSurface, pile: Pile) -> PilePart:
 
 def roughness_around(part: PilePart, ground: Plane) -> Roughness | None:
     """How the ground around a pile deviates from the polynomial fitted to it."""
-    none = np.zeros((0, 3))
-    by_beta = -loads(part, ground)
-    found = Prismoids(0.0, 0.0, part.area_m2, none, none, by_beta, np.zeros_like(by_beta))
-    field = ground_field(part.tin, ground, found, part.inside_m2, part.surface.vertex_variance)
+    variance = part.surface.vertex_variance
+    field = ground_field(part.tin, ground, -loads(part, ground), part.inside_m2, variance)
     return None if field is None else field.rough
 
 
@@ -98,9 +95,7 @@ def above_plane(part: PilePart, plane: Plane) -> Net:
     by_beta = -(design(v[:, :2], plane.origin_xy, degree_of(plane)).T @ g[used])
     out = g.copy()
     out[plane.support] += ground_gradient(tin.vertices, plane, by_beta[:, None])[:, 0, 2]
-    none = np.zeros((0, 3))
-    found = Prismoids(0.0, 0.0, part.area_m2, none, none, by_beta, np.zeros_like(by_beta))
-    rough = ground_field(tin, plane, found, part.inside_m2, part.surface.vertex_variance)
+    rough = ground_field(tin, plane, by_beta, part.inside_m2, part.surface.vertex_variance)
     return Net(net, out, None, {} if rough is None else {"base_surface": rough.variance_m6})
 
 

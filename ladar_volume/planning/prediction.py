@@ -275,7 +275,7 @@ def with_roughness(estimate: Estimate, pile: Pile, parameters: Parameters) -> Vo
     v, tin, base = estimate.volume, estimate.tin, estimate.base
     inside = area_inside(tin, base, parameters.volume)
     field = ground_field(
-        tin, base, prismoids(tin, base, inside > 0), inside, np.zeros(len(tin.vertices))
+        tin, base, prismoids(tin, base, inside > 0).base_net, inside, np.zeros(len(tin.vertices))
     )
     if field is None:
         return v

@@ -30,6 +30,35 @@ class Edited:
 
 
 @kernel
+def boundary_kernel(neighbours: I32, inside: Bool) -> I64:
+    """See :func:`boundary_sides`: ``3 t + k`` for the side opposite corner k of triangle t."""
+    out = np.empty(3 * np.count_nonzero(inside), np.int64)
+    count = 0
+    for t in range(len(neighbours)):
+        if not inside[t]:
+            continue
+        for k in range(3):
+            beyond = neighbours[t, k]
+            if beyond < 0 or not inside[beyond]:
+                out[count] = 3 * t + k
+                count += 1
+    return out[:count].copy()
+
+
+def boundary_sides(tin: Tin, inside: Bool) -> tuple[I64, I64]:
+    """Triangles (b,) with a side, the one opposite the corner (b,), on the boundary of those
+    ``inside`` (m,).
+    """
+    side = np.asarray(boundary_kernel(tin.neighbours, inside))
+    return side // 3, side % 3
+
+
+def side_ends(tin: Tin, t: I64, k: I64) -> I32:
+    """The vertices (b, 2) at the ends of the sides opposite corners k (b,) of triangles t (b,)."""
+    return np.stack([tin.triangles[t, (k + 1) % 3], tin.triangles[t, (k + 2) % 3]], axis=1)
+
+
+@kernel
 def open_sides(neighbours: I32, mask: Bool, lengths: F64, t: int) -> tuple[int, float]:
     """How many sides of triangle t border no triangle of the mask, and the longest of them, m."""
     count, longest = 0, 0.0

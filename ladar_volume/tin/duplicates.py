@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ladar_volume.math.equal_rows import first_equal
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64
@@ -23,11 +24,10 @@ def copies_kernel(xy: F64, tolerance: float, cell: F64, head: I64, after: I32, s
     ``cell`` (n, 2) are whole numbers.
     """
     mask = len(head) - 1
-    reach = 1 if tolerance > 0.0 else 0
     for i in range(len(xy)):
         same[i] = i
-        for dx in range(-reach, reach + 1):
-            for dy in range(-reach, reach + 1):
+        for dx in range(-1, 2):
+            for dy in range(-1, 2):
                 k = head[cell_bucket(cell[i, 0] + dx, cell[i, 1] + dy, mask)]
                 while k >= 0:
                     x, y = xy[k, 0] - xy[i, 0], xy[k, 1] - xy[i, 1]
@@ -54,17 +54,14 @@ def first_within(xy: F64, tolerance_m: float = 0.0) -> I32:
             value=tolerance_m,
         )
     n = len(xy)
+    if n == 0 or tolerance_m == 0.0:
+        return first_equal(xy).astype(np.int32)
     same, after = np.empty(n, np.int32), np.empty(n, np.int32)
-    if n == 0:
-        return same
-    xy = np.asarray(xy, dtype=np.float64) + 0.0
-    if tolerance_m > 0.0:
-        cell = np.floor((xy - xy.min(axis=0)) / tolerance_m)
-        if not cell.max() < 2.0**52:
-            words = f"a tolerance of {tolerance_m} m is below the points' resolution"
-            raise SurfaceError(words, reason="surface_tolerance", value=tolerance_m)
-    else:
-        cell = xy.view(np.int64)
+    xy = np.asarray(xy, dtype=np.float64)
+    cell = np.floor((xy - xy.min(axis=0)) / tolerance_m)
+    if not cell.max() < 2.0**52:
+        words = f"a tolerance of {tolerance_m} m is below the points' resolution"
+        raise SurfaceError(words, reason="surface_tolerance", value=tolerance_m)
     head = np.full(1 << int(2 * n - 1).bit_length(), -1, np.int64)
     copies_kernel(xy, float(tolerance_m), cell, head, after, same)
     return same

@@ -38,6 +38,24 @@ def places_in(source: I64, n: int) -> I32:
     return out
 
 
+def part_of(tin: Tin, chosen: Bool) -> Tin:
+    """The part of a surface over the vertices ``chosen`` (n,): these, in their order, and the
+    triangles that have no other.
+    """
+    keep = ~any_corner(tin.triangles, ~chosen)
+    own = np.flatnonzero(chosen)
+    number = np.full(len(keep) + 1, -1, np.int32)  # the last stays -1, for the hull
+    number[np.flatnonzero(keep)] = np.arange(np.count_nonzero(keep))
+    return Tin(
+        tin.vertices[own],
+        places_in(own, len(chosen))[tin.triangles[keep]],
+        number[tin.neighbours[keep]],
+        tin.relevant[keep],
+        tin.source[own],
+        tin.duplicates,
+    )
+
+
 @kernel
 def area_kernel(vertices: F64, triangles: I32) -> F64:
     """See :func:`footprint_areas`."""

@@ -15,6 +15,7 @@ import numba
 import numpy as np
 from scipy import sparse
 
+from ladar_volume.math.box_tree import join_boxes
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
@@ -101,10 +102,7 @@ def build_boxes(corners: F64, leaves: int) -> F64:
             for c in range(2):
                 boxes[node, c] = min(boxes[node, c], corners[t, k, c])
                 boxes[node, 2 + c] = max(boxes[node, 2 + c], corners[t, k, c])
-    for node in range(leaves - 1, 0, -1):
-        for c in range(2):
-            boxes[node, c] = min(boxes[2 * node, c], boxes[2 * node + 1, c])
-            boxes[node, 2 + c] = max(boxes[2 * node, 2 + c], boxes[2 * node + 1, 2 + c])
+    join_boxes(boxes)
     return boxes
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from ladar_volume.math.sparse_diagonal import diagonal_matrix
 from ladar_volume.model.choices import ADJUST, MEASURES
 from ladar_volume.model.errors import SurfaceError
-from ladar_volume.model.records import F64, I64, Bool, Tin
+from ladar_volume.model.records import F64, Tin
 from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.tin.adaptive import RATIO, adaptive_tin
 from ladar_volume.tin.adjustment_adjoint import height_covariance, raw_gradients
@@ -33,7 +33,7 @@ from ladar_volume.tin.elevation_adjustment import (
     measures,
     raw_gradient,
 )
-from ladar_volume.tin.full_tin import build_tin
+from ladar_volume.tin.full_tin import build_tin, part_of
 from ladar_volume.tin.relevant import mark_relevant, with_relevant
 from ladar_volume.tin.sampled_area import SampledArea, sampled_area, within_sampled
 from ladar_volume.tin.window import inside, map_window
@@ -219,24 +219,8 @@ def without_artificial(tin: Tin) -> Tin:
     """The same surface without its artificial corners and the triangles that meet them: nothing
     that is not data is left.
     """
-    if (tin.source >= 0).all():
-        return tin
-    keep: Bool = np.all(tin.source[tin.triangles] >= 0, axis=1)
-    vertex, number = np.full(len(tin.source), -1, np.int32), np.full(len(keep) + 1, -1, np.int32)
-    own: I64 = np.flatnonzero(tin.source >= 0)
-    vertex[own] = np.arange(len(own))
-    number[np.flatnonzero(keep)] = np.arange(
-        np.count_nonzero(keep)
-    )  # the last entry stays -1, for the hull
-    neighbours = number[tin.neighbours[keep]]
-    return Tin(
-        tin.vertices[own],
-        vertex[tin.triangles[keep]],
-        neighbours,
-        tin.relevant[keep],
-        tin.source[own],
-        tin.duplicates,
-    )
+    own = tin.source >= 0
+    return tin if own.all() else part_of(tin, own)
 
 
 def adjust_surface(

@@ -179,7 +179,7 @@ def _roughness_m6(survey: SurveyedSurface, footing: Footing, part: F64, solid: P
     field = ground_field(
         survey.tin,
         footing.base,
-        solid,
+        solid.base_net,
         part,
         survey.height_variance,
         survey.sources,

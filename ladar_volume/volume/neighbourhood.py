@@ -16,7 +16,7 @@ from scipy import sparse
 
 from ladar_volume.math.kernels import kernel, parallel_kernel
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
-from ladar_volume.tin.full_tin import any_corner, places_in
+from ladar_volume.tin.full_tin import part_of, places_in
 from ladar_volume.tin.insertion_order import hilbert_order
 from ladar_volume.tin.median_screen import edges
 
@@ -107,8 +107,8 @@ def grow_kernel(triangles: I32, marked: Bool, rings: int) -> None:
 
 
 def part_about(tin: Tin, close: I32, rings: int) -> Part:
-    """The part of a surface that the neighbourhoods of the triangles (c, 3) lie in: what is done
-    near the base costs what is near it.
+    """The part of a surface in which the neighbourhoods of the triangles (c, 3) lie, so that the
+    work near the base does not grow with the rest of the surface.
     """
     marked = np.zeros(len(tin.vertices), np.bool_)
     marked[close] = True
@@ -116,17 +116,7 @@ def part_about(tin: Tin, close: I32, rings: int) -> Part:
     vertex = np.flatnonzero(marked)
     if len(vertex) in (0, len(marked)):
         return Part(tin, np.arange(len(marked)), close)
-    at, keep = places_in(vertex, len(marked)), ~any_corner(tin.triangles, ~marked)
-    number = np.full(len(keep) + 1, -1, np.int32)  # the last stays -1, for the border
-    number[np.flatnonzero(keep)] = np.arange(np.count_nonzero(keep))
-    part = Tin(
-        tin.vertices[vertex],
-        at[tin.triangles[keep]],
-        number[tin.neighbours[keep]],
-        tin.relevant[keep],
-        tin.source[vertex],
-    )
-    return Part(part, vertex, at[close])
+    return Part(part_of(tin, marked), vertex, places_in(vertex, len(marked))[close])
 
 
 @kernel

@@ -11,7 +11,7 @@ from ladar_volume.ground.polynomial import height_above
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
-from ladar_volume.tin.boundary import parts_kernel
+from ladar_volume.tin.boundary import boundary_sides, parts_kernel, side_ends
 from ladar_volume.tin.full_tin import any_corner, footprint_areas, vertex_mask
 
 
@@ -176,11 +176,8 @@ def boundary_loop(tin: Tin, mask: Bool) -> F64:
     """The boundary ring (k, 2) m of the triangles in ``mask`` with the largest area,
     counter-clockwise, not repeated at its end.
     """
-    beyond = np.where(tin.neighbours >= 0, mask[tin.neighbours], False)
-    t, k = np.nonzero(mask[:, None] & ~beyond)
-    a, b = tin.triangles[t, (k + 1) % 3], tin.triangles[t, (k + 2) % 3]
     follow: dict[int, list[int]] = {}
-    for i, j in zip(a.tolist(), b.tolist(), strict=True):
+    for i, j in side_ends(tin, *boundary_sides(tin, mask)).tolist():
         follow.setdefault(i, []).append(j)
     best, best_area = np.zeros((0, 2)), 0.0
     while follow:

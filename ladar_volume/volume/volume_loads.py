@@ -148,7 +148,7 @@ def shared_by(sources: Sources, points: I64) -> Callable[[I64], tuple[I64, F64]]
 def ground_field(
     tin: Tin,
     base: Plane,
-    solid: Prismoids,
+    base_net: F64,
     inside_m2: F64,
     height_variance: F64,
     sources: Sources | None = None,
@@ -158,14 +158,14 @@ def ground_field(
     surface.
 
     It enters with the area (inside_m2 (m,)) inside the outline, and with the fit's weights at the
-    ground points. height_variance (n,) m²: independent noise of the vertices, which is not
-    roughness; nor is what calibration and navigation did to the points of ``sources`` that the TIN
-    was built from. inverse : :func:`~ladar_volume.ground.ground_adjoint.ground_inverse`, where
-    known.
+    ground points. base_net (p,): derivatives of the net volume by the coefficients of the base.
+    height_variance (n,) m²: independent noise of the vertices, which is not roughness; nor is what
+    calibration and navigation did to the points of ``sources`` that the TIN was built from.
+    inverse : :func:`~ladar_volume.ground.ground_adjoint.ground_inverse`, where known.
     """
     if len(base.support) == 0:
         return None
-    ground, residual, fit = ground_residuals(tin.vertices, base, solid.base_net, inverse)
+    ground, residual, fit = ground_residuals(tin.vertices, base, base_net, inverse)
     shared = None if sources is None else shared_by(sources, tin.source[base.support])
     rough = estimate_roughness(
         ground, residual, height_variance[base.support], len(base.beta), shared

@@ -17,12 +17,9 @@ from ladar_volume.model.errors import ConfigurationError, InputError
 
 
 @pytest.fixture(scope="module")
-def cone(tmp_path_factory):
-    rng = np.random.default_rng(5)
-    xy = rng.uniform(-8, 8, (4000, 2))
-    z = np.maximum(0, 3 - np.hypot(*xy.T)) + 0.01 * rng.normal(size=len(xy))
+def cone(tmp_path_factory, cone_points):
     path = tmp_path_factory.mktemp("cone") / "cone.ply"
-    write_cloud(path, np.c_[xy, z])
+    write_cloud(path, cone_points)
     return path
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 import numpy as np
 import pyproj
@@ -12,14 +13,13 @@ import ladar_volume as lv
 from ladar_volume.io.pointfiles.cloud_files import write_cloud
 from ladar_volume.model.errors import ConfigurationError
 
+DATA = Path(__file__).parents[1] / "data"
+
 
 @pytest.fixture(scope="module")
-def answer(tmp_path_factory):
-    rng = np.random.default_rng(6)
-    xy = rng.uniform(-8, 8, (4000, 2))
-    z = np.maximum(0, 3 - np.hypot(*xy.T)) + 0.01 * rng.normal(size=len(xy))
-    path = tmp_path_factory.mktemp("cone") / "cone.ply"
-    write_cloud(path, np.c_[xy[:, 0] + 4e5, xy[:, 1] + 5e6, z])
+def answer(tmp_path_factory, cone_points):
+    path = tmp_path_factory.mktemp("utm") / "cone.ply"
+    write_cloud(path, cone_points + np.array([4e5, 5e6, 0.0]))
     return lv.volume(path, 0.5, crs="EPSG:25832", outline="auto")
 
 
@@ -55,3 +55,21 @@ def test_a_surface_over_another_plane_is_no_map(answer):
     seen = lv.volume(r, 0.0, frame="scan", direction=(1.0, 0.0, 0.0))
     with pytest.raises(ConfigurationError, match="frame='level'"):
         seen.to_geodataframe()
+
+
+@pytest.mark.parametrize(
+    "file, options, code",
+    [
+        ("road_crop.xml", {"base": 14.0, "surface": "Highest"}, 3875),  # faces, no noise
+        ("isprs_samp41.pcd", {"base": 260.0, "units": "m"}, None),  # airborne, with holes
+    ],
+)
+def test_tables_and_rasters_of_real_files_have_their_volume(file, options, code):
+    found = lv.volume(DATA / file, **options)
+    frame, raster = found.to_geodataframe(), found.to_xarray(cell_m=0.25)
+    above = float((raster.height - raster.base).sum()) * raster.attrs["cell_m"] ** 2
+    assert above == pytest.approx(found.net_m3, rel=0.005)
+    assert frame.geometry.area.sum() == pytest.approx(found.area_m2, rel=1e-9)
+    assert (None if frame.crs is None else frame.crs.to_epsg()) == code
+    assert ("spatial_ref" in raster.coords) == (code is not None)
+    assert bool(np.isnan(raster.sigma).all()) == (not np.isfinite(found.sigma_m3))

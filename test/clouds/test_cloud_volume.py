@@ -22,7 +22,7 @@ from ladar_volume.change.surface_difference import (
 )
 from ladar_volume.clouds.cloud_levels import above_floor, events, level_list, sequence
 from ladar_volume.clouds.cloud_surface import cloud_surface, local_sigma
-from ladar_volume.clouds.cloud_volume import above_base, between_clouds, own_footprints
+from ladar_volume.clouds.cloud_volume import above_base, between_clouds, own_footprints, selected
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.surface_parameters import SurfaceParameters
@@ -297,3 +297,12 @@ def test_noise_from_local_quadrics(sigma):
     assert local_sigma(np.c_[thrice, sigma * rng.normal(size=3000)]) == pytest.approx(
         sigma, rel=0.08
     )
+
+
+def test_points_that_share_a_footprint_are_no_choice_of_vertices():
+    rng = np.random.default_rng(12)
+    xy = footprint(900, 12)
+    r = noisy(np.r_[xy, xy[:40]], hill, rng)
+    full = cloud_surface(r, SurfaceParameters(ratio=1.0))
+    assert full.made.tin.duplicates == 40 and not selected(full)
+    assert selected(cloud_surface(r, SurfaceParameters(ratio=0.4)))

@@ -34,6 +34,14 @@ def test_nearest_are_those_of_brute_force(name: str, k: int) -> None:
         assert (np.diff(np.sort(rows, axis=1), axis=1) > 0).all()
 
 
+def test_of_points_equally_far_the_first_are_taken() -> None:
+    points = CLOUDS["on a lattice"]
+    rows, _ = nearest(nearest_index(points), points, 9)
+    square = ((points[:, None] - points) ** 2).sum(axis=2)
+    wanted = np.argsort(square, axis=1, kind="stable")[:, :9]
+    assert np.array_equal(np.sort(rows, axis=1), np.sort(wanted, axis=1))
+
+
 def test_more_neighbours_than_points_are_refused() -> None:
     with pytest.raises(ValueError, match="9 neighbours of 8 points"):
         nearest(nearest_index(np.zeros((8, 3))), np.zeros((1, 3)), 9)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladar_volume.model.records import F64, I64, Bool, Tin
-from ladar_volume.tin.boundary import parts_kernel
+from ladar_volume.tin.boundary import boundary_sides, parts_kernel, side_ends
 from ladar_volume.volume.polygon import signed_area
 
 
@@ -41,12 +41,9 @@ def edge_rings(tin: Tin, mask: Bool, part: I64) -> dict[int, list[list[int]]]:
     """Rings of vertices along the boundary of the triangles (m,), by the part (m,) they bound; the
     triangles are on their left. A ring that comes through a vertex twice is parted there.
     """
-    beyond = np.where(tin.neighbours >= 0, mask[tin.neighbours], False)
-    t, k = np.nonzero(mask[:, None] & ~beyond)
-    a, b = tin.triangles[t, (k + 1) % 3], tin.triangles[t, (k + 2) % 3]
-    edges = zip(part[t].tolist(), a.tolist(), b.tolist(), strict=True)
+    t, k = boundary_sides(tin, mask)
     follow: dict[int, dict[int, list[int]]] = {}
-    for number, one, two in edges:
+    for number, (one, two) in zip(part[t].tolist(), side_ends(tin, t, k).tolist(), strict=True):
         follow.setdefault(number, {}).setdefault(one, []).append(two)
     return {number: loops(graph) for number, graph in follow.items()}
 

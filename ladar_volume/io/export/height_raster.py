@@ -5,6 +5,7 @@ double precision.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,11 +36,19 @@ class Grid:
     rows: int
     columns: int
 
+    @property
+    def x_m(self) -> F64:
+        """Middles (columns,), m, from west to east."""
+        return self.west_m + self.cell_m * (np.arange(self.columns, dtype=np.float64) + 0.5)
+
+    def y_m(self, first: int, last: int) -> F64:
+        """Middles (k,), m, of rows first to last, from north to south."""
+        return self.north_m - self.cell_m * (np.arange(first, last, dtype=np.float64) + 0.5)
+
     def middles(self, first: int, last: int) -> F64:
         """Middles (k, 2), m, of the cells of rows first to last."""
-        x = self.west_m + self.cell_m * (np.arange(self.columns) + 0.5)
-        y = self.north_m - self.cell_m * (np.arange(first, last) + 0.5)
-        out: F64 = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        at = np.meshgrid(self.x_m, self.y_m(first, last))
+        out: F64 = np.stack(at, axis=-1).reshape(-1, 2)
         return out
 
 
@@ -105,19 +114,25 @@ def write_tif(path: Path, d: Deliverable, cell: float | None) -> None:
         "predictor": 3,
         "bigtiff": "if_safer",
     }
-    index = triangle_index(d.tin, d.tin.relevant)
-    step = max(1, BLOCK // grid.columns)
     with rasterio.open(path, "w", **profile) as file:
-        for first in range(0, grid.rows, step):
-            last = min(first + step, grid.rows)
-            bands = heights_at(d, grid.middles(first, last), index)
-            window = Window(0, first, grid.columns, last - first)
+        for first, bands in rows_of_heights(d, grid):
+            window = Window(0, first, grid.columns, len(bands[0]))
             for number, band in enumerate(bands, 1):
-                file.write(band.reshape(-1, grid.columns) / to, number, window=window)
+                file.write(band / to, number, window=window)
         for number in range(1, profile["count"] + 1):
             file.set_band_description(number, BANDS[number - 1])
             file.set_band_unit(number, d.system.unit.name)
         file.update_tags(UNITS=d.system.unit.name, SURVEY=d.name, SYSTEM=d.system.name)
+
+
+def rows_of_heights(d: Deliverable, grid: Grid) -> Iterator[tuple[int, list[F64]]]:
+    """The bands of a grid a few rows at a time: the first of the rows, and each band (rows,
+    columns), m, as :func:`heights_at`.
+    """
+    index, step = triangle_index(d.tin, d.tin.relevant), max(1, BLOCK // grid.columns)
+    for first in range(0, grid.rows, step):
+        bands = heights_at(d, grid.middles(first, min(first + step, grid.rows)), index)
+        yield first, [band.reshape(-1, grid.columns) for band in bands]
 
 
 def heights_at(d: Deliverable, xy: F64, index: TriangleIndex) -> list[F64]:

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladar_volume.ground.polynomial import base_height, height_above
-from ladar_volume.math.kernels import kernel
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
+from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
 from ladar_volume.model.verdict import Doubt
+from ladar_volume.tin.boundary import boundary_sides, side_ends
 from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
 from ladar_volume.tin.relevant import edge_lengths
 from ladar_volume.volume.outline import bodies
@@ -42,35 +42,6 @@ class Cut:
     high_m: float
     x_m: float
     y_m: float
-
-
-@kernel
-def boundary_kernel(neighbours: I32, inside: Bool) -> I64:
-    """See :func:`boundary_sides`: ``3 t + k`` for the side opposite corner k of triangle t."""
-    out = np.empty(3 * np.count_nonzero(inside), np.int64)
-    count = 0
-    for t in range(len(neighbours)):
-        if not inside[t]:
-            continue
-        for k in range(3):
-            beyond = neighbours[t, k]
-            if beyond < 0 or not inside[beyond]:
-                out[count] = 3 * t + k
-                count += 1
-    return out[:count].copy()
-
-
-def boundary_sides(tin: Tin, inside: Bool) -> tuple[I64, I64]:
-    """Triangles (b,) with a side, the one opposite the corner (b,), on the boundary of those
-    ``inside`` (m,).
-    """
-    side = np.asarray(boundary_kernel(tin.neighbours, inside))
-    return side // 3, side % 3
-
-
-def side_ends(tin: Tin, t: I64, k: I64) -> I32:
-    """The vertices (b, 2) at the ends of the sides opposite corners k (b,) of triangles t (b,)."""
-    return np.stack([tin.triangles[t, (k + 1) % 3], tin.triangles[t, (k + 2) % 3]], axis=1)
 
 
 def without_slivers(tin: Tin, inside: Bool) -> Bool:
