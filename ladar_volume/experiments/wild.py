@@ -17,14 +17,10 @@ from ladar_volume.io.bags import BagReader
 from ladar_volume.io.config import read_config
 from ladar_volume.model.errors import GroundError, SurfaceError, VolumeError
 from ladar_volume.model.parameters import BudgetParameters
-from ladar_volume.model.survey_parameters import SurveyParameters
 from ladar_volume.replay import Replay
 from ladar_volume.simulation.bag import write_bag
-from ladar_volume.simulation.survey import Survey
-from ladar_volume.simulation.troubled_scenes import DURATION_S, KINDS, make_trouble
+from ladar_volume.simulation.trouble_kinds import KINDS, TroubledSurvey, make_trouble
 
-#: Every so many firing cycles are simulated; share of returns that mix two surfaces.
-THIN, MIXED = 10, 0.05
 #: Errors above so many printed sigmas are wrong.
 WRONG = 3.0
 #: Seeds of each kind, and with ``--reduced``.
@@ -58,13 +54,7 @@ class WildRow:
 def wild_survey(kind: str, seed: int) -> WildRow:
     """One survey of a kind, recorded and replayed with the default budget."""
     trouble = make_trouble(kind, seed)
-    flown = Survey(
-        trouble.scene,
-        trouble.platform,
-        trouble.drawn,
-        SurveyParameters(DURATION_S, THIN, mixed_share=MIXED, seed=seed),
-        published=BudgetParameters(),
-    )
+    flown = TroubledSurvey.of(trouble, seed)
     true = trouble.scene.volume_m3
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "flight"

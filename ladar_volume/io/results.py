@@ -36,6 +36,20 @@ SURVEY_FILES = (
     "bodies.ply",
 )
 
+#: Things that stand on the surface, in a result at most: the largest.
+MOST_OBJECTS = 20
+
+
+def correction_dict(volume: Volume) -> dict[str, Any]:
+    """What was taken from cut and from fill near the base."""
+    return {
+        "name": "folded normal" if volume.folded_m3 > 0.0 else None,
+        "m3": volume.folded_m3,
+        "near_area_m2": volume.near_area_m2,
+        "cut_raw_m3": volume.cut_m3 + volume.folded_m3,
+        "fill_raw_m3": volume.fill_m3 + volume.folded_m3,
+    }
+
 
 def volume_dict(volume: Volume) -> dict[str, Any]:
     """A volume as plain values."""
@@ -48,13 +62,7 @@ def volume_dict(volume: Volume) -> dict[str, Any]:
         "cut_m3": volume.cut_m3,
         "fill_m3": volume.fill_m3,
         "area_m2": volume.area_m2,
-        "correction": {
-            "name": "folded normal" if volume.folded_m3 > 0.0 else None,
-            "m3": volume.folded_m3,
-            "near_area_m2": volume.near_area_m2,
-            "cut_raw_m3": volume.cut_m3 + volume.folded_m3,
-            "fill_raw_m3": volume.fill_m3 + volume.folded_m3,
-        },
+        "correction": correction_dict(volume),
         "second_order": {
             "shift_m3": volume.second_order_m3,
             "matters": volume.second_order_matters,
@@ -62,6 +70,7 @@ def volume_dict(volume: Volume) -> dict[str, Any]:
         "chord_m3": volume.chord_m3,
         "seen_share": volume.seen_share,
         "gaps": [dataclasses.asdict(gap) for gap in volume.gaps],
+        "objects": [dataclasses.asdict(one) for one in volume.objects[:MOST_OBJECTS]],
         "passes": None if volume.agreement is None else dataclasses.asdict(volume.agreement),
         "verdict": volume.verdict.as_dict(),
         "base": volume.base,

@@ -391,6 +391,12 @@ class VolumeParameters:
     )
     confidence: float = param(0.95, "Confidence of the printed interval.", low=0.5, high=0.9999)
     tolerance: float = param(0.05, "Wanted sigma / V, for diagnostics.", low=1e-6, high=1)
+    objects: str = param(
+        "remove",
+        "What stands on the surface on steep faces (machines, walls, trees): taken out, and "
+        "the surface below bridged; or counted, where it is of the body.",
+        choices=("remove", "count"),
+    )
     budget_check: str = param(
         "scale",
         "Where passes disagree by more than the budget says: scale its lines and doubt the "

@@ -329,6 +329,20 @@ class Gap:
 
 
 @dataclass(frozen=True)
+class StandingObject:
+    """What stood on the surface and was taken out: x, y of its middle, its greatest extent and
+    height above the surface below, m, the volume between, m³ · inside : whether in an outline
+    """
+
+    x_m: float
+    y_m: float
+    size_m: float
+    high_m: float
+    volume_m3: float
+    inside: bool
+
+
+@dataclass(frozen=True)
 class Agreement:
     """How the returns of a survey agree with each other. residual_m : of the median patch, RMS ·
     predicted_m : the same by the budget · factor : by which the variances of what returns share
@@ -355,7 +369,8 @@ class Volume:
     ``second_order_matters``. ``chord_m3`` : taken from the volume, and from cut and fill, for what
     the surface's chords span above hollows and below crests. ``seen_share`` : of the area, where
     points were seen; ``gaps`` : the largest places where none were, bridged, with a line
-    ``unseen`` of the budget. ``agreement`` : of the passes with the budget, where it was asked.
+    ``unseen`` of the budget. ``objects`` : what stood on the surface, is not counted, and hides
+    what is bridged. ``agreement`` : of the passes with the budget, where it was asked.
     """
 
     volume_m3: float
@@ -383,6 +398,7 @@ class Volume:
     chord_m3: float = 0.0
     seen_share: float = 1.0
     gaps: tuple[Gap, ...] = ()
+    objects: tuple[StandingObject, ...] = ()
     agreement: Agreement | None = None
     verdict: Verdict = field(default_factory=Verdict)
 

@@ -159,6 +159,9 @@ def draw_sigma(ax: Axes, scene: Scene) -> None:
     for at, (x, y, _) in enumerate(scene.gaps):
         label = "not seen" if at == 0 else None
         ax.plot([x], [y], "o", ms=9, mfc="none", mec="#5b2c83", mew=1.6, label=label)
+    for at, (x, y, _) in enumerate(scene.objects):
+        label = "not counted" if at == 0 else None
+        ax.plot([x], [y], "s", ms=9, mfc="none", mec="#1b6e3c", mew=1.6, label=label)
     for at, place in enumerate(scene.again):
         label = "another pass helps most" if at == 0 else None
         ax.plot([place["x_m"]], [place["y_m"]], "+", ms=11, mew=2.0, color=CUT, label=label)

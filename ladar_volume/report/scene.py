@@ -33,8 +33,8 @@ class Scene:
     vertices above the base · sigma_m : (n,) their standard deviations, or None · outlines : each
     (k, 2), m, closed or not · base_at : height of the base at xy (k, 2), NaN outside · base : in
     words · where : the coordinate system in words · again : places of another pass, as
-    ``MoreData.best`` gives them · gaps : x, y, size of places that were not seen, m · path : of the
-    scanner, or None
+    ``MoreData.best`` gives them · gaps, objects : x, y, size of places that were not seen, and of
+    what stands there and is not counted, m · path : of the scanner, or None
     """
 
     tin: Tin
@@ -47,6 +47,7 @@ class Scene:
     where: str
     again: Sequence[Mapping[str, Any]] = ()
     gaps: Sequence[tuple[float, float, float]] = ()
+    objects: Sequence[tuple[float, float, float]] = ()
     path: Path | None = None
 
     def corners(self) -> F64:
@@ -122,6 +123,7 @@ def scene_of_survey(
         where=where_of(result["datum"]),
         again=result["where_more_data_helps"]["places"],
         gaps=[(gap.x_m, gap.y_m, gap.size_m) for gap in estimate.volume.gaps],
+        objects=[(one.x_m, one.y_m, one.size_m) for one in estimate.volume.objects],
         path=path_of(epoch, fixes),
     )
 

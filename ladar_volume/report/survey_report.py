@@ -97,6 +97,9 @@ def _coverage(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
     for gap in result["gaps"]:
         where = f"not seen at {gap['x_m']:.2f}, {gap['y_m']:.2f} m"
         rows.append((where, f"{gap['area_m2']:.2f} m², ± {cubic(gap['sigma_m3'])} m³ in sigma"))
+    for one in result["objects"]:
+        where = f"not counted, at {one['x_m']:.2f}, {one['y_m']:.2f} m"
+        rows.append((where, f"{one['high_m']:.2f} m high, {cubic(one['volume_m3'])} m³"))
     passes = result["passes"]
     if passes is not None:
         words = (

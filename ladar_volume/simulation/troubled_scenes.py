@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ladar_volume.model.errors import SimulationError
 from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.simulation.platforms import Platform, lanes
 from ladar_volume.simulation.scenes import (
@@ -34,11 +33,27 @@ DURATION_S = 36.0
 
 
 @dataclass(frozen=True)
+class Flown:
+    """What happens on a flight. thin : every so many firing cycles are kept · dropout_share : of
+    the returns · floats_s : spans of a float fix · jump_s, jump_m : from when on fixes are off by
+    how much · later_s, later : from when on the scene is another
+    """
+
+    thin: int = 10
+    dropout_share: float = 0.01
+    floats_s: tuple[tuple[float, float], ...] = ()
+    jump_s: float = math.inf
+    jump_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    later_s: float = math.inf
+    later: Scene | None = None
+
+
+@dataclass(frozen=True)
 class Trouble:
     """A survey with one trouble. settings : sections and keys that a surveyor would choose ·
     drawn :
     the budget that errors are drawn from, the believed one being the default · names : the doubts
-    that name the cause
+    that name the cause · flown : what happened on the flight
     """
 
     kind: str
@@ -47,6 +62,7 @@ class Trouble:
     settings: Settings
     names: tuple[str, ...]
     drawn: BudgetParameters = field(default_factory=BudgetParameters)
+    flown: Flown = field(default_factory=lambda: Flown())
 
 
 @dataclass(frozen=True)
@@ -122,12 +138,14 @@ class Drawing:
         self.volume_m3 = self.pile.volume_m3
         half = max(self.pile.a, self.pile.b) + AROUND_M
         self.region = [-half, -half, -10.0, half, half, 30.0]
-        self.offset = np.zeros(2)
         self.drawn = BudgetParameters()
         self.volume: dict[str, Any] = {}
         self.holes: list[tuple[float, ...]] = []
         self.bodies: list[Any] = []
         self.names: tuple[str, ...] = ()
+        self.flown = Flown()
+        self.flight: Platform | None = None
+        self.leaving: list[Any] = []
 
     def on_foot(self, share: float) -> tuple[float, float, float]:
         """A direction, and the place in it at a share of the foot's radius."""
@@ -140,30 +158,21 @@ class Drawing:
         mesh = pile_mesh(self.pile, self.ground)
         for hole in self.holes:
             mesh = without(mesh, hole)
-        vertices, triangles = join(mesh, *self.bodies)
         extent = max(self.pile.a, self.pile.b) + AROUND_M
-        scene = Scene(
-            self.kind, vertices, triangles, self.volume_m3, np.zeros((0, 2)), extent + BEYOND_M
-        )
-        flight = moved(lanes(0.5 * extent, 25.0, DURATION_S), self.offset)
+        scene = self._scene(join(mesh, *self.bodies, *self.leaving), extent)
+        if self.leaving:
+            later = self._scene(join(mesh, *self.bodies), extent)
+            self.flown = dataclasses.replace(self.flown, later=later)
+        flight = self.flight or lanes(0.5 * extent, 25.0, DURATION_S)
         settings: Settings = {
             "filter": dict(SUITED["pile"]["filter"]),
             "volume": {**SUITED["pile"]["volume"], **self.volume},
             "georeference": {"region_m": [float(round(v, 3)) for v in self.region]},
         }
-        return Trouble(self.kind, scene, flight, settings, self.names, self.drawn)
+        return Trouble(self.kind, scene, flight, settings, self.names, self.drawn, self.flown)
 
-
-def moved(platform: Platform, offset: F64) -> Platform:
-    """The same path elsewhere."""
-    still = platform.position
-
-    def position(t: F64) -> F64:
-        p = still(t).copy()
-        p[:, :2] += offset
-        return p
-
-    return dataclasses.replace(platform, position=position)
+    def _scene(self, mesh: tuple[F64, npt.NDArray[np.int32]], extent: float) -> Scene:
+        return Scene(self.kind, *mesh, self.volume_m3, np.zeros((0, 2)), extent + BEYOND_M)
 
 
 def rectangle(x: float, y: float, long: float, wide: float) -> tuple[float, float, float, float]:
@@ -345,39 +354,3 @@ def wrong_boresight(d: Drawing) -> None:
     """The boresight is off by half a degree."""
     d.names = ("budget",)
     d.drawn = dataclasses.replace(d.drawn, boresight_sigma_rad=(math.radians(0.5),) * 3)
-
-
-KINDS: dict[str, Callable[[Drawing], None]] = {
-    made.__name__: made
-    for made in (
-        clean,
-        crest_hole,
-        top_hole,
-        flank_hole,
-        toe_hole,
-        open_hole,
-        region_cut,
-        region_toe,
-        one_side,
-        two_piles,
-        wall,
-        pad,
-        hollow,
-        undulating,
-        machine,
-        grass,
-        wrong_attitude,
-        wrong_beams,
-        wrong_position,
-        wrong_boresight,
-    )
-}
-
-
-def make_trouble(kind: str, seed: int) -> Trouble:
-    """A random survey of a kind. Raises SimulationError for an unknown kind."""
-    if kind not in KINDS:
-        raise SimulationError(f"no trouble {kind!r}; there are {', '.join(KINDS)}", value=kind)
-    drawing = Drawing(seed, kind)
-    KINDS[kind](drawing)
-    return drawing.trouble()

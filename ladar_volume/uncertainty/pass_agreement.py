@@ -140,6 +140,11 @@ class Scatter(NamedTuple):
     square: F64
     source: dict[str, F64]
 
+    def of(self, some: Bool) -> Scatter:
+        """Of some of the patches (k,)."""
+        source = {name: part[some] for name, part in self.source.items()}
+        return Scatter(self.rows[some], self.square[some], source)
+
     @property
     def unexplained(self) -> F64:
         """What the budget does not explain, (k,) m²; below zero where it says too much."""

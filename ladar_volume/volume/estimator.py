@@ -23,7 +23,6 @@ from ladar_volume.model.records import (
     Plane,
     PlatformStates,
 )
-from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.tin.represent import Represented, represent
 from ladar_volume.uncertainty.epoch_budget import Epoch
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
@@ -35,6 +34,11 @@ from ladar_volume.volume.field_checks.field_verdict import (
     bridged_footing,
     budget_scale,
     passes_of,
+)
+from ladar_volume.volume.field_checks.object_removal import (
+    objects_by_body,
+    surface_options,
+    without_objects,
 )
 from ladar_volume.volume.measured_body import (
     Footing,
@@ -107,6 +111,7 @@ class VolumeEstimator:
         """
         survey = self._survey()
         footing = footing_of(survey, self.parameters)
+        survey, footing, objects = without_objects(survey, footing, self.parameters)
         survey, footing = bridged_footing(survey, footing, self.parameters)
         bodies = [
             measure_body(survey, footing, part, self.parameters, naive) for part in footing.parts
@@ -119,10 +124,12 @@ class VolumeEstimator:
             [v.sigma_m3**2 for v in volumes],
             lambda a, b: joint_sigma(survey, footing, (a, b), self.parameters) ** 2,
         )
-        passes = passes_of(survey, self.parameters)
+        passes = passes_of(survey, footing, self.parameters)
         volumes = tuple(
-            assess_field(survey, footing, body.part, volume, passes, self.parameters)
-            for body, volume in zip(bodies, volumes, strict=True)
+            assess_field(survey, footing, body.part, volume, passes, self.parameters, own)
+            for body, volume, own in zip(
+                bodies, volumes, objects_by_body(objects, volumes), strict=True
+            )
         )
         self._unseen_m6 = volumes[0].budget_m6.get("unseen", 0.0)
         if joint is not None:  # what two bodies share, and what each has of its own
@@ -188,17 +195,7 @@ class VolumeEstimator:
 
     def _surface(self, points: FilteredPoints) -> Represented:
         if self._surface_now is None:
-            v = self.parameters.volume
-            adjust = (
-                "none" if v.vertex_ratio == 1.0 else "rms"
-            )  # copies of a footprint stay out, as they always have
-            options = SurfaceParameters(
-                ratio=v.vertex_ratio,
-                adjust=adjust,
-                relevant=v.relevant,
-                max_edge_m=v.max_edge_m,
-                max_circumdiameter_m=v.max_circumdiameter_m,
-            )
+            options = surface_options(self.parameters.volume)
             self._surface_now = represent(points.r_map, options, measured=False)
         return self._surface_now
 

@@ -16,6 +16,7 @@ def show_result(console: Console, result: Mapping[str, Any]) -> None:
     head = Table(show_header=False, box=None, pad_edge=False)
     _add_result_rows(head, result)
     gap_rows(head, result)
+    object_rows(head, result)
     volume_rows(head, result)
     _add_body_rows(head, result)
     _add_place_rows(head, result)
@@ -99,6 +100,20 @@ def gap_rows(head: Table, result: Mapping[str, Any]) -> None:
         f"at {gap['x_m']:.1f}, {gap['y_m']:.1f} m, is bridged"
     )
     head.add_row("seen", words)
+
+
+def object_rows(head: Table, result: Mapping[str, Any]) -> None:
+    """What stands in the outline and is not counted, as a row of a table of two columns."""
+    counted = [one for one in result["objects"] if one["inside"]]
+    if not counted:
+        return
+    one = counted[0]
+    words = (
+        f"{sum(one['volume_m3'] for one in counted):.3g} m³ on the surface; the largest, "
+        f"{one['size_m']:.2g} m wide, {one['high_m']:.2g} m high, at {one['x_m']:.1f}, "
+        f"{one['y_m']:.1f} m"
+    )
+    head.add_row("not counted", words)
 
 
 def volume_rows(head: Table, result: Mapping[str, Any]) -> None:

@@ -13,12 +13,11 @@ import numpy as np
 from ladar_volume.ground.polynomial import height_above
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, Agreement, Volume
+from ladar_volume.model.records import F64, Agreement, Bool, StandingObject, Tin, Volume
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.full_tin import vertex_mask
 from ladar_volume.uncertainty.pass_agreement import (
     MOST,
-    Scatter,
     cover_scatter,
     pass_agreement,
     patch_scatter,
@@ -30,8 +29,9 @@ from ladar_volume.volume.field_checks.base_readings import (
     base_readings,
     student_factor,
 )
-from ladar_volume.volume.field_checks.completeness import completeness_doubts, steep
+from ladar_volume.volume.field_checks.completeness import completeness_doubts, steep, wall_m6
 from ladar_volume.volume.field_checks.gaps import bridged, bridging, find_gaps, gap_doubts
+from ladar_volume.volume.field_checks.standing_objects import object_doubts
 from ladar_volume.volume.measured_body import Footing, SurveyedSurface, footing_of
 
 #: Height of what grows, over its scatter.
@@ -143,24 +143,8 @@ def with_passes(volume: Volume, found: Agreement | None, check: str) -> Volume:
     return volume if factor == 1.0 else inflate_shared_variances(volume, factor)
 
 
-def with_cover(
-    survey: SurveyedSurface,
-    footing: Footing,
-    volume: Volume,
-    scatter: Scatter,
-    parameters: Parameters,
-) -> Volume:
-    """The volume with what grows on its ground, where that scatters more than the body."""
-    tin, base = survey.tin, footing.base
-    if not len(base.support):
-        return volume
-    row = survey.sources.geometry.row[tin.source]
-    height = height_above(tin.vertices, base)
-    high = vertex_mask(tin, footing.inside > 0.0) & (height > parameters.volume.object_height_m)
-    ground, body = (np.zeros(len(survey.patches), np.bool_) for _ in range(2))
-    ground[row[base.support]] = True
-    body[row[high]] = True
-    more = cover_scatter(scatter, ground, body)
+def with_cover(volume: Volume, more: float) -> Volume:
+    """The volume with what grows on its ground, where that scatters so much more, m."""
     if more == 0.0:
         return volume
     sigma = COVER * more * volume.area_m2
@@ -190,22 +174,58 @@ def inflate_shared_variances(volume: Volume, factor: float) -> Volume:
 
 
 class Passes(NamedTuple):
-    """What the passes of a survey say of its budget. scatter : of the patches, None where too few
-    are seen more than once · agreement : of their median with the budget, None where it tells
-    nothing
+    """What the passes of a survey say of its budget. agreement : of their median with the budget,
+    None where it tells nothing · cover_m : by how much the ground scatters more than the body
     """
 
-    scatter: Scatter | None
     agreement: Agreement | None
+    cover_m: float
 
 
-def passes_of(survey: SurveyedSurface, parameters: Parameters) -> Passes:
-    """The passes of a survey, the same for all of its bodies."""
+def ground_and_body(
+    survey: SurveyedSurface, footing: Footing, object_height_m: float
+) -> tuple[Bool, Bool]:
+    """Which patches (m,) are of the ground that the base is fitted to, and which of the body."""
+    tin, base = survey.tin, footing.base
+    row = survey.sources.geometry.row[tin.source]
+    height = height_above(tin.vertices, base)
+    high = vertex_mask(tin, footing.inside > 0.0) & (height > object_height_m)
+    ground, body = (np.zeros(len(survey.patches), np.bool_) for _ in range(2))
+    ground[row[base.support]] = True
+    body[row[high]] = True
+    return ground, body
+
+
+def passes_of(survey: SurveyedSurface, footing: Footing, parameters: Parameters) -> Passes:
+    """The passes of a survey, the same for all of its bodies. Where the ground scatters more than
+    the body it is overgrown: the body alone is asked.
+    """
     nav, b = survey.sources.navigation, parameters.budget
     scatter = patch_scatter(survey.patches, nav, b)
     if scatter is None:
-        return Passes(None, None)
-    return Passes(scatter, pass_agreement(scatter, survey.patches, nav, b))
+        return Passes(None, 0.0)
+    cover = 0.0
+    if len(footing.base.support):
+        ground, body = ground_and_body(survey, footing, parameters.volume.object_height_m)
+        cover = cover_scatter(scatter, ground, body)
+        if cover > 0.0:
+            scatter = scatter.of(body[scatter.rows])
+    return Passes(pass_agreement(scatter, survey.patches, nav, b), cover)
+
+
+def with_walls(tin: Tin, part: F64, volume: Volume) -> Volume:
+    """The volume of a body, part (m,) m² of each triangle, with what its walls may hide or add."""
+    if not any(doubt.name in ("wall", "object") for doubt in volume.verdict.doubts):
+        return volume
+    return with_line(volume, "wall", wall_m6(tin, part))
+
+
+def with_objects(volume: Volume, objects: tuple[StandingObject, ...]) -> Volume:
+    """The volume with what was taken out of the surface."""
+    if not objects:
+        return volume
+    doubts = Verdict(tuple(object_doubts(objects, volume.sigma_m3)))
+    return dataclasses.replace(volume, objects=objects, verdict=volume.verdict + doubts)
 
 
 def assess_field(
@@ -215,15 +235,17 @@ def assess_field(
     volume: Volume,
     passes: Passes,
     parameters: Parameters,
+    objects: tuple[StandingObject, ...] = (),
 ) -> Volume:
-    """A body's volume with every line and doubt of the field; part (m,) m² of each triangle."""
+    """A body's volume with every line and doubt of the field; part (m,) m² of each triangle ·
+    objects : that were taken out of the surface.
+    """
     volume = with_passes(volume, passes.agreement, parameters.volume.budget_check)
-    refuted = passes.agreement is not None and passes.agreement.refuted
-    if passes.scatter is not None and not refuted:
-        volume = with_cover(survey, footing, volume, passes.scatter, parameters)
+    volume = with_cover(volume, passes.cover_m)
     volume = with_gaps(survey, footing, part, volume)
     volume = with_base(survey, footing, part, volume, parameters.filter.radius_m)
     tin = survey.tin
+    volume = with_objects(volume, objects)
     doubts = completeness_doubts(
         tin,
         footing.base,
@@ -232,4 +254,5 @@ def assess_field(
         volume.sigma_m3,
         parameters,
     )
-    return dataclasses.replace(volume, verdict=volume.verdict + Verdict(tuple(doubts)))
+    volume = dataclasses.replace(volume, verdict=volume.verdict + Verdict(tuple(doubts)))
+    return with_walls(tin, part, volume)

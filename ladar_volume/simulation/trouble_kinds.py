@@ -1,0 +1,94 @@
+"""All kinds of troubled surveys by name, and the flights that what happens on the way is put on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ladar_volume.model.errors import SimulationError
+from ladar_volume.model.parameters import BudgetParameters
+from ladar_volume.model.survey_parameters import SurveyParameters
+from ladar_volume.simulation import troubled_scenes as first
+from ladar_volume.simulation.further_troubles import FURTHER
+from ladar_volume.simulation.survey import EPOCH_NS, Fixes, Survey, Sweep
+from ladar_volume.simulation.troubled_scenes import DURATION_S, Drawing, Flown, Trouble
+
+#: Share of returns that mix two surfaces.
+MIXED = 0.05
+KINDS: dict[str, Callable[[Drawing], None]] = {
+    made.__name__: made
+    for made in (
+        first.clean,
+        first.crest_hole,
+        first.top_hole,
+        first.flank_hole,
+        first.toe_hole,
+        first.open_hole,
+        first.region_cut,
+        first.region_toe,
+        first.one_side,
+        first.two_piles,
+        first.wall,
+        first.pad,
+        first.hollow,
+        first.undulating,
+        first.machine,
+        first.grass,
+        first.wrong_attitude,
+        first.wrong_beams,
+        first.wrong_position,
+        first.wrong_boresight,
+        *FURTHER,
+    )
+}
+
+
+def make_trouble(kind: str, seed: int) -> Trouble:
+    """A random survey of a kind. Raises SimulationError for an unknown kind."""
+    if kind not in KINDS:
+        raise SimulationError(f"no trouble {kind!r}; there are {', '.join(KINDS)}", value=kind)
+    drawing = Drawing(seed, kind)
+    KINDS[kind](drawing)
+    return drawing.trouble()
+
+
+@dataclass
+class TroubledSurvey(Survey):
+    """A survey on whose flight something happens."""
+
+    flown: Flown = field(default_factory=Flown)
+
+    @classmethod
+    def of(cls, trouble: Trouble, seed: int) -> TroubledSurvey:
+        """The survey of a trouble; receiver and IMU state the default budget."""
+        flown = trouble.flown
+        options = SurveyParameters(
+            DURATION_S,
+            flown.thin,
+            dropout_share=flown.dropout_share,
+            mixed_share=MIXED,
+            float_spans_s=flown.floats_s,
+            seed=seed,
+        )
+        believed = BudgetParameters()
+        return cls(
+            trouble.scene, trouble.platform, trouble.drawn, options, {}, believed, flown=flown
+        )
+
+    def fixes(self) -> Fixes:
+        """As drawn, off by a jump from its time on."""
+        t, antenna, sigma, status = super().fixes()
+        late = t >= EPOCH_NS + np.float64(self.flown.jump_s) * 1e9
+        return t, antenna + np.where(late[:, None], self.flown.jump_m, 0.0), sigma, status
+
+    def sweeps(self) -> Iterator[Sweep]:
+        """Clouds of one turn each; from a time on, of the later scene."""
+        changes = EPOCH_NS + self.flown.later_s * 1e9
+        yield from (s for s in super().sweeps() if s.stamp_ns < changes)
+        if self.flown.later is not None:
+            after = Survey(
+                self.flown.later, self.platform, self.budget, self.options, {}, self.published
+            )
+            yield from (s for s in after.sweeps() if s.stamp_ns >= changes)

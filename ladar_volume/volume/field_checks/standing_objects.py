@@ -1,0 +1,188 @@
+"""What stands on a body or beside it and is no part of it: machines, walls, people, plants, cables.
+
+Loose material keeps slopes of less than some 45°. The surface is cut apart along every edge of the
+triangulation that is steeper than 55° and higher than a step; what is left hangs together in parts.
+A part that lies above nearly all of its steep edges stands on the surface: its vertices are taken
+out, and the surface is made from the others. What it hid is then a gap, bridged and in sigma as
+every other. (Slope-based filtering: Vosselman 2000, *International Archives of Photogrammetry and
+Remote Sensing* 33-B3, 935; segments by their steps: Sithole and Vosselman 2005, *ISPRS WG III/3*.)
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+from scipy.interpolate import LinearNDInterpolator
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import QhullError, cKDTree
+
+from ladar_volume.model.parameters import VolumeParameters
+from ladar_volume.model.records import F64, I32, I64, Bool, Plane, StandingObject, Tin
+from ladar_volume.model.verdict import Doubt
+from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
+from ladar_volume.volume.outline import bodies
+
+#: Steeper than any loose material, and higher than a step (m): such an edge parts the surface.
+STEEP, STEP_M = math.tan(math.radians(55.0)), 0.25
+#: A part that lies above so many of its steep edges stands on the surface.
+ABOVE = 0.6
+#: Objects hide at most so much of an outline, and have at most so much of the vertices: more is the
+#: body itself.
+MOST, LARGE = 0.4, 0.25
+#: Rounds in which what stands on what was found is found.
+ROUNDS = 20
+#: Vertices nearer than so many of the filter's radii bend towards an object.
+BENT = 0.5
+#: Vertices nearer than this are of one object; the surface around it reaches so far, m.
+APART_M, AROUND_M = 1.0, 4.0
+#: Objects matter from so many standard deviations of the volume on.
+MATTERS = 0.5
+
+
+def parts(n: int, one: I64 | I32, two: I64 | I32) -> I64:
+    """The part (n,) to which each of n things belongs that edges one (k,), two (k,) join."""
+    graph = sparse.coo_array((np.ones(len(one), np.int8), (one, two)), shape=(n, n))
+    return np.asarray(connected_components(graph, directed=False)[1]).astype(np.int64)
+
+
+class Steps(NamedTuple):
+    """low, high : (k,) vertices of each steep edge, both ways · rise : (k,) m · label : (n,) part
+    of each vertex · size : (p,) vertices of each part
+    """
+
+    low: I64
+    high: I64
+    rise: F64
+    label: I64
+    size: I64
+
+
+def surface_steps(tin: Tin, longest_m: float) -> Steps | None:
+    """Where the surface is cut apart, and the parts; None where it nowhere is. longest_m : of edges
+    that join.
+    """
+    t, r = tin.triangles, tin.vertices
+    one = np.concatenate([t[:, 0], t[:, 1], t[:, 2]])
+    two = np.concatenate([t[:, 1], t[:, 2], t[:, 0]])
+    rise = r[two, 2] - r[one, 2]
+    steep = np.abs(rise) > STEP_M
+    if not steep.any():
+        return None
+    d = r[two, :2] - r[one, :2]
+    length = np.hypot(d[:, 0], d[:, 1])
+    steep &= np.abs(rise) > STEEP * length
+    if not steep.any():
+        return None
+    joins = ~steep & (length <= longest_m)
+    label = parts(len(r), one[joins], two[joins])
+    up = rise[steep] > 0.0
+    a, b = one[steep], two[steep]
+    low, high = np.where(up, a, b), np.where(up, b, a)
+    return Steps(low, high, np.abs(rise[steep]), label, np.bincount(label))
+
+
+def standing_parts(steps: Steps, own: Bool) -> Bool:
+    """Parts (p,) that stand on others, from the top down; ``own`` (p,) never do."""
+    found = np.zeros(len(steps.size), np.bool_)
+    may = ~own & (steps.size <= LARGE * steps.size.sum())
+    low, high = steps.label[steps.low], steps.label[steps.high]
+    for _ in range(ROUNDS):
+        left = ~found[low] & ~found[high]
+        above = np.bincount(high[left], minlength=len(found))
+        below = np.bincount(low[left], minlength=len(found))
+        more = may & ~found & (above > 0) & (above >= ABOVE * (above + below))
+        if not more.any():
+            break
+        found |= more
+    return found
+
+
+def standing_vertices(tin: Tin, base: Plane, inside: Bool, p: VolumeParameters) -> Bool:
+    """Vertices (n,) of what stands on the surface. inside : (m,) triangles that count.
+
+    None where the main body itself stands on steep faces, as a box does, and where most of the
+    outline would go.
+    """
+    none = np.zeros(len(tin.vertices), np.bool_)
+    steps = surface_steps(tin, p.max_edge_m)
+    if steps is None:
+        return none
+    own = np.zeros(len(steps.size), np.bool_)
+    ground = int(np.argmax(steps.size))
+    own[ground] = True
+    if p.outline == "auto":
+        found = bodies(tin, base, p.object_height_m, p.bodies, p.min_body_m3)
+        for body in found:
+            count = np.bincount(steps.label[vertex_mask(tin, body)], minlength=len(own))
+            own[int(np.argmax(count))] = True
+            if body is found[0] and int(np.argmax(count)) != ground:
+                return none
+    out: Bool = np.asarray(standing_parts(steps, own)[steps.label])
+    area = footprint_areas(tin.vertices, tin.triangles)
+    hidden = inside & out[tin.triangles].any(axis=1)
+    if float(area[hidden].sum()) > MOST * float(area[inside].sum()):
+        return none
+    return out
+
+
+def bent_vertices(tin: Tin, standing: Bool, radius_m: float) -> Bool:
+    """``standing`` (n,) with the vertices that bend towards them. radius_m : of the filter."""
+    tree = cKDTree(tin.vertices[standing, :2])
+    near = np.asarray(tree.query(tin.vertices[:, :2], distance_upper_bound=BENT * radius_m)[0])
+    out: Bool = standing | np.isfinite(near)
+    return out
+
+
+def objects_of(tin: Tin, standing: Bool, taken: Bool, inside: Bool) -> tuple[StandingObject, ...]:
+    """What stood on the surface, the largest first: vertices ``standing`` (n,) above those that
+    were not ``taken`` (n,). inside : (m,) triangles that counted with them.
+    """
+    r, rows = tin.vertices, np.flatnonzero(standing)
+    area = footprint_areas(r, tin.triangles) / 3.0
+    share = np.zeros(len(r))
+    for k in range(3):
+        share += np.bincount(tin.triangles[:, k], area, len(r))
+    pairs = cKDTree(r[rows, :2]).query_pairs(APART_M, output_type="ndarray")
+    label = parts(len(rows), pairs[:, 0], pairs[:, 1])
+    rise = rise_above(r[rows], r[~taken])
+    own, found = vertex_mask(tin, inside)[rows], []
+    for number in range(int(label.max()) + 1):
+        at = label == number
+        x, y = r[rows[at], :2].mean(axis=0).tolist()
+        size = float(np.ptp(r[rows[at], :2], axis=0).max())
+        volume = float(share[rows[at]] @ np.maximum(rise[at], 0.0))
+        high = float(rise[at].max())
+        if volume > 0.0:
+            found.append(StandingObject(x, y, size, high, volume, bool(own[at].any())))
+    return tuple(sorted(found, key=lambda one: -one.volume_m3))
+
+
+def rise_above(r: F64, left: F64) -> F64:
+    """Heights (n,) m of points r (n, 3) above the surface through the points left (k, 3) around."""
+    low, high = r[:, :2].min(axis=0) - AROUND_M, r[:, :2].max(axis=0) + AROUND_M
+    near = left[((left[:, :2] > low) & (left[:, :2] < high)).all(axis=1)]
+    try:
+        z = LinearNDInterpolator(near[:, :2], near[:, 2])(r[:, :2])
+    except (QhullError, ValueError):
+        return np.zeros(len(r))
+    return np.nan_to_num(r[:, 2] - z)
+
+
+def object_doubts(objects: tuple[StandingObject, ...], sigma_m3: float) -> list[Doubt]:
+    """What was taken out of the outline matters. sigma_m3 : of the volume."""
+    counted = [one for one in objects if one.inside]
+    total = sum(one.volume_m3 for one in counted)
+    if not counted or total < MATTERS * sigma_m3:
+        return []
+    one = counted[0]
+    several = f"{len(counted)} things stand" if len(counted) > 1 else "something stands"
+    words = (
+        f"{several} on the body or at its toe and {'are' if len(counted) > 1 else 'is'} not "
+        f"counted, {total:.3g} m³ above the surface below, which is bridged; the largest, "
+        f"{one.size_m:.2g} m wide and {one.high_m:.2g} m high, at ({one.x_m:.1f}, {one.y_m:.1f}) m:"
+        " survey the place without it, or set volume.objects to count where it is of the body"
+    )
+    return [Doubt("object", words, total)]

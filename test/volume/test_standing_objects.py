@@ -1,0 +1,64 @@
+"""What stands on a pile or beside it is taken out, named, and the surface below bridged."""
+
+import math
+
+import numpy as np
+import pytest
+
+from ladar_volume.volume.field_checks.standing_objects import Steps, standing_parts
+from test.volume.test_field_checks import TRUE_M3, estimated, names, pile
+
+
+def with_boxes(*boxes):
+    """The pile with boxes (x, y, length, width, height above the surface)."""
+
+    def height(x, y):
+        z = pile(x, y)
+        for x0, y0, long, wide, high in boxes:
+            hit = (np.abs(x - x0) < long / 2) & (np.abs(y - y0) < wide / 2)
+            z = np.where(hit, pile(np.array(x0), np.array(y0)) + high, z)
+        return z
+
+    return height
+
+
+@pytest.mark.parametrize(
+    "box", [(4.1, 0.0, 2.0, 1.5, 1.5), (1.5, -1.0, 1.6, 1.6, 2.0), (-4.5, 1.0, 1.4, 1.4, 1.0)]
+)
+def test_a_machine_is_taken_out_and_named(box):
+    v = estimated(with_boxes(box)).volume
+    one = v.objects[0]
+    assert math.hypot(one.x_m - box[0], one.y_m - box[1]) < 0.5
+    assert one.high_m == pytest.approx(box[4], abs=0.7)
+    assert abs(v.volume_m3 - TRUE_M3) < 3.0 * v.sigma_m3
+    assert v.sigma_m3 < 0.05 * TRUE_M3
+    assert "object" in {doubt.name for doubt in v.verdict.doubts}
+
+
+def test_what_is_to_count_counts():
+    box = (4.1, 0.0, 2.0, 1.5, 1.5)
+    counted = estimated(with_boxes(box), objects="count")
+    assert counted.volume.objects == () and counted.volume.volume_m3 > TRUE_M3 + 2.0
+    assert "object" not in names(counted)
+
+
+def test_people_and_a_mast_are_taken_out():
+    boxes = [(1.0, 1.5, 0.5, 0.5, 1.7), (-2.0, 0.5, 0.5, 0.5, 1.7), (0.0, -3.0, 0.5, 0.5, 3.0)]
+    v = estimated(with_boxes(*boxes)).volume
+    assert len(v.objects) == 3 and all(one.inside for one in v.objects)
+    assert abs(v.volume_m3 - TRUE_M3) < 3.0 * v.sigma_m3
+
+
+def test_a_body_on_steep_faces_is_the_body():
+    def box(x, y):
+        return np.where((np.abs(x) < 2.5) & (np.abs(y) < 2.0), 1.5, 0.0 * x)
+
+    v = estimated(box).volume
+    assert v.objects == () and v.volume_m3 > 28.0
+
+
+def test_the_ground_beside_a_pit_is_no_object():
+    """Parts: 0 the ground, 1 a pit's floor, 2 a crate on it: the crate lies above all its edges."""
+    low, high = np.array([1, 1, 1, 1]), np.array([0, 0, 2, 2])
+    steps = Steps(low, high, np.ones(4), np.arange(3), np.array([500, 60, 5]))
+    assert standing_parts(steps, np.array([True, False, False])).tolist() == [False, False, True]
