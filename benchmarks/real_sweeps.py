@@ -1,8 +1,10 @@
 """Real sweeps and clouds through the cloud filter with parameters it sets itself, against a check
 of its own (:mod:`benchmarks.plane_check`).
 
-Of the points that the check confirms on a plane seen by three rings at least 95 % should be kept,
-and the noise that the filter believes there should be the rms across the rings within a factor 1.5.
+Of the points that the check confirms on a plane seen by three rings at least 95 % should be kept.
+The noise that the filter believes there should lie, within a factor 1.5, between what repeats along
+and across rings show (``repeat``) and the rms of the check, which counts shapes below its tolerance
+as noise; without rings it should be that rms.
 Data: ``bags/leo_cut`` and what lies in ``../shared/data`` (or LADAR_SHARED_DATA); what is absent is
 named and left out.
 
@@ -12,7 +14,9 @@ sensor: about 12 to 21 % of the points of ``leo_rover`` have three rings in that
 widened point by point, as little as will do, to 1.25 times the distance of the third ring, and
 confirms 66 to 96 %. ``strict`` is what the ball without that confirms, and what is kept of it.
 Clouds from above have no rings; there the inliers must not lie on one line, and ball and tolerance
-go by the spacing: 12 and 6 mm for the ball boxes (1.5 mm), 4 m and 0.3 m for airborne ones (1 m).
+go by the spacing: 20 and 12 mm for the ball boxes (2 mm), 4 m and 0.3 m for airborne ones (1 m). A
+tolerance below two and a half times the noise cuts off what it measures: with 12 and 6 mm the ball
+boxes show 2.7 mm, with 20 and 12 mm 4.6, with 20 and 20 mm 5.0.
 """
 
 from __future__ import annotations
@@ -39,7 +43,7 @@ from ladar_volume.model.parameters import FilterParameters, GeoreferenceParamete
 HERE = Path(__file__).parents[1]
 SHARED = Path(os.environ.get("LADAR_SHARED_DATA", HERE.parent / "shared" / "data"))
 SWEPT, STRICT = Yardstick(), Yardstick(beyond=0.0)
-OVERHEAD = Yardstick(least_m=0.012, tolerance_m=0.006)
+OVERHEAD = Yardstick(least_m=0.020, tolerance_m=0.012)
 AIRBORNE = Yardstick(least_m=4.0, tolerance_m=0.3)
 #: What stands at the end: shares kept and confirmed, and the factor of the noise.
 KEPT, CONFIRMED, FACTOR = 0.95, (0.66, 0.95), 1.5
@@ -155,6 +159,7 @@ def judge(cloud: Cloud, found: Checked, result: CloudResult) -> dict[str, float]
         "kept": float(len(result.index) / len(cloud.r)),
         "confirmed_kept": float(kept.mean()) if len(sure) else np.nan,
         "check_mm": 1e3 * float(np.sqrt(np.nanmean(found.rms_m**2))),
+        "repeat_mm": 1e3 * found.repeat_m,
     }
     noise = np.full(len(cloud.r), np.nan)
     if result.noise is not None:
@@ -171,10 +176,16 @@ def judge(cloud: Cloud, found: Checked, result: CloudResult) -> dict[str, float]
     return out
 
 
+def met(f: dict[str, float]) -> bool:
+    """Whether enough is kept and the noise lies between both bounds."""
+    least = f["check_mm"] if np.isnan(f["repeat_mm"]) else f["repeat_mm"]
+    told = least / FACTOR <= f["believed_mm"] <= FACTOR * f["check_mm"]
+    return f["confirmed_kept"] >= KEPT and told
+
+
 def line(figures: dict[str, float], open3d: str, report: dict[str, float | int | str]) -> str:
     """One row of the table."""
     f = figures
-    good = f["confirmed_kept"] >= KEPT and 1 / FACTOR <= f["noise"] <= FACTOR
     strict = (
         f" (strict {100 * f['strict']:.1f} %, {100 * f['strict_kept']:.1f} %)"
         if "strict" in f
@@ -186,11 +197,11 @@ def line(figures: dict[str, float], open3d: str, report: dict[str, float | int |
         if report.get(key)
     )
     return (
-        f"{'' if good else '**not met** '}confirmed {100 * f['confirmed']:.1f} %, of these kept "
+        f"{'' if met(f) else '**not met** '}confirmed {100 * f['confirmed']:.1f} %, of these kept "
         f"{100 * f['confirmed_kept']:.1f} %{strict}; kept of all "
         f"{100 * f['kept']:.1f} % (Open3D {open3d}); noise believed {f['believed_mm']:.2f} mm over "
         f"{f['check_mm']:.2f} mm of the check: {f['noise']:.2f} (median over points "
-        f"{f['typical']:.2f}); {named or 'nothing taken out'}"
+        f"{f['typical']:.2f}), repeat {f['repeat_mm']:.2f} mm; {named or 'nothing taken out'}"
     )
 
 
@@ -214,9 +225,8 @@ def run(samples: int = 1500) -> dict[str, float | int | str]:
             open3d = str(missing)
         out[f"{cloud.name} ({len(cloud.r)})"] = line(figures, open3d, result.report)
         rows.append(figures)
-    met = [row["confirmed_kept"] >= KEPT and 1 / FACTOR <= row["noise"] <= FACTOR for row in rows]
     out["clouds"] = len(rows)
-    out["clouds that meet both"] = sum(met)
+    out["clouds that meet both"] = sum(map(met, rows))
     if rows:
         out["least share of confirmed points kept"] = min(row["confirmed_kept"] for row in rows)
     return out

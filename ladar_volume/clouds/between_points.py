@@ -19,6 +19,7 @@ import numpy as np
 from ladar_volume.clouds.cloud_noise import thinned
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.math.kernels import kernel
+from ladar_volume.math.own_axes import along_own_axes, raster_of
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.tin.locate import barycentric, locate, triangle_index
@@ -57,7 +58,7 @@ class BetweenPoints:
 
 
 def thinned_by_spacing(points: F64, spacing: F64, shift: tuple[float, float]) -> I64:
-    """Rows (k,) of points (n, 3): one of each cell of 1.5 spacings (n,), shifted by so many."""
+    """Rows (k,) of places (n, 2): one of each cell of 1.5 spacings (n,), shifted by so many."""
     out = []
     for size in np.unique(spacing[np.isfinite(spacing)]).tolist():
         own = np.flatnonzero(spacing == size)
@@ -83,19 +84,19 @@ def between_points(
     """
     tin = surface.made.tin
     hidden = unseen(surface, inside if untold is None else np.where(untold, inside, 0.0), height)
-    spacing = spacings(tin.vertices[:, :2])
+    spacing, own = spacings(tin.vertices[:, :2]), along_own_axes(tin.vertices[:, :2])
     bridged = bridges(surface)
     if np.count_nonzero(inside[~bridged]) < FEWEST:
         return BetweenPoints(0.0, 0.0, hidden)
-    seen, share = some_squares(tin, np.where(bridged, 0.0, inside), spacing)
+    seen, share = some_squares(tin, np.where(bridged, 0.0, inside), spacing, own)
     finest = wide(tin, seen)
     squares, totals, noises, ratios, few = [], [], [], [], []
     shifts = SHIFTS[: math.ceil(ENOUGH / np.count_nonzero(seen > 0))]
     for shift in shifts:
-        kept = thinned_by_spacing(tin.vertices, spacing, shift)
+        kept = thinned_by_spacing(own, spacing, shift)
         if len(kept) < FEWEST // 4:
             return BetweenPoints(0.0, 0.0, hidden)
-        blocks, noise, size = coarser(surface, seen, kept)
+        blocks, noise, size = coarser(surface, seen, kept, own)
         ratios.append(size / max(finest, 1e-300))
         squares.append(float((blocks**2).sum()))
         # a variance from few blocks is itself uncertain
@@ -114,16 +115,16 @@ def between_points(
     return BetweenPoints(random / share, drift / share, hidden)
 
 
-def some_squares(tin: Tin, inside: F64, spacing: F64) -> tuple[F64, float]:
+def some_squares(tin: Tin, inside: F64, spacing: F64, xy: F64) -> tuple[F64, float]:
     """The areas (m,) m² of triangles within the outline, 0 for those that others stand for; and
-    what part of the area is left.
+    what part of the area is left. xy : (n, 2) m, the vertices along their own axes.
     """
     every = math.ceil(np.count_nonzero(inside > 0) / ENOUGH)
     side = SQUARE * float(np.median(spacing))
     if every < 2 or not math.isfinite(side):
         return inside, 1.0
-    first = tin.vertices[tin.triangles[:, 0], :2]
-    square = np.floor((first - first.min(axis=0)) / side).astype(np.int64)
+    first = xy[tin.triangles[:, 0]]
+    square = np.floor((first - raster_of(first, side)[0]) / side).astype(np.int64)
     # a knight's move from row to row: no row, column or diagonal goes without
     kept = np.where((square @ [1, 2]) % every == 0, inside, 0.0)
     return kept, float(kept.sum() / inside.sum())
@@ -180,10 +181,10 @@ def add_kernel(
         covered[where] += part
 
 
-def coarser(surface: CloudSurface, inside: F64, kept: I64) -> tuple[F64, float, float]:
+def coarser(surface: CloudSurface, inside: F64, kept: I64, xy: F64) -> tuple[F64, float, float]:
     """What the volume within an outline loses where only the vertices ``kept`` (k,) stay: by
     blocks, m³; the variance, m⁶, that the noise gives to the whole; and how wide the triangles then
-    are, m.
+    are, m. xy : (n, 2) m, all vertices along their own axes.
     """
     tin = surface.made.tin
     coarse = build_tin(tin.vertices[kept])
@@ -200,8 +201,9 @@ def coarser(surface: CloudSurface, inside: F64, kept: I64) -> tuple[F64, float, 
         at = Places(p, where, place, b, weight * area)
         add_kernel(z, corners, above, at, differences, gradient, covered)
     size = wide(coarse, covered)
-    middle = places_kernel(tin.vertices, corners, PLACES[0])[:, :2]
-    cell = np.floor((middle - middle.min(axis=0)) / (BLOCK * size)).astype(np.int64)
+    middle = xy[corners].mean(axis=1)
+    low, _ = raster_of(middle, BLOCK * size)
+    cell = np.floor((middle - low) / (BLOCK * size)).astype(np.int64)
     number = np.unique(cell @ [1 << 32, 1], return_inverse=True)[1].reshape(-1)
     blocks: F64 = np.bincount(number, differences).astype(np.float64)
     return blocks, noise_of(surface, gradient), size

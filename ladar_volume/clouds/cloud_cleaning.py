@@ -19,6 +19,7 @@ from scipy import ndimage
 from ladar_volume.clouds.cloud_noise import CELL, CloudNoise, cloud_noise, thinned
 from ladar_volume.math.kernels import PARTS, kernel, parallel_kernel
 from ladar_volume.math.nearest import nearest, nearest_index
+from ladar_volume.math.own_axes import along_own_axes
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Bool
 from ladar_volume.tin.insertion_order import hilbert_order
@@ -233,6 +234,7 @@ def clean(points: F64) -> Cleaned:
 
 def find_strays(r: F64, noise: CloudNoise) -> tuple[Bool, Bool]:
     """Which of points r (n, 3), m, are isolated, and which are strays."""
+    r = np.column_stack([along_own_axes(r[:, :2]), r[:, 2]])
     everything, flat = np.arange(len(r), dtype=np.int64), r * [1.0, 1.0, 0.0]
     isolated = isolated_points(r, flat)
     cells = CELL * spacings(r[:, :2]) if noise.on_lines > LINES else None

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from ladar_volume.math.equal_rows import distinct_rows
 from ladar_volume.math.kernels import kernel
+from ladar_volume.math.own_axes import along_own_axes, raster_of
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I64, Bool
 from ladar_volume.tin.sampled_area import spacings
@@ -99,13 +100,12 @@ def nearest_in_cells(points: F64, low: F64, cell_m: float, shift: F64, nearest: 
 
 def thinned(points: F64, cell_m: float, shift: tuple[float, float] = (0.0, 0.0)) -> I64:
     """Rows (k,) of points (n, 3): in every cell of the horizontal plane, shifted by so many cells,
-    the one nearest to its middle; by cells from west to east, and from south to north in each.
+    the one nearest to its middle; by cells along x, and along y in each.
     """
-    x, y = points[:, 0], points[:, 1]
-    low, high, moved = np.array([x.min(), y.min()]), np.array([x.max(), y.max()]), np.array(shift)
-    size = np.floor((high - low) / cell_m + moved) + 1.0
-    if size.prod() <= RASTER * len(points) + 1e4:
-        nearest = np.full(size.astype(np.int64), -1, np.int64)
+    low, size = raster_of(points[:, :2], cell_m)
+    moved, size = np.array(shift), size + 1
+    if float(size[0]) * float(size[1]) <= RASTER * len(points) + 1e4:
+        nearest = np.full(size, -1, np.int64)
         nearest_in_cells(points, low, cell_m, moved, nearest)
         return nearest[nearest >= 0]
     # few points in a wide raster: sorted instead
@@ -224,6 +224,8 @@ def cloud_noise(points: F64) -> CloudNoise:
     first = distinct_rows(points[:, :2])
     copies = len(points) - len(first)
     own = points[first]
+    if len(own):
+        own = np.column_stack([along_own_axes(own[:, :2]), own[:, 2]])
     if len(own) < FEWEST:
         words = f"{len(own)} points are too few to estimate their noise ({FEWEST} are needed)"
         raise SurfaceError(words, reason="surface_too_few_points", value=len(own))

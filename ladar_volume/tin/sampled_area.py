@@ -21,6 +21,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from ladar_volume.math.kernels import kernel
+from ladar_volume.math.own_axes import along_own_axes, raster_of
 from ladar_volume.model.records import F64, I32, I64, Bool, Tin
 from ladar_volume.tin.boundary import parts_kernel
 from ladar_volume.tin.full_tin import build_tin, footprint_areas
@@ -72,11 +73,12 @@ def cell_numbers(xy: F64, low: F64, size: float, width: int) -> I64:
     return out
 
 
-def filled_at(xy: F64, low: F64, extent: F64, size: float) -> Bool:
+def filled_at(xy: F64, size: float) -> Bool:
     """Whether each of places (n, 2) m lies in, or beside, a block of three by three cells of a
-    raster that all hold one of them; cells of ``size``, the first begins at ``low`` (2,).
+    raster that all hold one of them; cells of ``size``.
     """
-    count = np.floor(extent / size).astype(np.int64) + 5
+    low, count = raster_of(xy, size)
+    count = count + 4
     cells = cell_numbers(xy, low, size, int(count[1]))
     raster = np.zeros(count, bool)
     raster.reshape(-1)[cells] = True
@@ -88,23 +90,23 @@ def filled_at(xy: F64, low: F64, extent: F64, size: float) -> Bool:
 
 def spacings(xy: F64) -> F64:
     """How far apart points (n, 2) m lie around each, across scan lines as along them, (n,) m:
-    infinite where nothing around them is filled, and for fewer than :data:`FEWEST`.
+    infinite where nothing around them is filled, and for fewer than :data:`FEWEST`. The raster lies
+    along the points' own axes.
     """
     out = np.full(len(xy), np.inf)
     if len(xy) < FEWEST:
         return out
-    xy = np.ascontiguousarray(xy)
-    low = np.array([xy[:, 0].min(), xy[:, 1].min()])
-    extent = np.maximum(np.array([xy[:, 0].max(), xy[:, 1].max()]) - low, 1e-300)
+    xy = along_own_axes(xy)
+    extent = np.maximum([np.ptp(xy[:, 0]), np.ptp(xy[:, 1])], 1e-300)
     some = np.unique(xy[:: max(1, len(xy) // 20_000)], axis=0)
-    near = np.asarray(cKDTree(some).query(some[:2000], 2)[0])[:, 1] if len(some) > 2 else extent
+    near = np.asarray(cKDTree(some).query(some, 2)[0])[:, 1] if len(some) > 2 else extent
     least = float(np.median(near)) * math.sqrt(len(some) / len(xy))
     cell = max(least, math.sqrt(float(extent.prod()) / MOST_CELLS), float(extent.max()) * 1e-4)
     sizes = [cell]
     while sizes[-1] * STEP <= LARGEST * float(extent.max()):
         sizes.append(sizes[-1] * STEP)
     # a long and narrow strip has no block of three cells at its width
-    filled = [filled_at(xy, low, extent, size) for size in sizes]
+    filled = [filled_at(xy, size) for size in sizes]
     for k in reversed(range(len(sizes))):
         out[filled[k]] = sizes[k]
     lasting = np.full(len(xy), np.inf)
