@@ -22,7 +22,8 @@ lint: .venv/ready  ## ruff, its formatter and mypy
 bench: .venv/ready  ## measure on this machine, write benchmarks/RESULTS.md
 	$(PY) -m benchmarks
 
-fuzz: .venv/ready  ## 10,000 mutated files and options over the verbs, in 4 GB each
+fuzz: .venv/ready  ## 10,000 mutated files into readers, as many files and options over the verbs
+	$(PY) -m benchmarks.fuzz_readers --count 10000
 	$(PY) -m benchmarks.fuzz_files --count 10000
 
 mutants: .venv/ready  ## planted bugs, then mutants of the core: which do the tests see? hours

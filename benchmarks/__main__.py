@@ -51,6 +51,7 @@ NAMES = (
     "footprint",
     "fuzz",
     "fuzz_files",
+    "fuzz_readers",
     "planted",
     "soak",
 )

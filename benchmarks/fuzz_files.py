@@ -27,11 +27,13 @@ import tempfile
 import time
 from collections import Counter
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.fuzz_folders import Kind, kinds, made, program
 from ladar_volume.cli.main import DEFECT
 from ladar_volume.cli.main import main as verb
 
@@ -41,11 +43,14 @@ MEMORY, SECONDS, LINE = 4 * 2**30, 60.0, 300
 WAIT_S = 300.0
 #: Modules that do the work of the verbs.
 WORK = (
-    *("filter", "tin", "volume", "body", "diff", "register", "calibrate"),
-    *("outputs.export", "scale.tiles"),
+    *("filter", "tin", "volume", "body", "diff", "register", "calibrate", "calibrate_strips"),
+    *("replay", "epochs", "plan", "outputs.export", "scale.tiles", "scale.sites"),
 )
 #: Libraries that a verb loads when it needs them; loaded once, too, where they are installed.
-LIBRARIES = ("rasterio", "ezdxf", "pye57", "laspy", "pyproj", "matplotlib.pyplot")
+LIBRARIES = (
+    *("rasterio", "ezdxf", "pye57", "laspy", "pyproj", "matplotlib.pyplot"),
+    *("pyogrio", "shapely", "rosbags.highlevel"),
+)
 #: Kinds of files that ``export`` and ``volume -o`` write, and words that are none.
 KINDS = (
     *("json", "csv", "las", "laz", "ply", "tif", "landxml", "dxf", "obj", "stl", "glb"),
@@ -230,9 +235,8 @@ def of_files(bad: Path, folder: Path, number: str, random_: random.Random) -> Ca
     return random_.choice(known)
 
 
-def case(known: dict[str, Path], folder: Path, random_: random.Random) -> Case:
+def case(kind: str, known: dict[str, Path], folder: Path, random_: random.Random) -> Case:
     """A command line over one mutated file, or over good ones with a mutated option."""
-    kind = random_.choice(list(known))
     source = known[kind]
     bad = folder / f"x{source.suffix}"
     text = source.suffix in (".csv", ".xyz", ".yaml", ".json", ".txt", ".obj", ".off")
@@ -273,6 +277,15 @@ def case(known: dict[str, Path], folder: Path, random_: random.Random) -> Case:
         Case(("tin", str(bad), "--crs", number[:50], "-o", str(ply)), (bad,), ply),
     ]
     return random_.choice(cloud)
+
+
+def of_folder(kind: Kind, folder: Path, random_: random.Random) -> Case:
+    """A command line over a folder of good files with a bad one, or with a mutated option."""
+    number = None
+    if random_.random() < 0.25:
+        number = random_.choice(WORDS).decode("latin-1").replace("\x00", "")
+    words, bad, output = made(kind, folder, number, partial(mutated, random_=random_), random_)
+    return Case(words, (bad,), output)
 
 
 def carried_out(case: Case, scratch: Path) -> tuple[int | str, str, float, int]:
@@ -346,6 +359,16 @@ def kept(output: Path) -> bool:
     return output.is_file() and output.read_bytes() == b"old"
 
 
+def warm(good: Path, out: Path) -> None:
+    """Compile what the cases run: a compilation is no hang of theirs."""
+    cloud = str(good / "b.ply")
+    program("filter", cloud, "-o", str(out / "warm.ply"))
+    program("volume", cloud, "--base", "ground")
+    program("volume", cloud, "--level", "0", "-o", str(out / "warm"), "--as", "all")
+    program("tin", cloud, "-o", str(out / "warm.ply"))
+    program("body", str(good / "m.ply"))
+
+
 def fuzz(count: int, seed: int, keep: Path | None = None) -> dict[str, Any]:
     """``count`` cases: how they ended, and those that ended as none should."""
     for module in WORK:  # once, for all that are forked from here
@@ -359,11 +382,16 @@ def fuzz(count: int, seed: int, keep: Path | None = None) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "good").mkdir()
-        known = seeds(folder / "good")
+        known, folders = seeds(folder / "good"), kinds(folder / "folders")
+        warm(folder / "good", folder)
+        every = [*known, *folders]
         for number in range(count):
-            one = case(known, folder, random_)
+            if (kind := random_.choice(every)) in folders:
+                one = of_folder(folders[kind], folder, random_)
+            else:
+                one = case(kind, known, folder, random_)
             if one.output is not None:
-                one.output.parent.mkdir(exist_ok=True)
+                one.output.parent.mkdir(parents=True, exist_ok=True)
                 one.output.write_bytes(b"old")
             code, text, seconds, memory = carried_out(one, folder)
             harmed = one.output is not None and code not in (0, 3)

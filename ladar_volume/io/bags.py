@@ -152,7 +152,7 @@ class BagReader(Recording):
             self._reader.open()
         except (AnyReaderError, Ros1Error, Ros2Error) as error:
             raise BagError(
-                f"{self.path}: not a readable recording: {error}",
+                f"{self.path}: not a readable recording: {shown(str(error))}",
                 reason="bag_format",
                 value=str(path),
             ) from error

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from ladar_volume.georeference.geodesy import LocalFrame
@@ -27,7 +25,7 @@ from ladar_volume.io.atomic_write import whole_file
 from ladar_volume.io.bags import TYPESTORE, BagReader
 from ladar_volume.io.mcap_log import McapLog
 from ladar_volume.io.tables import NUMBERS, decode, encode
-from ladar_volume.model.errors import InputError
+from ladar_volume.model.errors import InputError, shown
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I64, Datum, Estimate, FilterUpdate, select
 from ladar_volume.registration.transform import Transform
@@ -191,9 +189,9 @@ def read_estimator(
     points, patches, navigation = _surface_tables(file)
     try:
         given, datum, sums = _settings(result, navigation[0])
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
+    except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as error:
         raise InputError(
-            f"{file}: not a result of this program: {error!r}",
+            f"{file}: not a result of this program: {shown(error)}",
             reason="survey_file",
             value=str(path),
         ) from error
@@ -216,9 +214,9 @@ def read_result(file: Path) -> dict[str, Any]:
                 if r.name == RECORD and "result" in r.metadata
             ]
         result: dict[str, Any] = json.loads(found[-1])
-    except (OSError, McapError, struct.error, IndexError, ValueError) as error:
+    except Exception as error:  # a damaged file fails anywhere inside the parsers
         raise InputError(
-            f"{file}: not a result of this program: {error!r}",
+            f"{file}: not a result of this program: {shown(error)}",
             reason="survey_file",
             value=str(file),
         ) from error

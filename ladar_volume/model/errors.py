@@ -12,6 +12,8 @@ from typing import Any
 _BRIEF = reprlib.Repr()
 _BRIEF.maxstring = _BRIEF.maxother = 60
 _BRIEF.maxlong = 40
+#: Longest message, characters: files and messages from outside are quoted in some.
+LONGEST = 600
 
 
 def shown(value: object) -> str:
@@ -35,7 +37,7 @@ class LadarVolumeError(Exception):
 
     Parameters
     ----------
-    message : what is wrong and, where it helps, what to do.
+    message : what is wrong and, where it helps, what to do; cut at LONGEST characters.
     reason : short machine-readable name (``snake_case``), used as the key when a node counts the
         drop.
     value : the offending value, kept for the caller.
@@ -44,7 +46,7 @@ class LadarVolumeError(Exception):
     reason = "error"
 
     def __init__(self, message: str, *, reason: str | None = None, value: object = None) -> None:
-        super().__init__(message)
+        super().__init__(message if len(message) <= LONGEST else message[: LONGEST - 1] + "…")
         if reason is not None:
             self.reason = reason
         self.value: Any = value

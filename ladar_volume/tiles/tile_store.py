@@ -11,8 +11,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import struct
-import zipfile
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -24,7 +22,8 @@ import numpy as np
 from ladar_volume.io.atomic_write import whole_file
 from ladar_volume.io.pointfiles.crs import Reading
 from ladar_volume.io.pointfiles.geokeys import coordinates_of_records
-from ladar_volume.io.pointfiles.las import MARKS, _check_header
+from ladar_volume.io.pointfiles.las import MARKS, _check_header, place_of_points
+from ladar_volume.io.pointfiles.laz_layers import check_layers
 from ladar_volume.io.pointfiles.point_file import assemble
 from ladar_volume.io.pointfiles.raw_table import RawTable
 from ladar_volume.model.errors import CloudError, ConfigurationError, InputError
@@ -86,13 +85,14 @@ def parts_of_file(
         raise InputError(f"{path}: no such file", reason="input_missing", value=str(path))
     try:
         _check_header(path)
+        check_layers(path, *place_of_points(path))
         with laspy.open(path) as file:
             points = int(file.header.point_count)
         with path.open("rb") as raw:
             content = hashlib.file_digest(raw, "sha256").hexdigest()
     except CloudError as error:
         raise CloudError(f"{path}: {error}", reason=error.reason, value=error.value) from error
-    except (OSError, laspy.errors.LaspyException, ValueError, struct.error) as error:
+    except Exception as error:  # a damaged file fails anywhere inside laspy
         words = f"{path}: cannot be read: {error}"
         raise InputError(words, reason="input_unreadable", value=str(path)) from error
     if points == 0:
@@ -120,7 +120,7 @@ def read_part(cloud: CloudParts, k: int) -> tuple[F64, dict[str, int], tuple[Dou
             marks = [n for n in header.point_format.dimension_names if n in MARKS]
             found = {name: np.array(points[name]) for name in ("x", "y", "z", *marks)}
             records = [*header.vlrs, *(header.evlrs or [])]
-    except (laspy.errors.LaspyException, RuntimeError, ValueError, EOFError, struct.error) as error:
+    except Exception as error:  # a damaged file fails anywhere inside laspy and its decompressor
         words = f"points {first:,} to {first + many:,} cannot be decoded: {error}"
         raise CloudError(f"{cloud.path}: {words}", reason="cloud_values") from error
     if len(found["x"]) != many:
@@ -201,7 +201,7 @@ def member(archive: Path, name: str) -> np.ndarray:
     try:
         with np.load(archive, allow_pickle=False) as file:
             return np.asarray(file[name])
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except Exception as error:  # a damaged archive fails anywhere inside zipfile and NumPy
         words = f"{archive}: missing or damaged ({error}): delete it and run again"
         raise InputError(words, reason="input_unreadable", value=str(archive)) from error
 
@@ -220,15 +220,25 @@ def tile_index(cloud: CloudParts) -> TileIndex:
             x0, y0, x1, y1 = box.get(tile, edges)
             a, b, c, d = edges
             box[tile] = (min(x0, a), min(y0, b), max(x1, c), max(y1, d))
-        notes = json.loads(str(member(cloud.archive(k), "notes")))
-        for why, many in notes["left_out"].items():
+        why_not, why_doubtful = notes_of(cloud.archive(k))
+        for why, many in why_not.items():
             left_out[why] = left_out.get(why, 0) + many
-        for doubt in notes["doubts"]:
-            doubts[doubt["name"], doubt["text"]] = Doubt(**doubt)
+        doubts |= {(doubt.name, doubt.text): doubt for doubt in why_doubtful}
     if not parts:
         words = f"{cloud.path}: none of {cloud.points} points counts; choose with --classes"
         raise CloudError(words, reason="cloud_classes", value=left_out)
     return TileIndex(cloud, parts, count, box, left_out, tuple(doubts.values()))
+
+
+def notes_of(archive: Path) -> tuple[dict[str, int], list[Doubt]]:
+    """What does not count of one part, by reason, and its doubts."""
+    try:
+        notes = json.loads(str(member(archive, "notes")))
+        left_out = {str(why): int(many) for why, many in notes["left_out"].items()}
+        return left_out, [Doubt(**doubt) for doubt in notes["doubts"]]
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        words = f"{archive}: damaged notes: delete it and run again"
+        raise InputError(words, reason="input_unreadable", value=str(archive)) from error
 
 
 def tiles_of(archive: Path) -> Iterator[tuple[Tile, int, tuple[float, float, float, float]]]:

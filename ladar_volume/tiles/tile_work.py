@@ -116,16 +116,19 @@ def sums_of(index: TileIndex, task: TileTask, tile: Tile) -> tuple[Tile, TileSum
         raise type(error)(f"{words}: {error}", reason=error.reason) from error
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as part:
-        part.write_text(json.dumps(asdict(found)))
+        part.write_text(json.dumps({"sums": asdict(found), "digest": digest(asdict(found))}))
     return tile, found
 
 
 def sums_at_rest(path: Path) -> TileSums | None:
     """The sums in a file; None where it is not there or is damaged: they are made anew."""
     try:
-        values = json.loads(path.read_text())
+        kept = json.loads(path.read_text())
+        values = kept["sums"]
+        if digest(values) != kept["digest"]:
+            return None
         return TileSums(**{**values, "squares_m4": tuple(values["squares_m4"])})
-    except (OSError, ValueError, TypeError, KeyError):
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return None
 
 

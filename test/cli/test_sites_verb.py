@@ -182,6 +182,17 @@ def test_a_damaged_result_is_named(yards, tmp_path, capsys):
     file.write_text("{")
     code, _, err = ran(capsys, yards / "north", tmp_path / "out")
     assert code == 2 and "damaged result" in err and err.count("\n") == 1
+    file.write_text("[" * 100_000)
+    assert "damaged result" in ran(capsys, yards / "north", tmp_path / "out")[2]
+
+
+def test_a_number_changed_at_rest_is_no_result(yards, tmp_path, capsys):
+    ran(capsys, yards / "north", tmp_path / "out")
+    file = next((tmp_path / "out" / "results").iterdir())
+    facts = json.loads(file.read_text())
+    file.write_text(json.dumps(facts | {"net_m3": facts["net_m3"] + 1.0}))
+    code, _, err = ran(capsys, yards / "north", tmp_path / "out")
+    assert code == 2 and "changed since" in err and err.count("\n") == 1
 
 
 def test_wrong_options_are_refused_before_any_work(yards, tmp_path, capsys):

@@ -1,5 +1,6 @@
 """Whatever a file holds, its reader gives it back, or refuses it in one line with a reason."""
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,13 @@ from ladar_volume.io.measurements import read_measurements
 from ladar_volume.io.meshfiles.mesh_files import read_mesh, write_mesh
 from ladar_volume.io.pointfiles.cloud_files import read_cloud, write_cloud
 from ladar_volume.io.transforms import read_transform
-from ladar_volume.model.errors import BagError, ConfigurationError, InputError, LadarVolumeError
+from ladar_volume.model.errors import (
+    LONGEST,
+    BagError,
+    ConfigurationError,
+    InputError,
+    LadarVolumeError,
+)
 
 CORPUS = Path(__file__).parents[1] / "corpus"
 FEW = settings(
@@ -243,3 +250,22 @@ def test_a_far_coordinate_names_itself(tmp_path):
         write_cloud(tmp_path / "a.ply", r)
         with pytest.raises(InputError, match="no place is so far"):
             read_cloud(tmp_path / "a.ply")
+
+
+def test_layers_of_a_laz_chunk_are_no_larger_than_it(tmp_path):
+    """The decompressor allocates what they say: 4.3 GB for a file of 4.5 kB."""
+    path = tmp_path / "a.laz"
+    write_cloud(path, np.random.default_rng(2).uniform(0, 9, (300, 3)), {"ring": np.arange(300)})
+    data = bytearray(path.read_bytes())
+    (first,) = struct.unpack_from("<I", data, 96)
+    (point,) = struct.unpack_from("<H", data, 105)
+    assert len(read_cloud(path)) == 300
+    data[first + 8 + point + 4 : first + 8 + point + 8] = b"\xff\xff\xff\x7f"  # of the first layer
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"a chunk of .* holds layers of"):
+        read_cloud(path)
+
+
+def test_an_error_is_no_longer_than_a_message():
+    assert len(str(LadarVolumeError("x" * 10**6))) == LONGEST
+    assert str(LadarVolumeError("x" * LONGEST)) == "x" * LONGEST

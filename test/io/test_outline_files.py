@@ -186,7 +186,10 @@ def test_shapes_that_are_no_outlines_are_refused(tmp_path, geometry, words):
         ("a.shp", "nothing", "no outlines can be read"),
         ("a.wkt", "POLYGON((0 0", "no WKT"),
         ("a.wkt", "\udcff", "no WKT"),
+        ("a.wkt", "GEOMETRYCOLLECTION(" * 100_000, "more than 20 brackets"),
+        ("a.wkt", "CURVEPOLYGON(CIRCULARSTRING(0 0,1 1,2 0,1 -1,0 0))", "no WKT"),
         ("a.xyz", "1 2 3", "no outlines can be read"),
+        ("a.kml", "<?a?>" * 5_000 + "<!-- b -->x", "does not begin as a .kml"),
     ],
 )
 def test_files_that_are_none_are_one_line(tmp_path, name, text, words):
@@ -194,6 +197,27 @@ def test_files_that_are_none_are_one_line(tmp_path, name, text, words):
     with pytest.raises(InputError, match=words) as error:
         read_outlines(tmp_path / name, at(), EXTENT)
     assert "\n" not in str(error.value) and len(str(error.value)) < 300
+
+
+@pytest.mark.parametrize("name", ["v.kml", "v.geojson", "v.dxf", "v.vrt"])
+def test_a_file_that_leads_to_another_is_not_followed(tmp_path, name):
+    """GDAL opens a virtual source by its content, whatever its ending says."""
+    other = geojson(tmp_path / "other.geojson", [degrees(SQUARE)])
+    layer = f'<OGRVRTLayer name="other"><SrcDataSource>{other}</SrcDataSource></OGRVRTLayer>'
+    (tmp_path / name).write_text(f"<OGRVRTDataSource>{layer}</OGRVRTDataSource>")
+    with pytest.raises(InputError, match="no outlines can be read"):
+        read_outlines(tmp_path / name, at(), EXTENT)
+
+
+def test_kml_may_have_a_prolog(tmp_path):
+    ring = " ".join(f"{x},{y}" for x, y in closed(degrees(SQUARE)))
+    area = f"<outerBoundaryIs><LinearRing><coordinates>{ring}</coordinates></LinearRing>"
+    mark = f"<Placemark><Polygon>{area}</outerBoundaryIs></Polygon></Placemark>"
+    start = (
+        '\ufeff<?xml version="1.0"?>\n<!-- drawn -->\n<kml xmlns="http://www.opengis.net/kml/2.2">'
+    )
+    (tmp_path / "a.kml").write_text(f"{start}<Document>{mark}</Document></kml>", "utf-8")
+    assert len(read_outlines(tmp_path / "a.kml", at(), EXTENT).piles) == 1
 
 
 def test_a_density_that_is_no_number_names_its_pile(tmp_path):

@@ -203,6 +203,12 @@ def test_a_capture_is_cut_into_turns_at_the_times_of_arrival(tmp_path):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(BagError, match="not a readable capture"):
             open_recording(tmp_path / name)
+    late = capture(tmp_path / "f.pcap", [(2.0**31, frame(packets[0]))])
+    with pytest.raises(BagError, match="before 1970 or after 2038"):
+        open_recording(late)
+    late.write_bytes(late.read_bytes()[:32] + b"\xff" * 3 + b"\x7f" + b"\xff" * 4 + bytes(50))
+    with pytest.raises(BagError, match=r"not a readable capture|no packet of"):
+        open_recording(late)
     with pytest.raises(BagError, match="no packet of 1206 bytes"):
         open_recording(capture(tmp_path / "e.pcap", [(1.0, frame(bytes(100)))]))
 

@@ -62,8 +62,16 @@ def test_what_is_done_is_not_done_again_and_what_is_damaged_is_told(tmp_path):
     assert all(
         result_path(found.index, task, t).stat().st_mtime_ns == at for t, at in others.items()
     )
+    for damaged in ('{"sums": null}', "[" * 100_000, kept.read_text().replace("1", "2")):
+        kept.write_text(damaged)
+        same(by_tiles(path, tmp_path / "store", 20.0, part=1000)[1], first)
     archive = found.index.cloud.archive(2)
-    archive.write_bytes(archive.read_bytes()[:-3000])
+    good = archive.read_bytes()
+    with np.load(archive) as arrays:
+        np.savez(archive, **{**arrays, "notes": np.array("[1]")})
+    with pytest.raises(InputError, match="damaged notes"):
+        by_tiles(path, tmp_path / "store", 20.0, part=1000)
+    archive.write_bytes(good[:-3000])
     with pytest.raises(InputError, match="delete it and run again"):
         by_tiles(path, tmp_path / "store", 20.0, part=1000)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import hashlib
 import io
 import json
 import math
@@ -165,11 +166,15 @@ def one_thread() -> None:
 
 def keep(folder: Path, survey: Survey, facts: Mapping[str, Any]) -> dict[str, Any]:
     """Write a result under its key, unless it failed; returns it as it is read again."""
-    text = json_text(facts)
+    out: dict[str, Any] = json.loads(json_text(facts))
     if "error" not in facts:
-        write_text(folder / f"{survey.key}.json", text)
-    out: dict[str, Any] = json.loads(text)
+        write_text(folder / f"{survey.key}.json", json_text(out | {"digest": digest_of(out)}))
     return out
+
+
+def digest_of(facts: Mapping[str, Any]) -> str:
+    """What a result is known again by: a changed number must not pass for a computed one."""
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
 
 
 def read_result(folder: Path, survey: Survey) -> dict[str, Any]:
@@ -177,11 +182,17 @@ def read_result(folder: Path, survey: Survey) -> dict[str, Any]:
     file = folder / f"{survey.key}.json"
     try:
         out: dict[str, Any] = json.loads(file.read_text("utf-8"))
-        row_of(out, out)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        good = out.pop("digest") == digest_of(out)
+    except Exception as error:  # whatever the file holds instead
         raise InputError(
             f"{file}: a damaged result: delete it", reason="input_result", value=str(file)
         ) from error
+    if not good:
+        raise InputError(
+            f"{file}: changed since it was computed: delete it",
+            reason="input_result",
+            value=str(file),
+        )
     return out
 
 

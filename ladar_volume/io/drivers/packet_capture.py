@@ -19,7 +19,7 @@ import numpy as np
 
 from ladar_volume.io.bags import TYPESTORE, BagReader, Raw, Recording
 from ladar_volume.io.drivers.velodyne_scan import HOUR_US, KIND, PACKET, TOPIC, packet_clock_us
-from ladar_volume.model.errors import BagError
+from ladar_volume.model.errors import BagError, shown
 
 #: Endings of captures, and the bytes of a position packet.
 ENDINGS, POSITION = (".pcap", ".pcapng", ".cap"), 512
@@ -67,6 +67,9 @@ class PacketCapture(Recording):
         self.clock = "times of arrival" if utc is None else "the scanner's, locked to PPS"
         self._scans = [[data[i] for i in turn] for turn in turns([p.data for p in data])]
         self._stamps = [[stamp_of(p, utc) for p in scan] for scan in self._scans]
+        times = [t for scan in self._stamps for t in scan]
+        if min(times) < 0 or max(times) >= 2**31 * 10**9:
+            raise BagError(f"{self.path}: times before 1970 or after 2038", reason="bag_format")
 
     def _packets(self) -> Iterator[Packet]:
         """Payloads of all UDP packets over IPv4."""
@@ -80,9 +83,9 @@ class PacketCapture(Recording):
                     udp = getattr(ip, "data", None)
                     if isinstance(ip, dpkt.ip.IP) and isinstance(udp, dpkt.udp.UDP):
                         yield Packet(round(seconds * 10**9), bytes(ip.src), bytes(udp.data))
-        except (ValueError, OSError, dpkt.dpkt.Error) as error:
+        except Exception as error:  # a damaged file fails anywhere inside dpkt
             raise BagError(
-                f"{self.path}: not a readable capture: {error}", reason="bag_format"
+                f"{self.path}: not a readable capture: {shown(error)}", reason="bag_format"
             ) from error
 
     def __enter__(self) -> PacketCapture:

@@ -9,6 +9,7 @@ import laspy
 import numpy as np
 
 from ladar_volume.io.pointfiles.geokeys import coordinates_of_records
+from ladar_volume.io.pointfiles.laz_layers import check_layers
 from ladar_volume.io.pointfiles.raw_table import RawTable
 from ladar_volume.model.errors import CloudError
 
@@ -27,6 +28,7 @@ def read_las(path: Path, columns: bool = True) -> RawTable:
     """
     _check_header(path)
     try:
+        check_layers(path, *place_of_points(path))
         with laspy.open(path) as file:
             header = file.header
             names = [
@@ -40,18 +42,9 @@ def read_las(path: Path, columns: bool = True) -> RawTable:
                     for name, part in parts.items():
                         part.append(np.array(points[name]))
             announced, records = header.point_count, [*header.vlrs, *(header.evlrs or [])]
-    except (
-        laspy.errors.LaspyException,
-        RuntimeError,
-        ValueError,
-        EOFError,
-        struct.error,
-        MemoryError,
-        KeyError,
-        OverflowError,
-        TypeError,
-        IndexError,
-    ) as error:
+    except (OSError, CloudError):
+        raise
+    except Exception as error:  # a damaged file fails anywhere inside laspy and its decompressor
         raise CloudError(
             f"cannot be decoded, damaged or cut short: {error}", reason="cloud_values"
         ) from error
@@ -145,6 +138,8 @@ def _check_chunks(path: Path, first: int, count: int) -> None:
     if len(words) < 8 or chunk in (0, 2**32 - 1):
         return
     many = struct.unpack("<II", words)[1]
+    if many > path.stat().st_size:
+        raise CloudError(f"{many} chunks announced in a smaller file", reason="cloud_header")
     if not (many - 1) * chunk < count <= many * chunk and (many or count):
         raise CloudError(
             f"the header announces {count} points, the file holds {many} chunks of {chunk}: one of "
@@ -152,6 +147,13 @@ def _check_chunks(path: Path, first: int, count: int) -> None:
             reason="cloud_header",
             value=[count, many],
         )
+
+
+def place_of_points(path: Path) -> tuple[int, bytes]:
+    """Where the points of a LAS or LAZ file begin, and how they are packed; empty for not."""
+    with path.open("rb") as file:
+        head = file.read(105)
+    return struct.unpack_from("<I", head, 96)[0], _packing(path) if head[104] & 0x80 else b""
 
 
 def _packing(path: Path) -> bytes:

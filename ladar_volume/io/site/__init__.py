@@ -2,6 +2,7 @@
 
 Public:
 
-- ``outline_files``: outlines of piles from GeoJSON, Shapefile, GeoPackage, KML, DXF or WKT.
+- ``outline_files``: outlines of piles from GeoJSON, Shapefile, GeoPackage, KML, DXF or WKT,
+  placed in the points' system; ``outline_reading`` reads them.
 - ``height_budget``: errors that heights of a survey share, from a file.
 """

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ladar_volume.io.pointfiles.crs import crs_of_text, parts_of
+from ladar_volume.io.pointfiles.crs import parts_of
 from ladar_volume.io.pointfiles.metres import MapCoordinates
+from ladar_volume.io.site.outline_reading import MOST_CORNERS, Columns, Features, features_of
 from ladar_volume.model.errors import ConfigurationError, InputError, VolumeError, shown
 from ladar_volume.model.piles import Material, Pile
 from ladar_volume.model.records import F64
@@ -25,15 +26,11 @@ if TYPE_CHECKING:
     from pyproj import CRS
     from shapely.geometry.base import BaseGeometry
 
-#: Endings of files with outlines.
-OUTLINE_ENDINGS = (".geojson", ".json", ".shp", ".gpkg", ".kml", ".dxf", ".wkt", ".fgb")
 #: Columns that hold what is said of a pile, the first found counts; capitals do not matter.
 NAMES = ("name", "pile", "label", "id", "layer")
 MATERIALS = ("material", "product")
 DENSITIES = ("density_t_m3", "density")
 DENSITY_SIGMAS = ("density_sigma_t_m3", "density_sigma", "sigma_density")
-#: Most outlines of a file, and most corners of each.
-MOST, MOST_CORNERS = 10_000, 10_000
 #: A transformation that is less accurate than this, m, is doubtful. WGS 84 itself is known to 2 m.
 ACCURACY_M = 2.0
 
@@ -48,24 +45,6 @@ class Outlines:
     system: str
     ignored: int = 0
     doubts: tuple[Doubt, ...] = ()
-
-
-#: Columns of a file: names in small letters, of which several may be alike, and values.
-Columns = Sequence[tuple[str, Sequence[Any]]]
-
-
-@dataclass(frozen=True)
-class Features:
-    """shapes : geometries, x and y as they stand · columns : names and values, one a shape · crs :
-    of the file, None where it names none · default_crs : whether the format and not the file
-    names it · no_geometry : rows without a shape
-    """
-
-    shapes: list[BaseGeometry]
-    columns: Columns
-    crs: CRS | None
-    default_crs: bool = False
-    no_geometry: int = 0
 
 
 def read_outlines(path: Path, at: MapCoordinates, extent: F64) -> Outlines:
@@ -106,56 +85,6 @@ def with_own_names(piles: list[Pile]) -> list[Pile]:
         name = f"{pile.name} #{seen[pile.name]}" if again else pile.name
         out.append(Pile(name, pile.ring, pile.material))
     return out
-
-
-def features_of(path: Path) -> Features:
-    """What is in the file. Raises :class:`InputError`."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such file", reason="input_file", value=str(path))
-    if path.suffix.lower() == ".wkt":
-        return wkt_features(path)
-    import pyogrio
-    import shapely
-
-    pyogrio.set_gdal_config_options({"DXF_CLOSED_LINE_AS_POLYGON": "TRUE"})
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what matters of them is found below
-            meta, _, wkb, values = pyogrio.raw.read(path, max_features=MOST + 1)
-        some = [bytes(w) for w in wkb if w is not None]
-        shapes = [shapely.from_wkb(w) for w in some]
-    except (RuntimeError, ValueError, UnicodeError, shapely.errors.ShapelyError) as error:
-        brief = str(error).replace(str(path), path.name).splitlines()[0][:160]
-        raise InputError(
-            f"{path.name}: no outlines can be read: {brief}", reason="input_outlines"
-        ) from error
-    if len(shapes) > MOST:
-        raise InputError(f"{path.name}: more than {MOST:,} shapes", reason="input_outlines")
-    kept = [w is not None for w in wkb]
-    columns = [
-        (str(name).lower(), [v for v, keep in zip(column, kept, strict=True) if keep])
-        for name, column in zip(meta["fields"], values, strict=True)
-    ]
-    crs = None if meta["crs"] is None else crs_of_text(str(meta["crs"]), path.name)
-    ending = path.suffix.lower()
-    by_format = ending in (".geojson", ".json") and '"crs"' not in path.read_text("utf-8", "ignore")
-    return Features(shapes, columns, crs, by_format, kept.count(False))
-
-
-def wkt_features(path: Path) -> Features:
-    """Text with one geometry a line, empty lines and those that begin with # left out."""
-    import shapely
-
-    try:
-        lines = path.read_text("utf-8").splitlines()
-        rows = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
-        shapes = [shapely.from_wkt(line) for line in rows[: MOST + 1]]
-    except (OSError, UnicodeError, shapely.errors.ShapelyError) as error:
-        brief = str(error).splitlines()[0][:160]
-        raise InputError(
-            f"{path.name}: no WKT, one geometry a line: {brief}", reason="input_outlines"
-        ) from error
-    return Features(shapes, (), None)
 
 
 def rings_of(shape: BaseGeometry, path: Path) -> list[F64]:
@@ -251,6 +180,7 @@ def factor_of(at: MapCoordinates, path: Path) -> float:
 
 def transformed(source: CRS, target: CRS) -> Shift:
     """By pyproj, horizontally."""
+    from pyproj.exceptions import ProjError
     from pyproj.transformer import TransformerGroup
 
     one, two = parts_of(source)[0], parts_of(target)[0]
@@ -258,8 +188,11 @@ def transformed(source: CRS, target: CRS) -> Shift:
         raise InputError(f"CRS {source.name}: it has no horizontal part", reason="input_crs")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # grids that are missing are asked for below
-        group = TransformerGroup(one.to_2d(), two.to_2d(), always_xy=True)
-    best = group.transformers[0]
+        try:
+            best = TransformerGroup(one.to_2d(), two.to_2d(), always_xy=True).transformers[0]
+        except (ProjError, IndexError) as error:
+            words = f"no way is known from {one.name} to {two.name}"
+            raise InputError(words, reason="input_crs", value=one.name) from error
     doubts: tuple[Doubt, ...] = ()
     accuracy = float(best.accuracy)
     if not 0.0 <= accuracy <= ACCURACY_M and one.geodetic_crs != two.geodetic_crs:
