@@ -15,9 +15,13 @@ from ladar_volume.model.parameters import Parameters
 
 #: Read once, when the node starts or is configured.
 AT_START = frozenset({"node.input_reliability", "node.input_depth", "node.autostart"})
-#: What a node may write or delete, and where: given when it is launched, never over the graph.
+#: What a node may read, write or delete, and where, files, devices and addresses: given when it is
+#: launched, never over the graph.
 FILES = frozenset(
-    {"logger.path", "logger.disk_full", "node.output_folder", "mavlink.signing_key_file"}
+    {
+        *("logger.path", "logger.disk_full", "node.output_folder"),
+        *("mavlink.url", "mavlink.signing_key_file"),
+    }
 )
 
 
@@ -60,8 +64,8 @@ def why_never(name: str) -> str | None:
     """Why a parameter cannot change once its node was launched; None where it can."""
     if name in FILES:
         return (
-            f"{name} says which files the node may touch: it is set at launch and read-only "
-            "afterwards; restart the node with another value"
+            f"{name} says what the node may touch of this machine: it is set at launch and "
+            "read-only afterwards; restart the node with another value"
         )
     return None
 

@@ -24,6 +24,7 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from ladar_volume.model.errors import ConfigurationError, OutputError
 from ladar_volume.page.feed import Feed
@@ -44,6 +45,26 @@ HEADERS = {
 }
 #: Shortest token.
 TOKEN = 12
+#: Most connections at a time, and how long one may take to ask for something, s: those who hold
+#: more would take the files that the log needs.
+MOST, PATIENCE_S = 32, 10.0
+
+
+class FewConnections(H11Protocol):
+    """Closes what is one too many, and what asks for nothing."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """A client has connected."""
+        super().connection_made(transport)
+        if len(self.connections) > MOST:
+            transport.abort()
+        else:
+            self.loop.call_later(PATIENCE_S, self.close_silent, transport)
+
+    def close_silent(self, transport: asyncio.Transport) -> None:
+        """Close a connection without a whole request."""
+        if self.cycle is None:
+            transport.abort()
 
 
 @dataclass(frozen=True)
@@ -131,6 +152,7 @@ def served(feed: Feed, address: Address) -> Iterator[Address]:
         app_of(feed, address, ending),
         host=address.host,
         port=address.port,
+        http=FewConnections,
         log_level="error",
         access_log=False,
         timeout_graceful_shutdown=3,

@@ -2,7 +2,12 @@
 configured is not activated.
 """
 
+from dataclasses import fields
+
 from own_process import result_of
+
+from ladar_volume.model.parameters import Parameters
+from ladar_volume.nodes.declared_parameters import why_never
 
 SCRIPT = """
 import json, sys, time
@@ -53,6 +58,18 @@ for s in spinners:
 rclpy.try_shutdown()
 print(json.dumps(out))
 """
+
+
+def test_every_parameter_that_names_a_file_a_device_or_an_address_is_fixed_at_launch():
+    kinds = ("path", "file", "folder", "url")
+    names = [
+        f"{section}.{field.name}"
+        for section, stage in vars(Parameters()).items()
+        for field in fields(stage)
+        if field.type == "str" and field.name.split("_")[-1] in kinds
+    ]
+    assert len(names) >= 4
+    assert [name for name in names if why_never(name) is None] == []
 
 
 def test_a_stranger_sets_no_path_and_a_failed_configure_activates_nothing(tmp_path):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
+import socket
 import urllib.error
 import urllib.request
 
@@ -12,8 +14,9 @@ import pytest
 pytest.importorskip("starlette", reason="the extra 'page' is not installed")
 
 from ladar_volume.model.errors import ConfigurationError, OutputError
+from ladar_volume.page import field_page
 from ladar_volume.page.feed import KEPT, Cell, Feed, NodeHealth
-from ladar_volume.page.field_page import PAGE, address_of, served
+from ladar_volume.page.field_page import MOST, PAGE, address_of, served
 
 
 def lines(t_s, volume=10.0, sigma=0.5):
@@ -73,6 +76,29 @@ def test_another_address_needs_a_token_and_every_request_brings_it():
         for path in ("", "events", "?token=abcdefgh1234x"):
             with pytest.raises(urllib.error.HTTPError, match="403"):
                 get(f"http://127.0.0.1:{at.port}/{path}")
+
+
+def test_strangers_who_hold_connections_are_few_and_not_for_long(monkeypatch):
+    monkeypatch.setattr(field_page, "PATIENCE_S", 0.3)
+    with served(Feed(), address_of("0", None)) as at:
+        held = [socket.create_connection(("127.0.0.1", at.port)) for _ in range(MOST + 8)]
+        for one in held:
+            one.settimeout(5.0)
+            with contextlib.suppress(OSError):
+                one.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n")  # and never the end of it
+            with contextlib.suppress(ConnectionError):
+                assert one.recv(10) == b""
+            one.close()
+        assert get(at.url).status == 200
+
+
+def test_no_more_connections_than_the_page_may_have():
+    with served(Feed(), address_of("0", None)) as at:
+        held = [socket.create_connection(("127.0.0.1", at.port)) for _ in range(MOST)]
+        with pytest.raises(OSError, match=r"."):
+            get(at.url)
+        for one in held:
+            one.close()
 
 
 @pytest.mark.parametrize("text", ["", "x", "host.example:80", "127.0.0.1:99999", "127.0.0.1:-1"])
