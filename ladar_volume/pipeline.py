@@ -6,6 +6,7 @@ wires them without ROS.
 
 from __future__ import annotations
 
+from ladar_volume.clouds.survey.return_store import ReturnStore
 from ladar_volume.georeference.georeferencer import Georeferencer
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
@@ -36,8 +37,8 @@ class Engine:
         self.filter = SurfaceFilter(parameters)
         self.estimator = VolumeEstimator(parameters)
         self.points_mapped = 0
-        #: Every mapped cloud, where closed bodies are made of them in the end.
-        self.mapped: list[MappedPoints] = []
+        #: The mapped returns, where closed bodies are made of them in the end.
+        self.returned = ReturnStore(parameters.filter.radius_m)
         self._restarts = 0
 
     def add_fix(self, fix: Fix) -> None:
@@ -63,7 +64,7 @@ class Engine:
         """
         if self.georeferencer.restarts != self._restarts:
             self._restarts, self.points_mapped = self.georeferencer.restarts, 0
-            self.mapped.clear()
+            self.returned = ReturnStore(self.parameters.filter.radius_m)
             self.filter, self.estimator = (
                 SurfaceFilter(self.parameters),
                 VolumeEstimator(self.parameters),
@@ -76,7 +77,7 @@ class Engine:
         for points in clouds:
             self.points_mapped += len(points)
             if self.parameters.volume.kind == "bodies":
-                self.mapped.append(points)
+                self.returned.add(points.r_map)
             self.filter.add(points)
         return clouds
 

@@ -10,9 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from ladar_volume.clouds.survey.survey_bodies import SurveyBodies, around, bodies_of_survey
+from ladar_volume.clouds.survey.survey_bodies import SurveyBodies, about, bodies_of_survey
 from ladar_volume.io import results
 from ladar_volume.io.bags import Recording
 from ladar_volume.io.cloud_messages import returns_from_cloud
@@ -175,9 +173,7 @@ class Replay:
         """The closed bodies of what was replayed, about the outlines of the estimate. Raises as
         :func:`~ladar_volume.clouds.survey.survey_bodies.bodies_of_survey`.
         """
-        outlines = tuple(v.outline for v in (estimate.volume, *estimate.bodies))
-        raw = np.concatenate([points.r_map for points in self.engine.mapped])
-        near = around(outlines, self.parameters.volume.ground_ring_m, raw)
+        near = about(estimate, self.engine.returned.returns(), self.parameters)
         sources = self.engine.estimator.epoch().sources
         return bodies_of_survey(near, sources, self.parameters)
 

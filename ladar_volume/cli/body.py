@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -59,7 +58,8 @@ from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.ground.regions import in_box, in_polygon
 from ladar_volume.ground.robust_ground import fit_ground
 from ladar_volume.io.endings import ENDINGS
-from ladar_volume.io.meshfiles.mesh_files import holds_faces, read_mesh, write_mesh
+from ladar_volume.io.meshfiles.body_mesh import write_bodies
+from ladar_volume.io.meshfiles.mesh_files import holds_faces, read_mesh
 from ladar_volume.io.results import json_text
 from ladar_volume.model.body_parameters import BodyParameters, LocalMeshParameters, ObjectParameters
 from ladar_volume.model.errors import (
@@ -70,7 +70,7 @@ from ladar_volume.model.errors import (
     SurfaceError,
 )
 from ladar_volume.model.parameters import FilterParameters, GroundParameters
-from ladar_volume.model.records import F64, I64, Plane
+from ladar_volume.model.records import F64, Plane
 from ladar_volume.model.verdict import Doubt, Verdict
 
 #: An object is picked from so many longest steps between its points.
@@ -82,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
     check(arguments)
     console = Console(stderr=arguments.json)
     facts, bodies = (of_mesh if holds_faces(arguments.source) else of_cloud)(arguments, console)
-    write(arguments.output, bodies)
+    write_bodies(arguments.output, bodies)
     facts["output"] = {
         "path": arguments.output.name,
         "faces": sum(len(b.skin.triangles) for b in bodies),
@@ -337,27 +337,3 @@ def mesh_settings(arguments: argparse.Namespace) -> LocalMeshParameters:
     if arguments.repair is None:
         return LocalMeshParameters(arguments.mesh_radius)
     return LocalMeshParameters(arguments.mesh_radius, method="published", repair=arguments.repair)
-
-
-def write(path: Path, bodies: list[Body]) -> None:
-    """All bodies in one mesh file; in a PLY each vertex says what it is, and each face of which
-    body it is and what closed it.
-    """
-    start = np.cumsum([0, *(len(b.skin.vertices) for b in bodies)])
-    triangles = np.concatenate(
-        [b.closed.mesh.triangles + at for b, at in zip(bodies, start, strict=False)]
-    )
-    body = np.repeat(
-        np.minimum(np.arange(len(bodies)), 255), [len(b.skin.triangles) for b in bodies]
-    )
-    kind: I64 = np.concatenate([b.skin.kind for b in bodies])
-    notes = ["kind, closed: 0 measured, 1 edge completed, 2 gap, 3 on the ground"]
-    face = {"closed": np.concatenate([b.skin.face for b in bodies]), "body": body.astype(np.int32)}
-    write_mesh(
-        path,
-        np.concatenate([b.skin.vertices for b in bodies]),
-        triangles,
-        notes,
-        {"kind": kind.astype(np.int32)},
-        face,
-    )

@@ -13,12 +13,12 @@ from rich.progress import Progress
 from rich.table import Table
 
 from ladar_volume.cli.arguments.work import config_for
-from ladar_volume.cli.body import write as write_bodies
 from ladar_volume.cli.tables.result_table import show_result
 from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.io import results
 from ladar_volume.io.config import read_config
 from ladar_volume.io.drivers.packet_capture import open_recording
+from ladar_volume.io.meshfiles.body_mesh import write_bodies
 from ladar_volume.io.output_set import output_set
 from ladar_volume.io.surveys import FILE, write_survey
 from ladar_volume.model.parameters import Parameters

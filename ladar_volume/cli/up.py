@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from ladar_volume.cli.arguments.work import config_for
-from ladar_volume.cli.replay import topics_from
+from ladar_volume.cli.replay import show_bodies, topics_from
 from ladar_volume.cli.tables.result_table import show_result
 from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.io import results
@@ -31,6 +31,8 @@ if TYPE_CHECKING:  # ROS is loaded where the graph begins
     from ladar_volume.nodes.graph import Graph
     from ladar_volume.page.feed import Feed
 
+#: How long the answer may take, s: the first closed bodies compile their kernels.
+VOLUME_S, BODIES_S = 60.0, 900.0
 #: A recording's graph loses no message: overrides of a played survey.
 LOSSLESS = ("node.input_reliability=reliable", "node.input_depth=2000")
 
@@ -83,6 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(results.json_text(result), end="")
     else:
         show_result(console, result)
+        show_bodies(console, result.get("closed_bodies", []))
         console.print(f"written to {folder}/")
     return exit_code(arguments, result["verdict"])
 
@@ -155,7 +158,8 @@ def played_result(
             total=1.0,
         )
         graph.play(bag, topics, arguments.rate, lambda share: bar.update(task, completed=share))
-        result = graph.watcher.answer()
+        bodies = parameters.volume.kind == "bodies"
+        result = graph.watcher.answer(BODIES_S if bodies else VOLUME_S)
         result["input"] = {
             "path": arguments.play.name,
             "sha256": bag.digest(),

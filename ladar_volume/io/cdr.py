@@ -126,7 +126,12 @@ def tin_marker(estimate: Estimate, value: F64) -> bytes:
 def mesh(estimate: Estimate) -> bytes:
     """shape_msgs/Mesh: the relevant triangles with all vertices of the TIN."""
     tin = estimate.tin
+    return mesh_of(tin.vertices, tin.triangles[tin.relevant])
+
+
+def mesh_of(vertices: F64, triangles: npt.NDArray[Any]) -> bytes:
+    """shape_msgs/Mesh of vertices (n, 3) m and triangles (m, 3)."""
     w = Writer()
-    w.sequence(tin.triangles[tin.relevant].astype(np.uint32))
-    w.sequence(tin.vertices)
+    w.sequence(triangles.astype(np.uint32))
+    w.sequence(vertices)
     return w.bytes()

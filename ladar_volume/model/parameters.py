@@ -309,8 +309,8 @@ class VolumeParameters:
 
     kind: str = param(
         "surface",
-        "What is measured: the surface above its base; or, in replay, closed bodies on the ground "
-        "too, walls and overhangs with them.",
+        "What is measured: the surface above its base; or closed bodies on the ground too, walls "
+        "and overhangs with them.",
         choices=("surface", "bodies"),
     )
     base: str = param(

@@ -39,7 +39,6 @@ from ladar_volume.model.parameters import SECTIONS, CalibrationParameters, Param
 from ladar_volume.model.records import Datum
 from ladar_volume.nodes.declared_parameters import (
     descriptor,
-    live,
     outside,
     why_never,
     why_not_now,
@@ -138,7 +137,7 @@ class StageNode(LifecycleNode, ABC):
             }
             for s in self.sections
         }
-        return live(Parameters.read(values, start))
+        return Parameters.read(values, start)
 
     def _on_set(self, changes: Sequence[Parameter]) -> SetParametersResult:
         values: dict[str, dict[str, Any]] = {}
@@ -155,7 +154,7 @@ class StageNode(LifecycleNode, ABC):
         if not values:
             return SetParametersResult(successful=True)
         try:
-            parameters = live(Parameters.read(values, self.parameters))
+            parameters = Parameters.read(values, self.parameters)
         except ConfigurationError as error:
             return SetParametersResult(successful=False, reason=str(error))
         self.parameters = parameters

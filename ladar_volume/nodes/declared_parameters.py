@@ -9,12 +9,12 @@ from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 
-from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.parameter import ParameterSpec
-from ladar_volume.model.parameters import Parameters
 
 #: Read once, when the node starts or is configured.
-AT_START = frozenset({"node.input_reliability", "node.input_depth", "node.autostart"})
+AT_START = frozenset(
+    {"node.input_reliability", "node.input_depth", "node.autostart", "volume.kind"}
+)
 #: What a node may read, write or delete, and where, files, devices and addresses: given when it is
 #: launched, never over the graph.
 FILES = frozenset(
@@ -80,14 +80,3 @@ def why_not_now(name: str, runtime_sections: tuple[str, ...]) -> str | None:
             "shaped by it; clean the node up first"
         )
     return None
-
-
-def live(parameters: Parameters) -> Parameters:
-    """The parameters. Raises :class:`ConfigurationError` for what no node can do."""
-    if parameters.volume.kind == "bodies":
-        raise ConfigurationError(
-            "volume.kind: bodies is read by `ladar_volume replay` alone: here it is surface, and "
-            "the recording makes closed bodies afterwards",
-            value="bodies",
-        )
-    return parameters

@@ -25,6 +25,7 @@ from visualization_msgs.msg import Marker
 
 from ladar_volume.io import cdr, results
 from ladar_volume.io.cloud_messages import stamp_ns
+from ladar_volume.io.meshfiles.body_mesh import joined, write_bodies
 from ladar_volume.io.message_tables import (
     filter_update,
     filtered_points,
@@ -50,6 +51,7 @@ from ladar_volume.nodes.previous_epoch import SinceEpoch
 from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.running import spin
 from ladar_volume.nodes.services.catch_up import CatchUp
+from ladar_volume.nodes.services.closed_bodies import ClosedBodies
 from ladar_volume.nodes.stream_passes import Passes
 from ladar_volume.nodes.watch.others import Others
 from ladar_volume.volume.estimator import VolumeEstimator
@@ -104,7 +106,14 @@ class VolumeNode(StageNode):
             DiagnosticArray, "/diagnostics", self._others.take, 50, callback_group=self._group
         )
         self._filter_reset = self.create_client(Trigger, "filter_node/reset")
-        self._catch_up = CatchUp(self, lambda: self._newest_part)
+        self._closed: ClosedBodies | None = None
+        if self.parameters.volume.kind == "bodies":
+            self._closed = closed = ClosedBodies(self.parameters, self.offer)
+            self.listen("mapped", PointCloud2, "points_mapped", STREAM)
+            self._catch_up = CatchUp(self, lambda: self._newest_part, lambda: closed.last_ns)
+        else:
+            self._catch_up = CatchUp(self, lambda: self._newest_part)
+        self._unsure: list[PointCloud2] = []
         self._make_services()
 
     def _make_publishers(self) -> None:
@@ -130,8 +139,10 @@ class VolumeNode(StageNode):
         ):
             self.create_service(Trigger, f"~/{name}", self._service(action), callback_group=answers)
 
-    def _start_over(self, stage: VolumeEstimator | None = None) -> None:
+    def _start_over(self, stage: VolumeEstimator | None = None, keep_returns: bool = False) -> None:
         self.losses.merge(self.stage.losses)
+        if self._closed is not None and not keep_returns:
+            self._closed.clear()
         self.stage, self._half, self._parts = (
             VolumeEstimator(self.parameters) if stage is None else stage,
             {},
@@ -169,16 +180,51 @@ class VolumeNode(StageNode):
                 self._since = SinceEpoch()
                 self._start_over()
             return None
+        if kind == "bodies":
+            return self._take_bodies()
         verdict = self._passes.take(kind, stamp_ns(item))
         if verdict == "old":
             return self.losses.add("message_before_restart")
+        if verdict == "wait":
+            return self._unsure.append(item)
         if verdict == "new":
             self._newest_part = 0
             self._start_over()
+        unsure, self._unsure = self._unsure, []
+        for message in (*unsure, *([item] if kind == "mapped" else [])):
+            self._take_mapped(message)
+        if kind == "mapped":
+            return None
         if kind == "platform":
             self._states.append(item)
             return None
         return self._pair(kind, item)
+
+    def _take_mapped(self, message: PointCloud2) -> None:
+        if self._closed is not None:
+            self._closed.take(message)
+            if self._catch_up.waits:
+                self.wake()
+
+    def _take_bodies(self) -> None:
+        """Closed bodies that the thread has made: publish them."""
+        if self._closed is None:
+            return
+        try:
+            found = self._closed.done(lambda: self.stage.epoch().sources, self.parameters)
+            if found is not None:
+                self._publish_volumes(self._rows())
+                self._mesh.publish(cdr.mesh_of(*joined([b.body for b in found.bodies])))
+        finally:
+            self.wake()
+
+    def _rows(self) -> list[Volume]:
+        """The closed bodies as rows of ``volumes``."""
+        if self._closed is None or self._closed.found is None:
+            return []
+        from ladar_volume.clouds.survey.survey_bodies import volume_rows
+
+        return volume_rows(self._closed.found, self._closed.found_ns, self.parameters)
 
     def _pair(self, kind: str, item: PointCloud2) -> None:
         key = stamp_ns(item)
@@ -233,14 +279,18 @@ class VolumeNode(StageNode):
         self._filter_reset.call_async(Trigger.Request())
         with self._lock:
             self._hand_over()
-            self._start_over(self.stage.restarted())
+            self._start_over(self.stage.restarted(), keep_returns=True)
 
     def finish(self) -> None:
         """The last estimate, if anything is new, said once more in the log."""
         with self._lock:
             if self._due:
                 self._compute()
+            if self._closed is not None and self._closed.ended():
+                self._take_bodies()
         v = self._last
+        if self._closed is not None:
+            self.get_logger().info(self._closed.last_words())
         if v is None:
             return
         found = f"{v.volume_m3:.4f} m3, sigma {v.sigma_m3:.4f} m3"
@@ -282,7 +332,10 @@ class VolumeNode(StageNode):
 
     def _publish(self, estimate: Estimate) -> None:
         v = estimate.volume
-        self._publish_volumes(list(estimate.bodies))
+        if self._closed is None:
+            self._publish_volumes(list(estimate.bodies))
+        else:
+            self._closed.begin(estimate, self.parameters)
         if estimate.grounds:
             self._grounds.publish(table_message(ground_columns(estimate.grounds), v.t_ns))
         self._volume.publish(Float64(data=v.volume_m3))
@@ -297,7 +350,8 @@ class VolumeNode(StageNode):
             by_sigma = self.parameters.node.tin_colour == "sigma"
             height = self.stage.epoch().sigma_z() if by_sigma else estimate.tin.vertices[:, 2]
             self._tin.publish(cdr.tin_marker(estimate, height))
-            self._mesh.publish(cdr.mesh(estimate))
+            if self._closed is None:
+                self._mesh.publish(cdr.mesh(estimate))
 
     def _result(self) -> tuple[Estimate, dict[str, Any]]:
         estimate = self._compute(naive=True)
@@ -309,6 +363,11 @@ class VolumeNode(StageNode):
             estimate, self.parameters, self.all_losses(), self._datum, {}, {"node": self.get_name()}
         )
         change = None if self._since.change is None else results.change_dict(self._since.change)
+        if self._closed is not None:
+            found = self._closed.present()
+            result["closed_bodies"] = results.closed_bodies_dict(found)
+            result["closed_bodies_time_ns"] = self._closed.found_ns
+            result["verdict"] = results.with_doubts(result["verdict"], found.verdict)
         return estimate, result | {
             "losses_upstream": self._others.losses(),
             "returns_waiting_for_poses": self._catch_up.returns_waiting,
@@ -322,6 +381,8 @@ class VolumeNode(StageNode):
             if not self._late.sound:
                 self.losses.add("message_filter_late")
             try:
+                if self._closed is not None:
+                    await self._closed.of_all(self._begin_bodies)
                 with self._lock:
                     response.message = json.dumps(results.finite(action()))
                 response.success = True
@@ -340,6 +401,12 @@ class VolumeNode(StageNode):
             return response
 
         return call
+
+    def _begin_bodies(self) -> None:
+        with self._lock:
+            estimate = self._compute()
+            if self._closed is not None:
+                self._closed.begin(estimate, self.parameters, at_once=True)
 
     def _answer(self) -> dict[str, Any]:
         return self._result()[1]
@@ -365,6 +432,8 @@ class VolumeNode(StageNode):
             results.write_text(part / "result.json", results.json_text(result))
             results.write_ply(part / "mesh.ply", estimate.tin, epoch.sigma_z())
             write_survey(part / FILE, estimate, epoch, result)
+            if self._closed is not None:
+                write_bodies(part / "bodies.ply", [b.body for b in self._closed.present().bodies])
 
     def _start_epoch(self) -> dict[str, Any]:
         if self._last is None:
@@ -400,6 +469,7 @@ class VolumeNode(StageNode):
             "last_estimate_s": f"{self._last_estimate_s:.2f}",
             "restarts": self._passes.begun,
             **self._since.lines(),
+            **({} if self._closed is None else self._closed.lines()),
         }
         for number, place in enumerate([] if self._more is None else self._more.best(), start=1):
             lines[f"more_data_{number}"] = (

@@ -7,11 +7,11 @@ from scipy.spatial import cKDTree
 from ladar_volume.clouds.body_points import BodyPoints
 from ladar_volume.clouds.cloud_bodies import cloud_bodies
 from ladar_volume.clouds.sampling.even_points import even_rows, sparse_spacing
+from ladar_volume.clouds.survey.return_store import ReturnStore
 from ladar_volume.clouds.survey.survey_bodies import around, objects_on
 from ladar_volume.clouds.survey.survey_gradient import on_survey
 from ladar_volume.ground.polynomial import design_surface
-from ladar_volume.model.errors import ConfigurationError, SurfaceError, VolumeError
-from ladar_volume.model.parameters import Parameters
+from ladar_volume.model.errors import SurfaceError, VolumeError
 from ladar_volume.model.records import FilteredPoints
 
 
@@ -125,8 +125,24 @@ def test_even_rows_hold_a_distance_whatever_the_numbering():
     assert sparse_spacing(r[:1]) == 0.0 and len(even_rows(r[:0], 0.1)) == 0
 
 
-def test_nodes_refuse_bodies():
-    live = pytest.importorskip("ladar_volume.nodes.declared_parameters").live
-    assert live(Parameters()) == Parameters()
-    with pytest.raises(ConfigurationError, match="replay"):
-        live(Parameters.read({"volume": {"kind": "bodies"}}))
+def test_what_is_kept_of_returns_depends_on_their_set_alone():
+    rng = np.random.default_rng(6)
+    r = np.concatenate([rng.normal(0.0, 0.3, (20000, 3)), rng.uniform(-2.0, 2.0, (3000, 3))])
+    r = np.concatenate([r, r[:500]])
+    whole = ReturnStore(0.2, 40)
+    whole.add(r)
+    parts = ReturnStore(0.2, 40)
+    for k, part in enumerate(np.array_split(rng.permutation(r), 17)):
+        parts.add(part)
+        if k == 8:
+            early = parts.copy()
+            parts.returns()
+    kept = whole.returns()
+    assert np.array_equal(kept, parts.returns()) and len(early.returns()) < len(kept)
+    _, count = np.unique(np.floor(kept / 0.2), axis=0, return_counts=True)
+    _, before = np.unique(np.floor(r / 0.2), axis=0, return_counts=True)
+    assert np.array_equal(count, np.minimum(before, 40)) and before.max() > 300
+    # a fair sample: neither side of a full cell is left out
+    full = kept[(np.floor(kept / 0.2) == 0).all(axis=1)]
+    assert len(full) == 40 and 8 < np.count_nonzero(full[:, 0] > 0.1) < 32
+    assert len(ReturnStore(0.2).returns()) == 0

@@ -29,7 +29,7 @@ from ladar_volume.clouds.body_points import (
 from ladar_volume.clouds.body_verdict import bodies_verdict, filter_doubts
 from ladar_volume.clouds.body_volume import Body
 from ladar_volume.clouds.body_walls import closing_doubts, foot_doubts, wall_doubts
-from ladar_volume.clouds.cloud_bodies import CLEAR, NO_BODY, cloud_bodies
+from ladar_volume.clouds.cloud_bodies import CLEAR, NO_BODY, CloudBodies, cloud_bodies
 from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.clouds.ground_cover import doubts_about_growth, growth_about_bodies
 from ladar_volume.clouds.sampling.even_points import even_rows, sparse_spacing
@@ -41,8 +41,9 @@ from ladar_volume.model.body_parameters import BodyParameters, ObjectParameters
 from ladar_volume.model.cloud_filter_parameters import FilterParameters
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.model.records import F64, I64, Plane
+from ladar_volume.model.records import F64, I64, Estimate, Plane, Volume
 from ladar_volume.model.verdict import Doubt, Verdict
+from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.uncertainty.volume_budget import Sources
 
 #: Most returns that are filtered at once.
@@ -83,6 +84,22 @@ class SurveyBodies:
     returns: int
 
 
+@dataclass(frozen=True)
+class MeshedReturns:
+    """Closed bodies before the survey's calibration and navigation are asked. made : the bodies ·
+    points : the filtered ones · ground : on which they stand · budget_m6 : of each, what the
+    returns say · height_m : of each above the ground · verdict : so far · returns : used
+    """
+
+    made: CloudBodies
+    points: BodyPoints
+    ground: Plane
+    budget_m6: tuple[dict[str, float], ...]
+    height_m: tuple[float, ...]
+    verdict: Verdict
+    returns: int
+
+
 def around(outlines: tuple[F64, ...], margin_m: float, r: F64) -> F64:
     """The points (n, 3) m within a margin of the rectangle about outlines (c, 2 or more) m; all of
     them without outlines.
@@ -95,12 +112,62 @@ def around(outlines: tuple[F64, ...], margin_m: float, r: F64) -> F64:
     return np.asarray(r[((r[:, :2] >= low) & (r[:, :2] <= high)).all(axis=1)])
 
 
+def about(estimate: Estimate, returns: F64, parameters: Parameters) -> F64:
+    """The returns (n, 3) m around what an estimate of the surface found."""
+    outlines = tuple(v.outline for v in (estimate.volume, *estimate.bodies))
+    return around(outlines, parameters.volume.ground_ring_m, returns)
+
+
+def volume_rows(found: SurveyBodies, t_ns: int, parameters: Parameters) -> list[Volume]:
+    """The bodies as rows of the table ``volumes``; area : of their plan. What is doubtful of one is
+    told of all.
+    """
+    p = parameters.volume.confidence
+    k = NormalDist().inv_cdf(0.5 + p / 2)
+    rows = []
+    for b in found.bodies:
+        vertices, triangles = b.body.skin.vertices, b.body.closed.mesh.triangles
+        x, y, z = b.body.centroid_map.tolist()
+        rows.append(
+            Volume(
+                volume_m3=b.volume_m3,
+                sigma_m3=b.sigma_m3,
+                confidence=p,
+                coverage_factor=k,
+                cut_m3=b.volume_m3,
+                fill_m3=0.0,
+                area_m2=0.5 * float(np.abs(footprint_areas(vertices, triangles)).sum()),
+                base="ground of the same survey, closed body",
+                base_same_survey=True,
+                centroid_map=(x, y, z),
+                budget_m6=b.budget_m6,
+                sigma_tau_range_m3=(math.nan, math.nan),
+                sigma_naive_m3=math.nan,
+                outline=np.zeros((0, 2)),
+                vertices=len(vertices),
+                triangles=len(triangles),
+                t_ns=t_ns,
+                verdict=found.verdict,
+            )
+        )
+    return rows
+
+
 def bodies_of_survey(raw: F64, sources: Sources, parameters: Parameters) -> SurveyBodies:
     """The closed bodies within georeferenced returns (n, 3) m, in the map frame.
 
-    sources : the error sources of the survey's filtered surface, which covers them. Raises
-    :class:`VolumeError` (survey_returns: too many; volume_no_body), :class:`GroundError` without a
-    ground, :class:`ObjectError` where the filter left out most of what rises, and
+    sources : the error sources of the survey's filtered surface, which covers them. Raises as
+    :func:`mesh_returns`.
+    """
+    return with_budget(mesh_returns(raw, parameters), sources, parameters)
+
+
+def mesh_returns(raw: F64, parameters: Parameters) -> MeshedReturns:
+    """The closed bodies within georeferenced returns (n, 3) m, with what the returns themselves
+    say of their uncertainty.
+
+    Raises :class:`VolumeError` (survey_returns: too many; volume_no_body), :class:`GroundError`
+    without a ground, :class:`ObjectError` where the filter left out most of what rises, and
     :class:`SurfaceError` where none can be meshed and closed.
     """
     check_count(raw)
@@ -123,15 +190,23 @@ def bodies_of_survey(raw: F64, sources: Sources, parameters: Parameters) -> Surv
     verdict += Verdict(doubts + check_doubts(checked) + foot_doubts(made, points))
     grown = doubts_about_growth(made, growth_m)
     verdict += Verdict(wall_doubts(made, points) + closing_doubts(made) + grown)
-    out = []
+    height_m = tuple(found.records[k].height_m for k in made.numbers)
+    return MeshedReturns(made, points, ground, known.budget_m6, height_m, verdict, len(raw))
+
+
+def with_budget(meshed: MeshedReturns, sources: Sources, parameters: Parameters) -> SurveyBodies:
+    """The bodies with the whole budget: what the returns say, and the survey's calibration and
+    navigation.
+    """
+    made, verdict, out = meshed.made, meshed.verdict, []
     for k, body in enumerate(made.bodies):
-        moved = shared_gradient(body, made.sources[k], points, ground, sources)
+        rows = made.sources[k]
+        moved = shared_gradient(body, rows, meshed.points, meshed.ground, sources)
         verdict += Verdict(body.doubts + apart_doubts(k + 1, moved))
-        budget = {**known.budget_m6[k], **shared_lines(moved, sources)}
-        height = found.records[made.numbers[k]].height_m
-        out.append(_row(body, budget, height, len(made.sources[k]), parameters))
+        budget = {**meshed.budget_m6[k], **shared_lines(moved, sources)}
+        out.append(_row(body, budget, meshed.height_m[k], len(rows), parameters))
     out.sort(key=lambda b: -b.volume_m3)
-    return SurveyBodies(tuple(out), ground, verdict, len(raw))
+    return SurveyBodies(tuple(out), meshed.ground, verdict, meshed.returns)
 
 
 def check_count(raw: F64) -> None:

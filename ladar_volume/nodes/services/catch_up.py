@@ -21,11 +21,18 @@ class CatchUp:
     of that, and waits until volume_node has it.
     """
 
-    def __init__(self, node: LifecycleNode, newest_ns: Callable[[], int]) -> None:
-        """newest_ns : stamp of the last part that volume_node took."""
+    def __init__(
+        self,
+        node: LifecycleNode,
+        newest_ns: Callable[[], int],
+        newest_mapped_ns: Callable[[], int] | None = None,
+    ) -> None:
+        """newest_ns : stamp of the last part that volume_node took · newest_mapped_ns : of the last
+        mapped points, where it takes them, too.
+        """
         self._mapped = node.create_client(Trigger, "georeference_node/flush")
         self._filter = node.create_client(Trigger, "filter_node/flush")
-        self._newest_ns = newest_ns
+        self._newest_ns, self._newest_mapped_ns = newest_ns, newest_mapped_ns
         self._deadline = 0.0
         #: Whether an answer waits now: parts that come are to wake it.
         self.waits = False
@@ -50,6 +57,10 @@ class CatchUp:
             if said is None:
                 return _late("georeference_node has not worked off the messages that came before")
             wanted_ns, self.returns_waiting = said
+            while self._newest_mapped_ns is not None and self._newest_mapped_ns() < wanted_ns:
+                if time.monotonic() > self._deadline:
+                    return _late("volume_node lacks the last of the mapped points")
+                await NextRound()
         if not self._filter.service_is_ready():
             return Verdict()
         while True:
