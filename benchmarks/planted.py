@@ -11,6 +11,8 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -152,13 +154,8 @@ def seen(bug: Bug, tree: Path) -> bool:
         raise SystemExit(f"{bug.name}: {bug.file} has changed, plant it anew")
     if passes(bug, tree) is False:
         raise SystemExit(f"{bug.name}: {bug.function} fails without the bug")
-    file.write_text(good.replace(bug.good, bug.bad), encoding="utf-8")
-    forget_kernels(file)
-    try:
+    with planted_in(file, good.replace(bug.good, bug.bad)):
         return not passes(bug, tree)
-    finally:
-        file.write_text(good, encoding="utf-8")
-        forget_kernels(file)
 
 
 def passes(bug: Bug, tree: Path) -> bool:
@@ -169,7 +166,7 @@ def passes(bug: Bug, tree: Path) -> bool:
 def passes_all(tests: list[str], tree: Path) -> bool:
     """Whether tests, by file or function, pass in the copy; one that hangs does not."""
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *tests]
-    environment = os.environ | {"PYTHONPATH": str(tree)}
+    environment = os.environ | {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
     try:
         done = subprocess.run(
             command, cwd=tree, env=environment, capture_output=True, text=True, timeout=SECONDS
@@ -181,11 +178,33 @@ def passes_all(tests: list[str], tree: Path) -> bool:
     return done.returncode == 0
 
 
-def forget_kernels(file: Path) -> None:
-    """Throw away compiled kernels of the room: callers hold those of other files."""
-    for pattern in ("*.nbi", "*.nbc"):
-        for cache in (file.parent / "__pycache__").glob(pattern):
-            cache.unlink()
+@contextmanager
+def planted_in(file: Path, bad: str) -> Iterator[None]:
+    """A file with another text within the block. Compiled kernels of its room are laid aside where
+    it holds some, for their callers hold them, and come back afterwards with the file's own time.
+    """
+    good, at = file.read_bytes(), file.stat()
+    with tempfile.TemporaryDirectory() as name:
+        if b"math.kernels" in good:
+            for cache in kernels_of(file):
+                shutil.move(cache, name)
+        try:
+            file.write_text(bad, encoding="utf-8")
+            yield
+        finally:
+            file.write_bytes(good)
+            os.utime(file, ns=(at.st_atime_ns, at.st_mtime_ns))
+            if b"math.kernels" in good:
+                for cache in kernels_of(file):
+                    cache.unlink()
+                for old in Path(name).iterdir():
+                    shutil.move(old, file.parent / "__pycache__")
+
+
+def kernels_of(file: Path) -> list[Path]:
+    """Compiled kernels of a file's room."""
+    folder = file.parent / "__pycache__"
+    return [*folder.glob("*.nbi"), *folder.glob("*.nbc")]
 
 
 def count_seen(words: list[str]) -> tuple[int, int]:

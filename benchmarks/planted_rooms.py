@@ -16,7 +16,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.planted import ROOT, SECONDS, forget_kernels, passes_all
+from benchmarks.planted import ROOT, SECONDS, passes_all, planted_in
 
 
 @dataclass(frozen=True)
@@ -600,15 +600,10 @@ def seen(line: Line, tree: Path) -> bool:
     good = file.read_text(encoding="utf-8")
     if good.count(line.good) < 1:
         raise SystemExit(f"{line.name}: {line.file} has changed, plant it anew")
-    file.write_text(good.replace(line.good, line.bad, 1), encoding="utf-8")
-    forget_kernels(file)
-    try:
+    with planted_in(file, good.replace(line.good, line.bad, 1)):
         first = sorted(line.tests, key=lambda t: t != HERE)  # the quickest: it often sees the bug
         there = [f"test/{t}" for t in first if (tree / "test" / t).exists()]
         return not passes_all(there, tree)
-    finally:
-        file.write_text(good, encoding="utf-8")
-        forget_kernels(file)
 
 
 def count_seen(wanted: list[Line]) -> int:

@@ -136,3 +136,10 @@ def test_the_sample_has_the_areas_of_its_triangles():
         up = 0.5 * (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
         # faces are counter-clockwise from above once east is x and north is y
         assert len(p) == faces and (up > 0).all() and up.sum() == pytest.approx(area, abs=1e-3)
+
+
+def test_elements_within_elements_have_an_end(tmp_path):
+    """Each costs a look at all around it: 200,000 took minutes."""
+    (tmp_path / "a.xml").write_text("<LandXML>" + "<a>" * 200_000)
+    with pytest.raises(InputError, match="more than 100 levels"):
+        read_mesh(tmp_path / "a.xml")

@@ -42,6 +42,8 @@ HEIGHTS = {
 }
 
 
+#: Most elements within each other; LandXML has about ten.
+DEEPEST = 100
 #: Path of a line within a surface.
 BREAKLINE = ["SourceData", "Breaklines", "Breakline", "PntList3D"]
 
@@ -99,6 +101,8 @@ class Scan:
         tag = name.rsplit(":", 1)[-1]
         if not self.path and tag != "LandXML":
             raise bad(f"no LandXML: its root is <{tag}>", "mesh_file_header")
+        if len(self.path) == DEEPEST:
+            raise bad(f"elements within each other over more than {DEEPEST} levels")
         self.path.append(tag)
         inside = self.path[1:2] == ["Surfaces"] and self.surfaces
         if self.path[1:-1] == ["Units"]:

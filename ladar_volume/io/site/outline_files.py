@@ -15,6 +15,7 @@ import numpy as np
 
 from ladar_volume.io.pointfiles.crs import parts_of
 from ladar_volume.io.pointfiles.metres import MapCoordinates
+from ladar_volume.io.pointfiles.raw_table import FARTHEST
 from ladar_volume.io.site.outline_reading import MOST_CORNERS, Columns, Features, features_of
 from ladar_volume.model.errors import ConfigurationError, InputError, VolumeError, shown
 from ladar_volume.model.piles import Material, Pile
@@ -122,6 +123,9 @@ def checked(ring: F64, name: str, path: Path) -> F64:
         raise InputError(
             f"{path.name}: {name} has {len(ring):,} corners; simplify it", reason="input_outlines"
         )
+    if not (np.abs(ring) < FARTHEST).all():
+        words = f"{path.name}: {name} has a corner that is not below {FARTHEST:g}"
+        raise InputError(words, reason="input_outlines")
     try:
         return check_polygon(ring)
     except VolumeError as error:
