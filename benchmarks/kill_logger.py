@@ -30,7 +30,7 @@ from mcap.reader import NonSeekingReader, make_reader
 from rosbags.highlevel import AnyReader
 
 from ladar_volume.io.bags import TYPESTORE
-from ladar_volume.io.mcap_recovery import is_whole
+from ladar_volume.io.mcap_recovery import is_complete
 from ladar_volume.io.recorder import Recorder, log_files
 from ladar_volume.model.parameters import LoggerParameters
 
@@ -206,7 +206,7 @@ def kill_often(runs: int, bare: bool, folder: Path) -> list[dict[str, Any]]:
 def _outcome(path: Path, run: dict[str, Any]) -> dict[str, Any]:
     """Wait for the repair by the present logger, then look at what the one before left."""
     try:
-        _wait(lambda: is_whole(path), 20.0)
+        _wait(lambda: is_complete(path), 20.0)
         messages, last = check(path)
     except Exception as error:  # whatever a reader fails with is the finding
         return {"opens": False, "messages": 0, "lost_s": None, "error": repr(error)}

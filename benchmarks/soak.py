@@ -52,7 +52,7 @@ from ladar_volume.nodes.running import Spinner
 from ladar_volume.simulation.bag import write_bag
 from ladar_volume.simulation.platforms import make_platform, platform_for
 from ladar_volume.simulation.scenes import Ground, make_scene, pile
-from ladar_volume.simulation.suited_parameters import suited
+from ladar_volume.simulation.suited_parameters import suited_settings
 from ladar_volume.simulation.survey import Survey
 
 ROOT = Path(__file__).parents[1]
@@ -92,7 +92,7 @@ def full_rate_flight(folder: Path) -> Path:
         BudgetParameters(),
         SurveyParameters(30.0, 1, seed=5),
     )
-    write_bag(survey, folder / "flight", suited(scene), lambda share: None)
+    write_bag(survey, folder / "flight", suited_settings(scene), lambda share: None)
     return folder / "flight"
 
 
@@ -114,7 +114,7 @@ def site_flight(folder: Path, side_m: float) -> Path:
         BudgetParameters(),
         SurveyParameters(60.0, 1, seed=5),
     )
-    settings, half = suited(scene), 0.5 * side_m
+    settings, half = suited_settings(scene), 0.5 * side_m
     settings["filter"]["radius_m"] = 1.0
     settings["georeference"]["region_m"] = [-half, -half, -10.0, half, half, 30.0]
     write_bag(survey, folder / "site", settings, lambda share: None)

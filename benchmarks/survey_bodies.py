@@ -26,7 +26,7 @@ from ladar_volume.replay import Replay
 from ladar_volume.simulation.bag import write_bag
 from ladar_volume.simulation.platforms import platform_for
 from ladar_volume.simulation.scenes import Ground, Scene, box_mesh, grid_mesh, join
-from ladar_volume.simulation.suited_parameters import suited
+from ladar_volume.simulation.suited_parameters import suited_settings
 from ladar_volume.simulation.survey import Survey
 
 #: Every so many firing cycles; seconds of a survey; surveys.
@@ -95,7 +95,7 @@ def scene_of(seed: int) -> tuple[str, Scene]:
 def survey(seed: int) -> BodyError:
     """One survey of a body."""
     _, scene = scene_of(seed)
-    settings = suited(scene)
+    settings = suited_settings(scene)
     settings["filter"] |= {"radius_m": 0.1}
     settings["volume"] |= {"kind": "bodies"}
     low, high = scene.outline.min(axis=0) - RING_M, scene.outline.max(axis=0) + RING_M

@@ -15,8 +15,8 @@ from ladar_volume.io import results
 from ladar_volume.io.bags import Recording
 from ladar_volume.io.cloud_messages import returns_from_cloud
 from ladar_volume.io.drivers.ring_count import RingCount
-from ladar_volume.io.frames.frame_mounting import of_recording
-from ladar_volume.io.logs.heard_live import lacking
+from ladar_volume.io.frames.frame_mounting import mounting_of_recording
+from ladar_volume.io.logs.heard_live import missing_messages
 from ladar_volume.io.sensor_messages import (
     fix_from_message,
     imu_from_message,
@@ -56,7 +56,9 @@ class Replay:
             else dict.fromkeys(("fix", "imu", "odometry"), self.poses.path.name)
         )
         self.bag.require({**self.topics, **given}, self.parameters.georeference.pose_source)
-        mounted = of_recording(self.bag, self.topics, self.parameters, self.poses is not None)
+        mounted = mounting_of_recording(
+            self.bag, self.topics, self.parameters, self.poses is not None
+        )
         self.parameters, self.mounting = mounted.parameters, mounted.words
         self.engine = Engine(self.parameters)
         self.losses = Losses()
@@ -112,17 +114,19 @@ class Replay:
         """
         first = self.bag.start_ns + int(self.start_s * 1e9)
         span = min(self.duration_s, self.bag.duration_s - self.start_s)
-        items = self._recorded(first, first + int(span * 1e9))
+        items = self._recorded_messages(first, first + int(span * 1e9))
         if self.poses is not None:
             items = heapq.merge(
                 items,
-                self._logged(self.poses, first, first + int(span * 1e9)),
+                self._autopilot_records(self.poses, first, first + int(span * 1e9)),
                 key=lambda item: item[0],
             )
         for t_ns, role, record in items:
             yield (t_ns - first) * 1e-9 / max(span, 1e-9), role, record
 
-    def _logged(self, poses: MavlinkLog, first: int, last: int) -> Iterator[tuple[int, str, Any]]:
+    def _autopilot_records(
+        self, poses: MavlinkLog, first: int, last: int
+    ) -> Iterator[tuple[int, str, Any]]:
         """Records of an autopilot's log that the pose source takes, from a little before to a
         little after.
         """
@@ -139,7 +143,7 @@ class Replay:
                 yield record.t_ns, role, record
         self.losses.merge(poses.losses())
 
-    def _recorded(self, first: int, last: int) -> Iterator[tuple[int, str, Any]]:
+    def _recorded_messages(self, first: int, last: int) -> Iterator[tuple[int, str, Any]]:
         roles = {topic: role for role, topic in self.topics.items()}
         decode: dict[str, Callable[[Any], Any]] = {
             "fix": fix_from_message,
@@ -212,7 +216,7 @@ class Replay:
         result = results.result_dict(
             estimate, self.parameters, self.all_losses(), self.engine.datum, points, source
         )
-        doubts = self.height_doubts() + lacking(self.bag, self.topics)
+        doubts = self.height_doubts() + missing_messages(self.bag, self.topics)
         result["verdict"] = results.with_doubts(result["verdict"], doubts)
         return result | {
             "where_more_data_helps": results.more_data_dict(self.engine.estimator.more_data())

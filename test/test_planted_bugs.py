@@ -175,7 +175,7 @@ def test_a_repaired_file_is_confirmed(tmp_path, monkeypatch):
 def test_what_the_queue_of_the_log_does_not_take_is_counted():
     rclpy = pytest.importorskip("rclpy")
     assert rclpy
-    from ladar_volume.nodes.logger_node import LoggerNode, Subscribed
+    from ladar_volume.nodes.logger_node import LoggerNode, TopicSubscription
 
     account, taken = TopicAccount(), []
     node = SimpleNamespace(
@@ -188,7 +188,7 @@ def test_what_the_queue_of_the_log_does_not_take_is_counted():
         parameters=Parameters(logger=LoggerParameters(queue_bytes=2_000_000)),
         offer=lambda kind, item: taken.append(item),
     )
-    known = Subscribed("std_msgs/msg/String", True, False)
+    known = TopicSubscription("std_msgs/msg/String", True, False)
     for k in range(5):
         LoggerNode._take(
             node, "chat", known, bytes(900_000), {"publication_sequence_number": k + 1}

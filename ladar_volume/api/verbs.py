@@ -93,13 +93,13 @@ def _map_of(arguments: argparse.Namespace, sources: Sequence[Source], found: Res
     over another plane than the map's.
     """
     from ladar_volume.cli.outputs.cloud_files_out import deliverable
-    from ladar_volume.io.export.export_set import Wanted
+    from ladar_volume.io.export.export_set import ExportRequest
     from ladar_volume.io.export.output_system import system_of_cloud
 
     if arguments.frame != "level":
         raise ConfigurationError("tables and rasters are maps: they go with frame='level'")
     system = system_of_cloud(sources[0].cloud.coordinates, False)
-    return deliverable(Wanted(("tif",)), sources, found, system)
+    return deliverable(ExportRequest(("tif",)), sources, found, system)
 
 
 def filter(points: Points, **options: Option) -> FilterAnswer:

@@ -22,7 +22,7 @@ from ladar_volume.calibration.repeats import (
     spread,
 )
 from ladar_volume.cli.arguments.calibrate import ANGLES, COLUMNS
-from ladar_volume.io.atomic_write import whole_file
+from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.io.config import changed_config, read_config
 from ladar_volume.io.measurements import Measurements, read_measurements
 from ladar_volume.io.results import json_text
@@ -184,7 +184,7 @@ def write_config(
     before anything is written.
     """
     text = changed_config(Parameters.read(sections, base), sections, comment)
-    with whole_file(path) as part:
+    with atomic_file(path) as part:
         part.write_text(text, encoding="utf-8")
 
 

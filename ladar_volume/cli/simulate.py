@@ -13,7 +13,7 @@ from ladar_volume.model.survey_parameters import SurveyParameters
 from ladar_volume.simulation.bag import write_bag
 from ladar_volume.simulation.platforms import platform_for
 from ladar_volume.simulation.scenes import make_scene
-from ladar_volume.simulation.suited_parameters import suited
+from ladar_volume.simulation.suited_parameters import suited_settings
 from ladar_volume.simulation.survey import Survey
 
 
@@ -34,7 +34,7 @@ def run(arguments: argparse.Namespace) -> int:
     platform = platform_for(scene, arguments.platform, arguments.duration)
     parameters = read_config(arguments.config)
     survey = Survey(scene, platform, parameters.budget, options)
-    settings = suited(scene)
+    settings = suited_settings(scene)
     settings["budget"] = parameters.write()["budget"]
     with new_folder(arguments.output) as part, Progress(console=console, transient=True) as bar:
         task = bar.add_task("simulating", total=1.0)

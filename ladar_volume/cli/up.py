@@ -25,7 +25,7 @@ from ladar_volume.io.drivers.packet_capture import open_recording
 from ladar_volume.io.output_set import output_set
 from ladar_volume.model.errors import ConfigurationError, shown
 from ladar_volume.model.parameters import Parameters
-from ladar_volume.process.numpy_names import leave_out_tools
+from ladar_volume.process.numpy_names import hide_numpy_tools
 
 if TYPE_CHECKING:  # ROS is loaded where the graph begins
     from ladar_volume.nodes.graph import Graph
@@ -94,7 +94,7 @@ def graph_result(
     arguments: argparse.Namespace, parameters: Parameters, console: Console
 ) -> dict[str, Any]:
     """The volume of a recording played through the nodes; live they run until interrupted."""
-    leave_out_tools()
+    hide_numpy_tools()
     # the only way to ROS from here, paid for only by this verb
     from ladar_volume.nodes.graph import Graph
 
@@ -130,10 +130,10 @@ def page_of(arguments: argparse.Namespace, console: Console) -> Iterator[Feed | 
         yield None
         return
     from ladar_volume.page.feed import Feed
-    from ladar_volume.page.field_page import address_of, served
+    from ladar_volume.page.field_page import address_of, serve_page
 
     feed = Feed()
-    with served(feed, address_of(arguments.page, arguments.page_token)) as address:
+    with serve_page(feed, address_of(arguments.page, arguments.page_token)) as address:
         console.print(f"page: {address.url}", soft_wrap=True, markup=False)
         yield feed
 

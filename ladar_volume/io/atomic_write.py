@@ -22,7 +22,7 @@ _DIRECTORY = getattr(os, "O_DIRECTORY", 0)
 
 
 @contextlib.contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
+def atomic_file(path: Path) -> Iterator[Path]:
     """A path to write to, of the same name in a folder of our own beside it; on the disk and
     renamed to ``path`` when the block ends well, else removed. A link at ``path`` is replaced, not
     followed.
@@ -31,7 +31,7 @@ def whole_file(path: Path) -> Iterator[Path]:
     """
     try:
         with part_folder(path.parent, path.name) as part:
-            with by_name(part, path.parent):
+            with errors_naming(part, path.parent):
                 yield part / path.name
             sync(part / path.name)
             (part / path.name).replace(path)
@@ -59,7 +59,7 @@ def new_folder(path: Path) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def by_name(part: Path, asked: Path) -> Iterator[None]:
+def errors_naming(part: Path, asked: Path) -> Iterator[None]:
     """Refusals of what is written to ``part`` name ``asked``, which the user knows."""
     try:
         yield
@@ -96,7 +96,7 @@ def _locked_new(parent: Path, name: str) -> tuple[Path, int]:
         part = parent / f".{_short(name)}.{secrets.token_hex(_TOKEN_BYTES)}.part"
         part.mkdir(mode=0o700)
         with contextlib.suppress(FileNotFoundError, BlockingIOError):
-            return part, locked(part)  # else another run took it for one left behind
+            return part, lock_folder(part)  # else another run took it for one left behind
 
 
 def _short(name: str) -> str:
@@ -104,12 +104,12 @@ def _short(name: str) -> str:
     return name.encode(errors="surrogateescape")[:200].decode(errors="ignore")
 
 
-def locked(folder: Path) -> int:
+def lock_folder(folder: Path) -> int:
     """A descriptor that locks a folder until it is closed. Raises BlockingIOError where another
     holds it; on disks without locks there is none.
     """
     while True:
-        descriptor = _opened(folder)
+        descriptor = _open_folder(folder)
         try:
             lock(descriptor)
         except BlockingIOError:
@@ -125,7 +125,7 @@ def locked(folder: Path) -> int:
         os.close(descriptor)  # exchanged for another while we waited
 
 
-def _opened(folder: Path) -> int:
+def _open_folder(folder: Path) -> int:
     """A folder, or where folders cannot be opened a file that stands for it among the temporary
     ones.
     """
@@ -137,7 +137,7 @@ def _opened(folder: Path) -> int:
     )
 
 
-def own(status: os.stat_result) -> bool:
+def owned_by_user(status: os.stat_result) -> bool:
     """Whether a file is ours; where files have no such owner (Windows) it is."""
     user = getattr(os, "geteuid", None)
     return user is None or bool(status.st_uid == user())
@@ -149,9 +149,9 @@ def remove_stale(parent: Path, name: str) -> None:
     with contextlib.suppress(OSError), os.scandir(parent) as entries:
         for entry in entries:
             with contextlib.suppress(OSError):
-                mine = own(entry.stat(follow_symlinks=False))
+                mine = owned_by_user(entry.stat(follow_symlinks=False))
                 if ours.fullmatch(entry.name) and entry.is_dir(follow_symlinks=False) and mine:
-                    descriptor = locked(Path(entry.path))
+                    descriptor = lock_folder(Path(entry.path))
                     shutil.rmtree(entry.path, ignore_errors=True)
                     os.close(descriptor)
 

@@ -51,12 +51,12 @@ def check_claim(size: int, packed: int) -> None:
         )
 
 
-def most_of(packed: int) -> int:
+def largest_unpacked_size(packed: int) -> int:
     """What so many packed bytes may be at most."""
     return min(CHUNK, max(SMALL, RATIO * packed))
 
 
-def bounded(start: Callable[[], Any], data: bytes, most: int) -> bytes:
+def decompress_bounded(start: Callable[[], Any], data: bytes, most: int) -> bytes:
     """Unpack frame after frame, at most ``most`` bytes. Raises :class:`BagError` (bag_chunk) where
     there are more.
     """
@@ -99,20 +99,22 @@ def zstd(data: bytes, size: int | None = None) -> bytes:
     """Zstandard; ``size`` where it is announced. Raises :class:`BagError` (bag_chunk)."""
     if size is not None:
         check_claim(size, len(data))
-    return bounded(_Zstd, data, most_of(len(data)) if size is None else size)
+    return decompress_bounded(
+        _Zstd, data, largest_unpacked_size(len(data)) if size is None else size
+    )
 
 
 def lz4_frames(data: bytes, size: int | None = None) -> bytes:
     """LZ4; ``size`` where it is announced. Raises :class:`BagError` (bag_chunk)."""
     if size is not None:
         check_claim(size, len(data))
-    most = most_of(len(data)) if size is None else size
-    return bounded(lz4.frame.LZ4FrameDecompressor, data, most)
+    most = largest_unpacked_size(len(data)) if size is None else size
+    return decompress_bounded(lz4.frame.LZ4FrameDecompressor, data, most)
 
 
 def bzip2(data: bytes) -> bytes:
     """bzip2. Raises :class:`BagError` (bag_chunk)."""
-    return bounded(bz2.BZ2Decompressor, data, most_of(len(data)))
+    return decompress_bounded(bz2.BZ2Decompressor, data, largest_unpacked_size(len(data)))
 
 
 def check_chunk(packed: bytes, compression: str, size: int) -> None:

@@ -68,7 +68,7 @@ class Writer:
         return b"".join(self._parts)
 
 
-def shown(tin: Tin) -> I64:
+def shown_triangles(tin: Tin) -> I64:
     """Triangles (k, 3) to be looked at: the relevant ones; of more than :data:`MOST_SHOWN`, those
     left when all vertices in one square of a grid count as one of them.
     """
@@ -88,11 +88,11 @@ def shown(tin: Tin) -> I64:
 
 
 def tin_marker(estimate: Estimate, value: F64) -> bytes:
-    """visualization_msgs/Marker: the triangles :func:`shown` as a TRIANGLE_LIST coloured by a value
-    (n,) of each vertex.
+    """visualization_msgs/Marker: the triangles :func:`shown_triangles` as a TRIANGLE_LIST,
+    coloured by a value (n,) of each vertex.
     """
     tin = estimate.tin
-    corners = shown(tin).ravel()
+    corners = shown_triangles(tin).ravel()
     low, high = float(np.min(value)), float(np.max(value))
     s = (value - low) / max(high - low, 1e-12)
     colour = np.column_stack(

@@ -45,7 +45,7 @@ def read_config(
 
 def _mapping(path: Path) -> dict[str, Any]:
     """The sections below ``/**`` or, as ``ros2 param dump`` writes them, below the nodes' names."""
-    document = strict_yaml.read(path)
+    document = strict_yaml.read_yaml(path)
     if document is None:
         return {}
     layout = "expected '/**:' or a node's name with 'ros__parameters:' below it"
@@ -86,7 +86,7 @@ def override(text: str) -> dict[str, dict[str, Any]]:
     if not equals or not dot:
         raise ConfigurationError(f"{shown(text)} is not section.key=value", value=text)
     try:
-        return {section: {key: strict_yaml.parsed(value)}}
+        return {section: {key: strict_yaml.parse_yaml(value)}}
     except ConfigurationError as error:
         raise ConfigurationError(f"{shown(text)}: {error}", value=text) from error
 

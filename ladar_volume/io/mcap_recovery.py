@@ -73,7 +73,7 @@ class _Contents:
         )
 
 
-def is_whole(path: Path) -> bool:
+def is_complete(path: Path) -> bool:
     """Whether a file ends as its writer meant it to."""
     with path.open("rb") as stream:
         if stream.seek(0, os.SEEK_END) < 2 * len(MCAP0_MAGIC):
@@ -109,7 +109,7 @@ def _recover(path: Path, stream: BinaryIO) -> Recovery:
         raise OutputError(f"{path}: not an MCAP file", reason="log_damaged", value=str(path))
     contents = _scan(stream, size)
     lost = size - contents.end
-    whole = is_whole(path)
+    whole = is_complete(path)
     if not whole:
         if lost > LONGEST_TAIL and not _ends_here(stream, contents.end):
             raise OutputError(
@@ -122,7 +122,7 @@ def _recover(path: Path, stream: BinaryIO) -> Recovery:
             )
         stream.seek(contents.end)
         stream.truncate()
-        stream.write(_ending(contents))
+        stream.write(_closing_records(contents))
         stream.flush()
         os.fsync(stream.fileno())
     return Recovery(
@@ -286,7 +286,7 @@ def _summary(contents: _Contents, start: int) -> tuple[RecordBuilder, list[recor
     return summary, offsets
 
 
-def _ending(contents: _Contents) -> bytes:
+def _closing_records(contents: _Contents) -> bytes:
     """What belongs behind the last whole record: message indexes of the last chunk, DataEnd,
     summary, footer, magic.
     """

@@ -53,7 +53,7 @@ def _need(columns: Mapping[str, Any], *names: str) -> None:
         )
 
 
-def _split(key: I64) -> Columns:
+def _split_int64(key: I64) -> Columns:
     unsigned = key.astype(np.uint64)
     return {
         "key_high": (unsigned >> np.uint64(32)).astype(np.uint32),
@@ -61,7 +61,7 @@ def _split(key: I64) -> Columns:
     }
 
 
-def _joined(high: Any, low: Any) -> I64:
+def _join_int64(high: Any, low: Any) -> I64:
     key: I64 = ((high.astype(np.uint64) << np.uint64(32)) | low.astype(np.uint64)).astype(np.int64)
     return key
 
@@ -116,7 +116,7 @@ def filtered_columns(points: FilteredPoints) -> Columns:
         "time_high": (time >> np.uint64(32)).astype(np.uint32),
         "time_low": (time & np.uint64(0xFFFFFFFF)).astype(np.uint32),
     }
-    return columns | {f"patch_{n[4:]}": v for n, v in _split(points.patch).items()}
+    return columns | {f"patch_{n[4:]}": v for n, v in _split_int64(points.patch).items()}
 
 
 def filtered_points(columns: Mapping[str, Any]) -> FilteredPoints:
@@ -139,8 +139,8 @@ def filtered_points(columns: Mapping[str, Any]) -> FilteredPoints:
         np.column_stack([columns[f"normal_{a}"] for a in "xyz"]),
         columns["variance"],
         columns["tangential"],
-        _joined(columns["time_high"], columns["time_low"]),
-        _joined(columns["patch_high"], columns["patch_low"]),
+        _join_int64(columns["time_high"], columns["time_low"]),
+        _join_int64(columns["patch_high"], columns["patch_low"]),
         np.column_stack([columns["u"], columns["v"]]),
     )
 
@@ -162,7 +162,7 @@ def patch_columns(update: FilterUpdate) -> Columns:
         p,
         a.beta,
     )
-    cal = _grouped(a.M_cal)
+    cal = _group_columns(a.M_cal)
     groups = cal.shape[1]
     parts = [
         _rows(HEAD, a.key, a.t_ns, 0, head, width),
@@ -205,7 +205,7 @@ def patch_columns(update: FilterUpdate) -> Columns:
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def _grouped(M: F32) -> F32:
+def _group_columns(M: F32) -> F32:
     """Sensitivities (m, rows, c) in groups of columns, the last one filled with zeros: (m, groups,
     rows, 4).
     """
@@ -221,7 +221,7 @@ def _long(groups: F32) -> F32:
     return groups.reshape(groups.shape[0] * groups.shape[1], groups.shape[2] * groups.shape[3])
 
 
-def _ungrouped(values: F32, m: int, rows: int, columns: int) -> F32:
+def _ungroup_columns(values: F32, m: int, rows: int, columns: int) -> F32:
     """The inverse of both: (m, rows, columns) from rows of the long table."""
     groups = -(-columns // GROUP)
     parts = values[:, : rows * GROUP].reshape(m, groups, rows, GROUP).transpose(0, 2, 1, 3)
@@ -270,10 +270,10 @@ def _rows(kind: int, key: I64, other: I64, index: Any, values: F32 | F64, width:
     n = len(key)
     padded = np.zeros((n, width), np.float32)
     padded[:, : values.shape[1]] = values
-    other_split = _split(other)
+    other_split = _split_int64(other)
     return {
         "kind": np.full(n, kind, np.uint8),
-        **_split(key),
+        **_split_int64(key),
         "other_high": other_split["key_high"],
         "other_low": other_split["key_low"],
         "index": np.broadcast_to(np.asarray(index, np.uint16), (n,)).copy(),
@@ -286,8 +286,8 @@ def filter_update(points: FilteredPoints, columns: Mapping[str, Any]) -> FilterU
     _need(columns, "kind", "key_high", "key_low", "other_high", "other_low", "index", "values")
     kind, values = columns["kind"], columns["values"].astype(np.float32, copy=False)
     key, other = (
-        _joined(columns["key_high"], columns["key_low"]),
-        _joined(columns["other_high"], columns["other_low"]),
+        _join_int64(columns["key_high"], columns["key_low"]),
+        _join_int64(columns["other_high"], columns["other_low"]),
     )
     if not len(kind) or kind[-1] != END:
         raise CloudError(
@@ -320,7 +320,7 @@ def filter_update(points: FilteredPoints, columns: Mapping[str, Any]) -> FilterU
         _starts(keys, key[kind == CROSS]),
         other[kind == CROSS],
         values[kind == CROSS][:, : p * p].reshape(-1, p, p).copy(),
-        _ungrouped(values[kind == CALIBRATION], m, p + 2, columns_cal),
+        _ungroup_columns(values[kind == CALIBRATION], m, p + 2, columns_cal),
         _starts(keys, key[nav]),
         bins,
         values[nav][:, : (p + 2) * GROUP].reshape(-1, p + 2, GROUP).copy(),

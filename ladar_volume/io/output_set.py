@@ -11,7 +11,14 @@ import stat
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from ladar_volume.io.atomic_write import by_name, locked, part_folder, sync, sync_tree, unwritable
+from ladar_volume.io.atomic_write import (
+    errors_naming,
+    lock_folder,
+    part_folder,
+    sync,
+    sync_tree,
+    unwritable,
+)
 from ladar_volume.model.errors import OutputError
 
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
@@ -29,8 +36,8 @@ def output_set(path: str | Path, names: Sequence[str]) -> Iterator[Path]:
     asked = Path(path)
     with contextlib.ExitStack() as stack:
         try:
-            folder = _made(asked, stack)
-            stack.callback(os.close, locked(folder))
+            folder = _make_folder(asked, stack)
+            stack.callback(os.close, lock_folder(folder))
             parent = folder.parent if _may_be_exchanged(folder) else folder
             part = stack.enter_context(part_folder(parent, folder.name))
         except BlockingIOError as error:
@@ -41,7 +48,7 @@ def output_set(path: str | Path, names: Sequence[str]) -> Iterator[Path]:
             ) from error
         except OSError as error:
             raise unwritable(asked, error) from error
-        with by_name(part, asked):
+        with errors_naming(part, asked):
             yield part
         try:
             _commit(part, folder, names)
@@ -49,7 +56,7 @@ def output_set(path: str | Path, names: Sequence[str]) -> Iterator[Path]:
             raise unwritable(asked, error) from error
 
 
-def _made(asked: Path, stack: contextlib.ExitStack) -> Path:
+def _make_folder(asked: Path, stack: contextlib.ExitStack) -> Path:
     """The folder, with no link in its path; where it had to be made, it goes when it stays
     empty.
     """
@@ -92,12 +99,12 @@ def _commit(part: Path, folder: Path, names: Sequence[str]) -> None:
     written = os.listdir(part)
     sync_tree(part)
     replaced = list(dict.fromkeys((*names, *written)))
-    if part.parent == folder or not _exchanged(part, folder, replaced):
+    if part.parent == folder or not _try_exchange(part, folder, replaced):
         _one_by_one(part, folder, replaced, written)
     sync(folder)
 
 
-def _exchanged(part: Path, folder: Path, replaced: Sequence[str]) -> bool:
+def _try_exchange(part: Path, folder: Path, replaced: Sequence[str]) -> bool:
     """Put the new folder in the place of the old one in one step. False where that cannot be done;
     then nothing has changed.
     """

@@ -20,7 +20,7 @@ import zstandard
 from mcap.writer import MCAP0_MAGIC
 
 from ladar_volume.io.mcap_log import LIBRARY, McapLog, usual_definition
-from ladar_volume.io.mcap_recovery import Recovery, is_whole, recover
+from ladar_volume.io.mcap_recovery import Recovery, is_complete, recover
 from ladar_volume.model.errors import ConfigurationError, OutputError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import LoggerParameters
@@ -65,7 +65,7 @@ def log_files(base: Path) -> list[Path]:
     return [p for _, p in sorted(found)]
 
 
-class Written:
+class WrittenFiles:
     """The names of the files that this log wrote, kept beside it as ``.log.mcap.written``: nothing
     else is ever deleted.
     """
@@ -123,7 +123,7 @@ class Recorder:
         self.deleted: list[str] = []
         self.problem = ""
         self._base = Path(parameters.path)
-        self._written = Written(self._base)
+        self._written = WrittenFiles(self._base)
         self._definition, self._free = definition, free
         self._metadata: dict[str, dict[str, str]] = {}
         self._attachments: dict[str, tuple[str, bytes]] = {}
@@ -136,7 +136,7 @@ class Recorder:
         self._began, self._seen = 0.0, 0
         self._settled: dict[str, int] = {}
         self.path = self._base
-        refused = self._refused()
+        refused = self._refusal_reason()
         if refused:
             raise OutputError(f"{self._base}: cannot be written: {refused}", value=str(self._base))
         if self._has_room(1):
@@ -190,16 +190,16 @@ class Recorder:
         self._try(
             lambda log: log.write(topic, kind, data, t_ns, published_ns, sequence, qos), topic
         )
-        self._after(t_ns)
+        self._after_chunks(t_ns)
 
     def tick(self, t_ns: int) -> None:
         """Write a chunk that is old enough, look at the disk; several times a second."""
         self._try(McapLog.tick)
         if self._log is None:
             self._resume(t_ns)
-        self._after(t_ns)
+        self._after_chunks(t_ns)
 
-    def _after(self, t_ns: int) -> None:
+    def _after_chunks(self, t_ns: int) -> None:
         """Where chunks were written: settle the accounts, split, make room."""
         log = self._log
         if log is None:
@@ -231,7 +231,7 @@ class Recorder:
         except OutputError as error:
             if topic is not None and log.accepted.get(topic, 0) == before:
                 self.account(topic).disk += 1
-            self._failed(error)
+            self._handle_disk_error(error)
 
     # files
     # ----------------------------------------------------------------------------------------------
@@ -274,7 +274,7 @@ class Recorder:
             log.close()
             self._log = None
         except OutputError as error:
-            self._failed(error)
+            self._handle_disk_error(error)
 
     def close(self) -> None:
         """Finish the file with its index and the account of all topics."""
@@ -282,7 +282,7 @@ class Recorder:
 
     # the disk
     # ----------------------------------------------------------------------------------------------
-    def _failed(self, error: OutputError) -> None:
+    def _handle_disk_error(self, error: OutputError) -> None:
         """The disk refused: what was in the chunk is lost and counted; the file is made whole if
         the disk takes an index.
         """
@@ -305,7 +305,7 @@ class Recorder:
             self._finish()
             self._wait_for_room()
 
-    def _refused(self) -> str:
+    def _refusal_reason(self) -> str:
         """Why no file can be made where the log is to be, whatever is free; empty where one can."""
         folder = self._base.parent.absolute()
         while not folder.exists() and folder != folder.parent:
@@ -322,7 +322,7 @@ class Recorder:
             return str(error)
 
     def _wait_for_room(self) -> None:
-        refused = self._refused()
+        refused = self._refusal_reason()
         if refused:
             self.problem = f"{self._base}: cannot be written: {refused}"
             self._again = time.monotonic() + RETRY_S
@@ -366,7 +366,7 @@ class Recorder:
             self._open(t_ns)
         except OutputError as error:
             if self._log is not None:
-                self._failed(error)
+                self._handle_disk_error(error)
             self.problem = str(error)
             return False
         self.problem = ""
@@ -379,7 +379,7 @@ class Recorder:
         done: list[Recovery | OutputError] = []
         for path in log_files(self._base):
             try:
-                if path != self.path and not is_whole(path):
+                if path != self.path and not is_complete(path):
                     done.append(recover(path))
             except OutputError as error:
                 done.append(error)

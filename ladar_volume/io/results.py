@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ladar_volume.ground.polynomial import degree_of, tilt_of
-from ladar_volume.io.atomic_write import unwritable, whole_file
+from ladar_volume.io.atomic_write import atomic_file, unwritable
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import Datum, Estimate, Plane, Tin, Volume
@@ -211,7 +211,7 @@ def output_folder(path: str | Path) -> Path:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file whole. Raises OutputError."""
-    with whole_file(path) as part:
+    with atomic_file(path) as part:
         part.write_text(text, encoding="utf-8")
 
 
@@ -244,5 +244,5 @@ def write_columns(path: Path, tin: Tin, columns: Mapping[str, Any]) -> None:
         f"{len(vertex)}\n{chr(10).join(properties)}\n"
         f"element face {len(face)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
-    with whole_file(path) as part:
+    with atomic_file(path) as part:
         part.write_bytes(header.encode() + vertex.tobytes() + face.tobytes())

@@ -62,7 +62,7 @@ _Loader.yaml_implicit_resolvers = {
 }
 
 
-def parsed(text: str) -> Any:
+def parse_yaml(text: str) -> Any:
     """The document of a YAML text. Raises :class:`ConfigurationError`."""
     if len(text) > SIZE:
         raise ConfigurationError(f"more than {SIZE:,} characters: no parameter file")
@@ -75,11 +75,11 @@ def parsed(text: str) -> Any:
         raise ConfigurationError(f"not valid YAML: {error}") from error
 
 
-def read(path: Path) -> Any:
+def read_yaml(path: Path) -> Any:
     """The document of a file. Raises :class:`ConfigurationError`."""
     try:
         with path.open(encoding="utf-8") as file:
             text = file.read(SIZE + 1)
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"cannot be read: {error}") from error
-    return parsed(text)
+    return parse_yaml(text)

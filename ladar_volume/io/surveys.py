@@ -21,7 +21,7 @@ from mcap.reader import make_reader
 
 from ladar_volume.georeference.geodesy import LocalFrame
 from ladar_volume.io import message_tables, results
-from ladar_volume.io.atomic_write import whole_file
+from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.io.bags import TYPESTORE, BagReader
 from ladar_volume.io.mcap_log import McapLog
 from ladar_volume.io.tables import NUMBERS, decode, encode
@@ -125,7 +125,7 @@ def write_survey(path: Path, estimate: Estimate, epoch: Epoch, result: Mapping[s
     ]
     if estimate.grounds:
         tables.append(("grounds", message_tables.ground_columns(estimate.grounds)))
-    with whole_file(path) as part, McapLog(Parameters().logger, part) as log:
+    with atomic_file(path) as part, McapLog(Parameters().logger, part) as log:
         log.metadata(RECORD, {"result": results.json_text(result)})
         for topic, columns in itertools.chain(tables, survey_tables(epoch)):
             log.write_message(topic, _table_message(columns, t_ns), t_ns)

@@ -22,9 +22,9 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ladar_volume.process.import_guard import unwanted
+from ladar_volume.process.import_guard import block_import
 
-with unwanted("coverage"):  # 5 MB, and nothing to measure where it does not run yet
+with block_import("coverage"):  # 5 MB, and nothing to measure where it does not run yet
     import numba
 
 from ladar_volume.process.kernel_cache import keep

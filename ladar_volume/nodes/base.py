@@ -43,9 +43,9 @@ from ladar_volume.nodes.declared_parameters import (
     why_never,
     why_not_now,
 )
-from ladar_volume.nodes.executor_rounds import AT_ONCE, NextRound, take_waiting, unpacked
+from ladar_volume.nodes.executor_rounds import AT_ONCE, NextRound, deserialize, take_waiting
 from ladar_volume.nodes.qos import LATCHED, STREAM
-from ladar_volume.nodes.services.static_mounting import mounted
+from ladar_volume.nodes.services.static_mounting import mounting_from_frames
 from ladar_volume.nodes.stream_passes import OnePublisher
 from ladar_volume.nodes.watch.defect_reports import Defects
 from ladar_volume.nodes.watch.health import Health
@@ -111,9 +111,9 @@ class StageNode(LifecycleNode, ABC):
         back = JumpThreshold(
             min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
         )
-        self.get_clock().create_jump_callback(back, post_callback=self._jumped)
+        self.get_clock().create_jump_callback(back, post_callback=self._on_clock_jump)
 
-    def _jumped(self, jump: TimeJump) -> None:
+    def _on_clock_jump(self, jump: TimeJump) -> None:
         self._jumps_back += 1
 
     # parameters
@@ -160,10 +160,10 @@ class StageNode(LifecycleNode, ABC):
         self.parameters = parameters
         if self._worker is not None:
             self._timer.timer_period_ns = round(parameters.node.diagnostics_period_s * 1e9)
-            self.changed()
+            self.apply_live_parameters()
         return SetParametersResult(successful=True)
 
-    def changed(self) -> None:
+    def apply_live_parameters(self) -> None:
         """Take over run-time parameters; for subclasses."""
 
     # lifecycle
@@ -195,7 +195,7 @@ class StageNode(LifecycleNode, ABC):
         """What makes the node's results wrong or keeps them away, in words; for subclasses."""
         return []
 
-    def offered(self) -> dict[str, int]:
+    def received_counts(self) -> dict[str, int]:
         """What came so far, by the unit that losses count: a cloud, a fix, a point."""
         return self.health.counts()
 
@@ -229,7 +229,7 @@ class StageNode(LifecycleNode, ABC):
     def _mount(self) -> None:
         """Take the mounting from /tf_static where the configuration has none."""
         self._configured = self.parameters.calibration
-        found = mounted(self, self.parameters)
+        found = mounting_from_frames(self, self.parameters)
         self.parameters, self.mounting = found.parameters, "; ".join(found.words)
 
     def on_activate(self, state: State) -> TransitionCallbackReturn:
@@ -345,7 +345,7 @@ class StageNode(LifecycleNode, ABC):
         """Queue an item for the worker; a full queue drops it and counts it. Returns whether it was
         queued.
         """
-        self.health.arrived(kind, time.monotonic(), _stamp(item))
+        self.health.record_arrival(kind, time.monotonic(), _stamp(item))
         try:
             self._queue.put_nowait((kind, item))
         except queue.Full:
@@ -421,7 +421,7 @@ class StageNode(LifecycleNode, ABC):
             return
         if kind == "datum":
             self._see_datum()
-        message = unpacked(data, message_type)
+        message = deserialize(data, message_type)
         if message is None:
             self.losses.add(f"message_unreadable_{kind}")
         else:
@@ -431,27 +431,27 @@ class StageNode(LifecycleNode, ABC):
         given_back = time.monotonic()
         while True:
             if is_own_process() and time.monotonic() - given_back > memory.GIVE_BACK_S:
-                memory.give_back()
+                memory.release_memory()
                 given_back = time.monotonic()
             try:
                 item = self._queue.get(timeout=0.05)
             except queue.Empty:
                 self._busy, began = True, time.monotonic()
-                self._guarded(self.idle)
+                self._run_guarded(self.idle)
                 self.health.busy(time.monotonic() - began)
                 self._busy = False
                 continue
             if item is None:
-                self._guarded(self.finish)
+                self._run_guarded(self.finish)
                 break
             kind, payload = item
             self._busy, began = True, time.monotonic()
-            self._guarded(lambda kind=kind, payload=payload: self.work(kind, payload))  # type: ignore[misc]
-            self._guarded(self.idle)
-            self.health.worked(kind, time.monotonic() - began, _stamp(payload))
+            self._run_guarded(lambda kind=kind, payload=payload: self.work(kind, payload))  # type: ignore[misc]
+            self._run_guarded(self.idle)
+            self.health.record_work(kind, time.monotonic() - began, _stamp(payload))
             self._busy = False
 
-    def _guarded(self, action: Callable[[], None]) -> None:
+    def _run_guarded(self, action: Callable[[], None]) -> None:
         """No input may end a node: a refusal is counted by its reason, a defect is counted and
         logged.
         """
@@ -465,7 +465,7 @@ class StageNode(LifecycleNode, ABC):
     def defect(self, error: Exception) -> None:
         """Count an exception nobody foresaw, and log it, of one place once a minute."""
         self.losses.add("message_internal_error")
-        text = self._defects.told(error, time.monotonic())
+        text = self._defects.report_text(error, time.monotonic())
         if text is not None:
             self.get_logger().error(text)
 
@@ -497,7 +497,7 @@ class StageNode(LifecycleNode, ABC):
             errors += self.errors()
         lost = self.all_losses()
         values |= {f"lost_{reason}": count for reason, count in lost.items()}
-        many, most = self._shares.judge(lost.as_dict(), self.offered(), now)
+        many, most = self._shares.judge(lost.as_dict(), self.received_counts(), now)
         wrong += [*many, *self.health.newly_lost(lost.as_dict())]
         status = self._status_of([*errors, *most], wrong)
         status.values = [KeyValue(key=k, value=str(v)) for k, v in values.items()]
@@ -546,7 +546,7 @@ class StageNode(LifecycleNode, ABC):
     def _see_datum(self) -> bool:
         topic = self.resolve_topic_name("datum")
         there = [bytes(p.endpoint_gid) for p in self.get_publishers_info_by_topic(topic)]
-        return self._datum_from.seen(there, time.monotonic())
+        return self._datum_from.update_publishers(there, time.monotonic())
 
     def _watch_datum(self) -> None:
         if self._see_datum():
@@ -560,7 +560,7 @@ class StageNode(LifecycleNode, ABC):
         if self._datum in (None, datum):
             self._datum = datum
             return False
-        if not self._datum_from.believed(time.monotonic()):
+        if not self._datum_from.accepts_change(time.monotonic()):
             self.losses.add("message_datum_stranger")
             self.get_logger().warning(
                 "another datum while another node publishes there as well: left out; stop the "

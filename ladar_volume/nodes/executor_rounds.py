@@ -40,7 +40,7 @@ def take_waiting(subscription: Subscription, receive: Callable[[Any, dict[str, A
     return AT_ONCE
 
 
-def unpacked(data: bytes, message_type: type[Any]) -> Any:
+def deserialize(data: bytes, message_type: type[Any]) -> Any:
     """The message that came as ``data``; None where these bytes are none of its type. A subscriber
     to messages in place of bytes is not told of those.
     """

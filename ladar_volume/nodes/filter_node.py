@@ -23,10 +23,10 @@ from ladar_volume.io.tables import decode
 from ladar_volume.model.records import FilterUpdate
 from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.convert import datum_of, platform_state, table_message, time_ns
-from ladar_volume.nodes.flow_control import Ahead
+from ladar_volume.nodes.flow_control import UnacknowledgedBytes
 from ladar_volume.nodes.qos import STREAM
 from ladar_volume.nodes.running import spin
-from ladar_volume.nodes.stream_passes import Passes
+from ladar_volume.nodes.stream_passes import StreamPasses
 from ladar_volume.rmls.surface_filter import SurfaceFilter
 
 #: Patches refitted per second of an update, before any has been measured; updates with fewer than
@@ -58,7 +58,7 @@ class FilterNode(StageNode):
         self.stage = SurfaceFilter(self.parameters, deferring=True)
         self._patches_per_s = FIRST_RATE
         self._came, self._just_came = time.monotonic(), False
-        self._passes = Passes("platform")
+        self._passes = StreamPasses("platform")
         self._unsure: list[PointCloud2] = []
         self._segment = 0
         self._states: list[Odometry] = []
@@ -70,11 +70,11 @@ class FilterNode(StageNode):
         self._patches = self.create_publisher(PointCloud2, "patches", STREAM)
         #: Stamps of the last part sent, and of the last mapped points that are in the surface.
         self._sent_ns = self._taken_ns = 0
-        self._ahead = Ahead()
+        self._ahead = UnacknowledgedBytes()
         self.create_subscription(
             Time,
             "taken",
-            lambda m: self._ahead.taken(time_ns(m)),
+            lambda m: self._ahead.acknowledge(time_ns(m)),
             STREAM,
             callback_group=self._group,
         )
@@ -205,7 +205,7 @@ class FilterNode(StageNode):
             for self._sent_ns, part in enumerate(update_parts(update), start=first):
                 patches, points = patch_columns(part), filtered_columns(part.points)
                 if heard:
-                    self._ahead.sent(
+                    self._ahead.record_sent(
                         self._sent_ns,
                         sum(
                             column.nbytes
@@ -218,9 +218,9 @@ class FilterNode(StageNode):
                 self.counts["parts"] += 1
             self.counts["updates"] += 1
 
-    def offered(self) -> dict[str, int]:
+    def received_counts(self) -> dict[str, int]:
         """Messages by input, and points."""
-        return super().offered() | {"point": self.counts["points"]}
+        return super().received_counts() | {"point": self.counts["points"]}
 
     def status(self) -> dict[str, Any]:
         """Size of the surface, what was sent, and whether something waits for the next update."""

@@ -1,5 +1,5 @@
-"""How far a sender is ahead of its listener: what is on its way takes room in both and between
-them.
+"""Flow control between a publisher and one subscriber: bytes in flight occupy memory in both
+processes and between them.
 """
 
 from __future__ import annotations
@@ -8,60 +8,60 @@ import threading
 import time
 from collections import deque
 
-#: Bytes on their way from which on a sender waits, and how long without news, s: a listener may be
-#: gone, or busy for that long.
-AHEAD_BYTES, NEWS_S = 16 << 20, 5.0
+#: Most bytes in flight; a sender with more waits for an acknowledgement at most so long, s: the
+#: listener may be gone, or busy for that long.
+MAX_IN_FLIGHT_BYTES, ACKNOWLEDGEMENT_TIMEOUT_S = 16 << 20, 5.0
 
 
-class Ahead:
-    """Bytes sent, by stamp, that the listener has not taken yet. News come in another thread than
-    what is sent.
+class UnacknowledgedBytes:
+    """Bytes in flight by stamp: sent, not yet acknowledged. Messages are sent in one thread and
+    acknowledged in another.
     """
 
     def __init__(self) -> None:
         self._sent: deque[tuple[int, int]] = deque()
-        self._news = threading.Condition()
-        self._newest = time.monotonic()
+        self._changed = threading.Condition()
+        self._acknowledged_s = time.monotonic()
 
     @property
     def bytes(self) -> int:
-        """On their way."""
-        with self._news:
+        """Bytes in flight."""
+        with self._changed:
             return self._total()
 
     def _total(self) -> int:
         return sum(size for _, size in self._sent)
 
-    def sent(self, t_ns: int, size: int) -> None:
-        """So many bytes with this stamp went out; stamps rise."""
-        with self._news:
+    def record_sent(self, t_ns: int, size: int) -> None:
+        """Add a message of ``size`` bytes; stamps rise."""
+        with self._changed:
             self._sent.append((t_ns, size))
 
-    def taken(self, t_ns: int) -> None:
-        """The listener has taken all up to this stamp."""
-        with self._news:
+    def acknowledge(self, t_ns: int) -> None:
+        """The listener has processed everything up to this stamp."""
+        with self._changed:
             while self._sent and self._sent[0][0] <= t_ns:
                 self._sent.popleft()
-            self._newest = time.monotonic()
-            self._news.notify_all()
+            self._acknowledged_s = time.monotonic()
+            self._changed.notify_all()
 
     def forget(self) -> None:
-        """Nobody is going to take what was sent."""
-        with self._news:
+        """Forget all bytes in flight: the listener is gone."""
+        with self._changed:
             self._sent.clear()
-            self._news.notify_all()
+            self._changed.notify_all()
 
     def may_send(self, wait: bool = False) -> bool:
-        """Whether there is room for more, or no news for so long that one more is sent all the
-        same; with ``wait``, as soon as so.
+        """Whether one more message may be sent: there is room, or no acknowledgement came within
+        the timeout. With ``wait``, return as soon as either holds.
         """
-        with self._news:
-            while self._total() > AHEAD_BYTES:
-                left = self._newest + NEWS_S - time.monotonic()
+        with self._changed:
+            while self._total() > MAX_IN_FLIGHT_BYTES:
+                left = self._acknowledged_s + ACKNOWLEDGEMENT_TIMEOUT_S - time.monotonic()
                 if left <= 0.0:
-                    self._newest = time.monotonic()
+                    self._acknowledged_s = time.monotonic()
                     return True
                 if not wait:
                     return False
-                self._news.wait(left)
+                self._changed.wait(left)
             return True

@@ -135,9 +135,9 @@ class GeoreferenceNode(StageNode):
             self._checks.returns(returns, {field.name for field in cloud.fields})
         return returns
 
-    def offered(self) -> dict[str, int]:
+    def received_counts(self) -> dict[str, int]:
         """Messages by input, and returns."""
-        return super().offered() | {"point": self._returns}
+        return super().received_counts() | {"point": self._returns}
 
     def _start_over(self) -> None:
         self._segment, self._datum_sent = None, False

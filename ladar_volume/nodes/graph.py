@@ -32,7 +32,7 @@ from ladar_volume.nodes.page_node import PageNode
 from ladar_volume.nodes.player import Player
 from ladar_volume.nodes.running import TAKE_S, Spinner, before_ros
 from ladar_volume.nodes.volume_node import VolumeNode
-from ladar_volume.nodes.watch.others import own_name
+from ladar_volume.nodes.watch.upstream_nodes import own_name
 from ladar_volume.page.feed import Feed
 
 FACTORIES: dict[str, Callable[..., StageNode]] = {
@@ -93,7 +93,7 @@ class Watcher(Node):
             n("volume_node", "queue"),
         )
 
-    def drained(self) -> bool:
+    def is_drained(self) -> bool:
         """Whether every node has handed on all it got."""
         n = self.number
         idle = all(
@@ -259,7 +259,7 @@ class Graph:
             arrived = self.watcher.number("georeference_node", "received_cloud") == player.sent.get(
                 "cloud", 0
             )
-            if (self.watcher.drained() and arrived and still > STILL_S) or still > 8 * STILL_S:
+            if (self.watcher.is_drained() and arrived and still > STILL_S) or still > 8 * STILL_S:
                 return
 
     def close(self) -> None:

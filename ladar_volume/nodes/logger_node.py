@@ -71,7 +71,7 @@ def _ros2msg(kind: str) -> str:
 
 
 @dataclass
-class Subscribed:
+class TopicSubscription:
     """A topic that is logged, as it was subscribed to."""
 
     kind: str
@@ -122,7 +122,7 @@ class LoggerNode(StageNode):
         self._recorder.attach(
             "parameters.yaml", "application/yaml", dump_config(parameters).encode(), self._now()
         )
-        self._known: dict[str, Subscribed | None] = {}
+        self._known: dict[str, TopicSubscription | None] = {}
         self._wanted = WantedTopics(self.get_namespace(), parameters.logger)
         self._told = ""
         self._offered, self._taken = 0, 0  # bytes; each counted by one thread alone
@@ -130,7 +130,7 @@ class LoggerNode(StageNode):
         self._repairs: list[Recovery | OutputError] = []
         threading.Thread(target=self._repair, name="repair", daemon=True).start()
         self.create_timer(DISCOVERY_S, self._discover, callback_group=self._group)
-        self.create_service(Trigger, "~/split", self._split, callback_group=self._group)
+        self.create_service(Trigger, "~/split", self._on_split_request, callback_group=self._group)
         self._subscribe_inputs()
         self._discover()
 
@@ -159,7 +159,9 @@ class LoggerNode(StageNode):
         for kind, usual in (ROLES | (INSTEAD if packets else {})).values():
             topic = self.resolve_topic_name(usual)
             if self._wanted.matches(topic):
-                self._subscribe(topic, topic.lstrip("/"), Subscribed(kind, reliable, latched=False))
+                self._subscribe(
+                    topic, topic.lstrip("/"), TopicSubscription(kind, reliable, latched=False)
+                )
 
     def _discover(self) -> None:
         self._wanted.look(self.get_node_names_and_namespaces())
@@ -187,10 +189,12 @@ class LoggerNode(StageNode):
                     known.subscription
                 )  # a newcomer offers less than was asked for
             self._subscribe(
-                topic, name, Subscribed(kinds[0], reliable, latched, publishers=len(publishers))
+                topic,
+                name,
+                TopicSubscription(kinds[0], reliable, latched, publishers=len(publishers)),
             )
 
-    def _subscribe(self, topic: str, name: str, known: Subscribed) -> None:
+    def _subscribe(self, topic: str, name: str, known: TopicSubscription) -> None:
         message_type = message_class(known.kind)
         if message_type is None:
             self._known[topic] = None
@@ -220,7 +224,7 @@ class LoggerNode(StageNode):
             topic, message_type, qos, lambda data, info: self._take(name, known, data, info), events
         )
 
-    def _take(self, name: str, known: Subscribed, data: bytes, info: Any) -> None:
+    def _take(self, name: str, known: TopicSubscription, data: bytes, info: Any) -> None:
         if not self._active:
             return
         account = self._recorder.account(name)
@@ -270,7 +274,9 @@ class LoggerNode(StageNode):
         """Write a chunk that is old enough even when nothing comes."""
         self._recorder.tick(self._now())
 
-    def _split(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_split_request(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
         self.offer("split", None)
         response.success, response.message = (
             True,

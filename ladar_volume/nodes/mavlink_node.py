@@ -44,7 +44,7 @@ def fix_message(fix: Fix) -> NavSatFix:
     return message
 
 
-def _set(target: Any, values: F64) -> None:
+def _set_fields(target: Any, values: F64) -> None:
     target.x, target.y, target.z = values[:3].tolist()
     if len(values) == 4:
         target.w = float(values[3])
@@ -55,11 +55,11 @@ def imu_message(sample: ImuSample) -> Imu:
     (unknown), as REP-145 has it.
     """
     message = Imu(header=header(sample.t_ns, "base_link"))
-    _set(message.orientation, sample.q_map_body)
+    _set_fields(message.orientation, sample.q_map_body)
     if sample.C_axes is not None:
         message.orientation_covariance = sample.C_axes.ravel()
     if np.all(np.isfinite(sample.omega_body)):
-        _set(message.angular_velocity, sample.omega_body)
+        _set_fields(message.angular_velocity, sample.omega_body)
     else:
         message.angular_velocity_covariance[0] = -1.0
     message.linear_acceleration_covariance[0] = -1.0
@@ -70,18 +70,18 @@ def inertial_message(sample: InertialSample) -> Imu:
     """Raw rates and accelerations without an attitude."""
     message = Imu(header=header(sample.t_ns, "base_link"))
     message.orientation_covariance[0] = -1.0
-    _set(message.angular_velocity, sample.omega_body)
-    _set(message.linear_acceleration, sample.acceleration_body)
+    _set_fields(message.angular_velocity, sample.omega_body)
+    _set_fields(message.linear_acceleration, sample.acceleration_body)
     return message
 
 
 def odometry_message(sample: OdometrySample) -> Odometry:
     """A pose; a covariance of zeros is unknown."""
     message = Odometry(header=header(sample.t_ns, "odom"), child_frame_id="base_link")
-    _set(message.pose.pose.position, sample.p_map_body)
-    _set(message.pose.pose.orientation, sample.q_map_body)
-    _set(message.twist.twist.linear, sample.v_body)
-    _set(message.twist.twist.angular, sample.omega_body)
+    _set_fields(message.pose.pose.position, sample.p_map_body)
+    _set_fields(message.pose.pose.orientation, sample.q_map_body)
+    _set_fields(message.twist.twist.linear, sample.v_body)
+    _set_fields(message.twist.twist.angular, sample.omega_body)
     if sample.C_pose is not None:
         message.pose.covariance = sample.C_pose.ravel()
     return message

@@ -9,7 +9,7 @@ from sensor_msgs.msg import PointCloud2
 
 from ladar_volume.io.tables import decode
 from ladar_volume.nodes.qos import LATCHED
-from ladar_volume.nodes.watch.others import own_name
+from ladar_volume.nodes.watch.upstream_nodes import own_name
 from ladar_volume.page.feed import Cell, Feed, NodeHealth
 
 LEVELS = {

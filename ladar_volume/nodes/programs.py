@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from functools import partial
 
-from ladar_volume.process.numpy_names import leave_out_tools
+from ladar_volume.process.numpy_names import hide_numpy_tools
 from ladar_volume.process.switch import own_process
 
 NODES = ("georeference_node", "filter_node", "volume_node", "logger_node", "mavlink_node", "player")
@@ -27,7 +27,7 @@ def run(node: str, argv: Sequence[str] | None = None) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _end)
     own_process()
-    leave_out_tools()
+    hide_numpy_tools()
     return int(importlib.import_module(f"ladar_volume.nodes.{node}").main(argv))
 
 

@@ -22,7 +22,7 @@ BACK_NS = 1_000_000_000
 MEMORY_S = 5.0
 
 
-class Passes:
+class StreamPasses:
     """One per node; ``take`` every message's topic and stamp."""
 
     def __init__(self, *leaders: str) -> None:
@@ -51,18 +51,18 @@ class Passes:
 
 
 class OnePublisher:
-    """Bound to the first publisher that is there alone; its successor, alone, may take its place.
+    """Bound to the first publisher that is alone on a topic; a successor that is alone replaces it.
 
-    ``seen`` is to be told who publishes, several times a second and with each message.
+    Call ``update_publishers`` several times a second and with each message.
     """
 
     def __init__(self) -> None:
         self.bound: bytes | None = None
         self._others_s = float("-inf")
 
-    def seen(self, publishers: Iterable[bytes], now_s: float) -> bool:
-        """Who publishes at a time (s, of a steady clock). True when a successor has taken the place
-        of the bound one: what it said before is to be asked for again.
+    def update_publishers(self, publishers: Iterable[bytes], now_s: float) -> bool:
+        """Take the publishers at a time (s, of a steady clock). True when a successor has replaced
+        the bound one: what that one sent must be requested again.
         """
         there, before = set(publishers), self.bound
         if len(there) == 1 and before not in there:
@@ -72,6 +72,6 @@ class OnePublisher:
             self._others_s = now_s
         return before not in (None, self.bound)
 
-    def believed(self, now_s: float) -> bool:
+    def accepts_change(self, now_s: float) -> bool:
         """Whether a message that differs from the last one is the bound publisher's."""
         return self.bound is not None and now_s - self._others_s > MEMORY_S

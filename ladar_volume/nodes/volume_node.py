@@ -52,8 +52,8 @@ from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.running import spin
 from ladar_volume.nodes.services.catch_up import CatchUp
 from ladar_volume.nodes.services.closed_bodies import ClosedBodies
-from ladar_volume.nodes.stream_passes import Passes
-from ladar_volume.nodes.watch.others import Others
+from ladar_volume.nodes.stream_passes import StreamPasses
+from ladar_volume.nodes.watch.upstream_nodes import UpstreamNodes
 from ladar_volume.volume.estimator import VolumeEstimator
 from ladar_volume.volume.more_data import MoreData
 
@@ -81,7 +81,7 @@ class VolumeNode(StageNode):
         self._half: dict[int, dict[str, Any]] = {}
         self._parts: list[FilterUpdate] = []
         self._states: list[Odometry] = []
-        self._passes = Passes("platform", "points", "patches")
+        self._passes = StreamPasses("platform", "points", "patches")
         self._segment = 0
         self._due = False
         self._mapped = float("-inf")
@@ -96,7 +96,7 @@ class VolumeNode(StageNode):
         self._last_estimate_s, self._estimate_began = 0.0, float("-inf")
         self._newest_part, self._late = 0, Verdict()
         self._joined = False
-        self._others = Others(self.get_namespace(), UPSTREAM)
+        self._others = UpstreamNodes(self.get_namespace(), UPSTREAM)
         self._make_publishers()
         self.listen("points", PointCloud2, "points_filtered", STREAM)
         self.listen("patches", PointCloud2, "patches", STREAM)
@@ -156,7 +156,7 @@ class VolumeNode(StageNode):
             None,
         )
 
-    def changed(self) -> None:
+    def apply_live_parameters(self) -> None:
         """New base, outline or ground: the next estimate uses it."""
         if hasattr(self, "stage"):
             self.offer("parameters", self.parameters)
@@ -296,7 +296,7 @@ class VolumeNode(StageNode):
         found = f"{v.volume_m3:.4f} m3, sigma {v.sigma_m3:.4f} m3"
         if self.cut_off:
             self.get_logger().warning(
-                f"incomplete volume: {found}; {self._others.waiting()}: replay the log"
+                f"incomplete volume: {found}; {self._others.waiting_text()}: replay the log"
             )
         else:
             self.get_logger().info(f"volume at the end: {found}")

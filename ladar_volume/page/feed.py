@@ -13,7 +13,7 @@ KEPT = 600
 
 
 @dataclass(frozen=True)
-class Estimated:
+class EstimatePoint:
     """One estimate: time of the data, s since the first one; volume and sigma, m³."""
 
     t_s: float
@@ -53,7 +53,7 @@ class State:
     reasons: list[str] = field(default_factory=list)
     seen_share: float | None = None
     why_none: str = "no estimate yet"
-    curve: list[Estimated] = field(default_factory=list)
+    curve: list[EstimatePoint] = field(default_factory=list)
     cells: list[Cell] = field(default_factory=list)
     cell_m: float = 0.0
     nodes: dict[str, NodeHealth] = field(default_factory=dict)
@@ -108,7 +108,7 @@ class Feed:
         if s.volume_m3 is None or s.sigma_m3 is None or (s.curve and t_ns == self._last_ns):
             return
         self._last_ns = t_ns
-        s.curve.append(Estimated((t_ns - self._first_ns) * 1e-9, s.volume_m3, s.sigma_m3))
+        s.curve.append(EstimatePoint((t_ns - self._first_ns) * 1e-9, s.volume_m3, s.sigma_m3))
         if len(s.curve) > KEPT:
             s.curve = s.curve[:-1:2] + s.curve[-1:]
 

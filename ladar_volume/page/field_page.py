@@ -109,17 +109,17 @@ def app_of(feed: Feed, address: Address, ending: threading.Event) -> Starlette:
     """The page at ``/`` and its events at ``/events``, which end with ``ending``."""
     page = PAGE.read_text(encoding="utf-8")
 
-    def refused(request: Request) -> Response | None:
+    def refuse_wrong_token(request: Request) -> Response | None:
         given = request.query_params.get("token", "")
         if address.token and not hmac.compare_digest(given.encode(), address.token.encode()):
             return PlainTextResponse("the token is missing or wrong", 403, HEADERS)
         return None
 
     async def show(request: Request) -> Response:
-        return refused(request) or HTMLResponse(page, headers=HEADERS)
+        return refuse_wrong_token(request) or HTMLResponse(page, headers=HEADERS)
 
     async def events(request: Request) -> Response:
-        return refused(request) or StreamingResponse(
+        return refuse_wrong_token(request) or StreamingResponse(
             states(feed, request, ending), media_type="text/event-stream", headers=HEADERS
         )
 
@@ -143,7 +143,7 @@ async def states(feed: Feed, request: Request, ending: threading.Event) -> Async
 
 
 @contextlib.contextmanager
-def served(feed: Feed, address: Address) -> Iterator[Address]:
+def serve_page(feed: Feed, address: Address) -> Iterator[Address]:
     """Serve the page in a thread while the block runs; the address with the port that was taken.
     Raises :class:`OutputError` where the address is not free.
     """

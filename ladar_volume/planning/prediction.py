@@ -123,13 +123,13 @@ class Pulses:
         return Pulses(*(getattr(self, f.name)[keep] for f in dataclasses.fields(self)))
 
 
-def cast(plan: Plan, count: int, rng: np.random.Generator) -> tuple[MappedPoints, F64]:
+def cast_rays(plan: Plan, count: int, rng: np.random.Generator) -> tuple[MappedPoints, F64]:
     """Mapped points of ``count`` pulses at random times and azimuths, with independent noise; those
     that return from the region, and the ranges (n,) m.
     """
     p = plan.parameters
     mount = mounting(p.calibration, p.georeference.pose_source)
-    pulses, distance = returned(plan, fired(plan, mount, count, rng))
+    pulses, distance = trace_returns(plan, fire_pulses(plan, mount, count, rng))
     noise = rng.standard_normal((len(distance), 3)) * independent_sigmas(p.budget)
     spread = np.maximum(np.cos(pulses.elevation), 0.05)
     r_laser = laser_vector(
@@ -150,7 +150,7 @@ def cast(plan: Plan, count: int, rng: np.random.Generator) -> tuple[MappedPoints
     return dataclasses.replace(points, C_ind=pack(C).astype(np.float32)), distance
 
 
-def fired(plan: Plan, mount: Mounting, count: int, rng: np.random.Generator) -> Pulses:
+def fire_pulses(plan: Plan, mount: Mounting, count: int, rng: np.random.Generator) -> Pulses:
     """Pulses along the path. Raises :class:`VolumeError` for a path of single states."""
     path, scanner = plan.path, plan.scanner
     begin, length = scanning_spans(path)
@@ -178,7 +178,7 @@ def fired(plan: Plan, mount: Mounting, count: int, rng: np.random.Generator) -> 
     return Pulses(t_ns, origin, R, ring, azimuth, elevation, start, ray)
 
 
-def returned(plan: Plan, pulses: Pulses) -> tuple[Pulses, F64]:
+def trace_returns(plan: Plan, pulses: Pulses) -> tuple[Pulses, F64]:
     """The pulses that return from the region, and their ranges (n,) m on the rough scene."""
     g = plan.parameters.georeference
     distance = plan.pile.ranges(pulses.start, pulses.ray)
@@ -246,7 +246,7 @@ def predict(plan: Plan) -> Prediction:
     p, rng = plan.parameters, np.random.default_rng([plan.seed, 4])
     duration = float(scanning_spans(plan.path)[1].sum())
     fired = plan.scanner.rate_hz * duration
-    share = len(cast(plan, PILOT, rng)[0]) / PILOT
+    share = len(cast_rays(plan, PILOT, rng)[0]) / PILOT
     if share == 0.0:
         raise VolumeError(
             "no pulse of the planned path meets the pile and its surroundings",
@@ -255,7 +255,7 @@ def predict(plan: Plan) -> Prediction:
     half = region_half(plan)
     area = 4.0 * half[0] * half[1]
     enough = CAPS * p.filter.cap_per_voxel * area / p.filter.radius_m**2
-    points, _ = cast(plan, int(min(fired, math.ceil(enough / share))), rng)
+    points, _ = cast_rays(plan, int(min(fired, math.ceil(enough / share))), rng)
     surface, estimator = SurfaceFilter(p), VolumeEstimator(p)
     surface.add_platform(plan.path)
     estimator.add_platform(plan.path)

@@ -11,7 +11,7 @@ from ladar_volume.process.switch import is_own_process
 
 
 @contextlib.contextmanager
-def left_out(name: str) -> Iterator[None]:
+def hide_module(name: str) -> Iterator[None]:
     """Within, module ``name`` counts as not installed; nothing changes where it is loaded
     already.
     """
@@ -25,6 +25,6 @@ def left_out(name: str) -> Iterator[None]:
         del sys.modules[name]
 
 
-def unwanted(name: str) -> AbstractContextManager[None]:
-    """:func:`left_out` in a process of our own; in one of others nothing."""
-    return left_out(name) if is_own_process() else nullcontext()
+def block_import(name: str) -> AbstractContextManager[None]:
+    """:func:`hide_module` in a process of our own; in one of others nothing."""
+    return hide_module(name) if is_own_process() else nullcontext()

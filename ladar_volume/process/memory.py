@@ -16,7 +16,7 @@ import os
 import sys
 from pathlib import Path
 
-from ladar_volume.process.import_guard import left_out
+from ladar_volume.process.import_guard import hide_module
 
 #: mallopt's numbers for what may stay free at a heap's end, for the size from which a block is a
 #: mapping of its own, and for the greatest number of arenas (malloc.h).
@@ -28,8 +28,8 @@ MAPPED_BYTES = 1 << 22
 #: The same once a process holds so much: the blocks of a large map come and go in every thread, and
 #: leave holes of a hundred megabytes in a heap.
 MAPPED_OF_LARGE, LARGE_BYTES = 1 << 18, 500 << 20
-#: What stays free at a heap's end between two calls of :func:`give_back`: smaller blocks come and
-#: go all the time, and pages given back are to be cleared anew, a tenth of the time of an estimate.
+#: Bytes that stay free at a heap's end between two calls of :func:`release_memory`: small blocks
+#: come and go all the time, and clearing returned pages anew takes a tenth of an estimate's time.
 KEPT_BYTES = 1 << 24
 #: madvise's word for pages that are not needed now (mman.h): those of a file are read again when
 #: they are.
@@ -67,7 +67,7 @@ def resident_bytes() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
-def give_back() -> None:
+def release_memory() -> None:
     """Return what is free, and see to it that what a large process frees is returned at once."""
     with contextlib.suppress(OSError, AttributeError):
         libc = ctypes.CDLL(None)
@@ -81,7 +81,7 @@ def without_blas() -> None:
     """Let numba load without SciPy's linear algebra, a fifth of what a node without data holds; for
     a process of one's own, in which then no kernel can multiply matrices.
     """
-    with left_out(BLAS):
+    with hide_module(BLAS):
         importlib.import_module("numba.np.arraymath")
 
 
@@ -141,5 +141,5 @@ def tidy() -> None:
     """
     pack_modules()
     gc.collect()
-    give_back()
+    release_memory()
     drop_code()

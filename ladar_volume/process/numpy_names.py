@@ -9,7 +9,7 @@ from ladar_volume.process.switch import is_own_process
 _UNWANTED = {"testing", "f2py"}
 
 
-def leave_out_tools() -> None:
+def hide_numpy_tools() -> None:
     """Take the tools out of what ``from numpy import *`` loads; ``numpy.testing`` and
     ``numpy.f2py`` are there for who asks for them by name. Nothing in a process of others.
     """

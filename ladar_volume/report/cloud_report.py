@@ -100,7 +100,7 @@ def base_of_piles(report: CloudReport) -> Callable[[F64], F64]:
     return at
 
 
-def measured(row: Mapping[str, Any], value: str, sigma: str, unit: str) -> str:
+def value_with_sigma(row: Mapping[str, Any], value: str, sigma: str, unit: str) -> str:
     """A number of a row with its standard deviation, as far as they are known."""
     if row.get(value) is None:
         return "–"
@@ -113,10 +113,10 @@ def pile_rows(facts: Mapping[str, Any]) -> list[tuple[str, ...]]:
     return [
         (
             f"{row['name']}" + (f", {row['material']}" if row.get("material") else ""),
-            measured(row, "net_m3", "sigma_m3", "m³"),
-            measured(row, "mass_t", "sigma_mass_t", "t"),
-            measured(row, "area_m2", "", "m²"),
-            measured(row, "height_m", "", "m high"),
+            value_with_sigma(row, "net_m3", "sigma_m3", "m³"),
+            value_with_sigma(row, "mass_t", "sigma_mass_t", "t"),
+            value_with_sigma(row, "area_m2", "", "m²"),
+            value_with_sigma(row, "height_m", "", "m high"),
             row["verdict"]["status"],
         )
         for row in facts["piles"]
@@ -129,7 +129,7 @@ def base_rows(facts: Mapping[str, Any]) -> list[tuple[str, ...]]:
     return [
         (
             name.replace("_", " "),
-            *(f"{row['name']}: {measured(row['bases'][name], *VOLUME)}" for row in known),
+            *(f"{row['name']}: {value_with_sigma(row['bases'][name], *VOLUME)}" for row in known),
         )
         for name in (known[0]["bases"] if known else ())
     ]

@@ -101,7 +101,7 @@ def versions() -> dict[str, str]:
     return {"ladar_volume": version(), "Python": platform.python_version(), **found}
 
 
-def changed(parameters: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def changed_parameters(parameters: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Parameters (as written) that differ from their defaults: name, value, default."""
     usual = Parameters().write()
     out: list[tuple[str, ...]] = []

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ladar_volume.model.records import Estimate
-from ladar_volume.report.report_page import Report, changed, write_report
+from ladar_volume.report.report_page import Report, changed_parameters, write_report
 from ladar_volume.report.scene import scene_of_survey
 from ladar_volume.uncertainty.epoch_budget import Epoch
 
@@ -30,11 +30,11 @@ def write_survey_report(
     tables: dict[str, list[tuple[str, ...]]] = {
         "Budget": budget_rows(result),
         "Bodies": _bodies(result),
-        "Where to measure again": _again(result),
+        "Where to measure again": _reproduction_lines(result),
         "Coverage": _coverage(result),
         "Returns": [(name.replace("_", " "), f"{n:,}") for name, n in result["points"].items()],
         "Not used": [(name.replace("_", " "), f"{n:,}") for name, n in result["losses"].items()],
-        "Parameters that differ from their defaults": changed(result["parameters"]),
+        "Parameters that differ from their defaults": changed_parameters(result["parameters"]),
     }
     scene = scene_of_survey(estimate, epoch, result, fixes)
     lead = lead_of(result, result["volume_m3"])
@@ -81,7 +81,7 @@ def _bodies(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
     ]
 
 
-def _again(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def _reproduction_lines(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
     return [
         (
             f"{place['x_m']:.2f}, {place['y_m']:.2f} m",

@@ -51,7 +51,7 @@ def _motion(position: Callable[[F64], F64], t: F64) -> tuple[F64, F64]:
     return velocity, acceleration
 
 
-def _banking(position: Callable[[F64], F64]) -> Callable[[F64], F64]:
+def _banked_attitude(position: Callable[[F64], F64]) -> Callable[[F64], F64]:
     """Roll, pitch, yaw of a UAV along a path: heading along it, banking in the turns, swaying a
     little.
     """
@@ -85,7 +85,7 @@ def uav(extent: float, height: float, duration: float) -> Platform:
     return Platform(
         "uav",
         position,
-        _banking(position),
+        _banked_attitude(position),
         (0.0, 90.0, 0.0),
         (0.12, 0.0, -0.15),
         (-0.10, 0.05, 0.25),
@@ -104,7 +104,9 @@ def lanes(extent: float, height: float, duration: float) -> Platform:
     north = [
         (x, s * y, 2.0) for s, x in ((-1, gap), (1, 0.0), (-1, -gap)) for y in (-out, 0.0, out)
     ]
-    points = np.array([*_rounded(east), (1.25 * out, 1.25 * out, 1.0), *_rounded(north)])
+    points = np.array(
+        [*_path_with_turns(east), (1.25 * out, 1.25 * out, 1.0), *_path_with_turns(north)]
+    )
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     times = np.concatenate([[0.0], np.cumsum(steps)]) * (duration / steps.sum())
     spline = CubicSpline(times, points)
@@ -120,14 +122,16 @@ def lanes(extent: float, height: float, duration: float) -> Platform:
     return Platform(
         "lanes",
         position,
-        _banking(position),
+        _banked_attitude(position),
         (0.0, 90.0, 0.0),
         (0.12, 0.0, -0.15),
         (-0.10, 0.05, 0.25),
     )
 
 
-def _rounded(waypoints: list[tuple[float, float, float]]) -> list[tuple[float, float, float]]:
+def _path_with_turns(
+    waypoints: list[tuple[float, float, float]],
+) -> list[tuple[float, float, float]]:
     """Waypoints in threes, one lane each, with the apex of a half circle between one lane and the
     next.
     """

@@ -32,7 +32,7 @@ KINDS = {
 } | {"box": "box"}
 
 
-def suited(scene: Scene) -> dict[str, dict[str, Any]]:
+def suited_settings(scene: Scene) -> dict[str, dict[str, Any]]:
     """Settings a surveyor would choose for the scene: sections and keys. The region holds the
     outline and its ring of ground.
     """

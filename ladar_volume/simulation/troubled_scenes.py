@@ -120,7 +120,7 @@ def pile_mesh(pile: Pile, ground: Callable[[F64, F64], F64]) -> tuple[F64, npt.N
     return polar_mesh(np.concatenate([rho, outer]), pile.a, pile.b, profile, ground)
 
 
-def without(mesh: tuple[F64, npt.NDArray[np.int32]], box: tuple[float, ...]) -> Any:
+def remove_rectangle(mesh: tuple[F64, npt.NDArray[np.int32]], box: tuple[float, ...]) -> Any:
     """The mesh without what lies in a rectangle x0, x1, y0, y1: rays return nothing there."""
     vertices, triangles = mesh
     x, y = vertices[triangles, :2].mean(axis=1).T
@@ -157,7 +157,7 @@ class Drawing:
         """The scene as drawn."""
         mesh = pile_mesh(self.pile, self.ground)
         for hole in self.holes:
-            mesh = without(mesh, hole)
+            mesh = remove_rectangle(mesh, hole)
         extent = max(self.pile.a, self.pile.b) + AROUND_M
         scene = self._scene(join(mesh, *self.bodies, *self.leaving), extent)
         if self.leaving:

@@ -19,7 +19,7 @@ from typing import TypeAlias
 import laspy
 import numpy as np
 
-from ladar_volume.io.atomic_write import whole_file
+from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.io.pointfiles.crs import Reading
 from ladar_volume.io.pointfiles.geokeys import coordinates_of_records
 from ladar_volume.io.pointfiles.las import MARKS, _check_header, place_of_points
@@ -161,7 +161,7 @@ def deal_out(cloud: CloudParts, k: int) -> Path:
     notes = {"left_out": left_out, "doubts": [asdict(d) for d in doubts]}
     arrays = {f"{i}_{j}": own for (i, j), own in zip(cells[new].tolist(), rows, strict=True)}
     archive.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(archive) as path, path.open("wb") as file:
+    with atomic_file(archive) as path, path.open("wb") as file:
         np.savez(
             file,
             cells=cells[new],

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol, TypeVar
 
-from ladar_volume.io.atomic_write import whole_file
+from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.model.errors import LadarVolumeError
 from ladar_volume.tiles.tile_stars import tile_stars
 from ladar_volume.tiles.tile_store import CloudParts, Tile, TileIndex, deal_out, digest, tile_index
@@ -115,7 +115,7 @@ def sums_of(index: TileIndex, task: TileTask, tile: Tile) -> tuple[Tile, TileSum
         words = f"tile {tile[0]}_{tile[1]} (x from {tile[0] * side:g}, y from {tile[1] * side:g} m)"
         raise type(error)(f"{words}: {error}", reason=error.reason) from error
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as part:
+    with atomic_file(path) as part:
         part.write_text(json.dumps({"sums": asdict(found), "digest": digest(asdict(found))}))
     return tile, found
 

@@ -53,10 +53,10 @@ def test_marker(estimate):
 
 def test_a_large_surface_is_shown_coarser(estimate, monkeypatch):
     tin = estimate.tin
-    every = cdr.shown(tin)
+    every = cdr.shown_triangles(tin)
     assert np.array_equal(every, tin.triangles[tin.relevant])
     monkeypatch.setattr(cdr, "MOST_SHOWN", len(every) // 6)
-    fewer = cdr.shown(tin)
+    fewer = cdr.shown_triangles(tin)
     assert len(every) // 12 < len(fewer) < len(every) // 5
     a, b, c = (tin.vertices[fewer[:, k], :2] for k in range(3))
     area = 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])

@@ -227,7 +227,7 @@ def test_a_large_yaml_is_refused_unread(tmp_path):
     path = tmp_path / "a.yaml"
     path.write_text("a: b\n" * 250_000)
     with pytest.raises(ConfigurationError, match="more than"):
-        strict_yaml.read(path)
+        strict_yaml.read_yaml(path)
 
 
 def test_what_ros2_param_dump_writes_is_read(tmp_path):

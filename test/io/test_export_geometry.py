@@ -6,7 +6,7 @@ from scipy.spatial import Delaunay
 
 from ladar_volume.io.export.contour_lines import contours, interval_of
 from ladar_volume.io.export.edge_rings import polygons_of, signed_area
-from ladar_volume.io.export.outline_clip import clipped, contains
+from ladar_volume.io.export.outline_clip import clip_to_polygon, contains
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.tin.full_tin import footprint_areas
@@ -47,7 +47,7 @@ def test_pieces_are_what_the_polygon_and_the_surface_share(seed):
     if seed % 3 == 0:  # corners on vertices, edges along edges
         polygon = tin.vertices[rng.choice(len(tin.vertices), 3, replace=False), :2]
     points = np.column_stack([tin.vertices, 2.0 * tin.vertices[:, 0] - tin.vertices[:, 1]])
-    cut = clipped(points, tin.triangles, polygon)
+    cut = clip_to_polygon(points, tin.triangles, polygon)
     area = footprint_areas(tin.vertices, tin.triangles).sum()
     inside, outside = (footprint_areas(cut.points[:, :3], t) for t in (cut.inside, cut.outside))
     assert inside.sum() + outside.sum() == pytest.approx(area, rel=1e-9)

@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 
 from ladar_volume.io.bags import TYPESTORE, BagReader, BagWriter
-from ladar_volume.io.frames.frame_mounting import from_frames, of_recording
+from ladar_volume.io.frames.frame_mounting import from_frames, mounting_of_recording
 from ladar_volume.io.frames.static_frames import StaticFrames, roll_pitch_yaw
 from ladar_volume.math.se3 import exp_so3, quaternion_from_matrix, rotation_xyz
 from ladar_volume.model.errors import ConfigurationError, InputError
@@ -155,5 +155,5 @@ def test_strips_are_calibrated_from_the_mounting_they_were_georeferenced_with(
 def test_a_recording_with_static_transforms_is_mounted_by_them(tmp_path):
     lever = mounted_recording(tmp_path / "bag")
     with BagReader(tmp_path / "bag") as bag:
-        found = of_recording(bag, bag.roles(), Parameters(), autopilot=False)
+        found = mounting_of_recording(bag, bag.roles(), Parameters(), autopilot=False)
     assert np.allclose(found.parameters.calibration.lever_laser_m, lever)

@@ -3,7 +3,7 @@
 import pytest
 
 from ladar_volume.io.bags import TYPESTORE, BagReader, BagWriter
-from ladar_volume.io.logs.heard_live import lacking
+from ladar_volume.io.logs.heard_live import missing_messages
 
 T = TYPESTORE.types
 NANO = 10**9
@@ -47,7 +47,7 @@ def test_a_log_is_compared_with_the_last_report_of_the_node_that_heard(tmp_path,
         tmp_path / "log", reports, {"velodyne_points": (CLOUD, clouds), "imu/data": (IMU, imus)}
     )
     with BagReader(path) as bag:
-        found = lacking(bag, TOPICS)
+        found = missing_messages(bag, TOPICS)
     if clouds < 10:
         (doubt,) = found.doubts
         assert "3 of 10 clouds and 5 of 100 attitudes" in doubt.text and doubt.value == 5.0
@@ -59,7 +59,10 @@ def test_of_several_vehicles_the_one_of_the_namespace_counts(tmp_path):
     reports = [report(0, rover1__georeference_node={"cloud": 5}, georeference_node={"cloud": 50})]
     topics = {"rover1/velodyne_points": (CLOUD, 4), "other/points": (CLOUD, 4)}
     with BagReader(log(tmp_path / "log", reports, topics)) as bag:
-        assert "1 of 5 clouds" in lacking(bag, {"cloud": "rover1/velodyne_points"}).doubts[0].text
-        assert lacking(bag, {"cloud": "other/points"}).sound  # nobody's
+        assert (
+            "1 of 5 clouds"
+            in missing_messages(bag, {"cloud": "rover1/velodyne_points"}).doubts[0].text
+        )
+        assert missing_messages(bag, {"cloud": "other/points"}).sound  # nobody's
     with BagReader(log(tmp_path / "none", [], topics)) as bag:
-        assert lacking(bag, {"cloud": "rover1/velodyne_points"}).sound
+        assert missing_messages(bag, {"cloud": "rover1/velodyne_points"}).sound

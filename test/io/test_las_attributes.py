@@ -177,7 +177,7 @@ def test_feet_come_out_as_metres_with_their_system(kind, tmp_path, capsys):
     new = pyproj.Transformer.from_crs(crs, "EPSG:4269", always_xy=True)
     x, y, _ = out.xyz[0]
     assert new.transform(x, y) == pytest.approx(old.transform(x / factor, y / factor), abs=1e-10)
-    assert read_cloud(tmp_path / "m.laz").coordinates.unchanged
+    assert read_cloud(tmp_path / "m.laz").coordinates.are_metres
 
 
 def geokeys(path, keys, doubles=()):

@@ -193,7 +193,7 @@ def test_round_trips_take_the_quick_ones():
 def test_lines_through_exact_points_are_exact():
     points = [(i * S, 100.0 + 2e-5 * i * S) for i in range(30)]
     for line in (lower_line(points), middle_line(points)):
-        assert line.rest(17 * S) == pytest.approx(
+        assert line.residual_ns(17 * S) == pytest.approx(
             100.0 + 2e-5 * 17 * S
         ) and line.sigma_ns == pytest.approx(0.0, abs=1e-3)
     outlier = [*points[:10], (10 * S, 9e9), *points[11:]]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ladar_volume.io.meshfiles.mesh_files import read_mesh, write_mesh
-from ladar_volume.io.meshfiles.polygons import triangulated
+from ladar_volume.io.meshfiles.polygons import triangulate_faces
 from ladar_volume.mesh.tetrahedra import closed_volume
 from ladar_volume.model.errors import InputError, OutputError
 
@@ -204,10 +204,10 @@ def test_damaged_files_raise_typed_errors_or_read(tmp_path, seed):
 
 
 def test_polygons_and_output_errors(tmp_path):
-    quad, doubts = triangulated(V, np.array([[0, 1, 3, 2]]))
+    quad, doubts = triangulate_faces(V, np.array([[0, 1, 3, 2]]))
     assert quad.tolist() == [[0, 1, 3], [0, 3, 2]] and doubts == ()
     with pytest.raises(InputError, match="no face"):
-        triangulated(V, [])
+        triangulate_faces(V, [])
     with pytest.raises(OutputError):
         write_mesh(tmp_path / "m.xyz", V, T)
     with pytest.raises(OutputError):
@@ -226,7 +226,7 @@ def test_faces_with_corners_that_point_inward():
     for start in range(6):
         for way in (1, -1):
             face = np.roll(np.arange(6), start)[::way]
-            triangles, doubts = triangulated(v, [face, [0, 1, 2]])
+            triangles, doubts = triangulate_faces(v, [face, [0, 1, 2]])
             signed = way * area_xy(v, triangles[:4])
             # no triangle lies over another, whichever corner comes first
             assert doubts == () and (signed > 0).all() and signed.sum() == pytest.approx(5.0)
@@ -236,9 +236,9 @@ def test_faces_with_corners_that_point_inward():
 def test_faces_in_no_plane_are_a_doubt():
     flat = np.array([[x, y, 0.01 * x] for y in range(4) for x in range(4)], float)
     quads = np.array([[a, a + 1, a + 5, a + 4] for a in (0, 1, 2, 4, 5, 6, 8, 9, 10)])
-    assert triangulated(flat, quads)[1] == ()
+    assert triangulate_faces(flat, quads)[1] == ()
     saddle = flat + np.outer(0.2 * flat[:, 0] * flat[:, 1], [0, 0, 1])
-    (doubt,) = triangulated(saddle, quads)[1]
+    (doubt,) = triangulate_faces(saddle, quads)[1]
     p = saddle[quads]
     either = np.abs(np.linalg.det(p[:, 1:] - p[:, :1])).sum() / 6  # what the two diagonals enclose
     assert doubt.name == "mesh_bent_faces" and either < doubt.value < 4 * either

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ladar_volume.io import output_set as sets
-from ladar_volume.io.atomic_write import new_folder, whole_file
+from ladar_volume.io.atomic_write import atomic_file, new_folder
 from ladar_volume.io.meshfiles.mesh_files import write_mesh
 from ladar_volume.io.output_set import output_set
 from ladar_volume.io.results import SURVEY_FILES, write_text
@@ -178,7 +178,7 @@ def test_a_file_is_the_old_one_where_writing_fails(tmp_path, monkeypatch):
 def test_two_names_of_the_part_are_never_the_same(tmp_path):
     seen = set()
     for _ in range(5):
-        with whole_file(tmp_path / "a.txt") as part:
+        with atomic_file(tmp_path / "a.txt") as part:
             assert part.parent.stat().st_mode & 0o777 == 0o700 and part.name == "a.txt"
             seen.add(part.parent)
             part.write_text("x")

@@ -13,7 +13,7 @@ from rosbags.highlevel import AnyReader
 
 from ladar_volume.io.bags import TYPESTORE, BagReader
 from ladar_volume.io.mcap_log import McapLog
-from ladar_volume.io.mcap_recovery import is_whole, recover
+from ladar_volume.io.mcap_recovery import is_complete, recover
 from ladar_volume.io.recorder import Recorder, log_files
 from ladar_volume.model.errors import ConfigurationError, OutputError
 from ladar_volume.model.parameters import LoggerParameters
@@ -104,10 +104,10 @@ def test_an_existing_log_is_never_overwritten(tmp_path):
 
 
 def test_the_offered_qos_is_kept_and_read_by_rosbags(tmp_path):
-    from ladar_volume.nodes.logger_node import Subscribed
+    from ladar_volume.nodes.logger_node import TopicSubscription
 
     with McapLog(LoggerParameters(), tmp_path / "log.mcap") as log:
-        log.write("datum", KIND, cdr("x"), 1, qos=Subscribed(KIND, True, True).qos_text)
+        log.write("datum", KIND, cdr("x"), 1, qos=TopicSubscription(KIND, True, True).qos_text)
     with AnyReader([tmp_path / "log.mcap"], default_typestore=TYPESTORE) as bag:
         (qos,) = bag.connections[0].ext.offered_qos_profiles
     assert qos.durability.name == "TRANSIENT_LOCAL" and qos.reliability.name == "RELIABLE"
@@ -152,11 +152,11 @@ def test_a_log_cut_anywhere_opens_again_with_every_whole_chunk(finished, tmp_pat
     ):
         path = tmp_path / f"{cut}.mcap"
         path.write_bytes(data[:cut])
-        assert not is_whole(path)
+        assert not is_complete(path)
         result = recover(path)
         last = max([t for e, t in zip(ends, times, strict=True) if e <= cut], default=-1)
         expected = sorted(m for m in whole if m[1] <= last)
-        assert result.messages == len(expected) and is_whole(path) and result.damaged == 0
+        assert result.messages == len(expected) and is_complete(path) and result.damaged == 0
         assert result.lost_bytes <= cut
         if expected:
             assert sorted(read(path)) == expected
@@ -245,7 +245,7 @@ def test_mutations_of_a_log_never_crash_the_repair(finished, tmp_path):
         path.write_bytes(mutated)
         try:
             recover(path)
-            assert is_whole(path)
+            assert is_complete(path)
         except OutputError:
             refused += 1
     assert refused < 30
@@ -275,7 +275,7 @@ def test_a_full_disk_finishes_the_file_waits_and_goes_on(tmp_path, monkeypatch):
     fill(recorder, 10)
     free[0] = 500
     fill(recorder, 10, first=10)
-    assert "disk full" in recorder.problem and is_whole(tmp_path / "log.mcap")
+    assert "disk full" in recorder.problem and is_complete(tmp_path / "log.mcap")
     lost = recorder.account("chat").disk
     assert 8 <= lost <= 10 and recorder.losses()["message_disk_chat"] == lost
     free[0] = 1500  # not before there is twice the reserve
@@ -364,7 +364,7 @@ def test_a_write_the_system_refuses_costs_the_chunk_and_is_counted(tmp_path):
     written, lost, problem = done.stdout.split(maxsplit=2)
     assert int(written) + int(lost) == 100 and int(lost) > 0 and "cannot be written" in problem
     # at this limit the index did not fit either: the next start, with room, adds it
-    if not is_whole(path):
+    if not is_complete(path):
         recover(path)
     assert len(read(path)) == int(written) > 0
     assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] != 20000

@@ -81,7 +81,7 @@ threading.Timer(1.0, release).start()
 late = filter_node.count_publishers("points_mapped") and filter_node.counts["points"]
 first = asked()
 count = filter_node.counts["points"]
-seen = mapped.offered().get("cloud", 0), player.sent["cloud"]
+seen = mapped.received_counts().get("cloud", 0), player.sent["cloud"]
 time.sleep(1.0)
 until(lambda: not filter_node._fresh, "the surface")
 second = asked()

@@ -1,6 +1,6 @@
 """What a node says of its own defects."""
 
-from ladar_volume.nodes.watch.defect_reports import AGAIN_S, Defects
+from ladar_volume.nodes.watch.defect_reports import REPORT_INTERVAL_S, Defects
 
 
 def caught(what):
@@ -17,11 +17,21 @@ def test_each_place_once_a_minute_with_how_often():
 
     defects = Defects()
     first, second = (caught(one) for _ in range(2))
-    assert defects.told(first, 5.0) == (
+    assert defects.report_text(first, 5.0) == (
         f"ZeroDivisionError in test_defects.py:{first.__traceback__.tb_next.tb_lineno}: "
         "division by zero"
     )
-    assert defects.told(second, 5.0) is None and defects.told(second, 4.9 + AGAIN_S) is None
-    assert "KeyError in test_defects.py" in defects.told(caught(lambda: {}["other place"]), 6.0)
-    assert defects.told(second, 5.0 + AGAIN_S).endswith("division by zero (3 times)")
-    assert defects.told(ValueError("no frames"), 0.0) == "ValueError in unknown place: no frames"
+    assert (
+        defects.report_text(second, 5.0) is None
+        and defects.report_text(second, 4.9 + REPORT_INTERVAL_S) is None
+    )
+    assert "KeyError in test_defects.py" in defects.report_text(
+        caught(lambda: {}["other place"]), 6.0
+    )
+    assert defects.report_text(second, 5.0 + REPORT_INTERVAL_S).endswith(
+        "division by zero (3 times)"
+    )
+    assert (
+        defects.report_text(ValueError("no frames"), 0.0)
+        == "ValueError in unknown place: no frames"
+    )

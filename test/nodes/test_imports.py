@@ -41,7 +41,7 @@ def test_a_node_loads_no_more_than_its_stage(node, banned):
         f"for name in {banned!r}: sys.modules[name] = None\n"
         "from ladar_volume.nodes import programs\n"
         "programs.own_process()\n"
-        "programs.leave_out_tools()\n"
+        "programs.hide_numpy_tools()\n"
         f"import ladar_volume.nodes.{node}\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
@@ -75,7 +75,7 @@ def test_no_kernel_takes_matrix_products_from_scipy():
 def test_what_numpy_does_not_load_unasked_is_there_for_who_asks():
     code = (
         "from ladar_volume.nodes import programs; programs.own_process(); "
-        "programs.leave_out_tools(); import numpy as np; assert np.testing.assert_equal and "
+        "programs.hide_numpy_tools(); import numpy as np; assert np.testing.assert_equal and "
         "np.f2py.get_include and 'f2py' not in np.__all__"
     )
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)

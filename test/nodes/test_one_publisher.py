@@ -9,20 +9,20 @@ A, B = b"a", b"b"
 
 def test_the_first_one_is_bound_and_others_are_not_believed():
     one = OnePublisher()
-    assert not one.seen([], 0.0) and not one.believed(0.0)
-    assert not one.seen([A], 1.0) and one.believed(1.0)
-    assert not one.seen([A, B], 2.0) and not one.believed(2.0)
-    one.seen([A], 3.0)  # gone: what it sent may still come
-    assert not one.believed(3.0) and one.believed(2.1 + MEMORY_S)
+    assert not one.update_publishers([], 0.0) and not one.accepts_change(0.0)
+    assert not one.update_publishers([A], 1.0) and one.accepts_change(1.0)
+    assert not one.update_publishers([A, B], 2.0) and not one.accepts_change(2.0)
+    one.update_publishers([A], 3.0)  # gone: what it sent may still come
+    assert not one.accepts_change(3.0) and one.accepts_change(2.1 + MEMORY_S)
     assert one.bound == A
 
 
 def test_a_successor_is_bound_when_it_is_alone():
     one = OnePublisher()
-    one.seen([A], 0.0)
-    assert not one.seen([A, B], 1.0)  # a killed one is still listed for a while
-    assert one.seen([B], 20.0) and one.bound == B and one.believed(20.0)
-    assert not one.seen([B], 21.0)
+    one.update_publishers([A], 0.0)
+    assert not one.update_publishers([A, B], 1.0)  # a killed one is still listed for a while
+    assert one.update_publishers([B], 20.0) and one.bound == B and one.accepts_change(20.0)
+    assert not one.update_publishers([B], 21.0)
 
 
 SCRIPT = """

@@ -1,6 +1,6 @@
 """Passes of a looping recording seen from its outputs, and the health of a node; without ROS."""
 
-from ladar_volume.nodes.stream_passes import Passes
+from ladar_volume.nodes.stream_passes import StreamPasses
 from ladar_volume.nodes.watch.health import Health
 from ladar_volume.nodes.watch.loss_shares import LossShares
 
@@ -8,7 +8,7 @@ S = 1_000_000_000
 
 
 def test_a_leader_that_goes_back_begins_a_new_pass_and_the_rest_of_the_old_one_is_dropped():
-    p = Passes("platform")
+    p = StreamPasses("platform")
     for k in range(10):
         assert p.take("platform", k * S) == "same" and p.take("points", k * S) == "same"
     assert p.take("platform", 0) == "new" and p.begun == 1
@@ -22,7 +22,7 @@ def test_a_leader_that_goes_back_begins_a_new_pass_and_the_rest_of_the_old_one_i
 
 
 def test_a_follower_that_goes_back_waits_for_the_leaders():
-    p = Passes("platform")
+    p = StreamPasses("platform")
     for k in range(10):
         p.take("platform", k * S)
         p.take("points", k * S)
@@ -36,12 +36,12 @@ def test_health_counts_rates_delays_and_whether_the_worker_keeps_up():
     h = Health()
     h.expect("cloud", 2.0)
     assert h.silent(0.0) == (["no cloud yet"], [])
-    h.arrived("cloud", 0.0, 100 * S)
-    h.worked("cloud", 0.05, 100 * S)
+    h.record_arrival("cloud", 0.0, 100 * S)
+    h.record_work("cloud", 0.05, 100 * S)
     h.lines(0.0, 100 * S)
     for k in range(1, 11):
-        h.arrived("cloud", 0.1 * k, 100 * S + k * S // 10)
-        h.worked("cloud", 0.02, 100 * S + k * S // 10)
+        h.record_arrival("cloud", 0.1 * k, 100 * S + k * S // 10)
+        h.record_work("cloud", 0.02, 100 * S + k * S // 10)
     lines = h.lines(1.0, 101 * S + S // 4)
     assert (
         lines["rate_cloud_hz"] == "10.0"
@@ -70,7 +70,7 @@ def test_an_input_that_is_missing_while_another_comes_is_an_error():
     h.expect("cloud", 2.0)
     h.expect("fix", 2.0)
     for k in range(40):
-        h.arrived("cloud", 0.1 * k)
+        h.record_arrival("cloud", 0.1 * k)
     assert h.silent(2.0)[0] == ["no fix yet"]
     assert h.silent(4.0) == ([], ["no fix yet"])
 

@@ -57,7 +57,7 @@ def installed(monkeypatch):
 def test_named_frames_are_mounted_by_the_transforms(installed):
     tree = [static("base_link", "imu_link", 0.5), static("base_link", "velodyne", 2.0, yaw=0.3)]
     node = Node(tree)
-    found = static_mounting.mounted(node, parameters(**NAMED))
+    found = static_mounting.mounting_from_frames(node, parameters(**NAMED))
     c = found.parameters.calibration
     assert c.lever_laser_m == pytest.approx((1.5, 0.0, 0.0)) and node.open == 0
     assert c.boresight_yaw_rad == pytest.approx(0.3)
@@ -66,17 +66,17 @@ def test_named_frames_are_mounted_by_the_transforms(installed):
 
 def test_frames_that_do_not_come_are_refused_where_nothing_else_mounts(installed):
     with pytest.raises(ConfigurationError, match="did not lead from 'imu_link' to 'velodyne'"):
-        static_mounting.mounted(Node([]), parameters(**NAMED))
+        static_mounting.mounting_from_frames(Node([]), parameters(**NAMED))
     p = parameters(**NAMED)
     given = dataclasses.replace(p.calibration, lever_laser_m=(1.0, 0.0, 0.0))
     p = dataclasses.replace(p, calibration=given)
-    assert static_mounting.mounted(Node([]), p).parameters == p
+    assert static_mounting.mounting_from_frames(Node([]), p).parameters == p
     with pytest.raises(ConfigurationError, match=r"lever_laser_m is 1\.000"):
-        static_mounting.mounted(Node([static("imu_link", "velodyne", 2.0)]), p)
+        static_mounting.mounting_from_frames(Node([static("imu_link", "velodyne", 2.0)]), p)
 
 
 def test_without_names_or_without_the_package_the_configuration_counts(installed, monkeypatch):
-    assert "node.imu_frame" in static_mounting.mounted(None, parameters()).words[0]
+    assert "node.imu_frame" in static_mounting.mounting_from_frames(None, parameters()).words[0]
     monkeypatch.setattr(static_mounting, "message_class", lambda kind: None)
-    found = static_mounting.mounted(None, parameters(**NAMED))
+    found = static_mounting.mounting_from_frames(None, parameters(**NAMED))
     assert "tf2_msgs is not installed" in found.words[0] and found.parameters == parameters(**NAMED)

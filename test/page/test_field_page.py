@@ -16,7 +16,7 @@ pytest.importorskip("starlette", reason="the extra 'page' is not installed")
 from ladar_volume.model.errors import ConfigurationError, OutputError
 from ladar_volume.page import field_page
 from ladar_volume.page.feed import KEPT, Cell, Feed, NodeHealth
-from ladar_volume.page.field_page import MOST, PAGE, address_of, served
+from ladar_volume.page.field_page import MOST, PAGE, address_of, serve_page
 
 
 def lines(t_s, volume=10.0, sigma=0.5):
@@ -40,7 +40,7 @@ def test_the_page_and_its_events_come_from_loopback_alone():
     feed.volume(lines(0.0))
     feed.node("filter_node", NodeHealth("warning", "no cloud yet <b>"))
     feed.cells([Cell(1.0, 2.0, 3.0, 0.02, 0.1, True)], 0.5)
-    with served(feed, address_of("0", None)) as at:
+    with serve_page(feed, address_of("0", None)) as at:
         assert at.host == "127.0.0.1" and at.port > 0
         page = get(at.url)
         assert "default-src 'none'" in page.headers["Content-Security-Policy"]
@@ -50,7 +50,7 @@ def test_the_page_and_its_events_come_from_loopback_alone():
         with pytest.raises(urllib.error.HTTPError, match="400"):
             get(at.url, host="evil.example")
         with pytest.raises(OutputError, match="cannot be used"):
-            with served(feed, at):
+            with serve_page(feed, at):
                 pass
     assert (state["volume_m3"], state["sigma_m3"], state["verdict"]) == (10.0, 0.5, "doubtful")
     assert state["reasons"] == ["the pile is cut at 3 m"]
@@ -58,7 +58,7 @@ def test_the_page_and_its_events_come_from_loopback_alone():
 
 
 def test_a_browser_that_looks_on_does_not_disturb_the_end(capfd):
-    with served(Feed(), address_of("0", None)) as at:
+    with serve_page(Feed(), address_of("0", None)) as at:
         stream = get(at.url + "events")
         assert stream.readline().startswith(b"data: ")
     assert stream.read() == b"\n"
@@ -71,7 +71,7 @@ def test_another_address_needs_a_token_and_every_request_brings_it():
     with pytest.raises(ConfigurationError, match="at least"):
         address_of("0.0.0.0:8080", "short")
     at = address_of("127.0.0.1:0", "abcdefgh12345")
-    with served(Feed(), at) as at:
+    with serve_page(Feed(), at) as at:
         assert get(at.url).status == 200
         for path in ("", "events", "?token=abcdefgh1234x"):
             with pytest.raises(urllib.error.HTTPError, match="403"):
@@ -80,7 +80,7 @@ def test_another_address_needs_a_token_and_every_request_brings_it():
 
 def test_strangers_who_hold_connections_are_few_and_not_for_long(monkeypatch):
     monkeypatch.setattr(field_page, "PATIENCE_S", 0.3)
-    with served(Feed(), address_of("0", None)) as at:
+    with serve_page(Feed(), address_of("0", None)) as at:
         held = [socket.create_connection(("127.0.0.1", at.port)) for _ in range(MOST + 8)]
         for one in held:
             one.settimeout(5.0)
@@ -93,7 +93,7 @@ def test_strangers_who_hold_connections_are_few_and_not_for_long(monkeypatch):
 
 
 def test_no_more_connections_than_the_page_may_have():
-    with served(Feed(), address_of("0", None)) as at:
+    with serve_page(Feed(), address_of("0", None)) as at:
         held = [socket.create_connection(("127.0.0.1", at.port)) for _ in range(MOST)]
         with pytest.raises(OSError, match=r"."):
             get(at.url)

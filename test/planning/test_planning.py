@@ -15,7 +15,7 @@ from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.planning.planned_path import Lanes
 from ladar_volume.planning.planned_scene import Pile
-from ladar_volume.planning.prediction import Plan, Scanner, cast, predict, with_budget
+from ladar_volume.planning.prediction import Plan, Scanner, cast_rays, predict, with_budget
 from ladar_volume.planning.sensor_choice import (
     compare,
     height_steps,
@@ -120,7 +120,7 @@ def test_lanes():
 
 
 def test_returns_lie_on_the_scene():
-    points, distance = cast(plan({}), 20_000, np.random.default_rng(0))
+    points, distance = cast_rays(plan({}), 20_000, np.random.default_rng(0))
     z = surface(SMALL, points.r_map[:, 0], points.r_map[:, 1])
     assert (
         len(points) > 1000

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from ladar_volume.process.import_guard import left_out
+from ladar_volume.process.import_guard import hide_module
 
 #: Part of the standard library, and of nothing else.
 ONE = "this"
@@ -20,19 +20,19 @@ def unloaded(monkeypatch):
 
 
 def test_within_it_is_not_there_and_then_it_is(unloaded, capsys):
-    with left_out(ONE), pytest.raises(ImportError):
+    with hide_module(ONE), pytest.raises(ImportError):
         importlib.import_module(ONE)
     assert ONE not in sys.modules and importlib.import_module(ONE).__name__ == ONE
 
 
 def test_what_goes_wrong_within_leaves_nothing_behind(unloaded):
-    with pytest.raises(KeyError), left_out(ONE):
+    with pytest.raises(KeyError), hide_module(ONE):
         raise KeyError
     assert ONE not in sys.modules
 
 
 def test_what_is_loaded_stays():
-    with left_out("json"):
+    with hide_module("json"):
         assert importlib.import_module("json") is sys.modules["json"]
     assert sys.modules["json"].loads("1") == 1
 

@@ -121,7 +121,7 @@ def test_what_a_large_process_frees_goes_back_at_once():
         from ladar_volume.process import memory
         memory.few_arenas()
         memory.LARGE_BYTES = 0 if sys.argv[1] == "large" else 1 << 60
-        memory.give_back()
+        memory.release_memory()
         blocks, stay = [], []
         for _ in range(300):
             blocks.append(np.ones(40_000))
@@ -168,7 +168,7 @@ SENT = """if True:
     while len(got) < 30 and time.monotonic() < deadline:
         executor.spin_once(timeout_sec=0.1)
     assert got == [2_000_000] * 30
-    memory.give_back()
+    memory.release_memory()
     print(waiting - before, size() - before)
     node.destroy_node()
     rclpy.shutdown()

@@ -20,7 +20,7 @@ from ladar_volume.io.export.deliverable import (
     file_facts,
     rows_of,
 )
-from ladar_volume.io.export.export_set import Wanted, write_export
+from ladar_volume.io.export.export_set import ExportRequest, write_export
 from ladar_volume.io.export.output_system import OutputSystem, plain_words, system_of_cloud
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.records import F64, Bool, Plane
@@ -47,7 +47,7 @@ class Result(Protocol):
     def facts(self) -> Mapping[str, Any]: ...
 
 
-def wanted_files(arguments: argparse.Namespace) -> Wanted | None:
+def wanted_files(arguments: argparse.Namespace) -> ExportRequest | None:
     """The files that are asked for; None for none. Raises :class:`ConfigurationError` for options
     that contradict one another, and as :func:`checked_choice`.
     """
@@ -67,7 +67,7 @@ def system_of_files(arguments: argparse.Namespace, sources: Sequence[Source]) ->
 
 
 def write_files(
-    arguments: argparse.Namespace, wanted: Wanted, sources: Sequence[Source], result: Result
+    arguments: argparse.Namespace, wanted: ExportRequest, sources: Sequence[Source], result: Result
 ) -> list[str]:
     """Write the files; returns their names. Raises OutputError."""
     system = system_of_files(arguments, sources)
@@ -75,7 +75,7 @@ def write_files(
 
 
 def deliverable(
-    wanted: Wanted, sources: Sequence[Source], result: Result, system: OutputSystem
+    wanted: ExportRequest, sources: Sequence[Source], result: Result, system: OutputSystem
 ) -> Deliverable:
     """The result as what files hold."""
     surface, tin = result.surfaces[0], result.surfaces[0].made.tin

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ladar_volume.io.export.export_set import Wanted, check_packages
+from ladar_volume.io.export.export_set import ExportRequest, check_packages
 from ladar_volume.io.export.formats import formats_of
 from ladar_volume.io.results import SURVEY_FILES
 from ladar_volume.model.errors import ConfigurationError, OutputError
@@ -14,7 +14,7 @@ from ladar_volume.model.errors import ConfigurationError, OutputError
 RECORDED = SURVEY_FILES[1]
 
 
-def checked_choice(arguments: argparse.Namespace) -> Wanted:
+def checked_choice(arguments: argparse.Namespace) -> ExportRequest:
     """The files of the options. Raises :class:`ConfigurationError` for options that contradict one
     another, ModuleNotFoundError for a package that is missing, and :class:`OutputError` for a
     folder that holds a replayed survey, which would be lost.
@@ -35,7 +35,7 @@ def checked_choice(arguments: argparse.Namespace) -> Wanted:
             reason="output_exists",
             value=str(folder),
         )
-    return Wanted(formats, a.cell, a.contour_interval)
+    return ExportRequest(formats, a.cell, a.contour_interval)
 
 
 def check_no_files(arguments: argparse.Namespace) -> None:

@@ -37,7 +37,7 @@ from ladar_volume.replay import Replay
 from ladar_volume.simulation.bag import write_bag
 from ladar_volume.simulation.platforms import Platform, platform_for, uav
 from ladar_volume.simulation.scenes import Ground, Scene, box_scene, make_scene, polar_mesh
-from ladar_volume.simulation.suited_parameters import suited
+from ladar_volume.simulation.suited_parameters import suited_settings
 from ladar_volume.simulation.survey import Survey
 
 #: Scenes of stockpiles, by scenario.
@@ -90,7 +90,9 @@ def replayed(
 def stockpile_by_engine(site: Site, seed: int, thin: int) -> dict[str, Row]:
     """One flight over a stockpile, above its own ground and above a level."""
     scene = make_scene(SCENES[site.name], seed)
-    replay = replayed(scene, platform_for(scene, "uav", DURATION_S), suited(scene), seed, thin)
+    replay = replayed(
+        scene, platform_for(scene, "uav", DURATION_S), suited_settings(scene), seed, thin
+    )
     estimator = replay.engine.estimator
     own = estimator.estimate().volume
     above = believed_parameters(DEFAULT, site, LEVEL).volume

@@ -15,7 +15,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from ladar_volume.io.export.edge_rings import Polygon, polygons_of
-from ladar_volume.io.export.outline_clip import clipped
+from ladar_volume.io.export.outline_clip import clip_to_polygon
 from ladar_volume.io.export.output_system import OutputSystem
 from ladar_volume.io.pointfiles.point_file import PointFile
 from ladar_volume.model.records import F64, I32, Bool, Tin
@@ -122,7 +122,7 @@ def clipped_by_all(points: F64, triangles: I32, outlines: Sequence[F64]) -> tupl
     """
     inside: list[I32] = []
     for outline in outlines:
-        cut = clipped(points, triangles, outline)
+        cut = clip_to_polygon(points, triangles, outline)
         points, triangles = cut.points, cut.outside
         inside.append(cut.inside)
     return points, np.concatenate(inside), triangles

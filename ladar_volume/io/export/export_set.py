@@ -24,7 +24,7 @@ from ladar_volume.io.pointfiles.cloud_files import flatten
 
 
 @dataclass(frozen=True)
-class Wanted:
+class ExportRequest:
     """formats : words of ``--as`` · cell : of a raster · interval : of contours; both in the units
     of the files, None for round ones
     """
@@ -41,7 +41,7 @@ def check_packages(formats: Sequence[str]) -> None:
             importlib.import_module(FORMATS[name].needs)
 
 
-def write_export(folder: Path, d: Deliverable, wanted: Wanted) -> list[str]:
+def write_export(folder: Path, d: Deliverable, wanted: ExportRequest) -> list[str]:
     """Write the files into a folder, all or none; returns their names. Raises OutputError."""
     names = [FORMATS[name].file for name in wanted.formats]
     every = [kind.file for kind in FORMATS.values()]
@@ -51,7 +51,7 @@ def write_export(folder: Path, d: Deliverable, wanted: Wanted) -> list[str]:
     return names
 
 
-def writer(name: str, wanted: Wanted) -> Callable[[Path, Deliverable], None]:
+def writer(name: str, wanted: ExportRequest) -> Callable[[Path, Deliverable], None]:
     """Who writes a format."""
     return {
         "json": write_json,

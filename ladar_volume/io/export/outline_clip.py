@@ -14,7 +14,7 @@ ON_LINE = 1e-12
 
 
 @dataclass(frozen=True)
-class Clipped:
+class ClippedSurface:
     """points : (n, c) x, y and what is linear over the triangles · inside, outside : (m, 3)
     triangles of them
     """
@@ -24,7 +24,7 @@ class Clipped:
     outside: I32
 
 
-def clipped(points: F64, triangles: I32, polygon: F64) -> Clipped:
+def clip_to_polygon(points: F64, triangles: I32, polygon: F64) -> ClippedSurface:
     """Points (n, c) and triangles (m, 3) cut along a simple polygon (k, 2): the points first, those
     on cuts after them.
     """
@@ -63,7 +63,7 @@ def clipped(points: F64, triangles: I32, polygon: F64) -> Clipped:
     every = np.concatenate([local, *more])
     every[:, :2] += near
     every[: len(points)] = points
-    return Clipped(every, out[0], out[1])
+    return ClippedSurface(every, out[0], out[1])
 
 
 def split(triangle: F64, edges: F64) -> Iterator[F64]:

@@ -69,7 +69,7 @@ def system_of_cloud(at: MapCoordinates, file_units: bool) -> OutputSystem:
     """
     if not file_units:
         return OutputSystem(at.crs)
-    if at.across is None or not at.across.same(at.up):
+    if at.across is None or not at.across.equals(at.up):
         words = "degree" if at.across is None else f"{at.across.name}, heights {at.up.name}"
         raise ConfigurationError(
             f"--file-units: the file is in {words}, and the files need one unit of length for all "

@@ -48,7 +48,7 @@ def survey_deliverable(folder: Path, crs: str | None = None) -> Deliverable:
     sources = estimator.epoch().sources
     tin, points = estimate.tin, sources.points
     sigma = vertical_sigma(sources, np.arange(len(points)))
-    system, at = placed(datum, crs)
+    system, at = output_transform(datum, crs)
     own = dataclasses.replace(tin, vertices=at(tin.vertices))
     # heights above the base are kept: the survey's up and the normal of the ellipsoid differ by
     # the angle that the site takes up on the earth
@@ -93,7 +93,9 @@ def check_same(file: Path, volume_m3: float, result: Mapping[str, Any]) -> None:
         )
 
 
-def placed(datum: Datum | None, crs: str | None) -> tuple[OutputSystem, Callable[[F64], F64]]:
+def output_transform(
+    datum: Datum | None, crs: str | None
+) -> tuple[OutputSystem, Callable[[F64], F64]]:
     """The system of the files, and what brings points (n, 3), m, of the map there. Raises
     :class:`InputError` (input_crs) for a projection of a survey that knows no place on the earth.
     """

@@ -37,7 +37,7 @@ AUTOPILOT = "base_link"
 
 
 @dataclass(frozen=True)
-class Mounted:
+class FrameMounting:
     """parameters : with the mounting that counts · words : what was taken from the frames, and what
     the frames do not tell, a sentence each
     """
@@ -48,7 +48,7 @@ class Mounted:
 
 def from_frames(
     parameters: Parameters, frames: StaticFrames, sensors: Mapping[str, str]
-) -> Mounted:
+) -> FrameMounting:
     """The parameters with what the frames say. sensors : frame by role (cloud, fix, imu, odometry).
 
     Raises ConfigurationError where frames and configuration contradict each other, with both
@@ -57,7 +57,7 @@ def from_frames(
     odometry = parameters.georeference.pose_source == "odometry"
     body, laser = sensors.get("odometry" if odometry else "imu", ""), sensors.get("cloud", "")
     if not parameters.georeference.mounting_from_tf or not len(frames) or not body or not laser:
-        return Mounted(parameters)
+        return FrameMounting(parameters)
     words: list[str] = []
     calibration, budget = parameters.calibration, parameters.budget
     found = frames.pose(body, laser)
@@ -74,7 +74,7 @@ def from_frames(
         sigmas = budget.lever_antenna_sigma_m
         calibration = _lever(calibration, "lever_antenna_m", sigmas, found[1], antenna)
         words.append(f"place of '{antenna}' on '{body}' from /tf_static")
-    return Mounted(dataclasses.replace(parameters, calibration=calibration), tuple(words))
+    return FrameMounting(dataclasses.replace(parameters, calibration=calibration), tuple(words))
 
 
 def _lever(
@@ -126,16 +126,16 @@ def _numbers(values: F64) -> str:
     return ", ".join(f"{v + 0.0:.3f}" for v in values)
 
 
-def of_recording(
+def mounting_of_recording(
     bag: Recording, topics: Mapping[str, str], parameters: Parameters, autopilot: bool
-) -> Mounted:
+) -> FrameMounting:
     """The same of a recording: all its static transforms, and the frames of the first message of
     each topic by role. autopilot : attitudes come from its log, in :data:`AUTOPILOT`.
     """
     frames = StaticFrames()
     there = [t for t in bag.topics() if t.rpartition("/")[2] == TOPIC]
     if not there or not parameters.georeference.mounting_from_tf:
-        return Mounted(parameters)
+        return FrameMounting(parameters)
     for raw in bag.raw(set(there)):
         frames.add(bag.message(raw))
     sensors = {"imu": AUTOPILOT, "odometry": AUTOPILOT} if autopilot else {}

@@ -16,7 +16,7 @@ TOPIC, KIND, NODE = "diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "geore
 UNITS = {"cloud": "clouds", "fix": "fixes", "imu": "attitudes", "odometry": "poses"}
 
 
-def heard_counts(bag: Recording) -> dict[str, dict[str, int]]:
+def live_counts(bag: Recording) -> dict[str, dict[str, int]]:
     """Messages that each georeference_node had received by its last report: by its full name, then
     by role.
     """
@@ -33,7 +33,7 @@ def heard_counts(bag: Recording) -> dict[str, dict[str, int]]:
     return found
 
 
-def own_counts(
+def counts_of_node(
     counts: Mapping[str, Mapping[str, int]], topics: Mapping[str, str]
 ) -> Mapping[str, int]:
     """The counts of the node that hears the topics by role: the only one, or that of the cloud's
@@ -45,12 +45,12 @@ def own_counts(
     return counts.get(f"{space}/{NODE}".lstrip("/"), {})
 
 
-def lacking(bag: Recording, topics: Mapping[str, str]) -> Verdict:
+def missing_messages(bag: Recording, topics: Mapping[str, str]) -> Verdict:
     """A doubt where the log has fewer messages of a role than the node had received live. topics :
     by role.
     """
     try:
-        heard = own_counts(heard_counts(bag), topics)
+        heard = counts_of_node(live_counts(bag), topics)
     except BagError:  # torn: its reader says so where it reads the sensors
         return Verdict()
     there = bag.topics()

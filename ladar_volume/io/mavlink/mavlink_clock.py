@@ -44,9 +44,9 @@ class ClockLine:
 
     def offset(self, remote_ns: int) -> int:
         """Offset at a time of the remote clock, ns."""
-        return self.base_ns + round(self.rest(remote_ns))
+        return self.base_ns + round(self.residual_ns(remote_ns))
 
-    def rest(self, remote_ns: int) -> float:
+    def residual_ns(self, remote_ns: int) -> float:
         """The offset less its base, ns."""
         return self.rest_ns + self.drift * (remote_ns - self.at_ns)
 
@@ -83,7 +83,7 @@ def lower_line(points: list[tuple[int, float]]) -> ClockLine:
                 line = ClockLine(t0, base + ya - drift * xa, drift, 0.0)
                 break
     return ClockLine(
-        line.at_ns, line.rest_ns, line.drift, _median([v - line.rest(t) for t, v in points])
+        line.at_ns, line.rest_ns, line.drift, _median([v - line.residual_ns(t) for t, v in points])
     )
 
 
@@ -150,7 +150,7 @@ class ClockOffset:
         if self._bins and number <= self._bin:
             if rank < self._bins[-1][2]:
                 self._bins[-1] = (remote_ns, offset, rank)
-                if self._line is None or offset < self._line.rest(remote_ns):
+                if self._line is None or offset < self._line.residual_ns(remote_ns):
                     self._fit()
             return
         self._bin = number
@@ -162,7 +162,7 @@ class ClockOffset:
     def _is_off(self, remote_ns: int, offset: float) -> bool:
         """Whether a pair is far from the line, which it then must not move."""
         assert self._line is not None
-        if abs(offset - self._line.rest(remote_ns)) < STEP_NS:
+        if abs(offset - self._line.residual_ns(remote_ns)) < STEP_NS:
             self._off = 0
             return False
         self._off += 1
@@ -173,7 +173,7 @@ class ClockOffset:
     def _has_jumped(self, remote_ns: int, offset: float) -> bool:
         assert self._line is not None
         # earlier than the fastest message ever was is impossible; three times is no stray value
-        early = self._off >= 3 and (self._two_sided or offset < self._line.rest(remote_ns))
+        early = self._off >= 3 and (self._two_sided or offset < self._line.residual_ns(remote_ns))
         return early or abs(remote_ns - self._off_since) > JAM_NS
 
     def _fit(self) -> None:

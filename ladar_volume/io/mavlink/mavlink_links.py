@@ -73,7 +73,7 @@ class _Peers:
         return True
 
 
-def _taken(descriptor: int, timeout_s: float) -> bytes | None:
+def _read_available(descriptor: int, timeout_s: float) -> bytes | None:
     """What has come within ``timeout_s``, empty for nothing, None where the other end is gone."""
     ready, _, _ = select.select([descriptor], [], [], timeout_s)
     if not ready:
@@ -230,7 +230,7 @@ class TcpLink:
         if self._peer is None:
             self._connect(timeout_s)
             return b""
-        data = _taken(self._peer.fileno(), timeout_s)
+        data = _read_available(self._peer.fileno(), timeout_s)
         if data is None:
             self._drop()
         return data or b""
@@ -306,7 +306,7 @@ class SerialLink:
             if time.monotonic() >= self._next:
                 self._open()
             return b""
-        data = _taken(self._fd, timeout_s)
+        data = _read_available(self._fd, timeout_s)
         if data is None:
             self._drop()
         return data or b""

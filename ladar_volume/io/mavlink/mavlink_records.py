@@ -172,9 +172,9 @@ class MavlinkDecoder:
             raise TimeOrderError(
                 "far behind its predecessor", reason="mavlink_message_late", value=boot_ms
             )
-        self._restarted()
+        self._on_restart()
 
-    def _restarted(self) -> None:
+    def _on_restart(self) -> None:
         self.restarts += 1
         for clock in (self.arrivals, self.round_trips, self.utc):
             clock.reset()

@@ -57,7 +57,7 @@ class MavlinkSession:
 
     def _sign(self, now_ns: int) -> None:
         """Begin to sign, once the time is known."""
-        if self._key is not None and not self.stream.signing:
+        if self._key is not None and not self.stream.is_signed:
             self.stream.sign(self._key, signature_time(now_ns))
 
     def _listen(self, message: Any, received_ns: int) -> None:
@@ -104,11 +104,11 @@ class MavlinkSession:
                 }
                 out.timesync_send(0, now_ns)
         if self.alive:
-            for number, hz in self._wanted().items():
+            for number, hz in self._requested_rates().items():
                 self._ask(number, hz, now_ns)
         return self.stream.take_outgoing()
 
-    def _wanted(self) -> dict[int, float]:
+    def _requested_rates(self) -> dict[int, float]:
         """Message number → rate."""
         p = self.parameters
         number = {

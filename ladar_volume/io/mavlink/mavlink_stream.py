@@ -64,7 +64,7 @@ class MavlinkStream:
         )
 
     @property
-    def signing(self) -> bool:
+    def is_signed(self) -> bool:
         """Whether packets are signed."""
         return self._in.signing.secret_key is not None
 
@@ -107,7 +107,7 @@ class MavlinkStream:
         kind = message.get_type()
         if kind == "BAD_DATA":
             data = bytes(message.data)
-            if self.signing and str(message.reason) == SIGNATURE:
+            if self.is_signed and str(message.reason) == SIGNATURE:
                 self.losses.add("mavlink_signature_refused")
                 return True
         elif kind.startswith(

@@ -80,7 +80,7 @@ class LandSurface:
     breaklines: tuple[F64, ...] = ()
 
 
-def bad(words: str, reason: str = "mesh_file_values") -> InputError:
+def invalid_surface(words: str, reason: str = "mesh_file_values") -> InputError:
     """The error of this reader."""
     return InputError(words, reason=reason)
 
@@ -100,9 +100,9 @@ class Scan:
         """An element begins."""
         tag = name.rsplit(":", 1)[-1]
         if not self.path and tag != "LandXML":
-            raise bad(f"no LandXML: its root is <{tag}>", "mesh_file_header")
+            raise invalid_surface(f"no LandXML: its root is <{tag}>", "mesh_file_header")
         if len(self.path) == DEEPEST:
-            raise bad(f"elements within each other over more than {DEEPEST} levels")
+            raise invalid_surface(f"elements within each other over more than {DEEPEST} levels")
         self.path.append(tag)
         inside = self.path[1:2] == ["Surfaces"] and self.surfaces
         if self.path[1:-1] == ["Units"]:
@@ -140,14 +140,16 @@ class Scan:
         elif tag == "PntList3D":
             surface.breaklines.append(text)
         elif self.key in surface.points:
-            raise bad(f"surface {surface.name!r}: point {self.key!r} is there twice")
+            raise invalid_surface(f"surface {surface.name!r}: point {self.key!r} is there twice")
         else:
             surface.points[self.key] = text
 
 
 def refuse_doctype(*_: object) -> None:
     """A document type could define entities."""
-    raise bad("it has a document type (<!DOCTYPE ...>), which is not read", "mesh_file_header")
+    raise invalid_surface(
+        "it has a document type (<!DOCTYPE ...>), which is not read", "mesh_file_header"
+    )
 
 
 def scan(path: Path) -> Scan:
@@ -161,7 +163,7 @@ def scan(path: Path) -> Scan:
         with path.open("rb") as file:
             parser.ParseFile(file)
     except expat.ExpatError as error:
-        raise bad(f"no well-formed XML: {error}", "mesh_file_header") from error
+        raise invalid_surface(f"no well-formed XML: {error}", "mesh_file_header") from error
     return found
 
 
@@ -176,9 +178,9 @@ def metres(units: dict[str, str] | None) -> tuple[float, str]:
     key, high = name.lower(), units.get("elevationUnit", "").lower()
     if key not in LINEAR_M:
         known = "millimeter, centimeter, meter, kilometer, foot, USSurveyFoot, inch, mile"
-        raise bad(f"its linear unit is {name!r}, none of {known}", "landxml_units")
+        raise invalid_surface(f"its linear unit is {name!r}, none of {known}", "landxml_units")
     if high and key not in HEIGHTS.get(high, ()):
-        raise bad(
+        raise invalid_surface(
             f"positions are in {name!r} and heights in {units['elevationUnit']!r}: write both in "
             "one unit (attributes linearUnit and elevationUnit of Units)",
             "landxml_units",
@@ -186,17 +188,19 @@ def metres(units: dict[str, str] | None) -> tuple[float, str]:
     return LINEAR_M[key], name
 
 
-def chosen(surfaces: list[Definition], name: str | None) -> Definition:
+def choose_surface(surfaces: list[Definition], name: str | None) -> Definition:
     """The surface of that name, or the only one. Raises :class:`InputError` (landxml_surface)."""
     names = ", ".join(repr(s.name) for s in surfaces)
     if not surfaces:
-        raise bad("there is no surface in it", "mesh_file_empty")
+        raise invalid_surface("there is no surface in it", "mesh_file_empty")
     if name is None and len(surfaces) > 1:
-        raise bad(f"it holds {len(surfaces)} surfaces: choose one of {names}", "landxml_surface")
+        raise invalid_surface(
+            f"it holds {len(surfaces)} surfaces: choose one of {names}", "landxml_surface"
+        )
     found = surfaces if name is None else [s for s in surfaces if s.name == name]
     if len(found) != 1:
         many = "no surface" if not found else f"{len(found)} surfaces"
-        raise bad(f"{many} named {name!r} among {names}", "landxml_surface")
+        raise invalid_surface(f"{many} named {name!r} among {names}", "landxml_surface")
     return found[0]
 
 
@@ -208,23 +212,29 @@ def read_landxml(path: Path, name: str | None = None) -> LandSurface:
     """
     found = scan(path)
     to_m, unit = metres(found.units)
-    surface = chosen([s for s in found.surfaces if s.faces or s.invisible or s.points], name)
+    surface = choose_surface(
+        [s for s in found.surfaces if s.faces or s.invisible or s.points], name
+    )
     if surface.kind.lower() != "tin":
-        raise bad(f"surface {surface.name!r} is a {surface.kind}, no TIN", "mesh_file_fields")
+        raise invalid_surface(
+            f"surface {surface.name!r} is a {surface.kind}, no TIN", "mesh_file_fields"
+        )
     if not surface.faces:
-        raise bad(f"surface {surface.name!r} has no visible face", "mesh_file_empty")
+        raise invalid_surface(f"surface {surface.name!r} has no visible face", "mesh_file_empty")
     try:
         rows = [list(map(float, text.split())) for text in surface.points.values()]
         lines = [list(map(float, text.split())) for text in surface.breaklines]
     except ValueError as error:
-        raise bad(f"a value that is no number: {error}") from error
+        raise invalid_surface(f"a value that is no number: {error}") from error
     if any(len(r) != 3 for r in rows) or any(len(line) % 3 for line in lines):
-        raise bad("a point that is not northing, easting, height")
+        raise invalid_surface("a point that is not northing, easting, height")
     place = {key: k for k, key in enumerate(surface.points)}
     try:
         faces = [[place[key] for key in text.split()] for text in surface.faces]
     except KeyError as error:
-        raise bad(f"a face names point {error}, which is not there", "mesh_file_index") from error
+        raise invalid_surface(
+            f"a face names point {error}, which is not there", "mesh_file_index"
+        ) from error
     xyz = np.array(rows, dtype=np.float64).reshape(-1, 3)[:, [1, 0, 2]] * to_m
     alike = {len(f) for f in faces} == {3}
     out = np.array(faces, np.int32) if alike else [np.array(f, np.int32) for f in faces]
@@ -239,5 +249,5 @@ def in_map(numbers: list[float], to_m: float) -> F64:
     """
     out: F64 = np.array(numbers, dtype=np.float64).reshape(-1, 3)[:, [1, 0, 2]] * to_m
     if not np.isfinite(out).all():
-        raise bad("a breakline with a coordinate that is not finite")
+        raise invalid_surface("a breakline with a coordinate that is not finite")
     return out

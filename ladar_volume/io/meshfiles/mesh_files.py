@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ladar_volume.io.atomic_write import whole_file
+from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.io.endings import ENDINGS, LANDXML, READ_ENDINGS
 from ladar_volume.io.meshfiles.landxml import read_landxml
 from ladar_volume.io.meshfiles.mesh_notes import (
@@ -28,8 +28,8 @@ from ladar_volume.io.meshfiles.mesh_notes import (
 )
 from ladar_volume.io.meshfiles.plain_meshes import read_obj, read_off, read_stl
 from ladar_volume.io.meshfiles.ply_mesh import parse_header, read_ply_mesh, write_ply_mesh
-from ladar_volume.io.meshfiles.polygons import Faces, triangulated
-from ladar_volume.io.pointfiles.crs import Coordinates, Reading, settled
+from ladar_volume.io.meshfiles.polygons import Faces, triangulate_faces
+from ladar_volume.io.pointfiles.crs import Coordinates, Reading, reconcile
 from ladar_volume.io.pointfiles.metres import MapCoordinates, to_metres
 from ladar_volume.io.pointfiles.ply import HEADER_LIMIT
 from ladar_volume.io.pointfiles.point_file import columns_in_metres
@@ -103,7 +103,7 @@ def _read_kind(path: Path, ending: str, surface: str | None) -> MeshFile:
         vertices, triangles, dropped = weld(
             soup, np.arange(len(soup), dtype=np.int32).reshape(-1, 3)
         )
-        return _mended(MeshFile(vertices, triangles, dropped, said=said), origin is None)
+        return _repair(MeshFile(vertices, triangles, dropped, said=said), origin is None)
     said = coordinates_of_head(path, ending)
     if ending == ".ply":
         vertices, faces, columns = read_ply_mesh(path)
@@ -172,7 +172,7 @@ def in_metres(mesh: MeshFile, reading: Reading) -> MeshFile:
     """
     if mesh.at is not None:
         return mesh
-    said = settled(mesh.said, reading)
+    said = reconcile(mesh.said, reading)
     # a body may be as tall and narrow as degrees look
     asked = dataclasses.replace(reading, refuse_degrees=False)
     vertices, at, more = to_metres(mesh.vertices.copy(), said, asked)
@@ -192,12 +192,12 @@ def _finite(vertices: F64) -> F64:
 def _assemble(
     vertices: F64, faces: Faces, columns: Mapping[str, npt.NDArray[Any]] | None = None
 ) -> MeshFile:
-    triangles, bent = triangulated(_finite(vertices), faces)
+    triangles, bent = triangulate_faces(_finite(vertices), faces)
     mesh = MeshFile(vertices, triangles, columns=columns or {}, doubts=bent)
-    return _mended(mesh, False)
+    return _repair(mesh, False)
 
 
-def _mended(mesh: MeshFile, single: bool) -> MeshFile:
+def _repair(mesh: MeshFile, single: bool) -> MeshFile:
     """The mesh without triangles that have a corner twice or are there twice, its open edges
     joined. ``single``: its coordinates have 24 bits.
     """
@@ -271,13 +271,13 @@ def write_mesh(
     v = np.asarray(vertices, dtype=np.float64)
     t = np.asarray(triangles, dtype=np.int32)
     notes = [line for c in comments for line in c.splitlines()]
-    with whole_file(path) as part:
+    with atomic_file(path) as part:
         if ending == ".ply":
             write_ply_mesh(part, v, t, notes, vertex, face)
         elif ending == ".stl":
             part.write_bytes(_stl(v, t, notes))
         else:
-            part.write_text(_plain(v, t, notes, ending))
+            part.write_text(_read_obj_or_off(v, t, notes, ending))
 
 
 def _stl(v: F64, t: I32, notes: Sequence[str]) -> bytes:
@@ -288,7 +288,7 @@ def _stl(v: F64, t: I32, notes: Sequence[str]) -> bytes:
     return head.ljust(80) + len(t).to_bytes(4, "little") + table.tobytes()
 
 
-def _plain(v: F64, t: I32, notes: Sequence[str], ending: str) -> str:
+def _read_obj_or_off(v: F64, t: I32, notes: Sequence[str], ending: str) -> str:
     """An OBJ or OFF."""
     head = [f"# {c}" for c in notes]
     if ending == ".off":

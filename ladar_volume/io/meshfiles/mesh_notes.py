@@ -71,6 +71,6 @@ def coordinates_of_land(land: LandSurface) -> tuple[MapCoordinates, tuple[Doubt,
             f"{error}: 1 coordinate system of the LandXML is passed over; write its epsgCode anew"
         )
         return MapCoordinates(None, plain, unit, unit, factor), (Doubt("mesh_crs", words, 1.0),)
-    crs = said.crs if unit is METRE and said.across.same(METRE) else metric(said.crs)
+    crs = said.crs if unit is METRE and said.across.equals(METRE) else metric(said.crs)
     scale, ground = stretch(land.vertices, crs)
     return MapCoordinates(crs, said, unit, unit, factor, scale, ground), ()

@@ -91,7 +91,7 @@ def cut_ears(p: F64, normal: F64) -> I64:
     return ears(np.stack([d @ u, d @ np.cross(unit, u)], axis=1), np.arange(len(p)), [])[0]
 
 
-def triangulated(vertices: F64, faces: Faces) -> tuple[I32, tuple[Doubt, ...]]:
+def triangulate_faces(vertices: F64, faces: Faces) -> tuple[I32, tuple[Doubt, ...]]:
     """Triangles (m, 3) of faces over vertices (n, 3), in the order of the faces, and the doubt
     about faces that are not plane.
 

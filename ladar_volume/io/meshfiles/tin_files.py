@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ladar_volume.io.atomic_write import whole_file
+from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.io.pointfiles.ply import NAMES
 from ladar_volume.model.errors import OutputError
 from ladar_volume.model.records import F64, Tin
@@ -69,7 +69,7 @@ def write_tin(
     if every:
         face["relevant"] = tin.relevant
         lines.append("property uchar relevant")
-    with whole_file(path) as part:
+    with atomic_file(path) as part:
         part.write_bytes(
             ("\n".join([*lines, "end_header"]) + "\n").encode() + vertex.tobytes() + face.tobytes()
         )

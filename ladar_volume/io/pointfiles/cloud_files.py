@@ -17,7 +17,7 @@ from zipfile import BadZipFile
 import numpy as np
 import numpy.typing as npt
 
-from ladar_volume.io.atomic_write import whole_file
+from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.io.endings import CLOUD_ENDINGS, ENCODINGS
 from ladar_volume.io.pointfiles import pcd, ply, text
 from ladar_volume.io.pointfiles.crs import Reading
@@ -167,7 +167,7 @@ def write_cloud(
             f"{path}: {encoding!r} is not one of {', '.join(ENCODINGS[ending])}", value=encoding
         )
     flat, comments = flatten(np.asarray(r, np.float64), dict(columns or {}), names or {}, ending)
-    with whole_file(path) as part:
+    with atomic_file(path) as part:
         if ending in (".las", ".laz"):
             from ladar_volume.io.pointfiles.las_write import write_las
 
@@ -175,7 +175,7 @@ def write_cloud(
                 write_las(part, flat, comments)
             else:
                 at = like.coordinates
-                write_las(part, flat, comments, like.las, at.crs_to_write(like.las), at.unchanged)
+                write_las(part, flat, comments, like.las, at.crs_to_write(like.las), at.are_metres)
         else:
             notes = [] if like is None else like.coordinates.notes()
             _writer(ending)(part, flat, [*notes, *comments], encoding)

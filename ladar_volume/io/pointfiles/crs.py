@@ -152,7 +152,7 @@ def same_crs(a: CRS, b: CRS) -> bool:
     return codes[0] is not None and codes[0] == codes[1]
 
 
-def settled(file: Coordinates | None, reading: Reading) -> Coordinates:
+def reconcile(file: Coordinates | None, reading: Reading) -> Coordinates:
     """What holds of the coordinates: of the file and of the options, where these agree.
 
     Raises :class:`InputError` (input_crs, input_units) with both values where they do not.
@@ -187,7 +187,7 @@ def _with_crs(said: Coordinates, given: Coordinates) -> Coordinates:
     ):
         if unit is not None and (given.degrees and axes != "z"):
             raise _contradiction("the file", unit, "--crs", "degrees", axes)
-        if unit is not None and other is not None and not unit.same(other):
+        if unit is not None and other is not None and not unit.equals(other):
             raise _contradiction("the file", unit, "--crs", other, axes)
     if said.degrees and not given.degrees:
         raise _contradiction("the file", "degrees", "--crs", given.across or METRE, "x and y")
@@ -198,9 +198,9 @@ def _with_units(said: Coordinates, across: Unit, up: Unit) -> Coordinates:
     who = "--crs" if said.said_by == "--crs" else "the header"
     if said.degrees:
         raise _contradiction(who, "degrees", "--units", across, "x and y")
-    if said.across is not None and not said.across.same(across) and said.conflict is None:
+    if said.across is not None and not said.across.equals(across) and said.conflict is None:
         raise _contradiction(who, said.across, "--units", across, "x and y")
-    if said.up is not None and not said.up.same(up):
+    if said.up is not None and not said.up.equals(up):
         raise _contradiction(who, said.up, "--units", up, "z")
     if said.conflict is not None and across.name not in said.conflict:
         raise InputError(f"{said.conflict}, --units says {across}", reason="input_units")

@@ -58,7 +58,7 @@ def read_e57(path: Path, columns: bool = True) -> RawTable:
         ) from error
     try:
         root = image.root()
-        said = coordinates_said(root)
+        said = stated_coordinates(root)
         held = child(root, "data3D") if root.isDefined("data3D") else ()
         scans = [scan_columns(image, held[k], columns) for k in range(len(held))]
     except (libe57.E57Exception, *DAMAGED) as error:
@@ -83,7 +83,7 @@ def child(node: Node, name: str) -> Node:
     return get_node(node, name)
 
 
-def coordinates_said(root: Node) -> Coordinates:
+def stated_coordinates(root: Node) -> Coordinates:
     """The system that the file names; without one it is in metres, as every E57."""
     named = (
         child(root, "coordinateMetadata").value() if root.isDefined("coordinateMetadata") else ""
@@ -91,7 +91,7 @@ def coordinates_said(root: Node) -> Coordinates:
     if not named.strip():
         return Coordinates(across=METRE, up=METRE)
     said = coordinates_of(crs_of_text(named, "the E57"), "header")
-    if said.degrees or said.across is None or not said.across.same(METRE):
+    if said.degrees or said.across is None or not said.across.equals(METRE):
         raise InputError(
             f"the E57 names {said.name}, and holds metres, as every E57: export it in a projected "
             "system in metres",
@@ -118,7 +118,7 @@ def scan_columns(image: Node, scan: Node, columns: bool) -> Columns:
     for name in INVALID:
         if name in found:
             r[found.pop(name) != 0.0] = np.nan
-    r = posed(scan, r)
+    r = apply_pose(scan, r)
     out: Columns = {axis: np.ascontiguousarray(r[:, k]) for k, axis in enumerate("xyz")}
     for name, values in found.items():
         word = MORE[name]
@@ -168,7 +168,7 @@ def values_of(node: Node, names: str) -> F64:
     return np.array([float(child(node, name).value()) for name in names])
 
 
-def posed(scan: Node, r: F64) -> F64:
+def apply_pose(scan: Node, r: F64) -> F64:
     """Points (n, 3) of a scan in the frame of the file: turned by its quaternion w, x, y, z, then
     shifted.
     """

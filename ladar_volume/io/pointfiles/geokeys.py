@@ -67,7 +67,7 @@ def of_keys(keys: Mapping[int, int | float | str]) -> Coordinates | None:
     flat: Coordinates | None = None
     if projected is not None:
         flat = coordinates_of(crs_of_text(f"EPSG:{projected}", "the header"), "header")
-        if length is not None and flat.across is not None and not length.same(flat.across):
+        if length is not None and flat.across is not None and not length.equals(flat.across):
             words = f"EPSG:{projected} is in {flat.across}, its key of units says {length}"
             flat = replace(flat, conflict=words)
     elif keys.get(1024) == 1 or length is not None:

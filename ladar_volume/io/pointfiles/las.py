@@ -122,7 +122,7 @@ def _check_rows(held_bytes: int, row_bytes: int, count: int) -> None:
 
 def _check_chunks(path: Path, first: int, count: int) -> None:
     """The announced count against the number of chunks of a LAZ file, where all have one size."""
-    data = _packing(path)
+    data = _laszip_record(path)
     if len(data) < 16:
         return
     (chunk,) = struct.unpack_from("<I", data, 12)
@@ -153,10 +153,10 @@ def place_of_points(path: Path) -> tuple[int, bytes]:
     """Where the points of a LAS or LAZ file begin, and how they are packed; empty for not."""
     with path.open("rb") as file:
         head = file.read(105)
-    return struct.unpack_from("<I", head, 96)[0], _packing(path) if head[104] & 0x80 else b""
+    return struct.unpack_from("<I", head, 96)[0], _laszip_record(path) if head[104] & 0x80 else b""
 
 
-def _packing(path: Path) -> bytes:
+def _laszip_record(path: Path) -> bytes:
     """The record that says how a LAZ file is packed; empty where there is none."""
     with path.open("rb") as file:
         head = file.read(227)

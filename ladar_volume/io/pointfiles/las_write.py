@@ -62,7 +62,7 @@ def write_las(
     if version is not None:
         header.version = max(header.version, laspy.header.Version.from_str(version))
     _set_scales(header, r, like if same_system else None)
-    own, extra = _split(header, like, columns)
+    own, extra = _split_columns(header, like, columns)
     _add_extra(header, like, extra)
     if comments:
         text = json.dumps(comments).encode()
@@ -131,7 +131,7 @@ def _set_scales(header: laspy.LasHeader, r: F64, like: laspy.LasHeader | None) -
     header.scales = np.maximum(SCALE_M, np.ceil((high - low) / 4.0e9 / SCALE_M) * SCALE_M)
 
 
-def _split(
+def _split_columns(
     header: laspy.LasHeader, like: laspy.LasHeader | None, columns: Columns
 ) -> tuple[Columns, Columns]:
     """Columns that the point format has a place for, and those for extra bytes."""
@@ -145,7 +145,7 @@ def _split(
             own[name] = cast
         else:
             extra[f"{name}_value"] = c
-    return own, _joined(like, extra)
+    return own, _join_vectors(like, extra)
 
 
 def _fits(header: laspy.LasHeader, name: str, column: npt.NDArray[Any]) -> npt.NDArray[Any] | None:
@@ -160,7 +160,7 @@ def _fits(header: laspy.LasHeader, name: str, column: npt.NDArray[Any]) -> npt.N
     return column.astype(np.int64)
 
 
-def _joined(like: laspy.LasHeader | None, extra: Columns) -> Columns:
+def _join_vectors(like: laspy.LasHeader | None, extra: Columns) -> Columns:
     """Vectors among the extra bytes of ``like``, whose parts are columns ``name_0``, ``name_1``."""
     for place in [] if like is None else like.point_format.extra_dimensions:
         parts = [f"{place.name}_{k}" for k in range(place.num_elements)]

@@ -64,7 +64,7 @@ class MapCoordinates:
         }
 
     @property
-    def unchanged(self) -> bool:
+    def are_metres(self) -> bool:
         """Whether the metres are the file's own numbers."""
         return self.across is not None and self.factor == (1.0, 1.0)
 
@@ -72,14 +72,14 @@ class MapCoordinates:
         """The system for a LAS file of these metres; None where the header that they were read with
         says the same already.
         """
-        kept = las is not None and self.unchanged and self.read.said_by == "header"
+        kept = las is not None and self.are_metres and self.read.said_by == "header"
         return None if kept else self.crs
 
     def keeps(self, crs: CRS | None, unit: Unit) -> bool:
         """Whether coordinates in this system and unit are those that stood in the file."""
-        if self.across is None or not (self.across.same(unit) and self.up.same(unit)):
+        if self.across is None or not (self.across.equals(unit) and self.up.equals(unit)):
             return False
-        return crs is self.crs if self.unchanged else crs is self.read.crs
+        return crs is self.crs if self.are_metres else crs is self.read.crs
 
     def notes(self) -> list[str]:
         """Lines for the header of a file that holds these metres."""
@@ -108,7 +108,7 @@ def to_metres(
     doubts: list[Doubt] = []
     across = said.across if said.across is not None else None if said.degrees else METRE
     up = said.up or across or METRE
-    if said.up is None and across is not None and not across.same(METRE):
+    if said.up is None and across is not None and not across.equals(METRE):
         words = (
             f"the header gives {across.name} for x and y and no unit of z: z is taken in the same, "
             f"and V would be {1.0 / across.metres:.4g} times as large if z were in metres; confirm "
@@ -122,7 +122,7 @@ def to_metres(
         r[:, 2] *= up.metres
     crs, factor = said.crs, (np.nan, up.metres)
     if across is None:
-        crs = projected(r, said)
+        crs = project_to_utm(r, said)
     else:
         factor = (across.metres, up.metres)
         if across.metres != 1.0:
@@ -165,7 +165,7 @@ def refuse_degrees(r: F64, said: Coordinates) -> None:
         )
 
 
-def projected(r: F64, said: Coordinates) -> CRS:
+def project_to_utm(r: F64, said: Coordinates) -> CRS:
     """Project longitude and latitude, degrees, in place to the UTM zone of their median on the same
     datum (no datum is shifted); the CRS, heights included.
     """

@@ -71,7 +71,7 @@ def pcd_table(path: Path) -> RawTable:
         dtype, left = header.dtype, path.stat().st_size - file.tell()
         said = of_comments(header.comments)
         if header.data == "binary_compressed":
-            return RawTable(_compressed(file, header, left), said)
+            return RawTable(_read_compressed(file, header, left), said)
         if header.data == "ascii":
             return RawTable(_ascii(file, header, left), said)
         check_size(header.points, dtype.itemsize, left)
@@ -130,7 +130,7 @@ def _ascii(file: IO[bytes], header: _Header, left: int) -> Columns:
     return out
 
 
-def _compressed(file: IO[bytes], header: _Header, left: int) -> Columns:
+def _read_compressed(file: IO[bytes], header: _Header, left: int) -> Columns:
     # column after column, without the padding, as the Point Cloud Library packs it
     dtype = np.dtype([d for d in header.dtype.descr if not d[0].startswith("_@")])
     sizes = np.frombuffer(file.read(8), "<u4").astype(np.int64)

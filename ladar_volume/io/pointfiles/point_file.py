@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from ladar_volume.io.pointfiles.crs import Coordinates, Reading, settled
+from ladar_volume.io.pointfiles.crs import Coordinates, Reading, reconcile
 from ladar_volume.io.pointfiles.metres import MapCoordinates, metres_of_steps, to_metres
 from ladar_volume.io.pointfiles.raw_table import (
     Columns,
@@ -79,12 +79,12 @@ def assemble(table: RawTable, columns: bool, reading: Reading) -> PointFile:
     """The cloud of a table. Raises :class:`CloudError` and :class:`InputError`."""
     found = dict(table.columns)
     r, single, said = _positions(found, table.coordinates)
-    keep, left_out = _counted(r, found, table.las is not None, reading)
+    keep, left_out = _select_points(r, found, table.las is not None, reading)
     rows = None
     if not keep.all():
         rows = np.flatnonzero(keep)
         r, found = r[rows], {name: c[rows] for name, c in found.items()}
-    said = settled(said, reading)
+    said = reconcile(said, reading)
     latitude = float(np.median(r[:, 1])) if said.degrees else 0.0
     step = table.step or float32_step(r, single)
     r, at, doubts = to_metres(r, said, reading)
@@ -131,7 +131,9 @@ def _positions(
     return r, (x, y, z), said
 
 
-def _counted(r: F64, found: Columns, las: bool, reading: Reading) -> tuple[Bool, dict[str, int]]:
+def _select_points(
+    r: F64, found: Columns, las: bool, reading: Reading
+) -> tuple[Bool, dict[str, int]]:
     """(n,) points that count, and how many do not, by reason. Raises :class:`CloudError`
     (cloud_classes) where no point is left.
     """

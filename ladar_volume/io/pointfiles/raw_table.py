@@ -67,7 +67,7 @@ class RawTable:
     las: LasHeader | None = None
 
 
-def bare(name: str) -> str:
+def plain_column_name(name: str) -> str:
     """A column's name without its unit, marks and case."""
     found = UNIT.match(name.strip())
     word = (found[1] if found else name).strip().strip("\"'").lower()
@@ -80,7 +80,7 @@ def axis_columns(names: Iterable[str]) -> tuple[dict[str, str], bool]:
     """
     given: dict[str, list[str]] = {}
     for name in names:
-        given.setdefault(bare(name), []).append(name)
+        given.setdefault(plain_column_name(name), []).append(name)
     exact = {n for n in given if n in "xyz"}
     out: dict[str, str] = {}
     degrees = not {"x", "y"} <= exact and any(n in given for k in DEGREES.values() for n in k)
@@ -111,7 +111,7 @@ def units_of_names(names: dict[str, str]) -> Coordinates | None:
     if not units:
         return None
     x, y = units.get("x"), units.get("y")
-    if x is not None and y is not None and not x.same(y):
+    if x is not None and y is not None and not x.equals(y):
         raise CloudError(f"x is in {x}, y in {y}", reason="cloud_fields")
     return Coordinates(across=x or y, up=units.get("z"))
 

@@ -154,7 +154,7 @@ def _layout(path: Path) -> _Layout:
                     )
                 rows = [text, *itertools.islice(file, SAMPLE)]
                 comma = comma or (
-                    separator != "," and any(COMMA.match(w) for w in _sampled(rows, separator))
+                    separator != "," and any(COMMA.match(w) for w in _sample_rows(rows, separator))
                 )
                 numeric = [_is_number(w, separator != ",") or not w for w in words]
                 return _Layout(
@@ -181,7 +181,7 @@ def _encoding(path: Path) -> str:
     return "utf-8-sig"
 
 
-def _sampled(rows: list[str], separator: str | None) -> Iterator[str]:
+def _sample_rows(rows: list[str], separator: str | None) -> Iterator[str]:
     return (w for row in rows for w in _words(row.strip("\r\n "), separator))
 
 

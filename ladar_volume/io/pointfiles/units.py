@@ -19,7 +19,7 @@ class Unit:
     def __str__(self) -> str:
         return self.name
 
-    def same(self, other: Unit) -> bool:
+    def equals(self, other: Unit) -> bool:
         """Whether both are one length."""
         return abs(self.metres - other.metres) <= SAME * other.metres
 
@@ -68,4 +68,4 @@ def unit_of_word(word: str) -> Unit | None:
 def unit_of_size(name: str, metres: float) -> Unit:
     """A unit by its size; the exact one where it is known."""
     found = Unit(name, metres)
-    return next((u for u in WORDS.values() if found.same(u)), found)
+    return next((u for u in WORDS.values() if found.equals(u)), found)

@@ -33,7 +33,7 @@ def read_height_errors(path: Path) -> tuple[HeightError, ...]:
     """The errors of a file. Raises :class:`ConfigurationError` for one that holds none, and for
     names and numbers that are none.
     """
-    found = strict_yaml.read(path)
+    found = strict_yaml.read_yaml(path)
     rows = found.get("height_errors") if isinstance(found, dict) and len(found) == 1 else None
     if not isinstance(rows, list) or not rows:
         raise ConfigurationError(f"{path.name}: holds no height_errors; for example {EXAMPLE}")

@@ -71,7 +71,7 @@ def read_outlines(path: Path, at: MapCoordinates, extent: F64) -> Outlines:
         material = material_of(found.columns, row, name)
         for number, ring in enumerate(rings, 1):
             own = name if len(rings) == 1 else f"{name} ({number})"
-            piles.append(Pile(own, checked(shift.apply(ring), own, path), material))
+            piles.append(Pile(own, check_ring(shift.apply(ring), own, path), material))
     return Outlines(with_own_names(piles), shift.words, ignored, shift.doubts)
 
 
@@ -117,7 +117,7 @@ def ring_of(coords: Iterable[Sequence[float]]) -> F64:
     return xy[:-1] if len(xy) > 1 and np.array_equal(xy[0], xy[-1]) else xy
 
 
-def checked(ring: F64, name: str, path: Path) -> F64:
+def check_ring(ring: F64, name: str, path: Path) -> F64:
     """A ring (k, 2), m, counter-clockwise. Raises :class:`InputError`."""
     if len(ring) > MOST_CORNERS:
         raise InputError(
@@ -168,7 +168,7 @@ def shift_of(found: Features, at: MapCoordinates, extent: F64, path: Path) -> Sh
         )
     if found.default_crs and not geographic_numbers(found.shapes):
         return Shift(f"none named: {own}", factor_of(at, path))
-    return transformed(found.crs, at.crs)
+    return transform_shift(found.crs, at.crs)
 
 
 def factor_of(at: MapCoordinates, path: Path) -> float:
@@ -182,7 +182,7 @@ def factor_of(at: MapCoordinates, path: Path) -> float:
     return at.factor[0]
 
 
-def transformed(source: CRS, target: CRS) -> Shift:
+def transform_shift(source: CRS, target: CRS) -> Shift:
     """By pyproj, horizontally."""
     from pyproj.exceptions import ProjError
     from pyproj.transformer import TransformerGroup

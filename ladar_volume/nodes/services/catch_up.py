@@ -55,30 +55,34 @@ class CatchUp:
         if self._mapped.service_is_ready():
             said = await self._answer(self._mapped.call_async(Trigger.Request()))
             if said is None:
-                return _late("georeference_node has not worked off the messages that came before")
+                return _late_verdict(
+                    "georeference_node has not worked off the messages that came before"
+                )
             wanted_ns, self.returns_waiting = said
             while self._newest_mapped_ns is not None and self._newest_mapped_ns() < wanted_ns:
                 if time.monotonic() > self._deadline:
-                    return _late("volume_node lacks the last of the mapped points")
+                    return _late_verdict("volume_node lacks the last of the mapped points")
                 await NextRound()
         if not self._filter.service_is_ready():
             return Verdict()
         while True:
             said = await self._answer(self._filter.call_async(Trigger.Request()))
             if said is None:
-                return _late("filter_node has not worked off the points that came before")
+                return _late_verdict("filter_node has not worked off the points that came before")
             sent_ns, taken_ns = said
             if taken_ns >= wanted_ns:
                 break
             if time.monotonic() > self._deadline:
-                return _late(
+                return _late_verdict(
                     f"filter_node lacks the last {(wanted_ns - taken_ns) * 1e-9:.1f} s of mapped "
                     "points"
                 )
         while self._newest_ns() < sent_ns:
             if time.monotonic() > self._deadline:
                 missing = (sent_ns - self._newest_ns()) * 1e-9 if self._newest_ns() else 0.0
-                return _late(f"volume_node lacks the last {missing:.1f} s of the filter's surface")
+                return _late_verdict(
+                    f"volume_node lacks the last {missing:.1f} s of the filter's surface"
+                )
             await NextRound()
         return Verdict()
 
@@ -94,6 +98,6 @@ class CatchUp:
         return int(first), int(second)
 
 
-def _late(missing: str) -> Verdict:
+def _late_verdict(missing: str) -> Verdict:
     words = f"the answer is not of all data: after {CATCH_UP_S:g} s {missing}; ask again"
     return Verdict((Doubt("not_caught_up", words, CATCH_UP_S),))

@@ -8,7 +8,7 @@ from typing import Any
 from rclpy.lifecycle import LifecycleNode
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from ladar_volume.io.frames.frame_mounting import Mounted, from_frames
+from ladar_volume.io.frames.frame_mounting import FrameMounting, from_frames
 from ladar_volume.io.frames.static_frames import KIND, TOPIC, StaticFrames
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.parameters import Parameters
@@ -25,7 +25,7 @@ STATIC = QoSProfile(
 )
 
 
-def mounted(node: LifecycleNode, parameters: Parameters) -> Mounted:
+def mounting_from_frames(node: LifecycleNode, parameters: Parameters) -> FrameMounting:
     """The parameters with boresight and lever arms of the frames ``node.lidar_frame``,
     ``node.imu_frame`` (the body) and ``node.gnss_frame``, or why there are none.
 
@@ -34,19 +34,21 @@ def mounted(node: LifecycleNode, parameters: Parameters) -> Mounted:
     """
     names = parameters.node
     if not parameters.georeference.mounting_from_tf:
-        return Mounted(parameters, ("from the configuration",))
+        return FrameMounting(parameters, ("from the configuration",))
     message_type = message_class(KIND)
     if message_type is None:
         words = "from the configuration; tf2_msgs is not installed, so /tf_static is not read"
-        return Mounted(parameters, (words,))
+        return FrameMounting(parameters, (words,))
     if not names.lidar_frame or not names.imu_frame:
         words = (
             "from the configuration; with node.lidar_frame and node.imu_frame /tf_static is read"
         )
-        return Mounted(parameters, (words,))
+        return FrameMounting(parameters, (words,))
     body = "odometry" if parameters.georeference.pose_source == "odometry" else "imu"
     sensors = {"cloud": names.lidar_frame, body: names.imu_frame, "fix": names.gnss_frame}
-    frames = heard(node, message_type, [(names.imu_frame, f) for f in sensors.values() if f])
+    frames = receive_static_frames(
+        node, message_type, [(names.imu_frame, f) for f in sensors.values() if f]
+    )
     c = parameters.calibration
     silent = not any((c.boresight_roll_rad, c.boresight_pitch_rad, c.boresight_yaw_rad))
     if silent and not any(c.lever_laser_m) and not frames.pose(names.imu_frame, names.lidar_frame):
@@ -58,7 +60,7 @@ def mounted(node: LifecycleNode, parameters: Parameters) -> Mounted:
     return from_frames(parameters, frames, sensors)
 
 
-def heard(
+def receive_static_frames(
     node: LifecycleNode, message_type: type[Any], wanted: list[tuple[str, str]]
 ) -> StaticFrames:
     """The static transforms, once they lead from one frame to the other of every pair, or after

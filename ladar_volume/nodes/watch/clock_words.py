@@ -13,7 +13,7 @@ def clock_words(cloud: Lead, fix: Lead) -> list[str]:
     """
     clouds, fixes = cloud.estimate_s, fix.estimate_s
     off = {name: lead.state == "offset" for name, lead in (("cloud", cloud), ("fix", fix))}
-    if clouds and fixes and all(off.values()) and _alike(clouds, fixes):
+    if clouds and fixes and all(off.values()) and _leads_agree(clouds, fixes):
         late = clouds[0] < 0
         return [
             f"attitudes are {abs(clouds[0]):.2f} s {'older' if late else 'newer'} than clouds and "
@@ -35,6 +35,6 @@ def clock_words(cloud: Lead, fix: Lead) -> list[str]:
     return out
 
 
-def _alike(a: tuple[float, float], b: tuple[float, float]) -> bool:
+def _leads_agree(a: tuple[float, float], b: tuple[float, float]) -> bool:
     """Whether two leads (s) with their sigmas are the same, up to latency."""
     return abs(a[0] - b[0]) < max(3.0 * (a[1] + b[1]), 4.0 * LATENCY_S)

@@ -1,5 +1,5 @@
-"""Defects that show while a node runs: told with the place they come from, and of one place once a
-minute.
+"""Log lines about defects that show while a node runs. Each names its place in the code; one place
+is logged at most once a minute.
 """
 
 from __future__ import annotations
@@ -7,29 +7,30 @@ from __future__ import annotations
 import traceback
 from pathlib import Path
 
-#: Until a defect is told again, s: one that shows with every message would fill disk and log.
-AGAIN_S = 60.0
+#: Least time between two lines about one place, s: a defect that shows with every message would
+#: fill disk and log.
+REPORT_INTERVAL_S = 60.0
 
 
 class Defects:
-    """Which were told, and when."""
+    """The defects of one node, by place: when each was last reported, how often it came since."""
 
     def __init__(self) -> None:
-        self._told: dict[str, float] = {}
+        self._reported_s: dict[str, float] = {}
         self._since: dict[str, int] = {}
 
-    def told(self, error: Exception, now_s: float) -> str | None:
-        """What is to be said of an error, with the number of those that came from its place since
-        it was last told; None for nothing.
+    def report_text(self, error: Exception, now_s: float) -> str | None:
+        """The line to log for an error, with the number of errors from its place since the last
+        line; None while the interval has not passed.
         """
         frames = traceback.extract_tb(error.__traceback__)
         place = (
             f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "unknown place"
         )
         self._since[place] = self._since.get(place, 0) + 1
-        if now_s - self._told.get(place, -AGAIN_S) < AGAIN_S:
+        if now_s - self._reported_s.get(place, -REPORT_INTERVAL_S) < REPORT_INTERVAL_S:
             return None
-        count, self._told[place], self._since[place] = self._since[place], now_s, 0
+        count, self._reported_s[place], self._since[place] = self._since[place], now_s, 0
         return f"{type(error).__name__} in {place}: {error}" + (
             f" ({count} times)" if count > 1 else ""
         )

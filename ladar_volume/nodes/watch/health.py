@@ -55,13 +55,13 @@ class Health:
         """An input that should never be silent for longer than ``silent_s``."""
         self._inputs.setdefault(kind, _Input()).silent_s = silent_s
 
-    def arrived(self, kind: str, now_s: float, stamp_ns: int | None = None) -> None:
+    def record_arrival(self, kind: str, now_s: float, stamp_ns: int | None = None) -> None:
         """A message came in."""
         one = self._inputs.setdefault(kind, _Input())
         one.first_s = one.first_s if one.count else now_s
         one.count, one.arrived_s, one.stamp_ns = one.count + 1, now_s, stamp_ns
 
-    def worked(self, kind: str, seconds: float, stamp_ns: int | None = None) -> None:
+    def record_work(self, kind: str, seconds: float, stamp_ns: int | None = None) -> None:
         """The worker was busy with a message."""
         self.busy(seconds)
         one = self._inputs.setdefault(kind, _Input())

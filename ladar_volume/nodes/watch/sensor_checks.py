@@ -42,7 +42,7 @@ class Header(Protocol):
     frame_id: str
 
 
-class Stamped(Protocol):
+class StampedMessage(Protocol):
     """A message with a header."""
 
     header: Header
@@ -62,7 +62,7 @@ class Quaternion(Vector, Protocol):
     w: float
 
 
-class Inertial(Stamped, Protocol):
+class Inertial(StampedMessage, Protocol):
     """sensor_msgs/Imu."""
 
     orientation: Quaternion
@@ -90,7 +90,7 @@ class SensorChecks:
         #: Why packets are refused as those of another scanner than configured; empty where not.
         self.other_scanner = ""
 
-    def message(self, kind: str, message: Stamped) -> None:
+    def message(self, kind: str, message: StampedMessage) -> None:
         """One message as it came."""
         stamp, frame = message.header.stamp, message.header.frame_id
         self._stamps[kind] = stamp.sec + 1e-9 * stamp.nanosec
@@ -104,7 +104,7 @@ class SensorChecks:
         a, q = message.linear_acceleration, message.orientation
         size = math.sqrt(a.x * a.x + a.y * a.y + a.z * a.z)
         if message.linear_acceleration_covariance[0] != -1.0 and GRAVITY[0] < size < GRAVITY[1]:
-            self._up.append(_turned(q, a))
+            self._up.append(_rotate(q, a))
 
     def returns(self, returns: Returns, fields: set[str]) -> None:
         """The returns (n,) of a cloud, and the names of its fields."""
@@ -200,7 +200,7 @@ class SensorChecks:
         ]
 
 
-def _turned(q: Quaternion, a: Vector) -> tuple[float, float, float]:
+def _rotate(q: Quaternion, a: Vector) -> tuple[float, float, float]:
     """a by the quaternion q, in plain numbers: of every attitude, hundreds a second."""
     tx, ty, tz = (
         2.0 * (q.y * a.z - q.z * a.y),

@@ -1,4 +1,4 @@
-"""What the other nodes of the same namespace say of themselves in /diagnostics."""
+"""What the other nodes of this namespace report in /diagnostics."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def own_name(status_name: str, namespace: str) -> str | None:
     return name if space + slash == f"{namespace.rstrip('/')}/" else None
 
 
-class Others:
+class UpstreamNodes:
     """The last status of each of the named nodes."""
 
     def __init__(self, namespace: str, names: Iterable[str]) -> None:
@@ -30,7 +30,7 @@ class Others:
                 self._last[str(name)] = status
 
     def lines(self, name: str) -> dict[str, str]:
-        """The lines of a node, none where it was not heard."""
+        """Keys and values of a node's last status; empty before its first one."""
         status = self._last.get(name)
         return {} if status is None else {v.key: v.value for v in status.values}
 
@@ -47,7 +47,7 @@ class Others:
         }
 
     def verdict(self) -> Verdict:
-        """What is an error there is a doubt of this node's result."""
+        """An error of an upstream node is a doubt of this node's result."""
         return Verdict(
             tuple(
                 Doubt(f"error_{name}", f"{name} reports an error: {status.message}")
@@ -56,8 +56,8 @@ class Others:
             )
         )
 
-    def waiting(self) -> str:
-        """What the nodes before had not handed on when they were last heard, in words."""
+    def waiting_text(self) -> str:
+        """What the upstream nodes had not passed on at their last status, as text."""
         lines = self.lines("filter_node")
         if not lines:
             return "the nodes before this one had not ended when it did"
