@@ -133,7 +133,7 @@ def write_outputs(
 ) -> None:
     """result.json, mesh.ply, result.mcap and, where wanted, figure.png."""
     results.write_text(folder / "result.json", results.json_text(result))
-    results.write_ply(folder / "mesh.ply", estimate.tin, epoch.sigma_z())
+    results.write_ply(folder / "mesh.ply", estimate.tin, epoch.sigma_z(estimate.tin))
     write_survey(folder / FILE, estimate, epoch, result)
     if figure:
         from ladar_volume.report.figure import save  # matplotlib takes a second to load

@@ -119,7 +119,7 @@ def write_survey(path: Path, estimate: Estimate, epoch: Epoch, result: Mapping[s
                 "x": vertices[:, 0],
                 "y": vertices[:, 1],
                 "z": vertices[:, 2],
-                "sigma_z": epoch.sigma_z(),
+                "sigma_z": epoch.sigma_z(estimate.tin),
             },
         ),
     ]

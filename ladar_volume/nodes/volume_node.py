@@ -348,7 +348,11 @@ class VolumeNode(StageNode):
             self._more_data.publish(table_message(more_data_columns(self._more), v.t_ns))
             # latched: who looks later sees the last one, without asking for a volume
             by_sigma = self.parameters.node.tin_colour == "sigma"
-            height = self.stage.epoch().sigma_z() if by_sigma else estimate.tin.vertices[:, 2]
+            height = (
+                self.stage.epoch().sigma_z(estimate.tin)
+                if by_sigma
+                else estimate.tin.vertices[:, 2]
+            )
             self._tin.publish(cdr.tin_marker(estimate, height))
             if self._closed is None:
                 self._mesh.publish(cdr.mesh(estimate))
@@ -430,7 +434,7 @@ class VolumeNode(StageNode):
         epoch = self.stage.epoch()
         with output_set(folder, results.SURVEY_FILES) as part:
             results.write_text(part / "result.json", results.json_text(result))
-            results.write_ply(part / "mesh.ply", estimate.tin, epoch.sigma_z())
+            results.write_ply(part / "mesh.ply", estimate.tin, epoch.sigma_z(estimate.tin))
             write_survey(part / FILE, estimate, epoch, result)
             if self._closed is not None:
                 write_bodies(part / "bodies.ply", [b.body for b in self._closed.present().bodies])

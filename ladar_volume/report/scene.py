@@ -116,7 +116,7 @@ def scene_of_survey(
         tin=tin,
         counted=np.asarray(tin.relevant, dtype=bool),
         above_m=height_above(tin.vertices, estimate.base),
-        sigma_m=epoch.sigma_z(),
+        sigma_m=epoch.sigma_z(estimate.tin),
         outlines=[body.outline for body in bodies],
         base_at=base_of_plane(estimate.base),
         base=estimate.volume.base,

@@ -114,8 +114,7 @@ def pile_mesh(pile: Pile, ground: Callable[[F64, F64], F64]) -> tuple[F64, npt.N
     outer = 1.0 + np.geomspace(0.02, reach - 1.0, 60)
 
     def profile(r: F64) -> F64:
-        h: F64 = pile.height_m * np.clip((1.0 - r) / (1.0 - pile.top), 0.0, 1.0)
-        return h
+        return pile.height(r * pile.a, np.zeros_like(r))
 
     return polar_mesh(np.concatenate([rho, outer]), pile.a, pile.b, profile, ground)
 

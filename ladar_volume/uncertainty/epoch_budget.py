@@ -64,11 +64,11 @@ class Epoch:
         n = self.sources.points.normal[self.surface.tin.source]
         return n if self.transform is None else n @ self.transform.R.T
 
-    def sigma_z(self) -> F64:
+    def sigma_z(self, tin: Tin | None = None) -> F64:
         """Total standard deviation (n,) m of the height of every vertex in its own map frame, all
-        sources.
+        sources; of the surface, or of another one made from the same points.
         """
-        return vertical_sigma(self.sources, self.surface.tin.source)
+        return vertical_sigma(self.sources, (self.surface.tin if tin is None else tin).source)
 
     def sensitivities(self, gradient: F64) -> Sensitivities:
         """To every source, of a result with gradient (n, 3) by the vertices in the frame of the

@@ -20,8 +20,8 @@ def pile(x, y, at=(0.0, 0.0), radius=4.0, top=2.0):
     return ground + np.maximum(0.0, top * (1.0 - np.hypot(x - at[0], y - at[1]) / radius))
 
 
-def estimated(height=pile, seen=None, half=10.0, region=(), **volume):
-    """The estimate from what lies where ``seen(x, y)``."""
+def estimator_of(height=pile, seen=None, half=10.0, region=(), **volume):
+    """The estimator with what lies where ``seen(x, y)``."""
     update = surface_update(height, half=half, spacing=0.25, noise=0.004, perturb=0.002)
     if seen is not None:
         keep = seen(update.patches.centre[:, 0], update.patches.centre[:, 1])
@@ -34,7 +34,12 @@ def estimated(height=pile, seen=None, half=10.0, region=(), **volume):
     estimator = VolumeEstimator(p)
     estimator.add_platform(platform())
     estimator.add(update)
-    return estimator.estimate()
+    return estimator
+
+
+def estimated(*given, **options):
+    """The estimate of :func:`estimator_of`."""
+    return estimator_of(*given, **options).estimate()
 
 
 def names(estimate):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ladar_volume.volume.field_checks.standing_objects import Steps, standing_parts
-from test.volume.test_field_checks import TRUE_M3, estimated, names, pile
+from test.volume.test_field_checks import TRUE_M3, estimated, estimator_of, names, pile
 
 
 def with_boxes(*boxes):
@@ -62,3 +62,11 @@ def test_the_ground_beside_a_pit_is_no_object():
     low, high = np.array([1, 1, 1, 1]), np.array([0, 0, 2, 2])
     steps = Steps(low, high, np.ones(4), np.arange(3), np.array([500, 60, 5]))
     assert standing_parts(steps, np.array([True, False, False])).tolist() == [False, False, True]
+
+
+def test_vertices_without_objects_have_their_sigma():
+    """What a result writes beside its surface is as long as that surface."""
+    e = estimator_of(with_boxes((4.1, 0.0, 2.0, 1.5, 1.5)))
+    tin, epoch = e.estimate().tin, e.epoch()
+    assert len(tin.vertices) < len(epoch.tin.vertices)
+    assert len(epoch.sigma_z(tin)) == len(tin.vertices)

@@ -103,8 +103,8 @@ def standing_parts(steps: Steps, own: Bool) -> Bool:
 def standing_vertices(tin: Tin, base: Plane, inside: Bool, p: VolumeParameters) -> Bool:
     """Vertices (n,) of what stands on the surface. inside : (m,) triangles that count.
 
-    None where the main body itself stands on steep faces, as a box does, and where most of the
-    outline would go.
+    None where the main body itself stands on steep faces, as a box does, where more steps lie
+    within the ground's own part than below what would go, and where most of the outline would go.
     """
     none = np.zeros(len(tin.vertices), np.bool_)
     steps = surface_steps(tin, p.max_edge_m)
@@ -121,6 +121,9 @@ def standing_vertices(tin: Tin, base: Plane, inside: Bool, p: VolumeParameters) 
             if body is found[0] and int(np.argmax(count)) != ground:
                 return none
     out: Bool = np.asarray(standing_parts(steps, own)[steps.label])
+    on_ground = (steps.label[steps.low] == ground) & (steps.label[steps.high] == ground)
+    if np.count_nonzero(on_ground) > np.count_nonzero(out[steps.high]):
+        return none
     area = footprint_areas(tin.vertices, tin.triangles)
     hidden = inside & out[tin.triangles].any(axis=1)
     if float(area[hidden].sum()) > MOST * float(area[inside].sum()):
