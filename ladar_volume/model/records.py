@@ -343,11 +343,30 @@ class StandingObject:
 
 
 @dataclass(frozen=True)
+class SourceAgreement:
+    """What one group of sources has to do with the scatter of the passes. name : of the group ·
+    predicted_m : its part of the median patch's residual by the budget · factor : by which its
+    variance would have to be larger, were it alone to blame · freedom : its independent errors that
+    passes tell apart · p_value : of a factor as large, were its budget true · visible : whether its
+    part is large enough to be judged at all
+    """
+
+    name: str
+    predicted_m: float
+    factor: float
+    freedom: float
+    p_value: float
+    visible: bool
+
+
+@dataclass(frozen=True)
 class Agreement:
     """How the returns of a survey agree with each other. residual_m : of the median patch, RMS ·
     predicted_m : the same by the budget · factor : by which the variances of what returns share
     would have to be larger, 1 cm of roughness allowed · freedom : independent errors it was told
-    from · p_value : of a factor as large, were the budget true · refuted : whether it is not
+    from · p_value : of a factor as large, were the budget true · refuted : whether it is not ·
+    sources : the same by group of sources · shift_m : by how much passes lie apart sideways, 0
+    where not, and shift_deg : along which direction, counter-clockwise from east, 0 to 180
     """
 
     residual_m: float
@@ -356,6 +375,9 @@ class Agreement:
     freedom: float
     p_value: float
     refuted: bool
+    sources: tuple[SourceAgreement, ...] = ()
+    shift_m: float = 0.0
+    shift_deg: float = 0.0
 
 
 @dataclass(frozen=True)

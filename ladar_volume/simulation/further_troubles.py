@@ -259,7 +259,7 @@ def large_footprints(d: Drawing) -> None:
 
 def gnss_jump(d: Drawing) -> None:
     """Fixes are off by 8 to 25 cm from a moment of the flight on."""
-    d.names = ("budget", "jump")
+    d.names = ("budget", "passes_shifted")
     e, n, u = d.rng.normal(0.0, 1.0, 3)
     size = d.rng.uniform(0.08, 0.25) / math.sqrt(e * e + n * n + u * u)
     d.flown = dataclasses.replace(

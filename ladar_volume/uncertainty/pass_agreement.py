@@ -18,7 +18,7 @@ from scipy.special import chdtrc
 
 from ladar_volume.math.kernels import kernel
 from ladar_volume.model.parameters import BudgetParameters
-from ladar_volume.model.records import F64, I64, Agreement, Bool, Patches
+from ladar_volume.model.records import F64, I64, Agreement, Bool, Patches, SourceAgreement
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
 
 #: Patches that are asked at most; fewest that answer; fewest returns of one, and least upward
@@ -31,6 +31,24 @@ GRASS_M = 0.009
 #: Probability below which a budget is refuted, and by how much its variances then are too small at
 #: least, and are scaled at most.
 REFUTED, LEAST, MOST = 1e-2, 2.25, 1000.0
+
+
+#: Sources that one test judges together.
+GROUPS = {
+    "beams": ("beams",),
+    "boresight": ("boresight",),
+    "lever_arms": ("lever_laser", "lever_antenna"),
+    "attitude": ("attitude",),
+    "position": ("position",),
+}
+#: A group is judged whose part of the predicted mean square is no less than this.
+VISIBLE = 0.02
+
+
+#: Passes lie apart sideways where the direction of the patches explains so much of the scatter of
+#: these, the shift is no less than so many metres, and across it less than this part of the square.
+#: Patches that scatter more than so many of the others are left out.
+SHIFTED, SHIFT_M, ROUND, USUAL = 0.25, 0.06, 0.3, 0.98
 
 
 class Bins(NamedTuple):
@@ -173,13 +191,66 @@ def pass_agreement(
     shared = sum(part.values())
     if not shared > 0.0:
         return None
-    factor = max(0.0, square - noise - GRAIN_M**2) / shared
+    left = square - noise - GRAIN_M**2
+    factor = max(0.0, left) / shared
     span_s = float(np.ptp(patches.nav_bin)) * nav.bin_ns * 1e-9
     # Satterthwaite: a sum of chi-squares as one
     n = shared**2 / sum(v**2 / degrees_of_freedom(name, span_s, b) for name, v in part.items())
     p = float(chdtrc(n, factor * n))
     predicted = math.sqrt(noise + shared)
-    return Agreement(math.sqrt(square), predicted, factor, n, p, p < REFUTED and factor > LEAST)
+    refuted = p < REFUTED and factor > LEAST
+    sources = source_agreement(part, left, span_s, b)
+    shift, toward = sideways_shift(found, patches.normal)
+    return Agreement(
+        math.sqrt(square), predicted, factor, n, p, refuted, sources, shift, math.degrees(toward)
+    )
+
+
+def source_agreement(
+    part: dict[str, float], left: float, span_s: float, b: BudgetParameters
+) -> tuple[SourceAgreement, ...]:
+    """Each group of sources held against what of the median square (m²) noise and roughness leave,
+    the other groups being as the budget says. part : of each source, m² · span_s : of the survey.
+    """
+    total, out = sum(part.values()), []
+    for name, members in GROUPS.items():
+        own = sum(part[member] for member in members)
+        visible = own >= VISIBLE * total
+        factor = max(0.0, left - (total - own)) / own if visible else float("nan")
+        n = degrees_of_freedom(members[0], span_s, b)
+        p = float(chdtrc(n, factor * n)) if visible else float("nan")
+        out.append(SourceAgreement(name, math.sqrt(own), factor, n, p, visible))
+    return tuple(out)
+
+
+def sideways_shift(found: Scatter, normal: F64) -> tuple[float, float]:
+    """By how much two halves of the passes lie apart sideways, m, and along which direction, rad
+    from east; 0 where they do not.
+
+    A jump d of the positions adds ``q (1 − q) (d·n)²`` to the mean square of a patch with normal n
+    of which it moves a share q: the form of the tensor ``d dᵀ / 4`` in n where q is a half. It is
+    fitted, and its horizontal part has one axis. normal : (m, 3) of all patches.
+    """
+    predicted = np.sum(list(found.source.values()), axis=0)
+    weight = 1.0 / (predicted + GRAIN_M**2)
+    y = found.unexplained * weight
+    some = y <= np.quantile(y, USUAL)
+    n, w = normal[found.rows[some]], weight[some]
+    x, v, z = n.T
+    X = w[:, None] * np.column_stack(
+        [np.ones(len(n)), x * x, v * v, 2.0 * x * v, 2.0 * x * z, 2.0 * v * z]
+    )
+    level = w * float(w @ y[some]) / float(w @ w)
+    fit = np.linalg.lstsq(X, y[some], rcond=None)[0]
+    left, about = y[some] - X @ fit, y[some] - level
+    if float(left @ left) > (1.0 - SHIFTED) * float(about @ about):
+        return 0.0, 0.0
+    up, east, north, both = fit[:4].tolist()
+    size, axes = np.linalg.eigh(np.array([[up + east, both], [both, up + north]]))
+    major = 2.0 * math.sqrt(max(float(size[1]), 0.0))
+    if major < SHIFT_M or float(size[0]) > ROUND * float(size[1]):
+        return 0.0, 0.0
+    return major, math.atan2(float(axes[1, 1]), float(axes[0, 1])) % math.pi
 
 
 def cover_scatter(found: Scatter, ground: Bool, body: Bool) -> float:

@@ -11,11 +11,14 @@ from ladar_volume.model.parameters import BudgetParameters
 from ladar_volume.model.records import Agreement, Volume
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
 from ladar_volume.uncertainty.pass_agreement import (
+    Scatter,
     cover_scatter,
     dispersion,
     pass_agreement,
     patch_scatter,
     scatter_by_source,
+    sideways_shift,
+    source_agreement,
 )
 from ladar_volume.volume.field_checks.field_verdict import inflate_shared_variances, with_passes
 from test.scenes.volume_surfaces import platform, surface_update
@@ -143,3 +146,41 @@ def test_a_refuted_budget_is_scaled_warned_of_or_refused():
     assert with_passes(VOLUME, true, "scale").verdict.sound
     assert with_passes(VOLUME, None, "scale") == VOLUME
     assert inflate_shared_variances(VOLUME, 1.0).sigma_m3 == pytest.approx(VOLUME.sigma_m3)
+
+
+def sloping(jump, own_m=0.0, seed=3):
+    """Patches of any slope up to 35 degrees whose passes lie a jump (3,) m apart, seen half by each
+    pass; own_m : what patches off the level scatter besides, m.
+    """
+    rng = np.random.default_rng(seed)
+    tilt, toward = rng.uniform(0.0, 0.6, 240), rng.uniform(0.0, 2.0 * math.pi, 240)
+    n = np.stack(
+        [np.sin(tilt) * np.cos(toward), np.sin(tilt) * np.sin(toward), np.cos(tilt)], axis=1
+    )
+    noise = np.full(240, 0.012**2)
+    square = noise * rng.chisquare(60, 240) / 60 + 0.25 * (n @ jump) ** 2 + (own_m * tilt) ** 2
+    return Scatter(np.arange(240), square, {"noise": noise}), n
+
+
+@pytest.mark.parametrize("jump", [(0.12, 0.0, 0.0), (0.05, 0.09, 0.02), (-0.08, 0.08, 0.0)])
+def test_a_jump_sideways_is_found_with_its_size_and_direction(jump):
+    size, toward = sideways_shift(*sloping(np.array(jump)))
+    assert size == pytest.approx(math.hypot(*jump[:2]), rel=0.2)
+    apart = (toward - math.atan2(jump[1], jump[0]) + math.pi / 2) % math.pi - math.pi / 2
+    assert abs(apart) < math.radians(12)
+
+
+@pytest.mark.parametrize(("jump", "own_m"), [((0, 0, 0), 0.0), ((0, 0, 0), 0.03), ((0, 0, 0.1), 0)])
+def test_rough_slopes_and_a_jump_upwards_are_no_jump_sideways(jump, own_m):
+    assert sideways_shift(*sloping(np.array(jump), own_m)) == (0.0, 0.0)
+
+
+def test_a_group_alone_to_blame_takes_what_the_others_leave():
+    part = {name: 4e-6 for name in ("beams", "boresight", "attitude", "position")}
+    part |= {"lever_laser": 1e-8, "lever_antenna": 1e-8}
+    found = {s.name: s for s in source_agreement(part, 60e-6, 40.0, BUDGET)}
+    assert found["beams"].factor == pytest.approx((60 - 12.02) / 4)
+    assert found["beams"].p_value < 1e-30 < found["boresight"].p_value < 1e-4
+    assert not found["lever_arms"].visible and math.isnan(found["lever_arms"].p_value)
+    true = source_agreement(part, sum(part.values()), 40.0, BUDGET)
+    assert all(s.factor == pytest.approx(1.0) and s.p_value > 0.1 for s in true if s.visible)

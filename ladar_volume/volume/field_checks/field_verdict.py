@@ -18,6 +18,7 @@ from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.full_tin import vertex_mask
 from ladar_volume.uncertainty.pass_agreement import (
     MOST,
+    REFUTED,
     cover_scatter,
     pass_agreement,
     patch_scatter,
@@ -121,11 +122,35 @@ def budget_scale(found: Agreement | None, check: str) -> float:
     return min(found.factor, MOST)
 
 
+def shift_words(found: Agreement) -> str:
+    """How passes lie apart sideways, and what to do."""
+    return (
+        f"passes lie some {1e2 * found.shift_m:.2g} cm apart along the direction "
+        f"{found.shift_deg:.0f}° (counter-clockwise from east), seen on the slopes: look for a "
+        "jump of the fixes or a wrong datum in a part of the flight, or leave that part out"
+    )
+
+
+def group_words(found: Agreement) -> str:
+    """By how much one group of sources alone would have to be worse."""
+    alone = [s for s in found.sources if s.visible and s.p_value < REFUTED]
+    if not alone:
+        return ""
+    listed = ", ".join(
+        f"{s.name.replace('_', ' ')} {math.sqrt(s.factor):.2g} times"
+        for s in sorted(alone, key=lambda s: s.factor)
+    )
+    return f" (were one alone to blame: {listed} its sigma)"
+
+
 def with_passes(volume: Volume, found: Agreement | None, check: str) -> Volume:
     """The volume with what the agreement of the passes says of its budget. Raises
     :class:`VolumeError` where a refuted budget is to be refused.
     """
     volume = dataclasses.replace(volume, agreement=found)
+    if found is not None and found.shift_m > 0.0:
+        shifted = Verdict((Doubt("passes_shifted", shift_words(found), found.shift_m),))
+        volume = dataclasses.replace(volume, verdict=volume.verdict + shifted)
     if found is None or not found.refuted:
         return volume
     words = (
@@ -133,7 +158,7 @@ def with_passes(volume: Volume, found: Agreement | None, check: str) -> Volume:
         f"{1e3 * found.residual_m:.3g} mm about its surface where the budget says "
         f"{1e3 * found.predicted_m:.3g} mm (p = {found.p_value:.1g}), so that position, attitude, "
         "calibration or clock are worse than given, or the surface is rough or overgrown; "
-        "run `calibrate strips`, or give a true budget"
+        f"run `calibrate strips`, or give a true budget{group_words(found)}"
     )
     if check == "refuse":
         raise VolumeError(words, reason="volume_budget_refuted", value=found.factor)
