@@ -34,8 +34,9 @@ from ladar_volume.simulation.survey import Survey
 
 ROOT = Path(__file__).parents[1]
 NODES = ("georeference_node", "filter_node", "volume_node", "logger_node")
-#: Length of the survey, times real time at which it plays, latest signal after its begin (s).
-FLIGHT_S, RATE, LATEST_S = 6.0, 4.0, 3.0
+#: Length of the survey, times real time at which it plays, latest signal (s): in every fourth run
+#: after the begin of the survey, in the others after the first volume.
+FLIGHT_S, RATE, LATEST_S = 24.0, 4.0, 3.0
 #: Digits of a volume in the node's words.
 PRINTED_M3 = 1e-4
 #: Ends when all nodes report and volume_node has found filter_node.
@@ -47,6 +48,16 @@ watcher, began = Watcher(), time.monotonic()
 while not set(sys.argv[1:]) <= set(watcher.lines) or watcher.number("volume_node", "joined") != 1:
     rclpy.spin_once(watcher, timeout_sec=0.1)
     assert time.monotonic() < began + 200.0
+"""
+#: Ends with the first volume, or after a minute.
+FIRST = """
+import time, rclpy
+from std_msgs.msg import Float64
+rclpy.init(args=[])
+node, heard, began = rclpy.create_node("first"), [], time.monotonic()
+node.create_subscription(Float64, "volume", heard.append, 10)
+while not heard and time.monotonic() < began + 60.0:
+    rclpy.spin_once(node, timeout_sec=0.1)
 """
 GOALS = {
     "logs complete, %": (100.0, 100.0),
@@ -82,8 +93,12 @@ def started(words: list[str], domain: int) -> subprocess.Popen[str]:
     )
 
 
-def interrupted(bag: Path, log: Path, rng: random.Random, domain: int) -> dict[str, Any]:
-    """One run: what the nodes said, their exit codes, and how long they took to end (s)."""
+def interrupted(
+    bag: Path, log: Path, rng: random.Random, domain: int, early: bool
+) -> dict[str, Any]:
+    """One run: what the nodes said, their exit codes, and how long they took to end (s). early :
+    signalled after the begin of the survey, else after the first volume.
+    """
     given = {"config_file": bag / "config.yaml", "logger.path": log}
     given |= {"node.input_reliability": "reliable", "node.input_depth": 2000}
     words = [w for key, value in given.items() for w in ("-p", f"{key}:={value}")]
@@ -93,8 +108,13 @@ def interrupted(bag: Path, log: Path, rng: random.Random, domain: int) -> dict[s
     try:
         if started(["-c", READY, *NODES], domain).wait(timeout=240):
             raise RuntimeError("the nodes did not start")
+        first = None if early else started(["-c", FIRST], domain)
         player = started([*program, "player", str(bag), str(RATE)], domain)
-        delay = 1.5 + rng.uniform(0.0, LATEST_S)  # the player looks for listeners first
+        delay = rng.uniform(0.0, LATEST_S)
+        if first is None:
+            delay += 1.5  # the player looks for listeners first
+        else:
+            first.wait(timeout=90)
         time.sleep(delay)
         began = time.monotonic()
         together = [player, *nodes.values()]
@@ -150,7 +170,7 @@ def interrupt_often(runs: int, seed: int, folder: Path) -> list[dict[str, Any]]:
     bag = recording(folder / "bag", 5)
     for n in range(runs):
         log = folder / f"log{n}.mcap"
-        run = interrupted(bag, log, rng, (os.getpid() + n) % 90 + 10)
+        run = interrupted(bag, log, rng, (os.getpid() + n) % 90 + 110, n % 4 == 0)
         end = re.search(r"volume at the end: ([\d.]+) m3", run["said"]["volume_node"])
         incomplete = "incomplete volume" in run["said"]["volume_node"]
         run |= {"log": complete(log), "end": float(end[1]) if end else None}

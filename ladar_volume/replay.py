@@ -16,11 +16,12 @@ from ladar_volume.io.bags import Recording
 from ladar_volume.io.cloud_messages import returns_from_cloud
 from ladar_volume.io.drivers.ring_count import RingCount
 from ladar_volume.io.frames.frame_mounting import mounting_of_recording
+from ladar_volume.io.frames.moving_frames import TransformPoses
 from ladar_volume.io.logs.heard_live import missing_messages
 from ladar_volume.io.sensor_messages import (
     fix_from_message,
     imu_from_message,
-    odometry_from_message,
+    poses_from_message,
 )
 from ladar_volume.model.errors import BagError, GroundError, InputError, SurfaceError, VolumeError
 from ladar_volume.model.losses import Losses
@@ -145,13 +146,15 @@ class Replay:
 
     def _recorded_messages(self, first: int, last: int) -> Iterator[tuple[int, str, Any]]:
         roles = {topic: role for role, topic in self.topics.items()}
-        decode: dict[str, Callable[[Any], Any]] = {
-            "fix": fix_from_message,
-            "imu": imu_from_message,
-            "odometry": odometry_from_message,
-            "cloud": lambda message: returns_from_cloud(
-                message, self.parameters.georeference, self.losses
-            ),
+        node = self.parameters.node
+        transforms = TransformPoses(node.map_frame, node.base_frame)
+        decode: dict[str, Callable[[Any], list[Any]]] = {
+            "fix": lambda message: [fix_from_message(message)],
+            "imu": lambda message: [imu_from_message(message)],
+            "odometry": lambda message: poses_from_message(message, transforms, self.losses),
+            "cloud": lambda message: [
+                returns_from_cloud(message, self.parameters.georeference, self.losses)
+            ],
         }
         try:
             for raw in self.bag.raw(set(roles)):
@@ -159,7 +162,8 @@ class Replay:
                     continue
                 role = roles[raw.topic]
                 try:
-                    yield raw.t_ns, role, decode[role](self.bag.message(raw))
+                    for record in decode[role](self.bag.message(raw)):
+                        yield raw.t_ns, role, record
                 except (InputError, BagError) as error:
                     if error.reason == "bag_truncated":
                         raise

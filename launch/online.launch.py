@@ -21,6 +21,10 @@ PARAMETERS = {
     "lidar_frame": ("node.lidar_frame", "frame the clouds must come in; empty for any"),
     "imu_frame": ("node.imu_frame", "frame the attitudes must come in; empty for any"),
     "gnss_frame": ("node.gnss_frame", "frame the fixes must come in; empty for any"),
+    "map_frame": ("node.map_frame", "frame of the map, another one for each vehicle"),
+    "odom_frame": ("node.odom_frame", "frame between map and base on /tf"),
+    "base_frame": ("node.base_frame", "frame of the platform"),
+    "publish_tf": ("node.publish_tf", "what goes to /tf: pose, correction or off"),
     "hardware_id": ("node.hardware_id", "name of the vehicle in /diagnostics"),
 }
 

@@ -135,12 +135,19 @@ def replay(
     config : parameter file; else ``config.yaml`` in the recording's folder, if any · overrides :
     parameters by ``section.key``
     """
+    from ladar_volume.io.bags import wanted_topics
     from ladar_volume.io.drivers.packet_capture import open_recording
     from ladar_volume.replay import Replay
 
     parameters = _parameters(Path(bag), config, overrides or {})
     with open_recording(Path(bag)) as recording:
-        survey = Replay(recording, parameters, recording.roles({}), start_s, duration_s)
+        survey = Replay(
+            recording,
+            parameters,
+            recording.roles(wanted_topics({}, parameters)),
+            start_s,
+            duration_s,
+        )
         estimate = survey.run()
         facts = survey.result(estimate)
     v = estimate.volume

@@ -22,6 +22,7 @@ from ladar_volume.cli.arguments.work import config_for
 from ladar_volume.cli.replay import topics_from
 from ladar_volume.georeference.error_budget import calibration_covariance, correlation_triangle
 from ladar_volume.georeference.lidar_equation import mounting
+from ladar_volume.io.bags import wanted_topics
 from ladar_volume.io.config import changed_config, read_config
 from ladar_volume.io.drivers.packet_capture import open_recording
 from ladar_volume.io.results import json_text, write_text
@@ -70,7 +71,7 @@ def recorded_flight(
         replay = Replay(
             bag,
             parameters,
-            bag.roles(topics_from(arguments.topic)),
+            bag.roles(wanted_topics(topics_from(arguments.topic), parameters)),
             arguments.start,
             arguments.duration,
         )

@@ -16,6 +16,7 @@ from ladar_volume.cli.arguments.work import config_for
 from ladar_volume.cli.tables.result_table import show_result
 from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.io import results
+from ladar_volume.io.bags import wanted_topics
 from ladar_volume.io.config import read_config
 from ladar_volume.io.drivers.packet_capture import open_recording
 from ladar_volume.io.meshfiles.body_mesh import write_bodies
@@ -75,7 +76,7 @@ def _replayed(
         replay = Replay(
             bag,
             parameters,
-            bag.roles(topics_from(arguments.topic)),
+            bag.roles(wanted_topics(topics_from(arguments.topic), parameters)),
             arguments.start,
             arguments.duration,
             poses,

@@ -19,7 +19,7 @@ from ladar_volume.cli.replay import show_bodies, topics_from
 from ladar_volume.cli.tables.result_table import show_result
 from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.io import results
-from ladar_volume.io.bags import ROLES
+from ladar_volume.io.bags import ROLES, wanted_topics
 from ladar_volume.io.config import dump_config, read_config
 from ladar_volume.io.drivers.packet_capture import open_recording
 from ladar_volume.io.output_set import output_set
@@ -151,7 +151,7 @@ def played_result(
 ) -> dict[str, Any]:
     """Play the recording; what the volume node answers, with what was played."""
     with open_recording(arguments.play) as bag, Progress(console=console, transient=True) as bar:
-        topics = bag.roles(topics_from(arguments.topic))
+        topics = bag.roles(wanted_topics(topics_from(arguments.topic), parameters))
         bag.require(topics, parameters.georeference.pose_source)
         task = bar.add_task(
             f"playing {arguments.play.name} at {arguments.rate:g}x through the nodes",

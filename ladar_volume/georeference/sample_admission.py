@@ -132,11 +132,14 @@ def odometry_pose(sample: OdometrySample, budget: BudgetParameters, policy: str)
     :class:`AttitudeError`.
     """
     q = _unit_quaternion(sample.q_map_body, "odometry")
-    for value in (sample.p_map_body, sample.omega_body):
-        if np.shape(value) != (3,) or not np.isfinite(value).all():
-            raise AttitudeError(
-                "position or angular velocity is not finite", reason="odometry_nan", value=value
-            )
+    p, omega = sample.p_map_body, sample.omega_body
+    shaped = np.shape(p) == np.shape(omega) == (3,)
+    # rates that are all NaN are unknown: the trajectory takes them from the attitudes
+    if not shaped or not (
+        np.isfinite(p).all() and (np.isfinite(omega) | np.isnan(omega).all()).all()
+    ):
+        words = "position or angular velocity is not finite"
+        raise AttitudeError(words, reason="odometry_nan", value=(p, omega))
     C = _covariance(sample.C_pose, 6, AttitudeError, "odometry")
     if C is None:
         _unknown("odometry", policy, AttitudeError)

@@ -20,7 +20,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import ladar_volume.io.bounded_unpacking  # noqa: F401  (bounds what rosbags unpacks)
 from ladar_volume.io.drivers import velodyne_scan
+from ladar_volume.io.frames import moving_frames, static_frames
 from ladar_volume.model.errors import BagError, OutputError, shown
+from ladar_volume.model.parameters import Parameters
 
 #: What the pipeline listens to: role → (message type, usual topic).
 ROLES: dict[str, tuple[str, str]] = {
@@ -31,9 +33,19 @@ ROLES: dict[str, tuple[str, str]] = {
 }
 #: What stands in for a role where nothing of its own type was recorded.
 INSTEAD = {"cloud": (velodyne_scan.KIND, velodyne_scan.TOPIC)}
+#: What may be asked for in a role by name: poses as transforms.
+BY_NAME = {"odometry": (static_frames.KIND, moving_frames.TOPIC)}
 TYPESTORE = get_typestore(Stores.ROS2_JAZZY)
 for _name, _text in velodyne_scan.DEFINITIONS.items():
     TYPESTORE.register(get_types_from_msg(_text, _name))
+
+
+def wanted_topics(given: Mapping[str, str], parameters: Parameters) -> dict[str, str]:
+    """Role → topic as given, and ``/tf`` where the parameters take the poses from there."""
+    transforms = parameters.node.odometry_message == "TFMessage"
+    if parameters.georeference.pose_source != "odometry" or not transforms:
+        return dict(given)
+    return {"odometry": moving_frames.TOPIC, **given}
 
 
 @dataclass(frozen=True)
@@ -103,7 +115,8 @@ class Recording(ABC):
         topics, found = self.topics(), {}
         for role, own in ROLES.items():
             name = (wanted or {}).get(role, "").lstrip("/")
-            kinds = [own, INSTEAD[role]] if role in INSTEAD else [own]
+            kinds = [own, *([INSTEAD[role]] if role in INSTEAD else [])]
+            kinds += [BY_NAME[role]] if name and role in BY_NAME else []
             if name and topics.get(name, ("", 0))[0] not in [kind for kind, _ in kinds]:
                 raise BagError(
                     f"{self.path}: no topic {name!r} of type {own[0]}",

@@ -87,9 +87,9 @@ def shown_triangles(tin: Tin) -> I64:
     return triangles[whole]
 
 
-def tin_marker(estimate: Estimate, value: F64) -> bytes:
+def tin_marker(estimate: Estimate, value: F64, frame: str) -> bytes:
     """visualization_msgs/Marker: the triangles :func:`shown_triangles` as a TRIANGLE_LIST,
-    coloured by a value (n,) of each vertex.
+    coloured by a value (n,) of each vertex, in the frame of the map.
     """
     tin = estimate.tin
     corners = shown_triangles(tin).ravel()
@@ -99,7 +99,7 @@ def tin_marker(estimate: Estimate, value: F64) -> bytes:
         [s, 0.6 * (1.0 - np.abs(2.0 * s - 1.0)) + 0.3, 1.0 - s, np.ones(len(s))]
     ).astype(np.float32)
     w = Writer()
-    w.header(estimate.volume.t_ns, "map")
+    w.header(estimate.volume.t_ns, frame)
     w.text("tin")  # ns
     w.numbers("i", 0, TRIANGLE_LIST, 0)  # id, type, action ADD
     w.numbers("d", 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # pose

@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 
 from ladar_volume.io.cloud_messages import stamp_ns
+from ladar_volume.io.frames.moving_frames import TransformPoses
 from ladar_volume.model.errors import AttitudeError, FixError
+from ladar_volume.model.losses import Losses
 from ladar_volume.model.records import F64, Fix, ImuSample, OdometrySample
 
 #: A quaternion whose norm is off by more than this is not an attitude.
@@ -103,3 +105,17 @@ def odometry_from_message(message: Any) -> OdometrySample:
             value=np.diag(C).tolist(),
         )
     return OdometrySample(stamp_ns(message), p, q, v, omega, C)
+
+
+def poses_from_message(
+    message: Any, transforms: TransformPoses, losses: Losses
+) -> list[OdometrySample]:
+    """The poses of a nav_msgs/Odometry, or of a tf2_msgs/TFMessage by those before it
+    (:class:`TransformPoses`, whose reasons are counted). Raises as :func:`odometry_from_message`.
+    """
+    if not hasattr(message, "transforms"):
+        return [odometry_from_message(message)]
+    samples, reasons = transforms.add(message)
+    for reason in reasons:
+        losses.add(reason)
+    return samples

@@ -421,6 +421,12 @@ class NodeParameters:
         "Velodyne (velodyne_msgs) on velodyne_packets.",
         choices=("PointCloud2", "VelodyneScan"),
     )
+    odometry_message: str = param(
+        "Odometry",
+        "Where poses come from with georeference.pose_source odometry: the topic odometry, or the "
+        "transforms from map_frame to base_frame on /tf.",
+        choices=("Odometry", "TFMessage"),
+    )
     input_reliability: str = param(
         "best_effort",
         "Reliability of the sensor subscriptions.",
@@ -444,6 +450,15 @@ class NodeParameters:
     )
     imu_frame: str = param("", "Frame the attitudes must come in; empty: any.")
     gnss_frame: str = param("", "Frame the fixes must come in; empty: any.")
+    map_frame: str = param("map", "Frame of the map (REP-105); another one for each vehicle.")
+    odom_frame: str = param("odom", "Frame between map and base_frame on /tf; empty: none.")
+    base_frame: str = param("base_link", "Frame of the platform, whose pose is published.")
+    publish_tf: str = param(
+        "pose",
+        "What goes to /tf where tf2_msgs is installed: pose (odom to base_frame, with map to odom "
+        "fixed), correction (map to odom, where another node publishes odom to base_frame), off.",
+        choices=("pose", "correction", "off"),
+    )
 
 
 @dataclass(frozen=True)

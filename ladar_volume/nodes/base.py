@@ -44,8 +44,8 @@ from ladar_volume.nodes.declared_parameters import (
     why_not_now,
 )
 from ladar_volume.nodes.executor_rounds import AT_ONCE, NextRound, deserialize, take_waiting
+from ladar_volume.nodes.frames.static_mounting import mounting_from_frames
 from ladar_volume.nodes.qos import LATCHED, STREAM
-from ladar_volume.nodes.services.static_mounting import mounting_from_frames
 from ladar_volume.nodes.stream_passes import OnePublisher
 from ladar_volume.nodes.watch.defect_reports import Defects
 from ladar_volume.nodes.watch.health import Health

@@ -29,12 +29,12 @@ def time_ns(message: Time) -> int:
     return int(message.sec) * 1_000_000_000 + int(message.nanosec)
 
 
-def header(t_ns: int, frame: str = "map") -> Header:
+def header(t_ns: int, frame: str) -> Header:
     """A header at an int64 nanosecond time."""
     return Header(stamp=time_message(t_ns), frame_id=frame)
 
 
-def table_message(columns: Columns, t_ns: int, frame: str = "map") -> PointCloud2:
+def table_message(columns: Columns, t_ns: int, frame: str) -> PointCloud2:
     """A table as PointCloud2."""
     table = encode(columns)
     message = PointCloud2(
@@ -51,10 +51,10 @@ def table_message(columns: Columns, t_ns: int, frame: str = "map") -> PointCloud
     return message
 
 
-def datum_message(datum: Datum, t_ns: int) -> NavSatFix:
-    """The datum as NavSatFix."""
+def datum_message(datum: Datum, t_ns: int, frame: str) -> NavSatFix:
+    """The datum as NavSatFix, in the frame whose origin it is."""
     return NavSatFix(
-        header=header(t_ns),
+        header=header(t_ns, frame),
         latitude=datum.latitude_deg,
         longitude=datum.longitude_deg,
         altitude=datum.height_m,
@@ -66,10 +66,12 @@ def datum_of(message: NavSatFix) -> Datum:
     return Datum(message.latitude, message.longitude, message.altitude)
 
 
-def platform_messages(states: PlatformStates, last_segment: int | None) -> list[Odometry]:
+def platform_messages(
+    states: PlatformStates, last_segment: int | None, frames: tuple[str, str]
+) -> list[Odometry]:
     """One Odometry per state: pose of the IMU origin, twist in the body frame, pose covariance
     about fixed axes (its position block is the antenna's). The first state after a gap has −1 in
-    twist.covariance[0]: nothing ties it to the one before.
+    twist.covariance[0]: nothing ties it to the one before. frames : of the map and of the body.
     """
     R = matrix_from_quaternion(states.q_map_body)
     T = np.zeros((len(states), 6, 6))
@@ -77,7 +79,7 @@ def platform_messages(states: PlatformStates, last_segment: int | None) -> list[
     covariance = T @ states.C_nav @ T.transpose(0, 2, 1)
     messages = []
     for i in range(len(states)):
-        m = Odometry(header=header(int(states.t_ns[i])), child_frame_id="base_link")
+        m = Odometry(header=header(int(states.t_ns[i]), frames[0]), child_frame_id=frames[1])
         p, q, v, w = (
             m.pose.pose.position,
             m.pose.pose.orientation,
@@ -130,10 +132,10 @@ def platform_state(messages: list[Any], segment: int) -> tuple[PlatformStates, i
     return PlatformStates(t_ns, p, q, v, w, T @ C @ T.transpose(0, 2, 1), segments), segment
 
 
-def ground_message(estimate: Estimate) -> PoseWithCovarianceStamped:
+def ground_message(estimate: Estimate, frame: str) -> PoseWithCovarianceStamped:
     """The base as a pose whose z axis is its normal, with the covariance of height and tilt."""
     base = estimate.base
-    message = PoseWithCovarianceStamped(header=header(estimate.volume.t_ns))
+    message = PoseWithCovarianceStamped(header=header(estimate.volume.t_ns, frame))
     slope = base.beta[1:3] if len(base.beta) >= 3 else np.zeros(2)
     z = np.array([-slope[0], -slope[1], 1.0])
     z /= np.linalg.norm(z)

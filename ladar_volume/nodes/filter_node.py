@@ -199,6 +199,7 @@ class FilterNode(StageNode):
         if update is not None:
             # the stamp pairs the two tables: a nanosecond more where that of the data would come
             # again
+            frame = self.parameters.node.map_frame
             first, heard = max(update.t_ns, self._sent_ns + 1), self.count_publishers("taken") > 0
             if not heard:
                 self._ahead.forget()
@@ -213,8 +214,8 @@ class FilterNode(StageNode):
                             for column in table.values()
                         ),
                     )
-                self._patches.publish(table_message(patches, self._sent_ns))
-                self._points.publish(table_message(points, self._sent_ns))
+                self._patches.publish(table_message(patches, self._sent_ns, frame))
+                self._points.publish(table_message(points, self._sent_ns, frame))
                 self.counts["parts"] += 1
             self.counts["updates"] += 1
 

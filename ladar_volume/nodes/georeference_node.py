@@ -18,16 +18,19 @@ from ladar_volume.georeference.point_jacobian import total_covariance
 from ladar_volume.io.cloud_messages import returns_from_cloud, stamp_ns
 from ladar_volume.io.drivers.point_layouts import RING_FIELDS
 from ladar_volume.io.drivers.velodyne_scan import KIND, TOPIC
+from ladar_volume.io.frames.moving_frames import TransformPoses
+from ladar_volume.io.frames.static_frames import KIND as TF_KIND
 from ladar_volume.io.message_tables import mapped_columns
 from ladar_volume.io.sensor_messages import (
     fix_from_message,
     imu_from_message,
-    odometry_from_message,
+    poses_from_message,
 )
 from ladar_volume.model.errors import CloudError, ParameterValueError
 from ladar_volume.model.records import Returns
 from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.convert import datum_message, platform_messages, table_message
+from ladar_volume.nodes.frames.published_frames import MOVING, PublishedFrames
 from ladar_volume.nodes.message_classes import needed_class
 from ladar_volume.nodes.qos import LATCHED, STREAM, sensor_qos
 from ladar_volume.nodes.running import spin
@@ -60,6 +63,10 @@ class GeoreferenceNode(StageNode):
         self._fix_changes = self._restarts = 0
         self._newest_ns = self._sent_ns = 0
         self.sent = {"points": 0, "parts": 0, "states": 0}
+        node = self.parameters.node
+        self._map, self._names = node.map_frame, (node.map_frame, node.imu_frame or node.base_frame)
+        self._frames = PublishedFrames(self, node)
+        self._transforms = TransformPoses(node.map_frame, node.base_frame)
         self._points = self.create_publisher(PointCloud2, "points_mapped", STREAM)
         self._platform = self.create_publisher(Odometry, "platform", STREAM)
         self._datum_out = self.create_publisher(NavSatFix, "datum", LATCHED)
@@ -70,7 +77,10 @@ class GeoreferenceNode(StageNode):
             self.listen("cloud", needed_class(KIND), TOPIC, qos, SILENT_S)
         else:
             self.listen("cloud", PointCloud2, "velodyne_points", qos, SILENT_S)
-        if self.parameters.georeference.pose_source == "odometry":
+        p = self.parameters
+        if p.georeference.pose_source == "odometry" and p.node.odometry_message == "TFMessage":
+            self.listen("odometry", needed_class(TF_KIND), "/tf", MOVING, SILENT_S)
+        elif p.georeference.pose_source == "odometry":
             self.listen("odometry", Odometry, "odometry", qos, SILENT_S)
         else:
             self.listen("fix", NavSatFix, "gnss/fix", qos, SILENT_S)
@@ -100,14 +110,15 @@ class GeoreferenceNode(StageNode):
         decode: dict[str, Callable[[Any], None]] = {
             "fix": lambda m: stage.add_fix(fix_from_message(m)),
             "imu": lambda m: stage.add_imu(imu_from_message(m)),
-            "odometry": lambda m: stage.add_odometry(odometry_from_message(m)),
+            "odometry": self._add_odometry,
             "cloud": lambda m: stage.add_returns(self._returns_of(m)),
         }
         if kind == "fix":
             self._fix_changes += self._fix_status not in (None, int(item.status.status))
             self._fix_status = int(item.status.status)
-        self._newest_ns = stamp_ns(item)
-        self._checks.message(kind, item)
+        if hasattr(item, "header"):
+            self._newest_ns = stamp_ns(item)
+            self._checks.message(kind, item)
         if kind == "imu":
             self._checks.imu(item)
         decode[kind](item)
@@ -119,6 +130,12 @@ class GeoreferenceNode(StageNode):
             self._start_over()
         self._publish()
         return None
+
+    def _add_odometry(self, message: Any) -> None:
+        """Poses of an Odometry or of transforms."""
+        for sample in poses_from_message(message, self._transforms, self.losses):
+            self._newest_ns = sample.t_ns
+            self.stage.add_odometry(sample)
 
     def _returns_of(self, cloud: PointCloud2) -> Returns:
         dual = self.losses["point_dual_return"]
@@ -150,12 +167,13 @@ class GeoreferenceNode(StageNode):
 
     def _publish(self) -> None:
         if self.stage.datum is not None and not self._datum_sent:
-            self._datum_out.publish(datum_message(self.stage.datum, self._newest_ns))
+            self._datum_out.publish(datum_message(self.stage.datum, self._newest_ns, self._map))
             self._datum_sent = True
         states = self.stage.take_platform()
         if states is not None and len(states):
-            for message in platform_messages(states, self._segment):
+            for message in platform_messages(states, self._segment, self._names):
                 self._platform.publish(message)
+            self._frames.publish(states)
             self._segment = int(states.segment[-1])
             self.sent["states"] += len(states)
         for points in self.stage.take_points():
@@ -166,7 +184,7 @@ class GeoreferenceNode(StageNode):
                     points, C_ind=total_covariance(points, states, self.parameters)
                 )
             stamp, columns = mapped_columns(points)
-            self._points.publish(table_message(columns, stamp))
+            self._points.publish(table_message(columns, stamp, self._map))
             self._sent_ns = stamp
             self.sent["points"] += len(points)
             self.sent["parts"] += 1
@@ -186,6 +204,7 @@ class GeoreferenceNode(StageNode):
             "fix_type": FIX_TYPES.get(status, "unknown"),
             "fix_changes": self._fix_changes,
             "mounting": self.mounting,
+            "tf": self._frames.words,
             "clock_offset_s": offset,
             "clock_state": lead.state,
             "fix_clock_state": fix.state,
@@ -208,14 +227,15 @@ class GeoreferenceNode(StageNode):
         """A LiDAR clock, or a receiver's, that does not tell the attitudes' time; a receiver
         without RTK fix.
         """
-        out = [*self._checks.warnings(), *clock_words(self.stage.cloud_lead, self.stage.fix_lead)]
+        out = [*self._checks.warnings(), *self._frames.warnings()]
+        out += [*clock_words(self.stage.cloud_lead, self.stage.fix_lead)]
         if self._fix_status is not None and self._fix_status < 0:
             out.append("the receiver has no fix")
         return out
 
     def errors(self) -> list[str]:
         """What contradicts the configuration or another sensor."""
-        return self._checks.errors()
+        return [*self._checks.errors(), *self._frames.errors()]
 
 
 def main(argv: Sequence[str] | None = None) -> int:

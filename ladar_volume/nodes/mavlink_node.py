@@ -32,7 +32,7 @@ POSITIONS_S = 3.0
 def fix_message(fix: Fix) -> NavSatFix:
     """A fix; without accuracies its covariance type is unknown."""
     message = NavSatFix(
-        header=header(fix.t_ns, "gnss"),
+        header=header(fix.t_ns, ""),
         latitude=fix.latitude_deg,
         longitude=fix.longitude_deg,
         altitude=fix.height_m,
@@ -54,7 +54,7 @@ def imu_message(sample: ImuSample) -> Imu:
     """An attitude with its rates; what the autopilot does not say has −1 (absent) or zeros
     (unknown), as REP-145 has it.
     """
-    message = Imu(header=header(sample.t_ns, "base_link"))
+    message = Imu(header=header(sample.t_ns, ""))
     _set_fields(message.orientation, sample.q_map_body)
     if sample.C_axes is not None:
         message.orientation_covariance = sample.C_axes.ravel()
@@ -68,7 +68,7 @@ def imu_message(sample: ImuSample) -> Imu:
 
 def inertial_message(sample: InertialSample) -> Imu:
     """Raw rates and accelerations without an attitude."""
-    message = Imu(header=header(sample.t_ns, "base_link"))
+    message = Imu(header=header(sample.t_ns, ""))
     message.orientation_covariance[0] = -1.0
     _set_fields(message.angular_velocity, sample.omega_body)
     _set_fields(message.linear_acceleration, sample.acceleration_body)
@@ -77,7 +77,7 @@ def inertial_message(sample: InertialSample) -> Imu:
 
 def odometry_message(sample: OdometrySample) -> Odometry:
     """A pose; a covariance of zeros is unknown."""
-    message = Odometry(header=header(sample.t_ns, "odom"), child_frame_id="base_link")
+    message = Odometry(header=header(sample.t_ns, ""))
     _set_fields(message.pose.pose.position, sample.p_map_body)
     _set_fields(message.pose.pose.orientation, sample.q_map_body)
     _set_fields(message.twist.twist.linear, sample.v_body)
@@ -179,8 +179,20 @@ class MavlinkNode(StageNode):
         if not self.context.ok():
             return  # interrupted: nobody can hear it any more
         name, publisher, convert = self._out[type(record)]
-        publisher.publish(convert(record))
+        publisher.publish(self._framed(convert(record)))
         self.sent[name] += 1
+
+    def _framed(self, message: Any) -> Any:
+        """The message in the frames that the parameters name."""
+        node = self.parameters.node
+        if isinstance(message, NavSatFix):
+            message.header.frame_id = node.gnss_frame or "gnss"
+        elif isinstance(message, Odometry):
+            message.header.frame_id = node.odom_frame or node.map_frame
+            message.child_frame_id = node.base_frame
+        else:
+            message.header.frame_id = node.imu_frame or node.base_frame
+        return message
 
     def idle(self) -> None:
         """Say what is due on the link."""

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
-from ladar_volume.io.bags import INSTEAD, ROLES, BagReader, Recording
+from ladar_volume.io.bags import BY_NAME, INSTEAD, ROLES, BagReader, Recording
 from ladar_volume.model.errors import LadarVolumeError
 from ladar_volume.nodes.message_classes import needed_class
 
@@ -38,7 +38,7 @@ class Player(Node):
         recorded, self._out = bag.topics(), {}
         for role, topic in topics.items():
             kind = recorded[topic][0]
-            usual = ROLES[role][1] if kind == ROLES[role][0] else INSTEAD[role][1]
+            usual = dict([ROLES[role], *([s[role] for s in (INSTEAD, BY_NAME) if role in s])])[kind]
             self._out[topic] = self.create_publisher(needed_class(kind), usual, RELIABLE)
         self.sent: dict[str, int] = dict.fromkeys(topics, 0)
         self._listeners: tuple[int, ...] = ()

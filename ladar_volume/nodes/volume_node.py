@@ -78,6 +78,7 @@ class VolumeNode(StageNode):
         """Stage, topics, services."""
         self.stage = VolumeEstimator(self.parameters)
         self._lock = threading.Lock()
+        self._map = self.parameters.node.map_frame
         self._half: dict[int, dict[str, Any]] = {}
         self._parts: list[FilterUpdate] = []
         self._states: list[Odometry] = []
@@ -328,7 +329,7 @@ class VolumeNode(StageNode):
     def _publish_volumes(self, bodies: list[Volume]) -> None:
         rows = [*bodies, *self._since.rows()]
         if rows:
-            self._volumes.publish(table_message(volume_columns(rows), rows[0].t_ns))
+            self._volumes.publish(table_message(volume_columns(rows), rows[0].t_ns, self._map))
 
     def _publish(self, estimate: Estimate) -> None:
         v = estimate.volume
@@ -337,15 +338,16 @@ class VolumeNode(StageNode):
         else:
             self._closed.begin(estimate, self.parameters)
         if estimate.grounds:
-            self._grounds.publish(table_message(ground_columns(estimate.grounds), v.t_ns))
+            grounds = ground_columns(estimate.grounds)
+            self._grounds.publish(table_message(grounds, v.t_ns, self._map))
         self._volume.publish(Float64(data=v.volume_m3))
         self._sigma.publish(Float64(data=v.sigma_m3))
-        self._ground.publish(ground_message(estimate))
+        self._ground.publish(ground_message(estimate, self._map))
         # maps are megabytes: they follow at their own pace
         if time.monotonic() - self._mapped >= self.parameters.node.map_period_s:
             self._mapped = time.monotonic()
             self._more = self.stage.more_data()
-            self._more_data.publish(table_message(more_data_columns(self._more), v.t_ns))
+            self._more_data.publish(table_message(more_data_columns(self._more), v.t_ns, self._map))
             # latched: who looks later sees the last one, without asking for a volume
             by_sigma = self.parameters.node.tin_colour == "sigma"
             height = (
@@ -353,7 +355,7 @@ class VolumeNode(StageNode):
                 if by_sigma
                 else estimate.tin.vertices[:, 2]
             )
-            self._tin.publish(cdr.tin_marker(estimate, height))
+            self._tin.publish(cdr.tin_marker(estimate, height, self._map))
             if self._closed is None:
                 self._mesh.publish(cdr.mesh(estimate))
 

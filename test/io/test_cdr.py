@@ -27,7 +27,7 @@ def estimate():
 def test_marker(estimate):
     kind, tin = "visualization_msgs/msg/Marker", estimate.tin
     value = np.hypot(*tin.vertices[:, :2].T)
-    data = cdr.tin_marker(estimate, value)
+    data = cdr.tin_marker(estimate, value, "map")
     marker = TYPES.deserialize_cdr(data, kind)
     corners = tin.vertices[tin.triangles[tin.relevant].ravel()]
     assert (

@@ -79,8 +79,8 @@ def call(name):
 def send(update, late):
     for k, part in enumerate(update_parts(update)):
         t = update.t_ns + late + k
-        points.publish(table_message(filtered_columns(part.points), t))
-        patches.publish(table_message(patch_columns(part), t))
+        points.publish(table_message(filtered_columns(part.points), t, "map"))
+        patches.publish(table_message(patch_columns(part), t, "map"))
 
 
 flat = lambda x, y: 3.0 + 0.02 * x
@@ -92,7 +92,7 @@ until(
     )
 )
 too_early = call("start_epoch")
-for m in platform_messages(platform(rate=2), None):
+for m in platform_messages(platform(rate=2), None, ("map", "base_link")):
     path.publish(m)
 time.sleep(0.5)
 send(surface_update(flat), 0)

@@ -101,7 +101,7 @@ def asked():
     return told
 
 
-for m in platform_messages(states, None):
+for m in platform_messages(states, None, ("map", "base_link")):
     path.publish(m)
 nothing, put_off, equal, sent = asked(), [], [], []
 store = PatchStore()
@@ -109,7 +109,7 @@ for part in np.array_split(np.argsort(points.t_ns, kind="stable"), 3):
     before = node.counts["points"]
     for some in np.array_split(part, 6):
         stamp, columns = mapped_columns(select(points, some))
-        clouds.publish(table_message(columns, stamp))
+        clouds.publish(table_message(columns, stamp, "map"))
         time.sleep(0.03)
     until(lambda: node.counts["points"] == before + len(part))
     put_off.append(node.stage.stats["points_deferred"])

@@ -179,8 +179,9 @@ def cloud(t, **changes):
 
 def fix(t, **changes):
     m = NavSatFix(
-        header=header(t), latitude=50.0, longitude=14.0, altitude=200.0, position_covariance_type=2
+        header=header(t, ""), latitude=50.0, longitude=14.0, altitude=200.0
     )
+    m.position_covariance_type = 2
     m.position_covariance = np.diag([1e-4] * 3).ravel()
     m.status.status = 2
     for k, v in changes.items():
@@ -191,7 +192,7 @@ def fix(t, **changes):
 
 
 def imu(t, q=(0.0, 0.0, 0.0, 1.0), c0=1e-6):
-    m = Imu(header=header(t))
+    m = Imu(header=header(t, ""))
     m.orientation.x, m.orientation.y, m.orientation.z, m.orientation.w = q
     m.orientation_covariance = np.diag([c0, 1e-6, 1e-6]).ravel()
     return m

@@ -12,7 +12,7 @@ import pytest
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.parameters import Parameters
 
-static_mounting = pytest.importorskip("ladar_volume.nodes.services.static_mounting")
+static_mounting = pytest.importorskip("ladar_volume.nodes.frames.static_mounting")
 
 
 def static(parent, child, x, yaw=0.0):

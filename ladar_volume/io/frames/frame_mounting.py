@@ -142,12 +142,12 @@ def mounting_of_recording(
     for role, topic in topics.items():
         first = next(bag.raw({topic}), None)
         if first is not None:
-            sensors[role] = sensor_frame(role, bag.message(first))
+            sensors[role] = sensor_frame(role, bag.message(first), parameters.node.base_frame)
     return from_frames(parameters, frames, sensors)
 
 
-def sensor_frame(role: str, message: object) -> str:
-    """The frame that a message of a role is of, without leading slash."""
+def sensor_frame(role: str, message: object, base: str = "") -> str:
+    """The frame that a message of a role is of, without leading slash; ``base`` for transforms."""
     if role == "odometry":
-        return str(getattr(message, "child_frame_id", "")).lstrip("/")
+        return str(getattr(message, "child_frame_id", base)).lstrip("/")
     return str(getattr(getattr(message, "header", None), "frame_id", "")).lstrip("/")

@@ -39,22 +39,25 @@ def mounting_from_frames(node: LifecycleNode, parameters: Parameters) -> FrameMo
     if message_type is None:
         words = "from the configuration; tf2_msgs is not installed, so /tf_static is not read"
         return FrameMounting(parameters, (words,))
-    if not names.lidar_frame or not names.imu_frame:
+    body_frame = names.imu_frame
+    if parameters.georeference.pose_source == "odometry" and names.odometry_message == "TFMessage":
+        body_frame = names.base_frame
+    if not names.lidar_frame or not body_frame:
         words = (
             "from the configuration; with node.lidar_frame and node.imu_frame /tf_static is read"
         )
         return FrameMounting(parameters, (words,))
     body = "odometry" if parameters.georeference.pose_source == "odometry" else "imu"
-    sensors = {"cloud": names.lidar_frame, body: names.imu_frame, "fix": names.gnss_frame}
+    sensors = {"cloud": names.lidar_frame, body: body_frame, "fix": names.gnss_frame}
     frames = receive_static_frames(
-        node, message_type, [(names.imu_frame, f) for f in sensors.values() if f]
+        node, message_type, [(body_frame, f) for f in sensors.values() if f]
     )
     c = parameters.calibration
     silent = not any((c.boresight_roll_rad, c.boresight_pitch_rad, c.boresight_yaw_rad))
-    if silent and not any(c.lever_laser_m) and not frames.pose(names.imu_frame, names.lidar_frame):
+    if silent and not any(c.lever_laser_m) and not frames.pose(body_frame, names.lidar_frame):
         raise ConfigurationError(
             f"no mounting: calibration has none, and /tf_static did not lead from "
-            f"'{names.imu_frame}' to '{names.lidar_frame}' within {WAIT_S:g} s; start "
+            f"'{body_frame}' to '{names.lidar_frame}' within {WAIT_S:g} s; start "
             "robot_state_publisher first, or set georeference.mounting_from_tf to false"
         )
     return from_frames(parameters, frames, sensors)

@@ -1,0 +1,1 @@
+"""Frames of the graph (REP-105): static transforms as mounting, the pose as transforms."""
