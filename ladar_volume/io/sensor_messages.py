@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from ladar_volume.io.cloud_messages import stamp_ns
 from ladar_volume.io.frames.moving_frames import TransformPoses
+from ladar_volume.io.frames.static_frames import TFMessage
 from ladar_volume.model.errors import AttitudeError, FixError
 from ladar_volume.model.losses import Losses
 from ladar_volume.model.records import F64, Fix, ImuSample, OdometrySample
@@ -108,14 +109,14 @@ def odometry_from_message(message: Any) -> OdometrySample:
 
 
 def poses_from_message(
-    message: Any, transforms: TransformPoses, losses: Losses
+    message: object, transforms: TransformPoses, losses: Losses
 ) -> list[OdometrySample]:
     """The poses of a nav_msgs/Odometry, or of a tf2_msgs/TFMessage by those before it
     (:class:`TransformPoses`, whose reasons are counted). Raises as :func:`odometry_from_message`.
     """
     if not hasattr(message, "transforms"):
         return [odometry_from_message(message)]
-    samples, reasons = transforms.add(message)
+    samples, reasons = transforms.add(cast(TFMessage, message))
     for reason in reasons:
         losses.add(reason)
     return samples

@@ -131,7 +131,7 @@ class GeoreferenceNode(StageNode):
         self._publish()
         return None
 
-    def _add_odometry(self, message: Any) -> None:
+    def _add_odometry(self, message: object) -> None:
         """Poses of an Odometry or of transforms."""
         for sample in poses_from_message(message, self._transforms, self.losses):
             self._newest_ns = sample.t_ns

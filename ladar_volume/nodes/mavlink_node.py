@@ -182,7 +182,7 @@ class MavlinkNode(StageNode):
         publisher.publish(self._framed(convert(record)))
         self.sent[name] += 1
 
-    def _framed(self, message: Any) -> Any:
+    def _framed(self, message: NavSatFix | Imu | Odometry) -> object:
         """The message in the frames that the parameters name."""
         node = self.parameters.node
         if isinstance(message, NavSatFix):

@@ -13,7 +13,7 @@ from rclpy.qos import QoSProfile
 from ladar_volume.io.cloud_messages import stamp_ns
 from ladar_volume.io.frames import moving_frames, static_frames
 from ladar_volume.io.frames.moving_frames import MovingFrame, inverse, pose_of, product
-from ladar_volume.io.frames.static_frames import KIND, Pose
+from ladar_volume.io.frames.static_frames import KIND, Pose, TFMessage
 from ladar_volume.math.se3 import matrix_from_quaternion, quaternion_from_matrix
 from ladar_volume.model.errors import AttitudeError, ConfigurationError
 from ladar_volume.model.parameters import NodeParameters
@@ -90,7 +90,7 @@ class PublishedFrames:
             )
         return pose
 
-    def hear(self, message: Any) -> None:
+    def hear(self, message: TFMessage) -> None:
         """What comes on /tf, own transforms among it."""
         p = self._p
         for one in message.transforms:
