@@ -82,15 +82,15 @@ def call(name):
 
 until(lambda: all(p.get_subscription_count() for p in (returns, points, patches, platform)))
 none_yet = call("compute")
-for m in platform_messages(path, None):
+for m in platform_messages(path, None, ("map", "base_link")):
     platform.publish(m)
 for rows in np.array_split(np.random.default_rng(1).permutation(len(mapped)), 9):
     stamp, columns = mapped_columns(select(mapped, np.sort(rows)))
-    returns.publish(table_message(columns, stamp))
+    returns.publish(table_message(columns, stamp, "map"))
 until(lambda: node.health.counts().get("mapped") == 9)
 for k, part in enumerate(update_parts(update)):
-    points.publish(table_message(filtered_columns(part.points), update.t_ns + k))
-    patches.publish(table_message(patch_columns(part), update.t_ns + k))
+    points.publish(table_message(filtered_columns(part.points), update.t_ns + k, "map"))
+    patches.publish(table_message(patch_columns(part), update.t_ns + k, "map"))
 until(lambda: tables and meshes)  # of itself, while nobody asks
 answer, saved = call("compute"), call("save")
 for s in spinners:

@@ -19,7 +19,7 @@ from ladar_volume.model.errors import AttitudeError, ConfigurationError
 from ladar_volume.model.parameters import NodeParameters
 from ladar_volume.model.records import F64, PlatformStates
 from ladar_volume.nodes.convert import header
-from ladar_volume.nodes.frames.static_mounting import STATIC, heard
+from ladar_volume.nodes.frames.static_mounting import STATIC, receive_static_frames
 from ladar_volume.nodes.message_classes import message_class
 
 #: Own transforms that are recognised when they come back.
@@ -81,7 +81,7 @@ class PublishedFrames:
         p = self._p
         if p.imu_frame in ("", p.base_frame):
             return np.eye(3), np.zeros(3)
-        found = heard(self._node, self._type, [(p.imu_frame, p.base_frame)])
+        found = receive_static_frames(self._node, self._type, [(p.imu_frame, p.base_frame)])
         pose = found.pose(p.imu_frame, p.base_frame)
         if pose is None:
             raise ConfigurationError(
