@@ -217,8 +217,8 @@ def of_files(bad: Path, folder: Path, number: str, random_: random.Random) -> Ca
     out, page = folder / "files", folder / "page.html"
     start = ("volume", str(bad), "--level", "0")
     into = ("-o", str(out), "--as", random_.choice(KINDS))
-    corners = json.dumps([[-1, -1], [1, -1], [1, 1], number])[:300]
-    outline = ("--set", "volume.outline=polygon", "--set", f"volume.polygon={corners}")
+    corners = f"[-1, -1, 1, -1, 1, 1, -1, {number[:99]}]"
+    outline = ("--set", "volume.outline=polygon", "--set", f"volume.polygon_m={corners}")
     store = ("--store", str(folder / "tiles"), "--tile", "2")
     known = [
         Case((*start, *into), (bad,), out / "result.json"),

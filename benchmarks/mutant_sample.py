@@ -166,7 +166,7 @@ def main() -> int:
     seen = tried = 0
     with tempfile.TemporaryDirectory() as name:
         tree = Path(name) / "tree"
-        skip = shutil.ignore_patterns(".git", ".venv", "docs", "out", "build", "install")
+        skip = shutil.ignore_patterns(".git", ".venv", "out", "build", "install")
         shutil.copytree(ROOT, tree, ignore=skip)
         for mutant in sample(a.count, a.seed, a.plain, a.file):
             file = tree / "ladar_volume" / mutant.file

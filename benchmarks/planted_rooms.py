@@ -611,7 +611,7 @@ def count_seen(wanted: list[Line]) -> int:
     found = 0
     with tempfile.TemporaryDirectory() as name:
         tree = Path(name) / "tree"
-        skip = shutil.ignore_patterns(".git", ".venv", "docs", "out", "build", "install")
+        skip = shutil.ignore_patterns(".git", ".venv", "out", "build", "install")
         shutil.copytree(ROOT, tree, ignore=skip)
         for line in wanted:
             began = time.monotonic()
