@@ -32,6 +32,7 @@ from ladar_volume.cli.site.pile_results import (
     pile_volumes,
     sigma_words,
 )
+from ladar_volume.cli.site.trajectory import check_trajectory, flown_of
 from ladar_volume.cli.surface_options import (
     frame_facts,
     frame_of,
@@ -88,8 +89,9 @@ class VolumeTask:
     arguments : the command line · parameters : of base, outline and ground · base : as
     :func:`parameters_of` names it · options : of the surfaces · levels : (l,), m, or None · frame :
     in which the surfaces are, or None for the map's own · correct : whether cut and fill are
-    corrected near the base · shared : errors that heights share · outlines : of piles, None to find
-    them · progress : takes what is being done, in words
+    corrected near the base · shared : errors that heights share · flight : parameters of the
+    trajectory, None without one · outlines : of piles, None to find them · progress : takes what is
+    being done, in words
     """
 
     arguments: argparse.Namespace
@@ -100,6 +102,7 @@ class VolumeTask:
     frame: Frame | None
     correct: bool
     shared: tuple[HeightError, ...] = ()
+    flight: Parameters | None = None
     outlines: Outlines | None = None
     progress: Callable[[str], None] = lambda words: None
 
@@ -178,7 +181,8 @@ def task_of(arguments: argparse.Namespace) -> VolumeTask:
     correct = not arguments.no_correction
     shared = height_errors(arguments)
     common_material(arguments)
-    return VolumeTask(arguments, parameters, base, options, levels, None, correct, shared)
+    flight = check_trajectory(arguments)
+    return VolumeTask(arguments, parameters, base, options, levels, None, correct, shared, flight)
 
 
 @dataclass(frozen=True)
@@ -206,7 +210,9 @@ def result_of(
     frame = frame_of(task.arguments, sources)
     outlines = outlines_of(task.arguments, sources)
     task = dataclasses.replace(task, frame=frame, outlines=outlines, progress=progress)
-    surfaces = make_surfaces(task, sources, progress)
+    flown = flown_of(task.arguments, sources, task.flight)
+    doubts += flown.doubts
+    surfaces = flown.onto(make_surfaces(task, sources, progress))
     progress("cut and fill")
     facts, volume, found = compute_volume(task, surfaces)
     if any(len(s.strays) for s in surfaces):
@@ -218,7 +224,11 @@ def result_of(
         facts["outlines"] = outline_facts(task.arguments, task.outlines)
         doubts += task.outlines.doubts
     facts["verdict"] = (Verdict(doubts) + facts.pop("verdict")).as_dict()
-    facts |= {"sigma_holds": sigma_words(task.shared), "shared_errors": error_facts(task.shared)}
+    facts |= {
+        "sigma_holds": sigma_words(task.shared, task.flight is not None),
+        "shared_errors": error_facts(task.shared),
+        "trajectory": flown.facts,
+    }
     facts |= {
         "clean": clean,
         "surfaces": [surface_facts(a, b) for a, b in zip(sources, surfaces, strict=True)],

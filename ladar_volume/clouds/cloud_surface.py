@@ -7,13 +7,16 @@ given for all, given for each, or estimated from what local quadrics leave.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ladar_volume.clouds.cloud_cleaning import Cleaned, clean
 from ladar_volume.clouds.cloud_noise import CloudNoise, cloud_noise
 from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.clouds.given_faces import GivenSurface
+from ladar_volume.clouds.survey.flight_errors import FlightErrors, vertex_slopes
 from ladar_volume.math.equal_rows import distinct_rows
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.parameters import FilterParameters
@@ -35,7 +38,8 @@ class CloudSurface:
     deleted or the median filter changed · made : the surface, its ``source`` numbering ``points`` ·
     strays : (s,) rows of the cloud that are none of its surface, left out · copies : points left
     out because another has the same coordinates · given : the faces of a mesh that it is, None for
-    a cloud · doubts : what makes it doubtful · shared : errors that neighbouring heights share
+    a cloud · doubts : what makes it doubtful · shared : errors that neighbouring heights share ·
+    flight : calibration and navigation of the points, where their trajectory is known
     """
 
     points: F64
@@ -49,6 +53,7 @@ class CloudSurface:
     given: GivenSurface | None = None
     doubts: tuple[Doubt, ...] = ()
     shared: tuple[HeightError, ...] = ()
+    flight: FlightErrors | None = None
 
     @property
     def vertex_variance(self) -> F64:
@@ -73,7 +78,27 @@ class CloudSurface:
     def shared_lines(self, gradient_z: F64) -> dict[str, F64]:
         """Variances (k,), by shared error, of k results with gradients (n, k) by the heights."""
         xy = self.made.tin.vertices[:, :2]
-        return {e.name: shared_variances(xy, gradient_z, e) for e in self.shared}
+        out = {e.name: shared_variances(xy, gradient_z, e) for e in self.shared}
+        if self.flight is None:
+            return out
+        raw = self.made.by_heights(gradient_z, len(self.points))
+        return out | self.flight.lines(self.points, self.slopes, raw)
+
+    @cached_property
+    def slopes(self) -> F64:
+        """Slopes dh/dx, dh/dy (n, 2) of the surface at the points: of a point that is no vertex,
+        those of the nearest one.
+        """
+        tin, n = self.made.tin, len(self.points)
+        own = tin.source >= 0
+        slope = vertex_slopes(tin)[own]
+        out = np.full((n, 2), np.nan)
+        out[tin.source[own]] = slope
+        rest = np.flatnonzero(np.isnan(out[:, 0]))
+        if len(rest):
+            near = cKDTree(tin.vertices[own, :2]).query(self.points[rest, :2])[1]
+            out[rest] = slope[near]
+        return out
 
 
 def local_sigma(points: F64) -> float:

@@ -35,7 +35,7 @@ def read_config(
     parameters = Parameters() if start is None else start
     if path is not None:
         try:
-            parameters = Parameters.read(_mapping(Path(path)), parameters)
+            parameters = Parameters.read(sections_of(strict_yaml.read_yaml(Path(path))), parameters)
         except ConfigurationError as error:
             raise type(error)(f"{path}: {error}", value=error.value) from error
     for text in overrides:
@@ -43,9 +43,10 @@ def read_config(
     return parameters
 
 
-def _mapping(path: Path) -> dict[str, Any]:
-    """The sections below ``/**`` or, as ``ros2 param dump`` writes them, below the nodes' names."""
-    document = strict_yaml.read_yaml(path)
+def sections_of(document: object) -> dict[str, Any]:
+    """The sections of a document below ``/**`` or, as ``ros2 param dump`` writes them, below the
+    nodes' names. Raises :class:`ConfigurationError` for another layout.
+    """
     if document is None:
         return {}
     layout = "expected '/**:' or a node's name with 'ros__parameters:' below it"

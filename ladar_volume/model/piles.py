@@ -44,6 +44,13 @@ class PileParameters:
     correlation_m: float | None = param(
         None, "Distance over which its correlation falls to 1/e.", unit="m", low=0.001
     )
+    undulation_m: float | None = param(
+        None,
+        "Height above the ellipsoid of the zero that the points' heights are counted from.",
+        unit="m",
+        low=-120,
+        high=120,
+    )
 
 
 @dataclass(frozen=True)

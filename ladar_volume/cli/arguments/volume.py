@@ -48,6 +48,7 @@ def add_parser(subparsers: Verbs) -> None:
         "cloud_b", type=Path, nargs="?", help="second one: cut is where the first lies above it"
     )
     _add_pairs(add_volume_options(parser))
+    _add_trajectory(parser.add_argument_group("trajectory beside the cloud"))
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
@@ -72,6 +73,8 @@ def add_volume_options(parser: argparse.ArgumentParser) -> argparse._ArgumentGro
     _add_piles(parser.add_argument_group("piles"))
     _add_shared_errors(parser.add_argument_group("errors that neighbouring heights share"))
     add_surface_options(parser, "1: every point")
+    # of one cloud alone
+    parser.set_defaults(trajectory=None, trajectory_accuracy=None, undulation=None)
     return g
 
 
@@ -115,7 +118,8 @@ def _add_counting(g: argparse._ArgumentGroup) -> None:
         action="append",
         default=[],
         metavar="SECTION.KEY=VALUE",
-        help="override a parameter of volume or ground",
+        help="override a parameter of volume or ground; with --trajectory also of calibration, "
+        "budget or georeference",
     )
 
 
@@ -142,8 +146,27 @@ def _add_shared_errors(g: argparse._ArgumentGroup) -> None:
         "--budget",
         type=Path,
         metavar="FILE",
-        help="several such errors: a YAML list height_errors of name, sigma_m, correlation_m",
+        help="several such errors: a YAML list height_errors of name, sigma_m, correlation_m; with "
+        "--trajectory a parameter file, whose calibration, budget and georeference count",
     )
+
+
+def _add_trajectory(g: argparse._ArgumentGroup) -> None:
+    """The flight that the points were measured from."""
+    g.add_argument(
+        "--trajectory",
+        type=Path,
+        metavar="FILE",
+        help="SBET (.sbet .out) or text (.pos .txt .csv): errors of calibration and navigation by "
+        "the pose at each point's GPS time; without --budget those of the default parameters",
+    )
+    g.add_argument(
+        "--trajectory-accuracy",
+        type=Path,
+        metavar="FILE",
+        help="standard deviations of the poses (smrmsg), in place of the budget's",
+    )
+    add_parameter(g, "--undulation", "piles.undulation_m")
 
 
 def _add_pairs(g: argparse._ArgumentGroup) -> None:

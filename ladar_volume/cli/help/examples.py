@@ -28,6 +28,10 @@ EXAMPLES = {
         ("above a level, heights good to 2 cm", "PILE.xyz --units m --level 12.5 --sigma 0.02"),
         ("two surveys: cut and fill", "NEW.laz OLD.laz --json"),
         ("every pile of a yard, with tonnes", "YARD.laz --piles piles.geojson --density 1.6"),
+        (
+            "calibration and navigation in sigma, from the flight beside the cloud",
+            "PILE.laz --base ground --trajectory FLIGHT.sbet --budget site.yaml",
+        ),
         ("files for CAD and GIS", "PILE.laz --base ground -o out --as laz,tif,landxml,dxf"),
     ),
     "up": (

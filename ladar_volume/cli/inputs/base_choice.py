@@ -23,6 +23,8 @@ OWN_OPTION = {
     "max_circumdiameter_m": "--max-circle",
     "vertex_ratio": "--vertices",
 }
+#: Sections of parameters that count with a trajectory.
+FLIGHT_SECTIONS = ("calibration", "budget", "georeference")
 
 
 def parameters_of(arguments: argparse.Namespace) -> tuple[Parameters, str]:
@@ -109,10 +111,16 @@ def _check_method(a: argparse.Namespace, two: bool) -> None:
         )
 
 
+def of_flight(a: argparse.Namespace, text: str) -> bool:
+    """Whether ``section.key=value`` is a parameter of the flight, where a trajectory is given."""
+    return a.trajectory is not None and text.partition(".")[0].strip() in FLIGHT_SECTIONS
+
+
 def _read(a: argparse.Namespace, base: str) -> Parameters:
     if a.ground_preset is not None and base != "ground":
         raise ConfigurationError("--ground-preset goes with --base ground", value=a.ground_preset)
-    keys = [text.partition("=")[0].strip() for text in a.set]
+    own = [text for text in a.set if not of_flight(a, text)]
+    keys = [text.partition("=")[0].strip() for text in own]
     for key in keys:
         section, _, name = key.partition(".")
         if section not in ("volume", "ground"):
@@ -123,7 +131,7 @@ def _read(a: argparse.Namespace, base: str) -> Parameters:
         if section == "volume" and name in OWN_OPTION:
             raise ConfigurationError(f"--set {key}: use {OWN_OPTION[name]}", value=key)
     preset = () if a.ground_preset is None else PRESETS[a.ground_preset].items()
-    start = read_config(None, [*(f"ground.{key}={value}" for key, value in preset), *a.set])
+    start = read_config(None, [*(f"ground.{key}={value}" for key, value in preset), *own])
     chosen = a.outline or (
         start.volume.outline if "volume.outline" in keys else "auto" if base == "ground" else "all"
     )

@@ -17,7 +17,7 @@ from ladar_volume.cli.inputs.reading import Source
 from ladar_volume.cli.volume_facts import volume_facts
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.io.results import finite
-from ladar_volume.io.site.height_budget import read_height_errors
+from ladar_volume.io.site.height_budget import read_budget, read_height_errors
 from ladar_volume.io.site.outline_files import Outlines, read_outlines
 from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.parameters import Parameters
@@ -52,7 +52,10 @@ def height_errors(a: argparse.Namespace) -> tuple[HeightError, ...]:
     """Errors that heights share, of the options. Raises :class:`ConfigurationError`."""
     if a.correlation is not None and a.height_sigma is None:
         raise ConfigurationError("--correlation goes with --height-sigma")
-    out = () if a.budget is None else read_height_errors(Path(a.budget))
+    out: tuple[HeightError, ...] = ()
+    if a.budget is not None:
+        path = Path(a.budget)
+        out = read_height_errors(path) if a.trajectory is None else read_budget(path)[0]
     if a.height_sigma is not None:
         if any(error.name == GIVEN for error in out):
             raise ConfigurationError(f"--budget has a line {GIVEN}, which --height-sigma is")
@@ -63,12 +66,13 @@ def height_errors(a: argparse.Namespace) -> tuple[HeightError, ...]:
     return out
 
 
-def sigma_words(shared: Sequence[HeightError]) -> str:
-    """What a standard deviation holds."""
+def sigma_words(shared: Sequence[HeightError], flown: bool = False) -> str:
+    """What a standard deviation holds; ``flown``: whether the trajectory is known."""
     own = "noise of the points and what lies between them"
-    if not shared:
-        return f"{own} only"
-    return f"{own}, and errors that heights share: {', '.join(e.name for e in shared)}"
+    more = ["calibration and navigation along the trajectory"] if flown else []
+    if shared:
+        more.append(f"errors that heights share: {', '.join(e.name for e in shared)}")
+    return f"{own}, and {', and '.join(more)}" if more else f"{own} only"
 
 
 def error_facts(shared: Sequence[HeightError]) -> dict[str, Any]:

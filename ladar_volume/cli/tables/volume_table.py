@@ -45,7 +45,10 @@ def _add_volume_rows(table: Table, facts: Mapping[str, Any]) -> None:
     k, (low, high) = facts["coverage_factor"], facts["interval_m3"]
     known = bool(np.isfinite(facts["sigma_m3"]))
     shared = facts.get("shared_errors")
-    what = "noise and shared errors" if shared else "noise only"
+    flown = facts.get("trajectory")
+    what = "noise and shared errors" if shared or flown else "noise only"
+    if flown:
+        what = "noise, calibration, navigation" + (", shared errors" if shared else "")
     spread = f" ± {facts['sigma_m3']:.4f} m³[/bold] (1 sigma, {what})" if known else " m³[/bold]"
     table.add_row("net volume", f"[bold]{facts['net_m3']:.4f}{spread}")
     if known:
@@ -63,7 +66,25 @@ def _add_volume_rows(table: Table, facts: Mapping[str, Any]) -> None:
         words = f"{facts['mass_t']:.2f} ± {facts['sigma_mass_t']:.2f} t"
         table.add_row("mass", f"{words} (sigma of {facts['sigma_mass_holds']})")
     beyond = "what all points share" if not shared else f"beyond {', '.join(shared)}"
+    if flown:
+        _add_flight_rows(table, facts)
+        return
     table.add_row("not in it", f"{beyond}; 1 cm of height is {facts['centimetre_m3']:.4g} m³")
+
+
+def _add_flight_rows(table: Table, facts: Mapping[str, Any]) -> None:
+    """The trajectory, and the largest errors of the budget."""
+    flown, lines = facts["trajectory"], facts["budget_m6"]
+    low, _, high = flown["range_m"]
+    table.add_row(
+        "trajectory",
+        f"{flown['path']}: {flown['poses']:,} poses, ranges {low:.1f} to {high:.1f} m, times as "
+        f"{flown['clock']}, attitude {flown['attitude']}, sigma of positions from the "
+        f"{flown['position_sigma'].removeprefix('from the ')}",
+    )
+    first = sorted(lines.items(), key=lambda item: -item[1])[:4]
+    words = ", ".join(f"{n.replace('_', ' ')} {np.sqrt(max(v, 0.0)):.4f}" for n, v in first)
+    table.add_row("budget", f"{words} m³; 1 cm of height is {facts['centimetre_m3']:.4g} m³")
 
 
 def _add_place_rows(table: Table, facts: Mapping[str, Any]) -> None:

@@ -8,8 +8,10 @@ height_errors:
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from ladar_volume.io import strict_yaml
+from ladar_volume.model.choices import CALIBRATION_GROUPS
 from ladar_volume.model.errors import ConfigurationError, shown
 from ladar_volume.model.piles import HeightError
 
@@ -25,6 +27,10 @@ TAKEN = (
     "between_points",
     "unseen",
     "vegetation",
+    *CALIBRATION_GROUPS,
+    "calibration",
+    "position",
+    "attitude",
 )
 EXAMPLE = "height_errors: [{name: datum, sigma_m: 0.01}]"
 
@@ -33,8 +39,28 @@ def read_height_errors(path: Path) -> tuple[HeightError, ...]:
     """The errors of a file. Raises :class:`ConfigurationError` for one that holds none, and for
     names and numbers that are none.
     """
+    errors, rest = read_budget(path)
+    if rest or not errors:
+        raise ConfigurationError(
+            f"{path.name}: holds no height_errors alone; for example {EXAMPLE}; parameters of a "
+            "survey go with --trajectory"
+            if rest
+            else f"{path.name}: holds no height_errors; for example {EXAMPLE}"
+        )
+    return errors
+
+
+def read_budget(path: Path) -> tuple[tuple[HeightError, ...], dict[str, Any]]:
+    """The errors of a file, none where it has no ``height_errors``, and what else it holds. Raises
+    :class:`ConfigurationError` for names and numbers that are none.
+    """
     found = strict_yaml.read_yaml(path)
-    rows = found.get("height_errors") if isinstance(found, dict) and len(found) == 1 else None
+    if not isinstance(found, dict):
+        raise ConfigurationError(f"{path.name}: holds no height_errors; for example {EXAMPLE}")
+    rest = {key: value for key, value in found.items() if key != "height_errors"}
+    if "height_errors" not in found:
+        return (), rest
+    rows = found["height_errors"]
     if not isinstance(rows, list) or not rows:
         raise ConfigurationError(f"{path.name}: holds no height_errors; for example {EXAMPLE}")
     errors = tuple(_error(path, row) for row in rows)
@@ -45,7 +71,7 @@ def read_height_errors(path: Path) -> tuple[HeightError, ...]:
                 f"{path.name}: the name {shown(name)} is taken: name every error otherwise",
                 value=name,
             )
-    return errors
+    return errors, rest
 
 
 def _error(path: Path, row: object) -> HeightError:

@@ -1,0 +1,1 @@
+"""Finished trajectories beside a point cloud: SBET and text, their accuracies, and their clocks."""
