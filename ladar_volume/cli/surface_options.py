@@ -174,9 +174,8 @@ def make_surface(
     options: SurfaceParameters,
     frame: Frame | None,
     sigma: float | None,
-    how: str | None = None,
 ) -> CloudSurface:
-    """The surface of one file, cleaned as the arguments say, or ``how``. Errors name it."""
+    """The surface of one file, cleaned as the arguments say. Errors name it."""
     values, words = sigma_of(source, sigma, frame)
     if source.mesh is not None:
         try:
@@ -196,7 +195,7 @@ def make_surface(
             words,
             arguments.screen,
             arguments.median,
-            arguments.clean if how is None else how,
+            arguments.clean,
         )
     except SurfaceError as error:
         raise SurfaceError(

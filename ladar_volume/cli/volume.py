@@ -54,6 +54,7 @@ from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.clouds.cloud_volume import CloudVolume, above_base, between_clouds, own_footprints
 from ladar_volume.clouds.ground_readings import ground_readings
 from ladar_volume.clouds.pair_verdict import pair_ground, pair_verdict
+from ladar_volume.clouds.sampling.stray_effect import stray_effect
 from ladar_volume.clouds.volume_verdict import (
     area_counted,
     judged,
@@ -64,7 +65,7 @@ from ladar_volume.clouds.volume_verdict import (
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.io.results import json_text
 from ladar_volume.io.site.outline_files import Outlines
-from ladar_volume.model.errors import LadarVolumeError, VolumeError
+from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.piles import HeightError
 from ladar_volume.model.records import F64, Bool, Plane, Tin
@@ -214,10 +215,8 @@ def result_of(
     doubts += flown.doubts
     surfaces = flown.onto(make_surfaces(task, sources, progress))
     progress("cut and fill")
-    facts, volume, found = compute_volume(task, surfaces)
-    if any(len(s.strays) for s in surfaces):
-        progress("the same with the points that were left out")
-    clean = stray_facts(task, sources, surfaces, volume)
+    facts, found = compute_volume(task, surfaces)
+    clean = stray_facts(task, sources, surfaces, found)
     doubts += mesh_doubts([s.path for s in sources], [s.mesh for s in sources], surfaces)
     doubts += tuple(stray_doubts(clean["strays"], point_count(sources, surfaces)))
     if task.outlines is not None:
@@ -290,9 +289,9 @@ def point_count(sources: list[Source], surfaces: list[CloudSurface]) -> int:
 
 def compute_volume(
     task: VolumeTask, surfaces: list[CloudSurface]
-) -> tuple[dict[str, Any], CloudVolume, CutFill]:
-    """The volume with its verdict, where levels are asked for the sequence with its floors; the
-    volume after its verdict; and what it counts.
+) -> tuple[dict[str, Any], CutFill]:
+    """The volume with its verdict, where levels are asked for the sequence with its floors; and
+    what it counts.
     """
     found = named_base(task, cut_and_fill(in_frame(task, surfaces), surfaces))
     # piles count on the first surface alone
@@ -311,7 +310,7 @@ def compute_volume(
         more["pairs"] = pair_facts(surfaces, task.arguments.method, at, offset_of(task))
     facts = volume_facts(judgement.volume, found.parameters)
     facts |= {"footprint": task.arguments.footprint if len(surfaces) == 2 else None, **more}
-    return {**facts, "verdict": judgement.verdict}, judgement.volume, found
+    return {**facts, "verdict": judgement.verdict}, found
 
 
 def in_frame(task: VolumeTask, surfaces: list[CloudSurface]) -> VolumeTask:
@@ -420,32 +419,27 @@ def volume_verdict(
 
 
 def stray_facts(
-    task: VolumeTask, sources: list[Source], surfaces: list[CloudSurface], volume: CloudVolume
+    task: VolumeTask, sources: list[Source], surfaces: list[CloudSurface], found: CutFill
 ) -> dict[str, Any]:
-    """How many points were left out as strays, and what that changes, m³; None, and why, where
-    there is no volume with them.
+    """How many points were left out as strays, and what that changes above the same base and within
+    the same outline, m³; None where there are none.
     """
     strays = sum(len(s.strays) for s in surfaces)
-    effect, why = None, None
-    if strays:
-        try:
-            effect = volume.net_m3 - net_with_strays(task, sources)
-        except LadarVolumeError as error:
-            why = str(error) or None
+    effect = 0.0
+    for sign, source, surface, mask in zip(
+        (1.0, -1.0), sources, surfaces, found.counted, strict=False
+    ):
+        if len(surface.strays):
+            r = source.cloud.r[surface.strays]
+            r = r if task.frame is None else task.frame.points(r)
+            area = area_counted(surface, mask)
+            effect += sign * stray_effect(surface.made.tin, area, r, found.level_base)
     return {
         "how": task.arguments.clean,
         "strays": strays,
         "share": strays / max(point_count(sources, surfaces), 1),
-        "effect_m3": effect,
-        "why": why,
+        "effect_m3": effect if strays else None,
     }
-
-
-def net_with_strays(task: VolumeTask, sources: list[Source]) -> float:
-    """The net volume, m³, of all points; cut and fill as they are near the base."""
-    raw = [make_surface(task.arguments, s, task.options, task.frame, 0.0, "off") for s in sources]
-    plain = dataclasses.replace(task, correct=False)
-    return cut_and_fill(in_frame(plain, raw), raw).volume.net_m3
 
 
 def second_name(a: argparse.Namespace) -> str:

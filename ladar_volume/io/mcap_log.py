@@ -38,6 +38,10 @@ def usual_definition(kind: str) -> str:
     )
 
 
+#: Confirms data, where the system tells them from the times of the file.
+_SYNC = getattr(os, "fdatasync", os.fsync)
+
+
 class _Syncer:
     """Asks the disk to confirm, in a thread of its own: a slow confirmation must not hold up the
     next chunk.
@@ -57,7 +61,7 @@ class _Syncer:
                 return
             self._due.clear()
             try:
-                os.fdatasync(self._descriptor)
+                _SYNC(self._descriptor)
             except OSError as error:
                 self._error = error
 

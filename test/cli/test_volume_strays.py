@@ -80,7 +80,7 @@ def test_a_clean_cloud_loses_nothing(volume):
     assert len(kept.strays) <= 6
     off = volume(points, "--base", "ground", "--clean", "off")
     assert off["clean"] == {
-        "how": "off", "strays": 0, "share": 0.0, "effect_m3": None, "why": None
+        "how": "off", "strays": 0, "share": 0.0, "effect_m3": None
     }  # fmt: skip
 
 

@@ -152,7 +152,7 @@ def facts_of(found: TiledSums, task: TileTask, parameters: Parameters) -> dict[s
         "footprint": None,
         "outline_parts": [],
         "surfaces": [],
-        "clean": {"how": "off", "strays": 0, "share": 0.0, "effect_m3": None, "why": None},
+        "clean": {"how": "off", "strays": 0, "share": 0.0, "effect_m3": None},
         "tiles": {
             "side_m": index.cloud.tile_m,
             "count": len(sums),

@@ -132,10 +132,9 @@ def _add_stray_rows(table: Table, clean: Mapping[str, Any]) -> None:
     """What the points that were left out change."""
     if clean["effect_m3"] is not None:
         table.add_row(
-            "without strays", f"{clean['effect_m3']:+.4f} m³ against all points (--clean off)"
+            "without strays",
+            f"{clean['effect_m3']:+.4f} m³ against all points, above the same base",
         )
-    elif clean["strays"]:
-        table.add_row("with strays", f"no volume: {clean['why']}".replace("[", r"\["))
 
 
 def show_pairs(console: Console, pairs: Mapping[str, Any]) -> None:
