@@ -101,7 +101,7 @@ def of_new(points: F64, old: I32, of_old: F64, new: I32) -> F64:
     while True:
         here = known[new]
         each = np.count_nonzero(here, axis=1)
-        mean = (share[new] * here).sum(axis=1) / np.maximum(each, 1)
+        mean: F64 = (share[new] * here).sum(axis=1) / np.maximum(each, 1)
         if here.all() or not each.any():
             return mean
         # one step further from what is known, until nothing new is reached
