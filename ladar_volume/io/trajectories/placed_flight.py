@@ -69,30 +69,13 @@ def placed(
     q, level = body_attitudes(flown, xyz, t_pose, segment, turn)
     doubts += level
     states = states_of(flown, t_pose, xyz, q, segment, parameters)
-    good = covered(states, t_ns)
-    outside = 1.0 - float(np.mean(good))
-    if outside > MOST_OUTSIDE:
-        raise InputError(
-            f"{flown.path.name} covers {100 * (1 - outside):.1f} % of the points: give the "
-            "trajectory of all of them, or cut the points to it",
-            reason="input_trajectory",
-            value=outside,
-        )
+    outside = share_outside(states, t_ns, flown)
     ring, beams = beam_of(cloud, parameters.georeference.beams)
     navigation = NavigationBins(parameters.filter.nav_bin_s)
     navigation.add(states)
     errors = FlightErrors(states, parameters, mount, t_ns, ring, navigation)
     far = ranges(errors, cloud.r, flown)
-    budget = parameters.budget
-    largest = max((*budget.attitude_sigma_rad, *budget.boresight_sigma_rad))
-    if flown.attitude_sigma_rad is not None:
-        largest = max(float(np.median(flown.attitude_sigma_rad, axis=0).max()), largest)
-    if largest > LARGE_RAD:
-        text = (
-            f"attitude or boresight has a standard deviation of {np.degrees(largest):.2g}°: sigma "
-            "holds their first order alone; replay the recording, or calibrate the boresight"
-        )
-        doubts.append(Doubt("first_order", text, float(np.degrees(largest))))
+    doubts += first_order(flown, parameters)
     given = flown.position_sigma_m is not None
     facts = {
         "path": flown.path.name,
@@ -106,6 +89,37 @@ def placed(
         "beams": beams,
     }
     return PlacedFlight(errors, facts, tuple(doubts))
+
+
+def share_outside(states: PlatformStates, t_ns: I64, flown: FlownPath) -> float:
+    """Share of times (n,) that no states enclose. Raises :class:`InputError` (input_trajectory)
+    where it is more than :data:`MOST_OUTSIDE`.
+    """
+    outside = 1.0 - float(np.mean(covered(states, t_ns)))
+    if outside > MOST_OUTSIDE:
+        raise InputError(
+            f"{flown.path.name} covers {100 * (1 - outside):.1f} % of the points: give the "
+            "trajectory of all of them, or cut the points to it",
+            reason="input_trajectory",
+            value=outside,
+        )
+    return outside
+
+
+def first_order(flown: FlownPath, parameters: Parameters) -> list[Doubt]:
+    """Angles so uncertain that their first order may not be enough."""
+    budget = parameters.budget
+    largest = max(*budget.attitude_sigma_rad, *budget.boresight_sigma_rad)
+    if flown.attitude_sigma_rad is not None:
+        usual = float(np.median(flown.attitude_sigma_rad, axis=0).max())
+        largest = max(usual, *budget.boresight_sigma_rad)
+    if largest <= LARGE_RAD:
+        return []
+    text = (
+        f"attitude or boresight has a standard deviation of {np.degrees(largest):.2g}°: sigma "
+        "holds their first order alone; replay the recording, or calibrate the boresight"
+    )
+    return [Doubt("first_order", text, float(np.degrees(largest)))]
 
 
 def in_axes(
@@ -123,7 +137,7 @@ def in_axes(
             "--crs",
             reason="input_crs",
         )
-    flat, vertical = parts_of(crs)
+    flat, _ = parts_of(crs)
     if flat is None or not flat.is_projected:
         raise InputError(
             f"--trajectory: {crs.name} is no map projection: give the points in UTM or the local "
@@ -131,7 +145,7 @@ def in_axes(
             reason="input_crs",
         )
     plane = Transformer.from_crs("EPSG:4326", flat.to_2d(), always_xy=True)
-    lat, lon, height = flown.place.T
+    lat, lon, _ = flown.place.T
     x, y = plane.transform(lon, lat)
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise InputError(f"{flown.path.name} lies nowhere in {flat.name}", reason="input_crs")
@@ -139,22 +153,26 @@ def in_axes(
     east, north = plane.transform([middle[0]] * 2, [middle[1], middle[1] + NORTH_DEG])
     angle = np.arctan2(east[1] - east[0], north[1] - north[0])  # of true north, clockwise
     turn = np.array([0.0, 0.0, -np.sin(0.5 * angle), np.cos(0.5 * angle)])
-    doubts: list[Doubt] = []
-    ellipsoidal = len(flat.axis_info) > 2
-    if undulation_m is not None:
-        z = height - undulation_m
-    elif vertical is not None:
-        z = heights_above(crs, vertical, flown)
-    else:
-        z = height.copy()
-        if not ellipsoidal:
-            text = (
-                "nothing says what the heights of the points are counted from: they are taken "
-                "above the ellipsoid, as the trajectory's; above sea level they are up to 107 m "
-                "apart: give --undulation"
-            )
-            doubts.append(Doubt("trajectory_heights", text, None))
+    z, doubts = heights_of(flown, crs, undulation_m)
     return np.column_stack([x, y, z]), turn, doubts
+
+
+def heights_of(flown: FlownPath, crs: CRS, undulation_m: float | None) -> tuple[F64, list[Doubt]]:
+    """Heights (n,) m of the poses as the points' are counted, and what is doubtful about them."""
+    height = flown.place[:, 2]
+    flat, vertical = parts_of(crs)
+    if undulation_m is not None:
+        return height - undulation_m, []
+    if vertical is not None:
+        return heights_above(crs, vertical, flown), []
+    if flat is not None and len(flat.axis_info) > 2:
+        return height.copy(), []
+    text = (
+        "nothing says what the heights of the points are counted from: they are taken above the "
+        "ellipsoid, as the trajectory's; above sea level they are up to 107 m apart: give "
+        "--undulation"
+    )
+    return height.copy(), [Doubt("trajectory_heights", text, None)]
 
 
 def heights_above(crs: CRS, vertical: CRS, flown: FlownPath) -> F64:
