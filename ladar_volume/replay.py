@@ -8,7 +8,7 @@ import queue
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ladar_volume.clouds.survey.survey_bodies import SurveyBodies, about, bodies_of_survey
 from ladar_volume.io import results
@@ -35,6 +35,11 @@ if TYPE_CHECKING:  # pymavlink is needed with an autopilot's log alone
 
 #: Poses of an autopilot's log this far outside the recording still bridge its ends.
 POSE_MARGIN_NS = 2_000_000_000
+
+#: From and to which time of receipt, ns, both included.
+Span: TypeAlias = tuple[int, int]
+#: No time at all.
+NEVER: Span = (0, -1)
 
 
 @dataclass
@@ -64,28 +69,38 @@ class Replay:
         self.engine = Engine(self.parameters)
         self.losses = Losses()
         self.returns = 0
+        #: Counts of the filtered surface, where it was not filtered by the engine.
+        self.counts: dict[str, int] | None = None
         #: Time, ns, and status of every fix, as NavSatStatus.
         self.fixes: list[tuple[int, int]] = []
-        self._rings = RingCount(self.parameters.georeference.beams)
+        self.rings = RingCount(self.parameters.georeference.beams)
 
     def run(self, progress: Callable[[float], None] = lambda share: None) -> Estimate:
         """Feed every message, finish, and estimate. A bad message is counted and left out; the good
         data around it is kept.
         """
-        add: dict[str, Callable[[Any], None]] = {
-            "fix": self._add_fix,
-            "imu": self.engine.add_imu,
-            "odometry": self.engine.add_odometry,
-            "cloud": self._add_returns,
-        }
+        add = self.doors()
         for share, role, record in read_ahead(self.records()):
             if role:
                 add[role](record)
             if role in ("", "cloud"):
                 self.engine.step()
                 progress(share)
+        return self.estimated(self.engine.finish)
+
+    def doors(self) -> dict[str, Callable[[Any], None]]:
+        """Where records of each role go."""
+        return {
+            "fix": self._add_fix,
+            "imu": self.engine.add_imu,
+            "odometry": self.engine.add_odometry,
+            "cloud": self._add_returns,
+        }
+
+    def estimated(self, estimate: Callable[[], Estimate]) -> Estimate:
+        """An estimate; where there is none, the error says what was not used."""
         try:
-            return self.engine.finish()
+            return estimate()
         except (SurfaceError, GroundError, VolumeError) as error:
             lost = sorted(self.all_losses().items(), key=lambda item: -item[1])[:4]
             why = ", ".join(f"{reason} {count}" for reason, count in lost)
@@ -106,24 +121,32 @@ class Replay:
 
     def _add_returns(self, returns: Returns) -> None:
         self.returns += len(returns)
-        self._rings.add(returns)
+        self.rings.add(returns)
         self.engine.add_returns(returns)
 
-    def records(self) -> Iterator[tuple[float, str, Any]]:
-        """Share done, role and record of every usable message, in the order of the recording; role
-        "" for nothing.
-        """
+    @property
+    def span(self) -> Span:
+        """From when to when it is replayed."""
         first = self.bag.start_ns + int(self.start_s * 1e9)
-        span = min(self.duration_s, self.bag.duration_s - self.start_s)
-        items = self._recorded_messages(first, first + int(span * 1e9))
+        seconds = min(self.duration_s, self.bag.duration_s - self.start_s)
+        return first, first + int(seconds * 1e9)
+
+    def records(
+        self, poses: Span | None = None, clouds: Span | None = None
+    ) -> Iterator[tuple[float, str, Any]]:
+        """Share done, role and record of every usable message, in the order of the recording; role
+        "" for nothing. Of poses and clouds only those within a span, where one is given.
+        """
+        first, last = self.span
+        items = self._recorded_messages(poses or self.span, clouds or self.span, poses is not None)
         if self.poses is not None:
             items = heapq.merge(
                 items,
-                self._autopilot_records(self.poses, first, first + int(span * 1e9)),
+                self._autopilot_records(self.poses, *(poses or self.span)),
                 key=lambda item: item[0],
             )
         for t_ns, role, record in items:
-            yield (t_ns - first) * 1e-9 / max(span, 1e-9), role, record
+            yield (t_ns - first) / max(last - first, 1), role, record
 
     def _autopilot_records(
         self, poses: MavlinkLog, first: int, last: int
@@ -144,8 +167,12 @@ class Replay:
                 yield record.t_ns, role, record
         self.losses.merge(poses.losses())
 
-    def _recorded_messages(self, first: int, last: int) -> Iterator[tuple[int, str, Any]]:
-        roles = {topic: role for role, topic in self.topics.items()}
+    def _recorded_messages(
+        self, poses: Span, clouds: Span, part: bool
+    ) -> Iterator[tuple[int, str, Any]]:
+        roles = {
+            topic: role for role, topic in self.topics.items() if role != "cloud" or clouds != NEVER
+        }
         node = self.parameters.node
         transforms = TransformPoses(node.map_frame, node.base_frame)
         decode: dict[str, Callable[[Any], list[Any]]] = {
@@ -157,10 +184,11 @@ class Replay:
             ],
         }
         try:
-            for raw in self.bag.raw(set(roles)):
+            for raw in self.bag.raw(set(roles), poses if part else None):
+                role = roles[raw.topic]
+                first, last = clouds if role == "cloud" else poses
                 if not first <= raw.t_ns <= last:
                     continue
-                role = roles[raw.topic]
                 try:
                     for record in decode[role](self.bag.message(raw)):
                         yield raw.t_ns, role, record
@@ -204,7 +232,7 @@ class Replay:
         points = {
             "returns": self.returns,
             "mapped": self.engine.points_mapped,
-            **self.engine.filter.stats,
+            **(self.engine.filter.stats if self.counts is None else self.counts),
         }
         source = {
             "path": self.bag.path.name,

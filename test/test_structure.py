@@ -31,7 +31,7 @@ CORE = [
 #: The version comes from package.xml; everything may print it. What the process is set up with
 #: comes before everything that it is set up for.
 ORDER = ["version", "process", *CORE, "simulation", "compile_kernels", "io", "tiles", "replay"]
-ORDER += ["report", "page", "experiments", "nodes", "cli", "api"]
+ORDER += ["tiled_replay", "report", "page", "experiments", "nodes", "cli", "api"]
 FILES = sorted(PACKAGE.rglob("*.py"))
 #: Most modules in a folder, its face not counted.
 MODULES = 20

@@ -13,6 +13,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from ladar_volume.cli.arguments.work import config_for
+from ladar_volume.cli.scale.workers import check_workers
 from ladar_volume.cli.tables.result_table import show_result
 from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.io import results
@@ -40,6 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Replay, print, write the output folder."""
     console = Console(stderr=arguments.json)
     parameters = read_config(config_for(arguments.bag, arguments.config), arguments.set)
+    check_workers(arguments)
     with output_set(arguments.output, results.SURVEY_FILES) as folder:
         result, seconds = _replayed(arguments, parameters, folder, console)
     if arguments.json:
@@ -82,10 +84,14 @@ def _replayed(
             poses,
         )
         began = time.perf_counter()
-        with Progress(console=console, transient=True) as bar:
-            task = bar.add_task(f"replaying {arguments.bag.name}", total=1.0)
-            estimate = replay.run(lambda share: bar.update(task, completed=share))
-        result = replay.result(estimate)
+        tiles: dict[str, Any] = {}
+        if arguments.dask is None and arguments.tile is None:
+            estimate = run_here(replay, console)
+        else:
+            from ladar_volume.cli.scale.tiled import run_by_tiles  # with Dask and Arrow
+
+            estimate, tiles = run_by_tiles(replay, arguments)
+        result = replay.result(estimate) | tiles
         if parameters.volume.kind == "bodies":
             add_closed_bodies(replay, estimate, result, folder)
         seconds = time.perf_counter() - began
@@ -103,6 +109,13 @@ def _replayed(
         epoch = replay.engine.estimator.epoch()
         write_survey_report(folder / "report.html", estimate, epoch, result, replay.fixes)
     return result, seconds
+
+
+def run_here(replay: Replay, console: Console) -> Estimate:
+    """Replay in this process."""
+    with Progress(console=console, transient=True) as bar:
+        task = bar.add_task(f"replaying {replay.bag.path.name}", total=1.0)
+        return replay.run(lambda share: bar.update(task, completed=share))
 
 
 def poses_of(arguments: argparse.Namespace, parameters: Parameters) -> MavlinkLog | None:

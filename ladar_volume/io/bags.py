@@ -80,9 +80,11 @@ class Recording(ABC):
         """Topic (without leading slash) → type and number of messages."""
 
     @abstractmethod
-    def raw(self, topics: set[str] | None = None) -> Iterator[Raw]:
-        """Messages in receive order. Raises BagError (bag_truncated) where the file breaks off or
-        holds fewer than it announces.
+    def raw(
+        self, topics: set[str] | None = None, span: tuple[int, int] | None = None
+    ) -> Iterator[Raw]:
+        """Messages in receive order, those from ``span[0]`` to ``span[1]`` (ns) where it is given.
+        Raises BagError (bag_truncated) where the file breaks off or holds fewer than it announces.
         """
 
     @abstractmethod
@@ -228,18 +230,21 @@ class BagReader(Recording):
             found[name] = (c.msgtype, found.get(name, ("", 0))[1] + c.msgcount)
         return dict(sorted(found.items()))
 
-    def raw(self, topics: set[str] | None = None) -> Iterator[Raw]:
-        """Messages in receive order. Raises BagError (bag_truncated) where the file breaks off or
-        holds fewer than it announces.
+    def raw(
+        self, topics: set[str] | None = None, span: tuple[int, int] | None = None
+    ) -> Iterator[Raw]:
+        """Messages in receive order, those from ``span[0]`` to ``span[1]`` (ns) where it is given.
+        Raises BagError (bag_truncated) where the file breaks off or holds fewer than it announces.
         """
         connections = [
             c for c in self._reader.connections if topics is None or c.topic.lstrip("/") in topics
         ]
         if not connections:
             return
-        missing = sum(c.msgcount for c in connections)
+        missing = sum(c.msgcount for c in connections) if span is None else 0
+        first, last = (None, None) if span is None else (span[0], span[1] + 1)
         try:
-            for connection, t_ns, data in self._reader.messages(connections=connections):
+            for connection, t_ns, data in self._reader.messages(connections, first, last):
                 missing -= 1
                 yield Raw(t_ns, connection.topic.lstrip("/"), connection.msgtype, data)
         except BagError as error:

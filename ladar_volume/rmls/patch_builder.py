@@ -47,12 +47,13 @@ class PatchBuilder:
         refit_kernels.fit_patches(s.arrays, rule, fits)
         return fits
 
-    def patches(self, kept: FitStore, rows: I64) -> Patches:
+    def patches(self, kept: FitStore, rows: I64, once: bool = False) -> Patches:
         """The record of patches ``rows`` of the fits of all voxels; pairs with a patch of a lower
-        key are listed, after the others, where that patch is not among the rows.
+        key are listed, after the others, where that patch is not among the rows; with ``once`` they
+        are not: they are listed with that patch, wherever that is.
         """
         s, p = self.store, 6 if self.parameters.degree == 2 else 3
-        offset, others = self._pairs(kept, rows)
+        offset, others = self._pairs(kept, rows, once)
         fits = kept.listed(np.union1d(rows, others), s)
         blocks = np.zeros((offset[-1], p, p), np.float32)
         slots = cross_covariance.local_slots(fits.members, s.cap, s.used)
@@ -80,13 +81,13 @@ class PatchBuilder:
             M_nav,
         )
 
-    def _pairs(self, kept: FitStore, rows: I64) -> tuple[I64, I64]:
+    def _pairs(self, kept: FitStore, rows: I64, once: bool) -> tuple[I64, I64]:
         """Pairs of patches that share raw points, in CSR form: (offset, other patch)."""
         fits = kept.fits
         s, counts, mine = (
             self.store,
             np.zeros(len(rows), np.int64),
-            np.zeros(len(fits.voxels), np.bool_),
+            np.full(len(fits.voxels), once),
         )
         mine[rows] = True
         balls = cross_covariance.Balls(

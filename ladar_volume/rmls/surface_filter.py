@@ -29,7 +29,7 @@ from ladar_volume.rmls.fit_store import FitStore
 from ladar_volume.rmls.patch_builder import PatchBuilder
 from ladar_volume.rmls.patch_fit import FEW_POINTS, OK, REACH
 from ladar_volume.rmls.viewing_geometry import NUMBERS, store_geometry
-from ladar_volume.rmls.voxel_store import HALF, VoxelStore
+from ladar_volume.rmls.voxel_store import HALF, Candidates, VoxelStore
 
 #: Platform states older than this before the newest are forgotten once no point waits for them.
 KEEP_NS = 30_000_000_000
@@ -48,10 +48,8 @@ class SurfaceFilter:
         """
         self.parameters = parameters.filter
         self._mount = mounting(parameters.calibration, parameters.georeference.pose_source)
-        self._store = VoxelStore(self.parameters.radius_m, self.parameters.cap_per_voxel)
-        self._builder = PatchBuilder(
-            self.parameters, self._store, self._mount, parameters.georeference.beams
-        )
+        self._beams = parameters.georeference.beams
+        self._empty()
         self._fits = FitStore(FEW_POINTS, self.parameters.cap_per_voxel)
         self._states: PlatformStates | None = None
         self._waiting: list[MappedPoints] = []
@@ -63,6 +61,24 @@ class SurfaceFilter:
         self._deferring = deferring
         self._deferred = WaitingPoints(self.parameters.cap_per_voxel)
         self._refitted = 0
+
+    def _empty(self) -> None:
+        self._store = VoxelStore(self.parameters.radius_m, self.parameters.cap_per_voxel)
+        self._builder = PatchBuilder(self.parameters, self._store, self._mount, self._beams)
+
+    @property
+    def newest_ns(self) -> int:
+        """Time of the newest point taken in, ns."""
+        return self._t_ns
+
+    def hand_over(self) -> Candidates:
+        """The points held, which are then no longer here, for a filter elsewhere
+        (``tile_filter``). Not for a filter that has been asked for an update.
+        """
+        points, offered = self._store.points(), self._store.offered
+        self._empty()
+        self._store.offered = offered
+        return points
 
     @property
     def losses(self) -> Losses:
@@ -176,9 +192,13 @@ class SurfaceFilter:
         """End of the data: points that still wait for a pose are lost and counted; the last update,
         or None where nothing changed.
         """
+        self.finish_points()
+        return self.update()
+
+    def finish_points(self) -> None:
+        """End of the data: points that still wait for a pose are lost and counted."""
         self._losses.add("point_platform_gap", sum(len(p) for p in self._waiting))
         self._waiting = []
-        return self.update()
 
     def _update(self) -> FilterUpdate | None:
         s = self._store

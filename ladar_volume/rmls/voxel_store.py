@@ -311,6 +311,14 @@ class VoxelStore:
         self.table = np.full(4 * voxels, -1, np.int32)
         insert_keys(self.table, self.keys, self.used)
 
+    def points(self) -> Candidates:
+        """All points held, one voxel after the other."""
+        count = self.count[: self.used]
+        rank = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
+        slots = np.repeat(np.arange(self.used) * self.cap, count) + rank
+        held = (getattr(self, name)[slots] for name in ("t_ns", "ring", "r", "C", "aux"))
+        return Candidates(np.repeat(self.keys[: self.used], count), self.hashes[slots], *held)
+
     def changed_voxels(self) -> I64:
         """Voxel indices changed since :meth:`settle`; brings their ``order`` up to date."""
         changed = np.flatnonzero(self.changed[: self.used])

@@ -30,6 +30,11 @@ LOSSES = 20
 class Workers(Protocol):
     """Who does tasks that do not depend on one another, in any order."""
 
+    @property
+    def memory_bytes(self) -> int | None:
+        """Memory of the smallest of them, None where it has no limit."""
+        ...
+
     def run(self, task: Callable[[A], B], of: Sequence[A]) -> Iterator[B]:
         """The results, as they are ready."""
         ...
@@ -37,6 +42,8 @@ class Workers(Protocol):
 
 class OwnProcess:
     """One task after the other, here."""
+
+    memory_bytes = None
 
     def run(self, task: Callable[[A], B], of: Sequence[A]) -> Iterator[B]:
         """The results in order."""
@@ -49,11 +56,17 @@ class DaskWorkers:
     def __init__(self, client: object) -> None:
         self.client = client
 
+    @property
+    def memory_bytes(self) -> int | None:
+        """Memory of the smallest worker, None where none has a limit."""
+        known = self.client.scheduler_info(n_workers=-1)["workers"].values()  # type: ignore[attr-defined]
+        return min((w["memory_limit"] for w in known if w["memory_limit"]), default=None)
+
     def run(self, task: Callable[[A], B], of: Sequence[A]) -> Iterator[B]:
         """The results as workers return them; a task whose worker is lost goes to another one."""
         from distributed import KilledWorker, as_completed
 
-        futures = self.client.map(task, of, pure=False, retries=LOSSES)  # type: ignore[attr-defined]
+        futures = self.client.map(partial(alone, task), of, pure=False, retries=LOSSES)  # type: ignore[attr-defined]
         for future in as_completed(futures):  # type: ignore[no-untyped-call]
             try:
                 yield future.result()
@@ -63,15 +76,24 @@ class DaskWorkers:
             future.release()
 
 
+def alone(task: Callable[[A], B], at: A) -> B:
+    """A task on one thread: workers share the cores by tasks."""
+    import numba
+
+    numba.set_num_threads(1)
+    return task(at)
+
+
 @dataclass(frozen=True)
 class Failure:
     """What went wrong in a task, as it travels between processes: the error's class, its words, its
-    reason.
+    reason, its value.
     """
 
     kind: type[LadarVolumeError]
     words: str
     reason: str
+    value: object = None
 
 
 def guarded(task: Callable[[A], B], at: A) -> B | Failure:
@@ -79,7 +101,7 @@ def guarded(task: Callable[[A], B], at: A) -> B | Failure:
     try:
         return task(at)
     except LadarVolumeError as error:
-        return Failure(type(error), str(error), error.reason)
+        return Failure(type(error), str(error), error.reason, error.value)
     except OSError as error:
         return Failure(LadarVolumeError, f"{error.strerror or error}", "output_unwritable")
 
@@ -91,7 +113,7 @@ def results(
     out: list[B] = []
     for found in workers.run(partial(guarded, task), of):
         if isinstance(found, Failure):
-            raise found.kind(found.words, reason=found.reason)
+            raise found.kind(found.words, reason=found.reason, value=found.value)
         progress(found)
         out.append(found)
     return out

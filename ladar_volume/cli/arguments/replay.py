@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from ladar_volume.cli.arguments.lines import Verbs
+from ladar_volume.cli.arguments.scale.work_options import add_work_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
 
@@ -24,6 +25,7 @@ def add_parser(subparsers: Verbs) -> None:
     parser.add_argument("--start", type=float, default=0.0, help="seconds into the recording")
     parser.add_argument("--duration", type=float, default=float("inf"), help="seconds")
     parser.add_argument("--no-figure", action="store_true", help="skip picture and report")
+    add_work_options(parser, "BAG.tiles", always=False)
     parser.set_defaults(run=work("ladar_volume.cli.replay"))
 
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
-import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ladar_volume.cli.inputs.reading import reading_of
+from ladar_volume.cli.scale.workers import Progress, check_workers, progress_on, workers_of
 from ladar_volume.cli.tables.volume_table import show
 from ladar_volume.cli.verdict_lines import NO_SIGMA, exit_code
 from ladar_volume.cli.volume_facts import volume_facts
@@ -24,13 +22,7 @@ from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tiles.tile_store import parts_of_file
 from ladar_volume.tiles.tile_volume import TileTask, whole_volume
-from ladar_volume.tiles.tile_work import (
-    DaskWorkers,
-    OwnProcess,
-    TiledSums,
-    Workers,
-    sums_of_cloud,
-)
+from ladar_volume.tiles.tile_work import TiledSums, sums_of_cloud
 from ladar_volume.version import version
 from ladar_volume.volume.volume_loads import base_name
 
@@ -45,8 +37,8 @@ def run(arguments: argparse.Namespace) -> int:
     store = arguments.store or arguments.cloud.with_name(arguments.cloud.name + ".tiles")
     with words.status("reading"):
         cloud = parts_of_file(arguments.cloud, store, arguments.tile, reading_of(arguments))
-    with workers_of(arguments, words) as workers, progress_on(words) as progress:
-        found = sums_of_cloud(cloud, task, workers, progress)
+    with workers_of(arguments, words) as workers, progress_on(words) as bars:
+        found = sums_of_cloud(cloud, task, workers, shares(bars))
     facts = facts_of(found, task, parameters)
     if arguments.json:
         print(json_text(facts), end="")
@@ -68,8 +60,7 @@ def task_of(a: argparse.Namespace) -> tuple[TileTask, Parameters]:
     """
     if a.sigma is not None and a.sigma < 0.0:
         raise ConfigurationError(f"--sigma {a.sigma:g}: 0 or more", value=a.sigma)
-    if a.workers is not None and (a.workers < 1 or a.dask != ""):
-        raise ConfigurationError("--workers N, 1 or more, goes with --dask without an address")
+    check_workers(a)
     relevant = "edge" if a.max_edge is not None else "circumcircle" if a.max_circle else "all"
     base = (a.level,) if a.plane is None else tuple(a.plane)
     start = Parameters()
@@ -82,62 +73,15 @@ def task_of(a: argparse.Namespace) -> tuple[TileTask, Parameters]:
     return task, dataclasses.replace(start, volume=volume)
 
 
-@contextmanager
-def workers_of(a: argparse.Namespace, console: Console) -> Iterator[Workers]:
-    """Who works: this process, workers of this machine, or those of a scheduler. Raises
-    :class:`ConfigurationError` for a scheduler that does not answer.
-    """
-    if a.dask is None:
-        yield OwnProcess()
-        return
-    import logging
+def shares(progress: Progress) -> Callable[[str, int, int], None]:
+    """Progress told in points of a stage."""
+    done: dict[str, int] = {}
 
-    from distributed import Client, LocalCluster
+    def told(stage: str, total: int, more: int) -> None:
+        done[stage] = done.get(stage, 0) + more
+        progress(stage, done[stage] / max(total, 1), done[stage])
 
-    if a.dask:
-        try:
-            client = Client(a.dask, timeout="3s")  # type: ignore[no-untyped-call]
-        except (OSError, ValueError) as error:
-            words = f"--dask {a.dask}: no scheduler answers there"
-            raise ConfigurationError(words, value=a.dask) from error
-        with client:
-            console.print(f"dashboard {client.dashboard_link}")
-            yield DaskWorkers(client)
-        return
-    with (
-        LocalCluster(  # type: ignore[no-untyped-call]
-            n_workers=a.workers or os.cpu_count() or 1,
-            threads_per_worker=1,
-            dashboard_address="127.0.0.1:0",
-            silence_logs=logging.CRITICAL,
-        ) as cluster,
-        Client(cluster) as client,  # type: ignore[no-untyped-call]
-    ):
-        console.print(f"dashboard {client.dashboard_link}")
-        yield DaskWorkers(client)
-
-
-@contextmanager
-def progress_on(console: Console) -> Iterator[Callable[[str, int, int], None]]:
-    """One bar for each stage, with the time left and points a second."""
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[speed]}"),
-    )
-    with Progress(*columns, console=console, transient=True) as bar:
-        stages: dict[str, Any] = {}
-
-        def progress(stage: str, total: int, done: int) -> None:
-            if stage not in stages:
-                stages[stage] = bar.add_task(stage, total=total, speed="")
-            bar.advance(stages[stage], done)
-            speed = next(t.speed for t in bar.tasks if t.id == stages[stage])
-            bar.update(stages[stage], speed="" if speed is None else f"{speed:,.0f} points/s")
-
-        yield progress
+    return told
 
 
 def facts_of(found: TiledSums, task: TileTask, parameters: Parameters) -> dict[str, Any]:

@@ -113,11 +113,15 @@ class PacketCapture(Recording):
         """The one topic, its type and number of turns."""
         return {TOPIC: (KIND, len(self._scans))}
 
-    def raw(self, topics: set[str] | None = None) -> Iterator[Raw]:
+    def raw(
+        self, topics: set[str] | None = None, span: tuple[int, int] | None = None
+    ) -> Iterator[Raw]:
         """Turns in their order, each when its last packet had come."""
         types = TYPESTORE.types
         time = types["builtin_interfaces/msg/Time"]
         for scan, stamps in zip(self._scans, self._stamps, strict=True):
+            if span is not None and not span[0] <= stamps[-1] <= span[1]:
+                continue
             at = [time(*divmod(t, 10**9)) for t in stamps]
             packets = [
                 types["velodyne_msgs/msg/VelodynePacket"](t, np.frombuffer(p.data, np.uint8))

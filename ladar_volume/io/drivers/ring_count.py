@@ -18,20 +18,39 @@ WRONG_SHARE, FEWEST = 0.01, 1000
 class RingCount:
     """Fed with the returns of a recording in its order."""
 
-    def __init__(self, beams: int) -> None:
+    def __init__(self, beams: int, returns: int = 0, beyond: int = 0, highest: int = -1) -> None:
+        """returns, beyond, highest : :attr:`counts` of a part of the recording"""
         self._beams = beams
-        self._returns = self._beyond = 0
-        self._highest = -1
+        self._returns, self._beyond, self._highest = returns, beyond, highest
+
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        """Returns, those beyond the configured rings, and the highest ring of these."""
+        return self._returns, self._beyond, self._highest
 
     def add(self, returns: Returns) -> None:
         """Returns (n,). Raises ParameterValueError where more than :data:`WRONG_SHARE` so far have
         a ring that is not configured.
         """
+        self.look(returns)
+        self.check()
+
+    def look(self, returns: Returns) -> None:
+        """Count returns (n,) of a part of the recording, without a verdict."""
         beyond = (returns.ring >= self._beams) & (returns.ring < NO_RING)
         self._returns += len(returns)
         self._beyond += int(np.count_nonzero(beyond))
         if beyond.any():
             self._highest = max(self._highest, int(returns.ring[beyond].max()))
+
+    def merge(self, other: RingCount) -> None:
+        """Add what was counted of another part of the recording."""
+        self._returns += other._returns
+        self._beyond += other._beyond
+        self._highest = max(self._highest, other._highest)
+
+    def check(self) -> None:
+        """Raises as :meth:`add`."""
         if self._returns >= FEWEST and self._beyond > WRONG_SHARE * self._returns:
             raise ParameterValueError(
                 f"the cloud has rings up to {self._highest} and georeference.beams is "

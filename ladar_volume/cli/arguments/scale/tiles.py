@@ -8,6 +8,7 @@ from pathlib import Path
 from ladar_volume.cli.arguments.lines import Verbs
 from ladar_volume.cli.arguments.parameter_flags import add_parameter, number
 from ladar_volume.cli.arguments.reading import add_reading_options
+from ladar_volume.cli.arguments.scale.work_options import add_work_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
 
@@ -31,7 +32,7 @@ def add_parser(subparsers: Verbs) -> None:
     add_parameter(base, "--level", "volume.level_m", metavar="Z")
     add_parameter(base, "--plane", "volume.plane", metavar=("C0", "C1", "C2"))
     _add_surface(parser)
-    _add_work(parser)
+    add_work_options(parser, "CLOUD.tiles")
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON to standard output"
     )
@@ -51,29 +52,4 @@ def _add_surface(parser: argparse.ArgumentParser) -> None:
         type=number,
         metavar="M",
         help="standard deviation of the heights; else estimated tile by tile",
-    )
-
-
-def _add_work(parser: argparse.ArgumentParser) -> None:
-    """Tiles, where they are at rest, and who works on them."""
-    g = parser.add_argument_group("work")
-    g.add_argument(
-        "--tile", type=number, default=50.0, metavar="M", help="side of a tile (default 50)"
-    )
-    g.add_argument(
-        "--store",
-        type=Path,
-        metavar="FOLDER",
-        help="where tiles are at rest (default CLOUD.tiles); may be deleted afterwards",
-    )
-    g.add_argument(
-        "--dask",
-        nargs="?",
-        const="",
-        metavar="ADDRESS",
-        help="on the workers of a Dask scheduler; without an address on some of this machine, "
-        "which end with the run; without --dask in this process",
-    )
-    g.add_argument(
-        "--workers", type=int, metavar="N", help="workers on this machine (default: one a core)"
     )

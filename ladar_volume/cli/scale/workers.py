@@ -1,0 +1,88 @@
+"""Who works on tiles, and how far they are."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, TypeAlias
+
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bars
+
+from ladar_volume.model.errors import ConfigurationError
+from ladar_volume.tiles.tile_work import DaskWorkers, OwnProcess, Workers
+
+#: Called with the stage, the share of it that is done, and points done so far.
+Progress: TypeAlias = Callable[[str, float, int], None]
+
+
+def check_workers(a: argparse.Namespace) -> None:
+    """Raises :class:`ConfigurationError` for ``--workers`` that cannot be."""
+    if a.workers is not None and (a.workers < 1 or a.dask != ""):
+        raise ConfigurationError("--workers N, 1 or more, goes with --dask without an address")
+
+
+@contextmanager
+def workers_of(a: argparse.Namespace, console: Console) -> Iterator[Workers]:
+    """Who works: this process, workers of this machine, or those of a scheduler. Raises
+    :class:`ConfigurationError` for a scheduler that does not answer.
+    """
+    if a.dask is None:
+        yield OwnProcess()
+        return
+    import logging
+
+    from distributed import Client, LocalCluster
+
+    if a.dask:
+        try:
+            client = Client(a.dask, timeout="3s")  # type: ignore[no-untyped-call]
+        except (OSError, ValueError) as error:
+            words = f"--dask {a.dask}: no scheduler answers there"
+            raise ConfigurationError(words, value=a.dask) from error
+        with client:
+            console.print(f"dashboard {client.dashboard_link}")
+            yield DaskWorkers(client)
+        return
+    with (
+        LocalCluster(  # type: ignore[no-untyped-call]
+            n_workers=a.workers or os.cpu_count() or 1,
+            threads_per_worker=1,
+            dashboard_address="127.0.0.1:0",
+            silence_logs=logging.CRITICAL,
+        ) as cluster,
+        Client(cluster) as client,  # type: ignore[no-untyped-call]
+    ):
+        console.print(f"dashboard {client.dashboard_link}")
+        yield DaskWorkers(client)
+
+
+@contextmanager
+def progress_on(console: Console) -> Iterator[Progress]:
+    """One bar for each stage, with the time left and points a second."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[speed]}"),
+    )
+    with Bars(*columns, console=console, transient=True) as bars:
+        stages: dict[str, tuple[Any, float]] = {}
+        before = time.monotonic()
+
+        def progress(stage: str, share: float, points: int) -> None:
+            nonlocal before
+            now = time.monotonic()
+            if stage not in stages:
+                stages[stage] = bars.add_task(stage, total=1.0, speed=""), before
+            bar, began = stages[stage]
+            speed = f"{points / max(now - began, 1e-9):,.0f} points/s"
+            bars.update(bar, completed=share, speed=speed)
+            before = now
+
+        yield progress
