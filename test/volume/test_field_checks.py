@@ -188,3 +188,12 @@ def test_a_slope_is_no_trouble_and_few_places_of_ground_widen_the_interval():
     v = waves.volume
     half = v.coverage_factor * v.sigma_m3
     assert v.interval_m3 == pytest.approx((v.volume_m3 - half, v.volume_m3 + half))
+
+
+@pytest.mark.parametrize(("level", "doubted"), [(0.12, True), (-0.12, True), (0.0, False)])
+def test_a_level_beside_the_ground_is_doubted_with_both_volumes(level, doubted):
+    v = estimated(base="level", level_m=level, object_height_m=0.3).volume
+    found = [d for d in v.verdict.doubts if d.name == "base_level"]
+    assert bool(found) == doubted
+    if doubted:
+        assert found[0].value == pytest.approx(-level, abs=0.01)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from ladar_volume.volume.field_checks.standing_objects import Steps, standing_parts
+from ladar_volume.volume.field_checks.standing_objects import Steps, any_step, standing_parts
 from test.volume.test_field_checks import TRUE_M3, estimated, estimator_of, names, pile
 
 
@@ -70,3 +70,14 @@ def test_vertices_without_objects_have_their_sigma():
     tin, epoch = e.estimate().tin, e.epoch()
     assert len(tin.vertices) < len(epoch.tin.vertices)
     assert len(epoch.sigma_z(tin)) == len(tin.vertices)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_step_is_found_as_by_arrays(seed):
+    rng = np.random.default_rng(seed)
+    r = rng.uniform(0.0, 1.0, (30, 3)) * [1.0, 1.0, 0.3 * seed]
+    t = rng.integers(0, 30, (40, 3)).astype(np.int32)
+    d = r[t] - r[np.roll(t, -1, axis=1)]
+    rise, length = np.abs(d[..., 2]), np.linalg.norm(d[..., :2], axis=-1)
+    for step, slope in ((0.25, 1.4), (0.8, 3.0), (1.3, 40.0)):
+        assert any_step(t, r, step, slope) == ((rise > step) & (rise > slope * length)).any()

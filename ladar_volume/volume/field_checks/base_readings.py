@@ -25,7 +25,7 @@ from ladar_volume.ground.polynomial import (
     design,
     height_above,
 )
-from ladar_volume.model.records import F64, I64, Bool, Plane, Tin
+from ladar_volume.model.records import F64, I64, Bool, Plane, Tin, Volume
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.full_tin import vertex_mask
 from ladar_volume.uncertainty.ground_field import GroundField, Roughness, mean_spacing
@@ -42,6 +42,8 @@ FEWEST, MOST = 30, 2000
 TOE = (1.0, 2.0)
 #: Points that the field of the residuals is told from.
 FIELD = 200
+#: A given base is meant to be the ground where it lies no further from it, m.
+NEAR_M = 0.5
 #: Degrees of freedom from which on Student's t is the normal distribution.
 MANY = 200.0
 
@@ -150,16 +152,16 @@ def base_readings(
     left = e - X @ np.linalg.lstsq(X.T @ X, X.T @ e, rcond=1e-12)[0]
     rough = residual_field(xy, left, noise, X.shape[1])
     found = []
+    moments = area_moments(tin, inside_m2, origin, scale, higher)  # a lower degree's come first
     if higher > degree:
-        moments = area_moments(tin, inside_m2, origin, scale, higher)
         w = fit_weights(xy, moments, origin, scale, higher)
         chance = field_sigma(tin, xy, w, rough, noise)
         found.append(Reading(f"a ground of degree {higher}", -float(w @ e), chance))
     toe = toe_points(tin, inside_m2 > 0.0, radius_m)
     if len(toe) >= FEWEST:
         r = tin.vertices[toe]
-        moments = area_moments(tin, inside_m2, origin, scale, min(degree, 1))
-        w = fit_weights(r[:, :2], moments, origin, scale, min(degree, 1))
+        own = moments[: COEFFICIENTS[min(degree, 1)]]
+        w = fit_weights(r[:, :2], own, origin, scale, min(degree, 1))
         chance = field_sigma(tin, r[:, :2], w, rough, height_variance[toe])
         more = -float(w @ (height_above(r, base)))
         found.append(Reading("the surface along the toe", more, chance))
@@ -186,6 +188,30 @@ def base_reading_doubts(
         )
         out.append(Doubt(name, words, r.more_m3))
     return out
+
+
+def given_base_doubts(
+    tin: Tin, base: Plane, inside_m2: F64, radius_m: float, volume: Volume
+) -> list[Doubt]:
+    """The ground along the toe lies off a base that is given, by little and everywhere alike: a
+    shift of all heights, such as a lever arm's or a datum's, which the passes cannot see.
+    """
+    toe = toe_points(tin, inside_m2 > 0.0, radius_m)
+    if len(toe) < FEWEST or volume.cut_m3 <= volume.fill_m3:
+        return []
+    height = height_above(tin.vertices[toe], base)
+    off = float(np.median(height))
+    spread = float(np.median(np.abs(height - off)))
+    more = -off * volume.area_m2
+    if abs(more) <= CHANCE * volume.sigma_m3 or not 3.0 * spread < abs(off) < NEAR_M:
+        return []
+    words = (
+        f"the ground along the toe lies {abs(off):.2g} m {'above' if off > 0.0 else 'below'} the "
+        f"{volume.base}: {volume.volume_m3:.5g} m³ above that, some {volume.volume_m3 + more:.5g} "
+        "m³ above the ground; check datum, antenna height and lever arms, which lift all passes "
+        "alike, or set volume.base ground"
+    )
+    return [Doubt("base_level", words, off)]
 
 
 def student_factor(normal: float, confidence: float, share: float, freedom: float) -> float:

@@ -28,6 +28,7 @@ from ladar_volume.volume.chord_bias import cut_and_fill_chords
 from ladar_volume.volume.field_checks.base_readings import (
     base_reading_doubts,
     base_readings,
+    given_base_doubts,
     student_factor,
 )
 from ladar_volume.volume.field_checks.completeness import completeness_doubts, steep, wall_m6
@@ -102,6 +103,9 @@ def with_base(
 ) -> Volume:
     """The volume of a body with what other readings of its base say."""
     found = base_readings(survey.tin, footing.base, part, survey.height_variance, radius_m)
+    if not len(footing.base.support):
+        doubts = Verdict(tuple(given_base_doubts(survey.tin, footing.base, part, radius_m, volume)))
+        return dataclasses.replace(volume, verdict=volume.verdict + doubts)
     if found is None:
         return volume
     doubts = Verdict(

@@ -19,6 +19,7 @@ from scipy.interpolate import LinearNDInterpolator
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import QhullError, cKDTree
 
+from ladar_volume.math.kernels import kernel
 from ladar_volume.model.parameters import VolumeParameters
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, StandingObject, Tin
 from ladar_volume.model.verdict import Doubt
@@ -60,22 +61,32 @@ class Steps(NamedTuple):
     size: I64
 
 
+@kernel
+def any_step(triangles: I32, vertices: F64, step_m: float, steep: float) -> bool:
+    """Whether an edge of triangles (m, 3) is higher than a step, m, and steeper than a slope."""
+    for t in range(len(triangles)):
+        for k in range(3):
+            a, b = triangles[t, k], triangles[t, (k + 1) % 3]
+            rise = abs(vertices[b, 2] - vertices[a, 2])
+            if rise > step_m:
+                x, y = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1]
+                if rise * rise > steep * steep * (x * x + y * y):
+                    return True
+    return False
+
+
 def surface_steps(tin: Tin, longest_m: float) -> Steps | None:
     """Where the surface is cut apart, and the parts; None where it nowhere is. longest_m : of edges
     that join.
     """
     t, r = tin.triangles, tin.vertices
+    if not any_step(t, r, STEP_M, STEEP):
+        return None
     one = np.concatenate([t[:, 0], t[:, 1], t[:, 2]])
     two = np.concatenate([t[:, 1], t[:, 2], t[:, 0]])
-    rise = r[two, 2] - r[one, 2]
-    steep = np.abs(rise) > STEP_M
-    if not steep.any():
-        return None
-    d = r[two, :2] - r[one, :2]
+    rise, d = r[two, 2] - r[one, 2], r[two, :2] - r[one, :2]
     length = np.hypot(d[:, 0], d[:, 1])
-    steep &= np.abs(rise) > STEEP * length
-    if not steep.any():
-        return None
+    steep = (np.abs(rise) > STEP_M) & (np.abs(rise) > STEEP * length)
     joins = ~steep & (length <= longest_m)
     label = parts(len(r), one[joins], two[joins])
     up = rise[steep] > 0.0
