@@ -56,6 +56,9 @@ def test_a_table_with_the_change_of_every_site(yards, tmp_path, capsys):
     assert rows["south", "2026-06-02T09:30"]["since"] == "2026-05-02T09:30"
     table = list(csv.DictReader((tmp_path / "out" / "sites.csv").open(encoding="utf-8")))
     assert [float(r["net_m3"]) for r in table] == [r["net_m3"] for r in facts["rows"]]
+    parquet = pytest.importorskip("pyarrow.parquet")
+    columns = parquet.read_table(tmp_path / "out" / "sites.parquet")
+    assert columns.to_pylist() == facts["rows"]
 
 
 def test_a_second_run_computes_what_is_new_alone(yards, tmp_path, capsys):

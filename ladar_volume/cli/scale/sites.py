@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from importlib.util import find_spec
 from itertools import count, groupby
 from multiprocessing import get_context
 from pathlib import Path
@@ -24,6 +25,7 @@ from rich.table import Table
 
 from ladar_volume.cli.arguments.lines import shown_name
 from ladar_volume.cli.tables.pile_table import measured, plain
+from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.io.results import finite, json_text, output_folder, write_text
 from ladar_volume.io.site.survey_files import SurveyFile, companions, key_of, survey_files
 from ladar_volume.model.errors import ConfigurationError, InputError, LadarVolumeError
@@ -40,6 +42,8 @@ COLUMNS = (
     *("area_m2", "mass_t", "sigma_mass_t", "base", "doubts"),
     *("since", "change_m3", "sigma_change_m3", "change_doubts", "key", "version"),
 )
+#: Those that are numbers.
+NUMBERS = frozenset(name for name in COLUMNS if name.endswith(("_m3", "_m2", "_t")))
 
 
 @dataclass(frozen=True)
@@ -69,6 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
     table.writeheader()
     table.writerows(rows)
     write_text(folder / "sites.csv", text.getvalue())
+    parquet = write_parquet(folder / "sites.parquet", rows)
     failed = sum("error" in facts for facts in results)
     facts = {"surveys": len(surveys), "computed": len(new), "failed": failed, "rows": rows}
     facts = finite(facts | {"version": version()})
@@ -80,8 +85,26 @@ def run(arguments: argparse.Namespace) -> int:
         console.print(
             f"{len(new)} of {len(surveys)} surveys computed, the others kept; {failed} failed; "
             f"written to {shown_name(a.output)}/: sites.csv, sites.json"
+            + ", sites.parquet"
+            * parquet
         )
     return 1 if failed else 3 if a.strict and any(r["status"] != "sound" for r in rows) else 0
+
+
+def write_parquet(path: Path, rows: Sequence[Mapping[str, Any]]) -> bool:
+    """The table as Parquet; returns whether it is written: without Arrow it is not, and an earlier
+    one goes.
+    """
+    if find_spec("pyarrow") is None:
+        path.unlink(missing_ok=True)
+        return False
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    kinds = [(name, pa.float64() if name in NUMBERS else pa.string()) for name in COLUMNS]
+    with atomic_file(path) as part:
+        parquet.write_table(pa.Table.from_pylist(list(rows), pa.schema(kinds)), part)
+    return True
 
 
 def task_options(a: argparse.Namespace) -> None:
