@@ -195,6 +195,15 @@ def steep_ground(d: Drawing) -> None:
     d.ground = lambda u, v: ground(u, v) + fall * (u * math.cos(phi) + v * math.sin(phi))
 
 
+def varied_ground(d: Drawing) -> None:
+    """Nothing is wrong: ground of 1 to 10 cm over 0.5 to 10 m, a third to three times the usual
+    number of returns.
+    """
+    rough, long = 0.01 * 10.0 ** d.rng.uniform(0.0, 1.0), 0.5 * 20.0 ** d.rng.uniform(0.0, 1.0)
+    d.ground = Ground(0.0, (0.0, 0.0), rough, long / 3.0, int(d.rng.integers(1 << 30)))
+    d.flown = dataclasses.replace(d.flown, thin=round(10.0 * 3.0 ** d.rng.uniform(-1.0, 1.0)))
+
+
 def puddles(d: Drawing) -> None:
     """Water stands in 3 to 8 puddles of 2 to 5 m, some at the toe: no returns."""
     d.names = ("unseen", "ground_one_sided")
@@ -313,6 +322,7 @@ FURTHER: tuple[Callable[[Drawing], Any], ...] = (
     ditch,
     ruts,
     steep_ground,
+    varied_ground,
     puddles,
     thin_toe,
     flat_top_shadow,
