@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.truth import F64, I64
 from ladar_volume.change.spherical_tin import build_spherical, unit_directions
 from ladar_volume.clouds.cloud_surface import CloudSurface, cloud_surface
-from ladar_volume.clouds.cloud_volume import own_footprints
+from ladar_volume.clouds.cloud_volume import difference_of_footprints
 from ladar_volume.io.pointfiles.cloud_files import read_cloud
 from ladar_volume.mesh.tetrahedra import closed_volume
 from ladar_volume.model.parameters import Parameters
@@ -66,7 +66,9 @@ def by_prismoids(many: F64, few: F64) -> tuple[float, float]:
     level = dataclasses.replace(Parameters().volume, base="level", level_m=FLOOR_M, outline="all")
     options = SurfaceParameters(ratio=1.0, relevant="all")
     made: list[CloudSurface] = [cloud_surface(p, options, SIGMA_M, "given") for p in (many, few)]
-    found = own_footprints(made[0], made[1], dataclasses.replace(Parameters(), volume=level))[0]
+    found = difference_of_footprints(
+        made[0], made[1], dataclasses.replace(Parameters(), volume=level)
+    )[0]
     return found.net_m3, found.sigma_m3
 
 

@@ -210,7 +210,7 @@ def one(case: Case, seed: int) -> dict[str, float]:
         "non_manifold": float(np.count_nonzero(uses > 2)),
         "watertight": float((uses == 2).all()),
         "euler": float(len(np.unique(skin.triangles)) - len(uses) + len(skin.triangles)),
-        "crossing": body.crossing,
+        "crossing": body.crossing_pairs,
         "closed": 100 * body.closed_m3 / case.volume_m3,
         "closures": len(body.closures),
         "filtered": len(order) / 3,

@@ -16,7 +16,7 @@ from ladar_volume.georeference.error_budget import independent_sigmas
 from ladar_volume.georeference.georeferencer import Georeferencer
 from ladar_volume.georeference.lidar_equation import mounting
 from ladar_volume.georeference.mapping import (
-    Mapped,
+    MappingResult,
     map_returns,
     map_returns_numpy,
     region_box,
@@ -112,7 +112,7 @@ def run() -> dict[str, float | int | str]:
     mount, sigmas = mounting(PARAMETERS.calibration), independent_sigmas(PARAMETERS.budget)
     vehicle, region = vehicle_box(()), region_box(())
 
-    def all_clouds(pass_: Callable[..., Mapped]) -> Callable[[], list[Mapped]]:
+    def all_clouds(pass_: Callable[..., MappingResult]) -> Callable[[], list[MappingResult]]:
         return lambda: [
             pass_(c.t_ns, c.r_laser, w, mount, sigmas, vehicle, region)
             for c, w in zip(clouds, windows, strict=True)

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ladar_volume.tin.adaptive import adaptive_tin
-from ladar_volume.tin.delaunay import Triangulated, triangulate
+from ladar_volume.tin.delaunay import Triangulation, triangulate
 from ladar_volume.tin.insertion_order import hilbert_order
 
 Points = npt.NDArray[np.float64]
@@ -145,7 +145,7 @@ def timed(action: Callable[[], int]) -> tuple[float, int]:
     return time.process_time() - began, value
 
 
-def same_triangles(xy: Points, own: Triangulated) -> bool:
+def same_triangles(xy: Points, own: Triangulation) -> bool:
     """Whether Qhull finds the same triangles."""
     from scipy.spatial import Delaunay
 

@@ -73,7 +73,7 @@ def test_a_sweep_is_half_a_period_older_than_the_next_attitude():
     lead = Lead()
     for k in range(60):
         lead.reference(k * 10_000_000)
-        lead.other(k * 10_000_000 - 30_000_000)
+        lead.add_reference_clock(k * 10_000_000 - 30_000_000)
     assert lead.estimate_s == pytest.approx((0.035, 0.0))
 
 

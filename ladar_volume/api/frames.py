@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 NAMES = ("height", "sigma", "base")
 
 
-def loaded(package: str) -> Any:
+def import_extra(package: str) -> Any:
     """A package of the extra ``frames``. Raises ImportError, which says how to install it."""
     try:
         return importlib.import_module(package)
@@ -32,7 +32,7 @@ def geodataframe_of(d: Deliverable) -> geopandas.GeoDataFrame:
     """One row for each outline of what counts, with its volume, sigma and area, in the coordinate
     system of the cloud; polygons in three dimensions.
     """
-    frame = loaded("geopandas").GeoDataFrame
+    frame = import_extra("geopandas").GeoDataFrame
     return frame.from_features(list(outline_features(d)), crs=d.system.crs)
 
 
@@ -41,7 +41,7 @@ def dataset_of(d: Deliverable, cell_m: float | None) -> xarray.Dataset:
     base under what counts, m, over y (from north to south) and x, at the middles of the cells; NaN
     outside. Raises :class:`ladar_volume.model.errors.OutputError` for too many cells.
     """
-    xr, grid = loaded("xarray"), grid_of(d, cell_m)
+    xr, grid = import_extra("xarray"), grid_of(d, cell_m)
     count = len(NAMES) if d.base_m is not None else len(NAMES) - 1
     bands = np.empty((count, grid.rows, grid.columns))
     for first, some in rows_of_heights(d, grid):

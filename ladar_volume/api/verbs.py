@@ -25,7 +25,7 @@ from ladar_volume.io.pointfiles.raw_table import RawTable
 from ladar_volume.model.errors import ConfigurationError, InputError
 
 if TYPE_CHECKING:
-    from ladar_volume.cli.outputs.cloud_files_out import Result
+    from ladar_volume.cli.outputs.cloud_files_out import ExportableResult
     from ladar_volume.io.export.deliverable import Deliverable
     from ladar_volume.model.parameters import Parameters
 
@@ -88,7 +88,9 @@ def volume(points: Points, base: float | Points | None = None, **options: Option
     )
 
 
-def _map_of(arguments: argparse.Namespace, sources: Sequence[Source], found: Result) -> Deliverable:
+def _map_of(
+    arguments: argparse.Namespace, sources: Sequence[Source], found: ExportableResult
+) -> Deliverable:
     """What tables and rasters of a result hold. Raises :class:`ConfigurationError` for a surface
     over another plane than the map's.
     """
@@ -106,13 +108,13 @@ def filter(points: Points, **options: Option) -> FilterAnswer:
     """Outliers out, noise down, edges kept, as ``ladar_volume filter``. Options are those of the
     command line, as ``radius=0.2`` or ``preset="thesis"``.
     """
-    from ladar_volume.cli.filter import filtered
+    from ladar_volume.cli.filter import filter_with_options
 
     arguments = _arguments("filter", [ARRAY.name, "-o", ARRAY.name])
     _set(arguments, options)
     arguments.cloud = _name(points)
     cloud = _cloud(points, arguments)
-    found, facts = filtered(arguments, cloud)
+    found, facts = filter_with_options(arguments, cloud)
     return FilterAnswer(
         facts=facts,
         r_m=found.r,

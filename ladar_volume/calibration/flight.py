@@ -137,7 +137,9 @@ def apply_corrections(mount: Mounting, theta: F64) -> Mounting:
     )
 
 
-def remapped(flight: Flight, theta: F64, sigmas: F64) -> tuple[MappedPoints, PointGeometry, I64]:
+def remap_returns(
+    flight: Flight, theta: F64, sigmas: F64
+) -> tuple[MappedPoints, PointGeometry, I64]:
     """The returns georeferenced anew with constants corrected by theta (c,): points, geometry, and
     their index (n,) in the flight.
 

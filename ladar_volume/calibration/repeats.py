@@ -61,7 +61,7 @@ class Components:
     last_count: int
 
 
-def _checked(values: npt.ArrayLike, confidence: float) -> F64:
+def _check_values(values: npt.ArrayLike, confidence: float) -> F64:
     y = np.asarray(values, dtype=np.float64)
     if not 0.0 < confidence < 1.0:
         raise CalibrationError(
@@ -112,7 +112,7 @@ def spread(values: npt.ArrayLike, confidence: float = 0.95) -> Spread:
     Raises :class:`CalibrationError`: calibration_too_few, calibration_values,
     calibration_no_spread, calibration_confidence.
     """
-    y = _checked(values, confidence)
+    y = _check_values(values, confidence)
     n, mean, single = len(y), float(y.mean()), float(y.std(ddof=1))
     of_mean = single / math.sqrt(n)
     return Spread(
@@ -137,7 +137,7 @@ def components(
     :class:`CalibrationError` as :func:`spread`, and calibration_mountings (fewer than two),
     calibration_no_repeats (no mounting was measured twice).
     """
-    y = _checked(values, confidence)
+    y = _check_values(values, confidence)
     group = _mounting_groups(y, mounting)
     count: I64 = np.bincount(group)
     k, freedom = len(count), len(y) - len(count)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladar_volume.calibration.flight import Flight, remapped
+from ladar_volume.calibration.flight import Flight, remap_returns
 from ladar_volume.calibration.navigation_drift import Drift, drift
 from ladar_volume.calibration.strip_adjustment import (
     Observations,
@@ -88,7 +88,7 @@ class StripCalibration:
         return self.chi2 <= AGREE * self.freedom
 
     @property
-    def surprising(self) -> tuple[str, ...]:
+    def beyond_prior(self) -> tuple[str, ...]:
         """Constants corrected by more than 3.5 sigma of their prior: the budget, or the recording,
         is not what it was taken for.
         """
@@ -196,7 +196,7 @@ def _problem(
 
 
 def _step(p: _Problem, theta: F64, noise: float, membership: I64 | None) -> _Step:
-    points, geometry, index = remapped(p.flight, theta, independent_sigmas(p.budget))
+    points, geometry, index = remap_returns(p.flight, theta, independent_sigmas(p.budget))
     C, strip = unpack(points.C_ind), p.flight.strip[geometry.state]
     limits = (p.options.edge_m, p.options.min_points, p.options.max_patches)
     if membership is None:

@@ -57,7 +57,7 @@ def overlap(
     """
     point, patch = np.arange(len(r_map)), voxel_numbers(r_map, edge_m)
     for _ in range(_SWEEPS):
-        point, patch, group, _, _ = _seen_by_two_strips(point, patch, strip, min_points)
+        point, patch, group, _, _ = _select_shared_patches(point, patch, strip, min_points)
         if len(point) == 0:
             raise CalibrationError(
                 (
@@ -100,7 +100,7 @@ def fit_planes(
     """Planes of given points (n,) on given patches (n,), each strip's points about their own mean.
     Raises as :func:`overlap`.
     """
-    point, patch, group, patch_of, strip_of = _seen_by_two_strips(
+    point, patch, group, patch_of, strip_of = _select_shared_patches(
         point, patch, strip, min_points, max_patches
     )
     if len(point) == 0:
@@ -121,13 +121,13 @@ def fit_planes(
         X,
         height,
         normal,
-        averaged(centre, normal, _NEIGHBOURS * edge_m),
+        average_normals(centre, normal, _NEIGHBOURS * edge_m),
         patch_of,
         strip_of,
     )
 
 
-def averaged(centre: F64, normal: F64, radius_m: float) -> F64:
+def average_normals(centre: F64, normal: F64, radius_m: float) -> F64:
     """Normals (p, 3), each averaged with those like it within a radius.
 
     The noise of a small patch's normal, times the distance to the scanner, would pass for a
@@ -144,7 +144,7 @@ def averaged(centre: F64, normal: F64, radius_m: float) -> F64:
     return out
 
 
-def _seen_by_two_strips(
+def _select_shared_patches(
     point: I64, patch: I64, strip: I64, min_points: int, max_patches: int | None = None
 ) -> tuple[I64, I64, I64, I64, I64]:
     """Cut to groups of enough points, and patches of two groups or more: point, patch, group (all

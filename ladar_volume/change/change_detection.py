@@ -60,7 +60,7 @@ class ChangeMap:
 
 
 @dataclass(frozen=True)
-class Thresholded:
+class ThresholdedVolumes:
     """Volumes of a change map. net_m3 ± sigma_m3 : of significant vertices alone · raised_m3,
     lowered_m3 : its parts, both 0 or more · area_m2 : significant · map_area_m2 : all · level_m :
     median level of detection · bias_m3 ± bias_sigma_m3 : what the threshold took from the net
@@ -192,7 +192,9 @@ def shared_variance(own: Epoch, other: Epoch, apart: Difference, rows: I64, cros
     slope = n / np.copysign(np.maximum(np.abs(n[:, 2:]), LEAST_UPWARD), n[:, 2:])
     for epoch in (own, other):
         if epoch.transform is not None:
-            j = np.einsum("ki,kij->kj", slope, epoch.transform.jacobian(epoch.transform.back(r)))
+            j = np.einsum(
+                "ki,kij->kj", slope, epoch.transform.jacobian(epoch.transform.apply_inverse(r))
+            )
             out += np.einsum("ki,ij,kj->k", j, epoch.transform.C, j)
     return out
 
@@ -217,14 +219,14 @@ def weighted_sigma(
     return epoch_budget(new, previous, one, two, separate).sigma
 
 
-def thresholded(
+def threshold_volumes(
     new: Epoch,
     previous: Epoch,
     apart: Difference,
     change: ChangeMap,
     coverage_factor: float,
     separate: Collection[str] = (),
-) -> Thresholded:
+) -> ThresholdedVolumes:
     """Volumes with the threshold at the level of detection, and what it does to the net volume."""
     used, above = change.area_m2 > 0.0, change.significant & (change.area_m2 > 0.0)
     parts = change.area_m2[used] * change.difference_m[used]
@@ -235,7 +237,7 @@ def thresholded(
     up, down = (
         float(np.abs(parts[chosen & (np.sign(parts) == sign)]).sum()) for sign in (1.0, -1.0)
     )
-    return Thresholded(
+    return ThresholdedVolumes(
         up - down,
         weighted_sigma(new, previous, apart, kept, separate),
         up,

@@ -30,7 +30,13 @@ from ladar_volume.uncertainty.epoch_budget import (
     epoch_budget,
 )
 from ladar_volume.uncertainty.vertex_noise import height_pairs, height_sums, rings_for, vertex_rows
-from ladar_volume.volume.near_base import NearBase, near_base, near_triangles, scatter, smoothed
+from ladar_volume.volume.near_base import (
+    NearBase,
+    near_base,
+    near_triangles,
+    scatter,
+    smooth_heights,
+)
 from ladar_volume.volume.overlay import Between
 from ladar_volume.volume.prismoids import positive_part
 
@@ -68,9 +74,9 @@ def cut_and_fill(
     ``apart`` and whose net volume has the ``budget``.
     """
     near = near_difference(new, previous, apart)
-    folded = 0.0 if near is None else near.taken(found.cut_m3, found.fill_m3)
+    folded = 0.0 if near is None else near.removed_m3(found.cut_m3, found.fill_m3)
     variance = part_variances(new, previous, found, apart, near, separate)
-    variance += lifted(new, previous, apart, budget, separate)
+    variance += shared_shift_variances(new, previous, apart, budget, separate)
     if near is not None and near.correction_m3 + near.remaining.fold_m3 > folded:
         # one of the two is 0, and the other the net volume: its noise is no less than that
         variance = np.maximum(variance, sum(budget.lines.get(name, 0.0) for name in NOISE))
@@ -125,7 +131,7 @@ def near_difference(new: Epoch, previous: Epoch, apart: Difference) -> NearBase 
     rings = rings_for(max(alike, other_alike))
     C, summed = C * wider, wider * summed
     found = near_base(tin, ZERO, C, rings=rings, summed=summed)
-    smooth = smoothed(tin, height, C.diagonal(), near, rings, summed)
+    smooth = smooth_heights(tin, height, C.diagonal(), near, rings, summed)
     left = remaining_on_ground(smooth, near, footprint_areas(tin.vertices, near), rings)
     return dataclasses.replace(found, remaining=left)
 
@@ -148,8 +154,8 @@ def part_variances(
         other = previous if apart.upper_carries else new
         shares = apart.shares(near.gradient_cut, near.gradient_net, len(other.tin.vertices))
         of_upper, of_lower = shares if apart.upper_carries else shares[::-1]
-        upper = shared_out(of_upper, found.gradient_net, upper)
-        lower = shared_out(of_lower, found.lower_net, lower)
+        upper = blend_cut_gradients(of_upper, found.gradient_net, upper)
+        lower = blend_cut_gradients(of_lower, found.lower_net, lower)
     cut = epoch_budget(new, previous, upper, lower, separate).sigma
     fill = epoch_budget(
         new, previous, upper - found.gradient_net, lower - found.lower_net, separate
@@ -157,7 +163,7 @@ def part_variances(
     return np.array([cut**2 + more, fill**2 + more])
 
 
-def shared_out(share: F64, net: F64, cut: F64) -> F64:
+def blend_cut_gradients(share: F64, net: F64, cut: F64) -> F64:
     """Gradients (n, 3) of the cut: a share (n,) of those of the net volume (n, 3), where it is
     known, the given ones elsewhere.
     """
@@ -167,7 +173,7 @@ def shared_out(share: F64, net: F64, cut: F64) -> F64:
     return out
 
 
-def lifted(
+def shared_shift_variances(
     new: Epoch, previous: Epoch, apart: Difference, budget: EpochBudget, separate: Collection[str]
 ) -> F64:
     """What the variances (2,) m⁶ of cut and of fill differ from first order, since what a whole

@@ -43,7 +43,7 @@ class Density:
     variance_shares: tuple[float, float]
 
 
-def checked(value: float, name: str, above: float | None = None) -> float:
+def require_number(value: float, name: str, above: float | None = None) -> float:
     """A finite number, at least 0, or above ``above``. Raises :class:`VolumeError`
     (density_value).
     """
@@ -66,8 +66,8 @@ def weighed_mass(loads_kg: F64, sigma_load_kg: float, sigma_calibration: float =
             "loads are a list of finite masses", reason="density_value", value=loads_kg
         )
     one, shared = (
-        checked(sigma_load_kg, "the sigma of a load"),
-        checked(sigma_calibration, "the calibration's sigma"),
+        require_number(sigma_load_kg, "the sigma of a load"),
+        require_number(sigma_calibration, "the calibration's sigma"),
     )
     total = float(loads.sum())
     return Mass(total, float(np.hypot(one * np.sqrt(len(loads)), shared * total)))
@@ -86,15 +86,14 @@ def density(
     density_undetermined where the volume is not above zero by the coverage factor, so that no
     interval is finite.
     """
-    m, u = checked(mass_kg, "the mass", 0.0), checked(sigma_mass_kg, "the sigma of the mass")
-    v, s = float(volume_m3), checked(sigma_volume_m3, "the sigma of the volume")
-    k = checked(coverage_factor, "the coverage factor", 0.0)
+    m = require_number(mass_kg, "the mass", 0.0)
+    u = require_number(sigma_mass_kg, "the sigma of the mass")
+    v, s = float(volume_m3), require_number(sigma_volume_m3, "the sigma of the volume")
+    k = require_number(coverage_factor, "the coverage factor", 0.0)
     if not np.isfinite(v) or v <= k * s or v <= 0.0:
         raise VolumeError(
-            (
-                f"a volume of {v:g} m³ with sigma {s:g} m³ is not above zero at {k:g} sigma: "
-                "the density has no upper bound"
-            ),
+            f"a volume of {v:g} m³ with sigma {s:g} m³ is not above zero at {k:g} sigma: "
+            "the density has no upper bound",
             reason="density_undetermined",
             value=v,
         )
@@ -137,28 +136,28 @@ def relative_errors(
     size · height : one of two surfaces lies ``height_m`` too high over ``plan_area_m2``:
     registration of two epochs, V^(−1/3). Raises :class:`VolumeError`.
     """
-    S, V = checked(area_m2, "the surface", 0.0), checked(volume_m3, "the volume", 0.0)
-    L = checked(correlation_length_m, "the correlation length")
+    S, V = require_number(area_m2, "the surface", 0.0), require_number(volume_m3, "the volume", 0.0)
+    L = require_number(correlation_length_m, "the correlation length")
     return {
-        "offset": checked(offset_m, "the offset") * S / V,
-        "noise": checked(noise_m, "the noise")
-        * checked(spacing_m, "the spacing")
+        "offset": require_number(offset_m, "the offset") * S / V,
+        "noise": require_number(noise_m, "the noise")
+        * require_number(spacing_m, "the spacing")
         * float(np.sqrt(S))
         / V,
-        "correlated": checked(correlated_m, "the correlated error")
+        "correlated": require_number(correlated_m, "the correlated error")
         * S
         / V
         * float(np.sqrt(min(1.0, 2.0 * np.pi * L**2 / S))),
-        "scale": 3.0 * checked(scale, "the scale error"),
-        "height": checked(height_m, "the height error")
-        * checked(plan_area_m2, "the plan area")
+        "scale": 3.0 * require_number(scale, "the scale error"),
+        "height": require_number(height_m, "the height error")
+        * require_number(plan_area_m2, "the plan area")
         / V,
     }
 
 
 def cube_surface(volume_m3: float) -> float:
     """Surface of a cube, m²: ``6 V^(2/3)``."""
-    return float(6.0 * checked(volume_m3, "the volume", 0.0) ** (2.0 / 3.0))
+    return float(6.0 * require_number(volume_m3, "the volume", 0.0) ** (2.0 / 3.0))
 
 
 def least_cube(offset_m: float, share: float) -> float:
@@ -166,7 +165,12 @@ def least_cube(offset_m: float, share: float) -> float:
     δ / share)³``.
     """
     return float(
-        (6.0 * checked(offset_m, "the offset", 0.0) / checked(share, "the share", 0.0)) ** 3
+        (
+            6.0
+            * require_number(offset_m, "the offset", 0.0)
+            / require_number(share, "the share", 0.0)
+        )
+        ** 3
     )
 
 
@@ -175,8 +179,8 @@ def implied_offset(volume_m3: float, share: float) -> float:
     6``.
     """
     return float(
-        checked(share, "the share", 0.0)
-        * checked(volume_m3, "the volume", 0.0) ** (1.0 / 3.0)
+        require_number(share, "the share", 0.0)
+        * require_number(volume_m3, "the volume", 0.0) ** (1.0 / 3.0)
         / 6.0
     )
 

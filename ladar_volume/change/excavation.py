@@ -75,7 +75,7 @@ class Scan:
 
     def source(self) -> F64 | None:
         """The points (n, 3), m, as they were before registration."""
-        return None if self.transform is None else self.transform.back(self.points)
+        return None if self.transform is None else self.transform.apply_inverse(self.points)
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ WIDE_EDGES, BRIDGED_SHARE = 8.0, 0.05
 
 
 @dataclass(frozen=True)
-class Checked:
+class CheckedRing:
     """found : with the lines ``ring`` and ``sampling`` in its budget · fit : of the ring before any
     correction · b : scan B as it was used · correction : its name · verdict
     """
@@ -46,7 +46,7 @@ def checked_excavation(
     *,
     pole_map: F64 | None = None,
     max_edge_m: float = np.inf,
-) -> Checked:
+) -> CheckedRing:
     """The volume between scans A and B with the registration judged by their ring.
 
     Without a correction a misregistration that stands out enters the variance with its square, and
@@ -71,9 +71,9 @@ def checked_excavation(
     doubts += more
     rest = sum(v for k, v in budget.items() if k != "ring" and np.isfinite(v))
     if off and now.effect_m3**2 > rest:
-        doubts += misregistered(now, when)
+        doubts += registration_doubts(now, when)
     found = replace(found, budget_m6=budget, sigma_m3=float(np.sqrt(sum(budget.values()))))
-    return Checked(found, fit, b, correction, Verdict(tuple(doubts + bridged(found))))
+    return CheckedRing(found, fit, b, correction, Verdict(tuple(doubts + bridged_doubts(found))))
 
 
 def sampling_line(
@@ -117,7 +117,7 @@ def transform_scan(b: Scan, fit: RingFit) -> Scan:
     return Scan(T.apply(b.points), T.apply(b.scanner[None])[0], noise, T)
 
 
-def misregistered(fit: RingFit, when: str = "") -> list[Doubt]:
+def registration_doubts(fit: RingFit, when: str = "") -> list[Doubt]:
     """The doubt of scans that do not lie on each other."""
     return [
         Doubt(
@@ -152,7 +152,7 @@ def changed_ground(fit: RingFit, found: Excavation) -> list[Doubt]:
     ]
 
 
-def bridged(found: Excavation) -> list[Doubt]:
+def bridged_doubts(found: Excavation) -> list[Doubt]:
     """The doubt of surfaces that were not seen where much of the volume hangs on them."""
     d = found.between
     t = d.triangles[: -2 * len(d.gap_m)]  # the wall comes last

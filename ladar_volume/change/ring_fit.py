@@ -129,7 +129,7 @@ def fit_ring(d: TwoSurfaces, points_b: F64, parameters: int = 6) -> RingFit:
         x, sigma, weight, N = step(A, g, x, penalty, floor)
     Q: F64 = np.asarray(np.linalg.inv(N), dtype=np.float64)
     v = g - A @ x
-    C = larger(Q, sandwich(A * (weight * v)[:, None] / sigma**2, Q), model.effect[free])
+    C = larger_covariance(Q, sandwich(A * (weight * v)[:, None] / sigma**2, Q), model.effect[free])
     full, Cx = np.zeros(6), np.zeros((6, 6))
     full[free], Cx[free, free] = x, C
     changed = np.ones(len(d.gap_m), bool)
@@ -142,7 +142,7 @@ def fit_ring(d: TwoSurfaces, points_b: F64, parameters: int = 6) -> RingFit:
         float(np.sqrt(model.effect[free] @ C @ model.effect[free])),
         sigma,
         changed,
-        homeward(model, full, Cx),
+        inverse_motion(model, full, Cx),
     )
 
 
@@ -182,12 +182,12 @@ def sandwich(scores: F64, Q: F64) -> F64:
     return out
 
 
-def larger(C: F64, D: F64, effect: F64) -> F64:
+def larger_covariance(C: F64, D: F64, effect: F64) -> F64:
     """The covariance that leaves more of an effect uncertain."""
     return D if effect @ D @ effect > effect @ C @ effect else C
 
 
-def homeward(model: RingModel, x: F64, C: F64) -> Transform:
+def inverse_motion(model: RingModel, x: F64, C: F64) -> Transform:
     """The transform that takes the motion x (6,) out of scan B."""
     by_map, C_map = model.basis @ x, model.basis @ C @ model.basis.T
     R = exp_so3(by_map[:3])

@@ -57,7 +57,7 @@ class StableGround:
         return self.offset_m * self.area_m2
 
     @property
-    def stands_out(self) -> bool:
+    def is_significant(self) -> bool:
         """Whether the offset is more than the budgets allow."""
         return abs(self.offset_m) > STANDS_OUT * self.sigma_m
 
@@ -86,7 +86,7 @@ def stable_ground(
             value=overlap,
         )
     if named is None:
-        weight = np.where(unchanged(change, used), change.area_m2, 0.0)
+        weight = np.where(unchanged_vertices(change, used), change.area_m2, 0.0)
     else:
         t = change.tin.triangles[change.tin.relevant]
         inside = areas_inside(change.tin, check_polygon(named))[change.tin.relevant]
@@ -108,7 +108,7 @@ def area(tin: Tin) -> float:
     return float(footprint_areas(tin.vertices, tin.triangles[tin.relevant]).sum())
 
 
-def unchanged(change: ChangeMap, used: Bool) -> Bool:
+def unchanged_vertices(change: ChangeMap, used: Bool) -> Bool:
     """Vertices (n,) whose difference is the commonest one within its noise. The search begins among
     those within all of their sigma, or where these are few, among all, and climbs to where most lie
     (mean shift, Fukunaga & Hostetler 1975).
@@ -141,7 +141,7 @@ def commonest(d: F64, weight: F64, width: float) -> float:
 
 def with_stable_ground(found: EpochDifference, ground: StableGround) -> EpochDifference:
     """The difference with the misregistration in its variance, where it stands out."""
-    if not ground.stands_out:
+    if not ground.is_significant:
         return found
     line = {"stable_ground": ground.effect_m3**2}
     budget = replace(found.budget, lines={**found.budget.lines, **line})
@@ -162,8 +162,8 @@ def with_stable_ground(found: EpochDifference, ground: StableGround) -> EpochDif
 def epoch_verdict(ground: StableGround) -> Verdict:
     """What speaks against a difference of two surveys."""
     doubts = []
-    if ground.stands_out:
-        doubts.append(misregistered(ground))
+    if ground.is_significant:
+        doubts.append(registration_doubt(ground))
     elif not ground.named and ground.share < LEAST_SHARE:
         doubts.append(
             Doubt(
@@ -187,7 +187,7 @@ def epoch_verdict(ground: StableGround) -> Verdict:
     return Verdict(tuple(doubts))
 
 
-def misregistered(ground: StableGround) -> Doubt:
+def registration_doubt(ground: StableGround) -> Doubt:
     """The doubt of surveys that do not lie on each other."""
     where = "the stable ground" if ground.named else "the ground that agrees best"
     ratio = abs(ground.offset_m) / max(ground.sigma_m, 1e-300)

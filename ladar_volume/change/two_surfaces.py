@@ -78,7 +78,7 @@ class TwoSurfaces:
 
 
 @dataclass(frozen=True)
-class Cut:
+class RingedSurface:
     """A surface with the ring in it: tin of ring points and points · inside : (m,) triangles within
     the ring · missing : (j,) ring edges that are no edges of the triangulation
     """
@@ -93,7 +93,7 @@ class RingCut(NamedTuple):
 
     ring: Ring
     hits: tuple[Hits, Hits]
-    cuts: tuple[Cut, Cut]
+    cuts: tuple[RingedSurface, RingedSurface]
 
 
 def ring_turn(points: F64, s: SphericalTin) -> float:
@@ -123,7 +123,7 @@ def near_ring(hits: Hits, s: SphericalTin) -> I64:
 
 def cut_surface(
     points: F64, drop: Bool, hits: Hits, s: SphericalTin, max_angle_rad: float, max_edge_m: float
-) -> Cut:
+) -> RingedSurface:
     """Triangulate points (n, 3) together with the ring's points on their surface and find what lies
     within the ring.
 
@@ -150,8 +150,8 @@ def cut_surface(
     backward = (first < k) & (second < k) & (first == (second + 1) % k)
     missing = np.setdiff1d(np.arange(k), first[forward])
     if len(missing):
-        return Cut(tin, np.zeros(len(tin.triangles), bool), missing)
-    return Cut(tin, within_ring(tin, forward, backward), missing)
+        return RingedSurface(tin, np.zeros(len(tin.triangles), bool), missing)
+    return RingedSurface(tin, within_ring(tin, forward, backward), missing)
 
 
 def within_ring(tin: Tin, forward: Bool, backward: Bool) -> Bool:
@@ -239,7 +239,7 @@ def body_between(
     )
 
 
-def areas_within(cuts: tuple[Cut, Cut]) -> tuple[list[float], list[float]]:
+def areas_within(cuts: tuple[RingedSurface, RingedSurface]) -> tuple[list[float], list[float]]:
     """Areas, m², of A and B within the ring, and of what no triangle within the limits covers."""
     area = [surface_area(c.tin.vertices, c.tin.triangles[c.inside]) for c in cuts]
     bridged = [
@@ -351,7 +351,7 @@ def ring_lost(missing: I64) -> VolumeError:
     )
 
 
-def join(a: Cut, b: Cut, k: int) -> tuple[F64, I32]:
+def join(a: RingedSurface, b: RingedSurface, k: int) -> tuple[F64, I32]:
     """The closed body between two cut surfaces: A as it is, B turned round, and the wall between
     their rims.
     """
@@ -366,7 +366,9 @@ def join(a: Cut, b: Cut, k: int) -> tuple[F64, I32]:
     return np.concatenate([a.tin.vertices, b.tin.vertices]), triangles.astype(np.int32)
 
 
-def by_points(gradient: F64, cut: Cut, s: SphericalTin, ring: Ring, hits: Hits, n: int) -> F64:
+def by_points(
+    gradient: F64, cut: RingedSurface, s: SphericalTin, ring: Ring, hits: Hits, n: int
+) -> F64:
     """Gradient (n, 3) by the points of a scan from that by the vertices of its cut surface, the
     ring's among them.
     """

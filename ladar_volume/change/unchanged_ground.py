@@ -16,10 +16,10 @@ import numpy as np
 
 from ladar_volume.model.records import F64, I32, I64, Bool
 from ladar_volume.volume.neighbourhood import Smooth
-from ladar_volume.volume.remaining_fold import LEFT, Remaining
+from ladar_volume.volume.remaining_fold import LEFT, RemainingFold
 
 
-def remaining_on_ground(smooth: Smooth, triangles: I32, area: F64, rings: int) -> Remaining:
+def remaining_on_ground(smooth: Smooth, triangles: I32, area: F64, rings: int) -> RemainingFold:
     """What is left over triangles (m, 3) of areas (m,) m² near the other surface; ``rings`` : of a
     whole neighbourhood.
     """
@@ -31,10 +31,10 @@ def remaining_on_ground(smooth: Smooth, triangles: I32, area: F64, rings: int) -
     parts = [
         remaining_change(left, square, grown, chosen) for chosen in (grown == rings, grown < rings)
     ]
-    return Remaining(sum(p.fold_m3 for p in parts), sum(p.sigma_m3 for p in parts))
+    return RemainingFold(sum(p.fold_m3 for p in parts), sum(p.sigma_m3 for p in parts))
 
 
-def remaining_change(left: F64, square: F64, grown: I64, chosen: Bool) -> Remaining:
+def remaining_change(left: F64, square: F64, grown: I64, chosen: Bool) -> RemainingFold:
     """What is left at the ``chosen`` (n,) vertices: the share of ``left`` (n,) m³ that the squares
     (n,) of their smoothed heights over their variances speak for, and the standard error of it;
     grown : (n,) rings of the neighbourhoods.
@@ -42,10 +42,10 @@ def remaining_change(left: F64, square: F64, grown: I64, chosen: Bool) -> Remain
     used = chosen & (left > 0.0)
     fold = float(left[used].sum())
     if not fold > 0.0:
-        return Remaining(0.0, 0.0)
+        return RemainingFold(0.0, 0.0)
     members = float(np.mean(1 + 3 * grown[used] * (grown[used] + 1)))
     independent = max(float(np.count_nonzero(used)) / members, 1.0)
     spread = 2.0 * float((left * square)[used].sum()) / fold - 1.0
     taken = fold * (1.0 - min(max(spread, -0.5), 1.0))
     error = math.sqrt(2.0 / independent)
-    return Remaining(taken, min(max(spread, 0.0) + error, 1.0) * fold)
+    return RemainingFold(taken, min(max(spread, 0.0) + error, 1.0) * fold)

@@ -23,18 +23,18 @@ from ladar_volume.cli.verdict_lines import NO_SIGMA, exit_code
 from ladar_volume.clouds.body_checks import check_bodies, check_doubts, uncertainty
 from ladar_volume.clouds.body_points import (
     BodyPoints,
-    as_they_came,
+    excluded_points,
     filtered_points,
     good_points,
     ground_threshold,
-    left_out,
-    rough,
+    noise_shapes_mesh,
     step_between,
+    unfiltered_points,
     with_noise,
 )
 from ladar_volume.clouds.body_verdict import (
     TOO_MANY,
-    Missed,
+    MissedPoints,
     bodies_verdict,
     check_missed,
     filter_doubts,
@@ -81,7 +81,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Read, make bodies, write, print."""
     check(arguments)
     console = Console(stderr=arguments.json)
-    facts, bodies = (of_mesh if holds_faces(arguments.source) else of_cloud)(arguments, console)
+    facts, bodies = (bodies_of_mesh if holds_faces(arguments.source) else bodies_of_cloud)(
+        arguments, console
+    )
     write_bodies(arguments.output, bodies)
     facts["output"] = {
         "path": arguments.output.name,
@@ -160,7 +162,9 @@ def given_ground(arguments: argparse.Namespace) -> Plane | None:
     return design_surface(list(arguments.ground)) if isinstance(arguments.ground, tuple) else None
 
 
-def of_mesh(arguments: argparse.Namespace, console: Console) -> tuple[dict[str, Any], list[Body]]:
+def bodies_of_mesh(
+    arguments: argparse.Namespace, console: Console
+) -> tuple[dict[str, Any], list[Body]]:
     """The body in a mesh file."""
     a = arguments
     with console.status(f"reading {a.source.name}") as status:
@@ -186,17 +190,18 @@ def of_mesh(arguments: argparse.Namespace, console: Console) -> tuple[dict[str, 
     return mesh_facts(a.source.name, mesh, body, uncertain), [body]
 
 
-def of_cloud(arguments: argparse.Namespace, console: Console) -> tuple[dict[str, Any], list[Body]]:
+def bodies_of_cloud(a: argparse.Namespace, console: Console) -> tuple[dict[str, Any], list[Body]]:
     """The bodies of a point cloud file."""
-    a = arguments
     with console.status(f"reading {a.source.name}") as status:
         source = read_source(a.source, a)
         raw = source.cloud.r
         if not a.no_filter:
             status.update(f"filtering {len(raw):,} points")
-        points = given_points(source, a.sigma) if a.no_filter else filtered_points(filtered(a, raw))
+        points = (
+            given_points(source, a.sigma) if a.no_filter else filtered_points(filter_points(a, raw))
+        )
         status.update("looking for the ground and what stands on it")
-        points, ground, doubts = standing(a, raw, points)
+        points, ground, doubts = body_points_and_ground(a, raw, points)
         found, missed = (None, None) if ground is None else objects_of(a, points, ground)
         label = np.zeros(len(points.r), np.int64) if found is None else found.label
         options = BodyParameters(mesh_settings(a), a.close, sharp_rad(a) or 0.0, pole(a))
@@ -222,13 +227,12 @@ def of_cloud(arguments: argparse.Namespace, console: Console) -> tuple[dict[str,
     verdict += Verdict(wall_doubts(made, points) + closing_doubts(made) + grown)
     for body in made.bodies:
         verdict += Verdict(body.doubts)
-    if uncertain is None:
-        verdict += Verdict((NO_SIGMA,))
+    verdict += Verdict((NO_SIGMA,) if uncertain is None else ())
     facts["verdict"] = verdict.as_dict()
     return facts, list(made.bodies)
 
 
-def filtered(arguments: argparse.Namespace, raw: F64) -> CloudResult:
+def filter_points(arguments: argparse.Namespace, raw: F64) -> CloudResult:
     """The filter's answer to a cloud (n, 3) m."""
     p = FilterParameters(seed=arguments.seed)
     if arguments.radius is not None:
@@ -236,7 +240,7 @@ def filtered(arguments: argparse.Namespace, raw: F64) -> CloudResult:
     return filter_cloud(raw, p, auto=arguments.radius is None)
 
 
-def standing(
+def body_points_and_ground(
     arguments: argparse.Namespace, raw: F64, points: BodyPoints
 ) -> tuple[BodyPoints, Plane | None, tuple[Doubt, ...]]:
     """The points that bodies are made of, their ground, and what speaks against them: a filter's,
@@ -247,13 +251,13 @@ def standing(
     if result is None:
         return points, ground, ()
     good = good_points(raw, result)
-    lost = left_out(raw, good, result, ground)
+    lost = excluded_points(raw, good, result, ground)
     if lost.share <= TOO_MANY:
         return points, ground, ()
     if ground is not None and len(ground.support):
-        came = as_they_came(raw, good, points.noise_m, lost.share)
+        came = unfiltered_points(raw, good, points.noise_m, lost.share)
         came = with_noise(came, ground_of_cloud(arguments, came).rms_m)
-        if not rough(lost, came.noise_m):
+        if not noise_shapes_mesh(lost, came.noise_m):
             return came, ground_of(arguments, came), ()
     return points, ground, filter_doubts(lost)
 
@@ -299,7 +303,7 @@ def ground_of_cloud(arguments: argparse.Namespace, points: BodyPoints) -> Plane:
 
 def objects_of(
     arguments: argparse.Namespace, points: BodyPoints, ground: Plane
-) -> tuple[Objects, Missed | None]:
+) -> tuple[Objects, MissedPoints | None]:
     """The objects asked for; all that are found by default, and what is in none of them."""
     a, r = arguments, points.r
     p = object_parameters(a, points, ground)

@@ -43,8 +43,8 @@ def body_facts(body: Body) -> dict[str, Any]:
         "triangles": len(skin.triangles),
         "parts": len(body.closed.volumes_m3),
         "turned_triangles": int(np.count_nonzero(body.closed.flipped)),
-        "crossing_pairs": body.crossing,
-        "crossing_m3": body.crossed.volume_m3,
+        "crossing_pairs": body.crossing_pairs,
+        "crossing_m3": body.crossed_space.volume_m3,
         "edge_vertices": body.edge_vertices,
         "pole_map_m": body.closed.pole_map.tolist(),
         "pole_spread_m3": body.closed.pole_spread_m3,
@@ -190,10 +190,10 @@ def show(console: Console, facts: Mapping[str, Any]) -> None:
 def place_line(b: Mapping[str, Any], middle_m: Sequence[float]) -> str:
     """Where one body is, and its extent."""
     size = [high - low for low, high in zip(b["low_m"], b["high_m"], strict=True)]
-    return f"at {', '.join(f'{x:.7g}' for x in middle_m)}; {three(size)}"
+    return f"at {', '.join(f'{x:.7g}' for x in middle_m)}; {extent_text(size)}"
 
 
-def three(size_m: Sequence[float]) -> str:
+def extent_text(size_m: Sequence[float]) -> str:
     """Extent as length × width × height, three digits."""
     return " × ".join(f"{x:.3g}" for x in size_m) + " m"
 

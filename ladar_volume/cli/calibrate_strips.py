@@ -232,8 +232,8 @@ def show(console: Console, found: StripCalibration) -> None:
         f"{found.freedom} degrees of freedom; noise of a "
         f"return {found.noise:.2f} times the budget's"
     )
-    if found.surprising:
-        names = ", ".join(name.replace("_", " ") for name in found.surprising)
+    if found.beyond_prior:
+        names = ", ".join(name.replace("_", " ") for name in found.beyond_prior)
         console.print(
             f"[bold]beyond 3.5 sigma of the prior: {names}[/bold]; the budget, or the "
             "recording, is not what it was taken for"

@@ -76,7 +76,7 @@ def body_budget(
     noise = np.nan if sigma is None else variance.first_m6 + variance.second_m6
     if file.transform is None:
         return {f"noise_{name}": noise}
-    registration = file.transform.variance(body.gradient, file.transform.back(file.points))
+    registration = file.transform.variance(body.gradient, file.transform.apply_inverse(file.points))
     return {f"noise_{name}": noise, f"registration_{name}": registration}
 
 

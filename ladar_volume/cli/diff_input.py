@@ -226,7 +226,7 @@ def icp_doubts(icp: dict[str, Any], b: Scan) -> list[Doubt]:
         )
     budget = icp["reach_m"]
     if b.transform is not None:
-        own = b.transform.covariances(b.transform.back(b.points))
+        own = b.transform.covariances(b.transform.apply_inverse(b.points))
         sigma = float(np.sqrt(np.trace(own, axis1=1, axis2=2).mean()))
         budget = min(budget, max(3.0 * sigma, 3.0 * icp["sigma_m"]))
     if icp["moved_m"] > budget:

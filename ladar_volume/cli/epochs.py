@@ -13,7 +13,12 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from ladar_volume.change.change_detection import ChangeMap, Thresholded, change_map, thresholded
+from ladar_volume.change.change_detection import (
+    ChangeMap,
+    ThresholdedVolumes,
+    change_map,
+    threshold_volumes,
+)
 from ladar_volume.change.epoch_change import EpochDifference, epoch_difference
 from ladar_volume.change.stable_ground import (
     StableGround,
@@ -142,7 +147,7 @@ class Comparison:
 
     difference: EpochDifference
     change: ChangeMap
-    threshold: Thresholded
+    threshold: ThresholdedVolumes
     ground: StableGround
 
 
@@ -158,12 +163,12 @@ def compare_epochs(
     k = found.volume.coverage_factor
     change = change_map(new, previous, apart, k, separate)
     ground = stable_ground(new, previous, apart, change, separate, stable, polygon)
-    kept = thresholded(new, previous, apart, change, k, separate)
+    kept = threshold_volumes(new, previous, apart, change, k, separate)
     return Comparison(with_stable_ground(found, ground), change, kept, ground)
 
 
 def difference_facts(
-    found: EpochDifference, kept: Thresholded, separate: Collection[str]
+    found: EpochDifference, kept: ThresholdedVolumes, separate: Collection[str]
 ) -> dict[str, Any]:
     """The comparison as plain values."""
     return {

@@ -42,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
     with console.status(f"reading {arguments.cloud.name}") as status:
         cloud = read_source(arguments.cloud, arguments).cloud
         status.update(f"filtering {len(cloud.r):,} points")
-        result, facts = filtered(arguments, cloud)
+        result, facts = filter_with_options(arguments, cloud)
         status.update("writing")
         lost = _write(arguments, cloud, result)
     output = {"path": arguments.output.name, "points": len(result.index)}
@@ -54,7 +54,9 @@ def run(arguments: argparse.Namespace) -> int:
     return exit_code(arguments, facts["verdict"])
 
 
-def filtered(arguments: argparse.Namespace, cloud: PointFile) -> tuple[CloudResult, dict[str, Any]]:
+def filter_with_options(
+    arguments: argparse.Namespace, cloud: PointFile
+) -> tuple[CloudResult, dict[str, Any]]:
     """A cloud filtered as the options say, and what the JSON says of it."""
     parameters, auto = settings(arguments)
     result = filter_cloud(cloud.r, parameters, auto, frozenset(arguments.keep))

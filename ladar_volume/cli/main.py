@@ -154,7 +154,7 @@ def make_parser(wanted: str | None) -> argparse.ArgumentParser:
     return parser
 
 
-def _refused(text: str, code: int) -> int:
+def _print_refusal(text: str, code: int) -> int:
     print(one_line(f"ladar_volume: {text}"), file=sys.stderr)
     return code
 
@@ -171,7 +171,7 @@ def defect(error: Exception) -> str:
     )
 
 
-def missing(error: Exception) -> str:
+def missing_extra(error: Exception) -> str:
     """What to install for a module that an extra brings; empty for any other error."""
     name = (error.name or "").split(".")[0] if isinstance(error, ModuleNotFoundError) else ""
     if name not in EXTRAS:
@@ -179,7 +179,7 @@ def missing(error: Exception) -> str:
     return f"needs {name}, which is not installed: pip install 'ladar_volume[{EXTRAS[name]}]'"
 
 
-class Terminated(KeyboardInterrupt):
+class TerminationSignal(KeyboardInterrupt):
     """SIGTERM."""
 
 
@@ -190,7 +190,7 @@ def orderly_end() -> Iterator[None]:
     """
 
     def end(number: int, frame: object) -> None:
-        raise Terminated
+        raise TerminationSignal
 
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -203,7 +203,7 @@ def orderly_end() -> Iterator[None]:
 
 
 @contextmanager
-def hushed(arguments: argparse.Namespace) -> Iterator[None]:
+def quiet_output(arguments: argparse.Namespace) -> Iterator[None]:
     """With ``--quiet`` nothing but JSON goes to standard output, and no progress is shown."""
     if not arguments.quiet:
         yield
@@ -228,26 +228,26 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.error(f"{lost}: no value")  # argparse takes it for an empty list
     arguments: Any = parser.parse_args(words)
     try:
-        with orderly_end(), hushed(arguments):
+        with orderly_end(), quiet_output(arguments):
             return int(arguments.run(arguments))
     except LadarVolumeError as error:
-        return _refused(str(error), 2)
+        return _print_refusal(str(error), 2)
     except MemoryError:
-        return _refused("larger than the memory of this computer: give a smaller part of it", 2)
+        return _print_refusal(
+            "larger than the memory of this computer: give a smaller part of it", 2
+        )
     except BrokenPipeError:
         return 141  # who read the output has left
     except Exception as error:
         if TRACEBACK in os.environ:
             raise
-        if words_of_missing := missing(error):
-            return _refused(f"{verb} {words_of_missing}", 2)
-        return _refused(defect(error), DEFECT)
+        if words_of_missing := missing_extra(error):
+            return _print_refusal(f"{verb} {words_of_missing}", 2)
+        return _print_refusal(defect(error), DEFECT)
     except KeyboardInterrupt as end:
-        print(
-            f"ladar_volume: {'terminated' if isinstance(end, Terminated) else 'interrupted'}",
-            file=sys.stderr,
-        )
-        return 143 if isinstance(end, Terminated) else 130
+        how = "terminated" if isinstance(end, TerminationSignal) else "interrupted"
+        print(f"ladar_volume: {how}", file=sys.stderr)
+        return 143 if isinstance(end, TerminationSignal) else 130
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from ladar_volume.io.pointfiles.cloud_files import check_output, read_cloud, wri
 from ladar_volume.io.results import json_text
 from ladar_volume.model.errors import RegistrationError
 from ladar_volume.model.records import F64
-from ladar_volume.registration.correspondence import Centres, Corresponding, correspond
+from ladar_volume.registration.correspondence import Centres, Correspondence, correspond
 from ladar_volume.registration.sphere_verdict import SphereMeasurement, sphere_verdict
 from ladar_volume.registration.spheres import fit_sphere
 from ladar_volume.registration.stillness import check_drift
@@ -48,7 +48,7 @@ def read_spheres(
         rows = number == k
         t = cloud.columns["t"][rows] if "t" in cloud.columns else None
         try:
-            out[int(k)] = measured(cloud.r[rows], t, noise, radius)
+            out[int(k)] = measure_sphere(cloud.r[rows], t, noise, radius)
         except RegistrationError as error:
             raise RegistrationError(
                 f"{path}, sphere {int(k)}: {error}", reason=error.reason, value=error.value
@@ -56,7 +56,7 @@ def read_spheres(
     return out
 
 
-def measured(
+def measure_sphere(
     points: F64, t_s: F64 | None, noise: float | None, radius: float | None
 ) -> SphereMeasurement:
     """One sphere from its points (n, 3); where a radius is given, also without it.
@@ -124,7 +124,7 @@ def centres(spheres: dict[int, SphereMeasurement]) -> Centres:
 
 
 def facts_of(
-    c: Corresponding,
+    c: Correspondence,
     one: Centres,
     two: Centres,
     parts: list[tuple[SphereMeasurement, SphereMeasurement]],

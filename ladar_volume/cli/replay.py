@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     parameters = read_config(config_for(arguments.bag, arguments.config), arguments.set)
     check_workers(arguments)
     with output_set(arguments.output, results.SURVEY_FILES) as folder:
-        result, seconds = _replayed(arguments, parameters, folder, console)
+        result, seconds = _replay_and_write(arguments, parameters, folder, console)
     if arguments.json:
         print(results.json_text(result), end="")
     else:
@@ -69,7 +69,7 @@ def show_bodies(console: Console, bodies: Sequence[Mapping[str, Any]]) -> None:
     console.print(table)
 
 
-def _replayed(
+def _replay_and_write(
     arguments: argparse.Namespace, parameters: Parameters, folder: Path, console: Console
 ) -> tuple[dict[str, Any], float]:
     """Replay and write; returns the result and the seconds the replay took."""

@@ -22,7 +22,7 @@ from ladar_volume.model.errors import ConfigurationError, InputError, SurfaceErr
 from ladar_volume.model.records import F64, LEAST_UPWARD
 from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.tin.full_tin import footprint_areas
-from ladar_volume.tin.represent import Represented
+from ladar_volume.tin.represent import RepresentedSurface
 from ladar_volume.tin.scan_frame import Frame, frame_along, mean_direction, search_direction
 
 #: Columns that hold a standard deviation, in order of preference.
@@ -233,7 +233,7 @@ def surface_facts(source: Source, surface: CloudSurface) -> dict[str, Any]:
         "rms_before_m": made.rms_before_m,
         "asd_before_m": made.asd_before_m,
         "sigma_from": surface.sigma_from,
-        "sigma_held_fixed": held_fixed(made),
+        "sigma_held_fixed": fixed_quantities(made),
         "sigma_factor": math.sqrt(made.variance_factor),
         "sigma_point_m": None if surface.sigma_m is None else float(np.median(surface.sigma_m)),
     }
@@ -244,7 +244,7 @@ def stray_share(source: Source, surface: CloudSurface) -> float:
     return len(surface.strays) / max(len(source.cloud.r) - surface.copies, 1)
 
 
-def sampled_facts(made: Represented) -> dict[str, Any] | None:
+def sampled_facts(made: RepresentedSurface) -> dict[str, Any] | None:
     """The area that was sampled, against the convex hull; None where it was not asked for."""
     found = made.sampled
     if found is None:
@@ -283,7 +283,7 @@ def add_surface_rows(table: Table, each: Mapping[str, Any]) -> None:
         table.add_row("  parts", f"{sampled['parts']} that do not touch")
 
 
-def held_fixed(made: Represented) -> list[str]:
+def fixed_quantities(made: RepresentedSurface) -> list[str]:
     """What the standard deviations of a surface take for given, though the noise of the points has
     a part in it.
     """

@@ -23,7 +23,7 @@ from ladar_volume.io.bags import ROLES, wanted_topics
 from ladar_volume.io.config import dump_config, read_config
 from ladar_volume.io.drivers.packet_capture import open_recording
 from ladar_volume.io.output_set import output_set
-from ladar_volume.model.errors import ConfigurationError, shown
+from ladar_volume.model.errors import ConfigurationError, short_repr
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.process.numpy_names import hide_numpy_tools
 
@@ -44,7 +44,7 @@ def ros_arguments(arguments: argparse.Namespace) -> list[str]:
     topics = topics_from(arguments.topic)
     if unknown := set(topics) - set(ROLES):
         raise ConfigurationError(
-            f"--topic {shown(min(unknown))}: roles are {', '.join(ROLES)}", value=unknown
+            f"--topic {short_repr(min(unknown))}: roles are {', '.join(ROLES)}", value=unknown
         )
     given = list(arguments.ros_args)
     if arguments.play is None:

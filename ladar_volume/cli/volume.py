@@ -51,16 +51,21 @@ from ladar_volume.clouds.cloud_levels import (
     sequence,
 )
 from ladar_volume.clouds.cloud_surface import CloudSurface
-from ladar_volume.clouds.cloud_volume import CloudVolume, above_base, between_clouds, own_footprints
+from ladar_volume.clouds.cloud_volume import (
+    CloudVolume,
+    above_base,
+    between_clouds,
+    difference_of_footprints,
+)
 from ladar_volume.clouds.ground_readings import ground_readings
 from ladar_volume.clouds.pair_verdict import pair_ground, pair_verdict
 from ladar_volume.clouds.sampling.stray_effect import stray_effect
 from ladar_volume.clouds.volume_verdict import (
     area_counted,
-    judged,
     places,
     stray_doubts,
     surface_doubts,
+    volume_with_verdict,
 )
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.io.results import json_text
@@ -368,7 +373,9 @@ def cut_and_fill(task: VolumeTask, surfaces: list[CloudSurface]) -> CutFill:
         volume = between_clouds(first, surfaces[1], "the second", correct)
         return CutFill(volume, parameters, None, relevant, [])
     if len(surfaces) == 2:
-        volume, one, two = own_footprints(first, surfaces[1], parameters, correct, offset_of(task))
+        volume, one, two = difference_of_footprints(
+            first, surfaces[1], parameters, correct, offset_of(task)
+        )
         return CutFill(volume, parameters, None, relevant, [one, two])
     if task.base == "floor" and task.levels is not None:
         levels = sequence(first, task.levels)
@@ -402,7 +409,7 @@ def volume_verdict(
             base = design_surface([found.parameters.volume.level_m])
         elif task.base == "ground" and base is not None:
             readings = ground_readings(surfaces[0], base, areas[0], found.parameters)
-        volume, verdict = judged(
+        volume, verdict = volume_with_verdict(
             found.volume, surfaces[0], areas[0], readings, found.parameters, base
         )
         facts = {"readings": None if readings is None else dataclasses.asdict(readings)}

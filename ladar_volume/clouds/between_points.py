@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ladar_volume.clouds.cloud_noise import thinned
+from ladar_volume.clouds.cloud_noise import thin_by_cells
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.math.kernels import kernel
 from ladar_volume.math.own_axes import along_own_axes, raster_of
@@ -57,12 +57,12 @@ class BetweenPoints:
         return self.random_m6 + self.drift_m3**2
 
 
-def thinned_by_spacing(points: F64, spacing: F64, shift: tuple[float, float]) -> I64:
+def thin_by_spacing(points: F64, spacing: F64, shift: tuple[float, float]) -> I64:
     """Rows (k,) of places (n, 2): one of each cell of 1.5 spacings (n,), shifted by so many."""
     out = []
     for size in np.unique(spacing[np.isfinite(spacing)]).tolist():
         own = np.flatnonzero(spacing == size)
-        out.append(own[thinned(points[own], CELL * size, shift)])
+        out.append(own[thin_by_cells(points[own], CELL * size, shift)])
     return np.concatenate(out) if out else np.zeros(0, np.int64)
 
 
@@ -93,7 +93,7 @@ def between_points(
     squares, totals, noises, ratios, few = [], [], [], [], []
     shifts = SHIFTS[: math.ceil(ENOUGH / np.count_nonzero(seen > 0))]
     for shift in shifts:
-        kept = thinned_by_spacing(own, spacing, shift)
+        kept = thin_by_spacing(own, spacing, shift)
         if len(kept) < FEWEST // 4:
             return BetweenPoints(0.0, 0.0, hidden)
         blocks, noise, size = coarser(surface, seen, kept, own)

@@ -40,7 +40,7 @@ COARSER = float(np.sqrt(2.0))
 
 
 @dataclass(frozen=True)
-class Checked:
+class FilterComparison:
     """fit_m3 : added to the volume, since the filter's surfaces are off their points · fit_m6 :
     variance of what is left of it · between_m3 : (k,) volumes through half of the points less
     that through all · tried : how many halves · failed : why one makes no body, or nothing
@@ -107,20 +107,20 @@ def between_points(
 
 def check_bodies(
     made: CloudBodies, points: BodyPoints, raw: F64, options: BodyParameters
-) -> tuple[CloudBodies, tuple[Checked, ...]]:
+) -> tuple[CloudBodies, tuple[FilterComparison, ...]]:
     """The bodies with what their surfaces were off their points put right, and what was found of
     each. raw : (n, 3) m, the cloud before the filter
     """
     bodies, found = [], []
     for body, rows, mesh in zip(made.bodies, made.sources, made.meshes, strict=True):
         if "method_published" in mesh.report:
-            found.append(Checked(0.0, 0.0, ()))
+            found.append(FilterComparison(0.0, 0.0, ()))
             bodies.append(body)
             continue
         fit_m3, fit_m6 = off_points(body, rows, raw, points)
         between, failed = between_points(body, rows, points, made, coarser(options))
         tried = len(halves(points.r[rows]))
-        found.append(Checked(fit_m3, fit_m6, between, tried, failed))
+        found.append(FilterComparison(fit_m3, fit_m6, between, tried, failed))
         volume = body.volume_m3 + fit_m3
         bodies.append(dataclasses.replace(body, volume_m3=volume, fit_m3=fit_m3))
     return dataclasses.replace(made, bodies=tuple(bodies)), tuple(found)
@@ -128,7 +128,7 @@ def check_bodies(
 
 def uncertainty(
     made: CloudBodies,
-    checked: Sequence[Checked],
+    checked: Sequence[FilterComparison],
     points: BodyPoints,
     raw: F64,
     growth_m: float = 0.0,
@@ -161,7 +161,7 @@ def uncertainty(
     return Uncertain(start.C_m6 + common + np.diag(own + fit), tuple(budget))
 
 
-def check_doubts(checked: Sequence[Checked]) -> tuple[Doubt, ...]:
+def check_doubts(checked: Sequence[FilterComparison]) -> tuple[Doubt, ...]:
     """Doubts about bodies that half of their points do not make."""
     return tuple(
         Doubt(

@@ -101,7 +101,7 @@ def good_points(raw: F64, result: CloudResult) -> Bool:
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class ExcludedPoints:
     """What a filter left out, where it left out most: of a whole cloud or of one body. above : good
     points above the ground · lost : those the filter did not keep · spacing_m : of the former
     """
@@ -116,37 +116,41 @@ class LeftOut:
         return self.lost / self.above if self.above else 0.0
 
 
-def left_out(raw: F64, good: Bool, result: CloudResult, ground: Plane | None) -> LeftOut:
+def excluded_points(
+    raw: F64, good: Bool, result: CloudResult, ground: Plane | None
+) -> ExcludedPoints:
     """What the filter left out of the good points (n,) of a cloud (n, 3) m: of what stands above
     the ground, in all or in one cluster; of all points where there is no ground.
     """
     kept = np.zeros(len(raw), np.bool_)
     kept[result.index] = True
     if ground is None:
-        return _left_out(raw, good, kept)
+        return _excluded_among(raw, good, kept)
     p = ObjectParameters(min_height_m=RAISED * float(result.report["noise_m"]))
     above = good & heights_above_ground(raw, [ground], p, result.r)[1]
-    most = _left_out(raw, above, kept)
+    most = _excluded_among(raw, above, kept)
     step_m = step_between(raw[above])
     if not step_m:
         return most
     label = clusters(raw, step_m, p.min_points, above)
-    of_each = [_left_out(raw, label == k, kept) for k in range(int(label.max(initial=-1)) + 1)]
+    of_each = [
+        _excluded_among(raw, label == k, kept) for k in range(int(label.max(initial=-1)) + 1)
+    ]
     return max([most, *of_each], key=lambda found: found.share)
 
 
-def _left_out(raw: F64, chosen: Bool, kept: Bool) -> LeftOut:
+def _excluded_among(raw: F64, chosen: Bool, kept: Bool) -> ExcludedPoints:
     """The points chosen (n,) and those of them that were not kept (n,)."""
     count = int(np.count_nonzero(chosen))
-    return LeftOut(count, int(np.count_nonzero(chosen & ~kept)), spacing_of(raw[chosen]))
+    return ExcludedPoints(count, int(np.count_nonzero(chosen & ~kept)), spacing_of(raw[chosen]))
 
 
-def rough(lost: LeftOut, noise_m: float) -> bool:
+def noise_shapes_mesh(lost: ExcludedPoints, noise_m: float) -> bool:
     """Whether a mesh through the points as they came would follow their noise."""
     return not noise_m <= ROUGH * lost.spacing_m
 
 
-def as_they_came(raw: F64, good: Bool, noise_m: float, share: float) -> BodyPoints:
+def unfiltered_points(raw: F64, good: Bool, noise_m: float, share: float) -> BodyPoints:
     """The good points (n,) of a cloud (n, 3) m, unmoved."""
     r = raw[good]
     return BodyPoints(r, None, None, np.full(len(r), noise_m), noise_m, None, share)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from ladar_volume.clouds.body_points import LeftOut
+from ladar_volume.clouds.body_points import ExcludedPoints
 from ladar_volume.clouds.body_volume import Body
 from ladar_volume.clouds.cloud_bodies import CloudBodies
 from ladar_volume.ground.clusters import clusters
@@ -28,7 +28,7 @@ MOST_LEFT_OUT = 0.5
 
 
 @dataclass(frozen=True)
-class Missed:
+class MissedPoints:
     """above : points above the ground · missed : those in no object · small : how many clusters
     they make
     """
@@ -43,15 +43,15 @@ class Missed:
         return self.missed / self.above if self.above else 0.0
 
 
-def missed_points(points: F64, ground: Plane, found: Objects, p: ObjectParameters) -> Missed:
+def missed_points(points: F64, ground: Plane, found: Objects, p: ObjectParameters) -> MissedPoints:
     """Points (n, 3) m above the ground that are in none of the objects found with ``p``."""
     above = heights_above_ground(points, [ground], p)[1]
     lost = above & (found.label < 0)
     small = clusters(points, p.distance_m, 1, lost).max(initial=-1) + 1
-    return Missed(int(np.count_nonzero(above)), int(np.count_nonzero(lost)), int(small))
+    return MissedPoints(int(np.count_nonzero(above)), int(np.count_nonzero(lost)), int(small))
 
 
-def check_missed(missed: Missed) -> None:
+def check_missed(missed: MissedPoints) -> None:
     """Raises :class:`ObjectError` (object_missed; value: share) where too many points above the
     ground are in no object.
     """
@@ -72,7 +72,7 @@ def check_missed(missed: Missed) -> None:
         )
 
 
-def filter_doubts(lost: LeftOut) -> tuple[Doubt, ...]:
+def filter_doubts(lost: ExcludedPoints) -> tuple[Doubt, ...]:
     """Doubt where the filter left out many of the good points that stand above the ground: bodies
     then lack them. Raises :class:`ObjectError` (object_left_out; value: share) where it left out
     most of them.
@@ -91,7 +91,7 @@ def filter_doubts(lost: LeftOut) -> tuple[Doubt, ...]:
     return (Doubt("points_left_out", f"{words} {advice}", lost.share),)
 
 
-def at_the_edge(points: F64, own: F64, step_m: float) -> bool:
+def touches_outline(points: F64, own: F64, step_m: float) -> bool:
     """Whether some of the points (n, 3) m lie within a step of the convex outline of all."""
     try:
         hull = ConvexHull(points[:, :2])
@@ -101,7 +101,7 @@ def at_the_edge(points: F64, own: F64, step_m: float) -> bool:
     return bool(inward.max() > -step_m)
 
 
-def bodies_verdict(made: CloudBodies, points: F64, missed: Missed | None) -> Verdict:
+def bodies_verdict(made: CloudBodies, points: F64, missed: MissedPoints | None) -> Verdict:
     """Doubts about the bodies of filtered points (n, 3) m."""
     doubts = []
     if missed is not None and missed.share >= MISSED:
@@ -126,15 +126,15 @@ def bodies_verdict(made: CloudBodies, points: F64, missed: Missed | None) -> Ver
         )
     for k, (body, mesh) in enumerate(zip(made.bodies, made.meshes, strict=True), 1):
         if "method_published" in mesh.report:
-            doubts.append(_published(k, body, mesh))
+            doubts.append(_published_mesh_doubt(k, body, mesh))
         elif made.ground is not None and len(made.ground.support):
             step_m = float(mesh.report["spacing_m"])
-            if at_the_edge(points, points[made.sources[k - 1]], step_m):
-                doubts.append(_cut(k, step_m))
+            if touches_outline(points, points[made.sources[k - 1]], step_m):
+                doubts.append(_cut_doubt(k, step_m))
     return Verdict(tuple(doubts))
 
 
-def _published(k: int, body: Body, mesh: LocalMesh) -> Doubt:
+def _published_mesh_doubt(k: int, body: Body, mesh: LocalMesh) -> Doubt:
     """Body k is a mesh that is not closed."""
     spread = body.closed.pole_spread_m3
     edges = int(mesh.report["open_edges"]) + int(mesh.report["over_full"])
@@ -147,7 +147,7 @@ def _published(k: int, body: Body, mesh: LocalMesh) -> Doubt:
     )
 
 
-def _cut(k: int, step_m: float) -> Doubt:
+def _cut_doubt(k: int, step_m: float) -> Doubt:
     """Body k may go on beyond the data."""
     return Doubt(
         "body_cut",

@@ -42,7 +42,7 @@ from ladar_volume.mesh.tetrahedra import (
     surface_area,
     tetrahedra_gradient,
 )
-from ladar_volume.mesh.topology import Oriented, edge_table
+from ladar_volume.mesh.topology import OrientedMesh, edge_table
 from ladar_volume.model.body_parameters import SHARP_RAD
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane
 from ladar_volume.model.verdict import Doubt
@@ -78,20 +78,20 @@ class Body:
     fit_m3: float = 0.0
 
     @cached_property
-    def crossed(self) -> Crossing:
+    def crossed_space(self) -> Crossing:
         """Triangles that cross, and how much space that counts wrongly."""
         found = self.closed.crossing
         return found or crossing_of(self.skin.vertices, self.closed.mesh.triangles)
 
     @property
-    def crossing(self) -> int:
+    def crossing_pairs(self) -> int:
         """Pairs of triangles that cross."""
-        return len(self.crossed.pairs)
+        return len(self.crossed_space.pairs)
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:
         """What makes the volume doubtful."""
-        return crossing_doubts(self.crossed, self.volume_m3)
+        return crossing_doubts(self.crossed_space, self.volume_m3)
 
     @property
     def area_m2(self) -> float:
@@ -120,7 +120,7 @@ def body_of(
     :func:`~ladar_volume.mesh.tetrahedra.closed_volume`.
     """
     start = linear_mesh(vertices, triangles, normals, curved)
-    blunt, skin, closures, added = _completed(start, close_m, ground, sharp_rad)
+    blunt, skin, closures, added = _close_skin(start, close_m, ground, sharp_rad)
     closed = closed_volume(skin.vertices, skin.triangles, pole_map, allow_crossings)
     cut_off = (
         closed_volume(blunt.vertices, blunt.triangles, pole_map, True).volume_m3
@@ -148,7 +148,7 @@ def body_of(
     )
 
 
-class Completed(NamedTuple):
+class ClosedSkins(NamedTuple):
     """blunt : the closed skin without, skin : with the edges completed · closures : of the latter ·
     added : vertices on the edges
     """
@@ -159,16 +159,16 @@ class Completed(NamedTuple):
     added: int
 
 
-def _completed(
+def _close_skin(
     start: LinearMesh, close_m: float, ground: Plane | None, sharp_rad: float | None
-) -> Completed:
+) -> ClosedSkins:
     """The skin closed, as it is and with its sharp edges completed."""
     blunt, closures = close(start, close_m, ground)
     sharp, added = sharpen(start, sharp_rad) if sharp_rad is not None else (start, 0)
     if not added:
-        return Completed(blunt, blunt, closures, 0)
+        return ClosedSkins(blunt, blunt, closures, 0)
     skin, closures = close(sharp, close_m, ground)
-    return Completed(blunt, skin, closures, added)
+    return ClosedSkins(blunt, skin, closures, added)
 
 
 def published_body(mesh: LocalMesh, pole_map: F64 | None = None) -> Body:
@@ -185,7 +185,7 @@ def published_body(mesh: LocalMesh, pole_map: F64 | None = None) -> Body:
     ends = np.array([rim for rim in mesh.rims], np.int32).reshape(-1, 2)
     turned, part = np.zeros(len(t), bool), np.zeros(len(t), np.int32)
     edges = len(edge_table(t)[1]) - 1
-    used = Oriented(t, turned, part, ends, edges, len(np.unique(t)))
+    used = OrientedMesh(t, turned, part, ends, edges, len(np.unique(t)))
     gradient = tetrahedra_gradient(v, t, pole)
     closed = ClosedVolume(
         volume, np.array([volume]), gradient, surface_area(v, t), pole, spread, used, turned

@@ -151,9 +151,9 @@ def thin_share(body: Body, thin_m: float) -> float:
     away.
     """
     skin = body.skin
-    normal = vertex_normals(skin.vertices, skin.triangles)[: skin.measured]
+    normal = vertex_normals(skin.vertices, skin.triangles)[: skin.measured_count]
     used: I64 = np.unique(skin.triangles).astype(np.int64)
-    used = used[used < skin.measured]
+    used = used[used < skin.measured_count]
     asked = used[:: max(1, len(used) // ASKED)]
     near = cKDTree(skin.vertices[used]).query_ball_point(skin.vertices[asked], thin_m)
     thin = 0

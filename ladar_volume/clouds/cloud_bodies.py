@@ -129,7 +129,7 @@ def body_at(
             )
         return published_body(mesh, o.pole_map), mesh, 0
     close_m = o.close_m or CLOSE * float(mesh.report["radius_m"])
-    triangles, left = without_stray(mesh)
+    triangles, left = remove_stray_parts(mesh)
     body = body_of(
         mesh.vertices,
         triangles,
@@ -168,7 +168,7 @@ def _check_size(body: Body, mesh: LocalMesh) -> None:
         )
 
 
-def without_stray(mesh: LocalMesh) -> tuple[I32, int]:
+def remove_stray_parts(mesh: LocalMesh) -> tuple[I32, int]:
     """The triangles of a mesh without parts too small to be bodies: open ones of few triangles,
     closed ones that would fit through the largest hole that is closed. And how many were left out.
     """

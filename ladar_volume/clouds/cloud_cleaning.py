@@ -16,7 +16,7 @@ import numba
 import numpy as np
 from scipy import ndimage
 
-from ladar_volume.clouds.cloud_noise import CELL, CloudNoise, cloud_noise, thinned
+from ladar_volume.clouds.cloud_noise import CELL, CloudNoise, cloud_noise, thin_by_cells
 from ladar_volume.math.kernels import PARTS, kernel, parallel_kernel
 from ladar_volume.math.nearest import nearest, nearest_index
 from ladar_volume.math.own_axes import along_own_axes
@@ -27,7 +27,7 @@ from ladar_volume.tin.sampled_area import FEWEST, spacings
 
 #: Neighbours in space, those in the plane whose distances are compared, those of a plane.
 COMPANY, AROUND, PLANE = 8, 24, 16
-#: Mean number of points in a cell of :func:`least_around`.
+#: Mean number of points in a cell of :func:`nearby_minimum`.
 MANY = 50
 #: Isolated above this many times the lower quartile of the distances around.
 ISOLATED = 3.0
@@ -42,7 +42,7 @@ STEPS, LEAST = 10, 6
 
 
 @dataclass(frozen=True)
-class Cleaned:
+class CleaningResult:
     """kept, strays : (k,), (s,) rows of the cloud · isolated : how many of the strays are so ·
     noise : of the cloud with its strays, None where it was not told
     """
@@ -158,7 +158,7 @@ def isolated_points(points: F64, flat: F64) -> Bool:
     same points at height 0.
     """
     distance = nearest(nearest_index(points), points, COMPANY + 1)[1]
-    out = distance > ISOLATED * least_around(points, distance)
+    out = distance > ISOLATED * nearby_minimum(points, distance)
     some = np.flatnonzero(out)
     if len(some):
         near = distance[nearest(nearest_index(flat), flat[some], AROUND)[0]]
@@ -167,7 +167,7 @@ def isolated_points(points: F64, flat: F64) -> Bool:
     return out
 
 
-def least_around(points: F64, distance: F64) -> F64:
+def nearby_minimum(points: F64, distance: F64) -> F64:
     """A lower bound (n,) of the lower quartile of ``distance`` (n,) among the :data:`AROUND` points
     nearest to each of points (n, 3) over the plane: the least in the five by five cells around a
     point. It is 0 where the point's own cell holds fewer than :data:`AROUND`, since the nearest may
@@ -203,7 +203,7 @@ def plane_neighbours(flat: F64, good: Bool, chosen: I64, cells: F64 | None) -> I
         groups = [(c, np.flatnonzero(of == c)) for c in np.unique(of).tolist()]
     for cell, at in groups:
         # in their order, neighbours beside neighbours
-        kept = rows if cell == 0.0 else np.sort(rows[thinned(flat[rows], cell)])
+        kept = rows if cell == 0.0 else np.sort(rows[thin_by_cells(flat[rows], cell)])
         if len(kept) <= PLANE:
             kept = rows
         most = min(PLANE + 1, len(kept))
@@ -213,7 +213,7 @@ def plane_neighbours(flat: F64, good: Bool, chosen: I64, cells: F64 | None) -> I
     return out
 
 
-def clean(points: F64) -> Cleaned:
+def clean(points: F64) -> CleaningResult:
     """The points (n, 3), m, that are no strays. Fewer than :data:`FEWEST` are left as they are."""
     everything = np.arange(len(points), dtype=np.int64)
     try:
@@ -221,7 +221,7 @@ def clean(points: F64) -> Cleaned:
     except SurfaceError:
         noise = None
     if noise is None:
-        return Cleaned(everything, everything[:0], 0)
+        return CleaningResult(everything, everything[:0], 0)
     # neighbours in space are neighbours in memory: the searches take half the time
     order = hilbert_order(points[:, :2])
     isolated, stray = find_strays((points - np.round(points.mean(axis=0)))[order], noise)
@@ -229,7 +229,7 @@ def clean(points: F64) -> Cleaned:
     good = np.ones(len(points), bool)
     good[strays] = False
     alone = int(np.count_nonzero(isolated & stray))
-    return Cleaned(np.flatnonzero(good), strays, alone, noise)
+    return CleaningResult(np.flatnonzero(good), strays, alone, noise)
 
 
 def find_strays(r: F64, noise: CloudNoise) -> tuple[Bool, Bool]:

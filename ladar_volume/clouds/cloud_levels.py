@@ -9,7 +9,7 @@ import dataclasses
 import numpy as np
 
 from ladar_volume.clouds.cloud_surface import CloudSurface
-from ladar_volume.clouds.cloud_volume import CloudVolume, finished, solid_above
+from ladar_volume.clouds.cloud_volume import CloudVolume, corrected_volume, solid_above
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
@@ -114,7 +114,7 @@ def above_floor(
     # a level that rises by dz takes its area times dz from the net volume, and the area above it
     # from the cut
     moved = gradient - moves[:, None] * gradient.sum(axis=0)
-    return finished(
+    return corrected_volume(
         dataclasses.replace(solid, gradients=((surface, moved),)),
         f"floor of the same cloud at {floor.level_m:.4f} m",
         True,

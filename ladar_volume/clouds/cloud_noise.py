@@ -98,7 +98,7 @@ def nearest_in_cells(points: F64, low: F64, cell_m: float, shift: F64, nearest: 
             nearest[x, y], distance[x, y] = i, off
 
 
-def thinned(points: F64, cell_m: float, shift: tuple[float, float] = (0.0, 0.0)) -> I64:
+def thin_by_cells(points: F64, cell_m: float, shift: tuple[float, float] = (0.0, 0.0)) -> I64:
     """Rows (k,) of points (n, 3): in every cell of the horizontal plane, shifted by so many cells,
     the one nearest to its middle; by cells along x, and along y in each.
     """
@@ -236,7 +236,7 @@ def cloud_noise(points: F64) -> CloudNoise:
     cells = common_cells(CELL * spacing)
     lines = 0.0
     for cell in np.unique(cells[np.isfinite(cells)]).tolist():
-        kept = thinned(own, cell)
+        kept = thin_by_cells(own, cell)
         if len(kept) < FEWEST:
             continue
         at = np.flatnonzero(cells == cell)

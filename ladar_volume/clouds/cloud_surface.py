@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ladar_volume.clouds.cloud_cleaning import Cleaned, clean
+from ladar_volume.clouds.cloud_cleaning import CleaningResult, clean
 from ladar_volume.clouds.cloud_noise import CloudNoise, cloud_noise
 from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.clouds.given_faces import GivenSurface
@@ -26,7 +26,7 @@ from ladar_volume.model.surface_parameters import SurfaceParameters
 from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.delaunay import finite_points
 from ladar_volume.tin.median_screen import tin_filter, tin_screen
-from ladar_volume.tin.represent import Represented, represent
+from ladar_volume.tin.represent import RepresentedSurface, represent
 from ladar_volume.uncertainty.shared_heights import shared_variances
 
 
@@ -47,7 +47,7 @@ class CloudSurface:
     sigma_m: F64 | None
     sigma_from: str
     outliers: I64
-    made: Represented
+    made: RepresentedSurface
     strays: I64 = field(default_factory=lambda: np.zeros(0, np.int64))
     copies: int = 0
     given: GivenSurface | None = None
@@ -106,15 +106,15 @@ def local_sigma(points: F64) -> float:
     return cloud_noise(points).sigma_m
 
 
-def without_strays(points: F64, how: str) -> Cleaned:
+def remove_strays(points: F64, how: str) -> CleaningResult:
     """Which points (n, 3), m, are the surface; ``how`` is one of :data:`CLEAN`."""
     everything = np.arange(len(points), dtype=np.int64)
     if how == "auto":
         return clean(points)
     if how == "off":
-        return Cleaned(everything, everything[:0], 0)
+        return CleaningResult(everything, everything[:0], 0)
     kept = np.sort(filter_cloud(points, FilterParameters(), auto=True).index)
-    return Cleaned(kept, np.setdiff1d(everything, kept), 0)
+    return CleaningResult(kept, np.setdiff1d(everything, kept), 0)
 
 
 def cloud_surface(
@@ -138,10 +138,10 @@ def cloud_surface(
     cloud = finite_points(points)
     index = distinct_rows(cloud)
     copies = len(cloud) - len(index)
-    cleaned = without_strays(cloud[index], how)
+    cleaned = remove_strays(cloud[index], how)
     strays, index = index[cleaned.strays], index[cleaned.kept]
     cloud = cloud[index]
-    cloud, index, changed = screened(cloud, index, screen_m, median_m)
+    cloud, index, changed = screen_points(cloud, index, screen_m, median_m)
     sigma, words = noise(
         cloud,
         sigma_m[index] if isinstance(sigma_m, np.ndarray) and sigma_m.ndim else sigma_m,
@@ -153,7 +153,7 @@ def cloud_surface(
     return CloudSurface(cloud, index, sigma, words, changed, made, np.sort(strays), copies)
 
 
-def screened(
+def screen_points(
     cloud: F64, index: I64, screen_m: float | None, median_m: float | None
 ) -> tuple[F64, I64, I64]:
     """Points (n, 3) m and their rows (n,) after the median screen and the median filter, and the

@@ -84,7 +84,7 @@ class CloudVolume:
         return self.cut_m3 - self.fill_m3
 
 
-def finished(solid: Solid, base: str, same_survey: bool) -> CloudVolume:
+def corrected_volume(solid: Solid, base: str, same_survey: bool) -> CloudVolume:
     """The volume with its correction and standard deviations."""
     total, shared = np.zeros(3), dict[str, F64]()
     for surface, gradient in solid.gradients:
@@ -102,7 +102,7 @@ def finished(solid: Solid, base: str, same_survey: bool) -> CloudVolume:
         if math.isnan(net)
         else 0.0
         if near is None
-        else near.taken(solid.cut_m3, solid.fill_m3)
+        else near.removed_m3(solid.cut_m3, solid.fill_m3)
     )
     taken = 0.0 if math.isnan(folded) else folded
     if near is not None and near.correction_m3 + near.remaining.fold_m3 > taken:
@@ -125,7 +125,7 @@ def finished(solid: Solid, base: str, same_survey: bool) -> CloudVolume:
     )
 
 
-def selected(surface: CloudSurface) -> bool:
+def has_selected_vertices(surface: CloudSurface) -> bool:
     """Whether the vertices are some of the points, chosen by their heights; copies of a footprint
     are not.
     """
@@ -162,7 +162,7 @@ def above_base(
     base, inside = ground_and_outline(tin, variance, parameters)
     solid = solid_above(surface, base, inside, parameters, variance, correct, C)
     return (
-        finished(solid, base_name(parameters), parameters.volume.base == "ground"),
+        corrected_volume(solid, base_name(parameters), parameters.volume.base == "ground"),
         base,
         inside > 0,
     )
@@ -215,7 +215,7 @@ def solid_above(
     height = height_above(tin.vertices, base)
     if correct and surface.sigma_m is not None and comes_near(tin, height, surface.sigma_m, whole):
         C = surface.made.covariance(surface.sigma_m) if covariance is None else covariance
-        near = near_base(tin, base, C, whole, selected=selected(surface))
+        near = near_base(tin, base, C, whole, selected=has_selected_vertices(surface))
         curved = near.curved_m6 + near.remaining.sigma_m3**2
         cut = cut if by_polygon else near.gradient_cut
     gradient = np.stack([net, cut], axis=1)
@@ -256,7 +256,7 @@ def between_clouds(
         (s, np.stack(g, axis=1)) for s, *g in zip((upper, lower), net, cut, strict=True)
     )
     solid = Solid(found.cut_m3, found.fill_m3, found.area_m2, gradients, near, curved)
-    return finished(solid, f"surface of {lower_name} over the common footprint", False)
+    return corrected_volume(solid, f"surface of {lower_name} over the common footprint", False)
 
 
 def near_difference(
@@ -278,7 +278,12 @@ def near_difference(
     )
     own, other, below = (C_one, C_two, two) if apart.upper_carries else (C_two, C_one, one)
     C = apart.covariance(own, below, other)
-    near = near_base(apart.common(), ZERO, C, selected=selected(upper) or selected(lower))
+    near = near_base(
+        apart.common(),
+        ZERO,
+        C,
+        selected=has_selected_vertices(upper) or has_selected_vertices(lower),
+    )
     carried, rest = apart.shares(near.gradient_cut, near.gradient_net, len(below.vertices))
     ordered = (carried, rest) if apart.upper_carries else (rest, carried)
     return near, tuple(
@@ -286,7 +291,7 @@ def near_difference(
     )
 
 
-def lowered(parameters: Parameters, by_m: float) -> Parameters:
+def lower_base(parameters: Parameters, by_m: float) -> Parameters:
     """The parameters with the level or the given plane lower by so much."""
     v = parameters.volume
     plane = (v.plane[0] - by_m, *v.plane[1:])
@@ -294,7 +299,7 @@ def lowered(parameters: Parameters, by_m: float) -> Parameters:
     return dataclasses.replace(parameters, volume=volume)
 
 
-def less(a: CloudVolume, b: CloudVolume) -> CloudVolume:
+def volume_difference(a: CloudVolume, b: CloudVolume) -> CloudVolume:
     """One volume less another, of surfaces that share no error."""
     return CloudVolume(
         a.cut_m3 - b.cut_m3,
@@ -313,7 +318,7 @@ def less(a: CloudVolume, b: CloudVolume) -> CloudVolume:
     )
 
 
-def own_footprints(
+def difference_of_footprints(
     one: CloudSurface,
     two: CloudSurface,
     parameters: Parameters,
@@ -333,6 +338,6 @@ def own_footprints(
         )
     (a, _, _), (b, _, _) = (
         above_base(one, parameters, correct),
-        above_base(two, lowered(parameters, offset_m), correct),
+        above_base(two, lower_base(parameters, offset_m), correct),
     )
-    return less(a, b), a, b
+    return volume_difference(a, b), a, b

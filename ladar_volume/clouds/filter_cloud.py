@@ -45,7 +45,7 @@ def filter_cloud(
     how_before, how_after = REDUCE[parameters.reduce]
     before = reduce_points(points, parameters.grid_before_m, how_before)
     if isinstance(parameters, PublishedFilterParameters):
-        result = _published(before.r, parameters, auto)
+        result = _filter_published(before.r, parameters, auto)
     else:
         once = distinct_rows(before.r)
         result = restore_copies(_filter(once.r, parameters, auto, keep), once)
@@ -63,7 +63,9 @@ def _centre(points: F64) -> F64:
     return np.asarray(0.5 * (points.min(axis=0) + points.max(axis=0)))
 
 
-def _published(points: F64, parameters: PublishedFilterParameters, auto: bool) -> CloudResult:
+def _filter_published(
+    points: F64, parameters: PublishedFilterParameters, auto: bool
+) -> CloudResult:
     """The published order."""
     if not auto:
         return filter_published(points, settings(parameters))

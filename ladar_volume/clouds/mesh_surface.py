@@ -15,14 +15,14 @@ from ladar_volume.model.verdict import Doubt
 from ladar_volume.tin.boundary import edit_boundary
 from ladar_volume.tin.locate import locate, triangle_index
 from ladar_volume.tin.relevant import with_relevant
-from ladar_volume.tin.represent import Represented, represent
+from ladar_volume.tin.represent import RepresentedSurface, represent
 from ladar_volume.volume.overlay import between
 
 #: What a mesh's sigma is where no one gives it.
 UNKNOWN = "unknown: a mesh has no noise of its own; give --sigma, that of its heights"
 
 
-def as_given(tin: Tin, options: SurfaceParameters) -> Represented:
+def surface_of_faces(tin: Tin, options: SurfaceParameters) -> RepresentedSurface:
     """The faces as they are, with the limits of the options on which of them count. Their heights
     are those of the vertices, which nothing is adjusted to.
     """
@@ -32,12 +32,12 @@ def as_given(tin: Tin, options: SurfaceParameters) -> Represented:
     if limits != (np.inf, 0.0, 0.0):
         tin = edit_boundary(tin, *limits).tin
     n = len(tin.vertices)
-    return Represented(tin, None, "none", True, 0, 0, 0, 0.0, 0.0, n, 0.0, 0.0)
+    return RepresentedSurface(tin, None, "none", True, 0, 0, 0, 0.0, 0.0, n, 0.0, 0.0)
 
 
-def thinned(
+def reduce_vertices(
     given: Tin, options: SurfaceParameters, sigma_m: F64 | None
-) -> tuple[Represented, tuple[Doubt, ...]]:
+) -> tuple[RepresentedSurface, tuple[Doubt, ...]]:
     """A TIN through fewer of the vertices, over the same footprint, and what it misses the faces
     by.
 
@@ -88,7 +88,9 @@ def mesh_surface(
     if sigma_m is not None:
         own = sigma_m[found.index] if isinstance(sigma_m, np.ndarray) and sigma_m.ndim else sigma_m
         sigma, words = noise(found.tin.vertices, own, sigma_from)
-    made, more = thinned(found.tin, o, sigma) if thin else (as_given(found.tin, o), ())
+    made, more = (
+        reduce_vertices(found.tin, o, sigma) if thin else (surface_of_faces(found.tin, o), ())
+    )
     return CloudSurface(
         found.tin.vertices,
         found.index,

@@ -21,7 +21,7 @@ from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.tin.locate import locate, triangle_index
 from ladar_volume.volume.field_checks.completeness import HIDDEN, cut_at_boundary, wall_doubts
-from ladar_volume.volume.field_checks.gaps import bridged, find_gaps, gap_doubts
+from ladar_volume.volume.field_checks.gaps import bridged_volume, find_gaps, gap_doubts
 
 #: Cells in which differences are averaged, about so many; fewest; least part of a cell that counts.
 CELLS, FEWEST, FULL = 400, 40, 0.3
@@ -42,7 +42,7 @@ FACE_M = 0.3
 
 
 @dataclass(frozen=True)
-class Unchanged:
+class UnchangedPart:
     """Where two surfaces are alike. offset_m ± sigma_m : upper minus lower there · scatter_m : of
     the cells' means · share, changed : of the common footprint that is alike, and that is not
     """
@@ -68,7 +68,7 @@ def cell_means(tin: Tin) -> tuple[F64, F64]:
     return mean[full], own[full]
 
 
-def unchanged(tin: Tin) -> Unchanged | None:
+def unchanged_part(tin: Tin) -> UnchangedPart | None:
     """The part of a difference surface that did not change: about the shortest interval that holds
     a quarter of its cells. None for too few of them.
     """
@@ -92,12 +92,12 @@ def unchanged(tin: Tin) -> Unchanged | None:
     alike = np.abs(mean - middle) <= CHANCE * scatter
     other = np.abs(mean - middle) > CHANGED * scatter
     sigma = scatter / math.sqrt(max(np.count_nonzero(alike) / ALIKE, 1.0))
-    return Unchanged(
+    return UnchangedPart(
         middle, sigma, scatter, float(area[alike].sum()) / total, float(area[other].sum()) / total
     )
 
 
-def with_offset(volume: CloudVolume, found: Unchanged) -> tuple[CloudVolume, list[Doubt]]:
+def with_offset(volume: CloudVolume, found: UnchangedPart) -> tuple[CloudVolume, list[Doubt]]:
     """The volume with the offset of two clouds where nothing changed in sigma."""
     effect = found.offset_m * volume.area_m2
     told = found.share >= SAME and found.changed >= OTHER
@@ -121,7 +121,7 @@ class PairGround:
     """
 
     tin: Tin
-    found: Unchanged
+    found: UnchangedPart
     least_m: float
     on_face: Bool
 
@@ -131,7 +131,7 @@ class PairGround:
         return design_surface([self.found.offset_m])
 
     @property
-    def told(self) -> bool:
+    def is_distinguishable(self) -> bool:
         """Whether enough did not change, and enough did, to tell the two apart."""
         return self.found.share >= SAME and self.found.changed >= OTHER
 
@@ -144,7 +144,7 @@ def pair_ground(surfaces: list[CloudSurface]) -> PairGround | None:
     if sigmas[0] is None or sigmas[1] is None:
         return None
     tin = difference(surfaces[0].made.tin, surfaces[1].made.tin).common()
-    found = unchanged(tin) if len(tin.triangles) else None
+    found = unchanged_part(tin) if len(tin.triangles) else None
     if found is None:
         return None
     noise = math.hypot(*(float(np.median(s)) for s in sigmas if s is not None))
@@ -159,7 +159,7 @@ def edge_doubts(
     difference, ends: at the edge of what both saw, or at an ``outline``.
     """
     cut = cut_at_boundary(ground.tin, ground.level, inside, ground.least_m)
-    if cut is None or not ground.told or cut.hidden_m3 < HIDDEN * volume.sigma_m3:
+    if cut is None or not ground.is_distinguishable or cut.hidden_m3 < HIDDEN * volume.sigma_m3:
         return []
     what, todo = (
         ("the outline lies", "draw it around what changed")
@@ -174,7 +174,7 @@ def edge_doubts(
     return [Doubt("cut", words, cut.hidden_m3)]
 
 
-def over_other(surface: CloudSurface, other: CloudSurface, area: F64) -> F64:
+def overlap_area(surface: CloudSurface, other: CloudSurface, area: F64) -> F64:
     """The area (m,) m² of a surface's triangles that lie over the other one; 0 elsewhere."""
     tin, below = surface.made.tin, other.made.tin
     middle = tin.vertices[tin.triangles, :2].mean(axis=1)
@@ -192,12 +192,12 @@ def with_pair_gaps(
     pairs = zip(surfaces, surfaces[::-1], areas, (1.0, -1.0), strict=True)
     for surface, other, area, sign in pairs:
         tin = surface.made.tin
-        inside = over_other(surface, other, area)
+        inside = overlap_area(surface, other, area)
         gaps = find_gaps(tin, inside)
         if not len(gaps.areas):
             continue
         level = design_surface([float(np.median(tin.vertices[:, 2]))])
-        found = bridged(tin, level, inside, surface.vertex_variance, gaps)
+        found = bridged_volume(tin, level, inside, surface.vertex_variance, gaps)
         size = volume.cut_m3 + volume.fill_m3
         doubts += gap_doubts(found, gaps.area_m2, volume.area_m2, size, volume.sigma_m3)
         more = sign * found.more_m3

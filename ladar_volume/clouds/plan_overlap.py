@@ -33,7 +33,7 @@ class Overlap:
 
 
 @kernel
-def apart(p: F64, q: F64) -> bool:
+def are_disjoint(p: F64, q: F64) -> bool:
     """Whether two triangles (3, 3) have no area in common by their boxes, or by an edge that they
     share from its two sides.
     """
@@ -73,7 +73,7 @@ def overlap_kernel(corners: F64, boxes: F64, rounding_m: float) -> tuple[float, 
             w[A, k], w[A + 1, k] = corners[t, k, 0] - x0, corners[t, k, 1] - y0
         for i in range(count):
             o = found[i]
-            if o <= t or apart(corners[t], corners[o]):
+            if o <= t or are_disjoint(corners[t], corners[o]):
                 continue
             for k in range(3):
                 w[B, k], w[B + 1, k] = corners[o, k, 0] - x0, corners[o, k, 1] - y0

@@ -12,7 +12,7 @@ import numpy as np
 
 from ladar_volume.clouds.between_points import BetweenPoints, between_points, bridges
 from ladar_volume.clouds.cloud_surface import CloudSurface
-from ladar_volume.clouds.cloud_volume import CloudVolume, selected
+from ladar_volume.clouds.cloud_volume import CloudVolume, has_selected_vertices
 from ladar_volume.clouds.ground_cover import (
     body_scatter,
     body_vertices,
@@ -29,7 +29,7 @@ from ladar_volume.tin.boundary import boundary_sides, parts_kernel, side_ends
 from ladar_volume.tin.full_tin import footprint_areas
 from ladar_volume.volume.field_checks.base_readings import base_reading_doubts
 from ladar_volume.volume.field_checks.completeness import completeness_doubts
-from ladar_volume.volume.field_checks.gaps import bridged, find_gaps, gap_doubts
+from ladar_volume.volume.field_checks.gaps import bridged_volume, find_gaps, gap_doubts
 
 #: Share of the points that are strays, of the area that is holes, of the outline that lies on the
 #: edge of the survey, above which there is doubt.
@@ -108,7 +108,7 @@ def shrunk_doubts(
     (n,) m of the vertices above the base.
     """
     made = surface.made
-    if made.sampled is None or not selected(surface):
+    if made.sampled is None or not has_selected_vertices(surface):
         return []
     tin = made.tin
     area = float(footprint_areas(tin.vertices, tin.triangles[tin.relevant]).sum())
@@ -247,7 +247,7 @@ def with_gaps(
     gaps = find_gaps(tin, inside)
     if not len(gaps.areas):
         return volume, told, []
-    found = bridged(tin, base, inside, surface.vertex_variance, gaps)
+    found = bridged_volume(tin, base, inside, surface.vertex_variance, gaps)
     known = [k for k, gap in enumerate(found.gaps) if math.isfinite(gap.sigma_m3)]
     told = np.isin(gaps.triangle, [*known, *range(len(found.gaps), len(gaps.areas))])
     doubts = gap_doubts(found, gaps.area_m2, volume.area_m2, volume.net_m3, volume.sigma_m3)
@@ -294,7 +294,7 @@ def with_readings(volume: CloudVolume, readings: GroundReadings | None) -> Cloud
     return with_lines(volume, {"base_model": chosen}) if chosen > 0.0 else volume
 
 
-def judged(
+def volume_with_verdict(
     volume: CloudVolume,
     surface: CloudSurface,
     inside: F64,

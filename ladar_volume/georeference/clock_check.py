@@ -44,7 +44,7 @@ class Lead:
             self._steps.append(t_ns - self._newest)
         self._newest = t_ns
 
-    def other(self, t_ns: int) -> None:
+    def add_reference_clock(self, t_ns: int) -> None:
         """A sample of the other clock (ns), as it arrives."""
         if self._newest is not None:
             half = median(self._steps) // 2 if self._steps else 0

@@ -40,7 +40,7 @@ class _Topic:
             self.ahead = t_ns
 
     @property
-    def back_ns(self) -> int | None:
+    def confirmed_step_ns(self) -> int | None:
         """How far a confirmed step went back."""
         return (
             self.newest - self.held[0][0]
@@ -89,12 +89,14 @@ class Restart:
         if topic.held and not (0 < t_ns - topic.held[-1][0] and t_ns - topic.held[0][0] <= HOLD_NS):
             strays, topic.held = topic.held, []
         topic.held.append((t_ns, self._arrived, sample))
-        if not strays and self._agreed():
+        if not strays and self._topics_agree():
             return True, self._begin(), []
         return False, [(kind, s) for _, _, s in strays], []
 
-    def _agreed(self) -> bool:
-        steps = sorted(t.back_ns for t in self._topics.values() if t.back_ns is not None)
+    def _topics_agree(self) -> bool:
+        steps = sorted(
+            t.confirmed_step_ns for t in self._topics.values() if t.confirmed_step_ns is not None
+        )
         return any(b - a <= BACK_NS for a, b in itertools.pairwise(steps))
 
     def _begin(self) -> list[tuple[str, Any]]:

@@ -161,7 +161,7 @@ def navigation_covariance(budget: BudgetParameters, q_map_body: F64) -> F64:
     return out
 
 
-def _published(
+def _published_budget(
     position: tuple[float, ...],
     attitude: tuple[float, ...],
     boresight: tuple[float, ...],
@@ -204,21 +204,21 @@ _QUADRATURE = 0.05 / math.sqrt(4.25)
 #: Toth 2007). ``survey``: the instrument of seed 004 section 5.1 as printed; ``survey_corrected``:
 #: the same with the position sigma in quadrature. ``thesis``: seed 002 chapter 8.
 PRESETS: dict[str, BudgetParameters] = {
-    "table1_low": _published(
+    "table1_low": _published_budget(
         (0.05, 0.05, 0.075),
         (10 * ARCSECOND, 10 * ARCSECOND, 20 * ARCSECOND),
         _TABLE_BORESIGHT,
         0.01,
         math.radians(0.0007),
     ),
-    "table1_high": _published(
+    "table1_high": _published_budget(
         (0.15, 0.15, 0.225),
         (30 * ARCSECOND, 30 * ARCSECOND, 60 * ARCSECOND),
         _TABLE_BORESIGHT,
         0.01,
         math.radians(0.0007),
     ),
-    "survey": _published(
+    "survey": _published_budget(
         (0.01429, 0.01429, 0.02143),
         _degrees(0.004, 0.004, 0.01),
         _OWN_BORESIGHT,
@@ -226,7 +226,7 @@ PRESETS: dict[str, BudgetParameters] = {
         math.radians(0.001),
         _OWN_LEVER,
     ),
-    "survey_corrected": _published(
+    "survey_corrected": _published_budget(
         (_QUADRATURE, _QUADRATURE, 1.5 * _QUADRATURE),
         _degrees(0.004, 0.004, 0.01),
         _OWN_BORESIGHT,
@@ -234,5 +234,7 @@ PRESETS: dict[str, BudgetParameters] = {
         math.radians(0.001),
         _OWN_LEVER,
     ),
-    "thesis": _published((0.01, 0.01, 0.01), _degrees(0.25, 0.25, 0.8), (0.0, 0.0, 0.0), 0.03, 0.0),
+    "thesis": _published_budget(
+        (0.01, 0.01, 0.01), _degrees(0.25, 0.25, 0.8), (0.0, 0.0, 0.0), 0.03, 0.0
+    ),
 }

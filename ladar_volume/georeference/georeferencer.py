@@ -72,14 +72,16 @@ Sample: TypeAlias = (
 
 
 @dataclass(frozen=True)
-class _Waiting:
+class _WaitingReturns:
     returns: Returns  # times already in navigation time
     first_ns: int
     last_ns: int
     arrived_ns: int  # on the waiting clock
     poses_ns: int  # on the clock of the poses, when it arrived
 
-    def split_at(self, until_ns: int, least: float) -> tuple[_Waiting | None, _Waiting | None]:
+    def split_at(
+        self, until_ns: int, least: float
+    ) -> tuple[_WaitingReturns | None, _WaitingReturns | None]:
         """The returns up to a time, and those later. Where the former are less than a share
         ``least`` of all, they wait with the others.
         """
@@ -128,7 +130,7 @@ class Georeferencer:
         self._imus: TimeOrder[tuple[ImuSample, F64, F64]] = TimeOrder("imu", jump)
         self._odometry: TimeOrder[tuple[OdometrySample, F64, F64]] = TimeOrder("odometry", jump)
         self._frame = LocalFrame(self._datum) if self._datum is not None else None
-        self._waiting: list[_Waiting] = []
+        self._waiting: list[_WaitingReturns] = []
         self._waiting_clock_ns = 0
         self._newest_cloud_ns: int | None = None
         self._pose_clock_ns = 0
@@ -168,7 +170,7 @@ class Georeferencer:
         return self._arrive("fix", fix.t_ns, (fix, C))
 
     def _take_fix(self, sample: tuple[Fix, F64]) -> None:
-        self.fix_lead.other(sample[0].t_ns)
+        self.fix_lead.add_reference_clock(sample[0].t_ns)
         for good, C_enu in self._in_order(self._fixes, sample[0].t_ns, sample):
             self._add_position(good, C_enu)
 
@@ -222,7 +224,7 @@ class Georeferencer:
     def _refer(self, t_ns: int) -> None:
         self.cloud_lead.reference(t_ns)
         self.fix_lead.reference(t_ns)
-        self._pose_clock_ns += _advanced(self._newest_pose_ns, t_ns)
+        self._pose_clock_ns += _credible_advance(self._newest_pose_ns, t_ns)
         self._newest_pose_ns = t_ns
 
     def _arrive(self, kind: str, t_ns: int, sample: Sample) -> None:
@@ -271,11 +273,11 @@ class Georeferencer:
 
     def _take_cloud(self, kept: Returns) -> None:
         first, last = int(kept.t_ns.min()), int(kept.t_ns.max())
-        self.cloud_lead.other(last)
+        self.cloud_lead.add_reference_clock(last)
         self.sweeps.add(first, last)
         self._tick(last)
         self._waiting.append(
-            _Waiting(kept, first, last, self._waiting_clock_ns, self._pose_clock_ns)
+            _WaitingReturns(kept, first, last, self._waiting_clock_ns, self._pose_clock_ns)
         )
         while len(self._waiting) > 1 and (
             self.pending > MOST_WAITING or len(self._waiting) > MOST_CLOUDS
@@ -307,10 +309,10 @@ class Georeferencer:
         return Returns(kept.t_ns + self.mount.clock_ns, kept.r_laser, kept.ring, kept.intensity)
 
     def _tick(self, cloud_ns: int) -> None:
-        self._waiting_clock_ns += _advanced(self._newest_cloud_ns, cloud_ns)
+        self._waiting_clock_ns += _credible_advance(self._newest_cloud_ns, cloud_ns)
         self._newest_cloud_ns = cloud_ns
 
-    def _expired(self, cloud: _Waiting) -> bool:
+    def _has_expired(self, cloud: _WaitingReturns) -> bool:
         """Whether clouds, or poses, have gone on for too long since this one came."""
         pending_ns = self._p.max_pending_s * 1e9
         return (
@@ -328,12 +330,14 @@ class Georeferencer:
         known_ns = max(
             t for t in (decided, None if begin is None else begin - 1, -1) if t is not None
         )
-        if all(w.first_ns > known_ns and not self._expired(w) for w in self._waiting):
+        if all(w.first_ns > known_ns and not self._has_expired(w) for w in self._waiting):
             return
         self._decide()
         waiting, self._waiting = self._waiting, []
         for cloud in waiting:
-            part, rest = (cloud, None) if self._expired(cloud) else cloud.split_at(known_ns, least)
+            part, rest = (
+                (cloud, None) if self._has_expired(cloud) else cloud.split_at(known_ns, least)
+            )
             if part is not None:
                 self._map(part, decided)
             if rest is not None:
@@ -344,7 +348,7 @@ class Georeferencer:
         if states is not None:
             self._states.append(states)
 
-    def _map(self, cloud: _Waiting, decided_ns: int | None) -> None:
+    def _map(self, cloud: _WaitingReturns, decided_ns: int | None) -> None:
         returns = cloud.returns
         path = self._trajectory.window(cloud.first_ns, cloud.last_ns)
         mapped = map_returns(
@@ -407,7 +411,7 @@ class Georeferencer:
         self._waiting.clear()
 
 
-def _advanced(before_ns: int | None, now_ns: int) -> int:
+def _credible_advance(before_ns: int | None, now_ns: int) -> int:
     """How far a clock has gone on, ns: never back, and by no more than a step that is credible."""
     return 0 if before_ns is None else min(max(now_ns - before_ns, 0), _LARGEST_STEP_NS)
 

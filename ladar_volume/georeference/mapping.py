@@ -28,7 +28,7 @@ Rows: TypeAlias = tuple[Vector, Vector, Vector]
 _ZERO = (0.0, 0.0, 0.0)
 
 
-class Mapped(NamedTuple):
+class MappingResult(NamedTuple):
     """r_map : (n, 3) m · C_ind : (n, 6) float32 m² · status : (n,) uint8, rows other than MAPPED
     hold NaN or are to be dropped.
     """
@@ -151,7 +151,7 @@ def _map_part(
     path: PathWindow,
     device: Device,
     boxes: Boxes,
-    out: Mapped,
+    out: MappingResult,
 ) -> None:
     """Returns part[0] to before part[1]: along the knots, with a hint instead of a search."""
     st, sq, sg, pt = path.state_t, path.state_q, path.state_segment, path.position_t
@@ -186,7 +186,7 @@ def _map_part(
 
 @parallel_kernel
 def _map(
-    t_ns: I64, r_laser: F64, path: PathWindow, device: Device, boxes: Boxes, out: Mapped
+    t_ns: I64, r_laser: F64, path: PathWindow, device: Device, boxes: Boxes, out: MappingResult
 ) -> None:
     n = len(t_ns)
     for chunk in numba.prange((n + _CHUNK - 1) // _CHUNK):
@@ -212,7 +212,7 @@ def map_returns(
     sigmas: F64,
     vehicle: F64,
     region: F64,
-) -> Mapped:
+) -> MappingResult:
     """Georeference returns.
 
     t_ns : (n,) ns, navigation time · r_laser : (n, 3) m · path : the knots around · sigmas : (3,)
@@ -220,7 +220,7 @@ def map_returns(
     frame: lower corner, upper corner
     """
     n = len(t_ns)
-    out = Mapped(np.zeros((n, 3)), np.zeros((n, 6), np.float32), np.zeros(n, np.uint8))
+    out = MappingResult(np.zeros((n, 3)), np.zeros((n, 6), np.float32), np.zeros(n, np.uint8))
     arm = mount.lever_laser - mount.lever_antenna
     device = Device(
         np.ascontiguousarray(mount.R_body_laser), arm, mount.lever_laser, np.asarray(sigmas)
@@ -237,10 +237,10 @@ def map_returns_numpy(
     sigmas: F64,
     vehicle: F64,
     region: F64,
-) -> Mapped:
+) -> MappingResult:
     """The plain twin of :func:`map_returns`."""
     n = len(t_ns)
-    out = Mapped(
+    out = MappingResult(
         np.full((n, 3), np.nan), np.full((n, 6), np.nan, np.float32), np.full(n, NO_POSE, np.uint8)
     )
     covered, k, f = bracket(t_ns, path.state_t, path.state_segment)

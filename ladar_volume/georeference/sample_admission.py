@@ -179,7 +179,7 @@ class TimeOrder(Generic[S]):
         if self._clock_is_back(t_ns) and self._last is not None and t_ns > self._last:
             return [], [f"{self._topic}_clock_back"]
         if self._last is None or 0 < t_ns - self._last <= self._jump_ns:
-            return self._accept(t_ns, [sample], self._drop_held())
+            return self._accept(t_ns, [sample], self._drop_waiting())
         if t_ns <= self._last:
             return [], [
                 f"{self._topic}_duplicate"
@@ -195,7 +195,7 @@ class TimeOrder(Generic[S]):
             return self._accept(t_ns, [held, sample], [])
         if t_ns == held_ns:
             return [], [f"{self._topic}_duplicate"]
-        refused = self._drop_held()
+        refused = self._drop_waiting()
         self._held = (t_ns, sample)
         return [], refused
 
@@ -214,13 +214,13 @@ class TimeOrder(Generic[S]):
 
     def finish(self) -> list[str]:
         """End of data: a held sample was never confirmed."""
-        return self._drop_held()
+        return self._drop_waiting()
 
     def _accept(self, t_ns: int, samples: list[S], refused: list[str]) -> tuple[list[S], list[str]]:
         self._last = t_ns
         return samples, refused
 
-    def _drop_held(self) -> list[str]:
+    def _drop_waiting(self) -> list[str]:
         dropped = [] if self._held is None else [f"{self._topic}_time_jump"]
         self._held = None
         return dropped

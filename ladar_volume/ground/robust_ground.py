@@ -81,7 +81,7 @@ def refine(
     inside: Bool = np.abs(z - base_height(start, points[:, :2])) <= (threshold or reach_m)
     # a floor of rounding size keeps exact planes from losing points to the last bit
     floor = 1e-9 * (1.0 + float(np.abs(z).max(initial=0.0)))
-    beta, N, inside = _settled_inliers(X, z, inside, parameters, floor)
+    beta, N, inside = _iterate_inliers(X, z, inside, parameters, floor)
     rows, residual = X.compress(inside, axis=0), (z - X @ beta)[inside]
     C_beta = N @ ((rows.T * variance[inside]) @ rows) @ N
     support = np.flatnonzero(inside).astype(np.int64)
@@ -90,7 +90,7 @@ def refine(
     return plane
 
 
-def _settled_inliers(
+def _iterate_inliers(
     X: F64, z: F64, inside: Bool, parameters: GroundParameters, floor: float
 ) -> tuple[F64, F64, Bool]:
     """Coefficients (p,), inverse normal matrix (p, p) and inliers (n,) of the fit of heights z (n,)

@@ -21,7 +21,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 import ladar_volume.io.bounded_unpacking  # noqa: F401  (bounds what rosbags unpacks)
 from ladar_volume.io.drivers import velodyne_scan
 from ladar_volume.io.frames import moving_frames, static_frames
-from ladar_volume.model.errors import BagError, OutputError, shown
+from ladar_volume.model.errors import BagError, OutputError, short_repr
 from ladar_volume.model.parameters import Parameters
 
 #: What the pipeline listens to: role → (message type, usual topic).
@@ -167,7 +167,7 @@ class BagReader(Recording):
             self._reader.open()
         except (AnyReaderError, Ros1Error, Ros2Error) as error:
             raise BagError(
-                f"{self.path}: not a readable recording: {shown(str(error))}",
+                f"{self.path}: not a readable recording: {short_repr(str(error))}",
                 reason="bag_format",
                 value=str(path),
             ) from error
@@ -175,7 +175,7 @@ class BagReader(Recording):
             raise BagError(f"{self.path}: {error}", reason=error.reason) from error
         except Exception as error:  # a damaged file fails anywhere inside the parsers
             raise BagError(
-                f"{self.path}: damaged or not a recording: {shown(error)}",
+                f"{self.path}: damaged or not a recording: {short_repr(error)}",
                 reason="bag_format",
                 value=str(path),
             ) from error
@@ -253,7 +253,7 @@ class BagReader(Recording):
             Exception
         ) as error:  # as above: any parser error means the file is damaged from here on
             raise BagError(
-                f"{self.path}: the recording breaks off: {shown(error)}",
+                f"{self.path}: the recording breaks off: {short_repr(error)}",
                 reason="bag_truncated",
                 value=str(self.path),
             ) from error
@@ -270,7 +270,7 @@ class BagReader(Recording):
             return self._reader.deserialize(raw.data, raw.kind)
         except Exception as error:  # a damaged message can fail anywhere in the deserialiser
             raise BagError(
-                f"{raw.topic}: undecodable {raw.kind}: {shown(error)}",
+                f"{raw.topic}: undecodable {raw.kind}: {short_repr(error)}",
                 reason="bag_message",
                 value=raw.topic,
             ) from error

@@ -16,7 +16,7 @@ import yaml
 
 from ladar_volume.io import strict_yaml
 from ladar_volume.model.cloud_filter_parameters import FILTERS
-from ladar_volume.model.errors import ConfigurationError, shown
+from ladar_volume.model.errors import ConfigurationError, short_repr
 from ladar_volume.model.parameter import ParameterSpec, specs, write_section
 from ladar_volume.model.parameters import SECTIONS, Parameters
 
@@ -70,12 +70,13 @@ def _merge(sections: dict[str, Any], node: Mapping[str, Any]) -> None:
             continue
         if values is not None and not isinstance(values, dict):
             raise ConfigurationError(
-                f"section {shown(section)} must hold keys, not {shown(values)}", value=values
+                f"section {short_repr(section)} must hold keys, not {short_repr(values)}",
+                value=values,
             )
         there = sections.setdefault(section, {})
         for key, value in (values or {}).items():
             if key in there and repr(there[key]) != repr(value):
-                both = f"{shown(there[key])} for one node, {shown(value)} for another"
+                both = f"{short_repr(there[key])} for one node, {short_repr(value)} for another"
                 raise ConfigurationError(f"{section}.{key}: {both}", value=value)
             there[key] = value
 
@@ -85,11 +86,11 @@ def override(text: str) -> dict[str, dict[str, Any]]:
     name, equals, value = text.partition("=")
     section, dot, key = name.strip().partition(".")
     if not equals or not dot:
-        raise ConfigurationError(f"{shown(text)} is not section.key=value", value=text)
+        raise ConfigurationError(f"{short_repr(text)} is not section.key=value", value=text)
     try:
         return {section: {key: strict_yaml.parse_yaml(value)}}
     except ConfigurationError as error:
-        raise ConfigurationError(f"{shown(text)}: {error}", value=text) from error
+        raise ConfigurationError(f"{short_repr(text)}: {error}", value=text) from error
 
 
 def dump_config(parameters: Parameters) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ladar_volume.model.errors import CalibrationError, shown
+from ladar_volume.model.errors import CalibrationError, short_repr
 from ladar_volume.model.records import F64
 
 
@@ -96,7 +96,7 @@ def _numbers(path: Path, name: str, words: list[str]) -> F64:
             out[number] = np.nan
         if not np.isfinite(out[number]):
             raise CalibrationError(
-                f"{path}: row {number + 1}, {name}: {shown(word)} is not a finite number",
+                f"{path}: row {number + 1}, {name}: {short_repr(word)} is not a finite number",
                 reason="calibration_values",
                 value=word,
             )

@@ -174,7 +174,7 @@ def change_dict(found: EpochDifference) -> dict[str, Any]:
 def more_data_dict(found: MoreData) -> dict[str, Any]:
     """Where another pass would help most, as plain values."""
     return {
-        "places": found.best(),
+        "places": found.best_cells(),
         "sigma_m3": found.sigma_m3,
         "sigma_gaps_m3": found.sigma_gaps_m3,
         "cell_m": found.cell_m,

@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from ladar_volume.model.errors import ConfigurationError, shown
+from ladar_volume.model.errors import ConfigurationError, short_repr
 
 #: Largest file, characters: the longest of parameters has 30,000.
 SIZE = 1_000_000
@@ -48,9 +48,13 @@ class _Loader(yaml.SafeLoader):
             line = key_node.start_mark.line + 1
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, str):
-                raise ConfigurationError(f"line {line}: key {shown(key)} is no name", value=key)
+                raise ConfigurationError(
+                    f"line {line}: key {short_repr(key)} is no name", value=key
+                )
             if key in seen:
-                raise ConfigurationError(f"line {line}: key {shown(key)} is given twice", value=key)
+                raise ConfigurationError(
+                    f"line {line}: key {short_repr(key)} is given twice", value=key
+                )
             seen.add(key)
         return super().construct_mapping(node, deep)
 

@@ -25,7 +25,7 @@ from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.io.bags import TYPESTORE, BagReader
 from ladar_volume.io.mcap_log import McapLog
 from ladar_volume.io.tables import NUMBERS, decode, encode
-from ladar_volume.model.errors import InputError, shown
+from ladar_volume.model.errors import InputError, short_repr
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, I64, Datum, Estimate, FilterUpdate, select
 from ladar_volume.registration.transform import Transform
@@ -191,7 +191,7 @@ def read_estimator(
         given, datum, sums = _settings(result, navigation[0])
     except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as error:
         raise InputError(
-            f"{file}: not a result of this program: {shown(error)}",
+            f"{file}: not a result of this program: {short_repr(error)}",
             reason="survey_file",
             value=str(path),
         ) from error
@@ -216,7 +216,7 @@ def read_result(file: Path) -> dict[str, Any]:
         result: dict[str, Any] = json.loads(found[-1])
     except Exception as error:  # a damaged file fails anywhere inside the parsers
         raise InputError(
-            f"{file}: not a result of this program: {shown(error)}",
+            f"{file}: not a result of this program: {short_repr(error)}",
             reason="survey_file",
             value=str(file),
         ) from error

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ladar_volume.model.errors import InputError, shown
+from ladar_volume.model.errors import InputError, short_repr
 from ladar_volume.model.records import F64
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.registration.transform import Transform
@@ -73,7 +73,7 @@ def read_transform(path: str | Path) -> Transform:
         ) from error
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise InputError(
-            f"{path}: not what 'register --json' prints: {shown(error)}",
+            f"{path}: not what 'register --json' prints: {short_repr(error)}",
             reason="transform_file",
             value=str(path),
         ) from error
@@ -98,7 +98,7 @@ def read_transform_verdict(path: str | Path) -> Verdict:
             doubts = [Doubt("inconsistent", words)]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(
-            f"{path}: not what 'register --json' prints: {shown(error)}",
+            f"{path}: not what 'register --json' prints: {short_repr(error)}",
             reason="transform_file",
             value=str(path),
         ) from error

@@ -23,8 +23,8 @@ from ladar_volume.mesh.linear_mesh import (
     extend_mesh,
     vertex_normals,
 )
-from ladar_volume.mesh.rims import Rim, place_in_words
-from ladar_volume.mesh.unseen_foot import lean_on, told_within, unseen_bend
+from ladar_volume.mesh.rims import Rim, place_text
+from ladar_volume.mesh.unseen_foot import extrapolation_reach, lean_on, unseen_bend
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I64, Bool, Plane
 
@@ -131,7 +131,7 @@ def stand_on(
     straight = np.broadcast_to(DOWN, tangent.shape)
     p = skin.vertices[all_of]
     along = np.where(known[:, None], tangent, straight)
-    along, by_lean = _leaning(skin, rims, ground, along)
+    along, by_lean = _wall_directions(skin, rims, ground, along)
     q, by_point, by_ground = ground_feet(p, along, ground)
     other, _, _ = ground_feet(p, np.where(known[:, None], straight, tangent), ground)
     size = max(r.size_m for r in rims)
@@ -155,7 +155,7 @@ def stand_on(
     return skin, made
 
 
-def _leaning(
+def _wall_directions(
     skin: LinearMesh, rims: list[Rim], ground: Plane, along: F64
 ) -> tuple[F64, csr_matrix]:
     """Directions (k, 3) from the vertices of all rims to the ground, of plane walls by the part
@@ -164,7 +164,7 @@ def _leaning(
     all_of = np.concatenate([r.vertices for r in rims])
     p = skin.vertices[all_of]
     drawn = np.linalg.norm(ground_feet(p, along, ground)[0] - p, axis=1)
-    reach = np.concatenate([told_within(skin, all_of[i], drawn[i]) for i in loops_of(rims)])
+    reach = np.concatenate([extrapolation_reach(skin, all_of[i], drawn[i]) for i in loops_of(rims)])
     return lean_on(skin, all_of, along, (along != DOWN).any(axis=1), reach, drawn)
 
 
@@ -249,7 +249,7 @@ def group_loops(plane: F64, loops: list[I64], rims: list[Rim]) -> list[tuple[int
         around = [o for o in outers if inside_loop(plane[loops[o]], plane[loops[k][0]])]
         if not around:
             raise SurfaceError(
-                f"the rim at {place_in_words(rims[k].middle)} encloses a hollow, not a body: "
+                f"the rim at {place_text(rims[k].middle)} encloses a hollow, not a body: "
                 "compare a pit with another epoch (diff), or measure "
                 "it below a base (volume)",
                 reason="closing_inside_out",

@@ -31,7 +31,7 @@ from ladar_volume.mesh.linear_mesh import (
     extend_mesh,
     vertex_normals,
 )
-from ladar_volume.mesh.rims import LEAVES, Rim, mean_descent, place_in_words, rims_of, split_fans
+from ladar_volume.mesh.rims import LEAVES, Rim, mean_descent, place_text, rims_of, split_fans
 from ladar_volume.mesh.topology import edge_table
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I64, Bool, Plane
@@ -104,7 +104,7 @@ def check_height(skin: LinearMesh, rim: Rim, ground: Plane, close_m: float) -> N
     if abs(h[worst]) > close_m:
         side, at = (
             ("above" if h[worst] > 0 else "below"),
-            place_in_words(skin.vertices[rim.vertices[worst]]),
+            place_text(skin.vertices[rim.vertices[worst]]),
         )
         raise SurfaceError(
             f"the surface ends at {at}, {abs(h[worst]):.3g} m {side} the ground, more "
@@ -168,7 +168,7 @@ def fill_gap(skin: LinearMesh, rim: Rim, close_m: float, hint: str) -> tuple[Lin
 def too_wide(what: str, rim: Rim, width_m: float, close_m: float, hint: str) -> SurfaceError:
     """The refusal of a gap."""
     return SurfaceError(
-        f"{what} at {place_in_words(rim.middle)}, more than {close_m:.3g} m: "
+        f"{what} at {place_text(rim.middle)}, more than {close_m:.3g} m: "
         f"close more (--close), scan that side{hint}",
         reason="closing_gap",
         value=width_m,

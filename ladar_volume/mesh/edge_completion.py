@@ -29,7 +29,7 @@ DETERMINED = 0.05
 
 
 @dataclass(frozen=True)
-class Meeting:
+class PlaneIntersection:
     """at : (k, 3) m, where planes meet · by_corner : (k, c, 3, 3), derivative by the points of the
     planes · good : (k,) whether there
     """
@@ -39,7 +39,7 @@ class Meeting:
     good: Bool
 
 
-def plane_intersection(points: F64, normals: F64) -> Meeting:
+def plane_intersection(points: F64, normals: F64) -> PlaneIntersection:
     """The point nearest to the middle of points (k, c, 3) that is on all planes through them with
     normals (k, c, 3); c is 2 or 3.
     """
@@ -57,7 +57,7 @@ def plane_intersection(points: F64, normals: F64) -> Meeting:
     along = (np.eye(3) - np.einsum("kib,kbj->kij", NG, normals)) / c
     by_corner = along[:, None] + np.einsum("kib,kbj->kbij", NG, normals)
     at[~good], by_corner[~good] = middle[~good], np.eye(3) / c
-    return Meeting(at, by_corner, good)
+    return PlaneIntersection(at, by_corner, good)
 
 
 def crossing_edges(skin: LinearMesh, angle_rad: float) -> tuple[I64, F64, F64]:

@@ -48,7 +48,7 @@ class LinearMesh:
     by_ground: F64
 
     @property
-    def measured(self) -> int:
+    def measured_count(self) -> int:
         """Number of measured points, k."""
         return int(self.by_measured.shape[1]) // 3
 

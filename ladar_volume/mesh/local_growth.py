@@ -116,7 +116,7 @@ def grow(
 
 
 @kernel
-def spread_out(fan: I32, size: I32, out: I32) -> int:
+def list_triangles(fan: I32, size: I32, out: I32) -> int:
     """Write every triangle once, lowest corner first, with its kind in the fourth column; how many
     there are.
     """

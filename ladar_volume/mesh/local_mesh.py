@@ -23,7 +23,7 @@ from ladar_volume.mesh.local_frames import (
     plane_normals,
     spatial_order,
 )
-from ladar_volume.mesh.local_growth import FAN, drop_fans, grow, spread_out
+from ladar_volume.mesh.local_growth import FAN, drop_fans, grow, list_triangles
 from ladar_volume.mesh.local_holes import fill_holes, open_handles, rims
 from ladar_volume.mesh.local_published import published_triangles, repair_triangles
 from ladar_volume.mesh.local_star import DEGREE, count_star_triangles, stars
@@ -182,7 +182,7 @@ def finish_mesh(
     slack, hole = float(report["slack_m"]), float(report["hole_m"])
     grow(p, n, triangles, votes, slack, fan, size)
     holes, dropped = _fill_and_drop(p, n, fan, size, slack, hole)
-    out = _spread(fan, size, float(report["radius_m"]))
+    out = _collect_triangles(fan, size, float(report["radius_m"]))
     rim, start, _ = rims(p, n, fan, size, slack)
     status = np.full(len(given), DUPLICATE, np.int32)
     status[first] = np.where(size > 0, INSIDE, UNUSED)
@@ -219,10 +219,10 @@ def _fill_and_drop(
     return holes, dropped
 
 
-def _spread(fan: I32, size: I32, radius_m: float) -> I32:
+def _collect_triangles(fan: I32, size: I32, radius_m: float) -> I32:
     """The triangles (m, 3) of the fans, and how many agreed on each (m,). Refuses none."""
     out = np.empty((int(size.sum()) // 3, 4), np.int32)
-    if spread_out(fan, size, out) == 0:
+    if list_triangles(fan, size, out) == 0:
         raise SurfaceError(
             f"no triangle: the points lie on lines, or all farther apart than {radius_m:.3g} m",
             reason="mesh_empty",

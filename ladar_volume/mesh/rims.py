@@ -30,7 +30,7 @@ class Rim:
     middle: F64
 
 
-def place_in_words(p: F64) -> str:
+def place_text(p: F64) -> str:
     """A place in words."""
     return f"({p[0]:.6g}, {p[1]:.6g}, {p[2]:.6g})"
 

@@ -24,7 +24,7 @@ from ladar_volume.mesh.crossed_space import (
     winding_kernel,
 )
 from ladar_volume.mesh.topology import (
-    Oriented,
+    OrientedMesh,
     check_closed,
     check_mesh,
     edge_table,
@@ -56,7 +56,7 @@ class ClosedVolume:
     area_m2: float
     pole_map: F64
     pole_spread_m3: float
-    mesh: Oriented
+    mesh: OrientedMesh
     flipped: Bool
     crossing: Crossing | None = None
 
@@ -107,7 +107,7 @@ def surface_area(vertices: F64, triangles: I32) -> float:
     return 0.5 * float(np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1).sum())
 
 
-def part_signs(vertices: F64, mesh: Oriented, volumes: F64) -> F64:
+def part_signs(vertices: F64, mesh: OrientedMesh, volumes: F64) -> F64:
     """Sign (k,) that each part's volume has to have: −1 for a cavity, which lies within an odd
     number of others, else +1.
     """
@@ -154,7 +154,9 @@ def closed_volume(
     turn = (np.where(raw < 0, -1.0, 1.0) != part_signs(v, mesh, raw))[mesh.part]
     out = mesh.triangles.copy()
     out[turn] = mesh.triangles[turn][:, [0, 2, 1]]
-    mesh = Oriented(out, mesh.flipped ^ turn, mesh.part, mesh.boundary, mesh.edges, mesh.vertices)
+    mesh = OrientedMesh(
+        out, mesh.flipped ^ turn, mesh.part, mesh.boundary, mesh.edges, mesh.vertices
+    )
     volumes = part_sums(mesh, signed_tetrahedra(v, out, pole))
     total = float(volumes.sum())
     crossing = None if allow_crossings else crossing_of(v, out)
@@ -167,7 +169,7 @@ def closed_volume(
     )
 
 
-def check_thick(vertices: F64, mesh: Oriented, volumes: F64) -> None:
+def check_thick(vertices: F64, mesh: OrientedMesh, volumes: F64) -> None:
     """Raises :class:`SurfaceError` (mesh_flat; value: m) where no part, volumes (k,) m³, is thicker
     on the mean than coordinates round.
     """
@@ -187,7 +189,7 @@ def check_thick(vertices: F64, mesh: Oriented, volumes: F64) -> None:
         )
 
 
-def part_sums(mesh: Oriented, values: F64) -> F64:
+def part_sums(mesh: OrientedMesh, values: F64) -> F64:
     """Sums (k,) of one value per triangle, (m,), by part."""
     return np.bincount(mesh.part, values).astype(np.float64)
 

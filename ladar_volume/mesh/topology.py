@@ -19,7 +19,7 @@ from ladar_volume.model.records import F64, I32, I64, Bool
 
 
 @dataclass(frozen=True)
-class Oriented:
+class OrientedMesh:
     """A mesh with consistent orientation within each part.
 
     triangles : (m, 3) int32 · flipped : (m,) bool, triangles that were turned · part : (m,) int32,
@@ -148,7 +148,7 @@ def spread_kernel(neighbour: I32, agrees: Bool, part: I32, turned: Bool) -> int:
     return -1
 
 
-def orient(vertices: F64, triangles: npt.ArrayLike) -> Oriented:
+def orient(vertices: F64, triangles: npt.ArrayLike) -> OrientedMesh:
     """Parts and consistent orientation of a mesh, open or closed; in each part the fewer triangles
     are turned.
 
@@ -184,7 +184,7 @@ def orient(vertices: F64, triangles: npt.ArrayLike) -> Oriented:
     edge = np.stack([t.ravel()[alone], t[:, [1, 2, 0]].ravel()[alone]], axis=1)
     back = turned[alone // 3]
     edge[back] = edge[back][:, ::-1]
-    return Oriented(out, turned, part, edge.astype(np.int32), len(uses), len(vertices_of(t)))
+    return OrientedMesh(out, turned, part, edge.astype(np.int32), len(uses), len(vertices_of(t)))
 
 
 def _check_manifold(bad: I64) -> None:
@@ -198,7 +198,7 @@ def _check_manifold(bad: I64) -> None:
         )
 
 
-def check_closed(mesh: Oriented) -> None:
+def check_closed(mesh: OrientedMesh) -> None:
     """Raises :class:`SurfaceError` (mesh_open; value: the open edges) where the mesh has a
     boundary.
     """

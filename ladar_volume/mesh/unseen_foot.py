@@ -169,7 +169,7 @@ def sides_of(p: F64) -> tuple[F64, float]:
     return 0.5 * (side + np.roll(side, -1)), float(np.median(side))
 
 
-def told_within(skin: LinearMesh, rim: I64, drawn_m: F64) -> F64:
+def extrapolation_reach(skin: LinearMesh, rim: I64, drawn_m: F64) -> F64:
     """How far (k,) m about the vertices of one rim (k,) the surface tells how it goes on over
     ``drawn_m`` (k,).
     """
@@ -183,7 +183,7 @@ def unseen_bend(skin: LinearMesh, rim: I64, along: F64, drawn_m: F64) -> float:
     positive where the tangents enclose more.
     """
     length, step = sides_of(skin.vertices[rim])
-    bend = curvature_down(skin, rim, along, told_within(skin, rim, drawn_m))
+    bend = curvature_down(skin, rim, along, extrapolation_reach(skin, rim, drawn_m))
     area = STRONGER * between_tangent_and_circle(bend, drawn_m)
     area += 0.5 * np.clip(bend * step, -1.0, 1.0) * drawn_m**2
     return float((length * area).sum())

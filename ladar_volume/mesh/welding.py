@@ -45,7 +45,7 @@ def weld(vertices: F64, triangles: I32, tolerance_m: float = 0.0) -> tuple[F64, 
 
 
 @dataclass(frozen=True)
-class Welded:
+class WeldedMesh:
     """triangles : (m, 3) with one name for each vertex that was joined · dropped : triangles that
     collapsed · joined : vertices that another one stands for · farthest_m : between two of them
     """
@@ -68,7 +68,7 @@ def open_edges(triangles: I32) -> I64:
     return out
 
 
-def join_within(vertices: F64, triangles: I32, tolerance_m: float) -> Welded:
+def join_within(vertices: F64, triangles: I32, tolerance_m: float) -> WeldedMesh:
     """The vertices along open edges that lie within the tolerance of one another, by steps, become
     one; all others stay as they are. The first stands for each group.
     """
@@ -92,7 +92,7 @@ def join_within(vertices: F64, triangles: I32, tolerance_m: float) -> Welded:
     t = name[triangles]
     good = (t[:, 0] != t[:, 1]) & (t[:, 1] != t[:, 2]) & (t[:, 2] != t[:, 0])
     apart = np.linalg.norm(vertices[ends] - vertices[name[ends]], axis=1)
-    return Welded(
+    return WeldedMesh(
         t[good].astype(np.int32),
         int(np.count_nonzero(~good)),
         int(np.count_nonzero(name[ends] != ends)),
@@ -100,7 +100,7 @@ def join_within(vertices: F64, triangles: I32, tolerance_m: float) -> Welded:
     )
 
 
-def weld_open(vertices: F64, triangles: I32) -> Welded:
+def weld_open(vertices: F64, triangles: I32) -> WeldedMesh:
     """A mesh whose triangles were written with vertices of their own, or with coordinates that
     differ in the last digits, joined along its open edges.
 
@@ -109,11 +109,11 @@ def weld_open(vertices: F64, triangles: I32) -> Welded:
     several do. Rounding of coordinates far from their origin widens them: 4 steps of a double.
     """
     if len(triangles) == 0 or len(open_edges(triangles)) == 0:
-        return Welded(triangles, 0, 0, 0.0)
+        return WeldedMesh(triangles, 0, 0, 0.0)
     used = vertices[vertices_of(triangles)]
     size = float(np.linalg.norm(np.ptp(used, axis=0)))
     least = 4.0 * float(np.spacing(np.abs(used).max()))
-    best: Welded | None = None
+    best: WeldedMesh | None = None
     fewest = len(open_edges(triangles)) + 1
     for share in GAPS:
         found = join_within(vertices, triangles, max(share * size, least))
@@ -122,7 +122,7 @@ def weld_open(vertices: F64, triangles: I32) -> Welded:
             best, fewest = found, left
         if fewest == 0:
             break
-    return best or Welded(triangles, 0, 0, 0.0)
+    return best or WeldedMesh(triangles, 0, 0, 0.0)
 
 
 def distinct_triangles(triangles: I32) -> tuple[I32, int]:

@@ -16,7 +16,7 @@ _BRIEF.maxlong = 40
 LONGEST = 600
 
 
-def shown(value: object) -> str:
+def short_repr(value: object) -> str:
     """``repr`` of a value from outside, cut to what fits a message."""
     try:
         return _BRIEF.repr(value)

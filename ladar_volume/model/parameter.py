@@ -20,7 +20,7 @@ from ladar_volume.model.errors import (
     ParameterValueError,
     UnknownParameterError,
     as_float,
-    shown,
+    short_repr,
 )
 
 #: Of a longer key its beginning alone is compared with the known ones.
@@ -138,8 +138,8 @@ def _scalar(section: str, spec: ParameterSpec, value: object) -> bool | int | fl
     elif spec.kind is int:
         if isinstance(value, int) and not isinstance(value, bool):
             if abs(value) >= 2**63:
-                raise ParameterValueError(f"{where}: {shown(value)} is too large", value=value)
-            return _bounded(where, spec, value)
+                raise ParameterValueError(f"{where}: {short_repr(value)} is too large", value=value)
+            return _check_bounds(where, spec, value)
     elif spec.kind is float:
         if isinstance(value, int | float) and not isinstance(value, bool):
             if value != value and not (
@@ -148,19 +148,21 @@ def _scalar(section: str, spec: ParameterSpec, value: object) -> bool | int | fl
                 raise ParameterValueError(
                     f"{where}: NaN is not allowed (allowed: {spec.range_text})", value=value
                 )
-            return _bounded(where, spec, as_float(value))
+            return _check_bounds(where, spec, as_float(value))
     elif isinstance(value, str):
         if spec.choices is not None and value not in spec.choices:
             raise ParameterValueError(
-                f"{where}: {shown(value)} is not allowed (allowed: {spec.range_text})", value=value
+                f"{where}: {short_repr(value)} is not allowed (allowed: {spec.range_text})",
+                value=value,
             )
         return value
     raise ParameterValueError(
-        f"{where}: {shown(value)} is not a {expected} (allowed: {spec.range_text})", value=value
+        f"{where}: {short_repr(value)} is not a {expected} (allowed: {spec.range_text})",
+        value=value,
     )
 
 
-def _bounded(where: str, spec: ParameterSpec, value: N) -> N:
+def _check_bounds(where: str, spec: ParameterSpec, value: N) -> N:
     too_low = spec.low is not None and value < spec.low
     too_high = spec.high is not None and value > spec.high
     if too_low or too_high:
@@ -185,7 +187,7 @@ def convert(section: str, spec: ParameterSpec, value: object) -> Any:
         size = f"{spec.vector} " if spec.vector else ""
         wanted = f"a list of {size}{spec.kind.__name__} values"
         raise ParameterValueError(
-            f"{section}.{spec.key}: {shown(value)} is not {wanted}", value=value
+            f"{section}.{spec.key}: {short_repr(value)} is not {wanted}", value=value
         )
     items = tuple(_scalar(section, spec, v) for v in value)
     return tuple(math.radians(float(v)) for v in items) if _is_angle(spec.name) else items
@@ -203,7 +205,7 @@ def _unknown(section: str, key: str, known: list[str]) -> UnknownParameterError:
         hint = f"; the unit suffix is wrong: did you mean {near[0]!r}?"
     elif near:
         hint = f"; did you mean {near[0]!r}?"
-    return UnknownParameterError(f"unknown parameter {shown(where)}{hint}", value=key)
+    return UnknownParameterError(f"unknown parameter {short_repr(where)}{hint}", value=key)
 
 
 def read_section(

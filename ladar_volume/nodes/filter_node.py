@@ -185,9 +185,9 @@ class FilterNode(StageNode):
         # estimate gets its turn
         self._updated = time.monotonic()
         self._last_update_s = self._updated - now
-        if self.stage.refitted >= LEAST_MEASURED:
+        if self.stage.refitted_count >= LEAST_MEASURED:
             self._patches_per_s += 0.3 * (
-                self.stage.refitted / self._last_update_s - self._patches_per_s
+                self.stage.refitted_count / self._last_update_s - self._patches_per_s
             )
 
     def finish(self) -> None:

@@ -280,7 +280,7 @@ class VolumeNode(StageNode):
         self._filter_reset.call_async(Trigger.Request())
         with self._lock:
             self._hand_over()
-            self._start_over(self.stage.restarted(), keep_returns=True)
+            self._start_over(self.stage.with_same_path(), keep_returns=True)
 
     def finish(self) -> None:
         """The last estimate, if anything is new, said once more in the log."""
@@ -453,7 +453,7 @@ class VolumeNode(StageNode):
         self._since.keep(self.stage.epoch())
         if self._filter_reset.service_is_ready():
             self._filter_reset.call_async(Trigger.Request())
-        self._start_over(self.stage.restarted())
+        self._start_over(self.stage.with_same_path())
         return {"kept": str(folder), "epoch": self._epoch, "volume_m3": result["volume_m3"]}
 
     def warnings(self) -> list[str]:
@@ -477,7 +477,9 @@ class VolumeNode(StageNode):
             **self._since.lines(),
             **({} if self._closed is None else self._closed.lines()),
         }
-        for number, place in enumerate([] if self._more is None else self._more.best(), start=1):
+        for number, place in enumerate(
+            [] if self._more is None else self._more.best_cells(), start=1
+        ):
             lines[f"more_data_{number}"] = (
                 f"{place['x_m']:.2f} {place['y_m']:.2f} {place['gain_m3']:.4f} {place['why']}"
             )

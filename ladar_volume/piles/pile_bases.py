@@ -10,7 +10,7 @@ import numpy as np
 
 from ladar_volume.change.surface_difference import difference
 from ladar_volume.clouds.cloud_surface import CloudSurface
-from ladar_volume.clouds.cloud_volume import ZERO, Solid, selected, solid_above
+from ladar_volume.clouds.cloud_volume import ZERO, Solid, has_selected_vertices, solid_above
 from ladar_volume.ground.ground_adjoint import ground_gradient
 from ladar_volume.ground.polynomial import base_height, degree_of, design
 from ladar_volume.model.errors import VolumeError
@@ -205,7 +205,7 @@ def solid_above_toe(
                 ZERO,
                 C,
                 mask,
-                selected=selected(part.surface),
+                selected=has_selected_vertices(part.surface),
             )
             curved = near.curved_m6 + near.remaining.sigma_m3**2
     gradients = ((part.surface, np.column_stack([net.gradient, cut])),)

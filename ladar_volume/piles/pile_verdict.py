@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from ladar_volume.clouds.cloud_volume import CloudVolume, Solid, finished
+from ladar_volume.clouds.cloud_volume import CloudVolume, Solid, corrected_volume
 from ladar_volume.clouds.ground_readings import GroundReadings, ground_readings
 from ladar_volume.clouds.pair_verdict import pair_verdict
 from ladar_volume.clouds.volume_verdict import (
     below_base,
     faces_around,
-    judged,
     surface_doubts,
+    volume_with_verdict,
     with_growth,
 )
 from ladar_volume.ground.polynomial import design_surface
@@ -44,7 +44,7 @@ UNSEEN = 0.02
 
 
 @dataclass(frozen=True)
-class Asked:
+class RequestedBase:
     """solid : above the base that was asked for · plane : that base, None where it is no polynomial
     · readings : of the ground, where it is that
     """
@@ -54,50 +54,54 @@ class Asked:
     readings: GroundReadings | None = None
 
 
-def asked_base(
+def requested_base(
     site: Site,
     part: PilePart,
     task: SiteTask,
     parameters: Parameters,
     made: Mapping[str, Made],
     rough: Roughness | None,
-) -> Asked:
+) -> RequestedBase:
     """The solid above the base that was asked for. Raises why that base cannot be made."""
     C, correct = site.covariance, task.correct
     if task.base == "second":
         assert task.second is not None
-        return Asked(solid_above_second(part, task.second), None)
+        return RequestedBase(solid_above_second(part, task.second), None)
     if task.base in ("level", "plane"):
         v = parameters.volume
         plane = design_surface([v.level_m] if task.base == "level" else v.plane)
-        return Asked(solid_above_plane(part, plane, parameters, correct, C), plane)
+        return RequestedBase(solid_above_plane(part, plane, parameters, correct, C), plane)
     base = made[task.base]
     if isinstance(base, LadarVolumeError):
         raise base
     if isinstance(base, ToeBase):
-        return Asked(solid_above_toe(part, base, rough, parameters, correct, C), base.plane)
+        return RequestedBase(solid_above_toe(part, base, rough, parameters, correct, C), base.plane)
     solid = solid_above_plane(part, base, parameters, correct, C)
     wide = 0.0 if task.base == "site_ground" else parameters.volume.ground_ring_m
     ring = ring_around(site, part, wide)
-    return Asked(solid, base, ground_readings(site.surface, base, part.inside_m2, parameters, ring))
+    return RequestedBase(
+        solid, base, ground_readings(site.surface, base, part.inside_m2, parameters, ring)
+    )
 
 
-def judged_pile(
+def pile_with_verdict(
     site: Site,
     part: PilePart,
     task: SiteTask,
     parameters: Parameters,
-    asked: Asked,
+    asked: RequestedBase,
     reference: Plane | None,
     ground: Made,
 ) -> tuple[CloudVolume, Verdict]:
     """The volume with what lies between its points, and its verdict."""
     same = task.base in PILE_BASES
-    volume = finished(asked.solid, task.words, same)
+    volume = corrected_volume(asked.solid, task.words, same)
     if task.base == "second":
-        return judged_pair(site, part, task, volume)
+        return pair_with_verdict(site, part, task, volume)
     surface, inside = site.surface, part.inside_m2
-    volume, verdict = judged(volume, surface, inside, asked.readings, parameters, reference)
+    volume, verdict = volume_with_verdict(
+        volume, surface, inside, asked.readings, parameters, reference
+    )
     if not same or not isinstance(ground, Plane):
         return volume, verdict
     doubts: list[Doubt] = []
@@ -111,7 +115,7 @@ def judged_pile(
     return volume, verdict + Verdict(tuple(doubts))
 
 
-def judged_pair(
+def pair_with_verdict(
     site: Site, part: PilePart, task: SiteTask, volume: CloudVolume
 ) -> tuple[CloudVolume, Verdict]:
     """The volume above a second surface with what the two say of one another."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladar_volume.clouds.cloud_surface import CloudSurface
-from ladar_volume.clouds.cloud_volume import CloudVolume, Solid, finished
+from ladar_volume.clouds.cloud_volume import CloudVolume, Solid, corrected_volume
 from ladar_volume.clouds.pair_verdict import pair_ground
 from ladar_volume.clouds.volume_verdict import (
     with_lines,
@@ -39,7 +39,7 @@ from ladar_volume.piles.pile_site import (
     reference_of,
     site_of,
 )
-from ladar_volume.piles.pile_verdict import asked_base, judged_pile, outline_doubts
+from ladar_volume.piles.pile_verdict import outline_doubts, pile_with_verdict, requested_base
 from ladar_volume.piles.toe_bases import ToeBase
 from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
 from ladar_volume.uncertainty.ground_field import Roughness
@@ -49,7 +49,7 @@ TWICE = 1e-3
 
 
 @dataclass(frozen=True)
-class Above:
+class VolumeAboveBase:
     """A volume above one base: net and its standard deviation, m³ (NaN where it is not known), or
     why there is none.
     """
@@ -74,13 +74,13 @@ class PileVolume:
     inside_m2: F64
     height_m: float
     top_m: float
-    bases: Mapping[str, Above]
+    bases: Mapping[str, VolumeAboveBase]
     plane: Plane | None
     reference: Plane | None
 
 
 @dataclass(frozen=True)
-class Refused:
+class RefusedPile:
     """A pile that has no volume, and why."""
 
     pile: Pile
@@ -94,7 +94,7 @@ class SitePiles:
     """
 
     piles: list[PileVolume]
-    refused: list[Refused]
+    refused: list[RefusedPile]
     total: CloudVolume
     verdict: Verdict
 
@@ -107,13 +107,13 @@ def piles_of(
     if task.second is not None:
         site = dataclasses.replace(site, pair=pair_ground([surface, task.second]))
     found: list[PileVolume] = []
-    refused: list[Refused] = []
+    refused: list[RefusedPile] = []
     for number, pile in enumerate(piles, 1):
         progress(f"pile {number} of {len(piles)}: {pile.name}")
         try:
             found.append(pile_volume(site, pile, task))
         except LadarVolumeError as error:
-            refused.append(Refused(pile, error))
+            refused.append(RefusedPile(pile, error))
     if not found:
         raise refused[0].error
     total = found[0].volume if len(found) == 1 else total_volume(found, task)
@@ -128,9 +128,9 @@ def pile_volume(site: Site, pile: Pile, task: SiteTask) -> PileVolume:
     made = made_bases(site, part, parameters)
     ground = made["ground"]
     rough = roughness_around(part, ground) if isinstance(ground, Plane) else None
-    asked = asked_base(site, part, task, parameters, made, rough)
+    asked = requested_base(site, part, task, parameters, made, rough)
     reference = asked.plane if asked.plane is not None else reference_of(part, made)
-    volume, verdict = judged_pile(site, part, task, parameters, asked, reference, ground)
+    volume, verdict = pile_with_verdict(site, part, task, parameters, asked, reference, ground)
     nets = {n: net_above(part, base, rough) for n, base in made.items() if n != task.base}
     bases = all_above(part, nets, volume)
     if not task.chosen:
@@ -154,7 +154,7 @@ def all_above(
     part: PilePart,
     nets: Mapping[str, Net | LadarVolumeError],
     asked: CloudVolume,
-) -> dict[str, Above]:
+) -> dict[str, VolumeAboveBase]:
     """The volumes above every base, ``asked`` for the one that is not among the nets, with the
     standard deviations of their noise and of what heights share; what lies between the points is
     taken from the volume that was asked for.
@@ -168,16 +168,16 @@ def all_above(
     for name in PILE_BASES:
         net = nets.get(name)
         if net is None:
-            out[name] = Above(asked.net_m3, asked.sigma_m3)
+            out[name] = VolumeAboveBase(asked.net_m3, asked.sigma_m3)
         elif isinstance(net, LadarVolumeError):
-            out[name] = Above(math.nan, math.nan, str(net))
+            out[name] = VolumeAboveBase(math.nan, math.nan, str(net))
         else:
             noise = float(variance[list(known).index(name)]) + sum(net.extra.values())
-            out[name] = Above(net.net_m3, math.sqrt(max(noise + between, 0.0)))
+            out[name] = VolumeAboveBase(net.net_m3, math.sqrt(max(noise + between, 0.0)))
     return out
 
 
-def with_choice(volume: CloudVolume, bases: Mapping[str, Above]) -> CloudVolume:
+def with_choice(volume: CloudVolume, bases: Mapping[str, VolumeAboveBase]) -> CloudVolume:
     """The volume with the spread between bases that nobody chose between, as of an even
     distribution between the least and the greatest.
     """
@@ -194,7 +194,7 @@ def summit(part: PilePart, base: Plane | None) -> tuple[float, float]:
     return float(height_above(v, base).max()), float(v[:, 2].max())
 
 
-def refused_doubts(refused: Sequence[Refused]) -> list[Doubt]:
+def refused_doubts(refused: Sequence[RefusedPile]) -> list[Doubt]:
     """Piles that have no volume are missing in the sum."""
     return [
         Doubt("pile_refused", f"pile {r.pile.name} is not in the sum: {r.error}", None)
@@ -235,7 +235,7 @@ def total_volume(piles: Sequence[PileVolume], task: SiteTask) -> CloudVolume:
         None,
         sum(s.curved_m6 for s in parts),
     )
-    total = finished(solid, task.words, piles[0].volume.base_same_survey)
+    total = corrected_volume(solid, task.words, piles[0].volume.base_same_survey)
     alike = {"base_choice", "registration"} | (
         {"base_surface"} if task.base == "site_ground" else set()
     )

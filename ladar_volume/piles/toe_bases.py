@@ -51,7 +51,7 @@ def toe_base(name: str, tin: Tin, ring: F64, line: ToeLine, variance_m2: F64) ->
     Raises :class:`VolumeError` or GroundError where the toe line does not make it.
     """
     if name == "toe_tin":
-        return triangulated(tin, ring, line)
+        return triangulate_toe(tin, ring, line)
     if name in DEGREES:
         return polynomial(line, ring, DEGREES[name])
     if name == "toe_mean":
@@ -69,7 +69,7 @@ def polynomial(line: ToeLine, ring: F64, degree: int) -> ToeBase:
     return ToeBase(plane, None, line, N @ (X * line.length_m[:, None]).T)
 
 
-def triangulated(tin: Tin, ring: F64, line: ToeLine) -> ToeBase:
+def triangulate_toe(tin: Tin, ring: F64, line: ToeLine) -> ToeBase:
     """The triangulation of the toe line within its outline. Raises :class:`VolumeError` (pile_toe)
     where none fills it.
     """

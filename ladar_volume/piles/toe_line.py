@@ -39,7 +39,7 @@ class ToeLine:
     outward_m: F64
 
     @property
-    def seen_share(self) -> float:
+    def observed_share(self) -> float:
         """Share of the outline above a surface."""
         return float(np.count_nonzero(self.seen)) / len(self.seen)
 
@@ -86,7 +86,7 @@ def toe_line(tin: Tin, ring: F64, step_m: float = 0.0) -> ToeLine:
     t, n = len(xy), len(tin.vertices)
     rows = np.repeat(np.arange(t), 3)
     B = csr_array((weight.ravel(), (rows, corner.ravel())), shape=(t, n))
-    B = csr_array(filled(at, perimeter(ring), seen) @ B)
+    B = csr_array(gap_weights(at, perimeter(ring), seen) @ B)
     step_to = np.diff(np.r_[at, perimeter(ring)])
     length = np.where(seen, 0.5 * (step_to + np.roll(step_to, 1)), 0.0)
     height = np.asarray(B @ tin.vertices[:, 2])
@@ -110,7 +110,7 @@ def rise_inward(tin: Tin, xy: F64, height_m: F64, length_m: F64) -> F64:
     return np.where(np.isfinite(rise), rise, 0.0)
 
 
-def filled(at_m: F64, around_m: float, seen: Bool) -> csr_array:
+def gap_weights(at_m: F64, around_m: float, seen: Bool) -> csr_array:
     """Weights (t, t) that take places along a closed line at distances (t,) m over from the nearest
     seen ones on either side, linear between them.
     """

@@ -48,7 +48,7 @@ class Centres:
 
 
 @dataclass(frozen=True)
-class Corresponding:
+class Correspondence:
     """found : of the spheres in these rows · rows_a, rows_b : (k,) of both sets · renumbered :
     whether the distances and not the numbers told · others : how many other numberings lay as many
     spheres on one another
@@ -85,7 +85,7 @@ def register_numbering(
 
 def correspond(
     a: Centres, b: Centres, *, levelled: bool = False, scale: float | None = 1.0
-) -> Corresponding:
+) -> Correspondence:
     """Register two sets of spheres by their numbers, or by the distances between their centres.
 
     Raises :class:`RegistrationError` as ``register`` does, and: registration_numbers (several
@@ -107,7 +107,7 @@ def correspond(
     if max(kept, most) < min(len(a.r), len(b.r)):
         check_scale_and_mirror(a, b, levelled, scale, max(kept, most))
     if first is not None and sound and kept >= most:
-        others = sum(not same(one, given, first) for one, _ in best if kept == most)
+        others = sum(not same_pairing(one, given, first) for one, _ in best if kept == most)
         return as_rows(first, given, False, others)
     if most > 0 and 2 * most > min(len(a.r), len(b.r)):
         if len(best) == 1:
@@ -127,7 +127,7 @@ def not_renumbered(
     given: Numbering,
     first: Registration | None,
     error: RegistrationError | None,
-) -> Corresponding:
+) -> Correspondence:
     """The numbering as given where no other is better, with the covariance that its disagreement
     shows. Raises :class:`RegistrationError`: its own, or registration_disagree.
     """
@@ -162,16 +162,16 @@ def agreeing_numberings(
     return out
 
 
-def same(one: Numbering, given: Numbering, first: Registration) -> bool:
+def same_pairing(one: Numbering, given: Numbering, first: Registration) -> bool:
     """Whether a numbering pairs the spheres that ``first`` used as given."""
     i = np.flatnonzero(given.partner >= 0)[first.used]
     return bool((one.partner[i] == given.partner[i]).all())
 
 
-def as_rows(found: Registration, one: Numbering, renumbered: bool, others: int) -> Corresponding:
+def as_rows(found: Registration, one: Numbering, renumbered: bool, others: int) -> Correspondence:
     """The rows of a numbering."""
     i = np.flatnonzero(one.partner >= 0)
-    return Corresponding(found, i, one.partner[i], renumbered, others)
+    return Correspondence(found, i, one.partner[i], renumbered, others)
 
 
 def check_scale_and_mirror(

@@ -198,7 +198,7 @@ def refine(
     """
     x, y, n = check_clouds(source, target, normals, reach_m)
     if solver is not None:
-        start = solved_by(solver, (x, y, n), reach_m, start)
+        start = solve_with(solver, (x, y, n), reach_m, start)
     T, free = start_at_centroid(x, start), free_parameters(levelled, False)
     scale = lengths(x, T, free)
     last = iterate((x, y, n), T, free, scale, reach_m)
@@ -214,7 +214,7 @@ def refine(
     return IcpResult(T, last.pairs, last.sigma_m, share, last.rounds, settled)
 
 
-class Iterated(NamedTuple):
+class IcpSolution(NamedTuple):
     """Where the steps ended. pairs : (k, 2) of source and target · sigma_m : their robust scale ·
     A : (k, f), derivatives of the distances r (k,) m by the free parameters · step : (f,), the
     last · Q : (f, f), inverse normal equations · settled : whether the last step changed nothing
@@ -244,7 +244,7 @@ def lengths(source: F64, T: Transform, free: list[int]) -> F64:
 
 def iterate(
     clouds: tuple[F64, F64, F64], T: Transform, free: list[int], scale: F64, reach_m: float
-) -> Iterated:
+) -> IcpSolution:
     """Steps from a start until pairs and transform stay as they are.
 
     clouds : source (n, 3), target and its normals (m, 3) · scale : (f,), which makes the free
@@ -265,8 +265,8 @@ def iterate(
             break
         full = np.zeros(7)
         full[free] = step
-        T, before = T.perturbed(full), pairs
-    return Iterated(T, pairs, sigma, A, r, step, Q, rounds, settled)
+        T, before = T.perturb(full), pairs
+    return IcpSolution(T, pairs, sigma, A, r, step, Q, rounds, settled)
 
 
 def check_determined(C: F64, scale: F64, reach_m: float) -> None:
@@ -291,7 +291,7 @@ def start_at_centroid(source: F64, start: Transform | None) -> Transform:
     return replace(T, t=T.apply(pivot[None])[0], pivot=pivot)
 
 
-def solved_by(
+def solve_with(
     solver: Solver, clouds: tuple[F64, F64, F64], reach_m: float, start: Transform | None
 ) -> Transform:
     """What another program makes of source (n, 3), target and normals (m, 3) from a start."""

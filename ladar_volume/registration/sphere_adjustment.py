@@ -129,7 +129,7 @@ def solve(
         step[free] = Q @ (J.T @ P @ v)
         C = np.zeros((7, 7))
         C[np.ix_(free, free)] = Q
-        T = replace(T.perturbed(step), C=C)
+        T = replace(T.perturb(step), C=C)
         if np.all(
             np.abs(step[free]) <= 1e-9 * np.sqrt(np.diag(Q)) + 1e-15 * (1.0 + np.abs(T.t).max())
         ):
@@ -214,7 +214,7 @@ def remove_outliers(
     size = float(max(np.abs(centres.x).max(), np.abs(centres.y).max()))
     one = solve_part(centres, used, levelled, scale)
     while True:
-        value, p = snoop(one.solution, one.redundancy, centres.known, (1e-12 * size) ** 2)
+        value, p = snoop(one.solution, one.redundancy, centres.has_covariance, (1e-12 * size) ** 2)
         suspicious = bool(np.nanmin(p, initial=1.0) < risk / n)
         # half the spheres outlying: nobody can tell which half
         if not suspicious or 2 * (n - used.sum() + 1) >= n:
@@ -259,7 +259,7 @@ class Centres(NamedTuple):
     C: tuple[F64 | None, F64 | None]
 
     @property
-    def known(self) -> bool:
+    def has_covariance(self) -> bool:
         """Whether a covariance is stated."""
         return any(c is not None for c in self.C)
 
@@ -287,7 +287,7 @@ def assemble(centres: Centres, found: SphereTests, risk: float) -> Registration:
     """The transform with its covariance and the tests of all spheres. Raises
     :class:`RegistrationError` (registration_weak).
     """
-    (s, redundancy), used, known = found.part, found.used, centres.known
+    (s, redundancy), used, known = found.part, found.used, centres.has_covariance
     total = float(s.v @ s.P @ s.v)
     variance = total / redundancy if redundancy > 0 else np.nan
     p_global = float(stats.chi2.sf(total, redundancy)) if known and redundancy > 0 else np.nan
@@ -335,5 +335,5 @@ def test_against_rest(
         for c, f in zip(centres.C, (T.scale * T.R, np.eye(3)), strict=True)
         if c is not None
     )
-    S = (own if centres.known else variance * np.eye(3)) + J @ T.C @ J.T
+    S = (own if centres.has_covariance else variance * np.eye(3)) + J @ T.C @ J.T
     return float(residual @ np.linalg.solve(S, residual))

@@ -10,7 +10,7 @@ import numpy as np
 
 from ladar_volume.model.records import F64, I64
 from ladar_volume.model.verdict import Doubt, Verdict
-from ladar_volume.registration.correspondence import Centres, Corresponding
+from ladar_volume.registration.correspondence import Centres, Correspondence
 from ladar_volume.registration.spheres import Sphere
 from ladar_volume.registration.stillness import Stillness
 
@@ -36,7 +36,7 @@ class SphereMeasurement:
 
 
 def sphere_verdict(
-    c: Corresponding,
+    c: Correspondence,
     a: Centres,
     b: Centres,
     parts: Sequence[tuple[SphereMeasurement, SphereMeasurement]],
@@ -69,7 +69,7 @@ def cycles(one: I64, two: I64) -> str:
     return ", ".join(words)
 
 
-def numbering_doubts(c: Corresponding, a: Centres, b: Centres) -> list[Doubt]:
+def numbering_doubts(c: Correspondence, a: Centres, b: Centres) -> list[Doubt]:
     """Doubts about the numbering."""
     if c.renumbered:
         one, two = a.number[c.rows_a], b.number[c.rows_b]
@@ -94,7 +94,7 @@ def numbering_doubts(c: Corresponding, a: Centres, b: Centres) -> list[Doubt]:
     return []
 
 
-def rejected_doubts(c: Corresponding, a: Centres) -> list[Doubt]:
+def rejected_doubts(c: Correspondence, a: Centres) -> list[Doubt]:
     """Doubts about spheres that were left out."""
     out = []
     for i in np.flatnonzero(~c.found.used):
@@ -110,7 +110,7 @@ def rejected_doubts(c: Corresponding, a: Centres) -> list[Doubt]:
     return out
 
 
-def residual_doubts(c: Corresponding) -> list[Doubt]:
+def residual_doubts(c: Correspondence) -> list[Doubt]:
     """Doubts about spheres that agree less than their noise says, and about the scale."""
     out, f = [], c.found
     if not f.consistent:
@@ -141,7 +141,7 @@ def spread_of(r: F64) -> F64:
     return out
 
 
-def geometry_doubt(c: Corresponding, a: Centres) -> list[Doubt]:
+def geometry_doubt(c: Correspondence, a: Centres) -> list[Doubt]:
     """A doubt where the centres lie nearly on one line, or in a plane that is turned upside down;
     a levelled instrument is free of both.
     """

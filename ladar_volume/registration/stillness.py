@@ -87,7 +87,7 @@ def check_drift(points: F64, t_s: F64, sphere: Sphere, risk: float = 0.001) -> S
     return test_displacement(estimate[-3:], Q[-3:, -3:], risk)
 
 
-def check_moved(before: Sphere, after: Sphere, risk: float = 0.001) -> Stillness:
+def check_displacement(before: Sphere, after: Sphere, risk: float = 0.001) -> Stillness:
     """Displacement between two independent measurements of one sphere in one frame, say before and
     after the scan.
     """

@@ -37,7 +37,7 @@ class Transform:
         )
         return out
 
-    def back(self, r_target: F64) -> F64:
+    def apply_inverse(self, r_target: F64) -> F64:
         """Points (n, 3) m of the target frame in the source frame."""
         out: F64 = (
             np.asarray(r_target, dtype=np.float64) - self.t
@@ -79,7 +79,7 @@ class Transform:
         )
         return float(j @ self.C @ j)
 
-    def perturbed(self, x: F64) -> Transform:
+    def perturb(self, x: F64) -> Transform:
         """The transform after a step x (7,) of its parameters."""
         return Transform(
             self.R @ exp_so3(x[:3]), self.t + x[3:6], self.pivot, self.scale + float(x[6]), self.C

@@ -27,7 +27,7 @@ from ladar_volume.rmls.voxel_store import (
     insert_key,
     insert_keys,
     pack_key,
-    resized,
+    resize_rows,
     unpack_key,
     voxels_around,
 )
@@ -221,16 +221,18 @@ class WaitingPoints:
     def _grow(self) -> None:
         voxels, slots = len(self._keys), len(self._after)
         if self._ends[0] == voxels:
-            self._keys = resized(self._keys, 2 * voxels)
-            self._count, self._head = (resized(a, 2 * voxels) for a in (self._count, self._head))
+            self._keys = resize_rows(self._keys, 2 * voxels)
+            self._count, self._head = (
+                resize_rows(a, 2 * voxels) for a in (self._count, self._head)
+            )
             self._oldest = np.concatenate([self._oldest, np.full(voxels, NEVER)])
             self._table = np.full(8 * voxels, -1, np.int32)
             insert_keys(self._table, self._keys, self._ends[0])
         if self._ends[1] == slots:
-            self._after = resized(self._after, 2 * slots)
+            self._after = resize_rows(self._after, 2 * slots)
             self._points = Candidates(
                 *(
-                    resized(getattr(self._points, field.name), 2 * slots)
+                    resize_rows(getattr(self._points, field.name), 2 * slots)
                     for field in fields(Candidates)
                 )
             )
@@ -241,12 +243,12 @@ class WaitingPoints:
         voxels = voxels[np.argsort(self._keys[voxels])]
         if most is not None and len(voxels):
             voxels = voxels[self._turn(store, voxels, most, newest_ns)]
-        points = self._out(voxels)
+        points = self._release(voxels)
         if len(self._after) > max(ROOM, SPARE * len(self)):
             self._shrink()
         return points
 
-    def _out(self, voxels: I64) -> Candidates:
+    def _release(self, voxels: I64) -> Candidates:
         """The points of these voxels, one voxel after the other, which wait no longer."""
         slots = np.empty(int(self._count[voxels].sum()), np.int64)
         dequeue(voxels, self._count, self._head, self._after, self._ends, slots)
@@ -256,7 +258,7 @@ class WaitingPoints:
     def _shrink(self) -> None:
         """Give back the room of those that wait no longer."""
         voxels = np.flatnonzero(self._count)
-        oldest, points = self._oldest[voxels], self._out(voxels)
+        oldest, points = self._oldest[voxels], self._release(voxels)
         self._clear()
         self.add(points)
         self._oldest[: len(voxels)] = oldest  # of all that came, those that did not stay among them

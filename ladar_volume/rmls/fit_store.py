@@ -180,7 +180,7 @@ class FitStore:
                 for a in (self.first, self.held, self._room)
             )
 
-    def listed(self, voxels: I64, store: VoxelStore) -> Fits:
+    def with_inliers(self, voxels: I64, store: VoxelStore) -> Fits:
         """The fits of all voxels, with the inliers of these ones listed."""
         start, used = np.zeros(len(self.fits.voxels), np.int64), self.fits.used[voxels]
         start[voxels] = np.cumsum(used) - used

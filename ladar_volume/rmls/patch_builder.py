@@ -54,7 +54,7 @@ class PatchBuilder:
         """
         s, p = self.store, 6 if self.parameters.degree == 2 else 3
         offset, others = self._pairs(kept, rows, once)
-        fits = kept.listed(np.union1d(rows, others), s)
+        fits = kept.with_inliers(np.union1d(rows, others), s)
         blocks = np.zeros((offset[-1], p, p), np.float32)
         slots = cross_covariance.local_slots(fits.members, s.cap, s.used)
         pairs, chunks = (
@@ -94,15 +94,15 @@ class PatchBuilder:
             fits.status == OK, mine, fits.centre, self.parameters.radius_m
         )
 
-        def listed(fill: bool, offset: I64, out: I64) -> None:
+        def list_inliers(fill: bool, offset: I64, out: I64) -> None:
             cross_covariance.candidates(
                 cross_covariance.Pairs(rows, offset, out), balls, s.arrays, fill, counts
             )
 
-        listed(False, np.zeros(len(rows) + 1, np.int64), np.empty(0, np.int64))
+        list_inliers(False, np.zeros(len(rows) + 1, np.int64), np.empty(0, np.int64))
         offset = np.concatenate([[0], np.cumsum(counts)])
         others = np.empty(offset[-1], np.int64)
-        listed(True, offset, others)
+        list_inliers(True, offset, others)
         shared = np.zeros(len(others), np.bool_)
         cross_covariance.pairs_sharing_inliers(
             cross_covariance.Pairs(rows, offset, others),
@@ -135,7 +135,7 @@ class PatchBuilder:
 
     def points(self, kept: FitStore, rows: I64, patches: Patches) -> FilteredPoints:
         """The filtered points of patches ``rows``."""
-        s, p, fits = self.store, patches.beta.shape[1], kept.listed(rows, self.store)
+        s, p, fits = self.store, patches.beta.shape[1], kept.with_inliers(rows, self.store)
         n = len(rows) * s.cap
         out = projection.ProjectedArrays(
             np.zeros((n, 3)),

@@ -96,15 +96,15 @@ class SurfaceFilter:
         return {
             "voxels": self._store.used,
             "points_offered": self._store.offered,
-            "points_kept": self._store.kept,
-            "points_over_cap": self._store.offered - self._store.kept - len(self._deferred),
+            "points_kept": self._store.kept_count,
+            "points_over_cap": self._store.offered - self._store.kept_count - len(self._deferred),
             "patches": int(self._published.sum()),
             "points_deferred": len(self._deferred),
             "points_waiting": sum(len(p) for p in self._waiting),
         }
 
     @property
-    def refitted(self) -> int:
+    def refitted_count(self) -> int:
         """Voxels fitted in the last update that had any to fit."""
         return self._refitted
 
@@ -205,7 +205,7 @@ class SurfaceFilter:
         changed = s.changed_voxels()
         if len(changed) == 0:
             return None
-        touched = self._around(changed)
+        touched = self._dependent_voxels(changed)
         self._refitted = len(touched)
         new = self._refit(touched)
         s.settle()
@@ -240,7 +240,7 @@ class SurfaceFilter:
             self._outliers[block] = np.where(failed, 0, held - own)
         return voxels[new]
 
-    def _around(self, voxels: I64) -> I64:
+    def _dependent_voxels(self, voxels: I64) -> I64:
         """Indices of all voxels whose patch looks at one of these, in order of their keys."""
         s = self._store
         near = np.zeros(s.used, np.bool_)

@@ -261,13 +261,13 @@ class VoxelStore:
         )
 
     @property
-    def _capped(self) -> CappedVoxels:
+    def _capped_voxels(self) -> CappedVoxels:
         return CappedVoxels(
             self.keys, self.table, self.count, self.worst, self.hashes, self.changed, self.cap
         )
 
     @property
-    def kept(self) -> int:
+    def kept_count(self) -> int:
         """Points held."""
         return int(self.count[: self.used].sum())
 
@@ -280,7 +280,7 @@ class VoxelStore:
             np.empty(len(t_ns), np.uint64),
             np.empty(len(t_ns), np.bool_),
         )
-        would_stay(t_ns, ring, r, self.edge_m, self._capped, key, h, stays)
+        would_stay(t_ns, ring, r, self.edge_m, self._capped_voxels, key, h, stays)
         self.offered += len(t_ns)
         rows = np.flatnonzero(stays)
         aux = np.zeros((len(rows), KEPT), np.int16)
@@ -291,7 +291,7 @@ class VoxelStore:
         slot_of, start = np.full(len(points), -1, np.int64), 0
         while True:
             start, self.used = _insert(
-                points.key, points.hash, self._capped, self.used, start, slot_of
+                points.key, points.hash, self._capped_voxels, self.used, start, slot_of
             )
             if start == len(points):
                 break
@@ -305,9 +305,9 @@ class VoxelStore:
     def _grow(self) -> None:
         voxels = 2 * len(self.keys)
         for name in ("keys", "count", "worst", "changed"):
-            setattr(self, name, resized(getattr(self, name), voxels))
+            setattr(self, name, resize_rows(getattr(self, name), voxels))
         for name in ("hashes", "order", "fresh", "t_ns", "ring", "r", "C", "aux"):
-            setattr(self, name, resized(getattr(self, name), voxels * self.cap))
+            setattr(self, name, resize_rows(getattr(self, name), voxels * self.cap))
         self.table = np.full(4 * voxels, -1, np.int32)
         insert_keys(self.table, self.keys, self.used)
 
@@ -331,7 +331,7 @@ class VoxelStore:
         self.fresh[:] = False
 
 
-def resized(old: npt.NDArray[Scalar], rows: int) -> npt.NDArray[Scalar]:
+def resize_rows(old: npt.NDArray[Scalar], rows: int) -> npt.NDArray[Scalar]:
     """The same array with more rows, zeros."""
     new: npt.NDArray[Scalar] = np.zeros((rows, *old.shape[1:]), old.dtype)
     new[: len(old)] = old

@@ -229,7 +229,7 @@ class Neighbourhood:
         return self.read[tile]
 
     @property
-    def safe(self) -> Box:
+    def safe_box(self) -> Box:
         """The box all of whose points are taken."""
         (i, j), s, h = self.tile, self.side, self.halo
         return (i * s - h, j * s - h, (i + 1) * s + h, (j + 1) * s + h)
@@ -249,7 +249,7 @@ class Neighbourhood:
 
     def take_halo(self) -> None:
         """Add the points of the tiles around that lie in the halo."""
-        x0, y0, x1, y1 = self.safe
+        x0, y0, x1, y1 = self.safe_box
 
         def inside(points: F64, known: Bool) -> I64:
             x, y = points[:, 0], points[:, 1]
@@ -303,7 +303,7 @@ def tile_stars(index: TileIndex, tile: Tile) -> TileStars:
             continue
         mine = tin.source < len(own)
         star: Bool = np.asarray(any_corner(tin.triangles, mine))
-        if around.take_against(open_sides(tin, star, mine, around.safe)) == 0:
+        if around.take_against(open_sides(tin, star, mine, around.safe_box)) == 0:
             break
         if around.halo < around.side:
             around.halo = min(2.0 * around.halo, around.side)

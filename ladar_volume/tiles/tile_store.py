@@ -142,7 +142,7 @@ def read_part(cloud: CloudParts, k: int) -> tuple[F64, dict[str, int], tuple[Dou
     return one.r, one.left_out, one.doubts
 
 
-def deal_out(cloud: CloudParts, k: int) -> Path:
+def distribute_part(cloud: CloudParts, k: int) -> Path:
     """Write part k, tile by tile, where that is not done yet."""
     archive = cloud.archive(k)
     if archive.exists():

@@ -17,7 +17,14 @@ from typing import Protocol, TypeVar
 from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.model.errors import LadarVolumeError
 from ladar_volume.tiles.tile_stars import tile_stars
-from ladar_volume.tiles.tile_store import CloudParts, Tile, TileIndex, deal_out, digest, tile_index
+from ladar_volume.tiles.tile_store import (
+    CloudParts,
+    Tile,
+    TileIndex,
+    digest,
+    distribute_part,
+    tile_index,
+)
 from ladar_volume.tiles.tile_volume import TileSums, TileTask, tile_sums
 
 A = TypeVar("A")
@@ -96,7 +103,7 @@ class Failure:
     value: object = None
 
 
-def guarded(task: Callable[[A], B], at: A) -> B | Failure:
+def run_guarded(task: Callable[[A], B], at: A) -> B | Failure:
     """The result, or the error it ended with."""
     try:
         return task(at)
@@ -111,7 +118,7 @@ def results(
 ) -> list[B]:
     """All results, in any order. Raises the first error."""
     out: list[B] = []
-    for found in workers.run(partial(guarded, task), of):
+    for found in workers.run(partial(run_guarded, task), of):
         if isinstance(found, Failure):
             raise found.kind(found.words, reason=found.reason, value=found.value)
         progress(found)
@@ -127,7 +134,7 @@ def result_path(index: TileIndex, task: TileTask, tile: Tile) -> Path:
 def sums_of(index: TileIndex, task: TileTask, tile: Tile) -> tuple[Tile, TileSums]:
     """The sums of a tile, read where they are done. Errors name the tile."""
     path = result_path(index, task, tile)
-    known = sums_at_rest(path)
+    known = stored_sums(path)
     if known is not None:
         return tile, known
     try:
@@ -142,7 +149,7 @@ def sums_of(index: TileIndex, task: TileTask, tile: Tile) -> tuple[Tile, TileSum
     return tile, found
 
 
-def sums_at_rest(path: Path) -> TileSums | None:
+def stored_sums(path: Path) -> TileSums | None:
     """The sums in a file; None where it is not there or is damaged: they are made anew."""
     try:
         kept = json.loads(path.read_text())
@@ -175,7 +182,7 @@ def sums_of_cloud(
     each = -(-cloud.points // cloud.count)
     results(
         workers,
-        partial(deal_out, cloud),
+        partial(distribute_part, cloud),
         parts,
         lambda _: progress("into tiles", cloud.points, each),
     )

@@ -22,7 +22,7 @@ from ladar_volume.tin.elevation_adjustment import measures
 from ladar_volume.tin.greedy import (
     Cloud,
     Heap,
-    Inserted,
+    InsertedPoints,
     fit_kernel,
     greedy_kernel,
     heap_kernel,
@@ -78,7 +78,7 @@ class AdaptiveTin:
     window: Window
     exact_predicates: int
 
-    def fit(self, relevant_only: bool = True) -> tuple[float, float, int]:
+    def fit_statistics(self, relevant_only: bool = True) -> tuple[float, float, int]:
         """RMS and ASD of the residuals, m, and over how many points: those over relevant triangles,
         or all on the map.
 
@@ -283,7 +283,7 @@ class Insertion:
             by_area,
             tolerance,
             self.w,
-            Inserted(taken, score),
+            InsertedPoints(taken, score),
         )
         self.taken, self.score = np.concatenate([self.taken, taken[:count]]), score[:count]
 

@@ -22,7 +22,7 @@ from ladar_volume.math.kernels import kernel
 from ladar_volume.math.sparse_diagonal import diagonal_matrix
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, I32, I64, Tin
-from ladar_volume.tin.elevation_adjustment import Fit, Normal
+from ladar_volume.tin.elevation_adjustment import Normal, SurfaceFit
 
 
 @kernel
@@ -48,7 +48,7 @@ def triangle_slopes(tin: Tin, heights: F64) -> F64:
     return np.asarray(slope_kernel(tin.vertices, tin.triangles, np.ascontiguousarray(heights)))
 
 
-def raw_gradients(tin: Tin, fit: Fit, gradient: F64, points: int) -> F64:
+def raw_gradients(tin: Tin, fit: SurfaceFit, gradient: F64, points: int) -> F64:
     """From gradients (n, k, 3) of k results by the adjusted vertices to gradients (points, k, 3) by
     the raw points.
 
@@ -102,7 +102,7 @@ def selected_inverse(start: I64, row: I64, value: F64, diagonal: F64) -> tuple[F
     return off, own
 
 
-def height_covariance(tin: Tin, fit: Fit, unadjusted_m2: F64) -> Any:
+def height_covariance(tin: Tin, fit: SurfaceFit, unadjusted_m2: F64) -> Any:
     """Covariance (n, n), sparse, of the adjusted heights for points with independent variances ``1
     / weight``, m²: its diagonal and the pairs joined by an edge, exactly; other pairs are left out.
     Vertices that were not adjusted have the variance ``unadjusted_m2`` (n,).

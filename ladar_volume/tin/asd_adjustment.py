@@ -14,7 +14,13 @@ from scipy import sparse
 from ladar_volume.math.sparse_diagonal import identity_matrix
 from ladar_volume.model.errors import SurfaceError
 from ladar_volume.model.records import F64, Tin
-from ladar_volume.tin.elevation_adjustment import Adjustment, Fit, Normal, adjustment_record, fit_of
+from ladar_volume.tin.elevation_adjustment import (
+    Adjustment,
+    Normal,
+    SurfaceFit,
+    adjustment_record,
+    fit_of,
+)
 
 MAX_STEPS = 80
 
@@ -23,7 +29,7 @@ def adjust_asd(
     tin: Tin,
     points_map: F64,
     sigma_m: F64 | None = None,
-    fit: Fit | None = None,
+    fit: SurfaceFit | None = None,
     tolerance: float = 1e-9,
 ) -> Adjustment:
     """The heights with the least weighted sum of sizes of the vertical residuals (weights ``1 /
@@ -97,7 +103,7 @@ def step_length(*pairs: tuple[F64, F64]) -> float:
 
 
 def adjust_asd_exact(
-    tin: Tin, points_map: F64, sigma_m: F64 | None = None, fit: Fit | None = None
+    tin: Tin, points_map: F64, sigma_m: F64 | None = None, fit: SurfaceFit | None = None
 ) -> Adjustment:
     """ASD adjustment as a linear program ``min wᵀ(u + v)``, ``B h + u − v = z``, u, v ≥ 0 (HiGHS):
     exact, and slow beyond some 10,000 points. Raises :class:`SurfaceError` where the solver gives

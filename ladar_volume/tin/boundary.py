@@ -18,7 +18,7 @@ from ladar_volume.tin.relevant import artificial_vertices, edge_lengths, mark_re
 
 
 @dataclass(frozen=True)
-class Edited:
+class EditedBoundary:
     """tin : the surface with its new relevant triangles · ears, islands, holes : (m,) bool, the
     triangles each step changed
     """
@@ -159,7 +159,7 @@ def holes(tin: Tin, mask: Bool, max_area_m2: float) -> Bool:
 
 def edit_boundary(
     tin: Tin, max_ear_edge_m: float = np.inf, min_island_m2: float = 0.0, max_hole_m2: float = 0.0
-) -> Edited:
+) -> EditedBoundary:
     """Smooth the outline of the relevant area: first ears go (:func:`ears`), then islands
     (:func:`islands`), then holes are filled.
 
@@ -179,4 +179,6 @@ def edit_boundary(
     small = islands(tin, mask, min_island_m2)
     mask &= ~small
     filled = holes(tin, mask, max_hole_m2) if max_hole_m2 > 0.0 else np.zeros(len(mask), bool)
-    return Edited(mark_relevant(tin, mask | filled, "boundary editing"), gone, small, filled)
+    return EditedBoundary(
+        mark_relevant(tin, mask | filled, "boundary editing"), gone, small, filled
+    )

@@ -121,7 +121,7 @@ def is_valid(xy: F64, triangles: I32, neighbours: I32) -> bool:
 
 
 @dataclass(frozen=True)
-class Triangulated:
+class Triangulation:
     """A Delaunay triangulation of points (n, 2).
 
     triangles : (m, 3) counter-clockwise · neighbours : (m, 3), ``neighbours[t, k]`` lies across the
@@ -207,7 +207,7 @@ def finite(values: F64) -> F64:
     return values
 
 
-def triangulate(xy: F64) -> Triangulated:
+def triangulate(xy: F64) -> Triangulation:
     """Delaunay triangulation of points xy (n, 2), of which those at one position (bit by bit)
     become one vertex.
 
@@ -226,7 +226,7 @@ def triangulate(xy: F64) -> Triangulated:
     del s
     name = first_names(order, same)
     triangles, neighbours = export(m[:size], name)
-    return Triangulated(
+    return Triangulation(
         triangles,
         neighbours,
         original_order(order, same, name),

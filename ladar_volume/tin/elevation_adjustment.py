@@ -36,7 +36,7 @@ RIDGE = 1e-12
 
 
 @dataclass(frozen=True)
-class Fit:
+class SurfaceFit:
     """How a surface follows the points it represents.
 
     B : (k, n) sparse, barycentric coordinates of the k points inside relevant triangles · point :
@@ -65,7 +65,7 @@ class Adjustment:
     """
 
     tin: Tin
-    fit: Fit
+    fit: SurfaceFit
     iterations: int
     converged: bool
     rms_m: float
@@ -74,7 +74,7 @@ class Adjustment:
     asd_before_m: float
 
 
-def fit_of(tin: Tin, points_map: F64, sigma_m: F64 | None = None) -> Fit:
+def fit_of(tin: Tin, points_map: F64, sigma_m: F64 | None = None) -> SurfaceFit:
     """The points (m, 3), m, map frame, in the relevant triangles of a surface; weights ``1 /
     sigma²`` where ``sigma_m`` (m,) is given.
 
@@ -87,7 +87,7 @@ def fit_of(tin: Tin, points_map: F64, sigma_m: F64 | None = None) -> Fit:
         raise SurfaceError(
             "every point needs a positive standard deviation", reason="surface_sigma"
         )
-    vertex = own_vertices(tin, points)
+    vertex = vertices_at_points(tin, points)
     where = lowest_kernel(tin.triangles, tin.relevant, len(tin.vertices))[vertex]
     rest = np.flatnonzero(vertex < 0)
     rest = rest[hilbert_order(points[rest, :2])]  # neighbours in turn are found faster
@@ -98,10 +98,10 @@ def fit_of(tin: Tin, points_map: F64, sigma_m: F64 | None = None) -> Fit:
         raise SurfaceError("no point lies in a relevant triangle", reason="surface_no_point")
     B = coordinates_of(tin, points[point, :2], where[point], vertex[point])
     adjusted = np.bincount(B.indices, B.data**2, len(tin.vertices)) > 0
-    return Fit(B, point, where[point], points[point, 2], sigma[point] ** -2.0, adjusted)
+    return SurfaceFit(B, point, where[point], points[point, 2], sigma[point] ** -2.0, adjusted)
 
 
-def own_vertices(tin: Tin, points: F64) -> I64:
+def vertices_at_points(tin: Tin, points: F64) -> I64:
     """The vertex (m,) that stands where each of points (m, 3) does, -1 for none."""
     out = np.full(len(points), -1, np.int64)
     own = np.flatnonzero((tin.source >= 0) & (tin.source < len(points)))
@@ -203,7 +203,7 @@ class Normal:
 
 
 def adjustment_record(
-    tin: Tin, fit: Fit, heights: F64, iterations: int, converged: bool
+    tin: Tin, fit: SurfaceFit, heights: F64, iterations: int, converged: bool
 ) -> Adjustment:
     """The record of an adjustment."""
     new = dataclasses.replace(tin, vertices=np.c_[tin.vertices[:, :2], heights])
@@ -212,7 +212,7 @@ def adjustment_record(
 
 
 def adjust_rms(
-    tin: Tin, points_map: F64, sigma_m: F64 | None = None, fit: Fit | None = None
+    tin: Tin, points_map: F64, sigma_m: F64 | None = None, fit: SurfaceFit | None = None
 ) -> Adjustment:
     """The heights with the least weighted sum of squared vertical residuals, by one sparse solve
     (see :func:`fit_of`).
@@ -263,7 +263,7 @@ def adjust_rms_iterated(
     max_iterations: int = 100,
     tolerance_m: float = 1e-4,
     sigma_m: F64 | None = None,
-    fit: Fit | None = None,
+    fit: SurfaceFit | None = None,
 ) -> Adjustment:
     """RMS adjustment by the published iteration. It ends after ``max_iterations`` steps, or when no
     height changed by as much as ``tolerance_m`` (m) during a step; ``converged`` tells which.
@@ -286,7 +286,7 @@ def adjust_rms_iterated(
     return adjustment_record(tin, fit, heights, done, converged)
 
 
-def raw_gradient(tin: Tin, fit: Fit, gradient_z: F64, points: int) -> F64:
+def raw_gradient(tin: Tin, fit: SurfaceFit, gradient_z: F64, points: int) -> F64:
     """From a gradient by the adjusted heights to one by the raw heights: the adjoint of the RMS
     adjustment, one sparse solve.
 

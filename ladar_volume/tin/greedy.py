@@ -52,7 +52,7 @@ class Heap(NamedTuple):
     worst: I32
 
 
-class Inserted(NamedTuple):
+class InsertedPoints(NamedTuple):
     """What a run inserts, at most as many as there is room for: point (k,), score (k,)."""
 
     point: I32
@@ -254,7 +254,7 @@ def greedy_kernel(
     by_area: bool,
     tolerance: float,
     w: F64,
-    inserted: Inserted,
+    inserted: InsertedPoints,
 ) -> tuple[int, int]:
     """Insert the worst point again and again, until ``inserted`` is full or none is above the
     tolerance.

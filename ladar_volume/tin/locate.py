@@ -231,7 +231,7 @@ def barycentric(tin: Tin, triangle: I64, xy: F64) -> F64:
     return weights
 
 
-class Interpolated(NamedTuple):
+class InterpolatedHeights(NamedTuple):
     """Heights between vertices. height_m, sigma_m : (n,), NaN outside the relevant triangles, the
     latter also where the noise is not known · triangle : (n,), −1 outside
     """
@@ -246,7 +246,7 @@ def interpolate_heights(
     xy: F64,
     covariance: sparse.csr_array | None = None,
     index: TriangleIndex | None = None,
-) -> Interpolated:
+) -> InterpolatedHeights:
     """Heights ``λ·z`` of a surface at places xy (n, 2), m, in its relevant triangles (or in those
     of ``index``), with variance ``λᵀ C λ``: λ the barycentric coordinates, C the covariance of the
     three vertices.
@@ -267,7 +267,7 @@ def interpolate_heights(
             for b in range(3):
                 common = np.asarray(covariance[corner[:, a], corner[:, b]]).ravel()
                 variance += weight[:, a] * weight[:, b] * common
-    return Interpolated(height, np.sqrt(np.maximum(variance, 0.0)), where)
+    return InterpolatedHeights(height, np.sqrt(np.maximum(variance, 0.0)), where)
 
 
 def height_at(tin: Tin, xy: F64, index: TriangleIndex | None = None) -> F64:

@@ -26,7 +26,7 @@ from ladar_volume.tin.boundary import edit_boundary
 from ladar_volume.tin.diagonal_exchange import exchange_diagonals
 from ladar_volume.tin.elevation_adjustment import (
     Adjustment,
-    Fit,
+    SurfaceFit,
     adjust_rms,
     adjust_rms_iterated,
     fit_of,
@@ -44,7 +44,7 @@ ASD_VARIANCE = math.pi / 2.0
 
 
 @dataclass(frozen=True)
-class Represented:
+class RepresentedSurface:
     """A surface and what its heights are made of.
 
     tin : vertices with ``source``, their rows among the points given; -1 for artificial corners,
@@ -58,7 +58,7 @@ class Represented:
     """
 
     tin: Tin
-    fit: Fit | None
+    fit: SurfaceFit | None
     adjust: str
     converged: bool
     exchanges: int
@@ -136,7 +136,7 @@ def check_options(options: SurfaceParameters) -> None:
 
 def represent(
     points_map: F64, options: SurfaceParameters, sigma_m: F64 | None = None, measured: bool = True
-) -> Represented:
+) -> RepresentedSurface:
     """The surface of points (n, 3), m; their standard deviations (n,), where known, weight the
     adjustment. Not ``measured``, a surface that nothing is adjusted on has NaN for its measures of
     fit, and costs no search for its points.
@@ -168,8 +168,8 @@ def represent(
     if options.relevant != "all":
         tin = without_artificial(tin)
     if not measured and (options.adjust, options.exchange) == ("none", "none"):
-        nan = math.nan
-        made = Represented(tin, None, "none", True, 0, initial, cropped, nan, nan, 0, nan, nan)
+        none = (math.nan, math.nan, 0, math.nan, math.nan)
+        made = RepresentedSurface(tin, None, "none", True, 0, initial, cropped, *none)
     else:
         made = adjust_surface(tin, points, options, sigma_m, initial, cropped)
     return made if found is None else dataclasses.replace(made, sampled=found)
@@ -225,12 +225,12 @@ def without_artificial(tin: Tin) -> Tin:
 
 def adjust_surface(
     tin: Tin, points: F64, o: SurfaceParameters, sigma_m: F64 | None, initial: int, cropped: int
-) -> Represented:
+) -> RepresentedSurface:
     """The surface with its heights adjusted and diagonals exchanged, as the options say."""
     # a surface through all points has nothing to be adjusted to
     through_all = o.full and tin.duplicates == 0
     if through_all:
-        return Represented(
+        return RepresentedSurface(
             tin, None, "none", True, 0, initial, cropped, 0.0, 0.0, len(points) - cropped, 0.0, 0.0
         )
     usable = sigma_m is not None and bool((sigma_m > 0).all())
@@ -249,7 +249,7 @@ def adjust_surface(
             done = adjust_elevations(exchange.tin, points, o, raw)
             tin, fit = exchange.tin if done is None else done.tin, raw
     after = measures(raw.residuals(tin.vertices[:, 2]))
-    return Represented(
+    return RepresentedSurface(
         tin,
         None if done is None else fit,
         o.adjust,
@@ -265,7 +265,7 @@ def adjust_surface(
 
 
 def adjust_elevations(
-    tin: Tin, points: F64, options: SurfaceParameters, fit: Fit
+    tin: Tin, points: F64, options: SurfaceParameters, fit: SurfaceFit
 ) -> Adjustment | None:
     """The elevation adjustment asked for; None where there is none."""
     if options.adjust == "rms":

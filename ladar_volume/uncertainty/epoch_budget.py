@@ -20,7 +20,7 @@ from ladar_volume.model.choices import CALIBRATION_GROUPS
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, Bool, Tin
 from ladar_volume.registration.transform import Transform
-from ladar_volume.tin.represent import Represented
+from ladar_volume.tin.represent import RepresentedSurface
 from ladar_volume.uncertainty.navigation_sum import navigation_variance
 from ladar_volume.uncertainty.propagation import calibration_groups
 from ladar_volume.uncertainty.second_order import (
@@ -44,7 +44,7 @@ class Epoch:
     of the comparison, None for the same
     """
 
-    surface: Represented
+    surface: RepresentedSurface
     sources: Sources
     t_ns: int
     transform: Transform | None = None

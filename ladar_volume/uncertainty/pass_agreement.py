@@ -164,7 +164,7 @@ class Scatter(NamedTuple):
         return Scatter(self.rows[some], self.square[some], source)
 
     @property
-    def unexplained(self) -> F64:
+    def unexplained_m2(self) -> F64:
         """What the budget does not explain, (k,) m²; below zero where it says too much."""
         out: F64 = self.square - np.sum(list(self.source.values()), axis=0)
         return out
@@ -233,7 +233,7 @@ def sideways_shift(found: Scatter, normal: F64) -> tuple[float, float]:
     """
     predicted = np.sum(list(found.source.values()), axis=0)
     weight = 1.0 / (predicted + GRAIN_M**2)
-    y = found.unexplained * weight
+    y = found.unexplained_m2 * weight
     some = y <= np.quantile(y, USUAL)
     n, w = normal[found.rows[some]], weight[some]
     x, v, z = n.T
@@ -257,7 +257,7 @@ def cover_scatter(found: Scatter, ground: Bool, body: Bool) -> float:
     """By how much patches of the ground scatter more than those of the body, m: 0 where they do not
     by as much as grass does. ground, body : (m,) of all patches.
     """
-    left, on, off = found.unexplained, ground[found.rows], body[found.rows]
+    left, on, off = found.unexplained_m2, ground[found.rows], body[found.rows]
     on, off = on & ~off, off & ~on
     if min(np.count_nonzero(on), np.count_nonzero(off)) < FEWEST // 2:
         return 0.0

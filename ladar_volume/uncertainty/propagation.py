@@ -51,12 +51,12 @@ class SurfaceGeometry:
         return design_rows(self.local[points], self.parameters)
 
     @property
-    def left(self) -> I64:
+    def block_rows(self) -> I64:
         """Patch (k,) that each block is stored with."""
         return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
 
     @property
-    def missing(self) -> int:
+    def missing_count(self) -> int:
         """Blocks whose other patch is not in the store."""
         return int(np.count_nonzero(self.right < 0))
 

@@ -49,7 +49,7 @@ def shared_variances(xy: F64, gradient: F64, error: HeightError) -> F64:
     maps = on_grid(at, g, cell)
     size = [fft.next_fast_len(2 * n - 1, real=True) for n in maps.shape[1:]]
     rho = np.exp(-lags(maps.shape[1:], (size[0], size[1]), cell) / error.correlation_m)
-    alone = own_losses(at, cell, error.correlation_m) @ g**2
+    alone = correlation_losses(at, cell, error.correlation_m) @ g**2
     sums = [
         float(np.vdot(np.asarray(fft.irfft2(np.abs(fft.rfft2(one, size)) ** 2, size)), rho))
         for one in maps
@@ -58,7 +58,7 @@ def shared_variances(xy: F64, gradient: F64, error: HeightError) -> F64:
     return out
 
 
-def own_losses(xy: F64, cell_m: float, length_m: float) -> F64:
+def correlation_losses(xy: F64, cell_m: float, length_m: float) -> F64:
     """By how much the correlation (n,) of a point at xy (n, 2), m, with itself falls short of 1
     where it is shared by four nodes.
     """

@@ -15,7 +15,7 @@ from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters, VolumeParameters
 from ladar_volume.model.records import F64, Plane, Tin
 from ladar_volume.tin.full_tin import footprint_areas, vertex_mask
-from ladar_volume.volume.outline import bodies, shares, surroundings, widened
+from ladar_volume.volume.outline import bodies, shares, surroundings, widen_body
 from ladar_volume.volume.polygon import areas_inside, check_polygon
 
 #: Base and outline settle in two or three rounds; where triangles come and go the first repetition
@@ -82,7 +82,7 @@ def area_inside(
     body = np.logical_or.reduce(bodies(tin, base, p.object_height_m, p.bodies, p.min_body_m3))
     known, key = {} if known is None else known, body.tobytes()
     if key not in known:
-        known[key] = np.where(widened(tin, body, p.outline_margin_m), area, 0.0)
+        known[key] = np.where(widen_body(tin, body, p.outline_margin_m), area, 0.0)
     return known[key]
 
 

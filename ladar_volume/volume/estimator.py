@@ -23,7 +23,7 @@ from ladar_volume.model.records import (
     Plane,
     PlatformStates,
 )
-from ladar_volume.tin.represent import Represented, represent
+from ladar_volume.tin.represent import RepresentedSurface, represent
 from ladar_volume.uncertainty.epoch_budget import Epoch
 from ladar_volume.uncertainty.navigation_sum import NavigationBins
 from ladar_volume.uncertainty.patch_table import PatchStore
@@ -75,7 +75,7 @@ class VolumeEstimator:
             NavigationBins(parameters.filter.nav_bin_s) if navigation is None else navigation
         )
         self._store = PatchStore()
-        self._surface_now: Represented | None = None
+        self._surface_now: RepresentedSurface | None = None
         self._sources_now: Sources | None = None
         self._main: tuple[SurveyedSurface, Footing, MeasuredBody] | None = None
         self._unseen_m6 = 0.0
@@ -177,7 +177,7 @@ class VolumeEstimator:
             self._unseen_m6,
         )
 
-    def restarted(self) -> VolumeEstimator:
+    def with_same_path(self) -> VolumeEstimator:
         """An estimator without a surface that knows the platform's path so far: returns still on
         their way refer to it.
         """
@@ -193,7 +193,7 @@ class VolumeEstimator:
             )
         return points, patches
 
-    def _surface(self, points: FilteredPoints) -> Represented:
+    def _surface(self, points: FilteredPoints) -> RepresentedSurface:
         if self._surface_now is None:
             options = surface_options(self.parameters.volume)
             self._surface_now = represent(points.r_map, options, measured=False)

@@ -269,18 +269,18 @@ def folded_kernel(mu: F64, C: F64, plain: F64, slopes: bool, nodes: F64) -> F64:
     return out
 
 
-def without_noise(mu: F64) -> F64:
+def positive_parts(mu: F64) -> F64:
     """Mean and slopes (m, 4) of the positive part of heights (m, 3) as they are."""
     mean, slope = positive_part(mu)
     out: F64 = np.c_[mean, slope]
     return out
 
 
-def folded(mu: F64, C: F64, plain: F64 | None = None, slopes: bool = True) -> F64:
+def folded_means(mu: F64, C: F64, plain: F64 | None = None, slopes: bool = True) -> F64:
     """:func:`folded_kernel` of heights (m, 3), m, and packed covariances (m, 6), m²; ``plain`` is
-    :func:`without_noise` of the heights.
+    :func:`positive_parts` of the heights.
     """
-    plain = without_noise(mu) if plain is None else plain
+    plain = positive_parts(mu) if plain is None else plain
     return np.asarray(
         folded_kernel(np.ascontiguousarray(mu), np.ascontiguousarray(C), plain, slopes, NODES)
     )

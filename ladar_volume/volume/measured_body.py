@@ -19,7 +19,7 @@ from ladar_volume.math.run_concurrently import run_concurrently
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import F64, FilteredPoints, Patches, Plane, Tin, Volume
 from ladar_volume.tin.full_tin import vertex_mask
-from ladar_volume.tin.represent import Represented
+from ladar_volume.tin.represent import RepresentedSurface
 from ladar_volume.uncertainty.volume_budget import Budget, Sources
 from ladar_volume.volume.base import area_by_body, base_and_outline, polygon_of
 from ladar_volume.volume.centroid import centroid
@@ -45,7 +45,7 @@ class SurveyedSurface:
     vertices, noise alone
     """
 
-    surface: Represented
+    surface: RepresentedSurface
     points: FilteredPoints
     patches: Patches
     sources: Sources
@@ -84,7 +84,7 @@ class MeasuredBody:
 
 
 def surveyed_surface(
-    surface: Represented, points: FilteredPoints, patches: Patches, sources: Sources
+    surface: RepresentedSurface, points: FilteredPoints, patches: Patches, sources: Sources
 ) -> SurveyedSurface:
     """A surface with the noise of its vertices."""
     return SurveyedSurface(surface, points, patches, sources, vertex_variance(surface, points))
@@ -116,7 +116,7 @@ def measure_body(
     """
     solid = solid_of(survey.tin, footing.base, part, parameters)
     near = partial(_near_base, survey, footing, part)
-    return _measured(survey, footing, part, solid, naive, near)
+    return _measure_budget(survey, footing, part, solid, naive, near)
 
 
 def joint_sigma(
@@ -125,7 +125,7 @@ def joint_sigma(
     """Standard deviation m³ of the sum of two bodies, by number."""
     part = footing.parts[pair[0]] + footing.parts[pair[1]]
     solid = solid_of(survey.tin, footing.base, part, parameters)
-    return _measured(survey, footing, part, solid, False, lambda: None).budget.sigma
+    return _measure_budget(survey, footing, part, solid, False, lambda: None).budget.sigma
 
 
 def volume_of(
@@ -138,7 +138,7 @@ def volume_of(
     solid, budget, near = body.solid, body.budget, body.near
     normal = survey.points.normal[tin.source]
     above, below = cut_and_fill_chords(tin, normal, base, part)
-    folded = 0.0 if near is None else near.taken(solid.cut_m3, solid.fill_m3)
+    folded = 0.0 if near is None else near.removed_m3(solid.cut_m3, solid.fill_m3)
     v = parameters.volume
     return Volume(
         volume_m3=solid.net_m3 - above - below,
@@ -188,7 +188,7 @@ def _roughness_m6(survey: SurveyedSurface, footing: Footing, part: F64, solid: P
     return 0.0 if field is None else field.variance_m6
 
 
-def _measured(
+def _measure_budget(
     survey: SurveyedSurface,
     footing: Footing,
     part: F64,

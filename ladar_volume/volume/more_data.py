@@ -28,7 +28,7 @@ from ladar_volume.uncertainty.navigation_sum import markov_sum, navigation_loads
 from ladar_volume.uncertainty.packing import bin_rows, factor_loads
 from ladar_volume.uncertainty.propagation import patch_loads
 from ladar_volume.uncertainty.volume_budget import Sources
-from ladar_volume.volume.outline import components, filled
+from ladar_volume.volume.outline import components, fill_parts
 
 #: Cells along the side of a square as large as the surface, and triangles with an edge so many
 #: times the usual one are gaps.
@@ -65,7 +65,7 @@ class MoreData:
         )
         return out
 
-    def best(self, count: int = 3) -> list[dict[str, float | str]]:
+    def best_cells(self, count: int = 3) -> list[dict[str, float | str]]:
         """The cells where another pass would help most, at most ``count``: place (m), gain (m³) and
         what for.
         """
@@ -116,7 +116,7 @@ def markov_product(t: F64, y: F64, tau: float) -> F64:
     return out
 
 
-def summed(label: I64, values: F64, groups: int) -> F64:
+def sum_by_label(label: I64, values: F64, groups: int) -> F64:
     """Sums (groups, c) of rows (n, c) by label (n,)."""
     out = np.empty((groups, values.shape[1]))
     for c in range(values.shape[1]):
@@ -151,7 +151,7 @@ def navigation_falls(q: F64, sources: Sources, patch_cell: I64, cells: int) -> F
             ),
         )
     ):
-        whole = summed(at, y, len(bins))
+        whole = sum_by_label(at, y, len(bins))
         markov = markov_product(t_s, whole, tau)[at]
         cov = y * ((1.0 - bias - white) * markov + white * whole[at] / n[:, None])
         for cell in range(cells):
@@ -205,12 +205,12 @@ def beyond_chord(r: F64, variance: F64, tree: cKDTree, middle: I64, step: F64) -
     return out
 
 
-def enclosed(tin: Tin, inside: Bool) -> Bool:
+def enclosed_triangles(tin: Tin, inside: Bool) -> Bool:
     """Triangles (m,) that do not count, such as those with edges too long, but lie wholly among
     ones that do.
     """
     out: Bool = (
-        filled(tin.neighbours, np.ones(len(inside), np.bool_), inside, components(tin, ~inside))
+        fill_parts(tin.neighbours, np.ones(len(inside), np.bool_), inside, components(tin, ~inside))
         & ~inside
     )
     return out
@@ -289,7 +289,7 @@ def more_data(
     inside : (m,) triangles that count · sigma_z, variance : (v,) m, m², total sigma and variance
     from noise of each vertex' height.
     """
-    patches, rows = sources.patches, np.flatnonzero(inside | enclosed(tin, inside))
+    patches, rows = sources.patches, np.flatnonzero(inside | enclosed_triangles(tin, inside))
     q = np.ascontiguousarray(patch_loads(gradient[:, None], patches, sources.geometry)[:, :, 0])
     loaded: Bool = np.any(q != 0.0, axis=1)
     middle = middles(tin, rows)

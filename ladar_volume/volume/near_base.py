@@ -32,10 +32,10 @@ from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.records import F64, I32, I64, Bool, Plane, Tin
 from ladar_volume.tin.full_tin import any_corner, footprint_areas
 from ladar_volume.tin.median_screen import edges
-from ladar_volume.volume.folded_normal import PACKED, folded, without_noise
+from ladar_volume.volume.folded_normal import PACKED, folded_means, positive_parts
 from ladar_volume.volume.neighbourhood import CHUNKS, Smooth, SparseF64, part_about
 from ladar_volume.volume.prismoids import gather, positive_part
-from ladar_volume.volume.remaining_fold import Remaining, remaining_fold, scatter_factor
+from ladar_volume.volume.remaining_fold import RemainingFold, remaining_fold, scatter_factor
 
 #: A triangle counts as near where its heights come within this many standard deviations of the
 #: base.
@@ -53,7 +53,7 @@ class Fold:
     correction_m3: float
     near_area_m2: float
 
-    def taken(self, cut_m3: float, fill_m3: float) -> float:
+    def removed_m3(self, cut_m3: float, fill_m3: float) -> float:
         """What is taken, m³: neither volume becomes negative."""
         return min(self.correction_m3, cut_m3, fill_m3)
 
@@ -75,9 +75,9 @@ class NearBase(Fold):
     curved_m6: float
     gradient_cut: F64
     gradient_net: F64
-    remaining: Remaining
+    remaining: RemainingFold
 
-    def taken(self, cut_m3: float, fill_m3: float) -> float:
+    def removed_m3(self, cut_m3: float, fill_m3: float) -> float:
         """What is taken, m³, with what the correction leaves: neither volume becomes negative."""
         return min(self.correction_m3 + self.remaining.fold_m3, cut_m3, fill_m3)
 
@@ -141,7 +141,7 @@ def fold(
     summed : as in :func:`near_base`. Raises :class:`VolumeError` for bad variances.
     """
     smooth, area = (
-        smoothed(tin, height, checked(variance, len(height)), near, rings, summed),
+        smooth_heights(tin, height, check_variances(variance, len(height)), near, rings, summed),
         footprint_areas(tin.vertices, near),
     )
     total = sum(
@@ -189,7 +189,7 @@ def near_base(
     part, close_area = part_about(tin, t[near], rings), area[near]
     own, close = part.vertex, part.close
     C_own, sums = _covariance_of(joint, own, summed)
-    smooth = smoothed(part.tin, h[own], C_own.diagonal(), close, rings, sums)
+    smooth = smooth_heights(part.tin, h[own], C_own.diagonal(), close, rings, sums)
     found = np.empty((len(close), 13))
     for some, at in blocks(smooth, close, node_covariances(C_own, close)):
         found[some] = moments(*at)
@@ -222,7 +222,7 @@ def _near_and_covariance(
     if len(t) == 0:
         raise VolumeError("there is no triangle to take a volume of", reason="volume_no_triangle")
     joint: Any = C if sparse.issparse(C) else diagonal_matrix(np.asarray(C, dtype=np.float64))
-    near = near_triangles(t, height, checked(joint.diagonal(), len(tin.vertices)))
+    near = near_triangles(t, height, check_variances(joint.diagonal(), len(tin.vertices)))
     if selected and near.any():
         joint = joint * scatter(tin, height, joint.diagonal(), t[near])
     return near, joint
@@ -240,7 +240,7 @@ def scatter(tin: Tin, height: F64, variance: F64, near: I32) -> float:
     return scatter_factor(start, link, tin.vertices[:, :2], height, variance, rows)
 
 
-def checked(variance: F64, n: int) -> F64:
+def check_variances(variance: F64, n: int) -> F64:
     """Variances of n vertices. Raises :class:`VolumeError` where one is missing, negative or no
     number.
     """
@@ -249,7 +249,9 @@ def checked(variance: F64, n: int) -> F64:
     return variance
 
 
-def smoothed(tin: Tin, height: F64, variance: F64, near: I32, rings: int, summed: F64) -> Smooth:
+def smooth_heights(
+    tin: Tin, height: F64, variance: F64, near: I32, rings: int, summed: F64
+) -> Smooth:
     """True heights of the vertices of triangles ``near`` (k, 3), as estimated."""
     wanted = np.zeros(len(tin.vertices), bool)
     wanted[near] = True
@@ -269,13 +271,13 @@ def blocks(
 def folds(mu: F64, s: F64, noise: F64, slopes: bool) -> tuple[F64, F64, F64, F64]:
     """Means of the positive part of smoothed heights mu (m, 3) above the base: as they are, with
     the noise, packed (m, 6), with that and the heights' own standard deviations s (m, 3), and with
-    these alone; ``slopes`` as for :func:`~ladar_volume.volume.folded_normal.folded`.
+    these alone; ``slopes`` as for :func:`~ladar_volume.volume.folded_normal.folded_means`.
     """
-    plain = without_noise(mu)
+    plain = positive_parts(mu)
     own = np.stack(
         [s[:, i] * s[:, j] for i, j in PACKED], axis=1
     )  # neighbouring planes share their points: as if fully correlated
-    once, twice, plane = (folded(mu, C, plain, slopes) for C in (noise, noise + own, own))
+    once, twice, plane = (folded_means(mu, C, plain, slopes) for C in (noise, noise + own, own))
     return plain, once, twice, plane
 
 
@@ -322,7 +324,7 @@ def near_levels(
     )
     close, out = np.flatnonzero(count > 0), np.zeros(len(level))
     summed: F64 = np.asarray(sparse.csr_array(C).sum(axis=1), dtype=np.float64).ravel()
-    smooth = smoothed(tin, h, variance, t[close], rings, summed)
+    smooth = smooth_heights(tin, h, variance, t[close], rings, summed)
     t, first, count = t[close], first[close], count[close]
     area, packed, s = (
         footprint_areas(tin.vertices, t),

@@ -78,7 +78,9 @@ def vertices_within(tin: Tin, mask: Bool, distance_m: float) -> Bool:
     if not some.any():
         return some
     out = np.asarray(
-        reached(tin.triangles, tin.neighbours, tin.vertices, some, distance_m * (1.0 - 1e-9))
+        vertices_reached(
+            tin.triangles, tin.neighbours, tin.vertices, some, distance_m * (1.0 - 1e-9)
+        )
     )
     bound, rest = 1.001 * distance_m + 1e-6, ~out  # the search excludes its bound
     for c in tin.vertices.T[:2]:
@@ -94,7 +96,9 @@ def vertices_within(tin: Tin, mask: Bool, distance_m: float) -> Bool:
 
 
 @kernel
-def reached(triangles: I32, neighbours: I32, vertices: F64, some: Bool, distance_m: float) -> Bool:
+def vertices_reached(
+    triangles: I32, neighbours: I32, vertices: F64, some: Bool, distance_m: float
+) -> Bool:
     """Vertices (n,) that lie within a distance, horizontally, of one of ``some`` (n,), as far as
     these show themselves on the way from triangle to triangle: each vertex tries those that its
     neighbours found. That is most of them, for less than a search each.
@@ -130,7 +134,7 @@ def reached(triangles: I32, neighbours: I32, vertices: F64, some: Bool, distance
     return nearest >= 0
 
 
-def widened(tin: Tin, body: Bool, margin_m: float) -> Bool:
+def widen_body(tin: Tin, body: Bool, margin_m: float) -> Bool:
     """The body, the relevant triangles with a vertex within ``margin_m`` of it, and the holes these
     enclose.
     """
@@ -143,11 +147,11 @@ def fill_holes(tin: Tin, mask: Bool) -> Bool:
     """``mask`` with the relevant triangles added that it encloses: those cut off from the hull and
     from irrelevant triangles.
     """
-    return np.asarray(filled(tin.neighbours, tin.relevant, mask, components(tin, ~mask)))
+    return np.asarray(fill_parts(tin.neighbours, tin.relevant, mask, components(tin, ~mask)))
 
 
 @kernel
-def filled(neighbours: I32, relevant: Bool, mask: Bool, part: I64) -> Bool:
+def fill_parts(neighbours: I32, relevant: Bool, mask: Bool, part: I64) -> Bool:
     """See :func:`fill_holes`; part : (m,) number of the component off the mask each triangle
     belongs to, -1 on it.
     """

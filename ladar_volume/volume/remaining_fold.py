@@ -32,14 +32,14 @@ MEDIAN = 0.959
 WIDEST = 4.0
 
 
-class Remaining(NamedTuple):
+class RemainingFold(NamedTuple):
     """fold_m3 : what the correction leaves in cut and in fill alike · sigma_m3 : of it."""
 
     fold_m3: float
     sigma_m3: float
 
 
-def remaining_fold(smooth: Smooth, triangles: I32, area: F64, rings: int) -> Remaining:
+def remaining_fold(smooth: Smooth, triangles: I32, area: F64, rings: int) -> RemainingFold:
     """What is left over triangles (m, 3) of areas (m,) m² near the base; ``rings`` : of a whole
     neighbourhood.
     """
@@ -51,13 +51,13 @@ def remaining_fold(smooth: Smooth, triangles: I32, area: F64, rings: int) -> Rem
     whole = grown == rings
     fold, ended = float(left[whole].sum()), float(left[~whole].sum())
     if not fold > 0.0:
-        return Remaining(0.0, 0.5 * ended)
+        return RemainingFold(0.0, 0.5 * ended)
     members = float(np.mean(1 + 3 * grown[own > 0.0] * (grown[own > 0.0] + 1)))
     independent = max(float(np.count_nonzero(own)) / members, 1.0)
     spread = 2.0 * float((left * square)[whole].sum()) / fold - 1.0
     error = math.sqrt(2.0 / independent)
     taken = fold * (1.0 - min(max(spread, -0.5), 1.0))
-    return Remaining(taken, math.hypot(min(max(spread, 0.0) + error, 1.0) * fold, 0.5 * ended))
+    return RemainingFold(taken, math.hypot(min(max(spread, 0.0) + error, 1.0) * fold, 0.5 * ended))
 
 
 @kernel

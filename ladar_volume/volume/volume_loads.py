@@ -23,7 +23,7 @@ from ladar_volume.model.records import (
 )
 from ladar_volume.tin.adjustment_adjoint import height_covariance
 from ladar_volume.tin.full_tin import footprint_areas
-from ladar_volume.tin.represent import Represented
+from ladar_volume.tin.represent import RepresentedSurface
 from ladar_volume.uncertainty.ground_field import GroundField
 from ladar_volume.uncertainty.load_kernels import place_kernel
 from ladar_volume.uncertainty.propagation import SurfaceGeometry
@@ -49,7 +49,7 @@ def base_name(parameters: Parameters) -> str:
     return f"ground of the same survey ({('level', 'plane', 'quadric', 'cubic')[degree]})"
 
 
-def vertex_variance(surface: Represented, points: FilteredPoints) -> F64:
+def vertex_variance(surface: RepresentedSurface, points: FilteredPoints) -> F64:
     """Independent variance (n,) m² of each vertex' height: of its point, or of the mean of points
     that the adjustment makes of it.
     """
@@ -69,7 +69,7 @@ def result_gradients(
     base: Plane,
     solid: Prismoids,
     points: int,
-    surface: Represented | None = None,
+    surface: RepresentedSurface | None = None,
     inverse: F64 | None = None,
     coefficients: bool = True,
 ) -> F64:
@@ -97,7 +97,7 @@ def result_gradients(
 
 
 def near_correction(
-    surface: Represented,
+    surface: RepresentedSurface,
     base: Plane,
     inside_m2: F64,
     points: FilteredPoints,

@@ -9,13 +9,13 @@ from pyramid_flight import CALIBRATION, SPEED, fly
 from ladar_volume.calibration.flight import (
     apply_corrections,
     flight,
-    remapped,
+    remap_returns,
     smooth_velocity,
     strips,
 )
 from ladar_volume.calibration.navigation_drift import drift
 from ladar_volume.calibration.strip_adjustment import drop_patches, observations, off_plane, solve
-from ladar_volume.calibration.strip_patches import averaged, medians, overlap, voxel_numbers
+from ladar_volume.calibration.strip_patches import average_normals, medians, overlap, voxel_numbers
 from ladar_volume.georeference.error_budget import calibration_covariance, independent_sigmas
 from ladar_volume.georeference.lidar_equation import mounting
 from ladar_volume.georeference.point_jacobian import (
@@ -35,7 +35,7 @@ SIGMAS = independent_sigmas(BUDGET)
 def problem():
     """A small flight, its patches and observations."""
     flown = fly(BUDGET, 1, np.radians([0.1, -0.05, 0.1]), per_s=250)
-    points, geometry, _ = remapped(flown, np.zeros(43), SIGMAS)
+    points, geometry, _ = remap_returns(flown, np.zeros(43), SIGMAS)
     found = overlap(points.r_map, flown.strip[geometry.state], unpack(points.C_ind), 2.0, 4, 60)
     effects = drift(flown, BUDGET)
     sigma = np.full(len(found.point), 0.01)
@@ -79,7 +79,7 @@ def test_rows_say_how_heights_move(problem):
     theta = np.zeros(43)
     theta[1:11] = [1e-5, -2e-5, 1e-5, 1e-4, 2e-4, -1e-4, 1e-4, 0, 1e-4, 1e-5]
     flown = fly(BUDGET, 1, np.radians([0.1, -0.05, 0.1]), per_s=250)
-    moved, _, _ = remapped(flown, theta, SIGMAS)
+    moved, _, _ = remap_returns(flown, theta, SIGMAS)
     change = moved.r_map - points.r_map
     assert change == pytest.approx(calibration_jacobian(geometry)[:, :, 1:] @ theta[1:11], abs=2e-5)
     assert np.abs(change).max() > 2e-4
@@ -176,7 +176,7 @@ def test_averaged_normals_lose_their_noise_and_keep_edges():
     normal[200:] = [0.0, 0.5, 1.0]
     normal *= rng.choice([-1.0, 1.0], 400)[:, None]
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    out = averaged(centre, normal, 3.0)
+    out = average_normals(centre, normal, 3.0)
     tilt = out[:200, :2] * np.sign(out[:200, 2:])
     assert np.std(tilt) < 0.01 / 2.5  # 15 to 29 neighbours, and they share some
     assert np.abs(out[200:] * np.sign(out[200:, 2:])) == pytest.approx(
@@ -222,7 +222,7 @@ def test_steady_velocity_is_exact_on_a_line_and_quieter_than_the_fixes():
 
 def test_a_flight_from_mapped_points_gives_back_its_returns():
     flown = fly(BUDGET, 1, per_s=100)
-    points, _, index = remapped(flown, np.zeros(43), SIGMAS)
+    points, _, index = remap_returns(flown, np.zeros(43), SIGMAS)
     again = flight(points, flown.states, flown.mount, 100.0)
     assert np.array_equal(again.t_ns, flown.t_ns[index])
     assert again.r_laser == pytest.approx(flown.r_laser[index], abs=1e-7)

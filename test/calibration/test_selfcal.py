@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pyramid_flight import fly
 
-from ladar_volume.calibration.flight import remapped
+from ladar_volume.calibration.flight import remap_returns
 from ladar_volume.calibration.selfcal import CORRECTED, calibrate
 from ladar_volume.georeference.error_budget import calibration_covariance
 from ladar_volume.model.errors import CalibrationError
@@ -90,7 +90,7 @@ def test_the_covariance_for_the_budget():
     found = calibrate(fly(BUDGET, 6, BORESIGHT, per_s=700), BUDGET, PRIOR, OPTIONS)
     rest = np.setdiff1d(np.arange(len(PRIOR)), CORRECTED)
     C = found.C_cal
-    assert found.surprising == ()
+    assert found.beyond_prior == ()
     assert np.array_equal(
         C[np.ix_(rest, rest)], PRIOR[np.ix_(rest, rest)]
     )  # range bias and beams have no constant: their prior stays
@@ -126,7 +126,7 @@ def test_a_correction_far_beyond_its_prior_is_named():
         calibration_covariance(sure, 16),
         OPTIONS,
     )
-    assert "boresight_x" in found.surprising
+    assert "boresight_x" in found.beyond_prior
 
 
 def test_one_lane_is_refused():
@@ -157,7 +157,7 @@ def test_the_order_of_returns_does_not_matter():
 
 def test_what_moved_between_the_strips_is_left_out_and_counted():
     flight = fly(BUDGET, 11, BORESIGHT, per_s=700)
-    points, _, index = remapped(
+    points, _, index = remap_returns(
         flight, np.append([0.0], np.append(BORESIGHT, np.zeros(39))), np.zeros(3)
     )
     lane = (flight.t_ns[index] - flight.t_ns.min()) // 13_000_000_000

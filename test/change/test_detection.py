@@ -10,7 +10,7 @@ import pytest
 from epoch_surfaces import PIT, epoch, flat, moved, pit
 from volume_surfaces import platform, surface_update
 
-from ladar_volume.change.change_detection import change_map, thresholded, weighted_sigma
+from ladar_volume.change.change_detection import change_map, threshold_volumes, weighted_sigma
 from ladar_volume.change.epoch_change import epoch_difference
 from ladar_volume.cli.main import main
 from ladar_volume.io.meshfiles.mesh_files import read_mesh
@@ -43,7 +43,7 @@ def mapped(new, old, separate=()):
         d,
         apart,
         change,
-        thresholded(new, old, apart, change, d.volume.coverage_factor, separate),
+        threshold_volumes(new, old, apart, change, d.volume.coverage_factor, separate),
     )
 
 

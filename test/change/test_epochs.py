@@ -143,7 +143,9 @@ def test_registration_enters_with_its_covariance():
     )
     turned = dataclasses.replace(
         plain.surface,
-        tin=dataclasses.replace(plain.surface.tin, vertices=tilt.back(plain.surface.tin.vertices)),
+        tin=dataclasses.replace(
+            plain.surface.tin, vertices=tilt.apply_inverse(plain.surface.tin.vertices)
+        ),
     )
     away = dataclasses.replace(plain, surface=turned, transform=tilt)
     d, _ = epoch_difference(away, plain)

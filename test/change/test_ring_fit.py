@@ -10,7 +10,7 @@ import pytest
 from ladar_volume.change.excavation import Region, Scan, beam_noise, excavate
 from ladar_volume.change.isolated_returns import isolated_returns
 from ladar_volume.change.ring_budget import checked_excavation
-from ladar_volume.change.ring_fit import fit_ring, homeward, ring_model
+from ladar_volume.change.ring_fit import fit_ring, inverse_motion, ring_model
 from ladar_volume.math.se3 import exp_so3
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.registration.transform import Transform
@@ -68,7 +68,7 @@ def test_exact_motion_and_its_way_home():
     x = np.array([0.01, 0.002, -0.003, 0.004, 0.001, -0.002])
     turn, shift = np.split(model.basis @ x, 2)
     there = (b - model.pivot) @ exp_so3(turn).T + shift + model.pivot
-    assert homeward(model, x, np.zeros((6, 6))).apply(there) == pytest.approx(b, abs=1e-12)
+    assert inverse_motion(model, x, np.zeros((6, 6))).apply(there) == pytest.approx(b, abs=1e-12)
 
 
 def test_a_ring_of_few_lines_is_refused():

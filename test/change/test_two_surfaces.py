@@ -185,7 +185,7 @@ def test_registration_enters_with_its_covariance(name):
         x = np.zeros(7)
         x[free] = L @ rng.standard_normal(4)
         volumes.append(
-            two_surfaces(before, T.perturbed(x).apply(after), ring, scanner, scanner).removed_m3
+            two_surfaces(before, T.perturb(x).apply(after), ring, scanner, scanner).removed_m3
         )
     assert np.std(volumes) / np.sqrt(budget["registration_b"]) == pytest.approx(1.0, abs=0.2)
     assert budget["registration_b"] > 10 * budget["noise_b"]  # what is common does not average out

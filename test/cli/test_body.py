@@ -10,13 +10,13 @@ from closed_meshes import CUBE_T, CUBE_V, moebius, sphere
 
 from ladar_volume.cli.body_facts import quantity
 from ladar_volume.cli.main import main
-from ladar_volume.clouds.body_points import LeftOut, step_between
+from ladar_volume.clouds.body_points import ExcludedPoints, step_between
 from ladar_volume.clouds.body_verdict import (
-    at_the_edge,
     bodies_verdict,
     check_missed,
     filter_doubts,
     missed_points,
+    touches_outline,
 )
 from ladar_volume.clouds.cloud_bodies import cloud_bodies
 from ladar_volume.clouds.filter_cloud import filter_cloud
@@ -328,11 +328,11 @@ def test_clusters_that_are_all_too_small_are_refused_with_numbers():
 
 
 def test_what_the_filter_left_out_is_doubted_or_refused():
-    assert filter_doubts(LeftOut(1000, 40, 0.1)) == ()
-    (doubt,) = filter_doubts(LeftOut(1000, 400, 0.1))
+    assert filter_doubts(ExcludedPoints(1000, 40, 0.1)) == ()
+    (doubt,) = filter_doubts(ExcludedPoints(1000, 400, 0.1))
     assert doubt.name == "points_left_out" and doubt.value == 0.4 and "40 %" in doubt.text
     with pytest.raises(ObjectError, match="--no-filter") as error:
-        filter_doubts(LeftOut(1000, 600, 0.1))
+        filter_doubts(ExcludedPoints(1000, 600, 0.1))
     assert error.value.reason == "object_left_out" and error.value.value == 0.6
 
 
@@ -398,8 +398,8 @@ def test_one_failed_body_does_not_lose_the_others():
 
 def test_a_body_at_the_edge_of_the_data():
     p = grid_piles(0.2)
-    assert at_the_edge(p, p[p[:, 0] < 2], 0.3)
-    assert not at_the_edge(p, p[(abs(p[:, 0] - 8) < 4) & (abs(p[:, 1] - 8) < 4)], 0.3)
+    assert touches_outline(p, p[p[:, 0] < 2], 0.3)
+    assert not touches_outline(p, p[(abs(p[:, 0] - 8) < 4) & (abs(p[:, 1] - 8) < 4)], 0.3)
 
 
 @pytest.mark.parametrize(

@@ -12,11 +12,11 @@ from ladar_volume.clouds.body_checks import (
 )
 from ladar_volume.clouds.body_points import (
     BodyPoints,
-    as_they_came,
+    excluded_points,
     filtered_points,
     good_points,
     halves,
-    left_out,
+    unfiltered_points,
 )
 from ladar_volume.clouds.body_volume import body_of
 from ladar_volume.clouds.body_walls import foot_doubts, seen_under, thin_share
@@ -120,9 +120,9 @@ def test_good_points_that_a_filter_left_out():
     good = good_points(raw, result)
     assert good[: len(pile) + len(other)].all() and good[len(pile) + len(other) :].mean() < 0.3
     # one body of two is lost: its own share counts, not that of the whole
-    lost = left_out(raw, good, result, design_surface([0.0]))
+    lost = excluded_points(raw, good, result, design_surface([0.0]))
     assert lost.share == 1.0 and lost.above == pytest.approx(len(other), abs=3)
-    came = as_they_came(raw, good, 0.01, lost.share)
+    came = unfiltered_points(raw, good, 0.01, lost.share)
     assert came.filtered is None and np.array_equal(came.r, raw[good])
 
 

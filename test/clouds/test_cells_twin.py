@@ -172,7 +172,7 @@ def test_description_length(seed):
 def test_shares_are_the_likelihoods(seed):
     x, planes, side = scene(seed)
     shares, pieces = plane_em.room_for_shares(len(x)), pieces_with(x, planes, side)
-    plane_em.share_out(sample_of(x), pieces, 3, shares)
+    plane_em.membership_shares(sample_of(x), pieces, 3, shares)
     share, label = shares.share, pieces.label
     d = off(x, planes[:3])
     feet = x[:, None] - d[:, :, None] * planes[None, :3, :3]
@@ -208,7 +208,7 @@ def test_shares_pull_no_plane_off_where_planes_meet(count, inward):
         on = np.all(np.delete(x[:, :count], a, axis=1) * inward > 0, axis=1)
         density += on * np.exp(-0.5 * (x[:, a] / SIGMA) ** 2)
     shares = plane_em.room_for_shares(len(x))
-    plane_em.share_out(sample_of(x), pieces_with(x, planes, side), count, shares)
+    plane_em.membership_shares(sample_of(x), pieces_with(x, planes, side), count, shares)
     share = shares.share
     pull = (share[:count] * density) @ x[:, :count]
     assert np.abs(np.diagonal(pull)).max() < 2e-3 * SIGMA * (share[0] * density).sum()

@@ -7,7 +7,7 @@ import pytest
 from closed_meshes import CUBE_T, CUBE_V, sphere, torus
 
 from ladar_volume.clouds.body_volume import body_of, cloud_uncertainty, mesh_uncertainty
-from ladar_volume.clouds.cloud_bodies import cloud_bodies, without_stray
+from ladar_volume.clouds.cloud_bodies import cloud_bodies, remove_stray_parts
 from ladar_volume.clouds.filter.filter_adjoint import influence
 from ladar_volume.clouds.filter.filter_result import CloudResult
 from ladar_volume.clouds.filter_cloud import filter_cloud
@@ -237,7 +237,7 @@ def test_a_closed_speck_is_left_out_and_a_second_body_is_not():
             np.zeros((0, 2), np.int32),
             {"hole_m": 0.2},
         )
-        kept, many = without_stray(mesh)
+        kept, many = remove_stray_parts(mesh)
         assert many == left and np.array_equal(kept, faces[: len(faces) - left])
 
 
@@ -273,4 +273,7 @@ def test_what_is_no_body_is_refused():
     with pytest.raises(SurfaceError) as error:
         body_of(crossed, np.concatenate([CUBE_T, CUBE_T + 8]))
     assert error.value.reason == "mesh_self_intersecting"
-    assert body_of(crossed, np.concatenate([CUBE_T, CUBE_T + 8]), allow_crossings=True).crossing > 0
+    assert (
+        body_of(crossed, np.concatenate([CUBE_T, CUBE_T + 8]), allow_crossings=True).crossing_pairs
+        > 0
+    )

@@ -22,7 +22,12 @@ from ladar_volume.change.surface_difference import (
 )
 from ladar_volume.clouds.cloud_levels import above_floor, events, level_list, sequence
 from ladar_volume.clouds.cloud_surface import cloud_surface, local_sigma
-from ladar_volume.clouds.cloud_volume import above_base, between_clouds, own_footprints, selected
+from ladar_volume.clouds.cloud_volume import (
+    above_base,
+    between_clouds,
+    difference_of_footprints,
+    has_selected_vertices,
+)
 from ladar_volume.model.errors import VolumeError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.surface_parameters import SurfaceParameters
@@ -156,8 +161,8 @@ def test_shift_identity_additivity_and_common_shift():
 def test_own_footprints_need_a_level():
     a = cloud_surface(np.c_[footprint(60, 12), np.zeros(60)], SurfaceParameters(ratio=1.0), SIGMA)
     with pytest.raises(VolumeError):
-        own_footprints(a, a, Parameters())
-    both, one, two = own_footprints(a, a, parameters(level_m=-1.0))
+        difference_of_footprints(a, a, Parameters())
+    both, one, two = difference_of_footprints(a, a, parameters(level_m=-1.0))
     assert (
         both.net_m3 == 0.0
         and one.net_m3 == two.net_m3 == pytest.approx(100.0)
@@ -304,5 +309,5 @@ def test_points_that_share_a_footprint_are_no_choice_of_vertices():
     xy = footprint(900, 12)
     r = noisy(np.r_[xy, xy[:40]], hill, rng)
     full = cloud_surface(r, SurfaceParameters(ratio=1.0))
-    assert full.made.tin.duplicates == 40 and not selected(full)
-    assert selected(cloud_surface(r, SurfaceParameters(ratio=0.4)))
+    assert full.made.tin.duplicates == 40 and not has_selected_vertices(full)
+    assert has_selected_vertices(cloud_surface(r, SurfaceParameters(ratio=0.4)))

@@ -8,7 +8,7 @@ from ladar_volume.clouds.body_points import BodyPoints
 from ladar_volume.clouds.cloud_bodies import cloud_bodies
 from ladar_volume.clouds.sampling.even_points import even_rows, sparse_spacing
 from ladar_volume.clouds.survey.return_store import ReturnStore
-from ladar_volume.clouds.survey.survey_bodies import around, objects_on
+from ladar_volume.clouds.survey.survey_bodies import objects_on, points_near_outlines
 from ladar_volume.clouds.survey.survey_gradient import on_survey
 from ladar_volume.ground.polynomial import design_surface
 from ladar_volume.model.errors import SurfaceError, VolumeError
@@ -69,9 +69,9 @@ def test_what_is_low_is_no_object_and_what_is_far_no_return():
     with pytest.raises(VolumeError) as caught:
         objects_on(points, ground, 2.0)
     assert caught.value.reason == "volume_no_body"
-    near = around((np.array([[-1.0, -1.0], [1.0, 1.0]]),), 0.5, points.r)
+    near = points_near_outlines((np.array([[-1.0, -1.0], [1.0, 1.0]]),), 0.5, points.r)
     assert np.abs(near[:, :2]).max() < 1.5 and len(near) > 1000
-    assert len(around((), 0.5, points.r)) == 6000
+    assert len(points_near_outlines((), 0.5, points.r)) == 6000
 
 
 def lined_box(rng, height=1.2, lines=9, noise=0.0):

@@ -185,11 +185,11 @@ def test_stamps_that_scatter_are_named_and_too_few_are_no_verdict():
     lead, rng = Lead(), np.random.default_rng(1)
     for k in range(9):
         lead.reference(T0 + k * S // 10)
-        lead.other(T0 + k * S // 10)
+        lead.add_reference_clock(T0 + k * S // 10)
     assert lead.estimate_s is None and lead.state == "unknown"
     for k in range(9, 60):
         lead.reference(T0 + k * S // 10)
-        lead.other(T0 + k * S // 10 + round(rng.normal(0, 0.3) * S))
+        lead.add_reference_clock(T0 + k * S // 10 + round(rng.normal(0, 0.3) * S))
     assert lead.state == "unsteady"
 
 

@@ -193,7 +193,7 @@ def test_rims_that_touch_in_a_vertex_are_taken_apart():
     body, made = close(skin, 0.1, design_surface([-0.05]))
     assert len(made) == 2 and volume(body).volume_m3 == pytest.approx(2 * 1.05)
     assert orient(body.vertices, body.triangles).euler == 4
-    assert body.measured == 16
+    assert body.measured_count == 16
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.bodies import CASES, cloud
 from ladar_volume.clouds.filter_cloud import filter_cloud
 from ladar_volume.mesh.local_frames import flip_to_agree
-from ladar_volume.mesh.local_growth import FAN, add_to_fans, spread_out
+from ladar_volume.mesh.local_growth import FAN, add_to_fans, list_triangles
 from ladar_volume.mesh.local_holes import (
     clear_vertices,
     fill_holes,
@@ -62,7 +62,7 @@ def sheet(*across):
 
 def triangles(fan, size):
     out = np.empty((int(size.sum()) // 3, 4), np.int32)
-    spread_out(fan, size, out)
+    list_triangles(fan, size, out)
     return out[:, :3]
 
 

@@ -35,8 +35,8 @@ def test_exact_surfaces_come_back_exactly():
     rng = np.random.default_rng(1)
     (y, n), x = corner(20_000, rng), inner(corner(3000, rng)[0])
     T = start([0.004, -0.006, 0.01], [0.05, -0.04, 0.03])
-    r = refine(T.back(x), y, n, reach_m=0.6)
-    assert r.transform.apply(T.back(x)) == pytest.approx(x, abs=1e-9) and r.overlap > 0.99
+    r = refine(T.apply_inverse(x), y, n, reach_m=0.6)
+    assert r.transform.apply(T.apply_inverse(x)) == pytest.approx(x, abs=1e-9) and r.overlap > 0.99
     assert pytest.approx(T.R, abs=1e-10) == r.transform.R
 
 
@@ -50,7 +50,7 @@ def test_covariance_by_monte_carlo(levelled, cell_m):
     errors, C = [], []
     for _ in range(60):
         r = refine(
-            T.back(x + 0.01 * rng.standard_normal(x.shape)),
+            T.apply_inverse(x + 0.01 * rng.standard_normal(x.shape)),
             y,
             n,
             reach_m=0.6,
@@ -113,9 +113,13 @@ def test_open3d_finds_the_same():
     x = x + 0.003 * rng.standard_normal(x.shape)
     shift = np.array([5e5, 5.5e6, 200.0])  # map coordinates cost nothing
     T = start([0.01, -0.01, 0.02], [0.1, -0.1, 0.1])
-    own = refine(T.back(x), y, n, reach_m=0.6).transform
-    other = register_epochs(T.back(x) + shift, y + shift, n, start(), reach_m=0.6).transform
-    assert other.apply(T.back(x) + shift) - shift == pytest.approx(own.apply(T.back(x)), abs=1e-5)
+    own = refine(T.apply_inverse(x), y, n, reach_m=0.6).transform
+    other = register_epochs(
+        T.apply_inverse(x) + shift, y + shift, n, start(), reach_m=0.6
+    ).transform
+    assert other.apply(T.apply_inverse(x) + shift) - shift == pytest.approx(
+        own.apply(T.apply_inverse(x)), abs=1e-5
+    )
     assert other.C == pytest.approx(own.C, rel=0.02, abs=1e-12)
 
 

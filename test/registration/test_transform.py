@@ -53,7 +53,7 @@ def test_exact_centres_give_the_exact_transform(levelled, scale, weighted):
         T.scale, abs=1e-12
     )
     assert r.used.all() and r.consistent and np.abs(r.residuals).max() < 1e-9
-    assert r.transform.back(T.apply(SPHERES)) == pytest.approx(SPHERES, abs=1e-9)
+    assert r.transform.apply_inverse(T.apply(SPHERES)) == pytest.approx(SPHERES, abs=1e-9)
     assert (r.transform.matrix() @ np.append(SPHERES[2], 1))[:3] == pytest.approx(
         T.apply(SPHERES)[2], abs=1e-9
     )
@@ -210,7 +210,7 @@ def test_jacobian_and_shared_variance():
     for k in range(7):
         step = np.eye(7)[k] * 1e-6
         assert (
-            T.perturbed(step).apply(SPHERES) - T.perturbed(-step).apply(SPHERES)
+            T.perturb(step).apply(SPHERES) - T.perturb(-step).apply(SPHERES)
         ) / 2e-6 == pytest.approx(J[:, :, k], abs=1e-6)
     g = np.random.default_rng(9).standard_normal((6, 3))
     assert T.variance(g, SPHERES) == pytest.approx(

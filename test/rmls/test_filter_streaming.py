@@ -138,7 +138,7 @@ def test_a_hurried_surface_is_that_of_the_points_taken_in(scene):
         alone.add(select(points, np.array(taken)))
         # the stamp tells how far the data goes, not the patches
         assert surface(alone.finish()) == world
-    assert max(put_off) > 500 and f.refitted > 60
+    assert max(put_off) > 500 and f.refitted_count > 60
     follow(world, f.update())
     assert world == run(scene, points, np.arange(len(points)), 1, False)[1]
 
@@ -183,7 +183,7 @@ def test_of_those_that_wait_a_voxel_holds_what_could_stay(scene, monkeypatch):
     full.insert(offered)
     for part in np.array_split(np.random.default_rng(2).permutation(len(offered)), 5):
         waiting.add(select(offered, part))
-    assert len(waiting) == full.kept < 0.7 * len(offered)
+    assert len(waiting) == full.kept_count < 0.7 * len(offered)
     newest = int(points.t_ns.max())
     assert waiting.age_s(newest) == (newest - points.t_ns.min()) * 1e-9
     left, hashes = len(waiting), []
@@ -193,7 +193,7 @@ def test_of_those_that_wait_a_voxel_holds_what_could_stay(scene, monkeypatch):
         hashes.append(took.hash)
         assert len(waiting) == left - len(took) < left
         left = len(waiting)
-    assert len(hashes) > 3 and store.kept == full.kept and waiting.age_s(newest) == 0.0
+    assert len(hashes) > 3 and store.kept_count == full.kept_count and waiting.age_s(newest) == 0.0
     slots = np.concatenate(
         [np.arange(v * 8, v * 8 + n) for v, n in enumerate(full.count[: full.used])]
     )
@@ -297,7 +297,9 @@ def test_cap_keeps_the_same_points_in_any_order(scene):
             }
         )
         assert (
-            store.kept == len(kept[-1]) and store.count.max() == 8 and store.offered == len(points)
+            store.kept_count == len(kept[-1])
+            and store.count.max() == 8
+            and store.offered == len(points)
         )
     assert kept[0] == kept[1] == kept[2] == kept[3]
 

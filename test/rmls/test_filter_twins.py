@@ -42,7 +42,7 @@ def fitted(scene, request):
     f.add_platform(states)
     f.add(points)
     update = f.finish()
-    fits = f._builder.fit(f._around(np.arange(f._store.used)))
+    fits = f._builder.fit(f._dependent_voxels(np.arange(f._store.used)))
     slots = {
         int(f._store.keys[v]): np.sort(fits.members[fits.start[a] : fits.start[a] + fits.used[a]])
         for a, v in enumerate(fits.voxels)

@@ -93,14 +93,14 @@ def test_the_result_is_delaunay_and_its_residuals_are_those_of_its_surface(crite
     heights, _ = surface_at(tin.vertices, tin.triangles, points[:, :2])
     np.testing.assert_allclose(out.residual, points[:, 2] - heights, rtol=0, atol=1e-12)
     assert (out.residual[out.inserted] == 0.0).all()
-    rms, asd, count = out.fit(relevant_only=False)
+    rms, asd, count = out.fit_statistics(relevant_only=False)
     assert (
         count == 1000
         and rms == pytest.approx(np.sqrt(np.mean(out.residual**2)))
         and asd == pytest.approx(np.abs(out.residual).mean())
     )
     over = tin.relevant[out.triangle]
-    assert out.fit() == (
+    assert out.fit_statistics() == (
         pytest.approx(np.sqrt(np.mean(out.residual[over] ** 2))),
         pytest.approx(np.abs(out.residual[over]).mean()),
         over.sum(),
@@ -114,7 +114,7 @@ def test_a_full_triangulation_has_every_point_and_no_residual():
     assert (
         len(out.inserted) == out.initial == 500
         and (out.residual == 0.0).all()
-        and out.fit() == (0.0, 0.0, len(relevant))
+        and out.fit_statistics() == (0.0, 0.0, len(relevant))
     )
     corners = [
         [out.window[0], out.window[1]],
@@ -236,7 +236,7 @@ def test_points_over_one_footprint_count_in_the_fit_but_are_one_vertex(tolerance
     assert (len(kept) == 200) == (tolerance == 0.0) and out.same[200] == out.same[0]
     if tolerance == 0.0:
         np.testing.assert_allclose(out.residual[200:250], 9.0, rtol=0, atol=1e-12)
-        assert out.fit(False)[2] == 280
+        assert out.fit_statistics(False)[2] == 280
     else:
         d = np.linalg.norm(points[kept, None, :2] - points[None, kept, :2], axis=2)
         assert d[~np.eye(len(kept), dtype=bool)].min() > 0.4
@@ -270,7 +270,7 @@ def test_one_to_three_points_on_a_given_map(count):
         with pytest.raises(SurfaceError, match="no point"):
             adaptive_tin(
                 points, window=(0.0, 0.0, 3.0, 3.0), vertices=1, duplicate_tolerance_m=2.0
-            ).fit()
+            ).fit_statistics()
 
 
 def test_hostile_clouds_stay_valid():

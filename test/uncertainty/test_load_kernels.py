@@ -70,13 +70,13 @@ def test_loads_and_their_pairs(p, results):
     )
     assert q == close(twin)
     q[2] = 0.0
-    left, right = q[geometry.left, :p], q[geometry.right, :p]
+    left, right = q[geometry.block_rows, :p], q[geometry.right, :p]
     half = np.einsum(
         "npa,npq,nqb,n->ab",
         left,
         patches.cross,
         right,
-        np.where(geometry.left == geometry.right, 1.0, 2.0),
+        np.where(geometry.block_rows == geometry.right, 1.0, 2.0),
     )
     assert independent_covariance(q, patches, geometry) == close(0.5 * (half + half.T))
     packed = points.C_tangent.astype(np.float64)

@@ -110,10 +110,10 @@ def test_a_variance_errs_by_less_than_the_bound_and_hardly_at_all(surface):
         )
         assert np.array_equal(factor_loads(q, sent), q[:, :6])
         y = np.abs(turned[:, :, 0]).sum(axis=1)  # of half a whole number
-        weight = np.where(packed.left == packed.right, 0.5, 1.0)
-        assert abs(after - before) <= float((weight * y[packed.left] * y[packed.right]).sum()) * (
-            1 + 1e-6
-        )
+        weight = np.where(packed.block_rows == packed.right, 0.5, 1.0)
+        assert abs(after - before) <= float(
+            (weight * y[packed.block_rows] * y[packed.right]).sum()
+        ) * (1 + 1e-6)
         assert after == pytest.approx(before, rel=1e-3)  # and its root to a twentieth of a percent
 
 

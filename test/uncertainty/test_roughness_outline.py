@@ -35,10 +35,10 @@ from ladar_volume.volume.outline import (
     boundary_loop,
     components,
     fill_holes,
-    reached,
     surroundings,
+    vertices_reached,
     vertices_within,
-    widened,
+    widen_body,
 )
 
 
@@ -391,8 +391,8 @@ def test_body_margin_and_surroundings():
     body = bodies(tin, design_surface([0.0]), 0.5)[0]
     area = 0.5 * body.sum()
     assert area == 36.0
-    assert 0.5 * widened(tin, body, 0.0).sum() == pytest.approx(64.0, abs=4)
-    wide = widened(tin, body, 2.0)
+    assert 0.5 * widen_body(tin, body, 0.0).sum() == pytest.approx(64.0, abs=4)
+    wide = widen_body(tin, body, 2.0)
     loop = boundary_loop(tin, wide)
     x, y = loop.T
     assert 0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) == pytest.approx(0.5 * wide.sum())
@@ -414,7 +414,7 @@ def test_vertices_within_a_distance_of_some(distance):
         apart = np.linalg.norm(tin.vertices[:, None, :2] - tin.vertices[None, some, :2], axis=2)
         expected = (apart <= distance).any(axis=1)
         assert np.array_equal(vertices_within(tin, mask, distance), expected)
-        found = reached(tin.triangles, tin.neighbours, tin.vertices, some, distance)
+        found = vertices_reached(tin.triangles, tin.neighbours, tin.vertices, some, distance)
         assert not (found & ~expected).any() and found.sum() >= 0.9 * expected.sum()
 
 

@@ -17,7 +17,7 @@ from ladar_volume.model.records import FilterUpdate, select
 from ladar_volume.tin.full_tin import build_tin
 from ladar_volume.uncertainty.navigation_sum import markov_sum
 from ladar_volume.volume.estimator import VolumeEstimator
-from ladar_volume.volume.more_data import SOURCES, enclosed, markov_product, relief
+from ladar_volume.volume.more_data import SOURCES, enclosed_triangles, markov_product, relief
 
 LEVEL = {"base": "level", "level_m": 0.0, "outline": "all"}
 
@@ -66,7 +66,7 @@ def test_what_is_enclosed(share):
     )
     label = connected_components(graph, directed=False)[1]
     open_ended = label[~inside & (tin.neighbours < 0).any(axis=1)]
-    assert np.array_equal(enclosed(tin, inside), ~inside & ~np.isin(label, open_ended))
+    assert np.array_equal(enclosed_triangles(tin, inside), ~inside & ~np.isin(label, open_ended))
 
 
 def test_one_cell_for_all_is_a_second_survey():
@@ -90,7 +90,7 @@ def test_a_cell_with_noisy_returns_is_where_to_fly_and_by_how_much():
     e = with_noise(4e6)
     before = e.estimate().volume
     found = e.more_data()
-    first = found.best(1)[0]
+    first = found.best_cells(1)[0]
     assert (
         abs(first["x_m"] - 6.0) < 2.0 and abs(first["y_m"] + 4.0) < 2.0 and first["why"] == "noise"
     )
@@ -100,7 +100,9 @@ def test_a_cell_with_noisy_returns_is_where_to_fly_and_by_how_much():
     fall = found.falls_m6[cells, SOURCES.index("noise")].sum()
     assert fall == pytest.approx(before.budget_m6["noise"] - after.budget_m6["noise"], rel=1e-3)
     assert (
-        found.sigma_m3 == before.sigma_m3 and found.sigma_gaps_m3 == 0.0 and len(found.best()) == 3
+        found.sigma_m3 == before.sigma_m3
+        and found.sigma_gaps_m3 == 0.0
+        and len(found.best_cells()) == 3
     )
     assert (found.sigma_m > 0.02).all()  # what one position's sigma does to every height
 
@@ -148,7 +150,7 @@ def test_a_gap_is_found_and_its_size_is_that_of_the_relief():
     rms = math.sqrt(np.mean(np.square(errors)))
     assert rms / 4.0 < found.sigma_gaps_m3 < 4.0 * rms
     quiet = dataclasses.replace(found, falls_m6=found.falls_m6 * [0.0, 0.0, 0.0, 1.0])
-    best = quiet.best(1)[0]
+    best = quiet.best_cells(1)[0]
     assert math.hypot(best["x_m"] - 4.0, best["y_m"] - 5.0) < 2.0 and best["why"] == "gap"
     # too wide for triangles that count, but enclosed by them: bridged all the same
     narrow = estimator(without(update, hole))
@@ -178,6 +180,6 @@ def test_above_the_surveys_own_ground_the_places_are_where_it_counts():
     assert (
         (found.gain_m3 >= 0.0).all()
         and found.gain_m3.max() < v.sigma_m3
-        and len(found.best(5)) == 5
+        and len(found.best_cells(5)) == 5
     )
     assert T0 // BIN_NS > 0 and found.cell_m < 3.0

@@ -25,8 +25,8 @@ from ladar_volume.volume.folded_normal import (
     add_means,
     by_line,
     by_quadrature,
-    folded,
     folded_kernel,
+    folded_means,
     least_deviation,
     means_at,
     normal,
@@ -83,7 +83,7 @@ def test_nodes_integrate_degree_five():
 
 def test_one_sigma_for_all_nodes_at_the_level():
     s = 0.03
-    out = folded(np.zeros((1, 3)), packed(np.full((3, 3), s * s)))[0]
+    out = folded_means(np.zeros((1, 3)), packed(np.full((3, 3), s * s)))[0]
     assert out[0] == pytest.approx(PHI0 * s, rel=1e-12) and out[1:4] == pytest.approx(
         np.full(3, 1 / 6), rel=1e-12
     )
@@ -91,7 +91,7 @@ def test_one_sigma_for_all_nodes_at_the_level():
         [PHI0 / s * (1 / 6 if i == j else 1 / 12) for i, j in PACKED], rel=1e-12
     )
     # independent nodes: the interpolated height has half the variance on average
-    assert folded(np.zeros((1, 3)), packed(np.eye(3) * s * s))[0, 0] == pytest.approx(
+    assert folded_means(np.zeros((1, 3)), packed(np.eye(3) * s * s))[0, 0] == pytest.approx(
         0.28 * s, rel=0.02
     )
 
@@ -102,7 +102,7 @@ def test_means_slopes_and_curvatures_against_a_fine_rule(seed):
     A = rng.normal(size=(3, 3)) * 0.05
     C, mu = A @ A.T + 0.02**2 * np.eye(3), rng.normal(0, (0.02, 0.1, 0.5)[seed % 3], 3)
     expected = fine(mu, C)
-    found = folded(mu[None], packed(C))[0]
+    found = folded_means(mu[None], packed(C))[0]
     assert found[0] == pytest.approx(expected[0], abs=2e-5) and found[1:4] == pytest.approx(
         expected[1:4], abs=2e-4
     )
@@ -113,13 +113,13 @@ def test_far_triangles_and_no_noise():
     mu = np.array([[1.0, 2, 3], [-1, -2, -3], [0.5, 0.4, -9]])
     C = np.repeat(packed(np.eye(3) * 0.01**2), 3, axis=0)
     mean, slope = positive_part(mu)
-    out = folded(mu, C)
+    out = folded_means(mu, C)
     assert (
         np.array_equal(out[:2, 0], mean[:2])
         and np.array_equal(out[:2, 1:4], slope[:2])
         and not out[:2, 4:].any()
     )
-    still = folded(np.array([[0.0, 0, 0], [1, -1, 0.5]]), np.zeros((2, 6)))
+    still = folded_means(np.array([[0.0, 0, 0], [1, -1, 0.5]]), np.zeros((2, 6)))
     assert still[:, 0] == pytest.approx(
         positive_part(np.array([[0.0, 0, 0], [1, -1, 0.5]]))[0], abs=1e-15
     )
@@ -130,7 +130,7 @@ def test_tall_triangles_meet_the_rule_for_lines():
     for s in (0.01, 0.001):
         C = packed(np.diag([1.0, 2.0, 0.5]) * s * s)
         # half the variance times the density of heights at the level
-        bias = folded(mu, C)[0, 0] - positive_part(mu)[0][0]
+        bias = folded_means(mu, C)[0, 0] - positive_part(mu)[0][0]
         line = np.zeros(10)
         by_line(mu[0], C[0], line)
         assert bias == pytest.approx(line[0], rel=0.02)
@@ -419,7 +419,7 @@ def test_means_without_slopes_are_the_same_means():
     assert alone[:, 0] == pytest.approx(both[:, 0], rel=1e-13)
     # tall, and all above the base, of which one corner is within reach: no zero line crosses it
     tall, noise = np.array([0.02, 1.5, 2.0]), np.eye(3) * 0.01**2
-    found, expected = folded(tall[None], packed(noise))[0], fine(tall, noise, 1500)
+    found, expected = folded_means(tall[None], packed(noise))[0], fine(tall, noise, 1500)
     assert found[:4] == pytest.approx(expected[:4], rel=1e-6) and (found[4:] < 0.01).all()
     assert both[1:3, 0] == pytest.approx([5.0, 0.0]) and both[1:3, 1:4] == pytest.approx(
         np.outer([1, 0], np.full(3, 1 / 3))

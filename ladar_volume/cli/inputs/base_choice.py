@@ -35,15 +35,15 @@ def parameters_of(arguments: argparse.Namespace) -> tuple[Parameters, str]:
     """
     a, two = arguments, arguments.cloud_b is not None
     if a.piles is not None:
-        return _of_piles(a, two)
-    inferred = _inferred(a)
+        return _pile_parameters(a, two)
+    inferred = _inferred_base(a)
     _check_method(a, two)
     if two and a.footprint == "common":
         if a.level is not None or a.plane is not None or a.base is not None:
             raise ConfigurationError(
                 "the second cloud is the base; a level or a plane goes with --footprint own"
             )
-        return _read(a, "cloud"), "cloud"
+        return _read_parameters(a, "cloud"), "cloud"
     if not two and (a.footprint == "own" or a.sigma_b is not None):
         raise ConfigurationError("--footprint own and --sigma-b are for two clouds")
     level = "front" if a.method == 1 else "lowest"
@@ -53,10 +53,10 @@ def parameters_of(arguments: argparse.Namespace) -> tuple[Parameters, str]:
             "above what? Give --level Z, --base plane, ground or floor, or a second cloud"
         )
     _check_base(a, base, two)
-    return _read(a, base), base
+    return _read_parameters(a, base), base
 
 
-def _inferred(a: argparse.Namespace) -> str:
+def _inferred_base(a: argparse.Namespace) -> str:
     """The base that a value of its own tells; empty for none."""
     values = (("plane", a.plane), ("level", a.level), ("floor", a.levels))
     return next((name for name, value in values if value is not None), "")
@@ -75,7 +75,7 @@ def _check_base(a: argparse.Namespace, base: str, two: bool) -> None:
         raise ConfigurationError("--base ground is for one cloud in the level frame")
 
 
-def _of_piles(a: argparse.Namespace, two: bool) -> tuple[Parameters, str]:
+def _pile_parameters(a: argparse.Namespace, two: bool) -> tuple[Parameters, str]:
     """Parameters and base of piles."""
     refused = {
         "--levels": a.levels,
@@ -89,14 +89,14 @@ def _of_piles(a: argparse.Namespace, two: bool) -> tuple[Parameters, str]:
     for option, value in refused.items():
         if value is not None:
             raise ConfigurationError(f"{option} does not go with --piles")
-    base = _inferred(a) or a.base
+    base = _inferred_base(a) or a.base
     if two and base is not None:
         raise ConfigurationError("the second cloud is the base of the piles: leave --base out")
     if base in ("level", "plane") and (base == "level") != (a.level is not None):
         raise ConfigurationError(f"--base {base} and --{base} go together", value=base)
     if a.base not in (None, base):
         raise ConfigurationError(f"--base {a.base} and --{base} exclude each other", value=base)
-    parameters = _read(a, base if base in ("level", "plane") else "ground")
+    parameters = _read_parameters(a, base if base in ("level", "plane") else "ground")
     return parameters, "second" if two else base or "ground"
 
 
@@ -116,7 +116,7 @@ def of_flight(a: argparse.Namespace, text: str) -> bool:
     return a.trajectory is not None and text.partition(".")[0].strip() in FLIGHT_SECTIONS
 
 
-def _read(a: argparse.Namespace, base: str) -> Parameters:
+def _read_parameters(a: argparse.Namespace, base: str) -> Parameters:
     if a.ground_preset is not None and base != "ground":
         raise ConfigurationError("--ground-preset goes with --base ground", value=a.ground_preset)
     own = [text for text in a.set if not of_flight(a, text)]

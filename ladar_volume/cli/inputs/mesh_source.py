@@ -54,7 +54,7 @@ def read_faces(path: Path, arguments: argparse.Namespace, second: bool = False) 
     return None
 
 
-def thinning(arguments: argparse.Namespace) -> bool:
+def reduces_vertices(arguments: argparse.Namespace) -> bool:
     """Whether fewer vertices than the file has are asked for."""
     return arguments.tolerance is not None or arguments.vertices not in (None, 1.0)
 
@@ -70,7 +70,7 @@ def surface_of_mesh(
     """The faces of a mesh as a surface. Raises :class:`ConfigurationError` for options of points
     and :class:`SurfaceError` for a mesh that is no surface.
     """
-    thin = thinning(arguments)
+    thin = reduces_vertices(arguments)
     wrong = dict(OF_POINTS) if thin else {**OF_POINTS, **OF_THINNING}
     for name, default in wrong.items():
         if getattr(arguments, name) != default:

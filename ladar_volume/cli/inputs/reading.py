@@ -107,11 +107,11 @@ def reading_doubts(clouds: Sequence[PointFile]) -> tuple[Doubt, ...]:
     """
     out = [doubt for cloud in clouds for doubt in cloud.doubts]
     for other in clouds[1:]:
-        out += _together(clouds[0], other)
+        out += _pair_doubts(clouds[0], other)
     return tuple(out)
 
 
-def _together(a: PointFile, b: PointFile) -> list[Doubt]:
+def _pair_doubts(a: PointFile, b: PointFile) -> list[Doubt]:
     one, two = a.coordinates, b.coordinates
     if one.crs is None or two.crs is None:
         if one.crs is None and two.crs is None:

@@ -29,7 +29,7 @@ from ladar_volume.model.records import F64, Bool, Plane
 OF_SURFACE = ("ply", "tif")
 
 
-class Result(Protocol):
+class ExportableResult(Protocol):
     """surfaces : of the files · base : of the first, None where the second is the base · counted :
     triangles (m,) of the first that count · outlines : polygons (k, 2) that cut these off ·
     facts : what the JSON says
@@ -67,7 +67,10 @@ def system_of_files(arguments: argparse.Namespace, sources: Sequence[Source]) ->
 
 
 def write_files(
-    arguments: argparse.Namespace, wanted: ExportRequest, sources: Sequence[Source], result: Result
+    arguments: argparse.Namespace,
+    wanted: ExportRequest,
+    sources: Sequence[Source],
+    result: ExportableResult,
 ) -> list[str]:
     """Write the files; returns their names. Raises OutputError."""
     system = system_of_files(arguments, sources)
@@ -75,7 +78,7 @@ def write_files(
 
 
 def deliverable(
-    wanted: ExportRequest, sources: Sequence[Source], result: Result, system: OutputSystem
+    wanted: ExportRequest, sources: Sequence[Source], result: ExportableResult, system: OutputSystem
 ) -> Deliverable:
     """The result as what files hold."""
     surface, tin = result.surfaces[0], result.surfaces[0].made.tin

@@ -24,7 +24,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from ladar_volume.cli.arguments.lines import shown_name
-from ladar_volume.cli.tables.pile_table import measured, plain
+from ladar_volume.cli.tables.pile_table import plain_text, value_with_sigma
 from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.io.results import finite, json_text, output_folder, write_text
 from ladar_volume.io.site.survey_files import SurveyFile, companions, key_of, survey_files
@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not 1 <= a.workers <= 1024:
         raise ConfigurationError(f"--workers {a.workers}: from 1 to 1024", value=a.workers)
     task_options(a)
-    surveys = keyed(a, survey_files(a.folder, a.output))
+    surveys = assign_keys(a, survey_files(a.folder, a.output))
     folder = output_folder(a.output)
     kept = output_folder(folder / "results")
     console = Console(stderr=a.json)
@@ -124,7 +124,7 @@ def volume_arguments(a: argparse.Namespace, path: Path) -> argparse.Namespace:
     return out
 
 
-def keyed(a: argparse.Namespace, files: Iterable[SurveyFile]) -> list[Survey]:
+def assign_keys(a: argparse.Namespace, files: Iterable[SurveyFile]) -> list[Survey]:
     """The surveys with their keys."""
     options = {name: value for name, value in vars(a).items() if name not in ASIDE}
     options["program"] = version()
@@ -165,7 +165,7 @@ def compute_all(
         plain_task = argparse.Namespace(**{k: v for k, v in vars(a).items() if k != "run"})
         if workers is None:
             for survey in surveys:
-                bar.update(task, description=plain(survey.file.path.name))
+                bar.update(task, description=plain_text(survey.file.path.name))
                 out[survey.key] = keep(kept, survey, facts_of(plain_task, survey.file.path))
                 bar.advance(task)
             return out
@@ -324,15 +324,17 @@ def show(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
     piles = any(row["pile"] for row in rows)
     table = Table("site", "epoch", *(["pile"] if piles else []), "V / m³", "change / m³", "")
     for row in rows:
-        change = measured(row["change_m3"], row["sigma_change_m3"]) if row["since"] else "–"
+        change = value_with_sigma(row["change_m3"], row["sigma_change_m3"]) if row["since"] else "–"
         change += " (doubtful)" if row["since"] and row["change_doubts"] else ""
-        pile = [plain(row["pile"] or "–")] if piles else []
-        words = row["status"] if row["status"] != "failed" else f"failed: {plain(row['doubts'])}"
+        pile = [plain_text(row["pile"] or "–")] if piles else []
+        words = (
+            row["status"] if row["status"] != "failed" else f"failed: {plain_text(row['doubts'])}"
+        )
         table.add_row(
-            plain(row["site"]),
-            plain(row["epoch"] or "–"),
+            plain_text(row["site"]),
+            plain_text(row["epoch"] or "–"),
             *pile,
-            measured(row["net_m3"], row["sigma_m3"]),
+            value_with_sigma(row["net_m3"], row["sigma_m3"]),
             change,
             words,
         )

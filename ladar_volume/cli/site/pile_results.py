@@ -25,7 +25,7 @@ from ladar_volume.model.piles import HeightError, Material, Pile
 from ladar_volume.model.verdict import Doubt, Verdict
 from ladar_volume.piles.found_piles import found_piles
 from ladar_volume.piles.pile_site import SiteTask
-from ladar_volume.piles.pile_volumes import PileVolume, Refused, SitePiles, piles_of
+from ladar_volume.piles.pile_volumes import PileVolume, RefusedPile, SitePiles, piles_of
 from ladar_volume.piles.tonnage import Tonnage, tonnage, total_tonnage
 
 #: The word for piles that are found.
@@ -187,7 +187,7 @@ def row_of(pile: PileVolume, parameters: Parameters) -> dict[str, Any]:
     }
 
 
-def refused_row(refused: Refused) -> dict[str, Any]:
+def refused_row(refused: RefusedPile) -> dict[str, Any]:
     """A pile without a volume."""
     reason = {"name": refused.error.reason or "refused", "text": str(refused.error), "value": None}
     return {

@@ -12,12 +12,12 @@ from rich.table import Table
 MOST = 6
 
 
-def plain(text: object) -> str:
+def plain_text(text: object) -> str:
     """Text of a file, printed as it is."""
     return str(text).replace("[", r"\[")
 
 
-def measured(value: float | None, sigma: float | None) -> str:
+def value_with_sigma(value: float | None, sigma: float | None) -> str:
     """A number with its standard deviation, as far as they are known."""
     if value is None:
         return "–"
@@ -35,10 +35,12 @@ def show_piles(console: Console, facts: Mapping[str, Any]) -> None:
     console.print(table)
     if not known:
         return
-    others = Table("above", *(plain(row["name"]) for row in known[:MOST]), title="V / m³ by base")
+    others = Table(
+        "above", *(plain_text(row["name"]) for row in known[:MOST]), title="V / m³ by base"
+    )
     for name in known[0]["bases"]:
         found = [row["bases"][name] for row in known[:MOST]]
-        others.add_row(name, *(measured(b["net_m3"], b["sigma_m3"]) for b in found))
+        others.add_row(name, *(value_with_sigma(b["net_m3"], b["sigma_m3"]) for b in found))
     console.print(others)
     if len(known) > MOST:
         console.print(f"{len(known) - MOST} more piles by base with --json")
@@ -46,14 +48,14 @@ def show_piles(console: Console, facts: Mapping[str, Any]) -> None:
 
 def _cells(row: Mapping[str, Any], mass: bool) -> list[str]:
     """One row of the table."""
-    name = plain(row["name"] + (f", {row['material']}" if row.get("material") else ""))
+    name = plain_text(row["name"] + (f", {row['material']}" if row.get("material") else ""))
     if row["net_m3"] is None:
-        why = plain(row["verdict"]["reasons"][0]["text"])
+        why = plain_text(row["verdict"]["reasons"][0]["text"])
         return [name, "–", *(["–"] if mass else []), "–", "–", f"refused: {why}"]
-    tonnes = [measured(row.get("mass_t"), row.get("sigma_mass_t"))] if mass else []
+    tonnes = [value_with_sigma(row.get("mass_t"), row.get("sigma_mass_t"))] if mass else []
     return [
         name,
-        measured(row["net_m3"], row["sigma_m3"]),
+        value_with_sigma(row["net_m3"], row["sigma_m3"]),
         *tonnes,
         f"{row['area_m2']:.2f}",
         f"{row['height_m']:.2f}",

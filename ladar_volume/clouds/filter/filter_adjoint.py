@@ -52,11 +52,11 @@ def influence(r: F64, result: CloudResult, weight: F64) -> F64:
             centre = kept[cell].mean(axis=0)
             near = np.asarray(tree.query_ball_point(centre, float(ball)), np.int64)
             near = near if len(near) else cell
-            _spread(kept, result.normal, cell, near, centre, float(ball), weight, out)
+            _distribute_weights(kept, result.normal, cell, near, centre, float(ball), weight, out)
     return out
 
 
-def _spread(
+def _distribute_weights(
     kept: F64, normal: F64, cell: I64, near: I64, centre: F64, ball: float, weight: F64, out: F64
 ) -> None:
     """The weights of one cell's points handed to the points of its fits, one after the other until

@@ -54,7 +54,7 @@ def noise_sites(r: F64, at: I64, lines: Lines, reach_m: F64) -> NoiseSites:
     lines.
     """
     near = np.full((len(at), POINTS), -1)
-    level = np.array([lines.thinned(float(reach) / FINE) for reach in reach_m])
+    level = np.array([lines.level_near(float(reach) / FINE) for reach in reach_m])
     for i in np.unique(level):
         thinned, own = lines.levels[i], np.flatnonzero(level == i)
         k = min(POINTS, len(thinned.first))

@@ -91,7 +91,7 @@ def pieces_cost(
 
 
 @leaf_kernel
-def share_out(sample: PointSample, pieces: Pieces, count: int, shares: Shares) -> None:
+def membership_shares(sample: PointSample, pieces: Pieces, count: int, shares: Shares) -> None:
     """share (k, m): the probability that a point belongs to each piece, and label (m,) of the
     likeliest, −1 for none.
 
@@ -148,7 +148,7 @@ def _likelihoods(
 
 
 @leaf_kernel
-def own_information(sample: PointSample, plane: F64, share: F64) -> None:
+def information_ratio(sample: PointSample, plane: F64, share: F64) -> None:
     """What the points tell of a plane, over what they would if they were known to be its own (Louis
     1982), in place of their shares (m,): a doubtful point tells less, and less the farther it lies
     off. Its mean over the doubt is never below zero, single points count as zero where they would
@@ -191,7 +191,7 @@ def merge_coincident(pieces: Pieces, count: int, sigma: float) -> Any:
 
 
 @kernel
-def _bound(sample: PointSample, pieces: Pieces, count: int) -> None:
+def _find_bounding_planes(sample: PointSample, pieces: Pieces, count: int) -> None:
     """Label the points with their nearest planes, and see which planes bound each other."""
     limit, label = sample.threshold * sample.threshold, pieces.label
     nearest_planes(sample.x, sample.n, pieces.planes, count, limit, label)
@@ -236,9 +236,9 @@ def _refit_all(
 @kernel
 def _covariances(sample: PointSample, pieces: Pieces, count: int, shares: Shares) -> None:
     """``used``, ``means`` and ``inverses`` of the planes as they are, by what the points tell."""
-    share_out(sample, pieces, count, shares)
+    membership_shares(sample, pieces, count, shares)
     for k in range(count):
-        own_information(sample, pieces.planes[k], shares.share[k])
+        information_ratio(sample, pieces.planes[k], shares.share[k])
         plane = pieces.planes[k].copy()
         used = fit_shares(
             sample.x, sample.n, shares.share[k], plane, pieces.means[k], pieces.inverses[k]
@@ -263,11 +263,11 @@ def refine(
     planes; ``used``, ``means`` and ``inverses`` give their covariance.
     """
     shares, start, at_first = room_for_shares(sample.n), pieces.planes.copy(), count
-    _bound(sample, pieces, count)
+    _find_bounding_planes(sample, pieces, count)
     worst = WORSE * _price_pieces(sample, pieces, count, np.inf)
     step = 0
     while step < rounds:
-        share_out(sample, pieces, count, shares)
+        membership_shares(sample, pieces, count, shares)
         size = count
         count, moved = _refit_all(sample, reach, pieces, count, shares, across)
         if count < size:
@@ -284,6 +284,6 @@ def refine(
     if _price_pieces(sample, pieces, count, worst) > worst:
         count = at_first
         pieces.planes[:] = start
-        _bound(sample, pieces, count)
+        _find_bounding_planes(sample, pieces, count)
     _covariances(sample, pieces, count, shares)
     return count

@@ -114,7 +114,7 @@ def best_plane(
 
 
 @leaf_kernel
-def _spread(x: F64, m: int, share: F64, mean: F64, S: F64) -> None:
+def _weighted_scatter(x: F64, m: int, share: F64, mean: F64, S: F64) -> None:
     """Scatter (3, 3) of points (m, 3) about their mean, by their shares, to S."""
     s00 = s01 = s02 = s11 = s12 = s22 = 0.0
     for i in range(m):
@@ -152,7 +152,7 @@ def fit_shares(x: F64, m: int, share: F64, plane: F64, mean: F64, inverse: F64) 
     for k in range(3):
         mean[k] /= total
     S, value, vector = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
-    _spread(x, m, share, mean, S)
+    _weighted_scatter(x, m, share, mean, S)
     eigen(S, value, vector)
     if not value[1] > 1e-12 * max(value[2], 1e-300):
         return 0.0

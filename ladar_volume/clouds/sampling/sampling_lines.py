@@ -46,7 +46,7 @@ ALONE, ON_LINE, ON_SURFACE = 0, 1, 2
 
 
 @dataclass(frozen=True)
-class Thinned:
+class ThinnedLevel:
     """One point for each voxel: edge_m · first : (v,) its row · voxel : (n,) voxel of each point ·
     tree : of the points ``first``
     """
@@ -64,22 +64,22 @@ class Lines:
     """
 
     reach_m: F64
-    levels: tuple[Thinned, ...]
+    levels: tuple[ThinnedLevel, ...]
 
-    def thinned(self, edge_m: float) -> int:
+    def level_near(self, edge_m: float) -> int:
         """The level whose edge is next to the one wanted."""
         low = self.levels[0].edge_m
         level = round(float(np.log(max(edge_m / low, 1.0)) / np.log(STEP)))
         return min(level, len(self.levels) - 1)
 
 
-def thin_to_voxels(r: F64, edge_m: float) -> Thinned:
+def thin_to_voxels(r: F64, edge_m: float) -> ThinnedLevel:
     """Points (n, 3) m near the origin thinned to one for each voxel of an edge."""
     order, keys, start, _ = sorted_by_voxel(r, edge_m)
     voxel = np.empty(len(r), np.int64)
     voxel[order] = np.repeat(np.arange(len(keys)), np.diff(start))
     first = order[start[:-1]]
-    return Thinned(edge_m, first, voxel, cKDTree(r[first], balanced_tree=False))
+    return ThinnedLevel(edge_m, first, voxel, cKDTree(r[first], balanced_tree=False))
 
 
 def lies_along_lines(r: F64, near: I64) -> bool:
@@ -159,7 +159,7 @@ def find_lines(r: F64, spacing_m: float) -> Lines:
     return Lines(np.where(known, reach, np.nan), tuple(levels))
 
 
-def _state(r: F64, level: Thinned) -> I64:
+def _state(r: F64, level: ThinnedLevel) -> I64:
     """State (v,) of each voxel: its neighbourhood is empty, a line, or a surface."""
     points = r[level.first]
     distance, near = level.tree.query(
@@ -183,7 +183,7 @@ def _eigenvalues(points: F64, found: np.typing.NDArray[np.bool_]) -> F64:
     return np.asarray(np.linalg.eigvalsh(np.einsum("ski,skj->sij", x, x)))
 
 
-def _first_surface(states: I64, levels: list[Thinned]) -> F64:
+def _first_surface(states: I64, levels: list[ThinnedLevel]) -> F64:
     """Radius (n,) of the first level from which on a point's neighbourhood stays a surface."""
     out = np.full(states.shape[1], np.nan)
     for i in range(len(levels) - 1, -1, -1):

@@ -20,10 +20,10 @@ import numpy as np
 from ladar_volume.clouds.body_checks import check_bodies, check_doubts, uncertainty
 from ladar_volume.clouds.body_points import (
     BodyPoints,
+    excluded_points,
     filtered_points,
     good_points,
     ground_threshold,
-    left_out,
     step_between,
 )
 from ladar_volume.clouds.body_verdict import bodies_verdict, filter_doubts
@@ -100,7 +100,7 @@ class MeshedReturns:
     returns: int
 
 
-def around(outlines: tuple[F64, ...], margin_m: float, r: F64) -> F64:
+def points_near_outlines(outlines: tuple[F64, ...], margin_m: float, r: F64) -> F64:
     """The points (n, 3) m within a margin of the rectangle about outlines (c, 2 or more) m; all of
     them without outlines.
     """
@@ -115,7 +115,7 @@ def around(outlines: tuple[F64, ...], margin_m: float, r: F64) -> F64:
 def about(estimate: Estimate, returns: F64, parameters: Parameters) -> F64:
     """The returns (n, 3) m around what an estimate of the surface found."""
     outlines = tuple(v.outline for v in (estimate.volume, *estimate.bodies))
-    return around(outlines, parameters.volume.ground_ring_m, returns)
+    return points_near_outlines(outlines, parameters.volume.ground_ring_m, returns)
 
 
 def volume_rows(found: SurveyBodies, t_ns: int, parameters: Parameters) -> list[Volume]:
@@ -177,7 +177,7 @@ def mesh_returns(raw: F64, parameters: Parameters) -> MeshedReturns:
     sigma = np.zeros(len(points.r)) if points.sigma is None else points.sigma
     plane = dataclasses.replace(parameters.ground, degree=1, surfaces=1)
     ground = fit_ground(points.r, sigma**2, plane, ground_threshold(points))
-    doubts = filter_doubts(left_out(raw, good_points(raw, result), result, ground))
+    doubts = filter_doubts(excluded_points(raw, good_points(raw, result), result, ground))
     found, even = objects_on(points, ground, parameters.volume.object_height_m)
     options = BodyParameters()
     made = cloud_bodies(points.r, points.normal, points.curved, even, ground, options)

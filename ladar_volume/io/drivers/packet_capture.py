@@ -19,7 +19,7 @@ import numpy as np
 
 from ladar_volume.io.bags import TYPESTORE, BagReader, Raw, Recording
 from ladar_volume.io.drivers.velodyne_scan import HOUR_US, KIND, PACKET, TOPIC, packet_clock_us
-from ladar_volume.model.errors import BagError, shown
+from ladar_volume.model.errors import BagError, short_repr
 
 #: Endings of captures, and the bytes of a position packet.
 ENDINGS, POSITION = (".pcap", ".pcapng", ".cap"), 512
@@ -85,7 +85,7 @@ class PacketCapture(Recording):
                         yield Packet(round(seconds * 10**9), bytes(ip.src), bytes(udp.data))
         except Exception as error:  # a damaged file fails anywhere inside dpkt
             raise BagError(
-                f"{self.path}: not a readable capture: {shown(error)}", reason="bag_format"
+                f"{self.path}: not a readable capture: {short_repr(error)}", reason="bag_format"
             ) from error
 
     def __enter__(self) -> PacketCapture:

@@ -18,7 +18,7 @@ import time
 import tty
 from typing import Protocol
 
-from ladar_volume.model.errors import ConfigurationError, shown
+from ladar_volume.model.errors import ConfigurationError, short_repr
 from ladar_volume.model.losses import Losses
 
 #: A peer that is silent for this long may be replaced by another port of its host.
@@ -105,7 +105,7 @@ class UdpLink:
         except _ADDRESS as error:
             self._socket.close()
             raise ConfigurationError(
-                f"mavlink.url: {shown(address[0])}:{address[1]}: {error}", value=address
+                f"mavlink.url: {short_repr(address[0])}:{address[1]}: {error}", value=address
             ) from error
         self._socket.setblocking(False)
 
@@ -182,7 +182,7 @@ class TcpLink:
                 self._server = socket.create_server(address, backlog=1)
             except _ADDRESS as error:
                 raise ConfigurationError(
-                    f"mavlink.url: {shown(address[0])}:{address[1]}: {error}", value=address
+                    f"mavlink.url: {short_repr(address[0])}:{address[1]}: {error}", value=address
                 ) from error
             self._server.setblocking(False)
 
@@ -337,7 +337,8 @@ def open_link(url: str) -> Link:
     digits = number.isascii() and number.isdigit() and len(number) < 10
     if not digits or int(number) > most:
         raise ConfigurationError(
-            f"mavlink.url: {shown(url)}: the number after the last colon is missing or too large",
+            f"mavlink.url: {short_repr(url)}: the number after the last colon is missing or too "
+            "large",
             value=url,
         )
     if scheme == "serial":
@@ -348,7 +349,7 @@ def open_link(url: str) -> Link:
     if scheme in ("tcp", "tcpin"):
         return TcpLink(address, scheme == "tcpin")
     raise ConfigurationError(
-        f"mavlink.url: {shown(url)}: one of udpin, udpout, tcp, tcpin, serial, or a .tlog or "
+        f"mavlink.url: {short_repr(url)}: one of udpin, udpout, tcp, tcpin, serial, or a .tlog or "
         ".bin file",
         value=url,
     )

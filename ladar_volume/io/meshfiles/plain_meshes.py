@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ladar_volume.io.meshfiles.polygons import Faces
-from ladar_volume.model.errors import InputError, shown
+from ladar_volume.model.errors import InputError, short_repr
 from ladar_volume.model.records import F64
 
 #: No index or count reaches this.
@@ -22,7 +22,7 @@ def numbers(words: Sequence[str | bytes], kind: type = float) -> list[Any]:
         found = [kind(w) for w in words]
     except ValueError as error:
         raise InputError(
-            f"a value that is no number: {shown(error)}", reason="mesh_file_values"
+            f"a value that is no number: {short_repr(error)}", reason="mesh_file_values"
         ) from error
     if kind is int and any(abs(n) >= MOST for n in found):
         raise InputError("an index or count of more than 18 digits", reason="mesh_file_values")

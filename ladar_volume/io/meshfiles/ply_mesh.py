@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ladar_volume.io.pointfiles.ply import ENCODINGS, FORMATS, HEADER_LIMIT, TYPES
-from ladar_volume.model.errors import InputError, shown
+from ladar_volume.model.errors import InputError, short_repr
 from ladar_volume.model.records import F64, I32
 
 INDEX_NAMES = ("vertex_indices", "vertex_index")
@@ -69,7 +69,7 @@ def parse_header(data: bytes) -> tuple[str, list[Element], int]:
             elif words[:1] == ["property"]:
                 elements[-1].properties.append(Property(words[2], TYPES[words[1]]))
         except (KeyError, IndexError, ValueError) as error:
-            raise bad(f"header line {shown(line.strip())} cannot be understood") from error
+            raise bad(f"header line {short_repr(line.strip())} cannot be understood") from error
     if order is None or any(e.rows < 0 for e in elements):
         raise bad("the header names no format, or a negative count")
     return order, elements, newline + 1

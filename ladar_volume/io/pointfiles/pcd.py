@@ -25,7 +25,7 @@ from ladar_volume.io.pointfiles.ply import (
     write_rows,
 )
 from ladar_volume.io.pointfiles.raw_table import Columns, RawTable
-from ladar_volume.model.errors import CloudError, OutputError, shown
+from ladar_volume.model.errors import CloudError, OutputError, short_repr
 
 ENCODINGS = ("ascii", "binary", "binary_compressed")
 KINDS = {"F": "f", "I": "i", "U": "u"}
@@ -102,7 +102,7 @@ def _header(file: IO[bytes]) -> _Header:
         points, data = int(entries.get("POINTS", [str(size)])[0]), entries["DATA"][0]
     except (KeyError, IndexError, ValueError) as error:
         raise CloudError(
-            f"the header lacks or garbles an entry: {shown(error)}", reason="cloud_header"
+            f"the header lacks or garbles an entry: {short_repr(error)}", reason="cloud_header"
         ) from error
     if (
         points != size

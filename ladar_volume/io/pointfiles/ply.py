@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from ladar_volume.io.pointfiles.crs import of_comments
 from ladar_volume.io.pointfiles.raw_table import Columns, RawTable
-from ladar_volume.model.errors import CloudError, OutputError, shown
+from ladar_volume.model.errors import CloudError, OutputError, short_repr
 
 TYPES = {
     "char": "i1",
@@ -125,7 +125,8 @@ def _header(file: IO[bytes]) -> tuple[str, list[_Element], list[str]]:
                 _property(elements[-1], words)
         except (KeyError, IndexError, ValueError) as error:
             raise CloudError(
-                f"header line {shown(' '.join(words))} cannot be understood", reason="cloud_header"
+                f"header line {short_repr(' '.join(words))} cannot be understood",
+                reason="cloud_header",
             ) from error
     if order is None or any(e.count < 0 for e in elements):
         raise CloudError("the header names no format, or a negative count", reason="cloud_header")

@@ -12,7 +12,7 @@ from typing import Any
 
 from ladar_volume.io import strict_yaml
 from ladar_volume.model.choices import CALIBRATION_GROUPS
-from ladar_volume.model.errors import ConfigurationError, shown
+from ladar_volume.model.errors import ConfigurationError, short_repr
 from ladar_volume.model.piles import HeightError
 
 #: Keys of one error, and lines of the budget that are the program's own.
@@ -68,7 +68,7 @@ def read_budget(path: Path) -> tuple[tuple[HeightError, ...], dict[str, Any]]:
     for name in names:
         if names.count(name) > 1 or name in TAKEN:
             raise ConfigurationError(
-                f"{path.name}: the name {shown(name)} is taken: name every error otherwise",
+                f"{path.name}: the name {short_repr(name)} is taken: name every error otherwise",
                 value=name,
             )
     return errors, rest
@@ -79,15 +79,17 @@ def _error(path: Path, row: object) -> HeightError:
     if not isinstance(row, dict) or not {"name", "sigma_m"} <= set(row) <= set(KEYS):
         raise ConfigurationError(
             f"{path.name}: an error has name, sigma_m and, where it is not common to all heights, "
-            f"correlation_m: {shown(row)}",
+            f"correlation_m: {short_repr(row)}",
             value=row,
         )
     name, numbers = row["name"], {key: row[key] for key in KEYS[1:] if key in row}
     if not isinstance(name, str) or not name.isidentifier():
         raise ConfigurationError(
-            f"{path.name}: {shown(name)} is no name: letters, digits and _", value=name
+            f"{path.name}: {short_repr(name)} is no name: letters, digits and _", value=name
         )
     for key, value in numbers.items():
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ConfigurationError(f"{path.name}: {key} {shown(value)} is no number", value=value)
+            raise ConfigurationError(
+                f"{path.name}: {key} {short_repr(value)} is no number", value=value
+            )
     return HeightError(name, **{key: float(value) for key, value in numbers.items()})

@@ -17,7 +17,7 @@ from ladar_volume.io.pointfiles.crs import parts_of
 from ladar_volume.io.pointfiles.metres import MapCoordinates
 from ladar_volume.io.pointfiles.raw_table import FARTHEST
 from ladar_volume.io.site.outline_reading import MOST_CORNERS, Columns, Features, features_of
-from ladar_volume.model.errors import ConfigurationError, InputError, VolumeError, shown
+from ladar_volume.model.errors import ConfigurationError, InputError, VolumeError, short_repr
 from ladar_volume.model.piles import Material, Pile
 from ladar_volume.model.records import F64
 from ladar_volume.model.verdict import Doubt
@@ -264,5 +264,5 @@ def _density(text: str, pile: str) -> float | None:
         return float(text.replace(",", "."))
     except ValueError as error:
         raise ConfigurationError(
-            f"{pile}: a density {shown(text)} is no number", value=text
+            f"{pile}: a density {short_repr(text)} is no number", value=text
         ) from error

@@ -35,7 +35,7 @@ LONG, PEELED = 3.0, 20
 
 
 @dataclass(frozen=True)
-class Cut:
+class BodyCut:
     """Where a body is cut. hidden_m3 : volume beyond that is likely, if the surface falls off at
     45° · length_m : of the cut · high_m : its mean height · x_m, y_m : its middle
     """
@@ -66,7 +66,7 @@ def without_slivers(tin: Tin, inside: Bool) -> Bool:
     return left
 
 
-def cut_at_boundary(tin: Tin, base: Plane, inside: Bool, least_m: float) -> Cut | None:
+def cut_at_boundary(tin: Tin, base: Plane, inside: Bool, least_m: float) -> BodyCut | None:
     """Where the surface stands higher above the base, or lies deeper, than ``least_m`` on the
     boundary of the triangles ``inside`` (m,).
     """
@@ -81,7 +81,7 @@ def cut_at_boundary(tin: Tin, base: Plane, inside: Bool, least_m: float) -> Cut 
     x, y = (weight @ r[high, :, :2].mean(axis=1) / weight.sum()).tolist()
     total = float(length.sum())
     hidden = float(length @ (one**2 + one * two + two**2)) / 6.0
-    return Cut(hidden, total, float(weight.sum()) / total, x, y)
+    return BodyCut(hidden, total, float(weight.sum()) / total, x, y)
 
 
 def cut_doubts(
@@ -103,7 +103,7 @@ def cut_doubts(
     return [Doubt("cut", words, found.hidden_m3)]
 
 
-def cause_of(cut: Cut, parameters: Parameters) -> tuple[str, str]:
+def cause_of(cut: BodyCut, parameters: Parameters) -> tuple[str, str]:
     """What cuts a body, and what to do."""
     region = parameters.georeference.region_m
     if parameters.volume.outline == "polygon":

@@ -32,7 +32,12 @@ from ladar_volume.volume.field_checks.base_readings import (
     student_factor,
 )
 from ladar_volume.volume.field_checks.completeness import completeness_doubts, steep, wall_m6
-from ladar_volume.volume.field_checks.gaps import bridged, bridging, find_gaps, gap_doubts
+from ladar_volume.volume.field_checks.gaps import (
+    bridged_volume,
+    bridging_triangles,
+    find_gaps,
+    gap_doubts,
+)
 from ladar_volume.volume.field_checks.standing_objects import object_doubts
 from ladar_volume.volume.measured_body import Footing, SurveyedSurface, footing_of
 
@@ -50,7 +55,9 @@ def bridged_footing(
     """The surface with the gaps inside the outline bridged, and the footing of that."""
     polygon = polygon_of(parameters.volume) if parameters.volume.outline == "polygon" else None
     for _ in range(ROUNDS):
-        more = bridging(survey.tin, footing.base, footing.inside, polygon, parameters.volume)
+        more = bridging_triangles(
+            survey.tin, footing.base, footing.inside, polygon, parameters.volume
+        )
         if not more.any():
             break
         tin = dataclasses.replace(survey.tin, relevant=survey.tin.relevant | more)
@@ -82,7 +89,7 @@ def with_gaps(survey: SurveyedSurface, footing: Footing, part: F64, volume: Volu
     over = np.where(gaps.triangle >= 0, part, 0.0)
     # slopes at the rim of a gap tell of its surface by kriging, not as chords
     above, below = cut_and_fill_chords(tin, survey.points.normal[tin.source], base, over)
-    found = bridged(tin, base, part, survey.height_variance, gaps)
+    found = bridged_volume(tin, base, part, survey.height_variance, gaps)
     up = volume.cut_m3 >= volume.fill_m3
     doubts = gap_doubts(found, gaps.area_m2, volume.area_m2, volume.volume_m3, volume.sigma_m3)
     volume = dataclasses.replace(
@@ -202,7 +209,7 @@ def inflate_shared_variances(volume: Volume, factor: float) -> Volume:
     )
 
 
-class Passes(NamedTuple):
+class PassAgreement(NamedTuple):
     """What the passes of a survey say of its budget. agreement : of their median with the budget,
     None where it tells nothing · cover_m : by how much the ground scatters more than the body
     """
@@ -225,21 +232,21 @@ def ground_and_body(
     return ground, body
 
 
-def passes_of(survey: SurveyedSurface, footing: Footing, parameters: Parameters) -> Passes:
+def passes_of(survey: SurveyedSurface, footing: Footing, parameters: Parameters) -> PassAgreement:
     """The passes of a survey, the same for all of its bodies. Where the ground scatters more than
     the body it is overgrown: the body alone is asked.
     """
     nav, b = survey.sources.navigation, parameters.budget
     scatter = patch_scatter(survey.patches, nav, b)
     if scatter is None:
-        return Passes(None, 0.0)
+        return PassAgreement(None, 0.0)
     cover = 0.0
     if len(footing.base.support):
         ground, body = ground_and_body(survey, footing, parameters.volume.object_height_m)
         cover = cover_scatter(scatter, ground, body)
         if cover > 0.0:
             scatter = scatter.of(body[scatter.rows])
-    return Passes(pass_agreement(scatter, survey.patches, nav, b), cover)
+    return PassAgreement(pass_agreement(scatter, survey.patches, nav, b), cover)
 
 
 def with_walls(tin: Tin, part: F64, volume: Volume) -> Volume:
@@ -262,7 +269,7 @@ def assess_field(
     footing: Footing,
     part: F64,
     volume: Volume,
-    passes: Passes,
+    passes: PassAgreement,
     parameters: Parameters,
     objects: tuple[StandingObject, ...] = (),
 ) -> Volume:

@@ -59,7 +59,7 @@ class Gaps:
 
 
 @dataclass(frozen=True)
-class Bridged:
+class BridgedVolume:
     """What gaps do to a volume. more_m3 : what the surface over them has beyond the triangles that
     span them · variance_m6 : of the whole · gaps : the largest first · unknown_m2 : of gaps of
     whose surface nothing can be told
@@ -71,7 +71,7 @@ class Bridged:
     unknown_m2: float
 
 
-def bridging(
+def bridging_triangles(
     tin: Tin, base: Plane, inside_m2: F64, polygon: F64 | None, p: VolumeParameters
 ) -> Bool:
     """Triangles (m,) that do not count for their long edges, but span a gap inside the outline.
@@ -221,10 +221,12 @@ def gap_of(
     return Gap(x, y, float(weight.sum()), float(size.max()), sigma, more), found
 
 
-def bridged(tin: Tin, base: Plane, inside_m2: F64, variance: F64, gaps: Gaps) -> Bridged:
+def bridged_volume(
+    tin: Tin, base: Plane, inside_m2: F64, variance: F64, gaps: Gaps
+) -> BridgedVolume:
     """What the gaps do to the volume above the base. variance : (n,) m² of the vertex heights."""
     if not len(gaps.areas):
-        return Bridged(0.0, 0.0, (), 0.0)
+        return BridgedVolume(0.0, 0.0, (), 0.0)
     used = vertex_mask(tin, tin.relevant)
     r = tin.vertices[used].copy()
     r[:, 2] -= base_height(base, r[:, :2])
@@ -240,11 +242,11 @@ def bridged(tin: Tin, base: Plane, inside_m2: F64, variance: F64, gaps: Gaps) ->
     # the variance of |h|³ in a gap of diameter d goes with d³ times its area²
     size = gaps.areas**3.5
     total *= float(size.sum() / size[:MOST].sum())
-    return Bridged(more, total, tuple(made), unknown)
+    return BridgedVolume(more, total, tuple(made), unknown)
 
 
 def gap_doubts(
-    found: Bridged, gap_m2: float, area_m2: float, volume_m3: float, sigma_m3: float
+    found: BridgedVolume, gap_m2: float, area_m2: float, volume_m3: float, sigma_m3: float
 ) -> list[Doubt]:
     """Too much was not seen: gap_m2 of area_m2. sigma_m3 : of the volume without it."""
     sigma, share = math.sqrt(found.variance_m6), gap_m2 / max(area_m2, 1e-300)

@@ -10,7 +10,7 @@ from ladar_volume.model.errors import GroundError, SurfaceError, VolumeError
 from ladar_volume.model.parameters import Parameters, VolumeParameters
 from ladar_volume.model.records import F64, I64, Bool, StandingObject, Volume
 from ladar_volume.model.surface_parameters import SurfaceParameters
-from ladar_volume.tin.represent import Represented, represent
+from ladar_volume.tin.represent import RepresentedSurface, represent
 from ladar_volume.volume.field_checks.standing_objects import (
     bent_vertices,
     objects_of,
@@ -45,7 +45,7 @@ def surface_without(survey: SurveyedSurface, taken: Bool, v: VolumeParameters) -
     return surveyed_surface(by_rows(made, rows), survey.points, survey.patches, survey.sources)
 
 
-def by_rows(made: Represented, rows: I64) -> Represented:
+def by_rows(made: RepresentedSurface, rows: I64) -> RepresentedSurface:
     """A surface made from the points ``rows`` (k,), by the numbers of all points."""
     tin = dataclasses.replace(made.tin, source=rows[made.tin.source])
     fit = made.fit
