@@ -52,6 +52,8 @@ class Replay:
     start_s: float = 0.0
     duration_s: float = float("inf")
     poses: MavlinkLog | None = None
+    #: How many estimates are made on the way, evenly over the recording, beside the last.
+    stations: int = 0
 
     def __post_init__(self) -> None:
         if self.poses is not None:  # the autopilot's log stands in for the recording's own poses
@@ -74,6 +76,8 @@ class Replay:
         #: Time, ns, and status of every fix, as NavSatStatus.
         self.fixes: list[tuple[int, int]] = []
         self.rings = RingCount(self.parameters.georeference.beams)
+        #: Share of the recording, V and its standard deviation (m³; nan where there was none).
+        self.convergence: list[tuple[float, float, float]] = []
 
     def run(self, progress: Callable[[float], None] = lambda share: None) -> Estimate:
         """Feed every message, finish, and estimate. A bad message is counted and left out; the good
@@ -86,7 +90,12 @@ class Replay:
             if role in ("", "cloud"):
                 self.engine.step()
                 progress(share)
-        return self.estimated(self.engine.finish)
+                self._station(share)
+        estimate = self.estimated(self.engine.finish)
+        if self.stations:
+            v = estimate.volume
+            self.convergence.append((1.0, v.volume_m3, v.sigma_m3))
+        return estimate
 
     def doors(self) -> dict[str, Callable[[Any], None]]:
         """Where records of each role go."""
@@ -108,6 +117,17 @@ class Replay:
                 f"{error} ({self.returns} returns read; not used: {why or 'nothing'})",
                 reason=error.reason,
             ) from error
+
+    def _station(self, share: float) -> None:
+        """An estimate on the way, where one is due; asking changes nothing of the last."""
+        due = len(self.convergence) + 1
+        if due > self.stations or share < due / (self.stations + 1):
+            return
+        try:
+            v = self.engine.estimate().volume
+            self.convergence.append((share, v.volume_m3, v.sigma_m3))
+        except (SurfaceError, GroundError, VolumeError):  # not enough was seen
+            self.convergence.append((share, math.nan, math.nan))
 
     def all_losses(self) -> Losses:
         """What decoding and the stages dropped."""
@@ -250,6 +270,11 @@ class Replay:
         )
         doubts = self.height_doubts() + missing_messages(self.bag, self.topics)
         result["verdict"] = results.with_doubts(result["verdict"], doubts)
+        if self.convergence:
+            result["convergence"] = [
+                dict(zip(("share", "volume_m3", "sigma_m3"), each, strict=True))
+                for each in self.convergence
+            ]
         return result | {
             "where_more_data_helps": results.more_data_dict(self.engine.estimator.more_data())
         }

@@ -23,6 +23,7 @@ from ladar_volume.io.drivers.packet_capture import open_recording
 from ladar_volume.io.meshfiles.body_mesh import write_bodies
 from ladar_volume.io.output_set import output_set
 from ladar_volume.io.surveys import FILE, write_survey
+from ladar_volume.model.errors import ConfigurationError
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.model.records import Estimate
 from ladar_volume.replay import Replay
@@ -42,6 +43,8 @@ def run(arguments: argparse.Namespace) -> int:
     console = Console(stderr=arguments.json)
     parameters = read_config(config_for(arguments.bag, arguments.config), arguments.set)
     check_workers(arguments)
+    if arguments.convergence and (arguments.dask is not None or arguments.tile is not None):
+        raise ConfigurationError("--convergence is for one process: leave --tile and --dask out")
     with output_set(arguments.output, results.SURVEY_FILES) as folder:
         result, seconds = _replay_and_write(arguments, parameters, folder, console)
     if arguments.json:
@@ -82,6 +85,7 @@ def _replay_and_write(
             arguments.start,
             arguments.duration,
             poses,
+            arguments.convergence,
         )
         began = time.perf_counter()
         tiles: dict[str, Any] = {}

@@ -13,9 +13,9 @@ from scipy.spatial import cKDTree
 
 from ladar_volume.clouds.cloud_surface import CloudSurface
 from ladar_volume.model.records import F64, Bool, Plane
-from ladar_volume.report.report_page import Report, file_digest, write_report
+from ladar_volume.report.report_page import Report, changed_parameters, file_digest, write_report
 from ladar_volume.report.scene import Scene, base_of_plane
-from ladar_volume.report.survey_report import budget_rows, lead_of
+from ladar_volume.report.survey_report import budget_rows, calibration_rows, lead_of
 from ladar_volume.tin.locate import height_at
 from ladar_volume.volume.outline import boundary_loop, components
 
@@ -58,6 +58,13 @@ def write_cloud_report(report: CloudReport, page: Path) -> None:
         if value not in (None, math.inf)
     ]
     inputs = {path.name: file_digest(path) for path in report.files}
+    flown = facts["trajectory"]
+    if flown is not None:
+        inputs[flown["path"]] = flown["sha256"]
+        tables["Trajectory"] = flight_rows(flown)
+        used = flown["parameters"]
+        tables["Calibration"] = calibration_rows(used["calibration"])
+        tables["Parameters that differ from their defaults"] = changed_parameters(used)
     title = " and ".join(path.name for path in report.files)
     write_report(Report(title, facts, lead, tables, _scene(report), inputs), page)
 
@@ -132,6 +139,21 @@ def base_rows(facts: Mapping[str, Any]) -> list[tuple[str, ...]]:
             *(f"{row['name']}: {value_with_sigma(row['bases'][name], *VOLUME)}" for row in known),
         )
         for name in (known[0]["bases"] if known else ())
+    ]
+
+
+def flight_rows(flown: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """What the trajectory beside the cloud was, and how it was read."""
+    low, mid, high = flown["range_m"]
+    return [
+        (str(flown["path"]), f"{flown['poses']:,} poses"),
+        ("times of the points", str(flown["clock"])),
+        ("points outside", f"{100 * flown['outside']:.2f} %"),
+        ("ranges (5, 50, 95 %)", f"{low:.2f}, {mid:.2f}, {high:.2f} m"),
+        ("attitudes", str(flown["attitude"])),
+        ("sigma of positions", str(flown["position_sigma"])),
+        ("sigma of attitudes", str(flown["attitude_sigma"])),
+        ("beams", str(flown["beams"])),
     ]
 
 

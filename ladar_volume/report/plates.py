@@ -203,6 +203,20 @@ def draw_section(number: int) -> Callable[..., None]:
     return draw
 
 
+def draw_convergence(ax: Axes, scene: Scene) -> None:
+    """Volume with one standard deviation over the recording."""
+    share, volume, sigma = np.array(scene.convergence, dtype=np.float64).T
+    good = np.isfinite(volume) & np.isfinite(sigma)
+    percent = 100.0 * share[good]
+    ax.errorbar(percent, volume[good], sigma[good], fmt="o-", color=CUT, ms=4, lw=1.2, capsize=3)
+    ax.axhline(volume[-1], color=BASE, lw=1.0, ls="--")
+    ax.set(xlabel="share of the recording / %", ylabel="V ± sigma / m³")
+    ax.set_xlim(0.0, 103.0)
+    ax.ticklabel_format(useOffset=False)
+    ax.margins(y=0.15)
+    ax.set_title("How the volume came about", loc="left")
+
+
 def draw_budget(ax: Axes, budget_m6: Mapping[str, float]) -> None:
     """Standard deviations of the volume by source, the largest on top."""
     lines = sorted(budget_m6.items(), key=lambda item: item[1])[-LINES:]
@@ -231,6 +245,8 @@ def plates(scene: Scene, budget_m6: Mapping[str, float]) -> dict[str, str]:
     for number in (0, 1):
         name = f"section-{number + 1}"
         out[name] = svg(name, partial(draw_section(number), scene=scene), 7.6, 2.6)
+    if len(scene.convergence) > 1:
+        out["convergence"] = svg("convergence", partial(draw_convergence, scene=scene), 7.6, 2.6)
     if any(value > 0.0 for value in budget_m6.values()):
         out["budget"] = svg("budget", partial(draw_budget, budget_m6=budget_m6), 7.6, 3.4)
     return out

@@ -34,6 +34,7 @@ CAPTIONS = {
     "path": "Path of the scanner by the status of its fixes.",
     "section-1": "Section through the middle, west to east.",
     "section-2": "Section through the middle, south to north.",
+    "convergence": "Volume and its standard deviation over the recording.",
     "budget": "Standard deviation of the volume by source.",
 }
 

@@ -34,7 +34,8 @@ class Scene:
     (k, 2), m, closed or not · base_at : height of the base at xy (k, 2), NaN outside · base : in
     words · where : the coordinate system in words · again : places of another pass, as
     ``MoreData.best`` gives them · gaps, objects : x, y, size of places that were not seen, and of
-    what stands there and is not counted, m · path : of the scanner, or None
+    what stands there and is not counted, m · path : of the scanner, or None · convergence : share
+    of the recording, V and its standard deviation, m³
     """
 
     tin: Tin
@@ -49,6 +50,7 @@ class Scene:
     gaps: Sequence[tuple[float, float, float]] = ()
     objects: Sequence[tuple[float, float, float]] = ()
     path: Path | None = None
+    convergence: Sequence[tuple[float, float, float]] = ()
 
     def corners(self) -> F64:
         """Corners (t, 3, 2), m, of the triangles that count."""
@@ -125,6 +127,10 @@ def scene_of_survey(
         gaps=[(gap.x_m, gap.y_m, gap.size_m) for gap in estimate.volume.gaps],
         objects=[(one.x_m, one.y_m, one.size_m) for one in estimate.volume.objects],
         path=path_of(epoch, fixes),
+        convergence=[
+            (each["share"], each["volume_m3"], each["sigma_m3"])
+            for each in result.get("convergence", ())
+        ],
     )
 
 

@@ -31,9 +31,11 @@ def write_survey_report(
         "Budget": budget_rows(result),
         "Bodies": _bodies(result),
         "Where to measure again": _reproduction_lines(result),
+        "Convergence": _convergence(result),
         "Coverage": _coverage(result),
         "Returns": [(name.replace("_", " "), f"{n:,}") for name, n in result["points"].items()],
         "Not used": [(name.replace("_", " "), f"{n:,}") for name, n in result["losses"].items()],
+        "Calibration": calibration_rows(result["parameters"]["calibration"]),
         "Parameters that differ from their defaults": changed_parameters(result["parameters"]),
     }
     scene = scene_of_survey(estimate, epoch, result, fixes)
@@ -89,6 +91,27 @@ def _reproduction_lines(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
             str(place["why"]),
         )
         for place in result["where_more_data_helps"]["places"]
+    ]
+
+
+def _convergence(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    return [
+        (
+            f"after {100 * each['share']:.0f} % of the recording",
+            f"{cubic(each['volume_m3'])} ± {cubic(each['sigma_m3'])} m³",
+        )
+        for each in result.get("convergence", ())
+    ]
+
+
+def calibration_rows(calibration: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Names and values of the mounting and the clock, as in a parameter file."""
+    return [
+        (
+            name,
+            ", ".join(f"{v:g}" for v in value) if isinstance(value, list | tuple) else f"{value:g}",
+        )
+        for name, value in calibration.items()
     ]
 
 

@@ -161,3 +161,16 @@ def test_a_pile_that_the_region_cuts_is_doubtful(capsys, tmp_path):
     assert code == 3 and result["verdict"]["status"] == "doubtful"
     (cut,) = (r for r in result["verdict"]["reasons"] if r["name"] == "cut")
     assert "georeference.region_m" in cut["text"] and 5.0 < cut["value"] < 643.1 - 425.7
+
+
+def test_the_report_shows_how_the_volume_came_about(tmp_path, capsys):
+    words = ["replay", str(BAGS / "box"), "--duration", "9", "--convergence", "3"]
+    assert main([*words, "-o", str(tmp_path / "out")]) == 0
+    capsys.readouterr()
+    result = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
+    stations = result["convergence"]
+    assert len(stations) == 4 and stations[-1]["volume_m3"] == result["volume_m3"]
+    assert [s["share"] for s in stations[:3]] == pytest.approx([0.25, 0.5, 0.75], abs=0.05)
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert 'id="figure-convergence"' in page and "after 100 % of the recording" in page
+    assert "boresight_roll_deg" in page

@@ -10,6 +10,9 @@ from ladar_volume.cli.arguments.scale.work_options import add_work_options
 from ladar_volume.cli.arguments.strict import add_strict_option
 from ladar_volume.cli.arguments.work import work
 
+#: Most estimates on the way of a replay.
+MOST_STATIONS = 100
+
 
 def add_parser(subparsers: Verbs) -> None:
     """Declare the verb."""
@@ -24,9 +27,24 @@ def add_parser(subparsers: Verbs) -> None:
     )
     parser.add_argument("--start", type=float, default=0.0, help="seconds into the recording")
     parser.add_argument("--duration", type=float, default=float("inf"), help="seconds")
+    parser.add_argument(
+        "--convergence",
+        type=stations,
+        default=0,
+        metavar="N",
+        help="also the volume at N moments of the recording, in result and report",
+    )
     parser.add_argument("--no-figure", action="store_true", help="skip picture and report")
     add_work_options(parser, "BAG.tiles", always=False)
     parser.set_defaults(run=work("ladar_volume.cli.replay"))
+
+
+def stations(word: str) -> int:
+    """How many estimates on the way."""
+    count = int(word)
+    if not 0 <= count <= MOST_STATIONS:
+        raise argparse.ArgumentTypeError(f"{word}: from 0 to {MOST_STATIONS}")
+    return count
 
 
 def add_common(parser: argparse.ArgumentParser) -> None:

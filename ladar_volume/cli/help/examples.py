@@ -9,6 +9,7 @@ TITLE = "examples:"
 EXAMPLES = {
     "replay": (
         ("volume of a recording: out/report.html, result.json, mesh.ply", "bags/stockpile"),
+        ("how the volume came about, in the report", "bags/box --convergence 5 -o out/box"),
         ("one parameter otherwise", "bags/stockpile --set volume.base=ground -o out/ground"),
     ),
     "filter": (
