@@ -78,15 +78,9 @@ def _replay_and_write(
     """Replay and write; returns the result and the seconds the replay took."""
     with open_recording(arguments.bag) as bag:
         poses = poses_of(arguments, parameters)
-        replay = Replay(
-            bag,
-            parameters,
-            bag.roles(wanted_topics(topics_from(arguments.topic), parameters)),
-            arguments.start,
-            arguments.duration,
-            poses,
-            arguments.convergence,
-        )
+        roles = bag.roles(wanted_topics(topics_from(arguments.topic), parameters))
+        part = (arguments.start, arguments.duration)
+        replay = Replay(bag, parameters, roles, *part, poses, arguments.convergence)
         began = time.perf_counter()
         tiles: dict[str, Any] = {}
         if arguments.dask is None and arguments.tile is None:
