@@ -83,14 +83,17 @@ def good(kind: str, t_ns: int, rng: np.random.Generator) -> Any:
     """A message as a sensor sends it."""
     if kind == "fix":
         message = NavSatFix(
-            header=header(t_ns), latitude=50.0, longitude=14.0 + rng.normal() * 1e-6, altitude=30.0
+            header=header(t_ns, "gnss"),
+            latitude=50.0,
+            longitude=14.0 + rng.normal() * 1e-6,
+            altitude=30.0,
         )
         message.position_covariance_type = 2
         message.position_covariance = np.diag([1e-4] * 3).ravel()
         message.status.status = 2
         return message
     if kind == "imu":
-        message = Imu(header=header(t_ns))
+        message = Imu(header=header(t_ns, "imu"))
         message.orientation.w = 1.0
         message.orientation_covariance = np.diag([1e-6] * 3).ravel()
         return message

@@ -48,6 +48,7 @@ from ladar_volume.nodes.frames.static_mounting import mounting_from_frames
 from ladar_volume.nodes.qos import LATCHED, STREAM
 from ladar_volume.nodes.stream_passes import OnePublisher
 from ladar_volume.nodes.watch.defect_reports import Defects
+from ladar_volume.nodes.watch.first_start import compiling_told
 from ladar_volume.nodes.watch.health import Health
 from ladar_volume.nodes.watch.loss_shares import LossShares
 from ladar_volume.nodes.work_queue import WorkQueue
@@ -202,9 +203,11 @@ class StageNode(LifecycleNode, ABC):
     def on_configure(self, state: State) -> TransitionCallbackReturn:
         """Build everything, kernels included, and start the worker."""
         self._before_build = {id(e) for _, e in self._entities()}
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         try:
             if self.kernels is not None:
-                importlib.import_module("ladar_volume.compile_kernels").warm_up(self.kernels)
+                with compiling_told(self._tell_first_start):
+                    importlib.import_module("ladar_volume.compile_kernels").warm_up(self.kernels)
             if "calibration" in self.sections:
                 self._mount()
             self.build()
@@ -213,7 +216,6 @@ class StageNode(LifecycleNode, ABC):
             self.get_logger().error(self.failure)
             self._take_down()
             return TransitionCallbackReturn.FAILURE
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # by a steady clock: a simulated one may stand still, and then one wants to see why
         self._timer = self.create_timer(
             self.parameters.node.diagnostics_period_s,
@@ -225,6 +227,12 @@ class StageNode(LifecycleNode, ABC):
         self._worker = threading.Thread(target=self._run, name=self.get_name(), daemon=True)
         self._worker.start()
         return TransitionCallbackReturn.SUCCESS
+
+    def _tell_first_start(self, words: str) -> None:
+        """How far the compiler is: the only diagnostics of a node that is not configured yet."""
+        array = DiagnosticArray(status=[self._status_of([], [words])])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
 
     def _mount(self) -> None:
         """Take the mounting from /tf_static where the configuration has none."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
     from numba.core.dispatcher import Dispatcher
     from numba.core.typing.templates import Signature
 
+#: How often stderr hears how far the compiler is, s.
+TOLD_S = 10.0
+
 _said: set[str] = set()
 
 
@@ -29,16 +33,45 @@ def _say(line: str) -> None:
         sys.stderr.write(f"ladar_volume: {line}\n")
 
 
+class Compiling:
+    """How many kernels this process found in no cache; ``aloud``: stderr hears of it."""
+
+    def __init__(self) -> None:
+        self.count, self.aloud = 0, False
+        self._began = self._told = 0.0
+
+    def begins(self) -> None:
+        """One more is compiled."""
+        now = time.monotonic()
+        self._began = self._began if self.count else now
+        if self.aloud and (not self.count or now - self._told >= TOLD_S):
+            self._told = now
+            rest = "once, some minutes; they are kept" if not self.count else "the rest follows"
+            sys.stderr.write(f"ladar_volume: {self.words()}: {rest}\n")
+        self.count += 1
+
+    def words(self) -> str:
+        """How far it is."""
+        seconds = time.monotonic() - self._began
+        return f"compiling kernels, {self.count} so far in {seconds:.0f} s"
+
+
+COMPILING = Compiling()
+
+
 class KernelCache(FunctionCache):
     """Numba's own cache of one function; its errors cost a compilation, no more."""
 
     def load_overload(self, sig: Signature, target_context: BaseContext) -> Any:
         """The machine code of a signature; None where it is to be compiled."""
+        found = None
         try:
-            return super().load_overload(sig, target_context)
+            found = super().load_overload(sig, target_context)
         except Exception as error:  # a damaged pickle may raise anything
             self._throw_away(error)
-            return None
+        if found is None:
+            COMPILING.begins()
+        return found
 
     def save_overload(self, sig: Signature, data: object) -> None:
         """Keep machine code, where that can be done."""

@@ -1,7 +1,9 @@
 """What a node compiles before data comes is all that data then needs."""
 
+import os
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -42,3 +44,37 @@ def test_a_survey_needs_no_kernel_that_was_not_ready():
 """
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout[-500:] + done.stderr
+
+
+def test_a_first_start_tells_how_far_the_compiler_is(tmp_path):
+    code = """if True:
+    import numba, sys, time
+    from ladar_volume.nodes.watch.first_start import compiling_told
+    from ladar_volume.process.kernel_cache import keep
+
+    def of(n):
+        kernel = numba.njit(lambda x: x + n)
+        keep(kernel)
+        return kernel
+
+    said = []
+    with compiling_told(said.append, 0.01):
+        print(of(1)(2))
+        while not said:
+            time.sleep(0.01)
+    print(said[-1])
+    said.clear()
+    with compiling_told(said.append, 0.01):  # nothing is compiled: nothing is told
+        time.sleep(0.05)
+    print(said)
+    """
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    script = tmp_path / "script.py"
+    script.write_text(textwrap.dedent(code.removeprefix("if True:\n")))
+    done = subprocess.run(
+        [sys.executable, script], cwd=ROOT, env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    answer, told, after = done.stdout.splitlines()
+    assert answer == "3" and told.startswith("compiling kernels, 1 so far in") and after == "[]"
+    assert done.stderr.count("compiling kernels") == 1 and "they are kept" in done.stderr
