@@ -237,6 +237,22 @@ def test_a_band_of_one_line_is_no_surface():
     assert np.mean(np.isfinite(reach[6000:])) < 0.1
 
 
+def test_few_lines_that_lie_far_apart_are_remote():
+    rng = np.random.default_rng(3)
+
+    def patch(x, y):
+        xy = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+        return np.column_stack([xy + rng.normal(0, 1e-3, xy.shape), rng.normal(0, 2e-3, len(xy))])
+
+    near = patch(np.arange(-2, 2, 0.05), np.arange(-2, 2, 0.1))
+    far = patch(np.arange(-15, 15, 0.1), np.arange(20, 44, 3.0))
+    r, k = np.vstack([near, far]), len(near)
+    lines = find_lines(r - r.mean(axis=0), 0.05)
+    assert not lines.remote[:k].any()
+    assert lines.remote[k:].mean() > 0.9
+    np.testing.assert_allclose(np.nanmedian(lines.reach_m[k:]), 3.2)
+
+
 def test_noisy_lines_are_lines_though_their_noise_is_wider_than_their_spacing():
     rng = np.random.default_rng(3)
     along, line = np.meshgrid(np.arange(0, 3, 0.01), np.arange(0, 3, 0.1))

@@ -19,7 +19,7 @@ CLUTTER = REASONS.index("clutter")
 LINE = 8
 #: The spacing of points too few for a surface over that of the points next to them: from ring to
 #: ring it may jump; and of those beside a surface among themselves.
-JUMP, BESIDE = 4.0, 2.0
+JUMP, BESIDE = 6.0, 2.0
 #: Quantile of the noise on surfaces that a point on none may have: surfaces that face the scanner
 #: show all of it. Noise of angles grows with the range, and so with the spacing: the noise over the
 #: spacing that surfaces of wide spacing, from that quantile on, show in the middle of them.
@@ -54,6 +54,7 @@ def classify_off_surface(
         stays = _on_neighbour_surface(r, done, tuned)
         if tuned.lines is not None:
             stays |= _sparse_survey_points(r, done, tuned)
+            stays |= kept & tuned.lines.remote  # a surface of few lines hides their noise
     leaves = ~stays & (reason == cell_surface.NO_SURFACE)
     if tuned.lines is not None:
         reason[leaves & np.isfinite(tuned.lines.reach_m)] = CLUTTER

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ladar_volume.clouds.filter.point_reduction import sorted_by_voxel
-from ladar_volume.model.records import F64, I64
+from ladar_volume.model.records import F64, I64, Bool
 
 #: A neighbourhood is a line where its second eigenvalue is below this share of the first.
 LINE = 0.1
@@ -39,6 +39,9 @@ STEP, STAYS = float(np.sqrt(2.0)), 6
 #: its own exact cone and shows no noise. Where more than this share of a cloud is narrow it is the
 #: cloud that is.
 FARTHER, BANDS = 16.0, 0.2
+#: Where lines come together over more than so many times the cloud's median distance they are too
+#: few to show noise: far ground that a low scanner grazes, whose rings err in elevation.
+REMOTE = 16.0
 #: Widest neighbourhood over the cloud's diagonal; most voxels of the finest level.
 WIDEST, MOST_VOXELS = 0.1, 200_000
 #: States of a point at a level.
@@ -60,11 +63,13 @@ class ThinnedLevel:
 @dataclass(frozen=True)
 class Lines:
     """reach_m : (n,) radius within which the neighbourhood of a point holds several lines, NaN
-    where none does · levels : the thinned clouds, ascending by √2
+    where none does · levels : the thinned clouds, ascending by √2 · remote : (n,) points whose
+    lines are too few to show noise
     """
 
     reach_m: F64
     levels: tuple[ThinnedLevel, ...]
+    remote: Bool
 
     def level_near(self, edge_m: float) -> int:
         """The level whose edge is next to the one wanted."""
@@ -148,7 +153,7 @@ def find_lines(r: F64, spacing_m: float) -> Lines:
         edge *= STEP
         level = thin_to_voxels(r, edge)
     if not levels:
-        return Lines(np.full(len(r), np.nan), (level,))
+        return Lines(np.full(len(r), np.nan), (level,), np.zeros(len(r), np.bool_))
     reach = _first_surface(np.array(states), levels)
     known = reach <= widest * (1.0 + 1e-9)
     wide = np.array([level.edge_m for level in levels])[:, None] * OVER
@@ -156,7 +161,9 @@ def find_lines(r: F64, spacing_m: float) -> Lines:
     band = (seen & (np.array(states) == ON_LINE)).any(axis=0)
     if np.mean(band[known]) <= BANDS:
         known &= ~band
-    return Lines(np.where(known, reach, np.nan), tuple(levels))
+    reach = np.where(known, reach, np.nan)
+    remote = reach > REMOTE * np.median(reach[known]) if known.any() else known
+    return Lines(reach, tuple(levels), remote)
 
 
 def _state(r: F64, level: ThinnedLevel) -> I64:
