@@ -243,6 +243,12 @@ def boresight_vectors(roll_pitch_yaw_rad: F64) -> tuple[F64, F64]:
     return (turns * mean.inv()).as_rotvec(), mean.as_matrix()
 
 
+def angles_of(R_body_laser: F64) -> F64:
+    """Roll, pitch and yaw (3,) rad of a boresight ``Rz(yaw) Ry(pitch) Rx(roll)``."""
+    out: F64 = Rotation.from_matrix(R_body_laser).as_euler("ZYX")[::-1].copy()
+    return out
+
+
 def correction_of(R_body_laser: F64, roll: float, pitch: float, yaw: float) -> F64:
     """The body rotation vector (3,) rad that takes the nominal boresight ``Rz(yaw) Ry(pitch)
     Rx(roll)`` to ``R_body_laser``.

@@ -15,6 +15,7 @@ from rich.table import Table
 from ladar_volume.calibration.repeats import (
     Components,
     Spread,
+    angles_of,
     boresight_vectors,
     budget_sigma,
     components,
@@ -74,6 +75,10 @@ def run_repeats(arguments: argparse.Namespace) -> int:
         )
     table = read_measurements(arguments.file, (*ANGLES, *COLUMNS))
     columns, mean = _columns(table, base)
+    turned = set(ANGLES) <= set(table.columns)
+    angles = (
+        dict(zip(ANGLES, np.degrees(angles_of(mean)).tolist(), strict=True)) if turned else None
+    )
     found = {
         name: _statistics(name, values, table.mounting, arguments.confidence)
         for name, values in columns.items()
@@ -91,6 +96,7 @@ def run_repeats(arguments: argparse.Namespace) -> int:
         "uses": arguments.uses,
         "confidence": arguments.confidence,
         "constants": {name: _facts(each, arguments.uses) for name, each in found.items()},
+        "mean_angles_deg": angles,
         **sections,
         "version": version(),
     }
@@ -98,6 +104,9 @@ def run_repeats(arguments: argparse.Namespace) -> int:
         print(json_text(facts), end="")
     else:
         _show(Console(), found, arguments.uses)
+        if angles is not None:
+            words = ", ".join(f"{name} {value:.4f}" for name, value in angles.items())
+            Console().print(f"mean angles: {words}; boresight_x to _z are turns about that mean")
     return 0
 
 
@@ -224,7 +233,7 @@ def _spread_table(found: dict[str, Statistics], use: str) -> Table:
         table.add_row(
             name,
             str(s.count),
-            f"{s.mean:.4g}",
+            f"{s.mean:.4g}" if abs(s.mean) > 1e-6 * s.sigma_single else "0",
             f"{s.sigma_single:.4g}",
             _interval(s.single_interval),
             f"{s.sigma_mean:.4g}",

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import dataclasses
+import json
 import os
+import shutil
 import tempfile
 import time
 from collections.abc import Iterator
@@ -15,7 +18,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from ladar_volume.cli.arguments.work import config_for
-from ladar_volume.cli.replay import show_bodies, topics_from
+from ladar_volume.cli.replay import show_bodies, topics_from, write_outputs
 from ladar_volume.cli.tables.result_table import show_result
 from ladar_volume.cli.verdict_lines import exit_code
 from ladar_volume.io import results
@@ -23,6 +26,7 @@ from ladar_volume.io.bags import ROLES, wanted_topics
 from ladar_volume.io.config import dump_config, read_config
 from ladar_volume.io.drivers.packet_capture import open_recording
 from ladar_volume.io.output_set import output_set
+from ladar_volume.io.surveys import read_estimator
 from ladar_volume.model.errors import ConfigurationError, short_repr
 from ladar_volume.model.parameters import Parameters
 from ladar_volume.process.numpy_names import hide_numpy_tools
@@ -31,6 +35,8 @@ if TYPE_CHECKING:  # ROS is loaded where the graph begins
     from ladar_volume.nodes.graph import Graph
     from ladar_volume.page.feed import Feed
 
+#: Folder of what volume_node saves, in the scratch folder.
+SAVED = "saved"
 #: How long the answer may take, s: the first closed bodies compile their kernels.
 VOLUME_S, BODIES_S = 60.0, 900.0
 #: A recording's graph loses no message: overrides of a played survey.
@@ -78,9 +84,10 @@ def run(arguments: argparse.Namespace) -> int:
     parameters = parameters_of(arguments)
     folder = results.output_folder(arguments.output)
     console = Console(stderr=arguments.json)
-    result = graph_result(arguments, parameters, console)
-    with output_set(folder, results.SURVEY_FILES) as part:
-        results.write_text(part / "result.json", results.json_text(result))
+    with tempfile.TemporaryDirectory() as scratch:
+        result = graph_result(arguments, parameters, console, Path(scratch))
+        with output_set(folder, results.SURVEY_FILES) as part:
+            write_saved(Path(scratch) / SAVED, part, result, arguments)
     if arguments.json:
         print(results.json_text(result), end="")
     else:
@@ -90,17 +97,45 @@ def run(arguments: argparse.Namespace) -> int:
     return exit_code(arguments, result["verdict"])
 
 
+def write_saved(
+    saved: Path, folder: Path, result: dict[str, Any], arguments: argparse.Namespace
+) -> None:
+    """The files of ``replay``, of the survey that volume_node saved."""
+    _, estimator, _, _ = read_estimator(saved)
+    estimate = estimator.estimate(naive=False)
+    write_outputs(
+        folder,
+        estimate,
+        estimator.epoch(),
+        result,
+        arguments.play.name,
+        figure=not arguments.no_figure,
+    )
+    if not arguments.no_figure:
+        from ladar_volume.report.survey_report import write_survey_report
+
+        write_survey_report(folder / "report.html", estimate, estimator.epoch(), result, ())
+    if (saved / "bodies.ply").is_file():
+        shutil.copyfile(saved / "bodies.ply", folder / "bodies.ply")
+
+
 def graph_result(
-    arguments: argparse.Namespace, parameters: Parameters, console: Console
+    arguments: argparse.Namespace, parameters: Parameters, console: Console, scratch: Path
 ) -> dict[str, Any]:
-    """The volume of a recording played through the nodes; live they run until interrupted."""
+    """The volume of a recording played through the nodes, with its files in the scratch folder;
+    live they run until interrupted.
+    """
+    nodes_own = parameters
+    if arguments.play is not None:  # live ~/save goes where the configuration says
+        node = dataclasses.replace(parameters.node, output_folder=str(scratch / SAVED))
+        nodes_own = dataclasses.replace(parameters, node=node)
     hide_numpy_tools()
     # the only way to ROS from here, paid for only by this verb
     from ladar_volume.nodes.graph import Graph
 
-    with tempfile.TemporaryDirectory() as scratch, page_of(arguments, console) as feed:
-        effective = Path(scratch) / "parameters.yaml"
-        effective.write_text(dump_config(parameters), encoding="utf-8")
+    with page_of(arguments, console) as feed:
+        effective = scratch / "parameters.yaml"
+        effective.write_text(dump_config(nodes_own), encoding="utf-8")
         graph = Graph(
             effective,
             arguments.separate,
@@ -149,7 +184,7 @@ def run_live(graph: Graph, console: Console) -> NoReturn:
 def played_result(
     graph: Graph, arguments: argparse.Namespace, parameters: Parameters, console: Console
 ) -> dict[str, Any]:
-    """Play the recording; what the volume node answers, with what was played."""
+    """Play the recording; what the volume node saves, with what was played."""
     with open_recording(arguments.play) as bag, Progress(console=console, transient=True) as bar:
         topics = bag.roles(wanted_topics(topics_from(arguments.topic), parameters))
         bag.require(topics, parameters.georeference.pose_source)
@@ -159,7 +194,9 @@ def played_result(
         )
         graph.play(bag, topics, arguments.rate, lambda share: bar.update(task, completed=share))
         bodies = parameters.volume.kind == "bodies"
-        result = graph.watcher.answer(BODIES_S if bodies else VOLUME_S)
+        saved = graph.watcher.saved(BODIES_S if bodies else VOLUME_S)
+        result: dict[str, Any] = json.loads((saved / "result.json").read_text(encoding="utf-8"))
+        result["parameters"]["node"]["output_folder"] = parameters.node.output_folder
         result["input"] = {
             "path": arguments.play.name,
             "sha256": bag.digest(),

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ladar_volume.math.se3 import quaternion_from_matrix
 from ladar_volume.model.records import F64, I64, Bool, Estimate, Tin
 
 TRIANGLE_LIST = 11
@@ -120,6 +121,30 @@ def tin_marker(estimate: Estimate, value: F64, frame: str) -> bytes:
     w.text("")  # mesh_file
     w.sequence(np.zeros((0, 1), np.uint8))
     w.numbers("B", 0)  # mesh_use_embedded_materials
+    return w.bytes()
+
+
+def ground_plane(estimate: Estimate, frame: str = "map") -> bytes:
+    """geometry_msgs/PoseWithCovarianceStamped: the base as a pose whose z axis is its normal, with
+    the covariance of height and tilt.
+    """
+    base = estimate.base
+    slope = base.beta[1:3] if len(base.beta) >= 3 else np.zeros(2)
+    z = np.array([-slope[0], -slope[1], 1.0])
+    z /= np.linalg.norm(z)
+    x = np.array([1.0, 0.0, slope[0]])
+    x /= np.linalg.norm(x)
+    q = quaternion_from_matrix(np.column_stack([x, np.cross(z, x), z]))
+    covariance = np.zeros((6, 6))
+    if len(base.beta) >= 3 and base.C_beta.shape[0] >= 3:
+        # height, rotation about x (slope in y), rotation about y (minus slope in x)
+        J = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
+        covariance[2:5, 2:5] = J @ base.C_beta[:3, :3] @ J.T
+    w = Writer()
+    w.header(estimate.volume.t_ns, frame)
+    w.numbers("d", *map(float, base.origin_xy), float(base.beta[0]))
+    w.numbers("d", *q.tolist())
+    w.numbers("d", *covariance.ravel().tolist())
     return w.bytes()
 
 

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from mcap.reader import make_reader
 
 from ladar_volume.georeference.geodesy import LocalFrame
-from ladar_volume.io import message_tables, results
+from ladar_volume.io import cdr, message_tables, results
 from ladar_volume.io.atomic_write import atomic_file
 from ladar_volume.io.bags import TYPESTORE, BagReader
 from ladar_volume.io.mcap_log import McapLog
@@ -36,6 +36,8 @@ from ladar_volume.volume.estimator import VolumeEstimator
 
 #: Name of the file in a results folder, and of its metadata record.
 FILE, RECORD = "result.mcap", "ladar_volume"
+#: Type of the base as a pose.
+GROUND_PLANE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 #: Tables that hold the survey itself.
 SURVEY = ("points_filtered", "patches", "navigation")
 
@@ -106,8 +108,9 @@ def _table_message(columns: dict[str, npt.NDArray[Any]], t_ns: int) -> object:
 
 
 def write_survey(path: Path, estimate: Estimate, epoch: Epoch, result: Mapping[str, Any]) -> None:
-    """The tables of volumes and ground surfaces, the TIN's vertices, the survey and the whole
-    result as MCAP. Raises OutputError.
+    """The tables of volumes and ground surfaces, the surface (``tin`` coloured by height, ``mesh``
+    whole, its vertices with sigma), the ground plane, the survey and the whole result as MCAP.
+    Raises OutputError.
     """
     t_ns = estimate.volume.t_ns
     vertices = estimate.tin.vertices
@@ -129,6 +132,12 @@ def write_survey(path: Path, estimate: Estimate, epoch: Epoch, result: Mapping[s
         log.metadata(RECORD, {"result": results.json_text(result)})
         for topic, columns in itertools.chain(tables, survey_tables(epoch)):
             log.write_message(topic, _table_message(columns, t_ns), t_ns)
+        for topic, kind, data in (
+            ("tin", "visualization_msgs/msg/Marker", cdr.tin_marker(estimate, vertices[:, 2])),
+            ("mesh", "shape_msgs/msg/Mesh", cdr.mesh(estimate)),
+            ("ground_plane", GROUND_PLANE, cdr.ground_plane(estimate)),
+        ):
+            log.write(topic, kind, data, t_ns)
 
 
 def _surface_tables(file: Path) -> tuple[list[Any], list[Any], list[Any]]:

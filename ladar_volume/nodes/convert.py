@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import NavSatFix, PointCloud2, PointField
 from std_msgs.msg import Header
@@ -15,8 +14,8 @@ from std_msgs.msg import Header
 from ladar_volume.io.cloud_messages import stamp_ns
 from ladar_volume.io.message_tables import Columns
 from ladar_volume.io.tables import NUMBERS, encode
-from ladar_volume.math.se3 import matrix_from_quaternion, quaternion_from_matrix
-from ladar_volume.model.records import Datum, Estimate, PlatformStates
+from ladar_volume.math.se3 import matrix_from_quaternion
+from ladar_volume.model.records import Datum, PlatformStates
 
 
 def time_message(t_ns: int) -> Time:
@@ -130,29 +129,3 @@ def platform_state(messages: list[Any], segment: int) -> tuple[PlatformStates, i
     T[:, :3, :3], T[:, 3:, 3:] = np.eye(3), matrix_from_quaternion(q).transpose(0, 2, 1)
     t_ns = np.array([stamp_ns(m) for m in messages], np.int64)
     return PlatformStates(t_ns, p, q, v, w, T @ C @ T.transpose(0, 2, 1), segments), segment
-
-
-def ground_message(estimate: Estimate, frame: str) -> PoseWithCovarianceStamped:
-    """The base as a pose whose z axis is its normal, with the covariance of height and tilt."""
-    base = estimate.base
-    message = PoseWithCovarianceStamped(header=header(estimate.volume.t_ns, frame))
-    slope = base.beta[1:3] if len(base.beta) >= 3 else np.zeros(2)
-    z = np.array([-slope[0], -slope[1], 1.0])
-    z /= np.linalg.norm(z)
-    x = np.array([1.0, 0.0, slope[0]])
-    x /= np.linalg.norm(x)
-    q = quaternion_from_matrix(np.column_stack([x, np.cross(z, x), z]))
-    pose = message.pose.pose
-    pose.position.x, pose.position.y, pose.position.z = (
-        float(base.origin_xy[0]),
-        float(base.origin_xy[1]),
-        float(base.beta[0]),
-    )
-    pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = q.tolist()
-    covariance = np.zeros((6, 6))
-    if len(base.beta) >= 3 and base.C_beta.shape[0] >= 3:
-        # height, rotation about x (slope in y), rotation about y (minus slope in x)
-        J = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
-        covariance[2:5, 2:5] = J @ base.C_beta[:3, :3] @ J.T
-    message.pose.covariance = covariance.ravel()
-    return message

@@ -57,7 +57,7 @@ class Watcher(Node):
         super().__init__("watcher")
         self.lines: dict[str, dict[str, str]] = {}
         self.create_subscription(DiagnosticArray, "/diagnostics", self._take, 50)
-        self._compute = self.create_client(Trigger, "volume_node/compute")
+        self._save = self.create_client(Trigger, "volume_node/save")
 
     def _take(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -109,13 +109,13 @@ class Watcher(Node):
             and n("volume_node", "count_parts") == n("filter_node", "count_parts")
         )
 
-    def answer(self, timeout_s: float = 60.0) -> dict[str, Any]:
-        """volume_node's ``~/compute`` as a dictionary. Raises VolumeError where there is no volume
-        or no answer.
+    def saved(self, timeout_s: float = 60.0) -> Path:
+        """The folder of volume_node's ``~/save``. Raises VolumeError where there is no volume or no
+        answer.
         """
-        if not self._compute.wait_for_service(timeout_sec=10.0):
+        if not self._save.wait_for_service(timeout_sec=10.0):
             raise VolumeError("volume_node does not answer", reason="volume_no_node")
-        future = self._compute.call_async(Trigger.Request())
+        future = self._save.call_async(Trigger.Request())
         deadline = time.monotonic() + timeout_s
         while not future.done() and time.monotonic() < deadline:
             time.sleep(0.02)
@@ -124,7 +124,7 @@ class Watcher(Node):
         result: dict[str, Any] = json.loads(future.result().message)
         if not future.result().success:
             raise VolumeError(result["error"], reason=result["reason"])
-        return result
+        return Path(result["folder"])
 
 
 class Graph:

@@ -42,7 +42,6 @@ from ladar_volume.model.verdict import Verdict
 from ladar_volume.nodes.base import StageNode
 from ladar_volume.nodes.convert import (
     datum_of,
-    ground_message,
     platform_state,
     table_message,
     time_message,
@@ -342,7 +341,7 @@ class VolumeNode(StageNode):
             self._grounds.publish(table_message(grounds, v.t_ns, self._map))
         self._volume.publish(Float64(data=v.volume_m3))
         self._sigma.publish(Float64(data=v.sigma_m3))
-        self._ground.publish(ground_message(estimate, self._map))
+        self._ground.publish(cdr.ground_plane(estimate, self._map))
         # maps are megabytes: they follow at their own pace
         if time.monotonic() - self._mapped >= self.parameters.node.map_period_s:
             self._mapped = time.monotonic()

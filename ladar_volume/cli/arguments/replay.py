@@ -34,7 +34,6 @@ def add_parser(subparsers: Verbs) -> None:
         metavar="N",
         help="also the volume at N moments of the recording, in result and report",
     )
-    parser.add_argument("--no-figure", action="store_true", help="skip picture and report")
     add_work_options(parser, "BAG.tiles", always=False)
     parser.set_defaults(run=work("ladar_volume.cli.replay"))
 
@@ -75,5 +74,6 @@ def add_common(parser: argparse.ArgumentParser) -> None:
         default=Path("out"),
         help="folder for result.json, result.mcap, mesh.ply, figure.png, report.html",
     )
+    parser.add_argument("--no-figure", action="store_true", help="skip picture and report")
     parser.add_argument("--json", action="store_true", help="print result.json to standard output")
     add_strict_option(parser)
