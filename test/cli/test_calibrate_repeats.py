@@ -1,6 +1,7 @@
 """``ladar_volume calibrate repeats``: tables in, parameter files out."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -95,6 +96,19 @@ def test_a_mean_is_written_with_its_sigma(archive, tmp_path, capsys):
     )  # the mean of twelve mountings
     text = capsys.readouterr().out
     assert "between" in text and "remounted" in text
+
+
+def test_the_mean_of_angles_is_their_angles(tmp_path, capsys):
+    rows = [[0.12, 0.51, 0.90], [0.10, 0.50, 0.93], [0.13, 0.49, 0.91], [0.11, 0.52, 0.92]]
+    names = "boresight_roll_deg,boresight_pitch_deg,boresight_yaw_deg"
+    file = table(tmp_path / "angles.csv", rows, names)
+    assert main(["calibrate", "repeats", str(file), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    mean = dict(zip(names.split(","), [0.115, 0.505, 0.915], strict=True))  # small: as numbers
+    assert facts["mean_angles_deg"] == pytest.approx(mean, abs=1e-5)
+    assert main(["calibrate", "repeats", str(file)]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "boresight_pitch_deg 0.5050" in printed and not re.search(r"\de-\d", printed)
 
 
 def test_small_rotations_add_to_the_base(tmp_path):

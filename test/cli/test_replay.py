@@ -10,6 +10,7 @@ import numba
 import numpy as np
 import pytest
 from rich.console import Console
+from scipy.spatial.transform import Rotation
 
 from ladar_volume.cli.main import main
 from ladar_volume.cli.tables.result_table import show_result
@@ -40,6 +41,7 @@ def test_the_true_volume_lies_in_the_interval_of_the_bundled_surveys(name, capsy
     assert (tmp_path / "mesh.ply").stat().st_size > 1000 and (
         tmp_path / "result.mcap"
     ).stat().st_size > 1000
+    check_surface_in(tmp_path / "result.mcap", result)
     show_result(Console(width=200), result)
     printed, chords = " ".join(capsys.readouterr().out.split()), result["chord_m3"]
     assert f"{result['volume_m3']:.3f} ±" in printed
@@ -48,6 +50,27 @@ def test_the_true_volume_lies_in_the_interval_of_the_bundled_surveys(name, capsy
         == (abs(chords) >= 5e-4)
         == (name == "stockpile")
     )
+
+
+def check_surface_in(file, result):
+    """The MCAP holds what a viewer shows: triangles, the whole mesh, the base as a pose."""
+    with BagReader(file) as bag:
+        shown = {raw.topic: bag.message(raw) for raw in bag.raw({"tin", "mesh", "ground_plane"})}
+    corners = np.array([[v.x, v.y, v.z] for v in shown["mesh"].vertices])
+    faces = np.array([t.vertex_indices for t in shown["mesh"].triangles])
+    a, b, c = corners[faces].swapaxes(0, 1)
+    assert (np.cross(b - a, c - a)[:, 2] > 0.0).all()  # seen from above
+    points = len(shown["tin"].points)  # a large surface is shown coarser
+    assert points == len(shown["tin"].colors)
+    assert points == 3 * len(faces) or (len(faces) > 100_000 and 100_000 < points < 3 * len(faces))
+    ground, pose = result["grounds"][0], shown["ground_plane"].pose
+    at = pose.pose.position
+    assert [at.x, at.y, at.z] == pytest.approx([*ground["origin_xy_m"], ground["beta"][0]])
+    turn = Rotation.from_quat([getattr(pose.pose.orientation, k) for k in "xyzw"])
+    x, y, z = turn.apply([0.0, 0.0, 1.0])
+    assert [-x / z, -y / z] == pytest.approx(ground["beta"][1:3])
+    variance = np.asarray(pose.covariance).reshape(6, 6).diagonal()
+    assert variance[[0, 1, 5]].tolist() == [0.0, 0.0, 0.0] and (variance[2:5] > 0.0).all()
 
 
 GEOREFERENCE_LOSSES = {

@@ -18,6 +18,8 @@ from ladar_volume.simulation.suited_parameters import SUITED
 from ladar_volume.simulation.survey import Survey
 
 ROOT = Path(__file__).parents[2]
+#: What ``replay --no-figure`` leaves out.
+FIGURES = {"figure.png", "report.html", "report.json"}
 
 
 def environment(offset):
@@ -78,6 +80,9 @@ def test_four_processes_give_the_offline_volume_and_a_log(flight, tmp_path, caps
     assert online["sigma_m3"] == pytest.approx(offline["sigma_m3"], rel=1e-5)
     for reason in ("point_outlier", "point_few_neighbours", "point_region"):
         assert online["losses"].get(reason, 0) == offline["losses"].get(reason, 0)
+    files = {p.name for p in (tmp_path / "online").iterdir()}
+    assert files == {f.name for f in (tmp_path / "offline").iterdir()} | FIGURES
+    assert json.loads((tmp_path / "online" / "result.json").read_text()) == online
     from mcap.reader import make_reader
 
     with log.open("rb") as stream:
