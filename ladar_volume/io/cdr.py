@@ -124,7 +124,7 @@ def tin_marker(estimate: Estimate, value: F64, frame: str) -> bytes:
     return w.bytes()
 
 
-def ground_plane(estimate: Estimate, frame: str = "map") -> bytes:
+def ground_plane(estimate: Estimate, frame: str) -> bytes:
     """geometry_msgs/PoseWithCovarianceStamped: the base as a pose whose z axis is its normal, with
     the covariance of height and tilt.
     """

@@ -133,9 +133,13 @@ def write_survey(path: Path, estimate: Estimate, epoch: Epoch, result: Mapping[s
         for topic, columns in itertools.chain(tables, survey_tables(epoch)):
             log.write_message(topic, _table_message(columns, t_ns), t_ns)
         for topic, kind, data in (
-            ("tin", "visualization_msgs/msg/Marker", cdr.tin_marker(estimate, vertices[:, 2])),
+            (
+                "tin",
+                "visualization_msgs/msg/Marker",
+                cdr.tin_marker(estimate, vertices[:, 2], "map"),
+            ),
             ("mesh", "shape_msgs/msg/Mesh", cdr.mesh(estimate)),
-            ("ground_plane", GROUND_PLANE, cdr.ground_plane(estimate)),
+            ("ground_plane", GROUND_PLANE, cdr.ground_plane(estimate, "map")),
         ):
             log.write(topic, kind, data, t_ns)
 
