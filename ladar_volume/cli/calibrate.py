@@ -75,10 +75,7 @@ def run_repeats(arguments: argparse.Namespace) -> int:
         )
     table = read_measurements(arguments.file, (*ANGLES, *COLUMNS))
     columns, mean = _columns(table, base)
-    turned = set(ANGLES) <= set(table.columns)
-    angles = (
-        dict(zip(ANGLES, np.degrees(angles_of(mean)).tolist(), strict=True)) if turned else None
-    )
+    angles = _mean_angles(table, mean)
     found = {
         name: _statistics(name, values, table.mounting, arguments.confidence)
         for name, values in columns.items()
@@ -103,11 +100,15 @@ def run_repeats(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json_text(facts), end="")
     else:
-        _show(Console(), found, arguments.uses)
-        if angles is not None:
-            words = ", ".join(f"{name} {value:.4f}" for name, value in angles.items())
-            Console().print(f"mean angles: {words}; boresight_x to _z are turns about that mean")
+        _show(Console(), found, arguments.uses, angles)
     return 0
+
+
+def _mean_angles(table: Measurements, mean: F64) -> dict[str, float] | None:
+    """The mean boresight (3, 3) as angles, deg, where angles were measured."""
+    if not set(ANGLES) <= set(table.columns):
+        return None
+    return dict(zip(ANGLES, np.degrees(angles_of(mean)).tolist(), strict=True))
 
 
 def _facts(found: Statistics, uses: str) -> dict[str, Any]:
@@ -197,8 +198,16 @@ def write_config(
         part.write_text(text, encoding="utf-8")
 
 
-def _show(console: Console, found: dict[str, Statistics], use: str) -> None:
+def _show(
+    console: Console,
+    found: dict[str, Statistics],
+    use: str,
+    angles: dict[str, float] | None,
+) -> None:
     console.print(_spread_table(found, use))
+    if angles is not None:
+        words = ", ".join(f"{name} {value:.4f}" for name, value in angles.items())
+        console.print(f"mean angles: {words}; boresight_x to _z are turns about that mean")
     grouped = {name: each.grouped for name, each in found.items() if each.grouped is not None}
     if not grouped:
         console.print(

@@ -106,15 +106,19 @@ class VolumeNode(StageNode):
             DiagnosticArray, "/diagnostics", self._others.take, 50, callback_group=self._group
         )
         self._filter_reset = self.create_client(Trigger, "filter_node/reset")
+        self._make_bodies()
+        self._make_services()
+
+    def _make_bodies(self) -> None:
+        """What ``volume.kind: bodies`` needs beside the surface."""
         self._closed: ClosedBodies | None = None
+        self._unsure: list[PointCloud2] = []
         if self.parameters.volume.kind == "bodies":
             self._closed = closed = ClosedBodies(self.parameters, self.offer)
             self.listen("mapped", PointCloud2, "points_mapped", STREAM)
             self._catch_up = CatchUp(self, lambda: self._newest_part, lambda: closed.last_ns)
         else:
             self._catch_up = CatchUp(self, lambda: self._newest_part)
-        self._unsure: list[PointCloud2] = []
-        self._make_services()
 
     def _make_publishers(self) -> None:
         self._tin = self.create_publisher(Marker, "tin", LATCHED)
