@@ -170,7 +170,7 @@ def interrupt_often(runs: int, seed: int, folder: Path) -> list[dict[str, Any]]:
     bag = recording(folder / "bag", 5)
     for n in range(runs):
         log = folder / f"log{n}.mcap"
-        run = interrupted(bag, log, rng, (os.getpid() + n) % 90 + 110, n % 4 == 0)
+        run = interrupted(bag, log, rng, (os.getpid() + n) % 90 + 10, n % 4 == 0)
         end = re.search(r"volume at the end: ([\d.]+) m3", run["said"]["volume_node"])
         incomplete = "incomplete volume" in run["said"]["volume_node"]
         run |= {"log": complete(log), "end": float(end[1]) if end else None}
