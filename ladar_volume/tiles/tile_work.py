@@ -71,7 +71,7 @@ class DaskWorkers:
 
     def run(self, task: Callable[[A], B], of: Sequence[A]) -> Iterator[B]:
         """The results as workers return them; a task whose worker is lost goes to another one."""
-        from distributed import KilledWorker, as_completed
+        from distributed import CancelledError, KilledWorker, as_completed
 
         futures = self.client.map(partial(alone, task), of, pure=False, retries=LOSSES)  # type: ignore[attr-defined]
         for future in as_completed(futures):  # type: ignore[no-untyped-call]
@@ -79,6 +79,9 @@ class DaskWorkers:
                 yield future.result()
             except KilledWorker as error:
                 words = f"a task lost its worker {LOSSES} times: give smaller tiles, or more memory"
+                raise LadarVolumeError(words, reason="workers_lost") from error
+            except (CancelledError, OSError) as error:
+                words = "the scheduler is gone: start it and run again, what is done is kept"
                 raise LadarVolumeError(words, reason="workers_lost") from error
             future.release()
 

@@ -38,6 +38,7 @@ def workers_of(a: argparse.Namespace, console: Console) -> Iterator[Workers]:
 
     from distributed import Client, LocalCluster
 
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # our errors say it in one line
     if a.dask:
         try:
             client = Client(a.dask, timeout="3s")  # type: ignore[no-untyped-call]
