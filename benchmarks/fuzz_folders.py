@@ -40,9 +40,11 @@ class Kind:
 
 
 def program(*words: str) -> None:
-    """A verb in a process of its own: threads of this one would not outlive a fork."""
+    """A verb in a process of its own: threads of this one would not outlive a fork. Its error, if
+    any, is printed: what it should have made is then missing.
+    """
     run = [sys.executable, "-m", "ladar_volume.cli.main", "--quiet", *words]
-    subprocess.run(run, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
+    subprocess.run(run, check=False, cwd=ROOT, stdout=subprocess.DEVNULL)
 
 
 def kinds(folder: Path) -> dict[str, Kind]:
@@ -216,7 +218,7 @@ LANDXML: tuple[Line, ...] = (
     lambda at, out, n: ("volume", str(at / "road.xml"), f"--level={n}", "--json"),
     lambda at, out, n: ("volume", str(at / "road.xml"), "--level", "14", f"--surface={n[:50]}"),
     lambda at, out, n: ("volume", str(at / "road.xml"), str(at / "c.ply"), "--json"),
-    lambda at, out, n: ("body", str(at / "road.xml"), "--json"),
+    lambda at, out, n: ("body", str(at / "road.xml"), "-o", str(at / "made.obj")),
 )
 
 
@@ -307,11 +309,11 @@ def made(
     """A command line over a fresh copy of the folder, with a file mutated, or an option where a
     number is given; the file; the file of an earlier run, if any.
     """
-    for old in (at / "in", at / "out"):
+    for old in (at / "in", at / "to"):
         shutil.rmtree(old, ignore_errors=True)
     shutil.copytree(kind.folder, at / "in")
     bad = at / "in" / kind.target
     if number is None:
         bad.write_bytes(mutate(bad.read_bytes(), text=bad.suffix in TEXTS))
-    words = random_.choice(kind.lines)(at / "in", at / "out", number or "1.5")
-    return words, bad, at / "out" / kind.output if kind.output else None
+    words = random_.choice(kind.lines)(at / "in", at / "to", number or "1.5")
+    return words, bad, at / "to" / kind.output if kind.output else None

@@ -75,7 +75,7 @@ def recorded_flight(
             arguments.start,
             arguments.duration,
         )
-        with Progress(console=console, transient=True) as bar:
+        with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
             task = bar.add_task(f"reading {arguments.bag.name}", total=1.0)
             recorded = read_flight(
                 replay, arguments.returns, lambda share: bar.update(task, completed=share)

@@ -111,7 +111,7 @@ def _replay_and_write(
 
 def run_here(replay: Replay, console: Console) -> Estimate:
     """Replay in this process."""
-    with Progress(console=console, transient=True) as bar:
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(f"replaying {replay.bag.path.name}", total=1.0)
         return replay.run(lambda share: bar.update(task, completed=share))
 

@@ -36,7 +36,10 @@ def run(arguments: argparse.Namespace) -> int:
     survey = Survey(scene, platform, parameters.budget, options)
     settings = suited_settings(scene)
     settings["budget"] = parameters.write()["budget"]
-    with new_folder(arguments.output) as part, Progress(console=console, transient=True) as bar:
+    with (
+        new_folder(arguments.output) as part,
+        Progress(console=console, transient=True, disable=not console.is_terminal) as bar,
+    ):
         task = bar.add_task("simulating", total=1.0)
         write_bag(survey, part, settings, lambda share: bar.update(task, completed=share))
     console.print(f"{arguments.output}: {scene.name}, true volume {scene.volume_m3:.3f} m³")

@@ -185,7 +185,10 @@ def played_result(
     graph: Graph, arguments: argparse.Namespace, parameters: Parameters, console: Console
 ) -> dict[str, Any]:
     """Play the recording; what the volume node saves, with what was played."""
-    with open_recording(arguments.play) as bag, Progress(console=console, transient=True) as bar:
+    with (
+        open_recording(arguments.play) as bag,
+        Progress(console=console, transient=True, disable=not console.is_terminal) as bar,
+    ):
         topics = bag.roles(wanted_topics(topics_from(arguments.topic), parameters))
         bag.require(topics, parameters.georeference.pose_source)
         task = bar.add_task(

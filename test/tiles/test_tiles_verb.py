@@ -40,6 +40,16 @@ def test_errors_are_one_line(cloud, tmp_path, capsys):
     assert "no scheduler answers" in capsys.readouterr().err
 
 
+def test_a_damaged_store_is_one_line(cloud, capsys):
+    assert main(words(cloud)) == 0
+    (part,) = cloud.with_name(f"{cloud.name}.tiles").rglob("000000.npz")
+    part.write_bytes(part.read_bytes()[:-2_000])
+    capsys.readouterr()
+    assert main(words(cloud)) == 2
+    err = capsys.readouterr().err
+    assert "delete it and run again" in err and err.count("\n") == 1 and len(err) < 302
+
+
 def test_two_processes_one_of_which_is_killed_give_the_same(cloud, tmp_path):
     distributed = pytest.importorskip("distributed")
     from ladar_volume.tiles.tile_work import DaskWorkers

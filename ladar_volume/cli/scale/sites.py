@@ -160,7 +160,10 @@ def compute_all(
     if a.workers > 1 and len(surveys) > 1:
         most, kind = min(a.workers, len(surveys)), get_context("spawn")
         pool = ProcessPoolExecutor(most, mp_context=kind, initializer=one_thread)
-    with Progress(console=console, transient=True) as bar, pool as workers:
+    with (
+        Progress(console=console, transient=True, disable=not console.is_terminal) as bar,
+        pool as workers,
+    ):
         task = bar.add_task("surveys", total=len(surveys))
         plain_task = argparse.Namespace(**{k: v for k, v in vars(a).items() if k != "run"})
         if workers is None:
