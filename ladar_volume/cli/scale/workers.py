@@ -72,7 +72,7 @@ def progress_on(console: Console) -> Iterator[Progress]:
         TimeRemainingColumn(),
         TextColumn("{task.fields[speed]}"),
     )
-    with Bars(*columns, console=console, transient=True) as bars:
+    with Bars(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
         stages: dict[str, tuple[Any, float]] = {}
         before = time.monotonic()
 
