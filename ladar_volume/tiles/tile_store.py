@@ -26,7 +26,7 @@ from ladar_volume.io.pointfiles.las import MARKS, _check_header, place_of_points
 from ladar_volume.io.pointfiles.laz_layers import check_layers
 from ladar_volume.io.pointfiles.point_file import assemble
 from ladar_volume.io.pointfiles.raw_table import RawTable
-from ladar_volume.model.errors import CloudError, ConfigurationError, InputError, shown
+from ladar_volume.model.errors import CloudError, ConfigurationError, InputError, short_repr
 from ladar_volume.model.records import F64
 from ladar_volume.model.verdict import Doubt
 
@@ -202,7 +202,7 @@ def member(archive: Path, name: str) -> np.ndarray:
         with np.load(archive, allow_pickle=False) as file:
             return np.asarray(file[name])
     except Exception as error:  # a damaged archive fails anywhere inside zipfile and NumPy
-        words = f"{archive}: missing or damaged ({shown(error)}): delete it and run again"
+        words = f"{archive}: missing or damaged ({short_repr(error)}): delete it and run again"
         raise InputError(words, reason="input_unreadable", value=str(archive)) from error
 
 
